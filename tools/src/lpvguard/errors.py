@@ -1,0 +1,16 @@
+"""Errors a user can act on; the command line turns them into one line and an exit status."""
+
+from __future__ import annotations
+
+
+class InputError(ValueError):
+    """Bad input: names what is wrong, where, and what was expected (exit status 2).
+
+    >>> str(InputError("drive.csv", "line 7, column v", "NaN", "a finite number in m/s"))
+    'drive.csv: line 7, column v: NaN; expected a finite number in m/s'
+    """
+
+    def __init__(self, source: object, where: str, what: str, expected: str | None = None):
+        self.source, self.where, self.what, self.expected = str(source), where, what, expected
+        parts = [p for p in (self.source, where, what) if p]
+        super().__init__(": ".join(parts) + (f"; expected {expected}" if expected else ""))
