@@ -15,7 +15,8 @@ level reached with it is reached without it, and ε is the largest power of ten 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg as sl
@@ -64,13 +65,20 @@ class _Plant:
         return _Plant(self.A.T, self.C1.T, self.C2.T, self.B1.T, self.B2.T, self.D11.T, self.D21.T, self.D12.T)
 
 
+class _Riccati(NamedTuple):
+    """A stabilising solution, symmetric (n, n), and whether it is positive semidefinite within rounding."""
+
+    X: np.ndarray
+    definite: bool
+
+
 @dataclass(frozen=True)
 class _Side:
     """One Riccati equation: the problem x' = A x + B1 w + B2 u, z = C1 x + D11 w + D12 u with D12 of full column rank.
 
     basis (n, n_r): the states that remain after the free ones were removed; the solution is basis X_r basisᵀ.
     bound: the least γ that D11 and D12 allow (full information).
-    axis: the problem has zeros on the imaginary axis; cost (n_r, n_r): the state cost that moves them.
+    axis: frequencies in rad/s of zeros on the imaginary axis; weight: the state cost (times I) that moves them off it.
     """
 
     A: np.ndarray
@@ -81,22 +89,22 @@ class _Side:
     D12: np.ndarray
     basis: np.ndarray
     bound: float = 0.0
-    axis: bool = False
-    cost: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    axis: tuple[float, ...] = ()
+    weight: float = 0.0
 
     @staticmethod
     def regular(P: _Plant) -> _Side:
         """The control side of a plant whose D12 has full column rank: nothing to remove."""
         return _Side(P.A, P.B1, P.B2, P.C1, P.D11, P.D12, np.eye(len(P.A)), _unreachable_gain(P.D11, P.D12))
 
-    def solve(self, gamma: float) -> np.ndarray | None:
+    def solve(self, gamma: float) -> _Riccati | None:
         """The stabilising solution at ``gamma`` in the original coordinates, (n, n); None when there is none."""
         if gamma <= self.bound * (1 + 1e-12):
             return None
         if len(self.A) == 0:
-            return np.zeros((self.basis.shape[0], self.basis.shape[0]))
-        X = _stabilising(_hamiltonian(self, gamma))
-        return None if X is None else self.basis @ X @ self.basis.T
+            return _Riccati(np.zeros((len(self.basis), len(self.basis))), True)
+        found = _stabilising(_hamiltonian(self, gamma))
+        return found and _Riccati(self.basis @ found.X @ self.basis.T, found.definite)
 
 
 def hinf_synthesis(plant: StateSpace, n_control: int, n_measurement: int, backoff: float = 0.008) -> HinfResult:
@@ -126,20 +134,47 @@ def hinf_synthesis(plant: StateSpace, n_control: int, n_measurement: int, backof
 def _certified(plant, problem, gamma, backoff, restore) -> HinfResult:
     """The first controller whose certified norm is within ``backoff`` of ``gamma``; the best one when none is."""
     best = None
-    for epsilon, share in problem.attempts():
-        K = problem.controller(gamma * (1 + share * backoff), epsilon)
+
+    def attempt(level, epsilon):
+        nonlocal best
+        K = problem.controller(level, epsilon)
         if K is None:
-            continue
+            return
         K = restore(K)
         norm = hinf_norm(lft(plant, K), rtol=1e-5)
-        if best is None or norm.upper < best.certificate.upper:
-            best = HinfResult(K, gamma, norm.upper, norm, epsilon, tuple(problem.notes))
-        if norm.upper <= gamma * (1 + backoff):
+        if best is None or norm.upper < best.gamma_achieved:
+            best = HinfResult(K, min(gamma, norm.lower), norm.upper, norm, epsilon, tuple(problem.notes))
+
+    def good():
+        return best is not None and best.gamma_achieved <= gamma * (1 + backoff)
+
+    for epsilon, share in problem.attempts():
+        if gamma > 0:
+            attempt(gamma * (1 + share * backoff), epsilon)
+        if good():
             return best
-    if best is None or not np.isfinite(best.certificate.upper):
+    _descend(problem, gamma, attempt, lambda: np.inf if best is None else best.gamma_achieved, good)
+    if best is None or not np.isfinite(best.gamma_achieved):
         raise SynthesisError("H-infinity synthesis", f"gamma {gamma:.6g}", "no controller passed its certificate",
                              "a plant scaled so that signals of interest are of order one")
-    return best
+    note = f"the optimum is approached only by ever faster controllers: stopped at {best.gamma_achieved / max(gamma, 1e-300):.4g} times it"
+    return replace(best, notes=(*best.notes, note))
+
+
+def _descend(problem, gamma, attempt, reached, good) -> None:
+    """Lower levels step by step while ε falls, from any level that can be reached at all."""
+    level = max(gamma, 1e-6)
+    while not np.isfinite(reached()) and level < 1e12:
+        for epsilon in (1e-1, 1e-2, 1e-3, 1e-4, 1e-6) if problem.singular else (0.0,):
+            attempt(level, epsilon)
+        level *= 10
+    start = reached()
+    for epsilon in 10.0 ** -np.arange(1.0, 13.0) if problem.singular else (0.0,):
+        for factor in (0.03, 0.3, 0.6, 0.9, 1.0):
+            if good() or reached() <= 1e-7 * start:
+                return
+            if np.isfinite(reached()):
+                attempt(max(factor * reached(), gamma * 1.005), epsilon)
 
 
 def _check_shape(plant, n_control, n_measurement):
@@ -216,9 +251,13 @@ def _hamiltonian(side: _Side, gamma: float) -> np.ndarray:
     R[:m1, :m1] -= np.eye(m1)
     F = np.linalg.solve(R, np.hstack([D.T @ side.C1, B.T]))
     H = np.block([[side.A, np.zeros((n, n))], [-side.C1.T @ side.C1, -side.A.T]])
-    if side.axis:
-        H[n:, :n] -= side.cost
-    return H - np.vstack([B, -side.C1.T @ D]) @ F
+    H[n:, :n] -= side.weight**2 * np.eye(n)
+    left = np.vstack([B, -side.C1.T @ D])
+    out = H - left @ F
+    # what is left where terms cancel is rounding; balancing would blow it up
+    terms = np.abs(H) + np.abs(left) @ np.abs(F)
+    out[np.abs(out) <= 500 * EPS * terms] = 0.0
+    return out
 
 
 def _balance_hamiltonian(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -233,7 +272,7 @@ def _balance_hamiltonian(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return H * both / both[:, None], t
 
 
-def _stabilising(H: np.ndarray) -> np.ndarray | None:
+def _stabilising(H: np.ndarray) -> _Riccati | None:
     """X = X2 X1⁻¹ from the stable invariant subspace of H, symmetric; None when eigenvalues lie on the axis."""
     n = H.shape[0] // 2
     H, t = _balance_hamiltonian(H)
@@ -246,15 +285,16 @@ def _stabilising(H: np.ndarray) -> np.ndarray | None:
     if stable != n or _touches_axis(T):
         return None
     U1, U2 = U[:n, :n], U[n:, :n]
+    condition = np.linalg.cond(U1)
     skew = U1.T @ U2
-    if np.abs(skew - skew.T).max() > 1e-5:
+    if np.abs(skew - skew.T).max() > 1e-5 or not condition < 1 / EPS:
         return None
-    try:
-        X = np.linalg.solve(U1.T, U2.T)
-    except np.linalg.LinAlgError:
-        return None
+    X = np.linalg.solve(U1.T, U2.T)
     X = 0.5 * (X + X.T)
-    return X / t / t[:, None]
+    # in these units U is orthogonal, so X carries an error of about eps · cond(U1) · (1 + ‖X‖)
+    values = np.linalg.eigvalsh(X)
+    definite = values[0] >= -min(1e4 * EPS * condition, 0.1) * (1 + values[-1])
+    return _Riccati(X / t / t[:, None], bool(definite))
 
 
 def _touches_axis(T: np.ndarray) -> bool:
@@ -294,6 +334,7 @@ def _reduce(P: _Plant) -> _Side:
         size = np.linalg.norm(free, axis=0)
         free = free / np.where(size > 0, size, 1)
         U, sigma, _ = np.linalg.svd(free)
+        U[np.abs(U) < 4 * EPS] = 0.0
         r = int(np.count_nonzero(sigma > RANK_RTOL))
         if r == 0:
             B2, D12 = paid, cost
@@ -304,13 +345,20 @@ def _reduce(P: _Plant) -> _Side:
     bound = _unreachable_gain(P.D11, D12)
     if A.size == 0:
         return _Side(A, B1, B2, C1, P.D11, D12, basis, bound)
-    free_of_w = _Side(A, B1[:, :0], B2, C1, P.D11[:, :0], D12, basis)
-    H = _hamiltonian(free_of_w, 1.0)
-    balanced_H, _ = _balance_hamiltonian(H)
-    eigenvalues = np.linalg.eigvals(balanced_H)
-    axis = bool(np.any(np.abs(eigenvalues.real) <= 1e-7 * np.abs(eigenvalues) + 1e-9 * np.linalg.norm(A, 2)))
-    weight = AXIS_COST * max(np.linalg.norm(C1, 2), EPS)
-    return _Side(A, B1, B2, C1, P.D11, D12, basis, bound, axis, weight**2 * np.eye(len(A)) if axis else np.zeros((0, 0)))
+    side = _Side(A, B1, B2, C1, P.D11, D12, basis, bound)
+    axis = _axis_zeros(side, np.linalg.norm(P.A, 2))
+    return replace(side, axis=axis, weight=AXIS_COST * max(np.linalg.norm(C1, 2), EPS)) if axis else side
+
+
+def _axis_zeros(side: _Side, scale: float) -> tuple[float, ...]:
+    """Frequencies of the imaginary-axis zeros of x' = A x + B2 u, z = C1 x + D12 u: axis eigenvalues of its LQ problem.
+
+    They are at least double, so rounding moves them by the square root of eps times the norm (``scale``: that of A).
+    """
+    H = _hamiltonian(replace(side, B1=side.B1[:, :0], D11=side.D11[:, :0]), 1.0)
+    eigenvalues = np.linalg.eigvals(_balance_hamiltonian(H)[0])
+    near = np.abs(eigenvalues.real) <= 1e-7 * np.abs(eigenvalues) + 1e-8 * scale
+    return tuple(np.unique(np.round(np.abs(eigenvalues.imag[near]), 12)))
 
 
 def _unreachable_gain(D11, D12) -> float:
@@ -324,6 +372,41 @@ def _unreachable_gain(D11, D12) -> float:
 def _parrott(P: _Plant) -> float:
     """min over D_K of σ̄(D11 + D12 D_K D21) (Parrott 1978), for any rank of D12 and D21."""
     return max(_unreachable_gain(P.D11, P.D12), _unreachable_gain(P.D11.T, P.D21.T))
+
+
+def _axis_bounds(P: _Plant, frequencies) -> list[float]:
+    """Parrott bounds at the imaginary-axis zeros: there the loop cannot change part of T11 + T12 Q T21.
+
+    T11, T12, T21 are the stable factors of all closed loops (Zhou, Doyle & Glover 1996, section 12.8), with an LQ
+    gain F and its dual L.
+    """
+    if not frequencies:
+        return []
+    n = len(P.A)
+    F, L = _stabilising_gain(P.A, P.B2), _stabilising_gain(P.A.T, P.C2.T)
+    if F is None or L is None:
+        return []
+    L = L.T
+    AF, AL, CF, BL = P.A + P.B2 @ F, P.A + L @ P.C2, P.C1 + P.D12 @ F, P.B1 + L @ P.D21
+    T11 = StateSpace(np.block([[AF, -P.B2 @ F], [np.zeros((n, n)), AL]]), np.vstack([P.B1, BL]),
+                     np.hstack([CF, -P.D12 @ F]), P.D11)
+    T12, T21 = StateSpace(AF, P.B2, CF, P.D12), StateSpace(AL, BL, P.C2, P.D21)
+    out = []
+    for G11, G12, G21 in zip(*(T.response(frequencies) for T in (T11, T12, T21)), strict=True):
+        for side, free in ((G11, G12), (G11.conj().T, G21.conj().T)):
+            U, sigma, _ = np.linalg.svd(free / np.maximum(np.linalg.norm(free, axis=0), 1e-300))
+            rank = int(np.count_nonzero(sigma > 1e-5))
+            rest = U[:, rank:].conj().T @ side
+            out.append(float(np.linalg.norm(rest, 2)) if rest.size else 0.0)
+    return out
+
+
+def _stabilising_gain(A: np.ndarray, B: np.ndarray) -> np.ndarray | None:
+    """LQ gain F (m, n) with A + B F stable, unit weights in balanced units."""
+    size = np.linalg.norm(A, 2) / max(np.linalg.norm(B, 2), 1e-300)
+    n = len(A)
+    X = _stabilising(np.block([[A, -size * size * B @ B.T], [-np.eye(n), -A.T]]))
+    return None if X is None else -size * size * B.T @ X.X
 
 
 class _Problem:
@@ -344,19 +427,25 @@ class _Problem:
                 self.notes.append(f"{name} has rank {rank} of {wanted} ({signal}): {n - side.A.shape[0]} states freed")
             if side.axis:
                 where = "P12" if name == "D12" else "P21"
-                self.notes.append(f"{where} has zeros on the imaginary axis")
-        self.axis = self.control.axis or self.filter.axis
-        self.floor = _parrott(P)
+                shown = ", ".join(f"{w:.4g}" for w in side.axis)
+                self.notes.append(f"{where} has zeros on the imaginary axis at {shown} rad/s")
+        self.axis = tuple(sorted(set(self.control.axis + self.filter.axis)))
+        self.floor = max([_parrott(P)] + _axis_bounds(P, self.axis))
+        self.soft = [False, False]
+        if self.singular:
+            probe = self._extended(1e-2)
+            scale = np.linalg.norm(P.A, 2)
+            self.soft = [bool(_axis_zeros(_Side.regular(Q), scale)) for Q in (probe, probe.dual)]
 
     @property
     def singular(self) -> bool:
-        return self.rank_lost or self.axis
+        return self.rank_lost or bool(self.axis)
 
     def coupling(self, gamma: float) -> float | None:
         """γ²/ρ(XY), above 1 exactly when γ is reached; negative past a blow-up of X or Y; None without solution."""
         X = self.control.solve(gamma)
         Y = self.filter.solve(gamma) if X is not None else None
-        return None if Y is None else _margin(X, Y / gamma**2)
+        return None if Y is None else _margin(X, Y, gamma)
 
     def optimum(self) -> float:
         """The infimum of reachable γ, to GAMMA_RTOL."""
@@ -427,8 +516,8 @@ class _Problem:
 
     def _extended(self, epsilon: float) -> _Plant:
         P = self.P
-        cost_u, cost_x = _extension(P, self.control.axis, epsilon)
-        noise_y, noise_x = _extension(P.dual, self.filter.axis, epsilon)
+        cost_u, cost_x = _extension(P, self.soft[0], epsilon)
+        noise_y, noise_x = _extension(P.dual, self.soft[1], epsilon)
         C1 = np.vstack([P.C1, np.zeros((cost_u.shape[0], P.A.shape[0])), cost_x])
         D12 = np.vstack([P.D12, cost_u, np.zeros((cost_x.shape[0], P.D12.shape[1]))])
         B1 = np.hstack([P.B1, np.zeros((P.A.shape[0], noise_y.shape[0])), noise_x.T])
@@ -446,20 +535,14 @@ def _extension(P: _Plant, axis: bool, epsilon: float) -> tuple[np.ndarray, np.nd
     return epsilon * size * free, epsilon * size * np.eye(P.A.shape[0]) if axis else np.zeros((0, P.A.shape[0]))
 
 
-def _margin(X: np.ndarray, Y: np.ndarray) -> float:
-    """γ²/ρ(XY) for X and Y in units where γ was divided out; negative when X or Y has lost definiteness."""
-    if X.size == 0:
+def _margin(control: _Riccati, filter_: _Riccati, gamma: float) -> float:
+    """γ²/ρ(XY); −1 when X or Y is not positive semidefinite: then γ lies below one of them blowing up."""
+    if not (control.definite and filter_.definite):
+        return -1.0
+    if control.X.size == 0:
         return np.inf
-    for M in (X, Y):
-        size = np.sqrt(np.maximum(np.abs(np.diag(M)), 1e-300))
-        values = np.linalg.eigvalsh(M)
-        if values[0] < -1e-7 * max(values[-1], -values[0]) and np.min(np.diag(M) / size**2) < 0.0:
-            return -1.0
-        if values[0] < -1e-6 * max(values[-1], -values[0]):
-            return -1.0
-    values = np.linalg.eigvals(X @ Y).real
-    largest = values.max(initial=0.0)
-    return np.inf if largest <= 0 else 1 / largest
+    largest = np.linalg.eigvals(control.X @ filter_.X).real.max()
+    return np.inf if largest <= 0 else gamma**2 / largest
 
 
 def central_controller(P: _Plant, gamma: float) -> StateSpace | None:
@@ -467,8 +550,9 @@ def central_controller(P: _Plant, gamma: float) -> StateSpace | None:
     n, m1, p1 = P.A.shape[0], P.B1.shape[1], P.C1.shape[0]
     control, filter_ = _Side.regular(P), _Side.regular(P.dual)
     X, Y = control.solve(gamma), filter_.solve(gamma)
-    if X is None or Y is None or not _margin(X, Y / gamma**2) > 1:
+    if X is None or Y is None or not _margin(X, Y, gamma) > 1:
         return None
+    X, Y = X.X, Y.X
     # w divided by γ makes the level 1; Y of that plant is Y/γ²
     Y = Y / gamma**2
     B1, D11, D21 = P.B1 / gamma, P.D11 / gamma, P.D21 / gamma
