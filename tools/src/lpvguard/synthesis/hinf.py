@@ -95,7 +95,8 @@ class _Side:
     @staticmethod
     def regular(P: _Plant) -> _Side:
         """The control side of a plant whose D12 has full column rank: nothing to remove."""
-        return _Side(P.A, P.B1, P.B2, P.C1, P.D11, P.D12, np.eye(len(P.A)), _unreachable_gain(P.D11, P.D12))
+        return _Side(P.A, P.B1, P.B2, P.C1, P.D11, P.D12, np.eye(len(P.A)),
+                     _unreachable_gain(P.D11, P.D12, np.zeros(P.B2.shape[1])))
 
     def solve(self, gamma: float) -> _Riccati | None:
         """The stabilising solution at ``gamma`` in the original coordinates, (n, n); None when there is none."""
@@ -103,7 +104,10 @@ class _Side:
             return None
         if len(self.A) == 0:
             return _Riccati(np.zeros((len(self.basis), len(self.basis))), True)
-        found = _stabilising(_hamiltonian(self, gamma))
+        try:
+            found = _stabilising(_hamiltonian(self, gamma))
+        except np.linalg.LinAlgError:
+            return None
         return found and _Riccati(self.basis @ found.X @ self.basis.T, found.definite)
 
 
@@ -137,11 +141,14 @@ def _certified(plant, problem, gamma, backoff, restore) -> HinfResult:
 
     def attempt(level, epsilon):
         nonlocal best
-        K = problem.controller(level, epsilon)
-        if K is None:
+        try:
+            K = problem.controller(level, epsilon)
+            if K is None:
+                return
+            K = restore(K)
+            norm = hinf_norm(lft(plant, K), rtol=1e-5)
+        except (np.linalg.LinAlgError, SynthesisError):  # a controller that cannot be realised is no controller
             return
-        K = restore(K)
-        norm = hinf_norm(lft(plant, K), rtol=1e-5)
         if best is None or norm.upper < best.gamma_achieved:
             best = HinfResult(K, min(gamma, norm.lower), norm.upper, norm, epsilon, tuple(problem.notes))
 
@@ -278,10 +285,7 @@ def _stabilising(H: np.ndarray) -> _Riccati | None:
     H, t = _balance_hamiltonian(H)
     if not np.all(np.isfinite(H)):
         return None
-    try:
-        T, U, stable = sl.schur(H, sort="lhp", check_finite=False)
-    except np.linalg.LinAlgError:
-        return None
+    T, U, stable = sl.schur(H, sort="lhp", check_finite=False)
     if stable != n or _touches_axis(T):
         return None
     U1, U2 = U[:n, :n], U[n:, :n]
@@ -308,22 +312,31 @@ def _touches_axis(T: np.ndarray) -> bool:
     return bool(np.any(size <= 20 * EPS * np.linalg.norm(T) + 1e-11 * imaginary))
 
 
-def _column_rank(D: np.ndarray) -> tuple[int, np.ndarray]:
-    """Rank of D after scaling its columns to unit length, and V (m, m) so that D V = [full rank, 0]."""
+def _direct_scale(rate: float, B2, C1) -> np.ndarray:
+    """Size that each control's direct cost would have if it acted like the path through states of ``rate``, (m2,)."""
+    return np.linalg.norm(B2, axis=0) * np.linalg.norm(C1) / max(rate, 1e-300)
+
+
+def _column_rank(D: np.ndarray, scale: np.ndarray) -> tuple[int, np.ndarray]:
+    """Rank of D and V (m, m) so that D V = [full rank, 0].
+
+    Columns are brought to unit length first (a control's unit is arbitrary); one far below ``scale`` counts as zero.
+    """
     size = np.linalg.norm(D, axis=0)
-    live = size > 1e-14 * max(size.max(initial=0.0), 1e-300)
+    live = (size > RANK_RTOL * scale) & (size > 0)
     weight = np.where(live, 1 / np.where(live, size, 1), 1.0)
     _, sigma, Vt = np.linalg.svd(D * np.where(live, weight, 0.0))
-    rank = int(np.count_nonzero(sigma > RANK_RTOL * max(sigma.max(initial=0.0), 1e-300))) if np.any(live) else 0
+    rank = int(np.count_nonzero(sigma > RANK_RTOL * sigma.max(initial=0.0))) if np.any(live) else 0
     return rank, weight[:, None] * Vt.T
 
 
 def _reduce(P: _Plant) -> _Side:
     """The Riccati problem that decides the control side of P, free directions removed until D12 has full rank."""
     A, B1, B2, C1, D12 = P.A, P.B1, P.B2, P.C1, P.D12
+    rate = np.linalg.norm(A, 2)
     basis = np.eye(A.shape[0])
     while B2.shape[1]:
-        rank, V = _column_rank(D12)
+        rank, V = _column_rank(D12, _direct_scale(rate, B2, C1))
         if rank == B2.shape[1]:
             break
         paid, free = B2 @ V[:, :rank], B2 @ V[:, rank:]
@@ -342,11 +355,11 @@ def _reduce(P: _Plant) -> _Side:
         driven, rest = U[:, :r], U[:, r:]
         A, B1, B2, C1, D12, basis = (rest.T @ A @ rest, rest.T @ B1, np.hstack([rest.T @ paid, rest.T @ A @ driven]),
                                      C1 @ rest, np.hstack([cost, C1 @ driven]), basis @ rest)
-    bound = _unreachable_gain(P.D11, D12)
+    bound = _unreachable_gain(P.D11, D12, _direct_scale(rate, B2, C1))
     if A.size == 0:
         return _Side(A, B1, B2, C1, P.D11, D12, basis, bound)
     side = _Side(A, B1, B2, C1, P.D11, D12, basis, bound)
-    axis = _axis_zeros(side, np.linalg.norm(P.A, 2))
+    axis = _axis_zeros(side, rate)
     return replace(side, axis=axis, weight=AXIS_COST * max(np.linalg.norm(C1, 2), EPS)) if axis else side
 
 
@@ -361,9 +374,9 @@ def _axis_zeros(side: _Side, scale: float) -> tuple[float, ...]:
     return tuple(np.unique(np.round(np.abs(eigenvalues.imag[near]), 12)))
 
 
-def _unreachable_gain(D11, D12) -> float:
+def _unreachable_gain(D11, D12, scale) -> float:
     """σ̄ of the part of D11 that no u can cancel through D12, for any rank of D12."""
-    rank, V = _column_rank(D12)
+    rank, V = _column_rank(D12, scale)
     Q = sl.qr(D12 @ V[:, :rank], mode="full")[0] if rank else np.eye(D11.shape[0])
     rest = Q[:, rank:].T @ D11
     return float(np.linalg.norm(rest, 2)) if rest.size else 0.0
@@ -371,7 +384,7 @@ def _unreachable_gain(D11, D12) -> float:
 
 def _parrott(P: _Plant) -> float:
     """min over D_K of σ̄(D11 + D12 D_K D21) (Parrott 1978), for any rank of D12 and D21."""
-    return max(_unreachable_gain(P.D11, P.D12), _unreachable_gain(P.D11.T, P.D21.T))
+    return max(_unreachable_gain(Q.D11, Q.D12, _direct_scale(np.linalg.norm(Q.A, 2), Q.B2, Q.C1)) for Q in (P, P.dual))
 
 
 def _axis_bounds(P: _Plant, frequencies) -> list[float]:
@@ -418,10 +431,10 @@ class _Problem:
         n = P.A.shape[0]
         self.notes: list[str] = []
         self.rank_lost = False
-        for side, name, signal in ((self.control, "D12", "controls without direct cost"),
-                                   (self.filter, "D21", "measurements without noise")):
-            D, wanted = (P.D12, P.D12.shape[1]) if name == "D12" else (P.D21.T, P.D21.shape[0])
-            rank, _ = _column_rank(D)
+        for side, Q, name, signal in ((self.control, P, "D12", "controls without direct cost"),
+                                      (self.filter, P.dual, "D21", "measurements without noise")):
+            wanted = Q.D12.shape[1]
+            rank, _ = _column_rank(Q.D12, _direct_scale(np.linalg.norm(Q.A, 2), Q.B2, Q.C1))
             if rank < wanted:
                 self.rank_lost = True
                 self.notes.append(f"{name} has rank {rank} of {wanted} ({signal}): {n - side.A.shape[0]} states freed")
@@ -504,8 +517,7 @@ class _Problem:
     def attempts(self):
         """(ε, share of the back-off) in the order to try; mild controllers first."""
         if not self.singular:
-            yield from ((0.0, s) for s in (0.97, 0.5, 0.25, 0.75))
-            return
+            yield from ((0.0, share) for share in (0.97, 0.5, 0.25))
         for exponent in range(1, 15):
             yield 10.0**-exponent, 0.9
 
@@ -528,11 +540,11 @@ class _Problem:
 
 
 def _extension(P: _Plant, axis: bool, epsilon: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rows ε·u on the control directions without cost and, when ``axis``, ε·x; scaled to the plant's C1."""
-    rank, V = _column_rank(P.D12)
-    free = np.linalg.pinv(V)[rank:]
+    """Rows ε·u and, when ``axis``, ε·x, in units of the plant's own costs."""
     size = max(np.linalg.norm(P.C1, 2), EPS)
-    return epsilon * size * free, epsilon * size * np.eye(P.A.shape[0]) if axis else np.zeros((0, P.A.shape[0]))
+    unit = np.linalg.norm(P.B2, axis=0)
+    unit = unit / max(unit.max(), 1e-300)
+    return epsilon * size * np.diag(unit), epsilon * size * np.eye(P.A.shape[0]) if axis else np.zeros((0, len(P.A)))
 
 
 def _margin(control: _Riccati, filter_: _Riccati, gamma: float) -> float:

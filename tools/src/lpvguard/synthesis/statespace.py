@@ -239,8 +239,15 @@ def to_continuous(G: StateSpace, alpha: float | None = None) -> StateSpace:
         raise SynthesisError("discrete system", "A", "a pole at z = −1", "no pole at z = −1 (shift it by feedback)")
     inverse = np.linalg.inv(plus)
     root = np.sqrt(2 * alpha)
-    return StateSpace(alpha * inverse @ (G.A - eye), root * inverse @ G.B, root * G.C @ inverse,
-                      G.D - G.C @ inverse @ G.B, 0.0, G.inputs, G.outputs)
+    D = G.D - G.C @ inverse @ G.B
+    A, B, C = alpha * inverse @ (G.A - eye), root * inverse @ G.B, root * G.C @ inverse
+    # entries that vanish exactly (a zero at z = −1, an unreached state) must not come back as rounding: scaling would
+    # take them for weak couplings
+    size = np.abs(inverse)
+    for exact, terms in ((A, alpha * size @ np.abs(G.A - eye)), (B, root * size @ np.abs(G.B)),
+                         (C, root * np.abs(G.C) @ size), (D, np.abs(G.D) + np.abs(G.C) @ size @ np.abs(G.B))):
+        exact[np.abs(exact) <= 1e3 * EPS * terms] = 0.0
+    return StateSpace(A, B, C, D, 0.0, G.inputs, G.outputs)
 
 
 def to_discrete(G: StateSpace, dt: float, alpha: float | None = None) -> StateSpace:
