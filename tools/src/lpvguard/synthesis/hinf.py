@@ -267,11 +267,15 @@ def _hamiltonian(side: _Side, gamma: float) -> np.ndarray:
     return out
 
 
-def _balance_hamiltonian(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Symplectic diagonal scaling diag(t, 1/t) by powers of two (as in Benner 2001); returns the scaled H and t."""
+def _balance_hamiltonian(H: np.ndarray, floor: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Symplectic diagonal scaling diag(t, 1/t) by powers of two (as in Benner 2001); returns the scaled H and t.
+
+    Entries up to ``floor`` times the largest one have no say in the choice of t.
+    """
     n = H.shape[0] // 2
     off = np.abs(H)
     np.fill_diagonal(off, 0)
+    off[off <= floor * off.max(initial=0.0)] = 0.0
     _, (scale, _) = sl.matrix_balance(off, separate=True, permute=False)
     logs = np.log2(scale)
     t = 2.0 ** np.round(0.5 * (logs[:n] - logs[n:]))
@@ -280,25 +284,38 @@ def _balance_hamiltonian(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _stabilising(H: np.ndarray) -> _Riccati | None:
-    """X = X2 X1⁻¹ from the stable invariant subspace of H, symmetric; None when eigenvalues lie on the axis."""
+    """X = X2 X1⁻¹ from the stable invariant subspace of H, symmetric; None when eigenvalues lie on the axis.
+
+    The balancing that takes every entry seriously is tried first; where rounding stands in place of zeros (X exactly
+    singular) it makes X1 nearly singular, and a balancing that ignores such entries is used.
+    """
+    best = None
+    for floor in (0.0, EPS):
+        found, condition = _subspace_solution(*_balance_hamiltonian(H, floor))
+        if found is not None and (best is None or condition < best[1]):
+            best = found, condition
+        if best is not None and best[1] < 1e10 or found is None and condition == 0.0:
+            break
+    return best and best[0]
+
+
+def _subspace_solution(H: np.ndarray, t: np.ndarray) -> tuple[_Riccati | None, float]:
+    """The solution from one balanced H, and the condition of its X1 (0 when the axis itself is in the way)."""
     n = H.shape[0] // 2
-    H, t = _balance_hamiltonian(H)
-    if not np.all(np.isfinite(H)):
-        return None
     T, U, stable = sl.schur(H, sort="lhp", check_finite=False)
     if stable != n or _touches_axis(T):
-        return None
+        return None, 0.0
     U1, U2 = U[:n, :n], U[n:, :n]
     condition = np.linalg.cond(U1)
     skew = U1.T @ U2
     if np.abs(skew - skew.T).max() > 1e-5 or not condition < 1 / EPS:
-        return None
+        return None, condition
     X = np.linalg.solve(U1.T, U2.T)
     X = 0.5 * (X + X.T)
     # in these units U is orthogonal, so X carries an error of about eps · cond(U1) · (1 + ‖X‖)
     values = np.linalg.eigvalsh(X)
     definite = values[0] >= -min(1e4 * EPS * condition, 0.1) * (1 + values[-1])
-    return _Riccati(X / t / t[:, None], bool(definite))
+    return _Riccati(X / t / t[:, None], bool(definite)), condition
 
 
 def _touches_axis(T: np.ndarray) -> bool:
