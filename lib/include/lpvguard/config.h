@@ -16,10 +16,11 @@
 
 #ifdef LPVG_DOUBLE
 typedef double lpvg_real_t;
-#define LPVG_R(literal) literal
+/// A number given twice: rounded to float, and to double. Picks the one of the number type.
+#define LPVG_NUMBER(as_float, as_double) as_double
 #else
 typedef float lpvg_real_t;
-#define LPVG_R(literal) literal##f
+#define LPVG_NUMBER(as_float, as_double) as_float
 #endif
 
 #define LPVG_PASTE3(a, b, c) a##_##b##_##c

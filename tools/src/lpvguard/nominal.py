@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import ast
 import operator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -54,6 +55,58 @@ class DiscreteModel:
     Ad: np.ndarray
     B_old: np.ndarray
     B_new: np.ndarray
+
+
+TABLE_TOLERANCE = 1e-6
+"""Largest error of a tabulated model entry, relative to that entry's largest magnitude over the speed range."""
+
+
+@dataclass(frozen=True)
+class SpeedTable:
+    """Model entries over speed, as the core tabulates them: ``base`` (n_entries,), cubics ``cell`` (cells, varying, 4) for the entries ``varying``.
+
+    Entries are Ad, B_old, B_new row by row. Cell c of equal width holds a cubic in the position 0..1 within it.
+    ``error`` is the largest relative error found between the table and the exact zero-order hold.
+    """
+
+    speed_range: tuple[float, float]
+    base: np.ndarray
+    varying: np.ndarray
+    cell: np.ndarray
+    error: float
+
+    def at(self, v: np.ndarray) -> np.ndarray:
+        """Entries (m, n_entries) at speeds v (m,), clamped to the range."""
+        low, high = self.speed_range
+        position = (np.clip(v, low, high) - low) / (high - low) * len(self.cell)
+        cell = np.minimum(position.astype(int), len(self.cell) - 1)
+        out = np.repeat(self.base[None], len(position), axis=0)
+        powers = np.vander(position - cell, 4, increasing=True)
+        out[:, self.varying] = np.einsum("mvi,mi->mv", self.cell[cell], powers)
+        return out
+
+
+def _tabulate(entries: Callable[[np.ndarray], np.ndarray], low: float, high: float) -> SpeedTable:
+    """Cubic interpolation of ``entries`` at four Chebyshev points a cell, as many cells as needed."""
+    samples = entries(np.linspace(low, high, 101))
+    size = np.abs(samples).max(axis=0)
+    varying = np.flatnonzero(np.ptp(samples, axis=0) > TABLE_TOLERANCE * size)
+    # The core's arrays must not be empty; an entry that does not vary is harmless in the table.
+    varying = varying if len(varying) else np.array([0])
+    nodes = 0.5 - 0.5 * np.cos(np.pi * (np.arange(4) + 0.5) / 4)
+    to_cubic = np.linalg.inv(np.vander(nodes, 4, increasing=True))
+    check = np.linspace(0.0, 1.0, 33)
+    for cells in (2, 4, 8, 16, 32, 64):
+        width = (high - low) / cells
+        left = low + width * np.arange(cells)
+        at_nodes = entries((left[:, None] + width * nodes).ravel())[:, varying].reshape(cells, 4, -1)
+        cell = np.einsum("ij,cjv->cvi", to_cubic, at_nodes)
+        exact = entries((left[:, None] + width * check).ravel())[:, varying].reshape(cells, len(check), -1)
+        table = np.einsum("cvi,pi->cpv", cell, np.vander(check, 4, increasing=True))
+        error = float(np.max(np.abs(table - exact) / np.maximum(size[varying], np.finfo(float).tiny)))
+        if error <= TABLE_TOLERANCE:
+            break
+    return SpeedTable((low, high), samples[0], varying, cell, error)
 
 
 class NominalModel:
@@ -156,15 +209,31 @@ class NominalModel:
         """Nominal output yhat (N, n_y) along a drive: v (N,) [m/s], u (N, n_u), started at the measured y_first (n_y,).
 
         Before the first sample the input is taken as constant. The initial state is the least one with that output.
+        Runs on the speed table, so that identification sees the model that the core runs.
         """
-        d = self.discretise(v)
+        entries = self.table.at(v)
+        Ad, B_old, B_new = self._split(entries)
         du = np.asarray(u, float) - self.input_offset
         past = np.vstack([np.repeat(du[:1], self.delay + 1, axis=0), du])
-        forced = (np.einsum("kij,kj->ki", d.B_old, past[: len(du)])
-                  + np.einsum("kij,kj->ki", d.B_new, past[1 : len(du) + 1]))
+        forced = (np.einsum("kij,kj->ki", B_old, past[: len(du)]) + np.einsum("kij,kj->ki", B_new, past[1 : len(du) + 1]))
         x = np.linalg.pinv(self.C) @ (np.asarray(y_first, float) - self.output_offset)
         states = np.empty((len(du), self.n))
         for k in range(len(du)):
             states[k] = x
-            x = d.Ad[k] @ x + forced[k]
+            x = Ad[k] @ x + forced[k]
         return states @ self.C.T + self.output_offset
+
+    @cached_property
+    def table(self) -> SpeedTable:
+        """The entries over speed that identification and the core run on."""
+
+        def entries(v: np.ndarray) -> np.ndarray:
+            d = self.discretise(v)
+            return np.concatenate([m.reshape(len(v), -1) for m in (d.Ad, d.B_old, d.B_new)], axis=1)
+
+        return _tabulate(entries, *self.speed_range)
+
+    def _split(self, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        m, n, n_u = len(entries), self.n, self.n_u
+        a, b = n * n, n * (n + n_u)
+        return entries[:, :a].reshape(m, n, n), entries[:, a:b].reshape(m, n, n_u), entries[:, b:].reshape(m, n, n_u)
