@@ -12,18 +12,21 @@ significant digits, so that reading returns the same number.
 
 from __future__ import annotations
 
-import json
 import struct
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from . import __version__
+from . import __version__, artefacts
 from .frames import Estimator
 from .nominal import NominalModel
 from .project import Project
+
+if TYPE_CHECKING:
+    from .identify import StoredIdentification
 
 MAGIC, SCHEMA = 0x4C505647, 1
 @dataclass(frozen=True)
@@ -154,7 +157,7 @@ def vehicle_files(project: Project, coefficients: Coefficients, provenance: dict
     manifest = {"schema": SCHEMA, "tool": f"lpvguard {__version__}", "vehicle": project.name, "sizes": coefficients.sizes,
                 "estimator_id": coefficients.estimator_id, "speed_table_relative_error": coefficients.table_error,
                 "crc32": {"float": coefficients.crc32(4), "double": coefficients.crc32(8)}, **provenance}
-    files["MANIFEST.json"] = json.dumps(manifest, indent=1, sort_keys=True) + "\n"
+    files[artefacts.MANIFEST] = artefacts.to_json(manifest)
     return files
 
 
@@ -163,3 +166,13 @@ def write_files(folder: Path, files: dict[str, str | bytes]) -> None:
     for name, content in files.items():
         data = content.encode() if isinstance(content, str) else content
         (folder / name).write_bytes(data)
+
+
+def export_vehicle(stored: StoredIdentification, target: Path) -> None:
+    """Write the generated folder of an identification, whole or not at all."""
+    provenance = {"kind": "vehicle", "identification": stored.manifest, "threshold": stored.calibration.to_dict(),
+                  "final_inflation": stored.weights["inflation"],
+                  "weights": {k: stored.weights[k] for k in ("W_w", "W_delta")},
+                  "project": stored.project.model_dump(by_alias=True)}
+    with artefacts.new_folder(target) as folder:
+        write_files(folder, vehicle_files(stored.project, stored.coefficients, provenance))

@@ -216,9 +216,15 @@ def load_project(vehicle: str | Path) -> Project:
         raise InputError(where, "", f"cannot be read ({error.strerror})", "a readable TOML project file") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(where, "", str(error), "valid TOML") from None
+    return parse_project(document, where)
+
+
+def parse_project(document: object, where: str) -> Project:
+    """Validate a project document; InputError names ``where``, the field and what was expected."""
     try:
         return Project.model_validate(document)
     except ValidationError as error:
         first = error.errors()[0]
         field = ".".join(str(p) for p in first["loc"]) or "project file"
-        raise InputError(where, field, first["msg"], "a value that DESIGN of project files allows") from None
+        given = f" (given: {first['input']!r})" if not isinstance(first.get("input"), dict) else ""
+        raise InputError(where, field, f"refused{given}", first["msg"]) from None
