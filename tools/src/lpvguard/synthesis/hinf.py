@@ -111,12 +111,13 @@ class _Side:
         return found and _Riccati(self.basis @ found.X @ self.basis.T, found.definite)
 
 
-def hinf_synthesis(plant: StateSpace, n_control: int, n_measurement: int, backoff: float = 0.008) -> HinfResult:
+def hinf_synthesis(plant: StateSpace, n_control: int, n_measurement: int, backoff: float = 0.008,
+                   rtol: float = GAMMA_RTOL) -> HinfResult:
     """Controller u = K y with ‖F_l(P, K)‖∞ ≤ (1 + backoff) γ_opt, certified; u the last inputs, y the last outputs.
 
     Exists when (A, B2) is stabilisable and (A, C2) detectable; SynthesisError says which is not and what to change.
     Singular problems are regularised and the result says so. ``backoff`` keeps the controller's poles slow: at the
-    optimum itself they run off to infinity.
+    optimum itself they run off to infinity. ``rtol``: width of the bracket of γ_opt.
     """
     _check_shape(plant, n_control, n_measurement)
     shift, shifted = _move_pole_at_minus_one(plant, n_control, n_measurement)
@@ -124,7 +125,7 @@ def hinf_synthesis(plant: StateSpace, n_control: int, n_measurement: int, backof
     continuous = balanced(to_continuous(shifted, alpha))
     blocks, D22 = _blocks(continuous, n_control, n_measurement)
     _check_stabilisable(blocks, plant)
-    problem = _Problem(blocks)
+    problem = _Problem(blocks, rtol)
     gamma = problem.optimum()
 
     def restore(K: StateSpace) -> StateSpace:
@@ -442,8 +443,9 @@ def _stabilising_gain(A: np.ndarray, B: np.ndarray) -> np.ndarray | None:
 class _Problem:
     """One continuous plant: the search for its optimum and the central controllers."""
 
-    def __init__(self, P: _Plant):
+    def __init__(self, P: _Plant, rtol: float):
         self.P = P
+        self.rtol = rtol
         self.control, self.filter = _reduce(P), _reduce(P.dual)
         n = P.A.shape[0]
         self.notes: list[str] = []
@@ -478,7 +480,7 @@ class _Problem:
         return None if Y is None else _margin(X, Y, gamma)
 
     def optimum(self) -> float:
-        """The infimum of reachable γ, to GAMMA_RTOL."""
+        """The infimum of reachable γ, to ``rtol``."""
         floor = self.floor
         scale = max(floor, 1e-3)
         high = scale * 2
@@ -505,11 +507,11 @@ class _Problem:
         return value is not None and value > 1
 
     def _bracket(self, low, high, low_value) -> float:
-        """Secant steps on γ²/ρ − 1 in log γ, guarded by bisection, until high/low ≤ 1 + GAMMA_RTOL."""
+        """Secant steps on γ²/ρ − 1 in log γ, guarded by bisection, until high/low ≤ 1 + rtol."""
         high_value = self.coupling(high)
         stalled = 0
         for step in range(80):
-            if high <= low * (1 + GAMMA_RTOL):
+            if high <= low * (1 + self.rtol):
                 break
             a, b = np.log(low), np.log(high)
             middle = 0.5 * (a + b)
@@ -517,9 +519,9 @@ class _Problem:
             if usable and stalled < 2 and step % 4 != 3:
                 t = (1 - low_value) / (high_value - low_value)
                 width = b - a
-                middle = np.clip(a + t * width, a + 0.25 * GAMMA_RTOL, b - 0.25 * GAMMA_RTOL)
+                middle = np.clip(a + t * width, a + 0.25 * self.rtol, b - 0.25 * self.rtol)
                 # a step just past the root brackets it from the other side
-                nudge = 0.3 * GAMMA_RTOL + 0.02 * width * (0.5 - t if stalled else 0)
+                nudge = 0.3 * self.rtol + 0.02 * width * (0.5 - t if stalled else 0)
                 middle = np.clip(middle + (nudge if t < 0.5 else -nudge), a + 0.1 * (b - a) * 1e-3, b - 0.1 * (b - a) * 1e-3)
             gamma = float(np.exp(middle))
             value = self.coupling(gamma)
