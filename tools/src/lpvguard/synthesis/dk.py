@@ -17,9 +17,9 @@ import scipy.linalg as sl
 from scipy.optimize import minimize
 
 from lpvguard.synthesis.errors import SynthesisError
-from lpvguard.synthesis.hinf import hinf_synthesis
+from lpvguard.synthesis.hinf import hinf_synthesis, improved_level
 from lpvguard.synthesis.interconnection import GeneralisedPlant, zeros_poles
-from lpvguard.synthesis.mu import mu_bounds
+from lpvguard.synthesis.mu import mu_lower
 from lpvguard.synthesis.norms import NormBracket, hinf_norm
 from lpvguard.synthesis.statespace import StateSpace, append, balanced, gain, lft, series, to_continuous, to_discrete
 
@@ -107,12 +107,12 @@ def dk_synthesis(plant: GeneralisedPlant, degree: int = 1, iterations: int = 4, 
     history = []
     if plant.blocks:
         best = None
-        for _ in range(iterations):
-            result = work.controller(scaling, rtol=1e-4)
+        for k in range(iterations):
+            result = work.controller(scaling, rtol=1e-4, guess=history[-1] if history else None)
             history.append(result.gamma)
             if best is None or result.gamma < best[0]:
                 best = result.gamma, scaling
-            elif result.gamma > best[0] * (1 - 1e-4):
+            if k == iterations - 1 or (k > 1 and result.gamma > history[-2] * (1 - 1e-4)):
                 break
             scaling = work.fit(lft(work.system, result.controller), scaling, power=10)
         level, scaling = _polish(work, best[1], best[0], polish)
@@ -176,6 +176,11 @@ class _Work:
         """H∞ synthesis for the scaled plant."""
         return hinf_synthesis(self.scaled(self.system, scaling), self.plant.n_control, self.plant.n_measurement, **options)
 
+    def improved(self, scaling: Scaling, level: float) -> float | None:
+        """The optimum of the scaled plant when it lies below ``level``, else None."""
+        return improved_level(self.scaled(self.system, scaling), self.plant.n_control, self.plant.n_measurement, level,
+                              rtol=1e-5)
+
     def scaled_norm(self, loop: StateSpace, scaling: Scaling) -> NormBracket:
         """Certified norm of the scaled closed loop: an upper bound of μ at every frequency."""
         return hinf_norm(self.scaled(loop, scaling), rtol=1e-5)
@@ -215,12 +220,20 @@ class _Work:
 
     def lower(self, loop, scaling, peak):
         """Best μ lower bound at the scaled norm's peak and at the highest points of the grid: value, rad/s, Δ."""
+        left, right = scaling.systems(self.plant)
         sigma = np.linalg.norm(self.scaled(loop, scaling).response(self.omega), 2, axis=(1, 2))
-        points = np.unique(np.append(self.omega[np.argsort(sigma)[-4:]], peak))
+        points = np.unique(np.append(self.omega[np.argsort(sigma)[-3:]], peak))
         blocks = (*self.plant.blocks, self.plant.performance_block)
-        found = [mu_bounds(M, blocks) for M in loop.response(points)]
-        k = int(np.argmax([b.lower for b in found]))
-        return found[k].lower, float(points[k]), found[k].delta
+        squares = (_diagonals(left.response(points)) ** 2, _diagonals(right.response(points)) ** -2.0)
+        found = [mu_lower(M, blocks, np.diag(DL), np.diag(DR))
+                 for M, DL, DR in zip(loop.response(points), *squares, strict=True)]
+        k = int(np.argmax([value for value, _ in found]))
+        return found[k][0], float(points[k]), found[k][1]
+
+
+def _diagonals(G: np.ndarray) -> np.ndarray:
+    """Magnitudes of the diagonals of a stack of matrices, (k, n)."""
+    return np.abs(np.diagonal(G, axis1=1, axis2=2))
 
 
 def _polish(work: _Work, scaling: Scaling, level: float, budget: int) -> tuple[float, Scaling]:
@@ -237,8 +250,8 @@ def _polish(work: _Work, scaling: Scaling, level: float, budget: int) -> tuple[f
                 trial = x.copy()
                 trial[move] += direction[move] * size
                 budget -= 1
-                value = work.controller(Scaling(trial), rtol=1e-5).gamma
-                if value < level:
+                value = work.improved(Scaling(trial), level * (1 - 1e-5))
+                if value is not None:
                     x, level, better = trial, value, True
                     break
                 direction[move] *= -1

@@ -112,28 +112,38 @@ class _Side:
 
 
 def hinf_synthesis(plant: StateSpace, n_control: int, n_measurement: int, backoff: float = 0.008,
-                   rtol: float = GAMMA_RTOL) -> HinfResult:
+                   rtol: float = GAMMA_RTOL, guess: float | None = None) -> HinfResult:
     """Controller u = K y with ‖F_l(P, K)‖∞ ≤ (1 + backoff) γ_opt, certified; u the last inputs, y the last outputs.
 
     Exists when (A, B2) is stabilisable and (A, C2) detectable; SynthesisError says which is not and what to change.
     Singular problems are regularised and the result says so. ``backoff`` keeps the controller's poles slow: at the
-    optimum itself they run off to infinity. ``rtol``: width of the bracket of γ_opt.
+    optimum itself they run off to infinity. ``rtol``: width of the bracket of γ_opt; ``guess``: a level near it,
+    which only saves time.
     """
-    _check_shape(plant, n_control, n_measurement)
-    shift, shifted = _move_pole_at_minus_one(plant, n_control, n_measurement)
-    alpha = 2 / plant.dt if plant.dt else None
-    continuous = balanced(to_continuous(shifted, alpha))
-    blocks, D22 = _blocks(continuous, n_control, n_measurement)
-    _check_stabilisable(blocks, plant)
-    problem = _Problem(blocks, rtol)
-    gamma = problem.optimum()
+    problem, D22, shift = _posed(plant, n_control, n_measurement)
+    gamma = problem.optimum(rtol, guess)
 
     def restore(K: StateSpace) -> StateSpace:
         K = _absorb(K, D22)
-        K = to_discrete(K, plant.dt, alpha) if plant.dt else K
+        K = to_discrete(K, plant.dt) if plant.dt else K
         return StateSpace(K.A, K.B, K.C, K.D + shift, plant.dt, plant.outputs[-n_measurement:], plant.inputs[-n_control:])
 
     return _certified(plant, problem, gamma, backoff, restore)
+
+
+def improved_level(plant: StateSpace, n_control: int, n_measurement: int, level: float, rtol: float) -> float | None:
+    """γ_opt to ``rtol`` when it lies below ``level``, else None: decided by one pair of Riccati equations."""
+    problem, _, _ = _posed(plant, n_control, n_measurement)
+    return problem.optimum(rtol, level) if problem.reached(level) else None
+
+
+def _posed(plant, n_control, n_measurement) -> tuple[_Problem, np.ndarray, np.ndarray]:
+    """The continuous problem of any plant, its D22, and the static feedback that was closed first; checks existence."""
+    _check_shape(plant, n_control, n_measurement)
+    shift, shifted = _move_pole_at_minus_one(plant, n_control, n_measurement)
+    blocks, D22 = _blocks(balanced(to_continuous(shifted)), n_control, n_measurement)
+    _check_stabilisable(blocks, plant)
+    return _Problem(blocks), D22, shift
 
 
 def _certified(plant, problem, gamma, backoff, restore) -> HinfResult:
@@ -440,12 +450,15 @@ def _stabilising_gain(A: np.ndarray, B: np.ndarray) -> np.ndarray | None:
     return None if X is None else -size * size * B.T @ X.X
 
 
+def _above_one(value: float | None) -> bool:
+    return value is not None and value > 1
+
+
 class _Problem:
     """One continuous plant: the search for its optimum and the central controllers."""
 
-    def __init__(self, P: _Plant, rtol: float):
+    def __init__(self, P: _Plant):
         self.P = P
-        self.rtol = rtol
         self.control, self.filter = _reduce(P), _reduce(P.dual)
         n = P.A.shape[0]
         self.notes: list[str] = []
@@ -479,58 +492,63 @@ class _Problem:
         Y = self.filter.solve(gamma) if X is not None else None
         return None if Y is None else _margin(X, Y, gamma)
 
-    def optimum(self) -> float:
-        """The infimum of reachable γ, to ``rtol``."""
-        floor = self.floor
-        scale = max(floor, 1e-3)
-        high = scale * 2
-        while not self._reached(self.coupling(high)):
-            floor, high = high, high * 10
-            if high > 1e14 * scale:
-                raise SynthesisError("H-infinity synthesis", "gamma", f"no level up to {high:.1g} can be reached",
-                                     "modes on the stability limit given a small damping, and signals of order one")
-        low = floor
-        low_value = None
-        if low == 0.0:
-            low = high
-            while True:
-                low /= 10
-                low_value = self.coupling(low)
-                if not self._reached(low_value):
+    def reached(self, gamma: float) -> bool:
+        """Whether some stabilising controller reaches ``gamma``."""
+        return gamma > self.floor and _above_one(self.coupling(gamma))
+
+    def optimum(self, rtol: float, guess: float | None = None) -> float:
+        """The infimum of reachable γ, to ``rtol``: a bracket that grows from ``guess``, then secant steps."""
+        scale = max(self.floor, 1e-3)
+        start, growth = (max(guess, self.floor * (1 + rtol)), 1.02) if guess else (2 * scale, 10.0)
+        value = self.coupling(start)
+        if _above_one(value):
+            high, high_value, low, low_value = start, value, self.floor, None
+            while low < high / growth:
+                trial = high / growth
+                value = self.coupling(trial)
+                if not _above_one(value):
+                    low, low_value = trial, value
                     break
-                high = low
-                if low < 1e-12 * scale:
-                    return 0.0 if self.floor == 0 else self.floor
-        return self._bracket(low, high, low_value)
+                high, high_value, growth = trial, value, growth**2 if guess else growth
+                if high < 1e-12 * scale:
+                    return self.floor
+            if low == 0.0:
+                return 0.0
+        else:
+            low, low_value, high, high_value = start, value, start, None
+            while high_value is None:
+                high, growth = high * growth, growth**2 if guess else growth
+                value = self.coupling(high)
+                if _above_one(value):
+                    high_value = value
+                else:
+                    low, low_value = high, value
+                if high > 1e14 * scale:
+                    raise SynthesisError("H-infinity synthesis", "gamma", f"no level up to {high:.1g} can be reached",
+                                         "modes on the stability limit given a small damping, and signals of order one")
+        return self._narrow(rtol, low, low_value, high, high_value)
 
-    def _reached(self, value) -> bool:
-        return value is not None and value > 1
-
-    def _bracket(self, low, high, low_value) -> float:
+    def _narrow(self, rtol, low, low_value, high, high_value) -> float:
         """Secant steps on γ²/ρ − 1 in log γ, guarded by bisection, until high/low ≤ 1 + rtol."""
-        high_value = self.coupling(high)
         stalled = 0
         for step in range(80):
-            if high <= low * (1 + self.rtol):
+            if high <= low * (1 + rtol):
                 break
             a, b = np.log(low), np.log(high)
-            middle = 0.5 * (a + b)
-            usable = low_value is not None and np.isfinite(high_value) and abs(low_value) < 1e3
-            if usable and stalled < 2 and step % 4 != 3:
+            width = b - a
+            middle = a + 0.5 * width
+            if low_value is not None and np.isfinite(high_value) and abs(low_value) < 1e3 and stalled < 2 and step % 4 != 3:
                 t = (1 - low_value) / (high_value - low_value)
-                width = b - a
-                middle = np.clip(a + t * width, a + 0.25 * self.rtol, b - 0.25 * self.rtol)
-                # a step just past the root brackets it from the other side
-                nudge = 0.3 * self.rtol + 0.02 * width * (0.5 - t if stalled else 0)
-                middle = np.clip(middle + (nudge if t < 0.5 else -nudge), a + 0.1 * (b - a) * 1e-3, b - 0.1 * (b - a) * 1e-3)
+                # aim a little past the root, so that the next step has it from the other side
+                past = 0.3 * rtol + (0.02 * width * (0.5 - t) if stalled else 0.0)
+                middle = np.clip(a + t * width + (past if t < 0.5 else -past), a + 1e-4 * width, b - 1e-4 * width)
             gamma = float(np.exp(middle))
             value = self.coupling(gamma)
-            before = b - a
-            if self._reached(value):
+            if _above_one(value):
                 high, high_value = gamma, value
             else:
                 low, low_value = gamma, value
-            stalled = stalled + 1 if np.log(high / low) > 0.5 * before else 0
+            stalled = stalled + 1 if np.log(high / low) > 0.5 * width else 0
         return high
 
     def attempts(self):

@@ -102,7 +102,7 @@ def zeros_poles(gain: float, zeros, poles) -> StateSpace:
         B = np.vstack([B, b * D])
         C = np.hstack([d * C, [[1.0]]])
         D = d * D
-    return balanced(StateSpace(A, B, C, D))
+    return StateSpace(A, B, C, D)
 
 
 def weight_from_table(entry: dict, **gains: float) -> StateSpace:

@@ -72,6 +72,11 @@ def mu_bounds(M, blocks, rtol: float = 1e-8) -> MuBounds:
     return MuBounds(upper, min(lower, upper), min(infimum, upper), delta, D_left, D_right, G)
 
 
+def mu_lower(M, blocks, D_left, D_right, starts: int = 8) -> tuple[float, np.ndarray | None]:
+    """Lower bound of μ and the Δ that attains it, given scalings of a good upper bound (which speed it up)."""
+    return _lower_bound(np.asarray(M, dtype=complex), _Structure(tuple(blocks)), D_left, D_right, starts)
+
+
 class _Structure:
     """Index sets of the blocks and the real bases of their D and G scalings."""
 

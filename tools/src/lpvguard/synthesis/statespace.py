@@ -198,30 +198,19 @@ def same_time(first: StateSpace, second: StateSpace) -> None:
 def balanced(G: StateSpace) -> StateSpace:
     """G with its states scaled by powers of two so that rows and columns of [A B; C 0] have like norms.
 
-    Diagonal scaling only, so it is exact in floating point. Osborne (1960); the input and output scales stay.
+    Diagonal scaling only, so it is exact in floating point. Osborne (1960) through LAPACK's gebal; the input and
+    output scales stay: they enter as one source and one sink node that are never scaled.
     """
-    if G.order == 0:
+    n = G.order
+    if n == 0:
         return G
-    row = np.abs(np.hstack([G.A - np.diag(np.diag(G.A)), G.B]))
-    col = np.abs(np.vstack([G.A - np.diag(np.diag(G.A)), G.C]))
-    n, scale = G.order, np.ones(G.order)
-    for _ in range(20):
-        biggest = 0.0
-        for i in range(n):
-            r, c = np.linalg.norm(row[i]), np.linalg.norm(col[:, i])
-            if r == 0 or c == 0:
-                continue
-            f = 2.0 ** np.round(0.5 * np.log2(r / c))
-            biggest = max(biggest, abs(np.log2(f)))
-            if f != 1:
-                scale[i] *= f
-                row[i] /= f
-                col[:n, i] *= f
-                col[n:, i] *= f
-                row[:, i] *= f
-                col[i, :] /= f
-        if biggest < 1:
-            break
+    graph = np.zeros((n + 2, n + 2))
+    graph[:n, :n] = np.abs(G.A)
+    np.fill_diagonal(graph, 0)
+    graph[:n, n] = np.linalg.norm(G.B, axis=1)
+    graph[n + 1, :n] = np.linalg.norm(G.C, axis=0)
+    _, (scale, _) = sl.matrix_balance(graph, separate=True, permute=False)
+    scale = scale[:n]
     return replace(G, A=G.A * scale / scale[:, None], B=G.B / scale[:, None], C=G.C * scale)
 
 
