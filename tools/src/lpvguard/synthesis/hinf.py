@@ -269,12 +269,12 @@ def _hamiltonian(side: _Side, gamma: float) -> np.ndarray:
     R[:m1, :m1] -= np.eye(m1)
     F = np.linalg.solve(R, np.hstack([D.T @ side.C1, B.T]))
     H = np.block([[side.A, np.zeros((n, n))], [-side.C1.T @ side.C1, -side.A.T]])
-    H[n:, :n] -= side.weight**2 * np.eye(n)
     left = np.vstack([B, -side.C1.T @ D])
     out = H - left @ F
     # what is left where terms cancel is rounding; balancing would blow it up
     terms = np.abs(H) + np.abs(left) @ np.abs(F)
     out[np.abs(out) <= 500 * EPS * terms] = 0.0
+    out[n:, :n] -= side.weight**2 * np.eye(n)
     return out
 
 
@@ -388,7 +388,7 @@ def _reduce(P: _Plant) -> _Side:
         return _Side(A, B1, B2, C1, P.D11, D12, basis, bound)
     side = _Side(A, B1, B2, C1, P.D11, D12, basis, bound)
     axis = _axis_zeros(side, rate)
-    return replace(side, axis=axis, weight=AXIS_COST * max(np.linalg.norm(C1, 2), EPS)) if axis else side
+    return replace(side, axis=axis, weight=AXIS_COST * max(np.linalg.norm(P.C1, 2), EPS)) if axis else side
 
 
 def _axis_zeros(side: _Side, scale: float) -> tuple[float, ...]:
