@@ -224,9 +224,9 @@ class _Work:
         sigma = np.linalg.norm(self.scaled(loop, scaling).response(self.omega), 2, axis=(1, 2))
         points = np.unique(np.append(self.omega[np.argsort(sigma)[-3:]], peak))
         blocks = (*self.plant.blocks, self.plant.performance_block)
-        squares = (_diagonals(left.response(points)) ** 2, _diagonals(right.response(points)) ** -2.0)
-        found = [mu_lower(M, blocks, np.diag(DL), np.diag(DR))
-                 for M, DL, DR in zip(loop.response(points), *squares, strict=True)]
+        scales = (_diagonals(left.response(points)), 1 / _diagonals(right.response(points)))
+        found = [mu_lower(M, blocks, np.diag(L), np.diag(R))
+                 for M, L, R in zip(loop.response(points), *scales, strict=True)]
         k = int(np.argmax([value for value, _ in found]))
         return found[k][0], float(points[k]), found[k][1]
 

@@ -41,7 +41,8 @@ class Block:
 
 @dataclass(frozen=True)
 class MuBounds:
-    """lower ≤ μ ≤ upper. ``infimum``: a value the D,G upper bound cannot go below. ``delta`` (Σcols, Σrows) makes
+    """lower ≤ μ ≤ upper. ``infimum``: a value that no D scaling goes below, proved when all
+    blocks are full, else 0. ``delta`` (Σcols, Σrows) makes
     I − M Δ singular with max_i σ̄(Δ_i) = 1/lower; None when lower = 0. ``D_left``, ``D_right``: the scaling of ``upper``.
     """
 
@@ -67,14 +68,15 @@ def mu_bounds(M, blocks, rtol: float = 1e-8) -> MuBounds:
     if not np.all(np.isfinite(M)):
         raise SynthesisError("mu", "M", "a NaN or infinite entry", "finite numbers")
     structure = _Structure(blocks)
-    upper, infimum, D_left, D_right, G = _upper_bound(M, structure, rtol)
-    lower, delta = _lower_bound(M, structure, D_left, D_right) if upper > 0 else (0.0, None)
+    upper, infimum, left, right, G = _upper_bound(M, structure, rtol)
+    lower, delta = _lower_bound(M, structure, left, right, starts=40) if upper > 0 else (0.0, None)
+    D_left, D_right = left @ left.conj().T, right @ right.conj().T
     return MuBounds(upper, min(lower, upper), min(infimum, upper), delta, D_left, D_right, G)
 
 
-def mu_lower(M, blocks, D_left, D_right, starts: int = 8) -> tuple[float, np.ndarray | None]:
-    """Lower bound of μ and the Δ that attains it, given scalings of a good upper bound (which speed it up)."""
-    return _lower_bound(np.asarray(M, dtype=complex), _Structure(tuple(blocks)), D_left, D_right, starts)
+def mu_lower(M, blocks, left, right, starts: int = 8) -> tuple[float, np.ndarray | None]:
+    """Lower bound of μ and the Δ that attains it, given ``left`` M ``right``⁻¹ of a good upper bound (which speed it up)."""
+    return _lower_bound(np.asarray(M, dtype=complex), _Structure(tuple(blocks)), left, right, starts)
 
 
 class _Structure:
@@ -102,7 +104,13 @@ class _Structure:
                     skew.append(G)
         self.left, self.right = np.array(left), np.array(right)
         self.skew = np.array(skew) if skew else np.zeros((0, self.n_cols, self.n_rows), complex)
+        self._skew_norm = np.sum(np.abs(self.skew) ** 2, axis=(1, 2))
         self.complex_only = all(b.kind != "repeated_real" for b in blocks)
+
+
+    def coordinates(self, G) -> np.ndarray:
+        """Coefficients of ``G`` in the (orthogonal) basis ``skew``."""
+        return np.real(np.sum(self.skew.conj() * G, axis=(1, 2))) / self._skew_norm
 
 
 def _hermitian_basis(n: int) -> list[np.ndarray]:
@@ -138,49 +146,67 @@ def _balance(M, structure) -> np.ndarray:
 
 
 def _upper_bound(M, structure, rtol):
-    """β, the infimum's lower bound, D_left, D_right, G by the method of centres."""
+    """β, the infimum's lower bound, factors L of D_left and D_right (D = L Lᴴ) and G by the method of centres.
+
+    After each centre its D is absorbed into the matrix (N ← Lᴴ N L⁻ᴴ, D = L Lᴴ), so that the next one starts from
+    D = I in well-scaled coordinates even where the infimum is approached by ever worse conditioned scalings.
+    """
     d = _balance(M, structure)
-    left = np.concatenate([np.full(b.rows, s) for b, s in zip(structure.blocks, d, strict=True)])
-    right = np.concatenate([np.full(b.cols, s) for b, s in zip(structure.blocks, d, strict=True)])
-    N = left[:, None] * M / right
-    size = np.linalg.norm(N, 2)
+    left = np.diag(np.concatenate([np.full(b.rows, s) for b, s in zip(structure.blocks, d, strict=True)])).astype(complex)
+    right = np.diag(np.concatenate([np.full(b.cols, s) for b, s in zip(structure.blocks, d, strict=True)])).astype(complex)
+    size = np.linalg.norm(left @ M @ np.linalg.inv(right), 2)
+    G = np.zeros((structure.n_cols, structure.n_rows), complex)
     if size == 0:
-        return 0.0, 0.0, np.diag(left**2), np.diag(right**2), np.zeros(M.shape[::-1])
-    N = N / size
-    n_d = len(structure.left)
-    quad = N.conj().T @ structure.left @ N
-    skew = 1j * (structure.skew @ N)
-    skew = skew + np.conj(np.swapaxes(skew, 1, 2))
-    x = np.zeros(n_d + len(skew))
-    x[:n_d] = [np.real(np.trace(E)) > 0.5 for E in structure.right]
-    trace = np.concatenate([np.real(np.trace(structure.left, axis1=1, axis2=2)), np.zeros(len(skew))])
-    level, best, infimum = 1.1, np.inf, 0.0
-    best_x = x.copy()
+        return 0.0, 0.0, left, right, G
+    unit = np.array([np.real(np.trace(E)) > 0.5 for E in structure.right], dtype=float)
+    trace = np.concatenate([np.real(np.trace(structure.left, axis1=1, axis2=2)), np.zeros(len(structure.skew))])
+    n_d = len(unit)
+    level, best, infimum, kept = 1.1, np.inf, 0.0, None
     for _ in range(300):
+        N = left.conj().T @ M @ np.linalg.inv(right.conj().T) / size
+        quad = N.conj().T @ structure.left @ N
+        skew = 1j * (structure.skew @ N)
+        skew = skew + np.conj(np.swapaxes(skew, 1, 2))
+        x = np.concatenate([unit, structure.coordinates(G)])
         F = np.concatenate([level * structure.right - quad, -skew])
-        x, Z = _centre(x, F, structure, trace)
-        D_right = np.tensordot(x[:n_d], structure.right, 1)
-        A = np.tensordot(x, np.concatenate([quad, skew]), 1)
-        value = float(sl.eigh(A, D_right, eigvals_only=True)[-1])
-        if value < best:
-            best, best_x = value, x.copy()
+        try:
+            x, Z = _centre(x, F, structure, trace)
+        except np.linalg.LinAlgError:  # the set has no interior left within rounding: ``best`` is its level
+            break
+        D_left, D_right = (np.tensordot(x[:n_d], basis, 1) for basis in (structure.left, structure.right))
         infimum = max(infimum, level - _dual_gap(x, Z, structure, trace))
+        L, R = np.linalg.cholesky(D_left), np.linalg.cholesky(D_right)
+        left, right = left @ L, right @ R
+        G = np.linalg.inv(R) @ np.tensordot(x[n_d:], structure.skew, 1) @ np.linalg.inv(L).conj().T
+        value = _level(M, left, right, G, size)
+        if value < best:
+            best, kept = value, (left, right, G)
+        left, right, G = kept
         if best <= infimum * (1 + 2 * rtol) or best < 1e-14 or level - best < 1e-13 * level:
             break
         level = best + 0.05 * (level - best)
-    D_left = np.tensordot(best_x[:n_d], structure.left, 1) * np.outer(left, left)
-    D_right = np.tensordot(best_x[:n_d], structure.right, 1) * np.outer(right, right)
-    G = np.tensordot(best_x[n_d:], structure.skew, 1) * np.outer(right, left) * size
-    beta = size * np.sqrt(max(best, 0.0))
-    return beta, size * np.sqrt(max(infimum, 0.0)), D_left, D_right, G
+    left, right, G = kept
+    return size * np.sqrt(max(best, 0.0)), size * np.sqrt(max(infimum, 0.0)), left, right, size * right @ G @ left.conj().T
+
+
+def _level(M, left, right, G, size) -> float:
+    """β² (in units of size²) that the scalings prove, rounding of the large terms that cancel included."""
+    N = left.conj().T @ M @ np.linalg.inv(right.conj().T) / size
+    GN = 1j * (G @ N)
+    terms = np.linalg.norm(N) ** 2 + 2 * np.linalg.norm(GN)
+    return float(np.linalg.eigvalsh(N.conj().T @ N + GN + GN.conj().T)[-1]) + 8 * np.finfo(float).eps * terms
 
 
 def _centre(x, F, structure, trace):
     """Analytic centre of {S(x) = Σ x_k F_k ≻ 0, D(x) ≻ 0, tr D_left = const} by damped Newton; x and S⁻¹ there."""
     n_d = len(structure.left)
+
+    def factors(point):
+        return (np.linalg.cholesky(np.tensordot(point, F, 1)),
+                np.linalg.cholesky(np.tensordot(point[:n_d], structure.left, 1)))
+
+    LS, LD = factors(x)
     for _ in range(60):
-        S, D = np.tensordot(x, F, 1), np.tensordot(x[:n_d], structure.left, 1)
-        LS, LD = np.linalg.cholesky(S), np.linalg.cholesky(D)
         WS, WD = _whiten(LS, F), _whiten(LD, structure.left)
         g = -np.real(np.trace(WS, axis1=1, axis2=2))
         g[:n_d] -= np.real(np.trace(WD, axis1=1, axis2=2))
@@ -193,11 +219,19 @@ def _centre(x, F, structure, trace):
         K[-1, :-1] = K[:-1, -1] = trace * scale / np.linalg.norm(trace * scale)
         step = np.linalg.lstsq(K, np.append(-g * scale, 0.0), rcond=1e-14)[0][:-1] * scale
         decrement = np.sqrt(max(step @ H @ step, 0.0))
-        x = x + step / (1 + decrement) if decrement > 0.25 else x + step
+        length = 1 / (1 + decrement) if decrement > 0.25 else 1.0
+        moved = None
+        while moved is None and length > 1e-6:
+            try:
+                moved = factors(x + length * step)
+            except np.linalg.LinAlgError:  # only rounding can leave the set here
+                length *= 0.5
+        if moved is None:
+            break
+        x, (LS, LD) = x + length * step, moved
         if decrement < 1e-5:
             break
-    S = np.tensordot(x, F, 1)
-    inverse = np.linalg.inv(np.linalg.cholesky(S))
+    inverse = np.linalg.inv(LS)
     return x, inverse.conj().T @ inverse
 
 
@@ -208,33 +242,75 @@ def _whiten(L, F):
 
 
 def _dual_gap(x, Z, structure, trace) -> float:
-    """How far below the level the infimum can lie: the centre's multipliers Z prove level − gap ≤ β²."""
+    """How far below the level the infimum can lie: the centre's multipliers Z prove level − gap ≤ β².
+
+    Tight for scalar D_i only; with a repeated block nothing is proved (inf) and the levels' stagnation ends the search.
+    """
+    if any(b.kind != "full" for b in structure.blocks):
+        return np.inf
     n_d = len(structure.left)
     D = np.tensordot(x[:n_d], structure.left, 1)
     nu = (len(Z) + len(D)) / (trace @ x)
     slack = nu * np.eye(len(D)) - np.linalg.inv(D)
-    gap = 0.0
-    for b, r, c in zip(structure.blocks, structure.row, structure.col, strict=True):
-        if b.kind == "full":
-            gap = max(gap, np.real(np.trace(slack[r, r])) / np.real(np.trace(Z[c, c])))
-        else:
-            weight = Z[c, c]
-            gap = max(gap, float(sl.eigh(slack[r, r], 0.5 * (weight + weight.conj().T), eigvals_only=True)[-1]))
-    return gap
+    return max(np.real(np.trace(slack[r, r])) / np.real(np.trace(Z[c, c]))
+               for r, c in zip(structure.row, structure.col, strict=True))
 
 
-def _lower_bound(M, structure, D_left, D_right, starts: int = 40, steps: int = 200):
+def _lower_bound(M, structure, left, right, starts: int, steps: int = 200):
     """Largest β found with I − M Δ singular and max σ̄(Δ_i) = 1/β, and that Δ; (0, None) when none was found.
 
-    The scalings of the upper bound commute with Δ, so the iteration runs on the scaled, well-balanced matrix.
+    The factors of the upper bound's scalings commute with Δ, so the iteration runs on the scaled, well-balanced matrix.
     """
-    N = sl.sqrtm(D_left) @ M @ np.linalg.inv(sl.sqrtm(D_right))
-    best, delta = 0.0, None
-    for parts in _power_iteration(N / np.linalg.norm(N, 2), structure, starts, steps):
-        value, found = _make_singular(M, structure, parts)
-        if value > best and _is_singular(M, found):
-            best, delta = value, found
-    return best, delta
+    N = left.conj().T @ M @ np.linalg.inv(right.conj().T)
+    scaled = N / np.linalg.norm(N, 2)
+    candidates = _power_iteration(scaled, structure, starts, steps)
+    found = []
+    for parts in candidates + _vertices(structure, candidates[-1]):
+        value, delta = _make_singular(M, structure, parts)
+        if value > 0 and _is_singular(M, delta):
+            found.append((value, delta, parts))
+    found.sort(key=lambda one: -one[0])
+    if structure.complex_only:
+        for _, _, parts in found[:3]:
+            value, delta = _make_singular(M, structure, _align(scaled, structure, parts))
+            if value > found[0][0] and _is_singular(M, delta):
+                found.insert(0, (value, delta, parts))
+    return found[0][:2] if found else (0.0, None)
+
+
+def _vertices(structure, parts) -> list[list]:
+    """``parts`` with the real blocks at every combination of ±1 (up to 64 of them): where a pure real optimum often lies."""
+    real = [k for k, b in enumerate(structure.blocks) if b.kind == "repeated_real"]
+    out = []
+    for signs in range(2 ** max(min(len(real), 7) - 1, 0) if real else 0):
+        one = list(parts)
+        for j, k in enumerate(real):
+            one[k] = -1.0 if j and signs >> (j - 1) & 1 else 1.0
+        out.append(one)
+    return out
+
+
+def _align(M, structure, parts, steps: int = 200) -> list:
+    """Local ascent of ρ(M Q) over complex Q: turn each block toward the gradient at the exact eigenvectors."""
+    value = 0.0
+    for _ in range(steps):
+        Q = _assemble(structure, parts)
+        values, left, right = sl.eig(M @ Q, left=True)
+        k = int(np.argmax(np.abs(values)))
+        x, y = right[:, k], M.conj().T @ left[:, k]
+        inner = np.vdot(left[:, k], x)
+        turn = values[k] / max(abs(values[k]), 1e-300) * inner / max(abs(inner), 1e-300)
+        new = []
+        for block, r, c in zip(structure.blocks, structure.row, structure.col, strict=True):
+            if block.kind == "full":
+                new.append(turn * np.outer(y[c], x[r].conj()) / max(np.linalg.norm(y[c]) * np.linalg.norm(x[r]), 1e-300))
+            else:
+                overlap = np.vdot(x[r], y[c])
+                new.append(turn * overlap / max(abs(overlap), 1e-300))
+        if abs(values[k]) <= value * (1 + 1e-14):
+            break
+        value, parts = abs(values[k]), new
+    return parts
 
 
 def _power_iteration(N, structure, starts, steps) -> list[list]:
