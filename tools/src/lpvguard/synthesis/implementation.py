@@ -48,7 +48,8 @@ class DeltaForm:
         out = {}
         for name in "FBCD":
             M = getattr(self, name)
-            R = M.astype(dtype)
+            with np.errstate(over="ignore"):
+                R = M.astype(dtype)
             if not np.all(np.isfinite(R)) or np.any((M != 0) & (np.abs(R) < np.finfo(dtype).tiny)):
                 raise SynthesisError("delta form", name, f"a coefficient outside the range of {np.dtype(dtype).name}",
                                      "a controller with signals scaled to order one")
