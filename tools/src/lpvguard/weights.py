@@ -45,11 +45,14 @@ from .errors import InputError
 _STEP_DB = 0.002  # resolution of the search for the least worst ratio
 _GRID_STEP = 0.02  # widest gap of the cutting-plane grid, in ln w
 _OUTSIDE = 1e3  # the cutting-plane grid goes on by this factor in w beyond both ends
-_PROOF_MARGIN = 1e-9  # relative, on |W|^2: a proved ratio is this much below the one attained
-_ROUNDING = 1e-12  # relative to sum |c_i| x^i: over the rounding of exp, log and the Bernstein coefficients
-_MAX_HALVINGS = 80
+_PROOF_MARGIN = 1e-9  # relative, on |W|^2: a proved ratio is this much below the one attained ...
+_PATIENCE = 18  # ... and four times more with every halving beyond this many, where rounding stops the proof
+_ROUNDING = 1e-13  # relative to sum |c_i| x^i: over the rounding of exp, log and the Bernstein coefficients
+_MAX_HALVINGS = 28
 _MAX_TESTS = 300_000
 _REFITS = 8
+_MAX_PROGRAMS = 60
+_SHARPEST = 1e-5
 _MAX_RANGE = 1e60  # largest bound / smallest bound
 
 
@@ -405,27 +408,28 @@ def _least_ratio(top: np.ndarray, bottom: np.ndarray, samples: _Samples, strict:
     if not strict:  # [y_K, inf) in 1/y: the reversed polynomials on [0, 1/y_K]
         beyond = (np.zeros(1), 1.0 / y[-1:], 1.0 / y[-1:], log_b2[-1:], np.zeros(1))
         families.append((top[::-1], bottom[::-1], beyond, True))
-    least, at, tests = math.inf, math.nan, 0
+    least, at, tests, margin = math.inf, math.nan, 0, _PROOF_MARGIN
     for p, q, pieces, inverted in families:
         points, shapes = np.concatenate(pieces[:2]), tuple(np.tile(v, 2) for v in pieces[2:])
-        for _ in range(_MAX_HALVINGS):
+        for halvings in range(_MAX_HALVINGS):
+            margin = max(margin, _PROOF_MARGIN * 4.0 ** (halvings - _PATIENCE))
             value, point = _attained(p, q, points, shapes)
             if value < least:
                 least, at = value, samples.unit * math.sqrt(_mirror(point) if inverted else point)
             if not least > 0.0:
                 return 0.0, at, tests
             tests += len(pieces[0])
-            open_ = ~_nonnegative(p, q, least * (1.0 - _PROOF_MARGIN), *pieces)
+            open_ = ~_nonnegative(p, q, least * (1.0 - margin), *pieces)
             lo, hi, *shapes = (v[open_] for v in pieces)
             if not lo.size:
                 break
             if tests > _MAX_TESTS:
-                return 0.0, at, tests
+                return 0.0, samples.unit * math.sqrt(_mirror(hi[0]) if inverted else hi[0]), tests
             points = np.where(lo > 0, np.sqrt(lo * hi), 0.25 * hi)
             pieces = (np.concatenate([lo, points]), np.concatenate([points, hi]), *(np.tile(v, 2) for v in shapes))
         else:
             return 0.0, samples.unit * math.sqrt(_mirror(hi[0]) if inverted else hi[0]), tests
-    return math.sqrt(least * (1.0 - _PROOF_MARGIN)), at, tests
+    return math.sqrt(least * (1.0 - margin)), at, tests
 
 
 def _bound_squared(points, y0, log0, slope) -> np.ndarray:
@@ -508,7 +512,8 @@ class _Problem:
         self._grid = grid
 
     def insert(self, y: np.ndarray):
-        self._place(np.union1d(self._grid, 0.5 * np.log(y)))
+        with np.errstate(divide="ignore"):
+            self._place(np.union1d(self._grid, 0.5 * np.log(y)))
 
     def start(self) -> np.ndarray:
         """y of the first linear program's rows: both ends, and highest and lowest bound in each of 24 stretches."""
@@ -543,11 +548,10 @@ def _optimum(problem: _Problem, order: int, lower_order: _Candidate | None) -> _
     if order == 0:
         ratio_db = 10.0 * math.log10(problem.b2.max() / problem.b2.min())
         return _Candidate(0, np.array([problem.b2.max()]), np.ones(1), ratio_db, ratio_db)
-    first, last = problem.band
-    bottom = np.ones(1)
-    for corner in np.linspace(first, last, 2 * order + 1)[1::2]:
-        bottom = np.convolve(bottom, [1.0, math.exp(-2.0 * corner)])
     best = lower_order
+    bottom = np.ones(1) if best is None else best.bottom
+    while len(bottom) <= order:  # one more break in the middle of the band
+        bottom = np.convolve(bottom, [1.0, math.exp(-sum(problem.band))])
     if best is None:  # strictly proper, first order: any roll-off to start from
         ratio2 = problem.ratio2(np.ones(1), bottom)
         best = _Candidate(order, 1.0 / ratio2[problem.below].min(keepdims=True), bottom, problem.spread_db(ratio2), 0.0)
@@ -592,14 +596,20 @@ def _exchange(problem, active, order, bottom, lower_db, upper_db, tol_db):
     """
     rows = np.searchsorted(problem.y, active)
     powers = problem.powers(order)
-    found, level = None, min(lower_db + tol_db, 0.5 * (lower_db + upper_db))
-    while upper_db - lower_db > tol_db:
+    found, judge, level = None, None, min(lower_db + tol_db, 0.5 * (lower_db + upper_db))
+    for _ in range(_MAX_PROGRAMS):
+        if upper_db - lower_db <= tol_db:
+            if judge is bottom:
+                break
+            level = lower_db  # the verdict came from rows scaled by an older D: ask again
         gap = upper_db - lower_db
         answer = _program(problem, powers[rows], rows, bottom, level)
         ratio2 = np.full(rows.size, math.nan) if answer is None else problem.ratio2(*answer)[rows]
         reached = problem.spread_db(ratio2, rows)
         if reached > level + 1e-6:
-            lower_db = level
+            lower_db, judge = level, bottom
+        elif level <= lower_db:
+            lower_db = 0.0
         if reached < upper_db:
             upper_db, bottom = reached, answer[1]
             found = answer[0] / ratio2[problem.below[rows]].min(), bottom
@@ -625,11 +635,13 @@ def _program(problem, powers, rows, bottom, level_db):
     above = np.hstack([-n_rows[below] * t, d_rows[below], np.zeros((below.sum(), 1))])
     above /= np.abs(above).max(axis=1, keepdims=True)
     old = np.maximum(powers @ bottom / size, 1e-3)
-    a_ub = np.vstack([above, np.hstack([n_rows / t, -d_rows, -old[:, None]])])
+    a_ub = np.vstack([above, np.hstack([n_rows / t, -d_rows, -old[:, None]]),
+                      np.hstack([np.zeros_like(n_rows), -d_rows, np.zeros((len(d_rows), 1))])])
+    b_ub = np.append(np.zeros(len(a_ub) - len(d_rows)), np.full(len(d_rows), -_SHARPEST))
     cost = np.zeros(a_ub.shape[1])
     cost[-1] = 1.0
     a_eq = np.concatenate([np.zeros(n_rows.shape[1]), d_rows.mean(axis=0), [0.0]])[None, :]
-    answer = linprog(cost, A_ub=a_ub, b_ub=np.zeros(len(a_ub)), A_eq=a_eq, b_eq=[1.0], bounds=(None, None), method="highs-ds",
+    answer = linprog(cost, A_ub=a_ub, b_ub=b_ub, A_eq=a_eq, b_eq=[1.0], bounds=(None, None), method="highs-ds",
                      options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10})
     if answer.status != 0:
         return None
@@ -671,9 +683,9 @@ def _close(problem: _Problem, candidate: _Candidate, lower_order: _Candidate | N
             inflation = (1.0 + 1e-12) / found.min_ratio
             weight = Weight(raw.num * inflation, raw.den)
             certificate = verify_overbound(weight, problem.samples.omega, problem.samples.bound)
-            if closed is None or certificate.max_ratio < closed[2].max_ratio:
+            if certificate.ok and (closed is None or certificate.max_ratio < closed[2].max_ratio):
                 closed = weight, inflation, certificate, candidate.lower_db
-            if _db(closed[2].max_ratio) <= candidate.lower_db + 4 * _STEP_DB:
+            if closed is not None and _db(closed[2].max_ratio) <= candidate.lower_db + 4 * _STEP_DB:
                 break
         places = np.array([found.min_ratio_at, found.max_ratio_at]) / problem.samples.unit
         problem.insert(places**2)
