@@ -45,10 +45,14 @@ from .errors import InputError
 _STEP_DB = 0.002  # resolution of the search for the least worst ratio
 _GRID_STEP = 0.02  # widest gap of the cutting-plane grid, in ln w
 _OUTSIDE = 1e3  # the cutting-plane grid goes on by this factor in w beyond both ends
-_PROOF_MARGIN = 1e-9  # relative, on |W|^2: a proved ratio is this much below the one attained
-_ROUNDING = 1e-12  # relative to sum |c_i| x^i: over the rounding of exp, log and the Bernstein coefficients
-_MAX_HALVINGS = 80
+_PROOF_MARGIN = 1e-9  # relative, on |W|^2: a proved ratio is this much below the one attained ...
+_PATIENCE = 18  # ... and four times more with every halving beyond this many, where rounding stops the proof
+_ROUNDING = 1e-13  # relative to sum |c_i| x^i: over the rounding of exp, log and the Bernstein coefficients
+_MAX_HALVINGS = 28
 _MAX_TESTS = 300_000
+_REFITS = 8
+_MAX_PROGRAMS = 60
+_SHARPEST = 1e-5
 _MAX_RANGE = 1e60  # largest bound / smallest bound
 
 
@@ -206,11 +210,11 @@ def fit_overbound(omega, bound, *, max_order=4, order=None, floor=None, tol_db=0
         if order is None and best[n].ratio_db <= tol_db:
             break  # no higher order can gain more than tol_db
     chosen = _choose(best, tol_db) if order is None else order
-    while best[chosen].order < chosen:
+    while best[chosen].order < chosen or (closed := _close(problem, best[chosen], best.get(chosen - 1))) is None:
         chosen -= 1
-    weight, inflation, certificate = _close(problem, best[chosen])
+    weight, inflation, certificate, lower_db = closed
     return OverboundFit(
-        weight=weight, order=chosen, worst_ratio_db=_db(certificate.max_ratio), lp_optimum_db=best[chosen].lower_db,
+        weight=weight, order=chosen, worst_ratio_db=_db(certificate.max_ratio), lp_optimum_db=lower_db,
         inflation=inflation, certificate=certificate.to_dict(),
         ratios_db={n: candidate.ratio_db for n, candidate in best.items()}, floored=samples.floored)
 
@@ -404,27 +408,28 @@ def _least_ratio(top: np.ndarray, bottom: np.ndarray, samples: _Samples, strict:
     if not strict:  # [y_K, inf) in 1/y: the reversed polynomials on [0, 1/y_K]
         beyond = (np.zeros(1), 1.0 / y[-1:], 1.0 / y[-1:], log_b2[-1:], np.zeros(1))
         families.append((top[::-1], bottom[::-1], beyond, True))
-    least, at, tests = math.inf, math.nan, 0
+    least, at, tests, margin = math.inf, math.nan, 0, _PROOF_MARGIN
     for p, q, pieces, inverted in families:
         points, shapes = np.concatenate(pieces[:2]), tuple(np.tile(v, 2) for v in pieces[2:])
-        for _ in range(_MAX_HALVINGS):
+        for halvings in range(_MAX_HALVINGS):
+            margin = max(margin, _PROOF_MARGIN * 4.0 ** (halvings - _PATIENCE))
             value, point = _attained(p, q, points, shapes)
             if value < least:
                 least, at = value, samples.unit * math.sqrt(_mirror(point) if inverted else point)
             if not least > 0.0:
                 return 0.0, at, tests
             tests += len(pieces[0])
-            open_ = ~_nonnegative(p, q, least * (1.0 - _PROOF_MARGIN), *pieces)
+            open_ = ~_nonnegative(p, q, least * (1.0 - margin), *pieces)
             lo, hi, *shapes = (v[open_] for v in pieces)
             if not lo.size:
                 break
             if tests > _MAX_TESTS:
-                return 0.0, at, tests
+                return 0.0, samples.unit * math.sqrt(_mirror(hi[0]) if inverted else hi[0]), tests
             points = np.where(lo > 0, np.sqrt(lo * hi), 0.25 * hi)
             pieces = (np.concatenate([lo, points]), np.concatenate([points, hi]), *(np.tile(v, 2) for v in shapes))
         else:
             return 0.0, samples.unit * math.sqrt(_mirror(hi[0]) if inverted else hi[0]), tests
-    return math.sqrt(least * (1.0 - _PROOF_MARGIN)), at, tests
+    return math.sqrt(least * (1.0 - margin)), at, tests
 
 
 def _bound_squared(points, y0, log0, slope) -> np.ndarray:
@@ -487,33 +492,55 @@ class _Candidate:
 class _Problem:
     """The cutting-plane grid: all samples, points between them, both ends and what lies beyond.
 
-    ``y`` (G,) ascending from 0 to inf, ``b2`` (G,) bound squared over its geometric mean ``gain2``, ``below`` (G,) where the weight must be
-    above the bound, ``start`` the rows of the first linear program.
+    ``y`` (G,) ascending from 0 to inf, ``b2`` (G,) bound squared over its geometric mean ``gain2``, ``below`` (G,) where
+    the weight must be above the bound. Grows by ``insert`` where a resonance hides between points.
     """
 
     def __init__(self, samples: _Samples, strict: bool):
         self.samples, self.strict = samples, strict
-        log_w, log_b = np.log(samples.omega / samples.unit), np.log(samples.bound)
+        self._log_w, self._log_b = np.log(samples.omega / samples.unit), np.log(samples.bound)
+        self.gain2 = math.exp(2.0 * float(np.mean(self._log_b)))
+        first, last = self.band = (self._log_w[0], self._log_w[-1])
         tail = np.linspace(0.0, math.log(_OUTSIDE), 16)[1:]
-        fill = [np.linspace(a, b, int((b - a) / _GRID_STEP) + 2)[:-1] for a, b in zip(log_w[:-1], log_w[1:])]
-        grid = np.concatenate([log_w[0] - tail[::-1], *fill, log_w[-1:], log_w[-1] + tail])
-        self.gain2 = math.exp(2.0 * float(np.mean(log_b)))
-        self.y = np.concatenate([[0.0], np.exp(2.0 * grid), [math.inf]])
-        self.b2 = np.exp(2.0 * np.interp(grid, log_w, log_b))[np.r_[0, 0:grid.size, grid.size - 1]] / self.gain2
-        last = np.searchsorted(grid, log_w[-1]) + 1
-        self.below = np.arange(self.y.size) <= last if strict else np.ones(self.y.size, dtype=bool)
-        self.band = (log_w[0], log_w[-1])
+        fill = [np.linspace(a, b, int((b - a) / _GRID_STEP) + 2)[:-1] for a, b in zip(self._log_w[:-1], self._log_w[1:])]
+        self._place(np.concatenate([[-math.inf], first - tail[::-1], *fill, [last], last + tail, [math.inf]]))
+
+    def _place(self, grid: np.ndarray):
+        self.y = np.exp(2.0 * grid)
+        self.b2 = np.exp(2.0 * np.interp(grid, self._log_w, self._log_b)) / self.gain2
+        self.below = grid <= self.band[1] if self.strict else np.ones(grid.size, dtype=bool)
+        self._grid = grid
+
+    def insert(self, y: np.ndarray):
+        with np.errstate(divide="ignore"):
+            self._place(np.union1d(self._grid, 0.5 * np.log(y)))
+
+    def start(self) -> np.ndarray:
+        """y of the first linear program's rows: both ends, and highest and lowest bound in each of 24 stretches."""
         cells = np.array_split(np.arange(self.y.size), 24)
-        self.start = np.unique([0, self.y.size - 1] + [c[f(self.b2[c])] for c in cells for f in (np.argmin, np.argmax)])
+        return np.unique(self.y[[0, -1] + [c[f(self.b2[c])] for c in cells for f in (np.argmin, np.argmax)]])
 
     def powers(self, degree: int) -> np.ndarray:
         """y^i, (G, degree+1); the row of y = inf is that of the leading coefficient."""
         rows = self.y[:-1, None] ** np.arange(degree + 1)
         return np.vstack([rows, np.eye(degree + 1)[-1:]])
 
+    def ratio2(self, top: np.ndarray, bottom: np.ndarray) -> np.ndarray:
+        """N/(bound^2 D) on the grid, nan where D <= 0."""
+        powers = self.powers(len(bottom) - 1)
+        low, high = powers @ bottom, powers @ np.pad(top, (0, len(bottom) - len(top)))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(low > 0, high / (self.b2 * low), math.nan)
+
+    def spread_db(self, ratio2: np.ndarray, rows=slice(None)) -> float:
+        """Worst ratio over best of the ratios at ``rows``; inf when no gain makes that a weight above the bound."""
+        if np.isnan(ratio2).any() or not (least := ratio2[self.below[rows]].min()) > 0:
+            return math.inf
+        return 10.0 * math.log10(ratio2.max() / least)
+
 
 def _db(ratio: float) -> float:
-    return 20.0 * math.log10(ratio)
+    return 20.0 * math.log10(ratio) if ratio < math.inf else math.inf
 
 
 def _optimum(problem: _Problem, order: int, lower_order: _Candidate | None) -> _Candidate:
@@ -521,118 +548,116 @@ def _optimum(problem: _Problem, order: int, lower_order: _Candidate | None) -> _
     if order == 0:
         ratio_db = 10.0 * math.log10(problem.b2.max() / problem.b2.min())
         return _Candidate(0, np.array([problem.b2.max()]), np.ones(1), ratio_db, ratio_db)
-    powers = problem.powers(order)
-    start, stop = problem.band
-    bottom = np.ones(1)
-    for break_ in np.linspace(start, stop, 2 * order + 1)[1::2]:
-        bottom = np.convolve(bottom, [1.0, math.exp(-2.0 * break_)])
     best = lower_order
-    limit = math.inf if best is None else best.ratio_db
-    active, lower_db = problem.start, 0.0
+    bottom = np.ones(1) if best is None else best.bottom
+    while len(bottom) <= order:  # one more break in the middle of the band
+        bottom = np.convolve(bottom, [1.0, math.exp(-sum(problem.band))])
+    if best is None:  # strictly proper, first order: any roll-off to start from
+        ratio2 = problem.ratio2(np.ones(1), bottom)
+        best = _Candidate(order, 1.0 / ratio2[problem.below].min(keepdims=True), bottom, problem.spread_db(ratio2), 0.0)
+    active, lower_db, excess = problem.start(), 0.0, 10.0
     for _ in range(60):
-        found, lower_db = _exchange(problem, powers, active, bottom, lower_db, limit)
-        if found is None:  # the lower order cannot be beaten
-            return best
+        tol = max(_STEP_DB, 0.1 * excess)
+        found, lower_db = _exchange(problem, active, order, bottom, lower_db, best.ratio_db, tol)
+        if found is None:  # nothing better than ``best`` by tol
+            if tol == _STEP_DB:
+                break
+            excess = 0.0
+            continue
         top, bottom = found
-        ratio2, positive = _grid_ratio(problem, powers, top, bottom)
-        worst = _spread_db(problem, ratio2, positive)
-        if worst < limit:
-            best, limit = _Candidate(order, top / ratio2[problem.below].min(), bottom, worst, lower_db), worst
-        if worst <= lower_db + 2.5 * _STEP_DB:
+        _resolve(problem, top, bottom)
+        ratio2 = problem.ratio2(top, bottom)
+        worst = problem.spread_db(ratio2)
+        if worst < best.ratio_db:
+            best = _Candidate(order, top / ratio2[problem.below].min(), bottom, worst, lower_db)
+        excess = min(excess, worst - lower_db) if math.isfinite(worst) else excess
+        fresh = np.setdiff1d(_failures(problem, ratio2, lower_db), active)
+        if best.ratio_db <= lower_db + 2 * _STEP_DB or (not fresh.size and tol == _STEP_DB):
             break
-        fresh = np.setdiff1d(_failures(problem, ratio2, positive, lower_db), active)
         if not fresh.size:
-            break
+            excess = 0.0
         active = np.union1d(active, fresh)
-    if best is None:
-        raise InputError("weight fit", f"order {order}", "the linear programs gave no weight", "another order")
     return best if best.order < order else _Candidate(order, best.top, best.bottom, best.ratio_db, lower_db)
 
 
-def _exchange(problem, powers, active, bottom, lower_db, limit_db):
-    """Optimum over the rows ``active``: ((N, D), level proved infeasible), or (None, level) when that level is ``limit_db``."""
-    found, level = None, lower_db + _STEP_DB
-    for _ in range(40):
-        answer, infeasible = _program(problem, powers, active, bottom, level)
-        if infeasible:
-            lower_db = level
-            if level >= limit_db - _STEP_DB:
-                return None, lower_db
-        if answer is not None:
-            ratio2, positive = _grid_ratio(problem, powers, *answer)
-            reached = _spread_db(problem, ratio2, positive, active)
-            if math.isfinite(reached):
-                bottom = answer[1]
-                if found is None or reached < found[0]:
-                    found = (reached, answer)
-        if infeasible and found is not None and found[0] <= level + 1.5 * _STEP_DB:
-            return found[1], lower_db
-        upper = limit_db if found is None else min(found[0], limit_db)
-        if infeasible and found is None:
-            level = min(0.5 * (level + upper), limit_db - _STEP_DB) if math.isfinite(upper) else 2.0 * level + 1.0
-        else:
-            level = max(upper - _STEP_DB, lower_db + 0.5 * _STEP_DB)
-    return (None if found is None else found[1]), lower_db
+def _resolve(problem: _Problem, top: np.ndarray, bottom: np.ndarray):
+    """Put the places of lightly damped poles and zeros on the grid when the ratio fails there."""
+    for polynomial in (top, bottom):
+        roots = _roots(np.trim_zeros(polynomial, "b")[::-1])
+        near = np.unique(np.abs(roots[roots.real > 0]))
+        if near.size:
+            problem.insert(np.concatenate([near, np.sqrt(near[1:] * near[:-1])]))
 
 
-def _program(problem, powers, active, bottom, level_db):
-    """One linear program at the trial worst ratio ``level_db``: ((N, D) or None, infeasible)."""
-    t2 = 10.0 ** (level_db / 10.0)
-    rows, b2 = powers[active], problem.b2[active]
-    d_rows = rows / (rows @ np.abs(bottom))[:, None]
-    n_rows = d_rows / b2[:, None] / math.sqrt(t2)
-    if problem.strict:
-        n_rows = n_rows[:, :-1]
+def _exchange(problem, active, order, bottom, lower_db, upper_db, tol_db):
+    """Bracket the optimum over the rows ``active`` (y values) to ``tol_db``: ((N, D) or None, level proved infeasible).
+
+    ``upper_db`` is known to be reached; None when that cannot be bettered by ``tol_db``.
+    """
+    rows = np.searchsorted(problem.y, active)
+    powers = problem.powers(order)
+    found, judge, level = None, None, min(lower_db + tol_db, 0.5 * (lower_db + upper_db))
+    for _ in range(_MAX_PROGRAMS):
+        if upper_db - lower_db <= tol_db:
+            if judge is bottom:
+                break
+            level = lower_db  # the verdict came from rows scaled by an older D: ask again
+        gap = upper_db - lower_db
+        answer = _program(problem, powers[rows], rows, bottom, level)
+        ratio2 = np.full(rows.size, math.nan) if answer is None else problem.ratio2(*answer)[rows]
+        reached = problem.spread_db(ratio2, rows)
+        if reached > level + 1e-6:
+            lower_db, judge = level, bottom
+        elif level <= lower_db:
+            lower_db = 0.0
+        if reached < upper_db:
+            upper_db, bottom = reached, answer[1]
+            found = answer[0] / ratio2[problem.below[rows]].min(), bottom
+        slow = upper_db - lower_db > 0.5 * gap
+        level = 0.5 * (lower_db + upper_db) if slow else max(upper_db - 0.9 * tol_db, lower_db + 0.1 * tol_db)
+    return found, lower_db
+
+
+def _program(problem, powers, rows, bottom, level_db):
+    """(N, D) of the linear program at the trial worst ratio ``level_db``, None when the solver gives up.
+
+    In N' = N/t, each row over sum |d_i| y^i of ``bottom``:  bound^2 D <= t N',  N'/t - bound^2 D <= tau bound^2 D_old,
+    mean of D = 1, least tau.
+    """
+    t = 10.0 ** (level_db / 20.0)
+    size = powers @ np.abs(bottom)
+    d_rows = powers / size[:, None]
+    n_rows = d_rows[:, :-1] if problem.strict else d_rows
+    n_rows = n_rows / problem.b2[rows, None]
     n_scale, d_scale = n_rows.max(axis=0), d_rows.max(axis=0)
     n_rows, d_rows = n_rows / n_scale, d_rows / d_scale
-    below = problem.below[active]
-    root = math.sqrt(t2)
-    # N' = N/sqrt(t2): D - root N' <= 0 and N'/root - D <= tau; mean of D over the rows is 1
-    a_ub = np.block([[-n_rows[below] * root, d_rows[below], np.zeros((below.sum(), 1))],
-                     [n_rows / root, -d_rows, -np.ones((len(rows), 1))]])
-    scale = np.abs(a_ub[:, :-1]).max(axis=1)
-    a_ub[: below.sum()] /= scale[: below.sum(), None]
+    below = problem.below[rows]
+    above = np.hstack([-n_rows[below] * t, d_rows[below], np.zeros((below.sum(), 1))])
+    above /= np.abs(above).max(axis=1, keepdims=True)
+    old = np.maximum(powers @ bottom / size, 1e-3)
+    a_ub = np.vstack([above, np.hstack([n_rows / t, -d_rows, -old[:, None]]),
+                      np.hstack([np.zeros_like(n_rows), -d_rows, np.zeros((len(d_rows), 1))])])
+    b_ub = np.append(np.zeros(len(a_ub) - len(d_rows)), np.full(len(d_rows), -_SHARPEST))
     cost = np.zeros(a_ub.shape[1])
     cost[-1] = 1.0
     a_eq = np.concatenate([np.zeros(n_rows.shape[1]), d_rows.mean(axis=0), [0.0]])[None, :]
-    answer = linprog(cost, A_ub=a_ub, b_ub=np.zeros(len(a_ub)), A_eq=a_eq, b_eq=[1.0], bounds=(None, None), method="highs-ds",
+    answer = linprog(cost, A_ub=a_ub, b_ub=b_ub, A_eq=a_eq, b_eq=[1.0], bounds=(None, None), method="highs-ds",
                      options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10})
     if answer.status != 0:
-        return None, answer.status == 2
-    top = answer.x[: n_rows.shape[1]] / n_scale
-    return (top, answer.x[n_rows.shape[1]:-1] / d_scale), bool(answer.x[-1] > 1e-9)
+        return None
+    return answer.x[: n_rows.shape[1]] / n_scale, answer.x[n_rows.shape[1]:-1] / d_scale
 
 
-def _grid_ratio(problem, powers, top, bottom) -> tuple[np.ndarray, np.ndarray]:
-    """N/(bound^2 D) on the grid and where D > 0."""
-    low = powers @ bottom
-    positive = low > 0
-    # a strictly proper N has one coefficient less; its value at inf is 0
-    high = powers[:, : len(top)] @ top if len(top) < powers.shape[1] else powers @ top
-    if len(top) < powers.shape[1]:
-        high[-1] = 0.0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(positive, high / (problem.b2 * low), math.nan), positive
-
-
-def _spread_db(problem, ratio2, positive, rows=slice(None)) -> float:
-    below = problem.below[rows]
-    r, p = ratio2[rows], positive[rows]
-    if not p.all() or not r[below].min() > 0:
-        return math.inf
-    return 10.0 * math.log10(r.max() / r[below].min())
-
-
-def _failures(problem, ratio2, positive, level_db) -> np.ndarray:
-    """Grid points to add: local extremes of the ratio that leave [1, level], and one per stretch where D <= 0."""
-    log_r = 10.0 * np.log10(np.where(positive & (ratio2 > 0), ratio2, 1.0))
-    bad = ~positive | ~((ratio2 > 0) | ~problem.below)
-    over, under = log_r > level_db + 0.5 * _STEP_DB, (log_r < -0.5 * _STEP_DB) & problem.below
-    ends = np.pad(log_r, 1, mode="edge")
-    peak, dip = (log_r >= ends[:-2]) & (log_r >= ends[2:]), (log_r <= ends[:-2]) & (log_r <= ends[2:])
+def _failures(problem: _Problem, ratio2: np.ndarray, level_db: float) -> np.ndarray:
+    """y to add: the worst local extremes of the ratio outside [1, level], and one per stretch where D <= 0."""
+    bad = np.isnan(ratio2) | (problem.below & ~(ratio2 > 0))
+    log_r = 10.0 * np.log10(np.where(ratio2 > 0, ratio2, 1.0))
+    miss = np.maximum(log_r - level_db, np.where(problem.below, -log_r, 0.0))
+    ends = np.pad(miss, 1, mode="edge")
+    peak = np.flatnonzero((miss > 0.25 * _STEP_DB) & (miss >= ends[:-2]) & (miss >= ends[2:]))
+    peak = peak[np.argsort(-miss[peak], kind="stable")[:30]]
     runs = np.flatnonzero(np.diff(np.concatenate([[0], bad.astype(int), [0]])))
-    middles = (runs[0::2] + runs[1::2] - 1) // 2
-    return np.unique(np.concatenate([np.flatnonzero(over & peak), np.flatnonzero(under & dip), middles]))
+    return np.unique(problem.y[np.concatenate([peak, (runs[0::2] + runs[1::2] - 1) // 2])])
 
 
 def _choose(best: dict[int, _Candidate], tol_db: float) -> int:
@@ -644,23 +669,36 @@ def _choose(best: dict[int, _Candidate], tol_db: float) -> int:
 # ---------------------------------------------------------------- spectral factors
 
 
-def _close(problem: _Problem, candidate: _Candidate) -> tuple[Weight, float, Certificate]:
-    """Spectral factors, then the one scalar gain that the certificate asks for."""
-    samples = problem.samples
+def _close(problem: _Problem, candidate: _Candidate, lower_order: _Candidate | None):
+    """Weight, inflation, certificate and lower limit [dB] of a candidate; None when no stable spectral factor is found.
+
+    Where the certificate finds the ratio outside what the grid showed, that frequency joins the grid and the order
+    is fitted again.
+    """
+    closed = None
+    for _ in range(_REFITS):
+        raw = _weight(problem, candidate)
+        found = verify_overbound(raw, problem.samples.omega, problem.samples.bound)
+        if found.stable and found.minimum_phase and found.min_ratio > 0:
+            inflation = (1.0 + 1e-12) / found.min_ratio
+            weight = Weight(raw.num * inflation, raw.den)
+            certificate = verify_overbound(weight, problem.samples.omega, problem.samples.bound)
+            if certificate.ok and (closed is None or certificate.max_ratio < closed[2].max_ratio):
+                closed = weight, inflation, certificate, candidate.lower_db
+            if closed is not None and _db(closed[2].max_ratio) <= candidate.lower_db + 4 * _STEP_DB:
+                break
+        places = np.array([found.min_ratio_at, found.max_ratio_at]) / problem.samples.unit
+        problem.insert(places**2)
+        candidate = _optimum(problem, candidate.order, lower_order)
+        if lower_order is not None and candidate.order == lower_order.order:
+            break
+    return closed
+
+
+def _weight(problem: _Problem, candidate: _Candidate) -> Weight:
     factors = [_spectral_factor(p) for p in (candidate.top, candidate.bottom)]
-    num, den = (p / samples.unit ** np.arange(len(p) - 1, -1, -1.0) for p in factors)
-    gain = math.sqrt(problem.gain2)
-    lead = den[0]
-    raw = Weight(gain * num / lead, den / lead)
-    missing = verify_overbound(raw, samples.omega, samples.bound)
-    if not (missing.stable and missing.minimum_phase and missing.min_ratio > 0):
-        raise InputError("weight fit", f"order {candidate.order}", "the optimum has no stable spectral factor",
-                         "a lower order")
-    inflation = (1.0 + 1e-12) / missing.min_ratio
-    weight = Weight(raw.num * inflation, raw.den)
-    certificate = verify_overbound(weight, samples.omega, samples.bound)
-    certificate = Certificate(**{**certificate.__dict__, "without_data": samples.without_data})
-    return weight, inflation, certificate
+    num, den = (p / problem.samples.unit ** np.arange(len(p) - 1, -1, -1.0) for p in factors)
+    return Weight(math.sqrt(problem.gain2) * num / den[0], den / den[0])
 
 
 def _roots(polynomial: np.ndarray) -> np.ndarray:
