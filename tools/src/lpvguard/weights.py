@@ -53,6 +53,7 @@ _MAX_TESTS = 300_000
 _REFITS = 8
 _MAX_PROGRAMS = 60
 _SHARPEST = 1e-5
+_NEAR_DB = 0.5
 _MAX_RANGE = 1e60  # largest bound / smallest bound
 
 
@@ -501,7 +502,7 @@ class _Problem:
         self._log_w, self._log_b = np.log(samples.omega / samples.unit), np.log(samples.bound)
         self.gain2 = math.exp(2.0 * float(np.mean(self._log_b)))
         first, last = self.band = (self._log_w[0], self._log_w[-1])
-        tail = np.linspace(0.0, math.log(_OUTSIDE), 16)[1:]
+        tail = np.geomspace(_GRID_STEP, math.log(_OUTSIDE), 30)  # dense next to the corner of the bound at either end
         fill = [np.linspace(a, b, int((b - a) / _GRID_STEP) + 2)[:-1] for a, b in zip(self._log_w[:-1], self._log_w[1:])]
         self._place(np.concatenate([[-math.inf], first - tail[::-1], *fill, [last], last + tail, [math.inf]]))
 
@@ -596,22 +597,24 @@ def _exchange(problem, active, order, bottom, lower_db, upper_db, tol_db):
     """
     rows = np.searchsorted(problem.y, active)
     powers = problem.powers(order)
-    found, judge, level = None, None, min(lower_db + tol_db, 0.5 * (lower_db + upper_db))
+    found, level = None, min(lower_db + tol_db, 0.5 * (lower_db + upper_db))
+    scaled_by, judged_by = upper_db, math.inf  # what ``bottom`` reaches, now and at the last verdict "infeasible"
     for _ in range(_MAX_PROGRAMS):
         if upper_db - lower_db <= tol_db:
-            if judge is bottom:
+            if judged_by <= lower_db + max(tol_db, _NEAR_DB):
                 break
-            level = lower_db  # the verdict came from rows scaled by an older D: ask again
+            level = lower_db  # rows scaled by a D far from the optimum may have led to that verdict: ask again
         gap = upper_db - lower_db
         answer = _program(problem, powers[rows], rows, bottom, level)
         ratio2 = np.full(rows.size, math.nan) if answer is None else problem.ratio2(*answer)[rows]
         reached = problem.spread_db(ratio2, rows)
         if reached > level + 1e-6:
-            lower_db, judge = level, bottom
+            lower_db, judged_by = level, scaled_by
         elif level <= lower_db:
             lower_db = 0.0
         if reached < upper_db:
-            upper_db, bottom = reached, answer[1]
+            upper_db = scaled_by = reached
+            bottom = answer[1]
             found = answer[0] / ratio2[problem.below[rows]].min(), bottom
         slow = upper_db - lower_db > 0.5 * gap
         level = 0.5 * (lower_db + upper_db) if slow else max(upper_db - 0.9 * tol_db, lower_db + 0.1 * tol_db)
