@@ -33,7 +33,7 @@ by what the certificate found missing between the grid points.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 
 import numpy as np
@@ -44,15 +44,17 @@ from .errors import InputError
 
 _STEP_DB = 0.002  # resolution of the search for the least worst ratio
 _GRID_STEP = 0.02  # widest gap of the cutting-plane grid, in ln w
-_OUTSIDE = 1e3  # the cutting-plane grid goes on by this factor in w beyond both ends
+_OUTSIDE = 1e3  # the grid goes on by this factor in w beyond both ends
+_DAMPING = 1e-5  # D >= this times sum |d_i| x^i at every row: no resonance sharper than about 0.003, which 1e-10 resolves
+_NEAR_DB = 0.5  # rows scaled by a D this near the optimum are scaled well
+_TOLERANCE = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
+_MAX_PROGRAMS, _MAX_CUTS, _MAX_REFITS = 60, 60, 8
+
 _PROOF_MARGIN = 1e-9  # relative, on |W|^2: a proved ratio is this much below the one attained ...
 _PATIENCE = 18  # ... and four times more with every halving beyond this many, where rounding stops the proof
-_ROUNDING = 1e-13  # relative to sum |c_i| x^i: over the rounding of exp, log and the Bernstein coefficients
 _MAX_HALVINGS = 28
 _MAX_TESTS = 300_000
-_REFITS = 8
-_MAX_PROGRAMS = 60
-_SHARPEST = 1e-5
+_ROUNDING = 1e-13  # relative to sum |c_i| x^i: over the rounding of exp, log and the Bernstein coefficients
 _MAX_RANGE = 1e60  # largest bound / smallest bound
 
 
@@ -169,6 +171,7 @@ class OverboundFit:
     (up to the LP solver's 1e-9), so the fit is within ``worst_ratio_db - lp_optimum_db`` of the best there is.
     ``ratios_db``: worst ratio reached per order tried. ``inflation``: the final scalar gain, already in ``weight``.
     ``certificate``: ``Certificate.to_dict()``. ``floored``: frequencies (rad/s) where the floor replaced a smaller bound.
+    ``breaks_outside``: |pole| and |zero| (rad/s) beyond the first or last sample, which the optimum asked for.
     """
 
     weight: Weight
@@ -179,6 +182,7 @@ class OverboundFit:
     certificate: dict
     ratios_db: dict[int, float]
     floored: tuple[float, ...]
+    breaks_outside: tuple[float, ...]
 
 
 def fit_overbound(omega, bound, *, max_order=4, order=None, floor=None, tol_db=0.3, proper="biproper",
@@ -210,28 +214,37 @@ def fit_overbound(omega, bound, *, max_order=4, order=None, floor=None, tol_db=0
         if order is None and best[n].ratio_db <= tol_db:
             break  # no higher order can gain more than tol_db
     chosen = _choose(best, tol_db) if order is None else order
-    while best[chosen].order < chosen or (closed := _close(problem, best[chosen], best.get(chosen - 1))) is None:
-        chosen -= 1
+    for n in range(chosen, lowest - 1, -1):
+        if best[n].order == n and (closed := _close(problem, best[n], best.get(n - 1))) is not None:
+            break
+    else:
+        raise InputError(source, f"order {chosen}", "no weight could be certified", "a smoother bound or another order")
     weight, inflation, certificate, lower_db = closed
+    worst_db = _db(certificate.max_ratio)
     return OverboundFit(
-        weight=weight, order=chosen, worst_ratio_db=_db(certificate.max_ratio), lp_optimum_db=lower_db,
-        inflation=inflation, certificate=certificate.to_dict(),
-        ratios_db={n: candidate.ratio_db for n, candidate in best.items()}, floored=samples.floored)
+        weight=weight, order=weight.order, worst_ratio_db=worst_db, lp_optimum_db=lower_db, inflation=inflation,
+        certificate=certificate.to_dict() | {"without_data": list(samples.without_data)},
+        ratios_db={m: candidate.ratio_db for m, candidate in best.items()} | {n: worst_db}, floored=samples.floored,
+        breaks_outside=_outside(weight, samples))
 
 
-def verify_overbound(weight: Weight, omega, bound, *, name="") -> Certificate:
+def _outside(weight: Weight, samples: _Samples) -> tuple[float, ...]:
+    breaks = np.sort(np.abs(np.concatenate([weight.zeros(), weight.poles()])))
+    return tuple(breaks[(breaks < samples.omega[0]) | (breaks > samples.omega[-1])].tolist())
+
+
+def verify_overbound(weight: Weight, omega, bound, *, floor=None, name="") -> Certificate:
     """Prove or refute |W| >= bound from the coefficients of W alone; nothing of the fit is reused.
 
-    ``omega`` (K,) rad/s and ``bound`` (K,) > 0 or NaN as in ``fit_overbound`` (floor already applied). ``ok`` is true when W
-    is stable, minimum-phase and ``min_ratio`` >= 1. The method is the module's third paragraph.
+    ``omega`` (K,) rad/s, ``bound`` (K,) and ``floor`` as in ``fit_overbound``. ``ok`` is true when W is stable,
+    minimum-phase and ``min_ratio`` >= 1. The method is the module's third paragraph.
     """
-    samples = _Samples.read(name or "weight check", omega, bound, None)
+    samples = _Samples.read(name or "weight check", omega, bound, floor)
     strict = weight.num.size < weight.den.size
     stable, minimum_phase = _is_hurwitz(weight.den), _is_hurwitz(weight.num)
-    low, low_at, tests = _least_ratio(_squared(weight.num, samples.unit), _squared(weight.den, samples.unit),
-                                      samples, strict)
-    high, high_at, more = _least_ratio(_squared(weight.den, samples.unit), _squared(weight.num, samples.unit),
-                                       samples.reciprocal(), strict)
+    top, bottom = _squared(weight.num / samples.level, samples.unit), _squared(weight.den, samples.unit)
+    low, low_at, tests = _least_ratio(top, bottom, samples, strict)
+    high, high_at, more = _least_ratio(bottom, top, samples.reciprocal(), strict)
     return Certificate(
         ok=bool(stable and minimum_phase and low >= 1.0), stable=stable, minimum_phase=minimum_phase,
         min_ratio=low, min_ratio_at=low_at, max_ratio=1.0 / high if high > 0.0 else math.inf, max_ratio_at=high_at,
@@ -298,12 +311,16 @@ def _lowest_order(source, max_order, order, tol_db, proper) -> int:
 
 @dataclass(frozen=True)
 class _Samples:
-    """A checked bound. ``omega`` (K,) and ``bound`` (K,) without the NaN samples; ``unit`` a power of two near the
-    middle of the band, so that y = (w/unit)^2 is exact and its powers stay in range."""
+    """A checked bound. ``omega`` (K,) and ``bound`` (K,), the latter over ``level``, without the NaN samples.
+
+    ``unit`` and ``level`` are powers of two near the middle of omega and bound: y = (w/unit)^2 and its powers and the
+    squares of the bound stay in range, and the change of units is exact.
+    """
 
     omega: np.ndarray
     bound: np.ndarray
     unit: float
+    level: float
     without_data: tuple[float, ...]
     floored: tuple[float, ...]
 
@@ -335,11 +352,11 @@ class _Samples:
         if b.max() / b.min() > _MAX_RANGE:
             raise InputError(source, f"bound at {w[np.argmin(b)]:g} rad/s", f"is {b.min()} below a largest value of {b.max()}",
                              f"a range of at most {_MAX_RANGE:g}")
-        return cls(w, b, 2.0 ** round(0.5 * (math.log2(w[0]) + math.log2(w[-1]))),
-                   tuple(omega[~known].tolist()), tuple(omega[raised].tolist()))
+        unit, level = (2.0 ** round(0.5 * (math.log2(v.min()) + math.log2(v.max()))) for v in (w, b))
+        return cls(w, b / level, unit, level, tuple(omega[~known].tolist()), tuple(omega[raised].tolist()))
 
     def reciprocal(self) -> _Samples:
-        return _Samples(self.omega, 1.0 / self.bound, self.unit, self.without_data, self.floored)
+        return replace(self, bound=1.0 / self.bound)
 
     @property
     def y(self) -> np.ndarray:
@@ -492,22 +509,20 @@ class _Candidate:
 class _Problem:
     """The cutting-plane grid: all samples, points between them, both ends and what lies beyond.
 
-    ``y`` (G,) ascending from 0 to inf, ``b2`` (G,) bound squared over its geometric mean ``gain2``, ``below`` (G,) where
-    the weight must be above the bound. Grows by ``insert`` where a resonance hides between points.
+    ``y`` (G,) ascending from 0 to inf, ``b2`` (G,) bound squared, ``below`` (G,) where the weight must be above the bound. Grows by ``insert`` where a resonance hides between points.
     """
 
     def __init__(self, samples: _Samples, strict: bool):
         self.samples, self.strict = samples, strict
         self._log_w, self._log_b = np.log(samples.omega / samples.unit), np.log(samples.bound)
-        self.gain2 = math.exp(2.0 * float(np.mean(self._log_b)))
         first, last = self.band = (self._log_w[0], self._log_w[-1])
-        tail = np.linspace(0.0, math.log(_OUTSIDE), 16)[1:]
+        tail = np.geomspace(_GRID_STEP, math.log(_OUTSIDE), 30)  # dense next to the corner of the bound at either end
         fill = [np.linspace(a, b, int((b - a) / _GRID_STEP) + 2)[:-1] for a, b in zip(self._log_w[:-1], self._log_w[1:])]
         self._place(np.concatenate([[-math.inf], first - tail[::-1], *fill, [last], last + tail, [math.inf]]))
 
     def _place(self, grid: np.ndarray):
         self.y = np.exp(2.0 * grid)
-        self.b2 = np.exp(2.0 * np.interp(grid, self._log_w, self._log_b)) / self.gain2
+        self.b2 = np.exp(2.0 * np.interp(grid, self._log_w, self._log_b))
         self.below = grid <= self.band[1] if self.strict else np.ones(grid.size, dtype=bool)
         self._grid = grid
 
@@ -556,7 +571,7 @@ def _optimum(problem: _Problem, order: int, lower_order: _Candidate | None) -> _
         ratio2 = problem.ratio2(np.ones(1), bottom)
         best = _Candidate(order, 1.0 / ratio2[problem.below].min(keepdims=True), bottom, problem.spread_db(ratio2), 0.0)
     active, lower_db, excess = problem.start(), 0.0, 10.0
-    for _ in range(60):
+    for _ in range(_MAX_CUTS):
         tol = max(_STEP_DB, 0.1 * excess)
         found, lower_db = _exchange(problem, active, order, bottom, lower_db, best.ratio_db, tol)
         if found is None:  # nothing better than ``best`` by tol
@@ -596,22 +611,27 @@ def _exchange(problem, active, order, bottom, lower_db, upper_db, tol_db):
     """
     rows = np.searchsorted(problem.y, active)
     powers = problem.powers(order)
-    found, judge, level = None, None, min(lower_db + tol_db, 0.5 * (lower_db + upper_db))
+    found, level = None, min(lower_db + tol_db, 0.5 * (lower_db + upper_db))
+    scaled_by, judged_by = upper_db, math.inf  # what ``bottom`` reaches, now and at the last verdict "infeasible"
     for _ in range(_MAX_PROGRAMS):
         if upper_db - lower_db <= tol_db:
-            if judge is bottom:
+            if judged_by <= lower_db + max(tol_db, _NEAR_DB):
                 break
-            level = lower_db  # the verdict came from rows scaled by an older D: ask again
+            level = lower_db  # rows scaled by a D far from the optimum may have led to that verdict: ask again
         gap = upper_db - lower_db
         answer = _program(problem, powers[rows], rows, bottom, level)
-        ratio2 = np.full(rows.size, math.nan) if answer is None else problem.ratio2(*answer)[rows]
+        if answer is None:  # no verdict
+            level = 0.5 * (level + upper_db)
+            continue
+        ratio2 = problem.ratio2(*answer)[rows]
         reached = problem.spread_db(ratio2, rows)
         if reached > level + 1e-6:
-            lower_db, judge = level, bottom
+            lower_db, judged_by = level, scaled_by
         elif level <= lower_db:
             lower_db = 0.0
         if reached < upper_db:
-            upper_db, bottom = reached, answer[1]
+            upper_db = scaled_by = reached
+            bottom = answer[1]
             found = answer[0] / ratio2[problem.below[rows]].min(), bottom
         slow = upper_db - lower_db > 0.5 * gap
         level = 0.5 * (lower_db + upper_db) if slow else max(upper_db - 0.9 * tol_db, lower_db + 0.1 * tol_db)
@@ -637,12 +657,12 @@ def _program(problem, powers, rows, bottom, level_db):
     old = np.maximum(powers @ bottom / size, 1e-3)
     a_ub = np.vstack([above, np.hstack([n_rows / t, -d_rows, -old[:, None]]),
                       np.hstack([np.zeros_like(n_rows), -d_rows, np.zeros((len(d_rows), 1))])])
-    b_ub = np.append(np.zeros(len(a_ub) - len(d_rows)), np.full(len(d_rows), -_SHARPEST))
+    b_ub = np.append(np.zeros(len(a_ub) - len(d_rows)), np.full(len(d_rows), -_DAMPING))
     cost = np.zeros(a_ub.shape[1])
     cost[-1] = 1.0
     a_eq = np.concatenate([np.zeros(n_rows.shape[1]), d_rows.mean(axis=0), [0.0]])[None, :]
     answer = linprog(cost, A_ub=a_ub, b_ub=b_ub, A_eq=a_eq, b_eq=[1.0], bounds=(None, None), method="highs-ds",
-                     options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10})
+                     options=_TOLERANCE)
     if answer.status != 0:
         return None
     return answer.x[: n_rows.shape[1]] / n_scale, answer.x[n_rows.shape[1]:-1] / d_scale
@@ -672,33 +692,37 @@ def _choose(best: dict[int, _Candidate], tol_db: float) -> int:
 def _close(problem: _Problem, candidate: _Candidate, lower_order: _Candidate | None):
     """Weight, inflation, certificate and lower limit [dB] of a candidate; None when no stable spectral factor is found.
 
-    Where the certificate finds the ratio outside what the grid showed, that frequency joins the grid and the order
-    is fitted again.
+    Where the certificate finds the ratio outside what the grid showed, that frequency joins the grid and the order is
+    fitted again.
     """
     closed = None
-    for _ in range(_REFITS):
-        raw = _weight(problem, candidate)
-        found = verify_overbound(raw, problem.samples.omega, problem.samples.bound)
-        if found.stable and found.minimum_phase and found.min_ratio > 0:
-            inflation = (1.0 + 1e-12) / found.min_ratio
-            weight = Weight(raw.num * inflation, raw.den)
-            certificate = verify_overbound(weight, problem.samples.omega, problem.samples.bound)
-            if certificate.ok and (closed is None or certificate.max_ratio < closed[2].max_ratio):
-                closed = weight, inflation, certificate, candidate.lower_db
-            if closed is not None and _db(closed[2].max_ratio) <= candidate.lower_db + 4 * _STEP_DB:
-                break
-        places = np.array([found.min_ratio_at, found.max_ratio_at]) / problem.samples.unit
-        problem.insert(places**2)
+    for _ in range(_MAX_REFITS):
+        lifted = _lift(problem, candidate)
+        certificate = lifted[2]
+        if certificate.ok and (closed is None or certificate.max_ratio < closed[2].max_ratio):
+            closed = *lifted, candidate.lower_db
+        if closed is not None and _db(closed[2].max_ratio) <= candidate.lower_db + 4 * _STEP_DB:
+            break
+        problem.insert((np.array([certificate.min_ratio_at, certificate.max_ratio_at]) / problem.samples.unit) ** 2)
         candidate = _optimum(problem, candidate.order, lower_order)
         if lower_order is not None and candidate.order == lower_order.order:
             break
     return closed
 
 
-def _weight(problem: _Problem, candidate: _Candidate) -> Weight:
-    factors = [_spectral_factor(p) for p in (candidate.top, candidate.bottom)]
-    num, den = (p / problem.samples.unit ** np.arange(len(p) - 1, -1, -1.0) for p in factors)
-    return Weight(math.sqrt(problem.gain2) * num / den[0], den / den[0])
+def _lift(problem: _Problem, candidate: _Candidate) -> tuple[Weight, float, Certificate]:
+    """Spectral factors of a candidate, the gain that puts them above the bound, and the certificate of both."""
+    samples = problem.samples
+    factors = [_spectral_factor(np.trim_zeros(p, "b")) for p in (candidate.top, candidate.bottom)]
+    num, den = (p / samples.unit ** np.arange(len(p) - 1, -1, -1.0) for p in factors)
+    raw, inflation = Weight(samples.level * num / den[0], den / den[0]), 1.0
+    for _ in range(3):
+        weight = Weight(raw.num * inflation, raw.den)
+        certificate = verify_overbound(weight, samples.omega, samples.bound * samples.level)
+        if certificate.ok or certificate.min_ratio == 0.0:
+            break
+        inflation *= (1.0 + 1e-12) / certificate.min_ratio
+    return weight, inflation, certificate
 
 
 def _roots(polynomial: np.ndarray) -> np.ndarray:
