@@ -83,7 +83,7 @@ class DriveSet:
     """The drives of a folder, read when asked for; a few are kept, so memory does not grow with their number."""
 
     def __init__(self, project: Project, model: NominalModel, experiments: list[Experiment]):
-        self.project, self.model = project, model
+        self.project, self.model, self.estimator = project, model, Estimator.of(project, model)
         self.experiments = {e.name: e for e in experiments}
         self.load = lru_cache(DRIVES_IN_MEMORY)(self._load)
 
@@ -91,8 +91,7 @@ class DriveSet:
         path = self.experiments[name].path
         drive = read_drive(path, self.project)
         e, yhat = nominal_error(drive, self.model)
-        low, high = self.model.speed_range
-        require_units(path, drive, yhat, (drive.v >= low) & (drive.v <= high))
+        require_units(path, drive, yhat, self.estimator.settled(drive.v))
         return drive, e, yhat
 
 
