@@ -197,6 +197,9 @@ PlantParameters varied(const PlantParameters& nominal, const Variation& v) {
     p.yaw_inertia_kgm2 *= v.load_ratio;
     p.roll_inertia_kgm2 *= p.sprung_mass_kg / nominal.sprung_mass_kg * v.cg_height_ratio * v.cg_height_ratio;
     p.cg_to_front_axle_m += v.cg_shift_m;
+    // The moment comes from the load that lateral acceleration shifts between the front wheels: it goes with the axle's load.
+    p.lateral_acceleration_moment_nms2pm *= v.load_ratio * (p.wheelbase_m - p.cg_to_front_axle_m) /
+                                            (nominal.wheelbase_m - nominal.cg_to_front_axle_m);
     p.sprung_cg_height_m *= v.cg_height_ratio;
     p.friction_left_ratio *= v.friction_left_ratio;
     p.friction_right_ratio *= v.friction_right_ratio;
