@@ -2,32 +2,15 @@
 #include <catch2/catch.hpp>
 
 #include <cmath>
-#include <cstdlib>
-#include <cstring>
 #include <fstream>
 #include <limits>
-#include <memory>
-#include <new>
 #include <sstream>
 #include <string>
 #include <vector>
 
+#include "heap_counter.hpp"
 #include "lpvguard_plant/plant.hpp"
 #include "lpvguard_plant/scenario.hpp"
-
-namespace {
-long allocations = 0;
-}  // namespace
-
-void* operator new(std::size_t size) {
-    ++allocations;
-    if (void* const memory = std::malloc(size)) {
-        return memory;
-    }
-    throw std::bad_alloc();
-}
-void operator delete(void* memory) noexcept { std::free(memory); }
-void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
 
 namespace {
 
@@ -327,9 +310,9 @@ TEST_CASE("a step allocates nothing", "[unit][plant]") {
     faults.actuators.resize(1);
     faults.surroundings.resize(1);
     Plant plant(shipped(), at(13.0), 7, faults);
-    const long before = allocations;
+    const long before = heap_allocations();
     run(plant, 1.0, 1.0);
-    CHECK(allocations == before);
+    CHECK(heap_allocations() == before);
 }
 
 TEST_CASE("random numbers: moments, tails and independence of streams", "[unit][plant]") {

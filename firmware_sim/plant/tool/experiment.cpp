@@ -89,7 +89,7 @@ private:
     std::array<double, 24> phases_{};
     std::int64_t samples_ = 0;
     double level_bar_ = 0.0;
-    double switch_s_ = 0.0;
+    double switch_s_ = 1.0;  ///< The first second is straight driving: whoever starts a model on the data starts it in equilibrium.
 };
 
 /// A file that appears under its name only when complete.
