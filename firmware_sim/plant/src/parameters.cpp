@@ -213,6 +213,7 @@ PlantParameters varied(const PlantParameters& nominal, const Variation& v) {
     p.crosswind_gust_rms_mps = v.crosswind_gust_rms_mps.value_or(p.crosswind_gust_rms_mps);
     for (const SensorField& sensor : sensor_fields) {
         (p.*sensor.member).noise_rms *= v.sensor_noise_ratio;
+        (p.*sensor.member).lsb *= v.sensor_lsb_ratio;
     }
     check(p, "variation");
     return p;

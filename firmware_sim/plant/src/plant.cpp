@@ -170,6 +170,7 @@ Plant::Held Plant::hold(double demand_bar, double driver_torque_nm) {
     const double limit = p_.brake_pressure_limit_bar;
     delay_line_bar_[now & wrap] = std::isfinite(demand_bar) ? std::clamp(demand_bar, -limit, limit) : 0.0;
     const auto delay_steps = static_cast<std::size_t>(delay_s / step_s + 0.5);
+    // Before the first step nothing was demanded: those places of the line still hold 0.
     const double delayed_bar = delay_line_bar_[(now - delay_steps) & wrap];
 
     Held in{};

@@ -36,6 +36,7 @@ constexpr Key<Variation> variation_keys[] = {
     {"extra_brake_delay_s", &Variation::extra_brake_delay_s, 0.0, 0.96},
     {"crosswind_mean_mps", &Variation::crosswind_mean_mps, -30.0, 30.0},
     {"sensor_noise_ratio", &Variation::sensor_noise_ratio, 0.0, 50.0},
+    {"sensor_lsb_ratio", &Variation::sensor_lsb_ratio, 0.001, 1000.0},
 };
 
 constexpr Key<SensorFault> sensor_keys[] = {

@@ -102,7 +102,8 @@ struct Variation {
     std::optional<double> bank_rms_rad;      ///< Empty: as in truck.toml.
     double crosswind_mean_mps = 0.0;         ///< Added.
     std::optional<double> crosswind_gust_rms_mps;
-    double sensor_noise_ratio = 1.0;         ///< On the noise of every sensor.
+    double sensor_noise_ratio = 1.0;         ///< On every sensor.
+    double sensor_lsb_ratio = 1.0;           ///< On every sensor: coarser quantisation.
 };
 
 /// Reads and checks a parameter file. Throws ParameterError.

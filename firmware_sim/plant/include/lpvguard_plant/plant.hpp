@@ -11,19 +11,23 @@
 ///   tyres             relaxation s dα/dt + Vx α = Vy per wheel (α: tangent of slip, Pacejka, "Tire and Vehicle Dynamics", ch. 7);
 ///                     lateral force -C α F / sqrt(F² + (C α)²), F² = (μ Fz)² - Fx²: slope C at zero, friction ellipse as its
 ///                     limit, cubic departure from the line as Magic Formula curves have, no fall beyond the peak
-///   lateral and roll  m A - ms h φ'' = ΣY - m g e;  Ix φ'' - ms h A = ms g h (φ + e) - K φ - c φ';  A = vy' + vx r
-///   yaw               Iz r' = lf ΣY_front - lr ΣY_rear + t/2 (ΣX_right - ΣX_left) + wind
+///   lateral and roll  m A - ms h φ'' = ΣY - m g e + W;  Ix φ'' - ms h A = ms g h (φ + e) - K φ - c φ' - W hw;
+///                     A = vy' + vx r, e the road's bank, W the side wind's force at height hw
+///   yaw               Iz r' = lf ΣY_front - lr ΣY_rear + t/2 (ΣX_right - ΣX_left) + W lw
 ///   steering          J δ'' = -n ΣFy_front - scrub (B_right - B_left) + k (A + g e) - d δ' - friction + driver
 ///   speed             prescribed by a profile that an ideal drive follows, or free (rolling resistance, drag, brakes)
 /// Left out, knowingly: suspension compliance steer other than rear roll steer, pitch and heave dynamics, wheel spin (braked
 /// wheels slip in proportion to the force), the drive force's share of the friction ellipse (3 kN of 45), free play.
 ///
+/// Range: side-slip below about 0.3 rad. A truck that spins (low friction, high speed, much brake) stays finite but is no longer a
+/// truck, least of all with its speed held.
+///
 /// Integration: classical Runge-Kutta of order 4 at a fixed 1 ms, disturbances and demand held over the step. The fastest pole is
-/// below 200 1/s (relaxation 22 m/s / 0.4 m; friction blend), so the step error is far below the 1 % asked for, and
-/// explicit stages need no iteration: the cost per step is constant. `substeps` exists to prove it by halving.
+/// the tyre relaxation, at most 150 1/s (30 m/s over 0.2 m), far inside the stability limit of 2785 1/s; explicit stages need no
+/// iteration, so the cost per step is constant. Halving the step (`substeps`) moves the yaw rate by less than 1e-4 of its peak.
 ///
 /// Use:     construct once, step() once per millisecond, read truth() and sensors() at any time.
-/// Cost:    no heap, no libm beyond sqrt in step(); constant time. Same seed, same inputs: same bits.
+/// Cost:    no heap, no libm beyond sqrt and floor in step(); about 0.3 us a step on a desktop core. Same seed, same inputs: same bits.
 /// Threads: one instance per thread.
 #pragma once
 
