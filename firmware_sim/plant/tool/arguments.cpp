@@ -67,7 +67,7 @@ std::uint64_t Arguments::seed(const std::string& name, std::uint64_t otherwise) 
 
 void Arguments::done() const {
     if (!values_.empty()) {
-        throw UsageError(values_.begin()->first + ": unknown option");
+        throw UsageError(values_.begin()->first + ": unknown option, or of no use beside the others given");
     }
 }
 

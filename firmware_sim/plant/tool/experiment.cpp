@@ -157,7 +157,7 @@ private:
 
     static Program read_program(Arguments& arguments, std::uint64_t seed) {
         const double low_bar = arguments.number("--amplitude-low", 0.5, 0.0, 10.0);
-        const double high_bar = arguments.number("--amplitude-high", 2.0, low_bar, 10.0);
+        const double high_bar = arguments.number("--amplitude-high", std::fmax(low_bar, 2.0), low_bar, 10.0);
         return Program(arguments.text("--program", "pulses"), low_bar, high_bar, seed);
     }
 };

@@ -18,7 +18,7 @@ generate             write one experiment: t,v,dp,r,delta every 10 ms, as the se
     -o FILE              CSV, written whole or not at all
     --speed 12           [m/s], held; or --scenario FILE, whose [plant] table says it, with variations and faults
     --program pulses     pulses | telegraph | multisine | zero
-    --amplitude-low 0.5 --amplitude-high 2   [bar]
+    --amplitude-low 0.5 --amplitude-high 2   [bar]; high is at least low
     --duration 60        [s]
     --seed 1
 
@@ -30,9 +30,15 @@ All take --parameters FILE in place of the shipped truck.toml. Exit status 2: ba
 
 int run(int argc, char** argv) {
     using namespace lpvguard_plant;
-    if (argc < 2 || std::strcmp(argv[1], "--help") == 0) {
-        std::fputs(usage, argc < 2 ? stderr : stdout);
-        return argc < 2 ? 2 : 0;
+    if (argc < 2) {
+        std::fputs(usage, stderr);
+        return 2;
+    }
+    for (int i = 1; i < argc; ++i) {
+        if (std::strcmp(argv[i], "--help") == 0) {
+            std::fputs(usage, stdout);
+            return 0;
+        }
     }
     const std::string command = argv[1];
     const Arguments arguments(argc - 2, argv + 2);
