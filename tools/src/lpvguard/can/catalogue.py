@@ -21,6 +21,9 @@ from ..errors import InputError
 E2E_BITS = 12
 """Bits that profile 11 takes at the start of a frame: CRC (8), counter (4); the next 4 are free and sent as 1."""
 
+OWN_NODE = "LPVGUARD"
+"""Name of the node that the generated code runs on."""
+
 _J1939_DATA_MAX = {2: 1, 4: 0xD, 8: 0xFA, 16: 0xFAFF}
 _J1939_ERROR_MIN = {2: 2, 4: 0xE, 8: 0xFE, 16: 0xFE00}
 _J1939_ABSENT_MIN = {2: 3, 4: 0xF, 8: 0xFF, 16: 0xFF00}
@@ -170,10 +173,17 @@ class Catalogue(_Strict):
                              ("E2E data ids", [m.e2e.data_id for m in self.messages if m.e2e])):
             if len(set(values)) != len(values):
                 raise ValueError(f"{what} must be unique")
+        if all(n.name != OWN_NODE for n in self.nodes):
+            raise ValueError(f"nodes: one must be called {OWN_NODE}")
         for message in self.messages:
             if all(message.source_address != n.address for n in self.nodes):
                 raise ValueError(f"message {message.name}: no node has the source address {message.source_address:#04x}")
         return self
+
+    @property
+    def own_address(self) -> int:
+        """Source address of the guarded controller."""
+        return next(n.address for n in self.nodes if n.name == OWN_NODE)
 
     def sender(self, message: Message) -> Node:
         return next(n for n in self.nodes if n.address == message.source_address)
