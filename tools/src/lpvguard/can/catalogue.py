@@ -24,9 +24,13 @@ E2E_BITS = 12
 OWN_NODE = "LPVGUARD"
 """Name of the node that the generated code runs on."""
 
-_J1939_DATA_MAX = {2: 1, 4: 0xD, 8: 0xFA, 16: 0xFAFF}
-_J1939_ERROR_MIN = {2: 2, 4: 0xE, 8: 0xFE, 16: 0xFE00}
-_J1939_ABSENT_MIN = {2: 3, 4: 0xF, 8: 0xFF, 16: 0xFF00}
+J1939_LENGTHS = (2, 4, 8, 16)
+"""Lengths of our signals that have codes above the data."""
+
+
+def j1939_data_max(length: int) -> int:
+    """Largest raw value of ``length`` bits (2 or more) that is data: 0xFA in the top byte, below 8 bits all but two."""
+    return (0xFB << (length - 8)) - 1 if length >= 8 else (1 << length) - 3
 
 
 class _Strict(BaseModel):
@@ -64,7 +68,7 @@ class Signal(_Strict):
 
     @model_validator(mode="after")
     def _consistent(self) -> Signal:
-        if self.coding == "j1939" and self.length not in _J1939_DATA_MAX:
+        if self.coding == "j1939" and self.length not in J1939_LENGTHS:
             raise ValueError(f"signal {self.name}: J1939 codes exist for 2, 4, 8 and 16 bits, not {self.length}")
         if self.supervise and not self.physical_min <= self.supervise.min < self.supervise.max <= self.physical_max:
             raise ValueError(f"signal {self.name}: supervise must lie within {self.physical_min} to {self.physical_max}")
@@ -79,17 +83,22 @@ class Signal(_Strict):
     @property
     def raw_max(self) -> int:
         """Largest raw value that is data."""
-        return _J1939_DATA_MAX[self.length] if self.coding == "j1939" else (1 << self.length) - 1
+        return j1939_data_max(self.length) if self.coding == "j1939" else (1 << self.length) - 1
 
     @property
     def raw_error_min(self) -> int | None:
         """Raw values from here up to ``raw_absent_min`` say "error"; None: no such code."""
-        return _J1939_ERROR_MIN[self.length] if self.coding == "j1939" else None
+        return self._code(0xFE, 2)
 
     @property
     def raw_absent_min(self) -> int | None:
         """Raw values from here say "not available"; None: no such code."""
-        return _J1939_ABSENT_MIN[self.length] if self.coding == "j1939" else None
+        return self._code(0xFF, 1)
+
+    def _code(self, top_byte: int, below_end: int) -> int | None:
+        if self.coding != "j1939":
+            return None
+        return top_byte << (self.length - 8) if self.length >= 8 else (1 << self.length) - below_end
 
     def physical(self, raw: float) -> float:
         """Physical value of a raw one."""
