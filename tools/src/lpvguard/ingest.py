@@ -405,15 +405,14 @@ def _within_limits(column: Column, terms: list[_Source]) -> None:
 
 
 def _in_order(source: _Source) -> _Source:
-    """Samples by time; of several with the same time the last in the log stays."""
-    t, value = source.t_ns, source.value
-    if len(t) > 1 and (np.diff(t) <= 0).any():
+    """Samples by time. Two at the same time (frames read from a buffer) both stay: a step, of the earlier to the later."""
+    t = source.t_ns
+    source.report["same_time"] = int((np.diff(t) == 0).sum())
+    if (np.diff(t) < 0).any():
         order = np.argsort(t, kind="stable")
-        t, value = t[order], value[order]
-        keep = np.append(np.diff(t) > 0, True)
-        source.report["same_time"] = int((~keep).sum())
-        t, value = t[keep], value[keep]
-    return _Source(t, value, source.report)
+        source.report["out_of_order"] = int((np.diff(t) < 0).sum())
+        return _Source(t[order], source.value[order], source.report)
+    return source
 
 
 def _describe(source: _Source, max_gap_s: float) -> dict:

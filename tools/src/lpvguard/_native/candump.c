@@ -13,11 +13,12 @@
 enum { NAME = 16, CHANNELS = 64, MAX_BYTES = 64 };
 enum { BAD_LINES, FIRST_BAD_LINE, ERROR_FRAMES, REMOTE_FRAMES, N_CHANNELS, LONGEST, N_COUNTS };
 
-static int hex(unsigned char c) {
-    if (c >= '0' && c <= '9') return c - '0';
-    c |= 0x20;
-    return c >= 'a' && c <= 'f' ? c - 'a' + 10 : -1;
-}
+/* Value of a hexadecimal digit plus one; 0 for any other character. */
+static const uint8_t kHex[256] = {
+    ['0'] = 1,  ['1'] = 2,  ['2'] = 3,  ['3'] = 4,  ['4'] = 5,  ['5'] = 6,  ['6'] = 7,  ['7'] = 8,  ['8'] = 9,  ['9'] = 10, ['A'] = 11,
+    ['B'] = 12, ['C'] = 13, ['D'] = 14, ['E'] = 15, ['F'] = 16, ['a'] = 11, ['b'] = 12, ['c'] = 13, ['d'] = 14, ['e'] = 15, ['f'] = 16};
+
+static int hex(char c) { return kHex[(unsigned char)c] - 1; }
 
 /* Unsigned decimal; *p moves behind it. Returns -1 without a digit or beyond 17 digits. */
 static int64_t decimal(const char** p, const char* end) {
@@ -64,7 +65,7 @@ static int line(const char* p, const char* end, long n, int width, int64_t* t_ns
     while (p < end && *p == ' ') ++p;
     const char* start = p;
     uint32_t identifier = 0;
-    for (int digit; p < end && p - start < 9 && (digit = hex((unsigned char)*p)) >= 0; ++p) identifier = identifier << 4 | (uint32_t)digit;
+    for (int digit; p < end && p - start < 9 && (digit = hex(*p)) >= 0; ++p) identifier = identifier << 4 | (uint32_t)digit;
     const long digits = p - start;
     if ((digits != 3 && digits != 8) || p == end || *p != '#') return -1;
     ++p;
@@ -77,13 +78,13 @@ static int line(const char* p, const char* end, long n, int width, int64_t* t_ns
         return 0;
     }
     if (p < end && *p == '#') {
-        if (++p == end || hex((unsigned char)*p) < 0) return -1;
+        if (++p == end || hex(*p) < 0) return -1;
         ++p;
     }
     uint8_t bytes[MAX_BYTES];
     int count = 0;
     for (; p + 1 < end && count < MAX_BYTES; p += 2, ++count) {
-        const int high = hex((unsigned char)p[0]), low = hex((unsigned char)p[1]);
+        const int high = hex(p[0]), low = hex(p[1]);
         if (high < 0 || low < 0) break;
         bytes[count] = (uint8_t)(high << 4 | low);
     }
