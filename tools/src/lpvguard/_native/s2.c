@@ -19,7 +19,7 @@ enum { MAX_N = 16, MAX_OPEN = 256, MAX_NEWTON = 60, MAX_DUALS = 240 };
 
 typedef struct { double re, im; } cpx;
 typedef struct { int n; const cpx *q0, *qw, *a, *b; double p_max, gap; } problem;
-typedef struct { double mu[2], value, slope, barrier; cpx z[MAX_N]; } dual_point;
+typedef struct { double mu[2], value, slope; cpx z[MAX_N]; } dual_point;
 
 /* Factor S_TT = C C^*, with the bordered row: returns L(mu, p), or NAN when S_TT is not positive definite. On return
  * c holds the factor (lower triangle), y = C^-1 S_Tt. */
@@ -89,94 +89,97 @@ static double form(int n, const cpx *q, const cpx *z) {
     return sum;
 }
 
-/* W = C^-1 Q_TT C^-* (Hermitian), its trace; u = C^-1 (Q z)_T; returns z* Q z. Q = qa - p qb. */
-static double push(const problem *pr, const cpx *qa, const cpx *qb, double p, const cpx c[MAX_N][MAX_N], const cpx *z,
-                   cpx w[MAX_N][MAX_N], double *trace, cpx *u) {
-    const int n = pr->n, d = n - 1;
-    cpx col[MAX_N];
+/* u = C^-1 (Q z)_T and z* Q z for Q = qa - p qb. */
+static double push(const problem *pr, const cpx *qa, const cpx *qb, double p, const cpx c[MAX_N][MAX_N], const cpx *z, cpx *u) {
+    const int n = pr->n;
     double value = 0.0;
     for (int i = 0; i < n; i++) {
         double re = 0.0, im = 0.0;
         for (int j = 0; j < n; j++) {
-            const cpx q = {qa[i * n + j].re - (qb ? p * qb[i * n + j].re : 0.0), qa[i * n + j].im - (qb ? p * qb[i * n + j].im : 0.0)};
-            if (i < d && j < d) w[j][i] = q;            /* column j, so that forward works on rows */
+            const cpx q = {qa[i * n + j].re - p * qb[i * n + j].re, qa[i * n + j].im - p * qb[i * n + j].im};
             re += q.re * z[j].re - q.im * z[j].im;
             im += q.re * z[j].im + q.im * z[j].re;
         }
         value += z[i].re * re + z[i].im * im;
         u[i] = (cpx){re, im};
     }
-    forward(d, c, u);
-    for (int j = 0; j < d; j++) forward(d, c, w[j]);    /* w[j] = column j of C^-1 Q */
-    *trace = 0.0;
-    for (int i = 0; i < d; i++) {
-        for (int j = 0; j < d; j++) col[j] = (cpx){w[j][i].re, -w[j][i].im};   /* row i of C^-1 Q, conjugated */
-        forward(d, c, col);                             /* C^-1 (row i)^* = column i of W^* */
-        for (int j = 0; j < d; j++) w[j][i] = (cpx){col[j].re, -col[j].im};
-        *trace += w[i][i].re;
-    }
+    forward(n - 1, c, u);
     return value;
 }
 
-static double inner(int d, cpx a[MAX_N][MAX_N], cpx b[MAX_N][MAX_N]) {
+static double dot(int d, const cpx *a, const cpx *b) {
     double s = 0.0;
-    for (int i = 0; i < d; i++)
-        for (int j = 0; j < d; j++) s += a[i][j].re * b[i][j].re + a[i][j].im * b[i][j].im;
+    for (int i = 0; i < d; i++) s += a[i].re * b[i].re + a[i].im * b[i].im;
     return s;
 }
 
-/* Barrier Newton for max L(mu, p) from the multipliers in *at; stops when the centre is within eps_end of the dual
- * optimum, or as soon as the value exceeds stop_above. Returns 0 when no multipliers with S_TT > 0 were found. */
-static int maximise_dual(const problem *pr, double p, double eps_end, double stop_above, dual_point *at) {
+/* Interior-point Newton (predictor, corrector) for max L(mu, p), mu >= 0, from the multipliers in *at.
+ *
+ * The gradient of L is (z* Qw z, z* (A - p B) z) at z = z(mu), so that a feasible z leaves the gap -mu . gradient
+ * between L and the cost of z: the stopping rule is exact. It stops when that gap is below `fine`; already at
+ * `coarse` when p + L exceeds `beyond` (only a rough bound is needed there); and when p + L exceeds `enough`.
+ * Returns 0 when no multipliers with S_TT > 0 were found. */
+static int maximise_dual(const problem *pr, double p, double fine, double coarse, double beyond, double enough, dual_point *at) {
     const int d = pr->n - 1;
-    cpx c[MAX_N][MAX_N], y[MAX_N], w0[MAX_N][MAX_N], w1[MAX_N][MAX_N], u0[MAX_N], u1[MAX_N];
-    double value = factor(pr, at->mu, p, c, y);
+    cpx c[MAX_N][MAX_N], y[MAX_N], u0[MAX_N], u1[MAX_N];
+    double slack[2] = {0.0, 0.0}, *mu = at->mu, value = factor(pr, mu, p, c, y);
     for (int k = 0; k < 60 && isnan(value); k++) {
-        at->mu[1] *= 0.25;
-        value = factor(pr, at->mu, p, c, y);
+        mu[1] *= 0.25;
+        value = factor(pr, mu, p, c, y);
     }
     if (isnan(value)) return 0;
-    double eps = fmax(at->barrier, eps_end);
     for (int it = 0; it < MAX_NEWTON; it++) {
-        double t0, t1;
         primal(d, c, y, at->z);
-        const double g0 = push(pr, pr->qw, NULL, 0.0, c, at->z, w0, &t0, u0), g1 = push(pr, pr->a, pr->b, p, c, at->z, w1, &t1, u1);
+        const double g0 = push(pr, pr->qw, pr->b, 0.0, c, at->z, u0), g1 = push(pr, pr->a, pr->b, p, c, at->z, u1);
+        const double gap = -(mu[0] * g0 + mu[1] * g1);
         at->value = value;
-        if (value > stop_above) break;
-        double uu00 = 0.0, uu01 = 0.0, uu11 = 0.0;
-        for (int i = 0; i < d; i++) {
-            uu00 += u0[i].re * u0[i].re + u0[i].im * u0[i].im;
-            uu01 += u0[i].re * u1[i].re + u0[i].im * u1[i].im;
-            uu11 += u1[i].re * u1[i].re + u1[i].im * u1[i].im;
+        at->slope = 1.0 - mu[1] * form(pr->n, pr->b, at->z);
+        if (p + value > enough) break;
+        if (g0 <= 0.0 && g1 <= 0.0 && (gap <= fine || (gap <= coarse && p + value > beyond))) break;
+        if (it == 0) {
+            slack[0] = fmax(-g0, coarse / mu[0]);
+            slack[1] = fmax(-g1, coarse / mu[1]);
         }
-        const double i0 = 1.0 / at->mu[0], i1 = 1.0 / at->mu[1];
-        const double w00 = inner(d, w0, w0) + i0 * i0, w01 = inner(d, w0, w1), w11 = inner(d, w1, w1) + i1 * i1;
-        double decrement, s0, s1;
-        for (;;) {                                      /* lower eps at once while the point is already central enough */
-            const double b0 = g0 + eps * (t0 + i0), b1 = g1 + eps * (t1 + i1);
-            const double h00 = 2.0 * uu00 + eps * w00, h01 = 2.0 * uu01 + eps * w01, h11 = 2.0 * uu11 + eps * w11;
-            const double det = h00 * h11 - h01 * h01;
-            s0 = (h11 * b0 - h01 * b1) / det;
-            s1 = (h00 * b1 - h01 * b0) / det;
-            decrement = sqrt(fmax((b0 * s0 + b1 * s1) / eps, 0.0));
-            if (!(decrement < 0.7) || eps <= eps_end) break;
-            eps = fmax(eps_end, 0.1 * eps);
+        const double d0 = slack[0] / mu[0], d1 = slack[1] / mu[1];
+        const double h00 = 2.0 * dot(d, u0, u0) + d0, h01 = 2.0 * dot(d, u0, u1), h11 = 2.0 * dot(d, u1, u1) + d1;
+        const double det = h00 * h11 - h01 * h01, mean = 0.5 * (mu[0] * slack[0] + mu[1] * slack[1]);
+        /* predictor: complementarity zero */
+        double s0 = (h11 * g0 - h01 * g1) / det, s1 = (h00 * g1 - h01 * g0) / det;
+        double t0 = -slack[0] - d0 * s0, t1 = -slack[1] - d1 * s1, reach = 1.0;
+        if (s0 < 0.0) reach = fmin(reach, -mu[0] / s0);
+        if (s1 < 0.0) reach = fmin(reach, -mu[1] / s1);
+        if (t0 < 0.0) reach = fmin(reach, -slack[0] / t0);
+        if (t1 < 0.0) reach = fmin(reach, -slack[1] / t1);
+        const double left = 0.5 * ((mu[0] + reach * s0) * (slack[0] + reach * t0) + (mu[1] + reach * s1) * (slack[1] + reach * t1));
+        const double ratio = left / mean, eps = fmax(mean * fmax(ratio * ratio * ratio, 1e-3), 0.05 * fine);
+        /* corrector towards eps */
+        const double e0 = eps / mu[0], e1 = eps / mu[1], b0 = g0 + e0, b1 = g1 + e1;
+        s0 = (h11 * b0 - h01 * b1) / det;
+        s1 = (h00 * b1 - h01 * b0) / det;
+        t0 = e0 - slack[0] - d0 * s0;
+        t1 = e1 - slack[1] - d1 * s1;
+        if (!isfinite(s0) || !isfinite(s1)) break;
+        double length = 1.0;
+        if (s0 < 0.0) length = fmin(length, -0.95 * mu[0] / s0);
+        if (s1 < 0.0) length = fmin(length, -0.95 * mu[1] / s1);
+        const double merit = value + eps * log(mu[0] * mu[1]), before[2] = {mu[0], mu[1]};
+        int taken = 0;
+        for (int k = 0; k < 40 && !taken; k++, length *= 0.4) {
+            mu[0] = before[0] + length * s0;
+            mu[1] = before[1] + length * s1;
+            value = factor(pr, mu, p, c, y);
+            taken = value + eps * log(mu[0] * mu[1]) >= merit - 1e-12 * fabs(merit);   /* false for NaN */
+            if (taken) {
+                slack[0] = fmax(slack[0] + length * t0, 0.05 * slack[0]);
+                slack[1] = fmax(slack[1] + length * t1, 0.05 * slack[1]);
+            }
         }
-        if (!isfinite(decrement) || (decrement < 0.3 && eps <= eps_end)) break;
-        double length = decrement > 0.5 ? fmin(1.0, 3.0 / (1.0 + decrement)) : 1.0, trial[2], next = NAN;
-        for (int k = 0; k < 50; k++, length *= 0.4) {
-            trial[0] = at->mu[0] + length * s0;
-            trial[1] = at->mu[1] + length * s1;
-            next = trial[0] > 0.0 && trial[1] > 0.0 ? factor(pr, trial, p, c, y) : NAN;
-            if (!isnan(next)) break;
+        if (!taken) {
+            mu[0] = before[0];
+            mu[1] = before[1];
+            break;
         }
-        if (isnan(next)) { factor(pr, at->mu, p, c, y); break; }
-        at->mu[0] = trial[0];
-        at->mu[1] = trial[1];
-        value = next;
     }
-    at->barrier = eps;
-    at->slope = 1.0 - at->mu[1] * form(pr->n, pr->b, at->z);
     return 1;
 }
 
@@ -215,10 +218,13 @@ static double cut(const interval *v) {
     return ratio > 1.5 ? v->lo * pow(ratio, x) : v->lo + x * (v->hi - v->lo);
 }
 
-/* Dual at hi, from the multipliers that v carries. */
+/* Dual at hi, from the multipliers that v carries: lifted off zero, where an interior-point method would stall. */
 static void evaluate(const problem *pr, interval *v, incumbent *best) {
-    v->at.barrier = fmax(v->at.barrier, 1e-2 * best->cost);
-    v->known = maximise_dual(pr, v->hi, 0.1 * pr->gap * best->cost / pr->n, best->cost - v->lo, &v->at);
+    const double lift = 1e-3 * best->cost;
+    v->at.mu[0] = fmax(v->at.mu[0], lift);
+    v->at.mu[1] = fmax(v->at.mu[1], lift);
+    v->known = maximise_dual(pr, v->hi, 0.1 * pr->gap * best->cost, 0.02 * best->cost, 1.05 * best->cost,
+                             best->cost + (v->hi - v->lo), &v->at);
     if (v->known) offer(pr, v->at.z, best);
     v->lower = interval_bound(pr, v);
 }
@@ -232,7 +238,7 @@ static void solve_point(const problem *pr, cpx *z, double out[4]) {
     int count = 1, duals = 1;
     memcpy(start, z, sizeof(cpx) * (size_t)pr->n);
     offer(pr, start, &best);
-    open[0] = (interval){.hi = fmin(pr->p_max, best.cost), .lo_slope = -1.0, .at = {.mu = {1.0, 1.0}, .barrier = 0.3}};
+    open[0] = (interval){.hi = fmin(pr->p_max, best.cost), .lo_slope = -1.0, .at = {.mu = {1.0, 1.0}}};
     evaluate(pr, &open[0], &best);
     while (count > 0) {
         int least = 0;

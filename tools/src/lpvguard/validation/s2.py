@@ -67,8 +67,6 @@ def solve_forms(forms: np.ndarray, z0: np.ndarray, p_max, *, gap: float = GAP) -
 @dataclass
 class _Dual:
     mu: np.ndarray
-    barrier: float
-    value: float = np.nan
     slope: float = 0.0
     z: np.ndarray | None = None
 
@@ -105,9 +103,9 @@ class _Point:
     def _form(self, q, z):
         return float(np.vdot(z, q @ z).real)
 
-    def _maximise_dual(self, p: float, eps_end: float, stop_above: float, at: _Dual) -> bool:
+    def _maximise_dual(self, p: float, fine: float, coarse: float, beyond: float, enough: float, at: _Dual) -> bool:
         d = self.n - 1
-        mu = at.mu.copy()
+        mu = at.mu
         value, c, y = self._factor(mu, p)
         for _ in range(60):
             if not np.isnan(value):
@@ -116,41 +114,44 @@ class _Point:
             value, c, y = self._factor(mu, p)
         if np.isnan(value):
             return False
-        eps = max(at.barrier, eps_end)
         pair = (self.qw, self.a - p * self.b)
-        for _ in range(_MAX_NEWTON):
+        slack = np.zeros(2)
+        for it in range(_MAX_NEWTON):
             z = np.append(-np.linalg.solve(c.conj().T, y), 1.0)
-            at.value, at.z, at.mu = value, z, mu
-            if value > stop_above:
-                break
-            inverse = np.linalg.inv(c)
-            w = [inverse @ q[:d, :d] @ inverse.conj().T for q in pair]
-            u = [inverse @ (q @ z)[:d] for q in pair]
             g = np.array([self._form(q, z) for q in pair])
-            trace = np.array([np.trace(x).real for x in w]) + 1.0 / mu
-            curve = 2.0 * np.array([[np.vdot(a, b).real for a in u] for b in u])
-            spread = np.array([[np.vdot(a, b).real for a in w] for b in w]) + np.diag(1.0 / mu**2)
-            while True:
-                slope = g + eps * trace
-                step = np.linalg.solve(curve + eps * spread, slope)
-                decrement = np.sqrt(max(float(slope @ step) / eps, 0.0))
-                if not decrement < 0.7 or eps <= eps_end:
-                    break
-                eps = max(eps_end, 0.1 * eps)
-            if not np.isfinite(decrement) or (decrement < 0.3 and eps <= eps_end):
+            u = [np.linalg.solve(c, (q @ z)[:d]) for q in pair]
+            gap = -float(mu @ g)
+            at.z, at.slope = z, 1.0 - mu[1] * self._form(self.b, z)
+            if p + value > enough:
                 break
-            length = min(1.0, 3.0 / (1.0 + decrement)) if decrement > 0.5 else 1.0
-            for _ in range(50):
-                trial = mu + length * step
-                found = self._factor(trial, p) if np.all(trial > 0.0) else (np.nan, None, None)
-                if not np.isnan(found[0]):
+            if np.all(g <= 0.0) and (gap <= fine or (gap <= coarse and p + value > beyond)):
+                break
+            if it == 0:
+                slack = np.maximum(-g, coarse / mu)
+            hessian = 2.0 * np.array([[np.vdot(v, w).real for v in u] for w in u]) + np.diag(slack / mu)
+            mean = 0.5 * float(mu @ slack)
+            step = np.linalg.solve(hessian, g)
+            move = -slack - slack / mu * step
+            both, steps = np.concatenate([mu, slack]), np.concatenate([step, move])
+            reach = min(1.0, *(-both[steps < 0.0] / steps[steps < 0.0]), 1.0)
+            left = 0.5 * float((mu + reach * step) @ (slack + reach * move))
+            eps = max(mean * max((left / mean) ** 3, 1e-3), 0.05 * fine)
+            step = np.linalg.solve(hessian, g + eps / mu)
+            move = eps / mu - slack - slack / mu * step
+            if not np.all(np.isfinite(step)):
+                break
+            length = min(1.0, *(-0.95 * mu[step < 0.0] / step[step < 0.0]), 1.0)
+            merit, before = value + eps * np.log(mu[0] * mu[1]), mu.copy()
+            for _ in range(40):
+                mu[:] = before + length * step
+                value, c, y = self._factor(mu, p)
+                if value + eps * np.log(mu[0] * mu[1]) >= merit - 1e-12 * abs(merit):
+                    slack = np.maximum(slack + length * move, 0.05 * slack)
                     break
                 length *= 0.4
             else:
+                mu[:] = before
                 break
-            mu, (value, c, y) = trial, found
-        at.barrier = eps
-        at.slope = 1.0 - at.mu[1] * self._form(self.b, at.z)
         return True
 
     def _offer(self, z) -> None:
@@ -175,8 +176,10 @@ class _Point:
         return v.lo * ratio**x if ratio > 1.5 else v.lo + x * (v.hi - v.lo)
 
     def _evaluate(self, v: _Interval) -> None:
-        v.at.barrier = max(v.at.barrier, 1e-2 * self.cost)
-        v.known = self._maximise_dual(v.hi, 0.1 * self.gap * self.cost / self.n, self.cost - v.lo, v.at)
+        np.maximum(v.at.mu, 1e-3 * self.cost, out=v.at.mu)
+        v.known = self._maximise_dual(
+            v.hi, 0.1 * self.gap * self.cost, 0.02 * self.cost, 1.05 * self.cost, self.cost + (v.hi - v.lo), v.at
+        )
         if v.known:
             self._offer(v.at.z)
         v.lower = self._bound(v)
@@ -184,7 +187,7 @@ class _Point:
     def solve(self, start: np.ndarray):
         """((lower, upper, p, duals), z) by best-first branch and bound over p."""
         self._offer(start)
-        first = _Interval(0.0, min(self.p_max, self.cost), 0.0, -1.0, False, _Dual(np.ones(2), 0.3))
+        first = _Interval(0.0, min(self.p_max, self.cost), 0.0, -1.0, False, _Dual(np.ones(2)))
         self._evaluate(first)
         closed, duals = np.inf, 1
         heap = [(first.lower, 0, first)]
@@ -192,8 +195,7 @@ class _Point:
             if heap[0][0] >= self.cost * (1.0 - self.gap) or duals >= _MAX_DUALS or len(heap) + 1 >= _MAX_OPEN:
                 break
             right = heapq.heappop(heap)[2]
-            at = right.at
-            left = _Interval(right.lo, self._cut(right), right.lower, right.lo_slope, False, _Dual(at.mu.copy(), at.barrier))
+            left = _Interval(right.lo, self._cut(right), right.lower, right.lo_slope, False, _Dual(right.at.mu.copy(), right.at.slope))
             right.lo = left.hi
             duals += 1
             self._evaluate(left)
