@@ -23,7 +23,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import eigh
 from scipy.optimize import minimize
 
 from lpvguard.errors import InputError
@@ -239,32 +238,16 @@ class _Quadratic:
                 add("psd", r, gram(d, d) - box.radius**2 * bb, 0.0 * bb, -1)
         return np.array(q0), np.array(level), np.array(param), lmi.cone(groups)
 
-    def _ray_length(self, q0, level, cone, cutoff):
-        """Largest certified length along one ray, its multipliers, and the primal matrix at the end."""
-        length, y, inverse = 0.0, None, None
-        for _ in range(40):
-            centre = lmi.maximise_level(q0 - length * level, cone, relative=0.3, absolute=1e-8)
-            inverse = centre.inverse
-            if centre.x <= 0.0:
-                break
-            y = centre.y
-            longer = _reach(q0, level, y)
-            done = longer <= length * (1.0 + 1e-6)
-            length = max(length, longer)
-            if done or length > cutoff:
-                break
-        return length, y, inverse
-
     def lower(self, node: _Node, cutoff: float):
         """Certified lower bound over a node: (bound, length on the central ray, primal directions)."""
         q0, level, param, cone = self._certificate_forms(node.boxes)
         weight = np.append(node.rays.mean(axis=0), 0.0)
-        length, y, inverse = self._ray_length(q0, level * weight[param][:, None, None], cone, cutoff)
+        length, y, inverse = lmi.ray_length(q0, level * weight[param][:, None, None], cone, cutoff)
         if y is None:
             edges = 0.0
         else:
             edges = min(
-                _reach(q0, level * np.append(ray, 0.0)[param][:, None, None], y) for ray in node.rays
+                lmi.reach(q0, level * np.append(ray, 0.0)[param][:, None, None], y) for ray in node.rays
             )
         return edges, length, inverse
 
@@ -500,17 +483,6 @@ class _Quadratic:
         f = self.forms[k]
         bound = np.sqrt((f.constant + (cost if f.param >= 0 else 0.0)) * f.slope) * (1.0 + 1e-9)
         return _Box(-bound, bound) if f.repeated == "repeated_real" else _Box(-bound * (1 + 1j), bound * (1 + 1j))
-
-
-def _reach(q0: np.ndarray, level: np.ndarray, y: np.ndarray) -> float:
-    """Largest length at which the multipliers y still certify: sum y (Q0 - length level) >= 0."""
-    zero, slope = np.tensordot(y, q0, axes=1), np.tensordot(y, level, axes=1)
-    zero = 0.5 * (zero + zero.conj().T)
-    try:
-        top = eigh(slope, zero, eigvals_only=True, check_finite=False)[-1]
-    except np.linalg.LinAlgError:
-        return 0.0
-    return 1.0 / top * (1.0 - 1e-12) if top > 0.0 else np.inf
 
 
 # --- the problems of the interface -------------------------------------------------------------------------------

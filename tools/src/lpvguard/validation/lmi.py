@@ -9,11 +9,18 @@ is feasible, so that every bound read from it is rigorous whenever the iteration
 
 from __future__ import annotations
 
+import ctypes
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import eigh
+
+from lpvguard import native
 
 MAX_NEWTON = 120
+
+_NATIVE_N, _NATIVE_M, _NATIVE_ORDER = 16, 64, 4
+"""Sizes that the compiled version's fixed arrays hold (_native/ray.c); larger problems run in numpy."""
 
 
 @dataclass(frozen=True)
@@ -149,3 +156,52 @@ def maximise_level(q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: f
                 break
             eps *= 0.15
     return Centre(y, float(x), float(x_above), inverse)
+
+
+def reach(q0: np.ndarray, level: np.ndarray, y: np.ndarray) -> float:
+    """Largest length at which the multipliers y still certify: sum_j y_j (Q0_j - length L_j) >= 0; inf if all do."""
+    zero, slope = np.tensordot(y, q0, axes=1), np.tensordot(y, level, axes=1)
+    zero = 0.5 * (zero + zero.conj().T)
+    try:
+        top = eigh(slope, zero, eigvals_only=True, check_finite=False)[-1]
+    except np.linalg.LinAlgError:
+        return 0.0
+    return 1.0 / top * (1.0 - 1e-12) if top > 0.0 else np.inf
+
+
+def _ray_length_numpy(q0, level, c: Cone, cutoff: float):
+    length, y, inverse = 0.0, None, None
+    for _ in range(40):
+        centre = maximise_level(q0 - length * level, c, relative=0.3, absolute=1e-8)
+        inverse = centre.inverse
+        if centre.x <= 0.0:
+            break
+        y = centre.y
+        longer = reach(q0, level, y)
+        done = longer <= length * (1.0 + 1e-6)
+        length = max(length, longer)
+        if done or length > cutoff:
+            break
+    return length, y, inverse
+
+
+def ray_length(q0: np.ndarray, level: np.ndarray, c: Cone, cutoff: float = np.inf):
+    """Largest certified length: (length, its multipliers y or None, the primal matrix at the end).
+
+    ``q0``, ``level`` (m, n, n): the forms are Q0 - length L, L >= 0. No point satisfies all of them at a smaller
+    length. Dinkelbach's iteration: each y is used up to the largest length that it proves. Stops above ``cutoff``.
+    """
+    m, n = q0.shape[:2]
+    lib = native.kernels()
+    if lib is None or n > _NATIVE_N or m > _NATIVE_M or max(c.order) > _NATIVE_ORDER:
+        return _ray_length_numpy(q0, level, c, cutoff)
+    q0, level = np.ascontiguousarray(q0, dtype=complex), np.ascontiguousarray(level, dtype=complex)
+    y, inverse, found = np.zeros(m), np.zeros((n, n), dtype=complex), ctypes.c_int(0)
+    groups = [np.array(part, dtype=np.int32) for part in (c.start, c.size, c.order)]
+    pointer = ctypes.c_void_p
+    lib.lpvg_ray.restype = ctypes.c_double
+    length = lib.lpvg_ray(
+        n, m, len(c.order), *(a.ctypes.data_as(pointer) for a in (*groups, q0, level)), ctypes.c_double(cutoff),
+        y.ctypes.data_as(pointer), ctypes.byref(found), inverse.ctypes.data_as(pointer),
+    )
+    return length, y if found.value else None, inverse
