@@ -57,10 +57,10 @@ def _explanation(s: lft.Solution) -> dict:
     }
 
 
-def _size_or_reason(answer: dict, name: str, solver, *args) -> None:
+def _or_reason(answer: dict, name: str, solver) -> None:
     """A side question of ``lft``: its own failure is a null with a reason, not a failure of the problem."""
     try:
-        answer[name] = float(np.sqrt(solver(*args).upper))
+        answer[name] = float(solver())
     except InputError as exc:
         answer[name] = None
         answer[f"{name}_reason"] = str(exc)
@@ -74,8 +74,8 @@ def solve_lft(f: Fields) -> dict:
     lambda_w = f.weights("lambda_w", n_w) if f.has("lambda_w") else None
     s = lft.optimum(problem, gamma, f.weights("lambda_nu", tau), lambda_w)
     answer = {"J_lower": s.lower, "J_upper": s.upper, "B1": s.b1} | _explanation(s)
-    _size_or_reason(answer, "nu_s_min", lft.smallest_last_block, problem, gamma)
-    _size_or_reason(answer, "t_minmax", lft.smallest_common_size, problem, gamma)
+    _or_reason(answer, "nu_s_min", lambda: lft.smallest_last_block(problem, gamma)[1])
+    _or_reason(answer, "t_minmax", lambda: np.sqrt(lft.smallest_common_size(problem, gamma).upper))
     return answer
 
 

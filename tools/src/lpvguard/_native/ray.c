@@ -17,7 +17,7 @@ typedef struct { double re, im; } cpx;
 typedef cpx matrix[MAX_N][MAX_N];
 typedef struct {
     int n, m, groups;
-    const int *start, *size, *order;
+    const int *start, *order;
     const cpx *q0, *level;
 } problem;
 
@@ -291,9 +291,9 @@ static double reach(const problem *p, const double *y, double from) {
 
 /* Returns the certified length. y (m) out: its multipliers, valid when *found; inverse (n x n) out: the primal at the end.
  * -1 when the sizes do not fit the fixed arrays. */
-double lpvg_ray(int n, int m, int groups, const int *start, const int *size, const int *order, const cpx *q0, const cpx *level,
-                double cutoff, double *y, int *found, cpx *inverse) {
-    const problem p = {n, m, groups, start, size, order, q0, level};
+double lpvg_ray(int n, int m, int groups, const int *start, const int *order, const cpx *q0, const cpx *level, double cutoff,
+                double *y, int *found, cpx *inverse) {
+    const problem p = {n, m, groups, start, order, q0, level};
     *found = 0;
     if (n > MAX_N || m > MAX_M) return -1.0;
     double degree = 0.0, length = 0.0, next[MAX_M];

@@ -26,7 +26,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from lpvguard.errors import InputError
-from lpvguard.validation import lmi
+from lpvguard.validation import lmi, s2
 from lpvguard.validation.delta import Block, Verification, split, verify
 
 RANK_TOLERANCE = 1e-10
@@ -35,10 +35,19 @@ RANK_TOLERANCE = 1e-10
 IMAGE_TOLERANCE = 1e-8
 """e is in Im M when what M cannot produce is below this fraction of |e|."""
 
+EDGE = 1e-9
+"""gamma_w within this of B1, relative, counts as B1."""
+
 GAP = 1e-4
 """Relative distance of the two sides at which the branch and bound stops."""
 
-MAX_NODES = 600
+MAX_NODES = 5000
+
+SAMPLES = 150
+"""Draws of the scalars of repeated blocks when looking for a first feasible point."""
+
+MAX_POLISHED = 6
+"""Local searches from relaxed solutions before only improvements get one."""
 
 
 @dataclass(frozen=True)
@@ -205,6 +214,7 @@ class _Quadratic:
     def __init__(self, forms: Sequence[_Form], params: int):
         self.forms, self.params = list(forms), params
         self.repeated = [k for k, f in enumerate(self.forms) if f.repeated]
+        self._plain = None if self.repeated else self._certificate_forms({})
 
     # -- certificates
 
@@ -240,15 +250,14 @@ class _Quadratic:
 
     def lower(self, node: _Node, cutoff: float):
         """Certified lower bound over a node: (bound, length on the central ray, primal directions)."""
-        q0, level, param, cone = self._certificate_forms(node.boxes)
+        q0, level, param, cone = self._plain or self._certificate_forms(node.boxes)
         weight = np.append(node.rays.mean(axis=0), 0.0)
         length, y, inverse = lmi.ray_length(q0, level * weight[param][:, None, None], cone, cutoff)
-        if y is None:
-            edges = 0.0
-        else:
-            edges = min(
-                lmi.reach(q0, level * np.append(ray, 0.0)[param][:, None, None], y) for ray in node.rays
-            )
+        edges = 0.0
+        if y is not None:
+            rays = np.column_stack([node.rays, np.zeros(self.params)])
+            slopes = np.tensordot(rays[:, param] * y, level, axes=1)
+            edges = float(np.min(lmi.reach(np.tensordot(y, q0, axes=1), slopes)))
         return edges, length, inverse
 
     # -- feasible points
@@ -399,6 +408,89 @@ class _Quadratic:
             )
         return unpack(done.x)[0] if np.all(np.isfinite(done.x)) else None
 
+    def _inside(self, deltas: dict[int, complex]) -> tuple[float, np.ndarray | None]:
+        """Point with a z = delta b z that violates the constant constraints least, and how far: ratio <= 1 is inside."""
+        z, null = self._on_subspace(self._origin(), deltas)
+        if z is None:
+            return np.inf, None
+        fixed = [f for f in self.forms if f.param < 0 and not f.repeated]
+        if not fixed:
+            return 0.0, z
+        if null is None:
+            null = np.eye(len(z) - 1, dtype=complex)
+        left = np.vstack([f.a[:, :-1] @ null / np.sqrt(f.constant * f.slope) for f in fixed])
+        right = np.concatenate([f.a @ z / np.sqrt(f.constant * f.slope) for f in fixed])
+        step, *_ = np.linalg.lstsq(left, -right, rcond=RANK_TOLERANCE)
+        z = z + np.append(null @ step, 0.0)
+        return max(
+            float(np.linalg.norm(f.a @ z) / np.sqrt(f.constant * f.slope) / np.linalg.norm(f.b @ z)) for f in fixed
+        ), z
+
+    def _origin(self) -> np.ndarray:
+        return np.append(np.zeros(self.forms[0].a.shape[1] - 1, dtype=complex), 1.0)
+
+    def _repeated_starts(self) -> list[np.ndarray]:
+        """Points inside the constant constraints for problems with repeated blocks: sampling, then descent on them.
+
+        The scalars are sampled up to a few times the size at which the block, from its constant input, reaches the
+        scale of its output.
+        """
+        if not self.repeated:
+            return []
+        generator = np.random.default_rng(0)
+        bounds = []
+        for k in self.repeated:
+            f = self.forms[k]
+            bottom = np.linalg.norm(f.b[:, -1])
+            bounds.append(4.0 * np.linalg.norm(f.a) / bottom if bottom > 0.0 else 1.0)
+        real = [self.forms[k].repeated == "repeated_real" for k in self.repeated]
+
+        def scalars(v):
+            return {k: complex(v[2 * i], 0.0 if real[i] else v[2 * i + 1]) for i, k in enumerate(self.repeated)}
+
+        def violation(v):
+            return self._inside(scalars(v))[0]
+
+        draws = []
+        for _ in range(SAMPLES):
+            size = np.array(bounds) * 10.0 ** generator.uniform(-3.0, 0.0, len(bounds))
+            phase = np.where(real, generator.choice([-1.0, 1.0], len(bounds)), np.exp(2j * np.pi * generator.uniform(size=len(bounds))))
+            point = size * phase
+            v = np.column_stack([point.real, point.imag]).ravel()
+            draws.append((violation(v), tuple(v)))
+        draws.sort()
+        starts = []
+        for level, v in draws[:MAX_POLISHED]:
+            v = np.array(v)
+            if level > 1.0:
+                v = minimize(
+                    lambda x: max(violation(x), 1.0 - 1e-9), v, method="Nelder-Mead",
+                    options={"maxfev": 100 * v.size, "xatol": 0.0, "fatol": 0.0},
+                ).x
+            level, z = self._inside(scalars(v))
+            if level <= 1.0 + 1e-9:
+                starts.append(z)
+        return starts
+
+    def _zero(self) -> np.ndarray | None:
+        """A point that needs no size at all, when there is one: the optimum is then exactly zero."""
+        if any(np.isinf(f.constant) for f in self.forms):
+            return None
+        rows = np.vstack([f.a for f in self.forms if f.param >= 0])
+        left = rows[:, :-1]
+        theta, *_ = np.linalg.lstsq(left, -rows[:, -1], rcond=RANK_TOLERANCE)
+        z = np.append(theta, 1.0)
+        _, s, vh = np.linalg.svd(left)
+        null = vh[int(np.sum(s > RANK_TOLERANCE * max(s[0], 1e-300))) if s.size else 0 :].conj().T
+        fixed = [f for f in self.forms if f.param < 0]
+        for f in fixed:
+            step, *_ = np.linalg.lstsq(f.a[:, :-1] @ null, -(f.a @ z), rcond=RANK_TOLERANCE)
+            z = z + np.append(null @ step, 0.0)
+        if np.linalg.norm(rows @ z) > 1e-12 * np.linalg.norm(np.abs(rows) @ np.abs(z)):
+            return None
+        inside = all(np.linalg.norm(f.a @ z) ** 2 <= f.constant * f.slope * np.linalg.norm(f.b @ z) ** 2 for f in fixed)
+        return z if inside else None
+
     def _offer(self, z: np.ndarray | None, best: _Best) -> None:
         z = self.repair(z) if z is not None else None
         if z is not None:
@@ -414,10 +506,13 @@ class _Quadratic:
 
     # -- branch and bound
 
-    def solve(self, starts: Sequence[np.ndarray] = (), gap: float = GAP, max_nodes: int = MAX_NODES) -> Interval:
-        """Both sides of the optimum; ``starts`` are points to begin the local searches from."""
+    def solve(self, gap: float = GAP, max_nodes: int = MAX_NODES) -> Interval:
+        """Both sides of the optimum by best-first branch and bound; the upper side is inf when no point was found."""
+        zero = self._zero()
+        if zero is not None:
+            return Interval(0.0, 0.0, zero, 0)
         best, serial = _Best(), 0
-        for z in starts:
+        for z in [self._origin(), *self._repeated_starts()]:
             self._offer(z, best)
             self._offer(self.polish(z), best)
         rays = np.eye(self.params)
@@ -431,10 +526,11 @@ class _Quadratic:
                 break
             edges, central, inverse = self.lower(node, best.cost)
             lower = max(node.lower, edges, self._box_bound(node))
-            for z in self._candidates(inverse):
+            readings = self._candidates(inverse)
+            for z in readings if polished < MAX_POLISHED else readings[:1]:
                 before = best.cost
                 self._offer(z, best)
-                if polished < 6 or best.cost < before:
+                if polished < MAX_POLISHED or best.cost < before:
                     polished += 1
                     self._offer(self.polish(z), best)
             if lower >= best.cost * (1.0 - gap):
@@ -510,10 +606,15 @@ class Solution:
 class _Posed:
     """One LFT point in well-scaled coordinates: the maps of the blocks and of w, and the way back."""
 
-    def __init__(self, problem: Lft, w_scale: np.ndarray):
+    def __init__(self, problem: Lft, w_scale: np.ndarray, gamma_w: float = np.inf):
         self.problem = problem
         par = parametrise(problem)
         self.b1 = par.b1
+        # At gamma_w = B1 the ball is one point: phi = 0 is then a constraint, and no interior is left to the solvers.
+        self.ball_is_point = gamma_w <= par.b1 * (1.0 + EDGE) or gamma_w == 0.0
+        if self.ball_is_point:
+            keep = np.r_[par.n_phi : par.xi_map.shape[1]]
+            par = replace(par, xi_map=par.xi_map[:, keep], w_map=par.w_map[:, keep], eta_map=par.eta_map[:, keep], n_phi=0)
         dead = [
             i for i, eta in enumerate(split(problem.blocks, par.eta_map, "cols")) if not np.any(eta)
         ]
@@ -577,10 +678,6 @@ class _Posed:
     def constant_eta(self, i: int) -> bool:
         """True when block i's input does not depend on the free variables."""
         return not np.any(self.eta[i][:, :-1])
-
-    def centre(self) -> np.ndarray:
-        """Least-squares point in the scaled coordinates: a start that any structure has."""
-        return np.append(np.zeros(self.t.shape[1] - 1, dtype=complex), 1.0)
 
     def signals(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(xi, eta, w) at a point in scaled coordinates."""
@@ -656,15 +753,15 @@ def _scalar(block: Block) -> str | None:
     return block.type if block.type == "repeated_real" else None
 
 
-def _ball(posed: _Posed, gamma_w: float) -> _Form:
-    return _Form(posed.w, posed.t, constant=gamma_w**2)
+def _ball(posed: _Posed, gamma_w: float) -> list[_Form]:
+    return [] if posed.ball_is_point else [_Form(posed.w, posed.t, constant=gamma_w**2)]
 
 
 def _pose(problem: Lft, gamma_w: float) -> _Posed:
     if not np.isfinite(gamma_w) or gamma_w < 0.0:
         raise InputError(problem.source, "gamma_w", f"{gamma_w}", "a finite number that is not negative")
-    posed = _Posed(problem, np.full(problem.p22.shape[1], gamma_w or np.linalg.norm(problem.e) or 1.0))
-    if posed.b1 > gamma_w * (1.0 + 1e-12):
+    posed = _Posed(problem, np.full(problem.p22.shape[1], gamma_w or np.linalg.norm(problem.e) or 1.0), gamma_w)
+    if posed.b1 > gamma_w * (1.0 + EDGE):
         raise InputError(
             problem.source, "gamma_w", f"{gamma_w:.6g} is below the smallest disturbance B1 = {posed.b1:.6g}",
             "gamma_w >= B1",
@@ -680,7 +777,7 @@ def optimum(problem: Lft, gamma_w: float, lambda_nu, lambda_w=None, *, gap: floa
     """
     posed = _pose(problem, gamma_w)
     lam = np.asarray(lambda_nu, dtype=float)
-    forms, quadratic = [_ball(posed, gamma_w)], []
+    forms, quadratic = _ball(posed, gamma_w), []
     params = 0
     if lambda_w is not None and np.any(lambda_w):
         quadratic.append(np.sqrt(np.asarray(lambda_w, dtype=float))[:, None] * posed.w)
@@ -697,27 +794,72 @@ def optimum(problem: Lft, gamma_w: float, lambda_nu, lambda_w=None, *, gap: floa
     if quadratic:
         forms.append(_Form(np.vstack(quadratic), posed.t, param=params))
         params += 1
-    interval = _Quadratic(forms, max(params, 1)).solve([posed.centre()], gap)
+    quadratic_problem = _Quadratic(forms, max(params, 1))
+    interval = _one_block(quadratic_problem, block_caps(problem), posed) if quadratic and params == 2 else None
+    if interval is None or not interval.upper - interval.lower <= 2.0 * gap * interval.upper:
+        interval = quadratic_problem.solve(gap=gap)
     return posed.finish(interval, "gamma_w")
 
 
-def smallest_last_block(problem: Lft, gamma_w: float, *, gap: float = GAP) -> Solution:
-    """Smallest size of the last block alone, the others free, at the same gamma_w; bounds are on its square."""
+def _one_block(problem: _Quadratic, caps: np.ndarray, posed: _Posed) -> Interval | None:
+    """The compiled S2 kernel for one full block with a varying input beside a plain quadratic cost; None if it is not that."""
+    ball, block, cost = problem.forms if len(problem.forms) == 3 else (None, None, None)
+    start = problem.repair(problem._origin()) if ball is not None and not problem.repeated else None
+    if start is None or len(start) > s2.MAX_N or len(start) < 2:
+        return None
+    which = next(i for i, xi in enumerate(posed.xi) if xi is block.a)
+    trivial = problem.cost(start)
+    if not 0.0 < trivial < np.inf:
+        return None
+
+    def gram(m):
+        return m.conj().T @ m
+
+    weight = np.linalg.norm(block.a) ** 2
+    t_row, rim = gram(ball.b), ball.constant * (1.0 + 1e-12)
+    forms = np.stack(
+        [
+            gram(cost.a) / (trivial * np.linalg.norm(cost.b) ** 2),
+            gram(ball.a) / rim - t_row,
+            gram(block.a) / weight,
+            gram(block.b) * (block.slope * trivial / weight),
+        ]
+    )
+    forms[1] /= np.linalg.norm(ball.b) ** 2
+    p_max = caps[which] ** 2 / (block.slope * trivial) * (1.0 - 1e-9)
+    out = s2.solve_forms(forms[None], start[None], p_max)
+    z = problem.repair(out.z[0])
+    if z is None or not np.isfinite(out.upper[0]):
+        return None
+    return Interval(float(out.lower[0] * trivial), max(problem.cost(z), float(out.lower[0] * trivial)), z, int(out.duals[0]))
+
+
+def smallest_last_block(problem: Lft, gamma_w: float, *, gap: float = GAP) -> tuple[float, float]:
+    """(lower, upper) of the smallest size of the last block alone, the others free, at the same gamma_w.
+
+    Raises InputError as :func:`optimum` does, and when that size is at or above the block's own cap.
+    """
     posed = _pose(problem, gamma_w)
     last = len(problem.blocks) - 1
-    forms = [_ball(posed, gamma_w)]
+    if last in posed.dead:
+        return 0.0, 0.0
+    forms = _ball(posed, gamma_w)
     forms += [_block_form(posed, i, constant=np.inf) for i in range(last) if problem.blocks[i].repeated]
     forms.append(_block_form(posed, last, param=0))
-    interval = _Quadratic(forms, 1).solve([posed.centre()], gap)
-    return posed.finish(interval, "gamma_w")
+    interval = _Quadratic(forms, 1).solve(gap=gap)
+    lower, upper = float(np.sqrt(interval.lower)), float(np.sqrt(interval.upper))
+    cap = block_caps(problem)[last]
+    if not upper < cap:
+        raise InputError(problem.source, f"block {last + 1}", f"needs {upper:.6g}, at or above its cap {cap:.6g}", "a size below")
+    return lower, upper
 
 
 def smallest_common_size(problem: Lft, gamma_w: float, *, gap: float = GAP) -> Solution:
     """Smallest t with all nu_i <= t at the same gamma_w; bounds are on t^2."""
     posed = _pose(problem, gamma_w)
-    forms = [_ball(posed, gamma_w)]
+    forms = _ball(posed, gamma_w)
     forms += [_block_form(posed, i, param=0) for i in range(len(problem.blocks)) if i not in posed.dead]
-    interval = _Quadratic(forms, 1).solve([posed.centre()], gap)
+    interval = _Quadratic(forms, 1).solve(gap=gap)
     return posed.finish(interval, "gamma_w")
 
 
@@ -732,5 +874,5 @@ def margin(problem: Lft, w_delta, w_w, *, gap: float = GAP) -> Solution:
     forms += [
         _block_form(posed, i, param=0, slope=float(b) ** 2) for i, b in enumerate(w_delta) if i not in posed.dead
     ]
-    solution = posed.finish(_Quadratic(forms, 1).solve([posed.centre()], 2.0 * gap), "W_delta, W_w")
+    solution = posed.finish(_Quadratic(forms, 1).solve(gap=2.0 * gap), "W_delta, W_w")
     return replace(solution, lower=float(np.sqrt(solution.lower)), upper=float(np.sqrt(solution.upper)))

@@ -13,7 +13,6 @@ import ctypes
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigh
 
 from lpvguard import native
 
@@ -158,15 +157,15 @@ def maximise_level(q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: f
     return Centre(y, float(x), float(x_above), inverse)
 
 
-def reach(q0: np.ndarray, level: np.ndarray, y: np.ndarray) -> float:
-    """Largest length at which the multipliers y still certify: sum_j y_j (Q0_j - length L_j) >= 0; inf if all do."""
-    zero, slope = np.tensordot(y, q0, axes=1), np.tensordot(y, level, axes=1)
-    zero = 0.5 * (zero + zero.conj().T)
+def reach(zero: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Largest length (k,) at which ``zero`` - length ``slopes[k]`` stays >= 0; inf where nothing ends it, 0 where
+    ``zero`` (n, n) itself is not positive definite. ``slopes`` (k, n, n) >= 0."""
     try:
-        top = eigh(slope, zero, eigvals_only=True, check_finite=False)[-1]
+        factor = np.linalg.inv(np.linalg.cholesky(0.5 * (zero + zero.conj().T)))
     except np.linalg.LinAlgError:
-        return 0.0
-    return 1.0 / top * (1.0 - 1e-12) if top > 0.0 else np.inf
+        return np.zeros(len(slopes))
+    top = np.linalg.eigvalsh(factor @ slopes @ factor.conj().T)[:, -1]
+    return np.divide(1.0 - 1e-12, top, out=np.full(len(slopes), np.inf), where=top > 0.0)
 
 
 def _ray_length_numpy(q0, level, c: Cone, cutoff: float):
@@ -177,7 +176,7 @@ def _ray_length_numpy(q0, level, c: Cone, cutoff: float):
         if centre.x <= 0.0:
             break
         y = centre.y
-        longer = reach(q0, level, y)
+        longer = float(reach(np.tensordot(y, q0, axes=1), np.tensordot(y, level, axes=1)[None])[0])
         done = longer <= length * (1.0 + 1e-6)
         length = max(length, longer)
         if done or length > cutoff:
@@ -197,7 +196,7 @@ def ray_length(q0: np.ndarray, level: np.ndarray, c: Cone, cutoff: float = np.in
         return _ray_length_numpy(q0, level, c, cutoff)
     q0, level = np.ascontiguousarray(q0, dtype=complex), np.ascontiguousarray(level, dtype=complex)
     y, inverse, found = np.zeros(m), np.zeros((n, n), dtype=complex), ctypes.c_int(0)
-    groups = [np.array(part, dtype=np.int32) for part in (c.start, c.size, c.order)]
+    groups = [np.array(part, dtype=np.int32) for part in (c.start, c.order)]
     pointer = ctypes.c_void_p
     lib.lpvg_ray.restype = ctypes.c_double
     length = lib.lpvg_ray(
