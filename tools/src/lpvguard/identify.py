@@ -28,7 +28,7 @@ from .calibration import Calibration, calibrate, score
 from .core import Core
 from .drives import EXPERIMENTS, Drive, Experiment, file_hash, list_experiments, read_drive, require_units
 from .errors import InputError
-from .export import Coefficients, build_coefficients, vehicle_files, write_files
+from .export import Coefficients, build_coefficients, vehicle_files
 from .frames import Estimator
 from .nominal import NominalModel
 from .project import Project, parse_project
@@ -141,7 +141,7 @@ def _scratch_core(project: Project, coefficients: Coefficients) -> Iterator[Core
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / project.name
         target.mkdir()
-        write_files(target, vehicle_files(project, coefficients, {}))
+        artefacts.write_files(target, vehicle_files(project, coefficients, {}))
         yield Core(target)
 
 
@@ -175,7 +175,7 @@ def identify(project: Project, folder: Path, *, progress: Progress = _quiet) -> 
     experiments = list_experiments(Path(folder))
     drives = DriveSet(project, model, experiments)
     bound_drives = [e.name for e in experiments if e.split in project.data.bound_split]
-    others = [e.name for e in experiments if e.split not in project.data.bound_split]
+    others = [e.name for e in experiments if e.split not in (*project.data.bound_split, *project.data.noise_split)]
     if not bound_drives:
         raise InputError(Path(folder) / EXPERIMENTS, "column split",
                          f"no drive has split {' or '.join(project.data.bound_split)}",
@@ -225,7 +225,7 @@ def save(result: Identification, drives: DriveSet, target: Path) -> None:
     weights = result.weights
     inputs = {name: file_hash(e.path) for name, e in drives.experiments.items()}
     with artefacts.new_folder(target) as folder:
-        write_files(folder, {
+        artefacts.write_files(folder, {
             "bounds.json": artefacts.to_json(table),
             "weights.json": artefacts.to_json({
                 "inflation": weights.inflation, "W_w": [_fit_dict(f) for f in weights.W_w],
