@@ -113,16 +113,17 @@ private:
         const Real ga = ri - rj, gb = ri - rk;
         const C p = (Real(1) / det) * C{ha * b.im - hb * a.im, hb * a.re - ha * b.re};
         const C q = (Real(1) / det) * C{ga * b.im - gb * a.im, gb * a.re - ga * b.re};
-        // |p + s q|^2 = s ri
-        const Real A = squared(q);
-        const Real half_B = p.re * q.re + p.im * q.im - Real(0.5) * ri;
-        const Real C0 = squared(p);
-        const Real discriminant = half_B * half_B - A * C0;
+        // |p + s q|^2 = s ri, that is |q|^2 s^2 + 2 h s + |p|^2 = 0. The discriminant h^2 - |p|^2 |q|^2 is written with the
+        // cross product of p and q: beside a disc much smaller than the others p and q are antiparallel, and the plain
+        // form loses half of the digits.
+        const Real dot = p.re * q.re + p.im * q.im;
+        const Real cross = (ha * gb - hb * ga) / (Real(2) * det);
+        const Real discriminant = ri * (Real(0.25) * ri - dot) - cross * cross;
         if (!(discriminant >= Real(0))) {
             return;
         }
-        // Smaller root in the form that does not cancel (half_B < 0 whenever a positive root exists).
-        const Real s = C0 / (std::sqrt(discriminant) - half_B);
+        // Smaller root in the form that does not cancel (h < 0 whenever a positive root exists).
+        const Real s = squared(p) / (std::sqrt(discriminant) + Real(0.5) * ri - dot);
         consider(origin + p + s * q);
     }
 };
