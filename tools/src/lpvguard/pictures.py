@@ -18,7 +18,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, NullLocator
+from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter, NullLocator
 
 from .core import REASONS, VERDICTS
 from .replay import Replay
@@ -27,6 +27,7 @@ INK, RULE, PAPER = "#010203", "#040506", "#070809"
 """Stand-ins that become CSS variables; no other element may use them."""
 BLUE, SKY, GREEN, RED, ORANGE, PINK, POINTS = "#1b84c6", "#56b4e9", "#009e73", "#d55e00", "#e69f00", "#cc79a7", "#8a8f98"
 VERDICT_COLOURS = dict(zip(VERDICTS, (POINTS, GREEN, RED, "#b9d3e6", PINK, ORANGE), strict=True))
+MOST_BIN_LABELS = 6
 POINTS_PER_BIN = 400
 """More points in a bin are thinned: the largest stay, of the others every n-th in order of size."""
 
@@ -93,24 +94,40 @@ def _cloud(axes: Axes, grid: np.ndarray, values: list[np.ndarray], colour: str, 
     """Points over the bins; DC (bin 0) as stars. Zeros have no place on a logarithmic axis and are left out."""
     shown = [_thin(v[v > 0]) for v in values]
     x = np.concatenate([np.full(len(v), w) for v, w in zip(shown[1:], grid[1:])])
-    axes.plot(x, np.concatenate(shown[1:]), ".", ms=3, color=colour, alpha=0.5, mec="none", rasterized=True, label=label)
-    axes.plot(np.full(len(shown[0]), grid[0]), shown[0], "*", ms=5, color=colour, alpha=0.6, mec="none", rasterized=True)
+    if not len(x):
+        return
+    axes.plot(x, np.concatenate(shown[1:]), ".", ms=3.5, color=colour, alpha=0.6, mec="none", rasterized=True, label=label)
+    axes.plot(np.full(len(shown[0]), grid[0]), shown[0], "*", ms=6, color=colour, alpha=0.7, mec="none", rasterized=True)
+
+
+def _bound(axes: Axes, grid: np.ndarray, values: np.ndarray, style: str, label: str, **look) -> None:
+    """A bound over the bins with DC as a star of its own: nothing is known between DC and the lowest bin."""
+    drawn = np.where(values > 0, values, np.nan)
+    line, = axes.plot(grid[1:], drawn[1:], style, label=label, **look)
+    axes.plot(grid[:1], drawn[:1], "*", ms=9, color=line.get_color(), mfc=look.get("mfc", line.get_color()))
 
 
 def _bins(axes: Axes, grid: np.ndarray, without: np.ndarray, *, label: bool = True) -> None:
-    """Logarithmic frequency axis with DC at its stand-in place; bins without frames are marked."""
+    """Logarithmic frequency axis that names some of the bins, with DC at its stand-in place; bins without frames are marked."""
+    step = -(-len(grid) // MOST_BIN_LABELS)
+    named = grid[1::step]
     axes.set_xscale("log")
     axes.set_xlim(grid[0] / 1.5, grid[-1] * 1.5)
-    decades = [t for t in 10.0 ** np.arange(-6, 7) if grid[1] / 1.05 <= t <= grid[-1] * 1.5]
-    axes.xaxis.set_major_locator(FixedLocator([grid[0], *sorted({*decades, grid[1], grid[-1]})]))
+    axes.set_xticks([grid[0], *named], ["DC", *(f"{w:.3g}" for w in named)])
     axes.xaxis.set_minor_locator(FixedLocator(grid[1:]))
-    axes.set_xticks(axes.xaxis.get_major_locator().locs, ["DC", *(f"{w:.3g}" for w in axes.xaxis.get_major_locator().locs[1:])])
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.axvspan(grid[0] * 1.6, grid[1] / 1.2, color=POINTS, alpha=0.12, lw=0)
     for w in grid[without]:
         axes.axvspan(w / 1.12, w * 1.12, facecolor="none", edgecolor=POINTS, hatch="////", lw=0)
-        axes.text(w, 0.5, "no information", rotation=90, ha="center", va="center", fontsize=7, transform=axes.get_xaxis_transform())
+        axes.text(w, 0.5, "no information", rotation=90, ha="center", va="center", fontsize=7,
+                  transform=axes.get_xaxis_transform())
     if label:
-        axes.set_xlabel("frequency, rad/s")
+        axes.set_xlabel("frequency of the bin, rad/s")
+
+
+def _legend_above(axes: Axes, columns: int) -> None:
+    axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, frameon=False, markerscale=1.4,
+                handletextpad=0.5, columnspacing=1.2)
 
 
 @picture
@@ -121,16 +138,16 @@ def disturbance_design(grid, clouds: Clouds, bounds: dict[str, np.ndarray], gamm
     without = ~(bounds["frames"] > 0)
     _cloud(top, grid, clouds.E, POINTS, "$|E|$ of a frame")
     _cloud(top, grid, clouds.B1, GREEN, "right side of (9)")
-    top.plot(grid, bounds["B2"], "--s", ms=4, color=RED, label="$B_2$, all starts")
+    _bound(top, grid, bounds["B2"], "--s", "$B_2$, all starts", ms=4, color=RED)
     if np.nanmax(bounds["B1"]) > 0:
-        top.plot(grid, np.where(bounds["B1"] > 0, bounds["B1"], np.nan), ":^", ms=4, color=GREEN, label="$B_1$, all starts")
-    top.plot(grid, np.where(bounds["gamma_rule"] > 0, bounds["gamma_rule"], np.nan), "o", ms=5, mfc="none", color=BLUE, label=r"$\gamma_w$ asked for by the rule")
+        _bound(top, grid, bounds["B1"], ":^", "$B_1$, all starts", ms=4, color=GREEN)
+    _bound(top, grid, bounds["gamma_rule"], "o", r"$\gamma_w$ asked for by the rule", ms=5, mfc="none", color=BLUE)
     top.plot(fine, gamma_fine, "-", color=BLUE, label=r"$\gamma_w$ smoothed")
     top.set_yscale("log")
     top.set_ylabel(f"Euclidean norm, {unit}")
     top.set_ylim(bottom=_decent_bottom(clouds.E, bounds["B2"]))
     _bins(top, grid, without, label=False)
-    top.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=3, frameon=False)
+    _legend_above(top, 3)
     low.plot(grid[1:], bounds["nu_ceiling"][1:], "-o", ms=3.5, color=PINK, label=r"ceiling $\bar\nu(\omega)$")
     low.plot(grid[1:], bounds["nu"][1:], "v", ms=4, color=INK, label=r"$\nu$ needed")
     low.set_ylim(0, 1.15 * max(np.nanmax(bounds["nu_ceiling"]), np.nanmax(bounds["nu"])))
@@ -156,21 +173,20 @@ def weights_over_bounds(grid, clouds: Clouds, bounds: dict[str, np.ndarray], W_w
     for j, axes in enumerate(np.atleast_1d(frames[0].subplots(len(outputs), 1))):
         points = [w[:, j] for w in clouds.w]
         _cloud(axes, grid, points, POINTS, "$|w|$ of a frame")
-        axes.plot(grid, bounds["B_w"][:, j], "--s", ms=4, color=RED, label="$B_w$, all starts")
+        _bound(axes, grid, bounds["B_w"][:, j], "--s", "$B_w$, all starts", ms=4, color=RED)
         axes.plot(fine, W_w[:, j], "-", color=BLUE, label="$|W_w|$")
         axes.set_yscale("log")
         axes.set_ylim(bottom=_decent_bottom(points, bounds["B_w"][:, j]))
         axes.set_ylabel(f"{outputs[j].name.replace('_', ' ')}, {outputs[j].unit}")
         _bins(axes, grid, without, label=j == len(outputs) - 1)
-    axes = frames[0].axes[0]
-    axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=3, frameon=False, handletextpad=0.4, columnspacing=1.0)
+    _legend_above(frames[0].axes[0], 3)
     right = frames[1].subplots()
     _cloud(right, grid, clouds.nu, POINTS, r"$\nu$ of a frame")
-    right.plot(grid, samples, "--s", ms=4, color=RED, label="running bound")
+    _bound(right, grid, samples, "--s", "running bound", ms=4, color=RED)
     right.plot(fine, W_delta, "-", color=BLUE, label=r"$|W_\Delta|$")
     right.set_yscale("log")
     right.set_ylabel(r"uncertainty size $|\delta|$, –")
-    right.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=3, frameon=False, handletextpad=0.4, columnspacing=1.0)
+    _legend_above(right, 3)
     _bins(right, grid, without)
     return figure
 
@@ -205,7 +221,7 @@ def model_in_time(stretches: list[Stretch], outputs) -> Figure:
                 below.set_ylabel(f"error, {signal.unit}")
         grid[0, column].set_title(s.title)
         grid[-1, column].set_xlabel("time after the drive's start, s")
-    grid[0, 0].legend(loc="upper right", ncols=2)
+    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper left", ncols=2, frameon=False)
     return figure
 
 
@@ -216,16 +232,17 @@ def excitation(grid, frames: np.ndarray, size_max: np.ndarray, size_median: np.n
     figure = _figure(8.2, 4.0)
     top, low = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
     without = ~(frames > 0)
-    top.plot(grid, size_max, "-^", ms=4.5, color=BLUE, label="largest $|Z|$, all drives")
-    top.plot(grid, size_median, "-o", ms=4, color=SKY, label="median $|Z|$, all drives")
-    top.plot(grid, every_start_max, ":v", ms=4, color=GREEN, label="largest $|Z|$, bound-setting drives, all starts")
-    top.plot(grid, disturbance, "--", color=RED, label=r"$\gamma_w$, to compare with")
+    _bound(top, grid, size_max, "-^", "largest $|Z|$, all drives", ms=4.5, color=BLUE)
+    _bound(top, grid, size_median, "-o", "median $|Z|$, all drives", ms=4, color=SKY)
+    _bound(top, grid, every_start_max, ":v", "largest $|Z|$, bound-setting drives, all starts", ms=4, color=GREEN)
+    _bound(top, grid, disturbance, "--", r"$\gamma_w$, to compare with", color=RED)
     top.set_yscale("log")
     top.set_ylabel(f"$|Z|$, {unit}")
-    top.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=2, frameon=False)
+    _legend_above(top, 2)
     _bins(top, grid, without, label=False)
     low.bar(grid, frames, width=0.25 * grid, color=SKY)
     low.set_yscale("log")
+    low.set_ylim(0.8, 2.0 * max(1, frames.max()))
     low.set_ylabel("counted frames")
     _bins(low, grid, without)
     return figure
@@ -292,13 +309,13 @@ def margin_map(replay: Replay, t: np.ndarray, v: np.ndarray, omega: np.ndarray, 
         top.plot([a.t_s for a in replay.alarms], [at[a.bin_rad_s] for a in replay.alarms], "v", ms=7, mfc=RED, mec=INK, mew=0.8)
     top.set_yticks(range(K), _bin_labels(omega), fontsize=7)
     top.set_ylabel("bin, rad/s")
-    top.set_title(replay.name, loc="left")
     top.grid(False)
     middle.plot(t - t[0], v, "-", color=INK, lw=0.9)
     for limit in speed_range:
         middle.axhline(limit, color=ORANGE, ls="--", lw=0.9)
     middle.set_ylabel("speed, m/s")
     middle.set_ylim(bottom=min(0.0, v.min()))
+    middle.yaxis.set_major_locator(MaxNLocator(4, integer=True))
     edges = np.r_[0, np.flatnonzero(np.diff(replay.run.verdict)) + 1, len(t)]
     for a, b in zip(edges[:-1], edges[1:]):
         low.axvspan(a * replay.Ts, b * replay.Ts, color=VERDICT_COLOURS[VERDICTS[replay.run.verdict[a]]], lw=0)
@@ -322,7 +339,7 @@ def map_key() -> Figure:
                ("out_of_range", "speed out of range"), ("settling", "model settling"))
     for row, (reason, text) in enumerate(entries):
         index = REASONS.index("not_excited" if reason == "no_evidence" else reason)
-        sample = _paint(np.full((2, 60), index), np.full((2, 60), 0.6))
+        sample = _paint(np.full((1, 40), index), np.full((1, 40), 0.6))
         axes[1].inset_axes([0.0, 0.78 - 0.26 * row, 0.14, 0.2]).imshow(sample, aspect="auto", interpolation="none")
         axes[1].child_axes[-1].set(xticks=[], yticks=[])
         axes[1].text(0.18, 0.88 - 0.26 * row, text, va="center", fontsize=8)

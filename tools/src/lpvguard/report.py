@@ -100,8 +100,9 @@ vehicle model based on experimental data</i>. Made by lpvguard {escape(__version
 def _table(head: Iterable[str], rows: Iterable[Iterable[str]], kind: str = "") -> str:
     """HTML table; cells are HTML already."""
     top = "".join(f"<th>{h}</th>" for h in head)
+    top = f"<thead><tr>{top}</tr></thead>" if top else ""
     body = "".join("<tr>" + "".join(f"<td>{c}</td>" for c in row) + "</tr>\n" for row in rows)
-    return f'<div class="scroll"><table class="{kind}"><thead><tr>{top}</tr></thead><tbody>\n{body}</tbody></table></div>'
+    return f'<div class="scroll"><table class="{kind}">{top}<tbody>\n{body}</tbody></table></div>'
 
 
 def _figure(svg: str, caption: str) -> str:
@@ -156,8 +157,8 @@ def _summary(stored: StoredIdentification, replayer: Replayer, drives: DriveSet)
                       f"settling {estimator.settle * estimator.Ts:.3g} s; identifier {estimator.identifier():#010x}"),
         ("threshold of the frame test", f"{replayer.threshold:.4g} on the {project.frame_test.confirm}-of-{project.frame_test.of_last} margin"),
         ("alpha", claim), ("conditional bound", conditional),
-        ("final inflation of the weights", f"{stored.weights['inflation']:.6g} (1: on the bound-setting drives, whole and cut, no margin of the "
-                                           "compiled core exceeded 1 without it)"),
+        ("final inflation of the weights", f"{stored.weights['inflation']:.6g}, the least factor with which the compiled core "
+                                           "finds no margin above 1 on the bound-setting drives, whole or with their first samples cut"),
         ("core that replayed the drives", _yes(same <= 1e-6, f"carries the numbers of this identification (largest relative difference {same:.1e}, float32)",
                                                f"carries other numbers than this identification (largest relative difference {same:.1e}): "
                                                "maps and verdicts below are that core's")),
@@ -167,11 +168,11 @@ def _summary(stored: StoredIdentification, replayer: Replayer, drives: DriveSet)
     proofs = _table(
         ["weight", "order", "worst |W|/bound, dB", "no weight of this order below, dB", "smallest |W|/bound proved", "at, rad/s",
          "proved up to, rad/s", "stable, minimum phase", "bins bridged for want of data, rad/s"],
-        [[label, str(w["order"]), f"{w['worst_ratio_db']:.3f}", f"{w['lp_optimum_db']:.3f}", f"{w['certificate']['min_ratio']:.12g}",
+        [[label, str(w["order"]), f"{w['worst_ratio_db']:.3f}", f"{w['lp_optimum_db']:.3f}", f"{w['certificate']['min_ratio']:.15g}",
           _number(w["certificate"]["min_ratio_at"]), _limit(w["certificate"]["omega_max"]),
           _yes(w["certificate"]["stable"] and w["certificate"]["minimum_phase"] and w["certificate"]["ok"], "proved", "not proved"),
           ", ".join(_number(x) for x in w["certificate"]["without_data"]) or "none"] for label, w in weights])
-    return f"""<h2>Summary</h2>{_table(["", ""], rows, "words")}
+    return f"""<h2>Summary</h2>{_table([], rows, "words")}
 <p>Each weight lies above its bound at every frequency, proved piece by piece by exact Routh arrays and Bernstein coefficients, not on a
 grid, and proved anew when this page was made (for W<sub>w</sub> and W<sub>Δ</sub>); between bins a bound is log-log linear. The worst ratio is
 how far the weight lies above its bound where it lies highest; the column beside it is a proved lower limit for any weight of the same order.
@@ -380,7 +381,7 @@ def _drive_page(stored: StoredIdentification, replayer: Replayer, drive: Drive, 
                               replayer.model.speed_range)
     share = report["judged_in_range_excited_s"] / report["in_range_excited_s"] if report["in_range_excited_s"] else None
     verdicts = [f"{report['verdict_s'][v]:.1f}" for v in VERDICTS]
-    left = [f"{report['frames'][r]} ({report['frames'][r] / max(1, len(frames.bin)):.0%})" for r in REASONS]
+    left = [f"{report['frames'][r]} ({100 * report['frames'][r] / max(1, len(frames.bin)):.1f} %)" for r in REASONS]
     row = _table(
         ["duration, s", "judged, s", "of in-range, excited time", "largest margin", "alarms", "final verdict",
          *(f"{v.replace('_', ' ')}, s" for v in VERDICTS)],
