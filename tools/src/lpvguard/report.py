@@ -47,6 +47,8 @@ table{border-collapse:collapse;font-size:.85rem;font-variant-numeric:tabular-num
 th,td{padding:.22rem .6rem;text-align:right;border-bottom:1px solid var(--rule);vertical-align:top}
 th{font-weight:600;text-align:right;background:var(--card)}
 td:first-child,th:first-child,.words td{text-align:left}
+.facts{display:flex;flex-wrap:wrap;gap:0 1.6rem}.tight th,.tight td{white-space:nowrap}.tight td:first-child,.tight th:first-child{text-align:right}
+.words td:first-child{white-space:nowrap}
 .yes{color:var(--good);font-weight:600}.no{color:var(--bad);font-weight:600}
 nav{font-size:.87rem}nav a{color:inherit;margin-right:1rem}
 @media print{body{max-width:none;padding:0;font-size:10pt}nav{display:none}.scroll{overflow:visible}
@@ -380,14 +382,14 @@ def _drive_page(stored: StoredIdentification, replayer: Replayer, drive: Drive, 
     svg = pictures.margin_map(key, replay, drive.t, drive.v, replayer.estimator.omega, replayer.estimator.length, replayer.threshold,
                               replayer.model.speed_range)
     share = report["judged_in_range_excited_s"] / report["in_range_excited_s"] if report["in_range_excited_s"] else None
-    verdicts = [f"{report['verdict_s'][v]:.1f}" for v in VERDICTS]
     left = [f"{report['frames'][r]} ({100 * report['frames'][r] / max(1, len(frames.bin)):.1f} %)" for r in REASONS]
-    row = _table(
-        ["duration, s", "judged, s", "of in-range, excited time", "largest margin", "alarms", "final verdict",
-         *(f"{v.replace('_', ' ')}, s" for v in VERDICTS)],
-        [[f"{replay.duration_s:.1f}", f"{replay.judged_s:.1f}", "–" if share is None else f"{share:.0%}", _number(replay.max_margin),
-          str(len(replay.alarms)), escape(replay.verdict_final.replace("_", " ")), *verdicts]])
-    reasons = _table(["frames", *(REASON_WORDS[r] for r in REASONS)], [[str(len(frames.bin)), *left]])
+    tables = [
+        (["duration, s", "judged, s", "of in-range, excited time", "largest margin", "alarms", "final verdict"],
+         [f"{replay.duration_s:.1f}", f"{replay.judged_s:.1f}", "–" if share is None else f"{share:.1%}", _number(replay.max_margin),
+          str(len(replay.alarms)), escape(replay.verdict_final.replace("_", " "))]),
+        ([f"{v.replace('_', ' ')}, s" for v in VERDICTS], [f"{report['verdict_s'][v]:.1f}" for v in VERDICTS]),
+        (["frames", *(REASON_WORDS[r] for r in REASONS)], [str(len(frames.bin)), *left])]
+    facts = "".join(_table(head, [row], "tight") for head, row in tables)
     alarms = ""
     if replay.alarms:
         listed = replay.alarms[:ALARMS_LISTED]
@@ -400,7 +402,7 @@ def _drive_page(stored: StoredIdentification, replayer: Replayer, drive: Drive, 
               _number(np.linalg.norm(a.E)), _number(np.linalg.norm(a.Z)), _number(a.W_delta), ", ".join(_number(b) for b in a.B_w),
               _number(a.evidence)] for a in listed]) + more
     return f"""<h3>{escape(drive.name)} <span class="note">({escape(stored.manifest["drivers"][drive.name])} driver; {_role(stored, drive.name)})</span></h3>
-<figure>{svg}</figure>{row}{reasons}{alarms}"""
+<figure>{svg}</figure><div class="facts">{facts}</div>{alarms}"""
 
 
 def _drive_section(found: _Pass, replayer: Replayer) -> str:
@@ -411,7 +413,9 @@ def _drive_section(found: _Pass, replayer: Replayer) -> str:
         "the fitted bounds just explain the frame). Screened cells counted, but held so little excitation that even a vehicle that does not respond would "
         "have passed: they are no evidence for the model. Patterned cells were not judged, for the reason in the key; blank: no frame. Triangles: alarms, at "
         "the end of the falsifying frame. Below: speed, with the model's range dashed, and the monitor's verdict. In the alarm tables |E| and |Z| are "
-        "Euclidean norms in output units, and evidence is the margin of a vehicle that does not respond.")
+        "Euclidean norms in output units, and evidence is the margin of a vehicle that does not respond. Judged seconds lie in a counted frame of any "
+        "bin, with evidence or not; the verdict “valid” asks for evidence within the longest frame, so a drive can be judged all along and its verdict "
+        "still be “not judged”.")
     return f"<h2>Margin over time and frequency, drive by drive</h2>{key}{''.join(found.sections)}"
 
 
