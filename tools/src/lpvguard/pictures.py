@@ -26,6 +26,8 @@ from .replay import Replay
 INK, RULE, PAPER = "#010203", "#040506", "#070809"
 """Stand-ins that become CSS variables; no other element may use them."""
 BLUE, SKY, GREEN, RED, ORANGE, PINK, POINTS = "#1b84c6", "#56b4e9", "#009e73", "#d55e00", "#e69f00", "#cc79a7", "#8a8f98"
+REASON_WORDS = dict(zip(REASONS, ("evidence", "too little excitation", "speed moved too much", "speed out of range",
+                                  "model settling"), strict=True))
 VERDICT_COLOURS = dict(zip(VERDICTS, (POINTS, GREEN, RED, "#b9d3e6", PINK, ORANGE), strict=True))
 MOST_BIN_LABELS = 6
 POINTS_PER_BIN = 400
@@ -250,6 +252,8 @@ def excitation(grid, frames: np.ndarray, size_max: np.ndarray, size_median: np.n
 
 MAP_WIDTH, ROW_PIXELS = 1200, 9
 """Pixels of the map over margin: along time, and of one bin."""
+MAP_PAPER = "#ffffff"
+"""Maps stand on white on dark pages too: their darkest colour means the largest margin and must not vanish."""
 
 
 def _colours() -> matplotlib.colors.Colormap:
@@ -307,6 +311,7 @@ def margin_map(replay: Replay, t: np.ndarray, v: np.ndarray, omega: np.ndarray, 
     at = {w: k for k, w in enumerate(omega)}
     if replay.alarms:
         top.plot([a.t_s for a in replay.alarms], [at[a.bin_rad_s] for a in replay.alarms], "v", ms=7, mfc=RED, mec=INK, mew=0.8)
+    top.set_facecolor(MAP_PAPER)
     top.set_yticks(range(K), _bin_labels(omega), fontsize=7)
     top.set_ylabel("bin, rad/s")
     top.grid(False)
@@ -335,13 +340,10 @@ def map_key() -> Figure:
     bar = figure.colorbar(ScalarMappable(Normalize(0.0, 1.0), _colours()), cax=axes[0].inset_axes([0.02, 0.55, 0.9, 0.2]),
                           orientation="horizontal", extend="max")
     bar.set_label("margin $t^*$ / threshold (red: above)")
-    entries = (("no_evidence", "counted, too little excitation"), ("speed_moved", "speed moved too much"),
-               ("out_of_range", "speed out of range"), ("settling", "model settling"))
-    for row, (reason, text) in enumerate(entries):
-        index = REASONS.index("not_excited" if reason == "no_evidence" else reason)
-        sample = _paint(np.full((1, 40), index), np.full((1, 40), 0.6))
+    for row, (reason, text) in enumerate((r, t) for r, t in REASON_WORDS.items() if r != "none"):
+        sample = _paint(np.full((1, 40), REASONS.index(reason)), np.full((1, 40), 0.6))
         axes[1].inset_axes([0.0, 0.78 - 0.26 * row, 0.14, 0.2]).imshow(sample, aspect="auto", interpolation="none")
-        axes[1].child_axes[-1].set(xticks=[], yticks=[])
+        axes[1].child_axes[-1].set(xticks=[], yticks=[], facecolor=MAP_PAPER)
         axes[1].text(0.18, 0.88 - 0.26 * row, text, va="center", fontsize=8)
     for row, (verdict, colour) in enumerate(VERDICT_COLOURS.items()):
         x, y = 0.5 * (row % 2), 0.88 - 0.34 * (row // 2)

@@ -346,10 +346,6 @@ excitation. Above 1 not even a vehicle that does not respond at all would be not
 
 # -------------------------------------------------------------------------------------------------------------- drives
 
-REASON_WORDS = {"none": "evidence", "not_excited": "too little excitation", "speed_moved": "speed moved too much",
-                "out_of_range": "speed out of range", "settling": "model settling"}
-
-
 def _visit(found: _Pass, stored: StoredIdentification, replayer: Replayer, drive: Drive, key: str) -> None:
     """Replay a drive; keep its page, its counted frames and its longest slow and fast stretch."""
     replay = replayer.replay(drive)
@@ -388,7 +384,7 @@ def _drive_page(stored: StoredIdentification, replayer: Replayer, drive: Drive, 
          [f"{replay.duration_s:.1f}", f"{replay.judged_s:.1f}", "–" if share is None else f"{share:.1%}", _number(replay.max_margin),
           str(len(replay.alarms)), escape(replay.verdict_final.replace("_", " "))]),
         ([f"{v.replace('_', ' ')}, s" for v in VERDICTS], [f"{report['verdict_s'][v]:.1f}" for v in VERDICTS]),
-        (["frames", *(REASON_WORDS[r] for r in REASONS)], [str(len(frames.bin)), *left])]
+        (["frames", *(pictures.REASON_WORDS[r] for r in REASONS)], [str(len(frames.bin)), *left])]
     facts = "".join(_table(head, [row], "tight") for head, row in tables)
     alarms = ""
     if replay.alarms:
