@@ -147,7 +147,7 @@ def disturbance_design(grid, clouds: Clouds, bounds: dict[str, np.ndarray], gamm
     top.plot(fine, gamma_fine, "-", color=BLUE, label=r"$\gamma_w$ smoothed")
     top.set_yscale("log")
     top.set_ylabel(f"Euclidean norm, {unit}")
-    top.set_ylim(bottom=_decent_bottom(clouds.E, bounds["B2"]))
+    top.set_ylim(bottom=min(_decent_bottom(c, bounds["B2"]) for c in (clouds.E, clouds.B1)))
     _bins(top, grid, without, label=False)
     _legend_above(top, 3)
     low.plot(grid[1:], bounds["nu_ceiling"][1:], "-o", ms=3.5, color=PINK, label=r"ceiling $\bar\nu(\omega)$")
@@ -159,11 +159,12 @@ def disturbance_design(grid, clouds: Clouds, bounds: dict[str, np.ndarray], gamm
     return figure
 
 
-def _decent_bottom(clouds: list[np.ndarray], top: np.ndarray) -> float:
-    """Lower end of a logarithmic axis: the 1 % quantile of the points, so that a few near-zeros do not squeeze the rest."""
-    values = np.concatenate(clouds)
-    values = values[values > 0]
-    return float(np.quantile(values, 0.01)) if len(values) else float(np.nanmax(top)) * 1e-3
+def _decent_bottom(clouds: list[np.ndarray], bound: np.ndarray) -> float:
+    """Lower end of a logarithmic axis: the 1 % quantile of the points that are not tiny beside the bound, so that a few
+    near-zeros do not squeeze the rest."""
+    values, largest = np.concatenate(clouds), float(np.nanmax(bound))
+    values = values[values > 1e-4 * largest]
+    return float(np.quantile(values, 0.01)) if len(values) else 0.05 * largest
 
 
 @picture

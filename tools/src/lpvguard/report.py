@@ -245,7 +245,7 @@ def _bound_sections(stored: StoredIdentification, replayer: Replayer) -> list[st
         f"<b>Counterpart of Fig. 2.</b> Grey: |E| of {points} frames of the {len(stored.manifest['drives']['bounds'])} bound-setting drives on "
         f"the monitor's frame grid, thinned to about {pictures.POINTS_PER_BIN} a bin (the largest kept). B<sub>2</sub>: their bound over "
         f"frames at every start ({int(bounds['frames'].sum())} frames), hence on or above all points. Circles: γ<sub>w</sub> that the rule asks for, "
-        "max √(B<sub>1</sub>² + |Z|² max(0, |δ<sub>0</sub>| − ν̄)²); line: the overbounding fit that is used. "
+        "max √(B<sub>1</sub>² + |Z|² max(0, |δ<sub>0</sub>| − ν̄)²), and at DC B<sub>2</sub>; line: the overbounding fit that is used. "
         f"{b1} {stars}{gaps} Lower panel: the ceiling ν̄(ω) on the uncertainty, set beforehand in the project file, and what was needed in the end "
         f"(closest to its ceiling at {estimator.omega[binding]:.3g} rad/s: ν = {bounds['nu'][binding]:.3g} of {bounds['nu_ceiling'][binding]:.3g}). "
         "How to read it: γ<sub>w</sub> near B<sub>2</sub> blames the disturbance, γ<sub>w</sub> near B<sub>1</sub> blames the model.")
