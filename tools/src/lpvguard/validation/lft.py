@@ -140,7 +140,7 @@ def parametrise(problem: Lft) -> Parametrisation:
 class _Form:
     """|a z|^2 <= (constant + sizes[param]) slope |b z|^2, and for a repeated block a z = delta b z as well.
 
-    ``param`` -1: the constant alone. A repeated block without a bound has constant inf.
+    ``param`` -1: the constant alone; inf when a repeated block has no bound (its own cap is infinite).
     """
 
     a: np.ndarray
@@ -474,7 +474,7 @@ class _Quadratic:
 
     def _zero(self) -> np.ndarray | None:
         """A point that needs no size at all, when there is one: the optimum is then exactly zero."""
-        if any(np.isinf(f.constant) for f in self.forms):
+        if any(f.repeated and f.param < 0 for f in self.forms):
             return None
         rows = np.vstack([f.a for f in self.forms if f.param >= 0])
         left = rows[:, :-1]
@@ -500,6 +500,8 @@ class _Quadratic:
 
     def _candidates(self, inverse: np.ndarray) -> list[np.ndarray]:
         """Rank-one readings of the primal matrix: its leading vector, and its column of t."""
+        if not np.all(np.isfinite(inverse)):
+            return []
         _, vectors = np.linalg.eigh(inverse)
         raw = [inverse[:, -1], vectors[:, -1], vectors[:, -2] if len(vectors) > 1 else vectors[:, -1]]
         return [v / v[-1] for v in raw if abs(v[-1]) > 1e-9 * np.linalg.norm(v)]
@@ -790,7 +792,7 @@ def optimum(problem: Lft, gamma_w: float, lambda_nu, lambda_w=None, *, gap: floa
             forms.append(_block_form(posed, i, param=params, slope=1.0 / lam[i]))
             params += 1
         elif block.repeated:
-            forms.append(_block_form(posed, i, constant=np.inf))
+            forms.append(_block_form(posed, i, constant=block_caps(problem)[i] ** 2))
     if quadratic:
         forms.append(_Form(np.vstack(quadratic), posed.t, param=params))
         params += 1
@@ -844,11 +846,12 @@ def smallest_last_block(problem: Lft, gamma_w: float, *, gap: float = GAP) -> tu
     if last in posed.dead:
         return 0.0, 0.0
     forms = _ball(posed, gamma_w)
-    forms += [_block_form(posed, i, constant=np.inf) for i in range(last) if problem.blocks[i].repeated]
+    caps = block_caps(problem)
+    forms += [_block_form(posed, i, constant=caps[i] ** 2) for i in range(last) if problem.blocks[i].repeated]
     forms.append(_block_form(posed, last, param=0))
     interval = _Quadratic(forms, 1).solve(gap=gap)
     lower, upper = float(np.sqrt(interval.lower)), float(np.sqrt(interval.upper))
-    cap = block_caps(problem)[last]
+    cap = caps[last]
     if not upper < cap:
         raise InputError(problem.source, f"block {last + 1}", f"needs {upper:.6g}, at or above its cap {cap:.6g}", "a size below")
     return lower, upper
