@@ -408,7 +408,7 @@ def _drive_section(found: _Pass, replayer: Replayer) -> str:
         f"over its central half; colour is its margin t* over the threshold {replayer.threshold:.4g} (1/{replayer.threshold:.4g} = {1 / replayer.threshold:.2g} is t* = 1, where "
         "the fitted bounds just explain the frame). Screened cells counted, but held so little excitation that even a vehicle that does not respond would "
         "have passed: they are no evidence for the model. Patterned cells were not judged, for the reason in the key; blank: no frame. Triangles: alarms, at "
-        "the end of the falsifying frame. Below: speed, with the model's range dashed, and the monitor's verdict. In the alarm tables |E| and |Z| are "
+        "the end of the falsifying frame, pointing back to its cell. Below: speed, with the model's range dashed, and the monitor's verdict. In the alarm tables |E| and |Z| are "
         "Euclidean norms in output units, and evidence is the margin of a vehicle that does not respond. Judged seconds lie in a counted frame of any "
         "bin, with evidence or not; the verdict “valid” asks for evidence within the longest frame, so a drive can be judged all along and its verdict "
         "still be “not judged”.")
