@@ -187,7 +187,7 @@ def weights_over_bounds(grid, clouds: Clouds, bounds: dict[str, np.ndarray], W_w
     _bound(right, grid, samples, "--s", "running bound", ms=4, color=RED)
     right.plot(fine, W_delta, "-", color=BLUE, label=r"$|W_\Delta|$")
     right.set_yscale("log")
-    right.set_ylim(bottom=_decent_bottom(clouds.nu, samples))
+    right.set_ylim(_decent_bottom(clouds.nu, samples), 2 * max(W_delta.max(), np.nanmax(samples)))
     right.set_ylabel(r"uncertainty size $|\delta|$, –")
     _legend_above(right, 3)
     _bins(right, grid, without)
@@ -317,7 +317,8 @@ def margin_map(replay: Replay, t: np.ndarray, v: np.ndarray, omega: np.ndarray, 
     top.imshow(_paint(kind, margin / threshold)[::-1], aspect="auto", extent=extent, interpolation="none")
     at = {w: k for k, w in enumerate(omega)}
     if replay.alarms:
-        top.plot([a.t_s for a in replay.alarms], [at[a.bin_rad_s] for a in replay.alarms], "<", ms=6, mfc=RED, mec="#ffffff", mew=0.8, clip_on=False)
+        top.plot([a.t_s for a in replay.alarms], [at[a.bin_rad_s] for a in replay.alarms], "<", ms=6, mfc=RED,
+                 mec=MAP_PAPER, mew=0.8, clip_on=False)
     top.set_facecolor(MAP_PAPER)
     top.set_yticks(range(K), _bin_labels(omega), fontsize=7)
     top.set_ylabel("bin, rad/s")
