@@ -564,6 +564,8 @@ def _optimum(problem: _Problem, order: int, lower_order: _Candidate | None) -> _
         ratio_db = 10.0 * math.log10(problem.b2.max() / problem.b2.min())
         return _Candidate(0, np.array([problem.b2.max()]), np.ones(1), ratio_db, ratio_db)
     best = lower_order
+    if best is not None and best.ratio_db <= _STEP_DB:
+        return best
     bottom = np.ones(1) if best is None else best.bottom
     while len(bottom) <= order:  # one more break in the middle of the band
         bottom = np.convolve(bottom, [1.0, math.exp(-sum(problem.band))])
