@@ -13,10 +13,11 @@ is linear in (N, D) for a fixed t, so the least t is found by a sequence of line
 minimises the violation of the upper inequality at a trial t (the differential correction of Barrodale, Powell
 and Roberts, SIAM J. Numer. Anal. 9, 1972): either it returns a better weight, or the trial t is infeasible and
 is a lower limit of what any weight of that order can reach. Trials sit 0.002 dB under the best weight so far.
-Rows are divided by bound^2 sum |d_i| x^i of the current D and columns by the largest entry they then have
-(max-plus scaling): in this form monomials keep their accuracy over six decades. A program carries only the
-points that matter; points where its answer fails are added until none fails on a fine grid. The left-half-plane
-spectral factors of N and D are the weight.
+Rows are divided by bound^2 D of the current D (not under 1e-5 of its sum |d_i| x^i) and columns by the largest entry they
+then have, the max-plus scaling around that D: in this form monomials keep their accuracy over six decades. A verdict
+"infeasible" counts only when the D that scaled the rows was itself within 0.5 dB of the optimum. A program carries only the
+points that matter; points where its answer fails are added until none fails on a fine grid, which also
+takes up every lightly damped pole and zero. The left-half-plane spectral factors of N and D are the weight.
 
 **Why the weight is above the bound.** Not by a grid. On one piece bound^2 = c x^q with a real q, no polynomial;
 but x^q is convex in x (q <= 0 or q >= 1) or concave (0 < q < 1), so on [a, b] the chord respectively a tangent,
@@ -25,7 +26,8 @@ a straight line L, lies above it. N - r^2 L D is then a polynomial, and if all i
 |W| >= r bound there. Where a coefficient is negative the interval is halved; L and the Bernstein coefficients
 converge quadratically, so the search ends. [0, w_1] is such a piece with q = 0 and [w_K, inf) becomes one in 1/x. The
 coefficients of N and D follow from those of W in rational arithmetic; the rounding error of the rest is
-subtracted. Stability and minimum phase are decided by Routh's array in rational arithmetic. The same search with N and D
+subtracted (up to one rounding of the frequency). A proved ratio is 5e-10 below the one attained, so a weight that merely
+touches its bound is not accepted. Stability and minimum phase are decided by Routh's array in rational arithmetic. The same search with N and D
 exchanged bounds the worst ratio from above. The fit is closed by one scalar gain, ``inflation``, which lifts the weight
 by what the certificate found missing between the grid points.
 """
@@ -419,7 +421,7 @@ def _least_ratio(top: np.ndarray, bottom: np.ndarray, samples: _Samples, strict:
     size = max(len(top), len(bottom))
     top, bottom = (np.pad(p, (0, size - len(p))) for p in (top, bottom))
     y, log_b2 = samples.y, 2.0 * np.log(samples.bound)
-    slopes = np.diff(log_b2) / np.diff(np.log(y))
+    slopes = np.diff(log_b2) / np.log(y[1:] / y[:-1])  # the very logarithm of ``_bound_squared``, however close the samples
     inside = (np.append(0.0, y[:-1]), y, np.append(y[0], y[:-1]), np.append(log_b2[0], log_b2[:-1]), np.append(0.0, slopes))
     families = [(top, bottom, inside, False)]
     if not strict:  # [y_K, inf) in 1/y: the reversed polynomials on [0, 1/y_K]
@@ -513,7 +515,8 @@ class _Candidate:
 class _Problem:
     """The cutting-plane grid: all samples, points between them, both ends and what lies beyond.
 
-    ``y`` (G,) ascending from 0 to inf, ``b2`` (G,) bound squared, ``below`` (G,) where the weight must be above the bound. Grows by ``insert`` where a resonance hides between points.
+    ``y`` (G,) ascending from 0 to inf, ``b2`` (G,) bound squared, ``below`` (G,) where the weight must be above the bound.
+    Grows by ``insert`` where a resonance hides between points.
     """
 
     def __init__(self, samples: _Samples, strict: bool):
