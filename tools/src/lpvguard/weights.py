@@ -13,10 +13,11 @@ is linear in (N, D) for a fixed t, so the least t is found by a sequence of line
 minimises the violation of the upper inequality at a trial t (the differential correction of Barrodale, Powell
 and Roberts, SIAM J. Numer. Anal. 9, 1972): either it returns a better weight, or the trial t is infeasible and
 is a lower limit of what any weight of that order can reach. Trials sit 0.002 dB under the best weight so far.
-Rows are divided by bound^2 sum |d_i| x^i of the current D and columns by the largest entry they then have
-(max-plus scaling): in this form monomials keep their accuracy over six decades. A program carries only the
-points that matter; points where its answer fails are added until none fails on a fine grid. The left-half-plane
-spectral factors of N and D are the weight.
+Rows are divided by bound^2 D of the current D (not under 1e-5 of its sum |d_i| x^i) and columns by the largest entry they
+then have, the max-plus scaling around that D: in this form monomials keep their accuracy over six decades. A verdict
+"infeasible" counts only when the D that scaled the rows was itself within 0.5 dB of the optimum. A program carries only the
+points that matter; points where its answer fails are added until none fails on a fine grid, which also
+takes up every lightly damped pole and zero. The left-half-plane spectral factors of N and D are the weight.
 
 **Why the weight is above the bound.** Not by a grid. On one piece bound^2 = c x^q with a real q, no polynomial;
 but x^q is convex in x (q <= 0 or q >= 1) or concave (0 < q < 1), so on [a, b] the chord respectively a tangent,
@@ -25,7 +26,8 @@ a straight line L, lies above it. N - r^2 L D is then a polynomial, and if all i
 |W| >= r bound there. Where a coefficient is negative the interval is halved; L and the Bernstein coefficients
 converge quadratically, so the search ends. [0, w_1] is such a piece with q = 0 and [w_K, inf) becomes one in 1/x. The
 coefficients of N and D follow from those of W in rational arithmetic; the rounding error of the rest is
-subtracted. Stability and minimum phase are decided by Routh's array in rational arithmetic. The same search with N and D
+subtracted (up to one rounding of the frequency). A proved ratio is 5e-10 below the one attained, so a weight that merely
+touches its bound is not accepted. Stability and minimum phase are decided by Routh's array in rational arithmetic. The same search with N and D
 exchanged bounds the worst ratio from above. The fit is closed by one scalar gain, ``inflation``, which lifts the weight
 by what the certificate found missing between the grid points.
 """
@@ -45,7 +47,7 @@ from .errors import InputError
 _STEP_DB = 0.002  # resolution of the search for the least worst ratio
 _GRID_STEP = 0.02  # widest gap of the cutting-plane grid, in ln w
 _OUTSIDE = 1e3  # the grid goes on by this factor in w beyond both ends
-_DAMPING = 1e-5  # D >= this times sum |d_i| x^i at every row: no resonance sharper than about 0.003, which 1e-10 resolves
+_RESOLUTION = 1e-5  # smallest D of a row, over the D it is scaled by
 _NEAR_DB = 0.5  # rows scaled by a D this near the optimum are scaled well
 _TOLERANCE = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
 _MAX_PROGRAMS, _MAX_CUTS, _MAX_REFITS = 60, 60, 8
@@ -419,7 +421,7 @@ def _least_ratio(top: np.ndarray, bottom: np.ndarray, samples: _Samples, strict:
     size = max(len(top), len(bottom))
     top, bottom = (np.pad(p, (0, size - len(p))) for p in (top, bottom))
     y, log_b2 = samples.y, 2.0 * np.log(samples.bound)
-    slopes = np.diff(log_b2) / np.diff(np.log(y))
+    slopes = np.diff(log_b2) / np.log(y[1:] / y[:-1])  # the very logarithm of ``_bound_squared``, however close the samples
     inside = (np.append(0.0, y[:-1]), y, np.append(y[0], y[:-1]), np.append(log_b2[0], log_b2[:-1]), np.append(0.0, slopes))
     families = [(top, bottom, inside, False)]
     if not strict:  # [y_K, inf) in 1/y: the reversed polynomials on [0, 1/y_K]
@@ -497,19 +499,24 @@ def _nonnegative(p, q, factor, lo, hi, y0, log0, slope) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """N, D ascending in y with min N/(bound^2 D) = 1 on the grid; ``ratio_db`` reached there, ``lower_db`` proved infeasible."""
+    """N, D ascending in y with min N/(bound^2 D) = 1 on the grid, where it reaches ``ratio_db``.
+
+    ``lower_db``: infeasible for this order on the rows ``active`` (y values) alone.
+    """
 
     order: int
     top: np.ndarray
     bottom: np.ndarray
     ratio_db: float
     lower_db: float
+    active: np.ndarray
 
 
 class _Problem:
     """The cutting-plane grid: all samples, points between them, both ends and what lies beyond.
 
-    ``y`` (G,) ascending from 0 to inf, ``b2`` (G,) bound squared, ``below`` (G,) where the weight must be above the bound. Grows by ``insert`` where a resonance hides between points.
+    ``y`` (G,) ascending from 0 to inf, ``b2`` (G,) bound squared, ``below`` (G,) where the weight must be above the bound.
+    Grows by ``insert`` where a resonance hides between points.
     """
 
     def __init__(self, samples: _Samples, strict: bool):
@@ -558,19 +565,28 @@ def _db(ratio: float) -> float:
     return 20.0 * math.log10(ratio) if ratio < math.inf else math.inf
 
 
-def _optimum(problem: _Problem, order: int, lower_order: _Candidate | None) -> _Candidate:
-    """Least worst ratio of one order; the lower order's candidate when it is not beaten by ``_STEP_DB``."""
+def _optimum(problem: _Problem, order: int, lower_order: _Candidate | None, last: _Candidate | None = None) -> _Candidate:
+    """Least worst ratio of one order; the lower order's candidate when it is not beaten by ``_STEP_DB``.
+
+    ``last``: what was found before the grid grew.
+    """
+    best = lower_order
     if order == 0:
         ratio_db = 10.0 * math.log10(problem.b2.max() / problem.b2.min())
-        return _Candidate(0, np.array([problem.b2.max()]), np.ones(1), ratio_db, ratio_db)
-    best = lower_order
-    bottom = np.ones(1) if best is None else best.bottom
-    while len(bottom) <= order:  # one more break in the middle of the band
-        bottom = np.convolve(bottom, [1.0, math.exp(-sum(problem.band))])
+        return _Candidate(0, np.array([problem.b2.max()]), np.ones(1), ratio_db, ratio_db, problem.y)
+    if best is not None and best.ratio_db <= _STEP_DB:
+        return best
+    if last is None:
+        active, lower_db, excess = problem.start(), 0.0, 10.0
+        bottom = np.ones(1) if best is None else best.bottom
+        while len(bottom) <= order:  # one more break in the middle of the band
+            bottom = np.convolve(bottom, [1.0, math.exp(-sum(problem.band))])
+    else:
+        active, lower_db, excess, bottom = last.active, last.lower_db, 0.0, last.bottom
+        active = np.union1d(active, _failures(problem, problem.ratio2(last.top, last.bottom), lower_db))
     if best is None:  # strictly proper, first order: any roll-off to start from
         ratio2 = problem.ratio2(np.ones(1), bottom)
-        best = _Candidate(order, 1.0 / ratio2[problem.below].min(keepdims=True), bottom, problem.spread_db(ratio2), 0.0)
-    active, lower_db, excess = problem.start(), 0.0, 10.0
+        best = _Candidate(order, 1.0 / ratio2[problem.below].min(keepdims=True), bottom, problem.spread_db(ratio2), 0.0, active)
     for _ in range(_MAX_CUTS):
         tol = max(_STEP_DB, 0.1 * excess)
         found, lower_db = _exchange(problem, active, order, bottom, lower_db, best.ratio_db, tol)
@@ -584,7 +600,7 @@ def _optimum(problem: _Problem, order: int, lower_order: _Candidate | None) -> _
         ratio2 = problem.ratio2(top, bottom)
         worst = problem.spread_db(ratio2)
         if worst < best.ratio_db:
-            best = _Candidate(order, top / ratio2[problem.below].min(), bottom, worst, lower_db)
+            best = _Candidate(order, top / ratio2[problem.below].min(), bottom, worst, lower_db, active)
         excess = min(excess, worst - lower_db) if math.isfinite(worst) else excess
         fresh = np.setdiff1d(_failures(problem, ratio2, lower_db), active)
         if best.ratio_db <= lower_db + 2 * _STEP_DB or (not fresh.size and tol == _STEP_DB):
@@ -592,7 +608,7 @@ def _optimum(problem: _Problem, order: int, lower_order: _Candidate | None) -> _
         if not fresh.size:
             excess = 0.0
         active = np.union1d(active, fresh)
-    return best if best.order < order else _Candidate(order, best.top, best.bottom, best.ratio_db, lower_db)
+    return best if best.order < order else replace(best, lower_db=lower_db, active=active)
 
 
 def _resolve(problem: _Problem, top: np.ndarray, bottom: np.ndarray):
@@ -641,31 +657,33 @@ def _exchange(problem, active, order, bottom, lower_db, upper_db, tol_db):
 def _program(problem, powers, rows, bottom, level_db):
     """(N, D) of the linear program at the trial worst ratio ``level_db``, None when the solver gives up.
 
-    In N' = N/t, each row over sum |d_i| y^i of ``bottom``:  bound^2 D <= t N',  N'/t - bound^2 D <= tau bound^2 D_old,
-    mean of D = 1, least tau.
+    Unknowns N' = N/t, D and tau; each row over the D of ``bottom``, and that not under 1e-5 of its sum |d_i| y^i, so that
+    the solver's tolerance is relative even in a sharp resonance:
+    bound^2 D <= t N',  N'/t - bound^2 D <= tau bound^2 D_old,  D >= 1e-5 D_old,  mean of D = 1,  least tau.
     """
     t = 10.0 ** (level_db / 20.0)
     size = powers @ np.abs(bottom)
     d_rows = powers / size[:, None]
+    mean = d_rows.mean(axis=0)
+    d_rows /= np.maximum(powers @ bottom / size, _RESOLUTION)[:, None]
     n_rows = d_rows[:, :-1] if problem.strict else d_rows
     n_rows = n_rows / problem.b2[rows, None]
     n_scale, d_scale = n_rows.max(axis=0), d_rows.max(axis=0)
-    n_rows, d_rows = n_rows / n_scale, d_rows / d_scale
-    below = problem.below[rows]
-    above = np.hstack([-n_rows[below] * t, d_rows[below], np.zeros((below.sum(), 1))])
-    above /= np.abs(above).max(axis=1, keepdims=True)
-    old = np.maximum(powers @ bottom / size, 1e-3)
-    a_ub = np.vstack([above, np.hstack([n_rows / t, -d_rows, -old[:, None]]),
-                      np.hstack([np.zeros_like(n_rows), -d_rows, np.zeros((len(d_rows), 1))])])
-    b_ub = np.append(np.zeros(len(a_ub) - len(d_rows)), np.full(len(d_rows), -_DAMPING))
+    n_rows, d_rows, mean = n_rows / n_scale, d_rows / d_scale, mean / d_scale
+    below, tau = problem.below[rows], np.ones((len(rows), 1))
+    a_ub = np.vstack([np.hstack([-t * n_rows, d_rows, 0 * tau])[below],
+                      np.hstack([n_rows / t, -d_rows, -tau]),
+                      np.hstack([0 * n_rows, -d_rows, 0 * tau])])
+    b_ub = np.concatenate([np.zeros(below.sum() + len(rows)), np.full(len(rows), -_RESOLUTION)])
     cost = np.zeros(a_ub.shape[1])
     cost[-1] = 1.0
-    a_eq = np.concatenate([np.zeros(n_rows.shape[1]), d_rows.mean(axis=0), [0.0]])[None, :]
+    a_eq = np.concatenate([np.zeros(n_rows.shape[1]), mean, [0.0]])[None, :]
     answer = linprog(cost, A_ub=a_ub, b_ub=b_ub, A_eq=a_eq, b_eq=[1.0], bounds=(None, None), method="highs-ds",
                      options=_TOLERANCE)
     if answer.status != 0:
         return None
-    return answer.x[: n_rows.shape[1]] / n_scale, answer.x[n_rows.shape[1]:-1] / d_scale
+    top, bottom = answer.x[: n_rows.shape[1]] / n_scale, answer.x[n_rows.shape[1]:-1] / d_scale
+    return top / np.abs(bottom).max(), bottom / np.abs(bottom).max()
 
 
 def _failures(problem: _Problem, ratio2: np.ndarray, level_db: float) -> np.ndarray:
@@ -704,7 +722,7 @@ def _close(problem: _Problem, candidate: _Candidate, lower_order: _Candidate | N
         if closed is not None and _db(closed[2].max_ratio) <= candidate.lower_db + 4 * _STEP_DB:
             break
         problem.insert((np.array([certificate.min_ratio_at, certificate.max_ratio_at]) / problem.samples.unit) ** 2)
-        candidate = _optimum(problem, candidate.order, lower_order)
+        candidate = _optimum(problem, candidate.order, lower_order, candidate)
         if lower_order is not None and candidate.order == lower_order.order:
             break
     return closed
