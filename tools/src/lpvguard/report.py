@@ -162,7 +162,8 @@ def _summary(stored: StoredIdentification, replayer: Replayer, drives: DriveSet)
                       f"{length_s[-1]:.3g} s in the highest; speed within ±{estimator.speed_tolerance:.0%} of the "
                       f"frame's mean; "
                       f"settling {estimator.settle * estimator.Ts:.3g} s; identifier {estimator.identifier():#010x}"),
-        ("threshold of the frame test", f"{replayer.threshold:.4g} on the {project.frame_test.confirm}-of-{project.frame_test.of_last} margin"),
+        ("threshold of the frame test",
+         f"{replayer.threshold:.4g} on the {project.frame_test.confirm}-of-{project.frame_test.of_last} margin"),
         ("alpha", claim), ("conditional bound", conditional),
         ("final inflation of the weights", f"{stored.weights['inflation']:.6g}, the least factor with which the compiled core "
                                            "finds no margin above 1 on the bound-setting drives, whole or with their "
@@ -177,16 +178,19 @@ def _summary(stored: StoredIdentification, replayer: Replayer, drives: DriveSet)
     proofs = _table(
         ["weight", "order", "worst |W|/bound, dB", "no weight of this order below, dB", "smallest |W|/bound proved", "at, rad/s",
          "proved up to, rad/s", "stable, minimum phase", "bins bridged for want of data, rad/s"],
-        [[label, str(w["order"]), f"{w['worst_ratio_db']:.3f}", f"{w['lp_optimum_db']:.3f}", f"{w['certificate']['min_ratio']:.15g}",
+        [[label, str(w["order"]), f"{w['worst_ratio_db']:.3f}", f"{w['lp_optimum_db']:.3f}",
+          f"{w['certificate']['min_ratio']:.15g}",
           _number(w["certificate"]["min_ratio_at"]), _limit(w["certificate"]["omega_max"]),
-          _yes(w["certificate"]["stable"] and w["certificate"]["minimum_phase"] and w["certificate"]["ok"], "proved", "not proved"),
+          _yes(w["certificate"]["stable"] and w["certificate"]["minimum_phase"] and w["certificate"]["ok"],
+               "proved", "not proved"),
           ", ".join(_number(x) for x in w["certificate"]["without_data"]) or "none"] for label, w in weights])
     return f"""<h2>Summary</h2>{_table([], rows, "words")}
 <p>Each weight lies above its bound at every frequency, proved piece by piece by exact Routh arrays and Bernstein coefficients,
 not on a grid, and proved anew when this page was made (for W<sub>w</sub> and W<sub>Δ</sub>); between bins a bound is log-log
 linear. The worst ratio is how far the weight lies above its bound where it lies highest; the column beside it is a proved lower
 limit for any weight of the same order.
-DC stands at {DC_STAND_IN:g} times the lowest bin's frequency, so “at” {replayer.estimator.omega[1] * DC_STAND_IN:.3g} rad/s means DC.</p>{proofs}"""
+DC stands at {DC_STAND_IN:g} times the lowest bin's frequency, so “at”
+{replayer.estimator.omega[1] * DC_STAND_IN:.3g} rad/s means DC.</p>{proofs}"""
 
 
 def _limit(value: float | str) -> str:
@@ -240,13 +244,13 @@ def _bound_sections(stored: StoredIdentification, replayer: Replayer) -> list[st
     without = int((~(bounds["frames"] > 0)).sum())
     gaps = f" {without} bins without a counted frame are hatched: no information." if without else " Every bin has data."
     if np.nanmax(bounds["B1"]) > 0:
-        b1 = ("Green: the right side of (9) per frame and its maximum B<sub>1</sub>, the least disturbance that one δ common to all outputs "
-              "leaves to explain.")
+        b1 = ("Green: the right side of (9) per frame and its maximum B<sub>1</sub>, the least disturbance that one δ "
+              "common to all outputs leaves to explain.")
     else:
-        b1 = ("B<sub>1</sub> is 0 in every bin and has no place on the logarithmic axis: with one output δ = E/Z explains any frame without a "
-              "disturbance, so the ceiling alone decides the trade-off.")
-    stars = (f"Stars: DC, standing at {grid[0]:.3g} rad/s ({DC_STAND_IN:g} of the lowest bin) for want of a place; the shaded gap between is "
-             "below the lowest bin, where there is no information and only longer records help.")
+        b1 = ("B<sub>1</sub> is 0 in every bin and has no place on the logarithmic axis: with one output δ = E/Z "
+              "explains any frame without a disturbance, so the ceiling alone decides the trade-off.")
+    stars = (f"Stars: DC, standing at {grid[0]:.3g} rad/s ({DC_STAND_IN:g} of the lowest bin) for want of a place; the shaded "
+             "gap between is below the lowest bin, where there is no information and only longer records help.")
     binding = np.nanargmax(np.where(estimator.cycles > 0, bounds["nu"] / np.maximum(bounds["nu_ceiling"], 1e-300), np.nan))
     second = _figure(
         pictures.disturbance_design("f2", grid, clouds, bounds, curve(weights["gamma_w"]), fine, _units(stored)),
@@ -365,11 +369,13 @@ def _visibility_section(found: _Pass, stored: StoredIdentification, replayer: Re
 <p>A frame of a vehicle that responds with c times the nominal output shows E = −gZ, |g| = |1 − c|, and exceeds the threshold
 {replayer.threshold:.4g} exactly when g &gt; threshold / t*(−Z, Z); with one output, when
 g|Z| &gt; threshold · (B<sub>w</sub> + W<sub>Δ</sub>|Z|). A delay τ has g = |1 − e<sup>−jωτ</sup>|. Z is taken at the
-{seen["percentile"]}th percentile of what was met in the cell, so one counted frame in {100 // (100 - seen["percentile"])} is at least
-as strong. A smaller fault is invisible unless the excitation is stronger than that, or the vehicle's ordinary error happens to add
-to it; {stated}. “–”: no frame counted there.</p>{overall}
+{seen["percentile"]}th percentile of what was met in the cell, so one counted frame in
+{100 // (100 - seen["percentile"])} is at least
+as strong. A smaller fault is invisible unless the excitation is stronger than that, or the vehicle's ordinary
+error happens to add to it; {stated}. “–”: no frame counted there.</p>{overall}
 <h3>Smallest visible gain error, per speed and bin</h3>{gain}<p class="note">Last line: threshold · W<sub>Δ</sub>, below
-which a gain error stays invisible however strong the excitation. Above 1 not even a vehicle that does not respond at all would be noticed in that bin.</p>
+which a gain error stays invisible however strong the excitation. Above 1
+ not even a vehicle that does not respond at all would be noticed in that bin.</p>
 <h3>Smallest visible delay [s], per speed and bin</h3>{delay}
 <p class="note">“–”: no delay is large enough (g above 2), DC, or no frame.</p>
 <h3>Excitation |Z| [{escape(unit)}] behind these numbers</h3>{size_table}
@@ -427,7 +433,8 @@ def _drive_page(stored: StoredIdentification, replayer: Replayer, drive: Drive, 
             ["alarm at, s", "test", "bin, rad/s", "speed, m/s", "margin", "statistic", "threshold", "|E|", "|Z|",
              "W<sub>Δ</sub>", "B<sub>w</sub>", "evidence"],
             [[f"{a.t_s:.2f}", a.test, _number(a.bin_rad_s), f"{a.speed_mps:.1f}", _number(a.margin), _number(a.statistic),
-              _number(a.threshold), _number(np.linalg.norm(a.E)), _number(np.linalg.norm(a.Z)), _number(a.W_delta), ", ".join(_number(b) for b in a.B_w),
+              _number(a.threshold), _number(np.linalg.norm(a.E)), _number(np.linalg.norm(a.Z)),
+              _number(a.W_delta), ", ".join(_number(b) for b in a.B_w),
               _number(a.evidence)] for a in listed]) + more
     driver = escape(stored.manifest["drivers"][drive.name])
     return f"""<h3>{escape(drive.name)} <span class="note">({driver} driver; {_role(stored, drive.name)})</span></h3>
@@ -470,7 +477,8 @@ def _evaluation_section(evaluation: dict) -> str:
           f"{r['alarmed']} of {r['pieces']}", f"{r['judged_s']:.1f}", f"{r['judged_of_in_range_excited']:.0%}"]
          for r in evaluation["drives"]])
     faults = _table(
-        [f"fault from {FAULT_FROM_S:g} s on", f"found within {FOUND_WITHIN_S:g} s", "drives", "judged, excited s to the first alarm"],
+        [f"fault from {FAULT_FROM_S:g} s on",
+         f"found within {FOUND_WITHIN_S:g} s", "drives", "judged, excited s to the first alarm"],
         [[escape(row["fault"]), f"{row['found']} of {row['counted']}", str(row["drives"]),
           ", ".join("never" if c["s"] is None else f"{c['s']:.1f}" for c in row["cases"])] for row in evaluation["faults"]])
     figure = ""
@@ -483,6 +491,7 @@ def _evaluation_section(evaluation: dict) -> str:
             f"alarms in that time too. Times below 0.1 s "
             "stand at 0.1 s. Right: found of counted.")
     return f"""<h2>Evaluation, leave one drive out</h2>
-<p>Every drive that did not set the bounds runs through the compiled core with the threshold of {escape(evaluation["threshold_rule"])}. The interval
+<p>Every drive that did not set the bounds runs through the compiled core with the threshold of
+{escape(evaluation["threshold_rule"])}. The interval
 resamples drives, not pieces: pieces of one drive are not exchangeable.</p>
 <h3>False alarms</h3>{alarms}{drives}<h3>Injected faults</h3>{figure}{faults}"""
