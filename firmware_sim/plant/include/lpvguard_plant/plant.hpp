@@ -74,7 +74,9 @@ struct Truth {
     double bank_rad = 0.0;
     double crosswind_mps = 0.0;
     std::array<double, 4> wheel_load_n{};
+    std::array<double, 4> tyre_slip{};             ///< Tangent of the slip angle after relaxation, left positive.
     std::array<double, 4> tyre_lateral_force_n{};  ///< Along each wheel's own axis.
+    std::array<double, 4> brake_force_n{};         ///< Backwards along each wheel.
 };
 
 /// What the truck's sensors deliver: sampled every 10 ms, noisy, faulty, on their number grids, held in between.
