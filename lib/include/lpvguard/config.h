@@ -28,11 +28,9 @@ typedef float lpvg_real_t;
 #define LPVG_SYM(name) LPVG_PREFIXED(LPVG_VEHICLE, name)
 
 #ifdef __cplusplus
-#define LPVG_NODISCARD [[nodiscard]]
 #define LPVG_EXTERN_C_BEGIN extern "C" {
 #define LPVG_EXTERN_C_END }
 #else
-#define LPVG_NODISCARD
 #define LPVG_EXTERN_C_BEGIN
 #define LPVG_EXTERN_C_END
 #endif

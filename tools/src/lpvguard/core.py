@@ -24,7 +24,6 @@ VERDICTS = ("unknown", "valid", "invalid", "not_judged", "stale", "fault")
 REASONS = ("none", "not_excited", "speed_moved", "out_of_range", "settling")
 STATUSES = ("ok", "bad_argument", "bad_magic", "bad_schema", "bad_size", "bad_estimator", "bad_crc", "not_finite",
             "bad_value", "bad_sample", "out_of_order", "not_ready")
-WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror")
 
 
 def library_root() -> Path:
@@ -115,7 +114,7 @@ class Core:
         self.n_u, self.n_y, self.n_bins, self._n_words, self._n_reals, self._columns, self.monitor_bytes = map(int, sizes)
 
     def _compile(self, sources: list[Path], includes: list[Path], double: bool) -> Path:
-        flags = ["-std=c++17", "-O2", "-fno-exceptions", "-fno-rtti", "-ffp-contract=off", "-fno-math-errno", *WARNINGS,
+        flags = ["-std=c++17", "-O2", "-fno-exceptions", "-fno-rtti", "-ffp-contract=off", "-fno-math-errno",
                  "-isystem", _eigen_include(), *(["-DLPVG_DOUBLE"] if double else [])]
         try:
             return native.compile_shared(sources, flags=flags, include_dirs=includes, name=f"core_{self.folder.name}")

@@ -169,14 +169,15 @@ def _within(path: Path, signal: Signal, values: np.ndarray) -> np.ndarray:
     return values
 
 
-def require_units(path: Path | str, drive: Drive, nominal_output: np.ndarray, in_range: np.ndarray) -> None:
+def require_units(path: Path | str, drive: Drive, nominal_output: np.ndarray, settled: np.ndarray) -> None:
     """Refuse a drive whose output is 57 times (or 1/57 of) what the nominal model says: degrees for radians.
 
     Small angles given in degrees can stay within the signal's range; a factor of 40 to 80 together with a correlation
-    above 0.8 cannot come from a faulty sensor, which would be a finding and not an input error.
+    above 0.8 cannot come from a faulty sensor, which would be a finding and not an input error. ``settled`` (N,) bool:
+    in speed range, and the start at the measured output forgotten.
     """
     for j in range(drive.y.shape[1]):
-        y, yhat = drive.y[in_range, j], nominal_output[in_range, j]
+        y, yhat = drive.y[settled, j], nominal_output[settled, j]
         if len(y) < 2 or not (np.std(y) > 0 and np.std(yhat) > 0):
             continue
         ratio = np.std(y) / np.std(yhat)

@@ -133,8 +133,9 @@ class NominalModel:
         """A (m, n, n) and B (m, n, n_u) at speeds v (m,) [m/s]."""
         v = np.atleast_1d(np.asarray(v, float))
         names: dict[str, object] = {"v": v, **self._settings.parameters}
-        for name, expression in self._settings.let.items():
-            names[name] = evaluate(expression, names, f"{self._where}, model.let.{name}")
+        with np.errstate(all="ignore"):
+            for name, expression in self._settings.let.items():
+                names[name] = evaluate(expression, names, f"{self._where}, model.let.{name}")
 
         def fill(entries: list[list[float | str]], key: str) -> np.ndarray:
             out = np.empty((len(v), len(entries), len(entries[0])))

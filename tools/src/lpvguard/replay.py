@@ -154,7 +154,6 @@ class Replayer:
     def replay_file(self, path: Path) -> Replay:
         """Read, check and run one drive table."""
         drive = read_drive(path, self.project)
-        low, high = self.model.speed_range
-        in_range = (drive.v >= low) & (drive.v <= high)
-        require_units(path, drive, self.model.simulate(drive.v, drive.u, drive.y[0]), in_range)
+        nominal_output = self.model.simulate(drive.v, drive.u, drive.y[0])
+        require_units(path, drive, nominal_output, self.estimator.settled(drive.v))
         return self.replay(drive)

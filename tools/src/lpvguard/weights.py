@@ -13,10 +13,11 @@ is linear in (N, D) for a fixed t, so the least t is found by a sequence of line
 minimises the violation of the upper inequality at a trial t (the differential correction of Barrodale, Powell
 and Roberts, SIAM J. Numer. Anal. 9, 1972): either it returns a better weight, or the trial t is infeasible and
 is a lower limit of what any weight of that order can reach. Trials sit 0.002 dB under the best weight so far.
-Rows are divided by bound^2 sum |d_i| x^i of the current D and columns by the largest entry they then have
-(max-plus scaling): in this form monomials keep their accuracy over six decades. A program carries only the
-points that matter; points where its answer fails are added until none fails on a fine grid. The left-half-plane
-spectral factors of N and D are the weight.
+Rows are divided by bound^2 D of the current D (not under 1e-5 of its sum |d_i| x^i) and columns by the largest entry they
+then have, the max-plus scaling around that D: in this form monomials keep their accuracy over six decades. A verdict
+"infeasible" counts only when the D that scaled the rows was itself within 0.5 dB of the optimum. A program carries only the
+points that matter; points where its answer fails are added until none fails on a fine grid, which also
+takes up every lightly damped pole and zero. The left-half-plane spectral factors of N and D are the weight.
 
 **Why the weight is above the bound.** Not by a grid. On one piece bound^2 = c x^q with a real q, no polynomial;
 but x^q is convex in x (q <= 0 or q >= 1) or concave (0 < q < 1), so on [a, b] the chord respectively a tangent,
@@ -25,7 +26,8 @@ a straight line L, lies above it. N - r^2 L D is then a polynomial, and if all i
 |W| >= r bound there. Where a coefficient is negative the interval is halved; L and the Bernstein coefficients
 converge quadratically, so the search ends. [0, w_1] is such a piece with q = 0 and [w_K, inf) becomes one in 1/x. The
 coefficients of N and D follow from those of W in rational arithmetic; the rounding error of the rest is
-subtracted. Stability and minimum phase are decided by Routh's array in rational arithmetic. The same search with N and D
+subtracted (up to one rounding of the frequency). A proved ratio is 5e-10 below the one attained, so a weight that merely
+touches its bound is not accepted. Stability and minimum phase are decided by Routh's array in rational arithmetic. The same search with N and D
 exchanged bounds the worst ratio from above. The fit is closed by one scalar gain, ``inflation``, which lifts the weight
 by what the certificate found missing between the grid points.
 """
@@ -33,7 +35,7 @@ by what the certificate found missing between the grid points.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 
 import numpy as np
@@ -44,11 +46,17 @@ from .errors import InputError
 
 _STEP_DB = 0.002  # resolution of the search for the least worst ratio
 _GRID_STEP = 0.02  # widest gap of the cutting-plane grid, in ln w
-_OUTSIDE = 1e3  # the cutting-plane grid goes on by this factor in w beyond both ends
-_PROOF_MARGIN = 1e-9  # relative, on |W|^2: a proved ratio is this much below the one attained
-_ROUNDING = 1e-12  # relative to sum |c_i| x^i: over the rounding of exp, log and the Bernstein coefficients
-_MAX_HALVINGS = 80
+_OUTSIDE = 1e3  # the grid goes on by this factor in w beyond both ends
+_RESOLUTION = 1e-5  # smallest D of a row, over the D it is scaled by
+_NEAR_DB = 0.5  # rows scaled by a D this near the optimum are scaled well
+_TOLERANCE = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
+_MAX_PROGRAMS, _MAX_CUTS, _MAX_REFITS = 60, 60, 8
+
+_PROOF_MARGIN = 1e-9  # relative, on |W|^2: a proved ratio is this much below the one attained ...
+_PATIENCE = 18  # ... and four times more with every halving beyond this many, where rounding stops the proof
+_MAX_HALVINGS = 28
 _MAX_TESTS = 300_000
+_ROUNDING = 1e-13  # relative to sum |c_i| x^i: over the rounding of exp, log and the Bernstein coefficients
 _MAX_RANGE = 1e60  # largest bound / smallest bound
 
 
@@ -165,6 +173,7 @@ class OverboundFit:
     (up to the LP solver's 1e-9), so the fit is within ``worst_ratio_db - lp_optimum_db`` of the best there is.
     ``ratios_db``: worst ratio reached per order tried. ``inflation``: the final scalar gain, already in ``weight``.
     ``certificate``: ``Certificate.to_dict()``. ``floored``: frequencies (rad/s) where the floor replaced a smaller bound.
+    ``breaks_outside``: |pole| and |zero| (rad/s) beyond the first or last sample, which the optimum asked for.
     """
 
     weight: Weight
@@ -175,6 +184,7 @@ class OverboundFit:
     certificate: dict
     ratios_db: dict[int, float]
     floored: tuple[float, ...]
+    breaks_outside: tuple[float, ...]
 
 
 def fit_overbound(omega, bound, *, max_order=4, order=None, floor=None, tol_db=0.3, proper="biproper",
@@ -206,28 +216,37 @@ def fit_overbound(omega, bound, *, max_order=4, order=None, floor=None, tol_db=0
         if order is None and best[n].ratio_db <= tol_db:
             break  # no higher order can gain more than tol_db
     chosen = _choose(best, tol_db) if order is None else order
-    while best[chosen].order < chosen:
-        chosen -= 1
-    weight, inflation, certificate = _close(problem, best[chosen])
+    for n in range(chosen, lowest - 1, -1):
+        if best[n].order == n and (closed := _close(problem, best[n], best.get(n - 1))) is not None:
+            break
+    else:
+        raise InputError(source, f"order {chosen}", "no weight could be certified", "a smoother bound or another order")
+    weight, inflation, certificate, lower_db = closed
+    worst_db = _db(certificate.max_ratio)
     return OverboundFit(
-        weight=weight, order=chosen, worst_ratio_db=_db(certificate.max_ratio), lp_optimum_db=best[chosen].lower_db,
-        inflation=inflation, certificate=certificate.to_dict(),
-        ratios_db={n: candidate.ratio_db for n, candidate in best.items()}, floored=samples.floored)
+        weight=weight, order=weight.order, worst_ratio_db=worst_db, lp_optimum_db=lower_db, inflation=inflation,
+        certificate=certificate.to_dict() | {"without_data": list(samples.without_data)},
+        ratios_db={m: candidate.ratio_db for m, candidate in best.items()} | {n: worst_db}, floored=samples.floored,
+        breaks_outside=_outside(weight, samples))
 
 
-def verify_overbound(weight: Weight, omega, bound, *, name="") -> Certificate:
+def _outside(weight: Weight, samples: _Samples) -> tuple[float, ...]:
+    breaks = np.sort(np.abs(np.concatenate([weight.zeros(), weight.poles()])))
+    return tuple(breaks[(breaks < samples.omega[0]) | (breaks > samples.omega[-1])].tolist())
+
+
+def verify_overbound(weight: Weight, omega, bound, *, floor=None, name="") -> Certificate:
     """Prove or refute |W| >= bound from the coefficients of W alone; nothing of the fit is reused.
 
-    ``omega`` (K,) rad/s and ``bound`` (K,) > 0 or NaN as in ``fit_overbound`` (floor already applied). ``ok`` is true when W
-    is stable, minimum-phase and ``min_ratio`` >= 1. The method is the module's third paragraph.
+    ``omega`` (K,) rad/s, ``bound`` (K,) and ``floor`` as in ``fit_overbound``. ``ok`` is true when W is stable,
+    minimum-phase and ``min_ratio`` >= 1. The method is the module's third paragraph.
     """
-    samples = _Samples.read(name or "weight check", omega, bound, None)
+    samples = _Samples.read(name or "weight check", omega, bound, floor)
     strict = weight.num.size < weight.den.size
     stable, minimum_phase = _is_hurwitz(weight.den), _is_hurwitz(weight.num)
-    low, low_at, tests = _least_ratio(_squared(weight.num, samples.unit), _squared(weight.den, samples.unit),
-                                      samples, strict)
-    high, high_at, more = _least_ratio(_squared(weight.den, samples.unit), _squared(weight.num, samples.unit),
-                                       samples.reciprocal(), strict)
+    top, bottom = _squared(weight.num / samples.level, samples.unit), _squared(weight.den, samples.unit)
+    low, low_at, tests = _least_ratio(top, bottom, samples, strict)
+    high, high_at, more = _least_ratio(bottom, top, samples.reciprocal(), strict)
     return Certificate(
         ok=bool(stable and minimum_phase and low >= 1.0), stable=stable, minimum_phase=minimum_phase,
         min_ratio=low, min_ratio_at=low_at, max_ratio=1.0 / high if high > 0.0 else math.inf, max_ratio_at=high_at,
@@ -294,12 +313,16 @@ def _lowest_order(source, max_order, order, tol_db, proper) -> int:
 
 @dataclass(frozen=True)
 class _Samples:
-    """A checked bound. ``omega`` (K,) and ``bound`` (K,) without the NaN samples; ``unit`` a power of two near the
-    middle of the band, so that y = (w/unit)^2 is exact and its powers stay in range."""
+    """A checked bound. ``omega`` (K,) and ``bound`` (K,), the latter over ``level``, without the NaN samples.
+
+    ``unit`` and ``level`` are powers of two near the middle of omega and bound: y = (w/unit)^2 and its powers and the
+    squares of the bound stay in range, and the change of units is exact.
+    """
 
     omega: np.ndarray
     bound: np.ndarray
     unit: float
+    level: float
     without_data: tuple[float, ...]
     floored: tuple[float, ...]
 
@@ -331,11 +354,11 @@ class _Samples:
         if b.max() / b.min() > _MAX_RANGE:
             raise InputError(source, f"bound at {w[np.argmin(b)]:g} rad/s", f"is {b.min()} below a largest value of {b.max()}",
                              f"a range of at most {_MAX_RANGE:g}")
-        return cls(w, b, 2.0 ** round(0.5 * (math.log2(w[0]) + math.log2(w[-1]))),
-                   tuple(omega[~known].tolist()), tuple(omega[raised].tolist()))
+        unit, level = (2.0 ** round(0.5 * (math.log2(v.min()) + math.log2(v.max()))) for v in (w, b))
+        return cls(w, b / level, unit, level, tuple(omega[~known].tolist()), tuple(omega[raised].tolist()))
 
     def reciprocal(self) -> _Samples:
-        return _Samples(self.omega, 1.0 / self.bound, self.unit, self.without_data, self.floored)
+        return replace(self, bound=1.0 / self.bound)
 
     @property
     def y(self) -> np.ndarray:
@@ -398,33 +421,34 @@ def _least_ratio(top: np.ndarray, bottom: np.ndarray, samples: _Samples, strict:
     size = max(len(top), len(bottom))
     top, bottom = (np.pad(p, (0, size - len(p))) for p in (top, bottom))
     y, log_b2 = samples.y, 2.0 * np.log(samples.bound)
-    slopes = np.diff(log_b2) / np.diff(np.log(y))
+    slopes = np.diff(log_b2) / np.log(y[1:] / y[:-1])  # the very logarithm of ``_bound_squared``, however close the samples
     inside = (np.append(0.0, y[:-1]), y, np.append(y[0], y[:-1]), np.append(log_b2[0], log_b2[:-1]), np.append(0.0, slopes))
     families = [(top, bottom, inside, False)]
     if not strict:  # [y_K, inf) in 1/y: the reversed polynomials on [0, 1/y_K]
         beyond = (np.zeros(1), 1.0 / y[-1:], 1.0 / y[-1:], log_b2[-1:], np.zeros(1))
         families.append((top[::-1], bottom[::-1], beyond, True))
-    least, at, tests = math.inf, math.nan, 0
+    least, at, tests, margin = math.inf, math.nan, 0, _PROOF_MARGIN
     for p, q, pieces, inverted in families:
         points, shapes = np.concatenate(pieces[:2]), tuple(np.tile(v, 2) for v in pieces[2:])
-        for _ in range(_MAX_HALVINGS):
+        for halvings in range(_MAX_HALVINGS):
+            margin = max(margin, _PROOF_MARGIN * 4.0 ** (halvings - _PATIENCE))
             value, point = _attained(p, q, points, shapes)
             if value < least:
                 least, at = value, samples.unit * math.sqrt(_mirror(point) if inverted else point)
             if not least > 0.0:
                 return 0.0, at, tests
             tests += len(pieces[0])
-            open_ = ~_nonnegative(p, q, least * (1.0 - _PROOF_MARGIN), *pieces)
+            open_ = ~_nonnegative(p, q, least * (1.0 - margin), *pieces)
             lo, hi, *shapes = (v[open_] for v in pieces)
             if not lo.size:
                 break
             if tests > _MAX_TESTS:
-                return 0.0, at, tests
+                return 0.0, samples.unit * math.sqrt(_mirror(hi[0]) if inverted else hi[0]), tests
             points = np.where(lo > 0, np.sqrt(lo * hi), 0.25 * hi)
             pieces = (np.concatenate([lo, points]), np.concatenate([points, hi]), *(np.tile(v, 2) for v in shapes))
         else:
             return 0.0, samples.unit * math.sqrt(_mirror(hi[0]) if inverted else hi[0]), tests
-    return math.sqrt(least * (1.0 - _PROOF_MARGIN)), at, tests
+    return math.sqrt(least * (1.0 - margin)), at, tests
 
 
 def _bound_squared(points, y0, log0, slope) -> np.ndarray:
@@ -475,164 +499,203 @@ def _nonnegative(p, q, factor, lo, hi, y0, log0, slope) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """N, D ascending in y with min N/(bound^2 D) = 1 on the grid; ``ratio_db`` reached there, ``lower_db`` proved infeasible."""
+    """N, D ascending in y with min N/(bound^2 D) = 1 on the grid, where it reaches ``ratio_db``.
+
+    ``lower_db``: infeasible for this order on the rows ``active`` (y values) alone.
+    """
 
     order: int
     top: np.ndarray
     bottom: np.ndarray
     ratio_db: float
     lower_db: float
+    active: np.ndarray
 
 
 class _Problem:
     """The cutting-plane grid: all samples, points between them, both ends and what lies beyond.
 
-    ``y`` (G,) ascending from 0 to inf, ``b2`` (G,) bound squared over its geometric mean ``gain2``, ``below`` (G,) where the weight must be
-    above the bound, ``start`` the rows of the first linear program.
+    ``y`` (G,) ascending from 0 to inf, ``b2`` (G,) bound squared, ``below`` (G,) where the weight must be above the bound.
+    Grows by ``insert`` where a resonance hides between points.
     """
 
     def __init__(self, samples: _Samples, strict: bool):
         self.samples, self.strict = samples, strict
-        log_w, log_b = np.log(samples.omega / samples.unit), np.log(samples.bound)
-        tail = np.linspace(0.0, math.log(_OUTSIDE), 16)[1:]
-        fill = [np.linspace(a, b, int((b - a) / _GRID_STEP) + 2)[:-1] for a, b in zip(log_w[:-1], log_w[1:])]
-        grid = np.concatenate([log_w[0] - tail[::-1], *fill, log_w[-1:], log_w[-1] + tail])
-        self.gain2 = math.exp(2.0 * float(np.mean(log_b)))
-        self.y = np.concatenate([[0.0], np.exp(2.0 * grid), [math.inf]])
-        self.b2 = np.exp(2.0 * np.interp(grid, log_w, log_b))[np.r_[0, 0:grid.size, grid.size - 1]] / self.gain2
-        last = np.searchsorted(grid, log_w[-1]) + 1
-        self.below = np.arange(self.y.size) <= last if strict else np.ones(self.y.size, dtype=bool)
-        self.band = (log_w[0], log_w[-1])
+        self._log_w, self._log_b = np.log(samples.omega / samples.unit), np.log(samples.bound)
+        first, last = self.band = (self._log_w[0], self._log_w[-1])
+        tail = np.geomspace(_GRID_STEP, math.log(_OUTSIDE), 30)  # dense next to the corner of the bound at either end
+        fill = [np.linspace(a, b, int((b - a) / _GRID_STEP) + 2)[:-1] for a, b in zip(self._log_w[:-1], self._log_w[1:])]
+        self._place(np.concatenate([[-math.inf], first - tail[::-1], *fill, [last], last + tail, [math.inf]]))
+
+    def _place(self, grid: np.ndarray):
+        self.y = np.exp(2.0 * grid)
+        self.b2 = np.exp(2.0 * np.interp(grid, self._log_w, self._log_b))
+        self.below = grid <= self.band[1] if self.strict else np.ones(grid.size, dtype=bool)
+        self._grid = grid
+
+    def insert(self, y: np.ndarray):
+        with np.errstate(divide="ignore"):
+            self._place(np.union1d(self._grid, 0.5 * np.log(y)))
+
+    def start(self) -> np.ndarray:
+        """y of the first linear program's rows: both ends, and highest and lowest bound in each of 24 stretches."""
         cells = np.array_split(np.arange(self.y.size), 24)
-        self.start = np.unique([0, self.y.size - 1] + [c[f(self.b2[c])] for c in cells for f in (np.argmin, np.argmax)])
+        return np.unique(self.y[[0, -1] + [c[f(self.b2[c])] for c in cells for f in (np.argmin, np.argmax)]])
 
     def powers(self, degree: int) -> np.ndarray:
         """y^i, (G, degree+1); the row of y = inf is that of the leading coefficient."""
         rows = self.y[:-1, None] ** np.arange(degree + 1)
         return np.vstack([rows, np.eye(degree + 1)[-1:]])
 
+    def ratio2(self, top: np.ndarray, bottom: np.ndarray) -> np.ndarray:
+        """N/(bound^2 D) on the grid, nan where D <= 0."""
+        powers = self.powers(len(bottom) - 1)
+        low, high = powers @ bottom, powers @ np.pad(top, (0, len(bottom) - len(top)))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(low > 0, high / (self.b2 * low), math.nan)
+
+    def spread_db(self, ratio2: np.ndarray, rows=slice(None)) -> float:
+        """Worst ratio over best of the ratios at ``rows``; inf when no gain makes that a weight above the bound."""
+        if np.isnan(ratio2).any() or not (least := ratio2[self.below[rows]].min()) > 0:
+            return math.inf
+        return 10.0 * math.log10(ratio2.max() / least)
+
 
 def _db(ratio: float) -> float:
-    return 20.0 * math.log10(ratio)
+    return 20.0 * math.log10(ratio) if ratio < math.inf else math.inf
 
 
-def _optimum(problem: _Problem, order: int, lower_order: _Candidate | None) -> _Candidate:
-    """Least worst ratio of one order; the lower order's candidate when it is not beaten by ``_STEP_DB``."""
+def _optimum(problem: _Problem, order: int, lower_order: _Candidate | None, last: _Candidate | None = None) -> _Candidate:
+    """Least worst ratio of one order; the lower order's candidate when it is not beaten by ``_STEP_DB``.
+
+    ``last``: what was found before the grid grew.
+    """
+    best = lower_order
     if order == 0:
         ratio_db = 10.0 * math.log10(problem.b2.max() / problem.b2.min())
-        return _Candidate(0, np.array([problem.b2.max()]), np.ones(1), ratio_db, ratio_db)
-    powers = problem.powers(order)
-    start, stop = problem.band
-    bottom = np.ones(1)
-    for break_ in np.linspace(start, stop, 2 * order + 1)[1::2]:
-        bottom = np.convolve(bottom, [1.0, math.exp(-2.0 * break_)])
-    best = lower_order
-    limit = math.inf if best is None else best.ratio_db
-    active, lower_db = problem.start, 0.0
-    for _ in range(60):
-        found, lower_db = _exchange(problem, powers, active, bottom, lower_db, limit)
-        if found is None:  # the lower order cannot be beaten
-            return best
+        return _Candidate(0, np.array([problem.b2.max()]), np.ones(1), ratio_db, ratio_db, problem.y)
+    if best is not None and best.ratio_db <= _STEP_DB:
+        return best
+    if last is None:
+        active, lower_db, excess = problem.start(), 0.0, 10.0
+        bottom = np.ones(1) if best is None else best.bottom
+        while len(bottom) <= order:  # one more break in the middle of the band
+            bottom = np.convolve(bottom, [1.0, math.exp(-sum(problem.band))])
+    else:
+        active, lower_db, excess, bottom = last.active, last.lower_db, 0.0, last.bottom
+        active = np.union1d(active, _failures(problem, problem.ratio2(last.top, last.bottom), lower_db))
+    if best is None:  # strictly proper, first order: any roll-off to start from
+        ratio2 = problem.ratio2(np.ones(1), bottom)
+        best = _Candidate(order, 1.0 / ratio2[problem.below].min(keepdims=True), bottom, problem.spread_db(ratio2), 0.0, active)
+    for _ in range(_MAX_CUTS):
+        tol = max(_STEP_DB, 0.1 * excess)
+        found, lower_db = _exchange(problem, active, order, bottom, lower_db, best.ratio_db, tol)
+        if found is None:  # nothing better than ``best`` by tol
+            if tol == _STEP_DB:
+                break
+            excess = 0.0
+            continue
         top, bottom = found
-        ratio2, positive = _grid_ratio(problem, powers, top, bottom)
-        worst = _spread_db(problem, ratio2, positive)
-        if worst < limit:
-            best, limit = _Candidate(order, top / ratio2[problem.below].min(), bottom, worst, lower_db), worst
-        if worst <= lower_db + 2.5 * _STEP_DB:
+        _resolve(problem, top, bottom)
+        ratio2 = problem.ratio2(top, bottom)
+        worst = problem.spread_db(ratio2)
+        if worst < best.ratio_db:
+            best = _Candidate(order, top / ratio2[problem.below].min(), bottom, worst, lower_db, active)
+        excess = min(excess, worst - lower_db) if math.isfinite(worst) else excess
+        fresh = np.setdiff1d(_failures(problem, ratio2, lower_db), active)
+        if best.ratio_db <= lower_db + 2 * _STEP_DB or (not fresh.size and tol == _STEP_DB):
             break
-        fresh = np.setdiff1d(_failures(problem, ratio2, positive, lower_db), active)
         if not fresh.size:
-            break
+            excess = 0.0
         active = np.union1d(active, fresh)
-    if best is None:
-        raise InputError("weight fit", f"order {order}", "the linear programs gave no weight", "another order")
-    return best if best.order < order else _Candidate(order, best.top, best.bottom, best.ratio_db, lower_db)
+    return best if best.order < order else replace(best, lower_db=lower_db, active=active)
 
 
-def _exchange(problem, powers, active, bottom, lower_db, limit_db):
-    """Optimum over the rows ``active``: ((N, D), level proved infeasible), or (None, level) when that level is ``limit_db``."""
-    found, level = None, lower_db + _STEP_DB
-    for _ in range(40):
-        answer, infeasible = _program(problem, powers, active, bottom, level)
-        if infeasible:
-            lower_db = level
-            if level >= limit_db - _STEP_DB:
-                return None, lower_db
-        if answer is not None:
-            ratio2, positive = _grid_ratio(problem, powers, *answer)
-            reached = _spread_db(problem, ratio2, positive, active)
-            if math.isfinite(reached):
-                bottom = answer[1]
-                if found is None or reached < found[0]:
-                    found = (reached, answer)
-        if infeasible and found is not None and found[0] <= level + 1.5 * _STEP_DB:
-            return found[1], lower_db
-        upper = limit_db if found is None else min(found[0], limit_db)
-        if infeasible and found is None:
-            level = min(0.5 * (level + upper), limit_db - _STEP_DB) if math.isfinite(upper) else 2.0 * level + 1.0
-        else:
-            level = max(upper - _STEP_DB, lower_db + 0.5 * _STEP_DB)
-    return (None if found is None else found[1]), lower_db
+def _resolve(problem: _Problem, top: np.ndarray, bottom: np.ndarray):
+    """Put the places of lightly damped poles and zeros on the grid when the ratio fails there."""
+    for polynomial in (top, bottom):
+        roots = _roots(np.trim_zeros(polynomial, "b")[::-1])
+        near = np.unique(np.abs(roots[roots.real > 0]))
+        if near.size:
+            problem.insert(np.concatenate([near, np.sqrt(near[1:] * near[:-1])]))
 
 
-def _program(problem, powers, active, bottom, level_db):
-    """One linear program at the trial worst ratio ``level_db``: ((N, D) or None, infeasible)."""
-    t2 = 10.0 ** (level_db / 10.0)
-    rows, b2 = powers[active], problem.b2[active]
-    d_rows = rows / (rows @ np.abs(bottom))[:, None]
-    n_rows = d_rows / b2[:, None] / math.sqrt(t2)
-    if problem.strict:
-        n_rows = n_rows[:, :-1]
+def _exchange(problem, active, order, bottom, lower_db, upper_db, tol_db):
+    """Bracket the optimum over the rows ``active`` (y values) to ``tol_db``: ((N, D) or None, level proved infeasible).
+
+    ``upper_db`` is known to be reached; None when that cannot be bettered by ``tol_db``.
+    """
+    rows = np.searchsorted(problem.y, active)
+    powers = problem.powers(order)
+    found, level = None, min(lower_db + tol_db, 0.5 * (lower_db + upper_db))
+    scaled_by, judged_by = upper_db, math.inf  # what ``bottom`` reaches, now and at the last verdict "infeasible"
+    for _ in range(_MAX_PROGRAMS):
+        if upper_db - lower_db <= tol_db:
+            if judged_by <= lower_db + max(tol_db, _NEAR_DB):
+                break
+            level = lower_db  # rows scaled by a D far from the optimum may have led to that verdict: ask again
+        gap = upper_db - lower_db
+        answer = _program(problem, powers[rows], rows, bottom, level)
+        if answer is None:  # no verdict
+            level = 0.5 * (level + upper_db)
+            continue
+        ratio2 = problem.ratio2(*answer)[rows]
+        reached = problem.spread_db(ratio2, rows)
+        if reached > level + 1e-6:
+            lower_db, judged_by = level, scaled_by
+        elif level <= lower_db:
+            lower_db = 0.0
+        if reached < upper_db:
+            upper_db = scaled_by = reached
+            bottom = answer[1]
+            found = answer[0] / ratio2[problem.below[rows]].min(), bottom
+        slow = upper_db - lower_db > 0.5 * gap
+        level = 0.5 * (lower_db + upper_db) if slow else max(upper_db - 0.9 * tol_db, lower_db + 0.1 * tol_db)
+    return found, lower_db
+
+
+def _program(problem, powers, rows, bottom, level_db):
+    """(N, D) of the linear program at the trial worst ratio ``level_db``, None when the solver gives up.
+
+    Unknowns N' = N/t, D and tau; each row over the D of ``bottom``, and that not under 1e-5 of its sum |d_i| y^i, so that
+    the solver's tolerance is relative even in a sharp resonance:
+    bound^2 D <= t N',  N'/t - bound^2 D <= tau bound^2 D_old,  D >= 1e-5 D_old,  mean of D = 1,  least tau.
+    """
+    t = 10.0 ** (level_db / 20.0)
+    size = powers @ np.abs(bottom)
+    d_rows = powers / size[:, None]
+    mean = d_rows.mean(axis=0)
+    d_rows /= np.maximum(powers @ bottom / size, _RESOLUTION)[:, None]
+    n_rows = d_rows[:, :-1] if problem.strict else d_rows
+    n_rows = n_rows / problem.b2[rows, None]
     n_scale, d_scale = n_rows.max(axis=0), d_rows.max(axis=0)
-    n_rows, d_rows = n_rows / n_scale, d_rows / d_scale
-    below = problem.below[active]
-    root = math.sqrt(t2)
-    # N' = N/sqrt(t2): D - root N' <= 0 and N'/root - D <= tau; mean of D over the rows is 1
-    a_ub = np.block([[-n_rows[below] * root, d_rows[below], np.zeros((below.sum(), 1))],
-                     [n_rows / root, -d_rows, -np.ones((len(rows), 1))]])
-    scale = np.abs(a_ub[:, :-1]).max(axis=1)
-    a_ub[: below.sum()] /= scale[: below.sum(), None]
+    n_rows, d_rows, mean = n_rows / n_scale, d_rows / d_scale, mean / d_scale
+    below, tau = problem.below[rows], np.ones((len(rows), 1))
+    a_ub = np.vstack([np.hstack([-t * n_rows, d_rows, 0 * tau])[below],
+                      np.hstack([n_rows / t, -d_rows, -tau]),
+                      np.hstack([0 * n_rows, -d_rows, 0 * tau])])
+    b_ub = np.concatenate([np.zeros(below.sum() + len(rows)), np.full(len(rows), -_RESOLUTION)])
     cost = np.zeros(a_ub.shape[1])
     cost[-1] = 1.0
-    a_eq = np.concatenate([np.zeros(n_rows.shape[1]), d_rows.mean(axis=0), [0.0]])[None, :]
-    answer = linprog(cost, A_ub=a_ub, b_ub=np.zeros(len(a_ub)), A_eq=a_eq, b_eq=[1.0], bounds=(None, None), method="highs-ds",
-                     options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10})
+    a_eq = np.concatenate([np.zeros(n_rows.shape[1]), mean, [0.0]])[None, :]
+    answer = linprog(cost, A_ub=a_ub, b_ub=b_ub, A_eq=a_eq, b_eq=[1.0], bounds=(None, None), method="highs-ds",
+                     options=_TOLERANCE)
     if answer.status != 0:
-        return None, answer.status == 2
-    top = answer.x[: n_rows.shape[1]] / n_scale
-    return (top, answer.x[n_rows.shape[1]:-1] / d_scale), bool(answer.x[-1] > 1e-9)
+        return None
+    top, bottom = answer.x[: n_rows.shape[1]] / n_scale, answer.x[n_rows.shape[1]:-1] / d_scale
+    return top / np.abs(bottom).max(), bottom / np.abs(bottom).max()
 
 
-def _grid_ratio(problem, powers, top, bottom) -> tuple[np.ndarray, np.ndarray]:
-    """N/(bound^2 D) on the grid and where D > 0."""
-    low = powers @ bottom
-    positive = low > 0
-    # a strictly proper N has one coefficient less; its value at inf is 0
-    high = powers[:, : len(top)] @ top if len(top) < powers.shape[1] else powers @ top
-    if len(top) < powers.shape[1]:
-        high[-1] = 0.0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(positive, high / (problem.b2 * low), math.nan), positive
-
-
-def _spread_db(problem, ratio2, positive, rows=slice(None)) -> float:
-    below = problem.below[rows]
-    r, p = ratio2[rows], positive[rows]
-    if not p.all() or not r[below].min() > 0:
-        return math.inf
-    return 10.0 * math.log10(r.max() / r[below].min())
-
-
-def _failures(problem, ratio2, positive, level_db) -> np.ndarray:
-    """Grid points to add: local extremes of the ratio that leave [1, level], and one per stretch where D <= 0."""
-    log_r = 10.0 * np.log10(np.where(positive & (ratio2 > 0), ratio2, 1.0))
-    bad = ~positive | ~((ratio2 > 0) | ~problem.below)
-    over, under = log_r > level_db + 0.5 * _STEP_DB, (log_r < -0.5 * _STEP_DB) & problem.below
-    ends = np.pad(log_r, 1, mode="edge")
-    peak, dip = (log_r >= ends[:-2]) & (log_r >= ends[2:]), (log_r <= ends[:-2]) & (log_r <= ends[2:])
+def _failures(problem: _Problem, ratio2: np.ndarray, level_db: float) -> np.ndarray:
+    """y to add: the worst local extremes of the ratio outside [1, level], and one per stretch where D <= 0."""
+    bad = np.isnan(ratio2) | (problem.below & ~(ratio2 > 0))
+    log_r = 10.0 * np.log10(np.where(ratio2 > 0, ratio2, 1.0))
+    miss = np.maximum(log_r - level_db, np.where(problem.below, -log_r, 0.0))
+    ends = np.pad(miss, 1, mode="edge")
+    peak = np.flatnonzero((miss > 0.25 * _STEP_DB) & (miss >= ends[:-2]) & (miss >= ends[2:]))
+    peak = peak[np.argsort(-miss[peak], kind="stable")[:30]]
     runs = np.flatnonzero(np.diff(np.concatenate([[0], bad.astype(int), [0]])))
-    middles = (runs[0::2] + runs[1::2] - 1) // 2
-    return np.unique(np.concatenate([np.flatnonzero(over & peak), np.flatnonzero(under & dip), middles]))
+    return np.unique(problem.y[np.concatenate([peak, (runs[0::2] + runs[1::2] - 1) // 2])])
 
 
 def _choose(best: dict[int, _Candidate], tol_db: float) -> int:
@@ -644,22 +707,39 @@ def _choose(best: dict[int, _Candidate], tol_db: float) -> int:
 # ---------------------------------------------------------------- spectral factors
 
 
-def _close(problem: _Problem, candidate: _Candidate) -> tuple[Weight, float, Certificate]:
-    """Spectral factors, then the one scalar gain that the certificate asks for."""
+def _close(problem: _Problem, candidate: _Candidate, lower_order: _Candidate | None):
+    """Weight, inflation, certificate and lower limit [dB] of a candidate; None when no stable spectral factor is found.
+
+    Where the certificate finds the ratio outside what the grid showed, that frequency joins the grid and the order is
+    fitted again.
+    """
+    closed = None
+    for _ in range(_MAX_REFITS):
+        lifted = _lift(problem, candidate)
+        certificate = lifted[2]
+        if certificate.ok and (closed is None or certificate.max_ratio < closed[2].max_ratio):
+            closed = *lifted, candidate.lower_db
+        if closed is not None and _db(closed[2].max_ratio) <= candidate.lower_db + 4 * _STEP_DB:
+            break
+        problem.insert((np.array([certificate.min_ratio_at, certificate.max_ratio_at]) / problem.samples.unit) ** 2)
+        candidate = _optimum(problem, candidate.order, lower_order, candidate)
+        if lower_order is not None and candidate.order == lower_order.order:
+            break
+    return closed
+
+
+def _lift(problem: _Problem, candidate: _Candidate) -> tuple[Weight, float, Certificate]:
+    """Spectral factors of a candidate, the gain that puts them above the bound, and the certificate of both."""
     samples = problem.samples
-    factors = [_spectral_factor(p) for p in (candidate.top, candidate.bottom)]
+    factors = [_spectral_factor(np.trim_zeros(p, "b")) for p in (candidate.top, candidate.bottom)]
     num, den = (p / samples.unit ** np.arange(len(p) - 1, -1, -1.0) for p in factors)
-    gain = math.sqrt(problem.gain2)
-    lead = den[0]
-    raw = Weight(gain * num / lead, den / lead)
-    missing = verify_overbound(raw, samples.omega, samples.bound)
-    if not (missing.stable and missing.minimum_phase and missing.min_ratio > 0):
-        raise InputError("weight fit", f"order {candidate.order}", "the optimum has no stable spectral factor",
-                         "a lower order")
-    inflation = (1.0 + 1e-12) / missing.min_ratio
-    weight = Weight(raw.num * inflation, raw.den)
-    certificate = verify_overbound(weight, samples.omega, samples.bound)
-    certificate = Certificate(**{**certificate.__dict__, "without_data": samples.without_data})
+    raw, inflation = Weight(samples.level * num / den[0], den / den[0]), 1.0
+    for _ in range(3):
+        weight = Weight(raw.num * inflation, raw.den)
+        certificate = verify_overbound(weight, samples.omega, samples.bound * samples.level)
+        if certificate.ok or certificate.min_ratio == 0.0:
+            break
+        inflation *= (1.0 + 1e-12) / certificate.min_ratio
     return weight, inflation, certificate
 
 

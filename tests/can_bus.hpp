@@ -1,0 +1,69 @@
+// A bus of the catalogue's messages for tests: sends good frames on their periods, and lets a test spoil them.
+#pragma once
+
+#include <cstring>
+
+#include "lpvg_can_codec.h"
+#include "lpvguard/can.h"
+
+class CanBus {
+public:
+    static constexpr int64_t kStart = 1'000'000;
+
+    CanBus() {
+        if (lpvg_can_init(&supervisor, lpvg_can_rules, LPVG_CAN_RECEIVED, kStart) != lpvg_status_ok) {
+            throw 1;
+        }
+        lpvg_can_vdc2_t vdc2{};
+        vdc2.steering_wheel_angle      = lpvg_can_vdc2_steering_wheel_angle_encode(0.1F);
+        vdc2.yaw_rate                  = lpvg_can_vdc2_yaw_rate_encode(0.05F);
+        vdc2.lateral_acceleration      = lpvg_can_vdc2_lateral_acceleration_encode(0.7F);
+        vdc2.longitudinal_acceleration = lpvg_can_vdc2_longitudinal_acceleration_encode(0.0F);
+        packed_ = lpvg_can_vdc2_pack(&vdc2, &vdc2_) == lpvg_status_ok;
+        lpvg_can_guard_in_t in{};
+        in.dp_measured      = lpvg_can_guard_in_dp_measured_encode(0.5F);
+        in.yaw_rate_command = lpvg_can_guard_in_yaw_rate_command_encode(0.05F);
+        packed_ = packed_ && lpvg_can_guard_in_pack(&in, &guard_in_) == lpvg_status_ok;
+    }
+
+    // Frame number k >= 1 of each message is due at kStart + k periods.
+    lpvg_can_frame_t vdc2(int64_t k) const { return at(vdc2_, kStart + k * LPVG_CAN_VDC2_PERIOD_US); }
+    lpvg_can_frame_t guard_in(int64_t k) const {
+        lpvg_can_frame_t frame = at(guard_in_, kStart + k * LPVG_CAN_GUARD_IN_PERIOD_US);
+        auto counter = static_cast<uint8_t>(k % 15);
+        return lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &counter) == lpvg_status_ok ? frame
+                                                                                                 : lpvg_can_frame_t{};
+    }
+
+    lpvg_can_event_t send(const lpvg_can_frame_t& frame) {
+        uint8_t index = 0U;
+        return lpvg_can_receive(&supervisor, &frame, &index);
+    }
+
+    // Good frames first .. last of both fast messages.
+    void run(int64_t first, int64_t last) {
+        for (int64_t k = first; k <= last; ++k) {
+            send(vdc2(k));
+            send(guard_in(k));
+        }
+    }
+
+    lpvg_can_state_t state(uint8_t index) const { return lpvg_can_state(&supervisor, index); }
+    lpvg_can_state_t state_at(uint8_t index, int64_t t_us) {
+        lpvg_can_advance(&supervisor, t_us);
+        return state(index);
+    }
+    uint32_t count(uint8_t index, lpvg_can_event_t event) const { return supervisor.watch[index].count[event]; }
+    bool     packed() const { return packed_; }
+
+    lpvg_can_supervisor_t supervisor{};
+
+private:
+    static lpvg_can_frame_t at(lpvg_can_frame_t frame, int64_t t_us) {
+        frame.t_us = t_us;
+        return frame;
+    }
+    lpvg_can_frame_t vdc2_{};
+    lpvg_can_frame_t guard_in_{};
+    bool             packed_ = false;
+};

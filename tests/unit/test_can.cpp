@@ -1,0 +1,289 @@
+#include <catch2/catch.hpp>
+
+#include <climits>
+#include <cmath>
+#include <limits>
+
+#include "../can_bus.hpp"
+
+namespace {
+
+constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+constexpr float kInf = std::numeric_limits<float>::infinity();
+
+const lpvg_can_plausibility_limits_t kLimits = {2.07F, 3.0F, 1.5F, 0.05F, 5U};
+
+}  // namespace
+
+TEST_CASE("E2E profile 11: the published vector, the counter and the free nibble", "[unit][can]") {
+    lpvg_can_frame_t frame{};
+    frame.dlc = 8U;
+    uint8_t counter = 0U;
+    REQUIRE(lpvg_can_e2e_protect(&frame, 0x0123U, &counter) == lpvg_status_ok);
+    CHECK(frame.data[0] == 0xCCU);
+    CHECK(counter == 1U);
+
+    frame.data[1] = 0xA0U;
+    counter       = 14U;
+    REQUIRE(lpvg_can_e2e_protect(&frame, 0x0123U, &counter) == lpvg_status_ok);
+    CHECK(frame.data[1] == 0xAEU);
+    CHECK(counter == 0U);  // 15 is never sent
+    REQUIRE(lpvg_can_e2e_check(&frame, 0x0123U, &counter) == lpvg_status_ok);
+    CHECK(counter == 14U);
+}
+
+TEST_CASE("E2E profile 11: every single-bit error and every other data id is found", "[unit][can]") {
+    lpvg_can_frame_t good{};
+    good.dlc = GENERATE(as<uint8_t>{}, 2, 5, 8);
+    for (uint8_t i = 0U; i < 8U; ++i) {
+        good.data[i] = static_cast<uint8_t>(17U * i + 3U);
+    }
+    uint8_t counter = 7U;
+    REQUIRE(lpvg_can_e2e_protect(&good, 0x4C01U, &counter) == lpvg_status_ok);
+    for (unsigned bit = 0U; bit < 8U * good.dlc; ++bit) {
+        lpvg_can_frame_t bad = good;
+        bad.data[bit / 8U]   = static_cast<uint8_t>(bad.data[bit / 8U] ^ (1U << (bit % 8U)));
+        CAPTURE(bit);
+        CHECK(lpvg_can_e2e_check(&bad, 0x4C01U, &counter) == lpvg_status_bad_sample);
+    }
+    for (unsigned flip = 1U; flip < 256U; ++flip) {  // data ids that differ in one byte
+        CHECK(lpvg_can_e2e_check(&good, static_cast<uint16_t>(0x4C01U ^ flip), &counter) == lpvg_status_bad_sample);
+        CHECK(lpvg_can_e2e_check(&good, static_cast<uint16_t>(0x4C01U ^ (flip << 8U)), &counter) == lpvg_status_bad_sample);
+    }
+}
+
+TEST_CASE("E2E profile 11 refuses what it cannot protect and changes nothing", "[unit][can]") {
+    lpvg_can_frame_t frame{};
+    uint8_t          counter = 0U;
+    for (const uint8_t dlc : {uint8_t{0}, uint8_t{1}, uint8_t{9}, uint8_t{255}}) {
+        frame.dlc = dlc;
+        CHECK(lpvg_can_e2e_protect(&frame, 1U, &counter) == lpvg_status_bad_argument);
+        CHECK(lpvg_can_e2e_check(&frame, 1U, &counter) == lpvg_status_bad_argument);
+    }
+    frame.dlc = 8U;
+    counter   = 15U;
+    CHECK(lpvg_can_e2e_protect(&frame, 1U, &counter) == lpvg_status_bad_argument);
+    CHECK(counter == 15U);
+    CHECK(lpvg_can_e2e_protect(nullptr, 1U, &counter) == lpvg_status_bad_argument);
+    CHECK(lpvg_can_e2e_protect(&frame, 1U, nullptr) == lpvg_status_bad_argument);
+    CHECK(lpvg_can_e2e_check(nullptr, 1U, &counter) == lpvg_status_bad_argument);
+    CHECK(lpvg_can_e2e_check(&frame, 1U, nullptr) == lpvg_status_bad_argument);
+}
+
+TEST_CASE("init refuses rules that make no sense and leaves the struct alone", "[unit][can]") {
+    lpvg_can_supervisor_t self;
+    std::memset(&self, 0xA5, sizeof self);
+    const lpvg_can_supervisor_t before = self;
+    lpvg_can_signal_rule_t      signal = {0U, 16U, 0U, 100U, 0U, 0U, 0U};
+    lpvg_can_rule_t             rule   = {1U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 8U, 1U, &signal};
+    const auto refused = [&](size_t n = 1U, int64_t now = 0) {
+        const bool status = lpvg_can_init(&self, &rule, n, now) == lpvg_status_bad_argument;
+        return status && std::memcmp(&self, &before, sizeof self) == 0;
+    };
+    CHECK(lpvg_can_init(nullptr, &rule, 1U, 0) == lpvg_status_bad_argument);
+    CHECK(lpvg_can_init(&self, nullptr, 1U, 0) == lpvg_status_bad_argument);
+    CHECK(refused(0U));
+    CHECK(refused(LPVG_CAN_RULES_MAX + 1U));
+    CHECK(refused(1U, -1));
+    SECTION("period too short") { rule.period_us = 3U; CHECK(refused()); }
+    SECTION("period too long") { rule.period_us = 10'000'001U; CHECK(refused()); }
+    SECTION("gap not below the period") { rule.gap_min_us = 10'000U; CHECK(refused()); }
+    SECTION("too many bytes") { rule.dlc = 9U; CHECK(refused()); }
+    SECTION("unknown protection") { rule.e2e = 2U; CHECK(refused()); }
+    SECTION("protection without room") { rule.e2e = 1U; rule.dlc = 1U; rule.n_signals = 0U; CHECK(refused()); }
+    SECTION("too many signals") { rule.n_signals = LPVG_CAN_SIGNALS_MAX + 1U; CHECK(refused()); }
+    SECTION("signals missing") { rule.signals = nullptr; CHECK(refused()); }
+    SECTION("no bits") { signal.length = 0U; CHECK(refused()); }
+    SECTION("too many bits") { signal.length = 17U; CHECK(refused()); }
+    SECTION("beyond the frame") { signal.start = 49U; CHECK(refused()); }
+    SECTION("empty range") { signal.raw_min = 101U; CHECK(refused()); }
+    SECTION("and takes the rest") { CHECK(lpvg_can_init(&self, &rule, 1U, 0) == lpvg_status_ok); }
+}
+
+TEST_CASE("cleared memory and NULL read as off and do nothing", "[unit][can]") {
+    lpvg_can_supervisor_t self{};
+    lpvg_can_frame_t      frame{};
+    uint8_t               index = 0U;
+    CHECK(lpvg_can_state(&self, 0U) == lpvg_can_state_off);
+    CHECK(lpvg_can_state(nullptr, 0U) == lpvg_can_state_off);
+    CHECK(lpvg_can_receive(&self, &frame, &index) == lpvg_can_event_unknown_id);
+    CHECK(lpvg_can_receive(nullptr, &frame, &index) == lpvg_can_event_none);
+    CHECK(lpvg_can_receive(&self, nullptr, &index) == lpvg_can_event_none);
+    CHECK(lpvg_can_receive(&self, &frame, nullptr) == lpvg_can_event_none);
+    lpvg_can_advance(nullptr, 1);
+}
+
+TEST_CASE("a message becomes live with the fifth good frame and not before", "[unit][can]") {
+    CanBus bus;
+    REQUIRE(bus.packed());
+    for (int64_t k = 1; k <= 4; ++k) {
+        CHECK(bus.send(bus.vdc2(k)) == lpvg_can_event_recovering);
+        CHECK(bus.send(bus.guard_in(k)) == lpvg_can_event_recovering);
+        CHECK(bus.state(LPVG_CAN_VDC2_INDEX) == lpvg_can_state_off);
+    }
+    CHECK(bus.send(bus.vdc2(5)) == lpvg_can_event_accepted);
+    CHECK(bus.send(bus.guard_in(5)) == lpvg_can_event_accepted);
+    CHECK(bus.state(LPVG_CAN_VDC2_INDEX) == lpvg_can_state_live);
+    CHECK(bus.state(LPVG_CAN_GUARD_IN_INDEX) == lpvg_can_state_live);
+    CHECK(bus.state(LPVG_CAN_EBC2_INDEX) == lpvg_can_state_off);
+}
+
+TEST_CASE("any priority of the same group and source is the same message; another source is not", "[unit][can]") {
+    CanBus bus;
+    auto   frame = bus.vdc2(1);
+    frame.id     = LPVG_CAN_EXTENDED | 0x0CF0093EU;
+    CHECK(bus.send(frame) == lpvg_can_event_recovering);
+    frame.id = LPVG_CAN_EXTENDED | 0x18F0093FU;
+    CHECK(bus.send(frame) == lpvg_can_event_unknown_id);
+    frame.id = 0x18F0093EU;  // not marked as extended
+    CHECK(bus.send(frame) == lpvg_can_event_unknown_id);
+    frame.id = LPVG_CAN_EXTENDED | LPVG_CAN_REMOTE | 0x18F0093EU;
+    CHECK(bus.send(frame) == lpvg_can_event_unknown_id);
+}
+
+TEST_CASE("limits of a signal are exact: the last good raw value and the first bad one", "[unit][can]") {
+    struct Case { uint16_t raw; lpvg_can_event_t want; };
+    // yaw rate of VDC2: supervised from -1.5 to 1.5 rad/s
+    const auto c = GENERATE(Case{19825, lpvg_can_event_recovering}, Case{19824, lpvg_can_event_range},
+                            Case{44400, lpvg_can_event_recovering}, Case{44401, lpvg_can_event_range},
+                            Case{0xFAFF, lpvg_can_event_range}, Case{0xFB00, lpvg_can_event_range},
+                            Case{0xFDFF, lpvg_can_event_range}, Case{0xFE00, lpvg_can_event_invalid},
+                            Case{0xFEFF, lpvg_can_event_invalid}, Case{0xFF00, lpvg_can_event_absent},
+                            Case{0xFFFF, lpvg_can_event_absent});
+    CAPTURE(c.raw);
+    CanBus bus;
+    auto   frame  = bus.vdc2(1);
+    frame.data[3] = static_cast<uint8_t>(c.raw & 0xFFU);
+    frame.data[4] = static_cast<uint8_t>(c.raw >> 8U);
+    CHECK(bus.send(frame) == c.want);
+}
+
+TEST_CASE("gradient: the largest allowed step passes, one more is rejected, a pause allows more", "[unit][can]") {
+    CanBus bus;
+    bus.run(1, 5);
+    const auto     base  = lpvg_can_vdc2_yaw_rate_encode(0.05F);
+    const uint16_t limit = 820U;  // 10 rad/s2 * 8192 / (rad/s) * 10 ms, and one step of rounding
+    const auto     with  = [&](int64_t k, unsigned raw) {
+        auto frame    = bus.vdc2(k);
+        frame.data[3] = static_cast<uint8_t>(raw & 0xFFU);
+        frame.data[4] = static_cast<uint8_t>(raw >> 8U);
+        return frame;
+    };
+    SECTION("allowed") { CHECK(bus.send(with(6, base + limit)) == lpvg_can_event_accepted); }
+    SECTION("too much, upwards") { CHECK(bus.send(with(6, base + limit + 1U)) == lpvg_can_event_gradient); }
+    SECTION("too much, downwards") { CHECK(bus.send(with(6, base - limit - 1U)) == lpvg_can_event_gradient); }
+    SECTION("two periods") { CHECK(bus.send(with(7, base + 2U * limit - 1U)) == lpvg_can_event_accepted); }
+    SECTION("two periods, too much") { CHECK(bus.send(with(7, base + 2U * limit)) == lpvg_can_event_gradient); }
+}
+
+TEST_CASE("a frame from the queue may be a little older than the clock, no more", "[unit][can]") {
+    CanBus bus;
+    bus.run(1, 5);
+    auto frame = bus.vdc2(6);
+    lpvg_can_advance(&bus.supervisor, frame.t_us + LPVG_CAN_REORDER_US);
+    CHECK(bus.send(frame) == lpvg_can_event_accepted);
+    frame = bus.vdc2(7);
+    lpvg_can_advance(&bus.supervisor, frame.t_us + LPVG_CAN_REORDER_US + 1);
+    CHECK(bus.send(frame) == lpvg_can_event_backwards);
+    CHECK(bus.supervisor.count[lpvg_can_event_backwards] == 1U);
+    CHECK(bus.state(LPVG_CAN_VDC2_INDEX) == lpvg_can_state_live);
+    lpvg_can_advance(&bus.supervisor, 0);  // the clock itself cannot go back
+    CHECK(bus.supervisor.now_us == frame.t_us + LPVG_CAN_REORDER_US + 1);
+}
+
+TEST_CASE("the ends of the clock overflow nothing", "[unit][can]") {
+    CanBus bus;
+    bus.run(1, 5);
+    lpvg_can_frame_t frame = bus.vdc2(6);
+    frame.t_us             = INT64_MIN;
+    CHECK(bus.send(frame) == lpvg_can_event_backwards);
+    frame.t_us = INT64_MAX;
+    CHECK(bus.send(frame) == lpvg_can_event_recovering);
+    CHECK(bus.state(LPVG_CAN_VDC2_INDEX) == lpvg_can_state_off);
+    CHECK(bus.count(LPVG_CAN_VDC2_INDEX, lpvg_can_event_missed) == UINT32_MAX);
+    CHECK(bus.send(frame) == lpvg_can_event_early);
+}
+
+TEST_CASE("cross-checks: agreement, each disagreement alone, confirmation and release", "[unit][can]") {
+    lpvg_can_plausibility_t self{};
+    const auto step = [&](float r, float ay, float v, float dv) {
+        REQUIRE(lpvg_can_plausibility(&self, &kLimits, r, ay, v, dv) == lpvg_status_ok);
+    };
+    const float r = 0.1F, v = 15.0F, ay = r * v, dv = r * kLimits.track_m;
+    for (int i = 0; i < 100; ++i) { step(r, ay, v, dv); }
+    CHECK(self.flags == 0U);
+    for (int i = 0; i < 4; ++i) { step(r, ay + 1.6F, v, dv); }
+    CHECK(self.flags == 0U);
+    step(r, ay + 1.6F, v, dv);
+    CHECK(self.flags == LPVG_CAN_IMPLAUSIBLE_LATERAL);
+    for (int i = 0; i < 4; ++i) { step(r, ay, v, dv); }
+    CHECK(self.flags == LPVG_CAN_IMPLAUSIBLE_LATERAL);
+    step(r, ay, v, dv);
+    CHECK(self.flags == 0U);
+    for (int i = 0; i < 5; ++i) { step(r, ay, v, dv - 0.06F * kLimits.track_m); }
+    CHECK(self.flags == LPVG_CAN_IMPLAUSIBLE_WHEELS);
+}
+
+TEST_CASE("cross-checks leave out what cannot be judged", "[unit][can]") {
+    lpvg_can_plausibility_t self{};
+    struct Case { float r, ay, v, dv; };
+    const auto c = GENERATE(Case{kNan, 0.0F, 15.0F, 0.0F}, Case{1.0F, 0.0F, 2.9F, 0.0F}, Case{1.0F, 0.0F, kNan, 0.0F},
+                            Case{kInf, 0.0F, 15.0F, 0.0F}, Case{1.0F, kNan, 15.0F, kInf});
+    for (int i = 0; i < 20; ++i) {
+        REQUIRE(lpvg_can_plausibility(&self, &kLimits, c.r, c.ay, c.v, c.dv) == lpvg_status_ok);
+    }
+    CHECK(self.flags == 0U);
+    CHECK(self.score[0] + self.score[1] == 0);
+}
+
+TEST_CASE("cross-checks refuse limits that are not positive", "[unit][can]") {
+    lpvg_can_plausibility_t        self{};
+    lpvg_can_plausibility_limits_t limits = kLimits;
+    CHECK(lpvg_can_plausibility(nullptr, &limits, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_status_bad_argument);
+    CHECK(lpvg_can_plausibility(&self, nullptr, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_status_bad_argument);
+    SECTION("track") { limits.track_m = 0.0F; }
+    SECTION("speed") { limits.speed_min_mps = kNan; }
+    SECTION("lateral") { limits.lateral_mps2 = -1.0F; }
+    SECTION("yaw") { limits.yaw_rps = 0.0F; }
+    SECTION("confirm") { limits.confirm = 0U; }
+    CHECK(lpvg_can_plausibility(&self, &limits, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_status_bad_argument);
+}
+
+TEST_CASE("DM1: one code, none, and what does not fit", "[unit][can]") {
+    lpvg_can_frame_t frame{};
+    frame.t_us = 42;
+    const lpvg_can_dtc_t yaw = {1808U, 9U, 3U};
+    REQUIRE(lpvg_can_dm1_pack(&frame, 0xFCU, LPVG_CAN_LAMP_AMBER, &yaw) == lpvg_status_ok);
+    CHECK(frame.id == (LPVG_CAN_EXTENDED | 0x18FECAFCU));
+    const uint8_t want[8] = {0x04, 0xFF, 0x10, 0x07, 0x09, 0x03, 0xFF, 0xFF};
+    CHECK(std::memcmp(frame.data, want, 8U) == 0);
+    CHECK(frame.t_us == 42);
+
+    const lpvg_can_dtc_t largest = {0x7FFFFU, 31U, 127U};
+    REQUIRE(lpvg_can_dm1_pack(&frame, 0xFCU, 0x55U, &largest) == lpvg_status_ok);
+    const uint8_t full[8] = {0x55, 0xFF, 0xFF, 0xFF, 0xFF, 0x7F, 0xFF, 0xFF};
+    CHECK(std::memcmp(frame.data, full, 8U) == 0);
+
+    REQUIRE(lpvg_can_dm1_pack(&frame, 0xFCU, 0U, nullptr) == lpvg_status_ok);
+    const uint8_t none[8] = {0x00, 0xFF, 0x00, 0x00, 0x00, 0x00, 0xFF, 0xFF};
+    CHECK(std::memcmp(frame.data, none, 8U) == 0);
+
+    const lpvg_can_dtc_t bad[] = {{0x80000U, 0U, 0U}, {0U, 32U, 0U}, {0U, 0U, 128U}};
+    for (const auto& dtc : bad) {
+        CHECK(lpvg_can_dm1_pack(&frame, 0xFCU, 0U, &dtc) == lpvg_status_bad_argument);
+    }
+    CHECK(lpvg_can_dm1_pack(&frame, 0xFCU, 0x02U, nullptr) == lpvg_status_bad_argument);
+    CHECK(lpvg_can_dm1_pack(nullptr, 0xFCU, 0U, nullptr) == lpvg_status_bad_argument);
+    CHECK(std::memcmp(frame.data, none, 8U) == 0);
+}
+
+TEST_CASE("every event has a failure mode of J1939", "[unit][can]") {
+    CHECK(lpvg_can_fmi(lpvg_can_event_missed) == 9U);
+    CHECK(lpvg_can_fmi(lpvg_can_event_checksum) == 19U);
+    CHECK(lpvg_can_fmi(lpvg_can_event_gradient) == 10U);
+    CHECK(lpvg_can_fmi(lpvg_can_event_early) == 8U);
+    CHECK(lpvg_can_fmi(lpvg_can_event_range) == 2U);
+    for (int event = 0; event < lpvg_can_event_count; ++event) {
+        CHECK(lpvg_can_fmi(static_cast<lpvg_can_event_t>(event)) <= 31U);
+    }
+}

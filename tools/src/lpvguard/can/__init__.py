@@ -1,0 +1,1 @@
+"""CAN: the one table of messages (``catalogue.toml``) and what is made from it: our DBC and the C codec."""

@@ -1,0 +1,223 @@
+"""The CAN catalogue: loads and validates the one table of messages (DESIGN 6).
+
+Reads   catalogue.toml (shipped), or another file of the same form
+Next    dbc.py writes our DBC from it, codegen.py the C codec and the receiver's rules
+
+Raw values follow SAE J1939-71: of n bits the top codes say "not available" and "error" (8 bits: 0xFF and 0xFE, 16 bits:
+0xFFnn and 0xFEnn, 2 bits: 3 and 2), and data end at 0xFA (8 bits) or 0xFAFF (16 bits).
+"""
+
+from __future__ import annotations
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from ..errors import InputError
+
+E2E_BITS = 12
+"""Bits that profile 11 takes at the start of a frame: CRC (8), counter (4); the next 4 are free and sent as 1."""
+
+OWN_NODE = "LPVGUARD"
+"""Name of the node that the generated code runs on."""
+
+J1939_LENGTHS = (2, 4, 8, 16)
+"""Lengths of our signals that have codes above the data."""
+
+
+def j1939_data_max(length: int) -> int:
+    """Largest raw value of ``length`` bits (2 or more) that is data: 0xFA in the top byte, below 8 bits all but two."""
+    return (0xFB << (length - 8)) - 1 if length >= 8 else (1 << length) - 3
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Supervision(_Strict):
+    """What a receiver accepts of a signal, in the signal's unit; ``max_rate`` is per second, None is unlimited."""
+
+    min: float
+    max: float
+    max_rate: Annotated[float, Field(gt=0)] | None = None
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Supervision:
+        if not self.min < self.max:
+            raise ValueError(f"supervise: min {self.min} must be below max {self.max}")
+        return self
+
+
+class Signal(_Strict):
+    """A signal: physical = scale * raw + offset; ``coding`` "j1939" reserves the top raw values, "plain" none."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+    spn: Annotated[int, Field(ge=1, lt=2**19)] | None = None
+    start: Annotated[int, Field(ge=0, le=63)]
+    length: Annotated[int, Field(ge=1, le=16)]
+    scale: Annotated[float, Field(gt=0)]
+    offset: float
+    unit: str
+    positive: str
+    coding: Literal["j1939", "plain"] = "j1939"
+    values: dict[str, Annotated[int, Field(ge=0)]] = {}
+    supervise: Supervision | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Signal:
+        if self.coding == "j1939" and self.length not in J1939_LENGTHS:
+            raise ValueError(f"signal {self.name}: J1939 codes exist for 2, 4, 8 and 16 bits, not {self.length}")
+        if self.supervise and not self.physical_min <= self.supervise.min < self.supervise.max <= self.physical_max:
+            raise ValueError(f"signal {self.name}: supervise must lie within {self.physical_min} to {self.physical_max}")
+        if any(raw >= 1 << self.length for raw in self.values.values()):
+            raise ValueError(f"signal {self.name}: a named value does not fit {self.length} bits")
+        return self
+
+    @property
+    def bits(self) -> range:
+        return range(self.start, self.start + self.length)
+
+    @property
+    def raw_max(self) -> int:
+        """Largest raw value that is data."""
+        return j1939_data_max(self.length) if self.coding == "j1939" else (1 << self.length) - 1
+
+    @property
+    def raw_error_min(self) -> int | None:
+        """Raw values from here up to ``raw_absent_min`` say "error"; None: no such code."""
+        return self._code(0xFE, 2)
+
+    @property
+    def raw_absent_min(self) -> int | None:
+        """Raw values from here say "not available"; None: no such code."""
+        return self._code(0xFF, 1)
+
+    def _code(self, top_byte: int, below_end: int) -> int | None:
+        if self.coding != "j1939":
+            return None
+        return top_byte << (self.length - 8) if self.length >= 8 else (1 << self.length) - below_end
+
+    def physical(self, raw: float) -> float:
+        """Physical value of a raw one."""
+        return raw * self.scale + self.offset
+
+    @property
+    def physical_min(self) -> float:
+        return self.physical(0)
+
+    @property
+    def physical_max(self) -> float:
+        return self.physical(self.raw_max)
+
+
+class E2E(_Strict):
+    """AUTOSAR E2E profile 11, data-id mode BOTH."""
+
+    profile: Literal[11]
+    data_id: Annotated[int, Field(ge=0, le=0xFFFF)]
+
+
+class Message(_Strict):
+    """A parameter group in one 8-byte frame. ``codec`` "core": the C core packs it, no codec is generated."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Z][A-Z0-9_]*$")]
+    title: str
+    pgn: Annotated[int, Field(ge=0, lt=2**18)]
+    id: Annotated[int, Field(ge=0, lt=2**29)]
+    period_ms: Annotated[int, Field(ge=1)]
+    codec: Literal["generated", "core"] = "generated"
+    e2e: E2E | None = None
+    signals: Annotated[list[Signal], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Message:
+        if self.pgn < 0xF000:
+            raise ValueError(f"message {self.name}: PGN {self.pgn} is peer-to-peer; only broadcast groups are supported")
+        if self.id >> 8 & 0x3FFFF != self.pgn:
+            raise ValueError(f"message {self.name}: id {self.id:08X} does not carry PGN {self.pgn}")
+        names = [s.name for s in self.signals]
+        if len(set(names)) != len(names):
+            raise ValueError(f"message {self.name}: signal names must be unique")
+        taken = dict.fromkeys(range(E2E_BITS), "the E2E header") if self.e2e else {}
+        for signal in self.signals:
+            for bit in signal.bits:
+                if bit > 63:
+                    raise ValueError(f"message {self.name}: {signal.name} does not fit 8 bytes")
+                if bit in taken:
+                    raise ValueError(f"message {self.name}: {signal.name} overlaps {taken[bit]} at bit {bit}")
+                taken[bit] = signal.name
+        return self
+
+    @property
+    def source_address(self) -> int:
+        return self.id & 0xFF
+
+    @property
+    def supervised(self) -> list[Signal]:
+        return [s for s in self.signals if s.supervise]
+
+
+class Node(_Strict):
+    """A controller on the bus and its J1939 source address."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Z][A-Z0-9_]*$")]
+    address: Annotated[int, Field(ge=0, le=0xFD)]
+    comment: str
+
+
+class Catalogue(_Strict):
+    """Every node and message of the bus."""
+
+    schema_: Literal[1] = Field(alias="schema")
+    nodes: list[Node]
+    messages: list[Message]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Catalogue:
+        for what, values in (("node names", [n.name for n in self.nodes]), ("node addresses", [n.address for n in self.nodes]),
+                             ("message names", [m.name for m in self.messages]), ("ids", [m.id for m in self.messages]),
+                             ("E2E data ids", [m.e2e.data_id for m in self.messages if m.e2e])):
+            if len(set(values)) != len(values):
+                raise ValueError(f"{what} must be unique")
+        if all(n.name != OWN_NODE for n in self.nodes):
+            raise ValueError(f"nodes: one must be called {OWN_NODE}")
+        for message in self.messages:
+            if all(message.source_address != n.address for n in self.nodes):
+                raise ValueError(f"message {message.name}: no node has the source address {message.source_address:#04x}")
+        return self
+
+    @property
+    def own_address(self) -> int:
+        """Source address of the guarded controller."""
+        return next(n.address for n in self.nodes if n.name == OWN_NODE)
+
+    def sender(self, message: Message) -> Node:
+        return next(n for n in self.nodes if n.address == message.source_address)
+
+    def message(self, name: str) -> Message:
+        """The message called ``name``; InputError when there is none."""
+        for message in self.messages:
+            if message.name == name:
+                return message
+        raise InputError("CAN catalogue", name, "no such message", f"one of {', '.join(m.name for m in self.messages)}")
+
+
+def load_catalogue(path: Path | None = None) -> Catalogue:
+    """The shipped catalogue, or the one at ``path``. InputError names the file, the field and what was expected."""
+    source = path or resources.files(__package__).joinpath("catalogue.toml")
+    where = path or "catalogue.toml"
+    try:
+        document = tomllib.loads(source.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(where, "", f"cannot be read ({error.strerror})", "a CAN catalogue (TOML)") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(where, "", str(error), "valid TOML") from None
+    try:
+        return Catalogue.model_validate(document)
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = ".".join(str(p) for p in first["loc"]) or "catalogue"
+        raise InputError(where, field, first["msg"].removeprefix("Value error, "), "a field as catalogue.py describes") from None

@@ -1,0 +1,161 @@
+"""Decodes raw frames by a database, whole arrays at a time.
+
+Any signal that cantools describes: Intel and Motorola, signed, float, multiplexed (nested too), frames up to 64 bytes.
+J1939 messages are found by their parameter group: priority never matters, and the source address only when frames
+with the address of the database are in the log.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from .catalogue import j1939_data_max
+from .logs import EXTENDED, Frames
+
+_PRIORITY = 0x1C000000
+_PDU2 = 0xF0
+
+
+@dataclass(frozen=True)
+class Samples:
+    """A decoded signal: frame (K,) positions in the log, value (K,) physical, and what was left out by reason."""
+
+    frame: np.ndarray
+    value: np.ndarray
+    left_out: dict[str, int] = field(default_factory=dict)
+
+
+def load_database(path: Path):
+    """A cantools database from a DBC (or another form that cantools reads). InputError names the file and line."""
+    import cantools
+
+    if not Path(path).is_file():
+        raise InputError(path, "--dbc", "no such file", "a CAN database (.dbc, .arxml, .kcd, .sym)")
+    try:
+        return cantools.database.load_file(path, strict=False)
+    except Exception as error:  # one exception class for each form of database
+        raise InputError(path, "", f"cannot be read ({str(error).splitlines()[0]})", "a CAN database") from None
+
+
+def find_frames(frames: Frames, message, *, channel: str | None = None, source_address: int | None = None,
+                where: str = "") -> np.ndarray:
+    """Positions (K,) of the frames of a cantools ``message``; ``channel`` None takes every channel.
+
+    InputError when a J1939 group comes from several senders and neither the database nor ``source_address`` says which.
+    """
+    if message.protocol == "j1939":
+        wanted = _j1939(frames, message, source_address, where)
+    else:
+        wanted = frames.id == np.uint32(message.frame_id | (EXTENDED if message.is_extended_frame else 0))
+    if channel is not None:
+        if channel not in frames.channels:
+            raise InputError(where, "channel", f"{channel} is not in the log", f"one of {', '.join(frames.channels)}")
+        wanted &= frames.channel == frames.channels.index(channel)
+    return np.flatnonzero(wanted)
+
+
+def _j1939(frames: Frames, message, source_address: int | None, where: str) -> np.ndarray:
+    peer_to_peer = (message.frame_id >> 16 & 0xFF) < _PDU2
+    group_mask = np.uint32(0x9FFFFFFF & ~_PRIORITY & ~0xFF & (~0xFF00 if peer_to_peer else ~0))
+    of_group = (frames.id & group_mask) == (np.uint32(message.frame_id | EXTENDED) & group_mask)
+    sender = (frames.id & np.uint32(0xFF)).astype(np.uint8)
+    present = np.unique(sender[of_group]).tolist()
+    address = source_address if source_address is not None else message.frame_id & 0xFF
+    if address not in present and source_address is None:
+        if len(present) > 1:
+            raise InputError(where, message.name, "comes from the source addresses " + ", ".join(f"{a:#04x}" for a in present),
+                             "source_address in the signal map, to say which")
+        return of_group
+    return of_group & (sender == address)
+
+
+def decode_signal(frames: Frames, positions: np.ndarray, message, signal, *, j1939_codes: bool) -> Samples:
+    """Physical values of a cantools ``signal`` in the frames at ``positions``.
+
+    Frames too short for the signal, frames of another multiplex, and with ``j1939_codes`` raw values above the data range
+    are left out and counted.
+    """
+    left_out: dict[str, int] = {}
+    rows = frames.data[positions]
+    keep = frames.length[positions] > max(byte for byte, _, _ in _pieces(signal))
+    if not keep.all():
+        left_out["frame too short"] = int((~keep).sum())
+    keep &= _multiplexed(rows, message, signal)
+    raw = _raw(rows, signal)
+    if j1939_codes and not signal.is_signed and not signal.is_float and signal.length > 1:
+        data = raw <= np.uint64(j1939_data_max(signal.length))
+        if not (data | ~keep).all():
+            left_out["not available or error"] = int((~data & keep).sum())
+        keep &= data
+    value = _number(raw, signal)
+    if not keep.all():
+        positions, value = positions[keep], value[keep]
+    physical = value * float(signal.scale) + float(signal.offset)
+    finite = np.isfinite(physical)
+    if not finite.all():
+        left_out["not a number"] = int((~finite).sum())
+        positions, physical = positions[finite], physical[finite]
+    return Samples(positions, physical, left_out)
+
+
+def decode_all(frames: Frames, database) -> dict[str, dict[str, Samples]]:
+    """Every signal of every message of ``database``: message name -> signal name -> Samples."""
+    decoded = {}
+    for message in database.messages:
+        positions = find_frames(frames, message)
+        if len(positions):
+            codes = message.protocol == "j1939"
+            decoded[message.name] = {s.name: decode_signal(frames, positions, message, s, j1939_codes=codes) for s in message.signals}
+    return decoded
+
+
+def _multiplexed(rows: np.ndarray, message, signal) -> np.ndarray:
+    """True (K,) where the frame carries the signal; follows nested multiplexers upwards."""
+    present = np.ones(len(rows), bool)
+    while signal.multiplexer_ids:
+        selector = message.get_signal_by_name(signal.multiplexer_signal)
+        present &= np.isin(_raw(rows, selector), np.array(signal.multiplexer_ids, np.uint64))
+        signal = selector
+    return present
+
+
+def _pieces(signal) -> list[tuple[int, int, int]]:
+    """(byte, lowest bit in it, number of bits) of each byte that the signal touches, most significant first."""
+    pieces, left = [], signal.length
+    if signal.byte_order == "big_endian":  # start: the most significant bit
+        byte, high = divmod(signal.start, 8)
+        while left:
+            bits = min(high + 1, left)
+            pieces.append((byte, high + 1 - bits, bits))
+            left, byte, high = left - bits, byte + 1, 7
+        return pieces
+    byte, low = divmod(signal.start, 8)  # start: the least significant bit
+    while left:
+        bits = min(8 - low, left)
+        pieces.append((byte, low, bits))
+        left, byte, low = left - bits, byte + 1, 0
+    return pieces[::-1]
+
+
+def _raw(rows: np.ndarray, signal) -> np.ndarray:
+    """Unsigned raw values (K,); bytes beyond the log's frames read as 0 (such frames are left out as too short)."""
+    raw = np.zeros(len(rows), np.uint64)
+    for byte, low, bits in _pieces(signal):
+        raw <<= np.uint64(bits)
+        if byte < rows.shape[1]:
+            raw |= (rows[:, byte] >> np.uint8(low) & np.uint8((1 << bits) - 1)).astype(np.uint64)
+    return raw
+
+
+def _number(raw: np.ndarray, signal) -> np.ndarray:
+    if signal.is_float:
+        unsigned, floating = {16: ("<u2", "<f2"), 32: ("<u4", "<f4"), 64: ("<u8", "<f8")}[signal.length]
+        return raw.astype(unsigned).view(floating).astype(float)
+    if signal.is_signed:
+        left = np.uint64(64 - signal.length)
+        return ((raw << left).view(np.int64) >> np.int64(64 - signal.length)).astype(float)
+    return raw.astype(float)

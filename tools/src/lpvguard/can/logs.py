@@ -1,0 +1,298 @@
+"""Reads logs as users have them: raw CAN frames, or tables of signals that are decoded already.
+
+raw      candump (-l, -L), ASC, BLF, MF4 with bus logging, CSV and Parquet with the columns of python-can
+         (timestamp, arbitration_id, extended, dlc, data); each also with .gz where it is text
+decoded  CSV and Parquet with one column a signal, MF4 with one channel a signal
+
+candump goes through a compiled parser, or through python-can when there is no compiler; the result is the same.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import gzip
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from .. import native
+from ..errors import InputError
+
+EXTENDED = 0x80000000
+"""Flag in ``Frames.id``: 29-bit identifier."""
+
+_NAME_BYTES, _CHANNELS, _COUNTS, _FD_BYTES = 16, 64, 6, 64
+_CANDUMP_SUFFIXES = {".log", ".candump", ".txt"}
+_PYTHON_CAN_SUFFIXES = {".asc", ".blf", ".trc"}
+_RAW_COLUMNS = {"timestamp", "arbitration_id", "data"}
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Raw frames in the order of the log: t_ns (N,), id (N,) with EXTENDED, channel (N,), length (N,), data (N, width)."""
+
+    t_ns: np.ndarray
+    id: np.ndarray
+    channel: np.ndarray
+    length: np.ndarray
+    data: np.ndarray
+    channels: list[str]
+    left_out: dict[str, int] = field(default_factory=dict)
+    """What the log holds besides, by kind: error reports, remote frames, lines that are no frame."""
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+
+@dataclass(frozen=True)
+class Series:
+    """A signal of a decoded log: t_ns (N,), value (N,), NaN where the log has none; unit as the log says, or ""."""
+
+    t_ns: np.ndarray
+    value: np.ndarray
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A decoded log: signal name -> Series."""
+
+    series: dict[str, Series]
+
+
+def read_log(path: Path, *, time_column: str | None = None) -> Frames | Table:
+    """Read one log; its form follows from the suffix, for CSV, Parquet and MF4 also from what is in it.
+
+    ``time_column`` names the time (in s) of a decoded table; by default the first of t, time, timestamp that exists.
+    InputError when the file is missing, of unknown form, or holds no frame.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(path, "", "no such file", "a log: candump, ASC, BLF, MF4, CSV or Parquet")
+    suffixes = [s.lower() for s in path.suffixes]
+    suffix = suffixes[-2] if len(suffixes) > 1 and suffixes[-1] == ".gz" else suffixes[-1] if suffixes else ""
+    if suffix in _CANDUMP_SUFFIXES:
+        log: Frames | Table = _read_candump(path)
+    elif suffix in _PYTHON_CAN_SUFFIXES:
+        log = _read_python_can(path)
+    elif suffix in {".mf4", ".mdf", ".dat"}:
+        log = _read_mf4(path)
+    elif suffix in {".csv", ".parquet"}:
+        log = _read_table(path, suffix, time_column)
+    else:
+        raise InputError(path, "", f"unknown kind of log {suffix or '(no suffix)'}",
+                         ".log (candump), .asc, .blf, .trc, .mf4, .csv or .parquet, also with .gz")
+    if isinstance(log, Frames) and len(log) == 0:
+        raise InputError(path, "", "holds no data frame" + _in_words(log.left_out), "at least one frame")
+    return log
+
+
+def _in_words(left_out: dict[str, int]) -> str:
+    return " (" + ", ".join(f"{n} {kind}" for kind, n in left_out.items()) + ")" if left_out else ""
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        if path.suffix.lower() == ".gz":
+            with gzip.open(path, "rb") as stream:
+                return stream.read()
+        return path.read_bytes()
+    except (OSError, EOFError) as error:
+        raise InputError(path, "", f"cannot be read ({error})", "a readable file, whole if it is compressed") from None
+
+
+# ---------------------------------------------------------------------------------------------------------- candump
+
+def _read_candump(path: Path) -> Frames:
+    library = native.kernels()
+    if library is None:
+        return _read_python_can(path)
+    frames = parse_candump(_bytes(path), library)
+    if len(frames) == 0:
+        line = frames.left_out.get("first line that is no frame", 1)
+        raise InputError(path, f"line {line}", "no frame in the file", "(seconds) interface identifier#data, as candump -l writes")
+    return frames
+
+
+def parse_candump(text: bytes, library: ctypes.CDLL) -> Frames:
+    """Frames of a candump log by the compiled parser (``_native/candump.c``)."""
+    capacity = text.count(b"\n") + 1
+    for width in (8, _FD_BYTES):
+        t_ns, id_ = np.empty(capacity, np.int64), np.empty(capacity, np.uint32)
+        channel, length = np.empty(capacity, np.uint8), np.empty(capacity, np.uint8)
+        data = np.empty((capacity, width), np.uint8)
+        names, counts = np.zeros((_CHANNELS, _NAME_BYTES), np.uint8), np.zeros(_COUNTS, np.int64)
+        parse = library.lpvg_candump
+        parse.restype = ctypes.c_long
+        n = parse(ctypes.c_char_p(text), ctypes.c_long(len(text)), ctypes.c_int(width),
+                  *(ctypes.c_void_p(a.ctypes.data) for a in (t_ns, id_, channel, length, data, names, counts)))
+        bad, first_bad, errors, remote, n_channels, longest = counts.tolist()
+        if longest <= width:
+            break
+    kinds = {"error reports": errors, "remote frames": remote, "lines that are no frame": bad,
+             "first line that is no frame": first_bad}
+    return Frames(t_ns[:n], id_[:n], channel[:n], length[:n], data[:n],
+                  [bytes(row).rstrip(b"\0").decode(errors="replace") for row in names[:n_channels]],
+                  {kind: count for kind, count in kinds.items() if count})
+
+
+# ------------------------------------------------------------------------------------------------------- python-can
+
+def _read_python_can(path: Path) -> Frames:
+    import can  # costs 0.2 s, and is not needed for candump
+
+    rows: list[tuple[int, int, str, bytes]] = []
+    left_out = {"error reports": 0, "remote frames": 0}
+    try:
+        with can.LogReader(path) as reader:
+            for message in reader:
+                if message.is_error_frame:
+                    left_out["error reports"] += 1
+                elif message.is_remote_frame:
+                    left_out["remote frames"] += 1
+                else:
+                    flag = EXTENDED if message.is_extended_id else 0
+                    rows.append((round(message.timestamp * 1e9), message.arbitration_id | flag, str(message.channel),
+                                 bytes(message.data)))
+    except Exception as error:  # each reader of python-can has exceptions of its own
+        raise InputError(path, f"frame {len(rows) + 1}", f"cannot be read ({type(error).__name__}: {error})",
+                         f"a {path.suffix} log that python-can reads") from None
+    return _from_rows(rows, {kind: n for kind, n in left_out.items() if n})
+
+
+def _from_rows(rows: list[tuple[int, int, str, bytes]], left_out: dict[str, int]) -> Frames:
+    width = max((len(row[3]) for row in rows), default=8)
+    width = 8 if width <= 8 else _FD_BYTES
+    channels = sorted({row[2] for row in rows})
+    position = {name: i for i, name in enumerate(channels)}
+    data = np.frombuffer(b"".join(row[3].ljust(width, b"\0") for row in rows), np.uint8).reshape(-1, width)
+    return Frames(np.array([row[0] for row in rows], np.int64), np.array([row[1] for row in rows], np.uint32),
+                  np.array([position[row[2]] for row in rows], np.uint8), np.array([len(row[3]) for row in rows], np.uint8),
+                  data, channels, left_out)
+
+
+# ----------------------------------------------------------------------------------------------------- CSV, Parquet
+
+def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Table:
+    import pyarrow as pa
+    import pyarrow.csv as pa_csv
+    import pyarrow.parquet as pa_parquet
+
+    try:
+        if suffix == ".parquet":
+            table = pa_parquet.read_table(path)
+        else:
+            table = pa_csv.read_csv(pa.BufferReader(_bytes(path)))
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(path, "", f"cannot be parsed ({str(error).splitlines()[0]})",
+                         "a table with one header line" if suffix == ".csv" else "a Parquet table") from None
+    if _RAW_COLUMNS <= set(table.column_names):
+        if suffix == ".csv" and path.suffix.lower() == ".csv":
+            return _read_python_can(path)
+        return _raw_table(path, table)
+    time = time_column or next((c for c in ("t", "time", "timestamp") if c in table.column_names), None)
+    if time not in table.column_names:
+        raise InputError(path, "header", f"no time column{f' {time}' if time else ''}",
+                         f"one of t, time, timestamp in s (or `time` in the signal map); there are {', '.join(table.column_names)}")
+    t_ns = np.rint(_numbers(path, table, time) * 1e9)
+    bad = np.flatnonzero(~np.isfinite(t_ns))
+    if len(bad):
+        raise InputError(path, f"line {bad[0] + 2}, column {time}", "no time", "a time in s in every line")
+    t_ns = t_ns.astype(np.int64)
+    return Table({c: Series(t_ns, _numbers(path, table, c)) for c in table.column_names if c != time and _numeric(table, c)})
+
+
+def _numeric(table, column: str) -> bool:
+    import pyarrow as pa
+
+    kind = table.schema.field(column).type
+    return pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind)
+
+
+def _numbers(path: Path, table, column: str) -> np.ndarray:
+    import pyarrow as pa
+
+    try:
+        return table.column(column).cast(pa.float64()).fill_null(np.nan).to_numpy()
+    except pa.ArrowException as error:
+        raise InputError(path, f"column {column}", str(error).splitlines()[0], "numbers") from None
+
+
+def _raw_table(path: Path, table) -> Frames:
+    def plain(name: str, default) -> list:
+        return table.column(name).to_pylist() if name in table.column_names else [default] * table.num_rows
+
+    rows = []
+    columns = (plain("timestamp", None), plain("arbitration_id", None), plain("extended", None), plain("channel", ""),
+               plain("data", None))
+    for number, (t, identifier, extended, channel, data) in enumerate(zip(*columns), start=1):
+        try:
+            if isinstance(identifier, str):
+                identifier = int(identifier, 16)
+            payload = bytes.fromhex(data) if isinstance(data, str) else bytes(data)
+            wide = identifier > 0x7FF if extended is None else bool(extended)
+            rows.append((round(float(t) * 1e9), identifier | (EXTENDED if wide else 0), str(channel), payload))
+        except (TypeError, ValueError) as error:
+            raise InputError(path, f"row {number}", f"no frame ({error})",
+                             "timestamp in s, arbitration_id, data as bytes or hexadecimal text") from None
+    return _from_rows(rows, {})
+
+
+# -------------------------------------------------------------------------------------------------------------- MF4
+
+def _read_mf4(path: Path) -> Frames | Table:
+    try:
+        from asammdf import MDF
+    except ImportError:
+        raise InputError(path, "", "reading MF4 needs the package asammdf", "pip install asammdf") from None
+    try:
+        with MDF(path) as mdf:
+            places = [(g, entry) for name, entries in mdf.channels_db.items() if name == "CAN_DataFrame" for g, entry in entries]
+            return _mf4_frames(mdf, places) if places else _mf4_signals(mdf)
+    except InputError:
+        raise
+    except Exception as error:  # asammdf has no exception of its own for a broken file
+        raise InputError(path, "", f"cannot be read ({type(error).__name__}: {error})", "an MF4 file") from None
+
+
+def _mf4_frames(mdf, places: list[tuple[int, int]]) -> Frames:
+    t, id_, channel, length, data = [], [], [], [], []
+    for group, index in places:
+        whole = mdf.get(group=group, index=index, raw=True)
+        names = {name.rsplit(".", 1)[-1]: name for name in whole.samples.dtype.names}
+
+        def part(key: str, default: int, n: int = len(whole.samples), names=names, whole=whole) -> np.ndarray:
+            return whole.samples[names[key]] if key in names else np.full(n, default)
+
+        payload = np.asarray(whole.samples[names["DataBytes"]], np.uint8)
+        identifier = np.asarray(part("ID", 0), np.int64)
+        extended = np.where(part("IDE", 0) != 0, True, identifier > 0x7FF)
+        t.append(np.rint(whole.timestamps * 1e9).astype(np.int64))
+        id_.append((identifier & 0x1FFFFFFF | np.where(extended, EXTENDED, 0)).astype(np.uint32))
+        channel.append(np.asarray(part("BusChannel", 0), np.uint8))
+        length.append(np.asarray(part("DataLength", payload.shape[1]), np.uint8))
+        data.append(payload)
+    width = 8 if max(d.shape[1] for d in data) <= 8 else _FD_BYTES
+    padded = np.concatenate([np.pad(d, ((0, 0), (0, width - d.shape[1]))) for d in data])
+    t_ns = np.concatenate(t)
+    order = np.argsort(t_ns, kind="stable")  # groups are one bus each: only together are they in order of time
+    numbers = np.concatenate(channel)[order]
+    present, position = np.unique(numbers, return_inverse=True)
+    return Frames(t_ns[order], np.concatenate(id_)[order], position.astype(np.uint8), np.concatenate(length)[order],
+                  padded[order], [str(n) for n in present])
+
+
+def _mf4_signals(mdf) -> Table:
+    series = {}
+    for group, content in enumerate(mdf.groups):
+        for index, channel in enumerate(content.channels):
+            if mdf.masters_db.get(group) == index:
+                continue
+            signal = mdf.get(group=group, index=index)
+            if signal.samples.ndim == 1 and signal.samples.dtype.kind in "iufb":
+                value = signal.samples.astype(float)
+                if signal.invalidation_bits is not None:
+                    value[np.asarray(signal.invalidation_bits, bool)] = np.nan
+                series.setdefault(channel.name, Series(np.rint(signal.timestamps * 1e9).astype(np.int64), value, signal.unit or ""))
+    return Table(series)
