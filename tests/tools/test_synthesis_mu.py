@@ -156,3 +156,22 @@ def test_solve_names_the_bad_field(change, where):
     assert solve_mu(problem)["mu_upper"] == pytest.approx(np.sqrt(5))
     with pytest.raises(SynthesisError, match=where):
         solve_mu(problem | change)
+
+
+@pytest.mark.parametrize("seed", [102, 301])
+def test_the_lower_bound_of_a_mixed_problem_is_the_best_of_a_dense_search(seed):
+    """Two real scalars and a full block: every (δ1, δ2) on a grid, the full block by its singular value."""
+    blocks = [Block("repeated_real", 1, 1), Block("repeated_real", 1, 1), full(2, 1)]
+    M = random_matrix(blocks, seed)
+    bounds = mu_bounds(M, blocks)
+    grid = np.linspace(-1, 1, 101)
+    q = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
+    low, high = 0.3 * bounds.upper, bounds.upper
+    for _ in range(14):
+        beta = 0.5 * (low + high)
+        loop = np.eye(2) - M[:2, :2] * (q / beta)[:, None, :]
+        inner = np.linalg.solve(loop, np.broadcast_to(M[:2, 2:], (len(q), 2, 1)))
+        rest = M[2:, 2:] + (M[2:, :2] * (q / beta)[:, None, :]) @ inner
+        low, high = (beta, high) if np.linalg.norm(rest, 2, axis=(1, 2)).max() >= beta else (low, beta)
+    assert bounds.lower >= low * (1 - 1e-3)
+    check_delta(M, blocks, bounds)

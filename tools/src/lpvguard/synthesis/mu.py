@@ -280,7 +280,19 @@ def _lower_bound(M, structure, left, right, enough: float, starts: int, steps: i
             value, delta = _make_singular(M, structure, _align(scaled, structure, parts))
             if value > found[0][0] and _is_singular(M, delta):
                 found.insert(0, (value, delta, parts))
+    elif any(b.kind != "repeated_real" for b in structure.blocks):
+        for value, _, parts in _distinct(found)[:6]:
+            if found[0][0] >= enough:
+                break
+            value, delta = _MixedAscent(M, structure, parts).run(value)
+            if value > found[0][0] and _is_singular(M, delta):
+                found.insert(0, (value, delta, parts))
     return found[0][:2] if found else (0.0, None)
+
+
+def _distinct(found) -> list:
+    """Of candidates sorted by value those that differ in it by more than rounding."""
+    return [one for k, one in enumerate(found) if k == 0 or one[0] < found[k - 1][0] * (1 - 1e-6)]
 
 
 def _vertices(structure, parts) -> list[list]:
@@ -318,6 +330,79 @@ def _align(M, structure, parts, steps: int = 200) -> list:
     return parts
 
 
+class _MixedAscent:
+    """Local search over a mixed Δ: the real blocks q/β are closed first, the complex ones are aligned to what is left.
+
+    At a level β that is reached, any q for which the rest N(β, q) has ρ(N Q) > β raises the level; a pattern search on q
+    in [−1, 1] looks for one, and a secant search on β finds the level at which ρ(N Q) = β again.
+    """
+
+    def __init__(self, M, structure, parts):
+        real = [b.kind == "repeated_real" for b in structure.blocks]
+        self.structure, self.real = structure, real
+        join = lambda slices, kind: np.concatenate([np.r_[s] for s, r in zip(slices, real, strict=True) if r == kind])  # noqa: E731
+        self.r_row, self.r_col = join(structure.row, True), join(structure.col, True)
+        c_row, c_col = join(structure.row, False), join(structure.col, False)
+        self.rest = _Structure(tuple(b for b, r in zip(structure.blocks, real, strict=True) if not r))
+        self.sizes = [b.rows for b, r in zip(structure.blocks, real, strict=True) if r]
+        self.Mcc, self.Mcr = M[np.ix_(c_row, c_col)], M[np.ix_(c_row, self.r_col)]
+        self.Mrc, self.Mrr = M[np.ix_(self.r_row, c_col)], M[np.ix_(self.r_row, self.r_col)]
+        self.q = np.array([p for p, r in zip(parts, real, strict=True) if r])
+        self.parts = [p for p, r in zip(parts, real, strict=True) if not r]
+
+    def spectral(self, q, beta, parts):
+        """ρ(N(β, q) Q) with Q aligned from ``parts``: the eigenvalue and the aligned parts; 0 where N does not exist."""
+        diagonal = np.repeat(q, self.sizes) / beta
+        try:
+            inner = np.linalg.solve(np.eye(len(diagonal)) - self.Mrr * diagonal, self.Mrc)
+        except np.linalg.LinAlgError:
+            return 0.0, parts
+        N = self.Mcc + self.Mcr * diagonal @ inner
+        parts = _align(N, self.rest, parts, steps=20)
+        values = np.linalg.eigvals(N @ _assemble(self.rest, parts))
+        return values[np.argmax(np.abs(values))], parts
+
+    def run(self, beta, budget: int = 120):
+        """Search from level ``beta``; the level reached and Δ there."""
+        size = 0.4
+        beta, value = self.level(self.q, beta, self.parts)
+        while size > 1e-5 and budget > 0:
+            better = False
+            for k in range(len(self.q)):
+                for sign in (1, -1):
+                    trial = self.q.copy()
+                    trial[k] = np.clip(trial[k] + sign * size, -1, 1)
+                    if trial[k] == self.q[k]:
+                        continue
+                    budget -= 1
+                    found, parts = self.spectral(trial, beta, self.parts)
+                    if abs(found) > beta * (1 + 1e-9):
+                        self.q, self.parts, better = trial, parts, True
+                        beta, value = self.level(trial, beta, parts)
+            size *= 1.0 if better else 0.4
+        q, rest = iter(self.q), iter(self.parts)
+        full = [next(q) if r else next(rest) * (abs(value) / value if value else 1.0) for r in self.real]
+        return beta, _assemble(self.structure, full) / beta
+
+    def level(self, q, beta, parts):
+        """The β ≥ about ``beta`` at which ρ(N(β, q) Q) = β, by secant steps; and the eigenvalue there."""
+        low, value = beta, 0.0
+        f0 = None
+        for _ in range(40):
+            value, parts = self.spectral(q, beta, parts)
+            f1 = np.log(max(abs(value), 1e-300) / beta)
+            if abs(f1) < 1e-13:
+                break
+            if f0 is None or f0 == f1:
+                step = f1
+            else:
+                step = -f1 * (np.log(beta) - np.log(low)) / (f1 - f0)
+            low, f0 = beta, f1
+            beta *= np.exp(np.clip(step, -0.5, 0.5))
+        self.parts = parts
+        return beta, value
+
+
 def _power_iteration(N, structure, starts, steps) -> list[list]:
     """Unit-size perturbations, per block an array (full) or a number, from ``starts`` runs side by side."""
     rng = np.random.default_rng(1)
@@ -325,7 +410,7 @@ def _power_iteration(N, structure, starts, steps) -> list[list]:
     b = rng.standard_normal((N.shape[1], count)) + 1j * rng.standard_normal((N.shape[1], count))
     b[:, starts:] = np.linalg.svd(N)[2][: count - starts].conj().T
     w = b.copy()
-    q = np.ones((len(structure.blocks), count))
+    q = np.where(np.arange(count) % 2, rng.uniform(-1, 1, (len(structure.blocks), count)), 1.0)
     z = np.zeros((N.shape[0], count), complex)
     tiny = 1e-300
     for _ in range(steps):
