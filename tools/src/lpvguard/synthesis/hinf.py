@@ -31,6 +31,7 @@ RANK_RTOL = 1e-9  # singular values of a column-scaled D12 (row-scaled D21) belo
 AXIS_COST = (
     1e-7  # state cost, relative to ‖C1‖, that moves zeros off the imaginary axis in the optimum's search
 )
+MAX_WORK = 1000  # controllers tried times states: bounds the time of a problem whose optimum is out of reach
 STIFF = 1e4  # a Hamiltonian this much larger than the plant's A has lost digits to nearly free controls
 GAMMA_RTOL = 1e-6  # width of the bracket of a regular problem's optimum
 
@@ -182,8 +183,13 @@ def _certified(plant, problem, gamma, backoff, restore) -> HinfResult:
     """
     best = None
 
+    budget = int(np.clip(MAX_WORK / max(plant.order, 1), 25, 100))
+
     def attempt(level, epsilon):
-        nonlocal best
+        nonlocal best, budget
+        if budget <= 0:
+            return
+        budget -= 1
         try:
             K = problem.controller(level, epsilon)
             if K is None:
@@ -214,6 +220,8 @@ def _certified(plant, problem, gamma, backoff, restore) -> HinfResult:
             "no controller passed its certificate",
             "a plant scaled so that signals of interest are of order one",
         )
+    if good():
+        return best
     reach = f"{best.gamma_achieved / gamma:.4g} times it" if gamma > 0 else f"{best.gamma_achieved:.3g}"
     note = f"the optimum is approached only by ever faster controllers: stopped at {reach}"
     return replace(best, notes=(*best.notes, note))
@@ -288,7 +296,7 @@ def _check_stabilisable(P: _Plant, plant: StateSpace) -> None:
     """Popov–Belevitch–Hautus test of (A, B2) and (C2, A) at every pole that is not strictly stable."""
     if P.A.size == 0:
         return
-    scale = np.linalg.norm(P.A, 2)
+    scale = np.linalg.norm(P.A, 2) or 1.0
     for A, B, what, missing, change in (
         (P.A, P.B2, "(A, B2) is not stabilisable", "the control inputs do not reach", "an actuator for it"),
         (P.A.T, P.C2.T, "(C2, A) is not detectable", "the measurements do not show", "a sensor for it"),
@@ -369,9 +377,10 @@ def _stabilising(H: np.ndarray, side: _Side | None = None, gamma: float = np.inf
         and (best is None or best[1] > 1e6)
         and (np.linalg.norm(balanced_H) > STIFF * np.linalg.norm(side.A * t / t[:, None]))
     ):
-        found, condition = _pencil_solution(side, gamma, t)
-        if best is None or (found is not None and condition < best[1]):
-            return found
+        for scale in (t, np.ones_like(t)):
+            found, condition = _pencil_solution(side, gamma, scale)
+            if found is not None and (best is None or condition < best[1]):
+                best = found, condition
     return best and best[0]
 
 
@@ -381,7 +390,8 @@ def _subspace_solution(H: np.ndarray, t: np.ndarray) -> tuple[_Riccati | None, f
     T, U, stable = sl.schur(H, sort="lhp", check_finite=False)
     if stable != n or _touches_axis(T):
         return None, 0.0
-    return _from_basis(U[:n, :n], U[n:, :n], t)
+    speed = np.abs(np.diag(T)).min()  # of the slowest real part
+    return _from_basis(U[:n, :n], U[n:, :n], t, noise=1e2 * EPS * np.linalg.norm(T) / max(speed, EPS))
 
 
 def _pencil_solution(side: _Side, gamma: float, t: np.ndarray) -> tuple[_Riccati | None, float]:
@@ -414,11 +424,17 @@ def _pencil_solution(side: _Side, gamma: float, t: np.ndarray) -> tuple[_Riccati
     stable = np.count_nonzero(alpha.real * beta < 0)
     if stable != n or np.any(np.abs(alpha.real) <= 20 * EPS * np.linalg.norm(S) + 1e-11 * np.abs(alpha.imag)):
         return None, 0.0
-    return _from_basis(V[:n, :n], V[n:, :n], t)
+    speed = np.abs(alpha.real / np.where(beta == 0, EPS, beta)).min()
+    return _from_basis(V[:n, :n], V[n:, :n], t, noise=1e2 * EPS * np.linalg.norm(S) / speed)
 
 
-def _from_basis(U1: np.ndarray, U2: np.ndarray, t: np.ndarray) -> tuple[_Riccati | None, float]:
-    """X = U2 U1⁻¹ in the units before ``t``, from an orthonormal basis [U1; U2] of the stable subspace."""
+def _from_basis(
+    U1: np.ndarray, U2: np.ndarray, t: np.ndarray, noise: float = 0.0
+) -> tuple[_Riccati | None, float]:
+    """X = U2 U1⁻¹ in the units before ``t``, from an orthonormal basis [U1; U2] of the stable subspace.
+
+    ``noise``: error of the basis where it is larger than rounding.
+    """
     condition = np.linalg.cond(U1)
     skew = U1.T @ U2
     if np.abs(skew - skew.T).max() > 1e-5 or not condition < 1 / EPS:
@@ -427,7 +443,8 @@ def _from_basis(U1: np.ndarray, U2: np.ndarray, t: np.ndarray) -> tuple[_Riccati
     X = 0.5 * (X + X.T)
     # in these units U is orthogonal, so X carries an error of about eps · cond(U1) · (1 + ‖X‖)
     values = np.linalg.eigvalsh(X)
-    definite = values[0] >= -min(1e4 * EPS * condition, 0.1) * (1 + values[-1])
+    tolerance = min(max(1e4 * EPS, min(noise, 1e-9)) * condition, 0.1)
+    definite = values[0] >= -tolerance * (1 + values[-1])
     return _Riccati(X / t / t[:, None], bool(definite)), condition
 
 
@@ -721,8 +738,8 @@ class _Problem:
 def _extension(P: _Plant, axis: bool, epsilon: float) -> tuple[np.ndarray, np.ndarray]:
     """Rows ε·u and, when ``axis``, ε·x, in units of the plant's own costs."""
     size = max(np.linalg.norm(P.C1, 2), EPS)
-    unit = np.linalg.norm(P.B2, axis=0)
-    unit = unit / max(unit.max(), 1e-300)
+    reach = np.linalg.norm(P.B2, axis=0)
+    unit = np.where(reach > 0, reach / max(reach.max(), 1e-300), 1.0)
     return epsilon * size * np.diag(unit), epsilon * size * np.eye(P.A.shape[0]) if axis else np.zeros(
         (0, len(P.A))
     )

@@ -27,7 +27,11 @@ def solve_hinf(problem: dict) -> dict:
         for key, shape in (("A", (n, n)), ("B", (n, D.shape[1])), ("C", (D.shape[0], n)))
     )
     plant = StateSpace(A, B, C, D, _number(problem, "dt", name, 0.0))
-    result = hinf_synthesis(plant, _count(problem, "n_control", name), _count(problem, "n_measurement", name))
+    counts = _count(problem, "n_control", name), _count(problem, "n_measurement", name)
+    try:
+        result = hinf_synthesis(plant, *counts)
+    except (np.linalg.LinAlgError, ArithmeticError) as exc:
+        raise SynthesisError(name, "arithmetic", str(exc), "a plant whose signals are scaled to order one") from exc
     K = result.controller
     return {
         "gamma": result.gamma,
