@@ -65,7 +65,7 @@ json.dump({"seconds": seconds, "claimed": float(level), **matrices}, open(sys.ar
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the table: ours and a peer's. ``level``: certified norm or μ bound; ``claimed``: the peer's own.
+    """One line of the table: ours and a peer's. ``level``: certified bound; ``claimed``: the peer's own word.
 
     Peer fields are None when it was not run; ``peer_note`` says why, or what went wrong with it.
     """

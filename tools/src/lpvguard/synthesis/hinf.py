@@ -117,7 +117,7 @@ class _Side:
         )
 
     def solve(self, gamma: float) -> _Riccati | None:
-        """The stabilising solution at ``gamma`` in the original coordinates, (n, n); None when there is none."""
+        """The stabilising solution at ``gamma``, original coordinates, (n, n); None when there is none."""
         if gamma <= self.bound * (1 + 1e-12):
             return None
         if len(self.A) == 0:
@@ -307,7 +307,7 @@ def _check_stabilisable(P: _Plant, plant: StateSpace) -> None:
                 continue
             sigma = np.linalg.svd(np.hstack([A - pole * np.eye(len(A)), unit]), compute_uv=False)[-1]
             if sigma < 1e-11 * scale:
-                shown = to_point(pole, plant)
+                shown = _to_point(pole, plant)
                 raise SynthesisError(
                     "generalised plant",
                     what,
@@ -316,7 +316,7 @@ def _check_stabilisable(P: _Plant, plant: StateSpace) -> None:
                 )
 
 
-def to_point(pole, plant):
+def _to_point(pole, plant):
     """A pole of the continuous image as a pole of ``plant`` (z-plane for a discrete one)."""
     return (2 / plant.dt + pole) / (2 / plant.dt - pole) if plant.dt else pole
 
@@ -385,7 +385,7 @@ def _stabilising(H: np.ndarray, side: _Side | None = None, gamma: float = np.inf
 
 
 def _subspace_solution(H: np.ndarray, t: np.ndarray) -> tuple[_Riccati | None, float]:
-    """The solution from one balanced H, and the condition of its X1 (0 when the axis itself is in the way)."""
+    """The solution from one balanced H, and the condition of its X1 (0 when the axis is in the way)."""
     n = H.shape[0] // 2
     T, U, stable = sl.schur(H, sort="lhp", check_finite=False)
     if stable != n or _touches_axis(T):

@@ -339,7 +339,7 @@ def _vertices(structure, parts) -> list[list]:
 
 
 def _align(M, structure, parts, steps: int = 200) -> list:
-    """Local ascent of ρ(M Q) over complex Q: turn each block toward the gradient at the exact eigenvectors."""
+    """Local ascent of ρ(M Q) over complex Q: each block turned to the gradient at the eigenvectors."""
     value = 0.0
     for _ in range(steps):
         Q = _assemble(structure, parts)
@@ -547,7 +547,7 @@ def _free_parameters(structure, parts):
 
 
 def _make_real(M, vary, start):
-    """Follow the eigenvalue ``start`` of M Δ(s) to the real axis by secant steps; (β, Δ(s)/±β) or (0, None)."""
+    """Secant steps take the eigenvalue ``start`` of M Δ(s) to the real axis; (β, Δ(s)/±β) or (0, None)."""
     s0, value = 0.0, start
     s1 = 1e-4
     f0 = value.imag
