@@ -146,7 +146,13 @@ def hinf_synthesis(
     a level near it, which only saves time.
     """
     problem, D22, shift = _posed(plant, n_control, n_measurement)
-    gamma = problem.optimum(rtol, guess)
+    try:
+        gamma = problem.optimum(rtol, guess)
+    except SynthesisError:
+        if not problem.singular:
+            raise
+        gamma = problem.floor
+        problem.notes.append("the optimum could not be bracketed: gamma is a lower bound only")
 
     def restore(K: StateSpace) -> StateSpace:
         K = _absorb(K, D22)
@@ -172,9 +178,20 @@ def _posed(plant, n_control, n_measurement) -> tuple[_Problem, np.ndarray, np.nd
     """
     _check_shape(plant, n_control, n_measurement)
     shift, shifted = _move_pole_at_minus_one(plant, n_control, n_measurement)
-    blocks, D22 = _blocks(balanced(to_continuous(shifted)), n_control, n_measurement)
+    blocks, D22 = _blocks(_calm(balanced(to_continuous(balanced(shifted)))), n_control, n_measurement)
     _check_stabilisable(blocks, plant)
     return _Problem(blocks), D22, shift
+
+
+def _calm(G: StateSpace) -> StateSpace:
+    """G in the coordinates of a balanced Schur form where those leave much less than G's own, G itself otherwise.
+
+    Scaling alone cannot undo a dense, badly conditioned change of coordinates: ‖A‖ then is far above its eigenvalues.
+    """
+    if G.order < 2:
+        return G
+    other = balanced(G.transformed(sl.schur(G.A)[1]))
+    return other if np.linalg.norm(other.A) < 0.1 * np.linalg.norm(G.A) else G
 
 
 def _certified(plant, problem, gamma, backoff, restore) -> HinfResult:

@@ -34,7 +34,7 @@ def hinf_norm(G: StateSpace, rtol: float = 1e-6) -> NormBracket:
     """
     if not G.stability_margin() > 0:
         return NormBracket(np.inf, np.inf, np.nan)
-    H = balanced(to_continuous(G))
+    H = balanced(to_continuous(balanced(G)))
 
     def warp(omega: float) -> float:
         return float(2 / G.dt * np.arctan(omega * G.dt / 2)) if G.dt else float(omega)
