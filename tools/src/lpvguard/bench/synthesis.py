@@ -226,8 +226,8 @@ def _peer(python: Path, plant: GeneralisedPlant, folder: Path) -> dict:
 def table(rows: list[Row]) -> str:
     """The rows as text, one line each."""
     lines = [
-        f"{'job':6}{'states':>7}{'time s':>9}{'target':>8}{'level':>10}{'order':>7}   "
-        f"{'peer':8}{'time s':>8}{'claims':>10}{'certified':>11}{'order':>7}{'ratio':>7}"
+        (f"{'job':6}{'states':>7}{'time s':>9}{'target':>8}{'level':>10}{'order':>7}   "
+        f"{'peer':8}{'time s':>8}{'claims':>10}{'certified':>11}{'order':>7}{'ratio':>7}")
     ]
     for r in rows:
         peer = (

@@ -13,6 +13,7 @@ ends with is scaled so that I − M Δ is singular, and that is verified.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,8 +98,8 @@ class _Structure:
         self.blocks = blocks
         rows = np.cumsum([0] + [b.rows for b in blocks])
         cols = np.cumsum([0] + [b.cols for b in blocks])
-        self.row = [slice(a, b) for a, b in zip(rows, rows[1:], strict=False)]
-        self.col = [slice(a, b) for a, b in zip(cols, cols[1:], strict=False)]
+        self.row = [slice(a, b) for a, b in itertools.pairwise(rows)]
+        self.col = [slice(a, b) for a, b in itertools.pairwise(cols)]
         self.n_rows, self.n_cols = int(rows[-1]), int(cols[-1])
         left, right, skew = [], [], []
         for b, r, c in zip(blocks, self.row, self.col, strict=True):
