@@ -55,9 +55,10 @@ bool sizes_match(const uint32_t* sizes) {
 bool words_in_range(const lpvg_coeff_words_t& w) {
     bool good = w.sample_period_us > 0U && w.confirm >= 1U && w.confirm <= w.of_last && w.of_last <= LPVG_NHISTORY;
     for (std::size_t b = 0; b < LPVG_NBINS; ++b) {
-        // One bin is judged a sample, so a half frame must outlast a round through all bins.
+        // One bin is judged a sample, so a half frame must outlast a round through all bins. No frame is longer than DC's,
+        // whose length the verdict is held for.
         good = good && w.frame_length[b] % 2U == 0U && w.frame_length[b] / 2U > LPVG_NBINS &&
-               2U * w.cycles[b] < w.frame_length[b];
+               w.frame_length[b] <= w.frame_length[0] && w.cycles[b] < w.frame_length[b] / 2U;
     }
     for (std::size_t i = 0; i < LPVG_NVARYING; ++i) {
         good = good && w.varying_entry[i] < LPVG_NENTRIES;

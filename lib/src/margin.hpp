@@ -12,6 +12,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <limits>
 
 namespace lpvg {
 
@@ -73,15 +74,18 @@ public:
 
 private:
     std::array<C, NY + 1> E_, Z_;
-    Real best_ = Real(-1);
+    Real best_ = std::numeric_limits<Real>::infinity();
 
     void consider(C d) {
         Real worst = Real(0);
         for (std::size_t j = 0; j <= NY; ++j) {
             const Real f = squared(E_[j] - d * Z_[j]);
+            if (!(f < best_)) {
+                return;  // no better; or not a number, where a candidate overflowed, and that must not read as small
+            }
             worst = f > worst ? f : worst;
         }
-        best_ = (best_ < Real(0) || worst < best_) ? worst : best_;
+        best_ = worst;
     }
 
     C centre(std::size_t j) const { return (Real(1) / squared(Z_[j])) * (E_[j] * conj(Z_[j])); }
