@@ -98,6 +98,22 @@ def compile_shared(
     only. Raises NativeError when there is no compiler, a source is missing or does not compile, or a flag would let
     the compiler reorder floating-point arithmetic.
     """
+    suffix = ".dylib" if sys.platform == "darwin" else ".so"
+    return _compile(sources, (*flags, "-fPIC", "-shared"), include_dirs, name, suffix)
+
+
+def compile_executable(
+    sources: Iterable[Path | str],
+    *,
+    flags: Sequence[str] = REPRODUCIBLE_FLAGS,
+    include_dirs: Iterable[Path | str] = (),
+    name: str = "native",
+) -> Path:
+    """Path of the program made from ``sources``; otherwise as ``compile_shared``."""
+    return _compile(sources, tuple(flags), include_dirs, name, "")
+
+
+def _compile(sources, flags: tuple[str, ...], include_dirs, name: str, suffix: str) -> Path:
     paths = [Path(s).resolve() for s in sources]
     includes = [Path(p).resolve() for p in include_dirs]
     missing = [str(p) for p in paths if not p.is_file()]
@@ -106,17 +122,17 @@ def compile_shared(
     if {"-ffast-math", "-Ofast", "-funsafe-math-optimizations"} & set(flags):
         raise NativeError("flags that reorder floating-point arithmetic are refused: results must be reproducible")
     compiler = find_compiler(cxx=any(p.suffix in _CXX_SUFFIXES for p in paths))
-    suffix = ".dylib" if sys.platform == "darwin" else ".so"
     target = cache_dir() / f"{name}-{_digest(paths, flags, includes, compiler)}{suffix}"
     if target.is_file():
         return target
     handle, temporary = tempfile.mkstemp(suffix=suffix, prefix=f".{name}-", dir=target.parent)
     os.close(handle)
-    command = [compiler, *flags, "-fPIC", "-shared", *(f"-I{p}" for p in includes), *map(str, paths), "-o", temporary]
+    command = [compiler, *flags, *(f"-I{p}" for p in includes), *map(str, paths), "-o", temporary]
     try:
         done = subprocess.run([*command, "-lm"], capture_output=True, text=True, check=False)
         if done.returncode != 0:
             raise NativeError(f"{' '.join(command)}\n{done.stderr.strip()[:2000]}")
+        os.chmod(temporary, 0o755)
         os.replace(temporary, target)
     finally:
         Path(temporary).unlink(missing_ok=True)
