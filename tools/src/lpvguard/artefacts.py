@@ -100,3 +100,10 @@ def write_file(target: Path, text: str) -> None:
         Path(stream.name).rename(target)
     except OSError as error:
         raise InputError(target, "", f"cannot be written ({error.strerror})", "a writable place") from None
+
+
+def write_files(folder: Path, files: dict[str, str | bytes]) -> None:
+    """Write files into an existing folder, normally one of ``new_folder``."""
+    for name, content in files.items():
+        data = content.encode() if isinstance(content, str) else content
+        (folder / name).write_bytes(data)

@@ -64,12 +64,12 @@ def _root(version: Annotated[bool, typer.Option("--version", help="Print the ver
 def generate(vehicle: Vehicle, out: Out,
              seed: Annotated[int | None, typer.Option(help="Seed (default: the project file's).")] = None) -> None:
     """Write seeded synthetic drives of a vehicle: tables and experiments.csv."""
-    from .fixture import write_drives
+    from .generate import generate as run
 
     project = _load_project(vehicle)
     with _progress("generate") as tell:
-        names = write_drives(project, out, project.seed if seed is None else seed, tell)
-    console.print(f"{len(names)} drives written to {out}")
+        count = run(project, out, project.seed if seed is None else seed, tell)
+    console.print(f"{count} drives written to {out}")
 
 
 @app.command(epilog="Example: lpvguard identify --vehicle g80 DRIVES -o out/identify")

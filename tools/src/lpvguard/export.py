@@ -116,13 +116,6 @@ def vehicle_files(project: Project, coefficients: Coefficients, provenance: dict
     return files
 
 
-def write_files(folder: Path, files: dict[str, str | bytes]) -> None:
-    """Write text files into an existing folder."""
-    for name, content in files.items():
-        data = content.encode() if isinstance(content, str) else content
-        (folder / name).write_bytes(data)
-
-
 def export_vehicle(stored: StoredIdentification, target: Path, controller: ControllerCoefficients | None = None) -> None:
     """Write the generated folder of an identification, with its controller if there is one, whole or not at all."""
     provenance = {"kind": "vehicle", "identification": stored.manifest, "threshold": stored.calibration.to_dict(),
@@ -130,4 +123,4 @@ def export_vehicle(stored: StoredIdentification, target: Path, controller: Contr
                   "weights": {k: stored.weights[k] for k in ("W_w", "W_delta")},
                   "project": stored.project.model_dump(by_alias=True)}
     with artefacts.new_folder(target) as folder:
-        write_files(folder, vehicle_files(stored.project, stored.coefficients, provenance, controller))
+        artefacts.write_files(folder, vehicle_files(stored.project, stored.coefficients, provenance, controller))

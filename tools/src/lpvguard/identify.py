@@ -28,7 +28,7 @@ from .calibration import Calibration, calibrate, score
 from .core import Core
 from .drives import EXPERIMENTS, Drive, Experiment, file_hash, list_experiments, read_drive, require_units
 from .errors import InputError
-from .export import Coefficients, build_coefficients, vehicle_files, write_files
+from .export import Coefficients, build_coefficients, vehicle_files
 from .frames import Estimator
 from .nominal import NominalModel
 from .project import Project, parse_project
@@ -95,7 +95,7 @@ class DriveSet:
         return drive, e, yhat
 
 
-def _fitting_grid(estimator: Estimator) -> np.ndarray:
+def fitting_grid(estimator: Estimator) -> np.ndarray:
     omega = estimator.omega.copy()
     omega[0] = DC_STAND_IN * omega[1]
     return omega
@@ -106,7 +106,7 @@ def _floor(B2: np.ndarray) -> float:
     return 1e-6 * float(np.nanmax(B2))
 
 
-def _uncertainty_samples(estimator: Estimator, nu: np.ndarray) -> np.ndarray:
+def uncertainty_samples(estimator: Estimator, nu: np.ndarray) -> np.ndarray:
     """What W_delta must cover: the running maximum of nu from the lowest bin up, nothing at DC.
 
     Neglected dynamics grow with frequency, and a dip in nu only tells that no frame happened to need uncertainty there.
@@ -122,16 +122,16 @@ def _fit_settings(project: Project) -> dict:
 
 def smooth_disturbance_bound(project: Project, estimator: Estimator, bounds: Bounds) -> OverboundFit:
     """Step 4: a smooth gamma_w above what the rule asks for."""
-    return fit_overbound(_fitting_grid(estimator), bounds.gamma_rule, floor=_floor(bounds.B2), name="gamma_w",
+    return fit_overbound(fitting_grid(estimator), bounds.gamma_rule, floor=_floor(bounds.B2), name="gamma_w",
                          **_fit_settings(project))
 
 
 def fit_weights(project: Project, estimator: Estimator, bounds: Bounds, gamma: OverboundFit) -> Weights:
     """Step 6: W_w over B_w of each output and W_delta over nu."""
-    omega, settings = _fitting_grid(estimator), _fit_settings(project)
+    omega, settings = fitting_grid(estimator), _fit_settings(project)
     W_w = [fit_overbound(omega, bounds.B_w[:, j], floor=_floor(bounds.B2), name=f"B_w of {s.name}", **settings)
            for j, s in enumerate(project.outputs)]
-    W_delta = fit_overbound(omega, _uncertainty_samples(estimator, bounds.nu), name="nu", **settings)
+    W_delta = fit_overbound(omega, uncertainty_samples(estimator, bounds.nu), name="nu", **settings)
     return Weights(W_w, W_delta, gamma, 1.0)
 
 
@@ -141,7 +141,7 @@ def _scratch_core(project: Project, coefficients: Coefficients) -> Iterator[Core
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / project.name
         target.mkdir()
-        write_files(target, vehicle_files(project, coefficients, {}))
+        artefacts.write_files(target, vehicle_files(project, coefficients, {}))
         yield Core(target)
 
 
@@ -175,7 +175,7 @@ def identify(project: Project, folder: Path, *, progress: Progress = _quiet) -> 
     experiments = list_experiments(Path(folder))
     drives = DriveSet(project, model, experiments)
     bound_drives = [e.name for e in experiments if e.split in project.data.bound_split]
-    others = [e.name for e in experiments if e.split not in project.data.bound_split]
+    others = [e.name for e in experiments if e.split not in (*project.data.bound_split, *project.data.noise_split)]
     if not bound_drives:
         raise InputError(Path(folder) / EXPERIMENTS, "column split",
                          f"no drive has split {' or '.join(project.data.bound_split)}",
@@ -225,7 +225,7 @@ def save(result: Identification, drives: DriveSet, target: Path) -> None:
     weights = result.weights
     inputs = {name: file_hash(e.path) for name, e in drives.experiments.items()}
     with artefacts.new_folder(target) as folder:
-        write_files(folder, {
+        artefacts.write_files(folder, {
             "bounds.json": artefacts.to_json(table),
             "weights.json": artefacts.to_json({
                 "inflation": weights.inflation, "W_w": [_fit_dict(f) for f in weights.W_w],
@@ -287,7 +287,7 @@ def load(folder: Path) -> StoredIdentification:
     if manifest["estimator_id"] != estimator.identifier():
         raise InputError(folder / artefacts.MANIFEST, "estimator_id", f"{manifest['estimator_id']:#010x}",
                          f"{estimator.identifier():#010x}, the estimator that project.json describes")
-    omega = _fitting_grid(estimator)
+    omega = fitting_grid(estimator)
 
     def weight(entry: dict, bound: np.ndarray, name: str) -> Weight:
         loaded = Weight.from_dict(entry["weight"])
@@ -299,7 +299,7 @@ def load(folder: Path) -> StoredIdentification:
 
     floor = _floor(bounds["B2"])
     W_w = [weight(e, np.fmax(bounds["B_w"][:, j], floor), f"W_w[{j}]") for j, e in enumerate(weights["W_w"])]
-    W_delta = weight(weights["W_delta"], _uncertainty_samples(estimator, bounds["nu"]), "W_delta")
+    W_delta = weight(weights["W_delta"], uncertainty_samples(estimator, bounds["nu"]), "W_delta")
     inflation = weights["inflation"]
     coefficients = build_coefficients(project, model, estimator, inflation * W_delta.magnitude(estimator.omega),
                                       inflation * np.column_stack([w.magnitude(estimator.omega) for w in W_w]),

@@ -122,7 +122,17 @@ class FrameTestSettings(_Strict):
 
 
 class DataSettings(_Strict):
+    """Which splits set the bounds, which are zero-input runs (W_n), and what `generate` makes; all other splits calibrate."""
+
     bound_split: list[str]
+    noise_split: list[str] = []
+    generator: Literal["car", "truck"] | None = None
+
+    @model_validator(mode="after")
+    def _disjoint(self) -> DataSettings:
+        if set(self.bound_split) & set(self.noise_split):
+            raise ValueError("data: bound_split and noise_split must be disjoint")
+        return self
 
 
 class Project(_Strict):
