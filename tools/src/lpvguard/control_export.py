@@ -46,7 +46,8 @@ class ControllerCoefficients(Sealed):
     origin: dict[str, Any]
 
     def manifest(self) -> dict[str, Any]:
-        return {"sizes": self.sizes, "Ts_s": self.Ts_s, "speeds": self.speeds, "crc32": self.crc32_by_type(), **self.origin}
+        return {"sizes": self.sizes, "Ts_s": self.Ts_s, "speeds": self.speeds, "crc32": self.crc32_by_type(),
+                "u_max": self.reals["u_max"], "rate_max": self.reals["rate_max"], **self.origin}
 
 
 def build_controller(Ts_s: float, speeds: np.ndarray, A: np.ndarray, B: np.ndarray, C: np.ndarray, L: np.ndarray,
