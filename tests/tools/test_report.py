@@ -18,11 +18,13 @@ from lpvguard.project import load_project, parse_project
 from lpvguard.replay import Replayer
 from lpvguard.report import write_report
 
-TITLES = ["Summary", "Disturbance bound", "Weights over the bounds", "The nominal model in time", "Excitation and what stays invisible",
+TITLES = ["Summary", "Disturbance bound", "Weights over the bounds", "The nominal model in time",
+          "Excitation and what stays invisible",
           "Margin over time and frequency, drive by drive"]
 LEFT_OUT = "creeping"
 # name, split, mean speed [m/s], duration [s]; the fault of "weak" makes alarms.
-DRIVES = [("slow", "train", 6.0, 30.0), ("fast", "train", 16.0, 30.0), ("check", "valid", 15.0, 30.0), ("weak", "valid", 6.0, 30.0),
+DRIVES = [("slow", "train", 6.0, 30.0), ("fast", "train", 16.0, 30.0), ("check", "valid", 15.0, 30.0),
+          ("weak", "valid", 6.0, 30.0),
           (LEFT_OUT, "valid", 2.0, 10.0)]
 
 
@@ -34,14 +36,15 @@ def vehicle(n_y: int):
     document["weights"] |= {"max_order": 2}
     if n_y == 2:
         document["name"] = "two_outputs"
-        document["signals"] = [*document["signals"], {"name": "lateral_acceleration", "role": "output", "column": "ay", "unit": "m/s^2",
-                                                      "positive": "left turn", "min": -20.0, "max": 20.0}]
+        second = {"name": "lateral_acceleration", "role": "output", "column": "ay", "unit": "m/s^2", "positive": "left turn",
+                  "min": -20.0, "max": 20.0}
+        document["signals"] = [*document["signals"], second]
         document["model"] |= {"C": [[1.0], [10.0]], "output_offset": [0.0, 0.0]}
     return parse_project(document, "test")
 
 
 def write_drives(project, folder: Path) -> None:
-    """Drives of a vehicle that differs from the nominal model by 10 % of gain and noise and, in "weak", by half its gain from 10 s on."""
+    """Drives of a vehicle that differs from the nominal model by 10 % of gain and noise; "weak" has half the gain from 10 s on."""
     model, folder_index = NominalModel(project), ["experiment,split,driver"]
     folder.mkdir()
     for index, (name, split, speed, duration) in enumerate(DRIVES):
@@ -50,10 +53,11 @@ def write_drives(project, folder: Path) -> None:
         v = speed * (1 + 0.03 * np.sin(0.2 * t))
         u = sum(0.02 * np.sin(w * t + random.uniform(0, 6)) for w in (1.0, 1.9, 3.1, 5.3, 9.7))[:, None]
         y = model.simulate(v, u, np.zeros(project.n_y))
-        y = y * np.where((name == "weak") & (t > 10.0), 0.5, 0.9)[:, None] + 2e-2 * random.standard_normal(y.shape) * np.abs(y).max(axis=0)
+        gain = np.where((name == "weak") & (t > 10.0), 0.5, 0.9)[:, None]
+        y = gain * y + 2e-2 * np.abs(y).max(axis=0) * random.standard_normal(y.shape)
         columns = [project.speed.column, *(s.column for s in [*project.inputs, *project.outputs])]
-        np.savetxt(folder / f"{name}.csv", np.column_stack([t, v, u, y]), delimiter=",", header=",".join(["t", *columns]), comments="",
-                   fmt="%.9g")
+        np.savetxt(folder / f"{name}.csv", np.column_stack([t, v, u, y]), delimiter=",", header=",".join(["t", *columns]),
+                   comments="", fmt="%.9g")
         folder_index.append(f"{name},{split},robot")
     (folder / "experiments.csv").write_text("\n".join(folder_index) + "\n")
 

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lpvguard.export import build_coefficients, vehicle_files, write_files
+from lpvguard.artefacts import write_files
+from lpvguard.export import build_coefficients, vehicle_files
 from lpvguard.frames import Estimator
 from lpvguard.nominal import NominalModel
 from lpvguard.project import load_project

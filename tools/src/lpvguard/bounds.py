@@ -151,3 +151,22 @@ def _covering_scale(frames_of_drives: FrameSource, estimator: Estimator, B_w: np
         return {"scale": scale}
 
     return np.fmax(1.0, _fold(reduce(sets) for sets in frames_of_drives())["scale"])
+
+
+def peak_magnitudes(frames_of_drives: Iterable[Iterable[FrameSet]], estimator: Estimator,
+                    n_y: int) -> tuple[np.ndarray, np.ndarray]:
+    """Largest |E_j| and largest |Y_j| = |E_j + Z_j| over all frames, (K, n_y) each; NaN where no frame counts.
+
+    |E_j| of zero-input drives bounds the sensors' noise (W_n), of all others the disturbance of class S0; |Y_j| of the yaw
+    rate bounds the commands that such drives contain (W_C; paper, section V).
+    """
+
+    def reduce(sets: Iterable[FrameSet]) -> dict[str, np.ndarray]:
+        out = {key: np.full((estimator.n_bins, n_y), np.nan) for key in ("E", "Y")}
+        for s in sets:
+            out["E"][s.bin], out["Y"][s.bin] = _maximum(np.abs(s.E)), _maximum(np.abs(s.E + s.Z))
+        return out
+
+    empty = np.full((estimator.n_bins, n_y), np.nan)
+    total = _fold([{"E": empty, "Y": empty}, *(reduce(sets) for sets in frames_of_drives)])
+    return total["E"], total["Y"]

@@ -38,8 +38,7 @@ STYLE = {
     "text.color": INK, "axes.labelcolor": INK, "xtick.color": INK, "ytick.color": INK, "axes.edgecolor": INK,
     "axes.titlecolor": INK, "axes.facecolor": "none", "figure.facecolor": "none", "savefig.facecolor": "none",
     "legend.facecolor": PAPER, "legend.edgecolor": RULE, "legend.framealpha": 0.85, "grid.color": RULE,
-    "grid.linewidth": 0.5, "axes.grid": True, "axes.axisbelow": True, "axes.linewidth": 0.7, "lines.linewidth": 1.4,
-    "axes.formatter.use_mathtext": True}
+    "grid.linewidth": 0.5, "axes.grid": True, "axes.axisbelow": True, "axes.linewidth": 0.7, "lines.linewidth": 1.4}
 
 
 @dataclass(frozen=True)
@@ -52,8 +51,8 @@ class Clouds:
     w: list[np.ndarray]
 
 
-def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), layout="constrained")
+def _figure(width: float, height: float, layout: str | None = "constrained") -> Figure:
+    figure = Figure(figsize=(width, height), layout=layout)
     FigureCanvasSVG(figure)
     return figure
 
@@ -163,7 +162,7 @@ def _decent_bottom(clouds: list[np.ndarray], bound: np.ndarray) -> float:
     """Lower end of a logarithmic axis: the 1 % quantile of the points that are not tiny beside the bound, so that a few
     near-zeros do not squeeze the rest."""
     values, largest = np.concatenate(clouds), float(np.nanmax(bound))
-    values = values[values > 1e-4 * largest]
+    values = values[values > 1e-3 * largest]
     return float(np.quantile(values, 0.01)) if len(values) else 0.05 * largest
 
 
@@ -188,6 +187,7 @@ def weights_over_bounds(grid, clouds: Clouds, bounds: dict[str, np.ndarray], W_w
     _bound(right, grid, samples, "--s", "running bound", ms=4, color=RED)
     right.plot(fine, W_delta, "-", color=BLUE, label=r"$|W_\Delta|$")
     right.set_yscale("log")
+    right.set_ylim(_decent_bottom(clouds.nu, samples), 2 * max(W_delta.max(), np.nanmax(samples)))
     right.set_ylabel(r"uncertainty size $|\delta|$, –")
     _legend_above(right, 3)
     _bins(right, grid, without)
@@ -304,14 +304,21 @@ def margin_map(replay: Replay, t: np.ndarray, v: np.ndarray, omega: np.ndarray, 
                speed_range: tuple[float, float]) -> Figure:
     """Margin over time and bin of one drive, alarms, speed and verdict below."""
     K = len(omega)
-    figure = _figure(8.2, 1.7 + 0.135 * K)
-    top, middle, low = figure.subplots(3, 1, sharex=True, height_ratios=[0.135 * K, 0.75, 0.13])
+    map_in, speed_in, verdict_in, gap_in, below_in = 0.135 * K, 0.72, 0.13, 0.13, 0.45
+    height = map_in + speed_in + verdict_in + 3 * gap_in + below_in
+    # Placed by hand: laid out automatically this picture, of which there are many, would take half as long again, and
+    # time axes of different drives would not line up.
+    figure = _figure(8.2, height, layout=None)
+    top, middle, low = figure.subplots(3, 1, sharex=True, height_ratios=[map_in, speed_in, verdict_in], gridspec_kw={
+        "left": 0.075, "right": 0.985, "top": 1 - gap_in / height, "bottom": below_in / height,
+        "hspace": 3 * gap_in / (map_in + speed_in + verdict_in)})
     kind, margin = _cells(replay, t[0], lengths)
     extent = (0.0, replay.duration_s, -0.5, K - 0.5)
     top.imshow(_paint(kind, margin / threshold)[::-1], aspect="auto", extent=extent, interpolation="none")
     at = {w: k for k, w in enumerate(omega)}
     if replay.alarms:
-        top.plot([a.t_s for a in replay.alarms], [at[a.bin_rad_s] for a in replay.alarms], "v", ms=7, mfc=RED, mec=INK, mew=0.8)
+        top.plot([a.t_s for a in replay.alarms], [at[a.bin_rad_s] for a in replay.alarms], "<", ms=6, mfc=RED,
+                 mec=MAP_PAPER, mew=0.8, clip_on=False)
     top.set_facecolor(MAP_PAPER)
     top.set_yticks(range(K), _bin_labels(omega), fontsize=7)
     top.set_ylabel("bin, rad/s")
