@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from . import artefacts, fixture, native
+from .core import firmware_root
 from .drives import EXPERIMENTS
 from .errors import InputError
 from .project import Project
@@ -27,12 +28,8 @@ PROGRAMMES = ("pulses", "telegraph", "multisine")
 
 def plant_tool() -> Path:
     """The plant's tool, compiled on first use from firmware_sim/plant. InputError where the sources are absent."""
-    from .core import library_root
-
-    root = library_root().parent / "firmware_sim" / "plant"
+    root = firmware_root() / "plant"
     sources = [*sorted((root / "src").glob("*.cpp")), *sorted((root / "tool").glob("*.cpp"))]
-    if not sources:
-        raise InputError(root, "", "the simulated truck's sources are missing", "a checkout of the project")
     flags = ("-std=c++17", "-O2", "-ffp-contract=off", f'-DLPVGUARD_TRUCK_TOML="{root / "truck.toml"}"')
     try:
         return native.compile_executable(sources, flags=flags, include_dirs=[root / "include", root / "src", root / "tool"],
