@@ -140,14 +140,15 @@ def options(tree: Path, scratch: Path) -> list[str]:
     return findings
 
 
-def unit_tests(tree: Path, folder: Path, preset: str) -> list[str]:
+def unit_tests(tree: Path, folder: Path, preset: str, only: str = "") -> list[str]:
+    """All unit tests, or the one named ``only`` (a self-test need not build the others)."""
     return (failed("configure", "cmake", "--preset", preset, "-B", folder, f"-DPython3_EXECUTABLE={sys.executable}", cwd=tree)
-            or failed("build", "cmake", "--build", folder)
-            or failed("tests", "ctest", "--test-dir", folder, "-L", "unit", "-j2", "--no-tests=error", "--output-on-failure"))
+            or failed("build", "cmake", "--build", folder, "--target", f"test_{only.replace('.', '_')}" if only else "all")
+            or failed("tests", "ctest", "--test-dir", folder, "-L", "unit", "-R", only or ".", "-j2", "--no-tests=error", "--output-on-failure"))
 
 
-def sanitize(tree: Path, scratch: Path) -> list[str]:
-    return unit_tests(tree, scratch / "build", "sanitize")
+def sanitize(tree: Path, scratch: Path, only: str = "") -> list[str]:
+    return unit_tests(tree, scratch / "build", "sanitize", only)
 
 
 def coverage_of(tree: Path, build: Path) -> dict[str, dict[str, dict]]:
@@ -200,7 +201,7 @@ def coverage(tree: Path, scratch: Path) -> list[str]:
     return findings
 
 
-GATES: dict[str, Callable[[Path, Path], list[str]]] = {
+GATES: dict[str, Callable[..., list[str]]] = {
     f.__name__: f for f in (warnings, imports, headers, generated_c, options, sanitize, coverage)}
 
 
@@ -215,20 +216,20 @@ class Plant:
     old: str
     new: str
     expect: str
+    only: str = ""  # the only unit test to build for it
 
 
-HEAD = '#include "lpvguard/model.h"\n'
 MONITOR_H = "lib/include/lpvguard/monitor.h"
 PLANTS: dict[str, list[Plant]] = {
     "warnings": [
         Plant("lib/src/monitor.cpp", "Real(0.5) - Real(0.5) *", "Real(0.5) - 0.5 *", r"gcc, float(.|\n)*\[-Werror=double-promotion\]"),
-        Plant("lib/src/coeff.cpp", "uint32_t value;", "uint16_t narrow = n_words; uint32_t value = narrow;", r"clang(.|\n)*-W"),
+        Plant("lib/src/coeff.cpp", "uint32_t crc32_byte(", "constexpr int unused = 1;\n\nuint32_t crc32_byte(", r"clang, float(.|\n)*-Wunused-const-variable"),
         Plant("lib/src/model.cpp", "next;\n", "next;\n    int rounded = self->x[0]; (void)rounded;\n", r"clang(.|\n)*-Wfloat-conversion"),
     ],
     "imports": [
         Plant("lib/src/model.cpp", "    set_speed(self, coeff, speed);", "    set_speed(self, coeff, speed);\n    Eigen::Matrix<Real, 8, 8> a = "
               "Eigen::Matrix<Real, 8, 8>::Constant(speed), b = a * a;\n    self->x[0] += b(0, 0);", r"imports (malloc|free|_Zn)"),
-        Plant("lib/src/monitor.cpp", "    ++self.restarts;", "    ++self.restarts;\n    std::printf(\"restart\");", r"imports (printf|puts|putchar|fwrite)"),
+        Plant("lib/src/monitor.cpp", "    ++self.restarts;", "    ++self.restarts;\n    __builtin_printf(\"restart\");", r"imports (printf|puts|putchar|fwrite)"),
         Plant("lib/src/coeff.cpp", "    return ~crc;", "    return ~crc ^ static_cast<uint32_t>(std::exp(real_at(coeff, 0)));", r"imports expf?"),
     ],
     "headers": [
@@ -248,13 +249,14 @@ PLANTS: dict[str, list[Plant]] = {
         Plant("CMakeLists.txt", "list(APPEND lpvg_options ${name})", "", r"LPVG_DOUBLE is not in the summary"),
     ],
     "sanitize": [
-        Plant("lib/src/model.cpp", "self->past[LPVG_DELAY]", "self->past[LPVG_DELAY + 1]", r"tests:(.|\n)*out of bounds"),
+        Plant("lib/src/model.cpp", "self->past[LPVG_DELAY]", "self->past[LPVG_DELAY + 1]", r"tests:(.|\n)*out of bounds", "monitor.toy"),
         Plant("lib/src/monitor.cpp", "return static_cast<uint64_t>(later) - static_cast<uint64_t>(earlier);",
-              "return static_cast<uint64_t>(later - earlier);", r"tests:(.|\n)*signed integer overflow"),
+              "return static_cast<uint64_t>(later - earlier);", r"tests:(.|\n)*signed integer overflow", "monitor.toy"),
     ],
     "coverage": [
-        Plant("lib/src/margin.hpp", "    C centre(std::size_t j) const {", "    bool unused(C d) const { return squared(d) > 1; }\n\n    C centre(std::size_t j) const {"
-              , r"(?!)"),
+        Plant("lib/src/coeff.cpp", 'extern "C" uint32_t', 'uint32_t lpvg_unused(uint32_t n) {\n    return n > 1U ? n : 1U;\n}\n\nextern "C" uint32_t',
+              r"2 lines missed, 0 allowed: coeff\.cpp:(.|\n)*branches missed"),
+        Plant("tests/gates/coverage.json", '"missed_lines": 0', '"missed_lines": 1', r"0 lines missed, fewer than the 1"),
     ],
 }
 
@@ -282,7 +284,7 @@ def self_test(gate: str, source: Path, scratch: Path) -> list[str]:
             missed.append(f"{plant.file} no longer holds {plant.old!r}: plant another bug")
             continue
         file.write_text(good.replace(plant.old, plant.new, 1))
-        findings = "\n".join(GATES[gate](tree, scratch / "work"))
+        findings = "\n".join(GATES[gate](tree, scratch / "work", **({"only": plant.only} if plant.only else {})))
         file.write_text(good)
         if not re.search(plant.expect, findings):
             missed.append(f"planted {plant.new!r} in {plant.file}; wanted /{plant.expect}/, found: {findings or 'nothing'}")

@@ -525,6 +525,14 @@ TEST_CASE("stale after five periods, fault when the clock runs backwards", "[uni
     CHECK(drive.verdict() == lpvg_verdict_valid);
 }
 
+TEST_CASE("the count of settled samples saturates: years later frames still count", "[unit][monitor]") {
+    Drive drive;
+    drive.settle();
+    drive.monitor.settled = std::numeric_limits<uint32_t>::max() - 2U;  // as if pushed for years
+    drive.run(longest(), [](const lpvg_frame_t& frame) { CHECK(frame.reason <= lpvg_reason_not_excited); });
+    CHECK(drive.verdict() == lpvg_verdict_valid);
+}
+
 TEST_CASE("the whole range of the clock can be crossed in one step", "[unit][monitor]") {
     Drive drive(lpvg_coeff, std::numeric_limits<int64_t>::min());
     drive.run(3U);
