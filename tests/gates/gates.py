@@ -249,7 +249,7 @@ PLANTS: dict[str, list[Plant]] = {
         Plant("CMakeLists.txt", "list(APPEND lpvg_options ${name})", "", r"LPVG_DOUBLE is not in the summary"),
     ],
     "sanitize": [
-        Plant("lib/src/model.cpp", "self->past[LPVG_DELAY]", "self->past[LPVG_DELAY + 1]", r"tests:(.|\n)*out of bounds", "monitor.toy"),
+        Plant("lib/src/monitor.cpp", "i < n_signals; ++i) {\n        bin.sum", "i <= n_signals; ++i) {\n        bin.sum", r"tests:(.|\n)*out of bounds", "monitor.toy"),
         Plant("lib/src/monitor.cpp", "return static_cast<uint64_t>(later) - static_cast<uint64_t>(earlier);",
               "return static_cast<uint64_t>(later - earlier);", r"tests:(.|\n)*signed integer overflow", "monitor.toy"),
     ],
