@@ -254,8 +254,8 @@ PLANTS: dict[str, list[Plant]] = {
               "return static_cast<uint64_t>(later - earlier);", r"tests:(.|\n)*signed integer overflow", "monitor.toy"),
     ],
     "coverage": [
-        Plant("lib/src/coeff.cpp", 'extern "C" uint32_t', 'uint32_t lpvg_unused(uint32_t n) {\n    return n > 1U ? n : 1U;\n}\n\nextern "C" uint32_t',
-              r"2 lines missed, 0 allowed: coeff\.cpp:(.|\n)*branches missed"),
+        Plant("lib/src/coeff.cpp", 'extern "C" uint32_t', 'uint32_t lpvg_unused(uint32_t n) {\n    return n;\n}\n\nextern "C" uint32_t',
+              r"2 lines missed, 0 allowed: coeff\.cpp:"),
         Plant("tests/gates/coverage.json", '"missed_lines": 0', '"missed_lines": 1', r"0 lines missed, fewer than the 1"),
     ],
 }
