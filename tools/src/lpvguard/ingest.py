@@ -16,12 +16,12 @@ The signal map is a TOML file::
     time = "t"                  # time column of decoded tables, in s (default: t, time or timestamp)
     format = "csv"              # or "parquet"
 
-    [columns.v]                 # column = sign * scale * signal + offset
+    [columns.v]                 # column = factor * (signal in `unit`) + offset
     unit = "m/s"
     message = "SPEED"           # of the database; leave out for logs that are decoded already
     signal = "SPEED"            # signal, channel or column of the log
-    sign = 1                    # -1 turns the signal round (default 1)
-    scale = 0.2777777777777778  # default: from the database's unit to `unit`
+    factor = 1.0                # -1 turns the signal round, 0.25 makes a mean of four (default 1)
+    scale = 0.2777777777777778  # from the signal's unit to `unit`; needed only where the units are not known
     offset = 0.0                # in `unit`
 
     [columns.delta]             # or a sum of signals: each term as above, the offset beside them
@@ -55,7 +55,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from . import __version__
-from .can.decode import decode_signal, find_frames, load_database
+from .can.decode import decode_signal, find_frames, load_database, own_database
 from .can.logs import Frames, Series, Table, read_log
 from .errors import InputError
 
@@ -79,7 +79,7 @@ class Term(_Strict):
 
     signal: str
     message: str | None = None
-    sign: Literal[-1, 1] = 1
+    factor: float = 1.0
     scale: float | None = None
     source_unit: str | None = None
     wrap: Positive | None = None
@@ -205,15 +205,15 @@ class _Source:
 
 def _scale(term: Term, column: str, unit: str, source_unit: str, where: Path) -> float:
     if term.scale is not None:
-        return term.sign * term.scale
+        return term.factor * term.scale
     given = term.source_unit or source_unit
-    factor = unit_factor(given, unit) if given or not term.message else None
-    if not given and not term.message:  # a decoded log without units: taken to be in the column's
-        factor = 1.0
-    if factor is None:
+    if not given and not term.message:
+        given = unit  # a decoded log without units is taken to be in the column's
+    conversion = unit_factor(given, unit)
+    if conversion is None:
         raise InputError(where, f"columns.{column}", f"{term.name} is in {given or 'no unit'}, the column in {unit}",
                          "scale (or source_unit) in the signal map")
-    return term.sign * factor
+    return term.factor * conversion
 
 
 def _unknown(where: Path, field_: str, name: str, what: str, names: Iterable[str]) -> InputError:
@@ -223,8 +223,6 @@ def _unknown(where: Path, field_: str, name: str, what: str, names: Iterable[str
 
 def _from_frames(frames: Frames, given: _Inputs, column: str, term: Term) -> _Source:
     map_path, where = given.map_path, f"columns.{column}"
-    if given.database is None:
-        raise InputError(map_path, where, "the log holds raw CAN frames", "a CAN database (--dbc)")
     if term.message is None:
         raise InputError(map_path, where, f"{term.signal} names no message", "message = ... (the log holds raw CAN frames)")
     by_name = {m.name: m for m in given.database.messages}
@@ -444,8 +442,8 @@ def _stretch(log: Frames | Table, clock: _Clock, first: int, end: int) -> Frames
 
 @dataclass(frozen=True)
 class _Inputs:
-    database: object | None
-    database_path: Path | None
+    database: object
+    database_path: Path | str
     map: SignalMap
     map_path: Path
 
@@ -524,7 +522,7 @@ def _write_json(path: Path, content: dict) -> None:
 def ingest(logs: Iterable[Path], *, dbc: Path | None, signals_map: Path | SignalMap, out: Path) -> dict:
     """Turn ``logs`` into uniform drive tables in the folder ``out``; returns what the reports say, log by log.
 
-    ``dbc`` may be None for decoded logs. ``signals_map`` is a file, or a map that is made already (``map_of_project``).
+    ``dbc`` None takes our own DBC; decoded logs need none. ``signals_map`` is a file, or a map that is made already (``map_of_project``).
     Raises InputError for a file that cannot be read, a map that does not fit database or log, two logs of the same
     name, and a log of which nothing remains; logs before it have been written by then.
     """
@@ -535,7 +533,7 @@ def ingest(logs: Iterable[Path], *, dbc: Path | None, signals_map: Path | Signal
         if sum(_stem(path) == _stem(other) for other in paths) > 1:
             raise InputError(path, "", f"two logs would both become the drive {_stem(path)}", "logs with different names")
     ready = isinstance(signals_map, SignalMap)
-    given = _Inputs(database=load_database(dbc) if dbc else None, database_path=Path(dbc) if dbc else None,
+    given = _Inputs(database=load_database(dbc) if dbc else own_database(), database_path=dbc or "lpvguard's own DBC (no --dbc given)",
                     map=signals_map if ready else load_signal_map(signals_map),
                     map_path=Path("signal map") if ready else Path(signals_map))
     out = Path(out)

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import InputError
 from .catalogue import j1939_data_max
+from .dbc import dbc_text
 from .logs import EXTENDED, Frames
 
 _PRIORITY = 0x1C000000
@@ -39,6 +40,13 @@ def load_database(path: Path):
         return cantools.database.load_file(path, strict=False)
     except Exception as error:  # one exception class for each form of database
         raise InputError(path, "", f"cannot be read ({str(error).splitlines()[0]})", "a CAN database") from None
+
+
+def own_database():
+    """The cantools database of our own DBC."""
+    import cantools
+
+    return cantools.database.load_string(dbc_text(), "dbc")
 
 
 def find_frames(frames: Frames, message, *, channel: str | None = None, source_address: int | None = None,
