@@ -11,7 +11,7 @@ public:
     static constexpr int64_t kStart = 1'000'000;
 
     CanBus() {
-        if (lpvg_can_init(&supervisor, lpvg_can_rules, LPVG_CAN_RECEIVED, kStart) != lpvg_ok) {
+        if (lpvg_can_init(&supervisor, lpvg_can_rules, LPVG_CAN_RECEIVED, kStart) != lpvg_status_ok) {
             throw 1;
         }
         lpvg_can_vdc2_t vdc2{};
@@ -19,11 +19,11 @@ public:
         vdc2.yaw_rate                  = lpvg_can_vdc2_yaw_rate_encode(0.05F);
         vdc2.lateral_acceleration      = lpvg_can_vdc2_lateral_acceleration_encode(0.7F);
         vdc2.longitudinal_acceleration = lpvg_can_vdc2_longitudinal_acceleration_encode(0.0F);
-        packed_ = lpvg_can_vdc2_pack(&vdc2, &vdc2_) == lpvg_ok;
+        packed_ = lpvg_can_vdc2_pack(&vdc2, &vdc2_) == lpvg_status_ok;
         lpvg_can_guard_in_t in{};
         in.dp_measured      = lpvg_can_guard_in_dp_measured_encode(0.5F);
         in.yaw_rate_command = lpvg_can_guard_in_yaw_rate_command_encode(0.05F);
-        packed_ = packed_ && lpvg_can_guard_in_pack(&in, &guard_in_) == lpvg_ok;
+        packed_ = packed_ && lpvg_can_guard_in_pack(&in, &guard_in_) == lpvg_status_ok;
     }
 
     // Frame number k >= 1 of each message is due at kStart + k periods.
@@ -31,7 +31,7 @@ public:
     lpvg_can_frame_t guard_in(int64_t k) const {
         lpvg_can_frame_t frame = at(guard_in_, kStart + k * LPVG_CAN_GUARD_IN_PERIOD_US);
         auto counter = static_cast<uint8_t>(k % 15);
-        return lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &counter) == lpvg_ok ? frame
+        return lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &counter) == lpvg_status_ok ? frame
                                                                                                  : lpvg_can_frame_t{};
     }
 

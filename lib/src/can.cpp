@@ -222,11 +222,11 @@ extern "C" {
 
 lpvg_status_t lpvg_can_init(lpvg_can_supervisor_t* self, const lpvg_can_rule_t* rules, size_t n_rules, int64_t now_us) {
     if (self == nullptr || rules == nullptr || n_rules == 0U || n_rules > LPVG_CAN_RULES_MAX || now_us < 0) {
-        return lpvg_bad_argument;
+        return lpvg_status_bad_argument;
     }
     for (size_t i = 0U; i < n_rules; ++i) {
         if (!sane(rules[i])) {
-            return lpvg_bad_argument;
+            return lpvg_status_bad_argument;
         }
     }
     std::memset(self, 0, sizeof *self);
@@ -236,7 +236,7 @@ lpvg_status_t lpvg_can_init(lpvg_can_supervisor_t* self, const lpvg_can_rule_t* 
     for (uint8_t i = 0U; i < self->n_rules; ++i) {
         self->watch[i].t_accepted_us = now_us;
     }
-    return lpvg_ok;
+    return lpvg_status_ok;
 }
 
 void lpvg_can_advance(lpvg_can_supervisor_t* self, int64_t now_us) {
@@ -301,34 +301,34 @@ lpvg_can_state_t lpvg_can_state(const lpvg_can_supervisor_t* self, uint8_t index
 
 lpvg_status_t lpvg_can_e2e_protect(lpvg_can_frame_t* frame, uint16_t data_id, uint8_t* counter) {
     if (frame == nullptr || counter == nullptr || !e2e_length(*frame) || *counter >= kCounters) {
-        return lpvg_bad_argument;
+        return lpvg_status_bad_argument;
     }
     frame->data[1] = static_cast<uint8_t>((frame->data[1] & 0xF0U) | *counter);
     frame->data[0] = e2e_crc(*frame, data_id);
     *counter       = static_cast<uint8_t>((*counter + 1U) % kCounters);
-    return lpvg_ok;
+    return lpvg_status_ok;
 }
 
 lpvg_status_t lpvg_can_e2e_check(const lpvg_can_frame_t* frame, uint16_t data_id, uint8_t* counter) {
     if (frame == nullptr || counter == nullptr || !e2e_length(*frame)) {
-        return lpvg_bad_argument;
+        return lpvg_status_bad_argument;
     }
     const auto received = static_cast<uint8_t>(frame->data[1] & 0x0FU);
     if (received >= kCounters || e2e_crc(*frame, data_id) != frame->data[0]) {
-        return lpvg_bad_sample;
+        return lpvg_status_bad_sample;
     }
     *counter = received;
-    return lpvg_ok;
+    return lpvg_status_ok;
 }
 
 lpvg_status_t lpvg_can_plausibility(lpvg_can_plausibility_t* self, const lpvg_can_plausibility_limits_t* limits,
                                     float yaw_rate, float lateral, float speed, float wheel_difference) {
     if (self == nullptr || limits == nullptr || !(limits->track_m > 0.0F) || !(limits->speed_min_mps > 0.0F) ||
         !(limits->lateral_mps2 > 0.0F) || !(limits->yaw_rps > 0.0F) || limits->confirm == 0U) {
-        return lpvg_bad_argument;
+        return lpvg_status_bad_argument;
     }
     if (!finite(yaw_rate) || !finite(speed) || speed < limits->speed_min_mps) {
-        return lpvg_ok;
+        return lpvg_status_ok;
     }
     if (finite(lateral)) {
         plausibility_step(*self, 0U, yaw_rate * speed - lateral, limits->lateral_mps2, limits->confirm);
@@ -336,7 +336,7 @@ lpvg_status_t lpvg_can_plausibility(lpvg_can_plausibility_t* self, const lpvg_ca
     if (finite(wheel_difference)) {
         plausibility_step(*self, 1U, yaw_rate - wheel_difference / limits->track_m, limits->yaw_rps, limits->confirm);
     }
-    return lpvg_ok;
+    return lpvg_status_ok;
 }
 
 uint8_t lpvg_can_fmi(lpvg_can_event_t event) {
@@ -364,7 +364,7 @@ lpvg_status_t lpvg_can_dm1_pack(lpvg_can_frame_t* frame, uint8_t source_address,
     constexpr uint8_t  kLampMask = LPVG_CAN_LAMP_PROTECT | LPVG_CAN_LAMP_AMBER | LPVG_CAN_LAMP_RED | LPVG_CAN_LAMP_MIL;
     if (frame == nullptr || (lamps & ~kLampMask) != 0 ||
         (dtc != nullptr && (dtc->spn > 0x7FFFFU || dtc->fmi > 31U || dtc->occurrence > 127U))) {
-        return lpvg_bad_argument;
+        return lpvg_status_bad_argument;
     }
     const lpvg_can_dtc_t none{};
     const lpvg_can_dtc_t& code = dtc != nullptr ? *dtc : none;
@@ -378,7 +378,7 @@ lpvg_status_t lpvg_can_dm1_pack(lpvg_can_frame_t* frame, uint8_t source_address,
     frame->data[5] = code.occurrence;
     frame->data[6] = 0xFFU;
     frame->data[7] = 0xFFU;
-    return lpvg_ok;
+    return lpvg_status_ok;
 }
 
 }  // extern "C"

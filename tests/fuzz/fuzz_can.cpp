@@ -45,12 +45,12 @@ void check_values(const lpvg_can_frame_t& frame, uint8_t index) {
     float value = 0.0F;
     if (index == LPVG_CAN_VDC2_INDEX) {
         lpvg_can_vdc2_t m{};
-        promise(lpvg_can_vdc2_unpack(&m, &frame) == lpvg_ok, "an accepted frame unpacks");
+        promise(lpvg_can_vdc2_unpack(&m, &frame) == lpvg_status_ok, "an accepted frame unpacks");
         promise(lpvg_can_vdc2_yaw_rate_decode(m.yaw_rate, &value) == lpvg_can_quality_good, "yaw rate is good");
         promise(value >= -1.5001F && value <= 1.5001F, "yaw rate is in range");
     } else if (index == LPVG_CAN_GUARD_IN_INDEX) {
         lpvg_can_guard_in_t m{};
-        promise(lpvg_can_guard_in_unpack(&m, &frame) == lpvg_ok, "an accepted frame unpacks");
+        promise(lpvg_can_guard_in_unpack(&m, &frame) == lpvg_status_ok, "an accepted frame unpacks");
         promise(lpvg_can_guard_in_dp_measured_decode(m.dp_measured, &value) == lpvg_can_quality_good, "dp is good");
         promise(value >= -12.5001F && value <= 12.5001F, "dp is in range");
     }
@@ -91,11 +91,11 @@ lpvg_can_frame_t good_frame(uint8_t index, uint8_t& counter, uint8_t low) {
     frame.id  = lpvg_can_rules[index].id;
     if (index == LPVG_CAN_VDC2_INDEX) {
         const lpvg_can_vdc2_t m = {static_cast<uint16_t>(32000U + low), static_cast<uint16_t>(32000U + low), 32000U, 125U};
-        promise(lpvg_can_vdc2_pack(&m, &frame) == lpvg_ok, "pack");
+        promise(lpvg_can_vdc2_pack(&m, &frame) == lpvg_status_ok, "pack");
     } else if (index == LPVG_CAN_GUARD_IN_INDEX) {
         const lpvg_can_guard_in_t m = {static_cast<uint16_t>(32000U + low), 32000U};
-        promise(lpvg_can_guard_in_pack(&m, &frame) == lpvg_ok, "pack");
-        promise(lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &counter) == lpvg_ok, "protect");
+        promise(lpvg_can_guard_in_pack(&m, &frame) == lpvg_status_ok, "pack");
+        promise(lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &counter) == lpvg_status_ok, "protect");
     } else {
         std::memset(frame.data, low & 0x4F, sizeof frame.data);
     }
@@ -107,7 +107,7 @@ void run(const uint8_t* data, size_t size) {
     lpvg_can_supervisor_t self{};
     int64_t               t       = 1'000'000;
     uint8_t               counter = 0U;
-    promise(lpvg_can_init(&self, lpvg_can_rules, LPVG_CAN_RECEIVED, t) == lpvg_ok, "init");
+    promise(lpvg_can_init(&self, lpvg_can_rules, LPVG_CAN_RECEIVED, t) == lpvg_status_ok, "init");
     while (program.more()) {
         const uint8_t op = program.byte();
         t += kStepUs[op >> 4U];
@@ -138,7 +138,7 @@ void run(const uint8_t* data, size_t size) {
                 frame.data[2] = program.byte();
                 frame.data[3] = program.byte();
                 uint8_t any = static_cast<uint8_t>(program.byte() % 15U);
-                promise(lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &any) == lpvg_ok, "protect");
+                promise(lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &any) == lpvg_status_ok, "protect");
                 break;
             }
             case 10:  // a wrong length

@@ -42,14 +42,14 @@ def _loops(catalogue: Catalogue) -> str:
         name = f"lpvg_can_{m.name.lower()}"
         parts.append(f"void loop_{m.name}_unpack(const uint8_t* data, long n, uint16_t* raw) {{\n"
                      f"  for (long i = 0; i < n; ++i) {{ lpvg_can_frame_t f; {name}_t s; f.dlc = 8u; f.id = 0u; f.t_us = 0;\n"
-                     f"    memcpy(f.data, data + 8 * i, 8u); if ({name}_unpack(&s, &f) != lpvg_ok) {{ return; }}\n")
+                     f"    memcpy(f.data, data + 8 * i, 8u); if ({name}_unpack(&s, &f) != lpvg_status_ok) {{ return; }}\n")
         parts += [f"    raw[{len(m.signals)} * i + {k}] = s.{s.name};\n" for k, s in enumerate(m.signals)]
         parts.append(f"  }}\n}}\nvoid loop_{m.name}_pack(const uint16_t* raw, long n, uint8_t* data) {{\n"
                      f"  for (long i = 0; i < n; ++i) {{ lpvg_can_frame_t f; {name}_t s;\n")
         for k, s in enumerate(m.signals):
             kind = "uint8_t" if s.length <= 8 else "uint16_t"
             parts.append(f"    s.{s.name} = ({kind})raw[{len(m.signals)} * i + {k}];\n")
-        parts.append(f"    if ({name}_pack(&s, &f) != lpvg_ok) {{ return; }} memcpy(data + 8 * i, f.data, 8u);\n  }}\n}}\n")
+        parts.append(f"    if ({name}_pack(&s, &f) != lpvg_status_ok) {{ return; }} memcpy(data + 8 * i, f.data, 8u);\n  }}\n}}\n")
         for s in m.signals:
             kind = "uint8_t" if s.length <= 8 else "uint16_t"
             parts.append(f"void loop_{m.name}_{s.name}_encode(const float* x, long n, uint16_t* raw) {{\n"

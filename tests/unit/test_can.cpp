@@ -19,16 +19,16 @@ TEST_CASE("E2E profile 11: the published vector, the counter and the free nibble
     lpvg_can_frame_t frame{};
     frame.dlc = 8U;
     uint8_t counter = 0U;
-    REQUIRE(lpvg_can_e2e_protect(&frame, 0x0123U, &counter) == lpvg_ok);
+    REQUIRE(lpvg_can_e2e_protect(&frame, 0x0123U, &counter) == lpvg_status_ok);
     CHECK(frame.data[0] == 0xCCU);
     CHECK(counter == 1U);
 
     frame.data[1] = 0xA0U;
     counter       = 14U;
-    REQUIRE(lpvg_can_e2e_protect(&frame, 0x0123U, &counter) == lpvg_ok);
+    REQUIRE(lpvg_can_e2e_protect(&frame, 0x0123U, &counter) == lpvg_status_ok);
     CHECK(frame.data[1] == 0xAEU);
     CHECK(counter == 0U);  // 15 is never sent
-    REQUIRE(lpvg_can_e2e_check(&frame, 0x0123U, &counter) == lpvg_ok);
+    REQUIRE(lpvg_can_e2e_check(&frame, 0x0123U, &counter) == lpvg_status_ok);
     CHECK(counter == 14U);
 }
 
@@ -39,16 +39,16 @@ TEST_CASE("E2E profile 11: every single-bit error and every other data id is fou
         good.data[i] = static_cast<uint8_t>(17U * i + 3U);
     }
     uint8_t counter = 7U;
-    REQUIRE(lpvg_can_e2e_protect(&good, 0x4C01U, &counter) == lpvg_ok);
+    REQUIRE(lpvg_can_e2e_protect(&good, 0x4C01U, &counter) == lpvg_status_ok);
     for (unsigned bit = 0U; bit < 8U * good.dlc; ++bit) {
         lpvg_can_frame_t bad = good;
         bad.data[bit / 8U]   = static_cast<uint8_t>(bad.data[bit / 8U] ^ (1U << (bit % 8U)));
         CAPTURE(bit);
-        CHECK(lpvg_can_e2e_check(&bad, 0x4C01U, &counter) == lpvg_bad_sample);
+        CHECK(lpvg_can_e2e_check(&bad, 0x4C01U, &counter) == lpvg_status_bad_sample);
     }
     for (unsigned flip = 1U; flip < 256U; ++flip) {  // data ids that differ in one byte
-        CHECK(lpvg_can_e2e_check(&good, static_cast<uint16_t>(0x4C01U ^ flip), &counter) == lpvg_bad_sample);
-        CHECK(lpvg_can_e2e_check(&good, static_cast<uint16_t>(0x4C01U ^ (flip << 8U)), &counter) == lpvg_bad_sample);
+        CHECK(lpvg_can_e2e_check(&good, static_cast<uint16_t>(0x4C01U ^ flip), &counter) == lpvg_status_bad_sample);
+        CHECK(lpvg_can_e2e_check(&good, static_cast<uint16_t>(0x4C01U ^ (flip << 8U)), &counter) == lpvg_status_bad_sample);
     }
 }
 
@@ -57,17 +57,17 @@ TEST_CASE("E2E profile 11 refuses what it cannot protect and changes nothing", "
     uint8_t          counter = 0U;
     for (const uint8_t dlc : {uint8_t{0}, uint8_t{1}, uint8_t{9}, uint8_t{255}}) {
         frame.dlc = dlc;
-        CHECK(lpvg_can_e2e_protect(&frame, 1U, &counter) == lpvg_bad_argument);
-        CHECK(lpvg_can_e2e_check(&frame, 1U, &counter) == lpvg_bad_argument);
+        CHECK(lpvg_can_e2e_protect(&frame, 1U, &counter) == lpvg_status_bad_argument);
+        CHECK(lpvg_can_e2e_check(&frame, 1U, &counter) == lpvg_status_bad_argument);
     }
     frame.dlc = 8U;
     counter   = 15U;
-    CHECK(lpvg_can_e2e_protect(&frame, 1U, &counter) == lpvg_bad_argument);
+    CHECK(lpvg_can_e2e_protect(&frame, 1U, &counter) == lpvg_status_bad_argument);
     CHECK(counter == 15U);
-    CHECK(lpvg_can_e2e_protect(nullptr, 1U, &counter) == lpvg_bad_argument);
-    CHECK(lpvg_can_e2e_protect(&frame, 1U, nullptr) == lpvg_bad_argument);
-    CHECK(lpvg_can_e2e_check(nullptr, 1U, &counter) == lpvg_bad_argument);
-    CHECK(lpvg_can_e2e_check(&frame, 1U, nullptr) == lpvg_bad_argument);
+    CHECK(lpvg_can_e2e_protect(nullptr, 1U, &counter) == lpvg_status_bad_argument);
+    CHECK(lpvg_can_e2e_protect(&frame, 1U, nullptr) == lpvg_status_bad_argument);
+    CHECK(lpvg_can_e2e_check(nullptr, 1U, &counter) == lpvg_status_bad_argument);
+    CHECK(lpvg_can_e2e_check(&frame, 1U, nullptr) == lpvg_status_bad_argument);
 }
 
 TEST_CASE("init refuses rules that make no sense and leaves the struct alone", "[unit][can]") {
@@ -77,11 +77,11 @@ TEST_CASE("init refuses rules that make no sense and leaves the struct alone", "
     lpvg_can_signal_rule_t      signal = {0U, 16U, 0U, 100U, 0U, 0U, 0U};
     lpvg_can_rule_t             rule   = {1U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 8U, 1U, &signal};
     const auto refused = [&](size_t n = 1U, int64_t now = 0) {
-        const bool status = lpvg_can_init(&self, &rule, n, now) == lpvg_bad_argument;
+        const bool status = lpvg_can_init(&self, &rule, n, now) == lpvg_status_bad_argument;
         return status && std::memcmp(&self, &before, sizeof self) == 0;
     };
-    CHECK(lpvg_can_init(nullptr, &rule, 1U, 0) == lpvg_bad_argument);
-    CHECK(lpvg_can_init(&self, nullptr, 1U, 0) == lpvg_bad_argument);
+    CHECK(lpvg_can_init(nullptr, &rule, 1U, 0) == lpvg_status_bad_argument);
+    CHECK(lpvg_can_init(&self, nullptr, 1U, 0) == lpvg_status_bad_argument);
     CHECK(refused(0U));
     CHECK(refused(LPVG_CAN_RULES_MAX + 1U));
     CHECK(refused(1U, -1));
@@ -97,7 +97,7 @@ TEST_CASE("init refuses rules that make no sense and leaves the struct alone", "
     SECTION("too many bits") { signal.length = 17U; CHECK(refused()); }
     SECTION("beyond the frame") { signal.start = 49U; CHECK(refused()); }
     SECTION("empty range") { signal.raw_min = 101U; CHECK(refused()); }
-    SECTION("and takes the rest") { CHECK(lpvg_can_init(&self, &rule, 1U, 0) == lpvg_ok); }
+    SECTION("and takes the rest") { CHECK(lpvg_can_init(&self, &rule, 1U, 0) == lpvg_status_ok); }
 }
 
 TEST_CASE("cleared memory and NULL read as off and do nothing", "[unit][can]") {
@@ -207,7 +207,7 @@ TEST_CASE("the ends of the clock overflow nothing", "[unit][can]") {
 TEST_CASE("cross-checks: agreement, each disagreement alone, confirmation and release", "[unit][can]") {
     lpvg_can_plausibility_t self{};
     const auto step = [&](float r, float ay, float v, float dv) {
-        REQUIRE(lpvg_can_plausibility(&self, &kLimits, r, ay, v, dv) == lpvg_ok);
+        REQUIRE(lpvg_can_plausibility(&self, &kLimits, r, ay, v, dv) == lpvg_status_ok);
     };
     const float r = 0.1F, v = 15.0F, ay = r * v, dv = r * kLimits.track_m;
     for (int i = 0; i < 100; ++i) { step(r, ay, v, dv); }
@@ -230,7 +230,7 @@ TEST_CASE("cross-checks leave out what cannot be judged", "[unit][can]") {
     const auto c = GENERATE(Case{kNan, 0.0F, 15.0F, 0.0F}, Case{1.0F, 0.0F, 2.9F, 0.0F}, Case{1.0F, 0.0F, kNan, 0.0F},
                             Case{kInf, 0.0F, 15.0F, 0.0F}, Case{1.0F, kNan, 15.0F, kInf});
     for (int i = 0; i < 20; ++i) {
-        REQUIRE(lpvg_can_plausibility(&self, &kLimits, c.r, c.ay, c.v, c.dv) == lpvg_ok);
+        REQUIRE(lpvg_can_plausibility(&self, &kLimits, c.r, c.ay, c.v, c.dv) == lpvg_status_ok);
     }
     CHECK(self.flags == 0U);
     CHECK(self.score[0] + self.score[1] == 0);
@@ -239,41 +239,41 @@ TEST_CASE("cross-checks leave out what cannot be judged", "[unit][can]") {
 TEST_CASE("cross-checks refuse limits that are not positive", "[unit][can]") {
     lpvg_can_plausibility_t        self{};
     lpvg_can_plausibility_limits_t limits = kLimits;
-    CHECK(lpvg_can_plausibility(nullptr, &limits, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_bad_argument);
-    CHECK(lpvg_can_plausibility(&self, nullptr, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_bad_argument);
+    CHECK(lpvg_can_plausibility(nullptr, &limits, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_status_bad_argument);
+    CHECK(lpvg_can_plausibility(&self, nullptr, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_status_bad_argument);
     SECTION("track") { limits.track_m = 0.0F; }
     SECTION("speed") { limits.speed_min_mps = kNan; }
     SECTION("lateral") { limits.lateral_mps2 = -1.0F; }
     SECTION("yaw") { limits.yaw_rps = 0.0F; }
     SECTION("confirm") { limits.confirm = 0U; }
-    CHECK(lpvg_can_plausibility(&self, &limits, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_bad_argument);
+    CHECK(lpvg_can_plausibility(&self, &limits, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_status_bad_argument);
 }
 
 TEST_CASE("DM1: one code, none, and what does not fit", "[unit][can]") {
     lpvg_can_frame_t frame{};
     frame.t_us = 42;
     const lpvg_can_dtc_t yaw = {1808U, 9U, 3U};
-    REQUIRE(lpvg_can_dm1_pack(&frame, 0xFCU, LPVG_CAN_LAMP_AMBER, &yaw) == lpvg_ok);
+    REQUIRE(lpvg_can_dm1_pack(&frame, 0xFCU, LPVG_CAN_LAMP_AMBER, &yaw) == lpvg_status_ok);
     CHECK(frame.id == (LPVG_CAN_EXTENDED | 0x18FECAFCU));
     const uint8_t want[8] = {0x04, 0xFF, 0x10, 0x07, 0x09, 0x03, 0xFF, 0xFF};
     CHECK(std::memcmp(frame.data, want, 8U) == 0);
     CHECK(frame.t_us == 42);
 
     const lpvg_can_dtc_t largest = {0x7FFFFU, 31U, 127U};
-    REQUIRE(lpvg_can_dm1_pack(&frame, 0xFCU, 0x55U, &largest) == lpvg_ok);
+    REQUIRE(lpvg_can_dm1_pack(&frame, 0xFCU, 0x55U, &largest) == lpvg_status_ok);
     const uint8_t full[8] = {0x55, 0xFF, 0xFF, 0xFF, 0xFF, 0x7F, 0xFF, 0xFF};
     CHECK(std::memcmp(frame.data, full, 8U) == 0);
 
-    REQUIRE(lpvg_can_dm1_pack(&frame, 0xFCU, 0U, nullptr) == lpvg_ok);
+    REQUIRE(lpvg_can_dm1_pack(&frame, 0xFCU, 0U, nullptr) == lpvg_status_ok);
     const uint8_t none[8] = {0x00, 0xFF, 0x00, 0x00, 0x00, 0x00, 0xFF, 0xFF};
     CHECK(std::memcmp(frame.data, none, 8U) == 0);
 
     const lpvg_can_dtc_t bad[] = {{0x80000U, 0U, 0U}, {0U, 32U, 0U}, {0U, 0U, 128U}};
     for (const auto& dtc : bad) {
-        CHECK(lpvg_can_dm1_pack(&frame, 0xFCU, 0U, &dtc) == lpvg_bad_argument);
+        CHECK(lpvg_can_dm1_pack(&frame, 0xFCU, 0U, &dtc) == lpvg_status_bad_argument);
     }
-    CHECK(lpvg_can_dm1_pack(&frame, 0xFCU, 0x02U, nullptr) == lpvg_bad_argument);
-    CHECK(lpvg_can_dm1_pack(nullptr, 0xFCU, 0U, nullptr) == lpvg_bad_argument);
+    CHECK(lpvg_can_dm1_pack(&frame, 0xFCU, 0x02U, nullptr) == lpvg_status_bad_argument);
+    CHECK(lpvg_can_dm1_pack(nullptr, 0xFCU, 0U, nullptr) == lpvg_status_bad_argument);
     CHECK(std::memcmp(frame.data, none, 8U) == 0);
 }
 

@@ -3,4 +3,10 @@
 One module per stage of the chain; ``tools/README.md`` lists them in the order in which data pass through.
 """
 
+import os
+
+# Same input, same bytes: threaded BLAS sums in an order that depends on the machine's load. Set before numpy loads.
+for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_variable, "1")
+
 __version__ = "0.1.0"

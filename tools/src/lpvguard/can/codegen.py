@@ -201,7 +201,7 @@ def _message_source(message: Message) -> str:
 lpvg_status_t {name}_pack(const {name}_t* message, lpvg_can_frame_t* frame)
 {{
     if (message == NULL || frame == NULL) {{
-        return lpvg_bad_argument;
+        return lpvg_status_bad_argument;
     }}
     frame->id = {_macro(message)}_ID;
     frame->dlc = 8u;
@@ -211,20 +211,20 @@ lpvg_status_t {name}_pack(const {name}_t* message, lpvg_can_frame_t* frame)
         lines.append("    frame->data[0] = 0u;\n    frame->data[1] = 0xF0u;\n")
     for s in message.signals:
         lines += [f"    {statement}\n" for statement in _store(s)]
-    lines.append(f"""    return lpvg_ok;
+    lines.append(f"""    return lpvg_status_ok;
 }}
 
 lpvg_status_t {name}_unpack({name}_t* message, const lpvg_can_frame_t* frame)
 {{
     if (message == NULL || frame == NULL) {{
-        return lpvg_bad_argument;
+        return lpvg_status_bad_argument;
     }}
     if (frame->dlc < 8u) {{
-        return lpvg_bad_sample;
+        return lpvg_status_bad_sample;
     }}
 """)
     lines += [f"    message->{s.name} = ({_raw_type(s)})({_load(s)});\n" for s in message.signals]
-    lines.append("    return lpvg_ok;\n}\n")
+    lines.append("    return lpvg_status_ok;\n}\n")
     for s in message.signals:
         inverse = f"{_float(s.scale)} * (float)raw {'-' if s.offset < 0 else '+'} {_float(abs(s.offset))}"
         lines.append(f"""

@@ -1,0 +1,68 @@
+/// @file faults.hpp -- what may go wrong in the simulated truck, where, and when.
+///
+/// Each fault acts in its own window of simulated time, on the path where it would act in a truck: sensors after the truth and
+/// before the number grid, actuators between the demand and the brake force, surroundings in the tyre contact and the air.
+/// Windows of one kind may overlap: gains multiply, offsets add. The default of every member is "healthy".
+#pragma once
+
+#include <limits>
+#include <vector>
+
+namespace lpvguard_plant {
+
+/// start <= t < end, simulated time since the first step.
+struct Window {
+    double start_s = 0.0;
+    double end_s = std::numeric_limits<double>::infinity();
+
+    bool contains(double time_s) const { return time_s >= start_s && time_s < end_s; }
+};
+
+enum class Signal {
+    yaw_rate,
+    steering_wheel,
+    lateral_acceleration,
+    speed,
+    wheel_speed_front_left,
+    wheel_speed_front_right,
+    wheel_speed_rear_left,
+    wheel_speed_rear_right,
+    brake_pressure_left,
+    brake_pressure_right,
+};
+inline constexpr int signal_count = 10;
+
+/// measured = gain * truth + bias + drift * (time since the window's start) + noise, in the signal's unit.
+struct SensorFault {
+    Signal signal = Signal::yaw_rate;
+    Window window;
+    double gain = 1.0;           ///< -1: sign flipped.
+    double bias = 0.0;
+    double drift_ps = 0.0;       ///< Per second.
+    double extra_noise_rms = 0.0;
+    bool frozen = false;         ///< Repeats the last value sampled before the window.
+};
+
+struct ActuatorFault {
+    Window window;
+    double brake_gain_ratio = 1.0;   ///< Brake force per pressure; 0: actuator lost.
+    double extra_lag_s = 0.0;
+    double extra_delay_s = 0.0;      ///< At most Plant::longest_delay_s with the truck's own delay.
+};
+
+struct SurroundingsFault {
+    Window window;
+    double friction_left_ratio = 1.0;
+    double friction_right_ratio = 1.0;
+    double cornering_stiffness_front_ratio = 1.0;
+    double cornering_stiffness_rear_ratio = 1.0;
+    double crosswind_mps = 0.0;      ///< Added; blowing towards the left.
+};
+
+struct Faults {
+    std::vector<SensorFault> sensors;
+    std::vector<ActuatorFault> actuators;
+    std::vector<SurroundingsFault> surroundings;
+};
+
+}  // namespace lpvguard_plant

@@ -1,0 +1,17 @@
+/// @file commands.hpp -- the subcommands of lpvguard_plant_tool; each returns the exit status.
+#pragma once
+
+#include "arguments.hpp"
+
+namespace lpvguard_plant {
+
+/// Compares the plant with Table I and prints the differences. Returns 1 when they leave the limits, else 0.
+int frequency_response(Arguments arguments);
+
+/// Writes one seeded experiment as CSV.
+int generate(Arguments arguments);
+
+/// Runs the plant and prints a hash of every bit it produced: for comparing machines and for timing.
+int digest(Arguments arguments);
+
+}  // namespace lpvguard_plant

@@ -1,0 +1,143 @@
+/// @file frequency_response.cpp -- how far the simulated truck is from the nominal model, measured as on a test track.
+///
+/// For each speed and frequency the truck is driven with a sine demand on a flat road without wind; after the transient its
+/// true yaw rate and road-wheel angle are correlated with the sine over whole periods. Table I is copied here as the target of
+/// the comparison only; the plant does not know it.
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <complex>
+#include <cstdio>
+#include <memory>
+#include <vector>
+
+#include "commands.hpp"
+#include "lpvguard_plant/plant.hpp"
+
+namespace lpvguard_plant {
+namespace {
+
+constexpr double two_pi = 6.283185307179586477;
+constexpr double lowest_radps = 0.2, highest_radps = 6.0;
+constexpr double largest_allowed_ratio = 0.40;   ///< Everywhere.
+constexpr double least_wanted_ratio = 0.10;      ///< Somewhere: a plant equal to the model would prove nothing.
+constexpr std::array<double, 8> speeds_mps{8.0, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0, 22.0};
+
+using Complex = std::complex<double>;
+
+/// Per bar: yaw rate [rad/s], road-wheel angle [rad].
+struct Response {
+    Complex yaw_rate, road_wheel;
+};
+
+/// The paper's nominal model, Table I with l = 4.5 m, at s = j omega.
+Response nominal(double speed_mps, double omega_radps) {
+    constexpr double p1 = 14.54, p2 = 0.06, p3 = 20.60, p4 = -0.25, p5 = -4.96, p6 = -0.32, l = 4.5;
+    const Complex s(0.0, omega_radps);
+    // r = p1 delta / (s + p1 l / v - p2 v); the third row then gives delta.
+    const Complex yaw_per_wheel = p1 / (s + p1 * l / speed_mps - p2 * speed_mps);
+    const Complex wheel = p6 / (s * s - p5 * s + p3 - (p3 * l / speed_mps + p4 * speed_mps) * yaw_per_wheel);
+    return {yaw_per_wheel * wheel, wheel};
+}
+
+struct Measurement {
+    Response from_demand;
+    Response from_pressure;  ///< From the pressure difference at the wheels: without brake delay and lag.
+};
+
+Measurement measure(const PlantParameters& parameters, double speed_mps, double omega_radps, double amplitude_bar) {
+    Drive drive;
+    drive.speed_profile = {{0.0, speed_mps}};
+    const auto plant = std::make_unique<Plant>(parameters, drive, 1);
+    const auto period_steps = std::lround(two_pi / omega_radps / Plant::step_s);
+    const double phase_per_step = two_pi / static_cast<double>(period_steps);
+    constexpr long transient_steps = 25000;  // 10 time constants of the slowest pole (8 m/s).
+    const long settle_periods = transient_steps / period_steps + 1;
+    const long measured_periods = std::max(2L, 10000 / period_steps);
+    const long first = settle_periods * period_steps;
+    Complex demand, pressure, yaw_rate, road_wheel;
+    for (long k = 0; k < first + measured_periods * period_steps; ++k) {
+        const double phase = phase_per_step * static_cast<double>(k);
+        const double demand_bar = amplitude_bar * std::sin(phase);
+        if (k >= first) {
+            const Complex carrier(std::cos(phase), -std::sin(phase));
+            const Truth& truth = plant->truth();
+            demand += carrier * demand_bar;
+            pressure += carrier * (truth.pressure_right_bar - truth.pressure_left_bar);
+            yaw_rate += carrier * truth.yaw_rate_radps;
+            road_wheel += carrier * truth.road_wheel_rad;
+        }
+        plant->step(demand_bar);
+    }
+    return {{yaw_rate / demand, road_wheel / demand}, {yaw_rate / pressure, road_wheel / pressure}};
+}
+
+/// Relative differences |G - G0| / |G0| of one transfer over the frequencies.
+class Differences {
+public:
+    void add(double omega_radps, Complex truth, Complex model) {
+        const double ratio = std::abs(truth - model) / std::abs(model);
+        if (ratios_.empty() || ratio > worst_) {
+            worst_ = ratio;
+            worst_radps_ = omega_radps;
+        }
+        ratios_.push_back(ratio);
+    }
+
+    double worst() const { return worst_; }
+
+    void print() const {
+        std::vector<double> sorted = ratios_;
+        std::sort(sorted.begin(), sorted.end());
+        const std::size_t half = sorted.size() / 2;
+        const double median = sorted.size() % 2 == 1 ? sorted[half] : 0.5 * (sorted[half - 1] + sorted[half]);
+        std::printf(" | %5.1f %% %5.1f %% at %4.2f", 100.0 * median, 100.0 * worst_, worst_radps_);
+    }
+
+private:
+    std::vector<double> ratios_;
+    double worst_ = 0.0;
+    double worst_radps_ = 0.0;
+};
+
+}  // namespace
+
+int frequency_response(Arguments arguments) {
+    PlantParameters parameters = load_parameters(arguments.text("--parameters", LPVGUARD_TRUCK_TOML));
+    const double amplitude_bar = arguments.number("--amplitude", 0.5, 0.01, 10.0);
+    const int points = static_cast<int>(arguments.number("--points", 24.0, 2.0, 1000.0));
+    arguments.done();
+    parameters.bank_rms_rad = 0.0;
+    parameters.crosswind_mean_mps = 0.0;
+    parameters.crosswind_gust_rms_mps = 0.0;
+
+    std::printf("relative difference from Table I (l = 4.5 m), %.3g to %.3g rad/s, %d points, sine of %.3g bar\n",
+                lowest_radps, highest_radps, points, amplitude_bar);
+    std::printf("columns: median, worst, its frequency [rad/s]; limits (demand): worst in %.0f .. %.0f %%\n\n",
+                100.0 * least_wanted_ratio, 100.0 * largest_allowed_ratio);
+    std::printf("  v   | yaw rate / demand       | wheel angle / demand    | yaw rate / pressure     | wheel angle / pressure\n");
+    bool within = true;
+    for (const double speed_mps : speeds_mps) {
+        Differences yaw_demand, wheel_demand, yaw_pressure, wheel_pressure;
+        for (int i = 0; i < points; ++i) {
+            const double omega = lowest_radps * std::pow(highest_radps / lowest_radps, static_cast<double>(i) / (points - 1));
+            const Response model = nominal(speed_mps, omega);
+            const Measurement truth = measure(parameters, speed_mps, omega, amplitude_bar);
+            yaw_demand.add(omega, truth.from_demand.yaw_rate, model.yaw_rate);
+            wheel_demand.add(omega, truth.from_demand.road_wheel, model.road_wheel);
+            yaw_pressure.add(omega, truth.from_pressure.yaw_rate, model.yaw_rate);
+            wheel_pressure.add(omega, truth.from_pressure.road_wheel, model.road_wheel);
+        }
+        std::printf("%5.1f", speed_mps);
+        for (const Differences* column : {&yaw_demand, &wheel_demand, &yaw_pressure, &wheel_pressure}) {
+            column->print();
+        }
+        std::printf("\n");
+        const double worst = std::max(yaw_demand.worst(), wheel_demand.worst());
+        within = within && worst >= least_wanted_ratio && worst <= largest_allowed_ratio;
+    }
+    std::printf("\n%s\n", within ? "within the limits" : "OUTSIDE the limits");
+    return within ? 0 : 1;
+}
+
+}  // namespace lpvguard_plant

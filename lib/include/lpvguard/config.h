@@ -1,0 +1,45 @@
+/// @file config.h -- number type, symbol prefix and sizes of the vehicle that this translation unit works for.
+///
+/// A vehicle is a generated folder (`lpvguard export`) that holds `lpvguard_vehicle.h` with its name and sizes; put
+/// exactly one such folder on the include path. Every public name is then prefixed with the vehicle's
+/// (lpvg_monitor_init becomes lpvg_g80_monitor_init), so several vehicles link into one image, one per translation unit.
+///
+/// lpvg_real_t is float; define LPVG_DOUBLE for every translation unit of an image to get double.
+#ifndef LPVGUARD_CONFIG_H
+#define LPVGUARD_CONFIG_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "lpvguard_vehicle.h"
+
+#ifdef LPVG_DOUBLE
+typedef double lpvg_real_t;
+/// A number given twice: rounded to float, and to double. Picks the one of the number type.
+#define LPVG_NUMBER(as_float, as_double) as_double
+#else
+typedef float lpvg_real_t;
+#define LPVG_NUMBER(as_float, as_double) as_float
+#endif
+
+#define LPVG_PASTE3(a, b, c) a##_##b##_##c
+#define LPVG_PREFIXED(vehicle, name) LPVG_PASTE3(lpvg, vehicle, name)
+#define LPVG_SYM(name) LPVG_PREFIXED(LPVG_VEHICLE, name)
+
+#ifdef __cplusplus
+#define LPVG_EXTERN_C_BEGIN extern "C" {
+#define LPVG_EXTERN_C_END }
+#else
+#define LPVG_EXTERN_C_BEGIN
+#define LPVG_EXTERN_C_END
+#endif
+
+#if (LPVG_NX < 1) || (LPVG_NX > 40) || (LPVG_NU < 1) || (LPVG_NU > 2) || (LPVG_NY < 1) || (LPVG_NY > 4)
+#error "lpvguard: supported sizes are 1..40 states, 1..2 inputs, 1..4 outputs"
+#endif
+#if (LPVG_NBINS < 2) || (LPVG_NBINS > 64)
+#error "lpvguard: supported are 2..64 bins, DC included"
+#endif
+
+#endif

@@ -1,0 +1,149 @@
+/// @file monitor.h -- does the nominal LPV model still describe this vehicle as well as it was designed for?
+///
+/// Every sample advances the nominal model, forms the nominal error e = y - yhat and updates Hann frames of e and yhat
+/// in LPVG_NBINS bins (DC first; DESIGN 4.2). Whenever a bin has completed a frame, every half frame, its margin is
+///
+///     t* = min over complex d of max( |d| / W_delta, |E_j - d Z_j| / B_w,j for each output j )        (DESIGN 4.7)
+///
+/// the least common inflation of the fitted uncertainty and disturbance bounds that explains the frame: exact, in closed
+/// form. A frame *counts* when speed stayed in the scheduling range and within `speed_tolerance` of the frame's mean and
+/// the model had settled. The bin's statistic is the k-th largest margin of its last m counted frames; a statistic above
+/// `threshold` falsifies the model (frame test). `evidence` is the margin that a vehicle which did not respond at all
+/// would have shown; a frame whose evidence is at or below the threshold could not have objected to anything and is
+/// no evidence for the model either.
+///
+/// Use:     init once -> push one sample per period -> verdict, frame and records at any time.
+/// Cost:    constant per push; at most one bin is judged per push, so a frame is judged at the latest LPVG_NBINS samples
+///          after its end. No heap, no locks, no I/O.
+/// Threads: one instance per thread; nothing here may be called from two contexts at once. RAM: sizeof(lpvg_monitor_t).
+///          Fields are private; the layout may change.
+#ifndef LPVGUARD_MONITOR_H
+#define LPVGUARD_MONITOR_H
+
+#include "lpvguard/model.h"
+
+LPVG_EXTERN_C_BEGIN
+
+#define LPVG_NHISTORY 8  ///< largest m of the k-of-m confirmation
+#define LPVG_NRECORDS 4  ///< falsifying frames kept until they are read out
+
+#define lpvg_sample_t LPVG_SYM(sample_t)
+#define lpvg_frame_t LPVG_SYM(frame_t)
+#define lpvg_monitor_t LPVG_SYM(monitor_t)
+#define lpvg_bin_t LPVG_SYM(bin_t)
+#define lpvg_span_t LPVG_SYM(span_t)
+#define lpvg_sum_t LPVG_SYM(sum_t)
+#define lpvg_monitor_init LPVG_SYM(monitor_init)
+#define lpvg_monitor_push LPVG_SYM(monitor_push)
+#define lpvg_monitor_verdict LPVG_SYM(monitor_verdict)
+#define lpvg_monitor_reason LPVG_SYM(monitor_reason)
+#define lpvg_monitor_frame LPVG_SYM(monitor_frame)
+#define lpvg_monitor_take_record LPVG_SYM(monitor_take_record)
+
+typedef enum lpvg_verdict_t {
+    lpvg_verdict_unknown = 0,     ///< No frame has ended yet. Zero: cleared memory never reads "valid".
+    lpvg_verdict_valid = 1,       ///< Within the last hold time a frame with evidence counted, and none falsified.
+    lpvg_verdict_invalid = 2,     ///< A frame falsified the model within the last hold time.
+    lpvg_verdict_not_judged = 3,  ///< Frames ended, but none within the hold time is evidence: see lpvg_reason_t.
+    lpvg_verdict_stale = 4,       ///< The newest sample is older than five sample periods.
+    lpvg_verdict_fault = 5        ///< The newest sample was refused, or the arguments are wrong.
+} lpvg_verdict_t;
+
+/// Why the newest frame did not count as evidence.
+typedef enum lpvg_reason_t {
+    lpvg_reason_none = 0,          ///< It did.
+    lpvg_reason_not_excited = 1,   ///< Counted, but too little excitation: even a dead vehicle would have passed.
+    lpvg_reason_speed_moved = 2,   ///< Speed moved more than the frame allows.
+    lpvg_reason_out_of_range = 3,  ///< Speed outside the scheduling range.
+    lpvg_reason_settling = 4       ///< The model's initial state had not decayed.
+} lpvg_reason_t;
+
+typedef struct lpvg_sample_t {
+    int64_t t_us;                  ///< time of the sample, monotonic      [us]
+    lpvg_real_t speed;             ///< longitudinal speed, forward > 0    [m/s]
+    lpvg_real_t u[LPVG_NU];        ///< inputs, in the order and units of the vehicle's signal table
+    lpvg_real_t y[LPVG_NY];        ///< outputs, likewise
+} lpvg_sample_t;
+
+/// One frame of one bin, as it was judged.
+typedef struct lpvg_frame_t {
+    uint32_t sequence;             ///< number of frames closed so far, this one included; 0: none yet
+    uint32_t bin;                  ///< 0 is DC
+    int64_t t_end_us;              ///< time of the frame's last sample                    [us]
+    lpvg_reason_t reason;          ///< none or not_excited: it counted; else why not, and the rest is zero
+    bool falsified;                ///< statistic above the threshold
+    lpvg_real_t speed;             ///< mean speed                                         [m/s]
+    lpvg_real_t margin;            ///< t*; 1: exactly explained by the fitted bounds      [-]
+    lpvg_real_t statistic;         ///< k-th largest of the bin's last m margins, 0 before there are k [-]
+    lpvg_real_t evidence;          ///< margin of a vehicle that does not respond          [-]
+    lpvg_real_t E[LPVG_NY][2];     ///< nominal error, real and imaginary part             [output unit]
+    lpvg_real_t Z[LPVG_NY][2];     ///< nominal output, likewise                           [output unit]
+} lpvg_frame_t;
+
+/// Sums over half a frame of e and yhat times the exponential: plain, and with the rising half of the window.
+typedef struct lpvg_sum_t {
+    lpvg_real_t plain[2 * LPVG_NY][2];
+    lpvg_real_t rising[2 * LPVG_NY][2];
+} lpvg_sum_t;
+
+/// What the speed did over half a frame.
+typedef struct lpvg_span_t {
+    lpvg_real_t speed_low, speed_high, speed_sum;
+    lpvg_reason_t reason;
+} lpvg_span_t;
+
+typedef struct lpvg_bin_t {
+    uint32_t n;                               ///< samples in the current half frame
+    lpvg_real_t phasor[2], window[2];         ///< exp(j phase) and exp(j window phase) of the next sample
+    lpvg_sum_t sum;                           ///< current half
+    lpvg_span_t span, span_before;            ///< current and previous half
+    lpvg_real_t rising[2 * LPVG_NY][2];       ///< rising sums of the previous half
+    bool has_before, waiting;                 ///< previous half complete; a frame waits to be judged
+    lpvg_real_t frame[2 * LPVG_NY][2];        ///< waiting frame: E then Z
+    lpvg_span_t frame_span;
+    int64_t frame_end_us;
+    lpvg_real_t history[LPVG_NHISTORY];       ///< margins of the last counted frames
+    uint32_t n_history, next_history;
+} lpvg_bin_t;
+
+typedef struct lpvg_monitor_t {
+    const lpvg_coeff_t* coeff;
+    lpvg_model_t model;
+    lpvg_bin_t bin[LPVG_NBINS];
+    lpvg_frame_t frame;                       ///< newest judged frame
+    lpvg_frame_t record[LPVG_NRECORDS];
+    uint32_t n_records, records_lost;
+    uint32_t settled;                         ///< samples since the speed entered the range, saturating
+    uint32_t next_bin;                        ///< where to look first for a waiting frame
+    int64_t t_us;                             ///< time of the newest accepted sample
+    int64_t t_evidence_us, t_falsified_us;    ///< ends of the newest frames with evidence / that falsified
+    bool running, has_evidence, has_falsified, refused;
+    uint32_t bad_samples, out_of_order, restarts;
+} lpvg_monitor_t;
+
+/// Makes *self ready; coefficients stay referenced and must outlive it.
+/// Returns bad_argument for NULL, or what lpvg_coeff_check says; *self is untouched unless ok is returned.
+LPVG_NODISCARD lpvg_status_t lpvg_monitor_init(lpvg_monitor_t* self, const lpvg_coeff_t* coeff);
+
+/// Takes the sample of one period. Returns ok; bad_argument (NULL); not_ready (no init);
+/// bad_sample (NaN, Inf or outside the physical range: counted, verdict fault, frames and model restart with the next
+/// good sample); out_of_order (not newer than the last: counted, ignored).
+/// A step in time of less than half or more than one and a half periods restarts frames and model; nothing is bridged.
+LPVG_NODISCARD lpvg_status_t lpvg_monitor_push(lpvg_monitor_t* self, const lpvg_sample_t* sample);
+
+/// Verdict at time now_us on the clock of the samples. Pure function; NULL, no init or now_us before the newest sample
+/// give fault. The hold time is the length of the longest frame.
+lpvg_verdict_t lpvg_monitor_verdict(const lpvg_monitor_t* self, int64_t now_us);
+
+/// Why the newest frame was no evidence; none before the first frame and for NULL.
+lpvg_reason_t lpvg_monitor_reason(const lpvg_monitor_t* self);
+
+/// The newest closed frame; its `sequence` tells whether there is a new one. NULL for NULL or before init.
+const lpvg_frame_t* lpvg_monitor_frame(const lpvg_monitor_t* self);
+
+/// Moves the oldest recorded falsifying frame into *record and frees its place. False when there is none or for NULL.
+/// While LPVG_NRECORDS frames wait, further ones are only counted.
+bool lpvg_monitor_take_record(lpvg_monitor_t* self, lpvg_frame_t* record);
+
+LPVG_EXTERN_C_END
+#endif

@@ -1,0 +1,81 @@
+// model.cpp -- see model.h.
+#include "lpvguard/model.h"
+
+#include <Eigen/Core>
+
+namespace {
+
+using Real = lpvg_real_t;
+template <int Rows, int Cols>
+using Matrix = Eigen::Matrix<Real, Rows, Cols, Cols == 1 ? Eigen::ColMajor : Eigen::RowMajor>;
+template <int Rows, int Cols>
+using ConstMap = Eigen::Map<const Matrix<Rows, Cols>>;
+
+constexpr int nx = LPVG_NX, nu = LPVG_NU, ny = LPVG_NY;
+
+// Entries at the speed: the constant ones, and the cubic of the speed's cell for those that vary.
+void set_speed(lpvg_model_t* self, const lpvg_coeff_t* coeff, Real speed) {
+    if (speed == self->speed) {
+        return;
+    }
+    const lpvg_coeff_reals_t& r = coeff->reals;
+    const Real inside = speed < r.speed_min ? r.speed_min : (speed > r.speed_max ? r.speed_max : speed);
+    const Real position = (inside - r.speed_min) / (r.speed_max - r.speed_min) * Real(LPVG_NCELLS);
+    auto cell = static_cast<std::size_t>(position);
+    cell = cell < LPVG_NCELLS ? cell : LPVG_NCELLS - 1U;
+    const Real x = position - static_cast<Real>(cell);
+    for (std::size_t i = 0; i < LPVG_NVARYING; ++i) {
+        const Real* p = r.cell[cell][i];
+        self->entry[coeff->words.varying_entry[i]] = p[0] + x * (p[1] + x * (p[2] + x * p[3]));
+    }
+    self->speed = speed;
+}
+
+}  // namespace
+
+extern "C" void lpvg_model_start(lpvg_model_t* self, const lpvg_coeff_t* coeff, const lpvg_real_t* u,
+                                 const lpvg_real_t* y) {
+    const lpvg_coeff_reals_t& r = coeff->reals;
+    for (std::size_t i = 0; i < LPVG_NENTRIES; ++i) {
+        self->entry[i] = r.base[i];
+    }
+    self->speed = Real(-1);
+    for (auto& past : self->past) {
+        for (std::size_t i = 0; i < LPVG_NU; ++i) {
+            past[i] = u[i] - r.input_offset[i];
+        }
+    }
+    Eigen::Map<Matrix<nx, 1>>(self->x) =
+        ConstMap<nx, ny>(&r.C_pinv[0][0]) * (ConstMap<ny, 1>(y) - ConstMap<ny, 1>(r.output_offset));
+}
+
+extern "C" void lpvg_model_output(const lpvg_model_t* self, const lpvg_coeff_t* coeff, lpvg_real_t* yhat) {
+    const lpvg_coeff_reals_t& r = coeff->reals;
+    Eigen::Map<Matrix<ny, 1>>{yhat} =
+        ConstMap<ny, nx>(&r.C[0][0]) * ConstMap<nx, 1>(self->x) + ConstMap<ny, 1>(r.output_offset);
+}
+
+extern "C" void lpvg_model_advance(lpvg_model_t* self, const lpvg_coeff_t* coeff, lpvg_real_t speed,
+                                   const lpvg_real_t* u) {
+    set_speed(self, coeff, speed);
+    Real newest[LPVG_NU];
+    for (std::size_t i = 0; i < LPVG_NU; ++i) {
+        newest[i] = u[i] - coeff->reals.input_offset[i];
+    }
+    // With a delay of d samples u_{k-d} is past[d - 1], and u_k itself for d = 0.
+    const Real* u_old = self->past[LPVG_DELAY];
+    const Real* u_new = LPVG_DELAY == 0 ? newest : self->past[LPVG_DELAY == 0 ? 0 : LPVG_DELAY - 1];
+    const Real* entry = self->entry;
+    const Matrix<nx, 1> next = ConstMap<nx, nx>(entry) * ConstMap<nx, 1>(self->x) +
+                               ConstMap<nx, nu>(entry + nx * nx) * ConstMap<nu, 1>(u_old) +
+                               ConstMap<nx, nu>(entry + nx * (nx + nu)) * ConstMap<nu, 1>(u_new);
+    Eigen::Map<Matrix<nx, 1>>(self->x) = next;
+    for (std::size_t d = LPVG_DELAY; d > 0; --d) {
+        for (std::size_t i = 0; i < LPVG_NU; ++i) {
+            self->past[d][i] = self->past[d - 1][i];
+        }
+    }
+    for (std::size_t i = 0; i < LPVG_NU; ++i) {
+        self->past[0][i] = newest[i];
+    }
+}

@@ -1,0 +1,39 @@
+"""Mutants of the C sources must change what replay says: there is no second monitor that could agree with itself."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+
+from lpvguard.core import Core, library_root
+from lpvguard.drives import read_drive
+
+MUTANTS = {
+    "margin forgets the uncertainty": ("margin.hpp", "Z_[NY] = {Real(1) / W, Real(0)};", "Z_[NY] = {Real(10) / W, Real(0)};"),
+    "margin scales the disturbance": ("margin.hpp", "E_[j] = (Real(1) / B[j]) * E[j];", "E_[j] = (Real(0.9) / B[j]) * E[j];"),
+    "second half of the window turned": ("monitor.cpp", "const Real sign = (cycles % 2U) != 0U ? Real(-1) : Real(1);",
+                                         "const Real sign = Real(1);"),
+    "error of the wrong sign": ("monitor.cpp", "signal[j] = sample->y[j] - yhat[j];", "signal[j] = sample->y[j] + yhat[j];"),
+    "input one sample late": ("model.cpp", "const Real* u_old = self->past[LPVG_DELAY];",
+                              "const Real* u_old = self->past[0];"),
+    "model offset forgotten": ("model.cpp", "+ ConstMap<ny, 1>(r.output_offset);", ";"),
+}
+
+
+@pytest.fixture(scope="module")
+def drive(g80, synthetic):
+    return read_drive(synthetic / "synthetic_01.csv", g80)
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+def test_a_planted_fault_changes_the_margins(name, drive, core, vehicle, tmp_path):
+    file, original, mutant = MUTANTS[name]
+    shutil.copytree(library_root(), tmp_path / "lib")
+    source = tmp_path / "lib" / "src" / file
+    text = source.read_text()
+    assert text.count(original) == 1
+    source.write_text(text.replace(original, mutant))
+    sound, mutated = (c.monitor().run_drive(drive).frames for c in (core, Core(vehicle, source_root=tmp_path / "lib")))
+    assert not np.allclose(sound.margin[sound.counted], mutated.margin[mutated.counted], rtol=1e-2)

@@ -1,0 +1,157 @@
+"""Bad input: one line that names file, place and expectation, exit status 2, nothing half-written."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+
+
+def table(folder, name="run.csv", **change):
+    t = np.arange(0, 30, 0.02)
+    columns = {"t": t, "v": np.full_like(t, 10.0), "delta": 0.05 * np.sin(2 * t), "r": 0.17 * np.sin(2 * t - 0.3)} | change
+    columns = {k: v for k, v in columns.items() if v is not None}
+    path = folder / name
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(path, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
+    return path
+
+
+def with_value(index, column, value):
+    def make(folder):
+        path = table(folder)
+        lines = path.read_text().splitlines()
+        cells = lines[index].split(",")
+        cells[["t", "v", "delta", "r"].index(column)] = value
+        lines[index] = ",".join(cells)
+        path.write_text("\n".join(lines) + "\n")
+        return path
+
+    return make
+
+
+def empty(folder):
+    (folder / "run.csv").touch()
+    return folder / "run.csv"
+
+
+def binary(folder):
+    (folder / "run.csv").write_bytes(bytes(range(256)) * 40)
+    return folder / "run.csv"
+
+
+def header_only(folder):
+    (folder / "run.csv").write_text("t,v,delta,r\n")
+    return folder / "run.csv"
+
+
+t = np.arange(0, 30, 0.02)
+BAD_TABLES = {
+    "missing column": (lambda f: table(f, delta=None), ["column delta"]),
+    "time backwards": (with_value(100, "t", "0.5"), ["line 101", "column t", "increasing"]),
+    "time repeated": (with_value(100, "t", "1.94"), ["column t", "increasing"]),
+    "a gap": (lambda f: table(f, t=t + np.where(t > 5, 1.0, 0.0)), ["column t", "uniform grid of 0.02 s"]),
+    "wrong rate": (lambda f: table(f, t=t / 2), ["uniform grid of 0.02 s"]),
+    "NaN": (with_value(50, "r", "nan"), ["line 51", "column r", "finite"]),
+    "blank": (with_value(50, "delta", ""), ["line 51", "column delta", "finite"]),
+    "infinite": (with_value(50, "v", "inf"), ["line 51", "column v", "finite"]),
+    "text": (with_value(50, "v", "fast"), ["line 51", "column v", "fast"]),
+    "degrees out of range": (lambda f: table(f, delta=np.degrees(0.05 * np.sin(2 * t))), ["column delta", "degrees", "rad"]),
+    "small angles in degrees": (lambda f: table(f, delta=np.degrees(0.01 * np.sin(2 * t)), r=0.034 * np.sin(2 * t - 0.3)),
+                                ["57.3", "degrees"]),
+    "yaw rate in degrees": (lambda f: table(f, delta=0.008 * np.sin(2 * t), r=np.degrees(0.027 * np.sin(2 * t - 0.3))),
+                            ["57.3", "degrees"]),
+    "km/h": (lambda f: table(f, v=np.full_like(t, 100.0)), ["column v", "m/s"]),
+    "empty file": (empty, ["empty"]),
+    "header only": (header_only, ["samples"]),
+    "binary": (binary, ["run.csv"]),
+    "no such file": (lambda f: f / "nothing.csv", ["no such file"]),
+    "no judged stretch": (lambda f: table(f, v=np.full_like(t, 1.0)), ["no judged stretch at all"]),
+}
+
+
+@pytest.mark.parametrize("case", BAD_TABLES)
+def test_replay_refuses_the_table_by_place(case, lpvguard, tmp_path):
+    make, says = BAD_TABLES[case]
+    path = make(tmp_path)
+    done = lpvguard("replay", "--vehicle", "g80", path)
+    assert done.returncode == 2, done.stderr
+    line = next(x for x in done.stderr.splitlines() if x.startswith("lpvguard: error"))
+    assert "Traceback" not in done.stderr and path.stem in line
+    for text in says:
+        assert text in line, line
+
+
+def test_a_readable_drive_is_still_answered_beside_an_unreadable_one(lpvguard, tmp_path):
+    import json
+
+    done = lpvguard("replay", "--vehicle", "g80", empty(tmp_path), table(tmp_path, "good.csv"), "--json", "-")
+    assert done.returncode == 2 and [d["run"] for d in json.loads(done.stdout)] == ["good"]
+
+
+@pytest.mark.parametrize(("arguments", "says"), [
+    (["replay", "--vehicle", "g81", "x.csv"], "unknown vehicle"),
+    (["replay", "--vehicle", "nothing.toml", "x.csv"], "nothing.toml"),
+    (["replay", "--vehicle", "g80", "x.csv", "--coefficients", "nowhere"], "nowhere"),
+    (["identify", "--vehicle", "g80", "nowhere", "-o", "out"], "no such folder"),
+    (["export", "--vehicle", "g80", "nowhere", "-o", "out"], "MANIFEST.json"),
+])
+def test_bad_arguments(arguments, says, lpvguard, tmp_path):
+    done = lpvguard(*arguments, cwd=tmp_path)
+    assert done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_identify_leaves_nothing_behind_when_a_drive_is_bad(lpvguard, synthetic, tmp_path):
+    drives = tmp_path / "drives"
+    shutil.copytree(synthetic, drives)
+    lines = (drives / "synthetic_03.csv").read_text().splitlines()
+    lines[200] = lines[200].replace(",", ",nan,", 1).rsplit(",", 1)[0]
+    (drives / "synthetic_03.csv").write_text("\n".join(lines) + "\n")
+    done = lpvguard("identify", "--vehicle", "g80", drives, "-o", tmp_path / "out" / "id")
+    assert done.returncode == 2 and "synthetic_03.csv: line 201" in done.stderr
+    assert not list((tmp_path / "out").iterdir()) if (tmp_path / "out").exists() else True
+
+
+def test_identify_refuses_drives_without_any_counted_frame(lpvguard, tmp_path):
+    drives = tmp_path / "drives"
+    drives.mkdir()
+    table(drives, "slow.csv", v=np.full_like(t, 2.0))
+    (drives / "experiments.csv").write_text("experiment,split\nslow,train\n")
+    done = lpvguard("identify", "--vehicle", "g80", drives, "-o", tmp_path / "id")
+    assert done.returncode == 2 and "no judged stretch at all" in done.stderr and not (tmp_path / "id").exists()
+
+
+def test_a_foreign_folder_is_never_overwritten(lpvguard, synthetic, tmp_path):
+    precious = tmp_path / "precious"
+    precious.mkdir()
+    (precious / "thesis.txt").write_text("years")
+    done = lpvguard("generate", "--vehicle", "g80", "-o", precious)
+    assert done.returncode == 2 and "was not written by lpvguard" in done.stderr
+    assert (precious / "thesis.txt").read_text() == "years"
+
+
+@pytest.mark.parametrize(("file", "old", "new", "says"), [
+    ("lpvguard_vehicle.h", "#define LPVG_ESTIMATOR_ID ", "#define LPVG_ESTIMATOR_ID 1", "bad_estimator"),
+    ("lpvguard_vehicle.h", "#define LPVG_NCELLS 32", "#define LPVG_NCELLS 33", "bad_size"),
+    ("lpvguard_coeff.c", ".threshold = LPVG_NUMBER(", ".threshold = LPVG_NUMBER(1", "bad_crc"),
+    ("lpvguard_coeff.c", ".settle_samples = 18U", ".settle_samples = 19U", "bad_crc"),
+])
+def test_coefficients_of_another_estimator_or_size_are_refused(file, old, new, says, lpvguard, vehicle, tmp_path):
+    copy = tmp_path / "g80"
+    shutil.copytree(vehicle, copy)
+    text = (copy / file).read_text()
+    assert old in text
+    (copy / file).write_text(text.replace(old, new, 1))
+    done = lpvguard("replay", "--vehicle", "g80", "--coefficients", copy, table(tmp_path))
+    assert done.returncode == 2 and says in done.stderr, done.stderr
+
+
+def test_a_vehicle_of_another_estimator_does_not_run_with_these_coefficients(lpvguard, vehicle, tmp_path):
+    from importlib import resources
+
+    text = resources.files("lpvguard").joinpath("vehicles", "g80.toml").read_text()
+    (tmp_path / "g80.toml").write_text(text.replace("speed_tolerance = 0.15", "speed_tolerance = 0.2"))
+    done = lpvguard("replay", "--vehicle", tmp_path / "g80.toml", "--coefficients", vehicle, table(tmp_path))
+    assert done.returncode == 2 and "estimator" in done.stderr

@@ -1,0 +1,153 @@
+"""The chain on synthetic and on measured drives: bounds cover, identify repeats itself, replay says what DESIGN asks."""
+
+from __future__ import annotations
+
+import filecmp
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lpvguard import identify as stage
+from lpvguard.core import Core, shipped_vehicle
+from lpvguard.drives import list_experiments, read_drive
+from lpvguard.errors import InputError
+from lpvguard.evaluate import Pieces, evaluate
+from lpvguard.faults import Fault, inject
+from lpvguard.replay import Replayer, excited_samples
+
+FIELDS = {"run", "duration_s", "judged", "judged_s", "verdict_final", "first_invalid_s", "max_margin", "alarms"}
+ALARM_FIELDS = {"t_s", "test", "bin_rad_s", "speed_mps", "margin", "evidence"}
+
+
+def worst_margin(core, drive):
+    frames = core.monitor().run_drive(drive).frames
+    return frames.margin[frames.counted].max(initial=0.0)
+
+
+def test_bound_drives_keep_every_margin_within_one_also_when_cut(core, identified, synthetic, g80):
+    bound = stage.load(identified).manifest["drives"]["bounds"]
+    random = np.random.default_rng(11)
+    for name in bound:
+        drive = read_drive(synthetic / f"{name}.csv", g80)
+        for cut in [0, *random.integers(1, 4000, 4)]:
+            assert worst_margin(core, drive.from_sample(cut)) <= 1 + 1e-3
+
+
+def test_bound_and_calibration_drives_are_disjoint_and_listed(identified):
+    drives = stage.load(identified).manifest["drives"]
+    assert drives["bounds"] and drives["calibration"] and not set(drives["bounds"]) & set(drives["calibration"])
+
+
+def test_identify_twice_gives_the_same_bytes(g80, synthetic, identified, tmp_path):
+    again = tmp_path / "again"
+    stage.save(*stage.identify(g80, synthetic), again)
+    names = sorted(p.name for p in identified.iterdir())
+    assert names == sorted(p.name for p in again.iterdir())
+    assert filecmp.cmpfiles(identified, again, names, shallow=False) == (names, [], [])
+
+
+def test_a_lowered_weight_or_another_estimator_is_refused_on_load(identified, tmp_path):
+    import shutil
+
+    for file, change, says in (
+        ("weights.json", lambda d: d["W_delta"]["weight"].update(num=[0.99 * c for c in d["W_delta"]["weight"]["num"]]), "W_delta"),
+        ("project.json", lambda d: d["frames"].update(periods=4), "estimator"),
+        ("MANIFEST.json", lambda d: d.update(kind="vehicle"), "kind"),
+    ):
+        copy = tmp_path / file
+        shutil.copytree(identified, copy)
+        data = json.loads((copy / file).read_text())
+        change(data)
+        (copy / file).write_text(json.dumps(data))
+        with pytest.raises(InputError, match=says):
+            stage.load(copy)
+
+
+@pytest.mark.parametrize(("fault", "drive"), [(Fault("gain", 0.6), "synthetic_08"), (Fault("gain", -1.0), "synthetic_05"),
+                                              (Fault("freeze"), "synthetic_09"), (Fault("input_delay", 0.3), "synthetic_10")])
+def test_faults_are_found_and_the_untouched_drive_is_not(fault, drive, core, g80, synthetic):
+    replayer = Replayer(g80, core)
+    clean = read_drive(synthetic / f"{drive}.csv", g80)
+    assert not replayer.replay(clean).alarms
+    found = replayer.replay(inject(clean, fault, 60.0, g80.Ts_s))
+    assert found.alarms and 60.0 < found.alarms[0].t_s < 95.0 and found.first_invalid_s >= found.alarms[0].t_s
+    alarm = found.alarms[0]
+    assert alarm.statistic > alarm.threshold
+    assert abs(alarm.E[0]) == pytest.approx(alarm.margin * (alarm.B_w[0] + alarm.W_delta * abs(alarm.Z[0])), rel=1e-4)
+
+
+def test_bootstrap_interval_needs_pieces_and_brackets_the_ratio():
+    assert Pieces.of([(0, 0)], 1).interval is None
+    p = Pieces.of([(1, 5), (0, 4), (0, 5), (2, 6)], 1)
+    assert p.interval[0] <= p.alarmed / p.pieces <= p.interval[1]
+
+
+def test_excited_samples_follow_the_definition():
+    u = np.r_[np.zeros(1000), 0.01 * np.sin(0.1 * np.arange(1500)), np.zeros(1000)][:, None] + 0.5
+    direct = [u[max(0, k - 250):k + 251].std() > 0.004 for k in range(len(u))]
+    np.testing.assert_array_equal(excited_samples(u, 0.02, 0.004), direct)
+
+
+def test_replay_json_has_every_field_and_exit_status_says_what_was_found(lpvguard, vehicle, synthetic, g80, tmp_path):
+    drive = read_drive(synthetic / "synthetic_08.csv", g80)
+    faulty = inject(drive, Fault("gain", 0.5), 60.0, g80.Ts_s)
+    path = tmp_path / "faulty.csv"
+    np.savetxt(path, np.column_stack([faulty.t, faulty.v, faulty.u, faulty.y]), delimiter=",", header="t,v,delta,r", comments="")
+    done = lpvguard("replay", "--vehicle", "g80", "--coefficients", vehicle, synthetic / "synthetic_08.csv", path, "--json", "-")
+    assert done.returncode == 1, done.stderr
+    sound, alarmed = json.loads(done.stdout)
+    assert sound.keys() >= FIELDS and sound["alarms"] == [] and sound["first_invalid_s"] is None
+    assert alarmed["alarms"] and alarmed["alarms"][0].keys() >= ALARM_FIELDS
+    assert alarmed["judged_s"] == pytest.approx(sum(b - a for a, b in alarmed["judged"]))
+    only = lpvguard("replay", "--vehicle", "g80", "--coefficients", vehicle, synthetic / "synthetic_08.csv")
+    assert only.returncode == 0 and only.stdout == ""
+
+
+def test_unexcited_driving_is_not_judged_for_want_of_excitation(core, g80, synthetic):
+    drive = read_drive(synthetic / "synthetic_02.csv", g80)
+    still = replace(drive, u=np.full_like(drive.u, -0.0007443694838896991), y=np.full_like(drive.y, 9.2e-4))
+    replay = Replayer(g80, core).replay(still)
+    middle = replay.run.verdict[3000:5000]
+    assert set(middle) == {3} and replay.left_out()["not_excited"] > 100 and replay.left_out()["none"] == 0
+
+
+# Measured drives ------------------------------------------------------------------------------------------------------
+
+
+def test_measured_bound_drives_keep_their_margins(measured, g80):
+    core, random = Core(shipped_vehicle("g80")), np.random.default_rng(5)
+    for e in list_experiments(measured):
+        if e.split in g80.data.bound_split:
+            drive = read_drive(e.path, g80)
+            for cut in [0, *random.integers(1, len(drive.t) // 2, 6)]:
+                assert worst_margin(core, drive.from_sample(cut)) <= 1 + 1e-3, (e.name, cut)
+
+
+def test_measured_drives_are_judged_and_seldom_alarm_and_faults_are_found(measured, g80, tmp_path):
+    result, drives = stage.identify(g80, measured)
+    stage.save(result, drives, tmp_path / "id")
+    table = evaluate(stage.load(tmp_path / "id"), drives, Core(shipped_vehicle("g80")))
+    core = Core(shipped_vehicle("g80"))
+    for e in list_experiments(measured):
+        replay = Replayer(g80, core).replay(drives.load(e.name)[0])
+        relevant = replay.in_range & replay.excited
+        if replay.duration_s > 60:
+            assert (replay.judged & relevant).sum() >= 0.6 * relevant.sum(), e.name
+    total = table["false_alarms"]["all"]
+    assert total["pieces"] > 25 and total["alarmed"] <= 0.1 * total["pieces"]
+    by_name = {row["fault"]: row for row in table["faults"]}
+    for label in ("output × 0.6", "output × -1", "output frozen", "input delayed by 0.3 s", "output delayed by 0.3 s"):
+        assert by_name[label]["counted"] >= 5 and by_name[label]["found"] >= 0.9 * by_name[label]["counted"], label
+
+
+def test_shipped_coefficients_are_those_of_the_measured_drives(measured, g80, tmp_path):
+    """The committed folder is what identify and export make (weights by their values at the bins, DESIGN 2)."""
+    from lpvguard.export import export_vehicle
+
+    stage.save(*stage.identify(g80, measured), tmp_path / "id")
+    export_vehicle(stage.load(tmp_path / "id"), tmp_path / "g80")
+    shipped, made = Core(shipped_vehicle("g80")).compiled, Core(tmp_path / "g80").compiled
+    np.testing.assert_array_equal(np.delete(shipped[0], 11), np.delete(made[0], 11))  # all words but the CRC
+    np.testing.assert_allclose(shipped[1], made[1], rtol=1e-6, atol=1e-12)

@@ -1,0 +1,84 @@
+"""Nominal model: exact hold against an ordinary differential equation solver, delay, speed table, frequency response."""
+
+from __future__ import annotations
+
+from importlib import resources
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from lpvguard.errors import InputError
+from lpvguard.export import build_coefficients
+from lpvguard.frames import Estimator
+from lpvguard.nominal import NominalModel
+from lpvguard.project import load_project
+
+
+@pytest.fixture(params=[0.0, 0.02, 0.025, 0.05])
+def delayed(request, tmp_path):
+    text = resources.files("lpvguard").joinpath("vehicles", "g80.toml").read_text()
+    path = tmp_path / "car.toml"
+    path.write_text(text.replace("input_delay_s = 0.025", f"input_delay_s = {request.param}"))
+    return NominalModel(load_project(path)), request.param
+
+
+def test_recursion_solves_the_differential_equation_with_held_delayed_input(delayed):
+    model, delay = delayed
+    random = np.random.default_rng(1)
+    n, Ts, v = 40, model.Ts, 9.0
+    u = random.standard_normal((n, 1))
+    A, B = (m[0] for m in model.matrices(v))
+
+    def held(t):
+        return u[max(int(np.floor((t - delay) / Ts + 1e-9)), 0), 0] - model.input_offset[0]
+
+    yhat = model.simulate(np.full(n, v), u, np.array([0.3]))
+    x = 0.3 - model.output_offset[0]
+    for k in range(n - 1):
+        assert yhat[k, 0] == pytest.approx(x + model.output_offset[0], abs=1e-6)
+        # The input is constant on the pieces between its (delayed) steps: integrate each.
+        switch = [k * Ts, *([k * Ts + model.delay_fraction * Ts] if model.delay_fraction else []), (k + 1) * Ts]
+        for a, b in zip(switch, switch[1:]):
+            value = held((a + b) / 2)
+            x = solve_ivp(lambda _, s, w=value: A[0, 0] * s + B[0, 0] * w, (a, b), [x], rtol=1e-10, atol=1e-12).y[0, -1]
+
+
+def test_frequency_response_is_that_of_the_recursion(delayed):
+    model, _ = delayed
+    omega, v, n = 3.0, 11.0, 4000
+    t = np.arange(n) * model.Ts
+    u = np.cos(omega * t)[:, None] + model.input_offset
+    y = model.simulate(np.full(n, v), u, np.zeros(1))[:, 0] - model.output_offset[0]
+    tail = slice(n // 2, None)
+    basis = np.column_stack([np.cos(omega * t[tail]), -np.sin(omega * t[tail])])
+    re, im = np.linalg.lstsq(basis, y[tail], rcond=None)[0]
+    assert model.frequency_response([omega], v)[0, 0, 0] == pytest.approx(re + 1j * im, abs=1e-6)
+
+
+def test_speed_table_error_is_as_stated_between_its_nodes(g80_model):
+    v = np.random.default_rng(2).uniform(*g80_model.speed_range, 2000)
+    exact = g80_model.discretise(v)
+    exact = np.concatenate([m.reshape(len(v), -1) for m in (exact.Ad, exact.B_old, exact.B_new)], axis=1)
+    worst = np.abs(g80_model.table.at(v) - exact).max(axis=0) / np.abs(exact).max(axis=0)
+    assert worst.max() <= 1.05 * g80_model.table.error <= 1.05e-6
+
+
+def test_outside_its_range_the_model_runs_at_the_nearest_speed_but_refuses_a_frequency_response(g80_model):
+    u, y = np.full((5, 1), 0.1), np.zeros(1)
+    np.testing.assert_array_equal(g80_model.simulate(np.full(5, 0.0), u, y), g80_model.simulate(np.full(5, 3.5), u, y))
+    with pytest.raises(InputError, match="v = 25"):
+        g80_model.frequency_response([1.0], 25.0)
+
+
+def test_crc_of_python_is_the_crc_of_the_core(core, identified):
+    from lpvguard.identify import load
+
+    words, _ = core.compiled
+    assert int(words[11]) == load(identified).coefficients.crc32(4)
+
+
+def test_coefficients_follow_the_signal_table(g80, g80_model):
+    estimator = Estimator.of(g80, g80_model)
+    c = build_coefficients(g80, g80_model, estimator, np.ones(estimator.n_bins), np.ones((estimator.n_bins, 1)), 1.0)
+    assert c.reals["input_valid"].tolist() == [[-0.8, 0.8]] and c.sizes["DELAY"] == 1

@@ -1,0 +1,65 @@
+"""Project files: what is refused, and how it is said."""
+
+from __future__ import annotations
+
+from importlib import resources
+
+import numpy as np
+import pytest
+
+from lpvguard.errors import InputError
+from lpvguard.nominal import NominalModel
+from lpvguard.project import load_project, shipped_vehicles
+
+TEXT = resources.files("lpvguard").joinpath("vehicles", "g80.toml").read_text()
+
+
+@pytest.mark.parametrize("name", shipped_vehicles())
+def test_every_shipped_vehicle_loads_and_is_stable(name):
+    assert NominalModel(load_project(name)).slowest_pole > 0
+
+
+@pytest.mark.parametrize(("old", "new", "says"), [
+    ("Ts_s = 0.02", "Ts_s = -0.02", "Ts_s"),
+    ("Ts_s = 0.02", "Ts_s = 0.02\nTs = 1", "Ts"),
+    ('role = "output"', 'role = "scheduling"', "exactly one"),
+    ("min = -0.8", "min = 0.9", "road_wheel_angle"),
+    ('A = [["-1/T"]]', 'A = [["-1/T", 0]]', "model.A"),
+    ("f_max_hz = 3.2", "f_max_hz = 30.0", "half the sampling rate"),
+    ("confirm = 1 ", "confirm = 3 ", "confirm"),
+    ("nu = [0.1, 0.6]", "nu = [0.1]", "nu_ceiling"),
+    ("schema = 1", "schema = 2", "schema"),
+    ("schema = 1", "schema = ", "TOML"),
+])
+def test_a_bad_project_file_is_refused_by_field(tmp_path, old, new, says):
+    assert old in TEXT
+    path = tmp_path / "car.toml"
+    path.write_text(TEXT.replace(old, new, 1))
+    with pytest.raises(InputError) as caught:
+        load_project(path)
+    assert str(path) in str(caught.value) and says.lower() in str(caught.value).lower()
+
+
+@pytest.mark.parametrize(("old", "new", "says"), [
+    ('A = [["-1/T"]]', 'A = [["1/T"]]', "unstable"),
+    ('A = [["-1/T"]]', 'A = [["-1/q"]]', "q"),
+    ('A = [["-1/T"]]', 'A = [["__import__(1)"]]', "cannot use"),
+    ('A = [["-1/T"]]', 'A = [["-1/"]]', "not an arithmetic expression"),
+    ('G = "v/(L + K*v**2)"', 'G = "1/(v - 10)**0/(v - v)"', "not finite"),
+])
+def test_a_bad_model_names_the_entry_or_the_speed(tmp_path, old, new, says):
+    path = tmp_path / "car.toml"
+    path.write_text(TEXT.replace(old, new, 1))
+    with pytest.raises(InputError, match=says):
+        NominalModel(load_project(path))
+
+
+def test_a_project_file_elsewhere_is_a_vehicle_too(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(TEXT.replace('name = "g80"', 'name = "mine"', 1))
+    assert load_project(str(path)).name == "mine"
+
+
+def test_the_ceiling_is_log_linear_and_zero_at_dc():
+    ceiling = load_project("g80").bounds.nu_ceiling
+    np.testing.assert_allclose(ceiling.at([0.0, 0.1, 0.5, 1.0, 2.0, 9.0]), [0.0, 0.1, 0.1, 0.35, 0.6, 0.6])

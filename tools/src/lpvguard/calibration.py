@@ -1,0 +1,55 @@
+"""Stage 5, calibration of the frame test by split conformal prediction; the exchangeable unit is the drive (DESIGN 4.8).
+
+A drive's score is the largest k-of-m statistic over its counted frames, read from the compiled core. The threshold is the
+ceil((n + 1)(1 - alpha))-th smallest score of n calibration drives: a further, exchangeable drive alarms with probability
+at most alpha. With n < 1/alpha - 1 no finite threshold has that property, and alpha is not stated.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from scipy.stats import beta
+
+from .core import Run
+
+FEWEST_FOR_ALPHA = 9
+"""Below this many calibration drives no alpha is stated at all (DESIGN 4.8)."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """``alpha`` and ``conditional_bound`` are None where no claim can be made; then the threshold is the largest score.
+
+    conditional_bound: with 95 % confidence over the calibration drives, the false-alarm probability of a further drive
+    is below this number.
+    """
+
+    threshold: float
+    scores: dict[str, float]
+    alpha: float | None
+    conditional_bound: float | None
+
+    def to_dict(self) -> dict:
+        return asdict(self)
+
+
+def score(run: Run) -> float | None:
+    """Score of a drive; None when no frame counted."""
+    counted = run.frames.counted
+    return float(run.frames.statistic[counted].max()) if counted.any() else None
+
+
+def calibrate(scores: dict[str, float], alpha: float) -> Calibration:
+    """Threshold from the scores of the calibration drives, at least 1 (within the bounds nothing is falsified)."""
+    values = np.sort(np.array(list(scores.values()), float))
+    n = len(values)
+    if n == 0:
+        return Calibration(1.0, {}, None, None)
+    rank = math.ceil((n + 1) * (1 - alpha) - 1e-12)
+    stated = n >= FEWEST_FOR_ALPHA and rank <= n
+    rank = min(rank, n)
+    return Calibration(threshold=max(1.0, float(values[rank - 1])), scores=dict(scores), alpha=alpha if stated else None,
+                       conditional_bound=float(1 - beta.ppf(0.05, rank, n + 1 - rank)) if stated else None)

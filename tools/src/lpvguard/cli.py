@@ -1,0 +1,240 @@
+"""The command line. Exit status: 0 done, 1 a finding (falsified, alarmed, an answer missed), 2 bad input.
+
+Results that machines read go to the file named with --json (``-``: standard output); progress and messages go to
+standard error. Nothing is written except where -o or --json says.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from . import __version__, artefacts
+from .errors import InputError
+
+app = typer.Typer(add_completion=False, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False,
+                  context_settings={"help_option_names": ["-h", "--help"]},
+                  help="From recorded drives to a compiled monitor and controller. Exit status 0, 1 (a finding), 2 (bad input).")
+# Away from a terminal nothing is known of the reader's width: keep rows whole.
+console = Console(stderr=True, width=None if sys.stderr.isatty() else 160, soft_wrap=True)
+
+Vehicle = Annotated[str, typer.Option("--vehicle", help="Shipped vehicle, or path to a project file (*.toml).")]
+Out = Annotated[Path, typer.Option("-o", "--out", help="Folder or file to write.")]
+JsonOut = Annotated[str | None, typer.Option("--json", help="Write JSON to this file; - is standard output.")]
+Coefficients = Annotated[Path | None, typer.Option("--coefficients", help="Generated folder (default: the shipped one).")]
+
+
+@contextmanager
+def _progress(title: str) -> Iterator[Callable[[str], None]]:
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=20), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task(title, total=None)
+        yield lambda text: bar.update(task, description=f"{title}: {text}")
+
+
+def _emit(json_out: str | None, value: Any) -> None:
+    if json_out == "-":
+        sys.stdout.write(artefacts.to_json(value))
+    elif json_out:
+        artefacts.write_file(Path(json_out), artefacts.to_json(value))
+
+
+def _load_project(vehicle: str):
+    from .project import load_project
+
+    return load_project(vehicle)
+
+
+@app.callback(invoke_without_command=True)
+def _root(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+    if version:
+        print(f"lpvguard {__version__}")
+        raise typer.Exit()
+
+
+@app.command(epilog="Example: lpvguard generate --vehicle g80 -o out/drives --seed 1")
+def generate(vehicle: Vehicle, out: Out,
+             seed: Annotated[int | None, typer.Option(help="Seed (default: the project file's).")] = None) -> None:
+    """Write seeded synthetic drives of a vehicle: tables and experiments.csv."""
+    from .fixture import write_drives
+
+    project = _load_project(vehicle)
+    with _progress("generate") as tell:
+        names = write_drives(project, out, project.seed if seed is None else seed, tell)
+    console.print(f"{len(names)} drives written to {out}")
+
+
+@app.command(epilog="Example: lpvguard identify --vehicle g80 DRIVES -o out/identify")
+def identify(vehicle: Vehicle, drives: Annotated[Path, typer.Argument(help="Folder of drives with experiments.csv.")],
+             out: Out, json_out: JsonOut = None) -> None:
+    """Find the unfalsified bounds, fit the weights, calibrate the frame test (paper, steps 1-7)."""
+    from . import identify as stage
+
+    project = _load_project(vehicle)
+    with _progress("identify") as tell:
+        result, drive_set = stage.identify(project, drives, progress=tell)
+        stage.save(result, drive_set, out)
+    _emit(json_out, {"bound_drives": result.bound_drives, "calibration_drives": result.calibration_drives,
+                     "left_out": result.left_out, **result.calibration.to_dict(), "inflation": result.weights.inflation})
+    c = result.calibration
+    claim = (f"alpha {c.alpha:g}, with 95 % confidence below {c.conditional_bound:.3f}" if c.alpha is not None
+             else "too few calibration drives: alpha is not stated")
+    console.print(f"{len(result.bound_drives)} drives set the bounds: {', '.join(result.bound_drives)}")
+    console.print(f"{len(result.calibration_drives)} others calibrate: {', '.join(result.calibration_drives) or 'none'}")
+    for name, reason in result.left_out.items():
+        console.print(f"left out: {name}: {reason}")
+    console.print(f"threshold {c.threshold:.4g} ({claim}); final inflation {result.weights.inflation:.6g}; written to {out}")
+
+
+@app.command(epilog="Example: lpvguard export --vehicle g80 out/identify -o lib/vehicles/g80")
+def export(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(help="Folder written by identify.")],
+           out: Out) -> None:
+    """Generate the C folder of a vehicle: coefficients, signal table, manifest."""
+    from . import identify as stage
+    from .export import export_vehicle
+
+    stored = stage.load(identification)
+    if stored.project.name != _load_project(vehicle).name:
+        raise InputError(identification, "vehicle", stored.project.name, f"an identification of {vehicle}")
+    export_vehicle(stored, out)
+    console.print(f"{stored.project.name}: written to {out}")
+
+
+@app.command(epilog="Example: lpvguard replay --vehicle g80 RUN.csv --json -")
+def replay(vehicle: Vehicle, logs: Annotated[list[Path], typer.Argument(help="Drive tables (CSV or Parquet).")],
+           coefficients: Coefficients = None, json_out: JsonOut = None) -> None:
+    """Run recorded drives through the compiled C core. Exit 1 when any drive alarmed, 2 when any was unreadable."""
+    replayer = _replayer(vehicle, coefficients)
+    done, failed = [], 0
+    with _progress("replay") as tell:
+        for log in logs:
+            tell(log.name)
+            try:
+                done.append(replayer.replay_file(log))
+            except InputError as error:
+                failed += 1
+                _complain(error)
+    if done and not any(r.judged_s for r in done):
+        failed += 1
+        low, high = replayer.model.speed_range
+        _complain(InputError(", ".join(r.name for r in done), "", "no judged stretch at all",
+                             f"some steady driving between {low:g} and {high:g} m/s"))
+    _emit(json_out, [r.to_dict() for r in done])
+    table = Table("drive", "duration s", "judged s", "verdict", "first invalid s", "max margin", "alarms", box=None)
+    for r in done:
+        table.add_row(r.name, f"{r.duration_s:.1f}", f"{r.judged_s:.1f}", r.verdict_final,
+                      "–" if r.first_invalid_s is None else f"{r.first_invalid_s:.2f}",
+                      "–" if r.max_margin is None else f"{r.max_margin:.3f}", str(len(r.alarms)))
+    console.print(table)
+    console.print(f"threshold {replayer.threshold:.4g}, core {replayer.core.folder}")
+    for r in done:
+        for a in r.alarms[:3]:
+            console.print(f"{r.name}: t = {a.t_s:.2f} s, {a.test} test, {a.bin_rad_s:.3g} rad/s, v = {a.speed_mps:.1f} m/s: "
+                          f"margin {a.margin:.2f} (statistic {a.statistic:.2f} > {a.threshold:.2f}); |E| = "
+                          f"{_norm(a.E):.3g} against W_delta {a.W_delta:.3g} x |Z| {_norm(a.Z):.3g} + B_w "
+                          f"{', '.join(f'{b:.3g}' for b in a.B_w)}; a dead vehicle would read {a.evidence:.2f}")
+        if len(r.alarms) > 3:
+            console.print(f"{r.name}: {len(r.alarms) - 3} more alarms (--json lists all)")
+    raise typer.Exit(2 if failed else 1 if any(r.alarms for r in done) else 0)
+
+
+@app.command(epilog="Example: lpvguard evaluate --vehicle g80 out/identify DRIVES --json out/evaluation.json")
+def evaluate(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(help="Folder written by identify.")],
+             drives: Annotated[Path, typer.Argument(help="The drive folder it was made from.")],
+             coefficients: Coefficients = None, json_out: JsonOut = None) -> None:
+    """False alarms and detection of injected faults, leave-one-drive-out, through the compiled core."""
+    from .evaluate import FOUND_WITHIN_S, PIECE_S
+    from .evaluate import evaluate as run
+
+    stored, drive_set = _stored_with_drives(identification, drives)
+    replayer = _replayer(vehicle, coefficients)
+    with _progress("evaluate") as tell:
+        result = run(stored, drive_set, replayer.core, tell)
+    _emit(json_out, result)
+    alarms = Table("drivers", "drives", f"alarmed {PIECE_S:g} s pieces", "95 % interval of the ratio", box=None)
+    for group, row in result["false_alarms"].items():
+        interval = "–" if row["interval"] is None else f"{row['interval'][0]:.3f} .. {row['interval'][1]:.3f}"
+        alarms.add_row(group, str(row["drives"]), f"{row['alarmed']} of {row['pieces']}", interval)
+    console.print(alarms)
+    found = Table("fault from 60 s on", f"found within {FOUND_WITHIN_S:g} s", "judged, excited s to the alarm", box=None)
+    for row in result["faults"]:
+        times = "  ".join("–" if c["s"] is None else f"{c['s']:.1f}" for c in row["cases"])
+        found.add_row(row["fault"], f"{row['found']} of {row['counted']} (of {row['drives']} drives)", times)
+    console.print(found)
+
+
+@app.command(epilog="Example: lpvguard report out/identify DRIVES --vehicle g80 -o out/report.html")
+def report(identification: Annotated[Path, typer.Argument(help="Folder written by identify.")],
+           drives: Annotated[Path, typer.Argument(help="The drive folder it was made from.")],
+           vehicle: Vehicle, out: Out, coefficients: Coefficients = None,
+           evaluation: Annotated[Path | None, typer.Option(help="JSON written by evaluate.")] = None) -> None:
+    """One self-contained HTML page with every picture and table."""
+    from .report import write_report
+
+    stored, drive_set = _stored_with_drives(identification, drives)
+    replayer = _replayer(vehicle, coefficients)
+    with _progress("report") as tell:
+        write_report(stored, drive_set, replayer, out, artefacts.read_json(evaluation) if evaluation else None, tell)
+    console.print(f"written to {out}")
+
+
+@app.command(epilog="Example: lpvguard solve problems.json -o answers.json --jobs 2")
+def solve(problems: Annotated[str, typer.Argument(help="JSON list of problems; - is standard input.")],
+          out: Annotated[str | None, typer.Option("-o", "--out", help="Answers (default: standard output).")] = None,
+          jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1) -> None:
+    """Answer problems of the numerical engine; those that carry an answer are compared, exit 1 on any miss."""
+    from .solve import run_solve
+
+    raise typer.Exit(run_solve(problems, out, jobs))
+
+
+def _norm(values: list[complex]) -> float:
+    return sum(abs(x) ** 2 for x in values) ** 0.5
+
+
+def _replayer(vehicle: str, coefficients: Path | None):
+    from .core import Core, shipped_vehicle
+    from .replay import Replayer
+
+    project = _load_project(vehicle)
+    return Replayer(project, Core(coefficients or shipped_vehicle(project.name)))
+
+
+def _stored_with_drives(identification: Path, folder: Path):
+    from . import identify as stage
+    from .drives import file_hash, list_experiments
+    from .nominal import NominalModel
+
+    stored = stage.load(identification)
+    experiments = list_experiments(folder)
+    for e in experiments:
+        if stored.manifest["sha256"].get(e.name) != file_hash(e.path):
+            raise InputError(e.path, "", "is not the file that was identified", f"the drives of {identification}")
+    return stored, stage.DriveSet(stored.project, NominalModel(stored.project), experiments)
+
+
+def _complain(error: InputError) -> None:
+    print(f"lpvguard: error: {error}", file=sys.stderr)
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    try:
+        app()
+    except InputError as error:
+        _complain(error)
+        sys.exit(2)
+    except BrokenPipeError:
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,177 @@
+"""The compiled C core of one vehicle, called from Python.
+
+The core is built on first use from the very sources that go on the ECU (lib/) and the vehicle's generated folder, into a
+cache keyed by their hash. There is no other monitor in this package.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from . import native
+from .drives import Drive
+from .errors import InputError
+
+PACKAGE = Path(__file__).resolve().parent
+VERDICTS = ("unknown", "valid", "invalid", "not_judged", "stale", "fault")
+REASONS = ("none", "not_excited", "speed_moved", "out_of_range", "settling")
+STATUSES = ("ok", "bad_argument", "bad_magic", "bad_schema", "bad_size", "bad_estimator", "bad_crc", "not_finite",
+            "bad_value", "bad_sample", "out_of_order", "not_ready")
+
+
+def library_root() -> Path:
+    """The folder lib/ of the C core: of the source tree when run from it, else the copy that the wheel carries."""
+    for candidate in (PACKAGE.parents[2] / "lib", PACKAGE / "_lib"):
+        if (candidate / "src" / "monitor.cpp").is_file():
+            return candidate
+    raise InputError(PACKAGE, "lib", "the C core's sources are missing", "lib/ beside tools/, or an installed package")
+
+
+def shipped_vehicle(name: str) -> Path:
+    """Generated folder of a vehicle that is shipped."""
+    folder = library_root() / "vehicles" / name
+    if not (folder / "lpvguard_coeff.c").is_file():
+        raise InputError(f"vehicle {name}", "coefficients", f"no generated folder {folder}",
+                         "`lpvguard identify` and `lpvguard export` first, then --coefficients DIR")
+    return folder
+
+
+def _eigen_include() -> str:
+    if shutil.which("pkg-config"):
+        found = subprocess.run(["pkg-config", "--variable=includedir", "eigen3"], capture_output=True, text=True, check=False)
+        path = Path(found.stdout.strip() or "/usr/include") / "eigen3"
+        if path.is_dir():
+            return str(path)
+    for path in ("/usr/include/eigen3", "/usr/local/include/eigen3", "/opt/homebrew/include/eigen3"):
+        if Path(path).is_dir():
+            return path
+    raise native.NativeError("Eigen 3.4 not found; install libeigen3-dev")
+
+
+@dataclass(frozen=True)
+class FrameLog:
+    """Frames judged by the core during a run, in the order of judgement; arrays over frames, E and Z (F, n_y)."""
+
+    bin: np.ndarray
+    t_end_s: np.ndarray
+    reason: np.ndarray
+    falsified: np.ndarray
+    speed: np.ndarray
+    margin: np.ndarray
+    statistic: np.ndarray
+    evidence: np.ndarray
+    E: np.ndarray
+    Z: np.ndarray
+
+    @property
+    def counted(self) -> np.ndarray:
+        """(F,) True where the frame counted (its reason is none or not_excited)."""
+        return self.reason <= REASONS.index("not_excited")
+
+    @classmethod
+    def from_rows(cls, rows: np.ndarray, n_y: int) -> FrameLog:
+        parts = rows[:, 9:].reshape(len(rows), 2, n_y, 2)
+        spectra = parts[..., 0] + 1j * parts[..., 1]
+        return cls(rows[:, 1].astype(int), rows[:, 2] * 1e-6, rows[:, 3].astype(int), rows[:, 4] > 0, rows[:, 5],
+                   rows[:, 6], rows[:, 7], rows[:, 8], spectra[:, 0], spectra[:, 1])
+
+
+@dataclass(frozen=True)
+class Run:
+    """What the core said along a drive: a verdict and a status per sample, and the judged frames."""
+
+    frames: FrameLog
+    verdict: np.ndarray
+    status: np.ndarray
+
+
+class Core:
+    """A vehicle's compiled core.
+
+    ``folder`` is a generated folder. Raises InputError when the folder is incomplete or does not compile.
+    """
+
+    def __init__(self, folder: Path, *, double: bool = False, source_root: Path | None = None):
+        self.folder = Path(folder)
+        missing = [n for n in ("lpvguard_vehicle.h", "lpvguard_coeff.c") if not (self.folder / n).is_file()]
+        if missing:
+            raise InputError(folder, "", f"{', '.join(missing)} missing", "a folder written by `lpvguard export`")
+        root = source_root or library_root()
+        sources = [*sorted((root / "src").glob("*.cpp")), self.folder / "lpvguard_coeff.c", PACKAGE / "_core" / "binding.cpp"]
+        self.library = self._compile(sources, [root / "include", root / "src", self.folder], double)
+        self._lib = ctypes.CDLL(str(self.library))
+        self._lib.lpvgb_create.restype = ctypes.c_void_p
+        self._lib.lpvgb_run.restype = ctypes.c_int64
+        sizes = (ctypes.c_uint32 * 7)()
+        self._lib.lpvgb_sizes(sizes)
+        self.n_u, self.n_y, self.n_bins, self._n_words, self._n_reals, self._columns, self.monitor_bytes = map(int, sizes)
+
+    def _compile(self, sources: list[Path], includes: list[Path], double: bool) -> Path:
+        flags = ["-std=c++17", "-O2", "-fno-exceptions", "-fno-rtti", "-ffp-contract=off", "-fno-math-errno",
+                 "-isystem", _eigen_include(), *(["-DLPVG_DOUBLE"] if double else [])]
+        try:
+            return native.compile_shared(sources, flags=flags, include_dirs=includes, name=f"core_{self.folder.name}")
+        except native.NativeError as error:
+            raise InputError(self.folder, "compiling the C core", str(error).strip(), "a C++17 compiler and Eigen 3.4") from None
+
+    @cached_property
+    def compiled(self) -> tuple[np.ndarray, np.ndarray]:
+        """The compiled-in coefficients as flat words and numbers, in the order of coeff.h."""
+        words, reals = np.zeros(self._n_words, np.uint32), np.zeros(self._n_reals)
+        self._lib.lpvgb_compiled_coeff(_pointer(words), _pointer(reals))
+        return words, reals
+
+    def monitor(self, *, words: np.ndarray | None = None, reals: np.ndarray | None = None, seal: bool = False) -> Monitor:
+        """A fresh monitor with the compiled-in coefficients, or with the given ones (``seal`` renews their CRC).
+
+        Raises InputError with the core's status when init refuses them.
+        """
+        compiled_words, compiled_reals = self.compiled
+        if words is None and reals is None:
+            arguments = (None, None)
+        else:
+            words = np.ascontiguousarray(compiled_words if words is None else words, np.uint32)
+            reals = np.ascontiguousarray(compiled_reals if reals is None else reals, float)
+            arguments = (_pointer(words), _pointer(reals))
+        status = ctypes.c_int()
+        handle = self._lib.lpvgb_create(*arguments, int(seal), ctypes.byref(status))
+        if not handle:
+            raise InputError(self.folder, "coefficients", f"the core's init refused them ({STATUSES[status.value]})",
+                             "coefficients written for this core, estimator and number type")
+        return Monitor(self, handle)
+
+
+def _pointer(array: np.ndarray) -> ctypes.c_void_p:
+    return array.ctypes.data_as(ctypes.c_void_p)
+
+
+class Monitor:
+    """One running instance of the core's monitor; feed it a drive in one or several pieces."""
+
+    def __init__(self, core: Core, handle: int):
+        self._core, self._handle = core, ctypes.c_void_p(handle)
+
+    def __del__(self) -> None:
+        self._core._lib.lpvgb_destroy(self._handle)
+
+    def run(self, t: np.ndarray, v: np.ndarray, u: np.ndarray, y: np.ndarray) -> Run:
+        """Push samples: t (N,) [s], v (N,), u (N, n_u), y (N, n_y)."""
+        n = len(t)
+        columns = self._core._columns
+        arrays = [np.ascontiguousarray(a, dtype) for a, dtype in
+                  ((np.round(np.asarray(t) * 1e6), np.int64), (v, float), (u, float), (y, float))]
+        rows = np.empty((n, columns))
+        verdict, status = np.empty(n, np.uint8), np.empty(n, np.uint8)
+        count = self._core._lib.lpvgb_run(self._handle, ctypes.c_int64(n), *map(_pointer, arrays), _pointer(rows),
+                                          ctypes.c_int64(n), _pointer(verdict), _pointer(status))
+        return Run(FrameLog.from_rows(rows[:count].copy(), self._core.n_y), verdict, status)
+
+    def run_drive(self, drive: Drive) -> Run:
+        return self.run(drive.t, drive.v, drive.u, drive.y)

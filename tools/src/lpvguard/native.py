@@ -1,0 +1,154 @@
+"""Compile C and C++ sources to a shared library on first use, and load it.
+
+The library lives in ``${LPVGUARD_CACHE:-${XDG_CACHE_HOME:-~/.cache}/lpvguard}`` under a name that is a hash of the
+sources, the headers beside them, the flags, the compiler's version and (for ``-march=native``) the processor: a stale
+or foreign library is never loaded. Writing is atomic, so processes that start together do not disturb each other.
+
+``LPVGUARD_NO_NATIVE=1`` switches every compiled kernel off; the numpy versions give the same answers.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+REPRODUCIBLE_FLAGS = ("-O3", "-ffp-contract=off", "-fno-math-errno")
+"""Contraction off: the same source gives the same bits whether or not the target has FMA. Never -ffast-math."""
+
+_HEADER_SUFFIXES = {".h", ".hh", ".hpp", ".inc"}
+_CXX_SUFFIXES = {".cpp", ".cc", ".cxx"}
+
+
+class NativeError(RuntimeError):
+    """No compiler, or the compiler refused the sources; the text holds the command and its first complaint."""
+
+
+def cache_dir() -> Path:
+    """Folder of compiled libraries; made on demand."""
+    explicit = os.environ.get("LPVGUARD_CACHE")
+    base = Path(explicit) if explicit else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lpvguard"
+    base.mkdir(parents=True, exist_ok=True)
+    return base
+
+
+def native_enabled() -> bool:
+    """False when ``LPVGUARD_NO_NATIVE`` asks for the numpy versions."""
+    return os.environ.get("LPVGUARD_NO_NATIVE", "") in ("", "0")
+
+
+def find_compiler(*, cxx: bool) -> str:
+    """Path of the C or C++ compiler: ``$CC`` / ``$CXX`` first, then the usual names. Raises NativeError if none."""
+    names = [os.environ.get("CXX" if cxx else "CC") or "", *(("c++", "g++", "clang++") if cxx else ("cc", "gcc", "clang"))]
+    for name in filter(None, names):
+        path = shutil.which(name)
+        if path:
+            return path
+    language = "C++" if cxx else "C"
+    raise NativeError(f"no {language} compiler found; install gcc or clang, or set {'CXX' if cxx else 'CC'}")
+
+
+@functools.cache
+def _compiler_version(compiler: str) -> str:
+    return subprocess.run([compiler, "--version"], capture_output=True, text=True, check=True).stdout
+
+
+@functools.cache
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line for line in lines if line.startswith(("flags", "Features"))), platform.processor())
+
+
+def _digest(sources: Sequence[Path], flags: Sequence[str], include_dirs: Sequence[Path], compiler: str) -> str:
+    sha = hashlib.sha256()
+    for text in (compiler, _compiler_version(compiler), platform.machine(), *flags):
+        sha.update(text.encode() + b"\0")
+    if "-march=native" in flags:
+        sha.update(_processor().encode())
+    headers: set[Path] = set()
+    for folder in {*include_dirs, *(s.parent for s in sources)}:
+        headers.update(p for p in folder.rglob("*") if p.suffix in _HEADER_SUFFIXES and p.is_file())
+    for path in (*sources, *sorted(headers)):
+        sha.update(path.name.encode() + b"\0" + path.read_bytes())
+    return sha.hexdigest()[:24]
+
+
+def compile_shared(
+    sources: Iterable[Path | str],
+    *,
+    flags: Sequence[str] = REPRODUCIBLE_FLAGS,
+    include_dirs: Iterable[Path | str] = (),
+    name: str = "native",
+) -> Path:
+    """Path of the shared library made from ``sources``; compiled only when the cache has none with this hash.
+
+    ``flags`` go to the compiler as they are, in front of ``-fPIC -shared``. C++ when any source is C++. Headers are
+    hashed when they lie in ``include_dirs`` or beside a source; system headers are covered by the compiler's version
+    only. Raises NativeError when there is no compiler, a source is missing or does not compile, or a flag would let
+    the compiler reorder floating-point arithmetic.
+    """
+    suffix = ".dylib" if sys.platform == "darwin" else ".so"
+    return _compile(sources, (*flags, "-fPIC", "-shared"), include_dirs, name, suffix)
+
+
+def compile_executable(
+    sources: Iterable[Path | str],
+    *,
+    flags: Sequence[str] = REPRODUCIBLE_FLAGS,
+    include_dirs: Iterable[Path | str] = (),
+    name: str = "native",
+) -> Path:
+    """Path of the program made from ``sources``; otherwise as ``compile_shared``."""
+    return _compile(sources, tuple(flags), include_dirs, name, "")
+
+
+def _compile(sources, flags: tuple[str, ...], include_dirs, name: str, suffix: str) -> Path:
+    paths = [Path(s).resolve() for s in sources]
+    includes = [Path(p).resolve() for p in include_dirs]
+    missing = [str(p) for p in paths if not p.is_file()]
+    if missing or not paths:
+        raise NativeError(f"source not found: {', '.join(missing) or '(none given)'}")
+    if {"-ffast-math", "-Ofast", "-funsafe-math-optimizations"} & set(flags):
+        raise NativeError("flags that reorder floating-point arithmetic are refused: results must be reproducible")
+    compiler = find_compiler(cxx=any(p.suffix in _CXX_SUFFIXES for p in paths))
+    target = cache_dir() / f"{name}-{_digest(paths, flags, includes, compiler)}{suffix}"
+    if target.is_file():
+        return target
+    handle, temporary = tempfile.mkstemp(suffix=suffix, prefix=f".{name}-", dir=target.parent)
+    os.close(handle)
+    command = [compiler, *flags, *(f"-I{p}" for p in includes), *map(str, paths), "-o", temporary]
+    try:
+        done = subprocess.run([*command, "-lm"], capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            raise NativeError(f"{' '.join(command)}\n{done.stderr.strip()[:2000]}")
+        os.chmod(temporary, 0o755)
+        os.replace(temporary, target)
+    finally:
+        Path(temporary).unlink(missing_ok=True)
+    return target
+
+
+@functools.cache
+def _load_kernels() -> ctypes.CDLL | None:
+    folder = Path(__file__).parent / "_native"
+    flags = ("-std=c11", "-Wall", "-Wextra", "-march=native", *REPRODUCIBLE_FLAGS)
+    try:
+        return ctypes.CDLL(str(compile_shared(sorted(folder.glob("*.c")), flags=flags, name="lpvguard_kernels")))
+    except NativeError:
+        return None
+
+
+def kernels() -> ctypes.CDLL | None:
+    """The package's own compiled kernels, or None (no compiler, or switched off): then callers use numpy."""
+    return _load_kernels() if native_enabled() else None

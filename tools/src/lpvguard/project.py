@@ -1,0 +1,230 @@
+"""Project files: one vehicle = one TOML file, validated on load.
+
+The signal table of the project file is the only place where names, units, signs, ranges and CAN places of signals stand;
+``SignalTable`` order is: scheduling, inputs, outputs.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from .errors import InputError
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(gt=0, lt=1)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class CanPlace(_Strict):
+    """Message and signal of the CAN catalogue that carry a signal: bus value = factor * value."""
+
+    message: str
+    signal: str
+    factor: float = 1.0
+
+
+class Signal(_Strict):
+    """One measured signal; ``min`` and ``max`` bound what is physically possible, in ``unit``."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+    role: Literal["scheduling", "input", "output"]
+    column: str
+    unit: str
+    positive: str
+    min: float
+    max: float
+    can: CanPlace | None = None
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Signal:
+        if not self.min < self.max:
+            raise ValueError(f"signal {self.name}: min {self.min} must be below max {self.max}")
+        return self
+
+
+class ModelSettings(_Strict):
+    """Continuous-time nominal model; entries of A and B are numbers or expressions in v, the parameters and ``let``."""
+
+    input_delay_s: Annotated[float, Field(ge=0)] = 0.0
+    speed_min_mps: Positive
+    speed_max_mps: Positive
+    input_offset: list[float] | None = None
+    output_offset: list[float] | None = None
+    A: list[list[float | str]]
+    B: list[list[float | str]]
+    C: list[list[float]]
+    parameters: dict[str, float] = {}
+    let: dict[str, str] = {}
+
+
+class FrameSettings(_Strict):
+    """The estimator (DESIGN 4.2): constant-Q Hann frames of ``periods`` periods."""
+
+    window: Literal["hann"] = "hann"
+    periods: Annotated[int, Field(ge=2, le=64)] = 6
+    bins_per_decade: Annotated[int, Field(ge=1, le=50)] = 10
+    f_min_hz: Positive
+    f_max_hz: Positive
+    hop_per_frame: Literal[2] = 2
+    speed_tolerance: Fraction = 0.15
+
+
+class NuCeiling(_Strict):
+    f_hz: list[Positive]
+    nu: list[Positive]
+
+    @model_validator(mode="after")
+    def _shape(self) -> NuCeiling:
+        if len(self.f_hz) != len(self.nu) or not self.f_hz:
+            raise ValueError("nu_ceiling: f_hz and nu must be non-empty and equally long")
+        if any(b <= a for a, b in zip(self.f_hz, self.f_hz[1:])):
+            raise ValueError("nu_ceiling: f_hz must increase")
+        return self
+
+    def at(self, f_hz: np.ndarray) -> np.ndarray:
+        """Ceiling at frequencies ``f_hz`` [Hz]: linear in log f, constant outside; 0 at DC."""
+        f = np.asarray(f_hz, float)
+        safe = np.where(f > 0, f, self.f_hz[0])
+        return np.where(f > 0, np.interp(np.log(safe), np.log(self.f_hz), self.nu), 0.0)
+
+
+class BoundSettings(_Strict):
+    structure: Literal["S0", "S1"] = "S1"
+    disturbance_set: Literal["paper", "covering"] = "covering"
+    nu_ceiling: NuCeiling
+
+
+class WeightSettings(_Strict):
+    max_order: Annotated[int, Field(ge=0, le=8)] = 4
+    tolerance_db: Positive = 0.3
+
+
+class FrameTestSettings(_Strict):
+    confirm: Annotated[int, Field(ge=1, le=8)] = 1
+    of_last: Annotated[int, Field(ge=1, le=8)] = 1
+    alpha: Fraction = 0.1
+    excited_std: Positive
+
+    @model_validator(mode="after")
+    def _k_of_m(self) -> FrameTestSettings:
+        if self.confirm > self.of_last:
+            raise ValueError(f"frame_test: confirm {self.confirm} must not exceed of_last {self.of_last}")
+        return self
+
+
+class DataSettings(_Strict):
+    bound_split: list[str]
+
+
+class Project(_Strict):
+    """A vehicle's project file."""
+
+    schema_: Literal[1] = Field(alias="schema")
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+    title: str
+    Ts_s: Positive
+    seed: Annotated[int, Field(ge=0)]
+    signals: list[Signal]
+    model: ModelSettings
+    frames: FrameSettings
+    bounds: BoundSettings
+    weights: WeightSettings
+    frame_test: FrameTestSettings
+    data: DataSettings
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Project:
+        names = [s.name for s in self.signals]
+        columns = [s.column for s in self.signals]
+        if len(set(names)) != len(names) or len(set(columns)) != len(columns) or "t" in columns:
+            raise ValueError("signals: names and columns must be unique, and column 't' is time")
+        if len(self.of_role("scheduling")) != 1:
+            raise ValueError("signals: exactly one signal must have role 'scheduling'")
+        if not 1 <= self.n_u <= 2 or not 1 <= self.n_y <= 4:
+            raise ValueError(f"signals: 1 to 2 inputs and 1 to 4 outputs are supported, got {self.n_u} and {self.n_y}")
+        n = len(self.model.A)
+        shapes = {"A": (n, n), "B": (n, self.n_u), "C": (self.n_y, n)}
+        for key, (rows, cols) in shapes.items():
+            matrix = getattr(self.model, key)
+            if len(matrix) != rows or any(len(row) != cols for row in matrix):
+                raise ValueError(f"model.{key}: must be {rows} x {cols}")
+        for key, size in (("input_offset", self.n_u), ("output_offset", self.n_y)):
+            value = getattr(self.model, key)
+            if value is not None and len(value) != size:
+                raise ValueError(f"model.{key}: must have {size} entries")
+        if not self.model.speed_min_mps < self.model.speed_max_mps:
+            raise ValueError("model: speed_min_mps must be below speed_max_mps")
+        if not self.frames.f_min_hz < self.frames.f_max_hz < 0.5 / self.Ts_s:
+            raise ValueError("frames: f_min_hz < f_max_hz < half the sampling rate must hold")
+        return self
+
+    def of_role(self, role: str) -> list[Signal]:
+        return [s for s in self.signals if s.role == role]
+
+    @property
+    def speed(self) -> Signal:
+        return self.of_role("scheduling")[0]
+
+    @property
+    def inputs(self) -> list[Signal]:
+        return self.of_role("input")
+
+    @property
+    def outputs(self) -> list[Signal]:
+        return self.of_role("output")
+
+    @property
+    def n_u(self) -> int:
+        return len(self.inputs)
+
+    @property
+    def n_y(self) -> int:
+        return len(self.outputs)
+
+
+def shipped_vehicles() -> list[str]:
+    """Names of the vehicles that come with the package."""
+    return sorted(p.name.removesuffix(".toml") for p in resources.files(__package__).joinpath("vehicles").iterdir()
+                  if p.name.endswith(".toml"))
+
+
+def load_project(vehicle: str | Path) -> Project:
+    """Load a project file by shipped name or by path.
+
+    Raises InputError naming the file, the field and what was expected.
+    """
+    path = Path(vehicle)
+    if path.suffix == ".toml" or path.is_file():
+        source, where = path, str(vehicle)
+    elif str(vehicle) in shipped_vehicles():
+        source, where = resources.files(__package__).joinpath("vehicles", f"{vehicle}.toml"), f"vehicle {vehicle}"
+    else:
+        raise InputError(str(vehicle), "--vehicle", "unknown vehicle",
+                         f"one of {', '.join(shipped_vehicles())}, or a path to a project file (*.toml)")
+    try:
+        document = tomllib.loads(source.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(where, "", f"cannot be read ({error.strerror})", "a readable TOML project file") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(where, "", str(error), "valid TOML") from None
+    return parse_project(document, where)
+
+
+def parse_project(document: object, where: str) -> Project:
+    """Validate a project document; InputError names ``where``, the field and what was expected."""
+    try:
+        return Project.model_validate(document)
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = ".".join(str(p) for p in first["loc"]) or "project file"
+        given = f" (given: {first['input']!r})" if not isinstance(first.get("input"), dict) else ""
+        raise InputError(where, field, f"refused{given}", first["msg"]) from None

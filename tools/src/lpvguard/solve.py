@@ -1,0 +1,352 @@
+"""The numerical engine as a service: a list of problems in, a list of answers out, in plain JSON.
+
+Schema ``lpvguard.problems/1``: complex numbers are ``[re, im]``, matrices row-major nested lists. Kinds: ``zoh``,
+``frequency_response``, ``multiplicative``, ``multiplicative_tradeoff``, ``margin``, ``lft``, ``lft_margin``, ``mu``,
+``hinf``. A bad problem gets ``{"id", "status": "error", "error": "<where, what; expected>"}`` and never stops the
+others. A problem that carries an ``answer`` is compared with it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lpvguard import truck_model
+from lpvguard.errors import InputError
+from lpvguard.validation import s1
+
+ANSWERS_SCHEMA = "lpvguard.answers/1"
+BRACKET_GAP = 1e-3
+"""Largest relative distance between the two sides of a bracket that counts as answered."""
+
+
+class Fields:
+    """Typed access to one problem's fields; every complaint names the problem and the field."""
+
+    def __init__(self, problem: dict):
+        self._problem = problem
+        self.source = f"problem {problem.get('id', '(no id)')}"
+
+    def error(self, where: str, what: str, expected: str | None = None) -> InputError:
+        """An InputError about one field, ready to raise."""
+        return InputError(self.source, where, what, expected)
+
+    def has(self, name: str) -> bool:
+        """True when the field is there and not null."""
+        return self._problem.get(name) is not None
+
+    def raw(self, name: str) -> Any:
+        """The field as JSON gave it; an error when it is missing."""
+        if not self.has(name):
+            raise self.error(name, "missing", "a value")
+        return self._problem[name]
+
+    def _array(self, name: str, expected: str) -> np.ndarray:
+        try:
+            a = np.asarray(self.raw(name), dtype=float)
+        except (TypeError, ValueError):
+            raise self.error(name, "not a regular array of numbers", expected) from None
+        if not np.all(np.isfinite(a)):
+            raise self.error(name, "a value that is not finite", expected)
+        return a
+
+    def real(self, name: str, shape: tuple[int | None, ...] = ()) -> np.ndarray:
+        """Finite real array of ``shape`` (None: any length)."""
+        expected = f"finite real numbers of shape {_shape_text(shape)}" if shape else "one finite real number"
+        a = self._array(name, expected)
+        if not _fits(a.shape, shape):
+            raise self.error(name, f"shape {a.shape}", expected)
+        return a
+
+    def number(self, name: str, *, positive: bool = False) -> float:
+        """One finite number, not negative; with ``positive`` not zero either."""
+        value = float(self.real(name))
+        if value < 0.0 or (positive and value == 0.0):
+            raise self.error(name, f"{value:g}", "a positive number" if positive else "a number that is not negative")
+        return value
+
+    def weights(self, name: str, length: int, *, positive: bool = False) -> np.ndarray:
+        """``length`` finite numbers, not negative; with ``positive`` none is zero."""
+        a = self.real(name, (length,))
+        if np.any(a < 0.0) or (positive and np.any(a == 0.0)):
+            raise self.error(name, f"{np.min(a):g}", "positive numbers" if positive else "numbers that are not negative")
+        return a
+
+    def complex(self, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
+        """Finite complex array of ``shape`` from [re, im] pairs; a matrix without columns may be written ``[[], []]``."""
+        expected = f"finite [re, im] pairs of shape {_shape_text(shape)}"
+        a = self._array(name, expected)
+        if a.size == 0 and all(s is not None for s in shape) and math.prod(shape) == 0:
+            return np.zeros(shape, dtype=complex)
+        if a.ndim != len(shape) + 1 or a.shape[-1] != 2 or not _fits(a.shape[:-1], shape):
+            raise self.error(name, f"shape {a.shape}", expected)
+        return a[..., 0] + 1j * a[..., 1]
+
+
+def _fits(actual: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
+    return len(actual) == len(wanted) and all(w is None or a == w for a, w in zip(actual, wanted, strict=True))
+
+
+def _shape_text(shape: tuple[int | None, ...]) -> str:
+    return "(" + ", ".join("n" if s is None else str(s) for s in shape) + ")"
+
+
+def pairs(a) -> list:
+    """Complex array as nested lists of [re, im]."""
+    a = np.asarray(a, dtype=complex)
+    return np.stack([a.real, a.imag], axis=-1).tolist()
+
+
+def _truck(f: Fields) -> tuple[float, float, float]:
+    if f.raw("model") != "truck":
+        raise f.error("model", repr(f.raw("model")), "'truck'")
+    return f.number("v", positive=True), f.number("wheelbase", positive=True), f.number("Ts", positive=True)
+
+
+def _solve_zoh(f: Fields) -> dict:
+    a_d, b_d = truck_model.zoh(*_truck(f))
+    return {"Ad": a_d.tolist(), "Bd": b_d.tolist(), "state": ["r", "delta", "delta_dot"]}
+
+
+def _solve_frequency_response(f: Fields) -> dict:
+    return {"P": pairs(truck_model.frequency_response(*_truck(f), f.number("omega")))}
+
+
+def _bin(f: Fields) -> tuple[np.ndarray, np.ndarray]:
+    e = f.complex("E", (None,))
+    if e.size == 0:
+        raise f.error("E", "empty", "at least one output")
+    return e, f.complex("Z", e.shape)
+
+
+def _solve_multiplicative(f: Fields) -> dict:
+    e, z = _bin(f)
+    r = s1.solve(e, z, f.number("gamma_w"))
+    feasible = bool(r.feasible)
+    answer = {"B1": float(r.b1), "feasible": feasible, "nu": float(r.nu) if feasible else None}
+    return answer | ({"delta": pairs(r.delta), "w": pairs(r.w)} if feasible else {})
+
+
+def _solve_multiplicative_tradeoff(f: Fields) -> dict:
+    e, z = _bin(f)
+    gamma = f.number("gamma_w")
+    r = s1.tradeoff(e, z, gamma, f.number("lambda_nu"), f.weights("lambda_w", e.size))
+    if not np.isfinite(r.cost):
+        b1 = float(s1.solve(e, z, gamma).b1)
+        raise f.error("gamma_w", f"{gamma:.6g} is below the smallest disturbance B1 = {b1:.6g}", "gamma_w >= B1")
+    return {"J": float(r.cost), "nu": float(r.nu), "delta": pairs(r.delta), "w": pairs(r.w)}
+
+
+def _solve_margin(f: Fields) -> dict:
+    e, z = _bin(f)
+    return {"t": float(s1.margin(e, z, f.number("W_delta"), f.weights("W_w", e.size, positive=True)))}
+
+
+def _synthesis(name: str) -> Callable[[Fields, dict], dict]:
+    def solve(f: Fields, problem: dict) -> dict:
+        try:
+            from lpvguard.synthesis import solve as synthesis
+        except ImportError as exc:
+            raise f.error("kind", f"synthesis is not available ({exc})", "a complete installation of lpvguard") from exc
+        return getattr(synthesis, name)(problem)
+
+    return solve
+
+
+def _validation_lft(name: str) -> Callable[[Fields, dict], dict]:
+    def solve(f: Fields, _problem: dict) -> dict:
+        # scipy.optimize, which only this kind needs, doubles the start-up time.
+        from lpvguard import solve_lft
+
+        return getattr(solve_lft, name)(f)
+
+    return solve
+
+
+_SOLVERS: dict[str, Callable[[Fields, dict], dict]] = {
+    "zoh": lambda f, _: _solve_zoh(f),
+    "frequency_response": lambda f, _: _solve_frequency_response(f),
+    "multiplicative": lambda f, _: _solve_multiplicative(f),
+    "multiplicative_tradeoff": lambda f, _: _solve_multiplicative_tradeoff(f),
+    "margin": lambda f, _: _solve_margin(f),
+    "lft": _validation_lft("solve_lft"),
+    "lft_margin": _validation_lft("solve_lft_margin"),
+    "mu": _synthesis("solve_mu"),
+    "hinf": _synthesis("solve_hinf"),
+}
+
+
+def solve_problem(problem: Any) -> dict:
+    """Answer to one problem: never raises on bad input, whatever it is."""
+    if not isinstance(problem, dict):
+        return {"id": None, "status": "error", "error": f"problem: {type(problem).__name__}; expected an object"}
+    identity = {"id": problem.get("id")}
+    fields = Fields(problem)
+    try:
+        kind = fields.raw("kind")
+        if not isinstance(kind, str) or kind not in _SOLVERS:
+            raise fields.error("kind", repr(kind), "one of " + ", ".join(_SOLVERS))
+        return identity | {"status": "ok"} | _SOLVERS[kind](fields, problem)
+    except InputError as exc:
+        text = str(exc) if str(exc).startswith(fields.source) else f"{fields.source}: {exc}"
+        return identity | {"status": "error", "error": text}
+    except Exception as exc:  # noqa: BLE001 - one bad problem must not stop a fleet job; the type says where to look
+        return identity | {"status": "error", "error": f"{fields.source}: internal error, {type(exc).__name__}: {exc}"}
+
+
+def solve_problems(problems: Sequence[Any], jobs: int = 1) -> list[dict]:
+    """Answers in the order of the problems; ``jobs`` processes. The answers do not depend on ``jobs``."""
+    if jobs <= 1 or len(problems) < 2:
+        return [solve_problem(p) for p in problems]
+    with ProcessPoolExecutor(max_workers=jobs) as pool:
+        return list(pool.map(solve_problem, problems, chunksize=max(1, len(problems) // (8 * jobs))))
+
+
+@dataclass
+class Comparison:
+    """Outcome of one comparison: ``misses`` holds a line per field that is outside its tolerance."""
+
+    id: Any
+    compared: bool
+    misses: list[str] = field(default_factory=list)
+
+    @property
+    def ok(self) -> bool:
+        """True when nothing missed; also when there was nothing to compare with."""
+        return not self.misses
+
+
+def _value_miss(name: str, got: Any, ref: Any, rtol: float, scale: float) -> str | None:
+    if ref is None or isinstance(ref, bool):
+        return None if got is ref else f"{name}: {got}; expected {ref}"
+    if got is None:
+        return f"{name}: missing; expected {ref}"
+    try:
+        x, r = np.asarray(got, dtype=float), np.asarray(ref, dtype=float)
+    except (TypeError, ValueError):
+        return f"{name}: {got!r}; expected {ref!r}"
+    if x.shape != r.shape:
+        return f"{name}: shape {x.shape}; expected {r.shape}"
+    if r.ndim > 1 and r.shape[-1] == 2 and name == "P":
+        x, r = x[..., 0] + 1j * x[..., 1], r[..., 0] + 1j * r[..., 1]
+    error, size = np.max(np.abs(x - r), initial=0.0), np.max(np.abs(r), initial=0.0)
+    limit = rtol * max(size, 1e-9 * scale)
+    return None if error <= limit else f"{name}: off by {error:.3g}; expected within {limit:.3g}"
+
+
+def _bracket_misses(stem: str, answer: dict, ref: dict, rtol: float) -> list[str]:
+    low, up = answer.get(f"{stem}_lower"), answer.get(f"{stem}_upper")
+    if low is None or up is None:
+        return [f"{stem}_lower, {stem}_upper: missing"]
+    ref_low, ref_up = ref[f"{stem}_lower"], ref[f"{stem}_upper"]
+    misses = []
+    if not low <= ref_up * (1 + rtol):
+        misses.append(f"{stem}_lower: {low:.9g}; expected at most {ref_up * (1 + rtol):.9g}")
+    if not up >= ref_low * (1 - rtol):
+        misses.append(f"{stem}_upper: {up:.9g}; expected at least {ref_low * (1 - rtol):.9g}")
+    if not up <= ref_up * (1 + rtol):
+        misses.append(f"{stem}_upper: {up:.9g}; expected at most {ref_up * (1 + rtol):.9g}")
+    if not up - low <= BRACKET_GAP * up:
+        misses.append(f"{stem}: gap {(up - low) / up:.3g}; expected at most {BRACKET_GAP:g}")
+    return misses
+
+
+def compare(problem: dict, answer: dict) -> Comparison:
+    """Compare an answer with the one the problem carries, by the rules of the interface.
+
+    ``|x - ref| <= rtol max(|ref|, 1e-9 scale)``, arrays by their largest element, scale = ||E|| for B1 and 1 otherwise;
+    brackets and mu by one-sided rules. A reference whose status is ``error`` wants an error.
+    """
+    ref = problem.get("answer") if isinstance(problem, dict) else None
+    if not isinstance(ref, dict):
+        return Comparison(answer.get("id"), compared=False)
+    result = Comparison(answer.get("id"), compared=True)
+    wants_error = ref.get("status") == "error" or "error" in ref
+    if wants_error or answer.get("status") != "ok":
+        if wants_error != (answer.get("status") == "error"):
+            result.misses.append(f"status: {answer.get('error', 'ok')}; expected {'an error' if wants_error else 'ok'}")
+        return result
+    rtol = float(problem.get("rtol", 1e-6))
+    done = {"id", "status", "note"}
+    for stem in ("J", "t"):
+        if f"{stem}_lower" in ref and f"{stem}_upper" in ref:
+            result.misses += _bracket_misses(stem, answer, ref, rtol)
+            done |= {f"{stem}_lower", f"{stem}_upper"}
+    for name, sign in (("mu_upper", 1.0), ("mu_lower", -1.0)):
+        if name in ref:
+            done.add(name)
+            got = answer.get(name)
+            if got is None or not sign * (got - ref[name]) <= rtol * abs(ref[name]):
+                result.misses.append(f"{name}: {got}; expected {'at most' if sign > 0 else 'at least'} {ref[name]}")
+    for name in (n for n in ref if n not in done):
+        scale = float(np.linalg.norm(np.asarray(problem["E"], dtype=float))) if name == "B1" else 1.0
+        miss = _value_miss(name, answer.get(name), ref[name], rtol, scale)
+        if miss:
+            result.misses.append(miss)
+    return result
+
+
+def _read(path: str) -> list:
+    try:
+        text = sys.stdin.read() if path == "-" else Path(path).read_text(encoding="utf-8")
+    except OSError as exc:
+        raise InputError(path, "", exc.strerror or str(exc), "a readable file, or - for standard input") from exc
+    try:
+        data = json.loads(text)
+    except json.JSONDecodeError as exc:
+        raise InputError(path, f"line {exc.lineno}, column {exc.colno}", exc.msg, "JSON") from exc
+    problems = data.get("problems") if isinstance(data, dict) else data
+    if not isinstance(problems, list):
+        raise InputError(path, "", "no list of problems", 'a list, or an object with "problems": [...]')
+    return problems
+
+
+def _finite(value: Any) -> Any:
+    """The value with every non-finite number as null: JSON has no other word for them."""
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_finite(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def run_solve(path_or_dash: str | os.PathLike, out: str | os.PathLike | None = None, jobs: int = 1) -> int:
+    """Solve a file of problems (``-``: standard input); exit status 0 ok, 1 any miss, 2 bad input.
+
+    Answers go to ``out``, or to standard output when it is None or ``-``; misses and a summary to standard error.
+    """
+    try:
+        problems = _read(os.fspath(path_or_dash))
+    except InputError as exc:
+        print(f"error: {exc}", file=sys.stderr)
+        return 2
+    answers = solve_problems(problems, jobs)
+    text = json.dumps({"schema": ANSWERS_SCHEMA, "answers": _finite(answers)}, indent=1, allow_nan=False) + "\n"
+    if out is None or os.fspath(out) == "-":
+        sys.stdout.write(text)
+    else:
+        try:
+            Path(out).write_text(text, encoding="utf-8")
+        except OSError as exc:
+            print(f"error: {out}: {exc.strerror or exc}", file=sys.stderr)
+            return 2
+    comparisons = [compare(p, a) for p, a in zip(problems, answers, strict=True)]
+    for c in comparisons:
+        for miss in c.misses:
+            print(f"miss: {c.id}: {miss}", file=sys.stderr)
+    errors = sum(a["status"] == "error" for a in answers)
+    compared = sum(c.compared for c in comparisons)
+    missed = sum(not c.ok for c in comparisons)
+    print(
+        f"{len(problems)} problems, {errors} with an error; {compared} compared, {missed} missed", file=sys.stderr
+    )
+    return 1 if missed else 0
