@@ -176,6 +176,40 @@ TEST_CASE("gradient: the largest allowed step passes, one more is rejected, a pa
     SECTION("two periods, too much") { CHECK(bus.send(with(7, base + 2U * limit)) == lpvg_can_event_gradient); }
 }
 
+TEST_CASE("a signal without codes and without a rate takes any change and every raw value of its range", "[unit][can]") {
+    const lpvg_can_signal_rule_t plain = {4U, 12U, 0U, 0xFFFU, 0U, 0U, 0U};
+    const lpvg_can_rule_t        rules[] = {{1U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 2U, 1U, &plain},
+                                            {2U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 0U, 0U, nullptr}};
+    lpvg_can_supervisor_t self;
+    REQUIRE(lpvg_can_init(&self, rules, 2U, 0) == lpvg_status_ok);
+    uint8_t index = 0U;
+    for (int64_t k = 1; k <= 10; ++k) {
+        lpvg_can_frame_t frame{};
+        frame.id      = 1U;
+        frame.dlc     = 2U;
+        frame.t_us    = 10'000 * k;
+        frame.data[0] = frame.data[1] = static_cast<uint8_t>((k % 2 == 0) ? 0xFFU : 0x00U);
+        CHECK(lpvg_can_receive(&self, &frame, &index) ==
+              (k < 5 ? lpvg_can_event_recovering : lpvg_can_event_accepted));
+        CHECK(self.watch[0].raw[0] == (k % 2 == 0 ? 0xFFFU : 0U));
+        frame.id  = 2U;  // a message of no byte is a sign of life
+        frame.dlc = 0U;
+        lpvg_can_receive(&self, &frame, &index);
+        CHECK(index == 1U);
+    }
+    CHECK(lpvg_can_state(&self, 1U) == lpvg_can_state_live);
+}
+
+TEST_CASE("counters saturate", "[unit][can]") {
+    CanBus bus;
+    bus.supervisor.count[lpvg_can_event_unknown_id] = UINT32_MAX;
+    lpvg_can_frame_t frame{};
+    frame.id   = 1U;
+    frame.t_us = CanBus::kStart;
+    CHECK(bus.send(frame) == lpvg_can_event_unknown_id);
+    CHECK(bus.supervisor.count[lpvg_can_event_unknown_id] == UINT32_MAX);
+}
+
 TEST_CASE("a frame from the queue may be a little older than the clock, no more", "[unit][can]") {
     CanBus bus;
     bus.run(1, 5);
