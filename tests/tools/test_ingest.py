@@ -222,6 +222,20 @@ columns.v = {{ unit = "m/s", signal = "V"{source[1]} }}'''))
     assert agrees(tmp_path / "out/drive.csv", start=0.0, columns={"delta": 1e-4, "v": 1e-4}) == 999
 
 
+def test_decoded_logs_with_gaps_absent_values_and_a_clock_that_goes_back(car, tmp_path):
+    t = np.concatenate((np.arange(0, 4, 0.02), np.arange(6, 8, 0.02), np.arange(1, 3, 0.02)))
+    x = np.sin(t)
+    text = [f"{a:.2f},{b:.6f}" for a, b in zip(t, x)]
+    text[50] = "1.00,"
+    (tmp_path / "drive.csv").write_text("t,x\n" + "\n".join(text) + "\n")
+    report = ingest([tmp_path / "drive.csv"], dbc=None, out=tmp_path / "out",
+                    signals_map=_map(tmp_path, 'schema = 1\nTs_s = 0.01\n[columns.x]\nunit = "rad"\nsignal = "x"'))["drive"]
+    assert [j["kind"] for j in report["clock_jumps"]] == ["pause or jump forwards", "backwards"]
+    assert report["stretches"][0]["columns"]["x"]["terms"][0]["left_out"] == {"no value": 1}
+    assert [(d["rows"], d["t_first_s"], d["log_time_of_first_row_s"]) for d in report["drives"]] == [
+        (399, 0.0, 0.0), (199, 6.0, 6.0), (199, 1.0, 1.0)]
+
+
 def _map(folder: Path, text: str) -> Path:
     (folder / "signals.toml").write_text(text)
     return folder / "signals.toml"
@@ -344,6 +358,17 @@ def test_j1939_groups_are_found_by_pgn(id_, tmp_path):
     _, out = run_j1939(tmp_path, j1939_log(vdc2=(id_,)))
     got = table(out / "drive.csv")
     assert np.abs(got["r"] - 0.1 * np.sin(got["t"])).max() < 1.0 / 8192 and np.allclose(got["v"], 15.0)
+
+
+def test_a_database_that_does_not_say_j1939_is_told_so_by_the_map(tmp_path):
+    bare = "\n".join(line for line in dbc_text().splitlines() if "VFrameFormat" not in line and "ProtocolType" not in line)
+    (tmp_path / "bare.dbc").write_text(bare)
+    (tmp_path / "drive.log").write_text(j1939_log(vdc2=(0x0CF00921,)))
+    with pytest.raises(InputError, match="nothing remains"):
+        ingest([tmp_path / "drive.log"], dbc=tmp_path / "bare.dbc", out=tmp_path / "out", signals_map=_map(tmp_path, J1939_MAP))
+    ingest([tmp_path / "drive.log"], dbc=tmp_path / "bare.dbc", out=tmp_path / "out",
+           signals_map=_map(tmp_path, J1939_MAP.replace("Ts_s", "j1939 = true\nTs_s")))
+    assert np.abs(table(tmp_path / "out/drive.csv")["r"]).max() < 0.11
 
 
 def test_j1939_absent_values_are_gaps_and_counted(tmp_path):

@@ -13,6 +13,7 @@ The signal map is a TOML file::
     Ts_s = 0.01                 # grid of the table
     max_gap_s = 0.5             # a longer pause of a signal is left out, a shorter one is interpolated (default 0.5)
     channel = "can0"            # frames of this interface only (default: all)
+    j1939 = true                # 29-bit messages are J1939 groups: any priority and sender (default: as the database says)
     time = "t"                  # time column of decoded tables, in s (default: t, time or timestamp)
     format = "csv"              # or "parquet"
 
@@ -32,7 +33,7 @@ The signal map is a TOML file::
 Further keys of a column: ``min``, ``max`` (in ``unit``; samples outside are left out) and ``max_gap_s``. Further keys of a
 term: ``source_unit`` (instead of the database's), ``wrap`` (period in the signal's own unit: unwrapped before
 interpolation), ``channel``, ``source_address`` (J1939) and ``not_available`` ("j1939" or "none"; default: "j1939" when the
-database says that the message is one).
+message is a J1939 group).
 
 Resampling is linear interpolation between the signal's own samples at their time of arrival; a wheel-speed frame every
 12 ms stays what it was and gets no filter. The table starts with the first time at which every column has a sample
@@ -55,7 +56,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from . import __version__
-from .can.decode import decode_signal, find_frames, load_database, own_database
+from .can.decode import decode_signal, find_frames, is_j1939, load_database, own_database
 from .can.logs import Frames, Series, Table, read_log
 from .errors import InputError
 
@@ -120,8 +121,13 @@ class SignalMap(_Strict):
     columns: Annotated[dict[Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$")], Column], Field(min_length=1)]
     max_gap_s: Positive = 0.5
     channel: str | None = None
+    j1939: bool | None = None
     time: str | None = None
     format: Literal["csv", "parquet"] = "csv"
+
+    def gap_s(self, column: str) -> float:
+        """Longest pause that is interpolated in ``column``."""
+        return self.columns[column].max_gap_s or self.max_gap_s
 
     @model_validator(mode="after")
     def _time_is_taken(self) -> SignalMap:
@@ -233,9 +239,10 @@ def _from_frames(frames: Frames, given: _Inputs, column: str, term: Term) -> _So
     if term.signal not in signals:
         raise _unknown(given.database_path, f"{where} of {map_path}, message {message.name}", term.signal, "signal", signals)
     signal = signals[term.signal]
-    positions = find_frames(frames, message, channel=term.channel or given.map.channel, source_address=term.source_address,
+    j1939 = is_j1939(message) if given.map.j1939 is None else given.map.j1939
+    positions = find_frames(frames, message, j1939=j1939, channel=term.channel or given.map.channel, source_address=term.source_address,
                             where=str(map_path))
-    codes = term.not_available or ("j1939" if message.protocol == "j1939" else "none")
+    codes = term.not_available or ("j1939" if j1939 else "none")
     samples = decode_signal(frames, positions, message, signal, j1939_codes=codes == "j1939")
     report: dict = {"message": message.name, "signal": signal.name, "frames": len(positions), "left_out": samples.left_out}
     low, high = signal.minimum, signal.maximum
@@ -364,7 +371,7 @@ class _TableMaker:
         values, good = {}, {}
         for name, terms in members.items():
             column = self.map.columns[name]
-            gap_ns = (column.max_gap_s or self.map.max_gap_s) * _NS
+            gap_ns = self.map.gap_s(name) * _NS
             parts = [_resample(grid, s, gap_ns) for s in terms]
             values[name] = sum(p[0] for p in parts) + column.offset
             good[name] = np.logical_and.reduce([p[1] for p in parts])
@@ -466,14 +473,14 @@ def _ingest_one(path: Path, given: _Inputs) -> tuple[list[_Piece], dict]:
     t_ns = _log_time(log)
     if len(t_ns) == 0:
         raise InputError(path, "", "holds no signal", "at least one column of numbers")
-    clock = _clock(t_ns, given.map.max_gap_s)
+    clock = _clock(t_ns, max(given.map.gap_s(name) for name in given.map.columns))
     maker, stretches = _TableMaker(given.map), []
     for first, end in zip(clock.cuts, clock.cuts[1:]):
         sources = _sources(_stretch(log, clock, first, end), path, given)
         t = t_ns[first:end]
         maker.add_stretch(int(t.min()), int(t.max()), sources)
         stretches.append({"from_s": int(t.min()) / _NS, "to_s": int(t.max()) / _NS, "columns": {
-            name: {"unit": column.unit, "terms": [_describe(s, column.max_gap_s or given.map.max_gap_s) for s in sources[name]]}
+            name: {"unit": column.unit, "terms": [_describe(s, given.map.gap_s(name)) for s in sources[name]]}
             for name, column in given.map.columns.items()}})
     if not maker.pieces:
         first_left = maker.left_out[0]

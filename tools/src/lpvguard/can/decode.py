@@ -49,13 +49,18 @@ def own_database():
     return cantools.database.load_string(dbc_text(), "dbc")
 
 
-def find_frames(frames: Frames, message, *, channel: str | None = None, source_address: int | None = None,
+def is_j1939(message) -> bool:
+    """Whether the database says that a cantools ``message`` is a J1939 parameter group."""
+    return message.protocol == "j1939"
+
+
+def find_frames(frames: Frames, message, *, j1939: bool, channel: str | None = None, source_address: int | None = None,
                 where: str = "") -> np.ndarray:
-    """Positions (K,) of the frames of a cantools ``message``; ``channel`` None takes every channel.
+    """Positions (K,) of the frames of a cantools ``message``, by group if ``j1939``; ``channel`` None takes every channel.
 
     InputError when a J1939 group comes from several senders and neither the database nor ``source_address`` says which.
     """
-    if message.protocol == "j1939":
+    if j1939 and message.is_extended_frame:
         wanted = _j1939(frames, message, source_address, where)
     else:
         wanted = frames.id == np.uint32(message.frame_id | (EXTENDED if message.is_extended_frame else 0))
@@ -114,10 +119,10 @@ def decode_all(frames: Frames, database) -> dict[str, dict[str, Samples]]:
     """Every signal of every message of ``database``: message name -> signal name -> Samples."""
     decoded = {}
     for message in database.messages:
-        positions = find_frames(frames, message)
+        j1939 = is_j1939(message)
+        positions = find_frames(frames, message, j1939=j1939)
         if len(positions):
-            codes = message.protocol == "j1939"
-            decoded[message.name] = {s.name: decode_signal(frames, positions, message, s, j1939_codes=codes) for s in message.signals}
+            decoded[message.name] = {s.name: decode_signal(frames, positions, message, s, j1939_codes=j1939) for s in message.signals}
     return decoded
 
 
