@@ -282,6 +282,13 @@ def test_a_gap_cuts_the_drive_and_is_reported(car, tmp_path):
         "experiment,split", "drive_1,unassigned", "drive_2,unassigned"]
 
 
+def test_a_wrap_that_the_map_does_not_name_is_suspected(car, tmp_path):
+    text = MAP.replace(", wrap = 360", "")
+    report = run(car, tmp_path / "out", _write("log", other_car(), tmp_path / "drive"), map_text=text)["drive"]
+    counts = {name: c["terms"][0].get("suspected_wraps") for name, c in report["stretches"][0]["columns"].items()}
+    assert counts == {"delta": 0, "v": 0, "r": 0, "ay": 0, "psi": 1}
+
+
 def test_a_short_gap_is_interpolated(car, tmp_path):
     frames = [m for m in other_car() if not (m.arbitration_id == 0x200 and 1004.0 < m.timestamp < 1004.3)]
     report = run(car, tmp_path / "out", _write("log", frames, tmp_path / "drive"))["drive"]
@@ -417,8 +424,9 @@ def test_a_vehicle_with_can_places_needs_no_map_and_no_dbc(tmp_path):
     ("Ts_s = 0.01", 'Ts_s = 0.01\nchannel = "can7"', "can7 is not in the log"),
     ("Ts_s = 0.01", "Ts_s = 0.01\nTs = 1", "Ts: "), ("schema = 1", "schema = ", "TOML"),
     ("columns.v", "columns.t", "t is the time"),
+    ('message = "SPEED", signal = "V"', 'max = 9, terms = [{ signal = "V" }, { signal = "W" }]', "min and max judge"),
     ('message = "SPEED", signal = "V"', 'message = "SPEED"', "signal.*Field required"),
-], ids=range(9))
+], ids=range(10))
 def test_a_map_that_does_not_fit_is_refused_by_name(old, new, what, car, tmp_path):
     assert old in MAP
     log = _write("log", other_car(1.0), tmp_path / "drive")

@@ -32,7 +32,7 @@ The signal map is a TOML file::
 
 Further keys of a column: ``min``, ``max`` (in ``unit``; samples outside are left out) and ``max_gap_s``. Further keys of a
 term: ``source_unit`` (instead of the database's), ``wrap`` (period in the signal's own unit: unwrapped before
-interpolation), ``channel``, ``source_address`` (J1939) and ``not_available`` ("j1939" or "none"; default: "j1939" when the
+interpolation; without it wraps are only suspected, and counted in the report), ``channel``, ``source_address`` (J1939) and ``not_available`` ("j1939" or "none"; default: "j1939" when the
 message is a J1939 group).
 
 Resampling is linear interpolation between the signal's own samples at their time of arrival; a wheel-speed frame every
@@ -64,6 +64,8 @@ REORDER_S = 0.1
 """A step back of the clock up to this is a matter of order (several interfaces, buffered frames): the log is sorted."""
 MIN_ROWS = 2
 """Shorter pieces are left out: a drive table needs at least two samples."""
+_WRAP_SHARE = 0.75
+"""A signal that moves by more than this share of its range between two samples is reported as a suspected wrap."""
 _LISTED = 50
 """At most so many gaps are listed for a signal; all are counted."""
 
@@ -111,6 +113,12 @@ class Column(_Strict):
             of_column = {k: v for k, v in given.items() if k in cls.model_fields}
             return {**of_column, "terms": [{k: v for k, v in given.items() if k not in of_column}]}
         return given
+
+    @model_validator(mode="after")
+    def _limits_of_one_term(self) -> Column:
+        if len(self.terms) > 1 and (self.min is not None or self.max is not None):
+            raise ValueError("min and max judge the samples of one signal; a sum of terms has none of its own")
+        return self
 
 
 class SignalMap(_Strict):
@@ -250,6 +258,9 @@ def _from_frames(frames: Frames, given: _Inputs, column: str, term: Term) -> _So
         tolerance = 1e-9 * max(abs(float(low)), abs(float(high)))
         outside = (samples.value < float(low) - tolerance) | (samples.value > float(high) + tolerance)
         report["outside_the_range_of_the_database"] = int(outside.sum())
+        if term.wrap is None:
+            leaps = np.abs(np.diff(samples.value)) > _WRAP_SHARE * (float(high) - float(low))
+            report["suspected_wraps"] = int(leaps.sum())
     scale = _scale(term, column, given.map.columns[column].unit, signal.unit or "", map_path)
     return _Source(frames.t_ns[samples.frame], _unwrap(samples.value, term, report) * scale, report)
 
@@ -394,8 +405,8 @@ class _TableMaker:
 
 
 def _within_limits(column: Column, terms: list[_Source]) -> None:
-    """Drops samples outside [min, max] of a one-term column; a sum has no sample of its own to judge."""
-    if len(terms) != 1 or (column.min is None and column.max is None):
+    """Drops the samples outside [min, max] of the column (which then has one term)."""
+    if column.min is None and column.max is None:
         return
     source = terms[0]
     value = source.value + column.offset
