@@ -16,7 +16,7 @@ from lpvguard.can.logs import read_log
 
 ROOT = Path(__file__).resolve().parents[2]
 
-PLAYER = '''
+PLAYER = """
 import subprocess, sys, time
 import can, numpy as np
 from lpvguard.can.play import frames_of_drive, play, write_candump
@@ -30,13 +30,26 @@ with open(sys.argv[2], "wb") as out:
         subprocess.run(["cansend", "vcan0", "123#DEADBEEF"], check=True)
         play(frames, bus, speed=4.0)
     logger.wait(timeout=30)
-'''
+"""
 
 
 def test_what_is_played_is_what_candump_logs_and_ingest_reads(tmp_path):
     (tmp_path / "player.py").write_text(PLAYER)
-    done = subprocess.run([ROOT / "tools/with-vcan", "env", f"PYTHONPATH={ROOT / 'tools/src'}", sys.executable, tmp_path / "player.py",
-                           tmp_path / "sent.log", tmp_path / "logged.log"], capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(
+        [
+            ROOT / "tools/with-vcan",
+            "env",
+            f"PYTHONPATH={ROOT / 'tools/src'}",
+            sys.executable,
+            tmp_path / "player.py",
+            tmp_path / "sent.log",
+            tmp_path / "logged.log",
+        ],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     sent, logged = read_log(tmp_path / "sent.log"), read_log(tmp_path / "logged.log")
     assert logged.id[0] == 0x123 and logged.data[0, :4].tobytes().hex() == "deadbeef"

@@ -16,8 +16,12 @@ from lpvguard.errors import InputError
 
 CATALOGUE = load_catalogue()
 T = np.arange(0, 5, 0.02)
-VALUES = {("VDC2", "yaw_rate"): 0.1 * np.sin(T), ("VDC2", "steering_wheel_angle"): np.cos(T),
-          ("CCVS1", "wheel_based_speed"): 54 + T, ("GUARD_IN", "dp_measured"): np.sin(2 * T)}
+VALUES = {
+    ("VDC2", "yaw_rate"): 0.1 * np.sin(T),
+    ("VDC2", "steering_wheel_angle"): np.cos(T),
+    ("CCVS1", "wheel_based_speed"): 54 + T,
+    ("GUARD_IN", "dp_measured"): np.sin(2 * T),
+}
 
 
 def test_a_drive_survives_the_way_through_a_log(tmp_path):
@@ -27,19 +31,32 @@ def test_a_drive_survives_the_way_through_a_log(tmp_path):
     for (message, signal), x in VALUES.items():
         samples = decoded[message][signal]
         s = next(s for s in CATALOGUE.message(message).signals if s.name == signal)
-        assert np.abs(samples.value - np.interp(frames.t_ns[samples.frame] / 1e9, T, x)).max() <= 0.5001 * s.scale
-    assert len(decoded["VDC2"]["yaw_rate"].value) == 499 and len(decoded["CCVS1"]["wheel_based_speed"].value) == 50
+        assert (
+            np.abs(samples.value - np.interp(frames.t_ns[samples.frame] / 1e9, T, x)).max()
+            <= 0.5001 * s.scale
+        )
+    assert (
+        len(decoded["VDC2"]["yaw_rate"].value) == 499
+        and len(decoded["CCVS1"]["wheel_based_speed"].value) == 50
+    )
     assert decoded["VDC2"]["lateral_acceleration"].left_out == {"not available or error": 499}
     assert len(decoded["VDC2"]["lateral_acceleration"].value) == 0
 
 
-@pytest.mark.parametrize("message", [m for m in CATALOGUE.messages if m.codec == "generated"], ids=lambda m: m.name)
+@pytest.mark.parametrize(
+    "message", [m for m in CATALOGUE.messages if m.codec == "generated"], ids=lambda m: m.name
+)
 def test_every_raw_value_is_reached_and_the_ends_saturate(message):
     for s in message.signals:
         raw = np.arange(s.raw_max + 1)
         assert np.array_equal(encode_raw(s, s.physical(raw)), raw)
         assert encode_raw(s, np.array([-1e9, 1e9, np.nan, -np.inf, np.inf])).tolist() == [
-            0, s.raw_max, (1 << s.length) - 1, 0, s.raw_max]
+            0,
+            s.raw_max,
+            (1 << s.length) - 1,
+            0,
+            s.raw_max,
+        ]
 
 
 def test_protection_equals_autosar_e2e():

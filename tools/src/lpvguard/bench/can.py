@@ -39,9 +39,19 @@ def bench_decode(log: Path, dbc: Path, *, frames: int = 5_000_000, peer_frames: 
         peer_signals, peer_s = _peer(part, database)
     signals = sum(len(s.value) for message in decoded.values() for s in message.values())
     ours, peer = len(raw) / (end - start), peer_frames / peer_s
-    return {"frames": len(raw), "signals": signals, "read_s": read - start, "decode_s": end - read, "frames_per_s": ours,
-            "peer": "python-can + cantools loop", "peer_frames": peer_frames, "peer_signals": peer_signals,
-            "peer_frames_per_s": peer, "ratio": ours / peer, "processors": os.cpu_count()}
+    return {
+        "frames": len(raw),
+        "signals": signals,
+        "read_s": read - start,
+        "decode_s": end - read,
+        "frames_per_s": ours,
+        "peer": "python-can + cantools loop",
+        "peer_frames": peer_frames,
+        "peer_signals": peer_signals,
+        "peer_frames_per_s": peer,
+        "ratio": ours / peer,
+        "processors": os.cpu_count(),
+    }
 
 
 def _peer(path: Path, database) -> tuple[int, float]:
@@ -53,7 +63,9 @@ def _peer(path: Path, database) -> tuple[int, float]:
     with can.LogReader(path) as reader:
         for message in reader:
             if message.arbitration_id in known:
-                signals += len(database.decode_message(message.arbitration_id, message.data, decode_choices=False))
+                signals += len(
+                    database.decode_message(message.arbitration_id, message.data, decode_choices=False)
+                )
     return signals, time.process_time() - start
 
 
@@ -66,10 +78,14 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("dbc", type=Path)
     parser.add_argument("--frames", type=int, default=5_000_000)
     result = bench_decode(**vars(parser.parse_args(argv)))
-    print(f"{'lpvguard':<28} {result['frames_per_s'] / 1e6:8.3f} M frames/s  ({result['frames']} frames, {result['signals']} values; "
-          f"reading {result['read_s']:.2f} s, decoding {result['decode_s']:.2f} s)")
-    print(f"{result['peer']:<28} {result['peer_frames_per_s'] / 1e6:8.3f} M frames/s  ({result['peer_frames']} frames, "
-          f"{result['peer_signals']} values)")
+    print(
+        f"{'lpvguard':<28} {result['frames_per_s'] / 1e6:8.3f} M frames/s  ({result['frames']} frames, {result['signals']} values; "
+        f"reading {result['read_s']:.2f} s, decoding {result['decode_s']:.2f} s)"
+    )
+    print(
+        f"{result['peer']:<28} {result['peer_frames_per_s'] / 1e6:8.3f} M frames/s  ({result['peer_frames']} frames, "
+        f"{result['peer_signals']} values)"
+    )
     print(f"{'ratio':<28} {result['ratio']:8.1f}")
 
 

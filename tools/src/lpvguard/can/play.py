@@ -56,7 +56,9 @@ def encode(message: Message, values: Mapping[str, np.ndarray], n: int) -> np.nda
     return data
 
 
-def frames_of_drive(t: np.ndarray, values: Mapping[tuple[str, str], np.ndarray], catalogue: Catalogue | None = None) -> Frames:
+def frames_of_drive(
+    t: np.ndarray, values: Mapping[tuple[str, str], np.ndarray], catalogue: Catalogue | None = None
+) -> Frames:
     """Frames of a drive, each message on its own period from t[0] on.
 
     ``t`` (N,) [s] increasing; ``values``: (message, signal) -> (N,) physical values on the bus, interpolated linearly to
@@ -66,33 +68,65 @@ def frames_of_drive(t: np.ndarray, values: Mapping[tuple[str, str], np.ndarray],
     parts = []
     for name in dict.fromkeys(message for message, _ in values):
         message = catalogue.message(name)
-        times = t[0] + np.arange(int((t[-1] - t[0]) * 1000 / message.period_ms + 1e-6) + 1) * message.period_ms / 1000
+        times = (
+            t[0]
+            + np.arange(int((t[-1] - t[0]) * 1000 / message.period_ms + 1e-6) + 1) * message.period_ms / 1000
+        )
         signals = {signal: np.interp(times, t, x) for (of, signal), x in values.items() if of == name}
-        parts.append((np.rint(times * 1e9).astype(np.int64), message.id | EXTENDED, encode(message, signals, len(times))))
+        parts.append(
+            (
+                np.rint(times * 1e9).astype(np.int64),
+                message.id | EXTENDED,
+                encode(message, signals, len(times)),
+            )
+        )
     t_ns = np.concatenate([p[0] for p in parts])
     id_ = np.concatenate([np.full(len(p[0]), p[1], np.uint32) for p in parts])
     order = np.lexsort((id_, t_ns))  # at the same time the lower identifier goes first, as on a bus
     n = len(order)
-    return Frames(t_ns[order], id_[order], np.zeros(n, np.uint8), np.full(n, 8, np.uint8),
-                  np.concatenate([p[2] for p in parts])[order], ["can0"])
+    return Frames(
+        t_ns[order],
+        id_[order],
+        np.zeros(n, np.uint8),
+        np.full(n, 8, np.uint8),
+        np.concatenate([p[2] for p in parts])[order],
+        ["can0"],
+    )
 
 
 def values_of_drive(project, drive) -> dict[tuple[str, str], np.ndarray]:
     """What ``frames_of_drive`` sends for a drive of ``drives.py``: bus value = factor * value for every signal with a CAN place."""
-    columns = [(project.speed, drive.v), *((s, drive.u[:, j]) for j, s in enumerate(project.inputs)),
-               *((s, drive.y[:, j]) for j, s in enumerate(project.outputs))]
+    columns = [
+        (project.speed, drive.v),
+        *((s, drive.u[:, j]) for j, s in enumerate(project.inputs)),
+        *((s, drive.y[:, j]) for j, s in enumerate(project.outputs)),
+    ]
     return {(s.can.message, s.can.signal): s.can.factor * x for s, x in columns if s.can is not None}
 
 
 def write_candump(frames: Frames, path: Path) -> None:
     """The frames as ``candump -l`` would have logged them."""
-    lines = (f"({t // 10**9}.{t % 10**9 // 1000:06d}) {frames.channels[c]} {i & 0x1FFFFFFF:0{8 if i & EXTENDED else 3}X}#{d[:n].tobytes().hex().upper()}\n"
-             for t, c, i, n, d in zip(frames.t_ns.tolist(), frames.channel.tolist(), frames.id.tolist(), frames.length.tolist(), frames.data))
+    lines = (
+        f"({t // 10**9}.{t % 10**9 // 1000:06d}) {frames.channels[c]} {i & 0x1FFFFFFF:0{8 if i & EXTENDED else 3}X}#{d[:n].tobytes().hex().upper()}\n"
+        for t, c, i, n, d in zip(
+            frames.t_ns.tolist(),
+            frames.channel.tolist(),
+            frames.id.tolist(),
+            frames.length.tolist(),
+            frames.data,
+        )
+    )
     Path(path).write_text("".join(lines), encoding="ascii")
 
 
-def play(frames: Frames, bus, *, speed: float = 1.0, sleep: Callable[[float], None] = time.sleep,
-         clock: Callable[[], float] = time.monotonic) -> None:
+def play(
+    frames: Frames,
+    bus,
+    *,
+    speed: float = 1.0,
+    sleep: Callable[[float], None] = time.sleep,
+    clock: Callable[[], float] = time.monotonic,
+) -> None:
     """Send ``frames`` on a python-can ``bus`` at ``speed`` times the recorded pace; ``speed`` inf does not wait.
 
     A frame is never sent early; lateness does not add up, for every frame is timed from the start.
@@ -100,8 +134,16 @@ def play(frames: Frames, bus, *, speed: float = 1.0, sleep: Callable[[float], No
     import can
 
     start = clock()
-    for t_ns, id_, length, data in zip((frames.t_ns - frames.t_ns[0]).tolist(), frames.id.tolist(), frames.length.tolist(), frames.data):
+    for t_ns, id_, length, data in zip(
+        (frames.t_ns - frames.t_ns[0]).tolist(), frames.id.tolist(), frames.length.tolist(), frames.data
+    ):
         ahead = start + t_ns / 1e9 / speed - clock()
         if ahead > 0:
             sleep(ahead)
-        bus.send(can.Message(arbitration_id=id_ & 0x1FFFFFFF, is_extended_id=bool(id_ & EXTENDED), data=data[:length].tobytes()))
+        bus.send(
+            can.Message(
+                arbitration_id=id_ & 0x1FFFFFFF,
+                is_extended_id=bool(id_ & EXTENDED),
+                data=data[:length].tobytes(),
+            )
+        )
