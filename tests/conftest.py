@@ -12,7 +12,7 @@ import pytest
 from lpvguard import identify as stage
 from lpvguard.core import Core
 from lpvguard.export import export_vehicle
-from lpvguard.fixture import write_drives
+from lpvguard.generate import generate
 from lpvguard.nominal import NominalModel
 from lpvguard.project import load_project
 
@@ -46,7 +46,7 @@ def g80_model(g80):
 def synthetic(g80, tmp_path_factory) -> Path:
     """Folder of the synthetic drives."""
     folder = tmp_path_factory.mktemp("synthetic") / "drives"
-    write_drives(g80, folder, seed=7)
+    generate(g80, folder, seed=7)
     return folder
 
 

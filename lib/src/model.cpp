@@ -3,6 +3,8 @@
 
 #include <Eigen/Core>
 
+#include <limits>
+
 namespace {
 
 using Real = lpvg_real_t;
@@ -12,6 +14,7 @@ template <int Rows, int Cols>
 using ConstMap = Eigen::Map<const Matrix<Rows, Cols>>;
 
 constexpr int nx = LPVG_NX, nu = LPVG_NU, ny = LPVG_NY;
+constexpr Real no_speed = std::numeric_limits<Real>::lowest();  // a small negative one is a reading that sensors give
 
 // Entries at the speed: the constant ones, and the cubic of the speed's cell for those that vary.
 void set_speed(lpvg_model_t* self, const lpvg_coeff_t* coeff, Real speed) {
@@ -39,7 +42,7 @@ extern "C" void lpvg_model_start(lpvg_model_t* self, const lpvg_coeff_t* coeff, 
     for (std::size_t i = 0; i < LPVG_NENTRIES; ++i) {
         self->entry[i] = r.base[i];
     }
-    self->speed = Real(-1);
+    self->speed = no_speed;
     for (auto& past : self->past) {
         for (std::size_t i = 0; i < LPVG_NU; ++i) {
             past[i] = u[i] - r.input_offset[i];

@@ -17,10 +17,15 @@ using Complex = lpvg::Complex2<Real>;
 constexpr std::size_t ny = LPVG_NY;
 constexpr std::size_t n_signals = 2U * LPVG_NY;  // e, then yhat
 constexpr uint32_t settled_max = 0xFFFFFFFFU;
-constexpr int64_t stale_periods = 5;
+constexpr uint64_t stale_periods = 5;
 
-int64_t hold_us(const lpvg_coeff_t& coeff) {
-    return static_cast<int64_t>(coeff.words.frame_length[0]) * static_cast<int64_t>(coeff.words.sample_period_us);
+uint64_t hold_us(const lpvg_coeff_t& coeff) {
+    return static_cast<uint64_t>(coeff.words.frame_length[0]) * coeff.words.sample_period_us;
+}
+
+// later - earlier >= 0, exact over the whole range of the clock.
+uint64_t elapsed_us(int64_t later, int64_t earlier) {
+    return static_cast<uint64_t>(later) - static_cast<uint64_t>(earlier);
 }
 
 bool within(Real value, const Real* range) {
@@ -217,9 +222,9 @@ void start(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
 }
 
 bool in_step(const lpvg_monitor_t& self, int64_t t_us) {
-    const int64_t period = static_cast<int64_t>(self.coeff->words.sample_period_us);
-    const int64_t doubled = 2 * (t_us - self.t_us);
-    return doubled >= period && doubled <= 3 * period;
+    const uint64_t period = self.coeff->words.sample_period_us;
+    const uint64_t step = elapsed_us(t_us, self.t_us);
+    return step <= 2U * period && 2U * step >= period && 2U * step <= 3U * period;  // the first keeps 2 step from wrapping
 }
 
 }  // namespace
@@ -296,14 +301,14 @@ extern "C" lpvg_verdict_t lpvg_monitor_verdict(const lpvg_monitor_t* self, int64
     if (now_us < self->t_us || self->refused) {
         return lpvg_verdict_fault;
     }
-    if (now_us - self->t_us > stale_periods * static_cast<int64_t>(self->coeff->words.sample_period_us)) {
+    if (elapsed_us(now_us, self->t_us) > stale_periods * self->coeff->words.sample_period_us) {
         return lpvg_verdict_stale;
     }
-    const int64_t hold = hold_us(*self->coeff);
-    if (self->has_falsified && now_us - self->t_falsified_us <= hold) {
+    const uint64_t hold = hold_us(*self->coeff);
+    if (self->has_falsified && elapsed_us(now_us, self->t_falsified_us) <= hold) {
         return lpvg_verdict_invalid;
     }
-    if (self->has_evidence && now_us - self->t_evidence_us <= hold) {
+    if (self->has_evidence && elapsed_us(now_us, self->t_evidence_us) <= hold) {
         return lpvg_verdict_valid;
     }
     return self->frame.sequence == 0U ? lpvg_verdict_unknown : lpvg_verdict_not_judged;

@@ -159,6 +159,197 @@ TEST_CASE("a steady circle balances forces, loads and roll", "[unit][plant]") {
     CHECK(std::fabs(t.road_wheel_rad - p.wheelbase_m * t.yaw_rate_radps / t.speed_mps) < 0.05);
 }
 
+// The equations of plant.hpp, written a second time from the header and compared with what the plant does.
+
+TEST_CASE("from straight driving, the first millisecond follows the equations of motion exactly", "[unit][plant]") {
+    PlantParameters p = quiet();
+    constexpr double dt = Plant::step_s;
+    const double sprung_moment = p.sprung_mass_kg * p.sprung_cg_height_m;
+    const double reduced_inertia = p.roll_inertia_kgm2 - sprung_moment * sprung_moment / p.mass_kg;
+
+    SECTION("side wind pushes, turns by its arm and rolls by its height") {
+        p.crosswind_mean_mps = 10.0;
+        Plant plant(p, at(20.0), 1);
+        plant.step(0.0);
+        const double wind_n = 0.5 * 1.2 * p.side_force_area_m2 * 20.0 * 10.0;
+        CHECK(plant.truth().yaw_rate_radps == Approx(wind_n * p.wind_arm_m / p.yaw_inertia_kgm2 * dt).epsilon(0.01));
+        CHECK(plant.truth().roll_rate_radps ==
+              Approx((sprung_moment / p.mass_kg - p.wind_height_m) * wind_n / reduced_inertia * dt).epsilon(0.02));
+        CHECK(plant.truth().roll_rate_radps < 0.0);
+    }
+    SECTION("a banked road lets everything slide together: nothing is felt") {
+        p.bank_rms_rad = 0.02;
+        Plant plant(p, at(20.0), 1);
+        plant.step(0.0);
+        const double bank_rad = plant.truth().bank_rad;
+        REQUIRE(std::fabs(bank_rad) > 1e-3);
+        CHECK(plant.truth().lateral_velocity_mps == Approx(-9.81 * bank_rad * dt).epsilon(0.01));
+        CHECK(plant.truth().roll_rate_radps == Approx(0.0).margin(1e-2 * std::fabs(bank_rad) * dt));
+        CHECK(plant.truth().road_wheel_rate_radps == Approx(0.0).margin(1e-2 * std::fabs(bank_rad) * dt));
+    }
+    SECTION("a driver's torque acts through the steering ratio on the steering inertia") {
+        p.kingpin_friction_nm = 0.0;
+        Plant plant(p, at(20.0), 1);
+        plant.step(0.0, 3.0);
+        CHECK(plant.truth().road_wheel_rate_radps == Approx(3.0 * p.steering_ratio / p.steering_inertia_kgm2 * dt).epsilon(0.01));
+    }
+}
+
+TEST_CASE("tyres: slip relaxes over its length, force follows slip, load, friction and brake", "[unit][plant]") {
+    PlantParameters p = quiet();
+    p.friction_left_ratio = 0.5;
+    p.friction_right_ratio = 0.9;
+    const double speed_mps = GENERATE(5.0, 15.0);
+    CAPTURE(speed_mps);
+    Plant plant(p, at(speed_mps), 1);
+    double largest_steer_rad = 0.0;
+    for (int k = 0; k < 6000; ++k) {
+        const Truth before = plant.truth();
+        plant.step(k > 2000 ? 6.0 : 0.0, k < 4000 ? 6.0 : -3.0);
+        const Truth after = plant.truth();
+        largest_steer_rad = std::fmax(largest_steer_rad, std::fabs(after.road_wheel_rad));
+        if (k % 50 != 49) {
+            continue;
+        }
+        const auto middle = [&](double Truth::*member) { return 0.5 * (before.*member + after.*member); };
+        const double r = middle(&Truth::yaw_rate_radps);
+        for (std::size_t i = 0; i < 4; ++i) {
+            CAPTURE(k, i);
+            const bool front = i == front_left || i == front_right;
+            const bool left = i == front_left || i == rear_left;
+            const double vx = middle(&Truth::speed_mps) + (left ? -0.5 : 0.5) * p.track_m * r;
+            const double vy = middle(&Truth::lateral_velocity_mps) +
+                              (front ? p.cg_to_front_axle_m : p.cg_to_front_axle_m - p.wheelbase_m) * r;
+            const double steer = front ? middle(&Truth::road_wheel_rad) : p.rear_roll_steer_ratio * middle(&Truth::roll_rad);
+            const double wheel_vx = vx * std::cos(steer) + vy * std::sin(steer);
+            const double wheel_vy = vy * std::cos(steer) - vx * std::sin(steer);
+            const double slip = 0.5 * (before.tyre_slip[i] + after.tyre_slip[i]);
+            const double slip_rate = (after.tyre_slip[i] - before.tyre_slip[i]) / Plant::step_s;
+            CHECK(p.relaxation_length_m * slip_rate == Approx(wheel_vy - wheel_vx * slip).margin(3e-5 * speed_mps));
+
+            const double share = front ? p.wheelbase_m - p.cg_to_front_axle_m : p.cg_to_front_axle_m;
+            const double static_n = 0.5 * p.mass_kg * 9.81 * share / p.wheelbase_m;
+            const double load_ratio = after.wheel_load_n[i] / static_n;
+            const double axle_n = front ? p.cornering_stiffness_front_nprad : p.cornering_stiffness_rear_nprad;
+            const double linear_n = -0.5 * axle_n * load_ratio *
+                                    (1.0 - p.load_sensitivity_ratio * (load_ratio - 1.0)) * after.tyre_slip[i];
+            const double grip_n = (left ? p.friction_left_ratio : p.friction_right_ratio) * after.wheel_load_n[i];
+            const double limit_n = std::sqrt(std::fmax(grip_n * grip_n - after.brake_force_n[i] * after.brake_force_n[i], 0.0));
+            const double expected_n = linear_n / std::sqrt(1.0 + linear_n * linear_n / (limit_n * limit_n));
+            CHECK(after.tyre_lateral_force_n[i] == Approx(expected_n).epsilon(1e-3).margin(2.0));
+            CHECK(std::hypot(after.tyre_lateral_force_n[i], after.brake_force_n[i]) < 1.0001 * grip_n);
+        }
+    }
+    CHECK(largest_steer_rad > 0.1);
+}
+
+TEST_CASE("braking harder than the tyre holds leaves the wheel its steering", "[unit][plant]") {
+    PlantParameters p = quiet();
+    p.friction_left_ratio = p.friction_right_ratio = 0.2;
+    Plant plant(p, at(15.0), 1);
+    run(plant, 1.0, 10.0);
+    CHECK(plant.truth().brake_force_n[front_right] ==
+          Approx(0.9 * 0.2 * plant.truth().wheel_load_n[front_right]).epsilon(1e-3));
+    CHECK(plant.truth().brake_force_n[front_left] == 0.0);
+}
+
+TEST_CASE("each axle's springs, dampers and unsprung mass shift its own wheel loads", "[unit][plant]") {
+    const PlantParameters p = quiet();
+    Plant plant(p, at(15.0), 1);
+    run(plant, 1.0, 2.0, -5.0);  // In the middle of rolling over.
+    const Truth& t = plant.truth();
+    REQUIRE(std::fabs(t.roll_rate_radps) > 0.005);
+    const double stiffness = p.roll_stiffness_front_nmprad + p.roll_stiffness_rear_nmprad;
+    const double rear_share = p.cg_to_front_axle_m / p.wheelbase_m;
+    const auto shift_n = [&](double axle_stiffness, double mass_share) {
+        return (axle_stiffness * t.roll_rad + p.roll_damping_nmsprad * axle_stiffness / stiffness * t.roll_rate_radps +
+                (p.mass_kg - p.sprung_mass_kg) * mass_share * p.unsprung_cg_height_m * t.speed_mps * t.yaw_rate_radps) /
+               p.track_m;
+    };
+    CHECK(0.5 * (t.wheel_load_n[front_right] - t.wheel_load_n[front_left]) ==
+          Approx(shift_n(p.roll_stiffness_front_nmprad, 1.0 - rear_share)).epsilon(1e-3));
+    CHECK(0.5 * (t.wheel_load_n[rear_right] - t.wheel_load_n[rear_left]) ==
+          Approx(shift_n(p.roll_stiffness_rear_nmprad, rear_share)).epsilon(1e-3));
+}
+
+TEST_CASE("the accelerometer feels gravity on a bank and under the leaning body", "[unit][plant]") {
+    PlantParameters p = quiet();
+    p.bank_rms_rad = 0.03;
+    Plant plant(p, at(8.0), 5);
+    for (int sample = 0; sample < 500; ++sample) {
+        run(plant, 0.01, sample < 250 ? 2.0 : 0.0);
+        const Truth& t = plant.truth();
+        REQUIRE(plant.sensors().lateral_acceleration_mps2 ==
+                Approx(t.lateral_acceleration_mps2 + 9.81 * (t.bank_rad + t.roll_rad)).margin(1e-6));
+    }
+}
+
+TEST_CASE("a coasting truck is slowed along its own axis by its tyres and resistances only", "[unit][plant]") {
+    const PlantParameters p = quiet();
+    Drive coasting = at(12.0);
+    coasting.speed_is_free = true;
+    Plant plant(p, coasting, 1);
+    run(plant, 3.0, 1.0, -4.0);
+    for (int k = 0; k < 200; ++k) {
+        const Truth before = plant.truth();
+        run(plant, Plant::step_s, 1.0, -4.0);
+        const Truth t = plant.truth();
+        const double rear_steer = p.rear_roll_steer_ratio * t.roll_rad;
+        const double along_n =
+            -(t.tyre_lateral_force_n[front_left] + t.tyre_lateral_force_n[front_right]) * std::sin(t.road_wheel_rad) -
+            (t.brake_force_n[front_left] + t.brake_force_n[front_right]) * std::cos(t.road_wheel_rad) -
+            (t.tyre_lateral_force_n[rear_left] + t.tyre_lateral_force_n[rear_right]) * std::sin(rear_steer) -
+            9.81 * p.mass_kg * p.rolling_resistance_ratio - 0.6 * p.drag_area_m2 * t.speed_mps * t.speed_mps;
+        const double expected_mps2 = along_n / p.mass_kg + t.lateral_velocity_mps * t.yaw_rate_radps;
+        CHECK((t.speed_mps - before.speed_mps) / Plant::step_s == Approx(expected_mps2).epsilon(2e-3));
+    }
+    CHECK(std::fabs(plant.truth().lateral_velocity_mps * plant.truth().yaw_rate_radps) > 0.003);
+}
+
+TEST_CASE("kingpin friction holds the wheels against less than itself", "[unit][plant]") {
+    const auto angle_after = [](double friction_nm) {
+        PlantParameters p = quiet();
+        p.kingpin_friction_nm = friction_nm;
+        Plant plant(p, at(12.0), 1);
+        run(plant, 1.0, 0.0, 1.0);
+        return plant.truth().road_wheel_rad;
+    };
+    CHECK(angle_after(0.0) > 0.003);
+    CHECK(angle_after(40.0) < 0.001);
+    CHECK(angle_after(40.0) > 0.0);
+}
+
+TEST_CASE("a fault from the start equals the same variation", "[unit][plant]") {
+    const PlantParameters p = quiet();
+    Variation variation;
+    Faults faults;
+    faults.surroundings.resize(1);
+    faults.actuators.resize(1);
+    SECTION("friction left") { variation.friction_left_ratio = faults.surroundings[0].friction_left_ratio = 0.4; }
+    SECTION("friction right") { variation.friction_right_ratio = faults.surroundings[0].friction_right_ratio = 0.4; }
+    SECTION("front tyres") {
+        variation.cornering_stiffness_front_ratio = faults.surroundings[0].cornering_stiffness_front_ratio = 0.7;
+    }
+    SECTION("rear tyres") {
+        variation.cornering_stiffness_rear_ratio = faults.surroundings[0].cornering_stiffness_rear_ratio = 0.7;
+    }
+    SECTION("wind") { variation.crosswind_mean_mps = faults.surroundings[0].crosswind_mps = 5.0; }
+    SECTION("brake gain") { variation.brake_gain_ratio = faults.actuators[0].brake_gain_ratio = 0.4; }
+    SECTION("brake lag") {
+        variation.brake_lag_ratio = 3.0;
+        faults.actuators[0].extra_lag_s = 2.0 * p.brake_lag_s;
+    }
+    SECTION("brake delay") { variation.extra_brake_delay_s = faults.actuators[0].extra_delay_s = 0.4; }
+    Plant varied_plant(varied(p, variation), at(15.0), 1);
+    Plant faulty_plant(p, at(15.0), 1, faults);
+    Plant healthy_plant(p, at(15.0), 1);
+    for (Plant* plant : {&varied_plant, &faulty_plant, &healthy_plant}) {
+        run(*plant, 3.0, 1.5);
+    }
+    CHECK(faulty_plant.truth().yaw_rate_radps == Approx(varied_plant.truth().yaw_rate_radps).epsilon(1e-9));
+    CHECK(faulty_plant.truth().yaw_rate_radps != Approx(healthy_plant.truth().yaw_rate_radps).epsilon(1e-4));
+}
+
 TEST_CASE("the yaw rates and lateral accelerations of brake pulses are those of the design", "[unit][plant]") {
     double largest_mps2 = 0.0;
     for (const double speed_mps : {8.0, 12.0, 17.0, 22.0}) {
@@ -389,8 +580,13 @@ TEST_CASE("wheel speeds show the turn and the braked wheel's slip", "[unit][plan
     CHECK(s.speed_mps == Approx(12.0));
     CHECK((s.wheel_speed_mps[rear_right] - s.wheel_speed_mps[rear_left]) / p.track_m ==
           Approx(plant.truth().yaw_rate_radps).epsilon(1e-3));
-    const double free_difference = s.wheel_speed_mps[front_right] - s.wheel_speed_mps[front_left];
-    CHECK(free_difference > s.wheel_speed_mps[rear_right] - s.wheel_speed_mps[rear_left]);
+    const Truth& t = plant.truth();
+    const double along_mps = t.speed_mps * std::cos(t.road_wheel_rad) +
+                             (t.lateral_velocity_mps + p.cg_to_front_axle_m * t.yaw_rate_radps) * std::sin(t.road_wheel_rad);
+    const double turn_mps = 0.5 * p.track_m * t.yaw_rate_radps * std::cos(t.road_wheel_rad);
+    CHECK(s.wheel_speed_mps[front_right] == Approx(along_mps + turn_mps).epsilon(1e-6));
+    CHECK(s.wheel_speed_mps[front_left] ==
+          Approx((along_mps - turn_mps) * (1.0 - p.brake_force_npbar / p.brake_slip_stiffness_n)).epsilon(1e-5));
     CHECK(s.brake_pressure_left_bar == Approx(1.0).epsilon(1e-3));
     CHECK(s.steering_wheel_rad == Approx(20.0 * plant.truth().road_wheel_rad).epsilon(1e-3));
 }
@@ -404,7 +600,11 @@ TEST_CASE("the speed profile is followed, and load moves forward when braking", 
     CHECK(plant.truth().speed_mps == Approx(20.0));
     run(plant, 5.0, 0.0);
     CHECK(plant.truth().speed_mps == Approx(15.0));
-    CHECK(plant.truth().wheel_load_n[front_left] > front_at_rest_n);
+    const PlantParameters p = quiet();
+    const double moment_kgm =
+        p.sprung_mass_kg * p.sprung_cg_height_m + (p.mass_kg - p.sprung_mass_kg) * p.unsprung_cg_height_m;
+    CHECK(plant.truth().wheel_load_n[front_left] - front_at_rest_n == Approx(0.5 * moment_kgm / p.wheelbase_m));  // 1 m/s^2
+    CHECK(sum(plant.truth().wheel_load_n) == Approx(9.81 * p.mass_kg));
     run(plant, 10.0, 0.0);
     CHECK(plant.truth().speed_mps == Approx(10.0));
     CHECK(plant.truth().wheel_load_n[front_left] == Approx(front_at_rest_n));

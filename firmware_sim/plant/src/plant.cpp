@@ -349,7 +349,9 @@ void Plant::publish_truth(const Held& in) {
     truth_.bank_rad = in.bank_rad;
     truth_.crosswind_mps = in.crosswind_mps;
     truth_.wheel_load_n = forces_.wheel_load_n;
+    std::copy(x_.begin() + slip, x_.end(), truth_.tyre_slip.begin());
     truth_.tyre_lateral_force_n = forces_.lateral_n;
+    truth_.brake_force_n = forces_.brake_force_n;
 }
 
 double Plant::measured(Signal signal, double true_value, const SensorParameters& sensor, double previous) {

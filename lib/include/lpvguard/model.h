@@ -23,7 +23,7 @@ typedef struct lpvg_model_t {
     lpvg_real_t x[LPVG_NX];                         ///< state
     lpvg_real_t past[LPVG_DELAY + 1][LPVG_NU];      ///< inputs u_{k-1}, ... u_{k-d-1} less the offset, newest first
     lpvg_real_t entry[LPVG_NENTRIES];               ///< Ad, B_old, B_new at `speed`
-    lpvg_real_t speed;                              ///< speed of `entry` [m/s]; negative: none yet
+    lpvg_real_t speed;                              ///< speed of `entry` [m/s]; the lowest number: none yet
 } lpvg_model_t;
 
 /// Starts at the measured output y (LPVG_NY): the least state with that output, the input u (LPVG_NU) held so far.

@@ -109,6 +109,14 @@ def disturbance_bounds(frames_of_drives: FrameSource, estimator: Estimator, nu_c
     return Bounds(omega=estimator.omega, **total)
 
 
+def explain(s: FrameSet, estimator: Estimator, gamma_w: np.ndarray, structure: str) -> tuple[np.ndarray, np.ndarray]:
+    """Step 5 on every frame: least |delta| (F,) and the disturbance w (F, n_y) that goes with it, given ``gamma_w`` (K,)."""
+    if structure == "S0" or estimator.cycles[s.bin] == 0:
+        return np.zeros(len(s.E)), s.E
+    result = s1.solve(s.E, s.Z, gamma_w[s.bin])
+    return result.nu, result.w
+
+
 def uncertainty_bounds(frames_of_drives: FrameSource, estimator: Estimator, bounds: Bounds, gamma_w: np.ndarray,
                        n_y: int, *, structure: str, disturbance_set: str) -> Bounds:
     """Steps 5-6: nu and the per-output disturbance bound B_w given ``gamma_w`` (K,); fills and returns ``bounds``.
@@ -116,33 +124,49 @@ def uncertainty_bounds(frames_of_drives: FrameSource, estimator: Estimator, boun
     ``covering``: B_w is scaled until sum_j |w_j / B_w,j|^2 <= 1 on every frame; ``paper``: |w_j| <= B_w,j.
     """
 
-    def explain(s: FrameSet) -> tuple[np.ndarray, np.ndarray]:
-        if structure == "S0" or estimator.cycles[s.bin] == 0:
-            return np.zeros(len(s.E)), s.E
-        result = s1.solve(s.E, s.Z, gamma_w[s.bin])
-        return result.nu, result.w
+    def explained(s: FrameSet) -> tuple[np.ndarray, np.ndarray]:
+        return explain(s, estimator, gamma_w, structure)
 
     def reduce(sets: Iterable[FrameSet]) -> dict[str, np.ndarray]:
         out = {"nu": np.full(estimator.n_bins, np.nan), "B_w": np.full((estimator.n_bins, n_y), np.nan)}
         for s in sets:
-            nu, w = explain(s)
+            nu, w = explained(s)
             out["nu"][s.bin], out["B_w"][s.bin] = _maximum(nu), _maximum(np.abs(w))
         return out
 
     total = _fold(reduce(sets) for sets in frames_of_drives())
     bounds.gamma_w, bounds.nu, bounds.B_w = gamma_w, total["nu"], total["B_w"]
     if disturbance_set == "covering" and n_y > 1:
-        bounds.B_w = bounds.B_w * _covering_scale(frames_of_drives, estimator, bounds.B_w, explain)[:, None]
+        bounds.B_w = bounds.B_w * _covering_scale(frames_of_drives, estimator, bounds.B_w, explained)[:, None]
     return bounds
 
 
-def _covering_scale(frames_of_drives: FrameSource, estimator: Estimator, B_w: np.ndarray, explain) -> np.ndarray:
+def _covering_scale(frames_of_drives: FrameSource, estimator: Estimator, B_w: np.ndarray, explained) -> np.ndarray:
     def reduce(sets: Iterable[FrameSet]) -> dict[str, np.ndarray]:
         scale = np.full(estimator.n_bins, np.nan)
         for s in sets:
-            w = explain(s)[1]
+            w = explained(s)[1]
             relative = np.divide(np.abs(w), B_w[s.bin], out=np.zeros(w.shape), where=B_w[s.bin] > 0)
             scale[s.bin] = _maximum(np.linalg.norm(relative, axis=1))
         return {"scale": scale}
 
     return np.fmax(1.0, _fold(reduce(sets) for sets in frames_of_drives())["scale"])
+
+
+def peak_magnitudes(frames_of_drives: Iterable[Iterable[FrameSet]], estimator: Estimator,
+                    n_y: int) -> tuple[np.ndarray, np.ndarray]:
+    """Largest |E_j| and largest |Y_j| = |E_j + Z_j| over all frames, (K, n_y) each; NaN where no frame counts.
+
+    |E_j| of zero-input drives bounds the sensors' noise (W_n), of all others the disturbance of class S0; |Y_j| of the yaw
+    rate bounds the commands that such drives contain (W_C; paper, section V).
+    """
+
+    def reduce(sets: Iterable[FrameSet]) -> dict[str, np.ndarray]:
+        out = {key: np.full((estimator.n_bins, n_y), np.nan) for key in ("E", "Y")}
+        for s in sets:
+            out["E"][s.bin], out["Y"][s.bin] = _maximum(np.abs(s.E)), _maximum(np.abs(s.E + s.Z))
+        return out
+
+    empty = np.full((estimator.n_bins, n_y), np.nan)
+    total = _fold([{"E": empty, "Y": empty}, *(reduce(sets) for sets in frames_of_drives)])
+    return total["E"], total["Y"]

@@ -64,12 +64,12 @@ def _root(version: Annotated[bool, typer.Option("--version", help="Print the ver
 def generate(vehicle: Vehicle, out: Out,
              seed: Annotated[int | None, typer.Option(help="Seed (default: the project file's).")] = None) -> None:
     """Write seeded synthetic drives of a vehicle: tables and experiments.csv."""
-    from .fixture import write_drives
+    from .generate import generate as run
 
     project = _load_project(vehicle)
     with _progress("generate") as tell:
-        names = write_drives(project, out, project.seed if seed is None else seed, tell)
-    console.print(f"{len(names)} drives written to {out}")
+        count = run(project, out, project.seed if seed is None else seed, tell)
+    console.print(f"{count} drives written to {out}")
 
 
 @app.command(epilog="Example: lpvguard identify --vehicle g80 DRIVES -o out/identify")
@@ -94,16 +94,36 @@ def identify(vehicle: Vehicle, drives: Annotated[Path, typer.Argument(help="Fold
     console.print(f"threshold {c.threshold:.4g} ({claim}); final inflation {result.weights.inflation:.6g}; written to {out}")
 
 
+@app.command(epilog="Example: lpvguard design --vehicle truck out/identify -o out/design")
+def design(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(help="Folder written by identify.")],
+           out: Out, json_out: JsonOut = None) -> None:
+    """Synthesise the scheduled controller and certify it as the core runs it (paper, step 8)."""
+    from . import design as stage
+
+    stored = _stored(identification, vehicle)
+    with _progress("design") as tell:
+        result = stage.design(stored, tell)
+        stage.save(result, stored, out)
+    rows = [{"v_mps": v, "mu_upper": p.upper, "mu_lower": p.lower, "peak_rad_s": p.bracket.peak_frequency}
+            for v, p in result.certificates]
+    _emit(json_out, rows)
+    table = Table("v m/s", "mu upper", "mu lower", "peak rad/s", box=None)
+    for row in rows:
+        table.add_row(f"{row['v_mps']:.4g}", f"{row['mu_upper']:.4f}", f"{row['mu_lower']:.4f}", f"{row['peak_rad_s']:.3g}")
+    console.print(table)
+    worst = max(row["mu_upper"] for row in rows)
+    console.print(f"{stored.project.design.structure}: {result.schedule.A.shape[1]} states (of {result.full_order} before "
+                  f"truncation), {len(result.schedule.speeds)} nodes; worst mu {worst:.4f}; written to {out}")
+    raise typer.Exit(0 if worst < 1 else 1)
+
+
 @app.command(epilog="Example: lpvguard export --vehicle g80 out/identify -o lib/vehicles/g80")
 def export(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(help="Folder written by identify.")],
            out: Out) -> None:
     """Generate the C folder of a vehicle: coefficients, signal table, manifest."""
-    from . import identify as stage
     from .export import export_vehicle
 
-    stored = stage.load(identification)
-    if stored.project.name != _load_project(vehicle).name:
-        raise InputError(identification, "vehicle", stored.project.name, f"an identification of {vehicle}")
+    stored = _stored(identification, vehicle)
     export_vehicle(stored, out)
     console.print(f"{stored.project.name}: written to {out}")
 
@@ -206,6 +226,15 @@ def _replayer(vehicle: str, coefficients: Path | None):
 
     project = _load_project(vehicle)
     return Replayer(project, Core(coefficients or shipped_vehicle(project.name)))
+
+
+def _stored(identification: Path, vehicle: str):
+    from . import identify as stage
+
+    stored = stage.load(identification)
+    if stored.project.name != _load_project(vehicle).name:
+        raise InputError(identification, "vehicle", stored.project.name, f"an identification of {vehicle}")
+    return stored
 
 
 def _stored_with_drives(identification: Path, folder: Path):

@@ -7,7 +7,6 @@ tests and the demo; numbers that are stated for the car come from measured drive
 
 from __future__ import annotations
 
-import csv
 import io
 from collections.abc import Callable
 from pathlib import Path
@@ -15,11 +14,11 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import butter, sosfilt
 
-from . import artefacts
-from .drives import EXPERIMENTS
-from .errors import InputError
-from .export import write_files
+from .artefacts import write_files
 from .project import Project
+
+Row = tuple[str, str, str]
+"""Experiment, split, driver."""
 
 MASS_KG, YAW_INERTIA = 2000.0, 3500.0            # kg, kg m^2
 FRONT_M, REAR_M = 1.30, 1.36                     # m, centre of gravity to the axles
@@ -75,24 +74,14 @@ def _csv(columns: dict[str, np.ndarray]) -> str:
     return stream.getvalue()
 
 
-def write_drives(project: Project, out: Path, seed: int, tell: Callable[[str], None] = lambda _: None) -> list[str]:
-    """Write the fixture's drive folder; returns the names. Only for vehicles with the columns of g80."""
-    columns = {s.column for s in project.signals}
-    if columns != {"v", "delta", "r"}:
-        raise InputError(f"vehicle {project.name}", "signals", f"columns {', '.join(sorted(columns))}",
-                         "columns v, delta, r: the synthetic fixture is a car with steering and yaw rate")
-    names, rows = [], []
-    with artefacts.new_folder(out) as folder:
-        for index, (split, driver, speed, duration) in enumerate(PLAN):
-            name = f"synthetic_{index:02d}"
-            tell(name)
-            # One stream a drive: a drive does not change when others are added.
-            random = np.random.default_rng([seed, index])
-            write_files(folder, {f"{name}.csv": _csv(_drive(random, speed, duration, project.Ts_s))})
-            names.append(name)
-            rows.append([name, split, driver])
-        stream = io.StringIO()
-        csv.writer(stream, lineterminator="\n").writerows([["experiment", "split", "driver"], *rows])
-        write_files(folder, {EXPERIMENTS: stream.getvalue(), artefacts.MANIFEST:
-                             artefacts.manifest("generate", vehicle=project.name, seed=seed, drives=names)})
-    return names
+def write_drives(project: Project, folder: Path, seed: int, tell: Callable[[str], None]) -> list[Row]:
+    """Write the car's drive tables into an existing folder; returns the rows of experiments.csv."""
+    rows = []
+    for index, (split, driver, speed, duration) in enumerate(PLAN):
+        name = f"synthetic_{index:02d}"
+        tell(name)
+        # One stream a drive: a drive does not change when others are added.
+        random = np.random.default_rng([seed, index])
+        write_files(folder, {f"{name}.csv": _csv(_drive(random, speed, duration, project.Ts_s))})
+        rows.append((name, split, driver))
+    return rows

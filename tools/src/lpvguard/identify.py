@@ -23,16 +23,16 @@ from pathlib import Path
 import numpy as np
 
 from . import artefacts
-from .bounds import Bounds, FrameSet, counted_frames, disturbance_bounds, nominal_error, uncertainty_bounds
+from .bounds import Bounds, FrameSet, counted_frames, disturbance_bounds, nominal_error, peak_magnitudes, uncertainty_bounds
 from .calibration import Calibration, calibrate, score
 from .core import Core
 from .drives import EXPERIMENTS, Drive, Experiment, file_hash, list_experiments, read_drive, require_units
 from .errors import InputError
-from .export import Coefficients, build_coefficients, vehicle_files, write_files
+from .export import Coefficients, build_coefficients, vehicle_files
 from .frames import Estimator
 from .nominal import NominalModel
 from .project import Project, parse_project
-from .weights import OverboundFit, Weight, fit_overbound, verify_overbound
+from .weights import OverboundFit, Weight, fit_overbound, subtract_noise, verify_overbound
 
 DC_STAND_IN = 0.1
 """DC has no place on a logarithmic axis: its bound stands at this fraction of the lowest bin's frequency."""
@@ -50,18 +50,74 @@ def _quiet(_: str) -> None:
 
 
 @dataclass(frozen=True)
-class Weights:
-    """Fitted weights: ``W_w`` per output, ``W_delta``; ``inflation`` multiplies all of them and is included already."""
+class FittedWeight:
+    """A weight with the samples it was fitted above: omega, bound (K',) (NaN: no data)."""
 
-    W_w: list[OverboundFit]
-    W_delta: OverboundFit
-    gamma: OverboundFit
-    inflation: float
+    fit: OverboundFit
+    omega: np.ndarray
+    bound: np.ndarray
+
+    def magnitude(self, omega: np.ndarray) -> np.ndarray:
+        return self.fit.weight.magnitude(omega)
+
+    def to_dict(self) -> dict:
+        f = self.fit
+        return {"weight": f.weight.to_dict(), "order": f.order, "worst_ratio_db": f.worst_ratio_db,
+                "lp_optimum_db": f.lp_optimum_db, "certificate": f.certificate, "floored_rad_s": list(f.floored),
+                "breaks_outside_rad_s": list(f.breaks_outside), "omega_rad_s": self.omega, "bound": self.bound}
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Fitted weights. ``inflation`` multiplies W_w, W_n and W_delta wherever they are used.
+
+    W_w, W_n and W_w_S0 hold one weight per output. Without zero-input drives W_n is empty, and so are W_w_S0 and W_C,
+    which only synthesis needs. W_w_S0: disturbance of class S0, where nothing is left to uncertainty (K_inf).
+    ``floored``: step 7, frequencies [rad/s] per weight where nothing was left of B_w after the sensor's share.
+    """
+
+    W_w: list[FittedWeight]
+    W_delta: FittedWeight
+    gamma_w: FittedWeight
+    W_n: list[FittedWeight]
+    W_w_S0: list[FittedWeight]
+    W_C: list[FittedWeight]
+    floored: dict[str, list[float]]
+    disturbance_set: str
+    inflation: float = 1.0
 
     def at(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """W_delta (K,) and B_w (K, n_y) at the bins, inflation included."""
-        B_w = np.column_stack([w.weight.magnitude(omega) for w in self.W_w])
-        return self.inflation * self.W_delta.weight.magnitude(omega), self.inflation * B_w
+        """W_delta (K,) and B_w (K, n_y) as the monitor uses them: inflation included, the sensor's share put back."""
+        B_w = np.column_stack([w.magnitude(omega) for w in self.W_w])
+        if self.W_n:
+            W_n = np.column_stack([w.magnitude(omega) for w in self.W_n])
+            B_w = np.hypot(B_w, W_n) if self.disturbance_set == "covering" else B_w + W_n
+        return self.inflation * self.W_delta.magnitude(omega), self.inflation * B_w
+
+    def to_dict(self) -> dict:
+        lists = {key: [w.to_dict() for w in getattr(self, key)] for key in ("W_w", "W_n", "W_w_S0", "W_C")}
+        return lists | {"W_delta": self.W_delta.to_dict(), "gamma_w": self.gamma_w.to_dict(), "floored_rad_s": self.floored,
+                        "disturbance_set": self.disturbance_set, "inflation": self.inflation}
+
+    @classmethod
+    def from_dict(cls, data: dict, source: str) -> Weights:
+        """Read back; every certificate is proved anew against its samples, a failing one is an InputError."""
+
+        def weight(entry: dict, name: str) -> FittedWeight:
+            omega = np.array(entry["omega_rad_s"], float)
+            bound = np.array([np.nan if b is None else b for b in entry["bound"]], float)
+            loaded = Weight.from_dict(entry["weight"])
+            certificate = verify_overbound(loaded, omega, bound, name=name)
+            if not certificate.ok:
+                raise InputError(source, name, f"the weight falls to {certificate.min_ratio:.6f} of its bound at "
+                                 f"{certificate.min_ratio_at:.4g} rad/s", "a weight that overbounds its data")
+            fit = OverboundFit(loaded, entry["order"], entry["worst_ratio_db"], entry["lp_optimum_db"], 1.0,
+                               certificate.to_dict(), {}, tuple(entry["floored_rad_s"]), tuple(entry["breaks_outside_rad_s"]))
+            return FittedWeight(fit, omega, bound)
+
+        lists = {key: [weight(e, f"{key}[{j}]") for j, e in enumerate(data[key])] for key in ("W_w", "W_n", "W_w_S0", "W_C")}
+        return cls(**lists, W_delta=weight(data["W_delta"], "W_delta"), gamma_w=weight(data["gamma_w"], "gamma_w"),
+                   floored=data["floored_rad_s"], disturbance_set=data["disturbance_set"], inflation=data["inflation"])
 
 
 @dataclass(frozen=True)
@@ -76,6 +132,7 @@ class Identification:
     calibration: Calibration
     bound_drives: list[str]
     calibration_drives: list[str]
+    noise_drives: list[str]
     left_out: dict[str, str]
 
 
@@ -95,7 +152,7 @@ class DriveSet:
         return drive, e, yhat
 
 
-def _fitting_grid(estimator: Estimator) -> np.ndarray:
+def fitting_grid(estimator: Estimator) -> np.ndarray:
     omega = estimator.omega.copy()
     omega[0] = DC_STAND_IN * omega[1]
     return omega
@@ -106,7 +163,7 @@ def _floor(B2: np.ndarray) -> float:
     return 1e-6 * float(np.nanmax(B2))
 
 
-def _uncertainty_samples(estimator: Estimator, nu: np.ndarray) -> np.ndarray:
+def uncertainty_samples(estimator: Estimator, nu: np.ndarray) -> np.ndarray:
     """What W_delta must cover: the running maximum of nu from the lowest bin up, nothing at DC.
 
     Neglected dynamics grow with frequency, and a dip in nu only tells that no frame happened to need uncertainty there.
@@ -120,19 +177,46 @@ def _fit_settings(project: Project) -> dict:
     return {"max_order": project.weights.max_order, "tol_db": project.weights.tolerance_db}
 
 
-def smooth_disturbance_bound(project: Project, estimator: Estimator, bounds: Bounds) -> OverboundFit:
-    """Step 4: a smooth gamma_w above what the rule asks for."""
-    return fit_overbound(_fitting_grid(estimator), bounds.gamma_rule, floor=_floor(bounds.B2), name="gamma_w",
-                         **_fit_settings(project))
+def _fit(project: Project, estimator: Estimator, bound: np.ndarray, name: str, floor: float) -> FittedWeight:
+    omega = fitting_grid(estimator)
+    # What the weight is proved against: the floor applied.
+    raised = np.where(np.isnan(bound), np.nan, np.fmax(bound, floor))
+    return FittedWeight(fit_overbound(omega, raised, name=name, **_fit_settings(project)), omega, raised)
 
 
-def fit_weights(project: Project, estimator: Estimator, bounds: Bounds, gamma: OverboundFit) -> Weights:
-    """Step 6: W_w over B_w of each output and W_delta over nu."""
-    omega, settings = _fitting_grid(estimator), _fit_settings(project)
-    W_w = [fit_overbound(omega, bounds.B_w[:, j], floor=_floor(bounds.B2), name=f"B_w of {s.name}", **settings)
-           for j, s in enumerate(project.outputs)]
-    W_delta = fit_overbound(omega, _uncertainty_samples(estimator, bounds.nu), name="nu", **settings)
-    return Weights(W_w, W_delta, gamma, 1.0)
+def fit_weights(project: Project, estimator: Estimator, bounds: Bounds, gamma_w: FittedWeight,
+                noise: np.ndarray, error: np.ndarray, command: np.ndarray) -> Weights:
+    """Steps 6 and 7. ``noise``, ``error`` (K, n_y): peaks of E without and with input; ``command`` (K,): of the first output.
+
+    Without zero-input drives (``noise`` all NaN) B_w itself is W_w.
+    """
+    floor = _floor(bounds.B2)
+    omega, names = fitting_grid(estimator), [s.name for s in project.outputs]
+
+    def fit_all(bound: np.ndarray, what: str) -> list[FittedWeight]:
+        return [_fit(project, estimator, bound[:, j], f"{what} of {n}", floor) for j, n in enumerate(names)]
+
+    W_delta = _fit(project, estimator, uncertainty_samples(estimator, bounds.nu), "nu", SMALLEST_NU)
+    chosen = {"disturbance_set": project.bounds.disturbance_set}
+    B_w = fit_all(bounds.B_w, "B_w")
+    if np.isnan(noise).all():
+        return Weights(B_w, W_delta, gamma_w, [], [], [], {}, **chosen)
+    W_n = fit_all(noise, "W_n")
+    # A covering set is an ellipsoid: n_y outputs at their peaks together need sqrt(n_y).
+    cover = np.sqrt(project.n_y) if project.bounds.disturbance_set == "covering" else 1.0
+    floored: dict[str, list[float]] = {}
+
+    def without_noise(B: list[FittedWeight], what: str) -> list[FittedWeight]:
+        left = []
+        for j, b in enumerate(B):
+            values, empty = subtract_noise(b.magnitude(omega), W_n[j].magnitude(omega), omega, floor=floor, **chosen)
+            floored[f"{what} of {names[j]}"] = empty
+            left.append(values)
+        return fit_all(np.column_stack(left), what)
+
+    return Weights(without_noise(B_w, "W_w"), W_delta, gamma_w, W_n,
+                   without_noise(fit_all(cover * error, "B_w of S0"), "W_w of S0"),
+                   [_fit(project, estimator, command, "W_C", floor)], floored, **chosen)
 
 
 @contextmanager
@@ -141,7 +225,7 @@ def _scratch_core(project: Project, coefficients: Coefficients) -> Iterator[Core
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / project.name
         target.mkdir()
-        write_files(target, vehicle_files(project, coefficients, {}))
+        artefacts.write_files(target, vehicle_files(project, coefficients, {}))
         yield Core(target)
 
 
@@ -175,16 +259,21 @@ def identify(project: Project, folder: Path, *, progress: Progress = _quiet) -> 
     experiments = list_experiments(Path(folder))
     drives = DriveSet(project, model, experiments)
     bound_drives = [e.name for e in experiments if e.split in project.data.bound_split]
-    others = [e.name for e in experiments if e.split not in project.data.bound_split]
+    others = [e.name for e in experiments if e.split not in (*project.data.bound_split, *project.data.noise_split)]
     if not bound_drives:
         raise InputError(Path(folder) / EXPERIMENTS, "column split",
                          f"no drive has split {' or '.join(project.data.bound_split)}",
                          "at least one drive that sets the bounds")
 
-    def source() -> Iterator[Iterator[FrameSet]]:
-        for name in bound_drives:
+    noise_drives = [e.name for e in experiments if e.split in project.data.noise_split]
+
+    def frames_of(names: list[str]) -> Iterator[Iterator[FrameSet]]:
+        for name in names:
             progress(f"frames of {name}")
             yield counted_frames(*drives.load(name), estimator)
+
+    def source() -> Iterator[Iterator[FrameSet]]:
+        return frames_of(bound_drives)
 
     nu_ceiling = project.bounds.nu_ceiling.at(estimator.omega / (2 * np.pi))
     bounds = disturbance_bounds(source, estimator, nu_ceiling)
@@ -193,10 +282,12 @@ def identify(project: Project, folder: Path, *, progress: Progress = _quiet) -> 
                          f"speed in {model.speed_range[0]:g}..{model.speed_range[1]:g} m/s, steady within "
                          f"{estimator.speed_tolerance:.0%} for {estimator.length[-1] * estimator.Ts:.3g} s or more")
     progress("weights")
-    gamma = smooth_disturbance_bound(project, estimator, bounds)
-    uncertainty_bounds(source, estimator, bounds, gamma.weight.magnitude(estimator.omega), project.n_y,
+    gamma_w = _fit(project, estimator, bounds.gamma_rule, "gamma_w", _floor(bounds.B2))
+    uncertainty_bounds(source, estimator, bounds, gamma_w.magnitude(estimator.omega), project.n_y,
                        structure=project.bounds.structure, disturbance_set=project.bounds.disturbance_set)
-    weights = fit_weights(project, estimator, bounds, gamma)
+    noise, _ = peak_magnitudes(frames_of(noise_drives), estimator, project.n_y)
+    error, output = peak_magnitudes(source(), estimator, project.n_y)
+    weights = fit_weights(project, estimator, bounds, gamma_w, noise, error, output[:, 0])
 
     progress("compiling the core")
     with _scratch_core(project, coefficients_of(project, model, estimator, weights, 1.0)) as core:
@@ -211,7 +302,8 @@ def identify(project: Project, folder: Path, *, progress: Progress = _quiet) -> 
             else:
                 scores[name] = value
     calibration = calibrate(scores, project.frame_test.alpha)
-    result = Identification(project, model, estimator, bounds, weights, calibration, bound_drives, list(scores), left_out)
+    result = Identification(project, model, estimator, bounds, weights, calibration, bound_drives, list(scores), noise_drives,
+                            left_out)
     return result, drives
 
 
@@ -222,27 +314,19 @@ def save(result: Identification, drives: DriveSet, target: Path) -> None:
              "nu_ceiling": result.project.bounds.nu_ceiling.at(bounds.omega / (2 * np.pi)),
              "excitation": bounds.excitation, "B1": bounds.B1, "B2": bounds.B2, "gamma_rule": bounds.gamma_rule,
              "gamma_w": bounds.gamma_w, "nu": bounds.nu, "B_w": bounds.B_w}
-    weights = result.weights
     inputs = {name: file_hash(e.path) for name, e in drives.experiments.items()}
     with artefacts.new_folder(target) as folder:
-        write_files(folder, {
+        artefacts.write_files(folder, {
             "bounds.json": artefacts.to_json(table),
-            "weights.json": artefacts.to_json({
-                "inflation": weights.inflation, "W_w": [_fit_dict(f) for f in weights.W_w],
-                "W_delta": _fit_dict(weights.W_delta), "gamma_w": _fit_dict(weights.gamma)}),
+            "weights.json": artefacts.to_json(result.weights.to_dict()),
             "calibration.json": artefacts.to_json(result.calibration.to_dict()),
             "project.json": artefacts.to_json(result.project.model_dump(by_alias=True)),
             "spectra.npz": _spectra(result, drives),
             artefacts.MANIFEST: artefacts.manifest(
                 "identify", vehicle=result.project.name, estimator_id=estimator.identifier(),
                 drives={"bounds": result.bound_drives, "calibration": result.calibration_drives,
-                        "left_out": result.left_out},
+                        "noise": result.noise_drives, "left_out": result.left_out},
                 drivers={n: e.driver for n, e in drives.experiments.items()}, sha256=inputs)})
-
-
-def _fit_dict(fit: OverboundFit) -> dict:
-    return {"weight": fit.weight.to_dict(), "order": fit.order, "worst_ratio_db": fit.worst_ratio_db,
-            "lp_optimum_db": fit.lp_optimum_db, "certificate": fit.certificate, "floored_rad_s": list(fit.floored)}
 
 
 def _spectra(result: Identification, drives: DriveSet) -> bytes:
@@ -270,6 +354,7 @@ class StoredIdentification:
     project: Project
     bounds: dict[str, np.ndarray]
     weights: dict
+    fitted: Weights
     calibration: Calibration
     coefficients: Coefficients
 
@@ -287,21 +372,6 @@ def load(folder: Path) -> StoredIdentification:
     if manifest["estimator_id"] != estimator.identifier():
         raise InputError(folder / artefacts.MANIFEST, "estimator_id", f"{manifest['estimator_id']:#010x}",
                          f"{estimator.identifier():#010x}, the estimator that project.json describes")
-    omega = _fitting_grid(estimator)
-
-    def weight(entry: dict, bound: np.ndarray, name: str) -> Weight:
-        loaded = Weight.from_dict(entry["weight"])
-        certificate = verify_overbound(loaded, omega, bound, name=name)
-        if not certificate.ok:
-            raise InputError(folder / "weights.json", name, f"the weight falls to {certificate.min_ratio:.6f} of its bound "
-                             f"at {certificate.min_ratio_at:.4g} rad/s", "a weight that overbounds its data")
-        return loaded
-
-    floor = _floor(bounds["B2"])
-    W_w = [weight(e, np.fmax(bounds["B_w"][:, j], floor), f"W_w[{j}]") for j, e in enumerate(weights["W_w"])]
-    W_delta = weight(weights["W_delta"], _uncertainty_samples(estimator, bounds["nu"]), "W_delta")
-    inflation = weights["inflation"]
-    coefficients = build_coefficients(project, model, estimator, inflation * W_delta.magnitude(estimator.omega),
-                                      inflation * np.column_stack([w.magnitude(estimator.omega) for w in W_w]),
-                                      calibration.threshold)
-    return StoredIdentification(folder, manifest, project, bounds, weights, calibration, coefficients)
+    fitted = Weights.from_dict(weights, str(folder / "weights.json"))
+    coefficients = coefficients_of(project, model, estimator, fitted, calibration.threshold)
+    return StoredIdentification(folder, manifest, project, bounds, weights, fitted, calibration, coefficients)

@@ -25,7 +25,8 @@ REPRODUCIBLE_FLAGS = ("-O3", "-ffp-contract=off", "-fno-math-errno")
 """Contraction off: the same source gives the same bits whether or not the target has FMA. Never -ffast-math."""
 
 _HEADER_SUFFIXES = {".h", ".hh", ".hpp", ".inc"}
-_CXX_SUFFIXES = {".cpp", ".cc", ".cxx"}
+_CXX_SUFFIXES = {".cpp", ".cc", ".cxx", ".o"}
+"""An object is linked as C++, which C objects do not mind."""
 
 
 class NativeError(RuntimeError):
@@ -111,6 +112,17 @@ def compile_executable(
 ) -> Path:
     """Path of the program made from ``sources``; otherwise as ``compile_shared``."""
     return _compile(sources, tuple(flags), include_dirs, name, "")
+
+
+def compile_object(
+    source: Path | str,
+    *,
+    flags: Sequence[str] = REPRODUCIBLE_FLAGS,
+    include_dirs: Iterable[Path | str] = (),
+) -> Path:
+    """Path of the object file of one source, for ``compile_executable``; C sources are compiled as C++. Otherwise as
+    ``compile_shared``. Objects of a program that is built in variants are then compiled once, and several at a time."""
+    return _compile([source], (*flags, "-x", "c++", "-c"), include_dirs, Path(source).stem, ".o")
 
 
 def _compile(sources, flags: tuple[str, ...], include_dirs, name: str, suffix: str) -> Path:

@@ -13,10 +13,11 @@ is linear in (N, D) for a fixed t, so the least t is found by a sequence of line
 minimises the violation of the upper inequality at a trial t (the differential correction of Barrodale, Powell
 and Roberts, SIAM J. Numer. Anal. 9, 1972): either it returns a better weight, or the trial t is infeasible and
 is a lower limit of what any weight of that order can reach. Trials sit 0.002 dB under the best weight so far.
-Rows are divided by bound^2 sum |d_i| x^i of the current D and columns by the largest entry they then have
-(max-plus scaling): in this form monomials keep their accuracy over six decades. A program carries only the
-points that matter; points where its answer fails are added until none fails on a fine grid. The left-half-plane
-spectral factors of N and D are the weight.
+Rows are divided by bound^2 D of the current D (not under 1e-5 of its sum |d_i| x^i) and columns by the largest entry they
+then have, the max-plus scaling around that D: in this form monomials keep their accuracy over six decades. A verdict
+"infeasible" counts only when the D that scaled the rows was itself within 0.5 dB of the optimum. A program carries only the
+points that matter; points where its answer fails are added until none fails on a fine grid, which also
+takes up every lightly damped pole and zero. The left-half-plane spectral factors of N and D are the weight.
 
 **Why the weight is above the bound.** Not by a grid. On one piece bound^2 = c x^q with a real q, no polynomial;
 but x^q is convex in x (q <= 0 or q >= 1) or concave (0 < q < 1), so on [a, b] the chord respectively a tangent,
@@ -25,9 +26,14 @@ a straight line L, lies above it. N - r^2 L D is then a polynomial, and if all i
 |W| >= r bound there. Where a coefficient is negative the interval is halved; L and the Bernstein coefficients
 converge quadratically, so the search ends. [0, w_1] is such a piece with q = 0 and [w_K, inf) becomes one in 1/x. The
 coefficients of N and D follow from those of W in rational arithmetic; the rounding error of the rest is
-subtracted. Stability and minimum phase are decided by Routh's array in rational arithmetic. The same search with N and D
-exchanged bounds the worst ratio from above. The fit is closed by one scalar gain, ``inflation``, which lifts the weight
-by what the certificate found missing between the grid points.
+subtracted (up to one rounding of the frequency). A proved ratio is 5e-10 below the one attained, so a weight that merely
+touches its bound is not accepted. Stability and minimum phase are decided by Routh's array in rational arithmetic. The same
+search with N and D exchanged bounds the worst ratio from above. The fit is closed by one scalar gain, ``inflation``, which
+lifts the weight by what the certificate found missing between the grid points.
+
+**What it does not do.** The optimum of a given order may want a break beyond the first or last sample, or a sharp resonance
+around a single deep bin of raw scatter; both are kept, since leaving them out costs more than 0.01 dB, and the former are named
+in ``breaks_outside``. Who does not want the scatter's shape hands in an envelope.
 """
 
 from __future__ import annotations
@@ -45,7 +51,7 @@ from .errors import InputError
 _STEP_DB = 0.002  # resolution of the search for the least worst ratio
 _GRID_STEP = 0.02  # widest gap of the cutting-plane grid, in ln w
 _OUTSIDE = 1e3  # the grid goes on by this factor in w beyond both ends
-_DAMPING = 1e-5  # D >= this times sum |d_i| x^i at every row: no resonance sharper than about 0.003, which 1e-10 resolves
+_RESOLUTION = 1e-5  # smallest D of a row, over the D it is scaled by
 _NEAR_DB = 0.5  # rows scaled by a D this near the optimum are scaled well
 _TOLERANCE = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
 _MAX_PROGRAMS, _MAX_CUTS, _MAX_REFITS = 60, 60, 8
@@ -195,7 +201,8 @@ def fit_overbound(omega, bound, *, max_order=4, order=None, floor=None, tol_db=0
               lowers the worst ratio by more than k ``tol_db``
     order     this order instead; a lower one is returned when the extra states gain nothing (0.002 dB)
     floor     > 0, needed where the bound is 0
-    proper    "biproper" (D(inf) > 0, which H-infinity rank conditions need) or "strict" (roll-off; claims end at omega[-1])
+    proper    "biproper" (D(inf) > 0, which H-infinity rank conditions need) or "strict" (rolls off, from 10 omega[-1] on at the
+              latest; claims end at omega[-1])
     name      of the bound, for messages
 
     Raises ``InputError`` naming the index or the frequency.
@@ -419,20 +426,20 @@ def _least_ratio(top: np.ndarray, bottom: np.ndarray, samples: _Samples, strict:
     size = max(len(top), len(bottom))
     top, bottom = (np.pad(p, (0, size - len(p))) for p in (top, bottom))
     y, log_b2 = samples.y, 2.0 * np.log(samples.bound)
-    slopes = np.diff(log_b2) / np.diff(np.log(y))
+    slopes = np.diff(log_b2) / np.log(y[1:] / y[:-1])  # the very logarithm of ``_bound_squared``, however close the samples
     inside = (np.append(0.0, y[:-1]), y, np.append(y[0], y[:-1]), np.append(log_b2[0], log_b2[:-1]), np.append(0.0, slopes))
-    families = [(top, bottom, inside, False)]
+    families = [(top, bottom, inside, lambda v: samples.unit * math.sqrt(v))]
     if not strict:  # [y_K, inf) in 1/y: the reversed polynomials on [0, 1/y_K]
         beyond = (np.zeros(1), 1.0 / y[-1:], 1.0 / y[-1:], log_b2[-1:], np.zeros(1))
-        families.append((top[::-1], bottom[::-1], beyond, True))
+        families.append((top[::-1], bottom[::-1], beyond, lambda v: samples.unit / math.sqrt(v) if v else math.inf))
     least, at, tests, margin = math.inf, math.nan, 0, _PROOF_MARGIN
-    for p, q, pieces, inverted in families:
+    for p, q, pieces, frequency in families:
         points, shapes = np.concatenate(pieces[:2]), tuple(np.tile(v, 2) for v in pieces[2:])
         for halvings in range(_MAX_HALVINGS):
             margin = max(margin, _PROOF_MARGIN * 4.0 ** (halvings - _PATIENCE))
             value, point = _attained(p, q, points, shapes)
             if value < least:
-                least, at = value, samples.unit * math.sqrt(_mirror(point) if inverted else point)
+                least, at = value, frequency(point)
             if not least > 0.0:
                 return 0.0, at, tests
             tests += len(pieces[0])
@@ -441,11 +448,11 @@ def _least_ratio(top: np.ndarray, bottom: np.ndarray, samples: _Samples, strict:
             if not lo.size:
                 break
             if tests > _MAX_TESTS:
-                return 0.0, samples.unit * math.sqrt(_mirror(hi[0]) if inverted else hi[0]), tests
+                return 0.0, frequency(hi[0]), tests
             points = np.where(lo > 0, np.sqrt(lo * hi), 0.25 * hi)
             pieces = (np.concatenate([lo, points]), np.concatenate([points, hi]), *(np.tile(v, 2) for v in shapes))
         else:
-            return 0.0, samples.unit * math.sqrt(_mirror(hi[0]) if inverted else hi[0]), tests
+            return 0.0, frequency(hi[0]), tests
     return math.sqrt(least * (1.0 - margin)), at, tests
 
 
@@ -464,10 +471,6 @@ def _attained(p, q, points, shapes) -> tuple[float, float]:
         ratio = np.where(bottom > 0, (powers @ p - _ROUNDING * (powers @ np.abs(p))) / bottom, math.inf)
     k = int(np.argmin(ratio))
     return float(ratio[k]), float(points[k])
-
-
-def _mirror(point: float) -> float:
-    return 1.0 / point if point else math.inf
 
 
 def _nonnegative(p, q, factor, lo, hi, y0, log0, slope) -> np.ndarray:
@@ -497,25 +500,31 @@ def _nonnegative(p, q, factor, lo, hi, y0, log0, slope) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """N, D ascending in y with min N/(bound^2 D) = 1 on the grid; ``ratio_db`` reached there, ``lower_db`` proved infeasible."""
+    """N, D ascending in y with min N/(bound^2 D) = 1 on the grid, where it reaches ``ratio_db``.
+
+    ``lower_db``: infeasible for this order on the rows ``active`` (y values) alone.
+    """
 
     order: int
     top: np.ndarray
     bottom: np.ndarray
     ratio_db: float
     lower_db: float
+    active: np.ndarray
 
 
 class _Problem:
     """The cutting-plane grid: all samples, points between them, both ends and what lies beyond.
 
-    ``y`` (G,) ascending from 0 to inf, ``b2`` (G,) bound squared, ``below`` (G,) where the weight must be above the bound. Grows by ``insert`` where a resonance hides between points.
+    ``y`` (G,) ascending from 0 to inf, ``b2`` (G,) bound squared, ``below`` (G,) where the weight must be above the bound.
+    Grows by ``insert`` where a resonance hides between points.
     """
 
     def __init__(self, samples: _Samples, strict: bool):
         self.samples, self.strict = samples, strict
         self._log_w, self._log_b = np.log(samples.omega / samples.unit), np.log(samples.bound)
         first, last = self.band = (self._log_w[0], self._log_w[-1])
+        self.end = math.exp(2.0 * last)
         tail = np.geomspace(_GRID_STEP, math.log(_OUTSIDE), 30)  # dense next to the corner of the bound at either end
         fill = [np.linspace(a, b, int((b - a) / _GRID_STEP) + 2)[:-1] for a, b in zip(self._log_w[:-1], self._log_w[1:])]
         self._place(np.concatenate([[-math.inf], first - tail[::-1], *fill, [last], last + tail, [math.inf]]))
@@ -523,6 +532,8 @@ class _Problem:
     def _place(self, grid: np.ndarray):
         self.y = np.exp(2.0 * grid)
         self.b2 = np.exp(2.0 * np.interp(grid, self._log_w, self._log_b))
+        if self.strict:  # a ceiling that falls from a decade beyond the band, else the roll-off would start anywhere
+            self.b2[:-1] *= np.minimum(1.0, 100.0 * self.end / np.maximum(self.y[:-1], self.end))
         self.below = grid <= self.band[1] if self.strict else np.ones(grid.size, dtype=bool)
         self._grid = grid
 
@@ -558,19 +569,28 @@ def _db(ratio: float) -> float:
     return 20.0 * math.log10(ratio) if ratio < math.inf else math.inf
 
 
-def _optimum(problem: _Problem, order: int, lower_order: _Candidate | None) -> _Candidate:
-    """Least worst ratio of one order; the lower order's candidate when it is not beaten by ``_STEP_DB``."""
+def _optimum(problem: _Problem, order: int, lower_order: _Candidate | None, last: _Candidate | None = None) -> _Candidate:
+    """Least worst ratio of one order; the lower order's candidate when it is not beaten by ``_STEP_DB``.
+
+    ``last``: what was found before the grid grew.
+    """
+    best = lower_order
     if order == 0:
         ratio_db = 10.0 * math.log10(problem.b2.max() / problem.b2.min())
-        return _Candidate(0, np.array([problem.b2.max()]), np.ones(1), ratio_db, ratio_db)
-    best = lower_order
-    bottom = np.ones(1) if best is None else best.bottom
-    while len(bottom) <= order:  # one more break in the middle of the band
-        bottom = np.convolve(bottom, [1.0, math.exp(-sum(problem.band))])
+        return _Candidate(0, np.array([problem.b2.max()]), np.ones(1), ratio_db, ratio_db, problem.y)
+    if best is not None and best.ratio_db <= _STEP_DB:
+        return best
+    if last is None:
+        active, lower_db, excess = problem.start(), 0.0, 10.0
+        bottom = np.ones(1) if best is None else best.bottom
+        while len(bottom) <= order:  # one more break in the middle of the band
+            bottom = np.convolve(bottom, [1.0, math.exp(-sum(problem.band))])
+    else:
+        active, lower_db, excess, bottom = last.active, last.lower_db, 0.0, last.bottom
+        active = np.union1d(active, _failures(problem, problem.ratio2(last.top, last.bottom), lower_db))
     if best is None:  # strictly proper, first order: any roll-off to start from
         ratio2 = problem.ratio2(np.ones(1), bottom)
-        best = _Candidate(order, 1.0 / ratio2[problem.below].min(keepdims=True), bottom, problem.spread_db(ratio2), 0.0)
-    active, lower_db, excess = problem.start(), 0.0, 10.0
+        best = _Candidate(order, 1.0 / ratio2[problem.below].min(keepdims=True), bottom, problem.spread_db(ratio2), 0.0, active)
     for _ in range(_MAX_CUTS):
         tol = max(_STEP_DB, 0.1 * excess)
         found, lower_db = _exchange(problem, active, order, bottom, lower_db, best.ratio_db, tol)
@@ -584,7 +604,7 @@ def _optimum(problem: _Problem, order: int, lower_order: _Candidate | None) -> _
         ratio2 = problem.ratio2(top, bottom)
         worst = problem.spread_db(ratio2)
         if worst < best.ratio_db:
-            best = _Candidate(order, top / ratio2[problem.below].min(), bottom, worst, lower_db)
+            best = _Candidate(order, top / ratio2[problem.below].min(), bottom, worst, lower_db, active)
         excess = min(excess, worst - lower_db) if math.isfinite(worst) else excess
         fresh = np.setdiff1d(_failures(problem, ratio2, lower_db), active)
         if best.ratio_db <= lower_db + 2 * _STEP_DB or (not fresh.size and tol == _STEP_DB):
@@ -592,7 +612,7 @@ def _optimum(problem: _Problem, order: int, lower_order: _Candidate | None) -> _
         if not fresh.size:
             excess = 0.0
         active = np.union1d(active, fresh)
-    return best if best.order < order else _Candidate(order, best.top, best.bottom, best.ratio_db, lower_db)
+    return best if best.order < order else replace(best, lower_db=lower_db, active=active)
 
 
 def _resolve(problem: _Problem, top: np.ndarray, bottom: np.ndarray):
@@ -641,36 +661,40 @@ def _exchange(problem, active, order, bottom, lower_db, upper_db, tol_db):
 def _program(problem, powers, rows, bottom, level_db):
     """(N, D) of the linear program at the trial worst ratio ``level_db``, None when the solver gives up.
 
-    In N' = N/t, each row over sum |d_i| y^i of ``bottom``:  bound^2 D <= t N',  N'/t - bound^2 D <= tau bound^2 D_old,
-    mean of D = 1, least tau.
+    Unknowns N' = N/t, D and tau; each row over the D of ``bottom``, and that not under 1e-5 of its sum |d_i| y^i, so that
+    the solver's tolerance is relative even in a sharp resonance:
+    bound^2 D <= t N',  N'/t - bound^2 D <= tau bound^2 D_old,  D >= 1e-5 D_old,  mean of D = 1,  least tau.
+    Where a strictly proper weight may leave the bound, N only stays positive.
     """
     t = 10.0 ** (level_db / 20.0)
     size = powers @ np.abs(bottom)
     d_rows = powers / size[:, None]
+    mean = d_rows.mean(axis=0)
+    d_rows /= np.maximum(powers @ bottom / size, _RESOLUTION)[:, None]
     n_rows = d_rows[:, :-1] if problem.strict else d_rows
     n_rows = n_rows / problem.b2[rows, None]
     n_scale, d_scale = n_rows.max(axis=0), d_rows.max(axis=0)
-    n_rows, d_rows = n_rows / n_scale, d_rows / d_scale
-    below = problem.below[rows]
-    above = np.hstack([-n_rows[below] * t, d_rows[below], np.zeros((below.sum(), 1))])
-    above /= np.abs(above).max(axis=1, keepdims=True)
-    old = np.maximum(powers @ bottom / size, 1e-3)
-    a_ub = np.vstack([above, np.hstack([n_rows / t, -d_rows, -old[:, None]]),
-                      np.hstack([np.zeros_like(n_rows), -d_rows, np.zeros((len(d_rows), 1))])])
-    b_ub = np.append(np.zeros(len(a_ub) - len(d_rows)), np.full(len(d_rows), -_DAMPING))
+    n_rows, d_rows, mean = n_rows / n_scale, d_rows / d_scale, mean / d_scale
+    below, tau = problem.below[rows], np.ones((len(rows), 1))
+    a_ub = np.vstack([np.hstack([-t * n_rows, d_rows * below[:, None], 0 * tau]),
+                      np.hstack([n_rows / t, -d_rows, -tau]),
+                      np.hstack([0 * n_rows, -d_rows, 0 * tau])])
+    roll_off = np.where(below, 0.0, -_RESOLUTION * problem.end / np.maximum(problem.y[rows], problem.end))
+    b_ub = np.concatenate([roll_off, np.zeros(len(rows)), np.full(len(rows), -_RESOLUTION)])
     cost = np.zeros(a_ub.shape[1])
     cost[-1] = 1.0
-    a_eq = np.concatenate([np.zeros(n_rows.shape[1]), d_rows.mean(axis=0), [0.0]])[None, :]
+    a_eq = np.concatenate([np.zeros(n_rows.shape[1]), mean, [0.0]])[None, :]
     answer = linprog(cost, A_ub=a_ub, b_ub=b_ub, A_eq=a_eq, b_eq=[1.0], bounds=(None, None), method="highs-ds",
                      options=_TOLERANCE)
     if answer.status != 0:
         return None
-    return answer.x[: n_rows.shape[1]] / n_scale, answer.x[n_rows.shape[1]:-1] / d_scale
+    top, bottom = answer.x[: n_rows.shape[1]] / n_scale, answer.x[n_rows.shape[1]:-1] / d_scale
+    return top / np.abs(bottom).max(), bottom / np.abs(bottom).max()
 
 
 def _failures(problem: _Problem, ratio2: np.ndarray, level_db: float) -> np.ndarray:
     """y to add: the worst local extremes of the ratio outside [1, level], and one per stretch where D <= 0."""
-    bad = np.isnan(ratio2) | (problem.below & ~(ratio2 > 0))
+    bad = ~((ratio2 > 0) | (problem.strict & np.isinf(problem.y)))
     log_r = 10.0 * np.log10(np.where(ratio2 > 0, ratio2, 1.0))
     miss = np.maximum(log_r - level_db, np.where(problem.below, -log_r, 0.0))
     ends = np.pad(miss, 1, mode="edge")
@@ -690,7 +714,8 @@ def _choose(best: dict[int, _Candidate], tol_db: float) -> int:
 
 
 def _close(problem: _Problem, candidate: _Candidate, lower_order: _Candidate | None):
-    """Weight, inflation, certificate and lower limit [dB] of a candidate; None when no stable spectral factor is found.
+    """Weight, inflation, certificate and lower limit [dB] of a candidate; None when no stable spectral factor
+    is found that beats the lower order.
 
     Where the certificate finds the ratio outside what the grid showed, that frequency joins the grid and the order is
     fitted again.
@@ -704,10 +729,11 @@ def _close(problem: _Problem, candidate: _Candidate, lower_order: _Candidate | N
         if closed is not None and _db(closed[2].max_ratio) <= candidate.lower_db + 4 * _STEP_DB:
             break
         problem.insert((np.array([certificate.min_ratio_at, certificate.max_ratio_at]) / problem.samples.unit) ** 2)
-        candidate = _optimum(problem, candidate.order, lower_order)
+        candidate = _optimum(problem, candidate.order, lower_order, candidate)
         if lower_order is not None and candidate.order == lower_order.order:
             break
-    return closed
+    worse = closed is not None and lower_order is not None and _db(closed[2].max_ratio) > lower_order.ratio_db + _STEP_DB
+    return None if worse else closed
 
 
 def _lift(problem: _Problem, candidate: _Candidate) -> tuple[Weight, float, Certificate]:
@@ -735,11 +761,10 @@ def _roots(polynomial: np.ndarray) -> np.ndarray:
 
 
 def _spectral_factor(square: np.ndarray) -> np.ndarray:
-    """p with |p(jw)|^2 = square(w^2), roots in the open left half-plane; descending powers of s."""
+    """p with |p(jw)|^2 = square(w^2) and roots in the open left half-plane, where there is one; descending powers of s."""
     roots = _roots(square[::-1])
     s = -np.sqrt(-roots.astype(complex))
-    factor = math.sqrt(square[-1]) * np.real(np.poly(s)) if len(s) else np.array([math.sqrt(square[-1])])
-    return np.atleast_1d(factor)
+    return math.sqrt(abs(square[-1])) * np.atleast_1d(np.real(np.poly(s)))
 
 
 def _quadratics(roots: np.ndarray) -> list[np.ndarray]:

@@ -27,7 +27,8 @@
 /// iteration, so the cost per step is constant. Halving the step (`substeps`) moves the yaw rate by less than 1e-4 of its peak.
 ///
 /// Use:     construct once, step() once per millisecond, read truth() and sensors() at any time.
-/// Cost:    no heap, no libm beyond sqrt and floor in step(); about 0.3 us a step on a desktop core. Same seed, same inputs: same bits.
+/// Cost:    no heap, no libm beyond sqrt and floor in step(); about 0.3 us a step on a desktop core.
+/// Repeats: same seed, same inputs, same bits, whatever the compiler (tested: gcc -O3 and clang -O1 with sanitizers).
 /// Threads: one instance per thread.
 #pragma once
 
@@ -74,7 +75,9 @@ struct Truth {
     double bank_rad = 0.0;
     double crosswind_mps = 0.0;
     std::array<double, 4> wheel_load_n{};
+    std::array<double, 4> tyre_slip{};             ///< Tangent of the slip angle after relaxation, left positive.
     std::array<double, 4> tyre_lateral_force_n{};  ///< Along each wheel's own axis.
+    std::array<double, 4> brake_force_n{};         ///< Backwards along each wheel.
 };
 
 /// What the truck's sensors deliver: sampled every 10 ms, noisy, faulty, on their number grids, held in between.

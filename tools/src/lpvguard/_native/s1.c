@@ -46,7 +46,8 @@ static cpx scale(cpx a, double s) { return (cpx){a.re * s, a.im * s}; }
 
 typedef struct { double b1, nu; cpx delta; } s1_result;
 
-static const double edge = 1e-3;                 /* below this relative difference the plain formula loses digits */
+static const double edge = 1e-3;                 /* a difference of squares below this, relative, loses three digits */
+static const double edge2 = 1e-6;                /* the same for the square of a difference */
 static const double tiny = 1e-250, huge_ = 1e250; /* outside, squares of squares under- or overflow */
 
 /* The result from sums that are exact to the last bit: ee_g = |E|^2 - gamma^2, room = gamma^2 |Z|^2 - d2. */
@@ -149,7 +150,7 @@ static inline void s1_group(ptrdiff_t n, int live, const cpx *restrict e, const 
         const double ez = ee[l] * zz[l], gz = gg[l] * zz[l], room = gz - d2[l], ee_g = ee[l] - gg[l];
         const double ze2 = zr[l] * zr[l] + zi[l] * zi[l], aze = sqrt(ze2);
         safe[l] = (ez > tiny) & (ez < huge_) & (zz[l] > tiny) & (zz[l] < huge_) & (gz < huge_) & (gg[l] < huge_) &
-                  ((n == 1) | (d2[l] > edge * ez)) & (fabs(room) > edge * d2[l]) & (fabs(ee_g) > edge * ee[l]) & (ze2 > edge * ez);
+                  ((n == 1) | (d2[l] > edge2 * ez)) & (fabs(room) > edge * gz) & (fabs(ee_g) > edge * ee[l]) & (ze2 > edge2 * ez);
         out_b[l] = sqrt(d2[l] / zz[l]);
         out_n[l] = ee_g > 0.0 ? ee_g / (aze + sqrt(room > 0.0 ? room : 0.0)) : 0.0;
         out_s[l] = room < 0.0 ? 0.0 : out_n[l] / aze;

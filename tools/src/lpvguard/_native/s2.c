@@ -220,11 +220,11 @@ static double cut(const interval *v) {
 
 /* Dual at hi, from the multipliers that v carries: lifted off zero, where an interior-point method would stall. */
 static void evaluate(const problem *pr, interval *v, incumbent *best) {
-    const double lift = 1e-3 * best->cost;
+    const double cost = fmin(best->cost, 1.0), lift = 1e-3 * cost;   /* 1: the scale of the problem, before any point is known */
     v->at.mu[0] = fmax(v->at.mu[0], lift);
     v->at.mu[1] = fmax(v->at.mu[1], lift);
-    v->known = maximise_dual(pr, v->hi, 0.1 * pr->gap * best->cost, 0.02 * best->cost, 1.05 * best->cost,
-                             best->cost + (v->hi - v->lo), &v->at);
+    v->known = maximise_dual(pr, v->hi, 0.1 * pr->gap * cost, 0.02 * cost, 1.05 * best->cost,
+                             fmin(best->cost, 1e9) + (v->hi - v->lo), &v->at);
     if (v->known) offer(pr, v->at.z, best);
     v->lower = interval_bound(pr, v);
 }

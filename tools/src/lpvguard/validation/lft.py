@@ -140,7 +140,7 @@ def parametrise(problem: Lft) -> Parametrisation:
 class _Form:
     """|a z|^2 <= (constant + sizes[param]) slope |b z|^2, and for a repeated block a z = delta b z as well.
 
-    ``param`` -1: the constant alone. A repeated block without a bound has constant inf.
+    ``param`` -1: the constant alone; inf when a repeated block has no bound (its own cap is infinite).
     """
 
     a: np.ndarray
@@ -209,10 +209,10 @@ class Interval:
 
 
 class _Quadratic:
-    """min sum_j p_j over z = (theta, 1) and p >= 0 subject to a list of :class:`_Form`; |p| = ``params``."""
+    """min sum_j p_j over z = (theta, 1) of length ``n`` and p >= 0 (``params`` of them) subject to :class:`_Form` s."""
 
-    def __init__(self, forms: Sequence[_Form], params: int):
-        self.forms, self.params = list(forms), params
+    def __init__(self, forms: Sequence[_Form], params: int, n: int):
+        self.forms, self.params, self._n = list(forms), params, n
         self.repeated = [k for k, f in enumerate(self.forms) if f.repeated]
         self._plain = None if self.repeated else self._certificate_forms({})
 
@@ -427,7 +427,7 @@ class _Quadratic:
         ), z
 
     def _origin(self) -> np.ndarray:
-        return np.append(np.zeros(self.forms[0].a.shape[1] - 1, dtype=complex), 1.0)
+        return np.append(np.zeros(self._n - 1, dtype=complex), 1.0)
 
     def _repeated_starts(self) -> list[np.ndarray]:
         """Points inside the constant constraints for problems with repeated blocks: sampling, then descent on them.
@@ -474,9 +474,9 @@ class _Quadratic:
 
     def _zero(self) -> np.ndarray | None:
         """A point that needs no size at all, when there is one: the optimum is then exactly zero."""
-        if any(np.isinf(f.constant) for f in self.forms):
+        if any(f.repeated and f.param < 0 for f in self.forms):
             return None
-        rows = np.vstack([f.a for f in self.forms if f.param >= 0])
+        rows = np.vstack([np.zeros((0, self._n)), *(f.a for f in self.forms if f.param >= 0)])
         left = rows[:, :-1]
         theta, *_ = np.linalg.lstsq(left, -rows[:, -1], rcond=RANK_TOLERANCE)
         z = np.append(theta, 1.0)
@@ -500,6 +500,8 @@ class _Quadratic:
 
     def _candidates(self, inverse: np.ndarray) -> list[np.ndarray]:
         """Rank-one readings of the primal matrix: its leading vector, and its column of t."""
+        if not np.all(np.isfinite(inverse)):
+            return []
         _, vectors = np.linalg.eigh(inverse)
         raw = [inverse[:, -1], vectors[:, -1], vectors[:, -2] if len(vectors) > 1 else vectors[:, -1]]
         return [v / v[-1] for v in raw if abs(v[-1]) > 1e-9 * np.linalg.norm(v)]
@@ -671,6 +673,11 @@ class _Posed:
         return split(self.problem.blocks, self._eta, "cols")
 
     @property
+    def n(self) -> int:
+        """Free variables plus one."""
+        return self.t.shape[1]
+
+    @property
     def w(self) -> np.ndarray:
         """Map to w."""
         return self._w
@@ -790,11 +797,11 @@ def optimum(problem: Lft, gamma_w: float, lambda_nu, lambda_w=None, *, gap: floa
             forms.append(_block_form(posed, i, param=params, slope=1.0 / lam[i]))
             params += 1
         elif block.repeated:
-            forms.append(_block_form(posed, i, constant=np.inf))
+            forms.append(_block_form(posed, i, constant=block_caps(problem)[i] ** 2))
     if quadratic:
         forms.append(_Form(np.vstack(quadratic), posed.t, param=params))
         params += 1
-    quadratic_problem = _Quadratic(forms, max(params, 1))
+    quadratic_problem = _Quadratic(forms, max(params, 1), posed.n)
     interval = _one_block(quadratic_problem, block_caps(problem), posed) if quadratic and params == 2 else None
     if interval is None or not interval.upper - interval.lower <= 2.0 * gap * interval.upper:
         interval = quadratic_problem.solve(gap=gap)
@@ -844,11 +851,12 @@ def smallest_last_block(problem: Lft, gamma_w: float, *, gap: float = GAP) -> tu
     if last in posed.dead:
         return 0.0, 0.0
     forms = _ball(posed, gamma_w)
-    forms += [_block_form(posed, i, constant=np.inf) for i in range(last) if problem.blocks[i].repeated]
+    caps = block_caps(problem)
+    forms += [_block_form(posed, i, constant=caps[i] ** 2) for i in range(last) if problem.blocks[i].repeated]
     forms.append(_block_form(posed, last, param=0))
-    interval = _Quadratic(forms, 1).solve(gap=gap)
+    interval = _Quadratic(forms, 1, posed.n).solve(gap=gap)
     lower, upper = float(np.sqrt(interval.lower)), float(np.sqrt(interval.upper))
-    cap = block_caps(problem)[last]
+    cap = caps[last]
     if not upper < cap:
         raise InputError(problem.source, f"block {last + 1}", f"needs {upper:.6g}, at or above its cap {cap:.6g}", "a size below")
     return lower, upper
@@ -859,7 +867,7 @@ def smallest_common_size(problem: Lft, gamma_w: float, *, gap: float = GAP) -> S
     posed = _pose(problem, gamma_w)
     forms = _ball(posed, gamma_w)
     forms += [_block_form(posed, i, param=0) for i in range(len(problem.blocks)) if i not in posed.dead]
-    interval = _Quadratic(forms, 1).solve(gap=gap)
+    interval = _Quadratic(forms, 1, posed.n).solve(gap=gap)
     return posed.finish(interval, "gamma_w")
 
 
@@ -874,5 +882,5 @@ def margin(problem: Lft, w_delta, w_w, *, gap: float = GAP) -> Solution:
     forms += [
         _block_form(posed, i, param=0, slope=float(b) ** 2) for i, b in enumerate(w_delta) if i not in posed.dead
     ]
-    solution = posed.finish(_Quadratic(forms, 1).solve(gap=2.0 * gap), "W_delta, W_w")
+    solution = posed.finish(_Quadratic(forms, 1, posed.n).solve(gap=2.0 * gap), "W_delta, W_w")
     return replace(solution, lower=float(np.sqrt(solution.lower)), upper=float(np.sqrt(solution.upper)))

@@ -176,10 +176,10 @@ class _Point:
         return v.lo * ratio**x if ratio > 1.5 else v.lo + x * (v.hi - v.lo)
 
     def _evaluate(self, v: _Interval) -> None:
-        np.maximum(v.at.mu, 1e-3 * self.cost, out=v.at.mu)
-        v.known = self._maximise_dual(
-            v.hi, 0.1 * self.gap * self.cost, 0.02 * self.cost, 1.05 * self.cost, self.cost + (v.hi - v.lo), v.at
-        )
+        cost = min(self.cost, 1.0)  # 1: the scale of the problem, before any point is known
+        np.maximum(v.at.mu, 1e-3 * cost, out=v.at.mu)
+        enough = min(self.cost, 1e9) + (v.hi - v.lo)
+        v.known = self._maximise_dual(v.hi, 0.1 * self.gap * cost, 0.02 * cost, 1.05 * self.cost, enough, v.at)
         if v.known:
             self._offer(v.at.z)
         v.lower = self._bound(v)
@@ -207,7 +207,7 @@ class _Point:
                 else:
                     closed = min(closed, child.lower)
         closed = min([closed, *(item[0] for item in heap)])
-        return (min(closed, self.cost), self.cost, self.p, duals), self.z
+        return (min(closed, self.cost), self.cost, self.p, duals), start if self.z is None else self.z
 
 
 @dataclass(frozen=True)

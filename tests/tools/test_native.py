@@ -1,0 +1,66 @@
+"""The on-demand compiler: caching, atomicity, refusals."""
+
+from __future__ import annotations
+
+import ctypes
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from lpvguard import native
+
+pytestmark = pytest.mark.skipif(native.kernels() is None, reason="no C compiler on this machine")
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("LPVGUARD_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def source(tmp_path, text, name="f.c"):
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def test_compiles_once_and_again_when_source_header_or_flags_change(tmp_path, cache):
+    header = source(tmp_path, "#define VALUE 7\n", "value.h")
+    c = source(tmp_path, '#include "value.h"\nint f(void) { return VALUE; }\n')
+    first = native.compile_shared([c], name="demo")
+    stamp = first.stat().st_mtime_ns
+    assert ctypes.CDLL(str(first)).f() == 7
+    assert native.compile_shared([c], name="demo") == first and first.stat().st_mtime_ns == stamp
+    header.write_text("#define VALUE 8\n")
+    second = native.compile_shared([c], name="demo")
+    assert second != first and ctypes.CDLL(str(second)).f() == 8
+    assert native.compile_shared([c], flags=("-O0",), name="demo") not in (first, second)
+    assert not [p for p in cache.iterdir() if p.name.startswith(".")]
+
+
+def test_cpp_and_include_dirs(tmp_path, cache):
+    (tmp_path / "inc").mkdir()
+    source(tmp_path / "inc", "constexpr int value = 5;\n", "value.hpp")
+    cpp = source(tmp_path, '#include "value.hpp"\nextern "C" int f() { return value; }\n', "f.cpp")
+    assert ctypes.CDLL(str(native.compile_shared([cpp], include_dirs=[tmp_path / "inc"]))).f() == 5
+
+
+def test_processes_that_start_together_do_not_disturb_each_other(tmp_path, cache):
+    c = source(tmp_path, "int f(void) { return 3; }\n")
+    with ThreadPoolExecutor(4) as pool:
+        paths = set(pool.map(lambda _: native.compile_shared([c]), range(4)))
+    assert len(paths) == 1 and ctypes.CDLL(str(paths.pop())).f() == 3
+
+
+def test_refusals_say_why(tmp_path, cache, monkeypatch):
+    with pytest.raises(native.NativeError, match="not found"):
+        native.compile_shared([tmp_path / "missing.c"])
+    bad = source(tmp_path, "this is not C\n", "bad.c")
+    with pytest.raises(native.NativeError, match="error"):
+        native.compile_shared([bad])
+    with pytest.raises(native.NativeError, match="reproducible"):
+        native.compile_shared([source(tmp_path, "int f;\n")], flags=("-ffast-math",))
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    with pytest.raises(native.NativeError, match="no C compiler"):
+        native.compile_shared([source(tmp_path, "int f;\n", "g.c")])

@@ -1,0 +1,117 @@
+"""lpvguard_plant_tool as its callers use it: experiments repeat to the byte, and bad input leaves no file.
+
+The tool's path comes from the environment variable LPVGUARD_PLANT_TOOL, which ctest sets.
+"""
+
+import os
+import subprocess
+
+import numpy as np
+import pytest
+
+TOOL = os.environ.get("LPVGUARD_PLANT_TOOL")
+pytestmark = pytest.mark.skipif(TOOL is None, reason="LPVGUARD_PLANT_TOOL does not name the built tool")
+
+SIGN_FLIP = """
+[plant]
+speed_profile = [[0, 10], [10, 15]]
+[[plant.sensor_fault]]
+signal = "yaw_rate"
+gain = -1.0
+"""
+
+
+def run(*words):
+    return subprocess.run([TOOL, *map(str, words)], capture_output=True, text=True, check=False)
+
+
+def generate(path, *words):
+    done = run("generate", "-o", path, *words)
+    assert done.returncode == 0, done.stderr
+    return np.loadtxt(path, delimiter=",", skiprows=1)
+
+
+@pytest.mark.parametrize("program", ["pulses", "telegraph", "multisine", "zero"])
+def test_an_experiment_repeats_to_the_byte_and_its_seed_matters(tmp_path, program):
+    paths = [tmp_path / name for name in ("a.csv", "b.csv", "c.csv")]
+    for path, seed in zip(paths, (3, 3, 4), strict=True):
+        table = generate(path, "--program", program, "--speed", 17, "--duration", 20, "--seed", seed)
+        assert table.shape == (2000, 5)
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+    assert paths[0].read_bytes() != paths[2].read_bytes()
+    assert paths[0].read_text().startswith("t,v,dp,r,delta\n0,")
+
+
+def test_the_columns_mean_what_the_header_says(tmp_path):
+    t, v, dp, r, delta = generate(tmp_path / "a.csv", "--speed", 12, "--duration", 300).T
+    assert np.allclose(np.diff(t), 0.01)
+    assert np.allclose(v, 12, atol=0.1)
+    braked = dp != 0
+    assert 0.3 < braked.mean() < 0.7
+    assert 0.5 <= np.abs(dp[braked]).min() and np.abs(dp).max() <= 2.0
+    assert np.all(dp[t < 1.0] == 0.0)
+    assert np.corrcoef(r[100:], dp[:-100])[0, 1] < -0.5, "braking right turns right"
+    assert np.corrcoef(r, delta)[0, 1] > 0.9
+
+
+def test_the_amplitudes_of_the_programs(tmp_path):
+    telegraph = generate(tmp_path / "t.csv", "--program", "telegraph", "--amplitude-low", 1, "--amplitude-high", 1)[:, 2]
+    assert set(np.unique(telegraph)) == {-1.0, 0.0, 1.0}
+    multisine = generate(tmp_path / "m.csv", "--program", "multisine", "--duration", 600)[:, 2]
+    assert 0.8 < multisine.std() < 1.2 and np.abs(multisine).max() <= 2.0
+    assert not generate(tmp_path / "z.csv", "--program", "zero")[:, 2].any()
+
+
+def test_a_scenario_sets_speed_and_faults(tmp_path):
+    (tmp_path / "flip.toml").write_text(SIGN_FLIP)
+    _, v, _, r, delta = generate(tmp_path / "a.csv", "--scenario", tmp_path / "flip.toml").T
+    assert abs(v[0] - 10) < 0.1 and abs(v[-1] - 15) < 0.1
+    assert np.corrcoef(r, delta)[0, 1] < -0.9
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["--speed", "40"], "expected a number, 3"),
+        (["--speed", "fast"], "expected a number"),
+        (["--duration", "nan"], "--duration"),
+        (["--seed", "-1"], "expected a whole number"),
+        (["--program", "waltz"], "expected pulses, telegraph, multisine or zero"),
+        (["--amplitude-low", "3", "--amplitude-high", "2"], "--amplitude-high"),
+        (["--colour", "red"], "--colour: unknown option"),
+        (["--seed"], "expected a value"),
+        (["--seed", "1", "--seed", "2"], "given twice"),
+        (["--parameters", "/nowhere.toml"], "/nowhere.toml: cannot be read"),
+        (["--scenario", "/nowhere.toml"], "/nowhere.toml: cannot be read"),
+    ],
+)
+def test_bad_input_exits_2_names_the_fault_and_leaves_no_file(tmp_path, words, complaint):
+    done = run("generate", "-o", tmp_path / "a.csv", *words)
+    assert done.returncode == 2
+    assert complaint in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unwritable_place_is_named(tmp_path):
+    done = run("generate", "-o", tmp_path / "missing" / "a.csv")
+    assert done.returncode == 2
+    assert "missing" in done.stderr
+
+
+def test_help_and_unknown_commands():
+    assert "frequency-response" in run("generate", "--help").stdout
+    assert run().returncode == 2
+    assert "unknown command" in run("dance").stderr
+
+
+def test_digest_repeats_and_depends_on_the_seed():
+    digests = [run("digest", "--duration", 20, "--seed", seed).stdout for seed in (1, 1, 2)]
+    assert digests[0] == digests[1] != digests[2]
+
+
+def test_a_truck_too_far_from_the_model_is_a_finding(tmp_path):
+    shipped = open(os.path.join(os.path.dirname(__file__), "../../firmware_sim/plant/truck.toml"), encoding="utf-8").read()
+    (tmp_path / "weak.toml").write_text(shipped.replace("brake_force_npbar = { value = 800.0", "brake_force_npbar = { value = 300.0"))
+    done = run("frequency-response", "--points", 3, "--parameters", tmp_path / "weak.toml")
+    assert done.returncode == 1
+    assert "OUTSIDE the limits" in done.stdout

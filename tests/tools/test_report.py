@@ -1,0 +1,148 @@
+"""The report page: whole, self-contained, the same bytes every time, and saying what was left out and why."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lpvguard import identify as stage
+from lpvguard.core import Core
+from lpvguard.evaluate import evaluate
+from lpvguard.export import export_vehicle
+from lpvguard.nominal import NominalModel
+from lpvguard.project import load_project, parse_project
+from lpvguard.replay import Replayer
+from lpvguard.report import write_report
+
+TITLES = ["Summary", "Disturbance bound", "Weights over the bounds", "The nominal model in time",
+          "Excitation and what stays invisible",
+          "Margin over time and frequency, drive by drive"]
+LEFT_OUT = "creeping"
+# name, split, mean speed [m/s], duration [s]; the fault of "weak" makes alarms.
+DRIVES = [("slow", "train", 6.0, 30.0), ("fast", "train", 16.0, 30.0), ("check", "valid", 15.0, 30.0),
+          ("weak", "valid", 6.0, 30.0),
+          (LEFT_OUT, "valid", 2.0, 10.0)]
+
+
+def vehicle(n_y: int):
+    """The g80 with short frames, and with lateral acceleration as second output when asked."""
+    document = load_project("g80").model_dump(by_alias=True)
+    document["frames"] |= {"f_min_hz": 0.5, "f_max_hz": 2.5, "bins_per_decade": 5}
+    document["bounds"]["nu_ceiling"] = {"f_hz": [1.0], "nu": [0.05]}
+    document["weights"] |= {"max_order": 2}
+    if n_y == 2:
+        document["name"] = "two_outputs"
+        second = {"name": "lateral_acceleration", "role": "output", "column": "ay", "unit": "m/s^2", "positive": "left turn",
+                  "min": -20.0, "max": 20.0}
+        document["signals"] = [*document["signals"], second]
+        document["model"] |= {"C": [[1.0], [10.0]], "output_offset": [0.0, 0.0]}
+    return parse_project(document, "test")
+
+
+def write_drives(project, folder: Path) -> None:
+    """Drives of a vehicle that differs from the nominal model by 10 % of gain and noise; "weak" has half the gain from 10 s on."""
+    model, folder_index = NominalModel(project), ["experiment,split,driver"]
+    folder.mkdir()
+    for index, (name, split, speed, duration) in enumerate(DRIVES):
+        random = np.random.default_rng(index)
+        t = np.arange(int(duration / project.Ts_s)) * project.Ts_s
+        v = speed * (1 + 0.03 * np.sin(0.2 * t))
+        u = sum(0.02 * np.sin(w * t + random.uniform(0, 6)) for w in (1.0, 1.9, 3.1, 5.3, 9.7))[:, None]
+        y = model.simulate(v, u, np.zeros(project.n_y))
+        gain = np.where((name == "weak") & (t > 10.0), 0.5, 0.9)[:, None]
+        y = gain * y + 2e-2 * np.abs(y).max(axis=0) * random.standard_normal(y.shape)
+        columns = [project.speed.column, *(s.column for s in [*project.inputs, *project.outputs])]
+        np.savetxt(folder / f"{name}.csv", np.column_stack([t, v, u, y]), delimiter=",", header=",".join(["t", *columns]),
+                   comments="", fmt="%.9g")
+        folder_index.append(f"{name},{split},robot")
+    (folder / "experiments.csv").write_text("\n".join(folder_index) + "\n")
+
+
+@dataclass(frozen=True)
+class Case:
+    stored: stage.StoredIdentification
+    drives: stage.DriveSet
+    replayer: Replayer
+
+    def page(self, out: Path, evaluation: dict | None = None) -> bytes:
+        write_report(self.stored, self.drives, self.replayer, out, evaluation, lambda _: None)
+        return out.read_bytes()
+
+
+@pytest.fixture(scope="module", params=[1, 2], ids=["one output", "two outputs"])
+def case(request, tmp_path_factory) -> Case:
+    folder = tmp_path_factory.mktemp("report")
+    project = vehicle(request.param)
+    write_drives(project, folder / "drives")
+    result, drives = stage.identify(project, folder / "drives")
+    stage.save(result, drives, folder / "identified")
+    stored = stage.load(folder / "identified")
+    export_vehicle(stored, folder / project.name)
+    # A threshold of its own: calibrated on "weak" itself nothing would alarm.
+    return Case(stored, drives, Replayer(project, Core(folder / project.name), threshold=1.5))
+
+
+@pytest.fixture(scope="module")
+def page(case, tmp_path_factory) -> str:
+    return case.page(tmp_path_factory.mktemp("page") / "report.html").decode()
+
+
+def test_has_every_section_in_order(page):
+    assert re.findall("<h2>(.*?)</h2>", page) == TITLES
+    assert page.count("<svg") == page.count("</svg>") >= len(DRIVES) + 5
+    for figure in ("Fig. 2", "Fig. 3", "Fig. 4"):
+        assert f"Counterpart of {figure}" in page
+
+
+def test_needs_nothing_from_outside(page):
+    assert not re.search(r"https?:|//[a-z]|<script|<link|<iframe|@import|javascript:", re.sub(r"base64,[^\"]*", "", page))
+    assert set(re.findall(r'(?:href|src)="(data:|#)?', page)) <= {"data:", "#"}
+
+
+def test_references_within_the_page_resolve_and_are_unique(page):
+    ids = re.findall(r' id="([^"]+)"', page)
+    assert len(ids) == len(set(ids))
+    assert set(re.findall(r'(?:href="|url\()#([^")]+)', page)) <= set(ids)
+
+
+def test_same_input_gives_the_same_bytes(case, page, tmp_path):
+    assert case.page(tmp_path / "again.html") == page.encode()
+    assert [p.name for p in tmp_path.iterdir()] == ["again.html"]
+
+
+def test_names_every_drive_with_its_part_and_those_left_out_with_their_reason(case, page):
+    assert case.stored.manifest["drives"]["left_out"], "the case must leave a drive out"
+    for name, reason in case.stored.manifest["drives"]["left_out"].items():
+        assert f"{name}: {reason}" in page
+        assert f"left out: {reason}" in page
+    for name in case.drives.experiments:
+        assert f"<h3>{name} " in page
+
+
+def test_alarms_are_listed_with_their_evidence(case, page):
+    replay = case.replayer.replay(case.drives.load("weak")[0])
+    assert replay.alarms, "half the gain must alarm"
+    first = replay.alarms[0]
+    assert f"<td>{first.t_s:.2f}</td><td>frame</td>" in page
+    assert "alarm at, s" in page
+
+
+def test_evaluation_and_a_core_of_another_identification_are_told(case, page, tmp_path):
+    assert "carries the numbers of this identification" in page
+    stored = stage.load(case.stored.folder)
+    name, numbers = next(iter(stored.coefficients.reals.items()))
+    stored.coefficients.reals[name] = np.asarray(numbers) * 1.01
+    evaluation = evaluate(case.stored, case.drives, case.replayer.core)
+    # No drive is long enough for injected faults here: made-up cases make the picture.
+    cases = [{"run": "check", "s": 2.0, "counts": True}, {"run": "weak", "s": None, "counts": False}]
+    evaluation["faults"] = [row | {"drives": 2, "counted": 1, "found": 1, "cases": cases} for row in evaluation["faults"]]
+    text = Case(stored, case.drives, case.replayer).page(tmp_path / "report.html", evaluation).decode()
+    assert "carries other numbers than this identification" in text
+    assert re.findall("<h2>(.*?)</h2>", text) == [*TITLES, "Evaluation, leave one drive out"]
+    assert "Time to find" in text and "2.0, never" in text and "1 of 1" in text
+    for row in evaluation["faults"]:
+        assert row["fault"] in text

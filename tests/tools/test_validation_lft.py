@@ -1,0 +1,380 @@
+"""The general LFT and class S2 against semidefinite and brute-force references; both sides of every answer are tested."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lpvguard import native
+from lpvguard.bench.validation import truck_points
+from lpvguard.errors import InputError
+from lpvguard.validation import delta as dl
+from lpvguard.validation import lft, s2
+from lpvguard.validation.delta import Block
+from lpvguard.validation.lft import Lft
+
+
+def gauss(rng, *shape):
+    return (rng.normal(size=shape) + 1j * rng.normal(size=shape)) / np.sqrt(2)
+
+
+def made_from_truth(rng, n_y, blocks, *, p12=False, n_w=None, size=0.3, noise=0.1, gain=0.3):
+    """A point simulated with a known Delta and w; returns (problem, true sizes, w)."""
+    blocks = tuple(Block(*b) for b in blocks)
+    p, q, wide = sum(b.rows for b in blocks), sum(b.cols for b in blocks), n_w or n_y
+    p11, p21, eta0 = gain * gauss(rng, q, p) / np.sqrt(p), gauss(rng, n_y, p), gauss(rng, q)
+    p22 = np.eye(n_y, dtype=complex) if n_w is None else gauss(rng, n_y, wide)
+    p12 = gain * gauss(rng, q, wide) if p12 else np.zeros((q, wide), complex)
+    pieces = []
+    for b in blocks:
+        d = gauss(rng, b.rows, b.cols) if b.type == "full" else np.eye(b.rows, dtype=complex)
+        d *= size * rng.uniform(0.3, 1.0) / np.linalg.norm(d, 2)
+        pieces.append(d * (np.exp(2j * np.pi * rng.uniform()) if b.type == "repeated_complex" else 1.0))
+    total = np.zeros((p, q), complex)
+    row = col = 0
+    for d in pieces:
+        total[row : row + d.shape[0], col : col + d.shape[1]] = d
+        row, col = row + d.shape[0], col + d.shape[1]
+    w = gauss(rng, wide)
+    w *= noise / np.linalg.norm(w)
+    eta = np.linalg.solve(np.eye(q) - p11 @ total, p12 @ w + eta0)
+    e = p21 @ total @ eta + p22 @ w
+    return Lft(blocks, p11, p12, p21, p22, eta0, e), np.array([np.linalg.norm(d, 2) for d in pieces]), w
+
+
+def substitute(problem, s, gamma=None):
+    """Everything that a returned explanation promises, checked from the raw matrices."""
+    eta = problem.p11 @ s.xi + problem.p12 @ s.w + problem.eta0
+    np.testing.assert_allclose(problem.p21 @ s.xi + problem.p22 @ s.w, problem.e, atol=1e-8 * np.linalg.norm(problem.e))
+    if gamma is not None:
+        assert np.linalg.norm(s.w) <= gamma * (1 + 1e-8)
+    pieces = zip(
+        problem.blocks, dl.split(problem.blocks, s.xi, "rows"), dl.split(problem.blocks, eta, "cols"), s.nu, strict=True
+    )
+    for (block, xi, eta_i, nu), made in zip(pieces, s.verification.deltas, strict=True):
+        assert np.linalg.norm(xi) <= nu * np.linalg.norm(eta_i) * (1 + 1e-8) + 1e-12
+        np.testing.assert_allclose(made @ eta_i, xi, atol=1e-7 * (np.linalg.norm(xi) + 1e-9))
+        if block.type != "full":
+            np.testing.assert_allclose(made, made[0, 0] * np.eye(block.rows), atol=0)
+        if block.type == "repeated_real":
+            assert np.all(made.imag == 0)
+    assert s.verification.residual < 1e-6
+
+
+FULL = {
+    "one block": (2, [("full", 1, 1)], {}),
+    "one wide block, three outputs": (3, [("full", 2, 3)], {}),
+    "one output": (1, [("full", 1, 1), ("full", 3, 3)], {}),
+    "P12": (3, [("full", 1, 1), ("full", 3, 3)], {"p12": True}),
+    "P12 and a wide P22": (2, [("full", 2, 1), ("full", 1, 2)], {"p12": True, "n_w": 3}),
+    "M square": (2, [("full", 1, 1)], {"p12": True, "n_w": 1}),
+}
+
+
+@pytest.mark.parametrize("name", FULL)
+def test_full_blocks_are_solved_to_a_certified_gap(name):
+    n_y, blocks, options = FULL[name]
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        problem, nu, w = made_from_truth(rng, n_y, blocks, **options)
+        lam, gamma = rng.uniform(0.5, 2.0, len(blocks)), np.linalg.norm(w) * 1.001
+        s = lft.optimum(problem, gamma, lam)
+        assert s.upper - s.lower <= 1e-3 * s.upper
+        assert s.upper <= np.sum(lam * nu**2) * (1 + 1e-6), "the truth explains the data: nothing larger may be reported"
+        assert s.upper == pytest.approx(np.sum(lam * s.nu**2), rel=1e-6, abs=1e-12)
+        substitute(problem, s, gamma)
+
+
+def forms(problem):
+    """Homogeneous maps (xi, eta, w, t) of a problem in the paper's coordinates, for conic references."""
+    par = lft.parametrise(problem)
+    t = np.zeros((1, par.xi_map.shape[1]))
+    t[0, -1] = 1.0
+    return dl.split(problem.blocks, par.xi_map, "rows"), dl.split(problem.blocks, par.eta_map, "cols"), par.w_map, t
+
+
+def relaxed_feasible(cp, limits, n):
+    """Is there X >= 0, X_tt = 1 with <Q, X> <= 0 for each Q?  (exact for three forms)"""
+    x, excess = cp.Variable((n, n), hermitian=True), cp.Variable()
+    rows = [cp.real(cp.trace((q / np.linalg.norm(q)) @ x)) <= excess for q in limits]
+    cp.Problem(cp.Minimize(excess), [x >> 0, cp.real(cp.trace(x)) == 1, *rows]).solve(solver=cp.CLARABEL)
+    return excess.value <= 0
+
+
+@pytest.mark.parametrize("name", ["one output", "P12", "P12 and a wide P22"])
+def test_common_size_matches_bisection_over_semidefinite_programs(name):
+    cp = pytest.importorskip("cvxpy")
+    n_y, blocks, options = FULL[name]
+    problem, nu, w = made_from_truth(np.random.default_rng(77), n_y, blocks, **options)
+    gamma = 0.7 * np.linalg.norm(np.linalg.pinv(problem.p22) @ problem.e)
+    xi, eta, w_map, t = forms(problem)
+    low, high = 0.0, 2.0 * float(nu.max())
+    for _ in range(18):
+        mid = 0.5 * (low + high)
+        limits = [w_map.conj().T @ w_map - gamma**2 * (t.T @ t)]
+        limits += [a.conj().T @ a - mid**2 * b.conj().T @ b for a, b in zip(xi, eta, strict=True)]
+        low, high = (low, mid) if relaxed_feasible(cp, limits, t.shape[1]) else (mid, high)
+    s = lft.smallest_common_size(problem, gamma)
+    assert np.sqrt(s.lower) <= high * (1 + 1e-4) and np.sqrt(s.upper) >= low * (1 - 1e-4)
+    assert s.upper - s.lower <= 1e-3 * s.upper
+
+
+def scalar_grid(block_type, bound):
+    if block_type == "repeated_real":
+        return np.linspace(-bound, bound, 50001)
+    radius, angle = np.meshgrid(np.linspace(0.0, bound, 301), np.linspace(0, 2 * np.pi, 360, endpoint=False))
+    return (radius * np.exp(1j * angle)).ravel()
+
+
+@pytest.mark.parametrize("block_type", ["repeated_complex", "repeated_real"])
+@pytest.mark.parametrize("rows", [2, 3])
+def test_repeated_block_beats_no_grid_point_and_is_beaten_by_none(block_type, rows):
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        problem, nu, w = made_from_truth(rng, 2, [(block_type, rows, rows)], noise=0.3)
+        gamma = np.linalg.norm(w) * 1.05
+        s = lft.optimum(problem, gamma, [1.0])
+        grid = scalar_grid(block_type, 1.2 * nu[0])
+        loop = np.linalg.solve(
+            np.eye(rows) - grid[:, None, None] * problem.p11, np.broadcast_to(problem.eta0[:, None], (grid.size, rows, 1))
+        )[:, :, 0]
+        left = np.linalg.norm(problem.e - grid[:, None] * (loop @ problem.p21.T), axis=1)
+        best = np.min(np.abs(grid[left <= gamma])) ** 2
+        assert s.lower <= best + 1e-15 and s.upper <= best * (1 + 1e-6) + 1e-15
+        assert s.upper >= best * (1 - 0.02) - 1e-15, "the grid is fine enough to come this close"
+        assert s.upper - s.lower <= 1e-3 * s.upper
+        substitute(problem, s, gamma)
+
+
+@pytest.mark.parametrize(
+    "blocks",
+    [
+        [("repeated_complex", 2, 2), ("full", 1, 1)],
+        [("repeated_real", 2, 2), ("full", 2, 2)],
+        [("repeated_real", 1, 1), ("repeated_complex", 2, 2)],
+    ],
+    ids=["complex+full", "real+full", "real+complex"],
+)
+def test_mixed_blocks_never_exceed_the_truth(blocks):
+    rng = np.random.default_rng(4)
+    problem, nu, w = made_from_truth(rng, 2, blocks, p12=True)
+    gamma = np.linalg.norm(w) * 1.001
+    s = lft.optimum(problem, gamma, np.ones(len(blocks)), gap=5e-4)
+    assert s.lower <= s.upper <= np.sum(nu**2) * (1 + 1e-5)
+    assert s.upper - s.lower <= 1e-3 * s.upper
+    substitute(problem, s, gamma)
+    m = lft.margin(problem, nu, np.abs(w))
+    assert m.upper <= 1 + 1e-5 and m.upper - m.lower <= 1e-3 * m.upper
+
+
+def test_margin_scales_with_its_bounds_and_stays_below_the_truth():
+    problem, nu, w = made_from_truth(np.random.default_rng(8), 2, [("full", 1, 1), ("full", 3, 3)], p12=True)
+    s = lft.margin(problem, nu, np.abs(w))
+    assert 0 < s.lower <= s.upper <= 1 + 1e-6
+    half = lft.margin(problem, 2 * nu, 2 * np.abs(w))
+    assert half.upper == pytest.approx(s.upper / 2, rel=1e-4)
+    assert np.all(s.nu <= s.upper * nu * (1 + 1e-6)) and np.all(np.abs(s.w) <= s.upper * np.abs(w) * (1 + 1e-6))
+
+
+def test_lambda_w_trades_disturbance_against_perturbation():
+    problem, nu, w = made_from_truth(np.random.default_rng(6), 2, [("full", 1, 1)], noise=0.5)
+    gamma = np.linalg.norm(w) * 1.5
+    for weight in (0.01, 0.3, 10.0):
+        s = lft.optimum(problem, gamma, [1.0], np.full(2, weight))
+        assert s.upper - s.lower <= 1e-3 * s.upper
+        assert s.upper == pytest.approx(s.nu[0] ** 2 + weight * np.linalg.norm(s.w) ** 2, rel=1e-6)
+        assert s.upper <= nu[0] ** 2 + weight * np.linalg.norm(w) ** 2
+
+
+def test_parametrisation_covers_exactly_the_solutions():
+    rng = np.random.default_rng(2)
+    for n_w in (1, 2, 4):
+        problem, _, _ = made_from_truth(rng, 2, [("full", 2, 2), ("full", 1, 1)], p12=True, n_w=n_w)
+        par = lft.parametrise(problem)
+        d = par.xi_map.shape[1] - 1
+        assert d == 3 + n_w - 2
+        for _ in range(10):
+            z = np.append(gauss(rng, d), 1.0)
+            xi, w = par.xi_map @ z, par.w_map @ z
+            np.testing.assert_allclose(problem.p21 @ xi + problem.p22 @ w, problem.e, atol=1e-12)
+            power = np.linalg.norm(z[: par.n_phi]) ** 2 + par.b1**2
+            assert np.linalg.norm(w) ** 2 == pytest.approx(power, rel=1e-10), "eq. (5)"
+            np.testing.assert_allclose(par.eta_map @ z, problem.p11 @ xi + problem.p12 @ w + problem.eta0, atol=1e-12)
+
+
+def test_b1_is_the_feasibility_edge():
+    problem, _, _ = made_from_truth(np.random.default_rng(3), 3, [("full", 1, 1)], noise=0.4)
+    b1 = lft.parametrise(problem).b1
+    assert b1 > 0
+    s = lft.optimum(problem, b1, [1.0])
+    assert np.linalg.norm(s.w) == pytest.approx(b1, rel=1e-8)
+    with pytest.raises(InputError, match="B1"):
+        lft.optimum(problem, b1 * (1 - 1e-6), [1.0])
+
+
+def test_zero_is_exactly_zero():
+    problem, _, _ = made_from_truth(np.random.default_rng(3), 2, [("full", 1, 1), ("full", 3, 3)])
+    s = lft.optimum(problem, np.linalg.norm(problem.e) * 1.01, [1.0, 1.0])
+    assert s.lower == s.upper == 0.0 and np.all(s.nu < 1e-12)
+
+
+def test_e_outside_the_image_of_m_is_named():
+    problem, _, _ = made_from_truth(np.random.default_rng(3), 2, [("full", 1, 1)], n_w=1)
+    bad = Lft(problem.blocks, problem.p11, problem.p12, 0 * problem.p21, problem.p22, problem.eta0, problem.e)
+    with pytest.raises(InputError, match="not in Im"):
+        lft.optimum(bad, 10.0, [1.0])
+
+
+def test_a_size_at_the_cap_is_never_returned_as_a_bound():
+    # e needs xi = e / p21 on a block whose loop gain is 1 / nu: only a singular loop gets there.
+    block = (Block("full", 2, 2),)
+    rng = np.random.default_rng(1)
+    problem = Lft(
+        block, 10.0 * np.eye(2, dtype=complex), np.zeros((2, 2), complex), np.eye(2, dtype=complex),
+        np.eye(2, dtype=complex), 0.01 * gauss(rng, 2), np.array([1.0 + 0j, -1.0]),
+    )
+    assert lft.block_caps(problem)[0] == pytest.approx(0.1)
+    solution = None
+    try:
+        solution = lft.optimum(problem, 0.01, [1.0])
+    except InputError as exc:
+        assert "cap" in str(exc)
+    if solution is not None:
+        assert solution.nu[0] < 0.1
+    assert not lft.well_posed(problem, np.array([0.1]))
+    assert lft.well_posed(problem, np.array([0.0999]))
+
+
+def test_a_block_without_input_cannot_explain():
+    zero = np.zeros((1, 1), complex)
+    silent = Lft((Block("full", 1, 1),), zero, np.zeros((1, 1), complex), np.ones((1, 1), complex),
+                 np.ones((1, 1), complex), np.zeros(1, complex), np.ones(1, complex))
+    with pytest.raises(InputError, match="zero|B1|no Delta"):
+        lft.optimum(silent, 0.5, [1.0])
+    assert lft.optimum(silent, 1.1, [1.0]).upper == 0.0
+
+
+@pytest.mark.parametrize("change, word", [({"p11": np.zeros((3, 3))}, "p11"), ({"eta0": np.array([np.nan])}, "eta0")])
+def test_shapes_and_values_are_named(change, word):
+    parts = {"p11": np.zeros((1, 1)), "p12": np.zeros((1, 1)), "p21": np.ones((1, 1)), "p22": np.ones((1, 1)),
+             "eta0": np.ones(1), "e": np.ones(1)}
+    with pytest.raises(InputError, match=word):
+        Lft((Block("full", 1, 1),), **(parts | change))
+
+
+def test_bad_blocks_are_named():
+    for bad in (("round", 1, 1), ("full", 0, 1), ("repeated_real", 2, 1)):
+        with pytest.raises(InputError):
+            Block(*bad)
+
+
+def test_delta_is_verified_before_it_is_returned():
+    problem, _, _ = made_from_truth(np.random.default_rng(5), 2, [("full", 1, 1), ("full", 2, 2)], p12=True)
+    s = lft.optimum(problem, 0.11, [1.0, 1.0])
+    dl.verify(problem.blocks, problem.matrices, problem.e, s.w, s.xi, s.nu)
+    with pytest.raises(InputError, match="size"):
+        dl.verify(problem.blocks, problem.matrices, problem.e, s.w, s.xi, 0.9 * s.nu)
+    with pytest.raises(InputError, match="re-simulated"):
+        dl.verify(problem.blocks, problem.matrices, problem.e, s.w, 1.1 * s.xi, 2 * s.nu)
+    with pytest.raises(InputError, match="input to the block"):
+        dl.construct(Block("full", 1, 1), np.ones(1), np.zeros(1))
+
+
+# --- class S2
+
+
+S2_KEYS = ("e", "u", "x_nom", "h_i", "h_s", "c", "gamma_w")
+
+
+def test_s2_on_truck_data_is_certified_and_attained():
+    data = truck_points(4, 64, seed=5)
+    r = s2.solve(*(data[k] for k in S2_KEYS))
+    assert not r.at_cap.any()
+    assert np.all(r.upper - r.lower <= 1.01e-4 * r.upper)
+    np.testing.assert_allclose(r.nu_i**2 + r.nu_s**2, r.upper, rtol=1e-7)
+    to_d = np.concatenate([data["h_i"][:, :, None], data["h_s"]], axis=2)
+    d = (to_d @ r.xi[:, :, None])[:, :, 0]
+    np.testing.assert_allclose(d @ data["c"].T + r.w, data["e"], atol=1e-9 * np.abs(data["e"]).max())
+    assert np.all(np.linalg.norm(r.w, axis=1) <= data["gamma_w"] * (1 + 1e-9))
+    eta = np.linalg.norm(data["x_nom"] + d, axis=1)
+    np.testing.assert_allclose(np.linalg.norm(r.xi[:, 1:], axis=1), r.nu_s * eta, rtol=1e-9)
+
+
+def test_s2_matches_a_scan_of_semidefinite_relaxations():
+    cp = pytest.importorskip("cvxpy")
+    data = truck_points(2, 8, seed=3)
+    r = s2.solve(*(data[k] for k in S2_KEYS))
+    for k in (2, 11):
+        gain = np.column_stack([data["h_i"][k], data["h_s"][k]])
+        m = data["c"] @ gain
+        scale = np.linalg.norm(data["e"][k]) / np.linalg.norm(m, axis=0)
+        w_map = np.column_stack([-m * scale, data["e"][k]]) / data["gamma_w"][k]
+        eta = np.column_stack([gain * scale, data["x_nom"][k]])
+        xi_i, xi_s = np.zeros((1, 5)), np.zeros((3, 5))
+        xi_i[0, 0], xi_s[:, 1:4] = scale[0] / abs(data["u"][k]), np.diag(scale[1:])
+        # Orthonormal coordinates: with the raw ones the conic solver fails.
+        _, whiten = np.linalg.qr(np.vstack([xi_i * abs(data["u"][k]) / scale[0], xi_s / scale[1:, None], w_map]))
+        maps = [m @ np.linalg.inv(whiten) for m in (xi_i, w_map, xi_s, eta, np.eye(5)[4:])]
+        first, ball, block, inner, one = (a.conj().T @ a for a in maps)
+        unit = r.upper[k]
+
+        def least(nu, first=first, ball=ball, block=block, inner=inner, one=one, unit=unit):
+            x = cp.Variable((5, 5), hermitian=True)
+            limits = [x >> 0, cp.real(cp.trace(one @ x)) == 1, cp.real(cp.trace(ball @ x)) <= 1]
+            limits.append(cp.real(cp.trace((block - nu**2 * inner) @ x)) / np.trace(block).real <= 0)
+            try:
+                value = cp.Problem(cp.Minimize(cp.real(cp.trace((first / unit) @ x))), limits).solve(solver=cp.CLARABEL)
+            except cp.SolverError:  # where nu is too small for any explanation it gives up instead of saying so
+                return np.inf
+            return value * unit + nu**2
+
+        scan = [least(r.nu_s[k] * factor) for factor in (0.8, 0.95, 1.0, 1.05, 1.25, 2.0)]
+        assert min(scan) >= r.lower[k] * (1 - 1e-4), "no point of the scan may lie below the certified bound"
+        assert scan[2] <= r.upper[k] * (1 + 1e-3)
+
+
+def test_s2_engines_agree(monkeypatch):
+    if native.kernels() is None:
+        pytest.skip("no C compiler: nothing to compare with")
+    data = truck_points(2, 5, seed=9)
+    compiled = s2.solve(*(data[k] for k in S2_KEYS))
+    monkeypatch.setenv("LPVGUARD_NO_NATIVE", "1")
+    plain = s2.solve(*(data[k] for k in S2_KEYS))
+    np.testing.assert_allclose(compiled.upper, plain.upper, rtol=1e-4)
+    assert np.all(plain.lower <= compiled.upper * (1 + 1e-9)) and np.all(compiled.lower <= plain.upper * (1 + 1e-9))
+
+
+def test_s2_and_the_general_solver_agree():
+    data = truck_points(2, 3, seed=2)
+    r = s2.solve(*(data[k] for k in S2_KEYS))
+    for k in range(len(data["u"])):
+        p11 = np.zeros((4, 4), complex)
+        p11[1:] = np.column_stack([data["h_i"][k], data["h_s"][k]])
+        problem = Lft(
+            (Block("full", 1, 1), Block("full", 3, 3)), p11, np.zeros((4, 2), complex), data["c"] @ p11[1:],
+            np.eye(2, dtype=complex), np.append(data["u"][k], data["x_nom"][k]), data["e"][k],
+        )
+        s = lft.optimum(problem, data["gamma_w"][k], [1.0, 1.0])
+        assert s.lower <= r.upper[k] * (1 + 1e-9) and r.lower[k] <= s.upper * (1 + 1e-9)
+        assert s.upper == pytest.approx(r.upper[k], rel=3e-4)
+
+
+def test_s2_names_the_bad_point():
+    data = truck_points(1, 4, seed=0)
+    args = [np.array(data[k]) for k in S2_KEYS]
+    args[0][2, 1] = np.nan
+    with pytest.raises(InputError, match="e, point 2"):
+        s2.solve(*args)
+    args = [np.array(data[k]) for k in S2_KEYS]
+    with pytest.raises(InputError, match="x_nom|h_i"):
+        s2.solve(*args[:3], args[3][:, :2], *args[4:])
+
+
+def test_certificates_agree_between_engines(monkeypatch):
+    if native.kernels() is None:
+        pytest.skip("no C compiler: nothing to compare with")
+    problem, nu, w = made_from_truth(np.random.default_rng(12), 2, [("repeated_complex", 2, 2), ("full", 2, 1)], p12=True)
+    compiled = lft.margin(problem, nu, np.abs(w))
+    monkeypatch.setenv("LPVGUARD_NO_NATIVE", "1")
+    plain = lft.margin(problem, nu, np.abs(w))
+    assert compiled.lower == pytest.approx(plain.lower, rel=2e-4) and compiled.upper == pytest.approx(plain.upper, rel=2e-4)

@@ -1,0 +1,223 @@
+"""Class S1 and the on-line margin against 60-digit arithmetic and a conic solver, and the compiled kernels against numpy."""
+
+from __future__ import annotations
+
+from decimal import Decimal, getcontext
+
+import numpy as np
+import pytest
+
+from lpvguard import native
+from lpvguard.errors import InputError
+from lpvguard.validation import s1
+
+getcontext().prec = 60
+
+
+def gauss(rng, *shape):
+    return rng.normal(size=shape) + 1j * rng.normal(size=shape)
+
+
+@pytest.fixture(params=["compiled", "numpy"])
+def engine(request, monkeypatch):
+    """Run a test with the compiled kernels and with the numpy versions."""
+    if request.param == "numpy":
+        monkeypatch.setenv("LPVGUARD_NO_NATIVE", "1")
+    elif native.kernels() is None:
+        pytest.skip("no C compiler: the compiled kernels cannot be tested")
+    return request.param
+
+
+def exact(e, z, gamma):
+    """B1 and nu by the textbook formula in 60 digits, from the very doubles that the engine sees."""
+    er, ei = [Decimal(float(x.real)) for x in e], [Decimal(float(x.imag)) for x in e]
+    zr, zi = [Decimal(float(x.real)) for x in z], [Decimal(float(x.imag)) for x in z]
+    power = sum(a * a + b * b for a, b in zip(zr, zi, strict=True))
+    re = sum(a * c + b * d for a, b, c, d in zip(zr, zi, er, ei, strict=True)) / power
+    im = sum(a * d - b * c for a, b, c, d in zip(zr, zi, er, ei, strict=True)) / power
+    error = sum(c * c + d * d for c, d in zip(er, ei, strict=True))
+    b1_squared = error - power * (re * re + im * im)
+    b1 = b1_squared.sqrt() if b1_squared > 0 else Decimal(0)
+    room = (Decimal(float(gamma)) ** 2 - b1_squared) / power
+    if room < 0:
+        return float(b1), None
+    nu = (re * re + im * im).sqrt() - room.sqrt()
+    return float(b1), float(max(nu, Decimal(0)))
+
+
+@pytest.mark.parametrize("n_y", [1, 2, 3, 4])
+def test_closed_form_matches_sixty_digits(engine, n_y):
+    rng = np.random.default_rng(n_y)
+    e, z = gauss(rng, 60, n_y), gauss(rng, 60, n_y) * 10.0 ** rng.uniform(-4, 4, (60, 1))
+    gamma = np.linalg.norm(e, axis=1) * rng.uniform(0.3, 1.1, 60)
+    r = s1.solve(e, z, gamma)
+    for k in range(60):
+        b1, nu = exact(e[k], z[k], gamma[k])
+        assert r.b1[k] == pytest.approx(b1, rel=1e-12, abs=1e-25)
+        assert bool(r.feasible[k]) == (nu is not None)
+        if nu is not None:
+            assert r.nu[k] == pytest.approx(nu, rel=1e-12, abs=0.0)
+
+
+@pytest.mark.parametrize("edge", ["gamma_to_e", "gamma_to_b1", "parallel", "orthogonal"])
+@pytest.mark.parametrize("distance", [1e-3, 1e-6, 1e-9, 1e-12])
+def test_no_digits_are_lost_at_the_edges(engine, edge, distance):
+    rng = np.random.default_rng(7)
+    for _ in range(12):
+        z, off = gauss(rng, 2), gauss(rng, 2)
+        e = (0.3 + 0.2j) * z + 0.1 * off
+        if edge == "parallel":
+            e = (0.3 + 0.2j) * z + distance * off
+        if edge == "orthogonal":
+            e = off - z * (np.vdot(z, off) / np.vdot(z, z)) + distance * z
+        gamma = 0.6 * np.linalg.norm(e)
+        if edge == "gamma_to_e":
+            gamma = np.linalg.norm(e) * (1 - distance)
+        if edge in ("gamma_to_b1", "orthogonal"):
+            gamma = exact(e, z, 1.0)[0] * (1 + distance * (1 if edge == "gamma_to_b1" else distance / 10))
+        b1, nu = exact(e, z, gamma)
+        r = s1.solve(e, z, gamma)
+        assert float(r.b1) == pytest.approx(b1, rel=1e-12, abs=1e-25)
+        if nu is not None:
+            assert float(r.nu) == pytest.approx(nu, rel=1e-12, abs=0.0)
+
+
+@pytest.mark.parametrize("scale_e, scale_z", [(1e-200, 1.0), (1e200, 1e-100), (1e-160, 1e160), (1.0, 1e-300)])
+def test_extreme_magnitudes_neither_overflow_nor_vanish(engine, scale_e, scale_z):
+    e, z = np.array([0.3 + 0.1j, -0.2j]), np.array([1.0 + 0j, 0.5 + 0.5j])
+    plain = s1.solve(e, z, 0.25)
+    scaled = s1.solve(e * scale_e, z * scale_z, 0.25 * scale_e)
+    assert float(scaled.b1) == pytest.approx(float(plain.b1) * scale_e, rel=1e-12)
+    if np.isfinite(scale_e / scale_z):
+        assert float(scaled.nu) == pytest.approx(float(plain.nu) * scale_e / scale_z, rel=1e-12)
+
+
+def test_delta_and_w_attain_the_bound(engine):
+    rng = np.random.default_rng(3)
+    e, z = gauss(rng, 200, 3), gauss(rng, 200, 3)
+    gamma = np.linalg.norm(e, axis=1) * rng.uniform(0.7, 1.05, 200)
+    r = s1.solve(e, z, gamma)
+    f = r.feasible
+    assert f.sum() > 50
+    np.testing.assert_allclose(np.abs(r.delta[f]), r.nu[f], rtol=1e-13, atol=1e-300)
+    np.testing.assert_allclose((e - r.delta[:, None] * z)[f], r.w[f], atol=1e-14)
+    assert np.all(np.linalg.norm(r.w[f], axis=1) <= gamma[f] * (1 + 1e-12))
+
+
+def test_silent_bins_and_non_finite_bins(engine):
+    zero, e = np.zeros(2, complex), np.array([0.3, 0.4j])
+    quiet = s1.solve(e, zero, np.array([0.5, 0.4999]))
+    assert quiet.feasible.tolist() == [True, False]
+    assert quiet.b1.tolist() == pytest.approx([0.5, 0.5])
+    assert quiet.nu[0] == 0.0 and quiet.nu[1] == np.inf
+    broken = s1.solve(np.array([[np.nan, 0], [1, 1], [np.inf, 1]]), np.ones((3, 2)), 1.5)
+    assert np.isnan(broken.nu).tolist() == [True, False, True]
+    assert not broken.feasible[0] and np.isnan(broken.b1[2])
+
+
+def test_gamma_equal_to_b1_is_feasible(engine):
+    rng = np.random.default_rng(5)
+    e, z = gauss(rng, 500, 2), gauss(rng, 500, 2)
+    b1 = s1.solve(e, z, np.zeros(500)).b1
+    assert s1.solve(e, z, b1).feasible.all()
+    assert not s1.solve(e, z, b1 * (1 - 1e-9)).feasible.any()
+
+
+@pytest.mark.parametrize("n_y", [1, 2, 3])
+def test_tradeoff_matches_a_conic_solver(n_y):
+    cp = pytest.importorskip("cvxpy")
+    rng = np.random.default_rng(20 + n_y)
+    for _ in range(6):
+        e, z = gauss(rng, n_y), gauss(rng, n_y)
+        b1 = float(s1.solve(e, z, 0.0).b1)
+        gamma = b1 + rng.uniform(0.05, 1.0) * (np.linalg.norm(e) - b1)
+        lam, lam_w = rng.uniform(0, 2), rng.uniform(0, 2, n_y)
+        delta = cp.Variable(complex=True)
+        w = e - delta * z
+        cost = lam * cp.square(cp.abs(delta)) + cp.sum(cp.multiply(lam_w, cp.square(cp.abs(w))))
+        reference = cp.Problem(cp.Minimize(cost), [cp.norm(w) <= gamma]).solve(solver=cp.CLARABEL)
+        r = s1.tradeoff(e, z, gamma, lam, lam_w)
+        assert float(r.cost) == pytest.approx(reference, rel=1e-6)
+        assert np.linalg.norm(r.w) <= gamma * (1 + 1e-9)
+
+
+def test_tradeoff_below_b1_is_infinite():
+    assert s1.tradeoff(np.array([1, 1j]), np.array([1, 1]), 1e-3, 1.0, np.ones(2)).cost == np.inf
+
+
+@pytest.mark.parametrize("n_y", [1, 2, 3, 4])
+def test_margin_matches_a_conic_solver(engine, n_y):
+    cp = pytest.importorskip("cvxpy")
+    rng = np.random.default_rng(40 + n_y)
+    for _ in range(8):
+        e, z = gauss(rng, n_y), gauss(rng, n_y) * 10.0 ** rng.uniform(-1, 1, n_y)
+        w_delta, w_w = rng.uniform(0.05, 1.0), rng.uniform(0.05, 1.0, n_y)
+        delta, t = cp.Variable(complex=True), cp.Variable()
+        limits = [cp.abs(delta) <= t * w_delta]
+        limits += [cp.abs(e[j] / w_w[j] - delta * (z[j] / w_w[j])) <= t for j in range(n_y)]
+        reference = cp.Problem(cp.Minimize(t), limits).solve(solver=cp.CLARABEL)
+        assert float(s1.margin(e, z, w_delta, w_w)) == pytest.approx(reference, rel=1e-6)
+
+
+def test_margin_on_three_active_discs_has_full_accuracy(engine):
+    # delta and three residuals chosen, all four levels equal to t by construction.
+    rng = np.random.default_rng(9)
+    for _ in range(50):
+        t, angle = rng.uniform(0.5, 2.0), rng.uniform(0, 2 * np.pi)
+        # Directions of the three pulls at 120 degrees: the common point is the optimum.
+        pulls = np.exp(1j * (angle + 2 * np.pi * np.arange(3) / 3))
+        z, w_w, w_delta = gauss(rng, 2), rng.uniform(0.1, 1.0, 2), rng.uniform(0.1, 1.0)
+        delta = -pulls[0] * t * w_delta
+        e = delta * z + pulls[1:] * z / np.abs(z) * t * w_w
+        assert float(s1.margin(e, z, w_delta, w_w)) == pytest.approx(t, rel=1e-12)
+
+
+def test_margin_of_dense_degenerate_cases_is_bracketed(engine):
+    # Collinear centres, equal discs, a silent output: pairs and triples nearly coincide there.
+    rng = np.random.default_rng(11)
+    for k in range(300):
+        z = np.array([1.0, rng.choice([1.0, 0.0, 1e-9, 1 + 1e-12])], complex)
+        e = rng.normal(size=2) * z + (rng.normal(size=2) * 10.0 ** rng.uniform(-16, -8)) * 1j * (k % 2) + (z == 0) * 0.1
+        w_delta, w_w = 10.0 ** rng.uniform(-3, 1), 10.0 ** rng.uniform(-3, 1, 2)
+        t = float(s1.margin(e, z, w_delta, w_w))
+        grid = np.linspace(-1.0, 1.0, 2001) * 5.0
+        level = np.maximum(np.abs(grid) / w_delta, np.max(np.abs(e[:, None] - grid * z[:, None]) / w_w[:, None], axis=0))
+        assert t <= level.min() * (1 + 1e-9)
+        slope = 1.0 / w_delta + np.max(np.abs(z) / w_w)
+        if level.argmin() not in (0, len(grid) - 1):
+            assert t >= level.min() - slope * 0.005 - 1e-7
+
+
+def test_both_engines_agree(monkeypatch):
+    if native.kernels() is None:
+        pytest.skip("no C compiler: nothing to compare with")
+    rng = np.random.default_rng(1)
+    for n_y in (1, 2, 3, 5):
+        e, z = gauss(rng, 1003, n_y), gauss(rng, 1003, n_y)
+        e[::9], z[::7, 0] = (0.2 + 0.1j) * z[::9], 0.0
+        gamma, w_delta, w_w = rng.uniform(0.1, 3, 1003), rng.uniform(0.1, 1, 1003), rng.uniform(0.1, 1, (1003, n_y))
+        compiled, t = s1.solve(e, z, gamma), s1.margin(e, z, w_delta, w_w)
+        monkeypatch.setenv("LPVGUARD_NO_NATIVE", "1")
+        plain, t_plain = s1.solve(e, z, gamma), s1.margin(e, z, w_delta, w_w)
+        monkeypatch.delenv("LPVGUARD_NO_NATIVE")
+        assert (compiled.feasible == plain.feasible).all()
+        np.testing.assert_allclose(compiled.b1, plain.b1, rtol=1e-12, atol=1e-300)
+        np.testing.assert_allclose(compiled.nu, plain.nu, rtol=1e-12, atol=1e-300)
+        np.testing.assert_allclose(compiled.delta, plain.delta, rtol=1e-12, atol=1e-14)
+        np.testing.assert_allclose(t, t_plain, rtol=1e-11)
+
+
+@pytest.mark.parametrize(
+    "call, word",
+    [
+        (lambda: s1.solve(np.ones(2), np.ones(3), 1.0), "shapes"),
+        (lambda: s1.solve(np.ones((4, 2)), np.ones((3, 2)), 1.0), "broadcast"),
+        (lambda: s1.solve(np.ones(2), np.ones(2), -1.0), "gamma_w"),
+        (lambda: s1.margin(np.ones(2), np.ones(2), 1.0, np.ones(3)), "W_w"),
+        (lambda: s1.margin(np.ones(2), np.ones(2), 1.0, np.array([1.0, 0.0])), "W_w"),
+        (lambda: s1.margin(np.ones(2), np.ones(2), -1.0, np.ones(2)), "W_delta"),
+    ],
+)
+def test_bad_arguments_are_named(call, word):
+    with pytest.raises(InputError, match=word):
+        call()

@@ -1,0 +1,95 @@
+"""The list of invisible faults: what it calls the smallest visible error is where the exact margin crosses the threshold."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from lpvguard.validation import s1
+from lpvguard.visibility import PERCENTILE, SPEED_CELLS, visibility
+
+OMEGA = np.array([0.0, 0.7, 2.0, 9.0])
+SPEEDS = (4.0, 19.0)
+THRESHOLD = 1.7
+W_DELTA = np.array([0.05, 0.1, 0.15, 0.5])
+BINS = len(OMEGA)
+
+
+def case(n_y: int, frames: int = 400, seed: int = 3):
+    """Counted frames of a made-up fleet: bin, speed [m/s], Z; and B_w."""
+    random = np.random.default_rng(seed)
+    Z = random.standard_normal((frames, n_y)) + 1j * random.standard_normal((frames, n_y))
+    B_w = 10.0 ** random.uniform(-2, -1, (BINS, n_y))
+    return random.integers(0, BINS, frames), random.uniform(*SPEEDS, frames), Z, B_w
+
+
+def run(bin_of, speed, Z, B_w) -> dict:
+    return visibility(OMEGA, SPEEDS, bin_of, speed, Z, W_DELTA, B_w, THRESHOLD)
+
+
+def representative(c: int, k: int, bin_of, speed, Z, B_w) -> np.ndarray:
+    """Z of the frame at the percentile, found independently: sorted by the margin of a dead vehicle, nearest rank."""
+    width = (SPEEDS[1] - SPEEDS[0]) / SPEED_CELLS
+    of = (bin_of == k) & (np.minimum((speed - SPEEDS[0]) // width, SPEED_CELLS - 1) == c)
+    ordered = sorted(Z[of], key=lambda z: float(s1.margin(-z, z, W_DELTA[k], B_w[k])))
+    return ordered[-(-PERCENTILE * len(ordered) // 100) - 1]
+
+
+@pytest.mark.parametrize("n_y", [1, 2, 3])
+def test_margin_crosses_the_threshold_at_the_smallest_visible_errors(n_y):
+    frames = case(n_y)
+    B_w = frames[-1]
+    for c, cell in enumerate(run(*frames)["cells"]):
+        for k in range(BINS):
+            z = representative(c, k, *frames)
+            for factor, above in ((1 - 1e-6, False), (1 + 1e-6, True)):
+                g = factor * cell["gain_error"][k]
+                assert (s1.margin(-g * z, z, W_DELTA[k], B_w[k]) > THRESHOLD) == above
+                tau = cell["delay_s"][k]
+                if tau is not None:
+                    late = np.exp(-1j * OMEGA[k] * factor * tau)
+                    assert (s1.margin((late - 1) * z, z, W_DELTA[k], B_w[k]) > THRESHOLD) == above
+
+
+def test_one_output_agrees_with_its_closed_form():
+    frames = case(1)
+    for c, cell in enumerate(run(*frames)["cells"]):
+        for k in range(BINS):
+            z = float(np.abs(representative(c, k, *frames)[0]))
+            assert cell["excitation"][k] == pytest.approx(z, rel=1e-12)
+            assert cell["gain_error"][k] == pytest.approx(THRESHOLD * (frames[-1][k, 0] + W_DELTA[k] * z) / z, rel=1e-9)
+
+
+def test_stated_faults_follow_from_the_bins():
+    frames = case(1)
+    for cell in run(*frames)["cells"]:
+        gains = np.array(cell["gain_error"])
+        stated = {s["fault"]: s["visible"] for s in cell["stated"]}
+        assert stated["gain 0.6"] == (gains.min() < 0.4)
+        assert stated["gain 0.7"] == (gains.min() < 0.3)
+        for tau in (0.3, 0.15):
+            assert stated[f"delay {tau:g} s"] == bool((np.abs(1 - np.exp(-1j * OMEGA * tau)) > gains).any())
+        assert cell["smallest_gain_error"] == gains.min()
+        assert cell["smallest_delay_s"] == min(d for d in cell["delay_s"] if d is not None)
+
+
+def test_no_excitation_beats_the_floor_and_strong_excitation_reaches_it():
+    bin_of, speed, Z, B_w = case(1)
+    seen = run(bin_of, speed, 1e6 * Z, B_w)
+    for cell in seen["cells"]:
+        assert cell["gain_error"] == pytest.approx(seen["gain_error_floor"], rel=1e-3)
+        assert all(g >= f for g, f in zip(cell["gain_error"], seen["gain_error_floor"]))
+
+
+def test_cells_without_frames_and_frames_without_excitation_are_none():
+    bin_of, speed, Z, B_w = np.array([1, 1]), np.array([4.5, 4.6]), np.zeros((2, 1), complex), np.full((BINS, 1), 0.1)
+    seen = run(bin_of, speed, Z, B_w)
+    assert json.loads(json.dumps(seen)) == seen
+    assert seen["cells"][0]["frames"] == [0, 2, 0, 0]
+    for cell in seen["cells"]:
+        assert cell["gain_error"] == cell["delay_s"] == [None] * BINS
+        assert cell["smallest_gain_error"] is None and cell["smallest_delay_s"] is None
+        assert all(s["visible"] is None for s in cell["stated"])
+    assert seen["cells"][0]["excitation"] == [None, 0.0, None, None]

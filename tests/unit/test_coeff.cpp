@@ -1,0 +1,149 @@
+// Acceptance of coefficients: every status that coeff.h and status.h document, provoked.
+#include <catch2/catch.hpp>
+
+#include <cstring>
+#include <functional>
+#include <limits>
+#include <string>
+#include <vector>
+
+#include "lpvguard/monitor.h"
+
+namespace {
+
+using Real = lpvg_real_t;
+
+lpvg_coeff_t sealed(const std::function<void(lpvg_coeff_t&)>& change) {
+    lpvg_coeff_t coeff = lpvg_coeff;
+    change(coeff);
+    coeff.words.crc32 = lpvg_coeff_crc32(&coeff);
+    return coeff;
+}
+
+// init must say the same as the check, and leave the object as it was.
+void check_refused(const lpvg_coeff_t* coeff, lpvg_status_t want) {
+    CHECK(lpvg_coeff_check(coeff) == want);
+    lpvg_monitor_t monitor, before;
+    std::memset(&monitor, 0xA5, sizeof monitor);
+    std::memcpy(&before, &monitor, sizeof monitor);
+    CHECK(lpvg_monitor_init(&monitor, coeff) == want);
+    CHECK(std::memcmp(&monitor, &before, sizeof monitor) == 0);
+}
+
+}  // namespace
+
+TEST_CASE("the exported coefficients are accepted", "[unit][coeff]") {
+    CHECK(lpvg_coeff_check(&lpvg_coeff) == lpvg_status_ok);
+    CHECK(lpvg_coeff_crc32(&lpvg_coeff) == lpvg_coeff.words.crc32);
+    lpvg_monitor_t monitor;
+    CHECK(lpvg_monitor_init(&monitor, &lpvg_coeff) == lpvg_status_ok);
+}
+
+TEST_CASE("NULL is refused", "[unit][coeff]") {
+    check_refused(nullptr, lpvg_status_bad_argument);
+    CHECK(lpvg_monitor_init(nullptr, &lpvg_coeff) == lpvg_status_bad_argument);
+    CHECK(lpvg_coeff_crc32(nullptr) == 0U);
+}
+
+TEST_CASE("foreign, old and erased coefficients are named as such, CRC right or wrong", "[unit][coeff]") {
+    struct Case {
+        const char* what;
+        lpvg_status_t want;
+        std::function<void(lpvg_coeff_t&)> change;
+    };
+    std::vector<Case> cases = {
+        {"erased to 0", lpvg_status_bad_magic, [](lpvg_coeff_t& c) { std::memset(&c, 0x00, sizeof c); }},
+        {"erased to 1", lpvg_status_bad_magic, [](lpvg_coeff_t& c) { std::memset(&c, 0xFF, sizeof c); }},
+        {"magic", lpvg_status_bad_magic, [](lpvg_coeff_t& c) { ++c.words.magic; }},
+        {"schema", lpvg_status_bad_schema, [](lpvg_coeff_t& c) { ++c.words.schema; }},
+        {"number type", lpvg_status_bad_size, [](lpvg_coeff_t& c) { c.words.real_bytes = 12U - c.words.real_bytes; }},
+        {"estimator", lpvg_status_bad_estimator, [](lpvg_coeff_t& c) { c.words.estimator_id ^= 1U; }},
+    };
+    for (std::size_t i = 0; i < 7U; ++i) {
+        cases.push_back({"size", lpvg_status_bad_size, [i](lpvg_coeff_t& c) { ++c.words.sizes[i]; }});
+    }
+    for (const Case& test : cases) {
+        CAPTURE(test.what);
+        lpvg_coeff_t coeff = lpvg_coeff;
+        test.change(coeff);
+        check_refused(&coeff, test.want);
+        coeff = sealed(test.change);
+        check_refused(&coeff, test.want);
+    }
+}
+
+TEST_CASE("any single flipped bit after the header is a CRC error", "[unit][coeff]") {
+    constexpr std::size_t header = offsetof(lpvg_coeff_words_t, crc32);
+    constexpr std::size_t stride = 7;  // coprime to the sizes of words and numbers: every byte place is met
+    std::size_t wrong = 0;
+    for (std::size_t byte = header; byte < sizeof(lpvg_coeff_t); byte += byte < header + 64U ? 1U : stride) {
+        // Padding between words and numbers is no data.
+        const bool padding = byte >= sizeof(lpvg_coeff_words_t) && byte < offsetof(lpvg_coeff_t, reals);
+        for (unsigned bit = 0; bit < 8U; ++bit) {
+            lpvg_coeff_t coeff = lpvg_coeff;
+            reinterpret_cast<unsigned char*>(&coeff)[byte] ^= static_cast<unsigned char>(1U << bit);
+            wrong += lpvg_coeff_check(&coeff) != (padding ? lpvg_status_ok : lpvg_status_bad_crc) ? 1U : 0U;
+        }
+    }
+    CHECK(wrong == 0U);
+}
+
+TEST_CASE("a number that is not finite is refused wherever it stands", "[unit][coeff]") {
+    const Real bad = GENERATE(std::numeric_limits<Real>::quiet_NaN(), std::numeric_limits<Real>::infinity(),
+                              -std::numeric_limits<Real>::infinity());
+    constexpr std::size_t n = sizeof(lpvg_coeff_reals_t) / sizeof(Real);
+    std::size_t wrong = 0;
+    for (std::size_t i = 0; i < n; ++i) {
+        const lpvg_coeff_t coeff = sealed([&](lpvg_coeff_t& c) {
+            std::memcpy(reinterpret_cast<unsigned char*>(&c.reals) + i * sizeof bad, &bad, sizeof bad);
+        });
+        wrong += lpvg_coeff_check(&coeff) != lpvg_status_not_finite ? 1U : 0U;
+    }
+    CHECK(wrong == 0U);
+}
+
+TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]") {
+    struct Case {
+        const char* what;
+        std::function<void(lpvg_coeff_t&)> change;
+    };
+    std::vector<Case> cases = {
+        {"sample period 0", [](lpvg_coeff_t& c) { c.words.sample_period_us = 0U; }},
+        {"k = 0", [](lpvg_coeff_t& c) { c.words.confirm = 0U; }},
+        {"k > m", [](lpvg_coeff_t& c) { c.words.confirm = c.words.of_last + 1U; }},
+        {"m > history", [](lpvg_coeff_t& c) { c.words.of_last = LPVG_NHISTORY + 1U; }},
+        {"speed_min 0", [](lpvg_coeff_t& c) { c.reals.speed_min = Real(0); }},
+        {"speed_min = speed_max", [](lpvg_coeff_t& c) { c.reals.speed_min = c.reals.speed_max; }},
+        {"speed tolerance 0", [](lpvg_coeff_t& c) { c.reals.speed_tolerance = Real(0); }},
+        {"threshold 0", [](lpvg_coeff_t& c) { c.reals.threshold = Real(0); }},
+        {"varying entry", [](lpvg_coeff_t& c) { c.words.varying_entry[LPVG_NVARYING - 1] = LPVG_NENTRIES; }},
+        {"a frame longer than DC's", [](lpvg_coeff_t& c) { c.words.frame_length[1] = c.words.frame_length[0] + 2U; }},
+        {"cycles beyond 2^31", [](lpvg_coeff_t& c) { c.words.cycles[0] = 0x80000000U; }},
+    };
+    for (std::size_t b : {std::size_t{0}, std::size_t{LPVG_NBINS - 1}}) {
+        cases.push_back({"odd frame", [b](lpvg_coeff_t& c) { c.words.frame_length[b] -= 1U; }});
+        cases.push_back({"half a frame within one round", [b](lpvg_coeff_t& c) { c.words.frame_length[b] = 2U * LPVG_NBINS; }});
+        cases.push_back({"above Nyquist", [b](lpvg_coeff_t& c) { c.words.cycles[b] = c.words.frame_length[b] / 2U; }});
+        cases.push_back({"W_delta 0", [b](lpvg_coeff_t& c) { c.reals.W_delta[b] = Real(0); }});
+        cases.push_back({"scale 0", [b](lpvg_coeff_t& c) { c.reals.scale[b] = Real(0); }});
+        for (std::size_t j = 0; j < LPVG_NY; ++j) {
+            cases.push_back({"B_w 0", [b, j](lpvg_coeff_t& c) { c.reals.B_w[b][j] = Real(0); }});
+        }
+    }
+    for (const Case& test : cases) {
+        CAPTURE(test.what);
+        const lpvg_coeff_t coeff = sealed(test.change);
+        check_refused(&coeff, lpvg_status_bad_value);
+    }
+}
+
+TEST_CASE("values at the edge of what is allowed are accepted", "[unit][coeff]") {
+    const lpvg_coeff_t coeff = sealed([](lpvg_coeff_t& c) {
+        c.words.of_last = LPVG_NHISTORY;
+        c.words.confirm = LPVG_NHISTORY;
+        c.words.frame_length[LPVG_NBINS - 1] = 2U * (LPVG_NBINS + 1U);
+        c.words.cycles[LPVG_NBINS - 1] = LPVG_NBINS;
+        c.words.varying_entry[0] = LPVG_NENTRIES - 1;
+    });
+    CHECK(lpvg_coeff_check(&coeff) == lpvg_status_ok);
+}

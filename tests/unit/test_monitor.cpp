@@ -1,0 +1,622 @@
+// The monitor as a black box: samples in, statuses, frames and verdicts out. Compiled for every test vehicle.
+#include <catch2/catch.hpp>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <complex>
+#include <cstdlib>
+#include <cstring>
+#include <functional>
+#include <limits>
+#include <memory>
+#include <new>
+#include <vector>
+
+#include "lpvguard/monitor.h"
+
+namespace {
+
+std::size_t heap_uses = 0;
+
+}  // namespace
+
+// The core has no heap; a test of it counts every use in its scope.
+void* operator new(std::size_t size) {
+    ++heap_uses;
+    if (void* memory = std::malloc(size)) {
+        return memory;
+    }
+    std::abort();
+}
+void operator delete(void* memory) noexcept { std::free(memory); }
+void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
+
+namespace {
+
+using Real = lpvg_real_t;
+
+const lpvg_coeff_words_t& words() { return lpvg_coeff.words; }
+int64_t period_us() { return words().sample_period_us; }
+uint32_t longest() { return words().frame_length[0]; }
+Real cruise() { return Real(0.5) * (lpvg_coeff.reals.speed_min + lpvg_coeff.reals.speed_max); }
+
+lpvg_coeff_t sealed(const std::function<void(lpvg_coeff_t&)>& change) {
+    lpvg_coeff_t coeff = lpvg_coeff;
+    change(coeff);
+    coeff.words.crc32 = lpvg_coeff_crc32(&coeff);
+    return coeff;
+}
+
+// A vehicle that answers with gain times the nominal output: E = (gain - 1) Z in every frame.
+class Drive {
+public:
+    explicit Drive(const lpvg_coeff_t& coeff = lpvg_coeff, int64_t start_us = 0) : coeff_(coeff), t_us_(start_us) {
+        REQUIRE(lpvg_monitor_init(&monitor, &coeff_) == lpvg_status_ok);
+    }
+    Drive(const Drive&) = delete;
+    Drive& operator=(const Drive&) = delete;
+
+    double gain = 1.0;
+    double amplitude = 0.25;  // of the inputs, as part of their physical range
+    uint32_t bin = LPVG_NBINS / 2;  // whose frequency the inputs have
+    Real speed = cruise();
+    lpvg_monitor_t monitor;
+    lpvg_sample_t sample{};
+
+    // Prepares the next sample, one period on.
+    lpvg_sample_t& next() {
+        if (started_) {
+            lpvg_model_advance(&vehicle_, &coeff_, sample.speed, sample.u);
+        }
+        const double phase = 6.283185307179586 * coeff_.words.cycles[bin] * count_ / coeff_.words.frame_length[bin];
+        for (std::size_t i = 0; i < LPVG_NU; ++i) {
+            const double range = static_cast<double>(coeff_.reals.input_valid[i][1]);
+            sample.u[i] = static_cast<Real>(amplitude * range * std::sin(phase + static_cast<double>(i)));
+        }
+        if (!started_) {
+            lpvg_model_start(&vehicle_, &coeff_, sample.u, coeff_.reals.output_offset);
+            started_ = true;
+        }
+        Real yhat[LPVG_NY];
+        lpvg_model_output(&vehicle_, &coeff_, yhat);
+        for (std::size_t j = 0; j < LPVG_NY; ++j) {
+            sample.y[j] = static_cast<Real>(gain * static_cast<double>(yhat[j]));
+        }
+        sample.speed = speed;
+        sample.t_us = t_us_;
+        t_us_ += period_us();
+        ++count_;
+        return sample;
+    }
+    lpvg_status_t step() { return lpvg_monitor_push(&monitor, &next()); }
+
+    // Pushes n samples; every status must be ok. Calls each frame that was judged on the way.
+    void run(uint32_t n, const std::function<void(const lpvg_frame_t&)>& each = [](const lpvg_frame_t&) {}) {
+        for (uint32_t k = 0; k < n; ++k) {
+            const uint32_t before = monitor.frame.sequence;
+            if (step() != lpvg_status_ok) {
+                FAIL("a good sample was refused");
+            }
+            if (lpvg_monitor_frame(&monitor)->sequence != before) {
+                each(*lpvg_monitor_frame(&monitor));
+            }
+        }
+    }
+    void settle() { run(words().settle_samples + longest() + LPVG_NBINS); }
+    void skip(int64_t us) { t_us_ += us; }
+    lpvg_verdict_t verdict() const { return lpvg_monitor_verdict(&monitor, sample.t_us); }
+    int64_t now() const { return sample.t_us; }
+
+private:
+    lpvg_coeff_t coeff_;
+    lpvg_model_t vehicle_{};
+    bool started_ = false;
+    int64_t t_us_;
+    double count_ = 0.0;
+};
+
+// Only the given bin can object, at threshold 1, and a single frame is enough.
+lpvg_coeff_t only_bin(uint32_t bin) {
+    return sealed([bin](lpvg_coeff_t& c) {
+        c.words.confirm = c.words.of_last = 1U;
+        c.reals.threshold = Real(1);
+        for (uint32_t b = 0; b < LPVG_NBINS; ++b) {
+            for (std::size_t j = 0; j < LPVG_NY; ++j) {
+                c.reals.B_w[b][j] = b == bin ? Real(0.001) : Real(1e6);
+            }
+            c.reals.W_delta[b] = Real(0.2);
+        }
+    });
+}
+
+bool is_zero(const lpvg_frame_t& f) {
+    Real sum = std::fabs(f.speed) + std::fabs(f.margin) + std::fabs(f.statistic) + std::fabs(f.evidence);
+    for (std::size_t j = 0; j < LPVG_NY; ++j) {
+        sum += std::fabs(f.E[j][0]) + std::fabs(f.E[j][1]) + std::fabs(f.Z[j][0]) + std::fabs(f.Z[j][1]);
+    }
+    return sum == Real(0) && !f.falsified;
+}
+
+}  // namespace
+
+TEST_CASE("cleared memory never reads valid, and nothing works before init", "[unit][monitor]") {
+    lpvg_monitor_t monitor;
+    std::memset(&monitor, 0, sizeof monitor);
+    lpvg_sample_t sample{};
+    lpvg_frame_t record{};
+    CHECK(static_cast<int>(lpvg_verdict_unknown) == 0);
+    CHECK(lpvg_monitor_verdict(&monitor, 0) == lpvg_verdict_fault);
+    CHECK(lpvg_monitor_push(&monitor, &sample) == lpvg_status_not_ready);
+    CHECK(lpvg_monitor_reason(&monitor) == lpvg_reason_none);
+    CHECK(lpvg_monitor_frame(&monitor) == nullptr);
+    CHECK_FALSE(lpvg_monitor_take_record(&monitor, &record));
+}
+
+TEST_CASE("NULL gives a defined answer everywhere", "[unit][monitor]") {
+    Drive drive;
+    lpvg_sample_t sample{};
+    lpvg_frame_t record{};
+    CHECK(lpvg_monitor_push(nullptr, &sample) == lpvg_status_bad_argument);
+    CHECK(lpvg_monitor_push(&drive.monitor, nullptr) == lpvg_status_bad_argument);
+    CHECK(lpvg_monitor_verdict(nullptr, 0) == lpvg_verdict_fault);
+    CHECK(lpvg_monitor_reason(nullptr) == lpvg_reason_none);
+    CHECK(lpvg_monitor_frame(nullptr) == nullptr);
+    CHECK_FALSE(lpvg_monitor_take_record(nullptr, &record));
+    CHECK_FALSE(lpvg_monitor_take_record(&drive.monitor, nullptr));
+}
+
+TEST_CASE("a healthy, excited vehicle: unknown until the first frame ends, then valid for good", "[unit][monitor]") {
+    Drive drive;
+    CHECK(drive.verdict() == lpvg_verdict_unknown);
+    CHECK(lpvg_monitor_frame(&drive.monitor)->sequence == 0U);
+    uint32_t k = 0;
+    while (lpvg_monitor_frame(&drive.monitor)->sequence == 0U) {
+        REQUIRE(drive.step() == lpvg_status_ok);
+        ++k;
+        if (lpvg_monitor_frame(&drive.monitor)->sequence == 0U) {
+            REQUIRE(drive.verdict() == lpvg_verdict_unknown);
+        }
+    }
+    CHECK(k == words().frame_length[LPVG_NBINS - 1]);  // the shortest frame
+    drive.settle();
+    std::size_t not_valid = 0;
+    const std::size_t heap_before = heap_uses;
+    for (uint32_t i = 0; i < 2U * longest(); ++i) {
+        not_valid += drive.step() != lpvg_status_ok || drive.verdict() != lpvg_verdict_valid ? 1U : 0U;
+    }
+    CHECK(heap_uses == heap_before);
+    CHECK(not_valid == 0U);
+    CHECK(lpvg_monitor_reason(&drive.monitor) == drive.monitor.frame.reason);
+}
+
+TEST_CASE("frames hold the Hann spectra of e and yhat, in amplitude", "[unit][monitor]") {
+    const auto bin = GENERATE(0U, 1U, uint32_t{LPVG_NBINS - 1});
+    Drive drive;
+    drive.bin = std::max(bin, 1U);
+    drive.gain = 0.8;
+    drive.settle();
+    // yhat of the monitor is that of the test's own model once the start has decayed.
+    std::vector<std::array<double, LPVG_NY>> output;
+    std::vector<lpvg_frame_t> frames;
+    const int64_t origin = drive.now() + period_us();
+    for (uint32_t k = 0; k < 3U * longest(); ++k) {
+        const uint32_t before = drive.monitor.frame.sequence;
+        REQUIRE(drive.step() == lpvg_status_ok);
+        std::array<double, LPVG_NY> y{};
+        for (std::size_t j = 0; j < LPVG_NY; ++j) {
+            y[j] = static_cast<double>(drive.sample.y[j]);
+        }
+        output.push_back(y);
+        const lpvg_frame_t& frame = *lpvg_monitor_frame(&drive.monitor);
+        if (frame.sequence != before && frame.bin == bin) {
+            frames.push_back(frame);
+        }
+    }
+    const auto N = static_cast<int64_t>(words().frame_length[bin]);
+    double worst = 0.0;
+    std::size_t compared = 0;
+    for (const lpvg_frame_t& frame : frames) {
+        const int64_t first = (frame.t_end_us - origin) / period_us() - N + 1;
+        if (first < 0) {
+            continue;
+        }
+        ++compared;
+        for (std::size_t j = 0; j < LPVG_NY; ++j) {
+            std::complex<double> Y = 0.0;
+            double weight = 0.0;
+            for (int64_t n = 0; n < N; ++n) {
+                const double turn = 6.283185307179586 * static_cast<double>(n) / static_cast<double>(N);
+                const double w = 0.5 - 0.5 * std::cos(turn);
+                weight += w;
+                Y += w * output[static_cast<std::size_t>(first + n)][j] * std::polar(1.0, -turn * words().cycles[bin]);
+            }
+            Y *= (words().cycles[bin] == 0U ? 1.0 : 2.0) / weight;
+            const std::complex<double> Z(static_cast<double>(frame.Z[j][0]), static_cast<double>(frame.Z[j][1]));
+            const std::complex<double> E(static_cast<double>(frame.E[j][0]), static_cast<double>(frame.E[j][1]));
+            worst = std::max({worst, std::abs(Y - 0.8 * Z), std::abs(E + 0.2 * Z)});
+        }
+    }
+    CAPTURE(worst);
+    CHECK(compared >= 2U);
+    CHECK(worst <= (sizeof(Real) == 4U ? 2e-5 : 1e-12));  // signals are of size 0.1 to 1
+}
+
+TEST_CASE("a frame is judged at most LPVG_NBINS samples after its end, one a push, none lost", "[unit][monitor]") {
+    Drive drive;
+    std::array<int64_t, LPVG_NBINS> last_end{};
+    int64_t latest = 0;
+    uint32_t sequence = 0, judged = 0;
+    drive.run(20U * longest(), [&](const lpvg_frame_t& frame) {
+        ++judged;
+        ++sequence;
+        CHECK(frame.sequence == sequence);
+        latest = std::max(latest, (drive.now() - frame.t_end_us) / period_us());
+        const int64_t half = period_us() * (words().frame_length[frame.bin] / 2U);
+        const int64_t first_end = 2 * half - period_us();
+        CHECK(frame.t_end_us == (last_end[frame.bin] == 0 ? first_end : last_end[frame.bin] + half));
+        last_end[frame.bin] = frame.t_end_us;
+    });
+    CHECK(latest <= LPVG_NBINS);
+    uint32_t ended = 0;
+    for (std::size_t b = 0; b < LPVG_NBINS; ++b) {
+        ended += 20U * longest() / (words().frame_length[b] / 2U) - 1U;
+    }
+    CHECK(ended - judged <= LPVG_NBINS);
+}
+
+TEST_CASE("the verdict flips exactly where the gain leaves the bound", "[unit][monitor]") {
+    const auto bin = GENERATE(1U, uint32_t{LPVG_NBINS - 1});
+    const double side = GENERATE(1.0, -1.0);
+    const lpvg_coeff_t coeff = only_bin(bin);
+    // With E = (g - 1) Z, t* = |g - 1| / (W + B / |Z|) for one output; for more, one of them decides.
+    double critical = 0.0;
+    {
+        Drive drive(coeff);
+        drive.bin = bin;
+        drive.gain = 1.0 + 0.1 * side;
+        drive.settle();
+        lpvg_frame_t frame{};
+        drive.run(longest(), [&](const lpvg_frame_t& f) { frame = f.bin == bin ? f : frame; });
+        REQUIRE(frame.margin > Real(0));
+        CHECK(drive.verdict() == lpvg_verdict_valid);
+        critical = 0.1 / static_cast<double>(frame.margin);
+        if (LPVG_NY == 1) {
+            const double Z = std::hypot(static_cast<double>(frame.Z[0][0]), static_cast<double>(frame.Z[0][1]));
+            CHECK(critical == Approx(static_cast<double>(coeff.reals.W_delta[bin]) + 0.001 / Z).epsilon(1e-4));
+        }
+        CHECK(critical > 0.2);  // W_delta
+    }
+    for (const double part : {0.998, 1.002}) {
+        CAPTURE(bin, side, part);
+        Drive drive(coeff);
+        drive.bin = bin;
+        drive.gain = 1.0 + side * critical * part;
+        drive.settle();
+        drive.run(2U * longest());
+        CHECK(drive.verdict() == (part < 1.0 ? lpvg_verdict_valid : lpvg_verdict_invalid));
+    }
+}
+
+TEST_CASE("invalid is held for the longest frame after the last falsifying one", "[unit][monitor]") {
+    Drive drive(only_bin(LPVG_NBINS - 1));
+    drive.bin = LPVG_NBINS - 1;
+    drive.gain = 0.3;
+    drive.settle();
+    REQUIRE(drive.verdict() == lpvg_verdict_invalid);
+    drive.gain = 1.0;
+    int64_t last_falsified = drive.monitor.t_falsified_us;
+    int64_t recovered = 0;
+    for (uint32_t k = 0; k < 3U * longest() && recovered == 0; ++k) {
+        REQUIRE(drive.step() == lpvg_status_ok);
+        const lpvg_frame_t& frame = *lpvg_monitor_frame(&drive.monitor);
+        last_falsified = frame.falsified ? std::max(last_falsified, frame.t_end_us) : last_falsified;
+        recovered = drive.verdict() == lpvg_verdict_valid ? drive.now() : 0;
+    }
+    CHECK(recovered - last_falsified == period_us() * (longest() + 1));
+}
+
+TEST_CASE("a quiet vehicle is not judged, for want of excitation", "[unit][monitor]") {
+    Drive drive;
+    drive.amplitude = 0.0;
+    drive.settle();
+    drive.run(longest(), [](const lpvg_frame_t& frame) {
+        CHECK(frame.reason == lpvg_reason_not_excited);
+        CHECK_FALSE(frame.falsified);
+        CHECK(frame.evidence <= lpvg_coeff.reals.threshold);
+    });
+    CHECK(drive.verdict() == lpvg_verdict_not_judged);
+    CHECK(lpvg_monitor_reason(&drive.monitor) == lpvg_reason_not_excited);
+}
+
+TEST_CASE("evidence expires after the longest frame", "[unit][monitor]") {
+    Drive drive;
+    drive.settle();
+    REQUIRE(drive.verdict() == lpvg_verdict_valid);
+    drive.amplitude = 0.0;
+    drive.run(3U * longest());
+    CHECK(drive.verdict() == lpvg_verdict_not_judged);
+}
+
+TEST_CASE("frames that do not count say why and hold nothing else", "[unit][monitor]") {
+    const lpvg_coeff_reals_t& r = lpvg_coeff.reals;
+    SECTION("settling after the start") {
+        Drive drive;
+        uint32_t settling = 0;
+        drive.run(words().settle_samples + words().frame_length[LPVG_NBINS - 1], [&](const lpvg_frame_t& frame) {
+            const int64_t first = frame.t_end_us / period_us() + 1 - words().frame_length[frame.bin];
+            const bool settled = first >= static_cast<int64_t>(words().settle_samples);
+            CHECK((frame.reason == lpvg_reason_settling) == !settled);
+            settling += settled ? 0U : 1U;
+            CHECK((settled || is_zero(frame)));
+        });
+        CHECK(settling > 0U);
+    }
+    SECTION("out of range, below and above") {
+        const Real speed = GENERATE(Real(0.9), Real(1.1));
+        Drive drive;
+        drive.settle();
+        drive.speed = speed < Real(1) ? speed * r.speed_min : speed * r.speed_max;
+        drive.run(longest() + LPVG_NBINS);
+        drive.run(longest(), [](const lpvg_frame_t& frame) {
+            CHECK(frame.reason == lpvg_reason_out_of_range);
+            CHECK(is_zero(frame));
+        });
+        CHECK(drive.verdict() == lpvg_verdict_not_judged);
+        CHECK(lpvg_monitor_reason(&drive.monitor) == lpvg_reason_out_of_range);
+        drive.speed = cruise();
+        drive.settle();
+        drive.run(longest(), [](const lpvg_frame_t& frame) { CHECK(frame.reason <= lpvg_reason_not_excited); });
+    }
+    SECTION("one sample out of range spoils every frame that holds it, and settling begins anew") {
+        Drive drive;
+        drive.settle();
+        drive.speed = r.speed_max * Real(1.01);
+        drive.run(1U);
+        const int64_t outside = drive.now();
+        drive.speed = cruise();
+        std::array<std::size_t, 2> seen{};
+        drive.run(words().settle_samples + longest() + LPVG_NBINS, [&](const lpvg_frame_t& frame) {
+            const int64_t first = frame.t_end_us - period_us() * (words().frame_length[frame.bin] - 1);
+            if (frame.t_end_us < outside) {
+                CHECK(frame.reason <= lpvg_reason_not_excited);
+            } else if (first <= outside) {
+                CHECK(frame.reason == lpvg_reason_out_of_range);
+                ++seen[0];
+            } else if (first <= outside + period_us() * words().settle_samples) {
+                CHECK(frame.reason == lpvg_reason_settling);
+                ++seen[1];
+            }
+        });
+        CHECK(seen[0] > 0U);
+        CHECK(seen[1] > 0U);
+    }
+    SECTION("speed moves more than the tolerance around its mean, and no less") {
+        const Real part = GENERATE(Real(0.95), Real(1.06));
+        Drive drive;
+        drive.settle();
+        // Alternating speeds, so that every frame has the same mean and the same extremes.
+        std::size_t frames = 0, moved = 0;
+        for (uint32_t k = 0; k < 2U * longest() + LPVG_NBINS; ++k) {
+            const Real swing = part * r.speed_tolerance;
+            drive.speed = cruise() * (k % 2U == 0U ? Real(1) + swing : Real(1) - swing);
+            drive.run(1U, [&](const lpvg_frame_t& frame) {
+                if (k > longest() + LPVG_NBINS) {
+                    ++frames;
+                    moved += frame.reason == lpvg_reason_speed_moved ? 1U : 0U;
+                    CHECK((frame.reason != lpvg_reason_speed_moved || is_zero(frame)));
+                }
+            });
+        }
+        CHECK(frames > 0U);
+        CHECK(moved == (part > Real(1) ? frames : 0U));
+    }
+}
+
+TEST_CASE("a sample that cannot be is a fault until the next good one, and restarts everything", "[unit][monitor]") {
+    const lpvg_coeff_reals_t& r = lpvg_coeff.reals;
+    const Real nan = std::numeric_limits<Real>::quiet_NaN(), inf = std::numeric_limits<Real>::infinity();
+    std::vector<std::function<void(lpvg_sample_t&)>> spoil;
+    for (const Real value : {nan, inf, -inf, std::nextafter(r.speed_valid[1], inf), std::nextafter(r.speed_valid[0], -inf)}) {
+        spoil.push_back([value](lpvg_sample_t& s) { s.speed = value; });
+    }
+    for (std::size_t i = 0; i < LPVG_NU; ++i) {
+        for (const Real value : {nan, inf, -inf, std::nextafter(r.input_valid[i][1], inf), std::nextafter(r.input_valid[i][0], -inf)}) {
+            spoil.push_back([i, value](lpvg_sample_t& s) { s.u[i] = value; });
+        }
+    }
+    for (std::size_t j = 0; j < LPVG_NY; ++j) {
+        for (const Real value : {nan, inf, -inf, std::nextafter(r.output_valid[j][1], inf), std::nextafter(r.output_valid[j][0], -inf)}) {
+            spoil.push_back([j, value](lpvg_sample_t& s) { s.y[j] = value; });
+        }
+    }
+    Drive drive;
+    drive.settle();
+    uint32_t bad = 0;
+    for (const auto& change : spoil) {
+        lpvg_sample_t sample = drive.next();
+        change(sample);
+        CHECK(lpvg_monitor_push(&drive.monitor, &sample) == lpvg_status_bad_sample);
+        CHECK(drive.monitor.bad_samples == ++bad);
+        CHECK(drive.verdict() == lpvg_verdict_fault);
+        CHECK(drive.step() == lpvg_status_ok);
+        CHECK(drive.monitor.restarts == bad + 1U);
+        CHECK(drive.verdict() != lpvg_verdict_fault);
+    }
+    // Nothing may be bridged: a frame that began before the last fault must not come.
+    const int64_t restart = drive.now();
+    drive.run(LPVG_NBINS);  // frames that had ended before may still be judged
+    drive.run(longest(), [&](const lpvg_frame_t& frame) {
+        CHECK(frame.t_end_us - period_us() * (words().frame_length[frame.bin] - 1) >= restart);
+    });
+}
+
+TEST_CASE("the ends of the physical ranges are good", "[unit][monitor]") {
+    const std::size_t end = GENERATE(std::size_t{0}, std::size_t{1});
+    Drive drive;
+    lpvg_sample_t sample = drive.next();
+    sample.speed = lpvg_coeff.reals.speed_valid[end];
+    for (std::size_t i = 0; i < LPVG_NU; ++i) {
+        sample.u[i] = lpvg_coeff.reals.input_valid[i][end];
+    }
+    for (std::size_t j = 0; j < LPVG_NY; ++j) {
+        sample.y[j] = lpvg_coeff.reals.output_valid[j][end];
+    }
+    CHECK(lpvg_monitor_push(&drive.monitor, &sample) == lpvg_status_ok);
+}
+
+TEST_CASE("a first sample that is bad is a fault, not unknown", "[unit][monitor]") {
+    Drive drive;
+    lpvg_sample_t sample = drive.next();
+    sample.speed = std::numeric_limits<Real>::quiet_NaN();
+    CHECK(lpvg_monitor_push(&drive.monitor, &sample) == lpvg_status_bad_sample);
+    CHECK(drive.verdict() == lpvg_verdict_fault);
+    CHECK(lpvg_monitor_push(&drive.monitor, &sample) == lpvg_status_out_of_order);
+    CHECK(drive.verdict() == lpvg_verdict_fault);
+    CHECK(drive.step() == lpvg_status_ok);
+    CHECK(drive.verdict() == lpvg_verdict_unknown);
+}
+
+TEST_CASE("a sample that is not newer is counted and changes nothing else", "[unit][monitor]") {
+    Drive drive;
+    drive.run(longest());
+    for (const int64_t back : {int64_t{0}, int64_t{1}, period_us(), int64_t{1} << 40}) {
+        lpvg_sample_t sample = drive.sample;
+        sample.t_us -= back;
+        sample.speed = std::numeric_limits<Real>::quiet_NaN();  // not even looked at
+        lpvg_monitor_t expected;
+        std::memcpy(&expected, &drive.monitor, sizeof expected);
+        ++expected.out_of_order;
+        CHECK(lpvg_monitor_push(&drive.monitor, &sample) == lpvg_status_out_of_order);
+        CHECK(std::memcmp(&drive.monitor, &expected, sizeof expected) == 0);
+    }
+}
+
+TEST_CASE("a step of half to one and a half periods goes on, anything else restarts", "[unit][monitor]") {
+    struct Step {
+        int64_t us;
+        uint32_t restarts;
+    };
+    const int64_t T = period_us();
+    const Step step = GENERATE_COPY(Step{T / 2, 0U}, Step{T / 2 - 1, 1U}, Step{T * 3 / 2, 0U}, Step{T * 3 / 2 + 1, 1U},
+                                    Step{2 * T, 1U}, Step{int64_t{1} << 33, 1U}, Step{int64_t{1} << 62, 1U});
+    Drive drive;
+    drive.run(longest() - 1U);
+    REQUIRE(drive.monitor.restarts == 1U);
+    drive.skip(step.us - T);
+    CHECK(drive.step() == lpvg_status_ok);
+    CHECK(drive.monitor.restarts == 1U + step.restarts);
+    // The DC frame would have ended with this sample.
+    CHECK((drive.monitor.bin[0].n == 0U) == (step.restarts == 0U));
+}
+
+TEST_CASE("stale after five periods, fault when the clock runs backwards", "[unit][monitor]") {
+    const int64_t start = GENERATE(int64_t{0}, int64_t{-1000000000000}, (int64_t{1} << 32) - 1000000, int64_t{1} << 62);
+    Drive drive(lpvg_coeff, start);
+    drive.settle();
+    const int64_t now = drive.now();
+    CHECK(drive.verdict() == lpvg_verdict_valid);
+    CHECK(lpvg_monitor_verdict(&drive.monitor, now + 5 * period_us()) == lpvg_verdict_valid);
+    CHECK(lpvg_monitor_verdict(&drive.monitor, now + 5 * period_us() + 1) == lpvg_verdict_stale);
+    CHECK(lpvg_monitor_verdict(&drive.monitor, std::numeric_limits<int64_t>::max()) == lpvg_verdict_stale);
+    CHECK(lpvg_monitor_verdict(&drive.monitor, now - 1) == lpvg_verdict_fault);
+    CHECK(lpvg_monitor_verdict(&drive.monitor, std::numeric_limits<int64_t>::min()) == lpvg_verdict_fault);
+    CHECK(drive.step() == lpvg_status_ok);
+    CHECK(drive.verdict() == lpvg_verdict_valid);
+}
+
+TEST_CASE("the whole range of the clock can be crossed in one step", "[unit][monitor]") {
+    Drive drive(lpvg_coeff, std::numeric_limits<int64_t>::min());
+    drive.run(3U);
+    CHECK(lpvg_monitor_verdict(&drive.monitor, std::numeric_limits<int64_t>::max()) == lpvg_verdict_stale);
+    lpvg_sample_t sample = drive.sample;
+    sample.t_us = std::numeric_limits<int64_t>::max();
+    CHECK(lpvg_monitor_push(&drive.monitor, &sample) == lpvg_status_ok);
+    CHECK(drive.monitor.restarts == 2U);
+}
+
+TEST_CASE("the margins of a drive do not depend on where its clock starts", "[unit][monitor]") {
+    std::vector<Real> margins[2];
+    for (std::size_t i = 0; i < 2U; ++i) {
+        Drive drive(lpvg_coeff, i == 0U ? 0 : (int64_t{1} << 32) - 3 * period_us() * longest());
+        drive.gain = 0.9;
+        drive.run(6U * longest(), [&](const lpvg_frame_t& frame) { margins[i].push_back(frame.margin); });
+    }
+    CHECK(margins[0] == margins[1]);
+}
+
+TEST_CASE("falsifying frames queue up in order; those beyond the queue are counted", "[unit][monitor]") {
+    Drive drive(only_bin(LPVG_NBINS - 1));
+    drive.bin = LPVG_NBINS - 1;
+    drive.gain = 0.3;
+    std::vector<lpvg_frame_t> falsified;
+    const auto note = [&](const lpvg_frame_t& frame) {
+        if (frame.falsified) {
+            falsified.push_back(frame);
+        }
+    };
+    while (falsified.size() < LPVG_NRECORDS + 2U) {
+        drive.run(1U, note);
+    }
+    CHECK(drive.monitor.records_lost == 2U);
+    lpvg_frame_t record{};
+    for (std::size_t i = 0; i < LPVG_NRECORDS; ++i) {
+        REQUIRE(lpvg_monitor_take_record(&drive.monitor, &record));
+        CHECK(record.sequence == falsified[i].sequence);
+        CHECK(record.t_end_us == falsified[i].t_end_us);
+        CHECK(record.bin == LPVG_NBINS - 1);
+        CHECK(record.margin == falsified[i].margin);
+        CHECK(record.E[LPVG_NY - 1][1] == falsified[i].E[LPVG_NY - 1][1]);
+        CHECK(record.Z[LPVG_NY - 1][1] == falsified[i].Z[LPVG_NY - 1][1]);
+        CHECK(record.speed == Approx(static_cast<double>(cruise())).epsilon(1e-5));
+    }
+    CHECK_FALSE(lpvg_monitor_take_record(&drive.monitor, &record));
+    // A place that was read out is free again.
+    while (falsified.size() < LPVG_NRECORDS + 3U) {
+        drive.run(1U, note);
+    }
+    REQUIRE(lpvg_monitor_take_record(&drive.monitor, &record));
+    CHECK(record.sequence == falsified.back().sequence);
+    CHECK(drive.monitor.records_lost == 2U);
+}
+
+TEST_CASE("the statistic is the k-th largest of the last m margins of the bin", "[unit][monitor]") {
+    struct KofM {
+        uint32_t k, m;
+    };
+    const KofM want = GENERATE(KofM{1, 1}, KofM{1, 3}, KofM{2, 3}, KofM{3, 3}, KofM{5, LPVG_NHISTORY}, KofM{LPVG_NHISTORY, LPVG_NHISTORY});
+    Drive drive(sealed([&](lpvg_coeff_t& c) {
+        c.words.confirm = want.k;
+        c.words.of_last = want.m;
+    }));
+    std::array<std::vector<Real>, LPVG_NBINS> margins;
+    std::size_t counted = 0, wrong = 0;
+    for (uint32_t k = 0; k < 12U * longest(); ++k) {
+        drive.gain = 1.0 + 0.5 * std::sin(0.37 * k);  // so that margins differ from frame to frame
+        drive.run(1U, [&](const lpvg_frame_t& frame) {
+            if (frame.reason > lpvg_reason_not_excited) {
+                return;
+            }
+            ++counted;
+            std::vector<Real>& of_bin = margins[frame.bin];
+            of_bin.push_back(frame.margin);
+            std::vector<Real> last(of_bin.end() - static_cast<std::ptrdiff_t>(std::min<std::size_t>(want.m, of_bin.size())), of_bin.end());
+            std::sort(last.begin(), last.end(), std::greater<Real>());
+            const Real statistic = last.size() < want.k ? Real(0) : last[want.k - 1U];
+            wrong += frame.statistic != statistic || frame.falsified != (statistic > lpvg_coeff.reals.threshold) ? 1U : 0U;
+        });
+    }
+    CHECK(counted > 50U);
+    CHECK(wrong == 0U);
+}
+
+TEST_CASE("an output that is stuck or turned over is falsified, within the physical ranges", "[unit][monitor]") {
+    const double gain = GENERATE(0.0, -1.0, 2.0);
+    Drive drive;
+    drive.settle();
+    REQUIRE(drive.verdict() == lpvg_verdict_valid);
+    drive.gain = gain;
+    drive.run(4U * longest());
+    CHECK(drive.verdict() == lpvg_verdict_invalid);
+    CHECK(drive.monitor.bad_samples == 0U);
+}

@@ -1,0 +1,215 @@
+"""`lpvguard design`: weights -> controller scheduled over speed, certified frozen at every node and between nodes (step 8).
+
+Everything is discrete from the start: the vehicle sampled exactly at Ts, the weights by Tustin's map, and one sample of
+delay between the controller's output and the vehicle, so that the ECU may take a whole period to compute. The delay then
+belongs to the controller, which makes it strictly proper.
+
+One scaling D (found by D-K iteration at the design speed) serves all speeds, so that neighbouring controllers differ
+little. They are truncated to a common order, brought to common coordinates one from the next, and interpolated entry by
+entry. What is certified is the controller the core runs: float32 coefficients, interpolated, closed with the nominal model
+and the weights at frozen speeds, at the nodes and midway between them. Frozen speeds: no claim is made about how fast the
+speed may change.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import scipy.linalg as sl
+
+from . import artefacts
+from .errors import InputError
+from .identify import FittedWeight, Progress, StoredIdentification
+from .nominal import NominalModel
+from .project import DesignSettings
+from .synthesis import interconnection as fig1
+from .synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis, frozen_controllers
+from .synthesis.statespace import StateSpace, append, gain, lft, series
+
+SMALLEST_ORDER = 4
+"""Before the delay: fewer states than the vehicle and the reference model have between them cannot do the job."""
+PATIENCE = 3
+"""Orders tried beyond the best one so far."""
+ALIGN_POINTS = 200
+"""Frequencies at which two controllers' states are compared when they are brought to common coordinates."""
+
+
+@dataclass(frozen=True)
+class Scheduled:
+    """Strictly proper discrete controllers at the node speeds, in common coordinates: x+ = A x + B m, u = C x.
+
+    speeds (G,); A (G, n, n), B (G, n, 1 + n_y), C (G, n_u, n); m = [reference, outputs]. L (G, n, n_u): A - L C is stable;
+    it feeds the applied input back while the actuator limits.
+    """
+
+    Ts: float
+    speeds: np.ndarray
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    L: np.ndarray
+
+    def at(self, v: float) -> StateSpace:
+        """The controller the core runs at speed v: float32 coefficients with A - I formed in double, interpolated."""
+        position = np.clip((v - self.speeds[0]) / (self.speeds[-1] - self.speeds[0]), 0.0, 1.0) * (len(self.speeds) - 1)
+        k = min(int(position), len(self.speeds) - 2)
+        w = position - k
+
+        def between(values: np.ndarray) -> np.ndarray:
+            rounded = values[k:k + 2].astype(np.float32).astype(float)
+            return (1 - w) * rounded[0] + w * rounded[1]
+
+        eye = np.eye(self.A.shape[1])
+        return StateSpace(eye + between(self.A - eye), between(self.B), between(self.C),
+                          np.zeros((self.C.shape[1], self.B.shape[2])), self.Ts)
+
+
+def _system(weight: FittedWeight, inflation: float) -> StateSpace:
+    return fig1.rational(inflation * weight.fit.weight.num, weight.fit.weight.den)
+
+
+def _weights(stored: StoredIdentification, settings: DesignSettings) -> fig1.Weights:
+    fitted = stored.fitted
+    if not fitted.W_n or not fitted.W_C:
+        raise InputError(stored.folder, "W_n, W_C", "missing: no drive of the noise split",
+                         "zero-input drives listed under data.noise_split")
+    W_w = fitted.W_w_S0 if settings.structure == "K_inf" else fitted.W_w
+    g = fitted.inflation
+    return fig1.Weights(
+        W_R=fig1.rational(settings.W_R_num, settings.W_R_den), W_C=_system(fitted.W_C[0], 1.0),
+        W_t=fig1.zeros_poles(settings.A_t, settings.W_t_zeros, settings.W_t_poles),
+        W_u=fig1.zeros_poles(settings.A_u, settings.W_u_zeros, settings.W_u_poles),
+        W_nr=_system(fitted.W_n[0], g), W_ndelta=_system(fitted.W_n[1], g), W_wr=_system(W_w[0], g),
+        W_wdelta=_system(W_w[1], g), W_delta_i=_system(fitted.W_delta, g), W_delta_s=_system(fitted.W_delta, g))
+
+
+def _delayed(plant: fig1.GeneralisedPlant) -> fig1.GeneralisedPlant:
+    """The plant with one sample of delay in front of its control input."""
+    n_w, n_u, dt = plant.system.n_inputs - plant.n_control, plant.n_control, plant.system.dt
+    shift = StateSpace(np.zeros((n_u, n_u)), np.eye(n_u), np.eye(n_u), np.zeros((n_u, n_u)), dt)
+    return fig1.GeneralisedPlant(series(plant.system, append(gain(np.eye(n_w), dt), shift)), plant.blocks, plant.n_delta_out,
+                                 plant.n_delta_in, plant.n_control, plant.n_measurement)
+
+
+def _with_delay(K: StateSpace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The controller that holds its own output back by one sample: states [x, u]; D is 0."""
+    n, n_u = K.order, K.n_outputs
+    A = np.block([[K.A, np.zeros((n, n_u))], [K.C, np.zeros((n_u, n_u))]])
+    return A, np.vstack([K.B, K.D]), np.hstack([np.zeros((n_u, n)), np.eye(n_u)])
+
+
+def _aligned(K: StateSpace, reference: StateSpace) -> StateSpace:
+    """K in the coordinates in which its states are seen at the output as the reference's are (least squares)."""
+    z = np.exp(1j * np.logspace(-4, 0, ALIGN_POINTS) * np.pi)
+
+    def seen(G: StateSpace) -> np.ndarray:
+        rows = [np.linalg.solve((x * np.eye(G.order) - G.A).T, G.C.T).T for x in z]
+        stacked = np.concatenate(rows)
+        return np.vstack([stacked.real, stacked.imag])
+
+    T = np.linalg.lstsq(seen(K), seen(reference), rcond=None)[0]
+    return StateSpace(np.linalg.solve(T, K.A @ T), np.linalg.solve(T, K.B), K.C @ T, K.D, K.dt)
+
+
+def _in_common_coordinates(controllers: list[StateSpace], start: int) -> list[StateSpace]:
+    out = list(controllers)
+    for k in range(start + 1, len(out)):
+        out[k] = _aligned(out[k], out[k - 1])
+    for k in range(start - 1, -1, -1):
+        out[k] = _aligned(out[k], out[k + 1])
+    return out
+
+
+def _injection(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:
+    """L with A - L C stable: the stationary Kalman gain that trusts the applied input as much as the measurements."""
+    Q = B @ B.T + 1e-9 * np.trace(B @ B.T) * np.eye(len(A))
+    R = 1e-3 * np.trace(C @ Q @ C.T) * np.eye(len(C)) + 1e-12 * np.eye(len(C))
+    P = sl.solve_discrete_are(A.T, C.T, Q, R)
+    return A @ P @ C.T @ np.linalg.inv(C @ P @ C.T + R)
+
+
+def _schedule(controllers: list[StateSpace], speeds: np.ndarray, start: int, Ts: float) -> Scheduled:
+    realised = [_with_delay(K) for K in _in_common_coordinates(controllers, start)]
+    A, B, C = (np.stack([r[i] for r in realised]) for i in range(3))
+    return Scheduled(Ts, speeds, A, B, C, np.stack([_injection(*r) for r in realised]))
+
+
+@dataclass(frozen=True)
+class Design:
+    """A scheduled controller and its certificates: ``certificates`` per speed, nodes and midpoints in order."""
+
+    schedule: Scheduled
+    scaling: Scaling | None
+    certificates: list[tuple[float, RobustPerformance]]
+    full_order: int
+
+
+def _plant(stored: StoredIdentification, model: NominalModel, weights: fig1.Weights, v: float,
+           delayed: bool) -> fig1.GeneralisedPlant:
+    A, B = (m[0] for m in model.matrices(np.array([v])))
+    plant = fig1.generalised_plant(A, B, weights, stored.project.design.structure, stored.project.Ts_s)
+    return _delayed(plant) if delayed else plant
+
+
+def design(stored: StoredIdentification, progress: Progress = lambda _: None) -> Design:
+    """Synthesise, truncate, align and certify. InputError when the project file has no [design] or no order certifies."""
+    settings = stored.project.design
+    if settings is None:
+        raise InputError(f"vehicle {stored.project.name}", "design", "no [design] table", "objectives for step 8")
+    model = NominalModel(stored.project)
+    weights = _weights(stored, settings)
+    speeds = np.linspace(*model.speed_range, settings.nodes)
+    start = int(np.argmin(np.abs(speeds - settings.design_speed_mps)))
+    progress("D-K iteration at the design speed")
+    scaling = dk_synthesis(_plant(stored, model, weights, speeds[start], True)).performance.scaling
+    scaling = scaling or Scaling(np.zeros((0, 1)))
+    progress("controllers over speed")
+    at_order, full_order = frozen_controllers([_plant(stored, model, weights, v, True) for v in speeds], scaling, settings.backoff)
+    check = np.linspace(speeds[0], speeds[-1], 2 * len(speeds) - 1)
+    loops = {v: _plant(stored, model, weights, v, False) for v in check}
+
+    def certificates(schedule: Scheduled) -> list[tuple[float, RobustPerformance]]:
+        return [(float(v), certify(loops[v], schedule.at(v), scaling if loops[v].blocks else None)) for v in check]
+
+    best, found = None, None
+    for order in range(SMALLEST_ORDER, full_order + 1):
+        progress(f"order {order}")
+        try:
+            schedule = _schedule(at_order(order), speeds, start, stored.project.Ts_s)
+        except np.linalg.LinAlgError:
+            continue  # coordinates cannot be matched, or no injection gain exists, at this order
+        if not all(lft(plant.system, schedule.at(v)).stability_margin() > 0 for v, plant in loops.items()):
+            continue
+        proved = certificates(schedule)
+        worst = max(p.upper for _, p in proved)
+        if best is None or worst < best * (1 - settings.order_loss):
+            best, found = worst, (schedule, proved)
+        elif schedule.A.shape[1] >= found[0].A.shape[1] + PATIENCE:
+            break
+    if found is None:
+        raise InputError(stored.folder, "controller", "no truncation of the scheduled controller stabilises every speed",
+                         "more nodes, or a lower A_t")
+    return Design(found[0], scaling, found[1], full_order)
+
+
+def save(result: Design, stored: StoredIdentification, target: Path) -> None:
+    """Write controller.json and its manifest, whole or not at all."""
+    settings, schedule = stored.project.design, result.schedule
+    controller = {
+        "Ts_s": schedule.Ts, "speeds": schedule.speeds, "A": schedule.A, "B": schedule.B, "C": schedule.C, "L": schedule.L,
+        "u_max": settings.input_max, "rate_max": settings.input_rate_max_per_s,
+        "certificates": {
+            "claim": "frozen speeds, float32 coefficients, interpolated, closed with the nominal model and the weights: "
+                     "mu <= mu_upper < 1 means robust performance for every LTI Delta within W_delta",
+            "test": "bracket of the scaled closed loop's H-infinity norm by level-set tests of its Hamiltonian",
+            "structure": settings.structure, "A_t": settings.A_t, "A_u": settings.A_u,
+            "order": schedule.A.shape[1], "full_order": result.full_order,
+            "scaling_log_parameters": None if result.scaling is None else result.scaling.log_parameters,
+            "speeds": [{"v_mps": v, "mu_upper": p.upper, "mu_lower": p.lower, "peak_rad_s": p.bracket.peak_frequency}
+                       for v, p in result.certificates]}}
+    with artefacts.new_folder(target) as folder:
+        artefacts.write_files(folder, {
+            "controller.json": artefacts.to_json(controller),
+            artefacts.MANIFEST: artefacts.manifest("design", vehicle=stored.project.name, identification=stored.manifest)})

@@ -1,0 +1,390 @@
+"""Pictures of the report, as inline SVG whose bytes depend on the data only.
+
+Ink, rules and paper are CSS variables of the page (--ink, --rule, --paper), so one picture is legible on light, dark and
+printed pages; the other colours are Okabe and Ito's, told apart by colour-blind readers and by line style besides. Point
+clouds are rasterised. Frequencies in rad/s; signals in the units of the signal table.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from dataclasses import dataclass
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize, to_rgb
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter, NullLocator
+
+from .core import REASONS, VERDICTS
+from .replay import Replay
+
+INK, RULE, PAPER = "#010203", "#040506", "#070809"
+"""Stand-ins that become CSS variables; no other element may use them."""
+BLUE, SKY, GREEN, RED, ORANGE, PINK, POINTS = "#1b84c6", "#56b4e9", "#009e73", "#d55e00", "#e69f00", "#cc79a7", "#8a8f98"
+REASON_WORDS = dict(zip(REASONS, ("evidence", "too little excitation", "speed moved too much", "speed out of range",
+                                  "model settling"), strict=True))
+VERDICT_COLOURS = dict(zip(VERDICTS, (POINTS, GREEN, RED, "#b9d3e6", PINK, ORANGE), strict=True))
+MOST_BIN_LABELS = 6
+POINTS_PER_BIN = 400
+"""More points in a bin are thinned: the largest stay, of the others every n-th in order of size."""
+
+STYLE = {
+    "svg.fonttype": "path", "font.size": 9.0, "axes.titlesize": 9.5, "axes.labelsize": 9.0, "legend.fontsize": 8.0,
+    "text.color": INK, "axes.labelcolor": INK, "xtick.color": INK, "ytick.color": INK, "axes.edgecolor": INK,
+    "axes.titlecolor": INK, "axes.facecolor": "none", "figure.facecolor": "none", "savefig.facecolor": "none",
+    "legend.facecolor": PAPER, "legend.edgecolor": RULE, "legend.framealpha": 0.85, "grid.color": RULE,
+    "grid.linewidth": 0.5, "axes.grid": True, "axes.axisbelow": True, "axes.linewidth": 0.7, "lines.linewidth": 1.4}
+
+
+@dataclass(frozen=True)
+class Clouds:
+    """Points per bin, lists over bins of arrays over frames: |E|, B1 (right side of (9)), nu, |w| (F, n_y)."""
+
+    E: list[np.ndarray]
+    B1: list[np.ndarray]
+    nu: list[np.ndarray]
+    w: list[np.ndarray]
+
+
+def _figure(width: float, height: float, layout: str | None = "constrained") -> Figure:
+    figure = Figure(figsize=(width, height), layout=layout)
+    FigureCanvasSVG(figure)
+    return figure
+
+
+def _svg(figure: Figure, name: str) -> str:
+    """The figure as inline SVG; ``name`` keeps its ids apart from those of the page's other pictures."""
+    stream = io.StringIO()
+    nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    with matplotlib.rc_context({"svg.hashsalt": name, **STYLE}):
+        figure.savefig(stream, format="svg", metadata=nothing, dpi=140)
+    text = stream.getvalue()
+    text = text[text.index("<svg"):]
+    text = re.sub(r' (xmlns(:\w+)?|version)="[^"]*"', "", text)
+    text = re.sub(r'( id="|xlink:href="#|url\(#)', rf"\g<1>{name}-", text)
+    for stand_in, variable in ((INK, "--ink"), (RULE, "--rule"), (PAPER, "--paper")):
+        text = text.replace(stand_in, f"var({variable})")
+    return text
+
+
+def picture(draw):
+    """Decorator: ``draw(name, ...)`` returns a Figure and runs in the report's style; the result is its SVG text."""
+    def wrapped(name: str, *arguments) -> str:
+        with matplotlib.rc_context(STYLE):
+            return _svg(draw(*arguments), name)
+
+    wrapped.__doc__ = draw.__doc__
+    return wrapped
+
+
+def _thin(values: np.ndarray) -> np.ndarray:
+    """At most about POINTS_PER_BIN of ``values``, always the largest ones."""
+    if len(values) <= POINTS_PER_BIN:
+        return values
+    ordered = np.sort(values)[::-1]
+    kept = POINTS_PER_BIN // 4
+    return np.concatenate([ordered[:kept], ordered[kept::-(-len(ordered) // (POINTS_PER_BIN - kept))]])
+
+
+def _cloud(axes: Axes, grid: np.ndarray, values: list[np.ndarray], colour: str, label: str) -> None:
+    """Points over the bins; DC (bin 0) as stars. Zeros have no place on a logarithmic axis and are left out."""
+    shown = [_thin(v[v > 0]) for v in values]
+    x = np.concatenate([np.full(len(v), w) for v, w in zip(shown[1:], grid[1:])])
+    if not len(x):
+        return
+    axes.plot(x, np.concatenate(shown[1:]), ".", ms=3.5, color=colour, alpha=0.6, mec="none", rasterized=True, label=label)
+    axes.plot(np.full(len(shown[0]), grid[0]), shown[0], "*", ms=6, color=colour, alpha=0.7, mec="none", rasterized=True)
+
+
+def _bound(axes: Axes, grid: np.ndarray, values: np.ndarray, style: str, label: str, **look) -> None:
+    """A bound over the bins with DC as a star of its own: nothing is known between DC and the lowest bin."""
+    drawn = np.where(values > 0, values, np.nan)
+    line, = axes.plot(grid[1:], drawn[1:], style, label=label, **look)
+    axes.plot(grid[:1], drawn[:1], "*", ms=9, color=line.get_color(), mfc=look.get("mfc", line.get_color()))
+
+
+def _bins(axes: Axes, grid: np.ndarray, without: np.ndarray, *, label: bool = True) -> None:
+    """Logarithmic frequency axis that names some of the bins, with DC at its stand-in place; bins without frames are marked."""
+    step = -(-len(grid) // MOST_BIN_LABELS)
+    named = grid[1::step]
+    axes.set_xscale("log")
+    axes.set_xlim(grid[0] / 1.5, grid[-1] * 1.5)
+    axes.set_xticks([grid[0], *named], ["DC", *(f"{w:.3g}" for w in named)])
+    axes.xaxis.set_minor_locator(FixedLocator(grid[1:]))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.axvspan(grid[0] * 1.6, grid[1] / 1.2, color=POINTS, alpha=0.12, lw=0)
+    for w in grid[without]:
+        axes.axvspan(w / 1.12, w * 1.12, facecolor="none", edgecolor=POINTS, hatch="////", lw=0)
+        axes.text(w, 0.5, "no information", rotation=90, ha="center", va="center", fontsize=7,
+                  transform=axes.get_xaxis_transform())
+    if label:
+        axes.set_xlabel("frequency of the bin, rad/s")
+
+
+def _legend_above(axes: Axes, columns: int) -> None:
+    axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, frameon=False, markerscale=1.4,
+                handletextpad=0.5, columnspacing=1.2)
+
+
+@picture
+def disturbance_design(grid, clouds: Clouds, bounds: dict[str, np.ndarray], gamma_fine, fine, unit: str) -> Figure:
+    """Fig. 2: |E| and B1 points, B1, B2, gamma_w as the rule asks and smoothed; below, the ceiling that made it."""
+    figure = _figure(8.2, 5.6)
+    top, low = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1.1])
+    without = ~(bounds["frames"] > 0)
+    _cloud(top, grid, clouds.E, POINTS, "$|E|$ of a frame")
+    _cloud(top, grid, clouds.B1, GREEN, "right side of (9)")
+    _bound(top, grid, bounds["B2"], "--s", "$B_2$, all starts", ms=4, color=RED)
+    if np.nanmax(bounds["B1"]) > 0:
+        _bound(top, grid, bounds["B1"], ":^", "$B_1$, all starts", ms=4, color=GREEN)
+    _bound(top, grid, bounds["gamma_rule"], "o", r"$\gamma_w$ asked for by the rule", ms=5, mfc="none", color=BLUE)
+    top.plot(fine, gamma_fine, "-", color=BLUE, label=r"$\gamma_w$ smoothed")
+    top.set_yscale("log")
+    top.set_ylabel(f"Euclidean norm, {unit}")
+    top.set_ylim(bottom=min(_decent_bottom(c, bounds["B2"]) for c in (clouds.E, clouds.B1)))
+    _bins(top, grid, without, label=False)
+    _legend_above(top, 3)
+    low.plot(grid[1:], bounds["nu_ceiling"][1:], "-o", ms=3.5, color=PINK, label=r"ceiling $\bar\nu(\omega)$")
+    low.plot(grid[1:], bounds["nu"][1:], "v", ms=4, color=INK, label=r"$\nu$ needed")
+    low.set_ylim(0, 1.15 * max(np.nanmax(bounds["nu_ceiling"]), np.nanmax(bounds["nu"])))
+    low.set_ylabel(r"$|\delta|$, –")
+    low.legend(loc="upper left", bbox_to_anchor=(0.12, 1.0))
+    _bins(low, grid, without)
+    return figure
+
+
+def _decent_bottom(clouds: list[np.ndarray], bound: np.ndarray) -> float:
+    """Lower end of a logarithmic axis: the 1 % quantile of the points that are not tiny beside the bound, so that a few
+    near-zeros do not squeeze the rest."""
+    values, largest = np.concatenate(clouds), float(np.nanmax(bound))
+    values = values[values > 1e-3 * largest]
+    return float(np.quantile(values, 0.01)) if len(values) else 0.05 * largest
+
+
+@picture
+def weights_over_bounds(grid, clouds: Clouds, bounds: dict[str, np.ndarray], W_w, fine, samples, W_delta, outputs) -> Figure:
+    """Fig. 3: |w_j| points, B_w and W_w per output; nu points, the bound that W_delta covers, and W_delta."""
+    figure = _figure(8.2, 3.6 if len(outputs) == 1 else 2.9 * len(outputs))
+    frames = figure.subfigures(1, 2, width_ratios=[1, 1])
+    without = ~(bounds["frames"] > 0)
+    for j, axes in enumerate(np.atleast_1d(frames[0].subplots(len(outputs), 1))):
+        points = [w[:, j] for w in clouds.w]
+        _cloud(axes, grid, points, POINTS, "$|w|$ of a frame")
+        _bound(axes, grid, bounds["B_w"][:, j], "--s", "$B_w$, all starts", ms=4, color=RED)
+        axes.plot(fine, W_w[:, j], "-", color=BLUE, label="$|W_w|$")
+        axes.set_yscale("log")
+        axes.set_ylim(bottom=_decent_bottom(points, bounds["B_w"][:, j]))
+        axes.set_ylabel(f"{outputs[j].name.replace('_', ' ')}, {outputs[j].unit}")
+        _bins(axes, grid, without, label=j == len(outputs) - 1)
+    _legend_above(frames[0].axes[0], 3)
+    right = frames[1].subplots()
+    _cloud(right, grid, clouds.nu, POINTS, r"$\nu$ of a frame")
+    _bound(right, grid, samples, "--s", "running bound", ms=4, color=RED)
+    right.plot(fine, W_delta, "-", color=BLUE, label=r"$|W_\Delta|$")
+    right.set_yscale("log")
+    right.set_ylim(_decent_bottom(clouds.nu, samples), 2 * max(W_delta.max(), np.nanmax(samples)))
+    right.set_ylabel(r"uncertainty size $|\delta|$, –")
+    _legend_above(right, 3)
+    _bins(right, grid, without)
+    return figure
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A piece of a drive: t (N,) [s after the drive's start], v (N,) [m/s], y, yhat (N, n_y)."""
+
+    title: str
+    t: np.ndarray
+    v: np.ndarray
+    y: np.ndarray
+    yhat: np.ndarray
+
+
+@picture
+def model_in_time(stretches: list[Stretch], outputs) -> Figure:
+    """Fig. 4: measurement and nominal model, and the nominal error, on each stretch."""
+    rows = 2 * len(outputs)
+    figure = _figure(8.2, 1.2 + 3.2 * len(outputs))
+    grid = np.atleast_2d(figure.subplots(rows, len(stretches), sharex="col", sharey="row", squeeze=False,
+                                         height_ratios=[2, 1] * len(outputs)))
+    for column, s in enumerate(stretches):
+        for j, signal in enumerate(outputs):
+            above, below = grid[2 * j, column], grid[2 * j + 1, column]
+            above.plot(s.t, s.y[:, j], "-", color=INK, lw=1.0, label="measured")
+            above.plot(s.t, s.yhat[:, j], "--", color=RED, lw=1.2, label="nominal model")
+            below.plot(s.t, s.y[:, j] - s.yhat[:, j], "-", color=BLUE, lw=0.8)
+            below.axhline(0.0, color=INK, lw=0.6)
+            if column == 0:
+                above.set_ylabel(f"{signal.name.replace('_', ' ')}, {signal.unit}")
+                below.set_ylabel(f"error, {signal.unit}")
+        grid[0, column].set_title(s.title)
+        grid[-1, column].set_xlabel("time after the drive's start, s")
+    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper left", ncols=2, frameon=False)
+    return figure
+
+
+@picture
+def excitation(grid, frames: np.ndarray, size_max: np.ndarray, size_median: np.ndarray, every_start_max: np.ndarray,
+               disturbance: np.ndarray, unit: str) -> Figure:
+    """|Z| per bin against the disturbance bound, and how many frames counted."""
+    figure = _figure(8.2, 4.0)
+    top, low = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
+    without = ~(frames > 0)
+    _bound(top, grid, size_max, "-^", "largest $|Z|$, all drives", ms=4.5, color=BLUE)
+    _bound(top, grid, size_median, "-o", "median $|Z|$, all drives", ms=4, color=SKY)
+    _bound(top, grid, every_start_max, ":v", "largest $|Z|$, bound-setting drives, all starts", ms=4, color=GREEN)
+    _bound(top, grid, disturbance, "--", r"$\gamma_w$, to compare with", color=RED)
+    top.set_yscale("log")
+    top.set_ylabel(f"$|Z|$, {unit}")
+    _legend_above(top, 2)
+    _bins(top, grid, without, label=False)
+    low.bar(grid, frames, width=0.25 * grid, color=SKY)
+    low.set_yscale("log")
+    low.set_ylim(0.8, 2.0 * max(1, frames.max()))
+    low.set_ylabel("counted frames")
+    _bins(low, grid, without)
+    return figure
+
+
+MAP_WIDTH, ROW_PIXELS = 1200, 9
+"""Pixels of the map over margin: along time, and of one bin."""
+MAP_PAPER = "#ffffff"
+"""Maps stand on white on dark pages too: their darkest colour means the largest margin and must not vanish."""
+
+
+def _colours() -> matplotlib.colors.Colormap:
+    return matplotlib.colormaps["cividis_r"].with_extremes(over=RED)
+
+
+def _paint(kind: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """RGBA picture of cells: ``kind`` (K, W) index into REASONS or -1 (no frame), ``value`` (K, W) margin / threshold."""
+    kind, value = (np.repeat(a, ROW_PIXELS, axis=0) for a in (kind, value))
+    y, x = np.indices(kind.shape)
+    out = np.zeros((*kind.shape, 4))
+    counted = (kind == REASONS.index("none")) | (kind == REASONS.index("not_excited"))
+    out[counted] = _colours()(value[counted])
+    # Frames without evidence are shown through a screen: same colour, three quarters of the pixels left open.
+    screen = (kind == REASONS.index("not_excited")) & ~((x % 4 < 2) & (y % 3 == 1))
+    out[screen, 3] = 0.12
+    for reason, mask in (("speed_moved", (x + y) % 8 < 2), ("out_of_range", np.ones_like(x, bool)), ("settling", x % 6 < 2)):
+        drawn = (kind == REASONS.index(reason)) & mask
+        out[drawn] = (*to_rgb(POINTS), 0.45 if reason == "out_of_range" else 0.9)
+    out[:: ROW_PIXELS] = 0.0
+    return np.round(out * 255).astype(np.uint8)
+
+
+def _cells(replay: Replay, t0: float, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Kind and margin of every cell of the map. A frame stands on its central half, where its window has its weight."""
+    frames = replay.run.frames
+    kind, value = np.full((len(lengths), MAP_WIDTH), -1), np.zeros((len(lengths), MAP_WIDTH))
+    length_s = lengths[frames.bin] * replay.Ts
+    end = frames.t_end_s - t0 + replay.Ts
+    scale = MAP_WIDTH / max(replay.duration_s, replay.Ts)
+    first = np.floor((end - 0.75 * length_s) * scale).astype(int)
+    last = np.maximum(np.floor((end - 0.25 * length_s) * scale).astype(int), first + 1)
+    for k, a, b, reason, margin in zip(frames.bin, first, last, frames.reason, frames.margin):
+        # Of frames that share a pixel the largest margin must not vanish.
+        if b == a + 1 and kind[k, min(a, MAP_WIDTH - 1)] >= 0 and value[k, min(a, MAP_WIDTH - 1)] > margin:
+            continue
+        kind[k, a:b], value[k, a:b] = reason, margin
+    return kind, value
+
+
+def _bin_labels(omega: np.ndarray) -> list[str]:
+    return ["DC", *(f"{w:.2g}" for w in omega[1:])]
+
+
+@picture
+def margin_map(replay: Replay, t: np.ndarray, v: np.ndarray, omega: np.ndarray, lengths: np.ndarray, threshold: float,
+               speed_range: tuple[float, float]) -> Figure:
+    """Margin over time and bin of one drive, alarms, speed and verdict below."""
+    K = len(omega)
+    map_in, speed_in, verdict_in, gap_in, below_in = 0.135 * K, 0.72, 0.13, 0.13, 0.45
+    height = map_in + speed_in + verdict_in + 3 * gap_in + below_in
+    # Placed by hand: laid out automatically this picture, of which there are many, would take half as long again, and
+    # time axes of different drives would not line up.
+    figure = _figure(8.2, height, layout=None)
+    top, middle, low = figure.subplots(3, 1, sharex=True, height_ratios=[map_in, speed_in, verdict_in], gridspec_kw={
+        "left": 0.075, "right": 0.985, "top": 1 - gap_in / height, "bottom": below_in / height,
+        "hspace": 3 * gap_in / (map_in + speed_in + verdict_in)})
+    kind, margin = _cells(replay, t[0], lengths)
+    extent = (0.0, replay.duration_s, -0.5, K - 0.5)
+    top.imshow(_paint(kind, margin / threshold)[::-1], aspect="auto", extent=extent, interpolation="none")
+    at = {w: k for k, w in enumerate(omega)}
+    if replay.alarms:
+        top.plot([a.t_s for a in replay.alarms], [at[a.bin_rad_s] for a in replay.alarms], "<", ms=6, mfc=RED,
+                 mec=MAP_PAPER, mew=0.8, clip_on=False)
+    top.set_facecolor(MAP_PAPER)
+    top.set_yticks(range(K), _bin_labels(omega), fontsize=7)
+    top.set_ylabel("bin, rad/s")
+    top.grid(False)
+    middle.plot(t - t[0], v, "-", color=INK, lw=0.9)
+    for limit in speed_range:
+        middle.axhline(limit, color=ORANGE, ls="--", lw=0.9)
+    middle.set_ylabel("speed, m/s")
+    middle.set_ylim(bottom=min(0.0, v.min()))
+    middle.yaxis.set_major_locator(MaxNLocator(4, integer=True))
+    edges = np.r_[0, np.flatnonzero(np.diff(replay.run.verdict)) + 1, len(t)]
+    for a, b in zip(edges[:-1], edges[1:]):
+        low.axvspan(a * replay.Ts, b * replay.Ts, color=VERDICT_COLOURS[VERDICTS[replay.run.verdict[a]]], lw=0)
+    low.set_yticks([])
+    low.grid(False)
+    low.set_ylabel("verdict", rotation=0, ha="right", va="center")
+    low.set_xlabel("time after the drive's start, s")
+    low.set_xlim(0.0, replay.duration_s)
+    return figure
+
+
+@picture
+def map_key() -> Figure:
+    """Key of the maps: colours of the margin, patterns of what was not judged, colours of the verdicts."""
+    figure = _figure(8.2, 1.35)
+    axes = figure.subplots(1, 3, width_ratios=[1.2, 1.25, 1.0])
+    bar = figure.colorbar(ScalarMappable(Normalize(0.0, 1.0), _colours()), cax=axes[0].inset_axes([0.02, 0.55, 0.9, 0.2]),
+                          orientation="horizontal", extend="max")
+    bar.set_label("margin $t^*$ / threshold (red: above)")
+    for row, (reason, text) in enumerate((r, t) for r, t in REASON_WORDS.items() if r != "none"):
+        sample = _paint(np.full((1, 40), REASONS.index(reason)), np.full((1, 40), 0.6))
+        axes[1].inset_axes([0.0, 0.78 - 0.26 * row, 0.14, 0.2]).imshow(sample, aspect="auto", interpolation="none")
+        axes[1].child_axes[-1].set(xticks=[], yticks=[], facecolor=MAP_PAPER)
+        axes[1].text(0.18, 0.88 - 0.26 * row, text, va="center", fontsize=8)
+    for row, (verdict, colour) in enumerate(VERDICT_COLOURS.items()):
+        x, y = 0.5 * (row % 2), 0.88 - 0.34 * (row // 2)
+        axes[2].add_patch(matplotlib.patches.Rectangle((x, y - 0.1), 0.1, 0.2, color=colour, lw=0))
+        axes[2].text(x + 0.13, y, verdict.replace("_", " "), va="center", fontsize=8)
+    for a in axes:
+        a.set(xlim=(0, 1), ylim=(0, 1))
+        a.axis("off")
+    return figure
+
+
+@picture
+def time_to_find(faults: list[dict], allowed_s: float) -> Figure:
+    """Judged, excited seconds from each fault to the first alarm, a mark per drive."""
+    figure = _figure(8.2, 1.0 + 0.32 * len(faults))
+    axes = figure.subplots()
+    longest = max([allowed_s, *(c["s"] for row in faults for c in row["cases"] if c["s"] is not None)])
+    never = 2.0 * longest
+    for y, row in enumerate(faults):
+        spread = np.linspace(-0.22, 0.22, len(row["cases"])) if len(row["cases"]) > 1 else np.zeros(len(row["cases"]))
+        for dy, case in zip(spread, row["cases"]):
+            x = never if case["s"] is None else max(case["s"], 0.1)
+            found = case["s"] is not None and case["s"] <= allowed_s
+            axes.plot(x, y + dy, "o" if found else "X", ms=5.5, color=BLUE if found else RED,
+                      mfc="none" if not case["counts"] else None)
+        axes.text(1.01, y, f"{row['found']} of {row['counted']}", transform=axes.get_yaxis_transform(), va="center", fontsize=8)
+    axes.axvline(allowed_s, color=ORANGE, ls="--")
+    axes.set_xscale("log")
+    axes.set_xlim(0.08, 1.4 * never)
+    ticks = [t for t in (0.1, 0.3, 1, 3, 10, 30, 100, 300, 1000) if t <= longest]
+    axes.set_xticks([*ticks, never], [*(f"{t:g}" for t in ticks), "never"])
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.set_yticks(range(len(faults)), [row["fault"] for row in faults])
+    axes.invert_yaxis()
+    axes.set_xlabel("judged, excited seconds from the fault to the first alarm")
+    return figure

@@ -1,0 +1,497 @@
+"""`lpvguard report`: one self-contained HTML page with every picture and table of an identification.
+
+Every number on the page is read from the identification folder, or computed here from its frames and from a replay of the
+drives through the compiled core. No script, nothing from outside, no clock time: the same input gives the same bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from . import __version__, artefacts, pictures
+from .bounds import FrameSet, explain
+from .core import REASONS, VERDICTS
+from .drives import Drive
+from .evaluate import FAULT_FROM_S, FOUND_WITHIN_S, PIECE_S, SHORTEST_FOR_FAULTS_S
+from .identify import DC_STAND_IN, SMALLEST_NU, DriveSet, StoredIdentification, fitting_grid, uncertainty_samples
+from .replay import Replay, Replayer
+from .validation import s1
+from .visibility import STATED_GAINS, visibility
+from .weights import Weight
+
+LONGEST_STRETCH_S = 60.0
+"""At most this much of a stretch is drawn, so that single corners can be seen."""
+ALARMS_LISTED = 10
+
+CSS = """
+:root{--ink:#1b1e23;--soft:#565d68;--rule:#c9ced6;--paper:#fff;--card:#f6f7f9;--good:#00694d;--bad:#a63f00}
+@media screen and (prefers-color-scheme:dark){:root{--ink:#e6e8ec;--soft:#a3abb8;--rule:#474e59;--paper:#14171b;
+--card:#1d2127;--good:#4cc9a0;--bad:#ff9a5c}}
+*{box-sizing:border-box}
+body{margin:0 auto;padding:2rem 1.2rem 4rem;max-width:62rem;background:var(--paper);color:var(--ink);
+font:15px/1.5 system-ui,"Segoe UI",Helvetica,Arial,sans-serif}
+h1{font-size:1.6rem;line-height:1.2;margin:0 0 .3rem}
+h2{font-size:1.2rem;margin:2.6rem 0 .5rem;padding-top:.6rem;border-top:1px solid var(--rule)}
+h3{font-size:1rem;margin:1.6rem 0 .2rem}
+p{max-width:48rem}.lead,figcaption,.note{color:var(--soft)}
+figure{margin:1rem 0;break-inside:avoid}
+figure svg{width:100%;height:auto;display:block}
+figcaption{font-size:.87rem;max-width:50rem;margin-top:.3rem}
+.scroll{overflow-x:auto;margin:.6rem 0}
+table{border-collapse:collapse;font-size:.85rem;font-variant-numeric:tabular-nums}
+th,td{padding:.22rem .6rem;text-align:right;border-bottom:1px solid var(--rule);vertical-align:top}
+th{font-weight:600;text-align:right;background:var(--card)}
+td:first-child,th:first-child,.words td{text-align:left}
+.facts{display:flex;flex-wrap:wrap;gap:0 1.6rem}.tight th,.tight td{white-space:nowrap}
+.tight td:first-child,.tight th:first-child{text-align:right}
+.words td:first-child{white-space:nowrap}
+.yes{color:var(--good);font-weight:600}.no{color:var(--bad);font-weight:600}
+nav{font-size:.87rem}nav a{color:inherit;margin-right:1rem}
+@media print{body{max-width:none;padding:0;font-size:10pt}nav{display:none}.scroll{overflow:visible}
+section{break-inside:auto}*{-webkit-print-color-adjust:exact;print-color-adjust:exact}}
+"""
+
+
+@dataclass
+class _Pass:
+    """What one pass over the drives leaves: per-drive pages and all counted frames as the core read them."""
+
+    sections: list[str] = field(default_factory=list)
+    bin: list[np.ndarray] = field(default_factory=list)
+    speed: list[np.ndarray] = field(default_factory=list)
+    Z: list[np.ndarray] = field(default_factory=list)
+    slow: tuple[int, str, slice] = (0, "", slice(0, 0))
+    fast: tuple[int, str, slice] = (0, "", slice(0, 0))
+
+
+def write_report(stored: StoredIdentification, drives: DriveSet, replayer: Replayer, out: Path, evaluation: dict | None,
+                 progress: Callable[[str], None]) -> None:
+    """Write the page; InputError when a drive cannot be read or ``out`` cannot be written."""
+    found = _Pass()
+    for name in drives.experiments:
+        progress(name)
+        drive = drives.load(name)[0]
+        _visit(found, stored, replayer, drive, f"d{len(found.sections)}")
+    progress("pictures")
+    sections = [_summary(stored, replayer, drives), *_bound_sections(stored, replayer), _time_section(found, stored, drives),
+                _visibility_section(found, stored, replayer), _drive_section(found, replayer)]
+    if evaluation is not None:
+        sections.append(_evaluation_section(evaluation))
+    project = stored.project
+    titles = [s[s.index("<h2>") + 4:s.index("</h2>")] for s in sections]
+    nav = "".join(f'<a href="#s{i}">{title}</a>' for i, title in enumerate(titles, start=1))
+    body = "".join(f'<section id="s{i}">{s}</section>\n' for i, s in enumerate(sections, start=1))
+    artefacts.write_file(out, f"""<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">
+<title>lpvguard report: {escape(project.name)}</title><style>{CSS}</style></head><body>
+<h1>{escape(project.title)}</h1>
+<p class="lead">How wrong the nominal model can be, according to the drives; what the monitor tolerates for it, and what it said
+on every drive. Words and equation numbers are those of Rödönyi and Bokor, <i>Uncertainty identification for a nominal LPV
+vehicle model based on experimental data</i>. Made by lpvguard {escape(__version__)}; the same drives give the same page.</p>
+<nav>{nav}</nav>
+{body}</body></html>
+""")
+
+
+# ---------------------------------------------------------------------------------------------------------------- parts
+
+def _table(head: Iterable[str], rows: Iterable[Iterable[str]], kind: str = "") -> str:
+    """HTML table; cells are HTML already."""
+    top = "".join(f"<th>{h}</th>" for h in head)
+    top = f"<thead><tr>{top}</tr></thead>" if top else ""
+    body = "".join("<tr>" + "".join(f"<td>{c}</td>" for c in row) + "</tr>\n" for row in rows)
+    return f'<div class="scroll"><table class="{kind}">{top}<tbody>\n{body}</tbody></table></div>'
+
+
+def _figure(svg: str, caption: str) -> str:
+    return f"<figure>{svg}<figcaption>{caption}</figcaption></figure>"
+
+
+def _number(value: float | None, digits: int = 3) -> str:
+    return "–" if value is None or not np.isfinite(value) else f"{value:.{digits}g}"
+
+
+def _yes(value: bool | None, yes: str, no: str) -> str:
+    return "–" if value is None else f'<span class="yes">{yes}</span>' if value else f'<span class="no">{no}</span>'
+
+
+def _units(stored: StoredIdentification) -> str:
+    """Unit of a Euclidean norm over the outputs, as text."""
+    units = list(dict.fromkeys(s.unit for s in stored.project.outputs))
+    return units[0] if len(units) == 1 else "mixed (" + ", ".join(units) + ")"
+
+
+# -------------------------------------------------------------------------------------------------------------- summary
+
+def _summary(stored: StoredIdentification, replayer: Replayer, drives: DriveSet) -> str:
+    project, estimator, calibration = stored.project, replayer.estimator, stored.calibration
+    groups, drivers = stored.manifest["drives"], stored.manifest["drivers"]
+
+    def listed(names: list[str]) -> str:
+        return f"{len(names)}: " + (", ".join(f"{escape(n)} ({escape(drivers[n])})" for n in names) or "none")
+
+    left_out = "".join(f"<br>{escape(n)}: {escape(why)}" for n, why in groups["left_out"].items())
+    if calibration.alpha is None:
+        claim = "not stated: too few calibration drives; the threshold is the largest score"
+    else:
+        claim = (f"{calibration.alpha:g}: a further drive, exchangeable with the {len(calibration.scores)} calibration drives, "
+                 f"alarms with probability at most {calibration.alpha:g} (on average over calibration sets)")
+    conditional = "–" if calibration.conditional_bound is None else (
+        f"with 95 % confidence over the calibration drives the probability is below {calibration.conditional_bound:.3f}")
+    length_s = estimator.length * estimator.Ts
+    same = _same_numbers(stored, replayer)
+    rows = [
+        ("vehicle", f"{escape(project.name)}: {escape(project.title)}; inputs "
+                    f"{_signals(project.inputs)}; outputs {_signals(project.outputs)}; "
+                    f"speed {replayer.model.speed_range[0]:g} to {replayer.model.speed_range[1]:g} m/s; sampled every "
+                    f"{project.Ts_s:g} s"),
+        ("drives that set the bounds", listed(groups["bounds"])),
+        ("drives that calibrate the threshold", listed(groups["calibration"])),
+        ("drives left out", f"{len(groups['left_out'])}{left_out or ': none'}"),
+        ("model error class", f"{project.bounds.structure}, disturbance set “{project.bounds.disturbance_set}”"),
+        ("estimator", f"periodic Hann window, {project.frames.periods} periods a frame, {project.frames.bins_per_decade} bins a "
+                      f"decade, hop 1/{project.frames.hop_per_frame} frame; {estimator.n_bins - 1} bins from "
+                      f"{estimator.omega[1]:.3g} to "
+                      f"{estimator.omega[-1]:.3g} rad/s and DC; frames {length_s[1]:.4g} s long in the lowest bin and "
+                      f"at DC, "
+                      f"{length_s[-1]:.3g} s in the highest; speed within ±{estimator.speed_tolerance:.0%} of the "
+                      f"frame's mean; "
+                      f"settling {estimator.settle * estimator.Ts:.3g} s; identifier {estimator.identifier():#010x}"),
+        ("threshold of the frame test",
+         f"{replayer.threshold:.4g} on the {project.frame_test.confirm}-of-{project.frame_test.of_last} margin"),
+        ("alpha", claim), ("conditional bound", conditional),
+        ("final inflation of the weights", f"{stored.weights['inflation']:.6g}, the least factor with which the compiled core "
+                                           "finds no margin above 1 on the bound-setting drives, whole or with their "
+                                           "first samples cut"),
+        ("core that replayed the drives", _yes(
+            same <= 1e-6, f"carries the numbers of this identification (largest relative difference {same:.1e}, float32)",
+            f"carries other numbers than this identification (largest relative difference {same:.1e}): maps and verdicts "
+            "below are that core's")),
+    ]
+    weights = [(f"W<sub>w</sub> of {escape(s.name)}", w) for s, w in zip(project.outputs, stored.weights["W_w"])]
+    weights += [("W<sub>Δ</sub>", stored.weights["W_delta"]), ("γ<sub>w</sub> smoothed", stored.weights["gamma_w"])]
+    proofs = _table(
+        ["weight", "order", "worst |W|/bound, dB", "no weight of this order below, dB", "smallest |W|/bound proved", "at, rad/s",
+         "proved up to, rad/s", "stable, minimum phase", "bins bridged for want of data, rad/s"],
+        [[label, str(w["order"]), f"{w['worst_ratio_db']:.3f}", f"{w['lp_optimum_db']:.3f}",
+          f"{w['certificate']['min_ratio']:.15g}",
+          _number(w["certificate"]["min_ratio_at"]), _limit(w["certificate"]["omega_max"]),
+          _yes(w["certificate"]["stable"] and w["certificate"]["minimum_phase"] and w["certificate"]["ok"],
+               "proved", "not proved"),
+          ", ".join(_number(x) for x in w["certificate"]["without_data"]) or "none"] for label, w in weights])
+    return f"""<h2>Summary</h2>{_table([], rows, "words")}
+<p>Each weight lies above its bound at every frequency, proved piece by piece by exact Routh arrays and Bernstein coefficients,
+not on a grid, and proved anew when this page was made (for W<sub>w</sub> and W<sub>Δ</sub>); between bins a bound is log-log
+linear. The worst ratio is how far the weight lies above its bound where it lies highest; the column beside it is a proved lower
+limit for any weight of the same order.
+DC stands at {DC_STAND_IN:g} times the lowest bin's frequency, so “at”
+{replayer.estimator.omega[1] * DC_STAND_IN:.3g} rad/s means DC.</p>{proofs}"""
+
+
+def _limit(value: float | str) -> str:
+    return "∞" if value == "inf" else _number(value)
+
+
+def _signals(signals: list) -> str:
+    return ", ".join(f"{escape(s.name)} [{escape(s.unit)}], positive: {escape(s.positive)}" for s in signals)
+
+
+def _same_numbers(stored: StoredIdentification, replayer: Replayer) -> float:
+    """Largest relative difference between this identification's coefficients and those of the core that replays."""
+    ours, theirs = stored.coefficients.flat_reals(), replayer.core.compiled[1]
+    if len(ours) != len(theirs):
+        return float("inf")
+    scale = np.maximum(np.abs(ours), np.finfo(np.float32).tiny)
+    return float(np.max(np.abs(ours - theirs) / scale))
+
+
+# -------------------------------------------------------------------------------------------------- Figs. 2 and 3
+
+def _clouds(stored: StoredIdentification, replayer: Replayer) -> pictures.Clouds:
+    """Points of the bound-setting drives on the core's frame grid."""
+    with np.load(stored.folder / "spectra.npz") as spectra:
+        names = spectra["names"].tolist()
+        setting = np.isin(spectra["drive"], [names.index(n) for n in stored.manifest["drives"]["bounds"]])
+        columns = {key: spectra[key][setting] for key in ("bin", "start", "E", "Z")}
+    clouds = pictures.Clouds([], [], [], [])
+    for k in range(replayer.estimator.n_bins):
+        of_bin = columns["bin"] == k
+        frames = FrameSet(k, *(columns[key][of_bin] for key in ("E", "Z", "start")))
+        size = np.linalg.norm(frames.E, axis=1)
+        nu, w = explain(frames, replayer.estimator, stored.bounds["gamma_w"], stored.project.bounds.structure)
+        clouds.E.append(size)
+        clouds.B1.append(s1.solve(frames.E, frames.Z, size).b1)
+        clouds.nu.append(nu)
+        clouds.w.append(np.abs(w))
+    return clouds
+
+
+def _bound_sections(stored: StoredIdentification, replayer: Replayer) -> list[str]:
+    estimator, bounds, project = replayer.estimator, stored.bounds, stored.project
+    clouds, grid = _clouds(stored, replayer), fitting_grid(replayer.estimator)
+    fine = np.geomspace(grid[0], 2 * grid[-1], 400)
+    weights, inflation = stored.weights, stored.weights["inflation"]
+
+    def curve(entry: dict) -> np.ndarray:
+        return Weight.from_dict(entry["weight"]).magnitude(fine)
+
+    points = sum(len(c) for c in clouds.E)
+    without = int((~(bounds["frames"] > 0)).sum())
+    gaps = f" {without} bins without a counted frame are hatched: no information." if without else " Every bin has data."
+    if np.nanmax(bounds["B1"]) > 0:
+        b1 = ("Green: the right side of (9) per frame and its maximum B<sub>1</sub>, the least disturbance that one δ "
+              "common to all outputs leaves to explain.")
+    else:
+        b1 = ("B<sub>1</sub> is 0 in every bin and has no place on the logarithmic axis: with one output δ = E/Z "
+              "explains any frame without a disturbance, so the ceiling alone decides the trade-off.")
+    stars = (f"Stars: DC, standing at {grid[0]:.3g} rad/s ({DC_STAND_IN:g} of the lowest bin) for want of a place; the shaded "
+             "gap between is below the lowest bin, where there is no information and only longer records help.")
+    binding = np.nanargmax(np.where(estimator.cycles > 0, bounds["nu"] / np.maximum(bounds["nu_ceiling"], 1e-300), np.nan))
+    second = _figure(
+        pictures.disturbance_design("f2", grid, clouds, bounds, curve(weights["gamma_w"]), fine, _units(stored)),
+        f"<b>Counterpart of Fig. 2.</b> Grey: |E| of {points} frames of the {len(stored.manifest['drives']['bounds'])} "
+        f"bound-setting drives on "
+        f"the monitor's frame grid, thinned to about {pictures.POINTS_PER_BIN} a bin (the largest kept). B<sub>2</sub>: "
+        f"their bound over "
+        f"frames at every start ({int(bounds['frames'].sum())} frames), hence on or above all points. Circles: "
+        f"γ<sub>w</sub> that the rule asks for, "
+        "max √(B<sub>1</sub>² + |Z|² max(0, |δ<sub>0</sub>| − ν̄)²), and at DC B<sub>2</sub>; line: the overbounding "
+        "fit that is used. "
+        f"{b1} {stars}{gaps} Lower panel: the ceiling ν̄(ω) on the uncertainty, set beforehand in the project file, and "
+        f"what was needed in the end "
+        f"(closest to its ceiling at {estimator.omega[binding]:.3g} rad/s: ν = {bounds['nu'][binding]:.3g} of "
+        f"{bounds['nu_ceiling'][binding]:.3g}). "
+        "How to read it: γ<sub>w</sub> near B<sub>2</sub> blames the disturbance, γ<sub>w</sub> near B<sub>1</sub> "
+        "blames the model.")
+    needing = sum(int((c > 0).sum()) for c in clouds.nu)
+    samples = uncertainty_samples(estimator, bounds["nu"])
+    none_allowed = " Structure S0 allows no uncertainty: all error is disturbance." if project.bounds.structure == "S0" else ""
+    third = _figure(
+        pictures.weights_over_bounds("f3", grid, clouds, bounds,
+                                     inflation * np.column_stack([curve(w) for w in weights["W_w"]]), fine, samples,
+                                     inflation * curve(weights["W_delta"]), project.outputs),
+        f"<b>Counterpart of Fig. 3.</b> Left: the disturbance |w<sub>j</sub>| that is left of each frame once δ has "
+        f"taken its part, its bound "
+        f"B<sub>w</sub> over every start (dashed) and the weight |W<sub>w</sub>| (line, inflation {inflation:.6g} "
+        f"included), per output. Right: the "
+        f"uncertainty ν = min |δ| with |E − δZ| ≤ γ<sub>w</sub>; {needing} of {points} frames need any, the others (ν = "
+        f"0) have no place on the "
+        "axis. Dashed: the running maximum of ν from the lowest bin up, which W<sub>Δ</sub> must cover (a dip only says "
+        "that no frame there "
+        f"happened to need it), at least {SMALLEST_NU:g} as a weight must be positive; bounds and ν are over every "
+        f"start, so they can lie above the points of the monitor's grid. ν(0) = 0 by definition.{none_allowed} "
+        "How to read it: a line far above its dashed bound is conservatism of the fit, the worst is in the summary.")
+    return [f"<h2>Disturbance bound</h2>{second}", f"<h2>Weights over the bounds</h2>{third}"]
+
+
+# ------------------------------------------------------------------------------------------------------------- Fig. 4
+
+def _longest(mask: np.ndarray) -> slice:
+    """The longest run of True."""
+    edges = np.flatnonzero(np.diff(np.r_[0, mask.astype(np.int8), 0])).reshape(-1, 2)
+    if not len(edges):
+        return slice(0, 0)
+    a, b = edges[np.argmax(edges[:, 1] - edges[:, 0])]
+    return slice(int(a), int(b))
+
+
+def _time_section(found: _Pass, stored: StoredIdentification, drives: DriveSet) -> str:
+    stretches, words, project = [], [], stored.project
+    for label, (samples, name, span) in (("lower", found.slow), ("upper", found.fast)):
+        if not samples:
+            words.append(f"No judged, excited stretch in the {label} third of the speed range.")
+            continue
+        drive, e, yhat = drives.load(name)
+        shown = slice(span.start, min(span.stop, span.start + int(round(LONGEST_STRETCH_S / project.Ts_s))))
+        v, error, y = drive.v[shown], e[shown], drive.y[shown]
+        role = "set the bounds" if name in stored.manifest["drives"]["bounds"] else "did not set the bounds"
+        title = f"{name}, {v.min():.1f} to {v.max():.1f} m/s"
+        stretches.append(pictures.Stretch(title, drive.t[shown] - drive.t[0], v, y, yhat[shown]))
+        rms = "; ".join(f"{escape(s.name)} error rms {np.std(error[:, j]):.2g} {escape(s.unit)} about its mean "
+                        f"{error[:, j].mean():.2g}, against {np.std(y[:, j]):.2g} of the measurement" for j, s in enumerate(project.outputs))
+        words.append(f"{label.capitalize()} third: {escape(name)} ({role}), {samples * project.Ts_s:.1f} s long, "
+                     f"{(shown.stop - shown.start) * project.Ts_s:.1f} s shown; {rms}.")
+    svg = pictures.model_in_time("f4", stretches, project.outputs) if stretches else ""
+    return "<h2>The nominal model in time</h2>" + _figure(
+        svg, "<b>Counterpart of Fig. 4.</b> Measured output (solid) and nominal model along the measured speed (dashed), "
+             "below it the nominal error e = y − ŷ on its own scale. Chosen without looking: the longest judged, in-range, excited stretch in the "
+             "lower and in the upper third of the "
+             "model's speed range. " + " ".join(words))
+
+
+# ------------------------------------------------------------------------------------------------- visibility, Fig. of |Z|
+
+def _visibility_section(found: _Pass, stored: StoredIdentification, replayer: Replayer) -> str:
+    estimator, unit = replayer.estimator, _units(stored)
+    bin_of, speed, Z = (np.concatenate(a) for a in (found.bin, found.speed, found.Z))
+    size = np.linalg.norm(Z, axis=1)
+    K = estimator.n_bins
+
+    def per_bin(statistic) -> np.ndarray:
+        return np.array([statistic(size[bin_of == k]) if (bin_of == k).any() else np.nan for k in range(K)])
+
+    figure = _figure(
+        pictures.excitation("f5", fitting_grid(estimator), np.bincount(bin_of, minlength=K), per_bin(np.max), per_bin(np.median),
+                            stored.bounds["excitation"], stored.bounds["gamma_w"], unit),
+        f"<b>Excitation.</b> Largest and median |Z|, the nominal output in a frame, over the {len(bin_of)} counted "
+        f"frames of all drives as the core "
+        "read them, with the disturbance bound to compare: where the median lies below it, most frames say little about "
+        "the model. Lower panel: counted "
+        f"frames a bin (half overlapping, so they are not independent). Left-most: DC. Unit of |Z|: {escape(unit)}.")
+    seen = visibility(estimator.omega, replayer.model.speed_range, bin_of, speed, Z, replayer.W_delta,
+                      replayer.B_w, replayer.threshold)
+    cells = seen["cells"]
+    names = [f"{c['speed_mps'][0]:.3g}–{c['speed_mps'][1]:.3g}" for c in cells]
+    labels = ["DC", *(f"{w:.3g}" for w in estimator.omega[1:])]
+    overall = _table(
+        ["speed, m/s", "counted frames", "smallest visible gain error", "smallest visible delay, s",
+         *(s["fault"] + "?" for s in cells[0]["stated"])],
+        [[n, str(sum(c["frames"])), _number(c["smallest_gain_error"]), _number(c["smallest_delay_s"]),
+          *(_yes(s["visible"], "visible", "invisible") for s in c["stated"])] for n, c in zip(names, cells)])
+
+    stated = ", ".join(f"a gain of {c:g} has g = {abs(1 - c):.3g}" for c in STATED_GAINS)
+
+    def by_bin(key: str) -> list[list[str]]:
+        return [[n, *(_number(x, 2) for x in c[key])] for n, c in zip(names, cells)]
+
+    head = ["speed, m/s \\ bin, rad/s", *labels]
+    gain = _table(head, [*by_bin("gain_error"), ["any excitation", *(_number(x, 2) for x in seen["gain_error_floor"])]])
+    delay = _table(head, by_bin("delay_s"))
+    frames = _table(head, [[n, *(str(x) for x in c["frames"])] for n, c in zip(names, cells)])
+    size_table = _table(head, by_bin("excitation"))
+    return f"""<h2>Excitation and what stays invisible</h2>{figure}
+<h3>Smallest visible error per speed</h3>
+<p>A frame of a vehicle that responds with c times the nominal output shows E = −gZ, |g| = |1 − c|, and exceeds the threshold
+{replayer.threshold:.4g} exactly when g &gt; threshold / t*(−Z, Z); with one output, when
+g|Z| &gt; threshold · (B<sub>w</sub> + W<sub>Δ</sub>|Z|). A delay τ has g = |1 − e<sup>−jωτ</sup>|. Z is taken at the
+{seen["percentile"]}th percentile of what was met in the cell, so one counted frame in
+{100 // (100 - seen["percentile"])} is at least
+as strong. A smaller fault is invisible unless the excitation is stronger than that, or the vehicle's ordinary
+error happens to add to it; {stated}. “–”: no frame counted there.</p>{overall}
+<h3>Smallest visible gain error, per speed and bin</h3>{gain}<p class="note">Last line: threshold · W<sub>Δ</sub>, below
+which a gain error stays invisible however strong the excitation. Above 1
+ not even a vehicle that does not respond at all would be noticed in that bin.</p>
+<h3>Smallest visible delay [s], per speed and bin</h3>{delay}
+<p class="note">“–”: no delay is large enough (g above 2), DC, or no frame.</p>
+<h3>Excitation |Z| [{escape(unit)}] behind these numbers</h3>{size_table}
+<h3>Counted frames</h3>{frames}"""
+
+
+# -------------------------------------------------------------------------------------------------------------- drives
+
+def _visit(found: _Pass, stored: StoredIdentification, replayer: Replayer, drive: Drive, key: str) -> None:
+    """Replay a drive; keep its page, its counted frames and its longest slow and fast stretch."""
+    replay = replayer.replay(drive)
+    frames = replay.run.frames
+    counted = frames.counted
+    found.bin.append(frames.bin[counted])
+    found.speed.append(frames.speed[counted])
+    found.Z.append(frames.Z[counted])
+    low, high = replayer.model.speed_range
+    usable = replay.judged & replay.in_range & replay.excited
+    third = (high - low) / 3
+    for side, inside in (("slow", drive.v <= low + third), ("fast", drive.v >= high - third)):
+        span = _longest(usable & inside)
+        if span.stop - span.start > getattr(found, side)[0]:
+            setattr(found, side, (span.stop - span.start, drive.name, span))
+    found.sections.append(_drive_page(stored, replayer, drive, replay, key))
+
+
+def _role(stored: StoredIdentification, name: str) -> str:
+    groups = stored.manifest["drives"]
+    if name in groups["bounds"]:
+        return "set the bounds"
+    if name in groups["left_out"]:
+        return f"left out: {escape(groups['left_out'][name])}"
+    return f"calibrates, score {stored.calibration.scores[name]:.3f}"
+
+
+def _drive_page(stored: StoredIdentification, replayer: Replayer, drive: Drive, replay: Replay, key: str) -> str:
+    report, frames = replay.to_dict(), replay.run.frames
+    svg = pictures.margin_map(key, replay, drive.t, drive.v, replayer.estimator.omega, replayer.estimator.length,
+                              replayer.threshold, replayer.model.speed_range)
+    share = report["judged_in_range_excited_s"] / report["in_range_excited_s"] if report["in_range_excited_s"] else None
+    left = [f"{report['frames'][r]} ({100 * report['frames'][r] / max(1, len(frames.bin)):.1f} %)" for r in REASONS]
+    tables = [
+        (["duration, s", "judged, s", "of in-range, excited time", "largest margin", "alarms", "final verdict"],
+         [f"{replay.duration_s:.1f}", f"{replay.judged_s:.1f}", "–" if share is None else f"{share:.1%}",
+          _number(replay.max_margin), str(len(replay.alarms)), escape(replay.verdict_final.replace("_", " "))]),
+        ([f"{v.replace('_', ' ')}, s" for v in VERDICTS], [f"{report['verdict_s'][v]:.1f}" for v in VERDICTS]),
+        (["frames", *(pictures.REASON_WORDS[r] for r in REASONS)], [str(len(frames.bin)), *left])]
+    facts = "".join(_table(head, [row], "tight") for head, row in tables)
+    alarms = ""
+    if replay.alarms:
+        listed = replay.alarms[:ALARMS_LISTED]
+        more = f'<p class="note">{len(replay.alarms) - len(listed)} more alarms; lpvguard replay --json lists all.</p>' \
+            if len(replay.alarms) > len(listed) else ""
+        alarms = _table(
+            ["alarm at, s", "test", "bin, rad/s", "speed, m/s", "margin", "statistic", "threshold", "|E|", "|Z|",
+             "W<sub>Δ</sub>", "B<sub>w</sub>", "evidence"],
+            [[f"{a.t_s:.2f}", a.test, _number(a.bin_rad_s), f"{a.speed_mps:.1f}", _number(a.margin), _number(a.statistic),
+              _number(a.threshold), _number(np.linalg.norm(a.E)), _number(np.linalg.norm(a.Z)),
+              _number(a.W_delta), ", ".join(_number(b) for b in a.B_w),
+              _number(a.evidence)] for a in listed]) + more
+    driver = escape(stored.manifest["drivers"][drive.name])
+    return f"""<h3>{escape(drive.name)} <span class="note">({driver} driver; {_role(stored, drive.name)})</span></h3>
+<figure>{svg}</figure><div class="facts">{facts}</div>{alarms}"""
+
+
+def _drive_section(found: _Pass, replayer: Replayer) -> str:
+    key = _figure(
+        pictures.map_key("key"),
+        "<b>How to read the maps.</b> Time runs to the right, a line per bin, DC at the bottom. Each cell is one frame "
+        "judged by the compiled core, drawn "
+        f"over its central half; colour is its margin t* over the threshold {replayer.threshold:.4g} "
+        f"(1/{replayer.threshold:.4g} = {1 / replayer.threshold:.2g} is t* = 1, where "
+        "the fitted bounds just explain the frame). Screened cells counted, but held so little excitation that even a "
+        "vehicle that does not respond would "
+        "have passed: they are no evidence for the model. Patterned cells were not judged, for the reason in the key; "
+        "blank: no frame. Triangles: alarms, at "
+        "the end of the falsifying frame, pointing back to its cell. Below: speed, with the model's range dashed, and "
+        "the monitor's verdict. In the alarm tables |E| and |Z| are "
+        "Euclidean norms in output units, and evidence is the margin of a vehicle that does not respond. Judged seconds "
+        "lie in a counted frame of any "
+        "bin, with evidence or not; the verdict “valid” asks for evidence within the longest frame, so a drive can be "
+        "judged all along and its verdict "
+        "still be “not judged”.")
+    return f"<h2>Margin over time and frequency, drive by drive</h2>{key}{''.join(found.sections)}"
+
+
+# ---------------------------------------------------------------------------------------------------------- evaluation
+
+def _evaluation_section(evaluation: dict) -> str:
+    alarms = _table(
+        ["drivers", "drives", f"alarmed {PIECE_S:g} s pieces", "95 % interval of the ratio"],
+        [[escape(group), str(row["drives"]), f"{row['alarmed']} of {row['pieces']}",
+          "–" if row["interval"] is None else f"{row['interval'][0]:.3f} to {row['interval'][1]:.3f}"]
+         for group, row in evaluation["false_alarms"].items()])
+    drives = _table(
+        ["drive", "driver", "threshold without it", "alpha", "score", "alarmed pieces", "judged, s",
+         "of in-range, excited time"],
+        [[escape(r["run"]), escape(r["driver"]), f"{r['threshold']:.3f}", _number(r["alpha"]), f"{r['score']:.3f}",
+          f"{r['alarmed']} of {r['pieces']}", f"{r['judged_s']:.1f}", f"{r['judged_of_in_range_excited']:.0%}"]
+         for r in evaluation["drives"]])
+    faults = _table(
+        [f"fault from {FAULT_FROM_S:g} s on",
+         f"found within {FOUND_WITHIN_S:g} s", "drives", "judged, excited s to the first alarm"],
+        [[escape(row["fault"]), f"{row['found']} of {row['counted']}", str(row["drives"]),
+          ", ".join("never" if c["s"] is None else f"{c['s']:.1f}" for c in row["cases"])] for row in evaluation["faults"]])
+    figure = ""
+    if any(row["cases"] for row in evaluation["faults"]):
+        figure = _figure(
+            pictures.time_to_find("f7", evaluation["faults"], FOUND_WITHIN_S),
+            f"<b>Time to find.</b> A mark per drive longer than {SHORTEST_FOR_FAULTS_S:g} s: judged, excited driving "
+            f"from the fault's start to the first alarm. Circles: within "
+            f"{FOUND_WITHIN_S:g} s (dashed); crosses: later or never; hollow: not counted, because the untouched drive "
+            f"alarms in that time too. Times below 0.1 s "
+            "stand at 0.1 s. Right: found of counted.")
+    return f"""<h2>Evaluation, leave one drive out</h2>
+<p>Every drive that did not set the bounds runs through the compiled core with the threshold of
+{escape(evaluation["threshold_rule"])}. The interval
+resamples drives, not pieces: pieces of one drive are not exchangeable.</p>
+<h3>False alarms</h3>{alarms}{drives}<h3>Injected faults</h3>{figure}{faults}"""
