@@ -51,8 +51,9 @@ class Fields:
         return self._problem[name]
 
     def _array(self, name: str, expected: str) -> np.ndarray:
+        value = self.raw(name)
         try:
-            a = np.asarray(self.raw(name), dtype=float)
+            a = np.asarray(value, dtype=float)
         except (TypeError, ValueError):
             raise self.error(name, "not a regular array of numbers", expected) from None
         if not np.all(np.isfinite(a)):

@@ -23,8 +23,8 @@ import numpy as np
 from lpvguard import native
 from lpvguard.errors import InputError
 
-EDGE_TOLERANCE = 8.9e-16
-"""gamma_w may lie below B1 by this much relative to gamma_w^2: a gamma_w that *is* B1, rounded, stays feasible."""
+EDGE_TOLERANCE = 2e-12
+"""gamma_w^2 may lie below B1^2 by this much, relative: a gamma_w that *is* the B1 returned here stays feasible."""
 
 
 @dataclass(frozen=True)
