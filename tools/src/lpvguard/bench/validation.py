@@ -184,7 +184,7 @@ def run(experiments: int = 20, bins: int = 1024, seed: int = 0, peers: bool = Tr
         peer = _peer_us(kernel, data) if peers else None
         rows.append(
             Row(kernel, points, us, TARGET_US[kernel], peer, peer / us if peer else None, worst.get(kernel),
-                native.kernels() is not None)
+                native.kernels("s1") is not None)
         )
     return rows
 

@@ -498,6 +498,11 @@ class _Quadratic:
             if cost < best.cost:
                 best.cost, best.z = cost, z
 
+    def _start(self, best: _Best, points: Sequence[np.ndarray]) -> None:
+        for z in points:
+            self._offer(z, best)
+            self._offer(self.polish(z), best)
+
     def _candidates(self, inverse: np.ndarray) -> list[np.ndarray]:
         """Rank-one readings of the primal matrix: its leading vector, and its column of t."""
         if not np.all(np.isfinite(inverse)):
@@ -514,9 +519,7 @@ class _Quadratic:
         if zero is not None:
             return Interval(0.0, 0.0, zero, 0)
         best, serial = _Best(), 0
-        for z in [self._origin(), *self._repeated_starts()]:
-            self._offer(z, best)
-            self._offer(self.polish(z), best)
+        self._start(best, [self._origin()])
         rays = np.eye(self.params)
         open_nodes = [_Node(0.0, serial, rays, {})]
         closed = np.inf
@@ -535,6 +538,8 @@ class _Quadratic:
                 if polished < MAX_POLISHED or best.cost < before:
                     polished += 1
                     self._offer(self.polish(z), best)
+            if serial == 0 and not np.isfinite(best.cost):
+                self._start(best, self._repeated_starts())
             if lower >= best.cost * (1.0 - gap):
                 closed = min(closed, lower)
                 continue

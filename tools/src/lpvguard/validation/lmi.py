@@ -169,15 +169,25 @@ def reach(zero: np.ndarray, slopes: np.ndarray) -> np.ndarray:
 
 
 def _ray_length_numpy(q0, level, c: Cone, cutoff: float):
-    length, y, inverse = 0.0, None, None
-    for _ in range(40):
-        centre = maximise_level(q0 - length * level, c, relative=0.3, absolute=1e-8)
+    length, beyond, y, inverse = 0.0, np.inf, None, None
+    for turn in range(80):
+        ahead = turn % 2 == 1
+        at = length
+        if ahead and np.isfinite(beyond):
+            far = beyond > 4.0 * length
+            at = np.sqrt(max(length, 1e-6 * beyond) * beyond) if far else 0.5 * (length + beyond)
+        elif ahead:
+            at = max(cutoff, length) if np.isfinite(cutoff) else 8.0 * length
+        centre = maximise_level(q0 - at * level, c, relative=0.3, absolute=1e-8)
+        if ahead and centre.x <= 0.0:
+            beyond = at
+            continue
         inverse = centre.inverse
         if centre.x <= 0.0:
             break
         y = centre.y
-        longer = float(reach(np.tensordot(y, q0, axes=1), np.tensordot(y, level, axes=1)[None])[0])
-        done = longer <= length * (1.0 + 1e-6)
+        longer = max(at, float(reach(np.tensordot(y, q0, axes=1), np.tensordot(y, level, axes=1)[None])[0]))
+        done = not ahead and longer <= length * (1.0 + 1e-6)
         length = max(length, longer)
         if done or length > cutoff:
             break
@@ -188,10 +198,11 @@ def ray_length(q0: np.ndarray, level: np.ndarray, c: Cone, cutoff: float = np.in
     """Largest certified length: (length, its multipliers y or None, the primal matrix at the end).
 
     ``q0``, ``level`` (m, n, n): the forms are Q0 - length L, L >= 0. No point satisfies all of them at a smaller
-    length. Dinkelbach's iteration: each y is used up to the largest length that it proves. Stops above ``cutoff``.
+    length. Dinkelbach's iteration (each y is used up to the largest length that it proves) with bisection in between, as
+    far from the end its steps can be a hundred times too short. Stops above ``cutoff``.
     """
     m, n = q0.shape[:2]
-    lib = native.kernels()
+    lib = native.kernels("ray")
     if lib is None or n > _NATIVE_N or m > _NATIVE_M or max(c.order) > _NATIVE_ORDER:
         return _ray_length_numpy(q0, level, c, cutoff)
     q0, level = np.ascontiguousarray(q0, dtype=complex), np.ascontiguousarray(level, dtype=complex)

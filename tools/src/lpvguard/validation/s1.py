@@ -168,7 +168,7 @@ def solve(e, z, gamma_w) -> S1Result:
     """
     shape, e, z, gamma = _points("S1", e, z, ("gamma_w", gamma_w, False))
     points, n = e.shape
-    lib = native.kernels()
+    lib = native.kernels("s1")
     if lib is None:
         b1, nu, delta = _s1_numpy(e, z, gamma)
         w = e - delta[:, None] * z
@@ -318,7 +318,7 @@ def margin(e, z, w_delta, w_w) -> np.ndarray:
     if np.any(w_w == 0.0):
         raise InputError("margin", "W_w", "0", "positive numbers")
     points, n = e.shape
-    lib = native.kernels()
+    lib = native.kernels("s1")
     if lib is None or n > MAX_OUTPUTS:
         return _margin_numpy(e, z, w_delta, w_w).reshape(shape)
     t = np.empty(points)

@@ -51,7 +51,7 @@ def solve_forms(forms: np.ndarray, z0: np.ndarray, p_max, *, gap: float = GAP) -
         raise InputError("S2", "free variables", f"{n - 1}", f"1 to {MAX_N - 1}")
     p_max = np.ascontiguousarray(np.broadcast_to(np.asarray(p_max, dtype=float), (points,)))
     out = np.empty((points, 4))
-    lib = native.kernels()
+    lib = native.kernels("s2")
     if lib is None:
         for k in range(points):
             out[k], z[k] = _Point(forms[k], float(p_max[k]), gap).solve(z[k])
