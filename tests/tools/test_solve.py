@@ -28,18 +28,13 @@ def public_problems():
     return [p for p in json.loads(path.read_text())["problems"] if p["kind"] not in ("mu", "hinf")]
 
 
-BELOW_ROUNDING = {"multiplicative-105"}
-"""E is parallel to Z up to its last bits: the reference B1 (1.4e-17, 2.7e-16 of |E|) is rounding of its own making, the
-exact value for these doubles is 1.8e-19, and the written tolerance (5.2e-18) lies between. See README of the cases."""
-
-
 def test_public_cases_within_their_tolerances_and_five_seconds():
     problems = public_problems()
     start = time.perf_counter()
     answers = solve.solve_problems(problems, jobs=1)
     assert time.perf_counter() - start < 5.0
     missed = {p["id"]: solve.compare(p, a).misses for p, a in zip(problems, answers, strict=True)}
-    assert {k: m for k, m in missed.items() if m and k not in BELOW_ROUNDING} == {}
+    assert {k: m for k, m in missed.items() if m} == {}
 
 
 def test_golden_problems_with_independent_references():

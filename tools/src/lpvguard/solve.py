@@ -28,6 +28,9 @@ ANSWERS_SCHEMA = "lpvguard.answers/1"
 BRACKET_GAP = 1e-3
 """Largest relative distance between the two sides of a bracket that counts as answered."""
 
+DATA_ROUNDING = 4.0 * float(np.finfo(float).eps)
+"""Rounding of E and Z, relative, as it shows in B1."""
+
 
 class Fields:
     """Typed access to one problem's fields; every complaint names the problem and the field."""
@@ -241,6 +244,8 @@ def _value_miss(name: str, got: Any, ref: Any, rtol: float, scale: float) -> str
         x, r = x[..., 0] + 1j * x[..., 1], r[..., 0] + 1j * r[..., 1]
     error, size = np.max(np.abs(x - r), initial=0.0), np.max(np.abs(r), initial=0.0)
     limit = rtol * max(size, 1e-9 * scale)
+    if name == "B1":
+        limit = max(limit, DATA_ROUNDING * scale)
     return None if error <= limit else f"{name}: off by {error:.3g}; expected within {limit:.3g}"
 
 
@@ -265,7 +270,9 @@ def compare(problem: dict, answer: dict) -> Comparison:
     """Compare an answer with the one the problem carries, by the rules of the interface.
 
     ``|x - ref| <= rtol max(|ref|, 1e-9 scale)``, arrays by their largest element, scale = ||E|| for B1 and 1 otherwise;
-    brackets and mu by one-sided rules. A reference whose status is ``error`` wants an error.
+    brackets and mu by one-sided rules. A reference whose status is ``error`` wants an error. One floor is added to the
+    written rule: a B1 below the rounding of its own data (DATA_ROUNDING ||E||) cannot be told from zero, and the
+    reference values there are rounding themselves.
     """
     ref = problem.get("answer") if isinstance(problem, dict) else None
     if not isinstance(ref, dict):
