@@ -218,6 +218,28 @@ def test_zero_is_exactly_zero():
     assert s.lower == s.upper == 0.0 and np.all(s.nu < 1e-12)
 
 
+def test_no_disturbance_allowed_and_none_needed():
+    problem, nu, _ = made_from_truth(np.random.default_rng(3), 2, [("full", 2, 2)], noise=1e-300)
+    s = lft.optimum(problem, 0.0, [1.0])
+    assert np.linalg.norm(s.w) <= 1e-12 and 0 < s.upper <= nu[0] ** 2 * (1 + 1e-9)
+
+
+def test_last_block_is_not_needed_when_a_repeated_one_explains_the_data():
+    problem, _, w = made_from_truth(np.random.default_rng(21), 1, [("repeated_real", 2, 2), ("full", 2, 2)])
+    assert lft.smallest_last_block(problem, 3 * np.linalg.norm(w)) == (0.0, 0.0)
+
+
+def test_units_of_a_block_do_not_change_the_answer():
+    problem, _, w = made_from_truth(np.random.default_rng(22), 2, [("full", 2, 2), ("full", 1, 1)])
+    unit = np.diag([1e5, 1e5, 1e-4])
+    other = Lft(
+        problem.blocks, problem.p11 @ unit, problem.p12, problem.p21 @ unit, problem.p22, problem.eta0, problem.e
+    )
+    gamma = np.linalg.norm(w)
+    base, scaled = lft.optimum(problem, gamma, [1.0, 1.0]), lft.optimum(other, gamma, [1e10, 1e-8])
+    assert scaled.upper == pytest.approx(base.upper, rel=1e-6) and scaled.lower == pytest.approx(base.lower, rel=1e-4)
+
+
 def test_e_outside_the_image_of_m_is_named():
     problem, _, _ = made_from_truth(np.random.default_rng(3), 2, [("full", 1, 1)], n_w=1)
     bad = Lft(problem.blocks, problem.p11, problem.p12, 0 * problem.p21, problem.p22, problem.eta0, problem.e)

@@ -38,8 +38,14 @@ IMAGE_TOLERANCE = 1e-8
 EDGE = 1e-9
 """gamma_w within this of B1, relative, counts as B1."""
 
+ROUNDING = 1e-14
+"""Rounding of B1 relative to |e|."""
+
 GAP = 1e-4
 """Relative distance of the two sides at which the branch and bound stops."""
+
+ZERO = 1e-12
+"""A squared size below this fraction of that of the first point found counts as zero where zero is attainable."""
 
 MAX_NODES = 5000
 
@@ -498,10 +504,14 @@ class _Quadratic:
             if cost < best.cost:
                 best.cost, best.z = cost, z
 
-    def _start(self, best: _Best, points: Sequence[np.ndarray]) -> None:
+    def _start(self, best: _Best, points: Sequence[np.ndarray]) -> float:
+        """Offer the points and what a local search makes of them; the least cost before any search."""
         for z in points:
             self._offer(z, best)
+        raw = best.cost
+        for z in points:
             self._offer(self.polish(z), best)
+        return raw
 
     def _candidates(self, inverse: np.ndarray) -> list[np.ndarray]:
         """Rank-one readings of the primal matrix: its leading vector, and its column of t."""
@@ -513,13 +523,16 @@ class _Quadratic:
 
     # -- branch and bound
 
-    def solve(self, gap: float = GAP, max_nodes: int = MAX_NODES) -> Interval:
-        """Both sides of the optimum by best-first branch and bound; the upper side is inf when no point was found."""
-        zero = self._zero()
-        if zero is not None:
-            return Interval(0.0, 0.0, zero, 0)
+    def solve(self, gap: float = GAP, max_nodes: int = MAX_NODES, zero: float = 0.0) -> Interval:
+        """Both sides of the optimum by best-first branch and bound; the upper side is inf when no point was found.
+
+        A cost below ``zero`` times that of the first point found ends the search.
+        """
+        free = self._zero()
+        if free is not None:
+            return Interval(0.0, 0.0, free, 0)
         best, serial = _Best(), 0
-        self._start(best, [self._origin()])
+        first = self._start(best, [self._origin()])
         rays = np.eye(self.params)
         open_nodes = [_Node(0.0, serial, rays, {})]
         closed = np.inf
@@ -539,7 +552,9 @@ class _Quadratic:
                     polished += 1
                     self._offer(self.polish(z), best)
             if serial == 0 and not np.isfinite(best.cost):
-                self._start(best, self._repeated_starts())
+                first = self._start(best, self._repeated_starts())
+            if best.cost <= zero * first:
+                return Interval(0.0, best.cost, best.z, serial + 1)
             if lower >= best.cost * (1.0 - gap):
                 closed = min(closed, lower)
                 continue
@@ -618,7 +633,8 @@ class _Posed:
         par = parametrise(problem)
         self.b1 = par.b1
         # At gamma_w = B1 the ball is one point: phi = 0 is then a constraint, and no interior is left to the solvers.
-        self.ball_is_point = gamma_w <= par.b1 * (1.0 + EDGE) or gamma_w == 0.0
+        self.least_ball = par.b1 * (1.0 - EDGE) - ROUNDING * np.linalg.norm(problem.e)
+        self.ball_is_point = gamma_w <= par.b1 * (1.0 + EDGE) + ROUNDING * np.linalg.norm(problem.e)
         if self.ball_is_point:
             keep = np.r_[par.n_phi : par.xi_map.shape[1]]
             par = replace(par, xi_map=par.xi_map[:, keep], w_map=par.w_map[:, keep], eta_map=par.eta_map[:, keep], n_phi=0)
@@ -773,7 +789,7 @@ def _pose(problem: Lft, gamma_w: float) -> _Posed:
     if not np.isfinite(gamma_w) or gamma_w < 0.0:
         raise InputError(problem.source, "gamma_w", f"{gamma_w}", "a finite number that is not negative")
     posed = _Posed(problem, np.full(problem.p22.shape[1], gamma_w or np.linalg.norm(problem.e) or 1.0), gamma_w)
-    if posed.b1 > gamma_w * (1.0 + EDGE):
+    if gamma_w < posed.least_ball:
         raise InputError(
             problem.source, "gamma_w", f"{gamma_w:.6g} is below the smallest disturbance B1 = {posed.b1:.6g}",
             "gamma_w >= B1",
@@ -859,7 +875,10 @@ def smallest_last_block(problem: Lft, gamma_w: float, *, gap: float = GAP) -> tu
     caps = block_caps(problem)
     forms += [_block_form(posed, i, constant=caps[i] ** 2) for i in range(last) if problem.blocks[i].repeated]
     forms.append(_block_form(posed, last, param=0))
-    interval = _Quadratic(forms, 1, posed.n).solve(gap=gap)
+    interval = _Quadratic(forms, 1, posed.n).solve(gap=gap, zero=ZERO)
+    if interval.upper < np.inf and interval.lower == 0.0:
+        # Another, repeated block explains the data alone; the local search ends near zero, not on it.
+        return 0.0, 0.0
     lower, upper = float(np.sqrt(interval.lower)), float(np.sqrt(interval.upper))
     cap = caps[last]
     if not upper < cap:

@@ -308,6 +308,7 @@ def solve(e, u, x_nom, h_i, h_s, c, gamma_w, lambda_i=1.0, lambda_s=1.0, *, gap:
         return full
 
     upper, lower, z = spread(out.upper * trivial[feasible]), spread(out.lower * trivial[feasible]), spread(out.z, np.nan)
+    z[~np.isfinite(upper)] = np.nan
     xi, w = (back @ z[:, :, None])[:, :, 0], (w_map @ z[:, :, None])[:, :, 0]
     eta = (eta_map @ z[:, :, None])[:, :, 0]
     nu_s = np.linalg.norm(xi[:, 1:], axis=1) / np.linalg.norm(eta, axis=1)
