@@ -169,9 +169,9 @@ def _synthesis(name: str) -> Callable[[Fields, dict], dict]:
 def _validation_lft(name: str) -> Callable[[Fields, dict], dict]:
     def solve(f: Fields, _problem: dict) -> dict:
         # scipy.optimize, which only this kind needs, doubles the start-up time.
-        from lpvguard import solve_lft
+        from lpvguard.validation import problems
 
-        return getattr(solve_lft, name)(f)
+        return getattr(problems, name)(f)
 
     return solve
 

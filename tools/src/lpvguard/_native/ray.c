@@ -324,9 +324,9 @@ double lpvg_ray(int n, int m, int groups, const int *start, const int *order, co
         memcpy(y, next, sizeof(double) * (size_t)m);
         *found = 1;
         const double longer = fmax(at, reach(&p, y, at));
-        const int done = !ahead && longer <= length * (1.0 + 1e-6);
+        const int done = !ahead && (longer <= length * (1.0 + 1e-6) || beyond <= longer * (1.0 + 1e-5));
         length = fmax(length, longer);
-        if (done || length > cutoff) break;
+        if (done || length >= cutoff) break;
     }
     return length;
 }

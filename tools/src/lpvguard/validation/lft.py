@@ -201,7 +201,6 @@ class _Node:
     serial: int
     rays: np.ndarray = field(compare=False)
     boxes: dict[int, _Box] = field(compare=False)
-    start: np.ndarray | None = field(compare=False, default=None)
 
 
 @dataclass(frozen=True)
@@ -504,7 +503,7 @@ class _Quadratic:
             if cost < best.cost:
                 best.cost, best.z = cost, z
 
-    def _start(self, best: _Best, points: Sequence[np.ndarray]) -> float:
+    def start(self, best: _Best, points: Sequence[np.ndarray]) -> float:
         """Offer the points and what a local search makes of them; the least cost before any search."""
         for z in points:
             self._offer(z, best)
@@ -532,7 +531,7 @@ class _Quadratic:
         if free is not None:
             return Interval(0.0, 0.0, free, 0)
         best, serial = _Best(), 0
-        first = self._start(best, [self._origin()])
+        first = self.start(best, [self._origin()])
         rays = np.eye(self.params)
         open_nodes = [_Node(0.0, serial, rays, {})]
         closed = np.inf
@@ -542,7 +541,7 @@ class _Quadratic:
             if node.lower >= best.cost * (1.0 - gap):
                 closed = min(closed, node.lower)
                 break
-            edges, central, inverse = self.lower(node, best.cost)
+            edges, central, inverse = self.lower(node, best.cost * (1.0 - gap) * (1.0 + 1e-12))
             lower = max(node.lower, edges, self._box_bound(node))
             readings = self._candidates(inverse)
             for z in readings if polished < MAX_POLISHED else readings[:1]:
@@ -552,7 +551,7 @@ class _Quadratic:
                     polished += 1
                     self._offer(self.polish(z), best)
             if serial == 0 and not np.isfinite(best.cost):
-                first = self._start(best, self._repeated_starts())
+                first = self.start(best, self._repeated_starts())
             if best.cost <= zero * first:
                 return Interval(0.0, best.cost, best.z, serial + 1)
             if lower >= best.cost * (1.0 - gap):
@@ -856,10 +855,12 @@ def _one_block(problem: _Quadratic, caps: np.ndarray, posed: _Posed) -> Interval
     forms[1] /= np.linalg.norm(ball.b) ** 2
     p_max = caps[which] ** 2 / (block.slope * trivial) * (1.0 - 1e-9)
     out = s2.solve_forms(forms[None], start[None], p_max)
-    z = problem.repair(out.z[0])
-    if z is None or not np.isfinite(out.upper[0]):
+    if not np.isfinite(out.upper[0]):
         return None
-    return Interval(float(out.lower[0] * trivial), max(problem.cost(z), float(out.lower[0] * trivial)), z, int(out.duals[0]))
+    best = _Best()
+    problem.start(best, [out.z[0]])
+    lower = float(out.lower[0] * trivial)
+    return Interval(lower, max(best.cost, lower), best.z, int(out.duals[0]))
 
 
 def smallest_last_block(problem: Lft, gamma_w: float, *, gap: float = GAP) -> tuple[float, float]:

@@ -187,9 +187,9 @@ def _ray_length_numpy(q0, level, c: Cone, cutoff: float):
             break
         y = centre.y
         longer = max(at, float(reach(np.tensordot(y, q0, axes=1), np.tensordot(y, level, axes=1)[None])[0]))
-        done = not ahead and longer <= length * (1.0 + 1e-6)
+        done = not ahead and (longer <= length * (1.0 + 1e-6) or beyond <= longer * (1.0 + 1e-5))
         length = max(length, longer)
-        if done or length > cutoff:
+        if done or length >= cutoff:
             break
     return length, y, inverse
 
@@ -199,7 +199,7 @@ def ray_length(q0: np.ndarray, level: np.ndarray, c: Cone, cutoff: float = np.in
 
     ``q0``, ``level`` (m, n, n): the forms are Q0 - length L, L >= 0. No point satisfies all of them at a smaller
     length. Dinkelbach's iteration (each y is used up to the largest length that it proves) with bisection in between, as
-    far from the end its steps can be a hundred times too short. Stops above ``cutoff``.
+    far from the end its steps can be a hundred times too short. Stops at ``cutoff``.
     """
     m, n = q0.shape[:2]
     lib = native.kernels("ray")
