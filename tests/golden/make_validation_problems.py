@@ -1,7 +1,8 @@
 """Make validation_problems.json: small problems of the interface with references that do not use lpvguard.
 
-S1 and margins by cvxpy + Clarabel; single repeated blocks by a scan over the scalar with the loop closed exactly and a
-local refinement. Run: python tests/golden/make_validation_problems.py > tests/golden/validation_problems.json
+S1 and margins by cvxpy + Clarabel; single repeated blocks by a scan over the scalar with the loop closed
+exactly and a local refinement. Run: python tests/golden/make_validation_problems.py >
+tests/golden/validation_problems.json
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ def margin(rng, k):
 
 
 def repeated(rng, kind, k):
-    """min |delta| (or the margin) for one repeated block, by a scan and a refinement with a penalty-free polar search."""
+    """min |delta| (or the margin) for one repeated block, by a scan and a refinement with a penalty-free
+    polar search."""
     block_type, r, n_y = ("repeated_complex", "repeated_real")[k % 2], 2 + k % 2, 1 + k % 3
     p11, p21, eta0 = 0.3 * gauss(rng, r, r), gauss(rng, n_y, r), gauss(rng, r)
     true = rng.uniform(0.1, 0.4) * (np.exp(2j * np.pi * rng.uniform()) if k % 2 == 0 else 1.0)
@@ -53,16 +55,23 @@ def repeated(rng, kind, k):
 
     def left(delta):
         delta = np.atleast_1d(delta)
-        loop = np.linalg.solve(np.eye(r) - delta[:, None, None] * p11, np.tile(eta0[:, None], (delta.size, 1, 1)))[:, :, 0]
+        loop = np.linalg.solve(
+            np.eye(r) - delta[:, None, None] * p11, np.tile(eta0[:, None], (delta.size, 1, 1))
+        )[:, :, 0]
         return e - delta[:, None] * (loop @ p21.T)
 
     real = block_type == "repeated_real"
-    grid = np.linspace(-0.6, 0.6, 400001) if real else (
-        np.linspace(0, 0.6, 1201)[:, None] * np.exp(2j * np.pi * np.arange(1440) / 1440)
-    ).ravel()
+    grid = (
+        np.linspace(-0.6, 0.6, 400001)
+        if real
+        else (np.linspace(0, 0.6, 1201)[:, None] * np.exp(2j * np.pi * np.arange(1440) / 1440)).ravel()
+    )
     given = {
-        "blocks": [{"type": block_type, "rows": r, "cols": r}], "P11": pairs(p11), "eta0": pairs(eta0),
-        "P21": pairs(p21), "e": pairs(e),
+        "blocks": [{"type": block_type, "rows": r, "cols": r}],
+        "P11": pairs(p11),
+        "eta0": pairs(eta0),
+        "P21": pairs(p21),
+        "e": pairs(e),
     }
     if kind == "lft":
         gamma = 1.05 * np.linalg.norm(w)
@@ -72,8 +81,14 @@ def repeated(rng, kind, k):
             value = abs(best) ** 2
         else:
             done = minimize(
-                lambda v: v @ v, [best.real, best.imag], method="SLSQP", options={"ftol": 1e-15},
-                constraints={"type": "ineq", "fun": lambda v: 1 - np.linalg.norm(left(v[0] + 1j * v[1])) ** 2 / gamma**2},
+                lambda v: v @ v,
+                [best.real, best.imag],
+                method="SLSQP",
+                options={"ftol": 1e-15},
+                constraints={
+                    "type": "ineq",
+                    "fun": lambda v: 1 - np.linalg.norm(left(v[0] + 1j * v[1])) ** 2 / gamma**2,
+                },
             )
             value = float(done.fun)
         given |= {"gamma_w": gamma, "lambda_nu": [1.0]}
@@ -83,8 +98,12 @@ def repeated(rng, kind, k):
         level = np.maximum(np.abs(grid) / w_delta, np.max(np.abs(left(grid)) / w_w, axis=1))
         best = grid[np.argmin(level)]
         done = minimize(
-            lambda v: max(np.hypot(*v) / w_delta, np.max(np.abs(left(v[0] + 1j * v[1] * (not real)))[0] / w_w)),
-            [best.real, best.imag], method="Nelder-Mead", options={"xatol": 1e-10, "fatol": 1e-12, "maxiter": 4000},
+            lambda v: max(
+                np.hypot(*v) / w_delta, np.max(np.abs(left(v[0] + 1j * v[1] * (not real)))[0] / w_w)
+            ),
+            [best.real, best.imag],
+            method="Nelder-Mead",
+            options={"xatol": 1e-10, "fatol": 1e-12, "maxiter": 4000},
         )
         value = min(float(done.fun), float(level.min()))
         given |= {"W_delta": [w_delta], "W_w": w_w.tolist()}
@@ -95,7 +114,9 @@ def repeated(rng, kind, k):
 def main():
     rng = np.random.default_rng(20260101)
     problems = [multiplicative(rng, k) for k in range(8)] + [margin(rng, k) for k in range(8)]
-    problems += [repeated(rng, "lft", k) for k in range(6)] + [repeated(rng, "lft_margin", k) for k in range(6)]
+    problems += [repeated(rng, "lft", k) for k in range(6)] + [
+        repeated(rng, "lft_margin", k) for k in range(6)
+    ]
     problems = [{"id": f"{p['kind']}-own-{i}", **p} for i, p in enumerate(problems)]
     print(json.dumps({"schema": "lpvguard.problems/1", "problems": problems}, indent=1))
 

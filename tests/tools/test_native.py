@@ -6,7 +6,6 @@ import ctypes
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-
 from lpvguard import native
 
 pytestmark = pytest.mark.skipif(native.kernels("s1") is None, reason="no C compiler on this machine")

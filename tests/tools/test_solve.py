@@ -1,4 +1,5 @@
-"""The problem interface: every kind, the comparison rules, error answers that name their place, exit statuses."""
+"""The problem interface: every kind, the comparison rules, error answers that name their place, exit
+statuses."""
 
 from __future__ import annotations
 
@@ -10,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from lpvguard import solve
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -41,14 +41,29 @@ def test_public_cases_within_their_tolerances_and_five_seconds():
 def test_golden_problems_with_independent_references():
     problems = json.loads(GOLDEN.read_text())["problems"]
     answers = solve.solve_problems(problems)
-    assert {k["id"]: c.misses for k, a in zip(problems, answers, strict=True) if (c := solve.compare(k, a)).misses} == {}
+    assert {
+        k["id"]: c.misses for k, a in zip(problems, answers, strict=True) if (c := solve.compare(k, a)).misses
+    } == {}
     assert {p["kind"] for p in problems} >= {"multiplicative", "margin", "lft", "lft_margin"}
 
 
-MULTIPLICATIVE = {"id": "m", "kind": "multiplicative", "E": [[0.3, 0.1], [0.2, 0.0]], "Z": [[1, 0], [0, 1]], "gamma_w": 0.3}
+MULTIPLICATIVE = {
+    "id": "m",
+    "kind": "multiplicative",
+    "E": [[0.3, 0.1], [0.2, 0.0]],
+    "Z": [[1, 0], [0, 1]],
+    "gamma_w": 0.3,
+}
 LFT = {
-    "id": "l", "kind": "lft", "blocks": [{"type": "full", "rows": 1, "cols": 1}], "P11": [[[0.1, 0]]], "eta0": [[1, 0]],
-    "P21": [[[1, 0]], [[0, 1]]], "e": [[0.3, 0], [0, 0.4]], "gamma_w": 0.2, "lambda_nu": [1.0],
+    "id": "l",
+    "kind": "lft",
+    "blocks": [{"type": "full", "rows": 1, "cols": 1}],
+    "P11": [[[0.1, 0]]],
+    "eta0": [[1, 0]],
+    "P21": [[[1, 0]], [[0, 1]]],
+    "e": [[0.3, 0], [0, 0.4]],
+    "gamma_w": 0.2,
+    "lambda_nu": [1.0],
 }
 ZOH = {"id": "z", "kind": "zoh", "model": "truck", "v": 15.0, "wheelbase": 4.5, "Ts": 0.01}
 
@@ -65,7 +80,11 @@ ZOH = {"id": "z", "kind": "zoh", "model": "truck", "v": 15.0, "wheelbase": 4.5, 
         (MULTIPLICATIVE | {"gamma_w": -1}, ["gamma_w", "negative"]),
         (MULTIPLICATIVE | {"gamma_w": None}, ["gamma_w", "missing"]),
         (MULTIPLICATIVE | {"gamma_w": "much"}, ["gamma_w"]),
-        (MULTIPLICATIVE | {"kind": "multiplicative_tradeoff", "gamma_w": 1e-3, "lambda_nu": 1, "lambda_w": [1, 1]}, ["B1"]),
+        (
+            MULTIPLICATIVE
+            | {"kind": "multiplicative_tradeoff", "gamma_w": 1e-3, "lambda_nu": 1, "lambda_w": [1, 1]},
+            ["B1"],
+        ),
         (MULTIPLICATIVE | {"kind": "margin", "W_delta": 1, "W_w": [1, 0]}, ["W_w", "positive"]),
         (MULTIPLICATIVE | {"kind": "margin", "W_delta": 1, "W_w": [1]}, ["W_w", "shape"]),
         (ZOH | {"v": 0.0}, ["v", "positive"]),
@@ -98,11 +117,17 @@ def test_lft_answer_is_attained_and_holds_the_side_questions():
     np.testing.assert_allclose(m @ xi + w, np.array(LFT["e"]) @ [1, 1j], atol=1e-12)
     assert np.linalg.norm(w) <= 0.2 * (1 + 1e-9)
     assert a["J_lower"] <= a["J_upper"] == pytest.approx(a["nu"][0] ** 2, rel=1e-9)
-    assert a["nu_s_min"] == pytest.approx(a["nu"][0], rel=1e-4) and a["t_minmax"] == pytest.approx(a["nu"][0], rel=1e-4)
+    assert a["nu_s_min"] == pytest.approx(a["nu"][0], rel=1e-4) and a["t_minmax"] == pytest.approx(
+        a["nu"][0], rel=1e-4
+    )
 
 
 def test_lambda_w_p12_p22_and_a_missing_side_answer():
-    rich = LFT | {"P12": [[[0.1, 0], [0, 0.1]]], "P22": [[[1, 0], [0, 0]], [[0.2, 0], [1, 0]]], "lambda_w": [0.5, 0.5]}
+    rich = LFT | {
+        "P12": [[[0.1, 0], [0, 0.1]]],
+        "P22": [[[1, 0], [0, 0]], [[0.2, 0], [1, 0]]],
+        "lambda_w": [0.5, 0.5],
+    }
     a = solve.solve_problem(rich)
     assert a["status"] == "ok" and a["J_upper"] - a["J_lower"] <= 1e-3 * a["J_upper"]
 
@@ -129,7 +154,13 @@ def test_comparison_rules():
 
 @pytest.mark.parametrize(
     "low, up, fine",
-    [(1.0, 1.0005, True), (1.0, 1.002, False), (0.99, 1.0, False), (1.0011, 1.0012, False), (0.9989, 0.9989, False)],
+    [
+        (1.0, 1.0005, True),
+        (1.0, 1.002, False),
+        (0.99, 1.0, False),
+        (1.0011, 1.0012, False),
+        (0.9989, 0.9989, False),
+    ],
 )
 def test_brackets(low, up, fine):
     problem = carry(LFT, J_lower=0.9999, J_upper=1.0)
@@ -149,7 +180,11 @@ def test_mu_rules_and_statuses():
 
 def test_run_solve_exit_statuses_files_and_streams(tmp_path, capsys, monkeypatch):
     good = tmp_path / "good.json"
-    good.write_text(json.dumps({"schema": "lpvguard.problems/1", "problems": [MULTIPLICATIVE, {"id": "bad", "kind": "x"}]}))
+    good.write_text(
+        json.dumps(
+            {"schema": "lpvguard.problems/1", "problems": [MULTIPLICATIVE, {"id": "bad", "kind": "x"}]}
+        )
+    )
     out = tmp_path / "answers.json"
     assert solve.run_solve(good, out) == 0
     assert [a["status"] for a in json.loads(out.read_text())["answers"]] == ["ok", "error"]
