@@ -50,6 +50,8 @@ function(lpvguard_add_vehicle NAME DIR)
   # -fno-math-errno: a square root is one instruction and no global state is written.
   target_compile_options(${target} PRIVATE -Wall -Wextra -Wconversion -Wdouble-promotion -fno-math-errno
     $<$<COMPILE_LANGUAGE:CXX>:-fno-exceptions;-fno-rtti>)
+  # Sizes are fixed, so that Eigen's assertions prove nothing, and would import abort and stdio into an unoptimised build.
+  target_compile_definitions(${target} PRIVATE EIGEN_NO_DEBUG)
   if(LPVG_DOUBLE)
     target_compile_definitions(${target} PUBLIC LPVG_DOUBLE)
   endif()

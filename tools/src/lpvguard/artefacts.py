@@ -89,9 +89,12 @@ def new_folder(target: Path) -> Iterator[Path]:
 
 
 def write_file(target: Path, text: str) -> None:
-    """Write a text file whole or not at all."""
+    """Write a text file whole or not at all. A device or pipe is written to, never replaced."""
     target = Path(target)
     try:
+        if target.exists() and not target.is_file():
+            target.write_text(text, encoding="utf-8")
+            return
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile("w", encoding="utf-8", dir=target.parent, prefix=f".{target.name}-",
                                          delete=False) as stream:
