@@ -118,7 +118,7 @@ def relaxed_feasible(cp, limits, n):
 def test_common_size_matches_bisection_over_semidefinite_programs(name):
     cp = pytest.importorskip("cvxpy")
     n_y, blocks, options = FULL[name]
-    problem, nu, w = made_from_truth(np.random.default_rng(77), n_y, blocks, **options)
+    problem, nu, _ = made_from_truth(np.random.default_rng(77), n_y, blocks, **options)
     gamma = 0.7 * np.linalg.norm(np.linalg.pinv(problem.p22) @ problem.e)
     xi, eta, w_map, t = forms(problem)
     low, high = 0.0, 2.0 * float(nu.max())

@@ -957,7 +957,9 @@ def _one_block(problem: _Quadratic, caps: np.ndarray, posed: _Posed) -> Interval
     return Interval(lower, max(best.cost, lower), best.z, int(out.duals[0]))
 
 
-def smallest_last_block(problem: Lft, gamma_w: float, *, gap: float = GAP) -> tuple[float, float]:
+def smallest_last_block(
+    problem: Lft, gamma_w: float, *, gap: float = GAP, max_nodes: int = MAX_NODES
+) -> tuple[float, float]:
     """(lower, upper) of the smallest size of the last block alone, the others free, at the same gamma_w.
 
     Raises InputError as :func:`optimum` does, and when that size is at or above the block's own cap.
@@ -970,7 +972,7 @@ def smallest_last_block(problem: Lft, gamma_w: float, *, gap: float = GAP) -> tu
     caps = block_caps(problem)
     forms += [_block_form(posed, i, constant=caps[i] ** 2) for i in range(last) if problem.blocks[i].repeated]
     forms.append(_block_form(posed, last, param=0))
-    interval = _Quadratic(forms, 1, posed.n).solve(gap=gap, zero=ZERO)
+    interval = _Quadratic(forms, 1, posed.n).solve(gap, max_nodes, ZERO)
     if interval.upper < np.inf and interval.lower == 0.0:
         # Another, repeated block explains the data alone; the local search ends near zero, not on it.
         return 0.0, 0.0
