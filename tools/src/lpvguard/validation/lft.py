@@ -28,7 +28,7 @@ from scipy.optimize import minimize
 
 from lpvguard.errors import InputError
 from lpvguard.validation import lmi, s2
-from lpvguard.validation.delta import Block, Verification, split, verify
+from lpvguard.validation.delta import Block, Verification, least_size, split, verify
 
 RANK_TOLERANCE = 1e-10
 """Singular values below this fraction of the largest count as zero (columns scaled to a common size)."""
@@ -789,14 +789,8 @@ class _Posed:
                 "larger bounds, or another structure",
             )
         xi, eta, w = self.signals(interval.z)
-        nu = np.array(
-            [
-                np.linalg.norm(a) / np.linalg.norm(b) if np.any(a) else 0.0
-                for a, b in zip(
-                    split(problem.blocks, xi, "rows"), split(problem.blocks, eta, "cols"), strict=True
-                )
-            ]
-        )
+        pieces = zip(split(problem.blocks, xi, "rows"), split(problem.blocks, eta, "cols"), strict=True)
+        nu = np.array([least_size(a, b) for a, b in pieces])
         if not well_posed(problem, nu):
             caps = ", ".join(f"{c:.6g}" for c in block_caps(problem))
             raise InputError(
