@@ -943,7 +943,7 @@ def _one_block(problem: _Quadratic, caps: np.ndarray, posed: _Posed) -> Interval
     forms[1] /= np.linalg.norm(ball.b) ** 2
     p_max = caps[which] ** 2 / (block.slope * trivial) * (1.0 - 1e-9)
     out = s2.solve_forms(forms[None], start[None], p_max)
-    if not np.isfinite(out.upper[0]):
+    if not np.isfinite(out.upper[0]) or out.p[0] > s2.NEAR_CAP**2 * p_max:
         return None
     best = _Best()
     problem.start(best, [out.z[0]])
