@@ -2,7 +2,7 @@
 # shellcheck shell=bash
 
 venv=$root/.venv
-packages_run="g++ libeigen3-dev pkg-config python3 python3-venv"
+packages_run="g++ libeigen3-dev libtomlplusplus-dev pkg-config python3 python3-venv"
 packages_test="catch2 clang cmake cppcheck ninja-build"
 
 say() { printf '%s\n' "$*" >&2; }

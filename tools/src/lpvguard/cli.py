@@ -182,7 +182,7 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
             help="feedforward: the command over the model's DC gain; off: never engaged.")] = "designed",
         seed: Annotated[int | None, typer.Option(min=0, help="First seed (default: the scenario's).")] = None,
         seeds: Annotated[int, typer.Option(min=1, help="Runs of each scenario, with consecutive seeds.")] = 1,
-        out: Annotated[Path | None, typer.Option("-o", "--out", help="Folder for frame logs (candump -L) and telemetry.")] = None,
+        out: Annotated[Path | None, typer.Option("-o", "--out", help="Folder for frame logs (candump -L), telemetry and results.json.")] = None,
         json_out: JsonOut = None) -> None:
     """Close the loop with the simulated truck over CAN frames. Exit 1 when a run did not show what its scenario expects."""
     from .core import shipped_vehicle
@@ -199,6 +199,10 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
                 tell(f"{scenario.name}, seed {number}")
                 runs.append(simulator.run(scenario, seed=number, out=out))
     _emit(json_out, runs)
+    if out is not None:
+        # How fast this machine was belongs to nobody's results.
+        artefacts.write_file(out / "results.json", artefacts.to_json(
+            [{k: v for k, v in r.items() if k != "real_time_factor"} for r in runs]))
     table = Table("scenario", "seed", "verdict", "invalid at s", "judged s to it", "max margin", "tracking", "x real time", "missed",
                   box=None)
     for r in runs:
@@ -240,14 +244,16 @@ def evaluate(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(he
 def report(identification: Annotated[Path, typer.Argument(help="Folder written by identify.")],
            drives: Annotated[Path, typer.Argument(help="The drive folder it was made from.")],
            vehicle: Vehicle, out: Out, coefficients: Coefficients = None,
-           evaluation: Annotated[Path | None, typer.Option(help="JSON written by evaluate.")] = None) -> None:
+           evaluation: Annotated[Path | None, typer.Option(help="JSON written by evaluate.")] = None,
+           loops: Annotated[Path | None, typer.Option(help="Folder written by sim -o.")] = None) -> None:
     """One self-contained HTML page with every picture and table."""
     from .report import write_report
 
     stored, drive_set = _stored_with_drives(identification, drives)
     replayer = _replayer(vehicle, coefficients)
     with _progress("report") as tell:
-        write_report(stored, drive_set, replayer, out, artefacts.read_json(evaluation) if evaluation else None, tell)
+        write_report(stored, drive_set, replayer, out, artefacts.read_json(evaluation) if evaluation else None, tell,
+                     loops)
     console.print(f"written to {out}")
 
 
