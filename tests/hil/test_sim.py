@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -11,6 +14,7 @@ from lpvguard.errors import InputError
 from lpvguard.sim import Expectation, Simulator, load_scenario, missed, shipped_scenarios
 
 SEEDS = (1, 2)
+WITH_VCAN = Path(__file__).resolve().parents[2] / "tools" / "with-vcan"
 MESSAGE_PERIODS = {"VDC2": 0.01, "GUARD_IN": 0.01, "EBC2": 0.1}
 
 PLANT = """
@@ -112,6 +116,23 @@ def test_a_lost_actuator_is_found(simulator, scenario):
     assert run["first_invalid_s"] is not None and 40.0 < run["first_invalid_s"] < 70.0
 
 
+def test_a_real_can_interface_carries_the_same_frames(simulator, truck_folder, scenario):
+    fault = scenario(15.0, can_fault("VDC2", "lost"))
+    command = [WITH_VCAN, sys.executable, "-m", "lpvguard.cli", "sim", fault.path, "--coefficients", truck_folder, "--json", "-"]
+    done = subprocess.run([*map(str, command), "--bus", "socketcan:vcan0"], capture_output=True, text=True, check=False)
+    if done.returncode == 125:
+        pytest.skip(f"no SocketCAN on this machine, and no kernel to lend it: {done.stderr.strip()[-200:]}")
+    # The scenario expects supervision to stay live, which it must not: a finding.
+    assert done.returncode == 1, done.stderr
+    assert json.loads(done.stdout)[0]["frames_hash"] == simulator.run(fault)["frames_hash"]
+
+
+@pytest.mark.parametrize("bus", ["socketcan:none99", "tin cans"])
+def test_a_bus_that_does_not_exist_is_refused(simulator, scenario, bus):
+    with pytest.raises(InputError, match=bus):
+        simulator.run(scenario(1.0), bus=bus)
+
+
 @pytest.mark.parametrize(("change", "says"), [
     (("duration_s = 5", "duration_s = -1"), "duration_s"),
     (("rms_radps", "rms"), "command.rms"),
@@ -171,8 +192,6 @@ def test_the_command_writes_json_and_its_status_says_whether_expectations_were_m
 
 
 def test_changing_one_coefficient_is_noticed_at_start(truck_folder, scenario, tmp_path):
-    import shutil
-
     folder = tmp_path / "altered"
     shutil.copytree(truck_folder, folder)
     source = (folder / "lpvguard_control.c").read_text()
@@ -180,4 +199,4 @@ def test_changing_one_coefficient_is_noticed_at_start(truck_folder, scenario, tm
     assert altered != source
     (folder / "lpvguard_control.c").write_text(altered)
     with pytest.raises(InputError, match="refused its coefficients"):
-        Simulator(folder).run(replace(scenario(5.0)))
+        Simulator(folder).run(scenario(5.0))

@@ -177,7 +177,7 @@ def replay(vehicle: Vehicle, logs: Annotated[list[Path], typer.Argument(help="Dr
 def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, or paths to scenario files (*.toml).")],
         vehicle: Annotated[str, typer.Option("--vehicle", help="Shipped vehicle with a controller.")] = "truck",
         coefficients: Coefficients = None,
-        bus: Annotated[Literal["memory"], typer.Option(help="What carries the CAN frames.")] = "memory",
+        bus: Annotated[str, typer.Option(help="What carries the CAN frames: memory, or socketcan:INTERFACE.")] = "memory",
         controller: Annotated[Literal["designed", "feedforward", "off"], typer.Option(
             help="feedforward: the command over the model's DC gain; off: never engaged.")] = "designed",
         seed: Annotated[int | None, typer.Option(min=0, help="First seed (default: the scenario's).")] = None,
@@ -197,7 +197,7 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
             first = scenario.seed if seed is None else seed
             for number in range(first, first + seeds):
                 tell(f"{scenario.name}, seed {number}")
-                runs.append(simulator.run(scenario, seed=number, out=out))
+                runs.append(simulator.run(scenario, seed=number, bus=bus, out=out))
     _emit(json_out, runs)
     if out is not None:
         # How fast this machine was belongs to nobody's results.
