@@ -385,8 +385,10 @@ TEST_CASE("cross-checks refuse limits that are not positive", "[unit][can]") {
     CHECK(lpvg_can_plausibility(nullptr, &limits, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_status_bad_argument);
     CHECK(lpvg_can_plausibility(&self, nullptr, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_status_bad_argument);
     SECTION("track") { limits.track_m = 0.0F; }
-    SECTION("speed") { limits.speed_min_mps = GENERATE(kNan, 0.0F); }
-    SECTION("lateral") { limits.lateral_mps2 = GENERATE(-1.0F, 0.0F); }
+    SECTION("speed") { limits.speed_min_mps = kNan; }
+    SECTION("speed 0") { limits.speed_min_mps = 0.0F; }
+    SECTION("lateral") { limits.lateral_mps2 = -1.0F; }
+    SECTION("lateral 0") { limits.lateral_mps2 = 0.0F; }
     SECTION("yaw") { limits.yaw_rps = 0.0F; }
     SECTION("confirm") { limits.confirm = 0U; }
     CHECK(lpvg_can_plausibility(&self, &limits, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_status_bad_argument);
