@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -119,12 +119,16 @@ def design(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(help
 
 @app.command(epilog="Example: lpvguard export --vehicle g80 out/identify -o lib/vehicles/g80")
 def export(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(help="Folder written by identify.")],
-           out: Out) -> None:
-    """Generate the C folder of a vehicle: coefficients, signal table, manifest."""
+           out: Out, controller: Annotated[Path | None, typer.Option(help="controller.json, or the folder written by design.")]
+           = None) -> None:
+    """Generate the C folder of a vehicle: coefficients, controller, signal table, CAN codec, manifest."""
+    from .control_export import load_controller
     from .export import export_vehicle
 
     stored = _stored(identification, vehicle)
-    export_vehicle(stored, out)
+    if controller is not None and controller.is_dir():
+        controller = controller / "controller.json"
+    export_vehicle(stored, out, load_controller(controller) if controller else None)
     console.print(f"{stored.project.name}: written to {out}")
 
 
@@ -164,6 +168,44 @@ def replay(vehicle: Vehicle, logs: Annotated[list[Path], typer.Argument(help="Dr
         if len(r.alarms) > 3:
             console.print(f"{r.name}: {len(r.alarms) - 3} more alarms (--json lists all)")
     raise typer.Exit(2 if failed else 1 if any(r.alarms for r in done) else 0)
+
+
+@app.command(epilog="Example: lpvguard sim nominal yaw_sign --json -")
+def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, or paths to scenario files (*.toml).")],
+        vehicle: Annotated[str, typer.Option("--vehicle", help="Shipped vehicle with a controller.")] = "truck",
+        coefficients: Coefficients = None,
+        bus: Annotated[Literal["memory"], typer.Option(help="What carries the CAN frames.")] = "memory",
+        controller: Annotated[Literal["designed", "feedforward", "off"], typer.Option(
+            help="feedforward: the command over the model's DC gain; off: never engaged.")] = "designed",
+        seed: Annotated[int | None, typer.Option(min=0, help="First seed (default: the scenario's).")] = None,
+        seeds: Annotated[int, typer.Option(min=1, help="Runs of each scenario, with consecutive seeds.")] = 1,
+        out: Annotated[Path | None, typer.Option("-o", "--out", help="Folder for frame logs (candump -L) and telemetry.")] = None,
+        json_out: JsonOut = None) -> None:
+    """Close the loop with the simulated truck over CAN frames. Exit 1 when a run did not show what its scenario expects."""
+    from .core import shipped_vehicle
+    from .sim import Simulator, load_scenario
+
+    loaded = [load_scenario(name) for name in scenarios]
+    runs = []
+    with _progress("sim") as tell:
+        tell("compiling")
+        simulator = Simulator(coefficients or shipped_vehicle(vehicle), controller=controller)
+        for scenario in loaded:
+            first = scenario.seed if seed is None else seed
+            for number in range(first, first + seeds):
+                tell(f"{scenario.name}, seed {number}")
+                runs.append(simulator.run(scenario, seed=number, out=out))
+    _emit(json_out, runs)
+    table = Table("scenario", "seed", "verdict", "invalid at s", "judged s to it", "max margin", "tracking", "x real time", "missed",
+                  box=None)
+    for r in runs:
+        invalid = ("–", "–") if r["first_invalid_s"] is None else (f"{r['first_invalid_s']:.2f}", f"{r['judged_to_invalid_s']:.2f}")
+        ratio = f"{r['tracking_rms'] / r['command_rms']:.1%}" if r["command_rms"] else "–"
+        table.add_row(r["scenario"], str(r["seed"]), r["verdict_final"], *invalid, f"{r['max_margin']:.3f}", ratio,
+                      f"{r['real_time_factor']:.0f}", "; ".join(r["missed"]) or "nothing")
+    console.print(table)
+    console.print(f"{bus} bus, controller {controller}, coefficients {simulator.folder}")
+    raise typer.Exit(1 if any(r["missed"] for r in runs) else 0)
 
 
 @app.command(epilog="Example: lpvguard evaluate --vehicle g80 out/identify DRIVES --json out/evaluation.json")

@@ -53,17 +53,20 @@ class Scheduled:
 
     def at(self, v: float) -> StateSpace:
         """The controller the core runs at speed v: float32 coefficients with A - I formed in double, interpolated."""
+        eye = np.eye(self.A.shape[1])
+        return StateSpace(eye + self._between(self.A - eye, v), self._between(self.B, v), self._between(self.C, v),
+                          np.zeros((self.C.shape[1], self.B.shape[2])), self.Ts)
+
+    def injection_radius(self, v: float) -> float:
+        """Spectral radius of A - L C at speed v, each interpolated as the core does."""
+        A, L, C = (self._between(m, v) for m in (self.A, self.L, self.C))
+        return float(np.abs(np.linalg.eigvals(A - L @ C)).max())
+
+    def _between(self, values: np.ndarray, v: float) -> np.ndarray:
         position = np.clip((v - self.speeds[0]) / (self.speeds[-1] - self.speeds[0]), 0.0, 1.0) * (len(self.speeds) - 1)
         k = min(int(position), len(self.speeds) - 2)
-        w = position - k
-
-        def between(values: np.ndarray) -> np.ndarray:
-            rounded = values[k:k + 2].astype(np.float32).astype(float)
-            return (1 - w) * rounded[0] + w * rounded[1]
-
-        eye = np.eye(self.A.shape[1])
-        return StateSpace(eye + between(self.A - eye), between(self.B), between(self.C),
-                          np.zeros((self.C.shape[1], self.B.shape[2])), self.Ts)
+        rounded = values[k:k + 2].astype(np.float32).astype(float)
+        return (1 - (position - k)) * rounded[0] + (position - k) * rounded[1]
 
 
 def _system(weight: FittedWeight, inflation: float) -> StateSpace:
@@ -180,8 +183,9 @@ def design(stored: StoredIdentification, progress: Progress = lambda _: None) ->
             schedule = _schedule(at_order(order), speeds, start, stored.project.Ts_s)
         except np.linalg.LinAlgError:
             continue  # coordinates cannot be matched, or no injection gain exists, at this order
-        if not all(lft(plant.system, schedule.at(v)).stability_margin() > 0 for v, plant in loops.items()):
-            continue
+        if not all(schedule.injection_radius(v) < 1 and lft(plant.system, schedule.at(v)).stability_margin() > 0
+                   for v, plant in loops.items()):
+            continue  # a truncation that cuts elsewhere at the next node is no schedule, whatever the nodes themselves say
         proved = certificates(schedule)
         worst = max(p.upper for _, p in proved)
         if best is None or worst < best * (1 - settings.order_loss):
@@ -198,7 +202,7 @@ def save(result: Design, stored: StoredIdentification, target: Path) -> None:
     """Write controller.json and its manifest, whole or not at all."""
     settings, schedule = stored.project.design, result.schedule
     controller = {
-        "Ts_s": schedule.Ts, "speeds": schedule.speeds, "A": schedule.A, "B": schedule.B, "C": schedule.C, "L": schedule.L,
+        "kind": "controller", "schema": 1, "Ts_s": schedule.Ts, "speeds": schedule.speeds, "A": schedule.A, "B": schedule.B, "C": schedule.C, "L": schedule.L,
         "u_max": settings.input_max, "rate_max": settings.input_rate_max_per_s,
         "certificates": {
             "claim": "frozen speeds, float32 coefficients, interpolated, closed with the nominal model and the weights: "

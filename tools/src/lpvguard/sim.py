@@ -17,7 +17,6 @@ uses too. A scenario file says how the truck is driven and what breaks (firmware
 from __future__ import annotations
 
 import json
-import re
 import shutil
 import subprocess
 import tempfile
@@ -31,12 +30,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from . import artefacts, native
-from .control_export import ControllerCoefficients, build_controller
+from .control_export import ControllerCoefficients, build_controller, replaced_controller
 from .core import eigen_include, firmware_root, library_root
 from .errors import InputError
 from .nominal import NominalModel
 from .project import Project, parse_project
-from .sealed import coefficient_source
 
 Controller = Literal["designed", "feedforward", "off"]
 RECOVERY_S = 1.0
@@ -123,11 +121,7 @@ def feedforward(project: Project, u_max: np.ndarray, rate_max: np.ndarray) -> Co
 def _replace_controller(folder: Path, controller: ControllerCoefficients, target: Path) -> None:
     """A copy of a vehicle folder with another controller."""
     shutil.copytree(folder, target)
-    header = (target / "lpvguard_vehicle.h").read_text()
-    for name, value in controller.sizes.items():
-        header = re.sub(rf"(#define LPVG_{name}) \d+", rf"\1 {value}", header)
-    artefacts.write_files(target, {"lpvguard_vehicle.h": header, "lpvguard_control.c": coefficient_source(
-        controller, "controller.h", "lpvg_control_coeff")})
+    artefacts.write_files(target, replaced_controller((target / "lpvguard_vehicle.h").read_text(), controller))
 
 
 class Simulator:

@@ -93,8 +93,8 @@ class DKResult:
     history: tuple[float, ...]
 
 
-def dk_synthesis(plant: GeneralisedPlant, degree: int = 1, iterations: int = 4, polish: int = 12,
-                 reduction_loss: float = 5e-4) -> DKResult:
+def dk_synthesis(plant: GeneralisedPlant, degree: int = 1, iterations: int = 4, polish: int = 40,
+                 reduction_loss: float = 1e-4) -> DKResult:
     """Controller for robust performance of ``plant`` (continuous or discrete; blocks full complex).
 
     degree: order of each d_i. iterations: K and D steps. polish: further K steps that move D's parameters directly.
@@ -105,11 +105,11 @@ def dk_synthesis(plant: GeneralisedPlant, degree: int = 1, iterations: int = 4, 
         raise SynthesisError("D-K iteration", "blocks", "a repeated block", "full complex blocks")
     work = _Work(plant)
     scaling = Scaling(np.tile(np.r_[0.0, [0.0, 0.0] * degree], (len(plant.blocks), 1)))
-    history = []
+    history, level = [], None
     if plant.blocks:
         best = None
         for k in range(iterations):
-            result = work.controller(scaling, rtol=1e-4, guess=history[-1] if history else None)
+            result = work.controller(scaling, rtol=2e-5, guess=history[-1] if history else None)
             history.append(result.gamma)
             if best is None or result.gamma < best[0]:
                 best = result.gamma, scaling
@@ -118,7 +118,7 @@ def dk_synthesis(plant: GeneralisedPlant, degree: int = 1, iterations: int = 4, 
             scaling = work.fit(lft(work.system, result.controller), scaling, power=10)
         level, scaling = _polish(work, best[1], best[0], polish)
         history.append(level)
-    final = work.controller(scaling, backoff=1e-3)
+    final = work.controller(scaling, backoff=3e-4, guess=level)
     reduced = reduce_controller(work, final.controller, scaling, final.gamma_achieved * (1 + reduction_loss))
     K = to_discrete(reduced, plant.system.dt) if plant.system.dt else reduced
     return DKResult(K, certify(plant, K, scaling), final.controller.order, tuple(history))
@@ -180,7 +180,7 @@ class _Work:
     def improved(self, scaling: Scaling, level: float) -> float | None:
         """The optimum of the scaled plant when it lies below ``level``, else None."""
         return improved_level(self.scaled(self.system, scaling), self.plant.n_control, self.plant.n_measurement, level,
-                              rtol=1e-5)
+                              rtol=2e-5)
 
     def scaled_norm(self, loop: StateSpace, scaling: Scaling) -> NormBracket:
         """Certified norm of the scaled closed loop: an upper bound of μ at every frequency."""
@@ -223,10 +223,10 @@ class _Work:
         """Best μ lower bound at the scaled norm's peak and at the highest points of the grid: value, rad/s, Δ."""
         left, right = scaling.systems(self.plant)
         sigma = np.linalg.norm(self.scaled(loop, scaling).response(self.omega), 2, axis=(1, 2))
-        points = np.unique(np.append(self.omega[np.argsort(sigma)[-3:]], peak))
+        points = np.unique(np.append(self.omega[np.argsort(sigma)[-2:]], peak))
         blocks = (*self.plant.blocks, self.plant.performance_block)
         scales = (_diagonals(left.response(points)), 1 / _diagonals(right.response(points)))
-        found = [mu_lower(M, blocks, np.diag(L), np.diag(R))
+        found = [mu_lower(M, blocks, np.diag(L), np.diag(R), sigma.max() * (1 - 1e-6))
                  for M, L, R in zip(loop.response(points), *scales, strict=True)]
         k = int(np.argmax([value for value, _ in found]))
         return found[k][0], float(points[k]), found[k][1]
@@ -240,7 +240,7 @@ def _diagonals(G: np.ndarray) -> np.ndarray:
 def _polish(work: _Work, scaling: Scaling, level: float, budget: int) -> tuple[float, Scaling]:
     """Pattern search on D's parameters with the synthesis itself as the measure; ``budget`` K steps."""
     x, size = scaling.log_parameters.copy(), 0.08
-    moves = [(i, j) for j in (0, *range(2, x.shape[1], 2)) for i in range(x.shape[0])]
+    moves = [(i, j) for j in (0, *range(x.shape[1] - 1, 0, -1)) for i in range(x.shape[0])]
     direction = dict.fromkeys(moves, 1.0)
     while budget > 0 and size > 0.01 and moves:
         better = False

@@ -27,6 +27,7 @@ from lpvguard.synthesis.statespace import EPS, StateSpace, balanced, lft, to_con
 
 RANK_RTOL = 1e-9  # singular values of a column-scaled D12 (row-scaled D21) below this count as zero
 AXIS_COST = 1e-7  # state cost, relative to ‖C1‖, that moves zeros off the imaginary axis in the optimum's search
+STIFF = 1e4  # a Hamiltonian this much larger than the plant's A has lost digits to nearly free controls
 GAMMA_RTOL = 1e-6  # width of the bracket of a regular problem's optimum
 
 
@@ -105,7 +106,7 @@ class _Side:
         if len(self.A) == 0:
             return _Riccati(np.zeros((len(self.basis), len(self.basis))), True)
         try:
-            found = _stabilising(_hamiltonian(self, gamma))
+            found = _stabilising(_hamiltonian(self, gamma), self, gamma)
         except np.linalg.LinAlgError:
             return None
         return found and _Riccati(self.basis @ found.X @ self.basis.T, found.definite)
@@ -294,19 +295,27 @@ def _balance_hamiltonian(H: np.ndarray, floor: float = 0.0) -> tuple[np.ndarray,
     return H * both / both[:, None], t
 
 
-def _stabilising(H: np.ndarray) -> _Riccati | None:
+def _stabilising(H: np.ndarray, side: _Side | None = None, gamma: float = np.inf) -> _Riccati | None:
     """X = X2 X1⁻¹ from the stable invariant subspace of H, symmetric; None when eigenvalues lie on the axis.
 
     The balancing that takes every entry seriously is tried first; where rounding stands in place of zeros (X exactly
-    singular) it makes X1 nearly singular, and a balancing that ignores such entries is used.
+    singular) it makes X1 nearly singular, and a balancing that ignores such entries is used. Where H is much larger than
+    the A of its ``side`` (nearly free controls) the answer is trusted only when it is well conditioned; else the extended
+    pencil decides, which never forms the inverse that made H large.
     """
     best = None
     for floor in (0.0, EPS):
-        found, condition = _subspace_solution(*_balance_hamiltonian(H, floor))
+        balanced_H, t = _balance_hamiltonian(H, floor)
+        found, condition = _subspace_solution(balanced_H, t)
         if found is not None and (best is None or condition < best[1]):
             best = found, condition
         if best is not None and best[1] < 1e10 or found is None and condition == 0.0:
             break
+    if side is not None and (best is None or best[1] > 1e6) and (
+            np.linalg.norm(balanced_H) > STIFF * np.linalg.norm(side.A * t / t[:, None])):
+        found, condition = _pencil_solution(side, gamma, t)
+        if best is None or (found is not None and condition < best[1]):
+            return found
     return best and best[0]
 
 
@@ -316,7 +325,35 @@ def _subspace_solution(H: np.ndarray, t: np.ndarray) -> tuple[_Riccati | None, f
     T, U, stable = sl.schur(H, sort="lhp", check_finite=False)
     if stable != n or _touches_axis(T):
         return None, 0.0
-    U1, U2 = U[:n, :n], U[n:, :n]
+    return _from_basis(U[:n, :n], U[n:, :n], t)
+
+
+def _pencil_solution(side: _Side, gamma: float, t: np.ndarray) -> tuple[_Riccati | None, float]:
+    """The same solution from the extended pencil in (x, λ, [w; u], z), where γ and D enter unsquared (Van Dooren 1981).
+
+    The algebraic variables are eliminated by an orthogonal transformation; ``t`` scales x and 1/t scales λ.
+    """
+    n, m1, m = side.A.shape[0], side.B1.shape[1], side.B1.shape[1] + side.B2.shape[1]
+    p = side.C1.shape[0]
+    A, C = side.A * t / t[:, None], side.C1 * t
+    B, D = np.hstack([side.B1 / gamma, side.B2]) / t[:, None], np.hstack([side.D11 / gamma, side.D12])
+    J = np.diag(np.r_[np.ones(m1), np.zeros(m - m1)])
+    Z = np.zeros
+    M = np.block([[A, Z((n, n)), B, Z((n, p))], [-np.diag((side.weight * t) ** 2), -A.T, Z((n, m)), -C.T],
+                  [C, Z((p, n)), D, -np.eye(p)], [Z((m, n)), B.T, -J, D.T]])
+    Q = sl.qr(M[:, 2 * n :], mode="full")[0][:, m + p :].T
+    try:
+        S, _, alpha, beta, _, V = sl.ordqz(Q @ M[:, : 2 * n], Q[:, : 2 * n], sort="lhp", output="real", check_finite=False)
+    except ValueError:  # eigenvalues of both sides too close to be told apart
+        return None, 0.0
+    stable = np.count_nonzero(alpha.real * beta < 0)
+    if stable != n or np.any(np.abs(alpha.real) <= 20 * EPS * np.linalg.norm(S) + 1e-11 * np.abs(alpha.imag)):
+        return None, 0.0
+    return _from_basis(V[:n, :n], V[n:, :n], t)
+
+
+def _from_basis(U1: np.ndarray, U2: np.ndarray, t: np.ndarray) -> tuple[_Riccati | None, float]:
+    """X = U2 U1⁻¹ in the units before ``t``, from an orthonormal basis [U1; U2] of the stable subspace."""
     condition = np.linalg.cond(U1)
     skew = U1.T @ U2
     if np.abs(skew - skew.T).max() > 1e-5 or not condition < 1 / EPS:
@@ -499,7 +536,7 @@ class _Problem:
     def optimum(self, rtol: float, guess: float | None = None) -> float:
         """The infimum of reachable γ, to ``rtol``: a bracket that grows from ``guess``, then secant steps."""
         scale = max(self.floor, 1e-3)
-        start, growth = (max(guess, self.floor * (1 + rtol)), 1.02) if guess else (2 * scale, 10.0)
+        start, growth = (max(guess, self.floor * (1 + rtol)), 1 + 20 * rtol) if guess else (2 * scale, 10.0)
         value = self.coupling(start)
         if _above_one(value):
             high, high_value, low, low_value = start, value, self.floor, None

@@ -113,12 +113,15 @@ def weight_from_table(entry: dict, **gains: float) -> StateSpace:
     return zeros_poles(gains[gain] if isinstance(gain, str) else gain, entry["zeros"], entry["poles"])
 
 
-def generalised_plant(A, B, weights: Weights, structure: str, dt: float = 0.0) -> GeneralisedPlant:
+def generalised_plant(A, B, weights: Weights, structure: str, dt: float = 0.0, delay: int = 0) -> GeneralisedPlant:
     """Fig. 1 around the vehicle x' = A x + B u, [r; δ] the first two states; A (n, n), B (n, 1) continuous.
 
     ``dt`` > 0: the vehicle sampled exactly with u and ξ_s held (so ξ_s enters through ∫exp(As)ds), every weight by
-    Tustin's map; signals then are sequences.
+    Tustin's map; signals then are sequences. ``delay``: samples by which u reaches the vehicle late, as computation and
+    bus make it; Δ_i and W_u see u at once.
     """
+    if delay < 0 or (delay and not dt):
+        raise SynthesisError("interconnection", "delay", f"{delay} samples at dt {dt:g}", "a whole number ≥ 0, and dt > 0")
     if structure not in STRUCTURES:
         raise SynthesisError("interconnection", "structure", repr(structure), f"one of {', '.join(STRUCTURES)}")
     A, B = np.asarray(A, dtype=float), np.asarray(B, dtype=float)
@@ -135,6 +138,8 @@ def generalised_plant(A, B, weights: Weights, structure: str, dt: float = 0.0) -
         one = parts.pop(name)
         if count:
             parts[name] = append(*[one] * count)
+    if delay:
+        parts["delay"] = StateSpace(np.eye(delay, k=1), np.eye(delay)[:, -1:], np.eye(delay)[:1], [[0.0]], dt)
     net = _Network(parts)
     signals = [*(["xi_i"] * with_input), *([f"xi_s{k}" for k in range(n)] * with_state), "w_r", "w_delta", "n_r",
                "n_delta", "r_c", "u"]
@@ -144,7 +149,11 @@ def generalised_plant(A, B, weights: Weights, structure: str, dt: float = 0.0) -
     for k in range(n * with_state):
         net.feed("W_delta_s", k, {f"xi_s{k}": 1})
         net.feed("vehicle", 1 + k, {("W_delta_s", k): 1})
-    u_tilde = {"u": 1, **({("W_delta_i", 0): 1} if with_input else {})}
+    u_late = "u"
+    if delay:
+        net.feed("delay", 0, {"u": 1})
+        u_late = ("delay", 0)
+    u_tilde = {u_late: 1, **({("W_delta_i", 0): 1} if with_input else {})}
     r_m = {("vehicle", 0): 1, ("W_wr", 0): 1}
     delta_m = {("vehicle", 1): 1, ("W_wdelta", 0): 1}
     net.feed("vehicle", 0, u_tilde)

@@ -69,14 +69,17 @@ def mu_bounds(M, blocks, rtol: float = 1e-8) -> MuBounds:
         raise SynthesisError("mu", "M", "a NaN or infinite entry", "finite numbers")
     structure = _Structure(blocks)
     upper, infimum, left, right, G = _upper_bound(M, structure, rtol)
-    lower, delta = _lower_bound(M, structure, left, right, starts=40) if upper > 0 else (0.0, None)
+    lower, delta = _lower_bound(M, structure, left, right, upper * (1 - 1e-9), 40) if upper > 0 else (0.0, None)
     D_left, D_right = left @ left.conj().T, right @ right.conj().T
     return MuBounds(upper, min(lower, upper), min(infimum, upper), delta, D_left, D_right, G)
 
 
-def mu_lower(M, blocks, left, right, starts: int = 8) -> tuple[float, np.ndarray | None]:
-    """Lower bound of μ and the Δ that attains it, given ``left`` M ``right``⁻¹ of a good upper bound (which speed it up)."""
-    return _lower_bound(np.asarray(M, dtype=complex), _Structure(tuple(blocks)), left, right, starts)
+def mu_lower(M, blocks, left, right, enough: float, starts: int = 8) -> tuple[float, np.ndarray | None]:
+    """Lower bound of μ and the Δ that attains it; ``left`` M ``right``⁻¹: a well-scaled image of M, which speeds it up.
+
+    The search ends early at a value of ``enough``.
+    """
+    return _lower_bound(np.asarray(M, dtype=complex), _Structure(tuple(blocks)), left, right, enough, starts)
 
 
 class _Structure:
@@ -256,7 +259,7 @@ def _dual_gap(x, Z, structure, trace) -> float:
                for r, c in zip(structure.row, structure.col, strict=True))
 
 
-def _lower_bound(M, structure, left, right, starts: int, steps: int = 200):
+def _lower_bound(M, structure, left, right, enough: float, starts: int, steps: int = 200):
     """Largest β found with I − M Δ singular and max σ̄(Δ_i) = 1/β, and that Δ; (0, None) when none was found.
 
     The factors of the upper bound's scalings commute with Δ, so the iteration runs on the scaled, well-balanced matrix.
@@ -272,6 +275,8 @@ def _lower_bound(M, structure, left, right, starts: int, steps: int = 200):
     found.sort(key=lambda one: -one[0])
     if structure.complex_only:
         for _, _, parts in found[:3]:
+            if found[0][0] >= enough:
+                break
             value, delta = _make_singular(M, structure, _align(scaled, structure, parts))
             if value > found[0][0] and _is_singular(M, delta):
                 found.insert(0, (value, delta, parts))
@@ -307,7 +312,7 @@ def _align(M, structure, parts, steps: int = 200) -> list:
             else:
                 overlap = np.vdot(x[r], y[c])
                 new.append(turn * overlap / max(abs(overlap), 1e-300))
-        if abs(values[k]) <= value * (1 + 1e-14):
+        if abs(values[k]) <= value * (1 + 1e-13):
             break
         value, parts = abs(values[k]), new
     return parts

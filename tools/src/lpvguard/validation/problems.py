@@ -1,4 +1,5 @@
-"""Kinds ``lft`` and ``lft_margin`` of the problem interface: from JSON fields to :mod:`lpvguard.validation.lft`."""
+"""Kinds ``lft`` and ``lft_margin`` of the problem interface: from JSON fields to
+:mod:`lpvguard.validation.lft`."""
 
 from __future__ import annotations
 
