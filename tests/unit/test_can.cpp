@@ -263,12 +263,22 @@ TEST_CASE("gradient: the largest allowed step passes, one more is rejected, a pa
     SECTION("too much, upwards") { CHECK(bus.send(with(6, base + limit + 1U)) == lpvg_can_event_gradient); }
     SECTION("too much, downwards") { CHECK(bus.send(with(6, base - limit - 1U)) == lpvg_can_event_gradient); }
     SECTION("two periods") { CHECK(bus.send(with(7, base + 2U * limit - 1U)) == lpvg_can_event_accepted); }
+    SECTION("a limit without a remainder") {  // lateral acceleration: 150 m/s3 * 2048 / (m/s2) * 10 ms = 3072
+        const auto lateral = lpvg_can_vdc2_lateral_acceleration_encode(0.7F);
+        for (const unsigned step : {3074U, 3073U}) {
+            CanBus fresh = bus;
+            auto   frame = bus.vdc2(6);
+            frame.data[5] = static_cast<uint8_t>((lateral + step) & 0xFFU);
+            frame.data[6] = static_cast<uint8_t>((lateral + step) >> 8U);
+            CHECK(fresh.send(frame) == (step == 3073U ? lpvg_can_event_accepted : lpvg_can_event_gradient));
+        }
+    }
     SECTION("two periods, too much") { CHECK(bus.send(with(7, base + 2U * limit)) == lpvg_can_event_gradient); }
 }
 
 TEST_CASE("a signal without codes and without a rate takes any change and every raw value of its range", "[unit][can]") {
-    const lpvg_can_signal_rule_t plain = {4U, 12U, 0U, 0xFFFU, 0U, 0U, 0U};
-    const lpvg_can_rule_t        rules[] = {{1U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 2U, 1U, &plain},
+    const lpvg_can_signal_rule_t plain = {4U, 16U, 0U, 0xFFFFU, 0U, 0U, 0U};  // in three bytes
+    const lpvg_can_rule_t        rules[] = {{1U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 3U, 1U, &plain},
                                             {2U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 0U, 0U, nullptr}};
     lpvg_can_supervisor_t self;
     REQUIRE(lpvg_can_init(&self, rules, 2U, 0) == lpvg_status_ok);
@@ -276,12 +286,14 @@ TEST_CASE("a signal without codes and without a rate takes any change and every 
     for (int64_t k = 1; k <= 10; ++k) {
         lpvg_can_frame_t frame{};
         frame.id      = 1U;
-        frame.dlc     = 2U;
+        frame.dlc     = 3U;
         frame.t_us    = 10'000 * k;
-        frame.data[0] = frame.data[1] = static_cast<uint8_t>((k % 2 == 0) ? 0xFFU : 0x00U);
+        frame.data[0] = (k % 2 == 0) ? 0x1FU : 0xE0U;
+        frame.data[1] = (k % 2 == 0) ? 0x32U : 0xCDU;
+        frame.data[2] = (k % 2 == 0) ? 0xF4U : 0x0BU;
         CHECK(lpvg_can_receive(&self, &frame, &index) ==
               (k < 5 ? lpvg_can_event_recovering : lpvg_can_event_accepted));
-        CHECK(self.watch[0].raw[0] == (k % 2 == 0 ? 0xFFFU : 0U));
+        CHECK(self.watch[0].raw[0] == (k % 2 == 0 ? 0x4321U : 0xBCDEU));
         frame.id  = 2U;  // a message of no byte is a sign of life
         frame.dlc = 0U;
         lpvg_can_receive(&self, &frame, &index);
