@@ -302,6 +302,22 @@ TEST_CASE("a signal without codes and without a rate takes any change and every 
     CHECK(lpvg_can_state(&self, 1U) == lpvg_can_state_live);
 }
 
+TEST_CASE("signals in the last bytes of a frame", "[unit][can]") {
+    const lpvg_can_signal_rule_t last[] = {{56U, 8U, 0U, 0xFFU, 0U, 0U, 0U}, {48U, 16U, 0U, 0xFFFFU, 0U, 0U, 0U}};
+    const lpvg_can_rule_t        rule   = {1U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 8U, 2U, last};
+    lpvg_can_supervisor_t        self;
+    REQUIRE(lpvg_can_init(&self, &rule, 1U, 0) == lpvg_status_ok);
+    lpvg_can_frame_t frame{};
+    frame.id      = 1U;
+    frame.dlc     = 8U;
+    frame.data[6] = 0x34U;
+    frame.data[7] = 0x12U;
+    uint8_t index = 0U;
+    CHECK(lpvg_can_receive(&self, &frame, &index) == lpvg_can_event_recovering);
+    CHECK(self.watch[0].raw[0] == 0x12U);
+    CHECK(self.watch[0].raw[1] == 0x1234U);
+}
+
 TEST_CASE("counters saturate", "[unit][can]") {
     CanBus bus;
     bus.supervisor.count[lpvg_can_event_unknown_id] = UINT32_MAX;
