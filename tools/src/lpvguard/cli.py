@@ -123,11 +123,14 @@ def export(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(help
            = None) -> None:
     """Generate the C folder of a vehicle: coefficients, controller, signal table, CAN codec, manifest."""
     from .control_export import load_controller
+    from .design import verify
     from .export import export_vehicle
 
     stored = _stored(identification, vehicle)
     if controller is not None and controller.is_dir():
         controller = controller / "controller.json"
+    if controller is not None:
+        verify(controller, stored)
     export_vehicle(stored, out, load_controller(controller) if controller else None)
     console.print(f"{stored.project.name}: written to {out}")
 
