@@ -72,6 +72,25 @@ def generate(vehicle: Vehicle, out: Out,
     console.print(f"{count} drives written to {out}")
 
 
+@app.command(epilog="Example: lpvguard ingest drive.log --dbc car.dbc --signals map.toml -o out/drives")
+def ingest(logs: Annotated[list[Path], typer.Argument(help="candump (-l, -L, .gz), ASC, BLF, TRC, MF4, CSV or Parquet.")],
+           out: Out,
+           dbc: Annotated[Path | None, typer.Option(help="CAN database (default: our own J1939 one).")] = None,
+           signals: Annotated[Path | None, typer.Option(help="Signal map (TOML).")] = None,
+           vehicle: Annotated[str | None, typer.Option("--vehicle", help="Take the signal map from this vehicle.")] = None,
+           json_out: JsonOut = None) -> None:
+    """Turn logs into uniform drive tables, with a report of what was left out and why. Needs no model."""
+    from .ingest import ingest as run
+    from .ingest import map_of_project
+
+    if (signals is None) == (vehicle is None):
+        raise InputError("ingest", "--signals, --vehicle", "both or neither given", "exactly one of them")
+    with _progress("ingest"):
+        report = run(logs, dbc=dbc, signals_map=signals or map_of_project(_load_project(vehicle)), out=out)
+    _emit(json_out, report)
+    console.print(f"{len(logs)} log(s) read; tables and reports written to {out}")
+
+
 @app.command(epilog="Example: lpvguard identify --vehicle g80 DRIVES -o out/identify")
 def identify(vehicle: Vehicle, drives: Annotated[Path, typer.Argument(help="Folder of drives with experiments.csv.")],
              out: Out, json_out: JsonOut = None) -> None:
