@@ -6,6 +6,7 @@ standard error. Nothing is written except where -o or --json says.
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -70,6 +71,15 @@ def generate(vehicle: Vehicle, out: Out,
     with _progress("generate") as tell:
         count = run(project, out, project.seed if seed is None else seed, tell)
     console.print(f"{count} drives written to {out}")
+
+
+@app.command(epilog="Example: lpvguard plant frequency-response", context_settings={
+    "allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []})
+def plant(context: typer.Context) -> None:
+    """Run the simulated truck's own tool: its frequency response against Table I, single experiments, a digest."""
+    from .generate import plant_tool
+
+    raise typer.Exit(subprocess.run([plant_tool(), *context.args], check=False).returncode)
 
 
 @app.command(epilog="Example: lpvguard ingest drive.log --dbc car.dbc --signals map.toml -o out/drives")
