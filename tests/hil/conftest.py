@@ -26,7 +26,7 @@ def truck_folder(truck, tmp_path_factory) -> Path:
     """Generated C folder of a truck identified on few drives, with the hand-made controller."""
     folder = tmp_path_factory.mktemp("truck")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(generate, "BOUND_SPEEDS", (8.0, 12.0, 17.0, 22.0))
+        patch.setattr(generate, "BOUND_SPEEDS", (8.3, 12.0, 17.0, 21.7))
         patch.setattr(generate, "CALIBRATION_SPEEDS", (9.0, 15.0, 21.0))
         patch.setattr(generate, "ZERO_INPUT_SPEEDS", (12.0,))
         generate.generate(truck, folder / "drives", truck.seed)

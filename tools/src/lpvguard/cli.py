@@ -6,6 +6,7 @@ standard error. Nothing is written except where -o or --json says.
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -70,6 +71,34 @@ def generate(vehicle: Vehicle, out: Out,
     with _progress("generate") as tell:
         count = run(project, out, project.seed if seed is None else seed, tell)
     console.print(f"{count} drives written to {out}")
+
+
+@app.command(epilog="Example: lpvguard plant frequency-response", context_settings={
+    "allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []})
+def plant(context: typer.Context) -> None:
+    """Run the simulated truck's own tool: its frequency response against Table I, single experiments, a digest."""
+    from .generate import plant_tool
+
+    raise typer.Exit(subprocess.run([plant_tool(), *context.args], check=False).returncode)
+
+
+@app.command(epilog="Example: lpvguard ingest drive.log --dbc car.dbc --signals map.toml -o out/drives")
+def ingest(logs: Annotated[list[Path], typer.Argument(help="candump (-l, -L, .gz), ASC, BLF, TRC, MF4, CSV or Parquet.")],
+           out: Out,
+           dbc: Annotated[Path | None, typer.Option(help="CAN database (default: our own J1939 one).")] = None,
+           signals: Annotated[Path | None, typer.Option(help="Signal map (TOML).")] = None,
+           vehicle: Annotated[str | None, typer.Option("--vehicle", help="Take the signal map from this vehicle.")] = None,
+           json_out: JsonOut = None) -> None:
+    """Turn logs into uniform drive tables, with a report of what was left out and why. Needs no model."""
+    from .ingest import ingest as run
+    from .ingest import map_of_project
+
+    if (signals is None) == (vehicle is None):
+        raise InputError("ingest", "--signals, --vehicle", "both or neither given", "exactly one of them")
+    with _progress("ingest"):
+        report = run(logs, dbc=dbc, signals_map=signals or map_of_project(_load_project(vehicle)), out=out)
+    _emit(json_out, report)
+    console.print(f"{len(logs)} log(s) read; tables and reports written to {out}")
 
 
 @app.command(epilog="Example: lpvguard identify --vehicle g80 DRIVES -o out/identify")
