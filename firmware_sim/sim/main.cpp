@@ -1,11 +1,12 @@
 // main.cpp -- lpvguard_sim: one scenario of the closed loop over CAN frames; what happened goes to standard output as JSON.
 //
 //   lpvguard_sim SCENARIO --parameters TRUCK.toml [--seed N] [--bus memory|socketcan:INTERFACE] [--engage yes|no]
-//                [--log F] [--frames F] [--telemetry F]
+//                [--log F] [--frames F] [--telemetry F] [--lcm URL]
 //
 //   --log        every frame of the bus as candump -L writes it, with simulated time
 //   --frames     every frame that the monitor judged (CSV)
 //   --telemetry  the loop every 100 ms (CSV)
+//   --lcm        the loop every 10 ms as LCM messages (firmware_sim/lcm), where built with LCM
 //
 // The expectations of the scenario are judged by `lpvguard sim`, which builds and calls this program.
 #include <algorithm>
@@ -23,6 +24,7 @@
 #include "command.hpp"
 #include "firmware.h"
 #include "lpvguard_plant/plant.hpp"
+#include "publisher.hpp"
 #include "loop_bus.hpp"
 #include "vehicle_node.hpp"
 
@@ -119,7 +121,7 @@ private:
 class Loop {
 public:
     Loop(const lpvguard_sim::Scenario& scenario, const lpvguard_plant::PlantParameters& parameters, LoopBus& bus, bool engage,
-         std::FILE* log, std::FILE* frames, std::FILE* telemetry)
+         std::FILE* log, std::FILE* frames, std::FILE* telemetry, lpvguard_sim::Publisher* publisher)
         : duration_s_(scenario.duration_s),
           plant_(lpvguard_plant::varied(parameters, scenario.plant.variation), scenario.plant.drive, scenario.seed,
                  scenario.plant.faults),
@@ -128,7 +130,8 @@ public:
           bus_(bus),
           watcher_(log),
           frames_(frames),
-          telemetry_(telemetry) {
+          telemetry_(telemetry),
+          publisher_(publisher) {
         bus.watch(&FrameWatcher::watch, &watcher_);
         lpvg_ecu_config_t config = firmware_config;
         config.engage = engage;
@@ -214,6 +217,11 @@ private:
                          static_cast<double>(frame.evidence));
         }
         last_frame_ = frame.sequence;
+        if (publisher_ != nullptr) {
+            publisher_->publish(k * tick_us, plant_.truth(),
+                                {command_radps, wanted_radps, vehicle_.demand_bar(), static_cast<double>(ecu.report.margin),
+                                 ecu.report.verdict, ecu.report.supervision});
+        }
         if (telemetry_ != nullptr && k % telemetry_every == 0) {
             const lpvguard_plant::Truth& truth = plant_.truth();
             std::fprintf(telemetry_, "%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%d,%d\n", time_s, truth.speed_mps, command_radps,
@@ -245,6 +253,7 @@ private:
     FrameWatcher watcher_;
     std::FILE* frames_;
     std::FILE* telemetry_;
+    lpvguard_sim::Publisher* publisher_;
     Changes<std::uint8_t> verdicts_, supervision_, implausible_;
     Changes<lpvguard_sim::TroubleCode> troubles_;
     std::int64_t ticks_ = 0;
@@ -255,7 +264,7 @@ private:
 int run(int argc, char** argv) {
     if (argc < 2 || std::strncmp(argv[1], "--", 2) == 0) {
         throw UsageError("usage: lpvguard_sim SCENARIO --parameters TRUCK.toml [--seed N] [--engage yes|no] [--log F] "
-                         "[--frames F] [--telemetry F] [--bus memory|socketcan:INTERFACE]");
+                         "[--frames F] [--telemetry F] [--lcm URL] [--bus memory|socketcan:INTERFACE]");
     }
     lpvguard_plant::Arguments arguments(argc - 2, argv + 2);
     lpvguard_sim::Scenario scenario = lpvguard_sim::load_scenario(argv[1]);
@@ -268,8 +277,13 @@ int run(int argc, char** argv) {
     const std::unique_ptr<LoopBus> bus = lpvguard_sim::open_bus(arguments.text("--bus", "memory"));
     const OutputFile log(arguments.text("--log", "")), frames(arguments.text("--frames", "")),
         telemetry(arguments.text("--telemetry", ""));
+    std::unique_ptr<lpvguard_sim::Publisher> publisher;
+    if (arguments.has("--lcm")) {
+        publisher = lpvguard_sim::open_publisher(arguments.text("--lcm"));
+    }
     arguments.done();
-    const auto loop = std::make_unique<Loop>(scenario, parameters, *bus, engage == "yes", log.get(), frames.get(), telemetry.get());
+    const auto loop = std::make_unique<Loop>(scenario, parameters, *bus, engage == "yes", log.get(), frames.get(), telemetry.get(),
+                                             publisher.get());
     loop->run();
     loop->print(scenario.seed);
     return 0;
