@@ -1,51 +1,10 @@
 // coeff.cpp -- acceptance of coefficients; see coeff.h.
 #include "lpvguard/coeff.h"
 
-#include <cmath>
-#include <cstring>
-#include <type_traits>
-
+#include "acceptance.hpp"
 #include "lpvguard/monitor.h"
 
 namespace {
-
-static_assert(std::is_standard_layout<lpvg_coeff_words_t>::value, "words are walked as bytes");
-static_assert(sizeof(lpvg_coeff_words_t) % sizeof(uint32_t) == 0U, "words only");
-static_assert(sizeof(lpvg_coeff_reals_t) % sizeof(lpvg_real_t) == 0U, "numbers only");
-static_assert(sizeof(lpvg_real_t) == 4U || sizeof(lpvg_real_t) == 8U, "float or double");
-
-constexpr std::size_t n_words = sizeof(lpvg_coeff_words_t) / sizeof(uint32_t);
-constexpr std::size_t n_reals = sizeof(lpvg_coeff_reals_t) / sizeof(lpvg_real_t);
-constexpr std::size_t crc_word = offsetof(lpvg_coeff_words_t, crc32) / sizeof(uint32_t);
-
-uint32_t crc32_byte(uint32_t crc, uint32_t byte) {
-    crc ^= byte;
-    for (int bit = 0; bit < 8; ++bit) {
-        crc = (crc >> 1U) ^ ((crc & 1U) != 0U ? 0xEDB88320U : 0U);
-    }
-    return crc;
-}
-
-// Least significant byte first whatever the target's byte order.
-template <class Word>
-uint32_t crc32_word(uint32_t crc, Word word) {
-    for (std::size_t i = 0; i < sizeof(Word); ++i) {
-        crc = crc32_byte(crc, static_cast<uint32_t>((word >> (8U * i)) & 0xFFU));
-    }
-    return crc;
-}
-
-lpvg_real_t real_at(const lpvg_coeff_t* coeff, std::size_t i) {
-    lpvg_real_t value;
-    std::memcpy(&value, reinterpret_cast<const unsigned char*>(&coeff->reals) + i * sizeof value, sizeof value);
-    return value;
-}
-
-uint32_t word_at(const lpvg_coeff_t* coeff, std::size_t i) {
-    uint32_t value;
-    std::memcpy(&value, reinterpret_cast<const unsigned char*>(&coeff->words) + i * sizeof value, sizeof value);
-    return value;
-}
 
 bool sizes_match(const uint32_t* sizes) {
     return sizes[0] == LPVG_NX && sizes[1] == LPVG_NU && sizes[2] == LPVG_NY && sizes[3] == LPVG_DELAY &&
@@ -81,21 +40,7 @@ bool reals_in_range(const lpvg_coeff_reals_t& r) {
 }  // namespace
 
 extern "C" uint32_t lpvg_coeff_crc32(const lpvg_coeff_t* coeff) {
-    if (coeff == nullptr) {
-        return 0U;
-    }
-    using Bits = std::conditional_t<sizeof(lpvg_real_t) == 4U, uint32_t, uint64_t>;
-    uint32_t crc = 0xFFFFFFFFU;
-    for (std::size_t i = 0; i < n_words; ++i) {
-        crc = crc32_word(crc, i == crc_word ? 0U : word_at(coeff, i));
-    }
-    for (std::size_t i = 0; i < n_reals; ++i) {
-        const lpvg_real_t value = real_at(coeff, i);
-        Bits bits;
-        std::memcpy(&bits, &value, sizeof bits);
-        crc = crc32_word(crc, bits);
-    }
-    return ~crc;
+    return coeff == nullptr ? 0U : lpvguard::coefficients_crc32(*coeff);
 }
 
 extern "C" lpvg_status_t lpvg_coeff_check(const lpvg_coeff_t* coeff) {
@@ -118,10 +63,8 @@ extern "C" lpvg_status_t lpvg_coeff_check(const lpvg_coeff_t* coeff) {
     if (w.crc32 != lpvg_coeff_crc32(coeff)) {
         return lpvg_status_bad_crc;
     }
-    for (std::size_t i = 0; i < n_reals; ++i) {
-        if (!std::isfinite(real_at(coeff, i))) {
-            return lpvg_status_not_finite;
-        }
+    if (!lpvguard::all_finite(coeff->reals)) {
+        return lpvg_status_not_finite;
     }
     return words_in_range(w) && reals_in_range(coeff->reals) ? lpvg_status_ok : lpvg_status_bad_value;
 }

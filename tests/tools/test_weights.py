@@ -29,7 +29,8 @@ def dense(omega, bound, per_piece=40):
     known = ~np.isnan(bound)
     omega, bound = np.asarray(omega)[known], np.asarray(bound)[known]
     pieces = [np.geomspace(a, b, per_piece) for a, b in pairwise(omega)]
-    grid = np.unique(np.concatenate([[0.0], np.geomspace(1e-3, 1, 200) * omega[0], *pieces, np.geomspace(1, 1e3, 200) * omega[-1]]))
+    below, beyond = omega[0] * np.geomspace(1e-3, 1, 200), omega[-1] * np.geomspace(1, 1e3, 200)
+    grid = np.unique(np.concatenate([[0.0], below, *pieces, beyond]))
     return grid, np.exp(np.interp(np.log(np.maximum(grid, 1e-300)), np.log(omega), np.log(bound)))
 
 
@@ -172,6 +173,21 @@ def test_strictly_proper_weights_roll_off_and_say_where_the_claim_ends():
     assert fit.worst_ratio_db - fit.lp_optimum_db <= 0.01
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_strictly_proper_weights_stay_under_their_worst_ratio_beyond_the_band(seed):
+    omega = np.geomspace(0.01, 100, 40)
+    bound = np.exp(np.cumsum(0.2 * np.random.default_rng(seed).standard_normal(40)))
+    fit = fit_overbound(omega, bound, proper="strict")
+    beyond = fit.weight.magnitude(np.geomspace(100, 1e7, 2000)) / bound[-1]
+    assert fit.certificate["ok"] and 20 * math.log10(beyond.max()) <= fit.worst_ratio_db + 0.1
+    assert beyond[-1] <= 1e-3 * beyond[0]
+    assert fit.worst_ratio_db - fit.lp_optimum_db <= 0.01
+
+
+def test_one_sample_has_a_strictly_proper_weight_too():
+    assert fit_overbound([3.0], [2.0], proper="strict").certificate["ok"]
+
+
 # ---------------------------------------------------------------- floor, gaps, refusals
 
 
@@ -273,7 +289,8 @@ def test_a_weight_below_the_constant_beyond_the_ends_is_rejected(omega, bound):
 def test_the_worst_ratio_sees_a_needle_between_samples():
     needle = Weight(np.array([1.0, 0.2, 1.0]), np.array([1.0, 0.002, 1.0]))
     report = verify_overbound(needle, [0.5, 2.0], [0.9, 0.9])
-    assert report.ok and report.max_ratio == pytest.approx(100 / 0.9, rel=1e-6) and report.max_ratio_at == pytest.approx(1.0, rel=1e-3)
+    assert report.ok and report.max_ratio == pytest.approx(100 / 0.9, rel=1e-6)
+    assert report.max_ratio_at == pytest.approx(1.0, rel=1e-3)
 
 
 # ---------------------------------------------------------------- the weight itself
@@ -282,7 +299,8 @@ def test_the_worst_ratio_sees_a_needle_between_samples():
 @pytest.mark.parametrize(("zeros", "poles"), [
     ([], []), ([2.0], [3.0]), ([1e-3, 1e2, 1e3], [1e-2, 1e-2, 1e2]), ([1.0, 1.0, 1.0], [1.0, 1.0, 1.0]),
     ([0.1 + 1j, 0.1 - 1j, 5.0], [0.5, 2 + 9j, 2 - 9j]), ([0.1 + 1j, 0.1 - 1j], [1e-3, 1e3]), ([1e-3, 1e3], [0.1 + 1j, 0.1 - 1j]),
-    ([1e-4, 1e-1, 3.0, 1e3], [1e-5, 2e-2, 1e2, 1e4]), ([], [1.0, 2.0]), ([5.0], [1 + 1j, 1 - 1j, 1e-2]), ([3.0, 0.2], [1.0, 1.0, 7.0]),
+    ([1e-4, 1e-1, 3.0, 1e3], [1e-5, 2e-2, 1e2, 1e4]), ([], [1.0, 2.0]), ([5.0], [1 + 1j, 1 - 1j, 1e-2]),
+    ([3.0, 0.2], [1.0, 1.0, 7.0]),
 ])
 def test_state_space_has_the_response_of_the_weight_and_is_scaled(zeros, poles):
     weight = from_breaks(zeros, poles, 0.7)

@@ -10,6 +10,10 @@
 #define LPVG_NBINS 11
 #define LPVG_NCELLS 32
 #define LPVG_NVARYING 3
+#define LPVG_NK 0
+#define LPVG_NM 0
+#define LPVG_NG 0
+#define LPVG_NA 0
 #define LPVG_ESTIMATOR_ID 4277722750U
 
 #endif

@@ -81,17 +81,23 @@ def new_folder(target: Path) -> Iterator[Path]:
     try:
         scratch.chmod(0o755)
         yield scratch
+        # Two renames and no deletion in between: whoever is killed here leaves the old folder or the new one, whole.
+        old = scratch.with_name(scratch.name + "-old")
         if target.exists():
-            shutil.rmtree(target)
+            target.rename(old)
         scratch.rename(target)
+        shutil.rmtree(old, ignore_errors=True)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
 
 
 def write_file(target: Path, text: str) -> None:
-    """Write a text file whole or not at all."""
+    """Write a text file whole or not at all. A device or pipe is written to, never replaced."""
     target = Path(target)
     try:
+        if target.exists() and not target.is_file():
+            target.write_text(text, encoding="utf-8")
+            return
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile("w", encoding="utf-8", dir=target.parent, prefix=f".{target.name}-",
                                          delete=False) as stream:

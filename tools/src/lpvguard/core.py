@@ -34,6 +34,14 @@ def library_root() -> Path:
     raise InputError(PACKAGE, "lib", "the C core's sources are missing", "lib/ beside tools/, or an installed package")
 
 
+def firmware_root() -> Path:
+    """The folder firmware_sim/ of a checkout. InputError where there is none: the wheel carries the core only."""
+    root = PACKAGE.parents[2] / "firmware_sim"
+    if not (root / "plant" / "CMakeLists.txt").is_file():
+        raise InputError(root, "", "the simulator's sources are missing", "a checkout of the project")
+    return root
+
+
 def shipped_vehicle(name: str) -> Path:
     """Generated folder of a vehicle that is shipped."""
     folder = library_root() / "vehicles" / name
@@ -43,7 +51,8 @@ def shipped_vehicle(name: str) -> Path:
     return folder
 
 
-def _eigen_include() -> str:
+def eigen_include() -> str:
+    """Include folder of Eigen 3. Raises NativeError when there is none."""
     if shutil.which("pkg-config"):
         found = subprocess.run(["pkg-config", "--variable=includedir", "eigen3"], capture_output=True, text=True, check=False)
         path = Path(found.stdout.strip() or "/usr/include") / "eigen3"
@@ -104,7 +113,7 @@ class Core:
         if missing:
             raise InputError(folder, "", f"{', '.join(missing)} missing", "a folder written by `lpvguard export`")
         root = source_root or library_root()
-        sources = [*sorted((root / "src").glob("*.cpp")), self.folder / "lpvguard_coeff.c", PACKAGE / "_core" / "binding.cpp"]
+        sources = [*sorted((root / "src").glob("*.cpp")), *sorted(self.folder.glob("*.c")), PACKAGE / "_core" / "binding.cpp"]
         self.library = self._compile(sources, [root / "include", root / "src", self.folder], double)
         self._lib = ctypes.CDLL(str(self.library))
         self._lib.lpvgb_create.restype = ctypes.c_void_p
@@ -115,7 +124,7 @@ class Core:
 
     def _compile(self, sources: list[Path], includes: list[Path], double: bool) -> Path:
         flags = ["-std=c++17", "-O2", "-fno-exceptions", "-fno-rtti", "-ffp-contract=off", "-fno-math-errno",
-                 "-isystem", _eigen_include(), *(["-DLPVG_DOUBLE"] if double else [])]
+                 "-isystem", eigen_include(), *(["-DLPVG_DOUBLE"] if double else [])]
         try:
             return native.compile_shared(sources, flags=flags, include_dirs=includes, name=f"core_{self.folder.name}")
         except native.NativeError as error:

@@ -135,6 +135,30 @@ class DataSettings(_Strict):
         return self
 
 
+class DesignSettings(_Strict):
+    """Step 8: objectives of Fig. 1 and the scheduled controller. W_t, W_u: gain A_t, A_u and the paper's break frequencies.
+
+    Weights are gain * prod(s/zero + 1) / prod(s/pole + 1), rad/s. ``nodes``: scheduling speeds of the controller, uniform
+    over the model's range.
+    """
+
+    structure: Literal["K_inf", "K_i"] = "K_i"
+    A_t: Positive
+    A_u: Positive
+    W_t_zeros: list[Positive] = [10.0]
+    W_t_poles: list[Positive] = [0.02]
+    W_u_zeros: list[Positive] = [0.02, 0.02]
+    W_u_poles: list[Positive] = [50.0, 50.0]
+    W_R_num: list[float] = [9.0]
+    W_R_den: list[float] = [1.0, 5.4, 9.0]
+    design_speed_mps: Positive = 17.0
+    nodes: Annotated[int, Field(ge=2, le=64)] = 8
+    backoff: Fraction = 0.02
+    order_loss: Fraction = 0.02
+    input_max: list[Positive]
+    input_rate_max_per_s: list[Positive]
+
+
 class Project(_Strict):
     """A vehicle's project file."""
 
@@ -150,6 +174,7 @@ class Project(_Strict):
     weights: WeightSettings
     frame_test: FrameTestSettings
     data: DataSettings
+    design: DesignSettings | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Project:

@@ -27,9 +27,13 @@ a straight line L, lies above it. N - r^2 L D is then a polynomial, and if all i
 converge quadratically, so the search ends. [0, w_1] is such a piece with q = 0 and [w_K, inf) becomes one in 1/x. The
 coefficients of N and D follow from those of W in rational arithmetic; the rounding error of the rest is
 subtracted (up to one rounding of the frequency). A proved ratio is 5e-10 below the one attained, so a weight that merely
-touches its bound is not accepted. Stability and minimum phase are decided by Routh's array in rational arithmetic. The same search with N and D
-exchanged bounds the worst ratio from above. The fit is closed by one scalar gain, ``inflation``, which lifts the weight
-by what the certificate found missing between the grid points.
+touches its bound is not accepted. Stability and minimum phase are decided by Routh's array in rational arithmetic. The same
+search with N and D exchanged bounds the worst ratio from above. The fit is closed by one scalar gain, ``inflation``, which
+lifts the weight by what the certificate found missing between the grid points.
+
+**What it does not do.** The optimum of a given order may want a break beyond the first or last sample, or a sharp resonance
+around a single deep bin of raw scatter; both are kept, since leaving them out costs more than 0.01 dB, and the former are named
+in ``breaks_outside``. Who does not want the scatter's shape hands in an envelope.
 """
 
 from __future__ import annotations
@@ -197,7 +201,8 @@ def fit_overbound(omega, bound, *, max_order=4, order=None, floor=None, tol_db=0
               lowers the worst ratio by more than k ``tol_db``
     order     this order instead; a lower one is returned when the extra states gain nothing (0.002 dB)
     floor     > 0, needed where the bound is 0
-    proper    "biproper" (D(inf) > 0, which H-infinity rank conditions need) or "strict" (roll-off; claims end at omega[-1])
+    proper    "biproper" (D(inf) > 0, which H-infinity rank conditions need) or "strict" (rolls off, from 10 omega[-1] on at the
+              latest; claims end at omega[-1])
     name      of the bound, for messages
 
     Raises ``InputError`` naming the index or the frequency.
@@ -423,18 +428,18 @@ def _least_ratio(top: np.ndarray, bottom: np.ndarray, samples: _Samples, strict:
     y, log_b2 = samples.y, 2.0 * np.log(samples.bound)
     slopes = np.diff(log_b2) / np.log(y[1:] / y[:-1])  # the very logarithm of ``_bound_squared``, however close the samples
     inside = (np.append(0.0, y[:-1]), y, np.append(y[0], y[:-1]), np.append(log_b2[0], log_b2[:-1]), np.append(0.0, slopes))
-    families = [(top, bottom, inside, False)]
+    families = [(top, bottom, inside, lambda v: samples.unit * math.sqrt(v))]
     if not strict:  # [y_K, inf) in 1/y: the reversed polynomials on [0, 1/y_K]
         beyond = (np.zeros(1), 1.0 / y[-1:], 1.0 / y[-1:], log_b2[-1:], np.zeros(1))
-        families.append((top[::-1], bottom[::-1], beyond, True))
+        families.append((top[::-1], bottom[::-1], beyond, lambda v: samples.unit / math.sqrt(v) if v else math.inf))
     least, at, tests, margin = math.inf, math.nan, 0, _PROOF_MARGIN
-    for p, q, pieces, inverted in families:
+    for p, q, pieces, frequency in families:
         points, shapes = np.concatenate(pieces[:2]), tuple(np.tile(v, 2) for v in pieces[2:])
         for halvings in range(_MAX_HALVINGS):
             margin = max(margin, _PROOF_MARGIN * 4.0 ** (halvings - _PATIENCE))
             value, point = _attained(p, q, points, shapes)
             if value < least:
-                least, at = value, samples.unit * math.sqrt(_mirror(point) if inverted else point)
+                least, at = value, frequency(point)
             if not least > 0.0:
                 return 0.0, at, tests
             tests += len(pieces[0])
@@ -443,11 +448,11 @@ def _least_ratio(top: np.ndarray, bottom: np.ndarray, samples: _Samples, strict:
             if not lo.size:
                 break
             if tests > _MAX_TESTS:
-                return 0.0, samples.unit * math.sqrt(_mirror(hi[0]) if inverted else hi[0]), tests
+                return 0.0, frequency(hi[0]), tests
             points = np.where(lo > 0, np.sqrt(lo * hi), 0.25 * hi)
             pieces = (np.concatenate([lo, points]), np.concatenate([points, hi]), *(np.tile(v, 2) for v in shapes))
         else:
-            return 0.0, samples.unit * math.sqrt(_mirror(hi[0]) if inverted else hi[0]), tests
+            return 0.0, frequency(hi[0]), tests
     return math.sqrt(least * (1.0 - margin)), at, tests
 
 
@@ -466,10 +471,6 @@ def _attained(p, q, points, shapes) -> tuple[float, float]:
         ratio = np.where(bottom > 0, (powers @ p - _ROUNDING * (powers @ np.abs(p))) / bottom, math.inf)
     k = int(np.argmin(ratio))
     return float(ratio[k]), float(points[k])
-
-
-def _mirror(point: float) -> float:
-    return 1.0 / point if point else math.inf
 
 
 def _nonnegative(p, q, factor, lo, hi, y0, log0, slope) -> np.ndarray:
@@ -523,6 +524,7 @@ class _Problem:
         self.samples, self.strict = samples, strict
         self._log_w, self._log_b = np.log(samples.omega / samples.unit), np.log(samples.bound)
         first, last = self.band = (self._log_w[0], self._log_w[-1])
+        self.end = math.exp(2.0 * last)
         tail = np.geomspace(_GRID_STEP, math.log(_OUTSIDE), 30)  # dense next to the corner of the bound at either end
         fill = [np.linspace(a, b, int((b - a) / _GRID_STEP) + 2)[:-1] for a, b in zip(self._log_w[:-1], self._log_w[1:])]
         self._place(np.concatenate([[-math.inf], first - tail[::-1], *fill, [last], last + tail, [math.inf]]))
@@ -530,6 +532,8 @@ class _Problem:
     def _place(self, grid: np.ndarray):
         self.y = np.exp(2.0 * grid)
         self.b2 = np.exp(2.0 * np.interp(grid, self._log_w, self._log_b))
+        if self.strict:  # a ceiling that falls from a decade beyond the band, else the roll-off would start anywhere
+            self.b2[:-1] *= np.minimum(1.0, 100.0 * self.end / np.maximum(self.y[:-1], self.end))
         self.below = grid <= self.band[1] if self.strict else np.ones(grid.size, dtype=bool)
         self._grid = grid
 
@@ -660,6 +664,7 @@ def _program(problem, powers, rows, bottom, level_db):
     Unknowns N' = N/t, D and tau; each row over the D of ``bottom``, and that not under 1e-5 of its sum |d_i| y^i, so that
     the solver's tolerance is relative even in a sharp resonance:
     bound^2 D <= t N',  N'/t - bound^2 D <= tau bound^2 D_old,  D >= 1e-5 D_old,  mean of D = 1,  least tau.
+    Where a strictly proper weight may leave the bound, N only stays positive.
     """
     t = 10.0 ** (level_db / 20.0)
     size = powers @ np.abs(bottom)
@@ -671,10 +676,11 @@ def _program(problem, powers, rows, bottom, level_db):
     n_scale, d_scale = n_rows.max(axis=0), d_rows.max(axis=0)
     n_rows, d_rows, mean = n_rows / n_scale, d_rows / d_scale, mean / d_scale
     below, tau = problem.below[rows], np.ones((len(rows), 1))
-    a_ub = np.vstack([np.hstack([-t * n_rows, d_rows, 0 * tau])[below],
+    a_ub = np.vstack([np.hstack([-t * n_rows, d_rows * below[:, None], 0 * tau]),
                       np.hstack([n_rows / t, -d_rows, -tau]),
                       np.hstack([0 * n_rows, -d_rows, 0 * tau])])
-    b_ub = np.concatenate([np.zeros(below.sum() + len(rows)), np.full(len(rows), -_RESOLUTION)])
+    roll_off = np.where(below, 0.0, -_RESOLUTION * problem.end / np.maximum(problem.y[rows], problem.end))
+    b_ub = np.concatenate([roll_off, np.zeros(len(rows)), np.full(len(rows), -_RESOLUTION)])
     cost = np.zeros(a_ub.shape[1])
     cost[-1] = 1.0
     a_eq = np.concatenate([np.zeros(n_rows.shape[1]), mean, [0.0]])[None, :]
@@ -688,7 +694,7 @@ def _program(problem, powers, rows, bottom, level_db):
 
 def _failures(problem: _Problem, ratio2: np.ndarray, level_db: float) -> np.ndarray:
     """y to add: the worst local extremes of the ratio outside [1, level], and one per stretch where D <= 0."""
-    bad = np.isnan(ratio2) | (problem.below & ~(ratio2 > 0))
+    bad = ~((ratio2 > 0) | (problem.strict & np.isinf(problem.y)))
     log_r = 10.0 * np.log10(np.where(ratio2 > 0, ratio2, 1.0))
     miss = np.maximum(log_r - level_db, np.where(problem.below, -log_r, 0.0))
     ends = np.pad(miss, 1, mode="edge")
@@ -708,7 +714,8 @@ def _choose(best: dict[int, _Candidate], tol_db: float) -> int:
 
 
 def _close(problem: _Problem, candidate: _Candidate, lower_order: _Candidate | None):
-    """Weight, inflation, certificate and lower limit [dB] of a candidate; None when no stable spectral factor is found.
+    """Weight, inflation, certificate and lower limit [dB] of a candidate; None when no stable spectral factor
+    is found that beats the lower order.
 
     Where the certificate finds the ratio outside what the grid showed, that frequency joins the grid and the order is
     fitted again.
@@ -725,7 +732,8 @@ def _close(problem: _Problem, candidate: _Candidate, lower_order: _Candidate | N
         candidate = _optimum(problem, candidate.order, lower_order, candidate)
         if lower_order is not None and candidate.order == lower_order.order:
             break
-    return closed
+    worse = closed is not None and lower_order is not None and _db(closed[2].max_ratio) > lower_order.ratio_db + _STEP_DB
+    return None if worse else closed
 
 
 def _lift(problem: _Problem, candidate: _Candidate) -> tuple[Weight, float, Certificate]:
@@ -753,11 +761,10 @@ def _roots(polynomial: np.ndarray) -> np.ndarray:
 
 
 def _spectral_factor(square: np.ndarray) -> np.ndarray:
-    """p with |p(jw)|^2 = square(w^2), roots in the open left half-plane; descending powers of s."""
+    """p with |p(jw)|^2 = square(w^2) and roots in the open left half-plane, where there is one; descending powers of s."""
     roots = _roots(square[::-1])
     s = -np.sqrt(-roots.astype(complex))
-    factor = math.sqrt(square[-1]) * np.real(np.poly(s)) if len(s) else np.array([math.sqrt(square[-1])])
-    return np.atleast_1d(factor)
+    return math.sqrt(abs(square[-1])) * np.atleast_1d(np.real(np.poly(s)))
 
 
 def _quadratics(roots: np.ndarray) -> list[np.ndarray]:

@@ -13,6 +13,7 @@ constant D (degree 0) covers Δ varying arbitrarily fast.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -317,30 +318,9 @@ def _polish(work: _Work, scaling: Scaling, level: float, budget: int) -> tuple[f
 
 
 def reduce_controller(work: _Work, K: StateSpace, scaling: Scaling, level: float) -> StateSpace:
-    """K with the fewest states whose certified scaled norm stays ≤ ``level``: truncation in closed-loop
-    coordinates.
-
-    The controller's blocks of the scaled closed loop's Gramians say what each of its states contributes to z
-    from w (Ceton, Wortelboer & Bosgra 1993); works for unstable controllers too. K itself when nothing can
-    go.
-    """
+    """K with the fewest states whose certified scaled norm stays ≤ ``level``; K itself when nothing can go."""
     scaled_plant = work.scaled(work.system, scaling)
-    loop = lft(scaled_plant, K)
-    n = scaled_plant.order
-    try:
-        reach = sl.solve_continuous_lyapunov(loop.A, -loop.B @ loop.B.T)[n:, n:]
-        seen = sl.solve_continuous_lyapunov(loop.A.T, -loop.C.T @ loop.C)[n:, n:]
-    except np.linalg.LinAlgError:
-        return K
-    R, S = _factor(reach), _factor(seen)
-    U, sigma, Vt = np.linalg.svd(S.T @ R)
-    rank = int(np.count_nonzero(sigma > 1e-13 * sigma[0]))
-    scale = 1 / np.sqrt(sigma[:rank])
-    into, out = R @ Vt[:rank].T * scale, (S @ U[:, :rank] * scale).T
-
-    def truncated(order):
-        T, L = into[:, :order], out[:order]
-        return StateSpace(L @ K.A @ T, L @ K.B, K.C @ T, K.D)
+    truncated, rank = _truncations(scaled_plant, K)
 
     def passes(order):
         return hinf_norm(lft(scaled_plant, truncated(order)), rtol=1e-5).upper <= level
@@ -353,6 +333,52 @@ def reduce_controller(work: _Work, K: StateSpace, scaling: Scaling, level: float
         else:
             low = middle
     return K if high > rank else balanced(truncated(high))
+
+
+def _truncations(scaled_plant: StateSpace, K: StateSpace) -> tuple[Callable[[int], StateSpace], int]:
+    """K truncated to any order up to the returned rank, in closed-loop coordinates.
+
+    The controller's blocks of the scaled closed loop's Gramians say what each of its states contributes to z from w
+    (Ceton, Wortelboer & Bosgra 1993); works for unstable controllers too. Rank 0: the Gramians could not be had.
+    """
+    loop = lft(scaled_plant, K)
+    n = scaled_plant.order
+    try:
+        reach = sl.solve_continuous_lyapunov(loop.A, -loop.B @ loop.B.T)[n:, n:]
+        seen = sl.solve_continuous_lyapunov(loop.A.T, -loop.C.T @ loop.C)[n:, n:]
+    except np.linalg.LinAlgError:
+        return lambda order: K, 0
+    R, S = _factor(reach), _factor(seen)
+    U, sigma, Vt = np.linalg.svd(S.T @ R)
+    rank = int(np.count_nonzero(sigma > 1e-13 * sigma[0]))
+    scale = 1 / np.sqrt(sigma[:rank])
+    into, out = R @ Vt[:rank].T * scale, (S @ U[:, :rank] * scale).T
+
+    def truncated(order):
+        T, L = into[:, :order], out[:order]
+        return StateSpace(L @ K.A @ T, L @ K.B, K.C @ T, K.D)
+
+    return truncated, rank
+
+
+def frozen_controllers(plants: Sequence[GeneralisedPlant], scaling: Scaling,
+                       backoff: float) -> tuple[Callable[[int], list[StateSpace]], int]:
+    """H∞ controllers of several plants under one common scaling, as a function of the order they are truncated to, and
+    the largest such order.
+
+    The plants are one scheduled plant at neighbouring operating points; truncated controllers keep their plant's time.
+    """
+    families = []
+    for plant in plants:
+        work = _Work(plant)
+        K = work.controller(scaling, backoff=backoff).controller
+        families.append((plant, *_truncations(work.scaled(work.system, scaling), K)))
+
+    def at_order(order: int) -> list[StateSpace]:
+        return [to_discrete(truncated(order), plant.system.dt) if plant.system.dt else truncated(order)
+                for plant, truncated, _ in families]
+
+    return at_order, min(rank for *_, rank in families)
 
 
 def _factor(gramian: np.ndarray) -> np.ndarray:

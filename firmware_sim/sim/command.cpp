@@ -1,0 +1,68 @@
+#include "command.hpp"
+
+#include <cmath>
+
+#include "lpvguard_plant/plant.hpp"
+#include "lpvguard_plant/random.hpp"
+
+namespace lpvguard_sim {
+namespace {
+
+constexpr double two_pi = 6.283185307179586477;
+constexpr double sample_s = lpvguard_plant::Plant::step_s * lpvguard_plant::Plant::steps_per_sample;
+constexpr double fade_in_s = 5.0;
+constexpr std::uint64_t command_stream = 300;
+constexpr int sines_log = 24;     // dense enough that every monitor bin of the band is excited
+constexpr int sines_linear = 48;  // enough for a nearly Gaussian amplitude
+
+}  // namespace
+
+Command::Command(const CommandSettings& settings, std::uint64_t seed) : settings_(settings) {
+    if (settings_.kind != CommandSettings::Kind::multisine) {
+        return;
+    }
+    lpvguard_plant::Random random(seed, command_stream);
+    const int n = settings_.linear_spacing ? sines_linear : sines_log;
+    amplitude_radps_ = settings_.rms_radps * std::sqrt(2.0 / n);
+    for (int i = 0; i < n; ++i) {
+        // A random place in each of n equal cells: no two seeds repeat with the same period.
+        const double place = (i + random.uniform()) / n;
+        const double omega = settings_.linear_spacing
+                                 ? settings_.low_radps + place * (settings_.high_radps - settings_.low_radps)
+                                 : settings_.low_radps * std::pow(settings_.high_radps / settings_.low_radps, place);
+        const double phase = random.uniform(0.0, two_pi);
+        oscillators_.push_back({std::cos(phase), std::sin(phase), std::cos(omega * sample_s), std::sin(omega * sample_s)});
+    }
+}
+
+double Command::next() {
+    const double time_s = static_cast<double>(samples_++) * sample_s;
+    if (settings_.kind == CommandSettings::Kind::steps) {
+        return std::fmod(time_s, settings_.period_s) < 0.5 * settings_.period_s ? settings_.amplitude_radps
+                                                                                : -settings_.amplitude_radps;
+    }
+    double sum = 0.0;
+    for (Oscillator& o : oscillators_) {
+        sum += o.im;
+        const double re = o.re * o.step_re - o.im * o.step_im;
+        o.im = o.re * o.step_im + o.im * o.step_re;
+        o.re = re;
+    }
+    return amplitude_radps_ * sum * std::fmin(1.0, time_s / fade_in_s);
+}
+
+double ReferenceModel::step(double command_radps) {
+    constexpr double h = sample_s, w2 = 9.0, d = 5.4;
+    constexpr double a0 = 4.0 + 2.0 * d * h + w2 * h * h;
+    constexpr double a1 = 2.0 * w2 * h * h - 8.0;
+    constexpr double a2 = 4.0 - 2.0 * d * h + w2 * h * h;
+    constexpr double b = w2 * h * h;
+    const double out = (b * (command_radps + 2.0 * in_[0] + in_[1]) - a1 * out_[0] - a2 * out_[1]) / a0;
+    in_[1] = in_[0];
+    in_[0] = command_radps;
+    out_[1] = out_[0];
+    out_[0] = out;
+    return out;
+}
+
+}  // namespace lpvguard_sim

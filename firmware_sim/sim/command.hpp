@@ -1,0 +1,40 @@
+/// @file command.hpp -- the driver's yaw-rate command over time, and the reference model that tracking is judged against.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "scenario.hpp"
+
+namespace lpvguard_sim {
+
+/// One call of next() per 10 ms. Same settings and seed: same bits.
+class Command {
+public:
+    Command(const CommandSettings& settings, std::uint64_t seed);
+
+    double next();  ///< [rad/s]
+
+private:
+    struct Oscillator {
+        double re, im;            ///< exp(j phase) of the next sample
+        double step_re, step_im;
+    };
+
+    CommandSettings settings_;
+    std::vector<Oscillator> oscillators_;
+    double amplitude_radps_ = 0.0;
+    std::int64_t samples_ = 0;
+};
+
+/// W_R = 9 / (s^2 + 5.4 s + 9) at 10 ms by the trapezoidal rule (0.1 % at 10 rad/s).
+class ReferenceModel {
+public:
+    double step(double command_radps);
+
+private:
+    double in_[2] = {0.0, 0.0};
+    double out_[2] = {0.0, 0.0};
+};
+
+}  // namespace lpvguard_sim

@@ -1,0 +1,142 @@
+#include "scenario.hpp"
+
+#include <string_view>
+
+#include "lpvg_can_codec.h"
+#include "toml_input.hpp"
+
+namespace lpvguard_sim {
+namespace {
+
+using lpvguard_plant::number;
+using lpvguard_plant::ParameterError;
+using lpvguard_plant::require_in_range;
+using lpvguard_plant::require_known_keys;
+
+struct MessageName {
+    std::string_view name;
+    std::uint32_t id;
+};
+
+constexpr MessageName messages[] = {
+    {"VDC2", LPVG_CAN_VDC2_ID}, {"EBC2", LPVG_CAN_EBC2_ID}, {"CCVS1", LPVG_CAN_CCVS1_ID},
+    {"EBC3", LPVG_CAN_EBC3_ID}, {"EBC1", LPVG_CAN_EBC1_ID}, {"GUARD_IN", LPVG_CAN_GUARD_IN_ID},
+};
+
+/// One table of the file, whose numbers and words are taken by name.
+class Reader {
+public:
+    Reader(const toml::table& table, const std::string& file, const std::string& where)
+        : table_(table), file_(file), where_(where) {}
+
+    double required(std::string_view key, double low, double high) const {
+        const toml::node* const node = table_.get(key);
+        if (node == nullptr) {
+            throw ParameterError(file_ + ": " + where_ + std::string(key) + ": missing, expected a number");
+        }
+        const double value = number(*node, file_, where_ + std::string(key));
+        require_in_range(file_, where_ + std::string(key), value, low, high);
+        return value;
+    }
+
+    double optional(std::string_view key, double otherwise, double low, double high) const {
+        return table_.contains(key) ? required(key, low, high) : otherwise;
+    }
+
+    /// Position of the word at `key` among `allowed`.
+    template <std::size_t count>
+    std::size_t choice(std::string_view key, const std::string_view (&allowed)[count]) const {
+        const std::string word = table_[key].value_or(std::string{});
+        std::string message = file_ + ": " + where_ + std::string(key) + " = \"" + word + "\": expected one of:";
+        for (std::size_t i = 0; i < count; ++i) {
+            if (allowed[i] == word) {
+                return i;
+            }
+            message += " " + std::string(allowed[i]);
+        }
+        throw ParameterError(message);
+    }
+
+private:
+    const toml::table& table_;
+    std::string file_, where_;
+};
+
+CommandSettings read_command(const toml::table& table, const std::string& file) {
+    const Reader reader(table, file, "command.");
+    CommandSettings command;
+    constexpr std::string_view kinds[] = {"zero", "multisine", "steps"};
+    command.kind = static_cast<CommandSettings::Kind>(reader.choice("kind", kinds));
+    switch (command.kind) {
+        case CommandSettings::Kind::zero:
+            require_known_keys(table, file, "command.", {"kind"});
+            break;
+        case CommandSettings::Kind::multisine: {
+            require_known_keys(table, file, "command.", {"kind", "rms_radps", "low_radps", "high_radps", "spacing"});
+            command.rms_radps = reader.required("rms_radps", 0.0, 0.2);
+            command.low_radps = reader.required("low_radps", 0.001, 50.0);
+            command.high_radps = reader.required("high_radps", command.low_radps, 50.0);
+            constexpr std::string_view spacings[] = {"log", "linear"};
+            command.linear_spacing = reader.choice("spacing", spacings) == 1U;
+            break;
+        }
+        case CommandSettings::Kind::steps:
+            require_known_keys(table, file, "command.", {"kind", "amplitude_radps", "period_s"});
+            command.amplitude_radps = reader.required("amplitude_radps", 0.0, 0.5);
+            command.period_s = reader.required("period_s", 0.1, 1e6);
+            break;
+    }
+    return command;
+}
+
+CanFault read_can_fault(const toml::table& table, const std::string& file) {
+    const Reader reader(table, file, "can_fault.");
+    require_known_keys(table, file, "can_fault.", {"message", "kind", "start_s", "end_s", "probability", "delay_s"});
+    CanFault fault;
+    std::string_view names[std::size(messages)];
+    for (std::size_t i = 0; i < std::size(messages); ++i) {
+        names[i] = messages[i].name;
+    }
+    fault.id = messages[reader.choice("message", names)].id;
+    constexpr std::string_view kinds[] = {"lost", "corrupted", "delayed"};
+    fault.kind = static_cast<CanFault::Kind>(reader.choice("kind", kinds));
+    fault.window.start_s = reader.required("start_s", 0.0, 1e9);
+    fault.window.end_s = reader.optional("end_s", fault.window.end_s, fault.window.start_s, 1e9);
+    fault.probability = reader.optional("probability", 1.0, 0.0, 1.0);
+    if (fault.kind == CanFault::Kind::delayed) {
+        fault.delay_s = reader.required("delay_s", 0.0, 1.0);
+    } else if (table.contains("delay_s")) {
+        throw ParameterError(file + ": can_fault.delay_s: only for kind = \"delayed\"");
+    }
+    return fault;
+}
+
+}  // namespace
+
+Scenario load_scenario(const std::string& path) {
+    const std::string text = lpvguard_plant::read_text(path);
+    const toml::table document = lpvguard_plant::parse_toml(text, path);
+    require_known_keys(document, path, "", {"title", "duration_s", "seed", "plant", "command", "can_fault", "expect"});
+    const Reader reader(document, path, "");
+    Scenario scenario;
+    scenario.duration_s = reader.required("duration_s", 1.0, 1e6);
+    scenario.seed = static_cast<std::uint64_t>(reader.optional("seed", 1.0, 0.0, 9e15));
+    scenario.plant = lpvguard_plant::parse_scenario(text, path);
+    const toml::table* const command = document["command"].as_table();
+    if (command == nullptr) {
+        throw ParameterError(path + ": command: missing, expected a table [command]");
+    }
+    scenario.command = read_command(*command, path);
+    if (const toml::node* const node = document.get("can_fault")) {
+        const toml::array* const faults = node->as_array();
+        if (faults == nullptr || !faults->is_homogeneous<toml::table>()) {
+            throw ParameterError(path + ": can_fault: expected an array of tables, [[can_fault]]");
+        }
+        for (const toml::node& fault : *faults) {
+            scenario.can_faults.push_back(read_can_fault(*fault.as_table(), path));
+        }
+    }
+    return scenario;
+}
+
+}  // namespace lpvguard_sim

@@ -1,0 +1,66 @@
+/// @file scenario.hpp -- a scenario file: how the truck is driven, what is asked of it, and what breaks.
+///
+///     title = "..."                    # one line for people
+///     duration_s = 120.0
+///     seed = 1                         # of road, noise, command and bus faults; --seed replaces it
+///     [plant]                          # speed profile, variation, faults: lpvguard_plant/scenario.hpp
+///     [command]                        # yaw-rate command
+///     kind = "multisine"               # multisine, steps or zero
+///     rms_radps = 0.05                 # multisine
+///     low_radps = 0.5                  # multisine: sines of random phase between these frequencies, together of the rms above,
+///     high_radps = 4.0                 #            at most high_radps, faded in over 5 s
+///     spacing = "log"                  # multisine: "log" (few, excitation) or "linear" (many, band-limited noise)
+///     amplitude_radps = 0.05           # steps: from side to side
+///     period_s = 10.0                  # steps: of a whole cycle
+///     [[can_fault]]                    # any number, on messages to the controller
+///     message = "VDC2"
+///     kind = "lost"                    # lost, corrupted (one bit flipped) or delayed
+///     start_s = 30.0
+///     end_s = 60.0                     # optional: until the end
+///     probability = 1.0                # optional, of each frame
+///     delay_s = 0.05                   # delayed
+///     [expect]                         # what must be said and by when: for `lpvguard sim` (tools/src/lpvguard/sim.py)
+///
+/// Unknown keys, wrong types and numbers outside their ranges throw ParameterError naming file, key and range.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "lpvguard_plant/scenario.hpp"
+
+namespace lpvguard_sim {
+
+struct CommandSettings {
+    enum class Kind { zero, multisine, steps };
+    Kind kind = Kind::zero;
+    double rms_radps = 0.0;
+    double low_radps = 0.0;
+    double high_radps = 0.0;
+    bool linear_spacing = false;
+    double amplitude_radps = 0.0;
+    double period_s = 0.0;
+};
+
+struct CanFault {
+    enum class Kind { lost, corrupted, delayed };
+    std::uint32_t id = 0;  ///< Of the message, as sent.
+    Kind kind = Kind::lost;
+    lpvguard_plant::Window window;
+    double probability = 1.0;
+    double delay_s = 0.0;
+};
+
+struct Scenario {
+    double duration_s = 0.0;
+    std::uint64_t seed = 1;
+    lpvguard_plant::Scenario plant;
+    CommandSettings command;
+    std::vector<CanFault> can_faults;
+};
+
+/// Reads and checks a scenario file. Throws lpvguard_plant::ParameterError.
+Scenario load_scenario(const std::string& path);
+
+}  // namespace lpvguard_sim

@@ -1,0 +1,149 @@
+#include "vehicle_node.hpp"
+
+#include <cmath>
+#include <stdexcept>
+
+namespace lpvguard_sim {
+namespace {
+
+constexpr std::uint64_t bus_fault_stream = 200;
+constexpr std::int64_t slow_period_us = 100'000;
+constexpr double kmh_per_mps = 3.6;
+constexpr double kpa_per_bar = 100.0;
+
+float single(double value) { return static_cast<float>(value); }
+
+void require(lpvg_status_t status) {
+    if (status != lpvg_status_ok) {
+        throw std::logic_error("the codec refused a frame of the simulator's own");
+    }
+}
+
+}  // namespace
+
+VehicleNode::VehicleNode(const bus_t* bus, double steering_ratio, const std::vector<CanFault>& faults, std::uint64_t seed)
+    : bus_(bus), steering_ratio_(steering_ratio), faults_(faults), random_(seed, bus_fault_stream) {
+    require(lpvg_can_init(&supervisor_, &lpvg_can_rules[LPVG_CAN_GUARD_OUT_INDEX], 1, 0));
+}
+
+void VehicleNode::send(std::int64_t now_us, const lpvguard_plant::Sensors& sensors, double command_radps) {
+    using lpvguard_plant::Wheel;
+    release_due(now_us);
+    lpvg_can_frame_t frame{};
+    frame.t_us = now_us;
+
+    lpvg_can_vdc2_t vdc2{};
+    vdc2.steering_wheel_angle = lpvg_can_vdc2_steering_wheel_angle_encode(single(sensors.steering_wheel_rad));
+    vdc2.yaw_rate = lpvg_can_vdc2_yaw_rate_encode(single(sensors.yaw_rate_radps));
+    vdc2.lateral_acceleration = lpvg_can_vdc2_lateral_acceleration_encode(single(sensors.lateral_acceleration_mps2));
+    vdc2.longitudinal_acceleration = lpvg_can_vdc2_longitudinal_acceleration_encode(NAN);  // the plant has no such sensor
+    require(lpvg_can_vdc2_pack(&vdc2, &frame));
+    put(frame);
+
+    lpvg_can_guard_in_t in{};
+    in.dp_measured = lpvg_can_guard_in_dp_measured_encode(
+        single(sensors.brake_pressure_right_bar - sensors.brake_pressure_left_bar));
+    in.yaw_rate_command = lpvg_can_guard_in_yaw_rate_command_encode(single(command_radps));
+    require(lpvg_can_guard_in_pack(&in, &frame));
+    require(lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &counter_));
+    put(frame);
+
+    if (now_us % slow_period_us != 0) {
+        return;
+    }
+    const auto& wheel = sensors.wheel_speed_mps;
+    const double front = 0.5 * (wheel[Wheel::front_left] + wheel[Wheel::front_right]);
+    const auto relative = [&](Wheel which) { return single((wheel[which] - front) * kmh_per_mps); };
+    lpvg_can_ebc2_t ebc2{};
+    ebc2.front_axle_speed = lpvg_can_ebc2_front_axle_speed_encode(single(front * kmh_per_mps));
+    ebc2.relative_speed_front_left = lpvg_can_ebc2_relative_speed_front_left_encode(relative(Wheel::front_left));
+    ebc2.relative_speed_front_right = lpvg_can_ebc2_relative_speed_front_right_encode(relative(Wheel::front_right));
+    ebc2.relative_speed_rear1_left = lpvg_can_ebc2_relative_speed_rear1_left_encode(relative(Wheel::rear_left));
+    ebc2.relative_speed_rear1_right = lpvg_can_ebc2_relative_speed_rear1_right_encode(relative(Wheel::rear_right));
+    ebc2.relative_speed_rear2_left = lpvg_can_ebc2_relative_speed_rear2_left_encode(NAN);  // two axles
+    ebc2.relative_speed_rear2_right = lpvg_can_ebc2_relative_speed_rear2_right_encode(NAN);
+    require(lpvg_can_ebc2_pack(&ebc2, &frame));
+    put(frame);
+
+    lpvg_can_ccvs1_t ccvs1{};
+    ccvs1.wheel_based_speed = lpvg_can_ccvs1_wheel_based_speed_encode(single(sensors.speed_mps * kmh_per_mps));
+    require(lpvg_can_ccvs1_pack(&ccvs1, &frame));
+    put(frame);
+
+    lpvg_can_ebc3_t ebc3{};
+    ebc3.pressure_front_left = lpvg_can_ebc3_pressure_front_left_encode(single(sensors.brake_pressure_left_bar * kpa_per_bar));
+    ebc3.pressure_front_right = lpvg_can_ebc3_pressure_front_right_encode(single(sensors.brake_pressure_right_bar * kpa_per_bar));
+    ebc3.pressure_rear1_left = lpvg_can_ebc3_pressure_rear1_left_encode(0.0F);  // only front wheels are braked
+    ebc3.pressure_rear1_right = lpvg_can_ebc3_pressure_rear1_right_encode(0.0F);
+    ebc3.pressure_rear2_left = lpvg_can_ebc3_pressure_rear2_left_encode(NAN);
+    ebc3.pressure_rear2_right = lpvg_can_ebc3_pressure_rear2_right_encode(NAN);
+    ebc3.pressure_rear3_left = lpvg_can_ebc3_pressure_rear3_left_encode(NAN);
+    ebc3.pressure_rear3_right = lpvg_can_ebc3_pressure_rear3_right_encode(NAN);
+    require(lpvg_can_ebc3_pack(&ebc3, &frame));
+    put(frame);
+
+    lpvg_can_ebc1_t ebc1{};
+    ebc1.abs_active = lpvg_can_ebc1_abs_active_encode(0.0F);
+    ebc1.brake_pedal_position = lpvg_can_ebc1_brake_pedal_position_encode(0.0F);
+    require(lpvg_can_ebc1_pack(&ebc1, &frame));
+    put(frame);
+}
+
+void VehicleNode::put(const lpvg_can_frame_t& sent) {
+    lpvg_can_frame_t frame = sent;
+    const double time_s = static_cast<double>(frame.t_us) * 1e-6;
+    for (const CanFault& fault : faults_) {
+        if (fault.id != frame.id || !fault.window.contains(time_s) || random_.uniform() >= fault.probability) {
+            continue;
+        }
+        switch (fault.kind) {
+            case CanFault::Kind::lost:
+                return;
+            case CanFault::Kind::corrupted: {
+                const auto bit = static_cast<unsigned>(random_.uniform(0.0, 64.0));
+                frame.data[bit / 8U] = static_cast<std::uint8_t>(frame.data[bit / 8U] ^ (1U << (bit % 8U)));
+                break;
+            }
+            case CanFault::Kind::delayed:
+                delayed_.push_back({frame.t_us + std::llround(fault.delay_s * 1e6), frame});
+                return;
+        }
+    }
+    bus_send(bus_, &frame);
+}
+
+void VehicleNode::release_due(std::int64_t now_us) {
+    std::size_t kept = 0;
+    for (Delayed& waiting : delayed_) {
+        if (waiting.due_us <= now_us) {
+            waiting.frame.t_us = now_us;
+            bus_send(bus_, &waiting.frame);
+        } else {
+            delayed_[kept++] = waiting;
+        }
+    }
+    delayed_.resize(kept);
+}
+
+void VehicleNode::receive(std::int64_t now_us) {
+    lpvg_can_frame_t frame;
+    while (bus_receive(bus_, now_us, &frame)) {
+        std::uint8_t index = LPVG_CAN_NO_INDEX;
+        if (lpvg_can_receive(&supervisor_, &frame, &index) == lpvg_can_event_accepted) {
+            lpvg_can_guard_out_t out{};
+            float demand_bar = 0.0F;
+            require(lpvg_can_guard_out_unpack(&out, &frame));
+            static_cast<void>(lpvg_can_guard_out_dp_demand_decode(out.dp_demand, &demand_bar));
+            demand_bar_ = static_cast<double>(demand_bar);
+        } else if ((frame.id & 0x00FFFF00U) == 0x00FECA00U) {  // DM1: one frame, one code (lpvg_can_dm1_pack)
+            trouble_.spn = frame.data[2] + 256U * frame.data[3] + 65536U * (frame.data[4] >> 5U);
+            trouble_.fmi = frame.data[4] & 0x1FU;
+        }
+    }
+    lpvg_can_advance(&supervisor_, now_us);
+    if (lpvg_can_state(&supervisor_, 0) == lpvg_can_state_off) {
+        demand_bar_ = 0.0;
+    }
+}
+
+}  // namespace lpvguard_sim

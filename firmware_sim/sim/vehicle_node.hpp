@@ -1,0 +1,56 @@
+/// @file vehicle_node.hpp -- the rest of the truck on the bus: sends what its sensors say, obeys the controller's demand.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "bus.h"
+#include "lpvg_can_codec.h"
+#include "lpvguard_plant/plant.hpp"
+#include "lpvguard_plant/random.hpp"
+#include "scenario.hpp"
+
+namespace lpvguard_sim {
+
+/// A trouble code as it was received; spn 0: none active.
+struct TroubleCode {
+    std::uint32_t spn = 0;
+    std::uint8_t fmi = 0;
+    bool operator!=(const TroubleCode& other) const { return spn != other.spn || fmi != other.fmi; }
+};
+
+class VehicleNode {
+public:
+    VehicleNode(const bus_t* bus, double steering_ratio, const std::vector<CanFault>& faults, std::uint64_t seed);
+
+    /// Sends the messages that are due at now (VDC2 and GUARD_IN every 10 ms, the others every 100 ms), faults applied.
+    void send(std::int64_t now_us, const lpvguard_plant::Sensors& sensors, double command_radps);
+
+    /// Takes what has arrived. The demand stays as it was for two periods without a good GUARD_OUT, and is 0 once its
+    /// supervision says off: the brakes do not hold a demand that nobody stands for.
+    void receive(std::int64_t now_us);
+
+    double demand_bar() const { return demand_bar_; }
+    const TroubleCode& trouble() const { return trouble_; }
+
+private:
+    struct Delayed {
+        std::int64_t due_us;
+        lpvg_can_frame_t frame;
+    };
+
+    void put(const lpvg_can_frame_t& frame);
+    void release_due(std::int64_t now_us);
+
+    const bus_t* bus_;
+    double steering_ratio_;
+    std::vector<CanFault> faults_;
+    lpvguard_plant::Random random_;
+    std::vector<Delayed> delayed_;  ///< In order of sending.
+    lpvg_can_supervisor_t supervisor_{};
+    std::uint8_t counter_ = 0;
+    double demand_bar_ = 0.0;
+    TroubleCode trouble_;
+};
+
+}  // namespace lpvguard_sim

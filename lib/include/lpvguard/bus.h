@@ -1,0 +1,67 @@
+/// @file bus.h -- where a vehicle's signals lie on its CAN bus: what the generated lpvguard_bus.c supplies to ecu.cpp.
+///
+/// Made by `lpvguard export` from the vehicle's signal table and the CAN catalogue, so that neither ecu.cpp nor firmware
+/// names a message. Values come in the units and signs of the signal table.
+#ifndef LPVGUARD_BUS_H
+#define LPVGUARD_BUS_H
+
+#include "lpvguard/can.h"
+#include "lpvguard/config.h"
+
+#if LPVG_NK > 0
+
+LPVG_EXTERN_C_BEGIN
+
+#define lpvg_bus_signals_t LPVG_SYM(bus_signals_t)
+#define lpvg_bus_t LPVG_SYM(bus_t)
+#define lpvg_bus LPVG_SYM(bus)
+#define lpvg_bus_take LPVG_SYM(bus_take)
+#define lpvg_bus_pack_report LPVG_SYM(bus_pack_report)
+
+#define LPVG_BUS_NEEDED_MAX LPVG_CAN_RULES_MAX
+
+/// Newest values received. NaN: absent in the newest frame.
+typedef struct lpvg_bus_signals_t {
+    lpvg_real_t speed;         ///< longitudinal                                              [m/s]
+    lpvg_real_t reference;     ///< yaw-rate command, left > 0                                [rad/s]
+    lpvg_real_t y[LPVG_NY];    ///< outputs of the signal table
+    float yaw_rate;            ///< of the stability system, left > 0: cross-checks           [rad/s]
+    float lateral;             ///< lateral acceleration, left > 0: cross-checks              [m/s2]
+    float wheel_difference;    ///< right less left wheel of the unbraked axle: cross-checks  [m/s]
+} lpvg_bus_signals_t;
+
+/// What the guarded controller tells the vehicle every step.
+typedef struct lpvg_bus_report_t {
+    float   demand;        ///< applied demand                                                [input unit]
+    float   margin;        ///< newest statistic of the frame test                            [-]
+    uint8_t verdict;       ///< lpvg_verdict_t
+    uint8_t supervision;   ///< lpvg_can_state_t
+} lpvg_bus_report_t;
+
+/// A message without which the loop cannot run.
+typedef struct lpvg_bus_need_t {
+    uint8_t  index;  ///< in rules
+    uint32_t spn;    ///< suspect parameter number of its trouble code
+} lpvg_bus_need_t;
+
+typedef struct lpvg_bus_t {
+    const lpvg_can_rule_t* rules;  ///< of the messages received
+    uint8_t n_rules;
+    uint8_t own_address;           ///< J1939 source address
+    uint8_t n_needed;
+    lpvg_bus_need_t needed[LPVG_BUS_NEEDED_MAX];
+} lpvg_bus_t;
+
+extern const lpvg_bus_t lpvg_bus;
+
+/// Takes the signals of an accepted frame of message `index`. Values that are absent become NaN.
+void lpvg_bus_take(lpvg_bus_signals_t* signals, uint8_t index, const lpvg_can_frame_t* frame);
+
+/// Packs the report, end-to-end protected; steps *counter. Values saturate at the ends of their range. frame->t_us is kept.
+/// Returns bad_argument when a pointer is NULL or *counter is out of range.
+LPVG_NODISCARD lpvg_status_t lpvg_bus_pack_report(const lpvg_bus_report_t* report, lpvg_can_frame_t* frame, uint8_t* counter);
+
+LPVG_EXTERN_C_END
+
+#endif
+#endif

@@ -1,0 +1,107 @@
+/// @file controller.h -- robust controller, scheduled over speed, with limits, anti-windup and bumpless engagement.
+///
+///     v_k = C x_k                                                        wanted demand (D = 0: H-infinity controllers)
+///     u_k = v_k within u_{k-1} -+ rate_max Ts, then within -+ u_max      applied demand; engaged
+///     u_k = 0   within u_{k-1} -+ rate_max Ts                            not engaged: released no faster than demanded
+///     x_{k+1} = x_k + A1 x_k + B m_k + L (u_k - v_k)                     A1 = A - I, formed in double
+///
+/// m = (reference, outputs y in the order of the vehicle's signal table). L is chosen so that A - L C is stable: while
+/// the limits act, and while the controller is not engaged, the state follows the applied demand instead of winding up.
+/// What is left of u - v is taken out of the state at the moment of engaging (least change of x), so that the first
+/// engaged demand equals the one before.
+///
+/// Entries are interpolated linearly between LPVG_NG speeds, equally spaced over the scheduling range; beyond its ends the
+/// nearest speed is used. All nodes share one set of coordinates, and only entries of A1 that are not zero at every node
+/// are stored: a block-diagonal realisation costs what its blocks hold.
+///
+/// Use:     init once -> step once per sample period.
+/// Cost:    constant: 2 (LPVG_NA + LPVG_NK (LPVG_NM + 2 LPVG_NU)) multiplications and as many additions a step. Entries are
+///          interpolated where they are used, so a moving speed costs the same as a constant one and nothing is cached.
+/// RAM:     sizeof(lpvg_control_t): LPVG_NK + LPVG_NU numbers and counters. No heap, no locks, no I/O.
+/// Threads: one instance per thread. Fields are for reading only.
+///
+/// A vehicle without controller (LPVG_NK 0) has none of this.
+#ifndef LPVGUARD_CONTROLLER_H
+#define LPVGUARD_CONTROLLER_H
+
+#include "lpvguard/config.h"
+#include "lpvguard/status.h"
+
+#if LPVG_NK > 0
+
+LPVG_EXTERN_C_BEGIN
+
+#define LPVG_CONTROL_MAGIC 0x4C505643U
+#define LPVG_CONTROL_SCHEMA 1U
+
+#define lpvg_control_words_t LPVG_SYM(control_words_t)
+#define lpvg_control_reals_t LPVG_SYM(control_reals_t)
+#define lpvg_control_coeff_t LPVG_SYM(control_coeff_t)
+#define lpvg_control_coeff LPVG_SYM(control_coeff)
+#define lpvg_control_t LPVG_SYM(control_t)
+#define lpvg_control_coeff_check LPVG_SYM(control_coeff_check)
+#define lpvg_control_coeff_crc32 LPVG_SYM(control_coeff_crc32)
+#define lpvg_control_init LPVG_SYM(control_init)
+#define lpvg_control_step LPVG_SYM(control_step)
+
+typedef struct lpvg_control_words_t {
+    uint32_t magic;                     ///< LPVG_CONTROL_MAGIC
+    uint32_t schema;                    ///< LPVG_CONTROL_SCHEMA
+    uint32_t real_bytes;                ///< sizeof(lpvg_real_t)
+    uint32_t sizes[5];                  ///< LPVG_NK, NM, NG, NA, NU
+    uint32_t crc32;                     ///< over all words and numbers, as in coeff.h
+    uint32_t sample_period_us;          ///< Ts                                                       [us]
+    uint32_t row_begin[LPVG_NK + 1];    ///< stored entries of row i of A1: row_begin[i] .. row_begin[i + 1] - 1
+    uint32_t column[LPVG_NA];           ///< their columns
+} lpvg_control_words_t;
+
+/// At each node; states in the design's coordinates, the rest in the units of the signal table.
+typedef struct lpvg_control_reals_t {
+    lpvg_real_t speed_min;                          ///< first node                                   [m/s]
+    lpvg_real_t speed_max;                          ///< last node                                    [m/s]
+    lpvg_real_t u_max[LPVG_NU];                     ///< largest |demand|                             [input unit]
+    lpvg_real_t rate_max[LPVG_NU];                  ///< largest |change of demand|                   [input unit/s]
+    lpvg_real_t A1[LPVG_NG][LPVG_NA];               ///< stored entries of A - I
+    lpvg_real_t B[LPVG_NG][LPVG_NK][LPVG_NM];
+    lpvg_real_t C[LPVG_NG][LPVG_NU][LPVG_NK];
+    lpvg_real_t L[LPVG_NG][LPVG_NK][LPVG_NU];
+} lpvg_control_reals_t;
+
+typedef struct lpvg_control_coeff_t {
+    lpvg_control_words_t words;
+    lpvg_control_reals_t reals;
+} lpvg_control_coeff_t;
+
+/// The vehicle's controller (generated lpvguard_control.c, read-only).
+extern const lpvg_control_coeff_t lpvg_control_coeff;
+
+typedef struct lpvg_control_t {
+    const lpvg_control_coeff_t* coeff;
+    lpvg_real_t x[LPVG_NK];      ///< state
+    lpvg_real_t u[LPVG_NU];      ///< newest applied demand                                           [input unit]
+    bool engaged;                ///< of the newest step
+    uint32_t limited;            ///< engaged steps in which a limit changed the demand, saturating
+    uint32_t bad_samples;        ///< refused steps, saturating
+} lpvg_control_t;
+
+/// Checks magic, schema, sizes, CRC-32, finiteness and value ranges, in this order.
+/// Cost: one pass over the struct. Returns ok, or the status of the first check that fails; bad_argument for NULL.
+LPVG_NODISCARD lpvg_status_t lpvg_control_coeff_check(const lpvg_control_coeff_t* coeff);
+
+/// CRC-32 of the struct as the check expects it in `words.crc32`; 0 for NULL.
+uint32_t lpvg_control_coeff_crc32(const lpvg_control_coeff_t* coeff);
+
+/// Makes *self ready: state and demand zero, not engaged. Coefficients stay referenced and must outlive it.
+/// Returns bad_argument for NULL, or what lpvg_control_coeff_check says; *self is untouched unless ok is returned.
+LPVG_NODISCARD lpvg_status_t lpvg_control_init(lpvg_control_t* self, const lpvg_control_coeff_t* coeff);
+
+/// One sample: measured speed [m/s], measurements m (LPVG_NM), engaged or not. self->u becomes the demand to apply from
+/// now to the next sample. Returns ok; bad_argument (NULL), not_ready (no init): nothing happens.
+/// bad_sample (speed or m not finite, or the state would become so: counted): the step is made not engaged with m left
+/// out, so the demand runs to zero; a state that would not be finite is cleared.
+LPVG_NODISCARD lpvg_status_t lpvg_control_step(lpvg_control_t* self, lpvg_real_t speed, const lpvg_real_t* m, bool engaged);
+
+LPVG_EXTERN_C_END
+
+#endif
+#endif

@@ -1,0 +1,106 @@
+/// @file ecu.h -- the guarded controller as one object: frames in, frames out, once per sample period.
+///
+/// A step judges and decodes what was received, cross-checks it, runs the controller, feeds the monitor with the outputs
+/// and the demand applied from this step on, and answers with the vehicle's report message (every step, end-to-end
+/// protected: demand, margin, verdict, supervision state) and the trouble-code message DM1 (first step, then every second).
+///
+/// Supervision is the worst state (can.h) among the messages that the loop needs:
+///
+///     live -- engaged when asked to be and no reaction forbids it; the monitor is fed
+///     hold -- a needed message is late: not engaged, the demand runs to zero within the rate limit; the monitor has a gap
+///     off  -- a needed message is unusable, or a number was refused: the same, and a trouble code
+///
+/// Not engaged is the safe state: the demand reaches zero after at most u_max / rate_max, the controller's state follows
+/// it, and engaging again does not jump (controller.h). Recovery is by itself, when every needed message is live again;
+/// a message that went off must first deliver LPVG_CAN_RECOVER_FRAMES good frames. A lost message shows as hold in the
+/// report of the first step later than LPVG_CAN_HOLD_MISSED + 1/2 of its periods after its newest good frame.
+///
+/// Use:     init once -> step every sample period with all frames received since the last step, in order of arrival ->
+///          send what it returns. Ask for engagement with the configuration or lpvg_ecu_engage.
+/// Cost:    constant apart from n_in times lpvg_can_receive; one controller step, one monitor push.
+/// RAM:     sizeof(lpvg_ecu_t). No heap, no locks, no I/O, no clock of its own.
+/// Threads: one instance per thread; interrupts may fill the queue of frames, not call in. Fields are for reading only.
+#ifndef LPVGUARD_ECU_H
+#define LPVGUARD_ECU_H
+
+#include "lpvguard/bus.h"
+#include "lpvguard/controller.h"
+#include "lpvguard/monitor.h"
+
+#if LPVG_NK > 0
+
+LPVG_EXTERN_C_BEGIN
+
+#define LPVG_ECU_FRAMES_OUT 2U  ///< Most frames that one step returns.
+
+#define lpvg_ecu_config_t LPVG_SYM(ecu_config_t)
+#define lpvg_ecu_t LPVG_SYM(ecu_t)
+#define lpvg_ecu_init LPVG_SYM(ecu_init)
+#define lpvg_ecu_engage LPVG_SYM(ecu_engage)
+#define lpvg_ecu_step LPVG_SYM(ecu_step)
+
+/// What follows from a finding that is not a fault of the bus.
+typedef enum lpvg_ecu_reaction_t {
+    lpvg_ecu_reaction_report = 0,   ///< Report and trouble code only.
+    lpvg_ecu_reaction_release = 1   ///< And not engaged while it lasts.
+} lpvg_ecu_reaction_t;
+
+typedef struct lpvg_ecu_config_t {
+    bool engage;                                  ///< engage as soon as supervision is live
+    uint8_t on_invalid;                           ///< lpvg_ecu_reaction_t: the monitor's verdict is invalid
+    uint8_t on_implausible;                       ///< lpvg_ecu_reaction_t: a cross-check of the sensors fails
+    lpvg_can_plausibility_limits_t plausibility;  ///< limits of the cross-checks
+} lpvg_ecu_config_t;
+
+/// Findings that DM1 tells, gravest first; the first that is active is the one sent.
+typedef enum lpvg_ecu_fault_t {
+    lpvg_ecu_fault_none = 0,
+    lpvg_ecu_fault_refused = 1,      ///< Speed or a measurement was refused, or the controller's numbers broke down.
+    lpvg_ecu_fault_message = 2,      ///< A needed message is not live.
+    lpvg_ecu_fault_invalid = 3,      ///< The model is falsified.
+    lpvg_ecu_fault_implausible = 4   ///< Sensors contradict each other.
+} lpvg_ecu_fault_t;
+
+#define LPVG_ECU_SPN_REFUSED     520200U  ///< Trouble codes without a standard number (J1939-73 leaves these to makers).
+#define LPVG_ECU_SPN_INVALID     520201U
+#define LPVG_ECU_SPN_IMPLAUSIBLE 520202U
+
+typedef struct lpvg_ecu_t {
+    lpvg_ecu_config_t config;
+    lpvg_can_supervisor_t supervisor;
+    lpvg_can_plausibility_t plausibility;
+    lpvg_bus_signals_t signals;
+    lpvg_control_t control;
+    lpvg_monitor_t monitor;
+    lpvg_bus_report_t report;          ///< as sent by the newest step
+    lpvg_ecu_fault_t fault;            ///< gravest active
+    uint32_t period_us;
+    int64_t now_us;                    ///< of the newest step; negative: none yet                      [us]
+    int64_t dm1_us;                    ///< when DM1 was sent                                           [us]
+    bool engage;                       ///< asked for
+    bool refused;                      ///< speed or a measurement of the newest step was refused
+    bool seen_live;                    ///< supervision has been live since init
+    uint8_t counter;                   ///< of the report message's protection
+    uint8_t occurrence;                ///< times a trouble code became active, 126 at most
+} lpvg_ecu_t;
+
+/// Makes *self ready at time now_us >= 0. Coefficients stay referenced and must outlive it.
+/// Returns bad_argument (NULL, now_us < 0, a reaction or a plausibility limit outside its range), what
+/// lpvg_coeff_check or lpvg_control_coeff_check say, or bad_value when the two sample periods differ.
+/// *self is untouched unless ok is returned.
+LPVG_NODISCARD lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t* coeff, const lpvg_control_coeff_t* control,
+                                           const lpvg_ecu_config_t* config, int64_t now_us);
+
+/// Asks for engagement or release from the next step on. Nothing for NULL.
+void lpvg_ecu_engage(lpvg_ecu_t* self, bool engage);
+
+/// One sample period. frames_in [n_in] may be NULL when n_in is 0. *n_out frames are written to frames_out, with time now_us.
+/// Returns ok; bad_argument (NULL, or max_out < LPVG_ECU_FRAMES_OUT), not_ready (no init), out_of_order (now_us not after
+/// the newest step): nothing is received, changed or sent, and *n_out, where given, is 0.
+LPVG_NODISCARD lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const lpvg_can_frame_t* frames_in, size_t n_in,
+                                           lpvg_can_frame_t* frames_out, size_t max_out, size_t* n_out);
+
+LPVG_EXTERN_C_END
+
+#endif
+#endif

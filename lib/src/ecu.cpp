@@ -1,0 +1,211 @@
+// ecu.cpp -- see ecu.h.
+#include "lpvguard/ecu.h"
+
+#if LPVG_NK > 0
+
+#include <cmath>
+#include <cstring>
+
+namespace {
+
+constexpr int64_t dm1_period_us = 1'000'000;
+constexpr uint8_t occurrence_max = 126U;  // 127 says "unknown"
+
+bool reaction_good(uint8_t reaction) {
+    return reaction == lpvg_ecu_reaction_report || reaction == lpvg_ecu_reaction_release;
+}
+
+// The limits are what lpvg_can_plausibility accepts: asked of it, on a sample that it leaves out.
+bool limits_good(const lpvg_can_plausibility_limits_t& limits) {
+    lpvg_can_plausibility_t scratch{};
+    return lpvg_can_plausibility(&scratch, &limits, NAN, NAN, NAN, NAN) == lpvg_status_ok;
+}
+
+void receive(lpvg_ecu_t& self, const lpvg_can_frame_t* frames, std::size_t n) {
+    for (std::size_t i = 0; i < n; ++i) {
+        uint8_t index = LPVG_CAN_NO_INDEX;
+        if (lpvg_can_receive(&self.supervisor, &frames[i], &index) == lpvg_can_event_accepted) {
+            lpvg_bus_take(&self.signals, index, &frames[i]);
+        }
+    }
+}
+
+// The message that stands worst; n_needed >= 1 by construction of the generated table.
+const lpvg_bus_need_t& worst_need(const lpvg_ecu_t& self) {
+    const lpvg_bus_need_t* worst = &lpvg_bus.needed[0];
+    for (uint8_t i = 1U; i < lpvg_bus.n_needed; ++i) {
+        const lpvg_bus_need_t* need = &lpvg_bus.needed[i];
+        if (lpvg_can_state(&self.supervisor, need->index) < lpvg_can_state(&self.supervisor, worst->index)) {
+            worst = need;
+        }
+    }
+    return *worst;
+}
+
+// Why a message is not live: the rejection that it has seen most of, silence included.
+lpvg_can_event_t main_reason(const lpvg_can_watch_t& watch) {
+    uint8_t reason = lpvg_can_event_missed;
+    for (uint8_t event = lpvg_can_event_early; event <= lpvg_can_event_gradient; ++event) {
+        reason = watch.count[event] > watch.count[reason] ? event : reason;
+    }
+    return static_cast<lpvg_can_event_t>(reason);
+}
+
+lpvg_ecu_fault_t gravest(const lpvg_ecu_t& self, lpvg_can_state_t supervision) {
+    if (self.refused) {
+        return lpvg_ecu_fault_refused;
+    }
+    // Before the bus has come up for the first time nothing is wrong yet.
+    if (supervision != lpvg_can_state_live && self.seen_live) {
+        return lpvg_ecu_fault_message;
+    }
+    if (self.report.verdict == static_cast<uint8_t>(lpvg_verdict_invalid)) {
+        return lpvg_ecu_fault_invalid;
+    }
+    return self.plausibility.flags != 0U ? lpvg_ecu_fault_implausible : lpvg_ecu_fault_none;
+}
+
+lpvg_can_dtc_t trouble_code(const lpvg_ecu_t& self, const lpvg_bus_need_t& need) {
+    constexpr uint8_t fmi_erratic = 2U, fmi_condition_exists = 31U;
+    switch (self.fault) {
+        case lpvg_ecu_fault_message:
+            return {need.spn, lpvg_can_fmi(main_reason(self.supervisor.watch[need.index])), self.occurrence};
+        case lpvg_ecu_fault_invalid: return {LPVG_ECU_SPN_INVALID, fmi_condition_exists, self.occurrence};
+        case lpvg_ecu_fault_implausible: return {LPVG_ECU_SPN_IMPLAUSIBLE, fmi_erratic, self.occurrence};
+        default: return {LPVG_ECU_SPN_REFUSED, fmi_erratic, self.occurrence};
+    }
+}
+
+bool allowed(const lpvg_ecu_t& self) {
+    const bool invalid = self.report.verdict == static_cast<uint8_t>(lpvg_verdict_invalid);
+    return self.engage && !(invalid && self.config.on_invalid == lpvg_ecu_reaction_release) &&
+           !(self.plausibility.flags != 0U && self.config.on_implausible == lpvg_ecu_reaction_release);
+}
+
+void run_controller(lpvg_ecu_t& self, bool live) {
+    lpvg_real_t m[LPVG_NM];
+    m[0] = self.signals.reference;
+    std::memcpy(&m[1], self.signals.y, sizeof self.signals.y);
+    const lpvg_status_t status = lpvg_control_step(&self.control, self.signals.speed, m, live && allowed(self));
+    // Before the first good frame there is nothing to measure, which is not a fault.
+    self.refused = live && status != lpvg_status_ok;
+}
+
+// A gap is what the monitor expects where measurements are old: it restarts behind it.
+void run_monitor(lpvg_ecu_t& self, bool live) {
+    if (live) {
+        lpvg_sample_t sample{};
+        sample.t_us = self.now_us;
+        sample.speed = self.signals.speed;
+        std::memcpy(sample.u, self.control.u, sizeof sample.u);
+        std::memcpy(sample.y, self.signals.y, sizeof sample.y);
+        if (lpvg_monitor_push(&self.monitor, &sample) != lpvg_status_ok) {
+            self.refused = true;
+        }
+    }
+    self.report.verdict = static_cast<uint8_t>(lpvg_monitor_verdict(&self.monitor, self.now_us));
+    self.report.margin = static_cast<float>(lpvg_monitor_frame(&self.monitor)->statistic);
+}
+
+}  // namespace
+
+extern "C" lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t* coeff, const lpvg_control_coeff_t* control,
+                                       const lpvg_ecu_config_t* config, int64_t now_us) {
+    if (self == nullptr || config == nullptr || now_us < 0 || !reaction_good(config->on_invalid) ||
+        !reaction_good(config->on_implausible) || !limits_good(config->plausibility)) {
+        return lpvg_status_bad_argument;
+    }
+    lpvg_status_t status = lpvg_coeff_check(coeff);
+    if (status == lpvg_status_ok) {
+        status = lpvg_control_coeff_check(control);
+    }
+    if (status == lpvg_status_ok && coeff->words.sample_period_us != control->words.sample_period_us) {
+        status = lpvg_status_bad_value;
+    }
+    if (status != lpvg_status_ok) {
+        return status;
+    }
+    std::memset(self, 0, sizeof *self);
+    self->config = *config;
+    self->engage = config->engage;
+    self->period_us = coeff->words.sample_period_us;
+    self->now_us = -1;
+    self->dm1_us = now_us - dm1_period_us;
+    self->signals.speed = self->signals.reference = static_cast<lpvg_real_t>(NAN);
+    for (lpvg_real_t& y : self->signals.y) {
+        y = static_cast<lpvg_real_t>(NAN);
+    }
+    self->signals.yaw_rate = self->signals.lateral = self->signals.wheel_difference = NAN;
+    // The arguments of these three have been checked above or are generated.
+    status = lpvg_monitor_init(&self->monitor, coeff);
+    if (status == lpvg_status_ok) {
+        status = lpvg_control_init(&self->control, control);
+    }
+    return status == lpvg_status_ok ? lpvg_can_init(&self->supervisor, lpvg_bus.rules, lpvg_bus.n_rules, now_us) : status;
+}
+
+extern "C" void lpvg_ecu_engage(lpvg_ecu_t* self, bool engage) {
+    if (self != nullptr) {
+        self->engage = engage;
+    }
+}
+
+extern "C" lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const lpvg_can_frame_t* frames_in, size_t n_in,
+                                       lpvg_can_frame_t* frames_out, size_t max_out, size_t* n_out) {
+    if (n_out != nullptr) {
+        *n_out = 0U;
+    }
+    if (self == nullptr || (frames_in == nullptr && n_in > 0U) || frames_out == nullptr || n_out == nullptr ||
+        max_out < LPVG_ECU_FRAMES_OUT) {
+        return lpvg_status_bad_argument;
+    }
+    if (self->monitor.coeff == nullptr) {
+        return lpvg_status_not_ready;
+    }
+    if (now_us <= self->now_us || now_us < self->supervisor.now_us - LPVG_CAN_REORDER_US) {
+        return lpvg_status_out_of_order;
+    }
+    self->now_us = now_us;
+    receive(*self, frames_in, n_in);
+    lpvg_can_advance(&self->supervisor, now_us);
+    const lpvg_bus_need_t& need = worst_need(*self);
+    const lpvg_can_state_t supervision = lpvg_can_state(&self->supervisor, need.index);
+    const bool live = supervision == lpvg_can_state_live;
+    self->seen_live = self->seen_live || live;
+
+    if (live) {
+        // The limits have been checked by init.
+        (void)!lpvg_can_plausibility(&self->plausibility, &self->config.plausibility, self->signals.yaw_rate,
+                                     self->signals.lateral, static_cast<float>(self->signals.speed),
+                                     self->signals.wheel_difference);
+    }
+    run_controller(*self, live);
+    run_monitor(*self, live);
+    self->report.demand = static_cast<float>(self->control.u[0]);
+    self->report.supervision = static_cast<uint8_t>(self->refused ? lpvg_can_state_off : supervision);
+
+    const lpvg_ecu_fault_t before = self->fault;
+    self->fault = gravest(*self, supervision);
+    if (self->fault != before && self->fault != lpvg_ecu_fault_none) {
+        self->occurrence = static_cast<uint8_t>(self->occurrence + (self->occurrence < occurrence_max ? 1U : 0U));
+    }
+    lpvg_can_frame_t* out = frames_out;
+    out->t_us = now_us;
+    if (lpvg_bus_pack_report(&self->report, out, &self->counter) == lpvg_status_ok) {
+        ++out;
+    }
+    if (now_us - self->dm1_us >= dm1_period_us) {
+        const lpvg_can_dtc_t dtc = trouble_code(*self, need);
+        const bool active = self->fault != lpvg_ecu_fault_none;
+        out->t_us = now_us;
+        const auto lamps = static_cast<uint8_t>(active ? LPVG_CAN_LAMP_AMBER : 0U);
+        if (lpvg_can_dm1_pack(out, lpvg_bus.own_address, lamps, active ? &dtc : nullptr) == lpvg_status_ok) {
+            ++out;
+        }
+        self->dm1_us = now_us;
+    }
+    *n_out = static_cast<std::size_t>(out - frames_out);
+    return lpvg_status_ok;
+}
+
+#endif

@@ -1,0 +1,154 @@
+"""Stage 6, export of a controller: what lib/include/lpvguard/controller.h, bus.h and ecu.h are compiled with.
+
+    lpvguard_control.c          the controller's coefficients
+    lpvguard_bus.c              which messages and signals of the CAN catalogue carry the vehicle's signals
+    lpvg_can_codec.h, .c        the codec of the whole catalogue
+
+Reads   controller.json, written by `lpvguard design`:
+            Ts_s                        sample period [s]
+            speeds (NG,)                nodes [m/s], equally spaced over the project's speed range
+            A (NG, NK, NK), B (NG, NK, NM), C (NG, NU, NK)      discrete; D = 0; measurements: reference, then outputs
+            L (NG, NK, NU)              anti-windup injection, A - L C stable at every node and between
+            u_max (NU,), rate_max (NU,) limits of the demand [input unit], [input unit/s]
+            certificates                optional, kept in the manifest as it is
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import artefacts
+from .can.bus import bus_source
+from .can.codegen import codec_files
+from .errors import InputError
+from .project import Project
+from .sealed import Sealed, coefficient_source
+
+MAGIC, SCHEMA = 0x4C505643, 1
+CONTROL_SIZES = ("NK", "NM", "NG", "NA")
+"""Sizes of a controller in lpvguard_vehicle.h: states, measurements, nodes, stored entries of A - I. Zero without one."""
+MAX_STATES = 40
+ARRAYS = ("speeds", "A", "B", "C", "L", "u_max", "rate_max")
+
+
+@dataclass(frozen=True)
+class ControllerCoefficients(Sealed):
+    """A scheduled controller as the core takes it. ``origin`` goes into the manifest: its file's hash, its certificates."""
+
+    Ts_s: float
+    speeds: np.ndarray
+    origin: dict[str, Any]
+
+    def manifest(self) -> dict[str, Any]:
+        return {"sizes": self.sizes, "Ts_s": self.Ts_s, "speeds": self.speeds, "crc32": self.crc32_by_type(),
+                "u_max": self.reals["u_max"], "rate_max": self.reals["rate_max"], **self.origin}
+
+
+def build_controller(Ts_s: float, speeds: np.ndarray, A: np.ndarray, B: np.ndarray, C: np.ndarray, L: np.ndarray,
+                     u_max: np.ndarray, rate_max: np.ndarray, *, origin: dict[str, Any] | None = None,
+                     where: object = "controller") -> ControllerCoefficients:
+    """Coefficients from a discrete realisation at each node: A (NG, NK, NK), B (NG, NK, NM), C (NG, NU, NK),
+    L (NG, NK, NU), limits (NU,). InputError names ``where``, the array and what is wrong with it."""
+    arrays = {key: np.asarray(value, float) for key, value in zip(ARRAYS, (speeds, A, B, C, L, u_max, rate_max))}
+    speeds, A, B, C, L, u_max, rate_max = arrays.values()
+    _check(where, Ts_s, arrays)
+    A1 = A - np.eye(A.shape[1])
+    stored = np.any(A1 != 0.0, axis=0)
+    stored[0, 0] |= not stored.any()  # the core's arrays must not be empty
+    rows, columns = np.nonzero(stored)
+    row_begin = np.searchsorted(rows, np.arange(A.shape[1] + 1))
+    sizes = dict(zip(CONTROL_SIZES, (A.shape[1], B.shape[2], len(speeds), len(columns))))
+    words = {"magic": MAGIC, "schema": SCHEMA, "real_bytes": 4, "sizes": [*sizes.values(), C.shape[1]], "crc32": 0,
+             "sample_period_us": round(Ts_s * 1e6), "row_begin": row_begin, "column": columns}
+    reals = {"speed_min": speeds[0], "speed_max": speeds[-1], "u_max": u_max, "rate_max": rate_max,
+             "A1": A1[:, rows, columns], "B": B, "C": C, "L": L}
+    return ControllerCoefficients(sizes, {k: np.array(v) for k, v in words.items()},
+                                  {k: np.array(v, float) for k, v in reals.items()}, Ts_s, speeds, origin or {})
+
+
+def replaced_controller(header: str, controller: ControllerCoefficients) -> dict[str, str]:
+    """File name -> text of what changes in a vehicle folder that gets another controller; ``header``: its sizes so far."""
+    for name, value in controller.sizes.items():
+        header = re.sub(rf"(#define LPVG_{name}) \d+", rf"\1 {value}", header)
+    return {"lpvguard_vehicle.h": header,
+            "lpvguard_control.c": coefficient_source(controller, "controller.h", "lpvg_control_coeff")}
+
+
+def load_controller(path: Path) -> ControllerCoefficients:
+    """Read and check ``controller.json`` (the module's docstring says what it holds). Raises InputError."""
+    document = artefacts.read_json(path)
+    if not isinstance(document, dict):
+        raise InputError(path, "", "not an object", "controller.json as `lpvguard design` writes it")
+    missing = [key for key in ("Ts_s", *ARRAYS) if key not in document]
+    if missing:
+        raise InputError(path, ", ".join(missing), "missing", "as `lpvguard design` writes it")
+    arrays = []
+    for key in ARRAYS:
+        try:
+            arrays.append(np.array(document[key], float))
+        except (TypeError, ValueError):
+            raise InputError(path, key, "not an array of numbers", "nested lists of equal lengths") from None
+    if not isinstance(document["Ts_s"], (int, float)):
+        raise InputError(path, "Ts_s", repr(document["Ts_s"]), "a number of seconds")
+    origin = {"sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "certificates": document.get("certificates")}
+    return build_controller(float(document["Ts_s"]), *arrays, origin=origin, where=path)
+
+
+def _check(where: object, Ts_s: float, arrays: dict[str, np.ndarray]) -> None:
+    """InputError unless the arrays fit each other, are finite and the anti-windup is stable."""
+    def refuse(key: str, what: str, expected: str) -> None:
+        raise InputError(where, key, what, expected)
+
+    speeds, A, B, C = (arrays[key] for key in ("speeds", "A", "B", "C"))
+    if not (np.isfinite(Ts_s) and Ts_s > 0):
+        refuse("Ts_s", f"{Ts_s!r}", "a positive number of seconds")
+    if speeds.ndim != 1 or len(speeds) < 2 or not speeds[0] > 0:
+        refuse("speeds", f"shape {speeds.shape}", "two or more positive speeds")
+    if not np.allclose(speeds, np.linspace(speeds[0], speeds[-1], len(speeds)), rtol=1e-9) or speeds[0] >= speeds[-1]:
+        refuse("speeds", f"{speeds.tolist()}", "ascending, equally spaced speeds")
+    if A.ndim != 3 or B.ndim != 3 or C.ndim != 3:
+        refuse("A, B, C", f"of {A.ndim}, {B.ndim} and {C.ndim} dimensions", "three dimensions each, the first over speeds")
+    n_k, n_m, n_u = A.shape[1], B.shape[2], C.shape[1]
+    if not 1 <= n_k <= MAX_STATES:
+        refuse("A", f"{n_k} states", f"1 to {MAX_STATES}")
+    n_g = len(speeds)
+    shapes = {"A": (n_g, n_k, n_k), "B": (n_g, n_k, n_m), "C": (n_g, n_u, n_k), "L": (n_g, n_k, n_u), "u_max": (n_u,),
+              "rate_max": (n_u,)}
+    for key, shape in shapes.items():
+        if arrays[key].shape != shape:
+            refuse(key, f"shape {arrays[key].shape}", f"shape {shape}")
+    for key, value in arrays.items():
+        if not np.isfinite(value).all():
+            refuse(key, "not finite", "finite numbers")
+    for key in ("u_max", "rate_max"):
+        if not (arrays[key] > 0).all():
+            refuse(key, f"{arrays[key].tolist()}", "positive limits")
+    injected = A - arrays["L"] @ C
+    # Between nodes A, L and C are interpolated one by one, so the product is checked there as the core forms it.
+    middle = [(A[i] + A[i + 1]) / 2 - (arrays["L"][i] + arrays["L"][i + 1]) @ (C[i] + C[i + 1]) / 4 for i in range(n_g - 1)]
+    radius = float(np.abs(np.linalg.eigvals(np.concatenate([injected, middle]))).max())
+    if radius >= 1.0:
+        refuse("L", f"spectral radius of A - L C is {radius:.6g}", "below 1 at every node and midway between nodes")
+
+
+def control_files(project: Project, controller: ControllerCoefficients) -> dict[str, str]:
+    """File name -> text of the controller's part of a vehicle folder. InputError when it does not fit the vehicle."""
+    where = f"controller for vehicle {project.name}"
+    n_u = int(controller.words["sizes"][-1])
+    if controller.sizes["NM"] != project.n_y + 1 or n_u != project.n_u:
+        raise InputError(where, "B, C", f"{controller.sizes['NM']} measurements, {n_u} inputs",
+                         f"{project.n_y + 1} (reference and outputs) and {project.n_u}")
+    if round(controller.Ts_s * 1e6) != round(project.Ts_s * 1e6):
+        raise InputError(where, "Ts_s", f"{controller.Ts_s:g}", f"{project.Ts_s:g}, the vehicle's")
+    ends = (project.model.speed_min_mps, project.model.speed_max_mps)
+    if not np.allclose((controller.speeds[0], controller.speeds[-1]), ends, rtol=1e-9):
+        raise InputError(where, "speeds", f"{controller.speeds[0]:g} to {controller.speeds[-1]:g} m/s",
+                         f"{ends[0]:g} to {ends[1]:g} m/s, the model's range")
+    return {"lpvguard_control.c": coefficient_source(controller, "controller.h", "lpvg_control_coeff"),
+            "lpvguard_bus.c": bus_source(project), **codec_files()}

@@ -1,0 +1,253 @@
+"""`lpvguard sim`: the closed loop on a PC -- simulated truck, CAN frames, the compiled ECU loop -- and what it was to show.
+
+The simulator (firmware_sim/) is compiled on first use with the vehicle's generated folder, into the cache that `replay`
+uses too. A scenario file says how the truck is driven and what breaks (firmware_sim/sim/scenario.hpp); its table
+``expect`` says what must be said and by when, and is judged here:
+
+    [expect]
+    verdict = "never_invalid"     # or "invalid": not before fault_start_s, then within within_judged_s; or "any"
+    fault_start_s = 60.0
+    within_judged_s = 30.0        # seconds of judged driving (DESIGN 4.2) after the fault's start
+    supervision = "live"          # once live, always live; or "reacts": live until fault_start_s, then not live within
+    within_periods = 5            #   so many sample periods, and live again within 1 s after fault_end_s
+    fault_end_s = 35.0
+    tracking_ratio_max = 0.25     # optional: tracking_rms / command_rms
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import tempfile
+import tomllib
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from . import artefacts, native
+from .control_export import ControllerCoefficients, build_controller, replaced_controller
+from .core import eigen_include, firmware_root, library_root
+from .errors import InputError
+from .nominal import NominalModel
+from .project import Project, parse_project
+
+Controller = Literal["designed", "feedforward", "off"]
+RECOVERY_S = 1.0
+"""Time after a bus fault within which supervision must be live again: five frames of the slowest message, and a reserve."""
+
+FLAGS = ("-std=c++17", "-O2", "-ffp-contract=off", "-fno-math-errno")
+Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class Expectation(BaseModel):
+    """The table ``expect`` of a scenario; see the module's docstring."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    verdict: Literal["never_invalid", "invalid", "any"]
+    supervision: Literal["live", "reacts"]
+    fault_start_s: Seconds | None = None
+    fault_end_s: Seconds | None = None
+    within_judged_s: Seconds | None = None
+    within_periods: Annotated[int, Field(ge=1)] | None = None
+    tracking_ratio_max: Annotated[float, Field(gt=0)] | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> Expectation:
+        if self.verdict == "invalid" and (self.fault_start_s is None or self.within_judged_s is None):
+            raise ValueError("verdict \"invalid\" needs fault_start_s and within_judged_s")
+        if self.supervision == "reacts" and (self.fault_start_s is None or self.within_periods is None):
+            raise ValueError("supervision \"reacts\" needs fault_start_s and within_periods")
+        return self
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A scenario file: its name, path, what it expects, its seed."""
+
+    name: str
+    path: Path
+    title: str
+    seed: int
+    expect: Expectation
+
+
+def shipped_scenarios() -> list[str]:
+    """Names of the scenarios in firmware_sim/scenarios."""
+    return sorted(p.stem for p in (firmware_root() / "scenarios").glob("*.toml"))
+
+
+def load_scenario(name: str) -> Scenario:
+    """A scenario by shipped name or by path. InputError names the file, the field and what was expected."""
+    path = Path(name)
+    if path.suffix != ".toml":
+        path = firmware_root() / "scenarios" / f"{name}.toml"
+        if not path.is_file():
+            raise InputError(name, "SCENARIO", "unknown", f"one of {', '.join(shipped_scenarios())}, or a path to *.toml")
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(path, "", f"cannot be read ({error.strerror})", "a scenario file") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(path, "", str(error), "valid TOML") from None
+    try:
+        expect = Expectation.model_validate(document.get("expect"))
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise InputError(path, ".".join(["expect", *map(str, first["loc"])]), "refused", first["msg"]) from None
+    seed = document.get("seed", 1)
+    if not isinstance(seed, int) or seed < 0:
+        raise InputError(path, "seed", repr(seed), "a whole number from 0")
+    return Scenario(path.stem, path, str(document.get("title", "")), seed, expect)
+
+
+def feedforward(project: Project, u_max: np.ndarray, rate_max: np.ndarray) -> ControllerCoefficients:
+    """The comparison: the command over the nominal model's DC gain, nothing fed back, one sample late as any controller."""
+    model = NominalModel(project)
+    speeds = np.linspace(*model.speed_range, 15)
+    A, B = model.matrices(speeds)
+    gain = -(model.C @ np.linalg.solve(A, B))[:, 0, 0]
+    inputs = np.zeros((len(speeds), 1, 1 + model.n_y))
+    inputs[:, 0, 0] = 1.0 / gain
+    zero = np.zeros((len(speeds), 1, 1))
+    return build_controller(project.Ts_s, speeds, zero, inputs, zero + 1.0, zero, u_max, rate_max, where="feedforward")
+
+
+def _replace_controller(folder: Path, controller: ControllerCoefficients, target: Path) -> None:
+    """A copy of a vehicle folder with another controller."""
+    shutil.copytree(folder, target)
+    artefacts.write_files(target, replaced_controller((target / "lpvguard_vehicle.h").read_text(), controller))
+
+
+class Simulator:
+    """The compiled simulator of one vehicle.
+
+    ``folder`` is a generated folder with a controller. Raises InputError when it has none or does not compile.
+    """
+
+    def __init__(self, folder: Path, *, controller: Controller = "designed"):
+        self.folder, self.controller = Path(folder), controller
+        manifest = artefacts.read_manifest(self.folder, "vehicle")
+        if "controller" not in manifest:
+            raise InputError(folder, "controller", "the vehicle has none", "a folder exported with a controller")
+        self.project = parse_project(manifest["project"], str(self.folder / artefacts.MANIFEST))
+        if controller == "feedforward":
+            limits = (np.array(manifest["controller"][key]) for key in ("u_max", "rate_max"))
+            with tempfile.TemporaryDirectory() as scratch:
+                variant = Path(scratch) / self.folder.name
+                _replace_controller(self.folder, feedforward(self.project, *limits), variant)
+                self.program = self._build(variant)
+        else:
+            self.program = self._build(self.folder)
+
+    def _build(self, folder: Path) -> Path:
+        root, core = firmware_root(), library_root()
+        plant = [root / "plant" / "include", root / "plant" / "src", root / "plant" / "tool"]
+        here = [root / "sim", root / "ecu", root / "ports" / "linux", core / "include", core / "src", folder]
+        vehicle = [*sorted((core / "src").glob("*.cpp")), *sorted(folder.glob("*.c")), *sorted((root / "ecu").glob("*.c")),
+                   *sorted((root / "ports" / "linux").glob("*.c")),
+                   *sorted((root / "sim").glob("*.cpp"))]
+        truth = [*sorted((root / "plant" / "src").glob("*.cpp")), root / "plant" / "tool" / "arguments.cpp"]
+        flags = (*FLAGS, "-isystem", eigen_include())
+        try:
+            with ThreadPoolExecutor() as pool:
+                # The plant knows no vehicle: its objects serve every folder.
+                jobs = [pool.submit(native.compile_object, s, flags=FLAGS, include_dirs=plant) for s in truth]
+                jobs += [pool.submit(native.compile_object, s, flags=flags, include_dirs=[*here, *plant]) for s in vehicle]
+                objects = [job.result() for job in jobs]
+            return native.compile_executable(objects, flags=(), name=f"sim_{folder.name}")
+        except native.NativeError as error:
+            raise InputError(folder, "compiling the simulator", str(error).strip(),
+                             "a C++17 compiler, Eigen 3.4 and libtomlplusplus-dev") from None
+
+    def run(self, scenario: Scenario, *, seed: int | None = None, bus: str = "memory", out: Path | None = None) -> dict[str, Any]:
+        """One run: the object of `lpvguard sim --json` (DESIGN 9). ``bus``: memory or socketcan:INTERFACE. ``out``: a folder
+        for NAME-SEED.log (candump -L), .frames.csv and .telemetry.csv. Same scenario, seed and vehicle: the same bytes but
+        for real_time_factor, which is simulated time over one core's processor time."""
+        seed = scenario.seed if seed is None else seed
+        with tempfile.TemporaryDirectory() as scratch:
+            stem = (out or Path(scratch)) / f"{scenario.name}-{seed}"
+            frames = stem.with_name(stem.name + ".frames.csv")
+            command = [self.program, scenario.path, "--parameters", firmware_root() / "plant" / "truck.toml", "--seed", seed, "--bus", bus,
+                       "--frames", frames, "--engage", "no" if self.controller == "off" else "yes"]
+            if out is not None:
+                out.mkdir(parents=True, exist_ok=True)
+                command += ["--log", f"{stem}.log", "--telemetry", f"{stem}.telemetry.csv"]
+            done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False)
+            if done.returncode != 0:
+                raise InputError(scenario.path, "", done.stderr.strip(), "a scenario and a bus that the simulator accepts")
+            rows = np.genfromtxt(frames, delimiter=",", names=True, ndmin=1)
+        return self._result(scenario, json.loads(done.stdout), rows)
+
+    def _result(self, scenario: Scenario, facts: dict[str, Any], rows: np.ndarray) -> dict[str, Any]:
+        expect = scenario.expect
+        first_invalid = next((t for t, verdict in facts["verdicts"] if verdict == "invalid"), None)
+        spans = judged_spans(rows)
+        start = expect.fault_start_s or 0.0
+        judged = None if first_invalid is None else overlap(spans, start, first_invalid)
+        result = {"scenario": scenario.name, "title": scenario.title, "controller": self.controller,
+                  "expected": expect.model_dump(exclude_none=True), "first_invalid_s": first_invalid,
+                  "judged_to_invalid_s": judged, "judged_s": overlap(spans, start, facts["duration_s"]),
+                  "max_margin": float(rows["margin"].max(initial=0.0)), **facts}
+        return result | {"missed": list(missed(expect, result, self.project.Ts_s))}
+
+
+def judged_spans(rows: np.ndarray) -> list[list[float]]:
+    """Joined spans [t0, t1] of the counted frames [s]."""
+    counted = rows[rows["reason"] <= 1]
+    spans: list[list[float]] = []
+    for begin, end in sorted(zip(counted["t_begin_s"].tolist(), counted["t_end_s"].tolist())):
+        if spans and begin <= spans[-1][1]:
+            spans[-1][1] = max(spans[-1][1], end)
+        else:
+            spans.append([begin, end])
+    return spans
+
+
+def overlap(spans: list[list[float]], start: float, end: float) -> float:
+    """Length of the part of ``spans`` within start..end [s]."""
+    return round(sum(max(0.0, min(b, end) - max(a, start)) for a, b in spans), 6)
+
+
+def missed(expect: Expectation, result: dict[str, Any], Ts_s: float):
+    """What a run did not show although its scenario expects it, one sentence each."""
+    first = result["first_invalid_s"]
+    if expect.verdict == "never_invalid" and first is not None:
+        yield f"invalid at {first:g} s"
+    if expect.verdict == "invalid":
+        if first is None:
+            yield "never invalid"
+        elif first < expect.fault_start_s:
+            yield f"invalid at {first:g} s, before the fault"
+        elif result["judged_to_invalid_s"] > expect.within_judged_s:
+            yield f"invalid only after {result['judged_to_invalid_s']:g} s of judged driving"
+    ratio = result["tracking_rms"] / result["command_rms"] if result["command_rms"] else 0.0
+    if expect.tracking_ratio_max is not None and ratio > expect.tracking_ratio_max:
+        yield f"tracking error is {ratio:.1%} of the command"
+    yield from _supervision_missed(expect, result["supervision"], Ts_s)
+
+
+def _supervision_missed(expect: Expectation, changes: list[list], Ts_s: float):
+    first_live = next((t for t, state in changes if state == "live"), None)
+    if first_live is None:
+        yield "supervision was never live"
+        return
+    left = [t for t, state in changes if t > first_live and state != "live"]
+    if expect.supervision == "live":
+        if left:
+            yield f"supervision left live at {left[0]:g} s"
+        return
+    deadline = expect.fault_start_s + expect.within_periods * Ts_s
+    if left and left[0] < expect.fault_start_s:
+        yield f"supervision left live at {left[0]:g} s, before the fault"
+    elif not left or left[0] > deadline + 1e-9:
+        yield f"supervision still live at {deadline:g} s"
+    elif expect.fault_end_s is not None:
+        at_deadline = [state for t, state in changes if t <= expect.fault_end_s + RECOVERY_S]
+        if at_deadline[-1] != "live":
+            yield f"supervision not live again at {expect.fault_end_s + RECOVERY_S:g} s"
