@@ -661,7 +661,7 @@ class _Problem:
     def optimum(self, rtol: float, guess: float | None = None) -> float:
         """The infimum of reachable γ, to ``rtol``: a bracket that grows from ``guess``, then secant steps."""
         scale = max(self.floor, 1e-3)
-        start, growth = (max(guess, self.floor * (1 + rtol)), 1 + 20 * rtol) if guess else (2 * scale, 10.0)
+        start, growth = (max(guess, self.floor * (1 + rtol)), 1 + 20 * rtol) if guess else (max(2 * self.floor, 1.0), 10.0)
         value = self.coupling(start)
         if _above_one(value):
             high, high_value, low, low_value = start, value, self.floor, None
