@@ -14,10 +14,13 @@
 /// nearest speed is used. All nodes share one set of coordinates, and only entries of A1 that are not zero at every node
 /// are stored: a block-diagonal realisation costs what its blocks hold.
 ///
+/// Numbers: a slow pole changes its state by far less than it is large, and float would lose that change; what rounding
+///          takes is carried to the next step, so that slow poles and integrators keep their precision in float.
+///
 /// Use:     init once -> step once per sample period.
 /// Cost:    constant: 2 (LPVG_NA + LPVG_NK (LPVG_NM + 2 LPVG_NU)) multiplications and as many additions a step. Entries are
 ///          interpolated where they are used, so a moving speed costs the same as a constant one and nothing is cached.
-/// RAM:     sizeof(lpvg_control_t): LPVG_NK + LPVG_NU numbers and counters. No heap, no locks, no I/O.
+/// RAM:     sizeof(lpvg_control_t): 2 LPVG_NK + LPVG_NU numbers and counters. No heap, no locks, no I/O.
 /// Threads: one instance per thread. Fields are for reading only.
 ///
 /// A vehicle without controller (LPVG_NK 0) has none of this.
@@ -78,6 +81,7 @@ extern const lpvg_control_coeff_t lpvg_control_coeff;
 typedef struct lpvg_control_t {
     const lpvg_control_coeff_t* coeff;
     lpvg_real_t x[LPVG_NK];      ///< state
+    lpvg_real_t carry[LPVG_NK];  ///< what rounding took from the newest change of each state; added to the next
     lpvg_real_t u[LPVG_NU];      ///< newest applied demand                                           [input unit]
     bool engaged;                ///< of the newest step
     uint32_t limited;            ///< engaged steps in which a limit changed the demand, saturating
