@@ -18,8 +18,9 @@ SocketCanBus::SocketCanBus(const std::string& interface) {
         Port& port = ports_[node];
         port.bus = this;
         port.peer = &ports_[node == vehicle ? ecu : vehicle];
-        if (!socketcan_open(&port.socket, interface.c_str(), &port.raw)) {
-            const std::string reason = std::strerror(errno);
+        // Simulated time: the kernel's clock knows nothing of it.
+        if (!socketcan_open(&port.socket, interface.c_str(), nullptr, 0, socketcan_time_now, &port.raw)) {
+            const std::string reason = std::strerror(port.socket.error);
             if (node == ecu) {
                 socketcan_close(&ports_[vehicle].socket);
             }
