@@ -9,6 +9,7 @@
 /// the limits act, and while the controller is not engaged, the state follows the applied demand instead of winding up.
 /// What is left of u - v is taken out of the state at the moment of engaging (least change of x), so that the first
 /// engaged demand equals the one before.
+/// Only that sample is aligned: where C reads a delay state of the controller, the next demand may already move by the rate limit.
 ///
 /// Entries are interpolated linearly between LPVG_NG speeds, equally spaced over the scheduling range; beyond its ends the
 /// nearest speed is used. All nodes share one set of coordinates, and only entries of A1 that are not zero at every node
