@@ -111,13 +111,20 @@ void align(const lpvg_control_reals_t& r, const Place& at, const Real* u, const 
     }
 }
 
-// False, x untouched, when the next state would not be finite.
-bool advance(const lpvg_control_coeff_t& coeff, const Place& at, const Real* m, const Real* excess, Real* x) {
+void clear(lpvg_control_t& self) {
+    std::memset(self.x, 0, sizeof self.x);
+    std::memset(self.carry, 0, sizeof self.carry);
+}
+
+// False, nothing changed, when the next state would not be finite.
+bool advance(lpvg_control_t& self, const Place& at, const Real* m, const Real* excess) {
+    const lpvg_control_coeff_t& coeff = *self.coeff;
+    Real* x = self.x;
     const lpvg_control_words_t& w = coeff.words;
     const lpvg_control_reals_t& r = coeff.reals;
     const Real* below = r.A1[at.node];
     const Real* above = r.A1[at.node + 1U];
-    Real next[nk];
+    Real next[nk], carry[nk];
     for (std::size_t i = 0; i < nk; ++i) {
         Real change = Real(0);
         for (uint32_t e = w.row_begin[i]; e < w.row_begin[i + 1U]; ++e) {
@@ -129,11 +136,14 @@ bool advance(const lpvg_control_coeff_t& coeff, const Place& at, const Real* m, 
         for (std::size_t j = 0; j < nu; ++j) {
             change += between(r.L[at.node][i][j], r.L[at.node + 1U][i][j], at.weight) * excess[j];
         }
+        change += self.carry[i];
         next[i] = x[i] + change;
+        carry[i] = change - (next[i] - x[i]);
     }
     const bool finite = all_finite_at(next, nk);
     if (finite) {
-        std::memcpy(x, next, sizeof next);
+        std::memcpy(self.x, next, sizeof next);
+        std::memcpy(self.carry, carry, sizeof carry);
     }
     return finite;
 }
@@ -195,7 +205,7 @@ extern "C" lpvg_status_t lpvg_control_step(lpvg_control_t* self, lpvg_real_t spe
     wanted(r, at, self->x, v);
     if (!all_finite_at(v, nu)) {  // the state has grown beyond what can be multiplied
         good = false;
-        std::memset(self->x, 0, sizeof self->x);
+        clear(*self);
         wanted(r, at, self->x, v);
     }
     const bool active = engaged && good;
@@ -215,8 +225,8 @@ extern "C" lpvg_status_t lpvg_control_step(lpvg_control_t* self, lpvg_real_t spe
     if (active && limited) {
         count(self->limited);
     }
-    if (!advance(*self->coeff, at, good ? m : nothing, excess, self->x)) {
-        std::memset(self->x, 0, sizeof self->x);
+    if (!advance(*self, at, good ? m : nothing, excess)) {
+        clear(*self);
         good = false;
     }
     self->engaged = active && good;
