@@ -1,6 +1,6 @@
 """lpvguard_plant_tool as its callers use it: experiments repeat to the byte, and bad input leaves no file.
 
-The tool's path comes from the environment variable LPVGUARD_PLANT_TOOL, which ctest sets.
+The tool is the one that `lpvguard generate` runs.
 """
 
 import os
@@ -9,8 +9,9 @@ import subprocess
 import numpy as np
 import pytest
 
-TOOL = os.environ.get("LPVGUARD_PLANT_TOOL")
-pytestmark = pytest.mark.skipif(TOOL is None, reason="LPVGUARD_PLANT_TOOL does not name the built tool")
+from lpvguard.generate import plant_tool
+
+TOOL = str(plant_tool())
 
 SIGN_FLIP = """
 [plant]
