@@ -31,15 +31,11 @@ def _bounded(submit: Callable[..., Any], wait: Callable[[Any], Any], limit: Call
 
     def run(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
         rest, handles = iter(items), deque()
-        try:
-            while True:
-                handles.extend(submit(function, item) for item in islice(rest, max(0, limit() - len(handles))))
-                if not handles:
-                    return
-                yield wait(handles.popleft())
-        finally:
-            for handle in handles:
-                handle.cancel()
+        while True:
+            handles.extend(submit(function, item) for item in islice(rest, max(0, limit() - len(handles))))
+            if not handles:
+                return
+            yield wait(handles.popleft())
 
     return run
 
