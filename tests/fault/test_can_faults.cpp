@@ -51,6 +51,17 @@ TEST_CASE("silence: hold after exactly 3.5 periods, off after exactly 5.5", "[fa
     CHECK(bus.count(kVdc2, lpvg_can_event_missed) == 5U);
 }
 
+TEST_CASE("a period counts as missed half a period after its frame was due, to the microsecond", "[fault][can]") {
+    for (const int64_t missed : {1, 2, 3, 100}) {
+        CanBus bus;
+        bus.run(1, kWarm);
+        bus.state_at(kVdc2, due(kWarm) + missed * kPeriod + kPeriod / 2);
+        CHECK(bus.count(kVdc2, lpvg_can_event_missed) == static_cast<uint32_t>(missed - 1));
+        bus.state_at(kVdc2, due(kWarm) + missed * kPeriod + kPeriod / 2 + 1);
+        CHECK(bus.count(kVdc2, lpvg_can_event_missed) == static_cast<uint32_t>(missed));
+    }
+}
+
 TEST_CASE("repeated frame: found at once where there is a counter; too soon, it is found without one", "[fault][can]") {
     CanBus bus;
     bus.run(1, kWarm);

@@ -43,19 +43,37 @@ def test_every_path_of_fig_1_is_the_product_of_its_weights(case, omega):
     """The state-uncertain plant against the block diagram written out with transfer functions."""
     P = case_plant(case, OBJECTIVE, "K_is").system
     s = 1j * omega
-    W = {k: response(case[k], s, OBJECTIVE.get(case[k].get("gain") if isinstance(case[k].get("gain"), str) else None))
-         for k in case if k.startswith("W_")}
+    W = {
+        k: response(
+            case[k], s, OBJECTIVE.get(case[k].get("gain") if isinstance(case[k].get("gain"), str) else None)
+        )
+        for k in case
+        if k.startswith("W_")
+    }
     A, B = truck_model.continuous(case["v"], case["wheelbase"])
     resolvent = np.linalg.inv(s * np.eye(3) - A)
     r_u, d_u = (resolvent @ B)[:2, 0]
     G = dict(zip([(o, i) for o in P.outputs for i in P.inputs], P.response([omega])[0].ravel(), strict=True))
     expected = {
-        ("eta_i", "u"): 1, ("eta_s1", "u"): d_u, ("eta_s0", "xi_i"): r_u * W["W_delta_i"],
-        ("eta_s2", "xi_s0"): resolvent[2, 0] * W["W_delta_s"], ("z_t", "xi_s1"): -W["W_t"] * resolvent[0, 1] * W["W_delta_s"],
-        ("z_t", "r_c"): W["W_t"] * W["W_R"] * W["W_C"], ("z_t", "w_r"): -W["W_t"] * W["W_wr"], ("z_t", "n_r"): 0,
-        ("z_t", "u"): -W["W_t"] * r_u, ("z_u", "u"): W["W_u"], ("z_u", "xi_i"): 0, ("y_c", "r_c"): W["W_C"],
-        ("y_r", "n_r"): W["W_nr"], ("y_r", "w_r"): W["W_wr"], ("y_delta", "w_delta"): W["W_wdelta"],
-        ("y_delta", "n_delta"): W["W_ndelta"], ("y_delta", "u"): d_u, ("y_c", "u"): 0, ("y_r", "w_delta"): 0,
+        ("eta_i", "u"): 1,
+        ("eta_s1", "u"): d_u,
+        ("eta_s0", "xi_i"): r_u * W["W_delta_i"],
+        ("eta_s2", "xi_s0"): resolvent[2, 0] * W["W_delta_s"],
+        ("z_t", "xi_s1"): -W["W_t"] * resolvent[0, 1] * W["W_delta_s"],
+        ("z_t", "r_c"): W["W_t"] * W["W_R"] * W["W_C"],
+        ("z_t", "w_r"): -W["W_t"] * W["W_wr"],
+        ("z_t", "n_r"): 0,
+        ("z_t", "u"): -W["W_t"] * r_u,
+        ("z_u", "u"): W["W_u"],
+        ("z_u", "xi_i"): 0,
+        ("y_c", "r_c"): W["W_C"],
+        ("y_r", "n_r"): W["W_nr"],
+        ("y_r", "w_r"): W["W_wr"],
+        ("y_delta", "w_delta"): W["W_wdelta"],
+        ("y_delta", "n_delta"): W["W_ndelta"],
+        ("y_delta", "u"): d_u,
+        ("y_c", "u"): 0,
+        ("y_r", "w_delta"): 0,
     }
     for path, want in expected.items():
         assert G[path] == pytest.approx(want, rel=1e-9, abs=1e-12), path
@@ -89,7 +107,9 @@ def test_k_inf_is_the_reference_gamma(case):
 
 
 def test_table_ii_meets_the_references_at_lower_order(rows):
-    """μ within 3e-4 of the best level known for these weights (given to three digits), at a fraction of its order."""
+    """μ within 3e-4 of the best level known for these weights (given to three digits), at a fraction of its
+    order.
+    """
     assert [r.structure for r in rows] == ["K_inf", "K_i", "K_is"] * 3
     for row in rows:
         assert row.upper <= row.reference * (1 + 4e-4), row
@@ -113,7 +133,9 @@ def test_the_worst_perturbation_found_makes_the_loop_singular(case, rows):
     plant = case_plant(case, {"A_t": row.A_t, "A_u": row.A_u}, "K_i")
     M = lft(plant.system, row.result.controller).response([performance.lower_frequency])[0]
     sigma = np.linalg.svd(np.eye(len(M)) - M @ performance.delta, compute_uv=False)
-    assert sigma[-1] < 1e-8 and np.linalg.norm(performance.delta, 2) == pytest.approx(1 / performance.lower, rel=1e-6)
+    assert sigma[-1] < 1e-8 and np.linalg.norm(performance.delta, 2) == pytest.approx(
+        1 / performance.lower, rel=1e-6
+    )
 
 
 def test_sampling_float32_and_one_sample_of_delay_keep_the_level(case, rows):
@@ -166,12 +188,16 @@ def test_delta_form_separates_modes_and_keeps_what_cannot_be_separated_together(
     assert np.allclose(d.system().response(omega), K.response(omega), rtol=1e-9, atol=1e-14)
     single = d.rounded()
     assert single.F.dtype == np.float32 and single.nonzeros == d.nonzeros
-    error = np.abs(single.system().response(omega) - K.response(omega)).max() / np.abs(K.response(omega)).max()
+    error = (
+        np.abs(single.system().response(omega) - K.response(omega)).max() / np.abs(K.response(omega)).max()
+    )
     assert error < 1e-5
 
 
 def test_float32_of_the_plain_state_matrix_would_lose_the_slow_pole():
-    """Why F = A − I: the same rounding applied to A moves the DC gain of a 0.02 rad/s pole a hundred times further."""
+    """Why F = A − I: the same rounding applied to A moves the DC gain of a 0.02 rad/s pole a hundred times
+    further.
+    """
     K = to_discrete(rational([1.0], [50.0, 1.0]), TS)
     dc = K.response([0.0])[0, 0, 0]
     delta = delta_form(K).rounded().system().response([0.0])[0, 0, 0]
@@ -179,12 +205,17 @@ def test_float32_of_the_plain_state_matrix_would_lose_the_slow_pole():
     assert abs(plain.response([0.0])[0, 0, 0] / dc - 1) > 100 * abs(delta / dc - 1)
 
 
-@pytest.mark.parametrize("call, where", [
-    (lambda c: case_plant(c, OBJECTIVE, "K_x"), "structure"), (lambda c: case_plant(c, OBJECTIVE, "K_i", delay=1), "delay"),
-    (lambda c: delta_form(rational([1.0], [1.0, 1.0])), "dt"), (lambda c: read_case("no such file"), "file"),
-    (lambda c: discretise(StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1), TS), "dt"),
-    (lambda c: delta_form(StateSpace([[0.5]], [[1e60]], [[1e60]], [[1e60]], 0.1)).rounded(), "float32"),
-])
+@pytest.mark.parametrize(
+    "call, where",
+    [
+        (lambda c: case_plant(c, OBJECTIVE, "K_x"), "structure"),
+        (lambda c: case_plant(c, OBJECTIVE, "K_i", delay=1), "delay"),
+        (lambda c: delta_form(rational([1.0], [1.0, 1.0])), "dt"),
+        (lambda c: read_case("no such file"), "file"),
+        (lambda c: discretise(StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1), TS), "dt"),
+        (lambda c: delta_form(StateSpace([[0.5]], [[1e60]], [[1e60]], [[1e60]], 0.1)).rounded(), "float32"),
+    ],
+)
 def test_bad_requests_are_named(case, call, where):
     with pytest.raises(SynthesisError, match=where):
         call(case)

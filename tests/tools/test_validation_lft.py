@@ -118,7 +118,7 @@ def relaxed_feasible(cp, limits, n):
 def test_common_size_matches_bisection_over_semidefinite_programs(name):
     cp = pytest.importorskip("cvxpy")
     n_y, blocks, options = FULL[name]
-    problem, nu, w = made_from_truth(np.random.default_rng(77), n_y, blocks, **options)
+    problem, nu, _ = made_from_truth(np.random.default_rng(77), n_y, blocks, **options)
     gamma = 0.7 * np.linalg.norm(np.linalg.pinv(problem.p22) @ problem.e)
     xi, eta, w_map, t = forms(problem)
     low, high = 0.0, 2.0 * float(nu.max())
@@ -438,6 +438,31 @@ def test_s2_and_the_general_solver_agree():
         s = lft.optimum(problem, data["gamma_w"][k], [1.0, 1.0])
         assert s.lower <= r.upper[k] * (1 + 1e-9) and r.lower[k] <= s.upper * (1 + 1e-9)
         assert s.upper == pytest.approx(r.upper[k], rel=3e-4)
+
+
+def test_s2_marks_points_that_only_the_cap_stops():
+    data = truck_points(2, 20, seed=11)
+    args = [np.array(data[k]) for k in S2_KEYS]
+    assert not s2.solve(*args).at_cap.any()
+    args[0], args[-1] = 100 * args[0], 100 * args[-1]
+    r = s2.solve(*args)
+    cap = 1.0 / np.linalg.norm(data["h_s"], 2, axis=(1, 2))
+    assert r.at_cap.any() and not r.at_cap.all()
+    assert np.all(r.nu_s[~r.at_cap] < s2.NEAR_CAP * cap[~r.at_cap])
+    k = int(np.argmax(r.at_cap))
+    p11 = np.zeros((4, 4), complex)
+    p11[1:] = np.column_stack([data["h_i"][k], data["h_s"][k]])
+    problem = Lft(
+        (Block("full", 1, 1), Block("full", 3, 3)),
+        p11,
+        np.zeros((4, 2), complex),
+        data["c"] @ p11[1:],
+        np.eye(2, dtype=complex),
+        np.append(data["u"][k], data["x_nom"][k]),
+        args[0][k],
+    )
+    with pytest.raises(InputError, match="cap"):
+        lft.optimum(problem, args[-1][k], [1.0, 1.0])
 
 
 def test_s2_is_exactly_zero_where_the_disturbance_explains_all():

@@ -263,12 +263,22 @@ TEST_CASE("gradient: the largest allowed step passes, one more is rejected, a pa
     SECTION("too much, upwards") { CHECK(bus.send(with(6, base + limit + 1U)) == lpvg_can_event_gradient); }
     SECTION("too much, downwards") { CHECK(bus.send(with(6, base - limit - 1U)) == lpvg_can_event_gradient); }
     SECTION("two periods") { CHECK(bus.send(with(7, base + 2U * limit - 1U)) == lpvg_can_event_accepted); }
+    SECTION("a limit without a remainder") {  // lateral acceleration: 150 m/s3 * 2048 / (m/s2) * 10 ms = 3072
+        const auto lateral = lpvg_can_vdc2_lateral_acceleration_encode(0.7F);
+        for (const unsigned step : {3074U, 3073U}) {
+            CanBus fresh = bus;
+            auto   frame = bus.vdc2(6);
+            frame.data[5] = static_cast<uint8_t>((lateral + step) & 0xFFU);
+            frame.data[6] = static_cast<uint8_t>((lateral + step) >> 8U);
+            CHECK(fresh.send(frame) == (step == 3073U ? lpvg_can_event_accepted : lpvg_can_event_gradient));
+        }
+    }
     SECTION("two periods, too much") { CHECK(bus.send(with(7, base + 2U * limit)) == lpvg_can_event_gradient); }
 }
 
 TEST_CASE("a signal without codes and without a rate takes any change and every raw value of its range", "[unit][can]") {
-    const lpvg_can_signal_rule_t plain = {4U, 12U, 0U, 0xFFFU, 0U, 0U, 0U};
-    const lpvg_can_rule_t        rules[] = {{1U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 2U, 1U, &plain},
+    const lpvg_can_signal_rule_t plain = {4U, 16U, 0U, 0xFFFFU, 0U, 0U, 0U};  // in three bytes
+    const lpvg_can_rule_t        rules[] = {{1U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 3U, 1U, &plain},
                                             {2U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 0U, 0U, nullptr}};
     lpvg_can_supervisor_t self;
     REQUIRE(lpvg_can_init(&self, rules, 2U, 0) == lpvg_status_ok);
@@ -276,18 +286,36 @@ TEST_CASE("a signal without codes and without a rate takes any change and every 
     for (int64_t k = 1; k <= 10; ++k) {
         lpvg_can_frame_t frame{};
         frame.id      = 1U;
-        frame.dlc     = 2U;
+        frame.dlc     = 3U;
         frame.t_us    = 10'000 * k;
-        frame.data[0] = frame.data[1] = static_cast<uint8_t>((k % 2 == 0) ? 0xFFU : 0x00U);
+        frame.data[0] = (k % 2 == 0) ? 0x1FU : 0xE0U;
+        frame.data[1] = (k % 2 == 0) ? 0x32U : 0xCDU;
+        frame.data[2] = (k % 2 == 0) ? 0xF4U : 0x0BU;
         CHECK(lpvg_can_receive(&self, &frame, &index) ==
               (k < 5 ? lpvg_can_event_recovering : lpvg_can_event_accepted));
-        CHECK(self.watch[0].raw[0] == (k % 2 == 0 ? 0xFFFU : 0U));
+        CHECK(self.watch[0].raw[0] == (k % 2 == 0 ? 0x4321U : 0xBCDEU));
         frame.id  = 2U;  // a message of no byte is a sign of life
         frame.dlc = 0U;
         lpvg_can_receive(&self, &frame, &index);
         CHECK(index == 1U);
     }
     CHECK(lpvg_can_state(&self, 1U) == lpvg_can_state_live);
+}
+
+TEST_CASE("signals in the last bytes of a frame", "[unit][can]") {
+    const lpvg_can_signal_rule_t last[] = {{56U, 8U, 0U, 0xFFU, 0U, 0U, 0U}, {48U, 16U, 0U, 0xFFFFU, 0U, 0U, 0U}};
+    const lpvg_can_rule_t        rule   = {1U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 8U, 2U, last};
+    lpvg_can_supervisor_t        self;
+    REQUIRE(lpvg_can_init(&self, &rule, 1U, 0) == lpvg_status_ok);
+    lpvg_can_frame_t frame{};
+    frame.id      = 1U;
+    frame.dlc     = 8U;
+    frame.data[6] = 0x34U;
+    frame.data[7] = 0x12U;
+    uint8_t index = 0U;
+    CHECK(lpvg_can_receive(&self, &frame, &index) == lpvg_can_event_recovering);
+    CHECK(self.watch[0].raw[0] == 0x12U);
+    CHECK(self.watch[0].raw[1] == 0x1234U);
 }
 
 TEST_CASE("counters saturate", "[unit][can]") {
@@ -385,8 +413,10 @@ TEST_CASE("cross-checks refuse limits that are not positive", "[unit][can]") {
     CHECK(lpvg_can_plausibility(nullptr, &limits, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_status_bad_argument);
     CHECK(lpvg_can_plausibility(&self, nullptr, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_status_bad_argument);
     SECTION("track") { limits.track_m = 0.0F; }
-    SECTION("speed") { limits.speed_min_mps = GENERATE(kNan, 0.0F); }
-    SECTION("lateral") { limits.lateral_mps2 = GENERATE(-1.0F, 0.0F); }
+    SECTION("speed") { limits.speed_min_mps = kNan; }
+    SECTION("speed 0") { limits.speed_min_mps = 0.0F; }
+    SECTION("lateral") { limits.lateral_mps2 = -1.0F; }
+    SECTION("lateral 0") { limits.lateral_mps2 = 0.0F; }
     SECTION("yaw") { limits.yaw_rps = 0.0F; }
     SECTION("confirm") { limits.confirm = 0U; }
     CHECK(lpvg_can_plausibility(&self, &limits, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_status_bad_argument);

@@ -220,7 +220,7 @@ TEST_CASE("bus-off releases at once", "[unit][ecu]") {
 }
 
 TEST_CASE("a vehicle that does not answer is found out, and released if so configured", "[unit][ecu]") {
-    const auto reaction = GENERATE(lpvg_ecu_reaction_report, lpvg_ecu_reaction_release);
+    const uint8_t reaction = GENERATE(as<uint8_t>{}, lpvg_ecu_reaction_report, lpvg_ecu_reaction_release);
     lpvg_ecu_config_t with = config;
     with.on_invalid = reaction;
     Bench bench(with);
@@ -237,7 +237,7 @@ TEST_CASE("a vehicle that does not answer is found out, and released if so confi
 }
 
 TEST_CASE("sensors that contradict each other are told, and released if so configured", "[unit][ecu]") {
-    const auto reaction = GENERATE(lpvg_ecu_reaction_report, lpvg_ecu_reaction_release);
+    const uint8_t reaction = GENERATE(as<uint8_t>{}, lpvg_ecu_reaction_report, lpvg_ecu_reaction_release);
     lpvg_ecu_config_t with = config;
     with.on_implausible = reaction;
     Bench bench(with);
@@ -285,10 +285,10 @@ TEST_CASE("init refuses what it documents and leaves the object alone", "[unit][
     CHECK(refused(&lpvg_coeff, &lpvg_control_coeff, nullptr, 0) == lpvg_status_bad_argument);
     CHECK(refused(&lpvg_coeff, &lpvg_control_coeff, &config, -1) == lpvg_status_bad_argument);
     lpvg_ecu_config_t wrong = config;
-    wrong.on_invalid = static_cast<lpvg_ecu_reaction_t>(2);
+    wrong.on_invalid = 2U;
     CHECK(refused(&lpvg_coeff, &lpvg_control_coeff, &wrong, 0) == lpvg_status_bad_argument);
     wrong = config;
-    wrong.on_implausible = static_cast<lpvg_ecu_reaction_t>(3);
+    wrong.on_implausible = 3U;
     CHECK(refused(&lpvg_coeff, &lpvg_control_coeff, &wrong, 0) == lpvg_status_bad_argument);
     wrong = config;
     wrong.plausibility.yaw_rps = 0.0F;

@@ -9,6 +9,7 @@
 #include <linux/can/error.h>
 #include <linux/can/raw.h>
 #include <net/if.h>
+#include <poll.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
@@ -115,6 +116,11 @@ bool socketcan_open(socketcan_t* self, const char* interface, const socketcan_fi
         return false;
     }
     return true;
+}
+
+bool socketcan_wait(const socketcan_t* self, int timeout_ms) {
+    pollfd readable{self->socket, POLLIN, 0};
+    return ::poll(&readable, 1, timeout_ms) > 0 && (readable.revents & POLLIN) != 0;
 }
 
 void socketcan_close(socketcan_t* self) {

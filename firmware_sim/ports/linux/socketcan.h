@@ -39,6 +39,9 @@ typedef struct socketcan_t {
 bool socketcan_open(socketcan_t* self, const char* interface, const socketcan_filter_t* filters, size_t n_filters,
                     socketcan_time_t time, bus_t* bus);
 
+/* Waits until a frame can be received. False when none came within timeout_ms, or not open. */
+bool socketcan_wait(const socketcan_t* self, int timeout_ms);
+
 /* Closes; the bus then neither sends nor receives. Does nothing when not open. */
 void socketcan_close(socketcan_t* self);
 

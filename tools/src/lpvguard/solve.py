@@ -218,7 +218,7 @@ def solve_problem(problem: Any) -> dict:
     except InputError as exc:
         text = str(exc) if str(exc).startswith(fields.source) else f"{fields.source}: {exc}"
         return identity | {"status": "error", "error": text}
-    except Exception as exc:  # one bad problem must not stop a fleet job; the type says where to look
+    except Exception as exc:  # noqa: BLE001 - one bad problem must not stop a fleet job
         return identity | {
             "status": "error",
             "error": f"{fields.source}: internal error, {type(exc).__name__}: {exc}",

@@ -115,7 +115,7 @@ def _bytes(path: Path) -> bytes:
 
 
 def _read_candump(path: Path) -> Frames:
-    library = native.kernels()
+    library = native.kernels("candump")
     compressed = path.suffix.lower() == ".gz" or path.stat().st_size == 0  # an empty file cannot be mapped
     text = np.frombuffer(_bytes(path), np.uint8) if compressed else np.memmap(path, np.uint8, "r")
     frames = parse_candump(text, library) if library else parse_candump_slowly(text)

@@ -1,4 +1,6 @@
-"""The paper case: every weight of Fig. 1 frozen in one TOML file, and Table II computed from it beside the paper's."""
+"""The paper case: every weight of Fig. 1 frozen in one TOML file, and Table II computed from it beside the
+paper's.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +12,22 @@ from pathlib import Path
 from lpvguard import truck_model
 from lpvguard.synthesis.dk import DKResult, dk_synthesis
 from lpvguard.synthesis.errors import SynthesisError
-from lpvguard.synthesis.interconnection import STRUCTURES, GeneralisedPlant, Weights, generalised_plant, weight_from_table
+from lpvguard.synthesis.interconnection import (
+    STRUCTURES,
+    GeneralisedPlant,
+    Weights,
+    generalised_plant,
+    weight_from_table,
+)
 
 
 @dataclass(frozen=True)
 class TableRow:
-    """One cell of Table II: ours (certified upper bound of μ, lower bound, order, seconds), a reference's and the paper's.
+    """One cell of Table II: ours (certified upper bound of μ, lower bound, order, seconds), a reference's and
+    the paper's.
 
-    ``full_order``: the order before reduction. reference, reference_order, paper, paper_order: None where not given.
+    ``full_order``: the order before reduction. reference, reference_order, paper, paper_order: None where not
+    given.
     """
 
     structure: str
@@ -47,8 +57,15 @@ def read_case(path) -> dict:
     return case
 
 
-def case_plant(case: dict, objective: dict, structure: str, *, speed: float | None = None, dt: float = 0.0,
-               delay: int = 0) -> GeneralisedPlant:
+def case_plant(
+    case: dict,
+    objective: dict,
+    structure: str,
+    *,
+    speed: float | None = None,
+    dt: float = 0.0,
+    delay: int = 0,
+) -> GeneralisedPlant:
     """Fig. 1 for one objective (A_t, A_u) of a case; ``speed`` in m/s replaces the case's own."""
     gains = {"A_t": objective["A_t"], "A_u": objective["A_u"]}
     weights = Weights(**{f.name: weight_from_table(case[f.name], **gains) for f in fields(Weights)})
@@ -68,23 +85,43 @@ def paper_case(path, dt: float = 0.0, **options) -> list[TableRow]:
             start = time.perf_counter()
             result = dk_synthesis(plant, **options)
             seconds = time.perf_counter() - start
-            known = objective.get(f"mu_{structure}", {"mu": objective.get("gamma_K_inf")} if structure == "K_inf" else {})
+            known = objective.get(
+                f"mu_{structure}", {"mu": objective.get("gamma_K_inf")} if structure == "K_inf" else {}
+            )
             paper = objective.get("paper", {})
             orders = paper.get("orders")
-            rows.append(TableRow(structure, objective["A_t"], objective["A_u"], result.performance.upper,
-                                 result.performance.lower, result.controller.order, result.full_order, seconds,
-                                 known.get("mu"), known.get("order"), paper.get(structure), orders and orders[k], result))
+            rows.append(
+                TableRow(
+                    structure,
+                    objective["A_t"],
+                    objective["A_u"],
+                    result.performance.upper,
+                    result.performance.lower,
+                    result.controller.order,
+                    result.full_order,
+                    seconds,
+                    known.get("mu"),
+                    known.get("order"),
+                    paper.get(structure),
+                    orders and orders[k],
+                    result,
+                )
+            )
     return rows
 
 
 def format_table(rows: list[TableRow]) -> str:
     """The rows as fixed-width text: ours, the reference's and the paper's side by side."""
-    lines = [f"{'':6}{'A_t':>6}{'A_u':>8}{'certified':>11}{'lower':>9}{'order':>7}{'time':>8}"
-             f"{'reference':>11}{'order':>7}{'paper':>8}{'order':>7}"]
+    lines = [
+        f"{'':6}{'A_t':>6}{'A_u':>8}{'certified':>11}{'lower':>9}{'order':>7}{'time':>8}"
+        f"{'reference':>11}{'order':>7}{'paper':>8}{'order':>7}"
+    ]
     for r in rows:
-        lines.append(f"{r.structure:6}{r.A_t:>6g}{r.A_u:>8.0e}{r.upper:>11.5f}{r.lower:>9.5f}{r.order:>7d}"
-                     f"{r.seconds:>7.2f}s{_or_dash(r.reference):>11}{_or_dash(r.reference_order):>7}"
-                     f"{_or_dash(r.paper):>8}{_or_dash(r.paper_order):>7}")
+        lines.append(
+            f"{r.structure:6}{r.A_t:>6g}{r.A_u:>8.0e}{r.upper:>11.5f}{r.lower:>9.5f}{r.order:>7d}"
+            f"{r.seconds:>7.2f}s{_or_dash(r.reference):>11}{_or_dash(r.reference_order):>7}"
+            f"{_or_dash(r.paper):>8}{_or_dash(r.paper_order):>7}"
+        )
     return "\n".join(lines)
 
 

@@ -2,9 +2,10 @@
 
 What comes out is verified like any controller: ``dk.certify`` on the discrete plant.
 
-The core computes x += F x + B u, y = C x + D u with F = A − I formed in double: a slow pole of 0.02 rad/s at 5 ms is
-0.9999, and rounding 1 − 1e-4 to float32 would lose four digits of it. F is block diagonal with a bounded-condition
-transformation (Bavely & Stewart 1979): modal where modes separate, small blocks where they do not.
+The core computes x += F x + B u, y = C x + D u with F = A − I formed in double: a slow pole of 0.02 rad/s at
+5 ms is 0.9999, and rounding 1 − 1e-4 to float32 would lose four digits of it. F is block diagonal with a
+bounded-condition transformation (Bavely & Stewart 1979): modal where modes separate, small blocks where they
+do not.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ MAX_COUPLING = 100.0
 
 @dataclass(frozen=True)
 class DeltaForm:
-    """x⁺ = x + F x + B u, y = C x + D u; F (n, n) block diagonal with ``sizes``, double or float32, dt in seconds."""
+    """x⁺ = x + F x + B u, y = C x + D u; F (n, n) block diagonal with ``sizes``, double or float32, dt in
+    seconds.
+    """
 
     F: np.ndarray
     B: np.ndarray
@@ -51,8 +54,12 @@ class DeltaForm:
             with np.errstate(over="ignore"):
                 R = M.astype(dtype)
             if not np.all(np.isfinite(R)) or np.any((M != 0) & (np.abs(R) < np.finfo(dtype).tiny)):
-                raise SynthesisError("delta form", name, f"a coefficient outside the range of {np.dtype(dtype).name}",
-                                     "a controller with signals scaled to order one")
+                raise SynthesisError(
+                    "delta form",
+                    name,
+                    f"a coefficient outside the range of {np.dtype(dtype).name}",
+                    "a controller with signals scaled to order one",
+                )
             out[name] = R
         return replace(self, **out)
 
@@ -70,8 +77,8 @@ def discretise(K: StateSpace, dt: float) -> StateSpace:
 
 
 def delta_form(K: StateSpace, max_coupling: float = MAX_COUPLING) -> DeltaForm:
-    """Block-diagonal delta form of a discrete controller (n states, same response), each state scaled by a power of two
-    so that what drives it and what it drives are of like size.
+    """Block-diagonal delta form of a discrete controller (n states, same response), each state scaled by a
+    power of two so that what drives it and what it drives are of like size.
     """
     if not K.dt:
         raise SynthesisError("controller", "dt", "0", "a discrete controller (see discretise)")
@@ -94,7 +101,9 @@ def delta_form(K: StateSpace, max_coupling: float = MAX_COUPLING) -> DeltaForm:
             size += _pull_nearest(T, basis, first, last)
         sizes.append(size)
         first += size
-    F = sl.block_diag(*(T[a : a + s, a : a + s] for a, s in zip(np.cumsum([0, *sizes[:-1]]), sizes, strict=True)))
+    F = sl.block_diag(
+        *(T[a : a + s, a : a + s] for a, s in zip(np.cumsum([0, *sizes[:-1]]), sizes, strict=True))
+    )
     B, C = np.linalg.solve(basis, K.B), K.C @ basis
     scale = _even_scales(B, C, sizes)
     return DeltaForm(F, B / scale[:, None], C * scale, np.array(K.D), tuple(sizes), K.dt)
@@ -131,4 +140,3 @@ def _even_scales(B, C, sizes) -> np.ndarray:
             scale[part] = 2.0 ** np.round(0.5 * np.log2(b / c))
         first += size
     return scale
-

@@ -44,7 +44,7 @@ def split(blocks: Sequence[Block], vector: np.ndarray, side: str) -> list[np.nda
     return np.split(vector, ends[:-1])
 
 
-def size(block: Block, xi: np.ndarray, eta: np.ndarray) -> float:
+def least_size(xi: np.ndarray, eta: np.ndarray) -> float:
     """Least ||Delta_i|| that maps eta to xi, given that one exists: |xi| / |eta|; 0 for xi = 0, inf for eta =
     0."""
     top, bottom = float(np.linalg.norm(xi)), float(np.linalg.norm(eta))

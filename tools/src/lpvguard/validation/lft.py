@@ -28,7 +28,7 @@ from scipy.optimize import minimize
 
 from lpvguard.errors import InputError
 from lpvguard.validation import lmi, s2
-from lpvguard.validation.delta import Block, Verification, split, verify
+from lpvguard.validation.delta import Block, Verification, least_size, split, verify
 
 RANK_TOLERANCE = 1e-10
 """Singular values below this fraction of the largest count as zero (columns scaled to a common size)."""
@@ -789,14 +789,8 @@ class _Posed:
                 "larger bounds, or another structure",
             )
         xi, eta, w = self.signals(interval.z)
-        nu = np.array(
-            [
-                np.linalg.norm(a) / np.linalg.norm(b) if np.any(a) else 0.0
-                for a, b in zip(
-                    split(problem.blocks, xi, "rows"), split(problem.blocks, eta, "cols"), strict=True
-                )
-            ]
-        )
+        pieces = zip(split(problem.blocks, xi, "rows"), split(problem.blocks, eta, "cols"), strict=True)
+        nu = np.array([least_size(a, b) for a, b in pieces])
         if not well_posed(problem, nu):
             caps = ", ".join(f"{c:.6g}" for c in block_caps(problem))
             raise InputError(
@@ -949,7 +943,7 @@ def _one_block(problem: _Quadratic, caps: np.ndarray, posed: _Posed) -> Interval
     forms[1] /= np.linalg.norm(ball.b) ** 2
     p_max = caps[which] ** 2 / (block.slope * trivial) * (1.0 - 1e-9)
     out = s2.solve_forms(forms[None], start[None], p_max)
-    if not np.isfinite(out.upper[0]):
+    if not np.isfinite(out.upper[0]) or out.p[0] > s2.NEAR_CAP**2 * p_max:
         return None
     best = _Best()
     problem.start(best, [out.z[0]])
@@ -957,7 +951,9 @@ def _one_block(problem: _Quadratic, caps: np.ndarray, posed: _Posed) -> Interval
     return Interval(lower, max(best.cost, lower), best.z, int(out.duals[0]))
 
 
-def smallest_last_block(problem: Lft, gamma_w: float, *, gap: float = GAP) -> tuple[float, float]:
+def smallest_last_block(
+    problem: Lft, gamma_w: float, *, gap: float = GAP, max_nodes: int = MAX_NODES
+) -> tuple[float, float]:
     """(lower, upper) of the smallest size of the last block alone, the others free, at the same gamma_w.
 
     Raises InputError as :func:`optimum` does, and when that size is at or above the block's own cap.
@@ -970,7 +966,7 @@ def smallest_last_block(problem: Lft, gamma_w: float, *, gap: float = GAP) -> tu
     caps = block_caps(problem)
     forms += [_block_form(posed, i, constant=caps[i] ** 2) for i in range(last) if problem.blocks[i].repeated]
     forms.append(_block_form(posed, last, param=0))
-    interval = _Quadratic(forms, 1, posed.n).solve(gap=gap, zero=ZERO)
+    interval = _Quadratic(forms, 1, posed.n).solve(gap, max_nodes, ZERO)
     if interval.upper < np.inf and interval.lower == 0.0:
         # Another, repeated block explains the data alone; the local search ends near zero, not on it.
         return 0.0, 0.0

@@ -90,16 +90,14 @@ def _interior(c: Cone, y: np.ndarray) -> bool:
     return True
 
 
-def maximise_level(
-    q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: float = 1e-9, y0=None
-) -> Centre:
+def maximise_level(q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: float = 1e-9) -> Centre:
     """Path-following for the problem of the module's docstring.
 
     ``q`` (m, n, n) Hermitian forms, scaled to order one. Stops when the optimal level is known within
     ``relative`` of its magnitude or within ``absolute``, or is proven negative.
     """
     m, n = q.shape[:2]
-    y = c.normal / c.normal.sum() if y0 is None else y0
+    y = c.normal / c.normal.sum()
     matrix = np.tensordot(y, q, axes=1)
     low = np.linalg.eigvalsh(matrix)[0]
     x = low - 0.5 * max(1e-3, abs(low))

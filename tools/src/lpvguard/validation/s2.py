@@ -23,6 +23,9 @@ from lpvguard import native
 from lpvguard.errors import InputError
 
 GAP = 1e-4
+NEAR_CAP = 1.0 - 1e-4
+"""An optimum at this fraction of the well-posedness cap or above is the cap's doing, not the data's."""
+
 MAX_N = 16
 """Free variables plus one that the kernel accepts."""
 
@@ -234,8 +237,8 @@ class _Point:
 class S2Result:
     """Per point (K,): certified ``lower`` <= optimum <= attained ``upper``, the sizes, signals xi (K, 1 +
     n_x) and w (K, n_y) that attain it, and the dual problems used. Points with gamma_w < B1 have inf bounds
-    and NaN signals; ``at_cap`` marks points whose bounds did not meet because nu_s reached the well-posedness
-    cap."""
+    and NaN signals. ``at_cap`` marks points whose best nu_s is the well-posedness cap itself (or whose bounds
+    did not meet near it): their figures are no bound on the vehicle, they say that the class does not fit."""
 
     lower: np.ndarray
     upper: np.ndarray
@@ -316,7 +319,6 @@ def solve(e, u, x_nom, h_i, h_s, c, gamma_w, lambda_i=1.0, lambda_s=1.0, *, gap:
         np.sum(np.abs(eta_0) ** 2, axis=1), 1e-300
     )
     cost = per_i * np.abs(xi_0[:, 0]) ** 2 + lam_s * block_0
-    cap = lam_s / np.linalg.norm(h_s, 2, axis=(1, 2)) ** 2
     trivial = np.where(cost > 0.0, cost, 1.0)
     weight = np.trace(a, axis1=1, axis2=2).real
     forms = np.stack(
@@ -328,7 +330,8 @@ def solve(e, u, x_nom, h_i, h_s, c, gamma_w, lambda_i=1.0, lambda_s=1.0, *, gap:
         ],
         axis=1,
     )
-    p_max = cap * (1.0 - 1e-9) / trivial
+    cap_s = 1.0 / np.linalg.norm(h_s, 2, axis=(1, 2))
+    p_max = lam_s * cap_s**2 * (1.0 - 1e-9) / trivial
     out = solve_forms(forms[feasible], start[feasible], p_max[feasible], gap=gap)
 
     def spread(values, fill=np.inf):
@@ -349,7 +352,7 @@ def solve(e, u, x_nom, h_i, h_s, c, gamma_w, lambda_i=1.0, lambda_s=1.0, *, gap:
     silent = np.linalg.norm(e, axis=1) <= gamma
     for array, value in ((lower, 0.0), (upper, 0.0), (nu_s, 0.0), (xi, 0.0), (w, e[silent])):
         array[silent] = value
-    at_cap = feasible & ~(upper - lower <= 10.0 * gap * upper)
+    at_cap = feasible & (~(upper - lower <= 10.0 * gap * upper) | (nu_s >= NEAR_CAP * cap_s))
     return S2Result(lower, upper, np.abs(xi[:, 0]) / np.abs(u), nu_s, xi, w, spread(out.duals, 0), b1, at_cap)
 
 
