@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -74,6 +75,12 @@ def test_dask_gives_the_same_bytes(drives):
     with distributed.LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None) as cluster:
         with workers(scheduler=cluster.scheduler_address) as run:
             assert files(drives, run) == files(drives)
+
+
+def test_a_core_is_sent_as_its_sources_and_can_be_sent_on(core):
+    again = pickle.loads(pickle.dumps(pickle.loads(pickle.dumps(core))))
+    for a, b in zip(core.compiled, again.compiled):
+        np.testing.assert_array_equal(a, b)
 
 
 def test_results_come_in_order_and_few_are_under_way():

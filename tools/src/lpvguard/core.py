@@ -113,6 +113,8 @@ class Core:
         missing = [n for n in ("lpvguard_vehicle.h", "lpvguard_coeff.c") if not (self.folder / n).is_file()]
         if missing:
             raise InputError(folder, "", f"{', '.join(missing)} missing", "a folder written by `lpvguard export`")
+        # Kept, because a scratch folder may be gone when the core is sent on.
+        self._files = tuple((p.name, p.read_text(encoding="utf-8")) for p in sorted(self.folder.iterdir()) if p.suffix in (".h", ".c"))
         root = source_root or library_root()
         sources = [*sorted((root / "src").glob("*.cpp")), *sorted(self.folder.glob("*.c")), PACKAGE / "_core" / "binding.cpp"]
         self.library = self._compile(sources, [root / "include", root / "src", self.folder], double)
@@ -125,8 +127,7 @@ class Core:
 
     def __reduce__(self):
         """A core goes to another process, or machine, as its generated sources, and is built there from the cache or anew."""
-        files = tuple((p.name, p.read_text(encoding="utf-8")) for p in sorted(self.folder.iterdir()) if p.suffix in (".h", ".c"))
-        return _rebuilt, (self.folder.name, files, self._double, self._source_root)
+        return _rebuilt, (self.folder.name, self._files, self._double, self._source_root)
 
     def _compile(self, sources: list[Path], includes: list[Path], double: bool) -> Path:
         flags = ["-std=c++17", "-O2", "-fno-exceptions", "-fno-rtti", "-ffp-contract=off", "-fno-math-errno",

@@ -25,7 +25,7 @@ from .validation import s1
 
 PERCENTILE = 90
 """Typical excitation: reached by one in ten counted frames of the speed cell and bin (nearest rank)."""
-SAMPLED_FRAMES = 1000
+SAMPLED_FRAMES = 400
 """The percentile is over so many frames a cell and bin, drawn by hash; over all of them where there are no more."""
 SPEED_CELLS = 5
 STATED_GAINS = (0.6, 0.7)
