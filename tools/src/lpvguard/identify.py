@@ -56,6 +56,9 @@ CUTS = 5
 LARGEST_SPECTRA, DRAWN_SPECTRA = 250, 750
 """Frames a bin in spectra.npz: those of largest |E|, and a draw by hash among all."""
 
+JOINED_AT_ONCE = 32
+"""Samples of so many drives wait to be joined: sorting them together costs the process that joins less time."""
+
 Progress = Callable[[str], None]
 
 
@@ -377,16 +380,17 @@ def identify(project: Project, folder: Path, *, workers: Map = map, progress: Pr
             yield result
 
     left_out: dict[str, str] = {}
-    spectra: Rows = {}
+    spectra: list[Rows] = []
 
     def first_parts(chosen: list[Experiment], *, keep: bool) -> Iterator[Part]:
-        nonlocal spectra
         task = partial(_first_pass, reader, project.bounds.nu_ceiling.at(estimator.omega / (2 * np.pi)))
         for e, (part, rows) in zip(chosen, over("frames", task, chosen)):
             if not part["frames"].any():
                 left_out[e.name] = reader.why_without_frames()
             if keep:
-                spectra = _thinned(stacked([spectra, rows])) if spectra else rows
+                spectra.append(rows)
+                if len(spectra) == JOINED_AT_ONCE:
+                    spectra[:] = [_thinned(stacked(spectra))]
             yield part
 
     first = fold(first_parts(setting, keep=True))
@@ -408,7 +412,7 @@ def identify(project: Project, folder: Path, *, workers: Map = map, progress: Pr
         project, model, estimator, bounds, weights, calibration,
         visibility(estimator.omega, estimator.speed_range, met, weights.at(estimator.omega)[0] / weights.inflation,
                    calibration.threshold, weights.inflation),
-        spectra, [e.name for e in setting], list(calibration.scores), [e.name for e in noise], left_out,
+        _thinned(stacked(spectra)), [e.name for e in setting], list(calibration.scores), [e.name for e in noise], left_out,
         dict(zip(drives.experiments, workers(file_hash, [e.path for e in experiments]))))
     return result, drives
 
@@ -435,12 +439,13 @@ def _calibrate(reader: DriveReader, weights: Weights, over: Callable, setting: l
     """
     project, model, estimator = reader.project, reader.model, reader.estimator
     plain = weights.at(estimator.omega)
-    met: Excitation | None = None
+    met: list[Excitation] = []
 
     def judged(what: str, core: Core | None, reals: np.ndarray | None, cuts: int, chosen: list[Experiment]) -> Iterator[Judged]:
-        nonlocal met
         for j in over(what, partial(_judge, reader, *plain, core, reals, cuts), chosen):
-            met = j.met if met is None else Excitation.joined([met, j.met])
+            met.append(j.met)
+            if len(met) == JOINED_AT_ONCE:
+                met[:] = [Excitation.joined(met)]
             yield j
 
     def run(core: Core | None) -> tuple[Weights, Calibration]:
@@ -456,9 +461,9 @@ def _calibrate(reader: DriveReader, weights: Weights, over: Callable, setting: l
         return inflated, calibrate(scores, project.frame_test.alpha)
 
     if estimator.window != "hann":
-        return *run(None), met
+        return *run(None), Excitation.joined(met)
     with _scratch_core(project, coefficients_of(project, model, estimator, weights, 1.0)) as core:
-        return *run(core), met
+        return *run(core), Excitation.joined(met)
 
 
 def save(result: Identification, drives: DriveSet, target: Path) -> None:
