@@ -18,7 +18,8 @@ from lpvguard.project import load_project, parse_project
 from lpvguard.replay import Replayer
 from lpvguard.report import write_report
 
-TITLES = ["Summary", "Disturbance bound", "Weights over the bounds", "The nominal model in time",
+TITLES = ["Summary", "Disturbance bound", "Weights over the bounds", "Trade-off between disturbance and uncertainty",
+          "The nominal model in time",
           "Excitation and what stays invisible",
           "Margin over time and frequency, drive by drive"]
 LEFT_OUT = "creeping"

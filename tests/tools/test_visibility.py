@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lpvguard.validation import s1
-from lpvguard.visibility import PERCENTILE, SPEED_CELLS, visibility
+from lpvguard.visibility import PERCENTILE, SPEED_CELLS, Excitation, visibility
 
 OMEGA = np.array([0.0, 0.7, 2.0, 9.0])
 SPEEDS = (4.0, 19.0)
@@ -26,7 +26,8 @@ def case(n_y: int, frames: int = 400, seed: int = 3):
 
 
 def run(bin_of, speed, Z, B_w) -> dict:
-    return visibility(OMEGA, SPEEDS, bin_of, speed, Z, W_DELTA, B_w, THRESHOLD)
+    met = Excitation.of("drive", SPEEDS, bin_of, speed, Z, W_DELTA, B_w, np.arange(len(Z)))
+    return visibility(OMEGA, SPEEDS, met, W_DELTA, THRESHOLD)
 
 
 def representative(c: int, k: int, bin_of, speed, Z, B_w) -> np.ndarray:
@@ -41,7 +42,7 @@ def representative(c: int, k: int, bin_of, speed, Z, B_w) -> np.ndarray:
 def test_margin_crosses_the_threshold_at_the_smallest_visible_errors(n_y):
     frames = case(n_y)
     B_w = frames[-1]
-    for c, cell in enumerate(run(*frames)["cells"]):
+    for c, cell in enumerate(run(*frames)["at_percentile"]):
         for k in range(BINS):
             z = representative(c, k, *frames)
             for factor, above in ((1 - 1e-6, False), (1 + 1e-6, True)):
@@ -55,7 +56,7 @@ def test_margin_crosses_the_threshold_at_the_smallest_visible_errors(n_y):
 
 def test_one_output_agrees_with_its_closed_form():
     frames = case(1)
-    for c, cell in enumerate(run(*frames)["cells"]):
+    for c, cell in enumerate(run(*frames)["at_percentile"]):
         for k in range(BINS):
             z = float(np.abs(representative(c, k, *frames)[0]))
             assert cell["excitation"][k] == pytest.approx(z, rel=1e-12)
@@ -64,7 +65,7 @@ def test_one_output_agrees_with_its_closed_form():
 
 def test_stated_faults_follow_from_the_bins():
     frames = case(1)
-    for cell in run(*frames)["cells"]:
+    for cell in run(*frames)["at_percentile"]:
         gains = np.array(cell["gain_error"])
         stated = {s["fault"]: s["visible"] for s in cell["stated"]}
         assert stated["gain 0.6"] == (gains.min() < 0.4)
@@ -78,7 +79,7 @@ def test_stated_faults_follow_from_the_bins():
 def test_no_excitation_beats_the_floor_and_strong_excitation_reaches_it():
     bin_of, speed, Z, B_w = case(1)
     seen = run(bin_of, speed, 1e6 * Z, B_w)
-    for cell in seen["cells"]:
+    for cell in seen["at_percentile"]:
         assert cell["gain_error"] == pytest.approx(seen["gain_error_floor"], rel=1e-3)
         assert all(g >= f for g, f in zip(cell["gain_error"], seen["gain_error_floor"]))
 
@@ -87,9 +88,22 @@ def test_cells_without_frames_and_frames_without_excitation_are_none():
     bin_of, speed, Z, B_w = np.array([1, 1]), np.array([4.5, 4.6]), np.zeros((2, 1), complex), np.full((BINS, 1), 0.1)
     seen = run(bin_of, speed, Z, B_w)
     assert json.loads(json.dumps(seen)) == seen
-    assert seen["cells"][0]["frames"] == [0, 2, 0, 0]
-    for cell in seen["cells"]:
+    assert seen["at_percentile"][0]["frames"] == [0, 2, 0, 0]
+    for cell in seen["at_percentile"]:
         assert cell["gain_error"] == cell["delay_s"] == [None] * BINS
         assert cell["smallest_gain_error"] is None and cell["smallest_delay_s"] is None
         assert all(s["visible"] is None for s in cell["stated"])
-    assert seen["cells"][0]["excitation"] == [None, 0.0, None, None]
+    assert seen["at_percentile"][0]["excitation"] == [None, 0.0, None, None]
+
+
+def test_the_strongest_frame_is_at_least_as_telling_and_inflation_scales_what_is_visible():
+    bin_of, speed, Z, B_w = case(2)
+    seen = run(bin_of, speed, Z, B_w)
+    for typical, strongest in zip(seen["at_percentile"], seen["at_strongest"]):
+        assert all(s <= t for s, t in zip(strongest["gain_error"], typical["gain_error"]))
+        assert strongest["frames"] == typical["frames"]
+    inflated = Excitation.of("drive", SPEEDS, bin_of, speed, Z, 1.3 * W_DELTA, 1.3 * B_w, np.arange(len(Z)))
+    met = Excitation.of("drive", SPEEDS, bin_of, speed, Z, W_DELTA, B_w, np.arange(len(Z)))
+    a, b = visibility(OMEGA, SPEEDS, inflated, 1.3 * W_DELTA, THRESHOLD), visibility(OMEGA, SPEEDS, met, W_DELTA, THRESHOLD, 1.3)
+    for left, right in zip(a["at_percentile"], b["at_percentile"]):
+        assert left["gain_error"] == pytest.approx(right["gain_error"], rel=1e-12)

@@ -30,6 +30,8 @@ console = Console(stderr=True, width=None if sys.stderr.isatty() else 160, soft_
 Vehicle = Annotated[str, typer.Option("--vehicle", help="Shipped vehicle, or path to a project file (*.toml).")]
 Out = Annotated[Path, typer.Option("-o", "--out", help="Folder or file to write.")]
 JsonOut = Annotated[str | None, typer.Option("--json", help="Write JSON to this file; - is standard output.")]
+Jobs = Annotated[int, typer.Option(min=1, help="Processes of this machine that share the drives.")]
+Scheduler = Annotated[str | None, typer.Option(help="Address of a Dask scheduler whose workers share the drives.")]
 Coefficients = Annotated[Path | None, typer.Option("--coefficients", help="Generated folder (default: the shipped one).")]
 
 
@@ -103,13 +105,14 @@ def ingest(logs: Annotated[list[Path], typer.Argument(help="candump (-l, -L, .gz
 
 @app.command(epilog="Example: lpvguard identify --vehicle g80 DRIVES -o out/identify")
 def identify(vehicle: Vehicle, drives: Annotated[Path, typer.Argument(help="Folder of drives with experiments.csv.")],
-             out: Out, json_out: JsonOut = None) -> None:
+             out: Out, json_out: JsonOut = None, jobs: Jobs = 1, scheduler: Scheduler = None) -> None:
     """Find the unfalsified bounds, fit the weights, calibrate the frame test (paper, steps 1-7)."""
     from . import identify as stage
+    from .parallel import workers
 
     project = _load_project(vehicle)
-    with _progress("identify") as tell:
-        result, drive_set = stage.identify(project, drives, progress=tell)
+    with _progress("identify") as tell, workers(jobs, scheduler) as run:
+        result, drive_set = stage.identify(project, drives, workers=run, progress=tell)
         stage.save(result, drive_set, out)
     _emit(json_out, {"bound_drives": result.bound_drives, "calibration_drives": result.calibration_drives,
                      "left_out": result.left_out, **result.calibration.to_dict(), "inflation": result.weights.inflation})
@@ -166,40 +169,43 @@ def export(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(help
 
 @app.command(epilog="Example: lpvguard replay --vehicle g80 RUN.csv --json -")
 def replay(vehicle: Vehicle, logs: Annotated[list[Path], typer.Argument(help="Drive tables (CSV or Parquet).")],
-           coefficients: Coefficients = None, json_out: JsonOut = None) -> None:
+           coefficients: Coefficients = None, json_out: JsonOut = None, jobs: Jobs = 1, scheduler: Scheduler = None) -> None:
     """Run recorded drives through the compiled C core. Exit 1 when any drive alarmed, 2 when any was unreadable."""
+    from .parallel import workers
+
     replayer = _replayer(vehicle, coefficients)
-    done, failed = [], 0
-    with _progress("replay") as tell:
-        for log in logs:
+    done: list[dict[str, Any]] = []
+    failed = 0
+    with _progress("replay") as tell, workers(jobs, scheduler) as run:
+        for log, result in zip(logs, run(replayer.summarise_file, [log.absolute() for log in logs])):
             tell(log.name)
-            try:
-                done.append(replayer.replay_file(log))
-            except InputError as error:
+            if isinstance(result, InputError):
                 failed += 1
-                _complain(error)
-    if done and not any(r.judged_s for r in done):
+                _complain(result)
+            else:
+                done.append(result)
+    if done and not any(r["judged_s"] for r in done):
         failed += 1
         low, high = replayer.model.speed_range
-        _complain(InputError(", ".join(r.name for r in done), "", "no judged stretch at all",
+        _complain(InputError(", ".join(r["run"] for r in done), "", "no judged stretch at all",
                              f"some steady driving between {low:g} and {high:g} m/s"))
-    _emit(json_out, [r.to_dict() for r in done])
+    _emit(json_out, done)
     table = Table("drive", "duration s", "judged s", "verdict", "first invalid s", "max margin", "alarms", box=None)
     for r in done:
-        table.add_row(r.name, f"{r.duration_s:.1f}", f"{r.judged_s:.1f}", r.verdict_final,
-                      "–" if r.first_invalid_s is None else f"{r.first_invalid_s:.2f}",
-                      "–" if r.max_margin is None else f"{r.max_margin:.3f}", str(len(r.alarms)))
+        table.add_row(r["run"], f"{r['duration_s']:.1f}", f"{r['judged_s']:.1f}", r["verdict_final"],
+                      "–" if r["first_invalid_s"] is None else f"{r['first_invalid_s']:.2f}",
+                      "–" if r["max_margin"] is None else f"{r['max_margin']:.3f}", str(len(r["alarms"])))
     console.print(table)
     console.print(f"threshold {replayer.threshold:.4g}, core {replayer.core.folder}")
     for r in done:
-        for a in r.alarms[:3]:
-            console.print(f"{r.name}: t = {a.t_s:.2f} s, {a.test} test, {a.bin_rad_s:.3g} rad/s, v = {a.speed_mps:.1f} m/s: "
-                          f"margin {a.margin:.2f} (statistic {a.statistic:.2f} > {a.threshold:.2f}); |E| = "
-                          f"{_norm(a.E):.3g} against W_delta {a.W_delta:.3g} x |Z| {_norm(a.Z):.3g} + B_w "
-                          f"{', '.join(f'{b:.3g}' for b in a.B_w)}; a dead vehicle would read {a.evidence:.2f}")
-        if len(r.alarms) > 3:
-            console.print(f"{r.name}: {len(r.alarms) - 3} more alarms (--json lists all)")
-    raise typer.Exit(2 if failed else 1 if any(r.alarms for r in done) else 0)
+        for a in r["alarms"][:3]:
+            console.print(f"{r['run']}: t = {a['t_s']:.2f} s, {a['test']} test, {a['bin_rad_s']:.3g} rad/s, v = {a['speed_mps']:.1f} m/s: "
+                          f"margin {a['margin']:.2f} (statistic {a['statistic']:.2f} > {a['threshold']:.2f}); |E| = "
+                          f"{_norm(a['E']):.3g} against W_delta {a['W_delta']:.3g} x |Z| {_norm(a['Z']):.3g} + B_w "
+                          f"{', '.join(f'{b:.3g}' for b in a['B_w'])}; a dead vehicle would read {a['evidence']:.2f}")
+        if len(r["alarms"]) > 3:
+            console.print(f"{r['run']}: {len(r['alarms']) - 3} more alarms (--json lists all)")
+    raise typer.Exit(2 if failed else 1 if any(r["alarms"] for r in done) else 0)
 
 
 @app.command(epilog="Example: lpvguard sim nominal yaw_sign --json -")
@@ -247,15 +253,16 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
 @app.command(epilog="Example: lpvguard evaluate --vehicle g80 out/identify DRIVES --json out/evaluation.json")
 def evaluate(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(help="Folder written by identify.")],
              drives: Annotated[Path, typer.Argument(help="The drive folder it was made from.")],
-             coefficients: Coefficients = None, json_out: JsonOut = None) -> None:
+             coefficients: Coefficients = None, json_out: JsonOut = None, jobs: Jobs = 1, scheduler: Scheduler = None) -> None:
     """False alarms and detection of injected faults, leave-one-drive-out, through the compiled core."""
     from .evaluate import FOUND_WITHIN_S, PIECE_S
-    from .evaluate import evaluate as run
+    from .evaluate import evaluate as stage
+    from .parallel import workers
 
     stored, drive_set = _stored_with_drives(identification, drives)
     replayer = _replayer(vehicle, coefficients)
-    with _progress("evaluate") as tell:
-        result = run(stored, drive_set, replayer.core, tell)
+    with _progress("evaluate") as tell, workers(jobs, scheduler) as run:
+        result = stage(stored, drive_set, replayer.core, workers=run, progress=tell)
     _emit(json_out, result)
     alarms = Table("drivers", "drives", f"alarmed {PIECE_S:g} s pieces", "95 % interval of the ratio", box=None)
     for group, row in result["false_alarms"].items():
@@ -294,6 +301,17 @@ def solve(problems: Annotated[str, typer.Argument(help="JSON list of problems; -
     from .solve import run_solve
 
     raise typer.Exit(run_solve(problems, out, jobs))
+
+
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
+             epilog="Example: lpvguard bench validation --json out/validation.json")
+def bench(context: typer.Context,
+          name: Annotated[str, typer.Argument(help="can, fleet, synthesis, validation or weights; NAME -- --help for its options.")],
+          ) -> None:
+    """Measure performance, beside peers in the same run; prints a table."""
+    from .bench import run
+
+    run(name, context.args)
 
 
 def _norm(values: list[complex]) -> float:

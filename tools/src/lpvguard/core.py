@@ -9,13 +9,14 @@ from __future__ import annotations
 import ctypes
 import shutil
 import subprocess
+import tempfile
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from . import native
+from . import artefacts, native
 from .drives import Drive
 from .errors import InputError
 
@@ -108,10 +109,12 @@ class Core:
     """
 
     def __init__(self, folder: Path, *, double: bool = False, source_root: Path | None = None):
-        self.folder = Path(folder)
+        self.folder, self._double, self._source_root = Path(folder), double, source_root
         missing = [n for n in ("lpvguard_vehicle.h", "lpvguard_coeff.c") if not (self.folder / n).is_file()]
         if missing:
             raise InputError(folder, "", f"{', '.join(missing)} missing", "a folder written by `lpvguard export`")
+        # Kept, because a scratch folder may be gone when the core is sent on.
+        self._files = tuple((p.name, p.read_text(encoding="utf-8")) for p in sorted(self.folder.iterdir()) if p.suffix in (".h", ".c"))
         root = source_root or library_root()
         sources = [*sorted((root / "src").glob("*.cpp")), *sorted(self.folder.glob("*.c")), PACKAGE / "_core" / "binding.cpp"]
         self.library = self._compile(sources, [root / "include", root / "src", self.folder], double)
@@ -121,6 +124,10 @@ class Core:
         sizes = (ctypes.c_uint32 * 7)()
         self._lib.lpvgb_sizes(sizes)
         self.n_u, self.n_y, self.n_bins, self._n_words, self._n_reals, self._columns, self.monitor_bytes = map(int, sizes)
+
+    def __reduce__(self):
+        """A core goes to another process, or machine, as its generated sources, and is built there from the cache or anew."""
+        return _rebuilt, (self.folder.name, self._files, self._double, self._source_root)
 
     def _compile(self, sources: list[Path], includes: list[Path], double: bool) -> Path:
         flags = ["-std=c++17", "-O2", "-fno-exceptions", "-fno-rtti", "-ffp-contract=off", "-fno-math-errno",
@@ -155,6 +162,16 @@ class Core:
             raise InputError(self.folder, "coefficients", f"the core's init refused them ({STATUSES[status.value]})",
                              "coefficients written for this core, estimator and number type")
         return Monitor(self, handle)
+
+
+@lru_cache(maxsize=4)
+def _rebuilt(name: str, files: tuple[tuple[str, str], ...], double: bool, source_root: Path | None) -> Core:
+    """The core of generated sources; a process builds it once for all the drives it is given."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / name
+        folder.mkdir()
+        artefacts.write_files(folder, dict(files))
+        return Core(folder, double=double, source_root=source_root)
 
 
 def _pointer(array: np.ndarray) -> ctypes.c_void_p:

@@ -79,7 +79,7 @@ def list_experiments(folder: Path) -> list[Experiment]:
         path = next((p for s in TABLE_SUFFIXES if (p := folder / f"{stem}{s}").is_file()), None)
         if path is None:
             raise InputError(index, f"line {line}", f"no table {stem}.csv or {stem}.parquet", "the file beside it")
-        experiments.append(Experiment(stem, path, row["split"], row.get("driver") or "unknown"))
+        experiments.append(Experiment(stem, path.absolute(), row["split"], row.get("driver") or "unknown"))
     if not experiments:
         raise InputError(index, "", "lists no drive", "at least one line")
     return experiments

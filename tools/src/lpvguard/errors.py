@@ -14,3 +14,7 @@ class InputError(ValueError):
         self.source, self.where, self.what, self.expected = str(source), where, what, expected
         parts = [p for p in (self.source, where, what) if p]
         super().__init__(": ".join(parts) + (f"; expected {expected}" if expected else ""))
+
+    def __reduce__(self):
+        """Errors come back from workers whole."""
+        return InputError, (self.source, self.where, self.what, self.expected)

@@ -9,13 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from .calibration import FEWEST_FOR_ALPHA, calibrate
+from .calibration import FEWEST_FOR_ALPHA, Calibration, calibrate
 from .core import Core
+from .drives import Experiment
 from .faults import Fault, inject
-from .identify import DriveSet, StoredIdentification
+from .identify import DriveReader, DriveSet, StoredIdentification
+from .parallel import Map
 from .replay import Replay, Replayer
 
 PIECE_S = 60.0
@@ -73,28 +76,36 @@ def time_to_find(faulty: Replay, clean: Replay) -> tuple[float | None, bool]:
     return first_alarm(faulty), disturbed is not None and disturbed <= FOUND_WITHIN_S
 
 
-def evaluate(stored: StoredIdentification, drives: DriveSet, core: Core,
+def _evaluate_drive(reader: DriveReader, core: Core, case: tuple[Experiment, Calibration]) -> tuple[dict, dict[str, dict]]:
+    """One drive with a threshold of its own: its row, and per fault what became of it (none for short drives)."""
+    experiment, calibration = case
+    replayer = Replayer(reader.project, core, threshold=calibration.threshold)
+    drive = reader.read(experiment)[0]
+    clean = replayer.replay(drive)
+    alarmed, pieces = alarmed_pieces(clean)
+    relevant = clean.in_range & clean.excited
+    row = {"run": experiment.name, "driver": experiment.driver, "threshold": calibration.threshold, "alpha": calibration.alpha,
+           "alarmed": alarmed, "pieces": pieces, "judged_s": clean.judged_s,
+           "judged_of_in_range_excited": float((clean.judged & relevant).sum() / max(1, relevant.sum()))}
+    found = {}
+    for fault in FAULTS if drive.duration_s > SHORTEST_FOR_FAULTS_S else ():
+        s, disturbed = time_to_find(replayer.replay(inject(drive, fault, FAULT_FROM_S, reader.project.Ts_s)), clean)
+        found[fault.label] = {"run": experiment.name, "s": s, "counts": not disturbed}
+    return row, found
+
+
+def evaluate(stored: StoredIdentification, drives: DriveSet, core: Core, *, workers: Map = map,
              progress: Callable[[str], None] = lambda _: None) -> dict:
-    """Leave-one-drive-out evaluation; returns the JSON-able table."""
+    """Leave-one-drive-out evaluation, the drives mapped by ``workers`` (parallel.py); returns the JSON-able table."""
     project, scores = stored.project, stored.calibration.scores
-    drivers = stored.manifest["drivers"]
     rows, per_fault = [], {f.label: [] for f in FAULTS}
-    for name in scores:
-        progress(name)
-        calibration = calibrate({k: v for k, v in scores.items() if k != name}, project.frame_test.alpha)
-        replayer = Replayer(project, core, threshold=calibration.threshold)
-        drive = drives.load(name)[0]
-        clean = replayer.replay(drive)
-        alarmed, pieces = alarmed_pieces(clean)
-        relevant = clean.in_range & clean.excited
-        rows.append({"run": name, "driver": drivers[name], "threshold": calibration.threshold, "alpha": calibration.alpha,
-                     "score": scores[name], "alarmed": alarmed, "pieces": pieces, "judged_s": clean.judged_s,
-                     "judged_of_in_range_excited": float((clean.judged & relevant).sum() / max(1, relevant.sum()))})
-        if drive.duration_s <= SHORTEST_FOR_FAULTS_S:
-            continue
-        for fault in FAULTS:
-            found, disturbed = time_to_find(replayer.replay(inject(drive, fault, FAULT_FROM_S, project.Ts_s)), clean)
-            per_fault[fault.label].append({"run": name, "s": found, "counts": not disturbed})
+    cases = [(drives.experiments[name], calibrate({k: v for k, v in scores.items() if k != name}, project.frame_test.alpha))
+             for name in scores]
+    for row, found in workers(partial(_evaluate_drive, drives.reader, core), cases):
+        progress(row["run"])
+        rows.append(row | {"score": scores[row["run"]]})
+        for label, case in found.items():
+            per_fault[label].append(case)
     seed = project.seed
     groups = {"all": rows} | {d: [r for r in rows if r["driver"] == d] for d in sorted({r["driver"] for r in rows})}
     return {

@@ -21,6 +21,7 @@ import numpy as np
 
 from . import __version__, artefacts
 from .control_export import CONTROL_SIZES, ControllerCoefficients, control_files
+from .errors import InputError
 from .frames import Estimator
 from .nominal import NominalModel
 from .project import Project
@@ -43,7 +44,13 @@ class Coefficients(Sealed):
 
 def build_coefficients(project: Project, model: NominalModel, estimator: Estimator, W_delta: np.ndarray, B_w: np.ndarray,
                        threshold: float) -> Coefficients:
-    """Coefficients from the model, the estimator and the fitted weights at the bins: W_delta (K,), B_w (K, n_y)."""
+    """Coefficients from the model, the estimator and the fitted weights at the bins: W_delta (K,), B_w (K, n_y).
+
+    Raises InputError for bounds of the plain DFT: the core computes Hann frames only.
+    """
+    if estimator.window != "hann":
+        raise InputError(f"vehicle {project.name}", "frames.estimator", f"bounds were made with the plain DFT (estimator "
+                         f"{estimator.identifier():#010x}), which the core does not compute", "bounds made with estimator \"hann\"")
     table = model.table
     K = estimator.n_bins
     phase = 2 * np.pi * estimator.cycles / estimator.length

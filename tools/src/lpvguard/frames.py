@@ -9,6 +9,9 @@ with scale 2 / sum(w) (1 / sum(w) at DC): a sinusoid of amplitude a in the bin r
 sample lies in the model's speed range, at least ``settle`` samples after the last entry into it, and no speed in it
 differs by more than ``speed_tolerance`` from the frame's mean speed (DESIGN 4.2). The C core computes the same frames,
 restarted every half frame from its first sample; bounds are set over frames at *every* start.
+
+The paper's plain DFT (estimator "dft") has bins of one common length, every line k/(N Ts) between the frequency limits and DC,
+a rectangular window and one frame a drive; plain_dft.py removes its transient, so it needs no settling.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from __future__ import annotations
 import json
 import zlib
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
@@ -30,7 +34,8 @@ from .project import FrameSettings, Project
 class Estimator:
     """The frame grid of a vehicle; everything a bound must have been made with to be comparable.
 
-    length (K,) samples a frame; cycles (K,) periods a frame, 0 at DC; omega (K,) [rad/s]; settle [samples].
+    length (K,) samples a frame; cycles (K,) periods a frame, 0 at DC; omega (K,) [rad/s]; settle [samples];
+    window: ``hann`` or ``rectangular``, the latter for the plain DFT.
     """
 
     Ts: float
@@ -39,10 +44,13 @@ class Estimator:
     settle: int
     speed_tolerance: float
     speed_range: tuple[float, float]
+    window: Literal["hann", "rectangular"] = "hann"
 
     @classmethod
     def of(cls, project: Project, model: NominalModel) -> Estimator:
         settings: FrameSettings = project.frames
+        if settings.estimator == "dft":
+            return cls._plain_dft(project, model, settings)
         decades = np.log10(settings.f_max_hz / settings.f_min_hz)
         # The tolerance keeps a last bin that the decimal settings place exactly at f_max.
         n_bins = int(np.floor(decades * settings.bins_per_decade + 1e-9)) + 1
@@ -58,6 +66,18 @@ class Estimator:
         return cls(project.Ts_s, np.r_[length[0], length], np.r_[0, np.full(n_bins, settings.periods)],
                    model.settle_samples, settings.speed_tolerance, model.speed_range)
 
+    @classmethod
+    def _plain_dft(cls, project: Project, model: NominalModel, settings: FrameSettings) -> Estimator:
+        N = int(round(settings.length_s / project.Ts_s))
+        lines = np.arange(N // 2)
+        f = lines / (N * project.Ts_s)
+        inside = lines[(lines > 0) & (f >= settings.f_min_hz * (1 - 1e-9)) & (f <= settings.f_max_hz * (1 + 1e-9))]
+        if 2 * len(inside) * project.n_y <= model.n:
+            raise InputError(f"vehicle {project.name}", "frames.length_s", f"{len(inside)} lines from {settings.f_min_hz:g} to "
+                             f"{settings.f_max_hz:g} Hz", f"more than the {model.n} unknowns of the transient; longer frames")
+        return cls(project.Ts_s, np.full(len(inside) + 1, N), np.r_[0, inside], 0, settings.speed_tolerance, model.speed_range,
+                   "rectangular")
+
     @property
     def omega(self) -> np.ndarray:
         return 2 * np.pi * self.cycles / (self.length * self.Ts)
@@ -68,16 +88,22 @@ class Estimator:
 
     def identifier(self) -> int:
         """CRC-32 of the estimator's definition: bounds and core must agree on it."""
-        definition = {"window": "hann", "Ts_ns": round(self.Ts * 1e9), "length": self.length.tolist(),
-                      "cycles": self.cycles.tolist(), "hop_per_frame": 2, "scale": "2/sum(w), 1/sum(w) at DC",
+        definition = {"window": self.window, "Ts_ns": round(self.Ts * 1e9), "length": self.length.tolist(),
+                      "cycles": self.cycles.tolist(), "hop_per_frame": int(self.length[0] // self.hop[0]),
+                      "scale": "2/sum(w), 1/sum(w) at DC",
                       "settle": self.settle, "speed_tolerance": repr(self.speed_tolerance),
                       "speed_range": [repr(s) for s in self.speed_range]}
         return zlib.crc32(json.dumps(definition, sort_keys=True).encode())
 
+    @property
+    def hop(self) -> np.ndarray:
+        """(K,) samples from one frame to the next where frames are not taken at every start: half a frame, or a whole one."""
+        return self.length // (2 if self.window == "hann" else 1)
+
     def kernel(self, k: int) -> np.ndarray:
         """Scaled window times exponential of bin k, (N_k,) complex."""
         n = np.arange(self.length[k])
-        w = 0.5 - 0.5 * np.cos(2 * np.pi * n / self.length[k])
+        w = 0.5 - 0.5 * np.cos(2 * np.pi * n / self.length[k]) if self.window == "hann" else np.ones(len(n))
         scale = (2.0 if self.cycles[k] else 1.0) / w.sum()
         return scale * w * np.exp(-2j * np.pi * self.cycles[k] * n / self.length[k])
 

@@ -2,28 +2,36 @@
 
 Writes a folder with
 
-    bounds.json       bounds per bin (bounds.py), by the drives that set them
+    bounds.json       bounds per bin (bounds.py), by the drives that set them, and the estimator's window error
+    front.json        Pareto front nu(gamma_w) per bin, and the point on it that was taken
     weights.json      W_w per output and W_delta with their certificates, and the final inflation
     calibration.json  scores, threshold, alpha
-    spectra.npz       E and Z of the frames on the core's grid, for the pictures
+    visibility.json   smallest visible gain and delay errors, at typical and at the strongest excitation met
+    spectra.npz       E and Z of frames of the bound-setting drives, thinned, for the pictures
     project.json      the project file as it was
     MANIFEST.json     inputs, drives, estimator
+
+Every pass is one map over the drives (parallel.py) whose results are joined as they come: memory does not grow with the number of
+drives, and neither the number of workers nor the order of the drives changes a bit of the bounds.
 """
 
 from __future__ import annotations
 
 import io
 import tempfile
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, partial, reduce
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from . import artefacts
-from .bounds import Bounds, FrameSet, counted_frames, disturbance_bounds, nominal_error, peak_magnitudes, uncertainty_bounds
+from .bounds import (FRONT_POINTS, Bounds, FrameSet, Part, counted_frames, fold, front_grid, nominal_error, reduce_covering,
+                     reduce_disturbance, reduce_uncertainty)
 from .calibration import Calibration, calibrate, score
 from .core import Core
 from .drives import EXPERIMENTS, Drive, Experiment, file_hash, list_experiments, read_drive, require_units
@@ -31,8 +39,13 @@ from .errors import InputError
 from .export import Coefficients, build_coefficients, vehicle_files
 from .frames import Estimator
 from .nominal import NominalModel
+from .parallel import Map
 from .project import Project, parse_project
+from .sampling import Rows, first_of_each, row_hash, stacked
+from .validation import s1
+from .visibility import Excitation, visibility
 from .weights import OverboundFit, Weight, fit_overbound, subtract_noise, verify_overbound
+from .window_error import window_error
 
 DC_STAND_IN = 0.1
 """DC has no place on a logarithmic axis: its bound stands at this fraction of the lowest bin's frequency."""
@@ -40,7 +53,11 @@ SMALLEST_NU = 1e-3
 """Floor of the uncertainty bound where the data ask for none; a weight must be positive."""
 CUTS = 5
 """Random first samples from which every bound-setting drive is replayed to find the final inflation."""
-DRIVES_IN_MEMORY = 4
+LARGEST_SPECTRA, DRAWN_SPECTRA = 250, 750
+"""Frames a bin in spectra.npz: those of largest |E|, and a draw by hash among all."""
+
+JOINED_AT_ONCE = 32
+"""Samples of so many drives wait to be joined: sorting them together costs the process that joins less time."""
 
 Progress = Callable[[str], None]
 
@@ -130,26 +147,50 @@ class Identification:
     bounds: Bounds
     weights: Weights
     calibration: Calibration
+    visibility: dict
+    spectra: Rows
     bound_drives: list[str]
     calibration_drives: list[str]
     noise_drives: list[str]
     left_out: dict[str, str]
+    sha256: dict[str, str]
+
+
+class DriveReader:
+    """Reads drives and takes their frames; what is sent to a worker."""
+
+    def __init__(self, project: Project, model: NominalModel):
+        self.project, self.model, self.estimator = project, model, Estimator.of(project, model)
+        _ = model.table  # made here once, not by every worker
+
+    def read(self, experiment: Experiment) -> tuple[Drive, np.ndarray, np.ndarray]:
+        """The drive, its nominal error e and nominal output yhat (N, n_y)."""
+        drive = read_drive(experiment.path, self.project)
+        e, yhat = nominal_error(drive, self.model)
+        require_units(experiment.path, drive, yhat, self.estimator.settled(drive.v))
+        return drive, e, yhat
+
+    def frames(self, experiment: Experiment) -> Iterator[FrameSet]:
+        """The counted frames of a drive, bin by bin."""
+        return counted_frames(*self.read(experiment), self.model, self.estimator)
+
+    def why_without_frames(self) -> str:
+        """Why a drive has no counted frame."""
+        low, high = self.estimator.speed_range
+        return (f"no frame counts: nowhere {self.estimator.length.min() * self.estimator.Ts:g} s within {low:g}..{high:g} m/s and "
+                f"{self.estimator.speed_tolerance:.0%} of their mean speed"
+                + (f", {self.estimator.settle * self.estimator.Ts:.3g} s after entering" if self.estimator.settle else ""))
 
 
 class DriveSet:
-    """The drives of a folder, read when asked for; a few are kept, so memory does not grow with their number."""
+    """The drives of a folder, read when asked for and not kept."""
 
     def __init__(self, project: Project, model: NominalModel, experiments: list[Experiment]):
-        self.project, self.model, self.estimator = project, model, Estimator.of(project, model)
+        self.reader = DriveReader(project, model)
         self.experiments = {e.name: e for e in experiments}
-        self.load = lru_cache(DRIVES_IN_MEMORY)(self._load)
 
-    def _load(self, name: str) -> tuple[Drive, np.ndarray, np.ndarray]:
-        path = self.experiments[name].path
-        drive = read_drive(path, self.project)
-        e, yhat = nominal_error(drive, self.model)
-        require_units(path, drive, yhat, self.estimator.settled(drive.v))
-        return drive, e, yhat
+    def load(self, name: str) -> tuple[Drive, np.ndarray, np.ndarray]:
+        return self.reader.read(self.experiments[name])
 
 
 def fitting_grid(estimator: Estimator) -> np.ndarray:
@@ -229,119 +270,235 @@ def _scratch_core(project: Project, coefficients: Coefficients) -> Iterator[Core
         yield Core(target)
 
 
-def _final_inflation(drives: DriveSet, names: list[str], core: Core, seed: int) -> float:
-    """Least factor >= 1 on the weights with which the compiled core finds no margin above 1 on a bound-setting drive,
-    whole or with its first samples cut; rounded up by 1e-4 when it is above 1."""
-    random = np.random.default_rng(seed)
-    worst = 1.0
-    for name in names:
-        drive = drives.load(name)[0]
-        for cut in [0, *random.integers(1, max(2, len(drive.t) // 2), CUTS).tolist()]:
-            frames = core.monitor().run_drive(drive.from_sample(cut)).frames
-            if frames.counted.any():
-                worst = max(worst, float(frames.margin[frames.counted].max()))
-    return worst if worst == 1.0 else worst * (1 + 1e-4)
-
-
 def coefficients_of(project: Project, model: NominalModel, estimator: Estimator, weights: Weights,
                     threshold: float) -> Coefficients:
     """The core's coefficients for these weights."""
     return build_coefficients(project, model, estimator, *weights.at(estimator.omega), threshold)
 
 
-def identify(project: Project, folder: Path, *, progress: Progress = _quiet) -> tuple[Identification, DriveSet]:
-    """Run steps 1-7 on a drive folder.
+# ---------------------------------------------------------------------------------------- what is done to one drive
+
+def _spectra_rows(s: FrameSet, name: str, estimator: Estimator) -> Rows:
+    """The frames that the core would see, as rows of a sample."""
+    on_grid = s.starts % estimator.hop[s.bin] == 0 if estimator.window == "hann" else np.ones(len(s.starts), bool)
+    E, Z, start = s.E[on_grid], s.Z[on_grid], s.starts[on_grid]
+    group = np.full(len(start), s.bin)
+    return {"group": group, "hash": row_hash(name, group, start), "weakness": -np.linalg.norm(E, axis=1), "start": start,
+            "drive": np.full(len(start), name, dtype=object), "E": E, "Z": Z}
+
+
+def _thinned(rows: Rows) -> Rows:
+    """LARGEST_SPECTRA and DRAWN_SPECTRA rows a bin, each once; of the union of two thinned parts again those of all."""
+    both = stacked([first_of_each(rows, LARGEST_SPECTRA, "weakness"), first_of_each(rows, DRAWN_SPECTRA)])
+    order = np.lexsort((both["hash"], both["group"]))
+    both = {k: v[order] for k, v in both.items()}
+    new = np.r_[True, (np.diff(both["hash"]) != 0) | (np.diff(both["group"]) != 0)][:len(order)]
+    return {k: v[new] for k, v in both.items()}
+
+
+def _first_pass(reader: DriveReader, nu_ceiling: np.ndarray, experiment: Experiment) -> tuple[Part, Rows]:
+    """Bounds before smoothing, peaks, and a sample of the spectra."""
+    rows: list[Rows] = []
+
+    def watched() -> Iterator[FrameSet]:
+        for s in reader.frames(experiment):
+            rows.append(_spectra_rows(s, experiment.name, reader.estimator))
+            yield s
+
+    part = reduce_disturbance(watched(), reader.estimator, nu_ceiling, reader.project.n_y)
+    return part, _thinned(stacked(rows))
+
+
+def _uncertainty_pass(reader: DriveReader, gamma_w: np.ndarray, grid: np.ndarray, experiment: Experiment) -> Part:
+    return reduce_uncertainty(reader.frames(experiment), reader.estimator, gamma_w, grid, reader.project.n_y,
+                              reader.project.bounds.structure)
+
+
+def _covering_pass(reader: DriveReader, gamma_w: np.ndarray, B_w: np.ndarray, experiment: Experiment) -> Part:
+    return reduce_covering(reader.frames(experiment), reader.estimator, gamma_w, B_w, reader.project.bounds.structure)
+
+
+class Judged(NamedTuple):
+    """What the frame test says of a drive: its largest margin, its score (None: no frame counts), and its excitation."""
+
+    worst: float
+    score: float | None
+    met: Excitation
+
+
+def _judge(reader: DriveReader, W_delta: np.ndarray, B_w: np.ndarray, core: Core | None, reals: np.ndarray | None, cuts: int,
+           experiment: Experiment) -> Judged:
+    """Judge a drive, whole and (for ``worst``) from ``cuts`` random first samples, by the compiled core; without one (plain DFT)
+    by the exact margin under W_delta (K,), B_w (K, n_y)."""
+    speed_range, name = reader.estimator.speed_range, experiment.name
+    drive, e, yhat = reader.read(experiment)
+    if core is None:
+        sets = list(counted_frames(drive, e, yhat, reader.model, reader.estimator))
+        bin_of, start = (np.concatenate(a) for a in zip(*((np.full(len(s.E), s.bin), s.starts) for s in sets)))
+        E, Z = (np.concatenate([getattr(s, a) for s in sets]) for a in ("E", "Z"))
+        worst = s1.margin(E, Z, W_delta[bin_of], B_w[bin_of]).max(initial=0.0)
+        speed = np.array([drive.v[a:a + n].mean() for a, n in zip(start, reader.estimator.length[bin_of])])
+        return Judged(worst, float(worst) if len(E) else None,
+                      Excitation.of(name, speed_range, bin_of, speed, Z, W_delta, B_w, start))
+    # A stream of random numbers for each drive: the other drives and their order make no difference.
+    random = np.random.default_rng([reader.project.seed, zlib.crc32(name.encode())])
+    worst = 0.0
+    for cut in [0, *random.integers(1, max(2, len(drive.t) // 2), cuts).tolist()]:
+        run = core.monitor(reals=reals, seal=reals is not None).run_drive(drive.from_sample(cut))
+        counted = run.frames.counted
+        worst = max(worst, float(run.frames.margin[counted].max(initial=0.0)))
+        if cut == 0:
+            whole, of_whole = run, counted
+    f = whole.frames
+    met = Excitation.of(name, speed_range, f.bin[of_whole], f.speed[of_whole], f.Z[of_whole], W_delta, B_w,
+                        np.round(f.t_end_s[of_whole] * 1e6).astype(np.int64))
+    return Judged(worst, score(whole), met)
+
+
+# ---------------------------------------------------------------------------------------------------- all drives
+
+def identify(project: Project, folder: Path, *, workers: Map = map, progress: Progress = _quiet) -> tuple[Identification, DriveSet]:
+    """Run steps 1-7 on a drive folder, with the drives mapped by ``workers`` (parallel.py).
 
     Raises InputError for bad input and when no frame of a bound-setting drive counts.
     """
     model = NominalModel(project)
-    estimator = Estimator.of(project, model)
     experiments = list_experiments(Path(folder))
     drives = DriveSet(project, model, experiments)
-    bound_drives = [e.name for e in experiments if e.split in project.data.bound_split]
-    others = [e.name for e in experiments if e.split not in (*project.data.bound_split, *project.data.noise_split)]
-    if not bound_drives:
+    reader, estimator = drives.reader, drives.reader.estimator
+    setting = [e for e in experiments if e.split in project.data.bound_split]
+    noise = [e for e in experiments if e.split in project.data.noise_split]
+    others = [e for e in experiments if e not in setting and e not in noise]
+    if not setting:
         raise InputError(Path(folder) / EXPERIMENTS, "column split",
                          f"no drive has split {' or '.join(project.data.bound_split)}",
                          "at least one drive that sets the bounds")
 
-    noise_drives = [e.name for e in experiments if e.split in project.data.noise_split]
+    def over(what: str, task: Callable, chosen: list[Experiment]) -> Iterator:
+        for e, result in zip(chosen, workers(task, chosen)):
+            progress(f"{what} of {e.name}")
+            yield result
 
-    def frames_of(names: list[str]) -> Iterator[Iterator[FrameSet]]:
-        for name in names:
-            progress(f"frames of {name}")
-            yield counted_frames(*drives.load(name), estimator)
+    left_out: dict[str, str] = {}
+    spectra: list[Rows] = []
 
-    def source() -> Iterator[Iterator[FrameSet]]:
-        return frames_of(bound_drives)
+    def first_parts(chosen: list[Experiment], *, keep: bool) -> Iterator[Part]:
+        task = partial(_first_pass, reader, project.bounds.nu_ceiling.at(estimator.omega / (2 * np.pi)))
+        for e, (part, rows) in zip(chosen, over("frames", task, chosen)):
+            if not part["frames"].any():
+                left_out[e.name] = reader.why_without_frames()
+            if keep:
+                spectra.append(rows)
+                if len(spectra) == JOINED_AT_ONCE:
+                    spectra[:] = [_thinned(stacked(spectra))]
+            yield part
 
-    nu_ceiling = project.bounds.nu_ceiling.at(estimator.omega / (2 * np.pi))
-    bounds = disturbance_bounds(source, estimator, nu_ceiling)
-    if not bounds.frames.any():
+    first = fold(first_parts(setting, keep=True))
+    setting = [e for e in setting if e.name not in left_out]
+    if not setting:
+        name, reason = next(iter(left_out.items()))
         raise InputError(folder, "split " + ", ".join(project.data.bound_split), "no frame counts: no judged stretch at all",
-                         f"speed in {model.speed_range[0]:g}..{model.speed_range[1]:g} m/s, steady within "
-                         f"{estimator.speed_tolerance:.0%} for {estimator.length[-1] * estimator.Ts:.3g} s or more")
+                         f"at least one drive unlike {name} ({reason})")
     progress("weights")
-    gamma_w = _fit(project, estimator, bounds.gamma_rule, "gamma_w", _floor(bounds.B2))
-    uncertainty_bounds(source, estimator, bounds, gamma_w.magnitude(estimator.omega), project.n_y,
-                       structure=project.bounds.structure, disturbance_set=project.bounds.disturbance_set)
-    noise, _ = peak_magnitudes(frames_of(noise_drives), estimator, project.n_y)
-    error, output = peak_magnitudes(source(), estimator, project.n_y)
-    weights = fit_weights(project, estimator, bounds, gamma_w, noise, error, output[:, 0])
-
-    progress("compiling the core")
-    with _scratch_core(project, coefficients_of(project, model, estimator, weights, 1.0)) as core:
-        weights = replace(weights, inflation=_final_inflation(drives, bound_drives, core, project.seed))
-        reals = coefficients_of(project, model, estimator, weights, 1.0).flat_reals()
-        scores, left_out = {}, {}
-        for name in others:
-            progress(f"score of {name}")
-            value = score(core.monitor(reals=reals, seal=True).run_drive(drives.load(name)[0]))
-            if value is None:
-                left_out[name] = "no frame counts: speed out of range or not steady"
-            else:
-                scores[name] = value
-    calibration = calibrate(scores, project.frame_test.alpha)
-    result = Identification(project, model, estimator, bounds, weights, calibration, bound_drives, list(scores), noise_drives,
-                            left_out)
+    noise_peak = np.full(first["E"].shape, np.nan)
+    if noise:
+        noise_peak = fold(first_parts(noise, keep=False))["E"]
+    gamma_w = _fit(project, estimator, first["gamma_rule"], "gamma_w", _floor(first["B2"]))
+    bounds = _bounds(reader, first, gamma_w.magnitude(estimator.omega), partial(over, "bounds"), setting)
+    weights = fit_weights(project, estimator, bounds, gamma_w, noise_peak, first["E"], first["Y"][:, 0])
+    weights, calibration, met = _calibrate(reader, weights, over, setting, others, left_out)
+    progress("window error")
+    result = Identification(
+        project, model, estimator, bounds, weights, calibration,
+        visibility(estimator.omega, estimator.speed_range, met, weights.at(estimator.omega)[0] / weights.inflation,
+                   calibration.threshold, weights.inflation),
+        _thinned(stacked(spectra)), [e.name for e in setting], list(calibration.scores), [e.name for e in noise], left_out,
+        dict(zip(drives.experiments, workers(file_hash, [e.path for e in experiments]))))
     return result, drives
+
+
+def _bounds(reader: DriveReader, first: Part, gamma_w: np.ndarray, over: Callable, setting: list[Experiment]) -> Bounds:
+    """Steps 5-6. ``covering``: B_w is scaled until sum_j |w_j / B_w,j|^2 <= 1 on every frame; ``paper``: |w_j| <= B_w,j."""
+    project, estimator = reader.project, reader.estimator
+    grid = front_grid(first["B1"], first["B2"], estimator, project.bounds.structure)
+    second = fold(over(partial(_uncertainty_pass, reader, gamma_w, grid), setting))
+    B_w = second["B_w"]
+    if project.bounds.disturbance_set == "covering" and project.n_y > 1:
+        scale = fold(over(partial(_covering_pass, reader, gamma_w, B_w), setting))["scale"]
+        B_w = B_w * np.fmax(1.0, scale)[:, None]
+    return Bounds(estimator.omega, *(first[k] for k in ("frames", "excitation", "B1", "B2", "gamma_rule")), gamma_w,
+                  second["nu"], B_w, grid, second["front"])
+
+
+def _calibrate(reader: DriveReader, weights: Weights, over: Callable, setting: list[Experiment], others: list[Experiment],
+               left_out: dict[str, str]) -> tuple[Weights, Calibration, Excitation]:
+    """Final inflation, scores of the other drives and the threshold; adds to ``left_out``; excitation of all of them.
+
+    The inflation is the least factor >= 1 on the weights with which no margin is above 1 on a bound-setting drive, whole or with its
+    first samples cut; rounded up by 1e-4 when it is above 1.
+    """
+    project, model, estimator = reader.project, reader.model, reader.estimator
+    plain = weights.at(estimator.omega)
+    met: list[Excitation] = []
+
+    def judged(what: str, core: Core | None, reals: np.ndarray | None, cuts: int, chosen: list[Experiment]) -> Iterator[Judged]:
+        for j in over(what, partial(_judge, reader, *plain, core, reals, cuts), chosen):
+            met.append(j.met)
+            if len(met) == JOINED_AT_ONCE:
+                met[:] = [Excitation.joined(met)]
+            yield j
+
+    def run(core: Core | None) -> tuple[Weights, Calibration]:
+        worst = reduce(max, (j.worst for j in judged("inflation", core, None, CUTS, setting)), 1.0)
+        inflated = replace(weights, inflation=worst if worst == 1.0 else worst * (1 + 1e-4))
+        reals = coefficients_of(project, model, estimator, inflated, 1.0).flat_reals() if core else None
+        scores = {}
+        for e, j in zip(others, judged("score", core, reals, 0, others)):
+            if j.score is None:
+                left_out[e.name] = reader.why_without_frames()
+            else:
+                scores[e.name] = j.score if core else j.score / inflated.inflation
+        return inflated, calibrate(scores, project.frame_test.alpha)
+
+    if estimator.window != "hann":
+        return *run(None), Excitation.joined(met)
+    with _scratch_core(project, coefficients_of(project, model, estimator, weights, 1.0)) as core:
+        return *run(core), Excitation.joined(met)
 
 
 def save(result: Identification, drives: DriveSet, target: Path) -> None:
     """Write the identification folder, whole or not at all."""
-    bounds, estimator = result.bounds, result.estimator
+    bounds, estimator, weights = result.bounds, result.estimator, result.weights
+    error = window_error(result.model, estimator, result.project.seed)
     table = {"omega_rad_s": bounds.omega, "length_samples": estimator.length, "frames": bounds.frames,
              "nu_ceiling": result.project.bounds.nu_ceiling.at(bounds.omega / (2 * np.pi)),
              "excitation": bounds.excitation, "B1": bounds.B1, "B2": bounds.B2, "gamma_rule": bounds.gamma_rule,
-             "gamma_w": bounds.gamma_w, "nu": bounds.nu, "B_w": bounds.B_w}
-    inputs = {name: file_hash(e.path) for name, e in drives.experiments.items()}
+             "gamma_w": bounds.gamma_w, "nu": bounds.nu, "B_w": bounds.B_w,
+             "window_error_median": error["median"], "window_error_percentile": error["percentile"]}
+    front = {"omega_rad_s": bounds.omega, "points": FRONT_POINTS, "gamma_w": bounds.front_gamma_w, "nu": bounds.front_nu,
+             "taken": {"gamma_w": bounds.gamma_w, "nu": bounds.nu}}
     with artefacts.new_folder(target) as folder:
         artefacts.write_files(folder, {
             "bounds.json": artefacts.to_json(table),
-            "weights.json": artefacts.to_json(result.weights.to_dict()),
+            "front.json": artefacts.to_json(front),
+            "weights.json": artefacts.to_json(weights.to_dict()),
             "calibration.json": artefacts.to_json(result.calibration.to_dict()),
+            "visibility.json": artefacts.to_json(result.visibility),
             "project.json": artefacts.to_json(result.project.model_dump(by_alias=True)),
-            "spectra.npz": _spectra(result, drives),
+            "spectra.npz": _spectra_file(result.spectra, result.bound_drives),
             artefacts.MANIFEST: artefacts.manifest(
                 "identify", vehicle=result.project.name, estimator_id=estimator.identifier(),
                 drives={"bounds": result.bound_drives, "calibration": result.calibration_drives,
                         "noise": result.noise_drives, "left_out": result.left_out},
-                drivers={n: e.driver for n, e in drives.experiments.items()}, sha256=inputs)})
+                drivers={n: e.driver for n, e in drives.experiments.items()}, sha256=result.sha256)})
 
 
-def _spectra(result: Identification, drives: DriveSet) -> bytes:
-    """Frames on the core's grid of all drives: columns drive, bin, start, E, Z."""
-    names = list(drives.experiments)
-    columns: dict[str, list[np.ndarray]] = {key: [] for key in ("drive", "bin", "start", "E", "Z")}
-    for index, name in enumerate(names):
-        for s in counted_frames(*drives.load(name), result.estimator, hop_only=True):
-            columns["drive"].append(np.full(len(s.starts), index))
-            columns["bin"].append(np.full(len(s.starts), s.bin))
-            columns["start"].append(s.starts)
-            columns["E"].append(s.E)
-            columns["Z"].append(s.Z)
+def _spectra_file(rows: Rows, bound_drives: list[str]) -> bytes:
+    """Columns drive (index into names), bin, start, E, Z."""
+    index = {name: i for i, name in enumerate(bound_drives)}
     stream = io.BytesIO()
-    np.savez(stream, names=np.array(names), **{k: np.concatenate(v) for k, v in columns.items()})
+    np.savez(stream, names=np.array(bound_drives), drive=np.array([index[n] for n in rows["drive"]], int), bin=rows["group"],
+             start=rows["start"], E=rows["E"], Z=rows["Z"])
     return stream.getvalue()
 
 
@@ -356,7 +513,14 @@ class StoredIdentification:
     weights: dict
     fitted: Weights
     calibration: Calibration
-    coefficients: Coefficients
+    front: dict[str, np.ndarray]
+    visibility: dict
+
+    @cached_property
+    def coefficients(self) -> Coefficients:
+        """The core's coefficients; InputError for bounds of an estimator that the core does not compute."""
+        model = NominalModel(self.project)
+        return coefficients_of(self.project, model, Estimator.of(self.project, model), self.fitted, self.calibration.threshold)
 
 
 def load(folder: Path) -> StoredIdentification:
@@ -373,5 +537,7 @@ def load(folder: Path) -> StoredIdentification:
         raise InputError(folder / artefacts.MANIFEST, "estimator_id", f"{manifest['estimator_id']:#010x}",
                          f"{estimator.identifier():#010x}, the estimator that project.json describes")
     fitted = Weights.from_dict(weights, str(folder / "weights.json"))
-    coefficients = coefficients_of(project, model, estimator, fitted, calibration.threshold)
-    return StoredIdentification(folder, manifest, project, bounds, weights, fitted, calibration, coefficients)
+    stored_front = artefacts.read_json(folder / "front.json")
+    front = {k: np.array(stored_front[k], float) for k in ("gamma_w", "nu")}
+    return StoredIdentification(folder, manifest, project, bounds, weights, fitted, calibration, front,
+                                artefacts.read_json(folder / "visibility.json"))

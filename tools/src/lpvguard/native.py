@@ -166,7 +166,7 @@ def _compile(sources, flags: tuple[str, ...], include_dirs, name: str, suffix: s
     return target
 
 
-_KERNEL_LEVEL = {"s1": "-O3", "s2": "-O2", "ray": "-O2", "candump": "-O2"}
+_KERNEL_LEVEL = {"s1": "-O3", "s2": "-O2", "ray": "-O2", "candump": "-O2", "recursion": "-O2"}
 """Optimisation per kernel: -O3 vectorises s1 (twice as fast); the others gain nothing from its longer
 compilation."""
 
@@ -182,7 +182,7 @@ def _load_kernel(name: str) -> ctypes.CDLL | None:
 
 
 def kernels(name: str) -> ctypes.CDLL | None:
-    """The package's own compiled kernel ``s1``, ``s2``, ``ray`` or ``candump``; None without a compiler, or when switched
+    """The package's own compiled kernel of that name in ``_native``; None without a compiler, or when switched
     off.
 
     Callers then use numpy, or for candump plain Python.

@@ -10,6 +10,7 @@ Outside the speed range the model runs at the nearest speed of the range; what i
 from __future__ import annotations
 
 import ast
+import ctypes
 import operator
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import expm
 
+from . import native
 from .errors import InputError
 from .project import Project
 
@@ -107,6 +109,27 @@ def _tabulate(entries: Callable[[np.ndarray], np.ndarray], low: float, high: flo
         if error <= TABLE_TOLERANCE:
             break
     return SpeedTable((low, high), samples[0], varying, cell, error)
+
+
+def recursion(Ad: np.ndarray, forced: np.ndarray, x_first: np.ndarray) -> np.ndarray:
+    """States (N, n) of x_{k+1} = Ad_k x_k + forced_k from x_first (n,); Ad (N, n, n), forced (N, n).
+
+    Compiled where possible; the numpy version gives the same bits.
+    """
+    Ad, forced, x = (np.ascontiguousarray(a, float) for a in (Ad, forced, x_first))
+    samples, n = forced.shape
+    states = np.empty((samples, n))
+    if lib := native.kernels("recursion"):
+        lib.lpvg_recursion(ctypes.c_ssize_t(samples), ctypes.c_ssize_t(n),
+                           *(a.ctypes.data_as(ctypes.c_void_p) for a in (Ad, forced, x, states)))
+        return states
+    for k in range(samples):
+        states[k] = x
+        product = Ad[k, :, 0] * x[0]
+        for j in range(1, n):
+            product += Ad[k, :, j] * x[j]
+        x = product + forced[k]
+    return states
 
 
 class NominalModel:
@@ -206,23 +229,23 @@ class NominalModel:
         numerator = (d.B_old[0] / z + d.B_new[0]) * z**-self.delay
         return self.C @ np.linalg.solve(z * np.eye(self.n) - d.Ad[0], numerator)
 
+    def acting_inputs(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The inputs u_{k-d-1} and u_{k-d} that act during step k, offset removed: (N, n_u) each, from u (N, n_u)."""
+        du = np.asarray(u, float) - self.input_offset
+        past = np.vstack([np.repeat(du[:1], self.delay + 1, axis=0), du])
+        return past[:len(du)], past[1:len(du) + 1]
+
     def simulate(self, v: np.ndarray, u: np.ndarray, y_first: np.ndarray) -> np.ndarray:
         """Nominal output yhat (N, n_y) along a drive: v (N,) [m/s], u (N, n_u), started at the measured y_first (n_y,).
 
         Before the first sample the input is taken as constant. The initial state is the least one with that output.
         Runs on the speed table, so that identification sees the model that the core runs.
         """
-        entries = self.table.at(v)
-        Ad, B_old, B_new = self._split(entries)
-        du = np.asarray(u, float) - self.input_offset
-        past = np.vstack([np.repeat(du[:1], self.delay + 1, axis=0), du])
-        forced = (np.einsum("kij,kj->ki", B_old, past[: len(du)]) + np.einsum("kij,kj->ki", B_new, past[1 : len(du) + 1]))
-        x = np.linalg.pinv(self.C) @ (np.asarray(y_first, float) - self.output_offset)
-        states = np.empty((len(du), self.n))
-        for k in range(len(du)):
-            states[k] = x
-            x = Ad[k] @ x + forced[k]
-        return states @ self.C.T + self.output_offset
+        Ad, B_old, B_new = self._split(self.table.at(v))
+        older, newer = self.acting_inputs(u)
+        forced = np.einsum("kij,kj->ki", B_old, older) + np.einsum("kij,kj->ki", B_new, newer)
+        x_first = np.linalg.pinv(self.C) @ (np.asarray(y_first, float) - self.output_offset)
+        return recursion(Ad, forced, x_first) @ self.C.T + self.output_offset
 
     @cached_property
     def table(self) -> SpeedTable:

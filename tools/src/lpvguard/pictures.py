@@ -194,6 +194,37 @@ def weights_over_bounds(grid, clouds: Clouds, bounds: dict[str, np.ndarray], W_w
     return figure
 
 
+FRONT_COLUMNS = 5
+MOST_FRONTS = 30
+"""Panels of the Pareto picture: of more bins every n-th is drawn."""
+
+
+@picture
+def pareto(omega, gamma_w: np.ndarray, nu: np.ndarray, taken: dict[str, np.ndarray], ceiling: np.ndarray, unit: str) -> Figure:
+    """nu over gamma_w (K, P), a panel per bin; ``taken`` gamma_w, nu (K,), and the ceiling (K,) on nu."""
+    known = np.flatnonzero(np.isfinite(nu).any(axis=1))
+    shown = known[::-(-len(known) // MOST_FRONTS)]
+    rows = -(-len(shown) // FRONT_COLUMNS)
+    figure = _figure(8.2, 0.5 + 1.5 * rows)
+    panels = figure.subplots(rows, FRONT_COLUMNS, squeeze=False).ravel()
+    for axes, k in zip(panels, shown):
+        top = 3 * max(taken["nu"][k], ceiling[k])
+        axes.plot(gamma_w[k], nu[k], "-", color=BLUE, label=r"front $\nu(\gamma_w)$")
+        axes.axhline(ceiling[k], ls="--", lw=0.9, color=PINK, label=r"ceiling $\bar\nu$")
+        axes.plot(taken["gamma_w"][k], taken["nu"][k], "o", ms=5, color=RED, label="taken")
+        axes.set_ylim(-0.04 * top, top)
+        axes.set_xlim(left=0)
+        axes.set_title(f"{omega[k]:.3g} rad/s", fontsize=8)
+        axes.tick_params(labelsize=7)
+        axes.xaxis.set_major_locator(MaxNLocator(3))
+    for axes in panels[len(shown):]:
+        axes.set_axis_off()
+    figure.supxlabel(rf"disturbance bound $\gamma_w$, {unit}", fontsize=9)
+    figure.supylabel(r"uncertainty $\nu$, –", fontsize=9)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3, frameon=False)
+    return figure
+
+
 @dataclass(frozen=True)
 class Stretch:
     """A piece of a drive: t (N,) [s after the drive's start], v (N,) [m/s], y, yhat (N, n_y)."""

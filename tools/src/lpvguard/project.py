@@ -67,15 +67,26 @@ class ModelSettings(_Strict):
 
 
 class FrameSettings(_Strict):
-    """The estimator (DESIGN 4.2): constant-Q Hann frames of ``periods`` periods."""
+    """The estimator (DESIGN 4.2).
 
-    window: Literal["hann"] = "hann"
+    ``hann``: constant-Q Hann frames of ``periods`` periods, ``bins_per_decade``. ``dft``: the paper's plain DFT, one rectangular
+    frame of ``length_s`` per experiment, driven at constant speed, every line from f_min_hz to f_max_hz; for analysis only.
+    """
+
+    estimator: Literal["hann", "dft"] = "hann"
+    length_s: Positive | None = None
     periods: Annotated[int, Field(ge=2, le=64)] = 6
     bins_per_decade: Annotated[int, Field(ge=1, le=50)] = 10
     f_min_hz: Positive
     f_max_hz: Positive
     hop_per_frame: Literal[2] = 2
     speed_tolerance: Fraction = 0.15
+
+    @model_validator(mode="after")
+    def _length(self) -> FrameSettings:
+        if (self.estimator == "dft") != (self.length_s is not None):
+            raise ValueError("frames: length_s must be given for estimator 'dft', and only for it")
+        return self
 
 
 class NuCeiling(_Strict):

@@ -151,6 +151,13 @@ class Replayer:
         return Replay(drive.name, drive.duration_s, run, judged, (drive.v >= low) & (drive.v <= high),
                       excited_samples(drive.u, Ts, self.project.frame_test.excited_std), alarms, Ts)
 
+    def summarise_file(self, path: Path) -> dict[str, Any] | InputError:
+        """The object of `lpvguard replay --json` for one drive table, or why it could not be read."""
+        try:
+            return self.replay_file(path).to_dict()
+        except InputError as error:
+            return error
+
     def replay_file(self, path: Path) -> Replay:
         """Read, check and run one drive table."""
         drive = read_drive(path, self.project)

@@ -21,7 +21,7 @@ from .evaluate import FAULT_FROM_S, FOUND_WITHIN_S, PIECE_S, SHORTEST_FOR_FAULTS
 from .identify import DC_STAND_IN, SMALLEST_NU, DriveSet, StoredIdentification, fitting_grid, uncertainty_samples
 from .replay import Replay, Replayer
 from .validation import s1
-from .visibility import STATED_GAINS, visibility
+from .visibility import STATED_GAINS
 from .weights import Weight
 
 LONGEST_STRETCH_S = 60.0
@@ -63,7 +63,6 @@ class _Pass:
 
     sections: list[str] = field(default_factory=list)
     bin: list[np.ndarray] = field(default_factory=list)
-    speed: list[np.ndarray] = field(default_factory=list)
     Z: list[np.ndarray] = field(default_factory=list)
     slow: tuple[int, str, slice] = (0, "", slice(0, 0))
     fast: tuple[int, str, slice] = (0, "", slice(0, 0))
@@ -262,7 +261,7 @@ def _bound_sections(stored: StoredIdentification, replayer: Replayer) -> list[st
         pictures.disturbance_design("f2", grid, clouds, bounds, curve(weights["gamma_w"]), fine, _units(stored)),
         f"<b>Counterpart of Fig. 2.</b> Grey: |E| of {points} frames of the {len(stored.manifest['drives']['bounds'])} "
         f"bound-setting drives on "
-        f"the monitor's frame grid, thinned to about {pictures.POINTS_PER_BIN} a bin (the largest kept). B<sub>2</sub>: "
+        f"the monitor's frame grid, thinned to about {pictures.POINTS_PER_BIN} a bin (the largest |E| kept). B<sub>2</sub>: "
         f"their bound over "
         f"frames at every start ({int(bounds['frames'].sum())} frames), hence on or above all points. Circles: "
         f"γ<sub>w</sub> that the rule asks for, "
@@ -292,7 +291,24 @@ def _bound_sections(stored: StoredIdentification, replayer: Replayer) -> list[st
         f"happened to need it), at least {SMALLEST_NU:g} as a weight must be positive; bounds and ν are over every "
         f"start, so they can lie above the points of the monitor's grid. ν(0) = 0 by definition.{none_allowed} "
         "How to read it: a line far above its dashed bound is conservatism of the fit, the worst is in the summary.")
-    return [f"<h2>Disturbance bound</h2>{second}", f"<h2>Weights over the bounds</h2>{third}"]
+    return [f"<h2>Disturbance bound</h2>{second}", f"<h2>Weights over the bounds</h2>{third}",
+            f"<h2>Trade-off between disturbance and uncertainty</h2>{_front(stored, replayer)}"]
+
+
+def _front(stored: StoredIdentification, replayer: Replayer) -> str:
+    """Pareto front per bin; in words where there is none."""
+    front, bounds = stored.front, stored.bounds
+    if not np.isfinite(front["nu"]).any():
+        return "<p>Structure S0 puts all error into the disturbance: there is nothing to trade.</p>"
+    svg = pictures.pareto("front", replayer.estimator.omega, front["gamma_w"], front["nu"], bounds, bounds["nu_ceiling"],
+                          _units(stored))
+    return _figure(svg, (
+        f"<b>Pareto front.</b> The least uncertainty ν with which every frame of the bound-setting drives, at every start, is "
+        f"explained with a disturbance of at most γ<sub>w</sub>: exact at {front['nu'].shape[1]} values of γ<sub>w</sub> a bin "
+        "from B<sub>1</sub>, where the line ends on the left, to B<sub>2</sub>, where it meets 0. Everything below the line is "
+        "falsified. Dot: the pair that was taken, by the ceiling (dashed) and the smoothing of γ<sub>w</sub> over the bins. How to "
+        "read it: a dot on a steep part pays for a little less disturbance with much more uncertainty; vertical axes end at "
+        "three times what was taken or allowed."))
 
 
 # ------------------------------------------------------------------------------------------------------------- Fig. 4
@@ -334,7 +350,7 @@ def _time_section(found: _Pass, stored: StoredIdentification, drives: DriveSet) 
 
 def _visibility_section(found: _Pass, stored: StoredIdentification, replayer: Replayer) -> str:
     estimator, unit = replayer.estimator, _units(stored)
-    bin_of, speed, Z = (np.concatenate(a) for a in (found.bin, found.speed, found.Z))
+    bin_of, Z = (np.concatenate(a) for a in (found.bin, found.Z))
     size = np.linalg.norm(Z, axis=1)
     K = estimator.n_bins
 
@@ -349,42 +365,46 @@ def _visibility_section(found: _Pass, stored: StoredIdentification, replayer: Re
         "read them, with the disturbance bound to compare: where the median lies below it, most frames say little about "
         "the model. Lower panel: counted "
         f"frames a bin (half overlapping, so they are not independent). Left-most: DC. Unit of |Z|: {escape(unit)}.")
-    seen = visibility(estimator.omega, replayer.model.speed_range, bin_of, speed, Z, replayer.W_delta,
-                      replayer.B_w, replayer.threshold)
-    cells = seen["cells"]
-    names = [f"{c['speed_mps'][0]:.3g}–{c['speed_mps'][1]:.3g}" for c in cells]
+    seen = stored.visibility
+    typical, strongest = seen["at_percentile"], seen["at_strongest"]
+    names = [f"{c['speed_mps'][0]:.3g}–{c['speed_mps'][1]:.3g}" for c in typical]
     labels = ["DC", *(f"{w:.3g}" for w in estimator.omega[1:])]
     overall = _table(
-        ["speed, m/s", "counted frames", "smallest visible gain error", "smallest visible delay, s",
-         *(s["fault"] + "?" for s in cells[0]["stated"])],
-        [[n, str(sum(c["frames"])), _number(c["smallest_gain_error"]), _number(c["smallest_delay_s"]),
-          *(_yes(s["visible"], "visible", "invisible") for s in c["stated"])] for n, c in zip(names, cells)])
+        ["speed, m/s", "counted frames", "excitation", "smallest visible gain error", "smallest visible delay, s",
+         *(s["fault"] + "?" for s in typical[0]["stated"])],
+        [[n, str(sum(c["frames"])), word, _number(c["smallest_gain_error"]), _number(c["smallest_delay_s"]),
+          *(_yes(s["visible"], "visible", "invisible") for s in c["stated"])]
+         for n, *both in zip(names, typical, strongest)
+         for word, c in zip((f"{seen['percentile']}th percentile", "strongest"), both)])
 
     stated = ", ".join(f"a gain of {c:g} has g = {abs(1 - c):.3g}" for c in STATED_GAINS)
 
-    def by_bin(key: str) -> list[list[str]]:
+    def by_bin(key: str, cells: list[dict]) -> list[list[str]]:
         return [[n, *(_number(x, 2) for x in c[key])] for n, c in zip(names, cells)]
 
     head = ["speed, m/s \\ bin, rad/s", *labels]
-    gain = _table(head, [*by_bin("gain_error"), ["any excitation", *(_number(x, 2) for x in seen["gain_error_floor"])]])
-    delay = _table(head, by_bin("delay_s"))
-    frames = _table(head, [[n, *(str(x) for x in c["frames"])] for n, c in zip(names, cells)])
-    size_table = _table(head, by_bin("excitation"))
+    floor = ["any excitation", *(_number(x, 2) for x in seen["gain_error_floor"])]
+    gain, gain_strongest = (_table(head, [*by_bin("gain_error", cells), floor]) for cells in (typical, strongest))
+    delay, delay_strongest = (_table(head, by_bin("delay_s", cells)) for cells in (typical, strongest))
+    frames = _table(head, [[n, *(str(x) for x in c["frames"])] for n, c in zip(names, typical)])
+    size_table, size_strongest = (_table(head, by_bin("excitation", cells)) for cells in (typical, strongest))
     return f"""<h2>Excitation and what stays invisible</h2>{figure}
 <h3>Smallest visible error per speed</h3>
 <p>A frame of a vehicle that responds with c times the nominal output shows E = −gZ, |g| = |1 − c|, and exceeds the threshold
-{replayer.threshold:.4g} exactly when g &gt; threshold / t*(−Z, Z); with one output, when
+{seen["threshold"]:.4g} exactly when g &gt; threshold / t*(−Z, Z); with one output, when
 g|Z| &gt; threshold · (B<sub>w</sub> + W<sub>Δ</sub>|Z|). A delay τ has g = |1 − e<sup>−jωτ</sup>|. Z is taken at the
-{seen["percentile"]}th percentile of what was met in the cell, so one counted frame in
-{100 // (100 - seen["percentile"])} is at least
-as strong. A smaller fault is invisible unless the excitation is stronger than that, or the vehicle's ordinary
+{seen["percentile"]}th percentile of what the bound-setting and calibration drives met in the cell (over at most
+{seen["sampled_frames"]} of its frames), so one counted frame in {100 // (100 - seen["percentile"])} is at least
+as strong, and at the strongest frame met. A smaller fault is invisible unless the excitation is stronger than that, or the vehicle's ordinary
 error happens to add to it; {stated}. “–”: no frame counted there.</p>{overall}
-<h3>Smallest visible gain error, per speed and bin</h3>{gain}<p class="note">Last line: threshold · W<sub>Δ</sub>, below
+<h3>Smallest visible gain error, per speed and bin, {seen["percentile"]}th percentile</h3>{gain}
+<h3>At the strongest excitation</h3>{gain_strongest}<p class="note">Last line: threshold · W<sub>Δ</sub>, below
 which a gain error stays invisible however strong the excitation. Above 1
  not even a vehicle that does not respond at all would be noticed in that bin.</p>
-<h3>Smallest visible delay [s], per speed and bin</h3>{delay}
+<h3>Smallest visible delay [s], per speed and bin, {seen["percentile"]}th percentile</h3>{delay}
+<h3>At the strongest excitation</h3>{delay_strongest}
 <p class="note">“–”: no delay is large enough (g above 2), DC, or no frame.</p>
-<h3>Excitation |Z| [{escape(unit)}] behind these numbers</h3>{size_table}
+<h3>Excitation |Z| [{escape(unit)}] behind these numbers: {seen["percentile"]}th percentile, strongest</h3>{size_table}{size_strongest}
 <h3>Counted frames</h3>{frames}"""
 
 
@@ -396,7 +416,6 @@ def _visit(found: _Pass, stored: StoredIdentification, replayer: Replayer, drive
     frames = replay.run.frames
     counted = frames.counted
     found.bin.append(frames.bin[counted])
-    found.speed.append(frames.speed[counted])
     found.Z.append(frames.Z[counted])
     low, high = replayer.model.speed_range
     usable = replay.judged & replay.in_range & replay.excited
@@ -414,7 +433,7 @@ def _role(stored: StoredIdentification, name: str) -> str:
         return "set the bounds"
     if name in groups["left_out"]:
         return f"left out: {escape(groups['left_out'][name])}"
-    if name in stored.manifest["drives"]["noise"]:
+    if name in groups["noise"]:
         return "zero input: bounds the noise"
     return f"calibrates, score {stored.calibration.scores[name]:.3f}"
 

@@ -1,1 +1,45 @@
-"""Performance tables; each module measures one part and states the figure it is held to."""
+"""Performance tables, measured and not asserted: ``lpvguard bench NAME``, each beside its peers in one run.
+
+A module of this package is a bench when it has ``main(argv)``: the command line of ``lpvguard bench <module>``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from importlib import import_module
+from pathlib import Path
+from pkgutil import iter_modules
+from typing import Any
+
+from .. import artefacts
+from ..errors import InputError
+
+
+def names() -> list[str]:
+    """The benches there are."""
+    return sorted(m.name for m in iter_modules(__path__))
+
+
+def run(name: str, argv: list[str]) -> None:
+    """Run a bench with its own options; InputError for an unknown name."""
+    if name not in names():
+        raise InputError("bench", name, "no such bench", " or ".join(names()))
+    import_module(f"{__name__}.{name}").main(argv)
+
+
+def parser(name: str, description: str | None) -> argparse.ArgumentParser:
+    """Parser of a bench's options; ``--json`` is common to all."""
+    made = argparse.ArgumentParser(prog=f"lpvguard bench {name}", description=description,
+                                   formatter_class=argparse.RawDescriptionHelpFormatter)
+    made.add_argument("--json", dest="json_out", metavar="PATH", help="write the numbers as JSON; - is standard output")
+    return made
+
+
+def show(text: str, value: Any, json_out: str | None) -> None:
+    """Print the table, or (``--json -``) the numbers; write the numbers where asked."""
+    print(text, file=sys.stderr if json_out == "-" else sys.stdout)
+    if json_out == "-":
+        sys.stdout.write(artefacts.to_json(value))
+    elif json_out:
+        artefacts.write_file(Path(json_out), artefacts.to_json(value))

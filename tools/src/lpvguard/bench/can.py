@@ -15,6 +15,7 @@ from pathlib import Path
 
 from ..can.decode import decode_all, load_database
 from ..can.logs import read_log
+from . import parser, show
 
 
 def bench_decode(log: Path, dbc: Path, *, frames: int = 5_000_000, peer_frames: int = 200_000) -> dict:
@@ -69,25 +70,17 @@ def _peer(path: Path, database) -> tuple[int, float]:
     return signals, time.process_time() - start
 
 
-def main(argv: list[str] | None = None) -> None:
-    """Prints the table: ``python -m lpvguard.bench.can LOG DBC``."""
-    import argparse
-
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("log", type=Path)
-    parser.add_argument("dbc", type=Path)
-    parser.add_argument("--frames", type=int, default=5_000_000)
-    result = bench_decode(**vars(parser.parse_args(argv)))
-    print(
+def main(argv: list[str]) -> None:
+    """`lpvguard bench can LOG DBC`."""
+    options = parser("can", __doc__)
+    options.add_argument("log", type=Path, help="candump log, also .gz")
+    options.add_argument("dbc", type=Path)
+    options.add_argument("--frames", type=int, default=5_000_000)
+    given = options.parse_args(argv)
+    result = bench_decode(given.log, given.dbc, frames=given.frames)
+    show("\n".join([
         f"{'lpvguard':<28} {result['frames_per_s'] / 1e6:8.3f} M frames/s  ({result['frames']} frames, {result['signals']} values; "
-        f"reading {result['read_s']:.2f} s, decoding {result['decode_s']:.2f} s)"
-    )
-    print(
+        f"reading {result['read_s']:.2f} s, decoding {result['decode_s']:.2f} s)",
         f"{result['peer']:<28} {result['peer_frames_per_s'] / 1e6:8.3f} M frames/s  ({result['peer_frames']} frames, "
-        f"{result['peer_signals']} values)"
-    )
-    print(f"{'ratio':<28} {result['ratio']:8.1f}")
-
-
-if __name__ == "__main__":
-    main()
+        f"{result['peer_signals']} values)",
+        f"{'ratio':<28} {result['ratio']:8.1f}"]), result, given.json_out)

@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
 import time
 import venv
 from collections.abc import Callable
@@ -21,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from lpvguard import truck_model
+from lpvguard.bench import parser, show
 from lpvguard.synthesis.cases import case_plant, read_case
 from lpvguard.synthesis.dk import certify, dk_synthesis
 from lpvguard.synthesis.hinf import hinf_synthesis
@@ -247,5 +247,11 @@ def as_dicts(rows: list[Row]) -> list[dict]:
     return [asdict(r) | {"ok": r.ok} for r in rows]
 
 
-if __name__ == "__main__":
-    print(table(run(sys.argv[1], peers=Path(sys.argv[2]) if len(sys.argv) > 2 else None)))
+def main(argv: list[str]) -> None:
+    """`lpvguard bench synthesis CASE.toml`."""
+    options = parser("synthesis", __doc__)
+    options.add_argument("case", type=Path, help="the paper case, shared/cases/paper_case.toml")
+    options.add_argument("--peers", type=Path, help="folder for the peers' environment, made when missing")
+    given = options.parse_args(argv)
+    rows = run(given.case, peers=given.peers)
+    show(table(rows), as_dicts(rows), given.json_out)

@@ -19,6 +19,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from lpvguard import native, truck_model
+from lpvguard.bench import parser, show
 from lpvguard.validation import s1, s2
 
 TARGET_US = {"S1": 0.02, "margin": 0.1, "S2": 500.0}
@@ -228,3 +229,14 @@ def table(rows: list[Row]) -> str:
 def as_dicts(rows: list[Row]) -> list[dict]:
     """The rows for ``--json``."""
     return [asdict(r) | {"ok": r.ok} for r in rows]
+
+
+def main(argv: list[str]) -> None:
+    """`lpvguard bench validation`."""
+    options = parser("validation", __doc__)
+    options.add_argument("--experiments", type=int, default=20)
+    options.add_argument("--bins", type=int, default=1024)
+    options.add_argument("--no-peers", action="store_true", help="without the conic solver")
+    given = options.parse_args(argv)
+    rows = run(given.experiments, given.bins, peers=not given.no_peers)
+    show(table(rows), as_dicts(rows), given.json_out)

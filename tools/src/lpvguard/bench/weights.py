@@ -7,16 +7,15 @@ installed, at the order that our fit chose. One process, one thread.
 
 from __future__ import annotations
 
-import json
 import math
 import statistics
-import sys
 import time
 from collections.abc import Iterator
 
 import numpy as np
 
 from ..weights import Weight, fit_overbound
+from . import parser, show
 
 
 def bounds() -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
@@ -81,6 +80,12 @@ def _peer():
     return fit
 
 
-if __name__ == "__main__":
-    json.dump(bench_weights(), sys.stdout, indent=1)
-    print()
+def main(argv: list[str]) -> None:
+    """`lpvguard bench weights`."""
+    given = parser("weights", __doc__).parse_args(argv)
+    result = bench_weights()
+    head = f"{'bound':<24}{'samples':>8}{'order':>6}{'worst dB':>10}{'gap dB':>9}{'|W|/bound':>12}{'seconds':>9}"
+    rows = [f"{r['bound']:<24}{r['samples']:>8}{r['order']:>6}{r['worst_db']:>10.3f}{r['gap_db']:>9.4f}{r['least_ratio']:>12.9f}"
+            f"{r['seconds']:>9.3f}" for r in result["rows"]]
+    total = "; ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in result["summary"].items())
+    show("\n".join([head, *rows, total]), result, given.json_out)

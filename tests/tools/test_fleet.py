@@ -1,0 +1,321 @@
+"""Many drives: the same bytes for any workers and any order, memory that does not grow, and what the passes over drives compute."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lpvguard import identify as stage
+from lpvguard import native
+from lpvguard.bench import fleet
+from lpvguard.bounds import FRONT_POINTS, front, front_grid
+from lpvguard.drives import Drive
+from lpvguard.errors import InputError
+from lpvguard.export import export_vehicle
+from lpvguard.frames import Estimator
+from lpvguard.nominal import NominalModel, recursion
+from lpvguard.parallel import UNDER_WAY_PER_WORKER, workers
+from lpvguard.plain_dft import spectra
+from lpvguard.project import load_project, parse_project
+from lpvguard.sampling import first_of_each, row_hash, stacked
+from lpvguard.validation import s1
+from lpvguard.visibility import Excitation
+from lpvguard.window_error import window_error
+
+DRIVES = 9
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("fleet") / "drives"
+    fleet.write_fleet(folder, DRIVES)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def found(drives) -> stage.Identification:
+    return stage.identify(fleet.vehicle(), drives)[0]
+
+
+def files(folder: Path, run=map) -> dict[str, bytes]:
+    """The identification folder of ``folder``, without the manifest, which lists drives in their order."""
+    target = folder.parent / f"{folder.name}_identified"
+    stage.save(*stage.identify(fleet.vehicle(), folder, workers=run), target)
+    content = {p.name: p.read_bytes() for p in target.iterdir() if p.name != "MANIFEST.json"}
+    shutil.rmtree(target)
+    return content
+
+
+# ---------------------------------------------------------------------------------------------------------- workers
+
+def test_workers_and_order_do_not_change_a_byte(drives, tmp_path):
+    alone = files(drives)
+    with workers(2) as run:
+        assert files(drives, run) == alone
+    shuffled = tmp_path / "shuffled"
+    shutil.copytree(drives, shuffled)
+    head, *rows = (drives / "experiments.csv").read_text().splitlines()
+    (shuffled / "experiments.csv").write_text("\n".join([head, *np.random.default_rng(1).permutation(rows)]) + "\n")
+    other = files(shuffled)
+    for name in ("bounds.json", "front.json", "weights.json", "visibility.json"):
+        assert other[name] == alone[name], name
+    a, b = (json.loads(f["calibration.json"]) for f in (alone, other))
+    assert a == b  # scores are listed in the order of the drives
+
+
+def test_dask_gives_the_same_bytes(drives):
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None) as cluster:
+        with workers(scheduler=cluster.scheduler_address) as run:
+            assert files(drives, run) == files(drives)
+
+
+def test_a_core_is_sent_as_its_sources_and_can_be_sent_on(core):
+    again = pickle.loads(pickle.dumps(pickle.loads(pickle.dumps(core))))
+    for a, b in zip(core.compiled, again.compiled):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_results_come_in_order_and_few_are_under_way():
+    taken = []
+
+    def items():
+        for i in range(40):
+            taken.append(i)
+            yield -i
+
+    with workers(2) as run:
+        for i, result in enumerate(run(abs, items())):
+            assert result == i
+            assert len(taken) <= i + 2 * UNDER_WAY_PER_WORKER
+
+
+def test_an_input_error_of_a_worker_keeps_its_parts(drives, tmp_path):
+    broken = tmp_path / "broken"
+    shutil.copytree(drives, broken)
+    (broken / "drive_00004.parquet").write_bytes(b"")
+    with workers(2) as run, pytest.raises(InputError, match="the file is empty") as caught:
+        stage.identify(fleet.vehicle(), broken, workers=run)
+    assert caught.value.source.endswith("drive_00004.parquet")
+
+
+@pytest.mark.parametrize(("given", "says"), [({"jobs": 0}, "at least 1"), ({"jobs": 2, "scheduler": "tcp://x:1"}, "one of them"),
+                                             ({"scheduler": "nonsense"}, "no scheduler answers")])
+def test_bad_worker_settings_are_named(given, says, monkeypatch):
+    monkeypatch.setattr("lpvguard.parallel.CONNECT_TIMEOUT_S", 1)
+    if given.get("scheduler") == "nonsense":
+        pytest.importorskip("distributed")
+    with pytest.raises(InputError, match=says), workers(**given):
+        pass
+
+
+def test_replay_and_evaluate_share_drives(lpvguard, vehicle, identified, synthetic, tmp_path):
+    logs = [synthetic / f"synthetic_{i:02d}.csv" for i in (5, 6, 8)]
+    replay = ("replay", "--vehicle", "g80", "--coefficients", vehicle, *logs, "--json", "-")
+    alone, shared = lpvguard(*replay), lpvguard(*replay, "--jobs", 2)
+    assert alone.returncode == shared.returncode == 0, shared.stderr
+    assert alone.stdout == shared.stdout and len(json.loads(alone.stdout)) == 3
+    evaluate = ("evaluate", "--vehicle", "g80", identified, synthetic, "--coefficients", vehicle, "--json", "-")
+    alone, shared = lpvguard(*evaluate), lpvguard(*evaluate, "--jobs", 2)
+    assert alone.returncode == shared.returncode == 0, shared.stderr
+    assert alone.stdout == shared.stdout
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory is read from /proc")
+def test_memory_does_not_grow_with_the_number_of_drives(tmp_path):
+    many = 1000 if os.environ.get("LPVGUARD_FULL") == "1" else 120
+    peak = {}
+    for count in (10, many):
+        fleet.write_fleet(tmp_path / str(count), count)
+        peak[count] = fleet.peak_memory_kib(tmp_path / str(count))
+    assert peak[many] <= 1.2 * peak[10], peak
+
+
+def test_bench_names_what_there_is(lpvguard):
+    done = lpvguard("bench", "nothing")
+    assert done.returncode == 2 and "can or fleet or synthesis or validation or weights" in done.stderr
+    done = lpvguard("bench", "fleet", "--drives", 3, "--memory", "--json", "-")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["same_bytes"] is True
+
+
+# --------------------------------------------------------------------------------------------------------- sampling
+
+def test_samples_are_associative_and_commutative():
+    random = np.random.default_rng(0)
+    parts = [{"group": random.integers(0, 4, n), "hash": row_hash(f"drive {i}", np.arange(n)), "x": random.standard_normal(n)}
+             for i, n in enumerate((50, 0, 7, 90, 200))]
+    whole = first_of_each(stacked(parts), 20, "x")
+    for order in ([4, 3, 2, 1, 0], [1, 0, 4, 2, 3]):
+        folded = first_of_each(parts[order[0]], 20, "x")
+        for i in order[1:]:
+            folded = first_of_each(stacked([folded, first_of_each(parts[i], 20, "x")]), 20, "x")
+        for name in whole:
+            np.testing.assert_array_equal(folded[name], whole[name])
+    for g in range(4):
+        x = np.concatenate([p["x"][p["group"] == g] for p in parts])
+        np.testing.assert_array_equal(whole["x"][whole["group"] == g], np.sort(x)[:20])
+
+
+def test_a_draw_by_hash_is_uniform():
+    rows = {"group": np.zeros(100_000, int), "hash": row_hash("drive", np.arange(100_000)), "x": np.arange(100_000) / 1e5}
+    drawn = first_of_each(rows, 2000)["x"]
+    assert abs(drawn.mean() - 0.5) < 0.03 and abs(np.quantile(drawn, 0.9) - 0.9) < 0.03
+
+
+def test_spectra_are_thinned_to_the_stated_cap_and_keep_the_largest(monkeypatch, drives, found):
+    monkeypatch.setattr(stage, "LARGEST_SPECTRA", 5)
+    monkeypatch.setattr(stage, "DRAWN_SPECTRA", 15)
+    thin = stage.identify(fleet.vehicle(), drives)[0].spectra
+    for k in range(found.estimator.n_bins):
+        whole, kept = (np.linalg.norm(r["E"][r["group"] == k], axis=1) for r in (found.spectra, thin))
+        assert min(len(whole), 15) <= len(kept) <= 20
+        np.testing.assert_array_equal(np.sort(kept)[-5:], np.sort(whole)[-5:])
+
+
+def test_excitation_of_all_drives_is_that_of_their_frames_together():
+    random = np.random.default_rng(2)
+    W_delta, B_w, K = np.full(4, 0.1), np.full((4, 1), 0.01), 4
+    frames = [(random.integers(0, K, n), random.uniform(4, 19, n), random.standard_normal((n, 1)) + 0j) for n in (300, 700)]
+    parts = [Excitation.of(f"d{i}", (4.0, 19.0), b, v, Z, W_delta, B_w, np.arange(len(b))) for i, (b, v, Z) in enumerate(frames)]
+    joined = Excitation.joined(parts)
+    np.testing.assert_array_equal(joined.count, parts[0].count + parts[1].count)
+    assert joined.strongest["size"].max() == max(np.abs(Z).max() for _, _, Z in frames)
+    for name in joined.sample:
+        np.testing.assert_array_equal(joined.sample[name], Excitation.joined(parts[::-1]).sample[name])
+
+
+# ------------------------------------------------------------------------------------------------ kernel, front
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5])
+def test_compiled_recursion_has_the_bits_of_numpy(n, monkeypatch):
+    random = np.random.default_rng(n)
+    Ad = 0.5 * random.standard_normal((400, n, n)) / n
+    forced, x = random.standard_normal((400, n)), random.standard_normal(n)
+    if native.kernels("recursion") is None:
+        pytest.skip("no compiler")
+    compiled = recursion(Ad, forced, x)
+    monkeypatch.setenv("LPVGUARD_NO_NATIVE", "1")
+    np.testing.assert_array_equal(recursion(Ad, forced, x), compiled)
+
+
+@pytest.mark.parametrize("n_y", [1, 2])
+def test_front_is_the_largest_exact_nu_of_all_frames(n_y, g80, g80_model):
+    random = np.random.default_rng(n_y)
+    E, Z = (random.standard_normal((500, n_y)) + 1j * random.standard_normal((500, n_y)) for _ in range(2))
+    E *= random.uniform(0, 1, (500, 1))
+    size = np.linalg.norm(E, axis=1)
+    estimator = replace(Estimator.of(g80, g80_model), length=np.array([100, 100]), cycles=np.array([0, 3]))
+    B1, B2 = np.full(2, s1.solve(E, Z, size).b1.max()), np.full(2, size.max())
+    grid = front_grid(B1, B2, estimator, "S1")
+    assert np.isnan(grid[0]).all() and grid[1, 0] == B1[1] and grid[1, -1] == B2[1]
+    nu = front(E, Z, grid[1])
+    # At B2 a norm summed in another order leaves some 1e-16 where 0 is meant; everywhere else the bits agree.
+    np.testing.assert_array_equal(nu[:-1], [s1.solve(E, Z, g).nu.max() for g in grid[1, :-1]])
+    assert nu[-1] == 0.0 and (np.diff(nu) <= 0).all() and np.isfinite(nu).all()
+    assert np.isnan(front_grid(B1, B2, estimator, "S0")).all()
+
+
+def test_what_was_taken_lies_on_the_front(found):
+    b = found.bounds
+    assert b.front_nu.shape == (found.estimator.n_bins, FRONT_POINTS)
+    for k in range(1, found.estimator.n_bins):
+        below, above = b.front_gamma_w[k] <= b.gamma_w[k], b.front_gamma_w[k] >= b.gamma_w[k]
+        assert b.front_nu[k][below].min() >= b.nu[k] >= (b.front_nu[k][above].max() if above.any() else 0.0)
+
+
+# -------------------------------------------------------------------------------------------------------- plain DFT
+
+def plain(name: str = "g80", **frames):
+    document = load_project(name).model_dump(by_alias=True)
+    document["frames"] |= {"estimator": "dft", "length_s": 10.0, "f_min_hz": 0.2, "f_max_hz": 2.5, **frames}
+    document["bounds"]["nu_ceiling"] = {"f_hz": [1.0], "nu": [0.1]}
+    document["name"] = "plain"
+    return parse_project(document, "test")
+
+
+@pytest.mark.parametrize("name", ["g80", "truck"])
+def test_plain_dft_of_the_models_own_data_is_zero_once_the_transient_is_out(name):
+    project = plain(name, f_max_hz=2.0)
+    model = NominalModel(project)
+    estimator = Estimator.of(project, model)
+    random = np.random.default_rng(5)
+    n = int(estimator.length[0]) + 300
+    v = np.full(n, 12.0)
+    u = 0.05 * random.standard_normal((n, project.n_u))
+    drive = Drive("d", np.arange(n) * model.Ts, v, u, model.simulate(v, u, np.full(project.n_y, 0.3)))
+    E, Z = spectra(drive, 40, model, estimator)
+    # All that is left is the speed table's tolerance (1e-6 of each entry); with the transient in, E is of the output's size.
+    assert np.abs(E[1:]).max() < 1e-4 * np.abs(Z[1:]).max()
+    G = model.frequency_response(estimator.omega[1:], 12.0)
+    assert np.median(np.linalg.norm(Z[1:], axis=1) / np.linalg.norm(G[:, :, 0], axis=1)) < 0.05
+
+
+def test_plain_dft_finds_a_known_gain_and_disturbance(g80):
+    project = plain()
+    model = NominalModel(project)
+    estimator = Estimator.of(project, model)
+    n = int(estimator.length[0])
+    t = np.arange(n) * model.Ts
+    v, line = np.full(n, 9.0), estimator.omega[7]
+    u = model.input_offset + 0.02 * np.sin(np.outer(t, estimator.omega[[3, 12]])).sum(axis=1)[:, None]
+    yhat = model.simulate(v, u, np.zeros(1))
+    y = yhat + 1e-3 * np.cos(line * t)[:, None]
+    E, Z = spectra(Drive("d", t, v, u, y), 0, model, estimator)
+    # The fitted transient, one real number against 2 K, takes a little of the disturbance with it.
+    assert abs(E[7, 0]) == pytest.approx(1e-3, rel=0.1)
+    assert np.delete(np.abs(E[1:, 0]), 6).max() < 1e-4
+
+
+def test_identify_with_the_plain_dft_leaves_out_unsteady_drives_and_export_refuses(tmp_path):
+    project = plain()
+    fleet.write_fleet(tmp_path / "drives", 6)
+    moving = tmp_path / "drives" / "drive_00003.parquet"
+    import pyarrow as pa
+    import pyarrow.parquet as pa_parquet
+
+    table = pa_parquet.read_table(moving)
+    t = table["t"].to_numpy()
+    pa_parquet.write_table(table.set_column(1, "v", pa.array(10.0 + 6.0 * np.sin(1.5 * t))), moving)
+    result, drive_set = stage.identify(project, tmp_path / "drives")
+    assert list(result.left_out) == ["drive_00003"] and "15%" in result.left_out["drive_00003"]
+    assert "drive_00003" not in result.bound_drives and len(result.bound_drives) == 3
+    assert (result.bounds.frames == 3).all() and np.isfinite(result.bounds.B2).all()
+    assert result.weights.inflation >= 1.0 and set(result.calibration.scores) == {"drive_00002", "drive_00005"}
+    stage.save(result, drive_set, tmp_path / "found")
+    stored = stage.load(tmp_path / "found")
+    assert stored.bounds["window_error_median"].max() < 1e-8
+    with pytest.raises(InputError, match="plain DFT"):
+        export_vehicle(stored, tmp_path / "vehicle")
+    assert not (tmp_path / "vehicle").exists()
+    hann = Estimator.of(load_project("g80"), NominalModel(load_project("g80")))
+    assert result.estimator.identifier() != hann.identifier()
+
+
+def test_plain_dft_settings_are_checked():
+    with pytest.raises(InputError, match="length_s"):
+        plain(length_s=None)
+    with pytest.raises(InputError, match="unknowns of the transient"):
+        project = plain(length_s=1.0, f_min_hz=0.1, f_max_hz=0.2)
+        Estimator.of(project, NominalModel(project))
+
+
+def test_window_error_falls_with_the_number_of_periods():
+    document = load_project("truck").model_dump(by_alias=True)
+    document["frames"] |= {"f_min_hz": 0.2, "bins_per_decade": 3}
+    medians = []
+    for periods in (4, 16):
+        document["frames"] |= {"periods": periods}
+        project = parse_project(document, "test")
+        model = NominalModel(project)
+        error = window_error(model, Estimator.of(project, model), seed=1)
+        assert (error["percentile"] >= error["median"]).all()
+        medians.append(error["median"][1:])
+    assert (medians[1] < medians[0]).all() and 0.01 < medians[0].max() < 1.0
