@@ -132,4 +132,17 @@ private:
     }
 };
 
+/// Margin of a vehicle that does not respond, E = -Z: d is real from -1 to 0, where |d| / W rises to meet (1 - |d|) a with
+/// a = max |Z_j| / B_j. Arguments as for Margin.
+template <class Real, std::size_t NY>
+Real dead_margin(const Complex2<Real>* Z, Real W, const Real* B) {
+    Real largest = Real(0);
+    for (std::size_t j = 0; j < NY; ++j) {
+        const Real a = squared((Real(1) / B[j]) * Z[j]);
+        largest = a > largest ? a : largest;
+    }
+    const Real a = std::sqrt(largest);
+    return a / (Real(1) + a * W);
+}
+
 }  // namespace lpvg

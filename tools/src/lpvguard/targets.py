@@ -4,8 +4,10 @@
 
 ``run_target`` builds firmware_sim/ports/target_bench.cpp with a vehicle's generated folder and runs it over a drive; it
 returns what the core answered, bit for bit, and what every part cost: *instructions, not cycles* -- QEMU models no
-pipeline, cache or flash waits. ``run_host`` answers the same with the PC's compiler, to compare with: both build with
-``-ffp-contract=off``, because M4F and M7 fuse multiply-add and the R5F cannot.
+pipeline, cache or flash waits. ``run_host`` answers the same with the PC's compiler, to compare with.
+
+Two builds: for comparing bits ``-ffp-contract=off`` on every side, because M4F and M7 have a fused multiply-add and the R5F
+has not; for counting the compiler's default, as an ECU project builds the library.
 """
 
 from __future__ import annotations
@@ -31,7 +33,8 @@ from .errors import InputError
 PACKAGES = "qemu-system-arm gcc-arm-none-eabi libnewlib-arm-none-eabi libstdc++-arm-none-eabi-newlib"
 """Debian packages that hold the cross compiler, its libraries and the emulator."""
 
-LANGUAGE = ("-O2", "-ffp-contract=off", "-fno-math-errno", "-DNDEBUG")
+LANGUAGE = ("-O2", "-fno-math-errno", "-DNDEBUG")
+SAME_BITS = "-ffp-contract=off"
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror")
 CXX = ("-std=c++17", "-fno-exceptions", "-fno-rtti", "-fno-threadsafe-statics")
 SECTIONS = {".core_code": "code", ".core_coefficients": "coefficients", ".core_libraries": "libraries"}
@@ -92,8 +95,9 @@ class Input:
                 f"static const lpvg_real_t target_input[TARGET_INPUT_SAMPLES][{rows.shape[1]}] = {{\n{text}}};\n")
 
 
-def run_target(name: str, vehicle: Path, drive: Input) -> dict[str, Any]:
-    """Build for a target and run in QEMU; ``vehicle`` is a generated folder.
+def run_target(name: str, vehicle: Path, drive: Input, *, same_bits: bool) -> dict[str, Any]:
+    """Build for a target and run in QEMU; ``vehicle`` is a generated folder. ``same_bits``: results as on every other
+    target; else multiply and add may be fused, which is what to count.
 
     Returns target, elf_sha256, rom {code, coefficients, libraries} and structs {name: bytes}, parts {name: {calls, worst,
     median, stack}} (instructions of one call, bytes), imports (symbols that the core's objects take from libraries) and
@@ -105,7 +109,7 @@ def run_target(name: str, vehicle: Path, drive: Input) -> dict[str, Any]:
     missing = missing_tools(target)
     if missing:
         raise InputError(f"target {name}", "", f"{', '.join(missing)} not found", f"the Debian packages {PACKAGES}")
-    elf, imports = _build(target, vehicle, drive)
+    elf, imports = _build(target, vehicle, drive, (*LANGUAGE, SAME_BITS) if same_bits else LANGUAGE)
     command = [*target.emulator, "-display", "none", "-serial", "none", "-semihosting-config", "enable=on,target=native",
                *target.elf_option.format(elf=elf).split("=", 1)]
     # Semihosting writes to standard error; standard output is the monitor's.
@@ -130,7 +134,8 @@ def run_host(vehicle: Path, drive: Input) -> dict[str, Any]:
         core_sources, vehicle_sources = _sources(vehicle)
         sources = [*core_sources, *vehicle_sources, ports / "target_bench.cpp", ports / "host" / "port.c"]
         try:
-            program = native.compile_executable(sources, flags=(*CXX[:3], *LANGUAGE, "-isystem", eigen_include()), name="target_bench",
+            program = native.compile_executable(sources, name="target_bench",
+                                                flags=(*CXX[:3], *LANGUAGE, SAME_BITS, "-isystem", eigen_include()),
                                                 include_dirs=[core / "include", core / "src", vehicle, ports, Path(scratch)])
         except native.NativeError as error:
             raise InputError(vehicle, "compiling the target program for the host", str(error), "a C++17 compiler") from None
@@ -146,7 +151,7 @@ def _sources(vehicle: Path) -> tuple[list[Path], list[Path]]:
     return sorted((library_root() / "src").glob("*.cpp")), sorted(Path(vehicle).glob("*.c"))
 
 
-def _build(target: Target, vehicle: Path, drive: Input) -> tuple[Path, list[str]]:
+def _build(target: Target, vehicle: Path, drive: Input, language: tuple[str, ...]) -> tuple[Path, list[str]]:
     """The ELF, from the cache when nothing has changed, and the symbols that the core's objects leave to libraries."""
     ports, core, vehicle = firmware_root() / "ports", library_root(), Path(vehicle)
     port = ports / target.port
@@ -156,7 +161,7 @@ def _build(target: Target, vehicle: Path, drive: Input) -> tuple[Path, list[str]
                **{f"port_{p.stem}": p for p in (ports / "target_bench.cpp", ports / "bare_metal" / "bare_metal.c",
                                                 *sorted(port.glob("*.c")), *sorted(port.glob("*.S")))}}
     header = drive.header()
-    flags = (*target.cpu, *LANGUAGE, *WARNINGS, "-ffunction-sections", "-fdata-sections")
+    flags = (*target.cpu, *language, *WARNINGS, "-ffunction-sections", "-fdata-sections")
     key = hashlib.sha256()
     version = subprocess.run(["arm-none-eabi-gcc", "--version"], capture_output=True, text=True, check=True).stdout
     for text in (version, *flags, *CXX, header):
@@ -175,9 +180,9 @@ def _build(target: Target, vehicle: Path, drive: Input) -> tuple[Path, list[str]
             def compile_one(item: tuple[str, Path]) -> Path:
                 name, source = item
                 is_cxx = source.suffix == ".cpp"
-                language = (*CXX, "-isystem", eigen_include()) if is_cxx else ("-std=gnu99",)
+                dialect = (*CXX, "-isystem", eigen_include()) if is_cxx else ("-std=gnu99",)
                 tool = "arm-none-eabi-g++" if is_cxx else "arm-none-eabi-gcc"
-                _tool([tool, *flags, *language, *includes, "-c", source, "-o", folder / f"{name}.o"], source)
+                _tool([tool, *flags, *dialect, *includes, "-c", source, "-o", folder / f"{name}.o"], source)
                 return folder / f"{name}.o"
 
             with ThreadPoolExecutor(os.cpu_count()) as pool:

@@ -104,9 +104,10 @@ def bench_core(targets: tuple[str, ...] = tuple(TARGETS), *, clock_mhz: float = 
         host = run_host(folder, drive)
         rows = []
         for name in targets:
-            run = run_target(name, folder, drive)
+            run = run_target(name, folder, drive, same_bits=False)
+            run["bit_identical"] = run_target(name, folder, drive, same_bits=True)["results"] == host["results"]
+            del run["results"]
             step = run["parts"]["ecu_step"]
-            run["bit_identical"] = run.pop("results") == host["results"]
             run["rom_total"] = sum(run["rom"].values())
             run["worst_to_median"] = step["worst"] / step["median"]
             run["load_percent"] = 100 * step["worst"] * CYCLES_PER_INSTRUCTION / (clock_mhz * 1e6 * project.Ts_s)
