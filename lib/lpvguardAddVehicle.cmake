@@ -35,10 +35,12 @@ function(lpvguard_add_vehicle NAME DIR)
     "${root}/src/coeff.cpp" "${root}/src/model.cpp" "${root}/src/monitor.cpp" "${folder}/lpvguard_coeff.c")
   add_library(lpvguard::${NAME} ALIAS ${target})
   if(EXISTS "${folder}/lpvguard_control.c")
+    target_sources(${target} PRIVATE "${root}/src/controller.cpp" "${folder}/lpvguard_control.c")
+  endif()
+  if(EXISTS "${folder}/lpvguard_bus.c")
     # can.cpp and the codec depend on no vehicle: in an image of several vehicles the linker takes the first one's.
-    target_sources(${target} PRIVATE
-      "${root}/src/controller.cpp" "${root}/src/ecu.cpp" "${root}/src/can.cpp"
-      "${folder}/lpvguard_control.c" "${folder}/lpvguard_bus.c" "${folder}/lpvg_can_codec.c")
+    target_sources(${target} PRIVATE "${root}/src/ecu.cpp" "${root}/src/can.cpp"
+      "${folder}/lpvguard_bus.c" "${folder}/lpvg_can_codec.c")
   endif()
   target_include_directories(${target} PUBLIC "${root}/include" "${folder}")
   target_include_directories(${target} SYSTEM PRIVATE ${eigen})
@@ -48,6 +50,8 @@ function(lpvguard_add_vehicle NAME DIR)
   # -fno-math-errno: a square root is one instruction and no global state is written.
   target_compile_options(${target} PRIVATE -Wall -Wextra -Wconversion -Wdouble-promotion -fno-math-errno
     $<$<COMPILE_LANGUAGE:CXX>:-fno-exceptions;-fno-rtti>)
+  # Sizes are fixed, so that Eigen's assertions prove nothing, and would import abort and stdio into an unoptimised build.
+  target_compile_definitions(${target} PRIVATE EIGEN_NO_DEBUG)
   if(LPVG_DOUBLE)
     target_compile_definitions(${target} PUBLIC LPVG_DOUBLE)
   endif()

@@ -2,8 +2,9 @@
 # shellcheck shell=bash
 
 venv=$root/.venv
-packages_run="g++ libeigen3-dev pkg-config python3 python3-venv"
-packages_test="catch2 clang cmake cppcheck ninja-build"
+packages_run="g++ libeigen3-dev libtomlplusplus-dev pkg-config python3 python3-venv"
+packages_test="can-utils catch2 clang cmake gcc-powerpc-linux-gnu iproute2 libc6-dev-powerpc-cross libclang-rt-14-dev
+  ninja-build qemu-user user-mode-linux"
 
 say() { printf '%s\n' "$*" >&2; }
 

@@ -2,11 +2,11 @@
 
 namespace lpvguard_sim {
 
-MemoryBus::MemoryBus() : handles_{} {
+MemoryBus::MemoryBus() {
     for (const Node node : {vehicle, ecu}) {
         ports_[node].bus = this;
         ports_[node].peer = &ports_[node == vehicle ? ecu : vehicle];
-        handles_[node] = bus_t{&ports_[node], &MemoryBus::send, &MemoryBus::receive};
+        ends_[node] = bus_t{&ports_[node], &MemoryBus::send, &MemoryBus::receive};
     }
 }
 
@@ -14,12 +14,11 @@ bool MemoryBus::send(void* driver, const lpvg_can_frame_t* frame) {
     Port& from = *static_cast<Port*>(driver);
     Port& to = *from.peer;
     if (to.tail - to.head == capacity) {
+        from.bus->failure_ = "a node's queue is full";
         return false;
     }
+    from.bus->pass(*frame);
     to.queue[to.tail++ % capacity] = *frame;
-    if (from.bus->watcher_ != nullptr) {
-        from.bus->watcher_(from.bus->context_, *frame);
-    }
     return true;
 }
 

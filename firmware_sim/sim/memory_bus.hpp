@@ -1,32 +1,18 @@
 /// @file memory_bus.hpp -- a CAN bus of two nodes in memory: what one sends, the other receives, in order, at once.
 ///
-/// Deterministic: nothing depends on the host's clock, scheduler or kernel. Everything sent can be watched.
+/// Deterministic: nothing depends on the host's clock, scheduler or kernel.
 #pragma once
 
 #include <array>
-#include <cstddef>
 #include <cstdint>
 
-#include "bus.h"
+#include "loop_bus.hpp"
 
 namespace lpvguard_sim {
 
-class MemoryBus {
+class MemoryBus final : public LoopBus {
 public:
-    enum Node : std::size_t { vehicle, ecu };
-
     MemoryBus();
-    MemoryBus(const MemoryBus&) = delete;
-    MemoryBus& operator=(const MemoryBus&) = delete;
-
-    const bus_t* open(Node node) const { return &handles_[node]; }
-
-    /// Called for every frame as it passes the bus; none by default.
-    using Watcher = void (*)(void* context, const lpvg_can_frame_t& frame);
-    void watch(Watcher watcher, void* context) {
-        watcher_ = watcher;
-        context_ = context;
-    }
 
 private:
     static constexpr std::size_t capacity = 64;  ///< Frames that wait for one node; a power of two.
@@ -42,9 +28,6 @@ private:
     static bool receive(void* driver, std::int64_t now_us, lpvg_can_frame_t* frame);
 
     std::array<Port, 2> ports_;
-    std::array<bus_t, 2> handles_;
-    Watcher watcher_ = nullptr;
-    void* context_ = nullptr;
 };
 
 }  // namespace lpvguard_sim

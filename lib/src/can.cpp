@@ -48,13 +48,15 @@ bool sane(const lpvg_can_rule_t& rule) {
     return true;
 }
 
-// A signal of at most 16 bits lies in at most three bytes.
+// A signal of at most 16 bits lies in at most three bytes; what the frame has no more of, it does not reach.
 uint16_t extract(const lpvg_can_frame_t& frame, const lpvg_can_signal_rule_t& s) {
-    uint32_t   bits  = 0U;
-    const auto first = static_cast<uint8_t>(s.start >> 3U);
-    const auto last  = static_cast<uint8_t>((s.start + s.length - 1U) >> 3U);
-    for (uint8_t i = first; i <= last; ++i) {
-        bits |= static_cast<uint32_t>(frame.data[i]) << (8U * (i - first));
+    const uint32_t first = s.start >> 3U;
+    uint32_t       bits  = frame.data[first];
+    if (first < kFrameBytes - 1U) {
+        bits |= static_cast<uint32_t>(frame.data[first + 1U]) << 8U;
+    }
+    if (first < kFrameBytes - 2U) {
+        bits |= static_cast<uint32_t>(frame.data[first + 2U]) << 16U;
     }
     return static_cast<uint16_t>((bits >> (s.start & 7U)) & ((1UL << s.length) - 1U));
 }
@@ -70,9 +72,10 @@ lpvg_can_event_t judge_signal(const lpvg_can_signal_rule_t& s, uint16_t raw, con
         return lpvg_can_event_range;
     }
     if (before != nullptr && s.rate_max > 0U) {
-        const auto change  = static_cast<uint64_t>(raw > *before ? raw - *before : *before - raw);
-        const auto allowed = static_cast<uint64_t>(s.rate_max) * static_cast<uint64_t>(dt_us) / 1'000'000U + 1U;
-        if (change > allowed) {
+        // |change| > rate * dt + 1 without a division; dt stays below 6 of the longest periods, so in 32 bits.
+        const uint32_t change = raw > *before ? raw - *before : *before - raw;
+        const auto     dt     = static_cast<uint32_t>(dt_us);
+        if (change > 1U && static_cast<uint64_t>(change - 1U) * 1'000'000U > static_cast<uint64_t>(s.rate_max) * dt) {
             return lpvg_can_event_gradient;
         }
     }
@@ -184,12 +187,13 @@ lpvg_can_event_t take_good(lpvg_can_watch_t& watch, int64_t t_us, const uint16_t
 void advance(lpvg_can_watch_t& watch, const lpvg_can_rule_t& rule, int64_t now_us) {
     const int64_t period = rule.period_us;
     const int64_t late   = now_us - watch.t_accepted_us - period / 2;
-    const int64_t whole  = late > 0 ? (late - 1) / period : 0;
-    const auto    missed = whole > UINT32_MAX ? UINT32_MAX : static_cast<uint32_t>(whole);
-    if (missed > watch.missed) {
-        add(watch.count[lpvg_can_event_missed], missed - watch.missed);
-        watch.missed = missed;
+    if (late <= (static_cast<int64_t>(watch.missed) + 1) * period) {
+        return;  // no further period missed: the common case, without a division
     }
+    const int64_t whole  = (late - 1) / period;
+    const auto    missed = whole > UINT32_MAX ? UINT32_MAX : static_cast<uint32_t>(whole);
+    add(watch.count[lpvg_can_event_missed], missed - watch.missed);
+    watch.missed = missed;
     if (missed >= LPVG_CAN_OFF_MISSED) {
         switch_off(watch);
     } else if (missed >= LPVG_CAN_HOLD_MISSED && watch.state == lpvg_can_state_live) {

@@ -11,7 +11,7 @@ namespace {
 constexpr int64_t dm1_period_us = 1'000'000;
 constexpr uint8_t occurrence_max = 126U;  // 127 says "unknown"
 
-bool reaction_good(lpvg_ecu_reaction_t reaction) {
+bool reaction_good(uint8_t reaction) {
     return reaction == lpvg_ecu_reaction_report || reaction == lpvg_ecu_reaction_release;
 }
 

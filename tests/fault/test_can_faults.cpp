@@ -48,6 +48,18 @@ TEST_CASE("silence: hold after exactly 3.5 periods, off after exactly 5.5", "[fa
     bus.run(1, kWarm);
     CHECK(reaches(bus, kVdc2, lpvg_can_state_hold, due(kWarm), due(kWarm + 10)) == due(kWarm) + 7 * kPeriod / 2 + 1);
     CHECK(reaches(bus, kVdc2, lpvg_can_state_off, due(kWarm), due(kWarm + 10)) == due(kWarm) + 11 * kPeriod / 2 + 1);
+    CHECK(bus.count(kVdc2, lpvg_can_event_missed) == 5U);
+}
+
+TEST_CASE("a period counts as missed half a period after its frame was due, to the microsecond", "[fault][can]") {
+    for (const int64_t missed : {1, 2, 3, 100}) {
+        CanBus bus;
+        bus.run(1, kWarm);
+        bus.state_at(kVdc2, due(kWarm) + missed * kPeriod + kPeriod / 2);
+        CHECK(bus.count(kVdc2, lpvg_can_event_missed) == static_cast<uint32_t>(missed - 1));
+        bus.state_at(kVdc2, due(kWarm) + missed * kPeriod + kPeriod / 2 + 1);
+        CHECK(bus.count(kVdc2, lpvg_can_event_missed) == static_cast<uint32_t>(missed));
+    }
 }
 
 TEST_CASE("repeated frame: found at once where there is a counter; too soon, it is found without one", "[fault][can]") {
@@ -136,19 +148,23 @@ TEST_CASE("stuck counter: off with the fifth frame", "[fault][can]") {
         bus.send(frame);
         CHECK(bus.state(kGuard) == lpvg_can_state_off);
     }
+    CHECK(bus.supervisor.watch[kGuard].score == LPVG_CAN_SCORE_OFF);
 }
 
-TEST_CASE("counter 15 is never sent: rejected", "[fault][can]") {
+TEST_CASE("counter 15 is never sent: rejected under any checksum", "[fault][can]") {
     CanBus bus;
-    bus.run(1, kWarm);
-    auto frame    = bus.guard_in(kWarm + 1);
+    bus.run(1, 29);  // newest counter: 14, so that 15 looks like the next one
+    auto frame    = bus.guard_in(30);
     frame.data[1] = 0xFFU;
-    for (unsigned crc = 0U; crc < 256U; ++crc) {  // one of these is the right checksum
-        frame.data[0] = static_cast<uint8_t>(crc);
-        CanBus trial  = bus;
+    int right     = 0;
+    for (unsigned crc = 0U; crc < 256U; ++crc) {
+        frame.data[0]    = static_cast<uint8_t>(crc);
+        CanBus     trial = bus;
         const auto event = trial.send(frame);
         CHECK((event == lpvg_can_event_checksum || event == lpvg_can_event_sequence));
+        right += event == lpvg_can_event_sequence ? 1 : 0;
     }
+    CHECK(right == 1);
 }
 
 TEST_CASE("a sender that starts anew is followed after one rejection", "[fault][can]") {

@@ -1,4 +1,6 @@
-"""Properties that hold for every system: norms bracket grids, γ bounds every certified loop, μ obeys its axioms."""
+"""Properties that hold for every system: norms bracket grids, γ bounds every certified loop, μ obeys its
+axioms.
+"""
 
 import numpy as np
 from hypothesis import given, settings
@@ -16,7 +18,9 @@ quick = settings(max_examples=40, deadline=None, derandomize=True)
 def stable(seed, n, m, p, spread):
     rng = np.random.default_rng(seed)
     A = np.diag(-(10.0 ** rng.uniform(-spread, spread, n))) + np.triu(rng.standard_normal((n, n)), 1)
-    return StateSpace(A, rng.standard_normal((n, m)), rng.standard_normal((p, n)), rng.standard_normal((p, m)))
+    return StateSpace(
+        A, rng.standard_normal((n, m)), rng.standard_normal((p, n)), rng.standard_normal((p, m))
+    )
 
 
 @quick
@@ -33,7 +37,9 @@ def test_no_frequency_lies_above_the_bracket_and_one_attains_it(seed, n, m, p, s
 @given(seeds, st.integers(1, 5), st.floats(0.1, 10))
 def test_the_norm_is_homogeneous_and_submultiplicative(seed, n, factor):
     G, H = stable(seed, n, 2, 2, 2), stable(seed + 1, n, 2, 2, 2)
-    assert np.isclose(hinf_norm(series(gain(factor * np.eye(2)), G)).upper, factor * hinf_norm(G).upper, rtol=1e-5)
+    assert np.isclose(
+        hinf_norm(series(gain(factor * np.eye(2)), G)).upper, factor * hinf_norm(G).upper, rtol=1e-5
+    )
     assert hinf_norm(series(H, G)).lower <= hinf_norm(H).upper * hinf_norm(G).upper
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from lpvguard.validation import lft, s1
 from lpvguard.validation.delta import Block, split
 from lpvguard.validation.lft import Lft
@@ -96,7 +95,12 @@ def lft_point(seed):
     w *= 0.1 / np.linalg.norm(w)
     eta = np.linalg.solve(np.eye(3) - p11 @ d, p12 @ w + eta0)
     e = p21 @ d @ eta + w
-    return rng, Lft(blocks, p11, p12, p21, np.eye(n_y, dtype=complex), eta0, e), abs(d[0, 0]), np.linalg.norm(d[1:, 1:], 2)
+    return (
+        rng,
+        Lft(blocks, p11, p12, p21, np.eye(n_y, dtype=complex), eta0, e),
+        abs(d[0, 0]),
+        np.linalg.norm(d[1:, 1:], 2),
+    )
 
 
 @slow
@@ -106,11 +110,21 @@ def test_lft_unitary_and_scaling_invariance(seed):
     gamma = 0.5 * np.linalg.norm(p.e)
     base = lft.optimum(p, gamma, [1.0, 1.0])
     # Unitary changes of y and w together, of the second block's xi and eta, and a common unit of all outputs.
-    q, left, right, a = unitary(rng, p.e.size), np.eye(3, dtype=complex), np.eye(3, dtype=complex), 10.0 ** rng.uniform(-4, 4)
+    q, left, right, a = (
+        unitary(rng, p.e.size),
+        np.eye(3, dtype=complex),
+        np.eye(3, dtype=complex),
+        10.0 ** rng.uniform(-4, 4),
+    )
     left[1:, 1:], right[1:, 1:] = unitary(rng, 2), unitary(rng, 2)
     turned = Lft(
-        p.blocks, right @ p.p11 @ left.conj().T, right @ p.p12 @ q.conj().T / a, a * q @ p.p21 @ left.conj().T,
-        q @ p.p22 @ q.conj().T, right @ p.eta0, a * q @ p.e,
+        p.blocks,
+        right @ p.p11 @ left.conj().T,
+        right @ p.p12 @ q.conj().T / a,
+        a * q @ p.p21 @ left.conj().T,
+        q @ p.p22 @ q.conj().T,
+        right @ p.eta0,
+        a * q @ p.e,
     )
     other = lft.optimum(turned, a * gamma, [1.0, 1.0])
     assert other.lower <= base.upper * (1 + 1e-6) + 1e-14 and base.lower <= other.upper * (1 + 1e-6) + 1e-14
@@ -145,7 +159,9 @@ def test_every_returned_delta_re_simulates_the_data(seed):
     d[:1, :1], d[1:, 1:] = s.verification.deltas
     eta = np.linalg.solve(np.eye(3) - p.p11 @ d, p.p12 @ s.w + p.eta0)
     np.testing.assert_allclose(p.p21 @ (d @ eta) + p.p22 @ s.w, p.e, atol=1e-7 * np.linalg.norm(p.e))
-    for block, xi, inner, nu in zip(p.blocks, split(p.blocks, d @ eta, "rows"), split(p.blocks, eta, "cols"), s.nu, strict=True):
+    for block, xi, inner, nu in zip(
+        p.blocks, split(p.blocks, d @ eta, "rows"), split(p.blocks, eta, "cols"), s.nu, strict=True
+    ):
         assert np.linalg.norm(xi) <= nu * np.linalg.norm(inner) * (1 + 1e-6) + 1e-12, block
     assert np.linalg.norm(s.w) <= 0.11 * (1 + 1e-8)
 
@@ -165,6 +181,8 @@ def test_random_explanations_are_never_below_the_certified_bound(seed):
         z = np.append(z, 1.0)
         sizes = [
             np.linalg.norm(a @ z) / np.linalg.norm(b @ z)
-            for a, b in zip(split(p.blocks, par.xi_map, "rows"), split(p.blocks, par.eta_map, "cols"), strict=True)
+            for a, b in zip(
+                split(p.blocks, par.xi_map, "rows"), split(p.blocks, par.eta_map, "cols"), strict=True
+            )
         ]
         assert sizes[0] ** 2 + sizes[1] ** 2 >= s.lower * (1 - 1e-9)

@@ -40,22 +40,30 @@ def _loops(catalogue: Catalogue) -> str:
     parts = [f'#include "{HEADER}"\n#include <string.h>\n']
     for m in (m for m in catalogue.messages if m.codec == "generated"):
         name = f"lpvg_can_{m.name.lower()}"
-        parts.append(f"void loop_{m.name}_unpack(const uint8_t* data, long n, uint16_t* raw) {{\n"
-                     f"  for (long i = 0; i < n; ++i) {{ lpvg_can_frame_t f; {name}_t s; f.dlc = 8u; f.id = 0u; f.t_us = 0;\n"
-                     f"    memcpy(f.data, data + 8 * i, 8u); if ({name}_unpack(&s, &f) != lpvg_status_ok) {{ return; }}\n")
+        parts.append(
+            f"void loop_{m.name}_unpack(const uint8_t* data, long n, uint16_t* raw) {{\n"
+            f"  for (long i = 0; i < n; ++i) {{ lpvg_can_frame_t f; {name}_t s; f.dlc = 8u; f.id = 0u; f.t_us = 0;\n"
+            f"    memcpy(f.data, data + 8 * i, 8u); if ({name}_unpack(&s, &f) != lpvg_status_ok) {{ return; }}\n"
+        )
         parts += [f"    raw[{len(m.signals)} * i + {k}] = s.{s.name};\n" for k, s in enumerate(m.signals)]
-        parts.append(f"  }}\n}}\nvoid loop_{m.name}_pack(const uint16_t* raw, long n, uint8_t* data) {{\n"
-                     f"  for (long i = 0; i < n; ++i) {{ lpvg_can_frame_t f; {name}_t s;\n")
+        parts.append(
+            f"  }}\n}}\nvoid loop_{m.name}_pack(const uint16_t* raw, long n, uint8_t* data) {{\n"
+            f"  for (long i = 0; i < n; ++i) {{ lpvg_can_frame_t f; {name}_t s;\n"
+        )
         for k, s in enumerate(m.signals):
             kind = "uint8_t" if s.length <= 8 else "uint16_t"
             parts.append(f"    s.{s.name} = ({kind})raw[{len(m.signals)} * i + {k}];\n")
-        parts.append(f"    if ({name}_pack(&s, &f) != lpvg_status_ok) {{ return; }} memcpy(data + 8 * i, f.data, 8u);\n  }}\n}}\n")
+        parts.append(
+            f"    if ({name}_pack(&s, &f) != lpvg_status_ok) {{ return; }} memcpy(data + 8 * i, f.data, 8u);\n  }}\n}}\n"
+        )
         for s in m.signals:
             kind = "uint8_t" if s.length <= 8 else "uint16_t"
-            parts.append(f"void loop_{m.name}_{s.name}_encode(const float* x, long n, uint16_t* raw) {{\n"
-                         f"  for (long i = 0; i < n; ++i) {{ raw[i] = {name}_{s.name}_encode(x[i]); }}\n}}\n"
-                         f"void loop_{m.name}_{s.name}_decode(const uint16_t* raw, long n, float* x, int* q) {{\n"
-                         f"  for (long i = 0; i < n; ++i) {{ q[i] = (int){name}_{s.name}_decode(({kind})raw[i], x + i); }}\n}}\n")
+            parts.append(
+                f"void loop_{m.name}_{s.name}_encode(const float* x, long n, uint16_t* raw) {{\n"
+                f"  for (long i = 0; i < n; ++i) {{ raw[i] = {name}_{s.name}_encode(x[i]); }}\n}}\n"
+                f"void loop_{m.name}_{s.name}_decode(const uint16_t* raw, long n, float* x, int* q) {{\n"
+                f"  for (long i = 0; i < n; ++i) {{ q[i] = (int){name}_{s.name}_decode(({kind})raw[i], x + i); }}\n}}\n"
+            )
     return "".join(parts)
 
 
@@ -68,9 +76,28 @@ def codec(tmp_path_factory):
     (folder / "loops.c").write_text(_loops(CATALOGUE))
     include = ["-I", str(ROOT / "lib/include"), "-I", str(folder)]
     # Contraction off, as everywhere where bits are compared.
-    subprocess.run(["cc", *STRICT, "-ffp-contract=off", "-fPIC", *include, "-c", SOURCE, "loops.c"], cwd=folder, check=True)
-    subprocess.run(["c++", "-std=c++17", "-O2", "-fPIC", "-shared", *include, str(ROOT / "lib/src/can.cpp"),
-                    "lpvg_can_codec.o", "loops.o", "-o", "codec.so"], cwd=folder, check=True)
+    subprocess.run(
+        ["cc", *STRICT, "-ffp-contract=off", "-fPIC", *include, "-c", SOURCE, "loops.c"],
+        cwd=folder,
+        check=True,
+    )
+    subprocess.run(
+        [
+            "c++",
+            "-std=c++17",
+            "-O2",
+            "-fPIC",
+            "-shared",
+            *include,
+            str(ROOT / "lib/src/can.cpp"),
+            "lpvg_can_codec.o",
+            "loops.o",
+            "-o",
+            "codec.so",
+        ],
+        cwd=folder,
+        check=True,
+    )
     return ctypes.CDLL(str(folder / "codec.so"))
 
 
@@ -81,7 +108,9 @@ def _pointer(array: np.ndarray) -> ctypes.c_void_p:
 def _decode(codec, m, s, raw):
     raw = np.ascontiguousarray(raw, np.uint16)
     x, q = np.empty(len(raw), np.float32), np.empty(len(raw), np.int32)
-    getattr(codec, f"loop_{m.name}_{s.name}_decode")(_pointer(raw), ctypes.c_long(len(raw)), _pointer(x), _pointer(q))
+    getattr(codec, f"loop_{m.name}_{s.name}_decode")(
+        _pointer(raw), ctypes.c_long(len(raw)), _pointer(x), _pointer(q)
+    )
     return x, q
 
 
@@ -94,6 +123,7 @@ def _encode(codec, m, s, x):
 
 # ------------------------------------------------------------------------------------------------- every raw value
 
+
 @pytest.mark.parametrize("m, s", SIGNALS)
 def test_every_raw_value_decodes_as_cantools_says_and_comes_back(m, s, codec, database):
     raw = np.arange(1 << s.length)
@@ -102,7 +132,7 @@ def test_every_raw_value_decodes_as_cantools_says_and_comes_back(m, s, codec, da
     reference = database.get_message_by_name(m.name).get_signal_by_name(s.name)
     want = np.array([reference.conversion.raw_to_scaled(int(r), decode_choices=False) for r in raw])
     # float32: half a unit in the last place of each of the three rounded quantities, at the largest magnitude involved
-    tolerance = 2.0 ** -23 * max(abs(s.offset), abs(s.physical_max)) * 2
+    tolerance = 2.0**-23 * max(abs(s.offset), abs(s.physical_max)) * 2
     assert np.abs(x[good] - want[good]).max() <= tolerance
     assert np.isnan(x[~good]).all()
     assert (q[good] == 1).all()
@@ -128,12 +158,15 @@ def test_encode_saturates_and_rounds(m, s, codec):
     steps = np.random.default_rng(1).uniform(0, s.raw_max, 100_000)
     x = np.float32(s.offset + s.scale * steps)
     exact = (x.astype(float) - s.offset) / s.scale
-    decided = np.abs(exact % 1 - 0.5) > 0.02  # nearer to a tie than float32 resolves, either neighbour is right
+    decided = (
+        np.abs(exact % 1 - 0.5) > 0.02
+    )  # nearer to a tie than float32 resolves, either neighbour is right
     assert decided.mean() > 0.9
     assert np.array_equal(_encode(codec, m, s, x)[decided], np.rint(exact[decided]).astype(np.uint16))
 
 
 # ---------------------------------------------------------------------------------------------------- random frames
+
 
 def test_a_million_random_frames_unpack_and_pack(codec, database):
     rng = np.random.default_rng(20261121)
@@ -147,13 +180,13 @@ def test_a_million_random_frames_unpack_and_pack(codec, database):
         order = [s.name for s in m.signals]
         whole = data.tobytes()
         for i, ours in enumerate(raw.tolist()):
-            theirs = reference.decode(whole[8 * i:8 * i + 8], decode_choices=False, scaling=False)
+            theirs = reference.decode(whole[8 * i : 8 * i + 8], decode_choices=False, scaling=False)
             assert [theirs[name] for name in order] == ours
         back = np.zeros_like(data)
         getattr(codec, f"loop_{m.name}_pack")(_pointer(raw), ctypes.c_long(share), _pointer(back))
         used = np.zeros(64, bool)
         for s in m.signals:
-            used[s.start:s.start + s.length] = True
+            used[s.start : s.start + s.length] = True
         used = np.packbits(used, bitorder="little")
         assert np.array_equal(back & used, data & used)
         unused = ~used if m.e2e is None else ~used & np.array([0, 0xF0, *[255] * 6], np.uint8)
@@ -166,8 +199,14 @@ def test_a_million_random_frames_unpack_and_pack(codec, database):
 
 # ------------------------------------------------------------------------------------------------------------- E2E
 
+
 class Frame(ctypes.Structure):
-    _fields_ = [("id", ctypes.c_uint32), ("dlc", ctypes.c_uint8), ("data", ctypes.c_uint8 * 8), ("t_us", ctypes.c_int64)]
+    _fields_ = [
+        ("id", ctypes.c_uint32),
+        ("dlc", ctypes.c_uint8),
+        ("data", ctypes.c_uint8 * 8),
+        ("t_us", ctypes.c_int64),
+    ]
 
 
 def _protect(codec, data: bytes, data_id: int, counter: int) -> bytes:
@@ -175,7 +214,7 @@ def _protect(codec, data: bytes, data_id: int, counter: int) -> bytes:
     step = ctypes.c_uint8(counter)
     assert codec.lpvg_can_e2e_protect(ctypes.byref(frame), ctypes.c_uint16(data_id), ctypes.byref(step)) == 0
     assert step.value == (counter + 1) % 15
-    return bytes(frame.data)[:len(data)]
+    return bytes(frame.data)[: len(data)]
 
 
 def test_e2e_vector_of_the_specification(codec):
@@ -186,7 +225,11 @@ def test_e2e_against_autosar_e2e(codec):
     p11 = pytest.importorskip("e2e.p11", reason="pip install autosar-e2e")
     rng = np.random.default_rng(11)
     for _ in range(5000):
-        length, data_id, counter = int(rng.integers(2, 9)), int(rng.integers(0, 1 << 16)), int(rng.integers(0, 15))
+        length, data_id, counter = (
+            int(rng.integers(2, 9)),
+            int(rng.integers(0, 1 << 16)),
+            int(rng.integers(0, 15)),
+        )
         ours = _protect(codec, rng.bytes(length), data_id, counter)
         theirs = bytearray(ours)
         theirs[0] = 0
@@ -197,14 +240,21 @@ def test_e2e_against_autosar_e2e(codec):
 
 # -------------------------------------------------------------------------------------------- DBC and facts of J1939
 
+
 def test_dbc_opens_in_canmatrix_as_j1939():
     formats = pytest.importorskip("canmatrix.formats", reason="pip install canmatrix")
     matrix = formats.loads_flat(dbc_text(), "dbc")
     assert {(f.name, f.pgn, f.cycle_time, f.is_j1939) for f in matrix.frames} == {
-        (m.name, m.pgn, m.period_ms, True) for m in CATALOGUE.messages}
-    assert {(f.name, s.name, s.start_bit, s.size, float(s.factor), float(s.offset)) for f in matrix.frames
-            for s in f.signals if not s.name.startswith("e2e_")} == {
-        (m.name, s.name, s.start, s.length, s.scale, s.offset) for m in CATALOGUE.messages for s in m.signals}
+        (m.name, m.pgn, m.period_ms, True) for m in CATALOGUE.messages
+    }
+    assert {
+        (f.name, s.name, s.start_bit, s.size, float(s.factor), float(s.offset))
+        for f in matrix.frames
+        for s in f.signals
+        if not s.name.startswith("e2e_")
+    } == {
+        (m.name, s.name, s.start, s.length, s.scale, s.offset) for m in CATALOGUE.messages for s in m.signals
+    }
 
 
 def test_dbc_in_cantools_carries_group_spn_and_cycle(database):
@@ -224,11 +274,23 @@ FACTS = [
     ("VDC2", "lateral_acceleration", 61449, 0x18F0093E, 10, 1809, 40, 16, 1 / 2048, -15.687),
     ("VDC2", "longitudinal_acceleration", 61449, 0x18F0093E, 10, 1810, 56, 8, 0.1, -12.5),
     ("EBC2", "front_axle_speed", 65215, 0x18FEBF0B, 100, 904, 0, 16, 1 / 256, 0),
-    *[("EBC2", name, 65215, 0x18FEBF0B, 100, 905 + i, 16 + 8 * i, 8, 1 / 16, -7.8125) for i, name in enumerate(
-        f"relative_speed_{axle}_{side}" for axle in ("front", "rear1", "rear2") for side in ("left", "right"))],
+    *[
+        ("EBC2", name, 65215, 0x18FEBF0B, 100, 905 + i, 16 + 8 * i, 8, 1 / 16, -7.8125)
+        for i, name in enumerate(
+            f"relative_speed_{axle}_{side}"
+            for axle in ("front", "rear1", "rear2")
+            for side in ("left", "right")
+        )
+    ],
     ("CCVS1", "wheel_based_speed", 65265, 0x18FEF100, 100, 84, 8, 16, 1 / 256, 0),
-    *[("EBC3", name, 65197, 0x18FEAD0B, 100, 1091 + i, 8 * i, 8, 5, 0) for i, name in enumerate(
-        f"pressure_{axle}_{side}" for axle in ("front", "rear1", "rear2", "rear3") for side in ("left", "right"))],
+    *[
+        ("EBC3", name, 65197, 0x18FEAD0B, 100, 1091 + i, 8 * i, 8, 5, 0)
+        for i, name in enumerate(
+            f"pressure_{axle}_{side}"
+            for axle in ("front", "rear1", "rear2", "rear3")
+            for side in ("left", "right")
+        )
+    ],
     ("EBC1", "abs_active", 61441, 0x18F0010B, 100, 563, 4, 2, 1, 0),
     ("EBC1", "brake_pedal_position", 61441, 0x18F0010B, 100, 521, 8, 8, 0.4, 0),
 ]
@@ -254,30 +316,57 @@ def test_dm1_of_the_core_reads_as_the_dbc_says(codec, database):
         _fields_ = [("spn", ctypes.c_uint32), ("fmi", ctypes.c_uint8), ("occurrence", ctypes.c_uint8)]
 
     frame, dtc = Frame(), Dtc(0x51234, 19, 5)
-    assert codec.lpvg_can_dm1_pack(ctypes.byref(frame), ctypes.c_uint8(CATALOGUE.own_address), ctypes.c_uint8(0x14),
-                                   ctypes.byref(dtc)) == 0
+    assert (
+        codec.lpvg_can_dm1_pack(
+            ctypes.byref(frame),
+            ctypes.c_uint8(CATALOGUE.own_address),
+            ctypes.c_uint8(0x14),
+            ctypes.byref(dtc),
+        )
+        == 0
+    )
     assert frame.id & 0x1FFFFFFF == CATALOGUE.message("DM1").id
     got = database.get_message_by_name("DM1").decode(bytes(frame.data), decode_choices=False)
-    assert got == {"protect_lamp": 0, "amber_warning_lamp": 1, "red_stop_lamp": 1, "malfunction_indicator_lamp": 0,
-                   "spn_low": 0x1234, "spn_high": 5, "fmi": 19, "occurrence_count": 5, "conversion_method": 0}
+    assert got == {
+        "protect_lamp": 0,
+        "amber_warning_lamp": 1,
+        "red_stop_lamp": 1,
+        "malfunction_indicator_lamp": 0,
+        "spn_low": 0x1234,
+        "spn_high": 5,
+        "fmi": 19,
+        "occurrence_count": 5,
+        "conversion_method": 0,
+    }
 
 
 # --------------------------------------------------------------------------------------------------------- generator
+
 
 def test_generated_text_depends_on_the_catalogue_alone():
     assert codec_files() == codec_files(load_catalogue()) and dbc_text() == dbc_text(load_catalogue())
 
 
-@pytest.mark.parametrize("old, new, what", [
-    ("id = 0x18F0093E", "id = 0x18F0083E", "does not carry PGN"),
-    ("start = 24\nlength = 16", "start = 8\nlength = 16", "overlaps"),
-    ("length = 16", "length = 12", "J1939 codes exist"),
-    ("address = 0x3E", "address = 0x3F", "no node has the source address"),
-    ('name = "LPVGUARD"', 'name = "OTHER"', "must be called LPVGUARD"),
-    ("data_id = 0x4C02", "data_id = 0x4C01", "must be unique"),
-    ("start = 16\nlength = 16\nscale = 0.00048828125", "start = 8\nlength = 16\nscale = 0.00048828125", "E2E header"),
-    ("schema = 1", "schema = 2", "1"), ("min = -15.0", "min = -40.0", "supervise must lie within"), ("[[nodes]]", "[[", "TOML"),
-], ids=range(10))
+@pytest.mark.parametrize(
+    "old, new, what",
+    [
+        ("id = 0x18F0093E", "id = 0x18F0083E", "does not carry PGN"),
+        ("start = 24\nlength = 16", "start = 8\nlength = 16", "overlaps"),
+        ("length = 16", "length = 12", "J1939 codes exist"),
+        ("address = 0x3E", "address = 0x3F", "no node has the source address"),
+        ('name = "LPVGUARD"', 'name = "OTHER"', "must be called LPVGUARD"),
+        ("data_id = 0x4C02", "data_id = 0x4C01", "must be unique"),
+        (
+            "start = 16\nlength = 16\nscale = 0.00048828125",
+            "start = 8\nlength = 16\nscale = 0.00048828125",
+            "E2E header",
+        ),
+        ("schema = 1", "schema = 2", "1"),
+        ("min = -15.0", "min = -40.0", "supervise must lie within"),
+        ("[[nodes]]", "[[", "TOML"),
+    ],
+    ids=range(10),
+)
 def test_a_spoilt_catalogue_is_refused_by_name(old, new, what, tmp_path):
     text = (ROOT / "tools/src/lpvguard/can/catalogue.toml").read_text()
     assert old in text
@@ -290,6 +379,7 @@ def test_a_spoilt_catalogue_is_refused_by_name(old, new, what, tmp_path):
 
 # -------------------------------------------------------------------------------------------------------- big-endian
 
+
 def test_codec_on_a_big_endian_processor(codec, tmp_path):
     compiler, emulator = shutil.which("powerpc-linux-gnu-gcc"), shutil.which("qemu-ppc")
     if not compiler or not emulator:
@@ -299,23 +389,47 @@ def test_codec_on_a_big_endian_processor(codec, tmp_path):
     (tmp_path / "loops.c").write_text(_loops(CATALOGUE))
     blocks = []
     for m in GENERATED:
-        columns = "".join(f"    for (i = 0; i < N; ++i) {{ one[i] = raw[{len(m.signals)} * i + {k}]; }}\n"
-                          f"    loop_{m.name}_{s.name}_decode(one, N, x, q);\n"
-                          f"    for (i = 0; i < N; ++i) {{ memcpy(&bits, &x[i], 4); printf(\"%u %d %08x\\n\", one[i], q[i], "
-                          f"q[i] == 1 ? (unsigned)bits : 0u); }}\n" for k, s in enumerate(m.signals))
-        blocks.append(f"    loop_{m.name}_unpack(data, N, raw);\n    loop_{m.name}_pack(raw, N, back);\n"
-                      "    for (i = 0; i < 8 * N; ++i) { printf(\"%02x\", back[i]); }\n    puts(\"\");\n" + columns)
+        columns = "".join(
+            f"    for (i = 0; i < N; ++i) {{ one[i] = raw[{len(m.signals)} * i + {k}]; }}\n"
+            f"    loop_{m.name}_{s.name}_decode(one, N, x, q);\n"
+            f'    for (i = 0; i < N; ++i) {{ memcpy(&bits, &x[i], 4); printf("%u %d %08x\\n", one[i], q[i], '
+            f"q[i] == 1 ? (unsigned)bits : 0u); }}\n"
+            for k, s in enumerate(m.signals)
+        )
+        blocks.append(
+            f"    loop_{m.name}_unpack(data, N, raw);\n    loop_{m.name}_pack(raw, N, back);\n"
+            '    for (i = 0; i < 8 * N; ++i) { printf("%02x", back[i]); }\n    puts("");\n' + columns
+        )
     (tmp_path / "main.c").write_text(
         '#include "loops.c"\n#include <stdio.h>\nenum { N = 500 };\n'
         "static uint8_t data[8 * N], back[8 * N]; static uint16_t raw[8 * N], one[N]; static float x[N]; static int q[N];\n"
         "int main(void) { long i; uint32_t bits, r = 1u;\n"
         "    for (i = 0; i < 8 * N; ++i) { r = r * 1664525u + 1013904223u; data[i] = (uint8_t)(r >> 24); }\n"
-        + "".join(blocks) + "    return 0;\n}\n")
+        + "".join(blocks)
+        + "    return 0;\n}\n"
+    )
 
     def output(cc: str, *run: str) -> str:
-        subprocess.run([cc, "-std=c99", "-O2", "-ffp-contract=off", "-static", "-I", str(ROOT / "lib/include"), "main.c", SOURCE,
-                        "-o", Path(cc).name + ".elf"], cwd=tmp_path, check=True)
-        return subprocess.run([*run, str(tmp_path / (Path(cc).name + ".elf"))], capture_output=True, text=True, check=True).stdout
+        subprocess.run(
+            [
+                cc,
+                "-std=c99",
+                "-O2",
+                "-ffp-contract=off",
+                "-static",
+                "-I",
+                str(ROOT / "lib/include"),
+                "main.c",
+                SOURCE,
+                "-o",
+                Path(cc).name + ".elf",
+            ],
+            cwd=tmp_path,
+            check=True,
+        )
+        return subprocess.run(
+            [*run, str(tmp_path / (Path(cc).name + ".elf"))], capture_output=True, text=True, check=True
+        ).stdout
 
     big, little = output(compiler, emulator), output(shutil.which("cc"))
     assert big == little and len(big) > 100_000

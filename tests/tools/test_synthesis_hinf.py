@@ -24,7 +24,9 @@ def check_certificate(plant, n_u, n_y, result, backoff=1.01):
 
 
 def coprime_plant(G):
-    """Generalised plant of the normalised coprime factor problem: z = [y; u], w = [v1; v2], y = G(u + v1) + v2."""
+    """Generalised plant of the normalised coprime factor problem: z = [y; u], w = [v1; v2], y = G(u + v1) +
+    v2.
+    """
     n, m, p = G.order, G.n_inputs, G.n_outputs
     B = np.hstack([G.B, np.zeros((n, p)), G.B])
     C = np.vstack([G.C, np.zeros((m, n)), G.C])
@@ -38,7 +40,12 @@ def test_gamma_of_the_four_block_problem_is_its_closed_form(seed):
     """γ² = 1 + λ_max(XZ) (Glover & McFarlane 1989): an answer that needs no γ-iteration; here D11 ≠ 0."""
     rng = np.random.default_rng(seed)
     n = 3 + seed
-    G = StateSpace(rng.standard_normal((n, n)), rng.standard_normal((n, 2)), rng.standard_normal((2, n)), np.zeros((2, 2)))
+    G = StateSpace(
+        rng.standard_normal((n, n)),
+        rng.standard_normal((n, 2)),
+        rng.standard_normal((2, n)),
+        np.zeros((2, 2)),
+    )
     X = sl.solve_continuous_are(G.A, G.B, G.C.T @ G.C, np.eye(2))
     Z = sl.solve_continuous_are(G.A.T, G.C.T, G.B @ G.B.T, np.eye(2))
     want = np.sqrt(1 + np.linalg.eigvals(X @ Z).real.max())
@@ -49,16 +56,24 @@ def test_gamma_of_the_four_block_problem_is_its_closed_form(seed):
 
 
 def lmi_optimum(A, B1, B2, C1, C2, D11, D12, D21):
-    """γ_opt by the projected linear matrix inequalities of Gahinet & Apkarian (1994), a conic solver's answer."""
+    """γ_opt by the projected linear matrix inequalities of Gahinet & Apkarian (1994), a conic solver's
+    answer.
+    """
     n, m1, p1 = len(A), B1.shape[1], C1.shape[0]
     R, S, g = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True), cp.Variable()
     NR = sl.block_diag(sl.null_space(np.hstack([B2.T, D12.T])), np.eye(m1))
     NS = sl.block_diag(sl.null_space(np.hstack([C2, D21])), np.eye(p1))
-    control = cp.bmat([[A @ R + R @ A.T, R @ C1.T, B1], [C1 @ R, -g * np.eye(p1), D11], [B1.T, D11.T, -g * np.eye(m1)]])
-    filter_ = cp.bmat([[A.T @ S + S @ A, S @ B1, C1.T], [B1.T @ S, -g * np.eye(m1), D11.T], [C1, D11, -g * np.eye(p1)]])
+    control = cp.bmat(
+        [[A @ R + R @ A.T, R @ C1.T, B1], [C1 @ R, -g * np.eye(p1), D11], [B1.T, D11.T, -g * np.eye(m1)]]
+    )
+    filter_ = cp.bmat(
+        [[A.T @ S + S @ A, S @ B1, C1.T], [B1.T @ S, -g * np.eye(m1), D11.T], [C1, D11, -g * np.eye(p1)]]
+    )
     sides = [N.T @ M @ N for N, M in ((NR, control), (NS, filter_))]
-    problem = cp.Problem(cp.Minimize(g), [0.5 * (M + M.T) << 0 for M in sides]
-                         + [cp.bmat([[R, np.eye(n)], [np.eye(n), S]]) >> 0])
+    problem = cp.Problem(
+        cp.Minimize(g),
+        [0.5 * (M + M.T) << 0 for M in sides] + [cp.bmat([[R, np.eye(n)], [np.eye(n), S]]) >> 0],
+    )
     problem.solve(solver="CLARABEL")
     return float(g.value)
 
@@ -74,7 +89,9 @@ def test_gamma_agrees_with_a_conic_solver(seed, shape):
     D12 = rng.standard_normal((3, 2)) * (shape not in ("no cost", "neither"))
     D21 = rng.standard_normal((2, 3)) * (shape not in ("no noise", "neither"))
     want = lmi_optimum(A, B1, B2, C1, C2, D11, D12, D21)
-    plant = StateSpace(A, np.hstack([B1, B2]), np.vstack([C1, C2]), np.block([[D11, D12], [D21, np.zeros((2, 2))]]))
+    plant = StateSpace(
+        A, np.hstack([B1, B2]), np.vstack([C1, C2]), np.block([[D11, D12], [D21, np.zeros((2, 2))]])
+    )
     result = hinf_synthesis(plant, 2, 2)
     assert result.gamma == pytest.approx(want, rel=2e-3)
     assert bool(result.regularisation) == (shape in ("no noise", "no cost", "neither"))
@@ -124,8 +141,12 @@ def test_gamma_does_not_depend_on_the_units_of_state_control_or_measurement():
     rng = np.random.default_rng(5)
     T = np.diag(10.0 ** rng.uniform(-6, 6, 8))
     left, right = np.diag([1, 1, 1e5, 1e-4]), np.diag([1, 1, 1e-6, 1e3])
-    scaled = StateSpace(np.linalg.inv(T) @ plant.A @ T, np.linalg.inv(T) @ plant.B @ right, left @ plant.C @ T,
-                        left @ plant.D @ right)
+    scaled = StateSpace(
+        np.linalg.inv(T) @ plant.A @ T,
+        np.linalg.inv(T) @ plant.B @ right,
+        left @ plant.C @ T,
+        left @ plant.D @ right,
+    )
     result = hinf_synthesis(scaled, 2, 2)
     assert result.gamma == pytest.approx(gamma, rel=1e-5)
     check_certificate(scaled, 2, 2, result)
@@ -135,10 +156,15 @@ def test_a_companion_realisation_gives_the_same_gamma():
     """Controllable canonical coordinates of poles four decades apart: rows up to 1e8."""
     G = rational([1.0, 3.0, 2.0], np.poly([-0.02, -0.5, -3.0, -50.0, -200.0]))
     coefficients = np.poly(np.linalg.eigvals(G.A)).real
-    raw = StateSpace(np.vstack([np.eye(5)[1:], -coefficients[:0:-1]]), np.eye(5)[:, -1:],
-                     [[2.0, 3.0, 1.0, 0.0, 0.0]], [[0.0]])
+    raw = StateSpace(
+        np.vstack([np.eye(5)[1:], -coefficients[:0:-1]]),
+        np.eye(5)[:, -1:],
+        [[2.0, 3.0, 1.0, 0.0, 0.0]],
+        [[0.0]],
+    )
     assert hinf_synthesis(coprime_plant(raw), 1, 1).gamma == pytest.approx(
-        hinf_synthesis(coprime_plant(G), 1, 1).gamma, rel=1e-5)
+        hinf_synthesis(coprime_plant(G), 1, 1).gamma, rel=1e-5
+    )
 
 
 def test_the_controller_backs_off_from_the_poles_of_the_optimum():
@@ -156,8 +182,12 @@ def test_discrete_synthesis_of_a_tustin_image_gives_the_continuous_gamma(dt):
 
 
 def test_a_sampled_plant_with_delays_and_no_noise_is_solved_and_certified():
-    plant = zero_order_hold(weighted_sensitivity(rational([1.0], [1.0, 1.0, 2.0]), rational([2.0], [1.0, 0.1])), 0.1)
-    A = np.block([[plant.A, plant.B[:, 1:]], [np.zeros((1, plant.order + 1))]])  # one sample of delay on u: z = 0
+    plant = zero_order_hold(
+        weighted_sensitivity(rational([1.0], [1.0, 1.0, 2.0]), rational([2.0], [1.0, 0.1])), 0.1
+    )
+    A = np.block(
+        [[plant.A, plant.B[:, 1:]], [np.zeros((1, plant.order + 1))]]
+    )  # one sample of delay on u: z = 0
     B = np.block([[plant.B[:, :1], np.zeros((plant.order, 1))], [np.array([[0.0, 1.0]])]])
     C = np.hstack([plant.C, plant.D[:, 1:]])
     delayed = StateSpace(A, B, C, np.hstack([plant.D[:, :1], np.zeros((2, 1))]), 0.1)
@@ -167,8 +197,13 @@ def test_a_sampled_plant_with_delays_and_no_noise_is_solved_and_certified():
 
 def test_a_discrete_pole_at_minus_one_is_no_obstacle():
     A = np.diag([-1.0, 0.5])
-    plant = StateSpace(A, np.array([[1.0, 0, 1.0], [0.3, 0, 1.0]]), np.array([[1.0, 1.0], [0, 0], [1.0, 0.5]]),
-                       np.array([[0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]]), 0.1)
+    plant = StateSpace(
+        A,
+        np.array([[1.0, 0, 1.0], [0.3, 0, 1.0]]),
+        np.array([[1.0, 1.0], [0, 0], [1.0, 0.5]]),
+        np.array([[0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]]),
+        0.1,
+    )
     result = hinf_synthesis(plant, 1, 1)
     check_certificate(plant, 1, 1, result)
 
@@ -197,13 +232,29 @@ def test_a_mode_out_of_reach_is_named_with_its_pole(which, message):
     assert "0.25" in str(caught.value) and "expected" in str(caught.value)
 
 
-@pytest.mark.parametrize("change, where", [
-    ({"n_control": 0}, "n_control"), ({"n_measurement": 9}, "n_measurement"), ({"A": [[1.0, 2.0]]}, "A"),
-    ({"D": None}, "D"), ({"C": [[1.0, "x"]]}, "C"), ({"dt": -1}, "dt"), ({"A": [[float("nan")]]}, "A"),
-])
+@pytest.mark.parametrize(
+    "change, where",
+    [
+        ({"n_control": 0}, "n_control"),
+        ({"n_measurement": 9}, "n_measurement"),
+        ({"A": [[1.0, 2.0]]}, "A"),
+        ({"D": None}, "D"),
+        ({"C": [[1.0, "x"]]}, "C"),
+        ({"dt": -1}, "dt"),
+        ({"A": [[float("nan")]]}, "A"),
+    ],
+)
 def test_solve_names_the_bad_field(change, where):
-    problem = {"id": "p", "A": [[-1.0]], "B": [[1.0, 1.0]], "C": [[1.0], [1.0]], "D": [[0.0, 1.0], [1.0, 0.0]],
-               "n_control": 1, "n_measurement": 1, "dt": 0}
+    problem = {
+        "id": "p",
+        "A": [[-1.0]],
+        "B": [[1.0, 1.0]],
+        "C": [[1.0], [1.0]],
+        "D": [[0.0, 1.0], [1.0, 0.0]],
+        "n_control": 1,
+        "n_measurement": 1,
+        "dt": 0,
+    }
     assert solve_hinf(problem)["gamma"] > 0
     with pytest.raises(SynthesisError, match=where):
         solve_hinf(problem | change)

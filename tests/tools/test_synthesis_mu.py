@@ -1,4 +1,6 @@
-"""μ: closed forms for every kind of block, a conic solver for the D,G infimum, and each Δ tried on its matrix."""
+"""μ: closed forms for every kind of block, a conic solver for the D,G infimum, and each Δ tried on its
+matrix.
+"""
 
 import warnings
 
@@ -19,7 +21,11 @@ def random_matrix(blocks, seed, spread=0.0):
     rng = np.random.default_rng(seed)
     shape = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
     M = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
-    return 10.0 ** rng.uniform(-spread, spread, (shape[0], 1)) * M * 10.0 ** rng.uniform(-spread, spread, shape[1])
+    return (
+        10.0 ** rng.uniform(-spread, spread, (shape[0], 1))
+        * M
+        * 10.0 ** rng.uniform(-spread, spread, shape[1])
+    )
 
 
 def check_delta(M, blocks, bounds):
@@ -66,7 +72,9 @@ def test_one_repeated_real_scalar_is_the_largest_real_eigenvalue():
 
 
 def test_a_rank_one_matrix_has_the_sum_of_its_products():
-    """μ(u vᴴ) = Σ |u_i||v_i| for scalar complex blocks, any number of them: bounds meet far beyond three blocks."""
+    """μ(u vᴴ) = Σ |u_i||v_i| for scalar complex blocks, any number of them: bounds meet far beyond three
+    blocks.
+    """
     rng = np.random.default_rng(3)
     u, v = (rng.standard_normal(7) + 1j * rng.standard_normal(7) for _ in range(2))
     blocks = [full(1)] * 7
@@ -105,7 +113,14 @@ def conic_upper_bound(M, blocks):
     level, t = cp.Parameter(nonneg=True), cp.Variable()
     GN = cp.Constant(1j) * (G @ N)
     X = level * DR - N.conj().T @ DL @ N - GN - cp.conj(GN).T
-    problem = cp.Problem(cp.Maximize(t), [*constraints, 0.5 * (X + cp.conj(X).T) >> t * np.eye(C), cp.real(cp.trace(cp.Constant(np.eye(R)) @ DL)) == R])
+    problem = cp.Problem(
+        cp.Maximize(t),
+        [
+            *constraints,
+            0.5 * (X + cp.conj(X).T) >> t * np.eye(C),
+            cp.real(cp.trace(cp.Constant(np.eye(R)) @ DL)) == R,
+        ],
+    )
     low, high = 0.0, 1.0
     for _ in range(16):
         level.value = 0.5 * (low + high)
@@ -116,13 +131,16 @@ def conic_upper_bound(M, blocks):
     return size * np.sqrt(high)
 
 
-@pytest.mark.parametrize("seed, blocks", [
-    (0, [Block("repeated_complex", 2, 2), full(2, 3), full(1)]),
-    (1, [Block("repeated_real", 2, 2), full(2)]),
-    (2, [Block("repeated_real", 1, 1), Block("repeated_real", 1, 1), full(2, 1)]),
-    (3, [Block("repeated_real", 2, 2), Block("repeated_complex", 2, 2), full(1)]),
-    (4, [full(1)] * 5),
-])
+@pytest.mark.parametrize(
+    "seed, blocks",
+    [
+        (0, [Block("repeated_complex", 2, 2), full(2, 3), full(1)]),
+        (1, [Block("repeated_real", 2, 2), full(2)]),
+        (2, [Block("repeated_real", 1, 1), Block("repeated_real", 1, 1), full(2, 1)]),
+        (3, [Block("repeated_real", 2, 2), Block("repeated_complex", 2, 2), full(1)]),
+        (4, [full(1)] * 5),
+    ],
+)
 def test_the_upper_bound_is_the_infimum_over_d_and_g(seed, blocks):
     M = random_matrix(blocks, seed)
     bounds = mu_bounds(M, blocks)
@@ -146,13 +164,39 @@ def test_zero_and_nilpotent_matrices_have_mu_zero():
     assert bounds.upper < 1e-5 and bounds.lower == 0
 
 
-@pytest.mark.parametrize("change, where", [
-    ({"M": [[[1, 0]], [[2, 0]]]}, "M"), ({"blocks": []}, "blocks"), ({"blocks": [{"type": "half", "rows": 1, "cols": 1}]}, "block"),
-    ({"blocks": [{"type": "repeated_real", "rows": 1, "cols": 2}]}, "block"), ({"M": [[1, 0, 0]]}, "M"),
-    ({"blocks": [{"type": "full", "rows": 0, "cols": 1}]}, "rows"), ({"M": [[[1, float("nan")]]]}, "M"),
-])
+@pytest.mark.parametrize(
+    "change, where",
+    [
+        ({"M": [[[1, 0]], [[2, 0]]]}, "M"),
+        ({"blocks": []}, "blocks"),
+        ({"blocks": [{"type": "half", "rows": 1, "cols": 1}]}, "block"),
+        ({"blocks": [{"type": "repeated_real", "rows": 1, "cols": 2}]}, "block"),
+        ({"M": [[1, 0, 0]]}, "M"),
+        ({"blocks": [{"type": "full", "rows": 0, "cols": 1}]}, "rows"),
+        ({"M": [[[1, float("nan")]]]}, "M"),
+    ],
+)
 def test_solve_names_the_bad_field(change, where):
     problem = {"id": "m", "M": [[[1.0, 2.0]]], "blocks": [{"type": "full", "rows": 1, "cols": 1}]}
     assert solve_mu(problem)["mu_upper"] == pytest.approx(np.sqrt(5))
     with pytest.raises(SynthesisError, match=where):
         solve_mu(problem | change)
+
+
+@pytest.mark.parametrize("seed", [102, 301])
+def test_the_lower_bound_of_a_mixed_problem_is_the_best_of_a_dense_search(seed):
+    """Two real scalars and a full block: every (δ1, δ2) on a grid, the full block by its singular value."""
+    blocks = [Block("repeated_real", 1, 1), Block("repeated_real", 1, 1), full(2, 1)]
+    M = random_matrix(blocks, seed)
+    bounds = mu_bounds(M, blocks)
+    grid = np.linspace(-1, 1, 101)
+    q = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
+    low, high = 0.3 * bounds.upper, bounds.upper
+    for _ in range(14):
+        beta = 0.5 * (low + high)
+        loop = np.eye(2) - M[:2, :2] * (q / beta)[:, None, :]
+        inner = np.linalg.solve(loop, np.broadcast_to(M[:2, 2:], (len(q), 2, 1)))
+        rest = M[2:, 2:] + (M[2:, :2] * (q / beta)[:, None, :]) @ inner
+        low, high = (beta, high) if np.linalg.norm(rest, 2, axis=(1, 2)).max() >= beta else (low, beta)
+    assert bounds.lower >= low * (1 - 1e-3)
+    check_delta(M, blocks, bounds)

@@ -6,7 +6,15 @@ import pytest
 from lpvguard.synthesis.errors import SynthesisError
 from lpvguard.synthesis.interconnection import rational, zeros_poles
 from lpvguard.synthesis.statespace import (
-    StateSpace, append, balanced, gain, lft, series, to_continuous, to_discrete, zero_order_hold,
+    StateSpace,
+    append,
+    balanced,
+    gain,
+    lft,
+    series,
+    to_continuous,
+    to_discrete,
+    zero_order_hold,
 )
 
 OMEGA = np.array([0.0, 0.03, 1.0, 40.0, np.inf])
@@ -16,7 +24,9 @@ def random_system(seed, n=4, m=3, p=2, dt=0.0):
     rng = np.random.default_rng(seed)
     A = rng.standard_normal((n, n))
     A = A / (1.2 * np.abs(np.linalg.eigvals(A)).max()) if dt else A - 3 * np.eye(n)
-    return StateSpace(A, rng.standard_normal((n, m)), rng.standard_normal((p, n)), rng.standard_normal((p, m)), dt)
+    return StateSpace(
+        A, rng.standard_normal((n, m)), rng.standard_normal((p, n)), rng.standard_normal((p, m)), dt
+    )
 
 
 def test_response_matches_the_definition_at_finite_and_infinite_frequency():

@@ -1,10 +1,10 @@
-"""The general LFT and class S2 against semidefinite and brute-force references; both sides of every answer are tested."""
+"""The general LFT and class S2 against semidefinite and brute-force references; both sides of every answer
+are tested."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from lpvguard import native
 from lpvguard.bench.validation import truck_points
 from lpvguard.errors import InputError
@@ -45,11 +45,17 @@ def made_from_truth(rng, n_y, blocks, *, p12=False, n_w=None, size=0.3, noise=0.
 def substitute(problem, s, gamma=None):
     """Everything that a returned explanation promises, checked from the raw matrices."""
     eta = problem.p11 @ s.xi + problem.p12 @ s.w + problem.eta0
-    np.testing.assert_allclose(problem.p21 @ s.xi + problem.p22 @ s.w, problem.e, atol=1e-8 * np.linalg.norm(problem.e))
+    np.testing.assert_allclose(
+        problem.p21 @ s.xi + problem.p22 @ s.w, problem.e, atol=1e-8 * np.linalg.norm(problem.e)
+    )
     if gamma is not None:
         assert np.linalg.norm(s.w) <= gamma * (1 + 1e-8)
     pieces = zip(
-        problem.blocks, dl.split(problem.blocks, s.xi, "rows"), dl.split(problem.blocks, eta, "cols"), s.nu, strict=True
+        problem.blocks,
+        dl.split(problem.blocks, s.xi, "rows"),
+        dl.split(problem.blocks, eta, "cols"),
+        s.nu,
+        strict=True,
     )
     for (block, xi, eta_i, nu), made in zip(pieces, s.verification.deltas, strict=True):
         assert np.linalg.norm(xi) <= nu * np.linalg.norm(eta_i) * (1 + 1e-8) + 1e-12
@@ -80,7 +86,9 @@ def test_full_blocks_are_solved_to_a_certified_gap(name):
         lam, gamma = rng.uniform(0.5, 2.0, len(blocks)), np.linalg.norm(w) * 1.001
         s = lft.optimum(problem, gamma, lam)
         assert s.upper - s.lower <= 1e-3 * s.upper
-        assert s.upper <= np.sum(lam * nu**2) * (1 + 1e-6), "the truth explains the data: nothing larger may be reported"
+        assert s.upper <= np.sum(lam * nu**2) * (1 + 1e-6), (
+            "the truth explains the data: nothing larger may be reported"
+        )
         assert s.upper == pytest.approx(np.sum(lam * s.nu**2), rel=1e-6, abs=1e-12)
         substitute(problem, s, gamma)
 
@@ -90,7 +98,12 @@ def forms(problem):
     par = lft.parametrise(problem)
     t = np.zeros((1, par.xi_map.shape[1]))
     t[0, -1] = 1.0
-    return dl.split(problem.blocks, par.xi_map, "rows"), dl.split(problem.blocks, par.eta_map, "cols"), par.w_map, t
+    return (
+        dl.split(problem.blocks, par.xi_map, "rows"),
+        dl.split(problem.blocks, par.eta_map, "cols"),
+        par.w_map,
+        t,
+    )
 
 
 def relaxed_feasible(cp, limits, n):
@@ -105,7 +118,7 @@ def relaxed_feasible(cp, limits, n):
 def test_common_size_matches_bisection_over_semidefinite_programs(name):
     cp = pytest.importorskip("cvxpy")
     n_y, blocks, options = FULL[name]
-    problem, nu, w = made_from_truth(np.random.default_rng(77), n_y, blocks, **options)
+    problem, nu, _ = made_from_truth(np.random.default_rng(77), n_y, blocks, **options)
     gamma = 0.7 * np.linalg.norm(np.linalg.pinv(problem.p22) @ problem.e)
     xi, eta, w_map, t = forms(problem)
     low, high = 0.0, 2.0 * float(nu.max())
@@ -136,7 +149,8 @@ def test_repeated_block_beats_no_grid_point_and_is_beaten_by_none(block_type, ro
         s = lft.optimum(problem, gamma, [1.0])
         grid = scalar_grid(block_type, 1.2 * nu[0])
         loop = np.linalg.solve(
-            np.eye(rows) - grid[:, None, None] * problem.p11, np.broadcast_to(problem.eta0[:, None], (grid.size, rows, 1))
+            np.eye(rows) - grid[:, None, None] * problem.p11,
+            np.broadcast_to(problem.eta0[:, None], (grid.size, rows, 1)),
         )[:, :, 0]
         left = np.linalg.norm(problem.e - grid[:, None] * (loop @ problem.p21.T), axis=1)
         best = np.min(np.abs(grid[left <= gamma])) ** 2
@@ -173,7 +187,9 @@ def test_margin_scales_with_its_bounds_and_stays_below_the_truth():
     assert 0 < s.lower <= s.upper <= 1 + 1e-6
     half = lft.margin(problem, 2 * nu, 2 * np.abs(w))
     assert half.upper == pytest.approx(s.upper / 2, rel=1e-4)
-    assert np.all(s.nu <= s.upper * nu * (1 + 1e-6)) and np.all(np.abs(s.w) <= s.upper * np.abs(w) * (1 + 1e-6))
+    assert np.all(s.nu <= s.upper * nu * (1 + 1e-6)) and np.all(
+        np.abs(s.w) <= s.upper * np.abs(w) * (1 + 1e-6)
+    )
 
 
 def test_lambda_w_trades_disturbance_against_perturbation():
@@ -199,7 +215,9 @@ def test_parametrisation_covers_exactly_the_solutions():
             np.testing.assert_allclose(problem.p21 @ xi + problem.p22 @ w, problem.e, atol=1e-12)
             power = np.linalg.norm(z[: par.n_phi]) ** 2 + par.b1**2
             assert np.linalg.norm(w) ** 2 == pytest.approx(power, rel=1e-10), "eq. (5)"
-            np.testing.assert_allclose(par.eta_map @ z, problem.p11 @ xi + problem.p12 @ w + problem.eta0, atol=1e-12)
+            np.testing.assert_allclose(
+                par.eta_map @ z, problem.p11 @ xi + problem.p12 @ w + problem.eta0, atol=1e-12
+            )
 
 
 def test_b1_is_the_feasibility_edge():
@@ -218,6 +236,36 @@ def test_zero_is_exactly_zero():
     assert s.lower == s.upper == 0.0 and np.all(s.nu < 1e-12)
 
 
+def test_no_disturbance_allowed_and_none_needed():
+    problem, nu, _ = made_from_truth(np.random.default_rng(3), 2, [("full", 2, 2)], noise=1e-300)
+    s = lft.optimum(problem, 0.0, [1.0])
+    assert np.linalg.norm(s.w) <= 1e-12 and 0 < s.upper <= nu[0] ** 2 * (1 + 1e-9)
+
+
+def test_last_block_is_not_needed_when_a_repeated_one_explains_the_data():
+    problem, _, w = made_from_truth(np.random.default_rng(21), 1, [("repeated_real", 2, 2), ("full", 2, 2)])
+    assert lft.smallest_last_block(problem, 3 * np.linalg.norm(w)) == (0.0, 0.0)
+
+
+def test_units_of_a_block_do_not_change_the_answer():
+    problem, _, w = made_from_truth(np.random.default_rng(22), 2, [("full", 2, 2), ("full", 1, 1)])
+    unit = np.diag([1e5, 1e5, 1e-4])
+    other = Lft(
+        problem.blocks,
+        problem.p11 @ unit,
+        problem.p12,
+        problem.p21 @ unit,
+        problem.p22,
+        problem.eta0,
+        problem.e,
+    )
+    gamma = np.linalg.norm(w)
+    base, scaled = lft.optimum(problem, gamma, [1.0, 1.0]), lft.optimum(other, gamma, [1e10, 1e-8])
+    assert scaled.upper == pytest.approx(base.upper, rel=1e-6) and scaled.lower == pytest.approx(
+        base.lower, rel=1e-4
+    )
+
+
 def test_e_outside_the_image_of_m_is_named():
     problem, _, _ = made_from_truth(np.random.default_rng(3), 2, [("full", 1, 1)], n_w=1)
     bad = Lft(problem.blocks, problem.p11, problem.p12, 0 * problem.p21, problem.p22, problem.eta0, problem.e)
@@ -230,8 +278,13 @@ def test_a_size_at_the_cap_is_never_returned_as_a_bound():
     block = (Block("full", 2, 2),)
     rng = np.random.default_rng(1)
     problem = Lft(
-        block, 10.0 * np.eye(2, dtype=complex), np.zeros((2, 2), complex), np.eye(2, dtype=complex),
-        np.eye(2, dtype=complex), 0.01 * gauss(rng, 2), np.array([1.0 + 0j, -1.0]),
+        block,
+        10.0 * np.eye(2, dtype=complex),
+        np.zeros((2, 2), complex),
+        np.eye(2, dtype=complex),
+        np.eye(2, dtype=complex),
+        0.01 * gauss(rng, 2),
+        np.array([1.0 + 0j, -1.0]),
     )
     assert lft.block_caps(problem)[0] == pytest.approx(0.1)
     solution = None
@@ -247,17 +300,32 @@ def test_a_size_at_the_cap_is_never_returned_as_a_bound():
 
 def test_a_block_without_input_cannot_explain():
     zero = np.zeros((1, 1), complex)
-    silent = Lft((Block("full", 1, 1),), zero, np.zeros((1, 1), complex), np.ones((1, 1), complex),
-                 np.ones((1, 1), complex), np.zeros(1, complex), np.ones(1, complex))
+    silent = Lft(
+        (Block("full", 1, 1),),
+        zero,
+        np.zeros((1, 1), complex),
+        np.ones((1, 1), complex),
+        np.ones((1, 1), complex),
+        np.zeros(1, complex),
+        np.ones(1, complex),
+    )
     with pytest.raises(InputError, match="zero|B1|no Delta"):
         lft.optimum(silent, 0.5, [1.0])
     assert lft.optimum(silent, 1.1, [1.0]).upper == 0.0
 
 
-@pytest.mark.parametrize("change, word", [({"p11": np.zeros((3, 3))}, "p11"), ({"eta0": np.array([np.nan])}, "eta0")])
+@pytest.mark.parametrize(
+    "change, word", [({"p11": np.zeros((3, 3))}, "p11"), ({"eta0": np.array([np.nan])}, "eta0")]
+)
 def test_shapes_and_values_are_named(change, word):
-    parts = {"p11": np.zeros((1, 1)), "p12": np.zeros((1, 1)), "p21": np.ones((1, 1)), "p22": np.ones((1, 1)),
-             "eta0": np.ones(1), "e": np.ones(1)}
+    parts = {
+        "p11": np.zeros((1, 1)),
+        "p12": np.zeros((1, 1)),
+        "p21": np.ones((1, 1)),
+        "p22": np.ones((1, 1)),
+        "eta0": np.ones(1),
+        "e": np.ones(1),
+    }
     with pytest.raises(InputError, match=word):
         Lft((Block("full", 1, 1),), **(parts | change))
 
@@ -313,7 +381,9 @@ def test_s2_matches_a_scan_of_semidefinite_relaxations():
         xi_i, xi_s = np.zeros((1, 5)), np.zeros((3, 5))
         xi_i[0, 0], xi_s[:, 1:4] = scale[0] / abs(data["u"][k]), np.diag(scale[1:])
         # Orthonormal coordinates: with the raw ones the conic solver fails.
-        _, whiten = np.linalg.qr(np.vstack([xi_i * abs(data["u"][k]) / scale[0], xi_s / scale[1:, None], w_map]))
+        _, whiten = np.linalg.qr(
+            np.vstack([xi_i * abs(data["u"][k]) / scale[0], xi_s / scale[1:, None], w_map])
+        )
         maps = [m @ np.linalg.inv(whiten) for m in (xi_i, w_map, xi_s, eta, np.eye(5)[4:])]
         first, ball, block, inner, one = (a.conj().T @ a for a in maps)
         unit = r.upper[k]
@@ -323,8 +393,12 @@ def test_s2_matches_a_scan_of_semidefinite_relaxations():
             limits = [x >> 0, cp.real(cp.trace(one @ x)) == 1, cp.real(cp.trace(ball @ x)) <= 1]
             limits.append(cp.real(cp.trace((block - nu**2 * inner) @ x)) / np.trace(block).real <= 0)
             try:
-                value = cp.Problem(cp.Minimize(cp.real(cp.trace((first / unit) @ x))), limits).solve(solver=cp.CLARABEL)
-            except cp.SolverError:  # where nu is too small for any explanation it gives up instead of saying so
+                value = cp.Problem(cp.Minimize(cp.real(cp.trace((first / unit) @ x))), limits).solve(
+                    solver=cp.CLARABEL
+                )
+            except (
+                cp.SolverError
+            ):  # where nu is too small for any explanation it gives up instead of saying so
                 return np.inf
             return value * unit + nu**2
 
@@ -334,14 +408,16 @@ def test_s2_matches_a_scan_of_semidefinite_relaxations():
 
 
 def test_s2_engines_agree(monkeypatch):
-    if native.kernels() is None:
+    if native.kernels("s2") is None:
         pytest.skip("no C compiler: nothing to compare with")
     data = truck_points(2, 5, seed=9)
     compiled = s2.solve(*(data[k] for k in S2_KEYS))
     monkeypatch.setenv("LPVGUARD_NO_NATIVE", "1")
     plain = s2.solve(*(data[k] for k in S2_KEYS))
     np.testing.assert_allclose(compiled.upper, plain.upper, rtol=1e-4)
-    assert np.all(plain.lower <= compiled.upper * (1 + 1e-9)) and np.all(compiled.lower <= plain.upper * (1 + 1e-9))
+    assert np.all(plain.lower <= compiled.upper * (1 + 1e-9)) and np.all(
+        compiled.lower <= plain.upper * (1 + 1e-9)
+    )
 
 
 def test_s2_and_the_general_solver_agree():
@@ -351,12 +427,51 @@ def test_s2_and_the_general_solver_agree():
         p11 = np.zeros((4, 4), complex)
         p11[1:] = np.column_stack([data["h_i"][k], data["h_s"][k]])
         problem = Lft(
-            (Block("full", 1, 1), Block("full", 3, 3)), p11, np.zeros((4, 2), complex), data["c"] @ p11[1:],
-            np.eye(2, dtype=complex), np.append(data["u"][k], data["x_nom"][k]), data["e"][k],
+            (Block("full", 1, 1), Block("full", 3, 3)),
+            p11,
+            np.zeros((4, 2), complex),
+            data["c"] @ p11[1:],
+            np.eye(2, dtype=complex),
+            np.append(data["u"][k], data["x_nom"][k]),
+            data["e"][k],
         )
         s = lft.optimum(problem, data["gamma_w"][k], [1.0, 1.0])
         assert s.lower <= r.upper[k] * (1 + 1e-9) and r.lower[k] <= s.upper * (1 + 1e-9)
         assert s.upper == pytest.approx(r.upper[k], rel=3e-4)
+
+
+def test_s2_marks_points_that_only_the_cap_stops():
+    data = truck_points(2, 20, seed=11)
+    args = [np.array(data[k]) for k in S2_KEYS]
+    assert not s2.solve(*args).at_cap.any()
+    args[0], args[-1] = 100 * args[0], 100 * args[-1]
+    r = s2.solve(*args)
+    cap = 1.0 / np.linalg.norm(data["h_s"], 2, axis=(1, 2))
+    assert r.at_cap.any() and not r.at_cap.all()
+    assert np.all(r.nu_s[~r.at_cap] < s2.NEAR_CAP * cap[~r.at_cap])
+    k = int(np.argmax(r.at_cap))
+    p11 = np.zeros((4, 4), complex)
+    p11[1:] = np.column_stack([data["h_i"][k], data["h_s"][k]])
+    problem = Lft(
+        (Block("full", 1, 1), Block("full", 3, 3)),
+        p11,
+        np.zeros((4, 2), complex),
+        data["c"] @ p11[1:],
+        np.eye(2, dtype=complex),
+        np.append(data["u"][k], data["x_nom"][k]),
+        args[0][k],
+    )
+    with pytest.raises(InputError, match="cap"):
+        lft.optimum(problem, args[-1][k], [1.0, 1.0])
+
+
+def test_s2_is_exactly_zero_where_the_disturbance_explains_all():
+    data = truck_points(1, 6, seed=4)
+    args = [np.array(data[k]) for k in S2_KEYS]
+    args[-1][2] = 1.01 * np.linalg.norm(args[0][2])
+    r = s2.solve(*args)
+    assert r.upper[2] == r.lower[2] == r.nu_i[2] == r.nu_s[2] == 0.0 and np.all(r.upper[[0, 1, 3, 4, 5]] > 0)
+    np.testing.assert_array_equal(r.w[2], args[0][2])
 
 
 def test_s2_names_the_bad_point():
@@ -371,10 +486,14 @@ def test_s2_names_the_bad_point():
 
 
 def test_certificates_agree_between_engines(monkeypatch):
-    if native.kernels() is None:
+    if native.kernels("s2") is None:
         pytest.skip("no C compiler: nothing to compare with")
-    problem, nu, w = made_from_truth(np.random.default_rng(12), 2, [("repeated_complex", 2, 2), ("full", 2, 1)], p12=True)
+    problem, nu, w = made_from_truth(
+        np.random.default_rng(12), 2, [("repeated_complex", 2, 2), ("full", 2, 1)], p12=True
+    )
     compiled = lft.margin(problem, nu, np.abs(w))
     monkeypatch.setenv("LPVGUARD_NO_NATIVE", "1")
     plain = lft.margin(problem, nu, np.abs(w))
-    assert compiled.lower == pytest.approx(plain.lower, rel=2e-4) and compiled.upper == pytest.approx(plain.upper, rel=2e-4)
+    assert compiled.lower == pytest.approx(plain.lower, rel=2e-4) and compiled.upper == pytest.approx(
+        plain.upper, rel=2e-4
+    )

@@ -1,4 +1,5 @@
-"""Class S1 and the on-line margin against 60-digit arithmetic and a conic solver, and the compiled kernels against numpy."""
+"""Class S1 and the on-line margin against 60-digit arithmetic and a conic solver, and the compiled kernels
+against numpy."""
 
 from __future__ import annotations
 
@@ -6,7 +7,6 @@ from decimal import Decimal, getcontext
 
 import numpy as np
 import pytest
-
 from lpvguard import native
 from lpvguard.errors import InputError
 from lpvguard.validation import s1
@@ -23,7 +23,7 @@ def engine(request, monkeypatch):
     """Run a test with the compiled kernels and with the numpy versions."""
     if request.param == "numpy":
         monkeypatch.setenv("LPVGUARD_NO_NATIVE", "1")
-    elif native.kernels() is None:
+    elif native.kernels("s1") is None:
         pytest.skip("no C compiler: the compiled kernels cannot be tested")
     return request.param
 
@@ -177,11 +177,17 @@ def test_margin_of_dense_degenerate_cases_is_bracketed(engine):
     rng = np.random.default_rng(11)
     for k in range(300):
         z = np.array([1.0, rng.choice([1.0, 0.0, 1e-9, 1 + 1e-12])], complex)
-        e = rng.normal(size=2) * z + (rng.normal(size=2) * 10.0 ** rng.uniform(-16, -8)) * 1j * (k % 2) + (z == 0) * 0.1
+        e = (
+            rng.normal(size=2) * z
+            + (rng.normal(size=2) * 10.0 ** rng.uniform(-16, -8)) * 1j * (k % 2)
+            + (z == 0) * 0.1
+        )
         w_delta, w_w = 10.0 ** rng.uniform(-3, 1), 10.0 ** rng.uniform(-3, 1, 2)
         t = float(s1.margin(e, z, w_delta, w_w))
         grid = np.linspace(-1.0, 1.0, 2001) * 5.0
-        level = np.maximum(np.abs(grid) / w_delta, np.max(np.abs(e[:, None] - grid * z[:, None]) / w_w[:, None], axis=0))
+        level = np.maximum(
+            np.abs(grid) / w_delta, np.max(np.abs(e[:, None] - grid * z[:, None]) / w_w[:, None], axis=0)
+        )
         assert t <= level.min() * (1 + 1e-9)
         slope = 1.0 / w_delta + np.max(np.abs(z) / w_w)
         if level.argmin() not in (0, len(grid) - 1):
@@ -189,13 +195,17 @@ def test_margin_of_dense_degenerate_cases_is_bracketed(engine):
 
 
 def test_both_engines_agree(monkeypatch):
-    if native.kernels() is None:
+    if native.kernels("s1") is None:
         pytest.skip("no C compiler: nothing to compare with")
     rng = np.random.default_rng(1)
     for n_y in (1, 2, 3, 5):
         e, z = gauss(rng, 1003, n_y), gauss(rng, 1003, n_y)
         e[::9], z[::7, 0] = (0.2 + 0.1j) * z[::9], 0.0
-        gamma, w_delta, w_w = rng.uniform(0.1, 3, 1003), rng.uniform(0.1, 1, 1003), rng.uniform(0.1, 1, (1003, n_y))
+        gamma, w_delta, w_w = (
+            rng.uniform(0.1, 3, 1003),
+            rng.uniform(0.1, 1, 1003),
+            rng.uniform(0.1, 1, (1003, n_y)),
+        )
         compiled, t = s1.solve(e, z, gamma), s1.margin(e, z, w_delta, w_w)
         monkeypatch.setenv("LPVGUARD_NO_NATIVE", "1")
         plain, t_plain = s1.solve(e, z, gamma), s1.margin(e, z, w_delta, w_w)

@@ -1,21 +1,29 @@
 """Inputs of the C++ unit tests, made by the Python package.
 
     generate.py vehicle PROJECT DIR   a vehicle folder as `lpvguard export` writes it, with made-up weights and threshold
+    generate.py guarded PROJECT DIR   the same with the hand-made controller, called like DIR; without the bus's glue where
+                                      the project gives its signals no place on the bus
     generate.py golden  PROJECT DIR   golden_model.hpp: a drive, and the nominal output by exact zero-order hold in double
 
 PROJECT is a shipped vehicle's name or a project file.
 """
 
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from lpvguard.artefacts import write_files
+from lpvguard.control_export import ARRAYS, build_controller, control_files, replaced_controller
 from lpvguard.export import build_coefficients, vehicle_files
 from lpvguard.frames import Estimator
 from lpvguard.nominal import NominalModel
 from lpvguard.project import load_project
+
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from hand_controller import hand_controller  # noqa: E402  (tests/ is no package)
 
 
 def vehicle(project, model):
@@ -23,6 +31,15 @@ def vehicle(project, model):
     W_delta = np.linspace(0.1, 0.4, estimator.n_bins)
     B_w = np.outer(np.linspace(0.02, 0.01, estimator.n_bins), 1.0 + np.arange(project.n_y))
     return vehicle_files(project, build_coefficients(project, model, estimator, W_delta, B_w, 1.5), {"kind": "test"})
+
+
+def guarded(project, model, name):
+    project = project.model_copy(update={"name": name})
+    document = hand_controller(project)
+    controller = build_controller(document["Ts_s"], *(document[key] for key in ARRAYS))
+    files = vehicle(project, model)
+    glue = control_files(project, controller) if all(s.can for s in project.signals) else {}
+    return {**files, **glue, **replaced_controller(files["lpvguard_vehicle.h"], controller)}
 
 
 def exact_outputs(model, v, u, y_first):
@@ -60,8 +77,9 @@ def golden(project, model):
 def main():
     kind, project_name, folder = sys.argv[1:]
     project = load_project(project_name)
-    files = {"vehicle": vehicle, "golden": golden}[kind](project, NominalModel(project))
     target = Path(folder)
+    makers = {"vehicle": vehicle, "golden": golden, "guarded": partial(guarded, name=target.name)}
+    files = makers[kind](project, NominalModel(project))
     target.mkdir(parents=True, exist_ok=True)
     # Unchanged files keep their time, so that configuring again rebuilds nothing.
     write_files(target, {name: text for name, text in files.items()

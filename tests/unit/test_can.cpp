@@ -70,6 +70,18 @@ TEST_CASE("E2E profile 11 refuses what it cannot protect and changes nothing", "
     CHECK(lpvg_can_e2e_check(&frame, 1U, nullptr) == lpvg_status_bad_argument);
 }
 
+TEST_CASE("E2E profile 11: counter 15 is refused under any CRC", "[unit][can]") {
+    lpvg_can_frame_t frame{};
+    frame.dlc       = 8U;
+    frame.data[1]   = 0x0FU;
+    uint8_t counter = 3U;
+    for (unsigned crc = 0U; crc < 256U; ++crc) {
+        frame.data[0] = static_cast<uint8_t>(crc);
+        CHECK(lpvg_can_e2e_check(&frame, 0x0123U, &counter) == lpvg_status_bad_sample);
+    }
+    CHECK(counter == 3U);
+}
+
 TEST_CASE("init refuses rules that make no sense and leaves the struct alone", "[unit][can]") {
     lpvg_can_supervisor_t self;
     std::memset(&self, 0xA5, sizeof self);
@@ -98,6 +110,19 @@ TEST_CASE("init refuses rules that make no sense and leaves the struct alone", "
     SECTION("beyond the frame") { signal.start = 49U; CHECK(refused()); }
     SECTION("empty range") { signal.raw_min = 101U; CHECK(refused()); }
     SECTION("and takes the rest") { CHECK(lpvg_can_init(&self, &rule, 1U, 0) == lpvg_status_ok); }
+    SECTION("and takes the ends of every range") {
+        const lpvg_can_signal_rule_t one_bit[LPVG_CAN_SIGNALS_MAX] = {{15U, 1U, 1U, 1U, 0U, 0U, 0U}, {0U, 1U, 0U, 0U, 0U, 0U, 0U},
+                                                                      {0U, 16U, 0U, 9U, 0U, 0U, 0U}, {0U, 1U, 0U, 1U, 0U, 0U, 0U},
+                                                                      {0U, 1U, 0U, 1U, 0U, 0U, 0U},  {0U, 1U, 0U, 1U, 0U, 0U, 0U},
+                                                                      {0U, 1U, 0U, 1U, 0U, 0U, 0U},  {0U, 1U, 0U, 1U, 0U, 0U, 0U}};
+        const lpvg_can_rule_t shortest = {1U, 0U, 4U, 3U, 0U, 1U, 2U, LPVG_CAN_SIGNALS_MAX, one_bit};
+        lpvg_can_rule_t       all[LPVG_CAN_RULES_MAX];
+        for (auto& each : all) {
+            each = shortest;
+        }
+        all[1].period_us = 10'000'000U;
+        CHECK(lpvg_can_init(&self, all, LPVG_CAN_RULES_MAX, INT64_MAX) == lpvg_status_ok);
+    }
 }
 
 TEST_CASE("cleared memory and NULL read as off and do nothing", "[unit][can]") {
@@ -126,6 +151,71 @@ TEST_CASE("a message becomes live with the fifth good frame and not before", "[u
     CHECK(bus.state(LPVG_CAN_VDC2_INDEX) == lpvg_can_state_live);
     CHECK(bus.state(LPVG_CAN_GUARD_IN_INDEX) == lpvg_can_state_live);
     CHECK(bus.state(LPVG_CAN_EBC2_INDEX) == lpvg_can_state_off);
+}
+
+TEST_CASE("five good frames means in a row: a bad one starts the count anew, and live starts with a clean score", "[unit][can]") {
+    CanBus bus;
+    bus.run(1, 4);
+    auto bad = bus.vdc2(5);
+    bad.dlc  = 7U;
+    CHECK(bus.send(bad) == lpvg_can_event_length);
+    for (int64_t k = 6; k <= 9; ++k) {
+        CHECK(bus.send(bus.vdc2(k)) == lpvg_can_event_recovering);
+    }
+    CHECK(bus.send(bus.vdc2(10)) == lpvg_can_event_accepted);
+    CHECK(bus.supervisor.watch[LPVG_CAN_VDC2_INDEX].score == 0U);
+    CHECK(bus.supervisor.watch[LPVG_CAN_VDC2_INDEX].good_in_row == 0U);
+}
+
+TEST_CASE("only the supervised bits count: the others may hold anything", "[unit][can]") {
+    CanBus           bus;
+    lpvg_can_frame_t frame{};
+    frame.id  = LPVG_CAN_EBC1_ID;
+    frame.dlc = 8U;
+    std::memset(frame.data, 0xFF, 8U);
+    frame.data[0] = 0xDFU;  // ABS active: 01
+    frame.t_us    = CanBus::kStart + LPVG_CAN_EBC1_PERIOD_US;
+    CHECK(bus.send(frame) == lpvg_can_event_recovering);
+    CHECK(bus.supervisor.watch[LPVG_CAN_EBC1_INDEX].raw[0] == 1U);
+    frame.data[0] = 0xEFU;  // 10: error
+    frame.t_us += LPVG_CAN_EBC1_PERIOD_US;
+    CHECK(bus.send(frame) == lpvg_can_event_invalid);
+}
+
+TEST_CASE("a value from before the switch-off, or before a bad frame while off, limits no gradient", "[unit][can]") {
+    CanBus     bus;
+    const auto with = [&](int64_t k, float yaw_rate) {
+        const auto raw = lpvg_can_vdc2_yaw_rate_encode(yaw_rate);
+        auto       f   = bus.vdc2(k);
+        f.data[3]      = static_cast<uint8_t>(raw & 0xFFU);
+        f.data[4]      = static_cast<uint8_t>(raw >> 8U);
+        return f;
+    };
+    const auto spoil = [&](int64_t k) {
+        auto f = bus.vdc2(k);
+        f.dlc  = 7U;
+        bus.send(f);
+    };
+    bus.run(1, 5);
+    for (int64_t k = 6; k <= 10; ++k) {
+        spoil(k);
+    }
+    REQUIRE(bus.state(LPVG_CAN_VDC2_INDEX) == lpvg_can_state_off);
+    CHECK(bus.send(with(11, -1.4F)) == lpvg_can_event_recovering);  // 1.45 rad/s in 60 ms, were it one signal
+    CHECK(bus.send(with(12, 1.4F)) == lpvg_can_event_gradient);     // but while recovering, gradients count
+    CHECK(bus.send(with(13, 1.4F)) == lpvg_can_event_recovering);
+    spoil(14);
+    CHECK(bus.send(with(15, -1.4F)) == lpvg_can_event_recovering);
+}
+
+TEST_CASE("a frame exactly one smallest gap after the one before is not babbling", "[unit][can]") {
+    CanBus bus;
+    auto   frame = bus.vdc2(1);
+    CHECK(bus.send(frame) == lpvg_can_event_recovering);
+    frame.t_us += lpvg_can_rules[LPVG_CAN_VDC2_INDEX].gap_min_us;
+    CHECK(bus.send(frame) == lpvg_can_event_recovering);
+    frame.t_us += lpvg_can_rules[LPVG_CAN_VDC2_INDEX].gap_min_us - 1;
+    CHECK(bus.send(frame) == lpvg_can_event_early);
 }
 
 TEST_CASE("any priority of the same group and source is the same message; another source is not", "[unit][can]") {
@@ -173,7 +263,69 @@ TEST_CASE("gradient: the largest allowed step passes, one more is rejected, a pa
     SECTION("too much, upwards") { CHECK(bus.send(with(6, base + limit + 1U)) == lpvg_can_event_gradient); }
     SECTION("too much, downwards") { CHECK(bus.send(with(6, base - limit - 1U)) == lpvg_can_event_gradient); }
     SECTION("two periods") { CHECK(bus.send(with(7, base + 2U * limit - 1U)) == lpvg_can_event_accepted); }
+    SECTION("a limit without a remainder") {  // lateral acceleration: 150 m/s3 * 2048 / (m/s2) * 10 ms = 3072
+        const auto lateral = lpvg_can_vdc2_lateral_acceleration_encode(0.7F);
+        for (const unsigned step : {3074U, 3073U}) {
+            CanBus fresh = bus;
+            auto   frame = bus.vdc2(6);
+            frame.data[5] = static_cast<uint8_t>((lateral + step) & 0xFFU);
+            frame.data[6] = static_cast<uint8_t>((lateral + step) >> 8U);
+            CHECK(fresh.send(frame) == (step == 3073U ? lpvg_can_event_accepted : lpvg_can_event_gradient));
+        }
+    }
     SECTION("two periods, too much") { CHECK(bus.send(with(7, base + 2U * limit)) == lpvg_can_event_gradient); }
+}
+
+TEST_CASE("a signal without codes and without a rate takes any change and every raw value of its range", "[unit][can]") {
+    const lpvg_can_signal_rule_t plain = {4U, 16U, 0U, 0xFFFFU, 0U, 0U, 0U};  // in three bytes
+    const lpvg_can_rule_t        rules[] = {{1U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 3U, 1U, &plain},
+                                            {2U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 0U, 0U, nullptr}};
+    lpvg_can_supervisor_t self;
+    REQUIRE(lpvg_can_init(&self, rules, 2U, 0) == lpvg_status_ok);
+    uint8_t index = 0U;
+    for (int64_t k = 1; k <= 10; ++k) {
+        lpvg_can_frame_t frame{};
+        frame.id      = 1U;
+        frame.dlc     = 3U;
+        frame.t_us    = 10'000 * k;
+        frame.data[0] = (k % 2 == 0) ? 0x1FU : 0xE0U;
+        frame.data[1] = (k % 2 == 0) ? 0x32U : 0xCDU;
+        frame.data[2] = (k % 2 == 0) ? 0xF4U : 0x0BU;
+        CHECK(lpvg_can_receive(&self, &frame, &index) ==
+              (k < 5 ? lpvg_can_event_recovering : lpvg_can_event_accepted));
+        CHECK(self.watch[0].raw[0] == (k % 2 == 0 ? 0x4321U : 0xBCDEU));
+        frame.id  = 2U;  // a message of no byte is a sign of life
+        frame.dlc = 0U;
+        lpvg_can_receive(&self, &frame, &index);
+        CHECK(index == 1U);
+    }
+    CHECK(lpvg_can_state(&self, 1U) == lpvg_can_state_live);
+}
+
+TEST_CASE("signals in the last bytes of a frame", "[unit][can]") {
+    const lpvg_can_signal_rule_t last[] = {{56U, 8U, 0U, 0xFFU, 0U, 0U, 0U}, {48U, 16U, 0U, 0xFFFFU, 0U, 0U, 0U}};
+    const lpvg_can_rule_t        rule   = {1U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 8U, 2U, last};
+    lpvg_can_supervisor_t        self;
+    REQUIRE(lpvg_can_init(&self, &rule, 1U, 0) == lpvg_status_ok);
+    lpvg_can_frame_t frame{};
+    frame.id      = 1U;
+    frame.dlc     = 8U;
+    frame.data[6] = 0x34U;
+    frame.data[7] = 0x12U;
+    uint8_t index = 0U;
+    CHECK(lpvg_can_receive(&self, &frame, &index) == lpvg_can_event_recovering);
+    CHECK(self.watch[0].raw[0] == 0x12U);
+    CHECK(self.watch[0].raw[1] == 0x1234U);
+}
+
+TEST_CASE("counters saturate", "[unit][can]") {
+    CanBus bus;
+    bus.supervisor.count[lpvg_can_event_unknown_id] = UINT32_MAX;
+    lpvg_can_frame_t frame{};
+    frame.id   = 1U;
+    frame.t_us = CanBus::kStart;
+    CHECK(bus.send(frame) == lpvg_can_event_unknown_id);
+    CHECK(bus.supervisor.count[lpvg_can_event_unknown_id] == UINT32_MAX);
 }
 
 TEST_CASE("a frame from the queue may be a little older than the clock, no more", "[unit][can]") {
@@ -224,6 +376,25 @@ TEST_CASE("cross-checks: agreement, each disagreement alone, confirmation and re
     CHECK(self.flags == LPVG_CAN_IMPLAUSIBLE_WHEELS);
 }
 
+TEST_CASE("cross-checks: a deviation of exactly the limit is none; long violation delays the release no further", "[unit][can]") {
+    lpvg_can_plausibility_t self{};
+    for (const float sign : {1.0F, -1.0F}) {
+        for (int i = 0; i < 10; ++i) {  // 0.5 rad/s * 4 m/s - 0.5 m/s2 = 1.5 m/s2
+            REQUIRE(lpvg_can_plausibility(&self, &kLimits, sign * 0.5F, sign * 0.5F, 4.0F, kNan) == lpvg_status_ok);
+        }
+        CHECK(self.score[0] == 0U);
+    }
+    for (int i = 0; i < 50; ++i) {  // at exactly the lowest speed that is judged
+        REQUIRE(lpvg_can_plausibility(&self, &kLimits, 1.0F, 0.0F, kLimits.speed_min_mps, kNan) == lpvg_status_ok);
+    }
+    CHECK(self.flags == LPVG_CAN_IMPLAUSIBLE_LATERAL);
+    CHECK(self.score[0] == kLimits.confirm);
+    for (int i = 0; i < 5; ++i) {
+        REQUIRE(lpvg_can_plausibility(&self, &kLimits, 0.0F, 0.0F, 4.0F, kNan) == lpvg_status_ok);
+    }
+    CHECK(self.flags == 0U);
+}
+
 TEST_CASE("cross-checks leave out what cannot be judged", "[unit][can]") {
     lpvg_can_plausibility_t self{};
     struct Case { float r, ay, v, dv; };
@@ -243,7 +414,9 @@ TEST_CASE("cross-checks refuse limits that are not positive", "[unit][can]") {
     CHECK(lpvg_can_plausibility(&self, nullptr, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_status_bad_argument);
     SECTION("track") { limits.track_m = 0.0F; }
     SECTION("speed") { limits.speed_min_mps = kNan; }
+    SECTION("speed 0") { limits.speed_min_mps = 0.0F; }
     SECTION("lateral") { limits.lateral_mps2 = -1.0F; }
+    SECTION("lateral 0") { limits.lateral_mps2 = 0.0F; }
     SECTION("yaw") { limits.yaw_rps = 0.0F; }
     SECTION("confirm") { limits.confirm = 0U; }
     CHECK(lpvg_can_plausibility(&self, &limits, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_status_bad_argument);

@@ -47,8 +47,8 @@ typedef enum lpvg_ecu_reaction_t {
 
 typedef struct lpvg_ecu_config_t {
     bool engage;                                  ///< engage as soon as supervision is live
-    lpvg_ecu_reaction_t on_invalid;               ///< the monitor's verdict is invalid
-    lpvg_ecu_reaction_t on_implausible;           ///< a cross-check of the sensors fails
+    uint8_t on_invalid;                           ///< lpvg_ecu_reaction_t: the monitor's verdict is invalid
+    uint8_t on_implausible;                       ///< lpvg_ecu_reaction_t: a cross-check of the sensors fails
     lpvg_can_plausibility_limits_t plausibility;  ///< limits of the cross-checks
 } lpvg_ecu_config_t;
 

@@ -81,9 +81,12 @@ def new_folder(target: Path) -> Iterator[Path]:
     try:
         scratch.chmod(0o755)
         yield scratch
+        # Two renames and no deletion in between: whoever is killed here leaves the old folder or the new one, whole.
+        old = scratch.with_name(scratch.name + "-old")
         if target.exists():
-            shutil.rmtree(target)
+            target.rename(old)
         scratch.rename(target)
+        shutil.rmtree(old, ignore_errors=True)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
 

@@ -6,11 +6,12 @@ standard error. Nothing is written except where -o or --json says.
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -72,6 +73,34 @@ def generate(vehicle: Vehicle, out: Out,
     console.print(f"{count} drives written to {out}")
 
 
+@app.command(epilog="Example: lpvguard plant frequency-response", context_settings={
+    "allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []})
+def plant(context: typer.Context) -> None:
+    """Run the simulated truck's own tool: its frequency response against Table I, single experiments, a digest."""
+    from .generate import plant_tool
+
+    raise typer.Exit(subprocess.run([plant_tool(), *context.args], check=False).returncode)
+
+
+@app.command(epilog="Example: lpvguard ingest drive.log --dbc car.dbc --signals map.toml -o out/drives")
+def ingest(logs: Annotated[list[Path], typer.Argument(help="candump (-l, -L, .gz), ASC, BLF, TRC, MF4, CSV or Parquet.")],
+           out: Out,
+           dbc: Annotated[Path | None, typer.Option(help="CAN database (default: our own J1939 one).")] = None,
+           signals: Annotated[Path | None, typer.Option(help="Signal map (TOML).")] = None,
+           vehicle: Annotated[str | None, typer.Option("--vehicle", help="Take the signal map from this vehicle.")] = None,
+           json_out: JsonOut = None) -> None:
+    """Turn logs into uniform drive tables, with a report of what was left out and why. Needs no model."""
+    from .ingest import ingest as run
+    from .ingest import map_of_project
+
+    if (signals is None) == (vehicle is None):
+        raise InputError("ingest", "--signals, --vehicle", "both or neither given", "exactly one of them")
+    with _progress("ingest"):
+        report = run(logs, dbc=dbc, signals_map=signals or map_of_project(_load_project(vehicle)), out=out)
+    _emit(json_out, report)
+    console.print(f"{len(logs)} log(s) read; tables and reports written to {out}")
+
+
 @app.command(epilog="Example: lpvguard identify --vehicle g80 DRIVES -o out/identify")
 def identify(vehicle: Vehicle, drives: Annotated[Path, typer.Argument(help="Folder of drives with experiments.csv.")],
              out: Out, json_out: JsonOut = None) -> None:
@@ -119,12 +148,19 @@ def design(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(help
 
 @app.command(epilog="Example: lpvguard export --vehicle g80 out/identify -o lib/vehicles/g80")
 def export(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(help="Folder written by identify.")],
-           out: Out) -> None:
-    """Generate the C folder of a vehicle: coefficients, signal table, manifest."""
+           out: Out, controller: Annotated[Path | None, typer.Option(help="controller.json, or the folder written by design.")]
+           = None) -> None:
+    """Generate the C folder of a vehicle: coefficients, controller, signal table, CAN codec, manifest."""
+    from .control_export import load_controller
+    from .design import verify
     from .export import export_vehicle
 
     stored = _stored(identification, vehicle)
-    export_vehicle(stored, out)
+    if controller is not None and controller.is_dir():
+        controller = controller / "controller.json"
+    if controller is not None:
+        verify(controller, stored)
+    export_vehicle(stored, out, load_controller(controller) if controller else None)
     console.print(f"{stored.project.name}: written to {out}")
 
 
@@ -166,6 +202,48 @@ def replay(vehicle: Vehicle, logs: Annotated[list[Path], typer.Argument(help="Dr
     raise typer.Exit(2 if failed else 1 if any(r.alarms for r in done) else 0)
 
 
+@app.command(epilog="Example: lpvguard sim nominal yaw_sign --json -")
+def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, or paths to scenario files (*.toml).")],
+        vehicle: Annotated[str, typer.Option("--vehicle", help="Shipped vehicle with a controller.")] = "truck",
+        coefficients: Coefficients = None,
+        bus: Annotated[str, typer.Option(help="What carries the CAN frames: memory, or socketcan:INTERFACE.")] = "memory",
+        controller: Annotated[Literal["designed", "feedforward", "off"], typer.Option(
+            help="feedforward: the command over the model's DC gain; off: never engaged.")] = "designed",
+        seed: Annotated[int | None, typer.Option(min=0, help="First seed (default: the scenario's).")] = None,
+        seeds: Annotated[int, typer.Option(min=1, help="Runs of each scenario, with consecutive seeds.")] = 1,
+        out: Annotated[Path | None, typer.Option("-o", "--out", help="Folder for frame logs (candump -L), telemetry and results.json.")] = None,
+        json_out: JsonOut = None) -> None:
+    """Close the loop with the simulated truck over CAN frames. Exit 1 when a run did not show what its scenario expects."""
+    from .core import shipped_vehicle
+    from .sim import Simulator, load_scenario
+
+    loaded = [load_scenario(name) for name in scenarios]
+    runs = []
+    with _progress("sim") as tell:
+        tell("compiling")
+        simulator = Simulator(coefficients or shipped_vehicle(vehicle), controller=controller)
+        for scenario in loaded:
+            first = scenario.seed if seed is None else seed
+            for number in range(first, first + seeds):
+                tell(f"{scenario.name}, seed {number}")
+                runs.append(simulator.run(scenario, seed=number, bus=bus, out=out))
+    _emit(json_out, runs)
+    if out is not None:
+        # How fast this machine was belongs to nobody's results.
+        artefacts.write_file(out / "results.json", artefacts.to_json(
+            [{k: v for k, v in r.items() if k != "real_time_factor"} for r in runs]))
+    table = Table("scenario", "seed", "verdict", "invalid at s", "judged s to it", "max margin", "tracking", "x real time", "missed",
+                  box=None)
+    for r in runs:
+        invalid = ("–", "–") if r["first_invalid_s"] is None else (f"{r['first_invalid_s']:.2f}", f"{r['judged_to_invalid_s']:.2f}")
+        ratio = f"{r['tracking_rms'] / r['command_rms']:.1%}" if r["command_rms"] else "–"
+        table.add_row(r["scenario"], str(r["seed"]), r["verdict_final"], *invalid, f"{r['max_margin']:.3f}", ratio,
+                      f"{r['real_time_factor']:.0f}", "; ".join(r["missed"]) or "nothing")
+    console.print(table)
+    console.print(f"{bus} bus, controller {controller}, coefficients {simulator.folder}")
+    raise typer.Exit(1 if any(r["missed"] for r in runs) else 0)
+
+
 @app.command(epilog="Example: lpvguard evaluate --vehicle g80 out/identify DRIVES --json out/evaluation.json")
 def evaluate(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(help="Folder written by identify.")],
              drives: Annotated[Path, typer.Argument(help="The drive folder it was made from.")],
@@ -195,14 +273,16 @@ def evaluate(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(he
 def report(identification: Annotated[Path, typer.Argument(help="Folder written by identify.")],
            drives: Annotated[Path, typer.Argument(help="The drive folder it was made from.")],
            vehicle: Vehicle, out: Out, coefficients: Coefficients = None,
-           evaluation: Annotated[Path | None, typer.Option(help="JSON written by evaluate.")] = None) -> None:
+           evaluation: Annotated[Path | None, typer.Option(help="JSON written by evaluate.")] = None,
+           loops: Annotated[Path | None, typer.Option(help="Folder written by sim -o.")] = None) -> None:
     """One self-contained HTML page with every picture and table."""
     from .report import write_report
 
     stored, drive_set = _stored_with_drives(identification, drives)
     replayer = _replayer(vehicle, coefficients)
     with _progress("report") as tell:
-        write_report(stored, drive_set, replayer, out, artefacts.read_json(evaluation) if evaluation else None, tell)
+        write_report(stored, drive_set, replayer, out, artefacts.read_json(evaluation) if evaluation else None, tell,
+                     loops)
     console.print(f"written to {out}")
 
 

@@ -5,7 +5,6 @@
     lpvg_can_codec.h, .c        the codec of the whole catalogue
 
 Reads   controller.json, written by `lpvguard design`:
-            schema 1, kind "controller"
             Ts_s                        sample period [s]
             speeds (NG,)                nodes [m/s], equally spaced over the project's speed range
             A (NG, NK, NK), B (NG, NK, NM), C (NG, NU, NK)      discrete; D = 0; measurements: reference, then outputs
@@ -17,6 +16,7 @@ Reads   controller.json, written by `lpvguard design`:
 from __future__ import annotations
 
 import hashlib
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -72,14 +72,22 @@ def build_controller(Ts_s: float, speeds: np.ndarray, A: np.ndarray, B: np.ndarr
                                   {k: np.array(v, float) for k, v in reals.items()}, Ts_s, speeds, origin or {})
 
 
+def replaced_controller(header: str, controller: ControllerCoefficients) -> dict[str, str]:
+    """File name -> text of what changes in a vehicle folder that gets another controller; ``header``: its sizes so far."""
+    for name, value in controller.sizes.items():
+        header = re.sub(rf"(#define LPVG_{name}) \d+", rf"\1 {value}", header)
+    return {"lpvguard_vehicle.h": header,
+            "lpvguard_control.c": coefficient_source(controller, "controller.h", "lpvg_control_coeff")}
+
+
 def load_controller(path: Path) -> ControllerCoefficients:
     """Read and check ``controller.json`` (the module's docstring says what it holds). Raises InputError."""
     document = artefacts.read_json(path)
-    if not isinstance(document, dict) or document.get("kind") != "controller" or document.get("schema") != 1:
-        raise InputError(path, "kind, schema", "missing or another", "'controller' and 1, as `lpvguard design` writes")
+    if not isinstance(document, dict):
+        raise InputError(path, "", "not an object", "controller.json as `lpvguard design` writes it")
     missing = [key for key in ("Ts_s", *ARRAYS) if key not in document]
     if missing:
-        raise InputError(path, ", ".join(missing), "missing", "every key that control_export.py lists")
+        raise InputError(path, ", ".join(missing), "missing", "as `lpvguard design` writes it")
     arrays = []
     for key in ARRAYS:
         try:

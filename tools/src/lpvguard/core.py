@@ -113,7 +113,7 @@ class Core:
         if missing:
             raise InputError(folder, "", f"{', '.join(missing)} missing", "a folder written by `lpvguard export`")
         root = source_root or library_root()
-        sources = [*sorted((root / "src").glob("*.cpp")), self.folder / "lpvguard_coeff.c", PACKAGE / "_core" / "binding.cpp"]
+        sources = [*sorted((root / "src").glob("*.cpp")), *sorted(self.folder.glob("*.c")), PACKAGE / "_core" / "binding.cpp"]
         self.library = self._compile(sources, [root / "include", root / "src", self.folder], double)
         self._lib = ctypes.CDLL(str(self.library))
         self._lib.lpvgb_create.restype = ctypes.c_void_p

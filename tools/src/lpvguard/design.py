@@ -32,6 +32,8 @@ SMALLEST_ORDER = 4
 """Before the delay: fewer states than the vehicle and the reference model have between them cannot do the job."""
 PATIENCE = 3
 """Orders tried beyond the best one so far."""
+CERTIFICATE_RTOL = 1e-6
+"""Largest relative difference between a stated level and the one proved anew."""
 ALIGN_POINTS = 200
 """Frequencies at which two controllers' states are compared when they are brought to common coordinates."""
 
@@ -144,7 +146,7 @@ class Design:
     """A scheduled controller and its certificates: ``certificates`` per speed, nodes and midpoints in order."""
 
     schedule: Scheduled
-    scaling: Scaling | None
+    scaling: Scaling
     certificates: list[tuple[float, RobustPerformance]]
     full_order: int
 
@@ -167,15 +169,11 @@ def design(stored: StoredIdentification, progress: Progress = lambda _: None) ->
     start = int(np.argmin(np.abs(speeds - settings.design_speed_mps)))
     progress("D-K iteration at the design speed")
     scaling = dk_synthesis(_plant(stored, model, weights, speeds[start], True)).performance.scaling
-    scaling = scaling or Scaling(np.zeros((0, 1)))
+    scaling = scaling or Scaling(np.zeros((0, 1)))  # K_inf has no blocks to scale
     progress("controllers over speed")
     at_order, full_order = frozen_controllers([_plant(stored, model, weights, v, True) for v in speeds], scaling, settings.backoff)
     check = np.linspace(speeds[0], speeds[-1], 2 * len(speeds) - 1)
-    loops = {v: _plant(stored, model, weights, v, False) for v in check}
-
-    def certificates(schedule: Scheduled) -> list[tuple[float, RobustPerformance]]:
-        return [(float(v), certify(loops[v], schedule.at(v), scaling if loops[v].blocks else None)) for v in check]
-
+    loops = {float(v): _plant(stored, model, weights, v, False) for v in check}
     best, found = None, None
     for order in range(SMALLEST_ORDER, full_order + 1):
         progress(f"order {order}")
@@ -186,7 +184,7 @@ def design(stored: StoredIdentification, progress: Progress = lambda _: None) ->
         if not all(schedule.injection_radius(v) < 1 and lft(plant.system, schedule.at(v)).stability_margin() > 0
                    for v, plant in loops.items()):
             continue  # a truncation that cuts elsewhere at the next node is no schedule, whatever the nodes themselves say
-        proved = certificates(schedule)
+        proved = _certificates(schedule, loops, scaling)
         worst = max(p.upper for _, p in proved)
         if best is None or worst < best * (1 - settings.order_loss):
             best, found = worst, (schedule, proved)
@@ -196,6 +194,31 @@ def design(stored: StoredIdentification, progress: Progress = lambda _: None) ->
         raise InputError(stored.folder, "controller", "no truncation of the scheduled controller stabilises every speed",
                          "more nodes, or a lower A_t")
     return Design(found[0], scaling, found[1], full_order)
+
+
+def _certificates(schedule: Scheduled, loops: dict[float, fig1.GeneralisedPlant],
+                  scaling: Scaling | None) -> list[tuple[float, RobustPerformance]]:
+    return [(v, certify(plant, schedule.at(v), scaling if plant.blocks else None)) for v, plant in loops.items()]
+
+
+def verify(path: Path, stored: StoredIdentification) -> None:
+    """Prove the certificates of a controller.json anew, for its coefficients as they stand and these weights.
+
+    InputError names the speed at which the loop is unstable or its level is not the one stated.
+    """
+    settings = stored.project.design
+    document = artefacts.read_json(path)
+    if settings is None or "certificates" not in document:
+        raise InputError(path, "certificates", "missing", "a file that `lpvguard design` wrote for this vehicle")
+    stated = document["certificates"]
+    schedule = Scheduled(document["Ts_s"], *(np.array(document[key], float) for key in ("speeds", "A", "B", "C", "L")))
+    model, weights = NominalModel(stored.project), _weights(stored, settings)
+    loops = {row["v_mps"]: _plant(stored, model, weights, row["v_mps"], False) for row in stated["speeds"]}
+    scaling = Scaling(np.array(stated["scaling_log_parameters"], float).reshape(-1, stated["scaling_columns"]))
+    for row, (v, proved) in zip(stated["speeds"], _certificates(schedule, loops, scaling)):
+        if not abs(proved.upper - row["mu_upper"]) <= CERTIFICATE_RTOL * row["mu_upper"]:
+            raise InputError(path, f"certificate at {v:g} m/s", f"mu is at most {proved.upper:.7g}, not {row['mu_upper']:.7g}",
+                             "the coefficients and weights that were certified")
 
 
 def save(result: Design, stored: StoredIdentification, target: Path) -> None:
@@ -210,7 +233,8 @@ def save(result: Design, stored: StoredIdentification, target: Path) -> None:
             "test": "bracket of the scaled closed loop's H-infinity norm by level-set tests of its Hamiltonian",
             "structure": settings.structure, "A_t": settings.A_t, "A_u": settings.A_u,
             "order": schedule.A.shape[1], "full_order": result.full_order,
-            "scaling_log_parameters": None if result.scaling is None else result.scaling.log_parameters,
+            "scaling_log_parameters": result.scaling.log_parameters,
+            "scaling_columns": result.scaling.log_parameters.shape[1],
             "speeds": [{"v_mps": v, "mu_upper": p.upper, "mu_lower": p.lower, "peak_rad_s": p.bracket.peak_frequency}
                        for v, p in result.certificates]}}
     with artefacts.new_folder(target) as folder:

@@ -20,9 +20,10 @@ from .project import Project
 
 DURATION_S = 180.0
 ZERO_INPUT_DURATION_S = 240.0
-BOUND_SPEEDS = (8.0, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0, 22.0)
+# Just inside 8 to 22 m/s: the speed sensor's noise must not put samples out of range.
+BOUND_SPEEDS = (8.3, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0, 21.7)
 CALIBRATION_SPEEDS = (8.5, 9.5, 11.0, 13.0, 15.0, 17.0, 19.0, 21.0, 21.5)
-ZERO_INPUT_SPEEDS = (8.0, 12.0, 17.0, 22.0)
+ZERO_INPUT_SPEEDS = (8.3, 12.0, 17.0, 21.7)
 PROGRAMMES = ("pulses", "telegraph", "multisine")
 
 

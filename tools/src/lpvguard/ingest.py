@@ -13,15 +13,16 @@ The signal map is a TOML file::
     Ts_s = 0.01                 # grid of the table
     max_gap_s = 0.5             # a longer pause of a signal is left out, a shorter one is interpolated (default 0.5)
     channel = "can0"            # frames of this interface only (default: all)
+    j1939 = true                # 29-bit messages are J1939 groups: any priority and sender (default: as the database says)
     time = "t"                  # time column of decoded tables, in s (default: t, time or timestamp)
     format = "csv"              # or "parquet"
 
-    [columns.v]                 # column = sign * scale * signal + offset
+    [columns.v]                 # column = factor * (signal in `unit`) + offset
     unit = "m/s"
     message = "SPEED"           # of the database; leave out for logs that are decoded already
     signal = "SPEED"            # signal, channel or column of the log
-    sign = 1                    # -1 turns the signal round (default 1)
-    scale = 0.2777777777777778  # default: from the database's unit to `unit`
+    factor = 1.0                # -1 turns the signal round, 0.25 makes a mean of four (default 1)
+    scale = 0.2777777777777778  # from the signal's unit to `unit`; needed only where the units are not known
     offset = 0.0                # in `unit`
 
     [columns.delta]             # or a sum of signals: each term as above, the offset beside them
@@ -31,8 +32,8 @@ The signal map is a TOML file::
 
 Further keys of a column: ``min``, ``max`` (in ``unit``; samples outside are left out) and ``max_gap_s``. Further keys of a
 term: ``source_unit`` (instead of the database's), ``wrap`` (period in the signal's own unit: unwrapped before
-interpolation), ``channel``, ``source_address`` (J1939) and ``not_available`` ("j1939" or "none"; default: "j1939" when the
-database says that the message is one).
+interpolation; without it wraps are only suspected, and counted in the report), ``channel``, ``source_address`` (J1939) and ``not_available`` ("j1939" or "none"; default: "j1939" when the
+message is a J1939 group).
 
 Resampling is linear interpolation between the signal's own samples at their time of arrival; a wheel-speed frame every
 12 ms stays what it was and gets no filter. The table starts with the first time at which every column has a sample
@@ -55,7 +56,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from . import __version__
-from .can.decode import decode_signal, find_frames, load_database
+from .can.decode import decode_signal, find_frames, is_j1939, load_database, own_database
 from .can.logs import Frames, Series, Table, read_log
 from .errors import InputError
 
@@ -63,6 +64,8 @@ REORDER_S = 0.1
 """A step back of the clock up to this is a matter of order (several interfaces, buffered frames): the log is sorted."""
 MIN_ROWS = 2
 """Shorter pieces are left out: a drive table needs at least two samples."""
+_WRAP_SHARE = 0.75
+"""A signal that moves by more than this share of its range between two samples is reported as a suspected wrap."""
 _LISTED = 50
 """At most so many gaps are listed for a signal; all are counted."""
 
@@ -79,7 +82,7 @@ class Term(_Strict):
 
     signal: str
     message: str | None = None
-    sign: Literal[-1, 1] = 1
+    factor: float = 1.0
     scale: float | None = None
     source_unit: str | None = None
     wrap: Positive | None = None
@@ -111,6 +114,14 @@ class Column(_Strict):
             return {**of_column, "terms": [{k: v for k, v in given.items() if k not in of_column}]}
         return given
 
+    @model_validator(mode="after")
+    def _limits_of_one_term(self) -> Column:
+        if len(self.terms) > 1 and (self.min is not None or self.max is not None):
+            raise ValueError(
+                "min and max judge the samples of one signal; a sum of terms has none of its own"
+            )
+        return self
+
 
 class SignalMap(_Strict):
     """What a drive table is made of; the module's text says what the keys mean."""
@@ -120,8 +131,13 @@ class SignalMap(_Strict):
     columns: Annotated[dict[Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$")], Column], Field(min_length=1)]
     max_gap_s: Positive = 0.5
     channel: str | None = None
+    j1939: bool | None = None
     time: str | None = None
     format: Literal["csv", "parquet"] = "csv"
+
+    def gap_s(self, column: str) -> float:
+        """Longest pause that is interpolated in ``column``."""
+        return self.columns[column].max_gap_s or self.max_gap_s
 
     @model_validator(mode="after")
     def _time_is_taken(self) -> SignalMap:
@@ -143,35 +159,87 @@ def load_signal_map(path: Path) -> SignalMap:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(p) for p in first["loc"]) or "signal map"
-        raise InputError(path, where, first["msg"].removeprefix("Value error, "),
-                         "a signal map as `lpvguard ingest --help` describes") from None
+        raise InputError(
+            path,
+            where,
+            first["msg"].removeprefix("Value error, "),
+            "a signal map as `lpvguard ingest --help` describes",
+        ) from None
 
 
 def map_of_project(project) -> SignalMap:
     """The signal map of a vehicle whose signals have a CAN place: bus value = factor * value."""
     without = [s.name for s in project.signals if s.can is None]
     if without:
-        raise InputError(f"vehicle {project.name}", "signals", f"{', '.join(without)} have no `can` entry",
-                         "a message and a signal for each, or --dbc and --signals")
-    columns = {s.column: Column(unit=s.unit, min=s.min, max=s.max,
-                                terms=[Term(message=s.can.message, signal=s.can.signal, scale=1.0 / s.can.factor)])
-               for s in project.signals}
+        raise InputError(
+            f"vehicle {project.name}",
+            "signals",
+            f"{', '.join(without)} have no `can` entry",
+            "a message and a signal for each, or --dbc and --signals",
+        )
+    columns = {
+        s.column: Column(
+            unit=s.unit,
+            min=s.min,
+            max=s.max,
+            terms=[Term(message=s.can.message, signal=s.can.signal, scale=1.0 / s.can.factor)],
+        )
+        for s in project.signals
+    }
     return SignalMap(schema=1, Ts_s=project.Ts_s, columns=columns)
 
 
 # -------------------------------------------------------------------------------------------------------------- units
 
 # To SI: dimension, factor.
-_UNITS = {"rad": ("angle", 1.0), "deg": ("angle", np.pi / 180), "mrad": ("angle", 1e-3),
-          "rad/s": ("rate", 1.0), "deg/s": ("rate", np.pi / 180), "mrad/s": ("rate", 1e-3),
-          "m/s": ("speed", 1.0), "km/h": ("speed", 1 / 3.6), "mph": ("speed", 0.44704), "kn": ("speed", 1852 / 3600),
-          "m/s2": ("acceleration", 1.0), "g": ("acceleration", 9.80665),
-          "Pa": ("pressure", 1.0), "kPa": ("pressure", 1e3), "bar": ("pressure", 1e5), "MPa": ("pressure", 1e6),
-          "psi": ("pressure", 6894.757293168), "m": ("length", 1.0), "mm": ("length", 1e-3), "s": ("time", 1.0), "ms": ("time", 1e-3),
-          "N": ("force", 1.0), "kN": ("force", 1e3), "Nm": ("torque", 1.0), "%": ("ratio", 0.01), "1": ("ratio", 1.0)}
-_SPELLINGS = {"°": "deg", "degree": "deg", "degrees": "deg", "°/s": "deg/s", "degree/s": "deg/s", "degrees/s": "deg/s",
-              "deg/sec": "deg/s", "rad/sec": "rad/s", "kph": "km/h", "kmh": "km/h", "kmph": "km/h", "m/s^2": "m/s2", "m/s²": "m/s2",
-              "m/sec2": "m/s2", "m/s/s": "m/s2", "m/s**2": "m/s2", "n·m": "nm", "n*m": "nm"}
+_UNITS = {
+    "rad": ("angle", 1.0),
+    "deg": ("angle", np.pi / 180),
+    "mrad": ("angle", 1e-3),
+    "rad/s": ("rate", 1.0),
+    "deg/s": ("rate", np.pi / 180),
+    "mrad/s": ("rate", 1e-3),
+    "m/s": ("speed", 1.0),
+    "km/h": ("speed", 1 / 3.6),
+    "mph": ("speed", 0.44704),
+    "kn": ("speed", 1852 / 3600),
+    "m/s2": ("acceleration", 1.0),
+    "g": ("acceleration", 9.80665),
+    "Pa": ("pressure", 1.0),
+    "kPa": ("pressure", 1e3),
+    "bar": ("pressure", 1e5),
+    "MPa": ("pressure", 1e6),
+    "psi": ("pressure", 6894.757293168),
+    "m": ("length", 1.0),
+    "mm": ("length", 1e-3),
+    "s": ("time", 1.0),
+    "ms": ("time", 1e-3),
+    "N": ("force", 1.0),
+    "kN": ("force", 1e3),
+    "Nm": ("torque", 1.0),
+    "%": ("ratio", 0.01),
+    "1": ("ratio", 1.0),
+}
+_SPELLINGS = {
+    "°": "deg",
+    "degree": "deg",
+    "degrees": "deg",
+    "°/s": "deg/s",
+    "degree/s": "deg/s",
+    "degrees/s": "deg/s",
+    "deg/sec": "deg/s",
+    "rad/sec": "rad/s",
+    "kph": "km/h",
+    "kmh": "km/h",
+    "kmph": "km/h",
+    "m/s^2": "m/s2",
+    "m/s²": "m/s2",
+    "m/sec2": "m/s2",
+    "m/s/s": "m/s2",
+    "m/s**2": "m/s2",
+    "n·m": "nm",
+    "n*m": "nm",
+}
 _BY_LOWER_CASE = {name.lower(): name for name in _UNITS}
 
 
@@ -194,6 +262,7 @@ def unit_factor(source: str, target: str) -> float | None:
 
 # ------------------------------------------------------------------------------------------------------------- signals
 
+
 @dataclass
 class _Source:
     """A term of a column with the samples of one log; time in ns of the log's clock, value in the column's unit."""
@@ -205,46 +274,73 @@ class _Source:
 
 def _scale(term: Term, column: str, unit: str, source_unit: str, where: Path) -> float:
     if term.scale is not None:
-        return term.sign * term.scale
+        return term.factor * term.scale
     given = term.source_unit or source_unit
-    factor = unit_factor(given, unit) if given or not term.message else None
-    if not given and not term.message:  # a decoded log without units: taken to be in the column's
-        factor = 1.0
-    if factor is None:
-        raise InputError(where, f"columns.{column}", f"{term.name} is in {given or 'no unit'}, the column in {unit}",
-                         "scale (or source_unit) in the signal map")
-    return term.sign * factor
+    if not given and not term.message:
+        given = unit  # a decoded log without units is taken to be in the column's
+    conversion = unit_factor(given, unit)
+    if conversion is None:
+        raise InputError(
+            where,
+            f"columns.{column}",
+            f"{term.name} is in {given or 'no unit'}, the column in {unit}",
+            "scale (or source_unit) in the signal map",
+        )
+    return term.factor * conversion
 
 
 def _unknown(where: Path, field_: str, name: str, what: str, names: Iterable[str]) -> InputError:
     near = difflib.get_close_matches(name, list(names), n=3, cutoff=0.4)
-    return InputError(where, field_, f"no {what} {name}", f"one that exists{', such as ' + ', '.join(near) if near else ''}")
+    return InputError(
+        where, field_, f"no {what} {name}", f"one that exists{', such as ' + ', '.join(near) if near else ''}"
+    )
 
 
 def _from_frames(frames: Frames, given: _Inputs, column: str, term: Term) -> _Source:
     map_path, where = given.map_path, f"columns.{column}"
-    if given.database is None:
-        raise InputError(map_path, where, "the log holds raw CAN frames", "a CAN database (--dbc)")
     if term.message is None:
-        raise InputError(map_path, where, f"{term.signal} names no message", "message = ... (the log holds raw CAN frames)")
+        raise InputError(
+            map_path, where, f"{term.signal} names no message", "message = ... (the log holds raw CAN frames)"
+        )
     by_name = {m.name: m for m in given.database.messages}
     if term.message not in by_name:
         raise _unknown(given.database_path, f"{where} of {map_path}", term.message, "message", by_name)
     message = by_name[term.message]
     signals = {s.name: s for s in message.signals}
     if term.signal not in signals:
-        raise _unknown(given.database_path, f"{where} of {map_path}, message {message.name}", term.signal, "signal", signals)
+        raise _unknown(
+            given.database_path,
+            f"{where} of {map_path}, message {message.name}",
+            term.signal,
+            "signal",
+            signals,
+        )
     signal = signals[term.signal]
-    positions = find_frames(frames, message, channel=term.channel or given.map.channel, source_address=term.source_address,
-                            where=str(map_path))
-    codes = term.not_available or ("j1939" if message.protocol == "j1939" else "none")
+    j1939 = is_j1939(message) if given.map.j1939 is None else given.map.j1939
+    positions = find_frames(
+        frames,
+        message,
+        j1939=j1939,
+        channel=term.channel or given.map.channel,
+        source_address=term.source_address,
+        where=str(map_path),
+    )
+    codes = term.not_available or ("j1939" if j1939 else "none")
     samples = decode_signal(frames, positions, message, signal, j1939_codes=codes == "j1939")
-    report: dict = {"message": message.name, "signal": signal.name, "frames": len(positions), "left_out": samples.left_out}
+    report: dict = {
+        "message": message.name,
+        "signal": signal.name,
+        "frames": len(positions),
+        "left_out": samples.left_out,
+    }
     low, high = signal.minimum, signal.maximum
     if low is not None and high is not None and low < high:
         tolerance = 1e-9 * max(abs(float(low)), abs(float(high)))
         outside = (samples.value < float(low) - tolerance) | (samples.value > float(high) + tolerance)
         report["outside_the_range_of_the_database"] = int(outside.sum())
+        if term.wrap is None:
+            leaps = np.abs(np.diff(samples.value)) > _WRAP_SHARE * (float(high) - float(low))
+            report["suspected_wraps"] = int(leaps.sum())
     scale = _scale(term, column, given.map.columns[column].unit, signal.unit or "", map_path)
     return _Source(frames.t_ns[samples.frame], _unwrap(samples.value, term, report) * scale, report)
 
@@ -255,7 +351,10 @@ def _from_table(table: Table, log: Path, given: _Inputs, column: str, term: Term
         raise _unknown(log, f"columns.{column} of {given.map_path}", term.signal, "column", table.series)
     series: Series = table.series[name]
     finite = np.isfinite(series.value)
-    report: dict = {"signal": name, "left_out": {"no value": int((~finite).sum())} if not finite.all() else {}}
+    report: dict = {
+        "signal": name,
+        "left_out": {"no value": int((~finite).sum())} if not finite.all() else {},
+    }
     scale = _scale(term, column, given.map.columns[column].unit, series.unit, given.map_path)
     return _Source(series.t_ns[finite], _unwrap(series.value[finite], term, report) * scale, report)
 
@@ -270,6 +369,7 @@ def _unwrap(value: np.ndarray, term: Term, report: dict) -> np.ndarray:
 
 
 # --------------------------------------------------------------------------------------------------------------- clock
+
 
 @dataclass
 class _Clock:
@@ -287,8 +387,14 @@ def _clock(t_ns: np.ndarray, max_gap_s: float) -> _Clock:
     forward = step > max(max_gap_s, 1.0) * _NS
     clock = _Clock(t_ns, jumps=[], cuts=[0])
     for i in np.flatnonzero(back | forward).tolist():
-        clock.jumps.append({"after_frame": i + 1, "kind": "backwards" if back[i] else "pause or jump forwards",
-                            "from_s": t_ns[i] / _NS, "to_s": t_ns[i + 1] / _NS})
+        clock.jumps.append(
+            {
+                "after_frame": i + 1,
+                "kind": "backwards" if back[i] else "pause or jump forwards",
+                "from_s": t_ns[i] / _NS,
+                "to_s": t_ns[i + 1] / _NS,
+            }
+        )
         clock.cuts.append(i + 1)
     clock.cuts.append(len(t_ns))
     return clock
@@ -305,6 +411,7 @@ def _log_time(log: Frames | Table) -> np.ndarray:
 
 
 # ---------------------------------------------------------------------------------------------------------- resampling
+
 
 @dataclass
 class _Piece:
@@ -366,7 +473,7 @@ class _TableMaker:
         values, good = {}, {}
         for name, terms in members.items():
             column = self.map.columns[name]
-            gap_ns = (column.max_gap_s or self.map.max_gap_s) * _NS
+            gap_ns = self.map.gap_s(name) * _NS
             parts = [_resample(grid, s, gap_ns) for s in terms]
             values[name] = sum(p[0] for p in parts) + column.offset
             good[name] = np.logical_and.reduce([p[1] for p in parts])
@@ -376,21 +483,29 @@ class _TableMaker:
         complete = np.logical_and.reduce(list(good.values()))
         for first, end in _runs(~complete):
             missing = [name for name, mask in good.items() if not mask[first:end].all()]
-            self._leave_out(int(grid[first]), int(grid[end - 1]), missing, "samples further apart than max_gap_s")
+            self._leave_out(
+                int(grid[first]), int(grid[end - 1]), missing, "samples further apart than max_gap_s"
+            )
         for first, end in _runs(complete):
             if end - first < MIN_ROWS:
-                self._leave_out(int(grid[first]), int(grid[end - 1]), [], f"fewer than {MIN_ROWS} rows between gaps")
+                self._leave_out(
+                    int(grid[first]), int(grid[end - 1]), [], f"fewer than {MIN_ROWS} rows between gaps"
+                )
                 continue
             t = np.round((origin + np.arange(first, end)) * self.map.Ts_s, 9)
-            self.pieces.append(_Piece(t, {n: v[first:end] for n, v in values.items()}, int(grid[first]) / _NS))
+            self.pieces.append(
+                _Piece(t, {n: v[first:end] for n, v in values.items()}, int(grid[first]) / _NS)
+            )
 
     def _leave_out(self, first_ns: int, last_ns: int, columns: list[str], reason: str) -> None:
-        self.left_out.append({"from_s": first_ns / _NS, "to_s": last_ns / _NS, "columns": columns, "reason": reason})
+        self.left_out.append(
+            {"from_s": first_ns / _NS, "to_s": last_ns / _NS, "columns": columns, "reason": reason}
+        )
 
 
 def _within_limits(column: Column, terms: list[_Source]) -> None:
-    """Drops samples outside [min, max] of a one-term column; a sum has no sample of its own to judge."""
-    if len(terms) != 1 or (column.min is None and column.max is None):
+    """Drops the samples outside [min, max] of the column (which then has one term)."""
+    if column.min is None and column.max is None:
         return
     source = terms[0]
     value = source.value + column.offset
@@ -420,8 +535,14 @@ def _describe(source: _Source, max_gap_s: float) -> dict:
     step = np.diff(source.t_ns)
     pauses = np.flatnonzero(step > max_gap_s * _NS)
     listed = [[source.t_ns[i] / _NS, source.t_ns[i + 1] / _NS] for i in pauses[:_LISTED].tolist()]
-    return {**source.report, "samples": len(source.t_ns), "median_period_s": float(np.median(step)) / _NS if len(step) else None,
-            "longest_pause_s": float(step.max()) / _NS if len(step) else None, "gaps": len(pauses), "gaps_s": listed}
+    return {
+        **source.report,
+        "samples": len(source.t_ns),
+        "median_period_s": float(np.median(step)) / _NS if len(step) else None,
+        "longest_pause_s": float(step.max()) / _NS if len(step) else None,
+        "gaps": len(pauses),
+        "gaps_s": listed,
+    }
 
 
 def _stretch(log: Frames | Table, clock: _Clock, first: int, end: int) -> Frames | Table:
@@ -430,7 +551,15 @@ def _stretch(log: Frames | Table, clock: _Clock, first: int, end: int) -> Frames
         return log
     if isinstance(log, Frames):
         cut = slice(first, end)
-        return Frames(log.t_ns[cut], log.id[cut], log.channel[cut], log.length[cut], log.data[cut], log.channels, log.left_out)
+        return Frames(
+            log.t_ns[cut],
+            log.id[cut],
+            log.channel[cut],
+            log.length[cut],
+            log.data[cut],
+            log.channels,
+            log.left_out,
+        )
     low, high = int(clock.t_ns[first]), int(clock.t_ns[end - 1])
     series = {}
     for name, s in log.series.items():
@@ -442,10 +571,11 @@ def _stretch(log: Frames | Table, clock: _Clock, first: int, end: int) -> Frames
 
 # ---------------------------------------------------------------------------------------------------------------- runs
 
+
 @dataclass(frozen=True)
 class _Inputs:
-    database: object | None
-    database_path: Path | None
+    database: object
+    database_path: Path | str
     map: SignalMap
     map_path: Path
 
@@ -468,26 +598,48 @@ def _ingest_one(path: Path, given: _Inputs) -> tuple[list[_Piece], dict]:
     t_ns = _log_time(log)
     if len(t_ns) == 0:
         raise InputError(path, "", "holds no signal", "at least one column of numbers")
-    clock = _clock(t_ns, given.map.max_gap_s)
+    clock = _clock(t_ns, max(given.map.gap_s(name) for name in given.map.columns))
     maker, stretches = _TableMaker(given.map), []
     for first, end in zip(clock.cuts, clock.cuts[1:]):
         sources = _sources(_stretch(log, clock, first, end), path, given)
         t = t_ns[first:end]
         maker.add_stretch(int(t.min()), int(t.max()), sources)
-        stretches.append({"from_s": int(t.min()) / _NS, "to_s": int(t.max()) / _NS, "columns": {
-            name: {"unit": column.unit, "terms": [_describe(s, column.max_gap_s or given.map.max_gap_s) for s in sources[name]]}
-            for name, column in given.map.columns.items()}})
+        stretches.append(
+            {
+                "from_s": int(t.min()) / _NS,
+                "to_s": int(t.max()) / _NS,
+                "columns": {
+                    name: {
+                        "unit": column.unit,
+                        "terms": [_describe(s, given.map.gap_s(name)) for s in sources[name]],
+                    }
+                    for name, column in given.map.columns.items()
+                },
+            }
+        )
     if not maker.pieces:
         first_left = maker.left_out[0]
-        columns = ", ".join(f"{c} ({', '.join(t.name for t in given.map.columns[c].terms)})" for c in first_left["columns"])
-        raise InputError(path, columns, f"nothing remains: {first_left['reason']}", "every column of the map at the same time")
+        columns = ", ".join(
+            f"{c} ({', '.join(t.name for t in given.map.columns[c].terms)})" for c in first_left["columns"]
+        )
+        raise InputError(
+            path,
+            columns,
+            f"nothing remains: {first_left['reason']}",
+            "every column of the map at the same time",
+        )
     report = {
-        "log": path.name, "sha256": _sha256(path), "kind": "raw frames" if isinstance(log, Frames) else "decoded signals",
+        "log": path.name,
+        "sha256": _sha256(path),
+        "kind": "raw frames" if isinstance(log, Frames) else "decoded signals",
         "frames": len(log) if isinstance(log, Frames) else None,
         "not_frames": log.left_out if isinstance(log, Frames) else {},
         "channels": log.channels if isinstance(log, Frames) else [],
         "resampling": f"linear interpolation of each signal at its own times, grid of {given.map.Ts_s:g} s, no filter",
-        "clock_jumps": clock.jumps, "left_out": maker.left_out, "stretches": stretches}
+        "clock_jumps": clock.jumps,
+        "left_out": maker.left_out,
+        "stretches": stretches,
+    }
     return maker.pieces, report
 
 
@@ -500,7 +652,20 @@ def _stem(path: Path) -> str:
     """File name without its suffixes: drive.log.gz is drive."""
     stem = path.name
     for suffix in reversed(path.suffixes):
-        if suffix.lower() in {".gz", ".log", ".candump", ".txt", ".asc", ".blf", ".trc", ".mf4", ".mdf", ".dat", ".csv", ".parquet"}:
+        if suffix.lower() in {
+            ".gz",
+            ".log",
+            ".candump",
+            ".txt",
+            ".asc",
+            ".blf",
+            ".trc",
+            ".mf4",
+            ".mdf",
+            ".dat",
+            ".csv",
+            ".parquet",
+        }:
             stem = stem.removesuffix(suffix)
     return stem
 
@@ -524,7 +689,7 @@ def _write_json(path: Path, content: dict) -> None:
 def ingest(logs: Iterable[Path], *, dbc: Path | None, signals_map: Path | SignalMap, out: Path) -> dict:
     """Turn ``logs`` into uniform drive tables in the folder ``out``; returns what the reports say, log by log.
 
-    ``dbc`` may be None for decoded logs. ``signals_map`` is a file, or a map that is made already (``map_of_project``).
+    ``dbc`` None takes our own DBC; decoded logs need none. ``signals_map`` is a file, or a map that is made already (``map_of_project``).
     Raises InputError for a file that cannot be read, a map that does not fit database or log, two logs of the same
     name, and a log of which nothing remains; logs before it have been written by then.
     """
@@ -533,11 +698,16 @@ def ingest(logs: Iterable[Path], *, dbc: Path | None, signals_map: Path | Signal
         raise InputError("ingest", "LOG", "no log given", "at least one")
     for path in paths:
         if sum(_stem(path) == _stem(other) for other in paths) > 1:
-            raise InputError(path, "", f"two logs would both become the drive {_stem(path)}", "logs with different names")
+            raise InputError(
+                path, "", f"two logs would both become the drive {_stem(path)}", "logs with different names"
+            )
     ready = isinstance(signals_map, SignalMap)
-    given = _Inputs(database=load_database(dbc) if dbc else None, database_path=Path(dbc) if dbc else None,
-                    map=signals_map if ready else load_signal_map(signals_map),
-                    map_path=Path("signal map") if ready else Path(signals_map))
+    given = _Inputs(
+        database=load_database(dbc) if dbc else own_database(),
+        database_path=dbc or "lpvguard's own DBC (no --dbc given)",
+        map=signals_map if ready else load_signal_map(signals_map),
+        map_path=Path("signal map") if ready else Path(signals_map),
+    )
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     reports, drives = {}, []
@@ -549,13 +719,28 @@ def ingest(logs: Iterable[Path], *, dbc: Path | None, signals_map: Path | Signal
             file = f"{name}.{given.map.format}"
             _write_piece(piece, out / file)
             drives.append(name)
-            report["drives"].append({"file": file, "rows": len(piece.t), "t_first_s": float(piece.t[0]), "t_last_s": float(piece.t[-1]),
-                                     "log_time_of_first_row_s": piece.log_start_s})
+            report["drives"].append(
+                {
+                    "file": file,
+                    "rows": len(piece.t),
+                    "t_first_s": float(piece.t[0]),
+                    "t_last_s": float(piece.t[-1]),
+                    "log_time_of_first_row_s": piece.log_start_s,
+                }
+            )
         _write_json(out / f"{_stem(path)}.report.json", report)
         reports[_stem(path)] = report
-    (out / "experiments.csv").write_text("experiment,split\n" + "".join(f"{d},unassigned\n" for d in drives), encoding="utf-8")
-    _write_json(out / "MANIFEST.json", {
-        "schema": 1, "command": "ingest", "tool": f"lpvguard {__version__}",
-        "inputs": {p.name: _sha256(p) for p in [*paths, *([Path(dbc)] if dbc else [])]},
-        "signal_map": given.map.model_dump(by_alias=True)})
+    (out / "experiments.csv").write_text(
+        "experiment,split\n" + "".join(f"{d},unassigned\n" for d in drives), encoding="utf-8"
+    )
+    _write_json(
+        out / "MANIFEST.json",
+        {
+            "schema": 1,
+            "command": "ingest",
+            "tool": f"lpvguard {__version__}",
+            "inputs": {p.name: _sha256(p) for p in [*paths, *([Path(dbc)] if dbc else [])]},
+            "signal_map": given.map.model_dump(by_alias=True),
+        },
+    )
     return reports

@@ -1,8 +1,9 @@
 """Compile C and C++ sources to a shared library on first use, and load it.
 
-The library lives in ``${LPVGUARD_CACHE:-${XDG_CACHE_HOME:-~/.cache}/lpvguard}`` under a name that is a hash of the
-sources, the headers beside them, the flags, the compiler's version and (for ``-march=native``) the processor: a stale
-or foreign library is never loaded. Writing is atomic, so processes that start together do not disturb each other.
+The library lives in ``${LPVGUARD_CACHE:-${XDG_CACHE_HOME:-~/.cache}/lpvguard}`` under a name that is a hash
+of the sources, the headers beside them, the flags, the compiler's version and (for ``-march=native``) the
+processor: a stale or foreign library is never loaded. Writing is atomic, so processes that start together do
+not disturb each other.
 
 ``LPVGUARD_NO_NATIVE=1`` switches every compiled kernel off; the numpy versions give the same answers.
 """
@@ -22,7 +23,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 REPRODUCIBLE_FLAGS = ("-O3", "-ffp-contract=off", "-fno-math-errno")
-"""Contraction off: the same source gives the same bits whether or not the target has FMA. Never -ffast-math."""
+"""Contraction off: the same source gives the same bits whether or not the target has FMA. Never
+-ffast-math."""
 
 _HEADER_SUFFIXES = {".h", ".hh", ".hpp", ".inc"}
 _CXX_SUFFIXES = {".cpp", ".cc", ".cxx", ".o"}
@@ -30,13 +32,18 @@ _CXX_SUFFIXES = {".cpp", ".cc", ".cxx", ".o"}
 
 
 class NativeError(RuntimeError):
-    """No compiler, or the compiler refused the sources; the text holds the command and its first complaint."""
+    """No compiler, or the compiler refused the sources; the text holds the command and its first
+    complaint."""
 
 
 def cache_dir() -> Path:
     """Folder of compiled libraries; made on demand."""
     explicit = os.environ.get("LPVGUARD_CACHE")
-    base = Path(explicit) if explicit else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lpvguard"
+    base = (
+        Path(explicit)
+        if explicit
+        else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lpvguard"
+    )
     base.mkdir(parents=True, exist_ok=True)
     return base
 
@@ -47,8 +54,12 @@ def native_enabled() -> bool:
 
 
 def find_compiler(*, cxx: bool) -> str:
-    """Path of the C or C++ compiler: ``$CC`` / ``$CXX`` first, then the usual names. Raises NativeError if none."""
-    names = [os.environ.get("CXX" if cxx else "CC") or "", *(("c++", "g++", "clang++") if cxx else ("cc", "gcc", "clang"))]
+    """Path of the C or C++ compiler: ``$CC`` / ``$CXX`` first, then the usual names. Raises NativeError if
+    none."""
+    names = [
+        os.environ.get("CXX" if cxx else "CC") or "",
+        *(("c++", "g++", "clang++") if cxx else ("cc", "gcc", "clang")),
+    ]
     for name in filter(None, names):
         path = shutil.which(name)
         if path:
@@ -71,7 +82,9 @@ def _processor() -> str:
     return next((line for line in lines if line.startswith(("flags", "Features"))), platform.processor())
 
 
-def _digest(sources: Sequence[Path], flags: Sequence[str], include_dirs: Sequence[Path], compiler: str) -> str:
+def _digest(
+    sources: Sequence[Path], flags: Sequence[str], include_dirs: Sequence[Path], compiler: str
+) -> str:
     sha = hashlib.sha256()
     for text in (compiler, _compiler_version(compiler), platform.machine(), *flags):
         sha.update(text.encode() + b"\0")
@@ -94,10 +107,10 @@ def compile_shared(
 ) -> Path:
     """Path of the shared library made from ``sources``; compiled only when the cache has none with this hash.
 
-    ``flags`` go to the compiler as they are, in front of ``-fPIC -shared``. C++ when any source is C++. Headers are
-    hashed when they lie in ``include_dirs`` or beside a source; system headers are covered by the compiler's version
-    only. Raises NativeError when there is no compiler, a source is missing or does not compile, or a flag would let
-    the compiler reorder floating-point arithmetic.
+    ``flags`` go to the compiler as they are, in front of ``-fPIC -shared``. C++ when any source is C++.
+    Headers are hashed when they lie in ``include_dirs`` or beside a source; system headers are covered by the
+    compiler's version only. Raises NativeError when there is no compiler, a source is missing or does not
+    compile, or a flag would let the compiler reorder floating-point arithmetic.
     """
     suffix = ".dylib" if sys.platform == "darwin" else ".so"
     return _compile(sources, (*flags, "-fPIC", "-shared"), include_dirs, name, suffix)
@@ -132,7 +145,9 @@ def _compile(sources, flags: tuple[str, ...], include_dirs, name: str, suffix: s
     if missing or not paths:
         raise NativeError(f"source not found: {', '.join(missing) or '(none given)'}")
     if {"-ffast-math", "-Ofast", "-funsafe-math-optimizations"} & set(flags):
-        raise NativeError("flags that reorder floating-point arithmetic are refused: results must be reproducible")
+        raise NativeError(
+            "flags that reorder floating-point arithmetic are refused: results must be reproducible"
+        )
     compiler = find_compiler(cxx=any(p.suffix in _CXX_SUFFIXES for p in paths))
     target = cache_dir() / f"{name}-{_digest(paths, flags, includes, compiler)}{suffix}"
     if target.is_file():
@@ -151,16 +166,25 @@ def _compile(sources, flags: tuple[str, ...], include_dirs, name: str, suffix: s
     return target
 
 
+_KERNEL_LEVEL = {"s1": "-O3", "s2": "-O2", "ray": "-O2", "candump": "-O2"}
+"""Optimisation per kernel: -O3 vectorises s1 (twice as fast); the others gain nothing from its longer
+compilation."""
+
+
 @functools.cache
-def _load_kernels() -> ctypes.CDLL | None:
-    folder = Path(__file__).parent / "_native"
-    flags = ("-std=c11", "-Wall", "-Wextra", "-march=native", *REPRODUCIBLE_FLAGS)
+def _load_kernel(name: str) -> ctypes.CDLL | None:
+    source = Path(__file__).parent / "_native" / f"{name}.c"
+    flags = ("-std=c11", "-Wall", "-Wextra", "-march=native", *REPRODUCIBLE_FLAGS, _KERNEL_LEVEL[name])
     try:
-        return ctypes.CDLL(str(compile_shared(sorted(folder.glob("*.c")), flags=flags, name="lpvguard_kernels")))
+        return ctypes.CDLL(str(compile_shared([source], flags=flags, name=f"lpvguard_{name}")))
     except NativeError:
         return None
 
 
-def kernels() -> ctypes.CDLL | None:
-    """The package's own compiled kernels, or None (no compiler, or switched off): then callers use numpy."""
-    return _load_kernels() if native_enabled() else None
+def kernels(name: str) -> ctypes.CDLL | None:
+    """The package's own compiled kernel ``s1``, ``s2``, ``ray`` or ``candump``; None without a compiler, or when switched
+    off.
+
+    Callers then use numpy, or for candump plain Python.
+    """
+    return _load_kernel(name) if native_enabled() else None

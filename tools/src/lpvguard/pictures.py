@@ -388,3 +388,32 @@ def time_to_find(faults: list[dict], allowed_s: float) -> Figure:
     axes.invert_yaxis()
     axes.set_xlabel("judged, excited seconds from the fault to the first alarm")
     return figure
+
+
+@picture
+def closed_loop(rows: np.ndarray, frames: np.ndarray, threshold: float, fault_start_s: float | None) -> Figure:
+    """Yaw rate against what was wanted, the demand, and the margins of the counted frames, over one simulated run.
+
+    ``rows``: telemetry with t_s, wanted_radps, yaw_rate_radps, demand_bar; ``frames``: t_end_s, reason, margin.
+    """
+    figure = _figure(8.2, 5.2)
+    rate, demand, margin = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
+    rate.plot(rows["t_s"], rows["wanted_radps"], "--", color=RED, lw=1.0, label="wanted, filtered command")
+    rate.plot(rows["t_s"], rows["yaw_rate_radps"], "-", color=INK, lw=0.8, label="truck")
+    rate.set_ylabel("yaw rate, rad/s")
+    demand.plot(rows["t_s"], rows["demand_bar"], "-", color=BLUE, lw=0.8)
+    demand.set_ylabel("demand, bar")
+    counted = frames[frames["reason"] <= 1]
+    above = counted["margin"] > threshold
+    margin.plot(counted["t_end_s"][~above], counted["margin"][~above], ".", ms=2.5, color=BLUE, label="frame", rasterized=True)
+    margin.plot(counted["t_end_s"][above], counted["margin"][above], "v", ms=4, color=RED, label="falsifies")
+    margin.axhline(threshold, color=INK, lw=0.9, ls="--", label="threshold")
+    margin.set_ylabel("margin t*, –")
+    margin.set_xlabel("time, s")
+    margin.set_ylim(0.0, max(1.2 * threshold, min(4.0 * threshold, 1.1 * float(counted["margin"].max(initial=0.0)))))
+    if fault_start_s is not None:
+        for axes in (rate, demand, margin):
+            axes.axvline(fault_start_s, color=RED, lw=0.9, ls=":")
+    for axes in (rate, margin):
+        axes.legend(loc="upper left", ncols=3, fontsize="small")
+    return figure

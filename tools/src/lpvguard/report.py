@@ -70,8 +70,11 @@ class _Pass:
 
 
 def write_report(stored: StoredIdentification, drives: DriveSet, replayer: Replayer, out: Path, evaluation: dict | None,
-                 progress: Callable[[str], None]) -> None:
-    """Write the page; InputError when a drive cannot be read or ``out`` cannot be written."""
+                 progress: Callable[[str], None], loops: Path | None = None) -> None:
+    """Write the page; InputError when a drive cannot be read or ``out`` cannot be written.
+
+    ``evaluation``: JSON of `lpvguard evaluate`; ``loops``: folder written by `lpvguard sim -o`, with its results.json.
+    """
     found = _Pass()
     for name in drives.experiments:
         progress(name)
@@ -82,6 +85,8 @@ def write_report(stored: StoredIdentification, drives: DriveSet, replayer: Repla
                 _visibility_section(found, stored, replayer), _drive_section(found, replayer)]
     if evaluation is not None:
         sections.append(_evaluation_section(evaluation))
+    if loops is not None:
+        sections.append(_loop_section(loops))
     project = stored.project
     titles = [s[s.index("<h2>") + 4:s.index("</h2>")] for s in sections]
     nav = "".join(f'<a href="#s{i}">{title}</a>' for i, title in enumerate(titles, start=1))
@@ -152,6 +157,7 @@ def _summary(stored: StoredIdentification, replayer: Replayer, drives: DriveSet)
                     f"{project.Ts_s:g} s"),
         ("drives that set the bounds", listed(groups["bounds"])),
         ("drives that calibrate the threshold", listed(groups["calibration"])),
+        ("zero-input drives (noise)", listed(groups["noise"])),
         ("drives left out", f"{len(groups['left_out'])}{left_out or ': none'}"),
         ("model error class", f"{project.bounds.structure}, disturbance set “{project.bounds.disturbance_set}”"),
         ("estimator", f"periodic Hann window, {project.frames.periods} periods a frame, {project.frames.bins_per_decade} bins a "
@@ -408,6 +414,8 @@ def _role(stored: StoredIdentification, name: str) -> str:
         return "set the bounds"
     if name in groups["left_out"]:
         return f"left out: {escape(groups['left_out'][name])}"
+    if name in stored.manifest["drives"]["noise"]:
+        return "zero input: bounds the noise"
     return f"calibrates, score {stored.calibration.scores[name]:.3f}"
 
 
@@ -495,3 +503,30 @@ def _evaluation_section(evaluation: dict) -> str:
 {escape(evaluation["threshold_rule"])}. The interval
 resamples drives, not pieces: pieces of one drive are not exchangeable.</p>
 <h3>False alarms</h3>{alarms}{drives}<h3>Injected faults</h3>{figure}{faults}"""
+
+
+# ------------------------------------------------------------------------------------------------------------ closed loop
+
+def _loop_section(folder: Path) -> str:
+    results = artefacts.read_json(folder / "results.json")
+    table = _table(
+        ["scenario", "controller", "seed", "expected", "verdict at the end", "first invalid, s", "judged s from the fault to it",
+         "largest margin", "tracking error / command, rms", "frames", "as expected"],
+        [[escape(r["scenario"]), r["controller"], str(r["seed"]), escape(r["expected"]["verdict"].replace("_", " ")),
+          r["verdict_final"].replace("_", " "), _number(r["first_invalid_s"], 4), _number(r["judged_to_invalid_s"]),
+          _number(r["max_margin"]), f"{r['tracking_rms'] / r['command_rms']:.1%}" if r["command_rms"] else "–",
+          str(r["frames"]), _yes(not r["missed"], "yes", escape("; ".join(r["missed"])))] for r in results])
+    figures = []
+    for index, r in enumerate(results):
+        stem = folder / f"{r['scenario']}-{r['seed']}"
+        rows, frames = (np.genfromtxt(f"{stem}.{kind}.csv", delimiter=",", names=True, ndmin=1)
+                        for kind in ("telemetry", "frames"))
+        figures.append(_figure(
+            pictures.closed_loop(f"l{index}", rows, frames, r["threshold"], r["expected"].get("fault_start_s")),
+            f"<b>{escape(r['title'])}</b> (seed {r['seed']}). Top: what the command filtered by the reference model asks for, "
+            "and the simulated truck's true yaw rate. Middle: the pressure difference the ECU demands. Bottom: the margin of "
+            "every counted frame as the ECU's monitor judged it; above the dashed line no uncertainty and disturbance "
+            "within the bounds explains it. Dotted: the fault begins."))
+    return f"""<h2>The closed loop over CAN frames</h2>
+<p>Simulated truck, its bus encoded and decoded frame by frame, and the compiled ECU loop: model, monitor and controller, as they
+go on the target. The truck shares no equation with the nominal model.</p>{table}{"".join(figures)}"""

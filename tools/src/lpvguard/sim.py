@@ -17,7 +17,6 @@ uses too. A scenario file says how the truck is driven and what breaks (firmware
 from __future__ import annotations
 
 import json
-import re
 import shutil
 import subprocess
 import tempfile
@@ -31,12 +30,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from . import artefacts, native
-from .control_export import ControllerCoefficients, build_controller
+from .control_export import ControllerCoefficients, build_controller, replaced_controller
 from .core import eigen_include, firmware_root, library_root
 from .errors import InputError
 from .nominal import NominalModel
 from .project import Project, parse_project
-from .sealed import coefficient_source
 
 Controller = Literal["designed", "feedforward", "off"]
 RECOVERY_S = 1.0
@@ -123,11 +121,7 @@ def feedforward(project: Project, u_max: np.ndarray, rate_max: np.ndarray) -> Co
 def _replace_controller(folder: Path, controller: ControllerCoefficients, target: Path) -> None:
     """A copy of a vehicle folder with another controller."""
     shutil.copytree(folder, target)
-    header = (target / "lpvguard_vehicle.h").read_text()
-    for name, value in controller.sizes.items():
-        header = re.sub(rf"(#define LPVG_{name}) \d+", rf"\1 {value}", header)
-    artefacts.write_files(target, {"lpvguard_vehicle.h": header, "lpvguard_control.c": coefficient_source(
-        controller, "controller.h", "lpvg_control_coeff")})
+    artefacts.write_files(target, replaced_controller((target / "lpvguard_vehicle.h").read_text(), controller))
 
 
 class Simulator:
@@ -154,8 +148,9 @@ class Simulator:
     def _build(self, folder: Path) -> Path:
         root, core = firmware_root(), library_root()
         plant = [root / "plant" / "include", root / "plant" / "src", root / "plant" / "tool"]
-        here = [root / "sim", root / "ecu", core / "include", core / "src", folder]
+        here = [root / "sim", root / "ecu", root / "ports" / "linux", core / "include", core / "src", folder]
         vehicle = [*sorted((core / "src").glob("*.cpp")), *sorted(folder.glob("*.c")), *sorted((root / "ecu").glob("*.c")),
+                   *sorted((root / "ports" / "linux").glob("*.c")),
                    *sorted((root / "sim").glob("*.cpp"))]
         truth = [*sorted((root / "plant" / "src").glob("*.cpp")), root / "plant" / "tool" / "arguments.cpp"]
         flags = (*FLAGS, "-isystem", eigen_include())
@@ -170,21 +165,22 @@ class Simulator:
             raise InputError(folder, "compiling the simulator", str(error).strip(),
                              "a C++17 compiler, Eigen 3.4 and libtomlplusplus-dev") from None
 
-    def run(self, scenario: Scenario, *, seed: int | None = None, out: Path | None = None) -> dict[str, Any]:
-        """One run: the object of `lpvguard sim --json` (DESIGN 9). ``out``: a folder for NAME-SEED.log (candump -L),
-        .frames.csv and .telemetry.csv. Same scenario, seed and vehicle: the same bytes but for real_time_factor."""
+    def run(self, scenario: Scenario, *, seed: int | None = None, bus: str = "memory", out: Path | None = None) -> dict[str, Any]:
+        """One run: the object of `lpvguard sim --json` (DESIGN 9). ``bus``: memory or socketcan:INTERFACE. ``out``: a folder
+        for NAME-SEED.log (candump -L), .frames.csv and .telemetry.csv. Same scenario, seed and vehicle: the same bytes but
+        for real_time_factor, which is simulated time over one core's processor time."""
         seed = scenario.seed if seed is None else seed
         with tempfile.TemporaryDirectory() as scratch:
             stem = (out or Path(scratch)) / f"{scenario.name}-{seed}"
             frames = stem.with_name(stem.name + ".frames.csv")
-            command = [self.program, scenario.path, "--parameters", firmware_root() / "plant" / "truck.toml", "--seed", seed,
+            command = [self.program, scenario.path, "--parameters", firmware_root() / "plant" / "truck.toml", "--seed", seed, "--bus", bus,
                        "--frames", frames, "--engage", "no" if self.controller == "off" else "yes"]
             if out is not None:
                 out.mkdir(parents=True, exist_ok=True)
                 command += ["--log", f"{stem}.log", "--telemetry", f"{stem}.telemetry.csv"]
             done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False)
             if done.returncode != 0:
-                raise InputError(scenario.path, "", done.stderr.strip(), "a scenario that the simulator accepts")
+                raise InputError(scenario.path, "", done.stderr.strip(), "a scenario and a bus that the simulator accepts")
             rows = np.genfromtxt(frames, delimiter=",", names=True, ndmin=1)
         return self._result(scenario, json.loads(done.stdout), rows)
 

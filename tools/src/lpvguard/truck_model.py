@@ -1,7 +1,8 @@
-"""The paper's nominal truck (Table I) at one frozen speed: continuous, exact zero-order hold, frequency response.
+"""The paper's nominal truck (Table I) at one frozen speed: continuous, exact zero-order hold, frequency
+response.
 
-State ``[r, delta, delta_dot]`` (yaw rate rad/s, road-wheel angle rad, its rate rad/s), input the brake pressure
-difference in bar (right minus left), outputs ``[r, delta]``; left positive.
+State ``[r, delta, delta_dot]`` (yaw rate rad/s, road-wheel angle rad, its rate rad/s), input the brake
+pressure difference in bar (right minus left), outputs ``[r, delta]``; left positive.
 
 >>> a, b = zoh(speed_mps=5.0, wheelbase_m=3.6, ts_s=0.005)
 >>> float(round(a[0, 0], 12))
@@ -16,7 +17,8 @@ from scipy.linalg import expm
 from lpvguard.errors import InputError
 
 P1, P2, P3, P4, P5, P6 = 14.54, 0.06, 20.60, -0.25, -4.96, -0.32
-"""Table I. ``l`` of the state matrix is the wheelbase: the only reading under which the equations are physical."""
+"""Table I. ``l`` of the state matrix is the wheelbase: the only reading under which the equations are
+physical."""
 
 C = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Output matrix (2, 3): yaw rate and steering angle are measured."""
@@ -32,8 +34,8 @@ def _positive(value: float, name: str, unit: str) -> float:
 def continuous(speed_mps: float, wheelbase_m: float) -> tuple[np.ndarray, np.ndarray]:
     """State matrix A(v) (3, 3) and input matrix B (3, 1) of section IV.
 
-    Raises InputError for a speed or wheelbase that is not finite and positive, and for a speed at which the model
-    is unstable (the paper's parameters turn unstable at high speed): both name the speed.
+    Raises InputError for a speed or wheelbase that is not finite and positive, and for a speed at which the
+    model is unstable (the paper's parameters turn unstable at high speed): both name the speed.
     """
     v = _positive(speed_mps, "v", "m/s")
     length = _positive(wheelbase_m, "wheelbase", "m")
@@ -47,7 +49,9 @@ def continuous(speed_mps: float, wheelbase_m: float) -> tuple[np.ndarray, np.nda
     b = np.array([[0.0], [0.0], [P6]])
     pole = float(np.max(np.linalg.eigvals(a).real))
     if pole >= 0.0:
-        raise InputError("truck model", f"v = {v:g} m/s", f"unstable, pole at {pole:.3g} 1/s", "a stable speed")
+        raise InputError(
+            "truck model", f"v = {v:g} m/s", f"unstable, pole at {pole:.3g} 1/s", "a stable speed"
+        )
     return a, b
 
 
@@ -60,7 +64,8 @@ def zoh(speed_mps: float, wheelbase_m: float, ts_s: float) -> tuple[np.ndarray, 
 
 
 def frequency_response(speed_mps: float, wheelbase_m: float, ts_s: float, omega_rad_s) -> np.ndarray:
-    """G(e^{j omega Ts}) of the zero-order-hold model: complex, shape of ``omega_rad_s`` + (2,), rad/s and rad per bar.
+    """G(e^{j omega Ts}) of the zero-order-hold model: complex, shape of ``omega_rad_s`` + (2,), rad/s and rad
+    per bar.
 
     Frequencies above Nyquist are refused: there the sampled model only repeats itself.
     """

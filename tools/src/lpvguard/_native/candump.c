@@ -38,7 +38,7 @@ static int64_t stamp(const char** p, const char* end) {
     const char* start = *p;
     int64_t fraction = decimal(p, end);
     if (fraction < 0 || *p - start > 9 || *p == end || **p != ')') return -1;
-    for (long digits = *p - start; digits < 9; ++digits) fraction *= 10;
+    for (int64_t digits = *p - start; digits < 9; ++digits) fraction *= 10;
     ++*p;
     return seconds * 1000000000LL + fraction;
 }
@@ -53,7 +53,7 @@ static int channel_of(const char* name, size_t length, char* names, int64_t* cou
 }
 
 /* One line, begin <= p < end. Returns 1: frame n written, 0: left out on purpose, -1: not a frame. */
-static int line(const char* p, const char* end, long n, int width, int64_t* t_ns, uint32_t* id, uint8_t* channel, uint8_t* length,
+static int line(const char* p, const char* end, int64_t n, int width, int64_t* t_ns, uint32_t* id, uint8_t* channel, uint8_t* length,
                 uint8_t* data, char* names, int64_t* counts) {
     while (p < end && *p == ' ') ++p;
     const int64_t t = stamp(&p, end);
@@ -66,7 +66,7 @@ static int line(const char* p, const char* end, long n, int width, int64_t* t_ns
     const char* start = p;
     uint32_t identifier = 0;
     for (int digit; p < end && p - start < 9 && (digit = hex(*p)) >= 0; ++p) identifier = identifier << 4 | (uint32_t)digit;
-    const long digits = p - start;
+    const int64_t digits = p - start;
     if ((digits != 3 && digits != 8) || p == end || *p != '#') return -1;
     ++p;
     if (digits == 8 && (identifier & 0x20000000u)) {
@@ -105,9 +105,9 @@ static int line(const char* p, const char* end, long n, int width, int64_t* t_ns
 /* Fills t_ns, id, channel, length [capacity], data [capacity, width], names [CHANNELS, NAME] (zeroed by the caller) and
  * counts [N_COUNTS]; returns the number of frames. capacity >= number of lines. When counts[LONGEST] > width, data are
  * cut: parse again with a larger width. */
-long lpvg_candump(const char* text, long size, int width, int64_t* t_ns, uint32_t* id, uint8_t* channel, uint8_t* length,
+int64_t lpvg_candump(const char* text, int64_t size, int width, int64_t* t_ns, uint32_t* id, uint8_t* channel, uint8_t* length,
                   uint8_t* data, char* names, int64_t* counts) {
-    long n = 0, number = 0;
+    int64_t n = 0, number = 0;
     memset(counts, 0, N_COUNTS * sizeof *counts);
     for (const char *p = text, *last = text + size; p < last; ++number) {
         const char* end = memchr(p, '\n', (size_t)(last - p));

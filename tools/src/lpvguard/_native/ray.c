@@ -3,7 +3,8 @@
  *     sum_j y_j (Q0_j - length L_j)  >=  0,      trace of the signed groups of y = 1.
  *
  * Each round maximises the least eigenvalue x of that matrix over y by a log-barrier Newton method, and then uses the y
- * found up to the largest length that it proves (Dinkelbach). Groups of y: order 1, a number >= 0; order r > 1, the r^2
+ * found up to the largest length that it proves (Dinkelbach), with bisection in between: far from the end Dinkelbach's
+ * steps alone can be a hundred times too short. Groups of y: order 1, a number >= 0; order r > 1, the r^2
  * coordinates of a Hermitian positive semidefinite matrix (diagonal first, then Re and Im of the lower triangle, row by
  * row); order 0, free numbers. The numpy version is validation/lmi.py.
  */
@@ -302,20 +303,30 @@ double lpvg_ray(int n, int m, int groups, const int *start, const int *order, co
         if (order[g] > MAX_R) return -1.0;
     }
     matrix inv;
-    for (int round_ = 0; round_ < 40; round_++) {
+    double beyond = INFINITY;                           /* a length that is known, or taken, not to be provable */
+    for (int round_ = 0; round_ < 80; round_++) {
+        /* In turn: at the proven length itself (Dinkelbach, fast near the end), and boldly ahead (bisection). */
+        const int ahead = round_ % 2;
+        double at = length;
+        if (ahead && beyond < INFINITY) at = beyond > 4.0 * length ? sqrt(fmax(length, 1e-6 * beyond) * beyond) : 0.5 * (length + beyond);
+        if (ahead && beyond == INFINITY) at = cutoff < INFINITY ? fmax(cutoff, length) : 8.0 * length;
         memset(next, 0, sizeof next);
         for (int g = 0; g < groups; g++)
             for (int i = 0; i < order[g]; i++) next[start[g] + i] = 1.0 / degree;
-        const double x = maximise_level(&p, length, 0.3, 1e-8, next, inv);
+        const double x = maximise_level(&p, at, 0.3, 1e-8, next, inv);
+        if (ahead && !(x > 0.0)) {
+            beyond = at;
+            continue;
+        }
         for (int i = 0; i < n; i++)
             for (int j = 0; j < n; j++) inverse[i * n + j] = inv[i][j];
         if (!(x > 0.0)) break;
         memcpy(y, next, sizeof(double) * (size_t)m);
         *found = 1;
-        const double longer = reach(&p, y, length);
-        const int done = longer <= length * (1.0 + 1e-6);
+        const double longer = fmax(at, reach(&p, y, at));
+        const int done = !ahead && (longer <= length * (1.0 + 1e-6) || beyond <= longer * (1.0 + 1e-5));
         length = fmax(length, longer);
-        if (done || length > cutoff) break;
+        if (done || length >= cutoff) break;
     }
     return length;
 }

@@ -54,7 +54,7 @@ static const double tiny = 1e-250, huge_ = 1e250; /* outside, squares of squares
 static s1_result finish(double ee_g, double room, double room_scale, double d2, double zz, cpx ze) {
     s1_result r = {sqrt(d2 / zz), 0.0, {0.0, 0.0}};
     if (room < 0.0) {
-        if (room < -8.9e-16 * room_scale) { r.nu = INFINITY; return r; }
+        if (room < -2e-12 * room_scale) { r.nu = INFINITY; return r; }
         room = 0.0;                              /* gamma is B1 rounded: the edge itself is feasible */
     }
     if (ee_g <= 0.0) return r;
@@ -96,7 +96,7 @@ static s1_result s1_careful(ptrdiff_t n, const cpx *e, const cpx *z, double gamm
     const double ee_g = dd_add(ee, dd_neg(gg)).hi;
     s1_result r;
     if (zz.hi == 0.0) {
-        r = (s1_result){sqrt(ee.hi), ee_g <= 8.9e-16 * gg.hi ? 0.0 : INFINITY, {0.0, 0.0}};
+        r = (s1_result){sqrt(ee.hi), ee_g <= 2e-12 * gg.hi ? 0.0 : INFINITY, {0.0, 0.0}};
     } else {
         const dd room_scale = dd_mul(gg, zz);
         r = finish(ee_g, dd_add(room_scale, dd_neg(d2)).hi, room_scale.hi, d2.hi, zz.hi, (cpx){ze_re.hi, ze_im.hi});

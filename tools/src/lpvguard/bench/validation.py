@@ -1,9 +1,9 @@
 """Performance of the validation engine: one thread, 20 experiments x 1024 bins of the paper's truck.
 
-Three kernels (S1 closed form, on-line margin, S2 to a certified gap of 1e-4) on arrays, and beside them the same
-problems written for a conic solver (cvxpy + Clarabel, rebuilt per point) on a subsample of the same points in the same
-run. The peer for S2 is a bisection-free grid: one semidefinite relaxation per trial nu_s. cvxpy is a test dependency:
-without it the ratios are left out.
+Three kernels (S1 closed form, on-line margin, S2 to a certified gap of 1e-4) on arrays, and beside them the
+same problems written for a conic solver (cvxpy + Clarabel, rebuilt per point) on a subsample of the same
+points in the same run. The peer for S2 is a bisection-free grid: one semidefinite relaxation per trial nu_s.
+cvxpy is a test dependency: without it the ratios are left out.
 
 >>> data = truck_points(experiments=2, bins=4, seed=1)
 >>> data["e"].shape, data["h_s"].shape
@@ -47,11 +47,14 @@ class Row:
         return self.us_per_point <= self.target_us
 
 
-def truck_points(experiments: int = 20, bins: int = 1024, seed: int = 0, ts_s: float = 0.01) -> dict[str, np.ndarray]:
-    """Points made from a known (delta, Delta_s, w): speeds 8 to 22 m/s, 1024 bins from 0.02 rad/s to 90 % of Nyquist.
+def truck_points(
+    experiments: int = 20, bins: int = 1024, seed: int = 0, ts_s: float = 0.01
+) -> dict[str, np.ndarray]:
+    """Points made from a known (delta, Delta_s, w): speeds 8 to 22 m/s, 1024 bins from 0.02 rad/s to 90 % of
+    Nyquist.
 
-    Keys: e (K, 2), z (K, 2), u (K,), x_nom (K, 3), h_i (K, 3), h_s (K, 3, 3), c (2, 3), gamma_w (K,), w_delta (K,),
-    w_w (K, 2).
+    Keys: e (K, 2), z (K, 2), u (K,), x_nom (K, 3), h_i (K, 3), h_s (K, 3, 3), c (2, 3), gamma_w (K,), w_delta
+    (K,), w_w (K, 2).
     """
     rng = np.random.default_rng(seed)
 
@@ -83,8 +86,16 @@ def truck_points(experiments: int = 20, bins: int = 1024, seed: int = 0, ts_s: f
     b1, size = s1.solve(e, z, np.zeros(points)).b1, np.linalg.norm(e, axis=1)
     gamma = b1 + rng.uniform(0.1, 0.9, points) * (size - b1)
     return {
-        "e": e, "z": z, "u": u, "x_nom": x_nom, "h_i": h_i, "h_s": h_s, "c": truck_model.C, "gamma_w": gamma,
-        "w_delta": rng.uniform(0.05, 0.5, points), "w_w": rng.uniform(0.05, 0.5, (points, 2)) * size[:, None],
+        "e": e,
+        "z": z,
+        "u": u,
+        "x_nom": x_nom,
+        "h_i": h_i,
+        "h_s": h_s,
+        "c": truck_model.C,
+        "gamma_w": gamma,
+        "w_delta": rng.uniform(0.05, 0.5, points),
+        "w_w": rng.uniform(0.05, 0.5, (points, 2)) * size[:, None],
     }
 
 
@@ -104,7 +115,9 @@ def _peer_s1(data, k):
     delta = cp.Variable(complex=True)
     e, z = data["e"][k], data["z"][k]
     scale = np.linalg.norm(e)
-    problem = cp.Problem(cp.Minimize(cp.abs(delta)), [cp.norm(e / scale - delta * (z / scale)) <= data["gamma_w"][k] / scale])
+    problem = cp.Problem(
+        cp.Minimize(cp.abs(delta)), [cp.norm(e / scale - delta * (z / scale)) <= data["gamma_w"][k] / scale]
+    )
     return problem.solve(solver=cp.CLARABEL)
 
 
@@ -136,7 +149,10 @@ def _peer_s2(data, k):
     best = np.inf
     for nu in np.geomspace(1e-3 * cap, 0.98 * cap, GRID):
         x = cp.Variable((5, 5), hermitian=True)
-        trace = [cp.real(cp.trace(g @ x)) for g in (gram[0], gram[1], (gram[2] - nu**2 * gram[3]) / np.trace(gram[2]))]
+        trace = [
+            cp.real(cp.trace(g @ x))
+            for g in (gram[0], gram[1], (gram[2] - nu**2 * gram[3]) / np.trace(gram[2]))
+        ]
         limits = [x >> 0, cp.real(row_t @ x @ row_t) == 1, trace[1] <= 1, trace[2] <= 0]
         value = cp.Problem(cp.Minimize(trace[0]), limits).solve(solver=cp.CLARABEL)
         best = min(best, value + nu**2)
@@ -183,8 +199,16 @@ def run(experiments: int = 20, bins: int = 1024, seed: int = 0, peers: bool = Tr
         us = _time_us(job, points, repeats)
         peer = _peer_us(kernel, data) if peers else None
         rows.append(
-            Row(kernel, points, us, TARGET_US[kernel], peer, peer / us if peer else None, worst.get(kernel),
-                native.kernels() is not None)
+            Row(
+                kernel,
+                points,
+                us,
+                TARGET_US[kernel],
+                peer,
+                peer / us if peer else None,
+                worst.get(kernel),
+                native.kernels("s1") is not None,
+            )
         )
     return rows
 
@@ -195,7 +219,9 @@ def table(rows: list[Row]) -> str:
     for r in rows:
         peer, ratio = (f"{r.peer_us:10.0f}", f"{r.ratio:9.0f}") if r.peer_us else (f"{'-':>10}", f"{'-':>9}")
         gap = f"{r.worst_gap:.1e}" if r.worst_gap is not None else "exact"
-        lines.append(f"{r.kernel:8} {r.points:7d} {r.us_per_point:10.4f} {r.target_us:8g} {peer} {ratio}  {gap}")
+        lines.append(
+            f"{r.kernel:8} {r.points:7d} {r.us_per_point:10.4f} {r.target_us:8g} {peer} {ratio}  {gap}"
+        )
     return "\n".join(lines)
 
 

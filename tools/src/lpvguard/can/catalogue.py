@@ -69,9 +69,16 @@ class Signal(_Strict):
     @model_validator(mode="after")
     def _consistent(self) -> Signal:
         if self.coding == "j1939" and self.length not in J1939_LENGTHS:
-            raise ValueError(f"signal {self.name}: J1939 codes exist for 2, 4, 8 and 16 bits, not {self.length}")
-        if self.supervise and not self.physical_min <= self.supervise.min < self.supervise.max <= self.physical_max:
-            raise ValueError(f"signal {self.name}: supervise must lie within {self.physical_min} to {self.physical_max}")
+            raise ValueError(
+                f"signal {self.name}: J1939 codes exist for 2, 4, 8 and 16 bits, not {self.length}"
+            )
+        if (
+            self.supervise
+            and not self.physical_min <= self.supervise.min < self.supervise.max <= self.physical_max
+        ):
+            raise ValueError(
+                f"signal {self.name}: supervise must lie within {self.physical_min} to {self.physical_max}"
+            )
         if any(raw >= 1 << self.length for raw in self.values.values()):
             raise ValueError(f"signal {self.name}: a named value does not fit {self.length} bits")
         return self
@@ -135,7 +142,9 @@ class Message(_Strict):
     @model_validator(mode="after")
     def _consistent(self) -> Message:
         if self.pgn < 0xF000:
-            raise ValueError(f"message {self.name}: PGN {self.pgn} is peer-to-peer; only broadcast groups are supported")
+            raise ValueError(
+                f"message {self.name}: PGN {self.pgn} is peer-to-peer; only broadcast groups are supported"
+            )
         if self.id >> 8 & 0x3FFFF != self.pgn:
             raise ValueError(f"message {self.name}: id {self.id:08X} does not carry PGN {self.pgn}")
         names = [s.name for s in self.signals]
@@ -177,16 +186,22 @@ class Catalogue(_Strict):
 
     @model_validator(mode="after")
     def _consistent(self) -> Catalogue:
-        for what, values in (("node names", [n.name for n in self.nodes]), ("node addresses", [n.address for n in self.nodes]),
-                             ("message names", [m.name for m in self.messages]), ("ids", [m.id for m in self.messages]),
-                             ("E2E data ids", [m.e2e.data_id for m in self.messages if m.e2e])):
+        for what, values in (
+            ("node names", [n.name for n in self.nodes]),
+            ("node addresses", [n.address for n in self.nodes]),
+            ("message names", [m.name for m in self.messages]),
+            ("ids", [m.id for m in self.messages]),
+            ("E2E data ids", [m.e2e.data_id for m in self.messages if m.e2e]),
+        ):
             if len(set(values)) != len(values):
                 raise ValueError(f"{what} must be unique")
         if all(n.name != OWN_NODE for n in self.nodes):
             raise ValueError(f"nodes: one must be called {OWN_NODE}")
         for message in self.messages:
             if all(message.source_address != n.address for n in self.nodes):
-                raise ValueError(f"message {message.name}: no node has the source address {message.source_address:#04x}")
+                raise ValueError(
+                    f"message {message.name}: no node has the source address {message.source_address:#04x}"
+                )
         return self
 
     @property
@@ -202,7 +217,9 @@ class Catalogue(_Strict):
         for message in self.messages:
             if message.name == name:
                 return message
-        raise InputError("CAN catalogue", name, "no such message", f"one of {', '.join(m.name for m in self.messages)}")
+        raise InputError(
+            "CAN catalogue", name, "no such message", f"one of {', '.join(m.name for m in self.messages)}"
+        )
 
 
 def load_catalogue(path: Path | None = None) -> Catalogue:
@@ -220,4 +237,6 @@ def load_catalogue(path: Path | None = None) -> Catalogue:
     except ValidationError as error:
         first = error.errors()[0]
         field = ".".join(str(p) for p in first["loc"]) or "catalogue"
-        raise InputError(where, field, first["msg"].removeprefix("Value error, "), "a field as catalogue.py describes") from None
+        raise InputError(
+            where, field, first["msg"].removeprefix("Value error, "), "a field as catalogue.py describes"
+        ) from None

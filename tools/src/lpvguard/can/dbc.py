@@ -35,15 +35,19 @@ def _number(value: float) -> str:
 
 
 def _signal(signal: Signal) -> str:
-    return (f' SG_ {signal.name} : {signal.start}|{signal.length}@1+ ({_number(signal.scale)},{_number(signal.offset)}) '
-            f'[{_number(signal.physical_min)}|{_number(signal.physical_max)}] "{signal.unit}" Vector__XXX\n')
+    return (
+        f" SG_ {signal.name} : {signal.start}|{signal.length}@1+ ({_number(signal.scale)},{_number(signal.offset)}) "
+        f'[{_number(signal.physical_min)}|{_number(signal.physical_max)}] "{signal.unit}" Vector__XXX\n'
+    )
 
 
 def _message(catalogue: Catalogue, message: Message) -> str:
     lines = [f"BO_ {message.id | _EXTENDED} {message.name}: 8 {catalogue.sender(message).name}\n"]
     if message.e2e:
-        lines += [' SG_ e2e_crc : 0|8@1+ (1,0) [0|255] "" Vector__XXX\n',
-                  ' SG_ e2e_counter : 8|4@1+ (1,0) [0|14] "" Vector__XXX\n']
+        lines += [
+            ' SG_ e2e_crc : 0|8@1+ (1,0) [0|255] "" Vector__XXX\n',
+            ' SG_ e2e_counter : 8|4@1+ (1,0) [0|14] "" Vector__XXX\n',
+        ]
     lines += [_signal(signal) for signal in message.signals]
     return "".join(lines)
 
@@ -55,19 +59,38 @@ def _comment(message: Message) -> str:
 def dbc_text(catalogue: Catalogue | None = None) -> str:
     """The DBC of ``catalogue`` (default: the shipped one)."""
     catalogue = catalogue or load_catalogue()
-    parts = ['VERSION "lpvguard"\n\nNS_ :\n\nBS_:\n\n', "BU_: " + " ".join(n.name for n in catalogue.nodes) + "\n\n"]
+    parts = [
+        'VERSION "lpvguard"\n\nNS_ :\n\nBS_:\n\n',
+        "BU_: " + " ".join(n.name for n in catalogue.nodes) + "\n\n",
+    ]
     parts += [_message(catalogue, m) + "\n" for m in catalogue.messages]
     parts += [f'CM_ BU_ {n.name} "{n.comment}";\n' for n in catalogue.nodes]
     parts += [f'CM_ BO_ {m.id | _EXTENDED} "{_comment(m)}";\n' for m in catalogue.messages]
-    parts += [f'CM_ SG_ {m.id | _EXTENDED} {s.name} "positive: {s.positive}";\n'
-              for m in catalogue.messages for s in m.signals if s.positive]
+    parts += [
+        f'CM_ SG_ {m.id | _EXTENDED} {s.name} "positive: {s.positive}";\n'
+        for m in catalogue.messages
+        for s in m.signals
+        if s.positive
+    ]
     parts.append(_ATTRIBUTES)
     parts += [f'BA_ "NmStationAddress" BU_ {n.name} {n.address};\n' for n in catalogue.nodes]
     for m in catalogue.messages:
-        parts += [f'BA_ "{key}" BO_ {m.id | _EXTENDED} {value};\n'
-                  for key, value in (("VFrameFormat", _J1939_PG), ("PGN", m.pgn), ("GenMsgCycleTime", m.period_ms))]
-    parts += [f'BA_ "SPN" SG_ {m.id | _EXTENDED} {s.name} {s.spn};\n'
-              for m in catalogue.messages for s in m.signals if s.spn]
-    parts += [f'VAL_ {m.id | _EXTENDED} {s.name} ' + " ".join(f'{raw} "{name}"' for name, raw in s.values.items()) + " ;\n"
-              for m in catalogue.messages for s in m.signals if s.values]
+        parts += [
+            f'BA_ "{key}" BO_ {m.id | _EXTENDED} {value};\n'
+            for key, value in (("VFrameFormat", _J1939_PG), ("PGN", m.pgn), ("GenMsgCycleTime", m.period_ms))
+        ]
+    parts += [
+        f'BA_ "SPN" SG_ {m.id | _EXTENDED} {s.name} {s.spn};\n'
+        for m in catalogue.messages
+        for s in m.signals
+        if s.spn
+    ]
+    parts += [
+        f"VAL_ {m.id | _EXTENDED} {s.name} "
+        + " ".join(f'{raw} "{name}"' for name, raw in s.values.items())
+        + " ;\n"
+        for m in catalogue.messages
+        for s in m.signals
+        if s.values
+    ]
     return "".join(parts)

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import InputError
 from .catalogue import j1939_data_max
+from .dbc import dbc_text
 from .logs import EXTENDED, Frames
 
 _PRIORITY = 0x1C000000
@@ -38,22 +39,45 @@ def load_database(path: Path):
     try:
         return cantools.database.load_file(path, strict=False)
     except Exception as error:  # one exception class for each form of database
-        raise InputError(path, "", f"cannot be read ({str(error).splitlines()[0]})", "a CAN database") from None
+        raise InputError(
+            path, "", f"cannot be read ({str(error).splitlines()[0]})", "a CAN database"
+        ) from None
 
 
-def find_frames(frames: Frames, message, *, channel: str | None = None, source_address: int | None = None,
-                where: str = "") -> np.ndarray:
-    """Positions (K,) of the frames of a cantools ``message``; ``channel`` None takes every channel.
+def own_database():
+    """The cantools database of our own DBC."""
+    import cantools
+
+    return cantools.database.load_string(dbc_text(), "dbc")
+
+
+def is_j1939(message) -> bool:
+    """Whether the database says that a cantools ``message`` is a J1939 parameter group."""
+    return message.protocol == "j1939"
+
+
+def find_frames(
+    frames: Frames,
+    message,
+    *,
+    j1939: bool,
+    channel: str | None = None,
+    source_address: int | None = None,
+    where: str = "",
+) -> np.ndarray:
+    """Positions (K,) of the frames of a cantools ``message``, by group if ``j1939``; ``channel`` None takes every channel.
 
     InputError when a J1939 group comes from several senders and neither the database nor ``source_address`` says which.
     """
-    if message.protocol == "j1939":
+    if j1939 and message.is_extended_frame:
         wanted = _j1939(frames, message, source_address, where)
     else:
         wanted = frames.id == np.uint32(message.frame_id | (EXTENDED if message.is_extended_frame else 0))
     if channel is not None:
         if channel not in frames.channels:
-            raise InputError(where, "channel", f"{channel} is not in the log", f"one of {', '.join(frames.channels)}")
+            raise InputError(
+                where, "channel", f"{channel} is not in the log", f"one of {', '.join(frames.channels)}"
+            )
         wanted &= frames.channel == frames.channels.index(channel)
     return np.flatnonzero(wanted)
 
@@ -67,8 +91,12 @@ def _j1939(frames: Frames, message, source_address: int | None, where: str) -> n
     address = source_address if source_address is not None else message.frame_id & 0xFF
     if address not in present and source_address is None:
         if len(present) > 1:
-            raise InputError(where, message.name, "comes from the source addresses " + ", ".join(f"{a:#04x}" for a in present),
-                             "source_address in the signal map, to say which")
+            raise InputError(
+                where,
+                message.name,
+                "comes from the source addresses " + ", ".join(f"{a:#04x}" for a in present),
+                "source_address in the signal map, to say which",
+            )
         return of_group
     return of_group & (sender == address)
 
@@ -106,10 +134,13 @@ def decode_all(frames: Frames, database) -> dict[str, dict[str, Samples]]:
     """Every signal of every message of ``database``: message name -> signal name -> Samples."""
     decoded = {}
     for message in database.messages:
-        positions = find_frames(frames, message)
+        j1939 = is_j1939(message)
+        positions = find_frames(frames, message, j1939=j1939)
         if len(positions):
-            codes = message.protocol == "j1939"
-            decoded[message.name] = {s.name: decode_signal(frames, positions, message, s, j1939_codes=codes) for s in message.signals}
+            decoded[message.name] = {
+                s.name: decode_signal(frames, positions, message, s, j1939_codes=j1939)
+                for s in message.signals
+            }
     return decoded
 
 

@@ -4,13 +4,15 @@ raw      candump (-l, -L), ASC, BLF, MF4 with bus logging, CSV and Parquet with 
          (timestamp, arbitration_id, extended, dlc, data); each also with .gz where it is text
 decoded  CSV and Parquet with one column a signal, MF4 with one channel a signal
 
-candump goes through a compiled parser, or through python-can when there is no compiler; the result is the same.
+candump goes through a compiled parser, or through a slow one in Python when there is no compiler; the result is the
+same. Other raw forms go through python-can (which takes a bus-off report of a candump log for a frame) and asammdf.
 """
 
 from __future__ import annotations
 
 import ctypes
 import gzip
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -23,6 +25,7 @@ EXTENDED = 0x80000000
 """Flag in ``Frames.id``: 29-bit identifier."""
 
 _NAME_BYTES, _CHANNELS, _COUNTS, _FD_BYTES = 16, 64, 6, 64
+_ERROR_REPORT = 0x20000000
 _CANDUMP_SUFFIXES = {".log", ".candump", ".txt"}
 _PYTHON_CAN_SUFFIXES = {".asc", ".blf", ".trc"}
 _RAW_COLUMNS = {"timestamp", "arbitration_id", "data"}
@@ -81,8 +84,12 @@ def read_log(path: Path, *, time_column: str | None = None) -> Frames | Table:
     elif suffix in {".csv", ".parquet"}:
         log = _read_table(path, suffix, time_column)
     else:
-        raise InputError(path, "", f"unknown kind of log {suffix or '(no suffix)'}",
-                         ".log (candump), .asc, .blf, .trc, .mf4, .csv or .parquet, also with .gz")
+        raise InputError(
+            path,
+            "",
+            f"unknown kind of log {suffix or '(no suffix)'}",
+            ".log (candump), .asc, .blf, .trc, .mf4, .csv or .parquet, also with .gz",
+        )
     if isinstance(log, Frames) and len(log) == 0:
         raise InputError(path, "", "holds no data frame" + _in_words(log.left_out), "at least one frame")
     return log
@@ -99,45 +106,108 @@ def _bytes(path: Path) -> bytes:
                 return stream.read()
         return path.read_bytes()
     except (OSError, EOFError) as error:
-        raise InputError(path, "", f"cannot be read ({error})", "a readable file, whole if it is compressed") from None
+        raise InputError(
+            path, "", f"cannot be read ({error})", "a readable file, whole if it is compressed"
+        ) from None
 
 
 # ---------------------------------------------------------------------------------------------------------- candump
 
+
 def _read_candump(path: Path) -> Frames:
-    library = native.kernels()
-    if library is None:
-        return _read_python_can(path)
-    frames = parse_candump(_bytes(path), library)
+    library = native.kernels("candump")
+    compressed = path.suffix.lower() == ".gz" or path.stat().st_size == 0  # an empty file cannot be mapped
+    text = np.frombuffer(_bytes(path), np.uint8) if compressed else np.memmap(path, np.uint8, "r")
+    frames = parse_candump(text, library) if library else parse_candump_slowly(text)
     if len(frames) == 0:
         line = frames.left_out.get("first line that is no frame", 1)
-        raise InputError(path, f"line {line}", "no frame in the file", "(seconds) interface identifier#data, as candump -l writes")
+        raise InputError(
+            path,
+            f"line {line}",
+            "no frame in the file",
+            "(seconds) interface identifier#data, as candump -l writes",
+        )
     return frames
 
 
-def parse_candump(text: bytes, library: ctypes.CDLL) -> Frames:
-    """Frames of a candump log by the compiled parser (``_native/candump.c``)."""
-    capacity = text.count(b"\n") + 1
+def parse_candump(text: np.ndarray, library: ctypes.CDLL) -> Frames:
+    """Frames of the candump log ``text`` (bytes,) by the compiled parser (``_native/candump.c``)."""
+    block = 1 << 20  # stays in the cache
+    capacity = 1 + sum(
+        int(np.count_nonzero(text[i : i + block] == ord("\n"))) for i in range(0, len(text), block)
+    )
     for width in (8, _FD_BYTES):
         t_ns, id_ = np.empty(capacity, np.int64), np.empty(capacity, np.uint32)
         channel, length = np.empty(capacity, np.uint8), np.empty(capacity, np.uint8)
         data = np.empty((capacity, width), np.uint8)
         names, counts = np.zeros((_CHANNELS, _NAME_BYTES), np.uint8), np.zeros(_COUNTS, np.int64)
         parse = library.lpvg_candump
-        parse.restype = ctypes.c_long
-        n = parse(ctypes.c_char_p(text), ctypes.c_long(len(text)), ctypes.c_int(width),
-                  *(ctypes.c_void_p(a.ctypes.data) for a in (t_ns, id_, channel, length, data, names, counts)))
+        parse.restype = ctypes.c_int64
+        n = parse(
+            ctypes.c_void_p(text.ctypes.data),
+            ctypes.c_int64(len(text)),
+            ctypes.c_int(width),
+            *(ctypes.c_void_p(a.ctypes.data) for a in (t_ns, id_, channel, length, data, names, counts)),
+        )
         bad, first_bad, errors, remote, n_channels, longest = counts.tolist()
         if longest <= width:
             break
-    kinds = {"error reports": errors, "remote frames": remote, "lines that are no frame": bad,
-             "first line that is no frame": first_bad}
-    return Frames(t_ns[:n], id_[:n], channel[:n], length[:n], data[:n],
-                  [bytes(row).rstrip(b"\0").decode(errors="replace") for row in names[:n_channels]],
-                  {kind: count for kind, count in kinds.items() if count})
+    kinds = {
+        "error reports": errors,
+        "remote frames": remote,
+        "lines that are no frame": bad,
+        "first line that is no frame": first_bad,
+    }
+    return Frames(
+        t_ns[:n],
+        id_[:n],
+        channel[:n],
+        length[:n],
+        data[:n],
+        [bytes(row).rstrip(b"\0").decode(errors="replace") for row in names[:n_channels]],
+        {kind: count for kind, count in kinds.items() if count},
+    )
+
+
+_LINE = re.compile(
+    rb" *\((\d{1,10})\.(\d{1,9})\) +(\S{1,15}) +([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
+    rb"(?:([Rr].*)|(?:#[0-9A-Fa-f])?((?:[0-9A-Fa-f]{2}){0,64})(?:[ _].*)?)\r?"
+)
+
+
+def parse_candump_slowly(text: np.ndarray) -> Frames:
+    """The same without a compiler, 20 times slower."""
+    rows: list[tuple[int, int, str, bytes]] = []
+    left_out: dict[str, int] = {}
+    for number, line in enumerate(text.tobytes().split(b"\n"), start=1):
+        if not line.strip(b"\r"):
+            continue
+        match = _LINE.fullmatch(line)
+        if match is None:
+            left_out["lines that are no frame"] = left_out.get("lines that are no frame", 0) + 1
+            left_out.setdefault("first line that is no frame", number)
+            continue
+        seconds, fraction, interface, identifier, remote, data = match.groups()
+        value = int(identifier, 16)
+        if len(identifier) == 8 and value & _ERROR_REPORT:
+            left_out["error reports"] = left_out.get("error reports", 0) + 1
+        elif remote:
+            left_out["remote frames"] = left_out.get("remote frames", 0) + 1
+        else:
+            flagged = value & 0x1FFFFFFF | EXTENDED if len(identifier) == 8 else value
+            rows.append(
+                (
+                    int(seconds) * 10**9 + int(fraction.ljust(9, b"0")),
+                    flagged,
+                    interface.decode(errors="replace"),
+                    bytes.fromhex(data.decode()),
+                )
+            )
+    return _from_rows(rows, left_out)
 
 
 # ------------------------------------------------------------------------------------------------------- python-can
+
 
 def _read_python_can(path: Path) -> Frames:
     import can  # costs 0.2 s, and is not needed for candump
@@ -153,11 +223,21 @@ def _read_python_can(path: Path) -> Frames:
                     left_out["remote frames"] += 1
                 else:
                     flag = EXTENDED if message.is_extended_id else 0
-                    rows.append((round(message.timestamp * 1e9), message.arbitration_id | flag, str(message.channel),
-                                 bytes(message.data)))
+                    rows.append(
+                        (
+                            round(message.timestamp * 1e9),
+                            message.arbitration_id | flag,
+                            str(message.channel),
+                            bytes(message.data),
+                        )
+                    )
     except Exception as error:  # each reader of python-can has exceptions of its own
-        raise InputError(path, f"frame {len(rows) + 1}", f"cannot be read ({type(error).__name__}: {error})",
-                         f"a {path.suffix} log that python-can reads") from None
+        raise InputError(
+            path,
+            f"frame {len(rows) + 1}",
+            f"cannot be read ({type(error).__name__}: {error})",
+            f"a {path.suffix} log that python-can reads",
+        ) from None
     return _from_rows(rows, {kind: n for kind, n in left_out.items() if n})
 
 
@@ -167,12 +247,19 @@ def _from_rows(rows: list[tuple[int, int, str, bytes]], left_out: dict[str, int]
     channels = sorted({row[2] for row in rows})
     position = {name: i for i, name in enumerate(channels)}
     data = np.frombuffer(b"".join(row[3].ljust(width, b"\0") for row in rows), np.uint8).reshape(-1, width)
-    return Frames(np.array([row[0] for row in rows], np.int64), np.array([row[1] for row in rows], np.uint32),
-                  np.array([position[row[2]] for row in rows], np.uint8), np.array([len(row[3]) for row in rows], np.uint8),
-                  data, channels, left_out)
+    return Frames(
+        np.array([row[0] for row in rows], np.int64),
+        np.array([row[1] for row in rows], np.uint32),
+        np.array([position[row[2]] for row in rows], np.uint8),
+        np.array([len(row[3]) for row in rows], np.uint8),
+        data,
+        channels,
+        left_out,
+    )
 
 
 # ----------------------------------------------------------------------------------------------------- CSV, Parquet
+
 
 def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Table:
     import pyarrow as pa
@@ -185,22 +272,36 @@ def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Ta
         else:
             table = pa_csv.read_csv(pa.BufferReader(_bytes(path)))
     except (pa.ArrowException, OSError) as error:
-        raise InputError(path, "", f"cannot be parsed ({str(error).splitlines()[0]})",
-                         "a table with one header line" if suffix == ".csv" else "a Parquet table") from None
+        raise InputError(
+            path,
+            "",
+            f"cannot be parsed ({str(error).splitlines()[0]})",
+            "a table with one header line" if suffix == ".csv" else "a Parquet table",
+        ) from None
     if _RAW_COLUMNS <= set(table.column_names):
         if suffix == ".csv" and path.suffix.lower() == ".csv":
             return _read_python_can(path)
         return _raw_table(path, table)
     time = time_column or next((c for c in ("t", "time", "timestamp") if c in table.column_names), None)
     if time not in table.column_names:
-        raise InputError(path, "header", f"no time column{f' {time}' if time else ''}",
-                         f"one of t, time, timestamp in s (or `time` in the signal map); there are {', '.join(table.column_names)}")
+        raise InputError(
+            path,
+            "header",
+            f"no time column{f' {time}' if time else ''}",
+            f"one of t, time, timestamp in s (or `time` in the signal map); there are {', '.join(table.column_names)}",
+        )
     t_ns = np.rint(_numbers(path, table, time) * 1e9)
     bad = np.flatnonzero(~np.isfinite(t_ns))
     if len(bad):
         raise InputError(path, f"line {bad[0] + 2}, column {time}", "no time", "a time in s in every line")
     t_ns = t_ns.astype(np.int64)
-    return Table({c: Series(t_ns, _numbers(path, table, c)) for c in table.column_names if c != time and _numeric(table, c)})
+    return Table(
+        {
+            c: Series(t_ns, _numbers(path, table, c))
+            for c in table.column_names
+            if c != time and _numeric(table, c)
+        }
+    )
 
 
 def _numeric(table, column: str) -> bool:
@@ -224,22 +325,34 @@ def _raw_table(path: Path, table) -> Frames:
         return table.column(name).to_pylist() if name in table.column_names else [default] * table.num_rows
 
     rows = []
-    columns = (plain("timestamp", None), plain("arbitration_id", None), plain("extended", None), plain("channel", ""),
-               plain("data", None))
+    columns = (
+        plain("timestamp", None),
+        plain("arbitration_id", None),
+        plain("extended", None),
+        plain("channel", ""),
+        plain("data", None),
+    )
     for number, (t, identifier, extended, channel, data) in enumerate(zip(*columns), start=1):
         try:
             if isinstance(identifier, str):
                 identifier = int(identifier, 16)
             payload = bytes.fromhex(data) if isinstance(data, str) else bytes(data)
             wide = identifier > 0x7FF if extended is None else bool(extended)
-            rows.append((round(float(t) * 1e9), identifier | (EXTENDED if wide else 0), str(channel), payload))
+            rows.append(
+                (round(float(t) * 1e9), identifier | (EXTENDED if wide else 0), str(channel), payload)
+            )
         except (TypeError, ValueError) as error:
-            raise InputError(path, f"row {number}", f"no frame ({error})",
-                             "timestamp in s, arbitration_id, data as bytes or hexadecimal text") from None
+            raise InputError(
+                path,
+                f"row {number}",
+                f"no frame ({error})",
+                "timestamp in s, arbitration_id, data as bytes or hexadecimal text",
+            ) from None
     return _from_rows(rows, {})
 
 
 # -------------------------------------------------------------------------------------------------------------- MF4
+
 
 def _read_mf4(path: Path) -> Frames | Table:
     try:
@@ -248,12 +361,19 @@ def _read_mf4(path: Path) -> Frames | Table:
         raise InputError(path, "", "reading MF4 needs the package asammdf", "pip install asammdf") from None
     try:
         with MDF(path) as mdf:
-            places = [(g, entry) for name, entries in mdf.channels_db.items() if name == "CAN_DataFrame" for g, entry in entries]
+            places = [
+                (g, entry)
+                for name, entries in mdf.channels_db.items()
+                if name == "CAN_DataFrame"
+                for g, entry in entries
+            ]
             return _mf4_frames(mdf, places) if places else _mf4_signals(mdf)
     except InputError:
         raise
     except Exception as error:  # asammdf has no exception of its own for a broken file
-        raise InputError(path, "", f"cannot be read ({type(error).__name__}: {error})", "an MF4 file") from None
+        raise InputError(
+            path, "", f"cannot be read ({type(error).__name__}: {error})", "an MF4 file"
+        ) from None
 
 
 def _mf4_frames(mdf, places: list[tuple[int, int]]) -> Frames:
@@ -276,11 +396,19 @@ def _mf4_frames(mdf, places: list[tuple[int, int]]) -> Frames:
     width = 8 if max(d.shape[1] for d in data) <= 8 else _FD_BYTES
     padded = np.concatenate([np.pad(d, ((0, 0), (0, width - d.shape[1]))) for d in data])
     t_ns = np.concatenate(t)
-    order = np.argsort(t_ns, kind="stable")  # groups are one bus each: only together are they in order of time
+    order = np.argsort(
+        t_ns, kind="stable"
+    )  # groups are one bus each: only together are they in order of time
     numbers = np.concatenate(channel)[order]
     present, position = np.unique(numbers, return_inverse=True)
-    return Frames(t_ns[order], np.concatenate(id_)[order], position.astype(np.uint8), np.concatenate(length)[order],
-                  padded[order], [str(n) for n in present])
+    return Frames(
+        t_ns[order],
+        np.concatenate(id_)[order],
+        position.astype(np.uint8),
+        np.concatenate(length)[order],
+        padded[order],
+        [str(n) for n in present],
+    )
 
 
 def _mf4_signals(mdf) -> Table:
@@ -294,5 +422,8 @@ def _mf4_signals(mdf) -> Table:
                 value = signal.samples.astype(float)
                 if signal.invalidation_bits is not None:
                     value[np.asarray(signal.invalidation_bits, bool)] = np.nan
-                series.setdefault(channel.name, Series(np.rint(signal.timestamps * 1e9).astype(np.int64), value, signal.unit or ""))
+                series.setdefault(
+                    channel.name,
+                    Series(np.rint(signal.timestamps * 1e9).astype(np.int64), value, signal.unit or ""),
+                )
     return Table(series)

@@ -1,11 +1,13 @@
-"""D-K iteration: controllers with the least certified robust-performance level, low-order scalings, reduced order.
+"""D-K iteration: controllers with the least certified robust-performance level, low-order scalings, reduced
+order.
 
-Robust performance holds at level β when μ(F_l(P, K)(jω)) ≤ β over the blocks of Δ and the full performance block. With
-scalar D_i(s) per Δ block, stable with stable inverse, ‖D F_l(P, K) D⁻¹‖∞ ≤ β proves it at every frequency, DC and infinity
-included (Doyle 1985; Packard & Doyle 1993). So K and D are improved in turn: K by H∞ synthesis for the scaled plant, D
-by a fit of Π (s/z + 1)/(s/p + 1) that lowers the scaled singular values over the whole band, and the number reported is
-the certified norm of the final scaled loop: no fit of frequency-wise scalings stands between the bound and the proof.
-D(s) covers LTI and slowly varying Δ; a constant D (degree 0) covers Δ varying arbitrarily fast.
+Robust performance holds at level β when μ(F_l(P, K)(jω)) ≤ β over the blocks of Δ and the full performance
+block. With scalar D_i(s) per Δ block, stable with stable inverse, ‖D F_l(P, K) D⁻¹‖∞ ≤ β proves it at every
+frequency, DC and infinity included (Doyle 1985; Packard & Doyle 1993). So K and D are improved in turn: K by
+H∞ synthesis for the scaled plant, D by a fit of Π (s/z + 1)/(s/p + 1) that lowers the scaled singular values
+over the whole band, and the number reported is the certified norm of the final scaled loop: no fit of
+frequency-wise scalings stands between the bound and the proof. D(s) covers LTI and slowly varying Δ; a
+constant D (degree 0) covers Δ varying arbitrarily fast.
 """
 
 from __future__ import annotations
@@ -22,7 +24,16 @@ from lpvguard.synthesis.hinf import hinf_synthesis, improved_level
 from lpvguard.synthesis.interconnection import GeneralisedPlant, zeros_poles
 from lpvguard.synthesis.mu import mu_lower
 from lpvguard.synthesis.norms import NormBracket, hinf_norm
-from lpvguard.synthesis.statespace import StateSpace, append, balanced, gain, lft, series, to_continuous, to_discrete
+from lpvguard.synthesis.statespace import (
+    StateSpace,
+    append,
+    balanced,
+    gain,
+    lft,
+    series,
+    to_continuous,
+    to_discrete,
+)
 
 SLOWEST, FASTEST = 1e-4, 1e4
 """Range of the scalings' zeros and poles in rad/s."""
@@ -30,7 +41,8 @@ SLOWEST, FASTEST = 1e-4, 1e4
 
 @dataclass(frozen=True)
 class Scaling:
-    """D(s) = diag(d_1 I, d_2 I, ..., I): d_i = g Π_k (s/z_k + 1)/(s/p_k + 1), one row of ``log_parameters`` per block.
+    """D(s) = diag(d_1 I, d_2 I, ..., I): d_i = g Π_k (s/z_k + 1)/(s/p_k + 1), one row of ``log_parameters``
+    per block.
 
     log_parameters (τ, 1 + 2·degree): [ln g, ln z_1, ln p_1, ...], z and p in rad/s.
     """
@@ -52,7 +64,9 @@ class Scaling:
         return out
 
     def systems(self, plant: GeneralisedPlant) -> tuple[StateSpace, StateSpace]:
-        """D on the outputs (Δ inputs and z) and D⁻¹ on the inputs (Δ outputs and w) of the closed loop, continuous."""
+        """D on the outputs (Δ inputs and z) and D⁻¹ on the inputs (Δ outputs and w) of the closed loop,
+        continuous.
+        """
         left, right = [], []
         for row, block in zip(self.log_parameters, plant.blocks, strict=True):
             g, z, p = np.exp(row[0]), np.exp(row[1::2]), np.exp(row[2::2])
@@ -62,7 +76,11 @@ class Scaling:
         return append(*left, gain(np.eye(performance.rows))), append(*right, gain(np.eye(performance.cols)))
 
     def _parts(self):
-        return self.log_parameters[:, 0], np.exp(self.log_parameters[:, 1::2]), np.exp(self.log_parameters[:, 2::2])
+        return (
+            self.log_parameters[:, 0],
+            np.exp(self.log_parameters[:, 1::2]),
+            np.exp(self.log_parameters[:, 2::2]),
+        )
 
 
 def _squares(omega, corners):
@@ -71,8 +89,8 @@ def _squares(omega, corners):
 
 @dataclass(frozen=True)
 class RobustPerformance:
-    """μ bounds of one closed loop: ``upper`` is proved over all frequencies by ``scaling`` (the bracket's upper end),
-    ``lower`` comes from a Δ found and checked at ``lower_frequency`` rad/s.
+    """μ bounds of one closed loop: ``upper`` is proved over all frequencies by ``scaling`` (the bracket's
+    upper end), ``lower`` comes from a Δ found and checked at ``lower_frequency`` rad/s.
     """
 
     upper: float
@@ -85,7 +103,9 @@ class RobustPerformance:
 
 @dataclass(frozen=True)
 class DKResult:
-    """A controller, its robust-performance certificate, the order before reduction and the levels of the iterations."""
+    """A controller, its robust-performance certificate, the order before reduction and the levels of the
+    iterations.
+    """
 
     controller: StateSpace
     performance: RobustPerformance
@@ -93,23 +113,28 @@ class DKResult:
     history: tuple[float, ...]
 
 
-def dk_synthesis(plant: GeneralisedPlant, degree: int = 1, iterations: int = 4, polish: int = 12,
-                 reduction_loss: float = 5e-4) -> DKResult:
+def dk_synthesis(
+    plant: GeneralisedPlant,
+    degree: int = 1,
+    iterations: int = 4,
+    polish: int = 40,
+    reduction_loss: float = 1e-4,
+) -> DKResult:
     """Controller for robust performance of ``plant`` (continuous or discrete; blocks full complex).
 
-    degree: order of each d_i. iterations: K and D steps. polish: further K steps that move D's parameters directly.
-    reduction_loss: relative rise of the certified level that order reduction may cost. Without blocks: H∞ synthesis.
-    Raises SynthesisError where H∞ synthesis does, and for blocks that are not full.
+    degree: order of each d_i. iterations: K and D steps. polish: further K steps that move D's parameters
+    directly. reduction_loss: relative rise of the certified level that order reduction may cost. Without
+    blocks: H∞ synthesis. Raises SynthesisError where H∞ synthesis does, and for blocks that are not full.
     """
     if any(b.kind != "full" for b in plant.blocks):
         raise SynthesisError("D-K iteration", "blocks", "a repeated block", "full complex blocks")
     work = _Work(plant)
     scaling = Scaling(np.tile(np.r_[0.0, [0.0, 0.0] * degree], (len(plant.blocks), 1)))
-    history = []
+    history, level = [], None
     if plant.blocks:
         best = None
         for k in range(iterations):
-            result = work.controller(scaling, rtol=1e-4, guess=history[-1] if history else None)
+            result = work.controller(scaling, rtol=2e-5, guess=history[-1] if history else None)
             history.append(result.gamma)
             if best is None or result.gamma < best[0]:
                 best = result.gamma, scaling
@@ -118,16 +143,19 @@ def dk_synthesis(plant: GeneralisedPlant, degree: int = 1, iterations: int = 4, 
             scaling = work.fit(lft(work.system, result.controller), scaling, power=10)
         level, scaling = _polish(work, best[1], best[0], polish)
         history.append(level)
-    final = work.controller(scaling, backoff=1e-3)
+    final = work.controller(scaling, backoff=3e-4, guess=level)
     reduced = reduce_controller(work, final.controller, scaling, final.gamma_achieved * (1 + reduction_loss))
     K = to_discrete(reduced, plant.system.dt) if plant.system.dt else reduced
     return DKResult(K, certify(plant, K, scaling), final.controller.order, tuple(history))
 
 
-def certify(plant: GeneralisedPlant, controller: StateSpace, scaling: Scaling | None = None) -> RobustPerformance:
+def certify(
+    plant: GeneralisedPlant, controller: StateSpace, scaling: Scaling | None = None
+) -> RobustPerformance:
     """Bounds of μ over frequency for any controller of ``plant``; inf when the loop is unstable.
 
-    The upper bound is the certified norm under ``scaling``, or under one re-fitted from it when that is lower.
+    The upper bound is the certified norm under ``scaling``, or under one re-fitted from it when that is
+    lower.
     """
     work = _Work(plant)
     K = to_continuous(controller)
@@ -142,9 +170,14 @@ def certify(plant: GeneralisedPlant, controller: StateSpace, scaling: Scaling | 
     brackets = [work.scaled_norm(loop, one) for one in tried]
     k = int(np.argmin([b.upper for b in brackets]))
     lower, frequency, delta = work.lower(loop, tried[k], brackets[k].peak_frequency)
-    return RobustPerformance(brackets[k].upper, lower, work.unwarp(frequency),
-                             NormBracket(brackets[k].lower, brackets[k].upper, work.unwarp(brackets[k].peak_frequency)),
-                             tried[k], delta)
+    return RobustPerformance(
+        brackets[k].upper,
+        lower,
+        work.unwarp(frequency),
+        NormBracket(brackets[k].lower, brackets[k].upper, work.unwarp(brackets[k].peak_frequency)),
+        tried[k],
+        delta,
+    )
 
 
 class _Work:
@@ -175,26 +208,38 @@ class _Work:
 
     def controller(self, scaling: Scaling, **options):
         """H∞ synthesis for the scaled plant."""
-        return hinf_synthesis(self.scaled(self.system, scaling), self.plant.n_control, self.plant.n_measurement, **options)
+        return hinf_synthesis(
+            self.scaled(self.system, scaling), self.plant.n_control, self.plant.n_measurement, **options
+        )
 
     def improved(self, scaling: Scaling, level: float) -> float | None:
         """The optimum of the scaled plant when it lies below ``level``, else None."""
-        return improved_level(self.scaled(self.system, scaling), self.plant.n_control, self.plant.n_measurement, level,
-                              rtol=1e-5)
+        return improved_level(
+            self.scaled(self.system, scaling),
+            self.plant.n_control,
+            self.plant.n_measurement,
+            level,
+            rtol=2e-5,
+        )
 
     def scaled_norm(self, loop: StateSpace, scaling: Scaling) -> NormBracket:
         """Certified norm of the scaled closed loop: an upper bound of μ at every frequency."""
         return hinf_norm(self.scaled(loop, scaling), rtol=1e-5)
 
     def fit(self, loop: StateSpace, start: Scaling, power: float) -> Scaling:
-        """Scaling with the least power mean of σ̄(D M D⁻¹) over the grid; BFGS on the logarithms of its parameters."""
+        """Scaling with the least power mean of σ̄(D M D⁻¹) over the grid; BFGS on the logarithms of its
+        parameters.
+        """
         M = loop.response(self.omega)
         shape = start.log_parameters.shape
         blocks = len(shape) and shape[0]
         low, high = np.log(SLOWEST), np.log(FASTEST)
         spread = np.zeros(shape)
         if shape[1] > 1 and np.ptp(start.log_parameters[:, 1:]) == 0:
-            spread[:, 1::2], spread[:, 2::2] = np.log(3.0), -np.log(3.0)  # away from the stationary point z = p
+            spread[:, 1::2], spread[:, 2::2] = (
+                np.log(3.0),
+                -np.log(3.0),
+            )  # away from the stationary point z = p
 
         def objective(x):
             scaling = Scaling(np.clip(x.reshape(shape), low, high))
@@ -211,23 +256,34 @@ class _Work:
             top = log_sigma.max()
             weight = np.exp(power * (log_sigma - top))
             value = top + np.log(weight.mean()) / power
-            slope = np.array([u[:, self.rows[i]].sum(axis=1) - v[:, self.cols[i]].sum(axis=1) for i in range(blocks)])
+            slope = np.array(
+                [u[:, self.rows[i]].sum(axis=1) - v[:, self.cols[i]].sum(axis=1) for i in range(blocks)]
+            )
             slope = slope * weight / weight.sum()
             return value, np.einsum("ik,ijk->ij", slope, scaling.log_gradient(self.omega)).ravel()
 
-        found = minimize(objective, (start.log_parameters + spread).ravel(), jac=True, method="BFGS",
-                         options={"maxiter": 40, "gtol": 1e-6})
+        found = minimize(
+            objective,
+            (start.log_parameters + spread).ravel(),
+            jac=True,
+            method="BFGS",
+            options={"maxiter": 40, "gtol": 1e-6},
+        )
         return Scaling(np.clip(found.x.reshape(shape), low, high))
 
     def lower(self, loop, scaling, peak):
-        """Best μ lower bound at the scaled norm's peak and at the highest points of the grid: value, rad/s, Δ."""
+        """Best μ lower bound at the scaled norm's peak and at the highest points of the grid: value, rad/s,
+        Δ.
+        """
         left, right = scaling.systems(self.plant)
         sigma = np.linalg.norm(self.scaled(loop, scaling).response(self.omega), 2, axis=(1, 2))
-        points = np.unique(np.append(self.omega[np.argsort(sigma)[-3:]], peak))
+        points = np.unique(np.append(self.omega[np.argsort(sigma)[-2:]], peak))
         blocks = (*self.plant.blocks, self.plant.performance_block)
         scales = (_diagonals(left.response(points)), 1 / _diagonals(right.response(points)))
-        found = [mu_lower(M, blocks, np.diag(L), np.diag(R))
-                 for M, L, R in zip(loop.response(points), *scales, strict=True)]
+        found = [
+            mu_lower(M, blocks, np.diag(L), np.diag(R), sigma.max() * (1 - 1e-6))
+            for M, L, R in zip(loop.response(points), *scales, strict=True)
+        ]
         k = int(np.argmax([value for value, _ in found]))
         return found[k][0], float(points[k]), found[k][1]
 
@@ -240,7 +296,7 @@ def _diagonals(G: np.ndarray) -> np.ndarray:
 def _polish(work: _Work, scaling: Scaling, level: float, budget: int) -> tuple[float, Scaling]:
     """Pattern search on D's parameters with the synthesis itself as the measure; ``budget`` K steps."""
     x, size = scaling.log_parameters.copy(), 0.08
-    moves = [(i, j) for j in (0, *range(2, x.shape[1], 2)) for i in range(x.shape[0])]
+    moves = [(i, j) for j in (0, *range(x.shape[1] - 1, 0, -1)) for i in range(x.shape[0])]
     direction = dict.fromkeys(moves, 1.0)
     while budget > 0 and size > 0.01 and moves:
         better = False

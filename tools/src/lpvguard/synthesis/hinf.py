@@ -1,16 +1,18 @@
 """H∞-optimal output feedback with a certificate, continuous and discrete, regular and singular problems.
 
-Two coupled Riccati equations (Glover & Doyle 1988; Zhou, Doyle & Glover 1996, section 17.1: general D11) decide
-whether a level γ can be reached; a search on γ brackets the optimum; the controller is the central one at a level a
-little above it, and the norm reported for it is that of the true closed loop on the plant as given.
+Two coupled Riccati equations (Glover & Doyle 1988; Zhou, Doyle & Glover 1996, section 17.1: general D11)
+decide whether a level γ can be reached; a search on γ brackets the optimum; the controller is the central one
+at a level a little above it, and the norm reported for it is that of the true closed loop on the plant as
+given.
 
-Singular problems (D12 or D21 without full rank, zeros on the imaginary axis) are solved, not refused. The optimum
-comes from exact reduction: a control direction without direct cost moves the states it drives at no cost, so those
-states become the controls of a smaller problem (the singular-H∞ result of Stoorvogel 1992, in LMI form Gahinet &
-Apkarian 1994: the free block of R takes the place of the feedback); what the smaller problem forgets is the Parrott
-bound at the frequency of the lost rank, kept separately. The controller comes from the plant with a small extra cost
-ε on the free directions and a small extra noise ε on the unmeasured ones; that cost contains the original one, so a
-level reached with it is reached without it, and ε is the largest power of ten whose certified norm is close enough.
+Singular problems (D12 or D21 without full rank, zeros on the imaginary axis) are solved, not refused. The
+optimum comes from exact reduction: a control direction without direct cost moves the states it drives at no
+cost, so those states become the controls of a smaller problem (the singular-H∞ result of Stoorvogel 1992, in
+LMI form Gahinet & Apkarian 1994: the free block of R takes the place of the feedback); what the smaller
+problem forgets is the Parrott bound at the frequency of the lost rank, kept separately. The controller comes
+from the plant with a small extra cost ε on the free directions and a small extra noise ε on the unmeasured
+ones; that cost contains the original one, so a level reached with it is reached without it, and ε is the
+largest power of ten whose certified norm is close enough.
 """
 
 from __future__ import annotations
@@ -26,7 +28,11 @@ from lpvguard.synthesis.norms import NormBracket, hinf_norm
 from lpvguard.synthesis.statespace import EPS, StateSpace, balanced, lft, to_continuous, to_discrete
 
 RANK_RTOL = 1e-9  # singular values of a column-scaled D12 (row-scaled D21) below this count as zero
-AXIS_COST = 1e-7  # state cost, relative to ‖C1‖, that moves zeros off the imaginary axis in the optimum's search
+AXIS_COST = (
+    1e-7  # state cost, relative to ‖C1‖, that moves zeros off the imaginary axis in the optimum's search
+)
+MAX_WORK = 1000  # controllers tried times states: bounds the time of a problem whose optimum is out of reach
+STIFF = 1e4  # a Hamiltonian this much larger than the plant's A has lost digits to nearly free controls
 GAMMA_RTOL = 1e-6  # width of the bracket of a regular problem's optimum
 
 
@@ -35,8 +41,9 @@ class HinfResult:
     """A controller with its certificate.
 
     gamma: the optimum (infimum over stabilising controllers). gamma_achieved ≥ ‖F_l(P, K)‖∞: upper end of the
-    bracket of the closed loop's norm on the plant as given; ``certificate`` is the whole bracket, its peak frequency
-    in rad/s. regularisation: ε of the controller's design plant, 0 for a regular problem. notes: what was singular.
+    bracket of the closed loop's norm on the plant as given; ``certificate`` is the whole bracket, its peak
+    frequency in rad/s. regularisation: ε of the controller's design plant, 0 for a regular problem. notes:
+    what was singular.
     """
 
     controller: StateSpace
@@ -62,7 +69,9 @@ class _Plant:
 
     @property
     def dual(self) -> _Plant:
-        return _Plant(self.A.T, self.C1.T, self.C2.T, self.B1.T, self.B2.T, self.D11.T, self.D21.T, self.D12.T)
+        return _Plant(
+            self.A.T, self.C1.T, self.C2.T, self.B1.T, self.B2.T, self.D11.T, self.D21.T, self.D12.T
+        )
 
 
 class _Riccati(NamedTuple):
@@ -74,11 +83,12 @@ class _Riccati(NamedTuple):
 
 @dataclass(frozen=True)
 class _Side:
-    """One Riccati equation: the problem x' = A x + B1 w + B2 u, z = C1 x + D11 w + D12 u with D12 of full column rank.
+    """One Riccati equation: the problem x' = A x + B1 w + B2 u, z = C1 x + D11 w + D12 u with D12 of full
+    column rank.
 
     basis (n, n_r): the states that remain after the free ones were removed; the solution is basis X_r basisᵀ.
-    bound: the least γ that D11 and D12 allow (full information).
-    axis: frequencies in rad/s of zeros on the imaginary axis; weight: the state cost (times I) that moves them off it.
+    bound: the least γ that D11 and D12 allow (full information). axis: frequencies in rad/s of zeros on the
+    imaginary axis; weight: the state cost (times I) that moves them off it.
     """
 
     A: np.ndarray
@@ -95,8 +105,16 @@ class _Side:
     @staticmethod
     def regular(P: _Plant) -> _Side:
         """The control side of a plant whose D12 has full column rank: nothing to remove."""
-        return _Side(P.A, P.B1, P.B2, P.C1, P.D11, P.D12, np.eye(len(P.A)),
-                     _unreachable_gain(P.D11, P.D12, np.zeros(P.B2.shape[1])))
+        return _Side(
+            P.A,
+            P.B1,
+            P.B2,
+            P.C1,
+            P.D11,
+            P.D12,
+            np.eye(len(P.A)),
+            _unreachable_gain(P.D11, P.D12, np.zeros(P.B2.shape[1])),
+        )
 
     def solve(self, gamma: float) -> _Riccati | None:
         """The stabilising solution at ``gamma`` in the original coordinates, (n, n); None when there is none."""
@@ -105,20 +123,27 @@ class _Side:
         if len(self.A) == 0:
             return _Riccati(np.zeros((len(self.basis), len(self.basis))), True)
         try:
-            found = _stabilising(_hamiltonian(self, gamma))
+            found = _stabilising(_hamiltonian(self, gamma), self, gamma)
         except np.linalg.LinAlgError:
             return None
         return found and _Riccati(self.basis @ found.X @ self.basis.T, found.definite)
 
 
-def hinf_synthesis(plant: StateSpace, n_control: int, n_measurement: int, backoff: float = 0.008,
-                   rtol: float = GAMMA_RTOL, guess: float | None = None) -> HinfResult:
-    """Controller u = K y with ‖F_l(P, K)‖∞ ≤ (1 + backoff) γ_opt, certified; u the last inputs, y the last outputs.
+def hinf_synthesis(
+    plant: StateSpace,
+    n_control: int,
+    n_measurement: int,
+    backoff: float = 0.008,
+    rtol: float = GAMMA_RTOL,
+    guess: float | None = None,
+) -> HinfResult:
+    """Controller u = K y with ‖F_l(P, K)‖∞ ≤ (1 + backoff) γ_opt, certified; u the last inputs, y the last
+    outputs.
 
-    Exists when (A, B2) is stabilisable and (A, C2) detectable; SynthesisError says which is not and what to change.
-    Singular problems are regularised and the result says so. ``backoff`` keeps the controller's poles slow: at the
-    optimum itself they run off to infinity. ``rtol``: width of the bracket of γ_opt; ``guess``: a level near it,
-    which only saves time.
+    Exists when (A, B2) is stabilisable and (A, C2) detectable; SynthesisError says which is not and what to
+    change. Singular problems are regularised and the result says so. ``backoff`` keeps the controller's poles
+    slow: at the optimum itself they run off to infinity. ``rtol``: width of the bracket of γ_opt; ``guess``:
+    a level near it, which only saves time.
     """
     problem, D22, shift = _posed(plant, n_control, n_measurement)
     gamma = problem.optimum(rtol, guess)
@@ -126,19 +151,25 @@ def hinf_synthesis(plant: StateSpace, n_control: int, n_measurement: int, backof
     def restore(K: StateSpace) -> StateSpace:
         K = _absorb(K, D22)
         K = to_discrete(K, plant.dt) if plant.dt else K
-        return StateSpace(K.A, K.B, K.C, K.D + shift, plant.dt, plant.outputs[-n_measurement:], plant.inputs[-n_control:])
+        return StateSpace(
+            K.A, K.B, K.C, K.D + shift, plant.dt, plant.outputs[-n_measurement:], plant.inputs[-n_control:]
+        )
 
     return _certified(plant, problem, gamma, backoff, restore)
 
 
-def improved_level(plant: StateSpace, n_control: int, n_measurement: int, level: float, rtol: float) -> float | None:
+def improved_level(
+    plant: StateSpace, n_control: int, n_measurement: int, level: float, rtol: float
+) -> float | None:
     """γ_opt to ``rtol`` when it lies below ``level``, else None: decided by one pair of Riccati equations."""
     problem, _, _ = _posed(plant, n_control, n_measurement)
     return problem.optimum(rtol, level) if problem.reached(level) else None
 
 
 def _posed(plant, n_control, n_measurement) -> tuple[_Problem, np.ndarray, np.ndarray]:
-    """The continuous problem of any plant, its D22, and the static feedback that was closed first; checks existence."""
+    """The continuous problem of any plant, its D22, and the static feedback that was closed first; checks
+    existence.
+    """
     _check_shape(plant, n_control, n_measurement)
     shift, shifted = _move_pole_at_minus_one(plant, n_control, n_measurement)
     blocks, D22 = _blocks(balanced(to_continuous(shifted)), n_control, n_measurement)
@@ -147,18 +178,28 @@ def _posed(plant, n_control, n_measurement) -> tuple[_Problem, np.ndarray, np.nd
 
 
 def _certified(plant, problem, gamma, backoff, restore) -> HinfResult:
-    """The first controller whose certified norm is within ``backoff`` of ``gamma``; the best one when none is."""
+    """The first controller whose certified norm is within ``backoff`` of ``gamma``; the best one when none
+    is.
+    """
     best = None
 
+    budget = int(np.clip(MAX_WORK / max(plant.order, 1), 25, 100))
+
     def attempt(level, epsilon):
-        nonlocal best
+        nonlocal best, budget
+        if budget <= 0:
+            return
+        budget -= 1
         try:
             K = problem.controller(level, epsilon)
             if K is None:
                 return
             K = restore(K)
             norm = hinf_norm(lft(plant, K), rtol=1e-5)
-        except (np.linalg.LinAlgError, SynthesisError):  # a controller that cannot be realised is no controller
+        except (
+            np.linalg.LinAlgError,
+            SynthesisError,
+        ):  # a controller that cannot be realised is no controller
             return
         if best is None or norm.upper < best.gamma_achieved:
             best = HinfResult(K, min(gamma, norm.lower), norm.upper, norm, epsilon, tuple(problem.notes))
@@ -173,9 +214,16 @@ def _certified(plant, problem, gamma, backoff, restore) -> HinfResult:
             return best
     _descend(problem, gamma, attempt, lambda: np.inf if best is None else best.gamma_achieved, good)
     if best is None or not np.isfinite(best.gamma_achieved):
-        raise SynthesisError("H-infinity synthesis", f"gamma {gamma:.6g}", "no controller passed its certificate",
-                             "a plant scaled so that signals of interest are of order one")
-    note = f"the optimum is approached only by ever faster controllers: stopped at {best.gamma_achieved / max(gamma, 1e-300):.4g} times it"
+        raise SynthesisError(
+            "H-infinity synthesis",
+            f"gamma {gamma:.6g}",
+            "no controller passed its certificate",
+            "a plant scaled so that signals of interest are of order one",
+        )
+    if good():
+        return best
+    reach = f"{best.gamma_achieved / gamma:.4g} times it" if gamma > 0 else f"{best.gamma_achieved:.3g}"
+    note = f"the optimum is approached only by ever faster controllers: stopped at {reach}"
     return replace(best, notes=(*best.notes, note))
 
 
@@ -196,15 +244,23 @@ def _descend(problem, gamma, attempt, reached, good) -> None:
 
 
 def _check_shape(plant, n_control, n_measurement):
-    for name, count, available, kind in (("n_control", n_control, plant.n_inputs, "inputs"),
-                                         ("n_measurement", n_measurement, plant.n_outputs, "outputs")):
+    for name, count, available, kind in (
+        ("n_control", n_control, plant.n_inputs, "inputs"),
+        ("n_measurement", n_measurement, plant.n_outputs, "outputs"),
+    ):
         if not (isinstance(count, (int, np.integer)) and 1 <= count < available):
-            raise SynthesisError("generalised plant", name, f"{count}",
-                                 f"a whole number from 1 to {available - 1}: the plant has {available} {kind}")
+            raise SynthesisError(
+                "generalised plant",
+                name,
+                f"{count}",
+                f"a whole number from 1 to {available - 1}: the plant has {available} {kind}",
+            )
 
 
 def _move_pole_at_minus_one(plant, n_control, n_measurement) -> tuple[np.ndarray, StateSpace]:
-    """A static feedback u = K0 y + ũ that clears z = −1 of poles, and the plant from ũ; zero where none is there."""
+    """A static feedback u = K0 y + ũ that clears z = −1 of poles, and the plant from ũ; zero where none is
+    there.
+    """
     shift = np.zeros((n_control, n_measurement))
     if not plant.dt or plant.order == 0 or np.abs(plant.poles() + 1).min() > 1e-6:
         return shift, plant
@@ -240,10 +296,11 @@ def _check_stabilisable(P: _Plant, plant: StateSpace) -> None:
     """Popov–Belevitch–Hautus test of (A, B2) and (C2, A) at every pole that is not strictly stable."""
     if P.A.size == 0:
         return
-    scale = np.linalg.norm(P.A, 2)
+    scale = np.linalg.norm(P.A, 2) or 1.0
     for A, B, what, missing, change in (
-            (P.A, P.B2, "(A, B2) is not stabilisable", "the control inputs do not reach", "an actuator for it"),
-            (P.A.T, P.C2.T, "(C2, A) is not detectable", "the measurements do not show", "a sensor for it")):
+        (P.A, P.B2, "(A, B2) is not stabilisable", "the control inputs do not reach", "an actuator for it"),
+        (P.A.T, P.C2.T, "(C2, A) is not detectable", "the measurements do not show", "a sensor for it"),
+    ):
         unit = scale * B / max(np.linalg.norm(B, 2), 1e-300)
         for pole in np.linalg.eigvals(A):
             if pole.real < -1e-12 * scale:
@@ -251,8 +308,12 @@ def _check_stabilisable(P: _Plant, plant: StateSpace) -> None:
             sigma = np.linalg.svd(np.hstack([A - pole * np.eye(len(A)), unit]), compute_uv=False)[-1]
             if sigma < 1e-11 * scale:
                 shown = to_point(pole, plant)
-                raise SynthesisError("generalised plant", what, f"{missing} the pole at {shown:.6g}",
-                                     f"{change}, or that mode left out of the plant (an integrating weight made a slow lag)")
+                raise SynthesisError(
+                    "generalised plant",
+                    what,
+                    f"{missing} the pole at {shown:.6g}",
+                    f"{change}, or that mode left out of the plant (an integrating weight made a slow lag)",
+                )
 
 
 def to_point(pole, plant):
@@ -279,7 +340,8 @@ def _hamiltonian(side: _Side, gamma: float) -> np.ndarray:
 
 
 def _balance_hamiltonian(H: np.ndarray, floor: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Symplectic diagonal scaling diag(t, 1/t) by powers of two (as in Benner 2001); returns the scaled H and t.
+    """Symplectic diagonal scaling diag(t, 1/t) by powers of two (as in Benner 2001); returns the scaled H and
+    t.
 
     Entries up to ``floor`` times the largest one have no say in the choice of t.
     """
@@ -294,19 +356,31 @@ def _balance_hamiltonian(H: np.ndarray, floor: float = 0.0) -> tuple[np.ndarray,
     return H * both / both[:, None], t
 
 
-def _stabilising(H: np.ndarray) -> _Riccati | None:
+def _stabilising(H: np.ndarray, side: _Side | None = None, gamma: float = np.inf) -> _Riccati | None:
     """X = X2 X1⁻¹ from the stable invariant subspace of H, symmetric; None when eigenvalues lie on the axis.
 
-    The balancing that takes every entry seriously is tried first; where rounding stands in place of zeros (X exactly
-    singular) it makes X1 nearly singular, and a balancing that ignores such entries is used.
+    The balancing that takes every entry seriously is tried first; where rounding stands in place of zeros (X
+    exactly singular) it makes X1 nearly singular, and a balancing that ignores such entries is used. Where H
+    is much larger than the A of its ``side`` (nearly free controls) the answer is trusted only when it is
+    well conditioned; else the extended pencil decides, which never forms the inverse that made H large.
     """
     best = None
     for floor in (0.0, EPS):
-        found, condition = _subspace_solution(*_balance_hamiltonian(H, floor))
+        balanced_H, t = _balance_hamiltonian(H, floor)
+        found, condition = _subspace_solution(balanced_H, t)
         if found is not None and (best is None or condition < best[1]):
             best = found, condition
         if best is not None and best[1] < 1e10 or found is None and condition == 0.0:
             break
+    if (
+        side is not None
+        and (best is None or best[1] > 1e6)
+        and (np.linalg.norm(balanced_H) > STIFF * np.linalg.norm(side.A * t / t[:, None]))
+    ):
+        for scale in (t, np.ones_like(t)):
+            found, condition = _pencil_solution(side, gamma, scale)
+            if found is not None and (best is None or condition < best[1]):
+                best = found, condition
     return best and best[0]
 
 
@@ -316,7 +390,51 @@ def _subspace_solution(H: np.ndarray, t: np.ndarray) -> tuple[_Riccati | None, f
     T, U, stable = sl.schur(H, sort="lhp", check_finite=False)
     if stable != n or _touches_axis(T):
         return None, 0.0
-    U1, U2 = U[:n, :n], U[n:, :n]
+    speed = np.abs(np.diag(T)).min()  # of the slowest real part
+    return _from_basis(U[:n, :n], U[n:, :n], t, noise=1e2 * EPS * np.linalg.norm(T) / max(speed, EPS))
+
+
+def _pencil_solution(side: _Side, gamma: float, t: np.ndarray) -> tuple[_Riccati | None, float]:
+    """The same solution from the extended pencil in (x, λ, [w; u], z), where γ and D enter unsquared (Van
+    Dooren 1981).
+
+    The algebraic variables are eliminated by an orthogonal transformation; ``t`` scales x and 1/t scales λ.
+    """
+    n, m1, m = side.A.shape[0], side.B1.shape[1], side.B1.shape[1] + side.B2.shape[1]
+    p = side.C1.shape[0]
+    A, C = side.A * t / t[:, None], side.C1 * t
+    B, D = np.hstack([side.B1 / gamma, side.B2]) / t[:, None], np.hstack([side.D11 / gamma, side.D12])
+    J = np.diag(np.r_[np.ones(m1), np.zeros(m - m1)])
+    Z = np.zeros
+    M = np.block(
+        [
+            [A, Z((n, n)), B, Z((n, p))],
+            [-np.diag((side.weight * t) ** 2), -A.T, Z((n, m)), -C.T],
+            [C, Z((p, n)), D, -np.eye(p)],
+            [Z((m, n)), B.T, -J, D.T],
+        ]
+    )
+    Q = sl.qr(M[:, 2 * n :], mode="full")[0][:, m + p :].T
+    try:
+        S, _, alpha, beta, _, V = sl.ordqz(
+            Q @ M[:, : 2 * n], Q[:, : 2 * n], sort="lhp", output="real", check_finite=False
+        )
+    except ValueError:  # eigenvalues of both sides too close to be told apart
+        return None, 0.0
+    stable = np.count_nonzero(alpha.real * beta < 0)
+    if stable != n or np.any(np.abs(alpha.real) <= 20 * EPS * np.linalg.norm(S) + 1e-11 * np.abs(alpha.imag)):
+        return None, 0.0
+    speed = np.abs(alpha.real / np.where(beta == 0, EPS, beta)).min()
+    return _from_basis(V[:n, :n], V[n:, :n], t, noise=1e2 * EPS * np.linalg.norm(S) / speed)
+
+
+def _from_basis(
+    U1: np.ndarray, U2: np.ndarray, t: np.ndarray, noise: float = 0.0
+) -> tuple[_Riccati | None, float]:
+    """X = U2 U1⁻¹ in the units before ``t``, from an orthonormal basis [U1; U2] of the stable subspace.
+
+    ``noise``: error of the basis where it is larger than rounding.
+    """
     condition = np.linalg.cond(U1)
     skew = U1.T @ U2
     if np.abs(skew - skew.T).max() > 1e-5 or not condition < 1 / EPS:
@@ -325,7 +443,8 @@ def _subspace_solution(H: np.ndarray, t: np.ndarray) -> tuple[_Riccati | None, f
     X = 0.5 * (X + X.T)
     # in these units U is orthogonal, so X carries an error of about eps · cond(U1) · (1 + ‖X‖)
     values = np.linalg.eigvalsh(X)
-    definite = values[0] >= -min(1e4 * EPS * condition, 0.1) * (1 + values[-1])
+    tolerance = min(max(1e4 * EPS, min(noise, 1e-9)) * condition, 0.1)
+    definite = values[0] >= -tolerance * (1 + values[-1])
     return _Riccati(X / t / t[:, None], bool(definite)), condition
 
 
@@ -341,14 +460,17 @@ def _touches_axis(T: np.ndarray) -> bool:
 
 
 def _direct_scale(rate: float, B2, C1) -> np.ndarray:
-    """Size that each control's direct cost would have if it acted like the path through states of ``rate``, (m2,)."""
+    """Size that each control's direct cost would have if it acted like the path through states of ``rate``,
+    (m2,).
+    """
     return np.linalg.norm(B2, axis=0) * np.linalg.norm(C1) / max(rate, 1e-300)
 
 
 def _column_rank(D: np.ndarray, scale: np.ndarray) -> tuple[int, np.ndarray]:
     """Rank of D and V (m, m) so that D V = [full rank, 0].
 
-    Columns are brought to unit length first (a control's unit is arbitrary); one far below ``scale`` counts as zero.
+    Columns are brought to unit length first (a control's unit is arbitrary); one far below ``scale`` counts
+    as zero.
     """
     size = np.linalg.norm(D, axis=0)
     live = (size > RANK_RTOL * scale) & (size > 0)
@@ -359,7 +481,9 @@ def _column_rank(D: np.ndarray, scale: np.ndarray) -> tuple[int, np.ndarray]:
 
 
 def _reduce(P: _Plant) -> _Side:
-    """The Riccati problem that decides the control side of P, free directions removed until D12 has full rank."""
+    """The Riccati problem that decides the control side of P, free directions removed until D12 has full
+    rank.
+    """
     A, B1, B2, C1, D12 = P.A, P.B1, P.B2, P.C1, P.D12
     rate = np.linalg.norm(A, 2)
     basis = np.eye(A.shape[0])
@@ -381,8 +505,14 @@ def _reduce(P: _Plant) -> _Side:
             B2, D12 = paid, cost
             break
         driven, rest = U[:, :r], U[:, r:]
-        A, B1, B2, C1, D12, basis = (rest.T @ A @ rest, rest.T @ B1, np.hstack([rest.T @ paid, rest.T @ A @ driven]),
-                                     C1 @ rest, np.hstack([cost, C1 @ driven]), basis @ rest)
+        A, B1, B2, C1, D12, basis = (
+            rest.T @ A @ rest,
+            rest.T @ B1,
+            np.hstack([rest.T @ paid, rest.T @ A @ driven]),
+            C1 @ rest,
+            np.hstack([cost, C1 @ driven]),
+            basis @ rest,
+        )
     bound = _unreachable_gain(P.D11, D12, _direct_scale(rate, B2, C1))
     if A.size == 0:
         return _Side(A, B1, B2, C1, P.D11, D12, basis, bound)
@@ -392,9 +522,11 @@ def _reduce(P: _Plant) -> _Side:
 
 
 def _axis_zeros(side: _Side, scale: float) -> tuple[float, ...]:
-    """Frequencies of the imaginary-axis zeros of x' = A x + B2 u, z = C1 x + D12 u: axis eigenvalues of its LQ problem.
+    """Frequencies of the imaginary-axis zeros of x' = A x + B2 u, z = C1 x + D12 u: axis eigenvalues of its
+    LQ problem.
 
-    They are at least double, so rounding moves them by the square root of eps times the norm (``scale``: that of A).
+    They are at least double, so rounding moves them by the square root of eps times the norm (``scale``: that
+    of A).
     """
     H = _hamiltonian(replace(side, B1=side.B1[:, :0], D11=side.D11[:, :0]), 1.0)
     eigenvalues = np.linalg.eigvals(_balance_hamiltonian(H)[0])
@@ -412,14 +544,17 @@ def _unreachable_gain(D11, D12, scale) -> float:
 
 def _parrott(P: _Plant) -> float:
     """min over D_K of σ̄(D11 + D12 D_K D21) (Parrott 1978), for any rank of D12 and D21."""
-    return max(_unreachable_gain(Q.D11, Q.D12, _direct_scale(np.linalg.norm(Q.A, 2), Q.B2, Q.C1)) for Q in (P, P.dual))
+    return max(
+        _unreachable_gain(Q.D11, Q.D12, _direct_scale(np.linalg.norm(Q.A, 2), Q.B2, Q.C1))
+        for Q in (P, P.dual)
+    )
 
 
 def _axis_bounds(P: _Plant, frequencies) -> list[float]:
     """Parrott bounds at the imaginary-axis zeros: there the loop cannot change part of T11 + T12 Q T21.
 
-    T11, T12, T21 are the stable factors of all closed loops (Zhou, Doyle & Glover 1996, section 12.8), with an LQ
-    gain F and its dual L.
+    T11, T12, T21 are the stable factors of all closed loops (Zhou, Doyle & Glover 1996, section 12.8), with
+    an LQ gain F and its dual L.
     """
     if not frequencies:
         return []
@@ -429,8 +564,12 @@ def _axis_bounds(P: _Plant, frequencies) -> list[float]:
         return []
     L = L.T
     AF, AL, CF, BL = P.A + P.B2 @ F, P.A + L @ P.C2, P.C1 + P.D12 @ F, P.B1 + L @ P.D21
-    T11 = StateSpace(np.block([[AF, -P.B2 @ F], [np.zeros((n, n)), AL]]), np.vstack([P.B1, BL]),
-                     np.hstack([CF, -P.D12 @ F]), P.D11)
+    T11 = StateSpace(
+        np.block([[AF, -P.B2 @ F], [np.zeros((n, n)), AL]]),
+        np.vstack([P.B1, BL]),
+        np.hstack([CF, -P.D12 @ F]),
+        P.D11,
+    )
     T12, T21 = StateSpace(AF, P.B2, CF, P.D12), StateSpace(AL, BL, P.C2, P.D21)
     out = []
     for G11, G12, G21 in zip(*(T.response(frequencies) for T in (T11, T12, T21)), strict=True):
@@ -463,13 +602,17 @@ class _Problem:
         n = P.A.shape[0]
         self.notes: list[str] = []
         self.rank_lost = False
-        for side, Q, name, signal in ((self.control, P, "D12", "controls without direct cost"),
-                                      (self.filter, P.dual, "D21", "measurements without noise")):
+        for side, Q, name, signal in (
+            (self.control, P, "D12", "controls without direct cost"),
+            (self.filter, P.dual, "D21", "measurements without noise"),
+        ):
             wanted = Q.D12.shape[1]
             rank, _ = _column_rank(Q.D12, _direct_scale(np.linalg.norm(Q.A, 2), Q.B2, Q.C1))
             if rank < wanted:
                 self.rank_lost = True
-                self.notes.append(f"{name} has rank {rank} of {wanted} ({signal}): {n - side.A.shape[0]} states freed")
+                self.notes.append(
+                    f"{name} has rank {rank} of {wanted} ({signal}): {n - side.A.shape[0]} states freed"
+                )
             if side.axis:
                 where = "P12" if name == "D12" else "P21"
                 shown = ", ".join(f"{w:.4g}" for w in side.axis)
@@ -487,7 +630,9 @@ class _Problem:
         return self.rank_lost or bool(self.axis)
 
     def coupling(self, gamma: float) -> float | None:
-        """γ²/ρ(XY), above 1 exactly when γ is reached; negative past a blow-up of X or Y; None without solution."""
+        """γ²/ρ(XY), above 1 exactly when γ is reached; negative past a blow-up of X or Y; None without
+        solution.
+        """
         X = self.control.solve(gamma)
         Y = self.filter.solve(gamma) if X is not None else None
         return None if Y is None else _margin(X, Y, gamma)
@@ -499,7 +644,7 @@ class _Problem:
     def optimum(self, rtol: float, guess: float | None = None) -> float:
         """The infimum of reachable γ, to ``rtol``: a bracket that grows from ``guess``, then secant steps."""
         scale = max(self.floor, 1e-3)
-        start, growth = (max(guess, self.floor * (1 + rtol)), 1.02) if guess else (2 * scale, 10.0)
+        start, growth = (max(guess, self.floor * (1 + rtol)), 1 + 20 * rtol) if guess else (2 * scale, 10.0)
         value = self.coupling(start)
         if _above_one(value):
             high, high_value, low, low_value = start, value, self.floor, None
@@ -524,8 +669,12 @@ class _Problem:
                 else:
                     low, low_value = high, value
                 if high > 1e14 * scale:
-                    raise SynthesisError("H-infinity synthesis", "gamma", f"no level up to {high:.1g} can be reached",
-                                         "modes on the stability limit given a small damping, and signals of order one")
+                    raise SynthesisError(
+                        "H-infinity synthesis",
+                        "gamma",
+                        f"no level up to {high:.1g} can be reached",
+                        "modes on the stability limit given a small damping, and signals of order one",
+                    )
         return self._narrow(rtol, low, low_value, high, high_value)
 
     def _narrow(self, rtol, low, low_value, high, high_value) -> float:
@@ -537,11 +686,19 @@ class _Problem:
             a, b = np.log(low), np.log(high)
             width = b - a
             middle = a + 0.5 * width
-            if low_value is not None and np.isfinite(high_value) and abs(low_value) < 1e3 and stalled < 2 and step % 4 != 3:
+            if (
+                low_value is not None
+                and np.isfinite(high_value)
+                and abs(low_value) < 1e3
+                and stalled < 2
+                and step % 4 != 3
+            ):
                 t = (1 - low_value) / (high_value - low_value)
                 # aim a little past the root, so that the next step has it from the other side
                 past = 0.3 * rtol + (0.02 * width * (0.5 - t) if stalled else 0.0)
-                middle = np.clip(a + t * width + (past if t < 0.5 else -past), a + 1e-4 * width, b - 1e-4 * width)
+                middle = np.clip(
+                    a + t * width + (past if t < 0.5 else -past), a + 1e-4 * width, b - 1e-4 * width
+                )
             gamma = float(np.exp(middle))
             value = self.coupling(gamma)
             if _above_one(value):
@@ -559,7 +716,9 @@ class _Problem:
             yield 10.0**-exponent, 0.9
 
     def controller(self, gamma: float, epsilon: float) -> StateSpace | None:
-        """Central controller at ``gamma`` of the plant with extra cost and noise ε; None when it is not reached."""
+        """Central controller at ``gamma`` of the plant with extra cost and noise ε; None when it is not
+        reached.
+        """
         P = self.P if epsilon == 0 else self._extended(epsilon)
         return central_controller(P, gamma)
 
@@ -579,9 +738,11 @@ class _Problem:
 def _extension(P: _Plant, axis: bool, epsilon: float) -> tuple[np.ndarray, np.ndarray]:
     """Rows ε·u and, when ``axis``, ε·x, in units of the plant's own costs."""
     size = max(np.linalg.norm(P.C1, 2), EPS)
-    unit = np.linalg.norm(P.B2, axis=0)
-    unit = unit / max(unit.max(), 1e-300)
-    return epsilon * size * np.diag(unit), epsilon * size * np.eye(P.A.shape[0]) if axis else np.zeros((0, len(P.A)))
+    reach = np.linalg.norm(P.B2, axis=0)
+    unit = np.where(reach > 0, reach / max(reach.max(), 1e-300), 1.0)
+    return epsilon * size * np.diag(unit), epsilon * size * np.eye(P.A.shape[0]) if axis else np.zeros(
+        (0, len(P.A))
+    )
 
 
 def _margin(control: _Riccati, filter_: _Riccati, gamma: float) -> float:
@@ -595,7 +756,9 @@ def _margin(control: _Riccati, filter_: _Riccati, gamma: float) -> float:
 
 
 def central_controller(P: _Plant, gamma: float) -> StateSpace | None:
-    """Central controller at level γ of a regular plant (Zhou, Doyle & Glover 1996, theorem 17.1); None below γ_opt."""
+    """Central controller at level γ of a regular plant (Zhou, Doyle & Glover 1996, theorem 17.1); None below
+    γ_opt.
+    """
     n, m1, p1 = P.A.shape[0], P.B1.shape[1], P.C1.shape[0]
     control, filter_ = _Side.regular(P), _Side.regular(P.dual)
     X, Y = control.solve(gamma), filter_.solve(gamma)

@@ -1,6 +1,8 @@
-"""Fig. 1: the generalised plant of the yaw-rate tracking problem, with any of the three uncertainty structures.
+"""Fig. 1: the generalised plant of the yaw-rate tracking problem, with any of the three uncertainty
+structures.
 
-The nominal vehicle takes u (brake pressure difference, bar) to r (yaw rate, rad/s) and δ (road-wheel angle, rad):
+The nominal vehicle takes u (brake pressure difference, bar) to r (yaw rate, rad/s) and δ (road-wheel angle,
+rad):
 
     ũ = u + W_Δi ξ_i            x' = A x + B ũ + W_Δs ξ_s         [r; δ] = C x
     r_m = r + W_wr w_r          δ_m = δ + W_wδ w_δ                (disturbances)
@@ -44,14 +46,18 @@ class Weights:
         for f in fields(self):
             W = getattr(self, f.name)
             if W.D.shape != (1, 1) or W.dt != 0:
-                raise SynthesisError("interconnection", f.name, f"{W.D.shape} system with dt {W.dt:g}",
-                                     "a continuous system with one input and one output")
+                raise SynthesisError(
+                    "interconnection",
+                    f.name,
+                    f"{W.D.shape} system with dt {W.dt:g}",
+                    "a continuous system with one input and one output",
+                )
 
 
 @dataclass(frozen=True)
 class GeneralisedPlant:
-    """The plant with its bookkeeping: ``system`` (named signals), the blocks of Δ (cols × rows as in mu.Block), and the
-    numbers of Δ outputs, Δ inputs, controls and measurements.
+    """The plant with its bookkeeping: ``system`` (named signals), the blocks of Δ (cols × rows as in
+    mu.Block), and the numbers of Δ outputs, Δ inputs, controls and measurements.
     """
 
     system: StateSpace
@@ -70,11 +76,17 @@ class GeneralisedPlant:
 
 
 def rational(num, den) -> StateSpace:
-    """num(s)/den(s), coefficients in descending powers of s (rad/s), proper; a balanced companion realisation."""
+    """num(s)/den(s), coefficients in descending powers of s (rad/s), proper; a balanced companion
+    realisation.
+    """
     num, den = (np.trim_zeros(np.atleast_1d(np.asarray(c, dtype=float)), "f") for c in (num, den))
     if den.size == 0 or num.size > den.size:
-        raise SynthesisError("weight", "num, den", f"degrees {num.size - 1} and {den.size - 1}",
-                             "a proper transfer function with a denominator that is not zero")
+        raise SynthesisError(
+            "weight",
+            "num, den",
+            f"degrees {num.size - 1} and {den.size - 1}",
+            "a proper transfer function with a denominator that is not zero",
+        )
     num = np.concatenate([np.zeros(den.size - num.size), num]) / den[0]
     den = den / den[0]
     n = den.size - 1
@@ -91,7 +103,9 @@ def zeros_poles(gain: float, zeros, poles) -> StateSpace:
     """gain · Π(s/zero + 1) / Π(s/pole + 1), real zeros and poles in rad/s; a cascade of first-order sections."""
     zeros, poles = sorted(float(z) for z in zeros), sorted(float(p) for p in poles)
     if len(zeros) > len(poles) or any(v == 0 or not np.isfinite(v) for v in (*zeros, *poles)):
-        raise SynthesisError("weight", "zeros, poles", f"{zeros} and {poles}", "no more zeros than poles, none at 0")
+        raise SynthesisError(
+            "weight", "zeros, poles", f"{zeros} and {poles}", "no more zeros than poles, none at 0"
+        )
     A, B, C, D = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[float(gain)]])
     for k, p in enumerate(poles):
         z = zeros[k - len(poles) + len(zeros)] if k >= len(poles) - len(zeros) else None
@@ -106,24 +120,37 @@ def zeros_poles(gain: float, zeros, poles) -> StateSpace:
 
 
 def weight_from_table(entry: dict, **gains: float) -> StateSpace:
-    """A weight of a case file: {num, den} or {gain, zeros, poles}; a gain given as a name is looked up in ``gains``."""
+    """A weight of a case file: {num, den} or {gain, zeros, poles}; a gain given as a name is looked up in
+    ``gains``.
+    """
     if "num" in entry:
         return rational(entry["num"], entry["den"])
     gain = entry["gain"]
     return zeros_poles(gains[gain] if isinstance(gain, str) else gain, entry["zeros"], entry["poles"])
 
 
-def generalised_plant(A, B, weights: Weights, structure: str, dt: float = 0.0) -> GeneralisedPlant:
+def generalised_plant(
+    A, B, weights: Weights, structure: str, dt: float = 0.0, delay: int = 0
+) -> GeneralisedPlant:
     """Fig. 1 around the vehicle x' = A x + B u, [r; δ] the first two states; A (n, n), B (n, 1) continuous.
 
-    ``dt`` > 0: the vehicle sampled exactly with u and ξ_s held (so ξ_s enters through ∫exp(As)ds), every weight by
-    Tustin's map; signals then are sequences.
+    ``dt`` > 0: the vehicle sampled exactly with u and ξ_s held (so ξ_s enters through ∫exp(As)ds), every
+    weight by Tustin's map; signals then are sequences. ``delay``: samples by which u reaches the vehicle
+    late, as computation and bus make it; Δ_i and W_u see u at once.
     """
+    if delay < 0 or (delay and not dt):
+        raise SynthesisError(
+            "interconnection", "delay", f"{delay} samples at dt {dt:g}", "a whole number ≥ 0, and dt > 0"
+        )
     if structure not in STRUCTURES:
-        raise SynthesisError("interconnection", "structure", repr(structure), f"one of {', '.join(STRUCTURES)}")
+        raise SynthesisError(
+            "interconnection", "structure", repr(structure), f"one of {', '.join(STRUCTURES)}"
+        )
     A, B = np.asarray(A, dtype=float), np.asarray(B, dtype=float)
     n = len(A)
-    vehicle = StateSpace(A, np.hstack([B, np.eye(n)]), np.vstack([np.eye(2, n), np.eye(n)]), np.zeros((2 + n, 1 + n)))
+    vehicle = StateSpace(
+        A, np.hstack([B, np.eye(n)]), np.vstack([np.eye(2, n), np.eye(n)]), np.zeros((2 + n, 1 + n))
+    )
     W = {f.name: getattr(weights, f.name) for f in fields(weights)}
     if dt:
         vehicle = zero_order_hold(vehicle, dt)
@@ -135,16 +162,30 @@ def generalised_plant(A, B, weights: Weights, structure: str, dt: float = 0.0) -
         one = parts.pop(name)
         if count:
             parts[name] = append(*[one] * count)
+    if delay:
+        parts["delay"] = StateSpace(np.eye(delay, k=1), np.eye(delay)[:, -1:], np.eye(delay)[:1], [[0.0]], dt)
     net = _Network(parts)
-    signals = [*(["xi_i"] * with_input), *([f"xi_s{k}" for k in range(n)] * with_state), "w_r", "w_delta", "n_r",
-               "n_delta", "r_c", "u"]
+    signals = [
+        *(["xi_i"] * with_input),
+        *([f"xi_s{k}" for k in range(n)] * with_state),
+        "w_r",
+        "w_delta",
+        "n_r",
+        "n_delta",
+        "r_c",
+        "u",
+    ]
     net.external(signals)
     if with_input:
         net.feed("W_delta_i", 0, {"xi_i": 1})
     for k in range(n * with_state):
         net.feed("W_delta_s", k, {f"xi_s{k}": 1})
         net.feed("vehicle", 1 + k, {("W_delta_s", k): 1})
-    u_tilde = {"u": 1, **({("W_delta_i", 0): 1} if with_input else {})}
+    u_late = "u"
+    if delay:
+        net.feed("delay", 0, {"u": 1})
+        u_late = ("delay", 0)
+    u_tilde = {u_late: 1, **({("W_delta_i", 0): 1} if with_input else {})}
     r_m = {("vehicle", 0): 1, ("W_wr", 0): 1}
     delta_m = {("vehicle", 1): 1, ("W_wdelta", 0): 1}
     net.feed("vehicle", 0, u_tilde)
@@ -161,8 +202,13 @@ def generalised_plant(A, B, weights: Weights, structure: str, dt: float = 0.0) -
         rows["eta_i"] = {"u": 1}
     for k in range(n * with_state):
         rows[f"eta_s{k}"] = {("vehicle", 2 + k): 1}
-    rows |= {"z_t": {("W_t", 0): 1}, "z_u": {("W_u", 0): 1}, "y_c": {("W_C", 0): 1},
-             "y_r": {**r_m, ("W_nr", 0): 1}, "y_delta": {**delta_m, ("W_ndelta", 0): 1}}
+    rows |= {
+        "z_t": {("W_t", 0): 1},
+        "z_u": {("W_u", 0): 1},
+        "y_c": {("W_C", 0): 1},
+        "y_r": {**r_m, ("W_nr", 0): 1},
+        "y_delta": {**delta_m, ("W_ndelta", 0): 1},
+    }
     system = net.close(rows)
     blocks = (*[Block("full", 1, 1)] * with_input, *[Block("full", n, n)] * with_state)
     count = sum(b.rows for b in blocks)
@@ -203,7 +249,16 @@ class _Network:
         """The system from the external inputs to the named ``rows``; there are no algebraic loops in Fig. 1."""
         G = self.joined
         pick, direct = (np.array(part) for part in zip(*(self._row(t) for t in rows.values()), strict=True))
-        loop = np.linalg.inv(np.eye(G.n_inputs) - self.inner @ G.D)  # part inputs v = inner (C x + D v) + outer w
+        loop = np.linalg.inv(
+            np.eye(G.n_inputs) - self.inner @ G.D
+        )  # part inputs v = inner (C x + D v) + outer w
         v_x, v_w = loop @ self.inner @ G.C, loop @ self.outer
-        return StateSpace(G.A + G.B @ v_x, G.B @ v_w, pick @ (G.C + G.D @ v_x), pick @ G.D @ v_w + direct, G.dt,
-                          tuple(self.names), tuple(rows))
+        return StateSpace(
+            G.A + G.B @ v_x,
+            G.B @ v_w,
+            pick @ (G.C + G.D @ v_x),
+            pick @ G.D @ v_w + direct,
+            G.dt,
+            tuple(self.names),
+            tuple(rows),
+        )

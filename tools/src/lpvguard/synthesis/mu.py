@@ -1,13 +1,14 @@
-"""Structured singular value: the D,G upper bound to its infimum, and a lower bound by a perturbation that is checked.
+"""Structured singular value: the D,G upper bound to its infimum, and a lower bound by a perturbation that is
+checked.
 
-μ(M) = 1 / min{ max_i σ̄(Δ_i) : det(I − M Δ) = 0 } over Δ = diag(Δ_1, Δ_2, ...). M is (Σ rows) × (Σ cols); block i is
-cols_i × rows_i: full complex, or δ I with δ complex or real.
+μ(M) = 1 / min{ max_i σ̄(Δ_i) : det(I − M Δ) = 0 } over Δ = diag(Δ_1, Δ_2, ...). M is (Σ rows) × (Σ cols);
+block i is cols_i × rows_i: full complex, or δ I with δ complex or real.
 
-Upper bound: the least β with  Mᴴ D_L M + j (G M − Mᴴ G) ≼ β² D_R  (Fan, Tits & Doyle 1991), a generalised eigenvalue
-problem that the method of centres solves (Boyd & El Ghaoui 1993); the multipliers of each centre bound the infimum
-from below, so the returned number is within ``rtol`` of it. Exact for up to three full complex blocks.
-Lower bound: the mixed power iteration (Young & Doyle 1990) from many starts at once; the Δ it ends with is scaled so
-that I − M Δ is singular, and that is verified.
+Upper bound: the least β with  Mᴴ D_L M + j (G M − Mᴴ G) ≼ β² D_R  (Fan, Tits & Doyle 1991), a generalised
+eigenvalue problem that the method of centres solves (Boyd & El Ghaoui 1993); the multipliers of each centre
+bound the infimum from below, so the returned number is within ``rtol`` of it. Exact for up to three full
+complex blocks. Lower bound: the mixed power iteration (Young & Doyle 1990) from many starts at once; the Δ it
+ends with is scaled so that I − M Δ is singular, and that is verified.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ KINDS = ("full", "repeated_complex", "repeated_real")
 
 @dataclass(frozen=True)
 class Block:
-    """One block of Δ: ``kind`` full, repeated_complex or repeated_real; rows × cols of its part of M (Δ_i: cols × rows)."""
+    """One block of Δ: ``kind`` full, repeated_complex or repeated_real; rows × cols of its part of M (Δ_i:
+    cols × rows).
+    """
 
     kind: str
     rows: int
@@ -36,14 +39,16 @@ class Block:
         if self.rows < 1 or self.cols < 1:
             raise SynthesisError("mu", "block", f"{self.rows} × {self.cols}", "at least 1 × 1")
         if self.kind != "full" and self.rows != self.cols:
-            raise SynthesisError("mu", "block", f"{self.kind} of {self.rows} × {self.cols}", "rows = cols = multiplicity")
+            raise SynthesisError(
+                "mu", "block", f"{self.kind} of {self.rows} × {self.cols}", "rows = cols = multiplicity"
+            )
 
 
 @dataclass(frozen=True)
 class MuBounds:
-    """lower ≤ μ ≤ upper. ``infimum``: a value that no D scaling goes below, proved when all
-    blocks are full, else 0. ``delta`` (Σcols, Σrows) makes
-    I − M Δ singular with max_i σ̄(Δ_i) = 1/lower; None when lower = 0. ``D_left``, ``D_right``: the scaling of ``upper``.
+    """lower ≤ μ ≤ upper. ``infimum``: a value that no D scaling goes below, proved when all blocks are full,
+    else 0. ``delta`` (Σcols, Σrows) makes I − M Δ singular with max_i σ̄(Δ_i) = 1/lower; None when lower = 0.
+    ``D_left``, ``D_right``: the scaling of ``upper``.
     """
 
     upper: float
@@ -69,14 +74,20 @@ def mu_bounds(M, blocks, rtol: float = 1e-8) -> MuBounds:
         raise SynthesisError("mu", "M", "a NaN or infinite entry", "finite numbers")
     structure = _Structure(blocks)
     upper, infimum, left, right, G = _upper_bound(M, structure, rtol)
-    lower, delta = _lower_bound(M, structure, left, right, starts=40) if upper > 0 else (0.0, None)
+    lower, delta = (
+        _lower_bound(M, structure, left, right, upper * (1 - 1e-9), 40) if upper > 0 else (0.0, None)
+    )
     D_left, D_right = left @ left.conj().T, right @ right.conj().T
     return MuBounds(upper, min(lower, upper), min(infimum, upper), delta, D_left, D_right, G)
 
 
-def mu_lower(M, blocks, left, right, starts: int = 8) -> tuple[float, np.ndarray | None]:
-    """Lower bound of μ and the Δ that attains it, given ``left`` M ``right``⁻¹ of a good upper bound (which speed it up)."""
-    return _lower_bound(np.asarray(M, dtype=complex), _Structure(tuple(blocks)), left, right, starts)
+def mu_lower(M, blocks, left, right, enough: float, starts: int = 8) -> tuple[float, np.ndarray | None]:
+    """Lower bound of μ and the Δ that attains it; ``left`` M ``right``⁻¹: a well-scaled image of M, which
+    speeds it up.
+
+    The search ends early at a value of ``enough``.
+    """
+    return _lower_bound(np.asarray(M, dtype=complex), _Structure(tuple(blocks)), left, right, enough, starts)
 
 
 class _Structure:
@@ -106,7 +117,6 @@ class _Structure:
         self.skew = np.array(skew) if skew else np.zeros((0, self.n_cols, self.n_rows), complex)
         self._skew_norm = np.sum(np.abs(self.skew) ** 2, axis=(1, 2))
         self.complex_only = all(b.kind != "repeated_real" for b in blocks)
-
 
     def coordinates(self, G) -> np.ndarray:
         """Coefficients of ``G`` in the (orthogonal) basis ``skew``."""
@@ -146,20 +156,28 @@ def _balance(M, structure) -> np.ndarray:
 
 
 def _upper_bound(M, structure, rtol):
-    """β, the infimum's lower bound, factors L of D_left and D_right (D = L Lᴴ) and G by the method of centres.
+    """β, the infimum's lower bound, factors L of D_left and D_right (D = L Lᴴ) and G by the method of
+    centres.
 
-    After each centre its D is absorbed into the matrix (N ← Lᴴ N L⁻ᴴ, D = L Lᴴ), so that the next one starts from
-    D = I in well-scaled coordinates even where the infimum is approached by ever worse conditioned scalings.
+    After each centre its D is absorbed into the matrix (N ← Lᴴ N L⁻ᴴ, D = L Lᴴ), so that the next one starts
+    from D = I in well-scaled coordinates even where the infimum is approached by ever worse conditioned
+    scalings.
     """
     d = _balance(M, structure)
-    left = np.diag(np.concatenate([np.full(b.rows, s) for b, s in zip(structure.blocks, d, strict=True)])).astype(complex)
-    right = np.diag(np.concatenate([np.full(b.cols, s) for b, s in zip(structure.blocks, d, strict=True)])).astype(complex)
+    left = np.diag(
+        np.concatenate([np.full(b.rows, s) for b, s in zip(structure.blocks, d, strict=True)])
+    ).astype(complex)
+    right = np.diag(
+        np.concatenate([np.full(b.cols, s) for b, s in zip(structure.blocks, d, strict=True)])
+    ).astype(complex)
     size = np.linalg.norm(left @ M @ np.linalg.inv(right), 2)
     G = np.zeros((structure.n_cols, structure.n_rows), complex)
     if size == 0:
         return 0.0, 0.0, left, right, G
     unit = np.array([np.real(np.trace(E)) > 0.5 for E in structure.right], dtype=float)
-    trace = np.concatenate([np.real(np.trace(structure.left, axis1=1, axis2=2)), np.zeros(len(structure.skew))])
+    trace = np.concatenate(
+        [np.real(np.trace(structure.left, axis1=1, axis2=2)), np.zeros(len(structure.skew))]
+    )
     n_d = len(unit)
     level, best, infimum, kept = 1.1, np.inf, 0.0, None
     for _ in range(300):
@@ -186,7 +204,13 @@ def _upper_bound(M, structure, rtol):
             break
         level = best + 0.05 * (level - best)
     left, right, G = kept
-    return size * np.sqrt(max(best, 0.0)), size * np.sqrt(max(infimum, 0.0)), left, right, size * right @ G @ left.conj().T
+    return (
+        size * np.sqrt(max(best, 0.0)),
+        size * np.sqrt(max(infimum, 0.0)),
+        left,
+        right,
+        size * right @ G @ left.conj().T,
+    )
 
 
 def _level(M, left, right, G, size) -> float:
@@ -198,12 +222,16 @@ def _level(M, left, right, G, size) -> float:
 
 
 def _centre(x, F, structure, trace):
-    """Analytic centre of {S(x) = Σ x_k F_k ≻ 0, D(x) ≻ 0, tr D_left = const} by damped Newton; x and S⁻¹ there."""
+    """Analytic centre of {S(x) = Σ x_k F_k ≻ 0, D(x) ≻ 0, tr D_left = const} by damped Newton; x and S⁻¹
+    there.
+    """
     n_d = len(structure.left)
 
     def factors(point):
-        return (np.linalg.cholesky(np.tensordot(point, F, 1)),
-                np.linalg.cholesky(np.tensordot(point[:n_d], structure.left, 1)))
+        return (
+            np.linalg.cholesky(np.tensordot(point, F, 1)),
+            np.linalg.cholesky(np.tensordot(point[:n_d], structure.left, 1)),
+        )
 
     LS, LD = factors(x)
     for _ in range(60):
@@ -244,7 +272,8 @@ def _whiten(L, F):
 def _dual_gap(x, Z, structure, trace) -> float:
     """How far below the level the infimum can lie: the centre's multipliers Z prove level − gap ≤ β².
 
-    Tight for scalar D_i only; with a repeated block nothing is proved (inf) and the levels' stagnation ends the search.
+    Tight for scalar D_i only; with a repeated block nothing is proved (inf) and the levels' stagnation ends
+    the search.
     """
     if any(b.kind != "full" for b in structure.blocks):
         return np.inf
@@ -252,14 +281,17 @@ def _dual_gap(x, Z, structure, trace) -> float:
     D = np.tensordot(x[:n_d], structure.left, 1)
     nu = (len(Z) + len(D)) / (trace @ x)
     slack = nu * np.eye(len(D)) - np.linalg.inv(D)
-    return max(np.real(np.trace(slack[r, r])) / np.real(np.trace(Z[c, c]))
-               for r, c in zip(structure.row, structure.col, strict=True))
+    return max(
+        np.real(np.trace(slack[r, r])) / np.real(np.trace(Z[c, c]))
+        for r, c in zip(structure.row, structure.col, strict=True)
+    )
 
 
-def _lower_bound(M, structure, left, right, starts: int, steps: int = 200):
+def _lower_bound(M, structure, left, right, enough: float, starts: int, steps: int = 200):
     """Largest β found with I − M Δ singular and max σ̄(Δ_i) = 1/β, and that Δ; (0, None) when none was found.
 
-    The factors of the upper bound's scalings commute with Δ, so the iteration runs on the scaled, well-balanced matrix.
+    The factors of the upper bound's scalings commute with Δ, so the iteration runs on the scaled,
+    well-balanced matrix.
     """
     N = left.conj().T @ M @ np.linalg.inv(right.conj().T)
     scaled = N / np.linalg.norm(N, 2)
@@ -272,14 +304,30 @@ def _lower_bound(M, structure, left, right, starts: int, steps: int = 200):
     found.sort(key=lambda one: -one[0])
     if structure.complex_only:
         for _, _, parts in found[:3]:
+            if found[0][0] >= enough:
+                break
             value, delta = _make_singular(M, structure, _align(scaled, structure, parts))
+            if value > found[0][0] and _is_singular(M, delta):
+                found.insert(0, (value, delta, parts))
+    elif any(b.kind != "repeated_real" for b in structure.blocks):
+        for value, _, parts in _distinct(found)[:6]:
+            if found[0][0] >= enough:
+                break
+            value, delta = _MixedAscent(M, structure, parts).run(value)
             if value > found[0][0] and _is_singular(M, delta):
                 found.insert(0, (value, delta, parts))
     return found[0][:2] if found else (0.0, None)
 
 
+def _distinct(found) -> list:
+    """Of candidates sorted by value those that differ in it by more than rounding."""
+    return [one for k, one in enumerate(found) if k == 0 or one[0] < found[k - 1][0] * (1 - 1e-6)]
+
+
 def _vertices(structure, parts) -> list[list]:
-    """``parts`` with the real blocks at every combination of ±1 (up to 64 of them): where a pure real optimum often lies."""
+    """``parts`` with the real blocks at every combination of ±1 (up to 64 of them): where a pure real optimum
+    often lies.
+    """
     real = [k for k, b in enumerate(structure.blocks) if b.kind == "repeated_real"]
     out = []
     for signs in range(2 ** max(min(len(real), 7) - 1, 0) if real else 0):
@@ -303,14 +351,96 @@ def _align(M, structure, parts, steps: int = 200) -> list:
         new = []
         for block, r, c in zip(structure.blocks, structure.row, structure.col, strict=True):
             if block.kind == "full":
-                new.append(turn * np.outer(y[c], x[r].conj()) / max(np.linalg.norm(y[c]) * np.linalg.norm(x[r]), 1e-300))
+                new.append(
+                    turn
+                    * np.outer(y[c], x[r].conj())
+                    / max(np.linalg.norm(y[c]) * np.linalg.norm(x[r]), 1e-300)
+                )
             else:
                 overlap = np.vdot(x[r], y[c])
                 new.append(turn * overlap / max(abs(overlap), 1e-300))
-        if abs(values[k]) <= value * (1 + 1e-14):
+        if abs(values[k]) <= value * (1 + 1e-13):
             break
         value, parts = abs(values[k]), new
     return parts
+
+
+class _MixedAscent:
+    """Local search over a mixed Δ: the real blocks q/β are closed first, the complex ones are aligned to what
+    is left.
+
+    At a level β that is reached, any q for which the rest N(β, q) has ρ(N Q) > β raises the level; a pattern
+    search on q in [−1, 1] looks for one, and a secant search on β finds the level at which ρ(N Q) = β again.
+    """
+
+    def __init__(self, M, structure, parts):
+        real = [b.kind == "repeated_real" for b in structure.blocks]
+        self.structure, self.real = structure, real
+        join = lambda slices, kind: np.concatenate(
+            [np.r_[s] for s, r in zip(slices, real, strict=True) if r == kind]
+        )
+        self.r_row, self.r_col = join(structure.row, True), join(structure.col, True)
+        c_row, c_col = join(structure.row, False), join(structure.col, False)
+        self.rest = _Structure(tuple(b for b, r in zip(structure.blocks, real, strict=True) if not r))
+        self.sizes = [b.rows for b, r in zip(structure.blocks, real, strict=True) if r]
+        self.Mcc, self.Mcr = M[np.ix_(c_row, c_col)], M[np.ix_(c_row, self.r_col)]
+        self.Mrc, self.Mrr = M[np.ix_(self.r_row, c_col)], M[np.ix_(self.r_row, self.r_col)]
+        self.q = np.array([p for p, r in zip(parts, real, strict=True) if r])
+        self.parts = [p for p, r in zip(parts, real, strict=True) if not r]
+
+    def spectral(self, q, beta, parts):
+        """ρ(N(β, q) Q) with Q aligned from ``parts``: the eigenvalue and the aligned parts; 0 where N does
+        not exist.
+        """
+        diagonal = np.repeat(q, self.sizes) / beta
+        try:
+            inner = np.linalg.solve(np.eye(len(diagonal)) - self.Mrr * diagonal, self.Mrc)
+        except np.linalg.LinAlgError:
+            return 0.0, parts
+        N = self.Mcc + self.Mcr * diagonal @ inner
+        parts = _align(N, self.rest, parts, steps=20)
+        values = np.linalg.eigvals(N @ _assemble(self.rest, parts))
+        return values[np.argmax(np.abs(values))], parts
+
+    def run(self, beta, budget: int = 120):
+        """Search from level ``beta``; the level reached and Δ there."""
+        size = 0.4
+        beta, value = self.level(self.q, beta, self.parts)
+        while size > 1e-5 and budget > 0:
+            better = False
+            for k in range(len(self.q)):
+                for sign in (1, -1):
+                    trial = self.q.copy()
+                    trial[k] = np.clip(trial[k] + sign * size, -1, 1)
+                    if trial[k] == self.q[k]:
+                        continue
+                    budget -= 1
+                    found, parts = self.spectral(trial, beta, self.parts)
+                    if abs(found) > beta * (1 + 1e-9):
+                        self.q, self.parts, better = trial, parts, True
+                        beta, value = self.level(trial, beta, parts)
+            size *= 1.0 if better else 0.4
+        q, rest = iter(self.q), iter(self.parts)
+        full = [next(q) if r else next(rest) * (abs(value) / value if value else 1.0) for r in self.real]
+        return beta, _assemble(self.structure, full) / beta
+
+    def level(self, q, beta, parts):
+        """The β ≥ about ``beta`` at which ρ(N(β, q) Q) = β, by secant steps; and the eigenvalue there."""
+        low, value = beta, 0.0
+        f0 = None
+        for _ in range(40):
+            value, parts = self.spectral(q, beta, parts)
+            f1 = np.log(max(abs(value), 1e-300) / beta)
+            if abs(f1) < 1e-13:
+                break
+            if f0 is None or f0 == f1:
+                step = f1
+            else:
+                step = -f1 * (np.log(beta) - np.log(low)) / (f1 - f0)
+            low, f0 = beta, f1
+            beta *= np.exp(np.clip(step, -0.5, 0.5))
+        self.parts = parts
+        return beta, value
 
 
 def _power_iteration(N, structure, starts, steps) -> list[list]:
@@ -320,7 +450,7 @@ def _power_iteration(N, structure, starts, steps) -> list[list]:
     b = rng.standard_normal((N.shape[1], count)) + 1j * rng.standard_normal((N.shape[1], count))
     b[:, starts:] = np.linalg.svd(N)[2][: count - starts].conj().T
     w = b.copy()
-    q = np.ones((len(structure.blocks), count))
+    q = np.where(np.arange(count) % 2, rng.uniform(-1, 1, (len(structure.blocks), count)), 1.0)
     z = np.zeros((N.shape[0], count), complex)
     tiny = 1e-300
     for _ in range(steps):
@@ -361,7 +491,9 @@ def _factor(block, a, w, b, q, k):
     inner = np.sum(w.conj() * a, axis=0)
     if block.kind == "repeated_complex":
         return np.where(np.abs(inner) > 0, inner / np.maximum(np.abs(inner), 1e-300), 1.0)
-    step = np.sign(q[k]) * np.linalg.norm(b, axis=0) / np.maximum(np.linalg.norm(a, axis=0), 1e-300) + inner.real
+    step = (
+        np.sign(q[k]) * np.linalg.norm(b, axis=0) / np.maximum(np.linalg.norm(a, axis=0), 1e-300) + inner.real
+    )
     q[k] = np.clip(np.where(step == 0, 1e-3, step), -1, 1)
     return q[k]
 
@@ -398,14 +530,18 @@ def _make_singular(M, structure, parts):
 
 
 def _free_parameters(structure, parts):
-    """One-parameter families through a mixed Δ that keep its size: turn the complex blocks, or move one real block."""
+    """One-parameter families through a mixed Δ that keep its size: turn the complex blocks, or move one real
+    block.
+    """
     if any(b.kind != "repeated_real" for b in structure.blocks):
         yield lambda s: _assemble(structure, parts, np.exp(1j * s))
     for k, block in enumerate(structure.blocks):
         if block.kind == "repeated_real":
 
             def move(s, k=k):
-                return _assemble(structure, [*parts[:k], float(np.clip(parts[k] + s, -1, 1)), *parts[k + 1 :]])
+                return _assemble(
+                    structure, [*parts[:k], float(np.clip(parts[k] + s, -1, 1)), *parts[k + 1 :]]
+                )
 
             yield move
 

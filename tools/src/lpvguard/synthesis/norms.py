@@ -1,7 +1,8 @@
 """The H∞ norm as a bracket: a lower bound attained at a frequency and an upper bound from a level test.
 
-Continuous time by the eigenvalues of the Hamiltonian matrix (Boyd & Balakrishnan 1990; Bruinsma & Steinbuch 1990);
-a discrete system is first mapped bilinearly, which keeps the norm (its symplectic pencil is that Hamiltonian's image).
+Continuous time by the eigenvalues of the Hamiltonian matrix (Boyd & Balakrishnan 1990; Bruinsma & Steinbuch
+1990); a discrete system is first mapped bilinearly, which keeps the norm (its symplectic pencil is that
+Hamiltonian's image).
 """
 
 from __future__ import annotations
@@ -15,7 +16,9 @@ from lpvguard.synthesis.statespace import EPS, StateSpace, balanced, to_continuo
 
 @dataclass(frozen=True)
 class NormBracket:
-    """lower = σ̄(G) at ``peak_frequency`` (rad/s, possibly inf or 0) ≤ ‖G‖∞ ≤ upper; both inf when G is unstable."""
+    """lower = σ̄(G) at ``peak_frequency`` (rad/s, possibly inf or 0) ≤ ‖G‖∞ ≤ upper; both inf when G is
+    unstable.
+    """
 
     lower: float
     upper: float
@@ -25,8 +28,8 @@ class NormBracket:
 def hinf_norm(G: StateSpace, rtol: float = 1e-6, floor: float = 0.0) -> NormBracket:
     """Bracket ‖G‖∞ so that upper ≤ (1 + rtol) lower; DC and infinite (or Nyquist) frequency included.
 
-    ``floor``: a level below which the norm is of no interest; the bracket then is [lower, floor].
-    An unstable G gives (inf, inf). Every imaginary part of the Hamiltonian's eigenvalues, and the points between
+    ``floor``: a level below which the norm is of no interest; the bracket then is [lower, floor]. An unstable
+    G gives (inf, inf). Every imaginary part of the Hamiltonian's eigenvalues, and the points between
     neighbours, are evaluated, so that rounding can hide no crossing by moving its eigenvalue off the axis.
     """
     if not G.stability_margin() > 0:
@@ -60,12 +63,16 @@ def _largest(H: StateSpace, omega) -> tuple[float, float]:
 
 
 def _crossings(H: StateSpace, level: float) -> np.ndarray:
-    """Frequencies where σ̄(H(jω)) may equal ``level``, and the points between them; empty when there are none."""
+    """Frequencies where σ̄(H(jω)) may equal ``level``, and the points between them; empty when there are
+    none.
+    """
     n = H.order
     if n == 0:
         return np.zeros(0)
     B, D, C = H.B / level, H.D / level, H.C
-    if H.n_inputs > H.n_outputs:  # the smaller of the two Gram matrices; the norm of the transpose is the same
+    if (
+        H.n_inputs > H.n_outputs
+    ):  # the smaller of the two Gram matrices; the norm of the transpose is the same
         A, B, C, D = H.A.T, C.T / level, H.B.T, D.T
     else:
         A = H.A

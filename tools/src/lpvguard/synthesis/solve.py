@@ -1,7 +1,8 @@
-"""The kinds ``hinf`` and ``mu`` of the language-neutral solve interface: a problem as a dict in, answer fields out.
+"""The kinds ``hinf`` and ``mu`` of the language-neutral solve interface: a problem as a dict in, answer
+fields out.
 
-Fields as in cases/README.md: complex numbers are [re, im], matrices row-major nested lists. A problem that cannot be
-answered raises InputError (what, where, expected), which the caller turns into an error answer.
+Fields as in cases/README.md: complex numbers are [re, im], matrices row-major nested lists. A problem that
+cannot be answered raises InputError (what, where, expected), which the caller turns into an error answer.
 """
 
 from __future__ import annotations
@@ -15,19 +16,33 @@ from lpvguard.synthesis.statespace import StateSpace
 
 
 def solve_hinf(problem: dict) -> dict:
-    """gamma, gamma_achieved, controller and the certificate for A, B, C, D, n_control, n_measurement, dt (default 0)."""
+    """gamma, gamma_achieved, controller and the certificate for A, B, C, D, n_control, n_measurement, dt
+    (default 0).
+    """
     name = str(problem.get("id", "hinf"))
     D = _matrix(problem, "D", name)
     n = len(problem["A"]) if isinstance(problem.get("A"), list) else 0
-    A, B, C = (_matrix(problem, key, name, shape)
-               for key, shape in (("A", (n, n)), ("B", (n, D.shape[1])), ("C", (D.shape[0], n))))
+    A, B, C = (
+        _matrix(problem, key, name, shape)
+        for key, shape in (("A", (n, n)), ("B", (n, D.shape[1])), ("C", (D.shape[0], n)))
+    )
     plant = StateSpace(A, B, C, D, _number(problem, "dt", name, 0.0))
-    result = hinf_synthesis(plant, _count(problem, "n_control", name), _count(problem, "n_measurement", name))
+    counts = _count(problem, "n_control", name), _count(problem, "n_measurement", name)
+    try:
+        result = hinf_synthesis(plant, *counts)
+    except (np.linalg.LinAlgError, ArithmeticError) as exc:
+        raise SynthesisError(name, "arithmetic", str(exc), "a plant whose signals are scaled to order one") from exc
     K = result.controller
     return {
         "gamma": result.gamma,
         "gamma_achieved": result.gamma_achieved,
-        "controller": {"A": K.A.tolist(), "B": K.B.tolist(), "C": K.C.tolist(), "D": K.D.tolist(), "dt": K.dt},
+        "controller": {
+            "A": K.A.tolist(),
+            "B": K.B.tolist(),
+            "C": K.C.tolist(),
+            "D": K.D.tolist(),
+            "dt": K.dt,
+        },
         "norm_lower": result.certificate.lower,
         "peak_frequency": _finite(result.certificate.peak_frequency),
         "regularisation": result.regularisation,
@@ -36,7 +51,9 @@ def solve_hinf(problem: dict) -> dict:
 
 
 def solve_mu(problem: dict) -> dict:
-    """mu_upper and mu_lower for M and blocks; ``delta`` makes I − M Δ singular at size 1/mu_lower (null at 0)."""
+    """mu_upper and mu_lower for M and blocks; ``delta`` makes I − M Δ singular at size 1/mu_lower (null at
+    0).
+    """
     name = str(problem.get("id", "mu"))
     M = _complex_matrix(problem, "M", name)
     listed = problem.get("blocks")
@@ -49,7 +66,9 @@ def solve_mu(problem: dict) -> dict:
         where = f"{name}: blocks[{k}]"
         blocks.append(Block(b.get("type", "full"), _count(b, "rows", where), _count(b, "cols", where)))
     bounds = mu_bounds(M, blocks)
-    delta = None if bounds.delta is None else np.stack([bounds.delta.real, bounds.delta.imag], axis=-1).tolist()
+    delta = (
+        None if bounds.delta is None else np.stack([bounds.delta.real, bounds.delta.imag], axis=-1).tolist()
+    )
     return {"mu_upper": bounds.upper, "mu_lower": bounds.lower, "delta": delta}
 
 

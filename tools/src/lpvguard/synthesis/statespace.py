@@ -1,7 +1,7 @@
 """Linear systems in state space: the small algebra that synthesis and analysis share.
 
-All matrices are real doubles. ``dt = 0`` is continuous time (G(s)), ``dt > 0`` is discrete time with that sampling
-time in seconds (G(z)). Objects are immutable; every function returns a new one.
+All matrices are real doubles. ``dt = 0`` is continuous time (G(s)), ``dt > 0`` is discrete time with that
+sampling time in seconds (G(z)). Objects are immutable; every function returns a new one.
 """
 
 from __future__ import annotations
@@ -53,7 +53,9 @@ class StateSpace:
             value.setflags(write=False)
             object.__setattr__(self, name, value)
         if not (np.isfinite(self.dt) and self.dt >= 0):
-            raise SynthesisError("state space", "dt", f"{self.dt}", "0 (continuous) or a sampling time in seconds")
+            raise SynthesisError(
+                "state space", "dt", f"{self.dt}", "0 (continuous) or a sampling time in seconds"
+            )
         object.__setattr__(self, "dt", float(self.dt))
         for name, count in (("inputs", m), ("outputs", p)):
             labels = tuple(getattr(self, name))
@@ -81,14 +83,18 @@ class StateSpace:
         return np.linalg.eigvals(self.A) if self.order else np.zeros(0, dtype=complex)
 
     def stability_margin(self) -> float:
-        """Distance from instability: −max Re λ(A) in rad/s, or 1 − max |λ(A)|; positive when stable, +inf at n = 0."""
+        """Distance from instability: −max Re λ(A) in rad/s, or 1 − max |λ(A)|; positive when stable, +inf at
+        n = 0.
+        """
         poles = self.poles()
         if poles.size == 0:
             return np.inf
         return float(1.0 - np.abs(poles).max()) if self.dt else float(-poles.real.max())
 
     def response(self, omega) -> np.ndarray:
-        """G(jω) or G(e^{jω dt}) at ``omega`` (k,) rad/s, infinity allowed in continuous time; (k, p, m) complex."""
+        """G(jω) or G(e^{jω dt}) at ``omega`` (k,) rad/s, infinity allowed in continuous time; (k, p, m)
+        complex.
+        """
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
         infinite = np.isinf(omega)
         finite = np.where(infinite, 0.0, omega)
@@ -125,9 +131,16 @@ class StateSpace:
 
     def select(self, rows, cols) -> StateSpace:
         """The subsystem from the inputs ``cols`` to the outputs ``rows`` (index arrays or slices)."""
-        names = lambda labels, index: tuple(np.asarray(labels, dtype=object)[index]) if labels else ()  # noqa: E731
-        return StateSpace(self.A, self.B[:, cols], self.C[rows], self.D[rows][:, cols], self.dt,
-                          names(self.inputs, cols), names(self.outputs, rows))
+        names = lambda labels, index: tuple(np.asarray(labels, dtype=object)[index]) if labels else ()
+        return StateSpace(
+            self.A,
+            self.B[:, cols],
+            self.C[rows],
+            self.D[rows][:, cols],
+            self.dt,
+            names(self.inputs, cols),
+            names(self.outputs, rows),
+        )
 
     def scaled(self, left, right) -> StateSpace:
         """L G R for constant real matrices ``left`` (q, p) and ``right`` (m, r)."""
@@ -148,27 +161,41 @@ def series(second: StateSpace, first: StateSpace) -> StateSpace:
     """second · first: the signal passes ``first`` before ``second``."""
     same_time(first, second)
     A = np.block([[first.A, np.zeros((first.order, second.order))], [second.B @ first.C, second.A]])
-    return StateSpace(A, np.vstack([first.B, second.B @ first.D]), np.hstack([second.D @ first.C, second.C]),
-                      second.D @ first.D, first.dt, first.inputs, second.outputs)
+    return StateSpace(
+        A,
+        np.vstack([first.B, second.B @ first.D]),
+        np.hstack([second.D @ first.C, second.C]),
+        second.D @ first.D,
+        first.dt,
+        first.inputs,
+        second.outputs,
+    )
 
 
 def append(*systems: StateSpace) -> StateSpace:
     """diag(G1, G2, ...): inputs and outputs side by side, nothing connected."""
     for one in systems[1:]:
         same_time(systems[0], one)
-    join = lambda part: sl.block_diag(*(getattr(g, part) for g in systems))  # noqa: E731
+    join = lambda part: sl.block_diag(*(getattr(g, part) for g in systems))
     named = all(g.inputs and g.outputs for g in systems)
     n, m, p = (sum(getattr(g, k) for g in systems) for k in ("order", "n_inputs", "n_outputs"))
-    return StateSpace(join("A").reshape(n, n), join("B").reshape(n, m), join("C").reshape(p, n),
-                      join("D").reshape(p, m), systems[0].dt,
-                      sum((g.inputs for g in systems), ()) if named else (),
-                      sum((g.outputs for g in systems), ()) if named else ())
+    return StateSpace(
+        join("A").reshape(n, n),
+        join("B").reshape(n, m),
+        join("C").reshape(p, n),
+        join("D").reshape(p, m),
+        systems[0].dt,
+        sum((g.inputs for g in systems), ()) if named else (),
+        sum((g.outputs for g in systems), ()) if named else (),
+    )
 
 
 def lft(plant: StateSpace, controller: StateSpace) -> StateSpace:
-    """Lower linear fractional transformation F_l(P, K): u = K y closed around the last inputs and outputs of P.
+    """Lower linear fractional transformation F_l(P, K): u = K y closed around the last inputs and outputs of
+    P.
 
-    Exists when I − D22 D_K is invertible (a well-posed loop); SynthesisError otherwise. The state is [x; x_K].
+    Exists when I − D22 D_K is invertible (a well-posed loop); SynthesisError otherwise. The state is [x;
+    x_K].
     """
     same_time(plant, controller)
     n_u, n_y = controller.n_outputs, controller.n_inputs
@@ -179,27 +206,40 @@ def lft(plant: StateSpace, controller: StateSpace) -> StateSpace:
     Ak, Bk, Ck, Dk = controller.A, controller.B, controller.C, controller.D
     loop = np.eye(n_y) - D22 @ Dk
     if n_y and 1 / np.linalg.cond(loop) < 1e-14:
-        raise SynthesisError("feedback loop", "I − D22 D_K", "singular", "a well-posed loop: change D22 or D_K")
+        raise SynthesisError(
+            "feedback loop", "I − D22 D_K", "singular", "a well-posed loop: change D22 or D_K"
+        )
     # y = S (C2 x + D22 Ck x_k + D21 w),  u = Dk y + Ck x_k
     S = np.linalg.inv(loop)
     y_x, y_k, y_w = S @ C2, S @ D22 @ Ck, S @ D21
     u_x, u_k, u_w = Dk @ y_x, Ck + Dk @ y_k, Dk @ y_w
     A = np.block([[plant.A + B2 @ u_x, B2 @ u_k], [Bk @ y_x, Ak + Bk @ y_k]])
-    return StateSpace(A, np.vstack([B1 + B2 @ u_w, Bk @ y_w]), np.hstack([C1 + D12 @ u_x, D12 @ u_k]),
-                      D11 + D12 @ u_w, plant.dt, plant.inputs[:n_w], plant.outputs[:n_z])
+    return StateSpace(
+        A,
+        np.vstack([B1 + B2 @ u_w, Bk @ y_w]),
+        np.hstack([C1 + D12 @ u_x, D12 @ u_k]),
+        D11 + D12 @ u_w,
+        plant.dt,
+        plant.inputs[:n_w],
+        plant.outputs[:n_z],
+    )
 
 
 def same_time(first: StateSpace, second: StateSpace) -> None:
-    """Refuse to join systems of different sampling times (a constant may join any system that has its ``dt``)."""
+    """Refuse to join systems of different sampling times (a constant may join any system that has its
+    ``dt``).
+    """
     if first.dt != second.dt:
-        raise SynthesisError("interconnection", "dt", f"{first.dt} and {second.dt}", "one sampling time for both")
+        raise SynthesisError(
+            "interconnection", "dt", f"{first.dt} and {second.dt}", "one sampling time for both"
+        )
 
 
 def balanced(G: StateSpace) -> StateSpace:
     """G with its states scaled by powers of two so that rows and columns of [A B; C 0] have like norms.
 
-    Diagonal scaling only, so it is exact in floating point. Osborne (1960) through LAPACK's gebal; the input and
-    output scales stay: they enter as one source and one sink node that are never scaled.
+    Diagonal scaling only, so it is exact in floating point. Osborne (1960) through LAPACK's gebal; the input
+    and output scales stay: they enter as one source and one sink node that are never scaled.
     """
     n = G.order
     if n == 0:
@@ -225,22 +265,29 @@ def to_continuous(G: StateSpace, alpha: float | None = None) -> StateSpace:
     eye = np.eye(G.order)
     plus = eye + G.A
     if G.order and 1 / np.linalg.cond(plus) < 1e-13:
-        raise SynthesisError("discrete system", "A", "a pole at z = −1", "no pole at z = −1 (shift it by feedback)")
+        raise SynthesisError(
+            "discrete system", "A", "a pole at z = −1", "no pole at z = −1 (shift it by feedback)"
+        )
     inverse = np.linalg.inv(plus)
     root = np.sqrt(2 * alpha)
     D = G.D - G.C @ inverse @ G.B
     A, B, C = alpha * inverse @ (G.A - eye), root * inverse @ G.B, root * G.C @ inverse
-    # entries that vanish exactly (a zero at z = −1, an unreached state) must not come back as rounding: scaling would
-    # take them for weak couplings
+    # entries that vanish exactly (a zero at z = −1, an unreached state) must not come back as rounding:
+    # scaling would take them for weak couplings
     size = np.abs(inverse)
-    for exact, terms in ((A, alpha * size @ np.abs(G.A - eye)), (B, root * size @ np.abs(G.B)),
-                         (C, root * np.abs(G.C) @ size), (D, np.abs(G.D) + np.abs(G.C) @ size @ np.abs(G.B))):
+    for exact, terms in (
+        (A, alpha * size @ np.abs(G.A - eye)),
+        (B, root * size @ np.abs(G.B)),
+        (C, root * np.abs(G.C) @ size),
+        (D, np.abs(G.D) + np.abs(G.C) @ size @ np.abs(G.B)),
+    ):
         exact[np.abs(exact) <= 1e3 * EPS * terms] = 0.0
     return StateSpace(A, B, C, D, 0.0, G.inputs, G.outputs)
 
 
 def to_discrete(G: StateSpace, dt: float, alpha: float | None = None) -> StateSpace:
-    """Bilinear map s = α (z − 1)/(z + 1) of a continuous system, default α = 2/dt (Tustin); inverse of to_continuous.
+    """Bilinear map s = α (z − 1)/(z + 1) of a continuous system, default α = 2/dt (Tustin); inverse of
+    to_continuous.
 
     Exists when α is no eigenvalue of A (SynthesisError otherwise).
     """
@@ -250,8 +297,15 @@ def to_discrete(G: StateSpace, dt: float, alpha: float | None = None) -> StateSp
         raise SynthesisError("continuous system", "A", f"a pole at {alpha:g} rad/s", "another sampling time")
     inverse = np.linalg.inv(minus)
     root = np.sqrt(2 * alpha)
-    return StateSpace(inverse @ (alpha * np.eye(G.order) + G.A), root * inverse @ G.B, root * G.C @ inverse,
-                      G.D + G.C @ inverse @ G.B, dt, G.inputs, G.outputs)
+    return StateSpace(
+        inverse @ (alpha * np.eye(G.order) + G.A),
+        root * inverse @ G.B,
+        root * G.C @ inverse,
+        G.D + G.C @ inverse @ G.B,
+        dt,
+        G.inputs,
+        G.outputs,
+    )
 
 
 def zero_order_hold(G: StateSpace, dt: float) -> StateSpace:

@@ -1,4 +1,5 @@
-"""The perturbation that explains the data: Delta_i from (xi_i, eta_i) for each kind of block, and its verification."""
+"""The perturbation that explains the data: Delta_i from (xi_i, eta_i) for each kind of block, and its
+verification."""
 
 from __future__ import annotations
 
@@ -26,7 +27,9 @@ class Block:
         if self.rows < 1 or self.cols < 1:
             raise InputError("block", "rows, cols", f"{self.rows} x {self.cols}", "at least 1 x 1")
         if self.repeated and self.rows != self.cols:
-            raise InputError("block", "rows, cols", f"{self.rows} x {self.cols}", "equal numbers for a repeated block")
+            raise InputError(
+                "block", "rows, cols", f"{self.rows} x {self.cols}", "equal numbers for a repeated block"
+            )
 
     @property
     def repeated(self) -> bool:
@@ -35,13 +38,15 @@ class Block:
 
 
 def split(blocks: Sequence[Block], vector: np.ndarray, side: str) -> list[np.ndarray]:
-    """Cut a stacked xi (``side`` 'rows') or eta ('cols'), or the rows of a matrix that maps to it, by blocks."""
+    """Cut a stacked xi (``side`` 'rows') or eta ('cols'), or the rows of a matrix that maps to it, by
+    blocks."""
     ends = np.cumsum([getattr(b, side) for b in blocks])
     return np.split(vector, ends[:-1])
 
 
-def size(block: Block, xi: np.ndarray, eta: np.ndarray) -> float:
-    """Least ||Delta_i|| that maps eta to xi, given that one exists: |xi| / |eta|; 0 for xi = 0, inf for eta = 0."""
+def least_size(xi: np.ndarray, eta: np.ndarray) -> float:
+    """Least ||Delta_i|| that maps eta to xi, given that one exists: |xi| / |eta|; 0 for xi = 0, inf for eta =
+    0."""
     top, bottom = float(np.linalg.norm(xi)), float(np.linalg.norm(eta))
     if top == 0.0:
         return 0.0
@@ -51,8 +56,9 @@ def size(block: Block, xi: np.ndarray, eta: np.ndarray) -> float:
 def construct(block: Block, xi: np.ndarray, eta: np.ndarray) -> np.ndarray:
     """Delta_i (rows, cols) of least norm with the block's structure that maps ``eta`` to ``xi``.
 
-    Full: xi eta^* / |eta|^2. Repeated: delta I with delta = eta^* xi / |eta|^2, its real part for a real block; whether
-    that delta maps eta to xi is for :func:`verify` to say. Raises InputError when eta = 0 but xi is not.
+    Full: xi eta^* / |eta|^2. Repeated: delta I with delta = eta^* xi / |eta|^2, its real part for a real
+    block; whether that delta maps eta to xi is for :func:`verify` to say. Raises InputError when eta = 0 but
+    xi is not.
     """
     if not np.any(xi):
         return np.zeros((block.rows, block.cols), dtype=complex)
@@ -67,19 +73,22 @@ def construct(block: Block, xi: np.ndarray, eta: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Verification:
-    """What :func:`verify` found; ``residual`` is |e - M [xi; w]| with xi = Delta eta re-simulated, relative to |e|."""
+    """What :func:`verify` found; ``residual`` is |e - M [xi; w]| with xi = Delta eta re-simulated, relative
+    to |e|."""
 
     deltas: list[np.ndarray]
     sizes: np.ndarray
     residual: float
 
 
-def verify(blocks: Sequence[Block], p: dict[str, np.ndarray], e, w, xi, nu, *, rtol: float = 1e-6) -> Verification:
+def verify(
+    blocks: Sequence[Block], p: dict[str, np.ndarray], e, w, xi, nu, *, rtol: float = 1e-6
+) -> Verification:
     """Build Delta from (xi, w), close the loop with it and check that it re-simulates the data.
 
-    ``p`` holds P11, P12, P21, P22 and eta0 = P13 u. Closing the loop means solving (I - P11 Delta) eta = P12 w + eta0
-    anew, so xi is only used to build Delta. Raises InputError when a block is larger than its nu, or the data are not
-    reproduced: no explanation leaves this package unverified.
+    ``p`` holds P11, P12, P21, P22 and eta0 = P13 u. Closing the loop means solving (I - P11 Delta) eta = P12
+    w + eta0 anew, so xi is only used to build Delta. Raises InputError when a block is larger than its nu, or
+    the data are not reproduced: no explanation leaves this package unverified.
     """
     eta = p["P11"] @ xi + p["P12"] @ w + p["eta0"]
     pieces = list(zip(blocks, split(blocks, xi, "rows"), split(blocks, eta, "cols"), strict=True))

@@ -1,18 +1,19 @@
-"""Section II of the paper in general: the smallest perturbation sizes and disturbance that explain one frequency point.
+"""Section II of the paper in general: the smallest perturbation sizes and disturbance that explain one
+frequency point.
 
     eta = P11 xi + P12 w + eta0 (= P13 u),   e = P21 xi + P22 w,   xi_i = Delta_i eta_i
 
 with full complex, repeated complex and repeated real blocks (Lim). Every solution of the second equation is
-``x = maps @ (phi, psi, 1)`` with phi = U1^* w free inside the ball (5) and psi free altogether (:func:`parametrise`).
-What remains is a quadratic problem that is not convex. Its optimum is bounded from below by the S-procedure (``lmi``)
-inside a branch and bound over the sizes (cones of directions) and the scalars of repeated blocks (boxes), and from
-above by a feasible point that a local method improves: exact for one or two full blocks beside a disturbance ball, an
-interval otherwise. Both sides are returned.
+``x = maps @ (phi, psi, 1)`` with phi = U1^* w free inside the ball (5) and psi free altogether
+(:func:`parametrise`). What remains is a quadratic problem that is not convex. Its optimum is bounded from
+below by the S-procedure (``lmi``) inside a branch and bound over the sizes (cones of directions) and the
+scalars of repeated blocks (boxes), and from above by a feasible point that a local method improves: exact for
+one or two full blocks beside a disturbance ball, an interval otherwise. Both sides are returned.
 
 Two facts make the branch and bound short. A certificate y found at sizes p stays valid for every p' with
-sum_j y_j Q_j(p') >= 0: a convex set that contains [0, p], so that a cone of directions is bounded at its edges with an
-error of second order in its angle (Tuy). And a certificate is an eigenvalue problem in the length along a ray, so each
-multiplier vector is used up to the largest length that it proves (Dinkelbach).
+sum_j y_j Q_j(p') >= 0: a convex set that contains [0, p], so that a cone of directions is bounded at its
+edges with an error of second order in its angle (Tuy). And a certificate is an eigenvalue problem in the
+length along a ray, so each multiplier vector is used up to the largest length that it proves (Dinkelbach).
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from scipy.optimize import minimize
 
 from lpvguard.errors import InputError
 from lpvguard.validation import lmi, s2
-from lpvguard.validation.delta import Block, Verification, split, verify
+from lpvguard.validation.delta import Block, Verification, least_size, split, verify
 
 RANK_TOLERANCE = 1e-10
 """Singular values below this fraction of the largest count as zero (columns scaled to a common size)."""
@@ -38,8 +39,15 @@ IMAGE_TOLERANCE = 1e-8
 EDGE = 1e-9
 """gamma_w within this of B1, relative, counts as B1."""
 
+ROUNDING = 1e-14
+"""Rounding of B1 relative to |e|."""
+
 GAP = 1e-4
 """Relative distance of the two sides at which the branch and bound stops."""
+
+ZERO = 1e-12
+"""A squared size below this fraction of that of the first point found counts as zero where zero is
+attainable."""
 
 MAX_NODES = 5000
 
@@ -52,8 +60,8 @@ MAX_POLISHED = 6
 
 @dataclass(frozen=True)
 class Lft:
-    """One frequency point of (1). Shapes: P11 (q, p), P12 (q, n_w), P21 (n_y, p), P22 (n_y, n_w), eta0 (q,), e (n_y,);
-    p and q are the sums of the blocks' rows and cols."""
+    """One frequency point of (1). Shapes: P11 (q, p), P12 (q, n_w), P21 (n_y, p), P22 (n_y, n_w), eta0 (q,),
+    e (n_y,); p and q are the sums of the blocks' rows and cols."""
 
     blocks: tuple[Block, ...]
     p11: np.ndarray
@@ -69,11 +77,20 @@ class Lft:
         n_y, n_w = self.e.shape[0], self.p22.shape[-1]
         if not self.blocks or n_y == 0:
             raise InputError(self.source, "blocks, e", "empty", "at least one block and one output")
-        wanted = {"p11": (q, p), "p12": (q, n_w), "p21": (n_y, p), "p22": (n_y, n_w), "eta0": (q,), "e": (n_y,)}
+        wanted = {
+            "p11": (q, p),
+            "p12": (q, n_w),
+            "p21": (n_y, p),
+            "p22": (n_y, n_w),
+            "eta0": (q,),
+            "e": (n_y,),
+        }
         for name, shape in wanted.items():
             a = getattr(self, name)
             if a.shape != shape:
-                raise InputError(self.source, name, f"shape {a.shape}", f"{shape} to fit the blocks, e and P22")
+                raise InputError(
+                    self.source, name, f"shape {a.shape}", f"{shape} to fit the blocks, e and P22"
+                )
             if not np.all(np.isfinite(a)):
                 raise InputError(self.source, name, "a value that is not finite", "finite numbers")
 
@@ -85,7 +102,8 @@ class Lft:
 
 @dataclass(frozen=True)
 class Parametrisation:
-    """All (xi, w) that satisfy (4): ``xi = xi_map @ z``, ``w = w_map @ z``, ``eta = eta_map @ z``, z = (phi, psi, 1).
+    """All (xi, w) that satisfy (4): ``xi = xi_map @ z``, ``w = w_map @ z``, ``eta = eta_map @ z``, z = (phi,
+    psi, 1).
 
     ``b1`` is the right side of (9), the norm of the smallest disturbance; phi = 0 attains it.
     """
@@ -98,15 +116,19 @@ class Parametrisation:
 
 
 def parametrise(problem: Lft) -> Parametrisation:
-    """The SVD parametrisation (5)-(7). Raises InputError when e is not in Im M, M = [P21 P22]: the structure fails.
+    """The SVD parametrisation (5)-(7). Raises InputError when e is not in Im M, M = [P21 P22]: the structure
+    fails.
 
-    The columns of M are scaled to a common size first, one factor for all of w, so that |w| keeps its meaning: a model
-    in other units has the same solutions but may have M's with a condition number of 1e10.
+    The columns of M are scaled to a common size first, one factor for all of w, so that |w| keeps its
+    meaning: a model in other units has the same solutions but may have M's with a condition number of 1e10.
     """
     m = np.hstack([problem.p21, problem.p22])
     p, norm_e = problem.p21.shape[1], np.linalg.norm(problem.e)
     scale = np.ones(m.shape[1])
-    for columns in [*np.split(np.arange(p), np.cumsum([b.rows for b in problem.blocks])[:-1]), np.arange(p, m.shape[1])]:
+    for columns in [
+        *np.split(np.arange(p), np.cumsum([b.rows for b in problem.blocks])[:-1]),
+        np.arange(p, m.shape[1]),
+    ]:
         size = np.linalg.norm(m[:, columns])
         scale[columns] = 1.0 / size if size > 0.0 else 1.0
     u, s, vh = np.linalg.svd(m * scale)
@@ -114,7 +136,9 @@ def parametrise(problem: Lft) -> Parametrisation:
     outside = np.linalg.norm(u[:, rank:].conj().T @ problem.e)
     if outside > IMAGE_TOLERANCE * norm_e:
         raise InputError(
-            problem.source, "e", f"not in Im [P21 P22]: {outside:.3g} of |e| = {norm_e:.3g} cannot be produced",
+            problem.source,
+            "e",
+            f"not in Im [P21 P22]: {outside:.3g} of |e| = {norm_e:.3g} cannot be produced",
             "a structure that can produce e, for example P22 = I",
         )
     particular = scale * (vh[:rank].conj().T @ ((u[:, :rank].conj().T @ problem.e) / s[:rank]))
@@ -133,7 +157,7 @@ def parametrise(problem: Lft) -> Parametrisation:
     return Parametrisation(xi_map, w_map, eta_map, n_phi, float(np.linalg.norm(w_min)))
 
 
-# --- the nonconvex quadratic problem -----------------------------------------------------------------------------
+# --- the nonconvex quadratic problem
 
 
 @dataclass(frozen=True)
@@ -195,7 +219,6 @@ class _Node:
     serial: int
     rays: np.ndarray = field(compare=False)
     boxes: dict[int, _Box] = field(compare=False)
-    start: np.ndarray | None = field(compare=False, default=None)
 
 
 @dataclass(frozen=True)
@@ -209,7 +232,8 @@ class Interval:
 
 
 class _Quadratic:
-    """min sum_j p_j over z = (theta, 1) of length ``n`` and p >= 0 (``params`` of them) subject to :class:`_Form` s."""
+    """min sum_j p_j over z = (theta, 1) of length ``n`` and p >= 0 (``params`` of them) subject to
+    :class:`_Form` s."""
 
     def __init__(self, forms: Sequence[_Form], params: int, n: int):
         self.forms, self.params, self._n = list(forms), params, n
@@ -219,7 +243,8 @@ class _Quadratic:
     # -- certificates
 
     def _certificate_forms(self, boxes: dict[int, _Box]):
-        """Generators Q0 (m, n, n), level part G (m, n, n) with the parameter of each, and the multiplier cone."""
+        """Generators Q0 (m, n, n), level part G (m, n, n) with the parameter of each, and the multiplier
+        cone."""
         q0, level, param, groups = [], [], [], []
 
         def add(kind, order, zero, slope_part, index):
@@ -302,7 +327,7 @@ class _Quadratic:
             return None
         fixed = [f for f in self.forms if f.param < 0 and not f.repeated and np.isfinite(f.constant)]
         for f in fixed:
-            # Constant constraints are balls |a z|^2 <= constant slope |b z|^2 with b z = b_t: shrink towards the centre.
+            # A constant constraint is a ball, its b z the same for all theta: shrink towards its centre.
             limit = f.constant * f.slope * np.linalg.norm(f.b @ z) ** 2
             if np.linalg.norm(f.a @ z) ** 2 <= limit:
                 continue
@@ -321,7 +346,11 @@ class _Quadratic:
     def polish(self, z: np.ndarray) -> np.ndarray | None:
         """Local improvement of a starting point (SLSQP on theta, the sizes and the repeated scalars)."""
         d, reps = len(z) - 1, self.repeated
-        scalars = [np.vdot(self.forms[k].b @ z, self.forms[k].a @ z) / max(np.linalg.norm(self.forms[k].b @ z) ** 2, 1e-300) for k in reps]
+        scalars = [
+            np.vdot(self.forms[k].b @ z, self.forms[k].a @ z)
+            / max(np.linalg.norm(self.forms[k].b @ z) ** 2, 1e-300)
+            for k in reps
+        ]
         p0 = np.zeros(self.params)
         for f in self.forms:
             if f.param >= 0:
@@ -348,7 +377,10 @@ class _Quadratic:
                 if f.repeated:
                     out.append((size * f.slope - abs(s[index[k]]) ** 2) / p_scale)
                 else:
-                    out.append((size * f.slope * np.linalg.norm(f.b @ zz) ** 2 - np.linalg.norm(f.a @ zz) ** 2) / norms[k])
+                    out.append(
+                        (size * f.slope * np.linalg.norm(f.b @ zz) ** 2 - np.linalg.norm(f.a @ zz) ** 2)
+                        / norms[k]
+                    )
             return np.array(out)
 
         def inequality_jac(v):
@@ -358,12 +390,19 @@ class _Quadratic:
                 size = f.constant + (p[f.param] if f.param >= 0 else 0.0)
                 if f.repeated:
                     at = 2 * d + self.params + 2 * index[k]
-                    out[row, at : at + 2] = -2.0 * s[index[k]].real / p_scale, -2.0 * s[index[k]].imag / p_scale
+                    out[row, at : at + 2] = (
+                        -2.0 * s[index[k]].real / p_scale,
+                        -2.0 * s[index[k]].imag / p_scale,
+                    )
                     if f.param >= 0:
                         out[row, 2 * d + f.param] = f.slope
                     continue
                 bz, az = f.b @ zz, f.a @ zz
-                g = 2.0 * (size * f.slope * (f.b[:, :-1].conj().T @ bz) - f.a[:, :-1].conj().T @ az) / norms[k]
+                g = (
+                    2.0
+                    * (size * f.slope * (f.b[:, :-1].conj().T @ bz) - f.a[:, :-1].conj().T @ az)
+                    / norms[k]
+                )
                 out[row, :d], out[row, d : 2 * d] = g.real, g.imag
                 if f.param >= 0:
                     out[row, 2 * d + f.param] = f.slope * np.linalg.norm(bz) ** 2 * p_scale / norms[k]
@@ -394,7 +433,9 @@ class _Quadratic:
             j = np.vstack(rows)
             return np.vstack([j.real, j.imag, *real])
 
-        v0 = np.concatenate([z[:-1].real, z[:-1].imag, p0 / p_scale, [x for c in scalars for x in (c.real, c.imag)]])
+        v0 = np.concatenate(
+            [z[:-1].real, z[:-1].imag, p0 / p_scale, [x for c in scalars for x in (c.real, c.imag)]]
+        )
         gradient = np.zeros(len(v0))
         gradient[2 * d : 2 * d + self.params] = 1.0
         bounds = [(None, None)] * (2 * d) + [(0.0, None)] * self.params + [(None, None)] * n_rep
@@ -403,13 +444,19 @@ class _Quadratic:
             constraints.append({"type": "eq", "fun": equality, "jac": equality_jac})
         with np.errstate(all="ignore"):
             done = minimize(
-                lambda v: float(gradient @ v), v0, jac=lambda v: gradient, bounds=bounds, constraints=constraints,
-                method="SLSQP", options={"maxiter": 200, "ftol": 1e-10},
+                lambda v: float(gradient @ v),
+                v0,
+                jac=lambda v: gradient,
+                bounds=bounds,
+                constraints=constraints,
+                method="SLSQP",
+                options={"maxiter": 200, "ftol": 1e-10},
             )
         return unpack(done.x)[0] if np.all(np.isfinite(done.x)) else None
 
     def _inside(self, deltas: dict[int, complex]) -> tuple[float, np.ndarray | None]:
-        """Point with a z = delta b z that violates the constant constraints least, and how far: ratio <= 1 is inside."""
+        """Point with a z = delta b z that violates the constant constraints least, and how far: ratio <= 1 is
+        inside."""
         z, null = self._on_subspace(self._origin(), deltas)
         if z is None:
             return np.inf, None
@@ -423,17 +470,19 @@ class _Quadratic:
         step, *_ = np.linalg.lstsq(left, -right, rcond=RANK_TOLERANCE)
         z = z + np.append(null @ step, 0.0)
         return max(
-            float(np.linalg.norm(f.a @ z) / np.sqrt(f.constant * f.slope) / np.linalg.norm(f.b @ z)) for f in fixed
+            float(np.linalg.norm(f.a @ z) / np.sqrt(f.constant * f.slope) / np.linalg.norm(f.b @ z))
+            for f in fixed
         ), z
 
     def _origin(self) -> np.ndarray:
         return np.append(np.zeros(self._n - 1, dtype=complex), 1.0)
 
     def _repeated_starts(self) -> list[np.ndarray]:
-        """Points inside the constant constraints for problems with repeated blocks: sampling, then descent on them.
+        """Points inside the constant constraints for problems with repeated blocks: sampling, then descent on
+        them.
 
-        The scalars are sampled up to a few times the size at which the block, from its constant input, reaches the
-        scale of its output.
+        The scalars are sampled up to a few times the size at which the block, from its constant input,
+        reaches the scale of its output.
         """
         if not self.repeated:
             return []
@@ -446,7 +495,9 @@ class _Quadratic:
         real = [self.forms[k].repeated == "repeated_real" for k in self.repeated]
 
         def scalars(v):
-            return {k: complex(v[2 * i], 0.0 if real[i] else v[2 * i + 1]) for i, k in enumerate(self.repeated)}
+            return {
+                k: complex(v[2 * i], 0.0 if real[i] else v[2 * i + 1]) for i, k in enumerate(self.repeated)
+            }
 
         def violation(v):
             return self._inside(scalars(v))[0]
@@ -454,7 +505,11 @@ class _Quadratic:
         draws = []
         for _ in range(SAMPLES):
             size = np.array(bounds) * 10.0 ** generator.uniform(-3.0, 0.0, len(bounds))
-            phase = np.where(real, generator.choice([-1.0, 1.0], len(bounds)), np.exp(2j * np.pi * generator.uniform(size=len(bounds))))
+            phase = np.where(
+                real,
+                generator.choice([-1.0, 1.0], len(bounds)),
+                np.exp(2j * np.pi * generator.uniform(size=len(bounds))),
+            )
             point = size * phase
             v = np.column_stack([point.real, point.imag]).ravel()
             draws.append((violation(v), tuple(v)))
@@ -464,7 +519,9 @@ class _Quadratic:
             v = np.array(v)
             if level > 1.0:
                 v = minimize(
-                    lambda x: max(violation(x), 1.0 - 1e-9), v, method="Nelder-Mead",
+                    lambda x: max(violation(x), 1.0 - 1e-9),
+                    v,
+                    method="Nelder-Mead",
                     options={"maxfev": 100 * v.size, "xatol": 0.0, "fatol": 0.0},
                 ).x
             level, z = self._inside(scalars(v))
@@ -488,7 +545,9 @@ class _Quadratic:
             z = z + np.append(null @ step, 0.0)
         if np.linalg.norm(rows @ z) > 1e-12 * np.linalg.norm(np.abs(rows) @ np.abs(z)):
             return None
-        inside = all(np.linalg.norm(f.a @ z) ** 2 <= f.constant * f.slope * np.linalg.norm(f.b @ z) ** 2 for f in fixed)
+        inside = all(
+            np.linalg.norm(f.a @ z) ** 2 <= f.constant * f.slope * np.linalg.norm(f.b @ z) ** 2 for f in fixed
+        )
         return z if inside else None
 
     def _offer(self, z: np.ndarray | None, best: _Best) -> None:
@@ -497,6 +556,15 @@ class _Quadratic:
             cost = self.cost(z)
             if cost < best.cost:
                 best.cost, best.z = cost, z
+
+    def start(self, best: _Best, points: Sequence[np.ndarray]) -> float:
+        """Offer the points and what a local search makes of them; the least cost before any search."""
+        for z in points:
+            self._offer(z, best)
+        raw = best.cost
+        for z in points:
+            self._offer(self.polish(z), best)
+        return raw
 
     def _candidates(self, inverse: np.ndarray) -> list[np.ndarray]:
         """Rank-one readings of the primal matrix: its leading vector, and its column of t."""
@@ -508,15 +576,17 @@ class _Quadratic:
 
     # -- branch and bound
 
-    def solve(self, gap: float = GAP, max_nodes: int = MAX_NODES) -> Interval:
-        """Both sides of the optimum by best-first branch and bound; the upper side is inf when no point was found."""
-        zero = self._zero()
-        if zero is not None:
-            return Interval(0.0, 0.0, zero, 0)
+    def solve(self, gap: float = GAP, max_nodes: int = MAX_NODES, zero: float = 0.0) -> Interval:
+        """Both sides of the optimum by best-first branch and bound; the upper side is inf when no point was
+        found.
+
+        A cost below ``zero`` times that of the first point found ends the search.
+        """
+        free = self._zero()
+        if free is not None:
+            return Interval(0.0, 0.0, free, 0)
         best, serial = _Best(), 0
-        for z in [self._origin(), *self._repeated_starts()]:
-            self._offer(z, best)
-            self._offer(self.polish(z), best)
+        first = self.start(best, [self._origin()])
         rays = np.eye(self.params)
         open_nodes = [_Node(0.0, serial, rays, {})]
         closed = np.inf
@@ -526,7 +596,7 @@ class _Quadratic:
             if node.lower >= best.cost * (1.0 - gap):
                 closed = min(closed, node.lower)
                 break
-            edges, central, inverse = self.lower(node, best.cost)
+            edges, central, inverse = self.lower(node, best.cost * (1.0 - gap) * (1.0 + 1e-12))
             lower = max(node.lower, edges, self._box_bound(node))
             readings = self._candidates(inverse)
             for z in readings if polished < MAX_POLISHED else readings[:1]:
@@ -535,6 +605,10 @@ class _Quadratic:
                 if polished < MAX_POLISHED or best.cost < before:
                     polished += 1
                     self._offer(self.polish(z), best)
+            if serial == 0 and not np.isfinite(best.cost):
+                first = self.start(best, self._repeated_starts())
+            if best.cost <= zero * first:
+                return Interval(0.0, best.cost, best.z, serial + 1)
             if lower >= best.cost * (1.0 - gap):
                 closed = min(closed, lower)
                 continue
@@ -580,18 +654,22 @@ class _Quadratic:
     def _first_box(self, k: int, cost: float) -> _Box:
         f = self.forms[k]
         bound = np.sqrt((f.constant + (cost if f.param >= 0 else 0.0)) * f.slope) * (1.0 + 1e-9)
-        return _Box(-bound, bound) if f.repeated == "repeated_real" else _Box(-bound * (1 + 1j), bound * (1 + 1j))
+        return (
+            _Box(-bound, bound)
+            if f.repeated == "repeated_real"
+            else _Box(-bound * (1 + 1j), bound * (1 + 1j))
+        )
 
 
-# --- the problems of the interface -------------------------------------------------------------------------------
+# --- the problems of the interface
 
 
 @dataclass(frozen=True)
 class Solution:
     """Interval of the optimum and the explanation that attains ``upper``.
 
-    ``nu`` (tau,) sizes of the blocks, ``xi``, ``eta``, ``w`` the signals, ``verification`` the Delta built from them
-    and re-simulated; ``b1`` as in (9).
+    ``nu`` (tau,) sizes of the blocks, ``xi``, ``eta``, ``w`` the signals, ``verification`` the Delta built
+    from them and re-simulated; ``b1`` as in (9).
     """
 
     lower: float
@@ -612,14 +690,19 @@ class _Posed:
         self.problem = problem
         par = parametrise(problem)
         self.b1 = par.b1
-        # At gamma_w = B1 the ball is one point: phi = 0 is then a constraint, and no interior is left to the solvers.
-        self.ball_is_point = gamma_w <= par.b1 * (1.0 + EDGE) or gamma_w == 0.0
+        # At gamma_w = B1 the ball is one point: phi = 0 is a constraint, and the solvers have no interior.
+        self.least_ball = par.b1 * (1.0 - EDGE) - ROUNDING * np.linalg.norm(problem.e)
+        self.ball_is_point = gamma_w <= par.b1 * (1.0 + EDGE) + ROUNDING * np.linalg.norm(problem.e)
         if self.ball_is_point:
             keep = np.r_[par.n_phi : par.xi_map.shape[1]]
-            par = replace(par, xi_map=par.xi_map[:, keep], w_map=par.w_map[:, keep], eta_map=par.eta_map[:, keep], n_phi=0)
-        dead = [
-            i for i, eta in enumerate(split(problem.blocks, par.eta_map, "cols")) if not np.any(eta)
-        ]
+            par = replace(
+                par,
+                xi_map=par.xi_map[:, keep],
+                w_map=par.w_map[:, keep],
+                eta_map=par.eta_map[:, keep],
+                n_phi=0,
+            )
+        dead = [i for i, eta in enumerate(split(problem.blocks, par.eta_map, "cols")) if not np.any(eta)]
         maps = self._without(par, dead) if dead else (par.xi_map, par.w_map, par.eta_map)
         size_e = np.linalg.norm(problem.e) or 1.0
         rows = []
@@ -656,7 +739,10 @@ class _Posed:
         point = vh[:rank].conj().T @ ((u[:, :rank].conj().T @ right) / s[:rank])
         if np.linalg.norm(left @ point - right) > IMAGE_TOLERANCE * max(np.linalg.norm(right), 1e-300):
             raise InputError(
-                self.problem.source, f"block {dead[0] + 1}", "its input eta is zero, so it cannot explain e", "eta0 != 0"
+                self.problem.source,
+                f"block {dead[0] + 1}",
+                "its input eta is zero, so it cannot explain e",
+                "eta0 != 0",
             )
         change = np.zeros((left.shape[1] + 1, left.shape[1] - rank + 1), dtype=complex)
         change[:-1, :-1], change[:-1, -1], change[-1, -1] = vh[rank:].conj().T, point, 1.0
@@ -692,32 +778,35 @@ class _Posed:
         return self._xi @ z, self._eta @ z, self._w @ z
 
     def finish(self, interval: Interval, what: str) -> Solution:
-        """Build and verify the explanation; refuse one that needs a perturbation at the well-posedness cap."""
+        """Build and verify the explanation; refuse one that needs a perturbation at the well-posedness
+        cap."""
         problem = self.problem
         if interval.z is None:
             raise InputError(
-                problem.source, what, "no Delta of this structure explains e within the bounds",
+                problem.source,
+                what,
+                "no Delta of this structure explains e within the bounds",
                 "larger bounds, or another structure",
             )
         xi, eta, w = self.signals(interval.z)
-        nu = np.array(
-            [
-                np.linalg.norm(a) / np.linalg.norm(b) if np.any(a) else 0.0
-                for a, b in zip(split(problem.blocks, xi, "rows"), split(problem.blocks, eta, "cols"), strict=True)
-            ]
-        )
+        pieces = zip(split(problem.blocks, xi, "rows"), split(problem.blocks, eta, "cols"), strict=True)
+        nu = np.array([least_size(a, b) for a, b in pieces])
         if not well_posed(problem, nu):
             caps = ", ".join(f"{c:.6g}" for c in block_caps(problem))
             raise InputError(
-                problem.source, "nu", f"{np.array2string(nu, precision=6)} is at or above the well-posedness cap "
-                f"(single blocks: {caps}): an allowed Delta makes the LFT singular", "sizes below the cap",
+                problem.source,
+                "nu",
+                f"{np.array2string(nu, precision=6)} is at or above the well-posedness cap "
+                f"(single blocks: {caps}): an allowed Delta makes the LFT singular",
+                "sizes below the cap",
             )
         verification = verify(problem.blocks, problem.matrices, problem.e, w, xi, nu)
         return Solution(interval.lower, interval.upper, nu, xi, eta, w, self.b1, verification, interval.nodes)
 
 
 def block_caps(problem: Lft) -> np.ndarray:
-    """(tau,) 1 / sigma_max(P11,ii): at this size a single full block makes I - P11 Delta singular; inf where P11,ii = 0."""
+    """(tau,) 1 / sigma_max(P11,ii): at this size a single full block makes I - P11 Delta singular; inf where
+    P11,ii = 0."""
     caps = []
     row = col = 0
     for b in problem.blocks:
@@ -730,11 +819,14 @@ def block_caps(problem: Lft) -> np.ndarray:
 def well_posed(problem: Lft, nu: np.ndarray) -> bool:
     """Certified: no Delta of the structure with ||Delta_i|| <= nu_i makes I - P11 Delta singular.
 
-    First by the spectral radius of the matrix of block norms, then by the S-procedure on |xi_i| <= nu_i |(P11 xi)_i|.
+    First by the spectral radius of the matrix of block norms, then by the S-procedure on |xi_i| <= nu_i |(P11
+    xi)_i|.
     """
     nu = np.asarray(nu, dtype=float)
     etas = split(problem.blocks, problem.p11, "cols")
-    norms = np.array([[np.linalg.norm(part.T, 2) for part in split(problem.blocks, eta.T, "rows")] for eta in etas])
+    norms = np.array(
+        [[np.linalg.norm(part.T, 2) for part in split(problem.blocks, eta.T, "rows")] for eta in etas]
+    )
     if np.max(np.abs(np.linalg.eigvals(norms * nu))) < 1.0:
         return True
     live = [i for i, b in enumerate(nu) if b > 0.0]
@@ -745,14 +837,21 @@ def well_posed(problem: Lft, nu: np.ndarray) -> bool:
     ]
     scale = [np.max(np.abs(f)) for f in forms]
     level = lmi.maximise_level(
-        np.array([f / s for f, s in zip(forms, scale, strict=True)]), lmi.cone([("psd", 1)] * len(forms)), absolute=1e-10
+        np.array([f / s for f, s in zip(forms, scale, strict=True)]),
+        lmi.cone([("psd", 1)] * len(forms)),
+        absolute=1e-10,
     )
     return level.x > 0.0
 
 
 def _block_form(posed: _Posed, i: int, **bound) -> _Form:
     block = posed.problem.blocks[i]
-    return _Form(posed.xi[i], posed.eta[i], repeated=block.type if block.repeated and block.rows > 1 else _scalar(block), **bound)
+    return _Form(
+        posed.xi[i],
+        posed.eta[i],
+        repeated=block.type if block.repeated and block.rows > 1 else _scalar(block),
+        **bound,
+    )
 
 
 def _scalar(block: Block) -> str | None:
@@ -767,10 +866,14 @@ def _ball(posed: _Posed, gamma_w: float) -> list[_Form]:
 def _pose(problem: Lft, gamma_w: float) -> _Posed:
     if not np.isfinite(gamma_w) or gamma_w < 0.0:
         raise InputError(problem.source, "gamma_w", f"{gamma_w}", "a finite number that is not negative")
-    posed = _Posed(problem, np.full(problem.p22.shape[1], gamma_w or np.linalg.norm(problem.e) or 1.0), gamma_w)
-    if posed.b1 > gamma_w * (1.0 + EDGE):
+    posed = _Posed(
+        problem, np.full(problem.p22.shape[1], gamma_w or np.linalg.norm(problem.e) or 1.0), gamma_w
+    )
+    if gamma_w < posed.least_ball:
         raise InputError(
-            problem.source, "gamma_w", f"{gamma_w:.6g} is below the smallest disturbance B1 = {posed.b1:.6g}",
+            problem.source,
+            "gamma_w",
+            f"{gamma_w:.6g} is below the smallest disturbance B1 = {posed.b1:.6g}",
             "gamma_w >= B1",
         )
     return posed
@@ -779,8 +882,8 @@ def _pose(problem: Lft, gamma_w: float) -> _Posed:
 def optimum(problem: Lft, gamma_w: float, lambda_nu, lambda_w=None, *, gap: float = GAP) -> Solution:
     """Optimum of (8): min sum_i lambda_nu,i nu_i^2 + sum_j lambda_w,j |w_j|^2 subject to |w| <= gamma_w.
 
-    ``lambda_nu`` (tau,), ``lambda_w`` (n_w,) >= 0, default 0. Raises InputError when e is not in Im M, gamma_w < B1,
-    nothing in the structure explains e, or the optimum lies at the well-posedness cap.
+    ``lambda_nu`` (tau,), ``lambda_w`` (n_w,) >= 0, default 0. Raises InputError when e is not in Im M,
+    gamma_w < B1, nothing in the structure explains e, or the optimum lies at the well-posedness cap.
     """
     posed = _pose(problem, gamma_w)
     lam = np.asarray(lambda_nu, dtype=float)
@@ -792,7 +895,9 @@ def optimum(problem: Lft, gamma_w: float, lambda_nu, lambda_w=None, *, gap: floa
         if i in posed.dead:
             continue
         if posed.constant_eta(i) and not block.repeated and lam[i] > 0.0:
-            quadratic.append(posed.xi[i] * (np.sqrt(lam[i]) * np.linalg.norm(posed.t) / np.linalg.norm(posed.eta[i])))
+            quadratic.append(
+                posed.xi[i] * (np.sqrt(lam[i]) * np.linalg.norm(posed.t) / np.linalg.norm(posed.eta[i]))
+            )
         elif lam[i] > 0.0:
             forms.append(_block_form(posed, i, param=params, slope=1.0 / lam[i]))
             params += 1
@@ -802,14 +907,17 @@ def optimum(problem: Lft, gamma_w: float, lambda_nu, lambda_w=None, *, gap: floa
         forms.append(_Form(np.vstack(quadratic), posed.t, param=params))
         params += 1
     quadratic_problem = _Quadratic(forms, max(params, 1), posed.n)
-    interval = _one_block(quadratic_problem, block_caps(problem), posed) if quadratic and params == 2 else None
+    interval = (
+        _one_block(quadratic_problem, block_caps(problem), posed) if quadratic and params == 2 else None
+    )
     if interval is None or not interval.upper - interval.lower <= 2.0 * gap * interval.upper:
         interval = quadratic_problem.solve(gap=gap)
     return posed.finish(interval, "gamma_w")
 
 
 def _one_block(problem: _Quadratic, caps: np.ndarray, posed: _Posed) -> Interval | None:
-    """The compiled S2 kernel for one full block with a varying input beside a plain quadratic cost; None if it is not that."""
+    """The compiled S2 kernel for one full block with a varying input beside a plain quadratic cost; None if
+    it is not that."""
     ball, block, cost = problem.forms if len(problem.forms) == 3 else (None, None, None)
     start = problem.repair(problem._origin()) if ball is not None and not problem.repeated else None
     if start is None or len(start) > s2.MAX_N or len(start) < 2:
@@ -835,13 +943,17 @@ def _one_block(problem: _Quadratic, caps: np.ndarray, posed: _Posed) -> Interval
     forms[1] /= np.linalg.norm(ball.b) ** 2
     p_max = caps[which] ** 2 / (block.slope * trivial) * (1.0 - 1e-9)
     out = s2.solve_forms(forms[None], start[None], p_max)
-    z = problem.repair(out.z[0])
-    if z is None or not np.isfinite(out.upper[0]):
+    if not np.isfinite(out.upper[0]) or out.p[0] > s2.NEAR_CAP**2 * p_max:
         return None
-    return Interval(float(out.lower[0] * trivial), max(problem.cost(z), float(out.lower[0] * trivial)), z, int(out.duals[0]))
+    best = _Best()
+    problem.start(best, [out.z[0]])
+    lower = float(out.lower[0] * trivial)
+    return Interval(lower, max(best.cost, lower), best.z, int(out.duals[0]))
 
 
-def smallest_last_block(problem: Lft, gamma_w: float, *, gap: float = GAP) -> tuple[float, float]:
+def smallest_last_block(
+    problem: Lft, gamma_w: float, *, gap: float = GAP, max_nodes: int = MAX_NODES
+) -> tuple[float, float]:
     """(lower, upper) of the smallest size of the last block alone, the others free, at the same gamma_w.
 
     Raises InputError as :func:`optimum` does, and when that size is at or above the block's own cap.
@@ -854,11 +966,19 @@ def smallest_last_block(problem: Lft, gamma_w: float, *, gap: float = GAP) -> tu
     caps = block_caps(problem)
     forms += [_block_form(posed, i, constant=caps[i] ** 2) for i in range(last) if problem.blocks[i].repeated]
     forms.append(_block_form(posed, last, param=0))
-    interval = _Quadratic(forms, 1, posed.n).solve(gap=gap)
+    interval = _Quadratic(forms, 1, posed.n).solve(gap, max_nodes, ZERO)
+    if interval.upper < np.inf and interval.lower == 0.0:
+        # Another, repeated block explains the data alone; the local search ends near zero, not on it.
+        return 0.0, 0.0
     lower, upper = float(np.sqrt(interval.lower)), float(np.sqrt(interval.upper))
     cap = caps[last]
     if not upper < cap:
-        raise InputError(problem.source, f"block {last + 1}", f"needs {upper:.6g}, at or above its cap {cap:.6g}", "a size below")
+        raise InputError(
+            problem.source,
+            f"block {last + 1}",
+            f"needs {upper:.6g}, at or above its cap {cap:.6g}",
+            "a size below",
+        )
     return lower, upper
 
 
@@ -872,7 +992,8 @@ def smallest_common_size(problem: Lft, gamma_w: float, *, gap: float = GAP) -> S
 
 
 def margin(problem: Lft, w_delta, w_w, *, gap: float = GAP) -> Solution:
-    """Least t with nu_i <= t W_delta,i and |w_j| <= t W_w,j: the margin with one bound per output; bounds are on t.
+    """Least t with nu_i <= t W_delta,i and |w_j| <= t W_w,j: the margin with one bound per output; bounds are
+    on t.
 
     ``w_delta`` (tau,), ``w_w`` (n_w,), both > 0.
     """
@@ -880,7 +1001,9 @@ def margin(problem: Lft, w_delta, w_w, *, gap: float = GAP) -> Solution:
     posed = _Posed(problem, w_w)
     forms = [_Form(posed.w[j : j + 1], posed.t, param=0, slope=float(b) ** 2) for j, b in enumerate(w_w)]
     forms += [
-        _block_form(posed, i, param=0, slope=float(b) ** 2) for i, b in enumerate(w_delta) if i not in posed.dead
+        _block_form(posed, i, param=0, slope=float(b) ** 2)
+        for i, b in enumerate(w_delta)
+        if i not in posed.dead
     ]
     solution = posed.finish(_Quadratic(forms, 1, posed.n).solve(gap=2.0 * gap), "W_delta, W_w")
     return replace(solution, lower=float(np.sqrt(solution.lower)), upper=float(np.sqrt(solution.upper)))

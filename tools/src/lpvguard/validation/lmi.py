@@ -1,10 +1,12 @@
-"""Certificates for small Hermitian feasibility problems: max x such that sum_j y_j Q_j - x I is positive semidefinite.
+"""Certificates for small Hermitian feasibility problems: max x such that sum_j y_j Q_j - x I is positive
+semidefinite.
 
-The multipliers y are split into groups: a scalar group is one number >= 0; a matrix group parametrises a Hermitian
-D >= 0 (the D-scaling of a repeated block); a free group has no sign (the G-scaling of a real block). The traces of all
-groups with a sign sum to one. A positive x proves that the forms z^* Q_j z (and their matrix versions) cannot all be
-<= 0 at once: the S-procedure. Own log-barrier Newton method: the forms have at most about ten rows, and each iterate
-is feasible, so that every bound read from it is rigorous whenever the iteration stops.
+The multipliers y are split into groups: a scalar group is one number >= 0; a matrix group parametrises a
+Hermitian D >= 0 (the D-scaling of a repeated block); a free group has no sign (the G-scaling of a real
+block). The traces of all groups with a sign sum to one. A positive x proves that the forms z^* Q_j z (and
+their matrix versions) cannot all be <= 0 at once: the S-procedure. Own log-barrier Newton method: the forms
+have at most about ten rows, and each iterate is feasible, so that every bound read from it is rigorous
+whenever the iteration stops.
 """
 
 from __future__ import annotations
@@ -24,8 +26,8 @@ _NATIVE_N, _NATIVE_M, _NATIVE_ORDER = 16, 64, 4
 
 @dataclass(frozen=True)
 class Cone:
-    """Multiplier cones: ``start[g]``, ``size[g]`` locate group g in y; ``order[g]`` is r for Hermitian r x r PSD
-    matrices (r = 1: a number >= 0) and 0 for a free group."""
+    """Multiplier cones: ``start[g]``, ``size[g]`` locate group g in y; ``order[g]`` is r for Hermitian r x r
+    PSD matrices (r = 1: a number >= 0) and 0 for a free group."""
 
     start: tuple[int, ...]
     size: tuple[int, ...]
@@ -58,7 +60,9 @@ def cone(groups: list[tuple[str, int]]) -> Cone:
     for (kind, r), s in zip(groups, start, strict=True):
         if kind == "psd":
             normal[s : s + r] = 1.0
-    return Cone(tuple(int(s) for s in start), tuple(sizes), tuple(r if k == "psd" else 0 for k, r in groups), normal)
+    return Cone(
+        tuple(int(s) for s in start), tuple(sizes), tuple(r if k == "psd" else 0 for k, r in groups), normal
+    )
 
 
 def _member(c: Cone, g: int, y: np.ndarray) -> np.ndarray:
@@ -68,7 +72,8 @@ def _member(c: Cone, g: int, y: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Centre:
-    """``y`` is feasible with level ``x``; the optimum is below ``x_above``; ``inverse`` ~ (Q(y) - x I)^-1, the primal."""
+    """``y`` is feasible with level ``x``; the optimum is below ``x_above``; ``inverse`` ~ (Q(y) - x I)^-1,
+    the primal."""
 
     y: np.ndarray
     x: float
@@ -85,14 +90,14 @@ def _interior(c: Cone, y: np.ndarray) -> bool:
     return True
 
 
-def maximise_level(q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: float = 1e-9, y0=None) -> Centre:
+def maximise_level(q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: float = 1e-9) -> Centre:
     """Path-following for the problem of the module's docstring.
 
-    ``q`` (m, n, n) Hermitian forms, scaled to order one. Stops when the optimal level is known within ``relative``
-    of its magnitude or within ``absolute``, or is proven negative.
+    ``q`` (m, n, n) Hermitian forms, scaled to order one. Stops when the optimal level is known within
+    ``relative`` of its magnitude or within ``absolute``, or is proven negative.
     """
     m, n = q.shape[:2]
-    y = c.normal / c.normal.sum() if y0 is None else y0
+    y = c.normal / c.normal.sum()
     matrix = np.tensordot(y, q, axes=1)
     low = np.linalg.eigvalsh(matrix)[0]
     x = low - 0.5 * max(1e-3, abs(low))
@@ -158,8 +163,8 @@ def maximise_level(q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: f
 
 
 def reach(zero: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Largest length (k,) at which ``zero`` - length ``slopes[k]`` stays >= 0; inf where nothing ends it, 0 where
-    ``zero`` (n, n) itself is not positive definite. ``slopes`` (k, n, n) >= 0."""
+    """Largest length (k,) at which ``zero`` - length ``slopes[k]`` stays >= 0; inf where nothing ends it, 0
+    where ``zero`` (n, n) itself is not positive definite. ``slopes`` (k, n, n) >= 0."""
     try:
         factor = np.linalg.inv(np.linalg.cholesky(0.5 * (zero + zero.conj().T)))
     except np.linalg.LinAlgError:
@@ -169,17 +174,27 @@ def reach(zero: np.ndarray, slopes: np.ndarray) -> np.ndarray:
 
 
 def _ray_length_numpy(q0, level, c: Cone, cutoff: float):
-    length, y, inverse = 0.0, None, None
-    for _ in range(40):
-        centre = maximise_level(q0 - length * level, c, relative=0.3, absolute=1e-8)
+    length, beyond, y, inverse = 0.0, np.inf, None, None
+    for turn in range(80):
+        ahead = turn % 2 == 1
+        at = length
+        if ahead and np.isfinite(beyond):
+            far = beyond > 4.0 * length
+            at = np.sqrt(max(length, 1e-6 * beyond) * beyond) if far else 0.5 * (length + beyond)
+        elif ahead:
+            at = max(cutoff, length) if np.isfinite(cutoff) else 8.0 * length
+        centre = maximise_level(q0 - at * level, c, relative=0.3, absolute=1e-8)
+        if ahead and centre.x <= 0.0:
+            beyond = at
+            continue
         inverse = centre.inverse
         if centre.x <= 0.0:
             break
         y = centre.y
-        longer = float(reach(np.tensordot(y, q0, axes=1), np.tensordot(y, level, axes=1)[None])[0])
-        done = longer <= length * (1.0 + 1e-6)
+        longer = max(at, float(reach(np.tensordot(y, q0, axes=1), np.tensordot(y, level, axes=1)[None])[0]))
+        done = not ahead and (longer <= length * (1.0 + 1e-6) or beyond <= longer * (1.0 + 1e-5))
         length = max(length, longer)
-        if done or length > cutoff:
+        if done or length >= cutoff:
             break
     return length, y, inverse
 
@@ -187,11 +202,12 @@ def _ray_length_numpy(q0, level, c: Cone, cutoff: float):
 def ray_length(q0: np.ndarray, level: np.ndarray, c: Cone, cutoff: float = np.inf):
     """Largest certified length: (length, its multipliers y or None, the primal matrix at the end).
 
-    ``q0``, ``level`` (m, n, n): the forms are Q0 - length L, L >= 0. No point satisfies all of them at a smaller
-    length. Dinkelbach's iteration: each y is used up to the largest length that it proves. Stops above ``cutoff``.
+    ``q0``, ``level`` (m, n, n): the forms are Q0 - length L, L >= 0. No point satisfies all of them at a
+    smaller length. Dinkelbach's iteration (each y is used up to the largest length that it proves) with
+    bisection in between, as far from the end its steps can be a hundred times too short. Stops at ``cutoff``.
     """
     m, n = q0.shape[:2]
-    lib = native.kernels()
+    lib = native.kernels("ray")
     if lib is None or n > _NATIVE_N or m > _NATIVE_M or max(c.order) > _NATIVE_ORDER:
         return _ray_length_numpy(q0, level, c, cutoff)
     q0, level = np.ascontiguousarray(q0, dtype=complex), np.ascontiguousarray(level, dtype=complex)
@@ -200,7 +216,13 @@ def ray_length(q0: np.ndarray, level: np.ndarray, c: Cone, cutoff: float = np.in
     pointer = ctypes.c_void_p
     lib.lpvg_ray.restype = ctypes.c_double
     length = lib.lpvg_ray(
-        n, m, len(c.order), *(a.ctypes.data_as(pointer) for a in (*groups, q0, level)), ctypes.c_double(cutoff),
-        y.ctypes.data_as(pointer), ctypes.byref(found), inverse.ctypes.data_as(pointer),
+        n,
+        m,
+        len(c.order),
+        *(a.ctypes.data_as(pointer) for a in (*groups, q0, level)),
+        ctypes.c_double(cutoff),
+        y.ctypes.data_as(pointer),
+        ctypes.byref(found),
+        inverse.ctypes.data_as(pointer),
     )
     return length, y if found.value else None, inverse

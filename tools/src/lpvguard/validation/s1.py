@@ -1,9 +1,10 @@
 """Class S1: E = delta Z + w at every bin, one complex scalar delta common to all n_y outputs (DESIGN 4.3).
 
-E is the windowed DFT of the nominal error, Z of the nominal output, both ``(..., n_y)`` complex in the outputs' own
-units; every other argument broadcasts against the leading shape. Closed forms, exact to rounding also where the usual
-ones cancel (delta0 -> nu, gamma_w -> B1, gamma_w -> abs(E), E parallel to Z): differences of nearly equal products are
-formed in double-double arithmetic. The compiled kernels and the numpy versions agree to 1e-13 relative.
+E is the windowed DFT of the nominal error, Z of the nominal output, both ``(..., n_y)`` complex in the
+outputs' own units; every other argument broadcasts against the leading shape. Closed forms, exact to rounding
+also where the usual ones cancel (delta0 -> nu, gamma_w -> B1, gamma_w -> abs(E), E parallel to Z):
+differences of nearly equal products are formed in double-double arithmetic. The compiled kernels and the
+numpy versions agree to 1e-13 relative.
 
 With delta0 = Z^H E / Z^H Z (the least-squares scalar) and, by Lagrange's identity,
 
@@ -23,8 +24,9 @@ import numpy as np
 from lpvguard import native
 from lpvguard.errors import InputError
 
-EDGE_TOLERANCE = 8.9e-16
-"""gamma_w may lie below B1 by this much relative to gamma_w^2: a gamma_w that *is* B1, rounded, stays feasible."""
+EDGE_TOLERANCE = 2e-12
+"""gamma_w^2 may lie below B1^2 by this much, relative: a gamma_w that *is* the B1 returned here stays
+feasible."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,9 @@ def _s1_numpy(e: np.ndarray, z: np.ndarray, gamma: np.ndarray):
     ee = _dd_dot([(x, x) for i in range(n) for x in (ei[i].real, ei[i].imag)])
     zz = _dd_dot([(x, x) for i in range(n) for x in (zi[i].real, zi[i].imag)])
     ze_re = _dd_dot([pair for i in range(n) for pair in ((zi[i].real, ei[i].real), (zi[i].imag, ei[i].imag))])
-    ze_im = _dd_dot([pair for i in range(n) for pair in ((zi[i].real, ei[i].imag), (-zi[i].imag, ei[i].real))])
+    ze_im = _dd_dot(
+        [pair for i in range(n) for pair in ((zi[i].real, ei[i].imag), (-zi[i].imag, ei[i].real))]
+    )
     d2 = (np.zeros_like(g), np.zeros_like(g))
     for i, j in combinations(range(n), 2):
         for part in _dd_cross(ei[i], zi[j], ei[j], zi[i]):
@@ -133,7 +137,8 @@ def _pointer(array: np.ndarray) -> ctypes.c_void_p:
 
 
 def _points(source: str, e, z, *extra: tuple[str, object, bool]):
-    """Broadcast to (points, n_y) complex and (points[, n_y]) real contiguous arrays; returns them and the shape."""
+    """Broadcast to (points, n_y) complex and (points[, n_y]) real contiguous arrays; returns them and the
+    shape."""
     e, z = np.asarray(e, dtype=complex), np.asarray(z, dtype=complex)
     if e.ndim == 0 or z.ndim == 0 or e.shape[-1] != z.shape[-1] or e.shape[-1] == 0:
         raise InputError(source, "E, Z", f"shapes {e.shape} and {z.shape}", "(..., n_y) both, n_y >= 1")
@@ -150,7 +155,9 @@ def _points(source: str, e, z, *extra: tuple[str, object, bool]):
     try:
         shape = np.broadcast_shapes(e.shape[:-1], z.shape[:-1], *leads)
     except ValueError:
-        raise InputError(source, "shapes", f"{e.shape}, {z.shape}, {leads}", "shapes that broadcast") from None
+        raise InputError(
+            source, "shapes", f"{e.shape}, {z.shape}, {leads}", "shapes that broadcast"
+        ) from None
     count = int(np.prod(shape))
 
     def flat(a, tail):
@@ -161,24 +168,34 @@ def _points(source: str, e, z, *extra: tuple[str, object, bool]):
 
 
 def solve(e, z, gamma_w) -> S1Result:
-    """Smallest |delta| with ||E - delta Z||_2 <= gamma_w, with the delta and w that attain it, at every point.
+    """Smallest |delta| with ||E - delta Z||_2 <= gamma_w, with the delta and w that attain it, at every
+    point.
 
-    ``e``, ``z`` (..., n_y) complex; ``gamma_w`` (...) >= 0 in the outputs' units. Raises InputError on shapes that do
-    not fit and on a negative gamma_w. About 20 ns a point compiled.
+    ``e``, ``z`` (..., n_y) complex; ``gamma_w`` (...) >= 0 in the outputs' units. Raises InputError on shapes
+    that do not fit and on a negative gamma_w. About 20 ns a point compiled.
     """
     shape, e, z, gamma = _points("S1", e, z, ("gamma_w", gamma_w, False))
     points, n = e.shape
-    lib = native.kernels()
+    lib = native.kernels("s1")
     if lib is None:
         b1, nu, delta = _s1_numpy(e, z, gamma)
         w = e - delta[:, None] * z
     else:
-        b1, nu, delta, w = np.empty(points), np.empty(points), np.empty(points, dtype=complex), np.empty_like(e)
+        b1, nu, delta, w = (
+            np.empty(points),
+            np.empty(points),
+            np.empty(points, dtype=complex),
+            np.empty_like(e),
+        )
         size = ctypes.c_ssize_t
         lib.lpvg_s1(size(points), size(n), *map(_pointer, (e, z, gamma, b1, nu, delta, w)))
     feasible = np.isfinite(nu)
     return S1Result(
-        b1.reshape(shape), feasible.reshape(shape), nu.reshape(shape), delta.reshape(shape), w.reshape(*shape, n)
+        b1.reshape(shape),
+        feasible.reshape(shape),
+        nu.reshape(shape),
+        delta.reshape(shape),
+        w.reshape(*shape, n),
     )
 
 
@@ -210,11 +227,19 @@ def tradeoff(e, z, gamma_w, lambda_nu, lambda_w) -> TradeoffResult:
     """
     base = solve(e, z, gamma_w)
     shape, e, z, gamma, lam, lam_w = _points(
-        "S1 trade-off", e, z, ("gamma_w", gamma_w, False), ("lambda_nu", lambda_nu, False), ("lambda_w", lambda_w, True)
+        "S1 trade-off",
+        e,
+        z,
+        ("gamma_w", gamma_w, False),
+        ("lambda_nu", lambda_nu, False),
+        ("lambda_w", lambda_w, True),
     )
     curvature = lam + np.sum(lam_w * np.abs(z) ** 2, axis=-1)
     target = np.divide(
-        np.sum(lam_w * np.conj(z) * e, axis=-1), curvature, out=np.zeros(len(e), complex), where=curvature > 0.0
+        np.sum(lam_w * np.conj(z) * e, axis=-1),
+        curvature,
+        out=np.zeros(len(e), complex),
+        where=curvature > 0.0,
     )
     centre = least_squares_delta(e, z)
     b1, zz = base.b1.ravel(), np.sum(np.abs(z) ** 2, axis=-1)
@@ -291,7 +316,8 @@ def _margin_numpy(e, z, w_delta, w_w):
             worst = np.argmax(np.nan_to_num(levels, nan=-1.0), axis=0)
             order = [(0, 1, 2), (0, 2, 1), (1, 2, 0)]
             i, j, k = (
-                tuple(np.choose(worst, [d[o[slot]][field] for o in order]) for field in range(4)) for slot in range(3)
+                tuple(np.choose(worst, [d[o[slot]][field] for o in order]) for field in range(4))
+                for slot in range(3)
             )
             level = np.max(levels, axis=0)
             above = _reach(i, j, k)
@@ -307,18 +333,20 @@ MAX_OUTPUTS = 64
 
 
 def margin(e, z, w_delta, w_w) -> np.ndarray:
-    """On-line margin t* (...) of DESIGN 4.7: least t with |delta| <= t W_delta and |E_j - delta Z_j| <= t W_w,j.
+    """On-line margin t* (...) of DESIGN 4.7: least t with |delta| <= t W_delta and |E_j - delta Z_j| <= t
+    W_w,j.
 
-    ``e``, ``z``, ``w_w`` (..., n_y), ``w_delta`` (...); w_w > 0, w_delta >= 0. A weighted 1-centre problem of n_y + 1
-    discs; by Helly's theorem it is the worst of the problems of three discs, each of which is a pair or the smaller
-    root of a quadratic. t* > 1: no delta and w within the bounds explain the frame. NaN where an input was not
-    finite. Raises InputError on shapes that do not fit, a negative W_delta and a W_w that is not positive.
+    ``e``, ``z``, ``w_w`` (..., n_y), ``w_delta`` (...); w_w > 0, w_delta >= 0. A weighted 1-centre problem of
+    n_y + 1 discs; by Helly's theorem it is the worst of the problems of three discs, each of which is a pair
+    or the smaller root of a quadratic. t* > 1: no delta and w within the bounds explain the frame. NaN where
+    an input was not finite. Raises InputError on shapes that do not fit, a negative W_delta and a W_w that is
+    not positive.
     """
     shape, e, z, w_delta, w_w = _points("margin", e, z, ("W_delta", w_delta, False), ("W_w", w_w, True))
     if np.any(w_w == 0.0):
         raise InputError("margin", "W_w", "0", "positive numbers")
     points, n = e.shape
-    lib = native.kernels()
+    lib = native.kernels("s1")
     if lib is None or n > MAX_OUTPUTS:
         return _margin_numpy(e, z, w_delta, w_w).reshape(shape)
     t = np.empty(points)

@@ -1,12 +1,14 @@
 """Class S2: an input-multiplicative scalar and one full block on the state, certified globally (DESIGN 4.3).
 
     G_d xi_s = (z I - A_d) d - B_d xi_i,     d = x - x_nom,     e = C d + w
-    |xi_i| <= nu_i |u|,    |xi_s| <= nu_s |x_nom + d|,    |w| <= gamma_w,      min lambda_i nu_i^2 + lambda_s nu_s^2
+    |xi_i| <= nu_i |u|,    |xi_s| <= nu_s |x_nom + d|,    |w| <= gamma_w
+    min lambda_i nu_i^2 + lambda_s nu_s^2
 
-G_d = int_0^Ts e^{As} ds makes nu_s a rate (1/s), G_d = I a size per sample. At fixed nu_s this is a complex quadratic
-problem with two constraints, whose dual has no gap as long as nu_s < 1/sigma_max(H_s), H_s = (z I - A_d)^-1 G_d (at that
-cap an allowed Delta_s makes the loop singular). The optimum over nu_s is found by branch and bound: see _native/s2.c,
-whose numpy version is here. ``solve_forms`` is the kernel for any problem with one full block beside plain quadratics.
+G_d = int_0^Ts e^{As} ds makes nu_s a rate (1/s), G_d = I a size per sample. At fixed nu_s this is a complex
+quadratic problem with two constraints, whose dual has no gap as long as nu_s < 1/sigma_max(H_s), H_s = (z I -
+A_d)^-1 G_d (at that cap an allowed Delta_s makes the loop singular). The optimum over nu_s is found by branch
+and bound: see _native/s2.c, whose numpy version is here. ``solve_forms`` is the kernel for any problem with
+one full block beside plain quadratics.
 """
 
 from __future__ import annotations
@@ -21,6 +23,9 @@ from lpvguard import native
 from lpvguard.errors import InputError
 
 GAP = 1e-4
+NEAR_CAP = 1.0 - 1e-4
+"""An optimum at this fraction of the well-posedness cap or above is the cap's doing, not the data's."""
+
 MAX_N = 16
 """Free variables plus one that the kernel accepts."""
 
@@ -29,8 +34,8 @@ _MAX_DUALS, _MAX_NEWTON, _MAX_OPEN = 240, 60, 256
 
 @dataclass(frozen=True)
 class FormsResult:
-    """Per point: certified ``lower``, attained ``upper``, the size ``p`` and point ``z`` (n,) that attain it, dual
-    problems used."""
+    """Per point: certified ``lower``, attained ``upper``, the size ``p`` and point ``z`` (n,) that attain it,
+    dual problems used."""
 
     lower: np.ndarray
     upper: np.ndarray
@@ -42,8 +47,8 @@ class FormsResult:
 def solve_forms(forms: np.ndarray, z0: np.ndarray, p_max, *, gap: float = GAP) -> FormsResult:
     """min z* Q0 z + p over z = (theta, 1), p <= p_max, s.t. z* Qw z <= 0 and z* (A - p B) z <= 0.
 
-    ``forms`` (points, 4, n, n): Q0, Qw, A, B Hermitian, scaled so that the cost at the feasible ``z0`` (points, n), last
-    element 1, is about one; ``p_max`` (points,). Raises InputError when n > 16.
+    ``forms`` (points, 4, n, n): Q0, Qw, A, B Hermitian, scaled so that the cost at the feasible ``z0``
+    (points, n), last element 1, is about one; ``p_max`` (points,). Raises InputError when n > 16.
     """
     forms, z = np.ascontiguousarray(forms, dtype=complex), np.array(z0, dtype=complex, order="C")
     points, n = z.shape
@@ -51,14 +56,17 @@ def solve_forms(forms: np.ndarray, z0: np.ndarray, p_max, *, gap: float = GAP) -
         raise InputError("S2", "free variables", f"{n - 1}", f"1 to {MAX_N - 1}")
     p_max = np.ascontiguousarray(np.broadcast_to(np.asarray(p_max, dtype=float), (points,)))
     out = np.empty((points, 4))
-    lib = native.kernels()
+    lib = native.kernels("s2")
     if lib is None:
         for k in range(points):
             out[k], z[k] = _Point(forms[k], float(p_max[k]), gap).solve(z[k])
     else:
         size, pointer = ctypes.c_ssize_t, ctypes.c_void_p
         lib.lpvg_s2(
-            size(points), size(n), *(a.ctypes.data_as(pointer) for a in (forms, p_max)), ctypes.c_double(gap),
+            size(points),
+            size(n),
+            *(a.ctypes.data_as(pointer) for a in (forms, p_max)),
+            ctypes.c_double(gap),
             *(a.ctypes.data_as(pointer) for a in (z, out)),
         )
     return FormsResult(out[:, 0], out[:, 1], out[:, 2], z, out[:, 3].astype(int))
@@ -103,7 +111,9 @@ class _Point:
     def _form(self, q, z):
         return float(np.vdot(z, q @ z).real)
 
-    def _maximise_dual(self, p: float, fine: float, coarse: float, beyond: float, enough: float, at: _Dual) -> bool:
+    def _maximise_dual(
+        self, p: float, fine: float, coarse: float, beyond: float, enough: float, at: _Dual
+    ) -> bool:
         d = self.n - 1
         mu = at.mu
         value, c, y = self._factor(mu, p)
@@ -179,7 +189,9 @@ class _Point:
         cost = min(self.cost, 1.0)  # 1: the scale of the problem, before any point is known
         np.maximum(v.at.mu, 1e-3 * cost, out=v.at.mu)
         enough = min(self.cost, 1e9) + (v.hi - v.lo)
-        v.known = self._maximise_dual(v.hi, 0.1 * self.gap * cost, 0.02 * cost, 1.05 * self.cost, enough, v.at)
+        v.known = self._maximise_dual(
+            v.hi, 0.1 * self.gap * cost, 0.02 * cost, 1.05 * self.cost, enough, v.at
+        )
         if v.known:
             self._offer(v.at.z)
         v.lower = self._bound(v)
@@ -192,10 +204,21 @@ class _Point:
         closed, duals = np.inf, 1
         heap = [(first.lower, 0, first)]
         while heap:
-            if heap[0][0] >= self.cost * (1.0 - self.gap) or duals >= _MAX_DUALS or len(heap) + 1 >= _MAX_OPEN:
+            if (
+                heap[0][0] >= self.cost * (1.0 - self.gap)
+                or duals >= _MAX_DUALS
+                or len(heap) + 1 >= _MAX_OPEN
+            ):
                 break
             right = heapq.heappop(heap)[2]
-            left = _Interval(right.lo, self._cut(right), right.lower, right.lo_slope, False, _Dual(right.at.mu.copy(), right.at.slope))
+            left = _Interval(
+                right.lo,
+                self._cut(right),
+                right.lower,
+                right.lo_slope,
+                False,
+                _Dual(right.at.mu.copy(), right.at.slope),
+            )
             right.lo = left.hi
             duals += 1
             self._evaluate(left)
@@ -212,9 +235,10 @@ class _Point:
 
 @dataclass(frozen=True)
 class S2Result:
-    """Per point (K,): certified ``lower`` <= optimum <= attained ``upper``, the sizes, signals xi (K, 1 + n_x) and
-    w (K, n_y) that attain it, and the dual problems used. Points with gamma_w < B1 have inf bounds and NaN signals;
-    ``at_cap`` marks points whose bounds did not meet because nu_s reached the well-posedness cap."""
+    """Per point (K,): certified ``lower`` <= optimum <= attained ``upper``, the sizes, signals xi (K, 1 +
+    n_x) and w (K, n_y) that attain it, and the dual problems used. Points with gamma_w < B1 have inf bounds
+    and NaN signals. ``at_cap`` marks points whose best nu_s is the well-posedness cap itself (or whose bounds
+    did not meet near it): their figures are no bound on the vehicle, they say that the class does not fit."""
 
     lower: np.ndarray
     upper: np.ndarray
@@ -235,8 +259,8 @@ def solve(e, u, x_nom, h_i, h_s, c, gamma_w, lambda_i=1.0, lambda_s=1.0, *, gap:
     """Optimum of (8) for class S2 at K points.
 
     ``e`` (K, n_y), ``u`` (K,), ``x_nom`` (K, n_x) complex DFTs; ``h_i`` (K, n_x) = (zI - A_d)^-1 B_d; ``h_s``
-    (K, n_x, n_x) = (zI - A_d)^-1 G_d; ``c`` (n_y, n_x); ``gamma_w``, ``lambda_i``, ``lambda_s`` (K,) or numbers, the
-    lambdas > 0. Raises InputError on shapes that do not fit and on values that are not finite.
+    (K, n_x, n_x) = (zI - A_d)^-1 G_d; ``c`` (n_y, n_x); ``gamma_w``, ``lambda_i``, ``lambda_s`` (K,) or
+    numbers, the lambdas > 0. Raises InputError on shapes that do not fit and on values that are not finite.
     """
     e, u, x_nom, h_i, h_s, c = (np.asarray(a, dtype=complex) for a in (e, u, x_nom, h_i, h_s, c))
     points, n_y = e.shape
@@ -246,13 +270,19 @@ def solve(e, u, x_nom, h_i, h_s, c, gamma_w, lambda_i=1.0, lambda_s=1.0, *, gap:
     for name, (array, shape) in shapes.items():
         if array.shape != shape:
             raise InputError("S2", name, f"shape {array.shape}", f"{shape}")
-    gamma, lam_i, lam_s = (np.broadcast_to(np.asarray(a, dtype=float), (points,)) for a in (gamma_w, lambda_i, lambda_s))
+    gamma, lam_i, lam_s = (
+        np.broadcast_to(np.asarray(a, dtype=float), (points,)) for a in (gamma_w, lambda_i, lambda_s)
+    )
     for name, array in (("e", e), ("u", u), ("x_nom", x_nom), ("h_i", h_i), ("h_s", h_s), ("gamma_w", gamma)):
         bad = ~np.isfinite(array.reshape(points, -1)).all(axis=1)
         if bad.any():
-            raise InputError("S2", f"{name}, point {int(np.argmax(bad))}", "a value that is not finite", "finite numbers")
+            raise InputError(
+                "S2", f"{name}, point {int(np.argmax(bad))}", "a value that is not finite", "finite numbers"
+            )
     if np.any(gamma <= 0.0) or np.any(lam_i <= 0.0) or np.any(lam_s <= 0.0) or np.any(u == 0.0):
-        raise InputError("S2", "gamma_w, lambda, u", "zero or negative", "gamma_w, lambda_i, lambda_s > 0 and u != 0")
+        raise InputError(
+            "S2", "gamma_w, lambda, u", "zero or negative", "gamma_w, lambda_i, lambda_s > 0 and u != 0"
+        )
 
     # theta = xi = (xi_i, xi_s): w = e - C d, d = h_i xi_i + h_s xi_s.
     d = n_x + 1
@@ -284,10 +314,11 @@ def solve(e, u, x_nom, h_i, h_s, c, gamma_w, lambda_i=1.0, lambda_s=1.0, *, gap:
     feasible = np.isfinite(start).all(axis=1)
     start = np.where(feasible[:, None], start, 0.0)
     start[:, -1] = 1.0
-    value = lambda m: np.sum(np.abs((m @ start[:, :, None])[:, :, 0]) ** 2, axis=1)  # noqa: E731
-    a_0, b_0 = value(back[:, 1:]), value(eta_map)
-    cost = per_i * value(back[:, :1]) + lam_s * a_0 / np.maximum(b_0, 1e-300)
-    cap = lam_s / np.linalg.norm(h_s, 2, axis=(1, 2)) ** 2
+    xi_0, eta_0 = (back @ start[:, :, None])[:, :, 0], (eta_map @ start[:, :, None])[:, :, 0]
+    block_0 = np.sum(np.abs(xi_0[:, 1:]) ** 2, axis=1) / np.maximum(
+        np.sum(np.abs(eta_0) ** 2, axis=1), 1e-300
+    )
+    cost = per_i * np.abs(xi_0[:, 0]) ** 2 + lam_s * block_0
     trivial = np.where(cost > 0.0, cost, 1.0)
     weight = np.trace(a, axis1=1, axis2=2).real
     forms = np.stack(
@@ -299,7 +330,8 @@ def solve(e, u, x_nom, h_i, h_s, c, gamma_w, lambda_i=1.0, lambda_s=1.0, *, gap:
         ],
         axis=1,
     )
-    p_max = cap * (1.0 - 1e-9) / trivial
+    cap_s = 1.0 / np.linalg.norm(h_s, 2, axis=(1, 2))
+    p_max = lam_s * cap_s**2 * (1.0 - 1e-9) / trivial
     out = solve_forms(forms[feasible], start[feasible], p_max[feasible], gap=gap)
 
     def spread(values, fill=np.inf):
@@ -307,16 +339,26 @@ def solve(e, u, x_nom, h_i, h_s, c, gamma_w, lambda_i=1.0, lambda_s=1.0, *, gap:
         full[feasible] = values
         return full
 
-    upper, lower, z = spread(out.upper * trivial[feasible]), spread(out.lower * trivial[feasible]), spread(out.z, np.nan)
+    upper, lower, z = (
+        spread(out.upper * trivial[feasible]),
+        spread(out.lower * trivial[feasible]),
+        spread(out.z, np.nan),
+    )
+    z[~np.isfinite(upper)] = np.nan
     xi, w = (back @ z[:, :, None])[:, :, 0], (w_map @ z[:, :, None])[:, :, 0]
     eta = (eta_map @ z[:, :, None])[:, :, 0]
     nu_s = np.linalg.norm(xi[:, 1:], axis=1) / np.linalg.norm(eta, axis=1)
-    at_cap = feasible & ~(upper - lower <= 10.0 * gap * upper)
+    # A disturbance alone explains these: the optimum is zero, which a relative gap cannot reach.
+    silent = np.linalg.norm(e, axis=1) <= gamma
+    for array, value in ((lower, 0.0), (upper, 0.0), (nu_s, 0.0), (xi, 0.0), (w, e[silent])):
+        array[silent] = value
+    at_cap = feasible & (~(upper - lower <= 10.0 * gap * upper) | (nu_s >= NEAR_CAP * cap_s))
     return S2Result(lower, upper, np.abs(xi[:, 0]) / np.abs(u), nu_s, xi, w, spread(out.duals, 0), b1, at_cap)
 
 
 def _inside_ball(w_map: np.ndarray, gamma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(B1, z) per point: B1 = min |w|; z the point nearest to theta = 0 on the way to it with |w| <= gamma, NaN if none."""
+    """(B1, z) per point: B1 = min |w|; z the point nearest to theta = 0 on the way to it with |w| <= gamma,
+    NaN if none."""
     w_t, w_theta = w_map[:, :, -1], w_map[:, :, :-1]
     u, s, vh = np.linalg.svd(w_theta, full_matrices=False)
     keep = s > 1e-12 * s[:, :1]

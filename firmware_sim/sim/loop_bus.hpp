@@ -1,0 +1,53 @@
+/// @file loop_bus.hpp -- the bus between the two nodes of the loop, as the simulator sees it: two ends, and a watcher.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <memory>
+#include <string>
+
+#include "bus.h"
+
+namespace lpvguard_sim {
+
+class LoopBus {
+public:
+    enum Node : std::size_t { vehicle, ecu };
+
+    /// Called for every frame that a node sends, before it arrives.
+    using Watcher = void (*)(void* context, const lpvg_can_frame_t& frame);
+
+    LoopBus() = default;
+    LoopBus(const LoopBus&) = delete;
+    LoopBus& operator=(const LoopBus&) = delete;
+    virtual ~LoopBus() = default;
+
+    const bus_t* end(Node node) const { return &ends_[node]; }
+
+    void watch(Watcher watcher, void* context) {
+        watcher_ = watcher;
+        context_ = context;
+    }
+
+    /// Why the bus no longer carries every frame; empty while it does. Drivers are called from C, so they do not throw.
+    const std::string& failure() const { return failure_; }
+
+protected:
+    void pass(const lpvg_can_frame_t& frame) const {
+        if (watcher_ != nullptr) {
+            watcher_(context_, frame);
+        }
+    }
+
+    std::array<bus_t, 2> ends_{};
+    std::string failure_;
+
+private:
+    Watcher watcher_ = nullptr;
+    void* context_ = nullptr;
+};
+
+/// "memory", or "socketcan:INTERFACE". Throws lpvguard_plant::UsageError for anything else or what cannot be opened.
+std::unique_ptr<LoopBus> open_bus(const std::string& name);
+
+}  // namespace lpvguard_sim

@@ -1,0 +1,38 @@
+/// @file socketcan_bus.hpp -- the two nodes on a real SocketCAN interface, in lock-step by simulated time.
+///
+/// A node that receives waits until everything the other one has sent has come through the kernel, so a run gives the same
+/// frames as on the memory bus whatever the machine's speed. Others may listen (candump); a foreign sender's frames reach
+/// both nodes and break the count, hence the repeatability.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <string>
+
+#include "loop_bus.hpp"
+#include "socketcan.h"
+
+namespace lpvguard_sim {
+
+class SocketCanBus final : public LoopBus {
+public:
+    /// Throws lpvguard_plant::UsageError when the interface cannot be opened.
+    explicit SocketCanBus(const std::string& interface);
+    ~SocketCanBus() override;
+
+private:
+    struct Port {
+        SocketCanBus* bus = nullptr;
+        Port* peer = nullptr;
+        socketcan_t socket{};
+        bus_t raw{};
+        std::uint64_t sent = 0, received = 0;
+    };
+
+    static bool send(void* driver, const lpvg_can_frame_t* frame);
+    static bool receive(void* driver, std::int64_t now_us, lpvg_can_frame_t* frame);
+
+    std::array<Port, 2> ports_;
+};
+
+}  // namespace lpvguard_sim

@@ -1,0 +1,233 @@
+// SocketCAN as the firmware's bus, on a real vcan0: run through tools/with-vcan. Fails, and is never skipped, without one.
+#include <catch2/catch.hpp>
+
+#include <array>
+#include <atomic>
+#include <cerrno>
+#include <chrono>
+#include <cstdlib>
+#include <string>
+#include <thread>
+
+#include "../../firmware_sim/ports/linux/socketcan.h"
+#include "../can_bus.hpp"
+
+namespace {
+
+// A socket and its bus, closed at the end of the test.
+struct Node {
+    Node() = default;
+    Node(const Node&)            = delete;
+    Node& operator=(const Node&) = delete;
+    ~Node() { socketcan_close(&driver); }
+
+    bool open(const socketcan_filter_t* filters = nullptr, size_t n = 0, socketcan_time_t time = socketcan_time_arrival) {
+        socketcan_close(&driver);
+        return socketcan_open(&driver, "vcan0", filters, n, time, &bus);
+    }
+    bool send(const lpvg_can_frame_t& frame) { return bus_send(&bus, &frame); }
+    bool receive(lpvg_can_frame_t& frame, int64_t now = 0) { return bus_receive(&bus, now, &frame); }
+
+    socketcan_t driver{-1, 0, socketcan_time_arrival};
+    bus_t       bus{};
+};
+
+lpvg_can_frame_t frame_of(uint32_t id, uint8_t first) {
+    lpvg_can_frame_t frame{};
+    frame.id      = id;
+    frame.dlc     = 8U;
+    frame.data[0] = first;
+    return frame;
+}
+
+socketcan_filter_t filter_of(uint8_t index) { return {lpvg_can_rules[index].id, lpvg_can_rules[index].id_mask}; }
+
+const std::array<socketcan_filter_t, 2> kOurs = {filter_of(LPVG_CAN_VDC2_INDEX), filter_of(LPVG_CAN_GUARD_IN_INDEX)};
+
+int64_t now_us() {
+    return std::chrono::duration_cast<std::chrono::microseconds>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+// A sender of good EBC2 frames (100 ms, so that a tick of 10 ms does not matter) and a supervised receiver, in real time.
+class Ebc2Link {
+public:
+    static constexpr uint8_t kIndex = LPVG_CAN_EBC2_INDEX;
+
+    Ebc2Link() {
+        const socketcan_filter_t filter = filter_of(kIndex);
+        lpvg_can_ebc2_t m{};
+        m.front_axle_speed = kSpeed;
+        REQUIRE(lpvg_can_ebc2_pack(&m, &good_) == lpvg_status_ok);
+        REQUIRE(sender_.open());
+        REQUIRE(receiver_.open(&filter, 1));
+        due_us_ = now_us();
+        REQUIRE(lpvg_can_init(&supervisor, lpvg_can_rules, LPVG_CAN_RECEIVED, due_us_) == lpvg_status_ok);
+    }
+
+    void run(int64_t for_us) {
+        for (const int64_t end = now_us() + for_us; now_us() < end;) {
+            if (now_us() >= due_us_) {
+                due_us_ += LPVG_CAN_EBC2_PERIOD_US;
+                sent += sender_.send(good_) ? 1 : 0;
+            }
+            lpvg_can_frame_t frame{};
+            for (int n = 0; n < 1000 && receiver_.receive(frame, now_us()); ++n) {
+                uint8_t index = 0U;
+                ++received;
+                if (lpvg_can_receive(&supervisor, &frame, &index) == lpvg_can_event_accepted &&
+                    supervisor.watch[kIndex].raw[0] != kSpeed) {
+                    ++foreign_used;
+                }
+                if (first_off_us == 0 && was_live_ && state() == lpvg_can_state_off) {
+                    first_off_us = frame.t_us;
+                }
+                was_live_ = was_live_ || state() == lpvg_can_state_live;
+            }
+            lpvg_can_advance(&supervisor, now_us());
+            std::this_thread::sleep_for(std::chrono::milliseconds(1));
+        }
+    }
+
+    lpvg_can_state_t state() const { return lpvg_can_state(&supervisor, kIndex); }
+
+    lpvg_can_supervisor_t supervisor{};
+    int     sent         = 0;
+    int     received     = 0;
+    int     foreign_used = 0;
+    int64_t first_off_us = 0;
+
+private:
+    static constexpr uint16_t kSpeed = 54U * 256U;
+    Node             sender_, receiver_;
+    lpvg_can_frame_t good_{};
+    int64_t          due_us_   = 0;
+    bool             was_live_ = false;
+};
+
+// Runs a shell command beside the test.
+class Beside {
+public:
+    explicit Beside(std::string command)
+        : thread_([this, command] {
+              (void)!std::system(command.c_str());
+              done = true;
+          }) {}
+    ~Beside() { thread_.join(); }
+
+    std::atomic<bool> done{false};
+
+private:
+    std::thread thread_;
+};
+
+}  // namespace
+
+TEST_CASE("frames come in order, not back to the sender, and only the filtered", "[socketcan]") {
+    Node             a, b;
+    lpvg_can_frame_t got{};
+    REQUIRE(a.open());
+    REQUIRE(b.open(kOurs.data(), kOurs.size()));
+    CHECK_FALSE(b.receive(got));
+    for (uint8_t n = 0; n < 5; ++n) {
+        REQUIRE(a.send(frame_of(LPVG_CAN_VDC2_ID, n)));
+    }
+    CHECK_FALSE(a.receive(got));
+    for (uint8_t n = 0; n < 5; ++n) {
+        REQUIRE(b.receive(got));
+        CHECK(got.id == LPVG_CAN_VDC2_ID);
+        CHECK(got.dlc == 8U);
+        CHECK(got.data[0] == n);
+    }
+    CHECK_FALSE(b.receive(got));
+    for (const uint32_t id : {0x123U, LPVG_CAN_EXTENDED | 0x18F0093FU, 0x0F0U}) {
+        REQUIRE(a.send(frame_of(id, 1)));
+    }
+    const uint32_t other_priority = LPVG_CAN_EXTENDED | 0x0CF0093EU;
+    REQUIRE(a.send(frame_of(other_priority, 7)));
+    REQUIRE(b.receive(got));
+    CHECK(got.id == other_priority);
+    CHECK_FALSE(b.receive(got));
+    CHECK(b.driver.error == 0);
+}
+
+TEST_CASE("bus-off passes any filter and switches the supervision off; opening again drops what is queued", "[socketcan]") {
+    Node             a, b;
+    lpvg_can_frame_t got{};
+    REQUIRE(a.open());
+    REQUIRE(b.open(kOurs.data(), kOurs.size()));
+    REQUIRE(a.send(frame_of(LPVG_CAN_ERROR | LPVG_CAN_BUS_OFF, 0)));
+    REQUIRE(b.receive(got));
+    CHECK(got.id == (LPVG_CAN_ERROR | LPVG_CAN_BUS_OFF));
+    CanBus supervised;
+    got.t_us = CanBus::kStart;
+    CHECK(supervised.send(got) == lpvg_can_event_bus_off);
+    REQUIRE(a.send(frame_of(LPVG_CAN_VDC2_ID, 9)));
+    REQUIRE(b.open(kOurs.data(), kOurs.size()));
+    CHECK_FALSE(b.receive(got));
+}
+
+TEST_CASE("times are those of arrival on the firmware's clock, or of the call where time is simulated", "[socketcan]") {
+    Node             a, real, simulated;
+    lpvg_can_frame_t got{};
+    REQUIRE(a.open());
+    REQUIRE(real.open());
+    REQUIRE(simulated.open(nullptr, 0, socketcan_time_now));
+    const auto before = now_us();
+    REQUIRE(a.send(frame_of(LPVG_CAN_VDC2_ID, 1)));
+    const auto after = now_us();
+    std::this_thread::sleep_for(std::chrono::milliseconds(200));  // waiting in the queue must not count
+    REQUIRE(real.receive(got, now_us()));
+    CHECK(got.t_us >= before - 20'000);  // user-mode Linux has a tick of 10 ms
+    CHECK(got.t_us <= after + 20'000);
+    REQUIRE(simulated.receive(got, 123'456));
+    CHECK(got.t_us == 123'456);
+}
+
+TEST_CASE("what cannot be opened or sent says why", "[socketcan]") {
+    socketcan_t driver{};
+    bus_t       bus{};
+    CHECK_FALSE(socketcan_open(&driver, "nocan7", nullptr, 0, socketcan_time_arrival, &bus));
+    CHECK(driver.error == ENODEV);
+    const socketcan_filter_t many[SOCKETCAN_FILTERS_MAX + 1] = {};
+    CHECK_FALSE(socketcan_open(&driver, "vcan0", many, SOCKETCAN_FILTERS_MAX + 1, socketcan_time_arrival, &bus));
+    CHECK(driver.error == EINVAL);
+    auto frame = frame_of(LPVG_CAN_VDC2_ID, 0);
+    CHECK_FALSE(bus_send(&bus, &frame));
+    CHECK(driver.error == EBADF);
+    Node open;
+    REQUIRE(open.open());
+    frame.dlc = 9U;
+    CHECK_FALSE(open.send(frame));
+    CHECK(open.driver.error == EINVAL);
+}
+
+TEST_CASE("foreign identifiers at full speed do not reach the receiver", "[socketcan]") {
+    Ebc2Link link;
+    link.run(800'000);
+    REQUIRE(link.state() == lpvg_can_state_live);
+    Beside flood("cangen -g 0 -p 10 -n 50000 vcan0");  // 11-bit, and
+    Beside other("cangen -e -I 18F0043E -g 0 -p 10 -n 50000 vcan0");
+    while (!flood.done || !other.done) {
+        link.run(100'000);
+        CHECK(link.state() == lpvg_can_state_live);
+    }
+    CHECK(link.received == link.sent);
+    CHECK(link.supervisor.watch[Ebc2Link::kIndex].count[lpvg_can_event_missed] == 0U);
+    CHECK(link.supervisor.count[lpvg_can_event_unknown_id] == 0U);
+}
+
+TEST_CASE("our own identifier babbled: off within 5 periods, back within 1 s, nothing of it used", "[socketcan]") {
+    Ebc2Link link;
+    link.run(800'000);
+    REQUIRE(link.state() == lpvg_can_state_live);
+    const int64_t start = now_us();
+    Beside        flood("cangen -e -I 18FEBF0B -L 8 -g 0 -p 10 -n 50000 vcan0");
+    while (!flood.done) {
+        link.run(100'000);
+    }
+    CHECK(link.first_off_us > start);
+    CHECK(link.first_off_us - start <= 5 * static_cast<int64_t>(LPVG_CAN_EBC2_PERIOD_US));
+    CHECK(link.foreign_used <= 1);  // the very first may look like a good one
+    link.run(1'000'000);
+    CHECK(link.state() == lpvg_can_state_live);
+}

@@ -1,0 +1,26 @@
+"""The performance table: its rows, its targets and the points it is measured on."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+from lpvguard.bench import validation as bench
+from lpvguard.validation import s1
+
+
+def test_rows_carry_figures_targets_and_the_certified_gap():
+    rows = bench.run(experiments=2, bins=16, peers=False)
+    assert [r.kernel for r in rows] == ["S1", "margin", "S2"]
+    assert all(r.points == 32 and r.us_per_point > 0 and r.peer_us is None for r in rows)
+    assert rows[2].worst_gap <= 1.01e-4
+    assert {r.kernel: r.target_us for r in rows} == {"S1": 0.02, "margin": 0.1, "S2": 500.0}
+    assert len(bench.table(rows).splitlines()) == 4
+    assert json.loads(json.dumps(bench.as_dicts(rows)))[0]["ok"] in (True, False)
+
+
+def test_points_repeat_with_their_seed_and_lie_between_b1_and_the_error():
+    first, again = bench.truck_points(2, 8, seed=3), bench.truck_points(2, 8, seed=3)
+    assert all(np.array_equal(first[k], again[k]) for k in first)
+    b1 = s1.solve(first["e"], first["z"], 0.0).b1
+    assert np.all(first["gamma_w"] >= b1) and np.all(first["gamma_w"] < np.linalg.norm(first["e"], axis=1))

@@ -1,0 +1,306 @@
+// The ECU step as a black box on its bus: engagement, every supervision state, reactions, reports, documented failures.
+#include <catch2/catch.hpp>
+
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <vector>
+
+#include "heap_counter.hpp"
+#include "lpvg_can_codec.h"
+#include "lpvguard/ecu.h"
+
+namespace {
+
+constexpr int64_t tick_us = 10'000;
+
+const lpvg_ecu_config_t config = {true, lpvg_ecu_reaction_report, lpvg_ecu_reaction_report,
+                                  {2.07F, 5.0F, 1.5F, 0.15F, 100U}};
+
+struct Report {
+    float demand = NAN, margin = NAN, verdict = NAN, supervision = NAN;
+};
+
+// An ECU and the frames of a truck that drives straight on at 12 m/s while a yaw rate is asked for.
+class Bench {
+public:
+    explicit Bench(const lpvg_ecu_config_t& with = config) {
+        REQUIRE(lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &with, 0) == lpvg_status_ok);
+    }
+
+    // One step with this tick's frames; a test may spoil them through the members below.
+    void step() {
+        const int64_t now_us = k * tick_us;
+        std::vector<lpvg_can_frame_t> in;
+        lpvg_can_frame_t frame{};
+        frame.t_us = now_us;
+        lpvg_can_vdc2_t vdc2{};
+        vdc2.steering_wheel_angle = lpvg_can_vdc2_steering_wheel_angle_encode(0.0F);
+        vdc2.yaw_rate = lpvg_can_vdc2_yaw_rate_encode(yaw_rate);
+        vdc2.lateral_acceleration = lpvg_can_vdc2_lateral_acceleration_encode(lateral);
+        vdc2.longitudinal_acceleration = lpvg_can_vdc2_longitudinal_acceleration_encode(0.0F);
+        REQUIRE(lpvg_can_vdc2_pack(&vdc2, &frame) == lpvg_status_ok);
+        if (send_vdc2) {
+            in.push_back(frame);
+        }
+        lpvg_can_guard_in_t guard{};
+        guard.dp_measured = lpvg_can_guard_in_dp_measured_encode(0.0F);
+        guard.yaw_rate_command = lpvg_can_guard_in_yaw_rate_command_encode(command);
+        REQUIRE(lpvg_can_guard_in_pack(&guard, &frame) == lpvg_status_ok);
+        REQUIRE(lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &counter_) == lpvg_status_ok);
+        frame.data[4] ^= spoil_guard_in ? 1U : 0U;
+        if (send_guard_in) {
+            in.push_back(frame);
+        }
+        if (k % 10 == 0) {
+            lpvg_can_ebc2_t ebc2;
+            std::memset(&ebc2, 0xFF, sizeof ebc2);
+            ebc2.front_axle_speed = lpvg_can_ebc2_front_axle_speed_encode(12.0F * 3.6F);
+            REQUIRE(lpvg_can_ebc2_pack(&ebc2, &frame) == lpvg_status_ok);
+            if (send_ebc2) {
+                in.push_back(frame);
+            }
+        }
+        const long allocations = heap_allocations();
+        lpvg_can_frame_t out[LPVG_ECU_FRAMES_OUT];
+        size_t n_out = 99U;
+        REQUIRE(lpvg_ecu_step(&ecu, now_us, in.data(), in.size(), out, LPVG_ECU_FRAMES_OUT, &n_out) == lpvg_status_ok);
+        CHECK(heap_allocations() == allocations);
+        take(out, n_out, now_us);
+        ++k;
+    }
+
+    void run(int steps) {
+        for (int i = 0; i < steps; ++i) {
+            step();
+        }
+    }
+
+    bool live() const { return report.supervision == static_cast<float>(lpvg_can_state_live); }
+
+    lpvg_ecu_t ecu;
+    int64_t k = 0;
+    float yaw_rate = 0.0F, lateral = 0.0F, command = 0.05F;
+    bool send_vdc2 = true, send_guard_in = true, send_ebc2 = true, spoil_guard_in = false;
+    Report report;
+    int reports = 0, dm1s = 0;
+    uint32_t spn = 0;
+    uint8_t fmi = 0, lamps = 0;
+
+private:
+    void take(const lpvg_can_frame_t* out, size_t n, int64_t now_us) {
+        REQUIRE(n >= 1U);
+        for (size_t i = 0; i < n; ++i) {
+            CHECK(out[i].t_us == now_us);
+            if (out[i].id != LPVG_CAN_GUARD_OUT_ID) {
+                CHECK(out[i].id == (LPVG_CAN_EXTENDED | 0x18FECAFCU));
+                ++dm1s;
+                lamps = out[i].data[0];
+                spn = out[i].data[2] + 256U * out[i].data[3] + 65536U * (out[i].data[4] >> 5U);
+                fmi = out[i].data[4] & 0x1FU;
+                continue;
+            }
+            uint8_t received = 0xFF;
+            CHECK(lpvg_can_e2e_check(&out[i], LPVG_CAN_GUARD_OUT_E2E_DATA_ID, &received) == lpvg_status_ok);
+            CHECK(received == reports++ % 15);
+            lpvg_can_guard_out_t message{};
+            REQUIRE(lpvg_can_guard_out_unpack(&message, &out[i]) == lpvg_status_ok);
+            lpvg_can_guard_out_dp_demand_decode(message.dp_demand, &report.demand);
+            lpvg_can_guard_out_monitor_margin_decode(message.monitor_margin, &report.margin);
+            lpvg_can_guard_out_monitor_verdict_decode(message.monitor_verdict, &report.verdict);
+            lpvg_can_guard_out_supervision_state_decode(message.supervision_state, &report.supervision);
+        }
+    }
+
+    uint8_t counter_ = 0;
+};
+
+constexpr int to_live = 41;  // EBC2's fifth frame is the 41st tick's
+
+}  // namespace
+
+TEST_CASE("nothing is demanded before every needed message is live, then the loop engages", "[unit][ecu]") {
+    Bench bench;
+    bench.run(to_live - 1);
+    CHECK_FALSE(bench.live());
+    CHECK(bench.report.demand == Approx(0.0F).margin(0.0003));
+    CHECK(bench.report.verdict == static_cast<float>(lpvg_verdict_unknown));
+    CHECK(bench.spn == 0U);  // a bus that comes up is no fault
+    bench.run(1);
+    CHECK(bench.live());
+    CHECK(bench.ecu.control.engaged);
+    bench.run(200);
+    CHECK(std::fabs(bench.report.demand) > 0.1F);
+    CHECK(bench.report.demand == Approx(static_cast<float>(bench.ecu.control.u[0])).margin(0.5 / 2048.0 + 1e-6));
+    CHECK(bench.dm1s == 3);  // at 0, 1 and 2 s
+}
+
+TEST_CASE("engagement is asked for by configuration or call, and given back without a jump", "[unit][ecu]") {
+    lpvg_ecu_config_t waiting = config;
+    waiting.engage = false;
+    Bench bench(waiting);
+    bench.run(300);
+    CHECK(bench.live());
+    CHECK(bench.report.demand == Approx(0.0F).margin(0.0003));
+    lpvg_ecu_engage(&bench.ecu, true);
+    bench.run(1);
+    CHECK(std::fabs(bench.ecu.control.u[0]) < 1.0 / 2048.0);
+    bench.run(300);
+    CHECK(std::fabs(bench.report.demand) > 0.1F);
+    lpvg_ecu_engage(&bench.ecu, false);
+    bench.run(100);
+    CHECK(bench.report.demand == Approx(0.0F).margin(0.0003));
+    lpvg_ecu_engage(nullptr, true);
+}
+
+TEST_CASE("a dead yaw sensor shows within 5 periods and its demand is released", "[unit][ecu]") {
+    const bool absent = GENERATE(false, true);  // no frame at all, or frames that say "not available"
+    Bench bench;
+    bench.run(400);
+    REQUIRE(bench.live());
+    const float demand = bench.report.demand;
+    if (absent) {
+        bench.yaw_rate = NAN;
+    } else {
+        bench.send_vdc2 = false;
+    }
+    int steps = 0;
+    while (bench.live() && steps < 20) {
+        bench.step();
+        ++steps;
+    }
+    CHECK(steps <= 5);
+    CHECK(std::fabs(bench.report.demand) <= std::fabs(demand));
+    bench.run(3);
+    CHECK(bench.report.supervision == static_cast<float>(lpvg_can_state_off));
+    bench.run(100);
+    CHECK(bench.report.demand == Approx(0.0F).margin(0.0003));
+    CHECK(bench.report.verdict == static_cast<float>(lpvg_verdict_stale));
+    CHECK(bench.spn == 1808U);
+    CHECK(bench.fmi == (absent ? 2U : 9U));
+    CHECK(bench.lamps == LPVG_CAN_LAMP_AMBER);
+    bench.yaw_rate = 0.0F;
+    bench.send_vdc2 = true;
+    bench.run(LPVG_CAN_RECOVER_FRAMES);
+    CHECK(bench.live());
+    CHECK(bench.ecu.control.engaged);
+    bench.run(100);
+    CHECK(bench.spn == 0U);
+}
+
+TEST_CASE("every needed message is missed when it is lost or damaged", "[unit][ecu]") {
+    const int which = GENERATE(0, 1, 2);
+    Bench bench;
+    bench.run(200);
+    REQUIRE(bench.live());
+    bench.send_guard_in = which != 0;
+    bench.spoil_guard_in = which == 1;
+    bench.send_ebc2 = which != 2;
+    const int periods = which == 2 ? 10 * LPVG_CAN_OFF_MISSED : LPVG_CAN_OFF_MISSED;
+    bench.run(periods + (which == 2 ? 10 : 2));
+    CHECK(bench.report.supervision == static_cast<float>(lpvg_can_state_off));
+    bench.run(100);
+    CHECK(bench.spn == (which == 2 ? 904U : 520192U));
+    CHECK(bench.fmi == (which == 1 ? 19U : 9U));
+    CHECK(bench.report.demand == Approx(0.0F).margin(0.0003));
+}
+
+TEST_CASE("bus-off releases at once", "[unit][ecu]") {
+    Bench bench;
+    bench.run(300);
+    REQUIRE(bench.live());
+    lpvg_can_frame_t error{};
+    error.id = LPVG_CAN_ERROR | LPVG_CAN_BUS_OFF;
+    error.t_us = bench.k * tick_us;
+    lpvg_can_frame_t out[LPVG_ECU_FRAMES_OUT];
+    size_t n_out = 0;
+    REQUIRE(lpvg_ecu_step(&bench.ecu, error.t_us, &error, 1, out, LPVG_ECU_FRAMES_OUT, &n_out) == lpvg_status_ok);
+    CHECK(bench.ecu.report.supervision == lpvg_can_state_off);
+    CHECK_FALSE(bench.ecu.control.engaged);
+}
+
+TEST_CASE("a vehicle that does not answer is found out, and released if so configured", "[unit][ecu]") {
+    const uint8_t reaction = GENERATE(as<uint8_t>{}, lpvg_ecu_reaction_report, lpvg_ecu_reaction_release);
+    lpvg_ecu_config_t with = config;
+    with.on_invalid = reaction;
+    Bench bench(with);
+    for (int i = 0; i < 6000 && bench.report.verdict != static_cast<float>(lpvg_verdict_invalid); ++i) {
+        bench.command = 0.15F * std::sin(0.01F * static_cast<float>(i));
+        bench.step();
+    }
+    REQUIRE(bench.report.verdict == static_cast<float>(lpvg_verdict_invalid));
+    CHECK(bench.report.margin > static_cast<float>(lpvg_coeff.reals.threshold));
+    bench.run(120);
+    CHECK(bench.live());
+    CHECK(bench.spn == LPVG_ECU_SPN_INVALID);
+    CHECK(bench.ecu.control.engaged == (reaction == lpvg_ecu_reaction_report));
+}
+
+TEST_CASE("sensors that contradict each other are told, and released if so configured", "[unit][ecu]") {
+    const uint8_t reaction = GENERATE(as<uint8_t>{}, lpvg_ecu_reaction_report, lpvg_ecu_reaction_release);
+    lpvg_ecu_config_t with = config;
+    with.on_implausible = reaction;
+    Bench bench(with);
+    bench.run(100);
+    bench.lateral = 3.0F;  // a bend of 0.25 rad/s that the yaw sensor does not see
+    bench.run(230);
+    CHECK(bench.ecu.plausibility.flags == LPVG_CAN_IMPLAUSIBLE_LATERAL);
+    CHECK(bench.spn == LPVG_ECU_SPN_IMPLAUSIBLE);
+    CHECK(bench.ecu.control.engaged == (reaction == lpvg_ecu_reaction_report));
+}
+
+TEST_CASE("arguments and times that are wrong change and send nothing", "[unit][ecu]") {
+    Bench bench;
+    bench.run(60);
+    const lpvg_ecu_t before = bench.ecu;
+    const int64_t now_us = bench.k * tick_us;
+    lpvg_can_frame_t out[LPVG_ECU_FRAMES_OUT];
+    size_t n = 7U;
+    CHECK(lpvg_ecu_step(nullptr, now_us, nullptr, 0, out, 2, &n) == lpvg_status_bad_argument);
+    CHECK(n == 0U);
+    CHECK(lpvg_ecu_step(&bench.ecu, now_us, nullptr, 1, out, 2, &n) == lpvg_status_bad_argument);
+    CHECK(lpvg_ecu_step(&bench.ecu, now_us, nullptr, 0, nullptr, 2, &n) == lpvg_status_bad_argument);
+    CHECK(lpvg_ecu_step(&bench.ecu, now_us, nullptr, 0, out, LPVG_ECU_FRAMES_OUT - 1U, &n) == lpvg_status_bad_argument);
+    CHECK(lpvg_ecu_step(&bench.ecu, now_us, nullptr, 0, out, 2, nullptr) == lpvg_status_bad_argument);
+    CHECK(lpvg_ecu_step(&bench.ecu, now_us - tick_us, nullptr, 0, out, 2, &n) == lpvg_status_out_of_order);
+    CHECK(lpvg_ecu_step(&bench.ecu, std::numeric_limits<int64_t>::min(), nullptr, 0, out, 2, &n) == lpvg_status_out_of_order);
+    CHECK(std::memcmp(&before, &bench.ecu, sizeof before) == 0);
+    lpvg_ecu_t cleared{};
+    CHECK(lpvg_ecu_step(&cleared, now_us, nullptr, 0, out, 2, &n) == lpvg_status_not_ready);
+}
+
+TEST_CASE("init refuses what it documents and leaves the object alone", "[unit][ecu]") {
+    lpvg_ecu_t ecu, before;
+    std::memset(&ecu, 0xA5, sizeof ecu);
+    std::memcpy(&before, &ecu, sizeof ecu);
+    const auto refused = [&](const lpvg_coeff_t* coeff, const lpvg_control_coeff_t* control, const lpvg_ecu_config_t* with,
+                             int64_t now_us) {
+        const lpvg_status_t status = lpvg_ecu_init(&ecu, coeff, control, with, now_us);
+        CHECK(std::memcmp(&ecu, &before, sizeof ecu) == 0);
+        return status;
+    };
+    CHECK(lpvg_ecu_init(nullptr, &lpvg_coeff, &lpvg_control_coeff, &config, 0) == lpvg_status_bad_argument);
+    CHECK(refused(nullptr, &lpvg_control_coeff, &config, 0) == lpvg_status_bad_argument);
+    CHECK(refused(&lpvg_coeff, nullptr, &config, 0) == lpvg_status_bad_argument);
+    CHECK(refused(&lpvg_coeff, &lpvg_control_coeff, nullptr, 0) == lpvg_status_bad_argument);
+    CHECK(refused(&lpvg_coeff, &lpvg_control_coeff, &config, -1) == lpvg_status_bad_argument);
+    lpvg_ecu_config_t wrong = config;
+    wrong.on_invalid = 2U;
+    CHECK(refused(&lpvg_coeff, &lpvg_control_coeff, &wrong, 0) == lpvg_status_bad_argument);
+    wrong = config;
+    wrong.on_implausible = 3U;
+    CHECK(refused(&lpvg_coeff, &lpvg_control_coeff, &wrong, 0) == lpvg_status_bad_argument);
+    wrong = config;
+    wrong.plausibility.yaw_rps = 0.0F;
+    CHECK(refused(&lpvg_coeff, &lpvg_control_coeff, &wrong, 0) == lpvg_status_bad_argument);
+    lpvg_coeff_t model = lpvg_coeff;
+    model.words.magic = 0U;
+    CHECK(refused(&model, &lpvg_control_coeff, &config, 0) == lpvg_status_bad_magic);
+    lpvg_control_coeff_t control = lpvg_control_coeff;
+    control.reals.C[0][0][0] += lpvg_real_t(1);
+    CHECK(refused(&lpvg_coeff, &control, &config, 0) == lpvg_status_bad_crc);
+    control = lpvg_control_coeff;
+    control.words.sample_period_us *= 2U;
+    control.words.crc32 = lpvg_control_coeff_crc32(&control);
+    CHECK(refused(&lpvg_coeff, &control, &config, 0) == lpvg_status_bad_value);
+}

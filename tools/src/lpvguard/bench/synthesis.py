@@ -1,0 +1,251 @@
+"""Performance of the synthesis, with its certificates, beside public peers given the same plants in one run.
+
+H∞ on Fig. 1 with third-order weights (23 states, the paper's order), K_i and K_is on the paper case. Peers,
+run in a virtual environment of their own that the bench makes when asked (binary wheels only): python-control
+with slycot (``hinfsyn``) and dkpy (D-K iteration). What a peer returns is judged like ours: by the certified
+norm or μ bound of the loop that its controller closes, never by the level it claims.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+import venv
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from lpvguard import truck_model
+from lpvguard.synthesis.cases import case_plant, read_case
+from lpvguard.synthesis.dk import certify, dk_synthesis
+from lpvguard.synthesis.hinf import hinf_synthesis
+from lpvguard.synthesis.interconnection import (
+    GeneralisedPlant,
+    Weights,
+    generalised_plant,
+    weight_from_table,
+    zeros_poles,
+)
+from lpvguard.synthesis.norms import hinf_norm
+from lpvguard.synthesis.statespace import StateSpace, lft, series
+
+TARGET_S = {"H_inf": 0.06, "K_i": 0.5, "K_is": 1.0}
+"""Seconds that each synthesis is held to, certificate included."""
+
+PEER_PACKAGES = ("slycot", "control", "dkpy", "clarabel==0.9.0")  # dkpy 0.1.9 panics with clarabel 0.11
+PEER_LIMIT_S = 300.0
+
+_PEER_SCRIPT = """
+import json, sys, time, warnings
+warnings.filterwarnings("ignore")
+import numpy as np, control
+job = json.load(open(sys.argv[1]))
+P = control.ss(*(np.array(job[k]) for k in "ABCD"))
+start = time.perf_counter()
+if job["blocks"]:
+    import dkpy
+    omega = np.concatenate([[1e-6], np.logspace(-4, 3, 60)])
+    parts = dkpy.HinfSynSlicot(), dkpy.SsvLmiBisection(n_jobs=1), dkpy.DScaleFitSlicot()
+    run = dkpy.DkIterFixedOrder(*parts, 3, 2)
+    K, _, level, _, _ = run.synthesize(P, job["n_y"], job["n_u"], omega, np.array(job["blocks"]))
+else:
+    K, _, level, _ = control.hinfsyn(P, job["n_y"], job["n_u"])
+seconds = time.perf_counter() - start
+if K is None:
+    raise SystemExit("no controller")
+matrices = {k: np.asarray(getattr(K, k)).tolist() for k in "ABCD"}
+json.dump({"seconds": seconds, "claimed": float(level), **matrices}, open(sys.argv[2], "w"))
+"""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table: ours and a peer's. ``level``: certified norm or μ bound; ``claimed``: the peer's own.
+
+    Peer fields are None when it was not run; ``peer_note`` says why, or what went wrong with it.
+    """
+
+    job: str
+    states: int
+    seconds: float
+    target_s: float
+    level: float
+    order: int
+    peer: str
+    peer_seconds: float | None
+    peer_level: float | None
+    peer_claimed: float | None
+    peer_order: int | None
+    ratio: float | None
+    peer_note: str
+
+    @property
+    def ok(self) -> bool:
+        """True when the synthesis meets its target."""
+        return self.seconds <= self.target_s
+
+
+def order_23_plant(case: dict) -> GeneralisedPlant:
+    """K_inf's plant with W_C and the noise and disturbance weights raised to third order: 23 states, as in
+    the paper.
+    """
+    objective = case["objective"][0]
+    weights = {
+        f.name: weight_from_table(case[f.name], A_t=objective["A_t"], A_u=objective["A_u"])
+        for f in fields(Weights)
+    }
+    ripple = {1: zeros_poles(1.0, [0.4], [0.5]), 2: zeros_poles(1.0, [0.4, 9.0], [0.5, 11.0])}
+    for name in ("W_C", "W_nr", "W_ndelta", "W_wr", "W_wdelta"):
+        weights[name] = series(ripple[3 - weights[name].order], weights[name])
+    A, B = truck_model.continuous(case["v"], case["wheelbase"])
+    return generalised_plant(A, B, Weights(**weights), "K_inf")
+
+
+def run(case_path, repeats: int = 5, peers: Path | None = None) -> list[Row]:
+    """Measure the three syntheses; ``peers``: a folder for the peers' environment (made when missing), None:
+    without them.
+
+    Our time is the least of ``repeats`` runs, as other work on the machine only adds to it; a peer runs once.
+    """
+    case = read_case(case_path)
+    big = order_23_plant(case)
+    jobs: list[tuple[str, GeneralisedPlant, Callable]] = [
+        ("H_inf", big, lambda: hinf_synthesis(big.system, big.n_control, big.n_measurement))
+    ]
+    for name in ("K_i", "K_is"):
+        plant = case_plant(case, case["objective"][0], name)
+        jobs.append((name, plant, lambda plant=plant: dk_synthesis(plant)))
+    python, note = _peer_python(peers)
+    rows = []
+    for name, plant, job in jobs:
+        seconds, result = min((_timed(job) for _ in range(repeats)), key=lambda pair: pair[0])
+        level = result.gamma_achieved if name == "H_inf" else result.performance.upper
+        peer = _peer(python, plant, peers) if python else {"note": note}
+        rows.append(
+            Row(
+                name,
+                plant.system.order,
+                seconds,
+                TARGET_S[name],
+                level,
+                result.controller.order,
+                "control" if name == "H_inf" else "dkpy",
+                peer.get("seconds"),
+                peer.get("level"),
+                peer.get("claimed"),
+                peer.get("order"),
+                peer["seconds"] / seconds if "seconds" in peer else None,
+                peer.get("note", ""),
+            )
+        )
+    return rows
+
+
+def _timed(job):
+    start = time.perf_counter()
+    result = job()
+    return time.perf_counter() - start, result
+
+
+def _peer_python(folder: Path | None) -> tuple[Path | None, str]:
+    """The interpreter of the peers' environment and, when there is none, why."""
+    if folder is None:
+        return None, "not asked for"
+    python = Path(folder) / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+    if not python.exists():
+        venv.create(folder, with_pip=True)
+        made = subprocess.run(
+            [python, "-m", "pip", "install", "--quiet", "--only-binary", ":all:", *PEER_PACKAGES],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if made.returncode:
+            python.unlink()
+            return None, f"could not be installed: {made.stderr.strip().splitlines()[-1:]}"
+    return python, ""
+
+
+def _peer(python: Path, plant: GeneralisedPlant, folder: Path) -> dict:
+    """Run the peer on ``plant`` and certify the controller it returns."""
+    given, answer = Path(folder) / "problem.json", Path(folder) / "answer.json"
+    answer.unlink(missing_ok=True)
+    P = plant.system
+    blocks = [[b.cols, b.rows] for b in (*plant.blocks, plant.performance_block)] if plant.blocks else []
+    given.write_text(
+        json.dumps(
+            {
+                "A": P.A.tolist(),
+                "B": P.B.tolist(),
+                "C": P.C.tolist(),
+                "D": P.D.tolist(),
+                "n_u": plant.n_control,
+                "n_y": plant.n_measurement,
+                "blocks": blocks,
+            }
+        )
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    try:
+        done = subprocess.run(
+            [python, "-c", _PEER_SCRIPT, given, answer],
+            capture_output=True,
+            text=True,
+            timeout=PEER_LIMIT_S,
+            env=environment,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return {"note": f"no answer in {PEER_LIMIT_S:g} s"}
+    if done.returncode or not answer.exists():
+        return {"note": f"failed: {(done.stderr.strip().splitlines() or ['no message'])[-1][:80]}"}
+    got = json.loads(answer.read_text())
+    K = StateSpace(*(np.array(got[k]) for k in "ABCD"))
+    level = certify(plant, K).upper if plant.blocks else hinf_norm(lft(P, K)).upper
+    note = (
+        "its loop is unstable"
+        if not np.isfinite(level)
+        else ""
+        if level <= got["claimed"] * 1.01
+        else "claim not met"
+    )
+    return {
+        "seconds": got["seconds"],
+        "claimed": got["claimed"],
+        "level": level,
+        "order": K.order,
+        "note": note,
+    }
+
+
+def table(rows: list[Row]) -> str:
+    """The rows as text, one line each."""
+    lines = [
+        f"{'job':6}{'states':>7}{'time s':>9}{'target':>8}{'level':>10}{'order':>7}   "
+        f"{'peer':8}{'time s':>8}{'claims':>10}{'certified':>11}{'order':>7}{'ratio':>7}"
+    ]
+    for r in rows:
+        peer = (
+            f"{r.peer_seconds:>8.2f}{r.peer_claimed:>10.4f}{r.peer_level:>11.4f}{r.peer_order:>7d}{r.ratio:>7.1f}"
+            if r.peer_seconds is not None
+            else f"{'-':>8}{'-':>10}{'-':>11}{'-':>7}{'-':>7}"
+        )
+        lines.append(
+            f"{r.job:6}{r.states:>7d}{r.seconds:>9.3f}{r.target_s:>8.2f}{r.level:>10.5f}{r.order:>7d}   "
+            f"{r.peer:8}{peer}  {r.peer_note}"
+        )
+    return "\n".join(lines)
+
+
+def as_dicts(rows: list[Row]) -> list[dict]:
+    """The rows for ``--json``."""
+    return [asdict(r) | {"ok": r.ok} for r in rows]
+
+
+if __name__ == "__main__":
+    print(table(run(sys.argv[1], peers=Path(sys.argv[2]) if len(sys.argv) > 2 else None)))
