@@ -116,7 +116,7 @@ void require(bool ok, const char* what) {
     }
 }
 
-int64_t time_us(std::size_t k) { return static_cast<int64_t>(k) * lpvg_coeff.words.sample_period_us; }
+int64_t time_us(std::size_t k) { return static_cast<int64_t>(k + 1U) * lpvg_coeff.words.sample_period_us; }
 
 lpvg_sample_t sample_at(std::size_t k) {
     lpvg_sample_t sample{};
@@ -246,7 +246,7 @@ std::size_t bus_frames(std::size_t k, lpvg_can_frame_t* frames, uint8_t* counter
     }
     require(packed, "the codec refused a frame\n");
     for (std::size_t i = 0; i < n; ++i) {
-        frames[i].t_us = sample.t_us;
+        frames[i].t_us = sample.t_us - 600 * static_cast<int64_t>(n - i);  // a 250 kbit/s bus carries a frame in 0.6 ms
     }
     return n;
 }

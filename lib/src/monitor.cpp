@@ -61,15 +61,13 @@ lpvg_reason_t sample_reason(const lpvg_monitor_t& self, bool in_range) {
 }
 
 // Out of range outlives settling: it names the cause.
-lpvg_span_t joined(const lpvg_span_t& a, const lpvg_span_t& b) {
-    lpvg_span_t both = a;
-    both.speed_low = b.speed_low < a.speed_low ? b.speed_low : a.speed_low;
-    both.speed_high = b.speed_high > a.speed_high ? b.speed_high : a.speed_high;
-    both.speed_sum = a.speed_sum + b.speed_sum;
-    if (b.reason != lpvg_reason_none && a.reason != lpvg_reason_out_of_range) {
-        both.reason = b.reason;
+void extend(lpvg_span_t& span, const lpvg_span_t& more) {
+    span.speed_low = more.speed_low < span.speed_low ? more.speed_low : span.speed_low;
+    span.speed_high = more.speed_high > span.speed_high ? more.speed_high : span.speed_high;
+    span.speed_sum += more.speed_sum;
+    if (more.reason != lpvg_reason_none && span.reason != lpvg_reason_out_of_range) {
+        span.reason = more.reason;
     }
-    return both;
 }
 
 // Sample i of the block, the oldest first.
@@ -80,7 +78,7 @@ const lpvg_taken_t& taken(const lpvg_monitor_t& self, uint32_t i) {
 lpvg_span_t span_of(const lpvg_monitor_t& self, uint32_t first, uint32_t end) {
     lpvg_span_t span = taken(self, first).span;
     for (uint32_t i = first + 1U; i < end; ++i) {
-        span = joined(span, taken(self, i).span);
+        extend(span, taken(self, i).span);
     }
     return span;
 }
@@ -137,7 +135,8 @@ void end_half(lpvg_monitor_t& self, std::size_t b, int64_t t_us) {
                                 falling * (signals(bin.sum.plain_re) - signals(bin.sum.rising_re));
         signals(bin.frame_im) = scale * signals(bin.rising_im) +
                                 falling * (signals(bin.sum.plain_im) - signals(bin.sum.rising_im));
-        bin.frame_span = joined(bin.span_before, bin.span);
+        bin.frame_span = bin.span_before;
+        extend(bin.frame_span, bin.span);
         bin.frame_end_us = t_us;
         const uint32_t last = self.queue_first + self.n_queue;
         self.queue[last < LPVG_NBINS ? last : last - LPVG_NBINS] = static_cast<uint32_t>(b);
@@ -150,25 +149,33 @@ void end_half(lpvg_monitor_t& self, std::size_t b, int64_t t_us) {
     bin.n = 0U;
 }
 
-// Bin b takes up the samples since it last did. A half frame is longer than a block (lpvg_coeff_check): it ends at most
-// once in it. Returns whether it ended.
-bool take_up(lpvg_monitor_t& self, std::size_t b, const lpvg_span_t& whole) {
+void take_up(lpvg_monitor_t& self, std::size_t b, uint32_t first, uint32_t end, const lpvg_span_t& span) {
     lpvg_bin_t& bin = self.bin[b];
+    if (bin.n == 0U) {
+        bin.span = span;
+    } else {
+        extend(bin.span, span);
+    }
+    accumulate(self, b, first, end);
+}
+
+// Bin b takes up the samples since it last did, whose span is `whole`. A half frame is longer than a block
+// (lpvg_coeff_check), so it ends at most once in it. Returns whether it ended.
+bool catch_up(lpvg_monitor_t& self, std::size_t b, const lpvg_span_t& whole) {
+    const lpvg_bin_t& bin = self.bin[b];
     const uint32_t first = n_block - self.n_block;
     const uint32_t left = self.coeff->words.frame_length[b] / 2U - bin.n;
-    const uint32_t until = left < self.n_block ? first + left : n_block;
-    const lpvg_span_t span = until == n_block ? whole : span_of(self, first, until);
-    bin.span = bin.n == 0U ? span : joined(bin.span, span);
-    accumulate(self, b, first, until);
-    const bool ended = until - first == left;
-    if (ended) {
-        end_half(self, b, taken(self, until - 1U).t_us);
+    if (left > self.n_block) {
+        take_up(self, b, first, n_block, whole);
+        return false;
     }
+    const uint32_t until = first + left;
+    take_up(self, b, first, until, span_of(self, first, until));
+    end_half(self, b, taken(self, until - 1U).t_us);
     if (until < n_block) {
-        bin.span = span_of(self, until, n_block);
-        accumulate(self, b, until, n_block);
+        take_up(self, b, until, n_block, span_of(self, until, n_block));
     }
-    return ended;
+    return true;
 }
 
 // k-th largest of the newest margins; 0 while there are fewer than k.
@@ -199,8 +206,10 @@ void judge(lpvg_monitor_t& self, std::size_t b) {
     const lpvg_coeff_t& coeff = *self.coeff;
     const lpvg_coeff_reals_t& r = coeff.reals;
     lpvg_bin_t& bin = self.bin[b];
-    lpvg_frame_t frame{};
-    frame.sequence = self.frame.sequence + 1U;
+    const uint32_t sequence = self.frame.sequence + 1U;
+    lpvg_frame_t& frame = self.frame;
+    frame = lpvg_frame_t{};
+    frame.sequence = sequence;
     frame.bin = static_cast<uint32_t>(b);
     frame.t_end_us = bin.frame_end_us;
     const lpvg_span_t& span = bin.frame_span;
@@ -238,7 +247,6 @@ void judge(lpvg_monitor_t& self, std::size_t b) {
             frame.reason = lpvg_reason_not_excited;
         }
     }
-    self.frame = frame;
 }
 
 // Judges the frame that has waited longest.
@@ -328,7 +336,7 @@ extern "C" lpvg_status_t lpvg_monitor_push(lpvg_monitor_t* self, const lpvg_samp
     const lpvg_span_t whole = span_of(*self, n_block - self->n_block, n_block);
     uint32_t ended = 0U;
     for (std::size_t b = self->newest; b < LPVG_NBINS; b += n_block) {
-        ended += take_up(*self, b, whole) ? 1U : 0U;
+        ended += catch_up(*self, b, whole) ? 1U : 0U;
     }
     if (self->n_queue > 0U && ended < 2U) {
         judge_next(*self);
