@@ -206,18 +206,22 @@ void judge(lpvg_monitor_t& self, std::size_t b) {
     const lpvg_coeff_t& coeff = *self.coeff;
     const lpvg_coeff_reals_t& r = coeff.reals;
     lpvg_bin_t& bin = self.bin[b];
-    const uint32_t sequence = self.frame.sequence + 1U;
-    lpvg_frame_t& frame = self.frame;
-    frame = lpvg_frame_t{};
-    frame.sequence = sequence;
-    frame.bin = static_cast<uint32_t>(b);
-    frame.t_end_us = bin.frame_end_us;
     const lpvg_span_t& span = bin.frame_span;
     const Real mean = span.speed_sum / static_cast<Real>(coeff.words.frame_length[b]);
     const bool steady = span.speed_low >= (Real(1) - r.speed_tolerance) * mean &&
                         span.speed_high <= (Real(1) + r.speed_tolerance) * mean;
-    frame.reason = span.reason != lpvg_reason_none ? span.reason : (steady ? lpvg_reason_none : lpvg_reason_speed_moved);
-    if (frame.reason == lpvg_reason_none) {
+    const lpvg_reason_t reason =
+        span.reason != lpvg_reason_none ? span.reason : (steady ? lpvg_reason_none : lpvg_reason_speed_moved);
+    lpvg_frame_t& frame = self.frame;
+    const uint32_t sequence = frame.sequence + 1U;
+    if (reason != lpvg_reason_none) {
+        frame = lpvg_frame_t{};  // else every field is written below
+    }
+    frame.sequence = sequence;
+    frame.bin = static_cast<uint32_t>(b);
+    frame.t_end_us = bin.frame_end_us;
+    frame.reason = reason;
+    if (reason == lpvg_reason_none) {
         Complex E[ny], Z[ny];
         for (std::size_t j = 0; j < ny; ++j) {
             E[j] = {bin.frame_re[j], bin.frame_im[j]};
