@@ -131,27 +131,34 @@ void align(const lpvg_control_reals_t& r, const Place& at, const Real* u, const 
     }
 }
 
-// False, x untouched, when the next state would not be finite.
-bool advance(const lpvg_control_coeff_t& coeff, const Place& at, const Real* m, const Real* excess, Real* x) {
-    const lpvg_control_words_t& w = coeff.words;
-    const lpvg_control_reals_t& r = coeff.reals;
+void clear(lpvg_control_t& self) {
+    std::memset(self.x, 0, sizeof self.x);
+    std::memset(self.carry, 0, sizeof self.carry);
+}
+
+// False, x unchanged, when the next state would not be finite; what carry then holds is for clear().
+bool advance(lpvg_control_t& self, const Place& at, const Real* m, const Real* excess) {
+    const lpvg_control_words_t& w = self.coeff->words;
+    const lpvg_control_reals_t& r = self.coeff->reals;
     const Real* below = r.A1[at.node];
     const Real* above = r.A1[at.node + 1U];
     Real next[nk];
     Real probe = Real(0);  // as in all_finite_at
     for (std::size_t i = 0; i < nk; ++i) {
-        Product change;
+        Product sum;
         for (uint32_t e = w.row_begin[i]; e < w.row_begin[i + 1U]; ++e) {
-            change.add(below[e], above[e], x[w.column[e]]);
+            sum.add(below[e], above[e], self.x[w.column[e]]);
         }
-        change.add_row(r.B[at.node][i], r.B[at.node + 1U][i], m, std::make_index_sequence<nm>());
-        change.add_row(r.L[at.node][i], r.L[at.node + 1U][i], excess, std::make_index_sequence<nu>());
-        next[i] = x[i] + change.at(at.weight);
+        sum.add_row(r.B[at.node][i], r.B[at.node + 1U][i], m, std::make_index_sequence<nm>());
+        sum.add_row(r.L[at.node][i], r.L[at.node + 1U][i], excess, std::make_index_sequence<nu>());
+        const Real change = sum.at(at.weight) + self.carry[i];
+        next[i] = self.x[i] + change;
+        self.carry[i] = change - (next[i] - self.x[i]);
         probe += Real(0) * next[i];
     }
     const bool finite = probe >= Real(0);
     if (finite) {
-        std::memcpy(x, next, sizeof next);
+        std::memcpy(self.x, next, sizeof next);
     }
     return finite;
 }
@@ -213,7 +220,7 @@ extern "C" lpvg_status_t lpvg_control_step(lpvg_control_t* self, lpvg_real_t spe
     wanted(r, at, self->x, v);
     if (!all_finite_at(v, nu)) {  // the state has grown beyond what can be multiplied
         good = false;
-        std::memset(self->x, 0, sizeof self->x);
+        clear(*self);
         wanted(r, at, self->x, v);
     }
     const bool active = engaged && good;
@@ -233,8 +240,8 @@ extern "C" lpvg_status_t lpvg_control_step(lpvg_control_t* self, lpvg_real_t spe
     if (active && limited) {
         count(self->limited);
     }
-    if (!advance(*self->coeff, at, good ? m : nothing, excess, self->x)) {
-        std::memset(self->x, 0, sizeof self->x);
+    if (!advance(*self, at, good ? m : nothing, excess)) {
+        clear(*self);
         good = false;
     }
     self->engaged = active && good;

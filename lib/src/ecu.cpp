@@ -23,9 +23,12 @@ bool limits_good(const lpvg_can_plausibility_limits_t& limits) {
 
 void receive(lpvg_ecu_t& self, const lpvg_can_frame_t* frames, std::size_t n) {
     for (std::size_t i = 0; i < n; ++i) {
+        lpvg_can_frame_t frame = frames[i];
+        // Nothing arrives later than now: a driver's wrong time stamp must not carry the supervisor's clock away.
+        frame.t_us = frame.t_us < self.now_us ? frame.t_us : self.now_us;
         uint8_t index = LPVG_CAN_NO_INDEX;
-        if (lpvg_can_receive(&self.supervisor, &frames[i], &index) == lpvg_can_event_accepted) {
-            lpvg_bus_take(&self.signals, index, &frames[i]);
+        if (lpvg_can_receive(&self.supervisor, &frame, &index) == lpvg_can_event_accepted) {
+            lpvg_bus_take(&self.signals, index, &frame);
         }
     }
 }
@@ -42,10 +45,13 @@ const lpvg_bus_need_t& worst_need(const lpvg_ecu_t& self) {
     return *worst;
 }
 
-// Why a message is not live: the rejection that it has seen most of, silence included.
+// Why a message is not live: silence, unless it came and was rejected lately; then the rejection seen most of.
 lpvg_can_event_t main_reason(const lpvg_can_watch_t& watch) {
-    uint8_t reason = lpvg_can_event_missed;
-    for (uint8_t event = lpvg_can_event_early; event <= lpvg_can_event_gradient; ++event) {
+    if (watch.score == 0U) {
+        return lpvg_can_event_missed;
+    }
+    uint8_t reason = lpvg_can_event_early;
+    for (uint8_t event = lpvg_can_event_length; event <= lpvg_can_event_gradient; ++event) {
         reason = watch.count[event] > watch.count[reason] ? event : reason;
     }
     return static_cast<lpvg_can_event_t>(reason);
@@ -78,7 +84,7 @@ lpvg_can_dtc_t trouble_code(const lpvg_ecu_t& self, const lpvg_bus_need_t& need)
 
 bool allowed(const lpvg_ecu_t& self) {
     const bool invalid = self.report.verdict == static_cast<uint8_t>(lpvg_verdict_invalid);
-    return self.engage && !(invalid && self.config.on_invalid == lpvg_ecu_reaction_release) &&
+    return self.engage && !self.refused && !(invalid && self.config.on_invalid == lpvg_ecu_reaction_release) &&
            !(self.plausibility.flags != 0U && self.config.on_implausible == lpvg_ecu_reaction_release);
 }
 
@@ -129,7 +135,7 @@ extern "C" lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t* coe
     self->config = *config;
     self->engage = config->engage;
     self->period_us = coeff->words.sample_period_us;
-    self->now_us = -1;
+    self->now_us = now_us - 1;  // the first step may come at once
     self->dm1_us = now_us - dm1_period_us;
     self->signals.speed = self->signals.reference = static_cast<lpvg_real_t>(NAN);
     for (lpvg_real_t& y : self->signals.y) {
@@ -162,7 +168,7 @@ extern "C" lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const l
     if (self->monitor.coeff == nullptr) {
         return lpvg_status_not_ready;
     }
-    if (now_us <= self->now_us || now_us < self->supervisor.now_us - LPVG_CAN_REORDER_US) {
+    if (now_us <= self->now_us) {
         return lpvg_status_out_of_order;
     }
     self->now_us = now_us;

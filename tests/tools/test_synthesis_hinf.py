@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
+from lpvguard.synthesis import hinf
 from lpvguard.synthesis.errors import SynthesisError
 from lpvguard.synthesis.hinf import hinf_synthesis
 from lpvguard.synthesis.interconnection import rational
@@ -150,6 +151,28 @@ def test_gamma_does_not_depend_on_the_units_of_state_control_or_measurement():
     result = hinf_synthesis(scaled, 2, 2)
     assert result.gamma == pytest.approx(gamma, rel=1e-5)
     check_certificate(scaled, 2, 2, result)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.005])
+@pytest.mark.parametrize("kind", ["dense", "diagonal"])
+def test_a_badly_conditioned_realisation_gives_the_same_gamma(kind, dt):
+    rng = np.random.default_rng(2)
+    plant = wide_plant(slow=0.02)
+    plant = to_discrete(plant, dt) if dt else plant
+    T = rng.standard_normal((8, 8)) if kind == "dense" else np.diag(10.0 ** rng.uniform(-6, 6, 8))
+    result = hinf_synthesis(plant.transformed(T), 2, 2)
+    assert result.gamma == pytest.approx(hinf_synthesis(plant, 2, 2).gamma, rel=1e-4)
+    check_certificate(plant.transformed(T), 2, 2, result)
+
+
+def test_an_optimum_that_cannot_be_bracketed_is_not_claimed(monkeypatch):
+    """Where rounding hides every level of a singular problem, the controller and its certificate still come back."""
+    plant = weighted_sensitivity(rational([1.0, -2.0], [1.0, 3.0, 5.0]), rational([1.0, 10.0], [1.0, 0.1]))
+    want = hinf_synthesis(plant, 1, 1).gamma
+    monkeypatch.setattr(hinf._Problem, "coupling", lambda self, gamma: None)
+    result = hinf_synthesis(plant, 1, 1)
+    assert result.gamma <= want <= result.gamma_achieved
+    assert any("lower bound only" in note for note in result.notes)
 
 
 def test_a_companion_realisation_gives_the_same_gamma():

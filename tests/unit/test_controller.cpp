@@ -41,6 +41,7 @@ void check_refused(const lpvg_control_coeff_t* coeff, lpvg_status_t want) {
 // The law of controller.h written with dense matrices in double: no code shared with the core.
 struct Reference {
     std::vector<double> x = std::vector<double>(nk, 0.0), u = std::vector<double>(nu, 0.0);
+    double wanted_max = 0.0;  // largest |C x| so far
 
     static double entry(const Real* below, const Real* above, double w) {
         return (1.0 - w) * static_cast<double>(*below) + w * static_cast<double>(*above);
@@ -61,6 +62,7 @@ struct Reference {
             const double inside = std::fmin(std::fmax(v, -top), top);
             u[i] = std::fmin(std::fmax(inside, u[i] - rate), u[i] + rate);
             excess[i] = u[i] - v;
+            wanted_max = std::fmax(wanted_max, std::fabs(v));
         }
         for (std::size_t i = 0; i < nk; ++i) {
             for (uint32_t e = lpvg_control_coeff.words.row_begin[i]; e < lpvg_control_coeff.words.row_begin[i + 1]; ++e) {
@@ -89,8 +91,8 @@ Real mid_speed() { return (reals.speed_min + reals.speed_max) / Real(2); }
 
 }  // namespace
 
-TEST_CASE("the law equals a dense recursion in double, limits included, within 1e-4 of the range", "[unit][controller]") {
-    const double scale = GENERATE(0.05, 5.0);  // the second one saturates
+TEST_CASE("the law equals a dense recursion in double, within 1e-5 of its range, 5e-4 against the limits", "[unit][controller]") {
+    const double scale = GENERATE(0.02, 0.5);  // the second one saturates
     lpvg_control_t control = ready();
     Reference reference;
     double worst = 0.0;
@@ -102,12 +104,15 @@ TEST_CASE("the law equals a dense recursion in double, limits included, within 1
         REQUIRE(lpvg_control_step(&control, static_cast<Real>(speed), m.data(), true) == lpvg_status_ok);
         reference.step(static_cast<double>(static_cast<Real>(speed)), same);
         for (std::size_t i = 0; i < nu; ++i) {
-            worst = std::fmax(worst, std::fabs(static_cast<double>(control.u[i]) - reference.u[i]) /
-                                         static_cast<double>(reals.u_max[i]));
+            worst = std::fmax(worst, std::fabs(static_cast<double>(control.u[i]) - reference.u[i]));
         }
     }
-    CHECK(worst <= (sizeof(Real) == 4U ? 1e-4 : 1e-12));
-    CHECK((control.limited > 0U) == (scale > 1.0));
+    // Overdriven, C x is beyond the limit all the time, and the injection of u - C x feeds its rounding back into the state.
+    const double allowed = sizeof(Real) != 4U ? 1e-12 : (scale < 0.1 ? 1e-5 : 5e-4);
+    const double range = std::fmax(static_cast<double>(reals.u_max[0]), reference.wanted_max);
+    CAPTURE(worst, range);
+    CHECK(worst <= allowed * range);
+    CHECK((scale < 0.1 || control.limited > 1000U));
 }
 
 TEST_CASE("demand and its change never exceed their limits, engaged or not", "[unit][controller]") {
@@ -164,11 +169,14 @@ TEST_CASE("engaging jumps by less than one step of the demand's number grid", "[
     }
 }
 
-TEST_CASE("saturation does not wind the state up", "[unit][controller]") {
-    lpvg_control_t control = ready();
+namespace {
+
+// Seconds from the end of a minute of overdriving until the demand has left its limit by a tenth.
+double seconds_at_the_limit(const lpvg_control_coeff_t& coeff) {
+    lpvg_control_t control = ready(coeff);
     std::vector<Real> m(nm, Real(0));
-    m[0] = Real(20);
-    for (int k = 0; k < 6000; ++k) {  // a minute against the stop
+    m[0] = Real(1);
+    for (int k = 0; k < 6000; ++k) {
         REQUIRE(lpvg_control_step(&control, mid_speed(), m.data(), true) == lpvg_status_ok);
     }
     REQUIRE(std::fabs(control.u[0]) == reals.u_max[0]);
@@ -178,8 +186,17 @@ TEST_CASE("saturation does not wind the state up", "[unit][controller]") {
         REQUIRE(lpvg_control_step(&control, mid_speed(), m.data(), true) == lpvg_status_ok);
         ++steps;
     }
-    // Without injection the integrator would hold the stop for tens of seconds.
-    CHECK(steps * period_s < 3.0);
+    return steps * period_s;
+}
+
+}  // namespace
+
+TEST_CASE("saturation does not wind the state up", "[unit][controller]") {
+    const lpvg_control_coeff_t without = sealed([](lpvg_control_coeff_t& c) { std::memset(c.reals.L, 0, sizeof c.reals.L); });
+    const double with_s = seconds_at_the_limit(lpvg_control_coeff), without_s = seconds_at_the_limit(without);
+    CAPTURE(with_s, without_s);
+    CHECK(with_s < 5.0);
+    CHECK(with_s < 0.2 * without_s);
 }
 
 TEST_CASE("a number that is not finite releases the demand and spoils nothing", "[unit][controller]") {

@@ -40,6 +40,7 @@ public:
         vdc2.lateral_acceleration = lpvg_can_vdc2_lateral_acceleration_encode(lateral);
         vdc2.longitudinal_acceleration = lpvg_can_vdc2_longitudinal_acceleration_encode(0.0F);
         REQUIRE(lpvg_can_vdc2_pack(&vdc2, &frame) == lpvg_status_ok);
+        newest_vdc2 = vdc2;
         if (send_vdc2) {
             in.push_back(frame);
         }
@@ -79,6 +80,7 @@ public:
     bool live() const { return report.supervision == static_cast<float>(lpvg_can_state_live); }
 
     lpvg_ecu_t ecu;
+    lpvg_can_vdc2_t newest_vdc2{};
     int64_t k = 0;
     float yaw_rate = 0.0F, lateral = 0.0F, command = 0.05F;
     bool send_vdc2 = true, send_guard_in = true, send_ebc2 = true, spoil_guard_in = false;
@@ -217,6 +219,42 @@ TEST_CASE("bus-off releases at once", "[unit][ecu]") {
     REQUIRE(lpvg_ecu_step(&bench.ecu, error.t_us, &error, 1, out, LPVG_ECU_FRAMES_OUT, &n_out) == lpvg_status_ok);
     CHECK(bench.ecu.report.supervision == lpvg_can_state_off);
     CHECK_FALSE(bench.ecu.control.engaged);
+}
+
+TEST_CASE("a frame from the future does not carry the clock away", "[unit][ecu]") {
+    Bench bench;
+    bench.run(100);
+    REQUIRE(bench.live());
+    lpvg_can_frame_t frame{};
+    REQUIRE(lpvg_can_vdc2_pack(&bench.newest_vdc2, &frame) == lpvg_status_ok);
+    frame.t_us = std::numeric_limits<int64_t>::max();
+    lpvg_can_frame_t out[LPVG_ECU_FRAMES_OUT];
+    size_t n_out = 0;
+    REQUIRE(lpvg_ecu_step(&bench.ecu, bench.k * tick_us, &frame, 1, out, LPVG_ECU_FRAMES_OUT, &n_out) == lpvg_status_ok);
+    ++bench.k;
+    ++bench.reports;
+    bench.run(100);
+    CHECK(bench.live());
+}
+
+TEST_CASE("a number that the bus let pass and the core refuses releases the demand", "[unit][ecu]") {
+    Bench bench;
+    bench.run(300);
+    REQUIRE(bench.ecu.control.engaged);
+    // The ranges of bus and signal table agree for the truck, so one is narrowed behind the ECU's back.
+    lpvg_coeff_t narrow = lpvg_coeff;
+    narrow.reals.output_valid[0][1] = lpvg_real_t(0.01);
+    bench.ecu.monitor.coeff = &narrow;
+    bench.yaw_rate = 0.03F;
+    bench.run(2);
+    CHECK_FALSE(bench.ecu.control.engaged);
+    CHECK(bench.report.supervision == static_cast<float>(lpvg_can_state_off));
+    bench.run(100);
+    CHECK(bench.spn == LPVG_ECU_SPN_REFUSED);
+    CHECK(bench.report.demand == Approx(0.0F).margin(0.0003));
+    bench.yaw_rate = 0.0F;
+    bench.run(2);
+    CHECK(bench.ecu.control.engaged);
 }
 
 TEST_CASE("a vehicle that does not answer is found out, and released if so configured", "[unit][ecu]") {

@@ -9,15 +9,19 @@
 /// the limits act, and while the controller is not engaged, the state follows the applied demand instead of winding up.
 /// What is left of u - v is taken out of the state at the moment of engaging (least change of x), so that the first
 /// engaged demand equals the one before.
+/// Only that sample is aligned: where C reads a delay state of the controller, the next demand may already move by the rate limit.
 ///
 /// Entries are interpolated linearly between LPVG_NG speeds, equally spaced over the scheduling range; beyond its ends the
 /// nearest speed is used. All nodes share one set of coordinates, and only entries of A1 that are not zero at every node
 /// are stored: a block-diagonal realisation costs what its blocks hold.
 ///
+/// Numbers: a slow pole changes its state by far less than it is large, and float would lose that change; what rounding
+///          takes is carried to the next step, so that slow poles and integrators keep their precision in float.
+///
 /// Use:     init once -> step once per sample period.
 /// Cost:    constant: 2 (LPVG_NA + LPVG_NK (LPVG_NM + 2 LPVG_NU)) multiplications and as many additions a step. Entries are
 ///          interpolated where they are used, so a moving speed costs the same as a constant one and nothing is cached.
-/// RAM:     sizeof(lpvg_control_t): LPVG_NK + LPVG_NU numbers and counters. No heap, no locks, no I/O.
+/// RAM:     sizeof(lpvg_control_t): 2 LPVG_NK + LPVG_NU numbers and counters. No heap, no locks, no I/O.
 /// Threads: one instance per thread. Fields are for reading only.
 ///
 /// A vehicle without controller (LPVG_NK 0) has none of this.
@@ -78,6 +82,7 @@ extern const lpvg_control_coeff_t lpvg_control_coeff;
 typedef struct lpvg_control_t {
     const lpvg_control_coeff_t* coeff;
     lpvg_real_t x[LPVG_NK];      ///< state
+    lpvg_real_t carry[LPVG_NK];  ///< what rounding took from the newest change of each state; added to the next
     lpvg_real_t u[LPVG_NU];      ///< newest applied demand                                           [input unit]
     bool engaged;                ///< of the newest step
     uint32_t limited;            ///< engaged steps in which a limit changed the demand, saturating

@@ -75,10 +75,10 @@ typedef struct lpvg_ecu_t {
     lpvg_bus_report_t report;          ///< as sent by the newest step
     lpvg_ecu_fault_t fault;            ///< gravest active
     uint32_t period_us;
-    int64_t now_us;                    ///< of the newest step; negative: none yet                      [us]
+    int64_t now_us;                    ///< of the newest step; one less than init's before the first   [us]
     int64_t dm1_us;                    ///< when DM1 was sent                                           [us]
     bool engage;                       ///< asked for
-    bool refused;                      ///< speed or a measurement of the newest step was refused
+    bool refused;                      ///< speed or a measurement of the newest step was refused: the next is not engaged
     bool seen_live;                    ///< supervision has been live since init
     uint8_t counter;                   ///< of the report message's protection
     uint8_t occurrence;                ///< times a trouble code became active, 126 at most
@@ -94,7 +94,7 @@ LPVG_NODISCARD lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t*
 /// Asks for engagement or release from the next step on. Nothing for NULL.
 void lpvg_ecu_engage(lpvg_ecu_t* self, bool engage);
 
-/// One sample period. frames_in [n_in] may be NULL when n_in is 0. *n_out frames are written to frames_out, with time now_us.
+/// One sample period. frames_in [n_in] may be NULL when n_in is 0; a time stamp after now_us counts as now_us. *n_out frames are written to frames_out, with time now_us.
 /// Returns ok; bad_argument (NULL, or max_out < LPVG_ECU_FRAMES_OUT), not_ready (no init), out_of_order (now_us not after
 /// the newest step): nothing is received, changed or sent, and *n_out, where given, is 0.
 LPVG_NODISCARD lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const lpvg_can_frame_t* frames_in, size_t n_in,

@@ -150,7 +150,7 @@ class Simulator:
         plant = [root / "plant" / "include", root / "plant" / "src", root / "plant" / "tool"]
         here = [root / "sim", root / "ecu", root / "ports" / "linux", core / "include", core / "src", folder]
         vehicle = [*sorted((core / "src").glob("*.cpp")), *sorted(folder.glob("*.c")), *sorted((root / "ecu").glob("*.c")),
-                   *sorted((root / "ports" / "linux").glob("*.c")),
+                   *sorted((root / "ports" / "linux").glob("*.cpp")),
                    *sorted((root / "sim").glob("*.cpp"))]
         truth = [*sorted((root / "plant" / "src").glob("*.cpp")), root / "plant" / "tool" / "arguments.cpp"]
         flags = (*FLAGS, "-isystem", eigen_include())

@@ -65,7 +65,7 @@ json.dump({"seconds": seconds, "claimed": float(level), **matrices}, open(sys.ar
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the table: ours and a peer's. ``level``: certified norm or μ bound; ``claimed``: the peer's own.
+    """One line of the table: ours and a peer's. ``level``: certified bound; ``claimed``: the peer's own word.
 
     Peer fields are None when it was not run; ``peer_note`` says why, or what went wrong with it.
     """
@@ -226,8 +226,8 @@ def _peer(python: Path, plant: GeneralisedPlant, folder: Path) -> dict:
 def table(rows: list[Row]) -> str:
     """The rows as text, one line each."""
     lines = [
-        f"{'job':6}{'states':>7}{'time s':>9}{'target':>8}{'level':>10}{'order':>7}   "
-        f"{'peer':8}{'time s':>8}{'claims':>10}{'certified':>11}{'order':>7}{'ratio':>7}"
+        (f"{'job':6}{'states':>7}{'time s':>9}{'target':>8}{'level':>10}{'order':>7}   "
+        f"{'peer':8}{'time s':>8}{'claims':>10}{'certified':>11}{'order':>7}{'ratio':>7}")
     ]
     for r in rows:
         peer = (

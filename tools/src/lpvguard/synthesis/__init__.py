@@ -1,1 +1,14 @@
-"""H∞ and μ: certified synthesis and analysis of linear controllers (DESIGN 4.6)."""
+"""H∞ and μ: certified synthesis and analysis of linear controllers (DESIGN 4.6).
+
+| module | does |
+|---|---|
+| ``statespace`` | small immutable systems: series, append, feedback, balancing, Tustin, zero-order hold |
+| ``norms`` | the H∞ norm as a bracket, all frequencies included |
+| ``hinf`` | γ-optimal controllers, regular and singular, continuous and discrete, each with its certificate |
+| ``mu`` | structured singular value of a matrix, from both sides |
+| ``interconnection`` | Fig. 1's generalised plant from weights, three uncertainty structures |
+| ``dk`` | D-K iteration, order reduction, ``certify`` for any controller |
+| ``implementation`` | Tustin, delta form, float32 |
+| ``cases`` | the paper case and Table II |
+| ``solve`` | the kinds ``hinf`` and ``mu`` of the solve interface |
+"""

@@ -113,8 +113,8 @@ def paper_case(path, dt: float = 0.0, **options) -> list[TableRow]:
 def format_table(rows: list[TableRow]) -> str:
     """The rows as fixed-width text: ours, the reference's and the paper's side by side."""
     lines = [
-        f"{'':6}{'A_t':>6}{'A_u':>8}{'certified':>11}{'lower':>9}{'order':>7}{'time':>8}"
-        f"{'reference':>11}{'order':>7}{'paper':>8}{'order':>7}"
+        (f"{'':6}{'A_t':>6}{'A_u':>8}{'certified':>11}{'lower':>9}{'order':>7}{'time':>8}"
+        f"{'reference':>11}{'order':>7}{'paper':>8}{'order':>7}")
     ]
     for r in rows:
         lines.append(

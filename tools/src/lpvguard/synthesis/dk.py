@@ -12,6 +12,7 @@ constant D (degree 0) covers Δ varying arbitrarily fast.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -188,9 +189,9 @@ class _Work:
         self.system = to_continuous(plant.system)
         self.omega = np.concatenate([[0.0], np.logspace(-4, 4, 64), [1e12]])  # ends stand for DC and infinity
         edges = np.cumsum([0] + [b.rows for b in plant.blocks] + [plant.performance_block.rows])
-        self.rows = [slice(a, b) for a, b in zip(edges, edges[1:], strict=False)]
+        self.rows = [slice(a, b) for a, b in itertools.pairwise(edges)]
         edges = np.cumsum([0] + [b.cols for b in plant.blocks] + [plant.performance_block.cols])
-        self.cols = [slice(a, b) for a, b in zip(edges, edges[1:], strict=False)]
+        self.cols = [slice(a, b) for a, b in itertools.pairwise(edges)]
 
     def unwarp(self, omega):
         """Frequency in the plant's own time of a frequency of its continuous image."""

@@ -117,7 +117,7 @@ class _Side:
         )
 
     def solve(self, gamma: float) -> _Riccati | None:
-        """The stabilising solution at ``gamma`` in the original coordinates, (n, n); None when there is none."""
+        """The stabilising solution at ``gamma``, original coordinates, (n, n); None when there is none."""
         if gamma <= self.bound * (1 + 1e-12):
             return None
         if len(self.A) == 0:
@@ -146,7 +146,13 @@ def hinf_synthesis(
     a level near it, which only saves time.
     """
     problem, D22, shift = _posed(plant, n_control, n_measurement)
-    gamma = problem.optimum(rtol, guess)
+    try:
+        gamma = problem.optimum(rtol, guess)
+    except SynthesisError:
+        if not problem.singular:
+            raise
+        gamma = problem.floor
+        problem.notes.append("the optimum could not be bracketed: gamma is a lower bound only")
 
     def restore(K: StateSpace) -> StateSpace:
         K = _absorb(K, D22)
@@ -172,9 +178,20 @@ def _posed(plant, n_control, n_measurement) -> tuple[_Problem, np.ndarray, np.nd
     """
     _check_shape(plant, n_control, n_measurement)
     shift, shifted = _move_pole_at_minus_one(plant, n_control, n_measurement)
-    blocks, D22 = _blocks(balanced(to_continuous(shifted)), n_control, n_measurement)
+    blocks, D22 = _blocks(_calm(balanced(to_continuous(balanced(shifted)))), n_control, n_measurement)
     _check_stabilisable(blocks, plant)
     return _Problem(blocks), D22, shift
+
+
+def _calm(G: StateSpace) -> StateSpace:
+    """G in the coordinates of a balanced Schur form where those leave much less than G's own, G itself otherwise.
+
+    Scaling alone cannot undo a dense, badly conditioned change of coordinates: ‖A‖ then is far above its eigenvalues.
+    """
+    if G.order < 2:
+        return G
+    other = balanced(G.transformed(sl.schur(G.A)[1]))
+    return other if np.linalg.norm(other.A) < 0.1 * np.linalg.norm(G.A) else G
 
 
 def _certified(plant, problem, gamma, backoff, restore) -> HinfResult:
@@ -307,7 +324,7 @@ def _check_stabilisable(P: _Plant, plant: StateSpace) -> None:
                 continue
             sigma = np.linalg.svd(np.hstack([A - pole * np.eye(len(A)), unit]), compute_uv=False)[-1]
             if sigma < 1e-11 * scale:
-                shown = to_point(pole, plant)
+                shown = _to_point(pole, plant)
                 raise SynthesisError(
                     "generalised plant",
                     what,
@@ -316,7 +333,7 @@ def _check_stabilisable(P: _Plant, plant: StateSpace) -> None:
                 )
 
 
-def to_point(pole, plant):
+def _to_point(pole, plant):
     """A pole of the continuous image as a pole of ``plant`` (z-plane for a discrete one)."""
     return (2 / plant.dt + pole) / (2 / plant.dt - pole) if plant.dt else pole
 
@@ -385,7 +402,7 @@ def _stabilising(H: np.ndarray, side: _Side | None = None, gamma: float = np.inf
 
 
 def _subspace_solution(H: np.ndarray, t: np.ndarray) -> tuple[_Riccati | None, float]:
-    """The solution from one balanced H, and the condition of its X1 (0 when the axis itself is in the way)."""
+    """The solution from one balanced H, and the condition of its X1 (0 when the axis is in the way)."""
     n = H.shape[0] // 2
     T, U, stable = sl.schur(H, sort="lhp", check_finite=False)
     if stable != n or _touches_axis(T):
@@ -644,7 +661,7 @@ class _Problem:
     def optimum(self, rtol: float, guess: float | None = None) -> float:
         """The infimum of reachable γ, to ``rtol``: a bracket that grows from ``guess``, then secant steps."""
         scale = max(self.floor, 1e-3)
-        start, growth = (max(guess, self.floor * (1 + rtol)), 1 + 20 * rtol) if guess else (2 * scale, 10.0)
+        start, growth = (max(guess, self.floor * (1 + rtol)), 1 + 20 * rtol) if guess else (max(2 * self.floor, 1.0), 10.0)
         value = self.coupling(start)
         if _above_one(value):
             high, high_value, low, low_value = start, value, self.floor, None

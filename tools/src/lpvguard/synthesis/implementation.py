@@ -114,7 +114,7 @@ def _block_size(T, k) -> int:
 
 
 def _pull_nearest(T, basis, first, last) -> int:
-    """Bring the eigenvalue of the rest that is nearest to the block first:last next to it; its size, 1 or 2."""
+    """Move the rest's eigenvalue that is nearest to the block first:last beside it; its size, 1 or 2."""
     mean = np.trace(T[first:last, first:last]) / (last - first)
     at, best, k = last, np.inf, last
     while k < len(T):

@@ -100,7 +100,7 @@ def rational(num, den) -> StateSpace:
 
 
 def zeros_poles(gain: float, zeros, poles) -> StateSpace:
-    """gain · Π(s/zero + 1) / Π(s/pole + 1), real zeros and poles in rad/s; a cascade of first-order sections."""
+    """gain · Π(s/zero + 1) / Π(s/pole + 1), zeros and poles real in rad/s; a cascade of sections."""
     zeros, poles = sorted(float(z) for z in zeros), sorted(float(p) for p in poles)
     if len(zeros) > len(poles) or any(v == 0 or not np.isfinite(v) for v in (*zeros, *poles)):
         raise SynthesisError(
@@ -246,7 +246,7 @@ class _Network:
         return inner, outer
 
     def close(self, rows: dict[str, dict]) -> StateSpace:
-        """The system from the external inputs to the named ``rows``; there are no algebraic loops in Fig. 1."""
+        """The system from the external inputs to the named ``rows``; Fig. 1 has no algebraic loop."""
         G = self.joined
         pick, direct = (np.array(part) for part in zip(*(self._row(t) for t in rows.values()), strict=True))
         loop = np.linalg.inv(

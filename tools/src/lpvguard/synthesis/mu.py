@@ -13,6 +13,7 @@ ends with is scaled so that I − M Δ is singular, and that is verified.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,8 +98,8 @@ class _Structure:
         self.blocks = blocks
         rows = np.cumsum([0] + [b.rows for b in blocks])
         cols = np.cumsum([0] + [b.cols for b in blocks])
-        self.row = [slice(a, b) for a, b in zip(rows, rows[1:], strict=False)]
-        self.col = [slice(a, b) for a, b in zip(cols, cols[1:], strict=False)]
+        self.row = [slice(a, b) for a, b in itertools.pairwise(rows)]
+        self.col = [slice(a, b) for a, b in itertools.pairwise(cols)]
         self.n_rows, self.n_cols = int(rows[-1]), int(cols[-1])
         left, right, skew = [], [], []
         for b, r, c in zip(blocks, self.row, self.col, strict=True):
@@ -339,7 +340,7 @@ def _vertices(structure, parts) -> list[list]:
 
 
 def _align(M, structure, parts, steps: int = 200) -> list:
-    """Local ascent of ρ(M Q) over complex Q: turn each block toward the gradient at the exact eigenvectors."""
+    """Local ascent of ρ(M Q) over complex Q: each block turned to the gradient at the eigenvectors."""
     value = 0.0
     for _ in range(steps):
         Q = _assemble(structure, parts)
@@ -547,7 +548,7 @@ def _free_parameters(structure, parts):
 
 
 def _make_real(M, vary, start):
-    """Follow the eigenvalue ``start`` of M Δ(s) to the real axis by secant steps; (β, Δ(s)/±β) or (0, None)."""
+    """Secant steps take the eigenvalue ``start`` of M Δ(s) to the real axis; (β, Δ(s)/±β) or (0, None)."""
     s0, value = 0.0, start
     s1 = 1e-4
     f0 = value.imag

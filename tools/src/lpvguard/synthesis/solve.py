@@ -31,7 +31,9 @@ def solve_hinf(problem: dict) -> dict:
     try:
         result = hinf_synthesis(plant, *counts)
     except (np.linalg.LinAlgError, ArithmeticError) as exc:
-        raise SynthesisError(name, "arithmetic", str(exc), "a plant whose signals are scaled to order one") from exc
+        raise SynthesisError(
+            name, "arithmetic", str(exc), "a plant whose signals are scaled to order one"
+        ) from exc
     K = result.controller
     return {
         "gamma": result.gamma,

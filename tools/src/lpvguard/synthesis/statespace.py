@@ -98,11 +98,10 @@ class StateSpace:
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
         infinite = np.isinf(omega)
         finite = np.where(infinite, 0.0, omega)
-        out = self.evaluate(np.exp(1j * finite * self.dt) if self.dt else 1j * finite, skip=infinite)
-        return out
+        return self.evaluate(np.exp(1j * finite * self.dt) if self.dt else 1j * finite, skip=infinite)
 
     def evaluate(self, points, skip=None) -> np.ndarray:
-        """G at complex ``points`` (k,); where ``skip`` (k,) is true the value is D, the response at infinity."""
+        """G at complex ``points`` (k,); where ``skip`` (k,) is true it is D, the response at infinity."""
         points = np.atleast_1d(np.asarray(points, dtype=complex))
         out = np.broadcast_to(self.D.astype(complex), (points.size, *self.D.shape)).copy()
         todo = np.flatnonzero(~skip) if skip is not None else np.arange(points.size)
@@ -141,10 +140,6 @@ class StateSpace:
             names(self.inputs, cols),
             names(self.outputs, rows),
         )
-
-    def scaled(self, left, right) -> StateSpace:
-        """L G R for constant real matrices ``left`` (q, p) and ``right`` (m, r)."""
-        return StateSpace(self.A, self.B @ right, left @ self.C, left @ self.D @ right, self.dt)
 
     def transformed(self, T) -> StateSpace:
         """The same system in the coordinates x = T x̃; ``T`` (n, n) invertible."""

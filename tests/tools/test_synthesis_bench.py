@@ -1,0 +1,42 @@
+"""The performance table: what it measures, and that a peer's claim is not taken for its result."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from lpvguard.bench import synthesis as bench
+from lpvguard.synthesis.cases import case_plant, read_case
+
+CASE = Path(__file__).parents[1] / "data" / "paper_case.toml"
+
+
+def test_the_table_measures_three_syntheses_at_the_papers_order():
+    rows = bench.run(CASE, repeats=1)
+    assert [(r.job, r.states) for r in rows] == [("H_inf", 23), ("K_i", 15), ("K_is", 18)]
+    assert all(r.level < 1 and r.seconds > 0 and r.peer_seconds is None for r in rows)
+    assert len(bench.table(rows).splitlines()) == 4
+    assert bench.as_dicts(rows)[0]["ok"] == (rows[0].seconds <= bench.TARGET_S["H_inf"])
+
+
+@pytest.mark.parametrize(
+    "script, note",
+    [
+        ("raise SystemExit('solver panic')", "failed: solver panic"),
+        (
+            ('import json, sys; json.dump({"seconds": 1.0, "claimed": 0.5, "A": [[-1.0]], "B": [[0.0] * 3],'
+            ' "C": [[0.0]], "D": [[0.0] * 3]}, open(sys.argv[2], "w"))'),
+            "claim not met",
+        ),
+        (
+            ('import json, sys; json.dump({"seconds": 1.0, "claimed": 0.5, "A": [[1.0]], "B": [[0.0] * 3],'
+            ' "C": [[0.0]], "D": [[0.0] * 3]}, open(sys.argv[2], "w"))'),
+            "its loop is unstable",
+        ),
+    ],
+)
+def test_a_peer_is_judged_by_the_loop_it_closes(monkeypatch, tmp_path, script, note):
+    case = read_case(CASE)
+    plant = case_plant(case, case["objective"][0], "K_inf")
+    monkeypatch.setattr(bench, "_PEER_SCRIPT", script)
+    assert bench._peer(Path(sys.executable), plant, tmp_path)["note"] == note
