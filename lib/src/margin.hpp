@@ -82,6 +82,16 @@ public:
         return std::sqrt(best_);
     }
 
+    /// The margin had the vehicle not responded, E = -Z: d is real from -1 to 0, where |d| / W rises to meet
+    /// (1 - |d|) max |Z_j| / B_j.
+    Real dead() const {
+        Real largest = Real(0);
+        for (std::size_t j = 0; j < NY; ++j) {
+            largest = gain_[j] > largest ? gain_[j] : largest;
+        }
+        return largest * (gain_[NY] / (gain_[NY] + largest));
+    }
+
 private:
     std::array<C, NY> E_, Z_;                          // scaled by B
     std::array<C, NY + 1> centre_;                     // E / Z; a disc with Z = 0 is never looked at
@@ -138,18 +148,5 @@ private:
         consider(origin + p + s * q);
     }
 };
-
-/// Margin of a vehicle that does not respond, E = -Z: d is real from -1 to 0, where |d| / W rises to meet (1 - |d|) a with
-/// a = max |Z_j| / B_j. Arguments as for Margin.
-template <class Real, std::size_t NY>
-Real dead_margin(const Complex2<Real>* Z, Real W, const Real* B) {
-    Real largest = Real(0);
-    for (std::size_t j = 0; j < NY; ++j) {
-        const Real a = squared((Real(1) / B[j]) * Z[j]);
-        largest = a > largest ? a : largest;
-    }
-    const Real a = std::sqrt(largest);
-    return a / (Real(1) + a * W);
-}
 
 }  // namespace lpvg

@@ -232,8 +232,9 @@ void judge(lpvg_monitor_t& self, std::size_t b) {
             frame.Z[j][1] = Z[j].im;
         }
         frame.speed = mean;
-        frame.margin = lpvg::Margin<Real, ny>(E, Z, r.W_delta[b], r.B_w[b])();
-        frame.evidence = lpvg::dead_margin<Real, ny>(Z, r.W_delta[b], r.B_w[b]);
+        lpvg::Margin<Real, ny> margin(E, Z, r.W_delta[b], r.B_w[b]);
+        frame.margin = margin();
+        frame.evidence = margin.dead();
         bin.history[bin.next_history] = frame.margin;
         bin.next_history = bin.next_history + 1U < coeff.words.of_last ? bin.next_history + 1U : 0U;
         bin.n_history += bin.n_history < coeff.words.of_last ? 1U : 0U;
