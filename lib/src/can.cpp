@@ -9,15 +9,22 @@ constexpr uint32_t kPeriodMaxUs = 10'000'000U;
 constexpr uint8_t  kCounters    = 15U;  // profile 11 counts 0 .. 14
 constexpr uint8_t  kFrameBytes  = 8U;
 
-// CRC-8 with polynomial 0x1D, the high nibble at a time: entry n is the remainder of n * x^8.
-constexpr uint8_t kCrcNibble[16] = {0x00, 0x1D, 0x3A, 0x27, 0x74, 0x69, 0x4E, 0x53,
-                                    0xE8, 0xF5, 0xD2, 0xCF, 0x9C, 0x81, 0xA6, 0xBB};
+// CRC-8 with polynomial 0x1D, a byte at a time: entry n is the remainder of n * x^8.
+struct CrcTable {
+    uint8_t entry[256];
+    constexpr CrcTable() : entry() {
+        for (uint32_t n = 0U; n < 256U; ++n) {
+            uint32_t crc = n;
+            for (int bit = 0; bit < 8; ++bit) {
+                crc = (crc << 1U) ^ ((crc & 0x80U) != 0U ? 0x11DU : 0U);
+            }
+            entry[n] = static_cast<uint8_t>(crc);
+        }
+    }
+};
+constexpr CrcTable kCrc;
 
-uint8_t crc_step(uint8_t crc, uint8_t byte) {
-    const auto mixed = static_cast<uint8_t>(crc ^ byte);
-    const auto high  = static_cast<uint8_t>(static_cast<uint8_t>(mixed << 4U) ^ kCrcNibble[mixed >> 4U]);
-    return static_cast<uint8_t>(static_cast<uint8_t>(high << 4U) ^ kCrcNibble[high >> 4U]);
-}
+uint8_t crc_step(uint8_t crc, uint8_t byte) { return kCrc.entry[static_cast<uint8_t>(crc ^ byte)]; }
 
 // Profile 11, data-id mode BOTH: id low, id high, then the frame without its CRC byte; start value and xor-out 0.
 uint8_t e2e_crc(const lpvg_can_frame_t& frame, uint16_t data_id) {

@@ -14,9 +14,9 @@ bool sizes_match(const uint32_t* sizes) {
 bool words_in_range(const lpvg_coeff_words_t& w) {
     bool good = w.sample_period_us > 0U && w.confirm >= 1U && w.confirm <= w.of_last && w.of_last <= LPVG_NHISTORY;
     for (std::size_t b = 0; b < LPVG_NBINS; ++b) {
-        // One bin is judged a sample, so a half frame must outlast a round through all bins. No frame is longer than DC's,
-        // whose length the verdict is held for.
-        good = good && w.frame_length[b] % 2U == 0U && w.frame_length[b] / 2U > LPVG_NBINS &&
+        // A frame must be judged before the bin's next one ends. No frame is longer than DC's, whose length the verdict is
+        // held for.
+        good = good && w.frame_length[b] % 2U == 0U && w.frame_length[b] / 2U > LPVG_NLATENCY &&
                w.frame_length[b] <= w.frame_length[0] && w.cycles[b] < w.frame_length[b] / 2U;
     }
     for (std::size_t i = 0; i < LPVG_NVARYING; ++i) {

@@ -3,6 +3,8 @@
 
 #if LPVG_NK > 0
 
+#include <utility>
+
 #include "acceptance.hpp"
 
 namespace {
@@ -35,12 +37,13 @@ bool reals_in_range(const lpvg_control_reals_t& r) {
 
 void count(uint32_t& counter) { counter += counter < UINT32_MAX ? 1U : 0U; }
 
+// Zero times a number that is not finite is not a number, and stays so.
 bool all_finite_at(const Real* values, std::size_t n) {
-    bool finite = true;
+    Real probe = Real(0);
     for (std::size_t i = 0; i < n; ++i) {
-        finite = finite && std::isfinite(values[i]);
+        probe += Real(0) * values[i];
     }
-    return finite;
+    return probe >= Real(0);
 }
 
 // Where a speed lies between the nodes.
@@ -59,15 +62,32 @@ Place place(const lpvg_control_reals_t& r, Real speed) {
 
 Real between(Real below, Real above, Real weight) { return below + weight * (above - below); }
 
+// A row of an interpolated matrix times a vector, summed at the node below and at the one above: interpolating the two
+// sums instead of every entry saves a subtraction an entry.
+struct Product {
+    Real below = Real(0), above = Real(0);
+
+    void add(Real entry_below, Real entry_above, Real x) {
+        below += entry_below * x;
+        above += entry_above * x;
+    }
+    // Short rows, written out by the compiler.
+    template <std::size_t... Column>
+    void add_row(const Real* row_below, const Real* row_above, const Real* x, std::index_sequence<Column...>) {
+        (add(row_below[Column], row_above[Column], x[Column]), ...);
+    }
+    Real at(Real weight) const { return between(below, above, weight); }
+};
+
 void wanted(const lpvg_control_reals_t& r, const Place& at, const Real* x, Real* v) {
     for (std::size_t i = 0; i < nu; ++i) {
         const Real* below = r.C[at.node][i];
         const Real* above = r.C[at.node + 1U][i];
-        Real sum = Real(0);
+        Product sum;
         for (std::size_t j = 0; j < nk; ++j) {
-            sum += between(below[j], above[j], at.weight) * x[j];
+            sum.add(below[j], above[j], x[j]);
         }
-        v[i] = sum;
+        v[i] = sum.at(at.weight);
     }
 }
 
@@ -116,34 +136,29 @@ void clear(lpvg_control_t& self) {
     std::memset(self.carry, 0, sizeof self.carry);
 }
 
-// False, nothing changed, when the next state would not be finite.
+// False, x unchanged, when the next state would not be finite; what carry then holds is for clear().
 bool advance(lpvg_control_t& self, const Place& at, const Real* m, const Real* excess) {
-    const lpvg_control_coeff_t& coeff = *self.coeff;
-    Real* x = self.x;
-    const lpvg_control_words_t& w = coeff.words;
-    const lpvg_control_reals_t& r = coeff.reals;
+    const lpvg_control_words_t& w = self.coeff->words;
+    const lpvg_control_reals_t& r = self.coeff->reals;
     const Real* below = r.A1[at.node];
     const Real* above = r.A1[at.node + 1U];
-    Real next[nk], carry[nk];
+    Real next[nk];
+    Real probe = Real(0);  // as in all_finite_at
     for (std::size_t i = 0; i < nk; ++i) {
-        Real change = Real(0);
+        Product sum;
         for (uint32_t e = w.row_begin[i]; e < w.row_begin[i + 1U]; ++e) {
-            change += between(below[e], above[e], at.weight) * x[w.column[e]];
+            sum.add(below[e], above[e], self.x[w.column[e]]);
         }
-        for (std::size_t j = 0; j < nm; ++j) {
-            change += between(r.B[at.node][i][j], r.B[at.node + 1U][i][j], at.weight) * m[j];
-        }
-        for (std::size_t j = 0; j < nu; ++j) {
-            change += between(r.L[at.node][i][j], r.L[at.node + 1U][i][j], at.weight) * excess[j];
-        }
-        change += self.carry[i];
-        next[i] = x[i] + change;
-        carry[i] = change - (next[i] - x[i]);
+        sum.add_row(r.B[at.node][i], r.B[at.node + 1U][i], m, std::make_index_sequence<nm>());
+        sum.add_row(r.L[at.node][i], r.L[at.node + 1U][i], excess, std::make_index_sequence<nu>());
+        const Real change = sum.at(at.weight) + self.carry[i];
+        next[i] = self.x[i] + change;
+        self.carry[i] = change - (next[i] - self.x[i]);
+        probe += Real(0) * next[i];
     }
-    const bool finite = all_finite_at(next, nk);
+    const bool finite = probe >= Real(0);
     if (finite) {
         std::memcpy(self.x, next, sizeof next);
-        std::memcpy(self.carry, carry, sizeof carry);
     }
     return finite;
 }

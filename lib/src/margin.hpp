@@ -50,23 +50,29 @@ public:
         for (std::size_t j = 0; j < NY; ++j) {
             E_[j] = (Real(1) / B[j]) * E[j];
             Z_[j] = (Real(1) / B[j]) * Z[j];
+            size_[j] = squared(Z_[j]);
+            radius_[j] = Real(1) / size_[j];
+            centre_[j] = radius_[j] * (E_[j] * conj(Z_[j]));
+            gain_[j] = std::sqrt(size_[j]);
         }
         // The size of d itself is the disc of an output with E = 0, Z = 1 and bound W.
-        E_[NY] = {Real(0), Real(0)};
-        Z_[NY] = {Real(1) / W, Real(0)};
+        gain_[NY] = Real(1) / W;
+        size_[NY] = gain_[NY] * gain_[NY];
+        radius_[NY] = Real(1) / size_[NY];
+        centre_[NY] = {Real(0), Real(0)};
     }
 
     Real operator()() {
         consider({Real(0), Real(0)});
-        for (std::size_t i = 0; i <= NY; ++i) {
-            if (!(squared(Z_[i]) > Real(0))) {
+        for (std::size_t i = 0; i < NY; ++i) {
+            if (!(size_[i] > Real(0))) {
                 continue;
             }
             for (std::size_t j = i + 1; j <= NY; ++j) {
-                if (squared(Z_[j]) > Real(0)) {
+                if (size_[j] > Real(0)) {
                     pair(i, j);
                     for (std::size_t k = j + 1; k <= NY; ++k) {
-                        if (squared(Z_[k]) > Real(0)) {
+                        if (size_[k] > Real(0)) {
                             triple(i, j, k);
                         }
                     }
@@ -76,52 +82,63 @@ public:
         return std::sqrt(best_);
     }
 
+    /// The margin had the vehicle not responded, E = -Z: d is real from -1 to 0, where |d| / W rises to meet
+    /// (1 - |d|) max |Z_j| / B_j.
+    Real dead() const {
+        Real largest = Real(0);
+        for (std::size_t j = 0; j < NY; ++j) {
+            largest = gain_[j] > largest ? gain_[j] : largest;
+        }
+        return largest * (gain_[NY] / (gain_[NY] + largest));
+    }
+
 private:
-    std::array<C, NY + 1> E_, Z_;
+    std::array<C, NY> E_, Z_;                          // scaled by B
+    std::array<C, NY + 1> centre_;                     // E / Z; a disc with Z = 0 is never looked at
+    std::array<Real, NY + 1> size_, radius_, gain_;    // |Z|^2, its inverse (the squared radius at t = 1), |Z|
     Real best_ = std::numeric_limits<Real>::infinity();
 
     void consider(C d) {
-        Real worst = Real(0);
-        for (std::size_t j = 0; j <= NY; ++j) {
+        Real worst = squared(gain_[NY] * d);
+        if (!(worst < best_)) {
+            return;  // no better; or not a number, where a candidate overflowed, and that must not read as small
+        }
+        for (std::size_t j = 0; j < NY; ++j) {
             const Real f = squared(E_[j] - d * Z_[j]);
             if (!(f < best_)) {
-                return;  // no better; or not a number, where a candidate overflowed, and that must not read as small
+                return;
             }
             worst = f > worst ? f : worst;
         }
         best_ = worst;
     }
 
-    C centre(std::size_t j) const { return (Real(1) / squared(Z_[j])) * (E_[j] * conj(Z_[j])); }
-
     void pair(std::size_t i, std::size_t j) {
-        const Real a = std::sqrt(squared(Z_[i]));  // the radius of disc i is t / a
-        const Real b = std::sqrt(squared(Z_[j]));
-        consider((Real(1) / (a + b)) * (a * centre(i) + b * centre(j)));
+        const Real a = gain_[i], b = gain_[j];  // the radius of disc i is t / a
+        consider((Real(1) / (a + b)) * (a * centre_[i] + b * centre_[j]));
     }
 
     // |d - c_m|^2 = s r_m^2 with s = t^2 for three discs. With the first centre as origin, subtracting the first equation
     // from the others gives d = p + s q; the first then is quadratic in s.
     void triple(std::size_t i, std::size_t j, std::size_t k) {
-        const C origin = centre(i);
-        const C a = centre(j) - origin;
-        const C b = centre(k) - origin;
-        const Real ri = Real(1) / squared(Z_[i]);
-        const Real rj = Real(1) / squared(Z_[j]);
-        const Real rk = Real(1) / squared(Z_[k]);
+        const C origin = centre_[i];
+        const C a = centre_[j] - origin;
+        const C b = centre_[k] - origin;
+        const Real ri = radius_[i], rj = radius_[j], rk = radius_[k];
         const Real det = Real(2) * (a.re * b.im - a.im * b.re);
         if (!(std::fabs(det) > Real(0))) {
             return;  // collinear centres: two discs decide
         }
         const Real ha = squared(a), hb = squared(b);
         const Real ga = ri - rj, gb = ri - rk;
-        const C p = (Real(1) / det) * C{ha * b.im - hb * a.im, hb * a.re - ha * b.re};
-        const C q = (Real(1) / det) * C{ga * b.im - gb * a.im, gb * a.re - ga * b.re};
+        const Real inverse = Real(1) / det;
+        const C p = inverse * C{ha * b.im - hb * a.im, hb * a.re - ha * b.re};
+        const C q = inverse * C{ga * b.im - gb * a.im, gb * a.re - ga * b.re};
         // |p + s q|^2 = s ri, that is |q|^2 s^2 + 2 h s + |p|^2 = 0. The discriminant h^2 - |p|^2 |q|^2 is written with the
         // cross product of p and q: beside a disc much smaller than the others p and q are antiparallel, and the plain
         // form loses half of the digits.
         const Real dot = p.re * q.re + p.im * q.im;
-        const Real cross = (ha * gb - hb * ga) / (Real(2) * det);
+        const Real cross = Real(0.5) * inverse * (ha * gb - hb * ga);
         const Real discriminant = ri * (Real(0.25) * ri - dot) - cross * cross;
         if (!(discriminant >= Real(0))) {
             return;

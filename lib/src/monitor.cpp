@@ -4,9 +4,13 @@
 // sum(x p) and sum(x w p) are accumulated; since the falling half of a Hann window is 1 - w_n, the frame that ends with
 // this half is (rising sum of the previous half) + (-1)^cycles (plain - rising sum of this half). The sums restart every
 // half frame, so that rounding cannot accumulate over a drive.
+//
+// Each push keeps its sample in a block; every bin takes up a whole block at a time, bin b in the pushes whose number is
+// b modulo the block's length. So its sums stay in registers over a block, and at most a quarter of the bins can end a
+// half frame in one push.
 #include "lpvguard/monitor.h"
 
-#include <cmath>
+#include <Eigen/Core>
 
 #include "margin.hpp"
 
@@ -18,6 +22,12 @@ constexpr std::size_t ny = LPVG_NY;
 constexpr std::size_t n_signals = 2U * LPVG_NY;  // e, then yhat
 constexpr uint32_t settled_max = 0xFFFFFFFFU;
 constexpr uint64_t stale_periods = 5;
+constexpr uint32_t n_block = LPVG_NBLOCK;
+static_assert((n_block & (n_block - 1U)) == 0U, "the ring is indexed by a mask");
+
+using Signals = Eigen::Array<Real, static_cast<int>(n_signals), 1>;
+Eigen::Map<Signals> signals(Real* values) { return Eigen::Map<Signals>(values); }
+Eigen::Map<const Signals> signals(const Real* values) { return Eigen::Map<const Signals>(values); }
 
 uint64_t hold_us(const lpvg_coeff_t& coeff) {
     return static_cast<uint64_t>(coeff.words.frame_length[0]) * coeff.words.sample_period_us;
@@ -43,20 +53,6 @@ bool sample_good(const lpvg_coeff_reals_t& r, const lpvg_sample_t& s) {
     return good;
 }
 
-void begin_half(lpvg_bin_t& bin) {
-    bin.n = 0U;
-    bin.phasor[0] = bin.window[0] = Real(1);
-    bin.phasor[1] = bin.window[1] = Real(0);
-    bin.sum = lpvg_sum_t{};
-}
-
-// Turns a unit vector; with cos - 1 stored, a small angle keeps its relative precision in float.
-void turn(Real* vector, const Real* step) {
-    const Real re = vector[0], im = vector[1];
-    vector[0] = re + (re * step[0] - im * step[1]);
-    vector[1] = im + (im * step[0] + re * step[1]);
-}
-
 lpvg_reason_t sample_reason(const lpvg_monitor_t& self, bool in_range) {
     if (!in_range) {
         return lpvg_reason_out_of_range;
@@ -64,66 +60,122 @@ lpvg_reason_t sample_reason(const lpvg_monitor_t& self, bool in_range) {
     return self.settled > self.coeff->words.settle_samples ? lpvg_reason_none : lpvg_reason_settling;
 }
 
-void extend(lpvg_span_t& span, bool first, Real speed, lpvg_reason_t reason) {
-    if (first) {
-        span = lpvg_span_t{speed, speed, speed, reason};
-        return;
-    }
-    span.speed_low = speed < span.speed_low ? speed : span.speed_low;
-    span.speed_high = speed > span.speed_high ? speed : span.speed_high;
-    span.speed_sum += speed;
-    // Out of range outlives settling: it names the cause.
-    if (reason != lpvg_reason_none && span.reason != lpvg_reason_out_of_range) {
-        span.reason = reason;
+// Out of range outlives settling: it names the cause.
+void extend(lpvg_span_t& span, const lpvg_span_t& more) {
+    span.speed_low = more.speed_low < span.speed_low ? more.speed_low : span.speed_low;
+    span.speed_high = more.speed_high > span.speed_high ? more.speed_high : span.speed_high;
+    span.speed_sum += more.speed_sum;
+    if (more.reason != lpvg_reason_none && span.reason != lpvg_reason_out_of_range) {
+        span.reason = more.reason;
     }
 }
 
-lpvg_span_t joined(const lpvg_span_t& a, const lpvg_span_t& b) {
-    lpvg_span_t both = a;
-    both.speed_low = b.speed_low < a.speed_low ? b.speed_low : a.speed_low;
-    both.speed_high = b.speed_high > a.speed_high ? b.speed_high : a.speed_high;
-    both.speed_sum = a.speed_sum + b.speed_sum;
-    if (b.reason != lpvg_reason_none && a.reason != lpvg_reason_out_of_range) {
-        both.reason = b.reason;
-    }
-    return both;
+// Sample i of the block, the oldest first.
+const lpvg_taken_t& taken(const lpvg_monitor_t& self, uint32_t i) {
+    return self.block[(self.newest + 1U + i) & (n_block - 1U)];
 }
 
-void end_half(lpvg_bin_t& bin, uint32_t cycles, Real scale, int64_t t_us) {
+lpvg_span_t span_of(const lpvg_monitor_t& self, uint32_t first, uint32_t end) {
+    lpvg_span_t span = taken(self, first).span;
+    for (uint32_t i = first + 1U; i < end; ++i) {
+        extend(span, taken(self, i).span);
+    }
+    return span;
+}
+
+// Adds samples first .. end - 1 of the block to the sums of bin b. The phasors are turned by small angles, stored as
+// cos - 1 and sin, which keeps their relative precision in float.
+void accumulate(lpvg_monitor_t& self, std::size_t b, uint32_t first, uint32_t end) {
+    lpvg_bin_t& bin = self.bin[b];
+    const bool begins = bin.n == 0U;
+    if (begins) {
+        bin.sum = lpvg_sum_t{};
+        bin.phasor[0] = Real(1);
+        bin.window[0] = Real(0.5);
+        bin.phasor[1] = bin.window[1] = Real(0);
+    }
+    Signals plain_re = signals(bin.sum.plain_re), plain_im = signals(bin.sum.plain_im);
+    Signals rising_re = signals(bin.sum.rising_re), rising_im = signals(bin.sum.rising_im);
+    const Real* turn = self.coeff->reals.turn[b];
+    const Real* taper = self.coeff->reals.taper[b];
+    const Real turn_re = turn[0], turn_im = turn[1], taper_re = taper[0], taper_im = taper[1];
+    Real re = bin.phasor[0], im = bin.phasor[1], window_re = bin.window[0], window_im = bin.window[1];
+    for (uint32_t i = first; i < end; ++i) {
+        const Signals x = signals(taken(self, i).signal);
+        const Real w = Real(0.5) - window_re;
+        plain_re += x * re;
+        plain_im -= x * im;
+        rising_re += x * (w * re);
+        rising_im -= x * (w * im);
+        const Real re_before = re, window_re_before = window_re;
+        re += re * turn_re - im * turn_im;
+        im += im * turn_re + re_before * turn_im;
+        window_re += window_re * taper_re - window_im * taper_im;
+        window_im += window_im * taper_re + window_re_before * taper_im;
+    }
+    signals(bin.sum.plain_re) = plain_re;
+    signals(bin.sum.plain_im) = plain_im;
+    signals(bin.sum.rising_re) = rising_re;
+    signals(bin.sum.rising_im) = rising_im;
+    bin.phasor[0] = re;
+    bin.phasor[1] = im;
+    bin.window[0] = window_re;
+    bin.window[1] = window_im;
+    bin.n += end - first;
+}
+
+// Closes the frame of two halves, if there are two, and queues it.
+void end_half(lpvg_monitor_t& self, std::size_t b, int64_t t_us) {
+    lpvg_bin_t& bin = self.bin[b];
+    const lpvg_coeff_t& coeff = *self.coeff;
     if (bin.has_before) {
-        const Real sign = (cycles % 2U) != 0U ? Real(-1) : Real(1);
-        for (std::size_t i = 0; i < n_signals; ++i) {
-            for (std::size_t part = 0; part < 2U; ++part) {
-                const Real falling = bin.sum.plain[i][part] - bin.sum.rising[i][part];
-                bin.frame[i][part] = scale * (bin.rising[i][part] + sign * falling);
-            }
-        }
-        bin.frame_span = joined(bin.span_before, bin.span);
+        const Real scale = coeff.reals.scale[b];
+        const Real falling = coeff.words.cycles[b] % 2U != 0U ? -scale : scale;
+        signals(bin.frame_re) = scale * signals(bin.rising_re) +
+                                falling * (signals(bin.sum.plain_re) - signals(bin.sum.rising_re));
+        signals(bin.frame_im) = scale * signals(bin.rising_im) +
+                                falling * (signals(bin.sum.plain_im) - signals(bin.sum.rising_im));
+        bin.frame_span = bin.span_before;
+        extend(bin.frame_span, bin.span);
         bin.frame_end_us = t_us;
-        bin.waiting = true;
+        const uint32_t last = self.queue_first + self.n_queue;
+        self.queue[last < LPVG_NBINS ? last : last - LPVG_NBINS] = static_cast<uint32_t>(b);
+        ++self.n_queue;
     }
-    for (std::size_t i = 0; i < n_signals; ++i) {
-        bin.rising[i][0] = bin.sum.rising[i][0];
-        bin.rising[i][1] = bin.sum.rising[i][1];
-    }
+    signals(bin.rising_re) = signals(bin.sum.rising_re);
+    signals(bin.rising_im) = signals(bin.sum.rising_im);
     bin.span_before = bin.span;
     bin.has_before = true;
-    begin_half(bin);
+    bin.n = 0U;
 }
 
-void accumulate(lpvg_bin_t& bin, const lpvg_coeff_t& coeff, std::size_t b, const Real* signal) {
-    const Real w = Real(0.5) - Real(0.5) * bin.window[0];
-    const Real c = bin.phasor[0], s = -bin.phasor[1];  // exp(-j phase)
-    const Real wc = w * c, ws = w * s;
-    for (std::size_t i = 0; i < n_signals; ++i) {
-        bin.sum.plain[i][0] += signal[i] * c;
-        bin.sum.plain[i][1] += signal[i] * s;
-        bin.sum.rising[i][0] += signal[i] * wc;
-        bin.sum.rising[i][1] += signal[i] * ws;
+void take_up(lpvg_monitor_t& self, std::size_t b, uint32_t first, uint32_t end, const lpvg_span_t& span) {
+    lpvg_bin_t& bin = self.bin[b];
+    if (bin.n == 0U) {
+        bin.span = span;
+    } else {
+        extend(bin.span, span);
     }
-    turn(bin.phasor, coeff.reals.turn[b]);
-    turn(bin.window, coeff.reals.taper[b]);
-    ++bin.n;
+    accumulate(self, b, first, end);
+}
+
+// Bin b takes up the samples since it last did, whose span is `whole`. A half frame is longer than a block
+// (lpvg_coeff_check), so it ends at most once in it. Returns whether it ended.
+bool catch_up(lpvg_monitor_t& self, std::size_t b, const lpvg_span_t& whole) {
+    const lpvg_bin_t& bin = self.bin[b];
+    const uint32_t first = n_block - self.n_block;
+    const uint32_t left = self.coeff->words.frame_length[b] / 2U - bin.n;
+    if (left > self.n_block) {
+        take_up(self, b, first, n_block, whole);
+        return false;
+    }
+    const uint32_t until = first + left;
+    take_up(self, b, first, until, span_of(self, first, until));
+    end_half(self, b, taken(self, until - 1U).t_us);
+    if (until < n_block) {
+        take_up(self, b, until, n_block, span_of(self, until, n_block));
+    }
+    return true;
 }
 
 // k-th largest of the newest margins; 0 while there are fewer than k.
@@ -154,31 +206,37 @@ void judge(lpvg_monitor_t& self, std::size_t b) {
     const lpvg_coeff_t& coeff = *self.coeff;
     const lpvg_coeff_reals_t& r = coeff.reals;
     lpvg_bin_t& bin = self.bin[b];
-    lpvg_frame_t frame{};
-    frame.sequence = self.frame.sequence + 1U;
-    frame.bin = static_cast<uint32_t>(b);
-    frame.t_end_us = bin.frame_end_us;
     const lpvg_span_t& span = bin.frame_span;
     const Real mean = span.speed_sum / static_cast<Real>(coeff.words.frame_length[b]);
     const bool steady = span.speed_low >= (Real(1) - r.speed_tolerance) * mean &&
                         span.speed_high <= (Real(1) + r.speed_tolerance) * mean;
-    frame.reason = span.reason != lpvg_reason_none ? span.reason : (steady ? lpvg_reason_none : lpvg_reason_speed_moved);
-    if (frame.reason == lpvg_reason_none) {
-        Complex E[ny], Z[ny], dead[ny];
+    const lpvg_reason_t reason =
+        span.reason != lpvg_reason_none ? span.reason : (steady ? lpvg_reason_none : lpvg_reason_speed_moved);
+    lpvg_frame_t& frame = self.frame;
+    const uint32_t sequence = frame.sequence + 1U;
+    if (reason != lpvg_reason_none) {
+        frame = lpvg_frame_t{};  // else every field is written below
+    }
+    frame.sequence = sequence;
+    frame.bin = static_cast<uint32_t>(b);
+    frame.t_end_us = bin.frame_end_us;
+    frame.reason = reason;
+    if (reason == lpvg_reason_none) {
+        Complex E[ny], Z[ny];
         for (std::size_t j = 0; j < ny; ++j) {
-            E[j] = {bin.frame[j][0], bin.frame[j][1]};
-            Z[j] = {bin.frame[ny + j][0], bin.frame[ny + j][1]};
-            dead[j] = {-Z[j].re, -Z[j].im};
+            E[j] = {bin.frame_re[j], bin.frame_im[j]};
+            Z[j] = {bin.frame_re[ny + j], bin.frame_im[ny + j]};
             frame.E[j][0] = E[j].re;
             frame.E[j][1] = E[j].im;
             frame.Z[j][0] = Z[j].re;
             frame.Z[j][1] = Z[j].im;
         }
         frame.speed = mean;
-        frame.margin = lpvg::Margin<Real, ny>(E, Z, r.W_delta[b], r.B_w[b])();
-        frame.evidence = lpvg::Margin<Real, ny>(dead, Z, r.W_delta[b], r.B_w[b])();
+        lpvg::Margin<Real, ny> margin(E, Z, r.W_delta[b], r.B_w[b]);
+        frame.margin = margin();
+        frame.evidence = margin.dead();
         bin.history[bin.next_history] = frame.margin;
-        bin.next_history = (bin.next_history + 1U) % coeff.words.of_last;
+        bin.next_history = bin.next_history + 1U < coeff.words.of_last ? bin.next_history + 1U : 0U;
         bin.n_history += bin.n_history < coeff.words.of_last ? 1U : 0U;
         frame.statistic = statistic(bin, coeff.words.confirm);
         frame.falsified = !(frame.statistic <= r.threshold);
@@ -194,28 +252,23 @@ void judge(lpvg_monitor_t& self, std::size_t b) {
             frame.reason = lpvg_reason_not_excited;
         }
     }
-    self.frame = frame;
-    bin.waiting = false;
 }
 
-// Judges at most one waiting frame, in turn, so that no push costs more than one judgement.
+// Judges the frame that has waited longest.
 void judge_next(lpvg_monitor_t& self) {
-    for (std::size_t i = 0; i < LPVG_NBINS; ++i) {
-        const std::size_t b = (self.next_bin + i) % LPVG_NBINS;
-        if (self.bin[b].waiting) {
-            judge(self, b);
-            self.next_bin = static_cast<uint32_t>((b + 1U) % LPVG_NBINS);
-            return;
-        }
-    }
+    const uint32_t b = self.queue[self.queue_first];
+    self.queue_first = self.queue_first + 1U < LPVG_NBINS ? self.queue_first + 1U : 0U;
+    --self.n_queue;
+    judge(self, b);
 }
 
 void start(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
     lpvg_model_start(&self.model, self.coeff, sample.u, sample.y);
     for (lpvg_bin_t& bin : self.bin) {
-        begin_half(bin);
+        bin.n = 0U;
         bin.has_before = false;
     }
+    self.n_block = 0U;
     self.settled = 0U;
     self.running = true;
     ++self.restarts;
@@ -274,20 +327,25 @@ extern "C" lpvg_status_t lpvg_monitor_push(lpvg_monitor_t* self, const lpvg_samp
     Real yhat[ny];
     lpvg_model_output(&self->model, &coeff, yhat);
     lpvg_model_advance(&self->model, &coeff, sample->speed, sample->u);
-    Real signal[n_signals];
+
+    self->newest = (self->newest + 1U) & (n_block - 1U);
+    self->n_block += self->n_block < n_block ? 1U : 0U;
+    lpvg_taken_t& newest = self->block[self->newest];
     for (std::size_t j = 0; j < ny; ++j) {
-        signal[j] = sample->y[j] - yhat[j];
-        signal[ny + j] = yhat[j];
+        newest.signal[j] = sample->y[j] - yhat[j];
+        newest.signal[ny + j] = yhat[j];
     }
-    for (std::size_t b = 0; b < LPVG_NBINS; ++b) {
-        lpvg_bin_t& bin = self->bin[b];
-        extend(bin.span, bin.n == 0U, sample->speed, reason);
-        accumulate(bin, coeff, b, signal);
-        if (2U * bin.n == coeff.words.frame_length[b]) {
-            end_half(bin, coeff.words.cycles[b], coeff.reals.scale[b], sample->t_us);
-        }
+    newest.t_us = sample->t_us;
+    newest.span = {sample->speed, sample->speed, sample->speed, reason};
+
+    const lpvg_span_t whole = span_of(*self, n_block - self->n_block, n_block);
+    uint32_t ended = 0U;
+    for (std::size_t b = self->newest; b < LPVG_NBINS; b += n_block) {
+        ended += catch_up(*self, b, whole) ? 1U : 0U;
     }
-    judge_next(*self);
+    if (self->n_queue > 0U && ended < 2U) {
+        judge_next(*self);
+    }
     return lpvg_status_ok;
 }
 

@@ -122,7 +122,7 @@ TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]
     };
     for (std::size_t b : {std::size_t{0}, std::size_t{LPVG_NBINS - 1}}) {
         cases.push_back({"odd frame", [b](lpvg_coeff_t& c) { c.words.frame_length[b] -= 1U; }});
-        cases.push_back({"half a frame within one round", [b](lpvg_coeff_t& c) { c.words.frame_length[b] = 2U * LPVG_NBINS; }});
+        cases.push_back({"half a frame within the latency", [b](lpvg_coeff_t& c) { c.words.frame_length[b] = 2U * LPVG_NLATENCY; }});
         cases.push_back({"above Nyquist", [b](lpvg_coeff_t& c) { c.words.cycles[b] = c.words.frame_length[b] / 2U; }});
         cases.push_back({"W_delta 0", [b](lpvg_coeff_t& c) { c.reals.W_delta[b] = Real(0); }});
         cases.push_back({"scale 0", [b](lpvg_coeff_t& c) { c.reals.scale[b] = Real(0); }});
@@ -141,8 +141,8 @@ TEST_CASE("values at the edge of what is allowed are accepted", "[unit][coeff]")
     const lpvg_coeff_t coeff = sealed([](lpvg_coeff_t& c) {
         c.words.of_last = LPVG_NHISTORY;
         c.words.confirm = LPVG_NHISTORY;
-        c.words.frame_length[LPVG_NBINS - 1] = 2U * (LPVG_NBINS + 1U);
-        c.words.cycles[LPVG_NBINS - 1] = LPVG_NBINS;
+        c.words.frame_length[LPVG_NBINS - 1] = 2U * (LPVG_NLATENCY + 1U);
+        c.words.cycles[LPVG_NBINS - 1] = LPVG_NLATENCY;
         c.words.varying_entry[0] = LPVG_NENTRIES - 1;
     });
     CHECK(lpvg_coeff_check(&coeff) == lpvg_status_ok);

@@ -35,7 +35,7 @@ typedef struct lpvg_coeff_words_t {
     uint32_t settle_samples;                ///< samples in range before frames may begin
     uint32_t confirm;                       ///< k of the k-of-m confirmation
     uint32_t of_last;                       ///< m of the k-of-m confirmation, 1..LPVG_NHISTORY
-    uint32_t frame_length[LPVG_NBINS];      ///< samples a frame, even, none longer than DC's; half exceeds NBINS
+    uint32_t frame_length[LPVG_NBINS];      ///< samples a frame, even, none longer than DC's; half exceeds LPVG_NLATENCY (monitor.h)
     uint32_t cycles[LPVG_NBINS];            ///< periods a frame, 0 at DC, fewer than half its samples
     uint32_t varying_entry[LPVG_NVARYING];  ///< which of the LPVG_NENTRIES entries move with speed
 } lpvg_coeff_words_t;

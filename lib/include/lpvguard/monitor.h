@@ -13,8 +13,10 @@
 /// no evidence for the model either.
 ///
 /// Use:     init once -> push one sample per period -> verdict, frame and records at any time.
-/// Cost:    constant per push; at most one bin is judged per push, so a frame is judged at the latest LPVG_NBINS samples
-///          after its end. No heap, no locks, no I/O.
+/// Cost:    even over pushes. A bin takes up LPVG_NBLOCK samples at once, a quarter of the bins each push; at most one frame
+///          is judged per push, and none in a push that closes several. A frame is therefore judged at the latest
+///          LPVG_NLATENCY samples after its end; one that ends fewer than LPVG_NBLOCK samples before a gap is dropped.
+///          Instructions on three targets: `lpvguard bench core`. No heap, no locks, no I/O.
 /// Threads: one instance per thread; nothing here may be called from two contexts at once. RAM: sizeof(lpvg_monitor_t).
 ///          Fields are private; the layout may change.
 #ifndef LPVGUARD_MONITOR_H
@@ -26,11 +28,15 @@ LPVG_EXTERN_C_BEGIN
 
 #define LPVG_NHISTORY 8  ///< largest m of the k-of-m confirmation
 #define LPVG_NRECORDS 4  ///< falsifying frames kept until they are read out
+#define LPVG_NBLOCK 4    ///< samples that a bin takes up at once, a power of two
+/// Samples from the end of a frame to its judgement, at most: the block, the pushes that close several frames, and the queue.
+#define LPVG_NLATENCY (LPVG_NBLOCK - 1 + LPVG_NBINS / 2 + LPVG_NBINS)
 
 #define lpvg_sample_t LPVG_SYM(sample_t)
 #define lpvg_frame_t LPVG_SYM(frame_t)
 #define lpvg_monitor_t LPVG_SYM(monitor_t)
 #define lpvg_bin_t LPVG_SYM(bin_t)
+#define lpvg_taken_t LPVG_SYM(taken_t)
 #define lpvg_span_t LPVG_SYM(span_t)
 #define lpvg_sum_t LPVG_SYM(sum_t)
 #define lpvg_monitor_init LPVG_SYM(monitor_init)
@@ -82,8 +88,8 @@ typedef struct lpvg_frame_t {
 
 /// Sums over half a frame of e and yhat times the exponential: plain, and with the rising half of the window.
 typedef struct lpvg_sum_t {
-    lpvg_real_t plain[2 * LPVG_NY][2];
-    lpvg_real_t rising[2 * LPVG_NY][2];
+    lpvg_real_t plain_re[2 * LPVG_NY], plain_im[2 * LPVG_NY];
+    lpvg_real_t rising_re[2 * LPVG_NY], rising_im[2 * LPVG_NY];
 } lpvg_sum_t;
 
 /// What the speed did over half a frame.
@@ -92,14 +98,21 @@ typedef struct lpvg_span_t {
     lpvg_reason_t reason;
 } lpvg_span_t;
 
+/// A sample as the bins take it up.
+typedef struct lpvg_taken_t {
+    lpvg_real_t signal[2 * LPVG_NY];          ///< e, then yhat
+    int64_t t_us;
+    lpvg_span_t span;                         ///< of this one sample
+} lpvg_taken_t;
+
 typedef struct lpvg_bin_t {
     uint32_t n;                               ///< samples in the current half frame
-    lpvg_real_t phasor[2], window[2];         ///< exp(j phase) and exp(j window phase) of the next sample
+    lpvg_real_t phasor[2], window[2];         ///< exp(j phase) and exp(j window phase) / 2 of the next sample
     lpvg_sum_t sum;                           ///< current half
     lpvg_span_t span, span_before;            ///< current and previous half
-    lpvg_real_t rising[2 * LPVG_NY][2];       ///< rising sums of the previous half
-    bool has_before, waiting;                 ///< previous half complete; a frame waits to be judged
-    lpvg_real_t frame[2 * LPVG_NY][2];        ///< waiting frame: E then Z
+    lpvg_real_t rising_re[2 * LPVG_NY], rising_im[2 * LPVG_NY];  ///< rising sums of the previous half
+    bool has_before;                          ///< previous half complete
+    lpvg_real_t frame_re[2 * LPVG_NY], frame_im[2 * LPVG_NY];    ///< frame that waits to be judged: E then Z
     lpvg_span_t frame_span;
     int64_t frame_end_us;
     lpvg_real_t history[LPVG_NHISTORY];       ///< margins of the last counted frames
@@ -114,7 +127,10 @@ typedef struct lpvg_monitor_t {
     lpvg_frame_t record[LPVG_NRECORDS];
     uint32_t n_records, records_lost;
     uint32_t settled;                         ///< samples since the speed entered the range, saturating
-    uint32_t next_bin;                        ///< where to look first for a waiting frame
+    lpvg_taken_t block[LPVG_NBLOCK];          ///< newest samples, a ring
+    uint32_t newest, n_block;                 ///< its newest entry; entries since the start, LPVG_NBLOCK at most
+    uint32_t queue[LPVG_NBINS];               ///< bins whose frames wait to be judged, a ring
+    uint32_t queue_first, n_queue;
     int64_t t_us;                             ///< time of the newest accepted sample
     int64_t t_evidence_us, t_falsified_us;    ///< ends of the newest frames with evidence / that falsified
     bool running, has_evidence, has_falsified, refused;

@@ -29,6 +29,9 @@ from .errors import InputError
 from .nominal import NominalModel
 from .project import FrameSettings, Project
 
+CORE_BLOCK = 4
+"""LPVG_NBLOCK of lib/include/lpvguard/monitor.h: samples that a bin of the core takes up at once."""
+
 
 @dataclass(frozen=True)
 class Estimator:
@@ -60,9 +63,10 @@ class Estimator:
             raise InputError(f"vehicle {project.name}", "frames",
                              f"the highest bins hold {length[-1]} samples a frame",
                              f"at least {4 * settings.periods} and different lengths; lower f_max_hz or bins_per_decade")
-        if length[-1] // 2 <= n_bins:
+        latency = CORE_BLOCK - 1 + (n_bins + 1) // 2 + n_bins + 1  # LPVG_NLATENCY of monitor.h
+        if length[-1] // 2 <= latency:
             raise InputError(f"vehicle {project.name}", "frames", f"{n_bins + 1} bins and half frames of {length[-1] // 2}",
-                             "half a frame longer than the number of bins, as the core judges one bin a sample")
+                             f"half frames longer than {latency} samples, as the core spreads its work over samples")
         return cls(project.Ts_s, np.r_[length[0], length], np.r_[0, np.full(n_bins, settings.periods)],
                    model.settle_samples, settings.speed_tolerance, model.speed_range)
 

@@ -1,0 +1,44 @@
+/* port.h -- what a program without an operating system needs from its processor: text out, an exit status, a count of
+ * executed instructions and the depth of the stack.
+ *
+ * Ports: cortex_m (QEMU mps2-an386, mps2-an500), cortex_r5 (QEMU xlnx-zcu102, RPU core 0), host (the same program on a
+ * PC, to compare results with; it counts nothing). No port has a heap or libc input and output. */
+#ifndef LPVGUARD_PORT_H
+#define LPVGUARD_PORT_H
+
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Writes text that ends with a zero. */
+void port_write(const char* text);
+
+/* Ends the run. Bare-metal start-up calls it with what main returns; 98: the heap was asked for, 99: processor fault. */
+#ifdef __GNUC__
+__attribute__((noreturn))
+#endif
+void port_exit(int status);
+
+/* Starts the counter. */
+void port_counter_start(void);
+
+/* A reading of the counter; counts up and wraps. */
+uint32_t port_counter(void);
+
+/* Instructions executed between two readings, exact to one: of QEMU under -icount, so instructions and not cycles. At
+ * most 5 million on Cortex-M (its counter has 24 bits). */
+uint32_t port_instructions(uint32_t begin, uint32_t end);
+
+/* Fills the free part of the stack with a pattern. */
+void port_stack_paint(void);
+
+/* Bytes below the caller of port_stack_paint that have been written since. */
+uint32_t port_stack_used(void);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,298 @@
+// target_bench.cpp -- the core of one vehicle on one target: what it answers, bit for bit, and what it costs.
+//
+// Runs over the drive in target_input.h (made by lpvguard.targets) and writes lines of words:
+//
+//   frame BIN T_END_US REASON FALSIFIED then bits of: speed margin statistic evidence, E, Z      results
+//   verdict T_US VERDICT                     when it changes
+//   demand T_US BITS                         every 100th
+//   size NAME BYTES                          of the structs that the caller owns
+//   part NAME CALLS WORST MEDIAN STACK       instructions of one call; bytes of stack below the caller
+//
+// Numbers are decimal, bits of a float hexadecimal. Result lines are the same on every target; the rest is the target's.
+#include "port.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+
+#include "lpvguard/ecu.h"
+#include "margin.hpp"
+#include "target_input.h"
+#if LPVG_NK > 0
+#include "lpvg_can_codec.h"
+#endif
+
+namespace {
+
+static_assert(sizeof(lpvg_real_t) == 4U, "results are compared as the bits of a float");
+
+// Text line, built without libc.
+class Line {
+public:
+    Line& word(const char* text) {
+        while (*text != '\0') {
+            put(*text++);
+        }
+        put(' ');
+        return *this;
+    }
+    Line& number(uint64_t value) {
+        char digits[20];
+        std::size_t n = 0;
+        do {
+            digits[n++] = static_cast<char>('0' + static_cast<char>(value % 10U));
+            value /= 10U;
+        } while (value > 0U);
+        while (n > 0U) {
+            put(digits[--n]);
+        }
+        put(' ');
+        return *this;
+    }
+    Line& bits(float value) {
+        uint32_t word = 0;
+        std::memcpy(&word, &value, sizeof word);
+        for (int shift = 28; shift >= 0; shift -= 4) {
+            put("0123456789abcdef"[(word >> shift) & 0xFU]);
+        }
+        put(' ');
+        return *this;
+    }
+    void write() {
+        text_[n_ - 1U] = '\n';
+        text_[n_] = '\0';
+        port_write(text_);
+    }
+
+private:
+    char text_[400];
+    std::size_t n_ = 0;
+    void put(char c) {
+        if (n_ + 1U < sizeof text_) {
+            text_[n_++] = c;
+        }
+    }
+};
+
+uint32_t counts[TARGET_INPUT_SAMPLES];
+
+// Instructions and stack of the calls of one part.
+class Part {
+public:
+    explicit Part(const char* name) : name_(name) {
+        const uint32_t begin = port_counter();
+        empty_ = port_instructions(begin, port_counter());
+    }
+    template <class Call>
+    void run(Call call) {
+        port_stack_paint();
+        const uint32_t begin = port_counter();
+        call();
+        const uint32_t end = port_counter();
+        const uint32_t used = port_stack_used();
+        stack_ = used > stack_ ? used : stack_;
+        const uint32_t n = port_instructions(begin, end);
+        counts[n_++] = n > empty_ ? n - empty_ : 0U;
+    }
+    void write() {
+        uint32_t* const middle = counts + n_ / 2U;
+        std::nth_element(counts, middle, counts + n_);
+        const uint32_t worst = *std::max_element(counts, counts + n_);
+        Line().word("part").word(name_).number(n_).number(worst).number(*middle).number(stack_).write();
+    }
+
+private:
+    const char* name_;
+    uint32_t empty_ = 0, stack_ = 0;
+    std::size_t n_ = 0;
+};
+
+void require(bool ok, const char* what) {
+    if (!ok) {
+        port_write(what);
+        port_exit(1);
+    }
+}
+
+int64_t time_us(std::size_t k) { return static_cast<int64_t>(k + 1U) * lpvg_coeff.words.sample_period_us; }
+
+lpvg_sample_t sample_at(std::size_t k) {
+    lpvg_sample_t sample{};
+    const lpvg_real_t* row = target_input[k];
+    sample.t_us = time_us(k);
+    sample.speed = row[0];
+    std::memcpy(sample.u, row + 1, sizeof sample.u);
+    std::memcpy(sample.y, row + 1 + LPVG_NU, sizeof sample.y);
+    return sample;
+}
+
+void write_frame(const lpvg_frame_t& f) {
+    Line line;
+    line.word("frame").number(f.bin).number(static_cast<uint64_t>(f.t_end_us)).number(f.reason).number(f.falsified ? 1U : 0U);
+    line.bits(f.speed).bits(f.margin).bits(f.statistic).bits(f.evidence);
+    for (std::size_t j = 0; j < LPVG_NY; ++j) {
+        line.bits(f.E[j][0]).bits(f.E[j][1]).bits(f.Z[j][0]).bits(f.Z[j][1]);
+    }
+    line.write();
+}
+
+lpvg_monitor_t monitor;
+
+void run_init() {
+    Part part("monitor_init");
+    part.run([] { require(lpvg_monitor_init(&monitor, &lpvg_coeff) == lpvg_status_ok, "monitor refused the coefficients\n"); });
+    part.write();
+}
+
+void run_monitor() {
+    Part part("monitor_push");
+    uint32_t verdict = lpvg_verdict_unknown, sequence = 0U;
+    for (std::size_t k = 0; k < TARGET_INPUT_SAMPLES; ++k) {
+        const lpvg_sample_t sample = sample_at(k);
+        part.run([&] { require(lpvg_monitor_push(&monitor, &sample) == lpvg_status_ok, "a sample was refused\n"); });
+        const lpvg_frame_t& frame = *lpvg_monitor_frame(&monitor);
+        if (frame.sequence != sequence) {
+            sequence = frame.sequence;
+            write_frame(frame);
+        }
+        const auto now = static_cast<uint32_t>(lpvg_monitor_verdict(&monitor, sample.t_us));
+        if (now != verdict) {
+            verdict = now;
+            Line().word("verdict").number(static_cast<uint64_t>(sample.t_us)).number(verdict).write();
+        }
+    }
+    part.write();
+}
+
+void run_model() {
+    Part part("model_step");
+    lpvg_model_t model;
+    lpvg_sample_t sample = sample_at(0);
+    lpvg_model_start(&model, &lpvg_coeff, sample.u, sample.y);
+    for (std::size_t k = 0; k < TARGET_INPUT_SAMPLES; ++k) {
+        sample = sample_at(k);
+        lpvg_real_t yhat[LPVG_NY];
+        part.run([&] {
+            lpvg_model_output(&model, &lpvg_coeff, yhat);
+            lpvg_model_advance(&model, &lpvg_coeff, sample.speed, sample.u);
+        });
+    }
+    part.write();
+}
+
+// Margins of frames with every mix of sizes: E and Z made of the drive's samples, bounds of every bin.
+void run_margin() {
+    using Complex = lpvg::Complex2<lpvg_real_t>;
+    Part part("margin");
+    volatile lpvg_real_t sink = 0.0F;
+    for (std::size_t k = LPVG_NBINS; k < TARGET_INPUT_SAMPLES; ++k) {
+        Complex E[LPVG_NY], Z[LPVG_NY];
+        for (std::size_t j = 0; j < LPVG_NY; ++j) {
+            const std::size_t y = 1U + LPVG_NU + j;
+            Z[j] = {target_input[k][y], target_input[k - 7U][y]};
+            E[j] = {0.3F * target_input[k - 3U][y], 0.1F * target_input[k - 5U][y]};
+        }
+        const std::size_t b = k % LPVG_NBINS;
+        part.run([&] { sink = lpvg::Margin<lpvg_real_t, LPVG_NY>(E, Z, lpvg_coeff.reals.W_delta[b], lpvg_coeff.reals.B_w[b])(); });
+    }
+    part.write();
+}
+
+#if LPVG_NK > 0
+
+lpvg_control_t control;
+lpvg_ecu_t ecu;
+
+void run_controller() {
+    Part part("control_step");
+    require(lpvg_control_init(&control, &lpvg_control_coeff) == lpvg_status_ok, "controller refused the coefficients\n");
+    for (std::size_t k = 0; k < TARGET_INPUT_SAMPLES; ++k) {
+        const lpvg_sample_t sample = sample_at(k);
+        lpvg_real_t m[LPVG_NM];
+        m[0] = sample.y[0];
+        std::memcpy(&m[1], sample.y, sizeof sample.y);
+        part.run([&] {
+            require(lpvg_control_step(&control, sample.speed, m, true) == lpvg_status_ok, "a measurement was refused\n");
+        });
+        if (k % 100U == 0U) {
+            Line().word("demand").number(static_cast<uint64_t>(sample.t_us)).bits(control.u[0]).write();
+        }
+    }
+    part.write();
+}
+
+// The bus of the truck at its rates: the two 10 ms messages, and the axle speed every tenth step.
+std::size_t bus_frames(std::size_t k, lpvg_can_frame_t* frames, uint8_t* counter) {
+    constexpr float kmh_per_mps = 3.6F, steering_ratio = 20.0F;
+    const lpvg_sample_t sample = sample_at(k);
+    std::size_t n = 0;
+    lpvg_can_vdc2_t vdc2{};
+    vdc2.yaw_rate = lpvg_can_vdc2_yaw_rate_encode(sample.y[0]);
+    vdc2.steering_wheel_angle = lpvg_can_vdc2_steering_wheel_angle_encode(steering_ratio * sample.y[LPVG_NY - 1]);
+    vdc2.lateral_acceleration = lpvg_can_vdc2_lateral_acceleration_encode(sample.speed * sample.y[0]);
+    vdc2.longitudinal_acceleration = lpvg_can_vdc2_longitudinal_acceleration_encode(0.0F);
+    bool packed = lpvg_can_vdc2_pack(&vdc2, &frames[n++]) == lpvg_status_ok;
+    lpvg_can_guard_in_t guard{};
+    guard.dp_measured = lpvg_can_guard_in_dp_measured_encode(sample.u[0]);
+    guard.yaw_rate_command = lpvg_can_guard_in_yaw_rate_command_encode(sample.y[0]);
+    packed = packed && lpvg_can_guard_in_pack(&guard, &frames[n]) == lpvg_status_ok &&
+             lpvg_can_e2e_protect(&frames[n++], LPVG_CAN_GUARD_IN_E2E_DATA_ID, counter) == lpvg_status_ok;
+    if (k % 10U == 0U) {
+        lpvg_can_ebc2_t ebc2{};
+        ebc2.front_axle_speed = lpvg_can_ebc2_front_axle_speed_encode(sample.speed * kmh_per_mps);
+        packed = packed && lpvg_can_ebc2_pack(&ebc2, &frames[n++]) == lpvg_status_ok;
+    }
+    require(packed, "the codec refused a frame\n");
+    for (std::size_t i = 0; i < n; ++i) {
+        frames[i].t_us = sample.t_us - 600 * static_cast<int64_t>(n - i);  // a 250 kbit/s bus carries a frame in 0.6 ms
+    }
+    return n;
+}
+
+// Everything at once: frames in, supervision, cross-checks, controller, monitor, frames out.
+void run_ecu() {
+    const lpvg_ecu_config_t config = {true, lpvg_ecu_reaction_report, lpvg_ecu_reaction_report, {2.07F, 5.0F, 1.5F, 0.15F, 100U}};
+    Part init("ecu_init");
+    init.run([&] {
+        require(lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &config, 0) == lpvg_status_ok, "the ECU refused its set-up\n");
+    });
+    init.write();
+    Part part("ecu_step");
+    uint8_t counter = 0U;
+    for (std::size_t k = 0; k < TARGET_INPUT_SAMPLES; ++k) {
+        lpvg_can_frame_t in[3] = {}, out[LPVG_ECU_FRAMES_OUT] = {};
+        const std::size_t n_in = bus_frames(k, in, &counter);
+        std::size_t n_out = 0;
+        part.run([&] {
+            require(lpvg_ecu_step(&ecu, time_us(k), in, n_in, out, LPVG_ECU_FRAMES_OUT, &n_out) == lpvg_status_ok, "no step\n");
+        });
+        if (k % 100U == 0U) {
+            Line().word("demand").number(static_cast<uint64_t>(time_us(k))).bits(ecu.control.u[0]).write();
+        }
+    }
+    require(ecu.control.engaged && ecu.monitor.frame.sequence > 0U, "the ECU was not engaged to the end\n");
+    part.write();
+}
+
+#endif
+
+}  // namespace
+
+int main() {
+    port_counter_start();
+    Line().word("size").word("monitor").number(sizeof(lpvg_monitor_t)).write();
+    run_init();
+    run_monitor();
+    run_model();
+    run_margin();
+#if LPVG_NK > 0
+    Line().word("size").word("control").number(sizeof(lpvg_control_t)).write();
+    Line().word("size").word("ecu").number(sizeof(lpvg_ecu_t)).write();
+    run_controller();
+    run_ecu();
+#endif
+    port_write("end\n");
+    return 0;
+}

@@ -1,0 +1,92 @@
+"""The core on emulated Cortex-M4F, M7 and R5F: the same bits as on the host, within its budget (DESIGN 5)."""
+
+from __future__ import annotations
+
+import re
+import shutil
+
+import numpy as np
+import pytest
+
+from lpvguard import targets
+from lpvguard.bench import core as bench
+from lpvguard.errors import InputError
+
+# What the core's objects may take from libraries: moving memory, and integer division where the processor has none.
+ALLOWED_IMPORTS = re.compile(r"mem(cpy|set|move|cmp)|__aeabi_(mem\w+|(u?l|u?i)div(mod)?|(u?l)mul|llsl|llsr|lasr|[ful]2(u?lz|f|[lu]?2f)|u?l2f|f2u?lz)")
+DOUBLE_HELPER = re.compile(r"__aeabi_(d\w+|\w+2d|cd\w+)|__\w+df\w*")
+
+
+@pytest.fixture(scope="session")
+def vehicle(tmp_path_factory):
+    """The budget's vehicle and its drive."""
+    folder = tmp_path_factory.mktemp("budget") / "truck"
+    project = bench.write_budget_vehicle(folder)
+    return folder, bench.drive_of(project)
+
+
+@pytest.fixture(scope="session")
+def host(vehicle):
+    return targets.run_host(*vehicle)
+
+
+@pytest.fixture(scope="session", params=sorted(targets.TARGETS))
+def name(request):
+    missing = targets.missing_tools(targets.TARGETS[request.param])
+    if missing:
+        pytest.skip(f"{', '.join(missing)} not found: install {targets.PACKAGES}")
+    return request.param
+
+
+@pytest.fixture(scope="session")
+def counted(name, vehicle):
+    """The build that an ECU project makes."""
+    return targets.run_target(name, *vehicle, same_bits=False)
+
+
+def test_results_are_the_hosts_bit_for_bit(name, vehicle, host):
+    run = targets.run_target(name, *vehicle, same_bits=True)
+    kinds = [line.split()[0] for line in run["results"]]
+    assert kinds.count("frame") > 500 and kinds.count("demand") > 100 and "verdict" in kinds
+    assert {int(line.split()[1]) for line in run["results"] if line.startswith("frame")} == set(range(20))
+    assert run["results"] == host["results"]
+    assert run["structs"] == pytest.approx(host["structs"], rel=0.2)  # pointers are half as long
+
+
+def test_results_show_judged_and_falsifying_frames(host):
+    """The drive reaches every branch that the comparison is about."""
+    frames = [line.split() for line in host["results"] if line.startswith("frame")]
+    assert {f[3] for f in frames} >= {"0", "4"}       # counted, settling
+    assert {f[4] for f in frames} == {"0", "1"}       # falsified and not
+    margins = np.array([int(f[6], 16) for f in frames], np.uint32).view(np.float32)
+    assert np.isfinite(margins).all() and margins.max() > 1.0
+
+
+def test_counts_are_within_the_budget(counted):
+    step = counted["parts"]["ecu_step"]
+    assert 0 < step["worst"] <= bench.WORST_STEP
+    assert step["worst"] / step["median"] <= bench.WORST_TO_MEDIAN
+    assert counted["structs"]["ecu"] <= bench.RAM_BYTES
+    assert sum(counted["rom"].values()) <= bench.ROM_BYTES
+    assert max(part["stack"] for part in counted["parts"].values()) <= bench.STACK_BYTES
+
+
+def test_counts_repeat_to_the_instruction(counted, name, vehicle):
+    again = targets.run_target(name, *vehicle, same_bits=False)
+    assert again["parts"] == counted["parts"] and again["elf_sha256"] == counted["elf_sha256"]
+
+
+def test_the_core_imports_neither_heap_nor_text_nor_double_arithmetic(counted):
+    assert [s for s in counted["imports"] if not ALLOWED_IMPORTS.fullmatch(s)] == []
+    assert [s for s in counted["imports"] if DOUBLE_HELPER.fullmatch(s)] == []
+
+
+def test_missing_tools_are_named_with_their_packages(vehicle, monkeypatch):
+    monkeypatch.setattr(shutil, "which", lambda tool: None)
+    with pytest.raises(InputError, match="qemu-system-arm.*gcc-arm-none-eabi"):
+        targets.run_target("cortex-m4f", *vehicle, same_bits=True)
+
+
+def test_unknown_target_is_refused(vehicle):
+    with pytest.raises(InputError, match="unknown; expected one of cortex-m4f"):
+        targets.run_target("cortex-m0", *vehicle, same_bits=True)

@@ -1,0 +1,152 @@
+"""`lpvguard bench core`: what the core costs on an ECU -- ROM, RAM, stack, instructions of every part, share of a processor.
+
+Measured on emulated Cortex-M4F, M7 and R5F over a seeded drive, the vehicle's own or the one that the budget of DESIGN 5
+names: the truck with 20 bins, 2 outputs and a block-diagonal controller of 25 states. Every count is of executed
+*instructions, not cycles*: multiply by the cycles an instruction takes on the part, flash waits included.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..artefacts import write_files
+from ..control_export import ControllerCoefficients, build_controller
+from ..export import build_coefficients, vehicle_files
+from ..frames import Estimator
+from ..nominal import NominalModel
+from ..project import Project, load_project, parse_project
+from ..targets import TARGETS, Input, run_host, run_target
+
+WORST_STEP = 8000          # instructions, Cortex-M4F, everything included
+WORST_TO_MEDIAN = 1.3
+RAM_BYTES = 8192
+ROM_BYTES = 32768
+STACK_BYTES = 2048
+CONTROLLER_STATES = 25
+CYCLES_PER_INSTRUCTION = 1.0
+"""Assumed where a share of the processor is given; the report says so."""
+
+
+def budget_project() -> Project:
+    """The truck's project with 20 bins, DC included."""
+    document = load_project("truck").model_dump(by_alias=True)
+    document["frames"] |= {"bins_per_decade": 12, "f_max_hz": 1.9}
+    return parse_project(document, "truck with 20 bins")
+
+
+def budget_controller(project: Project) -> ControllerCoefficients:
+    """A stable block-diagonal controller of 25 states, scheduled over 8 nodes: the size of the budget, not a design."""
+    model = NominalModel(project)
+    rng = np.random.default_rng(25)
+    speeds = np.linspace(*model.speed_range, 8)
+    n, Ts = CONTROLLER_STATES, project.Ts_s
+    A1 = np.zeros((len(speeds), n, n))
+    for i in range(0, n - 1, 2):
+        decay, turn = rng.uniform(0.2, 20.0), rng.uniform(0.2, 20.0)
+        for node in range(len(speeds)):
+            growth = 1.0 + 0.05 * node
+            A1[node, i:i + 2, i:i + 2] = Ts * growth * np.array([[-decay, turn], [-turn, -decay]]) / 2
+    A1[:, n - 1, n - 1] = -Ts
+    B = Ts * rng.standard_normal((1, n, 1 + model.n_y)) * np.linspace(1.0, 1.2, len(speeds))[:, None, None]
+    C = 0.5 * rng.standard_normal((1, model.n_u, n)) * np.linspace(1.0, 0.8, len(speeds))[:, None, None]
+    L = np.zeros((len(speeds), n, model.n_u))
+    return build_controller(Ts, speeds, np.eye(n) + A1, B, C, L, np.full(model.n_u, 6.0), np.full(model.n_u, 40.0))
+
+
+def write_budget_vehicle(folder: Path) -> Project:
+    """A generated folder of the budget's sizes, with placeholder bounds."""
+    project = budget_project()
+    model = NominalModel(project)
+    estimator = Estimator.of(project, model)
+    W_delta = np.linspace(0.1, 0.4, estimator.n_bins)
+    B_w = np.outer(np.linspace(0.02, 0.01, estimator.n_bins), np.ones(project.n_y))
+    coefficients = build_coefficients(project, model, estimator, W_delta, B_w, 1.5)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_files(folder, vehicle_files(project, coefficients, {"kind": "vehicle", "project": project.model_dump(by_alias=True)},
+                                      budget_controller(project)))
+    return project
+
+
+def drive_of(project: Project, *, seed: int = 3) -> Input:
+    """A seeded drive, long enough that every bin ends frames that count; the speed moves in every sample."""
+    model = NominalModel(project)
+    estimator = Estimator.of(project, model)
+    n = int(estimator.settle + 1.75 * estimator.length[0])
+    rng = np.random.default_rng(seed)
+    t = np.arange(n) * project.Ts_s
+    low, high = model.speed_range
+    v = 0.5 * (low + high) * (1.0 + 0.05 * np.sin(0.1 * t))
+    frequencies = rng.uniform(0.05, 2.0, 8)
+    u = np.column_stack([0.05 * s.max * np.sin(2 * np.pi * np.outer(t, frequencies) + rng.uniform(0, 6, 8)).sum(axis=1)
+                         for s in project.inputs])
+    yhat = model.simulate(v, u, model.output_offset)
+    scale = np.std(yhat, axis=0)
+    # A quarter more gain and coloured-enough noise: margins on both sides of the threshold.
+    y = 1.25 * yhat + 0.05 * scale * rng.standard_normal(yhat.shape)
+    return Input(v, u, y)
+
+
+def bench_core(targets: tuple[str, ...] = tuple(TARGETS), *, clock_mhz: float = 168.0) -> dict[str, Any]:
+    """The report: one entry a target, and whether results agree with the host's bit for bit.
+
+    ``load_percent`` is the worst whole step of a sample period at ``clock_mhz`` with one cycle an instruction.
+    """
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / "truck"
+        project = write_budget_vehicle(folder)
+        drive = drive_of(project)
+        host = run_host(folder, drive)
+        rows = []
+        for name in targets:
+            run = run_target(name, folder, drive, same_bits=False)
+            run["bit_identical"] = run_target(name, folder, drive, same_bits=True)["results"] == host["results"]
+            del run["results"]
+            step = run["parts"]["ecu_step"]
+            run["rom_total"] = sum(run["rom"].values())
+            run["worst_to_median"] = step["worst"] / step["median"]
+            run["load_percent"] = 100 * step["worst"] * CYCLES_PER_INSTRUCTION / (clock_mhz * 1e6 * project.Ts_s)
+            rows.append(run)
+    return {"vehicle": "truck, 20 bins x 2 outputs, controller of 25 states", "Ts_s": project.Ts_s, "clock_mhz": clock_mhz,
+            "unit": "executed instructions, not cycles (QEMU -icount)", "samples": len(drive.v), "targets": rows}
+
+
+def print_report(report: dict[str, Any]) -> None:
+    """The table, for people."""
+    print(f"{report['vehicle']}; counts are {report['unit']}")
+    for run in report["targets"]:
+        rom, structs = run["rom"], run["structs"]
+        print(f"\n{run['title']}  ELF {run['elf_sha256'][:16]}  results {'bit-identical to' if run['bit_identical'] else 'DIFFER FROM'} the host's")
+        print(f"  ROM {run['rom_total']} bytes (" + ", ".join(f"{k} {v}" for k, v in rom.items()) + ")")
+        print("  RAM " + ", ".join(f"{k} {v}" for k, v in structs.items()) + " bytes (the ECU's includes the others)")
+        print(f"  {'part':<14} {'worst [instr]':>14} {'median [instr]':>15} {'worst/median':>13} {'stack [B]':>10}")
+        for name, part in run["parts"].items():
+            print(f"  {name:<14} {part['worst']:>14} {part['median']:>15} {part['worst'] / part['median']:>13.2f} {part['stack']:>10}")
+        print(f"  whole step: {run['load_percent']:.2f} % of {report['clock_mhz']:g} MHz at Ts {report['Ts_s']:g} s, "
+              "if an instruction took one cycle")
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Prints the table: ``python -m lpvguard.bench.core [--clock-mhz 168] [--target cortex-m4f] [--json]``."""
+    import argparse
+
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--clock-mhz", type=float, default=168.0)
+    parser.add_argument("--target", action="append", choices=tuple(TARGETS))
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args(argv)
+    report = bench_core(tuple(arguments.target or TARGETS), clock_mhz=arguments.clock_mhz)
+    if arguments.json:
+        json.dump(report, sys.stdout, indent=1)
+        print()
+    else:
+        print_report(report)
+
+
+if __name__ == "__main__":
+    main()
