@@ -33,6 +33,7 @@ foreach(test IN ITEMS unit/test_can fault/test_can_faults)
   add_test(NAME ${kind}.${name} COMMAND ${program})
   set_tests_properties(${kind}.${name} PROPERTIES LABELS ${kind} TIMEOUT 120)
 endforeach()
+add_dependencies(unit_tests test_can)
 
 # The committed corpus, then three million random frames. With clang there is `fuzz_can` too, for a campaign:
 #     fuzz_can -runs=10200000 -max_len=160 -seed=7 CORPUS_OF_YOUR_OWN tests/fuzz/corpus/can

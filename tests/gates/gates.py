@@ -3,14 +3,17 @@
     gates.py GATE --source DIR --scratch DIR [--self-test]      exit 0 / 1 (a finding, or a planted bug that was missed)
 
     warnings     lib/ compiles without a warning by gcc and clang, float and double
-    imports      the archive imports nothing but memory copies and square roots, optimised or not, float and double
+    imports      the archive as a whole imports nothing but memory copies and square roots, optimised or not, float and double
     headers      every public header is strict C99 and strict C++17 by itself, by gcc and clang, without Eigen
     generated_c  what `lpvguard export` writes is strict C99 without a warning, by gcc and clang, float and double
     options      every option is in the configure summary, and every preset's setting arrives there
     sanitize     the unit tests run clean under the address and undefined-behaviour sanitizers
-    coverage     lines and branches of lib/src that the unit tests miss are as many as coverage.json says, no more, no less
+    coverage     lines and branches that the unit tests miss in a file of lib/src are as many as coverage.json says (a file
+                 that it does not name: none), no more, no less
 
-Builds stay in the scratch folder, so that a second run compiles only what changed.
+Builds stay in the scratch folder, so that a second run compiles only what changed; gates may share one, but not at once.
+A planted bug is looked for in the one variant of the build, or with the one unit test, that has to find it. Bugs that take
+builds of everything are planted only with LPVGUARD_FULL=1 in the environment (tools/test --full sets it).
 """
 
 from __future__ import annotations
@@ -30,7 +33,7 @@ from pathlib import Path
 COMPILERS = {"gcc": ("gcc", "g++"), "clang": ("clang", "clang++")}
 WARNINGS = ["-pedantic-errors", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror"]
 IMPORTS_ALLOWED = re.compile(r"mem(cpy|set|move|cmp)|(sqrt|fabs)f?")
-LEAST_BRANCH_COVERAGE = 0.98
+LEAST_COVERAGE = {"lines": 1.0, "branches": 0.98}  # whatever coverage.json says
 
 
 def run(*command: object, cwd: Path | None = None, env: dict[str, str] | None = None) -> tuple[int, str]:
@@ -51,33 +54,41 @@ def vehicle_folders(tree: Path) -> list[Path]:
 # --- gates: (tree, scratch) -> findings ---
 
 
-def build_core(tree: Path, folder: Path, compiler: str, real: str, build_type: str) -> list[str]:
+def build_core(tree: Path, scratch: Path, variant: str) -> tuple[Path, list[str]]:
+    """Folder and findings; ``variant`` = compiler-real-build type."""
+    compiler, real, build_type = variant.split("-")
     c, cxx = COMPILERS[compiler]
-    what = f"{compiler}, {real}, {build_type}"
-    return (failed(what, "cmake", "-S", tree, "-B", folder, "-G", "Ninja", f"-DCMAKE_C_COMPILER={c}",
-                   f"-DCMAKE_CXX_COMPILER={cxx}", f"-DCMAKE_BUILD_TYPE={build_type}", "-DLPVG_BUILD_TESTS=OFF",
-                   f"-DLPVG_DOUBLE={'ON' if real == 'double' else 'OFF'}")
-            or failed(what, "cmake", "--build", folder))
+    folder = scratch / variant
+    return folder, (failed(variant, "cmake", "-S", tree, "-B", folder, "-G", "Ninja", f"-DCMAKE_C_COMPILER={c}",
+                           f"-DCMAKE_CXX_COMPILER={cxx}", f"-DCMAKE_BUILD_TYPE={build_type}", "-DLPVG_BUILD_TESTS=OFF",
+                           f"-DLPVG_DOUBLE={'ON' if real == 'double' else 'OFF'}")
+                    or failed(variant, "cmake", "--build", folder))
 
 
-def warnings(tree: Path, scratch: Path) -> list[str]:
-    return [finding for compiler in COMPILERS for real in ("float", "double")
-            for finding in build_core(tree, scratch / f"{compiler}-{real}", compiler, real, "Release")]
+def warnings(tree: Path, scratch: Path, only: str = "") -> list[str]:
+    variants = [only] if only else [f"{compiler}-{real}-Release" for compiler in COMPILERS for real in ("float", "double")]
+    return [finding for variant in variants for finding in build_core(tree, scratch, variant)[1]]
 
 
-def imports(tree: Path, scratch: Path) -> list[str]:
+def symbols(archive: Path, which: str) -> set[str]:
+    """Names of ``nm``, over all objects of the archive."""
+    status, output = run("nm", "--format=posix", which, archive)
+    if status:
+        raise RuntimeError(output)
+    return {line.split()[0] for line in output.splitlines() if len(line.split()) > 1}
+
+
+def imports(tree: Path, scratch: Path, only: str = "") -> list[str]:
     findings = []
-    for real, build_type in (("float", "Release"), ("double", "Release"), ("float", "Debug")):
-        folder = scratch / f"{real}-{build_type}"
-        broken = build_core(tree, folder, "gcc", real, build_type)
+    for variant in [only] if only else ("gcc-float-Release", "gcc-double-Release", "gcc-float-Debug"):
+        folder, broken = build_core(tree, scratch, variant)
         archives = sorted(folder.rglob("liblpvguard_*.a"))
         if broken or not archives:
             return broken or [f"no archive in {folder}"]
         for archive in archives:
-            symbols = {line.split()[1] for line in run("nm", "-u", archive)[1].splitlines() if line.strip().startswith("U ")}
-            own = f"lpvg_{archive.stem.removeprefix('liblpvguard_')}_"
-            findings += [f"{archive.name} ({real}, {build_type}) imports {s}" for s in sorted(symbols)
-                         if not s.startswith(own) and not IMPORTS_ALLOWED.fullmatch(s)]
+            # What one object lacks and another one of the archive has is no import.
+            missing = symbols(archive, "--undefined-only") - symbols(archive, "--defined-only")
+            findings += [f"{archive.name} ({variant}) imports {s}" for s in sorted(missing) if not IMPORTS_ALLOWED.fullmatch(s)]
     return findings
 
 
@@ -103,21 +114,24 @@ def headers(tree: Path, scratch: Path) -> list[str]:
 
 def generated_c(tree: Path, scratch: Path) -> list[str]:
     unit = tree / "tests" / "unit"
-    status, output = run(sys.executable, unit / "generate.py", "vehicle", unit / "toy.toml", scratch / "toy",
-                         env={"PYTHONPATH": str(tree / "tools" / "src")})
-    if status:
-        return [f"export failed:\n{output}"]
+    made = []
+    for kind, project, name in (("vehicle", unit / "toy.toml", "toy"), ("guarded", "truck", "hand_truck")):
+        status, output = run(sys.executable, unit / "generate.py", kind, project, scratch / name,
+                             env={"PYTHONPATH": str(tree / "tools" / "src")})
+        if status:
+            return [f"export failed:\n{output}"]
+        made.append(scratch / name)
     findings = []
-    for folder in [*vehicle_folders(tree), scratch / "toy"]:
-        for compiler, _ in COMPILERS.values():
-            for real in ([], ["-DLPVG_DOUBLE"]):
-                findings += failed(f"{folder.name} by {compiler} {' '.join(real)}", compiler, "-std=c99", *WARNINGS, *real,
-                                   "-I", tree / "lib" / "include", "-I", folder, "-c", folder / "lpvguard_coeff.c",
-                                   "-o", scratch / "coeff.o")
+    for folder in [*vehicle_folders(tree), *made]:
+        for source in sorted(folder.glob("*.c")):
+            for compiler, _ in COMPILERS.values():
+                for real in ([], ["-DLPVG_DOUBLE"]):
+                    findings += failed(f"{folder.name} by {compiler} {' '.join(real)}", compiler, "-std=c99", *WARNINGS, *real,
+                                       "-I", tree / "lib" / "include", "-I", folder, "-c", source, "-o", scratch / "object.o")
     return findings
 
 
-def options(tree: Path, scratch: Path) -> list[str]:
+def options(tree: Path, scratch: Path, only: str = "") -> list[str]:
     source = (tree / "CMakeLists.txt").read_text()
     declared = set(re.findall(r"^lpvg_option\((LPVG_\w+)", source, re.M))
     findings = [f"{name} bypasses lpvg_option" for name in re.findall(r"^\s*option\((\w+)", source, re.M) if name not in declared]
@@ -128,6 +142,8 @@ def options(tree: Path, scratch: Path) -> list[str]:
         return {**inherited, **preset.get("cacheVariables", {})}
 
     for name, preset in presets.items():
+        if only not in ("", name):
+            continue
         # Tests off: their set-up is slow, and an option on the command line has to win over the preset's.
         status, output = run("cmake", "--preset", name, "-B", scratch / name, "-DLPVG_BUILD_TESTS=OFF", cwd=tree)
         if status:
@@ -143,8 +159,8 @@ def options(tree: Path, scratch: Path) -> list[str]:
 def unit_tests(tree: Path, folder: Path, preset: str, only: str = "") -> list[str]:
     """All unit tests, or the one named ``only`` (a self-test need not build the others)."""
     return (failed("configure", "cmake", "--preset", preset, "-B", folder, f"-DPython3_EXECUTABLE={sys.executable}", cwd=tree)
-            or failed("build", "cmake", "--build", folder, "--target", f"test_{only.replace('.', '_')}" if only else "all")
-            or failed("tests", "ctest", "--test-dir", folder, "-L", "unit", "-R", only or ".", "-j2", "--no-tests=error", "--output-on-failure"))
+            or failed("build", "cmake", "--build", folder, "--target", f"test_{only.replace('.', '_')}" if only else "unit_tests")
+            or failed("tests", "ctest", "--test-dir", folder, "-L", "unit", "-R", f"^unit.{only}$" if only else ".", "-j2", "--no-tests=error", "--output-on-failure"))
 
 
 def sanitize(tree: Path, scratch: Path, only: str = "") -> list[str]:
@@ -175,29 +191,33 @@ def coverage_of(tree: Path, build: Path) -> dict[str, dict[str, dict]]:
     return out
 
 
-def coverage(tree: Path, scratch: Path) -> list[str]:
+def coverage(tree: Path, scratch: Path, only: str = "") -> list[str]:
+    """Of all files, or with the unit test ``only`` of the file that it tests."""
     build = scratch / "build"
     for stale in build.rglob("*.gcda"):
         stale.unlink()
-    broken = unit_tests(tree, build, "coverage")
+    broken = unit_tests(tree, build, "coverage", only)
     if broken:
         return broken
     found = coverage_of(tree, build)
-    sources = {p.name for p in (tree / "lib" / "src").iterdir()}
+    sources = {f"{only.split('.')[0]}.cpp"} if only else {p.name for p in (tree / "lib" / "src").iterdir()}
     findings = [f"lib/src/{name} is in no report" for name in sorted(sources - set(found))]
     limits = json.loads((tree / "tests" / "gates" / "coverage.json").read_text())
     for kind in ("lines", "branches"):
-        missed = [(name, key) for name, sums in sorted(found.items()) for key, hits in sorted(sums[kind].items()) if not hits]
-        total = sum(len(sums[kind]) for sums in found.values())
-        print(f"{kind}: {total - len(missed)} of {total} executed")
-        where = ", ".join(f"{name}:{key[0] if isinstance(key, tuple) else key}" for name, key in missed)
-        limit = limits[f"missed_{kind}"]
-        if len(missed) > limit:
-            findings.append(f"{len(missed)} {kind} missed, {limit} allowed: {where}")
-        elif len(missed) < limit:
-            findings.append(f"{len(missed)} {kind} missed, fewer than the {limit} of coverage.json: lower it")
-        if kind == "branches" and total and len(missed) > (1 - LEAST_BRANCH_COVERAGE) * total:
-            findings.append(f"only {total - len(missed)} of {total} branches executed")
+        total = missed_in_all = 0
+        for name in sorted(sources & set(found)):
+            sums = found[name][kind]
+            missed = [key[0] if isinstance(key, tuple) else key for key, hits in sorted(sums.items()) if not hits]
+            limit = limits[kind].get(name, 0)
+            if len(missed) > limit:
+                findings.append(f"{name}: {len(missed)} {kind} missed, {limit} allowed: {missed}")
+            elif len(missed) < limit:
+                findings.append(f"{name}: {len(missed)} {kind} missed, fewer than the {limit} of coverage.json: lower it")
+            total += len(sums)
+            missed_in_all += len(missed)
+        print(f"{kind}: {total - missed_in_all} of {total} executed")
+        if missed_in_all > (1 - LEAST_COVERAGE[kind]) * total:
+            findings.append(f"only {total - missed_in_all} of {total} {kind} executed")
     return findings
 
 
@@ -216,21 +236,29 @@ class Plant:
     old: str
     new: str
     expect: str
-    only: str = ""  # the only unit test to build for it
+    only: str = ""  # the variant of the build, preset or unit test to which the gate keeps
+    full: bool = False  # planted with LPVGUARD_FULL=1 only
 
 
+FLOAT = "gcc-float-Release"
 MONITOR_H = "lib/include/lpvguard/monitor.h"
 PLANTS: dict[str, list[Plant]] = {
     "warnings": [
-        Plant("lib/src/monitor.cpp", "Real(0.5) - Real(0.5) *", "Real(0.5) - 0.5 *", r"gcc, float(.|\n)*\[-Werror=double-promotion\]"),
-        Plant("lib/src/coeff.cpp", "uint32_t crc32_byte(", "constexpr int unused = 1;\n\nuint32_t crc32_byte(", r"clang, float(.|\n)*-Wunused-const-variable"),
-        Plant("lib/src/model.cpp", "next;\n", "next;\n    int rounded = self->x[0]; (void)rounded;\n", r"clang(.|\n)*-Wfloat-conversion"),
+        Plant("lib/src/monitor.cpp", "Real(0.5) - Real(0.5) *", "Real(0.5) - 0.5 *",
+              r"gcc-float(.|\n)*\[-Werror=double-promotion\]", "gcc-float-Release"),
+        Plant("lib/src/coeff.cpp", "bool sizes_match(", "constexpr int unused = 1;\n\nbool sizes_match(",
+              r"clang-float(.|\n)*-Wunused-const-variable", "clang-float-Release"),
+        Plant("lib/src/model.cpp", "next;\n", "next;\n    int rounded = self->x[0]; (void)rounded;\n",
+              r"clang(.|\n)*-Wfloat-conversion", "clang-float-Release"),
     ],
     "imports": [
         Plant("lib/src/model.cpp", "    set_speed(self, coeff, speed);", "    set_speed(self, coeff, speed);\n    Eigen::Matrix<Real, 8, 8> a = "
-              "Eigen::Matrix<Real, 8, 8>::Constant(speed), b = a * a;\n    self->x[0] += b(0, 0);", r"imports (malloc|free|_Zn)"),
-        Plant("lib/src/monitor.cpp", "    ++self.restarts;", "    ++self.restarts;\n    __builtin_printf(\"restart\");", r"imports (printf|puts|putchar|fwrite)"),
-        Plant("lib/src/coeff.cpp", "    return ~crc;", "    return ~crc ^ static_cast<uint32_t>(std::exp(real_at(coeff, 0)));", r"imports expf?"),
+              "Eigen::Matrix<Real, 8, 8>::Constant(speed), b = a * a;\n    self->x[0] += b(0, 0);", r"imports (malloc|free|_Zn)", FLOAT),
+        Plant("lib/src/monitor.cpp", "    ++self.restarts;", "    ++self.restarts;\n    __builtin_printf(\"restart\");",
+              r"imports (printf|puts|putchar|fwrite)", FLOAT),
+        Plant("lib/src/coeff.cpp", "lpvg_coeff_crc32(const", "other_crc32(const", r"imports lpvg_g80_coeff_crc32", FLOAT),
+        Plant("lib/src/acceptance.hpp", "    return ~crc;", "    return ~crc ^ static_cast<uint32_t>(std::exp(item_at<lpvg_real_t>(coeff.reals, 0)));",
+              r"imports expf?", FLOAT),
     ],
     "headers": [
         Plant(MONITOR_H, "bool lpvg_monitor_take_record(", "[[nodiscard]] bool lpvg_monitor_take_record(", r"monitor\.h as c99 by gcc"),
@@ -239,29 +267,34 @@ PLANTS: dict[str, list[Plant]] = {
         Plant("lib/include/lpvguard/model.h", '#include "lpvguard/coeff.h"', "", r"model\.h as c99 by clang"),
     ],
     "generated_c": [
-        Plant("tools/src/lpvguard/export.py", 'return f"{int(value)}U"', 'return f"-{int(value)}"', r"toy by gcc"),
-        Plant("tools/src/lpvguard/export.py", 'lines += ["    },", "};", ""]', 'lines += ["    },", "};;", ""]', r"toy by clang"),
+        Plant("tools/src/lpvguard/sealed.py", 'return f"{int(value)}U"', 'return f"-{int(value)}"', r"toy by gcc"),
+        Plant("tools/src/lpvguard/sealed.py", 'lines += ["    },", "};", ""]', 'lines += ["    },", "};;", ""]', r"toy by clang"),
+        Plant("tools/src/lpvguard/export.py", "#define", "#  defined", r"toy by gcc"),
+        Plant("tools/src/lpvguard/control_export.py", '"controller.h", "lpvg_control_coeff")}', '"controller.h", "lpvg_control")}', r"hand_truck by gcc"),
+        Plant("tools/src/lpvguard/can/bus.py", "= (lpvg_real_t){", "= (lpvg_real){", r"hand_truck by clang"),
         Plant("lib/vehicles/g80/lpvguard_coeff.c", ".schema = 1U", ".schema = 0b1U", r"g80 by gcc"),
     ],
     "options": [
-        Plant("CMakePresets.json", '"LPVG_SANITIZE": "ON"', '"LPVG_SANITIZER": "ON"', r"preset sanitize: sets LPVG_SANITIZER"),
-        Plant("CMakeLists.txt", 'lpvg_option(LPVG_BUILD_SIM', 'option(LPVG_BUILD_SIM', r"LPVG_BUILD_SIM bypasses"),
-        Plant("CMakeLists.txt", "list(APPEND lpvg_options ${name})", "", r"LPVG_DOUBLE is not in the summary"),
+        Plant("CMakePresets.json", '"LPVG_SANITIZE": "ON"', '"LPVG_SANITIZER": "ON"', r"preset sanitize: sets LPVG_SANITIZER", "sanitize"),
+        Plant("CMakeLists.txt", 'lpvg_option(LPVG_BUILD_SIM', 'option(LPVG_BUILD_SIM', r"LPVG_BUILD_SIM bypasses", "default"),
+        Plant("CMakeLists.txt", "list(APPEND lpvg_options ${name})", "", r"LPVG_DOUBLE is not in the summary", "double"),
     ],
     "sanitize": [
         Plant("lib/src/monitor.cpp", "i < n_signals; ++i) {\n        bin.sum", "i <= n_signals; ++i) {\n        bin.sum", r"tests:(.|\n)*out of bounds", "monitor.toy"),
         Plant("lib/src/monitor.cpp", "return static_cast<uint64_t>(later) - static_cast<uint64_t>(earlier);",
-              "return static_cast<uint64_t>(later - earlier);", r"tests:(.|\n)*signed integer overflow", "monitor.toy"),
+              "return static_cast<uint64_t>(later - earlier);", r"tests:(.|\n)*signed integer overflow", "monitor.toy", full=True),
     ],
     "coverage": [
+        Plant("lib/src/model.cpp", "namespace {\n", "uint32_t lpvg_unused(uint32_t n) {\n    return n;\n}\n\nnamespace {\n",
+              r"model\.cpp: 2 lines missed, 0 allowed", "model.toy"),
+        Plant("tests/gates/coverage.json", '"lines": {}', '"lines": {"model.cpp": 1}', r"model\.cpp: 0 lines missed, fewer than the 1", "model.toy"),
         Plant("lib/src/coeff.cpp", 'extern "C" uint32_t', 'uint32_t lpvg_unused(uint32_t n) {\n    return n;\n}\n\nextern "C" uint32_t',
-              r"2 lines missed, 0 allowed: coeff\.cpp:"),
-        Plant("tests/gates/coverage.json", '"missed_lines": 0', '"missed_lines": 1', r"0 lines missed, fewer than the 1"),
+              r"coeff\.cpp: 2 lines missed, 0 allowed", full=True),
     ],
 }
 
 
-def copy_of(source: Path, target: Path, plants: list[Plant]) -> Path:
+def copy_of(source: Path, target: Path) -> Path:
     if target.exists():
         shutil.rmtree(target)
     ignore = shutil.ignore_patterns("__pycache__", ".*", "build")
@@ -269,15 +302,17 @@ def copy_of(source: Path, target: Path, plants: list[Plant]) -> Path:
         shutil.copytree(source / part, target / part, ignore=ignore)
     for part in ("CMakeLists.txt", "CMakePresets.json"):
         shutil.copy2(source / part, target / part)
-    for plant in plants:
+    for plant in [p for of_gate in PLANTS.values() for p in of_gate]:
         (target / plant.file).touch()  # the objects of an earlier self-test hold its planted bugs
     return target
 
 
 def self_test(gate: str, source: Path, scratch: Path) -> list[str]:
-    tree = copy_of(source, scratch / "tree", PLANTS[gate])
+    tree = copy_of(source, scratch / "tree")
     missed = []
     for plant in PLANTS[gate]:
+        if plant.full and os.environ.get("LPVGUARD_FULL") != "1":
+            continue
         file = tree / plant.file
         good = file.read_text()
         if good.count(plant.old) < 1:
