@@ -231,6 +231,48 @@ TEST_CASE("any priority of the same group and source is the same message; anothe
     CHECK(bus.send(frame) == lpvg_can_event_unknown_id);
 }
 
+TEST_CASE("the counter of a message: 15, a repetition and a jump are refused, a small step counts what was lost", "[unit][can]") {
+    CanBus     bus;
+    const auto guard_in = LPVG_CAN_GUARD_IN_INDEX;
+    const auto with = [&](int64_t k, uint8_t sent) {
+        auto f = bus.guard_in(k);
+        REQUIRE(lpvg_can_e2e_protect(&f, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &sent) == lpvg_status_ok);
+        return f;
+    };
+    bus.run(1, 5);
+    REQUIRE(bus.state(guard_in) == lpvg_can_state_live);
+    CHECK(bus.send(with(6, 5U)) == lpvg_can_event_repeated);
+    CHECK(bus.send(with(7, 5U + LPVG_CAN_COUNTER_STEP)) == lpvg_can_event_accepted);
+    CHECK(bus.count(guard_in, lpvg_can_event_lost) == LPVG_CAN_COUNTER_STEP - 1U);
+    CHECK(bus.send(with(8, (6U + 2U * LPVG_CAN_COUNTER_STEP) % 15U)) == lpvg_can_event_sequence);
+    // The only counter 15 that a receiver can see has a right checksum: any of the 256 may be it.
+    unsigned refused = 0U;
+    for (unsigned crc = 0U; crc < 256U; ++crc) {
+        auto f    = bus.guard_in(9);
+        f.data[1] = static_cast<uint8_t>(f.data[1] | 0x0FU);
+        f.data[0] = static_cast<uint8_t>(crc);
+        CanBus fresh;
+        refused += fresh.send(f) == lpvg_can_event_sequence ? 1U : 0U;
+    }
+    CHECK(refused == 1U);
+}
+
+TEST_CASE("an error frame is counted and changes no message; bus-off switches all off", "[unit][can]") {
+    CanBus bus;
+    bus.run(1, 5);
+    lpvg_can_frame_t error{};
+    error.id   = LPVG_CAN_ERROR;
+    error.t_us = bus.supervisor.now_us;
+    CHECK(bus.send(error) == lpvg_can_event_error);
+    CHECK(bus.supervisor.count[lpvg_can_event_error] == 1U);
+    CHECK(bus.state(LPVG_CAN_VDC2_INDEX) == lpvg_can_state_live);
+    CHECK(bus.supervisor.bus_off == 0U);
+    error.id |= LPVG_CAN_BUS_OFF;
+    CHECK(bus.send(error) == lpvg_can_event_bus_off);
+    CHECK(bus.state(LPVG_CAN_VDC2_INDEX) == lpvg_can_state_off);
+    CHECK(bus.supervisor.bus_off == 1U);
+}
+
 TEST_CASE("limits of a signal are exact: the last good raw value and the first bad one", "[unit][can]") {
     struct Case { uint16_t raw; lpvg_can_event_t want; };
     // yaw rate of VDC2: supervised from -1.5 to 1.5 rad/s

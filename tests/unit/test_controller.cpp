@@ -242,6 +242,27 @@ TEST_CASE("a state that grew beyond the numbers is cleared", "[unit][controller]
     }
 }
 
+TEST_CASE("where no state changes the demand, engaging leaves the state alone", "[unit][controller]") {
+    const lpvg_control_coeff_t deaf = sealed([](lpvg_control_coeff_t& c) { std::memset(c.reals.C, 0, sizeof c.reals.C); });
+    lpvg_control_t engaged = ready(deaf), released = ready(deaf);
+    for (int k = 0; k < 20; ++k) {
+        const std::vector<Real> m = measurement(0.05, k);
+        REQUIRE(lpvg_control_step(&engaged, mid_speed(), m.data(), k >= 10) == lpvg_status_ok);
+        REQUIRE(lpvg_control_step(&released, mid_speed(), m.data(), false) == lpvg_status_ok);
+    }
+    CHECK(engaged.engaged);
+    CHECK(std::memcmp(engaged.x, released.x, sizeof engaged.x) == 0);
+    CHECK(engaged.u[0] == Real(0));
+}
+
+TEST_CASE("counters of the controller saturate", "[unit][controller]") {
+    lpvg_control_t control = ready();
+    control.bad_samples = UINT32_MAX;
+    const std::vector<Real> m(nm, std::numeric_limits<Real>::quiet_NaN());
+    CHECK(lpvg_control_step(&control, mid_speed(), m.data(), true) == lpvg_status_bad_sample);
+    CHECK(control.bad_samples == UINT32_MAX);
+}
+
 TEST_CASE("NULL and missing init are refused, nothing happens", "[unit][controller]") {
     lpvg_control_t control{};
     const std::vector<Real> m(nm, Real(0));

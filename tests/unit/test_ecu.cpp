@@ -287,6 +287,40 @@ TEST_CASE("sensors that contradict each other are told, and released if so confi
     CHECK(bench.ecu.control.engaged == (reaction == lpvg_ecu_reaction_report));
 }
 
+TEST_CASE("a controller or monitor that refuses its sample releases the demand and is told", "[unit][ecu]") {
+    const bool of_monitor = GENERATE(false, true);
+    Bench bench;
+    bench.run(200);
+    REQUIRE(bench.live());
+    bench.ecu.occurrence = 126U;  // the greatest count that DM1 can tell
+    if (of_monitor) {
+        bench.ecu.monitor.t_us = std::numeric_limits<int64_t>::max();
+    } else {
+        bench.ecu.control.x[0] = std::numeric_limits<lpvg_real_t>::infinity();
+    }
+    bench.step();  // the one with the third DM1
+    CHECK(bench.ecu.refused);
+    CHECK(bench.report.supervision == static_cast<float>(lpvg_can_state_off));
+    CHECK(bench.spn == LPVG_ECU_SPN_REFUSED);
+    CHECK(bench.fmi == 2U);
+    CHECK(bench.ecu.occurrence == 126U);
+    CHECK(bench.ecu.control.engaged == of_monitor);
+    bench.step();
+    CHECK(bench.live() != of_monitor);  // the controller starts anew at once
+}
+
+TEST_CASE("after a frame from the future the step refuses the time before it", "[unit][ecu]") {
+    Bench bench;
+    bench.run(60);
+    lpvg_can_frame_t frame{}, out[LPVG_ECU_FRAMES_OUT];
+    frame.t_us = (bench.k + 100) * tick_us;
+    size_t n = 7U;
+    REQUIRE(lpvg_ecu_step(&bench.ecu, bench.k * tick_us, &frame, 1, out, LPVG_ECU_FRAMES_OUT, &n) == lpvg_status_ok);
+    CHECK(lpvg_ecu_step(&bench.ecu, (bench.k + 1) * tick_us, nullptr, 0, out, LPVG_ECU_FRAMES_OUT, &n) ==
+          lpvg_status_out_of_order);
+    CHECK(n == 0U);
+}
+
 TEST_CASE("arguments and times that are wrong change and send nothing", "[unit][ecu]") {
     Bench bench;
     bench.run(60);
