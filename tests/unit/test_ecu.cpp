@@ -309,18 +309,6 @@ TEST_CASE("a controller or monitor that refuses its sample releases the demand a
     CHECK(bench.live() != of_monitor);  // the controller starts anew at once
 }
 
-TEST_CASE("after a frame from the future the step refuses the time before it", "[unit][ecu]") {
-    Bench bench;
-    bench.run(60);
-    lpvg_can_frame_t frame{}, out[LPVG_ECU_FRAMES_OUT];
-    frame.t_us = (bench.k + 100) * tick_us;
-    size_t n = 7U;
-    REQUIRE(lpvg_ecu_step(&bench.ecu, bench.k * tick_us, &frame, 1, out, LPVG_ECU_FRAMES_OUT, &n) == lpvg_status_ok);
-    CHECK(lpvg_ecu_step(&bench.ecu, (bench.k + 1) * tick_us, nullptr, 0, out, LPVG_ECU_FRAMES_OUT, &n) ==
-          lpvg_status_out_of_order);
-    CHECK(n == 0U);
-}
-
 TEST_CASE("arguments and times that are wrong change and send nothing", "[unit][ecu]") {
     Bench bench;
     bench.run(60);
