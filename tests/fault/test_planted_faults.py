@@ -11,10 +11,11 @@ from lpvguard.core import Core, library_root
 from lpvguard.drives import read_drive
 
 MUTANTS = {
-    "margin forgets the uncertainty": ("margin.hpp", "Z_[NY] = {Real(1) / W, Real(0)};", "Z_[NY] = {Real(10) / W, Real(0)};"),
+    "margin forgets the uncertainty": ("margin.hpp", "gain_[NY] = Real(1) / W;", "gain_[NY] = Real(10) / W;"),
     "margin scales the disturbance": ("margin.hpp", "E_[j] = (Real(1) / B[j]) * E[j];", "E_[j] = (Real(0.9) / B[j]) * E[j];"),
-    "second half of the window turned": ("monitor.cpp", "const Real sign = (cycles % 2U) != 0U ? Real(-1) : Real(1);",
-                                         "const Real sign = Real(1);"),
+    "second half of the window turned": ("monitor.cpp",
+                                         "const Real falling = coeff.words.cycles[b] % 2U != 0U ? -scale : scale;",
+                                         "const Real falling = scale;"),
     "error of the wrong sign": ("monitor.cpp", "signal[j] = sample->y[j] - yhat[j];", "signal[j] = sample->y[j] + yhat[j];"),
     "input one sample late": ("model.cpp", "const Real* u_old = self->past[LPVG_DELAY];",
                               "const Real* u_old = self->past[0];"),
