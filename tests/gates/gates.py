@@ -280,7 +280,7 @@ PLANTS: dict[str, list[Plant]] = {
         Plant("CMakeLists.txt", "list(APPEND lpvg_options ${name})", "", r"LPVG_DOUBLE is not in the summary", "double"),
     ],
     "sanitize": [
-        Plant("lib/src/monitor.cpp", "self.n_records < LPVG_NRECORDS", "self.n_records <= LPVG_NRECORDS", r"tests:(.|\n)*runtime error", "monitor.toy"),
+        Plant("lib/src/monitor.cpp", "self.n_records < LPVG_NRECORDS", "self.n_records <= LPVG_NRECORDS", r"tests:(.|\n)*(out of bounds|not a valid value for type 'lpvg_reason_t')", "monitor.toy"),
         Plant("lib/src/monitor.cpp", "return static_cast<uint64_t>(later) - static_cast<uint64_t>(earlier);",
               "return static_cast<uint64_t>(later - earlier);", r"tests:(.|\n)*signed integer overflow", "monitor.toy", full=True),
     ],

@@ -221,6 +221,17 @@ TEST_CASE("bus-off releases at once", "[unit][ecu]") {
     CHECK_FALSE(bench.ecu.control.engaged);
 }
 
+TEST_CASE("a frame keeps a time stamp that lies before the step", "[unit][ecu]") {
+    Bench bench;
+    bench.run(60);
+    lpvg_can_frame_t frame{}, out[LPVG_ECU_FRAMES_OUT];
+    frame.t_us = bench.k * tick_us - 1;
+    size_t n = 0U;
+    REQUIRE(lpvg_ecu_step(&bench.ecu, bench.k * tick_us, &frame, 1, out, LPVG_ECU_FRAMES_OUT, &n) == lpvg_status_ok);
+    CHECK(n >= 1U);
+    CHECK(bench.ecu.supervisor.now_us == bench.k * tick_us);
+}
+
 TEST_CASE("a frame from the future does not carry the clock away", "[unit][ecu]") {
     Bench bench;
     bench.run(100);
