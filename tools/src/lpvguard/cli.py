@@ -144,8 +144,8 @@ def design(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(help
         table.add_row(f"{row['v_mps']:.4g}", f"{row['mu_upper']:.4f}", f"{row['mu_lower']:.4f}", f"{row['peak_rad_s']:.3g}")
     console.print(table)
     worst = max(row["mu_upper"] for row in rows)
-    console.print(f"{stored.project.design.structure}: {result.schedule.A.shape[1]} states (of {result.full_order} before "
-                  f"truncation), {len(result.schedule.speeds)} nodes; worst mu {worst:.4f}; written to {out}")
+    console.print(f"{stored.project.design.structure}: {result.schedule.order} states (of {result.full_order} per "
+                  f"speed before), {len(result.schedule.speeds)} nodes; worst mu {worst:.4f}; written to {out}")
     raise typer.Exit(0 if worst < 1 else 1)
 
 
