@@ -7,6 +7,7 @@ writes (tools/src/lpvguard/control_export.py).
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import solve_discrete_are
 
 from lpvguard.nominal import NominalModel
 from lpvguard.project import Project
@@ -15,8 +16,6 @@ from lpvguard.schedule import realisation
 NODES = 5
 PROPORTIONAL, INTEGRAL = 0.5, 0.5
 ERROR_POLE, REFERENCE_POLE, LEAK = 10.0, 20.0, 0.02
-FORGETTING = 2.0
-"""Poles of A - L C in rad/s, all of them."""
 
 
 def hand_controller(project: Project) -> dict:
@@ -41,13 +40,14 @@ def hand_controller(project: Project) -> dict:
         B[:, i, 4, 0] = -delay
     B /= gain[:, :, None, None]
     A, c = realisation(a)
-    # One demand's characteristic polynomial moved to (d + 1 - exp(-FORGETTING Ts))^n: L from n conditions on c (z - A)^-1 L.
-    z = np.exp(1j * np.linspace(0.3, 2.8, 5))
-    seen = np.array([np.linalg.solve((x * np.eye(5) - A).T, c[0]) for x in z])
-    wanted = (z - np.exp(-FORGETTING * Ts)) ** 5 / np.array([np.linalg.det(x * np.eye(5) - A) for x in z]) - 1
-    L1 = np.linalg.lstsq(np.vstack([seen.real, seen.imag]), np.append(wanted.real, wanted.imag), rcond=None)[0]
+    # The stationary Kalman gain for m like white noise, which trusts u more than the model of it.
+    L1 = []
+    for rows in B[NODES // 2]:
+        Q = rows @ rows.T
+        P = solve_discrete_are(A.T, c.T, Q + 1e-9 * np.diag(np.diag(Q)), 0.1 * c @ Q @ c.T)
+        L1.append(A @ P @ c.T / (c @ P @ c.T + 0.1 * c @ Q @ c.T))
     L = np.zeros((NODES, model.n_u, 5, model.n_u))
     for i in range(model.n_u):
-        L[:, i, :, i] = L1
+        L[:, i, :, i] = L1[i][:, 0]
     return {"Ts_s": Ts, "speeds": speeds.tolist(), "a": a.tolist(), "B": B.tolist(), "L": L.tolist(),
             "u_max": [3.0] * model.n_u, "rate_max": [20.0] * model.n_u}
