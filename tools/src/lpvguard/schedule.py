@@ -109,7 +109,7 @@ def engagement(a: np.ndarray, B: np.ndarray) -> np.ndarray:
     """E (n, 2): x += E (u - C x, -(C (A x + B m) - C x)) makes this and the next wanted demand u; a, B as in ``Scheduled``.
 
     The likeliest such change: least in the metric of the covariance that white m of equal size at all speeds gives x.
-    A constraint that no state can meet is left out. Raises LinAlgError unless the poles are stable.
+    Where no state can meet both, the second is left out. Raises LinAlgError unless the poles are stable.
     """
     A, c = realisation(a)
     if np.abs(np.linalg.eigvals(A)).max() >= 1:
@@ -118,9 +118,13 @@ def engagement(a: np.ndarray, B: np.ndarray) -> np.ndarray:
     size = np.linalg.norm(drive, axis=1)
     P = sl.solve_discrete_lyapunov(A, drive @ drive.T) if size.any() else np.eye(len(a))
     M = np.vstack([c, c @ (A - np.eye(len(a)))])
-    gram = M @ P @ M.T
-    scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
-    return P @ M.T / scale @ np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-9, hermitian=True) / scale
+    first = P @ c.T / (c @ P @ c.T)
+    rest = M[1] - M[1] @ first * c  # what the second constraint asks for when the first is met
+    left = (rest @ P @ rest.T).item()
+    if left <= 1e-9 * (M[1] @ P @ M[1]):
+        return np.hstack([first, np.zeros_like(first)])
+    second = P @ rest.T / left
+    return np.hstack([first - second * (M[1] @ first), second])
 
 
 def fit(loops: Sequence[FrozenLoop], speeds: np.ndarray, scaling: Scaling, pairs: int, u_max: np.ndarray) -> Scheduled:
