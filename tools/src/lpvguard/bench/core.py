@@ -28,6 +28,7 @@ WORST_TO_MEDIAN = 1.3
 RAM_BYTES = 8192
 ROM_BYTES = 32768
 STACK_BYTES = 2048
+DENSE_TO_CONTROLLER = 5.0  # instructions of a step with full matrices (firmware_sim/ports/dense_controller.hpp), same scheduling
 CONTROLLER_STATES = 25
 CYCLES_PER_INSTRUCTION = 1.0
 """Assumed where a share of the processor is given; the report says so."""
@@ -107,10 +108,16 @@ def bench_core(targets: tuple[str, ...] = tuple(TARGETS), *, clock_mhz: float = 
             step = run["parts"]["ecu_step"]
             run["rom_total"] = sum(run["rom"].values())
             run["worst_to_median"] = step["worst"] / step["median"]
+            run["dense_to_controller"] = dense_to_controller(run)
             run["load_percent"] = 100 * step["worst"] * CYCLES_PER_INSTRUCTION / (clock_mhz * 1e6 * project.Ts_s)
             rows.append(run)
     return {"vehicle": "truck, 20 bins x 2 outputs, controller of 25 states", "Ts_s": project.Ts_s, "clock_mhz": clock_mhz,
             "unit": "executed instructions, not cycles (QEMU -icount)", "samples": len(drive.v), "targets": rows}
+
+
+def dense_to_controller(run: dict[str, Any]) -> float:
+    """How many times more instructions a step of the same controller takes with full matrices."""
+    return run["parts"]["dense_step"]["median"] / run["parts"]["control_step"]["median"]
 
 
 def print_report(report: dict[str, Any]) -> None:
@@ -124,6 +131,7 @@ def print_report(report: dict[str, Any]) -> None:
         print(f"  {'part':<14} {'worst [instr]':>14} {'median [instr]':>15} {'worst/median':>13} {'stack [B]':>10}")
         for name, part in run["parts"].items():
             print(f"  {name:<14} {part['worst']:>14} {part['median']:>15} {part['worst'] / part['median']:>13.2f} {part['stack']:>10}")
+        print(f"  dense_step: the same controller with full matrices, {run['dense_to_controller']:.1f} times control_step")
         print(f"  whole step: {run['load_percent']:.2f} % of {report['clock_mhz']:g} MHz at Ts {report['Ts_s']:g} s, "
               "if an instruction took one cycle")
 
