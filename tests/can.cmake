@@ -19,7 +19,7 @@ endif()
 add_library(can_under_test STATIC ${can_sources})
 set_target_properties(can_under_test PROPERTIES C_STANDARD 99 C_EXTENSIONS OFF CXX_STANDARD 17 CXX_EXTENSIONS OFF)
 target_include_directories(can_under_test PUBLIC ${can_includes})
-target_compile_options(can_under_test PRIVATE -Wall -Wextra -Wconversion -Wdouble-promotion -Werror
+target_compile_options(can_under_test PRIVATE -Wall -Wextra -Wconversion -Wdouble-promotion -Wshadow -Werror
   $<$<COMPILE_LANGUAGE:CXX>:-fno-exceptions;-fno-rtti> PUBLIC ${can_sanitize})
 target_link_options(can_under_test PUBLIC ${can_sanitize})
 

@@ -2,7 +2,7 @@
 
     gates.py GATE --source DIR --scratch DIR [--self-test]      exit 0 / 1 (a finding, or a planted bug that was missed)
 
-    warnings     lib/ compiles without a warning by gcc and clang, float and double
+    warnings     lib/ compiles without a warning by gcc and clang, float and double; so do the firmware loop and the ports
     imports      the archive as a whole imports nothing but memory copies and square roots, optimised or not, float and double
     headers      every public header is strict C99 and strict C++17 by itself, by gcc and clang, without Eigen
     generated_c  what `lpvguard export` writes is strict C99 without a warning, by gcc and clang, float and double
@@ -31,7 +31,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 COMPILERS = {"gcc": ("gcc", "g++"), "clang": ("clang", "clang++")}
-WARNINGS = ["-pedantic-errors", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror"]
+WARNINGS = ["-pedantic-errors", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror"]
 IMPORTS_ALLOWED = re.compile(r"mem(cpy|set|move|cmp)|(sqrt|fabs)f?")
 LEAST_COVERAGE = {"lines": 1.0, "branches": 0.98}  # whatever coverage.json says
 
@@ -66,8 +66,39 @@ def build_core(tree: Path, scratch: Path, variant: str) -> tuple[Path, list[str]
 
 
 def warnings(tree: Path, scratch: Path, only: str = "") -> list[str]:
+    if only == "firmware":
+        return firmware_warnings(tree, scratch)
     variants = [only] if only else [f"{compiler}-{real}-Release" for compiler in COMPILERS for real in ("float", "double")]
-    return [finding for variant in variants for finding in build_core(tree, scratch, variant)[1]]
+    findings = [finding for variant in variants for finding in build_core(tree, scratch, variant)[1]]
+    return findings if only else findings + firmware_warnings(tree, scratch)
+
+
+def firmware_warnings(tree: Path, scratch: Path) -> list[str]:
+    """Of firmware_sim/ecu and firmware_sim/ports. The bare-metal ports by clang only: gcc builds them as errors in
+    lpvguard.targets, with the same options."""
+    sim = tree / "firmware_sim"
+    cortex_m = ["--target=arm-none-eabi", "-mcpu=cortex-m4", "-mfloat-abi=hard", "-ffreestanding"]
+    cortex_r = ["--target=arm-none-eabi", "-mcpu=cortex-r5", "-mfloat-abi=hard", "-ffreestanding"]
+    scratch.mkdir(parents=True, exist_ok=True)
+    # What lpvguard.targets writes, in its smallest form.
+    (scratch / "target_input.h").write_text("#define TARGET_INPUT_SAMPLES 100U\n"
+                                            "static const lpvg_real_t target_input[TARGET_INPUT_SAMPLES][4] = {{1.0F}};\n")
+    includes = ["-I", tree / "lib" / "include", "-I", tree / "lib" / "src", "-I", tree / "lib" / "vehicles" / "truck",
+                "-I", sim / "ecu", "-I", sim / "ports", "-I", scratch]
+    jobs = [(path, compiler, []) for folder in ("ecu", "ports/host", "ports/linux") for path in sorted((sim / folder).glob("*.c*"))
+            for compiler in COMPILERS]
+    jobs += [(sim / "ports" / "target_bench.cpp", compiler, []) for compiler in COMPILERS]
+    jobs += [(path, "clang", cortex_m) for path in sorted((sim / "ports" / "bare_metal").glob("*.c"))]
+    jobs += [(path, "clang", cortex_m) for path in sorted((sim / "ports" / "cortex_m").glob("*.c"))]
+    jobs += [(path, "clang", cortex_r) for path in sorted((sim / "ports" / "cortex_r5").glob("*.c"))]
+    findings = []
+    for path, compiler, target in jobs:
+        c, cxx = COMPILERS[compiler]
+        # gnu99: registers and the bus are reached by what the standard does not have.
+        language = [cxx, "-std=c++17", "-fno-exceptions", "-fno-rtti"] if path.suffix == ".cpp" else [c, "-std=gnu99"]
+        options = [w for w in WARNINGS if w != "-pedantic-errors"]
+        findings += failed(f"{path.relative_to(tree)} by {compiler}", *language, *options, *target, *includes, "-fsyntax-only", path)
+    return findings
 
 
 def symbols(archive: Path, which: str) -> set[str]:
@@ -250,6 +281,11 @@ PLANTS: dict[str, list[Plant]] = {
               r"clang-float(.|\n)*-Wunused-const-variable", "clang-float-Release"),
         Plant("lib/src/model.cpp", "next;\n", "next;\n    int rounded = self->x[0]; (void)rounded;\n",
               r"clang(.|\n)*-Wfloat-conversion", "clang-float-Release"),
+        Plant("lib/src/coeff.cpp", "    for (std::size_t i = 0; i < LPVG_NVARYING; ++i) {", "    for (std::size_t i = 0; i < LPVG_NVARYING; ++i) {\n"
+              "        const bool w = good; good = w;", r"gcc-float(.|\n)*-Werror=shadow", "gcc-float-Release"),
+        Plant("firmware_sim/ecu/firmware.c", "    size_t i;\n", "    size_t i;\n    int n = n_in;\n", r"firmware\.c by gcc(.|\n)*firmware\.c by clang", "firmware"),
+        Plant("firmware_sim/ports/cortex_m/startup.c", "return 0xFFFFFFu - SYST_CVR;", "return 0xFFFFFFu - SYST_CVR * 1.0;",
+              r"startup\.c by clang(.|\n)*conversion", "firmware"),
     ],
     "imports": [
         Plant("lib/src/model.cpp", "    set_speed(self, coeff, speed);", "    set_speed(self, coeff, speed);\n    Eigen::Matrix<Real, 8, 8> a = "
