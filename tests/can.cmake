@@ -13,7 +13,7 @@ set(can_includes "${PROJECT_SOURCE_DIR}/lib/include" "${can_codec}")
 
 # With sanitizers in every build: these tests look for undefined behaviour, not for speed.
 set(can_sanitize "")
-if(NOT LPVG_SANITIZE AND NOT LPVG_COVERAGE)
+if(NOT LPVG_SANITIZE AND NOT LPVG_COVERAGE AND NOT CMAKE_CROSSCOMPILING)
   set(can_sanitize -fsanitize=address,undefined -fno-sanitize-recover=all)
 endif()
 add_library(can_under_test STATIC ${can_sources})
