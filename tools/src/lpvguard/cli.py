@@ -229,6 +229,8 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
         vehicle: Annotated[str, typer.Option("--vehicle", help="Shipped vehicle with a controller.")] = "truck",
         coefficients: Coefficients = None,
         bus: Annotated[str, typer.Option(help="What carries the CAN frames: memory, or socketcan:INTERFACE.")] = "memory",
+        ecu_process: Annotated[bool, typer.Option("--ecu-process", help="Run the firmware as a process of its own (with --bus socketcan).")] = False,
+        pace: Annotated[float | None, typer.Option(min=1e-3, max=1e3, help="At most so many times real time (default: as fast as it goes).")] = None,
         controller: Annotated[Literal["designed", "feedforward", "off"], typer.Option(
             help="feedforward: the command over the model's DC gain; off: never engaged.")] = "designed",
         seed: Annotated[int | None, typer.Option(min=0, help="First seed (default: the scenario's).")] = None,
@@ -248,7 +250,7 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
             first = scenario.seed if seed is None else seed
             for number in range(first, first + seeds):
                 tell(f"{scenario.name}, seed {number}")
-                runs.append(simulator.run(scenario, seed=number, bus=bus, out=out))
+                runs.append(simulator.run(scenario, seed=number, bus=bus, out=out, ecu_process=ecu_process, pace=pace))
     _emit(json_out, runs)
     if out is not None:
         # How fast this machine was belongs to nobody's results.
