@@ -261,7 +261,8 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
     for r in runs:
         invalid = ("–", "–") if r["first_invalid_s"] is None else (f"{r['first_invalid_s']:.2f}", f"{r['judged_to_invalid_s']:.2f}")
         ratio = f"{r['tracking_rms'] / r['command_rms']:.1%}" if r["command_rms"] else "–"
-        table.add_row(r["scenario"], str(r["seed"]), r["verdict_final"], *invalid, f"{r['max_margin']:.3f}", ratio,
+        table.add_row(r["scenario"], str(r["seed"]), r["verdict_final"], *invalid,
+                      "–" if r["max_margin"] is None else f"{r['max_margin']:.3f}", ratio,
                       f"{r['real_time_factor']:.0f}", "; ".join(r["missed"]) or "nothing")
     console.print(table)
     console.print(f"{bus} bus, controller {controller}, coefficients {simulator.folder}")

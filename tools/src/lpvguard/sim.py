@@ -208,18 +208,19 @@ class Simulator:
             if done.returncode != 0:
                 raise InputError(scenario.path, "", done.stderr.strip(), "a scenario and a bus that the simulator accepts")
             rows = np.genfromtxt(frames, delimiter=",", names=True, ndmin=1)
-        return self._result(scenario, json.loads(done.stdout), rows)
+        return self._result(scenario, json.loads(done.stdout), rows, ecu_process)
 
-    def _result(self, scenario: Scenario, facts: dict[str, Any], rows: np.ndarray) -> dict[str, Any]:
+    def _result(self, scenario: Scenario, facts: dict[str, Any], rows: np.ndarray, ecu_process: bool) -> dict[str, Any]:
         expect = scenario.expect
         first_invalid = next((t for t, verdict in facts["verdicts"] if verdict == "invalid"), None)
-        spans = judged_spans(rows)
         start = expect.fault_start_s or 0.0
+        # What a process of its own judged is not known: the whole time counts, which is never less.
+        spans = [[start, facts["duration_s"]]] if ecu_process else judged_spans(rows)
         judged = None if first_invalid is None else overlap(spans, start, first_invalid)
         result = {"scenario": scenario.name, "title": scenario.title, "controller": self.controller,
                   "expected": expect.model_dump(exclude_none=True), "first_invalid_s": first_invalid,
-                  "judged_to_invalid_s": judged, "judged_s": overlap(spans, start, facts["duration_s"]),
-                  "max_margin": float(rows["margin"].max(initial=0.0)), **facts, "reception": _reception(facts["reception"])}
+                  "judged_to_invalid_s": judged, "judged_s": None if ecu_process else overlap(spans, start, facts["duration_s"]),
+                  "max_margin": None if ecu_process else float(rows["margin"].max(initial=0.0)), **facts, "reception": _reception(facts["reception"])}
         return result | {"missed": list(missed(expect, result, self.project.Ts_s))}
 
 
