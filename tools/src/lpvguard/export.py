@@ -21,7 +21,6 @@ import numpy as np
 
 from . import __version__, artefacts
 from .control_export import CONTROL_SIZES, ControllerCoefficients, control_files
-from .errors import InputError
 from .frames import Estimator, require_core
 from .nominal import NominalModel
 from .project import Project
