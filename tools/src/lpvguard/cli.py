@@ -305,7 +305,7 @@ def report(identification: Annotated[Path, typer.Argument(help="Folder written b
     from .report import write_report
 
     stored, drive_set = _stored_with_drives(identification, drives)
-    replayer = _replayer(vehicle, coefficients)
+    replayer = _replayer(vehicle, coefficients) if stored.project.frames.estimator == "hann" else None
     with _progress("report") as tell:
         write_report(stored, drive_set, replayer, out, artefacts.read_json(evaluation) if evaluation else None, tell,
                      loops)
@@ -372,9 +372,11 @@ def _norm(values: list[complex]) -> float:
 
 def _replayer(vehicle: str, coefficients: Path | None):
     from .core import Core, shipped_vehicle
+    from .frames import require_core
     from .replay import Replayer
 
     project = _load_project(vehicle)
+    require_core(project)
     return Replayer(project, Core(coefficients or shipped_vehicle(project.name)))
 
 
