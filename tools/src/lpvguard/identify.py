@@ -232,7 +232,7 @@ def fit_weights(project: Project, estimator: Estimator, bounds: Bounds, gamma_w:
     Without zero-input drives (``noise`` all NaN) B_w itself is W_w.
     """
     floor = smallest_disturbance(bounds.B2)
-    omega, names = fitting_grid(estimator), [s.name for s in project.outputs]
+    names = [s.name for s in project.outputs]
 
     def fit_all(bound: np.ndarray, what: str) -> list[FittedWeight]:
         return [fit_bound(project, estimator, bound[:, j], f"{what} of {n}", floor) for j, n in enumerate(names)]

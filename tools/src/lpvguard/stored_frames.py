@@ -10,7 +10,7 @@ mean speed: u the least-squares input behind Z, x_nom = (zI - A_d)^-1 B_d u.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import expm
@@ -21,7 +21,7 @@ from .frames import Estimator
 from .identify import (SMALLEST_NU, FittedWeight, StoredIdentification, disturbance_weights, fit_bound, smallest_disturbance,
                        uncertainty_samples)
 from .nominal import NominalModel
-from .validation import s1, s2
+from .validation import s2
 
 
 @dataclass(frozen=True)

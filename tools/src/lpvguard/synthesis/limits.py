@@ -24,7 +24,7 @@ KERNEL_RTOL = 1e-9
 """Singular values of M21 and M12 below this fraction of the largest are zero."""
 WIDEST = 15.0
 """Largest |ln d| searched."""
-BOXES_AT_ONCE, MOST_ROUNDS = 128, 400
+BOXES_AT_ONCE, MOST_ROUNDS = 128, 150
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,12 @@ def mu_floor(plant: GeneralisedPlant, omega=GRID, rtol: float = 2e-5) -> Floor:
         if low > best.value:
             best = Floor(low, high, float(frequency))
     return best
+
+
+def floor_exceeds(plant: GeneralisedPlant, omega: float, level: float) -> bool:
+    """True when every D has a bound above ``level`` at ``omega`` [rad/s], whatever the controller; False when one has not, or
+    when the search ends undecided."""
+    return _Frequency(plant, plant.system.response(omega)[0]).exceeds(level)
 
 
 class _Frequency:
@@ -87,13 +93,32 @@ class _Frequency:
             low, high, values = low[open_], high[open_], values[open_]
             if not len(values):
                 break
-            order = np.argsort(values, kind="stable")
-            low, high, values = low[order], high[order], values[order]
-            now = slice(0, BOXES_AT_ONCE)
-            children = _halves(low[now], high[now])
-            low, high, values = (np.concatenate([new, rest[BOXES_AT_ONCE:]])
-                                 for new, rest in zip((*children, self.bound(*children)), (low, high, values), strict=True))
+            low, high, values = self._divided(low, high, values)
         return min(least, values.min(initial=np.inf), best), best
+
+
+    def exceeds(self, level: float) -> bool:
+        """Whether the infimum over D is known to lie above ``level``."""
+        low, high = np.full((1, self.dim), -WIDEST), np.full((1, self.dim), WIDEST)
+        values = self.bound(low, high)
+        for _ in range(MOST_ROUNDS):
+            open_ = values <= level
+            low, high, values = low[open_], high[open_], values[open_]
+            if not len(values):
+                return True
+            middle = 0.5 * (low + high)
+            if self.dim == 0 or self.bound(middle, middle).min() <= level:
+                return False
+            low, high, values = self._divided(low, high, values)
+        return False
+
+    def _divided(self, low, high, values):
+        """The boxes of least bound cut in two, the others as they are."""
+        order = np.argsort(values, kind="stable")
+        first, rest = order[:BOXES_AT_ONCE], order[BOXES_AT_ONCE:]
+        children = _halves(low[first], high[first])
+        return tuple(np.concatenate([new, old[rest]])
+                     for new, old in zip((*children, self.bound(*children)), (low, high, values), strict=True))
 
 
 def _halves(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
