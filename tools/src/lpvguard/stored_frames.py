@@ -1,8 +1,10 @@
-"""Bounds and weights recomputed from the frames that `identify` stored: quick enough to stand inside a search over trade-offs.
+"""Bounds and weights recomputed from few frames: quick enough to stand inside a search over trade-offs.
 
-spectra.npz holds, per bin, the frames of largest |E| and a draw of the others, on the core's frame grid; the bounds of
-`identify` are over every start sample of every drive. So what comes out here chooses a trade-off and is no bound itself: the
-choice is written into the project file and identified again.
+Of the drives that set the bounds, taken at every start sample, the frames that no other frame exceeds in B1, |Z| and |delta0|
+all at once suffice: gamma_w's rule and nu grow with each of the three, so their maxima over these frames are those over all. Frames
+within NEAR of one that is kept are left out. Without the drives the stored sample is taken (spectra.npz: per bin the frames of largest |E| and a draw, on the core's grid), and the
+maxima are those of the sample. Largest |w_j| are over the sample and these frames: near their bounds, not bounds.
+So what comes out here chooses a trade-off; bounds come from identifying again with the choice in the project file.
 
 Class S2 (paper, K_is) needs u and the nominal state of a frame. They are taken from Z through the frozen model at the frame's
 mean speed: u the least-squares input behind Z, x_nom = (zI - A_d)^-1 B_d u.
@@ -15,13 +17,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import expm
 
-from .bounds import FrameSet, explain, reduce_disturbance
+from .bounds import FrameSet, counted_frames, explain, reduce_disturbance
 from .errors import InputError
 from .frames import Estimator
-from .identify import (SMALLEST_NU, FittedWeight, StoredIdentification, disturbance_weights, fit_bound, smallest_disturbance,
-                       uncertainty_samples)
+from .identify import (SMALLEST_NU, DriveSet, FittedWeight, Progress, StoredIdentification, disturbance_weights, fit_bound,
+                       smallest_disturbance, uncertainty_samples)
 from .nominal import NominalModel
-from .validation import s2
+from .validation import s1, s2
+
+
+NEAR = 0.02
 
 
 @dataclass(frozen=True)
@@ -50,9 +55,12 @@ class UncertaintyWeights:
 
 
 class StoredFrames:
-    """The stored frames of the drives that set the bounds."""
+    """Frames of the drives that set the bounds: the stored sample and, given the drives, those that decide the bounds.
 
-    def __init__(self, stored: StoredIdentification):
+    ``complete``: whether the drives were given.
+    """
+
+    def __init__(self, stored: StoredIdentification, drives: DriveSet | None = None, progress: Progress = lambda _: None):
         self.stored, self.project = stored, stored.project
         self.model = NominalModel(stored.project)
         self.estimator = Estimator.of(stored.project, self.model)
@@ -66,6 +74,23 @@ class StoredFrames:
             of_bin = columns["bin"] == k
             self.sets.append(FrameSet(k, *(columns[key][of_bin] for key in ("E", "Z", "start"))))
             self.speeds.append(columns["speed"][of_bin])
+        self.complete = drives is not None
+        if drives is not None:
+            self._add_deciding(drives, progress)
+
+    def _add_deciding(self, drives: DriveSet, progress: Progress) -> None:
+        found = [(s, v) for s, v in zip(self.sets, self.speeds, strict=True)]
+        for name in self.stored.manifest["drives"]["bounds"]:
+            progress(f"deciding frames of {name}")
+            drive, e, yhat = drives.load(name)
+            total = np.concatenate([[0.0], np.cumsum(drive.v)])
+            for s in counted_frames(drive, e, yhat, self.model, self.estimator):
+                N, (old, speed) = self.estimator.length[s.bin], found[s.bin]
+                keep = deciding(s.E, s.Z) if len(s.E) else np.zeros(0, int)
+                found[s.bin] = (FrameSet(s.bin, *(np.concatenate([getattr(old, key), getattr(s, key)[keep]])
+                                                  for key in ("E", "Z", "starts"))),
+                                np.concatenate([speed, (total[s.starts[keep] + N] - total[s.starts[keep]]) / N]))
+        self.sets, self.speeds = map(list, zip(*found, strict=True))
 
     def gamma_rule(self, ceiling: np.ndarray) -> np.ndarray:
         """Step 4 before smoothing, (K,), for a ceiling (K,) on nu."""
@@ -133,6 +158,20 @@ class StoredFrames:
         h_s, h_i, response = h_s[index], h_i[index], response[index]
         u = np.sum(response.conj() * Z, axis=1) / np.sum(np.abs(response) ** 2, axis=1)
         return u, h_i * u[:, None], h_i, h_s
+
+
+def deciding(E: np.ndarray, Z: np.ndarray, near: float = NEAR) -> np.ndarray:
+    """Indices of frames of E, Z (F, n_y): every frame has B1, |Z| and |delta0| at most 1 + ``near`` times those of one of them."""
+    size = np.linalg.norm(E, axis=1)
+    values = np.column_stack([s1.solve(E, Z, size).b1, np.linalg.norm(Z, axis=1), np.abs(s1.least_squares_delta(E, Z))])
+    left = np.arange(len(values))
+    kept = []
+    scale = np.maximum(values.max(axis=0, initial=0.0), 1e-300)
+    while len(left):
+        best = left[np.argmax((values[left] / scale).sum(axis=1))]  # the largest sum cannot be exceeded by any that is left
+        kept.append(best)
+        left = left[(values[left] > (1 + near) * values[best]).any(axis=1)]
+    return np.sort(np.array(kept, int))
 
 
 def _largest(values: np.ndarray) -> np.ndarray | float:
