@@ -132,7 +132,7 @@ void advance(lpvg_control_t& self, const Drive& drive) {
             x[j] = moved(head, to_head, carry[j]);
             x[j + 1U] = moved(tail, to_tail, carry[j + 1U]);
         }
-        if (nk % 2U == 1U) {
+        if constexpr (nk % 2U == 1U) {
             constexpr std::size_t last = nk - 1U;
             const Real single = x[last];
             x[last] = moved(single, drive.added(carry[last] + a[last] * single, i, last), carry[last]);
