@@ -4,10 +4,11 @@ Everything is discrete from the start: the vehicle sampled exactly at Ts, the we
 delay between the controller's output and the vehicle, so that the ECU may take a whole period to compute. The delay then
 belongs to the controller, which makes it strictly proper.
 
-One scaling D (found by D-K iteration at the design speed) serves all speeds, so that neighbouring controllers differ
-little. They are brought to as few common poles as will do, with numerators interpolated over speed (schedule.py). What is
-certified is the controller the core runs: float32 coefficients, interpolated, closed with the nominal model and the weights
-at frozen speeds, at the nodes and midway between them. Frozen speeds: no claim is made about how fast the speed may change.
+One scaling D (started by D-K iteration at the design speed, then the best for the worst speed) and one level serve all
+speeds, so that neighbouring controllers differ little (synthesis/scheduling.py). They are brought to as few common poles as
+will do, with numerators interpolated over speed (schedule.py). What is certified is the controller the core runs: float32
+coefficients, interpolated, closed with the nominal model and the weights at frozen speeds, at the nodes and midway between
+them. Frozen speeds: no claim is made about how fast the speed may change.
 """
 
 from __future__ import annotations
@@ -24,8 +25,10 @@ from .nominal import NominalModel
 from .project import DesignSettings
 from .schedule import FrozenLoop, Scheduled, fit
 from .synthesis import interconnection as fig1
-from .synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis, frozen_controllers
-from .synthesis.statespace import StateSpace, append, gain, lft, series, zero_order_hold
+from .synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis
+from .synthesis.norms import hinf_norm
+from .synthesis.scheduling import closed_scaled, common_family, common_scaling
+from .synthesis.statespace import StateSpace, append, gain, series, zero_order_hold
 
 FEWEST_PAIRS, MOST_PAIRS = 2, 19
 """Of poles, for each demand: fewer than the vehicle and the reference model have between them cannot do the job."""
@@ -33,6 +36,8 @@ PATIENCE = 2
 """Pairs tried beyond the best number so far."""
 CERTIFICATE_RTOL = 1e-6
 """Largest relative difference between a stated level and the one proved anew."""
+SCALING_SPEEDS = 4
+"""Nodes, ends included, for which the common scaling is searched: the optimum moves slowly with speed."""
 
 
 def _system(weight: FittedWeight, inflation: float) -> StateSpace:
@@ -96,15 +101,24 @@ def design(stored: StoredIdentification, progress: Progress = lambda _: None) ->
     settings = stored.project.design
     if settings is None:
         raise InputError(f"vehicle {stored.project.name}", "design", "no [design] table", "objectives for step 8")
-    model = NominalModel(stored.project)
-    weights = _weights(stored, settings)
+    return _designed(stored, settings, None, progress)
+
+
+def _designed(stored: StoredIdentification, settings: DesignSettings, scaling: Scaling | None, progress: Progress) -> Design:
+    """The design for ``settings``; ``scaling``: where the search for the common scaling starts."""
+    model, weights = NominalModel(stored.project), _weights(stored, settings)
     speeds = np.linspace(*model.speed_range, settings.nodes)
-    start = int(np.argmin(np.abs(speeds - settings.design_speed_mps)))
-    progress("D-K iteration at the design speed")
-    scaling = dk_synthesis(_plant(stored, model, weights, speeds[start], True)).performance.scaling
-    scaling = scaling or Scaling(np.zeros((0, 1)))  # K_inf has no blocks to scale
+    plants = [_plant(stored, model, weights, v, True) for v in speeds]
+    if scaling is None:
+        progress("D-K iteration at the design speed")
+        start = int(np.argmin(np.abs(speeds - settings.design_speed_mps)))
+        # K_inf has no blocks to scale.
+        scaling = dk_synthesis(plants[start]).performance.scaling or Scaling(np.zeros((0, 1)))
+    progress("one scaling for all speeds")
+    some = np.unique(np.linspace(0, len(plants) - 1, SCALING_SPEEDS).round().astype(int))
+    scaling, level = common_scaling([plants[k] for k in some], scaling)
     progress("controllers over speed")
-    at_order, full_order = frozen_controllers([_plant(stored, model, weights, v, True) for v in speeds], scaling, settings.backoff)
+    at_order, full_order = common_family(plants, scaling, level * (1 + settings.backoff))
     check = np.linspace(speeds[0], speeds[-1], 2 * len(speeds) - 1)
     loops = {float(v): _plant(stored, model, weights, v, False) for v in check}
     input_max = np.array(settings.input_max)
@@ -114,19 +128,28 @@ def design(stored: StoredIdentification, progress: Progress = lambda _: None) ->
     for pairs in range(FEWEST_PAIRS, MOST_PAIRS // len(input_max) + 1):
         progress(f"{pairs} pairs of poles")
         schedule = fit(frozen, speeds, scaling, pairs, input_max)
-        if not all(schedule.injection_radius(v) < 1 and lft(plant.system, schedule.at(v)).stability_margin() > 0
-                   for v, plant in loops.items()):
+        if not all(schedule.injection_radius(v) < 1 for v in loops):
             continue
-        proved = _certificates(schedule, loops, scaling)
-        worst = max(p.upper for _, p in proved)
-        if best is None or worst < best * (1 - settings.order_loss):
-            best, found, found_pairs = worst, (schedule, proved), pairs
-        elif pairs >= found_pairs + PATIENCE:
+        worst = _worst_level(schedule, loops, scaling, np.inf if best is None else best)
+        if worst < np.inf and (best is None or worst < best * (1 - settings.order_loss)):
+            best, found, found_pairs = worst, schedule, pairs
+        elif found is not None and pairs >= found_pairs + PATIENCE:
             break
     if found is None:
         raise InputError(stored.folder, "controller", "no set of common poles stabilises every speed",
                          "more nodes, or a lower A_t")
-    return Design(found[0], scaling, found[1], full_order)
+    progress("certificates")
+    return Design(found, scaling, _certificates(found, loops, scaling), full_order)
+
+
+def _worst_level(schedule: Scheduled, loops: dict[float, fig1.GeneralisedPlant], scaling: Scaling, limit: float) -> float:
+    """Largest norm of the scaled closed loops; inf when one is unstable, or as soon as one lies above ``limit``."""
+    worst = 0.0
+    for v, plant in loops.items():
+        worst = max(worst, hinf_norm(closed_scaled(plant, schedule.at(v), scaling), rtol=1e-3).upper)
+        if worst > limit:
+            return np.inf
+    return worst
 
 
 def _certificates(schedule: Scheduled, loops: dict[float, fig1.GeneralisedPlant],
