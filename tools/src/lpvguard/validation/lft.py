@@ -633,7 +633,8 @@ class _Quadratic:
                     self._offer(self.polish(z), best)
             if serial == 0 and not np.isfinite(best.cost):
                 first = self.start(best, self._repeated_starts())
-            if best.cost <= zero * first:
+            first = best.cost if np.isinf(first) else first
+            if np.isfinite(first) and best.cost <= zero * first:
                 return Interval(0.0, 0.0, best.z, serial + 1)
             if lower >= best.cost * (1.0 - gap):
                 closed = min(closed, lower)
