@@ -12,6 +12,8 @@
 
 #include <Eigen/Core>
 
+#include <cmath>
+
 #include "margin.hpp"
 
 namespace {
@@ -202,6 +204,12 @@ void record(lpvg_monitor_t& self, const lpvg_frame_t& frame) {
     }
 }
 
+// A frame is judged after its end, when the energy test may have falsified later samples already.
+void falsified_at(lpvg_monitor_t& self, int64_t t_us) {
+    self.t_falsified_us = self.has_falsified && self.t_falsified_us > t_us ? self.t_falsified_us : t_us;
+    self.has_falsified = true;
+}
+
 void judge(lpvg_monitor_t& self, std::size_t b) {
     const lpvg_coeff_t& coeff = *self.coeff;
     const lpvg_coeff_reals_t& r = coeff.reals;
@@ -241,8 +249,7 @@ void judge(lpvg_monitor_t& self, std::size_t b) {
         frame.statistic = statistic(bin, coeff.words.confirm);
         frame.falsified = !(frame.statistic <= r.threshold);
         if (frame.falsified) {
-            self.has_falsified = true;
-            self.t_falsified_us = frame.t_end_us;
+            falsified_at(self, frame.t_end_us);
             record(self, frame);
         }
         if (frame.evidence > r.threshold) {
@@ -262,8 +269,53 @@ void judge_next(lpvg_monitor_t& self) {
     judge(self, b);
 }
 
+// ||x_j|| of the energy test's sums, in output units.
+Real output_norm(const lpvg_monitor_t& self, const Real* gram, std::size_t j) {
+    const std::size_t diagonal = j * ny - j * (j - 1U) / 2U;
+    return std::sqrt(gram[diagonal]) / self.coeff->reals.energy_scale[j];
+}
+
+void record_energy(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
+    lpvg_frame_t alarm{};
+    alarm.test = lpvg_test_energy;
+    alarm.sequence = self.frame.sequence;
+    alarm.bin = self.energy.direction;
+    alarm.t_end_us = sample.t_us;
+    alarm.falsified = true;
+    alarm.speed = sample.speed;
+    alarm.margin = alarm.statistic = self.energy.ratio;
+    alarm.evidence = lpvg_energy_evidence(&self.energy, self.coeff);
+    for (std::size_t j = 0; j < ny; ++j) {
+        alarm.E[j][0] = output_norm(self, self.energy.left, j);
+        alarm.Z[j][0] = output_norm(self, self.energy.right, j);
+    }
+    record(self, alarm);
+}
+
+// The energy test on one sample; whether it raised an alarm.
+bool test_energy(lpvg_monitor_t& self, const lpvg_sample_t& sample, const Real* signal, bool in_range) {
+    const lpvg_coeff_t& coeff = *self.coeff;
+    if (!in_range) {
+        lpvg_energy_start(&self.energy, &coeff);
+        return false;
+    }
+    const Real ratio = lpvg_energy_advance(&self.energy, &coeff, signal, self.settled > coeff.words.energy_settle);
+    if (ratio <= coeff.reals.energy_threshold) {
+        self.energy_quiet += self.energy_quiet < coeff.words.energy_rearm ? 1U : 0U;
+        return false;
+    }
+    const bool alarm = self.energy_quiet == coeff.words.energy_rearm;
+    self.energy_quiet = 0U;
+    falsified_at(self, sample.t_us);
+    if (alarm) {
+        record_energy(self, sample);
+    }
+    return alarm;
+}
+
 void start(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
     lpvg_model_start(&self.model, self.coeff, sample.u, sample.y);
+    lpvg_energy_start(&self.energy, self.coeff);
     for (lpvg_bin_t& bin : self.bin) {
         bin.n = 0U;
         bin.has_before = false;
@@ -290,6 +342,7 @@ extern "C" lpvg_status_t lpvg_monitor_init(lpvg_monitor_t* self, const lpvg_coef
     if (status == lpvg_status_ok) {
         *self = lpvg_monitor_t{};
         self->coeff = coeff;
+        self->energy_quiet = coeff->words.energy_rearm;
     }
     return status;
 }
@@ -338,12 +391,13 @@ extern "C" lpvg_status_t lpvg_monitor_push(lpvg_monitor_t* self, const lpvg_samp
     newest.t_us = sample->t_us;
     newest.span = {sample->speed, sample->speed, sample->speed, reason};
 
+    const bool alarmed = test_energy(*self, *sample, newest.signal, in_range);
     const lpvg_span_t whole = span_of(*self, n_block - self->n_block, n_block);
     uint32_t ended = 0U;
     for (std::size_t b = self->newest; b < LPVG_NBINS; b += n_block) {
         ended += catch_up(*self, b, whole) ? 1U : 0U;
     }
-    if (self->n_queue > 0U && ended < 2U) {
+    if (self->n_queue > 0U && ended < 2U && !alarmed) {
         judge_next(*self);
     }
     return lpvg_status_ok;
