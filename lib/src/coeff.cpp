@@ -14,7 +14,7 @@ bool sizes_match(const uint32_t* sizes) {
 
 bool words_in_range(const lpvg_coeff_words_t& w) {
     bool good = w.sample_period_us > 0U && w.confirm >= 1U && w.confirm <= w.of_last && w.of_last <= LPVG_NHISTORY &&
-                w.energy_settle >= w.settle_samples && w.energy_rearm > LPVG_NLATENCY;
+                w.energy_settle >= w.settle_samples && w.energy_rearm > 0U;
     for (std::size_t b = 0; b < LPVG_NBINS; ++b) {
         // A frame must be judged before the bin's next one ends. No frame is longer than DC's, whose length the verdict is
         // held for.

@@ -60,7 +60,7 @@ extern "C" void lpvg_energy_start(lpvg_energy_t* self, const lpvg_coeff_t* coeff
     }
 }
 
-extern "C" lpvg_real_t lpvg_energy_advance(lpvg_energy_t* self, const lpvg_coeff_t* coeff, const lpvg_real_t* signal, bool settled) {
+extern "C" void lpvg_energy_advance(lpvg_energy_t* self, const lpvg_coeff_t* coeff, const lpvg_real_t* signal, bool settled) {
     const lpvg_coeff_reals_t& r = coeff->reals;
     const Row<ny> scale = Eigen::Map<const Row<ny>>(r.energy_scale);
     Row<2 * ny> filtered = Eigen::Map<const Row<2 * ny>>(signal);
@@ -76,6 +76,10 @@ extern "C" lpvg_real_t lpvg_energy_advance(lpvg_energy_t* self, const lpvg_coeff
         add(self->left, filtered.data(), r.energy_forget);
         add(self->nominal, filtered.data() + ny, r.energy_forget);
     }
+}
+
+extern "C" lpvg_real_t lpvg_energy_judge(lpvg_energy_t* self, const lpvg_coeff_t* coeff) {
+    const lpvg_coeff_reals_t& r = coeff->reals;
     self->direction = self->next_direction;
     self->next_direction = self->direction + 1U < LPVG_NDIRECTIONS ? self->direction + 1U : 0U;
     const Real* a = r.energy_direction[self->direction];

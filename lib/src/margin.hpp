@@ -64,7 +64,12 @@ public:
     }
 
     Real operator()() {
-        consider({Real(0), Real(0)});
+        Real worst = Real(0);  // of d = 0
+        for (std::size_t j = 0; j < NY; ++j) {
+            const Real f = squared(E_[j]);
+            worst = f <= worst ? worst : f;  // keeps what is not a number
+        }
+        best_ = worst < best_ ? worst : best_;
         for (std::size_t i = 0; i < NY; ++i) {
             if (!(size_[i] > Real(0))) {
                 continue;

@@ -77,6 +77,11 @@ const lpvg_taken_t& taken(const lpvg_monitor_t& self, uint32_t i) {
     return self.block[(self.newest + 1U + i) & (n_block - 1U)];
 }
 
+// e, then yhat of sample i of the block; those of the next samples follow.
+const Real* taken_signal(const lpvg_monitor_t& self, uint32_t i) {
+    return self.signal[((self.newest + 1U) & (n_block - 1U)) + i];
+}
+
 lpvg_span_t span_of(const lpvg_monitor_t& self, uint32_t first, uint32_t end) {
     lpvg_span_t span = taken(self, first).span;
     for (uint32_t i = first + 1U; i < end; ++i) {
@@ -85,10 +90,9 @@ lpvg_span_t span_of(const lpvg_monitor_t& self, uint32_t first, uint32_t end) {
     return span;
 }
 
-// Adds samples first .. end - 1 of the block to the sums of bin b. The phasors are turned by small angles, stored as
+// Adds n samples, x the first one's signals, to the sums of a bin. The phasors are turned by small angles, stored as
 // cos - 1 and sin, which keeps their relative precision in float.
-void accumulate(lpvg_monitor_t& self, std::size_t b, uint32_t first, uint32_t end) {
-    lpvg_bin_t& bin = self.bin[b];
+void accumulate(lpvg_bin_t& bin, const Real* turn, const Real* taper, const Real* x, uint32_t n) {
     const bool begins = bin.n == 0U;
     if (begins) {
         bin.sum = lpvg_sum_t{};
@@ -98,17 +102,15 @@ void accumulate(lpvg_monitor_t& self, std::size_t b, uint32_t first, uint32_t en
     }
     Signals plain_re = signals(bin.sum.plain_re), plain_im = signals(bin.sum.plain_im);
     Signals rising_re = signals(bin.sum.rising_re), rising_im = signals(bin.sum.rising_im);
-    const Real* turn = self.coeff->reals.turn[b];
-    const Real* taper = self.coeff->reals.taper[b];
     const Real turn_re = turn[0], turn_im = turn[1], taper_re = taper[0], taper_im = taper[1];
     Real re = bin.phasor[0], im = bin.phasor[1], window_re = bin.window[0], window_im = bin.window[1];
-    for (uint32_t i = first; i < end; ++i) {
-        const Signals x = signals(taken(self, i).signal);
+    for (uint32_t i = 0; i < n; ++i, x += n_signals) {
+        const Signals sample = signals(x);
         const Real w = Real(0.5) - window_re;
-        plain_re += x * re;
-        plain_im -= x * im;
-        rising_re += x * (w * re);
-        rising_im -= x * (w * im);
+        plain_re += sample * re;
+        plain_im -= sample * im;
+        rising_re += sample * (w * re);
+        rising_im -= sample * (w * im);
         const Real re_before = re, window_re_before = window_re;
         re += re * turn_re - im * turn_im;
         im += im * turn_re + re_before * turn_im;
@@ -123,7 +125,7 @@ void accumulate(lpvg_monitor_t& self, std::size_t b, uint32_t first, uint32_t en
     bin.phasor[1] = im;
     bin.window[0] = window_re;
     bin.window[1] = window_im;
-    bin.n += end - first;
+    bin.n += n;
 }
 
 // Closes the frame of two halves, if there are two, and queues it.
@@ -158,7 +160,8 @@ void take_up(lpvg_monitor_t& self, std::size_t b, uint32_t first, uint32_t end, 
     } else {
         extend(bin.span, span);
     }
-    accumulate(self, b, first, end);
+    const lpvg_coeff_reals_t& r = self.coeff->reals;
+    accumulate(bin, r.turn[b], r.taper[b], taken_signal(self, first), end - first);
 }
 
 // Bin b takes up the samples since it last did, whose span is `whole`. A half frame is longer than a block
@@ -292,25 +295,17 @@ void record_energy(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
     record(self, alarm);
 }
 
-// The energy test on one sample; whether it raised an alarm.
-bool test_energy(lpvg_monitor_t& self, const lpvg_sample_t& sample, const Real* signal, bool in_range) {
+void judge_energy(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
     const lpvg_coeff_t& coeff = *self.coeff;
-    if (!in_range) {
-        lpvg_energy_start(&self.energy, &coeff);
-        return false;
-    }
-    const Real ratio = lpvg_energy_advance(&self.energy, &coeff, signal, self.settled > coeff.words.energy_settle);
-    if (ratio <= coeff.reals.energy_threshold) {
+    if (lpvg_energy_judge(&self.energy, &coeff) <= coeff.reals.energy_threshold) {
         self.energy_quiet += self.energy_quiet < coeff.words.energy_rearm ? 1U : 0U;
-        return false;
+        return;
     }
-    const bool alarm = self.energy_quiet == coeff.words.energy_rearm;
-    self.energy_quiet = 0U;
-    falsified_at(self, sample.t_us);
-    if (alarm) {
+    if (self.energy_quiet == coeff.words.energy_rearm) {
         record_energy(self, sample);
     }
-    return alarm;
+    self.energy_quiet = 0U;
+    falsified_at(self, sample.t_us);
 }
 
 void start(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
@@ -384,21 +379,29 @@ extern "C" lpvg_status_t lpvg_monitor_push(lpvg_monitor_t* self, const lpvg_samp
     self->newest = (self->newest + 1U) & (n_block - 1U);
     self->n_block += self->n_block < n_block ? 1U : 0U;
     lpvg_taken_t& newest = self->block[self->newest];
+    Real* const signal = self->signal[self->newest];
     for (std::size_t j = 0; j < ny; ++j) {
-        newest.signal[j] = sample->y[j] - yhat[j];
-        newest.signal[ny + j] = yhat[j];
+        signal[j] = sample->y[j] - yhat[j];
+        signal[ny + j] = yhat[j];
     }
+    signals(self->signal[self->newest + n_block]) = signals(signal);
     newest.t_us = sample->t_us;
     newest.span = {sample->speed, sample->speed, sample->speed, reason};
 
-    const bool alarmed = test_energy(*self, *sample, newest.signal, in_range);
+    if (in_range) {
+        lpvg_energy_advance(&self->energy, &coeff, signal, self->settled > coeff.words.energy_settle);
+    } else {
+        lpvg_energy_start(&self->energy, &coeff);
+    }
     const lpvg_span_t whole = span_of(*self, n_block - self->n_block, n_block);
     uint32_t ended = 0U;
     for (std::size_t b = self->newest; b < LPVG_NBINS; b += n_block) {
         ended += catch_up(*self, b, whole) ? 1U : 0U;
     }
-    if (self->n_queue > 0U && ended < 2U && !alarmed) {
+    if (self->n_queue > 0U && ended < 2U) {
         judge_next(*self);
+    } else {
+        judge_energy(*self, *sample);
     }
     return lpvg_status_ok;
 }

@@ -36,7 +36,7 @@ typedef struct lpvg_coeff_words_t {
     uint32_t confirm;                       ///< k of the k-of-m confirmation
     uint32_t of_last;                       ///< m of the k-of-m confirmation, 1..LPVG_NHISTORY
     uint32_t energy_settle;                 ///< samples in range before the left sum of the energy test grows, at least settle_samples
-    uint32_t energy_rearm;                  ///< samples without an exceedance after which the next one is an alarm anew
+    uint32_t energy_rearm;                  ///< judgements without an exceedance after which the next one is an alarm anew, not 0
     uint32_t frame_length[LPVG_NBINS];      ///< samples a frame, even, none longer than DC's; half exceeds LPVG_NLATENCY (monitor.h)
     uint32_t cycles[LPVG_NBINS];            ///< periods a frame, 0 at DC, fewer than half its samples
     uint32_t varying_entry[LPVG_NVARYING];  ///< which of the LPVG_NENTRIES entries move with speed

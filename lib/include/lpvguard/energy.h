@@ -14,9 +14,10 @@
 /// F is a band-pass of second order. The filter that stands for W_delta is W_delta((2/Ts) (z/rho - 1) / (z/rho + 1)): its
 /// magnitude on |z| = rho is that of the fitted weight at the warped frequency, which `lpvguard identify` certifies to be
 /// above the identified bound. Every output is divided by its sigma_j first, and a is scaled to sum |a_j| = 1, so that the
-/// last term is 1. Directions a are taken from a fixed fan, one a sample in turn: every one is a condition by itself.
+/// last term is 1. Directions a are taken from a fixed fan, one a judgement in turn: every one is a condition by itself, at
+/// any time.
 ///
-/// Cost: constant per sample, two square roots and a division included. RAM: sizeof(lpvg_energy_t).
+/// Cost: both functions constant. RAM: sizeof(lpvg_energy_t).
 /// Threads: one instance per thread; no function blocks. Fields are private but for those documented in monitor.h.
 #ifndef LPVGUARD_ENERGY_H
 #define LPVGUARD_ENERGY_H
@@ -30,6 +31,7 @@ LPVG_EXTERN_C_BEGIN
 #define lpvg_energy_t LPVG_SYM(energy_t)
 #define lpvg_energy_start LPVG_SYM(energy_start)
 #define lpvg_energy_advance LPVG_SYM(energy_advance)
+#define lpvg_energy_judge LPVG_SYM(energy_judge)
 #define lpvg_energy_evidence LPVG_SYM(energy_evidence)
 
 typedef struct lpvg_energy_t {
@@ -47,9 +49,11 @@ typedef struct lpvg_energy_t {
 /// Arguments of all functions are not checked (called once per sample); the coefficients must have passed lpvg_coeff_check.
 void lpvg_energy_start(lpvg_energy_t* self, const lpvg_coeff_t* coeff);
 
-/// Takes e, then yhat (2 LPVG_NY) of one sample. The left sum grows only when `settled`; it may not shrink by later samples
-/// that are not. Writes and returns `ratio`.
-lpvg_real_t lpvg_energy_advance(lpvg_energy_t* self, const lpvg_coeff_t* coeff, const lpvg_real_t* signal, bool settled);
+/// Takes e, then yhat (2 LPVG_NY) of one sample. The left sum begins when `settled`, which must stay until the next start.
+void lpvg_energy_advance(lpvg_energy_t* self, const lpvg_coeff_t* coeff, const lpvg_real_t* signal, bool settled);
+
+/// Writes and returns `ratio`, in the next direction.
+lpvg_real_t lpvg_energy_judge(lpvg_energy_t* self, const lpvg_coeff_t* coeff);
 
 /// The ratio that a vehicle which did not respond at all (e = -yhat) would have shown in the newest direction.
 lpvg_real_t lpvg_energy_evidence(const lpvg_energy_t* self, const lpvg_coeff_t* coeff);

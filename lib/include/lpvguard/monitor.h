@@ -12,13 +12,13 @@
 /// would have shown; a frame whose evidence is at or below the threshold could not have objected to anything and is
 /// no evidence for the model either.
 ///
-/// Beside it the energy test (energy.h) runs on every sample: its ratio above `energy_threshold` falsifies the model too,
-/// and the first such sample after `energy_rearm` without one is recorded as an alarm of its own. A sample out of the
+/// Beside it the energy test (energy.h) takes every sample and is judged in every push that judges no frame: its ratio above
+/// `energy_threshold` falsifies the model too, and the first one after `energy_rearm` judgements without is recorded as an alarm. A sample out of the
 /// scheduling range, a gap and a refused sample restart it from rest; until the model and F have settled it is not judged.
 ///
 /// Use:     init once -> push one sample per period -> verdict, frame and records at any time.
 /// Cost:    even over pushes. A bin takes up LPVG_NBLOCK samples at once, a quarter of the bins each push; at most one frame
-///          is judged per push, and none in a push that closes several or records an alarm of the energy test. A frame is therefore judged at the latest
+///          is judged per push, and none in a push that closes several. A frame is therefore judged at the latest
 ///          LPVG_NLATENCY samples after its end; one that ends fewer than LPVG_NBLOCK samples before a gap is dropped.
 ///          Instructions on three targets: `lpvguard bench core`. No heap, no locks, no I/O.
 /// Threads: one instance per thread; nothing here may be called from two contexts at once. RAM: sizeof(lpvg_monitor_t).
@@ -34,9 +34,8 @@ LPVG_EXTERN_C_BEGIN
 #define LPVG_NHISTORY 8  ///< largest m of the k-of-m confirmation
 #define LPVG_NRECORDS 4  ///< falsifying frames kept until they are read out
 #define LPVG_NBLOCK 4    ///< samples that a bin takes up at once, a power of two
-/// Samples from the end of a frame to its judgement, at most: the block, the pushes that close several frames or record an
-/// alarm of the energy test, and the queue.
-#define LPVG_NLATENCY (LPVG_NBLOCK - 1 + LPVG_NBINS / 2 + 1 + LPVG_NBINS)
+/// Samples from the end of a frame to its judgement, at most: the block, the pushes that close several frames, and the queue.
+#define LPVG_NLATENCY (LPVG_NBLOCK - 1 + LPVG_NBINS / 2 + LPVG_NBINS)
 
 #define lpvg_sample_t LPVG_SYM(sample_t)
 #define lpvg_frame_t LPVG_SYM(frame_t)
@@ -113,9 +112,8 @@ typedef struct lpvg_span_t {
     lpvg_reason_t reason;
 } lpvg_span_t;
 
-/// A sample as the bins take it up.
+/// What the bins keep of a sample besides its signals.
 typedef struct lpvg_taken_t {
-    lpvg_real_t signal[2 * LPVG_NY];          ///< e, then yhat
     int64_t t_us;
     lpvg_span_t span;                         ///< of this one sample
 } lpvg_taken_t;
@@ -138,13 +136,14 @@ typedef struct lpvg_monitor_t {
     const lpvg_coeff_t* coeff;
     lpvg_model_t model;
     lpvg_energy_t energy;                     ///< `energy.ratio` may be read
-    uint32_t energy_quiet;                    ///< samples since the energy test's last exceedance, energy_rearm at most
+    uint32_t energy_quiet;                    ///< judgements since the energy test's last exceedance, energy_rearm at most
     lpvg_bin_t bin[LPVG_NBINS];
     lpvg_frame_t frame;                       ///< newest judged frame
     lpvg_frame_t record[LPVG_NRECORDS];
     uint32_t n_records, records_lost;
     uint32_t settled;                         ///< samples since the speed entered the range, saturating
     lpvg_taken_t block[LPVG_NBLOCK];          ///< newest samples, a ring
+    lpvg_real_t signal[2 * LPVG_NBLOCK][2 * LPVG_NY];  ///< e, then yhat of the newest samples: the ring twice, so that a block is in one piece
     uint32_t newest, n_block;                 ///< its newest entry; entries since the start, LPVG_NBLOCK at most
     uint32_t queue[LPVG_NBINS];               ///< bins whose frames wait to be judged, a ring
     uint32_t queue_first, n_queue;
