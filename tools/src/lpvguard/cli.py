@@ -274,6 +274,7 @@ def evaluate(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(he
         times = "  ".join("–" if c["s"] is None else f"{c['s']:.1f}" for c in row["cases"])
         found.add_row(row["fault"], f"{row['found']} of {row['counted']} (of {row['drives']} drives)", times)
     console.print(found)
+    console.print(_baseline_table(result))
 
 
 @app.command(epilog="Example: lpvguard report out/identify DRIVES --vehicle g80 -o out/report.html")
@@ -312,6 +313,18 @@ def bench(context: typer.Context,
     from .bench import run
 
     run(name, context.args)
+
+
+def _baseline_table(evaluation: dict) -> Table:
+    detectors = {"monitor": (evaluation["false_alarms"]["all"], evaluation["faults"])}
+    detectors |= {b["kind"]: (b["false_alarms"], b["faults"]) for b in evaluation["baselines"]}
+    table = Table("found, median s", *detectors, "best", box=None)
+    table.add_row("alarmed pieces", *(f"{alarms['alarmed']} of {alarms['pieces']}" for alarms, _ in detectors.values()), "")
+    for index, row in enumerate(evaluation["faults"]):
+        shown = [faults[index] for _, faults in detectors.values()]
+        table.add_row(row["fault"], *(f"{r['found']} of {r['counted']}, " + ("–" if r["median_s"] is None else f"{r['median_s']:.1f}")
+                                      for r in shown), ", ".join(row["best"]))
+    return table
 
 
 def _norm(values: list[complex]) -> float:
