@@ -29,7 +29,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import bilinear_zpk, lfilter, sosfilt, zpk2sos
 
-from .calibration import Calibration
+from .calibration import Calibration, calibrate
 from .errors import InputError
 from .frames import Estimator
 from .project import Project
@@ -90,7 +90,7 @@ class EnergyTest:
     sigma: np.ndarray
     start: np.ndarray
     joint: float = 1.0
-    calibration: Calibration = Calibration(1.0, {}, None, None)
+    calibration: Calibration = Calibration(1.0 + ROUNDING, {}, None, None)
 
     @classmethod
     def design(cls, project: Project, estimator: Estimator, W_delta: Weight, omega: np.ndarray, bound: np.ndarray,
@@ -121,10 +121,6 @@ class EnergyTest:
     @property
     def rho(self) -> float:
         return float(np.exp(-self.Ts / self.memory_s))
-
-    @property
-    def threshold(self) -> float:
-        return max(self.calibration.threshold, 1.0 + ROUNDING)
 
     @property
     def rearm(self) -> int:
@@ -182,18 +178,22 @@ class EnergyTest:
         joint = max(1.0, float(needs["joint"]))
         return replace(self, sigma=self.sigma * joint, start=self.start / joint**2, joint=joint)
 
+    def calibrated(self, scores: dict[str, float], alpha: float) -> EnergyTest:
+        """With the threshold from the scores of calibration drives."""
+        return replace(self, calibration=calibrate(scores, alpha, floor=1.0 + ROUNDING))
+
     def coefficients(self) -> tuple[dict[str, int], dict[str, int], dict[str, np.ndarray]]:
         """Sizes, words and numbers of coeff.h."""
         words = {"energy_settle": self.settle, "energy_rearm": self.rearm}
         reals = {"energy_F": in_delta(self.F)[0], "energy_W": in_delta(self.W), "energy_scale": 1 / self.sigma,
                  "energy_forget": -np.expm1(-2 * self.Ts / self.memory_s), "energy_start": self.start,
-                 "energy_direction": self.directions, "energy_threshold": self.threshold}
+                 "energy_direction": self.directions, "energy_threshold": self.calibration.threshold}
         return {"NWEIGHT": len(self.W), "NDIRECTIONS": len(self.directions)}, words, reals
 
     def to_dict(self) -> dict:
         return {"memory_s": self.memory_s, "band_hz": list(self.band_hz), "settle_samples": self.settle, "gain": self.gain,
                 "certificate": self.certificate, "directions": self.directions, "sigma": self.sigma, "start": self.start,
-                "joint": self.joint, "threshold": self.threshold, "calibration": self.calibration.to_dict()}
+                "joint": self.joint, "calibration": self.calibration.to_dict()}
 
     def restored(self, data: dict, where: str) -> EnergyTest:
         """With the stored sigma and calibration; InputError when ``data`` belongs to other filters."""

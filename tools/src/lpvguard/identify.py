@@ -497,7 +497,7 @@ def _calibrate(reader: DriveReader, weights: Weights, over: Callable, setting: l
             if j.energy_score is not None:
                 energy_scores[e.name] = j.energy_score
         alpha = project.frame_test.alpha
-        return inflated, calibrate(scores, alpha), test and replace(test, calibration=calibrate(energy_scores, alpha))
+        return inflated, calibrate(scores, alpha), test and test.calibrated(energy_scores, alpha)
 
     if estimator.window != "hann":
         return *run(None), Excitation.joined(met)
