@@ -64,12 +64,7 @@ public:
     }
 
     Real operator()() {
-        Real worst = Real(0);  // of d = 0
-        for (std::size_t j = 0; j < NY; ++j) {
-            const Real f = squared(E_[j]);
-            worst = f <= worst ? worst : f;  // keeps what is not a number
-        }
-        best_ = worst < best_ ? worst : best_;
+        consider_zero();
         for (std::size_t i = 0; i < NY; ++i) {
             if (!(size_[i] > Real(0))) {
                 continue;
@@ -111,6 +106,19 @@ private:
         }
         for (std::size_t j = 0; j < NY; ++j) {
             const Real f = squared(E_[j] - d * Z_[j]);
+            if (!(f < best_)) {
+                return;
+            }
+            worst = f > worst ? f : worst;
+        }
+        best_ = worst;
+    }
+
+    // d = 0. The products with Z are there for what is not finite.
+    void consider_zero() {
+        Real worst = Real(0);
+        for (std::size_t j = 0; j < NY; ++j) {
+            const Real f = squared(E_[j] - Real(0) * Z_[j]);
             if (!(f < best_)) {
                 return;
             }

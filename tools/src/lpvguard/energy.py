@@ -16,9 +16,13 @@ the imaginary axis, so the filter W_delta(s(z)) has there the magnitude of the f
 frequencies, after a gain >= 1 where the weight falls with frequency. F is (plain bilinear) a first-order high-pass and low-pass;
 any stable F is sound.
 
-**sigma_j** is the least number with which the inequality of output j alone holds at every sample of every drive that set the
-bounds or the noise, whole and with first samples cut, from rest; then all are multiplied by the least common factor with which
-it holds for the fan of directions a too. Every direction is a condition by itself; the core tests one a sample in turn.
+**sigma_j** is the least number with which the inequality of output j alone holds, from rest, at every sample of every drive that
+set the bounds or the noise; then all are multiplied by the least common factor with which it holds for the fan of directions a
+too. Every direction is a condition by itself; the core tests one a sample in turn.
+
+**Starting in the middle** of a drive, as a core does, the left sum may begin at any time, but the right one must hold what Delta
+remembers: it starts at the largest energy met on the identification drives. Then what holds on a whole drive holds on it from any
+sample on, but for the transients of the model and of F; the common factor above covers those of drives cut at random.
 """
 
 from __future__ import annotations
@@ -39,8 +43,8 @@ FAN_DIRECTIONS = 16
 """Directions for two outputs, evenly over the half circle in units of sigma."""
 FEWEST_SETTLED = 5.0
 """Time constants after which a transient counts as gone, as in frames.py."""
-SMALLEST_SIGMA = 1e-3
-"""Floor of sigma_j over the largest ||F e_j||: the ratio is formed in units of sigma."""
+SMALLEST_SIGMA = 1e-2
+"""Floor of sigma_j over the largest ||F e_j|| and ||F W_delta yhat_j||: in units of sigma, sums stay where float adds finely enough."""
 ROUNDING = 1e-3
 """What float may add to a ratio: a threshold never lies nearer to 1 (test_energy.py measures it)."""
 
@@ -74,7 +78,7 @@ class EnergyTest:
     """Filters, sigma and calibration. Units: sigma in the outputs' own; ``start`` (n_y,) energies in units of sigma^2.
 
     F, W: sections (S, 6) in z. ``gain``: what W_delta was raised by to stay above its bound when warped. ``joint``: the common
-    factor >= 1 in sigma that the fan asked for. ``directions`` (D, n_y) in units of sigma.
+    factor >= 1 in sigma that the fan, or a cut drive, asked for. ``directions`` (D, n_y) in units of sigma.
     """
 
     Ts: float
@@ -127,6 +131,10 @@ class EnergyTest:
         """Samples without an exceedance before another alarm: one memory."""
         return int(np.ceil(self.memory_s / self.Ts))
 
+    def at_rest(self) -> EnergyTest:
+        """With nothing remembered at the start."""
+        return replace(self, start=np.zeros_like(self.start))
+
     def norms(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Left and right matrices of products (n, n_y, n_y), in units of sigma, per stretch in speed range, where judged."""
         inside = (v >= self.speed_range[0]) & (v <= self.speed_range[1])
@@ -167,14 +175,15 @@ class EnergyTest:
     def with_sigma(self, needs: dict[str, np.ndarray]) -> EnergyTest:
         """sigma per output from ``needs`` over all identification drives, met with sigma = 1; and what Delta may remember at the
         start: the largest energy met, for each output; n_y times, because products of different outputs start at zero."""
-        if np.isnan(needs["sigma"]).any():
-            raise InputError("energy test", "", "no drive that sets the bounds is judged by it", f"{self.settle * self.Ts:.3g} s "
+        size = np.maximum(needs["error"], needs["bound"])
+        if not (size > 0).all():
+            raise InputError("energy test", "", "no excited drive that sets the bounds is judged by it", f"{self.settle * self.Ts:.3g} s "
                              f"and more within {self.speed_range[0]:g}..{self.speed_range[1]:g} m/s")
-        sigma = np.maximum(needs["sigma"], SMALLEST_SIGMA * np.maximum(needs["error"], np.finfo(float).tiny))
+        sigma = np.maximum(needs["sigma"], SMALLEST_SIGMA * size)
         return replace(self, sigma=sigma, start=len(sigma) * (needs["bound"] / sigma) ** 2)
 
     def with_joint(self, needs: dict[str, np.ndarray]) -> EnergyTest:
-        """sigma raised until the fan of directions holds too; ``needs`` met with sigma per output, from rest."""
+        """sigma raised until the fan of directions holds too; ``needs`` met with sigma per output."""
         joint = max(1.0, float(needs["joint"]))
         return replace(self, sigma=self.sigma * joint, start=self.start / joint**2, joint=joint)
 

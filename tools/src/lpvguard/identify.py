@@ -370,14 +370,14 @@ def _first_samples(reader: DriveReader, name: str, samples: int, cuts: int) -> l
     return [0, *random.integers(1, max(2, samples // 2), cuts).tolist()]
 
 
-def _energy_pass(reader: DriveReader, test: EnergyTest, experiment: Experiment) -> Part:
-    """What a drive asks of sigma, whole and with its first samples cut."""
+def _energy_pass(reader: DriveReader, test: EnergyTest, cuts: int, experiment: Experiment) -> Part:
+    """What a drive asks of sigma: whole, from rest; with its first samples cut, from what Delta may remember."""
     drive = reader.read(experiment)[0]
 
     def parts() -> Iterator[Part]:
-        for cut in _first_samples(reader, experiment.name, len(drive.t), CUTS):
+        for cut in _first_samples(reader, experiment.name, len(drive.t), cuts):
             rest = drive.from_sample(cut)
-            yield test.needs(*nominal_error(rest, reader.model), rest.v)
+            yield (test if cut else test.at_rest()).needs(*nominal_error(rest, reader.model), rest.v)
 
     return fold(parts())
 
@@ -478,10 +478,8 @@ def _calibrate(reader: DriveReader, weights: Weights, over: Callable, setting: l
 
     def energy_test(inflated: Weights) -> EnergyTest:
         test = energy_filters(project, estimator, inflated)
-        test = test.with_sigma(fold(over("sigma", partial(_energy_pass, reader, test), setting + noise)))
-        # The joint form from rest too: what Delta remembers at the start is the core's caution, not a part of sigma.
-        at_rest = replace(test, start=np.zeros_like(test.start))
-        return test.with_joint(fold(over("joint sigma", partial(_energy_pass, reader, at_rest), setting + noise)))
+        test = test.with_sigma(fold(over("sigma", partial(_energy_pass, reader, test, 0), setting + noise)))
+        return test.with_joint(fold(over("joint sigma", partial(_energy_pass, reader, test, CUTS), setting + noise)))
 
     def run(core: Core | None) -> tuple[Weights, Calibration, EnergyTest | None]:
         worst = reduce(max, (j.worst for j in judged("inflation", core, None, CUTS, setting)), 1.0)
