@@ -16,16 +16,16 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from synthetic_vehicle import SPEEDS, TS, Sizes, synthetic_controller, synthetic_project  # noqa: E402
+from synthetic_vehicle import SPEEDS, TS, Sizes, synthetic_controller, synthetic_project
 
-from lpvguard import native  # noqa: E402
-from lpvguard.artefacts import write_files  # noqa: E402
-from lpvguard.control_export import replaced_controller  # noqa: E402
-from lpvguard.core import Core, library_root, shipped_vehicle  # noqa: E402
-from lpvguard.export import build_coefficients, vehicle_files  # noqa: E402
-from lpvguard.frames import Estimator  # noqa: E402
-from lpvguard.nominal import NominalModel  # noqa: E402
-from lpvguard.validation import s1  # noqa: E402
+from lpvguard import native
+from lpvguard.artefacts import write_files
+from lpvguard.control_export import replaced_controller
+from lpvguard.core import Core, library_root, shipped_vehicle
+from lpvguard.export import build_coefficients, vehicle_files
+from lpvguard.frames import Estimator
+from lpvguard.nominal import NominalModel
+from lpvguard.validation import s1
 
 CORNERS = [(Sizes(1, 1, 1, 2), False), (Sizes(40, 2, 4, 64, 3, 40), False), (Sizes(40, 2, 4, 64, 3, 40), True),
            (Sizes(7, 1, 3, 17, 1, 9), False)]
@@ -114,7 +114,7 @@ def dense(controller, v, m):
     for speed, measured in zip(v, m):
         position = (np.clip(speed, *SPEEDS) - SPEEDS[0]) / (SPEEDS[1] - SPEEDS[0]) * (len(controller.speeds) - 1)
         node = min(int(position), len(controller.speeds) - 2)
-        at = lambda name: (1 - position + node) * name[node] + (position - node) * name[node + 1]  # noqa: E731, B023
+        at = lambda name: (1 - position + node) * name[node] + (position - node) * name[node + 1]  # noqa: B023
         u = np.clip(np.clip(at(c["C"]) @ x, -c["u_max"], c["u_max"]), u - c["rate_max"] * TS, u + c["rate_max"] * TS)
         out.append(u)
         x = x + at(A1) @ x + at(c["B"]) @ measured
