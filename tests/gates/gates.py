@@ -332,6 +332,8 @@ def mutation(tree: Path, scratch: Path, only: str = "") -> list[str]:
             return broken
         paths = [path for path in build.rglob("test_*") if path.name in programs and path.is_file()]
         sound, good = [path.read_bytes() for path in paths], (source / name).read_text()
+        if any(fails(path) for path in paths):
+            return [f"{', '.join(tests)}: fails before anything is changed"]
         for mutant in (m for m in candidates if m.file == name):
             (work / "lib" / "src" / name).write_text(applied(good, mutant))
             if run("cmake", "--build", build, "--target", *programs)[0]:

@@ -173,7 +173,7 @@ TEST_CASE("frames hold the Hann spectra of e and yhat, in amplitude", "[unit][mo
     const auto bin = GENERATE(0U, 1U, uint32_t{LPVG_NBINS - 1});
     Drive drive;
     // Also off the bin: a sinusoid in the bin has the same spectrum under other windows of the same sum.
-    drive.bin = GENERATE_COPY(std::max(bin, 1U), uint32_t{LPVG_NBINS / 2});
+    drive.bin = GENERATE(false, true) ? LPVG_NBINS / 2 : std::max(bin, 1U);
     drive.gain = 0.8;
     // yhat of the monitor is that of the test's own model once the start has decayed, to double's precision too.
     drive.run(8U * words().settle_samples);
