@@ -7,7 +7,7 @@ Writes a folder with
     weights.json      W_w per output and W_delta with their certificates, and the final inflation
     calibration.json  scores, threshold, alpha
     visibility.json   smallest visible gain and delay errors, at typical and at the strongest excitation met
-    spectra.npz       E and Z of frames of the bound-setting drives, thinned, for the pictures
+    spectra.npz       E, Z and mean speed of frames of the bound-setting drives, thinned, for the pictures and step 8's trade-offs
     project.json      the project file as it was
     MANIFEST.json     inputs, drives, estimator
 
@@ -199,7 +199,7 @@ def fitting_grid(estimator: Estimator) -> np.ndarray:
     return omega
 
 
-def _floor(B2: np.ndarray) -> float:
+def smallest_disturbance(B2: np.ndarray) -> float:
     """Smallest disturbance bound: a weight must be positive where a bound is zero."""
     return 1e-6 * float(np.nanmax(B2))
 
@@ -218,7 +218,7 @@ def _fit_settings(project: Project) -> dict:
     return {"max_order": project.weights.max_order, "tol_db": project.weights.tolerance_db}
 
 
-def _fit(project: Project, estimator: Estimator, bound: np.ndarray, name: str, floor: float) -> FittedWeight:
+def fit_bound(project: Project, estimator: Estimator, bound: np.ndarray, name: str, floor: float) -> FittedWeight:
     omega = fitting_grid(estimator)
     # What the weight is proved against: the floor applied.
     raised = np.where(np.isnan(bound), np.nan, np.fmax(bound, floor))
@@ -231,13 +231,13 @@ def fit_weights(project: Project, estimator: Estimator, bounds: Bounds, gamma_w:
 
     Without zero-input drives (``noise`` all NaN) B_w itself is W_w.
     """
-    floor = _floor(bounds.B2)
-    omega, names = fitting_grid(estimator), [s.name for s in project.outputs]
+    floor = smallest_disturbance(bounds.B2)
+    names = [s.name for s in project.outputs]
 
     def fit_all(bound: np.ndarray, what: str) -> list[FittedWeight]:
-        return [_fit(project, estimator, bound[:, j], f"{what} of {n}", floor) for j, n in enumerate(names)]
+        return [fit_bound(project, estimator, bound[:, j], f"{what} of {n}", floor) for j, n in enumerate(names)]
 
-    W_delta = _fit(project, estimator, uncertainty_samples(estimator, bounds.nu), "nu", SMALLEST_NU)
+    W_delta = fit_bound(project, estimator, uncertainty_samples(estimator, bounds.nu), "nu", SMALLEST_NU)
     chosen = {"disturbance_set": project.bounds.disturbance_set}
     B_w = fit_all(bounds.B_w, "B_w")
     if np.isnan(noise).all():
@@ -248,16 +248,25 @@ def fit_weights(project: Project, estimator: Estimator, bounds: Bounds, gamma_w:
     floored: dict[str, list[float]] = {}
 
     def without_noise(B: list[FittedWeight], what: str) -> list[FittedWeight]:
-        left = []
-        for j, b in enumerate(B):
-            values, empty = subtract_noise(b.magnitude(omega), W_n[j].magnitude(omega), omega, floor=floor, **chosen)
-            floored[f"{what} of {names[j]}"] = empty
-            left.append(values)
-        return fit_all(np.column_stack(left), what)
+        weights, empty = disturbance_weights(project, estimator, B, W_n, floor, what)
+        floored.update({f"{what} of {n}": e for n, e in zip(names, empty)})
+        return weights
 
     return Weights(without_noise(B_w, "W_w"), W_delta, gamma_w, W_n,
                    without_noise(fit_all(cover * error, "B_w of S0"), "W_w of S0"),
-                   [_fit(project, estimator, command, "W_C", floor)], floored, **chosen)
+                   [fit_bound(project, estimator, command, "W_C", floor)], floored, **chosen)
+
+
+def disturbance_weights(project: Project, estimator: Estimator, B_w: list[FittedWeight], W_n: list[FittedWeight], floor: float,
+                        what: str = "W_w") -> tuple[list[FittedWeight], list[list[float]]]:
+    """Step 7: W_w per output, what is left of B_w after the sensor's share, and the frequencies [rad/s] where nothing is."""
+    omega, weights, floored = fitting_grid(estimator), [], []
+    for b, noise, output in zip(B_w, W_n, project.outputs, strict=True):
+        left, empty = subtract_noise(b.magnitude(omega), noise.magnitude(omega), omega, floor=floor,
+                                     disturbance_set=project.bounds.disturbance_set)
+        weights.append(fit_bound(project, estimator, left, f"{what} of {output.name}", floor))
+        floored.append(empty)
+    return weights, floored
 
 
 @contextmanager
@@ -278,12 +287,13 @@ def coefficients_of(project: Project, model: NominalModel, estimator: Estimator,
 
 # ---------------------------------------------------------------------------------------- what is done to one drive
 
-def _spectra_rows(s: FrameSet, name: str, estimator: Estimator) -> Rows:
-    """The frames that the core would see, as rows of a sample."""
+def _spectra_rows(s: FrameSet, name: str, v: np.ndarray, estimator: Estimator) -> Rows:
+    """The frames that the core would see, as rows of a sample; ``v`` (N,): the drive's speed."""
     on_grid = s.starts % estimator.hop[s.bin] == 0 if estimator.window == "hann" else np.ones(len(s.starts), bool)
     E, Z, start = s.E[on_grid], s.Z[on_grid], s.starts[on_grid]
     group = np.full(len(start), s.bin)
     return {"group": group, "hash": row_hash(name, group, start), "weakness": -np.linalg.norm(E, axis=1), "start": start,
+            "speed": np.array([v[a:a + estimator.length[s.bin]].mean() for a in start], float),
             "drive": np.full(len(start), name, dtype=object), "E": E, "Z": Z}
 
 
@@ -299,10 +309,11 @@ def _thinned(rows: Rows) -> Rows:
 def _first_pass(reader: DriveReader, nu_ceiling: np.ndarray, experiment: Experiment) -> tuple[Part, Rows]:
     """Bounds before smoothing, peaks, and a sample of the spectra."""
     rows: list[Rows] = []
+    drive, e, yhat = reader.read(experiment)
 
     def watched() -> Iterator[FrameSet]:
-        for s in reader.frames(experiment):
-            rows.append(_spectra_rows(s, experiment.name, reader.estimator))
+        for s in counted_frames(drive, e, yhat, reader.model, reader.estimator):
+            rows.append(_spectra_rows(s, experiment.name, drive.v, reader.estimator))
             yield s
 
     part = reduce_disturbance(watched(), reader.estimator, nu_ceiling, reader.project.n_y)
@@ -403,7 +414,7 @@ def identify(project: Project, folder: Path, *, workers: Map = map, progress: Pr
     noise_peak = np.full(first["E"].shape, np.nan)
     if noise:
         noise_peak = fold(first_parts(noise, keep=False))["E"]
-    gamma_w = _fit(project, estimator, first["gamma_rule"], "gamma_w", _floor(first["B2"]))
+    gamma_w = fit_bound(project, estimator, first["gamma_rule"], "gamma_w", smallest_disturbance(first["B2"]))
     bounds = _bounds(reader, first, gamma_w.magnitude(estimator.omega), partial(over, "bounds"), setting)
     weights = fit_weights(project, estimator, bounds, gamma_w, noise_peak, first["E"], first["Y"][:, 0])
     weights, calibration, met = _calibrate(reader, weights, over, setting, others, left_out)
@@ -494,11 +505,11 @@ def save(result: Identification, drives: DriveSet, target: Path) -> None:
 
 
 def _spectra_file(rows: Rows, bound_drives: list[str]) -> bytes:
-    """Columns drive (index into names), bin, start, E, Z."""
+    """Columns drive (index into names), bin, start, speed (mean over the frame, m/s), E, Z."""
     index = {name: i for i, name in enumerate(bound_drives)}
     stream = io.BytesIO()
     np.savez(stream, names=np.array(bound_drives), drive=np.array([index[n] for n in rows["drive"]], int), bin=rows["group"],
-             start=rows["start"], E=rows["E"], Z=rows["Z"])
+             start=rows["start"], speed=rows["speed"], E=rows["E"], Z=rows["Z"])
     return stream.getvalue()
 
 

@@ -150,7 +150,8 @@ class DesignSettings(_Strict):
     """Step 8: objectives of Fig. 1 and the scheduled controller. W_t, W_u: gain A_t, A_u and the paper's break frequencies.
 
     Weights are gain * prod(s/zero + 1) / prod(s/pole + 1), rad/s. ``nodes``: scheduling speeds of the controller, uniform
-    over the model's range.
+    over the model's range. ``table``: the objectives [A_t, A_u] of Table II; ``lambda_s`` [s^2]: weight of the state uncertainty
+    beside the input's in (8), Lambda_nu = diag(1, lambda_s), for its K_is.
     """
 
     structure: Literal["K_inf", "K_i"] = "K_i"
@@ -166,8 +167,16 @@ class DesignSettings(_Strict):
     nodes: Annotated[int, Field(ge=2, le=64)] = 8
     backoff: Fraction = 0.02
     order_loss: Fraction = 0.02
+    table: list[Annotated[list[Positive], Field(min_length=2, max_length=2)]] | None = None
+    lambda_s: Positive = 1.0
     input_max: list[Positive]
     input_rate_max_per_s: list[Positive]
+
+    @property
+    def objectives(self) -> list[tuple[float, float]]:
+        """(A_t, A_u) of Table II's columns: the table's, or as in the paper A_t with A_u, 75/95 of A_t, and a tenth of A_u."""
+        own = [[self.A_t, self.A_u], [self.A_t * 75 / 95, self.A_u], [self.A_t, self.A_u / 10]]
+        return [(A_t, A_u) for A_t, A_u in (self.table or own)]
 
 
 class Project(_Strict):
