@@ -93,8 +93,8 @@ def firmware_warnings(tree: Path, scratch: Path) -> list[str]:
     (scratch / "target_input.h").write_text("#define TARGET_INPUT_SAMPLES 100U\n"
                                             "static const lpvg_real_t target_input[TARGET_INPUT_SAMPLES][4] = {{1.0F}};\n")
     includes = ["-I", tree / "lib" / "include", "-I", tree / "lib" / "src", "-I", tree / "lib" / "vehicles" / "truck",
-                "-I", sim / "ecu", "-I", sim / "ports", "-I", scratch]
-    jobs = [(path, compiler, []) for folder in ("ecu", "ports/host", "ports/linux") for path in sorted((sim / folder).glob("*.c*"))
+                "-I", sim / "ecu", "-I", sim / "ports", "-I", sim / "ports" / "linux", "-I", scratch]
+    jobs = [(path, compiler, []) for folder in ("ecu", "ports/host", "ports/linux", "ports/linux_ecu") for path in sorted((sim / folder).glob("*.c*"))
             for compiler in COMPILERS]
     jobs += [(sim / "ports" / "target_bench.cpp", compiler, []) for compiler in COMPILERS]
     jobs += [(path, "clang", cortex_m) for path in sorted((sim / "ports" / "bare_metal").glob("*.c"))]
@@ -311,7 +311,8 @@ SEES = {"acceptance.hpp": ["coeff.toy", "controller.hand_truck"], "can.cpp": ["c
 
 def mutation(tree: Path, scratch: Path, only: str = "") -> list[str]:
     """``only``: the mutants of one file."""
-    source, work = tree / "lib" / "src", copy_of(tree, scratch / "mutated")
+    work = copy_of(tree, scratch / "mutated")
+    source = work / "lib" / "src"
     files = [only] if only else sorted(p.name for p in source.iterdir())
     unknown = [name for name in files if name not in SEES]
     if unknown:
@@ -335,14 +336,14 @@ def mutation(tree: Path, scratch: Path, only: str = "") -> list[str]:
         if any(fails(path) for path in paths):
             return [f"{', '.join(tests)}: fails before anything is changed"]
         for mutant in (m for m in candidates if m.file == name):
-            (work / "lib" / "src" / name).write_text(applied(good, mutant))
+            (source / name).write_text(applied(good, mutant))
             if run("cmake", "--build", build, "--target", *programs)[0]:
                 fate["refused by the compiler"].append(mutant)
             elif [path.read_bytes() for path in paths] == sound:
                 fate["the same code"].append(mutant)
             else:
                 fate["killed" if any(fails(path) for path in paths) else "survived"].append(mutant)
-        (work / "lib" / "src" / name).write_text(good)
+        (source / name).write_text(good)
     survived = [m for m in fate["survived"] if m.key not in tolerated]
     killed, least = len(fate["killed"]), LEAST_KILLED[FULL]
     score = killed / max(killed + len(survived), 1)
