@@ -7,6 +7,9 @@
     headers      every public header is strict C99 and strict C++17 by itself, by gcc and clang, without Eigen
     generated_c  what `lpvguard export` writes is strict C99 without a warning, by gcc and clang, float and double
     misra        public headers and exported C keep MISRA C:2012, as far as cppcheck's add-on sees, but for lib/MISRA.md
+    manual       every public function says what it does, when it fails and, in the head of its header, what it costs, which
+                 thread may call it and what memory it takes
+    requirements every requirement of lib/REQUIREMENTS.md is named by a test, and every one that a test names stands there
     options      every option is in the configure summary, and every preset's setting arrives there
     double       the unit tests pass with double as number type (a third of them; all with LPVGUARD_FULL=1)
     big_endian   acceptance of coefficients, and CAN, pass their unit tests on a big-endian processor (PowerPC, emulated)
@@ -201,6 +204,43 @@ def misra(tree: Path, scratch: Path) -> list[str]:
     return findings + [f"MISRA.md: rule {rule} in {files} covers nothing" for rule, files in rows if (rule, files) not in used]
 
 
+FUNCTION = re.compile(r"^(?:LPVG_NODISCARD )?(?:const )?(\w+)\*? (lpvg_\w+)\(", re.M)
+STRUCT_ONLY = {"bus.h", "coeff.h", "config.h", "status.h"}  # data, or glue that only ecu.cpp calls: no object to own
+
+
+def manual(tree: Path, scratch: Path) -> list[str]:
+    findings = []
+    for path in sorted((tree / "lib" / "include").rglob("*.h")):
+        text = path.read_text()
+        head = text.split("#ifndef")[0]
+        findings += [f"{path.name}: the head does not say {word}" for word in ("Cost:", "RAM:", "Threads:")
+                     if path.name not in STRUCT_ONLY and word not in head]
+        for found in FUNCTION.finditer(text):
+            comment = re.search(r"((?:^///[^\n]*\n)+)\Z", text[:found.start()], re.M)
+            said = comment[1] if comment else ""
+            if not said:
+                findings.append(f"{path.name}: {found[2]} is not described")
+            elif found[1] == "lpvg_status_t" and "Returns" not in said:
+                findings.append(f"{path.name}: {found[2]} does not say which status it returns when")
+            elif "*" in text[found.start():].split(";")[0] and found[1] != "lpvg_status_t" and "NULL" not in said:
+                findings.append(f"{path.name}: {found[2]} does not say what it does with NULL")
+    return findings
+
+
+def requirements(tree: Path, scratch: Path) -> list[str]:
+    stated = re.findall(r"^\| (REQ-[A-Z]+-\d+) \|", (tree / "lib" / "REQUIREMENTS.md").read_text(), re.M)
+    tests = tree / "tests"
+    tagged = [(path, name) for path in sorted(tests.rglob("*.cpp")) for tags in re.findall(r'^TEST_CASE\("[^"]*",\s*"([^"]*)"', path.read_text(), re.M)
+              for name in re.findall(r"\[(REQ-[^\]]*)\]", tags)]
+    tagged += [(path, name) for path in sorted(tests.rglob("test_*.py")) for name in re.findall(r'^@pytest\.mark\.requirement\("([^"]*)"\)', path.read_text(), re.M)]
+    tagged += [(path, name) for path in sorted(tests.rglob("CMakeLists.txt")) for name in re.findall(r"REQ-[A-Z]+-\d+", path.read_text())]
+    named = {name for _, name in tagged}
+    print(f"{len(stated)} requirements, named {len(tagged)} times")
+    return ([f"{name} is stated twice" for name in sorted({s for s in stated if stated.count(s) > 1})]
+            + [f"{name} is named by no test" for name in stated if name not in named]
+            + [f"{path.relative_to(tree)}: {name} is no requirement" for path, name in tagged if name not in stated])
+
+
 def options(tree: Path, scratch: Path, only: str = "") -> list[str]:
     source = (tree / "CMakeLists.txt").read_text()
     declared = set(re.findall(r"^lpvg_option\((LPVG_\w+)", source, re.MULTILINE))
@@ -328,7 +368,7 @@ def mutation(tree: Path, scratch: Path, only: str = "") -> list[str]:
     for name in sorted({m.file for m in candidates}):
         tests = SEES[name] if FULL else SEES[name][:1]
         programs = [f"test_{test.replace('.', '_')}" for test in tests]
-        broken = broken or failed("build", "cmake", "--build", build, "--target", *programs)
+        broken = broken or failed("build", "cmake", "--build", build, "--parallel", "2", "--target", *programs)
         if broken:
             return broken
         paths = [path for path in build.rglob("test_*") if path.name in programs and path.is_file()]
@@ -337,7 +377,7 @@ def mutation(tree: Path, scratch: Path, only: str = "") -> list[str]:
             return [f"{', '.join(tests)}: fails before anything is changed"]
         for mutant in (m for m in candidates if m.file == name):
             (source / name).write_text(applied(good, mutant))
-            if run("cmake", "--build", build, "--target", *programs)[0]:
+            if run("cmake", "--build", build, "--parallel", "2", "--target", *programs)[0]:
                 fate["refused by the compiler"].append(mutant)
             elif [path.read_bytes() for path in paths] == sound:
                 fate["the same code"].append(mutant)
@@ -365,7 +405,7 @@ def fails(program: Path) -> bool:
 
 
 GATES: dict[str, Callable[..., list[str]]] = {
-    f.__name__: f for f in (warnings, imports, headers, generated_c, misra, options, double, big_endian, sanitize, coverage, mutation)}
+    f.__name__: f for f in (warnings, imports, headers, generated_c, misra, manual, requirements, options, double, big_endian, sanitize, coverage, mutation)}
 
 
 # --- planted bugs ---
@@ -427,6 +467,16 @@ PLANTS: dict[str, list[Plant]] = {
         Plant("tools/src/lpvguard/can/codegen.py", "(void)memset", "memset", r"lpvg_can_codec\.c:\d+: misra-c2012-17\.7"),
         Plant("lib/include/lpvguard/config.h", "cppcheck-suppress", "", r"config\.h:\d+: misra-c2012-20\.10"),
         Plant("lib/MISRA.md", "| 15.5 |", "| 15.6 |", r"lpvguard_bus\.c:\d+: misra-c2012-15\.5(.|\n)*rule 15\.6 in \*\.c covers nothing"),
+    ],
+    "manual": [
+        Plant(MONITOR_H, "/// Threads:", "/// Contexts:", r"monitor\.h: the head does not say Threads:"),
+        Plant("lib/include/lpvguard/controller.h", "/// Returns bad_argument for NULL", "/// Refuses NULL", r"lpvg_control_init does not say which status"),
+        Plant(MONITOR_H, "/// Why the newest frame was no evidence; none before the first frame and for NULL.\n", "", r"lpvg_monitor_reason is not described"),
+    ],
+    "requirements": [
+        Plant("tests/unit/test_ecu.cpp", "[REQ-ECU-5]", "", r"REQ-ECU-5 is named by no test"),
+        Plant("lib/REQUIREMENTS.md", "| REQ-CORE-1 |", "| REQ-CORE-99 |", r"REQ-CORE-99 is named by no test(.|\n)*REQ-CORE-1 is no requirement"),
+        Plant("tests/golden/test_core_sizes.py", "REQ-CORE-5", "REQ-CORE-55", r"test_core_sizes\.py: REQ-CORE-55 is no requirement"),
     ],
     "options": [
         Plant("CMakePresets.json", '"LPVG_SANITIZE": "ON"', '"LPVG_SANITIZER": "ON"', r"preset sanitize: sets LPVG_SANITIZER", "sanitize"),

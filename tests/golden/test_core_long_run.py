@@ -46,6 +46,7 @@ def chunks(project, model):
         yield k, *(a.astype(np.float32).astype(float) for a in (v, u, y))
 
 
+@pytest.mark.requirement("REQ-CORE-6")
 def test_float_follows_double_to_the_end(name, record_property):
     project = load_project(name)
     model = NominalModel(project)

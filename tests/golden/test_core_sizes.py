@@ -69,6 +69,7 @@ def exact_outputs(model, v, u, y_first):
     return outputs
 
 
+@pytest.mark.requirement("REQ-CORE-5")
 def test_frames_and_margins_at_every_size(case):
     sizes, double, model, estimator, W_delta, B_w, folder = case
     rng = np.random.default_rng(4)
@@ -121,6 +122,7 @@ def dense(controller, v, m):
     return np.array(out)
 
 
+@pytest.mark.requirement("REQ-CORE-5")
 def test_controller_at_every_size(case, tmp_path):
     sizes, double, *_, folder = case
     controller = synthetic_controller(sizes)
@@ -140,6 +142,7 @@ def test_controller_at_every_size(case, tmp_path):
     assert np.abs(u - want).max() <= (1e-12 if double else 1e-5) * 6.0  # of the demand's range
 
 
+@pytest.mark.requirement("REQ-CORE-5")
 @pytest.mark.parametrize("name, value, message", [("LPVG_NX", 41, "1..40 states"), ("LPVG_NU", 3, "1..2 inputs"), ("LPVG_NY", 5, "1..4 outputs"),
                                                    ("LPVG_NBINS", 65, "2..64 bins"), ("LPVG_NK", 41, "up to 40 states")])
 def test_sizes_beyond_are_refused_by_the_compiler_with_their_name(name, value, message, tmp_path):
