@@ -353,6 +353,8 @@ def mutation(tree: Path, scratch: Path, only: str = "") -> list[str]:
     """``only``: the mutants of one file."""
     work = copy_of(tree, scratch / "mutated")
     source = work / "lib" / "src"
+    for path in source.iterdir():
+        path.touch()  # objects of a run that was broken off hold a mutant
     files = [only] if only else sorted(p.name for p in source.iterdir())
     unknown = [name for name in files if name not in SEES]
     if unknown:
