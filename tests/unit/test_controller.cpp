@@ -102,7 +102,7 @@ Real mid_speed() { return (reals.speed_min + reals.speed_max) / Real(2); }
 
 }  // namespace
 
-TEST_CASE("the law equals a dense recursion in double, within 1e-4 of its range, also against the limits", "[unit][controller]") {
+TEST_CASE("the law equals a dense recursion in double, within 1e-4 of its range, also against the limits", "[unit][controller][REQ-CTL-1]") {
     const double scale = GENERATE(0.02, 0.5);  // the second one saturates
     lpvg_control_t control = ready();
     Reference reference;
@@ -124,7 +124,7 @@ TEST_CASE("the law equals a dense recursion in double, within 1e-4 of its range,
     CHECK((scale < 0.1 || control.limited > 1000U));
 }
 
-TEST_CASE("demand and its change never exceed their limits, engaged or not", "[unit][controller]") {
+TEST_CASE("demand and its change never exceed their limits, engaged or not", "[unit][controller][REQ-CTL-2]") {
     lpvg_control_t control = ready();
     std::vector<Real> before(nu, Real(0));
     for (int k = 0; k < 5000; ++k) {
@@ -139,7 +139,7 @@ TEST_CASE("demand and its change never exceed their limits, engaged or not", "[u
     }
 }
 
-TEST_CASE("released, the demand is zero after at most u_max / rate_max", "[unit][controller]") {
+TEST_CASE("released, the demand is zero after at most u_max / rate_max", "[unit][controller][REQ-CTL-3]") {
     lpvg_control_t control = ready();
     const std::vector<Real> m = measurement(50.0, 40);
     for (int k = 0; k < 300; ++k) {
@@ -156,7 +156,7 @@ TEST_CASE("released, the demand is zero after at most u_max / rate_max", "[unit]
     }
 }
 
-TEST_CASE("engaging moves neither this demand nor the next by a step of its number grid", "[unit][controller]") {
+TEST_CASE("engaging moves neither this demand nor the next by a step of its number grid", "[unit][controller][REQ-CTL-4]") {
     constexpr double quantisation = 1.0 / 2048.0;  // of the demand on the bus
     const int released = GENERATE(1, 7, 150, 3000);
     const double scale = GENERATE(0.02, 2.0);
@@ -204,7 +204,7 @@ double seconds_at_the_limit(const lpvg_control_coeff_t& coeff) {
 
 }  // namespace
 
-TEST_CASE("saturation does not wind the state up", "[unit][controller]") {
+TEST_CASE("saturation does not wind the state up", "[unit][controller][REQ-CTL-5]") {
     const lpvg_control_coeff_t without = sealed([](lpvg_control_coeff_t& c) {
         for (auto& row : reinterpret_cast<Real(&)[LPVG_NG * nu * nk][nm + nu]>(c.reals.BL)) {
             std::fill(row + nm, row + nm + nu, Real(0));
@@ -216,7 +216,7 @@ TEST_CASE("saturation does not wind the state up", "[unit][controller]") {
     CHECK(with_s < 0.2 * without_s);
 }
 
-TEST_CASE("a number that is not finite releases the demand and spoils nothing", "[unit][controller]") {
+TEST_CASE("a number that is not finite releases the demand and spoils nothing", "[unit][controller][REQ-CTL-6]") {
     const Real bad = GENERATE(std::numeric_limits<Real>::quiet_NaN(), std::numeric_limits<Real>::infinity(),
                               -std::numeric_limits<Real>::infinity());
     const int where = GENERATE(range(-1, static_cast<int>(LPVG_NM)));
@@ -241,7 +241,7 @@ TEST_CASE("a number that is not finite releases the demand and spoils nothing", 
     }
 }
 
-TEST_CASE("a state that grew beyond the numbers is cleared", "[unit][controller]") {
+TEST_CASE("a state that grew beyond the numbers is cleared", "[unit][controller][REQ-CTL-6]") {
     const Real huge = std::numeric_limits<Real>::max();
     lpvg_control_t control = ready();
     const std::vector<Real> m(nm, huge);
@@ -267,7 +267,7 @@ TEST_CASE("counters of the controller saturate", "[unit][controller]") {
     CHECK(control.bad_samples == UINT32_MAX);
 }
 
-TEST_CASE("NULL and missing init are refused, nothing happens", "[unit][controller]") {
+TEST_CASE("NULL and missing init are refused, nothing happens", "[unit][controller][REQ-CTL-7]") {
     lpvg_control_t control{};
     const std::vector<Real> m(nm, Real(0));
     CHECK(lpvg_control_step(nullptr, mid_speed(), m.data(), true) == lpvg_status_bad_argument);
@@ -278,7 +278,7 @@ TEST_CASE("NULL and missing init are refused, nothing happens", "[unit][controll
     check_refused(nullptr, lpvg_status_bad_argument);
 }
 
-TEST_CASE("foreign, damaged and impossible controller coefficients are refused by name", "[unit][controller]") {
+TEST_CASE("foreign, damaged and impossible controller coefficients are refused by name", "[unit][controller][REQ-COEF-1]") {
     CHECK(lpvg_control_coeff_check(&lpvg_control_coeff) == lpvg_status_ok);
     struct Case {
         const char* what;

@@ -42,6 +42,9 @@ typedef float lpvg_real_t;
 #if (LPVG_NBINS < 2) || (LPVG_NBINS > 64)
 #error "lpvguard: supported are 2..64 bins, DC included"
 #endif
+#if !defined(LPVG_NWEIGHT) || !defined(LPVG_NDIRECTIONS)
+#error "lpvguard: lpvguard_vehicle.h is of an older exporter (LPVG_NWEIGHT is missing); export the vehicle again"
+#endif
 #ifndef LPVG_NK
 #error "lpvguard: lpvguard_vehicle.h is of an older exporter (LPVG_NK is missing); export the vehicle again"
 #endif

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,13 @@ import numpy as np
 
 from ..artefacts import write_files
 from ..control_export import ControllerCoefficients, build_controller
+from ..energy import EnergyTest
 from ..export import build_coefficients, vehicle_files
 from ..frames import Estimator
 from ..nominal import NominalModel
 from ..project import Project, load_project, parse_project
 from ..targets import TARGETS, Input, run_host, run_target
+from ..weights import Weight
 
 WORST_STEP = 8000          # instructions, Cortex-M4F, everything included
 WORST_TO_MEDIAN = 1.3
@@ -64,7 +67,11 @@ def write_budget_vehicle(folder: Path) -> Project:
     estimator = Estimator.of(project, model)
     W_delta = np.linspace(0.1, 0.4, estimator.n_bins)
     B_w = np.outer(np.linspace(0.02, 0.01, estimator.n_bins), np.ones(project.n_y))
-    coefficients = build_coefficients(project, model, estimator, W_delta, B_w, 1.5)
+    # W_delta of third order, as the truck's own, fits this weight: two sections.
+    energy = EnergyTest.design(project, estimator, Weight([0.4, 0.2, 0.07, 0.02], [1.0, 0.7, 0.3, 0.1]), estimator.omega[1:],
+                               np.full(estimator.n_bins - 1, 0.1), 1.0)
+    energy = replace(energy, sigma=np.array([0.1, 0.05]), start=np.array([50.0, 50.0]))
+    coefficients = build_coefficients(project, model, estimator, W_delta, B_w, 1.5, energy)
     folder.mkdir(parents=True, exist_ok=True)
     write_files(folder, vehicle_files(project, coefficients, {"kind": "vehicle", "project": project.model_dump(by_alias=True)},
                                       budget_controller(project)))
