@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -22,10 +23,12 @@ from lpvguard import native
 from lpvguard.artefacts import write_files
 from lpvguard.control_export import replaced_controller
 from lpvguard.core import Core, library_root, shipped_vehicle
+from lpvguard.energy import EnergyTest
 from lpvguard.export import build_coefficients, vehicle_files
 from lpvguard.frames import Estimator
 from lpvguard.nominal import NominalModel
 from lpvguard.validation import s1
+from lpvguard.weights import Weight
 
 CORNERS = [(Sizes(1, 1, 1, 2), False), (Sizes(40, 2, 4, 64, 3, 40), False), (Sizes(40, 2, 4, 64, 3, 40), True),
            (Sizes(7, 1, 3, 17, 1, 9), False)]
@@ -52,7 +55,10 @@ def case(request, tmp_path_factory):
     B_w = np.outer(np.linspace(0.02, 0.01, sizes.bins), 1.0 + np.arange(sizes.n_y))
     folder = tmp_path_factory.mktemp("synthetic") / "synthetic"
     folder.mkdir()
-    write_files(folder, vehicle_files(project, build_coefficients(project, model, estimator, W_delta, B_w, 1.5), {"kind": "test"}))
+    energy = EnergyTest.design(project, estimator, Weight([0.3, 0.2, 0.1], [1.0, 1.0, 0.5]), estimator.omega[1:],
+                               np.full(estimator.n_bins - 1, 0.1), 1.0)
+    energy = replace(energy, sigma=0.02 * (1.0 + np.arange(sizes.n_y)), start=4.0 + np.arange(sizes.n_y))
+    write_files(folder, vehicle_files(project, build_coefficients(project, model, estimator, W_delta, B_w, 1.5, energy), {"kind": "test"}))
     return sizes, double, model, estimator, W_delta, B_w, folder
 
 
@@ -106,19 +112,21 @@ def test_frames_and_margins_at_every_size(case):
 def dense(controller, v, m):
     """Demand (N, n_u) of the law of controller.h in double, with full matrices; L = 0."""
     c = controller.reals
-    n_k, n_u = c["C"].shape[2], c["C"].shape[1]
-    begin, column = controller.words["row_begin"], controller.words["column"]
-    A1 = np.zeros((len(controller.speeds), n_k, n_k))
+    n_u, n_k = c["BL"].shape[1:3]
+    A1, C = np.zeros((n_k, n_k)), np.zeros((n_u, n_u * n_k))
     for i in range(n_k):
-        A1[:, i, column[begin[i]:begin[i + 1]]] = c["A1"][:, begin[i]:begin[i + 1]]
-    x, u, out = np.zeros(n_k), np.zeros(n_u), []
+        A1[i, i - i % 2] = c["A1"][i]
+        if i % 2 == 0:
+            C[:, i::n_k] = np.eye(n_u)
+            A1[i, i + 1:i + 2] = 1.0
+    A1, B = np.kron(np.eye(n_u), A1), c["BL"][..., :m.shape[1]].reshape(len(controller.speeds), n_u * n_k, -1)
+    x, u, out = np.zeros(n_u * n_k), np.zeros(n_u), []
     for speed, measured in zip(v, m):
         position = (np.clip(speed, *SPEEDS) - SPEEDS[0]) / (SPEEDS[1] - SPEEDS[0]) * (len(controller.speeds) - 1)
         node = min(int(position), len(controller.speeds) - 2)
-        at = lambda name: (1 - position + node) * name[node] + (position - node) * name[node + 1]  # noqa: B023
-        u = np.clip(np.clip(at(c["C"]) @ x, -c["u_max"], c["u_max"]), u - c["rate_max"] * TS, u + c["rate_max"] * TS)
+        u = np.clip(np.clip(C @ x, -c["u_max"], c["u_max"]), u - c["rate_max"] * TS, u + c["rate_max"] * TS)
         out.append(u)
-        x = x + at(A1) @ x + at(c["B"]) @ measured
+        x = x + A1 @ x + ((1 - position + node) * B[node] + (position - node) * B[node + 1]) @ measured
     return np.array(out)
 
 
