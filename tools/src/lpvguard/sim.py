@@ -118,10 +118,10 @@ def feedforward(project: Project, u_max: np.ndarray, rate_max: np.ndarray) -> Co
     speeds = np.linspace(*model.speed_range, 15)
     A, B = model.matrices(speeds)
     gain = -(model.C @ np.linalg.solve(A, B))[:, 0, 0]
-    inputs = np.zeros((len(speeds), 1, 1 + model.n_y))
-    inputs[:, 0, 0] = 1.0 / gain
-    zero = np.zeros((len(speeds), 1, 1))
-    return build_controller(project.Ts_s, speeds, zero, inputs, zero + 1.0, zero, u_max, rate_max, where="feedforward")
+    numerators = np.zeros((len(speeds), 1, 1, 1 + model.n_y))
+    numerators[:, 0, 0, 0] = 1.0 / gain
+    return build_controller(project.Ts_s, speeds, np.array([-1.0]), numerators, np.zeros((len(speeds), 1, 1, 1)), u_max, rate_max,
+                            where="feedforward")
 
 
 def _replace_controller(folder: Path, controller: ControllerCoefficients, target: Path) -> None:

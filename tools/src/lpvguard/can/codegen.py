@@ -165,7 +165,7 @@ def _source(messages: list[Message]) -> str:
 static uint32_t round_and_saturate(float steps, uint32_t raw_max, uint32_t absent)
 {{
     uint32_t raw;
-    if (isnan(steps)) {{
+    if (isnan(steps) != 0) {{
         return absent;
     }}
     if (!(steps > 0.0f)) {{
@@ -175,7 +175,10 @@ static uint32_t round_and_saturate(float steps, uint32_t raw_max, uint32_t absen
         return raw_max;
     }}
     raw = (uint32_t)steps;
-    return (steps - (float)raw >= 0.5f) ? raw + 1u : raw;
+    if ((steps - (float)raw) >= 0.5f) {{
+        raw += 1u;
+    }}
+    return raw;
 }}
 
 static lpvg_can_quality_t quality(uint32_t raw, uint32_t raw_max, uint32_t error_min, uint32_t absent_min)
@@ -232,12 +235,12 @@ def _message_source(message: Message) -> str:
 
 lpvg_status_t {name}_pack(const {name}_t* message, lpvg_can_frame_t* frame)
 {{
-    if (message == NULL || frame == NULL) {{
+    if ((message == NULL) || (frame == NULL)) {{
         return lpvg_status_bad_argument;
     }}
     frame->id = {_macro(message)}_ID;
     frame->dlc = 8u;
-    memset(frame->data, 0xFF, sizeof frame->data);
+    (void)memset(frame->data, 0xFF, sizeof frame->data);
 """
     ]
     if message.e2e:
@@ -249,7 +252,7 @@ lpvg_status_t {name}_pack(const {name}_t* message, lpvg_can_frame_t* frame)
 
 lpvg_status_t {name}_unpack({name}_t* message, const lpvg_can_frame_t* frame)
 {{
-    if (message == NULL || frame == NULL) {{
+    if ((message == NULL) || (frame == NULL)) {{
         return lpvg_status_bad_argument;
     }}
     if (frame->dlc < 8u) {{
@@ -259,7 +262,7 @@ lpvg_status_t {name}_unpack({name}_t* message, const lpvg_can_frame_t* frame)
     lines += [f"    message->{s.name} = ({_raw_type(s)})({_load(s)});\n" for s in message.signals]
     lines.append("    return lpvg_status_ok;\n}\n")
     for s in message.signals:
-        inverse = f"{_float(s.scale)} * (float)raw {'-' if s.offset < 0 else '+'} {_float(abs(s.offset))}"
+        inverse = f"({_float(s.scale)} * (float)raw) {'-' if s.offset < 0 else '+'} {_float(abs(s.offset))}"
         lines.append(f"""
 {_raw_type(s)} {name}_{s.name}_encode(float physical)
 {{
@@ -269,7 +272,10 @@ lpvg_status_t {name}_unpack({name}_t* message, const lpvg_can_frame_t* frame)
 lpvg_can_quality_t {name}_{s.name}_decode({_raw_type(s)} raw, float* physical)
 {{
     const lpvg_can_quality_t q = quality(raw, {s.raw_max}u, {_code(s.raw_error_min)}u, {_code(s.raw_absent_min)}u);
-    *physical = (q == lpvg_can_quality_good) ? {inverse} : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {{
+        *physical = {inverse};
+    }}
     return q;
 }}
 """)
