@@ -104,6 +104,17 @@ def ingest(logs: Annotated[list[Path], typer.Argument(help="candump (-l, -L, .gz
     console.print(f"{len(logs)} log(s) read; tables and reports written to {out}")
 
 
+@app.command(epilog="Example: lpvguard dbc -o lpvguard.dbc; candump -L vcan0 | .venv/bin/cantools decode -s lpvguard.dbc")
+def dbc(out: Annotated[Path | None, typer.Option("-o", "--out", help="File to write (default: standard output).")] = None) -> None:
+    """Write the CAN database of our bus (DBC), for any tool that shows or sends decoded traffic."""
+    from .can.dbc import dbc_text
+
+    if out is None:
+        sys.stdout.write(dbc_text())
+    else:
+        artefacts.write_file(out, dbc_text())
+
+
 @app.command(epilog="Example: lpvguard identify --vehicle g80 DRIVES -o out/identify")
 def identify(vehicle: Vehicle, drives: Annotated[Path, typer.Argument(help="Folder of drives with experiments.csv.")],
              out: Out, json_out: JsonOut = None, jobs: Jobs = 1, scheduler: Scheduler = None) -> None:
