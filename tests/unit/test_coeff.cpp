@@ -39,13 +39,13 @@ TEST_CASE("the exported coefficients are accepted", "[unit][coeff]") {
     CHECK(lpvg_monitor_init(&monitor, &lpvg_coeff) == lpvg_status_ok);
 }
 
-TEST_CASE("NULL is refused", "[unit][coeff]") {
+TEST_CASE("NULL is refused", "[unit][coeff][REQ-COEF-5]") {
     check_refused(nullptr, lpvg_status_bad_argument);
     CHECK(lpvg_monitor_init(nullptr, &lpvg_coeff) == lpvg_status_bad_argument);
     CHECK(lpvg_coeff_crc32(nullptr) == 0U);
 }
 
-TEST_CASE("foreign, old and erased coefficients are named as such, CRC right or wrong", "[unit][coeff]") {
+TEST_CASE("foreign, old and erased coefficients are named as such, CRC right or wrong", "[unit][coeff][REQ-COEF-1]") {
     struct Case {
         const char* what;
         lpvg_status_t want;
@@ -72,7 +72,7 @@ TEST_CASE("foreign, old and erased coefficients are named as such, CRC right or 
     }
 }
 
-TEST_CASE("any single flipped bit after the header is a CRC error", "[unit][coeff]") {
+TEST_CASE("any single flipped bit after the header is a CRC error", "[unit][coeff][REQ-COEF-2]") {
     constexpr std::size_t header = offsetof(lpvg_coeff_words_t, crc32);
     constexpr std::size_t stride = 7;  // coprime to the sizes of words and numbers: every byte place is met
     std::size_t wrong = 0;
@@ -88,7 +88,7 @@ TEST_CASE("any single flipped bit after the header is a CRC error", "[unit][coef
     CHECK(wrong == 0U);
 }
 
-TEST_CASE("a number that is not finite is refused wherever it stands", "[unit][coeff]") {
+TEST_CASE("a number that is not finite is refused wherever it stands", "[unit][coeff][REQ-COEF-3]") {
     const Real bad = GENERATE(std::numeric_limits<Real>::quiet_NaN(), std::numeric_limits<Real>::infinity(),
                               -std::numeric_limits<Real>::infinity());
     constexpr std::size_t n = sizeof(lpvg_coeff_reals_t) / sizeof(Real);
@@ -102,7 +102,7 @@ TEST_CASE("a number that is not finite is refused wherever it stands", "[unit][c
     CHECK(wrong == 0U);
 }
 
-TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]") {
+TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff][REQ-COEF-4]") {
     struct Case {
         const char* what;
         std::function<void(lpvg_coeff_t&)> change;
@@ -168,7 +168,7 @@ TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]
     }
 }
 
-TEST_CASE("values at the edge of what is allowed are accepted", "[unit][coeff]") {
+TEST_CASE("values at the edge of what is allowed are accepted", "[unit][coeff][REQ-COEF-4]") {
     const lpvg_coeff_t coeff = sealed([](lpvg_coeff_t& c) {
         c.words.of_last = LPVG_NHISTORY;
         c.words.confirm = LPVG_NHISTORY;

@@ -48,7 +48,7 @@ typedef float lpvg_real_t;
 #ifndef LPVG_NK
 #error "lpvguard: lpvguard_vehicle.h is of an older exporter (LPVG_NK is missing); export the vehicle again"
 #endif
-#if (LPVG_NK > 0) && ((LPVG_NK > 40) || (LPVG_NM != LPVG_NY + 1) || (LPVG_NG < 2) || (LPVG_NA < 1) || (LPVG_NA > LPVG_NK * LPVG_NK))
+#if (LPVG_NK > 0) && ((LPVG_NK * LPVG_NU > 40) || (LPVG_NM != LPVG_NY + 1) || (LPVG_NG < 2))
 #error "lpvguard: supported controllers have up to 40 states, the reference and all outputs as measurements, 2 or more nodes"
 #endif
 

@@ -149,8 +149,8 @@ def design(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(help
         table.add_row(f"{row['v_mps']:.4g}", f"{row['mu_upper']:.4f}", f"{row['mu_lower']:.4f}", f"{row['peak_rad_s']:.3g}")
     console.print(table)
     worst = max(row["mu_upper"] for row in rows)
-    console.print(f"{stored.project.design.structure}: {result.schedule.A.shape[1]} states (of {result.full_order} before "
-                  f"truncation), {len(result.schedule.speeds)} nodes; worst mu {worst:.4f}; written to {out}")
+    console.print(f"{stored.project.design.structure}: {result.schedule.order} states (of {result.full_order} per "
+                  f"speed before), {len(result.schedule.speeds)} nodes; worst mu {worst:.4f}; written to {out}")
     raise typer.Exit(0 if worst < 1 else 1)
 
 
@@ -237,6 +237,7 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
             help="feedforward: the command over the model's DC gain; off: never engaged.")] = "designed",
         seed: Annotated[int | None, typer.Option(min=0, help="First seed (default: the scenario's).")] = None,
         seeds: Annotated[int, typer.Option(min=1, help="Runs of each scenario, with consecutive seeds.")] = 1,
+        lcm: Annotated[str | None, typer.Option(metavar="URL", help="Publish truth, commands and supervision there, as LCM reads it.")] = None,
         out: Annotated[Path | None, typer.Option("-o", "--out", help="Folder for frame logs (candump -L), telemetry and results.json.")] = None,
         json_out: JsonOut = None) -> None:
     """Close the loop with the simulated truck over CAN frames. Exit 1 when a run did not show what its scenario expects."""
@@ -247,12 +248,12 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
     runs = []
     with _progress("sim") as tell:
         tell("compiling")
-        simulator = Simulator(coefficients or shipped_vehicle(vehicle), controller=controller)
+        simulator = Simulator(coefficients or shipped_vehicle(vehicle), controller=controller, lcm=lcm is not None)
         for scenario in loaded:
             first = scenario.seed if seed is None else seed
             for number in range(first, first + seeds):
                 tell(f"{scenario.name}, seed {number}")
-                runs.append(simulator.run(scenario, seed=number, bus=bus, out=out, ecu_process=ecu_process, pace=pace))
+                runs.append(simulator.run(scenario, seed=number, bus=bus, out=out, ecu_process=ecu_process, pace=pace, lcm=lcm))
     _emit(json_out, runs)
     if out is not None:
         # How fast this machine was belongs to nobody's results.
