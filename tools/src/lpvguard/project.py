@@ -153,7 +153,7 @@ class DesignSettings(_Strict):
     over the model's range.
     """
 
-    structure: Literal["K_inf", "K_i"] = "K_i"
+    structure: Literal["K_inf", "K_i", "K_is"] = "K_i"
     A_t: Positive
     A_u: Positive
     W_t_zeros: list[Positive] = [10.0]
@@ -164,8 +164,8 @@ class DesignSettings(_Strict):
     W_R_den: list[float] = [1.0, 5.4, 9.0]
     design_speed_mps: Positive = 17.0
     nodes: Annotated[int, Field(ge=2, le=64)] = 8
-    backoff: Fraction = 0.02
-    order_loss: Fraction = 0.02
+    backoff: Fraction = 0.05
+    order_loss: Fraction = 0.005
     input_max: list[Positive]
     input_rate_max_per_s: list[Positive]
 
