@@ -21,7 +21,7 @@ from scipy.linalg import expm
 
 from . import native
 from .errors import InputError
-from .project import Project
+from .project import ModelSettings, Project
 from .taylor import COEFFICIENTS, Taylor
 
 _OPERATORS = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
@@ -133,6 +133,34 @@ def recursion(Ad: np.ndarray, forced: np.ndarray, x_first: np.ndarray) -> np.nda
     return states
 
 
+def entries_at(model: ModelSettings, v: object, where: str) -> tuple[list[list[object]], list[list[object]]]:
+    """Entries of A and B, row by row, with ``v`` in place of the speed."""
+    names: dict[str, object] = {"v": v, **model.parameters}
+    for name, expression in model.let.items():
+        names[name] = evaluate(expression, names, f"{where}, model.let.{name}")
+    return tuple([[evaluate(entry, names, f"{where}, model.{key}[{i}][{j}]") for j, entry in enumerate(row)]
+                  for i, row in enumerate(getattr(model, key))] for key in ("A", "B"))
+
+
+def state_space(model: ModelSettings, v: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray]:
+    """A (m, n, n) and B (m, n, n_u) of a project file's model at speeds v (m,) [m/s], in its range or not; ``where``: for errors."""
+    v = np.atleast_1d(np.asarray(v, float))
+
+    def filled(entries: list[list[object]]) -> np.ndarray:
+        out = np.empty((len(v), len(entries), len(entries[0])))
+        for i, row in enumerate(entries):
+            for j, entry in enumerate(row):
+                out[:, i, j] = entry
+        return out
+
+    with np.errstate(all="ignore"):
+        A, B = (filled(entries) for entries in entries_at(model, v, where))
+    bad = ~(np.isfinite(A).all((1, 2)) & np.isfinite(B).all((1, 2)))
+    if bad.any():
+        raise InputError(where, f"v = {v[bad][0]:.6g} m/s", "the model is not finite there", "finite A and B")
+    return A, B
+
+
 class NominalModel:
     """The nominal LPV model of a project file.
 
@@ -155,29 +183,7 @@ class NominalModel:
 
     def matrices(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A (m, n, n) and B (m, n, n_u) at speeds v (m,) [m/s]."""
-        v = np.atleast_1d(np.asarray(v, float))
-
-        def filled(entries: list[list[object]]) -> np.ndarray:
-            out = np.empty((len(v), len(entries), len(entries[0])))
-            for i, row in enumerate(entries):
-                for j, entry in enumerate(row):
-                    out[:, i, j] = entry
-            return out
-
-        with np.errstate(all="ignore"):
-            A, B = (filled(entries) for entries in self._entries(v))
-        bad = ~(np.isfinite(A).all((1, 2)) & np.isfinite(B).all((1, 2)))
-        if bad.any():
-            raise InputError(self._where, f"v = {v[bad][0]:.6g} m/s", "the model is not finite there", "finite A and B")
-        return A, B
-
-    def _entries(self, v: object) -> tuple[list[list[object]], list[list[object]]]:
-        """Entries of A and B, row by row, with ``v`` in place of the speed."""
-        names: dict[str, object] = {"v": v, **self._settings.parameters}
-        for name, expression in self._settings.let.items():
-            names[name] = evaluate(expression, names, f"{self._where}, model.let.{name}")
-        return tuple([[evaluate(entry, names, f"{self._where}, model.{key}[{i}][{j}]") for j, entry in enumerate(row)]
-                      for i, row in enumerate(getattr(self._settings, key))] for key in ("A", "B"))
+        return state_space(self._settings, v, self._where)
 
     def hold_bounds(self, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
         """Entrywise bounds over speeds low..high of |d/dv| and |d2/dv2| of [Ad, Bd, Gd] (n, n + n_u + n), the zero-order hold
@@ -186,7 +192,7 @@ class NominalModel:
         n, width = self.n, 2 * self.n + self.n_u
         bounds = np.zeros((COEFFICIENTS, width, width))
         try:
-            entries = self._entries(Taylor.variable(low, high))
+            entries = entries_at(self._settings, Taylor.variable(low, high), self._where)
         except (TypeError, ZeroDivisionError) as error:
             raise InputError(self._where, "model", f"cannot be bounded between {low:g} and {high:g} m/s: {error}",
                              "entries rational in v with whole exponents") from None
