@@ -10,6 +10,8 @@
 #define LPVG_NBINS 11
 #define LPVG_NCELLS 16
 #define LPVG_NVARYING 12
+#define LPVG_NWEIGHT 2
+#define LPVG_NDIRECTIONS 16
 #define LPVG_NK 11
 #define LPVG_NM 3
 #define LPVG_NG 8
