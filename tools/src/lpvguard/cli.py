@@ -162,6 +162,8 @@ def design(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(help
     worst = max(row["mu_upper"] for row in rows)
     console.print(f"{stored.project.design.structure}: {result.schedule.order} states (of {result.full_order} per "
                   f"speed before), {len(result.schedule.speeds)} nodes; worst mu {worst:.4f}; written to {out}")
+    console.print("moving speed: " + ("no storage function was found, nothing is claimed" if result.lpv is None else
+                  f"gain below 1 proved for |dv/dt| up to {result.lpv.rate:.3g} m/s2, {result.lpv.proof.cells} cells"))
     raise typer.Exit(0 if worst < 1 else 1)
 
 
