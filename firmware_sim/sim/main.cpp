@@ -1,10 +1,11 @@
 // main.cpp -- lpvguard_sim: one scenario of the closed loop over CAN frames; what happened goes to standard output as JSON.
 //
 //   lpvguard_sim SCENARIO --parameters TRUCK.toml [--seed N] [--bus memory|socketcan:INTERFACE] [--engage yes|no]
-//                [--log F] [--frames F] [--telemetry F] [--lcm URL]
+//                [--log F] [--frames F] [--drive F] [--telemetry F] [--lcm URL]
 //
 //   --log        every frame of the bus as candump -L writes it, with simulated time
 //   --frames     every frame that the monitor judged (CSV)
+//   --drive      the samples that the monitor was given, as a drive table (CSV): what `lpvguard replay` reads
 //   --telemetry  the loop every 100 ms (CSV)
 //   --lcm        the loop every 10 ms as LCM messages (firmware_sim/lcm), where built with LCM
 //
@@ -121,7 +122,7 @@ private:
 class Loop {
 public:
     Loop(const lpvguard_sim::Scenario& scenario, const lpvguard_plant::PlantParameters& parameters, LoopBus& bus, bool engage,
-         std::FILE* log, std::FILE* frames, std::FILE* telemetry, lpvguard_sim::Publisher* publisher)
+         std::FILE* log, std::FILE* frames, std::FILE* drive, std::FILE* telemetry, lpvguard_sim::Publisher* publisher)
         : duration_s_(scenario.duration_s),
           plant_(lpvguard_plant::varied(parameters, scenario.plant.variation), scenario.plant.drive, scenario.seed,
                  scenario.plant.faults),
@@ -130,6 +131,7 @@ public:
           bus_(bus),
           watcher_(log),
           frames_(frames),
+          drive_(drive),
           telemetry_(telemetry),
           publisher_(publisher) {
         bus.watch(&FrameWatcher::watch, &watcher_);
@@ -140,6 +142,9 @@ public:
         }
         if (frames_ != nullptr) {
             std::fputs("t_end_s,t_begin_s,bin,reason,falsified,speed_mps,margin,statistic,evidence\n", frames_);
+        }
+        if (drive_ != nullptr) {
+            std::fputs("t,v,dp,r,delta\n", drive_);
         }
         if (telemetry_ != nullptr) {
             std::fputs("t_s,speed_mps,command_radps,wanted_radps,yaw_rate_radps,road_wheel_rad,demand_bar,margin,verdict,"
@@ -217,6 +222,12 @@ private:
                          static_cast<double>(frame.evidence));
         }
         last_frame_ = frame.sequence;
+        // A sample with a missing or refused measurement never reached the monitor.
+        if (drive_ != nullptr && ecu.monitor.running && ecu.monitor.t_us == k * tick_us) {
+            std::fprintf(drive_, "%.9g,%.9g,%.9g,%.9g,%.9g\n", time_s, static_cast<double>(ecu.signals.speed),
+                         static_cast<double>(ecu.control.u[0]), static_cast<double>(ecu.signals.y[0]),
+                         static_cast<double>(ecu.signals.y[1]));
+        }
         if (publisher_ != nullptr) {
             publisher_->publish(k * tick_us, plant_.truth(),
                                 {command_radps, wanted_radps, vehicle_.demand_bar(), static_cast<double>(ecu.report.margin),
@@ -252,6 +263,7 @@ private:
     const LoopBus& bus_;
     FrameWatcher watcher_;
     std::FILE* frames_;
+    std::FILE* drive_;
     std::FILE* telemetry_;
     lpvguard_sim::Publisher* publisher_;
     Changes<std::uint8_t> verdicts_, supervision_, implausible_;
@@ -264,7 +276,7 @@ private:
 int run(int argc, char** argv) {
     if (argc < 2 || std::strncmp(argv[1], "--", 2) == 0) {
         throw UsageError("usage: lpvguard_sim SCENARIO --parameters TRUCK.toml [--seed N] [--engage yes|no] [--log F] "
-                         "[--frames F] [--telemetry F] [--lcm URL] [--bus memory|socketcan:INTERFACE]");
+                         "[--frames F] [--drive F] [--telemetry F] [--lcm URL] [--bus memory|socketcan:INTERFACE]");
     }
     lpvguard_plant::Arguments arguments(argc - 2, argv + 2);
     lpvguard_sim::Scenario scenario = lpvguard_sim::load_scenario(argv[1]);
@@ -276,14 +288,14 @@ int run(int argc, char** argv) {
     }
     const std::unique_ptr<LoopBus> bus = lpvguard_sim::open_bus(arguments.text("--bus", "memory"));
     const OutputFile log(arguments.text("--log", "")), frames(arguments.text("--frames", "")),
-        telemetry(arguments.text("--telemetry", ""));
+        drive(arguments.text("--drive", "")), telemetry(arguments.text("--telemetry", ""));
     std::unique_ptr<lpvguard_sim::Publisher> publisher;
     if (arguments.has("--lcm")) {
         publisher = lpvguard_sim::open_publisher(arguments.text("--lcm"));
     }
     arguments.done();
-    const auto loop = std::make_unique<Loop>(scenario, parameters, *bus, engage == "yes", log.get(), frames.get(), telemetry.get(),
-                                             publisher.get());
+    const auto loop = std::make_unique<Loop>(scenario, parameters, *bus, engage == "yes", log.get(), frames.get(), drive.get(),
+                                             telemetry.get(), publisher.get());
     loop->run();
     loop->print(scenario.seed);
     return 0;

@@ -32,6 +32,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from . import artefacts, native
 from .control_export import ControllerCoefficients, build_controller, replaced_controller
 from .core import eigen_include, firmware_root, library_root
+from .drives import Drive, read_drive
 from .errors import InputError
 from .nominal import NominalModel
 from .project import Project, parse_project
@@ -167,7 +168,7 @@ class Simulator:
 
     def run(self, scenario: Scenario, *, seed: int | None = None, bus: str = "memory", out: Path | None = None) -> dict[str, Any]:
         """One run: the object of `lpvguard sim --json` (DESIGN 9). ``bus``: memory or socketcan:INTERFACE. ``out``: a folder
-        for NAME-SEED.log (candump -L), .frames.csv and .telemetry.csv. Same scenario, seed and vehicle: the same bytes but
+        for NAME-SEED.log (candump -L), .frames.csv, .telemetry.csv and .drive.csv, which `lpvguard replay` reads. Same scenario, seed and vehicle: the same bytes but
         for real_time_factor, which is simulated time over one core's processor time."""
         seed = scenario.seed if seed is None else seed
         with tempfile.TemporaryDirectory() as scratch:
@@ -177,12 +178,18 @@ class Simulator:
                        "--frames", frames, "--engage", "no" if self.controller == "off" else "yes"]
             if out is not None:
                 out.mkdir(parents=True, exist_ok=True)
-                command += ["--log", f"{stem}.log", "--telemetry", f"{stem}.telemetry.csv"]
-            done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False)
-            if done.returncode != 0:
-                raise InputError(scenario.path, "", done.stderr.strip(), "a scenario and a bus that the simulator accepts")
+                command += ["--log", f"{stem}.log", "--telemetry", f"{stem}.telemetry.csv", "--drive", f"{stem}.drive.csv"]
+            facts = _execute(command, scenario.path)
             rows = np.genfromtxt(frames, delimiter=",", names=True, ndmin=1)
-        return self._result(scenario, json.loads(done.stdout), rows)
+        return self._result(scenario, facts, rows)
+
+    def drive(self, path: Path, seed: int) -> tuple[dict[str, Any], Drive]:
+        """What happened in one run of the scenario file ``path`` (as the simulator prints it), and the drive that its monitor saw."""
+        with tempfile.TemporaryDirectory() as scratch:
+            table = Path(scratch) / f"{path.stem}-{seed}.csv"
+            facts = _execute([self.program, path, "--parameters", firmware_root() / "plant" / "truck.toml", "--seed", seed, "--drive", table,
+                              "--engage", "no" if self.controller == "off" else "yes"], path)
+            return facts, read_drive(table, self.project)
 
     def _result(self, scenario: Scenario, facts: dict[str, Any], rows: np.ndarray) -> dict[str, Any]:
         expect = scenario.expect
@@ -195,6 +202,13 @@ class Simulator:
                   "judged_to_invalid_s": judged, "judged_s": overlap(spans, start, facts["duration_s"]),
                   "max_margin": float(rows["margin"].max(initial=0.0)), **facts}
         return result | {"missed": list(missed(expect, result, self.project.Ts_s))}
+
+
+def _execute(command: list, scenario: Path) -> dict[str, Any]:
+    done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise InputError(scenario, "", done.stderr.strip(), "a scenario and a bus that the simulator accepts")
+    return json.loads(done.stdout)
 
 
 def judged_spans(rows: np.ndarray) -> list[list[float]]:
