@@ -149,7 +149,11 @@ class Replayer:
                         self.B_w[frames.bin[i]].tolist(), frames.E[i].tolist(), frames.Z[i].tolist())
                   for i in np.flatnonzero(frames.falsified)]
         return Replay(drive.name, drive.duration_s, run, judged, (drive.v >= low) & (drive.v <= high),
-                      excited_samples(drive.u, Ts, self.project.frame_test.excited_std), alarms, Ts)
+                      self.excited(drive), alarms, Ts)
+
+    def excited(self, drive: Drive) -> np.ndarray:
+        """(N,) True where the drive is excited (DESIGN 4.2)."""
+        return excited_samples(drive.u, self.project.Ts_s, self.project.frame_test.excited_std)
 
     def summarise_file(self, path: Path) -> dict[str, Any] | InputError:
         """The object of `lpvguard replay --json` for one drive table, or why it could not be read."""

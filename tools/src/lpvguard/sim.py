@@ -27,15 +27,17 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pa_csv
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from . import artefacts, native
 from .control_export import ControllerCoefficients, build_controller, replaced_controller
 from .core import eigen_include, firmware_root, library_root
-from .drives import Drive, read_drive
+from .drives import Drive
 from .errors import InputError
 from .nominal import NominalModel
-from .project import Project, parse_project
+from .project import Project, Signal, parse_project
 
 Controller = Literal["designed", "feedforward", "off"]
 RECOVERY_S = 1.0
@@ -183,13 +185,30 @@ class Simulator:
             rows = np.genfromtxt(frames, delimiter=",", names=True, ndmin=1)
         return self._result(scenario, facts, rows)
 
-    def drive(self, path: Path, seed: int) -> tuple[dict[str, Any], Drive]:
-        """What happened in one run of the scenario file ``path`` (as the simulator prints it), and the drive that its monitor saw."""
+    def drive(self, path: Path, *, seed: int | None = None) -> tuple[dict[str, Any], Drive]:
+        """One run of the scenario file ``path``: what happened, as the simulator prints it, and the drive that its monitor saw.
+
+        Where the ECU withheld samples from its monitor the drive stands still: nothing is judged until the model has settled again.
+        """
         with tempfile.TemporaryDirectory() as scratch:
-            table = Path(scratch) / f"{path.stem}-{seed}.csv"
-            facts = _execute([self.program, path, "--parameters", firmware_root() / "plant" / "truck.toml", "--seed", seed, "--drive", table,
-                              "--engage", "no" if self.controller == "off" else "yes"], path)
-            return facts, read_drive(table, self.project)
+            table = Path(scratch) / f"{path.stem}.csv"
+            command = [self.program, path, "--parameters", firmware_root() / "plant" / "truck.toml", "--drive", table,
+                       "--engage", "no" if self.controller == "off" else "yes"]
+            facts = _execute([*command, *(() if seed is None else ("--seed", seed))], path)
+            return facts, self._without_gaps(path.stem, pa_csv.read_csv(table))
+
+    def _without_gaps(self, name: str, table: pa.Table) -> Drive:
+        p = self.project
+        t = table["t"].to_numpy()
+        row = np.round((t - t[0]) / p.Ts_s).astype(int)
+        newest = np.searchsorted(row, np.arange(row[-1] + 1), side="right") - 1
+        missing = row[newest] != np.arange(row[-1] + 1)
+
+        def stack(signals: list[Signal]) -> np.ndarray:
+            return np.column_stack([table[s.column].to_numpy().astype(float) for s in signals])[newest]
+
+        v = stack([p.speed])[:, 0]
+        return Drive(name, t[0] + np.arange(len(v)) * p.Ts_s, np.where(missing, 0.0, v), stack(p.inputs), stack(p.outputs))
 
     def _result(self, scenario: Scenario, facts: dict[str, Any], rows: np.ndarray) -> dict[str, Any]:
         expect = scenario.expect
