@@ -15,7 +15,7 @@ what the monitor says.
 What a fault should show is measured off line on the very samples of the run: frames at every STRIDE-th start, in double
 precision, by the estimator that set the bounds. A fault is *visible* in a run when t* is at least 1.5 times the threshold in at
 least 10 % of the frames that lie wholly in excited driving after its start. A visible fault must be found within 60 s of judged,
-excited driving. Runs in which a detector alarms before the fault do not count for it.
+excited driving. An alarm is *due* by the time that class Offline derives. Runs in which a detector alarms before the fault do not count for it.
 
 Files in the campaign's folder (each whole or absent; a campaign that was stopped goes on where it was):
 
@@ -70,6 +70,8 @@ FAULT_FROM_S = 60.0
 FOUND_WITHIN_S = 60.0
 VISIBLE_RATIO, VISIBLE_SHARE, VISIBLE_FOUND = 1.5, 0.1, 0.95
 STRIDE = 10
+LATENCY_S = 1.0
+"""From the end of a frame to the verdict that says so, and what the run's clock is ahead of the drive's: a reserve over both."""
 CHUNK = 40
 PLANTS = 24
 RESPONSE_SPEEDS = (8.3, 12.0, 17.0, 21.7)
@@ -243,11 +245,13 @@ class Bounds:
                    fitted.inflation * np.column_stack([w.magnitude(estimator.omega) for w in fitted.W_n]))
 
 
-def response_margin(model: NominalModel, bounds: Bounds, tables: str) -> float:
+def response_margin(model: NominalModel, bounds: Bounds, tables: str, demand_bar: float | np.ndarray = CHECKED_AMPLITUDE_BAR) -> float:
     """Largest t* of a truck's own frequency response over speeds, amplitudes and bins; see the module's docstring.
 
-    ``tables``: its variation and faults, as scenario tables. 1 or less: within the bounds.
+    ``tables``: its variation and faults, as scenario tables. ``demand_bar``: |U| that the frames may hold, for all bins or (K,).
+    1 or less: within the bounds.
     """
+    U = np.broadcast_to(demand_bar, bounds.omega.shape)[:, None]
     tool = plant_tool()
     half = 0.5 * bounds.omega * model.Ts
     hold = np.exp(-1j * half) * np.sinc(half / np.pi)  # the demand is held over a sample
@@ -266,8 +270,7 @@ def response_margin(model: NominalModel, bounds: Bounds, tables: str) -> float:
                 rows = np.loadtxt(io.StringIO(done.stdout), delimiter=",", skiprows=1)
                 G = (rows[:, 1::2] + 1j * rows[:, 2::2]) * hold[:, None]
                 left = np.maximum(bounds.B_w - bounds.W_n, 1e-12)
-                worst = max(worst, float(s1.margin((G - P) * CHECKED_AMPLITUDE_BAR, P * CHECKED_AMPLITUDE_BAR,
-                                                   bounds.W_delta, left).max()))
+                worst = max(worst, float(s1.margin((G - P) * U, P * U, bounds.W_delta, left).max()))
     return worst
 
 
@@ -303,29 +306,51 @@ def loop_levels(stored: StoredIdentification, controller: Path, progress: Progre
 
 # ------------------------------------------------------------------------------------------------------------- one run
 
-def offline_margins(replayer: Replayer, drive: Drive, from_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """t* of frames at every STRIDE-th start from ``from_s`` on, all bins, and whether each lies wholly in excited driving.
+@dataclass(frozen=True)
+class Offline:
+    """What the samples of a run show, whatever the monitor says: frames of all bins, by the estimator that set the bounds, in double.
 
-    In double precision from the drive's samples, with the bounds that the core carries; nothing comes from the monitor.
+    visible_share: share with t* >= VISIBLE_RATIO times the threshold of the frames that lie wholly in excited driving after the
+    fault, 0 without any. due_s: when a monitor with these bounds must have alarmed [s after the fault], None: never. It judges
+    a frame every half frame; where t* >= VISIBLE_RATIO times the threshold at every start of half a frame, one of these is
+    judged, and ended, by the end of the last. median, largest: of t* of the frames after the fault.
     """
-    model, estimator = replayer.model, replayer.estimator
-    e, yhat = nominal_error(drive, model)
-    both = np.hstack([e, yhat])
-    calm = np.concatenate([[0], np.cumsum(~replayer.excited(drive))])
-    first = round(from_s / model.Ts)
-    margins, excited = [], []
-    for k in range(estimator.n_bins):
-        starts = np.flatnonzero(estimator.counted(drive.v, k))
-        starts = starts[(starts >= first) & (starts % STRIDE == 0)]
-        frames = estimator.transform(both, k, starts)
-        margins.append(s1.margin(frames[:, :e.shape[1]], frames[:, e.shape[1]:], replayer.W_delta[k], replayer.B_w[k]))
-        excited.append(calm[starts + estimator.length[k]] == calm[starts])
-    return np.concatenate(margins), np.concatenate(excited)
+
+    visible_share: float
+    due_s: float | None
+    median: float | None
+    largest: float
+
+    @classmethod
+    def of(cls, replayer: Replayer, drive: Drive, from_s: float) -> Offline:
+        model, estimator = replayer.model, replayer.estimator
+        e, yhat = nominal_error(drive, model)
+        both = np.hstack([e, yhat])
+        calm = np.concatenate([[0], np.cumsum(~replayer.excited(drive))])
+        first = round(from_s / model.Ts)
+        excited, after, due = [], [], np.inf
+        for k, length in enumerate(estimator.length):
+            counted = estimator.counted(drive.v, k)[::STRIDE]
+            starts = STRIDE * np.flatnonzero(counted)
+            starts = starts[starts + length > first]
+            frames = estimator.transform(both, k, starts)
+            margins = s1.margin(frames[:, :e.shape[1]], frames[:, e.shape[1]:], replayer.W_delta[k], replayer.B_w[k])
+            later = starts >= first
+            after.append(margins[later])
+            excited.append(margins[later & (calm[starts + length] == calm[starts])])
+            begin = _first_stretch(starts, margins >= VISIBLE_RATIO * replayer.threshold, length // 2)
+            due = due if begin is None else min(due, (begin + length // 2 + length) * model.Ts - from_s)
+        excited, after = np.concatenate(excited), np.concatenate(after)
+        share = float((excited >= VISIBLE_RATIO * replayer.threshold).mean()) if len(excited) else 0.0
+        return cls(share, due if np.isfinite(due) else None, float(np.median(after)) if len(after) else None,
+                   float(after.max(initial=0.0)))
 
 
-def visible_share(margins: np.ndarray, excited: np.ndarray, threshold: float) -> float:
-    """Share of the excited frames with t* of at least VISIBLE_RATIO times the threshold; 0 without such frames."""
-    return float((margins[excited] >= VISIBLE_RATIO * threshold).mean()) if excited.any() else 0.0
+def _first_stretch(starts: np.ndarray, above: np.ndarray, length: int) -> int | None:
+    """First of ``starts`` (STRIDE apart, but for gaps) from which all are ``above`` for ``length`` samples; None: nowhere."""
+    good = starts[above]
+    edges = np.flatnonzero(np.diff(good) != STRIDE) + 1
+    return next((int(run[0]) for run in np.split(good, edges) if len(run) and run[-1] - run[0] >= length), None)
 
 
 @dataclass(frozen=True)
@@ -361,7 +386,7 @@ def run_case(context: Context, case: Case) -> dict[str, Any]:
         facts, drive = simulator.drive(path)
     replay = replayer.replay(drive)
     clock = Clock.of(replay, case.fault_s)
-    margins, excited = offline_margins(replayer, drive, case.fault_s)
+    offline = Offline.of(replayer, drive, case.fault_s)
     frames = replay.run.frames
     at = np.round((frames.t_end_s - drive.t[0]) / replay.Ts).astype(int)
     statistic = np.full(len(drive.t), -np.inf)
@@ -370,12 +395,11 @@ def run_case(context: Context, case: Case) -> dict[str, Any]:
         "number": case.number, "kind": case.kind, "severity": case.severity, "plant": case.plant, "seed": facts["seed"],
         "fault_s": case.fault_s, "duration_s": facts["duration_s"], "speed_mps": float(drive.v.mean()),
         "frames_hash": facts["frames_hash"], "demand_max_bar": facts["demand_max_bar"],
-        "frame_demand_max_bar": _largest_demand(replayer, drive),
+        "frame_demand_max_bar": float(largest_input(replayer, drive).max()),
         "tracking_ratio": facts["tracking_rms"] / facts["command_rms"] if facts["command_rms"] else None,
         "judged_s": replay.judged_s, "excited_after_s": float(clock.seconds[-1]),
-        "visible_share": visible_share(margins, excited, replayer.threshold),
-        "offline_median": float(np.median(margins[excited])) if excited.any() else None,
-        "offline_max": float(margins.max(initial=0.0)),
+        "visible_share": offline.visible_share, "due_s": offline.due_s, "offline_median": offline.median,
+        "offline_max": offline.largest,
         "ecu_invalid_s": next((t for t, verdict in facts["verdicts"] if verdict == "invalid"), None)}
     for test in TESTS:
         times = [a.t_s for a in replay.alarms if a.test == test]
@@ -406,14 +430,13 @@ def _judged(name: str, statistic: np.ndarray, threshold: float, clock: Clock) ->
             f"{name}_score": float(statistic.max(initial=-np.inf))}
 
 
-def _largest_demand(replayer: Replayer, drive: Drive) -> float:
-    """Largest |U| of a counted frame above DC [input unit]."""
+def largest_input(replayer: Replayer, drive: Drive) -> np.ndarray:
+    """(K,) largest |U| of the first input in the counted frames of each bin [input unit]; 0 where there are none."""
     estimator = replayer.estimator
-    largest = 0.0
-    for k in range(1, estimator.n_bins):
-        starts = np.flatnonzero(estimator.counted(drive.v, k))
-        starts = starts[starts % STRIDE == 0]
-        largest = max(largest, float(np.abs(estimator.transform(drive.u, k, starts)).max(initial=0.0)))
+    largest = np.zeros(estimator.n_bins)
+    for k in range(estimator.n_bins):
+        starts = STRIDE * np.flatnonzero(estimator.counted(drive.v, k)[::STRIDE])
+        largest[k] = np.abs(estimator.transform(drive.u[:, :1], k, starts)).max(initial=0.0)
     return largest
 
 
@@ -524,6 +547,7 @@ def summarise(table: pa.Table, stored: StoredIdentification, found: dict, levels
     severities = [_severity(kind, x, members, matched) | {"mu_upper": mu.get((kind, x)), "response_margin": response.get((kind, x))}
                   for (kind, x), members in groups.items()]
     visible = [r for r in faulty if _is_visible(r)]
+    due = [r for r in rows if r["due_s"] is not None and r["fault_s"] + r["due_s"] + LATENCY_S <= r["duration_s"]]
     units = {k.name: k.unit for k in KINDS}
     summary = {
         "detectors": {MONITOR: "lpvguard", **TITLES}, "units": units, "baselines": tuned["chosen"], "alpha": tuned["alpha"],
@@ -534,6 +558,7 @@ def summarise(table: pa.Table, stored: StoredIdentification, found: dict, levels
             "nominal_margin": found["nominal"],
             "largest_margin": max(c["margin"] for c in found["candidates"] if c["margin"] <= 1)},
         "severities": severities,
+        "due": rate(sum(r["ecu_invalid_s"] is not None and r["ecu_invalid_s"] <= r["fault_s"] + r["due_s"] + LATENCY_S for r in due), len(due)),
         "visible": {d: rate(sum(_found(r, d) for r in visible if not r[f"{d}_before"]), sum(not r[f"{d}_before"] for r in visible))
                     for d in DETECTORS},
         "average": {d: {"calibrated": float(np.mean([s["found"][d] / s["runs"] for s in severities])),
@@ -552,6 +577,9 @@ def _missed(summary: dict[str, Any]) -> Iterator[str]:
         if calibrated is not None and seen["interval"] is not None and seen["interval"][1] > calibrated:
             yield (f"{test} test: {seen['count']} of {seen['of']} runs within the bounds alarm, up to {seen['interval'][1]:.2%} with 95 %, "
                    f"calibrated {calibrated:.2%}")
+    due = summary["due"]
+    if due["count"] < due["of"]:
+        yield f"{due['of'] - due['count']} of {due['of']} alarms that were due did not come by then"
     found = summary["visible"][MONITOR]
     if found["of"] and found["count"] < VISIBLE_FOUND * found["of"]:
         yield f"{found['count']} of {found['of']} visible faults found within {FOUND_WITHIN_S:g} s, wanted {VISIBLE_FOUND:.0%}"
