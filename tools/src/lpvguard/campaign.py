@@ -33,7 +33,7 @@ import io
 import os
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
@@ -294,13 +294,14 @@ def plants(model: NominalModel, bounds: Bounds, seed: int, workers: Map, progres
 
 
 def loop_levels(stored: StoredIdentification, controller: Path, progress: Progress) -> list[dict[str, Any]]:
-    """Upper bound of mu of the certified loop with each linear fault in it, largest over LOOP_SPEEDS; null in JSON: unstable."""
+    """Upper bound of mu of the certified loop with each linear fault in it, largest over LOOP_SPEEDS; None where it is not stable."""
     found = []
     for kind in KINDS:
         for x in kind.values if kind.loop else ():
             progress(f"mu, {kind.name} {x:g}")
             levels = [faulted_performance(controller, stored, v, *kind.loop(x, stored.project.Ts_s)) for v in LOOP_SPEEDS]
-            found.append({"kind": kind.name, "severity": x, "stable": bool(np.isfinite(max(levels))), "mu_upper": max(levels)})
+            found.append({"kind": kind.name, "severity": x, "stable": bool(np.isfinite(max(levels))),
+                          "mu_upper": max(levels) if np.isfinite(max(levels)) else None})
     return found
 
 
@@ -539,13 +540,16 @@ def summarise(table: pa.Table, stored: StoredIdentification, found: dict, levels
     alpha = stored.project.frame_test.alpha
     matched = {d: calibrate({str(r["number"]): r[f"{d}_score"] for r in within if np.isfinite(r[f"{d}_score"])}, alpha,
                             floor=0.0).threshold for d in DETECTORS}
-    mu = {(row["kind"], row["severity"]): row["mu_upper"] if row["stable"] else np.inf for row in levels}
+    loops = {(row["kind"], row["severity"]): row for row in levels}
     response = {(row["kind"], row["severity"]): row["margin"] for row in found["faulted"]}
     groups: dict[tuple[str, float], list[dict]] = {}
     for r in faulty:
         groups.setdefault((r["kind"], r["severity"]), []).append(r)
-    severities = [_severity(kind, x, members, matched) | {"mu_upper": mu.get((kind, x)), "response_margin": response.get((kind, x))}
-                  for (kind, x), members in groups.items()]
+    severities = []
+    for key, members in groups.items():
+        loop = loops.get(key, {"stable": True, "mu_upper": None})
+        severities.append(_severity(*key, members, matched) | {
+            "loop_stable": loop["stable"], "mu_upper": loop["mu_upper"], "response_margin": response.get(key)})
     visible = [r for r in faulty if _is_visible(r)]
     due = [r for r in rows if r["due_s"] is not None and r["fault_s"] + r["due_s"] + LATENCY_S <= r["duration_s"]]
     units = {k.name: k.unit for k in KINDS}
@@ -565,7 +569,8 @@ def summarise(table: pa.Table, stored: StoredIdentification, found: dict, levels
                         "matched": float(np.mean([s["matched"][d] / s["runs"] for s in severities]))} for d in DETECTORS},
         "matched_thresholds": matched,
         "kinds": [_kind(name, [s for s in severities if s["kind"] == name]) for name in dict.fromkeys(s["kind"] for s in severities)],
-        "invisible": [s for s in severities if s["mu_upper"] is not None and s["mu_upper"] >= 1 and s["visible_runs"] < s["runs"] / 2],
+        "invisible": [s for s in severities if s["visible_runs"] < s["runs"] / 2
+                      and (not s["loop_stable"] or (s["mu_upper"] is not None and s["mu_upper"] >= 1))],
     }
     return summary | {"missed": list(_missed(summary))}
 
@@ -630,9 +635,3 @@ def _kind(name: str, rows: list[dict]) -> dict[str, Any]:
     matched = {d: float(np.mean([s["matched"][d] / s["runs"] for s in rows])) for d in DETECTORS}
     return {"kind": name, "found": shares, "matched": matched, "best": [d for d, s in shares.items() if s == max(shares.values())],
             "best_matched": [d for d, s in matched.items() if s == max(matched.values())]}
-
-
-def read_runs(folder: Path) -> tuple[dict[str, Any], Iterable[dict]]:
-    """Summary and rows of a finished campaign, for the report."""
-    artefacts.read_manifest(folder, "campaign")
-    return artefacts.read_json(folder / "summary.json"), pq.read_table(folder / "runs.parquet").to_pylist()

@@ -312,7 +312,7 @@ def campaign(identification: Annotated[Path, typer.Argument(help="Folder written
         kinds.add_row(k["kind"], *(f"{k['found'][d]:.0%}" for d in summary["detectors"]), ", ".join(k["best"]), ", ".join(k["best_matched"]))
     console.print(kinds)
     for s in summary["invisible"]:
-        console.print(f"invisible, though mu is {'infinite' if s['mu_upper'] is None else format(s['mu_upper'], '.2f')}: "
+        console.print(f"invisible, though {'mu is ' + format(s['mu_upper'], '.2f') if s['loop_stable'] else 'the loop is unstable'}: "
                       f"{s['kind']} {s['severity']:g} {summary['units'][s['kind']]}")
     for text in summary["missed"]:
         console.print(f"missed: {text}")
@@ -328,7 +328,8 @@ def report(identification: Annotated[Path, typer.Argument(help="Folder written b
            drives: Annotated[Path, typer.Argument(help="The drive folder it was made from.")],
            vehicle: Vehicle, out: Out, coefficients: Coefficients = None,
            evaluation: Annotated[Path | None, typer.Option(help="JSON written by evaluate.")] = None,
-           loops: Annotated[Path | None, typer.Option(help="Folder written by sim -o.")] = None) -> None:
+           loops: Annotated[Path | None, typer.Option(help="Folder written by sim -o.")] = None,
+           campaign: Annotated[Path | None, typer.Option(help="Folder written by campaign.")] = None) -> None:
     """One self-contained HTML page with every picture and table."""
     from .report import write_report
 
@@ -336,7 +337,7 @@ def report(identification: Annotated[Path, typer.Argument(help="Folder written b
     replayer = _replayer(vehicle, coefficients)
     with _progress("report") as tell:
         write_report(stored, drive_set, replayer, out, artefacts.read_json(evaluation) if evaluation else None, tell,
-                     loops)
+                     loops, artefacts.read_json(campaign / "summary.json") if campaign else None)
     console.print(f"written to {out}")
 
 
