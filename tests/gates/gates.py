@@ -2,14 +2,22 @@
 
     gates.py GATE --source DIR --scratch DIR [--self-test]      exit 0 / 1 (a finding, or a planted bug that was missed)
 
-    warnings     lib/ compiles without a warning by gcc and clang, float and double
+    warnings     lib/ compiles without a warning by gcc and clang, float and double; so do the firmware loop and the ports
     imports      the archive as a whole imports nothing but memory copies and square roots, optimised or not, float and double
     headers      every public header is strict C99 and strict C++17 by itself, by gcc and clang, without Eigen
     generated_c  what `lpvguard export` writes is strict C99 without a warning, by gcc and clang, float and double
+    misra        public headers and exported C keep MISRA C:2012, as far as cppcheck's add-on sees, but for lib/MISRA.md
+    manual       every public function says what it does, when it fails and, in the head of its header, what it costs, which
+                 thread may call it and what memory it takes
+    requirements every requirement of lib/REQUIREMENTS.md is named by a test, and every one that a test names stands there
     options      every option is in the configure summary, and every preset's setting arrives there
+    double       the unit tests pass with double as number type (a third of them; all with LPVGUARD_FULL=1)
+    big_endian   acceptance of coefficients, and CAN, pass their unit tests on a big-endian processor (PowerPC, emulated)
     sanitize     the unit tests run clean under the address and undefined-behaviour sanitizers
     coverage     lines and branches that the unit tests miss in a file of lib/src are as many as coverage.json says (a file
                  that it does not name: none), no more, no less
+    mutation     unit tests notice small changes of lib/src (mutation.py): a seeded sample of them, all with LPVGUARD_FULL=1;
+                 survivors are printed; those that no test can notice stand in mutants.json with the reason
 
 Builds stay in the scratch folder, so that a second run compiles only what changed; gates may share one, but not at once.
 A planted bug is looked for in the one variant of the build, or with the one unit test, that has to find it. Bugs that take
@@ -22,6 +30,7 @@ import argparse
 import gzip
 import json
 import os
+import random
 import re
 import shutil
 import subprocess
@@ -30,9 +39,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from mutation import Mutant, applied, mutants
+
 COMPILERS = {"gcc": ("gcc", "g++"), "clang": ("clang", "clang++")}
-WARNINGS = ["-pedantic-errors", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror"]
+WARNINGS = ["-pedantic-errors", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror"]
 IMPORTS_ALLOWED = re.compile(r"mem(cpy|set|move|cmp)|(sqrt|fabs)f?")
+FULL = os.environ.get("LPVGUARD_FULL") == "1"
 LEAST_COVERAGE = {"lines": 1.0, "branches": 0.98}  # whatever coverage.json says
 
 
@@ -42,7 +54,7 @@ def run(*command: object, cwd: Path | None = None, env: dict[str, str] | None = 
     return done.returncode, done.stdout
 
 
-def failed(what: str, *command: object, **where: Path) -> list[str]:
+def failed(what: str, *command: object, **where: object) -> list[str]:
     status, output = run(*command, **where)
     return [f"{what}:\n{output}"] if status else []
 
@@ -66,8 +78,39 @@ def build_core(tree: Path, scratch: Path, variant: str) -> tuple[Path, list[str]
 
 
 def warnings(tree: Path, scratch: Path, only: str = "") -> list[str]:
+    if only == "firmware":
+        return firmware_warnings(tree, scratch)
     variants = [only] if only else [f"{compiler}-{real}-Release" for compiler in COMPILERS for real in ("float", "double")]
-    return [finding for variant in variants for finding in build_core(tree, scratch, variant)[1]]
+    findings = [finding for variant in variants for finding in build_core(tree, scratch, variant)[1]]
+    return findings if only else findings + firmware_warnings(tree, scratch)
+
+
+def firmware_warnings(tree: Path, scratch: Path) -> list[str]:
+    """Of firmware_sim/ecu and firmware_sim/ports. The bare-metal ports by clang only: gcc builds them as errors in
+    lpvguard.targets, with the same options."""
+    sim = tree / "firmware_sim"
+    cortex_m = ["--target=arm-none-eabi", "-mcpu=cortex-m4", "-mfloat-abi=hard", "-ffreestanding"]
+    cortex_r = ["--target=arm-none-eabi", "-mcpu=cortex-r5", "-mfloat-abi=hard", "-ffreestanding"]
+    scratch.mkdir(parents=True, exist_ok=True)
+    # What lpvguard.targets writes, in its smallest form.
+    (scratch / "target_input.h").write_text("#define TARGET_INPUT_SAMPLES 100U\n"
+                                            "static const lpvg_real_t target_input[TARGET_INPUT_SAMPLES][4] = {{1.0F}};\n")
+    includes = ["-I", tree / "lib" / "include", "-I", tree / "lib" / "src", "-I", tree / "lib" / "vehicles" / "truck",
+                "-I", sim / "ecu", "-I", sim / "ports", "-I", sim / "ports" / "linux", "-I", scratch]
+    jobs = [(path, compiler, []) for folder in ("ecu", "ports/host", "ports/linux", "ports/linux_ecu") for path in sorted((sim / folder).glob("*.c*"))
+            for compiler in COMPILERS]
+    jobs += [(sim / "ports" / "target_bench.cpp", compiler, []) for compiler in COMPILERS]
+    jobs += [(path, "clang", cortex_m) for path in sorted((sim / "ports" / "bare_metal").glob("*.c"))]
+    jobs += [(path, "clang", cortex_m) for path in sorted((sim / "ports" / "cortex_m").glob("*.c"))]
+    jobs += [(path, "clang", cortex_r) for path in sorted((sim / "ports" / "cortex_r5").glob("*.c"))]
+    findings = []
+    for path, compiler, target in jobs:
+        c, cxx = COMPILERS[compiler]
+        # gnu99: registers and the bus are reached by what the standard does not have.
+        language = [cxx, "-std=c++17", "-fno-exceptions", "-fno-rtti"] if path.suffix == ".cpp" else [c, "-std=gnu99"]
+        options = [w for w in WARNINGS if w != "-pedantic-errors"]
+        findings += failed(f"{path.relative_to(tree)} by {compiler}", *language, *options, *target, *includes, "-fsyntax-only", path)
+    return findings
 
 
 def symbols(archive: Path, which: str) -> set[str]:
@@ -112,15 +155,21 @@ def headers(tree: Path, scratch: Path) -> list[str]:
     return findings
 
 
-def generated_c(tree: Path, scratch: Path) -> list[str]:
+def export(tree: Path, scratch: Path, name: str) -> tuple[Path, list[str]]:
+    """Folder and findings; ``name``: a vehicle that the unit tests export too (tests/unit/CMakeLists.txt)."""
     unit = tree / "tests" / "unit"
+    kind, project = {"toy": ("vehicle", unit / "toy.toml"), "hand_truck": ("guarded", "truck")}[name]
+    return scratch / name, failed(f"export of {name}", sys.executable, unit / "generate.py", kind, project, scratch / name,
+                                  env={"PYTHONPATH": str(tree / "tools" / "src")})
+
+
+def generated_c(tree: Path, scratch: Path) -> list[str]:
     made = []
-    for kind, project, name in (("vehicle", unit / "toy.toml", "toy"), ("guarded", "truck", "hand_truck")):
-        status, output = run(sys.executable, unit / "generate.py", kind, project, scratch / name,
-                             env={"PYTHONPATH": str(tree / "tools" / "src")})
-        if status:
-            return [f"export failed:\n{output}"]
-        made.append(scratch / name)
+    for name in ("toy", "hand_truck"):
+        folder, broken = export(tree, scratch, name)
+        if broken:
+            return broken
+        made.append(folder)
     findings = []
     for folder in [*vehicle_folders(tree), *made]:
         for source in sorted(folder.glob("*.c")):
@@ -131,10 +180,71 @@ def generated_c(tree: Path, scratch: Path) -> list[str]:
     return findings
 
 
+def misra(tree: Path, scratch: Path) -> list[str]:
+    include, table = tree / "lib" / "include", tree / "lib" / "MISRA.md"
+    folder, findings = export(tree, scratch, "hand_truck")
+    if findings:
+        return findings
+    headers = [str(h.relative_to(include)) for h in sorted(include.rglob("*.h"))] + [h.name for h in sorted(folder.glob("*.h"))]
+    unit = scratch / "every_header.c"
+    unit.write_text("".join(f'#include "{h}"\n' for h in headers) + "extern int not_empty;\n")
+    status, output = run("cppcheck", "--std=c99", "--platform=unix32", "--enable=style", "--addon=misra", "--inline-suppr", "--quiet",
+                         "--suppress=missingIncludeSystem", "--template={file}|{line}|{id}", "-I", include, "-I", folder,
+                         *sorted(folder.glob("*.c")), unit)
+    if status:
+        return [output]
+    rows = re.findall(r"^\| (\d+\.\d+) \| advisory \| (\S+) \|", table.read_text(), re.MULTILINE)
+    used = set()
+    for line in output.splitlines():
+        file, number, rule = line.split("|") if line.count("|") == 2 else ("", "", line)
+        covering = {row for row in rows if rule == f"misra-c2012-{row[0]}" and Path(file).match(row[1])}
+        used |= covering
+        if not covering:
+            findings.append(f"{Path(file).name}:{number}: {rule}")
+    return findings + [f"MISRA.md: rule {rule} in {files} covers nothing" for rule, files in rows if (rule, files) not in used]
+
+
+FUNCTION = re.compile(r"^(?:LPVG_NODISCARD )?(?:const )?(\w+)\*? (lpvg_\w+)\(", re.M)
+STRUCT_ONLY = {"bus.h", "coeff.h", "config.h", "status.h"}  # data, or glue that only ecu.cpp calls: no object to own
+
+
+def manual(tree: Path, scratch: Path) -> list[str]:
+    findings = []
+    for path in sorted((tree / "lib" / "include").rglob("*.h")):
+        text = path.read_text()
+        head = text.split("#ifndef")[0]
+        findings += [f"{path.name}: the head does not say {word}" for word in ("Cost:", "RAM:", "Threads:")
+                     if path.name not in STRUCT_ONLY and word not in head]
+        for found in FUNCTION.finditer(text):
+            comment = re.search(r"((?:^///[^\n]*\n)+)\Z", text[:found.start()], re.M)
+            said = comment[1] if comment else ""
+            if not said:
+                findings.append(f"{path.name}: {found[2]} is not described")
+            elif found[1] == "lpvg_status_t" and "Returns" not in said:
+                findings.append(f"{path.name}: {found[2]} does not say which status it returns when")
+            elif "*" in text[found.start():].split(";")[0] and found[1] != "lpvg_status_t" and "NULL" not in said:
+                findings.append(f"{path.name}: {found[2]} does not say what it does with NULL")
+    return findings
+
+
+def requirements(tree: Path, scratch: Path) -> list[str]:
+    stated = re.findall(r"^\| (REQ-[A-Z]+-\d+) \|", (tree / "lib" / "REQUIREMENTS.md").read_text(), re.M)
+    tests = tree / "tests"
+    tagged = [(path, name) for path in sorted(tests.rglob("*.cpp")) for tags in re.findall(r'^TEST_CASE\("[^"]*",\s*"([^"]*)"', path.read_text(), re.M)
+              for name in re.findall(r"\[(REQ-[^\]]*)\]", tags)]
+    tagged += [(path, name) for path in sorted(tests.rglob("test_*.py")) for name in re.findall(r'^@pytest\.mark\.requirement\("([^"]*)"\)', path.read_text(), re.M)]
+    tagged += [(path, name) for path in sorted(tests.rglob("CMakeLists.txt")) for name in re.findall(r"REQ-[A-Z]+-\d+", path.read_text())]
+    named = {name for _, name in tagged}
+    print(f"{len(stated)} requirements, named {len(tagged)} times")
+    return ([f"{name} is stated twice" for name in sorted({s for s in stated if stated.count(s) > 1})]
+            + [f"{name} is named by no test" for name in stated if name not in named]
+            + [f"{path.relative_to(tree)}: {name} is no requirement" for path, name in tagged if name not in stated])
+
+
 def options(tree: Path, scratch: Path, only: str = "") -> list[str]:
     source = (tree / "CMakeLists.txt").read_text()
-    declared = set(re.findall(r"^lpvg_option\((LPVG_\w+)", source, re.M))
-    findings = [f"{name} bypasses lpvg_option" for name in re.findall(r"^\s*option\((\w+)", source, re.M) if name not in declared]
+    declared = set(re.findall(r"^lpvg_option\((LPVG_\w+)", source, re.MULTILINE))
+    findings = [f"{name} bypasses lpvg_option" for name in re.findall(r"^\s*option\((\w+)", source, re.MULTILINE) if name not in declared]
     presets = {p["name"]: p for p in json.loads((tree / "CMakePresets.json").read_text())["configurePresets"]}
 
     def settings(preset: dict) -> dict[str, str]:
@@ -148,7 +258,7 @@ def options(tree: Path, scratch: Path, only: str = "") -> list[str]:
         status, output = run("cmake", "--preset", name, "-B", scratch / name, "-DLPVG_BUILD_TESTS=OFF", cwd=tree)
         if status:
             return [f"preset {name}:\n{output}"]
-        echoed = dict(re.findall(r"^--   (LPVG_\w+): (\w+)$", output, re.M))
+        echoed = dict(re.findall(r"^--   (LPVG_\w+): (\w+)$", output, re.MULTILINE))
         wanted = {k: v for k, v in settings(preset).items() if k.startswith("LPVG_")} | {"LPVG_BUILD_TESTS": "OFF"}
         findings += [f"preset {name}: {option} is not in the summary" for option in sorted(declared - set(echoed))]
         findings += [f"preset {name}: sets {k} to {v}, the summary says {echoed.get(k)}" for k, v in wanted.items()
@@ -161,6 +271,16 @@ def unit_tests(tree: Path, folder: Path, preset: str, only: str = "") -> list[st
     return (failed("configure", "cmake", "--preset", preset, "-B", folder, f"-DPython3_EXECUTABLE={sys.executable}", cwd=tree)
             or failed("build", "cmake", "--build", folder, "--target", f"test_{only.replace('.', '_')}" if only else "unit_tests")
             or failed("tests", "ctest", "--test-dir", folder, "-L", "unit", "-R", f"^unit.{only}$" if only else ".", "-j2", "--no-tests=error", "--output-on-failure"))
+
+
+def double(tree: Path, scratch: Path, only: str = "") -> list[str]:
+    wanted = [only] if only else [""] if FULL else ["model.toy", "monitor.toy", "controller.hand_toy"]
+    return [finding for name in wanted for finding in unit_tests(tree, scratch / "build", "double", name)]
+
+
+def big_endian(tree: Path, scratch: Path, only: str = "") -> list[str]:
+    # What looks at bytes. Tests that call the library's sine cannot run: its code asks for more than this emulator has.
+    return [finding for name in ([only] if only else ["coeff.toy", "can"]) for finding in unit_tests(tree, scratch / "build", "big-endian", name)]
 
 
 def sanitize(tree: Path, scratch: Path, only: str = "") -> list[str]:
@@ -221,8 +341,73 @@ def coverage(tree: Path, scratch: Path, only: str = "") -> list[str]:
     return findings
 
 
+MUTATION_SAMPLE = 12
+LEAST_KILLED = 0.75, 0.9  # of the sample, of all
+SEES = {"acceptance.hpp": ["coeff.toy", "controller.hand_truck"], "can.cpp": ["can"], "margin.hpp": ["margin"], "coeff.cpp": ["coeff.toy"],
+        "model.cpp": ["model.toy", "model.g80"], "monitor.cpp": ["monitor.toy", "monitor.g80"],
+        "controller.cpp": ["controller.hand_toy", "controller.hand_truck"], "ecu.cpp": ["ecu.hand_truck"]}
+"""Source -> unit tests that look at it; in the sample only the first."""
+
+
+def mutation(tree: Path, scratch: Path, only: str = "") -> list[str]:
+    """``only``: the mutants of one file."""
+    work = copy_of(tree, scratch / "mutated")
+    source = work / "lib" / "src"
+    for path in source.iterdir():
+        path.touch()  # objects of a run that was broken off hold a mutant
+    files = [only] if only else sorted(p.name for p in source.iterdir())
+    unknown = [name for name in files if name not in SEES]
+    if unknown:
+        return [f"no unit test is named that looks at {', '.join(unknown)}: name it in SEES"]
+    candidates = [m for name in files for m in mutants(name, (source / name).read_text())]
+    if not FULL:
+        candidates = random.Random(6).sample(candidates, MUTATION_SAMPLE)
+    build = scratch / "build"
+    broken = failed("configure", "cmake", "-S", work, "-B", build, "-G", "Ninja", "-DCMAKE_BUILD_TYPE=Debug", "-DCMAKE_CXX_FLAGS_DEBUG=-O1",
+                    "-DLPVG_BUILD_SIM=OFF", f"-DPython3_EXECUTABLE={sys.executable}")
+    fate: dict[str, list[Mutant]] = {"killed": [], "survived": [], "refused by the compiler": [], "the same code": []}
+    tolerated = json.loads((tree / "tests" / "gates" / "mutants.json").read_text())
+    for name in sorted({m.file for m in candidates}):
+        tests = SEES[name] if FULL else SEES[name][:1]
+        programs = [f"test_{test.replace('.', '_')}" for test in tests]
+        broken = broken or failed("build", "cmake", "--build", build, "--parallel", "2", "--target", *programs)
+        if broken:
+            return broken
+        paths = [path for path in build.rglob("test_*") if path.name in programs and path.is_file()]
+        sound, good = [path.read_bytes() for path in paths], (source / name).read_text()
+        if any(fails(path) for path in paths):
+            return [f"{', '.join(tests)}: fails before anything is changed"]
+        for mutant in (m for m in candidates if m.file == name):
+            (source / name).write_text(applied(good, mutant))
+            if run("cmake", "--build", build, "--parallel", "2", "--target", *programs)[0]:
+                fate["refused by the compiler"].append(mutant)
+            elif [path.read_bytes() for path in paths] == sound:
+                fate["the same code"].append(mutant)
+            else:
+                fate["killed" if any(fails(path) for path in paths) else "survived"].append(mutant)
+        (source / name).write_text(good)
+    survived = [m for m in fate["survived"] if m.key not in tolerated]
+    killed, least = len(fate["killed"]), LEAST_KILLED[FULL]
+    score = killed / max(killed + len(survived), 1)
+    print(f"{len(candidates)} mutants: " + ", ".join(f"{len(group)} {what}" for what, group in fate.items())
+          + f" ({len(fate['survived']) - len(survived)} of them in mutants.json); {100 * score:.1f} % of the noticeable killed")
+    for mutant in survived:
+        print(f"survived: {mutant}")
+    findings = [f"{len(survived)} of {killed + len(survived)} mutants survive: {'; '.join(map(str, survived))}"] if score < least else []
+    stale = set(tolerated) - {m.key for m in candidates} if FULL and not only else set()
+    return findings + [f"mutants.json: {key}: no such mutant survives" for key in sorted(stale | (set(tolerated) & {m.key for m in fate["killed"]}))]
+
+
+def fails(program: Path) -> bool:
+    """Whether the test program finds something, or runs for ever."""
+    try:
+        return subprocess.run([program, "--abort"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=60, check=False).returncode != 0
+    except subprocess.TimeoutExpired:
+        return True
+
+
 GATES: dict[str, Callable[..., list[str]]] = {
-    f.__name__: f for f in (warnings, imports, headers, generated_c, options, sanitize, coverage)}
+    f.__name__: f for f in (warnings, imports, headers, generated_c, misra, manual, requirements, options, double, big_endian, sanitize, coverage, mutation)}
 
 
 # --- planted bugs ---
@@ -250,6 +435,11 @@ PLANTS: dict[str, list[Plant]] = {
               r"clang-float(.|\n)*-Wunused-const-variable", "clang-float-Release"),
         Plant("lib/src/model.cpp", "next;\n", "next;\n    int rounded = self->x[0]; (void)rounded;\n",
               r"clang(.|\n)*-Wfloat-conversion", "clang-float-Release"),
+        Plant("lib/src/coeff.cpp", "    for (std::size_t i = 0; i < LPVG_NVARYING; ++i) {", "    for (std::size_t i = 0; i < LPVG_NVARYING; ++i) {\n"
+              "        const bool w = good; good = w;", r"gcc-float(.|\n)*-Werror=shadow", "gcc-float-Release"),
+        Plant("firmware_sim/ecu/firmware.c", "    size_t i;\n", "    size_t i;\n    int n = n_in;\n", r"firmware\.c by gcc(.|\n)*firmware\.c by clang", "firmware"),
+        Plant("firmware_sim/ports/cortex_m/startup.c", "return 0xFFFFFFu - SYST_CVR;", "return 0xFFFFFFu - SYST_CVR * 1.0;",
+              r"startup\.c by clang(.|\n)*conversion", "firmware"),
     ],
     "imports": [
         Plant("lib/src/model.cpp", "    set_speed(self, coeff, speed);", "    set_speed(self, coeff, speed);\n    Eigen::Matrix<Real, 8, 8> a = "
@@ -274,15 +464,44 @@ PLANTS: dict[str, list[Plant]] = {
         Plant("tools/src/lpvguard/can/bus.py", "= (lpvg_real_t){", "= (lpvg_real){", r"hand_truck by clang"),
         Plant("lib/vehicles/g80/lpvguard_coeff.c", ".schema = 1U", ".schema = 0b1U", r"g80 by gcc"),
     ],
+    "misra": [
+        Plant(MONITOR_H, "#define LPVG_NRECORDS 4", "#define LPVG_TWICE(x) x + x\n#define LPVG_NRECORDS 4", r"monitor\.h:\d+: misra-c2012-20\.7"),
+        Plant("tools/src/lpvguard/can/codegen.py", "(void)memset", "memset", r"lpvg_can_codec\.c:\d+: misra-c2012-17\.7"),
+        Plant("lib/include/lpvguard/config.h", "cppcheck-suppress", "", r"config\.h:\d+: misra-c2012-20\.10"),
+        Plant("lib/MISRA.md", "| 15.5 |", "| 15.6 |", r"lpvguard_bus\.c:\d+: misra-c2012-15\.5(.|\n)*rule 15\.6 in \*\.c covers nothing"),
+    ],
+    "manual": [
+        Plant(MONITOR_H, "/// Threads:", "/// Contexts:", r"monitor\.h: the head does not say Threads:"),
+        Plant("lib/include/lpvguard/controller.h", "/// Returns bad_argument for NULL", "/// Refuses NULL", r"lpvg_control_init does not say which status"),
+        Plant(MONITOR_H, "/// Why the newest frame was no evidence; none before the first frame and for NULL.\n", "", r"lpvg_monitor_reason is not described"),
+    ],
+    "requirements": [
+        Plant("tests/unit/test_ecu.cpp", "[REQ-ECU-5]", "", r"REQ-ECU-5 is named by no test"),
+        Plant("lib/REQUIREMENTS.md", "| REQ-CORE-1 |", "| REQ-CORE-99 |", r"REQ-CORE-99 is named by no test(.|\n)*REQ-CORE-1 is no requirement"),
+        Plant("tests/golden/test_core_sizes.py", "REQ-CORE-5", "REQ-CORE-55", r"test_core_sizes\.py: REQ-CORE-55 is no requirement"),
+    ],
     "options": [
         Plant("CMakePresets.json", '"LPVG_SANITIZE": "ON"', '"LPVG_SANITIZER": "ON"', r"preset sanitize: sets LPVG_SANITIZER", "sanitize"),
         Plant("CMakeLists.txt", 'lpvg_option(LPVG_BUILD_SIM', 'option(LPVG_BUILD_SIM', r"LPVG_BUILD_SIM bypasses", "default"),
         Plant("CMakeLists.txt", "list(APPEND lpvg_options ${name})", "", r"LPVG_DOUBLE is not in the summary", "double"),
     ],
+    "double": [
+        Plant("lib/src/controller.cpp", "next[i] = self.x[i] + change;", "next[i] = static_cast<float>(self.x[i] + change);", r"tests:(.|\n)*the law equals a dense recursion", "controller.hand_toy"),
+    ],
+    "big_endian": [
+        Plant("lib/src/acceptance.hpp", "static_cast<uint32_t>((word >> (8U * i)) & 0xFFU)", "reinterpret_cast<const unsigned char*>(&word)[i]",
+              r"tests:(.|\n)*the exported coefficients are accepted", "coeff.toy"),
+        Plant("lib/src/can.cpp", "uint32_t       bits  = frame.data[first];", "uint16_t bits = 0U; std::memcpy(&bits, &frame.data[first], 2U);",
+              r"tests:(.|\n)*limits of a signal", "can"),
+    ],
     "sanitize": [
         Plant("lib/src/monitor.cpp", "self.n_records < LPVG_NRECORDS", "self.n_records <= LPVG_NRECORDS", r"tests:(.|\n)*(out of bounds|not a valid value for type 'lpvg_reason_t')", "monitor.toy"),
         Plant("lib/src/monitor.cpp", "return static_cast<uint64_t>(later) - static_cast<uint64_t>(earlier);",
               "return static_cast<uint64_t>(later - earlier);", r"tests:(.|\n)*signed integer overflow", "monitor.toy", full=True),
+    ],
+    "mutation": [
+        Plant("tests/unit/test_coeff.cpp", "CHECK(lpvg_coeff_check(coeff) == want);\n", "want = lpvg_coeff_check(coeff);\n",
+              r"mutants survive: coeff\.cpp", "coeff.cpp", full=True),
     ],
     "coverage": [
         Plant("lib/src/model.cpp", "namespace {\n", "uint32_t lpvg_unused(uint32_t n) {\n    return n;\n}\n\nnamespace {\n",
@@ -311,7 +530,7 @@ def self_test(gate: str, source: Path, scratch: Path) -> list[str]:
     tree = copy_of(source, scratch / "tree")
     missed = []
     for plant in PLANTS[gate]:
-        if plant.full and os.environ.get("LPVGUARD_FULL") != "1":
+        if plant.full and not FULL:
             continue
         file = tree / plant.file
         good = file.read_text()

@@ -21,6 +21,7 @@ LPVG_EXTERN_C_BEGIN
 
 typedef struct lpvg_model_t {
     lpvg_real_t x[LPVG_NX];                         ///< state
+    // cppcheck-suppress misra-c2012-2.2 ; a delay of no sample makes the sum look idle
     lpvg_real_t past[LPVG_DELAY + 1][LPVG_NU];      ///< inputs u_{k-1}, ... u_{k-d-1} less the offset, newest first
     lpvg_real_t entry[LPVG_NENTRIES];               ///< Ad, B_old, B_new at `speed`
     lpvg_real_t speed;                              ///< speed of `entry` [m/s]; the lowest number: none yet
@@ -30,10 +31,10 @@ typedef struct lpvg_model_t {
 /// The coefficients must have passed lpvg_coeff_check; no argument may be NULL (not checked: called once per sample).
 void lpvg_model_start(lpvg_model_t* self, const lpvg_coeff_t* coeff, const lpvg_real_t* u, const lpvg_real_t* y);
 
-/// Writes the nominal output (LPVG_NY) at the current sample.
+/// Writes the nominal output (LPVG_NY) at the current sample. NULL is not checked.
 void lpvg_model_output(const lpvg_model_t* self, const lpvg_coeff_t* coeff, lpvg_real_t* yhat);
 
-/// Advances by one sample with the measured speed [m/s] and input u (LPVG_NU) of the current sample.
+/// Advances by one sample with the measured speed [m/s] and input u (LPVG_NU) of the current sample. NULL is not checked.
 void lpvg_model_advance(lpvg_model_t* self, const lpvg_coeff_t* coeff, lpvg_real_t speed, const lpvg_real_t* u);
 
 LPVG_EXTERN_C_END

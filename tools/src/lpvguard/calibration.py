@@ -1,6 +1,8 @@
-"""Stage 5, calibration of the frame test by split conformal prediction; the exchangeable unit is the drive (DESIGN 4.8).
+"""Stage 5, calibration of the frame test and of the energy test, each by itself, by split conformal prediction; the
+exchangeable unit is the drive (DESIGN 4.8).
 
-A drive's score is the largest k-of-m statistic over its counted frames, read from the compiled core. The threshold is the
+A drive's score is the largest k-of-m statistic over its counted frames, or the largest ratio of the energy test, read from the
+compiled core. The threshold is the
 ceil((n + 1)(1 - alpha))-th smallest score of n calibration drives: a further, exchangeable drive alarms with probability
 at most alpha. With n < 1/alpha - 1 no finite threshold has that property, and alpha is not stated.
 """
@@ -40,6 +42,11 @@ def score(run: Run) -> float | None:
     """Score of a drive; None when no frame counted."""
     counted = run.frames.counted
     return float(run.frames.statistic[counted].max()) if counted.any() else None
+
+
+def energy_score(run: Run) -> float | None:
+    """Score of a drive in the energy test: its largest ratio; None when it was never judged."""
+    return float(run.energy.max()) if (run.energy > 0).any() else None
 
 
 def calibrate(scores: dict[str, float], alpha: float, *, floor: float = 1.0) -> Calibration:

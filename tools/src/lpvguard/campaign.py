@@ -53,7 +53,7 @@ from .core import Core
 from .design import faulted_performance
 from .drives import Drive
 from .errors import InputError
-from .evaluate import MONITOR, BaselineStudy, Clock, median_time
+from .evaluate import MONITOR, TESTS, BaselineStudy, Clock, alarm_times, median_time
 from .frames import Estimator
 from .generate import plant_tool
 from .identify import DriveSet, StoredIdentification
@@ -79,8 +79,6 @@ RESPONSE_AMPLITUDES_BAR = (0.5, 1.5)
 CHECKED_AMPLITUDE_BAR = 1.0
 LOOP_SPEEDS = (8.5, 15.0, 21.5)
 """Where mu of a faulted loop is computed; the largest is stated."""
-TESTS = ("frame", "energy")
-"""Tests of the monitor whose alarms are told apart (field ``test`` of an alarm)."""
 DETECTORS = (MONITOR, *BASELINE_KINDS)
 
 Progress = Callable[[str], None]
@@ -384,14 +382,10 @@ def run_case(context: Context, case: Case) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "scenario.toml"
         path.write_text(scenario_text(context.seed, case), encoding="utf-8")
-        facts, drive = simulator.drive(path)
-    replay = replayer.replay(drive)
+        facts, drive, present = simulator.drive(path)
+    replay = replayer.replay(drive, present)
     clock = Clock.of(replay, case.fault_s)
     offline = Offline.of(replayer, drive, case.fault_s)
-    frames = replay.run.frames
-    at = np.round((frames.t_end_s - drive.t[0]) / replay.Ts).astype(int)
-    statistic = np.full(len(drive.t), -np.inf)
-    np.maximum.at(statistic, at[frames.counted], frames.statistic[frames.counted])
     row: dict[str, Any] = {
         "number": case.number, "kind": case.kind, "severity": case.severity, "plant": case.plant, "seed": facts["seed"],
         "fault_s": case.fault_s, "duration_s": facts["duration_s"], "speed_mps": float(drive.v.mean()),
@@ -403,9 +397,10 @@ def run_case(context: Context, case: Case) -> dict[str, Any]:
         "offline_max": offline.largest,
         "ecu_invalid_s": next((t for t, verdict in facts["verdicts"] if verdict == "invalid"), None)}
     for test in TESTS:
-        times = [a.t_s for a in replay.alarms if a.test == test]
-        row |= {f"alarms_{test}": len(times), f"first_{test}_s": min(times, default=None)}
-    row |= _judged(MONITOR, _with_alarms(statistic, replay), replayer.threshold, clock)
+        times = alarm_times(replay, test)
+        row |= {f"alarms_{test}": sum(a.test == test for a in replay.alarms), f"alarmed_{test}": bool(len(times)),
+                f"{test}_found_s": clock.of_replay(replay, test)}
+    row |= _judged(MONITOR, _statistic(replayer, replay, drive), 1.0, clock)
     e = nominal_error(drive, replayer.model)[0]
     thresholds = dict(context.baselines)
     for b, values in bank.statistics(thresholds, e, drive.v):
@@ -413,12 +408,13 @@ def run_case(context: Context, case: Case) -> dict[str, Any]:
     return row
 
 
-def _with_alarms(statistic: np.ndarray, replay: Replay) -> np.ndarray:
-    """The frame test's statistic, infinite where another test of the monitor alarms."""
-    statistic = statistic.copy()
-    for a in replay.alarms:
-        if a.test != "frame":
-            statistic[min(round(a.t_s / replay.Ts), len(statistic) - 1)] = np.inf
+def _statistic(replayer: Replayer, replay: Replay, drive: Drive) -> np.ndarray:
+    """(N,) of the monitor: the larger of the frame test's statistic (at the ends of frames) and the energy test's ratio, each over
+    its threshold; -inf where neither judged. Above 1: an alarm."""
+    frames = replay.run.frames
+    statistic = np.where(replay.run.energy > 0, replay.run.energy / replayer.energy_threshold, -np.inf)
+    at = np.round((frames.t_end_s - drive.t[0]) / replay.Ts).astype(int)
+    np.maximum.at(statistic, at[frames.counted], frames.statistic[frames.counted] / replayer.threshold)
     return statistic
 
 
@@ -613,7 +609,7 @@ def _within(rows: list[dict]) -> dict[str, Any]:
     return {"runs": len(rows), "hours": hours, "judged_hours": sum(r["judged_s"] for r in rows) / 3600,
             "alarmed": {d: rate(n, len(rows)) for d, n in alarmed.items()},
             "alarmed_trucks": rate(sum(trucks.values()), len(trucks)),
-            "tests": {t: rate(sum(r[f"alarms_{t}"] > 0 for r in rows), len(rows)) | {"alarms_per_hour": sum(r[f"alarms_{t}"] for r in rows) / hours}
+            "tests": {t: rate(sum(r[f"alarmed_{t}"] for r in rows), len(rows)) | {"alarms_per_hour": sum(r[f"alarms_{t}"] for r in rows) / hours}
                       for t in TESTS},
             "frames_above_checked_amplitude": rate(sum(r["frame_demand_max_bar"] > CHECKED_AMPLITUDE_BAR for r in rows), len(rows))}
 

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -115,7 +116,8 @@ def identify(vehicle: Vehicle, drives: Annotated[Path, typer.Argument(help="Fold
         result, drive_set = stage.identify(project, drives, workers=run, progress=tell)
         stage.save(result, drive_set, out)
     _emit(json_out, {"bound_drives": result.bound_drives, "calibration_drives": result.calibration_drives,
-                     "left_out": result.left_out, **result.calibration.to_dict(), "inflation": result.weights.inflation})
+                     "left_out": result.left_out, **result.calibration.to_dict(), "inflation": result.weights.inflation,
+                     "energy": result.energy.to_dict() if result.energy else None})
     c = result.calibration
     claim = (f"alpha {c.alpha:g}, with 95 % confidence below {c.conditional_bound:.3f}" if c.alpha is not None
              else "too few calibration drives: alpha is not stated")
@@ -123,6 +125,9 @@ def identify(vehicle: Vehicle, drives: Annotated[Path, typer.Argument(help="Fold
     console.print(f"{len(result.calibration_drives)} others calibrate: {', '.join(result.calibration_drives) or 'none'}")
     for name, reason in result.left_out.items():
         console.print(f"left out: {name}: {reason}")
+    if result.energy is not None:
+        console.print(f"energy test: threshold {result.energy.calibration.threshold:.4g}, sigma "
+                      + ", ".join(f"{s.name} {x:.3g} {s.unit}" for s, x in zip(project.outputs, result.energy.sigma)))
     console.print(f"threshold {c.threshold:.4g} ({claim}); final inflation {result.weights.inflation:.6g}; written to {out}")
 
 
@@ -144,8 +149,8 @@ def design(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(help
         table.add_row(f"{row['v_mps']:.4g}", f"{row['mu_upper']:.4f}", f"{row['mu_lower']:.4f}", f"{row['peak_rad_s']:.3g}")
     console.print(table)
     worst = max(row["mu_upper"] for row in rows)
-    console.print(f"{stored.project.design.structure}: {result.schedule.A.shape[1]} states (of {result.full_order} before "
-                  f"truncation), {len(result.schedule.speeds)} nodes; worst mu {worst:.4f}; written to {out}")
+    console.print(f"{stored.project.design.structure}: {result.schedule.order} states (of {result.full_order} per "
+                  f"speed before), {len(result.schedule.speeds)} nodes; worst mu {worst:.4f}; written to {out}")
     raise typer.Exit(0 if worst < 1 else 1)
 
 
@@ -167,17 +172,30 @@ def export(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(help
     console.print(f"{stored.project.name}: written to {out}")
 
 
-@app.command(epilog="Example: lpvguard replay --vehicle g80 RUN.csv --json -")
-def replay(vehicle: Vehicle, logs: Annotated[list[Path], typer.Argument(help="Drive tables (CSV or Parquet).")],
-           coefficients: Coefficients = None, json_out: JsonOut = None, jobs: Jobs = 1, scheduler: Scheduler = None) -> None:
-    """Run recorded drives through the compiled C core. Exit 1 when any drive alarmed, 2 when any was unreadable."""
+@app.command(epilog="Examples: lpvguard replay --vehicle g80 RUN.csv --json -; lpvguard replay --vehicle truck RUN.log --to socketcan:vcan0")
+def replay(vehicle: Vehicle,
+           logs: Annotated[list[Path], typer.Argument(help="Drive tables (CSV or Parquet), or raw CAN logs of the vehicle's bus.")],
+           coefficients: Coefficients = None, json_out: JsonOut = None, jobs: Jobs = 1, scheduler: Scheduler = None,
+           channel: Annotated[str | None, typer.Option(help="Interface of a raw log with several.")] = None,
+           to: Annotated[str | None, typer.Option("--to", metavar="socketcan:INTERFACE", help="Play onto this bus and judge nothing.")] = None,
+           speed: Annotated[float | None, typer.Option(help="With --to: times the recorded pace; inf does not wait (default 1).")] = None,
+           ) -> None:
+    """Run recorded drives through the compiled C core. Exit 1 when any drive alarmed, 2 when any was unreadable.
+
+    Raw logs go through the CAN receiver of the core; "can" in the JSON says what became of the frames, and where samples lack.
+    """
+    if to is not None:
+        _play(_load_project(vehicle), logs, to, 1.0 if speed is None else speed, channel)
+        return
+    if speed is not None:
+        raise InputError("replay", "--speed", "given without --to", "a bus to play onto")
     from .parallel import workers
 
     replayer = _replayer(vehicle, coefficients)
     done: list[dict[str, Any]] = []
     failed = 0
     with _progress("replay") as tell, workers(jobs, scheduler) as run:
-        for log, result in zip(logs, run(replayer.summarise_file, [log.absolute() for log in logs])):
+        for log, result in zip(logs, run(partial(replayer.summarise_file, channel=channel), [log.absolute() for log in logs])):
             tell(log.name)
             if isinstance(result, InputError):
                 failed += 1
@@ -190,21 +208,21 @@ def replay(vehicle: Vehicle, logs: Annotated[list[Path], typer.Argument(help="Dr
         _complain(InputError(", ".join(r["run"] for r in done), "", "no judged stretch at all",
                              f"some steady driving between {low:g} and {high:g} m/s"))
     _emit(json_out, done)
-    table = Table("drive", "duration s", "judged s", "verdict", "first invalid s", "max margin", "alarms", box=None)
+    table = Table("drive", "duration s", "judged s", "verdict", "first invalid s", "max margin", "max energy ratio", "alarms", box=None)
     for r in done:
         table.add_row(r["run"], f"{r['duration_s']:.1f}", f"{r['judged_s']:.1f}", r["verdict_final"],
                       "–" if r["first_invalid_s"] is None else f"{r['first_invalid_s']:.2f}",
-                      "–" if r["max_margin"] is None else f"{r['max_margin']:.3f}", str(len(r["alarms"])))
+                      "–" if r["max_margin"] is None else f"{r['max_margin']:.3f}",
+                      "–" if r["max_energy_ratio"] is None else f"{r['max_energy_ratio']:.3f}", str(len(r["alarms"])))
     console.print(table)
-    console.print(f"threshold {replayer.threshold:.4g}, core {replayer.core.folder}")
+    console.print(f"thresholds: frame test {replayer.threshold:.4g}, energy test {replayer.energy_threshold:.4g}; core {replayer.core.folder}")
     for r in done:
         for a in r["alarms"][:3]:
-            console.print(f"{r['run']}: t = {a['t_s']:.2f} s, {a['test']} test, {a['bin_rad_s']:.3g} rad/s, v = {a['speed_mps']:.1f} m/s: "
-                          f"margin {a['margin']:.2f} (statistic {a['statistic']:.2f} > {a['threshold']:.2f}); |E| = "
-                          f"{_norm(a['E']):.3g} against W_delta {a['W_delta']:.3g} x |Z| {_norm(a['Z']):.3g} + B_w "
-                          f"{', '.join(f'{b:.3g}' for b in a['B_w'])}; a dead vehicle would read {a['evidence']:.2f}")
+            console.print(f"{r['run']}: t = {a['t_s']:.2f} s, {_alarm(a)}; a dead vehicle would read {a['evidence']:.2f}")
         if len(r["alarms"]) > 3:
             console.print(f"{r['run']}: {len(r['alarms']) - 3} more alarms (--json lists all)")
+        if "can" in r:
+            _print_reception(r["run"], r["can"])
     raise typer.Exit(2 if failed else 1 if any(r["alarms"] for r in done) else 0)
 
 
@@ -213,10 +231,13 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
         vehicle: Annotated[str, typer.Option("--vehicle", help="Shipped vehicle with a controller.")] = "truck",
         coefficients: Coefficients = None,
         bus: Annotated[str, typer.Option(help="What carries the CAN frames: memory, or socketcan:INTERFACE.")] = "memory",
+        ecu_process: Annotated[bool, typer.Option("--ecu-process", help="Run the firmware as a process of its own (with --bus socketcan).")] = False,
+        pace: Annotated[float | None, typer.Option(min=1e-3, max=1e3, help="At most so many times real time (default: as fast as it goes).")] = None,
         controller: Annotated[Literal["designed", "feedforward", "off"], typer.Option(
             help="feedforward: the command over the model's DC gain; off: never engaged.")] = "designed",
         seed: Annotated[int | None, typer.Option(min=0, help="First seed (default: the scenario's).")] = None,
         seeds: Annotated[int, typer.Option(min=1, help="Runs of each scenario, with consecutive seeds.")] = 1,
+        lcm: Annotated[str | None, typer.Option(metavar="URL", help="Publish truth, commands and supervision there, as LCM reads it.")] = None,
         out: Annotated[Path | None, typer.Option("-o", "--out", help="Folder for frame logs (candump -L), telemetry and results.json.")] = None,
         json_out: JsonOut = None) -> None:
     """Close the loop with the simulated truck over CAN frames. Exit 1 when a run did not show what its scenario expects."""
@@ -227,12 +248,12 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
     runs = []
     with _progress("sim") as tell:
         tell("compiling")
-        simulator = Simulator(coefficients or shipped_vehicle(vehicle), controller=controller)
+        simulator = Simulator(coefficients or shipped_vehicle(vehicle), controller=controller, lcm=lcm is not None)
         for scenario in loaded:
             first = scenario.seed if seed is None else seed
             for number in range(first, first + seeds):
                 tell(f"{scenario.name}, seed {number}")
-                runs.append(simulator.run(scenario, seed=number, bus=bus, out=out))
+                runs.append(simulator.run(scenario, seed=number, bus=bus, out=out, ecu_process=ecu_process, pace=pace, lcm=lcm))
     _emit(json_out, runs)
     if out is not None:
         # How fast this machine was belongs to nobody's results.
@@ -243,7 +264,8 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
     for r in runs:
         invalid = ("–", "–") if r["first_invalid_s"] is None else (f"{r['first_invalid_s']:.2f}", f"{r['judged_to_invalid_s']:.2f}")
         ratio = f"{r['tracking_rms'] / r['command_rms']:.1%}" if r["command_rms"] else "–"
-        table.add_row(r["scenario"], str(r["seed"]), r["verdict_final"], *invalid, f"{r['max_margin']:.3f}", ratio,
+        table.add_row(r["scenario"], str(r["seed"]), r["verdict_final"], *invalid,
+                      "–" if r["max_margin"] is None else f"{r['max_margin']:.3f}", ratio,
                       f"{r['real_time_factor']:.0f}", "; ".join(r["missed"]) or "nothing")
     console.print(table)
     console.print(f"{bus} bus, controller {controller}, coefficients {simulator.folder}")
@@ -274,6 +296,11 @@ def evaluate(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(he
         times = "  ".join("–" if c["s"] is None else f"{c['s']:.1f}" for c in row["cases"])
         found.add_row(row["fault"], f"{row['found']} of {row['counted']} (of {row['drives']} drives)", times)
     console.print(found)
+    alone = Table("each test alone", *result["tests"], box=None)
+    alone.add_row("alarmed pieces", *(f"{t['false_alarms']['alarmed']} of {t['false_alarms']['pieces']}" for t in result["tests"].values()))
+    for index, row in enumerate(result["faults"]):
+        alone.add_row(row["fault"], *(_found(t["faults"][index]) for t in result["tests"].values()))
+    console.print(alone)
     console.print(_baseline_table(result))
 
 
@@ -334,7 +361,7 @@ def report(identification: Annotated[Path, typer.Argument(help="Folder written b
     from .report import write_report
 
     stored, drive_set = _stored_with_drives(identification, drives)
-    replayer = _replayer(vehicle, coefficients)
+    replayer = _replayer(vehicle, coefficients) if stored.project.frames.estimator == "hann" else None
     with _progress("report") as tell:
         write_report(stored, drive_set, replayer, out, artefacts.read_json(evaluation) if evaluation else None, tell,
                      loops, artefacts.read_json(campaign / "summary.json") if campaign else None)
@@ -369,9 +396,59 @@ def _baseline_table(evaluation: dict) -> Table:
     table.add_row("alarmed pieces", *(f"{alarms['alarmed']} of {alarms['pieces']}" for alarms, _ in detectors.values()), "")
     for index, row in enumerate(evaluation["faults"]):
         shown = [faults[index] for _, faults in detectors.values()]
-        table.add_row(row["fault"], *(f"{r['found']} of {r['counted']}, " + ("–" if r["median_s"] is None else f"{r['median_s']:.1f}")
-                                      for r in shown), ", ".join(row["best"]))
+        table.add_row(row["fault"], *(_found(r) for r in shown), ", ".join(row["best"]))
     return table
+
+
+def _found(row: dict[str, Any]) -> str:
+    return f"{row['found']} of {row['counted']}, " + ("–" if row["median_s"] is None else f"{row['median_s']:.1f}")
+
+
+def _alarm(a: dict[str, Any]) -> str:
+    if a["test"] == "energy":
+        def listed(values: list[float]) -> str:
+            return ", ".join(f"{x:.3g}" for x in values)
+
+        return (f"energy test, v = {a['speed_mps']:.1f} m/s: ratio {a['margin']:.2f} > {a['threshold']:.2f} in direction "
+                f"({listed(a['direction'])}); ||F e|| = {listed(a['E'])} against ||F W_delta yhat|| {listed(a['Z'])} + sigma "
+                f"{listed(a['B_w'])}")
+    return (f"frame test, {a['bin_rad_s']:.3g} rad/s, v = {a['speed_mps']:.1f} m/s: "
+            f"margin {a['margin']:.2f} (statistic {a['statistic']:.2f} > {a['threshold']:.2f}); |E| = "
+            f"{_norm(a['E']):.3g} against W_delta {a['W_delta']:.3g} x |Z| {_norm(a['Z']):.3g} + B_w "
+            f"{', '.join(f'{b:.3g}' for b in a['B_w'])}")
+
+
+def _print_reception(run: str, can: dict[str, Any]) -> None:
+    for message, kinds in can["messages"].items():
+        rejected = ", ".join(f"{n} {kind}" for kind, n in kinds.items() if kind not in ("accepted", "recovering"))
+        if rejected:
+            console.print(f"{run}: {message}: {kinds.get('accepted', 0)} frames used; {rejected}")
+    for gap in can["gaps"][:3]:
+        console.print(f"{run}: no sample from {gap['from_s']:.2f} to {gap['to_s']:.2f} s: {', '.join(gap['messages'])} not live")
+    if len(can["gaps"]) > 3:
+        console.print(f"{run}: {len(can['gaps']) - 3} more gaps (--json lists all)")
+
+
+def _play(project, logs: list[Path], to: str, speed: float, channel: str | None) -> None:
+    import can
+
+    from .can.play import play
+    from .replay import bus_frames
+
+    kind, _, interface = to.partition(":")
+    if kind != "socketcan" or not interface:
+        raise InputError("replay", "--to", to, "socketcan:INTERFACE")
+    if not speed > 0:
+        raise InputError("replay", "--speed", f"{speed:g}", "a number above 0, or inf")
+    loaded = [(log, bus_frames(log, project).of_channel(channel, log)) for log in logs]
+    try:
+        with can.Bus(interface, interface="socketcan", fd=True) as bus, _progress("replay") as tell:
+            for log, frames in loaded:
+                tell(f"{log.name} onto {interface}")
+                late = play(frames, bus, speed=speed)
+                console.print(f"{log.name}: {len(frames)} frames onto {interface}, the latest {late * 1e3:.1f} ms behind its time")
+    except (OSError, can.CanError) as error:
+        raise InputError("replay", f"--to {to}", str(error), "a SocketCAN interface that is up (tools/with-vcan lends one)") from None
 
 
 def _norm(values: list[complex]) -> float:
@@ -380,9 +457,11 @@ def _norm(values: list[complex]) -> float:
 
 def _replayer(vehicle: str, coefficients: Path | None):
     from .core import Core, shipped_vehicle
+    from .frames import require_core
     from .replay import Replayer
 
     project = _load_project(vehicle)
+    require_core(project)
     return Replayer(project, Core(coefficients or shipped_vehicle(project.name)))
 
 

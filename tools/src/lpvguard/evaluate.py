@@ -1,7 +1,7 @@
-"""`lpvguard evaluate`: what the frame test does on drives that did not set the bounds, leave-one-drive-out (DESIGN 4.8),
+"""`lpvguard evaluate`: what the monitor, and each of its two tests alone, does on drives that did not set the bounds, leave-one-drive-out (DESIGN 4.8),
 beside three baselines (baselines.py) on the same drives.
 
-Every drive runs through the compiled core with a threshold calibrated on all *other* drives that did not set the bounds.
+Every drive runs through the compiled core with thresholds of the frame test and of the energy test calibrated on all *other* drives that did not set the bounds.
 False alarms are counted in whole 60 s pieces; faults are injected from 60 s on and count as found when the first alarm
 comes within 30 s of judged, excited driving, provided the untouched drive has none in that time.
 
@@ -37,7 +37,8 @@ FAULTS = (Fault("gain", 0.6), Fault("gain", -1.0), Fault("freeze"), Fault("input
           Fault("gain", 0.7), Fault("gain", 1.3), Fault("bias", 0.05), Fault("input_delay", 0.15),
           Fault("output_delay", 0.15))
 MONITOR = "monitor"
-"""Name of our own detector beside the kinds of baselines.KINDS."""
+"""Name of our own detector beside the kinds of baselines.KINDS: both tests together."""
+TESTS = ("frame", "energy")
 
 
 @dataclass(frozen=True)
@@ -61,10 +62,18 @@ class Pieces:
         return cls(len(counts), alarmed, pieces, (float(low), float(high)))
 
 
-def alarmed_pieces(replay: Replay) -> tuple[int, int]:
-    """(alarmed, all) whole 60 s pieces of a drive."""
+def alarm_times(replay: Replay, test: str | None) -> np.ndarray:
+    """When a test (None: either) falsified the model [s], in order: falsifying frames, and samples above the energy test's
+    threshold, for that test stays where it is while a frame is judged once."""
+    frames = [a.t_s for a in replay.alarms if a.test == "frame"] if test != "energy" else []
+    over = np.flatnonzero(replay.over) * replay.Ts if test != "frame" else []
+    return np.sort(np.concatenate([frames, over]))
+
+
+def alarmed_pieces(replay: Replay, test: str | None = None) -> tuple[int, int]:
+    """(alarmed, all) whole 60 s pieces of a drive, by a test (None: either)."""
     pieces = int(replay.duration_s // PIECE_S)
-    hit = {int(a.t_s // PIECE_S) for a in replay.alarms}
+    hit = set((alarm_times(replay, test) // PIECE_S).astype(int).tolist())
     return sum(1 for p in range(pieces) if p in hit), pieces
 
 
@@ -87,9 +96,9 @@ class Clock:
         """The reading [s] at ``t_s`` seconds after the drive's first sample."""
         return float(self.seconds[min(int(round(t_s / self.Ts)), len(self.seconds) - 1)])
 
-    def of_replay(self, replay: Replay) -> float | None:
-        """The reading at the first alarm after ``first``; None: no alarm."""
-        return next((self.at(a.t_s) for a in replay.alarms if a.t_s > self.first * self.Ts), None)
+    def of_replay(self, replay: Replay, test: str | None = None) -> float | None:
+        """The reading at the first alarm of a test (None: either) after ``first``; None: no alarm."""
+        return next((self.at(t) for t in alarm_times(replay, test).tolist() if t > self.first * self.Ts), None)
 
     def of_statistic(self, statistic: np.ndarray, threshold: float) -> float | None:
         """The reading where ``statistic`` (N,) first exceeds ``threshold`` after ``first``; None: nowhere."""
@@ -115,22 +124,26 @@ class Case:
         return self.counts and self.s is not None and self.s <= FOUND_WITHIN_S
 
 
-def _evaluate_drive(reader: DriveReader, core: Core, item: tuple[Experiment, Calibration]) -> tuple[dict, dict[str, Case]]:
-    """One drive with a threshold of its own: its row, and per fault what became of it (none for short drives)."""
-    experiment, calibration = item
-    replayer = Replayer(reader.project, core, threshold=calibration.threshold)
+def _evaluate_drive(reader: DriveReader, core: Core, item: tuple[Experiment, Calibration, Calibration]
+                    ) -> tuple[dict, dict[str | None, dict[str, Case]]]:
+    """One drive with thresholds of its own, of the frame test and of the energy test: its row, and per test (None: either) and
+    fault what became of it (none for short drives)."""
+    experiment, calibration, energy = item
+    replayer = Replayer(reader.project, core, threshold=calibration.threshold, energy_threshold=energy.threshold)
     drive = reader.read(experiment)[0]
     clean = replayer.replay(drive)
     alarmed, pieces = alarmed_pieces(clean)
     relevant = clean.in_range & clean.excited
     row = {"run": experiment.name, "driver": experiment.driver, "threshold": calibration.threshold, "alpha": calibration.alpha,
-           "conditional_bound": calibration.conditional_bound, "alarmed": alarmed, "pieces": pieces, "judged_s": clean.judged_s,
+           "conditional_bound": calibration.conditional_bound, "energy_threshold": energy.threshold,
+           "by_test": {test: alarmed_pieces(clean, test)[0] for test in TESTS}, "alarmed": alarmed, "pieces": pieces, "judged_s": clean.judged_s,
            "judged_of_in_range_excited": float((clean.judged & relevant).sum() / max(1, relevant.sum()))}
     clock = Clock.of(clean)
-    found = {}
+    found: dict[str | None, dict[str, Case]] = {test: {} for test in (None, *TESTS)}
     for fault in FAULTS if drive.duration_s > SHORTEST_FOR_FAULTS_S else ():
         faulty = replayer.replay(inject(drive, fault, FAULT_FROM_S, reader.project.Ts_s))
-        found[fault.label] = Case.of(experiment.name, clock.of_replay(faulty), clock.of_replay(clean))
+        for test, cases in found.items():
+            cases[fault.label] = Case.of(experiment.name, clock.of_replay(faulty, test), clock.of_replay(clean, test))
     return row, found
 
 
@@ -262,19 +275,25 @@ def ranking(rows: dict[str, dict]) -> list[str]:
 def evaluate(stored: StoredIdentification, drives: DriveSet, core: Core, *, workers: Map = map,
              progress: Callable[[str], None] = lambda _: None) -> dict:
     """Leave-one-drive-out evaluation, the drives mapped by ``workers`` (parallel.py); returns the JSON-able table."""
-    project, scores = stored.project, stored.calibration.scores
-    rows, per_fault = [], {f.label: [] for f in FAULTS}
-    items = [(drives.experiments[name], calibrate({k: v for k, v in scores.items() if k != name}, project.frame_test.alpha))
-             for name in scores]
+    project, scores, energy = stored.project, stored.calibration.scores, stored.energy
+    rows, per_fault = [], {test: {f.label: [] for f in FAULTS} for test in (None, *TESTS)}
+
+    def others(name: str, of: dict[str, float]) -> dict[str, float]:
+        return {k: v for k, v in of.items() if k != name}
+
+    alpha, energy_scores = project.frame_test.alpha, energy.calibration.scores
+    items = [(drives.experiments[name], calibrate(others(name, scores), alpha),
+              energy.calibrated(others(name, energy_scores), alpha).calibration) for name in scores]
     for row, found in workers(partial(_evaluate_drive, drives.reader, core), items):
         progress(row["run"])
-        rows.append(row | {"score": scores[row["run"]]})
-        for label, case in found.items():
-            per_fault[label].append(case)
+        rows.append(row | {"score": scores[row["run"]], "energy_score": energy_scores.get(row["run"])})
+        for test, cases in found.items():
+            for label, case in cases.items():
+                per_fault[test][label].append(case)
     seed = project.seed
     groups = {"all": rows} | {d: [r for r in rows if r["driver"] == d] for d in sorted({r["driver"] for r in rows})}
     study = BaselineStudy(stored, drives, core, left_out=tuple(scores), workers=workers, progress=progress)
-    faults, baselines = _fault_rows(per_fault), _evaluate_baselines(study, rows, seed)
+    faults, baselines = _fault_rows(per_fault[None]), _evaluate_baselines(study, rows, seed)
     best = [ranking({MONITOR: row} | {b["kind"]: b["faults"][i] for b in baselines}) for i, row in enumerate(faults)]
     return {
         "threshold_rule": f"all other drives that did not set the bounds, alpha {project.frame_test.alpha:g} "
@@ -283,5 +302,7 @@ def evaluate(stored: StoredIdentification, drives: DriveSet, core: Core, *, work
         "false_alarms": {g: vars(Pieces.of([(r["alarmed"], r["pieces"]) for r in members], seed))
                          for g, members in groups.items()},
         "faults": [row | {"best": names} for row, names in zip(faults, best)],
+        "tests": {test: {"false_alarms": vars(Pieces.of([(r["by_test"][test], r["pieces"]) for r in rows], seed)),
+                         "faults": _fault_rows(per_fault[test])} for test in TESTS},
         "baselines": baselines,
     }

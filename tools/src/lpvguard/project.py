@@ -132,6 +132,14 @@ class FrameTestSettings(_Strict):
         return self
 
 
+class EnergyTestSettings(_Strict):
+    """The energy test (DESIGN 4.8). ``band_hz``: corners of its band-pass, by default the frames' f_min_hz and f_max_hz.
+    ``memory_s``: time constant of the forgetting, by default one period of f_min_hz."""
+
+    band_hz: tuple[Positive, Positive] | None = None
+    memory_s: Positive | None = None
+
+
 class DataSettings(_Strict):
     """Which splits set the bounds, which are zero-input runs (W_n), and what `generate` makes; all other splits calibrate."""
 
@@ -150,7 +158,8 @@ class DesignSettings(_Strict):
     """Step 8: objectives of Fig. 1 and the scheduled controller. W_t, W_u: gain A_t, A_u and the paper's break frequencies.
 
     Weights are gain * prod(s/zero + 1) / prod(s/pole + 1), rad/s. ``nodes``: scheduling speeds of the controller, uniform
-    over the model's range.
+    over the model's range. ``table``: the objectives [A_t, A_u] of Table II; ``lambda_s`` [s^2]: weight of the state uncertainty
+    beside the input's in (8), Lambda_nu = diag(1, lambda_s), for its K_is.
     """
 
     structure: Literal["K_inf", "K_i"] = "K_i"
@@ -166,8 +175,16 @@ class DesignSettings(_Strict):
     nodes: Annotated[int, Field(ge=2, le=64)] = 8
     backoff: Fraction = 0.02
     order_loss: Fraction = 0.02
+    table: list[Annotated[list[Positive], Field(min_length=2, max_length=2)]] | None = None
+    lambda_s: Positive = 1.0
     input_max: list[Positive]
     input_rate_max_per_s: list[Positive]
+
+    @property
+    def objectives(self) -> list[tuple[float, float]]:
+        """(A_t, A_u) of Table II's columns: the table's, or as in the paper A_t with A_u, 75/95 of A_t, and a tenth of A_u."""
+        own = [[self.A_t, self.A_u], [self.A_t * 75 / 95, self.A_u], [self.A_t, self.A_u / 10]]
+        return [(A_t, A_u) for A_t, A_u in (self.table or own)]
 
 
 class Project(_Strict):
@@ -184,6 +201,7 @@ class Project(_Strict):
     bounds: BoundSettings
     weights: WeightSettings
     frame_test: FrameTestSettings
+    energy_test: EnergyTestSettings = EnergyTestSettings()
     data: DataSettings
     design: DesignSettings | None = None
 
@@ -211,6 +229,9 @@ class Project(_Strict):
             raise ValueError("model: speed_min_mps must be below speed_max_mps")
         if not self.frames.f_min_hz < self.frames.f_max_hz < 0.5 / self.Ts_s:
             raise ValueError("frames: f_min_hz < f_max_hz < half the sampling rate must hold")
+        band = self.energy_test.band_hz
+        if band is not None and not band[0] < band[1] < 0.5 / self.Ts_s:
+            raise ValueError("energy_test.band_hz: low < high < half the sampling rate must hold")
         return self
 
     def of_role(self, role: str) -> list[Signal]:

@@ -2,38 +2,48 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from .can.logs import Frames, is_raw_table, read_log, stem
+from .can.play import frames_of_drive, values_of_drive
 from .core import REASONS, STATUSES, VERDICTS, Core, Run
-from .drives import Drive, read_drive, require_units
+from .drives import TABLE_SUFFIXES, Drive, read_drive, require_units
 from .errors import InputError
 from .frames import Estimator
 from .nominal import NominalModel
 from .project import Project
+from .receive import Receiver
 
 EXCITED_WINDOW_S = 10.0
 
 
 @dataclass(frozen=True)
 class Alarm:
-    """A falsifying frame with what a person needs to believe it."""
+    """What falsified the model, with what a person needs to believe it.
+
+    ``frame``: a frame of a bin. ``energy``: the energy test's ratio (``margin``) exceeded its threshold, after a memory without
+    that; bin_rad_s and W_delta are None, ``direction`` (n_y,) says which sum of outputs, in units of sigma, B_w holds sigma, E the
+    norms of F e_j and Z those of F W_delta yhat_j.
+    """
 
     t_s: float
     test: str
-    bin_rad_s: float
+    bin_rad_s: float | None
     speed_mps: float
     margin: float
     evidence: float
     statistic: float
     threshold: float
-    W_delta: float
+    W_delta: float | None
     B_w: list[float]
     E: list[complex]
     Z: list[complex]
+    direction: list[float] | None = None
 
 
 @dataclass(frozen=True)
@@ -46,8 +56,10 @@ class Replay:
     judged: np.ndarray          # (N,) bool: the sample lies in a counted frame
     in_range: np.ndarray        # (N,) bool
     excited: np.ndarray         # (N,) bool
-    alarms: list[Alarm]
+    over: np.ndarray            # (N,) bool: the energy test's ratio is above its threshold
+    alarms: list[Alarm]         # of both tests, in the order of time
     Ts: float
+    can: dict[str, Any] | None = None  # of a raw log: what became of its frames, gaps (receive.py)
 
     @property
     def judged_intervals(self) -> list[list[float]]:
@@ -85,6 +97,7 @@ class Replay:
             "judged": [[round(a, 6), round(b, 6)] for a, b in self.judged_intervals],
             "judged_s": round(self.judged_s, 6), "verdict_final": self.verdict_final,
             "first_invalid_s": self.first_invalid_s, "max_margin": self.max_margin,
+            "max_energy_ratio": float(self.run.energy.max()) if self.run.energy.any() else None,
             "alarms": [vars(a) for a in self.alarms],
             "in_range_excited_s": round(float(relevant.sum() * self.Ts), 6),
             "judged_in_range_excited_s": round(float((relevant & self.judged).sum() * self.Ts), 6),
@@ -92,6 +105,7 @@ class Replay:
             "verdict_s": {v: round(float((self.run.verdict == i).sum() * self.Ts), 6) for i, v in enumerate(VERDICTS)},
             "refused_samples": {s: int((self.run.status == i).sum()) for i, s in enumerate(STATUSES)
                                 if i and (self.run.status == i).any()},
+            **({} if self.can is None else {"can": self.can}),
         }
 
 
@@ -111,32 +125,30 @@ def excited_samples(u: np.ndarray, Ts: float, threshold: float) -> np.ndarray:
 class Replayer:
     """Runs drives of one vehicle through its compiled core, with the compiled-in or with given coefficients."""
 
-    def __init__(self, project: Project, core: Core, *, threshold: float | None = None):
+    def __init__(self, project: Project, core: Core, *, threshold: float | None = None, energy_threshold: float | None = None):
         self.project, self.core = project, core
         self.model = NominalModel(project)
         self.estimator = Estimator.of(project, self.model)
         if (core.n_u, core.n_y, core.n_bins) != (project.n_u, project.n_y, self.estimator.n_bins):
             raise InputError(core.folder, "sizes", f"{core.n_u} inputs, {core.n_y} outputs, {core.n_bins} bins",
                              f"those of vehicle {project.name}: {project.n_u}, {project.n_y}, {self.estimator.n_bins}")
-        words, reals = core.compiled
-        # Words: magic, schema, number size, 7 sizes, then the estimator (coeff.h).
-        if int(words[10]) != self.estimator.identifier():
-            raise InputError(core.folder, "estimator", f"bounds were made with estimator {int(words[10]):#010x}",
+        if core.estimator_id() != self.estimator.identifier():
+            raise InputError(core.folder, "estimator", f"bounds were made with estimator {core.estimator_id():#010x}",
                              f"{self.estimator.identifier():#010x}, the one the project file describes")
-        self._reals = None
-        if threshold is not None:
-            self._reals = reals.copy()
-            self._reals[-1] = threshold
-        K, n_y = core.n_bins, core.n_y
-        tail = self._reals if self._reals is not None else reals
-        self.threshold = float(tail[-1])
-        self.B_w = tail[-1 - K * n_y:-1].reshape(K, n_y)
-        self.W_delta = tail[-1 - K * n_y - K:-1 - K * n_y]
+        reals = core.compiled[1].copy()
+        fields = core.fields(reals)
+        for name, value in (("threshold", threshold), ("energy_threshold", energy_threshold)):
+            if value is not None:
+                fields[name][0] = value
+        self._reals = reals if threshold is not None or energy_threshold is not None else None
+        self.threshold, self.energy_threshold = (float(fields[name][0]) for name in ("threshold", "energy_threshold"))
+        self.W_delta, self.B_w = fields["W_delta"], fields["B_w"]
+        self.sigma, self.directions = 1.0 / fields["energy_scale"], fields["energy_direction"]
 
-    def replay(self, drive: Drive) -> Replay:
-        """Run one drive."""
+    def replay(self, drive: Drive, present: np.ndarray | None = None) -> Replay:
+        """Run one drive; where ``present`` (N,) is False there was no sample and the drive's values mean nothing."""
         monitor = self.core.monitor() if self._reals is None else self.core.monitor(reals=self._reals, seal=True)
-        run = monitor.run_drive(drive)
+        run = monitor.run_drive(drive, present)
         frames, Ts, t0 = run.frames, self.project.Ts_s, drive.t[0]
         judged = np.zeros(len(drive.t), bool)
         for k, end in zip(frames.bin[frames.counted], frames.t_end_s[frames.counted]):
@@ -148,23 +160,73 @@ class Replayer:
                         float(frames.statistic[i]), self.threshold, float(self.W_delta[frames.bin[i]]),
                         self.B_w[frames.bin[i]].tolist(), frames.E[i].tolist(), frames.Z[i].tolist())
                   for i in np.flatnonzero(frames.falsified)]
-        return Replay(drive.name, drive.duration_s, run, judged, (drive.v >= low) & (drive.v <= high),
-                      self.excited(drive), alarms, Ts)
+        found = run.energy_alarms
+        alarms += [Alarm(float(found.t_end_s[i] - t0), "energy", None, float(found.speed[i]), float(found.margin[i]),
+                         float(found.evidence[i]), float(found.statistic[i]), self.energy_threshold, None, self.sigma.tolist(),
+                         found.E[i].real.tolist(), found.Z[i].real.tolist(), self.directions[found.bin[i]].tolist())
+                   for i in range(len(found.bin))]
+        in_range = (drive.v >= low) & (drive.v <= high)
+        return Replay(drive.name, drive.duration_s, run, judged, in_range if present is None else in_range & present,
+                      self.excited(drive), run.energy > self.energy_threshold,
+                      sorted(alarms, key=lambda a: a.t_s), Ts)
 
     def excited(self, drive: Drive) -> np.ndarray:
         """(N,) True where the drive is excited (DESIGN 4.2)."""
         return excited_samples(drive.u, self.project.Ts_s, self.project.frame_test.excited_std)
 
-    def summarise_file(self, path: Path) -> dict[str, Any] | InputError:
-        """The object of `lpvguard replay --json` for one drive table, or why it could not be read."""
+    def summarise_file(self, path: Path, channel: str | None = None) -> dict[str, Any] | InputError:
+        """The object of `lpvguard replay --json` for one drive table or raw CAN log, or why it could not be read."""
         try:
-            return self.replay_file(path).to_dict()
+            return self.replay_file(path, channel).to_dict()
         except InputError as error:
             return error
 
-    def replay_file(self, path: Path) -> Replay:
-        """Read, check and run one drive table."""
+    def replay_file(self, path: Path, channel: str | None = None) -> Replay:
+        """Read, check and run one drive table or raw CAN log; of a log with several channels, ``channel``."""
+        log = read_raw_log(path)
+        if log is not None:
+            return self.replay_frames(log, path, channel)
         drive = read_drive(path, self.project)
         nominal_output = self.model.simulate(drive.v, drive.u, drive.y[0])
         require_units(path, drive, nominal_output, self.estimator.settled(drive.v))
         return self.replay(drive)
+
+    def replay_frames(self, log: Frames, path: Path, channel: str | None = None) -> Replay:
+        """Run the frames of a raw CAN log through the compiled receiver and the monitor, as the ECU on that bus would have."""
+        received = self._receiver.receive(log, path, channel=channel)
+        if not received.present.any():
+            raise InputError(path, "", "no sample at all: " + _why_not_live(received.report), "every message of the vehicle, live")
+        # Ticks without a sample keep the newest values (zero before the first), so that statistics of the input stay finite.
+        values = np.nan_to_num(received.values)
+        n_u = self.project.n_u
+        drive = Drive(stem(path), received.t, values[:, 0], values[:, 1:1 + n_u], values[:, 1 + n_u:])
+        return replace(self.replay(drive, received.present), can=received.report)
+
+    @cached_property
+    def _receiver(self) -> Receiver:
+        return Receiver(self.project)
+
+
+def read_raw_log(path: Path) -> Frames | None:
+    """Frames of a raw CAN log; None when ``path`` is a drive table. InputError when it is neither."""
+    if path.suffix.lower() in TABLE_SUFFIXES and not is_raw_table(path):
+        return None
+    log = read_log(path)
+    if not isinstance(log, Frames):
+        raise InputError(path, "", "holds decoded signals", "a raw CAN log, or a drive table made by `lpvguard ingest`")
+    return log
+
+
+def bus_frames(path: Path, project: Project) -> Frames:
+    """What `lpvguard replay --to` plays: the frames of a raw log as they are, or a drive table as the vehicle's messages."""
+    log = read_raw_log(path)
+    if log is not None:
+        return log
+    drive = read_drive(path, project)
+    return frames_of_drive(drive.t, values_of_drive(project, drive))
+
+
+def _why_not_live(report: dict[str, Any]) -> str:
+    """Per needed message the kinds of frames and how many."""
+    return "; ".join(f"{name}: " + (", ".join(f"{n} {kind}" for kind, n in kinds.items()) or "none")
+                     for name, kinds in report["messages"].items())

@@ -23,6 +23,7 @@ import tempfile
 import tomllib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -32,17 +33,22 @@ import pyarrow.csv as pa_csv
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from . import artefacts, native
+from .can.catalogue import load_catalogue
 from .control_export import ControllerCoefficients, build_controller, replaced_controller
 from .core import eigen_include, firmware_root, library_root
 from .drives import Drive
 from .errors import InputError
 from .nominal import NominalModel
 from .project import Project, Signal, parse_project
+from .receive import EVENTS
 
 Controller = Literal["designed", "feedforward", "off"]
 RECOVERY_S = 1.0
 """Time after a bus fault within which supervision must be live again: five frames of the slowest message, and a reserve."""
 
+SUPERVISION = ("off", "hold", "live")
+"""Names of lpvg_can_state_t."""
+LCM_LINK = ("-Wl,--no-as-needed", "-llcm")
 FLAGS = ("-std=c++17", "-O2", "-ffp-contract=off", "-fno-math-errno")
 Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
@@ -115,10 +121,10 @@ def feedforward(project: Project, u_max: np.ndarray, rate_max: np.ndarray) -> Co
     speeds = np.linspace(*model.speed_range, 15)
     A, B = model.matrices(speeds)
     gain = -(model.C @ np.linalg.solve(A, B))[:, 0, 0]
-    inputs = np.zeros((len(speeds), 1, 1 + model.n_y))
-    inputs[:, 0, 0] = 1.0 / gain
-    zero = np.zeros((len(speeds), 1, 1))
-    return build_controller(project.Ts_s, speeds, zero, inputs, zero + 1.0, zero, u_max, rate_max, where="feedforward")
+    numerators = np.zeros((len(speeds), 1, 1, 1 + model.n_y))
+    numerators[:, 0, 0, 0] = 1.0 / gain
+    return build_controller(project.Ts_s, speeds, np.array([-1.0]), numerators, np.zeros((len(speeds), 1, 1, 1)), u_max, rate_max,
+                            where="feedforward")
 
 
 def _replace_controller(folder: Path, controller: ControllerCoefficients, target: Path) -> None:
@@ -133,8 +139,9 @@ class Simulator:
     ``folder`` is a generated folder with a controller. Raises InputError when it has none or does not compile.
     """
 
-    def __init__(self, folder: Path, *, controller: Controller = "designed"):
-        self.folder, self.controller = Path(folder), controller
+    def __init__(self, folder: Path, *, controller: Controller = "designed", lcm: bool = False):
+        """``lcm``: the program can publish over LCM (needs liblcm-dev and lcm-gen)."""
+        self.folder, self.controller, self._lcm = Path(folder), controller, lcm
         manifest = artefacts.read_manifest(self.folder, "vehicle")
         if "controller" not in manifest:
             raise InputError(folder, "controller", "the vehicle has none", "a folder exported with a controller")
@@ -148,13 +155,28 @@ class Simulator:
         else:
             self.program = self._build(self.folder)
 
+    @cached_property
+    def ecu_program(self) -> Path:
+        """lpvguard_ecu: the firmware alone, as a process on a CAN interface."""
+        root, core = firmware_root(), library_root()
+        includes = [root / "ecu", root / "ports" / "linux", core / "include", core / "src", self.folder]
+        sources = [*sorted((core / "src").glob("*.cpp")), *sorted(self.folder.glob("*.c")), *sorted((root / "ecu").glob("*.c")),
+                   *sorted((root / "ports" / "linux").glob("*.cpp")), root / "ports" / "linux_ecu" / "main.cpp"]
+        try:
+            with ThreadPoolExecutor() as pool:
+                flags = (*FLAGS, "-isystem", eigen_include())
+                objects = list(pool.map(lambda s: native.compile_object(s, flags=flags, include_dirs=includes), sources))
+            return native.compile_executable(objects, flags=(), name=f"ecu_{self.folder.name}")
+        except native.NativeError as error:
+            raise InputError(self.folder, "compiling the ECU's program", str(error).strip(), "a C++17 compiler and Eigen 3.4") from None
+
     def _build(self, folder: Path) -> Path:
         root, core = firmware_root(), library_root()
         plant = [root / "plant" / "include", root / "plant" / "src", root / "plant" / "tool"]
         here = [root / "sim", root / "ecu", root / "ports" / "linux", core / "include", core / "src", folder]
         vehicle = [*sorted((core / "src").glob("*.cpp")), *sorted(folder.glob("*.c")), *sorted((root / "ecu").glob("*.c")),
                    *sorted((root / "ports" / "linux").glob("*.cpp")),
-                   *sorted((root / "sim").glob("*.cpp"))]
+                   *(s for s in sorted((root / "sim").glob("*.cpp")) if s.stem != "publisher_none" or not self._lcm)]
         truth = [*sorted((root / "plant" / "src").glob("*.cpp")), root / "plant" / "tool" / "arguments.cpp"]
         flags = (*FLAGS, "-isystem", eigen_include())
         try:
@@ -163,14 +185,18 @@ class Simulator:
                 jobs = [pool.submit(native.compile_object, s, flags=FLAGS, include_dirs=plant) for s in truth]
                 jobs += [pool.submit(native.compile_object, s, flags=flags, include_dirs=[*here, *plant]) for s in vehicle]
                 objects = [job.result() for job in jobs]
-            return native.compile_executable(objects, flags=(), name=f"sim_{folder.name}")
+            if self._lcm:
+                objects.append(_lcm_publisher(root, flags, [*here, *plant]))
+            return native.compile_executable(objects, flags=LCM_LINK if self._lcm else (), name=f"sim_{folder.name}")
         except native.NativeError as error:
             raise InputError(folder, "compiling the simulator", str(error).strip(),
                              "a C++17 compiler, Eigen 3.4 and libtomlplusplus-dev") from None
 
-    def run(self, scenario: Scenario, *, seed: int | None = None, bus: str = "memory", out: Path | None = None) -> dict[str, Any]:
-        """One run: the object of `lpvguard sim --json` (DESIGN 9). ``bus``: memory or socketcan:INTERFACE. ``out``: a folder
-        for NAME-SEED.log (candump -L), .frames.csv, .telemetry.csv and .drive.csv, which `lpvguard replay` reads. Same scenario, seed and vehicle: the same bytes but
+    def run(self, scenario: Scenario, *, seed: int | None = None, bus: str = "memory", out: Path | None = None,
+            ecu_process: bool = False, pace: float | None = None, lcm: str | None = None) -> dict[str, Any]:
+        """One run: the object of `lpvguard sim --json` (DESIGN 9). ``bus``: memory or socketcan:INTERFACE. ``ecu_process``: the
+        firmware is a process of its own (needs SocketCAN; what the monitor judged is then not known, only what it reported).
+        ``pace``: at most so many times real time. ``lcm``: publish there (of a simulator made with ``lcm``). ``out``: a folder for NAME-SEED.log (candump -L), .frames.csv, .telemetry.csv and .drive.csv, which `lpvguard replay` reads. Same scenario, seed and vehicle: the same bytes but
         for real_time_factor, which is simulated time over one core's processor time."""
         seed = scenario.seed if seed is None else seed
         with tempfile.TemporaryDirectory() as scratch:
@@ -178,48 +204,53 @@ class Simulator:
             frames = stem.with_name(stem.name + ".frames.csv")
             command = [self.program, scenario.path, "--parameters", firmware_root() / "plant" / "truck.toml", "--seed", seed, "--bus", bus,
                        "--frames", frames, "--engage", "no" if self.controller == "off" else "yes"]
+            if ecu_process:
+                command += ["--ecu", self.ecu_program]
+            if lcm is not None:
+                command += ["--lcm", lcm]
+            if pace is not None:
+                command += ["--pace", pace]
             if out is not None:
                 out.mkdir(parents=True, exist_ok=True)
                 command += ["--log", f"{stem}.log", "--telemetry", f"{stem}.telemetry.csv", "--drive", f"{stem}.drive.csv"]
             facts = _execute(command, scenario.path)
             rows = np.genfromtxt(frames, delimiter=",", names=True, ndmin=1)
-        return self._result(scenario, facts, rows)
+        return self._result(scenario, facts, rows, ecu_process)
 
-    def drive(self, path: Path, *, seed: int | None = None) -> tuple[dict[str, Any], Drive]:
-        """One run of the scenario file ``path``: what happened, as the simulator prints it, and the drive that its monitor saw.
-
-        Where the ECU withheld samples from its monitor the drive stands still: nothing is judged until the model has settled again.
-        """
+    def drive(self, path: Path, *, seed: int | None = None) -> tuple[dict[str, Any], Drive, np.ndarray]:
+        """One run of the scenario file ``path``: what happened, as the simulator prints it, the drive that its monitor saw, and
+        (N,) where it was given a sample; elsewhere the drive stands still, so that nothing is judged until the model has settled."""
         with tempfile.TemporaryDirectory() as scratch:
             table = Path(scratch) / f"{path.stem}.csv"
             command = [self.program, path, "--parameters", firmware_root() / "plant" / "truck.toml", "--drive", table,
                        "--engage", "no" if self.controller == "off" else "yes"]
             facts = _execute([*command, *(() if seed is None else ("--seed", seed))], path)
-            return facts, self._without_gaps(path.stem, pa_csv.read_csv(table))
+            return facts, *self._without_gaps(path.stem, pa_csv.read_csv(table))
 
-    def _without_gaps(self, name: str, table: pa.Table) -> Drive:
+    def _without_gaps(self, name: str, table: pa.Table) -> tuple[Drive, np.ndarray]:
         p = self.project
         t = table["t"].to_numpy()
         row = np.round((t - t[0]) / p.Ts_s).astype(int)
         newest = np.searchsorted(row, np.arange(row[-1] + 1), side="right") - 1
-        missing = row[newest] != np.arange(row[-1] + 1)
+        present = row[newest] == np.arange(row[-1] + 1)
 
         def stack(signals: list[Signal]) -> np.ndarray:
             return np.column_stack([table[s.column].to_numpy().astype(float) for s in signals])[newest]
 
         v = stack([p.speed])[:, 0]
-        return Drive(name, t[0] + np.arange(len(v)) * p.Ts_s, np.where(missing, 0.0, v), stack(p.inputs), stack(p.outputs))
+        return Drive(name, t[0] + np.arange(len(v)) * p.Ts_s, np.where(present, v, 0.0), stack(p.inputs), stack(p.outputs)), present
 
-    def _result(self, scenario: Scenario, facts: dict[str, Any], rows: np.ndarray) -> dict[str, Any]:
+    def _result(self, scenario: Scenario, facts: dict[str, Any], rows: np.ndarray, ecu_process: bool) -> dict[str, Any]:
         expect = scenario.expect
         first_invalid = next((t for t, verdict in facts["verdicts"] if verdict == "invalid"), None)
-        spans = judged_spans(rows)
         start = expect.fault_start_s or 0.0
+        # What a process of its own judged is not known: the whole time counts, which is never less.
+        spans = [[start, facts["duration_s"]]] if ecu_process else judged_spans(rows)
         judged = None if first_invalid is None else overlap(spans, start, first_invalid)
         result = {"scenario": scenario.name, "title": scenario.title, "controller": self.controller,
                   "expected": expect.model_dump(exclude_none=True), "first_invalid_s": first_invalid,
-                  "judged_to_invalid_s": judged, "judged_s": overlap(spans, start, facts["duration_s"]),
-                  "max_margin": float(rows["margin"].max(initial=0.0)), **facts}
+                  "judged_to_invalid_s": judged, "judged_s": None if ecu_process else overlap(spans, start, facts["duration_s"]),
+                  "max_margin": None if ecu_process else float(rows["margin"].max(initial=0.0)), **facts, "reception": _reception(facts["reception"])}
         return result | {"missed": list(missed(expect, result, self.project.Ts_s))}
 
 
@@ -228,6 +259,26 @@ def _execute(command: list, scenario: Path) -> dict[str, Any]:
     if done.returncode != 0:
         raise InputError(scenario, "", done.stderr.strip(), "a scenario and a bus that the simulator accepts")
     return json.loads(done.stdout)
+
+
+def _lcm_publisher(root: Path, flags: tuple[str, ...], includes: list[Path]) -> Path:
+    """Object of the LCM publisher, with its message types made by lcm-gen. NativeError when that is missing."""
+    if shutil.which("lcm-gen") is None:
+        raise native.NativeError("lcm-gen not found; install liblcm-dev and liblcm-bin")
+    with tempfile.TemporaryDirectory() as types:
+        subprocess.run(["lcm-gen", "--cpp", "--cpp-hpath", types, *sorted((root / "lcm").glob("*.lcm"))], check=True)
+        return native.compile_object(root / "lcm" / "publisher_lcm.cpp", flags=flags, include_dirs=[*includes, types])
+
+
+def _reception(raw: dict[str, Any]) -> dict[str, Any]:
+    """The supervision's counters by message and kind ("other": frames of no rule), and when each kind was first seen [s]."""
+    names = {m.id: m.name for m in load_catalogue().messages} | {0: "other"}
+    messages = {}
+    for identifier, state, counts, first_s in raw["rules"]:
+        seen = [(kind, n, t) for kind, n, t in zip(EVENTS, counts, first_s) if n]
+        messages[names[identifier]] = {**({"state": SUPERVISION[state]} if identifier else {"bus_off": bool(state)}),
+                                       "counts": {kind: n for kind, n, _ in seen}, "first_s": {kind: t for kind, _, t in seen}}
+    return {"send_failures": raw["send_failures"], "messages": messages}
 
 
 def judged_spans(rows: np.ndarray) -> list[list[float]]:

@@ -35,7 +35,7 @@ PACKAGES = "qemu-system-arm gcc-arm-none-eabi libnewlib-arm-none-eabi libstdc++-
 
 LANGUAGE = ("-O2", "-fno-math-errno", "-DNDEBUG")
 SAME_BITS = "-ffp-contract=off"
-WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror")
+WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror")
 CXX = ("-std=c++17", "-fno-exceptions", "-fno-rtti", "-fno-threadsafe-statics")
 SECTIONS = {".core_code": "code", ".core_coefficients": "coefficients", ".core_libraries": "libraries"}
 """Sections of the linker scripts that are the core's, and what the report calls them."""
@@ -166,7 +166,7 @@ def _build(target: Target, vehicle: Path, drive: Input, language: tuple[str, ...
     version = subprocess.run(["arm-none-eabi-gcc", "--version"], capture_output=True, text=True, check=True).stdout
     for text in (version, *flags, *CXX, header):
         key.update(text.encode() + b"\0")
-    for path in (*sources.values(), port / target.linker_script, ports / "port.h", *sorted(vehicle.glob("*.h")),
+    for path in (*sources.values(), port / target.linker_script, *sorted(ports.glob("*.h*")), *sorted(vehicle.glob("*.h")),
                  *sorted((core / "include").rglob("*.h")), *sorted((core / "src").glob("*.hpp"))):
         key.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     stem = native.cache_dir() / f"target_bench_{target.name}-{key.hexdigest()[:24]}"

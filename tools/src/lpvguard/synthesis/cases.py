@@ -4,13 +4,14 @@ paper's.
 
 from __future__ import annotations
 
-import time
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 
+import numpy as np
+
 from lpvguard import truck_model
-from lpvguard.synthesis.dk import DKResult, dk_synthesis
 from lpvguard.synthesis.errors import SynthesisError
 from lpvguard.synthesis.interconnection import (
     STRUCTURES,
@@ -19,30 +20,26 @@ from lpvguard.synthesis.interconnection import (
     generalised_plant,
     weight_from_table,
 )
+from lpvguard.synthesis.limits import floor_exceeds
+from lpvguard.synthesis.table import Cell, cell
+
+
+PAPER_DIGITS = 5e-4
+"""Half a unit of the paper's last digit."""
 
 
 @dataclass(frozen=True)
-class TableRow:
-    """One cell of Table II: ours (certified upper bound of μ, lower bound, order, seconds), a reference's and
-    the paper's.
+class TableRow(Cell):
+    """A cell beside a reference's and the paper's; None where not given."""
 
-    ``full_order``: the order before reduction. reference, reference_order, paper, paper_order: None where not
-    given.
-    """
-
-    structure: str
-    A_t: float
-    A_u: float
-    upper: float
-    lower: float
-    order: int
-    full_order: int
-    seconds: float
     reference: float | None
     reference_order: int | None
     paper: float | None
     paper_order: int | None
-    result: DKResult
+
+    def to_dict(self) -> dict:
+        names = ("reference", "reference_order", "paper", "paper_order")
+        return super().to_dict() | {name: getattr(self, name) for name in names}
 
 
 def read_case(path) -> dict:
@@ -73,40 +70,20 @@ def case_plant(
     return generalised_plant(A, B, weights, structure, dt, delay)
 
 
-def paper_case(path, dt: float = 0.0, **options) -> list[TableRow]:
+def paper_case(path, dt: float = 0.0, progress: Callable[[str], None] = lambda _: None, **options) -> list[TableRow]:
     """Table II for a case file: K_inf, K_i and K_is for each of its objectives, in that order.
 
     ``dt`` > 0 designs in discrete time. ``options`` go to dk_synthesis.
     """
     case, rows = read_case(path), []
     for objective in case["objective"]:
-        for k, structure in enumerate(STRUCTURES):
-            plant = case_plant(case, objective, structure, dt=dt)
-            start = time.perf_counter()
-            result = dk_synthesis(plant, **options)
-            seconds = time.perf_counter() - start
-            known = objective.get(
-                f"mu_{structure}", {"mu": objective.get("gamma_K_inf")} if structure == "K_inf" else {}
-            )
-            paper = objective.get("paper", {})
-            orders = paper.get("orders")
-            rows.append(
-                TableRow(
-                    structure,
-                    objective["A_t"],
-                    objective["A_u"],
-                    result.performance.upper,
-                    result.performance.lower,
-                    result.controller.order,
-                    result.full_order,
-                    seconds,
-                    known.get("mu"),
-                    known.get("order"),
-                    paper.get(structure),
-                    orders and orders[k],
-                    result,
-                )
-            )
+        A_t, A_u, paper = objective["A_t"], objective["A_u"], objective.get("paper", {})
+        for structure, paper_order in zip(STRUCTURES, paper.get("orders", [None] * len(STRUCTURES)), strict=True):
+            progress(f"{structure}, A_t {A_t:g}, A_u {A_u:g}")
+            known = {"mu": objective.get("gamma_K_inf")} if structure == "K_inf" else objective.get(f"mu_{structure}", {})
+            made = cell(case_plant(case, objective, structure, dt=dt), structure, A_t, A_u, **options)
+            rows.append(TableRow(**vars(made), reference=known.get("mu"), reference_order=known.get("order"),
+                                 paper=paper.get(structure), paper_order=paper_order))
     return rows
 
 
@@ -123,6 +100,56 @@ def format_table(rows: list[TableRow]) -> str:
             f"{_or_dash(r.paper):>8}{_or_dash(r.paper_order):>7}"
         )
     return "\n".join(lines)
+
+
+def differences(case: dict, rows: list[TableRow]) -> list[str]:
+    """One sentence a row: how it differs from the paper's, and why, by what the case's weights allow at all."""
+    return [_difference(case, row, rows) for row in rows]
+
+
+def _difference(case: dict, row: TableRow, rows: list[TableRow]) -> str:
+    if row.paper is None:
+        return "The paper has no such row."
+    limit = f"with this case's weights no controller goes below {row.floor.value:.5f} (at {row.floor.frequency:g} rad/s)"
+    apart = row.upper / row.paper - 1
+    order = (f"order {row.order} instead of {row.paper_order} since states are cut as long as the certified level stays "
+             f"(before: {row.full_order})" if row.paper_order else f"order {row.order}")
+    beyond = "" if row.reference is None or row.upper <= row.reference or row.floor.value <= row.reference else (
+        f"; the reference's {row.reference:g} is rounded, and below that limit")
+    if abs(row.upper - row.paper) <= PAPER_DIGITS:
+        why = ("|W_nr(0)| and |W_wr(0)| were calibrated to this row" if row.structure == "K_inf"
+               else "what the calibrated noise and disturbance allow at DC decides")
+        return f"The paper's value to its three digits, as {why}: {limit}{beyond}; {order}."
+    size = "above" if apart > 0 else "below"
+    text = f"{abs(apart):.1%} {size} the paper's {row.paper:g}: {limit}, and ours is within {row.upper / row.floor.value - 1:.1e} of that"
+    scale = _uncertainty_scale(case, row)
+    if scale is not None:
+        text += f"; the paper's value would be this limit with the uncertainty weights {scale:.2g} times as large, and its own are not published"
+    other = next((o for o in rows if o.structure == row.structure and o.A_t == row.A_t and o.A_u != row.A_u and o.paper), None)
+    if other and abs(other.paper - row.paper) > 10 * PAPER_DIGITS:
+        text += (f"; between A_u {row.A_u:g} and {other.A_u:g} the paper's level moves by {other.paper / row.paper - 1:+.1%} and ours by "
+                 f"{other.upper / row.upper - 1:+.2%}, so there the control effort limits and here the tracking at DC")
+    return f"{text}{beyond}; {order}."
+
+
+def _uncertainty_scale(case: dict, row: TableRow) -> float | None:
+    """The factor on W_delta_i and W_delta_s with which the row's limit would be the paper's value; None without uncertainty or
+    where no factor from 1e-3 to 1e3 does it."""
+    if row.structure == "K_inf":
+        return None
+
+    def exceeds(log_scale: float) -> bool:
+        scaled = {k: case[k] | {"gain": case[k]["gain"] * np.exp(log_scale)} for k in ("W_delta_i", "W_delta_s")}
+        plant = case_plant(case | scaled, {"A_t": row.A_t, "A_u": row.A_u}, row.structure)
+        return floor_exceeds(plant, row.floor.frequency, row.paper)
+
+    low, high = np.log(1e-3), np.log(1e3)
+    if exceeds(low) or not exceeds(high):
+        return None
+    while high - low > 1e-2:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if exceeds(middle) else (middle, high)
+    return float(np.exp(low))
 
 
 def _or_dash(value) -> str:

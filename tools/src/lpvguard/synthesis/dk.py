@@ -119,7 +119,7 @@ def dk_synthesis(
     degree: int = 1,
     iterations: int = 4,
     polish: int = 40,
-    reduction_loss: float = 1e-4,
+    reduction_loss: float = 3e-5,
 ) -> DKResult:
     """Controller for robust performance of ``plant`` (continuous or discrete; blocks full complex).
 

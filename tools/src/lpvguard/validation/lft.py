@@ -197,6 +197,11 @@ class _Box:
         c = self.centre
         return float(np.hypot(max(abs(c.real) - 0.5 * d.real, 0.0), max(abs(c.imag) - 0.5 * d.imag, 0.0)))
 
+    @property
+    def most(self) -> float:
+        """Largest modulus in the box."""
+        return max(abs(self.low), abs(self.high), abs(complex(self.low.real, self.high.imag)))
+
     def halves(self) -> tuple[_Box, _Box]:
         d = self.high - self.low
         cut = 0.5 * d.real if d.real >= d.imag else 0.5j * d.imag
@@ -238,6 +243,10 @@ class _Quadratic:
     def __init__(self, forms: Sequence[_Form], params: int, n: int):
         self.forms, self.params, self._n = list(forms), params, n
         self.repeated = [k for k, f in enumerate(self.forms) if f.repeated]
+        users = [f.param for f in self.forms]
+        # A size that one repeated block alone decides: its box bounds it, so it needs no direction of its own.
+        self._boxed = {self.forms[k].param for k in self.repeated if users.count(self.forms[k].param) == 1} - {-1}
+        self._first_boxes: dict[int, _Box] = {}
         self._plain = None if self.repeated else self._certificate_forms({})
 
     # -- certificates
@@ -261,7 +270,10 @@ class _Quadratic:
             def gram(left, right, basis=basis):
                 return _gram(left, basis, right) if basis is not None else (left.conj().T @ right)[None]
 
-            if np.isfinite(f.constant):
+            if k in boxes and f.param in self._boxed:
+                aa, bb = gram(f.a, f.a), gram(f.b, f.b)
+                add("psd", r, aa - boxes[k].most ** 2 * bb, 0.0 * bb, -1)
+            elif np.isfinite(f.constant):
                 aa, bb = gram(f.a, f.a), f.slope * gram(f.b, f.b)
                 add("psd", r, aa - f.constant * bb, bb if f.param >= 0 else 0.0 * bb, f.param)
             if f.repeated == "repeated_real":
@@ -274,16 +286,17 @@ class _Quadratic:
         return np.array(q0), np.array(level), np.array(param), lmi.cone(groups)
 
     def lower(self, node: _Node, cutoff: float):
-        """Certified lower bound over a node: (bound, length on the central ray, primal directions)."""
+        """Certified lower bound over a node: (bound, bound on the central ray, primal directions)."""
         q0, level, param, cone = self._plain or self._certificate_forms(node.boxes)
+        base = self._box_bound(node, self._boxed)
         weight = np.append(node.rays.mean(axis=0), 0.0)
-        length, y, inverse = lmi.ray_length(q0, level * weight[param][:, None, None], cone, cutoff)
+        length, y, inverse = lmi.ray_length(q0, level * weight[param][:, None, None], cone, max(cutoff - base, 0.0))
         edges = 0.0
         if y is not None:
-            rays = np.column_stack([node.rays, np.zeros(self.params)])
+            rays = np.column_stack([node.rays, np.zeros(len(node.rays))])
             slopes = np.tensordot(rays[:, param] * y, level, axes=1)
-            edges = float(np.min(lmi.reach(np.tensordot(y, q0, axes=1), slopes)))
-        return edges, length, inverse
+            edges = float(np.min(lmi.reach(np.tensordot(y, q0, axes=1), slopes, lmi.rounding(y, q0))))
+        return base + edges, base + length, inverse
 
     # -- feasible points
 
@@ -303,7 +316,13 @@ class _Quadratic:
         """Project z on the linear constraints a z = delta b z; None when they have no solution."""
         if not deltas:
             return z, None
-        rows = np.vstack([self.forms[k].a - d * self.forms[k].b for k, d in deltas.items()])
+        # Rows of a block in units of its own: sizes of blocks may be 1e10 apart.
+        rows = []
+        for k, d in deltas.items():
+            f = self.forms[k]
+            unit = np.linalg.norm(f.a) + abs(d) * np.linalg.norm(f.b)
+            rows.append((f.a - d * f.b) / (unit if unit > 0.0 else 1.0))
+        rows = np.vstack(rows)
         left, right = rows[:, :-1], -rows[:, -1]
         fix, *_ = np.linalg.lstsq(left, right - left @ z[:-1], rcond=RANK_TOLERANCE)
         z = np.append(z[:-1] + fix, 1.0)
@@ -329,7 +348,7 @@ class _Quadratic:
         for f in fixed:
             # A constant constraint is a ball, its b z the same for all theta: shrink towards its centre.
             limit = f.constant * f.slope * np.linalg.norm(f.b @ z) ** 2
-            if np.linalg.norm(f.a @ z) ** 2 <= limit:
+            if np.linalg.norm(f.a @ z) ** 2 <= limit * (1.0 + 1e-12):
                 continue
             basis = np.eye(len(z) - 1, dtype=complex) if null is None else null
             step, *_ = np.linalg.lstsq(f.a[:, :-1] @ basis, -(f.a @ z), rcond=RANK_TOLERANCE)
@@ -576,17 +595,24 @@ class _Quadratic:
 
     # -- branch and bound
 
-    def solve(self, gap: float = GAP, max_nodes: int = MAX_NODES, zero: float = 0.0) -> Interval:
+    def solve(
+        self,
+        gap: float = GAP,
+        max_nodes: int = MAX_NODES,
+        zero: float = 0.0,
+        points: Sequence[np.ndarray] = (),
+    ) -> Interval:
         """Both sides of the optimum by best-first branch and bound; the upper side is inf when no point was
         found.
 
-        A cost below ``zero`` times that of the first point found ends the search.
+        ``points``: (n,) each, known explanations to begin with. A cost below ``zero`` times that of the first
+        point found counts as zero and ends the search.
         """
         free = self._zero()
         if free is not None:
             return Interval(0.0, 0.0, free, 0)
         best, serial = _Best(), 0
-        first = self.start(best, [self._origin()])
+        first = self.start(best, [self._origin(), *points])
         rays = np.eye(self.params)
         open_nodes = [_Node(0.0, serial, rays, {})]
         closed = np.inf
@@ -597,7 +623,7 @@ class _Quadratic:
                 closed = min(closed, node.lower)
                 break
             edges, central, inverse = self.lower(node, best.cost * (1.0 - gap) * (1.0 + 1e-12))
-            lower = max(node.lower, edges, self._box_bound(node))
+            lower = max(node.lower, edges, self._box_bound(node, set(range(self.params))))
             readings = self._candidates(inverse)
             for z in readings if polished < MAX_POLISHED else readings[:1]:
                 before = best.cost
@@ -607,8 +633,9 @@ class _Quadratic:
                     self._offer(self.polish(z), best)
             if serial == 0 and not np.isfinite(best.cost):
                 first = self.start(best, self._repeated_starts())
-            if best.cost <= zero * first:
-                return Interval(0.0, best.cost, best.z, serial + 1)
+            first = best.cost if np.isinf(first) else first
+            if np.isfinite(first) and best.cost <= zero * first:
+                return Interval(0.0, 0.0, best.z, serial + 1)
             if lower >= best.cost * (1.0 - gap):
                 closed = min(closed, lower)
                 continue
@@ -622,18 +649,21 @@ class _Quadratic:
         remaining = min((n.lower for n in open_nodes), default=np.inf)
         return Interval(min(closed, remaining, best.cost), best.cost, best.z, serial + 1)
 
-    def _box_bound(self, node: _Node) -> float:
-        """sum of the sizes that the boxes of repeated blocks force."""
+    def _box_bound(self, node: _Node, params: set[int]) -> float:
+        """sum of the sizes among ``params`` that the boxes of repeated blocks force."""
         total = np.zeros(self.params)
         for k, box in node.boxes.items():
             f = self.forms[k]
-            if f.param >= 0:
+            if f.param in params:
                 total[f.param] = max(total[f.param], box.least**2 / f.slope - f.constant)
         return float(total.sum())
 
     def _branch(self, node: _Node, edges: float, central: float, best: _Best):
+        """Two nodes that cover this one: its widest pair of rays cut in the middle, or its widest box; None when
+        neither can be."""
         cone_loss, relaxation_loss = central - edges, best.cost - central
-        if self.params > 1 and (cone_loss >= 0.5 * relaxation_loss or not self.repeated):
+        to_box = self._boxed and not node.boxes and np.isfinite(best.cost)
+        if len(node.rays) > 1 and not to_box and (cone_loss >= 0.5 * relaxation_loss or not self.repeated):
             spread = np.linalg.norm(node.rays[:, None] - node.rays[None], axis=-1)
             i, j = np.unravel_index(np.argmax(spread), spread.shape)
             if spread[i, j] > 1e-6:
@@ -645,10 +675,16 @@ class _Quadratic:
                     children.append((rays, node.boxes))
                 return children
         if self.repeated and np.isfinite(best.cost):
-            boxes = {k: node.boxes.get(k) or self._first_box(k, best.cost) for k in self.repeated}
-            widest = max(boxes, key=lambda k: boxes[k].radius)
-            if boxes[widest].radius > 1e-9:
-                return [(node.rays, boxes | {widest: half}) for half in boxes[widest].halves()]
+            rays, boxes = node.rays, node.boxes
+            if not boxes:
+                boxes = {k: self._first_box(k, best.cost) for k in self.repeated}
+                self._first_boxes = self._first_boxes or boxes
+                free = [p for p in range(self.params) if p not in self._boxed]
+                rays = np.eye(self.params)[free] if free else np.zeros((1, self.params))
+            share = {k: boxes[k].radius / max(self._first_boxes[k].radius, 1e-300) for k in boxes}
+            widest = max(share, key=share.get)
+            if share[widest] > 1e-9:
+                return [(rays, boxes | {widest: half}) for half in boxes[widest].halves()]
         return None
 
     def _first_box(self, k: int, cost: float) -> _Box:
@@ -776,6 +812,16 @@ class _Posed:
         """(xi, eta, w) at a point in scaled coordinates."""
         z = z / (self.t @ z)[0]
         return self._xi @ z, self._eta @ z, self._w @ z
+
+    def points(self, known: Solution | None) -> list[np.ndarray]:
+        """The point in scaled coordinates of an explanation found before; none for None."""
+        if known is None:
+            return []
+        maps, signals = np.vstack([self._xi, self._w]), np.concatenate([known.xi, known.w])
+        size = np.maximum(np.linalg.norm(maps, axis=1), 1e-300)
+        rest = (signals * self.t[0, -1] - maps[:, -1]) / size
+        theta, *_ = np.linalg.lstsq(maps[:, :-1] / size[:, None], rest, rcond=RANK_TOLERANCE)
+        return [np.append(theta, 1.0)]
 
     def finish(self, interval: Interval, what: str) -> Solution:
         """Build and verify the explanation; refuse one that needs a perturbation at the well-posedness
@@ -952,10 +998,16 @@ def _one_block(problem: _Quadratic, caps: np.ndarray, posed: _Posed) -> Interval
 
 
 def smallest_last_block(
-    problem: Lft, gamma_w: float, *, gap: float = GAP, max_nodes: int = MAX_NODES
+    problem: Lft,
+    gamma_w: float,
+    *,
+    gap: float = GAP,
+    max_nodes: int = MAX_NODES,
+    known: Solution | None = None,
 ) -> tuple[float, float]:
     """(lower, upper) of the smallest size of the last block alone, the others free, at the same gamma_w.
 
+    ``known``: an explanation at the same gamma_w to begin with.
     Raises InputError as :func:`optimum` does, and when that size is at or above the block's own cap.
     """
     posed = _pose(problem, gamma_w)
@@ -966,10 +1018,7 @@ def smallest_last_block(
     caps = block_caps(problem)
     forms += [_block_form(posed, i, constant=caps[i] ** 2) for i in range(last) if problem.blocks[i].repeated]
     forms.append(_block_form(posed, last, param=0))
-    interval = _Quadratic(forms, 1, posed.n).solve(gap, max_nodes, ZERO)
-    if interval.upper < np.inf and interval.lower == 0.0:
-        # Another, repeated block explains the data alone; the local search ends near zero, not on it.
-        return 0.0, 0.0
+    interval = _Quadratic(forms, 1, posed.n).solve(gap, max_nodes, ZERO, posed.points(known))
     lower, upper = float(np.sqrt(interval.lower)), float(np.sqrt(interval.upper))
     cap = caps[last]
     if not upper < cap:
@@ -982,12 +1031,22 @@ def smallest_last_block(
     return lower, upper
 
 
-def smallest_common_size(problem: Lft, gamma_w: float, *, gap: float = GAP) -> Solution:
-    """Smallest t with all nu_i <= t at the same gamma_w; bounds are on t^2."""
+def smallest_common_size(
+    problem: Lft,
+    gamma_w: float,
+    *,
+    gap: float = GAP,
+    max_nodes: int = MAX_NODES,
+    known: Solution | None = None,
+) -> Solution:
+    """Smallest t with all nu_i <= t at the same gamma_w; bounds are on t^2.
+
+    ``known``: an explanation at the same gamma_w to begin with.
+    """
     posed = _pose(problem, gamma_w)
     forms = _ball(posed, gamma_w)
     forms += [_block_form(posed, i, param=0) for i in range(len(problem.blocks)) if i not in posed.dead]
-    interval = _Quadratic(forms, 1, posed.n).solve(gap=gap)
+    interval = _Quadratic(forms, 1, posed.n).solve(gap, max_nodes, points=posed.points(known))
     return posed.finish(interval, "gamma_w")
 
 
