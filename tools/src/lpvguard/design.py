@@ -221,8 +221,8 @@ def verify(path: Path, stored: StoredIdentification) -> None:
                              "the coefficients and weights that were certified")
 
 
-def save(result: Design, stored: StoredIdentification, target: Path) -> None:
-    """Write controller.json and its manifest, whole or not at all."""
+def save(result: Design, stored: StoredIdentification, target: Path, more: dict[str, str] | None = None) -> None:
+    """Write controller.json, its manifest and ``more`` files (name: text), whole or not at all."""
     settings, schedule = stored.project.design, result.schedule
     controller = {
         "kind": "controller", "schema": 1, "Ts_s": schedule.Ts, "speeds": schedule.speeds, "A": schedule.A, "B": schedule.B, "C": schedule.C, "L": schedule.L,
@@ -239,5 +239,5 @@ def save(result: Design, stored: StoredIdentification, target: Path) -> None:
                        for v, p in result.certificates]}}
     with artefacts.new_folder(target) as folder:
         artefacts.write_files(folder, {
-            "controller.json": artefacts.to_json(controller),
+            **(more or {}), "controller.json": artefacts.to_json(controller),
             artefacts.MANIFEST: artefacts.manifest("design", vehicle=stored.project.name, identification=stored.manifest)})

@@ -448,3 +448,59 @@ def closed_loop(rows: np.ndarray, frames: np.ndarray, threshold: float, fault_st
     for axes in (rate, margin):
         axes.legend(loc="upper left", ncols=3, fontsize="small")
     return figure
+
+
+# ---------------------------------------------------------------------------------------------------------- step 8
+
+STRUCTURE_LOOKS = {"K_inf": ("-.", GREEN, r"$K_\infty$"), "K_i": (":", RED, "$K_i$"), "K_is": ("--", BLUE, "$K_{is}$")}
+"""Line, colour and name of each structure; the lines are the paper's."""
+
+
+@picture
+def performance_weights(omega: np.ndarray, signals: list[tuple[str, np.ndarray, str]], objectives: list[tuple[str, np.ndarray]],
+                        command: tuple[np.ndarray, np.ndarray] | None) -> Figure:
+    """Fig. 5: |W| over omega (K,) [rad/s]. ``signals``: name, (K,), unit of what normalises signals; ``objectives``: of W_t and W_u;
+    ``command``: frequencies and bound of the measured yaw rate behind W_C, where there is one."""
+    figure = _figure(8.2, 3.4)
+    left, right = figure.subplots(1, 2, sharex=True)
+    for (name, values, unit), colour, line in zip(signals, (BLUE, GREEN, ORANGE, RED, PINK), ("-", "--", "-.", ":", "-"), strict=False):
+        left.plot(omega, values, line, color=colour, label=f"{name}, {unit}")
+    if command is not None:
+        left.plot(*command, "s", ms=4, color=BLUE, mfc="none", label="measured yaw rate")
+    lines = ("-", "--", ":", "-.")
+    for index, (name, values) in enumerate(objectives):
+        right.plot(omega, values, lines[index % 4], color=RED if "W_t" in name else BLUE if "W_u" in name else GREEN, label=name)
+    for axes in (left, right):
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_xlabel("frequency, rad/s")
+        axes.legend(fontsize=7)
+    left.set_ylabel("magnitude")
+    return figure
+
+
+@picture
+def worst_case_runs(run: dict) -> Figure:
+    """Fig. 6: pressure difference above, yaw rate below; ``run`` as in worst_run.WorstRuns.to_dict."""
+    figure = _figure(8.2, 5.2)
+    top, low = figure.subplots(2, 1, sharex=True)
+    low.plot(run["t_s"], run["wanted_radps"], "-", color=INK, lw=1.0, label="reference, $W_R r_c$")
+    for one in run["runs"]:
+        line, colour, name = STRUCTURE_LOOKS[one["structure"]]
+        label = name + (" without $\\Delta$" if one["structure"] == "K_inf" else " with its worst $\\Delta$")
+        top.plot(run["t_s"], one["u_bar"], line, color=colour, lw=1.0, label=label)
+        low.plot(run["t_s"], one["r_radps"], line, color=colour, lw=1.0, label=label)
+    top.set_ylabel(r"$\Delta p$, bar")
+    low.set_ylabel("yaw rate, rad/s")
+    low.set_xlabel("time, s")
+    for axes in (top, low):
+        _legend_above(axes, 4)
+    return figure
+
+
+def standalone(svg: str) -> str:
+    """An inline picture as an SVG file of its own, dark on white."""
+    for variable, colour in (("--ink", "#1b1e23"), ("--rule", "#c9ced6"), ("--paper", "#ffffff")):
+        svg = svg.replace(f"var({variable})", colour)
+    return svg.replace("<svg", '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
+                       ' style="background:#ffffff"', 1) + "\n"
