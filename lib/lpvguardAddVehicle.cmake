@@ -48,7 +48,7 @@ function(lpvguard_add_vehicle NAME DIR)
     C_STANDARD 99 C_EXTENSIONS OFF CXX_STANDARD 17 CXX_STANDARD_REQUIRED ON CXX_EXTENSIONS OFF
     COMPILE_WARNING_AS_ERROR ON)
   # -fno-math-errno: a square root is one instruction and no global state is written.
-  target_compile_options(${target} PRIVATE -Wall -Wextra -Wconversion -Wdouble-promotion -fno-math-errno
+  target_compile_options(${target} PRIVATE -Wall -Wextra -Wconversion -Wdouble-promotion -Wshadow -fno-math-errno
     $<$<COMPILE_LANGUAGE:CXX>:-fno-exceptions;-fno-rtti>)
   # Sizes are fixed, so that Eigen's assertions prove nothing, and would import abort and stdio into an unoptimised build.
   target_compile_definitions(${target} PRIVATE EIGEN_NO_DEBUG)

@@ -13,13 +13,13 @@ set(can_includes "${PROJECT_SOURCE_DIR}/lib/include" "${can_codec}")
 
 # With sanitizers in every build: these tests look for undefined behaviour, not for speed.
 set(can_sanitize "")
-if(NOT LPVG_SANITIZE AND NOT LPVG_COVERAGE)
+if(NOT LPVG_SANITIZE AND NOT LPVG_COVERAGE AND NOT CMAKE_CROSSCOMPILING)
   set(can_sanitize -fsanitize=address,undefined -fno-sanitize-recover=all)
 endif()
 add_library(can_under_test STATIC ${can_sources})
 set_target_properties(can_under_test PROPERTIES C_STANDARD 99 C_EXTENSIONS OFF CXX_STANDARD 17 CXX_EXTENSIONS OFF)
 target_include_directories(can_under_test PUBLIC ${can_includes})
-target_compile_options(can_under_test PRIVATE -Wall -Wextra -Wconversion -Wdouble-promotion -Werror
+target_compile_options(can_under_test PRIVATE -Wall -Wextra -Wconversion -Wdouble-promotion -Wshadow -Werror
   $<$<COMPILE_LANGUAGE:CXX>:-fno-exceptions;-fno-rtti> PUBLIC ${can_sanitize})
 target_link_options(can_under_test PUBLIC ${can_sanitize})
 

@@ -3,7 +3,6 @@
 
 #include <array>
 #include <cstddef>
-#include <memory>
 #include <string>
 
 #include "bus.h"
@@ -47,7 +46,7 @@ private:
     void* context_ = nullptr;
 };
 
-/// "memory", or "socketcan:INTERFACE". Throws lpvguard_plant::UsageError for anything else or what cannot be opened.
-std::unique_ptr<LoopBus> open_bus(const std::string& name);
+/// The word after "socketcan:". Throws lpvguard_plant::UsageError for any other name of a bus than that.
+std::string socketcan_interface(const std::string& bus);
 
 }  // namespace lpvguard_sim

@@ -1,8 +1,11 @@
 // main.cpp -- lpvguard_sim: one scenario of the closed loop over CAN frames; what happened goes to standard output as JSON.
 //
 //   lpvguard_sim SCENARIO --parameters TRUCK.toml [--seed N] [--bus memory|socketcan:INTERFACE] [--engage yes|no]
-//                [--log F] [--frames F] [--telemetry F] [--lcm URL]
+//                [--ecu PROGRAM] [--pace X] [--log F] [--frames F] [--telemetry F] [--lcm URL]
 //
+//   --ecu        the ECU's firmware is this program (lpvguard_ecu), a process of its own on the same CAN interface, in lock-step by
+//                simulated time; what it says is then read off the bus, and --frames stays empty
+//   --pace       at most X times real time (default: as fast as it goes)
 //   --log        every frame of the bus as candump -L writes it, with simulated time
 //   --frames     every frame that the monitor judged (CSV)
 //   --telemetry  the loop every 100 ms (CSV)
@@ -10,6 +13,7 @@
 //
 // The expectations of the scenario are judged by `lpvguard sim`, which builds and calls this program.
 #include <algorithm>
+#include <chrono>
 #include <cinttypes>
 #include <cmath>
 #include <cstdio>
@@ -18,11 +22,12 @@
 #include <memory>
 #include <stdexcept>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "arguments.hpp"
 #include "command.hpp"
-#include "firmware.h"
+#include "ecu_node.hpp"
 #include "lpvguard_plant/plant.hpp"
 #include "publisher.hpp"
 #include "loop_bus.hpp"
@@ -120,7 +125,7 @@ private:
 
 class Loop {
 public:
-    Loop(const lpvguard_sim::Scenario& scenario, const lpvguard_plant::PlantParameters& parameters, LoopBus& bus, bool engage,
+    Loop(const lpvguard_sim::Scenario& scenario, const lpvguard_plant::PlantParameters& parameters, LoopBus& bus, lpvguard_sim::EcuNode& ecu,
          std::FILE* log, std::FILE* frames, std::FILE* telemetry, lpvguard_sim::Publisher* publisher)
         : duration_s_(scenario.duration_s),
           plant_(lpvguard_plant::varied(parameters, scenario.plant.variation), scenario.plant.drive, scenario.seed,
@@ -128,16 +133,12 @@ public:
           vehicle_(bus.end(LoopBus::vehicle), parameters.steering_ratio, scenario.can_faults, scenario.seed),
           command_(scenario.command, scenario.seed),
           bus_(bus),
+          ecu_(ecu),
           watcher_(log),
           frames_(frames),
           telemetry_(telemetry),
           publisher_(publisher) {
         bus.watch(&FrameWatcher::watch, &watcher_);
-        lpvg_ecu_config_t config = firmware_config;
-        config.engage = engage;
-        if (firmware_init(&firmware_, bus.end(LoopBus::ecu), &config, 0) != lpvg_status_ok) {
-            throw UsageError("the core refused its coefficients");
-        }
         if (frames_ != nullptr) {
             std::fputs("t_end_s,t_begin_s,bin,reason,falsified,speed_mps,margin,statistic,evidence\n", frames_);
         }
@@ -147,23 +148,30 @@ public:
         }
     }
 
-    void run() {
+    void run(double pace) {
         const std::clock_t started = std::clock();
+        const auto begin = std::chrono::steady_clock::now();
         ticks_ = std::llround(duration_s_ * 1e6 / static_cast<double>(tick_us));
         for (std::int64_t k = 0; k < ticks_; ++k) {
+            if (pace > 0.0) {
+                std::this_thread::sleep_until(begin + std::chrono::duration_cast<std::chrono::steady_clock::duration>(
+                                                          std::chrono::duration<double>(static_cast<double>(k * tick_us) * 1e-6 / pace)));
+            }
             tick(k);
         }
         // Processor time: what one core needs, whatever else the machine does.
         real_time_factor_ = duration_s_ * CLOCKS_PER_SEC / static_cast<double>(std::max<std::clock_t>(std::clock() - started, 1));
     }
 
-    void print(std::uint64_t seed) const {
+    void print(std::uint64_t seed) {
         const auto n = static_cast<double>(ticks_);
         std::printf("{\"seed\": %" PRIu64 ", \"duration_s\": %.9g, \"threshold\": %.9g, \"verdict_final\": \"%s\",\n", seed,
-                    duration_s_, static_cast<double>(lpvg_coeff.reals.threshold), verdict_names[firmware_.ecu.report.verdict]);
-        std::printf(" \"tracking_rms\": %.9g, \"command_rms\": %.9g, \"demand_max_bar\": %.9g, \"limited_s\": %.9g,\n",
-                    std::sqrt(error_squares_ / n), std::sqrt(wanted_squares_ / n), demand_max_bar_,
-                    static_cast<double>(firmware_.ecu.control.limited) * tick_us * 1e-6);
+                    duration_s_, static_cast<double>(lpvg_coeff.reals.threshold), verdict_names[verdicts_.list().back().value]);
+        std::printf(" \"tracking_rms\": %.9g, \"command_rms\": %.9g, \"demand_max_bar\": %.9g,\n",
+                    std::sqrt(error_squares_ / n), std::sqrt(wanted_squares_ / n), demand_max_bar_);
+        if (ecu_.inside() != nullptr) {
+            std::printf(" \"limited_s\": %.9g,\n", static_cast<double>(ecu_.inside()->control.limited) * tick_us * 1e-6);
+        }
         std::printf(" \"frames\": %" PRIu64 ", \"frames_hash\": \"%016" PRIx64 "\", \"real_time_factor\": %.4g,\n",
                     watcher_.count(), watcher_.hash(), real_time_factor_);
         print_changes("verdicts", verdicts_, [](std::uint8_t v) { std::printf("\"%s\"", verdict_names[v]); });
@@ -172,6 +180,7 @@ public:
         print_changes("trouble_codes", troubles_, [](const lpvguard_sim::TroubleCode& t) {
             std::printf("{\"spn\": %" PRIu32 ", \"fmi\": %d}", t.spn, t.fmi);
         });
+        std::printf(" \"reception\": %s,\n", ecu_.finish().c_str());
         std::printf(" \"schema\": 1}\n");
     }
 
@@ -187,9 +196,7 @@ private:
         wanted_squares_ += wanted_radps * wanted_radps;
 
         vehicle_.send(now_us, plant_.sensors(), command_radps);
-        if (firmware_tick(&firmware_, now_us) != lpvg_status_ok) {
-            throw std::logic_error("the firmware refused a tick");
-        }
+        ecu_.tick(now_us);
         vehicle_.receive(now_us);
         if (!bus_.failure().empty()) {
             throw std::runtime_error(bus_.failure());
@@ -201,12 +208,30 @@ private:
     }
 
     void note(std::int64_t k, double time_s, double command_radps, double wanted_radps) {
-        const lpvg_ecu_t& ecu = firmware_.ecu;
-        verdicts_.take(time_s, ecu.report.verdict);
-        supervision_.take(time_s, ecu.report.supervision);
-        implausible_.take(time_s, ecu.plausibility.flags);
+        const lpvg_ecu_t* const ecu = ecu_.inside();
+        const lpvg_bus_report_t& report = ecu != nullptr ? ecu->report : vehicle_.report();
+        verdicts_.take(time_s, report.verdict);
+        supervision_.take(time_s, report.supervision);
         troubles_.take(time_s, vehicle_.trouble());
         demand_max_bar_ = std::fmax(demand_max_bar_, std::fabs(vehicle_.demand_bar()));
+        if (ecu != nullptr) {
+            implausible_.take(time_s, ecu->plausibility.flags);
+            note_frame(*ecu);
+        }
+        if (publisher_ != nullptr) {
+            publisher_->publish(k * tick_us, plant_.truth(),
+                                {command_radps, wanted_radps, vehicle_.demand_bar(), static_cast<double>(report.margin),
+                                 report.verdict, report.supervision});
+        }
+        if (telemetry_ != nullptr && k % telemetry_every == 0) {
+            const lpvguard_plant::Truth& truth = plant_.truth();
+            std::fprintf(telemetry_, "%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%d,%d\n", time_s, truth.speed_mps, command_radps,
+                         wanted_radps, truth.yaw_rate_radps, truth.road_wheel_rad, vehicle_.demand_bar(),
+                         static_cast<double>(report.margin), report.verdict, report.supervision);
+        }
+    }
+
+    void note_frame(const lpvg_ecu_t& ecu) {
         const lpvg_frame_t& frame = *lpvg_monitor_frame(&ecu.monitor);
         if (frames_ != nullptr && frame.sequence != last_frame_) {
             const double end_s = static_cast<double>(frame.t_end_us) * 1e-6;
@@ -217,17 +242,6 @@ private:
                          static_cast<double>(frame.evidence));
         }
         last_frame_ = frame.sequence;
-        if (publisher_ != nullptr) {
-            publisher_->publish(k * tick_us, plant_.truth(),
-                                {command_radps, wanted_radps, vehicle_.demand_bar(), static_cast<double>(ecu.report.margin),
-                                 ecu.report.verdict, ecu.report.supervision});
-        }
-        if (telemetry_ != nullptr && k % telemetry_every == 0) {
-            const lpvguard_plant::Truth& truth = plant_.truth();
-            std::fprintf(telemetry_, "%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%d,%d\n", time_s, truth.speed_mps, command_radps,
-                         wanted_radps, truth.yaw_rate_radps, truth.road_wheel_rad, vehicle_.demand_bar(),
-                         static_cast<double>(ecu.report.margin), ecu.report.verdict, ecu.report.supervision);
-        }
     }
 
     template <class Value, class Print>
@@ -248,8 +262,8 @@ private:
     lpvguard_sim::VehicleNode vehicle_;
     lpvguard_sim::Command command_;
     lpvguard_sim::ReferenceModel wanted_;
-    firmware_t firmware_{};
     const LoopBus& bus_;
+    lpvguard_sim::EcuNode& ecu_;
     FrameWatcher watcher_;
     std::FILE* frames_;
     std::FILE* telemetry_;
@@ -263,7 +277,7 @@ private:
 
 int run(int argc, char** argv) {
     if (argc < 2 || std::strncmp(argv[1], "--", 2) == 0) {
-        throw UsageError("usage: lpvguard_sim SCENARIO --parameters TRUCK.toml [--seed N] [--engage yes|no] [--log F] "
+        throw UsageError("usage: lpvguard_sim SCENARIO --parameters TRUCK.toml [--seed N] [--engage yes|no] [--ecu PROGRAM] [--pace X] [--log F] "
                          "[--frames F] [--telemetry F] [--lcm URL] [--bus memory|socketcan:INTERFACE]");
     }
     lpvguard_plant::Arguments arguments(argc - 2, argv + 2);
@@ -274,7 +288,9 @@ int run(int argc, char** argv) {
     if (engage != "yes" && engage != "no") {
         throw UsageError("--engage '" + engage + "': expected yes or no");
     }
-    const std::unique_ptr<LoopBus> bus = lpvguard_sim::open_bus(arguments.text("--bus", "memory"));
+    const lpvguard_sim::Nodes nodes =
+        lpvguard_sim::open_nodes(arguments.text("--bus", "memory"), arguments.text("--ecu", ""), engage == "yes");
+    const double pace = arguments.number("--pace", 0.0, 1e-3, 1e3);
     const OutputFile log(arguments.text("--log", "")), frames(arguments.text("--frames", "")),
         telemetry(arguments.text("--telemetry", ""));
     std::unique_ptr<lpvguard_sim::Publisher> publisher;
@@ -282,9 +298,9 @@ int run(int argc, char** argv) {
         publisher = lpvguard_sim::open_publisher(arguments.text("--lcm"));
     }
     arguments.done();
-    const auto loop = std::make_unique<Loop>(scenario, parameters, *bus, engage == "yes", log.get(), frames.get(), telemetry.get(),
+    const auto loop = std::make_unique<Loop>(scenario, parameters, *nodes.bus, *nodes.ecu, log.get(), frames.get(), telemetry.get(),
                                              publisher.get());
-    loop->run();
+    loop->run(pace);
     loop->print(scenario.seed);
     return 0;
 }

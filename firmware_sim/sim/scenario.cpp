@@ -98,11 +98,15 @@ CanFault read_can_fault(const toml::table& table, const std::string& file) {
         names[i] = messages[i].name;
     }
     fault.id = messages[reader.choice("message", names)].id;
-    constexpr std::string_view kinds[] = {"lost", "corrupted", "delayed"};
+    constexpr std::string_view kinds[] = {"lost", "corrupted", "delayed", "repeated", "swapped", "stuck_counter", "wrong_length",
+                                          "unknown_id", "babbling", "bus_off"};
     fault.kind = static_cast<CanFault::Kind>(reader.choice("kind", kinds));
     fault.window.start_s = reader.required("start_s", 0.0, 1e9);
     fault.window.end_s = reader.optional("end_s", fault.window.end_s, fault.window.start_s, 1e9);
     fault.probability = reader.optional("probability", 1.0, 0.0, 1.0);
+    if (fault.kind == CanFault::Kind::stuck_counter && fault.id != LPVG_CAN_GUARD_IN_ID) {
+        throw ParameterError(file + ": can_fault.message: only GUARD_IN has a counter that can be stuck");
+    }
     if (fault.kind == CanFault::Kind::delayed) {
         fault.delay_s = reader.required("delay_s", 0.0, 1.0);
     } else if (table.contains("delay_s")) {

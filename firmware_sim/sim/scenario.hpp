@@ -14,7 +14,11 @@
 ///     period_s = 10.0                  # steps: of a whole cycle
 ///     [[can_fault]]                    # any number, on messages to the controller
 ///     message = "VDC2"
-///     kind = "lost"                    # lost, corrupted (one bit flipped) or delayed
+///     kind = "lost"                    # lost; corrupted (one bit flipped); delayed; repeated (the frame before in place of the
+///                                      # new one); swapped (in pairs: both at the later one's time, in the wrong order);
+///                                      # stuck_counter (GUARD_IN); wrong_length (7 bytes); unknown_id (10 foreign frames
+///                                      # beside it); babbling (10 frames of its identifier with random data beside it);
+///                                      # bus_off (at start_s the controller reports it; nothing passes until end_s)
 ///     start_s = 30.0
 ///     end_s = 60.0                     # optional: until the end
 ///     probability = 1.0                # optional, of each frame
@@ -44,7 +48,9 @@ struct CommandSettings {
 };
 
 struct CanFault {
-    enum class Kind { lost, corrupted, delayed };
+    enum class Kind {
+        lost, corrupted, delayed, repeated, swapped, stuck_counter, wrong_length, unknown_id, babbling, bus_off
+    };
     std::uint32_t id = 0;  ///< Of the message, as sent.
     Kind kind = Kind::lost;
     lpvguard_plant::Window window;

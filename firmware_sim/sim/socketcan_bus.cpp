@@ -4,7 +4,6 @@
 #include <cstring>
 
 #include "arguments.hpp"
-#include "memory_bus.hpp"
 
 namespace lpvguard_sim {
 namespace {
@@ -39,6 +38,9 @@ SocketCanBus::~SocketCanBus() {
 bool SocketCanBus::send(void* driver, const lpvg_can_frame_t* frame) {
     Port& from = *static_cast<Port*>(driver);
     from.bus->pass(*frame);
+    if (from.socket.bus_off) {
+        return false;  // as from a real controller; the vehicle's node ends it
+    }
     if (!bus_send(&from.raw, frame)) {
         from.bus->failure_ = std::string("the CAN interface took no frame: ") + std::strerror(errno);
         return false;
@@ -60,15 +62,12 @@ bool SocketCanBus::receive(void* driver, std::int64_t now_us, lpvg_can_frame_t* 
     return true;
 }
 
-std::unique_ptr<LoopBus> open_bus(const std::string& name) {
+std::string socketcan_interface(const std::string& bus) {
     const std::string socketcan = "socketcan:";
-    if (name == "memory") {
-        return std::make_unique<MemoryBus>();
+    if (bus.compare(0, socketcan.size(), socketcan) != 0) {
+        throw lpvguard_plant::UsageError("--bus '" + bus + "': expected memory or socketcan:INTERFACE");
     }
-    if (name.compare(0, socketcan.size(), socketcan) == 0) {
-        return std::make_unique<SocketCanBus>(name.substr(socketcan.size()));
-    }
-    throw lpvguard_plant::UsageError("--bus '" + name + "': expected memory or socketcan:INTERFACE");
+    return bus.substr(socketcan.size());
 }
 
 }  // namespace lpvguard_sim

@@ -1,6 +1,7 @@
 #include "vehicle_node.hpp"
 
 #include <cmath>
+#include <cstring>
 #include <stdexcept>
 
 namespace lpvguard_sim {
@@ -19,15 +20,26 @@ void require(lpvg_status_t status) {
     }
 }
 
+template <class Raw>
+float decoded(lpvg_can_quality_t (*decode)(Raw, float*), Raw raw) {
+    float value = 0.0F;
+    static_cast<void>(decode(raw, &value));
+    return value;
+}
+
 }  // namespace
 
 VehicleNode::VehicleNode(const bus_t* bus, double steering_ratio, const std::vector<CanFault>& faults, std::uint64_t seed)
-    : bus_(bus), steering_ratio_(steering_ratio), faults_(faults), random_(seed, bus_fault_stream) {
+    : bus_(bus), steering_ratio_(steering_ratio), random_(seed, bus_fault_stream) {
+    for (const CanFault& fault : faults) {
+        faults_.push_back({fault});
+    }
     require(lpvg_can_init(&supervisor_, &lpvg_can_rules[LPVG_CAN_GUARD_OUT_INDEX], 1, 0));
 }
 
 void VehicleNode::send(std::int64_t now_us, const lpvguard_plant::Sensors& sensors, double command_radps) {
     using lpvguard_plant::Wheel;
+    bus_off_ = off_the_bus(now_us);
     release_due(now_us);
     lpvg_can_frame_t frame{};
     frame.t_us = now_us;
@@ -92,24 +104,101 @@ void VehicleNode::send(std::int64_t now_us, const lpvguard_plant::Sensors& senso
 void VehicleNode::put(const lpvg_can_frame_t& sent) {
     lpvg_can_frame_t frame = sent;
     const double time_s = static_cast<double>(frame.t_us) * 1e-6;
-    for (const CanFault& fault : faults_) {
-        if (fault.id != frame.id || !fault.window.contains(time_s) || random_.uniform() >= fault.probability) {
+    bool goes_out = true;
+    for (Fault& fault : faults_) {
+        if (fault.id != frame.id || fault.kind == CanFault::Kind::bus_off) {
             continue;
         }
-        switch (fault.kind) {
-            case CanFault::Kind::lost:
-                return;
-            case CanFault::Kind::corrupted: {
-                const auto bit = static_cast<unsigned>(random_.uniform(0.0, 64.0));
-                frame.data[bit / 8U] = static_cast<std::uint8_t>(frame.data[bit / 8U] ^ (1U << (bit % 8U)));
-                break;
+        if (goes_out && fault.window.contains(time_s) && random_.uniform() < fault.probability) {
+            goes_out = spoil(fault, frame);
+        }
+        fault.before = sent;
+    }
+    if (goes_out && !bus_off_) {
+        bus_send(bus_, &frame);
+    }
+}
+
+// What the fault makes of the frame; false when it does not go out (now).
+bool VehicleNode::spoil(Fault& fault, lpvg_can_frame_t& frame) {
+    const bool first = !fault.holds;
+    switch (fault.kind) {
+        case CanFault::Kind::lost:
+            return false;
+        case CanFault::Kind::corrupted: {
+            const auto bit = static_cast<unsigned>(random_.uniform(0.0, 64.0));
+            frame.data[bit / 8U] = static_cast<std::uint8_t>(frame.data[bit / 8U] ^ (1U << (bit % 8U)));
+            return true;
+        }
+        case CanFault::Kind::delayed:
+            delayed_.push_back({frame.t_us + std::llround(fault.delay_s * 1e6), frame});
+            return false;
+        case CanFault::Kind::swapped:
+            fault.holds = first;
+            if (first) {
+                fault.held = frame;
+                return false;
             }
-            case CanFault::Kind::delayed:
-                delayed_.push_back({frame.t_us + std::llround(fault.delay_s * 1e6), frame});
-                return;
+            bus_send(bus_, &frame);
+            std::memcpy(frame.data, fault.held.data, sizeof frame.data);
+            return true;
+        case CanFault::Kind::repeated:
+        case CanFault::Kind::stuck_counter:
+            if (first) {
+                fault.holds = true;
+                fault.held = fault.before;
+            }
+            if (fault.kind == CanFault::Kind::repeated) {
+                std::memcpy(frame.data, fault.held.data, sizeof frame.data);
+            } else {
+                auto counter = static_cast<std::uint8_t>(fault.held.data[1] & 0x0FU);
+                require(lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &counter));
+            }
+            return true;
+        case CanFault::Kind::wrong_length:
+            frame.dlc = 7;
+            return true;
+        case CanFault::Kind::unknown_id:
+            send_beside(frame, LPVG_CAN_EXTENDED | 0x18FFEE00U);
+            return true;
+        case CanFault::Kind::babbling:
+            send_beside(frame, frame.id);
+            return true;
+        case CanFault::Kind::bus_off:  // concerns no single frame: off_the_bus
+            break;
+    }
+    return true;
+}
+
+// Ten frames with random data; with the good ones, half of what 250 kbit/s carry in 10 ms.
+void VehicleNode::send_beside(const lpvg_can_frame_t& frame, std::uint32_t id) {
+    lpvg_can_frame_t beside = frame;
+    beside.id = id;
+    for (int n = 0; n < 10; ++n) {
+        for (std::uint8_t& byte : beside.data) {
+            byte = static_cast<std::uint8_t>(random_.uniform(0.0, 256.0));
+        }
+        bus_send(bus_, &beside);
+    }
+}
+
+// The controller's own report is its last word; then nothing passes.
+bool VehicleNode::off_the_bus(std::int64_t now_us) {
+    bool off = false;
+    for (Fault& fault : faults_) {
+        if (fault.kind == CanFault::Kind::bus_off && fault.window.contains(static_cast<double>(now_us) * 1e-6)) {
+            off = true;
+            if (!fault.holds) {
+                fault.holds = true;
+                lpvg_can_frame_t report{};
+                report.id = LPVG_CAN_ERROR | LPVG_CAN_BUS_OFF;
+                report.dlc = 8;
+                report.t_us = now_us;
+                bus_send(bus_, &report);
+            }
         }
     }
-    bus_send(bus_, &frame);
+    return off;
 }
 
 void VehicleNode::release_due(std::int64_t now_us) {
@@ -117,7 +206,9 @@ void VehicleNode::release_due(std::int64_t now_us) {
     for (Delayed& waiting : delayed_) {
         if (waiting.due_us <= now_us) {
             waiting.frame.t_us = now_us;
-            bus_send(bus_, &waiting.frame);
+            if (!bus_off_) {
+                bus_send(bus_, &waiting.frame);
+            }
         } else {
             delayed_[kept++] = waiting;
         }
@@ -128,13 +219,17 @@ void VehicleNode::release_due(std::int64_t now_us) {
 void VehicleNode::receive(std::int64_t now_us) {
     lpvg_can_frame_t frame;
     while (bus_receive(bus_, now_us, &frame)) {
+        if (bus_off_) {
+            continue;
+        }
         std::uint8_t index = LPVG_CAN_NO_INDEX;
         if (lpvg_can_receive(&supervisor_, &frame, &index) == lpvg_can_event_accepted) {
             lpvg_can_guard_out_t out{};
-            float demand_bar = 0.0F;
             require(lpvg_can_guard_out_unpack(&out, &frame));
-            static_cast<void>(lpvg_can_guard_out_dp_demand_decode(out.dp_demand, &demand_bar));
+            const float demand_bar = decoded(lpvg_can_guard_out_dp_demand_decode, out.dp_demand);
             demand_bar_ = static_cast<double>(demand_bar);
+            report_ = {demand_bar, decoded(lpvg_can_guard_out_monitor_margin_decode, out.monitor_margin), out.monitor_verdict,
+                       out.supervision_state};
         } else if ((frame.id & 0x00FFFF00U) == 0x00FECA00U) {  // DM1: one frame, one code (lpvg_can_dm1_pack)
             trouble_.spn = frame.data[2] + 256U * frame.data[3] + 65536U * (frame.data[4] >> 5U);
             trouble_.fmi = frame.data[4] & 0x1FU;

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "bus.h"
+#include "lpvguard/bus.h"
 #include "lpvg_can_codec.h"
 #include "lpvguard_plant/plant.hpp"
 #include "lpvguard_plant/random.hpp"
@@ -31,6 +32,7 @@ public:
     void receive(std::int64_t now_us);
 
     double demand_bar() const { return demand_bar_; }
+    const lpvg_bus_report_t& report() const { return report_; }  ///< Newest that was accepted.
     const TroubleCode& trouble() const { return trouble_; }
 
 private:
@@ -39,17 +41,28 @@ private:
         lpvg_can_frame_t frame;
     };
 
+    struct Fault : CanFault {
+        lpvg_can_frame_t before{};  ///< Newest frame of the message, as it would have been sent.
+        lpvg_can_frame_t held{};    ///< repeated, stuck_counter: `before` at the window's start; swapped: not sent yet.
+        bool holds = false;
+    };
+
     void put(const lpvg_can_frame_t& frame);
+    bool spoil(Fault& fault, lpvg_can_frame_t& frame);
+    bool off_the_bus(std::int64_t now_us);
+    void send_beside(const lpvg_can_frame_t& frame, std::uint32_t id);
     void release_due(std::int64_t now_us);
 
     const bus_t* bus_;
     double steering_ratio_;
-    std::vector<CanFault> faults_;
+    std::vector<Fault> faults_;
     lpvguard_plant::Random random_;
     std::vector<Delayed> delayed_;  ///< In order of sending.
     lpvg_can_supervisor_t supervisor_{};
     std::uint8_t counter_ = 0;
     double demand_bar_ = 0.0;
+    bool bus_off_ = false;
+    lpvg_bus_report_t report_{};
     TroubleCode trouble_;
 };
 

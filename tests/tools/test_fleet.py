@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import re
 import shutil
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -274,7 +276,7 @@ def test_plain_dft_finds_a_known_gain_and_disturbance(g80):
     assert np.delete(np.abs(E[1:, 0]), 6).max() < 1e-4
 
 
-def test_identify_with_the_plain_dft_leaves_out_unsteady_drives_and_export_refuses(tmp_path):
+def test_identify_with_the_plain_dft_leaves_out_unsteady_drives_and_the_core_refuses(lpvguard, tmp_path):
     project = plain()
     fleet.write_fleet(tmp_path / "drives", 6)
     moving = tmp_path / "drives" / "drive_00003.parquet"
@@ -292,9 +294,14 @@ def test_identify_with_the_plain_dft_leaves_out_unsteady_drives_and_export_refus
     stage.save(result, drive_set, tmp_path / "found")
     stored = stage.load(tmp_path / "found")
     assert stored.bounds["window_error_median"].max() < 1e-8
-    with pytest.raises(InputError, match="plain DFT"):
+    with pytest.raises(InputError, match="plain DFT, which the core does not compute"):
         export_vehicle(stored, tmp_path / "vehicle")
     assert not (tmp_path / "vehicle").exists()
+    settings = tmp_path / "plain.toml"
+    text = resources.files("lpvguard").joinpath("vehicles", "g80.toml").read_text()
+    settings.write_text(re.sub(r'estimator = "hann"', 'estimator = "dft"\nlength_s = 10.0', text))
+    done = lpvguard("replay", "--vehicle", settings, tmp_path / "drives" / "drive_00001.parquet")
+    assert done.returncode == 2 and "frames.estimator: the plain DFT, which the core does not compute" in done.stderr
     hann = Estimator.of(load_project("g80"), NominalModel(load_project("g80")))
     assert result.estimator.identifier() != hann.identifier()
 

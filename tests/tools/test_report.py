@@ -92,6 +92,34 @@ def page(case, tmp_path_factory) -> str:
     return case.page(tmp_path_factory.mktemp("page") / "report.html").decode()
 
 
+def test_the_window_error_is_shown_per_bin(case, page):
+    text = page[page.index("<h3>Window error</h3>"):]
+    shown = re.findall(r"<td>([^<]*)</td>", text[:text.index("</table>")])
+    for key, row in (("window_error_median", shown[1:]), ("window_error_percentile", shown[len(shown) // 2 + 1:])):
+        np.testing.assert_allclose([float(x) for x in row[:case.replayer.estimator.n_bins]], case.stored.bounds[key], rtol=0.06)
+
+
+def test_bounds_of_the_plain_dft_have_a_page_without_a_core(lpvguard, tmp_path):
+    document = vehicle(1).model_dump(by_alias=True)
+    document["frames"] |= {"estimator": "dft", "length_s": 8.0}
+    document["name"] = "plain"
+    project = parse_project(document, "test")
+    write_drives(project, tmp_path / "drives")
+    result, drives = stage.identify(project, tmp_path / "drives")
+    stage.save(result, drives, tmp_path / "identified")
+    made = [lpvguard("report", tmp_path / "identified", tmp_path / "drives", "--vehicle", "g80", "-o", tmp_path / name)
+            for name in ("a.html", "b.html")]
+    assert all(m.returncode == 0 for m in made), made[0].stderr
+    text = (tmp_path / "a.html").read_text()
+    assert text == (tmp_path / "b.html").read_text()
+    assert re.findall("<h2>(.*?)</h2>", text) == [*TITLES[:-1], "Margin drive by drive"]
+    assert "one rectangular frame of 8 s a drive" in text and "the core computes Hann frames only" in text
+    assert "Hann window" not in text and "<h3>Window error</h3>" in text
+    rows = dict(re.findall(r"<tr><td>(\w+)</td><td>robot</td>.*?<td>([^<]*)</td><td>[^<]*</td></tr>", text))
+    assert set(rows) == {name for name, *_ in DRIVES} and rows[LEFT_OUT] == "–"
+    assert all(0 < float(rows[name]) <= 1 for name in result.bound_drives)
+
+
 def test_has_every_section_in_order(page):
     assert re.findall("<h2>(.*?)</h2>", page) == TITLES
     assert page.count("<svg") == page.count("</svg>") >= len(DRIVES) + 5

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from lpvguard.bench import synthesis as bench
+from lpvguard.bench._peers import ask
 from lpvguard.synthesis.cases import case_plant, read_case
 
 CASE = Path(__file__).parents[1] / "data" / "paper_case.toml"
@@ -35,8 +36,8 @@ def test_the_table_measures_three_syntheses_at_the_papers_order():
         ),
     ],
 )
-def test_a_peer_is_judged_by_the_loop_it_closes(monkeypatch, tmp_path, script, note):
+def test_a_peer_is_judged_by_the_loop_it_closes(script, note):
     case = read_case(CASE)
     plant = case_plant(case, case["objective"][0], "K_inf")
-    monkeypatch.setattr(bench, "_PEER_SCRIPT", script)
-    assert bench._peer(Path(sys.executable), plant, tmp_path)["note"] == note
+    answer = ask(sys.executable, script, bench._question(plant), 60.0)
+    assert bench._judged(answer, plant)["note"] == note

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import statistics
+import sys
 import time
 from itertools import pairwise
 
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from lpvguard.bench import weights as bench
+from lpvguard.bench._peers import ask
 from lpvguard.errors import InputError
 from lpvguard.weights import Weight, fit_overbound, subtract_noise, verify_overbound
 
@@ -376,3 +378,24 @@ def test_the_32_bounds_of_the_bench_are_covered_tightly_and_in_time():
         assert np.min(fit.weight.magnitude(grid) / b) >= 1.0, name
         assert fit.certificate["ok"] and fit.worst_ratio_db - fit.lp_optimum_db <= 0.01, name
     assert len(seconds) >= 30 and statistics.median(seconds) < 0.3
+
+
+def test_the_exact_weights_of_the_bench_come_back_within_a_hundredth_of_a_db():
+    rows = list(bench.exact_weights())
+    assert len(rows) == 4 and all(r["order"] == 3 and r["distance_db"] <= 0.01 for r in rows)
+
+
+def test_a_peer_that_falls_below_the_bound_or_fails_is_counted_so():
+    told = {"uniform": {"seconds": 1.0, "least": 0.942, "largest": 2.0}, "default": {"note": "failed: solver"}}
+    rows = [{"peer": bench._judged(told)}, {"peer": bench._judged({"note": "no answer in 1 s"})}]
+    assert rows[0]["peer"]["uniform"]["worst_db"] == pytest.approx(6.0206, abs=1e-3)
+    summary = bench._peer_summary(rows)
+    assert summary["peer_uniform_failed"] == 1 and summary["peer_default_failed"] == 2
+    assert summary["peer_uniform_below_the_bound"] == 1 and summary["peer_uniform_least_ratio"] == 0.942
+
+
+@pytest.mark.parametrize(("script", "limit_s", "note"), [
+    ("raise SystemExit('no wheel')", 60, "failed: no wheel"), ("pass", 60, "failed: no message"),
+    ("import time; time.sleep(60)", 0.2, "no answer in 0.2 s")])
+def test_what_keeps_a_peer_from_answering_is_told(script, limit_s, note):
+    assert ask(sys.executable, script, {}, limit_s) == {"note": note}

@@ -34,8 +34,46 @@ bool set_filters(int socket, const socketcan_filter_t* filters, size_t n) {
                                   static_cast<socklen_t>(n * sizeof kernel[0])) == 0;
 }
 
+bool open_socket(socketcan_t& self) {
+    sockaddr_can address{};
+    address.can_family  = AF_CAN;
+    address.can_ifindex = static_cast<int>(::if_nametoindex(self.interface));
+    const can_err_mask_t errors = CAN_ERR_MASK;
+    const int            on     = 1;
+    if (address.can_ifindex != 0) {
+        self.socket = ::socket(PF_CAN, SOCK_RAW | SOCK_NONBLOCK | SOCK_CLOEXEC, CAN_RAW);
+    }
+    if (self.socket < 0 || !set_filters(self.socket, self.filters, self.n_filters) ||
+        !set(self.socket, SOL_CAN_RAW, CAN_RAW_ERR_FILTER, errors) ||
+        !set(self.socket, SOL_CAN_RAW, CAN_RAW_FD_FRAMES, on) || !set(self.socket, SOL_SOCKET, SO_TIMESTAMPNS, on) ||
+        ::bind(self.socket, reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0) {
+        self.error = errno;
+        socketcan_close(&self);
+        return false;
+    }
+    return true;
+}
+
+// Ends the bus-off when its time is over; true while it lasts.
+bool still_off(socketcan_t& self, int64_t now_us) {
+    if (self.bus_off && now_us - self.bus_off_us >= SOCKETCAN_RESTART_US) {
+        socketcan_close(&self);
+        if (open_socket(self)) {
+            self.bus_off = false;
+            ++self.restarts;
+        } else {
+            self.bus_off_us = now_us;  // the interface is not there: try again
+        }
+    }
+    return self.bus_off;
+}
+
 bool send(void* driver, const lpvg_can_frame_t* frame) {
     auto& self = *static_cast<socketcan_t*>(driver);
+    if (self.bus_off) {
+        self.error = ENETDOWN;
+        return false;
+    }
     if (frame->dlc > sizeof frame->data) {
         self.error = EINVAL;
         return false;
@@ -66,8 +104,7 @@ int64_t waited_us(msghdr& message) {
     return 0;
 }
 
-bool receive(void* driver, int64_t now_us, lpvg_can_frame_t* frame) {
-    auto&       self    = *static_cast<socketcan_t*>(driver);
+bool receive_one(socketcan_t& self, int64_t now_us, lpvg_can_frame_t* frame) {
     canfd_frame in{};
     iovec       payload = {&in, sizeof in};
     alignas(cmsghdr) char control[CMSG_SPACE(sizeof(timespec))];
@@ -87,35 +124,39 @@ bool receive(void* driver, int64_t now_us, lpvg_can_frame_t* frame) {
     return true;
 }
 
+bool receive(void* driver, int64_t now_us, lpvg_can_frame_t* frame) {
+    auto&      self = *static_cast<socketcan_t*>(driver);
+    const bool off  = still_off(self, now_us);
+    while (receive_one(self, now_us, frame)) {
+        if ((frame->id & CAN_ERR_FLAG) != 0U && (frame->id & CAN_ERR_RESTARTED) != 0U) {
+            self.bus_off = false;
+        } else if ((frame->id & CAN_ERR_FLAG) != 0U && (frame->id & CAN_ERR_BUSOFF) != 0U) {
+            self.bus_off    = true;
+            self.bus_off_us = now_us;
+        } else if (off && self.bus_off) {
+            continue;  // a controller that is off hears nothing; others on a vcan are not told
+        }
+        return true;
+    }
+    return false;
+}
+
 }  // namespace
 
 bool socketcan_open(socketcan_t* self, const char* interface, const socketcan_filter_t* filters, size_t n_filters,
                     socketcan_time_t time, bus_t* bus) {
+    *self        = socketcan_t{};
     self->time   = time;
-    self->error  = 0;
     self->socket = -1;
     *bus         = {self, send, receive};
-    if (n_filters > SOCKETCAN_FILTERS_MAX) {
+    if (n_filters > SOCKETCAN_FILTERS_MAX || std::strlen(interface) >= SOCKETCAN_NAME_MAX) {
         self->error = EINVAL;
         return false;
     }
-    sockaddr_can address{};
-    address.can_family  = AF_CAN;
-    address.can_ifindex = static_cast<int>(::if_nametoindex(interface));
-    const can_err_mask_t errors = CAN_ERR_MASK;
-    const int            on     = 1;
-    if (address.can_ifindex != 0) {
-        self->socket = ::socket(PF_CAN, SOCK_RAW | SOCK_NONBLOCK | SOCK_CLOEXEC, CAN_RAW);
-    }
-    if (self->socket < 0 || !set_filters(self->socket, filters, n_filters) ||
-        !set(self->socket, SOL_CAN_RAW, CAN_RAW_ERR_FILTER, errors) ||
-        !set(self->socket, SOL_CAN_RAW, CAN_RAW_FD_FRAMES, on) || !set(self->socket, SOL_SOCKET, SO_TIMESTAMPNS, on) ||
-        ::bind(self->socket, reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0) {
-        self->error = errno;
-        socketcan_close(self);
-        return false;
-    }
-    return true;
+    self->n_filters = n_filters;
+    std::copy_n(filters, n_filters, self->filters);
+    std::strcpy(self->interface, interface);
+    return open_socket(*self);
 }
 
 bool socketcan_wait(const socketcan_t* self, int timeout_ms) {

@@ -2,7 +2,9 @@
  *
  * Filters run in the kernel, so foreign frames cost the firmware nothing; error reports always pass, with LPVG_CAN_ERROR
  * set. A CAN FD frame comes with its true length and its first 8 bytes, so that the supervision rejects it by its length.
- * After bus-off a real interface comes back by its restart-ms setting; opening again drops what is still queued. */
+ * Bus-off: the error report is handed on; from then on nothing is sent or received, and SOCKETCAN_RESTART_US later the driver
+ * opens its socket anew, which drops what is still queued. The controller itself is restarted by the kernel (ip link set DEV
+ * type can restart-ms 100); its report of that ends the wait at once. vcan has no controller: an injected report does the same. */
 #ifndef LPVGUARD_SOCKETCAN_H
 #define LPVGUARD_SOCKETCAN_H
 
@@ -20,7 +22,7 @@ typedef struct socketcan_filter_t {
     uint32_t mask;
 } socketcan_filter_t;
 
-enum { SOCKETCAN_FILTERS_MAX = 32 };
+enum { SOCKETCAN_FILTERS_MAX = 32, SOCKETCAN_NAME_MAX = 16, SOCKETCAN_RESTART_US = 100000 };
 
 /* What t_us of a received frame says. */
 typedef enum socketcan_time_t {
@@ -32,6 +34,12 @@ typedef struct socketcan_t {
     int socket;            /* below 0: not open */
     int error;             /* errno of the newest failure; 0: none */
     socketcan_time_t time;
+    bool bus_off;
+    int64_t bus_off_us;    /* when it began, by now_us of the call that saw it */
+    uint32_t restarts;
+    size_t n_filters;
+    socketcan_filter_t filters[SOCKETCAN_FILTERS_MAX];
+    char interface[SOCKETCAN_NAME_MAX];
 } socketcan_t;
 
 /* Opens `interface`, such as "vcan0", and fills *bus, which refers to *self from then on. With n_filters 0 every frame passes.

@@ -15,7 +15,7 @@ LPVG_EXTERN_C_BEGIN
 #define LPVG_COEFF_MAGIC 0x4C505647U
 #define LPVG_COEFF_SCHEMA 1U
 /// Entries of Ad (n x n), B_old (n x n_u) and B_new (n x n_u), row after row, one matrix after the other.
-#define LPVG_NENTRIES (LPVG_NX * (LPVG_NX + 2 * LPVG_NU))
+#define LPVG_NENTRIES (LPVG_NX * (LPVG_NX + (2 * LPVG_NU)))
 
 #define lpvg_coeff_words_t LPVG_SYM(coeff_words_t)
 #define lpvg_coeff_reals_t LPVG_SYM(coeff_reals_t)

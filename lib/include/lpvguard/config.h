@@ -23,6 +23,7 @@ typedef float lpvg_real_t;
 #define LPVG_NUMBER(as_float, as_double) as_float
 #endif
 
+// cppcheck-suppress misra-c2012-20.10 ; the prefix of every public name is made by pasting, so that vehicles share an image
 #define LPVG_PASTE3(a, b, c) a##_##b##_##c
 #define LPVG_PREFIXED(vehicle, name) LPVG_PASTE3(lpvg, vehicle, name)
 #define LPVG_SYM(name) LPVG_PREFIXED(LPVG_VEHICLE, name)

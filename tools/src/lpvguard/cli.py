@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -247,17 +248,30 @@ def export(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(help
     console.print(f"{stored.project.name}: written to {out}")
 
 
-@app.command(epilog="Example: lpvguard replay --vehicle g80 RUN.csv --json -")
-def replay(vehicle: Vehicle, logs: Annotated[list[Path], typer.Argument(help="Drive tables (CSV or Parquet).")],
-           coefficients: Coefficients = None, json_out: JsonOut = None, jobs: Jobs = 1, scheduler: Scheduler = None) -> None:
-    """Run recorded drives through the compiled C core. Exit 1 when any drive alarmed, 2 when any was unreadable."""
+@app.command(epilog="Examples: lpvguard replay --vehicle g80 RUN.csv --json -; lpvguard replay --vehicle truck RUN.log --to socketcan:vcan0")
+def replay(vehicle: Vehicle,
+           logs: Annotated[list[Path], typer.Argument(help="Drive tables (CSV or Parquet), or raw CAN logs of the vehicle's bus.")],
+           coefficients: Coefficients = None, json_out: JsonOut = None, jobs: Jobs = 1, scheduler: Scheduler = None,
+           channel: Annotated[str | None, typer.Option(help="Interface of a raw log with several.")] = None,
+           to: Annotated[str | None, typer.Option("--to", metavar="socketcan:INTERFACE", help="Play onto this bus and judge nothing.")] = None,
+           speed: Annotated[float | None, typer.Option(help="With --to: times the recorded pace; inf does not wait (default 1).")] = None,
+           ) -> None:
+    """Run recorded drives through the compiled C core. Exit 1 when any drive alarmed, 2 when any was unreadable.
+
+    Raw logs go through the CAN receiver of the core; "can" in the JSON says what became of the frames, and where samples lack.
+    """
+    if to is not None:
+        _play(_load_project(vehicle), logs, to, 1.0 if speed is None else speed, channel)
+        return
+    if speed is not None:
+        raise InputError("replay", "--speed", "given without --to", "a bus to play onto")
     from .parallel import workers
 
     replayer = _replayer(vehicle, coefficients)
     done: list[dict[str, Any]] = []
     failed = 0
     with _progress("replay") as tell, workers(jobs, scheduler) as run:
-        for log, result in zip(logs, run(replayer.summarise_file, [log.absolute() for log in logs])):
+        for log, result in zip(logs, run(partial(replayer.summarise_file, channel=channel), [log.absolute() for log in logs])):
             tell(log.name)
             if isinstance(result, InputError):
                 failed += 1
@@ -285,6 +299,8 @@ def replay(vehicle: Vehicle, logs: Annotated[list[Path], typer.Argument(help="Dr
                           f"{', '.join(f'{b:.3g}' for b in a['B_w'])}; a dead vehicle would read {a['evidence']:.2f}")
         if len(r["alarms"]) > 3:
             console.print(f"{r['run']}: {len(r['alarms']) - 3} more alarms (--json lists all)")
+        if "can" in r:
+            _print_reception(r["run"], r["can"])
     raise typer.Exit(2 if failed else 1 if any(r["alarms"] for r in done) else 0)
 
 
@@ -293,6 +309,8 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
         vehicle: Annotated[str, typer.Option("--vehicle", help="Shipped vehicle with a controller.")] = "truck",
         coefficients: Coefficients = None,
         bus: Annotated[str, typer.Option(help="What carries the CAN frames: memory, or socketcan:INTERFACE.")] = "memory",
+        ecu_process: Annotated[bool, typer.Option("--ecu-process", help="Run the firmware as a process of its own (with --bus socketcan).")] = False,
+        pace: Annotated[float | None, typer.Option(min=1e-3, max=1e3, help="At most so many times real time (default: as fast as it goes).")] = None,
         controller: Annotated[Literal["designed", "feedforward", "off"], typer.Option(
             help="feedforward: the command over the model's DC gain; off: never engaged.")] = "designed",
         seed: Annotated[int | None, typer.Option(min=0, help="First seed (default: the scenario's).")] = None,
@@ -312,7 +330,7 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
             first = scenario.seed if seed is None else seed
             for number in range(first, first + seeds):
                 tell(f"{scenario.name}, seed {number}")
-                runs.append(simulator.run(scenario, seed=number, bus=bus, out=out))
+                runs.append(simulator.run(scenario, seed=number, bus=bus, out=out, ecu_process=ecu_process, pace=pace))
     _emit(json_out, runs)
     if out is not None:
         # How fast this machine was belongs to nobody's results.
@@ -323,7 +341,8 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
     for r in runs:
         invalid = ("–", "–") if r["first_invalid_s"] is None else (f"{r['first_invalid_s']:.2f}", f"{r['judged_to_invalid_s']:.2f}")
         ratio = f"{r['tracking_rms'] / r['command_rms']:.1%}" if r["command_rms"] else "–"
-        table.add_row(r["scenario"], str(r["seed"]), r["verdict_final"], *invalid, f"{r['max_margin']:.3f}", ratio,
+        table.add_row(r["scenario"], str(r["seed"]), r["verdict_final"], *invalid,
+                      "–" if r["max_margin"] is None else f"{r['max_margin']:.3f}", ratio,
                       f"{r['real_time_factor']:.0f}", "; ".join(r["missed"]) or "nothing")
     console.print(table)
     console.print(f"{bus} bus, controller {controller}, coefficients {simulator.folder}")
@@ -366,7 +385,7 @@ def report(identification: Annotated[Path, typer.Argument(help="Folder written b
     from .report import write_report
 
     stored, drive_set = _stored_with_drives(identification, drives)
-    replayer = _replayer(vehicle, coefficients)
+    replayer = _replayer(vehicle, coefficients) if stored.project.frames.estimator == "hann" else None
     with _progress("report") as tell:
         write_report(stored, drive_set, replayer, out, artefacts.read_json(evaluation) if evaluation else None, tell,
                      loops)
@@ -394,15 +413,50 @@ def bench(context: typer.Context,
     run(name, context.args)
 
 
+def _print_reception(run: str, can: dict[str, Any]) -> None:
+    for message, kinds in can["messages"].items():
+        rejected = ", ".join(f"{n} {kind}" for kind, n in kinds.items() if kind not in ("accepted", "recovering"))
+        if rejected:
+            console.print(f"{run}: {message}: {kinds.get('accepted', 0)} frames used; {rejected}")
+    for gap in can["gaps"][:3]:
+        console.print(f"{run}: no sample from {gap['from_s']:.2f} to {gap['to_s']:.2f} s: {', '.join(gap['messages'])} not live")
+    if len(can["gaps"]) > 3:
+        console.print(f"{run}: {len(can['gaps']) - 3} more gaps (--json lists all)")
+
+
+def _play(project, logs: list[Path], to: str, speed: float, channel: str | None) -> None:
+    import can
+
+    from .can.play import play
+    from .replay import bus_frames
+
+    kind, _, interface = to.partition(":")
+    if kind != "socketcan" or not interface:
+        raise InputError("replay", "--to", to, "socketcan:INTERFACE")
+    if not speed > 0:
+        raise InputError("replay", "--speed", f"{speed:g}", "a number above 0, or inf")
+    loaded = [(log, bus_frames(log, project).of_channel(channel, log)) for log in logs]
+    try:
+        with can.Bus(interface, interface="socketcan", fd=True) as bus, _progress("replay") as tell:
+            for log, frames in loaded:
+                tell(f"{log.name} onto {interface}")
+                late = play(frames, bus, speed=speed)
+                console.print(f"{log.name}: {len(frames)} frames onto {interface}, the latest {late * 1e3:.1f} ms behind its time")
+    except (OSError, can.CanError) as error:
+        raise InputError("replay", f"--to {to}", str(error), "a SocketCAN interface that is up (tools/with-vcan lends one)") from None
+
+
 def _norm(values: list[complex]) -> float:
     return sum(abs(x) ** 2 for x in values) ** 0.5
 
 
 def _replayer(vehicle: str, coefficients: Path | None):
     from .core import Core, shipped_vehicle
+    from .frames import require_core
     from .replay import Replayer
 
     project = _load_project(vehicle)
+    require_core(project)
     return Replayer(project, Core(coefficients or shipped_vehicle(project.name)))
 
 

@@ -187,17 +187,19 @@ class Monitor:
     def __del__(self) -> None:
         self._core._lib.lpvgb_destroy(self._handle)
 
-    def run(self, t: np.ndarray, v: np.ndarray, u: np.ndarray, y: np.ndarray) -> Run:
-        """Push samples: t (N,) [s], v (N,), u (N, n_u), y (N, n_y)."""
+    def run(self, t: np.ndarray, v: np.ndarray, u: np.ndarray, y: np.ndarray, present: np.ndarray | None = None) -> Run:
+        """Push samples: t (N,) [s], v (N,), u (N, n_u), y (N, n_y); where ``present`` (N,) is False time passes without one."""
         n = len(t)
         columns = self._core._columns
         arrays = [np.ascontiguousarray(a, dtype) for a, dtype in
                   ((np.round(np.asarray(t) * 1e6), np.int64), (v, float), (u, float), (y, float))]
         rows = np.empty((n, columns))
         verdict, status = np.empty(n, np.uint8), np.empty(n, np.uint8)
-        count = self._core._lib.lpvgb_run(self._handle, ctypes.c_int64(n), *map(_pointer, arrays), _pointer(rows),
+        pushed = None if present is None else np.ascontiguousarray(present, np.uint8)
+        count = self._core._lib.lpvgb_run(self._handle, ctypes.c_int64(n), *map(_pointer, arrays),
+                                          None if pushed is None else _pointer(pushed), _pointer(rows),
                                           ctypes.c_int64(n), _pointer(verdict), _pointer(status))
         return Run(FrameLog.from_rows(rows[:count].copy(), self._core.n_y), verdict, status)
 
-    def run_drive(self, drive: Drive) -> Run:
-        return self.run(drive.t, drive.v, drive.u, drive.y)
+    def run_drive(self, drive: Drive, present: np.ndarray | None = None) -> Run:
+        return self.run(drive.t, drive.v, drive.u, drive.y, present)

@@ -21,8 +21,7 @@ import numpy as np
 
 from . import __version__, artefacts
 from .control_export import CONTROL_SIZES, ControllerCoefficients, control_files
-from .errors import InputError
-from .frames import Estimator
+from .frames import Estimator, require_core
 from .nominal import NominalModel
 from .project import Project
 from .sealed import Sealed, coefficient_source
@@ -48,9 +47,7 @@ def build_coefficients(project: Project, model: NominalModel, estimator: Estimat
 
     Raises InputError for bounds of the plain DFT: the core computes Hann frames only.
     """
-    if estimator.window != "hann":
-        raise InputError(f"vehicle {project.name}", "frames.estimator", f"bounds were made with the plain DFT (estimator "
-                         f"{estimator.identifier():#010x}), which the core does not compute", "bounds made with estimator \"hann\"")
+    require_core(project)
     table = model.table
     K = estimator.n_bins
     phase = 2 * np.pi * estimator.cycles / estimator.length

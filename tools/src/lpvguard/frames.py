@@ -33,6 +33,13 @@ CORE_BLOCK = 4
 """LPVG_NBLOCK of lib/include/lpvguard/monitor.h: samples that a bin of the core takes up at once."""
 
 
+def require_core(project: Project) -> None:
+    """InputError for a project of the plain DFT: the core computes Hann frames only."""
+    if project.frames.estimator != "hann":
+        raise InputError(f"vehicle {project.name}", "frames.estimator", "the plain DFT, which the core does not compute: its bounds "
+                         "are for identify and report only", 'estimator = "hann" and bounds made with it')
+
+
 @dataclass(frozen=True)
 class Estimator:
     """The frame grid of a vehicle; everything a bound must have been made with to be comparable.

@@ -57,7 +57,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from . import __version__
 from .can.decode import decode_signal, find_frames, is_j1939, load_database, own_database
-from .can.logs import Frames, Series, Table, read_log
+from .can.logs import Frames, Series, Table, read_log, stem
 from .errors import InputError
 
 REORDER_S = 0.1
@@ -372,7 +372,7 @@ def _unwrap(value: np.ndarray, term: Term, report: dict) -> np.ndarray:
 
 
 @dataclass
-class _Clock:
+class Clock:
     """The log's time axis cut where it jumps: [start, end) positions in the log, and the jumps."""
 
     t_ns: np.ndarray
@@ -380,12 +380,12 @@ class _Clock:
     cuts: list[int]
 
 
-def _clock(t_ns: np.ndarray, max_gap_s: float) -> _Clock:
+def clock_of(t_ns: np.ndarray, max_gap_s: float) -> Clock:
     """Find where the clock goes back by more than REORDER_S, or forward further than any gap that is interpolated."""
     step = np.diff(t_ns)
     back = step < -REORDER_S * _NS
     forward = step > max(max_gap_s, 1.0) * _NS
-    clock = _Clock(t_ns, jumps=[], cuts=[0])
+    clock = Clock(t_ns, jumps=[], cuts=[0])
     for i in np.flatnonzero(back | forward).tolist():
         clock.jumps.append(
             {
@@ -545,7 +545,7 @@ def _describe(source: _Source, max_gap_s: float) -> dict:
     }
 
 
-def _stretch(log: Frames | Table, clock: _Clock, first: int, end: int) -> Frames | Table:
+def _stretch(log: Frames | Table, clock: Clock, first: int, end: int) -> Frames | Table:
     """The part of the log between two jumps of its clock."""
     if len(clock.cuts) == 2:
         return log
@@ -598,7 +598,7 @@ def _ingest_one(path: Path, given: _Inputs) -> tuple[list[_Piece], dict]:
     t_ns = _log_time(log)
     if len(t_ns) == 0:
         raise InputError(path, "", "holds no signal", "at least one column of numbers")
-    clock = _clock(t_ns, max(given.map.gap_s(name) for name in given.map.columns))
+    clock = clock_of(t_ns, max(given.map.gap_s(name) for name in given.map.columns))
     maker, stretches = _TableMaker(given.map), []
     for first, end in zip(clock.cuts, clock.cuts[1:]):
         sources = _sources(_stretch(log, clock, first, end), path, given)
@@ -648,28 +648,6 @@ def _sha256(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _stem(path: Path) -> str:
-    """File name without its suffixes: drive.log.gz is drive."""
-    stem = path.name
-    for suffix in reversed(path.suffixes):
-        if suffix.lower() in {
-            ".gz",
-            ".log",
-            ".candump",
-            ".txt",
-            ".asc",
-            ".blf",
-            ".trc",
-            ".mf4",
-            ".mdf",
-            ".dat",
-            ".csv",
-            ".parquet",
-        }:
-            stem = stem.removesuffix(suffix)
-    return stem
-
-
 def _write_piece(piece: _Piece, path: Path) -> None:
     import pyarrow as pa
     import pyarrow.csv as pa_csv
@@ -697,9 +675,9 @@ def ingest(logs: Iterable[Path], *, dbc: Path | None, signals_map: Path | Signal
     if not paths:
         raise InputError("ingest", "LOG", "no log given", "at least one")
     for path in paths:
-        if sum(_stem(path) == _stem(other) for other in paths) > 1:
+        if sum(stem(path) == stem(other) for other in paths) > 1:
             raise InputError(
-                path, "", f"two logs would both become the drive {_stem(path)}", "logs with different names"
+                path, "", f"two logs would both become the drive {stem(path)}", "logs with different names"
             )
     ready = isinstance(signals_map, SignalMap)
     given = _Inputs(
@@ -715,7 +693,7 @@ def ingest(logs: Iterable[Path], *, dbc: Path | None, signals_map: Path | Signal
         pieces, report = _ingest_one(path, given)
         report["drives"] = []
         for k, piece in enumerate(pieces, start=1):
-            name = _stem(path) + (f"_{k}" if len(pieces) > 1 else "")
+            name = stem(path) + (f"_{k}" if len(pieces) > 1 else "")
             file = f"{name}.{given.map.format}"
             _write_piece(piece, out / file)
             drives.append(name)
@@ -728,8 +706,8 @@ def ingest(logs: Iterable[Path], *, dbc: Path | None, signals_map: Path | Signal
                     "log_time_of_first_row_s": piece.log_start_s,
                 }
             )
-        _write_json(out / f"{_stem(path)}.report.json", report)
-        reports[_stem(path)] = report
+        _write_json(out / f"{stem(path)}.report.json", report)
+        reports[stem(path)] = report
     (out / "experiments.csv").write_text(
         "experiment,split\n" + "".join(f"{d},unassigned\n" for d in drives), encoding="utf-8"
     )

@@ -21,7 +21,7 @@ from scipy.linalg import expm
 
 from . import native
 from .errors import InputError
-from .project import Project
+from .project import ModelSettings, Project
 
 _OPERATORS = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
               ast.Pow: operator.pow, ast.USub: operator.neg, ast.UAdd: operator.pos}
@@ -132,6 +132,29 @@ def recursion(Ad: np.ndarray, forced: np.ndarray, x_first: np.ndarray) -> np.nda
     return states
 
 
+def state_space(model: ModelSettings, v: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray]:
+    """A (m, n, n) and B (m, n, n_u) of a project file's model at speeds v (m,) [m/s], in its range or not; ``where``: for errors."""
+    v = np.atleast_1d(np.asarray(v, float))
+    names: dict[str, object] = {"v": v, **model.parameters}
+    with np.errstate(all="ignore"):
+        for name, expression in model.let.items():
+            names[name] = evaluate(expression, names, f"{where}, model.let.{name}")
+
+    def fill(entries: list[list[float | str]], key: str) -> np.ndarray:
+        out = np.empty((len(v), len(entries), len(entries[0])))
+        for i, row in enumerate(entries):
+            for j, entry in enumerate(row):
+                out[:, i, j] = evaluate(entry, names, f"{where}, model.{key}[{i}][{j}]")
+        return out
+
+    with np.errstate(all="ignore"):
+        A, B = fill(model.A, "A"), fill(model.B, "B")
+    bad = ~(np.isfinite(A).all((1, 2)) & np.isfinite(B).all((1, 2)))
+    if bad.any():
+        raise InputError(where, f"v = {v[bad][0]:.6g} m/s", "the model is not finite there", "finite A and B")
+    return A, B
+
+
 class NominalModel:
     """The nominal LPV model of a project file.
 
@@ -154,25 +177,7 @@ class NominalModel:
 
     def matrices(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A (m, n, n) and B (m, n, n_u) at speeds v (m,) [m/s]."""
-        v = np.atleast_1d(np.asarray(v, float))
-        names: dict[str, object] = {"v": v, **self._settings.parameters}
-        with np.errstate(all="ignore"):
-            for name, expression in self._settings.let.items():
-                names[name] = evaluate(expression, names, f"{self._where}, model.let.{name}")
-
-        def fill(entries: list[list[float | str]], key: str) -> np.ndarray:
-            out = np.empty((len(v), len(entries), len(entries[0])))
-            for i, row in enumerate(entries):
-                for j, entry in enumerate(row):
-                    out[:, i, j] = evaluate(entry, names, f"{self._where}, model.{key}[{i}][{j}]")
-            return out
-
-        with np.errstate(all="ignore"):
-            A, B = fill(self._settings.A, "A"), fill(self._settings.B, "B")
-        bad = ~(np.isfinite(A).all((1, 2)) & np.isfinite(B).all((1, 2)))
-        if bad.any():
-            raise InputError(self._where, f"v = {v[bad][0]:.6g} m/s", "the model is not finite there", "finite A and B")
-        return A, B
+        return state_space(self._settings, v, self._where)
 
     @cached_property
     def slowest_pole(self) -> float:

@@ -167,8 +167,9 @@ def _decent_bottom(clouds: list[np.ndarray], bound: np.ndarray) -> float:
 
 
 @picture
-def weights_over_bounds(grid, clouds: Clouds, bounds: dict[str, np.ndarray], W_w, fine, samples, W_delta, outputs) -> Figure:
-    """Fig. 3: |w_j| points, B_w and W_w per output; nu points, the bound that W_delta covers, and W_delta."""
+def weights_over_bounds(grid, clouds: Clouds, bounds: dict[str, np.ndarray], W_w, W_n, fine, samples, W_delta, outputs) -> Figure:
+    """Fig. 3: |w_j| points, B_w, W_w and (where known, else None) the noise weight W_n per output; nu points, the bound that
+    W_delta covers, and W_delta."""
     figure = _figure(8.2, 3.6 if len(outputs) == 1 else 2.9 * len(outputs))
     frames = figure.subfigures(1, 2, width_ratios=[1, 1])
     without = ~(bounds["frames"] > 0)
@@ -177,8 +178,11 @@ def weights_over_bounds(grid, clouds: Clouds, bounds: dict[str, np.ndarray], W_w
         _cloud(axes, grid, points, POINTS, "$|w|$ of a frame")
         _bound(axes, grid, bounds["B_w"][:, j], "--s", "$B_w$, all starts", ms=4, color=RED)
         axes.plot(fine, W_w[:, j], "-", color=BLUE, label="$|W_w|$")
+        if W_n is not None:
+            axes.plot(fine, W_n[:, j], "-.", color=GREEN, label="$|W_n|$")
         axes.set_yscale("log")
-        axes.set_ylim(bottom=_decent_bottom(points, bounds["B_w"][:, j]))
+        bottom = _decent_bottom(points, bounds["B_w"][:, j])
+        axes.set_ylim(bottom=bottom if W_n is None else min(bottom, 0.7 * W_n[:, j].min()))
         axes.set_ylabel(f"{outputs[j].name.replace('_', ' ')}, {outputs[j].unit}")
         _bins(axes, grid, without, label=j == len(outputs) - 1)
     _legend_above(frames[0].axes[0], 3)

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from .can.logs import Frames, is_raw_table, read_log, stem
+from .can.play import frames_of_drive, values_of_drive
 from .core import REASONS, STATUSES, VERDICTS, Core, Run
-from .drives import Drive, read_drive, require_units
+from .drives import TABLE_SUFFIXES, Drive, read_drive, require_units
 from .errors import InputError
 from .frames import Estimator
 from .nominal import NominalModel
 from .project import Project
+from .receive import Receiver
 
 EXCITED_WINDOW_S = 10.0
 
@@ -48,6 +52,7 @@ class Replay:
     excited: np.ndarray         # (N,) bool
     alarms: list[Alarm]
     Ts: float
+    can: dict[str, Any] | None = None  # of a raw log: what became of its frames, gaps (receive.py)
 
     @property
     def judged_intervals(self) -> list[list[float]]:
@@ -92,6 +97,7 @@ class Replay:
             "verdict_s": {v: round(float((self.run.verdict == i).sum() * self.Ts), 6) for i, v in enumerate(VERDICTS)},
             "refused_samples": {s: int((self.run.status == i).sum()) for i, s in enumerate(STATUSES)
                                 if i and (self.run.status == i).any()},
+            **({} if self.can is None else {"can": self.can}),
         }
 
 
@@ -133,10 +139,10 @@ class Replayer:
         self.B_w = tail[-1 - K * n_y:-1].reshape(K, n_y)
         self.W_delta = tail[-1 - K * n_y - K:-1 - K * n_y]
 
-    def replay(self, drive: Drive) -> Replay:
-        """Run one drive."""
+    def replay(self, drive: Drive, present: np.ndarray | None = None) -> Replay:
+        """Run one drive; where ``present`` (N,) is False there was no sample and the drive's values mean nothing."""
         monitor = self.core.monitor() if self._reals is None else self.core.monitor(reals=self._reals, seal=True)
-        run = monitor.run_drive(drive)
+        run = monitor.run_drive(drive, present)
         frames, Ts, t0 = run.frames, self.project.Ts_s, drive.t[0]
         judged = np.zeros(len(drive.t), bool)
         for k, end in zip(frames.bin[frames.counted], frames.t_end_s[frames.counted]):
@@ -148,19 +154,63 @@ class Replayer:
                         float(frames.statistic[i]), self.threshold, float(self.W_delta[frames.bin[i]]),
                         self.B_w[frames.bin[i]].tolist(), frames.E[i].tolist(), frames.Z[i].tolist())
                   for i in np.flatnonzero(frames.falsified)]
-        return Replay(drive.name, drive.duration_s, run, judged, (drive.v >= low) & (drive.v <= high),
+        in_range = (drive.v >= low) & (drive.v <= high)
+        return Replay(drive.name, drive.duration_s, run, judged, in_range if present is None else in_range & present,
                       excited_samples(drive.u, Ts, self.project.frame_test.excited_std), alarms, Ts)
 
-    def summarise_file(self, path: Path) -> dict[str, Any] | InputError:
-        """The object of `lpvguard replay --json` for one drive table, or why it could not be read."""
+    def summarise_file(self, path: Path, channel: str | None = None) -> dict[str, Any] | InputError:
+        """The object of `lpvguard replay --json` for one drive table or raw CAN log, or why it could not be read."""
         try:
-            return self.replay_file(path).to_dict()
+            return self.replay_file(path, channel).to_dict()
         except InputError as error:
             return error
 
-    def replay_file(self, path: Path) -> Replay:
-        """Read, check and run one drive table."""
+    def replay_file(self, path: Path, channel: str | None = None) -> Replay:
+        """Read, check and run one drive table or raw CAN log; of a log with several channels, ``channel``."""
+        log = read_raw_log(path)
+        if log is not None:
+            return self.replay_frames(log, path, channel)
         drive = read_drive(path, self.project)
         nominal_output = self.model.simulate(drive.v, drive.u, drive.y[0])
         require_units(path, drive, nominal_output, self.estimator.settled(drive.v))
         return self.replay(drive)
+
+    def replay_frames(self, log: Frames, path: Path, channel: str | None = None) -> Replay:
+        """Run the frames of a raw CAN log through the compiled receiver and the monitor, as the ECU on that bus would have."""
+        received = self._receiver.receive(log, path, channel=channel)
+        if not received.present.any():
+            raise InputError(path, "", "no sample at all: " + _why_not_live(received.report), "every message of the vehicle, live")
+        # Ticks without a sample keep the newest values (zero before the first), so that statistics of the input stay finite.
+        values = np.nan_to_num(received.values)
+        n_u = self.project.n_u
+        drive = Drive(stem(path), received.t, values[:, 0], values[:, 1:1 + n_u], values[:, 1 + n_u:])
+        return replace(self.replay(drive, received.present), can=received.report)
+
+    @cached_property
+    def _receiver(self) -> Receiver:
+        return Receiver(self.project)
+
+
+def read_raw_log(path: Path) -> Frames | None:
+    """Frames of a raw CAN log; None when ``path`` is a drive table. InputError when it is neither."""
+    if path.suffix.lower() in TABLE_SUFFIXES and not is_raw_table(path):
+        return None
+    log = read_log(path)
+    if not isinstance(log, Frames):
+        raise InputError(path, "", "holds decoded signals", "a raw CAN log, or a drive table made by `lpvguard ingest`")
+    return log
+
+
+def bus_frames(path: Path, project: Project) -> Frames:
+    """What `lpvguard replay --to` plays: the frames of a raw log as they are, or a drive table as the vehicle's messages."""
+    log = read_raw_log(path)
+    if log is not None:
+        return log
+    drive = read_drive(path, project)
+    return frames_of_drive(drive.t, values_of_drive(project, drive))
+
+
+def _why_not_live(report: dict[str, Any]) -> str:
+    """Per needed message the kinds of frames and how many."""
+    return "; ".join(f"{name}: " + (", ".join(f"{n} {kind}" for kind, n in kinds.items()) or "none")
+                     for name, kinds in report["messages"].items())

@@ -14,15 +14,17 @@ from pathlib import Path
 import numpy as np
 
 from . import __version__, artefacts, pictures
-from .bounds import FrameSet, explain
+from .bounds import FrameSet, counted_frames, explain
 from .core import REASONS, VERDICTS
 from .drives import Drive
 from .evaluate import FAULT_FROM_S, FOUND_WITHIN_S, PIECE_S, SHORTEST_FOR_FAULTS_S
+from .frames import Estimator
 from .identify import DC_STAND_IN, SMALLEST_NU, DriveSet, StoredIdentification, fitting_grid, uncertainty_samples
-from .replay import Replay, Replayer
+from .replay import Replay, Replayer, excited_samples
 from .validation import s1
 from .visibility import STATED_GAINS
 from .weights import Weight
+from .window_error import PERCENTILE, SPEEDS
 
 LONGEST_STRETCH_S = 60.0
 """At most this much of a stretch is drawn, so that single corners can be seen."""
@@ -59,29 +61,35 @@ section{break-inside:auto}*{-webkit-print-color-adjust:exact;print-color-adjust:
 
 @dataclass
 class _Pass:
-    """What one pass over the drives leaves: per-drive pages and all counted frames as the core read them."""
+    """What one pass over the drives leaves: per-drive pages (or, for the plain DFT, table rows) and all counted frames."""
 
-    sections: list[str] = field(default_factory=list)
+    sections: list = field(default_factory=list)
     bin: list[np.ndarray] = field(default_factory=list)
     Z: list[np.ndarray] = field(default_factory=list)
     slow: tuple[int, str, slice] = (0, "", slice(0, 0))
     fast: tuple[int, str, slice] = (0, "", slice(0, 0))
 
 
-def write_report(stored: StoredIdentification, drives: DriveSet, replayer: Replayer, out: Path, evaluation: dict | None,
+def write_report(stored: StoredIdentification, drives: DriveSet, replayer: Replayer | None, out: Path, evaluation: dict | None,
                  progress: Callable[[str], None], loops: Path | None = None) -> None:
     """Write the page; InputError when a drive cannot be read or ``out`` cannot be written.
 
+    ``replayer``: None for bounds of the plain DFT, which the core does not compute; drives are then judged by the exact margin.
     ``evaluation``: JSON of `lpvguard evaluate`; ``loops``: folder written by `lpvguard sim -o`, with its results.json.
     """
     found = _Pass()
     for name in drives.experiments:
         progress(name)
         drive = drives.load(name)[0]
-        _visit(found, stored, replayer, drive, f"d{len(found.sections)}")
+        if replayer is not None:
+            _visit(found, stored, replayer, drive, f"d{len(found.sections)}")
+        else:
+            _visit_plain(found, stored, drives, drive)
     progress("pictures")
-    sections = [_summary(stored, replayer, drives), *_bound_sections(stored, replayer), _time_section(found, stored, drives),
-                _visibility_section(found, stored, replayer), _drive_section(found, replayer)]
+    estimator = drives.reader.estimator
+    sections = [_summary(stored, replayer, drives), *_bound_sections(stored, estimator), _time_section(found, stored, drives),
+                _visibility_section(found, stored, estimator),
+                _drive_section(found, replayer) if replayer is not None else _plain_section(found)]
     if evaluation is not None:
         sections.append(_evaluation_section(evaluation))
     if loops is not None:
@@ -132,8 +140,30 @@ def _units(stored: StoredIdentification) -> str:
 
 # -------------------------------------------------------------------------------------------------------------- summary
 
-def _summary(stored: StoredIdentification, replayer: Replayer, drives: DriveSet) -> str:
-    project, estimator, calibration = stored.project, replayer.estimator, stored.calibration
+def _estimator_words(stored: StoredIdentification, estimator: Estimator) -> str:
+    frames, length_s = stored.project.frames, estimator.length * estimator.Ts
+    common = (f"{estimator.n_bins - 1} bins from {estimator.omega[1]:.3g} to {estimator.omega[-1]:.3g} rad/s and DC; "
+              f"speed within ±{estimator.speed_tolerance:.0%} of the frame's mean")
+    if estimator.window == "rectangular":
+        return (f"the paper's plain DFT: one rectangular frame of {length_s[0]:.4g} s a drive, its transient removed by least squares; "
+                f"{common}; identifier {estimator.identifier():#010x}")
+    return (f"periodic Hann window, {frames.periods} periods a frame, {frames.bins_per_decade} bins a decade, hop "
+            f"1/{frames.hop_per_frame} frame; {common}; frames {length_s[1]:.4g} s long in the lowest bin and at DC, "
+            f"{length_s[-1]:.3g} s in the highest; settling {estimator.settle * estimator.Ts:.3g} s; "
+            f"identifier {estimator.identifier():#010x}")
+
+
+def _core_words(stored: StoredIdentification, replayer: Replayer | None) -> str:
+    if replayer is None:
+        return "none: the core computes Hann frames only; these bounds are for analysis, and export, replay and evaluate refuse them"
+    same = _same_numbers(stored, replayer)
+    return _yes(same <= 1e-6, f"carries the numbers of this identification (largest relative difference {same:.1e}, float32)",
+                f"carries other numbers than this identification (largest relative difference {same:.1e}): maps and verdicts "
+                "below are that core's")
+
+
+def _summary(stored: StoredIdentification, replayer: Replayer | None, drives: DriveSet) -> str:
+    project, estimator, calibration = stored.project, drives.reader.estimator, stored.calibration
     groups, drivers = stored.manifest["drives"], stored.manifest["drivers"]
 
     def listed(names: list[str]) -> str:
@@ -147,38 +177,28 @@ def _summary(stored: StoredIdentification, replayer: Replayer, drives: DriveSet)
                  f"alarms with probability at most {calibration.alpha:g} (on average over calibration sets)")
     conditional = "–" if calibration.conditional_bound is None else (
         f"with 95 % confidence over the calibration drives the probability is below {calibration.conditional_bound:.3f}")
-    length_s = estimator.length * estimator.Ts
-    same = _same_numbers(stored, replayer)
+    threshold = calibration.threshold if replayer is None else replayer.threshold
+    judge = "the exact margin finds none above 1 on the bound-setting drives" if replayer is None else (
+        "the compiled core finds no margin above 1 on the bound-setting drives, whole or with their first samples cut")
     rows = [
         ("vehicle", f"{escape(project.name)}: {escape(project.title)}; inputs "
                     f"{_signals(project.inputs)}; outputs {_signals(project.outputs)}; "
-                    f"speed {replayer.model.speed_range[0]:g} to {replayer.model.speed_range[1]:g} m/s; sampled every "
+                    f"speed {estimator.speed_range[0]:g} to {estimator.speed_range[1]:g} m/s; sampled every "
                     f"{project.Ts_s:g} s"),
         ("drives that set the bounds", listed(groups["bounds"])),
         ("drives that calibrate the threshold", listed(groups["calibration"])),
         ("zero-input drives (noise)", listed(groups["noise"])),
         ("drives left out", f"{len(groups['left_out'])}{left_out or ': none'}"),
         ("model error class", f"{project.bounds.structure}, disturbance set “{project.bounds.disturbance_set}”"),
-        ("estimator", f"periodic Hann window, {project.frames.periods} periods a frame, {project.frames.bins_per_decade} bins a "
-                      f"decade, hop 1/{project.frames.hop_per_frame} frame; {estimator.n_bins - 1} bins from "
-                      f"{estimator.omega[1]:.3g} to "
-                      f"{estimator.omega[-1]:.3g} rad/s and DC; frames {length_s[1]:.4g} s long in the lowest bin and "
-                      f"at DC, "
-                      f"{length_s[-1]:.3g} s in the highest; speed within ±{estimator.speed_tolerance:.0%} of the "
-                      f"frame's mean; "
-                      f"settling {estimator.settle * estimator.Ts:.3g} s; identifier {estimator.identifier():#010x}"),
+        ("estimator", _estimator_words(stored, estimator)),
         ("threshold of the frame test",
-         f"{replayer.threshold:.4g} on the {project.frame_test.confirm}-of-{project.frame_test.of_last} margin"),
+         f"{threshold:.4g} on the {project.frame_test.confirm}-of-{project.frame_test.of_last} margin"),
         ("alpha", claim), ("conditional bound", conditional),
-        ("final inflation of the weights", f"{stored.weights['inflation']:.6g}, the least factor with which the compiled core "
-                                           "finds no margin above 1 on the bound-setting drives, whole or with their "
-                                           "first samples cut"),
-        ("core that replayed the drives", _yes(
-            same <= 1e-6, f"carries the numbers of this identification (largest relative difference {same:.1e}, float32)",
-            f"carries other numbers than this identification (largest relative difference {same:.1e}): maps and verdicts "
-            "below are that core's")),
+        ("final inflation of the weights", f"{stored.weights['inflation']:.6g}, the least factor with which {judge}"),
+        ("core that replayed the drives", _core_words(stored, replayer)),
     ]
-    weights = [(f"W<sub>w</sub> of {escape(s.name)}", w) for s, w in zip(project.outputs, stored.weights["W_w"])]
+    weights = [(f"W<sub>{index}</sub> of {escape(s.name)}", w) for index in ("w", "n")
+               for s, w in zip(project.outputs, stored.weights[f"W_{index}"])]
     weights += [("W<sub>Δ</sub>", stored.weights["W_delta"]), ("γ<sub>w</sub> smoothed", stored.weights["gamma_w"])]
     proofs = _table(
         ["weight", "order", "worst |W|/bound, dB", "no weight of this order below, dB", "smallest |W|/bound proved", "at, rad/s",
@@ -195,7 +215,21 @@ not on a grid, and proved anew when this page was made (for W<sub>w</sub> and W<
 linear. The worst ratio is how far the weight lies above its bound where it lies highest; the column beside it is a proved lower
 limit for any weight of the same order.
 DC stands at {DC_STAND_IN:g} times the lowest bin's frequency, so “at”
-{replayer.estimator.omega[1] * DC_STAND_IN:.3g} rad/s means DC.</p>{proofs}"""
+{estimator.omega[1] * DC_STAND_IN:.3g} rad/s means DC.</p>{proofs}{_window_error(stored, estimator)}"""
+
+
+def _window_error(stored: StoredIdentification, estimator: Estimator) -> str:
+    """What the estimator costs where dynamics are inverted, per bin."""
+    def row(label: str, key: str) -> list[str]:
+        return [label, *(_number(x, 2) for x in stored.bounds[key])]
+
+    table = _table(["relative error of ξ<sub>s</sub> \\ bin, rad/s", "DC", *(f"{w:.3g}" for w in estimator.omega[1:])],
+                   [row("median", "window_error_median"), row(f"{PERCENTILE}th percentile", "window_error_percentile")])
+    return f"""<h3>Window error</h3>{table}
+<p class="note">|ξ̂<sub>s</sub> − ξ<sub>s</sub>| / |ξ<sub>s</sub>| when a known ξ<sub>s</sub> that drives the nominal model's state is found
+back from such frames of that state (made-up data; largest over {SPEEDS} frozen speeds). It is the error of class S2 and of any LFT that inverts
+dynamics when they are given frames of this estimator, and tells whether these frames are long enough for that; class S1
+compares spectra of e and ŷ, inverts nothing and does not have it.</p>"""
 
 
 def _limit(value: float | str) -> str:
@@ -217,18 +251,18 @@ def _same_numbers(stored: StoredIdentification, replayer: Replayer) -> float:
 
 # -------------------------------------------------------------------------------------------------- Figs. 2 and 3
 
-def _clouds(stored: StoredIdentification, replayer: Replayer) -> pictures.Clouds:
+def _clouds(stored: StoredIdentification, estimator: Estimator) -> pictures.Clouds:
     """Points of the bound-setting drives on the core's frame grid."""
     with np.load(stored.folder / "spectra.npz") as spectra:
         names = spectra["names"].tolist()
         setting = np.isin(spectra["drive"], [names.index(n) for n in stored.manifest["drives"]["bounds"]])
         columns = {key: spectra[key][setting] for key in ("bin", "start", "E", "Z")}
     clouds = pictures.Clouds([], [], [], [])
-    for k in range(replayer.estimator.n_bins):
+    for k in range(estimator.n_bins):
         of_bin = columns["bin"] == k
         frames = FrameSet(k, *(columns[key][of_bin] for key in ("E", "Z", "start")))
         size = np.linalg.norm(frames.E, axis=1)
-        nu, w = explain(frames, replayer.estimator, stored.bounds["gamma_w"], stored.project.bounds.structure)
+        nu, w = explain(frames, estimator, stored.bounds["gamma_w"], stored.project.bounds.structure)
         clouds.E.append(size)
         clouds.B1.append(s1.solve(frames.E, frames.Z, size).b1)
         clouds.nu.append(nu)
@@ -236,9 +270,9 @@ def _clouds(stored: StoredIdentification, replayer: Replayer) -> pictures.Clouds
     return clouds
 
 
-def _bound_sections(stored: StoredIdentification, replayer: Replayer) -> list[str]:
-    estimator, bounds, project = replayer.estimator, stored.bounds, stored.project
-    clouds, grid = _clouds(stored, replayer), fitting_grid(replayer.estimator)
+def _bound_sections(stored: StoredIdentification, estimator: Estimator) -> list[str]:
+    bounds, project = stored.bounds, stored.project
+    clouds, grid = _clouds(stored, estimator), fitting_grid(estimator)
     fine = np.geomspace(grid[0], 2 * grid[-1], 400)
     weights, inflation = stored.weights, stored.weights["inflation"]
 
@@ -274,16 +308,21 @@ def _bound_sections(stored: StoredIdentification, replayer: Replayer) -> list[st
         "How to read it: γ<sub>w</sub> near B<sub>2</sub> blames the disturbance, γ<sub>w</sub> near B<sub>1</sub> "
         "blames the model.")
     needing = sum(int((c > 0).sum()) for c in clouds.nu)
+    noise = ("Dash-dotted: the sensor's weight |W<sub>n</sub>|, the bound of the zero-input drives; W<sub>w</sub> is what B<sub>w</sub> "
+             "leaves without it (step 7)." if weights["W_n"] else "Without zero-input drives there is no noise weight: "
+             "W<sub>w</sub> covers B<sub>w</sub>.")
     samples = uncertainty_samples(estimator, bounds["nu"])
     none_allowed = " Structure S0 allows no uncertainty: all error is disturbance." if project.bounds.structure == "S0" else ""
     third = _figure(
         pictures.weights_over_bounds("f3", grid, clouds, bounds,
-                                     inflation * np.column_stack([curve(w) for w in weights["W_w"]]), fine, samples,
+                                     inflation * np.column_stack([curve(w) for w in weights["W_w"]]),
+                                     inflation * np.column_stack([curve(w) for w in weights["W_n"]]) if weights["W_n"] else None,
+                                     fine, samples,
                                      inflation * curve(weights["W_delta"]), project.outputs),
         f"<b>Counterpart of Fig. 3.</b> Left: the disturbance |w<sub>j</sub>| that is left of each frame once δ has "
         f"taken its part, its bound "
         f"B<sub>w</sub> over every start (dashed) and the weight |W<sub>w</sub>| (line, inflation {inflation:.6g} "
-        f"included), per output. Right: the "
+        f"included), per output. {noise} Right: the "
         f"uncertainty ν = min |δ| with |E − δZ| ≤ γ<sub>w</sub>; {needing} of {points} frames need any, the others (ν = "
         f"0) have no place on the "
         "axis. Dashed: the running maximum of ν from the lowest bin up, which W<sub>Δ</sub> must cover (a dip only says "
@@ -292,15 +331,15 @@ def _bound_sections(stored: StoredIdentification, replayer: Replayer) -> list[st
         f"start, so they can lie above the points of the monitor's grid. ν(0) = 0 by definition.{none_allowed} "
         "How to read it: a line far above its dashed bound is conservatism of the fit, the worst is in the summary.")
     return [f"<h2>Disturbance bound</h2>{second}", f"<h2>Weights over the bounds</h2>{third}",
-            f"<h2>Trade-off between disturbance and uncertainty</h2>{_front(stored, replayer)}"]
+            f"<h2>Trade-off between disturbance and uncertainty</h2>{_front(stored, estimator)}"]
 
 
-def _front(stored: StoredIdentification, replayer: Replayer) -> str:
+def _front(stored: StoredIdentification, estimator: Estimator) -> str:
     """Pareto front per bin; in words where there is none."""
     front, bounds = stored.front, stored.bounds
     if not np.isfinite(front["nu"]).any():
         return "<p>Structure S0 puts all error into the disturbance: there is nothing to trade.</p>"
-    svg = pictures.pareto("front", replayer.estimator.omega, front["gamma_w"], front["nu"], bounds, bounds["nu_ceiling"],
+    svg = pictures.pareto("front", estimator.omega, front["gamma_w"], front["nu"], bounds, bounds["nu_ceiling"],
                           _units(stored))
     return _figure(svg, (
         f"<b>Pareto front.</b> The least uncertainty ν with which every frame of the bound-setting drives, at every start, is "
@@ -348,8 +387,8 @@ def _time_section(found: _Pass, stored: StoredIdentification, drives: DriveSet) 
 
 # ------------------------------------------------------------------------------------------------- visibility, Fig. of |Z|
 
-def _visibility_section(found: _Pass, stored: StoredIdentification, replayer: Replayer) -> str:
-    estimator, unit = replayer.estimator, _units(stored)
+def _visibility_section(found: _Pass, stored: StoredIdentification, estimator: Estimator) -> str:
+    unit = _units(stored)
     bin_of, Z = (np.concatenate(a) for a in (found.bin, found.Z))
     size = np.linalg.norm(Z, axis=1)
     K = estimator.n_bins
@@ -357,14 +396,14 @@ def _visibility_section(found: _Pass, stored: StoredIdentification, replayer: Re
     def per_bin(statistic) -> np.ndarray:
         return np.array([statistic(size[bin_of == k]) if (bin_of == k).any() else np.nan for k in range(K)])
 
+    overlap = " (half overlapping, so they are not independent)" if estimator.window == "hann" else ""
     figure = _figure(
         pictures.excitation("f5", fitting_grid(estimator), np.bincount(bin_of, minlength=K), per_bin(np.max), per_bin(np.median),
                             stored.bounds["excitation"], stored.bounds["gamma_w"], unit),
         f"<b>Excitation.</b> Largest and median |Z|, the nominal output in a frame, over the {len(bin_of)} counted "
-        f"frames of all drives as the core "
-        "read them, with the disturbance bound to compare: where the median lies below it, most frames say little about "
+        "frames of all drives, with the disturbance bound to compare: where the median lies below it, most frames say little about "
         "the model. Lower panel: counted "
-        f"frames a bin (half overlapping, so they are not independent). Left-most: DC. Unit of |Z|: {escape(unit)}.")
+        f"frames a bin{overlap}. Left-most: DC. Unit of |Z|: {escape(unit)}.")
     seen = stored.visibility
     typical, strongest = seen["at_percentile"], seen["at_strongest"]
     names = [f"{c['speed_mps'][0]:.3g}–{c['speed_mps'][1]:.3g}" for c in typical]
@@ -425,6 +464,38 @@ def _visit(found: _Pass, stored: StoredIdentification, replayer: Replayer, drive
         if span.stop - span.start > getattr(found, side)[0]:
             setattr(found, side, (span.stop - span.start, drive.name, span))
     found.sections.append(_drive_page(stored, replayer, drive, replay, key))
+
+
+def _visit_plain(found: _Pass, stored: StoredIdentification, drives: DriveSet, drive: Drive) -> None:
+    """The drive's frame of the plain DFT, judged by the exact margin under the stored weights; its row of the table."""
+    reader, project = drives.reader, stored.project
+    estimator, model = reader.estimator, reader.model
+    sets = list(counted_frames(drive, *drives.load(drive.name)[1:], model, estimator))
+    row = [escape(drive.name), escape(stored.manifest["drivers"][drive.name]), _role(stored, drive.name)]
+    if not len(sets[0].starts):
+        found.sections.append([*row, "–", "–", "–", "–"])
+        return
+    E, Z = (np.concatenate([getattr(s, a) for s in sets]) for a in ("E", "Z"))
+    found.bin.append(np.arange(estimator.n_bins))
+    found.Z.append(Z)
+    span = slice(int(sets[0].starts[0]), int(sets[0].starts[0] + estimator.length[0]))
+    low, high = model.speed_range
+    speed = drive.v[span].mean()
+    if excited_samples(drive.u, project.Ts_s, project.frame_test.excited_std)[span].any():
+        side = "slow" if speed <= low + (high - low) / 3 else "fast" if speed >= high - (high - low) / 3 else ""
+        if side and span.stop - span.start > getattr(found, side)[0]:
+            setattr(found, side, (span.stop - span.start, drive.name, span))
+    margin = s1.margin(E, Z, *stored.fitted.at(estimator.omega))
+    worst = int(np.argmax(margin))
+    found.sections.append([*row, f"{drive.t[span.start] - drive.t[0]:.4g}", f"{speed:.3g}", _number(margin[worst]),
+                           _number(estimator.omega[worst])])
+
+
+def _plain_section(found: _Pass) -> str:
+    table = _table(["drive", "driver", "part", "frame from, s", "mean speed, m/s", "largest margin", "in the bin, rad/s"], found.sections)
+    return f"""<h2>Margin drive by drive</h2>
+<p>One frame a drive, the first that keeps its speed, judged by the exact margin: above 1, no uncertainty and disturbance within the
+weights explains it. Drives that set the bounds are at or below 1 by construction. “–”: no frame.</p>{table}"""
 
 
 def _role(stored: StoredIdentification, name: str) -> str:

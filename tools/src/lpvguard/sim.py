@@ -23,6 +23,7 @@ import tempfile
 import tomllib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -30,16 +31,20 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from . import artefacts, native
+from .can.catalogue import load_catalogue
 from .control_export import ControllerCoefficients, build_controller, replaced_controller
 from .core import eigen_include, firmware_root, library_root
 from .errors import InputError
 from .nominal import NominalModel
 from .project import Project, parse_project
+from .receive import EVENTS
 
 Controller = Literal["designed", "feedforward", "off"]
 RECOVERY_S = 1.0
 """Time after a bus fault within which supervision must be live again: five frames of the slowest message, and a reserve."""
 
+SUPERVISION = ("off", "hold", "live")
+"""Names of lpvg_can_state_t."""
 FLAGS = ("-std=c++17", "-O2", "-ffp-contract=off", "-fno-math-errno")
 Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
@@ -145,6 +150,21 @@ class Simulator:
         else:
             self.program = self._build(self.folder)
 
+    @cached_property
+    def ecu_program(self) -> Path:
+        """lpvguard_ecu: the firmware alone, as a process on a CAN interface."""
+        root, core = firmware_root(), library_root()
+        includes = [root / "ecu", root / "ports" / "linux", core / "include", core / "src", self.folder]
+        sources = [*sorted((core / "src").glob("*.cpp")), *sorted(self.folder.glob("*.c")), *sorted((root / "ecu").glob("*.c")),
+                   *sorted((root / "ports" / "linux").glob("*.cpp")), root / "ports" / "linux_ecu" / "main.cpp"]
+        try:
+            with ThreadPoolExecutor() as pool:
+                flags = (*FLAGS, "-isystem", eigen_include())
+                objects = list(pool.map(lambda s: native.compile_object(s, flags=flags, include_dirs=includes), sources))
+            return native.compile_executable(objects, flags=(), name=f"ecu_{self.folder.name}")
+        except native.NativeError as error:
+            raise InputError(self.folder, "compiling the ECU's program", str(error).strip(), "a C++17 compiler and Eigen 3.4") from None
+
     def _build(self, folder: Path) -> Path:
         root, core = firmware_root(), library_root()
         plant = [root / "plant" / "include", root / "plant" / "src", root / "plant" / "tool"]
@@ -165,9 +185,11 @@ class Simulator:
             raise InputError(folder, "compiling the simulator", str(error).strip(),
                              "a C++17 compiler, Eigen 3.4 and libtomlplusplus-dev") from None
 
-    def run(self, scenario: Scenario, *, seed: int | None = None, bus: str = "memory", out: Path | None = None) -> dict[str, Any]:
-        """One run: the object of `lpvguard sim --json` (DESIGN 9). ``bus``: memory or socketcan:INTERFACE. ``out``: a folder
-        for NAME-SEED.log (candump -L), .frames.csv and .telemetry.csv. Same scenario, seed and vehicle: the same bytes but
+    def run(self, scenario: Scenario, *, seed: int | None = None, bus: str = "memory", out: Path | None = None,
+            ecu_process: bool = False, pace: float | None = None) -> dict[str, Any]:
+        """One run: the object of `lpvguard sim --json` (DESIGN 9). ``bus``: memory or socketcan:INTERFACE. ``ecu_process``: the
+        firmware is a process of its own (needs SocketCAN; what the monitor judged is then not known, only what it reported).
+        ``pace``: at most so many times real time. ``out``: a folder for NAME-SEED.log (candump -L), .frames.csv and .telemetry.csv. Same scenario, seed and vehicle: the same bytes but
         for real_time_factor, which is simulated time over one core's processor time."""
         seed = scenario.seed if seed is None else seed
         with tempfile.TemporaryDirectory() as scratch:
@@ -175,6 +197,10 @@ class Simulator:
             frames = stem.with_name(stem.name + ".frames.csv")
             command = [self.program, scenario.path, "--parameters", firmware_root() / "plant" / "truck.toml", "--seed", seed, "--bus", bus,
                        "--frames", frames, "--engage", "no" if self.controller == "off" else "yes"]
+            if ecu_process:
+                command += ["--ecu", self.ecu_program]
+            if pace is not None:
+                command += ["--pace", pace]
             if out is not None:
                 out.mkdir(parents=True, exist_ok=True)
                 command += ["--log", f"{stem}.log", "--telemetry", f"{stem}.telemetry.csv"]
@@ -182,19 +208,31 @@ class Simulator:
             if done.returncode != 0:
                 raise InputError(scenario.path, "", done.stderr.strip(), "a scenario and a bus that the simulator accepts")
             rows = np.genfromtxt(frames, delimiter=",", names=True, ndmin=1)
-        return self._result(scenario, json.loads(done.stdout), rows)
+        return self._result(scenario, json.loads(done.stdout), rows, ecu_process)
 
-    def _result(self, scenario: Scenario, facts: dict[str, Any], rows: np.ndarray) -> dict[str, Any]:
+    def _result(self, scenario: Scenario, facts: dict[str, Any], rows: np.ndarray, ecu_process: bool) -> dict[str, Any]:
         expect = scenario.expect
         first_invalid = next((t for t, verdict in facts["verdicts"] if verdict == "invalid"), None)
-        spans = judged_spans(rows)
         start = expect.fault_start_s or 0.0
+        # What a process of its own judged is not known: the whole time counts, which is never less.
+        spans = [[start, facts["duration_s"]]] if ecu_process else judged_spans(rows)
         judged = None if first_invalid is None else overlap(spans, start, first_invalid)
         result = {"scenario": scenario.name, "title": scenario.title, "controller": self.controller,
                   "expected": expect.model_dump(exclude_none=True), "first_invalid_s": first_invalid,
-                  "judged_to_invalid_s": judged, "judged_s": overlap(spans, start, facts["duration_s"]),
-                  "max_margin": float(rows["margin"].max(initial=0.0)), **facts}
+                  "judged_to_invalid_s": judged, "judged_s": None if ecu_process else overlap(spans, start, facts["duration_s"]),
+                  "max_margin": None if ecu_process else float(rows["margin"].max(initial=0.0)), **facts, "reception": _reception(facts["reception"])}
         return result | {"missed": list(missed(expect, result, self.project.Ts_s))}
+
+
+def _reception(raw: dict[str, Any]) -> dict[str, Any]:
+    """The supervision's counters by message and kind ("other": frames of no rule), and when each kind was first seen [s]."""
+    names = {m.id: m.name for m in load_catalogue().messages} | {0: "other"}
+    messages = {}
+    for identifier, state, counts, first_s in raw["rules"]:
+        seen = [(kind, n, t) for kind, n, t in zip(EVENTS, counts, first_s) if n]
+        messages[names[identifier]] = {**({"state": SUPERVISION[state]} if identifier else {"bus_off": bool(state)}),
+                                       "counts": {kind: n for kind, n, _ in seen}, "first_s": {kind: t for kind, _, t in seen}}
+    return {"send_failures": raw["send_failures"], "messages": messages}
 
 
 def judged_spans(rows: np.ndarray) -> list[list[float]]:

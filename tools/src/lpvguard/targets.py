@@ -35,7 +35,7 @@ PACKAGES = "qemu-system-arm gcc-arm-none-eabi libnewlib-arm-none-eabi libstdc++-
 
 LANGUAGE = ("-O2", "-fno-math-errno", "-DNDEBUG")
 SAME_BITS = "-ffp-contract=off"
-WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror")
+WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror")
 CXX = ("-std=c++17", "-fno-exceptions", "-fno-rtti", "-fno-threadsafe-statics")
 SECTIONS = {".core_code": "code", ".core_coefficients": "coefficients", ".core_libraries": "libraries"}
 """Sections of the linker scripts that are the core's, and what the report calls them."""

@@ -1,5 +1,5 @@
-"""The paper's nominal truck (Table I) at one frozen speed: continuous, exact zero-order hold, frequency
-response.
+"""The paper's nominal truck at one frozen speed, any speed and wheelbase: continuous, exact zero-order hold,
+frequency response. Equations and Table I stand in vehicles/truck.toml.
 
 State ``[r, delta, delta_dot]`` (yaw rate rad/s, road-wheel angle rad, its rate rad/s), input the brake
 pressure difference in bar (right minus left), outputs ``[r, delta]``; left positive.
@@ -15,12 +15,12 @@ import numpy as np
 from scipy.linalg import expm
 
 from lpvguard.errors import InputError
+from lpvguard.nominal import state_space
+from lpvguard.project import load_project
 
-P1, P2, P3, P4, P5, P6 = 14.54, 0.06, 20.60, -0.25, -4.96, -0.32
-"""Table I. ``l`` of the state matrix is the wheelbase: the only reading under which the equations are
-physical."""
+_MODEL = load_project("truck").model
 
-C = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+C = np.array(_MODEL.C)
 """Output matrix (2, 3): yaw rate and steering angle are measured."""
 
 
@@ -39,14 +39,8 @@ def continuous(speed_mps: float, wheelbase_m: float) -> tuple[np.ndarray, np.nda
     """
     v = _positive(speed_mps, "v", "m/s")
     length = _positive(wheelbase_m, "wheelbase", "m")
-    a = np.array(
-        [
-            [-P1 * length / v + P2 * v, P1, 0.0],
-            [0.0, 0.0, 1.0],
-            [P3 * length / v + P4 * v, -P3, P5],
-        ]
-    )
-    b = np.array([[0.0], [0.0], [P6]])
+    parameters = _MODEL.parameters | {"l": length}
+    a, b = (m[0] for m in state_space(_MODEL.model_copy(update={"parameters": parameters}), v, "truck model"))
     pole = float(np.max(np.linalg.eigvals(a).real))
     if pole >= 0.0:
         raise InputError(

@@ -81,9 +81,10 @@ void* lpvgb_create(const uint32_t* words, const double* reals, int seal, int* st
 
 void lpvgb_destroy(void* handle) { delete static_cast<Handle*>(handle); }
 
-// Pushes n samples; per sample a verdict and a status, per judged frame a row of frame_columns numbers. Returns the rows.
+// Pushes n samples (those with present[k] != 0; NULL: all); per sample a verdict and a status, per judged frame a row of
+// frame_columns numbers. Returns the rows.
 int64_t lpvgb_run(void* opaque, int64_t n, const int64_t* t_us, const double* v, const double* u, const double* y,
-                  double* rows, int64_t max_rows, uint8_t* verdict, uint8_t* status) {
+                  const uint8_t* present, double* rows, int64_t max_rows, uint8_t* verdict, uint8_t* status) {
     lpvg_monitor_t* monitor = &static_cast<Handle*>(opaque)->monitor;
     int64_t count = 0;
     uint32_t last = lpvg_monitor_frame(monitor)->sequence;
@@ -97,7 +98,8 @@ int64_t lpvgb_run(void* opaque, int64_t n, const int64_t* t_us, const double* v,
         for (int64_t j = 0; j < LPVG_NY; ++j) {
             sample.y[j] = static_cast<lpvg_real_t>(y[k * LPVG_NY + j]);
         }
-        status[k] = static_cast<uint8_t>(lpvg_monitor_push(monitor, &sample));
+        const bool push = present == nullptr || present[k] != 0U;
+        status[k] = push ? static_cast<uint8_t>(lpvg_monitor_push(monitor, &sample)) : static_cast<uint8_t>(lpvg_status_ok);
         verdict[k] = static_cast<uint8_t>(lpvg_monitor_verdict(monitor, t_us[k]));
         const lpvg_frame_t* frame = lpvg_monitor_frame(monitor);
         if (frame->sequence != last && count < max_rows) {

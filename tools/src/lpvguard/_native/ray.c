@@ -8,6 +8,7 @@
  * coordinates of a Hermitian positive semidefinite matrix (diagonal first, then Re and Im of the lower triangle, row by
  * row); order 0, free numbers. The numpy version is validation/lmi.py.
  */
+#include <float.h>
 #include <math.h>
 #include <stddef.h>
 #include <string.h>
@@ -182,6 +183,21 @@ static double least_eigenvalue(const problem *p, const double *y, double length)
     return lo;
 }
 
+/* Bound on the rounding error of sum_j y_j Q0_j: free multipliers may be large and cancel. */
+static double rounding(const problem *p, const double *y) {
+    const size_t entries = (size_t)p->n * (size_t)p->n;
+    double sum = 0.0;
+    for (int k = 0; k < p->m; k++) {
+        double square = 0.0;
+        for (size_t i = 0; i < entries; i++) {
+            const cpx q = p->q0[(size_t)k * entries + i];
+            square += q.re * q.re + q.im * q.im;
+        }
+        sum += fabs(y[k]) * sqrt(square);
+    }
+    return 4.0 * p->n * DBL_EPSILON * sum;
+}
+
 /* max x at one length. y in: the start; out: the best multipliers; inverse: (matrix - x I)^-1 there. Returns x. */
 static double maximise_level(const problem *p, double length, double relative, double absolute, double *y, matrix inverse) {
     static const double shrink = 0.15;
@@ -270,21 +286,21 @@ static double maximise_level(const problem *p, double length, double relative, d
     return x;
 }
 
-/* Largest length at which y still certifies (and everything shorter); INFINITY when no length ends it. */
-static double reach(const problem *p, const double *y, double from) {
+/* Largest length at which y still certifies (and everything shorter) in spite of an ``error`` of the matrix; INFINITY when no length ends it. */
+static double reach(const problem *p, const double *y, double from, double error) {
     matrix a;
     double lo = from, hi = fmax(2.0 * from, 1e-12);
-    combine(p, y, lo, 0.0, a);
+    combine(p, y, lo, error, a);
     if (!cholesky(p->n, a)) return 0.0;
     for (;; hi *= 4.0) {
         if (hi > 1e30) return INFINITY;
-        combine(p, y, hi, 0.0, a);
+        combine(p, y, hi, error, a);
         if (!cholesky(p->n, a)) break;
         lo = hi;
     }
     for (int k = 0; k < 60 && hi - lo > 1e-9 * hi; k++) {
         const double mid = lo > 0.0 && hi > 2.0 * lo ? sqrt(lo * hi) : 0.5 * (lo + hi);
-        combine(p, y, mid, 0.0, a);
+        combine(p, y, mid, error, a);
         if (cholesky(p->n, a)) lo = mid; else hi = mid;
     }
     return lo;
@@ -313,17 +329,17 @@ double lpvg_ray(int n, int m, int groups, const int *start, const int *order, co
         memset(next, 0, sizeof next);
         for (int g = 0; g < groups; g++)
             for (int i = 0; i < order[g]; i++) next[start[g] + i] = 1.0 / degree;
-        const double x = maximise_level(&p, at, 0.3, 1e-8, next, inv);
-        if (ahead && !(x > 0.0)) {
+        const double x = maximise_level(&p, at, 0.3, 1e-8, next, inv), error = rounding(&p, next);
+        if (ahead && !(x > error)) {
             beyond = at;
             continue;
         }
         for (int i = 0; i < n; i++)
             for (int j = 0; j < n; j++) inverse[i * n + j] = inv[i][j];
-        if (!(x > 0.0)) break;
+        if (!(x > error)) break;
         memcpy(y, next, sizeof(double) * (size_t)m);
         *found = 1;
-        const double longer = fmax(at, reach(&p, y, at));
+        const double longer = fmax(at, reach(&p, y, at, error));
         const int done = !ahead && (longer <= length * (1.0 + 1e-6) || beyond <= longer * (1.0 + 1e-5));
         length = fmax(length, longer);
         if (done || length >= cutoff) break;

@@ -1,6 +1,7 @@
 """Performance tables, measured and not asserted: ``lpvguard bench NAME``, each beside its peers in one run.
 
-A module of this package is a bench when it has ``main(argv)``: the command line of ``lpvguard bench <module>``.
+A module of this package is a bench unless its name begins with _: its ``main(argv)`` is the command line of
+``lpvguard bench <module>``.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from ..errors import InputError
 
 def names() -> list[str]:
     """The benches there are."""
-    return sorted(m.name for m in iter_modules(__path__))
+    return sorted(m.name for m in iter_modules(__path__) if not m.name.startswith("_"))
 
 
 def run(name: str, argv: list[str]) -> None:

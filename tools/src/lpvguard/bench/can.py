@@ -1,6 +1,7 @@
-"""`lpvguard bench can`: how fast CAN logs are decoded, against a python-can + cantools loop in the same run.
+"""`lpvguard bench can`: with a log and its database, how fast CAN logs are decoded, against a python-can + cantools loop in the
+same run; without, the fault table of the closed loop (bus_faults.py): what goes wrong on the bus, and what the firmware makes of it.
 
-Repeats a candump log to the wanted number of frames, decodes every signal of every message of the database from the
+The former repeats a candump log to the wanted number of frames, decodes every signal of every message of the database from the
 text file, and runs the loop (python-can's reader, cantools' decode_message) over a part of the same file. One process, one thread; times are processor time (user and
 system), so that other work on the machine does not enter the ratio.
 """
@@ -13,8 +14,11 @@ import tempfile
 import time
 from pathlib import Path
 
+from .. import bus_faults
 from ..can.decode import decode_all, load_database
 from ..can.logs import read_log
+from ..core import shipped_vehicle
+from ..sim import Simulator
 from . import parser, show
 
 
@@ -71,12 +75,19 @@ def _peer(path: Path, database) -> tuple[int, float]:
 
 
 def main(argv: list[str]) -> None:
-    """`lpvguard bench can LOG DBC`."""
+    """`lpvguard bench can [LOG DBC]`. Exit 1 when a fault did not show what it must in time."""
     options = parser("can", __doc__)
-    options.add_argument("log", type=Path, help="candump log, also .gz")
-    options.add_argument("dbc", type=Path)
+    options.add_argument("log", type=Path, nargs="?", help="candump log, also .gz; without: the fault table")
+    options.add_argument("dbc", type=Path, nargs="?")
     options.add_argument("--frames", type=int, default=5_000_000)
+    options.add_argument("--coefficients", type=Path, help="generated folder for the fault table (default: the shipped truck)")
     given = options.parse_args(argv)
+    if given.log is None:
+        rows = bus_faults.table(Simulator(given.coefficients or shipped_vehicle("truck")))
+        show(bus_faults.as_text(rows), rows, given.json_out)
+        raise SystemExit(1 if any(row["missed"] for row in rows) else 0)
+    if given.dbc is None:
+        options.error("a log needs its database")
     result = bench_decode(given.log, given.dbc, frames=given.frames)
     show("\n".join([
         f"{'lpvguard':<28} {result['frames_per_s'] / 1e6:8.3f} M frames/s  ({result['frames']} frames, {result['signals']} values; "

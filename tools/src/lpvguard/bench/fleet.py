@@ -82,8 +82,8 @@ def bench_fleet(drives: int, duration_s: float, jobs: int, memory: tuple[int, ..
         write_fleet(root / "drives", drives, duration_s=duration_s)
         seconds = {n: [] for n in (1, jobs)}
         for _ in range(2):
-            for n in seconds:
-                seconds[n].append(_identified(root / "drives", n, root / str(n)))
+            for n, taken in seconds.items():
+                taken.append(_identified(root / "drives", n, root / str(n)))
         names = [p.name for p in (root / "1").iterdir()]
         same = not any(filecmp.cmpfiles(root / "1", root / str(jobs), names, shallow=False)[1:])
         kib = {}
@@ -105,9 +105,9 @@ def main(argv: list[str]) -> None:
     options.add_argument("--memory", type=int, nargs="*", default=MEMORY_DRIVES, help="numbers of 20 s drives to measure memory with")
     given = options.parse_args(argv)
     r = bench_fleet(given.drives, given.duration, given.jobs, tuple(given.memory))
-    lines = [f"identify, {r['drives']} drives of {r['duration_s']:g} s: 1 worker {r['seconds_1']:.1f} s, {r['jobs']} workers "
-             f"{r[f'seconds_{given.jobs}']:.1f} s, ratio {r['ratio']:.2f} ({r['processors']} processors, load {r['load']:.1f}); "
-             f"{'the same bytes' if r['same_bytes'] else 'DIFFERENT BYTES'}"]
+    lines = [(f"identify, {r['drives']} drives of {r['duration_s']:g} s: 1 worker {r['seconds_1']:.1f} s, {r['jobs']} workers "
+              f"{r[f'seconds_{given.jobs}']:.1f} s, ratio {r['ratio']:.2f} ({r['processors']} processors, load {r['load']:.1f}); "
+              f"{'the same bytes' if r['same_bytes'] else 'DIFFERENT BYTES'}")]
     smallest = min(r["peak_memory_kib"].values(), default=1)
     lines += [f"peak memory, {count:>6} drives: {kib / 1024:7.1f} MiB  ({kib / smallest:.3f})"
               for count, kib in r["peak_memory_kib"].items()]

@@ -1,18 +1,13 @@
 """Performance of the synthesis, with its certificates, beside public peers given the same plants in one run.
 
-H∞ on Fig. 1 with third-order weights (23 states, the paper's order), K_i and K_is on the paper case. Peers,
-run in a virtual environment of their own that the bench makes when asked (binary wheels only): python-control
-with slycot (``hinfsyn``) and dkpy (D-K iteration). What a peer returns is judged like ours: by the certified
+H∞ on Fig. 1 with third-order weights (23 states, the paper's order), K_i and K_is on the paper case. Peers
+(_peers.py): python-control with slycot (``hinfsyn``) and dkpy (D-K iteration). What a peer returns is judged like ours: by the certified
 norm or μ bound of the loop that its controller closes, never by the level it claims.
 """
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
 import time
-import venv
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -21,6 +16,7 @@ import numpy as np
 
 from lpvguard import truck_model
 from lpvguard.bench import parser, show
+from lpvguard.bench._peers import Peers
 from lpvguard.synthesis.cases import case_plant, read_case
 from lpvguard.synthesis.dk import certify, dk_synthesis
 from lpvguard.synthesis.hinf import hinf_synthesis
@@ -37,7 +33,6 @@ from lpvguard.synthesis.statespace import StateSpace, lft, series
 TARGET_S = {"H_inf": 0.06, "K_i": 0.5, "K_is": 1.0}
 """Seconds that each synthesis is held to, certificate included."""
 
-PEER_PACKAGES = ("slycot", "control", "dkpy", "clarabel==0.9.0")  # dkpy 0.1.9 panics with clarabel 0.11
 PEER_LIMIT_S = 300.0
 
 _PEER_SCRIPT = """
@@ -120,12 +115,12 @@ def run(case_path, repeats: int = 5, peers: Path | None = None) -> list[Row]:
     for name in ("K_i", "K_is"):
         plant = case_plant(case, case["objective"][0], name)
         jobs.append((name, plant, lambda plant=plant: dk_synthesis(plant)))
-    python, note = _peer_python(peers)
+    environment = Peers(peers)
     rows = []
     for name, plant, job in jobs:
         seconds, result = min((_timed(job) for _ in range(repeats)), key=lambda pair: pair[0])
         level = result.gamma_achieved if name == "H_inf" else result.performance.upper
-        peer = _peer(python, plant, peers) if python else {"note": note}
+        peer = _judged(environment.ask(_PEER_SCRIPT, _question(plant), PEER_LIMIT_S), plant)
         rows.append(
             Row(
                 name,
@@ -152,74 +147,40 @@ def _timed(job):
     return time.perf_counter() - start, result
 
 
-def _peer_python(folder: Path | None) -> tuple[Path | None, str]:
-    """The interpreter of the peers' environment and, when there is none, why."""
-    if folder is None:
-        return None, "not asked for"
-    python = Path(folder) / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
-    if not python.exists():
-        venv.create(folder, with_pip=True)
-        made = subprocess.run(
-            [python, "-m", "pip", "install", "--quiet", "--only-binary", ":all:", *PEER_PACKAGES],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        if made.returncode:
-            python.unlink()
-            return None, f"could not be installed: {made.stderr.strip().splitlines()[-1:]}"
-    return python, ""
-
-
-def _peer(python: Path, plant: GeneralisedPlant, folder: Path) -> dict:
-    """Run the peer on ``plant`` and certify the controller it returns."""
-    given, answer = Path(folder) / "problem.json", Path(folder) / "answer.json"
-    answer.unlink(missing_ok=True)
-    P = plant.system
-    blocks = [[b.cols, b.rows] for b in (*plant.blocks, plant.performance_block)] if plant.blocks else []
-    given.write_text(
-        json.dumps(
-            {
-                "A": P.A.tolist(),
-                "B": P.B.tolist(),
-                "C": P.C.tolist(),
-                "D": P.D.tolist(),
-                "n_u": plant.n_control,
-                "n_y": plant.n_measurement,
-                "blocks": blocks,
-            }
-        )
-    )
-    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
-    try:
-        done = subprocess.run(
-            [python, "-c", _PEER_SCRIPT, given, answer],
-            capture_output=True,
-            text=True,
-            timeout=PEER_LIMIT_S,
-            env=environment,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return {"note": f"no answer in {PEER_LIMIT_S:g} s"}
-    if done.returncode or not answer.exists():
-        return {"note": f"failed: {(done.stderr.strip().splitlines() or ['no message'])[-1][:80]}"}
-    got = json.loads(answer.read_text())
-    K = StateSpace(*(np.array(got[k]) for k in "ABCD"))
+def _judged(answer: dict, plant: GeneralisedPlant) -> dict:
+    """A peer's answer with the certified ``level`` of the loop that its controller closes, its ``order`` and a ``note``."""
+    if "A" not in answer:
+        return answer
+    P, K = plant.system, StateSpace(*(np.array(answer[k]) for k in "ABCD"))
     level = certify(plant, K).upper if plant.blocks else hinf_norm(lft(P, K)).upper
     note = (
         "its loop is unstable"
         if not np.isfinite(level)
         else ""
-        if level <= got["claimed"] * 1.01
+        if level <= answer["claimed"] * 1.01
         else "claim not met"
     )
     return {
-        "seconds": got["seconds"],
-        "claimed": got["claimed"],
+        "seconds": answer["seconds"],
+        "claimed": answer["claimed"],
         "level": level,
         "order": K.order,
         "note": note,
+    }
+
+
+def _question(plant: GeneralisedPlant) -> dict:
+    """What the peers' script is given."""
+    P = plant.system
+    blocks = [[b.cols, b.rows] for b in (*plant.blocks, plant.performance_block)] if plant.blocks else []
+    return {
+        "A": P.A.tolist(),
+        "B": P.B.tolist(),
+        "C": P.C.tolist(),
+        "D": P.D.tolist(),
+        "n_u": plant.n_control,
+        "n_y": plant.n_measurement,
+        "blocks": blocks,
     }
 
 

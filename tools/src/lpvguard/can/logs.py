@@ -28,6 +28,8 @@ _NAME_BYTES, _CHANNELS, _COUNTS, _FD_BYTES = 16, 64, 6, 64
 _ERROR_REPORT = 0x20000000
 _CANDUMP_SUFFIXES = {".log", ".candump", ".txt"}
 _PYTHON_CAN_SUFFIXES = {".asc", ".blf", ".trc"}
+_MDF_SUFFIXES = {".mf4", ".mdf", ".dat"}
+_SUFFIXES = {".gz", *_CANDUMP_SUFFIXES, *_PYTHON_CAN_SUFFIXES, *_MDF_SUFFIXES, ".csv", ".parquet"}
 _RAW_COLUMNS = {"timestamp", "arbitration_id", "data"}
 
 
@@ -46,6 +48,16 @@ class Frames:
 
     def __len__(self) -> int:
         return len(self.t_ns)
+
+    def of_channel(self, channel: str | None, where: Path | str) -> Frames:
+        """The frames of one channel (all for None). InputError when the log ``where`` has no such channel."""
+        if channel is None:
+            return self
+        if channel not in self.channels:
+            raise InputError(where, "channel", f"{channel} is not in the log", f"one of {', '.join(self.channels)}")
+        at = self.channel == self.channels.index(channel)
+        arrays = (a[at] for a in (self.t_ns, self.id, self.channel, self.length, self.data))
+        return Frames(*arrays, self.channels, self.left_out)
 
 
 @dataclass(frozen=True)
@@ -79,7 +91,7 @@ def read_log(path: Path, *, time_column: str | None = None) -> Frames | Table:
         log: Frames | Table = _read_candump(path)
     elif suffix in _PYTHON_CAN_SUFFIXES:
         log = _read_python_can(path)
-    elif suffix in {".mf4", ".mdf", ".dat"}:
+    elif suffix in _MDF_SUFFIXES:
         log = _read_mf4(path)
     elif suffix in {".csv", ".parquet"}:
         log = _read_table(path, suffix, time_column)
@@ -93,6 +105,28 @@ def read_log(path: Path, *, time_column: str | None = None) -> Frames | Table:
     if isinstance(log, Frames) and len(log) == 0:
         raise InputError(path, "", "holds no data frame" + _in_words(log.left_out), "at least one frame")
     return log
+
+
+def stem(path: Path) -> str:
+    """File name without the suffixes of logs: drive.log.gz is drive."""
+    name = path.name
+    for suffix in reversed(path.suffixes):
+        if suffix.lower() in _SUFFIXES:
+            name = name.removesuffix(suffix)
+    return name
+
+
+def is_raw_table(path: Path) -> bool:
+    """Whether a CSV or Parquet file holds raw frames; False also where it cannot be read."""
+    import pyarrow.parquet as pa_parquet
+
+    try:
+        if path.suffix.lower() == ".parquet":
+            return _RAW_COLUMNS <= set(pa_parquet.read_schema(path).names)
+        with path.open(encoding="utf-8") as text:
+            return _RAW_COLUMNS <= {name.strip() for name in text.readline().split(",")}
+    except (OSError, ValueError):  # of pyarrow too
+        return False
 
 
 def _in_words(left_out: dict[str, int]) -> str:

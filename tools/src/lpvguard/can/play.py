@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..errors import InputError
 from .catalogue import Catalogue, Message, Signal, load_catalogue
 from .logs import EXTENDED, Frames
 
@@ -94,14 +95,35 @@ def frames_of_drive(
     )
 
 
-def values_of_drive(project, drive) -> dict[tuple[str, str], np.ndarray]:
-    """What ``frames_of_drive`` sends for a drive of ``drives.py``: bus value = factor * value for every signal with a CAN place."""
+def values_of_drive(project, drive, catalogue: Catalogue | None = None) -> dict[tuple[str, str], np.ndarray]:
+    """What ``frames_of_drive`` sends for a drive of ``drives.py``: bus value = factor * value for every signal with a CAN place.
+
+    A receiver refuses a frame that lacks one of its supervised signals, so those that the drive does not say are filled in:
+    lateral acceleration with speed * yaw rate (steady cornering), anything else with 0. InputError for a signal without a place.
+    """
+    catalogue = catalogue or load_catalogue()
     columns = [
         (project.speed, drive.v),
         *((s, drive.u[:, j]) for j, s in enumerate(project.inputs)),
         *((s, drive.y[:, j]) for j, s in enumerate(project.outputs)),
     ]
-    return {(s.can.message, s.can.signal): s.can.factor * x for s, x in columns if s.can is not None}
+    without = [s.name for s, _ in columns if s.can is None]
+    if without:
+        raise InputError(
+            f"vehicle {project.name}",
+            "signals",
+            f"{', '.join(without)} have no `can` entry",
+            "can = { message, signal, factor }",
+        )
+    values = {(s.can.message, s.can.signal): s.can.factor * x for s, x in columns}
+    steady = drive.v * values.get(("VDC2", "yaw_rate"), 0.0)
+    for message in dict.fromkeys(message for message, _ in values):
+        for signal in catalogue.message(message).supervised:
+            fill = steady if signal.name == "lateral_acceleration" else np.zeros(len(drive.t))
+            values.setdefault(
+                (message, signal.name), np.clip(fill, signal.supervise.min, signal.supervise.max)
+            )
+    return values
 
 
 def write_candump(frames: Frames, path: Path) -> None:
@@ -126,24 +148,27 @@ def play(
     speed: float = 1.0,
     sleep: Callable[[float], None] = time.sleep,
     clock: Callable[[], float] = time.monotonic,
-) -> None:
+) -> float:
     """Send ``frames`` on a python-can ``bus`` at ``speed`` times the recorded pace; ``speed`` inf does not wait.
 
-    A frame is never sent early; lateness does not add up, for every frame is timed from the start.
+    A frame is never sent early; lateness does not add up, for every frame is timed from the start. Where the log's clock
+    goes back, the next frame follows at once. Returns the largest lateness [s].
     """
     import can
 
-    start = clock()
-    for t_ns, id_, length, data in zip(
-        (frames.t_ns - frames.t_ns[0]).tolist(), frames.id.tolist(), frames.length.tolist(), frames.data
-    ):
-        ahead = start + t_ns / 1e9 / speed - clock()
+    due = np.concatenate(([0.0], np.cumsum(np.maximum(np.diff(frames.t_ns), 0)) / 1e9 / speed))
+    late, start = 0.0, clock()
+    for due_s, id_, length, data in zip(due.tolist(), frames.id.tolist(), frames.length.tolist(), frames.data):
+        ahead = start + due_s - clock()
         if ahead > 0:
             sleep(ahead)
+        late = max(late, -ahead)
         bus.send(
             can.Message(
                 arbitration_id=id_ & 0x1FFFFFFF,
                 is_extended_id=bool(id_ & EXTENDED),
+                is_fd=length > 8,
                 data=data[:length].tobytes(),
             )
         )
+    return late

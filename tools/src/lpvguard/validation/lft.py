@@ -282,7 +282,7 @@ class _Quadratic:
         if y is not None:
             rays = np.column_stack([node.rays, np.zeros(self.params)])
             slopes = np.tensordot(rays[:, param] * y, level, axes=1)
-            edges = float(np.min(lmi.reach(np.tensordot(y, q0, axes=1), slopes)))
+            edges = float(np.min(lmi.reach(np.tensordot(y, q0, axes=1), slopes, lmi.rounding(y, q0))))
         return edges, length, inverse
 
     # -- feasible points
@@ -303,7 +303,13 @@ class _Quadratic:
         """Project z on the linear constraints a z = delta b z; None when they have no solution."""
         if not deltas:
             return z, None
-        rows = np.vstack([self.forms[k].a - d * self.forms[k].b for k, d in deltas.items()])
+        # Rows of a block in units of its own: sizes of blocks may be 1e10 apart.
+        rows = []
+        for k, d in deltas.items():
+            f = self.forms[k]
+            unit = np.linalg.norm(f.a) + abs(d) * np.linalg.norm(f.b)
+            rows.append((f.a - d * f.b) / (unit if unit > 0.0 else 1.0))
+        rows = np.vstack(rows)
         left, right = rows[:, :-1], -rows[:, -1]
         fix, *_ = np.linalg.lstsq(left, right - left @ z[:-1], rcond=RANK_TOLERANCE)
         z = np.append(z[:-1] + fix, 1.0)
@@ -329,7 +335,7 @@ class _Quadratic:
         for f in fixed:
             # A constant constraint is a ball, its b z the same for all theta: shrink towards its centre.
             limit = f.constant * f.slope * np.linalg.norm(f.b @ z) ** 2
-            if np.linalg.norm(f.a @ z) ** 2 <= limit:
+            if np.linalg.norm(f.a @ z) ** 2 <= limit * (1.0 + 1e-12):
                 continue
             basis = np.eye(len(z) - 1, dtype=complex) if null is None else null
             step, *_ = np.linalg.lstsq(f.a[:, :-1] @ basis, -(f.a @ z), rcond=RANK_TOLERANCE)
@@ -576,17 +582,24 @@ class _Quadratic:
 
     # -- branch and bound
 
-    def solve(self, gap: float = GAP, max_nodes: int = MAX_NODES, zero: float = 0.0) -> Interval:
+    def solve(
+        self,
+        gap: float = GAP,
+        max_nodes: int = MAX_NODES,
+        zero: float = 0.0,
+        points: Sequence[np.ndarray] = (),
+    ) -> Interval:
         """Both sides of the optimum by best-first branch and bound; the upper side is inf when no point was
         found.
 
-        A cost below ``zero`` times that of the first point found ends the search.
+        ``points``: (n,) each, known explanations to begin with. A cost below ``zero`` times that of the first
+        point found counts as zero and ends the search.
         """
         free = self._zero()
         if free is not None:
             return Interval(0.0, 0.0, free, 0)
         best, serial = _Best(), 0
-        first = self.start(best, [self._origin()])
+        first = self.start(best, [self._origin(), *points])
         rays = np.eye(self.params)
         open_nodes = [_Node(0.0, serial, rays, {})]
         closed = np.inf
@@ -608,7 +621,7 @@ class _Quadratic:
             if serial == 0 and not np.isfinite(best.cost):
                 first = self.start(best, self._repeated_starts())
             if best.cost <= zero * first:
-                return Interval(0.0, best.cost, best.z, serial + 1)
+                return Interval(0.0, 0.0, best.z, serial + 1)
             if lower >= best.cost * (1.0 - gap):
                 closed = min(closed, lower)
                 continue
@@ -776,6 +789,16 @@ class _Posed:
         """(xi, eta, w) at a point in scaled coordinates."""
         z = z / (self.t @ z)[0]
         return self._xi @ z, self._eta @ z, self._w @ z
+
+    def points(self, known: Solution | None) -> list[np.ndarray]:
+        """The point in scaled coordinates of an explanation found before; none for None."""
+        if known is None:
+            return []
+        maps, signals = np.vstack([self._xi, self._w]), np.concatenate([known.xi, known.w])
+        size = np.maximum(np.linalg.norm(maps, axis=1), 1e-300)
+        rest = (signals * self.t[0, -1] - maps[:, -1]) / size
+        theta, *_ = np.linalg.lstsq(maps[:, :-1] / size[:, None], rest, rcond=RANK_TOLERANCE)
+        return [np.append(theta, 1.0)]
 
     def finish(self, interval: Interval, what: str) -> Solution:
         """Build and verify the explanation; refuse one that needs a perturbation at the well-posedness
@@ -952,10 +975,16 @@ def _one_block(problem: _Quadratic, caps: np.ndarray, posed: _Posed) -> Interval
 
 
 def smallest_last_block(
-    problem: Lft, gamma_w: float, *, gap: float = GAP, max_nodes: int = MAX_NODES
+    problem: Lft,
+    gamma_w: float,
+    *,
+    gap: float = GAP,
+    max_nodes: int = MAX_NODES,
+    known: Solution | None = None,
 ) -> tuple[float, float]:
     """(lower, upper) of the smallest size of the last block alone, the others free, at the same gamma_w.
 
+    ``known``: an explanation at the same gamma_w to begin with.
     Raises InputError as :func:`optimum` does, and when that size is at or above the block's own cap.
     """
     posed = _pose(problem, gamma_w)
@@ -966,10 +995,7 @@ def smallest_last_block(
     caps = block_caps(problem)
     forms += [_block_form(posed, i, constant=caps[i] ** 2) for i in range(last) if problem.blocks[i].repeated]
     forms.append(_block_form(posed, last, param=0))
-    interval = _Quadratic(forms, 1, posed.n).solve(gap, max_nodes, ZERO)
-    if interval.upper < np.inf and interval.lower == 0.0:
-        # Another, repeated block explains the data alone; the local search ends near zero, not on it.
-        return 0.0, 0.0
+    interval = _Quadratic(forms, 1, posed.n).solve(gap, max_nodes, ZERO, posed.points(known))
     lower, upper = float(np.sqrt(interval.lower)), float(np.sqrt(interval.upper))
     cap = caps[last]
     if not upper < cap:
@@ -982,12 +1008,22 @@ def smallest_last_block(
     return lower, upper
 
 
-def smallest_common_size(problem: Lft, gamma_w: float, *, gap: float = GAP) -> Solution:
-    """Smallest t with all nu_i <= t at the same gamma_w; bounds are on t^2."""
+def smallest_common_size(
+    problem: Lft,
+    gamma_w: float,
+    *,
+    gap: float = GAP,
+    max_nodes: int = MAX_NODES,
+    known: Solution | None = None,
+) -> Solution:
+    """Smallest t with all nu_i <= t at the same gamma_w; bounds are on t^2.
+
+    ``known``: an explanation at the same gamma_w to begin with.
+    """
     posed = _pose(problem, gamma_w)
     forms = _ball(posed, gamma_w)
     forms += [_block_form(posed, i, param=0) for i in range(len(problem.blocks)) if i not in posed.dead]
-    interval = _Quadratic(forms, 1, posed.n).solve(gap=gap)
+    interval = _Quadratic(forms, 1, posed.n).solve(gap, max_nodes, points=posed.points(known))
     return posed.finish(interval, "gamma_w")
 
 

@@ -162,9 +162,17 @@ def maximise_level(q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: f
     return Centre(y, float(x), float(x_above), inverse)
 
 
-def reach(zero: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+def rounding(y: np.ndarray, forms: np.ndarray) -> float:
+    """Bound on the rounding error (2-norm) of sum_j y_j forms_j, ``forms`` (m, n, n): free multipliers may be large and
+    cancel, and a certificate must not rest on what is left of that."""
+    n = forms.shape[-1]
+    return 4.0 * n * np.finfo(float).eps * float(np.abs(y) @ np.linalg.norm(forms, axis=(1, 2)))
+
+
+def reach(zero: np.ndarray, slopes: np.ndarray, error: float = 0.0) -> np.ndarray:
     """Largest length (k,) at which ``zero`` - length ``slopes[k]`` stays >= 0; inf where nothing ends it, 0
-    where ``zero`` (n, n) itself is not positive definite. ``slopes`` (k, n, n) >= 0."""
+    where ``zero`` (n, n) itself is not positive definite. ``slopes`` (k, n, n) >= 0; ``error``: of ``zero``, 2-norm."""
+    zero = zero - error * np.eye(len(zero))
     try:
         factor = np.linalg.inv(np.linalg.cholesky(0.5 * (zero + zero.conj().T)))
     except np.linalg.LinAlgError:
@@ -184,14 +192,16 @@ def _ray_length_numpy(q0, level, c: Cone, cutoff: float):
         elif ahead:
             at = max(cutoff, length) if np.isfinite(cutoff) else 8.0 * length
         centre = maximise_level(q0 - at * level, c, relative=0.3, absolute=1e-8)
-        if ahead and centre.x <= 0.0:
+        error = rounding(centre.y, q0)
+        if ahead and centre.x <= error:
             beyond = at
             continue
         inverse = centre.inverse
-        if centre.x <= 0.0:
+        if centre.x <= error:
             break
         y = centre.y
-        longer = max(at, float(reach(np.tensordot(y, q0, axes=1), np.tensordot(y, level, axes=1)[None])[0]))
+        zero, slopes = np.tensordot(y, q0, axes=1), np.tensordot(y, level, axes=1)[None]
+        longer = max(at, float(reach(zero, slopes, error)[0]))
         done = not ahead and (longer <= length * (1.0 + 1e-6) or beyond <= longer * (1.0 + 1e-5))
         length = max(length, longer)
         if done or length >= cutoff:

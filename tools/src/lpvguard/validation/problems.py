@@ -18,7 +18,8 @@ GAP = 4e-4
 """Relative distance of the two sides that the branch and bound works to; the interface asks for 1e-3."""
 
 SIDE_NODES = 800
-"""Nodes spent on ``nu_s_min``: it is reported by its attained value, which the first few nodes find."""
+"""Nodes spent on ``nu_s_min`` and ``t_minmax``: they are reported by their attained values, which the first few nodes
+find."""
 
 
 def _pairs(a: np.ndarray) -> list:
@@ -81,10 +82,9 @@ def solve_lft(f: Fields) -> dict:
     lambda_w = f.weights("lambda_w", n_w) if f.has("lambda_w") else None
     s = lft.optimum(problem, gamma, f.weights("lambda_nu", tau), lambda_w, gap=GAP)
     answer = {"J_lower": s.lower, "J_upper": s.upper, "B1": s.b1} | _explanation(s)
-    _or_reason(
-        answer, "nu_s_min", lambda: lft.smallest_last_block(problem, gamma, gap=GAP, max_nodes=SIDE_NODES)[1]
-    )
-    _or_reason(answer, "t_minmax", lambda: np.sqrt(lft.smallest_common_size(problem, gamma, gap=GAP).upper))
+    side = {"gap": GAP, "max_nodes": SIDE_NODES, "known": s}
+    _or_reason(answer, "nu_s_min", lambda: lft.smallest_last_block(problem, gamma, **side)[1])
+    _or_reason(answer, "t_minmax", lambda: np.sqrt(lft.smallest_common_size(problem, gamma, **side).upper))
     return answer
 
 

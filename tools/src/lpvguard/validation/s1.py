@@ -250,6 +250,10 @@ def tradeoff(e, z, gamma_w, lambda_nu, lambda_w) -> TradeoffResult:
     outside = distance > radius
     pull = np.divide(radius, distance, out=np.ones(len(e)), where=outside)
     delta = np.where(outside, centre + pull * offset, target)
+    # Close to the target the centre would cancel: the way there is the smallest delta that explains what the target leaves.
+    near = outside & (distance < 2.0 * radius)
+    rest = solve(e[near] - target[near, None] * z[near], z[near], gamma[near])
+    delta[near] = np.where(rest.feasible, target[near] + rest.delta, delta[near])
     w = e - delta[:, None] * z
     infeasible = ~base.feasible.ravel()
     cost = np.where(infeasible, np.inf, lam * np.abs(delta) ** 2 + np.sum(lam_w * np.abs(w) ** 2, axis=-1))

@@ -1,0 +1,24 @@
+/// @file reception.hpp -- what the supervision counted and when, for people and for the simulator: not part of the loop.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <string>
+
+#include "firmware.h"
+
+class Reception {
+public:
+    Reception();
+
+    /// Notes which kinds of events have come up since; call after every tick.
+    void note(const lpvg_can_supervisor_t& supervisor, std::int64_t now_us);
+
+    /// {"send_failures": n, "rules": [[id, state, [counts], [first seen s]], ..., [0, bus-off, [counts], [first seen s]]]}; counts in
+    /// the order of lpvg_can_event_t, the last row for frames of no rule; -1: never seen.
+    std::string json(const firmware_t& firmware) const;
+
+private:
+    using Times = std::array<std::int64_t, lpvg_can_event_count>;
+    std::array<Times, LPVG_CAN_RULES_MAX + 1U> first_us_;
+};

@@ -1,0 +1,22 @@
+/* time_line.h -- how a simulator leads an ECU process through simulated time, over a SOCK_SEQPACKET pair.
+ *
+ * Time is what a bus does not carry: here comes one request a tick, and its answer when everything that the tick sends is on the
+ * bus. The counts let each side wait for frames that the kernel has not handed over yet. */
+#ifndef LPVGUARD_TIME_LINE_H
+#define LPVGUARD_TIME_LINE_H
+
+#include <stdint.h>
+
+typedef struct time_request_t {
+    int64_t now_us;  /* of the tick; below 0: end, answered with the counters as text */
+    uint64_t frames; /* sent to the ECU since the last request */
+} time_request_t;
+
+typedef struct time_answer_t {
+    uint64_t status; /* lpvg_status_t */
+    uint64_t frames; /* sent by the ECU in this tick */
+} time_answer_t;
+
+enum { TIME_LINE_TEXT_MAX = 16384 };
+
+#endif

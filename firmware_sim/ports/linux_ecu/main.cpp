@@ -1,0 +1,147 @@
+// main.cpp -- lpvguard_ecu: the ECU's firmware as a Linux process on a CAN interface, real or vcan.
+//
+//   lpvguard_ecu INTERFACE [--engage yes|no] [--time-line FD | --seconds S]
+//
+// Without --time-line it runs in real time, a tick every sample period of CLOCK_MONOTONIC, until SIGINT, SIGTERM or S seconds.
+// With it, in simulated time: FD is one end of a SOCK_SEQPACKET pair, the other is the simulator's (time_line.h).
+// The kernel lets through what the supervision has a rule for, any priority, and error reports. At the end the supervision's
+// counters are written as JSON (reception.hpp).
+#include <cerrno>
+#include <csignal>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <ctime>
+#include <string>
+
+#include <sys/socket.h>
+
+#include "counted_bus.hpp"
+#include "lpvguard/bus.h"
+#include "reception.hpp"
+#include "time_line.h"
+
+namespace {
+
+volatile std::sig_atomic_t g_stop = 0;
+
+struct Options {
+    const char* interface = nullptr;
+    bool engage = true;
+    int time_line = -1;
+    double seconds = 0.0;  // 0: until a signal
+};
+
+bool parse(int argc, char** argv, Options& options) {
+    if (argc < 2 || argc % 2 != 0) {
+        return false;
+    }
+    options.interface = argv[1];
+    for (int i = 2; i < argc; i += 2) {
+        const std::string name = argv[i], value = argv[i + 1];
+        char* end = nullptr;
+        if (name == "--engage" && (value == "yes" || value == "no")) {
+            options.engage = value == "yes";
+        } else if (name == "--time-line") {
+            options.time_line = static_cast<int>(std::strtol(value.c_str(), &end, 10));
+        } else if (name == "--seconds") {
+            options.seconds = std::strtod(value.c_str(), &end);
+        } else {
+            return false;
+        }
+        if (end != nullptr && (*end != '\0' || end == value.c_str())) {
+            return false;
+        }
+    }
+    return true;
+}
+
+class Filters {
+public:
+    Filters() {
+        for (; n_ < lpvg_bus.n_rules; ++n_) {
+            list_[n_] = {lpvg_bus.rules[n_].id, lpvg_bus.rules[n_].id_mask};
+        }
+    }
+    const socketcan_filter_t* list() const { return list_; }
+    std::size_t size() const { return n_; }
+
+private:
+    socketcan_filter_t list_[LPVG_CAN_RULES_MAX];
+    std::size_t n_ = 0;
+};
+
+int complain(const std::string& what) {
+    std::fprintf(stderr, "lpvguard_ecu: %s\n", what.c_str());
+    return 2;
+}
+
+int run_on_time_line(const Options& options, const lpvg_ecu_config_t& config) {
+    CountedBus bus;
+    firmware_t firmware{};
+    Reception reception;
+    if (!bus.open(options.interface, Filters().list(), Filters().size())) {
+        return complain(std::string(options.interface) + ": " + std::strerror(bus.driver().error));
+    }
+    if (firmware_init(&firmware, bus.end(), &config, 0) != lpvg_status_ok) {
+        return complain("the core refused its coefficients");
+    }
+    time_request_t request{};
+    time_answer_t answer{};
+    // The first answer says that the socket is open: what is sent from now on arrives.
+    while (::send(options.time_line, &answer, sizeof answer, 0) == static_cast<ssize_t>(sizeof answer) &&
+           ::recv(options.time_line, &request, sizeof request, 0) == static_cast<ssize_t>(sizeof request) && request.now_us >= 0) {
+        bus.expect(request.frames);
+        answer.status = static_cast<std::uint64_t>(firmware_tick(&firmware, request.now_us));
+        answer.frames = bus.take_sent();
+        reception.note(firmware.ecu.supervisor, request.now_us);
+    }
+    const std::string text = reception.json(firmware);
+    return ::send(options.time_line, text.data(), text.size(), 0) == static_cast<ssize_t>(text.size()) ? 0 : complain(std::strerror(errno));
+}
+
+int run_in_real_time(const Options& options, const lpvg_ecu_config_t& config) {
+    socketcan_t driver{};
+    bus_t bus{};
+    if (!socketcan_open(&driver, options.interface, Filters().list(), Filters().size(), socketcan_time_arrival, &bus)) {
+        return complain(std::string(options.interface) + ": " + std::strerror(driver.error));
+    }
+    firmware_t firmware{};
+    Reception reception;
+    const std::int64_t period_us = lpvg_coeff.words.sample_period_us;
+    timespec next{};
+    clock_gettime(CLOCK_MONOTONIC, &next);
+    const auto micros = [](const timespec& t) { return static_cast<std::int64_t>(t.tv_sec) * 1'000'000 + t.tv_nsec / 1'000; };
+    const std::int64_t start_us = micros(next);
+    if (firmware_init(&firmware, &bus, &config, start_us) != lpvg_status_ok) {
+        socketcan_close(&driver);
+        return complain("the core refused its coefficients");
+    }
+    for (std::int64_t due_us = start_us; g_stop == 0 && (options.seconds <= 0.0 || static_cast<double>(due_us - start_us) < options.seconds * 1e6);
+         due_us += period_us) {
+        next = {static_cast<time_t>(due_us / 1'000'000), static_cast<long>(due_us % 1'000'000 * 1'000)};
+        while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &next, nullptr) == EINTR && g_stop == 0) {
+        }
+        timespec now{};
+        clock_gettime(CLOCK_MONOTONIC, &now);
+        (void)!firmware_tick(&firmware, micros(now));  // a tick that comes at once after a late one is refused: time must move
+        reception.note(firmware.ecu.supervisor, micros(now) - start_us);
+    }
+    socketcan_close(&driver);
+    std::printf("%s\n", reception.json(firmware).c_str());
+    return 0;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+    Options options;
+    if (!parse(argc, argv, options)) {
+        return complain("usage: lpvguard_ecu INTERFACE [--engage yes|no] [--time-line FD | --seconds S]");
+    }
+    std::signal(SIGINT, [](int) { g_stop = 1; });
+    std::signal(SIGTERM, [](int) { g_stop = 1; });
+    lpvg_ecu_config_t config = firmware_config;
+    config.engage = options.engage;
+    return options.time_line >= 0 ? run_on_time_line(options, config) : run_in_real_time(options, config);
+}

@@ -1,0 +1,125 @@
+"""Firmware and plant as two processes on a real vcan0 (tools/with-vcan): nothing lost or late; floods of foreign frames, and babbling
+with an identifier of the loop's own. The long forms (10 minutes of simulated time; a flood of 60 s) run with tools/test --full."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lpvguard import artefacts
+from lpvguard.can.decode import decode_all, own_database
+from lpvguard.can.logs import read_log
+from lpvguard.sim import RECOVERY_S, load_scenario
+
+ROOT = Path(__file__).resolve().parents[2]
+FULL = os.environ.get("LPVGUARD_FULL") == "1"
+WARM_S = 3.0
+LOOP = """
+title = "loop"
+duration_s = {duration}
+[plant]
+speed_profile = [[0.0, 15.0]]
+[command]
+kind = "multisine"
+spacing = "log"
+low_radps = 0.5
+high_radps = 4.0
+rms_radps = 0.08
+[expect]
+verdict = "any"
+supervision = "live"
+"""
+
+
+@pytest.fixture
+def loop(simulator, truck_folder, tmp_path):
+    """loop(seconds, flood seconds, commands): the same run in memory, and as two processes beside the commands."""
+
+    def run(duration: float, for_s: float = 0.0, *commands: str):
+        path = tmp_path / "loop.toml"
+        path.write_text(LOOP.format(duration=duration))
+        want = simulator.run(load_scenario(str(path)))
+        simulator.ecu_program  # compiled here, and not on the one processor of the guest
+        command = [ROOT / "tools" / "with-vcan", "env", f"PYTHONPATH={ROOT / 'tools/src'}", sys.executable]
+        sim = ["-m", "lpvguard.cli", "sim", path, "--coefficients", truck_folder, "--bus", "socketcan:vcan0", "--ecu-process", "--json", "-",
+               "-o", tmp_path / "out"]
+        if commands:
+            words = [word for c in commands for word in ["--", *c.split()]][1:]
+            command += [Path(__file__).with_name("on_vcan.py"), sys.executable, *sim, "--pace", 1, "--", WARM_S, for_s, *words]
+        else:
+            command += sim
+        done = subprocess.run([str(c) for c in command], capture_output=True, text=True, timeout=900, check=False)
+        if commands:
+            assert done.returncode == 0, done.stderr
+            beside = json.loads(done.stdout)
+            assert isinstance(beside["loop"], list), beside["loop"]
+            return want, beside["loop"][0], beside
+        assert done.returncode in (0, 1) and done.stdout, done.stderr
+        return want, json.loads(done.stdout)[0], {}
+
+    return run
+
+
+def all_good(run) -> bool:
+    """Nothing but good frames, by the supervision's count."""
+    return all(set(m["counts"]) <= {"accepted", "recovering"} for m in run["reception"]["messages"].values())
+
+
+def test_two_processes_lose_nothing_and_send_the_frames_of_one(loop):
+    want, got, _ = loop(600.0 if FULL else 30.0)
+    print(f"{got['duration_s']:g} s, {got['frames']} frames")
+    assert got["frames_hash"] == want["frames_hash"] and got["frames"] == want["frames"]
+    assert all_good(got) and got["reception"]["send_failures"] == 0
+    assert got["verdicts"] == want["verdicts"] and got["supervision"] == want["supervision"]
+    assert got["reception"] == want["reception"]
+
+
+def test_a_flood_of_foreign_identifiers_changes_nothing(loop):
+    """The filter: lpvguard_ecu hands the kernel identifier and mask of each message that it supervises; no other frame is received."""
+    for_s = 60.0 if FULL else 5.0
+    want, got, beside = loop(WARM_S + for_s + 3.0, for_s, "cangen -g 0 -p 10 vcan0", "cangen -e -I 18F0043E -g 0 -p 10 vcan0",
+                             "cansend vcan0 123#DEADBEEF")
+    print(f"{beside['sent']} frames on the bus in {beside['took_s']:.1f} s")
+    assert beside["sent"] > 5_000 * for_s, "a flood"
+    assert got["frames_hash"] == want["frames_hash"] and all_good(got)
+    assert got["verdicts"] == want["verdicts"] and got["supervision"] == want["supervision"]
+    assert {"18F0093E", "18FF01FC"} <= {line.split()[2].split("#")[0] for line in beside["tail"].splitlines()}
+
+
+def test_babbling_with_an_identifier_of_ours(loop, truck_folder, tmp_path):
+    """Safe state within 5 periods of its first frame, no demand out of its limits, live again within 1 s of its last."""
+    for_s = 60.0 if FULL else 4.0
+    _, got, beside = loop(WARM_S + for_s + 4.0, for_s, "cangen -e -I 18F0093E -L 8 -g 0 -p 10 vcan0")
+    vdc2 = got["reception"]["messages"]["VDC2"]
+    print(f"{beside['sent']} frames on the bus in {beside['took_s']:.1f} s; VDC2 by kind: {vdc2['counts']}")
+    assert beside["sent"] > 5_000 * for_s
+    begin_s = min(t for kind, t in vdc2["first_s"].items() if kind not in ("accepted", "recovering"))
+    changes = [(t, s) for t, s in got["supervision"] if t > 1.0]
+    assert changes[0][1] != "live" and begin_s <= changes[0][0] <= begin_s + 5 * 0.01
+    # Of the log's tail: how many good frames came after the last foreign one; the loop sends one each 10 ms.
+    own = read_log(tmp_path / "out" / "loop-1.log")
+    good = {row.tobytes() for row in own.data}
+    heard = [line.split()[2].split("#") for line in beside["tail"].splitlines()]
+    foreign = [bytes.fromhex(data) not in good for identifier, data in heard if identifier == "18F0093E"]
+    last = max(i for i, is_foreign in enumerate(foreign) if is_foreign)
+    after_s = (len(foreign) - 1 - last) * 0.01
+    tail_ended_s = next(i for i, data in enumerate(own.data[own.id == 0x98F0093E][::-1])
+                        if data.tobytes().hex().upper() == [d for i, d in heard if i == "18F0093E"][-1]) * 0.01
+    end_s = got["duration_s"] - tail_ended_s - after_s
+    live_s, state = changes[-1]
+    print(f"off {(changes[0][0] - begin_s) * 1e3:.0f} ms after its first frame, live {(live_s - end_s) * 1e3:.0f} ms after its last")
+    assert state == "live" and live_s <= end_s + RECOVERY_S
+    assert not any(s == "live" for t, s in changes if begin_s < t < end_s)
+    limits = artefacts.read_manifest(truck_folder, "vehicle")["controller"]
+    demand = decode_all(own, own_database())["GUARD_OUT"]["dp_demand"].value
+    assert np.abs(demand).max() <= limits["u_max"][0] + 1 / 2048 and np.abs(demand).max() > 0.1
+    assert np.abs(np.diff(demand)).max() <= limits["rate_max"][0] * 0.01 + 1 / 2048
+    ticks = np.arange(len(demand)) * 0.01
+    released = (ticks > begin_s + limits["u_max"][0] / limits["rate_max"][0] + 0.05) & (ticks < end_s)
+    assert released.sum() > 100 and np.abs(demand[released]).max() <= 1 / 2048
