@@ -4,9 +4,9 @@ Everything is discrete from the start: the vehicle sampled exactly at Ts, the we
 delay between the controller's output and the vehicle, so that the ECU may take a whole period to compute. The delay then
 belongs to the controller, which makes it strictly proper.
 
-One scaling D (found by D-K iteration at the design speed) serves all speeds, so that neighbouring controllers differ
-little. They are truncated to a common order, brought to common coordinates one from the next, and interpolated entry by
-entry. What is certified is the controller the core runs: float32 coefficients, interpolated, closed with the nominal model
+One scaling D (started by D-K iteration at the design speed, then the best for the worst speed) and one level serve all
+speeds, so that neighbouring controllers differ little (synthesis/scheduling.py). They are truncated by one projection, which
+leaves them in common coordinates, and interpolated entry by entry. What is certified is the controller the core runs: float32 coefficients, interpolated, closed with the nominal model
 and the weights at frozen speeds, at the nodes and midway between them. Frozen speeds: no claim is made about how fast the
 speed may change.
 """
@@ -25,8 +25,10 @@ from .identify import FittedWeight, Progress, StoredIdentification
 from .nominal import NominalModel
 from .project import DesignSettings
 from .synthesis import interconnection as fig1
-from .synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis, frozen_controllers
-from .synthesis.statespace import StateSpace, append, gain, lft, series
+from .synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis
+from .synthesis.norms import hinf_norm
+from .synthesis.scheduling import closed_scaled, common_family, common_scaling
+from .synthesis.statespace import StateSpace, append, gain, series
 
 SMALLEST_ORDER = 4
 """Before the delay: fewer states than the vehicle and the reference model have between them cannot do the job."""
@@ -34,8 +36,8 @@ PATIENCE = 3
 """Orders tried beyond the best one so far."""
 CERTIFICATE_RTOL = 1e-6
 """Largest relative difference between a stated level and the one proved anew."""
-ALIGN_POINTS = 200
-"""Frequencies at which two controllers' states are compared when they are brought to common coordinates."""
+SCALING_SPEEDS = 4
+"""Nodes, ends included, for which the common scaling is searched: the optimum moves slowly with speed."""
 
 
 @dataclass(frozen=True)
@@ -105,28 +107,6 @@ def _with_delay(K: StateSpace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return A, np.vstack([K.B, K.D]), np.hstack([np.zeros((n_u, n)), np.eye(n_u)])
 
 
-def _aligned(K: StateSpace, reference: StateSpace) -> StateSpace:
-    """K in the coordinates in which its states are seen at the output as the reference's are (least squares)."""
-    z = np.exp(1j * np.logspace(-4, 0, ALIGN_POINTS) * np.pi)
-
-    def seen(G: StateSpace) -> np.ndarray:
-        rows = [np.linalg.solve((x * np.eye(G.order) - G.A).T, G.C.T).T for x in z]
-        stacked = np.concatenate(rows)
-        return np.vstack([stacked.real, stacked.imag])
-
-    T = np.linalg.lstsq(seen(K), seen(reference), rcond=None)[0]
-    return StateSpace(np.linalg.solve(T, K.A @ T), np.linalg.solve(T, K.B), K.C @ T, K.D, K.dt)
-
-
-def _in_common_coordinates(controllers: list[StateSpace], start: int) -> list[StateSpace]:
-    out = list(controllers)
-    for k in range(start + 1, len(out)):
-        out[k] = _aligned(out[k], out[k - 1])
-    for k in range(start - 1, -1, -1):
-        out[k] = _aligned(out[k], out[k + 1])
-    return out
-
-
 def _injection(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:
     """L with A - L C stable: the stationary Kalman gain that trusts the applied input as much as the measurements."""
     Q = B @ B.T + 1e-9 * np.trace(B @ B.T) * np.eye(len(A))
@@ -135,8 +115,8 @@ def _injection(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:
     return A @ P @ C.T @ np.linalg.inv(C @ P @ C.T + R)
 
 
-def _schedule(controllers: list[StateSpace], speeds: np.ndarray, start: int, Ts: float) -> Scheduled:
-    realised = [_with_delay(K) for K in _in_common_coordinates(controllers, start)]
+def _schedule(controllers: list[StateSpace], speeds: np.ndarray, Ts: float) -> Scheduled:
+    realised = [_with_delay(K) for K in controllers]
     A, B, C = (np.stack([r[i] for r in realised]) for i in range(3))
     return Scheduled(Ts, speeds, A, B, C, np.stack([_injection(*r) for r in realised]))
 
@@ -159,41 +139,59 @@ def _plant(stored: StoredIdentification, model: NominalModel, weights: fig1.Weig
 
 
 def design(stored: StoredIdentification, progress: Progress = lambda _: None) -> Design:
-    """Synthesise, truncate, align and certify. InputError when the project file has no [design] or no order certifies."""
+    """Synthesise, truncate, schedule and certify. InputError when the project file has no [design] or no order certifies."""
     settings = stored.project.design
     if settings is None:
         raise InputError(f"vehicle {stored.project.name}", "design", "no [design] table", "objectives for step 8")
-    model = NominalModel(stored.project)
-    weights = _weights(stored, settings)
+    return _designed(stored, settings, None, progress)
+
+
+def _designed(stored: StoredIdentification, settings: DesignSettings, scaling: Scaling | None, progress: Progress) -> Design:
+    """The design for ``settings``; ``scaling``: where the search for the common scaling starts."""
+    model, weights = NominalModel(stored.project), _weights(stored, settings)
     speeds = np.linspace(*model.speed_range, settings.nodes)
-    start = int(np.argmin(np.abs(speeds - settings.design_speed_mps)))
-    progress("D-K iteration at the design speed")
-    scaling = dk_synthesis(_plant(stored, model, weights, speeds[start], True)).performance.scaling
-    scaling = scaling or Scaling(np.zeros((0, 1)))  # K_inf has no blocks to scale
+    plants = [_plant(stored, model, weights, v, True) for v in speeds]
+    if scaling is None:
+        progress("D-K iteration at the design speed")
+        start = int(np.argmin(np.abs(speeds - settings.design_speed_mps)))
+        # K_inf has no blocks to scale.
+        scaling = dk_synthesis(plants[start]).performance.scaling or Scaling(np.zeros((0, 1)))
+    progress("one scaling for all speeds")
+    some = np.unique(np.linspace(0, len(plants) - 1, SCALING_SPEEDS).round().astype(int))
+    scaling, level = common_scaling([plants[k] for k in some], scaling)
     progress("controllers over speed")
-    at_order, full_order = frozen_controllers([_plant(stored, model, weights, v, True) for v in speeds], scaling, settings.backoff)
+    at_order, full_order = common_family(plants, scaling, level * (1 + settings.backoff))
     check = np.linspace(speeds[0], speeds[-1], 2 * len(speeds) - 1)
     loops = {float(v): _plant(stored, model, weights, v, False) for v in check}
     best, found = None, None
     for order in range(SMALLEST_ORDER, full_order + 1):
         progress(f"order {order}")
         try:
-            schedule = _schedule(at_order(order), speeds, start, stored.project.Ts_s)
+            schedule = _schedule(at_order(order), speeds, stored.project.Ts_s)
         except np.linalg.LinAlgError:
-            continue  # coordinates cannot be matched, or no injection gain exists, at this order
-        if not all(schedule.injection_radius(v) < 1 and lft(plant.system, schedule.at(v)).stability_margin() > 0
-                   for v, plant in loops.items()):
-            continue  # a truncation that cuts elsewhere at the next node is no schedule, whatever the nodes themselves say
-        proved = _certificates(schedule, loops, scaling)
-        worst = max(p.upper for _, p in proved)
-        if best is None or worst < best * (1 - settings.order_loss):
-            best, found = worst, (schedule, proved)
-        elif schedule.A.shape[1] >= found[0].A.shape[1] + PATIENCE:
+            continue  # no injection gain exists at this order
+        if not all(schedule.injection_radius(v) < 1 for v in loops):
+            continue
+        worst = _worst_level(schedule, loops, scaling, np.inf if best is None else best)
+        if worst < np.inf and (best is None or worst < best * (1 - settings.order_loss)):
+            best, found = worst, schedule
+        elif found is not None and schedule.A.shape[1] >= found.A.shape[1] + PATIENCE:
             break
     if found is None:
         raise InputError(stored.folder, "controller", "no truncation of the scheduled controller stabilises every speed",
                          "more nodes, or a lower A_t")
-    return Design(found[0], scaling, found[1], full_order)
+    progress("certificates")
+    return Design(found, scaling, _certificates(found, loops, scaling), full_order)
+
+
+def _worst_level(schedule: Scheduled, loops: dict[float, fig1.GeneralisedPlant], scaling: Scaling, limit: float) -> float:
+    """Largest norm of the scaled closed loops; inf when one is unstable, or as soon as one lies above ``limit``."""
+    worst = 0.0
+    for v, plant in loops.items():
+        worst = max(worst, hinf_norm(closed_scaled(plant, schedule.at(v), scaling), rtol=1e-3).upper)
+        if worst > limit:
+            return np.inf
+    return worst
 
 
 def _certificates(schedule: Scheduled, loops: dict[float, fig1.GeneralisedPlant],

@@ -13,7 +13,7 @@ constant D (degree 0) covers Δ varying arbitrarily fast.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -354,7 +354,7 @@ def _truncations(scaled_plant: StateSpace, K: StateSpace) -> tuple[Callable[[int
         seen = sl.solve_continuous_lyapunov(loop.A.T, -loop.C.T @ loop.C)[n:, n:]
     except np.linalg.LinAlgError:
         return lambda order: K, 0
-    R, S = _factor(reach), _factor(seen)
+    R, S = gramian_factor(reach), gramian_factor(seen)
     U, sigma, Vt = np.linalg.svd(S.T @ R)
     rank = int(np.count_nonzero(sigma > 1e-13 * sigma[0]))
     scale = 1 / np.sqrt(sigma[:rank])
@@ -367,27 +367,7 @@ def _truncations(scaled_plant: StateSpace, K: StateSpace) -> tuple[Callable[[int
     return truncated, rank
 
 
-def frozen_controllers(plants: Sequence[GeneralisedPlant], scaling: Scaling,
-                       backoff: float) -> tuple[Callable[[int], list[StateSpace]], int]:
-    """H∞ controllers of several plants under one common scaling, as a function of the order they are truncated to, and
-    the largest such order.
-
-    The plants are one scheduled plant at neighbouring operating points; truncated controllers keep their plant's time.
-    """
-    families = []
-    for plant in plants:
-        work = _Work(plant)
-        K = work.controller(scaling, backoff=backoff).controller
-        families.append((plant, *_truncations(work.scaled(work.system, scaling), K)))
-
-    def at_order(order: int) -> list[StateSpace]:
-        return [to_discrete(truncated(order), plant.system.dt) if plant.system.dt else truncated(order)
-                for plant, truncated, _ in families]
-
-    return at_order, min(rank for *_, rank in families)
-
-
-def _factor(gramian: np.ndarray) -> np.ndarray:
+def gramian_factor(gramian: np.ndarray) -> np.ndarray:
     """A square factor F of a Gramian, F Fᵀ = gramian with rounding's negative eigenvalues dropped."""
     values, vectors = np.linalg.eigh(0.5 * (gramian + gramian.T))
     return vectors * np.sqrt(np.maximum(values, 0.0))
