@@ -193,6 +193,30 @@ def _design_vehicle(stored, drive_set, table: bool, out: Path, json_out: str | N
     return 0 if worst < 1 else 1
 
 
+def _design_tradeoff(stored, drive_set, out: Path, json_out: str | None) -> int:
+    from .frozen import FrozenProblem
+    from .stored_frames import StoredFrames
+    from .tradeoff import search
+
+    with _progress("trade-off") as tell:
+        found = search(FrozenProblem(stored, StoredFrames(stored, drive_set, tell)), tell)
+        with artefacts.new_folder(out) as folder:
+            artefacts.write_files(folder, found.files() | {artefacts.MANIFEST: artefacts.manifest(
+                "design-tradeoff", vehicle=stored.project.name, identification=stored.manifest)})
+    _emit(json_out, artefacts.read_json(out / "tradeoff.json"))
+    shown = Table("structure", "nu low", "nu high", "lambda_s", "worst mu", "none below", box=None)
+    for o in found.outcomes:
+        c = o.candidate
+        shown.add_row(c.structure + (" (project)" if c.own else ""), f"{o.ceiling[1]:.3g}", f"{o.ceiling[-1]:.3g}",
+                      "–" if c.lambda_s is None else f"{c.lambda_s:.3g}", "–" if o.level is None else f"{o.level:.4f}", f"{o.floor.value:.4f}")
+    console.print(shown)
+    console.print(found.sentence)
+    for key, value in found.setting().items():
+        console.print(f"to take it, write into the project file {key} = {_toml(value)} and identify again")
+    console.print(f"written to {out}")
+    return 0 if found.best.level < 1 else 1
+
+
 def _show_cells(cells) -> None:
     """Table II on the console, with the times that no file holds."""
     shown = Table("Table II", "A_t", "A_u", "mu upper", "mu lower", "none below", "order", "before", "time s", box=None)
@@ -380,7 +404,9 @@ def report(identification: Annotated[Path, typer.Argument(help="Folder written b
            drives: Annotated[Path, typer.Argument(help="The drive folder it was made from.")],
            vehicle: Vehicle, out: Out, coefficients: Coefficients = None,
            evaluation: Annotated[Path | None, typer.Option(help="JSON written by evaluate.")] = None,
-           loops: Annotated[Path | None, typer.Option(help="Folder written by sim -o.")] = None) -> None:
+           loops: Annotated[Path | None, typer.Option(help="Folder written by sim -o.")] = None,
+           design: Annotated[Path | None, typer.Option(help="Folder written by design.")] = None,
+           tradeoff: Annotated[Path | None, typer.Option(help="Folder written by design --tradeoff.")] = None) -> None:
     """One self-contained HTML page with every picture and table."""
     from .report import write_report
 
@@ -388,7 +414,7 @@ def report(identification: Annotated[Path, typer.Argument(help="Folder written b
     replayer = _replayer(vehicle, coefficients) if stored.project.frames.estimator == "hann" else None
     with _progress("report") as tell:
         write_report(stored, drive_set, replayer, out, artefacts.read_json(evaluation) if evaluation else None, tell,
-                     loops)
+                     loops, design, tradeoff)
     console.print(f"written to {out}")
 
 
@@ -444,6 +470,10 @@ def _play(project, logs: list[Path], to: str, speed: float, channel: str | None)
                 console.print(f"{log.name}: {len(frames)} frames onto {interface}, the latest {late * 1e3:.1f} ms behind its time")
     except (OSError, can.CanError) as error:
         raise InputError("replay", f"--to {to}", str(error), "a SocketCAN interface that is up (tools/with-vcan lends one)") from None
+
+
+def _toml(value: Any) -> str:
+    return "{ " + ", ".join(f"{k} = {v}" for k, v in value.items()) + " }" if isinstance(value, dict) else f"{value:g}"
 
 
 def _norm(values: list[complex]) -> float:

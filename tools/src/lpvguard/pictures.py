@@ -508,3 +508,41 @@ def standalone(svg: str) -> str:
         svg = svg.replace(f"var({variable})", colour)
     return svg.replace("<svg", '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
                        ' style="background:#ffffff"', 1) + "\n"
+
+
+@picture
+def tradeoff_front(found: dict) -> Figure:
+    """The front of `design --tradeoff`: worst mu and floor over uniform ceilings, and the best candidate; beside it the ceilings and
+    gamma_w of the best and of the project's setting. ``found``: tradeoff.json."""
+    figure = _figure(8.2, 3.6)
+    left, right = figure.subplots(1, 2)
+    uniform = [r for r in found["rows"] if r["ceiling"] != "project" and r["nu_low"] == r["nu_high"] and r["mu_worst"] is not None]
+    for structure in ("K_i", "K_is"):
+        rows = sorted((r for r in uniform if r["structure"] == structure), key=lambda r: r["nu_low"])
+        rows = [r for r in rows if r["lambda_s"] == rows[0]["lambda_s"]]
+        _, colour, name = STRUCTURE_LOOKS[structure]
+        level = [r["nu_low"] for r in rows]
+        left.plot(level, [r["mu_worst"] for r in rows], "-o", ms=4, color=colour, label=name)
+        left.plot(level, [r["floor"] for r in rows], "--", color=colour, lw=0.9, label=f"{name}, no controller below")
+    best = found["best"]
+    left.plot([np.sqrt(best["nu_low"] * best["nu_high"])], [best["mu_worst"]], "*", ms=11, color=INK, label="best, at its mean ceiling")
+    left.axhline(1.0, color=PINK, lw=0.9, ls=":")
+    left.set_xscale("log")
+    left.set_xticks([0.05, 0.1, 0.2, 0.4, 0.8], ["0.05", "0.1", "0.2", "0.4", "0.8"])
+    left.xaxis.set_minor_formatter(NullFormatter())
+    left.set_xlabel(r"uniform ceiling $\bar\nu$, –")
+    left.set_ylabel(r"worst $\mu$ over speed")
+    left.set_ylim(0.0, min(2.5, 1.1 * max(1.0, *(r["mu_worst"] for r in uniform), best["mu_worst"])))
+    omega = np.array(found["omega_rad_s"])[1:]
+    for name, style, colour in (("best", "-", BLUE), ("own", "--", RED)):
+        detail = {k: np.array(v, float)[1:] for k, v in found["detail"][name].items() if k in ("ceiling", "gamma_w", "nu_i")}
+        label = {"best": "best", "own": "project"}[name]
+        right.plot(omega, detail["ceiling"], style, color=colour, label=rf"$\bar\nu$, {label}")
+        right.plot(omega, detail["nu_i"], style + "o", ms=3, lw=0.6, color=colour, label=rf"$\nu_i$, {label}")
+        right.plot(omega, detail["gamma_w"], style, color=colour, lw=2.2, alpha=0.45, label=rf"$\gamma_w$, {label}")
+    right.set_xscale("log")
+    right.set_yscale("log")
+    right.set_xlabel("frequency of the bin, rad/s")
+    for axes in (left, right):
+        axes.legend(fontsize=7)
+    return figure

@@ -20,11 +20,19 @@ from scipy.linalg import expm
 from .bounds import FrameSet, counted_frames, explain, reduce_disturbance
 from .errors import InputError
 from .frames import Estimator
-from .identify import (SMALLEST_NU, DriveSet, FittedWeight, Progress, StoredIdentification, disturbance_weights, fit_bound,
-                       smallest_disturbance, uncertainty_samples)
+from .identify import (
+    SMALLEST_NU,
+    DriveSet,
+    FittedWeight,
+    Progress,
+    StoredIdentification,
+    disturbance_weights,
+    fit_bound,
+    smallest_disturbance,
+    uncertainty_samples,
+)
 from .nominal import NominalModel
 from .validation import s1, s2
-
 
 NEAR = 0.02
 

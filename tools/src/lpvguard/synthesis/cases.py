@@ -23,7 +23,6 @@ from lpvguard.synthesis.interconnection import (
 from lpvguard.synthesis.limits import floor_exceeds
 from lpvguard.synthesis.table import Cell, cell
 
-
 PAPER_DIGITS = 5e-4
 """Half a unit of the paper's last digit."""
 
