@@ -13,7 +13,7 @@ speed may change.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -96,8 +96,8 @@ def _delayed(plant: fig1.GeneralisedPlant) -> fig1.GeneralisedPlant:
     """The plant with one sample of delay in front of its control input."""
     n_w, n_u, dt = plant.system.n_inputs - plant.n_control, plant.n_control, plant.system.dt
     shift = StateSpace(np.zeros((n_u, n_u)), np.eye(n_u), np.eye(n_u), np.zeros((n_u, n_u)), dt)
-    return fig1.GeneralisedPlant(series(plant.system, append(gain(np.eye(n_w), dt), shift)), plant.blocks, plant.n_delta_out,
-                                 plant.n_delta_in, plant.n_control, plant.n_measurement)
+    late = series(plant.system, append(gain(np.eye(n_w), dt), shift))
+    return replace(plant, system=replace(late, inputs=plant.system.inputs))
 
 
 def _with_delay(K: StateSpace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
