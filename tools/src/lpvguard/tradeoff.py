@@ -32,6 +32,8 @@ LEVELS = (0.05, 0.1, 0.2, 0.35, 0.6)
 LARGEST_LEVEL = 0.9
 """At 1 the model says nothing at all of the response."""
 LEVEL_STEP, LAMBDA_STEP = 1.6, 4.0
+AS_GOOD = 1e-3
+"""Relative difference of levels that counts as none; the floor within ten times that counts as reached."""
 ROUNDS = 2
 """Sweeps over the candidate's numbers after the front."""
 
@@ -120,7 +122,10 @@ class _Search:
         self.known: dict[tuple, Outcome] = {}
 
     def best(self) -> Outcome | None:
-        return min((o for o in self.outcomes if o.level is not None), key=lambda o: o.level, default=None)
+        """The least level, or the first tried that is as good: K_i before K_is."""
+        made = [o for o in self.outcomes if o.level is not None]
+        least = min((o.level for o in made), default=None)
+        return next((o for o in made if o.level <= least * (1 + AS_GOOD)), None)
 
     def ceiling(self, c: Candidate) -> np.ndarray:
         omega = self.frames.estimator.omega
@@ -247,5 +252,6 @@ def _sentence(run: _Search, best: Outcome, own: Outcome, limit: dict) -> str:
                     f"{least:.3f}. " if least >= 1 else f"the floors (down to {least:.3f}) leave it open to other D or controllers. "))
     text += (f"What limits it: at {limit['speed_mps']:g} m/s and {limit['peak_rad_s']:.3g} rad/s mu enters by {_carriers(limit['enters_by'])} "
              f"and leaves by {_carriers(limit['leaves_by'])}; with these weights no controller goes below {limit['floor']:.3f} "
-             f"(at {limit['floor_rad_s']:.3g} rad/s).")
-    return text
+             f"(at {limit['floor_rad_s']:.3g} rad/s)")
+    reached = best.level <= best.floor.value * (1 + 10 * AS_GOOD)
+    return text + (": it is reached, so only other objectives, noise or disturbance bounds lower mu." if reached else ".")
