@@ -1,5 +1,7 @@
 """Fig. 1's plant, D-K iteration on the paper case, and controllers as they are implemented."""
 
+import csv
+import json
 import re
 from pathlib import Path
 
@@ -7,6 +9,7 @@ import numpy as np
 import pytest
 
 from lpvguard import truck_model
+from lpvguard.design_files import case_files
 from lpvguard.synthesis.cases import case_plant, differences, format_table, paper_case, read_case
 from lpvguard.synthesis.dk import Scaling, certify, dk_synthesis
 from lpvguard.synthesis.errors import SynthesisError
@@ -149,6 +152,16 @@ def test_each_difference_to_the_paper_is_one_sentence_that_the_weights_explain(c
     assert mu_floor(case_plant(grown, OBJECTIVE, "K_is"), 0.0).at == pytest.approx(rows[2].paper, abs=2e-3)
     assert "limited by the control effort" in told[1] and "limited by the control effort" not in told[2]
     assert "rounded" in told[5] and rows[5].floor.value > rows[5].reference
+
+
+def test_the_files_of_a_case_hold_every_row_with_its_difference_and_no_time(case, rows):
+    files = case_files("paper_case.toml", case, rows)
+    table = json.loads(files["table2.json"])["rows"]
+    assert [r["difference"] for r in table] == differences(case, rows)
+    assert [r["mu_upper"] for r in table] == [r.upper for r in rows] and not any("second" in key for key in table[0])
+    read = list(csv.DictReader(files["table2.csv"].splitlines()))
+    assert len(read) == 9 and float(read[1]["floor"]) == pytest.approx(rows[1].floor.value) and read[0]["reference_order"] == ""
+    assert files["fig5.svg"].count("</svg>") == 1
 
 
 @pytest.mark.parametrize("structure, dt", [("K_i", 0.0), ("K_is", TS)])

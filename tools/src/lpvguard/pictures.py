@@ -538,7 +538,7 @@ def tradeoff_front(found: dict) -> Figure:
         detail = {k: np.array(v, float)[1:] for k, v in found["detail"][name].items() if k in ("ceiling", "gamma_w", "nu_i")}
         label = {"best": "best", "own": "project"}[name]
         right.plot(omega, detail["ceiling"], style, color=colour, label=rf"$\bar\nu$, {label}")
-        right.plot(omega, detail["nu_i"], style + "o", ms=3, lw=0.6, color=colour, label=rf"$\nu_i$, {label}")
+        right.plot(omega, np.where(detail["nu_i"] > 0, detail["nu_i"], np.nan), style + "o", ms=3, lw=0.6, color=colour, label=rf"$\nu_i$, {label}")
         right.plot(omega, detail["gamma_w"], style, color=colour, lw=2.2, alpha=0.45, label=rf"$\gamma_w$, {label}")
     right.set_xscale("log")
     right.set_yscale("log")
