@@ -99,6 +99,13 @@ def test_the_memory_map_is_whole(counted):
     assert all(end <= begin for (_, end), (begin, _) in zip(ends, ends[1:]))
 
 
+def test_the_controller_takes_a_fifth_of_what_full_matrices_take(counted):
+    assert bench.dense_to_controller(counted) >= bench.DENSE_TO_CONTROLLER
+    # What the demand is worth is compared on the target itself: both ask for the same (target_bench.cpp).
+    assert counted["parts"]["dense_step"]["calls"] == counted["parts"]["control_step"]["calls"]
+    assert counted["parts"]["control_step"]["worst"] <= 1_750  # the step that engages; a ratchet
+
+
 def test_counts_repeat_to_the_instruction(counted, name, vehicle):
     again = targets.run_target(name, *vehicle, same_bits=False)
     assert again["parts"] == counted["parts"] and again["elf_sha256"] == counted["elf_sha256"]

@@ -307,7 +307,7 @@ TEST_CASE("a controller or monitor that refuses its sample releases the demand a
     if (of_monitor) {
         bench.ecu.monitor.t_us = std::numeric_limits<int64_t>::max();
     } else {
-        bench.ecu.control.x[0] = std::numeric_limits<lpvg_real_t>::infinity();
+        bench.ecu.control.x[0][0] = std::numeric_limits<lpvg_real_t>::infinity();
     }
     bench.step();  // the one with the third DM1
     CHECK(bench.ecu.refused);
@@ -368,7 +368,7 @@ TEST_CASE("init refuses what it documents and leaves the object alone", "[unit][
     model.words.magic = 0U;
     CHECK(refused(&model, &lpvg_control_coeff, &config, 0) == lpvg_status_bad_magic);
     lpvg_control_coeff_t control = lpvg_control_coeff;
-    control.reals.C[0][0][0] += lpvg_real_t(1);
+    control.reals.BL[0][0][0][0] += lpvg_real_t(1);
     CHECK(refused(&lpvg_coeff, &control, &config, 0) == lpvg_status_bad_crc);
     control = lpvg_control_coeff;
     control.words.sample_period_us *= 2U;

@@ -5,10 +5,9 @@ delay between the controller's output and the vehicle, so that the ECU may take 
 belongs to the controller, which makes it strictly proper.
 
 One scaling D (found by D-K iteration at the design speed) serves all speeds, so that neighbouring controllers differ
-little. They are truncated to a common order, brought to common coordinates one from the next, and interpolated entry by
-entry. What is certified is the controller the core runs: float32 coefficients, interpolated, closed with the nominal model
-and the weights at frozen speeds, at the nodes and midway between them. Frozen speeds: no claim is made about how fast the
-speed may change.
+little. They are brought to as few common poles as will do, with numerators interpolated over speed (schedule.py). What is
+certified is the controller the core runs: float32 coefficients, interpolated, closed with the nominal model and the weights
+at frozen speeds, at the nodes and midway between them. Frozen speeds: no claim is made about how fast the speed may change.
 """
 
 from __future__ import annotations
@@ -17,58 +16,23 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import scipy.linalg as sl
 
 from . import artefacts
 from .errors import InputError
 from .identify import FittedWeight, Progress, StoredIdentification
 from .nominal import NominalModel
 from .project import DesignSettings
+from .schedule import FrozenLoop, Scheduled, fit
 from .synthesis import interconnection as fig1
 from .synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis, frozen_controllers
-from .synthesis.statespace import StateSpace, append, gain, lft, series
+from .synthesis.statespace import StateSpace, append, gain, lft, series, zero_order_hold
 
-SMALLEST_ORDER = 4
-"""Before the delay: fewer states than the vehicle and the reference model have between them cannot do the job."""
-PATIENCE = 3
-"""Orders tried beyond the best one so far."""
+FEWEST_PAIRS, MOST_PAIRS = 2, 19
+"""Of poles, for each demand: fewer than the vehicle and the reference model have between them cannot do the job."""
+PATIENCE = 2
+"""Pairs tried beyond the best number so far."""
 CERTIFICATE_RTOL = 1e-6
 """Largest relative difference between a stated level and the one proved anew."""
-ALIGN_POINTS = 200
-"""Frequencies at which two controllers' states are compared when they are brought to common coordinates."""
-
-
-@dataclass(frozen=True)
-class Scheduled:
-    """Strictly proper discrete controllers at the node speeds, in common coordinates: x+ = A x + B m, u = C x.
-
-    speeds (G,); A (G, n, n), B (G, n, 1 + n_y), C (G, n_u, n); m = [reference, outputs]. L (G, n, n_u): A - L C is stable;
-    it feeds the applied input back while the actuator limits.
-    """
-
-    Ts: float
-    speeds: np.ndarray
-    A: np.ndarray
-    B: np.ndarray
-    C: np.ndarray
-    L: np.ndarray
-
-    def at(self, v: float) -> StateSpace:
-        """The controller the core runs at speed v: float32 coefficients with A - I formed in double, interpolated."""
-        eye = np.eye(self.A.shape[1])
-        return StateSpace(eye + self._between(self.A - eye, v), self._between(self.B, v), self._between(self.C, v),
-                          np.zeros((self.C.shape[1], self.B.shape[2])), self.Ts)
-
-    def injection_radius(self, v: float) -> float:
-        """Spectral radius of A - L C at speed v, each interpolated as the core does."""
-        A, L, C = (self._between(m, v) for m in (self.A, self.L, self.C))
-        return float(np.abs(np.linalg.eigvals(A - L @ C)).max())
-
-    def _between(self, values: np.ndarray, v: float) -> np.ndarray:
-        position = np.clip((v - self.speeds[0]) / (self.speeds[-1] - self.speeds[0]), 0.0, 1.0) * (len(self.speeds) - 1)
-        k = min(int(position), len(self.speeds) - 2)
-        rounded = values[k:k + 2].astype(np.float32).astype(float)
-        return (1 - (position - k)) * rounded[0] + (position - k) * rounded[1]
 
 
 def _system(weight: FittedWeight, inflation: float) -> StateSpace:
@@ -98,47 +62,10 @@ def _delayed(plant: fig1.GeneralisedPlant) -> fig1.GeneralisedPlant:
                                  plant.n_delta_in, plant.n_control, plant.n_measurement)
 
 
-def _with_delay(K: StateSpace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The controller that holds its own output back by one sample: states [x, u]; D is 0."""
-    n, n_u = K.order, K.n_outputs
-    A = np.block([[K.A, np.zeros((n, n_u))], [K.C, np.zeros((n_u, n_u))]])
-    return A, np.vstack([K.B, K.D]), np.hstack([np.zeros((n_u, n)), np.eye(n_u)])
-
-
-def _aligned(K: StateSpace, reference: StateSpace) -> StateSpace:
-    """K in the coordinates in which its states are seen at the output as the reference's are (least squares)."""
-    z = np.exp(1j * np.logspace(-4, 0, ALIGN_POINTS) * np.pi)
-
-    def seen(G: StateSpace) -> np.ndarray:
-        rows = [np.linalg.solve((x * np.eye(G.order) - G.A).T, G.C.T).T for x in z]
-        stacked = np.concatenate(rows)
-        return np.vstack([stacked.real, stacked.imag])
-
-    T = np.linalg.lstsq(seen(K), seen(reference), rcond=None)[0]
-    return StateSpace(np.linalg.solve(T, K.A @ T), np.linalg.solve(T, K.B), K.C @ T, K.D, K.dt)
-
-
-def _in_common_coordinates(controllers: list[StateSpace], start: int) -> list[StateSpace]:
-    out = list(controllers)
-    for k in range(start + 1, len(out)):
-        out[k] = _aligned(out[k], out[k - 1])
-    for k in range(start - 1, -1, -1):
-        out[k] = _aligned(out[k], out[k + 1])
-    return out
-
-
-def _injection(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:
-    """L with A - L C stable: the stationary Kalman gain that trusts the applied input as much as the measurements."""
-    Q = B @ B.T + 1e-9 * np.trace(B @ B.T) * np.eye(len(A))
-    R = 1e-3 * np.trace(C @ Q @ C.T) * np.eye(len(C)) + 1e-12 * np.eye(len(C))
-    P = sl.solve_discrete_are(A.T, C.T, Q, R)
-    return A @ P @ C.T @ np.linalg.inv(C @ P @ C.T + R)
-
-
-def _schedule(controllers: list[StateSpace], speeds: np.ndarray, start: int, Ts: float) -> Scheduled:
-    realised = [_with_delay(K) for K in _in_common_coordinates(controllers, start)]
-    A, B, C = (np.stack([r[i] for r in realised]) for i in range(3))
-    return Scheduled(Ts, speeds, A, B, C, np.stack([_injection(*r) for r in realised]))
+def _with_delay(K: StateSpace) -> StateSpace:
+    """The controller that holds its own output back by one sample."""
+    n_u = K.n_outputs
+    return series(StateSpace(np.zeros((n_u, n_u)), np.eye(n_u), np.eye(n_u), np.zeros((n_u, n_u)), K.dt), K)
 
 
 @dataclass(frozen=True)
@@ -158,8 +85,14 @@ def _plant(stored: StoredIdentification, model: NominalModel, weights: fig1.Weig
     return _delayed(plant) if delayed else plant
 
 
+def _vehicle(model: NominalModel, v: float, Ts: float) -> StateSpace:
+    """The nominal vehicle at speed v, sampled."""
+    A, B = (m[0] for m in model.matrices(np.array([v])))
+    return zero_order_hold(StateSpace(A, B, model.C, np.zeros((model.n_y, B.shape[1]))), Ts)
+
+
 def design(stored: StoredIdentification, progress: Progress = lambda _: None) -> Design:
-    """Synthesise, truncate, align and certify. InputError when the project file has no [design] or no order certifies."""
+    """Synthesise, schedule over common poles and certify. InputError when the project file has no [design] or no order certifies."""
     settings = stored.project.design
     if settings is None:
         raise InputError(f"vehicle {stored.project.name}", "design", "no [design] table", "objectives for step 8")
@@ -174,24 +107,24 @@ def design(stored: StoredIdentification, progress: Progress = lambda _: None) ->
     at_order, full_order = frozen_controllers([_plant(stored, model, weights, v, True) for v in speeds], scaling, settings.backoff)
     check = np.linspace(speeds[0], speeds[-1], 2 * len(speeds) - 1)
     loops = {float(v): _plant(stored, model, weights, v, False) for v in check}
-    best, found = None, None
-    for order in range(SMALLEST_ORDER, full_order + 1):
-        progress(f"order {order}")
-        try:
-            schedule = _schedule(at_order(order), speeds, start, stored.project.Ts_s)
-        except np.linalg.LinAlgError:
-            continue  # coordinates cannot be matched, or no injection gain exists, at this order
+    input_max = np.array(settings.input_max)
+    frozen = [FrozenLoop(_with_delay(K), loops[float(v)], _vehicle(model, v, stored.project.Ts_s))
+              for v, K in zip(speeds, at_order(full_order))]
+    best, found, found_pairs = None, None, 0
+    for pairs in range(FEWEST_PAIRS, MOST_PAIRS // len(input_max) + 1):
+        progress(f"{pairs} pairs of poles")
+        schedule = fit(frozen, speeds, scaling, pairs, input_max)
         if not all(schedule.injection_radius(v) < 1 and lft(plant.system, schedule.at(v)).stability_margin() > 0
                    for v, plant in loops.items()):
-            continue  # a truncation that cuts elsewhere at the next node is no schedule, whatever the nodes themselves say
+            continue
         proved = _certificates(schedule, loops, scaling)
         worst = max(p.upper for _, p in proved)
         if best is None or worst < best * (1 - settings.order_loss):
-            best, found = worst, (schedule, proved)
-        elif schedule.A.shape[1] >= found[0].A.shape[1] + PATIENCE:
+            best, found, found_pairs = worst, (schedule, proved), pairs
+        elif pairs >= found_pairs + PATIENCE:
             break
     if found is None:
-        raise InputError(stored.folder, "controller", "no truncation of the scheduled controller stabilises every speed",
+        raise InputError(stored.folder, "controller", "no set of common poles stabilises every speed",
                          "more nodes, or a lower A_t")
     return Design(found[0], scaling, found[1], full_order)
 
@@ -211,7 +144,7 @@ def verify(path: Path, stored: StoredIdentification) -> None:
     if settings is None or "certificates" not in document:
         raise InputError(path, "certificates", "missing", "a file that `lpvguard design` wrote for this vehicle")
     stated = document["certificates"]
-    schedule = Scheduled(document["Ts_s"], *(np.array(document[key], float) for key in ("speeds", "A", "B", "C", "L")))
+    schedule = Scheduled(document["Ts_s"], *(np.array(document[key], float) for key in ("speeds", "a", "B", "L")))
     model, weights = NominalModel(stored.project), _weights(stored, settings)
     loops = {row["v_mps"]: _plant(stored, model, weights, row["v_mps"], False) for row in stated["speeds"]}
     scaling = Scaling(np.array(stated["scaling_log_parameters"], float).reshape(-1, stated["scaling_columns"]))
@@ -225,14 +158,15 @@ def save(result: Design, stored: StoredIdentification, target: Path) -> None:
     """Write controller.json and its manifest, whole or not at all."""
     settings, schedule = stored.project.design, result.schedule
     controller = {
-        "kind": "controller", "schema": 1, "Ts_s": schedule.Ts, "speeds": schedule.speeds, "A": schedule.A, "B": schedule.B, "C": schedule.C, "L": schedule.L,
+        "kind": "controller", "schema": 2, "Ts_s": schedule.Ts, "speeds": schedule.speeds, "a": schedule.a, "B": schedule.B,
+        "L": schedule.L,
         "u_max": settings.input_max, "rate_max": settings.input_rate_max_per_s,
         "certificates": {
             "claim": "frozen speeds, float32 coefficients, interpolated, closed with the nominal model and the weights: "
                      "mu <= mu_upper < 1 means robust performance for every LTI Delta within W_delta",
             "test": "bracket of the scaled closed loop's H-infinity norm by level-set tests of its Hamiltonian",
             "structure": settings.structure, "A_t": settings.A_t, "A_u": settings.A_u,
-            "order": schedule.A.shape[1], "full_order": result.full_order,
+            "order": schedule.order, "full_order": result.full_order,
             "scaling_log_parameters": result.scaling.log_parameters,
             "scaling_columns": result.scaling.log_parameters.shape[1],
             "speeds": [{"v_mps": v, "mu_upper": p.upper, "mu_lower": p.lower, "peak_rad_s": p.bracket.peak_frequency}
