@@ -128,6 +128,7 @@ TEST_CASE("nothing is demanded before every needed message is live, then the loo
     CHECK(bench.report.demand == Approx(0.0F).margin(0.0003));
     CHECK(bench.report.verdict == static_cast<float>(lpvg_verdict_unknown));
     CHECK(bench.spn == 0U);  // a bus that comes up is no fault
+    CHECK(bench.lamps == 0U);
     bench.run(1);
     CHECK(bench.live());
     CHECK(bench.ecu.control.engaged);
@@ -181,6 +182,7 @@ TEST_CASE("a dead yaw sensor shows within 5 periods and its demand is released",
     CHECK(bench.spn == 1808U);
     CHECK(bench.fmi == (absent ? 2U : 9U));
     CHECK(bench.lamps == LPVG_CAN_LAMP_AMBER);
+    CHECK(bench.ecu.occurrence == 1U);
     bench.yaw_rate = 0.0F;
     bench.send_vdc2 = true;
     bench.run(LPVG_CAN_RECOVER_FRAMES);
@@ -188,6 +190,7 @@ TEST_CASE("a dead yaw sensor shows within 5 periods and its demand is released",
     CHECK(bench.ecu.control.engaged);
     bench.run(100);
     CHECK(bench.spn == 0U);
+    CHECK(bench.lamps == 0U);
 }
 
 TEST_CASE("every needed message is missed when it is lost or damaged", "[unit][ecu][REQ-ECU-2]") {
