@@ -7,13 +7,13 @@ belongs to the controller, which makes it strictly proper.
 One scaling D (started by D-K iteration at the design speed, then the best for the worst speed) and one level serve all
 speeds, so that neighbouring controllers differ little (synthesis/scheduling.py). They are brought to as few common poles as
 will do, with numerators interpolated over speed (schedule.py). What is certified is the controller the core runs: float32
-coefficients, interpolated, closed with the nominal model and the weights at frozen speeds, at the nodes and midway between
-them. Frozen speeds: no claim is made about how fast the speed may change.
+coefficients, interpolated, closed with the nominal model and the weights: at frozen speeds by mu, at the nodes and midway
+between them, and for every speed history up to a stated rate of change by a storage function (synthesis/lpv_certificate.py).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ from .project import DesignSettings
 from .schedule import FrozenLoop, Scheduled, fit
 from .synthesis import interconnection as fig1
 from .synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis
+from .synthesis.lpv_certificate import Family, LpvCertificate, Storage, find, prove
 from .synthesis.norms import hinf_norm
 from .synthesis.scheduling import closed_scaled, common_family, common_scaling
 from .synthesis.statespace import StateSpace, append, gain, series, zero_order_hold
@@ -75,18 +76,20 @@ def _with_delay(K: StateSpace) -> StateSpace:
 
 @dataclass(frozen=True)
 class Design:
-    """A scheduled controller and its certificates: ``certificates`` per speed, nodes and midpoints in order."""
+    """A scheduled controller and its certificates: ``certificates`` per frozen speed, nodes and midpoints in order; ``lpv`` for
+    a moving speed (None: not asked for, or no storage function was found)."""
 
     schedule: Scheduled
     scaling: Scaling
     certificates: list[tuple[float, RobustPerformance]]
     full_order: int
+    lpv: LpvCertificate | None = None
 
 
-def _plant(stored: StoredIdentification, model: NominalModel, weights: fig1.Weights, v: float,
-           delayed: bool) -> fig1.GeneralisedPlant:
+def _plant(stored: StoredIdentification, model: NominalModel, weights: fig1.Weights, v: float, delayed: bool,
+           structure: str | None = None, probes: bool = False) -> fig1.GeneralisedPlant:
     A, B = (m[0] for m in model.matrices(np.array([v])))
-    plant = fig1.generalised_plant(A, B, weights, stored.project.design.structure, stored.project.Ts_s)
+    plant = fig1.generalised_plant(A, B, weights, structure or stored.project.design.structure, stored.project.Ts_s, probes=probes)
     return _delayed(plant) if delayed else plant
 
 
@@ -101,7 +104,22 @@ def design(stored: StoredIdentification, progress: Progress = lambda _: None) ->
     settings = stored.project.design
     if settings is None:
         raise InputError(f"vehicle {stored.project.name}", "design", "no [design] table", "objectives for step 8")
-    return _designed(stored, settings, None, progress)
+    result = _designed(stored, settings, None, progress)
+    return replace(result, lpv=find(_family(stored, settings, result.schedule, result.scaling), progress))
+
+
+def _family(stored: StoredIdentification, settings: DesignSettings, schedule: Scheduled, scaling: Scaling) -> Family:
+    """The scaled closed loop over speed, for the certificate at a moving speed."""
+    model, weights = NominalModel(stored.project), _weights(stored, settings)
+
+    def at(v: float) -> StateSpace:
+        return closed_scaled(_plant(stored, model, weights, v, False, settings.structure, probes=True), schedule.at(v), scaling)
+
+    # The probes: state, input, and with state uncertainty an input on every state; see interconnection.generalised_plant.
+    held = model.n + model.n_u + (model.n if settings.structure == "K_is" else 0)
+    first = scaling.systems(_plant(stored, model, weights, float(schedule.speeds[0]), False, settings.structure))[1].order
+    return Family(at, schedule.speeds, slice(first, first + model.n), held,
+                  lambda low, high: tuple(bound[:, :held] for bound in model.hold_bounds(low, high)), schedule.Ts)
 
 
 def _designed(stored: StoredIdentification, settings: DesignSettings, scaling: Scaling | None, progress: Progress) -> Design:
@@ -160,7 +178,7 @@ def _certificates(schedule: Scheduled, loops: dict[float, fig1.GeneralisedPlant]
 def verify(path: Path, stored: StoredIdentification) -> None:
     """Prove the certificates of a controller.json anew, for its coefficients as they stand and these weights.
 
-    InputError names the speed at which the loop is unstable or its level is not the one stated.
+    InputError names the speed at which the loop is unstable or a stated number is not the one proved.
     """
     settings = stored.project.design
     document = artefacts.read_json(path)
@@ -172,9 +190,60 @@ def verify(path: Path, stored: StoredIdentification) -> None:
     loops = {row["v_mps"]: _plant(stored, model, weights, row["v_mps"], False) for row in stated["speeds"]}
     scaling = Scaling(np.array(stated["scaling_log_parameters"], float).reshape(-1, stated["scaling_columns"]))
     for row, (v, proved) in zip(stated["speeds"], _certificates(schedule, loops, scaling)):
-        if not abs(proved.upper - row["mu_upper"]) <= CERTIFICATE_RTOL * row["mu_upper"]:
-            raise InputError(path, f"certificate at {v:g} m/s", f"mu is at most {proved.upper:.7g}, not {row['mu_upper']:.7g}",
-                             "the coefficients and weights that were certified")
+        for name, value, expected in _numbers(proved):
+            if not abs(value - row[name]) <= CERTIFICATE_RTOL * max(abs(value), expected):
+                raise InputError(path, f"certificate at {v:g} m/s, {name}", f"proved anew it is {value:.7g}, not {row[name]:.7g}",
+                                 "the coefficients and weights that were certified")
+    lpv = stated["moving_speed"]
+    if lpv["rate_mps2"] is not None:
+        basis = _square(lpv["basis"])
+        storage = Storage(basis, np.array([_symmetric(P) for P in lpv["P"]]))
+        if prove(_family(stored, settings, schedule, scaling), storage, lpv["rate_mps2"]) is None:
+            raise InputError(path, "certificates.moving_speed", "the storage function does not prove a gain below 1 for "
+                             f"|dv/dt| up to {lpv['rate_mps2']:.4g} m/s2", "the coefficients, weights and P that were certified")
+
+
+def _numbers(proved: RobustPerformance) -> list[tuple[str, float, float]]:
+    """(name, value, scale) of what a row of certificates states."""
+    return [("mu_upper", proved.upper, 0.0), ("mu_lower", proved.lower, 0.0)]
+
+
+def _square(values: list[float]) -> np.ndarray:
+    n = int(np.sqrt(len(values)))
+    return np.array(values, float).reshape(n, n)
+
+
+def _symmetric(upper: list[float]) -> np.ndarray:
+    """A symmetric matrix from its upper triangle row by row."""
+    n = int(np.sqrt(2 * len(upper)))
+    P = np.zeros((n, n))
+    P[np.triu_indices(n)] = upper
+    return P + np.triu(P, 1).T
+
+
+def _moving(lpv: LpvCertificate | None) -> dict:
+    """The certificate at a moving speed as controller.json holds it."""
+    if lpv is None:
+        return {"claim": "no storage function was found: nothing is claimed about a moving speed", "rate_mps2": None}
+    upper = np.triu_indices(len(lpv.storage.basis))
+    return {
+        "claim": "gain of the whole scaled loop (nominal model, weights, fixed D(s), controller; nothing reduced for it) below 1 at "
+                 "every speed of the range and |dv/dt| up to rate_mps2, from rest: robust performance for every LTI Delta within W_delta",
+        "test": "discrete bounded-real inequality with P(v) = P0 + v P1 + P2 / v, x = basis x~, by Cholesky factorisation at the ends "
+                "of cells that cover the range, a bound of what it loses between them subtracted",
+        "rate_mps2": lpv.rate, "not_found_mps2": lpv.not_found, "states": len(lpv.storage.basis), "cells": lpv.proof.cells,
+        "margin": lpv.proof.margin, "basis": lpv.storage.basis.ravel(), "P": [P[upper] for P in lpv.storage.P]}
+
+
+def faulted_performance(path: Path, stored: StoredIdentification, v: float, applied: StateSpace, measured: StateSpace) -> float:
+    """Upper bound of mu at frozen speed v of the loop closed by controller.json with two systems put into it: ``applied``
+    between controller and vehicle (n_u), ``measured`` between [reference, outputs] and controller; inf where it is unstable."""
+    settings, document = stored.project.design, artefacts.read_json(path)
+    schedule = Scheduled(document["Ts_s"], *(np.array(document[key], float) for key in ("speeds", "a", "B", "L")))
+    plant = _plant(stored, NominalModel(stored.project), _weights(stored, settings), v, False)
+    scaling = Scaling(np.array(document["certificates"]["scaling_log_parameters"], float).reshape(
+        -1, document["certificates"]["scaling_columns"]))
+    return certify(plant, series(applied, series(schedule.at(v), measured)), scaling if plant.blocks else None).upper
 
 
 def save(result: Design, stored: StoredIdentification, target: Path) -> None:
@@ -192,6 +261,7 @@ def save(result: Design, stored: StoredIdentification, target: Path) -> None:
             "order": schedule.order, "full_order": result.full_order,
             "scaling_log_parameters": result.scaling.log_parameters,
             "scaling_columns": result.scaling.log_parameters.shape[1],
+            "moving_speed": _moving(result.lpv),
             "speeds": [{"v_mps": v, "mu_upper": p.upper, "mu_lower": p.lower, "peak_rad_s": p.bracket.peak_frequency}
                        for v, p in result.certificates]}}
     with artefacts.new_folder(target) as folder:
