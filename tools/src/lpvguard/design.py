@@ -64,8 +64,8 @@ def _delayed(plant: fig1.GeneralisedPlant) -> fig1.GeneralisedPlant:
     """The plant with one sample of delay in front of its control input."""
     n_w, n_u, dt = plant.system.n_inputs - plant.n_control, plant.n_control, plant.system.dt
     shift = StateSpace(np.zeros((n_u, n_u)), np.eye(n_u), np.eye(n_u), np.zeros((n_u, n_u)), dt)
-    return fig1.GeneralisedPlant(series(plant.system, append(gain(np.eye(n_w), dt), shift)), plant.blocks, plant.n_delta_out,
-                                 plant.n_delta_in, plant.n_control, plant.n_measurement)
+    late = series(plant.system, append(gain(np.eye(n_w), dt), shift))
+    return replace(plant, system=replace(late, inputs=plant.system.inputs))
 
 
 def _with_delay(K: StateSpace) -> StateSpace:
@@ -246,8 +246,8 @@ def faulted_performance(path: Path, stored: StoredIdentification, v: float, appl
     return certify(plant, series(applied, series(schedule.at(v), measured)), scaling if plant.blocks else None).upper
 
 
-def save(result: Design, stored: StoredIdentification, target: Path) -> None:
-    """Write controller.json and its manifest, whole or not at all."""
+def save(result: Design, stored: StoredIdentification, target: Path, more: dict[str, str] | None = None) -> None:
+    """Write controller.json, its manifest and ``more`` files (name: text), whole or not at all."""
     settings, schedule = stored.project.design, result.schedule
     controller = {
         "kind": "controller", "schema": 2, "Ts_s": schedule.Ts, "speeds": schedule.speeds, "a": schedule.a, "B": schedule.B,
@@ -266,5 +266,5 @@ def save(result: Design, stored: StoredIdentification, target: Path) -> None:
                        for v, p in result.certificates]}}
     with artefacts.new_folder(target) as folder:
         artefacts.write_files(folder, {
-            "controller.json": artefacts.to_json(controller),
+            **(more or {}), "controller.json": artefacts.to_json(controller),
             artefacts.MANIFEST: artefacts.manifest("design", vehicle=stored.project.name, identification=stored.manifest)})
