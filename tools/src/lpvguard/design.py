@@ -4,15 +4,16 @@ Everything is discrete from the start: the vehicle sampled exactly at Ts, the we
 delay between the controller's output and the vehicle, so that the ECU may take a whole period to compute. The delay then
 belongs to the controller, which makes it strictly proper.
 
-One scaling D (found by D-K iteration at the design speed) serves all speeds, so that neighbouring controllers differ
-little. They are brought to as few common poles as will do, with numerators interpolated over speed (schedule.py). What is
-certified is the controller the core runs: float32 coefficients, interpolated, closed with the nominal model and the weights
-at frozen speeds, at the nodes and midway between them. Frozen speeds: no claim is made about how fast the speed may change.
+One scaling D (started by D-K iteration at the design speed, then the best for the worst speed) and one level serve all
+speeds, so that neighbouring controllers differ little (synthesis/scheduling.py). They are brought to as few common poles as
+will do, with numerators interpolated over speed (schedule.py). What is certified is the controller the core runs: float32
+coefficients, interpolated, closed with the nominal model and the weights: at frozen speeds by mu, at the nodes and midway
+between them, and for every speed history up to a stated rate of change by a storage function (synthesis/lpv_certificate.py).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +25,11 @@ from .nominal import NominalModel
 from .project import DesignSettings
 from .schedule import FrozenLoop, Scheduled, fit
 from .synthesis import interconnection as fig1
-from .synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis, frozen_controllers
-from .synthesis.statespace import StateSpace, append, gain, lft, series, zero_order_hold
+from .synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis
+from .synthesis.lpv_certificate import Family, LpvCertificate, Storage, find, prove
+from .synthesis.norms import hinf_norm
+from .synthesis.scheduling import closed_scaled, common_family, common_scaling
+from .synthesis.statespace import StateSpace, append, gain, series, zero_order_hold
 
 FEWEST_PAIRS, MOST_PAIRS = 2, 19
 """Of poles, for each demand: fewer than the vehicle and the reference model have between them cannot do the job."""
@@ -33,6 +37,8 @@ PATIENCE = 2
 """Pairs tried beyond the best number so far."""
 CERTIFICATE_RTOL = 1e-6
 """Largest relative difference between a stated level and the one proved anew."""
+SCALING_SPEEDS = 4
+"""Nodes, ends included, for which the common scaling is searched: the optimum moves slowly with speed."""
 
 
 def _system(weight: FittedWeight, inflation: float) -> StateSpace:
@@ -58,8 +64,8 @@ def _delayed(plant: fig1.GeneralisedPlant) -> fig1.GeneralisedPlant:
     """The plant with one sample of delay in front of its control input."""
     n_w, n_u, dt = plant.system.n_inputs - plant.n_control, plant.n_control, plant.system.dt
     shift = StateSpace(np.zeros((n_u, n_u)), np.eye(n_u), np.eye(n_u), np.zeros((n_u, n_u)), dt)
-    return fig1.GeneralisedPlant(series(plant.system, append(gain(np.eye(n_w), dt), shift)), plant.blocks, plant.n_delta_out,
-                                 plant.n_delta_in, plant.n_control, plant.n_measurement)
+    late = series(plant.system, append(gain(np.eye(n_w), dt), shift))
+    return replace(plant, system=replace(late, inputs=plant.system.inputs))
 
 
 def _with_delay(K: StateSpace) -> StateSpace:
@@ -70,18 +76,20 @@ def _with_delay(K: StateSpace) -> StateSpace:
 
 @dataclass(frozen=True)
 class Design:
-    """A scheduled controller and its certificates: ``certificates`` per speed, nodes and midpoints in order."""
+    """A scheduled controller and its certificates: ``certificates`` per frozen speed, nodes and midpoints in order; ``lpv`` for
+    a moving speed (None: not asked for, or no storage function was found)."""
 
     schedule: Scheduled
     scaling: Scaling
     certificates: list[tuple[float, RobustPerformance]]
     full_order: int
+    lpv: LpvCertificate | None = None
 
 
-def _plant(stored: StoredIdentification, model: NominalModel, weights: fig1.Weights, v: float,
-           delayed: bool) -> fig1.GeneralisedPlant:
+def _plant(stored: StoredIdentification, model: NominalModel, weights: fig1.Weights, v: float, delayed: bool,
+           structure: str | None = None, probes: bool = False) -> fig1.GeneralisedPlant:
     A, B = (m[0] for m in model.matrices(np.array([v])))
-    plant = fig1.generalised_plant(A, B, weights, stored.project.design.structure, stored.project.Ts_s)
+    plant = fig1.generalised_plant(A, B, weights, structure or stored.project.design.structure, stored.project.Ts_s, probes=probes)
     return _delayed(plant) if delayed else plant
 
 
@@ -96,15 +104,39 @@ def design(stored: StoredIdentification, progress: Progress = lambda _: None) ->
     settings = stored.project.design
     if settings is None:
         raise InputError(f"vehicle {stored.project.name}", "design", "no [design] table", "objectives for step 8")
-    model = NominalModel(stored.project)
-    weights = _weights(stored, settings)
+    result = _designed(stored, settings, None, progress)
+    return replace(result, lpv=find(_family(stored, settings, result.schedule, result.scaling), progress))
+
+
+def _family(stored: StoredIdentification, settings: DesignSettings, schedule: Scheduled, scaling: Scaling) -> Family:
+    """The scaled closed loop over speed, for the certificate at a moving speed."""
+    model, weights = NominalModel(stored.project), _weights(stored, settings)
+
+    def at(v: float) -> StateSpace:
+        return closed_scaled(_plant(stored, model, weights, v, False, settings.structure, probes=True), schedule.at(v), scaling)
+
+    # The probes: state, input, and with state uncertainty an input on every state; see interconnection.generalised_plant.
+    held = model.n + model.n_u + (model.n if settings.structure == "K_is" else 0)
+    first = scaling.systems(_plant(stored, model, weights, float(schedule.speeds[0]), False, settings.structure))[1].order
+    return Family(at, schedule.speeds, slice(first, first + model.n), held,
+                  lambda low, high: tuple(bound[:, :held] for bound in model.hold_bounds(low, high)), schedule.Ts)
+
+
+def _designed(stored: StoredIdentification, settings: DesignSettings, scaling: Scaling | None, progress: Progress) -> Design:
+    """The design for ``settings``; ``scaling``: where the search for the common scaling starts."""
+    model, weights = NominalModel(stored.project), _weights(stored, settings)
     speeds = np.linspace(*model.speed_range, settings.nodes)
-    start = int(np.argmin(np.abs(speeds - settings.design_speed_mps)))
-    progress("D-K iteration at the design speed")
-    scaling = dk_synthesis(_plant(stored, model, weights, speeds[start], True)).performance.scaling
-    scaling = scaling or Scaling(np.zeros((0, 1)))  # K_inf has no blocks to scale
+    plants = [_plant(stored, model, weights, v, True) for v in speeds]
+    if scaling is None:
+        progress("D-K iteration at the design speed")
+        start = int(np.argmin(np.abs(speeds - settings.design_speed_mps)))
+        # K_inf has no blocks to scale.
+        scaling = dk_synthesis(plants[start]).performance.scaling or Scaling(np.zeros((0, 1)))
+    progress("one scaling for all speeds")
+    some = np.unique(np.linspace(0, len(plants) - 1, SCALING_SPEEDS).round().astype(int))
+    scaling, level = common_scaling([plants[k] for k in some], scaling)
     progress("controllers over speed")
-    at_order, full_order = frozen_controllers([_plant(stored, model, weights, v, True) for v in speeds], scaling, settings.backoff)
+    at_order, full_order = common_family(plants, scaling, level * (1 + settings.backoff))
     check = np.linspace(speeds[0], speeds[-1], 2 * len(speeds) - 1)
     loops = {float(v): _plant(stored, model, weights, v, False) for v in check}
     input_max = np.array(settings.input_max)
@@ -114,19 +146,28 @@ def design(stored: StoredIdentification, progress: Progress = lambda _: None) ->
     for pairs in range(FEWEST_PAIRS, MOST_PAIRS // len(input_max) + 1):
         progress(f"{pairs} pairs of poles")
         schedule = fit(frozen, speeds, scaling, pairs, input_max)
-        if not all(schedule.injection_radius(v) < 1 and lft(plant.system, schedule.at(v)).stability_margin() > 0
-                   for v, plant in loops.items()):
+        if not all(schedule.injection_radius(v) < 1 for v in loops):
             continue
-        proved = _certificates(schedule, loops, scaling)
-        worst = max(p.upper for _, p in proved)
-        if best is None or worst < best * (1 - settings.order_loss):
-            best, found, found_pairs = worst, (schedule, proved), pairs
-        elif pairs >= found_pairs + PATIENCE:
+        worst = _worst_level(schedule, loops, scaling, np.inf if best is None else best)
+        if worst < np.inf and (best is None or worst < best * (1 - settings.order_loss)):
+            best, found, found_pairs = worst, schedule, pairs
+        elif found is not None and pairs >= found_pairs + PATIENCE:
             break
     if found is None:
         raise InputError(stored.folder, "controller", "no set of common poles stabilises every speed",
                          "more nodes, or a lower A_t")
-    return Design(found[0], scaling, found[1], full_order)
+    progress("certificates")
+    return Design(found, scaling, _certificates(found, loops, scaling), full_order)
+
+
+def _worst_level(schedule: Scheduled, loops: dict[float, fig1.GeneralisedPlant], scaling: Scaling, limit: float) -> float:
+    """Largest norm of the scaled closed loops; inf when one is unstable, or as soon as one lies above ``limit``."""
+    worst = 0.0
+    for v, plant in loops.items():
+        worst = max(worst, hinf_norm(closed_scaled(plant, schedule.at(v), scaling), rtol=1e-3).upper)
+        if worst > limit:
+            return np.inf
+    return worst
 
 
 def _certificates(schedule: Scheduled, loops: dict[float, fig1.GeneralisedPlant],
@@ -137,7 +178,7 @@ def _certificates(schedule: Scheduled, loops: dict[float, fig1.GeneralisedPlant]
 def verify(path: Path, stored: StoredIdentification) -> None:
     """Prove the certificates of a controller.json anew, for its coefficients as they stand and these weights.
 
-    InputError names the speed at which the loop is unstable or its level is not the one stated.
+    InputError names the speed at which the loop is unstable or a stated number is not the one proved.
     """
     settings = stored.project.design
     document = artefacts.read_json(path)
@@ -149,13 +190,64 @@ def verify(path: Path, stored: StoredIdentification) -> None:
     loops = {row["v_mps"]: _plant(stored, model, weights, row["v_mps"], False) for row in stated["speeds"]}
     scaling = Scaling(np.array(stated["scaling_log_parameters"], float).reshape(-1, stated["scaling_columns"]))
     for row, (v, proved) in zip(stated["speeds"], _certificates(schedule, loops, scaling)):
-        if not abs(proved.upper - row["mu_upper"]) <= CERTIFICATE_RTOL * row["mu_upper"]:
-            raise InputError(path, f"certificate at {v:g} m/s", f"mu is at most {proved.upper:.7g}, not {row['mu_upper']:.7g}",
-                             "the coefficients and weights that were certified")
+        for name, value, expected in _numbers(proved):
+            if not abs(value - row[name]) <= CERTIFICATE_RTOL * max(abs(value), expected):
+                raise InputError(path, f"certificate at {v:g} m/s, {name}", f"proved anew it is {value:.7g}, not {row[name]:.7g}",
+                                 "the coefficients and weights that were certified")
+    lpv = stated["moving_speed"]
+    if lpv["rate_mps2"] is not None:
+        basis = _square(lpv["basis"])
+        storage = Storage(basis, np.array([_symmetric(P) for P in lpv["P"]]))
+        if prove(_family(stored, settings, schedule, scaling), storage, lpv["rate_mps2"]) is None:
+            raise InputError(path, "certificates.moving_speed", "the storage function does not prove a gain below 1 for "
+                             f"|dv/dt| up to {lpv['rate_mps2']:.4g} m/s2", "the coefficients, weights and P that were certified")
 
 
-def save(result: Design, stored: StoredIdentification, target: Path) -> None:
-    """Write controller.json and its manifest, whole or not at all."""
+def _numbers(proved: RobustPerformance) -> list[tuple[str, float, float]]:
+    """(name, value, scale) of what a row of certificates states."""
+    return [("mu_upper", proved.upper, 0.0), ("mu_lower", proved.lower, 0.0)]
+
+
+def _square(values: list[float]) -> np.ndarray:
+    n = int(np.sqrt(len(values)))
+    return np.array(values, float).reshape(n, n)
+
+
+def _symmetric(upper: list[float]) -> np.ndarray:
+    """A symmetric matrix from its upper triangle row by row."""
+    n = int(np.sqrt(2 * len(upper)))
+    P = np.zeros((n, n))
+    P[np.triu_indices(n)] = upper
+    return P + np.triu(P, 1).T
+
+
+def _moving(lpv: LpvCertificate | None) -> dict:
+    """The certificate at a moving speed as controller.json holds it."""
+    if lpv is None:
+        return {"claim": "no storage function was found: nothing is claimed about a moving speed", "rate_mps2": None}
+    upper = np.triu_indices(len(lpv.storage.basis))
+    return {
+        "claim": "gain of the whole scaled loop (nominal model, weights, fixed D(s), controller; nothing reduced for it) below 1 at "
+                 "every speed of the range and |dv/dt| up to rate_mps2, from rest: robust performance for every LTI Delta within W_delta",
+        "test": "discrete bounded-real inequality with P(v) = P0 + v P1 + P2 / v, x = basis x~, by Cholesky factorisation at the ends "
+                "of cells that cover the range, a bound of what it loses between them subtracted",
+        "rate_mps2": lpv.rate, "not_found_mps2": lpv.not_found, "states": len(lpv.storage.basis), "cells": lpv.proof.cells,
+        "margin": lpv.proof.margin, "basis": lpv.storage.basis.ravel(), "P": [P[upper] for P in lpv.storage.P]}
+
+
+def faulted_performance(path: Path, stored: StoredIdentification, v: float, applied: StateSpace, measured: StateSpace) -> float:
+    """Upper bound of mu at frozen speed v of the loop closed by controller.json with two systems put into it: ``applied``
+    between controller and vehicle (n_u), ``measured`` between [reference, outputs] and controller; inf where it is unstable."""
+    settings, document = stored.project.design, artefacts.read_json(path)
+    schedule = Scheduled(document["Ts_s"], *(np.array(document[key], float) for key in ("speeds", "a", "B", "L")))
+    plant = _plant(stored, NominalModel(stored.project), _weights(stored, settings), v, False)
+    scaling = Scaling(np.array(document["certificates"]["scaling_log_parameters"], float).reshape(
+        -1, document["certificates"]["scaling_columns"]))
+    return certify(plant, series(applied, series(schedule.at(v), measured)), scaling if plant.blocks else None).upper
+
+
+def save(result: Design, stored: StoredIdentification, target: Path, more: dict[str, str] | None = None) -> None:
+    """Write controller.json, its manifest and ``more`` files (name: text), whole or not at all."""
     settings, schedule = stored.project.design, result.schedule
     controller = {
         "kind": "controller", "schema": 2, "Ts_s": schedule.Ts, "speeds": schedule.speeds, "a": schedule.a, "B": schedule.B,
@@ -169,9 +261,10 @@ def save(result: Design, stored: StoredIdentification, target: Path) -> None:
             "order": schedule.order, "full_order": result.full_order,
             "scaling_log_parameters": result.scaling.log_parameters,
             "scaling_columns": result.scaling.log_parameters.shape[1],
+            "moving_speed": _moving(result.lpv),
             "speeds": [{"v_mps": v, "mu_upper": p.upper, "mu_lower": p.lower, "peak_rad_s": p.bracket.peak_frequency}
                        for v, p in result.certificates]}}
     with artefacts.new_folder(target) as folder:
         artefacts.write_files(folder, {
-            "controller.json": artefacts.to_json(controller),
+            **(more or {}), "controller.json": artefacts.to_json(controller),
             artefacts.MANIFEST: artefacts.manifest("design", vehicle=stored.project.name, identification=stored.manifest)})
