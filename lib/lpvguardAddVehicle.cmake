@@ -32,7 +32,7 @@ function(lpvguard_add_vehicle NAME DIR)
 
   set(target lpvguard_${NAME})
   add_library(${target} STATIC
-    "${root}/src/coeff.cpp" "${root}/src/model.cpp" "${root}/src/monitor.cpp" "${folder}/lpvguard_coeff.c")
+    "${root}/src/coeff.cpp" "${root}/src/energy.cpp" "${root}/src/model.cpp" "${root}/src/monitor.cpp" "${folder}/lpvguard_coeff.c")
   add_library(lpvguard::${NAME} ALIAS ${target})
   if(EXISTS "${folder}/lpvguard_control.c")
     target_sources(${target} PRIVATE "${root}/src/controller.cpp" "${folder}/lpvguard_control.c")

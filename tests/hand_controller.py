@@ -7,10 +7,11 @@ writes (tools/src/lpvguard/control_export.py).
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import expm, solve_discrete_are
+from scipy.linalg import solve_discrete_are
 
 from lpvguard.nominal import NominalModel
 from lpvguard.project import Project
+from lpvguard.schedule import realisation
 
 NODES = 5
 PROPORTIONAL, INTEGRAL = 0.5, 0.5
@@ -19,27 +20,34 @@ ERROR_POLE, REFERENCE_POLE, LEAK = 10.0, 20.0, 0.02
 
 def hand_controller(project: Project) -> dict:
     """The document of controller.json for a vehicle whose first output is the controlled one. A second input takes its
-    share of the proportional part only, so that no row of C repeats another."""
-    model = NominalModel(project)
+    share of the proportional part only."""
+    model, Ts = NominalModel(project), project.Ts_s
     speeds = np.linspace(*model.speed_range, NODES)
     A_v, B_v = model.matrices(speeds)
     gain = -(model.C @ np.linalg.solve(A_v, B_v))[:, 0, :]
-    # States: reference model (2), filtered error, its integral, filtered reference.
-    A = np.array([[0.0, 1.0, 0.0, 0.0, 0.0],
-                  [-9.0, -5.4, 0.0, 0.0, 0.0],
-                  [ERROR_POLE, 0.0, -ERROR_POLE, 0.0, 0.0],
-                  [0.0, 0.0, 1.0, -LEAK, 0.0],
-                  [0.0, 0.0, 0.0, 0.0, -REFERENCE_POLE]])
-    B = np.zeros((5, 1 + model.n_y))
-    B[1, 0], B[2, 1], B[4, 0] = 9.0, -ERROR_POLE, REFERENCE_POLE
-    hold = expm(np.block([[A, B], [np.zeros((B.shape[1], 5 + B.shape[1]))]]) * project.Ts_s)
-    Ad, Bd = hold[:5, :5], hold[:5, 5:]
-    share = np.array([[0.0, 0.0, PROPORTIONAL, INTEGRAL, 1.0], [0.0, 0.0, PROPORTIONAL, 0.0, 0.0]])[:model.n_u]
-    C = share / gain[:, :, None]
-    L, R = [], np.eye(model.n_u)
-    for c in C:
-        P = solve_discrete_are(Ad.T, c.T, np.eye(5) * project.Ts_s, R)
-        L.append(Ad @ P @ c.T @ np.linalg.inv(c @ P @ c.T + R))
-    return {"Ts_s": project.Ts_s, "speeds": speeds.tolist(),
-            "A": np.repeat(Ad[None], NODES, axis=0).tolist(), "B": np.repeat(Bd[None], NODES, axis=0).tolist(),
-            "C": C.tolist(), "L": np.array(L).tolist(), "u_max": [3.0] * model.n_u, "rate_max": [20.0] * model.n_u}
+    # Pairs: reference model 9 / (s^2 + 5.4 s + 9), filter and leaky integral of the error; single: filtered reference.
+    pairs = [np.exp(Ts * np.roots([1.0, 5.4, 9.0])) - 1, np.exp(-Ts * np.array([ERROR_POLE, LEAK])) - 1]
+    delay = np.exp(-Ts * REFERENCE_POLE) - 1
+    a = np.append(np.array([[p.sum().real, -p.prod().real] for p in pairs]).ravel(), delay)
+    # Numerators h d + t over d = z - 1: of the model (for the error's reference), of PI on the error, of the reference.
+    shares = np.array([[PROPORTIONAL, INTEGRAL], [PROPORTIONAL, 0.0]])[:model.n_u]
+    B = np.zeros((NODES, model.n_u, 5, 1 + model.n_y))
+    for i, (proportional, integral) in enumerate(shares):
+        error = np.array([Ts * ERROR_POLE * proportional, Ts * ERROR_POLE * Ts * (integral + LEAK * proportional)])
+        B[:, i, 1, 0] = -a[1] * proportional
+        B[:, i, 2:4, 1] = -error
+        B[:, i, 2:4, 0] = error
+        B[:, i, 4, 0] = -delay
+    B /= gain[:, :, None, None]
+    A, c = realisation(a)
+    # The stationary Kalman gain for m like white noise, which trusts u more than the model of it.
+    L1 = []
+    for rows in B[NODES // 2]:
+        Q = rows @ rows.T
+        P = solve_discrete_are(A.T, c.T, Q + 1e-9 * np.diag(np.diag(Q)), 0.1 * c @ Q @ c.T)
+        L1.append(A @ P @ c.T / (c @ P @ c.T + 0.1 * c @ Q @ c.T))
+    L = np.zeros((NODES, model.n_u, 5, model.n_u))
+    for i in range(model.n_u):
+        L[:, i, :, i] = L1[i][:, 0]
+    return {"Ts_s": Ts, "speeds": speeds.tolist(), "a": a.tolist(), "B": B.tolist(), "L": L.tolist(),
+            "u_max": [3.0] * model.n_u, "rate_max": [20.0] * model.n_u}

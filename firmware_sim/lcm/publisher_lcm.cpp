@@ -1,8 +1,12 @@
 // The simulator with LCM (CMake: LPVG_BUILD_LCM).
+#include <algorithm>
+#include <iterator>
+
 #include <lcm/lcm-cpp.hpp>
 
 #include "arguments.hpp"
 #include "lpvguard/guard_t.hpp"
+#include "lpvguard/supervision_t.hpp"
 #include "lpvguard/truth_t.hpp"
 #include "publisher.hpp"
 
@@ -38,6 +42,28 @@ public:
         g.verdict = static_cast<std::int8_t>(guard.verdict);
         g.supervision = static_cast<std::int8_t>(guard.supervision);
         lcm_.publish("LPVGUARD_GUARD", &g);
+    }
+
+    void publish(std::int64_t now_us, const lpvg_can_supervisor_t& supervisor, const TroubleCode& trouble) override {
+        static_assert(sizeof(lpvguard::supervision_t::other) / sizeof(std::int64_t) == lpvg_can_event_count, "as in lpvguard_supervision.lcm");
+        lpvguard::supervision_t s;
+        s.utime = now_us;
+        s.bus_off = supervisor.bus_off != 0U;
+        std::copy(std::begin(supervisor.count), std::end(supervisor.count), s.other);
+        s.messages = supervisor.n_rules;
+        for (std::size_t i = 0; i < supervisor.n_rules; ++i) {
+            const lpvg_can_watch_t& from = supervisor.watch[i];
+            lpvguard::watch_t to;
+            to.id = static_cast<std::int32_t>(supervisor.rules[i].id & 0x1FFFFFFFU);
+            to.state = static_cast<std::int8_t>(from.state);
+            to.score = static_cast<std::int8_t>(from.score);
+            to.missed = from.missed;
+            std::copy(std::begin(from.count), std::end(from.count), to.count);
+            s.watch.push_back(to);
+        }
+        s.trouble_spn = static_cast<std::int32_t>(trouble.spn);
+        s.trouble_fmi = static_cast<std::int8_t>(trouble.fmi);
+        lcm_.publish("LPVGUARD_SUPERVISION", &s);
     }
 
 private:

@@ -21,6 +21,7 @@
 #include "margin.hpp"
 #include "target_input.h"
 #if LPVG_NK > 0
+#include "dense_controller.hpp"
 #include "lpvg_can_codec.h"
 #endif
 
@@ -205,21 +206,48 @@ void run_margin() {
 lpvg_control_t control;
 lpvg_ecu_t ecu;
 
+float demands[TARGET_INPUT_SAMPLES];
+
+// Nothing at first, so that engaging moves no state: the dense controller cannot.
+void measurements(std::size_t k, lpvg_real_t* m) {
+    std::memset(m, 0, LPVG_NM * sizeof *m);
+    if (k > 0U) {
+        m[0] = target_input[k][1U + LPVG_NU];
+        std::memcpy(&m[1], &target_input[k][1U + LPVG_NU], LPVG_NY * sizeof *m);
+    }
+}
+
 void run_controller() {
     Part part("control_step");
     require(lpvg_control_init(&control, &lpvg_control_coeff) == lpvg_status_ok, "controller refused the coefficients\n");
     for (std::size_t k = 0; k < TARGET_INPUT_SAMPLES; ++k) {
         const lpvg_sample_t sample = sample_at(k);
         lpvg_real_t m[LPVG_NM];
-        m[0] = sample.y[0];
-        std::memcpy(&m[1], sample.y, sizeof sample.y);
+        measurements(k, m);
         part.run([&] {
             require(lpvg_control_step(&control, sample.speed, m, true) == lpvg_status_ok, "a measurement was refused\n");
         });
+        demands[k] = control.u[0];
         if (k % 100U == 0U) {
             Line().word("demand").number(static_cast<uint64_t>(sample.t_us)).bits(control.u[0]).write();
         }
     }
+    part.write();
+}
+
+// The same law with full matrices; it must ask for the same.
+void run_dense_controller() {
+    static DenseController dense(lpvg_control_coeff);
+    Part part("dense_step");
+    float worst = 0.0F;
+    for (std::size_t k = 0; k < TARGET_INPUT_SAMPLES; ++k) {
+        const lpvg_sample_t sample = sample_at(k);
+        lpvg_real_t m[LPVG_NM];
+        measurements(k, m);
+        part.run([&] { dense.step(sample.speed, m); });
+        worst = std::max(worst, std::fabs(dense.u[0] - demands[k]));
+    }
+    require(worst <= 1e-4F * lpvg_control_coeff.reals.u_max[0], "the dense controller asks for something else\n");
     part.write();
 }
 
@@ -291,6 +319,7 @@ int main() {
     Line().word("size").word("control").number(sizeof(lpvg_control_t)).write();
     Line().word("size").word("ecu").number(sizeof(lpvg_ecu_t)).write();
     run_controller();
+    run_dense_controller();
     run_ecu();
 #endif
     port_write("end\n");

@@ -9,7 +9,7 @@
 //   --log        every frame of the bus as candump -L writes it, with simulated time
 //   --frames     every frame that the monitor judged (CSV)
 //   --telemetry  the loop every 100 ms (CSV)
-//   --lcm        the loop every 10 ms as LCM messages (firmware_sim/lcm), where built with LCM
+//   --lcm        the loop every 10 ms and the supervision every 100 ms as LCM messages (firmware_sim/lcm), where built with LCM
 //
 // The expectations of the scenario are judged by `lpvguard sim`, which builds and calls this program.
 #include <algorithm>
@@ -222,6 +222,9 @@ private:
             publisher_->publish(k * tick_us, plant_.truth(),
                                 {command_radps, wanted_radps, vehicle_.demand_bar(), static_cast<double>(report.margin),
                                  report.verdict, report.supervision});
+            if (ecu != nullptr && k % telemetry_every == 0) {
+                publisher_->publish(k * tick_us, ecu->supervisor, vehicle_.trouble());
+            }
         }
         if (telemetry_ != nullptr && k % telemetry_every == 0) {
             const lpvguard_plant::Truth& truth = plant_.truth();

@@ -1,4 +1,5 @@
-/// @file publisher.hpp -- telemetry for people and other programs: truth and what the controller says, every 10 ms.
+/// @file publisher.hpp -- telemetry for people and other programs: truth and what the controller says, every 10 ms, and what its
+/// supervision counts, every 100 ms.
 ///
 /// CAN carries only what a truck's bus carries; the truth goes this way (LCM: firmware_sim/lcm). Nothing comes back.
 #pragma once
@@ -7,7 +8,9 @@
 #include <memory>
 #include <string>
 
+#include "lpvguard/can.h"
 #include "lpvguard_plant/plant.hpp"
+#include "vehicle_node.hpp"
 
 namespace lpvguard_sim {
 
@@ -21,6 +24,7 @@ class Publisher {
 public:
     virtual ~Publisher() = default;
     virtual void publish(std::int64_t now_us, const lpvguard_plant::Truth& truth, const GuardTelemetry& guard) = 0;
+    virtual void publish(std::int64_t now_us, const lpvg_can_supervisor_t& supervisor, const TroubleCode& trouble) = 0;
 };
 
 /// `url` as LCM reads it, e.g. udpm://239.255.76.67:7667?ttl=0 or file:///tmp/run.lcm?mode=w.

@@ -8,11 +8,13 @@ namespace {
 
 bool sizes_match(const uint32_t* sizes) {
     return sizes[0] == LPVG_NX && sizes[1] == LPVG_NU && sizes[2] == LPVG_NY && sizes[3] == LPVG_DELAY &&
-           sizes[4] == LPVG_NBINS && sizes[5] == LPVG_NCELLS && sizes[6] == LPVG_NVARYING;
+           sizes[4] == LPVG_NBINS && sizes[5] == LPVG_NCELLS && sizes[6] == LPVG_NVARYING &&
+           sizes[7] == LPVG_NWEIGHT && sizes[8] == LPVG_NDIRECTIONS;
 }
 
 bool words_in_range(const lpvg_coeff_words_t& w) {
-    bool good = w.sample_period_us > 0U && w.confirm >= 1U && w.confirm <= w.of_last && w.of_last <= LPVG_NHISTORY;
+    bool good = w.sample_period_us > 0U && w.confirm >= 1U && w.confirm <= w.of_last && w.of_last <= LPVG_NHISTORY &&
+                w.energy_settle >= w.settle_samples && w.energy_rearm > 0U;
     for (std::size_t b = 0; b < LPVG_NBINS; ++b) {
         // A frame must be judged before the bin's next one ends. No frame is longer than DC's, whose length the verdict is
         // held for.
@@ -25,9 +27,34 @@ bool words_in_range(const lpvg_coeff_words_t& w) {
     return good;
 }
 
+// Poles of a section of the energy test inside the unit circle.
+bool stable(const lpvg_real_t* c) {
+    const lpvg_real_t a1 = c[3], a2 = c[4];
+    return a2 > lpvg_real_t(0) && a2 < a1 && lpvg_real_t(4) - lpvg_real_t(2) * a1 + a2 > lpvg_real_t(0);
+}
+
+bool energy_in_range(const lpvg_coeff_reals_t& r) {
+    bool good = r.energy_forget > lpvg_real_t(0) && r.energy_forget < lpvg_real_t(1) && r.energy_threshold >= lpvg_real_t(1) &&
+                stable(r.energy_F);
+    for (const auto& section : r.energy_W) {
+        good = good && stable(section);
+    }
+    for (std::size_t j = 0; j < LPVG_NY; ++j) {
+        good = good && r.energy_scale[j] > lpvg_real_t(0) && r.energy_start[j] >= lpvg_real_t(0);
+    }
+    for (const auto& direction : r.energy_direction) {
+        lpvg_real_t sum = lpvg_real_t(0);
+        for (const lpvg_real_t a : direction) {
+            sum += a < lpvg_real_t(0) ? -a : a;
+        }
+        good = good && sum > lpvg_real_t(0.9999) && sum < lpvg_real_t(1.0001);
+    }
+    return good;
+}
+
 bool reals_in_range(const lpvg_coeff_reals_t& r) {
     bool good = r.speed_min > lpvg_real_t(0) && r.speed_min < r.speed_max && r.speed_tolerance > lpvg_real_t(0) &&
-                r.threshold > lpvg_real_t(0);
+                r.threshold > lpvg_real_t(0) && energy_in_range(r);
     for (std::size_t b = 0; b < LPVG_NBINS; ++b) {
         good = good && r.W_delta[b] > lpvg_real_t(0) && r.scale[b] > lpvg_real_t(0);
         for (std::size_t j = 0; j < LPVG_NY; ++j) {

@@ -10,21 +10,10 @@
 namespace {
 
 using Real = lpvg_real_t;
-constexpr std::size_t nk = LPVG_NK, nm = LPVG_NM, nu = LPVG_NU;
+constexpr std::size_t nk = LPVG_NK, nm = LPVG_NM, nu = LPVG_NU, nq = nm + nu;
 
 bool sizes_match(const uint32_t* sizes) {
-    return sizes[0] == LPVG_NK && sizes[1] == LPVG_NM && sizes[2] == LPVG_NG && sizes[3] == LPVG_NA && sizes[4] == LPVG_NU;
-}
-
-bool words_in_range(const lpvg_control_words_t& w) {
-    bool good = w.sample_period_us > 0U && w.row_begin[0] == 0U && w.row_begin[nk] == LPVG_NA;
-    for (std::size_t i = 0; i < nk; ++i) {
-        good = good && w.row_begin[i] <= w.row_begin[i + 1U];
-    }
-    for (const uint32_t column : w.column) {
-        good = good && column < nk;
-    }
-    return good;
+    return sizes[0] == LPVG_NK && sizes[1] == LPVG_NM && sizes[2] == LPVG_NG && sizes[3] == LPVG_NU;
 }
 
 bool reals_in_range(const lpvg_control_reals_t& r) {
@@ -60,34 +49,41 @@ Place place(const lpvg_control_reals_t& r, Real speed) {
     return {node, position - static_cast<Real>(node)};
 }
 
-Real between(Real below, Real above, Real weight) { return below + weight * (above - below); }
+// What drives the states, q = (m, u - v), split between the node below and the one above: weighing q once saves
+// interpolating every coefficient.
+struct Drive {
+    const Real (*below)[nk][nq];
+    const Real (*above)[nk][nq];
+    Real q_below[nq], q_above[nq];
 
-// A row of an interpolated matrix times a vector, summed at the node below and at the one above: interpolating the two
-// sums instead of every entry saves a subtraction an entry.
-struct Product {
-    Real below = Real(0), above = Real(0);
+    Drive(const lpvg_control_reals_t& r, const Place& at, const Real* m, const Real* excess)
+        : below(r.BL[at.node]), above(r.BL[at.node + 1U]) {
+        for (std::size_t c = 0; c < nq; ++c) {
+            const Real q = c < nm ? m[c] : excess[c - nm];
+            q_above[c] = at.weight * q;
+            q_below[c] = q - q_above[c];
+        }
+    }
+    // Adds row j of B and L times q, for demand i; one chain of additions, written out by the compiler.
+    Real added(Real sum, std::size_t i, std::size_t j) const {
+        return added(sum, below[i][j], above[i][j], std::make_index_sequence<nq>());
+    }
 
-    void add(Real entry_below, Real entry_above, Real x) {
-        below += entry_below * x;
-        above += entry_above * x;
+private:
+    template <std::size_t... C>
+    Real added(Real sum, const Real* row_below, const Real* row_above, std::index_sequence<C...>) const {
+        ((sum += row_below[C] * q_below[C]), ...);
+        ((sum += row_above[C] * q_above[C]), ...);
+        return sum;
     }
-    // Short rows, written out by the compiler.
-    template <std::size_t... Column>
-    void add_row(const Real* row_below, const Real* row_above, const Real* x, std::index_sequence<Column...>) {
-        (add(row_below[Column], row_above[Column], x[Column]), ...);
-    }
-    Real at(Real weight) const { return between(below, above, weight); }
 };
 
-void wanted(const lpvg_control_reals_t& r, const Place& at, const Real* x, Real* v) {
+void wanted(const Real (*x)[nk], Real* v) {
     for (std::size_t i = 0; i < nu; ++i) {
-        const Real* below = r.C[at.node][i];
-        const Real* above = r.C[at.node + 1U][i];
-        Product sum;
-        for (std::size_t j = 0; j < nk; ++j) {
-            sum.add(below[j], above[j], x[j]);
+        v[i] = Real(0);
+        for (std::size_t j = 0; j < nk; j += 2U) {
+            v[i] += x[i][j];
         }
-        v[i] = sum.at(at.weight);
     }
 }
 
@@ -95,38 +91,19 @@ Real towards(Real from, Real target, Real step) {
     return target > from + step ? from + step : (target < from - step ? from - step : target);
 }
 
-// The least change of x after which C x = u: x += C' (C C')^-1 (u - v). Where C C' is singular nothing is changed; the
-// rate limit then bounds the jump.
-void align(const lpvg_control_reals_t& r, const Place& at, const Real* u, const Real* v, Real* x) {
-    Real c[nu][nk], gram[nu][nu], miss[nu];
+// Moves x so that C x = u and, m given and no limit acting, C (A x + B m) = u.
+void align(const lpvg_control_reals_t& r, const Place& at, const Real* m, const Real* u, const Real* v, Real (*x)[nk]) {
+    const Real nothing[nu] = {};
+    const Drive drive(r, at, m, nothing);
     for (std::size_t i = 0; i < nu; ++i) {
+        Real drift = Real(0);
+        for (std::size_t j = 0; j < nk; j += 2U) {
+            drift = drive.added(drift + r.A1[j] * x[i][j], i, j);
+            drift += j + 1U < nk ? x[i][j + 1U] : Real(0);
+        }
+        const Real missing = u[i] - v[i];
         for (std::size_t j = 0; j < nk; ++j) {
-            c[i][j] = between(r.C[at.node][i][j], r.C[at.node + 1U][i][j], at.weight);
-        }
-        for (std::size_t l = 0; l <= i; ++l) {
-            Real sum = Real(0);
-            for (std::size_t j = 0; j < nk; ++j) {
-                sum += c[i][j] * c[l][j];
-            }
-            gram[i][l] = gram[l][i] = sum;
-        }
-        miss[i] = u[i] - v[i];
-    }
-    Real multiplier[nu];
-#if LPVG_NU == 1
-    const Real determinant = gram[0][0];
-    multiplier[0] = miss[0];
-#else
-    const Real determinant = gram[0][0] * gram[1][1] - gram[0][1] * gram[1][0];
-    multiplier[0] = gram[1][1] * miss[0] - gram[0][1] * miss[1];
-    multiplier[1] = gram[0][0] * miss[1] - gram[1][0] * miss[0];
-#endif
-    if (!(determinant > Real(0))) {
-        return;
-    }
-    for (std::size_t j = 0; j < nk; ++j) {
-        for (std::size_t i = 0; i < nu; ++i) {
-            x[j] += c[i][j] * (multiplier[i] / determinant);
+            x[i][j] += r.engage[j][0] * missing - r.engage[j][1] * drift;
         }
     }
 }
@@ -136,31 +113,31 @@ void clear(lpvg_control_t& self) {
     std::memset(self.carry, 0, sizeof self.carry);
 }
 
-// False, x unchanged, when the next state would not be finite; what carry then holds is for clear().
-bool advance(lpvg_control_t& self, const Place& at, const Real* m, const Real* excess) {
-    const lpvg_control_words_t& w = self.coeff->words;
-    const lpvg_control_reals_t& r = self.coeff->reals;
-    const Real* below = r.A1[at.node];
-    const Real* above = r.A1[at.node + 1U];
-    Real next[nk];
-    Real probe = Real(0);  // as in all_finite_at
-    for (std::size_t i = 0; i < nk; ++i) {
-        Product sum;
-        for (uint32_t e = w.row_begin[i]; e < w.row_begin[i + 1U]; ++e) {
-            sum.add(below[e], above[e], self.x[w.column[e]]);
+// The state after a change in which carry, what rounding took from the one before, is already contained.
+Real moved(Real x, Real change, Real& carry) {
+    const Real next = x + change;
+    carry = change - (next - x);
+    return next;
+}
+
+void advance(lpvg_control_t& self, const Drive& drive) {
+    const Real* a = self.coeff->reals.A1;
+    for (std::size_t i = 0; i < nu; ++i) {
+        Real* x = self.x[i];
+        Real* carry = self.carry[i];
+        for (std::size_t j = 0; j + 1U < nk; j += 2U) {
+            const Real head = x[j], tail = x[j + 1U];
+            const Real to_head = drive.added(carry[j] + a[j] * head + tail, i, j);
+            const Real to_tail = drive.added(carry[j + 1U] + a[j + 1U] * head, i, j + 1U);
+            x[j] = moved(head, to_head, carry[j]);
+            x[j + 1U] = moved(tail, to_tail, carry[j + 1U]);
         }
-        sum.add_row(r.B[at.node][i], r.B[at.node + 1U][i], m, std::make_index_sequence<nm>());
-        sum.add_row(r.L[at.node][i], r.L[at.node + 1U][i], excess, std::make_index_sequence<nu>());
-        const Real change = sum.at(at.weight) + self.carry[i];
-        next[i] = self.x[i] + change;
-        self.carry[i] = change - (next[i] - self.x[i]);
-        probe += Real(0) * next[i];
+        if constexpr (nk % 2U == 1U) {
+            constexpr std::size_t last = nk - 1U;
+            const Real single = x[last];
+            x[last] = moved(single, drive.added(carry[last] + a[last] * single, i, last), carry[last]);
+        }
     }
-    const bool finite = probe >= Real(0);
-    if (finite) {
-        std::memcpy(self.x, next, sizeof next);
-    }
-    return finite;
 }
 
 }  // namespace
@@ -189,7 +166,7 @@ extern "C" lpvg_status_t lpvg_control_coeff_check(const lpvg_control_coeff_t* co
     if (!lpvguard::all_finite(coeff->reals)) {
         return lpvg_status_not_finite;
     }
-    return words_in_range(w) && reals_in_range(coeff->reals) ? lpvg_status_ok : lpvg_status_bad_value;
+    return w.sample_period_us > 0U && reals_in_range(coeff->reals) ? lpvg_status_ok : lpvg_status_bad_value;
 }
 
 extern "C" lpvg_status_t lpvg_control_init(lpvg_control_t* self, const lpvg_control_coeff_t* coeff) {
@@ -217,17 +194,17 @@ extern "C" lpvg_status_t lpvg_control_step(lpvg_control_t* self, lpvg_real_t spe
     const Place at = place(r, good ? speed : r.speed_min);
 
     Real v[nu];
-    wanted(r, at, self->x, v);
-    if (!all_finite_at(v, nu)) {  // the state has grown beyond what can be multiplied
+    wanted(self->x, v);
+    if (engaged && good && !self->engaged) {
+        align(r, at, m, self->u, v, self->x);
+        wanted(self->x, v);
+    }
+    if (!all_finite_at(v, nu)) {  // the states have grown beyond the numbers
         good = false;
         clear(*self);
-        wanted(r, at, self->x, v);
+        wanted(self->x, v);
     }
     const bool active = engaged && good;
-    if (active && !self->engaged) {
-        align(r, at, self->u, v, self->x);
-        wanted(r, at, self->x, v);
-    }
     const Real period = static_cast<Real>(self->coeff->words.sample_period_us) * Real(1e-6);
     Real excess[nu];
     bool limited = false;
@@ -240,11 +217,8 @@ extern "C" lpvg_status_t lpvg_control_step(lpvg_control_t* self, lpvg_real_t spe
     if (active && limited) {
         count(self->limited);
     }
-    if (!advance(*self, at, good ? m : nothing, excess)) {
-        clear(*self);
-        good = false;
-    }
-    self->engaged = active && good;
+    advance(*self, Drive(r, at, good ? m : nothing, excess));
+    self->engaged = active;
     if (!good) {
         count(self->bad_samples);
     }

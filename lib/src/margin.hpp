@@ -64,7 +64,7 @@ public:
     }
 
     Real operator()() {
-        consider({Real(0), Real(0)});
+        consider_zero();
         for (std::size_t i = 0; i < NY; ++i) {
             if (!(size_[i] > Real(0))) {
                 continue;
@@ -106,6 +106,19 @@ private:
         }
         for (std::size_t j = 0; j < NY; ++j) {
             const Real f = squared(E_[j] - d * Z_[j]);
+            if (!(f < best_)) {
+                return;
+            }
+            worst = f > worst ? f : worst;
+        }
+        best_ = worst;
+    }
+
+    // d = 0. The products with Z are there for what is not finite.
+    void consider_zero() {
+        Real worst = Real(0);
+        for (std::size_t j = 0; j < NY; ++j) {
+            const Real f = squared(E_[j] - Real(0) * Z_[j]);
             if (!(f < best_)) {
                 return;
             }

@@ -12,6 +12,8 @@
 
 #include <Eigen/Core>
 
+#include <cmath>
+
 #include "margin.hpp"
 
 namespace {
@@ -75,6 +77,11 @@ const lpvg_taken_t& taken(const lpvg_monitor_t& self, uint32_t i) {
     return self.block[(self.newest + 1U + i) & (n_block - 1U)];
 }
 
+// e, then yhat of sample i of the block; those of the next samples follow.
+const Real* taken_signal(const lpvg_monitor_t& self, uint32_t i) {
+    return self.signal[((self.newest + 1U) & (n_block - 1U)) + i];
+}
+
 lpvg_span_t span_of(const lpvg_monitor_t& self, uint32_t first, uint32_t end) {
     lpvg_span_t span = taken(self, first).span;
     for (uint32_t i = first + 1U; i < end; ++i) {
@@ -83,10 +90,9 @@ lpvg_span_t span_of(const lpvg_monitor_t& self, uint32_t first, uint32_t end) {
     return span;
 }
 
-// Adds samples first .. end - 1 of the block to the sums of bin b. The phasors are turned by small angles, stored as
+// Adds n samples, x the first one's signals, to the sums of a bin. The phasors are turned by small angles, stored as
 // cos - 1 and sin, which keeps their relative precision in float.
-void accumulate(lpvg_monitor_t& self, std::size_t b, uint32_t first, uint32_t end) {
-    lpvg_bin_t& bin = self.bin[b];
+void accumulate(lpvg_bin_t& bin, const Real* turn, const Real* taper, const Real* x, uint32_t n) {
     const bool begins = bin.n == 0U;
     if (begins) {
         bin.sum = lpvg_sum_t{};
@@ -96,17 +102,15 @@ void accumulate(lpvg_monitor_t& self, std::size_t b, uint32_t first, uint32_t en
     }
     Signals plain_re = signals(bin.sum.plain_re), plain_im = signals(bin.sum.plain_im);
     Signals rising_re = signals(bin.sum.rising_re), rising_im = signals(bin.sum.rising_im);
-    const Real* turn = self.coeff->reals.turn[b];
-    const Real* taper = self.coeff->reals.taper[b];
     const Real turn_re = turn[0], turn_im = turn[1], taper_re = taper[0], taper_im = taper[1];
     Real re = bin.phasor[0], im = bin.phasor[1], window_re = bin.window[0], window_im = bin.window[1];
-    for (uint32_t i = first; i < end; ++i) {
-        const Signals x = signals(taken(self, i).signal);
+    for (uint32_t i = 0; i < n; ++i, x += n_signals) {
+        const Signals sample = signals(x);
         const Real w = Real(0.5) - window_re;
-        plain_re += x * re;
-        plain_im -= x * im;
-        rising_re += x * (w * re);
-        rising_im -= x * (w * im);
+        plain_re += sample * re;
+        plain_im -= sample * im;
+        rising_re += sample * (w * re);
+        rising_im -= sample * (w * im);
         const Real re_before = re, window_re_before = window_re;
         re += re * turn_re - im * turn_im;
         im += im * turn_re + re_before * turn_im;
@@ -121,7 +125,7 @@ void accumulate(lpvg_monitor_t& self, std::size_t b, uint32_t first, uint32_t en
     bin.phasor[1] = im;
     bin.window[0] = window_re;
     bin.window[1] = window_im;
-    bin.n += end - first;
+    bin.n += n;
 }
 
 // Closes the frame of two halves, if there are two, and queues it.
@@ -156,7 +160,8 @@ void take_up(lpvg_monitor_t& self, std::size_t b, uint32_t first, uint32_t end, 
     } else {
         extend(bin.span, span);
     }
-    accumulate(self, b, first, end);
+    const lpvg_coeff_reals_t& r = self.coeff->reals;
+    accumulate(bin, r.turn[b], r.taper[b], taken_signal(self, first), end - first);
 }
 
 // Bin b takes up the samples since it last did, whose span is `whole`. A half frame is longer than a block
@@ -202,6 +207,12 @@ void record(lpvg_monitor_t& self, const lpvg_frame_t& frame) {
     }
 }
 
+// A frame is judged after its end, when the energy test may have falsified later samples already.
+void falsified_at(lpvg_monitor_t& self, int64_t t_us) {
+    self.t_falsified_us = self.has_falsified && self.t_falsified_us > t_us ? self.t_falsified_us : t_us;
+    self.has_falsified = true;
+}
+
 void judge(lpvg_monitor_t& self, std::size_t b) {
     const lpvg_coeff_t& coeff = *self.coeff;
     const lpvg_coeff_reals_t& r = coeff.reals;
@@ -241,8 +252,7 @@ void judge(lpvg_monitor_t& self, std::size_t b) {
         frame.statistic = statistic(bin, coeff.words.confirm);
         frame.falsified = !(frame.statistic <= r.threshold);
         if (frame.falsified) {
-            self.has_falsified = true;
-            self.t_falsified_us = frame.t_end_us;
+            falsified_at(self, frame.t_end_us);
             record(self, frame);
         }
         if (frame.evidence > r.threshold) {
@@ -262,8 +272,45 @@ void judge_next(lpvg_monitor_t& self) {
     judge(self, b);
 }
 
+// ||x_j|| of the energy test's sums, in output units.
+Real output_norm(const lpvg_monitor_t& self, const Real* gram, std::size_t j) {
+    const std::size_t diagonal = j * ny - j * (j - 1U) / 2U;
+    return std::sqrt(gram[diagonal]) / self.coeff->reals.energy_scale[j];
+}
+
+void record_energy(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
+    lpvg_frame_t alarm{};
+    alarm.test = lpvg_test_energy;
+    alarm.sequence = self.frame.sequence;
+    alarm.bin = self.energy.direction;
+    alarm.t_end_us = sample.t_us;
+    alarm.falsified = true;
+    alarm.speed = sample.speed;
+    alarm.margin = alarm.statistic = self.energy.ratio;
+    alarm.evidence = lpvg_energy_evidence(&self.energy, self.coeff);
+    for (std::size_t j = 0; j < ny; ++j) {
+        alarm.E[j][0] = output_norm(self, self.energy.left, j);
+        alarm.Z[j][0] = output_norm(self, self.energy.right, j);
+    }
+    record(self, alarm);
+}
+
+void judge_energy(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
+    const lpvg_coeff_t& coeff = *self.coeff;
+    if (lpvg_energy_judge(&self.energy, &coeff) <= coeff.reals.energy_threshold) {
+        self.energy_quiet += self.energy_quiet < coeff.words.energy_rearm ? 1U : 0U;
+        return;
+    }
+    if (self.energy_quiet == coeff.words.energy_rearm) {
+        record_energy(self, sample);
+    }
+    self.energy_quiet = 0U;
+    falsified_at(self, sample.t_us);
+}
+
 void start(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
     lpvg_model_start(&self.model, self.coeff, sample.u, sample.y);
+    lpvg_energy_start(&self.energy, self.coeff);
     for (lpvg_bin_t& bin : self.bin) {
         bin.n = 0U;
         bin.has_before = false;
@@ -290,6 +337,7 @@ extern "C" lpvg_status_t lpvg_monitor_init(lpvg_monitor_t* self, const lpvg_coef
     if (status == lpvg_status_ok) {
         *self = lpvg_monitor_t{};
         self->coeff = coeff;
+        self->energy_quiet = coeff->words.energy_rearm;
     }
     return status;
 }
@@ -331,13 +379,20 @@ extern "C" lpvg_status_t lpvg_monitor_push(lpvg_monitor_t* self, const lpvg_samp
     self->newest = (self->newest + 1U) & (n_block - 1U);
     self->n_block += self->n_block < n_block ? 1U : 0U;
     lpvg_taken_t& newest = self->block[self->newest];
+    Real* const signal = self->signal[self->newest];
     for (std::size_t j = 0; j < ny; ++j) {
-        newest.signal[j] = sample->y[j] - yhat[j];
-        newest.signal[ny + j] = yhat[j];
+        signal[j] = sample->y[j] - yhat[j];
+        signal[ny + j] = yhat[j];
     }
+    signals(self->signal[self->newest + n_block]) = signals(signal);
     newest.t_us = sample->t_us;
     newest.span = {sample->speed, sample->speed, sample->speed, reason};
 
+    if (in_range) {
+        lpvg_energy_advance(&self->energy, &coeff, signal, self->settled > coeff.words.energy_settle);
+    } else {
+        lpvg_energy_start(&self->energy, &coeff);
+    }
     const lpvg_span_t whole = span_of(*self, n_block - self->n_block, n_block);
     uint32_t ended = 0U;
     for (std::size_t b = self->newest; b < LPVG_NBINS; b += n_block) {
@@ -345,6 +400,8 @@ extern "C" lpvg_status_t lpvg_monitor_push(lpvg_monitor_t* self, const lpvg_samp
     }
     if (self->n_queue > 0U && ended < 2U) {
         judge_next(*self);
+    } else {
+        judge_energy(*self, *sample);
     }
     return lpvg_status_ok;
 }

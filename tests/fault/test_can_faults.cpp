@@ -25,7 +25,7 @@ int64_t reaches(CanBus& bus, uint8_t index, lpvg_can_state_t state, int64_t from
 
 }  // namespace
 
-TEST_CASE("lost frames: 1 nothing, 3 hold, 5 and 20 off, each within half a period of the last missed", "[fault][can]") {
+TEST_CASE("lost frames: 1 nothing, 3 hold, 5 and 20 off, each within half a period of the last missed", "[fault][can][REQ-CAN-2]") {
     struct Case { int lost; lpvg_can_state_t want; };
     const auto c     = GENERATE(Case{1, lpvg_can_state_live}, Case{2, lpvg_can_state_live}, Case{3, lpvg_can_state_hold},
                                 Case{4, lpvg_can_state_hold}, Case{5, lpvg_can_state_off}, Case{20, lpvg_can_state_off});
@@ -43,7 +43,7 @@ TEST_CASE("lost frames: 1 nothing, 3 hold, 5 and 20 off, each within half a peri
     CHECK(bus.count(kGuard, lpvg_can_event_lost) == (off ? 0U : static_cast<uint32_t>(c.lost)));
 }
 
-TEST_CASE("silence: hold after exactly 3.5 periods, off after exactly 5.5", "[fault][can]") {
+TEST_CASE("silence: hold after exactly 3.5 periods, off after exactly 5.5", "[fault][can][REQ-CAN-2]") {
     CanBus bus;
     bus.run(1, kWarm);
     CHECK(reaches(bus, kVdc2, lpvg_can_state_hold, due(kWarm), due(kWarm + 10)) == due(kWarm) + 7 * kPeriod / 2 + 1);
@@ -62,7 +62,7 @@ TEST_CASE("a period counts as missed half a period after its frame was due, to t
     }
 }
 
-TEST_CASE("repeated frame: found at once where there is a counter; too soon, it is found without one", "[fault][can]") {
+TEST_CASE("repeated frame: found at once where there is a counter; too soon, it is found without one", "[fault][can][REQ-CAN-4]") {
     CanBus bus;
     bus.run(1, kWarm);
     auto again = bus.guard_in(kWarm);
@@ -77,7 +77,7 @@ TEST_CASE("repeated frame: found at once where there is a counter; too soon, it 
     CHECK(bus.state(kGuard) == lpvg_can_state_live);  // one is no reason to degrade
 }
 
-TEST_CASE("swapped frames: the later-sent one is taken, the earlier-sent one rejected, the next taken", "[fault][can]") {
+TEST_CASE("swapped frames: the later-sent one is taken, the earlier-sent one rejected, the next taken", "[fault][can][REQ-CAN-4]") {
     CanBus bus;
     bus.run(1, kWarm);
     auto first = bus.guard_in(kWarm + 2), second = bus.guard_in(kWarm + 1);
@@ -89,7 +89,7 @@ TEST_CASE("swapped frames: the later-sent one is taken, the earlier-sent one rej
     CHECK(bus.state(kGuard) == lpvg_can_state_live);
 }
 
-TEST_CASE("delayed frames: by 1 period nothing, by 3 hold and back at once, by 5 off", "[fault][can]") {
+TEST_CASE("delayed frames: by 1 period nothing, by 3 hold and back at once, by 5 off", "[fault][can][REQ-CAN-2]") {
     struct Case { int delay; lpvg_can_state_t before; };
     const auto c = GENERATE(Case{1, lpvg_can_state_live}, Case{3, lpvg_can_state_hold}, Case{5, lpvg_can_state_off});
     CAPTURE(c.delay);
@@ -102,7 +102,7 @@ TEST_CASE("delayed frames: by 1 period nothing, by 3 hold and back at once, by 5
           (c.before == lpvg_can_state_off ? lpvg_can_event_recovering : lpvg_can_event_accepted));
 }
 
-TEST_CASE("wrong CRC: rejected at once; hold after 3.5 periods; off within 5 of them", "[fault][can]") {
+TEST_CASE("wrong CRC: rejected at once; hold after 3.5 periods; off within 5 of them", "[fault][can][REQ-CAN-4]") {
     CanBus bus;
     bus.run(1, kWarm);
     for (int64_t k = 1; k <= 5; ++k) {
@@ -132,7 +132,7 @@ TEST_CASE("every other frame wrong is tolerated, three of four are not", "[fault
     CHECK(bus.state(kGuard) == (good_every == 2 ? lpvg_can_state_live : lpvg_can_state_off));
 }
 
-TEST_CASE("stuck counter: off with the fifth frame", "[fault][can]") {
+TEST_CASE("stuck counter: off with the fifth frame", "[fault][can][REQ-CAN-4]") {
     CanBus bus;
     bus.run(1, kWarm);
     for (int64_t k = 1; k <= 5; ++k) {
@@ -178,7 +178,7 @@ TEST_CASE("a sender that starts anew is followed after one rejection", "[fault][
     CHECK(bus.send(frame) == lpvg_can_event_accepted);
 }
 
-TEST_CASE("wrong length: every other length is rejected; off with the fifth", "[fault][can]") {
+TEST_CASE("wrong length: every other length is rejected; off with the fifth", "[fault][can][REQ-CAN-4]") {
     for (unsigned dlc = 0U; dlc <= 64U; ++dlc) {
         CanBus bus;
         bus.run(1, kWarm);
@@ -216,7 +216,7 @@ TEST_CASE("unknown ids at full speed change no state and no value", "[fault][can
     CHECK(bus.supervisor.count[lpvg_can_event_unknown_id] == 100'000U);
 }
 
-TEST_CASE("babbling with random data: off within one period, no frame of it used, live 5 periods after", "[fault][can]") {
+TEST_CASE("babbling with random data: off within one period, no frame of it used, live 5 periods after", "[fault][can][REQ-CAN-4]") {
     CanBus bus;
     bus.run(1, kWarm);
     uint32_t noise = 12345U;
@@ -243,7 +243,7 @@ TEST_CASE("babbling with random data: off within one period, no frame of it used
     CHECK(bus.state(kVdc2) == lpvg_can_state_live);
 }
 
-TEST_CASE("bus-off: everything off at once, back after 5 good frames; other error reports change nothing", "[fault][can]") {
+TEST_CASE("bus-off: everything off at once, back after 5 good frames; other error reports change nothing", "[fault][can][REQ-CAN-5]") {
     CanBus bus;
     bus.run(1, kWarm);
     lpvg_can_frame_t error{};

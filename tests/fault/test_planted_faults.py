@@ -28,6 +28,7 @@ def drive(g80, synthetic):
     return read_drive(synthetic / "synthetic_01.csv", g80)
 
 
+@pytest.mark.requirement("REQ-MON-3")
 @pytest.mark.parametrize("name", MUTANTS)
 def test_a_planted_fault_changes_the_margins(name, drive, core, vehicle, tmp_path):
     file, original, mutant = MUTANTS[name]

@@ -7,11 +7,17 @@
     headers      every public header is strict C99 and strict C++17 by itself, by gcc and clang, without Eigen
     generated_c  what `lpvguard export` writes is strict C99 without a warning, by gcc and clang, float and double
     misra        public headers and exported C keep MISRA C:2012, as far as cppcheck's add-on sees, but for lib/MISRA.md
+    manual       every public function says what it does, when it fails and, in the head of its header, what it costs, which
+                 thread may call it and what memory it takes
+    requirements every requirement of lib/REQUIREMENTS.md is named by a test, and every one that a test names stands there
     options      every option is in the configure summary, and every preset's setting arrives there
+    double       the unit tests pass with double as number type (a third of them; all with LPVGUARD_FULL=1)
     big_endian   acceptance of coefficients, and CAN, pass their unit tests on a big-endian processor (PowerPC, emulated)
     sanitize     the unit tests run clean under the address and undefined-behaviour sanitizers
     coverage     lines and branches that the unit tests miss in a file of lib/src are as many as coverage.json says (a file
                  that it does not name: none), no more, no less
+    mutation     unit tests notice small changes of lib/src (mutation.py): a seeded sample of them, all with LPVGUARD_FULL=1;
+                 survivors are printed; those that no test can notice stand in mutants.json with the reason
 
 Builds stay in the scratch folder, so that a second run compiles only what changed; gates may share one, but not at once.
 A planted bug is looked for in the one variant of the build, or with the one unit test, that has to find it. Bugs that take
@@ -24,6 +30,7 @@ import argparse
 import gzip
 import json
 import os
+import random
 import re
 import shutil
 import subprocess
@@ -31,6 +38,8 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+
+from mutation import Mutant, applied, mutants
 
 COMPILERS = {"gcc": ("gcc", "g++"), "clang": ("clang", "clang++")}
 WARNINGS = ["-pedantic-errors", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror"]
@@ -87,8 +96,8 @@ def firmware_warnings(tree: Path, scratch: Path) -> list[str]:
     (scratch / "target_input.h").write_text("#define TARGET_INPUT_SAMPLES 100U\n"
                                             "static const lpvg_real_t target_input[TARGET_INPUT_SAMPLES][4] = {{1.0F}};\n")
     includes = ["-I", tree / "lib" / "include", "-I", tree / "lib" / "src", "-I", tree / "lib" / "vehicles" / "truck",
-                "-I", sim / "ecu", "-I", sim / "ports", "-I", scratch]
-    jobs = [(path, compiler, []) for folder in ("ecu", "ports/host", "ports/linux") for path in sorted((sim / folder).glob("*.c*"))
+                "-I", sim / "ecu", "-I", sim / "ports", "-I", sim / "ports" / "linux", "-I", scratch]
+    jobs = [(path, compiler, []) for folder in ("ecu", "ports/host", "ports/linux", "ports/linux_ecu") for path in sorted((sim / folder).glob("*.c*"))
             for compiler in COMPILERS]
     jobs += [(sim / "ports" / "target_bench.cpp", compiler, []) for compiler in COMPILERS]
     jobs += [(path, "clang", cortex_m) for path in sorted((sim / "ports" / "bare_metal").glob("*.c"))]
@@ -184,7 +193,7 @@ def misra(tree: Path, scratch: Path) -> list[str]:
                          *sorted(folder.glob("*.c")), unit)
     if status:
         return [output]
-    rows = re.findall(r"^\| (\d+\.\d+) \| advisory \| (\S+) \|", table.read_text(), re.M)
+    rows = re.findall(r"^\| (\d+\.\d+) \| advisory \| (\S+) \|", table.read_text(), re.MULTILINE)
     used = set()
     for line in output.splitlines():
         file, number, rule = line.split("|") if line.count("|") == 2 else ("", "", line)
@@ -195,10 +204,47 @@ def misra(tree: Path, scratch: Path) -> list[str]:
     return findings + [f"MISRA.md: rule {rule} in {files} covers nothing" for rule, files in rows if (rule, files) not in used]
 
 
+FUNCTION = re.compile(r"^(?:LPVG_NODISCARD )?(?:const )?(\w+)\*? (lpvg_\w+)\(", re.M)
+STRUCT_ONLY = {"bus.h", "coeff.h", "config.h", "status.h"}  # data, or glue that only ecu.cpp calls: no object to own
+
+
+def manual(tree: Path, scratch: Path) -> list[str]:
+    findings = []
+    for path in sorted((tree / "lib" / "include").rglob("*.h")):
+        text = path.read_text()
+        head = text.split("#ifndef")[0]
+        findings += [f"{path.name}: the head does not say {word}" for word in ("Cost:", "RAM:", "Threads:")
+                     if path.name not in STRUCT_ONLY and word not in head]
+        for found in FUNCTION.finditer(text):
+            comment = re.search(r"((?:^///[^\n]*\n)+)\Z", text[:found.start()], re.M)
+            said = comment[1] if comment else ""
+            if not said:
+                findings.append(f"{path.name}: {found[2]} is not described")
+            elif found[1] == "lpvg_status_t" and "Returns" not in said:
+                findings.append(f"{path.name}: {found[2]} does not say which status it returns when")
+            elif "*" in text[found.start():].split(";")[0] and found[1] != "lpvg_status_t" and "NULL" not in said:
+                findings.append(f"{path.name}: {found[2]} does not say what it does with NULL")
+    return findings
+
+
+def requirements(tree: Path, scratch: Path) -> list[str]:
+    stated = re.findall(r"^\| (REQ-[A-Z]+-\d+) \|", (tree / "lib" / "REQUIREMENTS.md").read_text(), re.M)
+    tests = tree / "tests"
+    tagged = [(path, name) for path in sorted(tests.rglob("*.cpp")) for tags in re.findall(r'^TEST_CASE\("[^"]*",\s*"([^"]*)"', path.read_text(), re.M)
+              for name in re.findall(r"\[(REQ-[^\]]*)\]", tags)]
+    tagged += [(path, name) for path in sorted(tests.rglob("test_*.py")) for name in re.findall(r'^@pytest\.mark\.requirement\("([^"]*)"\)', path.read_text(), re.M)]
+    tagged += [(path, name) for path in sorted(tests.rglob("CMakeLists.txt")) for name in re.findall(r"REQ-[A-Z]+-\d+", path.read_text())]
+    named = {name for _, name in tagged}
+    print(f"{len(stated)} requirements, named {len(tagged)} times")
+    return ([f"{name} is stated twice" for name in sorted({s for s in stated if stated.count(s) > 1})]
+            + [f"{name} is named by no test" for name in stated if name not in named]
+            + [f"{path.relative_to(tree)}: {name} is no requirement" for path, name in tagged if name not in stated])
+
+
 def options(tree: Path, scratch: Path, only: str = "") -> list[str]:
     source = (tree / "CMakeLists.txt").read_text()
-    declared = set(re.findall(r"^lpvg_option\((LPVG_\w+)", source, re.M))
-    findings = [f"{name} bypasses lpvg_option" for name in re.findall(r"^\s*option\((\w+)", source, re.M) if name not in declared]
+    declared = set(re.findall(r"^lpvg_option\((LPVG_\w+)", source, re.MULTILINE))
+    findings = [f"{name} bypasses lpvg_option" for name in re.findall(r"^\s*option\((\w+)", source, re.MULTILINE) if name not in declared]
     presets = {p["name"]: p for p in json.loads((tree / "CMakePresets.json").read_text())["configurePresets"]}
 
     def settings(preset: dict) -> dict[str, str]:
@@ -212,7 +258,7 @@ def options(tree: Path, scratch: Path, only: str = "") -> list[str]:
         status, output = run("cmake", "--preset", name, "-B", scratch / name, "-DLPVG_BUILD_TESTS=OFF", cwd=tree)
         if status:
             return [f"preset {name}:\n{output}"]
-        echoed = dict(re.findall(r"^--   (LPVG_\w+): (\w+)$", output, re.M))
+        echoed = dict(re.findall(r"^--   (LPVG_\w+): (\w+)$", output, re.MULTILINE))
         wanted = {k: v for k, v in settings(preset).items() if k.startswith("LPVG_")} | {"LPVG_BUILD_TESTS": "OFF"}
         findings += [f"preset {name}: {option} is not in the summary" for option in sorted(declared - set(echoed))]
         findings += [f"preset {name}: sets {k} to {v}, the summary says {echoed.get(k)}" for k, v in wanted.items()
@@ -225,6 +271,11 @@ def unit_tests(tree: Path, folder: Path, preset: str, only: str = "") -> list[st
     return (failed("configure", "cmake", "--preset", preset, "-B", folder, f"-DPython3_EXECUTABLE={sys.executable}", cwd=tree)
             or failed("build", "cmake", "--build", folder, "--target", f"test_{only.replace('.', '_')}" if only else "unit_tests")
             or failed("tests", "ctest", "--test-dir", folder, "-L", "unit", "-R", f"^unit.{only}$" if only else ".", "-j2", "--no-tests=error", "--output-on-failure"))
+
+
+def double(tree: Path, scratch: Path, only: str = "") -> list[str]:
+    wanted = [only] if only else [""] if FULL else ["model.toy", "monitor.toy", "controller.hand_toy"]
+    return [finding for name in wanted for finding in unit_tests(tree, scratch / "build", "double", name)]
 
 
 def big_endian(tree: Path, scratch: Path, only: str = "") -> list[str]:
@@ -290,8 +341,73 @@ def coverage(tree: Path, scratch: Path, only: str = "") -> list[str]:
     return findings
 
 
+MUTATION_SAMPLE = 12
+LEAST_KILLED = 0.75, 0.9  # of the sample, of all
+SEES = {"acceptance.hpp": ["coeff.toy", "controller.hand_truck"], "can.cpp": ["can"], "margin.hpp": ["margin"], "coeff.cpp": ["coeff.toy"],
+        "model.cpp": ["model.toy", "model.g80"], "monitor.cpp": ["monitor.toy", "monitor.g80"],
+        "controller.cpp": ["controller.hand_toy", "controller.hand_truck"], "ecu.cpp": ["ecu.hand_truck"]}
+"""Source -> unit tests that look at it; in the sample only the first."""
+
+
+def mutation(tree: Path, scratch: Path, only: str = "") -> list[str]:
+    """``only``: the mutants of one file."""
+    work = copy_of(tree, scratch / "mutated")
+    source = work / "lib" / "src"
+    for path in source.iterdir():
+        path.touch()  # objects of a run that was broken off hold a mutant
+    files = [only] if only else sorted(p.name for p in source.iterdir())
+    unknown = [name for name in files if name not in SEES]
+    if unknown:
+        return [f"no unit test is named that looks at {', '.join(unknown)}: name it in SEES"]
+    candidates = [m for name in files for m in mutants(name, (source / name).read_text())]
+    if not FULL:
+        candidates = random.Random(6).sample(candidates, MUTATION_SAMPLE)
+    build = scratch / "build"
+    broken = failed("configure", "cmake", "-S", work, "-B", build, "-G", "Ninja", "-DCMAKE_BUILD_TYPE=Debug", "-DCMAKE_CXX_FLAGS_DEBUG=-O1",
+                    "-DLPVG_BUILD_SIM=OFF", f"-DPython3_EXECUTABLE={sys.executable}")
+    fate: dict[str, list[Mutant]] = {"killed": [], "survived": [], "refused by the compiler": [], "the same code": []}
+    tolerated = json.loads((tree / "tests" / "gates" / "mutants.json").read_text())
+    for name in sorted({m.file for m in candidates}):
+        tests = SEES[name] if FULL else SEES[name][:1]
+        programs = [f"test_{test.replace('.', '_')}" for test in tests]
+        broken = broken or failed("build", "cmake", "--build", build, "--parallel", "2", "--target", *programs)
+        if broken:
+            return broken
+        paths = [path for path in build.rglob("test_*") if path.name in programs and path.is_file()]
+        sound, good = [path.read_bytes() for path in paths], (source / name).read_text()
+        if any(fails(path) for path in paths):
+            return [f"{', '.join(tests)}: fails before anything is changed"]
+        for mutant in (m for m in candidates if m.file == name):
+            (source / name).write_text(applied(good, mutant))
+            if run("cmake", "--build", build, "--parallel", "2", "--target", *programs)[0]:
+                fate["refused by the compiler"].append(mutant)
+            elif [path.read_bytes() for path in paths] == sound:
+                fate["the same code"].append(mutant)
+            else:
+                fate["killed" if any(fails(path) for path in paths) else "survived"].append(mutant)
+        (source / name).write_text(good)
+    survived = [m for m in fate["survived"] if m.key not in tolerated]
+    killed, least = len(fate["killed"]), LEAST_KILLED[FULL]
+    score = killed / max(killed + len(survived), 1)
+    print(f"{len(candidates)} mutants: " + ", ".join(f"{len(group)} {what}" for what, group in fate.items())
+          + f" ({len(fate['survived']) - len(survived)} of them in mutants.json); {100 * score:.1f} % of the noticeable killed")
+    for mutant in survived:
+        print(f"survived: {mutant}")
+    findings = [f"{len(survived)} of {killed + len(survived)} mutants survive: {'; '.join(map(str, survived))}"] if score < least else []
+    stale = set(tolerated) - {m.key for m in candidates} if FULL and not only else set()
+    return findings + [f"mutants.json: {key}: no such mutant survives" for key in sorted(stale | (set(tolerated) & {m.key for m in fate["killed"]}))]
+
+
+def fails(program: Path) -> bool:
+    """Whether the test program finds something, or runs for ever."""
+    try:
+        return subprocess.run([program, "--abort"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=60, check=False).returncode != 0
+    except subprocess.TimeoutExpired:
+        return True
+
+
 GATES: dict[str, Callable[..., list[str]]] = {
-    f.__name__: f for f in (warnings, imports, headers, generated_c, misra, options, big_endian, sanitize, coverage)}
+    f.__name__: f for f in (warnings, imports, headers, generated_c, misra, manual, requirements, options, double, big_endian, sanitize, coverage, mutation)}
 
 
 # --- planted bugs ---
@@ -354,10 +470,23 @@ PLANTS: dict[str, list[Plant]] = {
         Plant("lib/include/lpvguard/config.h", "cppcheck-suppress", "", r"config\.h:\d+: misra-c2012-20\.10"),
         Plant("lib/MISRA.md", "| 15.5 |", "| 15.6 |", r"lpvguard_bus\.c:\d+: misra-c2012-15\.5(.|\n)*rule 15\.6 in \*\.c covers nothing"),
     ],
+    "manual": [
+        Plant(MONITOR_H, "/// Threads:", "/// Contexts:", r"monitor\.h: the head does not say Threads:"),
+        Plant("lib/include/lpvguard/controller.h", "/// Returns bad_argument for NULL", "/// Refuses NULL", r"lpvg_control_init does not say which status"),
+        Plant(MONITOR_H, "/// Why the newest frame was no evidence; none before the first frame and for NULL.\n", "", r"lpvg_monitor_reason is not described"),
+    ],
+    "requirements": [
+        Plant("tests/unit/test_ecu.cpp", "[REQ-ECU-5]", "", r"REQ-ECU-5 is named by no test"),
+        Plant("lib/REQUIREMENTS.md", "| REQ-CORE-1 |", "| REQ-CORE-99 |", r"REQ-CORE-99 is named by no test(.|\n)*REQ-CORE-1 is no requirement"),
+        Plant("tests/golden/test_core_sizes.py", "REQ-CORE-5", "REQ-CORE-55", r"test_core_sizes\.py: REQ-CORE-55 is no requirement"),
+    ],
     "options": [
         Plant("CMakePresets.json", '"LPVG_SANITIZE": "ON"', '"LPVG_SANITIZER": "ON"', r"preset sanitize: sets LPVG_SANITIZER", "sanitize"),
         Plant("CMakeLists.txt", 'lpvg_option(LPVG_BUILD_SIM', 'option(LPVG_BUILD_SIM', r"LPVG_BUILD_SIM bypasses", "default"),
         Plant("CMakeLists.txt", "list(APPEND lpvg_options ${name})", "", r"LPVG_DOUBLE is not in the summary", "double"),
+    ],
+    "double": [
+        Plant("lib/src/controller.cpp", "next[i] = self.x[i] + change;", "next[i] = static_cast<float>(self.x[i] + change);", r"tests:(.|\n)*the law equals a dense recursion", "controller.hand_toy"),
     ],
     "big_endian": [
         Plant("lib/src/acceptance.hpp", "static_cast<uint32_t>((word >> (8U * i)) & 0xFFU)", "reinterpret_cast<const unsigned char*>(&word)[i]",
@@ -369,6 +498,10 @@ PLANTS: dict[str, list[Plant]] = {
         Plant("lib/src/monitor.cpp", "self.n_records < LPVG_NRECORDS", "self.n_records <= LPVG_NRECORDS", r"tests:(.|\n)*(out of bounds|not a valid value for type 'lpvg_reason_t')", "monitor.toy"),
         Plant("lib/src/monitor.cpp", "return static_cast<uint64_t>(later) - static_cast<uint64_t>(earlier);",
               "return static_cast<uint64_t>(later - earlier);", r"tests:(.|\n)*signed integer overflow", "monitor.toy", full=True),
+    ],
+    "mutation": [
+        Plant("tests/unit/test_coeff.cpp", "CHECK(lpvg_coeff_check(coeff) == want);\n", "want = lpvg_coeff_check(coeff);\n",
+              r"mutants survive: coeff\.cpp", "coeff.cpp", full=True),
     ],
     "coverage": [
         Plant("lib/src/model.cpp", "namespace {\n", "uint32_t lpvg_unused(uint32_t n) {\n    return n;\n}\n\nnamespace {\n",

@@ -43,6 +43,7 @@ def check(drive, core, frames, g80, g80_model):
         np.testing.assert_allclose(frames.evidence[rows], np.abs(Z) / (B_w[k] + W_delta[k] * np.abs(Z)), rtol=1e-4)
 
 
+@pytest.mark.requirement("REQ-MON-2")
 def test_frames_and_margins_of_the_float_core(drive, core, g80, g80_model):
     check(drive, core, core.monitor().run_drive(drive).frames, g80, g80_model)
 

@@ -16,16 +16,16 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from synthetic_vehicle import SPEEDS, TS, Sizes, synthetic_controller, synthetic_project  # noqa: E402
+from synthetic_vehicle import SPEEDS, TS, Sizes, synthetic_controller, synthetic_project
 
-from lpvguard import native  # noqa: E402
-from lpvguard.artefacts import write_files  # noqa: E402
-from lpvguard.control_export import replaced_controller  # noqa: E402
-from lpvguard.core import Core, library_root, shipped_vehicle  # noqa: E402
-from lpvguard.export import build_coefficients, vehicle_files  # noqa: E402
-from lpvguard.frames import Estimator  # noqa: E402
-from lpvguard.nominal import NominalModel  # noqa: E402
-from lpvguard.validation import s1  # noqa: E402
+from lpvguard import native
+from lpvguard.artefacts import write_files
+from lpvguard.control_export import replaced_controller
+from lpvguard.core import Core, library_root, shipped_vehicle
+from lpvguard.export import build_coefficients, vehicle_files
+from lpvguard.frames import Estimator
+from lpvguard.nominal import NominalModel
+from lpvguard.validation import s1
 
 CORNERS = [(Sizes(1, 1, 1, 2), False), (Sizes(40, 2, 4, 64, 3, 40), False), (Sizes(40, 2, 4, 64, 3, 40), True),
            (Sizes(7, 1, 3, 17, 1, 9), False)]
@@ -69,6 +69,7 @@ def exact_outputs(model, v, u, y_first):
     return outputs
 
 
+@pytest.mark.requirement("REQ-CORE-5")
 def test_frames_and_margins_at_every_size(case):
     sizes, double, model, estimator, W_delta, B_w, folder = case
     rng = np.random.default_rng(4)
@@ -114,13 +115,14 @@ def dense(controller, v, m):
     for speed, measured in zip(v, m):
         position = (np.clip(speed, *SPEEDS) - SPEEDS[0]) / (SPEEDS[1] - SPEEDS[0]) * (len(controller.speeds) - 1)
         node = min(int(position), len(controller.speeds) - 2)
-        at = lambda name: (1 - position + node) * name[node] + (position - node) * name[node + 1]  # noqa: E731, B023
+        at = lambda name: (1 - position + node) * name[node] + (position - node) * name[node + 1]  # noqa: B023
         u = np.clip(np.clip(at(c["C"]) @ x, -c["u_max"], c["u_max"]), u - c["rate_max"] * TS, u + c["rate_max"] * TS)
         out.append(u)
         x = x + at(A1) @ x + at(c["B"]) @ measured
     return np.array(out)
 
 
+@pytest.mark.requirement("REQ-CORE-5")
 def test_controller_at_every_size(case, tmp_path):
     sizes, double, *_, folder = case
     controller = synthetic_controller(sizes)
@@ -140,6 +142,7 @@ def test_controller_at_every_size(case, tmp_path):
     assert np.abs(u - want).max() <= (1e-12 if double else 1e-5) * 6.0  # of the demand's range
 
 
+@pytest.mark.requirement("REQ-CORE-5")
 @pytest.mark.parametrize("name, value, message", [("LPVG_NX", 41, "1..40 states"), ("LPVG_NU", 3, "1..2 inputs"), ("LPVG_NY", 5, "1..4 outputs"),
                                                    ("LPVG_NBINS", 65, "2..64 bins"), ("LPVG_NK", 41, "up to 40 states")])
 def test_sizes_beyond_are_refused_by_the_compiler_with_their_name(name, value, message, tmp_path):

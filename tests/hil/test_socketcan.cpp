@@ -28,8 +28,15 @@ struct Node {
     bool send(const lpvg_can_frame_t& frame) { return bus_send(&bus, &frame); }
     bool receive(lpvg_can_frame_t& frame, int64_t now = 0) { return bus_receive(&bus, now, &frame); }
 
-    socketcan_t driver{-1, 0, socketcan_time_arrival};
+    socketcan_t driver = closed();
     bus_t       bus{};
+
+private:
+    static socketcan_t closed() {
+        socketcan_t driver{};
+        driver.socket = -1;
+        return driver;
+    }
 };
 
 lpvg_can_frame_t frame_of(uint32_t id, uint8_t first) {
@@ -150,20 +157,56 @@ TEST_CASE("frames come in order, not back to the sender, and only the filtered",
     CHECK(b.driver.error == 0);
 }
 
-TEST_CASE("bus-off passes any filter and switches the supervision off; opening again drops what is queued", "[socketcan]") {
+TEST_CASE("bus-off passes any filter, switches the supervision off, and the driver restarts behind it", "[socketcan]") {
+    Node             a, b;
+    lpvg_can_frame_t got{};
+    REQUIRE(a.open());
+    REQUIRE(b.open(kOurs.data(), kOurs.size()));
+    REQUIRE(a.send(frame_of(LPVG_CAN_VDC2_ID, 1)));
+    REQUIRE(a.send(frame_of(LPVG_CAN_ERROR | LPVG_CAN_BUS_OFF, 0)));
+    REQUIRE(b.receive(got, 1000));
+    CHECK(got.data[0] == 1U);  // came before
+    REQUIRE(b.receive(got, 1000));
+    CHECK(got.id == (LPVG_CAN_ERROR | LPVG_CAN_BUS_OFF));
+    CanBus supervised;
+    got.t_us = CanBus::kStart;
+    CHECK(supervised.send(got) == lpvg_can_event_bus_off);
+    // Off: nothing goes out and nothing comes in, to the last microsecond.
+    CHECK_FALSE(b.send(frame_of(LPVG_CAN_GUARD_OUT_ID, 2)));
+    CHECK(b.driver.error == ENETDOWN);
+    CHECK_FALSE(a.receive(got));
+    REQUIRE(a.send(frame_of(LPVG_CAN_VDC2_ID, 3)));
+    CHECK_FALSE(b.receive(got, 1000 + SOCKETCAN_RESTART_US - 1));
+    REQUIRE(a.send(frame_of(LPVG_CAN_VDC2_ID, 4)));
+    // The restart drops what was queued, keeps the filters, and then both ways work.
+    CHECK_FALSE(b.receive(got, 1000 + SOCKETCAN_RESTART_US));
+    CHECK(b.driver.restarts == 1U);
+    REQUIRE(a.send(frame_of(0x123U, 5)));
+    REQUIRE(a.send(frame_of(LPVG_CAN_VDC2_ID, 6)));
+    REQUIRE(b.receive(got, 1000 + SOCKETCAN_RESTART_US));
+    CHECK(got.data[0] == 6U);
+    REQUIRE(b.send(frame_of(LPVG_CAN_GUARD_OUT_ID, 7)));
+    REQUIRE(a.receive(got));
+    CHECK(got.data[0] == 7U);
+}
+
+TEST_CASE("a controller that reports its restart is used again at once", "[socketcan]") {
+    constexpr uint32_t restarted = LPVG_CAN_ERROR | 0x100U;
     Node             a, b;
     lpvg_can_frame_t got{};
     REQUIRE(a.open());
     REQUIRE(b.open(kOurs.data(), kOurs.size()));
     REQUIRE(a.send(frame_of(LPVG_CAN_ERROR | LPVG_CAN_BUS_OFF, 0)));
-    REQUIRE(b.receive(got));
-    CHECK(got.id == (LPVG_CAN_ERROR | LPVG_CAN_BUS_OFF));
-    CanBus supervised;
-    got.t_us = CanBus::kStart;
-    CHECK(supervised.send(got) == lpvg_can_event_bus_off);
-    REQUIRE(a.send(frame_of(LPVG_CAN_VDC2_ID, 9)));
-    REQUIRE(b.open(kOurs.data(), kOurs.size()));
-    CHECK_FALSE(b.receive(got));
+    REQUIRE(a.send(frame_of(LPVG_CAN_VDC2_ID, 1)));
+    REQUIRE(b.receive(got, 1000));
+    REQUIRE(a.send(frame_of(restarted, 0)));
+    REQUIRE(a.send(frame_of(LPVG_CAN_VDC2_ID, 2)));
+    REQUIRE(b.receive(got, 2000));
+    CHECK(got.id == restarted);  // an error report like any other to the supervision; the frame before it was not heard
+    REQUIRE(b.receive(got, 2000));
+    CHECK(got.data[0] == 2U);
+    CHECK(b.send(frame_of(LPVG_CAN_GUARD_OUT_ID, 3)));
+    CHECK(b.driver.restarts == 0U);
 }
 
 TEST_CASE("times are those of arrival on the firmware's clock, or of the call where time is simulated", "[socketcan]") {
@@ -188,6 +231,8 @@ TEST_CASE("what cannot be opened or sent says why", "[socketcan]") {
     bus_t       bus{};
     CHECK_FALSE(socketcan_open(&driver, "nocan7", nullptr, 0, socketcan_time_arrival, &bus));
     CHECK(driver.error == ENODEV);
+    CHECK_FALSE(socketcan_open(&driver, "a_name_longer_than_any", nullptr, 0, socketcan_time_arrival, &bus));
+    CHECK(driver.error == EINVAL);
     const socketcan_filter_t many[SOCKETCAN_FILTERS_MAX + 1] = {};
     CHECK_FALSE(socketcan_open(&driver, "vcan0", many, SOCKETCAN_FILTERS_MAX + 1, socketcan_time_arrival, &bus));
     CHECK(driver.error == EINVAL);

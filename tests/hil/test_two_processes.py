@@ -31,6 +31,7 @@ spacing = "log"
 low_radps = 0.5
 high_radps = 4.0
 rms_radps = 0.08
+{more}
 [expect]
 verdict = "any"
 supervision = "live"
@@ -41,9 +42,9 @@ supervision = "live"
 def loop(simulator, truck_folder, tmp_path):
     """loop(seconds, flood seconds, commands): the same run in memory, and as two processes beside the commands."""
 
-    def run(duration: float, for_s: float = 0.0, *commands: str):
+    def run(duration: float, for_s: float = 0.0, *commands: str, more: str = ""):
         path = tmp_path / "loop.toml"
-        path.write_text(LOOP.format(duration=duration))
+        path.write_text(LOOP.format(duration=duration, more=more))
         want = simulator.run(load_scenario(str(path)))
         simulator.ecu_program  # compiled here, and not on the one processor of the guest
         command = [ROOT / "tools" / "with-vcan", "env", f"PYTHONPATH={ROOT / 'tools/src'}", sys.executable]
@@ -123,3 +124,13 @@ def test_babbling_with_an_identifier_of_ours(loop, truck_folder, tmp_path):
     ticks = np.arange(len(demand)) * 0.01
     released = (ticks > begin_s + limits["u_max"][0] / limits["rate_max"][0] + 0.05) & (ticks < end_s)
     assert released.sum() > 100 and np.abs(demand[released]).max() <= 1 / 2048
+
+
+def test_after_bus_off_the_driver_restarts_and_the_loop_is_live_within_1_s(loop):
+    fault = '[[can_fault]]\nmessage = "VDC2"\nkind = "bus_off"\nstart_s = 4.05\nend_s = 4.15'
+    _, got, _ = loop(7.0, more=fault)
+    (off_s, off), (live_s, live) = [(t, s) for t, s in got["supervision"] if t > 1.0]
+    # The vehicle, which had lost the reports, takes them again from the fifth after the restart on.
+    assert (off, live) == ("off", "live") and 4.14 < off_s < 4.22 and live_s <= 4.15 + RECOVERY_S
+    assert got["reception"]["messages"]["other"]["first_s"]["bus_off"] == 4.05
+    assert got["reception"]["send_failures"] == 10, "100 ms until the restart: the report of each tick, refused by the driver"

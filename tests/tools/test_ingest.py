@@ -20,7 +20,7 @@ import cantools
 from lpvguard import native
 from lpvguard.can.dbc import dbc_text
 from lpvguard.can.decode import decode_all, load_database
-from lpvguard.can.logs import read_log
+from lpvguard.can.logs import EXTENDED, Frames, read_log
 from lpvguard.errors import InputError
 from lpvguard.ingest import ingest, map_of_project, unit_factor
 
@@ -697,3 +697,109 @@ def test_decoding_is_ten_times_the_python_loop():
     )
     assert result["ratio"] >= 10, result
     assert result["frames_per_s"] >= 2e6, result
+
+
+# ------------------------------------------------------------------------------------------------ databases of any kind
+
+ODD_DBC = """VERSION ""
+NS_ :
+BS_:
+BU_: CAR
+BO_ 100 TWICE: 8 CAR
+ SG_ YAW : 7|16@0- (0.01,0) [-300|300] "{unit}" CAR
+BO_ 2147483748 TWICE: 8 CAR
+ SG_ YAW : 0|16@1- (0.02,0) [-300|300] "{unit}" CAR
+"""
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "cp1252"])
+@pytest.mark.parametrize("identifier, factor", [("064", 0.01), ("00000064", 0.02)])
+def test_units_in_any_encoding_and_names_given_twice(encoding, identifier, factor, tmp_path):
+    """The same name for a standard and an extended identifier of the same number: told apart by what the log holds."""
+    (tmp_path / "car.dbc").write_bytes(ODD_DBC.format(unit="°/s").encode(encoding))
+    order = "big" if identifier == "064" else "little"
+    (tmp_path / "drive.log").write_text(
+        "".join(f"({0.01 * k:.6f}) can0 {identifier}#{k.to_bytes(2, order).hex()}000000000000\n" for k in range(100))
+    )
+    (tmp_path / "map.toml").write_text(
+        'schema = 1\nTs_s = 0.01\ncolumns.r = { unit = "rad/s", message = "TWICE", signal = "YAW" }\n'
+    )
+    ingest([tmp_path / "drive.log"], dbc=tmp_path / "car.dbc", signals_map=tmp_path / "map.toml", out=tmp_path / "out")
+    table = np.genfromtxt(tmp_path / "out" / "drive.csv", delimiter=",", names=True)
+    assert np.allclose(table["r"], np.deg2rad(factor * np.arange(100)), atol=1e-12)
+
+
+def test_a_name_that_two_messages_of_the_log_carry_is_refused(tmp_path):
+    (tmp_path / "car.dbc").write_text(ODD_DBC.format(unit="deg/s"))
+    (tmp_path / "drive.log").write_text("(0.0) can0 064#0000000000000000\n(0.1) can0 00000064#0000000000000000\n")
+    (tmp_path / "map.toml").write_text(
+        'schema = 1\nTs_s = 0.01\ncolumns.r = { unit = "rad/s", message = "TWICE", signal = "YAW" }\n'
+    )
+    with pytest.raises(InputError, match="2 messages are called TWICE"):
+        ingest([tmp_path / "drive.log"], dbc=tmp_path / "car.dbc", signals_map=tmp_path / "map.toml", out=tmp_path / "out")
+
+
+def random_database(rng: np.random.Generator) -> str:
+    """Text of a DBC: up to 64 bytes, both byte orders, signed, float, multiplexed, standard and extended identifiers."""
+    lines = ['VERSION ""', "NS_ :", "BS_:", "BU_: CAR"]
+    floats = []
+    for number in range(int(rng.integers(1, 6))):
+        length = int(rng.choice([1, 2, 5, 8, 8, 8, 24, 64]))
+        extended = bool(rng.integers(2))
+        identifier = 16 * int(rng.integers(1 << (25 if extended else 7))) + number | (0x80000000 if extended else 0)
+        lines.append(f"BO_ {identifier} M{number}: {length} CAR")
+        fixed, of_page = np.zeros(8 * length, bool), np.zeros((2, 8 * length), bool)
+        multiplexed = length > 1 and rng.random() < 0.4
+        if multiplexed:
+            fixed[:1] = True
+            lines.append(' SG_ PAGE M : 0|1@1+ (1,0) [0|0] "" CAR')
+        for k in range(int(rng.integers(1, 9))):
+            floating = rng.random() < 0.2
+            bits = int(rng.choice([32, 64]) if floating else rng.integers(1, 65))
+            page = int(rng.integers(2)) if multiplexed and rng.random() < 0.6 else None
+            big = bool(rng.integers(2))
+            start = int(rng.integers(8 * length))
+            first = start - start % 8 + 7 - start % 8 if big else start  # position counted from the most significant bit of byte 0
+            places = np.arange(first, first + bits)
+            if places[-1] >= 8 * length:
+                continue
+            places = places - places % 8 + 7 - places % 8 if big else places
+            taken = fixed | (of_page[page] if page is not None else of_page.any(axis=0))
+            if taken[places].any():
+                continue
+            (fixed if page is None else of_page[page])[places] = True
+            sign = "-" if floating or rng.integers(2) else "+"
+            scale, offset = rng.choice(["1", "0.1", "-0.5", "0.00390625", "1E-005"]), rng.choice(["0", "-40", "12.5"])
+            lines.append(f' SG_ S{k} {"" if page is None else f"m{page} "}: {start}|{bits}@{0 if big else 1}{sign} ({scale},{offset}) [0|0] "km/h" CAR')
+            if floating:
+                floats.append(f"SIG_VALTYPE_ {identifier} S{k} : {1 if bits == 32 else 2};")
+    return "\n".join([*lines, *floats, ""])
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_any_database_decodes_as_cantools_does(seed):
+    rng = np.random.default_rng(seed)
+    database = cantools.database.load_string(random_database(rng), "dbc")
+    ids, rows = [], []
+    for message in database.messages:
+        pages = sorted({page for s in message.signals for page in s.multiplexer_ids or []})
+        for _ in range(50):
+            ids.append(message.frame_id | (EXTENDED if message.is_extended_frame else 0))
+            row = bytearray(rng.bytes(message.length))
+            if pages:  # cantools refuses a page without a signal
+                row[0] = row[0] & 0xFE | int(rng.choice(pages))
+            rows.append(bytes(row))
+    n = len(ids)
+    data = np.array([list(row.ljust(64, b"\0")) for row in rows], np.uint8)
+    frames = Frames(np.arange(n) * 10**6, np.array(ids, np.uint32), np.zeros(n, np.uint8),
+                    np.array([len(row) for row in rows], np.uint8), data, ["can0"])
+    decoded = decode_all(frames, database)
+    ours = {(name, signal, int(at)): x for name, signals in decoded.items() for signal, s in signals.items()
+            for at, x in zip(s.frame, s.value)}
+    theirs = {}
+    for at, row in enumerate(rows):
+        message = database.messages[at // 50]
+        values = message.decode(row, decode_choices=False)
+        theirs |= {(message.name, signal, at): float(x) for signal, x in values.items() if np.isfinite(x)}
+    assert ours.keys() == theirs.keys() and (len(ours) >= 50 or not any(m.signals for m in database.messages))
+    assert all(np.isclose(ours[key], x, rtol=1e-12, atol=0) for key, x in theirs.items())

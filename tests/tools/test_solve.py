@@ -99,6 +99,11 @@ ZOH = {"id": "z", "kind": "zoh", "model": "truck", "v": 15.0, "wheelbase": 4.5, 
         (LFT | {"lambda_nu": [1.0, 1.0]}, ["lambda_nu"]),
         (LFT | {"gamma_w": 1e-6, "e": [[0.3, 0], [0.4, 0]]}, ["gamma_w", "B1"]),
         (LFT | {"P22": [[[0, 0]], [[0, 0]]], "e": [[0.3, 0], [0.4, 0]]}, ["e", "not in Im"]),
+        (
+            LFT | {"P11": [[[10, 0]]], "eta0": [[-19, 0]], "P21": [[[1, 0]]], "e": [[1, 0]], "gamma_w": 0.01},
+            ["problem l", "nu", "cap"],
+        ),
+        (LFT | {"e": [[float("inf"), 0], [0, 0.4]]}, ["problem l", "e", "finite"]),
         ("not an object", ["object"]),
     ],
 )

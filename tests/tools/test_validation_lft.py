@@ -9,7 +9,7 @@ from lpvguard import native
 from lpvguard.bench.validation import truck_points
 from lpvguard.errors import InputError
 from lpvguard.validation import delta as dl
-from lpvguard.validation import lft, s2
+from lpvguard.validation import lft, lmi, s2
 from lpvguard.validation.delta import Block
 from lpvguard.validation.lft import Lft
 
@@ -247,6 +247,45 @@ def test_last_block_is_not_needed_when_a_repeated_one_explains_the_data():
     assert lft.smallest_last_block(problem, 3 * np.linalg.norm(w)) == (0.0, 0.0)
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e-5])
+def test_the_last_block_is_zero_only_where_a_zero_was_found(unit):
+    # The least-squares point breaks the real block, so the search starts without a cost to compare zero with.
+    problem, nu, w = made_from_truth(np.random.default_rng(0), 4, [("full", 3, 2), ("repeated_real", 2, 2)])
+    u = np.diag([1, 1, 1, unit, unit])
+    problem = Lft(problem.blocks, problem.p11 @ u, problem.p12, problem.p21 @ u, problem.p22, problem.eta0, problem.e)
+    gamma = 1.001 * np.linalg.norm(w)
+    low, high = lft.smallest_last_block(problem, gamma)
+    assert 0.1 < low * unit <= high * unit <= nu[1] and high - low <= 1e-3 * high
+    # The first block is smaller there, so the least common size is that very number.
+    known = lft.optimum(problem, gamma, [1.0, unit**2])
+    common = lft.smallest_common_size(problem, gamma, known=known)
+    assert np.sqrt(common.lower) <= high * (1 + 1e-6) and np.sqrt(common.upper) >= low * (1 - 1e-6)
+
+
+def test_a_certificate_does_not_rest_on_rounding():
+    # Form 1 forces nothing; a free multiplier of 1e9 leaves rounding errors above the matrix that it should lift.
+    rng = np.random.default_rng(3)
+    a = gauss(rng, 4, 4)
+    cross = a + a.conj().T
+    weak = 1e-9 * np.eye(4)
+    y = np.array([1.0, 1e9, -1e9])
+    forms = np.array([weak, cross, cross * (1 + 1e-18)])
+    assert lmi.rounding(y, forms) > 1e-9
+    slopes = np.eye(4)[None] * 1e-12
+    assert lmi.reach(weak, slopes)[0] > 0 and lmi.reach(weak, slopes, lmi.rounding(y, forms))[0] == 0
+    assert lmi.rounding(np.array([1.0, 0.0, 0.0]), forms) < 1e-23
+
+
+def test_repeated_blocks_are_settled_by_boxes():
+    rng = np.random.default_rng(4)
+    problem, nu, w = made_from_truth(rng, 3, [("repeated_real", 2, 2), ("repeated_real", 3, 3)])
+    s = lft.optimum(problem, 1.001 * np.linalg.norm(w), [1.0, 1.0], 0.01 * np.ones(3), gap=4e-4)
+    assert s.upper - s.lower <= 1e-3 * s.upper
+    assert s.nodes <= 1500, "with a direction for each size it takes 2759"
+    assert s.upper <= np.sum(nu**2) + 0.01 * np.linalg.norm(w) ** 2 * (1 + 1e-3)
+    substitute(problem, s, 1.001 * np.linalg.norm(w))
+
+
 def test_units_of_a_block_do_not_change_the_answer():
     problem, _, w = made_from_truth(np.random.default_rng(22), 2, [("full", 2, 2), ("full", 1, 1)])
     unit = np.diag([1e5, 1e5, 1e-4])
@@ -480,6 +519,16 @@ def test_s2_names_the_bad_point():
     args[0][2, 1] = np.nan
     with pytest.raises(InputError, match="e, point 2"):
         s2.solve(*args)
+    names = [f"drive {k // 2}, {1.5 + k % 2} rad/s" for k in range(len(args[0]))]
+    with pytest.raises(InputError, match="e, drive 1, 1.5 rad/s: a value that is not finite"):
+        s2.solve(*args, names=names)
+    for slot, value, what in ((1, 0.0, "u"), (6, -1.0, "gamma_w")):
+        bad = [np.array(data[k]) for k in S2_KEYS]
+        bad[slot][3] = value
+        with pytest.raises(InputError, match=f"{what}, drive 1, 2.5 rad/s"):
+            s2.solve(*bad, names=names)
+    with pytest.raises(InputError, match="names"):
+        s2.solve(*[np.array(data[k]) for k in S2_KEYS], names=names[1:])
     args = [np.array(data[k]) for k in S2_KEYS]
     with pytest.raises(InputError, match="x_nom|h_i"):
         s2.solve(*args[:3], args[3][:, :2], *args[4:])

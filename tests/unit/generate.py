@@ -9,6 +9,7 @@ PROJECT is a shipped vehicle's name or a project file.
 """
 
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -16,10 +17,12 @@ import numpy as np
 
 from lpvguard.artefacts import write_files
 from lpvguard.control_export import ARRAYS, build_controller, control_files, replaced_controller
+from lpvguard.energy import EnergyTest
 from lpvguard.export import build_coefficients, vehicle_files
 from lpvguard.frames import Estimator
 from lpvguard.nominal import NominalModel
 from lpvguard.project import load_project
+from lpvguard.weights import Weight
 
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -30,7 +33,10 @@ def vehicle(project, model):
     estimator = Estimator.of(project, model)
     W_delta = np.linspace(0.1, 0.4, estimator.n_bins)
     B_w = np.outer(np.linspace(0.02, 0.01, estimator.n_bins), 1.0 + np.arange(project.n_y))
-    return vehicle_files(project, build_coefficients(project, model, estimator, W_delta, B_w, 1.5), {"kind": "test"})
+    energy = EnergyTest.design(project, estimator, Weight([0.3, 0.2, 0.1], [1.0, 1.0, 0.5]), estimator.omega[1:],
+                               np.full(estimator.n_bins - 1, 0.1), 1.0)
+    energy = replace(energy, sigma=0.02 * (1.0 + np.arange(project.n_y)), start=4.0 + np.arange(project.n_y))
+    return vehicle_files(project, build_coefficients(project, model, estimator, W_delta, B_w, 1.5, energy), {"kind": "test"})
 
 
 def guarded(project, model, name):

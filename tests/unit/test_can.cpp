@@ -15,7 +15,7 @@ const lpvg_can_plausibility_limits_t kLimits = {2.07F, 3.0F, 1.5F, 0.05F, 5U};
 
 }  // namespace
 
-TEST_CASE("E2E profile 11: the published vector, the counter and the free nibble", "[unit][can]") {
+TEST_CASE("E2E profile 11: the published vector, the counter and the free nibble", "[unit][can][REQ-CAN-1]") {
     lpvg_can_frame_t frame{};
     frame.dlc = 8U;
     uint8_t counter = 0U;
@@ -32,7 +32,7 @@ TEST_CASE("E2E profile 11: the published vector, the counter and the free nibble
     CHECK(counter == 14U);
 }
 
-TEST_CASE("E2E profile 11: every single-bit error and every other data id is found", "[unit][can]") {
+TEST_CASE("E2E profile 11: every single-bit error and every other data id is found", "[unit][can][REQ-CAN-1]") {
     lpvg_can_frame_t good{};
     good.dlc = GENERATE(as<uint8_t>{}, 2, 5, 8);
     for (uint8_t i = 0U; i < 8U; ++i) {
@@ -52,7 +52,7 @@ TEST_CASE("E2E profile 11: every single-bit error and every other data id is fou
     }
 }
 
-TEST_CASE("E2E profile 11 refuses what it cannot protect and changes nothing", "[unit][can]") {
+TEST_CASE("E2E profile 11 refuses what it cannot protect and changes nothing", "[unit][can][REQ-CAN-1]") {
     lpvg_can_frame_t frame{};
     uint8_t          counter = 0U;
     for (const uint8_t dlc : {uint8_t{0}, uint8_t{1}, uint8_t{9}, uint8_t{255}}) {
@@ -82,7 +82,7 @@ TEST_CASE("E2E profile 11: counter 15 is refused under any CRC", "[unit][can]") 
     CHECK(counter == 3U);
 }
 
-TEST_CASE("init refuses rules that make no sense and leaves the struct alone", "[unit][can]") {
+TEST_CASE("init refuses rules that make no sense and leaves the struct alone", "[unit][can][REQ-CAN-8]") {
     lpvg_can_supervisor_t self;
     std::memset(&self, 0xA5, sizeof self);
     const lpvg_can_supervisor_t before = self;
@@ -125,7 +125,7 @@ TEST_CASE("init refuses rules that make no sense and leaves the struct alone", "
     }
 }
 
-TEST_CASE("cleared memory and NULL read as off and do nothing", "[unit][can]") {
+TEST_CASE("cleared memory and NULL read as off and do nothing", "[unit][can][REQ-CAN-8]") {
     lpvg_can_supervisor_t self{};
     lpvg_can_frame_t      frame{};
     uint8_t               index = 0U;
@@ -138,7 +138,7 @@ TEST_CASE("cleared memory and NULL read as off and do nothing", "[unit][can]") {
     lpvg_can_advance(nullptr, 1);
 }
 
-TEST_CASE("a message becomes live with the fifth good frame and not before", "[unit][can]") {
+TEST_CASE("a message becomes live with the fifth good frame and not before", "[unit][can][REQ-CAN-3]") {
     CanBus bus;
     REQUIRE(bus.packed());
     for (int64_t k = 1; k <= 4; ++k) {
@@ -153,7 +153,7 @@ TEST_CASE("a message becomes live with the fifth good frame and not before", "[u
     CHECK(bus.state(LPVG_CAN_EBC2_INDEX) == lpvg_can_state_off);
 }
 
-TEST_CASE("five good frames means in a row: a bad one starts the count anew, and live starts with a clean score", "[unit][can]") {
+TEST_CASE("five good frames means in a row: a bad one starts the count anew, and live starts with a clean score", "[unit][can][REQ-CAN-3]") {
     CanBus bus;
     bus.run(1, 4);
     auto bad = bus.vdc2(5);
@@ -231,7 +231,7 @@ TEST_CASE("any priority of the same group and source is the same message; anothe
     CHECK(bus.send(frame) == lpvg_can_event_unknown_id);
 }
 
-TEST_CASE("the counter of a message: 15, a repetition and a jump are refused, a small step counts what was lost", "[unit][can]") {
+TEST_CASE("the counter of a message: 15, a repetition and a jump are refused, a small step counts what was lost", "[unit][can][REQ-CAN-4]") {
     CanBus     bus;
     const auto guard_in = LPVG_CAN_GUARD_IN_INDEX;
     const auto with = [&](int64_t k, uint8_t sent) {
@@ -257,7 +257,7 @@ TEST_CASE("the counter of a message: 15, a repetition and a jump are refused, a 
     CHECK(refused == 1U);
 }
 
-TEST_CASE("an error frame is counted and changes no message; bus-off switches all off", "[unit][can]") {
+TEST_CASE("an error frame is counted and changes no message; bus-off switches all off", "[unit][can][REQ-CAN-5]") {
     CanBus bus;
     bus.run(1, 5);
     lpvg_can_frame_t error{};
@@ -273,7 +273,7 @@ TEST_CASE("an error frame is counted and changes no message; bus-off switches al
     CHECK(bus.supervisor.bus_off == 1U);
 }
 
-TEST_CASE("limits of a signal are exact: the last good raw value and the first bad one", "[unit][can]") {
+TEST_CASE("limits of a signal are exact: the last good raw value and the first bad one", "[unit][can][REQ-CAN-4]") {
     struct Case { uint16_t raw; lpvg_can_event_t want; };
     // yaw rate of VDC2: supervised from -1.5 to 1.5 rad/s
     const auto c = GENERATE(Case{19825, lpvg_can_event_recovering}, Case{19824, lpvg_can_event_range},
@@ -290,7 +290,7 @@ TEST_CASE("limits of a signal are exact: the last good raw value and the first b
     CHECK(bus.send(frame) == c.want);
 }
 
-TEST_CASE("gradient: the largest allowed step passes, one more is rejected, a pause allows more", "[unit][can]") {
+TEST_CASE("gradient: the largest allowed step passes, one more is rejected, a pause allows more", "[unit][can][REQ-CAN-4]") {
     CanBus bus;
     bus.run(1, 5);
     const auto     base  = lpvg_can_vdc2_yaw_rate_encode(0.05F);
@@ -370,7 +370,7 @@ TEST_CASE("counters saturate", "[unit][can]") {
     CHECK(bus.supervisor.count[lpvg_can_event_unknown_id] == UINT32_MAX);
 }
 
-TEST_CASE("a frame from the queue may be a little older than the clock, no more", "[unit][can]") {
+TEST_CASE("a frame from the queue may be a little older than the clock, no more", "[unit][can][REQ-CAN-8]") {
     CanBus bus;
     bus.run(1, 5);
     auto frame = bus.vdc2(6);
@@ -385,7 +385,7 @@ TEST_CASE("a frame from the queue may be a little older than the clock, no more"
     CHECK(bus.supervisor.now_us == frame.t_us + LPVG_CAN_REORDER_US + 1);
 }
 
-TEST_CASE("the ends of the clock overflow nothing", "[unit][can]") {
+TEST_CASE("the ends of the clock overflow nothing", "[unit][can][REQ-CAN-8]") {
     CanBus bus;
     bus.run(1, 5);
     lpvg_can_frame_t frame = bus.vdc2(6);
@@ -398,7 +398,7 @@ TEST_CASE("the ends of the clock overflow nothing", "[unit][can]") {
     CHECK(bus.send(frame) == lpvg_can_event_early);
 }
 
-TEST_CASE("cross-checks: agreement, each disagreement alone, confirmation and release", "[unit][can]") {
+TEST_CASE("cross-checks: agreement, each disagreement alone, confirmation and release", "[unit][can][REQ-CAN-6]") {
     lpvg_can_plausibility_t self{};
     const auto step = [&](float r, float ay, float v, float dv) {
         REQUIRE(lpvg_can_plausibility(&self, &kLimits, r, ay, v, dv) == lpvg_status_ok);
@@ -437,7 +437,7 @@ TEST_CASE("cross-checks: a deviation of exactly the limit is none; long violatio
     CHECK(self.flags == 0U);
 }
 
-TEST_CASE("cross-checks leave out what cannot be judged", "[unit][can]") {
+TEST_CASE("cross-checks leave out what cannot be judged", "[unit][can][REQ-CAN-6]") {
     lpvg_can_plausibility_t self{};
     struct Case { float r, ay, v, dv; };
     const auto c = GENERATE(Case{kNan, 0.0F, 15.0F, 0.0F}, Case{1.0F, 0.0F, 2.9F, 0.0F}, Case{1.0F, 0.0F, kNan, 0.0F},
@@ -449,7 +449,7 @@ TEST_CASE("cross-checks leave out what cannot be judged", "[unit][can]") {
     CHECK(self.score[0] + self.score[1] == 0);
 }
 
-TEST_CASE("cross-checks refuse limits that are not positive", "[unit][can]") {
+TEST_CASE("cross-checks refuse limits that are not positive", "[unit][can][REQ-CAN-6]") {
     lpvg_can_plausibility_t        self{};
     lpvg_can_plausibility_limits_t limits = kLimits;
     CHECK(lpvg_can_plausibility(nullptr, &limits, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_status_bad_argument);
@@ -464,7 +464,7 @@ TEST_CASE("cross-checks refuse limits that are not positive", "[unit][can]") {
     CHECK(lpvg_can_plausibility(&self, &limits, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_status_bad_argument);
 }
 
-TEST_CASE("DM1: one code, none, and what does not fit", "[unit][can]") {
+TEST_CASE("DM1: one code, none, and what does not fit", "[unit][can][REQ-CAN-7]") {
     lpvg_can_frame_t frame{};
     frame.t_us = 42;
     const lpvg_can_dtc_t yaw = {1808U, 9U, 3U};
@@ -492,7 +492,7 @@ TEST_CASE("DM1: one code, none, and what does not fit", "[unit][can]") {
     CHECK(std::memcmp(frame.data, none, 8U) == 0);
 }
 
-TEST_CASE("every event has a failure mode of J1939", "[unit][can]") {
+TEST_CASE("every event has a failure mode of J1939", "[unit][can][REQ-CAN-7]") {
     CHECK(lpvg_can_fmi(lpvg_can_event_missed) == 9U);
     CHECK(lpvg_can_fmi(lpvg_can_event_checksum) == 19U);
     CHECK(lpvg_can_fmi(lpvg_can_event_gradient) == 10U);

@@ -39,13 +39,13 @@ TEST_CASE("the exported coefficients are accepted", "[unit][coeff]") {
     CHECK(lpvg_monitor_init(&monitor, &lpvg_coeff) == lpvg_status_ok);
 }
 
-TEST_CASE("NULL is refused", "[unit][coeff]") {
+TEST_CASE("NULL is refused", "[unit][coeff][REQ-COEF-5]") {
     check_refused(nullptr, lpvg_status_bad_argument);
     CHECK(lpvg_monitor_init(nullptr, &lpvg_coeff) == lpvg_status_bad_argument);
     CHECK(lpvg_coeff_crc32(nullptr) == 0U);
 }
 
-TEST_CASE("foreign, old and erased coefficients are named as such, CRC right or wrong", "[unit][coeff]") {
+TEST_CASE("foreign, old and erased coefficients are named as such, CRC right or wrong", "[unit][coeff][REQ-COEF-1]") {
     struct Case {
         const char* what;
         lpvg_status_t want;
@@ -59,7 +59,7 @@ TEST_CASE("foreign, old and erased coefficients are named as such, CRC right or 
         {"number type", lpvg_status_bad_size, [](lpvg_coeff_t& c) { c.words.real_bytes = 12U - c.words.real_bytes; }},
         {"estimator", lpvg_status_bad_estimator, [](lpvg_coeff_t& c) { c.words.estimator_id ^= 1U; }},
     };
-    for (std::size_t i = 0; i < 7U; ++i) {
+    for (std::size_t i = 0; i < 9U; ++i) {
         cases.push_back({"size", lpvg_status_bad_size, [i](lpvg_coeff_t& c) { ++c.words.sizes[i]; }});
     }
     for (const Case& test : cases) {
@@ -72,7 +72,7 @@ TEST_CASE("foreign, old and erased coefficients are named as such, CRC right or 
     }
 }
 
-TEST_CASE("any single flipped bit after the header is a CRC error", "[unit][coeff]") {
+TEST_CASE("any single flipped bit after the header is a CRC error", "[unit][coeff][REQ-COEF-2]") {
     constexpr std::size_t header = offsetof(lpvg_coeff_words_t, crc32);
     constexpr std::size_t stride = 7;  // coprime to the sizes of words and numbers: every byte place is met
     std::size_t wrong = 0;
@@ -88,7 +88,7 @@ TEST_CASE("any single flipped bit after the header is a CRC error", "[unit][coef
     CHECK(wrong == 0U);
 }
 
-TEST_CASE("a number that is not finite is refused wherever it stands", "[unit][coeff]") {
+TEST_CASE("a number that is not finite is refused wherever it stands", "[unit][coeff][REQ-COEF-3]") {
     const Real bad = GENERATE(std::numeric_limits<Real>::quiet_NaN(), std::numeric_limits<Real>::infinity(),
                               -std::numeric_limits<Real>::infinity());
     constexpr std::size_t n = sizeof(lpvg_coeff_reals_t) / sizeof(Real);
@@ -102,7 +102,7 @@ TEST_CASE("a number that is not finite is refused wherever it stands", "[unit][c
     CHECK(wrong == 0U);
 }
 
-TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]") {
+TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff][REQ-COEF-4]") {
     struct Case {
         const char* what;
         std::function<void(lpvg_coeff_t&)> change;
@@ -120,6 +120,37 @@ TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]
         {"a frame longer than DC's", [](lpvg_coeff_t& c) { c.words.frame_length[1] = c.words.frame_length[0] + 2U; }},
         {"cycles beyond 2^31", [](lpvg_coeff_t& c) { c.words.cycles[0] = 0x80000000U; }},
     };
+    // The energy test.
+    const auto spoilt = [&cases](const char* what, const std::function<void(lpvg_coeff_reals_t&)>& change) {
+        cases.push_back({what, [change](lpvg_coeff_t& c) { change(c.reals); }});
+    };
+    cases.push_back({"judged before the frames", [](lpvg_coeff_t& c) { c.words.energy_settle = c.words.settle_samples - 1U; }});
+    cases.push_back({"rearm 0", [](lpvg_coeff_t& c) { c.words.energy_rearm = 0U; }});
+    spoilt("no forgetting", [](lpvg_coeff_reals_t& r) { r.energy_forget = Real(0); });
+    spoilt("no memory", [](lpvg_coeff_reals_t& r) { r.energy_forget = Real(1); });
+    spoilt("energy threshold below 1", [](lpvg_coeff_reals_t& r) { r.energy_threshold = Real(0.999); });
+    for (std::size_t place = 0; place <= LPVG_NWEIGHT; ++place) {
+        const auto poles = [&](const char* what, Real a1, Real a2) {
+            spoilt(what, [=](lpvg_coeff_reals_t& r) {
+                Real* section = place < LPVG_NWEIGHT ? r.energy_W[place] : r.energy_F;
+                section[3] = a1;
+                section[4] = a2;
+            });
+        };
+        poles("a pole at z = 1", Real(0.5), Real(0));
+        poles("poles on the unit circle", Real(0.5), Real(0.5));
+        poles("a pole at z = -1", Real(2.5), Real(1));
+    }
+    for (std::size_t j = 0; j < LPVG_NY; ++j) {
+        spoilt("sigma infinite", [j](lpvg_coeff_reals_t& r) { r.energy_scale[j] = Real(0); });
+        spoilt("negative energy", [j](lpvg_coeff_reals_t& r) { r.energy_start[j] = Real(-1); });
+    }
+    spoilt("a direction that is none", [](lpvg_coeff_reals_t& r) {
+        for (Real& a : r.energy_direction[LPVG_NDIRECTIONS - 1]) {
+            a = Real(0);
+        }
+    });
+    spoilt("a direction too long", [](lpvg_coeff_reals_t& r) { r.energy_direction[0][0] = Real(-1.5); });
     for (std::size_t b : {std::size_t{0}, std::size_t{LPVG_NBINS - 1}}) {
         cases.push_back({"odd frame", [b](lpvg_coeff_t& c) { c.words.frame_length[b] -= 1U; }});
         cases.push_back({"half a frame within the latency", [b](lpvg_coeff_t& c) { c.words.frame_length[b] = 2U * LPVG_NLATENCY; }});
@@ -137,7 +168,7 @@ TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]
     }
 }
 
-TEST_CASE("values at the edge of what is allowed are accepted", "[unit][coeff]") {
+TEST_CASE("values at the edge of what is allowed are accepted", "[unit][coeff][REQ-COEF-4]") {
     const lpvg_coeff_t coeff = sealed([](lpvg_coeff_t& c) {
         c.words.of_last = LPVG_NHISTORY;
         c.words.confirm = LPVG_NHISTORY;

@@ -130,7 +130,7 @@ void check_against_reference(const std::vector<Problem>& problems) {
 
 }  // namespace
 
-TEST_CASE("the margin is the minimum, for 1 to 4 outputs", "[unit][margin]") {
+TEST_CASE("the margin is the minimum, for 1 to 4 outputs", "[unit][margin][REQ-MON-3]") {
     const auto n_y = GENERATE(std::size_t{1}, std::size_t{2}, std::size_t{3}, std::size_t{4});
     Random random(17U + static_cast<unsigned>(n_y));
     std::vector<Problem> problems;
@@ -141,7 +141,7 @@ TEST_CASE("the margin is the minimum, for 1 to 4 outputs", "[unit][margin]") {
     check_against_reference(problems);
 }
 
-TEST_CASE("one output: |E| / (B + W |Z|), and |E| / B where Z = 0", "[unit][margin]") {
+TEST_CASE("one output: |E| / (B + W |Z|), and |E| / B where Z = 0", "[unit][margin][REQ-MON-3]") {
     Random random(3U);
     for (int i = 0; i < 200; ++i) {
         Problem p = random_problem(random, 1U);
@@ -152,7 +152,7 @@ TEST_CASE("one output: |E| / (B + W |Z|), and |E| / B where Z = 0", "[unit][marg
     }
 }
 
-TEST_CASE("outputs with Z = 0 bound from below and add no candidate", "[unit][margin]") {
+TEST_CASE("outputs with Z = 0 bound from below and add no candidate", "[unit][margin][REQ-MON-3]") {
     const auto n_y = GENERATE(std::size_t{2}, std::size_t{3}, std::size_t{4});
     Random random(5U);
     std::vector<Problem> problems;
@@ -169,7 +169,7 @@ TEST_CASE("outputs with Z = 0 bound from below and add no candidate", "[unit][ma
     CHECK(margin<float>(silent) == 0.0);
 }
 
-TEST_CASE("collinear and coinciding centres, equal radii", "[unit][margin]") {
+TEST_CASE("collinear and coinciding centres, equal radii", "[unit][margin][REQ-MON-3]") {
     Random random(7U);
     std::vector<Problem> problems;
     for (int i = 0; i < 40; ++i) {
@@ -194,7 +194,7 @@ TEST_CASE("collinear and coinciding centres, equal radii", "[unit][margin]") {
     check_against_reference(problems);
 }
 
-TEST_CASE("units of the outputs are free from 1e-30 to 1e30", "[unit][margin]") {
+TEST_CASE("units of the outputs are free from 1e-30 to 1e30", "[unit][margin][REQ-MON-3]") {
     Random random(11U);
     for (int i = 0; i < 100; ++i) {
         const Problem p = random_problem(random, 3U);
@@ -232,7 +232,7 @@ TEST_CASE("|E| / B and W |Z| / B may reach the stated range", "[unit][margin]") 
     CHECK(error.below <= float_below);
 }
 
-TEST_CASE("beyond the range the margin errs high only", "[unit][margin]") {
+TEST_CASE("beyond the range the margin errs high only", "[unit][margin][REQ-MON-4]") {
     Random random(19U);
     Error error;
     std::size_t not_a_number = 0;
@@ -255,7 +255,7 @@ TEST_CASE("beyond the range the margin errs high only", "[unit][margin]") {
     CHECK(error.below <= float_below);
 }
 
-TEST_CASE("a nominal output that fades out cannot hide an error", "[unit][margin]") {
+TEST_CASE("a nominal output that fades out cannot hide an error", "[unit][margin][REQ-MON-4]") {
     for (double size = 1e-5; size > 1e-45; size *= 0.1) {
         CAPTURE(size);
         const Problem p{{{0.3, 0.4}, {0.1, 0.0}}, {size, {0.0, size}}, 0.3, {0.01, 0.02}};
@@ -263,7 +263,7 @@ TEST_CASE("a nominal output that fades out cannot hide an error", "[unit][margin
     }
 }
 
-TEST_CASE("a frame that is not finite falsifies", "[unit][margin]") {
+TEST_CASE("a frame that is not finite falsifies", "[unit][margin][REQ-MON-4]") {
     const double bad = GENERATE(std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity());
     CHECK(std::isinf(margin<float>({{bad, 0.0}, {1.0, 1.0}, 0.3, {0.1, 0.1}})));
     CHECK(std::isinf(margin<float>({{0.0, 1.0}, {1.0, bad}, 0.3, {0.1, 0.1}})));

@@ -48,7 +48,7 @@ bool same_entries(const lpvg_model_t& a, const lpvg_model_t& b) {
 
 }  // namespace
 
-TEST_CASE("the recursion follows the exact zero-order hold, delay included", "[unit][model]") {
+TEST_CASE("the recursion follows the exact zero-order hold, delay included", "[unit][model][REQ-MOD-1]") {
     double size[LPVG_NY] = {};
     for (std::size_t k = 0; k < n_samples; ++k) {
         for (std::size_t j = 0; j < LPVG_NY; ++j) {
@@ -69,7 +69,7 @@ TEST_CASE("the recursion follows the exact zero-order hold, delay included", "[u
     CHECK(worst <= tolerance);
 }
 
-TEST_CASE("an input step reaches the output after the delay and not before", "[unit][model]") {
+TEST_CASE("an input step reaches the output after the delay and not before", "[unit][model][REQ-MOD-1]") {
     const lpvg_coeff_reals_t& r = lpvg_coeff.reals;
     Real rest[LPVG_NU], step[LPVG_NU];
     for (std::size_t i = 0; i < LPVG_NU; ++i) {
@@ -94,7 +94,7 @@ TEST_CASE("an input step reaches the output after the delay and not before", "[u
     }
 }
 
-TEST_CASE("outside the scheduling range the nearest speed is used", "[unit][model]") {
+TEST_CASE("outside the scheduling range the nearest speed is used", "[unit][model][REQ-MOD-2]") {
     const lpvg_coeff_reals_t& r = lpvg_coeff.reals;
     const lpvg_model_t slowest = advanced_at(r.speed_min);
     const lpvg_model_t fastest = advanced_at(r.speed_max);
@@ -109,7 +109,7 @@ TEST_CASE("outside the scheduling range the nearest speed is used", "[unit][mode
     }
 }
 
-TEST_CASE("entries join at the cell borders", "[unit][model]") {
+TEST_CASE("entries join at the cell borders", "[unit][model][REQ-MOD-1]") {
     const lpvg_coeff_reals_t& r = lpvg_coeff.reals;
     double worst = 0.0;
     for (std::size_t c = 1; c < LPVG_NCELLS; ++c) {

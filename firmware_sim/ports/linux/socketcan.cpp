@@ -125,18 +125,20 @@ bool receive_one(socketcan_t& self, int64_t now_us, lpvg_can_frame_t* frame) {
 }
 
 bool receive(void* driver, int64_t now_us, lpvg_can_frame_t* frame) {
-    auto&      self = *static_cast<socketcan_t*>(driver);
-    const bool off  = still_off(self, now_us);
+    auto& self = *static_cast<socketcan_t*>(driver);
+    bool  off  = still_off(self, now_us);
     while (receive_one(self, now_us, frame)) {
-        if ((frame->id & CAN_ERR_FLAG) != 0U && (frame->id & CAN_ERR_RESTARTED) != 0U) {
-            self.bus_off = false;
-        } else if ((frame->id & CAN_ERR_FLAG) != 0U && (frame->id & CAN_ERR_BUSOFF) != 0U) {
+        const bool report = (frame->id & CAN_ERR_FLAG) != 0U;
+        if (report && (frame->id & CAN_ERR_RESTARTED) != 0U) {
+            self.bus_off = off = false;
+        } else if (report && (frame->id & CAN_ERR_BUSOFF) != 0U && !off) {
             self.bus_off    = true;
             self.bus_off_us = now_us;
-        } else if (off && self.bus_off) {
-            continue;  // a controller that is off hears nothing; others on a vcan are not told
         }
-        return true;
+        if (!off) {
+            return true;
+        }
+        // A controller that is off hears nothing; others on a vcan are not told so.
     }
     return false;
 }

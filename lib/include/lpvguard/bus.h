@@ -54,7 +54,7 @@ typedef struct lpvg_bus_t {
 
 extern const lpvg_bus_t lpvg_bus;
 
-/// Takes the signals of an accepted frame of message `index`. Values that are absent become NaN.
+/// Takes the signals of an accepted frame of message `index`. Values that are absent become NaN. NULL is not checked.
 void lpvg_bus_take(lpvg_bus_signals_t* signals, uint8_t index, const lpvg_can_frame_t* frame);
 
 /// Packs the report, end-to-end protected; steps *counter. Values saturate at the ends of their range. frame->t_us is kept.

@@ -156,10 +156,10 @@ LPVG_NODISCARD lpvg_status_t lpvg_can_init(lpvg_can_supervisor_t* self, const lp
 /// Judges one frame at its own time frame->t_us (so it also does what lpvg_can_advance does).
 /// *index becomes the rule that it belongs to, LPVG_CAN_NO_INDEX when none. Checks, in this order; the first that fails
 /// names the event: time, bus error, identifier, gap, length, checksum, counter, then per supervised signal in the
-/// order of the rule: not available, error, range, gradient. Only `accepted` frames may be used.
+/// order of the rule: not available, error, range, gradient. Only `accepted` frames may be used. NULL: none, nothing happens.
 lpvg_can_event_t lpvg_can_receive(lpvg_can_supervisor_t* self, const lpvg_can_frame_t* frame, uint8_t* index);
 
-/// Lets time pass: counts missed periods and moves live -> hold -> off. A time before the newest seen changes nothing.
+/// Lets time pass: counts missed periods and moves live -> hold -> off. A time before the newest seen, and NULL, change nothing.
 void lpvg_can_advance(lpvg_can_supervisor_t* self, int64_t now_us);
 
 /// State of message `index` at the newest time seen; off when self is NULL or index is out of range.

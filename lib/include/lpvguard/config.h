@@ -42,10 +42,13 @@ typedef float lpvg_real_t;
 #if (LPVG_NBINS < 2) || (LPVG_NBINS > 64)
 #error "lpvguard: supported are 2..64 bins, DC included"
 #endif
+#if !defined(LPVG_NWEIGHT) || !defined(LPVG_NDIRECTIONS)
+#error "lpvguard: lpvguard_vehicle.h is of an older exporter (LPVG_NWEIGHT is missing); export the vehicle again"
+#endif
 #ifndef LPVG_NK
 #error "lpvguard: lpvguard_vehicle.h is of an older exporter (LPVG_NK is missing); export the vehicle again"
 #endif
-#if (LPVG_NK > 0) && ((LPVG_NK > 40) || (LPVG_NM != LPVG_NY + 1) || (LPVG_NG < 2) || (LPVG_NA < 1) || (LPVG_NA > LPVG_NK * LPVG_NK))
+#if (LPVG_NK > 0) && ((LPVG_NK * LPVG_NU > 40) || (LPVG_NM != LPVG_NY + 1) || (LPVG_NG < 2))
 #error "lpvguard: supported controllers have up to 40 states, the reference and all outputs as measurements, 2 or more nodes"
 #endif
 

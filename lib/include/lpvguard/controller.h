@@ -3,25 +3,32 @@
 ///     v_k = C x_k                                                        wanted demand (D = 0: H-infinity controllers)
 ///     u_k = v_k within u_{k-1} -+ rate_max Ts, then within -+ u_max      applied demand; engaged
 ///     u_k = 0   within u_{k-1} -+ rate_max Ts                            not engaged: released no faster than demanded
-///     x_{k+1} = x_k + A1 x_k + B m_k + L (u_k - v_k)                     A1 = A - I, formed in double
+///     x_{k+1} = x_k + A1 x_k + B(speed) m_k + L(speed) (u_k - v_k)       A1 = A - I, formed in double
 ///
-/// m = (reference, outputs y in the order of the vehicle's signal table). L is chosen so that A - L C is stable: while
-/// the limits act, and while the controller is not engaged, the state follows the applied demand instead of winding up.
-/// What is left of u - v is taken out of the state at the moment of engaging (least change of x), so that the first
-/// engaged demand equals the one before.
-/// Only that sample is aligned: where C reads a delay state of the controller, the next demand may already move by the rate limit.
+/// m = (reference, outputs y in the order of the vehicle's signal table).
 ///
-/// Entries are interpolated linearly between LPVG_NG speeds, equally spaced over the scheduling range; beyond its ends the
-/// nearest speed is used. All nodes share one set of coordinates, and only entries of A1 that are not zero at every node
-/// are stored: a block-diagonal realisation costs what its blocks hold.
+/// Realisation: poles do not depend on the speed, zeros do. Every demand owns LPVG_NK states with the same poles: pairs (h, t),
+/// then a single one where LPVG_NK is odd. With a = A1[2p], a' = A1[2p + 1], b and b' the pair's rows of B and L times (m, u - v),
+///
+///     h+ = h + a h + t + b       t+ = t + a' h + b'       demand: sum of all h       single: h+ = h + a h + b
+///
+/// so A1 holds one number a state, C none, and what lies in a state means the same at every speed. B and L are interpolated
+/// linearly between LPVG_NG speeds, equally spaced over the scheduling range; beyond its ends the nearest speed is used. At a
+/// constant speed the frequency response is then the linear interpolation of its neighbours, and A - L C that of theirs.
+///
+/// While a limit acts, and while the controller is not engaged, u - v drives through L what the nominal vehicle would have
+/// done more, had it been given v: the states go on as in the loop without limits, and the vehicle's lag behind it dies out by
+/// a state feedback (model recovery anti-windup; tools/src/lpvguard/schedule.py). A - L C is stable.
+/// At the moment of engaging the state is moved so that neither this demand nor the next one differs from the one before:
+/// by the likeliest such change for m like white noise: engage times (u - v, -(v_next - v)), v_next with m at hand.
 ///
 /// Numbers: a slow pole changes its state by far less than it is large, and float would lose that change; what rounding
 ///          takes is carried to the next step, so that slow poles and integrators keep their precision in float.
 ///
 /// Use:     init once -> step once per sample period.
-/// Cost:    constant: 2 (LPVG_NA + LPVG_NK (LPVG_NM + 2 LPVG_NU)) multiplications and as many additions a step. Entries are
-///          interpolated where they are used, so a moving speed costs the same as a constant one and nothing is cached.
-/// RAM:     sizeof(lpvg_control_t): 2 LPVG_NK + LPVG_NU numbers and counters. No heap, no locks, no I/O.
+/// Cost:    LPVG_NU LPVG_NK (1 + 2 (LPVG_NM + LPVG_NU)) multiplications and as many additions a step, whether or not the
+///          speed moves: nothing is cached. The step that engages adds about half as much.
+/// RAM:     sizeof(lpvg_control_t): (2 LPVG_NK + 1) LPVG_NU numbers and counters. No heap, no locks, no I/O.
 /// Threads: one instance per thread. Fields are for reading only.
 ///
 /// A vehicle without controller (LPVG_NK 0) has none of this.
@@ -36,7 +43,7 @@
 LPVG_EXTERN_C_BEGIN
 
 #define LPVG_CONTROL_MAGIC 0x4C505643U
-#define LPVG_CONTROL_SCHEMA 1U
+#define LPVG_CONTROL_SCHEMA 2U
 
 #define lpvg_control_words_t LPVG_SYM(control_words_t)
 #define lpvg_control_reals_t LPVG_SYM(control_reals_t)
@@ -52,23 +59,20 @@ typedef struct lpvg_control_words_t {
     uint32_t magic;                     ///< LPVG_CONTROL_MAGIC
     uint32_t schema;                    ///< LPVG_CONTROL_SCHEMA
     uint32_t real_bytes;                ///< sizeof(lpvg_real_t)
-    uint32_t sizes[5];                  ///< LPVG_NK, NM, NG, NA, NU
+    uint32_t sizes[4];                  ///< LPVG_NK, NM, NG, NU
     uint32_t crc32;                     ///< over all words and numbers, as in coeff.h
     uint32_t sample_period_us;          ///< Ts                                                       [us]
-    uint32_t row_begin[LPVG_NK + 1];    ///< stored entries of row i of A1: row_begin[i] .. row_begin[i + 1] - 1
-    uint32_t column[LPVG_NA];           ///< their columns
 } lpvg_control_words_t;
 
-/// At each node; states in the design's coordinates, the rest in the units of the signal table.
+/// States in units of the demand; the rest in the units of the signal table.
 typedef struct lpvg_control_reals_t {
     lpvg_real_t speed_min;                          ///< first node                                   [m/s]
     lpvg_real_t speed_max;                          ///< last node                                    [m/s]
     lpvg_real_t u_max[LPVG_NU];                     ///< largest |demand|                             [input unit]
     lpvg_real_t rate_max[LPVG_NU];                  ///< largest |change of demand|                   [input unit/s]
-    lpvg_real_t A1[LPVG_NG][LPVG_NA];               ///< stored entries of A - I
-    lpvg_real_t B[LPVG_NG][LPVG_NK][LPVG_NM];
-    lpvg_real_t C[LPVG_NG][LPVG_NU][LPVG_NK];
-    lpvg_real_t L[LPVG_NG][LPVG_NK][LPVG_NU];
+    lpvg_real_t A1[LPVG_NK];                        ///< a, a' of every pair, a of a single state
+    lpvg_real_t engage[LPVG_NK][2];                 ///< change of x for what v misses, and for its drift
+    lpvg_real_t BL[LPVG_NG][LPVG_NU][LPVG_NK][LPVG_NM + LPVG_NU];  ///< rows of B, then of L
 } lpvg_control_reals_t;
 
 typedef struct lpvg_control_coeff_t {
@@ -81,12 +85,12 @@ extern const lpvg_control_coeff_t lpvg_control_coeff;
 
 typedef struct lpvg_control_t {
     const lpvg_control_coeff_t* coeff;
-    lpvg_real_t x[LPVG_NK];      ///< state
-    lpvg_real_t carry[LPVG_NK];  ///< what rounding took from the newest change of each state; added to the next
-    lpvg_real_t u[LPVG_NU];      ///< newest applied demand                                           [input unit]
-    bool engaged;                ///< of the newest step
-    uint32_t limited;            ///< engaged steps in which a limit changed the demand, saturating
-    uint32_t bad_samples;        ///< refused steps, saturating
+    lpvg_real_t x[LPVG_NU][LPVG_NK];      ///< states of every demand
+    lpvg_real_t carry[LPVG_NU][LPVG_NK];  ///< what rounding took from the newest change of each state; added to the next
+    lpvg_real_t u[LPVG_NU];               ///< newest applied demand                                  [input unit]
+    bool engaged;                         ///< of the newest step
+    uint32_t limited;                     ///< engaged steps in which a limit changed the demand, saturating
+    uint32_t bad_samples;                 ///< refused steps, saturating
 } lpvg_control_t;
 
 /// Checks magic, schema, sizes, CRC-32, finiteness and value ranges, in this order.
@@ -102,8 +106,8 @@ LPVG_NODISCARD lpvg_status_t lpvg_control_init(lpvg_control_t* self, const lpvg_
 
 /// One sample: measured speed [m/s], measurements m (LPVG_NM), engaged or not. self->u becomes the demand to apply from
 /// now to the next sample. Returns ok; bad_argument (NULL), not_ready (no init): nothing happens.
-/// bad_sample (speed or m not finite, or the state would become so: counted): the step is made not engaged with m left
-/// out, so the demand runs to zero; a state that would not be finite is cleared.
+/// bad_sample (speed or m not finite, or the states grown until C x is not: counted): the step is made not engaged with m
+/// left out, so the demand runs to zero; states that have grown so far are cleared.
 LPVG_NODISCARD lpvg_status_t lpvg_control_step(lpvg_control_t* self, lpvg_real_t speed, const lpvg_real_t* m, bool engaged);
 
 LPVG_EXTERN_C_END

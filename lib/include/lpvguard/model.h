@@ -31,10 +31,10 @@ typedef struct lpvg_model_t {
 /// The coefficients must have passed lpvg_coeff_check; no argument may be NULL (not checked: called once per sample).
 void lpvg_model_start(lpvg_model_t* self, const lpvg_coeff_t* coeff, const lpvg_real_t* u, const lpvg_real_t* y);
 
-/// Writes the nominal output (LPVG_NY) at the current sample.
+/// Writes the nominal output (LPVG_NY) at the current sample. NULL is not checked.
 void lpvg_model_output(const lpvg_model_t* self, const lpvg_coeff_t* coeff, lpvg_real_t* yhat);
 
-/// Advances by one sample with the measured speed [m/s] and input u (LPVG_NU) of the current sample.
+/// Advances by one sample with the measured speed [m/s] and input u (LPVG_NU) of the current sample. NULL is not checked.
 void lpvg_model_advance(lpvg_model_t* self, const lpvg_coeff_t* coeff, lpvg_real_t speed, const lpvg_real_t* u);
 
 LPVG_EXTERN_C_END

@@ -12,6 +12,10 @@
 /// would have shown; a frame whose evidence is at or below the threshold could not have objected to anything and is
 /// no evidence for the model either.
 ///
+/// Beside it the energy test (energy.h) takes every sample and is judged in every push that judges no frame: its ratio above
+/// `energy_threshold` falsifies the model too, and the first one after `energy_rearm` judgements without is recorded as an alarm. A sample out of the
+/// scheduling range, a gap and a refused sample restart it from rest; until the model and F have settled it is not judged.
+///
 /// Use:     init once -> push one sample per period -> verdict, frame and records at any time.
 /// Cost:    even over pushes. A bin takes up LPVG_NBLOCK samples at once, a quarter of the bins each push; at most one frame
 ///          is judged per push, and none in a push that closes several. A frame is therefore judged at the latest
@@ -22,6 +26,7 @@
 #ifndef LPVGUARD_MONITOR_H
 #define LPVGUARD_MONITOR_H
 
+#include "lpvguard/energy.h"
 #include "lpvguard/model.h"
 
 LPVG_EXTERN_C_BEGIN
@@ -49,7 +54,7 @@ LPVG_EXTERN_C_BEGIN
 typedef enum lpvg_verdict_t {
     lpvg_verdict_unknown = 0,     ///< No frame has ended yet. Zero: cleared memory never reads "valid".
     lpvg_verdict_valid = 1,       ///< Within the last hold time a frame with evidence counted, and none falsified.
-    lpvg_verdict_invalid = 2,     ///< A frame falsified the model within the last hold time.
+    lpvg_verdict_invalid = 2,     ///< A frame or the energy test falsified the model within the last hold time.
     lpvg_verdict_not_judged = 3,  ///< Frames ended, but none within the hold time is evidence: see lpvg_reason_t.
     lpvg_verdict_stale = 4,       ///< The newest sample is older than five sample periods.
     lpvg_verdict_fault = 5        ///< The newest sample was refused, or the arguments are wrong.
@@ -64,6 +69,12 @@ typedef enum lpvg_reason_t {
     lpvg_reason_settling = 4       ///< The model's initial state had not decayed.
 } lpvg_reason_t;
 
+/// What a record tells of.
+typedef enum lpvg_test_t {
+    lpvg_test_frame = 0,
+    lpvg_test_energy = 1
+} lpvg_test_t;
+
 typedef struct lpvg_sample_t {
     int64_t t_us;                  ///< time of the sample, monotonic      [us]
     lpvg_real_t speed;             ///< longitudinal speed, forward > 0    [m/s]
@@ -71,9 +82,12 @@ typedef struct lpvg_sample_t {
     lpvg_real_t y[LPVG_NY];        ///< outputs, likewise
 } lpvg_sample_t;
 
-/// One frame of one bin, as it was judged.
+/// One frame of one bin, as it was judged; or, among the records only, an alarm of the energy test. For that, `bin` is the
+/// index of the direction, `margin` and `statistic` are the ratio, `speed` the sample's, E[j][0] the norm of F e_j and
+/// Z[j][0] that of F W_delta yhat_j (imaginary parts 0).
 typedef struct lpvg_frame_t {
     uint32_t sequence;             ///< number of frames closed so far, this one included; 0: none yet
+    lpvg_test_t test;
     uint32_t bin;                  ///< 0 is DC
     int64_t t_end_us;              ///< time of the frame's last sample                    [us]
     lpvg_reason_t reason;          ///< none or not_excited: it counted; else why not, and the rest is zero
@@ -98,9 +112,8 @@ typedef struct lpvg_span_t {
     lpvg_reason_t reason;
 } lpvg_span_t;
 
-/// A sample as the bins take it up.
+/// What the bins keep of a sample besides its signals.
 typedef struct lpvg_taken_t {
-    lpvg_real_t signal[2 * LPVG_NY];          ///< e, then yhat
     int64_t t_us;
     lpvg_span_t span;                         ///< of this one sample
 } lpvg_taken_t;
@@ -122,12 +135,15 @@ typedef struct lpvg_bin_t {
 typedef struct lpvg_monitor_t {
     const lpvg_coeff_t* coeff;
     lpvg_model_t model;
+    lpvg_energy_t energy;                     ///< `energy.ratio` may be read
+    uint32_t energy_quiet;                    ///< judgements since the energy test's last exceedance, energy_rearm at most
     lpvg_bin_t bin[LPVG_NBINS];
     lpvg_frame_t frame;                       ///< newest judged frame
     lpvg_frame_t record[LPVG_NRECORDS];
     uint32_t n_records, records_lost;
     uint32_t settled;                         ///< samples since the speed entered the range, saturating
     lpvg_taken_t block[LPVG_NBLOCK];          ///< newest samples, a ring
+    lpvg_real_t signal[2 * LPVG_NBLOCK][2 * LPVG_NY];  ///< e, then yhat of the newest samples: the ring twice, so that a block is in one piece
     uint32_t newest, n_block;                 ///< its newest entry; entries since the start, LPVG_NBLOCK at most
     uint32_t queue[LPVG_NBINS];               ///< bins whose frames wait to be judged, a ring
     uint32_t queue_first, n_queue;

@@ -10,6 +10,8 @@
 #define LPVG_NBINS 11
 #define LPVG_NCELLS 32
 #define LPVG_NVARYING 3
+#define LPVG_NWEIGHT 3
+#define LPVG_NDIRECTIONS 1
 #define LPVG_NK 0
 #define LPVG_NM 0
 #define LPVG_NG 0

@@ -1,6 +1,8 @@
-"""Stage 5, calibration of the frame test by split conformal prediction; the exchangeable unit is the drive (DESIGN 4.8).
+"""Stage 5, calibration of the frame test and of the energy test, each by itself, by split conformal prediction; the
+exchangeable unit is the drive (DESIGN 4.8).
 
-A drive's score is the largest k-of-m statistic over its counted frames, read from the compiled core. The threshold is the
+A drive's score is the largest k-of-m statistic over its counted frames, or the largest ratio of the energy test, read from the
+compiled core. The threshold is the
 ceil((n + 1)(1 - alpha))-th smallest score of n calibration drives: a further, exchangeable drive alarms with probability
 at most alpha. With n < 1/alpha - 1 no finite threshold has that property, and alpha is not stated.
 """
@@ -42,14 +44,19 @@ def score(run: Run) -> float | None:
     return float(run.frames.statistic[counted].max()) if counted.any() else None
 
 
-def calibrate(scores: dict[str, float], alpha: float) -> Calibration:
-    """Threshold from the scores of the calibration drives, at least 1 (within the bounds nothing is falsified)."""
+def energy_score(run: Run) -> float | None:
+    """Score of a drive in the energy test: its largest ratio; None when it was never judged."""
+    return float(run.energy.max()) if (run.energy > 0).any() else None
+
+
+def calibrate(scores: dict[str, float], alpha: float, *, floor: float = 1.0) -> Calibration:
+    """Threshold from the scores of the calibration drives, at least ``floor``: a margin of 1 falsifies nothing."""
     values = np.sort(np.array(list(scores.values()), float))
     n = len(values)
     if n == 0:
-        return Calibration(1.0, {}, None, None)
+        return Calibration(floor, {}, None, None)
     rank = math.ceil((n + 1) * (1 - alpha) - 1e-12)
     stated = n >= FEWEST_FOR_ALPHA and rank <= n
     rank = min(rank, n)
-    return Calibration(threshold=max(1.0, float(values[rank - 1])), scores=dict(scores), alpha=alpha if stated else None,
+    return Calibration(threshold=max(floor, float(values[rank - 1])), scores=dict(scores), alpha=alpha if stated else None,
                        conditional_bound=float(1 - beta.ppf(0.05, rank, n + 1 - rank)) if stated else None)

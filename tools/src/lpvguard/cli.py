@@ -116,7 +116,8 @@ def identify(vehicle: Vehicle, drives: Annotated[Path, typer.Argument(help="Fold
         result, drive_set = stage.identify(project, drives, workers=run, progress=tell)
         stage.save(result, drive_set, out)
     _emit(json_out, {"bound_drives": result.bound_drives, "calibration_drives": result.calibration_drives,
-                     "left_out": result.left_out, **result.calibration.to_dict(), "inflation": result.weights.inflation})
+                     "left_out": result.left_out, **result.calibration.to_dict(), "inflation": result.weights.inflation,
+                     "energy": result.energy.to_dict() if result.energy else None})
     c = result.calibration
     claim = (f"alpha {c.alpha:g}, with 95 % confidence below {c.conditional_bound:.3f}" if c.alpha is not None
              else "too few calibration drives: alpha is not stated")
@@ -124,6 +125,9 @@ def identify(vehicle: Vehicle, drives: Annotated[Path, typer.Argument(help="Fold
     console.print(f"{len(result.calibration_drives)} others calibrate: {', '.join(result.calibration_drives) or 'none'}")
     for name, reason in result.left_out.items():
         console.print(f"left out: {name}: {reason}")
+    if result.energy is not None:
+        console.print(f"energy test: threshold {result.energy.calibration.threshold:.4g}, sigma "
+                      + ", ".join(f"{s.name} {x:.3g} {s.unit}" for s, x in zip(project.outputs, result.energy.sigma)))
     console.print(f"threshold {c.threshold:.4g} ({claim}); final inflation {result.weights.inflation:.6g}; written to {out}")
 
 
@@ -188,8 +192,10 @@ def _design_vehicle(stored, drive_set, table: bool, out: Path, json_out: str | N
         if drive_set is None:
             console.print("Fig. 6 needs the drives: --drives")
     worst = max(row["mu_upper"] for row in rows)
-    console.print(f"{stored.project.design.structure}: {result.schedule.A.shape[1]} states (of {result.full_order} before "
-                  f"truncation), {len(result.schedule.speeds)} nodes; worst mu {worst:.4f}; written to {out}")
+    console.print(f"{stored.project.design.structure}: {result.schedule.order} states (of {result.full_order} per "
+                  f"speed before), {len(result.schedule.speeds)} nodes; worst mu {worst:.4f}; written to {out}")
+    console.print("moving speed: " + ("no storage function was found, nothing is claimed" if result.lpv is None else
+                  f"gain below 1 proved for |dv/dt| up to {result.lpv.rate:.3g} m/s2, {result.lpv.proof.cells} cells"))
     return 0 if worst < 1 else 1
 
 
@@ -308,19 +314,17 @@ def replay(vehicle: Vehicle,
         _complain(InputError(", ".join(r["run"] for r in done), "", "no judged stretch at all",
                              f"some steady driving between {low:g} and {high:g} m/s"))
     _emit(json_out, done)
-    table = Table("drive", "duration s", "judged s", "verdict", "first invalid s", "max margin", "alarms", box=None)
+    table = Table("drive", "duration s", "judged s", "verdict", "first invalid s", "max margin", "max energy ratio", "alarms", box=None)
     for r in done:
         table.add_row(r["run"], f"{r['duration_s']:.1f}", f"{r['judged_s']:.1f}", r["verdict_final"],
                       "–" if r["first_invalid_s"] is None else f"{r['first_invalid_s']:.2f}",
-                      "–" if r["max_margin"] is None else f"{r['max_margin']:.3f}", str(len(r["alarms"])))
+                      "–" if r["max_margin"] is None else f"{r['max_margin']:.3f}",
+                      "–" if r["max_energy_ratio"] is None else f"{r['max_energy_ratio']:.3f}", str(len(r["alarms"])))
     console.print(table)
-    console.print(f"threshold {replayer.threshold:.4g}, core {replayer.core.folder}")
+    console.print(f"thresholds: frame test {replayer.threshold:.4g}, energy test {replayer.energy_threshold:.4g}; core {replayer.core.folder}")
     for r in done:
         for a in r["alarms"][:3]:
-            console.print(f"{r['run']}: t = {a['t_s']:.2f} s, {a['test']} test, {a['bin_rad_s']:.3g} rad/s, v = {a['speed_mps']:.1f} m/s: "
-                          f"margin {a['margin']:.2f} (statistic {a['statistic']:.2f} > {a['threshold']:.2f}); |E| = "
-                          f"{_norm(a['E']):.3g} against W_delta {a['W_delta']:.3g} x |Z| {_norm(a['Z']):.3g} + B_w "
-                          f"{', '.join(f'{b:.3g}' for b in a['B_w'])}; a dead vehicle would read {a['evidence']:.2f}")
+            console.print(f"{r['run']}: t = {a['t_s']:.2f} s, {_alarm(a)}; a dead vehicle would read {a['evidence']:.2f}")
         if len(r["alarms"]) > 3:
             console.print(f"{r['run']}: {len(r['alarms']) - 3} more alarms (--json lists all)")
         if "can" in r:
@@ -339,6 +343,7 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
             help="feedforward: the command over the model's DC gain; off: never engaged.")] = "designed",
         seed: Annotated[int | None, typer.Option(min=0, help="First seed (default: the scenario's).")] = None,
         seeds: Annotated[int, typer.Option(min=1, help="Runs of each scenario, with consecutive seeds.")] = 1,
+        lcm: Annotated[str | None, typer.Option(metavar="URL", help="Publish truth, commands and supervision there, as LCM reads it.")] = None,
         out: Annotated[Path | None, typer.Option("-o", "--out", help="Folder for frame logs (candump -L), telemetry and results.json.")] = None,
         json_out: JsonOut = None) -> None:
     """Close the loop with the simulated truck over CAN frames. Exit 1 when a run did not show what its scenario expects."""
@@ -349,12 +354,12 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
     runs = []
     with _progress("sim") as tell:
         tell("compiling")
-        simulator = Simulator(coefficients or shipped_vehicle(vehicle), controller=controller)
+        simulator = Simulator(coefficients or shipped_vehicle(vehicle), controller=controller, lcm=lcm is not None)
         for scenario in loaded:
             first = scenario.seed if seed is None else seed
             for number in range(first, first + seeds):
                 tell(f"{scenario.name}, seed {number}")
-                runs.append(simulator.run(scenario, seed=number, bus=bus, out=out, ecu_process=ecu_process, pace=pace))
+                runs.append(simulator.run(scenario, seed=number, bus=bus, out=out, ecu_process=ecu_process, pace=pace, lcm=lcm))
     _emit(json_out, runs)
     if out is not None:
         # How fast this machine was belongs to nobody's results.
@@ -397,6 +402,12 @@ def evaluate(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(he
         times = "  ".join("–" if c["s"] is None else f"{c['s']:.1f}" for c in row["cases"])
         found.add_row(row["fault"], f"{row['found']} of {row['counted']} (of {row['drives']} drives)", times)
     console.print(found)
+    alone = Table("each test alone", *result["tests"], box=None)
+    alone.add_row("alarmed pieces", *(f"{t['false_alarms']['alarmed']} of {t['false_alarms']['pieces']}" for t in result["tests"].values()))
+    for index, row in enumerate(result["faults"]):
+        alone.add_row(row["fault"], *(_found(t["faults"][index]) for t in result["tests"].values()))
+    console.print(alone)
+    console.print(_baseline_table(result))
 
 
 @app.command(epilog="Example: lpvguard report out/identify DRIVES --vehicle g80 -o out/report.html")
@@ -437,6 +448,35 @@ def bench(context: typer.Context,
     from .bench import run
 
     run(name, context.args)
+
+
+def _baseline_table(evaluation: dict) -> Table:
+    detectors = {"monitor": (evaluation["false_alarms"]["all"], evaluation["faults"])}
+    detectors |= {b["kind"]: (b["false_alarms"], b["faults"]) for b in evaluation["baselines"]}
+    table = Table("found, median s", *detectors, "best", box=None)
+    table.add_row("alarmed pieces", *(f"{alarms['alarmed']} of {alarms['pieces']}" for alarms, _ in detectors.values()), "")
+    for index, row in enumerate(evaluation["faults"]):
+        shown = [faults[index] for _, faults in detectors.values()]
+        table.add_row(row["fault"], *(_found(r) for r in shown), ", ".join(row["best"]))
+    return table
+
+
+def _found(row: dict[str, Any]) -> str:
+    return f"{row['found']} of {row['counted']}, " + ("–" if row["median_s"] is None else f"{row['median_s']:.1f}")
+
+
+def _alarm(a: dict[str, Any]) -> str:
+    if a["test"] == "energy":
+        def listed(values: list[float]) -> str:
+            return ", ".join(f"{x:.3g}" for x in values)
+
+        return (f"energy test, v = {a['speed_mps']:.1f} m/s: ratio {a['margin']:.2f} > {a['threshold']:.2f} in direction "
+                f"({listed(a['direction'])}); ||F e|| = {listed(a['E'])} against ||F W_delta yhat|| {listed(a['Z'])} + sigma "
+                f"{listed(a['B_w'])}")
+    return (f"frame test, {a['bin_rad_s']:.3g} rad/s, v = {a['speed_mps']:.1f} m/s: "
+            f"margin {a['margin']:.2f} (statistic {a['statistic']:.2f} > {a['threshold']:.2f}); |E| = "
+            f"{_norm(a['E']):.3g} against W_delta {a['W_delta']:.3g} x |Z| {_norm(a['Z']):.3g} + B_w "
+            f"{', '.join(f'{b:.3g}' for b in a['B_w'])}")
 
 
 def _print_reception(run: str, can: dict[str, Any]) -> None:

@@ -7,8 +7,9 @@
 Reads   controller.json, written by `lpvguard design`:
             Ts_s                        sample period [s]
             speeds (NG,)                nodes [m/s], equally spaced over the project's speed range
-            A (NG, NK, NK), B (NG, NK, NM), C (NG, NU, NK)      discrete; D = 0; measurements: reference, then outputs
-            L (NG, NK, NU)              anti-windup injection, A - L C stable at every node and between
+            a (NK,)                     poles of every demand's states, as schedule.py and controller.h have them
+            B (NG, NU, NK, NM)          numerators; measurements: reference, then outputs
+            L (NG, NU, NK, NU)          anti-windup injection, A - L C stable at every node and between
             u_max (NU,), rate_max (NU,) limits of the demand [input unit], [input unit/s]
             certificates                optional, kept in the manifest as it is
 """
@@ -28,13 +29,15 @@ from .can.bus import bus_source
 from .can.codegen import codec_files
 from .errors import InputError
 from .project import Project
+from .schedule import Scheduled, engagement
 from .sealed import Sealed, coefficient_source
 
-MAGIC, SCHEMA = 0x4C505643, 1
-CONTROL_SIZES = ("NK", "NM", "NG", "NA")
-"""Sizes of a controller in lpvguard_vehicle.h: states, measurements, nodes, stored entries of A - I. Zero without one."""
+MAGIC, SCHEMA = 0x4C505643, 2
+CONTROL_SIZES = ("NK", "NM", "NG")
+"""Sizes of a controller in lpvguard_vehicle.h: states of a demand, measurements, nodes. Zero without one."""
 MAX_STATES = 40
-ARRAYS = ("speeds", "A", "B", "C", "L", "u_max", "rate_max")
+"""Of all demands."""
+ARRAYS = ("speeds", "a", "B", "L", "u_max", "rate_max")
 
 
 @dataclass(frozen=True)
@@ -50,24 +53,23 @@ class ControllerCoefficients(Sealed):
                 "u_max": self.reals["u_max"], "rate_max": self.reals["rate_max"], **self.origin}
 
 
-def build_controller(Ts_s: float, speeds: np.ndarray, A: np.ndarray, B: np.ndarray, C: np.ndarray, L: np.ndarray,
-                     u_max: np.ndarray, rate_max: np.ndarray, *, origin: dict[str, Any] | None = None,
+def build_controller(Ts_s: float, speeds: np.ndarray, a: np.ndarray, B: np.ndarray, L: np.ndarray, u_max: np.ndarray,
+                     rate_max: np.ndarray, *, origin: dict[str, Any] | None = None,
                      where: object = "controller") -> ControllerCoefficients:
-    """Coefficients from a discrete realisation at each node: A (NG, NK, NK), B (NG, NK, NM), C (NG, NU, NK),
-    L (NG, NK, NU), limits (NU,). InputError names ``where``, the array and what is wrong with it."""
-    arrays = {key: np.asarray(value, float) for key, value in zip(ARRAYS, (speeds, A, B, C, L, u_max, rate_max))}
-    speeds, A, B, C, L, u_max, rate_max = arrays.values()
+    """Coefficients of a scheduled controller: a (NK,), B (NG, NU, NK, NM), L (NG, NU, NK, NU), limits (NU,).
+    InputError names ``where``, the array and what is wrong with it."""
+    arrays = {key: np.asarray(value, float) for key, value in zip(ARRAYS, (speeds, a, B, L, u_max, rate_max))}
+    speeds, a, B, L, u_max, rate_max = arrays.values()
     _check(where, Ts_s, arrays)
-    A1 = A - np.eye(A.shape[1])
-    stored = np.any(A1 != 0.0, axis=0)
-    stored[0, 0] |= not stored.any()  # the core's arrays must not be empty
-    rows, columns = np.nonzero(stored)
-    row_begin = np.searchsorted(rows, np.arange(A.shape[1] + 1))
-    sizes = dict(zip(CONTROL_SIZES, (A.shape[1], B.shape[2], len(speeds), len(columns))))
-    words = {"magic": MAGIC, "schema": SCHEMA, "real_bytes": 4, "sizes": [*sizes.values(), C.shape[1]], "crc32": 0,
-             "sample_period_us": round(Ts_s * 1e6), "row_begin": row_begin, "column": columns}
-    reals = {"speed_min": speeds[0], "speed_max": speeds[-1], "u_max": u_max, "rate_max": rate_max,
-             "A1": A1[:, rows, columns], "B": B, "C": C, "L": L}
+    try:
+        engage = engagement(a, B)
+    except np.linalg.LinAlgError as error:
+        raise InputError(where, "a", str(error), "stable poles") from None
+    sizes = dict(zip(CONTROL_SIZES, (len(a), B.shape[3], len(speeds))))
+    words = {"magic": MAGIC, "schema": SCHEMA, "real_bytes": 4, "sizes": [*sizes.values(), len(u_max)], "crc32": 0,
+             "sample_period_us": round(Ts_s * 1e6)}
+    reals = {"speed_min": speeds[0], "speed_max": speeds[-1], "u_max": u_max, "rate_max": rate_max, "A1": a, "engage": engage,
+             "BL": np.concatenate([B, L], axis=3)}
     return ControllerCoefficients(sizes, {k: np.array(v) for k, v in words.items()},
                                   {k: np.array(v, float) for k, v in reals.items()}, Ts_s, speeds, origin or {})
 
@@ -105,21 +107,19 @@ def _check(where: object, Ts_s: float, arrays: dict[str, np.ndarray]) -> None:
     def refuse(key: str, what: str, expected: str) -> None:
         raise InputError(where, key, what, expected)
 
-    speeds, A, B, C = (arrays[key] for key in ("speeds", "A", "B", "C"))
+    speeds, a, B = (arrays[key] for key in ("speeds", "a", "B"))
     if not (np.isfinite(Ts_s) and Ts_s > 0):
         refuse("Ts_s", f"{Ts_s!r}", "a positive number of seconds")
     if speeds.ndim != 1 or len(speeds) < 2 or not speeds[0] > 0:
         refuse("speeds", f"shape {speeds.shape}", "two or more positive speeds")
     if not np.allclose(speeds, np.linspace(speeds[0], speeds[-1], len(speeds)), rtol=1e-9) or speeds[0] >= speeds[-1]:
         refuse("speeds", f"{speeds.tolist()}", "ascending, equally spaced speeds")
-    if A.ndim != 3 or B.ndim != 3 or C.ndim != 3:
-        refuse("A, B, C", f"of {A.ndim}, {B.ndim} and {C.ndim} dimensions", "three dimensions each, the first over speeds")
-    n_k, n_m, n_u = A.shape[1], B.shape[2], C.shape[1]
-    if not 1 <= n_k <= MAX_STATES:
-        refuse("A", f"{n_k} states", f"1 to {MAX_STATES}")
-    n_g = len(speeds)
-    shapes = {"A": (n_g, n_k, n_k), "B": (n_g, n_k, n_m), "C": (n_g, n_u, n_k), "L": (n_g, n_k, n_u), "u_max": (n_u,),
-              "rate_max": (n_u,)}
+    if a.ndim != 1 or B.ndim != 4:
+        refuse("a, B", f"of {a.ndim} and {B.ndim} dimensions", "one (states) and four (speeds, demands, states, measurements)")
+    n_g, n_u, n_k, n_m = len(speeds), B.shape[1], len(a), B.shape[3]
+    if not 1 <= n_u * n_k <= MAX_STATES:
+        refuse("a", f"{n_u * n_k} states", f"1 to {MAX_STATES} of all demands")
+    shapes = {"B": (n_g, n_u, n_k, n_m), "L": (n_g, n_u, n_k, n_u), "u_max": (n_u,), "rate_max": (n_u,)}
     for key, shape in shapes.items():
         if arrays[key].shape != shape:
             refuse(key, f"shape {arrays[key].shape}", f"shape {shape}")
@@ -129,10 +129,8 @@ def _check(where: object, Ts_s: float, arrays: dict[str, np.ndarray]) -> None:
     for key in ("u_max", "rate_max"):
         if not (arrays[key] > 0).all():
             refuse(key, f"{arrays[key].tolist()}", "positive limits")
-    injected = A - arrays["L"] @ C
-    # Between nodes A, L and C are interpolated one by one, so the product is checked there as the core forms it.
-    middle = [(A[i] + A[i + 1]) / 2 - (arrays["L"][i] + arrays["L"][i + 1]) @ (C[i] + C[i + 1]) / 4 for i in range(n_g - 1)]
-    radius = float(np.abs(np.linalg.eigvals(np.concatenate([injected, middle]))).max())
+    schedule = Scheduled(Ts_s, speeds, a, B, arrays["L"])
+    radius = max(schedule.injection_radius(v) for v in np.linspace(speeds[0], speeds[-1], 2 * n_g - 1))
     if radius >= 1.0:
         refuse("L", f"spectral radius of A - L C is {radius:.6g}", "below 1 at every node and midway between nodes")
 
@@ -142,7 +140,7 @@ def control_files(project: Project, controller: ControllerCoefficients) -> dict[
     where = f"controller for vehicle {project.name}"
     n_u = int(controller.words["sizes"][-1])
     if controller.sizes["NM"] != project.n_y + 1 or n_u != project.n_u:
-        raise InputError(where, "B, C", f"{controller.sizes['NM']} measurements, {n_u} inputs",
+        raise InputError(where, "B", f"{controller.sizes['NM']} measurements, {n_u} inputs",
                          f"{project.n_y + 1} (reference and outputs) and {project.n_u}")
     if round(controller.Ts_s * 1e6) != round(project.Ts_s * 1e6):
         raise InputError(where, "Ts_s", f"{controller.Ts_s:g}", f"{project.Ts_s:g}, the vehicle's")

@@ -67,7 +67,10 @@ def eigen_include() -> str:
 
 @dataclass(frozen=True)
 class FrameLog:
-    """Frames judged by the core during a run, in the order of judgement; arrays over frames, E and Z (F, n_y)."""
+    """Frames judged by the core during a run, in the order of judgement; arrays over frames, E and Z (F, n_y).
+
+    Alarms of the energy test come in the same form (lpvg_frame_t in monitor.h): bin is the direction, E and Z hold norms.
+    """
 
     bin: np.ndarray
     t_end_s: np.ndarray
@@ -87,7 +90,7 @@ class FrameLog:
 
     @classmethod
     def from_rows(cls, rows: np.ndarray, n_y: int) -> FrameLog:
-        parts = rows[:, 9:].reshape(len(rows), 2, n_y, 2)
+        parts = rows[:, 10:].reshape(len(rows), 2, n_y, 2)
         spectra = parts[..., 0] + 1j * parts[..., 1]
         return cls(rows[:, 1].astype(int), rows[:, 2] * 1e-6, rows[:, 3].astype(int), rows[:, 4] > 0, rows[:, 5],
                    rows[:, 6], rows[:, 7], rows[:, 8], spectra[:, 0], spectra[:, 1])
@@ -95,11 +98,14 @@ class FrameLog:
 
 @dataclass(frozen=True)
 class Run:
-    """What the core said along a drive: a verdict and a status per sample, and the judged frames."""
+    """What the core said along a drive: a verdict, a status and the energy test's ratio per sample (0: not judged), the judged
+    frames, and the energy test's alarms."""
 
     frames: FrameLog
     verdict: np.ndarray
     status: np.ndarray
+    energy: np.ndarray
+    energy_alarms: FrameLog
 
 
 class Core:
@@ -143,6 +149,22 @@ class Core:
         words, reals = np.zeros(self._n_words, np.uint32), np.zeros(self._n_reals)
         self._lib.lpvgb_compiled_coeff(_pointer(words), _pointer(reals))
         return words, reals
+
+    def estimator_id(self) -> int:
+        """Of the bounds in the compiled-in coefficients; words: magic, schema, number size, 9 sizes, estimator (coeff.h)."""
+        return int(self.compiled[0][12])
+
+    def fields(self, reals: np.ndarray) -> dict[str, np.ndarray]:
+        """The last fields of coeff.h by name, as views of flat numbers ``reals``."""
+        n_y, K, directions = self.n_y, self.n_bins, int(self.compiled[0][11])
+        shapes = {"energy_scale": (n_y,), "energy_forget": (1,), "energy_start": (n_y,), "energy_direction": (directions, n_y),
+                  "energy_threshold": (1,), "W_delta": (K,), "B_w": (K, n_y), "threshold": (1,)}
+        found, end = {}, len(reals)
+        for name, shape in reversed(shapes.items()):
+            first = end - int(np.prod(shape))
+            found[name] = reals[first:end].reshape(shape)
+            end = first
+        return found
 
     def monitor(self, *, words: np.ndarray | None = None, reals: np.ndarray | None = None, seal: bool = False) -> Monitor:
         """A fresh monitor with the compiled-in coefficients, or with the given ones (``seal`` renews their CRC).
@@ -193,13 +215,15 @@ class Monitor:
         columns = self._core._columns
         arrays = [np.ascontiguousarray(a, dtype) for a, dtype in
                   ((np.round(np.asarray(t) * 1e6), np.int64), (v, float), (u, float), (y, float))]
-        rows = np.empty((n, columns))
-        verdict, status = np.empty(n, np.uint8), np.empty(n, np.uint8)
+        rows = np.empty((2 * n, columns))  # at most a frame and an alarm a sample
+        verdict, status, energy = np.empty(n, np.uint8), np.empty(n, np.uint8), np.empty(n)
         pushed = None if present is None else np.ascontiguousarray(present, np.uint8)
         count = self._core._lib.lpvgb_run(self._handle, ctypes.c_int64(n), *map(_pointer, arrays),
                                           None if pushed is None else _pointer(pushed), _pointer(rows),
-                                          ctypes.c_int64(n), _pointer(verdict), _pointer(status))
-        return Run(FrameLog.from_rows(rows[:count].copy(), self._core.n_y), verdict, status)
+                                          ctypes.c_int64(2 * n), _pointer(verdict), _pointer(status), _pointer(energy))
+        of_energy = rows[:count, 9] > 0
+        frames, alarms = (FrameLog.from_rows(rows[:count][chosen], self._core.n_y) for chosen in (~of_energy, of_energy))
+        return Run(frames, verdict, status, energy, alarms)
 
     def run_drive(self, drive: Drive, present: np.ndarray | None = None) -> Run:
         return self.run(drive.t, drive.v, drive.u, drive.y, present)

@@ -5,10 +5,10 @@ delay between the controller's output and the vehicle, so that the ECU may take 
 belongs to the controller, which makes it strictly proper.
 
 One scaling D (started by D-K iteration at the design speed, then the best for the worst speed) and one level serve all
-speeds, so that neighbouring controllers differ little (synthesis/scheduling.py). They are truncated by one projection, which
-leaves them in common coordinates, and interpolated entry by entry. What is certified is the controller the core runs: float32 coefficients, interpolated, closed with the nominal model
-and the weights at frozen speeds, at the nodes and midway between them. Frozen speeds: no claim is made about how fast the
-speed may change.
+speeds, so that neighbouring controllers differ little (synthesis/scheduling.py). They are brought to as few common poles as
+will do, with numerators interpolated over speed (schedule.py). What is certified is the controller the core runs: float32
+coefficients, interpolated, closed with the nominal model and the weights: at frozen speeds by mu, at the nodes and midway
+between them, and for every speed history up to a stated rate of change by a storage function (synthesis/lpv_certificate.py).
 """
 
 from __future__ import annotations
@@ -17,60 +17,28 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import scipy.linalg as sl
 
 from . import artefacts
 from .errors import InputError
 from .identify import FittedWeight, Progress, StoredIdentification
 from .nominal import NominalModel
 from .project import DesignSettings
+from .schedule import FrozenLoop, Scheduled, fit
 from .synthesis import interconnection as fig1
 from .synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis
+from .synthesis.lpv_certificate import Family, LpvCertificate, Storage, find, prove
 from .synthesis.norms import hinf_norm
 from .synthesis.scheduling import closed_scaled, common_family, common_scaling
-from .synthesis.statespace import StateSpace, append, gain, series
+from .synthesis.statespace import StateSpace, append, gain, series, zero_order_hold
 
-SMALLEST_ORDER = 4
-"""Before the delay: fewer states than the vehicle and the reference model have between them cannot do the job."""
-PATIENCE = 3
-"""Orders tried beyond the best one so far."""
+FEWEST_PAIRS, MOST_PAIRS = 2, 19
+"""Of poles, for each demand: fewer than the vehicle and the reference model have between them cannot do the job."""
+PATIENCE = 2
+"""Pairs tried beyond the best number so far."""
 CERTIFICATE_RTOL = 1e-6
 """Largest relative difference between a stated level and the one proved anew."""
 SCALING_SPEEDS = 4
 """Nodes, ends included, for which the common scaling is searched: the optimum moves slowly with speed."""
-
-
-@dataclass(frozen=True)
-class Scheduled:
-    """Strictly proper discrete controllers at the node speeds, in common coordinates: x+ = A x + B m, u = C x.
-
-    speeds (G,); A (G, n, n), B (G, n, 1 + n_y), C (G, n_u, n); m = [reference, outputs]. L (G, n, n_u): A - L C is stable;
-    it feeds the applied input back while the actuator limits.
-    """
-
-    Ts: float
-    speeds: np.ndarray
-    A: np.ndarray
-    B: np.ndarray
-    C: np.ndarray
-    L: np.ndarray
-
-    def at(self, v: float) -> StateSpace:
-        """The controller the core runs at speed v: float32 coefficients with A - I formed in double, interpolated."""
-        eye = np.eye(self.A.shape[1])
-        return StateSpace(eye + self._between(self.A - eye, v), self._between(self.B, v), self._between(self.C, v),
-                          np.zeros((self.C.shape[1], self.B.shape[2])), self.Ts)
-
-    def injection_radius(self, v: float) -> float:
-        """Spectral radius of A - L C at speed v, each interpolated as the core does."""
-        A, L, C = (self._between(m, v) for m in (self.A, self.L, self.C))
-        return float(np.abs(np.linalg.eigvals(A - L @ C)).max())
-
-    def _between(self, values: np.ndarray, v: float) -> np.ndarray:
-        position = np.clip((v - self.speeds[0]) / (self.speeds[-1] - self.speeds[0]), 0.0, 1.0) * (len(self.speeds) - 1)
-        k = min(int(position), len(self.speeds) - 2)
-        rounded = values[k:k + 2].astype(np.float32).astype(float)
-        return (1 - (position - k)) * rounded[0] + (position - k) * rounded[1]
 
 
 def _system(weight: FittedWeight, inflation: float) -> StateSpace:
@@ -100,50 +68,58 @@ def _delayed(plant: fig1.GeneralisedPlant) -> fig1.GeneralisedPlant:
     return replace(plant, system=replace(late, inputs=plant.system.inputs))
 
 
-def _with_delay(K: StateSpace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The controller that holds its own output back by one sample: states [x, u]; D is 0."""
-    n, n_u = K.order, K.n_outputs
-    A = np.block([[K.A, np.zeros((n, n_u))], [K.C, np.zeros((n_u, n_u))]])
-    return A, np.vstack([K.B, K.D]), np.hstack([np.zeros((n_u, n)), np.eye(n_u)])
-
-
-def _injection(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:
-    """L with A - L C stable: the stationary Kalman gain that trusts the applied input as much as the measurements."""
-    Q = B @ B.T + 1e-9 * np.trace(B @ B.T) * np.eye(len(A))
-    R = 1e-3 * np.trace(C @ Q @ C.T) * np.eye(len(C)) + 1e-12 * np.eye(len(C))
-    P = sl.solve_discrete_are(A.T, C.T, Q, R)
-    return A @ P @ C.T @ np.linalg.inv(C @ P @ C.T + R)
-
-
-def _schedule(controllers: list[StateSpace], speeds: np.ndarray, Ts: float) -> Scheduled:
-    realised = [_with_delay(K) for K in controllers]
-    A, B, C = (np.stack([r[i] for r in realised]) for i in range(3))
-    return Scheduled(Ts, speeds, A, B, C, np.stack([_injection(*r) for r in realised]))
+def _with_delay(K: StateSpace) -> StateSpace:
+    """The controller that holds its own output back by one sample."""
+    n_u = K.n_outputs
+    return series(StateSpace(np.zeros((n_u, n_u)), np.eye(n_u), np.eye(n_u), np.zeros((n_u, n_u)), K.dt), K)
 
 
 @dataclass(frozen=True)
 class Design:
-    """A scheduled controller and its certificates: ``certificates`` per speed, nodes and midpoints in order."""
+    """A scheduled controller and its certificates: ``certificates`` per frozen speed, nodes and midpoints in order; ``lpv`` for
+    a moving speed (None: not asked for, or no storage function was found)."""
 
     schedule: Scheduled
     scaling: Scaling
     certificates: list[tuple[float, RobustPerformance]]
     full_order: int
+    lpv: LpvCertificate | None = None
 
 
-def _plant(stored: StoredIdentification, model: NominalModel, weights: fig1.Weights, v: float,
-           delayed: bool) -> fig1.GeneralisedPlant:
+def _plant(stored: StoredIdentification, model: NominalModel, weights: fig1.Weights, v: float, delayed: bool,
+           structure: str | None = None, probes: bool = False) -> fig1.GeneralisedPlant:
     A, B = (m[0] for m in model.matrices(np.array([v])))
-    plant = fig1.generalised_plant(A, B, weights, stored.project.design.structure, stored.project.Ts_s)
+    plant = fig1.generalised_plant(A, B, weights, structure or stored.project.design.structure, stored.project.Ts_s, probes=probes)
     return _delayed(plant) if delayed else plant
 
 
+def _vehicle(model: NominalModel, v: float, Ts: float) -> StateSpace:
+    """The nominal vehicle at speed v, sampled."""
+    A, B = (m[0] for m in model.matrices(np.array([v])))
+    return zero_order_hold(StateSpace(A, B, model.C, np.zeros((model.n_y, B.shape[1]))), Ts)
+
+
 def design(stored: StoredIdentification, progress: Progress = lambda _: None) -> Design:
-    """Synthesise, truncate, schedule and certify. InputError when the project file has no [design] or no order certifies."""
+    """Synthesise, schedule over common poles and certify. InputError when the project file has no [design] or no order certifies."""
     settings = stored.project.design
     if settings is None:
         raise InputError(f"vehicle {stored.project.name}", "design", "no [design] table", "objectives for step 8")
-    return _designed(stored, settings, None, progress)
+    result = _designed(stored, settings, None, progress)
+    return replace(result, lpv=find(_family(stored, settings, result.schedule, result.scaling), progress))
+
+
+def _family(stored: StoredIdentification, settings: DesignSettings, schedule: Scheduled, scaling: Scaling) -> Family:
+    """The scaled closed loop over speed, for the certificate at a moving speed."""
+    model, weights = NominalModel(stored.project), _weights(stored, settings)
+
+    def at(v: float) -> StateSpace:
+        return closed_scaled(_plant(stored, model, weights, v, False, settings.structure, probes=True), schedule.at(v), scaling)
+
+    # The probes: state, input, and with state uncertainty an input on every state; see interconnection.generalised_plant.
+    held = model.n + model.n_u + (model.n if settings.structure == "K_is" else 0)
+    first = scaling.systems(_plant(stored, model, weights, float(schedule.speeds[0]), False, settings.structure))[1].order
+    return Family(at, schedule.speeds, slice(first, first + model.n), held,
+                  lambda low, high: tuple(bound[:, :held] for bound in model.hold_bounds(low, high)), schedule.Ts)
 
 
 def _designed(stored: StoredIdentification, settings: DesignSettings, scaling: Scaling | None, progress: Progress) -> Design:
@@ -163,22 +139,22 @@ def _designed(stored: StoredIdentification, settings: DesignSettings, scaling: S
     at_order, full_order = common_family(plants, scaling, level * (1 + settings.backoff))
     check = np.linspace(speeds[0], speeds[-1], 2 * len(speeds) - 1)
     loops = {float(v): _plant(stored, model, weights, v, False) for v in check}
-    best, found = None, None
-    for order in range(SMALLEST_ORDER, full_order + 1):
-        progress(f"order {order}")
-        try:
-            schedule = _schedule(at_order(order), speeds, stored.project.Ts_s)
-        except np.linalg.LinAlgError:
-            continue  # no injection gain exists at this order
+    input_max = np.array(settings.input_max)
+    frozen = [FrozenLoop(_with_delay(K), loops[float(v)], _vehicle(model, v, stored.project.Ts_s))
+              for v, K in zip(speeds, at_order(full_order))]
+    best, found, found_pairs = None, None, 0
+    for pairs in range(FEWEST_PAIRS, MOST_PAIRS // len(input_max) + 1):
+        progress(f"{pairs} pairs of poles")
+        schedule = fit(frozen, speeds, scaling, pairs, input_max)
         if not all(schedule.injection_radius(v) < 1 for v in loops):
             continue
         worst = _worst_level(schedule, loops, scaling, np.inf if best is None else best)
         if worst < np.inf and (best is None or worst < best * (1 - settings.order_loss)):
-            best, found = worst, schedule
-        elif found is not None and schedule.A.shape[1] >= found.A.shape[1] + PATIENCE:
+            best, found, found_pairs = worst, schedule, pairs
+        elif found is not None and pairs >= found_pairs + PATIENCE:
             break
     if found is None:
-        raise InputError(stored.folder, "controller", "no truncation of the scheduled controller stabilises every speed",
+        raise InputError(stored.folder, "controller", "no set of common poles stabilises every speed",
                          "more nodes, or a lower A_t")
     progress("certificates")
     return Design(found, scaling, _certificates(found, loops, scaling), full_order)
@@ -202,37 +178,79 @@ def _certificates(schedule: Scheduled, loops: dict[float, fig1.GeneralisedPlant]
 def verify(path: Path, stored: StoredIdentification) -> None:
     """Prove the certificates of a controller.json anew, for its coefficients as they stand and these weights.
 
-    InputError names the speed at which the loop is unstable or its level is not the one stated.
+    InputError names the speed at which the loop is unstable or a stated number is not the one proved.
     """
     settings = stored.project.design
     document = artefacts.read_json(path)
     if settings is None or "certificates" not in document:
         raise InputError(path, "certificates", "missing", "a file that `lpvguard design` wrote for this vehicle")
     stated = document["certificates"]
-    schedule = Scheduled(document["Ts_s"], *(np.array(document[key], float) for key in ("speeds", "A", "B", "C", "L")))
+    schedule = Scheduled(document["Ts_s"], *(np.array(document[key], float) for key in ("speeds", "a", "B", "L")))
     model, weights = NominalModel(stored.project), _weights(stored, settings)
     loops = {row["v_mps"]: _plant(stored, model, weights, row["v_mps"], False) for row in stated["speeds"]}
     scaling = Scaling(np.array(stated["scaling_log_parameters"], float).reshape(-1, stated["scaling_columns"]))
     for row, (v, proved) in zip(stated["speeds"], _certificates(schedule, loops, scaling)):
-        if not abs(proved.upper - row["mu_upper"]) <= CERTIFICATE_RTOL * row["mu_upper"]:
-            raise InputError(path, f"certificate at {v:g} m/s", f"mu is at most {proved.upper:.7g}, not {row['mu_upper']:.7g}",
-                             "the coefficients and weights that were certified")
+        for name, value, expected in _numbers(proved):
+            if not abs(value - row[name]) <= CERTIFICATE_RTOL * max(abs(value), expected):
+                raise InputError(path, f"certificate at {v:g} m/s, {name}", f"proved anew it is {value:.7g}, not {row[name]:.7g}",
+                                 "the coefficients and weights that were certified")
+    lpv = stated["moving_speed"]
+    if lpv["rate_mps2"] is not None:
+        basis = _square(lpv["basis"])
+        storage = Storage(basis, np.array([_symmetric(P) for P in lpv["P"]]))
+        if prove(_family(stored, settings, schedule, scaling), storage, lpv["rate_mps2"]) is None:
+            raise InputError(path, "certificates.moving_speed", "the storage function does not prove a gain below 1 for "
+                             f"|dv/dt| up to {lpv['rate_mps2']:.4g} m/s2", "the coefficients, weights and P that were certified")
+
+
+def _numbers(proved: RobustPerformance) -> list[tuple[str, float, float]]:
+    """(name, value, scale) of what a row of certificates states."""
+    return [("mu_upper", proved.upper, 0.0), ("mu_lower", proved.lower, 0.0)]
+
+
+def _square(values: list[float]) -> np.ndarray:
+    n = int(np.sqrt(len(values)))
+    return np.array(values, float).reshape(n, n)
+
+
+def _symmetric(upper: list[float]) -> np.ndarray:
+    """A symmetric matrix from its upper triangle row by row."""
+    n = int(np.sqrt(2 * len(upper)))
+    P = np.zeros((n, n))
+    P[np.triu_indices(n)] = upper
+    return P + np.triu(P, 1).T
+
+
+def _moving(lpv: LpvCertificate | None) -> dict:
+    """The certificate at a moving speed as controller.json holds it."""
+    if lpv is None:
+        return {"claim": "no storage function was found: nothing is claimed about a moving speed", "rate_mps2": None}
+    upper = np.triu_indices(len(lpv.storage.basis))
+    return {
+        "claim": "gain of the whole scaled loop (nominal model, weights, fixed D(s), controller; nothing reduced for it) below 1 at "
+                 "every speed of the range and |dv/dt| up to rate_mps2, from rest: robust performance for every LTI Delta within W_delta",
+        "test": "discrete bounded-real inequality with P(v) = P0 + v P1 + P2 / v, x = basis x~, by Cholesky factorisation at the ends "
+                "of cells that cover the range, a bound of what it loses between them subtracted",
+        "rate_mps2": lpv.rate, "not_found_mps2": lpv.not_found, "states": len(lpv.storage.basis), "cells": lpv.proof.cells,
+        "margin": lpv.proof.margin, "basis": lpv.storage.basis.ravel(), "P": [P[upper] for P in lpv.storage.P]}
 
 
 def save(result: Design, stored: StoredIdentification, target: Path, more: dict[str, str] | None = None) -> None:
     """Write controller.json, its manifest and ``more`` files (name: text), whole or not at all."""
     settings, schedule = stored.project.design, result.schedule
     controller = {
-        "kind": "controller", "schema": 1, "Ts_s": schedule.Ts, "speeds": schedule.speeds, "A": schedule.A, "B": schedule.B, "C": schedule.C, "L": schedule.L,
+        "kind": "controller", "schema": 2, "Ts_s": schedule.Ts, "speeds": schedule.speeds, "a": schedule.a, "B": schedule.B,
+        "L": schedule.L,
         "u_max": settings.input_max, "rate_max": settings.input_rate_max_per_s,
         "certificates": {
             "claim": "frozen speeds, float32 coefficients, interpolated, closed with the nominal model and the weights: "
                      "mu <= mu_upper < 1 means robust performance for every LTI Delta within W_delta",
             "test": "bracket of the scaled closed loop's H-infinity norm by level-set tests of its Hamiltonian",
             "structure": settings.structure, "A_t": settings.A_t, "A_u": settings.A_u,
-            "order": schedule.A.shape[1], "full_order": result.full_order,
+            "order": schedule.order, "full_order": result.full_order,
             "scaling_log_parameters": result.scaling.log_parameters,
             "scaling_columns": result.scaling.log_parameters.shape[1],
+            "moving_speed": _moving(result.lpv),
             "speeds": [{"v_mps": v, "mu_upper": p.upper, "mu_lower": p.lower, "peak_rad_s": p.bracket.peak_frequency}
                        for v, p in result.certificates]}}
     with artefacts.new_folder(target) as folder:

@@ -21,6 +21,7 @@ import numpy as np
 
 from . import __version__, artefacts
 from .control_export import CONTROL_SIZES, ControllerCoefficients, control_files
+from .energy import EnergyTest
 from .frames import Estimator, require_core
 from .nominal import NominalModel
 from .project import Project
@@ -29,7 +30,8 @@ from .sealed import Sealed, coefficient_source
 if TYPE_CHECKING:
     from .identify import StoredIdentification
 
-MAGIC, SCHEMA = 0x4C505647, 1
+MAGIC, SCHEMA = 0x4C505647, 2
+MANIFEST_SCHEMA = 1
 
 
 @dataclass(frozen=True)
@@ -42,8 +44,8 @@ class Coefficients(Sealed):
 
 
 def build_coefficients(project: Project, model: NominalModel, estimator: Estimator, W_delta: np.ndarray, B_w: np.ndarray,
-                       threshold: float) -> Coefficients:
-    """Coefficients from the model, the estimator and the fitted weights at the bins: W_delta (K,), B_w (K, n_y).
+                       threshold: float, energy: EnergyTest) -> Coefficients:
+    """Coefficients from the model, the estimator, the fitted weights at the bins, W_delta (K,), B_w (K, n_y), and the two tests.
 
     Raises InputError for bounds of the plain DFT: the core computes Hann frames only.
     """
@@ -55,10 +57,12 @@ def build_coefficients(project: Project, model: NominalModel, estimator: Estimat
     half_sum = estimator.length / 2  # sum of a periodic Hann window
     sizes = {"NX": model.n, "NU": model.n_u, "NY": model.n_y, "DELAY": model.delay, "NBINS": K,
              "NCELLS": len(table.cell), "NVARYING": len(table.varying)}
+    energy_sizes, energy_words, energy_reals = energy.coefficients()
+    sizes |= energy_sizes
     words = {"magic": MAGIC, "schema": SCHEMA, "real_bytes": 4, "sizes": list(sizes.values()),
              "estimator_id": estimator.identifier(), "crc32": 0, "sample_period_us": round(project.Ts_s * 1e6),
              "settle_samples": estimator.settle, "confirm": project.frame_test.confirm,
-             "of_last": project.frame_test.of_last, "frame_length": estimator.length, "cycles": estimator.cycles,
+             "of_last": project.frame_test.of_last, **energy_words, "frame_length": estimator.length, "cycles": estimator.cycles,
              "varying_entry": table.varying}
     # cos - 1 = -2 sin^2(half angle) keeps its relative precision for small angles.
     reals = {"speed_min": model.speed_range[0], "speed_max": model.speed_range[1],
@@ -71,7 +75,7 @@ def build_coefficients(project: Project, model: NominalModel, estimator: Estimat
              "turn": np.stack([-2 * np.sin(phase / 2) ** 2, np.sin(phase)], axis=1),
              "taper": np.stack([-2 * np.sin(taper / 2) ** 2, np.sin(taper)], axis=1),
              "scale": np.where(estimator.cycles > 0, 2.0, 1.0) / half_sum,
-             "W_delta": W_delta, "B_w": B_w, "threshold": threshold}
+             **energy_reals, "W_delta": W_delta, "B_w": B_w, "threshold": threshold}
     return Coefficients(sizes, {k: np.array(v) for k, v in words.items()},
                         {k: np.array(v, float) for k, v in reals.items()}, project.name, estimator.identifier(), table.error)
 
@@ -110,7 +114,7 @@ def vehicle_files(project: Project, coefficients: Coefficients, provenance: dict
     files = {"lpvguard_vehicle.h": _vehicle_header(coefficients, controller),
              "lpvguard_coeff.c": coefficient_source(coefficients, "coeff.h", "lpvg_coeff"),
              "lpvguard_signals.h": _signals_header(project), "SIGNALS.md": signal_table_markdown(project)}
-    manifest = {"schema": SCHEMA, "tool": f"lpvguard {__version__}", "vehicle": project.name, "sizes": coefficients.sizes,
+    manifest = {"schema": MANIFEST_SCHEMA, "tool": f"lpvguard {__version__}", "vehicle": project.name, "sizes": coefficients.sizes,
                 "estimator_id": coefficients.estimator_id, "speed_table_relative_error": coefficients.table_error,
                 "crc32": coefficients.crc32_by_type()}
     if controller is not None:
@@ -122,9 +126,10 @@ def vehicle_files(project: Project, coefficients: Coefficients, provenance: dict
 
 def export_vehicle(stored: StoredIdentification, target: Path, controller: ControllerCoefficients | None = None) -> None:
     """Write the generated folder of an identification, with its controller if there is one, whole or not at all."""
-    provenance = {"kind": "vehicle", "identification": stored.manifest, "threshold": stored.calibration.to_dict(),
+    coefficients = stored.coefficients
+    provenance = {"kind": "vehicle", "identification": stored.manifest, "threshold": stored.calibration.to_dict(), "energy_test": stored.energy.to_dict(),
                   "final_inflation": stored.weights["inflation"],
                   "weights": {k: stored.weights[k] for k in ("W_w", "W_delta")},
                   "project": stored.project.model_dump(by_alias=True)}
     with artefacts.new_folder(target) as folder:
-        artefacts.write_files(folder, vehicle_files(stored.project, stored.coefficients, provenance, controller))
+        artefacts.write_files(folder, vehicle_files(stored.project, coefficients, provenance, controller))

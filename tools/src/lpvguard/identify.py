@@ -6,6 +6,7 @@ Writes a folder with
     front.json        Pareto front nu(gamma_w) per bin, and the point on it that was taken
     weights.json      W_w per output and W_delta with their certificates, and the final inflation
     calibration.json  scores, threshold, alpha
+    energy.json       energy test: filters, certificate, sigma, scores, threshold (energy.py); with Hann frames only
     visibility.json   smallest visible gain and delay errors, at typical and at the strongest excitation met
     spectra.npz       E, Z and mean speed of frames of the bound-setting drives, thinned, for the pictures and step 8's trade-offs
     project.json      the project file as it was
@@ -32,9 +33,10 @@ import numpy as np
 from . import artefacts
 from .bounds import (FRONT_POINTS, Bounds, FrameSet, Part, counted_frames, fold, front_grid, nominal_error, reduce_covering,
                      reduce_disturbance, reduce_uncertainty)
-from .calibration import Calibration, calibrate, score
+from .calibration import Calibration, calibrate, energy_score, score
 from .core import Core
 from .drives import EXPERIMENTS, Drive, Experiment, file_hash, list_experiments, read_drive, require_units
+from .energy import EnergyTest
 from .errors import InputError
 from .export import Coefficients, build_coefficients, vehicle_files
 from .frames import Estimator
@@ -147,6 +149,7 @@ class Identification:
     bounds: Bounds
     weights: Weights
     calibration: Calibration
+    energy: EnergyTest | None
     visibility: dict
     spectra: Rows
     bound_drives: list[str]
@@ -279,10 +282,16 @@ def _scratch_core(project: Project, coefficients: Coefficients) -> Iterator[Core
         yield Core(target)
 
 
-def coefficients_of(project: Project, model: NominalModel, estimator: Estimator, weights: Weights,
-                    threshold: float) -> Coefficients:
+def coefficients_of(project: Project, model: NominalModel, estimator: Estimator, weights: Weights, threshold: float,
+                    energy: EnergyTest) -> Coefficients:
     """The core's coefficients for these weights."""
-    return build_coefficients(project, model, estimator, *weights.at(estimator.omega), threshold)
+    return build_coefficients(project, model, estimator, *weights.at(estimator.omega), threshold, energy)
+
+
+def energy_filters(project: Project, estimator: Estimator, weights: Weights) -> EnergyTest:
+    """The energy test's filters for these weights; sigma is yet to be found."""
+    fitted = weights.W_delta
+    return EnergyTest.design(project, estimator, fitted.fit.weight, fitted.omega, fitted.bound, weights.inflation)
 
 
 # ---------------------------------------------------------------------------------------- what is done to one drive
@@ -330,10 +339,11 @@ def _covering_pass(reader: DriveReader, gamma_w: np.ndarray, B_w: np.ndarray, ex
 
 
 class Judged(NamedTuple):
-    """What the frame test says of a drive: its largest margin, its score (None: no frame counts), and its excitation."""
+    """What the tests say of a drive: its largest margin, its scores (None: nothing judged), and its excitation."""
 
     worst: float
     score: float | None
+    energy_score: float | None
     met: Excitation
 
 
@@ -349,12 +359,10 @@ def _judge(reader: DriveReader, W_delta: np.ndarray, B_w: np.ndarray, core: Core
         E, Z = (np.concatenate([getattr(s, a) for s in sets]) for a in ("E", "Z"))
         worst = s1.margin(E, Z, W_delta[bin_of], B_w[bin_of]).max(initial=0.0)
         speed = np.array([drive.v[a:a + n].mean() for a, n in zip(start, reader.estimator.length[bin_of])])
-        return Judged(worst, float(worst) if len(E) else None,
+        return Judged(worst, float(worst) if len(E) else None, None,
                       Excitation.of(name, speed_range, bin_of, speed, Z, W_delta, B_w, start))
-    # A stream of random numbers for each drive: the other drives and their order make no difference.
-    random = np.random.default_rng([reader.project.seed, zlib.crc32(name.encode())])
     worst = 0.0
-    for cut in [0, *random.integers(1, max(2, len(drive.t) // 2), cuts).tolist()]:
+    for cut in _first_samples(reader, name, len(drive.t), cuts):
         run = core.monitor(reals=reals, seal=reals is not None).run_drive(drive.from_sample(cut))
         counted = run.frames.counted
         worst = max(worst, float(run.frames.margin[counted].max(initial=0.0)))
@@ -363,7 +371,26 @@ def _judge(reader: DriveReader, W_delta: np.ndarray, B_w: np.ndarray, core: Core
     f = whole.frames
     met = Excitation.of(name, speed_range, f.bin[of_whole], f.speed[of_whole], f.Z[of_whole], W_delta, B_w,
                         np.round(f.t_end_s[of_whole] * 1e6).astype(np.int64))
-    return Judged(worst, score(whole), met)
+    return Judged(worst, score(whole), energy_score(whole), met)
+
+
+def _first_samples(reader: DriveReader, name: str, samples: int, cuts: int) -> list[int]:
+    """0 and ``cuts`` random first samples in the first half of a drive."""
+    # A stream of random numbers for each drive: the other drives and their order make no difference.
+    random = np.random.default_rng([reader.project.seed, zlib.crc32(name.encode())])
+    return [0, *random.integers(1, max(2, samples // 2), cuts).tolist()]
+
+
+def _energy_pass(reader: DriveReader, test: EnergyTest, cuts: int, experiment: Experiment) -> Part:
+    """What a drive asks of sigma: whole, from rest; with its first samples cut, from what Delta may remember."""
+    drive = reader.read(experiment)[0]
+
+    def parts() -> Iterator[Part]:
+        for cut in _first_samples(reader, experiment.name, len(drive.t), cuts):
+            rest = drive.from_sample(cut)
+            yield (test if cut else test.at_rest()).needs(*nominal_error(rest, reader.model), rest.v)
+
+    return fold(parts())
 
 
 # ---------------------------------------------------------------------------------------------------- all drives
@@ -417,10 +444,10 @@ def identify(project: Project, folder: Path, *, workers: Map = map, progress: Pr
     gamma_w = fit_bound(project, estimator, first["gamma_rule"], "gamma_w", smallest_disturbance(first["B2"]))
     bounds = _bounds(reader, first, gamma_w.magnitude(estimator.omega), partial(over, "bounds"), setting)
     weights = fit_weights(project, estimator, bounds, gamma_w, noise_peak, first["E"], first["Y"][:, 0])
-    weights, calibration, met = _calibrate(reader, weights, over, setting, others, left_out)
+    weights, calibration, energy, met = _calibrate(reader, weights, over, setting, noise, others, left_out)
     progress("window error")
     result = Identification(
-        project, model, estimator, bounds, weights, calibration,
+        project, model, estimator, bounds, weights, calibration, energy,
         visibility(estimator.omega, estimator.speed_range, met, weights.at(estimator.omega)[0] / weights.inflation,
                    calibration.threshold, weights.inflation),
         _thinned(stacked(spectra)), [e.name for e in setting], list(calibration.scores), [e.name for e in noise], left_out,
@@ -441,9 +468,10 @@ def _bounds(reader: DriveReader, first: Part, gamma_w: np.ndarray, over: Callabl
                   second["nu"], B_w, grid, second["front"])
 
 
-def _calibrate(reader: DriveReader, weights: Weights, over: Callable, setting: list[Experiment], others: list[Experiment],
-               left_out: dict[str, str]) -> tuple[Weights, Calibration, Excitation]:
-    """Final inflation, scores of the other drives and the threshold; adds to ``left_out``; excitation of all of them.
+def _calibrate(reader: DriveReader, weights: Weights, over: Callable, setting: list[Experiment], noise: list[Experiment],
+               others: list[Experiment], left_out: dict[str, str]) -> tuple[Weights, Calibration, EnergyTest | None, Excitation]:
+    """Final inflation, the energy test's sigma, scores of the other drives and the thresholds of both tests; adds to
+    ``left_out``; excitation of all of them.
 
     The inflation is the least factor >= 1 on the weights with which no margin is above 1 on a bound-setting drive, whole or with its
     first samples cut; rounded up by 1e-4 when it is above 1.
@@ -459,21 +487,30 @@ def _calibrate(reader: DriveReader, weights: Weights, over: Callable, setting: l
                 met[:] = [Excitation.joined(met)]
             yield j
 
-    def run(core: Core | None) -> tuple[Weights, Calibration]:
+    def energy_test(inflated: Weights) -> EnergyTest:
+        test = energy_filters(project, estimator, inflated)
+        test = test.with_sigma(fold(over("sigma", partial(_energy_pass, reader, test, 0), setting + noise)))
+        return test.with_joint(fold(over("joint sigma", partial(_energy_pass, reader, test, CUTS), setting + noise)))
+
+    def run(core: Core | None) -> tuple[Weights, Calibration, EnergyTest | None]:
         worst = reduce(max, (j.worst for j in judged("inflation", core, None, CUTS, setting)), 1.0)
         inflated = replace(weights, inflation=worst if worst == 1.0 else worst * (1 + 1e-4))
-        reals = coefficients_of(project, model, estimator, inflated, 1.0).flat_reals() if core else None
-        scores = {}
+        test = energy_test(inflated) if core else None
+        reals = coefficients_of(project, model, estimator, inflated, 1.0, test).flat_reals() if core else None
+        scores, energy_scores = {}, {}
         for e, j in zip(others, judged("score", core, reals, 0, others)):
             if j.score is None:
                 left_out[e.name] = reader.why_without_frames()
             else:
                 scores[e.name] = j.score if core else j.score / inflated.inflation
-        return inflated, calibrate(scores, project.frame_test.alpha)
+            if j.energy_score is not None:
+                energy_scores[e.name] = j.energy_score
+        alpha = project.frame_test.alpha
+        return inflated, calibrate(scores, alpha), test and test.calibrated(energy_scores, alpha)
 
     if estimator.window != "hann":
         return *run(None), Excitation.joined(met)
-    with _scratch_core(project, coefficients_of(project, model, estimator, weights, 1.0)) as core:
+    with _scratch_core(project, coefficients_of(project, model, estimator, weights, 1.0, energy_filters(project, estimator, weights))) as core:
         return *run(core), Excitation.joined(met)
 
 
@@ -494,6 +531,7 @@ def save(result: Identification, drives: DriveSet, target: Path) -> None:
             "front.json": artefacts.to_json(front),
             "weights.json": artefacts.to_json(weights.to_dict()),
             "calibration.json": artefacts.to_json(result.calibration.to_dict()),
+            **({"energy.json": artefacts.to_json(result.energy.to_dict())} if result.energy else {}),
             "visibility.json": artefacts.to_json(result.visibility),
             "project.json": artefacts.to_json(result.project.model_dump(by_alias=True)),
             "spectra.npz": _spectra_file(result.spectra, result.bound_drives),
@@ -524,6 +562,7 @@ class StoredIdentification:
     weights: dict
     fitted: Weights
     calibration: Calibration
+    energy: EnergyTest | None
     front: dict[str, np.ndarray]
     visibility: dict
 
@@ -531,7 +570,8 @@ class StoredIdentification:
     def coefficients(self) -> Coefficients:
         """The core's coefficients; InputError for bounds of an estimator that the core does not compute."""
         model = NominalModel(self.project)
-        return coefficients_of(self.project, model, Estimator.of(self.project, model), self.fitted, self.calibration.threshold)
+        return coefficients_of(self.project, model, Estimator.of(self.project, model), self.fitted, self.calibration.threshold,
+                               self.energy)
 
 
 def load(folder: Path) -> StoredIdentification:
@@ -548,7 +588,10 @@ def load(folder: Path) -> StoredIdentification:
         raise InputError(folder / artefacts.MANIFEST, "estimator_id", f"{manifest['estimator_id']:#010x}",
                          f"{estimator.identifier():#010x}, the estimator that project.json describes")
     fitted = Weights.from_dict(weights, str(folder / "weights.json"))
+    energy = None
+    if estimator.window == "hann":
+        energy = energy_filters(project, estimator, fitted).restored(artefacts.read_json(folder / "energy.json"), str(folder / "energy.json"))
     stored_front = artefacts.read_json(folder / "front.json")
     front = {k: np.array(stored_front[k], float) for k in ("gamma_w", "nu")}
-    return StoredIdentification(folder, manifest, project, bounds, weights, fitted, calibration, front,
+    return StoredIdentification(folder, manifest, project, bounds, weights, fitted, calibration, energy, front,
                                 artefacts.read_json(folder / "visibility.json"))

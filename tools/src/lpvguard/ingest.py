@@ -296,6 +296,21 @@ def _unknown(where: Path, field_: str, name: str, what: str, names: Iterable[str
     )
 
 
+def _of_several(messages: list, frames: Frames, given: _Inputs, where: str):
+    """The message of a name; where a database gives the name to several, the one whose identifier is in the log."""
+    if len(messages) > 1:
+        in_log = [m for m in messages if len(find_frames(frames, m, j1939=is_j1939(m)))]
+        if len(in_log) != 1:
+            raise InputError(
+                given.database_path,
+                f"{where} of {given.map_path}",
+                f"{len(messages)} messages are called {messages[0].name} ({', '.join(f'{m.frame_id:X}' for m in messages)})",
+                "names of its own for each that is in the log",
+            )
+        messages = in_log
+    return messages[0]
+
+
 def _from_frames(frames: Frames, given: _Inputs, column: str, term: Term) -> _Source:
     map_path, where = given.map_path, f"columns.{column}"
     if term.message is None:
@@ -305,7 +320,7 @@ def _from_frames(frames: Frames, given: _Inputs, column: str, term: Term) -> _So
     by_name = {m.name: m for m in given.database.messages}
     if term.message not in by_name:
         raise _unknown(given.database_path, f"{where} of {map_path}", term.message, "message", by_name)
-    message = by_name[term.message]
+    message = _of_several([m for m in given.database.messages if m.name == term.message], frames, given, where)
     signals = {s.name: s for s in message.signals}
     if term.signal not in signals:
         raise _unknown(

@@ -351,9 +351,12 @@ def margin_map(replay: Replay, t: np.ndarray, v: np.ndarray, omega: np.ndarray, 
     extent = (0.0, replay.duration_s, -0.5, K - 0.5)
     top.imshow(_paint(kind, margin / threshold)[::-1], aspect="auto", extent=extent, interpolation="none")
     at = {w: k for k, w in enumerate(omega)}
-    if replay.alarms:
-        top.plot([a.t_s for a in replay.alarms], [at[a.bin_rad_s] for a in replay.alarms], "<", ms=6, mfc=RED,
-                 mec=MAP_PAPER, mew=0.8, clip_on=False)
+    # An alarm of the energy test belongs to no bin: above the map.
+    for test, marker in (("frame", "<"), ("energy", "v")):
+        alarms = [a for a in replay.alarms if a.test == test]
+        if alarms:
+            top.plot([a.t_s for a in alarms], [K - 0.4 if a.bin_rad_s is None else at[a.bin_rad_s] for a in alarms], marker, ms=6,
+                     mfc=RED, mec=MAP_PAPER, mew=0.8, clip_on=False)
     top.set_facecolor(MAP_PAPER)
     top.set_yticks(range(K), _bin_labels(omega), fontsize=7)
     top.set_ylabel("bin, rad/s")

@@ -132,6 +132,14 @@ class FrameTestSettings(_Strict):
         return self
 
 
+class EnergyTestSettings(_Strict):
+    """The energy test (DESIGN 4.8). ``band_hz``: corners of its band-pass, by default the frames' f_min_hz and f_max_hz.
+    ``memory_s``: time constant of the forgetting, by default one period of f_min_hz."""
+
+    band_hz: tuple[Positive, Positive] | None = None
+    memory_s: Positive | None = None
+
+
 class DataSettings(_Strict):
     """Which splits set the bounds, which are zero-input runs (W_n), and what `generate` makes; all other splits calibrate."""
 
@@ -154,7 +162,7 @@ class DesignSettings(_Strict):
     beside the input's in (8), Lambda_nu = diag(1, lambda_s), for its K_is.
     """
 
-    structure: Literal["K_inf", "K_i"] = "K_i"
+    structure: Literal["K_inf", "K_i", "K_is"] = "K_i"
     A_t: Positive
     A_u: Positive
     W_t_zeros: list[Positive] = [10.0]
@@ -165,8 +173,8 @@ class DesignSettings(_Strict):
     W_R_den: list[float] = [1.0, 5.4, 9.0]
     design_speed_mps: Positive = 17.0
     nodes: Annotated[int, Field(ge=2, le=64)] = 8
-    backoff: Fraction = 0.02
-    order_loss: Fraction = 0.02
+    backoff: Fraction = 0.05
+    order_loss: Fraction = 0.005
     table: list[Annotated[list[Positive], Field(min_length=2, max_length=2)]] | None = None
     lambda_s: Positive = 1.0
     input_max: list[Positive]
@@ -193,6 +201,7 @@ class Project(_Strict):
     bounds: BoundSettings
     weights: WeightSettings
     frame_test: FrameTestSettings
+    energy_test: EnergyTestSettings = EnergyTestSettings()
     data: DataSettings
     design: DesignSettings | None = None
 
@@ -220,6 +229,9 @@ class Project(_Strict):
             raise ValueError("model: speed_min_mps must be below speed_max_mps")
         if not self.frames.f_min_hz < self.frames.f_max_hz < 0.5 / self.Ts_s:
             raise ValueError("frames: f_min_hz < f_max_hz < half the sampling rate must hold")
+        band = self.energy_test.band_hz
+        if band is not None and not band[0] < band[1] < 0.5 / self.Ts_s:
+            raise ValueError("energy_test.band_hz: low < high < half the sampling rate must hold")
         return self
 
     def of_role(self, role: str) -> list[Signal]:

@@ -24,20 +24,26 @@ EXCITED_WINDOW_S = 10.0
 
 @dataclass(frozen=True)
 class Alarm:
-    """A falsifying frame with what a person needs to believe it."""
+    """What falsified the model, with what a person needs to believe it.
+
+    ``frame``: a frame of a bin. ``energy``: the energy test's ratio (``margin``) exceeded its threshold, after a memory without
+    that; bin_rad_s and W_delta are None, ``direction`` (n_y,) says which sum of outputs, in units of sigma, B_w holds sigma, E the
+    norms of F e_j and Z those of F W_delta yhat_j.
+    """
 
     t_s: float
     test: str
-    bin_rad_s: float
+    bin_rad_s: float | None
     speed_mps: float
     margin: float
     evidence: float
     statistic: float
     threshold: float
-    W_delta: float
+    W_delta: float | None
     B_w: list[float]
     E: list[complex]
     Z: list[complex]
+    direction: list[float] | None = None
 
 
 @dataclass(frozen=True)
@@ -50,7 +56,8 @@ class Replay:
     judged: np.ndarray          # (N,) bool: the sample lies in a counted frame
     in_range: np.ndarray        # (N,) bool
     excited: np.ndarray         # (N,) bool
-    alarms: list[Alarm]
+    over: np.ndarray            # (N,) bool: the energy test's ratio is above its threshold
+    alarms: list[Alarm]         # of both tests, in the order of time
     Ts: float
     can: dict[str, Any] | None = None  # of a raw log: what became of its frames, gaps (receive.py)
 
@@ -90,6 +97,7 @@ class Replay:
             "judged": [[round(a, 6), round(b, 6)] for a, b in self.judged_intervals],
             "judged_s": round(self.judged_s, 6), "verdict_final": self.verdict_final,
             "first_invalid_s": self.first_invalid_s, "max_margin": self.max_margin,
+            "max_energy_ratio": float(self.run.energy.max()) if self.run.energy.any() else None,
             "alarms": [vars(a) for a in self.alarms],
             "in_range_excited_s": round(float(relevant.sum() * self.Ts), 6),
             "judged_in_range_excited_s": round(float((relevant & self.judged).sum() * self.Ts), 6),
@@ -117,27 +125,25 @@ def excited_samples(u: np.ndarray, Ts: float, threshold: float) -> np.ndarray:
 class Replayer:
     """Runs drives of one vehicle through its compiled core, with the compiled-in or with given coefficients."""
 
-    def __init__(self, project: Project, core: Core, *, threshold: float | None = None):
+    def __init__(self, project: Project, core: Core, *, threshold: float | None = None, energy_threshold: float | None = None):
         self.project, self.core = project, core
         self.model = NominalModel(project)
         self.estimator = Estimator.of(project, self.model)
         if (core.n_u, core.n_y, core.n_bins) != (project.n_u, project.n_y, self.estimator.n_bins):
             raise InputError(core.folder, "sizes", f"{core.n_u} inputs, {core.n_y} outputs, {core.n_bins} bins",
                              f"those of vehicle {project.name}: {project.n_u}, {project.n_y}, {self.estimator.n_bins}")
-        words, reals = core.compiled
-        # Words: magic, schema, number size, 7 sizes, then the estimator (coeff.h).
-        if int(words[10]) != self.estimator.identifier():
-            raise InputError(core.folder, "estimator", f"bounds were made with estimator {int(words[10]):#010x}",
+        if core.estimator_id() != self.estimator.identifier():
+            raise InputError(core.folder, "estimator", f"bounds were made with estimator {core.estimator_id():#010x}",
                              f"{self.estimator.identifier():#010x}, the one the project file describes")
-        self._reals = None
-        if threshold is not None:
-            self._reals = reals.copy()
-            self._reals[-1] = threshold
-        K, n_y = core.n_bins, core.n_y
-        tail = self._reals if self._reals is not None else reals
-        self.threshold = float(tail[-1])
-        self.B_w = tail[-1 - K * n_y:-1].reshape(K, n_y)
-        self.W_delta = tail[-1 - K * n_y - K:-1 - K * n_y]
+        reals = core.compiled[1].copy()
+        fields = core.fields(reals)
+        for name, value in (("threshold", threshold), ("energy_threshold", energy_threshold)):
+            if value is not None:
+                fields[name][0] = value
+        self._reals = reals if threshold is not None or energy_threshold is not None else None
+        self.threshold, self.energy_threshold = (float(fields[name][0]) for name in ("threshold", "energy_threshold"))
+        self.W_delta, self.B_w = fields["W_delta"], fields["B_w"]
+        self.sigma, self.directions = 1.0 / fields["energy_scale"], fields["energy_direction"]
 
     def replay(self, drive: Drive, present: np.ndarray | None = None) -> Replay:
         """Run one drive; where ``present`` (N,) is False there was no sample and the drive's values mean nothing."""
@@ -154,9 +160,15 @@ class Replayer:
                         float(frames.statistic[i]), self.threshold, float(self.W_delta[frames.bin[i]]),
                         self.B_w[frames.bin[i]].tolist(), frames.E[i].tolist(), frames.Z[i].tolist())
                   for i in np.flatnonzero(frames.falsified)]
+        found = run.energy_alarms
+        alarms += [Alarm(float(found.t_end_s[i] - t0), "energy", None, float(found.speed[i]), float(found.margin[i]),
+                         float(found.evidence[i]), float(found.statistic[i]), self.energy_threshold, None, self.sigma.tolist(),
+                         found.E[i].real.tolist(), found.Z[i].real.tolist(), self.directions[found.bin[i]].tolist())
+                   for i in range(len(found.bin))]
         in_range = (drive.v >= low) & (drive.v <= high)
         return Replay(drive.name, drive.duration_s, run, judged, in_range if present is None else in_range & present,
-                      excited_samples(drive.u, Ts, self.project.frame_test.excited_std), alarms, Ts)
+                      excited_samples(drive.u, Ts, self.project.frame_test.excited_std), run.energy > self.energy_threshold,
+                      sorted(alarms, key=lambda a: a.t_s), Ts)
 
     def summarise_file(self, path: Path, channel: str | None = None) -> dict[str, Any] | InputError:
         """The object of `lpvguard replay --json` for one drive table or raw CAN log, or why it could not be read."""

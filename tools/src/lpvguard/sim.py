@@ -45,6 +45,7 @@ RECOVERY_S = 1.0
 
 SUPERVISION = ("off", "hold", "live")
 """Names of lpvg_can_state_t."""
+LCM_LINK = ("-Wl,--no-as-needed", "-llcm")
 FLAGS = ("-std=c++17", "-O2", "-ffp-contract=off", "-fno-math-errno")
 Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
@@ -117,10 +118,10 @@ def feedforward(project: Project, u_max: np.ndarray, rate_max: np.ndarray) -> Co
     speeds = np.linspace(*model.speed_range, 15)
     A, B = model.matrices(speeds)
     gain = -(model.C @ np.linalg.solve(A, B))[:, 0, 0]
-    inputs = np.zeros((len(speeds), 1, 1 + model.n_y))
-    inputs[:, 0, 0] = 1.0 / gain
-    zero = np.zeros((len(speeds), 1, 1))
-    return build_controller(project.Ts_s, speeds, zero, inputs, zero + 1.0, zero, u_max, rate_max, where="feedforward")
+    numerators = np.zeros((len(speeds), 1, 1, 1 + model.n_y))
+    numerators[:, 0, 0, 0] = 1.0 / gain
+    return build_controller(project.Ts_s, speeds, np.array([-1.0]), numerators, np.zeros((len(speeds), 1, 1, 1)), u_max, rate_max,
+                            where="feedforward")
 
 
 def _replace_controller(folder: Path, controller: ControllerCoefficients, target: Path) -> None:
@@ -135,8 +136,9 @@ class Simulator:
     ``folder`` is a generated folder with a controller. Raises InputError when it has none or does not compile.
     """
 
-    def __init__(self, folder: Path, *, controller: Controller = "designed"):
-        self.folder, self.controller = Path(folder), controller
+    def __init__(self, folder: Path, *, controller: Controller = "designed", lcm: bool = False):
+        """``lcm``: the program can publish over LCM (needs liblcm-dev and lcm-gen)."""
+        self.folder, self.controller, self._lcm = Path(folder), controller, lcm
         manifest = artefacts.read_manifest(self.folder, "vehicle")
         if "controller" not in manifest:
             raise InputError(folder, "controller", "the vehicle has none", "a folder exported with a controller")
@@ -171,7 +173,7 @@ class Simulator:
         here = [root / "sim", root / "ecu", root / "ports" / "linux", core / "include", core / "src", folder]
         vehicle = [*sorted((core / "src").glob("*.cpp")), *sorted(folder.glob("*.c")), *sorted((root / "ecu").glob("*.c")),
                    *sorted((root / "ports" / "linux").glob("*.cpp")),
-                   *sorted((root / "sim").glob("*.cpp"))]
+                   *(s for s in sorted((root / "sim").glob("*.cpp")) if s.stem != "publisher_none" or not self._lcm)]
         truth = [*sorted((root / "plant" / "src").glob("*.cpp")), root / "plant" / "tool" / "arguments.cpp"]
         flags = (*FLAGS, "-isystem", eigen_include())
         try:
@@ -180,16 +182,18 @@ class Simulator:
                 jobs = [pool.submit(native.compile_object, s, flags=FLAGS, include_dirs=plant) for s in truth]
                 jobs += [pool.submit(native.compile_object, s, flags=flags, include_dirs=[*here, *plant]) for s in vehicle]
                 objects = [job.result() for job in jobs]
-            return native.compile_executable(objects, flags=(), name=f"sim_{folder.name}")
+            if self._lcm:
+                objects.append(_lcm_publisher(root, flags, [*here, *plant]))
+            return native.compile_executable(objects, flags=LCM_LINK if self._lcm else (), name=f"sim_{folder.name}")
         except native.NativeError as error:
             raise InputError(folder, "compiling the simulator", str(error).strip(),
                              "a C++17 compiler, Eigen 3.4 and libtomlplusplus-dev") from None
 
     def run(self, scenario: Scenario, *, seed: int | None = None, bus: str = "memory", out: Path | None = None,
-            ecu_process: bool = False, pace: float | None = None) -> dict[str, Any]:
+            ecu_process: bool = False, pace: float | None = None, lcm: str | None = None) -> dict[str, Any]:
         """One run: the object of `lpvguard sim --json` (DESIGN 9). ``bus``: memory or socketcan:INTERFACE. ``ecu_process``: the
         firmware is a process of its own (needs SocketCAN; what the monitor judged is then not known, only what it reported).
-        ``pace``: at most so many times real time. ``out``: a folder for NAME-SEED.log (candump -L), .frames.csv and .telemetry.csv. Same scenario, seed and vehicle: the same bytes but
+        ``pace``: at most so many times real time. ``lcm``: publish there (of a simulator made with ``lcm``). ``out``: a folder for NAME-SEED.log (candump -L), .frames.csv and .telemetry.csv. Same scenario, seed and vehicle: the same bytes but
         for real_time_factor, which is simulated time over one core's processor time."""
         seed = scenario.seed if seed is None else seed
         with tempfile.TemporaryDirectory() as scratch:
@@ -199,6 +203,8 @@ class Simulator:
                        "--frames", frames, "--engage", "no" if self.controller == "off" else "yes"]
             if ecu_process:
                 command += ["--ecu", self.ecu_program]
+            if lcm is not None:
+                command += ["--lcm", lcm]
             if pace is not None:
                 command += ["--pace", pace]
             if out is not None:
@@ -222,6 +228,15 @@ class Simulator:
                   "judged_to_invalid_s": judged, "judged_s": None if ecu_process else overlap(spans, start, facts["duration_s"]),
                   "max_margin": None if ecu_process else float(rows["margin"].max(initial=0.0)), **facts, "reception": _reception(facts["reception"])}
         return result | {"missed": list(missed(expect, result, self.project.Ts_s))}
+
+
+def _lcm_publisher(root: Path, flags: tuple[str, ...], includes: list[Path]) -> Path:
+    """Object of the LCM publisher, with its message types made by lcm-gen. NativeError when that is missing."""
+    if shutil.which("lcm-gen") is None:
+        raise native.NativeError("lcm-gen not found; install liblcm-dev and liblcm-bin")
+    with tempfile.TemporaryDirectory() as types:
+        subprocess.run(["lcm-gen", "--cpp", "--cpp-hpath", types, *sorted((root / "lcm").glob("*.lcm"))], check=True)
+        return native.compile_object(root / "lcm" / "publisher_lcm.cpp", flags=flags, include_dirs=[*includes, types])
 
 
 def _reception(raw: dict[str, Any]) -> dict[str, Any]:

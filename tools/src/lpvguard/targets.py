@@ -166,7 +166,7 @@ def _build(target: Target, vehicle: Path, drive: Input, language: tuple[str, ...
     version = subprocess.run(["arm-none-eabi-gcc", "--version"], capture_output=True, text=True, check=True).stdout
     for text in (version, *flags, *CXX, header):
         key.update(text.encode() + b"\0")
-    for path in (*sources.values(), port / target.linker_script, ports / "port.h", *sorted(vehicle.glob("*.h")),
+    for path in (*sources.values(), port / target.linker_script, *sorted(ports.glob("*.h*")), *sorted(vehicle.glob("*.h")),
                  *sorted((core / "include").rglob("*.h")), *sorted((core / "src").glob("*.hpp"))):
         key.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     stem = native.cache_dir() / f"target_bench_{target.name}-{key.hexdigest()[:24]}"

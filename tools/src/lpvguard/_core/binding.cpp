@@ -15,19 +15,19 @@ struct Handle {
 
 constexpr std::size_t n_words = sizeof(lpvg_coeff_words_t) / sizeof(uint32_t);
 constexpr std::size_t n_reals = sizeof(lpvg_coeff_reals_t) / sizeof(lpvg_real_t);
-constexpr std::size_t frame_columns = 9U + 4U * LPVG_NY;
+constexpr std::size_t frame_columns = 10U + 4U * LPVG_NY;
 
 void write_frame(const lpvg_frame_t& f, double* row) {
-    const double head[9] = {static_cast<double>(f.sequence),  static_cast<double>(f.bin),
+    const double head[10] = {static_cast<double>(f.sequence), static_cast<double>(f.bin),
                             static_cast<double>(f.t_end_us),  static_cast<double>(f.reason),
                             f.falsified ? 1.0 : 0.0,          static_cast<double>(f.speed),
                             static_cast<double>(f.margin),    static_cast<double>(f.statistic),
-                            static_cast<double>(f.evidence)};
+                            static_cast<double>(f.evidence),  static_cast<double>(f.test)};
     std::memcpy(row, head, sizeof head);
     for (std::size_t j = 0; j < LPVG_NY; ++j) {
         for (std::size_t part = 0; part < 2U; ++part) {
-            row[9U + 2U * j + part] = static_cast<double>(f.E[j][part]);
-            row[9U + 2U * LPVG_NY + 2U * j + part] = static_cast<double>(f.Z[j][part]);
+            row[10U + 2U * j + part] = static_cast<double>(f.E[j][part]);
+            row[10U + 2U * LPVG_NY + 2U * j + part] = static_cast<double>(f.Z[j][part]);
         }
     }
 }
@@ -81,10 +81,11 @@ void* lpvgb_create(const uint32_t* words, const double* reals, int seal, int* st
 
 void lpvgb_destroy(void* handle) { delete static_cast<Handle*>(handle); }
 
-// Pushes n samples (those with present[k] != 0; NULL: all); per sample a verdict and a status, per judged frame a row of
-// frame_columns numbers. Returns the rows.
+// Pushes n samples (those with present[k] != 0; NULL: all); per sample a verdict, a status and the energy test's ratio (0: not
+// judged), per judged frame and per alarm of the energy test a row of frame_columns numbers. Returns the rows. Takes the
+// monitor's records out.
 int64_t lpvgb_run(void* opaque, int64_t n, const int64_t* t_us, const double* v, const double* u, const double* y,
-                  const uint8_t* present, double* rows, int64_t max_rows, uint8_t* verdict, uint8_t* status) {
+                  const uint8_t* present, double* rows, int64_t max_rows, uint8_t* verdict, uint8_t* status, double* energy) {
     lpvg_monitor_t* monitor = &static_cast<Handle*>(opaque)->monitor;
     int64_t count = 0;
     uint32_t last = lpvg_monitor_frame(monitor)->sequence;
@@ -107,6 +108,14 @@ int64_t lpvgb_run(void* opaque, int64_t n, const int64_t* t_us, const double* v,
             ++count;
         }
         last = frame->sequence;
+        energy[k] = push && status[k] == 0U ? static_cast<double>(monitor->energy.ratio) : 0.0;
+        lpvg_frame_t record;
+        while (lpvg_monitor_take_record(monitor, &record)) {
+            if (record.test == lpvg_test_energy && count < max_rows) {
+                write_frame(record, rows + count * static_cast<int64_t>(frame_columns));
+                ++count;
+            }
+        }
     }
     return count;
 }

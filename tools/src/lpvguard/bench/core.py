@@ -1,7 +1,7 @@
 """`lpvguard bench core`: what the core costs on an ECU -- ROM, RAM, stack, instructions of every part, share of a processor.
 
 Measured on emulated Cortex-M4F, M7 and R5F over a seeded drive, the vehicle's own or the one that the budget of DESIGN 5
-names: the truck with 20 bins, 2 outputs and a block-diagonal controller of 25 states. Every count is of executed
+names: the truck with 20 bins, 2 outputs and a controller of 25 states. Every count is of executed
 *instructions, not cycles*: multiply by the cycles an instruction takes on the part, flash waits included.
 """
 
@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +18,20 @@ import numpy as np
 
 from ..artefacts import write_files
 from ..control_export import ControllerCoefficients, build_controller
+from ..energy import EnergyTest
 from ..export import build_coefficients, vehicle_files
 from ..frames import Estimator
 from ..nominal import NominalModel
 from ..project import Project, load_project, parse_project
 from ..targets import TARGETS, Input, run_host, run_target
+from ..weights import Weight
 
 WORST_STEP = 8000          # instructions, Cortex-M4F, everything included
 WORST_TO_MEDIAN = 1.3
 RAM_BYTES = 8192
 ROM_BYTES = 32768
 STACK_BYTES = 2048
+DENSE_TO_CONTROLLER = 5.0  # instructions of a step with full matrices (firmware_sim/ports/dense_controller.hpp), same scheduling
 CONTROLLER_STATES = 25
 CYCLES_PER_INSTRUCTION = 1.0
 """Assumed where a share of the processor is given; the report says so."""
@@ -41,22 +45,19 @@ def budget_project() -> Project:
 
 
 def budget_controller(project: Project) -> ControllerCoefficients:
-    """A stable block-diagonal controller of 25 states, scheduled over 8 nodes: the size of the budget, not a design."""
+    """A stable controller of 25 states, scheduled over 8 nodes: the size of the budget, not a design."""
     model = NominalModel(project)
     rng = np.random.default_rng(25)
     speeds = np.linspace(*model.speed_range, 8)
     n, Ts = CONTROLLER_STATES, project.Ts_s
-    A1 = np.zeros((len(speeds), n, n))
-    for i in range(0, n - 1, 2):
-        decay, turn = rng.uniform(0.2, 20.0), rng.uniform(0.2, 20.0)
-        for node in range(len(speeds)):
-            growth = 1.0 + 0.05 * node
-            A1[node, i:i + 2, i:i + 2] = Ts * growth * np.array([[-decay, turn], [-turn, -decay]]) / 2
-    A1[:, n - 1, n - 1] = -Ts
-    B = Ts * rng.standard_normal((1, n, 1 + model.n_y)) * np.linspace(1.0, 1.2, len(speeds))[:, None, None]
-    C = 0.5 * rng.standard_normal((1, model.n_u, n)) * np.linspace(1.0, 0.8, len(speeds))[:, None, None]
-    L = np.zeros((len(speeds), n, model.n_u))
-    return build_controller(Ts, speeds, np.eye(n) + A1, B, C, L, np.full(model.n_u, 6.0), np.full(model.n_u, 40.0))
+    decay, turn = rng.uniform(0.2, 10.0, (2, n // 2))
+    d = np.expm1((-decay + 1j * turn) * Ts)  # a pole less one, of every pair
+    a = np.append(np.column_stack([2 * d.real, -np.abs(d) ** 2]).ravel(), -1.0)
+    scale = np.append(Ts * np.column_stack([np.ones(n // 2), np.abs(d)]).ravel(), 1.0)
+    B = 0.5 * scale[:, None] * rng.standard_normal((n, 1 + model.n_y)) * np.linspace(1.0, 1.2, len(speeds))[:, None, None, None]
+    B = np.repeat(B, model.n_u, axis=1)
+    return build_controller(Ts, speeds, a, B, np.zeros((len(speeds), model.n_u, n, model.n_u)), np.full(model.n_u, 6.0),
+                            np.full(model.n_u, 40.0))
 
 
 def write_budget_vehicle(folder: Path) -> Project:
@@ -66,7 +67,11 @@ def write_budget_vehicle(folder: Path) -> Project:
     estimator = Estimator.of(project, model)
     W_delta = np.linspace(0.1, 0.4, estimator.n_bins)
     B_w = np.outer(np.linspace(0.02, 0.01, estimator.n_bins), np.ones(project.n_y))
-    coefficients = build_coefficients(project, model, estimator, W_delta, B_w, 1.5)
+    # W_delta of third order, as the truck's own, fits this weight: two sections.
+    energy = EnergyTest.design(project, estimator, Weight([0.4, 0.2, 0.07, 0.02], [1.0, 0.7, 0.3, 0.1]), estimator.omega[1:],
+                               np.full(estimator.n_bins - 1, 0.1), 1.0)
+    energy = replace(energy, sigma=np.array([0.1, 0.05]), start=np.array([50.0, 50.0]))
+    coefficients = build_coefficients(project, model, estimator, W_delta, B_w, 1.5, energy)
     folder.mkdir(parents=True, exist_ok=True)
     write_files(folder, vehicle_files(project, coefficients, {"kind": "vehicle", "project": project.model_dump(by_alias=True)},
                                       budget_controller(project)))
@@ -110,10 +115,16 @@ def bench_core(targets: tuple[str, ...] = tuple(TARGETS), *, clock_mhz: float = 
             step = run["parts"]["ecu_step"]
             run["rom_total"] = sum(run["rom"].values())
             run["worst_to_median"] = step["worst"] / step["median"]
+            run["dense_to_controller"] = dense_to_controller(run)
             run["load_percent"] = 100 * step["worst"] * CYCLES_PER_INSTRUCTION / (clock_mhz * 1e6 * project.Ts_s)
             rows.append(run)
     return {"vehicle": "truck, 20 bins x 2 outputs, controller of 25 states", "Ts_s": project.Ts_s, "clock_mhz": clock_mhz,
             "unit": "executed instructions, not cycles (QEMU -icount)", "samples": len(drive.v), "targets": rows}
+
+
+def dense_to_controller(run: dict[str, Any]) -> float:
+    """How many times more instructions a step of the same controller takes with full matrices."""
+    return run["parts"]["dense_step"]["median"] / run["parts"]["control_step"]["median"]
 
 
 def print_report(report: dict[str, Any]) -> None:
@@ -127,6 +138,7 @@ def print_report(report: dict[str, Any]) -> None:
         print(f"  {'part':<14} {'worst [instr]':>14} {'median [instr]':>15} {'worst/median':>13} {'stack [B]':>10}")
         for name, part in run["parts"].items():
             print(f"  {name:<14} {part['worst']:>14} {part['median']:>15} {part['worst'] / part['median']:>13.2f} {part['stack']:>10}")
+        print(f"  dense_step: the same controller with full matrices, {run['dense_to_controller']:.1f} times control_step")
         print(f"  whole step: {run['load_percent']:.2f} % of {report['clock_mhz']:g} MHz at Ts {report['Ts_s']:g} s, "
               "if an instruction took one cycle")
 

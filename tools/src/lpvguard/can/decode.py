@@ -37,11 +37,22 @@ def load_database(path: Path):
     if not Path(path).is_file():
         raise InputError(path, "--dbc", "no such file", "a CAN database (.dbc, .arxml, .kcd, .sym)")
     try:
-        return cantools.database.load_file(path, strict=False)
+        return cantools.database.load_file(path, strict=False, encoding=_encoding(Path(path)))
     except Exception as error:  # one exception class for each form of database
         raise InputError(
             path, "", f"cannot be read ({str(error).splitlines()[0]})", "a CAN database"
         ) from None
+
+
+def _encoding(path: Path) -> str | None:
+    """Of a text form that does not say it: UTF-8 where the bytes are that, else what Vector's tools write. Units need it ("°/s")."""
+    if path.suffix.lower() not in {".dbc", ".sym"}:
+        return None
+    try:
+        path.read_bytes().decode("utf-8")
+    except UnicodeDecodeError:
+        return "cp1252"
+    return "utf-8"
 
 
 def own_database():
@@ -122,7 +133,8 @@ def decode_signal(frames: Frames, positions: np.ndarray, message, signal, *, j19
     value = _number(raw, signal)
     if not keep.all():
         positions, value = positions[keep], value[keep]
-    physical = value * float(signal.scale) + float(signal.offset)
+    with np.errstate(invalid="ignore", over="ignore"):  # a float signal may carry anything
+        physical = value * float(signal.scale) + float(signal.offset)
     finite = np.isfinite(physical)
     if not finite.all():
         left_out["not a number"] = int((~finite).sum())
@@ -185,7 +197,8 @@ def _raw(rows: np.ndarray, signal) -> np.ndarray:
 def _number(raw: np.ndarray, signal) -> np.ndarray:
     if signal.is_float:
         unsigned, floating = {16: ("<u2", "<f2"), 32: ("<u4", "<f4"), 64: ("<u8", "<f8")}[signal.length]
-        return raw.astype(unsigned).view(floating).astype(float)
+        with np.errstate(invalid="ignore"):  # signalling NaN
+            return raw.astype(unsigned).view(floating).astype(float)
     if signal.is_signed:
         left = np.uint64(64 - signal.length)
         return ((raw << left).view(np.int64) >> np.int64(64 - signal.length)).astype(float)

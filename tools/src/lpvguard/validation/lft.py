@@ -197,6 +197,11 @@ class _Box:
         c = self.centre
         return float(np.hypot(max(abs(c.real) - 0.5 * d.real, 0.0), max(abs(c.imag) - 0.5 * d.imag, 0.0)))
 
+    @property
+    def most(self) -> float:
+        """Largest modulus in the box."""
+        return max(abs(self.low), abs(self.high), abs(complex(self.low.real, self.high.imag)))
+
     def halves(self) -> tuple[_Box, _Box]:
         d = self.high - self.low
         cut = 0.5 * d.real if d.real >= d.imag else 0.5j * d.imag
@@ -238,6 +243,10 @@ class _Quadratic:
     def __init__(self, forms: Sequence[_Form], params: int, n: int):
         self.forms, self.params, self._n = list(forms), params, n
         self.repeated = [k for k, f in enumerate(self.forms) if f.repeated]
+        users = [f.param for f in self.forms]
+        # A size that one repeated block alone decides: its box bounds it, so it needs no direction of its own.
+        self._boxed = {self.forms[k].param for k in self.repeated if users.count(self.forms[k].param) == 1} - {-1}
+        self._first_boxes: dict[int, _Box] = {}
         self._plain = None if self.repeated else self._certificate_forms({})
 
     # -- certificates
@@ -261,7 +270,10 @@ class _Quadratic:
             def gram(left, right, basis=basis):
                 return _gram(left, basis, right) if basis is not None else (left.conj().T @ right)[None]
 
-            if np.isfinite(f.constant):
+            if k in boxes and f.param in self._boxed:
+                aa, bb = gram(f.a, f.a), gram(f.b, f.b)
+                add("psd", r, aa - boxes[k].most ** 2 * bb, 0.0 * bb, -1)
+            elif np.isfinite(f.constant):
                 aa, bb = gram(f.a, f.a), f.slope * gram(f.b, f.b)
                 add("psd", r, aa - f.constant * bb, bb if f.param >= 0 else 0.0 * bb, f.param)
             if f.repeated == "repeated_real":
@@ -274,16 +286,17 @@ class _Quadratic:
         return np.array(q0), np.array(level), np.array(param), lmi.cone(groups)
 
     def lower(self, node: _Node, cutoff: float):
-        """Certified lower bound over a node: (bound, length on the central ray, primal directions)."""
+        """Certified lower bound over a node: (bound, bound on the central ray, primal directions)."""
         q0, level, param, cone = self._plain or self._certificate_forms(node.boxes)
+        base = self._box_bound(node, self._boxed)
         weight = np.append(node.rays.mean(axis=0), 0.0)
-        length, y, inverse = lmi.ray_length(q0, level * weight[param][:, None, None], cone, cutoff)
+        length, y, inverse = lmi.ray_length(q0, level * weight[param][:, None, None], cone, max(cutoff - base, 0.0))
         edges = 0.0
         if y is not None:
-            rays = np.column_stack([node.rays, np.zeros(self.params)])
+            rays = np.column_stack([node.rays, np.zeros(len(node.rays))])
             slopes = np.tensordot(rays[:, param] * y, level, axes=1)
             edges = float(np.min(lmi.reach(np.tensordot(y, q0, axes=1), slopes, lmi.rounding(y, q0))))
-        return edges, length, inverse
+        return base + edges, base + length, inverse
 
     # -- feasible points
 
@@ -610,7 +623,7 @@ class _Quadratic:
                 closed = min(closed, node.lower)
                 break
             edges, central, inverse = self.lower(node, best.cost * (1.0 - gap) * (1.0 + 1e-12))
-            lower = max(node.lower, edges, self._box_bound(node))
+            lower = max(node.lower, edges, self._box_bound(node, set(range(self.params))))
             readings = self._candidates(inverse)
             for z in readings if polished < MAX_POLISHED else readings[:1]:
                 before = best.cost
@@ -620,7 +633,8 @@ class _Quadratic:
                     self._offer(self.polish(z), best)
             if serial == 0 and not np.isfinite(best.cost):
                 first = self.start(best, self._repeated_starts())
-            if best.cost <= zero * first:
+            first = best.cost if np.isinf(first) else first
+            if np.isfinite(first) and best.cost <= zero * first:
                 return Interval(0.0, 0.0, best.z, serial + 1)
             if lower >= best.cost * (1.0 - gap):
                 closed = min(closed, lower)
@@ -635,18 +649,21 @@ class _Quadratic:
         remaining = min((n.lower for n in open_nodes), default=np.inf)
         return Interval(min(closed, remaining, best.cost), best.cost, best.z, serial + 1)
 
-    def _box_bound(self, node: _Node) -> float:
-        """sum of the sizes that the boxes of repeated blocks force."""
+    def _box_bound(self, node: _Node, params: set[int]) -> float:
+        """sum of the sizes among ``params`` that the boxes of repeated blocks force."""
         total = np.zeros(self.params)
         for k, box in node.boxes.items():
             f = self.forms[k]
-            if f.param >= 0:
+            if f.param in params:
                 total[f.param] = max(total[f.param], box.least**2 / f.slope - f.constant)
         return float(total.sum())
 
     def _branch(self, node: _Node, edges: float, central: float, best: _Best):
+        """Two nodes that cover this one: its widest pair of rays cut in the middle, or its widest box; None when
+        neither can be."""
         cone_loss, relaxation_loss = central - edges, best.cost - central
-        if self.params > 1 and (cone_loss >= 0.5 * relaxation_loss or not self.repeated):
+        to_box = self._boxed and not node.boxes and np.isfinite(best.cost)
+        if len(node.rays) > 1 and not to_box and (cone_loss >= 0.5 * relaxation_loss or not self.repeated):
             spread = np.linalg.norm(node.rays[:, None] - node.rays[None], axis=-1)
             i, j = np.unravel_index(np.argmax(spread), spread.shape)
             if spread[i, j] > 1e-6:
@@ -658,10 +675,16 @@ class _Quadratic:
                     children.append((rays, node.boxes))
                 return children
         if self.repeated and np.isfinite(best.cost):
-            boxes = {k: node.boxes.get(k) or self._first_box(k, best.cost) for k in self.repeated}
-            widest = max(boxes, key=lambda k: boxes[k].radius)
-            if boxes[widest].radius > 1e-9:
-                return [(node.rays, boxes | {widest: half}) for half in boxes[widest].halves()]
+            rays, boxes = node.rays, node.boxes
+            if not boxes:
+                boxes = {k: self._first_box(k, best.cost) for k in self.repeated}
+                self._first_boxes = self._first_boxes or boxes
+                free = [p for p in range(self.params) if p not in self._boxed]
+                rays = np.eye(self.params)[free] if free else np.zeros((1, self.params))
+            share = {k: boxes[k].radius / max(self._first_boxes[k].radius, 1e-300) for k in boxes}
+            widest = max(share, key=share.get)
+            if share[widest] > 1e-9:
+                return [(rays, boxes | {widest: half}) for half in boxes[widest].halves()]
         return None
 
     def _first_box(self, k: int, cost: float) -> _Box:

@@ -255,12 +255,13 @@ def _gram(m: np.ndarray) -> np.ndarray:
     return np.swapaxes(m.conj(), -1, -2) @ m
 
 
-def solve(e, u, x_nom, h_i, h_s, c, gamma_w, lambda_i=1.0, lambda_s=1.0, *, gap: float = GAP) -> S2Result:
+def solve(e, u, x_nom, h_i, h_s, c, gamma_w, lambda_i=1.0, lambda_s=1.0, *, gap: float = GAP, names=None) -> S2Result:
     """Optimum of (8) for class S2 at K points.
 
     ``e`` (K, n_y), ``u`` (K,), ``x_nom`` (K, n_x) complex DFTs; ``h_i`` (K, n_x) = (zI - A_d)^-1 B_d; ``h_s``
     (K, n_x, n_x) = (zI - A_d)^-1 G_d; ``c`` (n_y, n_x); ``gamma_w``, ``lambda_i``, ``lambda_s`` (K,) or
-    numbers, the lambdas > 0. Raises InputError on shapes that do not fit and on values that are not finite.
+    numbers, the lambdas > 0; ``names`` (K,): the points' experiment and bin, for messages. Raises InputError on
+    shapes that do not fit and, naming the point, on values that are not finite or not positive.
     """
     e, u, x_nom, h_i, h_s, c = (np.asarray(a, dtype=complex) for a in (e, u, x_nom, h_i, h_s, c))
     points, n_y = e.shape
@@ -273,16 +274,20 @@ def solve(e, u, x_nom, h_i, h_s, c, gamma_w, lambda_i=1.0, lambda_s=1.0, *, gap:
     gamma, lam_i, lam_s = (
         np.broadcast_to(np.asarray(a, dtype=float), (points,)) for a in (gamma_w, lambda_i, lambda_s)
     )
-    for name, array in (("e", e), ("u", u), ("x_nom", x_nom), ("h_i", h_i), ("h_s", h_s), ("gamma_w", gamma)):
-        bad = ~np.isfinite(array.reshape(points, -1)).all(axis=1)
+    if names is not None and len(names) != points:
+        raise InputError("S2", "names", f"{len(names)} for {points} points", "one a point")
+
+    def require(good: np.ndarray, name: str, what: str, expected: str) -> None:
+        bad = ~good.reshape(points, -1).all(axis=1)
         if bad.any():
-            raise InputError(
-                "S2", f"{name}, point {int(np.argmax(bad))}", "a value that is not finite", "finite numbers"
-            )
-    if np.any(gamma <= 0.0) or np.any(lam_i <= 0.0) or np.any(lam_s <= 0.0) or np.any(u == 0.0):
-        raise InputError(
-            "S2", "gamma_w, lambda, u", "zero or negative", "gamma_w, lambda_i, lambda_s > 0 and u != 0"
-        )
+            k = int(np.argmax(bad))
+            raise InputError("S2", f"{name}, {f'point {k}' if names is None else names[k]}", what, expected)
+
+    for name, array in (("e", e), ("u", u), ("x_nom", x_nom), ("h_i", h_i), ("h_s", h_s), ("gamma_w", gamma)):
+        require(np.isfinite(array), name, "a value that is not finite", "finite numbers")
+    for name, array in (("gamma_w", gamma), ("lambda_i", lam_i), ("lambda_s", lam_s)):
+        require(array > 0.0, name, "zero or negative", "a positive number")
+    require(u != 0.0, "u", "zero", "an input: without one there is no multiplicative uncertainty")
 
     # theta = xi = (xi_i, xi_s): w = e - C d, d = h_i xi_i + h_s xi_s.
     d = n_x + 1

@@ -1,0 +1,62 @@
+/// @file energy.h -- the energy test: can *one* causal Delta of gain at most 1 explain all outputs, from rest until now?
+///
+/// Class of model error (DESIGN 4.3): e_j = Delta (W_delta yhat_j) + w_j, one linear time-invariant causal Delta common to
+/// all outputs. With the forgetting norm ||x||^2 = sum over t of rho^(2 (T - t)) x(t)^2, rho < 1, and any stable filter F
+/// (which commutes with Delta), for every real vector a
+///
+///     || sum_j a_j F e_j || <= || sum_j a_j F W_delta yhat_j || + sum_j |a_j| sigma_j                    (DESIGN 4.8)
+///
+/// at every time T, provided that |Delta| <= 1 on the circle |z| = rho and analytic outside it, that ||F w_j|| <= sigma_j
+/// at every T, and that Delta was at rest when the sums began or had been fed at most `energy_start` before. The left sum
+/// alone may begin later. So a ratio above 1 of the left side to the right proves (W_delta, sigma) wrong; the alarm is
+/// raised above a calibrated threshold that is not below 1 (plus what float may be off).
+///
+/// F is a band-pass of second order. The filter that stands for W_delta is W_delta((2/Ts) (z/rho - 1) / (z/rho + 1)): its
+/// magnitude on |z| = rho is that of the fitted weight at the warped frequency, which `lpvguard identify` certifies to be
+/// above the identified bound. Every output is divided by its sigma_j first, and a is scaled to sum |a_j| = 1, so that the
+/// last term is 1. Directions a are taken from a fixed fan, one a judgement in turn: every one is a condition by itself, at
+/// any time.
+///
+/// Cost: both functions constant. RAM: sizeof(lpvg_energy_t).
+/// Threads: one instance per thread; no function blocks. Fields are private but for those documented in monitor.h.
+#ifndef LPVGUARD_ENERGY_H
+#define LPVGUARD_ENERGY_H
+
+#include "lpvguard/coeff.h"
+
+LPVG_EXTERN_C_BEGIN
+
+#define LPVG_NGRAM (LPVG_NY * (LPVG_NY + 1) / 2)  ///< entries of a symmetric matrix, row by row from the diagonal on
+
+#define lpvg_energy_t LPVG_SYM(energy_t)
+#define lpvg_energy_start LPVG_SYM(energy_start)
+#define lpvg_energy_advance LPVG_SYM(energy_advance)
+#define lpvg_energy_judge LPVG_SYM(energy_judge)
+#define lpvg_energy_evidence LPVG_SYM(energy_evidence)
+
+typedef struct lpvg_energy_t {
+    lpvg_real_t F[2][2 * LPVG_NY];              ///< states of F for e, then yhat
+    lpvg_real_t W[LPVG_NWEIGHT][2][LPVG_NY];    ///< states of W_delta's sections
+    lpvg_real_t left[LPVG_NGRAM];               ///< forgetting sums of products of F e_j, in units of sigma
+    lpvg_real_t right[LPVG_NGRAM];              ///< of F W_delta yhat_j
+    lpvg_real_t nominal[LPVG_NGRAM];            ///< of F yhat_j
+    lpvg_real_t ratio;                          ///< left side over right, in the newest direction; 0 before it is judged
+    uint32_t direction;                         ///< index of the newest direction
+    uint32_t next_direction;
+} lpvg_energy_t;
+
+/// From rest: filters and sums at zero, the right sum at `energy_start`, the energy that Delta may remember.
+/// Arguments of all functions are not checked (called once per sample); the coefficients must have passed lpvg_coeff_check.
+void lpvg_energy_start(lpvg_energy_t* self, const lpvg_coeff_t* coeff);
+
+/// Takes e, then yhat (2 LPVG_NY) of one sample. The left sum begins when `settled`, which must stay until the next start.
+void lpvg_energy_advance(lpvg_energy_t* self, const lpvg_coeff_t* coeff, const lpvg_real_t* signal, bool settled);
+
+/// Writes and returns `ratio`, in the next direction.
+lpvg_real_t lpvg_energy_judge(lpvg_energy_t* self, const lpvg_coeff_t* coeff);
+
+/// The ratio that a vehicle which did not respond at all (e = -yhat) would have shown in the newest direction.
+lpvg_real_t lpvg_energy_evidence(const lpvg_energy_t* self, const lpvg_coeff_t* coeff);
+
+LPVG_EXTERN_C_END
+#endif

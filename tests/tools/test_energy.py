@@ -1,0 +1,323 @@
+"""The energy test: what it proves, what it finds, and that the compiled core says what the definition says."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter, sosfilt, sosfreqz
+
+from lpvguard import artefacts
+from lpvguard import identify as stage
+from lpvguard.bounds import nominal_error
+from lpvguard.core import Core, shipped_vehicle
+from lpvguard.drives import read_drive
+from lpvguard.energy import ROUNDING, EnergyTest, fan, in_delta
+from lpvguard.errors import InputError
+from lpvguard.export import build_coefficients, vehicle_files
+from lpvguard.faults import Fault, inject
+from lpvguard.frames import Estimator
+from lpvguard.generate import PROGRAMMES, plant_tool
+from lpvguard.nominal import NominalModel
+from lpvguard.project import load_project, parse_project
+from lpvguard.replay import Replayer
+from lpvguard.weights import Weight
+
+FULL = os.environ.get("LPVGUARD_FULL") == "1"
+
+
+@pytest.fixture(scope="module")
+def truck():
+    """Project, model, core and energy test of the shipped truck."""
+    project = load_project("truck")
+    model = NominalModel(project)
+    folder = shipped_vehicle("truck")
+    manifest = artefacts.read_manifest(folder, "vehicle")
+    weight = manifest["weights"]["W_delta"]
+    bound = np.array([np.nan if b is None else b for b in weight["bound"]], float)
+    filters = EnergyTest.design(project, Estimator.of(project, model), Weight.from_dict(weight["weight"]),
+                                np.array(weight["omega_rad_s"]), bound, manifest["final_inflation"])
+    return project, model, Core(folder), filters.restored(manifest["energy_test"], "truck")
+
+
+def on_circle(sections, rho, theta):
+    """Magnitude of sections (S, 6) in z at rho e^{j theta}."""
+    powers = rho ** -np.arange(3.0)
+    return np.abs(sosfreqz(sections * np.r_[powers, powers], theta)[1])
+
+
+# ------------------------------------------------------------------------------------------------------------- filters
+
+def test_the_weights_filter_has_the_fitted_magnitude_on_the_shifted_circle_at_warped_frequencies(truck):
+    _, _, _, test = truck
+    manifest = artefacts.read_manifest(shipped_vehicle("truck"), "vehicle")
+    W = Weight.from_dict(manifest["weights"]["W_delta"]["weight"])
+    theta = np.geomspace(1e-5, 3.0, 400)
+    expected = manifest["final_inflation"] * test.gain * W.magnitude(2 / test.Ts * np.tan(theta / 2))
+    np.testing.assert_allclose(on_circle(test.W, test.rho, theta), expected, rtol=1e-7)
+    assert np.abs(np.concatenate([np.roots(s[3:]) for s in test.W])).max() < test.rho
+    low, high = (2 / test.Ts * np.tan(np.pi * f * test.Ts) for f in test.band_hz)
+    s = 2j / test.Ts * np.tan(theta / 2)
+    np.testing.assert_allclose(on_circle(test.F, 1.0, theta), np.abs(high * s / ((s + low) * (s + high))), rtol=1e-7)
+
+
+def test_a_weight_that_falls_is_raised_until_it_is_above_its_bound_when_warped():
+    project = load_project("g80")
+    estimator = Estimator.of(project, NominalModel(project))
+    W = Weight([0.05, 1.0], [1.0, 1.0])  # from 1 down to 0.05
+    omega = np.geomspace(0.5, 60.0, 12)
+    bound = W.magnitude(omega) * 0.9999
+    bound[0] = bound[0] * 0.9
+    test = EnergyTest.design(project, estimator, W, omega, bound, 1.0)
+    assert test.gain > 1.05  # 60 rad/s is warped to 68 at 50 Hz
+    grid = np.geomspace(omega[0], omega[-1], 2000)
+    warped = [2 / test.Ts * np.tan(w * test.Ts / 2) for w in (omega, grid)]
+    bound_there = np.exp(np.interp(np.log(warped[1]), np.log(warped[0]), np.log(bound)))
+    assert (on_circle(test.W, test.rho, grid * test.Ts) >= bound_there).all()
+
+
+def test_the_sections_in_delta_are_the_sections_in_z(truck):
+    z = np.exp(1j * np.linspace(0.01, 3.0, 50))
+    for sections in (truck[3].F, truck[3].W):
+        for (b0, b1, b2, a0, a1, a2), c in zip(sections, in_delta(sections)):
+            d = z - 1
+            np.testing.assert_allclose((c[0] * d**2 + c[1] * d + c[2]) / (d**2 + c[3] * d + c[4]),
+                                       (b0 * z**2 + b1 * z + b2) / (a0 * z**2 + a1 * z + a2), rtol=1e-9)
+
+
+@pytest.mark.parametrize(("n_y", "count"), [(1, 1), (2, 16), (3, 13), (4, 40)])
+def test_the_fan_holds_every_output_alone_and_no_direction_twice(n_y, count):
+    directions = fan(n_y)
+    assert directions.shape == (count, n_y)
+    np.testing.assert_allclose(np.abs(directions).sum(axis=1), 1.0)
+    alone = np.abs(directions) == 1.0
+    assert (alone.sum(axis=0) == 1).all() and alone.sum() == n_y
+    cosine = np.abs(directions @ directions.T) / np.outer(*[np.linalg.norm(directions, axis=1)] * 2)
+    assert (cosine - np.eye(count) < 1 - 1e-6).all()
+
+
+@pytest.mark.parametrize(("settings", "says"), [
+    ({"memory_s": 1.0}, "energy_test: memory 1 s"), ({"band_hz": [2.0, 1.0]}, "band_hz"), ({"band_hz": [1.0, 60.0]}, "band_hz")])
+def test_settings_that_make_no_test_are_refused(settings, says, g80):
+    document = g80.model_dump(by_alias=True) | {"energy_test": settings}
+    with pytest.raises(InputError, match=says):
+        project = parse_project(document, "test")
+        EnergyTest.design(project, Estimator.of(project, NominalModel(project)), Weight([1.0], [1.0]), [1.0, 2.0], [0.5, 0.5], 1.0)
+
+
+# ---------------------------------------------------------------------------------------------------------- soundness
+
+def deltas(rho, rng):
+    """Impulse-response filters (b, a) in 1/z with |Delta| <= 1 on |z| = rho, analytic outside."""
+    at_rho = rho ** np.arange(401.0)
+    yield [1.0], [1.0]
+    yield [-1.0], [1.0]
+    for delay in (1, 7, 60, 400):
+        yield np.r_[np.zeros(delay), at_rho[delay]], [1.0]
+    for pole in (0.5, 0.95, 0.995, -0.9):  # all-pass in z/rho
+        yield [-pole, rho], [1.0, -pole * rho]
+    for taps in (3, 40):
+        c = rng.standard_normal(taps)
+        yield c / np.abs(c).sum() * at_rho[:taps], [1.0]
+
+
+def norm_peak(test, x, v):
+    """max over time of ||F x_j|| in units of sigma (n_y,)."""
+    return np.max([np.sqrt(np.einsum("njj->nj", left)).max(axis=0) for left, _ in test.norms(x, 0 * x, v)], axis=0)
+
+
+def drive_within(project, model, test, delta, seconds, rng, *, gain=1.0, coherent=False):
+    """Samples t, v, u, y with e = gain Delta W_delta yhat + w, from rest, and max ||F w_j|| = 0.98 sigma_j."""
+    n = int(seconds / project.Ts_s)
+    t = np.arange(n) * project.Ts_s
+    low, high = model.speed_range
+    v = 0.5 * (low + high) + 0.45 * (high - low) * np.sin(2 * np.pi * t / rng.uniform(60, 300) + rng.uniform(0, 6))
+    tones = np.exp(rng.uniform(np.log(0.1), np.log(10.0), 12))
+    u = 0.4 * np.sin(np.outer(t, tones) + rng.uniform(0, 6, 12)).sum(axis=1, keepdims=True) * np.minimum(t / 20.0, 1.0)[:, None]
+    u *= 1.0 + np.sin(2 * np.pi * t / 97.0)[:, None]  # stretches with little excitation too
+    yhat = model.simulate(v, u, model.output_offset)
+    weighted = sosfilt(test.W, yhat, axis=0)
+    w = weighted.copy() if coherent else lfilter([1.0], [1.0, -rng.choice([0.0, 0.9, 0.999])], rng.standard_normal(yhat.shape), axis=0)
+    w *= 0.98 * test.sigma / np.maximum(norm_peak(test, w, v) * test.sigma, 1e-12) if not coherent else 1.0
+    if coherent:  # the same multiple of W_delta yhat for both outputs
+        w *= 0.98 / norm_peak(test, w, v).max()
+    w[0] = 0.0
+    return t, v, u, yhat + gain * lfilter(*delta, weighted, axis=0) + w
+
+
+def test_no_alarm_where_delta_and_the_disturbance_are_within_the_bounds(truck):
+    """Ten hours in full; the ratio comes close to 1, so the bound is not slack by construction."""
+    project, model, core, test = truck
+    rng = np.random.default_rng(4)
+    largest, hours = [], 0.0
+    seconds = 3000.0 if FULL else 300.0
+    for index, delta in enumerate(deltas(test.rho, rng)):
+        t, v, u, y = drive_within(project, model, test, delta, seconds, rng, coherent=index == 0)
+        run = core.monitor().run(t, v, u, y)
+        assert not len(run.energy_alarms.bin)
+        largest.append(run.energy.max())
+        hours += seconds / 3600
+    assert hours >= 10.0 or not FULL
+    assert max(largest) <= 1.0 + ROUNDING / 2
+    assert largest[0] > 0.9
+
+
+def test_the_same_drives_alarm_when_delta_is_larger(truck):
+    project, model, core, test = truck
+    rng = np.random.default_rng(4)
+    for gain, delta in ((1.5, ([1.0], [1.0])), (-1.5, ([0.0, test.rho], [1.0]))):
+        run = core.monitor().run(*drive_within(project, model, test, delta, 200.0, rng, gain=gain))
+        assert len(run.energy_alarms.bin) and run.energy.max() > 1.2
+
+
+def test_the_core_says_what_the_definition_says(truck):
+    """Float and double, at every sample that is judged: one of the directions' ratios, of this sample or one just before."""
+    project, model, _, test = truck
+    t, v, u, y = drive_within(project, model, test, ([0.0, 1.0], [1.0]), 150.0, np.random.default_rng(8))
+    v[8000:8003] = 30.0  # out of range: from rest again
+    yhat = model.simulate(v, u, y[0])
+    ratios = np.zeros((len(t), len(test.directions)))
+    starts = iter((0, 8003))
+    for stretch in test.ratios(y - yhat, yhat, v):
+        first = next(starts) + test.settle
+        ratios[first:first + len(stretch)] = stretch
+    near = np.stack([np.roll(ratios, lag, axis=0) for lag in range(4)], axis=1).reshape(len(t), -1)
+    judged = np.flatnonzero(ratios.any(axis=1))
+    judged = judged[np.isin(judged - 4, judged)]
+    for double, tolerance in ((False, 2e-4), (True, 1e-8)):
+        said = Core(shipped_vehicle("truck"), double=double).monitor().run(t, v, u, y).energy
+        assert not said[:test.settle].any() and not said[8003:8003 + test.settle].any()
+        assert np.abs(near[judged] - said[judged, None]).min(axis=1).max() < tolerance
+        assert len(np.unique(said[judged])) > 0.7 * len(judged)
+
+
+def test_opposite_errors_under_one_nominal_output_are_caught_by_the_joint_form_only(tmp_path):
+    """e = (z, -z) against yhat = (z, z): each output alone passes W_delta = 1.05, no common Delta explains both."""
+    document = load_project("truck").model_dump(by_alias=True)
+    document["model"]["C"] = [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
+    document["name"] = "twins"
+    project = parse_project(document, "twins")
+    model = NominalModel(project)
+    estimator = Estimator.of(project, model)
+    test = replace(EnergyTest.design(project, estimator, Weight([1.05], [1.0]), [1.0, 2.0], [1.0, 1.0], 1.0), sigma=np.full(2, 1e-3))
+    rng = np.random.default_rng(3)
+    t = np.arange(6000) * project.Ts_s
+    u, v = np.sin(np.outer(t, [0.5, 1.3, 3.0]) + rng.uniform(0, 6, 3)).sum(axis=1, keepdims=True), np.full(len(t), 15.0)
+    z = model.simulate(v, u, model.output_offset)
+    found = {}
+    for name, directions in (("joint", test.directions), ("separate", np.eye(2)[np.arange(len(test.directions)) % 2])):
+        chosen = replace(test, directions=directions)
+        wide = np.ones((estimator.n_bins, 2)) * 1e3
+        folder = tmp_path / name / "twins"
+        folder.mkdir(parents=True)
+        artefacts.write_files(folder, vehicle_files(project, build_coefficients(project, model, estimator, wide[:, 0], wide, 1.5, chosen), {}))
+        core = Core(folder)
+        for sign in (1.0, -1.0):
+            run = core.monitor().run(t, v, u, z + z * [1.0, sign])
+            found[name, sign] = len(run.energy_alarms.bin)
+    assert found == {("joint", 1.0): 0, ("joint", -1.0): 1, ("separate", 1.0): 0, ("separate", -1.0): 0}
+
+
+# ------------------------------------------------------------------------------------------------- sigma, calibration
+
+def test_no_identification_drive_alarms_also_when_cut_and_scores_are_the_cores(identified, synthetic, g80, core):
+    stored = stage.load(identified)
+    test, groups = stored.energy, stored.manifest["drives"]
+    worst = 0.0
+    for name in groups["bounds"]:
+        drive = read_drive(synthetic / f"{name}.csv", g80)
+        for ratios in test.at_rest().ratios(*nominal_error(drive, NominalModel(g80)), drive.v):
+            worst = max(worst, ratios.max())
+        for cut in (0, *np.random.default_rng(5).integers(1, len(drive.t) // 2, 4)):
+            assert core.monitor().run_drive(drive.from_sample(cut)).energy.max() <= 1.0 + ROUNDING
+    assert 0.0 < worst <= 1.0 + 1e-9
+    assert test.calibration.threshold >= 1.0 + ROUNDING
+    assert set(test.calibration.scores) <= set(groups["calibration"])
+    for name, score in test.calibration.scores.items():
+        assert core.monitor().run_drive(read_drive(synthetic / f"{name}.csv", g80)).energy.max() == pytest.approx(score, rel=1e-5)
+
+
+def test_sigma_is_the_least_for_each_output_and_then_for_the_joint_form(truck):
+    test = replace(truck[3], sigma=np.ones(2), start=np.zeros(2), joint=1.0)
+    t = np.arange(6000) * test.Ts
+    e = 0.2 * np.column_stack([np.sin(t), -np.sin(t)])
+    yhat = 0.3 * np.column_stack([np.sin(t), np.sin(t)])  # 0.35 of it explains half of each, and nothing of the difference
+    v = np.full(len(t), 15.0)
+    alone = test.with_sigma(test.needs(e, yhat, v))
+    single = np.abs(alone.directions).max(axis=1) == 1.0
+    peak = np.max([r.max(axis=0) for r in alone.at_rest().ratios(e, yhat, v)], axis=0)
+    assert peak[single] == pytest.approx([1.0, 1.0], abs=1e-9) and peak.max() > 1.5
+    joint = alone.with_joint(alone.at_rest().needs(e, yhat, v))
+    assert joint.joint > 1.5 and joint.sigma == pytest.approx(alone.sigma * joint.joint)
+    assert max(r.max() for r in joint.at_rest().ratios(e, yhat, v)) == pytest.approx(1.0, abs=1e-9)
+    with pytest.raises(InputError, match="no excited drive that sets the bounds is judged"):
+        test.with_sigma(test.needs(e[:100], yhat[:100], v[:100]))
+    quiet = test.with_sigma(test.needs(0.0 * e, yhat, v))
+    assert (quiet.sigma > 0).all() and np.isfinite(quiet.coefficients()[2]["energy_scale"]).all()
+
+
+def test_another_memory_than_the_project_files_is_refused(identified, tmp_path):
+    copy = tmp_path / "copy"
+    shutil.copytree(identified, copy)
+    data = json.loads((copy / "energy.json").read_text())
+    (copy / "energy.json").write_text(json.dumps(data | {"memory_s": 2 * data["memory_s"]}))
+    with pytest.raises(InputError, match="memory_s, band_hz"):
+        stage.load(copy)
+
+
+# ------------------------------------------------------------------------------------------------------------ findings
+
+def test_alarms_of_the_energy_test_stand_in_the_replay_beside_those_of_frames(core, g80, synthetic):
+    drive = read_drive(synthetic / "synthetic_08.csv", g80)
+    replayer = Replayer(g80, core)
+    assert not replayer.replay(drive).over.any()
+    replay = replayer.replay(inject(drive, Fault("gain", 0.5), 60.0, g80.Ts_s))
+    assert {a.test for a in replay.alarms} == {"frame", "energy"}
+    assert [a.t_s for a in replay.alarms] == sorted(a.t_s for a in replay.alarms)
+    alarm = next(a for a in replay.alarms if a.test == "energy")
+    assert 60.0 < alarm.t_s and replay.over[int(round(alarm.t_s / g80.Ts_s))]
+    assert alarm.bin_rad_s is None and alarm.W_delta is None and alarm.direction == [1.0]
+    assert alarm.margin == pytest.approx(alarm.E[0] / (alarm.Z[0] + alarm.B_w[0]), rel=1e-4)
+    assert alarm.margin > alarm.threshold
+    assert alarm.evidence > alarm.margin  # a vehicle that does not respond is worse than half the gain
+    only_frames = Replayer(g80, core, energy_threshold=1e6).replay(inject(drive, Fault("gain", 0.5), 60.0, g80.Ts_s))
+    assert {a.test for a in only_frames.alarms} == {"frame"} and not only_frames.over.any()
+
+
+def test_brakes_at_four_tenths_are_found_by_the_energy_test_alone_in_a_minute(truck, tmp_path):
+    """Excited 60 s drives of the simulated truck, at random speeds; 24 seeds in full."""
+    project, _, core, _ = truck
+    replayer = Replayer(project, core, threshold=1e9)
+    rng, runs = np.random.default_rng(6), 24 if FULL else 6
+    found = 0
+    for k in range(runs):
+        scenario, table = tmp_path / f"{k}.toml", tmp_path / f"{k}.csv"
+        scenario.write_text(f"""title = "brakes at 0.4"
+duration_s = 60.0
+seed = {100 + k}
+[plant]
+speed_profile = [[0.0, {rng.uniform(8.5, 21.5):.2f}]]
+[[plant.actuator_fault]]
+start_s = 0.0
+brake_gain_ratio = 0.4
+[command]
+kind = "multisine"
+spacing = "log"
+low_radps = 0.5
+high_radps = 4.0
+rms_radps = 0.08
+[expect]
+verdict = "any"
+supervision = "live"
+""")
+        command = [plant_tool(), "generate", "-o", table, "--scenario", scenario, "--program", PROGRAMMES[k % 3], "--duration", 60, "--seed", 100 + k]
+        subprocess.run([str(c) for c in command], check=True)
+        alarms = replayer.replay_file(table).alarms
+        assert {a.test for a in alarms} <= {"energy"}
+        found += bool(alarms)
+    assert found >= runs / 2

@@ -1,0 +1,276 @@
+// The energy test: its sums and filters by themselves, and as a part of the monitor. Compiled for every test vehicle.
+#include <catch2/catch.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <complex>
+#include <cstring>
+#include <deque>
+#include <vector>
+
+#include "monitor_drive.hpp"
+
+namespace {
+
+constexpr double pi = 3.141592653589793;
+
+double rho() { return std::sqrt(1.0 - static_cast<double>(lpvg_coeff.reals.energy_forget)); }
+uint32_t memory() { return static_cast<uint32_t>(std::ceil(1.0 / -std::log(rho()))); }
+
+// W_delta a constant, b(z) = value (z^2) over z^2; sigma the same for all outputs.
+void with_constant_weight(lpvg_coeff_t& c, double weight, double sigma) {
+    for (auto& section : c.reals.energy_W) {
+        const Real chain[5] = {Real(1), Real(2), Real(1), Real(2), Real(1)};
+        std::memcpy(section, chain, sizeof chain);
+    }
+    for (std::size_t i = 0; i < 3U; ++i) {
+        c.reals.energy_W[0][i] *= static_cast<Real>(weight);
+    }
+    for (Real& scale : c.reals.energy_scale) {
+        scale = static_cast<Real>(1.0 / sigma);
+    }
+}
+
+// |b/a| of a section at z.
+double magnitude(const Real* c, std::complex<double> z) {
+    const std::complex<double> d = z - 1.0;
+    const auto at = [&](int i) { return static_cast<double>(c[i]); };
+    return std::abs((at(0) * d * d + at(1) * d + at(2)) / (d * d + at(3) * d + at(4)));
+}
+
+// The test alone, fed with e and yhat directly.
+struct Fed {
+    lpvg_coeff_t coeff;
+    lpvg_energy_t energy;
+    explicit Fed(const lpvg_coeff_t& c) : coeff(c) { lpvg_energy_start(&energy, &coeff); }
+
+    // e_j = error[j] * z_e and yhat_j = nominal[j] * z_n; the largest ratio over the whole fan.
+    double take(const double* error, double z_e, const double* nominal, double z_n) {
+        Real signal[2 * LPVG_NY];
+        for (std::size_t j = 0; j < LPVG_NY; ++j) {
+            signal[j] = static_cast<Real>(error[j] * z_e);
+            signal[LPVG_NY + j] = static_cast<Real>(nominal[j] * z_n);
+        }
+        lpvg_energy_advance(&energy, &coeff, signal, true);
+        double worst = 0.0;
+        for (std::size_t d = 0; d < LPVG_NDIRECTIONS; ++d) {
+            worst = std::max(worst, static_cast<double>(lpvg_energy_judge(&energy, &coeff)));
+        }
+        return worst;
+    }
+};
+
+// Of a direction that looks at one output only.
+bool single(const Real* a) {
+    return std::count_if(a, a + LPVG_NY, [](Real x) { return x != Real(0); }) == 1;
+}
+
+}  // namespace
+
+TEST_CASE("the directions are turned through, and single outputs are among them", "[unit][energy]") {
+    Fed fed(lpvg_coeff);
+    for (uint32_t k = 0; k < 2U * LPVG_NDIRECTIONS; ++k) {
+        (void)lpvg_energy_judge(&fed.energy, &fed.coeff);
+        CHECK(fed.energy.direction == k % LPVG_NDIRECTIONS);
+    }
+    std::size_t singles = 0;
+    for (const auto& a : lpvg_coeff.reals.energy_direction) {
+        singles += single(a) ? 1U : 0U;
+    }
+    CHECK(singles == LPVG_NY);
+}
+
+TEST_CASE("a constant error gain reads gain over weight, where sigma is small", "[unit][energy]") {
+    Fed fed(sealed([](lpvg_coeff_t& c) { with_constant_weight(c, 0.5, 1e-4); }));
+    const double all[4] = {1.0, 1.0, 1.0, 1.0}, error[4] = {0.6, 0.6, 0.6, 0.6};
+    const double step = 2.0 * pi * 3.0 / words().frame_length[LPVG_NBINS / 2];
+    double ratio = 0.0;
+    for (uint32_t k = 0; k < 8U * memory(); ++k) {
+        ratio = fed.take(error, std::sin(step * k), all, std::sin(step * k));
+    }
+    CHECK(ratio == Approx(1.2).epsilon(2e-3));
+}
+
+TEST_CASE("without nominal output the ratio is the filtered error's norm over sigma", "[unit][energy]") {
+    const double sigma = 0.05, amplitude = 0.2;
+    lpvg_coeff_t coeff = sealed([&](lpvg_coeff_t& c) { with_constant_weight(c, 0.5, sigma); });
+    const double all[4] = {1.0, 1.0, 1.0, 1.0};
+    for (const uint32_t bin : {uint32_t{1}, uint32_t{LPVG_NBINS / 2}, uint32_t{LPVG_NBINS - 1}}) {
+        const double step = 2.0 * pi * words().cycles[bin] / words().frame_length[bin];
+        Fed fed(coeff);
+        double ratio = 0.0, least = 1e9, most = 0.0;
+        for (uint32_t k = 0; k < 12U * memory(); ++k) {
+            ratio = fed.take(all, amplitude * std::sin(step * k), all, 0.0);
+            if (k > 8U * memory()) {
+                least = std::min(least, ratio);
+                most = std::max(most, ratio);
+            }
+        }
+        const double norm = magnitude(coeff.reals.energy_F, std::polar(1.0, step)) * amplitude /
+                            std::sqrt(2.0 * static_cast<double>(coeff.reals.energy_forget)) / sigma;
+        CHECK(least <= 1.002 * norm);  // the sum swells and falls with the sine
+        CHECK(most >= 0.998 * norm);
+        CHECK(most - least < 0.4 * norm);
+    }
+}
+
+TEST_CASE("errors of opposite sign under one nominal output are seen by the joint form only", "[unit][energy]") {
+    if (LPVG_NY < 2) {
+        return;
+    }
+    Fed fed(sealed([](lpvg_coeff_t& c) { with_constant_weight(c, 1.05, 0.01); }));
+    double opposite[4] = {1.0, -1.0, 0.0, 0.0}, same[4] = {1.0, 1.0, 0.0, 0.0};
+    const double step = 2.0 * pi * 3.0 / words().frame_length[LPVG_NBINS / 2];
+    for (uint32_t k = 0; k < 6U * memory(); ++k) {
+        CHECK(fed.take(same, std::sin(step * k), same, std::sin(step * k)) <= 1.0);
+    }
+    lpvg_energy_start(&fed.energy, &fed.coeff);
+    for (uint32_t k = 0; k < 6U * memory(); ++k) {
+        (void)fed.take(opposite, std::sin(step * k), same, std::sin(step * k));
+    }
+    double joint = 0.0;
+    for (const auto& a : fed.coeff.reals.energy_direction) {
+        const double ratio = static_cast<double>(lpvg_energy_judge(&fed.energy, &fed.coeff));
+        if (single(a)) {
+            CHECK(ratio <= 1.0);
+        }
+        joint = std::max(joint, ratio);
+    }
+    CHECK(joint > 2.0);
+}
+
+TEST_CASE("a restart stays sound because the right sum starts with what Delta may remember", "[unit][energy]") {
+    // Delta of gain 1 on |z| = rho: (rho / z)^delay. At the restart it still holds what came before.
+    const double all[4] = {1.0, 1.0, 1.0, 1.0}, weight = 0.8, step = 2.0 * pi * 3.0 / words().frame_length[LPVG_NBINS / 2];
+    const uint32_t delay = memory() / 4U;
+    const auto worst_after_restart = [&](bool remembered) {
+        lpvg_coeff_t coeff = sealed([&](lpvg_coeff_t& c) { with_constant_weight(c, weight, 0.01); });
+        Fed probe(coeff);
+        for (uint32_t k = 0; k < 4U * memory(); ++k) {
+            (void)probe.take(all, 0.0, all, std::sin(step * k));
+        }
+        for (std::size_t j = 0; j < LPVG_NY; ++j) {
+            coeff.reals.energy_start[j] = remembered ? static_cast<Real>(1.1 * LPVG_NY) * probe.energy.right[0] : Real(0);
+        }
+        Fed fed(coeff);
+        std::deque<double> past(delay, 0.0);
+        double worst = 0.0;
+        for (uint32_t k = 0; k < 6U * memory(); ++k) {
+            const double z = k < 4U * memory() ? std::sin(step * k) : 0.0;  // the input ends as the sums restart
+            if (k == 4U * memory()) {
+                const lpvg_energy_t before = fed.energy;
+                lpvg_energy_start(&fed.energy, &coeff);
+                std::memcpy(fed.energy.F, before.F, sizeof before.F);  // F itself is settled: only the sums are at rest
+                std::memcpy(fed.energy.W, before.W, sizeof before.W);
+                worst = 0.0;
+            }
+            worst = std::max(worst, fed.take(all, weight * std::pow(rho(), delay) * past.front(), all, z));
+            past.pop_front();
+            past.push_back(z);
+        }
+        return worst;
+    };
+    CHECK(worst_after_restart(true) <= 1.0);
+    CHECK(worst_after_restart(false) > 1.5);
+}
+
+namespace {
+
+// Frames never speak; the energy test does above 1.
+lpvg_coeff_t energy_only(double weight) {
+    return sealed([weight](lpvg_coeff_t& c) {
+        with_constant_weight(c, weight, 1e-3);
+        c.reals.energy_threshold = Real(1.001);
+        c.reals.threshold = Real(1e9);
+        for (Real& start : c.reals.energy_start) {
+            start = Real(0);
+        }
+    });
+}
+
+}  // namespace
+
+TEST_CASE("the monitor judges after the settling time, and alarms once a memory", "[unit][energy]") {
+    Drive drive(energy_only(0.3));
+    drive.gain = 0.5;
+    uint32_t first = 0U, k = 0U;
+    lpvg_frame_t record{};
+    while (drive.monitor.n_records == 0U) {
+        drive.run(1U);
+        ++k;
+        if (drive.monitor.energy.ratio > Real(0) && first == 0U) {
+            first = k;
+        }
+        REQUIRE(k < words().energy_settle + 20U * memory());
+    }
+    CHECK(first > words().energy_settle);
+    CHECK(first <= words().energy_settle + LPVG_NBINS + 2U);  // a push that judges a frame does not judge the energy test
+    CHECK(drive.verdict() == lpvg_verdict_invalid);
+    REQUIRE(lpvg_monitor_take_record(&drive.monitor, &record));
+    CHECK(record.test == lpvg_test_energy);
+    CHECK(record.falsified);
+    CHECK(record.t_end_us == drive.now());
+    CHECK(record.bin == drive.monitor.energy.direction);
+    CHECK(record.speed == cruise());
+    CHECK(record.margin > Real(1.001));
+    CHECK(record.statistic == record.margin);
+    // e = -0.5 yhat, so that a dead vehicle would read twice as much.
+    CHECK(record.evidence == Approx(static_cast<double>(record.margin) * 2.0).epsilon(1e-3));
+    for (std::size_t j = 0; j < LPVG_NY; ++j) {
+        CHECK(record.E[j][0] > Real(0));
+        CHECK(record.Z[j][0] > Real(0));
+        CHECK(record.E[j][1] == Real(0));
+        CHECK(record.Z[j][1] == Real(0));
+    }
+    if (LPVG_NY == 1) {
+        const double explained = static_cast<double>(record.Z[0][0]) + 1e-3;
+        CHECK(static_cast<double>(record.margin) == Approx(static_cast<double>(record.E[0][0]) / explained).epsilon(1e-4));
+    }
+    // It stays above: no second alarm, but the verdict is held on.
+    drive.run(longest() + 3U * memory());
+    CHECK(drive.verdict() == lpvg_verdict_invalid);
+    CHECK(drive.monitor.n_records == 0U);
+    // Well again for longer than the hold and the memory, then another alarm.
+    drive.gain = 1.0;
+    drive.run(20U * memory() + 2U * words().energy_rearm + longest());
+    CHECK(drive.verdict() != lpvg_verdict_invalid);
+    drive.gain = 0.5;
+    drive.run(8U * memory());
+    CHECK(drive.monitor.n_records == 1U);
+    CHECK(drive.monitor.records_lost == 0U);
+}
+
+TEST_CASE("leaving the speed range, a gap and a refused sample start it from rest", "[unit][energy]") {
+    Drive drive(energy_only(0.3));
+    drive.gain = 0.5;
+    drive.run(words().energy_settle + 6U * memory());
+    const auto judged = [&] {
+        drive.run(LPVG_NBINS + 2U);
+        return drive.monitor.energy.ratio > Real(0);
+    };
+    CHECK(judged());
+    drive.speed = Real(0.5) * lpvg_coeff.reals.speed_min;
+    drive.run(1U);
+    drive.speed = cruise();
+    CHECK_FALSE(judged());
+    drive.run(words().energy_settle);
+    CHECK(judged());
+    drive.skip(period_us());
+    CHECK_FALSE(judged());
+    drive.run(words().energy_settle);
+    CHECK(judged());
+    lpvg_sample_t sample = drive.next();
+    sample.speed = std::numeric_limits<Real>::quiet_NaN();
+    CHECK(lpvg_monitor_push(&drive.monitor, &sample) == lpvg_status_bad_sample);
+    CHECK_FALSE(judged());
+}
+
+TEST_CASE("within the bound it never speaks, and a verdict on frames stands by itself", "[unit][energy]") {
+    Drive drive(energy_only(0.3));
+    drive.gain = 0.75;
+    drive.settle();
+    drive.run(20U * memory());
+    CHECK(drive.monitor.n_records == 0U);
+    CHECK(drive.monitor.energy.ratio > Real(0.5));
+    CHECK(drive.verdict() != lpvg_verdict_invalid);
+}
