@@ -104,6 +104,17 @@ def ingest(logs: Annotated[list[Path], typer.Argument(help="candump (-l, -L, .gz
     console.print(f"{len(logs)} log(s) read; tables and reports written to {out}")
 
 
+@app.command(epilog="Example: lpvguard dbc -o lpvguard.dbc; candump -L vcan0 | .venv/bin/cantools decode -s lpvguard.dbc")
+def dbc(out: Annotated[Path | None, typer.Option("-o", "--out", help="File to write (default: standard output).")] = None) -> None:
+    """Write the CAN database of our bus (DBC), for any tool that shows or sends decoded traffic."""
+    from .can.dbc import dbc_text
+
+    if out is None:
+        sys.stdout.write(dbc_text())
+    else:
+        artefacts.write_file(out, dbc_text())
+
+
 @app.command(epilog="Example: lpvguard identify --vehicle g80 DRIVES -o out/identify")
 def identify(vehicle: Vehicle, drives: Annotated[Path, typer.Argument(help="Folder of drives with experiments.csv.")],
              out: Out, json_out: JsonOut = None, jobs: Jobs = 1, scheduler: Scheduler = None) -> None:
@@ -410,12 +421,59 @@ def evaluate(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(he
     console.print(_baseline_table(result))
 
 
+@app.command(epilog="Example: lpvguard campaign out/truck/identify out/truck/drives -o out/campaign --coefficients out/truck/vehicle")
+def campaign(identification: Annotated[Path, typer.Argument(help="Folder written by identify.")],
+             drives: Annotated[Path, typer.Argument(help="The drive folder it was made from.")],
+             out: Out, vehicle: Annotated[str, typer.Option("--vehicle", help="Shipped vehicle with a controller.")] = "truck",
+             coefficients: Coefficients = None,
+             design: Annotated[Path | None, typer.Option(help="Folder written by design: also mu of the faulted loops.")] = None,
+             hours: Annotated[float, typer.Option(min=0.05, help="Simulated driving of trucks within the bounds.")] = 100.0,
+             repeats: Annotated[int, typer.Option(min=1, help="Runs of each severity of each fault.")] = 10,
+             seed: Annotated[int, typer.Option(min=0, help="Seed of everything that is drawn.")] = 1,
+             json_out: JsonOut = None, jobs: Jobs = 1, scheduler: Scheduler = None) -> None:
+    """Score the monitor and the baselines over many simulated runs; stopped half-way, the same command goes on. Exit 1: a claim missed."""
+    from . import campaign as stage
+    from .core import shipped_vehicle
+    from .parallel import workers
+
+    stored, drive_set = _stored_with_drives(identification, drives)
+    with _progress("campaign") as tell, workers(jobs, scheduler) as run:
+        summary = stage.campaign(stored, drive_set, coefficients or shipped_vehicle(vehicle), out, seed=seed,
+                                 size=stage.Size(hours, repeats), controller=design and design / "controller.json",
+                                 workers=run, progress=tell)
+    _emit(json_out, summary)
+    within = summary["within"]
+    table = Table("", *summary["detectors"].values(), box=None)
+    for title, rates in (("runs within the bounds that alarm", within["alarmed"]), ("visible faults found in time", summary["visible"])):
+        table.add_row(title, *(_rate(rates[d]) for d in summary["detectors"]))
+    for title, key in (("average found", "calibrated"), ("average found, equal alarms in the loop", "matched")):
+        table.add_row(title, *(f"{summary['average'][d][key]:.1%}" for d in summary["detectors"]))
+    console.print(table)
+    console.print(f"{within['hours']:.1f} h of {within['plants']} trucks within the bounds (of {within['candidates']} drawn); alarms by test: "
+                  + ", ".join(f"{t} {_rate(r)}" for t, r in within["tests"].items()))
+    kinds = Table("average over severities", *summary["detectors"], "best", "equal alarms in the loop", box=None)
+    for k in summary["kinds"]:
+        kinds.add_row(k["kind"], *(f"{k['found'][d]:.0%}" for d in summary["detectors"]), ", ".join(k["best"]), ", ".join(k["best_matched"]))
+    console.print(kinds)
+    for s in summary["invisible"]:
+        console.print(f"invisible, though {'mu is ' + format(s['mu_upper'], '.2f') if s['loop_stable'] else 'the loop is unstable'}: "
+                      f"{s['kind']} {s['severity']:g} {summary['units'][s['kind']]}")
+    for text in summary["missed"]:
+        console.print(f"missed: {text}")
+    raise typer.Exit(1 if summary["missed"] else 0)
+
+
+def _rate(rate: dict) -> str:
+    return f"{rate['count']} of {rate['of']}" + ("" if rate["interval"] is None else f" ({rate['interval'][0]:.2%} .. {rate['interval'][1]:.2%})")
+
+
 @app.command(epilog="Example: lpvguard report out/identify DRIVES --vehicle g80 -o out/report.html")
 def report(identification: Annotated[Path, typer.Argument(help="Folder written by identify.")],
            drives: Annotated[Path, typer.Argument(help="The drive folder it was made from.")],
            vehicle: Vehicle, out: Out, coefficients: Coefficients = None,
            evaluation: Annotated[Path | None, typer.Option(help="JSON written by evaluate.")] = None,
            loops: Annotated[Path | None, typer.Option(help="Folder written by sim -o.")] = None,
+           campaign: Annotated[Path | None, typer.Option(help="Folder written by campaign.")] = None,
            design: Annotated[Path | None, typer.Option(help="Folder written by design.")] = None,
            tradeoff: Annotated[Path | None, typer.Option(help="Folder written by design --tradeoff.")] = None) -> None:
     """One self-contained HTML page with every picture and table."""
@@ -425,7 +483,7 @@ def report(identification: Annotated[Path, typer.Argument(help="Folder written b
     replayer = _replayer(vehicle, coefficients) if stored.project.frames.estimator == "hann" else None
     with _progress("report") as tell:
         write_report(stored, drive_set, replayer, out, artefacts.read_json(evaluation) if evaluation else None, tell,
-                     loops, design, tradeoff)
+                     loops, design, tradeoff, artefacts.read_json(campaign / "summary.json") if campaign else None)
     console.print(f"written to {out}")
 
 

@@ -235,6 +235,17 @@ def _moving(lpv: LpvCertificate | None) -> dict:
         "margin": lpv.proof.margin, "basis": lpv.storage.basis.ravel(), "P": [P[upper] for P in lpv.storage.P]}
 
 
+def faulted_performance(path: Path, stored: StoredIdentification, v: float, applied: StateSpace, measured: StateSpace) -> float:
+    """Upper bound of mu at frozen speed v of the loop closed by controller.json with two systems put into it: ``applied``
+    between controller and vehicle (n_u), ``measured`` between [reference, outputs] and controller; inf where it is unstable."""
+    settings, document = stored.project.design, artefacts.read_json(path)
+    schedule = Scheduled(document["Ts_s"], *(np.array(document[key], float) for key in ("speeds", "a", "B", "L")))
+    plant = _plant(stored, NominalModel(stored.project), _weights(stored, settings), v, False)
+    scaling = Scaling(np.array(document["certificates"]["scaling_log_parameters"], float).reshape(
+        -1, document["certificates"]["scaling_columns"]))
+    return certify(plant, series(applied, series(schedule.at(v), measured)), scaling if plant.blocks else None).upper
+
+
 def save(result: Design, stored: StoredIdentification, target: Path, more: dict[str, str] | None = None) -> None:
     """Write controller.json, its manifest and ``more`` files (name: text), whole or not at all."""
     settings, schedule = stored.project.design, result.schedule

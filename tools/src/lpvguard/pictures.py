@@ -457,6 +457,43 @@ def closed_loop(rows: np.ndarray, frames: np.ndarray, threshold: float, fault_st
     return figure
 
 
+DETECTOR_STYLES = ((BLUE, "-", "o", 2.0), (ORANGE, "--", "s", 1.1), (GREEN, "-.", "^", 1.1), (PINK, ":", "D", 1.1))
+
+
+@picture
+def detection(severities: list[dict], units: dict[str, str], names: dict[str, str], key: str) -> Figure:
+    """Share of runs in which a fault was found in time, against its severity: a panel per kind, a line per detector.
+
+    ``severities``: rows of a campaign's summary; ``key``: "found" or "matched"; ``names``: detector -> title, ours first.
+    """
+    kinds = [k for k in units if sum(s["kind"] == k for s in severities) > 1]
+    columns = 4
+    lines = -(-len(kinds) // columns)
+    figure = _figure(9.6, 1.75 * lines + 0.5)
+    panels = figure.subplots(lines, columns, sharey=True, squeeze=False).ravel()
+    for axes in panels[len(kinds):]:
+        axes.set_axis_off()
+    for axes, kind in zip(panels, kinds):
+        rows = sorted((s for s in severities if s["kind"] == kind), key=lambda s: s["severity"])
+        x = [s["severity"] for s in rows]
+        for detector, (colour, line, mark, width) in zip(names, DETECTOR_STYLES):
+            axes.plot(x, [s[key][detector] / s["runs"] for s in rows], line, marker=mark, ms=3.2, lw=width, color=colour,
+                      label=names[detector])
+        axes.fill_between(x, 0, [s["visible_runs"] / s["runs"] for s in rows], color=POINTS, alpha=0.25, lw=0, label="visible runs")
+        axes.set_title(kind)
+        axes.set_xlabel(units[kind])
+        if len(x) > 2 and min(x) > 0 and max(x) / min(x) > 15:
+            axes.set_xscale("log")
+            axes.set_xticks(x, [f"{v:g}" for v in x])
+            axes.xaxis.set_minor_locator(NullLocator())
+        axes.set_ylim(-0.05, 1.05)
+    for axes in panels[::columns]:
+        axes.set_ylabel("found")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    return figure
+
+
 # ---------------------------------------------------------------------------------------------------------- step 8
 
 STRUCTURE_LOOKS = {"K_inf": ("-.", GREEN, r"$K_\infty$"), "K_i": (":", RED, "$K_i$"), "K_is": ("--", BLUE, "$K_{is}$")}

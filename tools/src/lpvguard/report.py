@@ -75,12 +75,12 @@ class _Pass:
 
 def write_report(stored: StoredIdentification, drives: DriveSet, replayer: Replayer | None, out: Path, evaluation: dict | None,
                  progress: Callable[[str], None], loops: Path | None = None, design: Path | None = None,
-                 tradeoff: Path | None = None) -> None:
+                 tradeoff: Path | None = None, campaign: dict | None = None) -> None:
     """Write the page; InputError when a drive cannot be read or ``out`` cannot be written.
 
     ``replayer``: None for bounds of the plain DFT, which the core does not compute; drives are then judged by the exact margin.
     ``evaluation``: JSON of `lpvguard evaluate`; ``loops``: folder written by `lpvguard sim -o`, with its results.json; ``design``,
-    ``tradeoff``: folders written by `lpvguard design`, without and with --tradeoff.
+    ``tradeoff``: folders written by `lpvguard design`, without and with --tradeoff; ``campaign``: summary.json of `lpvguard campaign`.
     """
     found = _Pass()
     for name in drives.experiments:
@@ -103,6 +103,8 @@ def write_report(stored: StoredIdentification, drives: DriveSet, replayer: Repla
         sections.append(_tradeoff_section(tradeoff))
     if loops is not None:
         sections.append(_loop_section(loops))
+    if campaign is not None:
+        sections.append(_campaign_section(campaign))
     project = stored.project
     titles = [s[s.index("<h2>") + 4:s.index("</h2>")] for s in sections]
     nav = "".join(f'<a href="#s{i}">{title}</a>' for i, title in enumerate(titles, start=1))
@@ -729,3 +731,61 @@ def _loop_section(folder: Path) -> str:
     return f"""<h2>The closed loop over CAN frames</h2>
 <p>Simulated truck, its bus encoded and decoded frame by frame, and the compiled ECU loop: model, monitor and controller, as they
 go on the target. The truck shares no equation with the nominal model.</p>{table}{"".join(figures)}"""
+
+
+# --------------------------------------------------------------------------------------------------------------- campaign
+
+def _campaign_section(c: dict) -> str:
+    names, within, tests = c["detectors"], c["within"], c["within"]["tests"]
+
+    def share(rate: dict) -> str:
+        if not rate["of"]:
+            return "–"
+        return f"{rate['count']} of {rate['of']}, {100 * rate['interval'][0]:.2f} to {100 * rate['interval'][1]:.2f} %"
+
+    def best(detectors: list[str]) -> str:
+        return escape(", ".join(names[d] for d in detectors))
+
+    overall = _table(["", *map(escape, names.values())], [
+        ["runs within the bounds that alarm, 95 % interval", *(share(within["alarmed"][d]) for d in names)],
+        ["visible faults found in time, 95 % interval", *(share(c["visible"][d]) for d in names)],
+        ["average found, calibrated thresholds", *(f"{c['average'][d]['calibrated']:.1%}" for d in names)],
+        ["average found, equal false alarms in the loop", *(f"{c['average'][d]['matched']:.1%}" for d in names)]])
+    alarms = _table(["test of the monitor", "runs within the bounds that alarm, 95 % interval", "alarms an hour"],
+                    [[t, share(r), _number(r["alarms_per_hour"])] for t, r in tests.items()])
+    kinds = _table(["kind", *(f"{escape(n)}: calibrated, equal alarms" for n in names.values()), "best, calibrated", "best, equal alarms"],
+                   [[escape(k["kind"]), *(f"{k['found'][d]:.0%}, {k['matched'][d]:.0%}" for d in names), best(k["best"]),
+                     best(k["best_matched"])] for k in c["kinds"]])
+    severities = _table(
+        ["kind", "severity", "t* of its own response", "mu of its loop", "runs", "visible runs",
+         *(f"{escape(n)}: found, median s" for n in names.values())],
+        [[escape(s["kind"]), f"{s['severity']:g} {escape(c['units'][s['kind']])}", _number(s["response_margin"]),
+          _level(s), str(s["runs"]), str(s["visible_runs"]),
+          *(f"{s['found'][d]}, {_number(s['median_s'][d])}" for d in names)] for s in c["severities"]])
+    hidden = "; ".join(f"{escape(s['kind'])} {s['severity']:g} {escape(c['units'][s['kind']])} (mu {_level(s)})" for s in c["invisible"])
+    baselines = ", ".join(escape(b["label"]) for b in c["baselines"])
+    return f"""<h2>Campaign in the closed loop</h2>
+<p>{within["runs"]} runs, {within["hours"]:.1f} h of driving ({within["judged_hours"]:.1f} h judged), of {within["plants"]} trucks whose own frequency
+response lies within the bounds (of {within["candidates"]} drawn; largest t* {within["largest_margin"]:.3f}, the nominal truck's
+{within["nominal_margin"]:.3f}), and {sum(s["runs"] for s in c["severities"])} runs with a fault. Intervals are exact, over runs. The frame test
+is calibrated to alarm in at most {_number(c["frame_test"]["alpha"])} of the drives (with 95 % confidence over the calibration drives below
+{_number(c["frame_test"]["conditional_bound"])}). {share(within["frames_above_checked_amplitude"])} of the runs within held more demand in a
+bin than their response was checked for. A fault is <i>visible</i> in a run when off-line t* is at least 1.5 times the threshold in a
+tenth of the excited frames after it; that uses nothing the monitor says. Of the alarms that were due by the bounds,
+{share(c["due"])} came in time.</p>
+{overall}{alarms}
+<p>Baselines ({baselines}) run on the same samples with thresholds from the same calibration drives by the same rule. Those drives are of one
+truck, so on trucks that differ from it within the bounds their rate is not the same: “equal false alarms in the loop” takes for
+every detector the threshold that the same rule gives on the runs within the bounds.</p>
+{_figure(pictures.detection("c0", c["severities"], c["units"], names, "matched"),
+         "<b>Detection against severity</b>, at equal false alarms in the loop: share of runs in which the first alarm came within 60 s of "
+         "judged, excited driving after the fault, and none before it. Grey: share of runs in which the fault is visible.")}
+{_figure(pictures.detection("c1", c["severities"], c["units"], names, "found"),
+         "<b>Detection against severity</b>, at the thresholds calibrated on the drives of the identification.")}
+<h3>Kinds of fault</h3>{kinds}<h3>Severities</h3>{severities}
+<h3>Invisible, though robust performance is lost</h3><p>Upper bound of mu of the faulted loop at least 1, visible in fewer than half of the runs:
+{hidden or "none"}. The largest mu over three speeds is meant; it exists for faults that are linear and time-invariant.</p>"""
+
+
+def _level(severity: dict) -> str:
+    return _number(severity["mu_upper"]) if severity["loop_stable"] else "unstable"
