@@ -133,14 +133,16 @@ def identify(vehicle: Vehicle, drives: Annotated[Path, typer.Argument(help="Fold
 
 @app.command(epilog="Example: lpvguard design --vehicle truck out/identify -o out/design")
 def design(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(help="Folder written by identify.")],
-           out: Out, json_out: JsonOut = None) -> None:
+           out: Out, json_out: JsonOut = None,
+           largest_A_t: Annotated[bool, typer.Option("--largest-A-t", help="Search the largest A_t with mu < 1 too.")] = False) -> None:
     """Synthesise the scheduled controller and certify it as the core runs it (paper, step 8)."""
     from . import design as stage
 
     stored = _stored(identification, vehicle)
     with _progress("design") as tell:
         result = stage.design(stored, tell)
-        stage.save(result, stored, out)
+        largest = stage.largest_A_t(stored, tell) if largest_A_t else None
+        stage.save(result, stored, out, largest)
     rows = [{"v_mps": v, "mu_upper": p.upper, "mu_lower": p.lower, "peak_rad_s": p.bracket.peak_frequency}
             for v, p in result.certificates]
     _emit(json_out, rows)
@@ -148,9 +150,14 @@ def design(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(help
     for row in rows:
         table.add_row(f"{row['v_mps']:.4g}", f"{row['mu_upper']:.4f}", f"{row['mu_lower']:.4f}", f"{row['peak_rad_s']:.3g}")
     console.print(table)
-    worst = max(row["mu_upper"] for row in rows)
+    worst = result.worst
     console.print(f"{stored.project.design.structure}: {result.schedule.order} states (of {result.full_order} per "
                   f"speed before), {len(result.schedule.speeds)} nodes; worst mu {worst:.4f}; written to {out}")
+    console.print(f"worst of {stage.OFF_GRID} speeds off the grid: mu {result.off_grid[1].upper:.4f} at {result.off_grid[0]:.4g} m/s")
+    if largest_A_t:
+        console.print("largest A_t: none with mu < 1 from half the DC floor's limit on" if largest is None else
+                      f"largest A_t with mu < 1 at every speed: {largest.A_t:.4g}, times the DC floor {largest.product:.3f} "
+                      f"(mu {largest.worst:.4f}; not reached at {largest.failed:.4g})")
     console.print("moving speed: " + ("no storage function was found, nothing is claimed" if result.lpv is None else
                   f"gain below 1 proved for |dv/dt| up to {result.lpv.rate:.3g} m/s2, {result.lpv.proof.cells} cells"))
     raise typer.Exit(0 if worst < 1 else 1)
