@@ -36,12 +36,17 @@ from lpvguard.synthesis.statespace import EPS, StateSpace
 
 SMALLEST_CELL = 1e-3
 """Width in m/s below which a cell that fails is a failure."""
+FIRST_CELLS = 8
+"""Cells that the interval between two knots is cut into at first."""
+MOST_CELLS = 4000
+"""Cells after which a proof is given up: it would take too long to be repeated at every export."""
 FIRST_RATE, LARGEST_RATE, SMALLEST_RATE = 0.25, 8.0, 0.015
 """Rates |dv/dt| tried [m/s^2]: from the first by factors of four, no further than these; a truck brakes with less than the largest."""
 WANTED = 0.02
 """Slack, relative to that of the frozen solutions' mean, with which the search at one rate is content."""
-SHARES = (0.98, 0.9, 0.7)
-"""Of the rate for which a storage function was found on the grid, tried in the proof between its speeds."""
+SHARES = (0.95, 0.5)
+"""Of the rate for which a storage function was found on the grid, tried in the proof between its speeds; the last for Riccati
+solutions, which are taken as they come and waver between the knots."""
 KNOTS = 16
 """Knots of a storage function in every interval between nodes: what it loses between knots is of second order."""
 NEWTON_STEPS = 25
@@ -138,13 +143,13 @@ def prove(family: Family, storage: Storage, rate: float) -> Proof | None:
         return None
     cells, margin = 0, np.inf
     edges = np.union1d(family.nodes, storage.knots)
-    todo = [(float(a), float(b)) for a, b in itertools.pairwise(edges)]
+    todo = list(itertools.pairwise(map(float, _refined(edges, FIRST_CELLS))))
     scale = np.trace(storage.P.mean(axis=0)) / len(storage.basis)
     while todo:
         low, high = todo.pop()
         slack = _cell_slack(family, storage, end(low), end(high), rate)
         if slack is None:
-            if high - low < SMALLEST_CELL:
+            if high - low < SMALLEST_CELL or cells + len(todo) > MOST_CELLS:
                 return None
             middle = 0.5 * (low + high)
             todo += [(low, middle), (middle, high)]
@@ -292,7 +297,7 @@ def find(family: Family, progress: Callable[[str], None] = lambda _: None) -> Lp
     if riccati is not None:
         tried.append((_rate_at_knots(family, riccati), riccati, None))
     for rate, storage, P in sorted(tried, key=lambda one: -one[0]):
-        for share in SHARES:
+        for share in SHARES if P is not None else SHARES[-1:]:
             proof = prove(family, storage, share * rate)
             if proof is not None:
                 return LpvCertificate(share * rate, storage, P, proof, failed)
