@@ -154,6 +154,7 @@ def design(out: Out, identification: Annotated[Path | None, typer.Argument(help=
                                                           "vehicle's.")] = None,
            tradeoff: Annotated[bool, typer.Option("--tradeoff", help="Search the ceiling on nu, gamma_w and Lambda_nu for the "
                                                                      "least worst mu over speed, instead of designing.")] = False,
+           largest_A_t: Annotated[bool, typer.Option("--largest-A-t", help="Search the largest A_t with mu < 1 at every speed too.")] = False,
            table: Annotated[bool, typer.Option(help="Table II, Figs. 5 and 6 beside the controller.")] = True,
            json_out: JsonOut = None) -> None:
     """Synthesise the scheduled controller, certify it as the core runs it, and compare structures (paper, step 8).
@@ -170,10 +171,10 @@ def design(out: Out, identification: Annotated[Path | None, typer.Argument(help=
         raise InputError(identification, "vehicle", stored.project.name, f"an identification of {vehicle}")
     if tradeoff:
         raise typer.Exit(_design_tradeoff(stored, drive_set, out, json_out))
-    raise typer.Exit(_design_vehicle(stored, drive_set, table, out, json_out))
+    raise typer.Exit(_design_vehicle(stored, drive_set, table, largest_A_t, out, json_out))
 
 
-def _design_vehicle(stored, drive_set, table: bool, out: Path, json_out: str | None) -> int:
+def _design_vehicle(stored, drive_set, table: bool, largest_A_t: bool, out: Path, json_out: str | None) -> int:
     from . import design as stage
 
     cells = []
@@ -190,7 +191,8 @@ def _design_vehicle(stored, drive_set, table: bool, out: Path, json_out: str | N
             cells = problem.table(tell)
             tell("worst-case runs")
             more = design_files(problem, cells, None if drive_set is None else worst_runs(problem, cells, drive_set))
-        stage.save(result, stored, out, more)
+        largest = stage.largest_A_t(stored, tell) if largest_A_t else None
+        stage.save(result, stored, out, more, largest)
     rows = [{"v_mps": v, "mu_upper": p.upper, "mu_lower": p.lower, "peak_rad_s": p.bracket.peak_frequency}
             for v, p in result.certificates]
     _emit(json_out, rows)
@@ -202,9 +204,14 @@ def _design_vehicle(stored, drive_set, table: bool, out: Path, json_out: str | N
         _show_cells(cells)
         if drive_set is None:
             console.print("Fig. 6 needs the drives: --drives")
-    worst = max(row["mu_upper"] for row in rows)
+    worst = result.worst
     console.print(f"{stored.project.design.structure}: {result.schedule.order} states (of {result.full_order} per "
                   f"speed before), {len(result.schedule.speeds)} nodes; worst mu {worst:.4f}; written to {out}")
+    console.print(f"worst of {stage.OFF_GRID} speeds off the grid: mu {result.off_grid[1].upper:.4f} at {result.off_grid[0]:.4g} m/s")
+    if largest_A_t:
+        console.print("largest A_t: none with mu < 1 from half the DC floor's limit on" if largest is None else
+                      f"largest A_t with mu < 1 at every speed: {largest.A_t:.4g}, times the DC floor {largest.product:.3f} "
+                      f"(mu {largest.worst:.4f}; not reached at {largest.failed:.4g})")
     console.print("moving speed: " + ("no storage function was found, nothing is claimed" if result.lpv is None else
                   f"gain below 1 proved for |dv/dt| up to {result.lpv.rate:.3g} m/s2, {result.lpv.proof.cells} cells"))
     return 0 if worst < 1 else 1

@@ -13,10 +13,12 @@ between them, and for every speed history up to a stated rate of change by a sto
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from . import artefacts
 from .errors import InputError
@@ -26,7 +28,8 @@ from .project import DesignSettings
 from .schedule import FrozenLoop, Scheduled, fit
 from .synthesis import interconnection as fig1
 from .synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis
-from .synthesis.lpv_certificate import Family, LpvCertificate, Storage, find, prove
+from .synthesis.errors import SynthesisError
+from .synthesis.lpv_certificate import Family, LpvCertificate, find, polynomial_storage, prove, riccati_storage
 from .synthesis.norms import hinf_norm
 from .synthesis.scheduling import closed_scaled, common_family, common_scaling
 from .synthesis.statespace import StateSpace, append, gain, series, zero_order_hold
@@ -37,6 +40,13 @@ PATIENCE = 2
 """Pairs tried beyond the best number so far."""
 CERTIFICATE_RTOL = 1e-6
 """Largest relative difference between a stated level and the one proved anew."""
+LOWER_RTOL, PEAK_RTOL = 1e-3, 1e-3
+"""The same for the lower bound, which a search finds, and for the gain at the stated peak, which is flat."""
+OFF_GRID = 24
+"""Seeded speeds between the nodes at which the design is looked at besides nodes and midpoints."""
+A_T_RTOL = 0.01
+LARGER_STEP = 0.8
+"""Of the way to the limit, while no A_t has failed: the answer lies near it."""
 SCALING_SPEEDS = 4
 """Nodes, ends included, for which the common scaling is searched: the optimum moves slowly with speed."""
 
@@ -83,7 +93,13 @@ class Design:
     scaling: Scaling
     certificates: list[tuple[float, RobustPerformance]]
     full_order: int
+    off_grid: tuple[float, RobustPerformance]
     lpv: LpvCertificate | None = None
+
+    @property
+    def worst(self) -> float:
+        """Largest proved mu over all frozen speeds that were looked at."""
+        return max(p.upper for _, p in [*self.certificates, self.off_grid])
 
 
 def _plant(stored: StoredIdentification, model: NominalModel, weights: fig1.Weights, v: float, delayed: bool,
@@ -91,6 +107,17 @@ def _plant(stored: StoredIdentification, model: NominalModel, weights: fig1.Weig
     A, B = (m[0] for m in model.matrices(np.array([v])))
     plant = fig1.generalised_plant(A, B, weights, structure or stored.project.design.structure, stored.project.Ts_s, probes=probes)
     return _delayed(plant) if delayed else plant
+
+
+def frozen_plant(stored: StoredIdentification, v: float) -> fig1.GeneralisedPlant:
+    """The discrete generalised plant at speed v that the certificates of a design are about."""
+    return _plant(stored, NominalModel(stored.project), _weights(stored, stored.project.design), v, False)
+
+
+def stated_scaling(document: dict) -> Scaling:
+    """The common scaling of a controller.json."""
+    stated = document["certificates"]
+    return Scaling(np.array(stated["scaling_log_parameters"], float).reshape(-1, stated["scaling_columns"]))
 
 
 def _vehicle(model: NominalModel, v: float, Ts: float) -> StateSpace:
@@ -136,7 +163,9 @@ def _designed(stored: StoredIdentification, settings: DesignSettings, scaling: S
     some = np.unique(np.linspace(0, len(plants) - 1, SCALING_SPEEDS).round().astype(int))
     scaling, level = common_scaling([plants[k] for k in some], scaling)
     progress("controllers over speed")
-    at_order, full_order = common_family(plants, scaling, level * (1 + settings.backoff))
+    # Never more than half of what is left below 1.
+    level = min(level * (1 + settings.backoff), 0.5 * (1 + level)) if level < 1 else level * (1 + settings.backoff)
+    at_order, full_order = common_family(plants, scaling, level)
     check = np.linspace(speeds[0], speeds[-1], 2 * len(speeds) - 1)
     loops = {float(v): _plant(stored, model, weights, v, False) for v in check}
     input_max = np.array(settings.input_max)
@@ -157,7 +186,8 @@ def _designed(stored: StoredIdentification, settings: DesignSettings, scaling: S
         raise InputError(stored.folder, "controller", "no set of common poles stabilises every speed",
                          "more nodes, or a lower A_t")
     progress("certificates")
-    return Design(found, scaling, _certificates(found, loops, scaling), full_order)
+    return Design(found, scaling, _certificates(found, loops, scaling), full_order,
+                  _off_grid(found, scaling, lambda v: _plant(stored, model, weights, v, False), stored.project.seed))
 
 
 def _worst_level(schedule: Scheduled, loops: dict[float, fig1.GeneralisedPlant], scaling: Scaling, limit: float) -> float:
@@ -168,6 +198,63 @@ def _worst_level(schedule: Scheduled, loops: dict[float, fig1.GeneralisedPlant],
         if worst > limit:
             return np.inf
     return worst
+
+
+def _off_grid(schedule: Scheduled, scaling: Scaling, plant: Callable[[float], fig1.GeneralisedPlant],
+              seed: int) -> tuple[float, RobustPerformance]:
+    """The worst of seeded speeds, moved to the top of its peak between its neighbours, and its certificate."""
+    ends = schedule.speeds[[0, -1]]
+    speeds = np.sort(np.concatenate([ends, np.random.default_rng(seed).uniform(*ends, OFF_GRID)]))
+
+    def norm(v: float) -> float:
+        return hinf_norm(closed_scaled(plant(v), schedule.at(v), scaling), rtol=1e-4).upper
+
+    values = [norm(v) for v in speeds]
+    k = int(np.argmax(values))
+    around = speeds[max(k - 1, 0)], speeds[min(k + 1, len(speeds) - 1)]
+    refined = minimize_scalar(lambda v: -norm(v), bounds=around, method="bounded", options={"maxiter": 12})
+    v = float(refined.x) if -refined.fun > values[k] else float(speeds[k])
+    return v, _certificates(schedule, {v: plant(v)}, scaling)[0][1]
+
+
+def dc_floor(weights: fig1.Weights) -> float:
+    """What no controller can be below, for every unit of A_t: 1 / sqrt(1/|W_nr(0)|^2 + 1/|W_wr(0)|^2), noise against disturbance."""
+    n, w = (abs(W.response([0.0])[0, 0, 0]) for W in (weights.W_nr, weights.W_wr))
+    return float(n * w / np.hypot(n, w))
+
+
+@dataclass(frozen=True)
+class LargestA_t:
+    """The largest A_t [per rad/s] found with mu < 1 at every speed looked at: ``worst`` is its largest mu, ``product`` A_t times
+    the DC floor (1 is the limit of any controller); ``failed``: the least A_t for which the design did not reach it."""
+
+    A_t: float
+    product: float
+    worst: float
+    failed: float
+
+
+def largest_A_t(stored: StoredIdentification, progress: Progress = lambda _: None) -> LargestA_t | None:
+    """Bisection on A_t, whole designs, certified as the core runs them; None when half of the DC floor's limit is out of reach."""
+    settings = stored.project.design
+    floor = dc_floor(_weights(stored, settings))
+    low, high = 0.5 / floor, 1 / floor
+    best, scaling, trial = None, None, low
+    while high > low * (1 + A_T_RTOL):
+        try:
+            one = _designed(stored, settings.model_copy(update={"A_t": trial}), scaling,
+                            lambda text, trial=trial: progress(f"A_t {trial:.4g}: {text}"))
+            worst, scaling = one.worst, one.scaling
+        except (InputError, SynthesisError):
+            worst = np.inf
+        if worst < 1:
+            low, best = trial, (trial, worst)
+        else:
+            high = trial
+            if best is None:
+                return None
+        trial = low + LARGER_STEP * (high - low) if high == 1 / floor else float(np.sqrt(low * high))
+    return LargestA_t(best[0], best[0] * floor, best[1], high)
 
 
 def _certificates(schedule: Scheduled, loops: dict[float, fig1.GeneralisedPlant],
@@ -185,27 +272,41 @@ def verify(path: Path, stored: StoredIdentification) -> None:
     if settings is None or "certificates" not in document:
         raise InputError(path, "certificates", "missing", "a file that `lpvguard design` wrote for this vehicle")
     stated = document["certificates"]
-    schedule = Scheduled(document["Ts_s"], *(np.array(document[key], float) for key in ("speeds", "a", "B", "L")))
+    schedule = Scheduled.read(document)
     model, weights = NominalModel(stored.project), _weights(stored, settings)
-    loops = {row["v_mps"]: _plant(stored, model, weights, row["v_mps"], False) for row in stated["speeds"]}
-    scaling = Scaling(np.array(stated["scaling_log_parameters"], float).reshape(-1, stated["scaling_columns"]))
-    for row, (v, proved) in zip(stated["speeds"], _certificates(schedule, loops, scaling)):
-        for name, value, expected in _numbers(proved):
-            if not abs(value - row[name]) <= CERTIFICATE_RTOL * max(abs(value), expected):
-                raise InputError(path, f"certificate at {v:g} m/s, {name}", f"proved anew it is {value:.7g}, not {row[name]:.7g}",
-                                 "the coefficients and weights that were certified")
+    for key in ("structure", "A_t", "A_u"):
+        if stated[key] != getattr(settings, key):
+            raise InputError(path, f"certificates.{key}", repr(stated[key]), f"{getattr(settings, key)!r}, the project's")
+    rows = [*stated["speeds"], stated["off_grid"]]
+    loops = {row["v_mps"]: _plant(stored, model, weights, row["v_mps"], False) for row in rows}
+    scaling = stated_scaling(document)
+    proved_rows = dict(_certificates(schedule, loops, scaling))
+    for row in rows:
+        _compare(path, row, proved_rows[row["v_mps"]], loops[row["v_mps"]], schedule)
     lpv = stated["moving_speed"]
     if lpv["rate_mps2"] is not None:
-        basis = _square(lpv["basis"])
-        storage = Storage(basis, np.array([_symmetric(P) for P in lpv["P"]]))
-        if prove(_family(stored, settings, schedule, scaling), storage, lpv["rate_mps2"]) is None:
+        family = _family(stored, settings, schedule, scaling)
+        if lpv["P"] is None:
+            storage = riccati_storage(family)
+        else:
+            storage = polynomial_storage(family, _square(lpv["basis"]), np.array([_symmetric(P) for P in lpv["P"]]))
+        if storage is None or prove(family, storage, lpv["rate_mps2"]) is None:
             raise InputError(path, "certificates.moving_speed", "the storage function does not prove a gain below 1 for "
                              f"|dv/dt| up to {lpv['rate_mps2']:.4g} m/s2", "the coefficients, weights and P that were certified")
 
 
-def _numbers(proved: RobustPerformance) -> list[tuple[str, float, float]]:
-    """(name, value, scale) of what a row of certificates states."""
-    return [("mu_upper", proved.upper, 0.0), ("mu_lower", proved.lower, 0.0)]
+def _compare(path: Path, row: dict, proved: RobustPerformance, plant: fig1.GeneralisedPlant, schedule: Scheduled) -> None:
+    """InputError unless a row states what is proved anew. The peak may be one of several: the scaled gain there must reach mu."""
+    v = row["v_mps"]
+    loop = closed_scaled(plant, schedule.at(v), proved.scaling)
+    at_peak = np.linalg.norm(loop.response([row["peak_rad_s"]])[0], 2) if np.isfinite(proved.upper) else np.inf
+    for name, value, rtol in (("mu_upper", proved.upper, CERTIFICATE_RTOL), ("mu_lower", proved.lower, LOWER_RTOL)):
+        if not abs(value - row[name]) <= rtol * abs(row[name]):
+            raise InputError(path, f"certificate at {v:g} m/s, {name}", f"{value:.7g} when proved anew, not {row[name]:.7g}",
+                             "the coefficients and weights that were certified")
+    if not abs(at_peak - row["mu_upper"]) <= PEAK_RTOL * row["mu_upper"]:
+        raise InputError(path, f"certificate at {v:g} m/s, peak_rad_s", f"the gain at {row['peak_rad_s']:.6g} rad/s is {at_peak:.6g}",
+                         f"{row['mu_upper']:.6g}, the peak's")
 
 
 def _square(values: list[float]) -> np.ndarray:
@@ -229,10 +330,16 @@ def _moving(lpv: LpvCertificate | None) -> dict:
     return {
         "claim": "gain of the whole scaled loop (nominal model, weights, fixed D(s), controller; nothing reduced for it) below 1 at "
                  "every speed of the range and |dv/dt| up to rate_mps2, from rest: robust performance for every LTI Delta within W_delta",
-        "test": "discrete bounded-real inequality with P(v) = P0 + v P1 + P2 / v, x = basis x~, by Cholesky factorisation at the ends "
-                "of cells that cover the range, a bound of what it loses between them subtracted",
+        "test": "discrete bounded-real inequality, x = basis x~, P(v) = P0 + v P1 + P2 / v (P null: strict Riccati solutions), linear "
+                "between knots, by eigenvalues at the ends of cells that cover the range, a bound of what it loses between them "
+                "subtracted",
         "rate_mps2": lpv.rate, "not_found_mps2": lpv.not_found, "states": len(lpv.storage.basis), "cells": lpv.proof.cells,
-        "margin": lpv.proof.margin, "basis": lpv.storage.basis.ravel(), "P": [P[upper] for P in lpv.storage.P]}
+        "margin": lpv.proof.margin, "basis": None if lpv.P is None else lpv.storage.basis.ravel(),
+        "P": None if lpv.P is None else [P[upper] for P in lpv.P]}
+
+
+def _row(v: float, proved: RobustPerformance) -> dict[str, float]:
+    return {"v_mps": v, "mu_upper": proved.upper, "mu_lower": proved.lower, "peak_rad_s": proved.bracket.peak_frequency}
 
 
 def faulted_performance(path: Path, stored: StoredIdentification, v: float, applied: StateSpace, measured: StateSpace) -> float:
@@ -246,7 +353,8 @@ def faulted_performance(path: Path, stored: StoredIdentification, v: float, appl
     return certify(plant, series(applied, series(schedule.at(v), measured)), scaling if plant.blocks else None).upper
 
 
-def save(result: Design, stored: StoredIdentification, target: Path, more: dict[str, str] | None = None) -> None:
+def save(result: Design, stored: StoredIdentification, target: Path, more: dict[str, str] | None = None,
+         largest: LargestA_t | None = None) -> None:
     """Write controller.json, its manifest and ``more`` files (name: text), whole or not at all."""
     settings, schedule = stored.project.design, result.schedule
     controller = {
@@ -262,8 +370,9 @@ def save(result: Design, stored: StoredIdentification, target: Path, more: dict[
             "scaling_log_parameters": result.scaling.log_parameters,
             "scaling_columns": result.scaling.log_parameters.shape[1],
             "moving_speed": _moving(result.lpv),
-            "speeds": [{"v_mps": v, "mu_upper": p.upper, "mu_lower": p.lower, "peak_rad_s": p.bracket.peak_frequency}
-                       for v, p in result.certificates]}}
+            "dc_floor": dc_floor(_weights(stored, settings)), "largest_A_t": None if largest is None else asdict(largest),
+            "off_grid": {"speeds": OFF_GRID, "seed": stored.project.seed, **_row(*result.off_grid)},
+            "speeds": [_row(v, p) for v, p in result.certificates]}}
     with artefacts.new_folder(target) as folder:
         artefacts.write_files(folder, {
             **(more or {}), "controller.json": artefacts.to_json(controller),

@@ -1,24 +1,27 @@
 """Induced gain of a scheduled closed loop while the speed moves: a parameter-dependent storage function, found and proved.
 
-The loop is x+ = A(v) x + B(v) w, z = C(v) x + D(v) w with v+ - v in [-a Ts, a Ts]. With P(v) = P0 + v P1 + P2 / v > 0 and
+The loop is x+ = A(v) x + B(v) w, z = C(v) x + D(v) w with v+ - v in [-a Ts, a Ts]. With P(v) > 0 and
 
     F(v, v+) = [P(v) 0; 0 I] - [A B]' P(v+) [A B] - [C D]' [C D] > 0     for all v in the range and |v+ - v| <= a Ts
 
-x' P(v) x is a storage function: the gain from w to z is below 1 for every speed history with |dv/dt| <= a, from rest. F is
-linear in P. ``find`` looks for P on a grid of speeds by a barrier method and for the largest a; ``prove`` decides on all speeds:
-the range is covered by cells, F is tested at a cell's ends, and what it may lose between them is bounded by a matrix:
+x' P(v) x is a storage function: the gain from w to z is below 1 for every speed history with |dv/dt| <= a, from rest. ``find``
+looks for P twice and keeps what proves the larger a: as P0 + v P1 + P2 / v, in which F is linear, by a barrier method on a grid of
+speeds; and as the solutions of the strict bounded-real Riccati equations. Either is taken piecewise linear between ``KNOTS`` knots
+in every interval of the controller's nodes. ``prove`` decides on all speeds: the range is covered by cells, F is tested at a cell's ends, and what
+it may lose between them is bounded by a matrix:
 
+- P is affine in a cell, P(v+) - P(v) is v+ - v times a mean of the slopes of the segments that v and v+ lie in: each is tested;
 - F is concave along the chord between the ends but for the product of dP and dM (M = [A B]), a bound of which is subtracted;
-- 1/v leaves its chord by at most (1/sqrt(v1) - 1/sqrt(v2))^2, and P(v+) its linear part P(v) + (v+ - v) P'(v) by P2 (a Ts)^2 / v^3;
 - M leaves its chord in the vehicle's rows only (all else is affine between two nodes of the controller), there by bounds on the
   derivatives of the vehicle's zero-order hold over the cell (``NominalModel.hold_bounds``).
 
-A cell that fails is cut in two, down to ``SMALLEST_CELL``. Every test is a Cholesky factorisation with a reserve for rounding.
+A cell that fails is cut in two, down to ``SMALLEST_CELL``. Every test is by eigenvalues with a reserve for rounding.
 """
 
 from __future__ import annotations
 
 import ctypes
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -33,12 +36,19 @@ from lpvguard.synthesis.statespace import EPS, StateSpace
 
 SMALLEST_CELL = 1e-3
 """Width in m/s below which a cell that fails is a failure."""
+FIRST_CELLS = 8
+"""Cells that the interval between two knots is cut into at first."""
+MOST_CELLS = 4000
+"""Cells after which a proof is given up: it would take too long to be repeated at every export."""
 FIRST_RATE, LARGEST_RATE, SMALLEST_RATE = 0.25, 8.0, 0.015
 """Rates |dv/dt| tried [m/s^2]: from the first by factors of four, no further than these; a truck brakes with less than the largest."""
 WANTED = 0.02
 """Slack, relative to that of the frozen solutions' mean, with which the search at one rate is content."""
-SHARES = (1.0, 0.95, 0.8)
-"""Of the rate for which a storage function was found on the grid, tried in the proof between its speeds."""
+SHARES = (0.95, 0.5)
+"""Of the rate for which a storage function was found on the grid, tried in the proof between its speeds; the last for Riccati
+solutions, which are taken as they come and waver between the knots."""
+KNOTS = 16
+"""Knots of a storage function in every interval between nodes: what it loses between knots is of second order."""
 NEWTON_STEPS = 25
 """Steps for one rate before it counts as not found."""
 SLACKS = (3e-4, 1e-4, 3e-5, 1e-5, 1e-6)
@@ -64,15 +74,26 @@ class Family:
 
 @dataclass(frozen=True)
 class Storage:
-    """P(v) = sum over terms of (1, v, 1/v) of P (3, n, n) in the coordinates x = basis x~; basis (n, n)."""
+    """P(v) linear between ``knots`` (K,) [m/s], P (K, n, n) there, in the coordinates x = basis x~; basis (n, n)."""
 
     basis: np.ndarray
+    knots: np.ndarray
     P: np.ndarray
 
+    def at(self, v: float) -> np.ndarray:
+        """P(v)."""
+        k = int(np.clip(np.searchsorted(self.knots, v) - 1, 0, len(self.knots) - 2))
+        share = (v - self.knots[k]) / (self.knots[k + 1] - self.knots[k])
+        return (1 - share) * self.P[k] + share * self.P[k + 1]
+
     @cached_property
-    def curvature(self) -> np.ndarray:
-        """|P2|."""
-        return _absolute(self.P[2])
+    def slopes(self) -> np.ndarray:
+        """dP/dv in every segment, (K - 1, n, n)."""
+        return np.diff(self.P, axis=0) / np.diff(self.knots)[:, None, None]
+
+    def slopes_near(self, low: float, high: float, step: float) -> np.ndarray:
+        """Those of the segments that speeds within ``step`` of low..high lie in."""
+        return self.slopes[(self.knots[:-1] < high + step) & (self.knots[1:] > low - step)]
 
 
 @dataclass(frozen=True)
@@ -86,11 +107,13 @@ class Proof:
 
 @dataclass(frozen=True)
 class LpvCertificate:
-    """Gain below 1 for |dv/dt| <= rate [m/s^2]. not_found: the least rate tried for which no storage function was found (None:
+    """``P`` (3, n, n): P0, P1, P2 in the coordinates ``storage.basis``; None: Riccati solutions, which ``riccati_storage`` makes
+    anew. Gain below 1 for |dv/dt| <= rate [m/s^2]. not_found: the least rate tried for which no storage function was found (None:
     the largest tried was proved); it may exist all the same."""
 
     rate: float
     storage: Storage
+    P: np.ndarray | None
     proof: Proof
     not_found: float | None
 
@@ -116,14 +139,17 @@ def prove(family: Family, storage: Storage, rate: float) -> Proof | None:
             ends[v] = _End.of(family, storage, v)
         return ends[v]
 
+    if min(np.linalg.eigvalsh(P)[0] for P in storage.P) <= 0:
+        return None
     cells, margin = 0, np.inf
-    todo = [(float(a), float(b)) for a, b in zip(family.nodes[:-1], family.nodes[1:])]
-    scale = np.trace(storage.P[0] + family.nodes.mean() * storage.P[1] + storage.P[2] / family.nodes.mean()) / len(storage.basis)
+    edges = np.union1d(family.nodes, storage.knots)
+    todo = list(itertools.pairwise(map(float, _refined(edges, FIRST_CELLS))))
+    scale = np.trace(storage.P.mean(axis=0)) / len(storage.basis)
     while todo:
         low, high = todo.pop()
         slack = _cell_slack(family, storage, end(low), end(high), rate)
         if slack is None:
-            if high - low < SMALLEST_CELL:
+            if high - low < SMALLEST_CELL or cells + len(todo) > MOST_CELLS:
                 return None
             middle = 0.5 * (low + high)
             todo += [(low, middle), (middle, high)]
@@ -134,19 +160,18 @@ def prove(family: Family, storage: Storage, rate: float) -> Proof | None:
 
 @dataclass(frozen=True)
 class _End:
-    """The loop at a cell's end: M (n, n + m), the outputs' share N'N, the probes R (k, n + m), P and dP/dv."""
+    """The loop at a cell's end: M (n, n + m), the outputs' share N'N, the probes R (k, n + m), and P."""
 
     v: float
     M: np.ndarray
     NN: np.ndarray
     R: np.ndarray
     P: np.ndarray
-    dP: np.ndarray
 
     @classmethod
     def of(cls, family: Family, storage: Storage, v: float) -> _End:
         M, N, R = _loop(family, storage.basis, v)
-        return cls(v, M, N.T @ N, R, np.tensordot(terms(v), storage.P, 1), np.tensordot(slopes(v), storage.P, 1))
+        return cls(v, M, N.T @ N, R, storage.at(v))
 
 
 def _loop(family: Family, basis: np.ndarray, v: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -163,34 +188,29 @@ def _cell_slack(family: Family, storage: Storage, one: _End, two: _End, rate: fl
     first, second = family.hold_bounds(one.v, two.v)
     M = (one.M, two.M)
     E = np.eye(n, one.M.shape[1])
-    dM, dR = two.M - one.M, two.R - one.R
+    dM, dR, dP = two.M - one.M, two.R - one.R, _absolute(two.P - one.P)
     U = np.linalg.solve(storage.basis, np.eye(n)[:, family.vehicle])
-    P2 = storage.curvature
-    leave = (1 / np.sqrt(one.v) - 1 / np.sqrt(two.v)) ** 2
-    later = leave + step * 0.75 * width**2 / one.v**4 + step**2 / (one.v**2 * (one.v - step))
-    fixed = leave * E.T @ P2 @ E + 2 * later * sum(m.T @ P2 @ m for m in M)
     # The vehicle's rows leave their chord by (rho1 R + rho2 dR) with |rho1| <= width^2/8 |Xi''|, |rho2| <= width/4 |Xi'|.
     bound = np.hstack([width**2 / 8 * second] * 2 + [width / 4 * first])
     probes = np.vstack([one.R, two.R, dR])
     driven = (probes.T * bound.sum(axis=0)) @ probes
+    product = dM.T @ dP @ dM, sum(m.T @ dP @ m for m in M)
     slacks = []
-    for sign in (1.0, -1.0):
-        Q = [end.P + sign * step * end.dP for end in (one, two)]
+    for change in (sign * step * slope for slope in storage.slopes_near(one.v, two.v, step) for sign in (1.0, -1.0)):
+        Q = [end.P + change for end in (one, two)]
         F = [_dissipation(end, q, E) for end, q in zip((one, two), Q)]
         try:
             inverse = np.linalg.inv(sum(F))
         except np.linalg.LinAlgError:
             return None
-        dQ = _absolute(Q[1] - Q[0])
-        remainder = fixed + 0.25 * _weighed(dM.T @ dQ @ dM, sum(m.T @ dQ @ m for m in M), inverse)
+        remainder = 0.25 * _weighed(*product, inverse)
         reached = [m.T @ q @ U for m in M for q in Q]
         remainder += _weighed(sum((x * bound.sum(axis=1)) @ x.T for x in reached), driven, inverse)
-        largest = sum(np.trace(U.T @ q @ U) for q in Q) + 4 * later * np.trace(U.T @ P2 @ U)
-        remainder += max(largest, 0.0) * np.sum(bound**2) * probes.T @ probes
+        remainder += sum(np.trace(U.T @ q @ U) for q in Q) * np.sum(bound**2) * probes.T @ probes
         for end, f, q in zip((one, two), F, Q):
             size = np.abs(end.P).sum(axis=1).max() + np.linalg.norm(end.M, 2) ** 2 * np.abs(q).sum(axis=1).max()
             value = np.linalg.eigvalsh(f - remainder)[0] - 4 * len(f) * EPS * size
-            if not value > 0 or not np.linalg.eigvalsh(end.P)[0] > 0:
+            if not value > 0:
                 return None
             slacks.append(value)
     return float(min(slacks))
@@ -218,18 +238,41 @@ def _weighed(X: np.ndarray, Y: np.ndarray, inverse: np.ndarray) -> np.ndarray:
     return eta * X + Y / eta
 
 
-def find(family: Family, progress: Callable[[str], None] = lambda _: None) -> LpvCertificate | None:
-    """The storage function with the largest rate that was found and proved; None when there is none at ``SMALLEST_RATE``."""
-    grid = np.unique(np.concatenate([family.nodes, 0.5 * (family.nodes[1:] + family.nodes[:-1])]))
-    loops = [family.at(v) for v in grid]
+def polynomial_storage(family: Family, basis: np.ndarray, P: np.ndarray) -> Storage:
+    """P0 + v P1 + P2 / v at the knots."""
+    knots = _refined(family.nodes, KNOTS)
+    return Storage(basis, knots, np.tensordot(terms(knots), P, 1))
+
+
+def riccati_storage(family: Family) -> Storage | None:
+    """Strict solutions of the bounded-real Riccati equation at the knots; None where a frozen gain is not below 1."""
+    knots = _refined(family.nodes, KNOTS)
+    frozen = _frozen_at(family, knots)
+    return frozen and Storage(frozen[0], knots, frozen[2])
+
+
+def _refined(nodes: np.ndarray, parts: int) -> np.ndarray:
+    return np.interp(np.arange((len(nodes) - 1) * parts + 1) / parts, np.arange(len(nodes)), nodes)
+
+
+def _frozen_at(family: Family, speeds: np.ndarray):
+    """basis, parts (M, N) and Riccati solutions at ``speeds``, in coordinates that suit all of them; None without solutions."""
+    loops = [family.at(v) for v in speeds]
     if not all(G.stability_margin() > 0 for G in loops):
         return None
     basis = _coordinates([G.select(slice(0, G.n_outputs - family.n_probes), slice(None)) for G in loops])
-    parts = [_loop(family, basis, v)[:2] for v in grid]
+    parts = [_loop(family, basis, v)[:2] for v in speeds]
     frozen = _frozen(parts, family.Ts)
-    if frozen is None:
+    return None if frozen is None else _even(basis, parts, frozen)
+
+
+def find(family: Family, progress: Callable[[str], None] = lambda _: None) -> LpvCertificate | None:
+    """The storage function with the largest rate that was found and proved; None when there is none."""
+    grid = _refined(family.nodes, 2)
+    start = _frozen_at(family, grid)
+    if start is None:
         return None
-    basis, parts, frozen = _even(basis, parts, frozen)
+    basis, parts, frozen = start
     mean, spread = float(grid.mean()), float(np.ptp(grid))
     units = np.array([[1.0, 0, 0], [-mean / spread, 1 / spread, 0], [-1, 0, mean]])  # terms of like size
     functions, rates = terms(grid) @ units.T, slopes(grid) @ units.T
@@ -244,17 +287,33 @@ def find(family: Family, progress: Callable[[str], None] = lambda _: None) -> Lp
         found = _feasible(_Barrier(twice, now, now + rate * change), P, unit)
         if found is not None:
             P = found
-            stored.append((rate, Storage(basis, np.tensordot(units.T, found, 1))))
+            stored.append((rate, np.tensordot(units.T, found, 1)))
         else:
             failed = rate
         rate = _next_rate(stored[-1][0] if stored else None, failed)
     progress("proof between the speeds")
-    for rate, storage in reversed(stored):
-        for share in SHARES:
+    tried = [(rate, polynomial_storage(family, basis, P), P) for rate, P in stored]
+    riccati = riccati_storage(family)
+    if riccati is not None:
+        tried.append((_rate_at_knots(family, riccati), riccati, None))
+    for rate, storage, P in sorted(tried, key=lambda one: -one[0]):
+        for share in SHARES if P is not None else SHARES[-1:]:
             proof = prove(family, storage, share * rate)
             if proof is not None:
-                return LpvCertificate(share * rate, storage, proof, failed)
+                return LpvCertificate(share * rate, storage, P, proof, failed)
     return None
+
+
+def _rate_at_knots(family: Family, storage: Storage) -> float:
+    """The largest rate for which F > 0 at the knots."""
+    parts = [_loop(family, storage.basis, v)[:2] for v in storage.knots]
+    barrier = _Barrier(parts, np.eye(len(parts)), np.eye(len(parts)))
+    largest = np.inf
+    for k, F in enumerate(barrier.F(storage.P)):
+        L = np.linalg.inv(np.linalg.cholesky(F)) @ barrier.M[k].T
+        for slope in storage.slopes[max(k - 1, 0):k + 1]:
+            largest = min(largest, 1 / (family.Ts * np.abs(np.linalg.eigvalsh(L @ slope @ L.T)).max()))
+    return float(largest)
 
 
 def _next_rate(found: float | None, failed: float | None) -> float | None:

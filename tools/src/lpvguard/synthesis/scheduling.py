@@ -18,7 +18,17 @@ import scipy.linalg as sl
 from lpvguard.synthesis.dk import Scaling, gramian_factor
 from lpvguard.synthesis.hinf import hinf_synthesis, improved_level
 from lpvguard.synthesis.interconnection import GeneralisedPlant
-from lpvguard.synthesis.statespace import StateSpace, append, balancing, gain, lft, scaled_states, series, to_continuous, to_discrete
+from lpvguard.synthesis.statespace import (
+    StateSpace,
+    append,
+    balancing,
+    gain,
+    lft,
+    scaled_states,
+    series,
+    to_continuous,
+    to_discrete,
+)
 
 FIRST_STEP, LAST_STEP = 0.2, 0.03
 """Steps of the pattern search for the common scaling, in the logarithm of its parameters."""
