@@ -345,7 +345,7 @@ MUTATION_SAMPLE = 12
 LEAST_KILLED = 0.75, 0.9  # of the sample, of all
 SEES = {"acceptance.hpp": ["coeff.toy", "controller.hand_truck"], "can.cpp": ["can"], "margin.hpp": ["margin"], "coeff.cpp": ["coeff.toy"],
         "model.cpp": ["model.toy", "model.g80"], "monitor.cpp": ["monitor.toy", "monitor.g80"],
-        "controller.cpp": ["controller.hand_toy", "controller.hand_truck"], "ecu.cpp": ["ecu.hand_truck"]}
+        "controller.cpp": ["controller.hand_toy", "controller.hand_truck"], "ecu.cpp": ["ecu.hand_truck"], "energy.cpp": ["energy.toy", "energy.g80"]}
 """Source -> unit tests that look at it; in the sample only the first."""
 
 
@@ -486,7 +486,7 @@ PLANTS: dict[str, list[Plant]] = {
         Plant("CMakeLists.txt", "list(APPEND lpvg_options ${name})", "", r"LPVG_DOUBLE is not in the summary", "double"),
     ],
     "double": [
-        Plant("lib/src/controller.cpp", "next[i] = self.x[i] + change;", "next[i] = static_cast<float>(self.x[i] + change);", r"tests:(.|\n)*the law equals a dense recursion", "controller.hand_toy"),
+        Plant("lib/src/controller.cpp", "const Real next = x + change;", "const Real next = static_cast<float>(x + change);", r"tests:(.|\n)*the law equals a dense recursion", "controller.hand_toy"),
     ],
     "big_endian": [
         Plant("lib/src/acceptance.hpp", "static_cast<uint32_t>((word >> (8U * i)) & 0xFFU)", "reinterpret_cast<const unsigned char*>(&word)[i]",

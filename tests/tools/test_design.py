@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from lpvguard import design as stage
 from lpvguard import generate
 from lpvguard import identify as identification
@@ -208,6 +207,7 @@ class SaturatedLoop:
         return self.Ts * (outside[-1] + 1) if len(outside) else 0.0
 
 
+@pytest.mark.requirement("REQ-CTL-5")
 @pytest.mark.parametrize("v", [8.0, 9.0, 11.0, 17.0, 22.0])
 @pytest.mark.parametrize("overdriven", [1.1, 3.0])
 def test_after_saturation_the_loop_settles_as_if_there_had_been_none(stored, designed, v, overdriven):

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
-
 from lpvguard import native
 from lpvguard.synthesis import lpv_certificate as lpv
 from lpvguard.synthesis.statespace import StateSpace
+from scipy.linalg import expm
 
 TS = 0.05
 

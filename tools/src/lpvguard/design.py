@@ -29,7 +29,14 @@ from .schedule import FrozenLoop, Scheduled, fit
 from .synthesis import interconnection as fig1
 from .synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis
 from .synthesis.errors import SynthesisError
-from .synthesis.lpv_certificate import Family, LpvCertificate, find, polynomial_storage, prove, riccati_storage
+from .synthesis.lpv_certificate import (
+    Family,
+    LpvCertificate,
+    find,
+    polynomial_storage,
+    prove,
+    riccati_storage,
+)
 from .synthesis.norms import hinf_norm
 from .synthesis.scheduling import closed_scaled, common_family, common_scaling
 from .synthesis.statespace import StateSpace, append, gain, series, zero_order_hold
@@ -74,8 +81,8 @@ def _delayed(plant: fig1.GeneralisedPlant) -> fig1.GeneralisedPlant:
     """The plant with one sample of delay in front of its control input."""
     n_w, n_u, dt = plant.system.n_inputs - plant.n_control, plant.n_control, plant.system.dt
     shift = StateSpace(np.zeros((n_u, n_u)), np.eye(n_u), np.eye(n_u), np.zeros((n_u, n_u)), dt)
-    return fig1.GeneralisedPlant(series(plant.system, append(gain(np.eye(n_w), dt), shift)), plant.blocks, plant.n_delta_out,
-                                 plant.n_delta_in, plant.n_control, plant.n_measurement)
+    late = series(plant.system, append(gain(np.eye(n_w), dt), shift))
+    return replace(plant, system=replace(late, inputs=plant.system.inputs))
 
 
 def _with_delay(K: StateSpace) -> StateSpace:
@@ -342,8 +349,17 @@ def _row(v: float, proved: RobustPerformance) -> dict[str, float]:
     return {"v_mps": v, "mu_upper": proved.upper, "mu_lower": proved.lower, "peak_rad_s": proved.bracket.peak_frequency}
 
 
-def save(result: Design, stored: StoredIdentification, target: Path, largest: LargestA_t | None = None) -> None:
-    """Write controller.json and its manifest, whole or not at all."""
+def faulted_performance(path: Path, stored: StoredIdentification, v: float, applied: StateSpace, measured: StateSpace) -> float:
+    """Upper bound of mu at frozen speed v of the loop closed by controller.json with two systems put into it: ``applied``
+    between controller and vehicle (n_u), ``measured`` between [reference, outputs] and controller; inf where it is unstable."""
+    document = artefacts.read_json(path)
+    plant, K = frozen_plant(stored, v), Scheduled.read(document).at(v)
+    return certify(plant, series(applied, series(K, measured)), stated_scaling(document) if plant.blocks else None).upper
+
+
+def save(result: Design, stored: StoredIdentification, target: Path, largest: LargestA_t | None = None,
+         more: dict[str, str] | None = None) -> None:
+    """Write controller.json, its manifest and ``more`` files (name: text), whole or not at all."""
     settings, schedule = stored.project.design, result.schedule
     controller = {
         "kind": "controller", "schema": 2, "Ts_s": schedule.Ts, "speeds": schedule.speeds, "a": schedule.a, "B": schedule.B,
@@ -363,5 +379,5 @@ def save(result: Design, stored: StoredIdentification, target: Path, largest: La
             "speeds": [_row(v, p) for v, p in result.certificates]}}
     with artefacts.new_folder(target) as folder:
         artefacts.write_files(folder, {
-            "controller.json": artefacts.to_json(controller),
+            **(more or {}), "controller.json": artefacts.to_json(controller),
             artefacts.MANIFEST: artefacts.manifest("design", vehicle=stored.project.name, identification=stored.manifest)})

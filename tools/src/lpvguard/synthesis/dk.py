@@ -120,17 +120,18 @@ def dk_synthesis(
     iterations: int = 4,
     polish: int = 40,
     reduction_loss: float = 3e-5,
+    start: Scaling | None = None,
 ) -> DKResult:
     """Controller for robust performance of ``plant`` (continuous or discrete; blocks full complex).
 
     degree: order of each d_i. iterations: K and D steps. polish: further K steps that move D's parameters
-    directly. reduction_loss: relative rise of the certified level that order reduction may cost. Without
-    blocks: H∞ synthesis. Raises SynthesisError where H∞ synthesis does, and for blocks that are not full.
+    directly. reduction_loss: relative rise of the certified level that order reduction may cost. start: the
+    first D (default: I). Without blocks: H∞ synthesis. Raises SynthesisError where H∞ synthesis does, and for blocks that are not full.
     """
     if any(b.kind != "full" for b in plant.blocks):
         raise SynthesisError("D-K iteration", "blocks", "a repeated block", "full complex blocks")
     work = _Work(plant)
-    scaling = Scaling(np.tile(np.r_[0.0, [0.0, 0.0] * degree], (len(plant.blocks), 1)))
+    scaling = start or Scaling(np.tile(np.r_[0.0, [0.0, 0.0] * degree], (len(plant.blocks), 1)))
     history, level = [], None
     if plant.blocks:
         best = None
@@ -148,6 +149,11 @@ def dk_synthesis(
     reduced = reduce_controller(work, final.controller, scaling, final.gamma_achieved * (1 + reduction_loss))
     K = to_discrete(reduced, plant.system.dt) if plant.system.dt else reduced
     return DKResult(K, certify(plant, K, scaling), final.controller.order, tuple(history))
+
+
+def scaled_optimum(plant: GeneralisedPlant, scaling: Scaling, rtol: float = 1e-3) -> float:
+    """The least level that any controller reaches under ``scaling``, an upper bound of the least μ; to ``rtol``."""
+    return _Work(plant).controller(scaling, rtol=rtol).gamma
 
 
 def certify(

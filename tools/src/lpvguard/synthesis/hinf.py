@@ -393,7 +393,8 @@ def _balance_hamiltonian(H: np.ndarray, floor: float = 0.0) -> tuple[np.ndarray,
     off = np.abs(H)
     np.fill_diagonal(off, 0)
     off[off <= floor * off.max(initial=0.0)] = 0.0
-    _, (scale, _) = sl.matrix_balance(off, separate=True, permute=False)
+    with np.errstate(invalid="ignore"):  # scipy reads the scales as row numbers too, which large ones are not
+        _, (scale, _) = sl.matrix_balance(off, separate=True, permute=False)
     logs = np.log2(scale)
     t = 2.0 ** np.round(0.5 * (logs[:n] - logs[n:]))
     both = np.concatenate([t, 1 / t])

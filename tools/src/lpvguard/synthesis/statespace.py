@@ -242,7 +242,8 @@ def balancing(G: StateSpace) -> np.ndarray:
     np.fill_diagonal(graph, 0)
     graph[:n, n] = np.linalg.norm(G.B, axis=1)
     graph[n + 1, :n] = np.linalg.norm(G.C, axis=0)
-    return sl.matrix_balance(graph, separate=True, permute=False)[1][0][:n]
+    with np.errstate(invalid="ignore"):  # scipy reads the scales as row numbers too, which large ones are not
+        return sl.matrix_balance(graph, separate=True, permute=False)[1][0][:n]
 
 
 def scaled_states(G: StateSpace, t: np.ndarray) -> StateSpace:
