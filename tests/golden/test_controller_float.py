@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.linalg as sl
+
 from lpvguard import native
 from lpvguard.artefacts import write_files
 from lpvguard.control_export import build_controller, replaced_controller

@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -96,7 +97,7 @@ def test_the_memory_map_is_whole(counted):
     assert {".vectors", ".core_code", ".core_coefficients", ".bss"} <= set(parts)
     assert sum(parts[s]["bytes"] for s in targets.SECTIONS if s in parts) == sum(counted["rom"].values()) > 10_000
     ends = [(s["address"], s["address"] + s["bytes"]) for s in parts.values()]
-    assert all(end <= begin for (_, end), (begin, _) in zip(ends, ends[1:]))
+    assert all(end <= begin for (_, end), (begin, _) in pairwise(ends))
 
 
 def test_the_controller_takes_a_fifth_of_what_full_matrices_take(counted):

@@ -154,7 +154,7 @@ def design(out: Out, identification: Annotated[Path | None, typer.Argument(help=
                                                           "vehicle's.")] = None,
            tradeoff: Annotated[bool, typer.Option("--tradeoff", help="Search the ceiling on nu, gamma_w and Lambda_nu for the "
                                                                      "least worst mu over speed, instead of designing.")] = False,
-           largest_A_t: Annotated[bool, typer.Option("--largest-A-t", help="Search the largest A_t with mu < 1 too.")] = False,
+           largest_A_t: Annotated[bool, typer.Option("--largest-A-t", help="Search the largest A_t with mu < 1 at every speed too.")] = False,
            table: Annotated[bool, typer.Option(help="Table II, Figs. 5 and 6 beside the controller.")] = True,
            json_out: JsonOut = None) -> None:
     """Synthesise the scheduled controller, certify it as the core runs it, and compare structures (paper, step 8).
@@ -180,7 +180,6 @@ def _design_vehicle(stored, drive_set, table: bool, largest_A_t: bool, out: Path
     cells = []
     with _progress("design") as tell:
         result = stage.design(stored, tell)
-        largest = stage.largest_A_t(stored, tell) if largest_A_t else None
         more = {}
         if table:
             from .design_files import design_files
@@ -192,7 +191,8 @@ def _design_vehicle(stored, drive_set, table: bool, largest_A_t: bool, out: Path
             cells = problem.table(tell)
             tell("worst-case runs")
             more = design_files(problem, cells, None if drive_set is None else worst_runs(problem, cells, drive_set))
-        stage.save(result, stored, out, largest, more)
+        largest = stage.largest_A_t(stored, tell) if largest_A_t else None
+        stage.save(result, stored, out, more, largest)
     rows = [{"v_mps": v, "mu_upper": p.upper, "mu_lower": p.lower, "peak_rad_s": p.bracket.peak_frequency}
             for v, p in result.certificates]
     _emit(json_out, rows)

@@ -357,8 +357,8 @@ def faulted_performance(path: Path, stored: StoredIdentification, v: float, appl
     return certify(plant, series(applied, series(K, measured)), stated_scaling(document) if plant.blocks else None).upper
 
 
-def save(result: Design, stored: StoredIdentification, target: Path, largest: LargestA_t | None = None,
-         more: dict[str, str] | None = None) -> None:
+def save(result: Design, stored: StoredIdentification, target: Path, more: dict[str, str] | None = None,
+         largest: LargestA_t | None = None) -> None:
     """Write controller.json, its manifest and ``more`` files (name: text), whole or not at all."""
     settings, schedule = stored.project.design, result.schedule
     controller = {

@@ -250,8 +250,9 @@ def _sentence(run: _Search, best: Outcome, own: Outcome, limit: dict) -> str:
         text += ("No candidate reaches mu < 1: with these objectives "
                  + ("no controller can, as every candidate's floor is at least "
                     f"{least:.3f}. " if least >= 1 else f"the floors (down to {least:.3f}) leave it open to other D or controllers. "))
-    text += (f"What limits it: at {limit['speed_mps']:g} m/s and {limit['peak_rad_s']:.3g} rad/s mu enters by {_carriers(limit['enters_by'])} "
+    at = lambda omega: "DC" if omega < 1e-2 * run.frames.estimator.omega[1] else f"{omega:.3g} rad/s"
+    text += (f"What limits it: at {limit['speed_mps']:g} m/s and {at(limit['peak_rad_s'])} mu enters by {_carriers(limit['enters_by'])} "
              f"and leaves by {_carriers(limit['leaves_by'])}; with these weights no controller goes below {limit['floor']:.3f} "
-             f"(at {limit['floor_rad_s']:.3g} rad/s)")
+             f"(at {at(limit['floor_rad_s'])})")
     reached = best.level <= best.floor.value * (1 + 10 * AS_GOOD)
     return text + (": it is reached, so only other objectives, noise or disturbance bounds lower mu." if reached else ".")
