@@ -507,7 +507,7 @@ def solve(problems: Annotated[str, typer.Argument(help="JSON list of problems; -
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
              epilog="Example: lpvguard bench validation --json out/validation.json")
 def bench(context: typer.Context,
-          name: Annotated[str, typer.Argument(help="can, core, fleet, synthesis, validation or weights; NAME -- --help for its options.")],
+          name: Annotated[str, typer.Argument(help="can, core, fleet, robust, synthesis, validation or weights; NAME -- --help for options.")],
           ) -> None:
     """Measure performance, beside peers in the same run; prints a table."""
     from .bench import run
