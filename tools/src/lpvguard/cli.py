@@ -142,9 +142,10 @@ def identify(vehicle: Vehicle, drives: Annotated[Path, typer.Argument(help="Fold
     console.print(f"threshold {c.threshold:.4g} ({claim}); final inflation {result.weights.inflation:.6g}; written to {out}")
 
 
-@app.command(epilog="""Examples:
-lpvguard design --vehicle truck out/identify --drives out/drives -o out/design
+@app.command(epilog="""Examples: lpvguard design --vehicle truck out/identify --drives out/drives -o out/design
+
 lpvguard design --vehicle truck out/identify --drives out/drives --tradeoff -o out/tradeoff
+
 lpvguard design --case paper_case.toml -o out/paper""")
 def design(out: Out, identification: Annotated[Path | None, typer.Argument(help="Folder written by identify.")] = None,
            vehicle: Annotated[str | None, typer.Option("--vehicle", help="Shipped vehicle, or path to a project file.")] = None,
