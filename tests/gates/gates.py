@@ -462,7 +462,7 @@ PLANTS: dict[str, list[Plant]] = {
         Plant("tools/src/lpvguard/export.py", "#define", "#  defined", r"toy by gcc"),
         Plant("tools/src/lpvguard/control_export.py", '"controller.h", "lpvg_control_coeff")}', '"controller.h", "lpvg_control")}', r"hand_truck by gcc"),
         Plant("tools/src/lpvguard/can/bus.py", "= (lpvg_real_t){", "= (lpvg_real){", r"hand_truck by clang"),
-        Plant("lib/vehicles/g80/lpvguard_coeff.c", ".schema = 1U", ".schema = 0b1U", r"g80 by gcc"),
+        Plant("lib/vehicles/g80/lpvguard_coeff.c", ".schema = ", ".schema = 0b0U + ", r"g80 by gcc"),
     ],
     "misra": [
         Plant(MONITOR_H, "#define LPVG_NRECORDS 4", "#define LPVG_TWICE(x) x + x\n#define LPVG_NRECORDS 4", r"monitor\.h:\d+: misra-c2012-20\.7"),

@@ -46,7 +46,7 @@ def loop(simulator, truck_folder, tmp_path):
         path = tmp_path / "loop.toml"
         path.write_text(LOOP.format(duration=duration, more=more))
         want = simulator.run(load_scenario(str(path)))
-        simulator.ecu_program  # compiled here, and not on the one processor of the guest
+        assert simulator.ecu_program.is_file()  # compiled here, and not on the one processor of the guest
         command = [ROOT / "tools" / "with-vcan", "env", f"PYTHONPATH={ROOT / 'tools/src'}", sys.executable]
         sim = ["-m", "lpvguard.cli", "sim", path, "--coefficients", truck_folder, "--bus", "socketcan:vcan0", "--ecu-process", "--json", "-",
                "-o", tmp_path / "out"]

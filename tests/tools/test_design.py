@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from lpvguard import design as stage
 from lpvguard import generate
 from lpvguard import identify as identification

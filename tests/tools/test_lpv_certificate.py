@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
-
 from lpvguard import native
 from lpvguard.synthesis import lpv_certificate as lpv
 from lpvguard.synthesis.statespace import StateSpace
+from scipy.linalg import expm
 
 TS = 0.05
 
@@ -85,7 +84,8 @@ def test_the_compiled_hessian_is_the_numpy_one_and_the_derivative_of_the_gradien
     random = np.random.default_rng(4)
     parts = [(0.3 * random.standard_normal((4, 6)), 0.3 * random.standard_normal((2, 6))) for _ in range(3)]
     barrier = lpv._Barrier(parts, random.uniform(1, 2, (3, 3)), random.uniform(1, 2, (3, 3)))
-    P = np.array([2 * np.eye(4)] * 3) + 0.05 * (lambda X: X + np.swapaxes(X, 1, 2))(random.standard_normal((3, 4, 4)))
+    noise = random.standard_normal((3, 4, 4))
+    P = np.array([2 * np.eye(4)] * 3) + 0.05 * (noise + np.swapaxes(noise, 1, 2))
     p = P[:, barrier.upper[0], barrier.upper[1]].ravel()
     unit = 30 * np.eye(6)
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from lpvguard.errors import InputError
 from lpvguard.nominal import NominalModel
 from lpvguard.project import load_project

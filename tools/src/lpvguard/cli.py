@@ -142,9 +142,10 @@ def identify(vehicle: Vehicle, drives: Annotated[Path, typer.Argument(help="Fold
     console.print(f"threshold {c.threshold:.4g} ({claim}); final inflation {result.weights.inflation:.6g}; written to {out}")
 
 
-@app.command(epilog="""Examples:
-lpvguard design --vehicle truck out/identify --drives out/drives -o out/design
+@app.command(epilog="""Examples: lpvguard design --vehicle truck out/identify --drives out/drives -o out/design
+
 lpvguard design --vehicle truck out/identify --drives out/drives --tradeoff -o out/tradeoff
+
 lpvguard design --case paper_case.toml -o out/paper""")
 def design(out: Out, identification: Annotated[Path | None, typer.Argument(help="Folder written by identify.")] = None,
            vehicle: Annotated[str | None, typer.Option("--vehicle", help="Shipped vehicle, or path to a project file.")] = None,
@@ -457,7 +458,8 @@ def campaign(identification: Annotated[Path, typer.Argument(help="Folder written
         table.add_row(title, *(f"{summary['average'][d][key]:.1%}" for d in summary["detectors"]))
     console.print(table)
     console.print(f"{within['hours']:.1f} h of {within['plants']} trucks within the bounds (of {within['candidates']} drawn); alarms by test: "
-                  + ", ".join(f"{t} {_rate(r)}" for t, r in within["tests"].items()))
+                  + ", ".join(f"{t} {_rate(r)}" for t, r in within["tests"].items())
+                  + f"; apart, with more demand than was checked: {_rate(within['beyond_checked_amplitude'])}")
     kinds = Table("average over severities", *summary["detectors"], "best", "equal alarms in the loop", box=None)
     for k in summary["kinds"]:
         kinds.add_row(k["kind"], *(f"{k['found'][d]:.0%}" for d in summary["detectors"]), ", ".join(k["best"]), ", ".join(k["best_matched"]))
@@ -507,7 +509,7 @@ def solve(problems: Annotated[str, typer.Argument(help="JSON list of problems; -
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
              epilog="Example: lpvguard bench validation --json out/validation.json")
 def bench(context: typer.Context,
-          name: Annotated[str, typer.Argument(help="can, core, fleet, synthesis, validation or weights; NAME -- --help for its options.")],
+          name: Annotated[str, typer.Argument(help="can, core, fleet, robust, synthesis, validation or weights; NAME -- --help for options.")],
           ) -> None:
     """Measure performance, beside peers in the same run; prints a table."""
     from .bench import run

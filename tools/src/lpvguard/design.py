@@ -29,7 +29,14 @@ from .schedule import FrozenLoop, Scheduled, fit
 from .synthesis import interconnection as fig1
 from .synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis
 from .synthesis.errors import SynthesisError
-from .synthesis.lpv_certificate import Family, LpvCertificate, find, polynomial_storage, prove, riccati_storage
+from .synthesis.lpv_certificate import (
+    Family,
+    LpvCertificate,
+    find,
+    polynomial_storage,
+    prove,
+    riccati_storage,
+)
 from .synthesis.norms import hinf_norm
 from .synthesis.scheduling import closed_scaled, common_family, common_scaling
 from .synthesis.statespace import StateSpace, append, gain, series, zero_order_hold
@@ -345,12 +352,9 @@ def _row(v: float, proved: RobustPerformance) -> dict[str, float]:
 def faulted_performance(path: Path, stored: StoredIdentification, v: float, applied: StateSpace, measured: StateSpace) -> float:
     """Upper bound of mu at frozen speed v of the loop closed by controller.json with two systems put into it: ``applied``
     between controller and vehicle (n_u), ``measured`` between [reference, outputs] and controller; inf where it is unstable."""
-    settings, document = stored.project.design, artefacts.read_json(path)
-    schedule = Scheduled(document["Ts_s"], *(np.array(document[key], float) for key in ("speeds", "a", "B", "L")))
-    plant = _plant(stored, NominalModel(stored.project), _weights(stored, settings), v, False)
-    scaling = Scaling(np.array(document["certificates"]["scaling_log_parameters"], float).reshape(
-        -1, document["certificates"]["scaling_columns"]))
-    return certify(plant, series(applied, series(schedule.at(v), measured)), scaling if plant.blocks else None).upper
+    document = artefacts.read_json(path)
+    plant, K = frozen_plant(stored, v), Scheduled.read(document).at(v)
+    return certify(plant, series(applied, series(K, measured)), stated_scaling(document) if plant.blocks else None).upper
 
 
 def save(result: Design, stored: StoredIdentification, target: Path, more: dict[str, str] | None = None,

@@ -1,6 +1,6 @@
 """`lpvguard design --tradeoff`: which ceiling on nu, and with it gamma_w, and which Lambda_nu give the least worst mu over speed.
 
-A candidate is a ceiling nu_bar(omega), log-linear between two levels at the lowest and the highest bin, and a structure: K_i (class
+A candidate is a ceiling nu_bar(omega), linear over log omega between levels at the lowest and the highest bin, and a structure: K_i (class
 S1), or K_is (class S2) with Lambda_nu = diag(1, lambda_s). The rule of step 4 makes gamma_w of it, steps 5 to 7 the weights, from few
 frames (stored_frames.py). Its measure is the optimum over speeds under the best common D (synthesis/scheduling.py): an upper bound of
 the worst mu of the best frozen controllers, and what `design` starts from. The floor (synthesis/limits.py) costs a hundredth of that
@@ -19,6 +19,7 @@ import numpy as np
 from . import artefacts, pictures
 from .frozen import FrozenProblem
 from .identify import Progress
+from .project import NuCeiling
 from .stored_frames import Split, UncertaintyWeights
 from .synthesis.dk import Scaling, dk_synthesis
 from .synthesis.interconnection import GeneralisedPlant
@@ -40,7 +41,7 @@ ROUNDS = 2
 
 @dataclass(frozen=True)
 class Candidate:
-    """Ceiling ``low`` at the lowest bin, ``high`` at the highest, log-linear between; ``lambda_s`` [s^2], None: K_i.
+    """Ceiling ``low`` at the lowest bin, ``high`` at the highest, linear over log omega between; ``lambda_s`` [s^2], None: K_i.
     ``own``: the project's ceiling instead."""
 
     low: float
@@ -66,7 +67,7 @@ class Outcome:
 
     def to_dict(self) -> dict:
         c = self.candidate
-        return {"structure": c.structure, "ceiling": "project" if c.own else "log-linear", "nu_low": self.ceiling[1],
+        return {"structure": c.structure, "ceiling": "project" if c.own else "two levels", "nu_low": self.ceiling[1],
                 "nu_high": self.ceiling[-1], "lambda_s": c.lambda_s, "mu_worst": self.level, "floor": self.floor.value,
                 "floor_rad_s": self.floor.frequency, "gamma_w_max": float(np.nanmax(self.split.gamma_w)),
                 "nu_i_max": float(np.nanmax(self.split.nu_i)),
@@ -103,10 +104,14 @@ class TradeOff:
         """What to write into the project file."""
         omega = self.problem.frames.estimator.omega
         ceiling = (self.problem.stored.project.bounds.nu_ceiling.model_dump() if self.best.candidate.own else
-                   {"f_hz": [float(f"{w / (2 * np.pi):.6g}") for w in omega[[1, -1]]],
-                    "nu": [self.best.candidate.low, self.best.candidate.high]})
+                   between(self.best.candidate, omega).model_dump())
         return {"bounds.nu_ceiling": ceiling} | ({} if self.best.candidate.lambda_s is None
                                                  else {"design.lambda_s": self.best.candidate.lambda_s})
+
+
+def between(c: Candidate, omega: np.ndarray) -> NuCeiling:
+    """The ceiling of a candidate as a project file has it, over the bins omega (K,) [rad/s]."""
+    return NuCeiling(f_hz=[float(f"{w / (2 * np.pi):.6g}") for w in omega[[1, -1]]], nu=[c.low, c.high])
 
 
 def speeds(problem: FrozenProblem) -> list[float]:
@@ -131,8 +136,7 @@ class _Search:
         omega = self.frames.estimator.omega
         if c.own:
             return self.problem.stored.bounds["nu_ceiling"]
-        position = np.log(np.maximum(omega, omega[1]) / omega[1]) / np.log(omega[-1] / omega[1])
-        return np.where(omega > 0, c.low * (c.high / c.low) ** position, 0.0)
+        return between(c, omega).at(omega / (2 * np.pi))
 
     def plants(self, c: Candidate, uncertainty: UncertaintyWeights) -> list[GeneralisedPlant]:
         s = self.problem.settings
