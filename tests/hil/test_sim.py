@@ -158,6 +158,9 @@ def test_a_bus_that_does_not_exist_is_refused(simulator, scenario, bus):
     (("verdict = \"any\"", "verdict = \"maybe\""), "expect.verdict"),
     (("verdict = \"any\"", "verdict = \"invalid\""), "within_judged_s"),
     (("title", "titel"), "titel"),
+    (("[expect]", can_fault("VDC2", "stuck_counter") + "[expect]"), "only GUARD_IN has a counter"),
+    (("[expect]", can_fault("VDC2", "lots") + "[expect]"), "can_fault.kind"),
+    (("[expect]", can_fault("VDC2", "lost", "delay_s = 1.0") + "[expect]"), "can_fault.delay_s"),
 ])
 def test_bad_scenarios_are_refused_by_field(simulator, tmp_path, change, says):
     path = tmp_path / "bad.toml"

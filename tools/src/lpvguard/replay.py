@@ -1,4 +1,4 @@
-"""Stage 7, replay: recorded drives through the compiled C core, and what it said, in a form people and machines can read."""
+"""Stage 8, replay: recorded drives and raw CAN logs through the compiled C core, and what it said, in a form people and machines can read."""
 
 from __future__ import annotations
 

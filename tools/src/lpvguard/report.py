@@ -16,6 +16,7 @@ import numpy as np
 from . import __version__, artefacts, pictures
 from .bounds import FrameSet, counted_frames, explain
 from .core import REASONS, VERDICTS
+from .design_files import draw
 from .drives import Drive
 from .energy import EnergyTest
 from .evaluate import FAULT_FROM_S, FOUND_WITHIN_S, PIECE_S, SHORTEST_FOR_FAULTS_S
@@ -73,12 +74,13 @@ class _Pass:
 
 
 def write_report(stored: StoredIdentification, drives: DriveSet, replayer: Replayer | None, out: Path, evaluation: dict | None,
-                 progress: Callable[[str], None], loops: Path | None = None, campaign: dict | None = None) -> None:
+                 progress: Callable[[str], None], loops: Path | None = None, design: Path | None = None,
+                 tradeoff: Path | None = None, campaign: dict | None = None) -> None:
     """Write the page; InputError when a drive cannot be read or ``out`` cannot be written.
 
     ``replayer``: None for bounds of the plain DFT, which the core does not compute; drives are then judged by the exact margin.
-    ``evaluation``: JSON of `lpvguard evaluate`; ``loops``: folder written by `lpvguard sim -o`, with its results.json;
-    ``campaign``: summary.json of `lpvguard campaign`.
+    ``evaluation``: JSON of `lpvguard evaluate`; ``loops``: folder written by `lpvguard sim -o`, with its results.json; ``design``,
+    ``tradeoff``: folders written by `lpvguard design`, without and with --tradeoff; ``campaign``: summary.json of `lpvguard campaign`.
     """
     found = _Pass()
     for name in drives.experiments:
@@ -95,6 +97,10 @@ def write_report(stored: StoredIdentification, drives: DriveSet, replayer: Repla
                 _drive_section(found, replayer) if replayer is not None else _plain_section(found)]
     if evaluation is not None:
         sections.append(_evaluation_section(evaluation))
+    if design is not None:
+        sections.append(_design_section(design))
+    if tradeoff is not None:
+        sections.append(_tradeoff_section(tradeoff))
     if loops is not None:
         sections.append(_loop_section(loops))
     if campaign is not None:
@@ -645,6 +651,59 @@ rule, hence with the same guaranteed rate of false alarms. Their parameters are 
 soonest, on the bound-setting and the other calibration drives; the drive under test takes part in nothing ({searched}).
 A cell: faults found in time of the drives that count, and the median of the judged, excited seconds to the alarm, a miss counting
 as later than all. Best: largest share of drives, then least median; detectors that tie are all named.</p>{table}"""
+
+
+# --------------------------------------------------------------------------------------------------------------- step 8
+
+def _design_section(folder: Path) -> str:
+    controller = artefacts.read_json(folder / "controller.json")["certificates"]
+    speeds = _table(["speed, m/s", "μ upper", "μ lower", "peak, rad/s"],
+                    [[_number(r["v_mps"], 4), f"{r['mu_upper']:.4f}", f"{r['mu_lower']:.4f}", _number(r["peak_rad_s"])]
+                     for r in controller["speeds"]], "tight")
+    text = f"""<h2>Controller and its certificates</h2>
+<p>{escape(controller["structure"])} scheduled over speed, {controller["order"]} states: {escape(controller["claim"])}.</p>{speeds}"""
+    if not (folder / "table2.json").is_file():
+        return text
+    table, figures = (artefacts.read_json(folder / name) for name in ("table2.json", "figures.json"))
+    rows = _table(
+        ["Table II", "A<sub>t</sub>", "A<sub>u</sub>", "μ upper", "μ lower", "no controller below", "order", "before reduction", "peak, rad/s"],
+        [[escape(r["structure"]), _number(r["A_t"], 4), _number(r["A_u"]), f"{r['mu_upper']:.4f}", f"{r['mu_lower']:.4f}",
+          f"{r['floor']:.4f}", str(r["order"]), str(r["full_order"]), _number(r["peak_rad_s"])] for r in table["rows"]])
+    drawn = draw(figures)
+    text += f"""<h3>Table II for these drives</h3>
+<p>At {table["speed_mps"]:g} m/s, sampled every {table["Ts_s"]:g} s, one sample of delay. μ upper is certified over all frequencies
+(K<sub>∞</sub>: the closed-loop norm); K<sub>is</sub> takes state uncertainty with Λ<sub>ν</sub> = diag(1, {table["lambda_s"]:g} s²), its
+bounds from the {escape(table["state_uncertainty_from"])}. “No controller below” bounds every controller of any order with these
+weights.</p>{rows}{_figure(drawn["fig5"], "<b>Counterpart of Fig. 5.</b> Weights of the control problem: left what normalises signals, "
+                                          "right the objectives of Table II.")}"""
+    if "fig6" not in figures:
+        return text
+    run = figures["fig6"]
+    measured = _table(
+        ["controller", "A<sub>t</sub>", "A<sub>u</sub>", "‖Δ‖∞", "Δ exact at, rad/s", "gain with Δ", "without Δ", "tracking error with Δ, rad/s rms",
+         "without Δ"],
+        [[escape(r["structure"]), _number(r["A_t"], 4), _number(r["A_u"]), _number(r["delta_norm"]), _number(r["delta_rad_s"]),
+          f"{r['worst_gain']:.4f}", f"{r['nominal_gain']:.4f}", _number(r["tracking_rms"]), _number(r["tracking_rms_without_delta"])]
+         for r in run["runs"]])
+    left = f" Left out, as no objective of theirs has μ below 1: {', '.join(run['left_out'])}." if run["left_out"] else ""
+    return text + _figure(drawn["fig6"], (
+        f"<b>Counterpart of Fig. 6.</b> Reference: the filtered yaw rate of {escape(run['drive'])} through W<sub>R</sub>. Disturbance: that "
+        f"drive's nominal error, the yaw rate's times {run['factor']:.2g} (it keeps the DC bound), band-limited noise of power "
+        f"{run['noise_power']:g} before W<sub>n</sub>. K<sub>∞</sub> runs without Δ; K<sub>i</sub> and K<sub>is</sub> with the worst Δ found by the lower "
+        f"bound of μ within the band of the data, realised as a stable system of constant size.{left}")) + measured
+
+
+def _tradeoff_section(folder: Path) -> str:
+    found = artefacts.read_json(folder / "tradeoff.json")
+    rows = _table(
+        ["structure", "ceiling", "ν̄ at the lowest bin", "at the highest", "λ<sub>s</sub>, s²", "worst μ", "no controller below", "largest γ<sub>w</sub>"],
+        [[escape(r["structure"]), r["ceiling"], _number(r["nu_low"]), _number(r["nu_high"]), _number(r["lambda_s"]), _number(r["mu_worst"], 4),
+          _number(r["floor"], 4), _number(r["gamma_w_max"])] for r in found["rows"]])
+    return f"""<h2>Trade-off between uncertainty, disturbance and performance</h2>
+<p>{escape(found["sentence"])}</p>{_figure(pictures.tradeoff_front("t", found),
+    "Left: the optimum over speeds for uniform ceilings on ν, and the level below which no controller goes. Right: ceiling, uncertainty and "
+    f"disturbance bound of the best candidate and of the project's setting. Bounds from the {escape(found['frames'])}; “–”: the floor alone "
+    "ruled the candidate out.")}{rows}"""
 
 
 # ------------------------------------------------------------------------------------------------------------ closed loop

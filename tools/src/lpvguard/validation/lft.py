@@ -548,11 +548,13 @@ class _Quadratic:
                 starts.append(z)
         return starts
 
-    def _zero(self) -> np.ndarray | None:
+    def zero(self) -> np.ndarray | None:
         """A point that needs no size at all, when there is one: the optimum is then exactly zero."""
         if any(f.repeated and f.param < 0 for f in self.forms):
             return None
-        rows = np.vstack([np.zeros((0, self._n)), *(f.a for f in self.forms if f.param >= 0)])
+        # Each form in units of its own: xi and w may be 1e14 apart, and one must not hide in the other's rounding.
+        wanted = [f.a / (np.linalg.norm(f.a) or 1.0) for f in self.forms if f.param >= 0]
+        rows = np.vstack([np.zeros((0, self._n)), *wanted])
         left = rows[:, :-1]
         theta, *_ = np.linalg.lstsq(left, -rows[:, -1], rcond=RANK_TOLERANCE)
         z = np.append(theta, 1.0)
@@ -562,7 +564,7 @@ class _Quadratic:
         for f in fixed:
             step, *_ = np.linalg.lstsq(f.a[:, :-1] @ null, -(f.a @ z), rcond=RANK_TOLERANCE)
             z = z + np.append(null @ step, 0.0)
-        if np.linalg.norm(rows @ z) > 1e-12 * np.linalg.norm(np.abs(rows) @ np.abs(z)):
+        if any(np.linalg.norm(a @ z) > 1e-12 * np.linalg.norm(np.abs(a) @ np.abs(z)) for a in wanted):
             return None
         inside = all(
             np.linalg.norm(f.a @ z) ** 2 <= f.constant * f.slope * np.linalg.norm(f.b @ z) ** 2 for f in fixed
@@ -601,14 +603,16 @@ class _Quadratic:
         max_nodes: int = MAX_NODES,
         zero: float = 0.0,
         points: Sequence[np.ndarray] = (),
+        enough: float = 0.0,
     ) -> Interval:
         """Both sides of the optimum by best-first branch and bound; the upper side is inf when no point was
         found.
 
         ``points``: (n,) each, known explanations to begin with. A cost below ``zero`` times that of the first
-        point found counts as zero and ends the search.
+        point found counts as zero and ends the search. It ends as well once the optimum is known to be at most
+        ``enough``, or above it.
         """
-        free = self._zero()
+        free = self.zero()
         if free is not None:
             return Interval(0.0, 0.0, free, 0)
         best, serial = _Best(), 0
@@ -619,7 +623,8 @@ class _Quadratic:
         polished = 0
         while open_nodes and serial < max_nodes:
             node = heapq.heappop(open_nodes)
-            if node.lower >= best.cost * (1.0 - gap):
+            decided = enough > 0.0 and (best.cost <= enough or node.lower > enough)
+            if decided or node.lower >= best.cost * (1.0 - gap):
                 closed = min(closed, node.lower)
                 break
             edges, central, inverse = self.lower(node, best.cost * (1.0 - gap) * (1.0 + 1e-12))
@@ -722,7 +727,10 @@ class Solution:
 class _Posed:
     """One LFT point in well-scaled coordinates: the maps of the blocks and of w, and the way back."""
 
-    def __init__(self, problem: Lft, w_scale: np.ndarray, gamma_w: float = np.inf):
+    def __init__(
+        self, problem: Lft, w_scale: np.ndarray, gamma_w: float = np.inf, without: Sequence[int] = ()
+    ):
+        """``without``: blocks whose xi_i is held at zero."""
         self.problem = problem
         par = parametrise(problem)
         self.b1 = par.b1
@@ -738,7 +746,8 @@ class _Posed:
                 eta_map=par.eta_map[:, keep],
                 n_phi=0,
             )
-        dead = [i for i, eta in enumerate(split(problem.blocks, par.eta_map, "cols")) if not np.any(eta)]
+        etas = split(problem.blocks, par.eta_map, "cols")
+        dead = [i for i, eta in enumerate(etas) if i in without or not np.any(eta)]
         maps = self._without(par, dead) if dead else (par.xi_map, par.w_map, par.eta_map)
         size_e = np.linalg.norm(problem.e) or 1.0
         rows = []
@@ -909,11 +918,11 @@ def _ball(posed: _Posed, gamma_w: float) -> list[_Form]:
     return [] if posed.ball_is_point else [_Form(posed.w, posed.t, constant=gamma_w**2)]
 
 
-def _pose(problem: Lft, gamma_w: float) -> _Posed:
+def _pose(problem: Lft, gamma_w: float, without: Sequence[int] = ()) -> _Posed:
     if not np.isfinite(gamma_w) or gamma_w < 0.0:
         raise InputError(problem.source, "gamma_w", f"{gamma_w}", "a finite number that is not negative")
     posed = _Posed(
-        problem, np.full(problem.p22.shape[1], gamma_w or np.linalg.norm(problem.e) or 1.0), gamma_w
+        problem, np.full(problem.p22.shape[1], gamma_w or np.linalg.norm(problem.e) or 1.0), gamma_w, without
     )
     if gamma_w < posed.least_ball:
         raise InputError(
@@ -966,7 +975,7 @@ def _one_block(problem: _Quadratic, caps: np.ndarray, posed: _Posed) -> Interval
     it is not that."""
     ball, block, cost = problem.forms if len(problem.forms) == 3 else (None, None, None)
     start = problem.repair(problem._origin()) if ball is not None and not problem.repeated else None
-    if start is None or len(start) > s2.MAX_N or len(start) < 2:
+    if start is None or problem.zero() is not None or len(start) > s2.MAX_N or len(start) < 2:
         return None
     which = next(i for i, xi in enumerate(posed.xi) if xi is block.a)
     trivial = problem.cost(start)
@@ -997,6 +1006,27 @@ def _one_block(problem: _Quadratic, caps: np.ndarray, posed: _Posed) -> Interval
     return Interval(lower, max(best.cost, lower), best.z, int(out.duals[0]))
 
 
+def _last_block_is_free(problem: Lft, gamma_w: float, gap: float, max_nodes: int) -> bool:
+    """True when an explanation without the last block was found: the smallest disturbance that one needs is at
+    most gamma_w. Only asked beside repeated blocks: without them the least-squares point of
+    :meth:`_Quadratic.zero` decides.
+    """
+    last = len(problem.blocks) - 1
+    try:
+        posed = _pose(problem, gamma_w, [last])
+    except InputError:
+        return False  # e is not in the image of the other blocks and w
+    caps = block_caps(problem)
+    forms = [_Form(posed.w, posed.t, param=0)]
+    forms += [
+        _block_form(posed, i, constant=caps[i] ** 2)
+        for i in range(last)
+        if problem.blocks[i].repeated and i not in posed.dead
+    ]
+    limit = gamma_w**2 * (1.0 + (EDGE if posed.ball_is_point else ROUNDING))
+    return _Quadratic(forms, 1, posed.n).solve(gap, max_nodes, enough=limit).upper <= limit
+
+
 def smallest_last_block(
     problem: Lft,
     gamma_w: float,
@@ -1016,7 +1046,10 @@ def smallest_last_block(
         return 0.0, 0.0
     forms = _ball(posed, gamma_w)
     caps = block_caps(problem)
-    forms += [_block_form(posed, i, constant=caps[i] ** 2) for i in range(last) if problem.blocks[i].repeated]
+    others = [i for i in range(last) if problem.blocks[i].repeated and i not in posed.dead]
+    if others and _last_block_is_free(problem, gamma_w, gap, max_nodes):
+        return 0.0, 0.0
+    forms += [_block_form(posed, i, constant=caps[i] ** 2) for i in others]
     forms.append(_block_form(posed, last, param=0))
     interval = _Quadratic(forms, 1, posed.n).solve(gap, max_nodes, ZERO, posed.points(known))
     lower, upper = float(np.sqrt(interval.lower)), float(np.sqrt(interval.upper))
