@@ -65,7 +65,7 @@ def test_scenarios_expect_what_follows_from_the_bounds(name, simulator, replayer
         demand = np.maximum(demand, stage.largest_input(replayer, drive))
     tables = plant_tables(name)
     if expect.verdict == "invalid":
-        assert None not in due and max(due) <= expect.within_judged_s <= max(due) + 11.0, due
+        assert None not in due and max(due) <= expect.within_judged_s <= 1.5 * max(due) + 10.0, due
     elif expect.verdict == "never_invalid":
         assert "sensor_fault" not in tables
         assert stage.response_margin(replayer.model, bounds, tables, demand) <= 1.0
@@ -125,7 +125,9 @@ def test_what_is_drawn_depends_on_seed_and_number_alone():
     other = stage.Case(18, "within", 0.0, 0, 0.0, stage.draw_variation(5, 4))
     assert stage.scenario_text(5, case) != stage.scenario_text(6, case) and case.tables != other.tables
     cases = stage.plan(stage.Size(0.2, 2), ["a", "b"])
-    assert [c.number for c in cases] == list(range(len(cases))) and [c.plant for c in cases[:4]] == [0, 1, 0, 1]
+    assert [c.number for c in cases[:4]] == [0, 1, 2, 3] and [c.plant for c in cases[:4]] == [0, 1, 0, 1]
+    longer = stage.plan(stage.Size(1.0, 2), ["a", "b"])
+    assert longer[20:] == cases[4:], "the faulty runs are the same, however many hours are driven within"
     assert {c.kind for c in cases[4:]} == {k.name for k in stage.KINDS}
 
 
@@ -172,7 +174,8 @@ def test_a_campaign_that_was_stopped_goes_on_and_ends_the_same(small, stored, tr
     rows = pq.read_table(whole / "runs.parquet")
     assert rows.equals(pq.read_table(out / "runs.parquet")) and rows.num_rows == cases
 
-    assert summary["within"]["runs"] == 5 and summary["within"]["hours"] == pytest.approx(0.25)
+    covered, apart = summary["within"]["runs"], summary["within"]["beyond_checked_amplitude"]["of"]
+    assert covered >= 1 and covered + apart == 5 and summary["within"]["hours"] == pytest.approx(0.05 * covered)
     assert summary["within"]["tests"].keys() == {"frame", "energy"}
     assert [s["found"]["monitor"] for s in summary["severities"]] == [2, 2], "lost brakes and a dead sensor are found"
     assert all(s["visible_runs"] == 2 and s["median_s"]["monitor"] < stage.FOUND_WITHIN_S for s in summary["severities"])

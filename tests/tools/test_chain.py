@@ -140,6 +140,10 @@ def test_measured_drives_are_judged_and_seldom_alarm_and_faults_are_found(measur
     by_name = {row["fault"]: row for row in table["faults"]}
     for label in ("output × 0.6", "output × -1", "output frozen", "input delayed by 0.3 s", "output delayed by 0.3 s"):
         assert by_name[label]["counted"] >= 5 and by_name[label]["found"] >= 0.9 * by_name[label]["counted"], label
+    for baseline in table["baselines"]:
+        assert not {"input delayed by 0.15 s", "output delayed by 0.15 s"} & {
+            row["fault"] for ours, row in zip(table["faults"], baseline["faults"]) if row["found"] >= ours["found"]}, baseline["kind"]
+        assert all(row["found"] <= ours["found"] for ours, row in zip(table["faults"], baseline["faults"])), baseline["kind"]
 
 
 def test_shipped_coefficients_are_those_of_the_measured_drives(measured, g80, tmp_path):

@@ -3,13 +3,13 @@
 Two groups of runs of DURATION_S each, every one a scenario of its own drawn from (campaign seed, number of the run):
 
     within   trucks that vary in load, CG, tyres, brakes and friction, and whose own frequency response lies within the bounds;
-             any alarm is false
+             any alarm is false while the demand stays within the amplitude that the response was checked for
     faults   KINDS: one fault or variation, at several severities
 
 Within: the truck's response G to sines of RESPONSE_AMPLITUDES_BAR is measured at the bins and at RESPONSE_SPEEDS on a flat road
 without wind (`plant response`); with P the nominal model's and U = CHECKED_AMPLITUDE_BAR in every bin, t* of E = (G - P)U, Z = PU must
 not exceed 1 with the disturbance bound less the share W_n that zero-input driving needs. Then |E| of a frame whose input stays below
-U in its bin is explained with some |delta| <= W_delta, road, wind and sensors included. Neither this nor what follows uses
+U in its bin is explained with some |delta| <= W_delta, road, wind and sensors included; runs with a frame of more are counted apart. Neither this nor what follows uses
 what the monitor says.
 
 What a fault should show is measured off line on the very samples of the run: frames at every STRIDE-th start, in double
@@ -76,7 +76,9 @@ CHUNK = 40
 PLANTS = 24
 RESPONSE_SPEEDS = (8.3, 12.0, 17.0, 21.7)
 RESPONSE_AMPLITUDES_BAR = (0.5, 1.5)
-CHECKED_AMPLITUDE_BAR = 1.0
+CHECKED_AMPLITUDE_BAR = 1.5
+FIRST_FAULT = 1_000_000
+"""Number of the first run with a fault: what is drawn for it does not depend on the hours within."""
 LOOP_SPEEDS = (8.5, 15.0, 21.5)
 """Where mu of a faulted loop is computed; the largest is stated."""
 DETECTORS = (MONITOR, *BASELINE_KINDS)
@@ -203,7 +205,7 @@ def scenario_text(seed: int, case: Case) -> str:
     random = np.random.default_rng([seed, 2, case.number])
     first = random.uniform(9.0, 21.0)
     last = first if random.uniform() < 0.5 else float(np.clip(first + random.uniform(-3.0, 3.0), 8.5, 21.5))
-    demand_bar = random.uniform(0.15, 0.5) if case.plant >= 0 else random.uniform(0.3, 0.7)
+    demand_bar = random.uniform(0.1, 0.3) if case.plant >= 0 else random.uniform(0.3, 0.7)
     yaw_rate = 1.94 / max(first, last) * demand_bar  # Table I's gain at DC
     command = ('kind = "multisine"\nspacing = "log"\nlow_radps = 0.5\nhigh_radps = 4.0\nrms_radps = {r:.6g}',
                'kind = "multisine"\nspacing = "linear"\nlow_radps = 0.05\nhigh_radps = 2.0\nrms_radps = {r:.6g}',
@@ -217,10 +219,8 @@ def plan(size: Size, variations: list[str]) -> list[Case]:
     """All runs, in the order of their numbers."""
     runs = int(np.ceil(size.hours * 3600 / DURATION_S))
     cases = [Case(n, "within", 0.0, n % len(variations), 0.0, variations[n % len(variations)]) for n in range(runs)]
-    for kind in KINDS:
-        for x in kind.values:
-            cases += [Case(len(cases) + i, kind.name, x, -1, kind.from_s, kind.text(x)) for i in range(size.repeats)]
-    return cases
+    faults = [(kind, x) for kind in KINDS for x in kind.values for _ in range(size.repeats)]
+    return cases + [Case(FIRST_FAULT + n, kind.name, x, -1, kind.from_s, kind.text(x)) for n, (kind, x) in enumerate(faults)]
 
 
 # ------------------------------------------------------------------------------------------------- frequency response, mu
@@ -529,13 +529,20 @@ def rate(count: int, of: int) -> dict[str, Any]:
 
 
 def summarise(table: pa.Table, stored: StoredIdentification, found: dict, levels: list[dict], tuned: dict) -> dict[str, Any]:
-    """The campaign's tables from its rows; JSON-able."""
+    """The campaign's tables from its rows; JSON-able.
+
+    ``matched``: at equal false alarms in the loop, with every detector's threshold such that by the rule of calibration.py at most
+    alpha of the runs within the bounds alarm, and at most alpha of the faulty runs before their fault.
+    """
     rows = table.to_pylist()
-    within = [r for r in rows if r["kind"] == "within"]
+    drawn = [r for r in rows if r["kind"] == "within"]
+    within = [r for r in drawn if r["frame_demand_max_bar"] <= CHECKED_AMPLITUDE_BAR]
+    beyond = [r for r in drawn if r["frame_demand_max_bar"] > CHECKED_AMPLITUDE_BAR]
     faulty = [r for r in rows if r["kind"] != "within"]
     alpha = stored.project.frame_test.alpha
-    matched = {d: calibrate({str(r["number"]): r[f"{d}_score"] for r in within if np.isfinite(r[f"{d}_score"])}, alpha,
-                            floor=0.0).threshold for d in DETECTORS}
+    before = [r for r in faulty if r["fault_s"] > 0]
+    matched = {d: max(_threshold([r[f"{d}_score"] for r in within], alpha),
+                      _threshold([r[f"{d}_score_before"] for r in before], alpha)) for d in DETECTORS}
     loops = {(row["kind"], row["severity"]): row for row in levels}
     response = {(row["kind"], row["severity"]): row["margin"] for row in found["faulted"]}
     groups: dict[tuple[str, float], list[dict]] = {}
@@ -554,6 +561,7 @@ def summarise(table: pa.Table, stored: StoredIdentification, found: dict, levels
         "frame_test": {"alpha": stored.calibration.alpha, "conditional_bound": stored.calibration.conditional_bound,
                        "threshold": stored.calibration.threshold},
         "within": _within(within) | {
+            "beyond_checked_amplitude": rate(sum(_alarms(r, MONITOR) for r in beyond), len(beyond)),
             "plants": len({r["plant"] for r in within}), "candidates": len(found["candidates"]),
             "nominal_margin": found["nominal"],
             "largest_margin": max(c["margin"] for c in found["candidates"] if c["margin"] <= 1)},
@@ -590,6 +598,11 @@ def _missed(summary: dict[str, Any]) -> Iterator[str]:
             yield f"{TITLES[d]} finds {average[d]:.1%} on average at equal false alarms, the monitor {average[MONITOR]:.1%}"
 
 
+def _threshold(scores: list[float], alpha: float) -> float:
+    """The conformal threshold of healthy stretches; those on which the detector never spoke give no score."""
+    return calibrate({str(i): s for i, s in enumerate(scores) if np.isfinite(s)}, alpha, floor=0.0).threshold
+
+
 def _is_visible(row: dict) -> bool:
     return row["visible_share"] >= VISIBLE_SHARE and row["excited_after_s"] > 0
 
@@ -599,19 +612,22 @@ def _found(row: dict, detector: str) -> bool:
     return not row[f"{detector}_before"] and s is not None and s <= FOUND_WITHIN_S
 
 
+def _alarms(row: dict, detector: str) -> bool:
+    return row[f"{detector}_before"] or row[f"{detector}_found_s"] is not None
+
+
 def _within(rows: list[dict]) -> dict[str, Any]:
     """Alarm rates of trucks within the bounds, per run of DURATION_S (the exchangeable unit), by detector and test."""
     hours = sum(r["duration_s"] for r in rows) / 3600
-    alarmed = {d: sum(r[f"{d}_found_s"] is not None or r[f"{d}_before"] for r in rows) for d in DETECTORS}
+    alarmed = {d: sum(_alarms(r, d) for r in rows) for d in DETECTORS}
     trucks: dict[int, bool] = {}
     for r in rows:
-        trucks[r["plant"]] = trucks.get(r["plant"], False) or r[f"{MONITOR}_found_s"] is not None
+        trucks[r["plant"]] = trucks.get(r["plant"], False) or _alarms(r, MONITOR)
     return {"runs": len(rows), "hours": hours, "judged_hours": sum(r["judged_s"] for r in rows) / 3600,
             "alarmed": {d: rate(n, len(rows)) for d, n in alarmed.items()},
             "alarmed_trucks": rate(sum(trucks.values()), len(trucks)),
-            "tests": {t: rate(sum(r[f"alarmed_{t}"] for r in rows), len(rows)) | {"alarms_per_hour": sum(r[f"alarms_{t}"] for r in rows) / hours}
-                      for t in TESTS},
-            "frames_above_checked_amplitude": rate(sum(r["frame_demand_max_bar"] > CHECKED_AMPLITUDE_BAR for r in rows), len(rows))}
+            "tests": {t: rate(sum(r[f"alarmed_{t}"] for r in rows), len(rows)) | {"alarms_per_hour": sum(r[f"alarms_{t}"] for r in rows) / max(hours, 1e-9)}
+                      for t in TESTS}}
 
 
 def _severity(kind: str, x: float, rows: list[dict], matched: dict[str, float]) -> dict[str, Any]:

@@ -458,7 +458,8 @@ def campaign(identification: Annotated[Path, typer.Argument(help="Folder written
         table.add_row(title, *(f"{summary['average'][d][key]:.1%}" for d in summary["detectors"]))
     console.print(table)
     console.print(f"{within['hours']:.1f} h of {within['plants']} trucks within the bounds (of {within['candidates']} drawn); alarms by test: "
-                  + ", ".join(f"{t} {_rate(r)}" for t, r in within["tests"].items()))
+                  + ", ".join(f"{t} {_rate(r)}" for t, r in within["tests"].items())
+                  + f"; apart, with more demand than was checked: {_rate(within['beyond_checked_amplitude'])}")
     kinds = Table("average over severities", *summary["detectors"], "best", "equal alarms in the loop", box=None)
     for k in summary["kinds"]:
         kinds.add_row(k["kind"], *(f"{k['found'][d]:.0%}" for d in summary["detectors"]), ", ".join(k["best"]), ", ".join(k["best_matched"]))

@@ -769,14 +769,14 @@ def _campaign_section(c: dict) -> str:
 response lies within the bounds (of {within["candidates"]} drawn; largest t* {within["largest_margin"]:.3f}, the nominal truck's
 {within["nominal_margin"]:.3f}), and {sum(s["runs"] for s in c["severities"])} runs with a fault. Intervals are exact, over runs. The frame test
 is calibrated to alarm in at most {_number(c["frame_test"]["alpha"])} of the drives (with 95 % confidence over the calibration drives below
-{_number(c["frame_test"]["conditional_bound"])}). {share(within["frames_above_checked_amplitude"])} of the runs within held more demand in a
-bin than their response was checked for. A fault is <i>visible</i> in a run when off-line t* is at least 1.5 times the threshold in a
+{_number(c["frame_test"]["conditional_bound"])}). Counted apart: runs of these trucks with a frame that held more demand in its bin
+than their response was checked for (alarmed: {share(within["beyond_checked_amplitude"])}). A fault is <i>visible</i> in a run when off-line t* is at least 1.5 times the threshold in a
 tenth of the excited frames after it; that uses nothing the monitor says. Of the alarms that were due by the bounds,
 {share(c["due"])} came in time.</p>
 {overall}{alarms}
 <p>Baselines ({baselines}) run on the same samples with thresholds from the same calibration drives by the same rule. Those drives are of one
 truck, so on trucks that differ from it within the bounds their rate is not the same: “equal false alarms in the loop” takes for
-every detector the threshold that the same rule gives on the runs within the bounds.</p>
+every detector the least threshold with which the same rule allows its alarms both in the runs within the bounds and before the faults.</p>
 {_figure(pictures.detection("c0", c["severities"], c["units"], names, "matched"),
          "<b>Detection against severity</b>, at equal false alarms in the loop: share of runs in which the first alarm came within 60 s of "
          "judged, excited driving after the fault, and none before it. Grey: share of runs in which the fault is visible.")}
