@@ -299,7 +299,7 @@ void judge_next(lpvg_monitor_t& self) {
 
 // ||x_j|| of the energy test's sums, in output units.
 Real output_norm(const lpvg_monitor_t& self, const Real* gram, std::size_t j) {
-    const std::size_t diagonal = j * ny - j * (j - 1U) / 2U;
+    const std::size_t diagonal = j * (2U * ny + 1U - j) / 2U;
     return std::sqrt(gram[diagonal]) / self.coeff->reals.energy_scale[j];
 }
 

@@ -19,6 +19,7 @@ length along a ray, so each multiplier vector is used up to the largest length t
 from __future__ import annotations
 
 import heapq
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -50,6 +51,9 @@ ZERO = 1e-12
 attainable."""
 
 MAX_NODES = 5000
+
+PENALTIES = 10.0 ** np.arange(-2.0, 5.0)
+"""Weights of |A z|^2 beside the certificate's norm that :meth:`_Quadratic.tangent` tries."""
 
 SAMPLES = 150
 """Draws of the scalars of repeated blocks when looking for a first feasible point."""
@@ -202,6 +206,13 @@ class _Box:
         """Largest modulus in the box."""
         return max(abs(self.low), abs(self.high), abs(complex(self.low.real, self.high.imag)))
 
+    @property
+    def corners(self) -> list[complex]:
+        """Two ends of an interval, four corners of a rectangle."""
+        low, high = self.low, self.high
+        ends = [low, complex(high.real, low.imag), complex(low.real, high.imag), high]
+        return list(dict.fromkeys(ends))
+
     def halves(self) -> tuple[_Box, _Box]:
         d = self.high - self.low
         cut = 0.5 * d.real if d.real >= d.imag else 0.5j * d.imag
@@ -227,6 +238,18 @@ class _Node:
 
 
 @dataclass(frozen=True)
+class _Tangent:
+    """Bounds of :meth:`_Quadratic.tangent`: ``lower`` over the node; at the boxes' centre on the central ray, over the
+    corners there (``box``), over the rays there (``cone``); primal matrix or None."""
+
+    lower: float
+    centre: float
+    box: float
+    cone: float
+    inverse: np.ndarray | None
+
+
+@dataclass(frozen=True)
 class Interval:
     """Two-sided answer: ``lower`` is certified, ``upper`` attained at ``z``."""
 
@@ -247,13 +270,14 @@ class _Quadratic:
         # A size that one repeated block alone decides: its box bounds it, so it needs no direction of its own.
         self._boxed = {self.forms[k].param for k in self.repeated if users.count(self.forms[k].param) == 1} - {-1}
         self._first_boxes: dict[int, _Box] = {}
-        self._plain = None if self.repeated else self._certificate_forms({})
+        plain = [k for k, f in enumerate(self.forms) if not f.repeated and np.isfinite(f.constant)]
+        self._plain = self._certificate_forms({}, plain) if plain else None
 
     # -- certificates
 
-    def _certificate_forms(self, boxes: dict[int, _Box]):
-        """Generators Q0 (m, n, n), level part G (m, n, n) with the parameter of each, and the multiplier
-        cone."""
+    def _certificate_forms(self, boxes: dict[int, _Box], only: Sequence[int] | None = None):
+        """Generators Q0 (m, n, n), level part G (m, n, n) with the parameter of each, and the multiplier cone; of all
+        forms or of those in ``only``."""
         q0, level, param, groups = [], [], [], []
 
         def add(kind, order, zero, slope_part, index):
@@ -263,7 +287,8 @@ class _Quadratic:
             param.extend([index] * len(zero))
             groups.append((kind, order))
 
-        for k, f in enumerate(self.forms):
+        for k in range(len(self.forms)) if only is None else only:
+            f = self.forms[k]
             r = f.a.shape[0] if f.repeated else 1
             basis = lmi.hermitian_basis(r) if f.repeated else None
 
@@ -287,7 +312,7 @@ class _Quadratic:
 
     def lower(self, node: _Node, cutoff: float):
         """Certified lower bound over a node: (bound, bound on the central ray, primal directions)."""
-        q0, level, param, cone = self._plain or self._certificate_forms(node.boxes)
+        q0, level, param, cone = self._certificate_forms(node.boxes) if self.repeated else self._plain
         base = self._box_bound(node, self._boxed)
         weight = np.append(node.rays.mean(axis=0), 0.0)
         length, y, inverse = lmi.ray_length(q0, level * weight[param][:, None, None], cone, max(cutoff - base, 0.0))
@@ -297,6 +322,68 @@ class _Quadratic:
             slopes = np.tensordot(rays[:, param] * y, level, axes=1)
             edges = float(np.min(lmi.reach(np.tensordot(y, q0, axes=1), slopes, lmi.rounding(y, q0))))
         return base + edges, base + length, inverse
+
+    def tangent(self, node: _Node, cutoff: float) -> _Tangent | None:
+        """Second bound over a node with boxes, whose error is of second order in their size; None without one.
+
+        At the boxes' centre c the repeated blocks are linear constraints, A(c) z = 0 with rows a - c b, and the others
+        give multipliers y on its kernel. Finsler: some Y makes the certificate Q(y, p) + Y^* A(c) + A(c)^* Y positive on
+        the whole space. With the same y and Y it is affine in the scalars and the sizes, so that it holds over the
+        box when it holds at its corners, and |delta|^2 lies above its tangent at c. Y's part outside the kernel is
+        free: a ladder of penalties on |A z|^2 is tried and the best corner bound kept.
+        """
+        if self._plain is None or not node.boxes:
+            return None
+        q0, level, param, cone = self._plain
+        keys = list(node.boxes)
+        centre = np.array([node.boxes[k].centre for k in keys])
+        unit = [1.0 / (np.linalg.norm(self.forms[k].a) + abs(c) * np.linalg.norm(self.forms[k].b)) for k, c in zip(keys, centre, strict=True)]
+
+        def rows(scalars):
+            return np.vstack([u * (self.forms[k].a - d * self.forms[k].b) for u, k, d in zip(unit, keys, scalars, strict=True)])
+
+        def base(scalars):
+            known = [i for i, k in enumerate(keys) if self.forms[k].param in self._boxed]
+            return sum((2.0 * (centre[i].conjugate() * scalars[i]).real - abs(centre[i]) ** 2) / self.forms[keys[i]].slope for i in known)
+
+        left, s, vh = np.linalg.svd(rows(centre))
+        rank = int(np.sum(s > RANK_TOLERANCE * s[0]))
+        normal, kernel = vh[:rank].conj().T, vh[rank:].conj().T
+        rays = np.vstack([node.rays.mean(axis=0), node.rays])
+        rays = np.column_stack([rays, np.zeros(len(rays))])[:, param]
+        at_centre = base(centre)
+        inverse, length = None, 0.0
+        if kernel.shape[1]:
+            reduced = [kernel.conj().T @ m @ kernel for m in (q0, level * rays[0][:, None, None])]
+            length, y, inverse = lmi.ray_length(*reduced, cone, max(cutoff - at_centre, 0.0))
+            if y is None:
+                return None
+            inverse = kernel @ inverse @ kernel.conj().T
+        else:
+            y = cone.normal / cone.normal.sum()
+        zero, slopes = np.tensordot(y, q0, axes=1), np.tensordot(rays * y, level, axes=1)
+        at = zero - (length if np.isfinite(length) else 0.0) * slopes[0]
+        outside = normal.conj().T @ at @ normal
+        # Y^* = lift @ pinv(A N), lift making the certificate block diagonal: at on the kernel, penalty (A N)^* A N outside.
+        to_rows = (left[:, :rank] / s[:rank]).conj().T
+        penalties = np.linalg.norm(at) * PENALTIES
+        cross = -kernel @ (kernel.conj().T @ at @ normal)
+        lifts = cross + 0.5 * normal @ (penalties[:, None, None] * np.diag(s[:rank] ** 2) - outside)
+        duals = lifts @ to_rows
+        corners = [np.array(c) for c in itertools.product(*(node.boxes[k].corners for k in keys))]
+        terms = np.stack([duals @ rows(scalars) for scalars in [centre, *corners]])
+        errors = lmi.rounding(y, q0) + 8.0 * len(zero) * np.finfo(float).eps * np.linalg.norm(duals, axis=(1, 2))
+        lengths = lmi.reaches(zero + terms + terms.conj().swapaxes(-1, -2), slopes, np.broadcast_to(errors, terms.shape[:2]))
+        # (1 + corners, penalties, 1 + rays)
+        bounds = lengths + np.array([base(scalars) for scalars in [centre, *corners]])[:, None, None]
+        kept = int(np.argmax(bounds[1:, :, 1:].min(axis=(0, 2))))
+        return _Tangent(
+            float(bounds[1:, kept, 1:].min()),
+            at_centre + length,
+            float(bounds[1:, kept, 0].min()),
+            float(bounds[0, kept, 1:].min()),
+            inverse,
+        )
 
     # -- feasible points
 
@@ -630,6 +717,11 @@ class _Quadratic:
             edges, central, inverse = self.lower(node, best.cost * (1.0 - gap) * (1.0 + 1e-12))
             lower = max(node.lower, edges, self._box_bound(node, set(range(self.params))))
             readings = self._candidates(inverse)
+            tangent = self.tangent(node, best.cost) if lower < best.cost * (1.0 - gap) else None
+            if tangent is not None:
+                lower = max(lower, tangent.lower)
+                if tangent.inverse is not None:
+                    readings = self._candidates(tangent.inverse) + readings
             for z in readings if polished < MAX_POLISHED else readings[:1]:
                 before = best.cost
                 self._offer(z, best)
@@ -644,7 +736,7 @@ class _Quadratic:
             if lower >= best.cost * (1.0 - gap):
                 closed = min(closed, lower)
                 continue
-            children = self._branch(node, edges, central, best)
+            children = self._branch(node, edges, central, best, tangent)
             if children is None:
                 closed = min(closed, lower)
                 continue
@@ -663,10 +755,12 @@ class _Quadratic:
                 total[f.param] = max(total[f.param], box.least**2 / f.slope - f.constant)
         return float(total.sum())
 
-    def _branch(self, node: _Node, edges: float, central: float, best: _Best):
+    def _branch(self, node: _Node, edges: float, central: float, best: _Best, tangent: _Tangent | None):
         """Two nodes that cover this one: its widest pair of rays cut in the middle, or its widest box; None when
         neither can be."""
         cone_loss, relaxation_loss = central - edges, best.cost - central
+        if tangent is not None and tangent.lower > edges:
+            cone_loss, relaxation_loss = tangent.centre - tangent.cone, 2.0 * (tangent.centre - tangent.box)
         to_box = self._boxed and not node.boxes and np.isfinite(best.cost)
         if len(node.rays) > 1 and not to_box and (cone_loss >= 0.5 * relaxation_loss or not self.repeated):
             spread = np.linalg.norm(node.rays[:, None] - node.rays[None], axis=-1)
