@@ -52,6 +52,9 @@ attainable."""
 
 MAX_NODES = 5000
 
+COSTLY = 24
+"""Multipliers of repeated blocks from which the relaxation is used sparingly."""
+
 PENALTIES = 10.0 ** np.arange(-2.0, 5.0)
 """Weights of |A z|^2 beside the certificate's norm that :meth:`_Quadratic.tangent` tries."""
 
@@ -235,6 +238,8 @@ class _Node:
     serial: int
     rays: np.ndarray = field(compare=False)
     boxes: dict[int, _Box] = field(compare=False)
+    small: bool = field(compare=False, default=False)
+    """The tangent's bound was the better one at the parent."""
 
 
 @dataclass(frozen=True)
@@ -270,6 +275,9 @@ class _Quadratic:
         # A size that one repeated block alone decides: its box bounds it, so it needs no direction of its own.
         self._boxed = {self.forms[k].param for k in self.repeated if users.count(self.forms[k].param) == 1} - {-1}
         self._first_boxes: dict[int, _Box] = {}
+        # A Newton step takes the cube of the number of multipliers: with two larger blocks the relaxation costs fifty
+        # times the tangent's, and is left out where that was the better bound.
+        self._costly = sum((3 if f.repeated == "repeated_real" else 2) * len(f.a) ** 2 for f in self.forms if f.repeated) > COSTLY
         plain = [k for k, f in enumerate(self.forms) if not f.repeated and np.isfinite(f.constant)]
         self._plain = self._certificate_forms({}, plain) if plain else None
 
@@ -714,14 +722,15 @@ class _Quadratic:
             if decided or node.lower >= best.cost * (1.0 - gap):
                 closed = min(closed, node.lower)
                 break
-            edges, central, inverse = self.lower(node, best.cost * (1.0 - gap) * (1.0 + 1e-12))
-            lower = max(node.lower, edges, self._box_bound(node, set(range(self.params))))
-            readings = self._candidates(inverse)
-            tangent = self.tangent(node, best.cost) if lower < best.cost * (1.0 - gap) else None
-            if tangent is not None:
-                lower = max(lower, tangent.lower)
-                if tangent.inverse is not None:
-                    readings = self._candidates(tangent.inverse) + readings
+            lower = max(node.lower, self._box_bound(node, set(range(self.params))))
+            tangent = self.tangent(node, best.cost)
+            readings = self._candidates(tangent.inverse) if tangent is not None and tangent.inverse is not None else []
+            lower = max(lower, tangent.lower if tangent is not None else 0.0)
+            edges, central = -np.inf, np.inf
+            if lower < best.cost * (1.0 - gap) and not (node.small and self._costly):
+                edges, central, inverse = self.lower(node, best.cost * (1.0 - gap) * (1.0 + 1e-12))
+                lower = max(lower, edges)
+                readings += self._candidates(inverse)
             for z in readings if polished < MAX_POLISHED else readings[:1]:
                 before = best.cost
                 self._offer(z, best)
@@ -740,9 +749,10 @@ class _Quadratic:
             if children is None:
                 closed = min(closed, lower)
                 continue
+            small = tangent is not None and tangent.lower > max(edges, node.lower)
             for ray, boxes in children:
                 serial += 1
-                heapq.heappush(open_nodes, _Node(lower, serial, ray, boxes))
+                heapq.heappush(open_nodes, _Node(lower, serial, ray, boxes, small))
         remaining = min((n.lower for n in open_nodes), default=np.inf)
         return Interval(min(closed, remaining, best.cost), best.cost, best.z, serial + 1)
 
@@ -776,7 +786,10 @@ class _Quadratic:
         if self.repeated and np.isfinite(best.cost):
             rays, boxes = node.rays, node.boxes
             if not boxes:
-                boxes = {k: self._first_box(k, best.cost) for k in self.repeated}
+                # A block without a cap or a size to pay for has no bounded box: its part of the interval stays open.
+                boxes = {k: self._first_box(k, best.cost) for k in self.repeated if self.forms[k].param >= 0 or np.isfinite(self.forms[k].constant)}
+                if not boxes:
+                    return None
                 self._first_boxes = self._first_boxes or boxes
                 free = [p for p in range(self.params) if p not in self._boxed]
                 rays = np.eye(self.params)[free] if free else np.zeros((1, self.params))
