@@ -273,11 +273,15 @@ def test_zero_in_one_unit_does_not_hide_a_size_in_another():
     # xi of 1e-7 beside w of 1e7: the least-squares point of both has a small residual, but it is not xi = 0.
     blocks = (Block("repeated_real", 1, 1),)
     one, none = np.ones((1, 1), complex), np.zeros((1, 1), complex)
-    problem = Lft(blocks, none, none, one * (1e14 + 3e13j), one, np.array([1.0 + 2.0j]), np.array([2e7 + 1e7j]))
+    problem = Lft(
+        blocks, none, none, one * (1e14 + 3e13j), one, np.array([1.0 + 2.0j]), np.array([2e7 + 1e7j])
+    )
     s = lft.margin(problem, [1e-7], [1e7])
     # |e - P21 delta eta0| <= t 1e7 with a real delta: least over a fine grid.
     delta = np.linspace(-4e-7, 4e-7, 400001)
-    t = np.maximum(np.abs(delta) / 1e-7, np.abs(problem.e[0] - problem.p21[0, 0] * delta * problem.eta0[0]) / 1e7)
+    t = np.maximum(
+        np.abs(delta) / 1e-7, np.abs(problem.e[0] - problem.p21[0, 0] * delta * problem.eta0[0]) / 1e7
+    )
     assert 0.1 < s.lower <= t.min() * (1 + 1e-9) and s.upper == pytest.approx(t.min(), rel=1e-4)
 
 
@@ -286,7 +290,9 @@ def test_the_last_block_is_zero_only_where_a_zero_was_found(unit):
     # The least-squares point breaks the real block, so the search starts without a cost to compare zero with.
     problem, nu, w = made_from_truth(np.random.default_rng(0), 4, [("full", 3, 2), ("repeated_real", 2, 2)])
     u = np.diag([1, 1, 1, unit, unit])
-    problem = Lft(problem.blocks, problem.p11 @ u, problem.p12, problem.p21 @ u, problem.p22, problem.eta0, problem.e)
+    problem = Lft(
+        problem.blocks, problem.p11 @ u, problem.p12, problem.p21 @ u, problem.p22, problem.eta0, problem.e
+    )
     gamma = 1.001 * np.linalg.norm(w)
     low, high = lft.smallest_last_block(problem, gamma)
     assert 0.1 < low * unit <= high * unit <= nu[1] and high - low <= 1e-3 * high
@@ -320,7 +326,14 @@ def test_repeated_blocks_are_settled_by_boxes():
     substitute(problem, s, 1.001 * np.linalg.norm(w))
 
 
-@pytest.mark.parametrize("blocks", [[("repeated_complex", 2, 2)], [("repeated_real", 2, 2), ("repeated_complex", 2, 2)], [("full", 1, 2), ("repeated_complex", 2, 2)]])
+@pytest.mark.parametrize(
+    "blocks",
+    [
+        [("repeated_complex", 2, 2)],
+        [("repeated_real", 2, 2), ("repeated_complex", 2, 2)],
+        [("full", 1, 2), ("repeated_complex", 2, 2)],
+    ],
+)
 def test_the_tangent_bounds_every_point_of_its_box(blocks):
     """Against points made inside the box: the cost of none is below the bound, and halving the box quarters its loss."""
     rng = np.random.default_rng(12)
@@ -346,7 +359,10 @@ def test_the_tangent_bounds_every_point_of_its_box(blocks):
         losses.append(bound.centre - bound.box)
         for _ in range(20):
             scalars = {
-                k: complex(rng.uniform(b.low.real, b.high.real), rng.uniform(b.low.imag, b.high.imag) if b.high.imag > b.low.imag else 0.0)
+                k: complex(
+                    rng.uniform(b.low.real, b.high.real),
+                    rng.uniform(b.low.imag, b.high.imag) if b.high.imag > b.low.imag else 0.0,
+                )
                 for k, b in boxes.items()
             }
             z, _ = search._on_subspace(posed.points(s)[0], scalars)

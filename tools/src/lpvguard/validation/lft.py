@@ -273,11 +273,16 @@ class _Quadratic:
         self.repeated = [k for k, f in enumerate(self.forms) if f.repeated]
         users = [f.param for f in self.forms]
         # A size that one repeated block alone decides: its box bounds it, so it needs no direction of its own.
-        self._boxed = {self.forms[k].param for k in self.repeated if users.count(self.forms[k].param) == 1} - {-1}
+        self._boxed = {
+            self.forms[k].param for k in self.repeated if users.count(self.forms[k].param) == 1
+        } - {-1}
         self._first_boxes: dict[int, _Box] = {}
         # A Newton step takes the cube of the number of multipliers: with two larger blocks the relaxation costs fifty
         # times the tangent's, and is left out where that was the better bound.
-        self._costly = sum((3 if f.repeated == "repeated_real" else 2) * len(f.a) ** 2 for f in self.forms if f.repeated) > COSTLY
+        self._costly = (
+            sum((3 if f.repeated == "repeated_real" else 2) * len(f.a) ** 2 for f in self.forms if f.repeated)
+            > COSTLY
+        )
         plain = [k for k, f in enumerate(self.forms) if not f.repeated and np.isfinite(f.constant)]
         self._plain = self._certificate_forms({}, plain) if plain else None
 
@@ -323,7 +328,9 @@ class _Quadratic:
         q0, level, param, cone = self._certificate_forms(node.boxes) if self.repeated else self._plain
         base = self._box_bound(node, self._boxed)
         weight = np.append(node.rays.mean(axis=0), 0.0)
-        length, y, inverse = lmi.ray_length(q0, level * weight[param][:, None, None], cone, max(cutoff - base, 0.0))
+        length, y, inverse = lmi.ray_length(
+            q0, level * weight[param][:, None, None], cone, max(cutoff - base, 0.0)
+        )
         edges = 0.0
         if y is not None:
             rays = np.column_stack([node.rays, np.zeros(len(node.rays))])
@@ -345,14 +352,26 @@ class _Quadratic:
         q0, level, param, cone = self._plain
         keys = list(node.boxes)
         centre = np.array([node.boxes[k].centre for k in keys])
-        unit = [1.0 / (np.linalg.norm(self.forms[k].a) + abs(c) * np.linalg.norm(self.forms[k].b)) for k, c in zip(keys, centre, strict=True)]
+        unit = [
+            1.0 / (np.linalg.norm(self.forms[k].a) + abs(c) * np.linalg.norm(self.forms[k].b))
+            for k, c in zip(keys, centre, strict=True)
+        ]
 
         def rows(scalars):
-            return np.vstack([u * (self.forms[k].a - d * self.forms[k].b) for u, k, d in zip(unit, keys, scalars, strict=True)])
+            return np.vstack(
+                [
+                    u * (self.forms[k].a - d * self.forms[k].b)
+                    for u, k, d in zip(unit, keys, scalars, strict=True)
+                ]
+            )
 
         def base(scalars):
             known = [i for i, k in enumerate(keys) if self.forms[k].param in self._boxed]
-            return sum((2.0 * (centre[i].conjugate() * scalars[i]).real - abs(centre[i]) ** 2) / self.forms[keys[i]].slope for i in known)
+            return sum(
+                (2.0 * (centre[i].conjugate() * scalars[i]).real - abs(centre[i]) ** 2)
+                / self.forms[keys[i]].slope
+                for i in known
+            )
 
         left, s, vh = np.linalg.svd(rows(centre))
         rank = int(np.sum(s > RANK_TOLERANCE * s[0]))
@@ -380,8 +399,12 @@ class _Quadratic:
         duals = lifts @ to_rows
         corners = [np.array(c) for c in itertools.product(*(node.boxes[k].corners for k in keys))]
         terms = np.stack([duals @ rows(scalars) for scalars in [centre, *corners]])
-        errors = lmi.rounding(y, q0) + 8.0 * len(zero) * np.finfo(float).eps * np.linalg.norm(duals, axis=(1, 2))
-        lengths = lmi.reaches(zero + terms + terms.conj().swapaxes(-1, -2), slopes, np.broadcast_to(errors, terms.shape[:2]))
+        errors = lmi.rounding(y, q0) + 8.0 * len(zero) * np.finfo(float).eps * np.linalg.norm(
+            duals, axis=(1, 2)
+        )
+        lengths = lmi.reaches(
+            zero + terms + terms.conj().swapaxes(-1, -2), slopes, np.broadcast_to(errors, terms.shape[:2])
+        )
         # (1 + corners, penalties, 1 + rays)
         bounds = lengths + np.array([base(scalars) for scalars in [centre, *corners]])[:, None, None]
         kept = int(np.argmax(bounds[1:, :, 1:].min(axis=(0, 2))))
@@ -724,7 +747,11 @@ class _Quadratic:
                 break
             lower = max(node.lower, self._box_bound(node, set(range(self.params))))
             tangent = self.tangent(node, best.cost)
-            readings = self._candidates(tangent.inverse) if tangent is not None and tangent.inverse is not None else []
+            readings = (
+                self._candidates(tangent.inverse)
+                if tangent is not None and tangent.inverse is not None
+                else []
+            )
             lower = max(lower, tangent.lower if tangent is not None else 0.0)
             edges, central = -np.inf, np.inf
             if lower < best.cost * (1.0 - gap) and not (node.small and self._costly):
@@ -787,7 +814,11 @@ class _Quadratic:
             rays, boxes = node.rays, node.boxes
             if not boxes:
                 # A block without a cap or a size to pay for has no bounded box: its part of the interval stays open.
-                boxes = {k: self._first_box(k, best.cost) for k in self.repeated if self.forms[k].param >= 0 or np.isfinite(self.forms[k].constant)}
+                boxes = {
+                    k: self._first_box(k, best.cost)
+                    for k in self.repeated
+                    if self.forms[k].param >= 0 or np.isfinite(self.forms[k].constant)
+                }
                 if not boxes:
                     return None
                 self._first_boxes = self._first_boxes or boxes
