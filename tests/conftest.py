@@ -19,6 +19,10 @@ from lpvguard.project import load_project
 ROOT = Path(__file__).resolve().parents[1]
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "requirement(id): verifies this requirement of lib/REQUIREMENTS.md")
+
+
 def measured_folder() -> Path:
     """Folder of the measured data; the test that asks is skipped, with a reason, when it is absent."""
     folder = Path(os.environ.get("LPVGUARD_DATA", ROOT.parent / "shared" / "data"))

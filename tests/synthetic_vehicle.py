@@ -17,7 +17,7 @@ PERIODS, BINS_PER_DECADE, SHORTEST = 6, 50, 208
 
 @dataclass(frozen=True)
 class Sizes:
-    """States, inputs, outputs, bins (DC included), whole samples of input delay, states of the controller."""
+    """States, inputs, outputs, bins (DC included), whole samples of input delay, controller states of each demand."""
 
     n_x: int
     n_u: int
@@ -56,17 +56,14 @@ def synthetic_project(sizes: Sizes, name: str = "synthetic") -> Project:
 
 
 def synthetic_controller(sizes: Sizes, *, nodes: int = 5) -> ControllerCoefficients:
-    """Stable controller of ``n_k`` states in 2 x 2 blocks, coupled forward so that A - I is not block-diagonal; L = 0."""
+    """Stable pairs of poles, from 0.3 to 20 rad/s, and a single one where n_k is odd; L = 0."""
     rng = np.random.default_rng([sizes.n_k, sizes.n_u, sizes.n_y, 9])
-    n, growth = sizes.n_k, np.linspace(1.0, 1.5, nodes)[:, None, None]
-    A1 = np.zeros((n, n))
-    for i in range(0, n - 1, 2):
-        decay, turn = rng.uniform(0.3, 20.0), rng.uniform(0.2, 20.0)
-        A1[i:i + 2, i:i + 2] = [[-decay, turn], [-turn, -decay]]
-    if n % 2:
-        A1[-1, -1] = -0.5
-    A1 += np.triu(rng.uniform(-0.2, 0.2, (n, n)) * (rng.random((n, n)) < 0.2), 2)
-    B = rng.standard_normal((n, 1 + sizes.n_y))
-    C = rng.standard_normal((sizes.n_u, n)) / n
-    return build_controller(TS, np.linspace(*SPEEDS, nodes), np.eye(n) + TS * growth * A1, TS * growth * B, C / growth,
-                            np.zeros((nodes, n, sizes.n_u)), np.full(sizes.n_u, 6.0), np.full(sizes.n_u, 40.0))
+    decay, turn = rng.uniform(0.3, 20.0, (2, sizes.n_k // 2))
+    d = np.expm1((-decay + 1j * turn) * TS)  # a pole less one, of every pair
+    a = np.column_stack([2 * d.real, -np.abs(d) ** 2]).ravel()
+    scale = TS * np.column_stack([np.ones(len(d)), np.abs(d)]).ravel()
+    if sizes.n_k % 2:
+        a, scale = np.append(a, np.expm1(-0.5 * TS)), np.append(scale, TS)
+    B = np.linspace(1.0, 1.5, nodes)[:, None, None, None] * scale[:, None] * rng.standard_normal((sizes.n_u, sizes.n_k, 1 + sizes.n_y))
+    return build_controller(TS, np.linspace(*SPEEDS, nodes), a, B, np.zeros((nodes, sizes.n_u, sizes.n_k, sizes.n_u)),
+                            np.full(sizes.n_u, 6.0), np.full(sizes.n_u, 40.0))

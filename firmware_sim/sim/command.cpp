@@ -41,6 +41,9 @@ double Command::next() {
         return std::fmod(time_s, settings_.period_s) < 0.5 * settings_.period_s ? settings_.amplitude_radps
                                                                                 : -settings_.amplitude_radps;
     }
+    if (settings_.kind == CommandSettings::Kind::profile) {
+        return on_profile(time_s);
+    }
     double sum = 0.0;
     for (Oscillator& o : oscillators_) {
         sum += o.im;
@@ -49,6 +52,19 @@ double Command::next() {
         o.re = re;
     }
     return amplitude_radps_ * sum * std::fmin(1.0, time_s / fade_in_s);
+}
+
+double Command::on_profile(double time_s) {
+    const auto& knots = settings_.knots;
+    while (segment_ + 1 < knots.size() && time_s >= knots[segment_ + 1].first) {
+        ++segment_;
+    }
+    const auto& [from_s, from_radps] = knots[segment_];
+    if (time_s <= from_s || segment_ + 1 == knots.size()) {
+        return from_radps;
+    }
+    const auto& [to_s, to_radps] = knots[segment_ + 1];
+    return from_radps + (to_radps - from_radps) * (time_s - from_s) / (to_s - from_s);
 }
 
 double ReferenceModel::step(double command_radps) {

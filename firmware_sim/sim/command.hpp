@@ -1,6 +1,7 @@
 /// @file command.hpp -- the driver's yaw-rate command over time, and the reference model that tracking is judged against.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <vector>
 
@@ -16,6 +17,8 @@ public:
     double next();  ///< [rad/s]
 
 private:
+    double on_profile(double time_s);
+
     struct Oscillator {
         double re, im;            ///< exp(j phase) of the next sample
         double step_re, step_im;
@@ -25,6 +28,7 @@ private:
     std::vector<Oscillator> oscillators_;
     double amplitude_radps_ = 0.0;
     std::int64_t samples_ = 0;
+    std::size_t segment_ = 0;  ///< Of the profile.
 };
 
 /// W_R = 9 / (s^2 + 5.4 s + 9) at 10 ms by the trapezoidal rule (0.1 % at 10 rad/s).

@@ -1,13 +1,14 @@
 // main.cpp -- lpvguard_sim: one scenario of the closed loop over CAN frames; what happened goes to standard output as JSON.
 //
 //   lpvguard_sim SCENARIO --parameters TRUCK.toml [--seed N] [--bus memory|socketcan:INTERFACE] [--engage yes|no]
-//                [--ecu PROGRAM] [--pace X] [--log F] [--frames F] [--telemetry F] [--lcm URL]
+//                [--ecu PROGRAM] [--pace X] [--log F] [--frames F] [--drive F] [--telemetry F] [--lcm URL]
 //
 //   --ecu        the ECU's firmware is this program (lpvguard_ecu), a process of its own on the same CAN interface, in lock-step by
-//                simulated time; what it says is then read off the bus, and --frames stays empty
+//                simulated time; what it says is then read off the bus, and --frames and --drive stay empty
 //   --pace       at most X times real time (default: as fast as it goes)
 //   --log        every frame of the bus as candump -L writes it, with simulated time
 //   --frames     every frame that the monitor judged (CSV)
+//   --drive      the samples that the monitor was given, as a drive table (CSV): what `lpvguard replay` reads
 //   --telemetry  the loop every 100 ms (CSV)
 //   --lcm        the loop every 10 ms and the supervision every 100 ms as LCM messages (firmware_sim/lcm), where built with LCM
 //
@@ -126,7 +127,7 @@ private:
 class Loop {
 public:
     Loop(const lpvguard_sim::Scenario& scenario, const lpvguard_plant::PlantParameters& parameters, LoopBus& bus, lpvguard_sim::EcuNode& ecu,
-         std::FILE* log, std::FILE* frames, std::FILE* telemetry, lpvguard_sim::Publisher* publisher)
+         std::FILE* log, std::FILE* frames, std::FILE* drive, std::FILE* telemetry, lpvguard_sim::Publisher* publisher)
         : duration_s_(scenario.duration_s),
           plant_(lpvguard_plant::varied(parameters, scenario.plant.variation), scenario.plant.drive, scenario.seed,
                  scenario.plant.faults),
@@ -136,11 +137,15 @@ public:
           ecu_(ecu),
           watcher_(log),
           frames_(frames),
+          drive_(drive),
           telemetry_(telemetry),
           publisher_(publisher) {
         bus.watch(&FrameWatcher::watch, &watcher_);
         if (frames_ != nullptr) {
             std::fputs("t_end_s,t_begin_s,bin,reason,falsified,speed_mps,margin,statistic,evidence\n", frames_);
+        }
+        if (drive_ != nullptr) {
+            std::fputs("t,v,dp,r,delta\n", drive_);
         }
         if (telemetry_ != nullptr) {
             std::fputs("t_s,speed_mps,command_radps,wanted_radps,yaw_rate_radps,road_wheel_rad,demand_bar,margin,verdict,"
@@ -217,6 +222,7 @@ private:
         if (ecu != nullptr) {
             implausible_.take(time_s, ecu->plausibility.flags);
             note_frame(*ecu);
+            note_sample(*ecu, k, time_s);
         }
         if (publisher_ != nullptr) {
             publisher_->publish(k * tick_us, plant_.truth(),
@@ -247,6 +253,15 @@ private:
         last_frame_ = frame.sequence;
     }
 
+    /// A sample with a missing or refused measurement never reached the monitor.
+    void note_sample(const lpvg_ecu_t& ecu, std::int64_t k, double time_s) {
+        if (drive_ != nullptr && ecu.monitor.running && ecu.monitor.t_us == k * tick_us) {
+            std::fprintf(drive_, "%.9g,%.9g,%.9g,%.9g,%.9g\n", time_s, static_cast<double>(ecu.signals.speed),
+                         static_cast<double>(ecu.control.u[0]), static_cast<double>(ecu.signals.y[0]),
+                         static_cast<double>(ecu.signals.y[1]));
+        }
+    }
+
     template <class Value, class Print>
     static void print_changes(const char* name, const Changes<Value>& changes, const Print& print_value) {
         std::printf(" \"%s\": [", name);
@@ -269,6 +284,7 @@ private:
     lpvguard_sim::EcuNode& ecu_;
     FrameWatcher watcher_;
     std::FILE* frames_;
+    std::FILE* drive_;
     std::FILE* telemetry_;
     lpvguard_sim::Publisher* publisher_;
     Changes<std::uint8_t> verdicts_, supervision_, implausible_;
@@ -281,7 +297,7 @@ private:
 int run(int argc, char** argv) {
     if (argc < 2 || std::strncmp(argv[1], "--", 2) == 0) {
         throw UsageError("usage: lpvguard_sim SCENARIO --parameters TRUCK.toml [--seed N] [--engage yes|no] [--ecu PROGRAM] [--pace X] [--log F] "
-                         "[--frames F] [--telemetry F] [--lcm URL] [--bus memory|socketcan:INTERFACE]");
+                         "[--frames F] [--drive F] [--telemetry F] [--lcm URL] [--bus memory|socketcan:INTERFACE]");
     }
     lpvguard_plant::Arguments arguments(argc - 2, argv + 2);
     lpvguard_sim::Scenario scenario = lpvguard_sim::load_scenario(argv[1]);
@@ -295,14 +311,14 @@ int run(int argc, char** argv) {
         lpvguard_sim::open_nodes(arguments.text("--bus", "memory"), arguments.text("--ecu", ""), engage == "yes");
     const double pace = arguments.number("--pace", 0.0, 1e-3, 1e3);
     const OutputFile log(arguments.text("--log", "")), frames(arguments.text("--frames", "")),
-        telemetry(arguments.text("--telemetry", ""));
+        drive(arguments.text("--drive", "")), telemetry(arguments.text("--telemetry", ""));
     std::unique_ptr<lpvguard_sim::Publisher> publisher;
     if (arguments.has("--lcm")) {
         publisher = lpvguard_sim::open_publisher(arguments.text("--lcm"));
     }
     arguments.done();
-    const auto loop = std::make_unique<Loop>(scenario, parameters, *nodes.bus, *nodes.ecu, log.get(), frames.get(), telemetry.get(),
-                                             publisher.get());
+    const auto loop = std::make_unique<Loop>(scenario, parameters, *nodes.bus, *nodes.ecu, log.get(), frames.get(), drive.get(),
+                                             telemetry.get(), publisher.get());
     loop->run(pace);
     loop->print(scenario.seed);
     return 0;

@@ -62,10 +62,31 @@ private:
     std::string file_, where_;
 };
 
+std::vector<std::pair<double, double>> read_knots(const toml::table& table, const std::string& file) {
+    const std::string key = "command.knots";
+    const toml::array* const rows = table["knots"].as_array();
+    if (rows == nullptr || rows->empty()) {
+        throw ParameterError(file + ": " + key + ": missing, expected [[time s, yaw rate rad/s], ...]");
+    }
+    std::vector<std::pair<double, double>> knots;
+    for (const toml::node& row : *rows) {
+        const toml::array* const pair = row.as_array();
+        if (pair == nullptr || pair->size() != 2) {
+            throw ParameterError(file + ": " + key + ": expected [[time s, yaw rate rad/s], ...]");
+        }
+        const double time_s = number(*pair->get(0), file, key);
+        const double yaw_rate_radps = number(*pair->get(1), file, key);
+        require_in_range(file, key + " time", time_s, knots.empty() ? 0.0 : knots.back().first + 1e-3, 1e6);
+        require_in_range(file, key + " yaw rate", yaw_rate_radps, -0.5, 0.5);
+        knots.emplace_back(time_s, yaw_rate_radps);
+    }
+    return knots;
+}
+
 CommandSettings read_command(const toml::table& table, const std::string& file) {
     const Reader reader(table, file, "command.");
     CommandSettings command;
-    constexpr std::string_view kinds[] = {"zero", "multisine", "steps"};
+    constexpr std::string_view kinds[] = {"zero", "multisine", "steps", "profile"};
     command.kind = static_cast<CommandSettings::Kind>(reader.choice("kind", kinds));
     switch (command.kind) {
         case CommandSettings::Kind::zero:
@@ -84,6 +105,10 @@ CommandSettings read_command(const toml::table& table, const std::string& file) 
             require_known_keys(table, file, "command.", {"kind", "amplitude_radps", "period_s"});
             command.amplitude_radps = reader.required("amplitude_radps", 0.0, 0.5);
             command.period_s = reader.required("period_s", 0.1, 1e6);
+            break;
+        case CommandSettings::Kind::profile:
+            require_known_keys(table, file, "command.", {"kind", "knots"});
+            command.knots = read_knots(table, file);
             break;
     }
     return command;

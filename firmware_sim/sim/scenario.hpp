@@ -5,13 +5,14 @@
 ///     seed = 1                         # of road, noise, command and bus faults; --seed replaces it
 ///     [plant]                          # speed profile, variation, faults: lpvguard_plant/scenario.hpp
 ///     [command]                        # yaw-rate command
-///     kind = "multisine"               # multisine, steps or zero
+///     kind = "multisine"               # multisine, steps, profile or zero
 ///     rms_radps = 0.05                 # multisine
 ///     low_radps = 0.5                  # multisine: sines of random phase between these frequencies, together of the rms above,
 ///     high_radps = 4.0                 #            at most high_radps, faded in over 5 s
 ///     spacing = "log"                  # multisine: "log" (few, excitation) or "linear" (many, band-limited noise)
 ///     amplitude_radps = 0.05           # steps: from side to side
 ///     period_s = 10.0                  # steps: of a whole cycle
+///     knots = [[0.0, 0.0], [9.0, 0.1]] # profile: [time s, yaw rate rad/s], linear between knots, constant outside them
 ///     [[can_fault]]                    # any number, on messages to the controller
 ///     message = "VDC2"
 ///     kind = "lost"                    # lost; corrupted (one bit flipped); delayed; repeated (the frame before in place of the
@@ -30,6 +31,7 @@
 
 #include <cstdint>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "lpvguard_plant/scenario.hpp"
@@ -37,7 +39,7 @@
 namespace lpvguard_sim {
 
 struct CommandSettings {
-    enum class Kind { zero, multisine, steps };
+    enum class Kind { zero, multisine, steps, profile };
     Kind kind = Kind::zero;
     double rms_radps = 0.0;
     double low_radps = 0.0;
@@ -45,6 +47,7 @@ struct CommandSettings {
     bool linear_spacing = false;
     double amplitude_radps = 0.0;
     double period_s = 0.0;
+    std::vector<std::pair<double, double>> knots;  ///< Time [s], yaw rate [rad/s]; times ascend strictly.
 };
 
 struct CanFault {

@@ -9,8 +9,8 @@
 #include <cstdint>
 #include <string>
 
+#include "counted_bus.hpp"
 #include "loop_bus.hpp"
-#include "socketcan.h"
 
 namespace lpvguard_sim {
 
@@ -18,15 +18,13 @@ class SocketCanBus final : public LoopBus {
 public:
     /// Throws lpvguard_plant::UsageError when the interface cannot be opened.
     explicit SocketCanBus(const std::string& interface);
-    ~SocketCanBus() override;
 
 private:
     struct Port {
         SocketCanBus* bus = nullptr;
         Port* peer = nullptr;
-        socketcan_t socket{};
-        bus_t raw{};
-        std::uint64_t sent = 0, received = 0;
+        CountedBus can;
+        std::uint64_t due = 0;  ///< Sent to this node since it last received.
     };
 
     static bool send(void* driver, const lpvg_can_frame_t* frame);

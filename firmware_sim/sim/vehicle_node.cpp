@@ -238,6 +238,7 @@ void VehicleNode::receive(std::int64_t now_us) {
     lpvg_can_advance(&supervisor_, now_us);
     if (lpvg_can_state(&supervisor_, 0) == lpvg_can_state_off) {
         demand_bar_ = 0.0;
+        report_.supervision = lpvg_can_state_off;
     }
 }
 

@@ -32,7 +32,7 @@ public:
     void receive(std::int64_t now_us);
 
     double demand_bar() const { return demand_bar_; }
-    const lpvg_bus_report_t& report() const { return report_; }  ///< Newest that was accepted.
+    const lpvg_bus_report_t& report() const { return report_; }  ///< Newest that was accepted; supervision reads off while none comes.
     const TroubleCode& trouble() const { return trouble_; }
 
 private:

@@ -63,19 +63,29 @@ public:
         centre_[NY] = {Real(0), Real(0)};
     }
 
-    Real operator()() {
+    Real operator()() { return with_triples(with_pairs()); }
+
+    /// The work in two parts: the least squared maximum over d = 0 and the pairs ...
+    Real with_pairs() {
         consider_zero();
         for (std::size_t i = 0; i < NY; ++i) {
-            if (!(size_[i] > Real(0))) {
-                continue;
-            }
             for (std::size_t j = i + 1; j <= NY; ++j) {
-                if (size_[j] > Real(0)) {
+                if (size_[i] > Real(0) && size_[j] > Real(0)) {
                     pair(i, j);
-                    for (std::size_t k = j + 1; k <= NY; ++k) {
-                        if (size_[k] > Real(0)) {
-                            triple(i, j, k);
-                        }
+                }
+            }
+        }
+        return best_;
+    }
+
+    /// ... and, given that, t*.
+    Real with_triples(Real best) {
+        best_ = best;
+        for (std::size_t i = 0; i < NY; ++i) {
+            for (std::size_t j = i + 1; j < NY; ++j) {
+                for (std::size_t k = j + 1; k <= NY; ++k) {
+                    if (size_[i] > Real(0) && size_[j] > Real(0) && size_[k] > Real(0)) {
+                        triple(i, j, k);
                     }
                 }
             }

@@ -94,8 +94,11 @@ lpvg_span_t span_of(const lpvg_monitor_t& self, uint32_t first, uint32_t end) {
 // cos - 1 and sin, which keeps their relative precision in float.
 void accumulate(lpvg_bin_t& bin, const Real* turn, const Real* taper, const Real* x, uint32_t n) {
     const bool begins = bin.n == 0U;
-    if (begins) {
-        bin.sum = lpvg_sum_t{};
+    if (begins) {  // not by assigning a cleared struct: small C libraries clear it byte by byte
+        signals(bin.sum.plain_re).setZero();
+        signals(bin.sum.plain_im).setZero();
+        signals(bin.sum.rising_re).setZero();
+        signals(bin.sum.rising_im).setZero();
         bin.phasor[0] = Real(1);
         bin.window[0] = Real(0.5);
         bin.phasor[1] = bin.window[1] = Real(0);
@@ -135,10 +138,10 @@ void end_half(lpvg_monitor_t& self, std::size_t b, int64_t t_us) {
     if (bin.has_before) {
         const Real scale = coeff.reals.scale[b];
         const Real falling = coeff.words.cycles[b] % 2U != 0U ? -scale : scale;
-        signals(bin.frame_re) = scale * signals(bin.rising_re) +
-                                falling * (signals(bin.sum.plain_re) - signals(bin.sum.rising_re));
-        signals(bin.frame_im) = scale * signals(bin.rising_im) +
-                                falling * (signals(bin.sum.plain_im) - signals(bin.sum.rising_im));
+        for (std::size_t i = 0; i < n_signals; ++i) {
+            bin.frame_re[i] = scale * bin.rising_re[i] + falling * (bin.sum.plain_re[i] - bin.sum.rising_re[i]);
+            bin.frame_im[i] = scale * bin.rising_im[i] + falling * (bin.sum.plain_im[i] - bin.sum.rising_im[i]);
+        }
         bin.frame_span = bin.span_before;
         extend(bin.frame_span, bin.span);
         bin.frame_end_us = t_us;
@@ -200,7 +203,19 @@ Real statistic(const lpvg_bin_t& bin, uint32_t confirm) {
 
 void record(lpvg_monitor_t& self, const lpvg_frame_t& frame) {
     if (self.n_records < LPVG_NRECORDS) {
-        self.record[self.n_records] = frame;
+        lpvg_frame_t& place = self.record[self.n_records];
+        place.sequence = frame.sequence;  // field by field: small C libraries move a struct byte by byte
+        place.test = frame.test;
+        place.bin = frame.bin;
+        place.t_end_us = frame.t_end_us;
+        place.reason = frame.reason;
+        place.falsified = frame.falsified;
+        place.speed = frame.speed;
+        place.margin = frame.margin;
+        place.statistic = frame.statistic;
+        place.evidence = frame.evidence;
+        signals(place.E[0]) = signals(frame.E[0]);
+        signals(place.Z[0]) = signals(frame.Z[0]);
         ++self.n_records;
     } else {
         ++self.records_lost;
@@ -213,7 +228,8 @@ void falsified_at(lpvg_monitor_t& self, int64_t t_us) {
     self.has_falsified = true;
 }
 
-void judge(lpvg_monitor_t& self, std::size_t b) {
+// The next part of the judgement of bin b's frame; whether it was the last.
+bool judge(lpvg_monitor_t& self, std::size_t b) {
     const lpvg_coeff_t& coeff = *self.coeff;
     const lpvg_coeff_reals_t& r = coeff.reals;
     lpvg_bin_t& bin = self.bin[b];
@@ -223,6 +239,18 @@ void judge(lpvg_monitor_t& self, std::size_t b) {
                         span.speed_high <= (Real(1) + r.speed_tolerance) * mean;
     const lpvg_reason_t reason =
         span.reason != lpvg_reason_none ? span.reason : (steady ? lpvg_reason_none : lpvg_reason_speed_moved);
+    Complex E[ny], Z[ny];
+    for (std::size_t j = 0; j < ny; ++j) {
+        E[j] = {bin.frame_re[j], bin.frame_im[j]};
+        Z[j] = {bin.frame_re[ny + j], bin.frame_im[ny + j]};
+    }
+    lpvg::Margin<Real, ny> margin(E, Z, r.W_delta[b], r.B_w[b]);
+    if (LPVG_NPARTS > 1 && self.parts == 0U) {
+        self.by_pairs = margin.with_pairs();
+        self.parts = 1U;
+        return false;
+    }
+    self.parts = 0U;
     lpvg_frame_t& frame = self.frame;
     const uint32_t sequence = frame.sequence + 1U;
     if (reason != lpvg_reason_none) {
@@ -233,18 +261,14 @@ void judge(lpvg_monitor_t& self, std::size_t b) {
     frame.t_end_us = bin.frame_end_us;
     frame.reason = reason;
     if (reason == lpvg_reason_none) {
-        Complex E[ny], Z[ny];
         for (std::size_t j = 0; j < ny; ++j) {
-            E[j] = {bin.frame_re[j], bin.frame_im[j]};
-            Z[j] = {bin.frame_re[ny + j], bin.frame_im[ny + j]};
             frame.E[j][0] = E[j].re;
             frame.E[j][1] = E[j].im;
             frame.Z[j][0] = Z[j].re;
             frame.Z[j][1] = Z[j].im;
         }
         frame.speed = mean;
-        lpvg::Margin<Real, ny> margin(E, Z, r.W_delta[b], r.B_w[b]);
-        frame.margin = margin();
+        frame.margin = margin.with_triples(LPVG_NPARTS > 1 ? self.by_pairs : margin.with_pairs());
         frame.evidence = margin.dead();
         bin.history[bin.next_history] = frame.margin;
         bin.next_history = bin.next_history + 1U < coeff.words.of_last ? bin.next_history + 1U : 0U;
@@ -262,19 +286,20 @@ void judge(lpvg_monitor_t& self, std::size_t b) {
             frame.reason = lpvg_reason_not_excited;
         }
     }
+    return true;
 }
 
-// Judges the frame that has waited longest.
+// Goes on judging the frame that has waited longest.
 void judge_next(lpvg_monitor_t& self) {
-    const uint32_t b = self.queue[self.queue_first];
-    self.queue_first = self.queue_first + 1U < LPVG_NBINS ? self.queue_first + 1U : 0U;
-    --self.n_queue;
-    judge(self, b);
+    if (judge(self, self.queue[self.queue_first])) {
+        self.queue_first = self.queue_first + 1U < LPVG_NBINS ? self.queue_first + 1U : 0U;
+        --self.n_queue;
+    }
 }
 
 // ||x_j|| of the energy test's sums, in output units.
 Real output_norm(const lpvg_monitor_t& self, const Real* gram, std::size_t j) {
-    const std::size_t diagonal = j * ny - j * (j - 1U) / 2U;
+    const std::size_t diagonal = j * (2U * ny + 1U - j) / 2U;
     return std::sqrt(gram[diagonal]) / self.coeff->reals.energy_scale[j];
 }
 
@@ -369,6 +394,9 @@ extern "C" lpvg_status_t lpvg_monitor_push(lpvg_monitor_t* self, const lpvg_samp
     self->t_us = sample->t_us;
 
     const bool in_range = sample->speed >= coeff.reals.speed_min && sample->speed <= coeff.reals.speed_max;
+    if (!in_range && self->settled > 0U) {
+        lpvg_energy_start(&self->energy, &coeff);
+    }
     self->settled = in_range ? (self->settled < settled_max ? self->settled + 1U : settled_max) : 0U;
     const lpvg_reason_t reason = sample_reason(*self, in_range);
 
@@ -390,8 +418,6 @@ extern "C" lpvg_status_t lpvg_monitor_push(lpvg_monitor_t* self, const lpvg_samp
 
     if (in_range) {
         lpvg_energy_advance(&self->energy, &coeff, signal, self->settled > coeff.words.energy_settle);
-    } else {
-        lpvg_energy_start(&self->energy, &coeff);
     }
     const lpvg_span_t whole = span_of(*self, n_block - self->n_block, n_block);
     uint32_t ended = 0U;

@@ -39,3 +39,23 @@ def test_a_planted_fault_changes_the_margins(name, drive, core, vehicle, tmp_pat
     source.write_text(text.replace(original, mutant))
     sound, mutated = (c.monitor().run_drive(drive).frames for c in (core, Core(vehicle, source_root=tmp_path / "lib")))
     assert not np.allclose(sound.margin[sound.counted], mutated.margin[mutated.counted], rtol=1e-2)
+
+
+ENERGY_MUTANTS = {
+    "forgetting left out": "gram[k] += x[i] * x[j] - forget * gram[k];|gram[k] += x[i] * x[j];",
+    "sigma left out": "(norm(self->right, a) + Real(1));\n    return|(norm(self->right, a) + Real(0.5));\n    return",
+    "band-pass of yhat forgotten": "Row<ny> weighted = filtered.template tail<ny>();|Row<ny> weighted = scale * Eigen::Map<const Row<ny>>(signal + ny);",
+    "weight forgotten": "section<ny>(r.energy_W[s], weighted, self->W[s]);|(void)s;",
+}
+
+
+@pytest.mark.parametrize("name", ENERGY_MUTANTS)
+def test_a_planted_fault_changes_the_energy_ratio(name, drive, core, vehicle, tmp_path):
+    original, mutant = ENERGY_MUTANTS[name].split("|")
+    shutil.copytree(library_root(), tmp_path / "lib")
+    source = tmp_path / "lib" / "src" / "energy.cpp"
+    text = source.read_text()
+    assert text.count(original) == 1
+    source.write_text(text.replace(original, mutant))
+    sound, mutated = (c.monitor().run_drive(drive).energy for c in (core, Core(vehicle, source_root=tmp_path / "lib")))
+    assert sound.max() > 0 and not np.allclose(sound, mutated, rtol=1e-2)

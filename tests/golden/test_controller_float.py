@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.linalg as sl
+
 from lpvguard import native
 from lpvguard.artefacts import write_files
 from lpvguard.control_export import build_controller, replaced_controller
@@ -103,6 +104,7 @@ def drive(rng: np.random.Generator, start_s: float, n: int, Ts: float, size: flo
     return (15 + 9 * np.sin(0.05 * t)).astype(np.float32), m.astype(np.float32)
 
 
+@pytest.mark.requirement("REQ-CTL-1")
 @pytest.mark.parametrize(("size", "limited_share"), [(0.01, 0.0), (0.3, 0.3)], ids=["free", "saturated"])
 def test_float_is_within_1e4_of_the_range(pair, size, limited_share):
     single, double, arrays = pair
@@ -115,6 +117,7 @@ def test_float_is_within_1e4_of_the_range(pair, size, limited_share):
     assert np.abs(u - exact).max() <= ALLOWED * arrays["u_max"].min()
 
 
+@pytest.mark.requirement("REQ-CTL-1")
 @pytest.mark.parametrize("pair", [0.01], indirect=True)
 def test_float_does_not_drift_in_1e7_samples_and_forgets_a_burst(pair):
     single, double, arrays = pair

@@ -1,6 +1,6 @@
 """The core at the ends of its sizes, float and double: monitor and controller against double arithmetic from the definitions.
 
-n_x 1..40, n_u 1..2, n_y 1..4, 2..64 bins and 1..40 controller states are compile-time constants (lib/include/lpvguard/config.h).
+n_x 1..40, n_u 1..2, n_y 1..4, 2..64 bins and 1..40 controller states of all demands are compile-time constants (lib/include/lpvguard/config.h).
 The corners run always, the whole grid with LPVGUARD_FULL=1.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -22,15 +23,17 @@ from lpvguard import native
 from lpvguard.artefacts import write_files
 from lpvguard.control_export import replaced_controller
 from lpvguard.core import Core, library_root, shipped_vehicle
+from lpvguard.energy import EnergyTest
 from lpvguard.export import build_coefficients, vehicle_files
 from lpvguard.frames import Estimator
 from lpvguard.nominal import NominalModel
 from lpvguard.validation import s1
+from lpvguard.weights import Weight
 
-CORNERS = [(Sizes(1, 1, 1, 2), False), (Sizes(40, 2, 4, 64, 3, 40), False), (Sizes(40, 2, 4, 64, 3, 40), True),
-           (Sizes(7, 1, 3, 17, 1, 9), False)]
+CORNERS = [(Sizes(1, 1, 1, 2), False), (Sizes(40, 2, 4, 64, 3, 20), False), (Sizes(40, 2, 4, 64, 3, 20), True),
+           (Sizes(7, 1, 3, 17, 1, 40), False)]
 GRID = [(Sizes(n_x, n_u, n_y, bins, delay, n_k), double) for (n_x, delay, n_k), n_u, n_y, bins, double in
-        product([(1, 0, 1), (2, 1, 40), (40, 3, 25)], (1, 2), (1, 2, 3, 4), (2, 64), (False, True))]
+        product([(1, 0, 1), (2, 1, 20), (40, 3, 13)], (1, 2), (1, 2, 3, 4), (2, 64), (False, True))]
 CASES = list(dict.fromkeys(CORNERS + (GRID if os.environ.get("LPVGUARD_FULL") == "1" else [])))
 TABLE = 2e-5
 """What the tabulated model may differ from the exact one, of an output's size (tests/unit/test_model.cpp)."""
@@ -52,7 +55,9 @@ def case(request, tmp_path_factory):
     B_w = np.outer(np.linspace(0.02, 0.01, sizes.bins), 1.0 + np.arange(sizes.n_y))
     folder = tmp_path_factory.mktemp("synthetic") / "synthetic"
     folder.mkdir()
-    write_files(folder, vehicle_files(project, build_coefficients(project, model, estimator, W_delta, B_w, 1.5), {"kind": "test"}))
+    energy = EnergyTest.design(project, estimator, Weight([0.3, 0.2, 0.1], [1.0, 1.0, 0.5]), estimator.omega[1:], np.full(sizes.bins - 1, 0.1), 1.0)
+    energy = replace(energy, sigma=0.02 * (1.0 + np.arange(sizes.n_y)), start=4.0 + np.arange(sizes.n_y))
+    write_files(folder, vehicle_files(project, build_coefficients(project, model, estimator, W_delta, B_w, 1.5, energy), {"kind": "test"}))
     return sizes, double, model, estimator, W_delta, B_w, folder
 
 
@@ -104,21 +109,24 @@ def test_frames_and_margins_at_every_size(case):
 
 
 def dense(controller, v, m):
-    """Demand (N, n_u) of the law of controller.h in double, with full matrices; L = 0."""
+    """Demand (N, n_u) of the law of controller.h in double, with full matrices; L = 0, engaged while m is zero."""
     c = controller.reals
-    n_k, n_u = c["C"].shape[2], c["C"].shape[1]
-    begin, column = controller.words["row_begin"], controller.words["column"]
-    A1 = np.zeros((len(controller.speeds), n_k, n_k))
-    for i in range(n_k):
-        A1[:, i, column[begin[i]:begin[i + 1]]] = c["A1"][:, begin[i]:begin[i + 1]]
-    x, u, out = np.zeros(n_k), np.zeros(n_u), []
+    nodes, n_u, n_k, _ = c["BL"].shape
+    A1 = np.zeros((n_k, n_k))
+    heads = [i - i % 2 for i in range(n_k)]
+    for i, head in enumerate(heads):
+        A1[i, head] += c["A1"][i]  # of h for h and t alike
+        if i == head and i + 1 < n_k:
+            A1[i, i + 1] = 1.0
+    C = np.array([float(i == head) for i, head in enumerate(heads)])
+    x, u, out = np.zeros((n_u, n_k)), np.zeros(n_u), []
     for speed, measured in zip(v, m):
-        position = (np.clip(speed, *SPEEDS) - SPEEDS[0]) / (SPEEDS[1] - SPEEDS[0]) * (len(controller.speeds) - 1)
-        node = min(int(position), len(controller.speeds) - 2)
-        at = lambda name: (1 - position + node) * name[node] + (position - node) * name[node + 1]  # noqa: B023
-        u = np.clip(np.clip(at(c["C"]) @ x, -c["u_max"], c["u_max"]), u - c["rate_max"] * TS, u + c["rate_max"] * TS)
+        position = (np.clip(speed, *SPEEDS) - SPEEDS[0]) / (SPEEDS[1] - SPEEDS[0]) * (nodes - 1)
+        node = min(int(position), nodes - 2)
+        B = ((1 - position + node) * c["BL"][node] + (position - node) * c["BL"][node + 1])[:, :, :len(measured)]
+        u = np.clip(np.clip(x @ C, -c["u_max"], c["u_max"]), u - c["rate_max"] * TS, u + c["rate_max"] * TS)
         out.append(u)
-        x = x + at(A1) @ x + at(c["B"]) @ measured
+        x = x + x @ A1.T + B @ measured
     return np.array(out)
 
 

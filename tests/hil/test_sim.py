@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from lpvguard.errors import InputError
@@ -92,6 +93,20 @@ def test_feedforward_runs_on_the_same_seeds(truck_folder, simulator):
     assert feedforward["missed"] == [] and feedforward["command_rms"] == simulator.run(nominal)["command_rms"]
 
 
+def test_a_profile_is_followed_and_its_faults_are_named(simulator, tmp_path):
+    multisine = PLANT[PLANT.index('kind = "multisine"'):PLANT.index("{more}")]
+    text = PLANT.replace(multisine, 'kind = "profile"\nknots = {knots}\n')
+    path = tmp_path / "profile.toml"
+    path.write_text(text.format(duration=10, more="", knots="[[1.0, 0.01], [3.0, 0.05], [3.5, -0.02]]"))
+    simulator.run(load_scenario(str(path)), out=tmp_path)
+    rows = np.genfromtxt(tmp_path / "profile-1.telemetry.csv", delimiter=",", names=True)
+    np.testing.assert_allclose(rows["command_radps"], np.interp(rows["t_s"], [1.0, 3.0, 3.5], [0.01, 0.05, -0.02]), atol=1e-9)
+    for knots in ("[]", "[[0.0]]", "[[1.0, 0.0], [1.0, 0.1]]", "[[0.0, 0.9]]", "3.0"):
+        path.write_text(text.format(duration=10, more="", knots=knots))
+        with pytest.raises(InputError, match="command.knots"):
+            simulator.run(load_scenario(str(path)))
+
+
 @pytest.mark.parametrize("message", MESSAGE_PERIODS)
 @pytest.mark.parametrize("kind", ["lost", "delayed"])
 def test_a_needed_message_that_stops_is_missed_within_5_periods(simulator, scenario, message, kind):
@@ -143,6 +158,9 @@ def test_a_bus_that_does_not_exist_is_refused(simulator, scenario, bus):
     (("verdict = \"any\"", "verdict = \"maybe\""), "expect.verdict"),
     (("verdict = \"any\"", "verdict = \"invalid\""), "within_judged_s"),
     (("title", "titel"), "titel"),
+    (("[expect]", can_fault("VDC2", "stuck_counter") + "[expect]"), "only GUARD_IN has a counter"),
+    (("[expect]", can_fault("VDC2", "lots") + "[expect]"), "can_fault.kind"),
+    (("[expect]", can_fault("VDC2", "lost", "delay_s = 1.0") + "[expect]"), "can_fault.delay_s"),
 ])
 def test_bad_scenarios_are_refused_by_field(simulator, tmp_path, change, says):
     path = tmp_path / "bad.toml"

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import re
 import shutil
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from lpvguard import targets
 from lpvguard.bench import core as bench
+from lpvguard.core import eigen_include, shipped_vehicle
 from lpvguard.errors import InputError
 
 # What the core's objects may take from libraries: moving memory, and integer division where the processor has none.
@@ -68,12 +73,30 @@ def test_results_show_judged_and_falsifying_frames(host):
 def test_counts_are_within_the_budget(counted):
     step = counted["parts"]["ecu_step"]
     if counted["target"] == "cortex-m4f":  # the target that the budget is stated for
-        # A ratchet, not the goal: 8,028 measured, 28 above bench.WORST_STEP, and the energy test is not in it yet.
-        assert 0 < step["worst"] <= 8_030
+        assert 0 < step["worst"] <= bench.WORST_STEP
     assert step["worst"] / step["median"] <= bench.WORST_TO_MEDIAN
     assert counted["structs"]["ecu"] <= bench.RAM_BYTES
     assert sum(counted["rom"].values()) <= bench.ROM_BYTES
     assert max(part["stack"] for part in counted["parts"].values()) <= bench.STACK_BYTES
+
+
+def test_the_guides_table_is_what_is_measured(counted):
+    step, text = counted["parts"]["ecu_step"], (targets.library_root() / "INTEGRATION.md").read_text()
+    table = text.partition(bench.BUDGET[0])[2].partition(bench.BUDGET[1])[0]
+    row = next(line.split("|")[2:] for line in table.splitlines() if line.startswith(f"| {counted['title']} |"))
+    measured = [step["worst"], step["median"], step["worst"] / step["median"], counted["structs"]["ecu"], sum(counted["rom"].values()),
+                max(part["stack"] for part in counted["parts"].values())]
+    # Compilers of other minor versions count a little differently.
+    assert [float(cell) for cell in row[:len(measured)]] == pytest.approx(measured, rel=0.03), \
+        "run `lpvguard bench core --guide lib/INTEGRATION.md`"
+
+
+def test_the_memory_map_is_whole(counted):
+    parts = counted["map"]
+    assert {".vectors", ".core_code", ".core_coefficients", ".bss"} <= set(parts)
+    assert sum(parts[s]["bytes"] for s in targets.SECTIONS if s in parts) == sum(counted["rom"].values()) > 10_000
+    ends = [(s["address"], s["address"] + s["bytes"]) for s in parts.values()]
+    assert all(end <= begin for (_, end), (begin, _) in pairwise(ends))
 
 
 def test_the_controller_takes_a_fifth_of_what_full_matrices_take(counted):
@@ -92,6 +115,33 @@ def test_counts_repeat_to_the_instruction(counted, name, vehicle):
 def test_the_core_imports_neither_heap_nor_text_nor_double_arithmetic(counted):
     assert [s for s in counted["imports"] if not ALLOWED_IMPORTS.fullmatch(s)] == []
     assert [s for s in counted["imports"] if DOUBLE_HELPER.fullmatch(s)] == []
+
+
+@pytest.mark.requirement("REQ-CORE-8")
+def test_two_vehicles_share_an_image(tmp_path):
+    """tests/consumer/two_vehicles.c on the Cortex-M4F: cores of different sizes, one after the other."""
+    target, root = targets.TARGETS["cortex-m4f"], Path(__file__).parents[1]
+    if missing := targets.missing_tools(target):
+        pytest.skip(f"{', '.join(missing)} not found: install {targets.PACKAGES}")
+    subprocess.run([sys.executable, root / "unit" / "generate.py", "vehicle", root / "unit" / "toy.toml", tmp_path / "toy"], check=True)
+    core, ports = targets.library_root(), targets.firmware_root() / "ports"
+    jobs = [(ports / "bare_metal" / "bare_metal.c", None), (ports / "cortex_m" / "startup.c", None), (root / "consumer" / "two_vehicles.c", None)]
+    for folder in (shipped_vehicle("g80"), tmp_path / "toy"):
+        jobs += [(core / "src" / f"{part}.cpp", folder) for part in ("coeff", "model", "monitor")]
+        jobs += [(core / "src" / "energy.cpp", folder)] if (core / "src" / "energy.cpp").is_file() else []
+        jobs += [(folder / "lpvguard_coeff.c", folder), (root / "consumer" / "task.c", folder)]
+    objects = []
+    for source, folder in jobs:
+        objects.append(tmp_path / f"{folder.name if folder else 'port'}_{source.stem}.o")
+        dialect = ["arm-none-eabi-g++", *targets.CXX, "-isystem", eigen_include()] if source.suffix == ".cpp" else ["arm-none-eabi-gcc", "-std=gnu99"]
+        subprocess.run([*dialect, *target.cpu, *targets.LANGUAGE, *targets.WARNINGS, "-DOTHER_TASK=lpvg_toy_task", "-I", core / "include",
+                        "-I", core / "src", "-I", ports, *(["-I", folder] if folder else []), "-c", source, "-o", objects[-1]], check=True)
+    elf = tmp_path / "two_vehicles.elf"
+    subprocess.run(["arm-none-eabi-g++", *target.cpu, "--specs=nano.specs", "-nostartfiles", "-Wl,--gc-sections", "-Wl,--no-warn-rwx-segments",
+                    "-T", ports / "cortex_m" / target.linker_script, *objects, "-o", elf], check=True)
+    done = subprocess.run([*target.emulator, "-display", "none", "-serial", "none", "-semihosting-config", "enable=on,target=native", "-kernel", elf],
+                          stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False, timeout=targets.TIMEOUT_S)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_missing_tools_are_named_with_their_packages(vehicle, monkeypatch):

@@ -267,6 +267,12 @@ def test_dbc_in_cantools_carries_group_spn_and_cycle(database):
             assert reference.get_signal_by_name(s.name).spn == s.spn or s.spn is None
 
 
+def test_the_command_writes_the_dbc(lpvguard, tmp_path):
+    assert lpvguard("dbc").stdout == dbc_text()
+    assert lpvguard("dbc", "-o", tmp_path / "our.dbc").returncode == 0
+    assert (tmp_path / "our.dbc").read_text() == dbc_text()
+
+
 # message, signal, PGN, id, period [ms], SPN, first bit, bits, scale, offset: DESIGN 6, written a second time on purpose
 FACTS = [
     ("VDC2", "steering_wheel_angle", 61449, 0x18F0093E, 10, 1807, 0, 16, 1 / 1024, -31.374),

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from lpvguard import design as stage
 from lpvguard import generate
 from lpvguard import identify as identification
 from lpvguard.control_export import load_controller
 from lpvguard.errors import InputError
+from lpvguard.export import export_vehicle
 from lpvguard.project import load_project
+from lpvguard.robust_run import CompiledController, run
 from lpvguard.schedule import FrozenLoop, fit
+from lpvguard.sim import Simulator, load_scenario
 from lpvguard.synthesis.statespace import StateSpace, lft
 
 
@@ -37,6 +40,12 @@ def designed(stored, tmp_path_factory):
     return result, folder / "controller.json"
 
 
+def with_settings(stored, **changes):
+    """The same identification with other objectives."""
+    settings = stored.project.design.model_copy(update=changes)
+    return replace(stored, project=stored.project.model_copy(update={"design": settings}))
+
+
 def test_robust_performance_is_proved_at_every_node_and_midway(designed):
     result, _ = designed
     assert len(result.certificates) == 2 * len(result.schedule.speeds) - 1
@@ -56,6 +65,65 @@ def test_the_certificate_is_proved_anew_and_an_altered_coefficient_is_refused(st
         (tmp_path / "controller.json").write_text(json.dumps({**document, key: changed.tolist()}))
         with pytest.raises(InputError, match="certificate at"):
             stage.verify(tmp_path / "controller.json", stored)
+
+
+@pytest.mark.parametrize("place, key, factor", [
+    ("speeds", "mu_upper", 0.999), ("speeds", "mu_lower", 0.99), ("speeds", "peak_rad_s", 300.0), ("off_grid", "mu_upper", 1.001),
+    (None, "A_t", 1.01), (None, "A_u", 10.0)])
+def test_a_stated_number_that_is_not_what_is_proved_is_refused(stored, designed, tmp_path, place, key, factor):
+    document = json.loads(designed[1].read_text())
+    stated = document["certificates"]
+    target = stated if place is None else stated[place][3] if place == "speeds" else stated[place]
+    target[key] = factor * target[key] if target[key] else factor
+    (tmp_path / "controller.json").write_text(json.dumps(document))
+    with pytest.raises(InputError, match=key):
+        stage.verify(tmp_path / "controller.json", stored)
+
+
+def test_what_is_claimed_of_a_moving_speed_is_what_was_proved(stored, designed, tmp_path):
+    """A larger rate than the proved one is refused, and so is a rate where nothing was proved."""
+    result, path = designed
+    document = json.loads(path.read_text())
+    stated = document["certificates"]["moving_speed"]
+    assert stated["rate_mps2"] == (result.lpv.rate if result.lpv else None)
+    stated["rate_mps2"] = 30 * stated["rate_mps2"] if result.lpv else 1.0
+    stated.setdefault("P", None)
+    (tmp_path / "controller.json").write_text(json.dumps(document))
+    with pytest.raises(InputError, match="moving_speed"):
+        stage.verify(tmp_path / "controller.json", stored)
+
+
+def test_the_largest_A_t_comes_near_the_dc_floor(stored, monkeypatch):
+    monkeypatch.setattr(stage, "A_T_RTOL", 0.4)
+    found = stage.largest_A_t(stored)
+    assert found.worst < 1 and found.product >= 0.8
+    assert found.product == pytest.approx(found.A_t * stage.dc_floor(stage._weights(stored, stored.project.design)))
+
+
+@pytest.mark.parametrize("structure", ["K_inf", "K_is"])
+def test_the_other_structures_go_from_design_to_the_closed_loop(stored, tmp_path, monkeypatch, structure):
+    monkeypatch.setattr(stage, "find", lambda *_: None)  # the certificate at a moving speed has tests of its own
+    monkeypatch.setattr(stage, "OFF_GRID", 4)
+    one = with_settings(stored, structure=structure, nodes=3, A_t=40.0, order_loss=0.05)
+    result = stage.design(one)
+    stage.save(result, one, tmp_path / "design")
+    stage.verify(tmp_path / "design" / "controller.json", one)
+    assert np.isfinite(result.worst)
+    export_vehicle(one, tmp_path / "vehicle", load_controller(tmp_path / "design" / "controller.json"))
+    ran = Simulator(tmp_path / "vehicle").run(load_scenario("nominal"))
+    assert ran["tracking_rms"] < ran["command_rms"]
+
+
+def test_the_compiled_controller_keeps_the_certified_gain(stored, designed, tmp_path):
+    result, path = designed
+    export_vehicle(stored, tmp_path / "vehicle", load_controller(path))
+    compiled = CompiledController(tmp_path / "vehicle")
+    for v, proved in (result.certificates[0], result.certificates[9]):
+        plant, controller = stage.frozen_plant(stored, v), result.schedule.at(v)
+        row = run(compiled, plant, controller, v, proved, 10, 1)
+        assert row.kept and row.rounding > 0
+        assert row.worst >= 0.97 * row.worst_gain >= 0.9 * row.sampled
+        assert not replace(row, bound=0.9 * row.worst).kept
 
 
 def test_the_certified_controller_is_the_one_the_core_is_given(designed):
@@ -139,6 +207,7 @@ class SaturatedLoop:
         return self.Ts * (outside[-1] + 1) if len(outside) else 0.0
 
 
+@pytest.mark.requirement("REQ-CTL-5")
 @pytest.mark.parametrize("v", [8.0, 9.0, 11.0, 17.0, 22.0])
 @pytest.mark.parametrize("overdriven", [1.1, 3.0])
 def test_after_saturation_the_loop_settles_as_if_there_had_been_none(stored, designed, v, overdriven):

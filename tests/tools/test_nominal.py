@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from lpvguard.energy import EnergyTest
 from lpvguard.errors import InputError
 from lpvguard.export import build_coefficients
 from lpvguard.frames import Estimator
 from lpvguard.nominal import NominalModel
 from lpvguard.project import load_project
+from lpvguard.weights import Weight
 
 
 @pytest.fixture(params=[0.0, 0.02, 0.025, 0.05])
@@ -75,10 +77,11 @@ def test_crc_of_python_is_the_crc_of_the_core(core, identified):
     from lpvguard.identify import load
 
     words, _ = core.compiled
-    assert int(words[11]) == load(identified).coefficients.crc32(4)
+    assert int(words[13]) == load(identified).coefficients.crc32(4)
 
 
 def test_coefficients_follow_the_signal_table(g80, g80_model):
     estimator = Estimator.of(g80, g80_model)
-    c = build_coefficients(g80, g80_model, estimator, np.ones(estimator.n_bins), np.ones((estimator.n_bins, 1)), 1.0)
+    energy = EnergyTest.design(g80, estimator, Weight([1.0], [1.0]), [1.0, 2.0], [0.5, 0.5], 1.0)
+    c = build_coefficients(g80, g80_model, estimator, np.ones(estimator.n_bins), np.ones((estimator.n_bins, 1)), 1.0, energy)
     assert c.reals["input_valid"].tolist() == [[-0.8, 0.8]] and c.sizes["DELAY"] == 1

@@ -160,6 +160,33 @@ def test_alarms_are_listed_with_their_evidence(case, page):
     assert "alarm at, s" in page
 
 
+def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_path):
+    detectors = {"monitor": "lpvguard", "rms": "residual RMS", "cusum": "CUSUM", "nis": "NIS"}
+
+    def severity(kind: str, x: float, found: int, mu: float | None, stable: bool = True) -> dict:
+        shares = dict.fromkeys(detectors, found)
+        return {"kind": kind, "severity": x, "runs": 4, "visible_runs": 1, "visible_share": 0.1, "found": shares, "matched": shares,
+                "median_s": dict.fromkeys(detectors, 1.5), "mu_upper": mu, "loop_stable": stable, "response_margin": 1.25}
+
+    rows = [severity("brake gain", 0.5, 4, 2.345), severity("brake gain", 0.7, 1, None, False)]
+    seen = {"count": 1, "of": 50, "interval": [0.0005, 0.1065]}
+    shares = dict.fromkeys(detectors, 0.5)
+    summary = {
+        "detectors": detectors, "units": {"brake gain": "×"}, "baselines": [{"label": "rms, 2 s"}],
+        "frame_test": {"alpha": 0.05, "conditional_bound": 0.105, "threshold": 1.0}, "due": seen, "visible": dict.fromkeys(detectors, seen),
+        "average": dict.fromkeys(detectors, {"calibrated": 0.5, "matched": 0.25}),
+        "within": {"runs": 50, "hours": 2.5, "judged_hours": 2.0, "plants": 24, "candidates": 40, "nominal_margin": 0.8, "largest_margin": 0.9,
+                   "alarmed": dict.fromkeys(detectors, seen), "beyond_checked_amplitude": seen,
+                   "tests": {t: seen | {"alarms_per_hour": 0.4} for t in ("frame", "energy")}},
+        "severities": rows, "invisible": rows[1:],
+        "kinds": [{"kind": "brake gain", "found": shares, "matched": shares, "best": ["monitor", "nis"], "best_matched": ["nis"]}]}
+    write_report(case.stored, case.drives, case.replayer, tmp_path / "report.html", None, lambda _: None, None, summary)
+    text = (tmp_path / "report.html").read_text()
+    assert "Campaign in the closed loop" in text and "1 of 50, 0.05 to 10.65 %" in text and "lpvguard, NIS" in text
+    assert "brake gain 0.7 × (mu unstable)" in text and "2.34" in text and "rms, 2 s" in text
+    assert text.count("Detection against severity") == 2
+
+
 def test_evaluation_and_a_core_of_another_identification_are_told(case, page, tmp_path):
     assert "carries the numbers of this identification" in page
     stored = stage.load(case.stored.folder)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
+
 from lpvguard.control_export import build_controller
 from lpvguard.schedule import (
     RECOVERY_EFFORT,
@@ -18,7 +20,6 @@ from lpvguard.schedule import (
 from lpvguard.synthesis.dk import Scaling
 from lpvguard.synthesis.interconnection import GeneralisedPlant
 from lpvguard.synthesis.statespace import StateSpace, lft, series, zero_order_hold
-from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
 TS = 0.01
 POLES = [(-0.05, -3.0), (-2.0 + 3.0j, -2.0 - 3.0j), (-40.0, -40.0)]

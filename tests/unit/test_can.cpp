@@ -263,6 +263,9 @@ TEST_CASE("an error frame is counted and changes no message; bus-off switches al
     lpvg_can_frame_t error{};
     error.id   = LPVG_CAN_ERROR;
     error.t_us = bus.supervisor.now_us;
+    const uint32_t* count = bus.supervisor.watch[LPVG_CAN_VDC2_INDEX].count;
+    CHECK(count[lpvg_can_event_recovering] == LPVG_CAN_RECOVER_FRAMES - 1U);
+    CHECK(count[lpvg_can_event_accepted] >= 1U);
     CHECK(bus.send(error) == lpvg_can_event_error);
     CHECK(bus.supervisor.count[lpvg_can_event_error] == 1U);
     CHECK(bus.state(LPVG_CAN_VDC2_INDEX) == lpvg_can_state_live);

@@ -67,7 +67,7 @@ bool single(const Real* a) {
 
 }  // namespace
 
-TEST_CASE("the directions are turned through, and single outputs are among them", "[unit][energy]") {
+TEST_CASE("the directions are turned through, and single outputs are among them", "[unit][energy][REQ-MON-14]") {
     Fed fed(lpvg_coeff);
     for (uint32_t k = 0; k < 2U * LPVG_NDIRECTIONS; ++k) {
         (void)lpvg_energy_judge(&fed.energy, &fed.coeff);
@@ -80,7 +80,7 @@ TEST_CASE("the directions are turned through, and single outputs are among them"
     CHECK(singles == LPVG_NY);
 }
 
-TEST_CASE("a constant error gain reads gain over weight, where sigma is small", "[unit][energy]") {
+TEST_CASE("a constant error gain reads gain over weight, where sigma is small", "[unit][energy][REQ-MON-14]") {
     Fed fed(sealed([](lpvg_coeff_t& c) { with_constant_weight(c, 0.5, 1e-4); }));
     const double all[4] = {1.0, 1.0, 1.0, 1.0}, error[4] = {0.6, 0.6, 0.6, 0.6};
     const double step = 2.0 * pi * 3.0 / words().frame_length[LPVG_NBINS / 2];
@@ -91,7 +91,7 @@ TEST_CASE("a constant error gain reads gain over weight, where sigma is small", 
     CHECK(ratio == Approx(1.2).epsilon(2e-3));
 }
 
-TEST_CASE("without nominal output the ratio is the filtered error's norm over sigma", "[unit][energy]") {
+TEST_CASE("without nominal output the ratio is the filtered error's norm over sigma", "[unit][energy][REQ-MON-14]") {
     const double sigma = 0.05, amplitude = 0.2;
     lpvg_coeff_t coeff = sealed([&](lpvg_coeff_t& c) { with_constant_weight(c, 0.5, sigma); });
     const double all[4] = {1.0, 1.0, 1.0, 1.0};
@@ -114,7 +114,7 @@ TEST_CASE("without nominal output the ratio is the filtered error's norm over si
     }
 }
 
-TEST_CASE("errors of opposite sign under one nominal output are seen by the joint form only", "[unit][energy]") {
+TEST_CASE("errors of opposite sign under one nominal output are seen by the joint form only", "[unit][energy][REQ-MON-14]") {
     if (LPVG_NY < 2) {
         return;
     }
@@ -139,7 +139,7 @@ TEST_CASE("errors of opposite sign under one nominal output are seen by the join
     CHECK(joint > 2.0);
 }
 
-TEST_CASE("a restart stays sound because the right sum starts with what Delta may remember", "[unit][energy]") {
+TEST_CASE("a restart stays sound because the right sum starts with what Delta may remember", "[unit][energy][REQ-MON-14]") {
     // Delta of gain 1 on |z| = rho: (rho / z)^delay. At the restart it still holds what came before.
     const double all[4] = {1.0, 1.0, 1.0, 1.0}, weight = 0.8, step = 2.0 * pi * 3.0 / words().frame_length[LPVG_NBINS / 2];
     const uint32_t delay = memory() / 4U;
@@ -190,7 +190,7 @@ lpvg_coeff_t energy_only(double weight) {
 
 }  // namespace
 
-TEST_CASE("the monitor judges after the settling time, and alarms once a memory", "[unit][energy]") {
+TEST_CASE("the monitor judges after the settling time, and alarms once a memory", "[unit][energy][REQ-MON-14]") {
     Drive drive(energy_only(0.3));
     drive.gain = 0.5;
     uint32_t first = 0U, k = 0U;
@@ -240,7 +240,7 @@ TEST_CASE("the monitor judges after the settling time, and alarms once a memory"
     CHECK(drive.monitor.records_lost == 0U);
 }
 
-TEST_CASE("leaving the speed range, a gap and a refused sample start it from rest", "[unit][energy]") {
+TEST_CASE("leaving the speed range, a gap and a refused sample start it from rest", "[unit][energy][REQ-MON-14]") {
     Drive drive(energy_only(0.3));
     drive.gain = 0.5;
     drive.run(words().energy_settle + 6U * memory());
@@ -265,7 +265,7 @@ TEST_CASE("leaving the speed range, a gap and a refused sample start it from res
     CHECK_FALSE(judged());
 }
 
-TEST_CASE("within the bound it never speaks, and a verdict on frames stands by itself", "[unit][energy]") {
+TEST_CASE("within the bound it never speaks, and a verdict on frames stands by itself", "[unit][energy][REQ-MON-14]") {
     Drive drive(energy_only(0.3));
     drive.gain = 0.75;
     drive.settle();

@@ -2,6 +2,7 @@
 
 #include <cerrno>
 #include <cstdlib>
+#include <sstream>
 
 namespace lpvguard_plant {
 
@@ -38,11 +39,7 @@ std::string Arguments::text(const std::string& name) {
     return take(name);
 }
 
-double Arguments::number(const std::string& name, double otherwise, double low, double high) {
-    if (!has(name)) {
-        return otherwise;
-    }
-    const std::string word = take(name);
+double Arguments::to_number(const std::string& name, const std::string& word, double low, double high) {
     char* end = nullptr;
     const double value = std::strtod(word.c_str(), &end);
     if (word.empty() || *end != '\0' || !(value >= low && value <= high)) {
@@ -50,6 +47,19 @@ double Arguments::number(const std::string& name, double otherwise, double low, 
                          std::to_string(high));
     }
     return value;
+}
+
+double Arguments::number(const std::string& name, double otherwise, double low, double high) {
+    return has(name) ? to_number(name, take(name), low, high) : otherwise;
+}
+
+std::vector<double> Arguments::numbers(const std::string& name, double low, double high) {
+    std::vector<double> values;
+    std::istringstream words(text(name));
+    for (std::string word; std::getline(words, word, ',');) {
+        values.push_back(to_number(name, word, low, high));
+    }
+    return values;
 }
 
 std::uint64_t Arguments::seed(const std::string& name, std::uint64_t otherwise) {

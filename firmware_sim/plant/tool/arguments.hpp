@@ -5,6 +5,7 @@
 #include <map>
 #include <stdexcept>
 #include <string>
+#include <vector>
 
 namespace lpvguard_plant {
 
@@ -22,10 +23,12 @@ public:
     std::string text(const std::string& name, const std::string& otherwise);
     std::string text(const std::string& name);                        ///< Throws when missing.
     double number(const std::string& name, double otherwise, double low, double high);
+    std::vector<double> numbers(const std::string& name, double low, double high);  ///< Separated by commas. Throws when missing.
     std::uint64_t seed(const std::string& name, std::uint64_t otherwise);
     void done() const;                                                ///< Throws when an option was never read.
 
 private:
+    static double to_number(const std::string& name, const std::string& word, double low, double high);
     std::string take(const std::string& name);
 
     std::map<std::string, std::string> values_;

@@ -8,6 +8,9 @@ namespace lpvguard_plant {
 /// Compares the plant with Table I and prints the differences. Returns 1 when they leave the limits, else 0.
 int frequency_response(Arguments arguments);
 
+/// Prints the frequency response of a scenario's truck, faults included, at one speed as CSV.
+int response(Arguments arguments);
+
 /// Writes one seeded experiment as CSV.
 int generate(Arguments arguments);
 

@@ -2,7 +2,7 @@
 ///
 /// For each speed and frequency the truck is driven with a sine demand on a flat road without wind; after the transient its
 /// true yaw rate and road-wheel angle are correlated with the sine over whole periods. Table I is copied here as the target of
-/// the comparison only; the plant does not know it.
+/// the comparison only; the plant does not know it. `response` prints the same measurement for a scenario's truck, as numbers.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -13,6 +13,7 @@
 
 #include "commands.hpp"
 #include "lpvguard_plant/plant.hpp"
+#include "lpvguard_plant/scenario.hpp"
 
 namespace lpvguard_plant {
 namespace {
@@ -45,13 +46,36 @@ struct Measurement {
     Response from_pressure;  ///< From the pressure difference at the wheels: without brake delay and lag.
 };
 
-Measurement measure(const PlantParameters& parameters, double speed_mps, double omega_radps, double amplitude_bar) {
+constexpr long transient_steps = 25000;  // 10 time constants of the slowest pole (8 m/s).
+
+/// On a flat road without wind.
+PlantParameters undisturbed(PlantParameters parameters) {
+    parameters.bank_rms_rad = 0.0;
+    parameters.crosswind_mean_mps = 0.0;
+    parameters.crosswind_gust_rms_mps = 0.0;
+    return parameters;
+}
+
+std::unique_ptr<Plant> at_speed(const PlantParameters& parameters, double speed_mps, const Faults& faults) {
     Drive drive;
     drive.speed_profile = {{0.0, speed_mps}};
-    const auto plant = std::make_unique<Plant>(parameters, drive, 1);
+    return std::make_unique<Plant>(parameters, drive, 1, faults);
+}
+
+/// Of a constant demand.
+Response steady(const PlantParameters& parameters, double speed_mps, double demand_bar, const Faults& faults) {
+    const auto plant = at_speed(parameters, speed_mps, faults);
+    for (long k = 0; k < 2 * transient_steps; ++k) {
+        plant->step(demand_bar);
+    }
+    return {plant->truth().yaw_rate_radps / demand_bar, plant->truth().road_wheel_rad / demand_bar};
+}
+
+Measurement measure(const PlantParameters& parameters, double speed_mps, double omega_radps, double amplitude_bar,
+                    const Faults& faults = {}) {
+    const auto plant = at_speed(parameters, speed_mps, faults);
     const auto period_steps = std::lround(two_pi / omega_radps / Plant::step_s);
     const double phase_per_step = two_pi / static_cast<double>(period_steps);
-    constexpr long transient_steps = 25000;  // 10 time constants of the slowest pole (8 m/s).
     const long settle_periods = transient_steps / period_steps + 1;
     const long measured_periods = std::max(2L, 10000 / period_steps);
     const long first = settle_periods * period_steps;
@@ -103,13 +127,10 @@ private:
 }  // namespace
 
 int frequency_response(Arguments arguments) {
-    PlantParameters parameters = load_parameters(arguments.text("--parameters", LPVGUARD_TRUCK_TOML));
+    const PlantParameters parameters = undisturbed(load_parameters(arguments.text("--parameters", LPVGUARD_TRUCK_TOML)));
     const double amplitude_bar = arguments.number("--amplitude", 0.5, 0.01, 10.0);
     const int points = static_cast<int>(arguments.number("--points", 24.0, 2.0, 1000.0));
     arguments.done();
-    parameters.bank_rms_rad = 0.0;
-    parameters.crosswind_mean_mps = 0.0;
-    parameters.crosswind_gust_rms_mps = 0.0;
 
     std::printf("relative difference from Table I (l = 4.5 m), %.3g to %.3g rad/s, %d points, sine of %.3g bar\n",
                 lowest_radps, highest_radps, points, amplitude_bar);
@@ -138,6 +159,32 @@ int frequency_response(Arguments arguments) {
     }
     std::printf("\n%s\n", within ? "within the limits" : "OUTSIDE the limits");
     return within ? 0 : 1;
+}
+
+int response(Arguments arguments) {
+    const PlantParameters nominal_truck = load_parameters(arguments.text("--parameters", LPVGUARD_TRUCK_TOML));
+    const Scenario scenario = load_scenario(arguments.text("--scenario"));
+    const double amplitude_bar = arguments.number("--amplitude", 0.5, 0.01, 10.0);
+    const double speed_mps = arguments.number("--speed", 15.0, Plant::slowest_mps, Plant::fastest_mps);
+    const std::vector<double> omegas_radps = arguments.numbers("--omega", 0.0, 100.0);
+    arguments.done();
+    const PlantParameters parameters = undisturbed(varied(nominal_truck, scenario.variation));
+    // A fault that begins later is measured as if it had been there from the start.
+    Faults faults = scenario.faults;
+    for (ActuatorFault& fault : faults.actuators) {
+        fault.window = {};
+    }
+    for (SurroundingsFault& fault : faults.surroundings) {
+        fault.window = {};
+    }
+    std::printf("omega_radps,yaw_rate_re,yaw_rate_im,road_wheel_re,road_wheel_im\n");
+    for (const double omega : omegas_radps) {
+        const Response found = omega == 0.0 ? steady(parameters, speed_mps, amplitude_bar, faults)
+                                            : measure(parameters, speed_mps, omega, amplitude_bar, faults).from_demand;
+        std::printf("%.9g,%.9g,%.9g,%.9g,%.9g\n", omega, found.yaw_rate.real(), found.yaw_rate.imag(),
+                    found.road_wheel.real(), found.road_wheel.imag());
+    }
+    return 0;
 }
 
 }  // namespace lpvguard_plant

@@ -14,6 +14,13 @@ frequency-response   compare yaw rate and road-wheel angle per brake demand with
     --points 24          frequencies in 0.2 .. 6 rad/s
     exit status 1 when a speed differs by more than 40 % anywhere or by less than 10 % everywhere
 
+response             print the frequency response per bar of a scenario's truck (its variation, actuator and surroundings
+                     faults from the start on; flat road, no wind): omega, yaw rate, road-wheel angle as CSV
+    --scenario FILE      its [plant] table
+    --speed 15           [m/s]
+    --amplitude 0.5      [bar]
+    --omega W,W,...      [rad/s]; 0: of a constant demand
+
 generate             write one experiment: t,v,dp,r,delta every 10 ms, as the sensors see it
     -o FILE              CSV, written whole or not at all
     --speed 12           [m/s], held; or --scenario FILE, whose [plant] table says it, with variations and faults
@@ -44,6 +51,9 @@ int run(int argc, char** argv) {
     const Arguments arguments(argc - 2, argv + 2);
     if (command == "frequency-response") {
         return frequency_response(arguments);
+    }
+    if (command == "response") {
+        return response(arguments);
     }
     if (command == "generate") {
         return generate(arguments);

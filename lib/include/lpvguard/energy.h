@@ -46,16 +46,18 @@ typedef struct lpvg_energy_t {
 } lpvg_energy_t;
 
 /// From rest: filters and sums at zero, the right sum at `energy_start`, the energy that Delta may remember.
-/// Arguments of all functions are not checked (called once per sample); the coefficients must have passed lpvg_coeff_check.
+/// The coefficients must have passed lpvg_coeff_check; no argument may be NULL (not checked: called once per sample).
 void lpvg_energy_start(lpvg_energy_t* self, const lpvg_coeff_t* coeff);
 
 /// Takes e, then yhat (2 LPVG_NY) of one sample. The left sum begins when `settled`, which must stay until the next start.
+/// NULL is not checked.
 void lpvg_energy_advance(lpvg_energy_t* self, const lpvg_coeff_t* coeff, const lpvg_real_t* signal, bool settled);
 
-/// Writes and returns `ratio`, in the next direction.
+/// Writes and returns `ratio`, in the next direction. NULL is not checked.
 lpvg_real_t lpvg_energy_judge(lpvg_energy_t* self, const lpvg_coeff_t* coeff);
 
-/// The ratio that a vehicle which did not respond at all (e = -yhat) would have shown in the newest direction.
+/// The ratio that a vehicle which did not respond at all (e = -yhat) would have shown in the newest direction. NULL is not
+/// checked.
 lpvg_real_t lpvg_energy_evidence(const lpvg_energy_t* self, const lpvg_coeff_t* coeff);
 
 LPVG_EXTERN_C_END

@@ -18,7 +18,7 @@
 ///
 /// Use:     init once -> push one sample per period -> verdict, frame and records at any time.
 /// Cost:    even over pushes. A bin takes up LPVG_NBLOCK samples at once, a quarter of the bins each push; at most one frame
-///          is judged per push, and none in a push that closes several. A frame is therefore judged at the latest
+///          is judged per push, over LPVG_NPARTS pushes, and none in a push that closes several. A frame is therefore judged at the latest
 ///          LPVG_NLATENCY samples after its end; one that ends fewer than LPVG_NBLOCK samples before a gap is dropped.
 ///          Instructions on three targets: `lpvguard bench core`. No heap, no locks, no I/O.
 /// Threads: one instance per thread; nothing here may be called from two contexts at once. RAM: sizeof(lpvg_monitor_t).
@@ -34,8 +34,9 @@ LPVG_EXTERN_C_BEGIN
 #define LPVG_NHISTORY 8  ///< largest m of the k-of-m confirmation
 #define LPVG_NRECORDS 4  ///< falsifying frames kept until they are read out
 #define LPVG_NBLOCK 4    ///< samples that a bin takes up at once, a power of two
+#define LPVG_NPARTS ((LPVG_NY > 1) ? 2 : 1)  ///< pushes over which the judgement of a frame is spread
 /// Samples from the end of a frame to its judgement, at most: the block, the pushes that close several frames, and the queue.
-#define LPVG_NLATENCY (LPVG_NBLOCK - 1 + (LPVG_NBINS / 2) + LPVG_NBINS)
+#define LPVG_NLATENCY (LPVG_NBLOCK - 1 + (LPVG_NBINS / 2) + (LPVG_NPARTS * LPVG_NBINS))
 
 #define lpvg_sample_t LPVG_SYM(sample_t)
 #define lpvg_frame_t LPVG_SYM(frame_t)
@@ -147,6 +148,8 @@ typedef struct lpvg_monitor_t {
     uint32_t newest, n_block;                 ///< its newest entry; entries since the start, LPVG_NBLOCK at most
     uint32_t queue[LPVG_NBINS];               ///< bins whose frames wait to be judged, a ring
     uint32_t queue_first, n_queue;
+    uint32_t parts;                           ///< parts done of the judgement of the first in the queue
+    lpvg_real_t by_pairs;                     ///< what they found (margin.hpp)
     int64_t t_us;                             ///< time of the newest accepted sample
     int64_t t_evidence_us, t_falsified_us;    ///< ends of the newest frames with evidence / that falsified
     bool running, has_evidence, has_falsified, refused;

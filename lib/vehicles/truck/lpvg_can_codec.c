@@ -8,7 +8,7 @@
 static uint32_t round_and_saturate(float steps, uint32_t raw_max, uint32_t absent)
 {
     uint32_t raw;
-    if (isnan(steps)) {
+    if (isnan(steps) != 0) {
         return absent;
     }
     if (!(steps > 0.0f)) {
@@ -18,7 +18,10 @@ static uint32_t round_and_saturate(float steps, uint32_t raw_max, uint32_t absen
         return raw_max;
     }
     raw = (uint32_t)steps;
-    return (steps - (float)raw >= 0.5f) ? raw + 1u : raw;
+    if ((steps - (float)raw) >= 0.5f) {
+        raw += 1u;
+    }
+    return raw;
 }
 
 static lpvg_can_quality_t quality(uint32_t raw, uint32_t raw_max, uint32_t error_min, uint32_t absent_min)
@@ -79,12 +82,12 @@ const lpvg_can_rule_t lpvg_can_rules[LPVG_CAN_RULES] = {
 
 lpvg_status_t lpvg_can_vdc2_pack(const lpvg_can_vdc2_t* message, lpvg_can_frame_t* frame)
 {
-    if (message == NULL || frame == NULL) {
+    if ((message == NULL) || (frame == NULL)) {
         return lpvg_status_bad_argument;
     }
     frame->id = LPVG_CAN_VDC2_ID;
     frame->dlc = 8u;
-    memset(frame->data, 0xFF, sizeof frame->data);
+    (void)memset(frame->data, 0xFF, sizeof frame->data);
     frame->data[0] = (uint8_t)((uint32_t)message->steering_wheel_angle & 0xFFu);
     frame->data[1] = (uint8_t)(((uint32_t)message->steering_wheel_angle >> 8) & 0xFFu);
     frame->data[3] = (uint8_t)((uint32_t)message->yaw_rate & 0xFFu);
@@ -97,7 +100,7 @@ lpvg_status_t lpvg_can_vdc2_pack(const lpvg_can_vdc2_t* message, lpvg_can_frame_
 
 lpvg_status_t lpvg_can_vdc2_unpack(lpvg_can_vdc2_t* message, const lpvg_can_frame_t* frame)
 {
-    if (message == NULL || frame == NULL) {
+    if ((message == NULL) || (frame == NULL)) {
         return lpvg_status_bad_argument;
     }
     if (frame->dlc < 8u) {
@@ -118,7 +121,10 @@ uint16_t lpvg_can_vdc2_steering_wheel_angle_encode(float physical)
 lpvg_can_quality_t lpvg_can_vdc2_steering_wheel_angle_decode(uint16_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 64255u, 65024u, 65280u);
-    *physical = (q == lpvg_can_quality_good) ? 0.0009765625f * (float)raw - 31.374f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (0.0009765625f * (float)raw) - 31.374f;
+    }
     return q;
 }
 
@@ -130,7 +136,10 @@ uint16_t lpvg_can_vdc2_yaw_rate_encode(float physical)
 lpvg_can_quality_t lpvg_can_vdc2_yaw_rate_decode(uint16_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 64255u, 65024u, 65280u);
-    *physical = (q == lpvg_can_quality_good) ? 0.000122070312f * (float)raw - 3.92f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (0.000122070312f * (float)raw) - 3.92f;
+    }
     return q;
 }
 
@@ -142,7 +151,10 @@ uint16_t lpvg_can_vdc2_lateral_acceleration_encode(float physical)
 lpvg_can_quality_t lpvg_can_vdc2_lateral_acceleration_decode(uint16_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 64255u, 65024u, 65280u);
-    *physical = (q == lpvg_can_quality_good) ? 0.00048828125f * (float)raw - 15.687f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (0.00048828125f * (float)raw) - 15.687f;
+    }
     return q;
 }
 
@@ -154,7 +166,10 @@ uint8_t lpvg_can_vdc2_longitudinal_acceleration_encode(float physical)
 lpvg_can_quality_t lpvg_can_vdc2_longitudinal_acceleration_decode(uint8_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = (q == lpvg_can_quality_good) ? 0.1f * (float)raw - 12.5f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (0.1f * (float)raw) - 12.5f;
+    }
     return q;
 }
 
@@ -162,12 +177,12 @@ lpvg_can_quality_t lpvg_can_vdc2_longitudinal_acceleration_decode(uint8_t raw, f
 
 lpvg_status_t lpvg_can_ebc2_pack(const lpvg_can_ebc2_t* message, lpvg_can_frame_t* frame)
 {
-    if (message == NULL || frame == NULL) {
+    if ((message == NULL) || (frame == NULL)) {
         return lpvg_status_bad_argument;
     }
     frame->id = LPVG_CAN_EBC2_ID;
     frame->dlc = 8u;
-    memset(frame->data, 0xFF, sizeof frame->data);
+    (void)memset(frame->data, 0xFF, sizeof frame->data);
     frame->data[0] = (uint8_t)((uint32_t)message->front_axle_speed & 0xFFu);
     frame->data[1] = (uint8_t)(((uint32_t)message->front_axle_speed >> 8) & 0xFFu);
     frame->data[2] = (uint8_t)((uint32_t)message->relative_speed_front_left & 0xFFu);
@@ -181,7 +196,7 @@ lpvg_status_t lpvg_can_ebc2_pack(const lpvg_can_ebc2_t* message, lpvg_can_frame_
 
 lpvg_status_t lpvg_can_ebc2_unpack(lpvg_can_ebc2_t* message, const lpvg_can_frame_t* frame)
 {
-    if (message == NULL || frame == NULL) {
+    if ((message == NULL) || (frame == NULL)) {
         return lpvg_status_bad_argument;
     }
     if (frame->dlc < 8u) {
@@ -205,7 +220,10 @@ uint16_t lpvg_can_ebc2_front_axle_speed_encode(float physical)
 lpvg_can_quality_t lpvg_can_ebc2_front_axle_speed_decode(uint16_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 64255u, 65024u, 65280u);
-    *physical = (q == lpvg_can_quality_good) ? 0.00390625f * (float)raw + 0.0f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (0.00390625f * (float)raw) + 0.0f;
+    }
     return q;
 }
 
@@ -217,7 +235,10 @@ uint8_t lpvg_can_ebc2_relative_speed_front_left_encode(float physical)
 lpvg_can_quality_t lpvg_can_ebc2_relative_speed_front_left_decode(uint8_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = (q == lpvg_can_quality_good) ? 0.0625f * (float)raw - 7.8125f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (0.0625f * (float)raw) - 7.8125f;
+    }
     return q;
 }
 
@@ -229,7 +250,10 @@ uint8_t lpvg_can_ebc2_relative_speed_front_right_encode(float physical)
 lpvg_can_quality_t lpvg_can_ebc2_relative_speed_front_right_decode(uint8_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = (q == lpvg_can_quality_good) ? 0.0625f * (float)raw - 7.8125f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (0.0625f * (float)raw) - 7.8125f;
+    }
     return q;
 }
 
@@ -241,7 +265,10 @@ uint8_t lpvg_can_ebc2_relative_speed_rear1_left_encode(float physical)
 lpvg_can_quality_t lpvg_can_ebc2_relative_speed_rear1_left_decode(uint8_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = (q == lpvg_can_quality_good) ? 0.0625f * (float)raw - 7.8125f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (0.0625f * (float)raw) - 7.8125f;
+    }
     return q;
 }
 
@@ -253,7 +280,10 @@ uint8_t lpvg_can_ebc2_relative_speed_rear1_right_encode(float physical)
 lpvg_can_quality_t lpvg_can_ebc2_relative_speed_rear1_right_decode(uint8_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = (q == lpvg_can_quality_good) ? 0.0625f * (float)raw - 7.8125f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (0.0625f * (float)raw) - 7.8125f;
+    }
     return q;
 }
 
@@ -265,7 +295,10 @@ uint8_t lpvg_can_ebc2_relative_speed_rear2_left_encode(float physical)
 lpvg_can_quality_t lpvg_can_ebc2_relative_speed_rear2_left_decode(uint8_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = (q == lpvg_can_quality_good) ? 0.0625f * (float)raw - 7.8125f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (0.0625f * (float)raw) - 7.8125f;
+    }
     return q;
 }
 
@@ -277,7 +310,10 @@ uint8_t lpvg_can_ebc2_relative_speed_rear2_right_encode(float physical)
 lpvg_can_quality_t lpvg_can_ebc2_relative_speed_rear2_right_decode(uint8_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = (q == lpvg_can_quality_good) ? 0.0625f * (float)raw - 7.8125f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (0.0625f * (float)raw) - 7.8125f;
+    }
     return q;
 }
 
@@ -285,12 +321,12 @@ lpvg_can_quality_t lpvg_can_ebc2_relative_speed_rear2_right_decode(uint8_t raw, 
 
 lpvg_status_t lpvg_can_ccvs1_pack(const lpvg_can_ccvs1_t* message, lpvg_can_frame_t* frame)
 {
-    if (message == NULL || frame == NULL) {
+    if ((message == NULL) || (frame == NULL)) {
         return lpvg_status_bad_argument;
     }
     frame->id = LPVG_CAN_CCVS1_ID;
     frame->dlc = 8u;
-    memset(frame->data, 0xFF, sizeof frame->data);
+    (void)memset(frame->data, 0xFF, sizeof frame->data);
     frame->data[1] = (uint8_t)((uint32_t)message->wheel_based_speed & 0xFFu);
     frame->data[2] = (uint8_t)(((uint32_t)message->wheel_based_speed >> 8) & 0xFFu);
     return lpvg_status_ok;
@@ -298,7 +334,7 @@ lpvg_status_t lpvg_can_ccvs1_pack(const lpvg_can_ccvs1_t* message, lpvg_can_fram
 
 lpvg_status_t lpvg_can_ccvs1_unpack(lpvg_can_ccvs1_t* message, const lpvg_can_frame_t* frame)
 {
-    if (message == NULL || frame == NULL) {
+    if ((message == NULL) || (frame == NULL)) {
         return lpvg_status_bad_argument;
     }
     if (frame->dlc < 8u) {
@@ -316,7 +352,10 @@ uint16_t lpvg_can_ccvs1_wheel_based_speed_encode(float physical)
 lpvg_can_quality_t lpvg_can_ccvs1_wheel_based_speed_decode(uint16_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 64255u, 65024u, 65280u);
-    *physical = (q == lpvg_can_quality_good) ? 0.00390625f * (float)raw + 0.0f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (0.00390625f * (float)raw) + 0.0f;
+    }
     return q;
 }
 
@@ -324,12 +363,12 @@ lpvg_can_quality_t lpvg_can_ccvs1_wheel_based_speed_decode(uint16_t raw, float* 
 
 lpvg_status_t lpvg_can_ebc3_pack(const lpvg_can_ebc3_t* message, lpvg_can_frame_t* frame)
 {
-    if (message == NULL || frame == NULL) {
+    if ((message == NULL) || (frame == NULL)) {
         return lpvg_status_bad_argument;
     }
     frame->id = LPVG_CAN_EBC3_ID;
     frame->dlc = 8u;
-    memset(frame->data, 0xFF, sizeof frame->data);
+    (void)memset(frame->data, 0xFF, sizeof frame->data);
     frame->data[0] = (uint8_t)((uint32_t)message->pressure_front_left & 0xFFu);
     frame->data[1] = (uint8_t)((uint32_t)message->pressure_front_right & 0xFFu);
     frame->data[2] = (uint8_t)((uint32_t)message->pressure_rear1_left & 0xFFu);
@@ -343,7 +382,7 @@ lpvg_status_t lpvg_can_ebc3_pack(const lpvg_can_ebc3_t* message, lpvg_can_frame_
 
 lpvg_status_t lpvg_can_ebc3_unpack(lpvg_can_ebc3_t* message, const lpvg_can_frame_t* frame)
 {
-    if (message == NULL || frame == NULL) {
+    if ((message == NULL) || (frame == NULL)) {
         return lpvg_status_bad_argument;
     }
     if (frame->dlc < 8u) {
@@ -368,7 +407,10 @@ uint8_t lpvg_can_ebc3_pressure_front_left_encode(float physical)
 lpvg_can_quality_t lpvg_can_ebc3_pressure_front_left_decode(uint8_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = (q == lpvg_can_quality_good) ? 5.0f * (float)raw + 0.0f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (5.0f * (float)raw) + 0.0f;
+    }
     return q;
 }
 
@@ -380,7 +422,10 @@ uint8_t lpvg_can_ebc3_pressure_front_right_encode(float physical)
 lpvg_can_quality_t lpvg_can_ebc3_pressure_front_right_decode(uint8_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = (q == lpvg_can_quality_good) ? 5.0f * (float)raw + 0.0f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (5.0f * (float)raw) + 0.0f;
+    }
     return q;
 }
 
@@ -392,7 +437,10 @@ uint8_t lpvg_can_ebc3_pressure_rear1_left_encode(float physical)
 lpvg_can_quality_t lpvg_can_ebc3_pressure_rear1_left_decode(uint8_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = (q == lpvg_can_quality_good) ? 5.0f * (float)raw + 0.0f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (5.0f * (float)raw) + 0.0f;
+    }
     return q;
 }
 
@@ -404,7 +452,10 @@ uint8_t lpvg_can_ebc3_pressure_rear1_right_encode(float physical)
 lpvg_can_quality_t lpvg_can_ebc3_pressure_rear1_right_decode(uint8_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = (q == lpvg_can_quality_good) ? 5.0f * (float)raw + 0.0f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (5.0f * (float)raw) + 0.0f;
+    }
     return q;
 }
 
@@ -416,7 +467,10 @@ uint8_t lpvg_can_ebc3_pressure_rear2_left_encode(float physical)
 lpvg_can_quality_t lpvg_can_ebc3_pressure_rear2_left_decode(uint8_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = (q == lpvg_can_quality_good) ? 5.0f * (float)raw + 0.0f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (5.0f * (float)raw) + 0.0f;
+    }
     return q;
 }
 
@@ -428,7 +482,10 @@ uint8_t lpvg_can_ebc3_pressure_rear2_right_encode(float physical)
 lpvg_can_quality_t lpvg_can_ebc3_pressure_rear2_right_decode(uint8_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = (q == lpvg_can_quality_good) ? 5.0f * (float)raw + 0.0f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (5.0f * (float)raw) + 0.0f;
+    }
     return q;
 }
 
@@ -440,7 +497,10 @@ uint8_t lpvg_can_ebc3_pressure_rear3_left_encode(float physical)
 lpvg_can_quality_t lpvg_can_ebc3_pressure_rear3_left_decode(uint8_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = (q == lpvg_can_quality_good) ? 5.0f * (float)raw + 0.0f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (5.0f * (float)raw) + 0.0f;
+    }
     return q;
 }
 
@@ -452,7 +512,10 @@ uint8_t lpvg_can_ebc3_pressure_rear3_right_encode(float physical)
 lpvg_can_quality_t lpvg_can_ebc3_pressure_rear3_right_decode(uint8_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = (q == lpvg_can_quality_good) ? 5.0f * (float)raw + 0.0f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (5.0f * (float)raw) + 0.0f;
+    }
     return q;
 }
 
@@ -460,12 +523,12 @@ lpvg_can_quality_t lpvg_can_ebc3_pressure_rear3_right_decode(uint8_t raw, float*
 
 lpvg_status_t lpvg_can_ebc1_pack(const lpvg_can_ebc1_t* message, lpvg_can_frame_t* frame)
 {
-    if (message == NULL || frame == NULL) {
+    if ((message == NULL) || (frame == NULL)) {
         return lpvg_status_bad_argument;
     }
     frame->id = LPVG_CAN_EBC1_ID;
     frame->dlc = 8u;
-    memset(frame->data, 0xFF, sizeof frame->data);
+    (void)memset(frame->data, 0xFF, sizeof frame->data);
     frame->data[0] = (uint8_t)((frame->data[0] & 0xCFu) | (((uint32_t)message->abs_active << 4) & 0x30u));
     frame->data[1] = (uint8_t)((uint32_t)message->brake_pedal_position & 0xFFu);
     return lpvg_status_ok;
@@ -473,7 +536,7 @@ lpvg_status_t lpvg_can_ebc1_pack(const lpvg_can_ebc1_t* message, lpvg_can_frame_
 
 lpvg_status_t lpvg_can_ebc1_unpack(lpvg_can_ebc1_t* message, const lpvg_can_frame_t* frame)
 {
-    if (message == NULL || frame == NULL) {
+    if ((message == NULL) || (frame == NULL)) {
         return lpvg_status_bad_argument;
     }
     if (frame->dlc < 8u) {
@@ -492,7 +555,10 @@ uint8_t lpvg_can_ebc1_abs_active_encode(float physical)
 lpvg_can_quality_t lpvg_can_ebc1_abs_active_decode(uint8_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 1u, 2u, 3u);
-    *physical = (q == lpvg_can_quality_good) ? 1.0f * (float)raw + 0.0f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (1.0f * (float)raw) + 0.0f;
+    }
     return q;
 }
 
@@ -504,7 +570,10 @@ uint8_t lpvg_can_ebc1_brake_pedal_position_encode(float physical)
 lpvg_can_quality_t lpvg_can_ebc1_brake_pedal_position_decode(uint8_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = (q == lpvg_can_quality_good) ? 0.4f * (float)raw + 0.0f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (0.4f * (float)raw) + 0.0f;
+    }
     return q;
 }
 
@@ -512,12 +581,12 @@ lpvg_can_quality_t lpvg_can_ebc1_brake_pedal_position_decode(uint8_t raw, float*
 
 lpvg_status_t lpvg_can_guard_in_pack(const lpvg_can_guard_in_t* message, lpvg_can_frame_t* frame)
 {
-    if (message == NULL || frame == NULL) {
+    if ((message == NULL) || (frame == NULL)) {
         return lpvg_status_bad_argument;
     }
     frame->id = LPVG_CAN_GUARD_IN_ID;
     frame->dlc = 8u;
-    memset(frame->data, 0xFF, sizeof frame->data);
+    (void)memset(frame->data, 0xFF, sizeof frame->data);
     frame->data[0] = 0u;
     frame->data[1] = 0xF0u;
     frame->data[2] = (uint8_t)((uint32_t)message->dp_measured & 0xFFu);
@@ -529,7 +598,7 @@ lpvg_status_t lpvg_can_guard_in_pack(const lpvg_can_guard_in_t* message, lpvg_ca
 
 lpvg_status_t lpvg_can_guard_in_unpack(lpvg_can_guard_in_t* message, const lpvg_can_frame_t* frame)
 {
-    if (message == NULL || frame == NULL) {
+    if ((message == NULL) || (frame == NULL)) {
         return lpvg_status_bad_argument;
     }
     if (frame->dlc < 8u) {
@@ -548,7 +617,10 @@ uint16_t lpvg_can_guard_in_dp_measured_encode(float physical)
 lpvg_can_quality_t lpvg_can_guard_in_dp_measured_decode(uint16_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 64255u, 65024u, 65280u);
-    *physical = (q == lpvg_can_quality_good) ? 0.00048828125f * (float)raw - 15.687f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (0.00048828125f * (float)raw) - 15.687f;
+    }
     return q;
 }
 
@@ -560,7 +632,10 @@ uint16_t lpvg_can_guard_in_yaw_rate_command_encode(float physical)
 lpvg_can_quality_t lpvg_can_guard_in_yaw_rate_command_decode(uint16_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 64255u, 65024u, 65280u);
-    *physical = (q == lpvg_can_quality_good) ? 0.000122070312f * (float)raw - 3.92f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (0.000122070312f * (float)raw) - 3.92f;
+    }
     return q;
 }
 
@@ -568,12 +643,12 @@ lpvg_can_quality_t lpvg_can_guard_in_yaw_rate_command_decode(uint16_t raw, float
 
 lpvg_status_t lpvg_can_guard_out_pack(const lpvg_can_guard_out_t* message, lpvg_can_frame_t* frame)
 {
-    if (message == NULL || frame == NULL) {
+    if ((message == NULL) || (frame == NULL)) {
         return lpvg_status_bad_argument;
     }
     frame->id = LPVG_CAN_GUARD_OUT_ID;
     frame->dlc = 8u;
-    memset(frame->data, 0xFF, sizeof frame->data);
+    (void)memset(frame->data, 0xFF, sizeof frame->data);
     frame->data[0] = 0u;
     frame->data[1] = 0xF0u;
     frame->data[2] = (uint8_t)((uint32_t)message->dp_demand & 0xFFu);
@@ -587,7 +662,7 @@ lpvg_status_t lpvg_can_guard_out_pack(const lpvg_can_guard_out_t* message, lpvg_
 
 lpvg_status_t lpvg_can_guard_out_unpack(lpvg_can_guard_out_t* message, const lpvg_can_frame_t* frame)
 {
-    if (message == NULL || frame == NULL) {
+    if ((message == NULL) || (frame == NULL)) {
         return lpvg_status_bad_argument;
     }
     if (frame->dlc < 8u) {
@@ -608,7 +683,10 @@ uint16_t lpvg_can_guard_out_dp_demand_encode(float physical)
 lpvg_can_quality_t lpvg_can_guard_out_dp_demand_decode(uint16_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 64255u, 65024u, 65280u);
-    *physical = (q == lpvg_can_quality_good) ? 0.00048828125f * (float)raw - 15.687f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (0.00048828125f * (float)raw) - 15.687f;
+    }
     return q;
 }
 
@@ -620,7 +698,10 @@ uint16_t lpvg_can_guard_out_monitor_margin_encode(float physical)
 lpvg_can_quality_t lpvg_can_guard_out_monitor_margin_decode(uint16_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 64255u, 65024u, 65280u);
-    *physical = (q == lpvg_can_quality_good) ? 0.0009765625f * (float)raw + 0.0f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (0.0009765625f * (float)raw) + 0.0f;
+    }
     return q;
 }
 
@@ -632,7 +713,10 @@ uint8_t lpvg_can_guard_out_monitor_verdict_encode(float physical)
 lpvg_can_quality_t lpvg_can_guard_out_monitor_verdict_decode(uint8_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = (q == lpvg_can_quality_good) ? 1.0f * (float)raw + 0.0f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (1.0f * (float)raw) + 0.0f;
+    }
     return q;
 }
 
@@ -644,6 +728,9 @@ uint8_t lpvg_can_guard_out_supervision_state_encode(float physical)
 lpvg_can_quality_t lpvg_can_guard_out_supervision_state_decode(uint8_t raw, float* physical)
 {
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = (q == lpvg_can_quality_good) ? 1.0f * (float)raw + 0.0f : NAN;
+    *physical = NAN;
+    if (q == lpvg_can_quality_good) {
+        *physical = (1.0f * (float)raw) + 0.0f;
+    }
     return q;
 }

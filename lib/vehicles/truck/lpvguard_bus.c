@@ -8,7 +8,7 @@ const lpvg_bus_t lpvg_bus = {
     .n_rules = LPVG_CAN_RECEIVED,
     .own_address = 0xFCu,
     .n_needed = 3u,
-    .needed = {{LPVG_CAN_EBC2_INDEX, 904u}, {LPVG_CAN_GUARD_IN_INDEX, 520192u}, {LPVG_CAN_VDC2_INDEX, 1808u}},
+    .needed = {[0] = {LPVG_CAN_EBC2_INDEX, 904u}, [1] = {LPVG_CAN_GUARD_IN_INDEX, 520192u}, [2] = {LPVG_CAN_VDC2_INDEX, 1808u}},
 };
 
 void lpvg_bus_take(lpvg_bus_signals_t* signals, uint8_t index, const lpvg_can_frame_t* frame)
@@ -16,7 +16,9 @@ void lpvg_bus_take(lpvg_bus_signals_t* signals, uint8_t index, const lpvg_can_fr
     switch (index) {
     case LPVG_CAN_EBC2_INDEX: {
         lpvg_can_ebc2_t message;
-        float front_axle_speed, relative_speed_rear1_left, relative_speed_rear1_right;
+        float front_axle_speed;
+        float relative_speed_rear1_left;
+        float relative_speed_rear1_right;
         if (lpvg_can_ebc2_unpack(&message, frame) == lpvg_status_ok) {
             (void)lpvg_can_ebc2_front_axle_speed_decode(message.front_axle_speed, &front_axle_speed);
             (void)lpvg_can_ebc2_relative_speed_rear1_left_decode(message.relative_speed_rear1_left, &relative_speed_rear1_left);
@@ -37,7 +39,9 @@ void lpvg_bus_take(lpvg_bus_signals_t* signals, uint8_t index, const lpvg_can_fr
     }
     case LPVG_CAN_VDC2_INDEX: {
         lpvg_can_vdc2_t message;
-        float yaw_rate, steering_wheel_angle, lateral_acceleration;
+        float yaw_rate;
+        float steering_wheel_angle;
+        float lateral_acceleration;
         if (lpvg_can_vdc2_unpack(&message, frame) == lpvg_status_ok) {
             (void)lpvg_can_vdc2_yaw_rate_decode(message.yaw_rate, &yaw_rate);
             (void)lpvg_can_vdc2_steering_wheel_angle_decode(message.steering_wheel_angle, &steering_wheel_angle);
@@ -58,7 +62,7 @@ lpvg_status_t lpvg_bus_pack_report(const lpvg_bus_report_t* report, lpvg_can_fra
 {
     lpvg_can_guard_out_t message;
     lpvg_status_t status;
-    if (report == NULL || frame == NULL || counter == NULL) {
+    if ((report == NULL) || (frame == NULL) || (counter == NULL)) {
         return lpvg_status_bad_argument;
     }
     message.dp_demand = lpvg_can_guard_out_dp_demand_encode((float)report->demand);
@@ -66,5 +70,5 @@ lpvg_status_t lpvg_bus_pack_report(const lpvg_bus_report_t* report, lpvg_can_fra
     message.monitor_verdict = lpvg_can_guard_out_monitor_verdict_encode((float)report->verdict);
     message.supervision_state = lpvg_can_guard_out_supervision_state_encode((float)report->supervision);
     status = lpvg_can_guard_out_pack(&message, frame);
-    return status == lpvg_status_ok ? lpvg_can_e2e_protect(frame, LPVG_CAN_GUARD_OUT_E2E_DATA_ID, counter) : status;
+    return (status == lpvg_status_ok) ? lpvg_can_e2e_protect(frame, LPVG_CAN_GUARD_OUT_E2E_DATA_ID, counter) : status;
 }

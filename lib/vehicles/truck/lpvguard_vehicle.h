@@ -12,7 +12,7 @@
 #define LPVG_NVARYING 12
 #define LPVG_NWEIGHT 2
 #define LPVG_NDIRECTIONS 16
-#define LPVG_NK 9
+#define LPVG_NK 13
 #define LPVG_NM 3
 #define LPVG_NG 8
 #define LPVG_ESTIMATOR_ID 2781031112U

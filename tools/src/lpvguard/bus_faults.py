@@ -34,6 +34,7 @@ message = "{message}"
 kind = "{kind}"
 start_s = {start}
 end_s = {end}
+probability = {probability}
 {more}
 [expect]
 verdict = "any"
@@ -56,6 +57,7 @@ class Case:
     state: str
     within: float
     delay_s: float | None = None
+    probability: float = 1.0
 
 
 LOSSES = ((1, "live", 0), (3, "live", 0), (5, "off", 5), (20, "off", 5))
@@ -88,6 +90,7 @@ def run_case(simulator: Simulator, case: Case, **options: Any) -> dict[str, Any]
     window_s = case.periods * period_s - simulator.project.Ts_s / 2
     end_s = START_S + window_s + (case.delay_s or 0.0)
     text = _SCENARIO.format(name=case.name, message=case.message, kind=case.kind, start=START_S, end=START_S + window_s,
+                            probability=case.probability,
                             more="" if case.delay_s is None else f"delay_s = {case.delay_s}", duration=end_s + RECOVERY_S + _SETTLED_S)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "fault.toml"

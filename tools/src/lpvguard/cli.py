@@ -104,6 +104,17 @@ def ingest(logs: Annotated[list[Path], typer.Argument(help="candump (-l, -L, .gz
     console.print(f"{len(logs)} log(s) read; tables and reports written to {out}")
 
 
+@app.command(epilog="Example: lpvguard dbc -o lpvguard.dbc; candump -L vcan0 | .venv/bin/cantools decode -s lpvguard.dbc")
+def dbc(out: Annotated[Path | None, typer.Option("-o", "--out", help="File to write (default: standard output).")] = None) -> None:
+    """Write the CAN database of our bus (DBC), for any tool that shows or sends decoded traffic."""
+    from .can.dbc import dbc_text
+
+    if out is None:
+        sys.stdout.write(dbc_text())
+    else:
+        artefacts.write_file(out, dbc_text())
+
+
 @app.command(epilog="Example: lpvguard identify --vehicle g80 DRIVES -o out/identify")
 def identify(vehicle: Vehicle, drives: Annotated[Path, typer.Argument(help="Folder of drives with experiments.csv.")],
              out: Out, json_out: JsonOut = None, jobs: Jobs = 1, scheduler: Scheduler = None) -> None:
@@ -131,27 +142,141 @@ def identify(vehicle: Vehicle, drives: Annotated[Path, typer.Argument(help="Fold
     console.print(f"threshold {c.threshold:.4g} ({claim}); final inflation {result.weights.inflation:.6g}; written to {out}")
 
 
-@app.command(epilog="Example: lpvguard design --vehicle truck out/identify -o out/design")
-def design(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(help="Folder written by identify.")],
-           out: Out, json_out: JsonOut = None) -> None:
-    """Synthesise the scheduled controller and certify it as the core runs it (paper, step 8)."""
+@app.command(epilog="""Examples: lpvguard design --vehicle truck out/identify --drives out/drives -o out/design
+
+lpvguard design --vehicle truck out/identify --drives out/drives --tradeoff -o out/tradeoff
+
+lpvguard design --case paper_case.toml -o out/paper""")
+def design(out: Out, identification: Annotated[Path | None, typer.Argument(help="Folder written by identify.")] = None,
+           vehicle: Annotated[str | None, typer.Option("--vehicle", help="Shipped vehicle, or path to a project file.")] = None,
+           drives: Annotated[Path | None, typer.Option(help="The drive folder it was identified from: makes Fig. 6 and the "
+                                                            "state uncertainty's bounds exact.")] = None,
+           case: Annotated[Path | None, typer.Option(help="Table II of a case file with every weight frozen, instead of a "
+                                                          "vehicle's.")] = None,
+           tradeoff: Annotated[bool, typer.Option("--tradeoff", help="Search the ceiling on nu, gamma_w and Lambda_nu for the "
+                                                                     "least worst mu over speed, instead of designing.")] = False,
+           largest_A_t: Annotated[bool, typer.Option("--largest-A-t", help="Search the largest A_t with mu < 1 at every speed too.")] = False,
+           table: Annotated[bool, typer.Option(help="Table II, Figs. 5 and 6 beside the controller.")] = True,
+           json_out: JsonOut = None) -> None:
+    """Synthesise the scheduled controller, certify it as the core runs it, and compare structures (paper, step 8).
+
+    Exit 1 when robust performance (mu below 1) is not certified: at a speed, in a row of the case's table, or by any trade-off."""
+    if case is not None:
+        if identification is not None or vehicle is not None or drives is not None or tradeoff:
+            raise InputError("design", "--case", "given with a vehicle, drives or --tradeoff", "a case file alone")
+        raise typer.Exit(_design_case(case, out, json_out))
+    if identification is None or vehicle is None:
+        raise InputError("design", "--vehicle, IDENTIFICATION", "missing", "both, or --case")
+    stored, drive_set = (_stored(identification, vehicle), None) if drives is None else _stored_with_drives(identification, drives)
+    if stored.project.name != _load_project(vehicle).name:
+        raise InputError(identification, "vehicle", stored.project.name, f"an identification of {vehicle}")
+    if tradeoff:
+        raise typer.Exit(_design_tradeoff(stored, drive_set, out, json_out))
+    raise typer.Exit(_design_vehicle(stored, drive_set, table, largest_A_t, out, json_out))
+
+
+def _design_vehicle(stored, drive_set, table: bool, largest_A_t: bool, out: Path, json_out: str | None) -> int:
     from . import design as stage
 
-    stored = _stored(identification, vehicle)
+    cells = []
     with _progress("design") as tell:
         result = stage.design(stored, tell)
-        stage.save(result, stored, out)
+        more = {}
+        if table:
+            from .design_files import design_files
+            from .frozen import FrozenProblem
+            from .stored_frames import StoredFrames
+            from .worst_run import worst_runs
+
+            problem = FrozenProblem(stored, StoredFrames(stored, drive_set, tell))
+            cells = problem.table(tell)
+            tell("worst-case runs")
+            more = design_files(problem, cells, None if drive_set is None else worst_runs(problem, cells, drive_set))
+        largest = stage.largest_A_t(stored, tell) if largest_A_t else None
+        stage.save(result, stored, out, more, largest)
     rows = [{"v_mps": v, "mu_upper": p.upper, "mu_lower": p.lower, "peak_rad_s": p.bracket.peak_frequency}
             for v, p in result.certificates]
     _emit(json_out, rows)
-    table = Table("v m/s", "mu upper", "mu lower", "peak rad/s", box=None)
+    speeds = Table("v m/s", "mu upper", "mu lower", "peak rad/s", box=None)
     for row in rows:
-        table.add_row(f"{row['v_mps']:.4g}", f"{row['mu_upper']:.4f}", f"{row['mu_lower']:.4f}", f"{row['peak_rad_s']:.3g}")
-    console.print(table)
-    worst = max(row["mu_upper"] for row in rows)
+        speeds.add_row(f"{row['v_mps']:.4g}", f"{row['mu_upper']:.4f}", f"{row['mu_lower']:.4f}", f"{row['peak_rad_s']:.3g}")
+    console.print(speeds)
+    if cells:
+        _show_cells(cells)
+        if drive_set is None:
+            console.print("Fig. 6 needs the drives: --drives")
+    worst = result.worst
     console.print(f"{stored.project.design.structure}: {result.schedule.order} states (of {result.full_order} per "
                   f"speed before), {len(result.schedule.speeds)} nodes; worst mu {worst:.4f}; written to {out}")
-    raise typer.Exit(0 if worst < 1 else 1)
+    console.print(f"worst of {stage.OFF_GRID} speeds off the grid: mu {result.off_grid[1].upper:.4f} at {result.off_grid[0]:.4g} m/s")
+    if largest_A_t:
+        console.print("largest A_t: none with mu < 1 from half the DC floor's limit on" if largest is None else
+                      f"largest A_t with mu < 1 at every speed: {largest.A_t:.4g}, times the DC floor {largest.product:.3f} "
+                      f"(mu {largest.worst:.4f}; not reached at {largest.failed:.4g})")
+    console.print("moving speed: " + ("no storage function was found, nothing is claimed" if result.lpv is None else
+                  f"gain below 1 proved for |dv/dt| up to {result.lpv.rate:.3g} m/s2, {result.lpv.proof.cells} cells"))
+    return 0 if worst < 1 else 1
+
+
+def _design_tradeoff(stored, drive_set, out: Path, json_out: str | None) -> int:
+    from .frozen import FrozenProblem
+    from .stored_frames import StoredFrames
+    from .tradeoff import search
+
+    with _progress("trade-off") as tell:
+        found = search(FrozenProblem(stored, StoredFrames(stored, drive_set, tell)), tell)
+        with artefacts.new_folder(out) as folder:
+            artefacts.write_files(folder, found.files() | {artefacts.MANIFEST: artefacts.manifest(
+                "design-tradeoff", vehicle=stored.project.name, identification=stored.manifest)})
+    _emit(json_out, artefacts.read_json(out / "tradeoff.json"))
+    shown = Table("structure", "nu low", "nu high", "lambda_s", "worst mu", "none below", box=None)
+    for o in found.outcomes:
+        c = o.candidate
+        shown.add_row(c.structure + (" (project)" if c.own else ""), f"{o.ceiling[1]:.3g}", f"{o.ceiling[-1]:.3g}",
+                      "–" if c.lambda_s is None else f"{c.lambda_s:.3g}", "–" if o.level is None else f"{o.level:.4f}", f"{o.floor.value:.4f}")
+    console.print(shown)
+    console.print(found.sentence)
+    for key, value in found.setting().items():
+        console.print(f"to take it, write into the project file {key} = {_toml(value)} and identify again")
+    console.print(f"written to {out}")
+    return 0 if found.best.level < 1 else 1
+
+
+def _show_cells(cells) -> None:
+    """Table II on the console, with the times that no file holds."""
+    shown = Table("Table II", "A_t", "A_u", "mu upper", "mu lower", "none below", "order", "before", "time s", box=None)
+    for c in cells:
+        shown.add_row(c.structure, f"{c.A_t:.4g}", f"{c.A_u:.2g}", f"{c.upper:.5f}", f"{c.lower:.5f}", f"{c.floor.value:.5f}",
+                      str(c.order), str(c.full_order), f"{c.seconds:.2f}")
+    console.print(shown)
+
+
+def _design_case(path: Path, out: Path, json_out: str | None) -> int:
+    from .design_files import case_files
+    from .drives import file_hash
+    from .synthesis.cases import paper_case, read_case
+
+    case = read_case(path)
+    with _progress("design") as tell:
+        rows = paper_case(path, progress=tell)
+        tell("differences to the paper")
+        files = case_files(path.name, case, rows)
+        with artefacts.new_folder(out) as folder:
+            artefacts.write_files(folder, files | {artefacts.MANIFEST: artefacts.manifest(
+                "design-case", case=path.name, sha256=file_hash(path))})
+    table = artefacts.read_json(out / "table2.json")["rows"]
+    _emit(json_out, table)
+    _show_cells(rows)
+    known = Table("Table II", "A_t", "A_u", "ours", "reference", "order", "paper", "order", box=None)
+    number = lambda x: "–" if x is None else f"{x:g}"
+    for r in rows:
+        known.add_row(r.structure, f"{r.A_t:.4g}", f"{r.A_u:.2g}", f"{r.upper:.5f}", number(r.reference), number(r.reference_order),
+                      number(r.paper), number(r.paper_order))
+    console.print(known)
+    for row in table:
+        console.print(f"{row['structure']}, A_t {row['A_t']:g}, A_u {row['A_u']:g}: {row['difference']}")
+    console.print(f"written to {out}")
+    return 0 if all(r.upper < 1 for r in rows) else 1
 
 
 @app.command(epilog="Example: lpvguard export --vehicle g80 out/identify -o lib/vehicles/g80")
@@ -304,12 +429,62 @@ def evaluate(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(he
     console.print(_baseline_table(result))
 
 
+@app.command(epilog="Example: lpvguard campaign out/truck/identify out/truck/drives -o out/campaign --coefficients out/truck/vehicle")
+def campaign(identification: Annotated[Path, typer.Argument(help="Folder written by identify.")],
+             drives: Annotated[Path, typer.Argument(help="The drive folder it was made from.")],
+             out: Out, vehicle: Annotated[str, typer.Option("--vehicle", help="Shipped vehicle with a controller.")] = "truck",
+             coefficients: Coefficients = None,
+             design: Annotated[Path | None, typer.Option(help="Folder written by design: also mu of the faulted loops.")] = None,
+             hours: Annotated[float, typer.Option(min=0.05, help="Simulated driving of trucks within the bounds.")] = 100.0,
+             repeats: Annotated[int, typer.Option(min=1, help="Runs of each severity of each fault.")] = 10,
+             seed: Annotated[int, typer.Option(min=0, help="Seed of everything that is drawn.")] = 1,
+             json_out: JsonOut = None, jobs: Jobs = 1, scheduler: Scheduler = None) -> None:
+    """Score the monitor and the baselines over many simulated runs; stopped half-way, the same command goes on. Exit 1: a claim missed."""
+    from . import campaign as stage
+    from .core import shipped_vehicle
+    from .parallel import workers
+
+    stored, drive_set = _stored_with_drives(identification, drives)
+    with _progress("campaign") as tell, workers(jobs, scheduler) as run:
+        summary = stage.campaign(stored, drive_set, coefficients or shipped_vehicle(vehicle), out, seed=seed,
+                                 size=stage.Size(hours, repeats), controller=design and design / "controller.json",
+                                 workers=run, progress=tell)
+    _emit(json_out, summary)
+    within = summary["within"]
+    table = Table("", *summary["detectors"].values(), box=None)
+    for title, rates in (("runs within the bounds that alarm", within["alarmed"]), ("visible faults found in time", summary["visible"])):
+        table.add_row(title, *(_rate(rates[d]) for d in summary["detectors"]))
+    for title, key in (("average found", "calibrated"), ("average found, equal alarms in the loop", "matched")):
+        table.add_row(title, *(f"{summary['average'][d][key]:.1%}" for d in summary["detectors"]))
+    console.print(table)
+    console.print(f"{within['hours']:.1f} h of {within['plants']} trucks within the bounds (of {within['candidates']} drawn); alarms by test: "
+                  + ", ".join(f"{t} {_rate(r)}" for t, r in within["tests"].items())
+                  + f"; apart, with more demand than was checked: {_rate(within['beyond_checked_amplitude'])}")
+    kinds = Table("average over severities", *summary["detectors"], "best", "equal alarms in the loop", box=None)
+    for k in summary["kinds"]:
+        kinds.add_row(k["kind"], *(f"{k['found'][d]:.0%}" for d in summary["detectors"]), ", ".join(k["best"]), ", ".join(k["best_matched"]))
+    console.print(kinds)
+    for s in summary["invisible"]:
+        console.print(f"invisible, though {'mu is ' + format(s['mu_upper'], '.2f') if s['loop_stable'] else 'the loop is unstable'}: "
+                      f"{s['kind']} {s['severity']:g} {summary['units'][s['kind']]}")
+    for text in summary["missed"]:
+        console.print(f"missed: {text}")
+    raise typer.Exit(1 if summary["missed"] else 0)
+
+
+def _rate(rate: dict) -> str:
+    return f"{rate['count']} of {rate['of']}" + ("" if rate["interval"] is None else f" ({rate['interval'][0]:.2%} .. {rate['interval'][1]:.2%})")
+
+
 @app.command(epilog="Example: lpvguard report out/identify DRIVES --vehicle g80 -o out/report.html")
 def report(identification: Annotated[Path, typer.Argument(help="Folder written by identify.")],
            drives: Annotated[Path, typer.Argument(help="The drive folder it was made from.")],
            vehicle: Vehicle, out: Out, coefficients: Coefficients = None,
            evaluation: Annotated[Path | None, typer.Option(help="JSON written by evaluate.")] = None,
-           loops: Annotated[Path | None, typer.Option(help="Folder written by sim -o.")] = None) -> None:
+           loops: Annotated[Path | None, typer.Option(help="Folder written by sim -o.")] = None,
+           campaign: Annotated[Path | None, typer.Option(help="Folder written by campaign.")] = None,
+           design: Annotated[Path | None, typer.Option(help="Folder written by design.")] = None,
+           tradeoff: Annotated[Path | None, typer.Option(help="Folder written by design --tradeoff.")] = None) -> None:
     """One self-contained HTML page with every picture and table."""
     from .report import write_report
 
@@ -317,7 +492,7 @@ def report(identification: Annotated[Path, typer.Argument(help="Folder written b
     replayer = _replayer(vehicle, coefficients) if stored.project.frames.estimator == "hann" else None
     with _progress("report") as tell:
         write_report(stored, drive_set, replayer, out, artefacts.read_json(evaluation) if evaluation else None, tell,
-                     loops)
+                     loops, design, tradeoff, artefacts.read_json(campaign / "summary.json") if campaign else None)
     console.print(f"written to {out}")
 
 
@@ -334,7 +509,7 @@ def solve(problems: Annotated[str, typer.Argument(help="JSON list of problems; -
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
              epilog="Example: lpvguard bench validation --json out/validation.json")
 def bench(context: typer.Context,
-          name: Annotated[str, typer.Argument(help="can, core, fleet, synthesis, validation or weights; NAME -- --help for its options.")],
+          name: Annotated[str, typer.Argument(help="can, core, fleet, robust, synthesis, validation or weights; NAME -- --help for options.")],
           ) -> None:
     """Measure performance, beside peers in the same run; prints a table."""
     from .bench import run
@@ -402,6 +577,10 @@ def _play(project, logs: list[Path], to: str, speed: float, channel: str | None)
                 console.print(f"{log.name}: {len(frames)} frames onto {interface}, the latest {late * 1e3:.1f} ms behind its time")
     except (OSError, can.CanError) as error:
         raise InputError("replay", f"--to {to}", str(error), "a SocketCAN interface that is up (tools/with-vcan lends one)") from None
+
+
+def _toml(value: Any) -> str:
+    return "{ " + ", ".join(f"{k} = {v}" for k, v in value.items()) + " }" if isinstance(value, dict) else f"{value:g}"
 
 
 def _norm(values: list[complex]) -> float:

@@ -4,18 +4,21 @@ Everything is discrete from the start: the vehicle sampled exactly at Ts, the we
 delay between the controller's output and the vehicle, so that the ECU may take a whole period to compute. The delay then
 belongs to the controller, which makes it strictly proper.
 
-One scaling D (found by D-K iteration at the design speed) serves all speeds, so that neighbouring controllers differ
-little. They are brought to as few common poles as will do, with numerators interpolated over speed (schedule.py). What is
-certified is the controller the core runs: float32 coefficients, interpolated, closed with the nominal model and the weights
-at frozen speeds, at the nodes and midway between them. Frozen speeds: no claim is made about how fast the speed may change.
+One scaling D (started by D-K iteration at the design speed, then the best for the worst speed) and one level serve all
+speeds, so that neighbouring controllers differ little (synthesis/scheduling.py). They are brought to as few common poles as
+will do, with numerators interpolated over speed (schedule.py). What is certified is the controller the core runs: float32
+coefficients, interpolated, closed with the nominal model and the weights: at frozen speeds by mu, at the nodes and midway
+between them, and for every speed history up to a stated rate of change by a storage function (synthesis/lpv_certificate.py).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from . import artefacts
 from .errors import InputError
@@ -24,8 +27,19 @@ from .nominal import NominalModel
 from .project import DesignSettings
 from .schedule import FrozenLoop, Scheduled, fit
 from .synthesis import interconnection as fig1
-from .synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis, frozen_controllers
-from .synthesis.statespace import StateSpace, append, gain, lft, series, zero_order_hold
+from .synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis
+from .synthesis.errors import SynthesisError
+from .synthesis.lpv_certificate import (
+    Family,
+    LpvCertificate,
+    find,
+    polynomial_storage,
+    prove,
+    riccati_storage,
+)
+from .synthesis.norms import hinf_norm
+from .synthesis.scheduling import closed_scaled, common_family, common_scaling
+from .synthesis.statespace import StateSpace, append, gain, series, zero_order_hold
 
 FEWEST_PAIRS, MOST_PAIRS = 2, 19
 """Of poles, for each demand: fewer than the vehicle and the reference model have between them cannot do the job."""
@@ -33,6 +47,15 @@ PATIENCE = 2
 """Pairs tried beyond the best number so far."""
 CERTIFICATE_RTOL = 1e-6
 """Largest relative difference between a stated level and the one proved anew."""
+LOWER_RTOL, PEAK_RTOL = 1e-3, 1e-3
+"""The same for the lower bound, which a search finds, and for the gain at the stated peak, which is flat."""
+OFF_GRID = 24
+"""Seeded speeds between the nodes at which the design is looked at besides nodes and midpoints."""
+A_T_RTOL = 0.01
+LARGER_STEP = 0.8
+"""Of the way to the limit, while no A_t has failed: the answer lies near it."""
+SCALING_SPEEDS = 4
+"""Nodes, ends included, for which the common scaling is searched: the optimum moves slowly with speed."""
 
 
 def _system(weight: FittedWeight, inflation: float) -> StateSpace:
@@ -58,8 +81,8 @@ def _delayed(plant: fig1.GeneralisedPlant) -> fig1.GeneralisedPlant:
     """The plant with one sample of delay in front of its control input."""
     n_w, n_u, dt = plant.system.n_inputs - plant.n_control, plant.n_control, plant.system.dt
     shift = StateSpace(np.zeros((n_u, n_u)), np.eye(n_u), np.eye(n_u), np.zeros((n_u, n_u)), dt)
-    return fig1.GeneralisedPlant(series(plant.system, append(gain(np.eye(n_w), dt), shift)), plant.blocks, plant.n_delta_out,
-                                 plant.n_delta_in, plant.n_control, plant.n_measurement)
+    late = series(plant.system, append(gain(np.eye(n_w), dt), shift))
+    return replace(plant, system=replace(late, inputs=plant.system.inputs))
 
 
 def _with_delay(K: StateSpace) -> StateSpace:
@@ -70,19 +93,38 @@ def _with_delay(K: StateSpace) -> StateSpace:
 
 @dataclass(frozen=True)
 class Design:
-    """A scheduled controller and its certificates: ``certificates`` per speed, nodes and midpoints in order."""
+    """A scheduled controller and its certificates: ``certificates`` per frozen speed, nodes and midpoints in order; ``lpv`` for
+    a moving speed (None: not asked for, or no storage function was found)."""
 
     schedule: Scheduled
     scaling: Scaling
     certificates: list[tuple[float, RobustPerformance]]
     full_order: int
+    off_grid: tuple[float, RobustPerformance]
+    lpv: LpvCertificate | None = None
+
+    @property
+    def worst(self) -> float:
+        """Largest proved mu over all frozen speeds that were looked at."""
+        return max(p.upper for _, p in [*self.certificates, self.off_grid])
 
 
-def _plant(stored: StoredIdentification, model: NominalModel, weights: fig1.Weights, v: float,
-           delayed: bool) -> fig1.GeneralisedPlant:
+def _plant(stored: StoredIdentification, model: NominalModel, weights: fig1.Weights, v: float, delayed: bool,
+           structure: str | None = None, probes: bool = False) -> fig1.GeneralisedPlant:
     A, B = (m[0] for m in model.matrices(np.array([v])))
-    plant = fig1.generalised_plant(A, B, weights, stored.project.design.structure, stored.project.Ts_s)
+    plant = fig1.generalised_plant(A, B, weights, structure or stored.project.design.structure, stored.project.Ts_s, probes=probes)
     return _delayed(plant) if delayed else plant
+
+
+def frozen_plant(stored: StoredIdentification, v: float) -> fig1.GeneralisedPlant:
+    """The discrete generalised plant at speed v that the certificates of a design are about."""
+    return _plant(stored, NominalModel(stored.project), _weights(stored, stored.project.design), v, False)
+
+
+def stated_scaling(document: dict) -> Scaling:
+    """The common scaling of a controller.json."""
+    stated = document["certificates"]
+    return Scaling(np.array(stated["scaling_log_parameters"], float).reshape(-1, stated["scaling_columns"]))
 
 
 def _vehicle(model: NominalModel, v: float, Ts: float) -> StateSpace:
@@ -96,15 +138,41 @@ def design(stored: StoredIdentification, progress: Progress = lambda _: None) ->
     settings = stored.project.design
     if settings is None:
         raise InputError(f"vehicle {stored.project.name}", "design", "no [design] table", "objectives for step 8")
-    model = NominalModel(stored.project)
-    weights = _weights(stored, settings)
+    result = _designed(stored, settings, None, progress)
+    return replace(result, lpv=find(_family(stored, settings, result.schedule, result.scaling), progress))
+
+
+def _family(stored: StoredIdentification, settings: DesignSettings, schedule: Scheduled, scaling: Scaling) -> Family:
+    """The scaled closed loop over speed, for the certificate at a moving speed."""
+    model, weights = NominalModel(stored.project), _weights(stored, settings)
+
+    def at(v: float) -> StateSpace:
+        return closed_scaled(_plant(stored, model, weights, v, False, settings.structure, probes=True), schedule.at(v), scaling)
+
+    # The probes: state, input, and with state uncertainty an input on every state; see interconnection.generalised_plant.
+    held = model.n + model.n_u + (model.n if settings.structure == "K_is" else 0)
+    first = scaling.systems(_plant(stored, model, weights, float(schedule.speeds[0]), False, settings.structure))[1].order
+    return Family(at, schedule.speeds, slice(first, first + model.n), held,
+                  lambda low, high: tuple(bound[:, :held] for bound in model.hold_bounds(low, high)), schedule.Ts)
+
+
+def _designed(stored: StoredIdentification, settings: DesignSettings, scaling: Scaling | None, progress: Progress) -> Design:
+    """The design for ``settings``; ``scaling``: where the search for the common scaling starts."""
+    model, weights = NominalModel(stored.project), _weights(stored, settings)
     speeds = np.linspace(*model.speed_range, settings.nodes)
-    start = int(np.argmin(np.abs(speeds - settings.design_speed_mps)))
-    progress("D-K iteration at the design speed")
-    scaling = dk_synthesis(_plant(stored, model, weights, speeds[start], True)).performance.scaling
-    scaling = scaling or Scaling(np.zeros((0, 1)))  # K_inf has no blocks to scale
+    plants = [_plant(stored, model, weights, v, True) for v in speeds]
+    if scaling is None:
+        progress("D-K iteration at the design speed")
+        start = int(np.argmin(np.abs(speeds - settings.design_speed_mps)))
+        # K_inf has no blocks to scale.
+        scaling = dk_synthesis(plants[start]).performance.scaling or Scaling(np.zeros((0, 1)))
+    progress("one scaling for all speeds")
+    some = np.unique(np.linspace(0, len(plants) - 1, SCALING_SPEEDS).round().astype(int))
+    scaling, level = common_scaling([plants[k] for k in some], scaling)
     progress("controllers over speed")
-    at_order, full_order = frozen_controllers([_plant(stored, model, weights, v, True) for v in speeds], scaling, settings.backoff)
+    # Never more than half of what is left below 1.
+    level = min(level * (1 + settings.backoff), 0.5 * (1 + level)) if level < 1 else level * (1 + settings.backoff)
+    at_order, full_order = common_family(plants, scaling, level)
     check = np.linspace(speeds[0], speeds[-1], 2 * len(speeds) - 1)
     loops = {float(v): _plant(stored, model, weights, v, False) for v in check}
     input_max = np.array(settings.input_max)
@@ -114,19 +182,86 @@ def design(stored: StoredIdentification, progress: Progress = lambda _: None) ->
     for pairs in range(FEWEST_PAIRS, MOST_PAIRS // len(input_max) + 1):
         progress(f"{pairs} pairs of poles")
         schedule = fit(frozen, speeds, scaling, pairs, input_max)
-        if not all(schedule.injection_radius(v) < 1 and lft(plant.system, schedule.at(v)).stability_margin() > 0
-                   for v, plant in loops.items()):
+        if not all(schedule.injection_radius(v) < 1 for v in loops):
             continue
-        proved = _certificates(schedule, loops, scaling)
-        worst = max(p.upper for _, p in proved)
-        if best is None or worst < best * (1 - settings.order_loss):
-            best, found, found_pairs = worst, (schedule, proved), pairs
-        elif pairs >= found_pairs + PATIENCE:
+        worst = _worst_level(schedule, loops, scaling, np.inf if best is None else best)
+        if worst < np.inf and (best is None or worst < best * (1 - settings.order_loss)):
+            best, found, found_pairs = worst, schedule, pairs
+        elif found is not None and pairs >= found_pairs + PATIENCE:
             break
     if found is None:
         raise InputError(stored.folder, "controller", "no set of common poles stabilises every speed",
                          "more nodes, or a lower A_t")
-    return Design(found[0], scaling, found[1], full_order)
+    progress("certificates")
+    return Design(found, scaling, _certificates(found, loops, scaling), full_order,
+                  _off_grid(found, scaling, lambda v: _plant(stored, model, weights, v, False), stored.project.seed))
+
+
+def _worst_level(schedule: Scheduled, loops: dict[float, fig1.GeneralisedPlant], scaling: Scaling, limit: float) -> float:
+    """Largest norm of the scaled closed loops; inf when one is unstable, or as soon as one lies above ``limit``."""
+    worst = 0.0
+    for v, plant in loops.items():
+        worst = max(worst, hinf_norm(closed_scaled(plant, schedule.at(v), scaling), rtol=1e-3).upper)
+        if worst > limit:
+            return np.inf
+    return worst
+
+
+def _off_grid(schedule: Scheduled, scaling: Scaling, plant: Callable[[float], fig1.GeneralisedPlant],
+              seed: int) -> tuple[float, RobustPerformance]:
+    """The worst of seeded speeds, moved to the top of its peak between its neighbours, and its certificate."""
+    ends = schedule.speeds[[0, -1]]
+    speeds = np.sort(np.concatenate([ends, np.random.default_rng(seed).uniform(*ends, OFF_GRID)]))
+
+    def norm(v: float) -> float:
+        return hinf_norm(closed_scaled(plant(v), schedule.at(v), scaling), rtol=1e-4).upper
+
+    values = [norm(v) for v in speeds]
+    k = int(np.argmax(values))
+    around = speeds[max(k - 1, 0)], speeds[min(k + 1, len(speeds) - 1)]
+    refined = minimize_scalar(lambda v: -norm(v), bounds=around, method="bounded", options={"maxiter": 12})
+    v = float(refined.x) if -refined.fun > values[k] else float(speeds[k])
+    return v, _certificates(schedule, {v: plant(v)}, scaling)[0][1]
+
+
+def dc_floor(weights: fig1.Weights) -> float:
+    """What no controller can be below, for every unit of A_t: 1 / sqrt(1/|W_nr(0)|^2 + 1/|W_wr(0)|^2), noise against disturbance."""
+    n, w = (abs(W.response([0.0])[0, 0, 0]) for W in (weights.W_nr, weights.W_wr))
+    return float(n * w / np.hypot(n, w))
+
+
+@dataclass(frozen=True)
+class LargestA_t:
+    """The largest A_t [per rad/s] found with mu < 1 at every speed looked at: ``worst`` is its largest mu, ``product`` A_t times
+    the DC floor (1 is the limit of any controller); ``failed``: the least A_t for which the design did not reach it."""
+
+    A_t: float
+    product: float
+    worst: float
+    failed: float
+
+
+def largest_A_t(stored: StoredIdentification, progress: Progress = lambda _: None) -> LargestA_t | None:
+    """Bisection on A_t, whole designs, certified as the core runs them; None when half of the DC floor's limit is out of reach."""
+    settings = stored.project.design
+    floor = dc_floor(_weights(stored, settings))
+    low, high = 0.5 / floor, 1 / floor
+    best, scaling, trial = None, None, low
+    while high > low * (1 + A_T_RTOL):
+        try:
+            one = _designed(stored, settings.model_copy(update={"A_t": trial}), scaling,
+                            lambda text, trial=trial: progress(f"A_t {trial:.4g}: {text}"))
+            worst, scaling = one.worst, one.scaling
+        except (InputError, SynthesisError):
+            worst = np.inf
+        if worst < 1:
+            low, best = trial, (trial, worst)
+        else:
+            high = trial
+            if best is None:
+                return None
+        trial = low + LARGER_STEP * (high - low) if high == 1 / floor else float(np.sqrt(low * high))
+    return LargestA_t(best[0], best[0] * floor, best[1], high)
 
 
 def _certificates(schedule: Scheduled, loops: dict[float, fig1.GeneralisedPlant],
@@ -137,25 +272,94 @@ def _certificates(schedule: Scheduled, loops: dict[float, fig1.GeneralisedPlant]
 def verify(path: Path, stored: StoredIdentification) -> None:
     """Prove the certificates of a controller.json anew, for its coefficients as they stand and these weights.
 
-    InputError names the speed at which the loop is unstable or its level is not the one stated.
+    InputError names the speed at which the loop is unstable or a stated number is not the one proved.
     """
     settings = stored.project.design
     document = artefacts.read_json(path)
     if settings is None or "certificates" not in document:
         raise InputError(path, "certificates", "missing", "a file that `lpvguard design` wrote for this vehicle")
     stated = document["certificates"]
-    schedule = Scheduled(document["Ts_s"], *(np.array(document[key], float) for key in ("speeds", "a", "B", "L")))
+    schedule = Scheduled.read(document)
     model, weights = NominalModel(stored.project), _weights(stored, settings)
-    loops = {row["v_mps"]: _plant(stored, model, weights, row["v_mps"], False) for row in stated["speeds"]}
-    scaling = Scaling(np.array(stated["scaling_log_parameters"], float).reshape(-1, stated["scaling_columns"]))
-    for row, (v, proved) in zip(stated["speeds"], _certificates(schedule, loops, scaling)):
-        if not abs(proved.upper - row["mu_upper"]) <= CERTIFICATE_RTOL * row["mu_upper"]:
-            raise InputError(path, f"certificate at {v:g} m/s", f"mu is at most {proved.upper:.7g}, not {row['mu_upper']:.7g}",
+    for key in ("structure", "A_t", "A_u"):
+        if stated[key] != getattr(settings, key):
+            raise InputError(path, f"certificates.{key}", repr(stated[key]), f"{getattr(settings, key)!r}, the project's")
+    rows = [*stated["speeds"], stated["off_grid"]]
+    loops = {row["v_mps"]: _plant(stored, model, weights, row["v_mps"], False) for row in rows}
+    scaling = stated_scaling(document)
+    proved_rows = dict(_certificates(schedule, loops, scaling))
+    for row in rows:
+        _compare(path, row, proved_rows[row["v_mps"]], loops[row["v_mps"]], schedule)
+    lpv = stated["moving_speed"]
+    if lpv["rate_mps2"] is not None:
+        family = _family(stored, settings, schedule, scaling)
+        if lpv["P"] is None:
+            storage = riccati_storage(family)
+        else:
+            storage = polynomial_storage(family, _square(lpv["basis"]), np.array([_symmetric(P) for P in lpv["P"]]))
+        if storage is None or prove(family, storage, lpv["rate_mps2"]) is None:
+            raise InputError(path, "certificates.moving_speed", "the storage function does not prove a gain below 1 for "
+                             f"|dv/dt| up to {lpv['rate_mps2']:.4g} m/s2", "the coefficients, weights and P that were certified")
+
+
+def _compare(path: Path, row: dict, proved: RobustPerformance, plant: fig1.GeneralisedPlant, schedule: Scheduled) -> None:
+    """InputError unless a row states what is proved anew. The peak may be one of several: the scaled gain there must reach mu."""
+    v = row["v_mps"]
+    loop = closed_scaled(plant, schedule.at(v), proved.scaling)
+    at_peak = np.linalg.norm(loop.response([row["peak_rad_s"]])[0], 2) if np.isfinite(proved.upper) else np.inf
+    for name, value, rtol in (("mu_upper", proved.upper, CERTIFICATE_RTOL), ("mu_lower", proved.lower, LOWER_RTOL)):
+        if not abs(value - row[name]) <= rtol * abs(row[name]):
+            raise InputError(path, f"certificate at {v:g} m/s, {name}", f"{value:.7g} when proved anew, not {row[name]:.7g}",
                              "the coefficients and weights that were certified")
+    if not abs(at_peak - row["mu_upper"]) <= PEAK_RTOL * row["mu_upper"]:
+        raise InputError(path, f"certificate at {v:g} m/s, peak_rad_s", f"the gain at {row['peak_rad_s']:.6g} rad/s is {at_peak:.6g}",
+                         f"{row['mu_upper']:.6g}, the peak's")
 
 
-def save(result: Design, stored: StoredIdentification, target: Path) -> None:
-    """Write controller.json and its manifest, whole or not at all."""
+def _square(values: list[float]) -> np.ndarray:
+    n = int(np.sqrt(len(values)))
+    return np.array(values, float).reshape(n, n)
+
+
+def _symmetric(upper: list[float]) -> np.ndarray:
+    """A symmetric matrix from its upper triangle row by row."""
+    n = int(np.sqrt(2 * len(upper)))
+    P = np.zeros((n, n))
+    P[np.triu_indices(n)] = upper
+    return P + np.triu(P, 1).T
+
+
+def _moving(lpv: LpvCertificate | None) -> dict:
+    """The certificate at a moving speed as controller.json holds it."""
+    if lpv is None:
+        return {"claim": "no storage function was found: nothing is claimed about a moving speed", "rate_mps2": None}
+    upper = np.triu_indices(len(lpv.storage.basis))
+    return {
+        "claim": "gain of the whole scaled loop (nominal model, weights, fixed D(s), controller; nothing reduced for it) below 1 at "
+                 "every speed of the range and |dv/dt| up to rate_mps2, from rest: robust performance for every LTI Delta within W_delta",
+        "test": "discrete bounded-real inequality, x = basis x~, P(v) = P0 + v P1 + P2 / v (P null: strict Riccati solutions), linear "
+                "between knots, by eigenvalues at the ends of cells that cover the range, a bound of what it loses between them "
+                "subtracted",
+        "rate_mps2": lpv.rate, "not_found_mps2": lpv.not_found, "states": len(lpv.storage.basis), "cells": lpv.proof.cells,
+        "margin": lpv.proof.margin, "basis": None if lpv.P is None else lpv.storage.basis.ravel(),
+        "P": None if lpv.P is None else [P[upper] for P in lpv.P]}
+
+
+def _row(v: float, proved: RobustPerformance) -> dict[str, float]:
+    return {"v_mps": v, "mu_upper": proved.upper, "mu_lower": proved.lower, "peak_rad_s": proved.bracket.peak_frequency}
+
+
+def faulted_performance(path: Path, stored: StoredIdentification, v: float, applied: StateSpace, measured: StateSpace) -> float:
+    """Upper bound of mu at frozen speed v of the loop closed by controller.json with two systems put into it: ``applied``
+    between controller and vehicle (n_u), ``measured`` between [reference, outputs] and controller; inf where it is unstable."""
+    document = artefacts.read_json(path)
+    plant, K = frozen_plant(stored, v), Scheduled.read(document).at(v)
+    return certify(plant, series(applied, series(K, measured)), stated_scaling(document) if plant.blocks else None).upper
+
+
+def save(result: Design, stored: StoredIdentification, target: Path, more: dict[str, str] | None = None,
+         largest: LargestA_t | None = None) -> None:
+    """Write controller.json, its manifest and ``more`` files (name: text), whole or not at all."""
     settings, schedule = stored.project.design, result.schedule
     controller = {
         "kind": "controller", "schema": 2, "Ts_s": schedule.Ts, "speeds": schedule.speeds, "a": schedule.a, "B": schedule.B,
@@ -169,9 +373,11 @@ def save(result: Design, stored: StoredIdentification, target: Path) -> None:
             "order": schedule.order, "full_order": result.full_order,
             "scaling_log_parameters": result.scaling.log_parameters,
             "scaling_columns": result.scaling.log_parameters.shape[1],
-            "speeds": [{"v_mps": v, "mu_upper": p.upper, "mu_lower": p.lower, "peak_rad_s": p.bracket.peak_frequency}
-                       for v, p in result.certificates]}}
+            "moving_speed": _moving(result.lpv),
+            "dc_floor": dc_floor(_weights(stored, settings)), "largest_A_t": None if largest is None else asdict(largest),
+            "off_grid": {"speeds": OFF_GRID, "seed": stored.project.seed, **_row(*result.off_grid)},
+            "speeds": [_row(v, p) for v, p in result.certificates]}}
     with artefacts.new_folder(target) as folder:
         artefacts.write_files(folder, {
-            "controller.json": artefacts.to_json(controller),
+            **(more or {}), "controller.json": artefacts.to_json(controller),
             artefacts.MANIFEST: artefacts.manifest("design", vehicle=stored.project.name, identification=stored.manifest)})

@@ -79,29 +79,29 @@ def alarmed_pieces(replay: Replay, test: str | None = None) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class Clock:
-    """Judged, excited, in-range seconds of a drive since FAULT_FROM_S, at every sample, by the untouched drive."""
+    """Judged, excited, in-range seconds of a drive since its sample ``first``, (N,) at every sample."""
 
     seconds: np.ndarray
     first: int
     Ts: float
 
     @classmethod
-    def of(cls, clean: Replay) -> Clock:
-        first = int(round(FAULT_FROM_S / clean.Ts))
-        relevant = clean.judged & clean.in_range & clean.excited
+    def of(cls, replay: Replay, from_s: float = FAULT_FROM_S) -> Clock:
+        first = int(round(from_s / replay.Ts))
+        relevant = replay.judged & replay.in_range & replay.excited
         relevant[:first] = False
-        return cls(np.cumsum(relevant) * clean.Ts, first, clean.Ts)
+        return cls(np.cumsum(relevant) * replay.Ts, first, replay.Ts)
 
     def at(self, t_s: float) -> float:
         """The reading [s] at ``t_s`` seconds after the drive's first sample."""
         return float(self.seconds[min(int(round(t_s / self.Ts)), len(self.seconds) - 1)])
 
     def of_replay(self, replay: Replay, test: str | None = None) -> float | None:
-        """The reading at the first alarm of a test (None: either) after FAULT_FROM_S; None: no alarm."""
-        return next((self.at(t) for t in alarm_times(replay, test).tolist() if t > FAULT_FROM_S), None)
+        """The reading at the first alarm of a test (None: either) after ``first``; None: no alarm."""
+        return next((self.at(t) for t in alarm_times(replay, test).tolist() if t > self.first * self.Ts), None)
 
     def of_statistic(self, statistic: np.ndarray, threshold: float) -> float | None:
-        """The reading where ``statistic`` (N,) first exceeds ``threshold`` after FAULT_FROM_S; None: nowhere."""
+        """The reading where ``statistic`` (N,) first exceeds ``threshold`` after ``first``; None: nowhere."""
         above = np.flatnonzero(statistic[self.first + 1:] > threshold)
         return float(self.seconds[self.first + 1 + above[0]]) if len(above) else None
 

@@ -70,7 +70,8 @@ class Estimator:
             raise InputError(f"vehicle {project.name}", "frames",
                              f"the highest bins hold {length[-1]} samples a frame",
                              f"at least {4 * settings.periods} and different lengths; lower f_max_hz or bins_per_decade")
-        latency = CORE_BLOCK - 1 + (n_bins + 1) // 2 + n_bins + 1  # LPVG_NLATENCY of monitor.h
+        # LPVG_NLATENCY of monitor.h, DC included.
+        latency = CORE_BLOCK - 1 + (n_bins + 1) // 2 + (2 if project.n_y > 1 else 1) * (n_bins + 1)
         if length[-1] // 2 <= latency:
             raise InputError(f"vehicle {project.name}", "frames", f"{n_bins + 1} bins and half frames of {length[-1] // 2}",
                              f"half frames longer than {latency} samples, as the core spreads its work over samples")

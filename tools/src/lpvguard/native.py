@@ -166,7 +166,7 @@ def _compile(sources, flags: tuple[str, ...], include_dirs, name: str, suffix: s
     return target
 
 
-_KERNEL_LEVEL = {"s1": "-O3", "s2": "-O2", "ray": "-O2", "candump": "-O2", "recursion": "-O2"}
+_KERNEL_LEVEL = {"lyapunov_barrier": "-O3", "s1": "-O3", "s2": "-O2", "ray": "-O2", "candump": "-O2", "recursion": "-O2"}
 """Optimisation per kernel: -O3 vectorises s1 (twice as fast); the others gain nothing from its longer
 compilation."""
 

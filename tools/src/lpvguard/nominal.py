@@ -22,6 +22,7 @@ from scipy.linalg import expm
 from . import native
 from .errors import InputError
 from .project import ModelSettings, Project
+from .taylor import COEFFICIENTS, Taylor
 
 _OPERATORS = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
               ast.Pow: operator.pow, ast.USub: operator.neg, ast.UAdd: operator.pos}
@@ -132,23 +133,28 @@ def recursion(Ad: np.ndarray, forced: np.ndarray, x_first: np.ndarray) -> np.nda
     return states
 
 
+def entries_at(model: ModelSettings, v: object, where: str) -> tuple[list[list[object]], list[list[object]]]:
+    """Entries of A and B, row by row, with ``v`` in place of the speed."""
+    names: dict[str, object] = {"v": v, **model.parameters}
+    for name, expression in model.let.items():
+        names[name] = evaluate(expression, names, f"{where}, model.let.{name}")
+    return tuple([[evaluate(entry, names, f"{where}, model.{key}[{i}][{j}]") for j, entry in enumerate(row)]
+                  for i, row in enumerate(getattr(model, key))] for key in ("A", "B"))
+
+
 def state_space(model: ModelSettings, v: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray]:
     """A (m, n, n) and B (m, n, n_u) of a project file's model at speeds v (m,) [m/s], in its range or not; ``where``: for errors."""
     v = np.atleast_1d(np.asarray(v, float))
-    names: dict[str, object] = {"v": v, **model.parameters}
-    with np.errstate(all="ignore"):
-        for name, expression in model.let.items():
-            names[name] = evaluate(expression, names, f"{where}, model.let.{name}")
 
-    def fill(entries: list[list[float | str]], key: str) -> np.ndarray:
+    def filled(entries: list[list[object]]) -> np.ndarray:
         out = np.empty((len(v), len(entries), len(entries[0])))
         for i, row in enumerate(entries):
             for j, entry in enumerate(row):
-                out[:, i, j] = evaluate(entry, names, f"{where}, model.{key}[{i}][{j}]")
+                out[:, i, j] = entry
         return out
 
     with np.errstate(all="ignore"):
-        A, B = fill(model.A, "A"), fill(model.B, "B")
+        A, B = (filled(entries) for entries in entries_at(model, v, where))
     bad = ~(np.isfinite(A).all((1, 2)) & np.isfinite(B).all((1, 2)))
     if bad.any():
         raise InputError(where, f"v = {v[bad][0]:.6g} m/s", "the model is not finite there", "finite A and B")
@@ -178,6 +184,27 @@ class NominalModel:
     def matrices(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A (m, n, n) and B (m, n, n_u) at speeds v (m,) [m/s]."""
         return state_space(self._settings, v, self._where)
+
+    def hold_bounds(self, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
+        """Entrywise bounds over speeds low..high of |d/dv| and |d2/dv2| of [Ad, Bd, Gd] (n, n + n_u + n), the zero-order hold
+        of A, B and of an input on every state. Rigorous up to rounding: the exponential's power series has positive
+        coefficients, so bounds of A, B and their Taylor coefficients in v bound those of the hold."""
+        n, width = self.n, 2 * self.n + self.n_u
+        bounds = np.zeros((COEFFICIENTS, width, width))
+        try:
+            entries = entries_at(self._settings, Taylor.variable(low, high), self._where)
+        except (TypeError, ZeroDivisionError) as error:
+            raise InputError(self._where, "model", f"cannot be bounded between {low:g} and {high:g} m/s: {error}",
+                             "entries rational in v with whole exponents") from None
+        for first, matrix in zip((0, n), entries):
+            for i, row in enumerate(matrix):
+                for j, entry in enumerate(row):
+                    bounds[:, i, first + j] = Taylor.of(entry).magnitude
+        bounds[0, :n, n + self.n_u:] = np.eye(n)
+        series = np.block([[bounds[k - i] if k >= i else np.zeros((width, width)) for k in range(COEFFICIENTS)]
+                           for i in range(COEFFICIENTS)])
+        first, second = (expm(series * self.Ts)[:n, k * width:(k + 1) * width] for k in (1, 2))
+        return first, 2 * second
 
     @cached_property
     def slowest_pole(self) -> float:

@@ -455,3 +455,134 @@ def closed_loop(rows: np.ndarray, frames: np.ndarray, threshold: float, fault_st
     for axes in (rate, margin):
         axes.legend(loc="upper left", ncols=3, fontsize="small")
     return figure
+
+
+DETECTOR_STYLES = ((BLUE, "-", "o", 2.0), (ORANGE, "--", "s", 1.1), (GREEN, "-.", "^", 1.1), (PINK, ":", "D", 1.1))
+
+
+@picture
+def detection(severities: list[dict], units: dict[str, str], names: dict[str, str], key: str) -> Figure:
+    """Share of runs in which a fault was found in time, against its severity: a panel per kind, a line per detector.
+
+    ``severities``: rows of a campaign's summary; ``key``: "found" or "matched"; ``names``: detector -> title, ours first.
+    """
+    kinds = [k for k in units if sum(s["kind"] == k for s in severities) > 1]
+    columns = 4
+    lines = -(-len(kinds) // columns)
+    figure = _figure(9.6, 1.75 * lines + 0.5)
+    panels = figure.subplots(lines, columns, sharey=True, squeeze=False).ravel()
+    for axes in panels[len(kinds):]:
+        axes.set_axis_off()
+    for axes, kind in zip(panels, kinds):
+        rows = sorted((s for s in severities if s["kind"] == kind), key=lambda s: s["severity"])
+        x = [s["severity"] for s in rows]
+        for detector, (colour, line, mark, width) in zip(names, DETECTOR_STYLES):
+            axes.plot(x, [s[key][detector] / s["runs"] for s in rows], line, marker=mark, ms=3.2, lw=width, color=colour,
+                      label=names[detector])
+        axes.fill_between(x, 0, [s["visible_runs"] / s["runs"] for s in rows], color=POINTS, alpha=0.25, lw=0, label="visible runs")
+        axes.set_title(kind)
+        axes.set_xlabel(units[kind])
+        if len(x) > 2 and min(x) > 0 and max(x) / min(x) > 15:
+            axes.set_xscale("log")
+            axes.set_xticks(x, [f"{v:g}" for v in x])
+            axes.xaxis.set_minor_locator(NullLocator())
+        axes.set_ylim(-0.05, 1.05)
+    for axes in panels[::columns]:
+        axes.set_ylabel("found")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    return figure
+
+
+# ---------------------------------------------------------------------------------------------------------- step 8
+
+STRUCTURE_LOOKS = {"K_inf": ("-.", GREEN, r"$K_\infty$"), "K_i": (":", RED, "$K_i$"), "K_is": ("--", BLUE, "$K_{is}$")}
+"""Line, colour and name of each structure; the lines are the paper's."""
+
+
+@picture
+def performance_weights(omega: np.ndarray, signals: list[tuple[str, np.ndarray, str]], objectives: list[tuple[str, np.ndarray]],
+                        command: tuple[np.ndarray, np.ndarray] | None) -> Figure:
+    """Fig. 5: |W| over omega (K,) [rad/s]. ``signals``: name, (K,), unit of what normalises signals; ``objectives``: of W_t and W_u;
+    ``command``: frequencies and bound of the measured yaw rate behind W_C, where there is one."""
+    figure = _figure(8.2, 3.4)
+    left, right = figure.subplots(1, 2, sharex=True)
+    for (name, values, unit), colour, line in zip(signals, (BLUE, GREEN, ORANGE, RED, PINK), ("-", "--", "-.", ":", "-"), strict=False):
+        left.plot(omega, values, line, color=colour, label=f"{name}, {unit}")
+    if command is not None:
+        left.plot(*command, "s", ms=4, color=BLUE, mfc="none", label="measured yaw rate")
+    lines = ("-", "--", ":", "-.")
+    for index, (name, values) in enumerate(objectives):
+        right.plot(omega, values, lines[index % 4], color=RED if "W_t" in name else BLUE if "W_u" in name else GREEN, label=name)
+    for axes in (left, right):
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_xlabel("frequency, rad/s")
+        axes.legend(fontsize=7)
+    left.set_ylabel("magnitude")
+    return figure
+
+
+@picture
+def worst_case_runs(run: dict) -> Figure:
+    """Fig. 6: pressure difference above, yaw rate below; ``run`` as in worst_run.WorstRuns.to_dict."""
+    figure = _figure(8.2, 5.2)
+    top, low = figure.subplots(2, 1, sharex=True)
+    low.plot(run["t_s"], run["wanted_radps"], "-", color=INK, lw=1.0, label="reference, $W_R r_c$")
+    for one in run["runs"]:
+        line, colour, name = STRUCTURE_LOOKS[one["structure"]]
+        label = name + (" without $\\Delta$" if one["structure"] == "K_inf" else " with its worst $\\Delta$")
+        top.plot(run["t_s"], one["u_bar"], line, color=colour, lw=1.0, label=label)
+        low.plot(run["t_s"], one["r_radps"], line, color=colour, lw=1.0, label=label)
+    top.set_ylabel(r"$\Delta p$, bar")
+    low.set_ylabel("yaw rate, rad/s")
+    low.set_xlabel("time, s")
+    for axes in (top, low):
+        _legend_above(axes, 4)
+    return figure
+
+
+def standalone(svg: str) -> str:
+    """An inline picture as an SVG file of its own, dark on white."""
+    for variable, colour in (("--ink", "#1b1e23"), ("--rule", "#c9ced6"), ("--paper", "#ffffff")):
+        svg = svg.replace(f"var({variable})", colour)
+    return svg.replace("<svg", '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
+                       ' style="background:#ffffff"', 1) + "\n"
+
+
+@picture
+def tradeoff_front(found: dict) -> Figure:
+    """The front of `design --tradeoff`: worst mu and floor over uniform ceilings, and the best candidate; beside it the ceilings and
+    gamma_w of the best and of the project's setting. ``found``: tradeoff.json."""
+    figure = _figure(8.2, 3.6)
+    left, right = figure.subplots(1, 2)
+    uniform = [r for r in found["rows"] if r["ceiling"] != "project" and r["nu_low"] == r["nu_high"] and r["mu_worst"] is not None]
+    for structure in ("K_i", "K_is"):
+        rows = sorted((r for r in uniform if r["structure"] == structure), key=lambda r: r["nu_low"])
+        rows = [r for r in rows if r["lambda_s"] == rows[0]["lambda_s"]]
+        _, colour, name = STRUCTURE_LOOKS[structure]
+        level = [r["nu_low"] for r in rows]
+        left.plot(level, [r["mu_worst"] for r in rows], "-o", ms=4, color=colour, label=name)
+        left.plot(level, [r["floor"] for r in rows], "--", color=colour, lw=0.9, label=f"{name}, no controller below")
+    best = found["best"]
+    left.plot([np.sqrt(best["nu_low"] * best["nu_high"])], [best["mu_worst"]], "*", ms=11, color=INK, label="best, at its mean ceiling")
+    left.axhline(1.0, color=PINK, lw=0.9, ls=":")
+    left.set_xscale("log")
+    left.set_xticks([0.05, 0.1, 0.2, 0.4, 0.8], ["0.05", "0.1", "0.2", "0.4", "0.8"])
+    left.xaxis.set_minor_formatter(NullFormatter())
+    left.set_xlabel(r"uniform ceiling $\bar\nu$, –")
+    left.set_ylabel(r"worst $\mu$ over speed")
+    left.set_ylim(0.0, min(2.5, 1.1 * max(1.0, *(r["mu_worst"] for r in uniform), best["mu_worst"])))
+    omega = np.array(found["omega_rad_s"])[1:]
+    for name, style, colour in (("best", "-", BLUE), ("own", "--", RED)):
+        detail = {k: np.array(v, float)[1:] for k, v in found["detail"][name].items() if k in ("ceiling", "gamma_w", "nu_i")}
+        label = {"best": "best", "own": "project"}[name]
+        right.plot(omega, detail["ceiling"], style, color=colour, label=rf"$\bar\nu$, {label}")
+        right.plot(omega, np.where(detail["nu_i"] > 0, detail["nu_i"], np.nan), style + "o", ms=3, lw=0.6, color=colour, label=rf"$\nu_i$, {label}")
+        right.plot(omega, detail["gamma_w"], style, color=colour, lw=2.2, alpha=0.45, label=rf"$\gamma_w$, {label}")
+    right.set_xscale("log")
+    right.set_yscale("log")
+    right.set_xlabel("frequency of the bin, rad/s")
+    for axes in (left, right):
+        axes.legend(fontsize=7)
+    return figure

@@ -162,7 +162,7 @@ class DesignSettings(_Strict):
     beside the input's in (8), Lambda_nu = diag(1, lambda_s), for its K_is.
     """
 
-    structure: Literal["K_inf", "K_i"] = "K_i"
+    structure: Literal["K_inf", "K_i", "K_is"] = "K_i"
     A_t: Positive
     A_u: Positive
     W_t_zeros: list[Positive] = [10.0]
@@ -173,8 +173,8 @@ class DesignSettings(_Strict):
     W_R_den: list[float] = [1.0, 5.4, 9.0]
     design_speed_mps: Positive = 17.0
     nodes: Annotated[int, Field(ge=2, le=64)] = 8
-    backoff: Fraction = 0.02
-    order_loss: Fraction = 0.02
+    backoff: Fraction = 0.05
+    order_loss: Fraction = 0.005
     table: list[Annotated[list[Positive], Field(min_length=2, max_length=2)]] | None = None
     lambda_s: Positive = 1.0
     input_max: list[Positive]

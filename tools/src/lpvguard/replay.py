@@ -1,4 +1,4 @@
-"""Stage 7, replay: recorded drives through the compiled C core, and what it said, in a form people and machines can read."""
+"""Stage 8, replay: recorded drives and raw CAN logs through the compiled C core, and what it said, in a form people and machines can read."""
 
 from __future__ import annotations
 
@@ -167,8 +167,12 @@ class Replayer:
                    for i in range(len(found.bin))]
         in_range = (drive.v >= low) & (drive.v <= high)
         return Replay(drive.name, drive.duration_s, run, judged, in_range if present is None else in_range & present,
-                      excited_samples(drive.u, Ts, self.project.frame_test.excited_std), run.energy > self.energy_threshold,
+                      self.excited(drive), run.energy > self.energy_threshold,
                       sorted(alarms, key=lambda a: a.t_s), Ts)
+
+    def excited(self, drive: Drive) -> np.ndarray:
+        """(N,) True where the drive is excited (DESIGN 4.2)."""
+        return excited_samples(drive.u, self.project.Ts_s, self.project.frame_test.excited_std)
 
     def summarise_file(self, path: Path, channel: str | None = None) -> dict[str, Any] | InputError:
         """The object of `lpvguard replay --json` for one drive table or raw CAN log, or why it could not be read."""

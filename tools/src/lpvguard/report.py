@@ -16,6 +16,7 @@ import numpy as np
 from . import __version__, artefacts, pictures
 from .bounds import FrameSet, counted_frames, explain
 from .core import REASONS, VERDICTS
+from .design_files import draw
 from .drives import Drive
 from .energy import EnergyTest
 from .evaluate import FAULT_FROM_S, FOUND_WITHIN_S, PIECE_S, SHORTEST_FOR_FAULTS_S
@@ -73,11 +74,13 @@ class _Pass:
 
 
 def write_report(stored: StoredIdentification, drives: DriveSet, replayer: Replayer | None, out: Path, evaluation: dict | None,
-                 progress: Callable[[str], None], loops: Path | None = None) -> None:
+                 progress: Callable[[str], None], loops: Path | None = None, design: Path | None = None,
+                 tradeoff: Path | None = None, campaign: dict | None = None) -> None:
     """Write the page; InputError when a drive cannot be read or ``out`` cannot be written.
 
     ``replayer``: None for bounds of the plain DFT, which the core does not compute; drives are then judged by the exact margin.
-    ``evaluation``: JSON of `lpvguard evaluate`; ``loops``: folder written by `lpvguard sim -o`, with its results.json.
+    ``evaluation``: JSON of `lpvguard evaluate`; ``loops``: folder written by `lpvguard sim -o`, with its results.json; ``design``,
+    ``tradeoff``: folders written by `lpvguard design`, without and with --tradeoff; ``campaign``: summary.json of `lpvguard campaign`.
     """
     found = _Pass()
     for name in drives.experiments:
@@ -94,8 +97,14 @@ def write_report(stored: StoredIdentification, drives: DriveSet, replayer: Repla
                 _drive_section(found, replayer) if replayer is not None else _plain_section(found)]
     if evaluation is not None:
         sections.append(_evaluation_section(evaluation))
+    if design is not None:
+        sections.append(_design_section(design))
+    if tradeoff is not None:
+        sections.append(_tradeoff_section(tradeoff))
     if loops is not None:
         sections.append(_loop_section(loops))
+    if campaign is not None:
+        sections.append(_campaign_section(campaign))
     project = stored.project
     titles = [s[s.index("<h2>") + 4:s.index("</h2>")] for s in sections]
     nav = "".join(f'<a href="#s{i}">{title}</a>' for i, title in enumerate(titles, start=1))
@@ -644,6 +653,59 @@ A cell: faults found in time of the drives that count, and the median of the jud
 as later than all. Best: largest share of drives, then least median; detectors that tie are all named.</p>{table}"""
 
 
+# --------------------------------------------------------------------------------------------------------------- step 8
+
+def _design_section(folder: Path) -> str:
+    controller = artefacts.read_json(folder / "controller.json")["certificates"]
+    speeds = _table(["speed, m/s", "μ upper", "μ lower", "peak, rad/s"],
+                    [[_number(r["v_mps"], 4), f"{r['mu_upper']:.4f}", f"{r['mu_lower']:.4f}", _number(r["peak_rad_s"])]
+                     for r in controller["speeds"]], "tight")
+    text = f"""<h2>Controller and its certificates</h2>
+<p>{escape(controller["structure"])} scheduled over speed, {controller["order"]} states: {escape(controller["claim"])}.</p>{speeds}"""
+    if not (folder / "table2.json").is_file():
+        return text
+    table, figures = (artefacts.read_json(folder / name) for name in ("table2.json", "figures.json"))
+    rows = _table(
+        ["Table II", "A<sub>t</sub>", "A<sub>u</sub>", "μ upper", "μ lower", "no controller below", "order", "before reduction", "peak, rad/s"],
+        [[escape(r["structure"]), _number(r["A_t"], 4), _number(r["A_u"]), f"{r['mu_upper']:.4f}", f"{r['mu_lower']:.4f}",
+          f"{r['floor']:.4f}", str(r["order"]), str(r["full_order"]), _number(r["peak_rad_s"])] for r in table["rows"]])
+    drawn = draw(figures)
+    text += f"""<h3>Table II for these drives</h3>
+<p>At {table["speed_mps"]:g} m/s, sampled every {table["Ts_s"]:g} s, one sample of delay. μ upper is certified over all frequencies
+(K<sub>∞</sub>: the closed-loop norm); K<sub>is</sub> takes state uncertainty with Λ<sub>ν</sub> = diag(1, {table["lambda_s"]:g} s²), its
+bounds from the {escape(table["state_uncertainty_from"])}. “No controller below” bounds every controller of any order with these
+weights.</p>{rows}{_figure(drawn["fig5"], "<b>Counterpart of Fig. 5.</b> Weights of the control problem: left what normalises signals, "
+                                          "right the objectives of Table II.")}"""
+    if "fig6" not in figures:
+        return text
+    run = figures["fig6"]
+    measured = _table(
+        ["controller", "A<sub>t</sub>", "A<sub>u</sub>", "‖Δ‖∞", "Δ exact at, rad/s", "gain with Δ", "without Δ", "tracking error with Δ, rad/s rms",
+         "without Δ"],
+        [[escape(r["structure"]), _number(r["A_t"], 4), _number(r["A_u"]), _number(r["delta_norm"]), _number(r["delta_rad_s"]),
+          f"{r['worst_gain']:.4f}", f"{r['nominal_gain']:.4f}", _number(r["tracking_rms"]), _number(r["tracking_rms_without_delta"])]
+         for r in run["runs"]])
+    left = f" Left out, as no objective of theirs has μ below 1: {', '.join(run['left_out'])}." if run["left_out"] else ""
+    return text + _figure(drawn["fig6"], (
+        f"<b>Counterpart of Fig. 6.</b> Reference: the filtered yaw rate of {escape(run['drive'])} through W<sub>R</sub>. Disturbance: that "
+        f"drive's nominal error, the yaw rate's times {run['factor']:.2g} (it keeps the DC bound), band-limited noise of power "
+        f"{run['noise_power']:g} before W<sub>n</sub>. K<sub>∞</sub> runs without Δ; K<sub>i</sub> and K<sub>is</sub> with the worst Δ found by the lower "
+        f"bound of μ within the band of the data, realised as a stable system of constant size.{left}")) + measured
+
+
+def _tradeoff_section(folder: Path) -> str:
+    found = artefacts.read_json(folder / "tradeoff.json")
+    rows = _table(
+        ["structure", "ceiling", "ν̄ at the lowest bin", "at the highest", "λ<sub>s</sub>, s²", "worst μ", "no controller below", "largest γ<sub>w</sub>"],
+        [[escape(r["structure"]), r["ceiling"], _number(r["nu_low"]), _number(r["nu_high"]), _number(r["lambda_s"]), _number(r["mu_worst"], 4),
+          _number(r["floor"], 4), _number(r["gamma_w_max"])] for r in found["rows"]])
+    return f"""<h2>Trade-off between uncertainty, disturbance and performance</h2>
+<p>{escape(found["sentence"])}</p>{_figure(pictures.tradeoff_front("t", found),
+    "Left: the optimum over speeds for uniform ceilings on ν, and the level below which no controller goes. Right: ceiling, uncertainty and "
+    f"disturbance bound of the best candidate and of the project's setting. Bounds from the {escape(found['frames'])}; “–”: the floor alone "
+    "ruled the candidate out.")}{rows}"""
+
+
 # ------------------------------------------------------------------------------------------------------------ closed loop
 
 def _loop_section(folder: Path) -> str:
@@ -669,3 +731,61 @@ def _loop_section(folder: Path) -> str:
     return f"""<h2>The closed loop over CAN frames</h2>
 <p>Simulated truck, its bus encoded and decoded frame by frame, and the compiled ECU loop: model, monitor and controller, as they
 go on the target. The truck shares no equation with the nominal model.</p>{table}{"".join(figures)}"""
+
+
+# --------------------------------------------------------------------------------------------------------------- campaign
+
+def _campaign_section(c: dict) -> str:
+    names, within, tests = c["detectors"], c["within"], c["within"]["tests"]
+
+    def share(rate: dict) -> str:
+        if not rate["of"]:
+            return "–"
+        return f"{rate['count']} of {rate['of']}, {100 * rate['interval'][0]:.2f} to {100 * rate['interval'][1]:.2f} %"
+
+    def best(detectors: list[str]) -> str:
+        return escape(", ".join(names[d] for d in detectors))
+
+    overall = _table(["", *map(escape, names.values())], [
+        ["runs within the bounds that alarm, 95 % interval", *(share(within["alarmed"][d]) for d in names)],
+        ["visible faults found in time, 95 % interval", *(share(c["visible"][d]) for d in names)],
+        ["average found, calibrated thresholds", *(f"{c['average'][d]['calibrated']:.1%}" for d in names)],
+        ["average found, equal false alarms in the loop", *(f"{c['average'][d]['matched']:.1%}" for d in names)]])
+    alarms = _table(["test of the monitor", "runs within the bounds that alarm, 95 % interval", "alarms an hour"],
+                    [[t, share(r), _number(r["alarms_per_hour"])] for t, r in tests.items()])
+    kinds = _table(["kind", *(f"{escape(n)}: calibrated, equal alarms" for n in names.values()), "best, calibrated", "best, equal alarms"],
+                   [[escape(k["kind"]), *(f"{k['found'][d]:.0%}, {k['matched'][d]:.0%}" for d in names), best(k["best"]),
+                     best(k["best_matched"])] for k in c["kinds"]])
+    severities = _table(
+        ["kind", "severity", "t* of its own response", "mu of its loop", "runs", "visible runs",
+         *(f"{escape(n)}: found, median s" for n in names.values())],
+        [[escape(s["kind"]), f"{s['severity']:g} {escape(c['units'][s['kind']])}", _number(s["response_margin"]),
+          _level(s), str(s["runs"]), str(s["visible_runs"]),
+          *(f"{s['found'][d]}, {_number(s['median_s'][d])}" for d in names)] for s in c["severities"]])
+    hidden = "; ".join(f"{escape(s['kind'])} {s['severity']:g} {escape(c['units'][s['kind']])} (mu {_level(s)})" for s in c["invisible"])
+    baselines = ", ".join(escape(b["label"]) for b in c["baselines"])
+    return f"""<h2>Campaign in the closed loop</h2>
+<p>{within["runs"]} runs, {within["hours"]:.1f} h of driving ({within["judged_hours"]:.1f} h judged), of {within["plants"]} trucks whose own frequency
+response lies within the bounds (of {within["candidates"]} drawn; largest t* {within["largest_margin"]:.3f}, the nominal truck's
+{within["nominal_margin"]:.3f}), and {sum(s["runs"] for s in c["severities"])} runs with a fault. Intervals are exact, over runs. The frame test
+is calibrated to alarm in at most {_number(c["frame_test"]["alpha"])} of the drives (with 95 % confidence over the calibration drives below
+{_number(c["frame_test"]["conditional_bound"])}). Counted apart: runs of these trucks with a frame that held more demand in its bin
+than their response was checked for (alarmed: {share(within["beyond_checked_amplitude"])}). A fault is <i>visible</i> in a run when off-line t* is at least 1.5 times the threshold in a
+tenth of the excited frames after it; that uses nothing the monitor says. Of the alarms that were due by the bounds,
+{share(c["due"])} came in time.</p>
+{overall}{alarms}
+<p>Baselines ({baselines}) run on the same samples with thresholds from the same calibration drives by the same rule. Those drives are of one
+truck, so on trucks that differ from it within the bounds their rate is not the same: “equal false alarms in the loop” takes for
+every detector the least threshold with which the same rule allows its alarms both in the runs within the bounds and before the faults.</p>
+{_figure(pictures.detection("c0", c["severities"], c["units"], names, "matched"),
+         "<b>Detection against severity</b>, at equal false alarms in the loop: share of runs in which the first alarm came within 60 s of "
+         "judged, excited driving after the fault, and none before it. Grey: share of runs in which the fault is visible.")}
+{_figure(pictures.detection("c1", c["severities"], c["units"], names, "found"),
+         "<b>Detection against severity</b>, at the thresholds calibrated on the drives of the identification.")}
+<h3>Kinds of fault</h3>{kinds}<h3>Severities</h3>{severities}
+<h3>Invisible, though robust performance is lost</h3><p>Upper bound of mu of the faulted loop at least 1, visible in fewer than half of the runs:
+{hidden or "none"}. The largest mu over three speeds is meant; it exists for faults that are linear and time-invariant.</p>"""
+
+
+def _level(severity: dict) -> str:
+    return _number(severity["mu_upper"]) if severity["loop_stable"] else "unstable"

@@ -57,6 +57,11 @@ class Scheduled:
     B: np.ndarray
     L: np.ndarray
 
+    @classmethod
+    def read(cls, document: dict) -> Scheduled:
+        """From a controller.json."""
+        return cls(document["Ts_s"], *(np.array(document[key], float) for key in ("speeds", "a", "B", "L")))
+
     @property
     def order(self) -> int:
         """States of all demands."""

@@ -28,15 +28,18 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pa_csv
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from . import artefacts, native
 from .can.catalogue import load_catalogue
 from .control_export import ControllerCoefficients, build_controller, replaced_controller
 from .core import eigen_include, firmware_root, library_root
+from .drives import Drive
 from .errors import InputError
 from .nominal import NominalModel
-from .project import Project, parse_project
+from .project import Project, Signal, parse_project
 from .receive import EVENTS
 
 Controller = Literal["designed", "feedforward", "off"]
@@ -193,7 +196,7 @@ class Simulator:
             ecu_process: bool = False, pace: float | None = None, lcm: str | None = None) -> dict[str, Any]:
         """One run: the object of `lpvguard sim --json` (DESIGN 9). ``bus``: memory or socketcan:INTERFACE. ``ecu_process``: the
         firmware is a process of its own (needs SocketCAN; what the monitor judged is then not known, only what it reported).
-        ``pace``: at most so many times real time. ``lcm``: publish there (of a simulator made with ``lcm``). ``out``: a folder for NAME-SEED.log (candump -L), .frames.csv and .telemetry.csv. Same scenario, seed and vehicle: the same bytes but
+        ``pace``: at most so many times real time. ``lcm``: publish there (of a simulator made with ``lcm``). ``out``: a folder for NAME-SEED.log (candump -L), .frames.csv, .telemetry.csv and .drive.csv, which `lpvguard replay` reads. Same scenario, seed and vehicle: the same bytes but
         for real_time_factor, which is simulated time over one core's processor time."""
         seed = scenario.seed if seed is None else seed
         with tempfile.TemporaryDirectory() as scratch:
@@ -209,12 +212,33 @@ class Simulator:
                 command += ["--pace", pace]
             if out is not None:
                 out.mkdir(parents=True, exist_ok=True)
-                command += ["--log", f"{stem}.log", "--telemetry", f"{stem}.telemetry.csv"]
-            done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False)
-            if done.returncode != 0:
-                raise InputError(scenario.path, "", done.stderr.strip(), "a scenario and a bus that the simulator accepts")
+                command += ["--log", f"{stem}.log", "--telemetry", f"{stem}.telemetry.csv", "--drive", f"{stem}.drive.csv"]
+            facts = _execute(command, scenario.path)
             rows = np.genfromtxt(frames, delimiter=",", names=True, ndmin=1)
-        return self._result(scenario, json.loads(done.stdout), rows, ecu_process)
+        return self._result(scenario, facts, rows, ecu_process)
+
+    def drive(self, path: Path, *, seed: int | None = None) -> tuple[dict[str, Any], Drive, np.ndarray]:
+        """One run of the scenario file ``path``: what happened, as the simulator prints it, the drive that its monitor saw, and
+        (N,) where it was given a sample; elsewhere the drive stands still, so that nothing is judged until the model has settled."""
+        with tempfile.TemporaryDirectory() as scratch:
+            table = Path(scratch) / f"{path.stem}.csv"
+            command = [self.program, path, "--parameters", firmware_root() / "plant" / "truck.toml", "--drive", table,
+                       "--engage", "no" if self.controller == "off" else "yes"]
+            facts = _execute([*command, *(() if seed is None else ("--seed", seed))], path)
+            return facts, *self._without_gaps(path.stem, pa_csv.read_csv(table))
+
+    def _without_gaps(self, name: str, table: pa.Table) -> tuple[Drive, np.ndarray]:
+        p = self.project
+        t = table["t"].to_numpy()
+        row = np.round((t - t[0]) / p.Ts_s).astype(int)
+        newest = np.searchsorted(row, np.arange(row[-1] + 1), side="right") - 1
+        present = row[newest] == np.arange(row[-1] + 1)
+
+        def stack(signals: list[Signal]) -> np.ndarray:
+            return np.column_stack([table[s.column].to_numpy().astype(float) for s in signals])[newest]
+
+        v = stack([p.speed])[:, 0]
+        return Drive(name, t[0] + np.arange(len(v)) * p.Ts_s, np.where(present, v, 0.0), stack(p.inputs), stack(p.outputs)), present
 
     def _result(self, scenario: Scenario, facts: dict[str, Any], rows: np.ndarray, ecu_process: bool) -> dict[str, Any]:
         expect = scenario.expect
@@ -228,6 +252,13 @@ class Simulator:
                   "judged_to_invalid_s": judged, "judged_s": None if ecu_process else overlap(spans, start, facts["duration_s"]),
                   "max_margin": None if ecu_process else float(rows["margin"].max(initial=0.0)), **facts, "reception": _reception(facts["reception"])}
         return result | {"missed": list(missed(expect, result, self.project.Ts_s))}
+
+
+def _execute(command: list, scenario: Path) -> dict[str, Any]:
+    done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise InputError(scenario, "", done.stderr.strip(), "a scenario and a bus that the simulator accepts")
+    return json.loads(done.stdout)
 
 
 def _lcm_publisher(root: Path, flags: tuple[str, ...], includes: list[Path]) -> Path:

@@ -20,11 +20,19 @@ from scipy.linalg import expm
 from .bounds import FrameSet, counted_frames, explain, reduce_disturbance
 from .errors import InputError
 from .frames import Estimator
-from .identify import (SMALLEST_NU, DriveSet, FittedWeight, Progress, StoredIdentification, disturbance_weights, fit_bound,
-                       smallest_disturbance, uncertainty_samples)
+from .identify import (
+    SMALLEST_NU,
+    DriveSet,
+    FittedWeight,
+    Progress,
+    StoredIdentification,
+    disturbance_weights,
+    fit_bound,
+    smallest_disturbance,
+    uncertainty_samples,
+)
 from .nominal import NominalModel
 from .validation import s1, s2
-
 
 NEAR = 0.02
 
@@ -116,8 +124,9 @@ class StoredFrames:
             if len(needing):
                 u, x_nom, h_i, h_s = self._behind(s.Z[needing], v[needing], self.estimator.omega[s.bin])
                 found = s2.solve(s.E[needing], u, x_nom, h_i, h_s, self.model.C, gamma_w[s.bin], 1.0, lambda_s)
-                good = ~found.at_cap & np.isfinite(found.upper)
-                at_cap += int(np.count_nonzero(~good))
+                at_cap += int(np.count_nonzero(found.at_cap))
+                # S1 is S2 with nu_s = 0: it stays where it explains the frame at less, as where Z is far from a frozen response.
+                good = ~found.at_cap & (found.upper <= nu[needing] ** 2)
                 nu[needing[good]], state[needing[good]], w[needing[good]] = found.nu_i[good], found.nu_s[good], found.w[good]
             nu_i.append(_largest(nu))
             nu_s.append(_largest(state))

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shutil
 import subprocess
 import tempfile
@@ -75,7 +76,7 @@ TARGETS = {t.name: t for t in (
 
 def missing_tools(target: Target) -> list[str]:
     """Programs that ``run_target`` needs and the path lacks."""
-    tools = ("arm-none-eabi-gcc", "arm-none-eabi-g++", "arm-none-eabi-size", "arm-none-eabi-nm", target.emulator[0])
+    tools = ("arm-none-eabi-gcc", "arm-none-eabi-g++", "arm-none-eabi-readelf", "arm-none-eabi-nm", target.emulator[0])
     return [tool for tool in tools if shutil.which(tool) is None]
 
 
@@ -99,8 +100,8 @@ def run_target(name: str, vehicle: Path, drive: Input, *, same_bits: bool) -> di
     """Build for a target and run in QEMU; ``vehicle`` is a generated folder. ``same_bits``: results as on every other
     target; else multiply and add may be fused, which is what to count.
 
-    Returns target, elf_sha256, rom {code, coefficients, libraries} and structs {name: bytes}, parts {name: {calls, worst,
-    median, stack}} (instructions of one call, bytes), imports (symbols that the core's objects take from libraries) and
+    Returns target, elf_sha256, rom {code, coefficients, libraries} and structs {name: bytes}, map {section: {address, bytes}},
+    parts {name: {calls, worst, median, stack}} (instructions of one call, by the program's own counter; bytes), imports (symbols that the core's objects take from libraries) and
     results (lines). Raises InputError when tools are missing, or the program does not build or fails.
     """
     if name not in TARGETS:
@@ -123,7 +124,7 @@ def run_target(name: str, vehicle: Path, drive: Input, *, same_bits: bool) -> di
         raise InputError(f"target {name}", f"run of {elf.name}", f"status {done.returncode}: {done.stderr.strip()[-300:]}",
                          "a run that ends with status 0")
     return {"target": name, "title": target.title, "elf_sha256": hashlib.sha256(elf.read_bytes()).hexdigest(),
-            "rom": _rom(elf), "imports": imports, **report}
+            **_sections(elf), "imports": imports, **report}
 
 
 def run_host(vehicle: Path, drive: Input) -> dict[str, Any]:
@@ -212,13 +213,15 @@ def _imports(objects: list[Path]) -> list[str]:
     return sorted(needed - defined)
 
 
-def _rom(elf: Path) -> dict[str, int]:
-    sizes = {name: 0 for name in SECTIONS.values()}
-    for line in _tool(["arm-none-eabi-size", "-A", elf], elf).splitlines():
-        words = line.split()
-        if words and words[0] in SECTIONS:
-            sizes[SECTIONS[words[0]]] = int(words[1])
-    return sizes
+def _sections(elf: Path) -> dict[str, Any]:
+    """``rom``, and ``map``: the sections that take memory on the target, by address."""
+    listed = {}
+    for line in _tool(["arm-none-eabi-readelf", "--section-headers", "--wide", elf], elf).splitlines():
+        found = re.match(r" *\[ *\d+\] (\.\S+) +\w+ +([0-9a-f]{8}) [0-9a-f]{6} ([0-9a-f]{6}) [0-9a-f]{2} +\w*A", line)
+        if found:
+            listed[found[1]] = {"address": int(found[2], 16), "bytes": int(found[3], 16)}
+    return {"rom": {what: listed.get(name, {"bytes": 0})["bytes"] for name, what in SECTIONS.items()},
+            "map": {name: s for name, s in sorted(listed.items(), key=lambda item: item[1]["address"]) if s["bytes"] > 0}}
 
 
 def _parse(lines: list[str]) -> dict[str, Any]:

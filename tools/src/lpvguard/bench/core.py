@@ -19,6 +19,7 @@ import numpy as np
 from ..artefacts import write_files
 from ..control_export import ControllerCoefficients, build_controller
 from ..energy import EnergyTest
+from ..errors import InputError
 from ..export import build_coefficients, vehicle_files
 from ..frames import Estimator
 from ..nominal import NominalModel
@@ -129,7 +130,7 @@ def dense_to_controller(run: dict[str, Any]) -> float:
 
 def print_report(report: dict[str, Any]) -> None:
     """The table, for people."""
-    print(f"{report['vehicle']}; counts are {report['unit']}")
+    print(f"{report['vehicle']}; counts are {report['unit']}, read by the program on the target from its own counter")
     for run in report["targets"]:
         rom, structs = run["rom"], run["structs"]
         print(f"\n{run['title']}  ELF {run['elf_sha256'][:16]}  results {'bit-identical to' if run['bit_identical'] else 'DIFFER FROM'} the host's")
@@ -138,21 +139,53 @@ def print_report(report: dict[str, Any]) -> None:
         print(f"  {'part':<14} {'worst [instr]':>14} {'median [instr]':>15} {'worst/median':>13} {'stack [B]':>10}")
         for name, part in run["parts"].items():
             print(f"  {name:<14} {part['worst']:>14} {part['median']:>15} {part['worst'] / part['median']:>13.2f} {part['stack']:>10}")
+        print("  memory map " + ", ".join(f"{name} {s['bytes']} at {s['address']:#010x}" for name, s in run["map"].items()))
         print(f"  dense_step: the same controller with full matrices, {run['dense_to_controller']:.1f} times control_step")
         print(f"  whole step: {run['load_percent']:.2f} % of {report['clock_mhz']:g} MHz at Ts {report['Ts_s']:g} s, "
               "if an instruction took one cycle")
 
 
+BUDGET = ("<!-- budget: written by `lpvguard bench core --guide`, do not edit -->\n", "<!-- budget: end -->")
+"""Marks the table in the integration guide."""
+
+
+def budget_rows(report: dict[str, Any]) -> list[list[str]]:
+    """The guide's table, without its head: a row a target, after one of the budgets."""
+    rows = [["budget", f"{WORST_STEP} (Cortex-M4F)", "", f"{WORST_TO_MEDIAN:g}", f"{RAM_BYTES}", f"{ROM_BYTES}", f"{STACK_BYTES}", "", ""]]
+    for run in report["targets"]:
+        step = run["parts"]["ecu_step"]
+        stack = max(part["stack"] for part in run["parts"].values())
+        rows.append([run["title"], *(str(n) for n in (step["worst"], step["median"], f"{run['worst_to_median']:.2f}", run["structs"]["ecu"], run["rom_total"],
+                                                      stack, f"{run['load_percent']:.2f} %")), run["elf_sha256"][:16]])
+    return rows
+
+
+def write_guide(path: Path, report: dict[str, Any]) -> None:
+    """Put the measured table between its marks in the guide. InputError when the guide has none."""
+    text = path.read_text(encoding="utf-8")
+    before, begin, rest = text.partition(BUDGET[0])
+    _, end, after = rest.partition(BUDGET[1])
+    if not end:
+        raise InputError(path, "", "no place for the table", f"{BUDGET[0].strip()} and {BUDGET[1]}")
+    head = ["target", "worst step [instr]", "median [instr]", "worst/median", "RAM [B]", "ROM [B]", "stack [B]",
+            f"of {report['clock_mhz']:g} MHz", "ELF"]
+    table = "".join(f"| {' | '.join(row)} |\n" for row in (head, ["---"] * len(head), *budget_rows(report)))
+    path.write_text(before + begin + table + end + after, encoding="utf-8")
+
+
 def main(argv: list[str] | None = None) -> None:
-    """Prints the table: ``python -m lpvguard.bench.core [--clock-mhz 168] [--target cortex-m4f] [--json]``."""
+    """Prints the table: ``python -m lpvguard.bench.core [--clock-mhz 168] [--target cortex-m4f] [--json] [--guide lib/INTEGRATION.md]``."""
     import argparse
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--clock-mhz", type=float, default=168.0)
     parser.add_argument("--target", action="append", choices=tuple(TARGETS))
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--guide", type=Path, help="also write the budget's table into this integration guide")
     arguments = parser.parse_args(argv)
     report = bench_core(tuple(arguments.target or TARGETS), clock_mhz=arguments.clock_mhz)
+    if arguments.guide:
+        write_guide(arguments.guide, report)
     if arguments.json:
         json.dump(report, sys.stdout, indent=1)
         print()

@@ -23,7 +23,6 @@ from lpvguard.synthesis.interconnection import (
 from lpvguard.synthesis.limits import floor_exceeds
 from lpvguard.synthesis.table import Cell, cell
 
-
 PAPER_DIGITS = 5e-4
 """Half a unit of the paper's last digit."""
 
@@ -54,6 +53,12 @@ def read_case(path) -> dict:
     return case
 
 
+def case_weights(case: dict, objective: dict) -> Weights:
+    """The ten weights of a case with one objective's A_t and A_u."""
+    gains = {"A_t": objective["A_t"], "A_u": objective["A_u"]}
+    return Weights(**{f.name: weight_from_table(case[f.name], **gains) for f in fields(Weights)})
+
+
 def case_plant(
     case: dict,
     objective: dict,
@@ -64,8 +69,7 @@ def case_plant(
     delay: int = 0,
 ) -> GeneralisedPlant:
     """Fig. 1 for one objective (A_t, A_u) of a case; ``speed`` in m/s replaces the case's own."""
-    gains = {"A_t": objective["A_t"], "A_u": objective["A_u"]}
-    weights = Weights(**{f.name: weight_from_table(case[f.name], **gains) for f in fields(Weights)})
+    weights = case_weights(case, objective)
     A, B = truck_model.continuous(case["v"] if speed is None else speed, case["wheelbase"])
     return generalised_plant(A, B, weights, structure, dt, delay)
 
@@ -125,11 +129,21 @@ def _difference(case: dict, row: TableRow, rows: list[TableRow]) -> str:
     scale = _uncertainty_scale(case, row)
     if scale is not None:
         text += f"; the paper's value would be this limit with the uncertainty weights {scale:.2g} times as large, and its own are not published"
-    other = next((o for o in rows if o.structure == row.structure and o.A_t == row.A_t and o.A_u != row.A_u and o.paper), None)
-    if other and abs(other.paper - row.paper) > 10 * PAPER_DIGITS:
-        text += (f"; between A_u {row.A_u:g} and {other.A_u:g} the paper's level moves by {other.paper / row.paper - 1:+.1%} and ours by "
-                 f"{other.upper / row.upper - 1:+.2%}, so there the control effort limits and here the tracking at DC")
-    return f"{text}{beyond}; {order}."
+    return f"{text}{_moves(row, rows)}{beyond}; {order}."
+
+
+def _moves(row: TableRow, rows: list[TableRow]) -> str:
+    """How the levels of the structure move with the objective, where the paper's do not move with A_t alone as a level does that
+    tracking limits."""
+    for other in rows:
+        if other.structure != row.structure or other is row or other.paper is None:
+            continue
+        by_tracking = other.A_t / row.A_t
+        if other.A_u <= row.A_u and abs(other.paper / row.paper - by_tracking) > 0.05:
+            return (f"; from A_t {row.A_t:g}, A_u {row.A_u:g} to {other.A_t:g}, {other.A_u:g} the paper's level moves by "
+                    f"{other.paper / row.paper - 1:+.1%}, ours by {other.upper / row.upper - 1:+.1%} and A_t by {by_tracking - 1:+.1%}: "
+                    "the paper's is limited by the control effort, this case's by tracking at DC")
+    return ""
 
 
 def _uncertainty_scale(case: dict, row: TableRow) -> float | None:

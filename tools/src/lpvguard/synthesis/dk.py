@@ -13,7 +13,7 @@ constant D (degree 0) covers Δ varying arbitrarily fast.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -120,17 +120,18 @@ def dk_synthesis(
     iterations: int = 4,
     polish: int = 40,
     reduction_loss: float = 3e-5,
+    start: Scaling | None = None,
 ) -> DKResult:
     """Controller for robust performance of ``plant`` (continuous or discrete; blocks full complex).
 
     degree: order of each d_i. iterations: K and D steps. polish: further K steps that move D's parameters
-    directly. reduction_loss: relative rise of the certified level that order reduction may cost. Without
-    blocks: H∞ synthesis. Raises SynthesisError where H∞ synthesis does, and for blocks that are not full.
+    directly. reduction_loss: relative rise of the certified level that order reduction may cost. start: the
+    first D (default: I). Without blocks: H∞ synthesis. Raises SynthesisError where H∞ synthesis does, and for blocks that are not full.
     """
     if any(b.kind != "full" for b in plant.blocks):
         raise SynthesisError("D-K iteration", "blocks", "a repeated block", "full complex blocks")
     work = _Work(plant)
-    scaling = Scaling(np.tile(np.r_[0.0, [0.0, 0.0] * degree], (len(plant.blocks), 1)))
+    scaling = start or Scaling(np.tile(np.r_[0.0, [0.0, 0.0] * degree], (len(plant.blocks), 1)))
     history, level = [], None
     if plant.blocks:
         best = None
@@ -148,6 +149,11 @@ def dk_synthesis(
     reduced = reduce_controller(work, final.controller, scaling, final.gamma_achieved * (1 + reduction_loss))
     K = to_discrete(reduced, plant.system.dt) if plant.system.dt else reduced
     return DKResult(K, certify(plant, K, scaling), final.controller.order, tuple(history))
+
+
+def scaled_optimum(plant: GeneralisedPlant, scaling: Scaling, rtol: float = 1e-3) -> float:
+    """The least level that any controller reaches under ``scaling``, an upper bound of the least μ; to ``rtol``."""
+    return _Work(plant).controller(scaling, rtol=rtol).gamma
 
 
 def certify(
@@ -348,7 +354,7 @@ def _truncations(scaled_plant: StateSpace, K: StateSpace) -> tuple[Callable[[int
         seen = sl.solve_continuous_lyapunov(loop.A.T, -loop.C.T @ loop.C)[n:, n:]
     except np.linalg.LinAlgError:
         return lambda order: K, 0
-    R, S = _factor(reach), _factor(seen)
+    R, S = gramian_factor(reach), gramian_factor(seen)
     U, sigma, Vt = np.linalg.svd(S.T @ R)
     rank = int(np.count_nonzero(sigma > 1e-13 * sigma[0]))
     scale = 1 / np.sqrt(sigma[:rank])
@@ -361,27 +367,7 @@ def _truncations(scaled_plant: StateSpace, K: StateSpace) -> tuple[Callable[[int
     return truncated, rank
 
 
-def frozen_controllers(plants: Sequence[GeneralisedPlant], scaling: Scaling,
-                       backoff: float) -> tuple[Callable[[int], list[StateSpace]], int]:
-    """H∞ controllers of several plants under one common scaling, as a function of the order they are truncated to, and
-    the largest such order.
-
-    The plants are one scheduled plant at neighbouring operating points; truncated controllers keep their plant's time.
-    """
-    families = []
-    for plant in plants:
-        work = _Work(plant)
-        K = work.controller(scaling, backoff=backoff).controller
-        families.append((plant, *_truncations(work.scaled(work.system, scaling), K)))
-
-    def at_order(order: int) -> list[StateSpace]:
-        return [to_discrete(truncated(order), plant.system.dt) if plant.system.dt else truncated(order)
-                for plant, truncated, _ in families]
-
-    return at_order, min(rank for *_, rank in families)
-
-
-def _factor(gramian: np.ndarray) -> np.ndarray:
+def gramian_factor(gramian: np.ndarray) -> np.ndarray:
     """A square factor F of a Gramian, F Fᵀ = gramian with rounding's negative eigenvalues dropped."""
     values, vectors = np.linalg.eigh(0.5 * (gramian + gramian.T))
     return vectors * np.sqrt(np.maximum(values, 0.0))

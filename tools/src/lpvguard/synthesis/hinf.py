@@ -25,7 +25,15 @@ import scipy.linalg as sl
 
 from lpvguard.synthesis.errors import SynthesisError
 from lpvguard.synthesis.norms import NormBracket, hinf_norm
-from lpvguard.synthesis.statespace import EPS, StateSpace, balanced, lft, to_continuous, to_discrete
+from lpvguard.synthesis.statespace import (
+    EPS,
+    StateSpace,
+    balancing,
+    lft,
+    scaled_states,
+    to_continuous,
+    to_discrete,
+)
 
 RANK_RTOL = 1e-9  # singular values of a column-scaled D12 (row-scaled D21) below this count as zero
 AXIS_COST = (
@@ -43,13 +51,15 @@ class HinfResult:
     gamma: the optimum (infimum over stabilising controllers). gamma_achieved ≥ ‖F_l(P, K)‖∞: upper end of the
     bracket of the closed loop's norm on the plant as given; ``certificate`` is the whole bracket, its peak
     frequency in rad/s. regularisation: ε of the controller's design plant, 0 for a regular problem. notes:
-    what was singular.
+    what was singular. basis (n, n): the state of the plant as given that the controller's state x_K stands for
+    is basis x_K; controllers of neighbouring plants are neighbours in those coordinates.
     """
 
     controller: StateSpace
     gamma: float
     gamma_achieved: float
     certificate: NormBracket
+    basis: np.ndarray
     regularisation: float = 0.0
     notes: tuple[str, ...] = ()
 
@@ -145,7 +155,7 @@ def hinf_synthesis(
     slow: at the optimum itself they run off to infinity. ``rtol``: width of the bracket of γ_opt; ``guess``:
     a level near it, which only saves time.
     """
-    problem, D22, shift = _posed(plant, n_control, n_measurement)
+    problem, D22, shift, basis = _posed(plant, n_control, n_measurement)
     try:
         gamma = problem.optimum(rtol, guess)
     except SynthesisError:
@@ -161,40 +171,54 @@ def hinf_synthesis(
             K.A, K.B, K.C, K.D + shift, plant.dt, plant.outputs[-n_measurement:], plant.inputs[-n_control:]
         )
 
-    return _certified(plant, problem, gamma, backoff, restore)
+    return _certified(plant, problem, gamma, backoff, restore, basis)
 
 
 def improved_level(
-    plant: StateSpace, n_control: int, n_measurement: int, level: float, rtol: float
+    plant: StateSpace, n_control: int, n_measurement: int, level: float | None, rtol: float
 ) -> float | None:
-    """γ_opt to ``rtol`` when it lies below ``level``, else None: decided by one pair of Riccati equations."""
-    problem, _, _ = _posed(plant, n_control, n_measurement)
-    return problem.optimum(rtol, level) if problem.reached(level) else None
+    """γ_opt to ``rtol`` when it lies below ``level``, else None: decided by one pair of Riccati equations. Without a
+    ``level``: γ_opt.
+    """
+    problem = _posed(plant, n_control, n_measurement)[0]
+    return problem.optimum(rtol, level) if level is None or problem.reached(level) else None
 
 
-def _posed(plant, n_control, n_measurement) -> tuple[_Problem, np.ndarray, np.ndarray]:
-    """The continuous problem of any plant, its D22, and the static feedback that was closed first; checks
-    existence.
+def _posed(plant, n_control, n_measurement) -> tuple[_Problem, np.ndarray, np.ndarray, np.ndarray]:
+    """The continuous problem of any plant, its D22, the static feedback that was closed first, and the basis (n, n)
+    in which the problem has the plant's state; checks existence.
     """
     _check_shape(plant, n_control, n_measurement)
     shift, shifted = _move_pole_at_minus_one(plant, n_control, n_measurement)
-    blocks, D22 = _blocks(_calm(balanced(to_continuous(balanced(shifted)))), n_control, n_measurement)
+    basis = np.eye(plant.order)
+    if plant.order:
+        first = balancing(shifted)
+        shifted = to_continuous(scaled_states(shifted, first))
+        second = balancing(shifted)
+        shifted, third = _calm(scaled_states(shifted, second))
+        basis = (first * second)[:, None] * third
+    blocks, D22 = _blocks(shifted, n_control, n_measurement)
     _check_stabilisable(blocks, plant)
-    return _Problem(blocks), D22, shift
+    return _Problem(blocks), D22, shift, basis
 
 
-def _calm(G: StateSpace) -> StateSpace:
-    """G in the coordinates of a balanced Schur form where those leave much less than G's own, G itself otherwise.
+def _calm(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
+    """G in the coordinates of a balanced Schur form where those leave much less than G's own, G itself otherwise; and
+    the basis of these coordinates.
 
     Scaling alone cannot undo a dense, badly conditioned change of coordinates: ‖A‖ then is far above its eigenvalues.
     """
+    own = np.eye(G.order)
     if G.order < 2:
-        return G
-    other = balanced(G.transformed(sl.schur(G.A)[1]))
-    return other if np.linalg.norm(other.A) < 0.1 * np.linalg.norm(G.A) else G
+        return G, own
+    schur = sl.schur(G.A)[1]
+    other = G.transformed(schur)
+    t = balancing(other)
+    other = scaled_states(other, t)
+    return (other, schur * t) if np.linalg.norm(other.A) < 0.1 * np.linalg.norm(G.A) else (G, own)
 
 
-def _certified(plant, problem, gamma, backoff, restore) -> HinfResult:
+def _certified(plant, problem, gamma, backoff, restore, basis) -> HinfResult:
     """The first controller whose certified norm is within ``backoff`` of ``gamma``; the best one when none
     is.
     """
@@ -208,10 +232,11 @@ def _certified(plant, problem, gamma, backoff, restore) -> HinfResult:
             return
         budget -= 1
         try:
-            K = problem.controller(level, epsilon)
-            if K is None:
+            central = problem.controller(level, epsilon)
+            if central is None:
                 return
-            K = restore(K)
+            t = balancing(central) if central.order else np.ones(0)
+            K = restore(scaled_states(central, t))
             norm = hinf_norm(lft(plant, K), rtol=1e-5)
         except (
             np.linalg.LinAlgError,
@@ -219,7 +244,9 @@ def _certified(plant, problem, gamma, backoff, restore) -> HinfResult:
         ):  # a controller that cannot be realised is no controller
             return
         if best is None or norm.upper < best.gamma_achieved:
-            best = HinfResult(K, min(gamma, norm.lower), norm.upper, norm, epsilon, tuple(problem.notes))
+            best = HinfResult(
+                K, min(gamma, norm.lower), norm.upper, norm, basis * t, epsilon, tuple(problem.notes)
+            )
 
     def good():
         return best is not None and best.gamma_achieved <= gamma * (1 + backoff)
@@ -366,7 +393,8 @@ def _balance_hamiltonian(H: np.ndarray, floor: float = 0.0) -> tuple[np.ndarray,
     off = np.abs(H)
     np.fill_diagonal(off, 0)
     off[off <= floor * off.max(initial=0.0)] = 0.0
-    _, (scale, _) = sl.matrix_balance(off, separate=True, permute=False)
+    with np.errstate(invalid="ignore"):  # scipy reads the scales as row numbers too, which large ones are not
+        _, (scale, _) = sl.matrix_balance(off, separate=True, permute=False)
     logs = np.log2(scale)
     t = 2.0 ** np.round(0.5 * (logs[:n] - logs[n:]))
     both = np.concatenate([t, 1 / t])
@@ -795,7 +823,7 @@ def central_controller(P: _Plant, gamma: float) -> StateSpace | None:
     Bk = np.linalg.solve(np.eye(n) - Y @ X, -L[:, p1:] + outer @ Dk)
     Ck = F[m1:] - Dk @ inner
     Ak = P.A + B1 @ F[:m1] + P.B2 @ F[m1:] - Bk @ inner
-    return balanced(StateSpace(Ak, Bk, Ck, Dk))
+    return StateSpace(Ak, Bk, Ck, Dk)
 
 
 def _central_feedthrough(D11: np.ndarray, D12: np.ndarray, D21: np.ndarray) -> np.ndarray:

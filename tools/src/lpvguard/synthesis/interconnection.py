@@ -130,13 +130,15 @@ def weight_from_table(entry: dict, **gains: float) -> StateSpace:
 
 
 def generalised_plant(
-    A, B, weights: Weights, structure: str, dt: float = 0.0, delay: int = 0
+    A, B, weights: Weights, structure: str, dt: float = 0.0, delay: int = 0, probes: bool = False
 ) -> GeneralisedPlant:
     """Fig. 1 around the vehicle x' = A x + B u, [r; δ] the first two states; A (n, n), B (n, 1) continuous.
 
     ``dt`` > 0: the vehicle sampled exactly with u and ξ_s held (so ξ_s enters through ∫exp(As)ds), every
     weight by Tustin's map; signals then are sequences. ``delay``: samples by which u reaches the vehicle
-    late, as computation and bus make it; Δ_i and W_u see u at once.
+    late, as computation and bus make it; Δ_i and W_u see u at once. ``probes``: the vehicle's state (n), input (1) and,
+    with state uncertainty, input on every state (n) are outputs too, behind z and counted as part of it. The vehicle's are
+    the first n states of the plant.
     """
     if delay < 0 or (delay and not dt):
         raise SynthesisError(
@@ -205,6 +207,13 @@ def generalised_plant(
     rows |= {
         "z_t": {("W_t", 0): 1},
         "z_u": {("W_u", 0): 1},
+        **(
+            {f"x_{k}": {("vehicle", 2 + k): 1} for k in range(n)}
+            | {"u_tilde": u_tilde}
+            | {f"x_in{k}": {("W_delta_s", k): 1} for k in range(n * with_state)}
+            if probes
+            else {}
+        ),
         "y_c": {("W_C", 0): 1},
         "y_r": {**r_m, ("W_nr", 0): 1},
         "y_delta": {**delta_m, ("W_ndelta", 0): 1},

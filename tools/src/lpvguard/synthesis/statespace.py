@@ -230,23 +230,30 @@ def same_time(first: StateSpace, second: StateSpace) -> None:
         )
 
 
-def balanced(G: StateSpace) -> StateSpace:
-    """G with its states scaled by powers of two so that rows and columns of [A B; C 0] have like norms.
+def balancing(G: StateSpace) -> np.ndarray:
+    """Powers of two t (n,) that make rows and columns of [A B; C 0] of like norms in the coordinates x = diag(t) x̃.
 
-    Diagonal scaling only, so it is exact in floating point. Osborne (1960) through LAPACK's gebal; the input
-    and output scales stay: they enter as one source and one sink node that are never scaled.
+    Osborne (1960) through LAPACK's gebal; the input and output scales stay: they enter as one source and one
+    sink node that are never scaled.
     """
     n = G.order
-    if n == 0:
-        return G
     graph = np.zeros((n + 2, n + 2))
     graph[:n, :n] = np.abs(G.A)
     np.fill_diagonal(graph, 0)
     graph[:n, n] = np.linalg.norm(G.B, axis=1)
     graph[n + 1, :n] = np.linalg.norm(G.C, axis=0)
-    _, (scale, _) = sl.matrix_balance(graph, separate=True, permute=False)
-    scale = scale[:n]
-    return replace(G, A=G.A * scale / scale[:, None], B=G.B / scale[:, None], C=G.C * scale)
+    with np.errstate(invalid="ignore"):  # scipy reads the scales as row numbers too, which large ones are not
+        return sl.matrix_balance(graph, separate=True, permute=False)[1][0][:n]
+
+
+def scaled_states(G: StateSpace, t: np.ndarray) -> StateSpace:
+    """G in the coordinates x = diag(t) x̃; exact in floating point when t holds powers of two."""
+    return replace(G, A=G.A * t / t[:, None], B=G.B / t[:, None], C=G.C * t)
+
+
+def balanced(G: StateSpace) -> StateSpace:
+    """G with its states scaled by ``balancing``."""
+    return scaled_states(G, balancing(G)) if G.order else G
 
 
 def to_continuous(G: StateSpace, alpha: float | None = None) -> StateSpace:

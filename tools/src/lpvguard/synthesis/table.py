@@ -5,6 +5,8 @@ Seconds are measured for the console; files are made from ``Cell.to_dict`` and `
 
 from __future__ import annotations
 
+import csv
+import io
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -70,5 +72,8 @@ def cell(plant: GeneralisedPlant, structure: str, A_t: float, A_u: float, **opti
 
 def to_csv(rows: Sequence[dict]) -> str:
     """The rows of ``Cell.to_dict`` (and more columns, if any) as CSV with a header."""
-    text = lambda x: "" if x is None else f"{x:.9g}" if isinstance(x, float) else str(x)
-    return "\n".join([",".join(rows[0]), *(",".join(text(x) for x in row.values()) for row in rows)]) + "\n"
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(rows[0])
+    writer.writerows([f"{x:.9g}" if isinstance(x, float) else x for x in row.values()] for row in rows)
+    return stream.getvalue()

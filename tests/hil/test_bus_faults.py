@@ -1,0 +1,51 @@
+"""The fault table at firmware level (lpvguard/bus_faults.py): every fault shows the state that it must, by its limit."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import pytest
+
+from lpvguard.bus_faults import CASES, Case, run_case
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda c: f"{c.message} {c.name}")
+def test_each_fault_is_met_in_time(case, simulator):
+    row = run_case(simulator, case)
+    assert row["missed"] == []
+    assert row["demand_max_bar"] > 0.3, "the loop was steering"
+
+
+def test_the_table_finds_what_is_missing(simulator):
+    lost = Case("lost", "VDC2", "lost", 20, "missed", 1, "off", 5)
+
+    def missing(**changes) -> str:
+        return "; ".join(run_case(simulator, dataclasses.replace(lost, **changes))["missed"])
+
+    assert missing() == ""
+    assert "state off, not hold" in missing(state="hold")
+    assert "off after 50 ms" in missing(within=4)
+    assert "first seen as missed, not as checksum" in missing(seen="checksum")
+    assert "seen after 10 ms" in missing(seen_within=0.5)
+    assert "state live, not off" in missing(periods=1)
+
+
+def test_foreign_frames_change_no_output(simulator, tmp_path):
+    """Ten foreign frames with each VDC2: whatever else goes over the bus stays the same, byte for byte."""
+    flood = next(c for c in CASES if c.kind == "unknown_id")
+    logs = []
+    for name, probability in (("flood", 1), ("quiet", 0)):
+        run_case(simulator, dataclasses.replace(flood, probability=probability), out=tmp_path / name)
+        logs.append((tmp_path / name / "fault-1.log").read_text().splitlines())
+    foreign = [line for line in logs[0] if "18FFEE00" in line]
+    assert len(foreign) == 1000 and not any("18FFEE00" in line for line in logs[1])
+    assert [line for line in logs[0] if "18FFEE00" not in line] == logs[1]
+
+
+def test_the_command_prints_the_table(lpvguard, truck_folder):
+    done = lpvguard("bench", "can", "--coefficients", truck_folder, "--json", "-")
+    assert done.returncode == 0, done.stderr
+    rows = json.loads(done.stdout)
+    assert [(r["fault"], r["message"]) for r in rows] == [(c.name, c.message) for c in CASES]
+    assert "bus-off" in done.stderr and "stuck counter" in done.stderr

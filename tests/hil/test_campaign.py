@@ -1,0 +1,197 @@
+"""Campaigns: what runs show off line, what stopping and going on does, and that scenarios expect what follows from the bounds."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from lpvguard import campaign as stage
+from lpvguard import evaluate, identify
+from lpvguard.baselines import Baseline
+from lpvguard.core import Core
+from lpvguard.drives import list_experiments
+from lpvguard.errors import InputError
+from lpvguard.generate import generate
+from lpvguard.nominal import NominalModel
+from lpvguard.project import load_project
+from lpvguard.replay import Replayer
+from lpvguard.sim import load_scenario, shipped_scenarios
+
+SEEDS = (1, 2, 3)
+IN_PLANT = [n for n in shipped_scenarios() if "can_fault" not in load_scenario(n).path.read_text()]
+"""Scenarios in which only the truck and its surroundings may be at fault."""
+NO_VERDICT_FOLLOWS = {"bank_15mrad", "coarse_sensors", "crosswind_5"}
+"""Disturbances beyond those of the bounds: neither a frequency response nor the frames of a run oblige anyone."""
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    """The truck identified as it is shipped, and its drives."""
+    folder, truck = tmp_path_factory.mktemp("truck"), load_project("truck")
+    generate(truck, folder / "drives", truck.seed)
+    identify.save(*identify.identify(truck, folder / "drives"), folder / "identify")
+    found = identify.load(folder / "identify")
+    return found, identify.DriveSet(truck, NominalModel(truck), list_experiments(folder / "drives"))
+
+
+@pytest.fixture(scope="module")
+def replayer(simulator, truck_folder) -> Replayer:
+    return Replayer(simulator.project, Core(truck_folder))
+
+
+@pytest.fixture(scope="module")
+def bounds(stored, replayer):
+    return stage.Bounds.of(stored[0], replayer.estimator)
+
+
+def plant_tables(name: str) -> str:
+    text = load_scenario(name).path.read_text()
+    return "\n".join(line for line in text[text.index("[plant]"):text.index("[command]")].splitlines()[1:]
+                     if not line.startswith("speed_profile"))
+
+
+@pytest.mark.parametrize("name", IN_PLANT)
+def test_scenarios_expect_what_follows_from_the_bounds(name, simulator, replayer, bounds):
+    """"invalid" only where, and no later than, an alarm is due; "never_invalid" only for trucks within the bounds; else nothing."""
+    scenario, due, demand = load_scenario(name), [], np.zeros(replayer.estimator.n_bins)
+    expect = scenario.expect
+    for seed in SEEDS:
+        _, drive, _ = simulator.drive(scenario.path, seed=seed)
+        due.append(stage.Offline.of(replayer, drive, expect.fault_start_s or 0.0).due_s)
+        demand = np.maximum(demand, stage.largest_input(replayer, drive))
+    tables = plant_tables(name)
+    if expect.verdict == "invalid":
+        assert None not in due and max(due) <= expect.within_judged_s <= 1.5 * max(due) + 10.0, due
+    elif expect.verdict == "never_invalid":
+        assert "sensor_fault" not in tables
+        assert stage.response_margin(replayer.model, bounds, tables, demand) <= 1.0
+    else:
+        assert max((np.inf if d is None else d) for d in due) > 60.0
+        assert name in NO_VERDICT_FOLLOWS or "sensor_fault" in tables \
+            or stage.response_margin(replayer.model, bounds, tables, demand) > 1.0
+
+
+def test_the_core_sees_in_the_written_drive_what_the_ecu_saw(simulator, replayer, tmp_path):
+    scenario = load_scenario("brake_gain_40")
+    run = simulator.run(scenario, out=tmp_path)
+    seen = np.genfromtxt(tmp_path / "brake_gain_40-1.frames.csv", delimiter=",", names=True)
+    facts, drive, present = simulator.drive(scenario.path)
+    replay = replayer.replay(drive, present)
+    assert present.all() and facts["frames_hash"] == run["frames_hash"]
+    np.testing.assert_allclose(replay.run.frames.margin, seen["margin"], rtol=1e-6, atol=1e-9)
+    np.testing.assert_array_equal(replay.run.frames.bin, seen["bin"])
+    assert replay.first_invalid_s + drive.t[0] == pytest.approx(run["first_invalid_s"], abs=0.011)
+    # As `replay` reads it from the file: the same.
+    assert replayer.replay_file(tmp_path / "brake_gain_40-1.drive.csv").max_margin == pytest.approx(replay.max_margin, rel=1e-6)
+
+
+def test_where_the_ecu_withheld_samples_the_drive_has_none(simulator, replayer, tmp_path):
+    path = tmp_path / "lost.toml"
+    text = load_scenario("dead_yaw_sensor").path.read_text()
+    path.write_text(text)
+    _, drive, present = simulator.drive(path)
+    gap = np.flatnonzero(~present) * 0.01 + drive.t[0]
+    assert 4.5 < len(gap) * 0.01 < 5.2 and 30.0 <= gap.min() < 30.1 and gap.max() < 35.2
+    assert np.allclose(np.diff(drive.t), 0.01) and not replayer.estimator.settled(drive.v)[~present].any()
+
+
+def test_a_frame_that_an_alarm_is_due_for_is_judged_whatever_the_phase(replayer):
+    """_first_stretch: a run of starts of half a frame, unbroken."""
+    starts = np.arange(0, 1000, stage.STRIDE)
+    above = np.zeros(len(starts), bool)
+    above[20:30] = True
+    assert stage._first_stretch(starts, above, 90) == 200
+    assert stage._first_stretch(starts, above, 91) is None
+    above[25] = False
+    assert stage._first_stretch(starts, above, 90) is None
+    assert stage._first_stretch(np.delete(starts, 24), np.delete(above, 24), 41) is None
+    assert stage._first_stretch(starts[:0], above[:0], 0) is None
+
+
+def test_rates_have_exact_intervals():
+    # Clopper and Pearson: 0 of n ends at 1 - 0.025^(1/n); 5 of 10 is 18.71 to 81.29 %.
+    assert stage.rate(0, 2000)["interval"] == pytest.approx([0.0, 1 - 0.025 ** (1 / 2000)])
+    assert stage.rate(5, 10)["interval"] == pytest.approx([0.1871, 0.8129], abs=1e-4)
+    assert stage.rate(3, 3)["interval"][1] == 1.0 and stage.rate(0, 0)["interval"] is None
+
+
+def test_what_is_drawn_depends_on_seed_and_number_alone():
+    case = stage.Case(17, "within", 0.0, 0, 0.0, stage.draw_variation(5, 3))
+    assert stage.scenario_text(5, case) == stage.scenario_text(5, case)
+    other = stage.Case(18, "within", 0.0, 0, 0.0, stage.draw_variation(5, 4))
+    assert stage.scenario_text(5, case) != stage.scenario_text(6, case) and case.tables != other.tables
+    cases = stage.plan(stage.Size(0.2, 2), ["a", "b"])
+    assert [c.number for c in cases[:4]] == [0, 1, 2, 3] and [c.plant for c in cases[:4]] == [0, 1, 0, 1]
+    longer = stage.plan(stage.Size(1.0, 2), ["a", "b"])
+    assert longer[20:] == cases[4:], "the faulty runs are the same, however many hours are driven within"
+    assert {c.kind for c in cases[4:]} == {k.name for k in stage.KINDS}
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """A campaign of minutes made one of seconds: two kinds of fault, one truck, one setting a baseline."""
+    kinds = [k for k in stage.KINDS if k.name in ("brake gain", "yaw rate frozen")]
+    monkeypatch.setattr(stage, "KINDS", tuple(stage.Kind(k.name, k.unit, k.values[:1], k.table, k.loop, k.response) for k in kinds))
+    monkeypatch.setattr(stage, "PLANTS", 1)
+    monkeypatch.setattr(stage, "CHUNK", 3)
+    monkeypatch.setattr(stage, "RESPONSE_SPEEDS", (15.0,))
+    monkeypatch.setattr(evaluate, "GRID", (Baseline("rms", window_s=0.2), Baseline("cusum", drift=4.0), Baseline("nis", window_s=0.5, process_ratio=0.03)))
+
+
+class Stopped(Exception):
+    pass
+
+
+def test_a_campaign_that_was_stopped_goes_on_and_ends_the_same(small, stored, truck_folder, tmp_path):
+    found, drives = stored
+    size = stage.Size(0.25, 2)
+    cases = 5 + 2 * 2
+
+    def run(out: Path, stop_at: int | None = None) -> dict:
+        def progress(text: str) -> None:
+            if stop_at is not None and text.startswith(f"run {stop_at} "):
+                raise Stopped
+
+        return stage.campaign(found, drives, truck_folder, out, seed=3, size=size, progress=progress)
+
+    out = tmp_path / "stopped"
+    with pytest.raises(Stopped):
+        run(out, stop_at=5)
+    chunks = sorted((out / "chunks").iterdir())
+    assert [c.name for c in chunks] == ["00000.parquet"] and not (out / "summary.json").exists()
+    kept = {p: os.stat(p).st_mtime_ns for p in [*chunks, out / "plants.json", out / "baselines.json"]}
+    summary = run(out)
+    assert kept == {p: os.stat(p).st_mtime_ns for p in kept}, "what was finished is not done again"
+    whole = tmp_path / "whole"
+    (whole / "chunks").mkdir(parents=True)
+    for name in ("MANIFEST.json", "plants.json", "baselines.json"):
+        (whole / name).write_bytes((out / name).read_bytes())
+    assert run(whole) == summary
+    rows = pq.read_table(whole / "runs.parquet")
+    assert rows.equals(pq.read_table(out / "runs.parquet")) and rows.num_rows == cases
+
+    covered, apart = summary["within"]["runs"], summary["within"]["beyond_checked_amplitude"]["of"]
+    assert covered >= 1 and covered + apart == 5 and summary["within"]["hours"] == pytest.approx(0.05 * covered)
+    assert summary["within"]["tests"].keys() == {"frame", "energy"}
+    assert [s["found"]["monitor"] for s in summary["severities"]] == [2, 2], "lost brakes and a dead sensor are found"
+    assert all(s["visible_runs"] == 2 and s["median_s"]["monitor"] < stage.FOUND_WITHIN_S for s in summary["severities"])
+    assert summary["visible"]["monitor"]["count"] == summary["visible"]["monitor"]["of"] == 4
+    assert summary["due"]["count"] == summary["due"]["of"] > 0
+    with pytest.raises(InputError, match="other settings"):
+        stage.campaign(found, drives, truck_folder, out, seed=4, size=size)
+
+
+def test_a_folder_of_something_else_and_bounds_of_another_export_are_refused(small, stored, truck_folder, tmp_path):
+    found, drives = stored
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match="no campaign"):
+        stage.campaign(found, drives, truck_folder, tmp_path, seed=1, size=stage.Size(0.05, 1))
+    from dataclasses import replace
+
+    other = replace(found, fitted=replace(found.fitted, inflation=1.1))
+    with pytest.raises(InputError, match="not those of the identification"):
+        stage.campaign(other, drives, truck_folder, tmp_path / "new", seed=1, size=stage.Size(0.05, 1))

@@ -1,0 +1,144 @@
+"""The baselines say what their definitions say, are tuned on nothing they are judged by, and rank honestly."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lpvguard import evaluate as stage
+from lpvguard import identify
+from lpvguard.baselines import GRID, KINDS, Bank, Baseline, Scales
+from lpvguard.frames import Estimator
+from lpvguard.nominal import NominalModel
+from lpvguard.project import load_project
+
+SPEED = 12.0
+
+
+def bank(name: str, error, input_rms) -> Bank:
+    project = load_project(name)
+    model = NominalModel(project)
+    return Bank(model, Estimator.of(project, model), Scales(np.array(error), np.array(input_rms)))
+
+
+def statistic(bank: Bank, baseline: Baseline, e: np.ndarray, v: np.ndarray) -> np.ndarray:
+    return dict(bank.statistics([baseline], e, v))[baseline]
+
+
+@pytest.fixture(scope="module")
+def truck() -> Bank:
+    return bank("truck", [0.02, 0.01], [1.0])
+
+
+@pytest.fixture
+def error(truck):
+    random = np.random.default_rng(4)
+    v = np.full(6000, SPEED)
+    v[3000:3100] = 2.0  # out of range: everything starts again
+    return random.standard_normal((6000, 2)) * [0.02, 0.01], v
+
+
+def test_rms_is_that_of_the_whole_window_and_says_nothing_before(truck, error):
+    e, v = error
+    n, usable = 50, truck.estimator.settled(v)
+    s = statistic(truck, Baseline("rms", window_s=0.5), e, v)
+    for k in range(n, 6000, 37):
+        if usable[k + 1 - n:k + 1].all():
+            assert s[k] == pytest.approx(np.sqrt(np.mean(np.sum((e[k + 1 - n:k + 1] / [0.02, 0.01]) ** 2, axis=1))), rel=1e-9)
+        else:
+            assert s[k] == -np.inf
+    assert np.isfinite(s).any() and not np.isnan(s).any()
+
+
+def test_cusum_is_pages_recursion_from_zero_at_each_start(truck, error):
+    e, v = error
+    usable, drift = truck.estimator.settled(v), 0.25
+    s = statistic(truck, Baseline("cusum", drift=drift), e, v)
+    g = np.zeros((2, 2))
+    for k in range(6000):
+        if not usable[k]:
+            g[:] = 0.0
+            assert s[k] == -np.inf
+            continue
+        x = e[k] / [0.02, 0.01]
+        g = np.maximum(0.0, g + np.array([x, -x]) - drift)
+        assert s[k] == pytest.approx(g.max(), rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("q", [0.003, 0.3])
+def test_the_innovations_of_the_process_that_the_filter_assumes_are_chi_square(truck, q):
+    """Simulated with the covariances of the module's docstring, nu' S^-1 nu has the mean n_y and nu is white."""
+    from scipy.linalg import solve_discrete_lyapunov
+
+    random, N = np.random.default_rng(8), 40_000
+    d = truck.model.discretise(np.array([SPEED]))
+    A, B = d.Ad[0], (d.B_old + d.B_new)[0]
+    size = q * np.sqrt(np.diag(solve_discrete_lyapunov(A, B @ B.T)))
+    x, e = np.zeros(3), np.empty((N, 2))
+    for k in range(N):
+        e[k] = truck.model.C @ x + random.standard_normal(2) * [0.02, 0.01]
+        x = A @ x + random.standard_normal(3) * size
+    nis = statistic(truck, Baseline("nis", window_s=0.01, process_ratio=q), e, np.full(N, SPEED))
+    assert nis[2000:].mean() == pytest.approx(2.0, rel=0.03)
+    assert nis[2000:].var() == pytest.approx(4.0, rel=0.1)
+
+
+def test_with_little_process_noise_nis_becomes_the_mean_square(truck, error):
+    """The filter then ignores e, and S is the covariance of the scales."""
+    e, v = error
+    nis, rms = (statistic(truck, b, e, v) for b in (Baseline("nis", window_s=1.0, process_ratio=1e-7), Baseline("rms", window_s=1.0)))
+    said = np.isfinite(rms)
+    np.testing.assert_allclose(nis[said], rms[said] ** 2, rtol=1e-3)
+
+
+@pytest.fixture(scope="module")
+def study(g80, synthetic, identified, core):
+    stored = identify.load(identified)
+    from lpvguard.drives import list_experiments
+
+    drives = identify.DriveSet(g80, NominalModel(g80), list_experiments(synthetic))
+    names = tuple(stored.calibration.scores)
+    return stage.BaselineStudy(stored, drives, core, left_out=names), names
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_drive_under_test_takes_part_in_nothing(study, kind):
+    """Whatever its statistics and cases are, parameters and threshold for it stay the same."""
+    found, names = study
+    for name in names[:3]:
+        before = found.best(kind, name)
+        largest, cases = dict(found.largest), dict(found.cases)
+        try:
+            found.largest[name] = {b: np.full(3, 1e9) for b in GRID}
+            found.cases[name] = {key: {label: stage.Case(name, 0.0, True) for label in table}
+                                 for key, table in next(c for c in cases.values() if c).items()}
+            assert found.best(kind, name) == before
+            without = {n: found.largest[n][before[0]].max() for n in names if n != name}
+            assert before[1] <= max(without.values()) and any(np.isclose(before[1], s) for s in without.values())
+        finally:
+            found.largest, found.cases = largest, cases
+
+
+def test_no_setting_of_the_grid_finds_more_on_the_drives_of_the_search(study):
+    found, names = study
+
+    def finds(b: Baseline) -> int:
+        h = found.calibration(b, names[0]).threshold
+        return sum(c.found for n, table in found.cases.items() if n != names[0] and table for c in table[b, h].values())
+
+    for kind in KINDS:
+        best, _ = found.best(kind, names[0])
+        assert finds(best) == max(finds(b) for b in GRID if b.kind == kind)
+
+
+def test_ranking_is_by_share_then_time_and_names_all_that_tie():
+    def row(found, counted, median):
+        return {"found": found, "counted": counted, "drives": 7, "median_s": median}
+
+    rank = stage.ranking
+    assert rank({"monitor": row(7, 7, 3.0), "rms": row(6, 6, 0.1)}) == ["monitor"]  # a case that does not count was not found
+    assert rank({"monitor": row(7, 7, 3.0), "rms": row(7, 7, 2.0)}) == ["rms"]
+    assert rank({"monitor": row(7, 7, 2.0), "rms": row(7, 7, 2.0), "nis": row(5, 7, 1.0)}) == ["monitor", "rms"]
+    assert rank({"monitor": row(0, 7, None), "nis": row(0, 7, None)}) == ["monitor", "nis"]
+    assert stage.median_time([1.0, None, 3.0]) == 3.0 and stage.median_time([None, None, 1.0]) is None
+    assert stage.median_time([]) is None

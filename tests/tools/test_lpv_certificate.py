@@ -1,0 +1,100 @@
+"""The certificate at a moving speed: what it proves holds along random histories, and what is false is not proved."""
+
+import numpy as np
+import pytest
+from lpvguard import native
+from lpvguard.synthesis import lpv_certificate as lpv
+from lpvguard.synthesis.statespace import StateSpace
+from scipy.linalg import expm
+
+TS = 0.05
+
+
+def family(gain: float, turn: float = 0.2) -> lpv.Family:
+    """A damped oscillator whose stiffness follows the speed, from force to ``gain`` times the position; v in 1..3 m/s.
+
+    Its vehicle is the oscillator itself: A(v) = [[0, 1], [-(1 + turn (v - 1)), -0.6]], B = [0, 1].
+    """
+    def continuous(v):
+        return np.array([[0.0, 1.0, 0.0], [-1.0 - turn * (v - 1), -0.6, 1.0], [0, 0, 0]])
+
+    def at(v):
+        hold = expm(continuous(v) * TS)
+        C = np.vstack([[gain, 0.0], np.eye(2), [0.0, 0.0]])
+        return StateSpace(hold[:2, :2], hold[:2, 2:], C, np.array([[0.0], [0.0], [0.0], [1.0]]), TS)
+
+    def bounds(low, high):
+        slope = np.zeros((3, 3))
+        slope[1, 0] = turn
+        size, zero = np.abs(continuous(high)), np.zeros((3, 3))
+        series = expm(np.block([[size, slope, zero], [zero, size, slope], [zero, zero, size]]) * TS)
+        return series[:2, 3:6], 2 * series[:2, 6:]
+
+    return lpv.Family(at, np.array([1.0, 2.0, 3.0]), slice(0, 2), 3, bounds, TS)
+
+
+@pytest.fixture(scope="module")
+def proved():
+    return lpv.find(family(0.4))
+
+
+def test_a_rate_is_proved_and_the_gain_holds_along_random_speed_histories(proved):
+    assert proved.rate > 0.05 and proved.proof.margin > 0
+    one, random, largest = family(0.4), np.random.default_rng(1), 0.0
+    for period in (3, 20, 60, 120, 300):
+        x, v, energy_in, energy_out = np.zeros(2), 2.0, 0.0, 0.0
+        for k in range(3000):
+            G = one.at(v)
+            w = np.sin(0.06 * k + random.normal(0, 0.1))
+            energy_in, energy_out = energy_in + w * w, energy_out + float(G.C[0] @ x) ** 2
+            x = G.A @ x + G.B[:, 0] * w
+            v = np.clip(v + proved.rate * TS * np.sign(np.sin(2 * np.pi * k / period)), 1.0, 3.0)
+        largest = max(largest, np.sqrt(energy_out / energy_in))
+    assert 0.3 < largest < 1
+
+
+def test_the_stored_function_is_proved_anew_and_an_altered_one_is_not(proved):
+    again = lpv.prove(family(0.4), proved.storage, proved.rate)
+    assert again == proved.proof
+    assert lpv.prove(family(0.4), proved.storage, 50 * proved.rate) is None
+    assert lpv.prove(family(0.58), proved.storage, proved.rate) is None  # its frozen gain is above 1
+    P = proved.storage.P.copy()
+    P[2] *= 0.5
+    assert lpv.prove(family(0.4), lpv.Storage(proved.storage.basis, proved.storage.knots, P), proved.rate) is None
+
+
+def test_nothing_is_found_for_a_loop_whose_frozen_gain_is_not_below_one():
+    assert lpv.find(family(1.2)) is None
+
+
+def test_a_peak_between_the_knots_is_seen():
+    """The proof rests on cells, not on the grid: a resonance that only speeds between the knots have is found out."""
+    plain = family(0.4)
+
+    def at(v):
+        G = plain.at(v)
+        return StateSpace(G.A, G.B, np.vstack([(1 + 6 * max(0.0, 1 - abs(v - 1.25) / 0.05)) * G.C[:1], G.C[1:]]), G.D, TS)
+
+    found = lpv.find(plain)
+    bad = lpv.Family(at, np.array([1.0, 1.2, 1.25, 1.3, 2.0, 3.0]), plain.vehicle, 3, plain.hold_bounds, TS)
+    assert lpv.prove(bad, found.storage, found.rate) is None
+
+
+def test_the_compiled_hessian_is_the_numpy_one_and_the_derivative_of_the_gradient(monkeypatch):
+    random = np.random.default_rng(4)
+    parts = [(0.3 * random.standard_normal((4, 6)), 0.3 * random.standard_normal((2, 6))) for _ in range(3)]
+    barrier = lpv._Barrier(parts, random.uniform(1, 2, (3, 3)), random.uniform(1, 2, (3, 3)))
+    noise = random.standard_normal((3, 4, 4))
+    P = np.array([2 * np.eye(4)] * 3) + 0.05 * (noise + np.swapaxes(noise, 1, 2))
+    p = P[:, barrier.upper[0], barrier.upper[1]].ravel()
+    unit = 30 * np.eye(6)
+
+    def slope(q):
+        return -barrier.adjoint(np.linalg.inv(barrier.F(barrier.matrices(q)) + unit))
+
+    S = np.linalg.inv(barrier.F(P) + unit)
+    compiled = np.tril(barrier.hessian(S))
+    monkeypatch.setattr(native, "kernels", lambda name: None)
+    np.testing.assert_allclose(compiled, np.tril(barrier.hessian(S)), rtol=0, atol=1e-12)
+    numeric = np.array([(slope(p + h) - slope(p - h)) / 2e-5 for h in 1e-5 * np.eye(len(p))])
+    np.testing.assert_allclose(compiled, np.tril(numeric), rtol=0, atol=1e-7 * np.abs(numeric).max())

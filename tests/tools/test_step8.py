@@ -1,0 +1,176 @@
+"""Step 8 beside the controller: Table II of generated drives, the worst-case run, the trade-off; and the commands that write them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from lpvguard import artefacts, generate, tradeoff
+from lpvguard import identify as identification
+from lpvguard.design_files import design_files
+from lpvguard.errors import InputError
+from lpvguard.frozen import FrozenProblem
+from lpvguard.project import load_project, parse_project
+from lpvguard.report import _design_section, _tradeoff_section
+from lpvguard.stored_frames import NEAR, StoredFrames, deciding
+from lpvguard.synthesis.table import cell
+from lpvguard.validation import s1
+from lpvguard.worst_run import respond, worst_runs
+
+
+@pytest.fixture(scope="module")
+def truck(tmp_path_factory):
+    """The truck identified on few drives: its folder and the drives' set."""
+    folder, project = tmp_path_factory.mktemp("truck"), load_project("truck")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(generate, "BOUND_SPEEDS", (8.3, 17.0))
+        patch.setattr(generate, "CALIBRATION_SPEEDS", (16.0,))
+        patch.setattr(generate, "ZERO_INPUT_SPEEDS", (12.0, 17.0))
+        generate.generate(project, folder / "drives", project.seed)
+    result, drives = identification.identify(project, folder / "drives")
+    identification.save(result, drives, folder / "identify")
+    return folder, drives
+
+
+@pytest.fixture(scope="module")
+def problem(truck):
+    folder, drives = truck
+    stored = identification.load(folder / "identify")
+    return FrozenProblem(stored, StoredFrames(stored, drives))
+
+
+@pytest.fixture(scope="module")
+def cells(problem):
+    """One objective, with little effort spent on D."""
+    A_t, A_u = problem.settings.objectives[0]
+    return [cell(problem.plant(s, problem.weights(s, A_t, A_u), problem.settings.design_speed_mps), s, A_t, A_u, iterations=3, polish=0)
+            for s in ("K_inf", "K_i", "K_is")]
+
+
+def test_deciding_frames_have_the_maxima_of_all_frames():
+    """gamma_w's rule and nu over the deciding frames are those over all frames, for any ceiling and gamma_w."""
+    random = np.random.default_rng(1)
+    E, Z = (random.normal(size=(4000, 2)) + 1j * random.normal(size=(4000, 2)) for _ in range(2))
+    E *= 10 ** random.uniform(-2, 0, (4000, 1))
+    size, z = np.linalg.norm(E, axis=1), np.linalg.norm(Z, axis=1)
+    b1, delta0 = s1.solve(E, Z, size).b1, np.abs(s1.least_squares_delta(E, Z))
+    exact, near = deciding(E, Z, 0.0), deciding(E, Z)
+    assert len(near) <= len(exact) < 500
+    for ceiling in (0.01, 0.1, 0.5):
+        rule = np.hypot(b1, z * np.maximum(0, delta0 - ceiling))
+        assert rule[exact].max() == rule.max()
+        assert rule[near].max() * (1 + NEAR) ** 2 >= rule.max() - z.max() * NEAR * ceiling
+        gamma = rule.max()
+        assert s1.solve(E[exact], Z[exact], gamma).nu.max() == s1.solve(E, Z, gamma).nu.max() <= ceiling * (1 + 1e-9)
+
+
+def test_bounds_of_the_deciding_frames_are_near_those_identified(problem):
+    frames, bounds = problem.frames, problem.stored.bounds
+    known = bounds["frames"] > 0
+    rule = frames.gamma_rule(bounds["nu_ceiling"])
+    np.testing.assert_allclose(rule[known], bounds["gamma_rule"][known], rtol=2.5 * NEAR)
+    split = frames.explain(bounds["gamma_w"])
+    np.testing.assert_allclose(split.nu_i[known], bounds["nu"][known], atol=2 * NEAR)
+
+
+def test_state_uncertainty_takes_over_what_lambda_leaves_to_it(problem):
+    """Each frame's pair explains it: nu_i falls and nu_s grows with a dearer input uncertainty; without room nothing is needed."""
+    gamma_w = problem.stored.bounds["gamma_w"]
+    cheap, dear = (problem.frames.explain_with_state(gamma_w, x) for x in (0.1, 10.0))
+    alone = problem.frames.explain(gamma_w)
+    assert np.nanmax(cheap.nu_i) < np.nanmax(dear.nu_i) <= np.nanmax(alone.nu_i) * (1 + 1e-6)
+    assert np.nanmax(cheap.nu_s) > np.nanmax(dear.nu_s) > 0
+    large = problem.frames.explain_with_state(1.01 * problem.stored.bounds["B2"], 1.0)
+    assert np.nanmax(large.nu_i) == np.nanmax(large.nu_s) == 0
+
+
+def test_state_of_a_frame_is_that_of_the_frozen_model(problem):
+    """u and x_nom read from Z reproduce Z where Z is the model's own response."""
+    v, omega, u = np.array([9.0, 20.0]), 1.3, np.array([0.3 + 1j, -2.0])
+    Z = problem.model.frequency_response([omega], 9.0)[0, :, 0] * u[0], problem.model.frequency_response([omega], 20.0)[0, :, 0] * u[1]
+    found, x_nom, _, h_s = problem.frames._behind(np.array(Z), v, omega)
+    np.testing.assert_allclose(found, u, rtol=1e-9)
+    np.testing.assert_allclose(x_nom @ problem.model.C.T, Z, rtol=1e-9)
+    assert h_s.shape == (2, 3, 3)
+
+
+def test_table_ii_is_certified_from_both_sides_and_above_its_floor(cells):
+    for c in cells:
+        assert c.lower <= c.upper < 1.2 and c.floor.value <= c.upper and c.order <= c.full_order
+        assert "seconds" not in c.to_dict()
+    K_inf, K_i, _ = cells
+    assert K_inf.upper <= K_inf.floor.value * 1.01 and K_i.upper > K_i.floor.value
+
+
+def test_worst_case_runs_and_files(problem, cells, truck, tmp_path):
+    """The drive is the measured one nearest to the design speed; files hold no time and are the same bytes again; each opens."""
+    runs = worst_runs(problem, cells, truck[1])
+    assert runs.drive.endswith("17mps") and 0 < runs.factor <= 1 and [r.cell.structure for r in runs.runs] == ["K_inf", "K_i", "K_is"]
+    for r in runs.runs[1:]:
+        assert r.worst.size == pytest.approx(1, abs=1e-5) and r.worst.gain <= r.cell.upper * (1 + 1e-6)
+        assert r.tracking_rms != r.tracking_rms_nominal
+    assert runs.runs[0].tracking_rms == runs.runs[0].tracking_rms_nominal
+    files = design_files(problem, cells, runs)
+    assert files == design_files(problem, cells, worst_runs(problem, cells, truck[1]))
+    assert set(files) == {"table2.json", "table2.csv", "figures.json", "fig5.svg", "fig6.svg"}
+    for name in ("fig5.svg", "fig6.svg"):
+        assert files[name].startswith("<svg xmlns=") and "var(--" not in files[name]
+    certificates = {"structure": "K_i", "order": 3, "claim": "c", "speeds": [{"v_mps": 8.0, "mu_upper": 0.9, "mu_lower": 0.8, "peak_rad_s": 0.0}]}
+    artefacts.write_files(tmp_path, files | {"controller.json": json.dumps({"certificates": certificates})})
+    section = _design_section(tmp_path)
+    assert "Counterpart of Fig. 5" in section and "Counterpart of Fig. 6" in section and runs.drive in section
+    assert section.count("<svg") == 2 and f"{cells[1].upper:.4f}" in section
+
+
+def test_a_simulated_sine_has_the_gain_of_the_frequency_response(problem, cells):
+    loop = problem.plant("K_inf", problem.weights("K_inf", 1.0, 1.0), 17.0).system.select([0], [4])
+    t = np.arange(20000) * loop.dt
+    y = respond(loop, np.sin(2.0 * t)[:, None])[-5000:, 0]
+    assert np.abs(y).max() == pytest.approx(abs(loop.response([2.0])[0, 0, 0]), rel=1e-3)
+
+
+def test_trade_off_finds_no_worse_than_the_projects_own_and_says_what_limits(problem, monkeypatch, tmp_path):
+    monkeypatch.setattr(tradeoff, "LEVELS", (0.1,))
+    monkeypatch.setattr(tradeoff, "ROUNDS", 1)
+    monkeypatch.setattr(tradeoff, "speeds", lambda p: [p.settings.design_speed_mps])
+    found = tradeoff.search(problem)
+    levels = [o.level for o in found.outcomes if o.level is not None]
+    assert found.best.level <= min(levels) * (1 + tradeoff.AS_GOOD) and found.best.level <= found.own.level and found.own.candidate.own
+    for o in found.outcomes:
+        assert o.level is None or o.floor.value <= o.level
+        if o.level is None:
+            assert o.floor.value >= found.best.level
+    assert sum(found.limit["enters_by"].values()) == pytest.approx(1) == sum(found.limit["leaves_by"].values())
+    assert "What limits it" in found.sentence and f"{found.best.level:.3f}" in found.sentence
+    document = problem.stored.project.model_dump(by_alias=True)
+    document["bounds"]["nu_ceiling"] = found.setting()["bounds.nu_ceiling"]
+    ceiling = parse_project(document, "test").bounds.nu_ceiling.at(problem.frames.estimator.omega / (2 * np.pi))
+    np.testing.assert_allclose(ceiling, found.best.ceiling, rtol=1e-5)
+    artefacts.write_files(tmp_path, found.files())
+    assert _tradeoff_section(tmp_path).count("<svg") == 1
+
+
+def test_the_sentence_is_honest_when_nothing_reaches_one(problem, monkeypatch):
+    monkeypatch.setattr(tradeoff, "LEVELS", ())
+    monkeypatch.setattr(tradeoff, "ROUNDS", 0)
+    monkeypatch.setattr(tradeoff, "speeds", lambda p: [p.settings.design_speed_mps])
+    hard = problem.stored.project.model_copy(update={"design": problem.settings.model_copy(update={"A_t": 400.0})})
+    found = tradeoff.search(FrozenProblem(identification.StoredIdentification(**{**vars(problem.stored), "project": hard}), problem.frames))
+    assert found.best.level >= 1 and "No candidate reaches mu < 1" in found.sentence and "no controller can" in found.sentence
+
+
+def test_commands_name_what_is_missing(lpvguard, truck, tmp_path):
+    folder, _ = truck
+    for arguments, word in ((("design", "-o", tmp_path / "x"), "--case"),
+                            (("design", "--case", "a.toml", "--tradeoff", "-o", tmp_path / "x"), "a case file alone"),
+                            (("design", "--case", tmp_path / "none.toml", "-o", tmp_path / "x"), "none.toml")):
+        done = lpvguard(*arguments)
+        assert done.returncode == 2 and word in done.stderr and not (tmp_path / "x").exists()
+    old = tmp_path / "old"
+    old.mkdir()
+    with np.load(folder / "identify" / "spectra.npz") as spectra:
+        np.savez(old / "spectra.npz", **{k: spectra[k] for k in spectra if k != "speed"})
+    stored = identification.load(folder / "identify")
+    with pytest.raises(InputError, match="identify` again"):
+        StoredFrames(identification.StoredIdentification(**{**vars(stored), "folder": old}))

@@ -1,0 +1,100 @@
+"""Bounds of a function of one variable and of its first two Taylor coefficients over an interval.
+
+Interval arithmetic on truncated power series: an expression over + - * / ** evaluated with ``Taylor.variable(low, high)`` in
+place of its variable encloses f, f' and f''/2 at every point of [low, high], up to rounding.
+
+>>> f = 1 / Taylor.variable(2.0, 4.0)
+>>> [float(x) for x in f.low], [float(x) for x in f.high]
+([0.25, -0.25, 0.015625], [0.5, -0.0625, 0.125])
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+COEFFICIENTS = 3
+
+
+@dataclass(frozen=True)
+class Taylor:
+    """low <= [f, f', f''/2] <= high, (3,) each."""
+
+    low: np.ndarray
+    high: np.ndarray
+
+    @classmethod
+    def variable(cls, low: float, high: float) -> Taylor:
+        """The variable itself on [low, high]."""
+        return cls(np.array([low, 1.0, 0.0]), np.array([high, 1.0, 0.0]))
+
+    @classmethod
+    def of(cls, value: object) -> Taylor:
+        """``value`` itself, or a number as a constant function."""
+        if isinstance(value, Taylor):
+            return value
+        constant = np.array([float(value), 0.0, 0.0])
+        return cls(constant, constant)
+
+    @property
+    def magnitude(self) -> np.ndarray:
+        """Bounds of |f|, |f'|, |f''|/2, (3,)."""
+        return np.maximum(np.abs(self.low), np.abs(self.high))
+
+    def __neg__(self) -> Taylor:
+        return Taylor(-self.high, -self.low)
+
+    def __pos__(self) -> Taylor:
+        return self
+
+    def __add__(self, other: object) -> Taylor:
+        other = Taylor.of(other)
+        return Taylor(self.low + other.low, self.high + other.high)
+
+    def __sub__(self, other: object) -> Taylor:
+        return self + -Taylor.of(other)
+
+    def __mul__(self, other: object) -> Taylor:
+        other = Taylor.of(other)
+        low, high = np.zeros(COEFFICIENTS), np.zeros(COEFFICIENTS)
+        for k in range(COEFFICIENTS):
+            for i in range(k + 1):
+                ends = np.outer((self.low[i], self.high[i]), (other.low[k - i], other.high[k - i]))
+                low[k], high[k] = low[k] + ends.min(), high[k] + ends.max()
+        return Taylor(low, high)
+
+    def __truediv__(self, other: object) -> Taylor:
+        other = Taylor.of(other)
+        if other.low[0] <= 0 <= other.high[0]:
+            raise ZeroDivisionError("the denominator's interval contains zero")
+        # 1/g = 1/g0 - g1/g0^2 s + (g1^2/g0^3 - g2/g0^2) s^2, every quotient enclosed by itself
+        inverse = _interval(1 / other.high[0], 1 / other.low[0])
+        g1, g2 = (_interval(other.low[k], other.high[k]) for k in (1, 2))
+        square = inverse * inverse
+        parts = [inverse, -(g1 * square), g1 * g1 * square * inverse - g2 * square]
+        return self * Taylor(np.array([p.low[0] for p in parts]), np.array([p.high[0] for p in parts]))
+
+    def __pow__(self, exponent: object) -> Taylor:
+        if not float(exponent).is_integer():
+            raise TypeError("only whole exponents")
+        out = Taylor.of(1.0)
+        for _ in range(abs(int(exponent))):
+            out = out * self
+        return out if exponent >= 0 else 1 / out
+
+    def __radd__(self, other: object) -> Taylor:
+        return self + other
+
+    def __rsub__(self, other: object) -> Taylor:
+        return -self + other
+
+    def __rmul__(self, other: object) -> Taylor:
+        return self * other
+
+    def __rtruediv__(self, other: object) -> Taylor:
+        return Taylor.of(other) / self
+
+
+def _interval(low: float, high: float) -> Taylor:
+    return Taylor(np.array([low, 0.0, 0.0]), np.array([high, 0.0, 0.0]))
