@@ -335,7 +335,7 @@ def test_repeated_blocks_are_settled_by_boxes():
     ],
 )
 def test_the_tangent_bounds_every_point_of_its_box(blocks):
-    """Against points made inside the box: the cost of none is below the bound, and halving the box quarters its loss."""
+    """The cost of no point made inside the box is below the bound; halving the box more than halves the loss."""
     rng = np.random.default_rng(12)
     problem, nu, w = made_from_truth(rng, 3, blocks, p12=True)
     gamma = 1.1 * np.linalg.norm(w)

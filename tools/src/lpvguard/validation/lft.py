@@ -14,6 +14,8 @@ Two facts make the branch and bound short. A certificate y found at sizes p stay
 sum_j y_j Q_j(p') >= 0: a convex set that contains [0, p], so that a cone of directions is bounded at its
 edges with an error of second order in its angle (Tuy). And a certificate is an eigenvalue problem in the
 length along a ray, so each multiplier vector is used up to the largest length that it proves (Dinkelbach).
+With the scalars of repeated blocks as linear constraints a certificate is affine in them too, so that a box
+is bounded at its corners, again with an error of second order (:meth:`_Quadratic.tangent`).
 """
 
 from __future__ import annotations
@@ -341,11 +343,12 @@ class _Quadratic:
     def tangent(self, node: _Node, cutoff: float) -> _Tangent | None:
         """Second bound over a node with boxes, whose error is of second order in their size; None without one.
 
-        At the boxes' centre c the repeated blocks are linear constraints, A(c) z = 0 with rows a - c b, and the others
-        give multipliers y on its kernel. Finsler: some Y makes the certificate Q(y, p) + Y^* A(c) + A(c)^* Y positive on
-        the whole space. With the same y and Y it is affine in the scalars and the sizes, so that it holds over the
-        box when it holds at its corners, and |delta|^2 lies above its tangent at c. Y's part outside the kernel is
-        free: a ladder of penalties on |A z|^2 is tried and the best corner bound kept.
+        At the boxes' centre c the repeated blocks are linear constraints, A(c) z = 0 with rows a - c b, and the
+        others give multipliers y on its kernel. Finsler: some Y makes the certificate
+        Q(y, p) + Y^* A(c) + A(c)^* Y positive on the whole space. With the same y and Y it is affine in the
+        scalars and the sizes, so that it holds over the box when it holds at its corners, and |delta|^2 lies
+        above its tangent at c. Y's part outside the kernel is free: a ladder of penalties on |A z|^2 is tried
+        and the best corner bound kept.
         """
         if self._plain is None or not node.boxes:
             return None
@@ -391,7 +394,7 @@ class _Quadratic:
         zero, slopes = np.tensordot(y, q0, axes=1), np.tensordot(rays * y, level, axes=1)
         at = zero - (length if np.isfinite(length) else 0.0) * slopes[0]
         outside = normal.conj().T @ at @ normal
-        # Y^* = lift @ pinv(A N), lift making the certificate block diagonal: at on the kernel, penalty (A N)^* A N outside.
+        # Y^* = lift @ pinv(A N); lift makes the certificate block diagonal: ``at`` on the kernel, the penalty outside.
         to_rows = (left[:, :rank] / s[:rank]).conj().T
         penalties = np.linalg.norm(at) * PENALTIES
         cross = -kernel @ (kernel.conj().T @ at @ normal)
