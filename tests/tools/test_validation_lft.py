@@ -230,10 +230,23 @@ def test_b1_is_the_feasibility_edge():
         lft.optimum(problem, b1 * (1 - 1e-6), [1.0])
 
 
-def test_zero_is_exactly_zero():
-    problem, _, _ = made_from_truth(np.random.default_rng(3), 2, [("full", 1, 1), ("full", 3, 3)])
-    s = lft.optimum(problem, np.linalg.norm(problem.e) * 1.01, [1.0, 1.0])
-    assert s.lower == s.upper == 0.0 and np.all(s.nu < 1e-12)
+@pytest.mark.parametrize(
+    "blocks, shape",
+    [
+        ([("full", 1, 1), ("full", 3, 3)], {}),
+        ([("full", 3, 1), ("repeated_complex", 2, 2)], {}),
+        ([("full", 2, 3), ("repeated_real", 1, 1)], {"p12": True, "n_w": 5}),
+        ([("repeated_real", 3, 3), ("repeated_complex", 2, 2)], {"p12": True}),
+    ],
+)
+def test_zero_is_exactly_zero(blocks, shape):
+    for seed in range(4):
+        problem, _, _ = made_from_truth(np.random.default_rng(seed), 3, blocks, **shape)
+        gamma = 1.01 * np.linalg.norm(np.linalg.pinv(problem.p22) @ problem.e)
+        for s in (lft.optimum(problem, gamma, [1.0, 1.0]), lft.smallest_common_size(problem, gamma)):
+            assert s.lower == s.upper == 0.0
+            assert not np.any(s.nu) and not np.any(s.xi), "rounding in xi is no multiple of eta"
+            substitute(problem, s, gamma)
 
 
 def test_no_disturbance_allowed_and_none_needed():
