@@ -230,10 +230,23 @@ def test_b1_is_the_feasibility_edge():
         lft.optimum(problem, b1 * (1 - 1e-6), [1.0])
 
 
-def test_zero_is_exactly_zero():
-    problem, _, _ = made_from_truth(np.random.default_rng(3), 2, [("full", 1, 1), ("full", 3, 3)])
-    s = lft.optimum(problem, np.linalg.norm(problem.e) * 1.01, [1.0, 1.0])
-    assert s.lower == s.upper == 0.0 and np.all(s.nu < 1e-12)
+@pytest.mark.parametrize(
+    "blocks, shape",
+    [
+        ([("full", 1, 1), ("full", 3, 3)], {}),
+        ([("full", 3, 1), ("repeated_complex", 2, 2)], {}),
+        ([("full", 2, 3), ("repeated_real", 1, 1)], {"p12": True, "n_w": 5}),
+        ([("repeated_real", 3, 3), ("repeated_complex", 2, 2)], {"p12": True}),
+    ],
+)
+def test_zero_is_exactly_zero(blocks, shape):
+    for seed in range(4):
+        problem, _, _ = made_from_truth(np.random.default_rng(seed), 3, blocks, **shape)
+        gamma = 1.01 * np.linalg.norm(np.linalg.pinv(problem.p22) @ problem.e)
+        for s in (lft.optimum(problem, gamma, [1.0, 1.0]), lft.smallest_common_size(problem, gamma)):
+            assert s.lower == s.upper == 0.0
+            assert not np.any(s.nu) and not np.any(s.xi), "rounding in xi is no multiple of eta"
+            substitute(problem, s, gamma)
 
 
 def test_no_disturbance_allowed_and_none_needed():
@@ -255,6 +268,26 @@ def test_last_block_is_not_needed_when_the_disturbance_explains_all_beside_a_rep
     assert lft.smallest_last_block(problem, 1.01 * least) == (0.0, 0.0)
     low, high = lft.smallest_last_block(problem, 0.6 * least)
     assert 0.0 < low <= high, "where it is needed it is not called zero"
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_singular_p22_fixes_the_scalar_that_makes_the_last_block_superfluous(seed):
+    rng = np.random.default_rng(seed)
+    blocks = [("repeated_complex", 2, 2), ("full", 1, 1)]
+    made, _, _ = made_from_truth(rng, 2, blocks, gain=0.0)
+    p22 = gauss(rng, 2, 1) @ gauss(rng, 1, 2)
+    problem = Lft(made.blocks, made.p11, made.p12, made.p21, p22, made.eta0, made.e)
+    # The inputs are constant and P22 has one dimension: where it does not reach, e fixes delta for each xi of the last
+    # block, and |w| = |one - per_xi xi| is left.
+    left, inverse = np.linalg.svd(p22)[0][:, 1].conj(), np.linalg.pinv(p22, rcond=1e-10)
+    out, last = made.p21[:, :2] @ made.eta0[:2], made.p21[:, 2]
+    one = inverse @ (made.e - out * (left @ made.e) / (left @ out))
+    per_xi = inverse @ (last - out * (left @ last) / (left @ out))
+    least = np.linalg.norm(one)
+    assert lft.smallest_last_block(problem, least * (1 + 1e-6)) == (0.0, 0.0)
+    low, high = lft.smallest_last_block(problem, 0.7 * least)
+    exact = 0.3 * least / np.linalg.norm(per_xi) / abs(made.eta0[2])
+    assert low <= exact * (1 + 1e-9) and high == pytest.approx(exact, rel=1e-6)
 
 
 @pytest.mark.parametrize("structure", ["S2", "other"])

@@ -45,6 +45,9 @@ EDGE = 1e-9
 ROUNDING = 1e-14
 """Rounding of B1 relative to |e|."""
 
+CANCELLED = 1e-12
+"""A signal below this fraction of the terms that it is the sum of is their rounding."""
+
 GAP = 1e-4
 """Relative distance of the two sides at which the branch and bound stops."""
 
@@ -222,6 +225,11 @@ class _Box:
         d = self.high - self.low
         cut = 0.5 * d.real if d.real >= d.imag else 0.5j * d.imag
         return _Box(self.low, self.high - cut), _Box(self.low + cut, self.high)
+
+
+def _cancels(a: np.ndarray, z: np.ndarray) -> bool:
+    """True when a @ z is zero up to the rounding of its own terms."""
+    return bool(np.linalg.norm(a @ z) <= CANCELLED * np.linalg.norm(np.abs(a) @ np.abs(z)))
 
 
 def _gram(left: np.ndarray, basis: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -685,7 +693,7 @@ class _Quadratic:
         for f in fixed:
             step, *_ = np.linalg.lstsq(f.a[:, :-1] @ null, -(f.a @ z), rcond=RANK_TOLERANCE)
             z = z + np.append(null @ step, 0.0)
-        if any(np.linalg.norm(a @ z) > 1e-12 * np.linalg.norm(np.abs(a) @ np.abs(z)) for a in wanted):
+        if not all(_cancels(a, z) for a in wanted):
             return None
         inside = all(
             np.linalg.norm(f.a @ z) ** 2 <= f.constant * f.slope * np.linalg.norm(f.b @ z) ** 2 for f in fixed
@@ -959,9 +967,14 @@ class _Posed:
         return not np.any(self.eta[i][:, :-1])
 
     def signals(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(xi, eta, w) at a point in scaled coordinates."""
+        """(xi, eta, w) at a point in scaled coordinates; a xi_i that is only rounding is exactly zero.
+
+        Rounding in xi_i = 0 has no direction: it is no multiple of eta_i, as a repeated block's xi_i has to be, and
+        gives a full block a size.
+        """
         z = z / (self.t @ z)[0]
-        return self._xi @ z, self._eta @ z, self._w @ z
+        xi = np.concatenate([np.zeros(len(m)) if _cancels(m, z) else m @ z for m in self.xi])
+        return xi, self._eta @ z, self._w @ z
 
     def points(self, known: Solution | None) -> list[np.ndarray]:
         """The point in scaled coordinates of an explanation found before; none for None."""
