@@ -14,6 +14,8 @@ Two facts make the branch and bound short. A certificate y found at sizes p stay
 sum_j y_j Q_j(p') >= 0: a convex set that contains [0, p], so that a cone of directions is bounded at its
 edges with an error of second order in its angle (Tuy). And a certificate is an eigenvalue problem in the
 length along a ray, so each multiplier vector is used up to the largest length that it proves (Dinkelbach).
+With the scalars of repeated blocks as linear constraints a certificate is affine in them too, so that a box
+is bounded at its corners, again with an error of second order (:meth:`_Quadratic.tangent`).
 """
 
 from __future__ import annotations
@@ -43,6 +45,9 @@ EDGE = 1e-9
 ROUNDING = 1e-14
 """Rounding of B1 relative to |e|."""
 
+CANCELLED = 1e-12
+"""A signal below this fraction of the terms that it is the sum of is their rounding."""
+
 GAP = 1e-4
 """Relative distance of the two sides at which the branch and bound stops."""
 
@@ -51,6 +56,9 @@ ZERO = 1e-12
 attainable."""
 
 MAX_NODES = 5000
+
+COSTLY = 24
+"""Multipliers of repeated blocks from which the relaxation is used sparingly."""
 
 PENALTIES = 10.0 ** np.arange(-2.0, 5.0)
 """Weights of |A z|^2 beside the certificate's norm that :meth:`_Quadratic.tangent` tries."""
@@ -219,6 +227,11 @@ class _Box:
         return _Box(self.low, self.high - cut), _Box(self.low + cut, self.high)
 
 
+def _cancels(a: np.ndarray, z: np.ndarray) -> bool:
+    """True when a @ z is zero up to the rounding of its own terms."""
+    return bool(np.linalg.norm(a @ z) <= CANCELLED * np.linalg.norm(np.abs(a) @ np.abs(z)))
+
+
 def _gram(left: np.ndarray, basis: np.ndarray, right: np.ndarray) -> np.ndarray:
     return np.einsum("ia,kij,jb->kab", left.conj(), basis, right)
 
@@ -235,6 +248,8 @@ class _Node:
     serial: int
     rays: np.ndarray = field(compare=False)
     boxes: dict[int, _Box] = field(compare=False)
+    small: bool = field(compare=False, default=False)
+    """The tangent's bound was the better one at the parent."""
 
 
 @dataclass(frozen=True)
@@ -268,8 +283,16 @@ class _Quadratic:
         self.repeated = [k for k, f in enumerate(self.forms) if f.repeated]
         users = [f.param for f in self.forms]
         # A size that one repeated block alone decides: its box bounds it, so it needs no direction of its own.
-        self._boxed = {self.forms[k].param for k in self.repeated if users.count(self.forms[k].param) == 1} - {-1}
+        self._boxed = {
+            self.forms[k].param for k in self.repeated if users.count(self.forms[k].param) == 1
+        } - {-1}
         self._first_boxes: dict[int, _Box] = {}
+        # A Newton step takes the cube of the number of multipliers: with two larger blocks the relaxation costs fifty
+        # times the tangent's, and is left out where that was the better bound.
+        self._costly = (
+            sum((3 if f.repeated == "repeated_real" else 2) * len(f.a) ** 2 for f in self.forms if f.repeated)
+            > COSTLY
+        )
         plain = [k for k, f in enumerate(self.forms) if not f.repeated and np.isfinite(f.constant)]
         self._plain = self._certificate_forms({}, plain) if plain else None
 
@@ -315,7 +338,9 @@ class _Quadratic:
         q0, level, param, cone = self._certificate_forms(node.boxes) if self.repeated else self._plain
         base = self._box_bound(node, self._boxed)
         weight = np.append(node.rays.mean(axis=0), 0.0)
-        length, y, inverse = lmi.ray_length(q0, level * weight[param][:, None, None], cone, max(cutoff - base, 0.0))
+        length, y, inverse = lmi.ray_length(
+            q0, level * weight[param][:, None, None], cone, max(cutoff - base, 0.0)
+        )
         edges = 0.0
         if y is not None:
             rays = np.column_stack([node.rays, np.zeros(len(node.rays))])
@@ -326,25 +351,38 @@ class _Quadratic:
     def tangent(self, node: _Node, cutoff: float) -> _Tangent | None:
         """Second bound over a node with boxes, whose error is of second order in their size; None without one.
 
-        At the boxes' centre c the repeated blocks are linear constraints, A(c) z = 0 with rows a - c b, and the others
-        give multipliers y on its kernel. Finsler: some Y makes the certificate Q(y, p) + Y^* A(c) + A(c)^* Y positive on
-        the whole space. With the same y and Y it is affine in the scalars and the sizes, so that it holds over the
-        box when it holds at its corners, and |delta|^2 lies above its tangent at c. Y's part outside the kernel is
-        free: a ladder of penalties on |A z|^2 is tried and the best corner bound kept.
+        At the boxes' centre c the repeated blocks are linear constraints, A(c) z = 0 with rows a - c b, and the
+        others give multipliers y on its kernel. Finsler: some Y makes the certificate
+        Q(y, p) + Y^* A(c) + A(c)^* Y positive on the whole space. With the same y and Y it is affine in the
+        scalars and the sizes, so that it holds over the box when it holds at its corners, and |delta|^2 lies
+        above its tangent at c. Y's part outside the kernel is free: a ladder of penalties on |A z|^2 is tried
+        and the best corner bound kept.
         """
         if self._plain is None or not node.boxes:
             return None
         q0, level, param, cone = self._plain
         keys = list(node.boxes)
         centre = np.array([node.boxes[k].centre for k in keys])
-        unit = [1.0 / (np.linalg.norm(self.forms[k].a) + abs(c) * np.linalg.norm(self.forms[k].b)) for k, c in zip(keys, centre, strict=True)]
+        unit = [
+            1.0 / (np.linalg.norm(self.forms[k].a) + abs(c) * np.linalg.norm(self.forms[k].b))
+            for k, c in zip(keys, centre, strict=True)
+        ]
 
         def rows(scalars):
-            return np.vstack([u * (self.forms[k].a - d * self.forms[k].b) for u, k, d in zip(unit, keys, scalars, strict=True)])
+            return np.vstack(
+                [
+                    u * (self.forms[k].a - d * self.forms[k].b)
+                    for u, k, d in zip(unit, keys, scalars, strict=True)
+                ]
+            )
 
         def base(scalars):
             known = [i for i, k in enumerate(keys) if self.forms[k].param in self._boxed]
-            return sum((2.0 * (centre[i].conjugate() * scalars[i]).real - abs(centre[i]) ** 2) / self.forms[keys[i]].slope for i in known)
+            return sum(
+                (2.0 * (centre[i].conjugate() * scalars[i]).real - abs(centre[i]) ** 2)
+                / self.forms[keys[i]].slope
+                for i in known
+            )
 
         left, s, vh = np.linalg.svd(rows(centre))
         rank = int(np.sum(s > RANK_TOLERANCE * s[0]))
@@ -364,7 +402,7 @@ class _Quadratic:
         zero, slopes = np.tensordot(y, q0, axes=1), np.tensordot(rays * y, level, axes=1)
         at = zero - (length if np.isfinite(length) else 0.0) * slopes[0]
         outside = normal.conj().T @ at @ normal
-        # Y^* = lift @ pinv(A N), lift making the certificate block diagonal: at on the kernel, penalty (A N)^* A N outside.
+        # Y^* = lift @ pinv(A N); lift makes the certificate block diagonal: ``at`` on the kernel, the penalty outside.
         to_rows = (left[:, :rank] / s[:rank]).conj().T
         penalties = np.linalg.norm(at) * PENALTIES
         cross = -kernel @ (kernel.conj().T @ at @ normal)
@@ -372,8 +410,12 @@ class _Quadratic:
         duals = lifts @ to_rows
         corners = [np.array(c) for c in itertools.product(*(node.boxes[k].corners for k in keys))]
         terms = np.stack([duals @ rows(scalars) for scalars in [centre, *corners]])
-        errors = lmi.rounding(y, q0) + 8.0 * len(zero) * np.finfo(float).eps * np.linalg.norm(duals, axis=(1, 2))
-        lengths = lmi.reaches(zero + terms + terms.conj().swapaxes(-1, -2), slopes, np.broadcast_to(errors, terms.shape[:2]))
+        errors = lmi.rounding(y, q0) + 8.0 * len(zero) * np.finfo(float).eps * np.linalg.norm(
+            duals, axis=(1, 2)
+        )
+        lengths = lmi.reaches(
+            zero + terms + terms.conj().swapaxes(-1, -2), slopes, np.broadcast_to(errors, terms.shape[:2])
+        )
         # (1 + corners, penalties, 1 + rays)
         bounds = lengths + np.array([base(scalars) for scalars in [centre, *corners]])[:, None, None]
         kept = int(np.argmax(bounds[1:, :, 1:].min(axis=(0, 2))))
@@ -651,7 +693,7 @@ class _Quadratic:
         for f in fixed:
             step, *_ = np.linalg.lstsq(f.a[:, :-1] @ null, -(f.a @ z), rcond=RANK_TOLERANCE)
             z = z + np.append(null @ step, 0.0)
-        if any(np.linalg.norm(a @ z) > 1e-12 * np.linalg.norm(np.abs(a) @ np.abs(z)) for a in wanted):
+        if not all(_cancels(a, z) for a in wanted):
             return None
         inside = all(
             np.linalg.norm(f.a @ z) ** 2 <= f.constant * f.slope * np.linalg.norm(f.b @ z) ** 2 for f in fixed
@@ -714,14 +756,19 @@ class _Quadratic:
             if decided or node.lower >= best.cost * (1.0 - gap):
                 closed = min(closed, node.lower)
                 break
-            edges, central, inverse = self.lower(node, best.cost * (1.0 - gap) * (1.0 + 1e-12))
-            lower = max(node.lower, edges, self._box_bound(node, set(range(self.params))))
-            readings = self._candidates(inverse)
-            tangent = self.tangent(node, best.cost) if lower < best.cost * (1.0 - gap) else None
-            if tangent is not None:
-                lower = max(lower, tangent.lower)
-                if tangent.inverse is not None:
-                    readings = self._candidates(tangent.inverse) + readings
+            lower = max(node.lower, self._box_bound(node, set(range(self.params))))
+            tangent = self.tangent(node, best.cost)
+            readings = (
+                self._candidates(tangent.inverse)
+                if tangent is not None and tangent.inverse is not None
+                else []
+            )
+            lower = max(lower, tangent.lower if tangent is not None else 0.0)
+            edges, central = -np.inf, np.inf
+            if lower < best.cost * (1.0 - gap) and not (node.small and self._costly):
+                edges, central, inverse = self.lower(node, best.cost * (1.0 - gap) * (1.0 + 1e-12))
+                lower = max(lower, edges)
+                readings += self._candidates(inverse)
             for z in readings if polished < MAX_POLISHED else readings[:1]:
                 before = best.cost
                 self._offer(z, best)
@@ -740,9 +787,10 @@ class _Quadratic:
             if children is None:
                 closed = min(closed, lower)
                 continue
+            small = tangent is not None and tangent.lower > max(edges, node.lower)
             for ray, boxes in children:
                 serial += 1
-                heapq.heappush(open_nodes, _Node(lower, serial, ray, boxes))
+                heapq.heappush(open_nodes, _Node(lower, serial, ray, boxes, small))
         remaining = min((n.lower for n in open_nodes), default=np.inf)
         return Interval(min(closed, remaining, best.cost), best.cost, best.z, serial + 1)
 
@@ -776,7 +824,14 @@ class _Quadratic:
         if self.repeated and np.isfinite(best.cost):
             rays, boxes = node.rays, node.boxes
             if not boxes:
-                boxes = {k: self._first_box(k, best.cost) for k in self.repeated}
+                # A block without a cap or a size to pay for has no bounded box: its part of the interval stays open.
+                boxes = {
+                    k: self._first_box(k, best.cost)
+                    for k in self.repeated
+                    if self.forms[k].param >= 0 or np.isfinite(self.forms[k].constant)
+                }
+                if not boxes:
+                    return None
                 self._first_boxes = self._first_boxes or boxes
                 free = [p for p in range(self.params) if p not in self._boxed]
                 rays = np.eye(self.params)[free] if free else np.zeros((1, self.params))
@@ -912,9 +967,14 @@ class _Posed:
         return not np.any(self.eta[i][:, :-1])
 
     def signals(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(xi, eta, w) at a point in scaled coordinates."""
+        """(xi, eta, w) at a point in scaled coordinates; a xi_i that is only rounding is exactly zero.
+
+        Rounding in xi_i = 0 has no direction: it is no multiple of eta_i, as a repeated block's xi_i has to be, and
+        gives a full block a size.
+        """
         z = z / (self.t @ z)[0]
-        return self._xi @ z, self._eta @ z, self._w @ z
+        xi = np.concatenate([np.zeros(len(m)) if _cancels(m, z) else m @ z for m in self.xi])
+        return xi, self._eta @ z, self._w @ z
 
     def points(self, known: Solution | None) -> list[np.ndarray]:
         """The point in scaled coordinates of an explanation found before; none for None."""
