@@ -12,7 +12,6 @@ namespace {
 
 using Real = lpvg_real_t;
 constexpr int ny = LPVG_NY;
-constexpr std::size_t n_gram = LPVG_NGRAM;
 template <int N>
 using Row = Eigen::Array<Real, N, 1>;
 

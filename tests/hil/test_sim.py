@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from lpvguard.errors import InputError
@@ -90,6 +91,20 @@ def test_feedforward_runs_on_the_same_seeds(truck_folder, simulator):
     nominal = load_scenario("nominal")
     feedforward = Simulator(truck_folder, controller="feedforward").run(nominal)
     assert feedforward["missed"] == [] and feedforward["command_rms"] == simulator.run(nominal)["command_rms"]
+
+
+def test_a_profile_is_followed_and_its_faults_are_named(simulator, tmp_path):
+    multisine = PLANT[PLANT.index('kind = "multisine"'):PLANT.index("{more}")]
+    text = PLANT.replace(multisine, 'kind = "profile"\nknots = {knots}\n')
+    path = tmp_path / "profile.toml"
+    path.write_text(text.format(duration=10, more="", knots="[[1.0, 0.01], [3.0, 0.05], [3.5, -0.02]]"))
+    simulator.run(load_scenario(str(path)), out=tmp_path)
+    rows = np.genfromtxt(tmp_path / "profile-1.telemetry.csv", delimiter=",", names=True)
+    np.testing.assert_allclose(rows["command_radps"], np.interp(rows["t_s"], [1.0, 3.0, 3.5], [0.01, 0.05, -0.02]), atol=1e-9)
+    for knots in ("[]", "[[0.0]]", "[[1.0, 0.0], [1.0, 0.1]]", "[[0.0, 0.9]]", "3.0"):
+        path.write_text(text.format(duration=10, more="", knots=knots))
+        with pytest.raises(InputError, match="command.knots"):
+            simulator.run(load_scenario(str(path)))
 
 
 @pytest.mark.parametrize("message", MESSAGE_PERIODS)

@@ -17,7 +17,9 @@ import pytest
 from lpvguard import identify as stage
 from lpvguard import native
 from lpvguard.bench import fleet
-from lpvguard.bounds import FRONT_POINTS, front, front_grid
+from lpvguard.bounds import (
+    FRONT_POINTS, FrameSet, explain, front, front_grid, reduce_covering, reduce_disturbance, reduce_uncertainty,
+)
 from lpvguard.drives import Drive
 from lpvguard.errors import InputError
 from lpvguard.export import export_vehicle
@@ -53,6 +55,53 @@ def files(folder: Path, run=map) -> dict[str, bytes]:
     content = {p.name: p.read_bytes() for p in target.iterdir() if p.name != "MANIFEST.json"}
     shutil.rmtree(target)
     return content
+
+
+# ---------------------------------------------------------------------------------------------------------- bad frames
+
+@pytest.fixture(scope="module")
+def bad_frames():
+    project = fleet.vehicle()
+    model = NominalModel(project)
+    estimator = Estimator.of(project, model)
+    rng = np.random.default_rng(7)
+    E, Z = (rng.normal(size=(3, model.n_y)) + 1j * rng.normal(size=(3, model.n_y)) for _ in range(2))
+    return estimator, FrameSet(2, E, Z, np.array([100, 250, 400]), "lap_7")
+
+
+def test_a_spectrum_that_is_not_finite_names_experiment_bin_and_frame(bad_frames):
+    estimator, good = bad_frames
+    E = good.E.copy()
+    E[1, 0] = np.nan
+    place = re.escape(f"lap_7: bin 2 ({estimator.omega[2]:.6g} rad/s), frame from sample 250: ")
+    ceiling = np.full(estimator.n_bins, 0.3)
+    with pytest.raises(InputError, match=place + "E or Z is not finite; expected finite spectra"):
+        reduce_disturbance([good, replace(good, E=E)], estimator, ceiling, E.shape[1])
+    with pytest.raises(InputError, match=place):
+        explain(replace(good, E=E), estimator, np.full(estimator.n_bins, 1e3), "S1")
+
+
+def test_a_disturbance_bound_that_is_missing_or_below_b1_names_experiment_bin_and_frame(bad_frames):
+    estimator, s = bad_frames
+    K, n_y = estimator.n_bins, s.E.shape[1]
+    # y = 0 where the model moves nothing: all of E is disturbance, B1 = |E|, whatever the number of outputs.
+    s = replace(s, Z=np.where(np.arange(3)[:, None] == 2, 0.0, s.Z))
+    size = np.linalg.norm(s.E[2])
+    below, grid = np.full(K, 1e3), np.full((K, FRONT_POINTS), np.nan)
+    below[2] = (1 - 1e-6) * size
+    s = replace(s, E=np.where(np.arange(3)[:, None] == 2, s.E, 0.1 * s.Z))
+    place = re.escape(f"lap_7: bin 2 ({estimator.omega[2]:.6g} rad/s), frame from sample 400: B1 = {size:.6g} and gamma_w = ")
+    for run in (lambda g: reduce_uncertainty([s], estimator, g, grid, n_y, "S1"),
+                lambda g: reduce_covering([s], estimator, g, np.ones((K, n_y)), "S1")):
+        with pytest.raises(InputError, match=place + ".*expected finite spectra and gamma_w >= B1"):
+            run(below)
+        run(np.where(np.arange(K) == 2, size, below))
+    none = below.copy()
+    none[2] = np.nan  # a bin that set no bound, met by a drive that has frames there
+    with pytest.raises(InputError, match="lap_7: bin 2 .*gamma_w = nan"):
+        explain(s, estimator, none, "S1")
+    empty = replace(s, E=s.E[:0], Z=s.Z[:0], starts=s.starts[:0])
+    assert explain(empty, estimator, none, "S1")[0].shape == (0,), "an empty bin asks for nothing"
 
 
 # ---------------------------------------------------------------------------------------------------------- workers
@@ -142,7 +191,7 @@ def test_memory_does_not_grow_with_the_number_of_drives(tmp_path):
 
 def test_bench_names_what_there_is(lpvguard):
     done = lpvguard("bench", "nothing")
-    assert done.returncode == 2 and "can or core or fleet or synthesis or validation or weights" in done.stderr
+    assert done.returncode == 2 and "can or core or fleet or robust or synthesis or validation or weights" in done.stderr
     done = lpvguard("bench", "fleet", "--drives", 3, "--memory", "--json", "-")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["same_bytes"] is True

@@ -110,6 +110,28 @@ def test_digest_repeats_and_depends_on_the_seed():
     assert digests[0] == digests[1] != digests[2]
 
 
+def response(path, *words):
+    done = run("response", "--scenario", path, *words)
+    assert done.returncode == 0, done.stderr
+    rows = np.loadtxt(done.stdout.splitlines(), delimiter=",", skiprows=1, ndmin=2)
+    return rows[:, 0], rows[:, 1] + 1j * rows[:, 2], rows[:, 3] + 1j * rows[:, 4]
+
+
+def test_the_response_of_a_scenarios_truck_includes_its_faults_from_the_start_on(tmp_path):
+    path = tmp_path / "truck.toml"
+    path.write_text("[plant]\nspeed_profile = [[0, 10]]\n")
+    omega, yaw, wheel = response(path, "--speed", 15, "--omega", "0,0.5,3")
+    assert omega.tolist() == [0.0, 0.5, 3.0]
+    assert yaw[0].imag == 0 and -1.4 * 1.94 / 15 < yaw[0].real < -0.6 * 1.94 / 15 and wheel[0].real < 0
+    assert abs(yaw[2]) < abs(yaw[1]) < 1.1 * abs(yaw[0])
+    path.write_text("[plant]\nspeed_profile = [[0, 10]]\n[[plant.actuator_fault]]\nstart_s = 60.0\nextra_delay_s = 0.2\nbrake_gain_ratio = 0.5\n")
+    _, late, _ = response(path, "--speed", 15, "--omega", "0,0.5,3", "--amplitude", 1)
+    np.testing.assert_allclose(late / yaw, 0.5 * np.exp(-0.2j * omega), rtol=0.02)  # half the force of twice the demand
+    for words, complaint in ((["--omega", "1,fast"], "--omega 'fast'"), (["--omega", "1", "--speed", "50"], "--speed"), ([], "--omega: missing")):
+        done = run("response", "--scenario", path, *words)
+        assert done.returncode == 2 and complaint in done.stderr
+
+
 def test_a_truck_too_far_from_the_model_is_a_finding(tmp_path):
     shipped = open(os.path.join(os.path.dirname(__file__), "../../firmware_sim/plant/truck.toml"), encoding="utf-8").read()
     (tmp_path / "weak.toml").write_text(shipped.replace("brake_force_npbar = { value = 800.0", "brake_force_npbar = { value = 300.0"))

@@ -230,10 +230,23 @@ def test_b1_is_the_feasibility_edge():
         lft.optimum(problem, b1 * (1 - 1e-6), [1.0])
 
 
-def test_zero_is_exactly_zero():
-    problem, _, _ = made_from_truth(np.random.default_rng(3), 2, [("full", 1, 1), ("full", 3, 3)])
-    s = lft.optimum(problem, np.linalg.norm(problem.e) * 1.01, [1.0, 1.0])
-    assert s.lower == s.upper == 0.0 and np.all(s.nu < 1e-12)
+@pytest.mark.parametrize(
+    "blocks, shape",
+    [
+        ([("full", 1, 1), ("full", 3, 3)], {}),
+        ([("full", 3, 1), ("repeated_complex", 2, 2)], {}),
+        ([("full", 2, 3), ("repeated_real", 1, 1)], {"p12": True, "n_w": 5}),
+        ([("repeated_real", 3, 3), ("repeated_complex", 2, 2)], {"p12": True}),
+    ],
+)
+def test_zero_is_exactly_zero(blocks, shape):
+    for seed in range(4):
+        problem, _, _ = made_from_truth(np.random.default_rng(seed), 3, blocks, **shape)
+        gamma = 1.01 * np.linalg.norm(np.linalg.pinv(problem.p22) @ problem.e)
+        for s in (lft.optimum(problem, gamma, [1.0, 1.0]), lft.smallest_common_size(problem, gamma)):
+            assert s.lower == s.upper == 0.0
+            assert not np.any(s.nu) and not np.any(s.xi), "rounding in xi is no multiple of eta"
+            substitute(problem, s, gamma)
 
 
 def test_no_disturbance_allowed_and_none_needed():
@@ -247,12 +260,72 @@ def test_last_block_is_not_needed_when_a_repeated_one_explains_the_data():
     assert lft.smallest_last_block(problem, 3 * np.linalg.norm(w)) == (0.0, 0.0)
 
 
+def test_last_block_is_not_needed_when_the_disturbance_explains_all_beside_a_repeated_block():
+    problem, _, _ = made_from_truth(
+        np.random.default_rng(106), 4, [("repeated_real", 2, 2), ("full", 1, 1)], n_w=6, p12=True
+    )
+    least = np.linalg.norm(np.linalg.pinv(problem.p22) @ problem.e)
+    assert lft.smallest_last_block(problem, 1.01 * least) == (0.0, 0.0)
+    low, high = lft.smallest_last_block(problem, 0.6 * least)
+    assert 0.0 < low <= high, "where it is needed it is not called zero"
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_singular_p22_fixes_the_scalar_that_makes_the_last_block_superfluous(seed):
+    rng = np.random.default_rng(seed)
+    blocks = [("repeated_complex", 2, 2), ("full", 1, 1)]
+    made, _, _ = made_from_truth(rng, 2, blocks, gain=0.0)
+    p22 = gauss(rng, 2, 1) @ gauss(rng, 1, 2)
+    problem = Lft(made.blocks, made.p11, made.p12, made.p21, p22, made.eta0, made.e)
+    # The inputs are constant and P22 has one dimension: where it does not reach, e fixes delta for each xi of the last
+    # block, and |w| = |one - per_xi xi| is left.
+    left, inverse = np.linalg.svd(p22)[0][:, 1].conj(), np.linalg.pinv(p22, rcond=1e-10)
+    out, last = made.p21[:, :2] @ made.eta0[:2], made.p21[:, 2]
+    one = inverse @ (made.e - out * (left @ made.e) / (left @ out))
+    per_xi = inverse @ (last - out * (left @ last) / (left @ out))
+    least = np.linalg.norm(one)
+    assert lft.smallest_last_block(problem, least * (1 + 1e-6)) == (0.0, 0.0)
+    low, high = lft.smallest_last_block(problem, 0.7 * least)
+    exact = 0.3 * least / np.linalg.norm(per_xi) / abs(made.eta0[2])
+    assert low <= exact * (1 + 1e-9) and high == pytest.approx(exact, rel=1e-6)
+
+
+@pytest.mark.parametrize("structure", ["S2", "other"])
+def test_an_optimum_of_zero_is_exactly_zero_in_every_path(structure):
+    blocks = [("full", 1, 1), ("full", 3, 3)] if structure == "S2" else [("full", 2, 2), ("full", 3, 3)]
+    problem, _, _ = made_from_truth(np.random.default_rng(8), 2, blocks, noise=0.4)
+    p11 = np.array(problem.p11)
+    if structure == "S2":
+        p11[0] = 0.0  # the first block's input is the known u: the compiled kernel's shape
+    problem = Lft(problem.blocks, p11, problem.p12, problem.p21, problem.p22, problem.eta0, problem.e)
+    s = lft.optimum(problem, 1.4 * np.linalg.norm(problem.e), [0.085, 0.335])
+    assert s.lower == s.upper == 0.0
+
+
+def test_zero_in_one_unit_does_not_hide_a_size_in_another():
+    # xi of 1e-7 beside w of 1e7: the least-squares point of both has a small residual, but it is not xi = 0.
+    blocks = (Block("repeated_real", 1, 1),)
+    one, none = np.ones((1, 1), complex), np.zeros((1, 1), complex)
+    problem = Lft(
+        blocks, none, none, one * (1e14 + 3e13j), one, np.array([1.0 + 2.0j]), np.array([2e7 + 1e7j])
+    )
+    s = lft.margin(problem, [1e-7], [1e7])
+    # |e - P21 delta eta0| <= t 1e7 with a real delta: least over a fine grid.
+    delta = np.linspace(-4e-7, 4e-7, 400001)
+    t = np.maximum(
+        np.abs(delta) / 1e-7, np.abs(problem.e[0] - problem.p21[0, 0] * delta * problem.eta0[0]) / 1e7
+    )
+    assert 0.1 < s.lower <= t.min() * (1 + 1e-9) and s.upper == pytest.approx(t.min(), rel=1e-4)
+
+
 @pytest.mark.parametrize("unit", [1.0, 1e-5])
 def test_the_last_block_is_zero_only_where_a_zero_was_found(unit):
     # The least-squares point breaks the real block, so the search starts without a cost to compare zero with.
     problem, nu, w = made_from_truth(np.random.default_rng(0), 4, [("full", 3, 2), ("repeated_real", 2, 2)])
     u = np.diag([1, 1, 1, unit, unit])
-    problem = Lft(problem.blocks, problem.p11 @ u, problem.p12, problem.p21 @ u, problem.p22, problem.eta0, problem.e)
+    problem = Lft(
+        problem.blocks, problem.p11 @ u, problem.p12, problem.p21 @ u, problem.p22, problem.eta0, problem.e
+    )
     gamma = 1.001 * np.linalg.norm(w)
     low, high = lft.smallest_last_block(problem, gamma)
     assert 0.1 < low * unit <= high * unit <= nu[1] and high - low <= 1e-3 * high
@@ -284,6 +357,52 @@ def test_repeated_blocks_are_settled_by_boxes():
     assert s.nodes <= 1500, "with a direction for each size it takes 2759"
     assert s.upper <= np.sum(nu**2) + 0.01 * np.linalg.norm(w) ** 2 * (1 + 1e-3)
     substitute(problem, s, 1.001 * np.linalg.norm(w))
+
+
+@pytest.mark.parametrize(
+    "blocks",
+    [
+        [("repeated_complex", 2, 2)],
+        [("repeated_real", 2, 2), ("repeated_complex", 2, 2)],
+        [("full", 1, 2), ("repeated_complex", 2, 2)],
+    ],
+)
+def test_the_tangent_bounds_every_point_of_its_box(blocks):
+    """The cost of no point made inside the box is below the bound; halving the box more than halves the loss."""
+    rng = np.random.default_rng(12)
+    problem, nu, w = made_from_truth(rng, 3, blocks, p12=True)
+    gamma = 1.1 * np.linalg.norm(w)
+    lambda_w = 0.3 * np.sum(nu**2) / np.linalg.norm(w) ** 2 * np.ones(3)
+    s = lft.optimum(problem, gamma, np.ones(len(blocks)), lambda_w, gap=4e-4)
+    posed = lft._pose(problem, gamma)
+    forms = lft._ball(posed, gamma) + [lft._block_form(posed, i, param=i) for i in range(len(blocks))]
+    forms.append(lft._Form(np.sqrt(lambda_w)[:, None] * posed.w, posed.t, param=len(blocks)))
+    search = lft._Quadratic(forms, len(blocks) + 1, posed.n)
+    at = {k: complex(s.verification.deltas[k - 1][0, 0]) for k in search.repeated}
+    rays = np.eye(len(blocks) + 1)[[p for p in range(len(blocks) + 1) if p not in search._boxed]]
+    losses = []
+    for half in (0.02, 0.01, 0.005):
+        boxes = {}
+        for k, c in at.items():
+            side = half * (1.0 if search.forms[k].repeated == "repeated_real" else 1 + 1j)
+            boxes[k] = lft._Box(c - side, c + side)
+        bound = search.tangent(lft._Node(0.0, 0, rays, boxes), np.inf)
+        # The optimum lies in the box, and so do the nearby points below.
+        assert bound.lower <= s.upper * (1 + 1e-9)
+        losses.append(bound.centre - bound.box)
+        for _ in range(20):
+            scalars = {
+                k: complex(
+                    rng.uniform(b.low.real, b.high.real),
+                    rng.uniform(b.low.imag, b.high.imag) if b.high.imag > b.low.imag else 0.0,
+                )
+                for k, b in boxes.items()
+            }
+            z, _ = search._on_subspace(posed.points(s)[0], scalars)
+            z = search.repair(z) if z is not None else None
+            if z is not None:
+                assert search.cost(z) >= bound.lower * (1 - 1e-9)
+    assert losses[2] < 0.5 * losses[1] < 0.25 * losses[0]
 
 
 def test_units_of_a_block_do_not_change_the_answer():

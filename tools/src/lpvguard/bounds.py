@@ -14,13 +14,14 @@ A bin without a counted frame is NaN: "no information", never 0.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from . import plain_dft
 from .drives import Drive
+from .errors import InputError
 from .frames import Estimator
 from .nominal import NominalModel
 from .validation import s1
@@ -31,12 +32,21 @@ FRONT_POINTS = 25
 
 @dataclass(frozen=True)
 class FrameSet:
-    """Counted frames of one drive in one bin: E, Z (F, n_y) complex, starts (F,) first samples."""
+    """Counted frames of one drive in one bin: E, Z (F, n_y) complex, starts (F,) first samples; ``experiment`` is the drive's
+    name, for messages."""
 
     bin: int
     E: np.ndarray
     Z: np.ndarray
     starts: np.ndarray
+    experiment: str = ""
+
+    def require(self, good: np.ndarray, estimator: Estimator, what: Callable[[int], str], expected: str) -> None:
+        """InputError unless all frames are ``good`` (F,): names the experiment, the bin and the first bad frame's first sample."""
+        if not np.all(good):
+            first = int(np.argmin(good))
+            raise InputError(self.experiment or "frames", f"bin {self.bin} ({estimator.omega[self.bin]:.6g} rad/s), "
+                             f"frame from sample {self.starts[first]}", what(first), expected)
 
 
 def nominal_error(drive: Drive, model: NominalModel) -> tuple[np.ndarray, np.ndarray]:
@@ -52,14 +62,14 @@ def counted_frames(drive: Drive, e: np.ndarray, yhat: np.ndarray, model: Nominal
         frames = [plain_dft.spectra(drive, s, model, estimator) for s in starts]
         for k in range(estimator.n_bins):
             E, Z = (np.array([f[i][k] for f in frames], complex).reshape(-1, e.shape[1]) for i in (0, 1))
-            yield FrameSet(k, E, Z, starts)
+            yield FrameSet(k, E, Z, starts, drive.name)
         return
     both = np.hstack([e, yhat])
     n_y = e.shape[1]
     for k in range(estimator.n_bins):
         starts = np.flatnonzero(estimator.counted(drive.v, k))
         spectra = estimator.transform(both, k, starts)
-        yield FrameSet(k, spectra[:, :n_y], spectra[:, n_y:], starts)
+        yield FrameSet(k, spectra[:, :n_y], spectra[:, n_y:], starts, drive.name)
 
 
 @dataclass(frozen=True)
@@ -113,6 +123,8 @@ def reduce_disturbance(sets: Iterable[FrameSet], estimator: Estimator, nu_ceilin
     out = {key: np.full(K, np.nan) for key in ("excitation", "B1", "B2", "gamma_rule")} | {"frames": np.zeros(K, int)}
     out |= {key: np.full((K, n_y), np.nan) for key in ("E", "Y")}
     for s in sets:
+        finite = np.all(np.isfinite(s.E) & np.isfinite(s.Z), axis=1)
+        s.require(finite, estimator, lambda _: "E or Z is not finite", "finite spectra")
         out["frames"][s.bin] = len(s.E)
         size = np.linalg.norm(s.E, axis=1)
         z = np.linalg.norm(s.Z, axis=1)
@@ -126,10 +138,16 @@ def reduce_disturbance(sets: Iterable[FrameSet], estimator: Estimator, nu_ceilin
 
 
 def explain(s: FrameSet, estimator: Estimator, gamma_w: np.ndarray, structure: str) -> tuple[np.ndarray, np.ndarray]:
-    """Step 5 on every frame: least |delta| (F,) and the disturbance w (F, n_y) that goes with it, given ``gamma_w`` (K,)."""
+    """Step 5 on every frame: least |delta| (F,) and the disturbance w (F, n_y) that goes with it, given ``gamma_w`` (K,).
+
+    Raises InputError for a frame that is not finite, or whose B1 is above gamma_w: nothing in class S1 explains it.
+    """
     if structure == "S0" or estimator.cycles[s.bin] == 0:
         return np.zeros(len(s.E)), s.E
-    result = s1.solve(s.E, s.Z, gamma_w[s.bin])
+    gamma = gamma_w[s.bin]
+    result = s1.solve(s.E, s.Z, gamma)
+    s.require(np.isfinite(result.nu), estimator,
+              lambda i: f"B1 = {result.b1[i]:.6g} and gamma_w = {gamma:.6g}", "finite spectra and gamma_w >= B1")
     return result.nu, result.w
 
 

@@ -28,7 +28,7 @@ sample on, but for the transients of the model and of F; the common factor above
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.signal import bilinear_zpk, lfilter, sosfilt, zpk2sos
@@ -94,7 +94,7 @@ class EnergyTest:
     sigma: np.ndarray
     start: np.ndarray
     joint: float = 1.0
-    calibration: Calibration = Calibration(1.0 + ROUNDING, {}, None, None)
+    calibration: Calibration = field(default_factory=lambda: Calibration(1.0 + ROUNDING, {}, None, None))
 
     @classmethod
     def design(cls, project: Project, estimator: Estimator, W_delta: Weight, omega: np.ndarray, bound: np.ndarray,

@@ -272,7 +272,7 @@ def _clouds(stored: StoredIdentification, estimator: Estimator) -> pictures.Clou
     clouds = pictures.Clouds([], [], [], [])
     for k in range(estimator.n_bins):
         of_bin = columns["bin"] == k
-        frames = FrameSet(k, *(columns[key][of_bin] for key in ("E", "Z", "start")))
+        frames = FrameSet(k, *(columns[key][of_bin] for key in ("E", "Z", "start")), str(stored.folder / "spectra.npz"))
         size = np.linalg.norm(frames.E, axis=1)
         nu, w = explain(frames, estimator, stored.bounds["gamma_w"], stored.project.bounds.structure)
         clouds.E.append(size)

@@ -80,7 +80,7 @@ class StoredFrames:
         self.sets, self.speeds = [], []
         for k in range(self.estimator.n_bins):
             of_bin = columns["bin"] == k
-            self.sets.append(FrameSet(k, *(columns[key][of_bin] for key in ("E", "Z", "start"))))
+            self.sets.append(FrameSet(k, *(columns[key][of_bin] for key in ("E", "Z", "start")), str(path)))
             self.speeds.append(columns["speed"][of_bin])
         self.complete = drives is not None
         if drives is not None:
@@ -96,7 +96,7 @@ class StoredFrames:
                 N, (old, speed) = self.estimator.length[s.bin], found[s.bin]
                 keep = deciding(s.E, s.Z) if len(s.E) else np.zeros(0, int)
                 found[s.bin] = (FrameSet(s.bin, *(np.concatenate([getattr(old, key), getattr(s, key)[keep]])
-                                                  for key in ("E", "Z", "starts"))),
+                                                  for key in ("E", "Z", "starts")), old.experiment),
                                 np.concatenate([speed, (total[s.starts[keep] + N] - total[s.starts[keep]]) / N]))
         self.sets, self.speeds = map(list, zip(*found, strict=True))
 

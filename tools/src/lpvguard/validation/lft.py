@@ -14,11 +14,14 @@ Two facts make the branch and bound short. A certificate y found at sizes p stay
 sum_j y_j Q_j(p') >= 0: a convex set that contains [0, p], so that a cone of directions is bounded at its
 edges with an error of second order in its angle (Tuy). And a certificate is an eigenvalue problem in the
 length along a ray, so each multiplier vector is used up to the largest length that it proves (Dinkelbach).
+With the scalars of repeated blocks as linear constraints a certificate is affine in them too, so that a box
+is bounded at its corners, again with an error of second order (:meth:`_Quadratic.tangent`).
 """
 
 from __future__ import annotations
 
 import heapq
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -42,6 +45,9 @@ EDGE = 1e-9
 ROUNDING = 1e-14
 """Rounding of B1 relative to |e|."""
 
+CANCELLED = 1e-12
+"""A signal below this fraction of the terms that it is the sum of is their rounding."""
+
 GAP = 1e-4
 """Relative distance of the two sides at which the branch and bound stops."""
 
@@ -50,6 +56,12 @@ ZERO = 1e-12
 attainable."""
 
 MAX_NODES = 5000
+
+COSTLY = 24
+"""Multipliers of repeated blocks from which the relaxation is used sparingly."""
+
+PENALTIES = 10.0 ** np.arange(-2.0, 5.0)
+"""Weights of |A z|^2 beside the certificate's norm that :meth:`_Quadratic.tangent` tries."""
 
 SAMPLES = 150
 """Draws of the scalars of repeated blocks when looking for a first feasible point."""
@@ -202,10 +214,22 @@ class _Box:
         """Largest modulus in the box."""
         return max(abs(self.low), abs(self.high), abs(complex(self.low.real, self.high.imag)))
 
+    @property
+    def corners(self) -> list[complex]:
+        """Two ends of an interval, four corners of a rectangle."""
+        low, high = self.low, self.high
+        ends = [low, complex(high.real, low.imag), complex(low.real, high.imag), high]
+        return list(dict.fromkeys(ends))
+
     def halves(self) -> tuple[_Box, _Box]:
         d = self.high - self.low
         cut = 0.5 * d.real if d.real >= d.imag else 0.5j * d.imag
         return _Box(self.low, self.high - cut), _Box(self.low + cut, self.high)
+
+
+def _cancels(a: np.ndarray, z: np.ndarray) -> bool:
+    """True when a @ z is zero up to the rounding of its own terms."""
+    return bool(np.linalg.norm(a @ z) <= CANCELLED * np.linalg.norm(np.abs(a) @ np.abs(z)))
 
 
 def _gram(left: np.ndarray, basis: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -224,6 +248,20 @@ class _Node:
     serial: int
     rays: np.ndarray = field(compare=False)
     boxes: dict[int, _Box] = field(compare=False)
+    small: bool = field(compare=False, default=False)
+    """The tangent's bound was the better one at the parent."""
+
+
+@dataclass(frozen=True)
+class _Tangent:
+    """Bounds of :meth:`_Quadratic.tangent`: ``lower`` over the node; at the boxes' centre on the central ray, over the
+    corners there (``box``), over the rays there (``cone``); primal matrix or None."""
+
+    lower: float
+    centre: float
+    box: float
+    cone: float
+    inverse: np.ndarray | None
 
 
 @dataclass(frozen=True)
@@ -245,15 +283,24 @@ class _Quadratic:
         self.repeated = [k for k, f in enumerate(self.forms) if f.repeated]
         users = [f.param for f in self.forms]
         # A size that one repeated block alone decides: its box bounds it, so it needs no direction of its own.
-        self._boxed = {self.forms[k].param for k in self.repeated if users.count(self.forms[k].param) == 1} - {-1}
+        self._boxed = {
+            self.forms[k].param for k in self.repeated if users.count(self.forms[k].param) == 1
+        } - {-1}
         self._first_boxes: dict[int, _Box] = {}
-        self._plain = None if self.repeated else self._certificate_forms({})
+        # A Newton step takes the cube of the number of multipliers: with two larger blocks the relaxation costs fifty
+        # times the tangent's, and is left out where that was the better bound.
+        self._costly = (
+            sum((3 if f.repeated == "repeated_real" else 2) * len(f.a) ** 2 for f in self.forms if f.repeated)
+            > COSTLY
+        )
+        plain = [k for k, f in enumerate(self.forms) if not f.repeated and np.isfinite(f.constant)]
+        self._plain = self._certificate_forms({}, plain) if plain else None
 
     # -- certificates
 
-    def _certificate_forms(self, boxes: dict[int, _Box]):
-        """Generators Q0 (m, n, n), level part G (m, n, n) with the parameter of each, and the multiplier
-        cone."""
+    def _certificate_forms(self, boxes: dict[int, _Box], only: Sequence[int] | None = None):
+        """Generators Q0 (m, n, n), level part G (m, n, n) with the parameter of each, and the multiplier cone; of all
+        forms or of those in ``only``."""
         q0, level, param, groups = [], [], [], []
 
         def add(kind, order, zero, slope_part, index):
@@ -263,7 +310,8 @@ class _Quadratic:
             param.extend([index] * len(zero))
             groups.append((kind, order))
 
-        for k, f in enumerate(self.forms):
+        for k in range(len(self.forms)) if only is None else only:
+            f = self.forms[k]
             r = f.a.shape[0] if f.repeated else 1
             basis = lmi.hermitian_basis(r) if f.repeated else None
 
@@ -287,16 +335,97 @@ class _Quadratic:
 
     def lower(self, node: _Node, cutoff: float):
         """Certified lower bound over a node: (bound, bound on the central ray, primal directions)."""
-        q0, level, param, cone = self._plain or self._certificate_forms(node.boxes)
+        q0, level, param, cone = self._certificate_forms(node.boxes) if self.repeated else self._plain
         base = self._box_bound(node, self._boxed)
         weight = np.append(node.rays.mean(axis=0), 0.0)
-        length, y, inverse = lmi.ray_length(q0, level * weight[param][:, None, None], cone, max(cutoff - base, 0.0))
+        length, y, inverse = lmi.ray_length(
+            q0, level * weight[param][:, None, None], cone, max(cutoff - base, 0.0)
+        )
         edges = 0.0
         if y is not None:
             rays = np.column_stack([node.rays, np.zeros(len(node.rays))])
             slopes = np.tensordot(rays[:, param] * y, level, axes=1)
             edges = float(np.min(lmi.reach(np.tensordot(y, q0, axes=1), slopes, lmi.rounding(y, q0))))
         return base + edges, base + length, inverse
+
+    def tangent(self, node: _Node, cutoff: float) -> _Tangent | None:
+        """Second bound over a node with boxes, whose error is of second order in their size; None without one.
+
+        At the boxes' centre c the repeated blocks are linear constraints, A(c) z = 0 with rows a - c b, and the
+        others give multipliers y on its kernel. Finsler: some Y makes the certificate
+        Q(y, p) + Y^* A(c) + A(c)^* Y positive on the whole space. With the same y and Y it is affine in the
+        scalars and the sizes, so that it holds over the box when it holds at its corners, and |delta|^2 lies
+        above its tangent at c. Y's part outside the kernel is free: a ladder of penalties on |A z|^2 is tried
+        and the best corner bound kept.
+        """
+        if self._plain is None or not node.boxes:
+            return None
+        q0, level, param, cone = self._plain
+        keys = list(node.boxes)
+        centre = np.array([node.boxes[k].centre for k in keys])
+        unit = [
+            1.0 / (np.linalg.norm(self.forms[k].a) + abs(c) * np.linalg.norm(self.forms[k].b))
+            for k, c in zip(keys, centre, strict=True)
+        ]
+
+        def rows(scalars):
+            return np.vstack(
+                [
+                    u * (self.forms[k].a - d * self.forms[k].b)
+                    for u, k, d in zip(unit, keys, scalars, strict=True)
+                ]
+            )
+
+        def base(scalars):
+            known = [i for i, k in enumerate(keys) if self.forms[k].param in self._boxed]
+            return sum(
+                (2.0 * (centre[i].conjugate() * scalars[i]).real - abs(centre[i]) ** 2)
+                / self.forms[keys[i]].slope
+                for i in known
+            )
+
+        left, s, vh = np.linalg.svd(rows(centre))
+        rank = int(np.sum(s > RANK_TOLERANCE * s[0]))
+        normal, kernel = vh[:rank].conj().T, vh[rank:].conj().T
+        rays = np.vstack([node.rays.mean(axis=0), node.rays])
+        rays = np.column_stack([rays, np.zeros(len(rays))])[:, param]
+        at_centre = base(centre)
+        inverse, length = None, 0.0
+        if kernel.shape[1]:
+            reduced = [kernel.conj().T @ m @ kernel for m in (q0, level * rays[0][:, None, None])]
+            length, y, inverse = lmi.ray_length(*reduced, cone, max(cutoff - at_centre, 0.0))
+            if y is None:
+                return None
+            inverse = kernel @ inverse @ kernel.conj().T
+        else:
+            y = cone.normal / cone.normal.sum()
+        zero, slopes = np.tensordot(y, q0, axes=1), np.tensordot(rays * y, level, axes=1)
+        at = zero - (length if np.isfinite(length) else 0.0) * slopes[0]
+        outside = normal.conj().T @ at @ normal
+        # Y^* = lift @ pinv(A N); lift makes the certificate block diagonal: ``at`` on the kernel, the penalty outside.
+        to_rows = (left[:, :rank] / s[:rank]).conj().T
+        penalties = np.linalg.norm(at) * PENALTIES
+        cross = -kernel @ (kernel.conj().T @ at @ normal)
+        lifts = cross + 0.5 * normal @ (penalties[:, None, None] * np.diag(s[:rank] ** 2) - outside)
+        duals = lifts @ to_rows
+        corners = [np.array(c) for c in itertools.product(*(node.boxes[k].corners for k in keys))]
+        terms = np.stack([duals @ rows(scalars) for scalars in [centre, *corners]])
+        errors = lmi.rounding(y, q0) + 8.0 * len(zero) * np.finfo(float).eps * np.linalg.norm(
+            duals, axis=(1, 2)
+        )
+        lengths = lmi.reaches(
+            zero + terms + terms.conj().swapaxes(-1, -2), slopes, np.broadcast_to(errors, terms.shape[:2])
+        )
+        # (1 + corners, penalties, 1 + rays)
+        bounds = lengths + np.array([base(scalars) for scalars in [centre, *corners]])[:, None, None]
+        kept = int(np.argmax(bounds[1:, :, 1:].min(axis=(0, 2))))
+        return _Tangent(
+            float(bounds[1:, kept, 1:].min()),
+            at_centre + length,
+            float(bounds[1:, kept, 0].min()),
+            float(bounds[0, kept, 1:].min()),
+            inverse,
+        )
 
     # -- feasible points
 
@@ -564,7 +693,7 @@ class _Quadratic:
         for f in fixed:
             step, *_ = np.linalg.lstsq(f.a[:, :-1] @ null, -(f.a @ z), rcond=RANK_TOLERANCE)
             z = z + np.append(null @ step, 0.0)
-        if any(np.linalg.norm(a @ z) > 1e-12 * np.linalg.norm(np.abs(a) @ np.abs(z)) for a in wanted):
+        if not all(_cancels(a, z) for a in wanted):
             return None
         inside = all(
             np.linalg.norm(f.a @ z) ** 2 <= f.constant * f.slope * np.linalg.norm(f.b @ z) ** 2 for f in fixed
@@ -627,9 +756,19 @@ class _Quadratic:
             if decided or node.lower >= best.cost * (1.0 - gap):
                 closed = min(closed, node.lower)
                 break
-            edges, central, inverse = self.lower(node, best.cost * (1.0 - gap) * (1.0 + 1e-12))
-            lower = max(node.lower, edges, self._box_bound(node, set(range(self.params))))
-            readings = self._candidates(inverse)
+            lower = max(node.lower, self._box_bound(node, set(range(self.params))))
+            tangent = self.tangent(node, best.cost)
+            readings = (
+                self._candidates(tangent.inverse)
+                if tangent is not None and tangent.inverse is not None
+                else []
+            )
+            lower = max(lower, tangent.lower if tangent is not None else 0.0)
+            edges, central = -np.inf, np.inf
+            if lower < best.cost * (1.0 - gap) and not (node.small and self._costly):
+                edges, central, inverse = self.lower(node, best.cost * (1.0 - gap) * (1.0 + 1e-12))
+                lower = max(lower, edges)
+                readings += self._candidates(inverse)
             for z in readings if polished < MAX_POLISHED else readings[:1]:
                 before = best.cost
                 self._offer(z, best)
@@ -644,13 +783,14 @@ class _Quadratic:
             if lower >= best.cost * (1.0 - gap):
                 closed = min(closed, lower)
                 continue
-            children = self._branch(node, edges, central, best)
+            children = self._branch(node, edges, central, best, tangent)
             if children is None:
                 closed = min(closed, lower)
                 continue
+            small = tangent is not None and tangent.lower > max(edges, node.lower)
             for ray, boxes in children:
                 serial += 1
-                heapq.heappush(open_nodes, _Node(lower, serial, ray, boxes))
+                heapq.heappush(open_nodes, _Node(lower, serial, ray, boxes, small))
         remaining = min((n.lower for n in open_nodes), default=np.inf)
         return Interval(min(closed, remaining, best.cost), best.cost, best.z, serial + 1)
 
@@ -663,10 +803,12 @@ class _Quadratic:
                 total[f.param] = max(total[f.param], box.least**2 / f.slope - f.constant)
         return float(total.sum())
 
-    def _branch(self, node: _Node, edges: float, central: float, best: _Best):
+    def _branch(self, node: _Node, edges: float, central: float, best: _Best, tangent: _Tangent | None):
         """Two nodes that cover this one: its widest pair of rays cut in the middle, or its widest box; None when
         neither can be."""
         cone_loss, relaxation_loss = central - edges, best.cost - central
+        if tangent is not None and tangent.lower > edges:
+            cone_loss, relaxation_loss = tangent.centre - tangent.cone, 2.0 * (tangent.centre - tangent.box)
         to_box = self._boxed and not node.boxes and np.isfinite(best.cost)
         if len(node.rays) > 1 and not to_box and (cone_loss >= 0.5 * relaxation_loss or not self.repeated):
             spread = np.linalg.norm(node.rays[:, None] - node.rays[None], axis=-1)
@@ -682,7 +824,14 @@ class _Quadratic:
         if self.repeated and np.isfinite(best.cost):
             rays, boxes = node.rays, node.boxes
             if not boxes:
-                boxes = {k: self._first_box(k, best.cost) for k in self.repeated}
+                # A block without a cap or a size to pay for has no bounded box: its part of the interval stays open.
+                boxes = {
+                    k: self._first_box(k, best.cost)
+                    for k in self.repeated
+                    if self.forms[k].param >= 0 or np.isfinite(self.forms[k].constant)
+                }
+                if not boxes:
+                    return None
                 self._first_boxes = self._first_boxes or boxes
                 free = [p for p in range(self.params) if p not in self._boxed]
                 rays = np.eye(self.params)[free] if free else np.zeros((1, self.params))
@@ -818,9 +967,14 @@ class _Posed:
         return not np.any(self.eta[i][:, :-1])
 
     def signals(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(xi, eta, w) at a point in scaled coordinates."""
+        """(xi, eta, w) at a point in scaled coordinates; a xi_i that is only rounding is exactly zero.
+
+        Rounding in xi_i = 0 has no direction: it is no multiple of eta_i, as a repeated block's xi_i has to be, and
+        gives a full block a size.
+        """
         z = z / (self.t @ z)[0]
-        return self._xi @ z, self._eta @ z, self._w @ z
+        xi = np.concatenate([np.zeros(len(m)) if _cancels(m, z) else m @ z for m in self.xi])
+        return xi, self._eta @ z, self._w @ z
 
     def points(self, known: Solution | None) -> list[np.ndarray]:
         """The point in scaled coordinates of an explanation found before; none for None."""

@@ -181,6 +181,18 @@ def reach(zero: np.ndarray, slopes: np.ndarray, error: float = 0.0) -> np.ndarra
     return np.divide(1.0 - 1e-12, top, out=np.full(len(slopes), np.inf), where=top > 0.0)
 
 
+def reaches(zeros: np.ndarray, slopes: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """:func:`reach` (..., k) for many ``zeros`` (..., n, n) with ``errors`` (...,), -inf where one is not positive
+    definite; ``slopes`` (k, n, n)."""
+    zeros = zeros - errors[..., None, None] * np.eye(zeros.shape[-1])
+    good = np.linalg.eigvalsh(zeros)[..., 0] > errors
+    out = np.full((*good.shape, len(slopes)), -np.inf)
+    factor = np.linalg.inv(np.linalg.cholesky(zeros[good]))[:, None]
+    top = np.linalg.eigvalsh(factor @ slopes @ factor.conj().swapaxes(-1, -2))[..., -1]
+    out[good] = np.divide(1.0 - 1e-12, top, out=np.full(top.shape, np.inf), where=top > 0.0)
+    return out
+
+
 def _ray_length_numpy(q0, level, c: Cone, cutoff: float):
     length, beyond, y, inverse = 0.0, np.inf, None, None
     for turn in range(80):
