@@ -781,7 +781,7 @@ class _Problem:
         for _ in range(20):
             if bound <= level:
                 break
-            level = bound * (1 + rtol)
+            level = bound * (1 + min(rtol, GAMMA_RTOL))  # the finer one costs no more
             value = self.coupling(level)
             if value is not None:
                 break
