@@ -165,6 +165,15 @@ def test_a_zero_on_the_imaginary_axis_sets_gamma_by_interpolation():
     check_certificate(plant, 1, 1, result)
 
 
+def test_a_level_near_the_floor_of_the_direct_terms_is_not_taken_for_reached():
+    """G(3j) = 0 makes S(3j) = 1, far above what D11 allows: γ ≥ |[W(3j); 0.3]|."""
+    W = rational([0.3, 1.0], [1.0, 0.1])
+    plant = weighted_sensitivity(rational([1.0, 0.0, 9.0], np.poly([-1.0, -2.0, -3.0])), W)
+    C, D = np.insert(plant.C, 1, 0.0, axis=0), np.insert(plant.D, 1, [0.3, 0.0], axis=0)
+    result = hinf_synthesis(StateSpace(plant.A, plant.B, C, D), 1, 1)
+    assert result.gamma >= np.hypot(0.3, abs(W.response([3.0])[0, 0, 0])) * (1 - 1e-4)
+
+
 def wide_plant(seed=1, slow=2e-5, fast=500.0):
     """Poles from ``slow`` to ``fast`` rad/s, non-normal coupling, a tiny cost on u."""
     rng = np.random.default_rng(seed)
