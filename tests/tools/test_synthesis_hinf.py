@@ -132,6 +132,14 @@ def test_an_optimum_set_by_one_frequency_takes_few_riccati_equations(monkeypatch
     assert len(calls) <= 6
 
 
+def test_a_control_input_that_reaches_no_state_can_only_be_left_at_zero():
+    """|w1 -> z1| of 2/(s + 4) peaks at 1/2, whatever u adds to z2."""
+    plant = StateSpace([[-4.0]], [[2.0, 0.0, 0.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]])
+    result = hinf_synthesis(plant, 1, 1)
+    check_certificate(plant, 1, 1, result)
+    assert result.gamma == pytest.approx(0.5, rel=1e-5)
+
+
 def test_a_wrong_bound_of_a_single_frequency_is_found_out(monkeypatch):
     plant = random_plant(3)
     want = hinf_synthesis(plant, 2, 2).gamma

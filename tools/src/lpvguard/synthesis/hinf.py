@@ -666,11 +666,14 @@ def _axis_bounds(P: _Plant, frequencies) -> list[float]:
 
 
 def _stabilising_gain(A: np.ndarray, B: np.ndarray) -> np.ndarray | None:
-    """LQ gain F (m, n) with A + B F stable, unit weights in balanced units."""
-    size = np.linalg.norm(A, 2) / max(np.linalg.norm(B, 2), 1e-300)
-    n = len(A)
-    X = _stabilising(np.block([[A, -size * size * B @ B.T], [-np.eye(n), -A.T]]))
-    return None if X is None else -size * size * B.T @ X.X
+    """LQ gain F (m, n) with A + B F stable, unit weights in balanced units; None where there is none, so for B = 0."""
+    width = np.linalg.norm(B, 2)
+    if width == 0:
+        return None
+    size, n = np.linalg.norm(A, 2) / width, len(A)
+    scaled = size * B
+    X = _stabilising(np.block([[A, -scaled @ scaled.T], [-np.eye(n), -A.T]]))
+    return None if X is None else -size * scaled.T @ X.X
 
 
 def _above_one(value: float | None) -> bool:
