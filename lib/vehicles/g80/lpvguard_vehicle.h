@@ -15,7 +15,6 @@
 #define LPVG_NK 0
 #define LPVG_NM 0
 #define LPVG_NG 0
-#define LPVG_NA 0
 #define LPVG_ESTIMATOR_ID 4277722750U
 
 #endif
