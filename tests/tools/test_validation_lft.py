@@ -318,6 +318,24 @@ def test_zero_in_one_unit_does_not_hide_a_size_in_another():
     assert 0.1 < s.lower <= t.min() * (1 + 1e-9) and s.upper == pytest.approx(t.min(), rel=1e-4)
 
 
+@pytest.mark.parametrize("weight", [1e4, 1e12, 1e26])
+def test_a_weight_on_one_block_does_not_hide_the_cost_of_another(weight):
+    problem, _, _ = made_from_truth(np.random.default_rng(0), 2, [("full", 2, 2), ("full", 2, 2)], gain=0.0)
+    gamma = 0.3 * np.linalg.norm(problem.e)
+    second = Lft(
+        problem.blocks[1:],
+        problem.p11[2:, 2:],
+        problem.p12[2:],
+        problem.p21[:, 2:],
+        problem.p22,
+        problem.eta0[2:],
+        problem.e,
+    )
+    alone, s = lft.optimum(second, gamma, [1.0]), lft.optimum(problem, gamma, [weight, 1.0])
+    # The first block becomes too dear to use: what is left is the problem without it.
+    assert s.lower <= alone.upper and s.upper >= alone.lower * (1 - 2e-3)
+
+
 @pytest.mark.parametrize("unit", [1.0, 1e-5])
 def test_the_last_block_is_zero_only_where_a_zero_was_found(unit):
     # The least-squares point breaks the real block, so the search starts without a cost to compare zero with.

@@ -176,7 +176,8 @@ def parametrise(problem: Lft) -> Parametrisation:
 class _Form:
     """|a z|^2 <= (constant + sizes[param]) slope |b z|^2, and for a repeated block a z = delta b z as well.
 
-    ``param`` -1: the constant alone; inf when a repeated block has no bound (its own cap is infinite).
+    ``param`` -1: the constant alone; inf when a repeated block has no bound (its own cap is infinite). ``parts``: the
+    signals that a is stacked from, when there are several.
     """
 
     a: np.ndarray
@@ -185,6 +186,7 @@ class _Form:
     param: int = -1
     slope: float = 1.0
     repeated: str | None = None
+    parts: tuple[np.ndarray, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -681,8 +683,11 @@ class _Quadratic:
         """A point that needs no size at all, when there is one: the optimum is then exactly zero."""
         if any(f.repeated and f.param < 0 for f in self.forms):
             return None
-        # Each form in units of its own: xi and w may be 1e14 apart, and one must not hide in the other's rounding.
-        wanted = [f.a / (np.linalg.norm(f.a) or 1.0) for f in self.forms if f.param >= 0]
+        # Each signal in units of its own: xi and w may be 1e14 apart, or their weights, and one must not hide in the
+        # other's rounding.
+        wanted = [
+            a / (np.linalg.norm(a) or 1.0) for f in self.forms if f.param >= 0 for a in f.parts or (f.a,)
+        ]
         rows = np.vstack([np.zeros((0, self._n)), *wanted])
         left = rows[:, :-1]
         theta, *_ = np.linalg.lstsq(left, -rows[:, -1], rcond=RANK_TOLERANCE)
@@ -1113,7 +1118,7 @@ def optimum(problem: Lft, gamma_w: float, lambda_nu, lambda_w=None, *, gap: floa
         elif block.repeated:
             forms.append(_block_form(posed, i, constant=block_caps(problem)[i] ** 2))
     if quadratic:
-        forms.append(_Form(np.vstack(quadratic), posed.t, param=params))
+        forms.append(_Form(np.vstack(quadratic), posed.t, param=params, parts=tuple(quadratic)))
         params += 1
     quadratic_problem = _Quadratic(forms, max(params, 1), posed.n)
     interval = (
