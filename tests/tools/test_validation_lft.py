@@ -474,6 +474,18 @@ def test_a_size_at_the_cap_is_never_returned_as_a_bound():
     assert lft.well_posed(problem, np.array([0.0999]))
 
 
+@pytest.mark.parametrize("block_type", ["full", "repeated_complex", "repeated_real"])
+def test_well_posedness_is_that_of_the_structure(block_type):
+    # delta P11 is singular at 1 / delta = an eigenvalue: 2j for any scalar, 0.5 for a real one, |P11| for a full block.
+    turn = np.linalg.qr(gauss(np.random.default_rng(3), 3, 3))[0]
+    p11 = turn @ np.array([[2j, 4.0, 0.0], [0.0, 0.5, 3.0], [0.0, 0.0, 0.1]]) @ turn.conj().T
+    cap = {"full": 1 / np.linalg.norm(p11, 2), "repeated_complex": 0.5, "repeated_real": 2.0}[block_type]
+    zero, one = np.zeros((3, 3), complex), np.ones(3, complex)
+    problem = Lft((Block(block_type, 3, 3),), p11, zero, np.eye(3) + zero, np.eye(3) + zero, one, one)
+    assert lft.well_posed(problem, np.array([0.98 * cap]))
+    assert not lft.well_posed(problem, np.array([1.0001 * cap]))
+
+
 def test_a_block_without_input_cannot_explain():
     zero = np.zeros((1, 1), complex)
     silent = Lft(

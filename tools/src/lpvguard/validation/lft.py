@@ -234,7 +234,10 @@ def _cancels(a: np.ndarray, z: np.ndarray) -> bool:
     return bool(np.linalg.norm(a @ z) <= CANCELLED * np.linalg.norm(np.abs(a) @ np.abs(z)))
 
 
-def _gram(left: np.ndarray, basis: np.ndarray, right: np.ndarray) -> np.ndarray:
+def _gram(left: np.ndarray, right: np.ndarray, basis: np.ndarray | None) -> np.ndarray:
+    """left^* B right for each B of ``basis`` (m, r, r), m forms; None: the identity alone."""
+    if basis is None:
+        return (left.conj().T @ right)[None]
     return np.einsum("ia,kij,jb->kab", left.conj(), basis, right)
 
 
@@ -317,22 +320,19 @@ class _Quadratic:
             r = f.a.shape[0] if f.repeated else 1
             basis = lmi.hermitian_basis(r) if f.repeated else None
 
-            def gram(left, right, basis=basis):
-                return _gram(left, basis, right) if basis is not None else (left.conj().T @ right)[None]
-
             if k in boxes and f.param in self._boxed:
-                aa, bb = gram(f.a, f.a), gram(f.b, f.b)
+                aa, bb = _gram(f.a, f.a, basis), _gram(f.b, f.b, basis)
                 add("psd", r, aa - boxes[k].most ** 2 * bb, 0.0 * bb, -1)
             elif np.isfinite(f.constant):
-                aa, bb = gram(f.a, f.a), f.slope * gram(f.b, f.b)
+                aa, bb = _gram(f.a, f.a, basis), f.slope * _gram(f.b, f.b, basis)
                 add("psd", r, aa - f.constant * bb, bb if f.param >= 0 else 0.0 * bb, f.param)
             if f.repeated == "repeated_real":
-                cross = 1j * gram(f.a, f.b)
+                cross = 1j * _gram(f.a, f.b, basis)
                 add("free", r, cross + cross.conj().transpose(0, 2, 1), 0.0 * cross, -1)
             if k in boxes:
                 box = boxes[k]
-                d, bb = f.a - box.centre * f.b, gram(f.b, f.b)
-                add("psd", r, gram(d, d) - box.radius**2 * bb, 0.0 * bb, -1)
+                d, bb = f.a - box.centre * f.b, _gram(f.b, f.b, basis)
+                add("psd", r, _gram(d, d, basis) - box.radius**2 * bb, 0.0 * bb, -1)
         return np.array(q0), np.array(level), np.array(param), lmi.cone(groups)
 
     def lower(self, node: _Node, cutoff: float):
@@ -1011,7 +1011,7 @@ class _Posed:
                 problem.source,
                 "nu",
                 f"{np.array2string(nu, precision=6)} is at or above the well-posedness cap "
-                f"(single blocks: {caps}): an allowed Delta makes the LFT singular",
+                f"(single full blocks: {caps}): no certificate that every allowed Delta keeps the LFT regular",
                 "sizes below the cap",
             )
         verification = verify(problem.blocks, problem.matrices, problem.e, w, xi, nu)
@@ -1034,7 +1034,8 @@ def well_posed(problem: Lft, nu: np.ndarray) -> bool:
     """Certified: no Delta of the structure with ||Delta_i|| <= nu_i makes I - P11 Delta singular.
 
     First by the spectral radius of the matrix of block norms, then by the S-procedure on |xi_i| <= nu_i |(P11
-    xi)_i|.
+    xi)_i| with the multipliers of each block's structure: a matrix for a repeated scalar, and one more for a
+    real one (the D-G scalings of mu).
     """
     nu = np.asarray(nu, dtype=float)
     etas = split(problem.blocks, problem.p11, "cols")
@@ -1046,16 +1047,21 @@ def well_posed(problem: Lft, nu: np.ndarray) -> bool:
     live = [i for i, b in enumerate(nu) if b > 0.0]
     xi = split(problem.blocks, np.eye(problem.p11.shape[1], dtype=complex), "rows")
     keep = np.concatenate([np.argmax(np.abs(xi[i]), axis=1) for i in live])
-    forms = [
-        (xi[i].conj().T @ xi[i] - nu[i] ** 2 * etas[i].conj().T @ etas[i])[np.ix_(keep, keep)] for i in live
-    ]
-    scale = [np.max(np.abs(f)) for f in forms]
-    level = lmi.maximise_level(
-        np.array([f / s for f, s in zip(forms, scale, strict=True)]),
-        lmi.cone([("psd", 1)] * len(forms)),
-        absolute=1e-10,
-    )
-    return level.x > 0.0
+    forms, groups = [], []
+    for i in live:
+        block = problem.blocks[i]
+        basis = lmi.hermitian_basis(block.rows) if block.repeated else None
+        a, b = xi[i][:, keep], nu[i] * etas[i][:, keep]
+        pieces = [("psd", _gram(a, a, basis) - _gram(b, b, basis))]
+        if block.type == "repeated_real":
+            cross = 1j * _gram(a, b, basis)
+            pieces.append(("free", cross + cross.conj().transpose(0, 2, 1)))
+        for kind, piece in pieces:
+            forms.extend(piece / (np.max(np.abs(piece)) or 1.0))
+            groups.append((kind, block.rows if block.repeated else 1))
+    forms = np.array(forms)
+    level = lmi.maximise_level(forms, lmi.cone(groups), absolute=1e-10)
+    return level.x > lmi.rounding(level.y, forms)
 
 
 def _block_form(posed: _Posed, i: int, **bound) -> _Form:
