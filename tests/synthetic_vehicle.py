@@ -11,7 +11,7 @@ from lpvguard.project import Project, parse_project
 
 TS = 0.01
 SPEEDS = (8.0, 22.0)
-PERIODS, BINS_PER_DECADE, SHORTEST = 6, 50, 208
+PERIODS, BINS_PER_DECADE, SHORTEST = 6, 50, 332
 """The shortest frame holds SHORTEST samples; a half one exceeds the latency of 64 bins."""
 
 

@@ -6,6 +6,7 @@
 #ifndef LPVGUARD_PORT_H
 #define LPVGUARD_PORT_H
 
+#include <stddef.h>
 #include <stdint.h>
 
 #ifdef __cplusplus
@@ -20,6 +21,14 @@ void port_write(const char* text);
 __attribute__((noreturn))
 #endif
 void port_exit(int status);
+
+/* A stream of bytes from and to whoever started the program (bare metal only: QEMU's semihosting console). Receiving stops the
+ * processor until all have come. Text of port_write goes the same way. */
+void port_console_receive(void* data, size_t bytes);
+void port_console_send(const void* data, size_t bytes);
+
+/* The command line, cut to size - 1 characters; empty when there is none (bare metal only). */
+void port_command_line(char* text, size_t size);
 
 /* Starts the counter. */
 void port_counter_start(void);

@@ -20,6 +20,7 @@
 #include "lpvguard/ecu.h"
 #include "margin.hpp"
 #include "target_input.h"
+#include "text.hpp"
 #if LPVG_NK > 0
 #include "dense_controller.hpp"
 #include "lpvg_can_codec.h"
@@ -29,52 +30,34 @@ namespace {
 
 static_assert(sizeof(lpvg_real_t) == 4U, "results are compared as the bits of a float");
 
-// Text line, built without libc.
+// Line of words.
 class Line {
 public:
     Line& word(const char* text) {
-        while (*text != '\0') {
-            put(*text++);
-        }
-        put(' ');
+        text_.put(text).put(' ');
         return *this;
     }
     Line& number(uint64_t value) {
-        char digits[20];
-        std::size_t n = 0;
-        do {
-            digits[n++] = static_cast<char>('0' + static_cast<char>(value % 10U));
-            value /= 10U;
-        } while (value > 0U);
-        while (n > 0U) {
-            put(digits[--n]);
-        }
-        put(' ');
+        text_.number(value).put(' ');
         return *this;
     }
     Line& bits(float value) {
         uint32_t word = 0;
         std::memcpy(&word, &value, sizeof word);
         for (int shift = 28; shift >= 0; shift -= 4) {
-            put("0123456789abcdef"[(word >> shift) & 0xFU]);
+            text_.put("0123456789abcdef"[(word >> shift) & 0xFU]);
         }
-        put(' ');
+        text_.put(' ');
         return *this;
     }
     void write() {
-        text_[n_ - 1U] = '\n';
-        text_[n_] = '\0';
-        port_write(text_);
+        buffer_[text_.size() - 1U] = '\n';
+        port_write(buffer_);
     }
 
 private:
-    char text_[400];
-    std::size_t n_ = 0;
-    void put(char c) {
-        if (n_ + 1U < sizeof text_) {
-            text_[n_++] = c;
-        }
-    }
+    char buffer_[400];
+    Text text_{buffer_, sizeof buffer_};
 };
 
 uint32_t counts[TARGET_INPUT_SAMPLES];

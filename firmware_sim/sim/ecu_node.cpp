@@ -1,5 +1,6 @@
 #include "ecu_node.hpp"
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <csignal>
@@ -42,7 +43,13 @@ public:
         reception_.note(firmware_.ecu.supervisor, now_us);
     }
     const lpvg_ecu_t* inside() const override { return &firmware_.ecu; }
-    std::string finish() override { return reception_.json(firmware_); }
+    std::string finish() override {
+        std::array<char, TIME_LINE_TEXT_MAX> buffer;
+        Text text(buffer.data(), buffer.size());
+        reception_.write(firmware_, text.put('{'));
+        text.put('}');
+        return buffer.data();
+    }
 
 private:
     firmware_t firmware_{};
@@ -93,7 +100,7 @@ class RemoteEcu final : public EcuNode {
 public:
     RemoteEcu(const std::string& program, const std::string& interface, bool engage, CountedBus& bus) : bus_(bus) {
         int pair[2];
-        if (::socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, pair) != 0) {
+        if (::socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, pair) != 0) {
             throw std::runtime_error(std::string("socketpair: ") + std::strerror(errno));
         }
         line_ = pair[0];
@@ -132,10 +139,9 @@ public:
     const lpvg_ecu_t* inside() const override { return nullptr; }
     std::string finish() override {
         ask(-1);
-        std::string text(TIME_LINE_TEXT_MAX, '\0');
-        const ssize_t n = ::recv(line_, text.data(), text.size(), 0);
-        text.resize(n > 0 ? static_cast<std::size_t>(n) : 0);
-        return text.empty() ? "null" : text;
+        std::string text(std::min<std::size_t>(answer().frames, TIME_LINE_TEXT_MAX), '\0');
+        receive(text.data(), text.size());
+        return text;
     }
 
 private:
@@ -145,11 +151,14 @@ private:
             throw std::runtime_error("the ECU's process has ended");
         }
     }
-    time_answer_t answer() {
-        time_answer_t got{};
-        if (::recv(line_, &got, sizeof got, 0) != static_cast<ssize_t>(sizeof got)) {
+    void receive(void* data, std::size_t bytes) {
+        if (::recv(line_, data, bytes, MSG_WAITALL) != static_cast<ssize_t>(bytes)) {
             throw std::runtime_error("the ECU's process has ended");
         }
+    }
+    time_answer_t answer() {
+        time_answer_t got{};
+        receive(&got, sizeof got);
         if (got.status != static_cast<std::uint64_t>(lpvg_status_ok)) {
             throw std::logic_error("the firmware refused a tick");
         }

@@ -164,8 +164,10 @@ public:
             }
             tick(k);
         }
-        // Processor time: what one core needs, whatever else the machine does.
-        real_time_factor_ = duration_s_ * CLOCKS_PER_SEC / static_cast<double>(std::max<std::clock_t>(std::clock() - started, 1));
+        // Processor time: what one core needs, whatever else the machine does. Of an ECU elsewhere it would be the smaller part.
+        const double processor_s = static_cast<double>(std::max<std::clock_t>(std::clock() - started, 1)) / CLOCKS_PER_SEC;
+        const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - begin;
+        real_time_factor_ = duration_s_ / (ecu_.inside() != nullptr ? processor_s : elapsed.count());
     }
 
     void print(std::uint64_t seed) {

@@ -90,8 +90,9 @@ lpvg_span_t span_of(const lpvg_monitor_t& self, uint32_t first, uint32_t end) {
     return span;
 }
 
-// Adds n samples, x the first one's signals, to the sums of a bin. The phasors are turned by small angles, stored as
-// cos - 1 and sin, which keeps their relative precision in float.
+// Adds n samples, x the first one's signals, to the sums of a bin: summed among themselves first, so that the long sums,
+// beside which a sample is small, are rounded once a block. The phasors are turned by small angles, stored as cos - 1
+// and sin, which keeps their relative precision in float.
 void accumulate(lpvg_bin_t& bin, const Real* turn, const Real* taper, const Real* x, uint32_t n) {
     const bool begins = bin.n == 0U;
     if (begins) {  // not by assigning a cleared struct: small C libraries clear it byte by byte
@@ -103,8 +104,7 @@ void accumulate(lpvg_bin_t& bin, const Real* turn, const Real* taper, const Real
         bin.window[0] = Real(0.5);
         bin.phasor[1] = bin.window[1] = Real(0);
     }
-    Signals plain_re = signals(bin.sum.plain_re), plain_im = signals(bin.sum.plain_im);
-    Signals rising_re = signals(bin.sum.rising_re), rising_im = signals(bin.sum.rising_im);
+    Signals plain_re = Signals::Zero(), plain_im = plain_re, rising_re = plain_re, rising_im = plain_re;
     const Real turn_re = turn[0], turn_im = turn[1], taper_re = taper[0], taper_im = taper[1];
     Real re = bin.phasor[0], im = bin.phasor[1], window_re = bin.window[0], window_im = bin.window[1];
     for (uint32_t i = 0; i < n; ++i, x += n_signals) {
@@ -120,10 +120,10 @@ void accumulate(lpvg_bin_t& bin, const Real* turn, const Real* taper, const Real
         window_re += window_re * taper_re - window_im * taper_im;
         window_im += window_im * taper_re + window_re_before * taper_im;
     }
-    signals(bin.sum.plain_re) = plain_re;
-    signals(bin.sum.plain_im) = plain_im;
-    signals(bin.sum.rising_re) = rising_re;
-    signals(bin.sum.rising_im) = rising_im;
+    signals(bin.sum.plain_re) += plain_re;
+    signals(bin.sum.plain_im) += plain_im;
+    signals(bin.sum.rising_re) += rising_re;
+    signals(bin.sum.rising_im) += rising_im;
     bin.phasor[0] = re;
     bin.phasor[1] = im;
     bin.window[0] = window_re;

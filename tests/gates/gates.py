@@ -96,13 +96,13 @@ def firmware_warnings(tree: Path, scratch: Path) -> list[str]:
     (scratch / "target_input.h").write_text("#define TARGET_INPUT_SAMPLES 100U\n"
                                             "static const lpvg_real_t target_input[TARGET_INPUT_SAMPLES][4] = {{1.0F}};\n")
     includes = ["-I", tree / "lib" / "include", "-I", tree / "lib" / "src", "-I", tree / "lib" / "vehicles" / "truck",
-                "-I", sim / "ecu", "-I", sim / "ports", "-I", sim / "ports" / "linux", "-I", scratch]
-    jobs = [(path, compiler, []) for folder in ("ecu", "ports/host", "ports/linux", "ports/linux_ecu") for path in sorted((sim / folder).glob("*.c*"))
-            for compiler in COMPILERS]
-    jobs += [(sim / "ports" / "target_bench.cpp", compiler, []) for compiler in COMPILERS]
+                "-I", sim / "ecu", "-I", sim / "ports", "-I", sim / "ports" / "ecu_process", "-I", sim / "ports" / "linux", "-I", scratch]
+    jobs = [(path, compiler, []) for folder in ("ecu", "ports/host", "ports/ecu_process", "ports/linux", "ports/linux_ecu")
+            for path in sorted((sim / folder).glob("*.c*")) for compiler in COMPILERS]
+    jobs += [(sim / "ports" / path, compiler, []) for path in ("target_bench.cpp", "cortex_r5_ecu/main.cpp") for compiler in COMPILERS]
     jobs += [(path, "clang", cortex_m) for path in sorted((sim / "ports" / "bare_metal").glob("*.c"))]
     jobs += [(path, "clang", cortex_m) for path in sorted((sim / "ports" / "cortex_m").glob("*.c"))]
-    jobs += [(path, "clang", cortex_r) for path in sorted((sim / "ports" / "cortex_r5").glob("*.c"))]
+    jobs += [(path, "clang", cortex_r) for folder in ("cortex_r5", "cortex_r5_ecu") for path in sorted((sim / "ports" / folder).glob("*.c"))]
     findings = []
     for path, compiler, target in jobs:
         c, cxx = COMPILERS[compiler]

@@ -23,10 +23,6 @@ RELATIVE = 1e-5
 """Of the rms of the output's spectrum in the bin, E + Z: E is a small difference of two such numbers."""
 
 
-SHORTFALL = pytest.mark.xfail(strict=True, reason="the truck's DC bin, whose rms is small beside the signal, errs by 1.03e-5 at worst: "
-                              "rounding in the model's recursion")
-
-
 def chunks(project, model):
     """Pieces (k, v, u, y) of one seeded drive, rounded to float; the burst lies in the second piece."""
     rng = np.random.default_rng(8)
@@ -46,7 +42,7 @@ def chunks(project, model):
 
 
 @pytest.mark.requirement("REQ-CORE-6")
-@pytest.mark.parametrize("name", ["g80", pytest.param("truck", marks=SHORTFALL)] if FULL else ["g80"])
+@pytest.mark.parametrize("name", ["g80", "truck"])
 def test_float_follows_double_to_the_end(name, record_property):
     project = load_project(name)
     model = NominalModel(project)

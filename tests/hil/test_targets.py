@@ -76,6 +76,8 @@ def test_counts_are_within_the_budget(counted):
         assert 0 < step["worst"] <= bench.WORST_STEP
     assert step["worst"] / step["median"] <= bench.WORST_TO_MEDIAN
     assert counted["structs"]["ecu"] <= bench.RAM_BYTES
+    monitor = (targets.library_root() / "include" / "lpvguard" / "monitor.h").read_text()
+    assert int(re.search(r"^#define LPVG_NRECORDS (\d+)", monitor, re.MULTILINE)[1]) >= bench.RECORDED_FRAMES
     assert sum(counted["rom"].values()) <= bench.ROM_BYTES
     assert max(part["stack"] for part in counted["parts"].values()) <= bench.STACK_BYTES
 

@@ -191,7 +191,7 @@ def test_memory_does_not_grow_with_the_number_of_drives(tmp_path):
 
 def test_bench_names_what_there_is(lpvguard):
     done = lpvguard("bench", "nothing")
-    assert done.returncode == 2 and "can or core or fleet or synthesis or validation or weights" in done.stderr
+    assert done.returncode == 2 and "can or core or fleet or robust or synthesis or validation or weights" in done.stderr
     done = lpvguard("bench", "fleet", "--drives", 3, "--memory", "--json", "-")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["same_bytes"] is True

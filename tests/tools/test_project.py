@@ -11,7 +11,8 @@ from lpvguard.errors import InputError
 from lpvguard.nominal import NominalModel
 from lpvguard.project import load_project, shipped_vehicles
 
-TEXT = resources.files("lpvguard").joinpath("vehicles", "g80.toml").read_text()
+VEHICLES = resources.files("lpvguard").joinpath("vehicles")
+TEXT = VEHICLES.joinpath("g80.toml").read_text()
 
 
 @pytest.mark.parametrize("name", shipped_vehicles())
@@ -38,6 +39,21 @@ def test_a_bad_project_file_is_refused_by_field(tmp_path, old, new, says):
     with pytest.raises(InputError) as caught:
         load_project(path)
     assert str(path) in str(caught.value) and says.lower() in str(caught.value).lower()
+
+
+@pytest.mark.parametrize(("name", "old", "new", "says"), [
+    ("g80", "[frames]", "[design]\nA_t = 9.0\nA_u = 0.1\ninput_max = [1.0]\ninput_rate_max_per_s = [1.0]\n\n[frames]", "two outputs"),
+    ("truck", "C = [[1.0, 0.0, 0.0]", "C = [[1.0, 0.0, 1.0]", r"model\.C = \[I 0\]"),
+    ("truck", "input_max = [6.0]", "input_max = [6.0, 6.0]", r"design\.input_max: must have 1"),
+    ("truck", "input_rate_max_per_s = [40.0]", "input_rate_max_per_s = []", r"design\.input_rate_max_per_s: must have 1"),
+])
+def test_a_design_for_another_vehicle_than_that_of_fig_1_is_refused(tmp_path, name, old, new, says):
+    text = VEHICLES.joinpath(f"{name}.toml").read_text()
+    assert text.count(old) == 1
+    path = tmp_path / "car.toml"
+    path.write_text(text.replace(old, new))
+    with pytest.raises(InputError, match=says):
+        load_project(path)
 
 
 @pytest.mark.parametrize(("old", "new", "says"), [

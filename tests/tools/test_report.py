@@ -180,7 +180,7 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
                    "tests": {t: seen | {"alarms_per_hour": 0.4} for t in ("frame", "energy")}},
         "severities": rows, "invisible": rows[1:],
         "kinds": [{"kind": "brake gain", "found": shares, "matched": shares, "best": ["monitor", "nis"], "best_matched": ["nis"]}]}
-    write_report(case.stored, case.drives, case.replayer, tmp_path / "report.html", None, lambda _: None, None, summary)
+    write_report(case.stored, case.drives, case.replayer, tmp_path / "report.html", None, lambda _: None, campaign=summary)
     text = (tmp_path / "report.html").read_text()
     assert "Campaign in the closed loop" in text and "1 of 50, 0.05 to 10.65 %" in text and "lpvguard, NIS" in text
     assert "brake gain 0.7 × (mu unstable)" in text and "2.34" in text and "rms, 2 s" in text

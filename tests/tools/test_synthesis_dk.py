@@ -1,4 +1,4 @@
-"""Fig. 1's plant, D-K iteration on the paper case, and controllers as they are implemented."""
+"""Fig. 1's plant, D-K iteration on the paper case, and controllers as they are sampled."""
 
 import csv
 import json
@@ -14,8 +14,7 @@ from lpvguard.synthesis.cases import case_plant, differences, format_table, pape
 from lpvguard.synthesis.dk import Scaling, certify, dk_synthesis
 from lpvguard.synthesis.errors import SynthesisError
 from lpvguard.synthesis.hinf import hinf_synthesis
-from lpvguard.synthesis.implementation import delta_form, discretise
-from lpvguard.synthesis.interconnection import STRUCTURES, rational
+from lpvguard.synthesis.interconnection import STRUCTURES
 from lpvguard.synthesis.limits import floor_exceeds, mu_floor
 from lpvguard.synthesis.mu import mu_bounds
 from lpvguard.synthesis.statespace import StateSpace, lft, to_discrete
@@ -168,7 +167,7 @@ def test_the_files_of_a_case_hold_every_row_with_its_difference_and_no_time(case
 def test_the_worst_delta_is_stable_of_size_one_and_reaches_the_certificate(case, rows, structure, dt):
     row = rows[STRUCTURES.index(structure)]
     plant = case_plant(case, OBJECTIVE, structure, dt=dt)
-    K = discretise(row.controller, dt) if dt else row.controller
+    K = to_discrete(row.controller, dt) if dt else row.controller
     worst = worst_case(plant, K, row.result.performance.scaling)
     closed = close_delta(lft(plant.system, K), worst.delta)
     assert worst.delta.stability_margin() > 0 and closed.stability_margin() > 0
@@ -179,7 +178,7 @@ def test_the_worst_delta_is_stable_of_size_one_and_reaches_the_certificate(case,
 
 def test_away_from_dc_the_worst_delta_takes_the_phases_it_needs(case, rows):
     """At 0.3 rad/s no Δ of size 1 among many random ones raises the gain further, and its own gain is that of a complex matrix."""
-    plant, K = case_plant(case, OBJECTIVE, "K_is", dt=TS), discretise(rows[2].controller, TS)
+    plant, K = case_plant(case, OBJECTIVE, "K_is", dt=TS), to_discrete(rows[2].controller, TS)
     worst = worst_case(plant, K, rows[2].result.performance.scaling, np.array([0.3]))
     M, random = lft(plant.system, K).response([0.3])[0], np.random.default_rng(4)
     assert np.abs(worst.delta.response([0.3])[0].imag).max() > 0.1
@@ -213,14 +212,13 @@ def test_the_worst_perturbation_found_makes_the_loop_singular(case, rows):
     )
 
 
-def test_sampling_float32_and_one_sample_of_delay_keep_the_level(case, rows):
+def test_sampling_and_one_sample_of_delay_keep_the_level(case, rows):
     for row in rows[:3]:
         objective = {"A_t": row.A_t, "A_u": row.A_u}
-        K, scaling = discretise(row.result.controller, TS), row.result.performance.scaling
-        single = delta_form(K).rounded().system()
-        for controller, delay in ((K, 0), (single, 0), (single, 1)):
+        K, scaling = to_discrete(row.result.controller, TS), row.result.performance.scaling
+        for delay in (0, 1):
             plant = case_plant(case, objective, row.structure, dt=TS, delay=delay)
-            assert certify(plant, controller, scaling).upper <= row.upper * (1 + 2e-3)
+            assert certify(plant, K, scaling).upper <= row.upper * (1 + 2e-3)
 
 
 def test_a_tampered_controller_loses_its_certificate(case, rows):
@@ -251,44 +249,12 @@ def test_scaling_gradient_is_the_derivative_of_its_magnitude():
             assert np.allclose(gradient[i, j], difference, atol=1e-5)
 
 
-def test_delta_form_separates_modes_and_keeps_what_cannot_be_separated_together():
-    K = discretise(rational([1.0, 2.0, 3.0], np.poly([-0.02, -60.0, -60.0, -2.0 + 3j, -2.0 - 3j])), TS)
-    d = delta_form(K)
-    assert sum(d.sizes) == 5 and max(d.sizes) == 2  # the double pole at 60 rad/s is one block
-    mask = np.ones((5, 5), bool)
-    for first, size in zip(np.cumsum([0, *d.sizes[:-1]]), d.sizes, strict=True):
-        mask[first : first + size, first : first + size] = False
-    assert not np.any(d.F[mask])
-    omega = np.r_[0.0, np.geomspace(1e-3, 600, 50)]
-    assert np.allclose(d.system().response(omega), K.response(omega), rtol=1e-9, atol=1e-14)
-    single = d.rounded()
-    assert single.F.dtype == np.float32 and single.nonzeros == d.nonzeros
-    error = (
-        np.abs(single.system().response(omega) - K.response(omega)).max() / np.abs(K.response(omega)).max()
-    )
-    assert error < 1e-5
-
-
-def test_float32_of_the_plain_state_matrix_would_lose_the_slow_pole():
-    """Why F = A − I: the same rounding applied to A moves the DC gain of a 0.02 rad/s pole a hundred times
-    further.
-    """
-    K = to_discrete(rational([1.0], [50.0, 1.0]), TS)
-    dc = K.response([0.0])[0, 0, 0]
-    delta = delta_form(K).rounded().system().response([0.0])[0, 0, 0]
-    plain = StateSpace(K.A.astype(np.float32), K.B.astype(np.float32), K.C.astype(np.float32), K.D, TS)
-    assert abs(plain.response([0.0])[0, 0, 0] / dc - 1) > 100 * abs(delta / dc - 1)
-
-
 @pytest.mark.parametrize(
     "call, where",
     [
         (lambda c: case_plant(c, OBJECTIVE, "K_x"), "structure"),
         (lambda c: case_plant(c, OBJECTIVE, "K_i", delay=1), "delay"),
-        (lambda c: delta_form(rational([1.0], [1.0, 1.0])), "dt"),
         (lambda c: read_case("no such file"), "file"),
-        (lambda c: discretise(StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1), TS), "dt"),
-        (lambda c: delta_form(StateSpace([[0.5]], [[1e60]], [[1e60]], [[1e60]], 0.1)).rounded(), "float32"),
     ],
 )
 def test_bad_requests_are_named(case, call, where):

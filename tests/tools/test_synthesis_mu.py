@@ -139,6 +139,7 @@ def conic_upper_bound(M, blocks):
         (2, [Block("repeated_real", 1, 1), Block("repeated_real", 1, 1), full(2, 1)]),
         (3, [Block("repeated_real", 2, 2), Block("repeated_complex", 2, 2), full(1)]),
         (4, [full(1)] * 5),
+        (6, [Block("repeated_real", 4, 4), Block("repeated_real", 4, 4), full(1, 4), Block("repeated_real", 2, 2)]),
     ],
 )
 def test_the_upper_bound_is_the_infimum_over_d_and_g(seed, blocks):
@@ -147,6 +148,17 @@ def test_the_upper_bound_is_the_infimum_over_d_and_g(seed, blocks):
     assert bounds.upper == pytest.approx(conic_upper_bound(M, blocks), rel=1e-4)
     assert bounds.lower <= bounds.upper
     check_delta(M, blocks, bounds)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3])
+def test_the_lower_bound_of_real_blocks_is_the_reciprocal_of_the_size_of_delta(seed):
+    """Also where every real block ends inside its bound."""
+    blocks = [Block("repeated_real", 2, 2), Block("repeated_real", 2, 2)]
+    M = random_matrix(blocks, seed, spread=3.0)
+    bounds = mu_bounds(M, blocks)
+    check_delta(M, blocks, bounds)
+    size = max(np.linalg.norm(bounds.delta[k : k + 2, k : k + 2], 2) for k in (0, 2))
+    assert bounds.lower == pytest.approx(1 / size, rel=1e-9)
 
 
 def test_the_scalings_prove_the_upper_bound():

@@ -62,10 +62,15 @@ public:
                 in.push_back(frame);
             }
         }
+        const size_t n_in = in.size();
+        lpvg_can_frame_t behind{};  // what lies behind the frames handed over is not looked at
+        behind.id = LPVG_CAN_ERROR | LPVG_CAN_BUS_OFF;
+        behind.t_us = now_us;
+        in.push_back(behind);
         const long allocations = heap_allocations();
         lpvg_can_frame_t out[LPVG_ECU_FRAMES_OUT];
         size_t n_out = 99U;
-        REQUIRE(lpvg_ecu_step(&ecu, now_us, in.data(), in.size(), out, LPVG_ECU_FRAMES_OUT, &n_out) == lpvg_status_ok);
+        REQUIRE(lpvg_ecu_step(&ecu, now_us, in.data(), n_in, out, LPVG_ECU_FRAMES_OUT, &n_out) == lpvg_status_ok);
         CHECK(heap_allocations() == allocations);
         take(out, n_out, now_us);
         ++k;

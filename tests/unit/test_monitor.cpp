@@ -319,6 +319,27 @@ TEST_CASE("frames that do not count say why and hold nothing else", "[unit][moni
     }
 }
 
+TEST_CASE("a speed exactly on the tolerance counts", "[unit][monitor][REQ-MON-7]") {
+    // 6 and 10 m/s in turn: mean 8 and a quarter of it are exact in binary.
+    lpvg_coeff_t coeff = frames_only([](lpvg_coeff_t& c) { c.reals.speed_tolerance = Real(0.25); });
+    REQUIRE((coeff.reals.speed_min <= Real(6) && coeff.reals.speed_max >= Real(10)));
+    const Real shift = GENERATE(Real(0), Real(1), Real(-1));  // of one extreme, by an eighth: then it is beyond
+    Drive drive(coeff);
+    std::size_t counted = 0, moved = 0;
+    for (uint32_t k = 0; k < words().settle_samples + 3U * longest(); ++k) {
+        drive.speed = Real(8) + (k % 2U == 0U ? Real(2) : Real(-2));
+        drive.speed += k % 8U == (shift > Real(0) ? 0U : 1U) ? shift / Real(8) : Real(0);
+        drive.run(1U, [&](const lpvg_frame_t& frame) {
+            if (k > words().settle_samples + 2U * longest()) {
+                counted += frame.reason <= lpvg_reason_not_excited ? 1U : 0U;
+                moved += frame.reason == lpvg_reason_speed_moved ? 1U : 0U;
+            }
+        });
+    }
+    CHECK((shift < Real(0) || shift > Real(0) ? moved : counted) > 0U);
+    CHECK((shift < Real(0) || shift > Real(0) ? counted : moved) == 0U);
+}
+
 TEST_CASE("a sample that cannot be is a fault until the next good one, and restarts everything", "[unit][monitor][REQ-MON-8]") {
     const lpvg_coeff_reals_t& r = lpvg_coeff.reals;
     const Real nan = std::numeric_limits<Real>::quiet_NaN(), inf = std::numeric_limits<Real>::infinity();

@@ -8,7 +8,7 @@ extern uint32_t __stack_limit; /* of the linker script: lowest word of the stack
 static const uint32_t paint = 0xA5C3F00Du;
 static const uint32_t* painted_from; /* stack pointer when the stack was painted */
 
-static void semihosting(uint32_t operation, const void* argument)
+static uint32_t semihosting(uint32_t operation, const void* argument)
 {
     register uint32_t r0 __asm__("r0") = operation;
     register const void* r1 __asm__("r1") = argument;
@@ -17,12 +17,13 @@ static void semihosting(uint32_t operation, const void* argument)
 #else
     __asm__ volatile("svc 0x123456" : "+r"(r0) : "r"(r1) : "memory");
 #endif
+    return r0;
 }
 
 void port_write(const char* text)
 {
     const uint32_t sys_write0 = 0x04u;
-    semihosting(sys_write0, text);
+    (void)semihosting(sys_write0, text);
 }
 
 void port_exit(int status)
@@ -30,8 +31,45 @@ void port_exit(int status)
     const uint32_t sys_exit_extended = 0x20u, application_exit = 0x20026u;
     const uint32_t block[2] = {application_exit, (uint32_t)status};
     for (;;) {
-        semihosting(sys_exit_extended, block);
+        (void)semihosting(sys_exit_extended, block);
     }
+}
+
+/* SYS_READC: QEMU lays the character below the stack, and until 8.0 returns the one before it; so the memory is what counts. */
+static uint8_t console_character(void)
+{
+    register uint32_t r0 __asm__("r0") = 0x07u;
+#if __ARM_ARCH_PROFILE == 'M'
+    __asm__ volatile("bkpt 0xab\n\tldrb r0, [sp, #-1]" : "+r"(r0) : : "memory");
+#else
+    __asm__ volatile("svc 0x123456\n\tldrb r0, [sp, #-1]" : "+r"(r0) : : "memory");
+#endif
+    return (uint8_t)r0;
+}
+
+void port_console_receive(void* data, size_t bytes)
+{
+    uint8_t* to = (uint8_t*)data;
+    while (bytes-- > 0u) {
+        *to++ = console_character();
+    }
+}
+
+void port_console_send(const void* data, size_t bytes)
+{
+    const uint32_t sys_writec = 0x03u;
+    const uint8_t* from = (const uint8_t*)data;
+    while (bytes-- > 0u) {
+        (void)semihosting(sys_writec, from++);
+    }
+}
+
+void port_command_line(char* text, size_t size)
+{
+    const uint32_t sys_get_cmdline = 0x15u;
+    const uint32_t block[2] = {(uint32_t)(uintptr_t)text, size};
+    text[0] = '\0';
+    (void)semihosting(sys_get_cmdline, block);
 }
 
 /* newlib's malloc would call this. */

@@ -3,7 +3,7 @@
 //   lpvguard_ecu INTERFACE [--engage yes|no] [--time-line FD | --seconds S]
 //
 // Without --time-line it runs in real time, a tick every sample period of CLOCK_MONOTONIC, until SIGINT, SIGTERM or S seconds.
-// With it, in simulated time: FD is one end of a SOCK_SEQPACKET pair, the other is the simulator's (time_line.h).
+// With it, in simulated time: FD is one end of a socket pair (stream), the other is the simulator's (time_line.h).
 // The kernel lets through what the supervision has a rule for, any priority, and error reports. At the end the supervision's
 // counters are written as JSON (reception.hpp).
 #include <cerrno>
@@ -71,6 +71,14 @@ private:
     std::size_t n_ = 0;
 };
 
+std::string counters(const Reception& reception, const firmware_t& firmware) {
+    char buffer[TIME_LINE_TEXT_MAX];
+    Text text(buffer, sizeof buffer);
+    reception.write(firmware, text.put('{'));
+    text.put('}');
+    return buffer;
+}
+
 int complain(const std::string& what) {
     std::fprintf(stderr, "lpvguard_ecu: %s\n", what.c_str());
     return 2;
@@ -90,14 +98,18 @@ int run_on_time_line(const Options& options, const lpvg_ecu_config_t& config) {
     time_answer_t answer{};
     // The first answer says that the socket is open: what is sent from now on arrives.
     while (::send(options.time_line, &answer, sizeof answer, 0) == static_cast<ssize_t>(sizeof answer) &&
-           ::recv(options.time_line, &request, sizeof request, 0) == static_cast<ssize_t>(sizeof request) && request.now_us >= 0) {
+           ::recv(options.time_line, &request, sizeof request, MSG_WAITALL) == static_cast<ssize_t>(sizeof request) && request.now_us >= 0) {
         bus.expect(request.frames);
         answer.status = static_cast<std::uint64_t>(firmware_tick(&firmware, request.now_us));
         answer.frames = bus.take_sent();
         reception.note(firmware.ecu.supervisor, request.now_us);
     }
-    const std::string text = reception.json(firmware);
-    return ::send(options.time_line, text.data(), text.size(), 0) == static_cast<ssize_t>(text.size()) ? 0 : complain(std::strerror(errno));
+    const std::string text = counters(reception, firmware);
+    answer = {lpvg_status_ok, text.size()};
+    return ::send(options.time_line, &answer, sizeof answer, 0) == static_cast<ssize_t>(sizeof answer) &&
+                   ::send(options.time_line, text.data(), text.size(), 0) == static_cast<ssize_t>(text.size())
+               ? 0
+               : complain(std::strerror(errno));
 }
 
 int run_in_real_time(const Options& options, const lpvg_ecu_config_t& config) {
@@ -128,7 +140,7 @@ int run_in_real_time(const Options& options, const lpvg_ecu_config_t& config) {
         reception.note(firmware.ecu.supervisor, micros(now) - start_us);
     }
     socketcan_close(&driver);
-    std::printf("%s\n", reception.json(firmware).c_str());
+    std::printf("%s\n", counters(reception, firmware).c_str());
     return 0;
 }
 

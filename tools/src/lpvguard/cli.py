@@ -357,6 +357,8 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
         coefficients: Coefficients = None,
         bus: Annotated[str, typer.Option(help="What carries the CAN frames: memory, or socketcan:INTERFACE.")] = "memory",
         ecu_process: Annotated[bool, typer.Option("--ecu-process", help="Run the firmware as a process of its own (with --bus socketcan).")] = False,
+        target: Annotated[str, typer.Option(help="Whose instructions the firmware runs on: host, or cortex-r5f in QEMU with its own CAN "
+                                            "controller (with --bus socketcan).")] = "host",
         pace: Annotated[float | None, typer.Option(min=1e-3, max=1e3, help="At most so many times real time (default: as fast as it goes).")] = None,
         controller: Annotated[Literal["designed", "feedforward", "off"], typer.Option(
             help="feedforward: the command over the model's DC gain; off: never engaged.")] = "designed",
@@ -378,7 +380,8 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
             first = scenario.seed if seed is None else seed
             for number in range(first, first + seeds):
                 tell(f"{scenario.name}, seed {number}")
-                runs.append(simulator.run(scenario, seed=number, bus=bus, out=out, ecu_process=ecu_process, pace=pace, lcm=lcm))
+                runs.append(simulator.run(scenario, seed=number, bus=bus, out=out, ecu_process=ecu_process, target=target, pace=pace,
+                                          lcm=lcm))
     _emit(json_out, runs)
     if out is not None:
         # How fast this machine was belongs to nobody's results.
@@ -394,6 +397,11 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
                       f"{r['real_time_factor']:.0f}", "; ".join(r["missed"]) or "nothing")
     console.print(table)
     console.print(f"{bus} bus, controller {controller}, coefficients {simulator.folder}")
+    for r in runs:
+        if "ecu" in r:
+            ecu, counted = r["ecu"], r["ecu"]["instructions"]
+            console.print(f"{r['scenario']}: {ecu['target']}, ELF {ecu['elf_sha256'][:16]}; of {counted['ticks']} ticks the worst took {counted['worst']} "
+                          f"instructions, the mean {counted['total'] / counted['ticks']:.0f} (not cycles)")
     raise typer.Exit(1 if any(r["missed"] for r in runs) else 0)
 
 

@@ -225,6 +225,8 @@ class Project(_Strict):
             value = getattr(self.model, key)
             if value is not None and len(value) != size:
                 raise ValueError(f"model.{key}: must have {size} entries")
+        if self.design is not None:
+            self._require_vehicle_of_fig1()
         if not self.model.speed_min_mps < self.model.speed_max_mps:
             raise ValueError("model: speed_min_mps must be below speed_max_mps")
         if not self.frames.f_min_hz < self.frames.f_max_hz < 0.5 / self.Ts_s:
@@ -233,6 +235,16 @@ class Project(_Strict):
         if band is not None and not band[0] < band[1] < 0.5 / self.Ts_s:
             raise ValueError("energy_test.band_hz: low < high < half the sampling rate must hold")
         return self
+
+    def _require_vehicle_of_fig1(self) -> None:
+        """Identification and monitor take any sizes; what Fig. 1 draws, and design makes a controller for, is one vehicle."""
+        first_two = [[float(i == j) for j in range(len(self.model.A))] for i in range(2)]
+        if self.n_u != 1 or self.n_y != 2 or self.model.C != first_two:
+            raise ValueError("design: Fig. 1 has one input and two outputs, the first two states (model.C = [I 0]); got "
+                             f"{self.n_u} input(s), {self.n_y} output(s), C = {self.model.C}")
+        for key in ("input_max", "input_rate_max_per_s"):
+            if len(getattr(self.design, key)) != self.n_u:
+                raise ValueError(f"design.{key}: must have {self.n_u} entries")
 
     def of_role(self, role: str) -> list[Signal]:
         return [s for s in self.signals if s.role == role]

@@ -41,6 +41,7 @@ from .errors import InputError
 from .nominal import NominalModel
 from .project import Project, Signal, parse_project
 from .receive import EVENTS
+from .targets import EmulatedEcu, emulated_ecu
 
 Controller = Literal["designed", "feedforward", "off"]
 RECOVERY_S = 1.0
@@ -142,6 +143,7 @@ class Simulator:
     def __init__(self, folder: Path, *, controller: Controller = "designed", lcm: bool = False):
         """``lcm``: the program can publish over LCM (needs liblcm-dev and lcm-gen)."""
         self.folder, self.controller, self._lcm = Path(folder), controller, lcm
+        self._emulated: dict[str, EmulatedEcu] = {}
         manifest = artefacts.read_manifest(self.folder, "vehicle")
         if "controller" not in manifest:
             raise InputError(folder, "controller", "the vehicle has none", "a folder exported with a controller")
@@ -159,9 +161,9 @@ class Simulator:
     def ecu_program(self) -> Path:
         """lpvguard_ecu: the firmware alone, as a process on a CAN interface."""
         root, core = firmware_root(), library_root()
-        includes = [root / "ecu", root / "ports" / "linux", core / "include", core / "src", self.folder]
+        includes = [root / "ecu", root / "ports", *_ports(root), core / "include", core / "src", self.folder]
         sources = [*sorted((core / "src").glob("*.cpp")), *sorted(self.folder.glob("*.c")), *sorted((root / "ecu").glob("*.c")),
-                   *sorted((root / "ports" / "linux").glob("*.cpp")), root / "ports" / "linux_ecu" / "main.cpp"]
+                   *(s for p in _ports(root) for s in sorted(p.glob("*.cpp"))), root / "ports" / "linux_ecu" / "main.cpp"]
         try:
             with ThreadPoolExecutor() as pool:
                 flags = (*FLAGS, "-isystem", eigen_include())
@@ -170,12 +172,18 @@ class Simulator:
         except native.NativeError as error:
             raise InputError(self.folder, "compiling the ECU's program", str(error).strip(), "a C++17 compiler and Eigen 3.4") from None
 
+    def emulated(self, target: str) -> EmulatedEcu:
+        """The firmware built for an emulated processor with a CAN controller."""
+        if target not in self._emulated:
+            self._emulated[target] = emulated_ecu(target, self.folder)
+        return self._emulated[target]
+
     def _build(self, folder: Path) -> Path:
         root, core = firmware_root(), library_root()
         plant = [root / "plant" / "include", root / "plant" / "src", root / "plant" / "tool"]
-        here = [root / "sim", root / "ecu", root / "ports" / "linux", core / "include", core / "src", folder]
+        here = [root / "sim", root / "ecu", root / "ports", *_ports(root), core / "include", core / "src", folder]
         vehicle = [*sorted((core / "src").glob("*.cpp")), *sorted(folder.glob("*.c")), *sorted((root / "ecu").glob("*.c")),
-                   *sorted((root / "ports" / "linux").glob("*.cpp")),
+                   *(s for p in _ports(root) for s in sorted(p.glob("*.cpp"))),
                    *(s for s in sorted((root / "sim").glob("*.cpp")) if s.stem != "publisher_none" or not self._lcm)]
         truth = [*sorted((root / "plant" / "src").glob("*.cpp")), root / "plant" / "tool" / "arguments.cpp"]
         flags = (*FLAGS, "-isystem", eigen_include())
@@ -193,19 +201,24 @@ class Simulator:
                              "a C++17 compiler, Eigen 3.4 and libtomlplusplus-dev") from None
 
     def run(self, scenario: Scenario, *, seed: int | None = None, bus: str = "memory", out: Path | None = None,
-            ecu_process: bool = False, pace: float | None = None, lcm: str | None = None) -> dict[str, Any]:
+            ecu_process: bool = False, target: str = "host", pace: float | None = None, lcm: str | None = None) -> dict[str, Any]:
         """One run: the object of `lpvguard sim --json` (DESIGN 9). ``bus``: memory or socketcan:INTERFACE. ``ecu_process``: the
         firmware is a process of its own (needs SocketCAN; what the monitor judged is then not known, only what it reported).
+        ``target``: likewise on an emulated processor; the object then has ``ecu``: its target, ELF hash and instructions of the ticks.
         ``pace``: at most so many times real time. ``lcm``: publish there (of a simulator made with ``lcm``). ``out``: a folder for NAME-SEED.log (candump -L), .frames.csv, .telemetry.csv and .drive.csv, which `lpvguard replay` reads. Same scenario, seed and vehicle: the same bytes but
-        for real_time_factor, which is simulated time over one core's processor time."""
+        for real_time_factor, which is simulated time over one core's processor time; over elapsed time where the firmware is not in this process."""
         seed = scenario.seed if seed is None else seed
+        emulated = None if target == "host" else self.emulated(target)
+        outside = ecu_process or emulated is not None
+        if outside and not bus.startswith("socketcan:"):
+            raise InputError(bus, "bus", "joins nothing outside the simulator", "socketcan:INTERFACE")
         with tempfile.TemporaryDirectory() as scratch:
             stem = (out or Path(scratch)) / f"{scenario.name}-{seed}"
             frames = stem.with_name(stem.name + ".frames.csv")
             command = [self.program, scenario.path, "--parameters", firmware_root() / "plant" / "truck.toml", "--seed", seed, "--bus", bus,
                        "--frames", frames, "--engage", "no" if self.controller == "off" else "yes"]
-            if ecu_process:
-                command += ["--ecu", self.ecu_program]
+            if outside:
+                command += ["--ecu", self.ecu_program if emulated is None else emulated.program]
             if lcm is not None:
                 command += ["--lcm", lcm]
             if pace is not None:
@@ -215,7 +228,10 @@ class Simulator:
                 command += ["--log", f"{stem}.log", "--telemetry", f"{stem}.telemetry.csv", "--drive", f"{stem}.drive.csv"]
             facts = _execute(command, scenario.path)
             rows = np.genfromtxt(frames, delimiter=",", names=True, ndmin=1)
-        return self._result(scenario, facts, rows, ecu_process)
+        result = self._result(scenario, facts, rows, outside)
+        if emulated is not None:
+            result["ecu"] = {"target": target, "elf_sha256": emulated.elf_sha256, "instructions": facts["reception"]["instructions"]}
+        return result
 
     def drive(self, path: Path, *, seed: int | None = None) -> tuple[dict[str, Any], Drive, np.ndarray]:
         """One run of the scenario file ``path``: what happened, as the simulator prints it, the drive that its monitor saw, and
@@ -252,6 +268,11 @@ class Simulator:
                   "judged_to_invalid_s": judged, "judged_s": None if ecu_process else overlap(spans, start, facts["duration_s"]),
                   "max_margin": None if ecu_process else float(rows["margin"].max(initial=0.0)), **facts, "reception": _reception(facts["reception"])}
         return result | {"missed": list(missed(expect, result, self.project.Ts_s))}
+
+
+def _ports(root: Path) -> list[Path]:
+    """Folders of what an ECU on Linux and its simulator share."""
+    return [root / "ports" / "ecu_process", root / "ports" / "linux"]
 
 
 def _execute(command: list, scenario: Path) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import tempfile
@@ -27,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from . import native
-from .artefacts import write_files
+from .artefacts import write_file, write_files
 from .core import eigen_include, firmware_root, library_root
 from .errors import InputError
 
@@ -57,6 +58,8 @@ class Target:
     emulator: tuple[str, ...]
     elf_option: str
     monitor_input: str | None = None
+    can: tuple[str, ...] = ()
+    """Options that put the processor's CAN controller on QEMU's bus canbus0; empty where the board has none."""
 
 
 def _mps2(name: str, title: str, board: str, *cpu: str) -> Target:
@@ -71,7 +74,8 @@ TARGETS = {t.name: t for t in (
            ("-mcpu=cortex-r5", "-marm", "-mfloat-abi=hard", "-mfpu=vfpv3-d16"),
            ("qemu-system-aarch64", "-M", "xlnx-zcu102", "-smp", "5", "-m", "256M", "-icount", "shift=0", "-S",
             "-monitor", "stdio", "-global", "xlnx-zynqmp.boot-cpu=rpu-cpu[0]"),
-           "-device=loader,file={elf},cpu-num=4", R5_START))}
+           "-device=loader,file={elf},cpu-num=4", R5_START,
+           ("-object", "can-bus,id=canbus0", "-machine", "canbus0=canbus0")))}
 
 
 def missing_tools(target: Target) -> list[str]:
@@ -96,6 +100,59 @@ class Input:
                 f"static const lpvg_real_t target_input[TARGET_INPUT_SAMPLES][{rows.shape[1]}] = {{\n{text}}};\n")
 
 
+@dataclass(frozen=True)
+class Program:
+    """What runs on a target beside the core and the port: sources, folders of their headers, generated headers by name."""
+
+    name: str
+    sources: tuple[Path, ...]
+    headers: dict[str, str]
+    folders: tuple[Path, ...] = ()
+
+
+def _target(name: str) -> Target:
+    if name not in TARGETS:
+        raise InputError(name, "target", "unknown", f"one of {', '.join(TARGETS)}")
+    missing = missing_tools(TARGETS[name])
+    if missing:
+        raise InputError(f"target {name}", "", f"{', '.join(missing)} not found", f"the Debian packages {PACKAGES}")
+    return TARGETS[name]
+
+
+@dataclass(frozen=True)
+class EmulatedEcu:
+    """The firmware of one vehicle for an emulated processor: ``program`` starts it as lpvguard_ecu is started, ``elf_sha256`` says what runs."""
+
+    target: str
+    program: Path
+    elf_sha256: str
+
+
+def emulated_ecu(name: str, vehicle: Path) -> EmulatedEcu:
+    """Build the firmware (firmware_sim/ports/cortex_r5_ecu) of a generated folder, results bit for bit those of the host.
+
+    Raises InputError when tools are missing, it does not build, or the emulated machine has no CAN controller.
+    """
+    if name in TARGETS and not TARGETS[name].can:
+        raise InputError(name, "target", "QEMU's board has no CAN controller", ", ".join(["host", *(t.name for t in TARGETS.values() if t.can)]))
+    target = _target(name)
+    ports, ecu = firmware_root() / "ports", firmware_root() / "ecu"
+    here = ports / "cortex_r5_ecu"
+    program = Program("ecu", (*sorted(here.glob("*.c*")), *sorted((ports / "ecu_process").glob("*.cpp")), *sorted(ecu.glob("*.c"))), {},
+                      (here, ports / "ecu_process", ecu))
+    elf, _ = _build(target, vehicle, program, (*LANGUAGE, SAME_BITS))
+    command = " ".join(map(shlex.quote, [*target.emulator, "-display", "none", "-serial", "none", *target.can,
+                                         *target.elf_option.format(elf=elf).split("=", 1)]))
+    # Arguments: INTERFACE --engage yes|no --time-line FD. The emulator ends when the simulator does.
+    script = (f"#!/bin/sh\nexport QEMU_AUDIO_DRV=none\nexec setpriv --pdeathsig TERM {command} -chardev \"socket,id=time,fd=$5\" "
+              f"-object \"can-host-socketcan,id=can,if=$1,canbus=canbus0\" "
+              f"-semihosting-config \"enable=on,target=native,chardev=time,arg=$3\" >/dev/null <<'END'\n{target.monitor_input or ''}END\n")
+    start = elf.with_suffix(".sh")
+    write_file(start, script)
+    start.chmod(0o755)
+    return EmulatedEcu(name, start, hashlib.sha256(elf.read_bytes()).hexdigest())
+
+
 def run_target(name: str, vehicle: Path, drive: Input, *, same_bits: bool) -> dict[str, Any]:
     """Build for a target and run in QEMU; ``vehicle`` is a generated folder. ``same_bits``: results as on every other
     target; else multiply and add may be fused, which is what to count.
@@ -104,13 +161,9 @@ def run_target(name: str, vehicle: Path, drive: Input, *, same_bits: bool) -> di
     parts {name: {calls, worst, median, stack}} (instructions of one call, by the program's own counter; bytes), imports (symbols that the core's objects take from libraries) and
     results (lines). Raises InputError when tools are missing, or the program does not build or fails.
     """
-    if name not in TARGETS:
-        raise InputError(name, "target", "unknown", f"one of {', '.join(TARGETS)}")
-    target = TARGETS[name]
-    missing = missing_tools(target)
-    if missing:
-        raise InputError(f"target {name}", "", f"{', '.join(missing)} not found", f"the Debian packages {PACKAGES}")
-    elf, imports = _build(target, vehicle, drive, (*LANGUAGE, SAME_BITS) if same_bits else LANGUAGE)
+    target = _target(name)
+    program = Program("target_bench", (firmware_root() / "ports" / "target_bench.cpp",), {"target_input.h": drive.header()})
+    elf, imports = _build(target, vehicle, program, (*LANGUAGE, SAME_BITS) if same_bits else LANGUAGE)
     command = [*target.emulator, "-display", "none", "-serial", "none", "-semihosting-config", "enable=on,target=native",
                *target.elf_option.format(elf=elf).split("=", 1)]
     # Semihosting writes to standard error; standard output is the monitor's.
@@ -152,31 +205,31 @@ def _sources(vehicle: Path) -> tuple[list[Path], list[Path]]:
     return sorted((library_root() / "src").glob("*.cpp")), sorted(Path(vehicle).glob("*.c"))
 
 
-def _build(target: Target, vehicle: Path, drive: Input, language: tuple[str, ...]) -> tuple[Path, list[str]]:
+def _build(target: Target, vehicle: Path, program: Program, language: tuple[str, ...]) -> tuple[Path, list[str]]:
     """The ELF, from the cache when nothing has changed, and the symbols that the core's objects leave to libraries."""
     ports, core, vehicle = firmware_root() / "ports", library_root(), Path(vehicle)
     port = ports / target.port
     core_sources, vehicle_sources = _sources(vehicle)
     # The linker scripts tell the core's objects by these prefixes.
     sources = {**{f"core_{p.stem}": p for p in core_sources}, **{f"vehicle_{p.stem}": p for p in vehicle_sources},
-               **{f"port_{p.stem}": p for p in (ports / "target_bench.cpp", ports / "bare_metal" / "bare_metal.c",
+               **{f"port_{p.stem}": p for p in (*program.sources, ports / "bare_metal" / "bare_metal.c",
                                                 *sorted(port.glob("*.c")), *sorted(port.glob("*.S")))}}
-    header = drive.header()
     flags = (*target.cpu, *language, *WARNINGS, "-ffunction-sections", "-fdata-sections")
     key = hashlib.sha256()
     version = subprocess.run(["arm-none-eabi-gcc", "--version"], capture_output=True, text=True, check=True).stdout
-    for text in (version, *flags, *CXX, header):
+    for text in (version, *flags, *CXX, *program.headers.values()):
         key.update(text.encode() + b"\0")
-    for path in (*sources.values(), port / target.linker_script, *sorted(ports.glob("*.h*")), *sorted(vehicle.glob("*.h")),
+    for path in (*sources.values(), port / target.linker_script, *sorted(ports.glob("*.h*")),
+                 *(h for folder in program.folders for h in sorted(folder.glob("*.h*"))), *sorted(vehicle.glob("*.h")),
                  *sorted((core / "include").rglob("*.h")), *sorted((core / "src").glob("*.hpp"))):
         key.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
-    stem = native.cache_dir() / f"target_bench_{target.name}-{key.hexdigest()[:24]}"
+    stem = native.cache_dir() / f"{program.name}_{target.name}-{key.hexdigest()[:24]}"
     elf, symbols = stem.with_suffix(".elf"), stem.with_suffix(".imports")
     if not (elf.is_file() and symbols.is_file()):
         with tempfile.TemporaryDirectory(prefix="build", dir=stem.parent) as scratch:
             folder = Path(scratch)
-            write_files(folder, {"target_input.h": header})
-            includes = [f"-I{p}" for p in (core / "include", core / "src", vehicle, ports, folder)]
+            write_files(folder, program.headers)
+            includes = [f"-I{p}" for p in (core / "include", core / "src", vehicle, ports, folder, *program.folders)]
 
             def compile_one(item: tuple[str, Path]) -> Path:
                 name, source = item

@@ -30,6 +30,7 @@ from ..weights import Weight
 WORST_STEP = 8000          # instructions, Cortex-M4F, everything included
 WORST_TO_MEDIAN = 1.3
 RAM_BYTES = 8192
+RECORDED_FRAMES = 4        # in that RAM, at least
 ROM_BYTES = 32768
 STACK_BYTES = 2048
 DENSE_TO_CONTROLLER = 5.0  # instructions of a step with full matrices (firmware_sim/ports/dense_controller.hpp), same scheduling

@@ -1,9 +1,9 @@
 """H∞-optimal output feedback with a certificate, continuous and discrete, regular and singular problems.
 
 Two coupled Riccati equations (Glover & Doyle 1988; Zhou, Doyle & Glover 1996, section 17.1: general D11)
-decide whether a level γ can be reached; a search on γ brackets the optimum; the controller is the central one
-at a level a little above it, and the norm reported for it is that of the true closed loop on the plant as
-given.
+decide whether a level γ can be reached. The search on γ starts from what single frequencies allow, most often the
+optimum of a weighted problem, and else brackets it; the controller is the central one at a level a little above
+it, and the norm reported for it is that of the true closed loop on the plant as given.
 
 Singular problems (D12 or D21 without full rank, zeros on the imaginary axis) are solved, not refused. The
 optimum comes from exact reduction: a control direction without direct cost moves the states it drives at no
@@ -18,13 +18,14 @@ largest power of ten whose certified norm is close enough.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg as sl
 
 from lpvguard.synthesis.errors import SynthesisError
-from lpvguard.synthesis.norms import NormBracket, hinf_norm
+from lpvguard.synthesis.norms import NormBracket, axis_frequencies, hinf_norm
 from lpvguard.synthesis.statespace import (
     EPS,
     StateSpace,
@@ -41,6 +42,7 @@ AXIS_COST = (
 )
 MAX_WORK = 1000  # controllers tried times states: bounds the time of a problem whose optimum is out of reach
 STIFF = 1e4  # a Hamiltonian this much larger than the plant's A has lost digits to nearly free controls
+LIMIT_RTOL = 1e-4  # rounding allowed for in the bound of a single frequency
 GAMMA_RTOL = 1e-6  # width of the bracket of a regular problem's optimum
 
 
@@ -137,6 +139,43 @@ class _Side:
         except np.linalg.LinAlgError:
             return None
         return found and _Riccati(self.basis @ found.X @ self.basis.T, found.definite)
+
+    @cached_property
+    def _closed(self) -> StateSpace | None:
+        """[G11 G12] from [w; v] to z with an LQ gain closed (u = F x + v); None where there is none."""
+        F = _stabilising_gain(self.A, self.B2) if len(self.A) and self.B2.size and not self.axis else None
+        if F is None:
+            return None
+        B, D = np.hstack([self.B1, self.B2]), np.hstack([self.D11, self.D12])
+        return StateSpace(self.A + self.B2 @ F, B, self.C1 + self.D12 @ F, D)
+
+    def frequency_bound(self, level: float | None = None) -> float:
+        """A level that full information does not go below: max over frequencies of σ̄ of the part of G11(jω) that no
+        v cancels through G12(jω).
+
+        The frequencies: DC and those of the poles, or, with a ``level``, those where the bound may cross it (axis
+        eigenvalues of the Hamiltonian) and the points between them. 0 where no gain closes the loop.
+        """
+        G = self._closed
+        if G is None:
+            return 0.0
+        if level is None:
+            omega = np.abs(np.concatenate([[0.0], np.linalg.eigvals(self.A), G.poles()]))
+        else:
+            try:
+                H = _balance_hamiltonian(_hamiltonian(self, level))[0]
+            except np.linalg.LinAlgError:  # the level is that of D11 itself
+                return 0.0
+            omega = axis_frequencies(H, np.linalg.norm(self.A, 2))
+        response = G.response(np.unique(omega))
+        response = response[np.isfinite(response).all(axis=(1, 2))]
+        known, free = np.split(response, [self.B1.shape[1]], axis=2)
+        size = np.linalg.norm(free, axis=1, keepdims=True)
+        U, sigma, _ = np.linalg.svd(free / np.where(size > 0, size, 1), full_matrices=False)
+        sure = sigma[:, -1] > 1e-5  # near a zero the range of G12 is rounding
+        U, known = U[sure], known[sure]
+        rest = known - U @ (U.conj().swapaxes(1, 2) @ known)
+        return float(np.linalg.norm(rest, 2, axis=(1, 2)).max(initial=0.0))
 
 
 def hinf_synthesis(
@@ -687,12 +726,21 @@ class _Problem:
         return gamma > self.floor and _above_one(self.coupling(gamma))
 
     def optimum(self, rtol: float, guess: float | None = None) -> float:
-        """The infimum of reachable γ, to ``rtol``: a bracket that grows from ``guess``, then secant steps."""
-        scale = max(self.floor, 1e-3)
-        start, growth = (max(guess, self.floor * (1 + rtol)), 1 + 20 * rtol) if guess else (max(2 * self.floor, 1.0), 10.0)
-        value = self.coupling(start)
+        """The infimum of reachable γ, to ``rtol``: what single frequencies allow where that is reached, else a bracket
+        that grows from there or from ``guess``, then secant steps.
+        """
+        limit, value = self._frequency_limit(rtol)
+        floor, floor_value = limit, value
         if _above_one(value):
-            high, high_value, low, low_value = start, value, self.floor, None
+            if not self.reached(limit * (1 - LIMIT_RTOL)):
+                return limit
+            floor, floor_value = self.floor, None
+        scale = max(self.floor, 1e-3)
+        start, growth = max(limit, guess or 0.0) or 1.0, 1 + 20 * rtol if guess else 10.0
+        if start > limit:
+            value = self.coupling(start)
+        if _above_one(value):
+            high, high_value, low, low_value = start, value, floor, floor_value
             while low < high / growth:
                 trial = high / growth
                 value = self.coupling(trial)
@@ -701,7 +749,7 @@ class _Problem:
                     break
                 high, high_value, growth = trial, value, growth**2 if guess else growth
                 if high < 1e-12 * scale:
-                    return self.floor
+                    return floor
             if low == 0.0:
                 return 0.0
         else:
@@ -721,6 +769,24 @@ class _Problem:
                         "modes on the stability limit given a small damping, and signals of order one",
                     )
         return self._narrow(rtol, low, low_value, high, high_value)
+
+    def _frequency_limit(self, rtol: float) -> tuple[float, float | None]:
+        """A level ``rtol`` above the largest bound of a single frequency, and the ``coupling`` there.
+
+        While a Riccati equation has no solution, the axis eigenvalues of its Hamiltonian show frequencies of a larger
+        bound, if one exists (as in Bruinsma & Steinbuch 1990).
+        """
+        sides = self.control, self.filter
+        bound, level, value = max(self.floor, *(side.frequency_bound() for side in sides)), 0.0, None
+        for _ in range(20):
+            if bound <= level:
+                break
+            level = bound * (1 + rtol)
+            value = self.coupling(level)
+            if value is not None:
+                break
+            bound = max(side.frequency_bound(level) for side in sides)
+        return level, value
 
     def _narrow(self, rtol, low, low_value, high, high_value) -> float:
         """Secant steps on γ²/ρ − 1 in log γ, guarded by bisection, until high/low ≤ 1 + rtol."""

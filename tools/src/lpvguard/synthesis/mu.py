@@ -116,12 +116,24 @@ class _Structure:
                     skew.append(G)
         self.left, self.right = np.array(left), np.array(right)
         self.skew = np.array(skew) if skew else np.zeros((0, self.n_cols, self.n_rows), complex)
-        self._skew_norm = np.sum(np.abs(self.skew) ** 2, axis=(1, 2))
         self.complex_only = all(b.kind != "repeated_real" for b in blocks)
 
-    def coordinates(self, G) -> np.ndarray:
-        """Coefficients of ``G`` in the (orthogonal) basis ``skew``."""
-        return np.real(np.sum(self.skew.conj() * G, axis=(1, 2))) / self._skew_norm
+    def coordinates(self, D, G) -> np.ndarray:
+        """Coefficients of ``D`` in the (orthogonal) basis ``right`` and of ``G`` in ``skew``."""
+        parts = [
+            np.real(np.sum(basis.conj() * value, axis=(1, 2))) / np.sum(np.abs(basis) ** 2, axis=(1, 2))
+            for basis, value in ((self.right, D), (self.skew, G))
+        ]
+        return np.concatenate(parts)
+
+    def magnitude(self, G) -> tuple[np.ndarray, np.ndarray]:
+        """|G| = (G²)^½ in the places of D_left and of D_right."""
+        left, right = np.zeros((self.n_rows,) * 2, complex), np.zeros((self.n_cols,) * 2, complex)
+        for b, r, c in zip(self.blocks, self.row, self.col, strict=True):
+            if b.kind == "repeated_real":
+                values, vectors = np.linalg.eigh(G[c, r])
+                left[r, r] = right[c, c] = vectors * np.abs(values) @ vectors.conj().T
+        return left, right
 
 
 def _hermitian_basis(n: int) -> list[np.ndarray]:
@@ -160,9 +172,9 @@ def _upper_bound(M, structure, rtol):
     """β, the infimum's lower bound, factors L of D_left and D_right (D = L Lᴴ) and G by the method of
     centres.
 
-    After each centre its D is absorbed into the matrix (N ← Lᴴ N L⁻ᴴ, D = L Lᴴ), so that the next one starts
-    from D = I in well-scaled coordinates even where the infimum is approached by ever worse conditioned
-    scalings.
+    After each centre its D + |G| is absorbed into the matrix (N ← Lᴴ N L⁻ᴴ, D + |G| = L Lᴴ), so that the next one
+    starts in well-scaled coordinates even where the infimum is approached by ever worse conditioned scalings; D
+    alone would leave an ever larger G where a real block's D vanishes beside it.
     """
     d = _balance(M, structure)
     left = np.diag(
@@ -175,18 +187,18 @@ def _upper_bound(M, structure, rtol):
     G = np.zeros((structure.n_cols, structure.n_rows), complex)
     if size == 0:
         return 0.0, 0.0, left, right, G
-    unit = np.array([np.real(np.trace(E)) > 0.5 for E in structure.right], dtype=float)
     trace = np.concatenate(
         [np.real(np.trace(structure.left, axis1=1, axis2=2)), np.zeros(len(structure.skew))]
     )
-    n_d = len(unit)
+    n_d = len(structure.left)
+    D_left, D_right = np.eye(structure.n_rows, dtype=complex), np.eye(structure.n_cols, dtype=complex)
     level, best, infimum, kept = 1.1, np.inf, 0.0, None
     for _ in range(300):
         N = left.conj().T @ M @ np.linalg.inv(right.conj().T) / size
         quad = N.conj().T @ structure.left @ N
         skew = 1j * (structure.skew @ N)
         skew = skew + np.conj(np.swapaxes(skew, 1, 2))
-        x = np.concatenate([unit, structure.coordinates(G)])
+        x = structure.coordinates(D_right, G)
         F = np.concatenate([level * structure.right - quad, -skew])
         try:
             x, Z = _centre(x, F, structure, trace)
@@ -194,32 +206,38 @@ def _upper_bound(M, structure, rtol):
             break
         D_left, D_right = (np.tensordot(x[:n_d], basis, 1) for basis in (structure.left, structure.right))
         infimum = max(infimum, level - _dual_gap(x, Z, structure, trace))
-        L, R = np.linalg.cholesky(D_left), np.linalg.cholesky(D_right)
+        G = np.tensordot(x[n_d:], structure.skew, 1)
+        G_left, G_right = structure.magnitude(G)
+        L, R = np.linalg.cholesky(D_left + G_left), np.linalg.cholesky(D_right + G_right)
         left, right = left @ L, right @ R
-        G = np.linalg.inv(R) @ np.tensordot(x[n_d:], structure.skew, 1) @ np.linalg.inv(L).conj().T
-        value = _level(M, left, right, G, size)
+        L, R = np.linalg.inv(L), np.linalg.inv(R)
+        D_left, D_right, G = L @ D_left @ L.conj().T, R @ D_right @ R.conj().T, R @ G @ L.conj().T
+        value = _level(M, left, right, D_left, D_right, G, size)
         if value < best:
-            best, kept = value, (left, right, G)
-        left, right, G = kept
-        if best <= infimum * (1 + 2 * rtol) or best < 1e-14 or level - best < 1e-13 * level:
+            best, kept = value, (left, right, D_left, D_right, G)
+        left, right, D_left, D_right, G = kept
+        if best <= infimum * (1 + 2 * rtol) or best < 1e-14 or level - best < 1e-3 * rtol * level:
             break
         level = best + 0.05 * (level - best)
-    left, right, G = kept
+    left, right, D_left, D_right, G = kept
     return (
         size * np.sqrt(max(best, 0.0)),
         size * np.sqrt(max(infimum, 0.0)),
-        left,
-        right,
+        left @ np.linalg.cholesky(D_left),
+        right @ np.linalg.cholesky(D_right),
         size * right @ G @ left.conj().T,
     )
 
 
-def _level(M, left, right, G, size) -> float:
+def _level(M, left, right, D_left, D_right, G, size) -> float:
     """β² (in units of size²) that the scalings prove, rounding of the large terms that cancel included."""
-    N = left.conj().T @ M @ np.linalg.inv(right.conj().T) / size
+    inverse = np.linalg.inv(right.conj().T)
+    N = left.conj().T @ M @ inverse / size
     GN = 1j * (G @ N)
-    terms = np.linalg.norm(N) ** 2 + 2 * np.linalg.norm(GN)
-    return float(np.linalg.eigvalsh(N.conj().T @ N + GN + GN.conj().T)[-1]) + 8 * np.finfo(float).eps * terms
+    terms = np.linalg.norm(np.abs(left).T @ np.abs(M) @ np.abs(inverse)) / size
+    rounding = 8 * np.finfo(float).eps * terms * (np.linalg.norm(N) + 2 * np.linalg.norm(G))
+    W = N.conj().T @ D_left @ N + GN + GN.conj().T + rounding * np.eye(len(D_right))
+    return float(sl.eigvalsh(W, D_right)[-1])
 
 
 def _centre(x, F, structure, trace):
@@ -525,9 +543,16 @@ def _make_singular(M, structure, parts):
     for vary in _free_parameters(structure, parts):
         for start in np.linalg.eigvals(M @ vary(0.0)):
             value, delta = _make_real(M, vary, start)
+            # a Δ whose blocks all lie inside their bounds is smaller than 1/value
+            value = 1 / _size(structure, delta) if value > 0 else 0.0
             if value > best:
                 best, found = value, delta
     return best, found
+
+
+def _size(structure, delta) -> float:
+    """max_i σ̄(Δ_i)."""
+    return max(np.linalg.norm(delta[c, r], 2) for r, c in zip(structure.row, structure.col, strict=True))
 
 
 def _free_parameters(structure, parts):

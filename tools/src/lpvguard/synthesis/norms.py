@@ -82,9 +82,16 @@ def _crossings(H: StateSpace, level: float) -> np.ndarray:
     R = np.eye(D.shape[1]) - D.T @ D
     F = np.linalg.solve(R, np.hstack([D.T @ C, B.T]))
     hamiltonian = np.block([[A, np.zeros((n, n))], [-C.T @ C, -A.T]]) + np.vstack([B, -C.T @ D]) @ F
+    return axis_frequencies(hamiltonian, np.linalg.norm(A, 2))
+
+
+def axis_frequencies(hamiltonian: np.ndarray, scale: float) -> np.ndarray:
+    """Frequencies of eigenvalues that lie on or near the imaginary axis, DC, and the points between them; empty when
+    there are none. ``scale``: ‖A‖ of the system.
+    """
     eigenvalues = np.linalg.eigvals(hamiltonian)
     # an eigenvalue of an n-fold near-defective cluster moves by about sqrt(eps) times the matrix norm
-    near = np.abs(eigenvalues.real) <= 1e-3 * np.abs(eigenvalues) + 1e2 * EPS * np.linalg.norm(A, 2)
+    near = np.abs(eigenvalues.real) <= 1e-3 * np.abs(eigenvalues) + 1e2 * EPS * scale
     cross = np.unique(np.abs(eigenvalues.imag[near]))
     if cross.size == 0:
         return cross

@@ -1,7 +1,8 @@
-/* time_line.h -- how a simulator leads an ECU process through simulated time, over a SOCK_SEQPACKET pair.
+/* time_line.h -- how a simulator leads an ECU of its own, a process or an emulated processor, through simulated time: over a stream of
+ * bytes that go both ways, numbers as both processors have them (little-endian).
  *
  * Time is what a bus does not carry: here comes one request a tick, and its answer when everything that the tick sends is on the
- * bus. The counts let each side wait for frames that the kernel has not handed over yet. */
+ * bus. The counts let each side wait for frames that are still on their way. The ECU begins, with an answer that says it hears. */
 #ifndef LPVGUARD_TIME_LINE_H
 #define LPVGUARD_TIME_LINE_H
 
@@ -14,7 +15,7 @@ typedef struct time_request_t {
 
 typedef struct time_answer_t {
     uint64_t status; /* lpvg_status_t */
-    uint64_t frames; /* sent by the ECU in this tick */
+    uint64_t frames; /* sent by the ECU in this tick; of the last answer: bytes of the text that follows */
 } time_answer_t;
 
 enum { TIME_LINE_TEXT_MAX = 16384 };

@@ -1,0 +1,65 @@
+// main.cpp -- the ECU's firmware on the emulated Cortex-R5F (QEMU xlnx-zcu102): its own CAN controller, led through simulated time.
+//
+// The time line (time_line.h) is the semihosting console: a read of it stops the processor until the host has written, so that an
+// emulated ECU that waits takes no time of the PC's. The command line is "yes" or "no": engage or not. At the end the supervision's
+// counters and the instructions of the ticks are written as JSON: by the processor's own counter, of firmware_tick alone.
+#include "can0.h"
+#include "firmware.h"
+#include "port.h"
+#include "reception.hpp"
+#include "time_line.h"
+
+namespace {
+
+firmware_t firmware;
+can0_t can;
+char text[TIME_LINE_TEXT_MAX];
+
+struct Instructions {
+    std::uint64_t calls = 0, total = 0;
+    std::uint32_t worst = 0;
+
+    void take(std::uint32_t n) {
+        ++calls;
+        total += n;
+        worst = n > worst ? n : worst;
+    }
+};
+
+void answer(std::uint64_t status, std::uint64_t frames) {
+    const time_answer_t out = {status, frames};
+    port_console_send(&out, sizeof out);
+}
+
+}  // namespace
+
+int main() {
+    bus_t bus;
+    can0_open(&can, &bus);
+    char engage[4];
+    port_command_line(engage, sizeof engage);
+    lpvg_ecu_config_t config = firmware_config;
+    config.engage = engage[0] == 'y';
+    lpvg_status_t status = firmware_init(&firmware, &bus, &config, 0);
+    port_counter_start();
+    Reception reception;
+    Instructions instructions;
+    answer(status, 0U);
+    time_request_t request;
+    for (port_console_receive(&request, sizeof request); request.now_us >= 0; port_console_receive(&request, sizeof request)) {
+        can0_await(&can, request.frames);
+        const std::uint64_t sent = can.sent;
+        const std::uint32_t begin = port_counter();
+        status = firmware_tick(&firmware, request.now_us);
+        instructions.take(port_instructions(begin, port_counter()));
+        answer(status, can.sent - sent);
+        reception.note(firmware.ecu.supervisor, request.now_us);
+    }
+    Text out(text, sizeof text);
+    reception.write(firmware, out.put('{'));
+    out.put(", \"instructions\": {\"ticks\": ").number(instructions.calls).put(", \"total\": ").number(instructions.total);
+    out.put(", \"worst\": ").number(instructions.worst).put("}}");
+    answer(lpvg_status_ok, out.size());
+    port_console_send(text, out.size());
+    return 0;
+}
