@@ -318,6 +318,17 @@ def test_zero_in_one_unit_does_not_hide_a_size_in_another():
     assert 0.1 < s.lower <= t.min() * (1 + 1e-9) and s.upper == pytest.approx(t.min(), rel=1e-4)
 
 
+@pytest.mark.parametrize("block_type", ["repeated_real", "repeated_complex"])
+def test_a_repeated_block_without_freedom_is_recovered(block_type):
+    for seed in range(4):
+        problem, nu, w = made_from_truth(
+            np.random.default_rng(seed), 3, [(block_type, 1, 1)], p12=True, n_w=2
+        )
+        s = lft.optimum(problem, 2 * np.linalg.norm(w), [1.0])
+        substitute(problem, s)
+        assert s.nu[0] == pytest.approx(nu[0], rel=1e-9), "M is square: one explanation"
+
+
 @pytest.mark.parametrize("weight", [1e4, 1e12, 1e26])
 def test_a_weight_on_one_block_does_not_hide_the_cost_of_another(weight):
     problem, _, _ = made_from_truth(np.random.default_rng(0), 2, [("full", 2, 2), ("full", 2, 2)], gain=0.0)

@@ -448,19 +448,20 @@ class _Quadratic:
         if not deltas:
             return z, None
         # Rows of a block in units of its own: sizes of blocks may be 1e10 apart.
-        rows = []
+        rows, terms = [], []
         for k, d in deltas.items():
             f = self.forms[k]
-            unit = np.linalg.norm(f.a) + abs(d) * np.linalg.norm(f.b)
-            rows.append((f.a - d * f.b) / (unit if unit > 0.0 else 1.0))
-        rows = np.vstack(rows)
+            unit = (np.linalg.norm(f.a) + abs(d) * np.linalg.norm(f.b)) or 1.0
+            rows.append((f.a - d * f.b) / unit)
+            terms.append((np.abs(f.a) + abs(d) * np.abs(f.b)) / unit)  # a and d b may cancel
+        rows, terms = np.vstack(rows), np.vstack(terms)
         left, right = rows[:, :-1], -rows[:, -1]
         fix, *_ = np.linalg.lstsq(left, right - left @ z[:-1], rcond=RANK_TOLERANCE)
         z = np.append(z[:-1] + fix, 1.0)
-        if np.linalg.norm(rows @ z) > 1e-9 * np.linalg.norm(np.abs(rows) @ np.abs(z)):
+        if np.linalg.norm(rows @ z) > 1e-9 * np.linalg.norm(terms @ np.abs(z)):
             return None, None
         _, s, vh = np.linalg.svd(left)
-        rank = int(np.sum(s > RANK_TOLERANCE * s[0]))
+        rank = int(np.sum(s > RANK_TOLERANCE * s.max(initial=0.0)))
         return z, vh[rank:].conj().T
 
     def repair(self, z: np.ndarray) -> np.ndarray | None:
