@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import importlib
+import json
 import shutil
 import struct
 import subprocess
 import sys
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,7 @@ from lpvguard.sim import Simulator, load_scenario
 
 LCM = Path(__file__).resolve().parents[2] / "firmware_sim" / "lcm"
 SYNC = 0xEDA1DA01
+VERDICTS = ("unknown", "valid", "invalid", "not_judged", "stale", "fault")
 
 
 @pytest.fixture(scope="module")
@@ -65,3 +68,66 @@ def test_the_loop_publishes_truth_guard_and_supervision(types, truck_folder, tmp
     assert counted["missed"] == want["missed"] and want["accepted"] - counted["accepted"] < 10 and vdc2.state == 2
     assert last.messages == 6 and not last.bus_off and all(v > 10 for v in (t.speed for t in decoded["LPVGUARD_TRUTH"]))
     assert any(s.trouble_spn == 1808 for s in decoded["LPVGUARD_SUPERVISION"])  # yaw rate, while its message is lost
+
+
+SCENARIO = """
+title = "two processes and a logger"
+duration_s = 6.0
+[plant]
+speed_profile = [[0.0, 15.0]]
+[command]
+kind = "multisine"
+spacing = "log"
+low_radps = 0.5
+high_radps = 4.0
+rms_radps = 0.08
+[[can_fault]]
+message = "VDC2"
+kind = "lost"
+start_s = 4.0
+end_s = 4.2
+[expect]
+verdict = "any"
+supervision = "live"
+"""
+# $1: folder, the rest: the loop. A logger hears nothing from before it was up.
+RECORD_AND_REPLAY = """
+url=udpm://239.255.76.67:7667?ttl=0
+lcm-logger --quiet --force --lcm-url=$url "$1/recorded.lcm" & logger=$!
+sleep 2
+"${@:2}" --lcm $url || [ $? = 1 ]
+sleep 1; kill -INT $logger; wait $logger || true
+lcm-logger --quiet --force --lcm-url=$url "$1/replayed.lcm" & logger=$!
+sleep 2
+lcm-logplayer --lcm-url=$url "$1/recorded.lcm" >&2
+sleep 1; kill -INT $logger; wait $logger || true
+"""
+
+
+def test_two_processes_on_vcan_recorded_and_replayed_give_the_same_verdicts(types, truck_folder, tmp_path):
+    """Truck and firmware as two processes on a real vcan0, telemetry by multicast on lo: what lcm-logger wrote, and what a second one
+    heard when lcm-logplayer played it, say the verdicts and the supervision that the run reports."""
+    if shutil.which("lcm-logplayer") is None:
+        pytest.skip("lcm-logplayer not found: install liblcm-bin")
+    (tmp_path / "loop.toml").write_text(SCENARIO)
+    assert Simulator(truck_folder, lcm=True).ecu_program.is_file()  # compiled here, and not on the one processor of the guest
+    root = LCM.parents[1]
+    done = subprocess.run([str(w) for w in (root / "tools" / "with-vcan", "env", f"PYTHONPATH={root / 'tools/src'}", "bash", "-euc", RECORD_AND_REPLAY,
+                                            "replay", tmp_path, sys.executable, "-m", "lpvguard.cli", "sim", tmp_path / "loop.toml", "--coefficients",
+                                            truck_folder, "--bus", "socketcan:vcan0", "--ecu-process", "--pace", 2, "--json", "-")],
+                          capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    (run,) = json.loads(done.stdout)
+    assert [s for _, s in run["supervision"]].count("live") == 2
+
+    def changes(path: Path, field: str, names: tuple[str, ...]):
+        said = [types.guard_t.decode(data) for channel, data in events(path) if channel == "LPVGUARD_GUARD"]
+        assert [g.utime for g in said] == list(range(0, 6_000_000, 10_000)), "nothing lost"
+        firsts = [next(group) for _, group in groupby(said, key=lambda g: getattr(g, field))]
+        return [[g.utime * 1e-6, names[getattr(g, field)]] for g in firsts]
+
+    for name in ("recorded", "replayed"):
+        path = tmp_path / f"{name}.lcm"
+        for field, names, want in (("verdict", VERDICTS, run["verdicts"]), ("supervision", ("off", "hold", "live"), run["supervision"])):
+            got = changes(path, field, names)
+            assert [v for _, v in got] == [v for _, v in want] and np.allclose([t for t, _ in got], [t for t, _ in want])

@@ -99,6 +99,46 @@ def test_gamma_agrees_with_a_conic_solver(seed, shape):
     check_certificate(plant, 2, 2, result)
 
 
+def random_plant(seed):
+    """Regular, of order 4 to 13, with direct terms from w to z in every second one."""
+    rng = np.random.default_rng(seed)
+    n = 4 + seed
+    D = np.zeros((6, 6))
+    D[:4, :4] = 0.3 * rng.standard_normal((4, 4)) * (seed % 2)
+    D[2:4, 4:], D[4:, 2:4] = 0.1 * np.eye(2), 0.1 * np.eye(2)
+    A = rng.standard_normal((n, n)) / np.sqrt(n) - (1 + 0.5 * (seed % 3)) * np.eye(n)
+    return StateSpace(A, rng.standard_normal((n, 6)), rng.standard_normal((6, n)), D)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_the_bound_of_single_frequencies_saves_time_and_changes_nothing(seed, monkeypatch):
+    plant = random_plant(seed)
+    result = hinf_synthesis(plant, 2, 2)
+    check_certificate(plant, 2, 2, result)
+    monkeypatch.setattr(hinf._Side, "frequency_bound", lambda self, level=None: 0.0)
+    assert result.gamma == pytest.approx(hinf_synthesis(plant, 2, 2).gamma, rel=3e-6)
+
+
+def test_an_optimum_set_by_one_frequency_takes_few_riccati_equations(monkeypatch):
+    """A resonant disturbance's peak, off the frequencies of the poles: γ = σ̄ there, found without a search."""
+    plant = weighted_sensitivity(rational([1.0], [1.0, 3.0, 5.0]), rational([2.0, 4.0], [1.0, 1.2, 9.0]))
+    C, D = np.insert(plant.C, 1, 0.0, axis=0), np.insert(plant.D, 1, [0.0, 1.0], axis=0)
+    plant, calls, coupling = StateSpace(plant.A, plant.B, C, D), [], hinf._Problem.coupling
+    monkeypatch.setattr(
+        hinf._Problem, "coupling", lambda self, gamma: calls.append(gamma) or coupling(self, gamma)
+    )
+    result = hinf_synthesis(plant, 1, 1)
+    check_certificate(plant, 1, 1, result)
+    assert len(calls) <= 6
+
+
+def test_a_wrong_bound_of_a_single_frequency_is_found_out(monkeypatch):
+    plant = random_plant(3)
+    want = hinf_synthesis(plant, 2, 2).gamma
+    monkeypatch.setattr(hinf._Side, "frequency_bound", lambda self, level=None: 1.5 * want)
+    assert hinf_synthesis(plant, 2, 2).gamma == pytest.approx(want, rel=3e-6)
+
+
 def weighted_sensitivity(G, W):
     """z = W (w − G u), y = w − G u: no cost on u at all, so D12 = 0."""
     n, k = G.order, W.order
@@ -123,6 +163,15 @@ def test_a_zero_on_the_imaginary_axis_sets_gamma_by_interpolation():
     assert result.gamma == pytest.approx(3.0, rel=1e-3)
     assert any("imaginary axis" in note for note in result.notes)
     check_certificate(plant, 1, 1, result)
+
+
+def test_a_level_near_the_floor_of_the_direct_terms_is_not_taken_for_reached():
+    """G(3j) = 0 makes S(3j) = 1, far above what D11 allows: γ ≥ |[W(3j); 0.3]|."""
+    W = rational([0.3, 1.0], [1.0, 0.1])
+    plant = weighted_sensitivity(rational([1.0, 0.0, 9.0], np.poly([-1.0, -2.0, -3.0])), W)
+    C, D = np.insert(plant.C, 1, 0.0, axis=0), np.insert(plant.D, 1, [0.3, 0.0], axis=0)
+    result = hinf_synthesis(StateSpace(plant.A, plant.B, C, D), 1, 1)
+    assert result.gamma >= np.hypot(0.3, abs(W.response([3.0])[0, 0, 0])) * (1 - 1e-4)
 
 
 def wide_plant(seed=1, slow=2e-5, fast=500.0):

@@ -139,7 +139,8 @@ def conic_upper_bound(M, blocks):
         (2, [Block("repeated_real", 1, 1), Block("repeated_real", 1, 1), full(2, 1)]),
         (3, [Block("repeated_real", 2, 2), Block("repeated_complex", 2, 2), full(1)]),
         (4, [full(1)] * 5),
-        (6, [Block("repeated_real", 4, 4), Block("repeated_real", 4, 4), full(1, 4), Block("repeated_real", 2, 2)]),
+        (5, [Block("repeated_real", 3, 3), Block("repeated_real", 2, 2)]),
+        (6, [Block("repeated_real", 3, 3), Block("repeated_real", 2, 2)]),
     ],
 )
 def test_the_upper_bound_is_the_infimum_over_d_and_g(seed, blocks):

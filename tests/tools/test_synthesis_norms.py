@@ -43,6 +43,16 @@ def test_the_bracket_of_a_discrete_system_is_that_of_its_tustin_image():
     assert np.isclose(discrete.peak_frequency, 40 * np.arctan(continuous.peak_frequency / 40), rtol=1e-3)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_the_bracket_reaches_over_the_rounding_of_a_loop_near_instability(seed):
+    """Damping of 2⁻⁴² in coordinates whose entries are of order one: each is known to 2⁻⁵² only."""
+    damping = 2.0**-42
+    G = StateSpace([[-damping, 1.0], [-1.0, -damping]], np.eye(2), np.eye(2), np.zeros((2, 2)))
+    bracket = hinf_norm(G.transformed(np.random.default_rng(seed).standard_normal((2, 2))))
+    assert bracket.upper >= 1 / damping
+    assert hinf_norm(G).upper <= 1.01 / damping
+
+
 def test_unstable_and_marginal_systems_have_no_norm():
     assert hinf_norm(StateSpace([[0.1]], [[1.0]], [[1.0]], [[0.0]])).upper == np.inf
     assert hinf_norm(StateSpace([[0.0]], [[1.0]], [[1.0]], [[0.0]])).upper == np.inf

@@ -1,8 +1,10 @@
 // Acceptance of coefficients: every status that coeff.h and status.h document, provoked.
 #include <catch2/catch.hpp>
 
+#include <algorithm>
 #include <cstring>
 #include <functional>
+#include <iterator>
 #include <limits>
 #include <string>
 #include <vector>
@@ -175,6 +177,17 @@ TEST_CASE("values at the edge of what is allowed are accepted", "[unit][coeff][R
         c.words.frame_length[LPVG_NBINS - 1] = 2U * (LPVG_NLATENCY + 1U);
         c.words.cycles[LPVG_NBINS - 1] = LPVG_NLATENCY;
         c.words.varying_entry[0] = LPVG_NENTRIES - 1;
+        const auto small = Real(1e-6);  // what has to be positive has no other lower end
+        c.reals.speed_min = c.reals.speed_tolerance = c.reals.threshold = small;
+        c.reals.energy_threshold = Real(1);
+        for (std::size_t b = 0; b < LPVG_NBINS; ++b) {
+            c.reals.W_delta[b] = c.reals.scale[b] = small;
+            std::fill(std::begin(c.reals.B_w[b]), std::end(c.reals.B_w[b]), small);
+        }
+        for (std::size_t j = 0; j < LPVG_NY; ++j) {
+            c.reals.energy_scale[j] = small;
+            c.reals.energy_start[j] = Real(0);
+        }
     });
     CHECK(lpvg_coeff_check(&coeff) == lpvg_status_ok);
 }

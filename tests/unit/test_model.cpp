@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <cstring>
 
 #include "golden_model.hpp"
 #include "lpvguard/model.h"
@@ -30,7 +31,8 @@ lpvg_model_t started() {
     for (std::size_t j = 0; j < LPVG_NY; ++j) {
         y[j] = static_cast<Real>(golden::first_output[0][j]);
     }
-    lpvg_model_t model{};
+    lpvg_model_t model;
+    std::memset(&model, 0xFF, sizeof model);  // NaN: whatever a start leaves as it was spoils the outputs
     lpvg_model_start(&model, &lpvg_coeff, Inputs(0).u, y);
     return model;
 }
@@ -47,6 +49,16 @@ bool same_entries(const lpvg_model_t& a, const lpvg_model_t& b) {
 }
 
 }  // namespace
+
+TEST_CASE("a start leaves nothing of what the memory held", "[unit][model][REQ-MOD-1]") {
+    const lpvg_model_t model = started();
+    CHECK(std::equal(std::begin(model.entry), std::end(model.entry), std::begin(lpvg_coeff.reals.base)));
+    for (const auto& past : model.past) {
+        for (const Real u : past) {
+            CHECK(std::isfinite(u));
+        }
+    }
+}
 
 TEST_CASE("the recursion follows the exact zero-order hold, delay included", "[unit][model][REQ-MOD-1]") {
     double size[LPVG_NY] = {};

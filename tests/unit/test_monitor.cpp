@@ -319,6 +319,18 @@ TEST_CASE("frames that do not count say why and hold nothing else", "[unit][moni
     }
 }
 
+TEST_CASE("the ends of the scheduling range belong to it", "[unit][monitor][REQ-MON-7]") {
+    Drive drive;
+    drive.speed = GENERATE(lpvg_coeff.reals.speed_min, lpvg_coeff.reals.speed_max);
+    drive.settle();
+    std::size_t frames = 0;
+    drive.run(longest(), [&](const lpvg_frame_t& frame) {
+        ++frames;
+        CHECK(frame.reason <= lpvg_reason_not_excited);
+    });
+    CHECK(frames > 0U);
+}
+
 TEST_CASE("a speed exactly on the tolerance counts", "[unit][monitor][REQ-MON-7]") {
     // 6 and 10 m/s in turn: mean 8 and a quarter of it are exact in binary.
     lpvg_coeff_t coeff = frames_only([](lpvg_coeff_t& c) { c.reals.speed_tolerance = Real(0.25); });
@@ -501,6 +513,10 @@ TEST_CASE("falsifying frames queue up in order; those beyond the queue are count
         CHECK(record.t_end_us == falsified[i].t_end_us);
         CHECK(record.bin == LPVG_NBINS - 1);
         CHECK(record.margin == falsified[i].margin);
+        CHECK(record.statistic == falsified[i].statistic);
+        CHECK(record.evidence == falsified[i].evidence);
+        CHECK(record.falsified);
+        CHECK(record.test == lpvg_test_frame);
         CHECK(record.E[LPVG_NY - 1][1] == falsified[i].E[LPVG_NY - 1][1]);
         CHECK(record.Z[LPVG_NY - 1][1] == falsified[i].Z[LPVG_NY - 1][1]);
         CHECK(record.speed == Approx(static_cast<double>(cruise())).epsilon(1e-5));

@@ -351,7 +351,7 @@ def replay(vehicle: Vehicle,
     raise typer.Exit(2 if failed else 1 if any(r["alarms"] for r in done) else 0)
 
 
-@app.command(epilog="Example: lpvguard sim nominal yaw_sign --json -")
+@app.command(epilog="Examples: lpvguard sim nominal yaw_sign --json -\n\ntools/with-vcan lpvguard sim nominal --bus socketcan:vcan0 --target cortex-r5f")
 def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, or paths to scenario files (*.toml).")],
         vehicle: Annotated[str, typer.Option("--vehicle", help="Shipped vehicle with a controller.")] = "truck",
         coefficients: Coefficients = None,

@@ -736,7 +736,11 @@ class _Problem:
                 return limit
             floor, floor_value = self.floor, None
         scale = max(self.floor, 1e-3)
-        start, growth = max(limit, guess or 0.0) or 1.0, 1 + 20 * rtol if guess else 10.0
+        start, growth = limit, 10.0
+        if guess:
+            start, growth = max(guess, limit * (1 + rtol)), 1 + 20 * rtol
+        elif limit == self.floor:
+            start = max(2 * limit, 1.0)
         if start > limit:
             value = self.coupling(start)
         if _above_one(value):
@@ -777,11 +781,13 @@ class _Problem:
         bound, if one exists (as in Bruinsma & Steinbuch 1990).
         """
         sides = self.control, self.filter
-        bound, level, value = max(self.floor, *(side.frequency_bound() for side in sides)), 0.0, None
+        bound, level, value = max(side.frequency_bound() for side in sides), self.floor, None
+        if self.axis or bound * (1 - LIMIT_RTOL) <= level:  # near the floor rounding hides what is reached
+            return level, None
         for _ in range(20):
             if bound <= level:
                 break
-            level = bound * (1 + rtol)
+            level = bound * (1 + min(rtol, GAMMA_RTOL))  # the finer one costs no more
             value = self.coupling(level)
             if value is not None:
                 break
