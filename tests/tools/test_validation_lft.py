@@ -318,6 +318,35 @@ def test_zero_in_one_unit_does_not_hide_a_size_in_another():
     assert 0.1 < s.lower <= t.min() * (1 + 1e-9) and s.upper == pytest.approx(t.min(), rel=1e-4)
 
 
+@pytest.mark.parametrize("block_type", ["repeated_real", "repeated_complex"])
+def test_a_repeated_block_without_freedom_is_recovered(block_type):
+    for seed in range(4):
+        problem, nu, w = made_from_truth(
+            np.random.default_rng(seed), 3, [(block_type, 1, 1)], p12=True, n_w=2
+        )
+        s = lft.optimum(problem, 2 * np.linalg.norm(w), [1.0])
+        substitute(problem, s)
+        assert s.nu[0] == pytest.approx(nu[0], rel=1e-9), "M is square: one explanation"
+
+
+@pytest.mark.parametrize("weight", [1e4, 1e12, 1e26])
+def test_a_weight_on_one_block_does_not_hide_the_cost_of_another(weight):
+    problem, _, _ = made_from_truth(np.random.default_rng(0), 2, [("full", 2, 2), ("full", 2, 2)], gain=0.0)
+    gamma = 0.3 * np.linalg.norm(problem.e)
+    second = Lft(
+        problem.blocks[1:],
+        problem.p11[2:, 2:],
+        problem.p12[2:],
+        problem.p21[:, 2:],
+        problem.p22,
+        problem.eta0[2:],
+        problem.e,
+    )
+    alone, s = lft.optimum(second, gamma, [1.0]), lft.optimum(problem, gamma, [weight, 1.0])
+    # The first block becomes too dear to use: what is left is the problem without it.
+    assert s.lower <= alone.upper and s.upper >= alone.lower * (1 - 2e-3)
+
+
 @pytest.mark.parametrize("unit", [1.0, 1e-5])
 def test_the_last_block_is_zero_only_where_a_zero_was_found(unit):
     # The least-squares point breaks the real block, so the search starts without a cost to compare zero with.
@@ -454,6 +483,18 @@ def test_a_size_at_the_cap_is_never_returned_as_a_bound():
         assert solution.nu[0] < 0.1
     assert not lft.well_posed(problem, np.array([0.1]))
     assert lft.well_posed(problem, np.array([0.0999]))
+
+
+@pytest.mark.parametrize("block_type", ["full", "repeated_complex", "repeated_real"])
+def test_well_posedness_is_that_of_the_structure(block_type):
+    # delta P11 is singular at 1 / delta = an eigenvalue: 2j for any scalar, 0.5 for a real one, |P11| for a full block.
+    turn = np.linalg.qr(gauss(np.random.default_rng(3), 3, 3))[0]
+    p11 = turn @ np.array([[2j, 4.0, 0.0], [0.0, 0.5, 3.0], [0.0, 0.0, 0.1]]) @ turn.conj().T
+    cap = {"full": 1 / np.linalg.norm(p11, 2), "repeated_complex": 0.5, "repeated_real": 2.0}[block_type]
+    zero, one = np.zeros((3, 3), complex), np.ones(3, complex)
+    problem = Lft((Block(block_type, 3, 3),), p11, zero, np.eye(3) + zero, np.eye(3) + zero, one, one)
+    assert lft.well_posed(problem, np.array([0.98 * cap]))
+    assert not lft.well_posed(problem, np.array([1.0001 * cap]))
 
 
 def test_a_block_without_input_cannot_explain():

@@ -176,7 +176,8 @@ def parametrise(problem: Lft) -> Parametrisation:
 class _Form:
     """|a z|^2 <= (constant + sizes[param]) slope |b z|^2, and for a repeated block a z = delta b z as well.
 
-    ``param`` -1: the constant alone; inf when a repeated block has no bound (its own cap is infinite).
+    ``param`` -1: the constant alone; inf when a repeated block has no bound (its own cap is infinite). ``parts``: the
+    signals that a is stacked from, when there are several.
     """
 
     a: np.ndarray
@@ -185,6 +186,7 @@ class _Form:
     param: int = -1
     slope: float = 1.0
     repeated: str | None = None
+    parts: tuple[np.ndarray, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -232,7 +234,10 @@ def _cancels(a: np.ndarray, z: np.ndarray) -> bool:
     return bool(np.linalg.norm(a @ z) <= CANCELLED * np.linalg.norm(np.abs(a) @ np.abs(z)))
 
 
-def _gram(left: np.ndarray, basis: np.ndarray, right: np.ndarray) -> np.ndarray:
+def _gram(left: np.ndarray, right: np.ndarray, basis: np.ndarray | None) -> np.ndarray:
+    """left^* B right for each B of ``basis`` (m, r, r), m forms; None: the identity alone."""
+    if basis is None:
+        return (left.conj().T @ right)[None]
     return np.einsum("ia,kij,jb->kab", left.conj(), basis, right)
 
 
@@ -315,22 +320,19 @@ class _Quadratic:
             r = f.a.shape[0] if f.repeated else 1
             basis = lmi.hermitian_basis(r) if f.repeated else None
 
-            def gram(left, right, basis=basis):
-                return _gram(left, basis, right) if basis is not None else (left.conj().T @ right)[None]
-
             if k in boxes and f.param in self._boxed:
-                aa, bb = gram(f.a, f.a), gram(f.b, f.b)
+                aa, bb = _gram(f.a, f.a, basis), _gram(f.b, f.b, basis)
                 add("psd", r, aa - boxes[k].most ** 2 * bb, 0.0 * bb, -1)
             elif np.isfinite(f.constant):
-                aa, bb = gram(f.a, f.a), f.slope * gram(f.b, f.b)
+                aa, bb = _gram(f.a, f.a, basis), f.slope * _gram(f.b, f.b, basis)
                 add("psd", r, aa - f.constant * bb, bb if f.param >= 0 else 0.0 * bb, f.param)
             if f.repeated == "repeated_real":
-                cross = 1j * gram(f.a, f.b)
+                cross = 1j * _gram(f.a, f.b, basis)
                 add("free", r, cross + cross.conj().transpose(0, 2, 1), 0.0 * cross, -1)
             if k in boxes:
                 box = boxes[k]
-                d, bb = f.a - box.centre * f.b, gram(f.b, f.b)
-                add("psd", r, gram(d, d) - box.radius**2 * bb, 0.0 * bb, -1)
+                d, bb = f.a - box.centre * f.b, _gram(f.b, f.b, basis)
+                add("psd", r, _gram(d, d, basis) - box.radius**2 * bb, 0.0 * bb, -1)
         return np.array(q0), np.array(level), np.array(param), lmi.cone(groups)
 
     def lower(self, node: _Node, cutoff: float):
@@ -446,19 +448,20 @@ class _Quadratic:
         if not deltas:
             return z, None
         # Rows of a block in units of its own: sizes of blocks may be 1e10 apart.
-        rows = []
+        rows, terms = [], []
         for k, d in deltas.items():
             f = self.forms[k]
-            unit = np.linalg.norm(f.a) + abs(d) * np.linalg.norm(f.b)
-            rows.append((f.a - d * f.b) / (unit if unit > 0.0 else 1.0))
-        rows = np.vstack(rows)
+            unit = (np.linalg.norm(f.a) + abs(d) * np.linalg.norm(f.b)) or 1.0
+            rows.append((f.a - d * f.b) / unit)
+            terms.append((np.abs(f.a) + abs(d) * np.abs(f.b)) / unit)  # a and d b may cancel
+        rows, terms = np.vstack(rows), np.vstack(terms)
         left, right = rows[:, :-1], -rows[:, -1]
         fix, *_ = np.linalg.lstsq(left, right - left @ z[:-1], rcond=RANK_TOLERANCE)
         z = np.append(z[:-1] + fix, 1.0)
-        if np.linalg.norm(rows @ z) > 1e-9 * np.linalg.norm(np.abs(rows) @ np.abs(z)):
+        if np.linalg.norm(rows @ z) > 1e-9 * np.linalg.norm(terms @ np.abs(z)):
             return None, None
         _, s, vh = np.linalg.svd(left)
-        rank = int(np.sum(s > RANK_TOLERANCE * s[0]))
+        rank = int(np.sum(s > RANK_TOLERANCE * s.max(initial=0.0)))
         return z, vh[rank:].conj().T
 
     def repair(self, z: np.ndarray) -> np.ndarray | None:
@@ -681,8 +684,11 @@ class _Quadratic:
         """A point that needs no size at all, when there is one: the optimum is then exactly zero."""
         if any(f.repeated and f.param < 0 for f in self.forms):
             return None
-        # Each form in units of its own: xi and w may be 1e14 apart, and one must not hide in the other's rounding.
-        wanted = [f.a / (np.linalg.norm(f.a) or 1.0) for f in self.forms if f.param >= 0]
+        # Each signal in units of its own: xi and w may be 1e14 apart, or their weights, and one must not hide in the
+        # other's rounding.
+        wanted = [
+            a / (np.linalg.norm(a) or 1.0) for f in self.forms if f.param >= 0 for a in f.parts or (f.a,)
+        ]
         rows = np.vstack([np.zeros((0, self._n)), *wanted])
         left = rows[:, :-1]
         theta, *_ = np.linalg.lstsq(left, -rows[:, -1], rcond=RANK_TOLERANCE)
@@ -1006,7 +1012,7 @@ class _Posed:
                 problem.source,
                 "nu",
                 f"{np.array2string(nu, precision=6)} is at or above the well-posedness cap "
-                f"(single blocks: {caps}): an allowed Delta makes the LFT singular",
+                f"(single full blocks: {caps}): no certificate that every allowed Delta keeps the LFT regular",
                 "sizes below the cap",
             )
         verification = verify(problem.blocks, problem.matrices, problem.e, w, xi, nu)
@@ -1029,7 +1035,8 @@ def well_posed(problem: Lft, nu: np.ndarray) -> bool:
     """Certified: no Delta of the structure with ||Delta_i|| <= nu_i makes I - P11 Delta singular.
 
     First by the spectral radius of the matrix of block norms, then by the S-procedure on |xi_i| <= nu_i |(P11
-    xi)_i|.
+    xi)_i| with the multipliers of each block's structure: a matrix for a repeated scalar, and one more for a
+    real one (the D-G scalings of mu).
     """
     nu = np.asarray(nu, dtype=float)
     etas = split(problem.blocks, problem.p11, "cols")
@@ -1041,16 +1048,21 @@ def well_posed(problem: Lft, nu: np.ndarray) -> bool:
     live = [i for i, b in enumerate(nu) if b > 0.0]
     xi = split(problem.blocks, np.eye(problem.p11.shape[1], dtype=complex), "rows")
     keep = np.concatenate([np.argmax(np.abs(xi[i]), axis=1) for i in live])
-    forms = [
-        (xi[i].conj().T @ xi[i] - nu[i] ** 2 * etas[i].conj().T @ etas[i])[np.ix_(keep, keep)] for i in live
-    ]
-    scale = [np.max(np.abs(f)) for f in forms]
-    level = lmi.maximise_level(
-        np.array([f / s for f, s in zip(forms, scale, strict=True)]),
-        lmi.cone([("psd", 1)] * len(forms)),
-        absolute=1e-10,
-    )
-    return level.x > 0.0
+    forms, groups = [], []
+    for i in live:
+        block = problem.blocks[i]
+        basis = lmi.hermitian_basis(block.rows) if block.repeated else None
+        a, b = xi[i][:, keep], nu[i] * etas[i][:, keep]
+        pieces = [("psd", _gram(a, a, basis) - _gram(b, b, basis))]
+        if block.type == "repeated_real":
+            cross = 1j * _gram(a, b, basis)
+            pieces.append(("free", cross + cross.conj().transpose(0, 2, 1)))
+        for kind, piece in pieces:
+            forms.extend(piece / (np.max(np.abs(piece)) or 1.0))
+            groups.append((kind, block.rows if block.repeated else 1))
+    forms = np.array(forms)
+    level = lmi.maximise_level(forms, lmi.cone(groups), absolute=1e-10)
+    return level.x > lmi.rounding(level.y, forms)
 
 
 def _block_form(posed: _Posed, i: int, **bound) -> _Form:
@@ -1113,7 +1125,7 @@ def optimum(problem: Lft, gamma_w: float, lambda_nu, lambda_w=None, *, gap: floa
         elif block.repeated:
             forms.append(_block_form(posed, i, constant=block_caps(problem)[i] ** 2))
     if quadratic:
-        forms.append(_Form(np.vstack(quadratic), posed.t, param=params))
+        forms.append(_Form(np.vstack(quadratic), posed.t, param=params, parts=tuple(quadratic)))
         params += 1
     quadratic_problem = _Quadratic(forms, max(params, 1), posed.n)
     interval = (
