@@ -43,6 +43,7 @@ AXIS_COST = (
 MAX_WORK = 1000  # controllers tried times states: bounds the time of a problem whose optimum is out of reach
 STIFF = 1e4  # a Hamiltonian this much larger than the plant's A has lost digits to nearly free controls
 LIMIT_RTOL = 1e-4  # rounding allowed for in the bound of a single frequency
+CANCELLED = 1e-9  # share of G11 at a frequency below which what v leaves of it is rounding
 GAMMA_RTOL = 1e-6  # width of the bracket of a regular problem's optimum
 
 
@@ -175,7 +176,8 @@ class _Side:
         sure = sigma[:, -1] > 1e-5  # near a zero the range of G12 is rounding
         U, known = U[sure], known[sure]
         rest = known - U @ (U.conj().swapaxes(1, 2) @ known)
-        return float(np.linalg.norm(rest, 2, axis=(1, 2)).max(initial=0.0))
+        size, whole = (np.linalg.norm(M, 2, axis=(1, 2)) for M in (rest, known))
+        return float(size[size > CANCELLED * whole].max(initial=0.0))
 
 
 def hinf_synthesis(
@@ -730,20 +732,19 @@ class _Problem:
 
     def optimum(self, rtol: float, guess: float | None = None) -> float:
         """The infimum of reachable γ, to ``rtol``: what single frequencies allow where that is reached, else a bracket
-        that grows from there or from ``guess``, then secant steps.
+        from above it or around ``guess``, then secant steps.
+
+        From above, because far below the optimum the Riccati equations are rounding and may seem to be solved.
         """
         limit, value = self._frequency_limit(rtol)
-        floor, floor_value = limit, value
+        floor, floor_value, start = limit, value, max(2 * limit, 1.0)
         if _above_one(value):
             if not self.reached(limit * (1 - LIMIT_RTOL)):
                 return limit
-            floor, floor_value = self.floor, None
-        scale = max(self.floor, 1e-3)
-        start, growth = limit, 10.0
+            floor, floor_value, start = self.floor, None, limit
+        scale, growth = max(self.floor, 1e-3), 10.0
         if guess:
             start, growth = max(guess, limit * (1 + rtol)), 1 + 20 * rtol
-        elif limit == self.floor:
-            start = max(2 * limit, 1.0)
         if start > limit:
             value = self.coupling(start)
         if _above_one(value):
