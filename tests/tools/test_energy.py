@@ -199,7 +199,7 @@ def test_opposite_errors_under_one_nominal_output_are_caught_by_the_joint_form_o
     """e = (z, -z) against yhat = (z, z): each output alone passes W_delta = 1.05, no common Delta explains both."""
     document = load_project("truck").model_dump(by_alias=True)
     document["model"]["C"] = [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
-    document["name"] = "twins"
+    document["name"], document["design"] = "twins", None  # Fig. 1 draws other outputs
     project = parse_project(document, "twins")
     model = NominalModel(project)
     estimator = Estimator.of(project, model)
