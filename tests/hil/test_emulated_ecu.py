@@ -14,38 +14,14 @@ import pytest
 
 from lpvguard import targets
 from lpvguard.errors import InputError
-from lpvguard.sim import load_scenario, shipped_scenarios
+from lpvguard.sim import can_fault_table, load_scenario, shipped_scenarios, steady_scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
 R5F = targets.TARGETS["cortex-r5f"]
-SHORT = """
-title = "lost and off the bus"
-duration_s = 6.0
-[plant]
-speed_profile = [[0.0, 15.0]]
-[command]
-kind = "multisine"
-spacing = "log"
-low_radps = 0.5
-high_radps = 4.0
-rms_radps = 0.08
-[[can_fault]]
-message = "VDC2"
-kind = "lost"
-start_s = 3.0
-end_s = 3.2
-[[can_fault]]
-message = "VDC2"
-kind = "bus_off"
-start_s = 4.05
-end_s = 4.15
-[expect]
-verdict = "any"
-supervision = "reacts"
-fault_start_s = 3.0
-within_periods = 5
-"""
+SHORT = steady_scenario(6.0, can_fault_table("VDC2", "lost", 3.0, 3.2) + can_fault_table("VDC2", "bus_off", 4.05, 4.15),
+                        title="lost and off the bus",
+                        expect='verdict = "any"\nsupervision = "reacts"\nfault_start_s = 3.0\nwithin_periods = 5')
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ import pytest
 
 from lpvguard.can.catalogue import load_catalogue
 from lpvguard.receive import EVENTS
-from lpvguard.sim import Simulator, load_scenario
+from lpvguard.sim import Simulator, can_fault_table, load_scenario, steady_scenario
 
 LCM = Path(__file__).resolve().parents[2] / "firmware_sim" / "lcm"
 SYNC = 0xEDA1DA01
@@ -70,26 +70,7 @@ def test_the_loop_publishes_truth_guard_and_supervision(types, truck_folder, tmp
     assert any(s.trouble_spn == 1808 for s in decoded["LPVGUARD_SUPERVISION"])  # yaw rate, while its message is lost
 
 
-SCENARIO = """
-title = "two processes and a logger"
-duration_s = 6.0
-[plant]
-speed_profile = [[0.0, 15.0]]
-[command]
-kind = "multisine"
-spacing = "log"
-low_radps = 0.5
-high_radps = 4.0
-rms_radps = 0.08
-[[can_fault]]
-message = "VDC2"
-kind = "lost"
-start_s = 4.0
-end_s = 4.2
-[expect]
-verdict = "any"
-supervision = "live"
-"""
+SCENARIO = steady_scenario(6.0, can_fault_table("VDC2", "lost", 4.0, 4.2), title="two processes and a logger")
 # $1: folder, the rest: the loop. A logger hears nothing from before it was up.
 RECORD_AND_REPLAY = """
 url=udpm://239.255.76.67:7667?ttl=0

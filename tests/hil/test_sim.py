@@ -13,28 +13,11 @@ import numpy as np
 import pytest
 
 from lpvguard.errors import InputError
-from lpvguard.sim import Expectation, Simulator, load_scenario, missed, shipped_scenarios
+from lpvguard.sim import Expectation, Simulator, can_fault_table, load_scenario, missed, shipped_scenarios, steady_scenario
 
 SEEDS = (1, 2)
 WITH_VCAN = Path(__file__).resolve().parents[2] / "tools" / "with-vcan"
 MESSAGE_PERIODS = {"VDC2": 0.01, "GUARD_IN": 0.01, "EBC2": 0.1}
-
-PLANT = """
-title = "test"
-duration_s = {duration}
-[plant]
-speed_profile = [[0.0, 15.0]]
-[command]
-kind = "multisine"
-spacing = "log"
-low_radps = 0.5
-high_radps = 4.0
-rms_radps = 0.05
-{more}
-[expect]
-verdict = "any"
-supervision = "live"
-"""
 
 
 @pytest.fixture
@@ -43,14 +26,18 @@ def scenario(tmp_path):
 
     def write(duration: float, more: str = ""):
         path = tmp_path / "scenario.toml"
-        path.write_text(PLANT.format(duration=duration, more=more))
+        path.write_text(small_steps(duration, more))
         return load_scenario(str(path))
 
     return write
 
 
-def can_fault(message: str, kind: str, more: str = "") -> str:
-    return f'[[can_fault]]\nmessage = "{message}"\nkind = "{kind}"\nstart_s = 5.0\nend_s = 10.0\n{more}\n'
+def small_steps(duration: float, more: str = "") -> str:
+    return steady_scenario(duration, more, rms_radps=0.05)
+
+
+def can_fault(message: str, kind: str, **more: float) -> str:
+    return can_fault_table(message, kind, 5.0, 10.0, **more)
 
 
 @pytest.mark.parametrize("name", shipped_scenarios())
@@ -94,15 +81,19 @@ def test_feedforward_runs_on_the_same_seeds(truck_folder, simulator):
 
 
 def test_a_profile_is_followed_and_its_faults_are_named(simulator, tmp_path):
-    multisine = PLANT[PLANT.index('kind = "multisine"'):PLANT.index("{more}")]
-    text = PLANT.replace(multisine, 'kind = "profile"\nknots = {knots}\n')
     path = tmp_path / "profile.toml"
-    path.write_text(text.format(duration=10, more="", knots="[[1.0, 0.01], [3.0, 0.05], [3.5, -0.02]]"))
+    steady = small_steps(10)
+    multisine = steady[steady.index('kind = "multisine"'):steady.index("\n[expect]")]
+
+    def write(knots: str) -> None:
+        path.write_text(steady.replace(multisine, f'kind = "profile"\nknots = {knots}\n'))
+
+    write("[[1.0, 0.01], [3.0, 0.05], [3.5, -0.02]]")
     simulator.run(load_scenario(str(path)), out=tmp_path)
     rows = np.genfromtxt(tmp_path / "profile-1.telemetry.csv", delimiter=",", names=True)
     np.testing.assert_allclose(rows["command_radps"], np.interp(rows["t_s"], [1.0, 3.0, 3.5], [0.01, 0.05, -0.02]), atol=1e-9)
     for knots in ("[]", "[[0.0]]", "[[1.0, 0.0], [1.0, 0.1]]", "[[0.0, 0.9]]", "3.0"):
-        path.write_text(text.format(duration=10, more="", knots=knots))
+        write(knots)
         with pytest.raises(InputError, match="command.knots"):
             simulator.run(load_scenario(str(path)))
 
@@ -110,7 +101,7 @@ def test_a_profile_is_followed_and_its_faults_are_named(simulator, tmp_path):
 @pytest.mark.parametrize("message", MESSAGE_PERIODS)
 @pytest.mark.parametrize("kind", ["lost", "delayed"])
 def test_a_needed_message_that_stops_is_missed_within_5_periods(simulator, scenario, message, kind):
-    run = simulator.run(scenario(15.0, can_fault(message, kind, "delay_s = 1.0" if kind == "delayed" else "")))
+    run = simulator.run(scenario(15.0, can_fault(message, kind, **({"delay_s": 1.0} if kind == "delayed" else {}))))
     left = next(t for t, state in run["supervision"] if t > 1.0 and state != "live")
     assert 5.0 <= left <= 5.0 + 5 * MESSAGE_PERIODS[message]
     assert run["supervision"][-1][1] == "live" and run["trouble_codes"][1][1]["spn"] != 0
@@ -123,7 +114,7 @@ def test_corrupted_protected_frames_are_never_used(simulator, scenario):
 
 
 def test_single_losses_are_bridged(simulator, scenario):
-    run = simulator.run(scenario(15.0, can_fault("VDC2", "lost", "probability = 0.1")))
+    run = simulator.run(scenario(15.0, can_fault("VDC2", "lost", probability=0.1)))
     assert [state for _, state in run["supervision"]] == ["off", "live"]
 
 
@@ -160,11 +151,11 @@ def test_a_bus_that_does_not_exist_is_refused(simulator, scenario, bus):
     (("title", "titel"), "titel"),
     (("[expect]", can_fault("VDC2", "stuck_counter") + "[expect]"), "only GUARD_IN has a counter"),
     (("[expect]", can_fault("VDC2", "lots") + "[expect]"), "can_fault.kind"),
-    (("[expect]", can_fault("VDC2", "lost", "delay_s = 1.0") + "[expect]"), "can_fault.delay_s"),
+    (("[expect]", can_fault("VDC2", "lost", delay_s=1.0) + "[expect]"), "can_fault.delay_s"),
 ])
 def test_bad_scenarios_are_refused_by_field(simulator, tmp_path, change, says):
     path = tmp_path / "bad.toml"
-    path.write_text(PLANT.format(duration=5, more="").replace(*change))
+    path.write_text(small_steps(5).replace(*change))
     with pytest.raises(InputError, match=says):
         simulator.run(load_scenario(str(path)))
 
@@ -203,7 +194,7 @@ def test_the_command_writes_json_and_its_status_says_whether_expectations_were_m
     assert {"scenario", "expected", "verdict_final", "first_invalid_s", "tracking_rms", "command_rms", "frames",
             "real_time_factor"} <= set(runs[0])
     strict = tmp_path / "strict.toml"
-    strict.write_text(PLANT.format(duration=5, more="").replace('supervision = "live"', 'supervision = "live"\ntracking_ratio_max = 1e-9'))
+    strict.write_text(small_steps(5).replace('supervision = "live"', 'supervision = "live"\ntracking_ratio_max = 1e-9'))
     done = lpvguard("sim", strict, "--coefficients", truck_folder)
     assert done.returncode == 1 and "tracking error" in done.stderr
     done = lpvguard("sim", "nowhere.toml", "--coefficients", truck_folder)

@@ -15,27 +15,11 @@ import pytest
 from lpvguard import artefacts
 from lpvguard.can.decode import decode_all, own_database
 from lpvguard.can.logs import read_log
-from lpvguard.sim import RECOVERY_S, load_scenario
+from lpvguard.sim import RECOVERY_S, load_scenario, steady_scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
 WARM_S = 3.0
-LOOP = """
-title = "loop"
-duration_s = {duration}
-[plant]
-speed_profile = [[0.0, 15.0]]
-[command]
-kind = "multisine"
-spacing = "log"
-low_radps = 0.5
-high_radps = 4.0
-rms_radps = 0.08
-{more}
-[expect]
-verdict = "any"
-supervision = "live"
-"""
 
 
 @pytest.fixture
@@ -44,7 +28,7 @@ def loop(simulator, truck_folder, tmp_path):
 
     def run(duration: float, for_s: float = 0.0, *commands: str, more: str = ""):
         path = tmp_path / "loop.toml"
-        path.write_text(LOOP.format(duration=duration, more=more))
+        path.write_text(steady_scenario(duration, more))
         want = simulator.run(load_scenario(str(path)))
         assert simulator.ecu_program.is_file()  # compiled here, and not on the one processor of the guest
         command = [ROOT / "tools" / "with-vcan", "env", f"PYTHONPATH={ROOT / 'tools/src'}", sys.executable]
@@ -151,7 +135,7 @@ print(heard.communicate()[0].count(b"\\n"))
 def test_the_firmware_alone_runs_in_real_time_on_a_played_drive(simulator, tmp_path):
     """Recorded frames onto the bus at their pace, the ECU's program on it: no simulator and no common clock."""
     path = tmp_path / "loop.toml"
-    path.write_text(LOOP.format(duration=6.0, more=""))
+    path.write_text(steady_scenario(6.0))
     simulator.run(load_scenario(str(path)), out=tmp_path)
     lines = (tmp_path / "loop-1.log").read_text().splitlines(keepends=True)
     (tmp_path / "truck.log").write_text("".join(line for line in lines if "FC#" not in line))  # all but the ECU's own

@@ -26,6 +26,7 @@ from lpvguard.generate import PROGRAMMES, plant_tool
 from lpvguard.nominal import NominalModel
 from lpvguard.project import load_project, parse_project
 from lpvguard.replay import Replayer
+from lpvguard.sim import steady_scenario
 from lpvguard.weights import Weight
 
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
@@ -296,24 +297,8 @@ def test_brakes_at_four_tenths_are_found_by_the_energy_test_alone_in_a_minute(tr
     found = 0
     for k in range(runs):
         scenario, table = tmp_path / f"{k}.toml", tmp_path / f"{k}.csv"
-        scenario.write_text(f"""title = "brakes at 0.4"
-duration_s = 60.0
-seed = {100 + k}
-[plant]
-speed_profile = [[0.0, {rng.uniform(8.5, 21.5):.2f}]]
-[[plant.actuator_fault]]
-start_s = 0.0
-brake_gain_ratio = 0.4
-[command]
-kind = "multisine"
-spacing = "log"
-low_radps = 0.5
-high_radps = 4.0
-rms_radps = 0.08
-[expect]
-verdict = "any"
-supervision = "live"
-""")
+        scenario.write_text(steady_scenario(60.0, "[[plant.actuator_fault]]\nstart_s = 0.0\nbrake_gain_ratio = 0.4\n", title="brakes at 0.4",
+                                            speed_mps=round(rng.uniform(8.5, 21.5), 2), seed=100 + k))
         command = [plant_tool(), "generate", "-o", table, "--scenario", scenario, "--program", PROGRAMMES[k % 3], "--duration", 60, "--seed", 100 + k]
         subprocess.run([str(c) for c in command], check=True)
         alarms = replayer.replay_file(table).alarms

@@ -14,32 +14,10 @@ from typing import Any
 
 from .can.catalogue import load_catalogue
 from .receive import EVENTS
-from .sim import RECOVERY_S, SUPERVISION, Simulator, load_scenario
+from .sim import RECOVERY_S, SUPERVISION, Simulator, can_fault_table, load_scenario, steady_scenario
 
 START_S = 20.0
 _SETTLED_S = 1.0
-_SCENARIO = """
-title = "{name}"
-duration_s = {duration}
-[plant]
-speed_profile = [[0.0, 15.0]]
-[command]
-kind = "multisine"
-spacing = "log"
-low_radps = 0.5
-high_radps = 4.0
-rms_radps = 0.08
-[[can_fault]]
-message = "{message}"
-kind = "{kind}"
-start_s = {start}
-end_s = {end}
-probability = {probability}
-{more}
-[expect]
-verdict = "any"
-supervision = "live"
-"""
 
 
 @dataclass(frozen=True)
@@ -89,9 +67,9 @@ def run_case(simulator: Simulator, case: Case, **options: Any) -> dict[str, Any]
     # A frame that is due at the very end is good again; the last delayed one comes later still.
     window_s = case.periods * period_s - simulator.project.Ts_s / 2
     end_s = START_S + window_s + (case.delay_s or 0.0)
-    text = _SCENARIO.format(name=case.name, message=case.message, kind=case.kind, start=START_S, end=START_S + window_s,
-                            probability=case.probability,
-                            more="" if case.delay_s is None else f"delay_s = {case.delay_s}", duration=end_s + RECOVERY_S + _SETTLED_S)
+    more = {} if case.delay_s is None else {"delay_s": case.delay_s}
+    fault = can_fault_table(case.message, case.kind, START_S, START_S + window_s, probability=case.probability, **more)
+    text = steady_scenario(end_s + RECOVERY_S + _SETTLED_S, fault, title=case.name)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "fault.toml"
         path.write_text(text)

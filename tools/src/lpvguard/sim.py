@@ -116,6 +116,33 @@ def load_scenario(name: str) -> Scenario:
     return Scenario(path.stem, path, str(document.get("title", "")), seed, expect)
 
 
+def steady_scenario(duration_s: float, tables: str = "", *, title: str = "steady driving", speed_mps: float = 15.0, rms_radps: float = 0.08,
+                    seed: int = 1, expect: str = 'verdict = "any"\nsupervision = "live"') -> str:
+    """Text of a scenario file: constant speed, a multisine yaw-rate command of 0.5 to 4 rad/s, further ``tables``, what to ``expect``."""
+    return f"""\
+title = {json.dumps(title)}
+duration_s = {duration_s:g}
+seed = {seed}
+[plant]
+speed_profile = [[0.0, {speed_mps:.6g}]]
+[command]
+kind = "multisine"
+spacing = "log"
+low_radps = 0.5
+high_radps = 4.0
+rms_radps = {rms_radps:g}
+{tables}
+[expect]
+{expect}
+"""
+
+
+def can_fault_table(message: str, kind: str, start_s: float, end_s: float, **more: float) -> str:
+    """The table of a scenario file for one fault on the bus; ``more``: its further keys."""
+    values = {"message": message, "kind": kind, "start_s": start_s, "end_s": end_s, **more}
+    return "[[can_fault]]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
+
+
 def feedforward(project: Project, u_max: np.ndarray, rate_max: np.ndarray) -> ControllerCoefficients:
     """The comparison: the command over the nominal model's DC gain, nothing fed back, one sample late as any controller."""
     model = NominalModel(project)
