@@ -3,8 +3,9 @@
 The tool is the one that `lpvguard generate` runs.
 """
 
-import os
+import re
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -132,9 +133,39 @@ def test_the_response_of_a_scenarios_truck_includes_its_faults_from_the_start_on
         assert done.returncode == 2 and complaint in done.stderr
 
 
-def test_a_truck_too_far_from_the_model_is_a_finding(tmp_path):
-    shipped = open(os.path.join(os.path.dirname(__file__), "../../firmware_sim/plant/truck.toml"), encoding="utf-8").read()
-    (tmp_path / "weak.toml").write_text(shipped.replace("brake_force_npbar = { value = 800.0", "brake_force_npbar = { value = 300.0"))
-    done = run("frequency-response", "--points", 3, "--parameters", tmp_path / "weak.toml")
-    assert done.returncode == 1
-    assert "OUTSIDE the limits" in done.stdout
+TRUCK = Path(__file__).parents[2] / "firmware_sim/plant/truck.toml"
+LIMITS = "limits (demand): median in 3 .. 12 %, worst at most 40 %"
+
+
+def compare(tmp_path, brake_force, points):
+    """Exit status, verdict, and per speed: (medians, worsts) [%] of yaw rate and wheel angle per demand, and the row's mark."""
+    text, count = re.subn(r"(brake_force_npbar = \{ value = )800\.0", rf"\g<1>{brake_force}", TRUCK.read_text(encoding="utf-8"))
+    assert count == 1
+    (tmp_path / "truck.toml").write_text(text, encoding="utf-8")
+    done = run("frequency-response", "--points", points, "--parameters", tmp_path / "truck.toml")
+    assert LIMITS in done.stdout and done.stderr == ""
+    rows = [line for line in done.stdout.splitlines() if re.match(r" *\d+\.0 \|", line)]
+    assert [float(row.split("|")[0]) for row in rows] == [8, 10, 12, 14, 16, 18, 20, 22]
+    numbers = [[[float(x) for x in re.findall(r"[\d.]+(?= %)", column)] for column in row.split("|")[1:3]] for row in rows]
+    marks = [row.endswith("OUTSIDE") for row in rows]
+    return done.returncode, done.stdout.splitlines()[-1], np.array(numbers), marks
+
+
+def test_the_shipped_truck_keeps_the_designs_distance_from_table_i(tmp_path):
+    status, verdict, numbers, marks = compare(tmp_path, 800.0, 24)
+    assert status == 0 and verdict == "within the limits" and not any(marks)
+    median, worst = numbers[..., 0], numbers[..., 1]
+    assert median.min() >= 3 and median.max() <= 12 and worst.max() <= 40
+
+
+def test_each_limit_alone_puts_a_truck_outside(tmp_path):
+    causes = set()
+    for brake_force in (840.0, 880.0):  # few frequencies: the medians spread, so that every limit is passed alone somewhere
+        status, verdict, numbers, marks = compare(tmp_path, brake_force, 6)
+        assert status == 1 and verdict == "OUTSIDE the limits"
+        for row, mark in zip(numbers, marks, strict=True):
+            median, worst = row.T
+            broken = {name for name, bad in (("too near", median < 3), ("too far", median > 12), ("worst", worst > 40)) if bad.any()}
+            assert mark == bool(broken), (row, mark)
+            causes.add(tuple(broken) if len(broken) < 2 else "several")
+    assert {("too near",), ("too far",), ("worst",), ()} <= causes
