@@ -86,7 +86,7 @@ private:
         }
         if (log_ != nullptr) {
             std::fprintf(log_, "(%" PRId64 ".%06" PRId64 ") can0 %08X#", frame.t_us / 1'000'000, frame.t_us % 1'000'000,
-                         frame.id & 0x1FFFFFFFU);
+                         frame.id & ~LPVG_CAN_EXTENDED);  // candump's eight digits say "extended" and keep the flag of an error report
             for (std::size_t i = 0; i < frame.dlc; ++i) {
                 std::fprintf(log_, "%02X", frame.data[i]);
             }

@@ -458,26 +458,45 @@ def campaign(identification: Annotated[Path, typer.Argument(help="Folder written
                                  size=stage.Size(hours, repeats), controller=design and design / "controller.json",
                                  workers=run, progress=tell)
     _emit(json_out, summary)
-    within = summary["within"]
-    table = Table("", *summary["detectors"].values(), box=None)
-    for title, rates in (("runs within the bounds that alarm", within["alarmed"]), ("visible faults found in time", summary["visible"])):
-        table.add_row(title, *(_rate(rates[d]) for d in summary["detectors"]))
+    _print_campaign(summary)
+    raise typer.Exit(1 if summary["missed"] else 0)
+
+
+def _print_campaign(summary: dict[str, Any]) -> None:
+    within, detectors = summary["within"], summary["detectors"]
+    console.print(f"{within['hours']:.1f} h of {within['plants']} trucks within the bounds by their own frequency response (of {within['candidates']} drawn)")
+    rates = Table("test", "runs that alarm", "calibrated", "such runs an hour", "calibrated", box=None)
+    for test, seen in within["tests"].items():
+        calibrated, hourly = summary["calibrated"][test], seen["per_hour"]
+        interval = "" if hourly["interval"] is None else f"{hourly['rate']:.2f} ({hourly['interval'][0]:.2f} .. {hourly['interval'][1]:.2f})"
+        stated = ("not stated", "") if calibrated["alpha"] is None else (f"{calibrated['alpha']:.2%}", f"{calibrated['per_hour']:.2f}")
+        rates.add_row(test, _rate(seen), stated[0], interval, stated[1])
+    console.print(rates)
+    console.print(f"apart, with more demand than was checked: {_rate(within['beyond_checked_amplitude'])}")
+    table = Table("", *detectors.values(), box=None)
+    for title, of in (("runs within the bounds that alarm", within["alarmed"]), ("visible faults found in time", summary["visible"])):
+        table.add_row(title, *(_rate(of[d]) for d in detectors))
     for title, key in (("average found", "calibrated"), ("average found, equal alarms in the loop", "matched")):
-        table.add_row(title, *(f"{summary['average'][d][key]:.1%}" for d in summary["detectors"]))
+        table.add_row(title, *(f"{summary['average'][d][key]:.1%}" for d in detectors))
     console.print(table)
-    console.print(f"{within['hours']:.1f} h of {within['plants']} trucks within the bounds (of {within['candidates']} drawn); alarms by test: "
-                  + ", ".join(f"{t} {_rate(r)}" for t, r in within["tests"].items())
-                  + f"; apart, with more demand than was checked: {_rate(within['beyond_checked_amplitude'])}")
-    kinds = Table("average over severities", *summary["detectors"], "best", "equal alarms in the loop", box=None)
+    kinds = Table("average over severities: calibrated, equal alarms in the loop", *detectors.values(), "best, equal alarms", box=None)
     for k in summary["kinds"]:
-        kinds.add_row(k["kind"], *(f"{k['found'][d]:.0%}" for d in summary["detectors"]), ", ".join(k["best"]), ", ".join(k["best_matched"]))
+        kinds.add_row(k["kind"], *(f"{k['found'][d]:.0%}, {k['matched'][d]:.0%}" for d in detectors), ", ".join(detectors[d] for d in k["best_matched"]))
     console.print(kinds)
+    for b in summary["beaten"]:
+        console.print(f"a baseline wins at equal alarms: {detectors[b['detector']]} on {b['kind']}, {b['matched']:.0%} against {b['monitor']:.0%}")
     for s in summary["invisible"]:
         console.print(f"invisible, though {'mu is ' + format(s['mu_upper'], '.2f') if s['loop_stable'] else 'the loop is unstable'}: "
                       f"{s['kind']} {s['severity']:g} {summary['units'][s['kind']]}")
+    bus = Table("fault of the bus", "severity", "as required", "reactions due, met", "not live", "judged", "alarmed runs", "visible", box=None)
+    for s in summary["bus"]:
+        bus.add_row(s["kind"], f"{s['severity']:g} {summary['units'][s['kind']]}", f"{s['as_required']} of {s['runs']}", f"{s['due']}, {s['met']}",
+                    f"{s['away']:.1%}", f"{s['judged']:.0%}", str(s["alarmed"]["monitor"]), str(s["visible_runs"]))
+    console.print(bus)
+    said = summary["supervision"]
+    console.print(f"supervision as the frames on the bus require: {_rate(said['as_required'])} runs; of {said['due']} reactions due {said['met']} in time")
     for text in summary["missed"]:
         console.print(f"missed: {text}")
-    raise typer.Exit(1 if summary["missed"] else 0)
 
 
 def _rate(rate: dict) -> str:

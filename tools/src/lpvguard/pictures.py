@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import re
+import textwrap
 from dataclasses import dataclass
 
 import matplotlib
@@ -480,7 +481,7 @@ def detection(severities: list[dict], units: dict[str, str], names: dict[str, st
             axes.plot(x, [s[key][detector] / s["runs"] for s in rows], line, marker=mark, ms=3.2, lw=width, color=colour,
                       label=names[detector])
         axes.fill_between(x, 0, [s["visible_runs"] / s["runs"] for s in rows], color=POINTS, alpha=0.25, lw=0, label="visible runs")
-        axes.set_title(kind)
+        axes.set_title(textwrap.fill(kind, 26))
         axes.set_xlabel(units[kind])
         if len(x) > 2 and min(x) > 0 and max(x) / min(x) > 15:
             axes.set_xscale("log")
