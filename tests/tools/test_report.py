@@ -172,12 +172,16 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
     seen = {"count": 1, "of": 50, "interval": [0.0005, 0.1065]}
     shares = dict.fromkeys(detectors, 0.5)
     summary = {
-        "detectors": detectors, "units": {"brake gain": "×"}, "baselines": [{"label": "rms, 2 s"}],
-        "frame_test": {"alpha": 0.05, "conditional_bound": 0.105, "threshold": 1.0}, "due": seen, "visible": dict.fromkeys(detectors, seen),
+        "detectors": detectors, "units": {"brake gain": "×", "GUARD_IN lost": "of the frames"}, "baselines": [{"label": "rms, 2 s"}],
+        "calibrated": dict.fromkeys(("frame", "energy"), {"alpha": 0.05, "conditional_bound": 0.105, "threshold": 1.0, "per_hour": 1.0}), "due": seen, "visible": dict.fromkeys(detectors, seen),
         "average": dict.fromkeys(detectors, {"calibrated": 0.5, "matched": 0.25}),
         "within": {"runs": 50, "hours": 2.5, "judged_hours": 2.0, "plants": 24, "candidates": 40, "nominal_margin": 0.8, "largest_margin": 0.9,
                    "alarmed": dict.fromkeys(detectors, seen), "beyond_checked_amplitude": seen,
-                   "tests": {t: seen | {"alarms_per_hour": 0.4} for t in ("frame", "energy")}},
+                   "tests": {t: seen | {"per_hour": {"rate": 0.4, "interval": [0.01, 2.23]}, "alarms": 3} for t in ("frame", "energy")}},
+        "supervision": dict.fromkeys(("faulty", "healthy"), {"as_required": seen, "due": 77, "met": 76}),
+        "bus": [{"kind": "GUARD_IN lost", "severity": 0.5, "runs": 4, "as_required": 3, "due": 77, "met": 76, "late_s": 0.01, "unwarranted_s": 0.0,
+                 "away": 0.125, "judged": 0.87, "alarmed": dict.fromkeys(detectors, 1), "visible_runs": 2}],
+        "beaten": [{"kind": "brake gain", "detector": "nis", "matched": 0.5, "monitor": 0.25}],
         "severities": rows, "invisible": rows[1:],
         "kinds": [{"kind": "brake gain", "found": shares, "matched": shares, "best": ["monitor", "nis"], "best_matched": ["nis"]}]}
     write_report(case.stored, case.drives, case.replayer, tmp_path / "report.html", None, lambda _: None, campaign=summary)
@@ -185,6 +189,8 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
     assert "Campaign in the closed loop" in text and "1 of 50, 0.05 to 10.65 %" in text and "lpvguard, NIS" in text
     assert "brake gain 0.7 × (mu unstable)" in text and "2.34" in text and "rms, 2 s" in text
     assert text.count("Detection against severity") == 2
+    assert "NIS on brake gain, 50% against 25%" in text and "0.40, 0.01 to 2.23" in text and "10.50 %" in text
+    assert "<td>GUARD_IN lost</td><td>0.5 of the frames</td><td>3 of 4</td><td>77, 76</td><td>12.5%</td>" in text
 
 
 def test_evaluation_and_a_core_of_another_identification_are_told(case, page, tmp_path):

@@ -488,15 +488,23 @@ def _print_campaign(summary: dict[str, Any]) -> None:
     for s in summary["invisible"]:
         console.print(f"invisible, though {'mu is ' + format(s['mu_upper'], '.2f') if s['loop_stable'] else 'the loop is unstable'}: "
                       f"{s['kind']} {s['severity']:g} {summary['units'][s['kind']]}")
-    bus = Table("fault of the bus", "severity", "as required", "reactions due, met", "not live", "judged", "alarmed runs", "visible", box=None)
-    for s in summary["bus"]:
-        bus.add_row(s["kind"], f"{s['severity']:g} {summary['units'][s['kind']]}", f"{s['as_required']} of {s['runs']}", f"{s['due']}, {s['met']}",
-                    f"{s['away']:.1%}", f"{s['judged']:.0%}", str(s["alarmed"]["monitor"]), str(s["visible_runs"]))
+    bus = Table("fault of the bus, by severity", "runs as required", "reactions met", "not live", "judged", "alarmed, visible runs", box=None)
+    for kind in dict.fromkeys(s["kind"] for s in summary["bus"]):
+        rows = [s for s in summary["bus"] if s["kind"] == kind]
+        severities = ", ".join(f"{s['severity']:g}" for s in rows)
+        bus.add_row(f"{kind}: {severities} {summary['units'][kind]}", _of(rows, "as_required", "runs"), _of(rows, "met", "due"),
+                    *(f"{min(s[k] for s in rows):.0%} .. {max(s[k] for s in rows):.0%}" for k in ("away", "judged")),
+                    f"{sum(s['alarmed']['monitor'] for s in rows)}, {sum(s['visible_runs'] for s in rows)}")
     console.print(bus)
-    said = summary["supervision"]
-    console.print(f"supervision as the frames on the bus require: {_rate(said['as_required'])} runs; of {said['due']} reactions due {said['met']} in time")
+    for which, said in summary["supervision"].items():
+        console.print(f"supervision of a {which} bus as its frames require: {_rate(said['as_required'])} runs; "
+                      f"of {said['due']} reactions due {said['met']} at the very tick")
     for text in summary["missed"]:
         console.print(f"missed: {text}")
+
+
+def _of(rows: list[dict], count: str, of: str) -> str:
+    return f"{sum(r[count] for r in rows)} of {sum(r[of] for r in rows)}"
 
 
 def _rate(rate: dict) -> str:

@@ -737,6 +737,7 @@ go on the target. The truck shares no equation with the nominal model.</p>{table
 
 def _campaign_section(c: dict) -> str:
     names, within, tests = c["detectors"], c["within"], c["within"]["tests"]
+    faulty, healthy = c["supervision"]["faulty"], c["supervision"]["healthy"]
 
     def share(rate: dict) -> str:
         if not rate["of"]:
@@ -800,8 +801,8 @@ every detector the least threshold with which the same rule allows its alarms bo
 {hidden or "none"}. The largest mu over three speeds is meant; it exists for faults that are linear and time-invariant.</p>
 <h3>Faults of the bus</h3><p>What the supervision must say at every tick follows from the frames that were on the bus and the message table:
 three missed periods hold, five switch off, so does a score of five bad frames, and five good ones bring back. That is worked out
-apart from the core. As required were {share(c["supervision"]["as_required"])} of all runs; of {c["supervision"]["due"]} reactions due
-{c["supervision"]["met"]} came at the very tick. <i>Judged</i> is excited driving that the monitor judged, of the time since the fault: after every
+apart from the core. As required were {share(faulty["as_required"])} of the runs with a faulty bus, where of {faulty["due"]} reactions due
+{faulty["met"]} came at the very tick, and {share(healthy["as_required"])} of those within the bounds, with none due. <i>Judged</i> is excited driving that the monitor judged, of the time since the fault: after every
 gap its model has to settle. Alarms of model error stand beside the runs in which the samples themselves show one: a late or corrupted
 value that passes for a good one.</p>{bus}"""
 

@@ -147,7 +147,7 @@ def _raw(data: np.ndarray, signal: Signal) -> np.ndarray:
 @dataclass(frozen=True)
 class Reactions:
     """What was said against what had to be. ``due``: stretches of ticks for which a worse state than live is required; ``met``: those
-    in which every tick said it; ``late_s``: longest time from a tick that required a worse state than was said to one that did not;
+    in which every tick said it; ``late_s``: longest time on end for which a better state was said than required;
     ``unwarranted_s``: time in which a worse state was said than required; ``away_s``: time for which not live was required."""
 
     due: int
