@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -134,7 +135,7 @@ def test_speeds_are_constant_drift_or_sweep_the_range():
     assert {len(p) for p in profiles} == {1, 3, 4}
     assert all(8.3 <= v <= 21.7 for p in profiles for _, v in p), "within the grid of the controller"
     sweeps = [p for p in profiles if len(p) == 4]
-    slopes = [abs(b[1] - a[1]) / (b[0] - a[0]) for p in sweeps for a, b in zip(p[1:], p[2:])]
+    slopes = [abs(b[1] - a[1]) / (b[0] - a[0]) for p in sweeps for a, b in pairwise(p[1:])]
     assert 0.05 - 1e-9 <= min(slopes) and max(slopes) <= 0.3 + 1e-9
 
 
@@ -172,9 +173,9 @@ def test_a_cluster_gives_the_same_bytes(small, stored, truck_folder, tmp_path):
     """Workers of a Dask cluster: the very files of a campaign in this process."""
     distributed = pytest.importorskip("distributed")
     found, drives = stored
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
-        with workers(scheduler=cluster.scheduler_address) as run:
-            stage.campaign(found, drives, truck_folder, tmp_path / "cluster", seed=3, size=stage.Size(0.1, 1), workers=run)
+    with (distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None) as cluster,
+          workers(scheduler=cluster.scheduler_address) as run):
+        stage.campaign(found, drives, truck_folder, tmp_path / "cluster", seed=3, size=stage.Size(0.1, 1), workers=run)
     stage.campaign(found, drives, truck_folder, tmp_path / "here", seed=3, size=stage.Size(0.1, 1))
     files = [sorted(p.relative_to(tmp_path / name) for p in (tmp_path / name).rglob("*") if p.is_file()) for name in ("cluster", "here")]
     assert files[0] == files[1] and Path("runs.parquet") in files[0]
@@ -240,3 +241,6 @@ def test_a_folder_of_something_else_and_bounds_of_another_export_are_refused(sma
     other = replace(found, fitted=replace(found.fitted, inflation=1.1))
     with pytest.raises(InputError, match="not those of the identification"):
         stage.campaign(other, drives, truck_folder, tmp_path / "new", seed=1, size=stage.Size(0.05, 1))
+    with pytest.raises(InputError, match="controller.json"):
+        stage.campaign(found, drives, truck_folder, tmp_path / "new", seed=1, size=stage.Size(0.05, 1), controller=tmp_path / "controller.json")
+    assert not (tmp_path / "new").exists(), "refused before anything is begun"

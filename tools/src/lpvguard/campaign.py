@@ -56,6 +56,7 @@ from .baselines import TITLES, Bank, Baseline, Scales
 from .bounds import nominal_error
 from .calibration import calibrate
 from .can.logs import read_log
+from .control_export import load_controller
 from .core import Core
 from .design import faulted_performance
 from .drives import Drive
@@ -547,11 +548,13 @@ def campaign(stored: StoredIdentification, drives: DriveSet, folder: Path, out: 
     """Run or go on with the campaign in ``out``; returns its summary.
 
     ``folder``: generated folder with controller, of this identification; ``controller``: controller.json written by `design`, for mu of
-    the faulted loops. InputError when ``out`` holds another campaign.
+    the faulted loops. InputError when ``out`` holds another campaign, or one of these belongs to another identification.
     """
     simulator, core = Simulator(folder), Core(folder)
     replayer = Replayer(simulator.project, core)
     _require_same(stored, replayer)
+    if controller is not None:
+        _require_designed_for(stored, controller)
     _claim(out, artefacts.manifest("campaign", seed=seed, size=asdict(size), vehicle=artefacts.read_manifest(folder, "vehicle"),
                                    plan={k.name: [k.table, *k.values] for k in KINDS}, duration_s=DURATION_S))
 
@@ -589,6 +592,12 @@ def _require_same(stored: StoredIdentification, replayer: Replayer) -> None:
     W_delta, B_w = stored.fitted.at(replayer.estimator.omega)
     if not (np.allclose(W_delta, replayer.W_delta, rtol=1e-4) and np.allclose(B_w, replayer.B_w, rtol=1e-4)):
         raise InputError(replayer.core.folder, "bounds", "are not those of the identification", f"an export of {stored.folder}")
+
+
+def _require_designed_for(stored: StoredIdentification, controller: Path) -> None:
+    load_controller(controller)
+    if artefacts.read_manifest(controller.parent, "design")["identification"] != stored.manifest:
+        raise InputError(controller.parent, "identification", "is another one", f"a design of {stored.folder}")
 
 
 def _claim(out: Path, manifest: str) -> None:

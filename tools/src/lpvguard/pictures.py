@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import re
 import textwrap
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import matplotlib
@@ -461,12 +462,8 @@ def closed_loop(rows: np.ndarray, frames: np.ndarray, threshold: float, fault_st
 DETECTOR_STYLES = ((BLUE, "-", "o", 2.0), (ORANGE, "--", "s", 1.1), (GREEN, "-.", "^", 1.1), (PINK, ":", "D", 1.1))
 
 
-@picture
-def detection(severities: list[dict], units: dict[str, str], names: dict[str, str], key: str) -> Figure:
-    """Share of runs in which a fault was found in time, against its severity: a panel per kind, a line per detector.
-
-    ``severities``: rows of a campaign's summary; ``key``: "found" or "matched"; ``names``: detector -> title, ours first.
-    """
+def _over_severity(severities: list[dict], units: dict[str, str], draw: Callable[[Axes, np.ndarray, list[dict]], None]) -> Figure:
+    """A panel per kind of fault with more than one severity; ``draw(axes, x, rows)`` fills it, rows in the order of their severity x."""
     kinds = [k for k in units if sum(s["kind"] == k for s in severities) > 1]
     columns = 4
     lines = -(-len(kinds) // columns)
@@ -476,23 +473,50 @@ def detection(severities: list[dict], units: dict[str, str], names: dict[str, st
         axes.set_axis_off()
     for axes, kind in zip(panels, kinds):
         rows = sorted((s for s in severities if s["kind"] == kind), key=lambda s: s["severity"])
-        x = [s["severity"] for s in rows]
-        for detector, (colour, line, mark, width) in zip(names, DETECTOR_STYLES):
-            axes.plot(x, [s[key][detector] / s["runs"] for s in rows], line, marker=mark, ms=3.2, lw=width, color=colour,
-                      label=names[detector])
-        axes.fill_between(x, 0, [s["visible_runs"] / s["runs"] for s in rows], color=POINTS, alpha=0.25, lw=0, label="visible runs")
+        x = np.array([s["severity"] for s in rows])
+        draw(axes, x, rows)
         axes.set_title(textwrap.fill(kind, 26))
         axes.set_xlabel(units[kind])
         if len(x) > 2 and min(x) > 0 and max(x) / min(x) > 15:
             axes.set_xscale("log")
             axes.set_xticks(x, [f"{v:g}" for v in x])
             axes.xaxis.set_minor_locator(NullLocator())
-        axes.set_ylim(-0.05, 1.05)
-    for axes in panels[::columns]:
-        axes.set_ylabel("found")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
     return figure
+
+
+@picture
+def detection(severities: list[dict], units: dict[str, str], names: dict[str, str], key: str) -> Figure:
+    """Share of runs in which a fault was found in time, against its severity: a panel per kind, a line per detector.
+
+    ``severities``: rows of a campaign's summary; ``key``: "found" or "matched"; ``names``: detector -> title, ours first.
+    """
+    def draw(axes: Axes, x: np.ndarray, rows: list[dict]) -> None:
+        for detector, (colour, line, mark, width) in zip(names, DETECTOR_STYLES):
+            axes.plot(x, [s[key][detector] / s["runs"] for s in rows], line, marker=mark, ms=3.2, lw=width, color=colour,
+                      label=names[detector])
+        axes.fill_between(x, 0, [s["visible_runs"] / s["runs"] for s in rows], color=POINTS, alpha=0.25, lw=0, label="visible runs")
+        axes.set_ylim(-0.05, 1.05)
+        if axes.get_subplotspec().is_first_col():
+            axes.set_ylabel("found")
+
+    return _over_severity(severities, units, draw)
+
+
+@picture
+def detection_time(severities: list[dict], units: dict[str, str], names: dict[str, str]) -> Figure:
+    """Median judged, excited time [s] from a fault to the first alarm, against its severity; no point where fewer than half alarmed."""
+    def draw(axes: Axes, x: np.ndarray, rows: list[dict]) -> None:
+        for detector, (colour, line, mark, width) in zip(names, DETECTOR_STYLES):
+            axes.plot(x, [np.nan if s["median_s"][detector] is None else s["median_s"][detector] for s in rows], line, marker=mark, ms=3.2,
+                      lw=width, color=colour, label=names[detector])
+        axes.set_yscale("log")
+        axes.set_ylim(0.1, 200.0)
+        if axes.get_subplotspec().is_first_col():
+            axes.set_ylabel("median, s")
+
+    return _over_severity(severities, units, draw)
 
 
 # ---------------------------------------------------------------------------------------------------------- step 8

@@ -796,6 +796,9 @@ every detector the least threshold with which the same rule allows its alarms bo
          "judged, excited driving after the fault, and none before it. Grey: share of runs in which the fault is visible.")}
 {_figure(pictures.detection("c1", c["severities"], c["units"], names, "found"),
          "<b>Detection against severity</b>, at the thresholds calibrated on the drives of the identification.")}
+{_figure(pictures.detection_time("c2", c["severities"], c["units"], names),
+         "<b>Time to the first alarm against severity</b>, at these thresholds: median judged, excited time over the runs without an alarm "
+         "before the fault; no point where half of them never alarmed.")}
 <h3>Kinds of fault</h3>{kinds}<p>Where a baseline wins at equal alarms: {beaten or "nowhere"}.</p><h3>Severities</h3>{severities}
 <h3>Invisible, though robust performance is lost</h3><p>Upper bound of mu of the faulted loop at least 1, visible in fewer than half of the runs:
 {hidden or "none"}. The largest mu over three speeds is meant; it exists for faults that are linear and time-invariant.</p>

@@ -26,7 +26,7 @@ import numpy as np
 
 from .can.bus import REFERENCE
 from .can.catalogue import Message, Signal, load_catalogue
-from .can.codegen import GAP_FRACTION
+from .can.codegen import ANY_PRIORITY, GAP_FRACTION
 from .can.logs import EXTENDED, Frames
 from .can.play import COUNTERS, e2e_crc
 from .project import Project
@@ -35,7 +35,6 @@ OFF, HOLD, LIVE = range(3)
 """lpvg_can_state_t, the worse the smaller."""
 HOLD_MISSED, OFF_MISSED = 3, 5
 SCORE_OFF, RECOVER_FRAMES, COUNTER_STEP = 5, 5, 5
-_ANY_PRIORITY = np.uint32(0xE3FFFFFF)
 
 
 def needed_messages(project: Project) -> list[Message]:
@@ -49,7 +48,7 @@ def required(frames: Frames, messages: Sequence[Message], ticks_us: np.ndarray, 
     """(N,) the worst state of ``messages`` at each tick. ``frames`` in the order of arrival; ``bus_off_us``: times of the reports."""
     worst = np.full(len(ticks_us), LIVE)
     for message in messages:
-        at = np.flatnonzero((frames.id & _ANY_PRIORITY) == (np.uint32(message.id | EXTENDED) & _ANY_PRIORITY))
+        at = np.flatnonzero((frames.id & np.uint32(ANY_PRIORITY)) == np.uint32((message.id | EXTENDED) & ANY_PRIORITY))
         times, states = zip(*_states(message, frames.t_ns[at] // 1000, frames.length[at], frames.data[at, :8], sorted(bus_off_us)))
         worst = np.minimum(worst, np.array(states)[np.searchsorted(times, ticks_us, side="right") - 1])
     return worst
