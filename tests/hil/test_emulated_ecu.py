@@ -6,17 +6,15 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from vcan import with_vcan
 
 from lpvguard import targets
 from lpvguard.errors import InputError
 from lpvguard.sim import can_fault_table, load_scenario, shipped_scenarios, steady_scenario
 
-ROOT = Path(__file__).resolve().parents[2]
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
 R5F = targets.TARGETS["cortex-r5f"]
 SHORT = steady_scenario(6.0, can_fault_table("VDC2", "lost", 3.0, 3.2) + can_fault_table("VDC2", "bus_off", 4.05, 4.15),
@@ -33,9 +31,8 @@ def on_vcan(simulator, truck_folder):
     assert simulator.ecu_program.is_file()
 
     def run(scenarios, *options):
-        done = subprocess.run([str(w) for w in (ROOT / "tools" / "with-vcan", "env", f"PYTHONPATH={ROOT / 'tools/src'}", sys.executable, "-m",
-                                                "lpvguard.cli", "sim", *scenarios, "--coefficients", truck_folder, "--bus", "socketcan:vcan0",
-                                                *options, "--json", "-")], capture_output=True, text=True, timeout=3000, check=False)
+        done = with_vcan(sys.executable, "-m", "lpvguard.cli", "sim", *scenarios, "--coefficients", truck_folder, "--bus", "socketcan:vcan0",
+                         *options, "--json", "-", timeout=3000)
         assert done.returncode in (0, 1) and done.stdout, done.stderr
         return json.loads(done.stdout)
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from vcan import with_vcan
 
 from lpvguard.can.catalogue import load_catalogue
 from lpvguard.receive import EVENTS
@@ -92,11 +93,8 @@ def test_two_processes_on_vcan_recorded_and_replayed_give_the_same_verdicts(type
         pytest.skip("lcm-logplayer not found: install liblcm-bin")
     (tmp_path / "loop.toml").write_text(SCENARIO)
     assert Simulator(truck_folder, lcm=True).ecu_program.is_file()  # compiled here, and not on the one processor of the guest
-    root = LCM.parents[1]
-    done = subprocess.run([str(w) for w in (root / "tools" / "with-vcan", "env", f"PYTHONPATH={root / 'tools/src'}", "bash", "-euc", RECORD_AND_REPLAY,
-                                            "replay", tmp_path, sys.executable, "-m", "lpvguard.cli", "sim", tmp_path / "loop.toml", "--coefficients",
-                                            truck_folder, "--bus", "socketcan:vcan0", "--ecu-process", "--pace", 2, "--json", "-")],
-                          capture_output=True, text=True, timeout=300, check=False)
+    done = with_vcan("bash", "-euc", RECORD_AND_REPLAY, "replay", tmp_path, sys.executable, "-m", "lpvguard.cli", "sim", tmp_path / "loop.toml",
+                     "--coefficients", truck_folder, "--bus", "socketcan:vcan0", "--ecu-process", "--pace", 2, "--json", "-")
     assert done.returncode == 0, done.stderr
     (run,) = json.loads(done.stdout)
     assert [s for _, s in run["supervision"]].count("live") == 2

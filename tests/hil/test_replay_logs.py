@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from vcan import with_vcan
 
 can = pytest.importorskip("can")
 
@@ -28,7 +29,6 @@ from lpvguard.project import load_project
 from lpvguard.replay import Replayer
 from lpvguard.sim import load_scenario
 
-ROOT = Path(__file__).resolve().parents[2]
 VDC2, GUARD_OUT = 0x18F0093E | EXTENDED, 0x18FF01FC | EXTENDED
 WARM_S = 0.4
 """Five frames of the slowest message."""
@@ -236,9 +236,7 @@ def test_what_is_played_onto_a_bus_is_what_candump_logs(kind, on_bus, g80, drive
     else:
         source = tmp_path / "drive.log"
         write_candump(short, source)
-    done = subprocess.run([ROOT / "tools/with-vcan", "env", f"PYTHONPATH={ROOT / 'tools/src'}", sys.executable, tmp_path / "recorder.py",
-                           tmp_path / "logged.log", str(len(short)), source, "--vehicle", "g80", "--speed", "4"],
-                          capture_output=True, text=True, timeout=120, check=False)
+    done = with_vcan(sys.executable, tmp_path / "recorder.py", tmp_path / "logged.log", len(short), source, "--vehicle", "g80", "--speed", 4)
     assert done.returncode == 0, done.stderr
     logged = read_log(tmp_path / "logged.log")
     assert np.array_equal(logged.id, short.id) and np.array_equal(logged.data, short.data)

@@ -5,18 +5,16 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from vcan import with_vcan
 
 from lpvguard.errors import InputError
 from lpvguard.sim import Expectation, Simulator, can_fault_table, load_scenario, missed, shipped_scenarios, steady_scenario
 
 SEEDS = (1, 2)
-WITH_VCAN = Path(__file__).resolve().parents[2] / "tools" / "with-vcan"
 MESSAGE_PERIODS = {"VDC2": 0.01, "GUARD_IN": 0.01, "EBC2": 0.1}
 
 
@@ -125,8 +123,7 @@ def test_a_lost_actuator_is_found(simulator, scenario):
 
 def test_a_real_can_interface_carries_the_same_frames(simulator, truck_folder, scenario):
     fault = scenario(15.0, can_fault("VDC2", "lost"))
-    command = [WITH_VCAN, sys.executable, "-m", "lpvguard.cli", "sim", fault.path, "--coefficients", truck_folder, "--json", "-"]
-    done = subprocess.run([*map(str, command), "--bus", "socketcan:vcan0"], capture_output=True, text=True, check=False)
+    done = with_vcan(sys.executable, "-m", "lpvguard.cli", "sim", fault.path, "--coefficients", truck_folder, "--json", "-", "--bus", "socketcan:vcan0")
     if done.returncode == 125:
         pytest.skip(f"no SocketCAN on this machine, and no kernel to lend it: {done.stderr.strip()[-200:]}")
     # The scenario expects supervision to stay live, which it must not: a finding.

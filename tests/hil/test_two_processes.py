@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from vcan import with_vcan
 
 from lpvguard import artefacts
 from lpvguard.can.decode import decode_all, own_database
 from lpvguard.can.logs import read_log
 from lpvguard.sim import RECOVERY_S, load_scenario, steady_scenario
 
-ROOT = Path(__file__).resolve().parents[2]
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
 WARM_S = 3.0
 
@@ -31,15 +31,12 @@ def loop(simulator, truck_folder, tmp_path):
         path.write_text(steady_scenario(duration, more))
         want = simulator.run(load_scenario(str(path)))
         assert simulator.ecu_program.is_file()  # compiled here, and not on the one processor of the guest
-        command = [ROOT / "tools" / "with-vcan", "env", f"PYTHONPATH={ROOT / 'tools/src'}", sys.executable]
         sim = ["-m", "lpvguard.cli", "sim", path, "--coefficients", truck_folder, "--bus", "socketcan:vcan0", "--ecu-process", "--json", "-",
                "-o", tmp_path / "out"]
         if commands:
             words = [word for c in commands for word in ["--", *c.split()]][1:]
-            command += [Path(__file__).with_name("on_vcan.py"), sys.executable, *sim, "--pace", 1, "--", WARM_S, for_s, *words]
-        else:
-            command += sim
-        done = subprocess.run([str(c) for c in command], capture_output=True, text=True, timeout=900, check=False)
+            sim = [Path(__file__).with_name("on_vcan.py"), sys.executable, *sim, "--pace", 1, "--", WARM_S, for_s, *words]
+        done = with_vcan(sys.executable, *sim, timeout=900)
         if commands:
             assert done.returncode == 0, done.stderr
             beside = json.loads(done.stdout)
@@ -140,9 +137,7 @@ def test_the_firmware_alone_runs_in_real_time_on_a_played_drive(simulator, tmp_p
     lines = (tmp_path / "loop-1.log").read_text().splitlines(keepends=True)
     (tmp_path / "truck.log").write_text("".join(line for line in lines if "FC#" not in line))  # all but the ECU's own
     (tmp_path / "real_time.py").write_text(REAL_TIME)
-    done = subprocess.run([ROOT / "tools" / "with-vcan", "env", f"PYTHONPATH={ROOT / 'tools/src'}", sys.executable,
-                           tmp_path / "real_time.py", simulator.ecu_program, tmp_path / "truck.log"],
-                          capture_output=True, text=True, timeout=200, check=False)
+    done = with_vcan(sys.executable, tmp_path / "real_time.py", simulator.ecu_program, tmp_path / "truck.log")
     assert done.returncode == 0, done.stderr
     counters, reports = done.stdout.splitlines()
     accepted = {row[0]: row[2][1] + row[2][2] for row in json.loads(counters)["rules"]}

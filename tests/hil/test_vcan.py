@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from vcan import with_vcan
 
 pytest.importorskip("can")
 pytest.importorskip("cantools")
 
 from lpvguard.can.logs import read_log
-
-ROOT = Path(__file__).resolve().parents[2]
 
 PLAYER = """
 import subprocess, sys, time
@@ -35,21 +32,7 @@ with open(sys.argv[2], "wb") as out:
 
 def test_what_is_played_is_what_candump_logs_and_ingest_reads(tmp_path):
     (tmp_path / "player.py").write_text(PLAYER)
-    done = subprocess.run(
-        [
-            ROOT / "tools/with-vcan",
-            "env",
-            f"PYTHONPATH={ROOT / 'tools/src'}",
-            sys.executable,
-            tmp_path / "player.py",
-            tmp_path / "sent.log",
-            tmp_path / "logged.log",
-        ],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    done = with_vcan(sys.executable, tmp_path / "player.py", tmp_path / "sent.log", tmp_path / "logged.log")
     assert done.returncode == 0, done.stderr
     sent, logged = read_log(tmp_path / "sent.log"), read_log(tmp_path / "logged.log")
     assert logged.id[0] == 0x123 and logged.data[0, :4].tobytes().hex() == "deadbeef"

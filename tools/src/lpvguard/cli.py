@@ -162,9 +162,12 @@ def design(out: Out, identification: Annotated[Path | None, typer.Argument(help=
 
     Exit 1 when robust performance (mu below 1) is not certified: at a speed, in a row of the case's table, or by any trade-off."""
     if case is not None:
-        if identification is not None or vehicle is not None or drives is not None or tradeoff:
-            raise InputError("design", "--case", "given with a vehicle, drives or --tradeoff", "a case file alone")
+        if identification is not None or vehicle is not None or drives is not None or tradeoff or largest_A_t or not table:
+            raise InputError("design", "--case", "given with a vehicle, drives, --tradeoff, --largest-A-t or --no-table",
+                             "a case file alone")
         raise typer.Exit(_design_case(case, out, json_out))
+    if tradeoff and (largest_A_t or not table):
+        raise InputError("design", "--tradeoff", "given with --largest-A-t or --no-table", "neither: nothing is designed")
     if identification is None or vehicle is None:
         raise InputError("design", "--vehicle, IDENTIFICATION", "missing", "both, or --case")
     stored, drive_set = (_stored(identification, vehicle), None) if drives is None else _stored_with_drives(identification, drives)
