@@ -477,10 +477,14 @@ def _over_severity(severities: list[dict], units: dict[str, str], draw: Callable
         draw(axes, x, rows)
         axes.set_title(textwrap.fill(kind, 26))
         axes.set_xlabel(units[kind])
-        if len(x) > 2 and min(x) > 0 and max(x) / min(x) > 15:
+        low, high = x[0], x[-1]
+        if len(x) > 2 and low > 0 and high / low > 15:
             axes.set_xscale("log")
             axes.set_xticks(x, [f"{v:g}" for v in x])
             axes.xaxis.set_minor_locator(NullLocator())
+            axes.set_xlim(low * (low / high) ** 0.05, high * (high / low) ** 0.05)
+        else:
+            axes.set_xlim(low - 0.05 * (high - low), high + 0.05 * (high - low))
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
     return figure
@@ -512,7 +516,7 @@ def detection_time(severities: list[dict], units: dict[str, str], names: dict[st
             axes.plot(x, [np.nan if s["median_s"][detector] is None else s["median_s"][detector] for s in rows], line, marker=mark, ms=3.2,
                       lw=width, color=colour, label=names[detector])
         axes.set_yscale("log")
-        axes.set_ylim(0.1, 200.0)
+        axes.set_ylim(0.05, 200.0)
         if axes.get_subplotspec().is_first_col():
             axes.set_ylabel("median, s")
 
