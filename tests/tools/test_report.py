@@ -187,7 +187,7 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
     write_report(case.stored, case.drives, case.replayer, tmp_path / "report.html", None, lambda _: None, campaign=summary)
     text = (tmp_path / "report.html").read_text()
     assert "Campaign in the closed loop" in text and "1 of 50, 0.05 to 10.65 %" in text and "lpvguard, NIS" in text
-    assert "brake gain 0.7 × (mu unstable)" in text and "2.34" in text and "rms, 2 s" in text
+    assert "brake gain 0.7 × (mu unstable, found 1 of 4)" in text and "2.34" in text and "rms, 2 s" in text
     assert text.count("Detection against severity") == 2
     assert "NIS on brake gain, 50% against 25%" in text and "0.40, 0.01 to 2.23" in text and "10.50 %" in text
     assert "<td>GUARD_IN lost</td><td>0.5 of the frames</td><td>3 of 4</td><td>77, 76</td><td>12.5%</td>" in text

@@ -490,7 +490,7 @@ def _print_campaign(summary: dict[str, Any]) -> None:
         console.print(f"a baseline wins at equal alarms: {detectors[b['detector']]} on {b['kind']}, {b['matched']:.0%} against {b['monitor']:.0%}")
     for s in summary["invisible"]:
         console.print(f"invisible, though {'mu is ' + format(s['mu_upper'], '.2f') if s['loop_stable'] else 'the loop is unstable'}: "
-                      f"{s['kind']} {s['severity']:g} {summary['units'][s['kind']]}")
+                      f"{s['kind']} {s['severity']:g} {summary['units'][s['kind']]}, found {s['found']['monitor']} of {s['runs']}")
     bus = Table("fault of the bus, by severity", "runs as required", "reactions met", "not live", "judged", "alarmed, visible runs", box=None)
     for kind in dict.fromkeys(s["kind"] for s in summary["bus"]):
         rows = [s for s in summary["bus"] if s["kind"] == kind]

@@ -772,7 +772,8 @@ def _campaign_section(c: dict) -> str:
         [[escape(s["kind"]), f"{s['severity']:g} {escape(c['units'][s['kind']])}", _number(s["response_margin"]),
           _level(s), str(s["runs"]), str(s["visible_runs"]),
           *(f"{s['found'][d]}, {_number(s['median_s'][d])}" for d in names)] for s in c["severities"]])
-    hidden = "; ".join(f"{escape(s['kind'])} {s['severity']:g} {escape(c['units'][s['kind']])} (mu {_level(s)})" for s in c["invisible"])
+    hidden = "; ".join(f"{escape(s['kind'])} {s['severity']:g} {escape(c['units'][s['kind']])} (mu {_level(s)}, found {s['found']['monitor']} of {s['runs']})"
+                       for s in c["invisible"])
     beaten = "; ".join(f"{escape(names[b['detector']])} on {escape(b['kind'])}, {b['matched']:.0%} against {b['monitor']:.0%}" for b in c["beaten"])
     bus = _table(["fault", "severity", "runs as required", "reactions due, met", "not live for", "judged", "runs that alarm", "visible runs"],
                  [[escape(s["kind"]), f"{s['severity']:g} {escape(c['units'][s['kind']])}", f"{s['as_required']} of {s['runs']}",
@@ -801,7 +802,7 @@ every detector the least threshold with which the same rule allows its alarms bo
          "before the fault; no point where half of them never alarmed.")}
 <h3>Kinds of fault</h3>{kinds}<p>Where a baseline wins at equal alarms: {beaten or "nowhere"}.</p><h3>Severities</h3>{severities}
 <h3>Invisible, though robust performance is lost</h3><p>Upper bound of mu of the faulted loop at least 1, visible in fewer than half of the runs:
-{hidden or "none"}. The largest mu over three speeds is meant; it exists for faults that are linear and time-invariant.</p>
+{hidden or "none"}. Some are found all the same, by the energy test or in single frames; nothing promises it. The largest mu over three speeds is meant; it exists for faults that are linear and time-invariant.</p>
 <h3>Faults of the bus</h3><p>What the supervision must say at every tick follows from the frames that were on the bus and the message table:
 three missed periods hold, five switch off, so does a score of five bad frames, and five good ones bring back. That is worked out
 apart from the core. As required were {share(faulty["as_required"])} of the runs with a faulty bus, where of {faulty["due"]} reactions due
