@@ -157,7 +157,7 @@ def test_what_is_drawn_depends_on_seed_and_number_alone():
 @pytest.fixture
 def small(monkeypatch):
     """A campaign of minutes made one of seconds: faults of the truck, of the bus and of both, one truck, one setting a baseline."""
-    kinds = [k for k in stage.KINDS if k.name in ("brake gain", "yaw rate frozen", "GUARD_IN lost", "brake gain, 5 % of VDC2 lost")]
+    kinds = [k for k in stage.KINDS if k.name in ("brake gain", "yaw rate frozen", "GUARD_IN repeated", "brake gain, 5 % of VDC2 lost")]
     monkeypatch.setattr(stage, "KINDS", tuple(stage.Kind(k.name, k.unit, k.values[:1], k.table, k.loop, k.response) for k in kinds))
     monkeypatch.setattr(stage, "PLANTS", 1)
     monkeypatch.setattr(stage, "CHUNK", 3)
@@ -222,7 +222,7 @@ def test_a_campaign_that_was_stopped_goes_on_and_ends_the_same(small, stored, tr
     assert all(s["median_s"]["monitor"] < stage.FOUND_WITHIN_S for s in summary["severities"])
     assert summary["visible"]["monitor"]["count"] == summary["visible"]["monitor"]["of"] == sum(s["visible_runs"] for s in summary["severities"]) > 0
     assert summary["due"]["count"] == summary["due"]["of"] > 0
-    assert [s["kind"] for s in summary["bus"]] == ["brake gain, 5 % of VDC2 lost", "GUARD_IN lost"], "the bus is scored apart"
+    assert [s["kind"] for s in summary["bus"]] == ["brake gain, 5 % of VDC2 lost", "GUARD_IN repeated"], "the bus is scored apart"
     said = summary["supervision"]
     assert said["faulty"]["as_required"]["count"] == 4 and all(s["as_required"] == 2 for s in summary["bus"])
     assert said["faulty"]["met"] == said["faulty"]["due"] > 10 and said["healthy"]["as_required"]["count"] == 5 and said["healthy"]["due"] == 0
