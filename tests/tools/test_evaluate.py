@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ import pytest
 from lpvguard import evaluate as stage
 from lpvguard import identify
 from lpvguard.calibration import calibrate, joint_scores
-from lpvguard.core import Core
 from lpvguard.drives import list_experiments, read_drive
 from lpvguard.errors import InputError
 from lpvguard.evaluate import Case, Clock, alarmed_pieces, alarming, fault_clocks
@@ -30,7 +28,7 @@ def hits(n: int, *at: int) -> np.ndarray:
 
 def replay(seconds: float, relevant=slice(None), *, name: str = "made up", falsified=(), over=()) -> Replay:
     """A replay of which only what evaluate reads is filled in; ``relevant``: the judged, excited samples."""
-    n = int(round(seconds / TS)) + 1
+    n = round(seconds / TS) + 1
     judged = np.zeros(n, bool)
     judged[relevant] = True
     return Replay(name, seconds, None, judged, np.ones(n, bool), np.ones(n, bool), hits(n, *falsified), hits(n, *over), [], TS)

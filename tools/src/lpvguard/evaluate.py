@@ -1,5 +1,5 @@
-"""`lpvguard evaluate`: what the monitor, and each of its two tests alone, does on drives that did not set the bounds, leave-one-drive-out (DESIGN 4.8),
-beside three baselines (baselines.py) on the same drives.
+"""`lpvguard evaluate`: what the monitor, and each of its two tests alone, does on drives that did not set the bounds,
+leave-one-drive-out (DESIGN 4.8), beside three baselines (baselines.py) on the same drives.
 
 **Thresholds.** Every drive runs through the compiled core with thresholds calibrated on all *other* drives that did not set the bounds.
 The monitor is compared with both tests at one threshold, calibrated jointly (calibration.joint_scores), so that it alarms on a further
@@ -90,7 +90,7 @@ def alarming(replay: Replay, test: str | None = None) -> np.ndarray:
 
 def alarmed_pieces(replay: Replay, test: str | None = None) -> tuple[int, int]:
     """(alarmed, all) whole 60 s pieces of a drive, by a test (None: either)."""
-    length, pieces = int(round(PIECE_S / replay.Ts)), int(replay.duration_s // PIECE_S)
+    length, pieces = round(PIECE_S / replay.Ts), int(replay.duration_s // PIECE_S)
     return int(alarming(replay, test)[:pieces * length].reshape(pieces, length).any(axis=1).sum()), pieces
 
 
@@ -122,7 +122,7 @@ def fault_clocks(untouched: Replay, seed: int) -> list[Clock]:
     """One clock for each instant from which faults are injected into a drive; none where the drive does not qualify."""
     if untouched.duration_s <= SHORTEST_FOR_FAULTS_S:
         return []
-    earliest = int(round(FAULT_FROM_S / untouched.Ts))
+    earliest = round(FAULT_FROM_S / untouched.Ts)
     seconds = Clock.of(untouched, earliest).seconds
     latest = int(np.searchsorted(seconds, seconds[-1] - FOUND_WITHIN_S, side="right"))
     if seconds[-1] < FOUND_WITHIN_S:

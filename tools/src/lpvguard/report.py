@@ -19,7 +19,8 @@ from .core import REASONS, VERDICTS
 from .design_files import draw
 from .drives import Drive
 from .energy import EnergyTest
-from .evaluate import EXPORTED, FAULT_FROM_S, FOUND_WITHIN_S, MONITOR, PIECE_S, SHORTEST_FOR_FAULTS_S, STARTS
+from .evaluate import (EXPORTED, FAULT_FROM_S, FOUND_WITHIN_S, MONITOR, PIECE_S, SHORTEST_FOR_FAULTS_S,
+                       STARTS)
 from .frames import Estimator
 from .identify import DC_STAND_IN, SMALLEST_NU, DriveSet, StoredIdentification, fitting_grid, uncertainty_samples
 from .project import Project
