@@ -110,7 +110,7 @@ def test_the_drive_under_test_takes_part_in_nothing(study, kind):
         largest, cases = dict(found.largest), dict(found.cases)
         try:
             found.largest[name] = {b: np.full(3, 1e9) for b in GRID}
-            found.cases[name] = {key: {label: [stage.Case(name, 60.0, 0.02)] * 9 for label in table}
+            found.cases[name] = {key: {label: [stage.Case(name, 60.0, 0.02, None)] * 9 for label in table}
                                  for key, table in next(c for c in cases.values() if c).items()}
             assert found.best(kind, name) == before
             without = {n: found.largest[n][before[0]].max() for n in names if n != name}

@@ -53,7 +53,14 @@ def test_found_means_before_the_untouched_drive_and_in_time(faulty, untouched, s
     clock = Clock.of(replay(120.0), 3000)
     other = None if untouched is None else clock.read(hits(6001, untouched))
     case = Case.of("made up", TS, clock, hits(6001, faulty), other)
+    assert case.untouched_s == other
     assert case.s == (None if s is None else pytest.approx(s)) and case.found == (s is not None) and case.start_s == 60.0
+
+
+def test_what_the_untouched_drive_says_later_does_not_matter():
+    clock = Clock.of(replay(120.0), 3000)
+    case = Case.of("made up", TS, clock, hits(6001, 3009), clock.read(hits(6001, 4501)))
+    assert case.found and case.untouched_s is None
 
 
 def test_an_alarm_that_stands_when_the_fault_starts_is_none_of_it():

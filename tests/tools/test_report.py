@@ -201,12 +201,12 @@ def test_evaluation_and_a_core_of_another_identification_are_told(case, page, tm
     assert "alpha is not stated: too few calibration drives (1)" in plain and "(2)" in plain
     # No drive is long enough for injected faults here: made-up cases make the picture.
     cases = [{"run": "check", "start_s": 61.0, "s": 2.0}, {"run": "weak", "start_s": 62.0, "s": None}]
-    evaluation["faults"] = [row | {"drives": 2, "drives_found": 1, "counted": 2, "found": 1, "median_s": 2.0, "cases": cases, "best": ["rms"]}
+    evaluation["faults"] = [row | {"drives": 2, "drives_found": 1, "counted": 2, "untouched_alarms": 1, "found": 1, "median_s": 2.0, "cases": cases, "best": ["rms"]}
                             for row in evaluation["faults"]]
     text = Case(stored, case.drives, case.replayer).page(tmp_path / "report.html", evaluation).decode()
     assert "carries other numbers than this identification" in text
     assert re.findall("<h2>(.*?)</h2>", text) == [*TITLES, "Evaluation, leave one drive out"]
-    assert "Time to find" in text and "1 of 2 (1 of 2), 2.00 s" in text
+    assert "<td>1 of 2</td>" in text and "Time to find" in text and "1 of 2 (1 of 2), 2.00 s" in text
     assert "lead alone: output × 0.6 (residual RMS);" in text
     for row in evaluation["faults"]:
         assert row["fault"] in text

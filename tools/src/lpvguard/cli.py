@@ -537,6 +537,7 @@ def _detector_table(detectors: dict[str, tuple[dict, list[dict]]], best: list[st
     """False alarms and found faults, a column per detector; ``best``: who leads, per fault."""
     table = Table("", *detectors, *(["best"] if best else []), box=None)
     table.add_row("alarmed pieces", *(f"{alarms['alarmed']} of {alarms['pieces']}" for alarms, _ in detectors.values()))
+    table.add_row("starts with an alarm anyway", *(f"{faults[0]['untouched_alarms']} of {faults[0]['counted']}" for _, faults in detectors.values()))
     for index, row in enumerate(next(iter(detectors.values()))[1]):
         table.add_row(row["fault"], *(_found(faults[index]) for _, faults in detectors.values()), *([best[index]] if best else []))
     return table

@@ -17,6 +17,7 @@ though a baseline may alarm outside of it. An alarm stands at the sample with wh
 
 **Found**: the first alarm from the fault's start on comes within 30 s, and before any of the same detector on the untouched drive since
 that instant. So nothing that would have been said without the fault counts for it, an alarm already standing when it starts included.
+How often the untouched drive alarms in the time allowed is told beside.
 
 A baseline gets the same drives, residuals, calibration drives and alpha. Its parameters are those that find most injected
 faults (then soonest) on the bound-setting and the other calibration drives: the drive under test takes part in nothing.
@@ -135,17 +136,21 @@ def fault_clocks(untouched: Replay, seed: int) -> list[Clock]:
 
 @dataclass(frozen=True)
 class Case:
-    """A fault in a drive from ``start_s`` on: judged, excited seconds until it was found; None: it was not."""
+    """A fault in a drive from ``start_s`` on: judged, excited seconds until it was found, None: it was not; and until the detector
+    would have alarmed without the fault, None: not within the time allowed."""
 
     run: str
     start_s: float
     s: float | None
+    untouched_s: float | None
 
     @classmethod
     def of(cls, run: str, Ts: float, clock: Clock, faulty: np.ndarray, untouched: float | None) -> Case:
         """``faulty``: samples at which the detector alarms with the fault; ``untouched``: the clock at its first alarm without."""
         s = clock.read(faulty[:clock.end])
-        return cls(run, clock.first * Ts, s if s is not None and (untouched is None or s < untouched) else None)
+        caused = s is not None and (untouched is None or s < untouched)
+        return cls(run, clock.first * Ts, s if caused else None,
+                   untouched if untouched is not None and untouched <= clock.seconds[clock.end - 1] else None)
 
     @property
     def found(self) -> bool:
@@ -292,12 +297,14 @@ def _evaluate_baselines(study: BaselineStudy, rows: list[dict], seed: int) -> li
 
 
 def _fault_rows(cases: dict[str, list[Case]]) -> list[dict]:
-    """Per fault: cases found, all cases, drives, those of them in which it was found from every start, median time."""
+    """Per fault: cases found, all cases, drives, those of them in which it was found from every start, cases
+    whose untouched drive alarms in the time allowed, median time."""
     rows = []
     for label, members in cases.items():
         runs = {c.run for c in members}
         rows.append({"fault": label, "found": sum(c.found for c in members), "counted": len(members), "drives": len(runs),
                      "drives_found": len(runs - {c.run for c in members if not c.found}),
+                     "untouched_alarms": sum(c.untouched_s is not None for c in members),
                      "median_s": median_time([c.s for c in members]), "cases": [vars(c) for c in members]})
     return rows
 

@@ -597,6 +597,8 @@ def _detectors(detectors: dict[str, tuple[dict, list[dict]]], best: list[str] | 
     faults = next(iter(detectors.values()))[1]
     return _table(["", *map(escape, detectors), *(["best"] if best else [])], [
         [f"alarmed {PIECE_S:g} s pieces, no fault", *(f"{a['alarmed']} of {a['pieces']}" for a, _ in detectors.values()), *([""] if best else [])],
+        [f"starts after which the untouched drive alarms within {FOUND_WITHIN_S:g} s",
+         *(f"{rows[0]['untouched_alarms']} of {rows[0]['counted']}" for _, rows in detectors.values()), *([""] if best else [])],
         *([escape(row["fault"]), *(_found(rows[i]) for _, rows in detectors.values()), *([escape(best[i])] if best else [])]
           for i, row in enumerate(faults)),
         ["all faults", *(f"{sum(r['found'] for r in rows)} of {sum(r['counted'] for r in rows)}" for _, rows in detectors.values()),
@@ -620,8 +622,9 @@ def _evaluation_section(evaluation: dict) -> str:
         [[escape(r["run"]), escape(r["driver"]), *(f"{r['calibration'][t]['threshold']:.3f}, {_number(r['scores'][t], 4)}" for t in tests),
           f"{r['alarmed'][MONITOR]} of {r['pieces']}", f"{r['judged_s']:.1f}",
           "–" if r["judged_of_in_range_excited"] is None else f"{r['judged_of_in_range_excited']:.0%}",
-          ", ".join(f"{s:.0f}" for s in r["fault_starts_s"]) or escape(evaluation["without_faults"][r["run"]])] for r in evaluation["drives"]])
+          ", ".join(f"{s:.0f}" for s in r["fault_starts_s"]) or "–"] for r in evaluation["drives"]])
     left_out = "; ".join(f"{escape(n)}: {escape(why)}" for n, why in evaluation["left_out"].items())
+    without = "; ".join(f"{escape(n)}: {escape(why)}" for n, why in evaluation["without_faults"].items())
     ours = {"lpvguard, both tests at one threshold": (evaluation["false_alarms"]["all"], evaluation["faults"])}
     titles = {EXPORTED: "as exported, each test at its threshold"} | {t: f"{t} test alone" for t in evaluation["tests"] if t != EXPORTED}
     apart = {titles[name]: (t["false_alarms"], t["faults"]) for name, t in evaluation["tests"].items()}
@@ -631,16 +634,17 @@ def _evaluation_section(evaluation: dict) -> str:
             pictures.time_to_find("f7", evaluation["faults"], FOUND_WITHIN_S),
             f"<b>Time to find.</b> A mark per start in a drive: judged, excited driving from the fault's start to the alarm that it caused. "
             f"Crosses: not within {FOUND_WITHIN_S:g} s (dashed). Times below 0.1 s stand at 0.1 s. Right: found of all.")
+    tried = len(evaluation["drives"]) - len(evaluation["without_faults"])
     return f"""<h2>Evaluation, leave one drive out</h2>
 <p>Every drive that did not set the bounds runs through the compiled core with thresholds from
 {escape(evaluation["threshold_rule"])}. The interval
 resamples drives, not pieces: pieces of one drive are not exchangeable. Drives that the identification left out: {left_out or "none"}.</p>
 {claims}<h3>False alarms</h3>{alarms}{drives}<h3>Injected faults</h3>
-<p>Injected into drives longer than {SHORTEST_FOR_FAULTS_S:g} s, from {STARTS} instants of each after {FAULT_FROM_S:g} s, drawn so that
+<p>Injected into {tried} of {len(evaluation["drives"])} drives, those longer than {SHORTEST_FOR_FAULTS_S:g} s, from {STARTS} instants of each after {FAULT_FROM_S:g} s, drawn so that
 {FOUND_WITHIN_S:g} s of judged, excited driving follow. Found: the first alarm from then on comes within {FOUND_WITHIN_S:g} s of such driving and
 before any that the same detector raises on the untouched drive; an alarm counts when the core says so, which for a frame is after its
 end. A cell: starts from which the fault was found, of all (drives in which from every start), and the median time, a miss counting as
-later than all.</p>{figure}{_detectors(ours | apart)}
+later than all. Not into {without or "none left"}.</p>{figure}{_detectors(ours | apart)}
 <p>The first column alarms on a further drive, by either test, with the same probability as either test alone; as exported the two
 thresholds together allow twice as much.</p>{_baselines(evaluation, ours)}"""
 
