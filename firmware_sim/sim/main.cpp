@@ -85,8 +85,9 @@ private:
             add(frame.data[i], 1);
         }
         if (log_ != nullptr) {
+            // As candump: eight digits say "extended", and the flag of an error report stays.
             std::fprintf(log_, "(%" PRId64 ".%06" PRId64 ") can0 %08X#", frame.t_us / 1'000'000, frame.t_us % 1'000'000,
-                         frame.id & 0x1FFFFFFFU);
+                         frame.id & ~LPVG_CAN_EXTENDED);
             for (std::size_t i = 0; i < frame.dlc; ++i) {
                 std::fprintf(log_, "%02X", frame.data[i]);
             }

@@ -7,6 +7,9 @@ import os
 import pickle
 import re
 import shutil
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -146,6 +149,43 @@ def test_results_come_in_order_and_few_are_under_way():
         for i, result in enumerate(run(abs, items())):
             assert result == i
             assert len(taken) <= i + 2 * UNDER_WAY_PER_WORKER
+
+
+POOL = """
+import os, sys
+from lpvguard.parallel import workers
+
+def process(item):
+    return os.getpid()
+
+if __name__ == "__main__":
+    with workers(2) as run:
+        print(*set(run(process, range(20))), flush=True)
+        sys.stdin.read()
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="asks /proc which processes run")
+def test_workers_end_with_a_pool_that_was_killed(tmp_path):
+    """Nobody tells them: what started them was killed."""
+    script = tmp_path / "pool.py"
+    script.write_text(POOL)
+    with subprocess.Popen([sys.executable, script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as pool:
+        started = [int(p) for p in pool.stdout.readline().split()]
+        assert started and all(map(alive, started))
+        pool.kill()
+    end = time.monotonic() + 20
+    while any(map(alive, started)):
+        assert time.monotonic() < end, started
+        time.sleep(0.05)
+
+
+def alive(process: int) -> bool:
+    """Whether a process runs; one that nobody has asked for its status yet does not."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
 
 
 def test_an_input_error_of_a_worker_keeps_its_parts(drives, tmp_path):

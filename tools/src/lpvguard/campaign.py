@@ -4,7 +4,7 @@ Two groups of runs of DURATION_S each, every one a scenario of its own drawn fro
 
     within   trucks that vary in load, CG, tyres, brakes and friction, and whose own frequency response lies within the bounds;
              any alarm is false while the demand stays within the amplitude that the response was checked for
-    faults   KINDS: one fault or variation, at several severities
+    faults   KINDS: one fault or variation, of the truck, of the bus, or of both at once, at several severities
 
 Within: the truck's response G to sines of RESPONSE_AMPLITUDES_BAR is measured at the bins and at RESPONSE_SPEEDS on a flat road
 without wind (`plant response`); with P the nominal model's and U = CHECKED_AMPLITUDE_BAR in every bin, t* of E = (G - P)U, Z = PU must
@@ -16,6 +16,11 @@ What a fault should show is measured off line on the very samples of the run: fr
 precision, by the estimator that set the bounds. A fault is *visible* in a run when t* is at least 1.5 times the threshold in at
 least 10 % of the frames that lie wholly in excited driving after its start. A visible fault must be found within 60 s of judged,
 excited driving. An alarm is *due* by the time that class Offline derives. Runs in which a detector alarms before the fault do not count for it.
+
+Two things are scored, apart from each other. The detectors of model error on faults of the truck, alone or with one of the bus. The
+supervision on faults of the bus, alone or with one of the truck: what it must say at every tick follows from the frames that were
+on the bus and the message table (supervision.py). What detectors say where the bus alone is at fault is counted, not scored: a
+corrupted or late value that passes for a good one is a model error to whoever sees no more than the values.
 
 Files in the campaign's folder (each whole or absent; a campaign that was stopped goes on where it was):
 
@@ -33,6 +38,7 @@ import io
 import os
 import subprocess
 import tempfile
+import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from functools import cached_property, lru_cache, partial
@@ -42,31 +48,35 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from scipy.stats import beta
+from scipy.stats import beta, chi2
 
 from . import artefacts
 from .baselines import KINDS as BASELINE_KINDS
 from .baselines import TITLES, Bank, Baseline, Scales
 from .bounds import nominal_error
 from .calibration import calibrate
+from .can.logs import read_log
+from .control_export import load_controller
 from .core import Core
 from .design import faulted_performance
 from .drives import Drive
 from .errors import InputError
-from .evaluate import MONITOR, TESTS, BaselineStudy, Clock, alarm_times, median_time
+from .evaluate import MONITOR, TESTS, BaselineStudy, Clock, alarming, median_time
 from .frames import Estimator
 from .generate import plant_tool
 from .identify import DriveSet, StoredIdentification
 from .nominal import NominalModel
 from .parallel import Map
 from .replay import Replay, Replayer
-from .sim import Simulator
+from .sim import RECOVERY_S, SUPERVISION, Simulator
+from .supervision import LIVE, Reactions, needed_messages, required
 from .synthesis.statespace import StateSpace, gain
 from .validation import s1
 
 DURATION_S = 180.0
 """As long as the calibration drives of `generate`: a rate per drive means the same."""
 FAULT_FROM_S = 60.0
+BUS_FAULT_UNTIL_S = 150.0
 FOUND_WITHIN_S = 60.0
 VISIBLE_RATIO, VISIBLE_SHARE, VISIBLE_FOUND = 1.5, 0.1, 0.95
 STRIDE = 10
@@ -90,7 +100,8 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of fault: ``table`` is the text of its scenario tables, with {x} for the severity and {start} for its begin [s].
+    """A kind of fault: ``table`` is the text of its scenario tables, with {x} for the severity, {start} and {end} for when it begins
+    and ends [s], {until} for the severity in seconds after its begin.
 
     ``loop``: severity -> what it does between controller and vehicle and between sensors and controller, as
     (applied, measured), where that is linear and time-invariant; ``response``: whether the truck's frequency response tells of it.
@@ -107,8 +118,17 @@ class Kind:
     def from_s(self) -> float:
         return FAULT_FROM_S if "{start}" in self.table else 0.0
 
-    def text(self, x: float) -> str:
-        return self.table.format(x=f"{x:.9g}", start=f"{FAULT_FROM_S:g}")
+    @property
+    def of_truck(self) -> bool:
+        """Whether the truck, its sensors or its surroundings are at fault."""
+        return "plant." in self.table
+
+    @property
+    def of_bus(self) -> bool:
+        return "can_fault" in self.table
+
+    def text(self, x: float, start_s: float = FAULT_FROM_S) -> str:
+        return self.table.format(x=f"{x:.9g}", start=f"{start_s:g}", end=f"{BUS_FAULT_UNTIL_S:g}", until=f"{start_s + x:.9g}")
 
 
 def _measured(yaw: float, wheel: float, Ts: float) -> StateSpace:
@@ -133,7 +153,27 @@ _ACTUATOR = "[[plant.actuator_fault]]\nstart_s = {start}\n"
 _SURROUNDINGS = "[[plant.surroundings_fault]]\nstart_s = {start}\n"
 _YAW = '[[plant.sensor_fault]]\nsignal = "yaw_rate"\nstart_s = {start}\n'
 _WHEEL = '[[plant.sensor_fault]]\nsignal = "steering_wheel"\nstart_s = {start}\n'
+_FRONT_WHEELS = "".join(f'[[plant.sensor_fault]]\nsignal = "wheel_speed_front_{side}"\nstart_s = {{start}}\ngain = {{x}}\n' for side in ("left", "right"))
 _VARIATION = "[plant.variation]\n"
+
+
+def _bus(message: str, kind: str, *more: str, end: str = "{end}") -> str:
+    lines = (f'message = "{message}"', f'kind = "{kind}"', "start_s = {start}", f"end_s = {end}", *more)
+    return "[[can_fault]]\n" + "".join(f"{line}\n" for line in lines)
+
+
+def _of_frames(message: str, kind: str, *shares: float, name: str = "", more: tuple[str, ...] = ()) -> Kind:
+    """A fault of the bus that befalls a share of a message's frames."""
+    return Kind(f"{message} {name or kind.replace('_', ' ')}", "of the frames", shares, _bus(message, kind, "probability = {x}", *more))
+
+
+def _yaw_gain(x: float, Ts: float) -> tuple[StateSpace, StateSpace]:
+    return gain([[1.0]], Ts), _measured(x, 1.0, Ts)
+
+
+def _wheel_gain(x: float, Ts: float) -> tuple[StateSpace, StateSpace]:
+    return gain([[1.0]], Ts), _measured(1.0, x, Ts)
+
 
 KINDS = (
     Kind("brake gain", "×", (0.0, 0.15, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.3, 1.6, 2.0), _ACTUATOR + "brake_gain_ratio = {x}\n",
@@ -143,24 +183,60 @@ KINDS = (
     Kind("brake gain and delay 0.1 s", "×", (0.4, 0.5, 0.6, 0.7, 0.85), _ACTUATOR + "brake_gain_ratio = {x}\nextra_delay_s = 0.1\n",
          _applied(lambda x, Ts: StateSpace(_delay(0.1, Ts).A, _delay(0.1, Ts).B, x * _delay(0.1, Ts).C, [[0.0]], Ts)), True),
     Kind("yaw-rate gain", "×", (-1.0, 0.3, 0.5, 0.6, 0.7, 0.85, 1.3, 1.6), _YAW + "gain = {x}\n",
-         lambda x, Ts: (gain([[1.0]], Ts), _measured(x, 1.0, Ts))),
+         _yaw_gain),
     Kind("yaw-rate bias", "rad/s", (0.005, 0.01, 0.02, 0.04, 0.08), _YAW + "bias = {x}\n"),
     Kind("yaw-rate drift", "rad/s²", (1e-4, 3e-4, 1e-3, 3e-3), _YAW + "drift_ps = {x}\n"),
     Kind("yaw-rate noise", "rad/s rms", (0.005, 0.01, 0.02, 0.05, 0.1), _YAW + "extra_noise_rms = {x}\n"),
-    Kind("yaw rate frozen", "", (1.0,), _YAW + "frozen = true\n"),
+    # A frozen value is a constant and a gain of 0.
+    Kind("yaw rate frozen", "", (1.0,), _YAW + "frozen = true\n", lambda x, Ts: _yaw_gain(0.0, Ts)),
     Kind("wheel-angle gain", "×", (-1.0, 0.3, 0.5, 0.7, 0.85, 1.3, 1.6), _WHEEL + "gain = {x}\n",
-         lambda x, Ts: (gain([[1.0]], Ts), _measured(1.0, x, Ts))),
+         _wheel_gain),
     Kind("steering-wheel bias", "rad", (0.05, 0.1, 0.2, 0.4), _WHEEL + "bias = {x}\n"),
-    Kind("wheel angle frozen", "", (1.0,), _WHEEL + "frozen = true\n"),
+    Kind("steering-wheel drift", "rad/s", (1e-3, 3e-3, 1e-2, 3e-2), _WHEEL + "drift_ps = {x}\n"),
+    Kind("steering-wheel noise", "rad rms", (0.02, 0.05, 0.1, 0.2), _WHEEL + "extra_noise_rms = {x}\n"),
+    Kind("wheel angle frozen", "", (1.0,), _WHEEL + "frozen = true\n", lambda x, Ts: _wheel_gain(0.0, Ts)),
+    Kind("measured speed", "×", (0.7, 0.85, 1.15, 1.3), _FRONT_WHEELS),
     Kind("front tyre stiffness", "×", (0.15, 0.3, 0.5, 0.7, 0.85), _SURROUNDINGS + "cornering_stiffness_front_ratio = {x}\n", None, True),
     Kind("rear tyre stiffness", "×", (0.3, 0.5, 0.7, 0.85), _SURROUNDINGS + "cornering_stiffness_rear_ratio = {x}\n", None, True),
     Kind("friction", "×", (0.1, 0.2, 0.35, 0.6), _SURROUNDINGS + "friction_left_ratio = {x}\nfriction_right_ratio = {x}\n", None, True),
     Kind("split friction", "×", (0.1, 0.2, 0.35, 0.6), _SURROUNDINGS + "friction_left_ratio = {x}\n", None, True),
     Kind("crosswind", "m/s", (5.0, 10.0, 15.0, 20.0), _SURROUNDINGS + "crosswind_mps = {x}\n"),
-    Kind("load", "×", (0.8, 1.2, 1.4), _VARIATION + "load_ratio = {x}\n", None, True),
+    Kind("load", "×", (0.6, 0.8, 1.2, 1.4), _VARIATION + "load_ratio = {x}\n", None, True),
     Kind("centre of gravity", "m rearwards", (-0.5, -0.25, 0.25, 0.5), _VARIATION + "cg_shift_m = {x}\n", None, True),
     Kind("road bank", "rad rms", (0.008, 0.015, 0.03), _VARIATION + "bank_rms_rad = {x}\n"),
     Kind("quantisation", "× grid", (5.0, 20.0, 80.0), _VARIATION + "sensor_lsb_ratio = {x}\n"),
+    Kind("front tyre stiffness and yaw-rate gain 1.6", "×", (0.3, 0.5, 0.7, 0.85),
+         _SURROUNDINGS + "cornering_stiffness_front_ratio = {x}\n" + _YAW + "gain = 1.6\n"),
+    # Truck and bus at once.
+    Kind("brake gain, 5 % of VDC2 lost", "×", (0.15, 0.3, 0.4, 0.5, 0.7),
+         _ACTUATOR + "brake_gain_ratio = {x}\n" + _bus("VDC2", "lost", "probability = 0.05"), _applied(lambda x, Ts: gain([[x]], Ts))),
+    Kind("brake gain 0.3, VDC2 lost", "of the frames", (0.05, 0.2, 0.4, 0.6),
+         _ACTUATOR + "brake_gain_ratio = 0.3\n" + _bus("VDC2", "lost", "probability = {x}"), _applied(lambda x, Ts: gain([[0.3]], Ts))),
+    Kind("yaw-rate gain, 20 % of GUARD_IN corrupted", "×", (-1.0, 0.3, 0.5, 0.7, 1.6),
+         _YAW + "gain = {x}\n" + _bus("GUARD_IN", "corrupted", "probability = 0.2"), _yaw_gain),
+    Kind("brake delay, 30 % of VDC2 late by 10 ms", "s", (0.1, 0.2, 0.3, 0.4),
+         _ACTUATOR + "extra_delay_s = {x}\n" + _bus("VDC2", "delayed", "probability = 0.3", "delay_s = 0.01"), _applied(_delay)),
+    # The bus alone. VDC2 and EBC2 have neither counter nor checksum, GUARD_IN has both.
+    _of_frames("VDC2", "lost", 0.1, 0.3, 0.5, 0.7, 1.0),
+    _of_frames("GUARD_IN", "lost", 0.1, 0.3, 0.5, 0.7, 1.0),
+    _of_frames("EBC2", "lost", 0.1, 0.3, 0.5, 0.7, 1.0),
+    _of_frames("VDC2", "repeated", 0.1, 0.5, 1.0),
+    _of_frames("GUARD_IN", "repeated", 0.1, 0.3, 0.5, 1.0),
+    _of_frames("GUARD_IN", "stuck_counter", 0.1, 0.3, 0.5, 1.0),
+    _of_frames("VDC2", "swapped", 0.1, 0.5, 1.0),
+    _of_frames("GUARD_IN", "swapped", 0.1, 0.5, 1.0),
+    _of_frames("VDC2", "corrupted", 0.1, 0.3, 0.5, 1.0),
+    _of_frames("GUARD_IN", "corrupted", 0.1, 0.3, 0.5, 1.0),
+    _of_frames("VDC2", "wrong_length", 0.1, 0.3, 0.5, 1.0),
+    _of_frames("VDC2", "babbling", 0.01, 0.1, 0.3, 1.0),
+    _of_frames("GUARD_IN", "babbling", 0.01, 0.1, 0.3, 1.0),
+    _of_frames("VDC2", "unknown_id", 0.1, 1.0, name="beside foreign frames"),
+    _of_frames("VDC2", "delayed", 0.1, 0.3, 0.6, 0.9, name="late by 10 ms", more=("delay_s = 0.01",)),
+    _of_frames("GUARD_IN", "delayed", 0.1, 0.3, 0.6, 0.9, name="late by 30 ms", more=("delay_s = 0.03",)),
+    Kind("VDC2 delayed", "s", (0.01, 0.03, 0.1, 0.3), _bus("VDC2", "delayed", "delay_s = {x}")),
+    Kind("GUARD_IN delayed", "s", (0.01, 0.03, 0.1, 0.3), _bus("GUARD_IN", "delayed", "delay_s = {x}")),
+    Kind("EBC2 delayed", "s", (0.1, 0.3, 0.9), _bus("EBC2", "delayed", "delay_s = {x}")),
+    Kind("bus-off", "s", (0.05, 0.2, 1.0, 5.0), _bus("VDC2", "bus_off", end="{until}")),
 )
 
 
@@ -203,16 +279,28 @@ def draw_variation(seed: int, candidate: int) -> str:
 def scenario_text(seed: int, case: Case) -> str:
     """The scenario file of a run: speed and command drawn, so that the demand stays within what the bounds were made from."""
     random = np.random.default_rng([seed, 2, case.number])
-    first = random.uniform(9.0, 21.0)
-    last = first if random.uniform() < 0.5 else float(np.clip(first + random.uniform(-3.0, 3.0), 8.5, 21.5))
+    profile = _speed_profile(random)
     demand_bar = random.uniform(0.1, 0.3) if case.plant >= 0 else random.uniform(0.3, 0.7)
-    yaw_rate = 1.94 / max(first, last) * demand_bar  # Table I's gain at DC
+    yaw_rate = 1.94 / max(v for _, v in profile) * demand_bar  # Table I's gain at DC
     command = ('kind = "multisine"\nspacing = "log"\nlow_radps = 0.5\nhigh_radps = 4.0\nrms_radps = {r:.6g}',
                'kind = "multisine"\nspacing = "linear"\nlow_radps = 0.05\nhigh_radps = 2.0\nrms_radps = {r:.6g}',
                'kind = "steps"\namplitude_radps = {r:.6g}\nperiod_s = {p:.6g}')[random.integers(3)]
     return (f'duration_s = {DURATION_S:g}\nseed = {random.integers(1 << 31)}\n[command]\n'
             + command.format(r=yaw_rate, p=random.uniform(5.0, 12.0))
-            + f"\n[plant]\nspeed_profile = [[0.0, {first:.6g}], [40.0, {first:.6g}], [150.0, {last:.6g}]]\n" + case.tables)
+            + "\n[plant]\nspeed_profile = [" + ", ".join(f"[{t:.6g}, {v:.6g}]" for t, v in profile) + "]\n" + case.tables)
+
+
+def _speed_profile(random: np.random.Generator) -> list[tuple[float, float]]:
+    """(time [s], speed [m/s]): constant, drifting by at most 3 m/s, or swept to the farther end of the range and back at 0.05 to 0.3 m/s2."""
+    first = random.uniform(9.0, 21.0)
+    manner = random.integers(5)
+    if manner < 2:
+        return [(0.0, first)]
+    if manner < 4:
+        return [(0.0, first), (40.0, first), (150.0, float(np.clip(first + random.uniform(-3.0, 3.0), 8.5, 21.5)))]
+    end = 21.0 if first < 15.0 else 9.0
+    takes_s = abs(end - first) / random.uniform(0.05, 0.3)
+    return [(0.0, first), (20.0, first), (20.0 + takes_s, end), (20.0 + 2.0 * takes_s, first)]
 
 
 def plan(size: Size, variations: list[str]) -> list[Case]:
@@ -285,7 +373,7 @@ def plants(model: NominalModel, bounds: Bounds, seed: int, workers: Map, progres
             candidates.append({"tables": t, "margin": value})
     chosen = [(kind, x) for kind in KINDS if kind.response for x in kind.values]
     faulted = []
-    for (kind, x), value in zip(chosen, workers(margin, [k.table.format(x=f"{x:.9g}", start="0") for k, x in chosen])):
+    for (kind, x), value in zip(chosen, workers(margin, [k.text(x, start_s=0.0) for k, x in chosen])):
         progress(f"frequency response, {kind.name} {x:g}")
         faulted.append({"kind": kind.name, "severity": x, "margin": value})
     return {"nominal": margin(""), "candidates": candidates, "faulted": faulted}
@@ -382,9 +470,11 @@ def run_case(context: Context, case: Case) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "scenario.toml"
         path.write_text(scenario_text(context.seed, case), encoding="utf-8")
-        facts, drive, present = simulator.drive(path)
+        log = path.with_suffix(".log") if "can_fault" in case.tables else None
+        facts, drive, present = simulator.drive(path, log=log)
+        reactions = supervision(simulator, facts, tomllib.loads(path.read_text(encoding="utf-8")), log, case.fault_s)
     replay = replayer.replay(drive, present)
-    clock = Clock.of(replay, case.fault_s)
+    clock = Clock.of(replay, round(case.fault_s / replay.Ts))
     offline = Offline.of(replayer, drive, case.fault_s)
     row: dict[str, Any] = {
         "number": case.number, "kind": case.kind, "severity": case.severity, "plant": case.plant, "seed": facts["seed"],
@@ -395,11 +485,12 @@ def run_case(context: Context, case: Case) -> dict[str, Any]:
         "judged_s": replay.judged_s, "excited_after_s": float(clock.seconds[-1]),
         "visible_share": offline.visible_share, "due_s": offline.due_s, "offline_median": offline.median,
         "offline_max": offline.largest,
-        "ecu_invalid_s": next((t for t, verdict in facts["verdicts"] if verdict == "invalid"), None)}
+        "ecu_invalid_s": next((t for t, verdict in facts["verdicts"] if verdict == "invalid"), None),
+        **{f"supervision_{key}": value for key, value in asdict(reactions).items()}}
     for test in TESTS:
-        times = alarm_times(replay, test)
-        row |= {f"alarms_{test}": sum(a.test == test for a in replay.alarms), f"alarmed_{test}": bool(len(times)),
-                f"{test}_found_s": clock.of_replay(replay, test)}
+        hits = alarming(replay, test)
+        row |= {f"alarms_{test}": sum(a.test == test for a in replay.alarms), f"alarmed_{test}": bool(hits.any()),
+                f"{test}_found_s": clock.read(hits)}
     row |= _judged(MONITOR, _statistic(replayer, replay, drive), 1.0, clock)
     e = nominal_error(drive, replayer.model)[0]
     thresholds = dict(context.baselines)
@@ -408,21 +499,34 @@ def run_case(context: Context, case: Case) -> dict[str, Any]:
     return row
 
 
+def supervision(simulator: Simulator, facts: dict[str, Any], scenario: dict[str, Any], log: Path | None, from_s: float) -> Reactions:
+    """What the ECU reported of its bus from ``from_s`` on (not before the bus came up), against what the frames in the ``log`` require;
+    None: of a bus without fault, which requires it to be live. ``facts``, ``scenario``: as the simulator prints and was given them."""
+    Ts = simulator.project.Ts_s
+    ticks_us = np.arange(round(max(from_s, RECOVERY_S) / Ts), round(facts["duration_s"] / Ts)) * round(Ts * 1e6)
+    times, states = zip(*facts["supervision"])
+    said = np.array([SUPERVISION.index(s) for s in states])[np.searchsorted(np.round(np.array(times) * 1e6), ticks_us, side="right") - 1]
+    if log is None:
+        return Reactions.of(said, np.full(len(ticks_us), LIVE), Ts)
+    off_us = [round(fault["start_s"] * 1e6) for fault in scenario.get("can_fault", ()) if fault["kind"] == "bus_off"]
+    return Reactions.of(said, required(read_log(log), needed_messages(simulator.project), ticks_us, off_us), Ts)
+
+
 def _statistic(replayer: Replayer, replay: Replay, drive: Drive) -> np.ndarray:
-    """(N,) of the monitor: the larger of the frame test's statistic (at the ends of frames) and the energy test's ratio, each over
+    """(N,) of the monitor: the larger of the frame test's statistic (where frames were judged) and the energy test's ratio, each over
     its threshold; -inf where neither judged. Above 1: an alarm."""
     frames = replay.run.frames
     statistic = np.where(replay.run.energy > 0, replay.run.energy / replayer.energy_threshold, -np.inf)
-    at = np.round((frames.t_end_s - drive.t[0]) / replay.Ts).astype(int)
+    at = np.round((frames.t_judged_s - drive.t[0]) / replay.Ts).astype(int)
     np.maximum.at(statistic, at[frames.counted], frames.statistic[frames.counted] / replayer.threshold)
     return statistic
 
 
 def _judged(name: str, statistic: np.ndarray, threshold: float, clock: Clock) -> dict[str, Any]:
     """NAME_before, NAME_found_s at the threshold; largest statistic before the fault and within the time allowed after it."""
-    within = slice(clock.first + 1, int(np.searchsorted(clock.seconds, FOUND_WITHIN_S, side="right")))
-    before = float(statistic[:clock.first + 1].max(initial=-np.inf)) if clock.first else -np.inf
-    return {f"{name}_before": before > threshold, f"{name}_found_s": clock.of_statistic(statistic, threshold),
+    within = slice(clock.first, int(np.searchsorted(clock.seconds, FOUND_WITHIN_S, side="right")))
+    before = float(statistic[:clock.first].max(initial=-np.inf))
+    return {f"{name}_before": before > threshold, f"{name}_found_s": clock.read(statistic > threshold),
             f"{name}_score_before": before, f"{name}_score_within": float(statistic[within].max(initial=-np.inf)),
             f"{name}_score": float(statistic.max(initial=-np.inf))}
 
@@ -444,13 +548,15 @@ def campaign(stored: StoredIdentification, drives: DriveSet, folder: Path, out: 
     """Run or go on with the campaign in ``out``; returns its summary.
 
     ``folder``: generated folder with controller, of this identification; ``controller``: controller.json written by `design`, for mu of
-    the faulted loops. InputError when ``out`` holds another campaign.
+    the faulted loops. InputError when ``out`` holds another campaign, or one of these belongs to another identification.
     """
     simulator, core = Simulator(folder), Core(folder)
     replayer = Replayer(simulator.project, core)
     _require_same(stored, replayer)
+    if controller is not None:
+        _require_designed_for(stored, controller)
     _claim(out, artefacts.manifest("campaign", seed=seed, size=asdict(size), vehicle=artefacts.read_manifest(folder, "vehicle"),
-                                   plan={k.name: k.values for k in KINDS}, duration_s=DURATION_S))
+                                   plan={k.name: [k.table, *k.values] for k in KINDS}, duration_s=DURATION_S))
 
     def kept(name: str, make: Callable[[], Any]) -> Any:
         if not (out / name).is_file():
@@ -486,6 +592,12 @@ def _require_same(stored: StoredIdentification, replayer: Replayer) -> None:
     W_delta, B_w = stored.fitted.at(replayer.estimator.omega)
     if not (np.allclose(W_delta, replayer.W_delta, rtol=1e-4) and np.allclose(B_w, replayer.B_w, rtol=1e-4)):
         raise InputError(replayer.core.folder, "bounds", "are not those of the identification", f"an export of {stored.folder}")
+
+
+def _require_designed_for(stored: StoredIdentification, controller: Path) -> None:
+    load_controller(controller)
+    if artefacts.read_manifest(controller.parent, "design")["identification"] != stored.manifest:
+        raise InputError(controller.parent, "identification", "is another one", f"a design of {stored.folder}")
 
 
 def _claim(out: Path, manifest: str) -> None:
@@ -528,8 +640,15 @@ def rate(count: int, of: int) -> dict[str, Any]:
     return {"count": count, "of": of, "interval": [low, high] if of else None}
 
 
+def per_hour(count: int, hours: float) -> dict[str, Any]:
+    """Events an hour with their exact 95 % interval (Poisson). The events must be independent: runs that alarm, not their alarms."""
+    low = float(chi2.ppf(0.025, 2 * count)) / 2 if count else 0.0
+    high = float(chi2.ppf(0.975, 2 * count + 2)) / 2
+    return {"rate": count / hours if hours else None, "interval": [low / hours, high / hours] if hours else None}
+
+
 def summarise(table: pa.Table, stored: StoredIdentification, found: dict, levels: list[dict], tuned: dict) -> dict[str, Any]:
-    """The campaign's tables from its rows; JSON-able.
+    """The campaign's tables from its rows; JSON-able. ``severities``, ``kinds``, ``average``, ``visible``: faults of the truck; ``bus``: of the bus.
 
     ``matched``: at equal false alarms in the loop, with every detector's threshold such that by the rule of calibration.py at most
     alpha of the runs within the bounds alarm, and at most alpha of the faulty runs before their fault.
@@ -538,28 +657,28 @@ def summarise(table: pa.Table, stored: StoredIdentification, found: dict, levels
     drawn = [r for r in rows if r["kind"] == "within"]
     within = [r for r in drawn if r["frame_demand_max_bar"] <= CHECKED_AMPLITUDE_BAR]
     beyond = [r for r in drawn if r["frame_demand_max_bar"] > CHECKED_AMPLITUDE_BAR]
-    faulty = [r for r in rows if r["kind"] != "within"]
+    kinds = {k.name: k for k in KINDS}
+    faulty = [r for r in rows if r["kind"] in kinds and kinds[r["kind"]].of_truck]
+    on_bus = [r for r in rows if r["kind"] in kinds and kinds[r["kind"]].of_bus]
     alpha = stored.project.frame_test.alpha
     before = [r for r in faulty if r["fault_s"] > 0]
     matched = {d: max(_threshold([r[f"{d}_score"] for r in within], alpha),
                       _threshold([r[f"{d}_score_before"] for r in before], alpha)) for d in DETECTORS}
     loops = {(row["kind"], row["severity"]): row for row in levels}
     response = {(row["kind"], row["severity"]): row["margin"] for row in found["faulted"]}
-    groups: dict[tuple[str, float], list[dict]] = {}
-    for r in faulty:
-        groups.setdefault((r["kind"], r["severity"]), []).append(r)
     severities = []
-    for key, members in groups.items():
+    for key, members in _by_severity(faulty).items():
         loop = loops.get(key, {"stable": True, "mu_upper": None})
         severities.append(_severity(*key, members, matched) | {
             "loop_stable": loop["stable"], "mu_upper": loop["mu_upper"], "response_margin": response.get(key)})
     visible = [r for r in faulty if _is_visible(r)]
     due = [r for r in rows if r["due_s"] is not None and r["fault_s"] + r["due_s"] + LATENCY_S <= r["duration_s"]]
-    units = {k.name: k.unit for k in KINDS}
+    units = {name: k.unit for name, k in kinds.items()}
     summary = {
         "detectors": {MONITOR: "lpvguard", **TITLES}, "units": units, "baselines": tuned["chosen"], "alpha": tuned["alpha"],
-        "frame_test": {"alpha": stored.calibration.alpha, "conditional_bound": stored.calibration.conditional_bound,
-                       "threshold": stored.calibration.threshold},
+        "calibrated": {test: {"claim": c.claim(), "alpha": c.alpha, "conditional_bound": c.conditional_bound,
+                              "threshold": c.threshold, "per_hour": c.alpha and c.alpha * 3600 / DURATION_S}
+                       for test, c in (("frame", stored.calibration), ("energy", stored.energy.calibration))},
         "within": _within(within) | {
             "beyond_checked_amplitude": rate(sum(_alarms(r, MONITOR) for r in beyond), len(beyond)),
             "plants": len({r["plant"] for r in within}), "candidates": len(found["candidates"]),
@@ -573,19 +692,33 @@ def summarise(table: pa.Table, stored: StoredIdentification, found: dict, levels
                         "matched": float(np.mean([s["matched"][d] / s["runs"] for s in severities]))} for d in DETECTORS},
         "matched_thresholds": matched,
         "kinds": [_kind(name, [s for s in severities if s["kind"] == name]) for name in dict.fromkeys(s["kind"] for s in severities)],
+        "supervision": {"faulty": _supervision(on_bus), "healthy": _supervision(drawn)},
+        "bus": [_bus_severity(*key, members) for key, members in _by_severity(on_bus).items()],
         "invisible": [s for s in severities if s["visible_runs"] < s["runs"] / 2
                       and (not s["loop_stable"] or (s["mu_upper"] is not None and s["mu_upper"] >= 1))],
     }
+    summary["beaten"] = [{"kind": k["kind"], "detector": d, "matched": k["matched"][d], "monitor": k["matched"][MONITOR]}
+                         for k in summary["kinds"] for d in BASELINE_KINDS if k["matched"][d] > k["matched"][MONITOR]]
     return summary | {"missed": list(_missed(summary))}
+
+
+def _by_severity(rows: list[dict]) -> dict[tuple[str, float], list[dict]]:
+    groups: dict[tuple[str, float], list[dict]] = {}
+    for r in rows:
+        groups.setdefault((r["kind"], r["severity"]), []).append(r)
+    return groups
 
 
 def _missed(summary: dict[str, Any]) -> Iterator[str]:
     """Claims that the campaign contradicts, a sentence each."""
-    calibrated = summary["frame_test"]["alpha"]
     for test, seen in summary["within"]["tests"].items():
+        calibrated = summary["calibrated"][test]["alpha"]
         if calibrated is not None and seen["interval"] is not None and seen["interval"][1] > calibrated:
             yield (f"{test} test: {seen['count']} of {seen['of']} runs within the bounds alarm, up to {seen['interval'][1]:.2%} with 95 %, "
                    f"calibrated {calibrated:.2%}")
+    for bus, said in ((bus, s["as_required"]) for bus, s in summary["supervision"].items()):
+        if said["count"] < said["of"]:
+            yield f"{bus} bus: in {said['of'] - said['count']} of {said['of']} runs the supervision did not say what the frames require"
     due = summary["due"]
     if due["count"] < due["of"]:
         yield f"{due['of'] - due['count']} of {due['of']} alarms that were due did not come by then"
@@ -626,8 +759,8 @@ def _within(rows: list[dict]) -> dict[str, Any]:
     return {"runs": len(rows), "hours": hours, "judged_hours": sum(r["judged_s"] for r in rows) / 3600,
             "alarmed": {d: rate(n, len(rows)) for d, n in alarmed.items()},
             "alarmed_trucks": rate(sum(trucks.values()), len(trucks)),
-            "tests": {t: rate(sum(r[f"alarmed_{t}"] for r in rows), len(rows)) | {"alarms_per_hour": sum(r[f"alarms_{t}"] for r in rows) / max(hours, 1e-9)}
-                      for t in TESTS}}
+            "tests": {t: rate(n, len(rows)) | {"per_hour": per_hour(n, hours), "alarms": sum(r[f"alarms_{t}"] for r in rows)}
+                      for t, n in ((t, sum(r[f"alarmed_{t}"] for r in rows)) for t in TESTS)}}
 
 
 def _severity(kind: str, x: float, rows: list[dict], matched: dict[str, float]) -> dict[str, Any]:
@@ -639,6 +772,30 @@ def _severity(kind: str, x: float, rows: list[dict], matched: dict[str, float]) 
             "found": {d: sum(_found(r, d) for r in rows) for d in DETECTORS},
             "matched": {d: sum(at_matched(r, d) for r in rows) for d in DETECTORS},
             "median_s": {d: median_time([r[f"{d}_found_s"] for r in rows if not r[f"{d}_before"]]) for d in DETECTORS}}
+
+
+def _supervision(rows: list[dict]) -> dict[str, Any]:
+    """Runs in which all was as required, and reactions due and met. Not of trucks that alone are at fault: one that leaves the
+    controller's range of speeds is refused, which the ECU reports as "off" though its bus is live."""
+    return {"as_required": rate(sum(map(_as_required, rows)), len(rows)), "due": sum(r["supervision_due"] for r in rows),
+            "met": sum(r["supervision_met"] for r in rows)}
+
+
+def _as_required(row: dict) -> bool:
+    """Whether the supervision said at every tick what it had to, and nothing worse."""
+    return row["supervision_met"] == row["supervision_due"] and row["supervision_late_s"] == 0.0 == row["supervision_unwarranted_s"]
+
+
+def _bus_severity(kind: str, x: float, rows: list[dict]) -> dict[str, Any]:
+    """What the supervision made of a fault of the bus. Of the time since its begin ``away`` is the share for which it could not be live,
+    ``judged`` that in which the monitor judged excited driving: after every gap the model has to settle first. ``alarmed``: runs in which a detector alarmed since, which need not be wrong: see ``visible_runs``."""
+    return {"kind": kind, "severity": x, "runs": len(rows), "as_required": sum(map(_as_required, rows)),
+            "due": sum(r["supervision_due"] for r in rows), "met": sum(r["supervision_met"] for r in rows),
+            "late_s": max(r["supervision_late_s"] for r in rows), "unwarranted_s": sum(r["supervision_unwarranted_s"] for r in rows),
+            "away": float(np.mean([r["supervision_away_s"] / (r["duration_s"] - r["fault_s"]) for r in rows])),
+            "judged": float(np.mean([r["excited_after_s"] / (r["duration_s"] - r["fault_s"]) for r in rows])),
+            "alarmed": {d: sum(r[f"{d}_found_s"] is not None for r in rows) for d in DETECTORS},
+            "visible_runs": sum(map(_is_visible, rows))}
 
 
 def _kind(name: str, rows: list[dict]) -> dict[str, Any]:

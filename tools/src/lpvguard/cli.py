@@ -130,16 +130,14 @@ def identify(vehicle: Vehicle, drives: Annotated[Path, typer.Argument(help="Fold
                      "left_out": result.left_out, **result.calibration.to_dict(), "inflation": result.weights.inflation,
                      "energy": result.energy.to_dict() if result.energy else None})
     c = result.calibration
-    claim = (f"alpha {c.alpha:g}, with 95 % confidence below {c.conditional_bound:.3f}" if c.alpha is not None
-             else "too few calibration drives: alpha is not stated")
     console.print(f"{len(result.bound_drives)} drives set the bounds: {', '.join(result.bound_drives)}")
     console.print(f"{len(result.calibration_drives)} others calibrate: {', '.join(result.calibration_drives) or 'none'}")
     for name, reason in result.left_out.items():
         console.print(f"left out: {name}: {reason}")
     if result.energy is not None:
-        console.print(f"energy test: threshold {result.energy.calibration.threshold:.4g}, sigma "
+        console.print(f"energy test: threshold {result.energy.calibration.threshold:.4g} ({result.energy.calibration.claim()}), sigma "
                       + ", ".join(f"{s.name} {x:.3g} {s.unit}" for s, x in zip(project.outputs, result.energy.sigma)))
-    console.print(f"threshold {c.threshold:.4g} ({claim}); final inflation {result.weights.inflation:.6g}; written to {out}")
+    console.print(f"threshold {c.threshold:.4g} ({c.claim()}); final inflation {result.weights.inflation:.6g}; written to {out}")
 
 
 @app.command(epilog="""Examples: lpvguard design --vehicle truck out/identify --drives out/drives -o out/design
@@ -427,17 +425,24 @@ def evaluate(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(he
         interval = "–" if row["interval"] is None else f"{row['interval'][0]:.3f} .. {row['interval'][1]:.3f}"
         alarms.add_row(group, str(row["drives"]), f"{row['alarmed']} of {row['pieces']}", interval)
     console.print(alarms)
-    found = Table("fault from 60 s on", f"found within {FOUND_WITHIN_S:g} s", "judged, excited s to the alarm", box=None)
-    for row in result["faults"]:
-        times = "  ".join("–" if c["s"] is None else f"{c['s']:.1f}" for c in row["cases"])
-        found.add_row(row["fault"], f"{row['found']} of {row['counted']} (of {row['drives']} drives)", times)
-    console.print(found)
-    alone = Table("each test alone", *result["tests"], box=None)
-    alone.add_row("alarmed pieces", *(f"{t['false_alarms']['alarmed']} of {t['false_alarms']['pieces']}" for t in result["tests"].values()))
-    for index, row in enumerate(result["faults"]):
-        alone.add_row(row["fault"], *(_found(t["faults"][index]) for t in result["tests"].values()))
-    console.print(alone)
-    console.print(_baseline_table(result))
+    for test, claim in result["claims"]["identified"].items():
+        console.print(f"{test} test as identified: {claim}")
+    for what, claims in result["claims"]["left_one_out"].items():
+        console.print(f"{'both tests at one threshold' if what == 'monitor' else what + ' test'}, each drive without itself: {'; or '.join(claims)}")
+    for name, reason in result["left_out"].items():
+        console.print(f"left out: {name}: {reason}")
+    for name, reason in result["without_faults"].items():
+        console.print(f"no fault injected: {name}: {reason}")
+    console.print(f"faults injected into {len(result['drives']) - len(result['without_faults'])} of {len(result['drives'])} drives; "
+                  f"found within {FOUND_WITHIN_S:g} s of judged, excited driving, of all starts (drives: from every start), median s:")
+    ours = {"monitor": (result["false_alarms"]["all"], result["faults"])}
+    ours |= {name: (t["false_alarms"], t["faults"]) for name, t in result["tests"].items()}
+    console.print(_detector_table(ours))
+    if result["baselines"]:
+        beside = {"monitor": ours["monitor"]} | {b["kind"]: (b["false_alarms"], b["faults"]) for b in result["baselines"]}
+        console.print(_detector_table(beside, [", ".join(row["best"]) for row in result["faults"]]))
+    else:
+        console.print("no baselines: they need another calibration drive when one is left out")
 
 
 @app.command(epilog="Example: lpvguard campaign out/truck/identify out/truck/drives -o out/campaign --coefficients out/truck/vehicle")
@@ -461,26 +466,53 @@ def campaign(identification: Annotated[Path, typer.Argument(help="Folder written
                                  size=stage.Size(hours, repeats), controller=design and design / "controller.json",
                                  workers=run, progress=tell)
     _emit(json_out, summary)
-    within = summary["within"]
-    table = Table("", *summary["detectors"].values(), box=None)
-    for title, rates in (("runs within the bounds that alarm", within["alarmed"]), ("visible faults found in time", summary["visible"])):
-        table.add_row(title, *(_rate(rates[d]) for d in summary["detectors"]))
+    _print_campaign(summary)
+    raise typer.Exit(1 if summary["missed"] else 0)
+
+
+def _print_campaign(summary: dict[str, Any]) -> None:
+    within, detectors = summary["within"], summary["detectors"]
+    console.print(f"{within['hours']:.1f} h of {within['plants']} trucks within the bounds by their own frequency response (of {within['candidates']} drawn)")
+    rates = Table("test", "runs that alarm", "calibrated", "such runs an hour", "calibrated", box=None)
+    for test, seen in within["tests"].items():
+        calibrated, hourly = summary["calibrated"][test], seen["per_hour"]
+        interval = "" if hourly["interval"] is None else f"{hourly['rate']:.2f} ({hourly['interval'][0]:.2f} .. {hourly['interval'][1]:.2f})"
+        stated = ("not stated", "") if calibrated["alpha"] is None else (f"{calibrated['alpha']:.2%}", f"{calibrated['per_hour']:.2f}")
+        rates.add_row(test, _rate(seen), stated[0], interval, stated[1])
+    console.print(rates)
+    console.print(f"apart, with more demand than was checked: {_rate(within['beyond_checked_amplitude'])}")
+    table = Table("", *detectors.values(), box=None)
+    for title, of in (("runs within the bounds that alarm", within["alarmed"]), ("visible faults found in time", summary["visible"])):
+        table.add_row(title, *(_rate(of[d]) for d in detectors))
     for title, key in (("average found", "calibrated"), ("average found, equal alarms in the loop", "matched")):
-        table.add_row(title, *(f"{summary['average'][d][key]:.1%}" for d in summary["detectors"]))
+        table.add_row(title, *(f"{summary['average'][d][key]:.1%}" for d in detectors))
     console.print(table)
-    console.print(f"{within['hours']:.1f} h of {within['plants']} trucks within the bounds (of {within['candidates']} drawn); alarms by test: "
-                  + ", ".join(f"{t} {_rate(r)}" for t, r in within["tests"].items())
-                  + f"; apart, with more demand than was checked: {_rate(within['beyond_checked_amplitude'])}")
-    kinds = Table("average over severities", *summary["detectors"], "best", "equal alarms in the loop", box=None)
+    kinds = Table("average over severities: calibrated, equal alarms in the loop", *detectors.values(), "best, equal alarms", box=None)
     for k in summary["kinds"]:
-        kinds.add_row(k["kind"], *(f"{k['found'][d]:.0%}" for d in summary["detectors"]), ", ".join(k["best"]), ", ".join(k["best_matched"]))
+        kinds.add_row(k["kind"], *(f"{k['found'][d]:.0%}, {k['matched'][d]:.0%}" for d in detectors), ", ".join(detectors[d] for d in k["best_matched"]))
     console.print(kinds)
+    for b in summary["beaten"]:
+        console.print(f"a baseline wins at equal alarms: {detectors[b['detector']]} on {b['kind']}, {b['matched']:.0%} against {b['monitor']:.0%}")
     for s in summary["invisible"]:
         console.print(f"invisible, though {'mu is ' + format(s['mu_upper'], '.2f') if s['loop_stable'] else 'the loop is unstable'}: "
-                      f"{s['kind']} {s['severity']:g} {summary['units'][s['kind']]}")
+                      f"{s['kind']} {s['severity']:g} {summary['units'][s['kind']]}, found {s['found']['monitor']} of {s['runs']}")
+    bus = Table("fault of the bus, by severity", "runs as required", "reactions met", "not live", "judged", "alarmed, visible runs", box=None)
+    for kind in dict.fromkeys(s["kind"] for s in summary["bus"]):
+        rows = [s for s in summary["bus"] if s["kind"] == kind]
+        severities = ", ".join(f"{s['severity']:g}" for s in rows)
+        bus.add_row(f"{kind}: {severities} {summary['units'][kind]}", _of(rows, "as_required", "runs"), _of(rows, "met", "due"),
+                    *(f"{min(s[k] for s in rows):.0%} .. {max(s[k] for s in rows):.0%}" for k in ("away", "judged")),
+                    f"{sum(s['alarmed']['monitor'] for s in rows)}, {sum(s['visible_runs'] for s in rows)}")
+    console.print(bus)
+    for which, said in summary["supervision"].items():
+        console.print(f"supervision of a {which} bus as its frames require: {_rate(said['as_required'])} runs; "
+                      f"of {said['due']} reactions due {said['met']} at the very tick")
     for text in summary["missed"]:
         console.print(f"missed: {text}")
-    raise typer.Exit(1 if summary["missed"] else 0)
+
+
+def _of(rows: list[dict], count: str, of: str) -> str:
+    return f"{sum(r[count] for r in rows)} of {sum(r[of] for r in rows)}"
 
 
 def _rate(rate: dict) -> str:
@@ -528,19 +560,21 @@ def bench(context: typer.Context,
     run(name, context.args)
 
 
-def _baseline_table(evaluation: dict) -> Table:
-    detectors = {"monitor": (evaluation["false_alarms"]["all"], evaluation["faults"])}
-    detectors |= {b["kind"]: (b["false_alarms"], b["faults"]) for b in evaluation["baselines"]}
-    table = Table("found, median s", *detectors, "best", box=None)
-    table.add_row("alarmed pieces", *(f"{alarms['alarmed']} of {alarms['pieces']}" for alarms, _ in detectors.values()), "")
-    for index, row in enumerate(evaluation["faults"]):
-        shown = [faults[index] for _, faults in detectors.values()]
-        table.add_row(row["fault"], *(_found(r) for r in shown), ", ".join(row["best"]))
+def _detector_table(detectors: dict[str, tuple[dict, list[dict]]], best: list[str] | None = None) -> Table:
+    """False alarms and found faults, a column per detector; ``best``: who leads, per fault."""
+    table = Table("", *detectors, *(["best"] if best else []), box=None)
+    table.add_row("alarmed pieces", *(f"{alarms['alarmed']} of {alarms['pieces']}" for alarms, _ in detectors.values()))
+    table.add_row("starts with an alarm anyway", *(f"{faults[0]['untouched_alarms']} of {faults[0]['counted']}" for _, faults in detectors.values()))
+    for index, row in enumerate(next(iter(detectors.values()))[1]):
+        table.add_row(row["fault"], *(_found(faults[index]) for _, faults in detectors.values()), *([best[index]] if best else []))
     return table
 
 
 def _found(row: dict[str, Any]) -> str:
-    return f"{row['found']} of {row['counted']}, " + ("–" if row["median_s"] is None else f"{row['median_s']:.1f}")
+    if not row["counted"]:
+        return "no drive qualifies"
+    return (f"{row['found']} of {row['counted']} ({row['drives_found']} of {row['drives']}), "
+            + ("–" if row["median_s"] is None else f"{row['median_s']:.2f}"))
 
 
 def _alarm(a: dict[str, Any]) -> str:

@@ -8,6 +8,9 @@ selections by a key: associative and exact, so bounds are the same bits for any 
 from __future__ import annotations
 
 import multiprocessing
+import multiprocessing.connection
+import os
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -40,6 +43,17 @@ def _bounded(submit: Callable[..., Any], wait: Callable[[Any], Any], limit: Call
     return run
 
 
+def _end_with_parent() -> None:
+    """Ends this worker when the process that started the pool is gone: killed, it could not say so, and workers would wait for ever."""
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        multiprocessing.connection.wait([parent.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
 @contextmanager
 def _processes(jobs: int) -> Iterator[Map]:
     # Threads run here (progress bar, arrow's readers), and a forked copy of them could hold a lock for ever.
@@ -47,7 +61,7 @@ def _processes(jobs: int) -> Iterator[Map]:
     context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
     if "forkserver" in methods:
         context.set_forkserver_preload(["lpvguard.identify", "lpvguard.evaluate"])
-    with ProcessPoolExecutor(max_workers=jobs, mp_context=context) as pool:
+    with ProcessPoolExecutor(max_workers=jobs, mp_context=context, initializer=_end_with_parent) as pool:
         yield _bounded(pool.submit, lambda future: future.result(), lambda: UNDER_WAY_PER_WORKER * jobs)
 
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import io
 import re
+import textwrap
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import matplotlib
@@ -403,24 +405,22 @@ def map_key() -> Figure:
 
 @picture
 def time_to_find(faults: list[dict], allowed_s: float) -> Figure:
-    """Judged, excited seconds from each fault to the first alarm, a mark per drive."""
+    """Judged, excited seconds from each fault to the alarm it caused, a mark per case."""
     figure = _figure(8.2, 1.0 + 0.32 * len(faults))
     axes = figure.subplots()
-    longest = max([allowed_s, *(c["s"] for row in faults for c in row["cases"] if c["s"] is not None)])
-    never = 2.0 * longest
+    never = 2.0 * allowed_s
     for y, row in enumerate(faults):
         spread = np.linspace(-0.22, 0.22, len(row["cases"])) if len(row["cases"]) > 1 else np.zeros(len(row["cases"]))
         for dy, case in zip(spread, row["cases"]):
             x = never if case["s"] is None else max(case["s"], 0.1)
-            found = case["s"] is not None and case["s"] <= allowed_s
-            axes.plot(x, y + dy, "o" if found else "X", ms=5.5, color=BLUE if found else RED,
-                      mfc="none" if not case["counts"] else None)
+            found = case["s"] is not None
+            axes.plot(x, y + dy, "o" if found else "X", ms=4, color=BLUE if found else RED)
         axes.text(1.01, y, f"{row['found']} of {row['counted']}", transform=axes.get_yaxis_transform(), va="center", fontsize=8)
     axes.axvline(allowed_s, color=ORANGE, ls="--")
     axes.set_xscale("log")
     axes.set_xlim(0.08, 1.4 * never)
-    ticks = [t for t in (0.1, 0.3, 1, 3, 10, 30, 100, 300, 1000) if t <= longest]
-    axes.set_xticks([*ticks, never], [*(f"{t:g}" for t in ticks), "never"])
+    ticks = [t for t in (0.1, 0.3, 1, 3, 10, 30) if t <= allowed_s]
+    axes.set_xticks([*ticks, never], [*(f"{t:g}" for t in ticks), "not"])
     axes.xaxis.set_minor_locator(NullLocator())
     axes.set_yticks(range(len(faults)), [row["fault"] for row in faults])
     axes.invert_yaxis()
@@ -460,12 +460,8 @@ def closed_loop(rows: np.ndarray, frames: np.ndarray, threshold: float, fault_st
 DETECTOR_STYLES = ((BLUE, "-", "o", 2.0), (ORANGE, "--", "s", 1.1), (GREEN, "-.", "^", 1.1), (PINK, ":", "D", 1.1))
 
 
-@picture
-def detection(severities: list[dict], units: dict[str, str], names: dict[str, str], key: str) -> Figure:
-    """Share of runs in which a fault was found in time, against its severity: a panel per kind, a line per detector.
-
-    ``severities``: rows of a campaign's summary; ``key``: "found" or "matched"; ``names``: detector -> title, ours first.
-    """
+def _over_severity(severities: list[dict], units: dict[str, str], draw: Callable[[Axes, np.ndarray, list[dict]], None]) -> Figure:
+    """A panel per kind of fault with more than one severity; ``draw(axes, x, rows)`` fills it, rows in the order of their severity x."""
     kinds = [k for k in units if sum(s["kind"] == k for s in severities) > 1]
     columns = 4
     lines = -(-len(kinds) // columns)
@@ -475,23 +471,54 @@ def detection(severities: list[dict], units: dict[str, str], names: dict[str, st
         axes.set_axis_off()
     for axes, kind in zip(panels, kinds):
         rows = sorted((s for s in severities if s["kind"] == kind), key=lambda s: s["severity"])
-        x = [s["severity"] for s in rows]
+        x = np.array([s["severity"] for s in rows])
+        draw(axes, x, rows)
+        axes.set_title(textwrap.fill(kind, 26))
+        axes.set_xlabel(units[kind])
+        low, high = x[0], x[-1]
+        if len(x) > 2 and low > 0 and high / low > 15:
+            axes.set_xscale("log")
+            axes.set_xticks(x, [f"{v:g}" for v in x])
+            axes.xaxis.set_minor_locator(NullLocator())
+            axes.set_xlim(low * (low / high) ** 0.05, high * (high / low) ** 0.05)
+        else:
+            axes.set_xlim(low - 0.05 * (high - low), high + 0.05 * (high - low))
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    return figure
+
+
+@picture
+def detection(severities: list[dict], units: dict[str, str], names: dict[str, str], key: str) -> Figure:
+    """Share of runs in which a fault was found in time, against its severity: a panel per kind, a line per detector.
+
+    ``severities``: rows of a campaign's summary; ``key``: "found" or "matched"; ``names``: detector -> title, ours first.
+    """
+    def draw(axes: Axes, x: np.ndarray, rows: list[dict]) -> None:
         for detector, (colour, line, mark, width) in zip(names, DETECTOR_STYLES):
             axes.plot(x, [s[key][detector] / s["runs"] for s in rows], line, marker=mark, ms=3.2, lw=width, color=colour,
                       label=names[detector])
         axes.fill_between(x, 0, [s["visible_runs"] / s["runs"] for s in rows], color=POINTS, alpha=0.25, lw=0, label="visible runs")
-        axes.set_title(kind)
-        axes.set_xlabel(units[kind])
-        if len(x) > 2 and min(x) > 0 and max(x) / min(x) > 15:
-            axes.set_xscale("log")
-            axes.set_xticks(x, [f"{v:g}" for v in x])
-            axes.xaxis.set_minor_locator(NullLocator())
         axes.set_ylim(-0.05, 1.05)
-    for axes in panels[::columns]:
-        axes.set_ylabel("found")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
-    return figure
+        if axes.get_subplotspec().is_first_col():
+            axes.set_ylabel("found")
+
+    return _over_severity(severities, units, draw)
+
+
+@picture
+def detection_time(severities: list[dict], units: dict[str, str], names: dict[str, str]) -> Figure:
+    """Median judged, excited time [s] from a fault to the first alarm, against its severity; no point where fewer than half alarmed."""
+    def draw(axes: Axes, x: np.ndarray, rows: list[dict]) -> None:
+        for detector, (colour, line, mark, width) in zip(names, DETECTOR_STYLES):
+            axes.plot(x, [np.nan if s["median_s"][detector] is None else s["median_s"][detector] for s in rows], line, marker=mark, ms=3.2,
+                      lw=width, color=colour, label=names[detector])
+        axes.set_yscale("log")
+        axes.set_ylim(0.05, 200.0)
+        if axes.get_subplotspec().is_first_col():
+            axes.set_ylabel("median, s")
+
+    return _over_severity(severities, units, draw)
 
 
 # ---------------------------------------------------------------------------------------------------------- step 8

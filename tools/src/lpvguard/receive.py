@@ -26,7 +26,7 @@ import numpy as np
 from . import native
 from .can.bus import take_case
 from .can.catalogue import Catalogue, Message, Signal, load_catalogue
-from .can.codegen import SOURCE, codec_files, messages_in_order
+from .can.codegen import ANY_PRIORITY, SOURCE, codec_files, messages_in_order
 from .can.logs import EXTENDED, Frames
 from .core import PACKAGE, library_root
 from .errors import InputError
@@ -40,7 +40,6 @@ LIVE = 2
 """lpvg_can_state_live."""
 CLOCK_JUMP_S = 60.0
 PAUSE_S = 1.0
-_ANY_PRIORITY = np.uint32(0xE3FFFFFF)
 
 
 @dataclass(frozen=True)
@@ -65,7 +64,7 @@ class Receiver:
         self.signals = [project.speed, *project.inputs, *project.outputs]
         self._places = [_place(s, catalogue) for s in self.signals]
         self.needed = [m for m in self._rules if any(m is message for message, _ in self._places)]
-        self._ids = np.array([m.id | EXTENDED for m in self.needed], np.uint32) & _ANY_PRIORITY
+        self._ids = np.array([m.id | EXTENDED for m in self.needed], np.uint32) & np.uint32(ANY_PRIORITY)
         library = _library(project.name, _take_source(self.signals, self._places), *sorted(codec_files(catalogue).items()))
         self._lib = ctypes.CDLL(str(library))
         sizes = (ctypes.c_uint32 * 2)()
@@ -76,7 +75,7 @@ class Receiver:
     def receive(self, frames: Frames, where: str | Path, *, channel: str | None = None) -> Received:
         """Sample a log. InputError when no needed message is in it, or they come from several channels and none was chosen."""
         frames = frames.of_channel(channel, where)
-        ours = np.isin(frames.id & _ANY_PRIORITY, self._ids)
+        ours = np.isin(frames.id & np.uint32(ANY_PRIORITY), self._ids)
         if not ours.any():
             raise InputError(where, "", "holds no frame of " + ", ".join(f"{m.name} ({m.id:08X})" for m in self.needed),
                              f"a log of the bus of vehicle {self.project.name}; `lpvguard ingest --dbc` takes other buses")
@@ -84,7 +83,7 @@ class Receiver:
         if len(channels) > 1:
             raise InputError(where, "channel", f"the vehicle's messages come from {', '.join(channels)}", "--channel, to say which")
         frames = frames.of_channel(channels[0], where)
-        ours = np.isin(frames.id & _ANY_PRIORITY, self._ids)
+        ours = np.isin(frames.id & np.uint32(ANY_PRIORITY), self._ids)
         fastest = min(m.period_ms for m in self.needed) * 1000
         t_us, order, jumps = _one_clock(frames.t_ns, ours, fastest)
         period = round(self.project.Ts_s * 1e6)

@@ -260,14 +260,16 @@ class Simulator:
             result["ecu"] = {"target": target, "elf_sha256": emulated.elf_sha256, "instructions": facts["reception"]["instructions"]}
         return result
 
-    def drive(self, path: Path, *, seed: int | None = None) -> tuple[dict[str, Any], Drive, np.ndarray]:
+    def drive(self, path: Path, *, seed: int | None = None, log: Path | None = None) -> tuple[dict[str, Any], Drive, np.ndarray]:
         """One run of the scenario file ``path``: what happened, as the simulator prints it, the drive that its monitor saw, and
-        (N,) where it was given a sample; elsewhere the drive stands still, so that nothing is judged until the model has settled."""
+        (N,) where it was given a sample; elsewhere the drive stands still, so that nothing is judged until the model has settled.
+        ``log``: where every frame of the bus goes as candump -L writes it."""
         with tempfile.TemporaryDirectory() as scratch:
             table = Path(scratch) / f"{path.stem}.csv"
             command = [self.program, path, "--parameters", firmware_root() / "plant" / "truck.toml", "--drive", table,
                        "--engage", "no" if self.controller == "off" else "yes"]
-            facts = _execute([*command, *(() if seed is None else ("--seed", seed))], path)
+            command += [*(() if seed is None else ("--seed", seed)), *(() if log is None else ("--log", log))]
+            facts = _execute(command, path)
             return facts, *self._without_gaps(path.stem, pa_csv.read_csv(table))
 
     def _without_gaps(self, name: str, table: pa.Table) -> tuple[Drive, np.ndarray]:

@@ -18,7 +18,8 @@ GAP_FRACTION = 4
 """A frame sooner than period / 4 after the one before counts as babbling; cyclic senders jitter by far less."""
 
 _EXTENDED = 0x80000000
-_ANY_PRIORITY = 0xE3FFFFFF
+ANY_PRIORITY = 0xE3FFFFFF
+"""Bits of an identifier with its flags that tell a J1939 message: all but the priority."""
 
 
 def codec_files(catalogue: Catalogue | None = None) -> dict[str, str]:
@@ -220,7 +221,7 @@ def _rules(messages: list[Message]) -> str:
         data_id, e2e = (m.e2e.data_id, 1) if m.e2e else (0, 0)
         signals = f"{m.name.lower()}_signals" if m.supervised else "NULL"
         parts.append(
-            f"    {{{_macro(m)}_ID, 0x{_ANY_PRIORITY:08X}u, {_macro(m)}_PERIOD_US, {m.period_ms * 1000 // GAP_FRACTION}u, "
+            f"    {{{_macro(m)}_ID, 0x{ANY_PRIORITY:08X}u, {_macro(m)}_PERIOD_US, {m.period_ms * 1000 // GAP_FRACTION}u, "
             f"0x{data_id:04X}u, {e2e}u, 8u, {len(m.supervised)}u, {signals}}},\n"
         )
     parts.append("};\n")

@@ -17,7 +17,8 @@ from .catalogue import Catalogue, Message, Signal, load_catalogue
 from .logs import EXTENDED, Frames
 
 _CRC8_POLYNOMIAL = 0x1D
-_COUNTERS = 15
+COUNTERS = 15
+"""Counters of E2E profile 11 run from 0 to 14."""
 
 
 def _crc8_table() -> np.ndarray:
@@ -29,12 +30,17 @@ def _crc8_table() -> np.ndarray:
 
 def protect(data: np.ndarray, data_id: int, first_counter: int = 0) -> None:
     """E2E profile 11, data-id mode BOTH, in place on consecutive frames ``data`` (N, 8) of one message."""
-    data[:, 1] = data[:, 1] & 0xF0 | ((first_counter + np.arange(len(data))) % _COUNTERS).astype(np.uint8)
+    data[:, 1] = data[:, 1] & 0xF0 | ((first_counter + np.arange(len(data))) % COUNTERS).astype(np.uint8)
+    data[:, 0] = e2e_crc(data, data_id)
+
+
+def e2e_crc(data: np.ndarray, data_id: int) -> np.ndarray:
+    """What byte 0 of each of the frames ``data`` (N, 8) must be by E2E profile 11, data-id mode BOTH: (N,)."""
     table = _crc8_table()
     crc = np.full(len(data), table[table[data_id & 0xFF] ^ data_id >> 8], np.uint8)
     for column in data.T[1:]:
         crc = table[crc ^ column]
-    data[:, 0] = crc
+    return crc
 
 
 def encode_raw(signal: Signal, physical: np.ndarray) -> np.ndarray:
