@@ -36,11 +36,17 @@ public:
         }
     }
 
-    void tick(std::int64_t now_us) override {
+    void tick(std::int64_t now_us, std::uint64_t wanted) override {
         if (firmware_tick(&firmware_, now_us) != lpvg_status_ok) {
             throw std::logic_error("the firmware refused a tick");
         }
         reception_.note(firmware_.ecu.supervisor, now_us);
+        if ((wanted & TIME_LINE_JUDGED) != 0U) {
+            judged_ = judged_of(firmware_);
+        }
+        if ((wanted & TIME_LINE_SUPERVISION) != 0U) {
+            supervision_ = supervision_of(firmware_);
+        }
     }
     const lpvg_ecu_t* inside() const override { return &firmware_.ecu; }
     std::string finish() override {
@@ -132,21 +138,27 @@ public:
         }
     }
 
-    void tick(std::int64_t now_us) override {
-        ask(now_us);
+    void tick(std::int64_t now_us, std::uint64_t wanted) override {
+        ask(now_us, wanted);
         bus_.expect(answer().frames);
+        if ((wanted & TIME_LINE_JUDGED) != 0U) {
+            receive(&judged_, sizeof judged_);
+        }
+        if ((wanted & TIME_LINE_SUPERVISION) != 0U) {
+            receive(&supervision_, sizeof supervision_);
+        }
     }
     const lpvg_ecu_t* inside() const override { return nullptr; }
     std::string finish() override {
-        ask(-1);
+        ask(-1, 0);
         std::string text(std::min<std::size_t>(answer().frames, TIME_LINE_TEXT_MAX), '\0');
         receive(text.data(), text.size());
         return text;
     }
 
 private:
-    void ask(std::int64_t now_us) {
-        const time_request_t request = {now_us, bus_.take_sent()};
+    void ask(std::int64_t now_us, std::uint64_t wanted) {
+        const time_request_t request = {now_us, bus_.take_sent(), wanted};
         if (::send(line_, &request, sizeof request, MSG_NOSIGNAL) != static_cast<ssize_t>(sizeof request)) {
             throw std::runtime_error("the ECU's process has ended");
         }

@@ -7,6 +7,7 @@
 #include "firmware.h"
 #include "port.h"
 #include "reception.hpp"
+#include "telemetry.hpp"
 #include "time_line.h"
 
 namespace {
@@ -53,6 +54,14 @@ int main() {
         status = firmware_tick(&firmware, request.now_us);
         instructions.take(port_instructions(begin, port_counter()));
         answer(status, can.sent - sent);
+        if ((request.wanted & TIME_LINE_JUDGED) != 0U) {
+            const Judged judged = judged_of(firmware);
+            port_console_send(&judged, sizeof judged);
+        }
+        if ((request.wanted & TIME_LINE_SUPERVISION) != 0U) {
+            const Supervision supervision = supervision_of(firmware);
+            port_console_send(&supervision, sizeof supervision);
+        }
         reception.note(firmware.ecu.supervisor, request.now_us);
     }
     Text out(text, sizeof text);

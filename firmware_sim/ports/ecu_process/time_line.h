@@ -11,6 +11,7 @@
 typedef struct time_request_t {
     int64_t now_us;  /* of the tick; below 0: end, answered with the counters as text */
     uint64_t frames; /* sent to the ECU since the last request */
+    uint64_t wanted; /* sum of the TIME_LINE_ numbers below: what follows the answer, in their order */
 } time_request_t;
 
 typedef struct time_answer_t {
@@ -18,6 +19,7 @@ typedef struct time_answer_t {
     uint64_t frames; /* sent by the ECU in this tick; of the last answer: bytes of the text that follows */
 } time_answer_t;
 
+enum { TIME_LINE_JUDGED = 1, TIME_LINE_SUPERVISION = 2 }; /* Judged, Supervision (telemetry.hpp), after the tick */
 enum { TIME_LINE_TEXT_MAX = 16384 };
 
 #endif
