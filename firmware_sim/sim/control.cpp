@@ -6,6 +6,7 @@ namespace {
 using lpvguard_plant::ParameterError;
 
 constexpr double s_per_us = 1e-6;
+constexpr std::int64_t early_us = 500;  // half a step of the plant: rounding of times must not move a change to the tick after
 constexpr std::int32_t steps_max = 1'000'000;
 
 }  // namespace
@@ -33,6 +34,8 @@ bool Control::may_tick(std::int64_t now_us, const Revise& revise) {
 }
 
 Status Control::answer(std::int64_t now_us, const ControlCommand& command, const Revise& revise) {
+    const std::int64_t next_us = now_us + tick_us;
+    const double from_s = static_cast<double>(next_us - early_us) * s_per_us;
     Status answer{now_us, state(), command.id, true};
     try {
         switch (command.action) {
@@ -53,19 +56,18 @@ Status Control::answer(std::int64_t now_us, const ControlCommand& command, const
                 stopped_ = true;
                 break;
             case ControlCommand::inject:
-                answer.now_us = now_us + tick_us;
-                change(scenario_.injected(static_cast<double>(answer.now_us) * s_per_us, command.entry), revise, answer);
+                change(scenario_.injected(from_s, command.entry), revise, answer);
+                answer.now_us = next_us;
                 break;
             case ControlCommand::clear:
-                answer.now_us = now_us + tick_us;
-                change(scenario_.cleared(static_cast<double>(answer.now_us) * s_per_us, command.entry), revise, answer);
+                change(scenario_.cleared(from_s, command.entry), revise, answer);
+                answer.now_us = next_us;
                 break;
             default:
                 throw ParameterError("command: action = " + std::to_string(command.action) + ": expected 0 .. " +
                                      std::to_string(ControlCommand::clear));
         }
     } catch (const ParameterError& error) {
-        answer.now_us = now_us;
         answer.accepted = false;
         answer.reason = error.what();
     }
