@@ -36,15 +36,16 @@ public:
         }
     }
 
-    void tick(std::int64_t now_us, std::uint64_t wanted) override {
+    void tick(std::int64_t now_us, bool supervision) override {
         if (firmware_tick(&firmware_, now_us) != lpvg_status_ok) {
             throw std::logic_error("the firmware refused a tick");
         }
         reception_.note(firmware_.ecu.supervisor, now_us);
-        if ((wanted & TIME_LINE_JUDGED) != 0U) {
-            judged_ = judged_of(firmware_);
+        has_judged_ = judgements_.note(firmware_);
+        if (has_judged_) {
+            judged_ = judgements_.newest();
         }
-        if ((wanted & TIME_LINE_SUPERVISION) != 0U) {
+        if (supervision) {
             supervision_ = supervision_of(firmware_);
         }
     }
@@ -60,6 +61,7 @@ public:
 private:
     firmware_t firmware_{};
     Reception reception_;
+    Judgements judgements_;
 };
 
 /// The vehicle's end of a CAN interface whose other end is another process.
@@ -138,27 +140,29 @@ public:
         }
     }
 
-    void tick(std::int64_t now_us, std::uint64_t wanted) override {
-        ask(now_us, wanted);
-        bus_.expect(answer().frames);
-        if ((wanted & TIME_LINE_JUDGED) != 0U) {
+    void tick(std::int64_t now_us, bool supervision) override {
+        ask(now_us, supervision);
+        const time_answer_t got = answer();
+        bus_.expect(got.frames);
+        has_judged_ = got.judged != 0U;
+        if (has_judged_) {
             receive(&judged_, sizeof judged_);
         }
-        if ((wanted & TIME_LINE_SUPERVISION) != 0U) {
+        if (supervision) {
             receive(&supervision_, sizeof supervision_);
         }
     }
     const lpvg_ecu_t* inside() const override { return nullptr; }
     std::string finish() override {
-        ask(-1, 0);
+        ask(-1, false);
         std::string text(std::min<std::size_t>(answer().frames, TIME_LINE_TEXT_MAX), '\0');
         receive(text.data(), text.size());
         return text;
     }
 
 private:
-    void ask(std::int64_t now_us, std::uint64_t wanted) {
-        const time_request_t request = {now_us, bus_.take_sent(), wanted};
+    void ask(std::int64_t now_us, bool supervision) {
+        const time_request_t request = {now_us, bus_.take_sent(), supervision ? 1U : 0U};
         if (::send(line_, &request, sizeof request, MSG_NOSIGNAL) != static_cast<ssize_t>(sizeof request)) {
             throw std::runtime_error("the ECU's process has ended");
         }

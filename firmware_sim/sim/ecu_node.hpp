@@ -15,11 +15,11 @@ class EcuNode {
 public:
     virtual ~EcuNode() = default;
 
-    /// One sample period: takes what was sent to it, and has sent its answer when it returns. `wanted`: what is to be known of it
-    /// then, sum of TIME_LINE_JUDGED and TIME_LINE_SUPERVISION (time_line.h). Throws std::runtime_error.
-    virtual void tick(std::int64_t now_us, std::uint64_t wanted) = 0;
-    const Judged& judged() const { return judged_; }                 ///< After the newest tick that it was wanted of.
-    const Supervision& supervision() const { return supervision_; }  ///< Likewise.
+    /// One sample period: takes what was sent to it, and has sent its answer when it returns. `supervision`: what it has
+    /// counted is to be known then. Throws std::runtime_error.
+    virtual void tick(std::int64_t now_us, bool supervision) = 0;
+    const Judged* judged() const { return has_judged_ ? &judged_ : nullptr; }  ///< The frame that the newest tick judged, or null.
+    const Supervision& supervision() const { return supervision_; }            ///< After the newest tick that was asked for it.
 
     /// Its state, where it runs in this process; else null.
     virtual const lpvg_ecu_t* inside() const = 0;
@@ -28,6 +28,7 @@ public:
     virtual std::string finish() = 0;
 
 protected:
+    bool has_judged_ = false;
     Judged judged_{};
     Supervision supervision_{};
 };

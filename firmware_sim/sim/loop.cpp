@@ -9,7 +9,6 @@
 #include <thread>
 
 #include "lpvguard/coeff.h"
-#include "time_line.h"
 
 namespace lpvguard_sim {
 namespace {
@@ -150,7 +149,7 @@ void Loop::tick(std::int64_t k) {
     wanted_squares_ += wanted_radps * wanted_radps;
 
     vehicle_.send(now_us, plant_.sensors(), command_radps);
-    ecu_.tick(now_us, wanted(k));
+    ecu_.tick(now_us, ends_.publisher != nullptr && k % telemetry_every == 0);
     vehicle_.receive(now_us);
     if (!bus_.failure().empty()) {
         throw std::runtime_error(bus_.failure());
@@ -159,15 +158,6 @@ void Loop::tick(std::int64_t k) {
     for (int i = 0; i < Plant::steps_per_sample; ++i) {
         plant_.step(vehicle_.demand_bar());
     }
-}
-
-std::uint64_t Loop::wanted(std::int64_t k) const {
-    const bool publishing = ends_.publisher != nullptr;
-    std::uint64_t sum = publishing || ends_.frames != nullptr ? +TIME_LINE_JUDGED : 0;
-    if (publishing && k % telemetry_every == 0) {
-        sum += TIME_LINE_SUPERVISION;
-    }
-    return sum;
 }
 
 void Loop::note(std::int64_t k, double time_s, double command_radps, double wanted_radps) {
@@ -182,7 +172,9 @@ void Loop::note(std::int64_t k, double time_s, double command_radps, double want
         implausible_.take(time_s, ecu->plausibility.flags);
         note_sample(*ecu, k, time_s);
     }
-    note_frame(now_us, report.verdict);
+    if (const Judged* const judged = ecu_.judged()) {
+        note_frame(*judged, now_us, report.verdict);
+    }
     if (ends_.publisher != nullptr) {
         ends_.publisher->publish(now_us, plant_.truth());
         ends_.publisher->publish(now_us, GuardTelemetry{command_radps, wanted_radps, vehicle_.demand_bar(),
@@ -199,24 +191,14 @@ void Loop::note(std::int64_t k, double time_s, double command_radps, double want
     }
 }
 
-/// Of this tick, when one was judged.
-void Loop::note_frame(std::int64_t now_us, std::uint8_t verdict) {
-    const Judged& newest = ecu_.judged();
-    energy_ratio_ = std::fmax(energy_ratio_, newest.energy_ratio);
-    if (newest.sequence == last_frame_) {
-        return;
-    }
-    last_frame_ = newest.sequence;
-    const double samples = lpvg_coeff.words.frame_length[newest.bin];
-    const double length_us = samples * static_cast<double>(tick_us);
-    JudgedFrame frame{now_us, newest, newest.t_end_us - std::llround(length_us),
-                      two_pi * 1e6 * lpvg_coeff.words.cycles[newest.bin] / length_us, verdict};
-    frame.judged.energy_ratio = energy_ratio_;
-    energy_ratio_ = 0.0;
+void Loop::note_frame(const Judged& judged, std::int64_t now_us, std::uint8_t verdict) {
+    const double length_us = static_cast<double>(lpvg_coeff.words.frame_length[judged.bin]) * static_cast<double>(tick_us);
+    const JudgedFrame frame{now_us, judged, judged.t_end_us - std::llround(length_us),
+                            two_pi * 1e6 * lpvg_coeff.words.cycles[judged.bin] / length_us, verdict};
     if (ends_.frames != nullptr) {
-        std::fprintf(ends_.frames, "%.9g,%.9g,%u,%u,%u,%.9g,%.9g,%.9g,%.9g,%.9g\n", static_cast<double>(newest.t_end_us) * 1e-6,
-                     static_cast<double>(frame.begin_us) * 1e-6, newest.bin, newest.reason, newest.falsified, newest.speed_mps,
-                     newest.margin, newest.statistic, newest.evidence, frame.judged.energy_ratio);
+        std::fprintf(ends_.frames, "%.9g,%.9g,%u,%u,%u,%.9g,%.9g,%.9g,%.9g,%.9g\n", static_cast<double>(judged.t_end_us) * 1e-6,
+                     static_cast<double>(frame.begin_us) * 1e-6, judged.bin, judged.reason, judged.falsified, judged.speed_mps,
+                     judged.margin, judged.statistic, judged.evidence, judged.energy_ratio);
     }
     if (ends_.publisher != nullptr) {
         ends_.publisher->publish(frame);

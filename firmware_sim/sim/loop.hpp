@@ -79,9 +79,8 @@ public:
 private:
     void tick(std::int64_t k);
     void note(std::int64_t k, double time_s, double command_radps, double wanted_radps);
-    void note_frame(std::int64_t now_us, std::uint8_t verdict);
+    void note_frame(const Judged& judged, std::int64_t now_us, std::uint8_t verdict);
     void note_sample(const lpvg_ecu_t& ecu, std::int64_t k, double time_s);
-    std::uint64_t wanted(std::int64_t k) const;
 
     std::int64_t ticks_;
     lpvguard_plant::Plant plant_;
@@ -94,8 +93,6 @@ private:
     FrameWatcher watcher_;
     Changes<std::uint8_t> verdicts_, supervision_, implausible_;
     Changes<TroubleCode> troubles_;
-    std::uint32_t last_frame_ = 0;
-    double energy_ratio_ = 0.0;  ///< Largest since the last frame.
     double error_squares_ = 0.0, wanted_squares_ = 0.0, demand_max_bar_ = 0.0, real_time_factor_ = 0.0;
 };
 

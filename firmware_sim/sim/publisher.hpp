@@ -24,7 +24,7 @@ struct GuardTelemetry {
 /// As margin_t: a frame that the monitor has judged, in this tick.
 struct JudgedFrame {
     std::int64_t now_us;
-    Judged judged;                ///< Its energy_ratio is the largest since the frame before.
+    Judged judged;
     std::int64_t begin_us;
     double frequency_radps;
     std::uint8_t verdict;

@@ -27,8 +27,8 @@ struct Instructions {
     }
 };
 
-void answer(std::uint64_t status, std::uint64_t frames) {
-    const time_answer_t out = {status, frames};
+void answer(std::uint64_t status, std::uint64_t frames, bool judged = false) {
+    const time_answer_t out = {status, frames, judged ? 1U : 0U};
     port_console_send(&out, sizeof out);
 }
 
@@ -44,6 +44,7 @@ int main() {
     lpvg_status_t status = firmware_init(&firmware, &bus, &config, 0);
     port_counter_start();
     Reception reception;
+    Judgements judgements;
     Instructions instructions;
     answer(status, 0U);
     time_request_t request;
@@ -53,12 +54,12 @@ int main() {
         const std::uint32_t begin = port_counter();
         status = firmware_tick(&firmware, request.now_us);
         instructions.take(port_instructions(begin, port_counter()));
-        answer(status, can.sent - sent);
-        if ((request.wanted & TIME_LINE_JUDGED) != 0U) {
-            const Judged judged = judged_of(firmware);
-            port_console_send(&judged, sizeof judged);
+        const bool judged = judgements.note(firmware);
+        answer(status, can.sent - sent, judged);
+        if (judged) {
+            port_console_send(&judgements.newest(), sizeof judgements.newest());
         }
-        if ((request.wanted & TIME_LINE_SUPERVISION) != 0U) {
+        if (request.supervision != 0U) {
             const Supervision supervision = supervision_of(firmware);
             port_console_send(&supervision, sizeof supervision);
         }

@@ -11,19 +11,26 @@ void copy(const std::uint32_t (&from)[n], std::uint32_t (&to)[n]) {
 
 }  // namespace
 
-Judged judged_of(const firmware_t& firmware) {
+bool Judgements::note(const firmware_t& firmware) {
     const lpvg_monitor_t& monitor = firmware.ecu.monitor;
     const lpvg_frame_t& frame = *lpvg_monitor_frame(&monitor);
-    return {frame.t_end_us,
-            frame.sequence,
-            frame.bin,
-            static_cast<std::uint32_t>(frame.reason),
-            frame.falsified ? 1U : 0U,
-            static_cast<double>(frame.speed),
-            static_cast<double>(frame.margin),
-            static_cast<double>(frame.statistic),
-            static_cast<double>(frame.evidence),
-            static_cast<double>(monitor.energy.ratio)};
+    const auto ratio = static_cast<double>(monitor.energy.ratio);
+    energy_ratio_ = ratio > energy_ratio_ ? ratio : energy_ratio_;
+    if (frame.sequence == newest_.sequence) {
+        return false;
+    }
+    newest_ = {frame.t_end_us,
+               frame.sequence,
+               frame.bin,
+               static_cast<std::uint32_t>(frame.reason),
+               frame.falsified ? 1U : 0U,
+               static_cast<double>(frame.speed),
+               static_cast<double>(frame.margin),
+               static_cast<double>(frame.statistic),
+               static_cast<double>(frame.evidence),
+               energy_ratio_};
+    energy_ratio_ = 0.0;
+    return true;
 }
 
 Supervision supervision_of(const firmware_t& firmware) {

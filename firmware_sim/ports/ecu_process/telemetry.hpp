@@ -6,12 +6,12 @@
 
 #include "firmware.h"
 
-/// The newest frame that the monitor judged, and its energy test.
+/// A frame that the monitor has judged, and what its energy test said meanwhile.
 struct Judged {
     std::int64_t t_end_us;  ///< of the frame's last sample
     std::uint32_t sequence, bin, reason, falsified;  ///< as in lpvg_frame_t
     double speed_mps, margin, statistic, evidence;   ///< likewise
-    double energy_ratio;    ///< newest of the energy test
+    double energy_ratio;    ///< largest of the energy test since the frame before
 };
 
 /// What the supervision of the ECU's bus has counted: saturating, kinds in the order of lpvg_can_event_t.
@@ -28,5 +28,16 @@ struct Supervision {
 
 static_assert(sizeof(Judged) == 64 && sizeof(Supervision) == 4 * (2 + 18 + 8 * 22), "no padding: the same on every processor");
 
-Judged judged_of(const firmware_t& firmware);
+/// Notices what the monitor judges.
+class Judgements {
+public:
+    /// Call after every tick. True: a frame has been judged in it, newest().
+    bool note(const firmware_t& firmware);
+    const Judged& newest() const { return newest_; }
+
+private:
+    Judged newest_{};
+    double energy_ratio_ = 0.0;
+};
+
 Supervision supervision_of(const firmware_t& firmware);

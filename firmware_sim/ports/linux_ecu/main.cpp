@@ -89,6 +89,7 @@ int run_on_time_line(const Options& options, const lpvg_ecu_config_t& config) {
     CountedBus bus;
     firmware_t firmware{};
     Reception reception;
+    Judgements judgements;
     if (!bus.open(options.interface, Filters().list(), Filters().size())) {
         return complain(std::string(options.interface) + ": " + std::strerror(bus.driver().error));
     }
@@ -107,19 +108,16 @@ int run_on_time_line(const Options& options, const lpvg_ecu_config_t& config) {
         bus.expect(request.frames);
         answer.status = static_cast<std::uint64_t>(firmware_tick(&firmware, request.now_us));
         answer.frames = bus.take_sent();
+        answer.judged = judgements.note(firmware) ? 1U : 0U;
         reception.note(firmware.ecu.supervisor, request.now_us);
-        sent = send(&answer, sizeof answer);
-        if ((request.wanted & TIME_LINE_JUDGED) != 0U) {
-            const Judged judged = judged_of(firmware);
-            sent = sent && send(&judged, sizeof judged);
-        }
-        if ((request.wanted & TIME_LINE_SUPERVISION) != 0U) {
+        sent = send(&answer, sizeof answer) && (answer.judged == 0U || send(&judgements.newest(), sizeof judgements.newest()));
+        if (request.supervision != 0U) {
             const Supervision supervision = supervision_of(firmware);
             sent = sent && send(&supervision, sizeof supervision);
         }
     }
     const std::string text = counters(reception, firmware);
-    answer = {lpvg_status_ok, text.size()};
+    answer = {lpvg_status_ok, text.size(), 0U};
     return send(&answer, sizeof answer) && send(text.data(), text.size()) ? 0 : complain(std::strerror(errno));
 }
 
