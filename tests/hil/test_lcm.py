@@ -19,7 +19,7 @@ from lpvguard.lcm_client import CHANNELS, Client, message_types, read_log, watch
 from lpvguard.receive import EVENTS
 from lpvguard.sim import Simulator, can_fault_table, load_scenario, steady_scenario
 
-SCENARIO = steady_scenario(20.0, can_fault_table("VDC2", "lost", 4.0, 4.2), title="two processes and a logger")
+SCENARIO = steady_scenario(30.0, can_fault_table("VDC2", "lost", 1.5, 1.7), title="two processes and a logger")
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +104,7 @@ def test_two_processes_on_vcan_recorded_and_replayed_give_the_same_verdicts(lcm_
     assert lcm_simulator.ecu_program.is_file()  # compiled here, and not on the one processor of the guest
     lcm_simulator.run(scenario, lcm=f"file://{tmp_path / 'alone.lcm'}?mode=w")
     done = with_vcan("bash", "-euc", RECORD_AND_REPLAY, "replay", tmp_path, sys.executable, "-m", "lpvguard.cli", "sim", scenario.path,
-                     "--coefficients", truck_folder, "--bus", "socketcan:vcan0", "--ecu-process", "--pace", 2, "--json", "-")
+                     "--coefficients", truck_folder, "--bus", "socketcan:vcan0", "--ecu-process", "--pace", 3, "--json", "-")
     assert done.returncode == 0, done.stderr
     (run,) = json.loads(done.stdout)
     assert [s for _, s in run["supervision"]].count("live") == 2 and "valid" in [v for _, v in run["verdicts"]]

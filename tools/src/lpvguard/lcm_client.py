@@ -128,7 +128,7 @@ def watch(messages: Iterable[tuple[str, Any]]) -> Iterator[str]:
         elif channel == "LPVGUARD_STATUS" and (m.id or changed("state", m.state)):
             said.append(f"refused: {m.reason}" if m.reason else f"{STATES[m.state]}{' ' if m.entry else ''}{m.entry}")
         yield from (f"{m.utime * 1e-6:9.2f} s  {line}" for line in said)
-        if channel == "LPVGUARD_STATUS" and m.state == m.ENDED:
+        if channel == "LPVGUARD_STATUS" and m.state == m.ENDED and not m.id:
             return
 
 
