@@ -155,3 +155,12 @@ def test_a_vehicle_of_another_estimator_does_not_run_with_these_coefficients(lpv
     (tmp_path / "g80.toml").write_text(text.replace("speed_tolerance = 0.15", "speed_tolerance = 0.2"))
     done = lpvguard("replay", "--vehicle", tmp_path / "g80.toml", "--coefficients", vehicle, table(tmp_path))
     assert done.returncode == 2 and "estimator" in done.stderr
+
+
+@pytest.mark.parametrize("words", [("--case", "case.toml", "--largest-A-t"), ("--case", "case.toml", "--no-table"), ("--case", "case.toml", "--tradeoff"),
+                                   ("--vehicle", "truck", "identify", "--tradeoff", "--largest-A-t"),
+                                   ("--vehicle", "truck", "identify", "--tradeoff", "--no-table")])
+def test_design_refuses_options_that_it_would_ignore(words, lpvguard, tmp_path):
+    done = lpvguard("design", *words, "-o", tmp_path / "out")
+    assert done.returncode == 2 and "expected" in done.stderr and words[-1] in done.stderr
+    assert not (tmp_path / "out").exists()

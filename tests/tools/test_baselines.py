@@ -110,7 +110,7 @@ def test_the_drive_under_test_takes_part_in_nothing(study, kind):
         largest, cases = dict(found.largest), dict(found.cases)
         try:
             found.largest[name] = {b: np.full(3, 1e9) for b in GRID}
-            found.cases[name] = {key: {label: stage.Case(name, 0.0, True) for label in table}
+            found.cases[name] = {key: {label: [stage.Case(name, 60.0, 0.02, None)] * 9 for label in table}
                                  for key, table in next(c for c in cases.values() if c).items()}
             assert found.best(kind, name) == before
             without = {n: found.largest[n][before[0]].max() for n in names if n != name}
@@ -124,21 +124,34 @@ def test_no_setting_of_the_grid_finds_more_on_the_drives_of_the_search(study):
 
     def finds(b: Baseline) -> int:
         h = found.calibration(b, names[0]).threshold
-        return sum(c.found for n, table in found.cases.items() if n != names[0] and table for c in table[b, h].values())
+        return sum(c.found for n, table in found.cases.items() if n != names[0] and table for of in table[b, h].values() for c in of)
 
     for kind in KINDS:
         best, _ = found.best(kind, names[0])
         assert finds(best) == max(finds(b) for b in GRID if b.kind == kind)
 
 
+def test_without_scores_a_baseline_never_alarms(study):
+    """No drive on which it spoke calibrates it, and 0 is no threshold."""
+    found, names = study
+    largest = dict(found.largest)
+    try:
+        found.largest.update({n: {b: np.full(3, -np.inf) for b in GRID} for n in names})
+        calibration = found.calibration(GRID[0], names[0])
+        assert calibration.threshold == np.inf and calibration.alpha is None and "not stated" in calibration.claim()
+    finally:
+        found.largest = largest
+
+
 def test_ranking_is_by_share_then_time_and_names_all_that_tie():
     def row(found, counted, median):
-        return {"found": found, "counted": counted, "drives": 7, "median_s": median}
+        return {"found": found, "counted": counted, "median_s": median}
 
     rank = stage.ranking
-    assert rank({"monitor": row(7, 7, 3.0), "rms": row(6, 6, 0.1)}) == ["monitor"]  # a case that does not count was not found
+    assert rank({"monitor": row(7, 7, 3.0), "rms": row(6, 7, 0.1)}) == ["monitor"]
     assert rank({"monitor": row(7, 7, 3.0), "rms": row(7, 7, 2.0)}) == ["rms"]
     assert rank({"monitor": row(7, 7, 2.0), "rms": row(7, 7, 2.0), "nis": row(5, 7, 1.0)}) == ["monitor", "rms"]
     assert rank({"monitor": row(0, 7, None), "nis": row(0, 7, None)}) == ["monitor", "nis"]
+    assert rank({"monitor": row(0, 0, None), "nis": row(0, 0, None)}) == []
     assert stage.median_time([1.0, None, 3.0]) == 3.0 and stage.median_time([None, None, 1.0]) is None
     assert stage.median_time([]) is None

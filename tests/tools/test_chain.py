@@ -13,7 +13,7 @@ from lpvguard import identify as stage
 from lpvguard.core import Core, shipped_vehicle
 from lpvguard.drives import list_experiments, read_drive
 from lpvguard.errors import InputError
-from lpvguard.evaluate import Pieces, evaluate
+from lpvguard.evaluate import STARTS, Pieces, evaluate
 from lpvguard.faults import Fault, inject
 from lpvguard.replay import Replayer, excited_samples
 
@@ -137,13 +137,15 @@ def test_measured_drives_are_judged_and_seldom_alarm_and_faults_are_found(measur
             assert (replay.judged & relevant).sum() >= 0.6 * relevant.sum(), e.name
     total = table["false_alarms"]["all"]
     assert total["pieces"] > 25 and total["alarmed"] <= 0.1 * total["pieces"]
-    by_name = {row["fault"]: row for row in table["faults"]}
-    for label in ("output × 0.6", "output × -1", "output frozen", "input delayed by 0.3 s", "output delayed by 0.3 s"):
-        assert by_name[label]["counted"] >= 5 and by_name[label]["found"] >= 0.9 * by_name[label]["counted"], label
-    for baseline in table["baselines"]:
-        assert not {"input delayed by 0.15 s", "output delayed by 0.15 s"} & {
-            row["fault"] for ours, row in zip(table["faults"], baseline["faults"]) if row["found"] >= ours["found"]}, baseline["kind"]
-        assert all(row["found"] <= ours["found"] for ours, row in zip(table["faults"], baseline["faults"])), baseline["kind"]
+    assert set(table["claims"]["left_one_out"]) == {"monitor", "frame", "energy"}
+    assert table["claims"]["left_one_out"]["monitor"] == ["alpha 0.1 from 10 drives, with 95 % confidence below 0.259"]
+    assert len(table["drives"]) - len(table["without_faults"]) == 7
+    for row in table["faults"]:
+        assert row["drives"] == 7 and row["counted"] == 7 * STARTS
+        assert row["found"] >= (0.5 if "0.15 s" in row["fault"] else 0.9) * row["counted"], row["fault"]
+    # Where a baseline leads, the page names it (tools/README.md says why).
+    behind = {row["fault"] for row in table["faults"] if "monitor" not in row["best"]}
+    assert behind <= {"output × -1", "output + 0.05"}, behind
 
 
 def test_shipped_coefficients_are_those_of_the_measured_drives(measured, g80, tmp_path):

@@ -173,7 +173,8 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
     shares = dict.fromkeys(detectors, 0.5)
     summary = {
         "detectors": detectors, "units": {"brake gain": "×"}, "baselines": [{"label": "rms, 2 s"}],
-        "frame_test": {"alpha": 0.05, "conditional_bound": 0.105, "threshold": 1.0}, "due": seen, "visible": dict.fromkeys(detectors, seen),
+        "frame_test": {"alpha": 0.05, "conditional_bound": 0.105, "threshold": 1.0},
+        "claims": {"frame": "alpha 0.05 from 25 drives", "energy": "alpha is not stated"}, "due": seen, "visible": dict.fromkeys(detectors, seen),
         "average": dict.fromkeys(detectors, {"calibrated": 0.5, "matched": 0.25}),
         "within": {"runs": 50, "hours": 2.5, "judged_hours": 2.0, "plants": 24, "candidates": 40, "nominal_margin": 0.8, "largest_margin": 0.9,
                    "alarmed": dict.fromkeys(detectors, seen), "beyond_checked_amplitude": seen,
@@ -183,6 +184,7 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
     write_report(case.stored, case.drives, case.replayer, tmp_path / "report.html", None, lambda _: None, campaign=summary)
     text = (tmp_path / "report.html").read_text()
     assert "Campaign in the closed loop" in text and "1 of 50, 0.05 to 10.65 %" in text and "lpvguard, NIS" in text
+    assert "frame test: alpha 0.05 from 25 drives; energy test: alpha is not stated." in text
     assert "brake gain 0.7 × (mu unstable)" in text and "2.34" in text and "rms, 2 s" in text
     assert text.count("Detection against severity") == 2
 
@@ -193,12 +195,18 @@ def test_evaluation_and_a_core_of_another_identification_are_told(case, page, tm
     name, numbers = next(iter(stored.coefficients.reals.items()))
     stored.coefficients.reals[name] = np.asarray(numbers) * 1.01
     evaluation = evaluate(case.stored, case.drives, case.replayer.core)
+    plain = case.page(tmp_path / "plain.html", evaluation).decode()
+    assert plain.count("no drive qualifies") == (4 + 4) * len(evaluation["faults"]) and "Time to find" not in plain
+    assert "30.0 s long, no more than 120 s" in plain and LEFT_OUT + ": no frame counts" in plain
+    assert "alpha is not stated: too few calibration drives (1)" in plain and "(2)" in plain
     # No drive is long enough for injected faults here: made-up cases make the picture.
-    cases = [{"run": "check", "s": 2.0, "counts": True}, {"run": "weak", "s": None, "counts": False}]
-    evaluation["faults"] = [row | {"drives": 2, "counted": 1, "found": 1, "cases": cases} for row in evaluation["faults"]]
+    cases = [{"run": "check", "start_s": 61.0, "s": 2.0}, {"run": "weak", "start_s": 62.0, "s": None}]
+    evaluation["faults"] = [row | {"drives": 2, "drives_found": 1, "counted": 2, "untouched_alarms": 1, "found": 1, "median_s": 2.0, "cases": cases, "best": ["rms"]}
+                            for row in evaluation["faults"]]
     text = Case(stored, case.drives, case.replayer).page(tmp_path / "report.html", evaluation).decode()
     assert "carries other numbers than this identification" in text
     assert re.findall("<h2>(.*?)</h2>", text) == [*TITLES, "Evaluation, leave one drive out"]
-    assert "Time to find" in text and "2.0, never" in text and "1 of 1" in text
+    assert "<td>1 of 2</td>" in text and "Time to find" in text and "1 of 2 (1 of 2), 2.00 s" in text
+    assert "lead alone: output × 0.6 (residual RMS);" in text
     for row in evaluation["faults"]:
         assert row["fault"] in text

@@ -83,29 +83,27 @@ class Bank:
         """Each baseline with its statistic (N,) along a drive: e (N, n_y), v (N,); -inf where it says nothing."""
         usable = self.estimator.settled(v)
         scaled = e / self.scales.error
-        energy = np.sum(scaled**2, axis=1)
-        squares: dict[float, np.ndarray] = {}
+        index = np.arange(1, len(v) + 1)
+        run = index - np.maximum.accumulate(np.where(usable, 0, index))
+        totals: dict[float, np.ndarray] = {}  # running sums of squares: of e for rms, of the innovations of each filter
         for b in baselines:
             if b.kind == "cusum":
                 yield b, _cusum(scaled, b.drift, usable)
-            elif b.kind == "rms":
-                mean = self._mean(energy, b.window_s, usable)
-                yield b, np.where(mean >= 0, np.sqrt(np.maximum(mean, 0.0)), -np.inf)
-            else:
-                if b.process_ratio not in squares:
-                    squares[b.process_ratio] = self._innovations(b.process_ratio, e, v)
-                yield b, self._mean(squares[b.process_ratio], b.window_s, usable)
+                continue
+            if b.process_ratio not in totals:
+                squares = np.sum(scaled**2, axis=1) if b.kind == "rms" else self._innovations(b.process_ratio, e, v)
+                totals[b.process_ratio] = np.concatenate([[0.0], np.cumsum(np.where(usable, squares, 0.0))])
+            mean = self._mean(totals[b.process_ratio], b.window_s, run)
+            yield b, np.where(mean >= 0, np.sqrt(np.maximum(mean, 0.0)), -np.inf) if b.kind == "rms" else mean
 
-    def _mean(self, x: np.ndarray, window_s: float, usable: np.ndarray) -> np.ndarray:
-        """Mean of x >= 0 over the last window_s, -inf where not all of the window is usable."""
+    def _mean(self, total: np.ndarray, window_s: float, run: np.ndarray) -> np.ndarray:
+        """Mean over the last window_s of what ``total`` (N + 1,) sums, none of it negative; -inf where the window is not within
+        the ``run`` (N,) of usable samples that ends there."""
         n = max(1, int(round(window_s / self.estimator.Ts)))
-        total = np.concatenate([[0.0], np.cumsum(np.where(usable, x, 0.0))])
-        index = np.arange(1, len(x) + 1)
-        run = index - np.maximum.accumulate(np.where(usable, 0, index))
-        first = np.maximum(index - n, 0)
+        mean = np.full(len(run), -np.inf)
         # A difference of sums may round below zero, whose root would be NaN.
-        mean = np.maximum((total[index] - total[first]) / n, 0.0)
-        return np.where(run >= n, mean, -np.inf)
+        mean[n - 1:] = np.where(run[n - 1:] >= n, np.maximum((total[n:] - total[:-n]) / n, 0.0), -np.inf)
+        return mean
 
     def _innovations(self, process_ratio: float, e: np.ndarray, v: np.ndarray) -> np.ndarray:
         """(N,) nu' S^-1 nu along a drive."""
@@ -147,8 +145,7 @@ def _cusum(scaled: np.ndarray, drift: float, usable: np.ndarray) -> np.ndarray:
     out = np.full(len(scaled), -np.inf)
     edges = np.flatnonzero(np.diff(np.r_[0, usable.astype(np.int8), 0])).reshape(-1, 2)
     for a, b in edges:
-        x = scaled[a:b]
-        steps = np.hstack([x, -x]) - drift
-        S = np.cumsum(steps, axis=0)
-        out[a:b] = (S - np.minimum(np.minimum.accumulate(S, axis=0), 0.0)).max(axis=1)
+        x = np.ascontiguousarray(scaled[a:b].T)
+        S = np.cumsum(np.vstack([x, -x]) - drift, axis=1)
+        out[a:b] = (S - np.minimum(np.minimum.accumulate(S, axis=1), 0.0)).max(axis=0)
     return out

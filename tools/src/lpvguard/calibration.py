@@ -1,5 +1,5 @@
 """Stage 5, calibration of the frame test and of the energy test, each by itself, by split conformal prediction; the
-exchangeable unit is the drive (DESIGN 4.8).
+exchangeable unit is the drive (DESIGN 4.8); or of both together (`joint_scores`).
 
 A drive's score is the largest k-of-m statistic over its counted frames, or the largest ratio of the energy test, read from the
 compiled core. The threshold is the
@@ -37,6 +37,12 @@ class Calibration:
     def to_dict(self) -> dict:
         return asdict(self)
 
+    def claim(self) -> str:
+        """What may be said of the threshold's false alarms, in words; never a threshold without it."""
+        if self.alpha is None:
+            return f"alpha is not stated: too few calibration drives ({len(self.scores)})"
+        return f"alpha {self.alpha:g} from {len(self.scores)} drives, with 95 % confidence below {self.conditional_bound:.3f}"
+
 
 def score(run: Run) -> float | None:
     """Score of a drive; None when no frame counted."""
@@ -47,6 +53,13 @@ def score(run: Run) -> float | None:
 def energy_score(run: Run) -> float | None:
     """Score of a drive in the energy test: its largest ratio; None when it was never judged."""
     return float(run.energy.max()) if (run.energy > 0).any() else None
+
+
+def joint_scores(frame: dict[str, float], energy: dict[str, float]) -> dict[str, float]:
+    """Scores of both tests together. A margin and a ratio are both the least inflation of the bounds (W_delta, B_w or
+    W_delta, sigma) with which the data agree, so one threshold serves for the larger: a monitor of both tests with it
+    alarms on a further drive, by either, with probability at most alpha. Each at its own threshold: at most twice alpha."""
+    return {n: max(s[n] for s in (frame, energy) if n in s) for n in {**frame, **energy}}
 
 
 def calibrate(scores: dict[str, float], alpha: float, *, floor: float = 1.0) -> Calibration:

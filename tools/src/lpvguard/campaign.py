@@ -53,7 +53,7 @@ from .core import Core
 from .design import faulted_performance
 from .drives import Drive
 from .errors import InputError
-from .evaluate import MONITOR, TESTS, BaselineStudy, Clock, alarm_times, median_time
+from .evaluate import MONITOR, TESTS, BaselineStudy, Clock, alarming, median_time
 from .frames import Estimator
 from .generate import plant_tool
 from .identify import DriveSet, StoredIdentification
@@ -384,7 +384,7 @@ def run_case(context: Context, case: Case) -> dict[str, Any]:
         path.write_text(scenario_text(context.seed, case), encoding="utf-8")
         facts, drive, present = simulator.drive(path)
     replay = replayer.replay(drive, present)
-    clock = Clock.of(replay, case.fault_s)
+    clock = Clock.of(replay, round(case.fault_s / replay.Ts))
     offline = Offline.of(replayer, drive, case.fault_s)
     row: dict[str, Any] = {
         "number": case.number, "kind": case.kind, "severity": case.severity, "plant": case.plant, "seed": facts["seed"],
@@ -397,9 +397,9 @@ def run_case(context: Context, case: Case) -> dict[str, Any]:
         "offline_max": offline.largest,
         "ecu_invalid_s": next((t for t, verdict in facts["verdicts"] if verdict == "invalid"), None)}
     for test in TESTS:
-        times = alarm_times(replay, test)
-        row |= {f"alarms_{test}": sum(a.test == test for a in replay.alarms), f"alarmed_{test}": bool(len(times)),
-                f"{test}_found_s": clock.of_replay(replay, test)}
+        hits = alarming(replay, test)
+        row |= {f"alarms_{test}": sum(a.test == test for a in replay.alarms), f"alarmed_{test}": bool(hits.any()),
+                f"{test}_found_s": clock.read(hits)}
     row |= _judged(MONITOR, _statistic(replayer, replay, drive), 1.0, clock)
     e = nominal_error(drive, replayer.model)[0]
     thresholds = dict(context.baselines)
@@ -409,20 +409,20 @@ def run_case(context: Context, case: Case) -> dict[str, Any]:
 
 
 def _statistic(replayer: Replayer, replay: Replay, drive: Drive) -> np.ndarray:
-    """(N,) of the monitor: the larger of the frame test's statistic (at the ends of frames) and the energy test's ratio, each over
+    """(N,) of the monitor: the larger of the frame test's statistic (where frames were judged) and the energy test's ratio, each over
     its threshold; -inf where neither judged. Above 1: an alarm."""
     frames = replay.run.frames
     statistic = np.where(replay.run.energy > 0, replay.run.energy / replayer.energy_threshold, -np.inf)
-    at = np.round((frames.t_end_s - drive.t[0]) / replay.Ts).astype(int)
+    at = np.round((frames.t_judged_s - drive.t[0]) / replay.Ts).astype(int)
     np.maximum.at(statistic, at[frames.counted], frames.statistic[frames.counted] / replayer.threshold)
     return statistic
 
 
 def _judged(name: str, statistic: np.ndarray, threshold: float, clock: Clock) -> dict[str, Any]:
     """NAME_before, NAME_found_s at the threshold; largest statistic before the fault and within the time allowed after it."""
-    within = slice(clock.first + 1, int(np.searchsorted(clock.seconds, FOUND_WITHIN_S, side="right")))
-    before = float(statistic[:clock.first + 1].max(initial=-np.inf)) if clock.first else -np.inf
-    return {f"{name}_before": before > threshold, f"{name}_found_s": clock.of_statistic(statistic, threshold),
+    within = slice(clock.first, int(np.searchsorted(clock.seconds, FOUND_WITHIN_S, side="right")))
+    before = float(statistic[:clock.first].max(initial=-np.inf))
+    return {f"{name}_before": before > threshold, f"{name}_found_s": clock.read(statistic > threshold),
             f"{name}_score_before": before, f"{name}_score_within": float(statistic[within].max(initial=-np.inf)),
             f"{name}_score": float(statistic.max(initial=-np.inf))}
 
@@ -560,6 +560,7 @@ def summarise(table: pa.Table, stored: StoredIdentification, found: dict, levels
         "detectors": {MONITOR: "lpvguard", **TITLES}, "units": units, "baselines": tuned["chosen"], "alpha": tuned["alpha"],
         "frame_test": {"alpha": stored.calibration.alpha, "conditional_bound": stored.calibration.conditional_bound,
                        "threshold": stored.calibration.threshold},
+        "claims": {"frame": stored.calibration.claim(), "energy": stored.energy.calibration.claim()},
         "within": _within(within) | {
             "beyond_checked_amplitude": rate(sum(_alarms(r, MONITOR) for r in beyond), len(beyond)),
             "plants": len({r["plant"] for r in within}), "candidates": len(found["candidates"]),

@@ -131,16 +131,14 @@ def identify(vehicle: Vehicle, drives: Annotated[Path, typer.Argument(help="Fold
                      "left_out": result.left_out, **result.calibration.to_dict(), "inflation": result.weights.inflation,
                      "energy": result.energy.to_dict() if result.energy else None})
     c = result.calibration
-    claim = (f"alpha {c.alpha:g}, with 95 % confidence below {c.conditional_bound:.3f}" if c.alpha is not None
-             else "too few calibration drives: alpha is not stated")
     console.print(f"{len(result.bound_drives)} drives set the bounds: {', '.join(result.bound_drives)}")
     console.print(f"{len(result.calibration_drives)} others calibrate: {', '.join(result.calibration_drives) or 'none'}")
     for name, reason in result.left_out.items():
         console.print(f"left out: {name}: {reason}")
     if result.energy is not None:
-        console.print(f"energy test: threshold {result.energy.calibration.threshold:.4g}, sigma "
+        console.print(f"energy test: threshold {result.energy.calibration.threshold:.4g} ({result.energy.calibration.claim()}), sigma "
                       + ", ".join(f"{s.name} {x:.3g} {s.unit}" for s, x in zip(project.outputs, result.energy.sigma)))
-    console.print(f"threshold {c.threshold:.4g} ({claim}); final inflation {result.weights.inflation:.6g}; written to {out}")
+    console.print(f"threshold {c.threshold:.4g} ({c.claim()}); final inflation {result.weights.inflation:.6g}; written to {out}")
 
 
 @app.command(epilog="""Examples: lpvguard design --vehicle truck out/identify --drives out/drives -o out/design
@@ -163,9 +161,12 @@ def design(out: Out, identification: Annotated[Path | None, typer.Argument(help=
 
     Exit 1 when robust performance (mu below 1) is not certified: at a speed, in a row of the case's table, or by any trade-off."""
     if case is not None:
-        if identification is not None or vehicle is not None or drives is not None or tradeoff:
-            raise InputError("design", "--case", "given with a vehicle, drives or --tradeoff", "a case file alone")
+        if identification is not None or vehicle is not None or drives is not None or tradeoff or largest_A_t or not table:
+            raise InputError("design", "--case", "given with a vehicle, drives, --tradeoff, --largest-A-t or --no-table",
+                             "a case file alone")
         raise typer.Exit(_design_case(case, out, json_out))
+    if tradeoff and (largest_A_t or not table):
+        raise InputError("design", "--tradeoff", "given with --largest-A-t or --no-table", "neither: nothing is designed")
     if identification is None or vehicle is None:
         raise InputError("design", "--vehicle, IDENTIFICATION", "missing", "both, or --case")
     stored, drive_set = (_stored(identification, vehicle), None) if drives is None else _stored_with_drives(identification, drives)
@@ -471,17 +472,24 @@ def evaluate(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(he
         interval = "–" if row["interval"] is None else f"{row['interval'][0]:.3f} .. {row['interval'][1]:.3f}"
         alarms.add_row(group, str(row["drives"]), f"{row['alarmed']} of {row['pieces']}", interval)
     console.print(alarms)
-    found = Table("fault from 60 s on", f"found within {FOUND_WITHIN_S:g} s", "judged, excited s to the alarm", box=None)
-    for row in result["faults"]:
-        times = "  ".join("–" if c["s"] is None else f"{c['s']:.1f}" for c in row["cases"])
-        found.add_row(row["fault"], f"{row['found']} of {row['counted']} (of {row['drives']} drives)", times)
-    console.print(found)
-    alone = Table("each test alone", *result["tests"], box=None)
-    alone.add_row("alarmed pieces", *(f"{t['false_alarms']['alarmed']} of {t['false_alarms']['pieces']}" for t in result["tests"].values()))
-    for index, row in enumerate(result["faults"]):
-        alone.add_row(row["fault"], *(_found(t["faults"][index]) for t in result["tests"].values()))
-    console.print(alone)
-    console.print(_baseline_table(result))
+    for test, claim in result["claims"]["identified"].items():
+        console.print(f"{test} test as identified: {claim}")
+    for what, claims in result["claims"]["left_one_out"].items():
+        console.print(f"{'both tests at one threshold' if what == 'monitor' else what + ' test'}, each drive without itself: {'; or '.join(claims)}")
+    for name, reason in result["left_out"].items():
+        console.print(f"left out: {name}: {reason}")
+    for name, reason in result["without_faults"].items():
+        console.print(f"no fault injected: {name}: {reason}")
+    console.print(f"faults injected into {len(result['drives']) - len(result['without_faults'])} of {len(result['drives'])} drives; "
+                  f"found within {FOUND_WITHIN_S:g} s of judged, excited driving, of all starts (drives: from every start), median s:")
+    ours = {"monitor": (result["false_alarms"]["all"], result["faults"])}
+    ours |= {name: (t["false_alarms"], t["faults"]) for name, t in result["tests"].items()}
+    console.print(_detector_table(ours))
+    if result["baselines"]:
+        beside = {"monitor": ours["monitor"]} | {b["kind"]: (b["false_alarms"], b["faults"]) for b in result["baselines"]}
+        console.print(_detector_table(beside, [", ".join(row["best"]) for row in result["faults"]]))
+    else:
+        console.print("no baselines: they need another calibration drive when one is left out")
 
 
 @app.command(epilog="Example: lpvguard campaign out/truck/identify out/truck/drives -o out/campaign --coefficients out/truck/vehicle")
@@ -572,19 +580,21 @@ def bench(context: typer.Context,
     run(name, context.args)
 
 
-def _baseline_table(evaluation: dict) -> Table:
-    detectors = {"monitor": (evaluation["false_alarms"]["all"], evaluation["faults"])}
-    detectors |= {b["kind"]: (b["false_alarms"], b["faults"]) for b in evaluation["baselines"]}
-    table = Table("found, median s", *detectors, "best", box=None)
-    table.add_row("alarmed pieces", *(f"{alarms['alarmed']} of {alarms['pieces']}" for alarms, _ in detectors.values()), "")
-    for index, row in enumerate(evaluation["faults"]):
-        shown = [faults[index] for _, faults in detectors.values()]
-        table.add_row(row["fault"], *(_found(r) for r in shown), ", ".join(row["best"]))
+def _detector_table(detectors: dict[str, tuple[dict, list[dict]]], best: list[str] | None = None) -> Table:
+    """False alarms and found faults, a column per detector; ``best``: who leads, per fault."""
+    table = Table("", *detectors, *(["best"] if best else []), box=None)
+    table.add_row("alarmed pieces", *(f"{alarms['alarmed']} of {alarms['pieces']}" for alarms, _ in detectors.values()))
+    table.add_row("starts with an alarm anyway", *(f"{faults[0]['untouched_alarms']} of {faults[0]['counted']}" for _, faults in detectors.values()))
+    for index, row in enumerate(next(iter(detectors.values()))[1]):
+        table.add_row(row["fault"], *(_found(faults[index]) for _, faults in detectors.values()), *([best[index]] if best else []))
     return table
 
 
 def _found(row: dict[str, Any]) -> str:
-    return f"{row['found']} of {row['counted']}, " + ("–" if row["median_s"] is None else f"{row['median_s']:.1f}")
+    if not row["counted"]:
+        return "no drive qualifies"
+    return (f"{row['found']} of {row['counted']} ({row['drives_found']} of {row['drives']}), "
+            + ("–" if row["median_s"] is None else f"{row['median_s']:.2f}"))
 
 
 def _alarm(a: dict[str, Any]) -> str:

@@ -71,9 +71,11 @@ def eigen_include() -> str:
 class FrameLog:
     """Frames judged by the core during a run, in the order of judgement; arrays over frames, E and Z (F, n_y).
 
+    t_judged_s is the time of the sample with which the core said so: frames that end together are judged one after the other.
     Alarms of the energy test come in the same form (lpvg_frame_t in monitor.h): bin is the direction, E and Z hold norms.
     """
 
+    t_judged_s: np.ndarray
     bin: np.ndarray
     t_end_s: np.ndarray
     reason: np.ndarray
@@ -94,7 +96,7 @@ class FrameLog:
     def from_rows(cls, rows: np.ndarray, n_y: int) -> FrameLog:
         parts = rows[:, 10:].reshape(len(rows), 2, n_y, 2)
         spectra = parts[..., 0] + 1j * parts[..., 1]
-        return cls(rows[:, 1].astype(int), rows[:, 2] * 1e-6, rows[:, 3].astype(int), rows[:, 4] > 0, rows[:, 5],
+        return cls(rows[:, 0] * 1e-6, rows[:, 1].astype(int), rows[:, 2] * 1e-6, rows[:, 3].astype(int), rows[:, 4] > 0, rows[:, 5],
                    rows[:, 6], rows[:, 7], rows[:, 8], spectra[:, 0], spectra[:, 1])
 
 

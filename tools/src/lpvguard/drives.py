@@ -42,6 +42,10 @@ class Drive:
         """The same drive with its first k samples cut."""
         return Drive(self.name, self.t[k:], self.v[k:], self.u[k:], self.y[k:])
 
+    def before_sample(self, k: int) -> Drive:
+        """The first k samples of the drive."""
+        return Drive(self.name, self.t[:k], self.v[:k], self.u[:k], self.y[:k])
+
 
 @dataclass(frozen=True)
 class Experiment:

@@ -1,17 +1,31 @@
-"""`lpvguard evaluate`: what the monitor, and each of its two tests alone, does on drives that did not set the bounds, leave-one-drive-out (DESIGN 4.8),
-beside three baselines (baselines.py) on the same drives.
+"""`lpvguard evaluate`: what the monitor, and each of its two tests alone, does on drives that did not set the bounds,
+leave-one-drive-out (DESIGN 4.8), beside three baselines (baselines.py) on the same drives.
 
-Every drive runs through the compiled core with thresholds of the frame test and of the energy test calibrated on all *other* drives that did not set the bounds.
-False alarms are counted in whole 60 s pieces; faults are injected from 60 s on and count as found when the first alarm
-comes within 30 s of judged, excited driving, provided the untouched drive has none in that time.
+**Thresholds.** Every drive runs through the compiled core with thresholds calibrated on all *other* drives that did not set the bounds.
+The monitor is compared with both tests at one threshold, calibrated jointly (calibration.joint_scores), so that it alarms on a further
+drive, by either test, with the same probability alpha as a baseline. Beside it stand each test alone at alpha, and both as exported:
+each at its own threshold, together at most twice alpha.
+
+**False alarms** are counted in whole 60 s pieces.
+
+**Faults** are injected into drives longer than 120 s, from STARTS instants of each, drawn one in each of as many equal spans between
+60 s and the last instant that leaves 30 s of judged, excited driving. One start would do for the share of drives, but not for times: it is
+the same phase of every drive's frames (60 s ends a frame in many bins at once), and one spot of each road.
+
+**Time** runs in judged, excited, in-range driving since the first faulty sample, which counts; judged is the monitor's for all detectors,
+though a baseline may alarm outside of it. An alarm stands at the sample with which the core said so, not at the end of its frame.
+
+**Found**: the first alarm from the fault's start on comes within 30 s, and before any of the same detector on the untouched drive since
+that instant. So nothing that would have been said without the fault counts for it, an alarm already standing when it starts included.
+How often the untouched drive alarms in the time allowed is told beside.
 
 A baseline gets the same drives, residuals, calibration drives and alpha. Its parameters are those that find most injected
 faults (then soonest) on the bound-setting and the other calibration drives: the drive under test takes part in nothing.
-Judged and excited time is the monitor's for all detectors; a baseline may alarm outside of it too.
 """
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -20,9 +34,11 @@ import numpy as np
 
 from .baselines import GRID, KINDS, TITLES, Bank, Baseline, Scales
 from .bounds import nominal_error
-from .calibration import FEWEST_FOR_ALPHA, Calibration, calibrate
+from .calibration import Calibration, calibrate, joint_scores
 from .core import Core
-from .drives import Experiment
+from .drives import Drive, Experiment
+from .energy import ROUNDING
+from .errors import InputError
 from .faults import Fault, inject
 from .identify import DriveReader, DriveSet, StoredIdentification
 from .parallel import Map
@@ -32,12 +48,17 @@ PIECE_S = 60.0
 FAULT_FROM_S = 60.0
 SHORTEST_FOR_FAULTS_S = 120.0
 FOUND_WITHIN_S = 30.0
+STARTS = 5
+FEWEST_FOR_BASELINES = 2
+"""Calibration drives: a baseline has no natural threshold, so one must be left when a drive is left out."""
 BOOTSTRAP_DRAWS = 10_000
 FAULTS = (Fault("gain", 0.6), Fault("gain", -1.0), Fault("freeze"), Fault("input_delay", 0.3), Fault("output_delay", 0.3),
           Fault("gain", 0.7), Fault("gain", 1.3), Fault("bias", 0.05), Fault("input_delay", 0.15),
           Fault("output_delay", 0.15))
 MONITOR = "monitor"
-"""Name of our own detector beside the kinds of baselines.KINDS: both tests together."""
+"""Name of our own detector beside the kinds of baselines.KINDS: both tests together, at one threshold."""
+EXPORTED = "exported"
+"""Both tests, each at its own threshold, as `lpvguard export` writes them."""
 TESTS = ("frame", "energy")
 
 
@@ -62,88 +83,113 @@ class Pieces:
         return cls(len(counts), alarmed, pieces, (float(low), float(high)))
 
 
-def alarm_times(replay: Replay, test: str | None) -> np.ndarray:
-    """When a test (None: either) falsified the model [s], in order: falsifying frames, and samples above the energy test's
-    threshold, for that test stays where it is while a frame is judged once."""
-    frames = [a.t_s for a in replay.alarms if a.test == "frame"] if test != "energy" else []
-    over = np.flatnonzero(replay.over) * replay.Ts if test != "frame" else []
-    return np.sort(np.concatenate([frames, over]))
+def alarming(replay: Replay, test: str | None = None) -> np.ndarray:
+    """(N,) True at samples where a test (None: either) falsifies the model: with which a falsifying frame was judged, and all above
+    the energy test's threshold, for that test stays where it is while a frame is judged once."""
+    return {"frame": replay.falsified, "energy": replay.over, None: replay.falsified | replay.over}[test]
 
 
 def alarmed_pieces(replay: Replay, test: str | None = None) -> tuple[int, int]:
     """(alarmed, all) whole 60 s pieces of a drive, by a test (None: either)."""
-    pieces = int(replay.duration_s // PIECE_S)
-    hit = set((alarm_times(replay, test) // PIECE_S).astype(int).tolist())
-    return sum(1 for p in range(pieces) if p in hit), pieces
+    length, pieces = round(PIECE_S / replay.Ts), int(replay.duration_s // PIECE_S)
+    return int(alarming(replay, test)[:pieces * length].reshape(pieces, length).any(axis=1).sum()), pieces
 
 
 @dataclass(frozen=True)
 class Clock:
-    """Judged, excited, in-range seconds of a drive since its sample ``first``, (N,) at every sample."""
+    """Judged, excited, in-range seconds of a drive from its sample ``first`` on, that one included, (N,) at every sample."""
 
     seconds: np.ndarray
     first: int
-    Ts: float
 
     @classmethod
-    def of(cls, replay: Replay, from_s: float = FAULT_FROM_S) -> Clock:
-        first = int(round(from_s / replay.Ts))
+    def of(cls, replay: Replay, first: int) -> Clock:
         relevant = replay.judged & replay.in_range & replay.excited
         relevant[:first] = False
-        return cls(np.cumsum(relevant) * replay.Ts, first, replay.Ts)
+        return cls(np.cumsum(relevant) * replay.Ts, first)
 
-    def at(self, t_s: float) -> float:
-        """The reading [s] at ``t_s`` seconds after the drive's first sample."""
-        return float(self.seconds[min(int(round(t_s / self.Ts)), len(self.seconds) - 1)])
+    @property
+    def end(self) -> int:
+        """Samples up to the last with which a fault is still found in time."""
+        return int(np.searchsorted(self.seconds, FOUND_WITHIN_S * (1 + 1e-9), side="right"))
 
-    def of_replay(self, replay: Replay, test: str | None = None) -> float | None:
-        """The reading at the first alarm of a test (None: either) after ``first``; None: no alarm."""
-        return next((self.at(t) for t in alarm_times(replay, test).tolist() if t > self.first * self.Ts), None)
+    def read(self, hits: np.ndarray) -> float | None:
+        """The reading [s] at the first True of ``hits`` (N or fewer samples) from ``first`` on; None: nowhere."""
+        found = np.flatnonzero(hits[self.first:])
+        return float(self.seconds[self.first + found[0]]) if len(found) else None
 
-    def of_statistic(self, statistic: np.ndarray, threshold: float) -> float | None:
-        """The reading where ``statistic`` (N,) first exceeds ``threshold`` after ``first``; None: nowhere."""
-        above = np.flatnonzero(statistic[self.first + 1:] > threshold)
-        return float(self.seconds[self.first + 1 + above[0]]) if len(above) else None
+
+def fault_clocks(untouched: Replay, seed: int) -> list[Clock]:
+    """One clock for each instant from which faults are injected into a drive; none where the drive does not qualify."""
+    if untouched.duration_s <= SHORTEST_FOR_FAULTS_S:
+        return []
+    earliest = round(FAULT_FROM_S / untouched.Ts)
+    seconds = Clock.of(untouched, earliest).seconds
+    latest = int(np.searchsorted(seconds, seconds[-1] - FOUND_WITHIN_S, side="right"))
+    if seconds[-1] < FOUND_WITHIN_S:
+        return []
+    # A stream of random numbers for each drive: the other drives make no difference.
+    random = np.random.default_rng([seed, zlib.crc32(untouched.name.encode())])
+    spans = (np.arange(STARTS) + random.uniform(size=STARTS)) / STARTS
+    return [Clock.of(untouched, int(first)) for first in earliest + spans * max(0, latest - earliest)]
 
 
 @dataclass(frozen=True)
 class Case:
-    """A fault in a drive: judged, excited seconds to the first alarm (None: no alarm), and whether the case counts:
-    not where the untouched drive alarms within the time allowed."""
+    """A fault in a drive from ``start_s`` on: judged, excited seconds until it was found, None: it was not; and until the detector
+    would have alarmed without the fault, None: not within the time allowed."""
 
     run: str
+    start_s: float
     s: float | None
-    counts: bool
+    untouched_s: float | None
 
     @classmethod
-    def of(cls, run: str, faulty: float | None, clean: float | None) -> Case:
-        return cls(run, faulty, clean is None or clean > FOUND_WITHIN_S)
+    def of(cls, run: str, Ts: float, clock: Clock, faulty: np.ndarray, untouched: float | None) -> Case:
+        """``faulty``: samples at which the detector alarms with the fault; ``untouched``: the clock at its first alarm without."""
+        s = clock.read(faulty[:clock.end])
+        caused = s is not None and (untouched is None or s < untouched)
+        return cls(run, clock.first * Ts, s if caused else None,
+                   untouched if untouched is not None and untouched <= clock.seconds[clock.end - 1] else None)
 
     @property
     def found(self) -> bool:
-        return self.counts and self.s is not None and self.s <= FOUND_WITHIN_S
+        return self.s is not None
 
 
-def _evaluate_drive(reader: DriveReader, core: Core, item: tuple[Experiment, Calibration, Calibration]
-                    ) -> tuple[dict, dict[str | None, dict[str, Case]]]:
-    """One drive with thresholds of its own, of the frame test and of the energy test: its row, and per test (None: either) and
-    fault what became of it (none for short drives)."""
-    experiment, calibration, energy = item
-    replayer = Replayer(reader.project, core, threshold=calibration.threshold, energy_threshold=energy.threshold)
-    drive = reader.read(experiment)[0]
-    clean = replayer.replay(drive)
-    alarmed, pieces = alarmed_pieces(clean)
-    relevant = clean.in_range & clean.excited
-    row = {"run": experiment.name, "driver": experiment.driver, "threshold": calibration.threshold, "alpha": calibration.alpha,
-           "conditional_bound": calibration.conditional_bound, "energy_threshold": energy.threshold,
-           "by_test": {test: alarmed_pieces(clean, test)[0] for test in TESTS}, "alarmed": alarmed, "pieces": pieces, "judged_s": clean.judged_s,
-           "judged_of_in_range_excited": float((clean.judged & relevant).sum() / max(1, relevant.sum()))}
-    clock = Clock.of(clean)
-    found: dict[str | None, dict[str, Case]] = {test: {} for test in (None, *TESTS)}
-    for fault in FAULTS if drive.duration_s > SHORTEST_FOR_FAULTS_S else ():
-        faulty = replayer.replay(inject(drive, fault, FAULT_FROM_S, reader.project.Ts_s))
-        for test, cases in found.items():
-            cases[fault.label] = Case.of(experiment.name, clock.of_replay(faulty, test), clock.of_replay(clean, test))
+def _faulty(drive: Drive, fault: Fault, clock: Clock, Ts: float) -> Drive:
+    """The drive with the fault, cut where it can no longer be found in time."""
+    return inject(drive.before_sample(clock.end), fault, clock.first * Ts, Ts)
+
+
+def _evaluate_drive(reader: DriveReader, core: Core, item: tuple[Experiment, dict[str, Calibration]]
+                    ) -> tuple[dict, dict[str, dict[str, list[Case]]]]:
+    """One drive with calibrations of its own for MONITOR, "frame" and "energy": its row, and per detector and fault what became of
+    it from every start (none where the drive does not qualify)."""
+    experiment, calibrations = item
+    project, thresholds = reader.project, {what: c.threshold for what, c in calibrations.items()}
+    together = Replayer(project, core, threshold=thresholds[MONITOR], energy_threshold=thresholds[MONITOR])
+    apart = Replayer(project, core, threshold=thresholds["frame"], energy_threshold=thresholds["energy"])
+    detectors = {MONITOR: (together, None), EXPORTED: (apart, None), **{test: (apart, test) for test in TESTS}}
+    drive, Ts = reader.read(experiment)[0], project.Ts_s
+    untouched = {replayer: replayer.replay(drive) for replayer in (together, apart)}
+    replay = untouched[together]
+    relevant, pieces = replay.in_range & replay.excited, alarmed_pieces(replay)[1]
+    clocks = fault_clocks(replay, project.seed)
+    row = {"run": experiment.name, "driver": experiment.driver,
+           "calibration": {what: {"threshold": c.threshold, "drives": len(c.scores), "alpha": c.alpha,
+                                  "conditional_bound": c.conditional_bound, "claim": c.claim()} for what, c in calibrations.items()},
+           "alarmed": {name: alarmed_pieces(untouched[replayer], test)[0] for name, (replayer, test) in detectors.items()},
+           "pieces": pieces, "duration_s": replay.duration_s, "judged_s": replay.judged_s,
+           "judged_of_in_range_excited": float((replay.judged & relevant).sum() / relevant.sum()) if relevant.any() else None,
+           "fault_starts_s": [c.first * Ts for c in clocks]}
+    found: dict[str, dict[str, list[Case]]] = {name: {f.label: [] for f in FAULTS} for name in detectors}
+    for clock in clocks:
+        first = {name: clock.read(alarming(untouched[replayer], test)) for name, (replayer, test) in detectors.items()}
+        for fault in FAULTS:
+            faulty = {replayer: replayer.replay(_faulty(drive, fault, clock, Ts)) for replayer in untouched}
+            for name, (replayer, test) in detectors.items():
+                found[name][fault.label].append(Case.of(experiment.name, Ts, clock, alarming(faulty[replayer], test), first[name]))
     return row, found
 
 
@@ -165,23 +211,27 @@ def _largest(reader: DriveReader, bank: Bank, experiment: Experiment) -> dict[Ba
             for b, s in bank.statistics(GRID, e, drive.v)}
 
 
-def _times(reader: DriveReader, core: Core, bank: Bank, thresholds: dict[Baseline, tuple[float, ...]],
-           experiment: Experiment) -> dict[tuple[Baseline, float], dict[str, Case]]:
-    """What becomes of every fault in a drive, for every baseline and each of its thresholds; empty for short drives."""
+Cases = dict[tuple[Baseline, float], dict[str, list[Case]]]
+"""Of one drive: per baseline and threshold, and fault, what became of it from every start."""
+
+
+def _cases(reader: DriveReader, core: Core, bank: Bank, thresholds: dict[Baseline, tuple[float, ...]], experiment: Experiment) -> Cases:
+    """Every baseline at each of its thresholds on one drive; empty where the drive does not qualify."""
     drive, e, _ = reader.read(experiment)
-    if drive.duration_s <= SHORTEST_FOR_FAULTS_S:
+    clocks, Ts = fault_clocks(Replayer(reader.project, core).replay(drive), reader.project.seed), reader.project.Ts_s
+    if not clocks:
         return {}
-    clock = Clock.of(Replayer(reader.project, core).replay(drive))
 
-    def alarms(error: np.ndarray) -> dict[tuple[Baseline, float], float | None]:
-        return {(b, h): clock.of_statistic(s, h) for b, s in bank.statistics(thresholds, error, drive.v) for h in thresholds[b]}
+    def alarms(error: np.ndarray, v: np.ndarray):
+        return (((b, h), s > h) for b, s in bank.statistics(thresholds, error, v) for h in thresholds[b])
 
-    clean = alarms(e)
-    cases: dict[tuple[Baseline, float], dict[str, Case]] = {key: {} for key in clean}
-    for fault in FAULTS:
-        error = nominal_error(inject(drive, fault, FAULT_FROM_S, reader.project.Ts_s), reader.model)[0]
-        for key, s in alarms(error).items():
-            cases[key][fault.label] = Case.of(experiment.name, s, clean[key])
+    first = {key: [clock.read(hits) for clock in clocks] for key, hits in alarms(e, drive.v)}
+    cases: Cases = {key: {f.label: [] for f in FAULTS} for key in first}
+    for i, clock in enumerate(clocks):
+        for fault in FAULTS:
+            faulty = _faulty(drive, fault, clock, Ts)
+            for key, hits in alarms(nominal_error(faulty, reader.model)[0], faulty.v):
+                cases[key][fault.label].append(Case.of(experiment.name, Ts, clock, hits, first[key][i]))
     return cases
 
 
@@ -206,20 +256,22 @@ class BaselineStudy:
 
         self.largest = over(partial(_largest, reader, self.bank), "baselines")
         thresholds = {b: tuple(sorted({self.calibration(b, name).threshold for name in left_out})) for b in GRID}
-        self.cases = over(partial(_times, reader, core, self.bank, thresholds), "baselines on faults")
+        self.cases: dict[str, Cases] = over(partial(_cases, reader, core, self.bank, thresholds), "baselines on faults")
 
     def calibration(self, b: Baseline, without: str | None = None) -> Calibration:
-        """Conformal threshold from the calibration drives but ``without``; drives on which it never spoke give no score."""
+        """Conformal threshold from the calibration drives but ``without``; drives on which it never spoke give no score, and
+        without any score it never alarms."""
         scores = {n: float(self.largest[n][b].max()) for n in self.calibration_drives if n != without}
-        return calibrate({n: s for n, s in scores.items() if np.isfinite(s)}, self.alpha, floor=0.0)
+        spoken = {n: s for n, s in scores.items() if np.isfinite(s)}
+        return calibrate(spoken, self.alpha, floor=0.0 if spoken else np.inf)
 
     def best(self, kind: str, without: str | None = None) -> tuple[Baseline, float]:
         """The parameters of ``kind`` that find most faults, then soonest, on all drives but ``without``; with their threshold."""
 
         def merit(b: Baseline) -> tuple[int, float]:
             key = b, self.calibration(b, without).threshold
-            cases = [c for name, table in self.cases.items() if name != without and table for c in table[key].values()]
-            return sum(c.found for c in cases), -sum(min(c.s, FOUND_WITHIN_S) if c.found else FOUND_WITHIN_S for c in cases)
+            cases = [c for name, table in self.cases.items() if name != without and table for of in table[key].values() for c in of]
+            return sum(c.found for c in cases), -sum(c.s if c.found else FOUND_WITHIN_S for c in cases)
 
         b = max((b for b in GRID if b.kind == kind), key=merit)
         return b, self.calibration(b, without).threshold
@@ -236,17 +288,25 @@ def _evaluate_baselines(study: BaselineStudy, rows: list[dict], seed: int) -> li
     for kind in KINDS:
         tuned = {r["run"]: study.best(kind, r["run"]) for r in rows}
         counts = [study.alarmed_pieces(*tuned[r["run"]], r["run"]) for r in rows]
-        cases = {f.label: [study.cases[run][key][f.label] for run, key in tuned.items() if study.cases[run]] for f in FAULTS}
+        cases = {f.label: [c for run, key in tuned.items() if study.cases[run] for c in study.cases[run][key][f.label]] for f in FAULTS}
         table.append({"kind": kind, "title": TITLES[kind], "searched": [b.label for b in GRID if b.kind == kind],
-                      "chosen": {run: {"parameters": b.label, "threshold": h} for run, (b, h) in tuned.items()},
+                      "chosen": {run: {"parameters": b.label, "threshold": h, "claim": study.calibration(b, run).claim()}
+                                 for run, (b, h) in tuned.items()},
                       "false_alarms": vars(Pieces.of(counts, seed)), "faults": _fault_rows(cases)})
     return table
 
 
 def _fault_rows(cases: dict[str, list[Case]]) -> list[dict]:
-    return [{"fault": label, "found": sum(c.found for c in members), "counted": sum(c.counts for c in members),
-             "drives": len(members), "median_s": median_time([c.s for c in members if c.counts]),
-             "cases": [vars(c) for c in members]} for label, members in cases.items()]
+    """Per fault: cases found, all cases, drives, those of them in which it was found from every start, cases
+    whose untouched drive alarms in the time allowed, median time."""
+    rows = []
+    for label, members in cases.items():
+        runs = {c.run for c in members}
+        rows.append({"fault": label, "found": sum(c.found for c in members), "counted": len(members), "drives": len(runs),
+                     "drives_found": len(runs - {c.run for c in members if not c.found}),
+                     "untouched_alarms": sum(c.untouched_s is not None for c in members),
+                     "median_s": median_time([c.s for c in members]), "cases": [vars(c) for c in members]})
+    return rows
 
 
 def median_time(seconds: list[float | None]) -> float | None:
@@ -258,51 +318,72 @@ def median_time(seconds: list[float | None]) -> float | None:
 
 
 def ranking(rows: dict[str, dict]) -> list[str]:
-    """Who does best on one fault, all that tie: by the share of drives in which it was found, then by the median time.
+    """Who does best on one fault, all that tie: by the share of cases in which it was found, then by the median time; nobody
+    where there is no case.
 
-    ``rows``: per detector its row of _fault_rows. A case that does not count was not found.
+    ``rows``: per detector its row of _fault_rows.
     """
 
     def merit(row: dict) -> tuple[float, float]:
-        return row["found"] / max(1, row["drives"]), -(np.inf if row["median_s"] is None else row["median_s"])
+        return row["found"] / row["counted"], -(np.inf if row["median_s"] is None else row["median_s"])
 
+    if not all(row["counted"] for row in rows.values()):
+        return []
     best = max(merit(row) for row in rows.values())
     return [name for name, row in rows.items() if merit(row) == best]
 
 
 # ---------------------------------------------------------------------------------------------------------------- all
 
+def _without_faults(row: dict) -> str:
+    """Why no fault is injected into a drive."""
+    if row["duration_s"] <= SHORTEST_FOR_FAULTS_S:
+        return f"{row['duration_s']:.1f} s long, no more than {SHORTEST_FOR_FAULTS_S:g} s"
+    return f"less than {FOUND_WITHIN_S:g} s of judged, excited driving after {FAULT_FROM_S:g} s"
+
+
 def evaluate(stored: StoredIdentification, drives: DriveSet, core: Core, *, workers: Map = map,
              progress: Callable[[str], None] = lambda _: None) -> dict:
-    """Leave-one-drive-out evaluation, the drives mapped by ``workers`` (parallel.py); returns the JSON-able table."""
-    project, scores, energy = stored.project, stored.calibration.scores, stored.energy
-    rows, per_fault = [], {test: {f.label: [] for f in FAULTS} for test in (None, *TESTS)}
+    """Leave-one-drive-out evaluation, the drives mapped by ``workers`` (parallel.py); returns the JSON-able table.
 
-    def others(name: str, of: dict[str, float]) -> dict[str, float]:
-        return {k: v for k, v in of.items() if k != name}
-
-    alpha, energy_scores = project.frame_test.alpha, energy.calibration.scores
-    items = [(drives.experiments[name], calibrate(others(name, scores), alpha),
-              energy.calibrated(others(name, energy_scores), alpha).calibration) for name in scores]
+    InputError without any judged drive beside those that set the bounds.
+    """
+    project, alpha, seed = stored.project, stored.project.frame_test.alpha, stored.project.seed
+    frame, energy = stored.calibration.scores, stored.energy.calibration.scores
+    if not frame:
+        raise InputError(stored.folder, "drives", "every judged drive set the bounds: none is left to evaluate", "at least one drive whose "
+                         f"split is not {' or '.join(project.data.bound_split)} and in which a frame counts")
+    scores = {MONITOR: joint_scores(frame, energy), "frame": frame, "energy": energy}
+    floors = {MONITOR: 1.0 + ROUNDING, "frame": 1.0, "energy": 1.0 + ROUNDING}
+    items = [(drives.experiments[name], {what: calibrate({k: v for k, v in of.items() if k != name}, alpha, floor=floors[what])
+                                         for what, of in scores.items()}) for name in frame]
+    rows: list[dict] = []
+    cases: dict[str, dict[str, list[Case]]] = {d: {f.label: [] for f in FAULTS} for d in (MONITOR, EXPORTED, *TESTS)}
     for row, found in workers(partial(_evaluate_drive, drives.reader, core), items):
         progress(row["run"])
-        rows.append(row | {"score": scores[row["run"]], "energy_score": energy_scores.get(row["run"])})
-        for test, cases in found.items():
-            for label, case in cases.items():
-                per_fault[test][label].append(case)
-    seed = project.seed
+        rows.append(row | {"scores": {what: of.get(row["run"]) for what, of in scores.items()}})
+        for detector, by_fault in found.items():
+            for label, members in by_fault.items():
+                cases[detector][label] += members
+
+    def pieces(detector: str, members: list[dict]) -> dict:
+        return vars(Pieces.of([(r["alarmed"][detector], r["pieces"]) for r in members], seed))
+
     groups = {"all": rows} | {d: [r for r in rows if r["driver"] == d] for d in sorted({r["driver"] for r in rows})}
-    study = BaselineStudy(stored, drives, core, left_out=tuple(scores), workers=workers, progress=progress)
-    faults, baselines = _fault_rows(per_fault[None]), _evaluate_baselines(study, rows, seed)
+    faults, baselines = _fault_rows(cases[MONITOR]), []
+    if len(rows) >= FEWEST_FOR_BASELINES:
+        study = BaselineStudy(stored, drives, core, left_out=tuple(frame), workers=workers, progress=progress)
+        baselines = _evaluate_baselines(study, rows, seed)
     best = [ranking({MONITOR: row} | {b["kind"]: b["faults"][i] for b in baselines}) for i, row in enumerate(faults)]
     return {
-        "threshold_rule": f"all other drives that did not set the bounds, alpha {project.frame_test.alpha:g} "
-                          f"(stated from {FEWEST_FOR_ALPHA} drives on)",
+        "threshold_rule": "all other drives that did not set the bounds",
+        "claims": {"identified": {"frame": stored.calibration.claim(), "energy": stored.energy.calibration.claim()},
+                   "left_one_out": {what: sorted({r["calibration"][what]["claim"] for r in rows}) for what in scores}},
         "drives": rows,
-        "false_alarms": {g: vars(Pieces.of([(r["alarmed"], r["pieces"]) for r in members], seed))
-                         for g, members in groups.items()},
+        "without_faults": {r["run"]: _without_faults(r) for r in rows if not r["fault_starts_s"]},
+        "left_out": stored.manifest["drives"]["left_out"],
+        "false_alarms": {g: pieces(MONITOR, members) for g, members in groups.items()},
         "faults": [row | {"best": names} for row, names in zip(faults, best)],
-        "tests": {test: {"false_alarms": vars(Pieces.of([(r["by_test"][test], r["pieces"]) for r in rows], seed)),
-                         "faults": _fault_rows(per_fault[test])} for test in TESTS},
+        "tests": {d: {"false_alarms": pieces(d, rows), "faults": _fault_rows(cases[d])} for d in (EXPORTED, *TESTS)},
         "baselines": baselines,
     }

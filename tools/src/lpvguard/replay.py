@@ -56,6 +56,7 @@ class Replay:
     judged: np.ndarray          # (N,) bool: the sample lies in a counted frame
     in_range: np.ndarray        # (N,) bool
     excited: np.ndarray         # (N,) bool
+    falsified: np.ndarray       # (N,) bool: with this sample the core judged a frame that falsifies
     over: np.ndarray            # (N,) bool: the energy test's ratio is above its threshold
     alarms: list[Alarm]         # of both tests, in the order of time
     Ts: float
@@ -150,10 +151,11 @@ class Replayer:
         monitor = self.core.monitor() if self._reals is None else self.core.monitor(reals=self._reals, seal=True)
         run = monitor.run_drive(drive, present)
         frames, Ts, t0 = run.frames, self.project.Ts_s, drive.t[0]
-        judged = np.zeros(len(drive.t), bool)
-        for k, end in zip(frames.bin[frames.counted], frames.t_end_s[frames.counted]):
-            last = int(round((end - t0) / Ts))
-            judged[last + 1 - self.estimator.length[k]:last + 1] = True
+        after = np.round((frames.t_end_s[frames.counted] - t0) / Ts).astype(int) + 1
+        frames_open = np.zeros(len(drive.t) + 1, int)
+        np.add.at(frames_open, after - self.estimator.length[frames.bin[frames.counted]], 1)
+        np.add.at(frames_open, after, -1)
+        judged = np.cumsum(frames_open)[:-1] > 0
         low, high = self.model.speed_range
         alarms = [Alarm(float(frames.t_end_s[i] - t0), "frame", float(self.estimator.omega[frames.bin[i]]),
                         float(frames.speed[i]), float(frames.margin[i]), float(frames.evidence[i]),
@@ -166,8 +168,10 @@ class Replayer:
                          found.E[i].real.tolist(), found.Z[i].real.tolist(), self.directions[found.bin[i]].tolist())
                    for i in range(len(found.bin))]
         in_range = (drive.v >= low) & (drive.v <= high)
+        falsified = np.zeros(len(drive.t), bool)
+        falsified[np.round((frames.t_judged_s[frames.falsified] - t0) / Ts).astype(int)] = True
         return Replay(drive.name, drive.duration_s, run, judged, in_range if present is None else in_range & present,
-                      self.excited(drive), run.energy > self.energy_threshold,
+                      self.excited(drive), falsified, run.energy > self.energy_threshold,
                       sorted(alarms, key=lambda a: a.t_s), Ts)
 
     def excited(self, drive: Drive) -> np.ndarray:

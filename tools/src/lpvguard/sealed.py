@@ -17,9 +17,6 @@ class Sealed:
     words: dict[str, np.ndarray]
     reals: dict[str, np.ndarray]
 
-    def flat_words(self) -> np.ndarray:
-        return np.concatenate([np.atleast_1d(v).ravel() for v in self.words.values()]).astype(np.uint32)
-
     def flat_reals(self) -> np.ndarray:
         return np.concatenate([np.atleast_1d(v).ravel() for v in self.reals.values()]).astype(float)
 

@@ -17,8 +17,9 @@ constexpr std::size_t n_words = sizeof(lpvg_coeff_words_t) / sizeof(uint32_t);
 constexpr std::size_t n_reals = sizeof(lpvg_coeff_reals_t) / sizeof(lpvg_real_t);
 constexpr std::size_t frame_columns = 10U + 4U * LPVG_NY;
 
-void write_frame(const lpvg_frame_t& f, double* row) {
-    const double head[10] = {static_cast<double>(f.sequence), static_cast<double>(f.bin),
+// t_us: time of the sample with which the core said so; a frame waits for its turn after its end.
+void write_frame(const lpvg_frame_t& f, int64_t t_us, double* row) {
+    const double head[10] = {static_cast<double>(t_us),        static_cast<double>(f.bin),
                             static_cast<double>(f.t_end_us),  static_cast<double>(f.reason),
                             f.falsified ? 1.0 : 0.0,          static_cast<double>(f.speed),
                             static_cast<double>(f.margin),    static_cast<double>(f.statistic),
@@ -104,7 +105,7 @@ int64_t lpvgb_run(void* opaque, int64_t n, const int64_t* t_us, const double* v,
         verdict[k] = static_cast<uint8_t>(lpvg_monitor_verdict(monitor, t_us[k]));
         const lpvg_frame_t* frame = lpvg_monitor_frame(monitor);
         if (frame->sequence != last && count < max_rows) {
-            write_frame(*frame, rows + count * static_cast<int64_t>(frame_columns));
+            write_frame(*frame, t_us[k], rows + count * static_cast<int64_t>(frame_columns));
             ++count;
         }
         last = frame->sequence;
@@ -112,7 +113,7 @@ int64_t lpvgb_run(void* opaque, int64_t n, const int64_t* t_us, const double* v,
         lpvg_frame_t record;
         while (lpvg_monitor_take_record(monitor, &record)) {
             if (record.test == lpvg_test_energy && count < max_rows) {
-                write_frame(record, rows + count * static_cast<int64_t>(frame_columns));
+                write_frame(record, t_us[k], rows + count * static_cast<int64_t>(frame_columns));
                 ++count;
             }
         }

@@ -151,11 +151,6 @@ def dk_synthesis(
     return DKResult(K, certify(plant, K, scaling), final.controller.order, tuple(history))
 
 
-def scaled_optimum(plant: GeneralisedPlant, scaling: Scaling, rtol: float = 1e-3) -> float:
-    """The least level that any controller reaches under ``scaling``, an upper bound of the least μ; to ``rtol``."""
-    return _Work(plant).controller(scaling, rtol=rtol).gamma
-
-
 def certify(
     plant: GeneralisedPlant, controller: StateSpace, scaling: Scaling | None = None
 ) -> RobustPerformance:

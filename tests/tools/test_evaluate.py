@@ -1,0 +1,198 @@
+"""What counts as found, from when and until when; what a threshold promises; and drives that offer less than the measured ones."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+
+from lpvguard import evaluate as stage
+from lpvguard import identify
+from lpvguard.calibration import calibrate, joint_scores
+from lpvguard.drives import list_experiments, read_drive
+from lpvguard.errors import InputError
+from lpvguard.evaluate import Case, Clock, alarmed_pieces, alarming, fault_clocks
+from lpvguard.faults import Fault, inject
+from lpvguard.nominal import NominalModel
+from lpvguard.replay import Replay, Replayer
+
+TS = 0.02
+
+
+def hits(n: int, *at: int) -> np.ndarray:
+    found = np.zeros(n, bool)
+    found[list(at)] = True
+    return found
+
+
+def replay(seconds: float, relevant=slice(None), *, name: str = "made up", falsified=(), over=()) -> Replay:
+    """A replay of which only what evaluate reads is filled in; ``relevant``: the judged, excited samples."""
+    n = round(seconds / TS) + 1
+    judged = np.zeros(n, bool)
+    judged[relevant] = True
+    return Replay(name, seconds, None, judged, np.ones(n, bool), np.ones(n, bool), hits(n, *falsified), hits(n, *over), [], TS)
+
+
+# ---------------------------------------------------------------------------------------------------------- what counts
+
+def test_the_clock_runs_in_judged_driving_from_the_first_faulty_sample_on():
+    clock = Clock.of(replay(100.0, slice(0, 3500)), 3000)
+    assert clock.read(hits(5001, 2999)) is None
+    assert clock.read(hits(5001, 2999, 3000)) == pytest.approx(TS), "the first faulty sample counts"
+    assert clock.read(hits(5001, 3499)) == clock.read(hits(5001, 4500)) == pytest.approx(10.0), "it stands where nothing is judged"
+    whole = Clock.of(replay(100.0), 3000)
+    assert whole.end == 3000 + round(stage.FOUND_WITHIN_S / TS)
+
+
+@pytest.mark.parametrize(("faulty", "untouched", "s"), [
+    (3009, None, 0.2), (3009, 3010, 0.2),                       # the twin is silent until then, or for ever
+    (3009, 3009, None), (3009, 3001, None),                     # it alarms with it, or first: not the fault's doing
+    (4499, None, 30.0), (4500, None, None)])                    # in time, and one sample too late
+def test_found_means_before_the_untouched_drive_and_in_time(faulty, untouched, s):
+    clock = Clock.of(replay(120.0), 3000)
+    other = None if untouched is None else clock.read(hits(6001, untouched))
+    case = Case.of("made up", TS, clock, hits(6001, faulty), other)
+    assert case.untouched_s == other
+    assert case.s == (None if s is None else pytest.approx(s)) and case.found == (s is not None) and case.start_s == 60.0
+
+
+def test_what_the_untouched_drive_says_later_does_not_matter():
+    clock = Clock.of(replay(120.0), 3000)
+    case = Case.of("made up", TS, clock, hits(6001, 3009), clock.read(hits(6001, 4501)))
+    assert case.found and case.untouched_s is None
+
+
+def test_an_alarm_that_stands_when_the_fault_starts_is_none_of_it():
+    clock = Clock.of(replay(120.0), 3000)
+    standing = hits(6001, *range(2900, 3100))
+    assert not Case.of("made up", TS, clock, standing | hits(6001, 3200), clock.read(standing)).found
+
+
+def test_starts_leave_time_to_find_and_do_not_depend_on_other_drives():
+    long = replay(300.0, name="a")
+    clocks = fault_clocks(long, seed=1)
+    assert len(clocks) == stage.STARTS
+    firsts = [c.first for c in clocks]
+    assert firsts == sorted(firsts) and firsts[0] >= 3000 and firsts[-1] < 13501
+    assert [c.first for c in fault_clocks(long, seed=1)] == firsts != [c.first for c in fault_clocks(replay(300.0, name="b"), seed=1)]
+    # Judged until 100 s alone: every start leaves 30 s of that.
+    for clock in fault_clocks(replay(300.0, slice(0, 5000)), seed=1):
+        assert clock.first >= 3000 and clock.seconds[-1] >= stage.FOUND_WITHIN_S - 1e-9
+    assert fault_clocks(replay(300.0, slice(0, 4400)), seed=1) == [], "28 s are not enough"
+    assert fault_clocks(replay(300.0, slice(0, 0)), seed=1) == [], "never excited"
+    assert fault_clocks(replay(120.0), seed=1) == [], "no longer than 120 s"
+
+
+def test_pieces_are_whole_and_counted_once():
+    made = replay(170.0, falsified=(10, 20, 3000), over=(8400,))
+    assert alarmed_pieces(made) == (2, 2) and alarmed_pieces(made, "energy") == (0, 2) and alarmed_pieces(made, "frame") == (2, 2)
+    assert alarmed_pieces(replay(59.0, over=(5,))) == (0, 0)
+
+
+def test_an_alarm_stands_where_the_core_says_so(core, g80, synthetic):
+    """The verdict turns invalid with the very samples that are counted; a frame waits for its turn after its end."""
+    drive = inject(read_drive(synthetic / "synthetic_06.csv", g80), Fault("gain", 0.3), 60.0, g80.Ts_s)
+    found = Replayer(g80, core, threshold=1.5, energy_threshold=1e6).replay(drive)
+    assert not found.over.any() and found.falsified.any()
+    assert found.first_invalid_s == pytest.approx(np.flatnonzero(alarming(found))[0] * found.Ts)
+    frames = found.run.frames
+    wait = np.round((frames.t_judged_s - frames.t_end_s) / found.Ts)
+    assert (wait >= 0).all() and wait.max() > 0
+    of_energy = Replayer(g80, core, threshold=1e6, energy_threshold=1.5).replay(drive)
+    assert of_energy.first_invalid_s == pytest.approx(np.flatnonzero(alarming(of_energy))[0] * found.Ts)
+
+
+# ------------------------------------------------------------------------------------------------------ what is promised
+
+def test_one_threshold_for_both_tests_keeps_alpha_and_two_do_not():
+    """10 calibration drives, independent tests: by either, the joint threshold lets 1/11 alarm, the two 1 - (10/11)^2 = 21/121."""
+    random, n, alpha, trials = np.random.default_rng(3), 10, 0.1, 4000
+    joint = apart = 0
+    for _ in range(trials):
+        frame, energy = random.lognormal(0.5, 0.3, (2, n + 1))
+        of = [{str(i): s for i, s in enumerate(x[:n])} for x in (frame, energy)]
+        joint += max(frame[n], energy[n]) > calibrate(joint_scores(*of), alpha).threshold
+        apart += frame[n] > calibrate(of[0], alpha).threshold or energy[n] > calibrate(of[1], alpha).threshold
+    spread = 3 * np.sqrt(0.25 / trials)
+    assert joint / trials == pytest.approx(1 / 11, abs=spread) and apart / trials == pytest.approx(21 / 121, abs=spread)
+    assert joint_scores({"a": 1.0, "b": 3.0}, {"b": 2.0, "c": 4.0}) == {"a": 1.0, "b": 3.0, "c": 4.0}
+
+
+@pytest.mark.parametrize(("drives", "alpha", "says"), [
+    (25, 0.04, "alpha 0.04 from 25 drives, with 95 % confidence below 0.113"),
+    (25, 0.038, "not stated"), (23, 0.04, "not stated"), (24, 0.04, "alpha 0.04 from 24 drives"),
+    (8, 0.2, "not stated"), (9, 0.1, "alpha 0.1 from 9 drives"), (0, 0.1, "not stated")])
+def test_a_claim_comes_with_its_conditional_bound_or_is_refused(drives, alpha, says):
+    """n < 1/alpha - 1, or fewer than 9 drives: alpha is not stated."""
+    assert says in calibrate({str(i): 1.0 + i for i in range(drives)}, alpha).claim()
+
+
+# --------------------------------------------------------------------------------------------------------- fewer drives
+
+@pytest.fixture
+def folder(synthetic, tmp_path):
+    """Makes a folder of chosen synthetic drives: name -> split, changed by a function of the table's text lines."""
+
+    def make(chosen: dict[str, str], change=lambda name, lines: lines):
+        made = tmp_path / "drives"
+        made.mkdir()
+        for name in chosen:
+            lines = (synthetic / f"{name}.csv").read_text().splitlines()
+            (made / f"{name}.csv").write_text("\n".join(change(name, lines)) + "\n")
+        (made / "experiments.csv").write_text("experiment,split\n" + "".join(f"{n},{s}\n" for n, s in chosen.items()))
+        return made
+
+    return make
+
+
+def evaluated(g80, core, drives):
+    result, drive_set = identify.identify(g80, drives)
+    folder = drives.parent / "identified"
+    identify.save(result, drive_set, folder)
+    return stage.evaluate(identify.load(folder), drive_set, core)
+
+
+def test_a_single_drive_to_evaluate_has_no_baselines_and_no_alpha(folder, g80, core):
+    table = evaluated(g80, core, folder({"synthetic_01": "train", "synthetic_02": "train", "synthetic_06": "valid"}))
+    assert table["baselines"] == [] and all(row["best"] == ["monitor"] for row in table["faults"])
+    assert table["claims"]["identified"]["frame"].endswith("too few calibration drives (1)")
+    assert table["claims"]["left_one_out"]["monitor"] == ["alpha is not stated: too few calibration drives (0)"]
+    assert all(row["drives"] == 1 and row["counted"] == stage.STARTS for row in table["faults"])
+
+
+def test_short_and_unexcited_drives_are_counted_and_named(folder, g80, core):
+    def change(name: str, lines: list[str]) -> list[str]:
+        if name == "synthetic_06":
+            return lines[:1 + 50 * 100]
+        if name == "synthetic_08":
+            header, rows = lines[0].split(","), [line.split(",") for line in lines[1:]]
+            steering = header.index("delta")
+            return [lines[0], *(",".join("0" if i == steering else x for i, x in enumerate(row)) for row in rows)]
+        return lines
+
+    splits = dict.fromkeys(("synthetic_01", "synthetic_02"), "train") | dict.fromkeys(("synthetic_06", "synthetic_08"), "valid")
+    table = evaluated(g80, core, folder(splits, change))
+    assert set(table["without_faults"]) == {"synthetic_06", "synthetic_08"}
+    assert "s long, no more than 120 s" in table["without_faults"]["synthetic_06"]
+    assert "less than 30 s of judged, excited" in table["without_faults"]["synthetic_08"]
+    still = next(r for r in table["drives"] if r["run"] == "synthetic_08")
+    assert still["judged_of_in_range_excited"] is None and still["pieces"] == 2
+    assert all(row["drives"] == row["counted"] == 0 and row["best"] == [] and row["median_s"] is None for row in table["faults"])
+    assert len(table["baselines"]) == 3 and all(r["counted"] == 0 for b in table["baselines"] for r in b["faults"])
+
+
+def test_nothing_to_evaluate_is_an_error_that_says_what_is_missing(folder, g80, core):
+    with pytest.raises(InputError, match="every judged drive set the bounds.*split is not train"):
+        evaluated(g80, core, folder({"synthetic_01": "train", "synthetic_02": "train"}))
+
+
+def test_a_missing_column_is_named_with_its_file(synthetic, identified, core, g80, tmp_path):
+    drives = tmp_path / "drives"
+    shutil.copytree(synthetic, drives)
+    path = drives / "synthetic_07.csv"
+    path.write_text(path.read_text().replace("delta", "angle", 1))
+    drive_set = identify.DriveSet(g80, NominalModel(g80), list_experiments(drives))
+    with pytest.raises(InputError, match="column delta is missing") as caught:
+        stage.evaluate(identify.load(identified), drive_set, core)
+    assert caught.value.source.endswith("synthetic_07.csv")
