@@ -3,7 +3,7 @@
 
 venv=$root/.venv
 packages_run="g++ libeigen3-dev libtomlplusplus-dev pkg-config python3 python3-venv"
-packages_test="can-utils catch2 clang cmake cppcheck g++-powerpc-linux-gnu gcc-powerpc-linux-gnu iproute2 libc6-dev-powerpc-cross libclang-rt-14-dev
+packages_test="can-utils catch2 clang cmake cppcheck g++-powerpc-linux-gnu gcc-powerpc-linux-gnu iproute2 libc6-dev-powerpc-cross libclang-rt-14-dev liblcm-bin liblcm-dev
   gcc-arm-none-eabi libnewlib-arm-none-eabi libstdc++-arm-none-eabi-newlib ninja-build qemu-system-arm qemu-user user-mode-linux"
 
 say() { printf '%s\n' "$*" >&2; }

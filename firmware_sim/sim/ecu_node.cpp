@@ -36,11 +36,18 @@ public:
         }
     }
 
-    void tick(std::int64_t now_us) override {
+    void tick(std::int64_t now_us, bool supervision) override {
         if (firmware_tick(&firmware_, now_us) != lpvg_status_ok) {
             throw std::logic_error("the firmware refused a tick");
         }
         reception_.note(firmware_.ecu.supervisor, now_us);
+        has_judged_ = judgements_.note(firmware_);
+        if (has_judged_) {
+            judged_ = judgements_.newest();
+        }
+        if (supervision) {
+            supervision_ = supervision_of(firmware_);
+        }
     }
     const lpvg_ecu_t* inside() const override { return &firmware_.ecu; }
     std::string finish() override {
@@ -54,6 +61,7 @@ public:
 private:
     firmware_t firmware_{};
     Reception reception_;
+    Judgements judgements_;
 };
 
 /// The vehicle's end of a CAN interface whose other end is another process.
@@ -132,21 +140,29 @@ public:
         }
     }
 
-    void tick(std::int64_t now_us) override {
-        ask(now_us);
-        bus_.expect(answer().frames);
+    void tick(std::int64_t now_us, bool supervision) override {
+        ask(now_us, supervision);
+        const time_answer_t got = answer();
+        bus_.expect(got.frames);
+        has_judged_ = got.judged != 0U;
+        if (has_judged_) {
+            receive(&judged_, sizeof judged_);
+        }
+        if (supervision) {
+            receive(&supervision_, sizeof supervision_);
+        }
     }
     const lpvg_ecu_t* inside() const override { return nullptr; }
     std::string finish() override {
-        ask(-1);
+        ask(-1, false);
         std::string text(std::min<std::size_t>(answer().frames, TIME_LINE_TEXT_MAX), '\0');
         receive(text.data(), text.size());
         return text;
     }
 
 private:
-    void ask(std::int64_t now_us) {
-        const time_request_t request = {now_us, bus_.take_sent()};
+    void ask(std::int64_t now_us, bool supervision) {
+        const time_request_t request = {now_us, bus_.take_sent(), supervision ? 1U : 0U};
         if (::send(line_, &request, sizeof request, MSG_NOSIGNAL) != static_cast<ssize_t>(sizeof request)) {
             throw std::runtime_error("the ECU's process has ended");
         }

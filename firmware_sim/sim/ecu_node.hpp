@@ -7,6 +7,7 @@
 
 #include "loop_bus.hpp"
 #include "lpvguard/ecu.h"
+#include "telemetry.hpp"
 
 namespace lpvguard_sim {
 
@@ -14,14 +15,22 @@ class EcuNode {
 public:
     virtual ~EcuNode() = default;
 
-    /// One sample period: takes what was sent to it, and has sent its answer when it returns. Throws std::runtime_error.
-    virtual void tick(std::int64_t now_us) = 0;
+    /// One sample period: takes what was sent to it, and has sent its answer when it returns. `supervision`: what it has
+    /// counted is to be known then. Throws std::runtime_error.
+    virtual void tick(std::int64_t now_us, bool supervision) = 0;
+    const Judged* judged() const { return has_judged_ ? &judged_ : nullptr; }  ///< The frame that the newest tick judged, or null.
+    const Supervision& supervision() const { return supervision_; }            ///< After the newest tick that was asked for it.
 
     /// Its state, where it runs in this process; else null.
     virtual const lpvg_ecu_t* inside() const = 0;
 
     /// Ends it. What its supervision counted, as JSON (reception.h).
     virtual std::string finish() = 0;
+
+protected:
+    bool has_judged_ = false;
+    Judged judged_{};
+    Supervision supervision_{};
 };
 
 struct Nodes {

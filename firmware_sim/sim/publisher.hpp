@@ -1,33 +1,69 @@
-/// @file publisher.hpp -- telemetry for people and other programs: truth and what the controller says, every 10 ms, and what its
-/// supervision counts, every 100 ms.
+/// @file publisher.hpp -- the simulation as people and other programs see and lead it: telemetry out, commands in (LCM: firmware_sim/lcm,
+/// whose files give units, signs and channels).
 ///
-/// CAN carries only what a truck's bus carries; the truth goes this way (LCM: firmware_sim/lcm). Nothing comes back.
+/// CAN carries only what a truck's bus carries; all else goes this way.
 #pragma once
 
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <vector>
 
-#include "lpvguard/can.h"
 #include "lpvguard_plant/plant.hpp"
+#include "telemetry.hpp"
 #include "vehicle_node.hpp"
 
 namespace lpvguard_sim {
 
-/// Units and signs as in firmware_sim/lcm/lpvguard_guard.lcm.
+/// As guard_t.
 struct GuardTelemetry {
     double command_radps, wanted_radps, demand_bar, margin;
     std::uint8_t verdict, supervision;
 };
 
+/// As margin_t: a frame that the monitor has judged, in this tick.
+struct JudgedFrame {
+    std::int64_t now_us;
+    Judged judged;
+    std::int64_t begin_us;
+    double frequency_radps;
+    std::uint8_t verdict;
+};
+
+/// As control_t.
+struct ControlCommand {
+    enum Action : std::int8_t { pause, resume, step, stop, inject, clear };
+    std::int64_t id;
+    std::int8_t action;           ///< As received: perhaps none of the above.
+    std::int32_t ticks;
+    std::string entry;
+};
+
+/// As status_t.
+struct Status {
+    enum State : std::int8_t { running, paused, ended };
+    std::int64_t now_us;
+    State state;
+    std::int64_t id = 0;
+    bool accepted = false;
+    std::string entry = {}, reason = {};
+};
+
 class Publisher {
 public:
     virtual ~Publisher() = default;
-    virtual void publish(std::int64_t now_us, const lpvguard_plant::Truth& truth, const GuardTelemetry& guard) = 0;
-    virtual void publish(std::int64_t now_us, const lpvg_can_supervisor_t& supervisor, const TroubleCode& trouble) = 0;
+    virtual void publish(std::int64_t now_us, const lpvguard_plant::Truth& truth) = 0;
+    virtual void publish(std::int64_t now_us, const GuardTelemetry& guard) = 0;
+    virtual void publish(std::int64_t now_us, const Supervision& supervision, const TroubleCode& trouble) = 0;
+    virtual void publish(const lpvg_can_frame_t& frame) = 0;  ///< Of the bus, in the order of sending.
+    virtual void publish(const JudgedFrame& frame) = 0;
+    virtual void publish(const Status& status) = 0;
+
+    /// What has come from clients since, in order of arrival; waits for the first at most so long. Throws std::runtime_error.
+    virtual std::vector<ControlCommand> take(int wait_ms) = 0;
 };
 
-/// `url` as LCM reads it, e.g. udpm://239.255.76.67:7667?ttl=0 or file:///tmp/run.lcm?mode=w.
+/// `url` as LCM reads it, e.g. udpm://239.255.76.67:7667?ttl=0 or file:///tmp/run.lcm?mode=w (from a file no commands come).
 /// Throws lpvguard_plant::UsageError when it cannot be opened or the simulator was built without LCM.
 std::unique_ptr<Publisher> open_publisher(const std::string& url);
 

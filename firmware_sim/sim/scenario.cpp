@@ -142,27 +142,26 @@ CanFault read_can_fault(const toml::table& table, const std::string& file) {
 
 }  // namespace
 
-Scenario load_scenario(const std::string& path) {
-    const std::string text = lpvguard_plant::read_text(path);
-    const toml::table document = lpvguard_plant::parse_toml(text, path);
-    require_known_keys(document, path, "", {"title", "duration_s", "seed", "plant", "command", "can_fault", "expect"});
-    const Reader reader(document, path, "");
+Scenario parse_scenario(const std::string& text, const std::string& name) {
+    const toml::table document = lpvguard_plant::parse_toml(text, name);
+    require_known_keys(document, name, "", {"title", "duration_s", "seed", "plant", "command", "can_fault", "expect"});
+    const Reader reader(document, name, "");
     Scenario scenario;
     scenario.duration_s = reader.required("duration_s", 1.0, 1e6);
     scenario.seed = static_cast<std::uint64_t>(reader.optional("seed", 1.0, 0.0, 9e15));
-    scenario.plant = lpvguard_plant::parse_scenario(text, path);
+    scenario.plant = lpvguard_plant::parse_scenario(text, name);
     const toml::table* const command = document["command"].as_table();
     if (command == nullptr) {
-        throw ParameterError(path + ": command: missing, expected a table [command]");
+        throw ParameterError(name + ": command: missing, expected a table [command]");
     }
-    scenario.command = read_command(*command, path);
+    scenario.command = read_command(*command, name);
     if (const toml::node* const node = document.get("can_fault")) {
         const toml::array* const faults = node->as_array();
         if (faults == nullptr || !faults->is_homogeneous<toml::table>()) {
-            throw ParameterError(path + ": can_fault: expected an array of tables, [[can_fault]]");
+            throw ParameterError(name + ": can_fault: expected an array of tables, [[can_fault]]");
         }
         for (const toml::node& fault : *faults) {
-            scenario.can_faults.push_back(read_can_fault(*fault.as_table(), path));
+            scenario.can_faults.push_back(read_can_fault(*fault.as_table(), name));
         }
     }
     return scenario;

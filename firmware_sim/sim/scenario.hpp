@@ -69,7 +69,7 @@ struct Scenario {
     std::vector<CanFault> can_faults;
 };
 
-/// Reads and checks a scenario file. Throws lpvguard_plant::ParameterError.
-Scenario load_scenario(const std::string& path);
+/// Reads and checks the text of a scenario file; `name` stands for the file in error messages. Throws lpvguard_plant::ParameterError.
+Scenario parse_scenario(const std::string& text, const std::string& name);
 
 }  // namespace lpvguard_sim

@@ -31,10 +31,18 @@ float decoded(lpvg_can_quality_t (*decode)(Raw, float*), Raw raw) {
 
 VehicleNode::VehicleNode(const bus_t* bus, double steering_ratio, const std::vector<CanFault>& faults, std::uint64_t seed)
     : bus_(bus), steering_ratio_(steering_ratio), random_(seed, bus_fault_stream) {
-    for (const CanFault& fault : faults) {
-        faults_.push_back({fault});
-    }
+    revise(faults);
     require(lpvg_can_init(&supervisor_, &lpvg_can_rules[LPVG_CAN_GUARD_OUT_INDEX], 1, 0));
+}
+
+void VehicleNode::revise(const std::vector<CanFault>& faults) {
+    for (std::size_t i = 0; i < faults.size(); ++i) {
+        if (i < faults_.size()) {
+            faults_[i].window = faults[i].window;
+        } else {
+            faults_.push_back({faults[i]});
+        }
+    }
 }
 
 void VehicleNode::send(std::int64_t now_us, const lpvguard_plant::Sensors& sensors, double command_radps) {
@@ -105,22 +113,21 @@ void VehicleNode::put(const lpvg_can_frame_t& sent) {
     lpvg_can_frame_t frame = sent;
     const double time_s = static_cast<double>(frame.t_us) * 1e-6;
     bool goes_out = true;
+    lpvg_can_frame_t& newest = newest_[sent.id];
     for (Fault& fault : faults_) {
-        if (fault.id != frame.id || fault.kind == CanFault::Kind::bus_off) {
-            continue;
+        if (goes_out && fault.id == frame.id && fault.kind != CanFault::Kind::bus_off && fault.window.contains(time_s) &&
+            random_.uniform() < fault.probability) {
+            goes_out = spoil(fault, frame, newest);
         }
-        if (goes_out && fault.window.contains(time_s) && random_.uniform() < fault.probability) {
-            goes_out = spoil(fault, frame);
-        }
-        fault.before = sent;
     }
+    newest = sent;
     if (goes_out && !bus_off_) {
         bus_send(bus_, &frame);
     }
 }
 
 // What the fault makes of the frame; false when it does not go out (now).
-bool VehicleNode::spoil(Fault& fault, lpvg_can_frame_t& frame) {
+bool VehicleNode::spoil(Fault& fault, lpvg_can_frame_t& frame, const lpvg_can_frame_t& before) {
     const bool first = !fault.holds;
     switch (fault.kind) {
         case CanFault::Kind::lost:
@@ -146,7 +153,7 @@ bool VehicleNode::spoil(Fault& fault, lpvg_can_frame_t& frame) {
         case CanFault::Kind::stuck_counter:
             if (first) {
                 fault.holds = true;
-                fault.held = fault.before;
+                fault.held = before;
             }
             if (fault.kind == CanFault::Kind::repeated) {
                 std::memcpy(frame.data, fault.held.data, sizeof frame.data);

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <vector>
 
 #include "bus.h"
@@ -24,6 +25,9 @@ class VehicleNode {
 public:
     VehicleNode(const bus_t* bus, double steering_ratio, const std::vector<CanFault>& faults, std::uint64_t seed);
 
+    /// Goes on with these faults: those before, whose ends may differ after the newest time of send(), then new ones that begin after it.
+    void revise(const std::vector<CanFault>& faults);
+
     /// Sends the messages that are due at now (VDC2 and GUARD_IN every 10 ms, the others every 100 ms), faults applied.
     void send(std::int64_t now_us, const lpvguard_plant::Sensors& sensors, double command_radps);
 
@@ -42,13 +46,12 @@ private:
     };
 
     struct Fault : CanFault {
-        lpvg_can_frame_t before{};  ///< Newest frame of the message, as it would have been sent.
-        lpvg_can_frame_t held{};    ///< repeated, stuck_counter: `before` at the window's start; swapped: not sent yet.
+        lpvg_can_frame_t held{};  ///< repeated, stuck_counter: the message's frame before the window; swapped: not sent yet.
         bool holds = false;
     };
 
     void put(const lpvg_can_frame_t& frame);
-    bool spoil(Fault& fault, lpvg_can_frame_t& frame);
+    bool spoil(Fault& fault, lpvg_can_frame_t& frame, const lpvg_can_frame_t& before);
     bool off_the_bus(std::int64_t now_us);
     void send_beside(const lpvg_can_frame_t& frame, std::uint32_t id);
     void release_due(std::int64_t now_us);
@@ -56,6 +59,7 @@ private:
     const bus_t* bus_;
     double steering_ratio_;
     std::vector<Fault> faults_;
+    std::map<std::uint32_t, lpvg_can_frame_t> newest_;  ///< Of each message, as it would have been sent.
     lpvguard_plant::Random random_;
     std::vector<Delayed> delayed_;  ///< In order of sending.
     lpvg_can_supervisor_t supervisor_{};

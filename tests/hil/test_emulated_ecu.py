@@ -51,6 +51,8 @@ def compare(emulated, host):
     assert (emulated["frames"], emulated["frames_hash"]) == (host["frames"], host["frames_hash"])
     assert emulated["reception"] == host["reception"] and emulated["trouble_codes"] == host["trouble_codes"]
     assert emulated["missed"] == host["missed"]
+    for key in ("judged_s", "judged_to_invalid_s", "max_margin"):
+        assert emulated[key] == host[key]
 
 
 def test_the_emulated_ecu_sends_the_hosts_frames_through_loss_and_bus_off(on_vcan, short, simulator):

@@ -1,12 +1,8 @@
-"""LCM telemetry of the loop: what lcm-logger would have recorded, read back with what lcm-gen makes for Python."""
+"""The loop over LCM: what is published, recorded by lcm-logger, replayed by lcm-logplayer, heard and led by Python clients."""
 
 from __future__ import annotations
 
-import importlib
 import json
-import shutil
-import struct
-import subprocess
 import sys
 from itertools import groupby
 from pathlib import Path
@@ -16,64 +12,85 @@ import pytest
 from vcan import with_vcan
 
 from lpvguard.can.catalogue import load_catalogue
+from lpvguard.core import SUPERVISION, VERDICTS
+from lpvguard.errors import InputError
+from lpvguard.lcm_client import CHANNELS, Client, message_types, read_log, watch
 from lpvguard.receive import EVENTS
 from lpvguard.sim import Simulator, can_fault_table, load_scenario, steady_scenario
 
-LCM = Path(__file__).resolve().parents[2] / "firmware_sim" / "lcm"
-SYNC = 0xEDA1DA01
-VERDICTS = ("unknown", "valid", "invalid", "not_judged", "stale", "fault")
+SCENARIO = steady_scenario(30.0, can_fault_table("VDC2", "lost", 1.5, 1.7), title="two processes and a logger")
 
 
 @pytest.fixture(scope="module")
-def types(tmp_path_factory):
-    """The generated Python package of our message types; it needs no LCM."""
-    if shutil.which("lcm-gen") is None:
-        pytest.skip("lcm-gen not found: install liblcm-dev and liblcm-bin")
-    folder = tmp_path_factory.mktemp("types")
-    subprocess.run(["lcm-gen", "-p", "--ppath", folder / "lcmtypes", *sorted(LCM.glob("*.lcm"))], check=True)
-    # Its package is called like ours.
-    for source in (folder / "lcmtypes" / "lpvguard").glob("*.py"):
-        source.write_text(source.read_text().replace("import lpvguard.", "from . import ").replace("lpvguard.", ""))
-    (folder / "lcmtypes" / "lpvguard").rename(folder / "loop_types")
-    sys.path.insert(0, str(folder))
-    yield importlib.import_module("loop_types")
-    sys.path.remove(str(folder))
+def lcm_simulator(truck_folder) -> Simulator:
+    return Simulator(truck_folder, lcm=True)
 
 
-def events(path: Path):
-    """(channel, data) of an LCM log."""
-    raw, at = path.read_bytes(), 0
-    while at < len(raw):
-        sync, _, _, n_channel, n_data = struct.unpack_from(">IQQII", raw, at)
-        assert sync == SYNC
-        at += 28
-        yield raw[at:at + n_channel].decode(), raw[at + n_channel:at + n_channel + n_data]
-        at += n_channel + n_data
+@pytest.fixture
+def scenario(tmp_path):
+    path = tmp_path / "loop.toml"
+    path.write_text(SCENARIO)
+    return load_scenario(str(path))
 
 
-def test_the_loop_publishes_truth_guard_and_supervision(types, truck_folder, tmp_path):
-    run = Simulator(truck_folder, lcm=True).run(load_scenario("dead_yaw_sensor"), lcm=f"file://{tmp_path / 'run.lcm'}?mode=w")
-    decoded = {"LPVGUARD_TRUTH": [], "LPVGUARD_GUARD": [], "LPVGUARD_SUPERVISION": []}
-    of_channel = {"LPVGUARD_TRUTH": types.truth_t, "LPVGUARD_GUARD": types.guard_t, "LPVGUARD_SUPERVISION": types.supervision_t}
-    for channel, data in events(tmp_path / "run.lcm"):
-        decoded[channel].append(of_channel[channel].decode(data))
+def heard(path: Path) -> dict[str, list]:
+    """Messages of an LCM log by channel."""
+    by_channel: dict[str, list] = {channel: [] for channel in CHANNELS}
+    for channel, message in read_log(path):
+        by_channel[channel].append(message)
+    return by_channel
+
+
+def encoded(messages: list) -> list[bytes]:
+    return [m.encode() for m in messages]
+
+
+def require_nearly_all(part: list, whole: list) -> None:
+    """Every message of ``part`` is one of ``whole``, in its order; multicast repeats nothing, so a busy machine may lose a few."""
+    rest = iter(encoded(whole))
+    assert all(m in rest for m in encoded(part)) and len(part) >= 0.97 * len(whole)
+
+
+def changes(guard: list, field: str, names: tuple[str, ...]) -> list[list]:
+    firsts = [next(group) for _, group in groupby(guard, key=lambda g: getattr(g, field))]
+    return [[g.utime / 1e6, names[getattr(g, field)]] for g in firsts]
+
+
+def test_what_is_published_is_what_the_run_reports(lcm_simulator, tmp_path):
+    run = lcm_simulator.run(load_scenario("dead_yaw_sensor"), lcm=f"file://{tmp_path / 'run.lcm'}?mode=w")
+    said = heard(tmp_path / "run.lcm")
     ticks = round(run["duration_s"] / 0.01)
-    assert {c: len(m) for c, m in decoded.items()} == {"LPVGUARD_TRUTH": ticks, "LPVGUARD_GUARD": ticks, "LPVGUARD_SUPERVISION": ticks // 10}
-    states = [("off", "hold", "live")[g.supervision] for g in decoded["LPVGUARD_GUARD"]]
-    changes = [[g.utime * 1e-6, s] for g, s, before in zip(decoded["LPVGUARD_GUARD"], states, [None, *states]) if s != before]
-    assert np.allclose([t for t, _ in changes], [t for t, _ in run["supervision"]]) and len(changes) == len(run["supervision"])
-    last = decoded["LPVGUARD_SUPERVISION"][-1]
+    assert {c: len(said[c]) for c in ("LPVGUARD_TRUTH", "LPVGUARD_GUARD", "LPVGUARD_SUPERVISION", "LPVGUARD_BUS", "LPVGUARD_CONTROL")} == {
+        "LPVGUARD_TRUTH": ticks, "LPVGUARD_GUARD": ticks, "LPVGUARD_SUPERVISION": ticks // 10, "LPVGUARD_BUS": run["frames"],
+        "LPVGUARD_CONTROL": 0}
+    assert changes(said["LPVGUARD_GUARD"], "supervision", SUPERVISION) == run["supervision"]
+    assert changes(said["LPVGUARD_GUARD"], "verdict", VERDICTS) == run["verdicts"]
+    assert max(m.margin for m in said["LPVGUARD_MARGINS"]) == pytest.approx(run["max_margin"], rel=1e-8) and run["max_margin"] > 0.01
+    assert [s.state for s in said["LPVGUARD_STATUS"]] == [0] * (ticks // 100) + [2]
+    last = said["LPVGUARD_SUPERVISION"][-1]
     vdc2 = next(w for w in last.watch if w.id == load_catalogue().message("VDC2").id)
     counted = {kind: n for kind, n in zip(EVENTS, vdc2.count) if n}
     want = run["reception"]["messages"]["VDC2"]["counts"]
     assert counted["missed"] == want["missed"] and want["accepted"] - counted["accepted"] < 10 and vdc2.state == 2
-    assert last.messages == 6 and not last.bus_off and all(v > 10 for v in (t.speed for t in decoded["LPVGUARD_TRUTH"]))
-    assert any(s.trouble_spn == 1808 for s in decoded["LPVGUARD_SUPERVISION"])  # yaw rate, while its message is lost
+    assert last.messages == 6 and not last.bus_off and all(v > 10 for v in (t.speed for t in said["LPVGUARD_TRUTH"]))
+    assert any(s.trouble_spn == 1808 for s in said["LPVGUARD_SUPERVISION"])  # yaw rate, while its message is lost
 
 
-SCENARIO = steady_scenario(6.0, can_fault_table("VDC2", "lost", 4.0, 4.2), title="two processes and a logger")
-# $1: folder, the rest: the loop. A logger hears nothing from before it was up.
+def test_the_bus_of_an_lcm_log_is_the_candump_log_and_replays_to_the_same_verdicts(lcm_simulator, lpvguard, truck_folder, tmp_path):
+    run = lcm_simulator.run(load_scenario("brake_gain_40"), lcm=f"file://{tmp_path / 'run.lcm'}?mode=w", out=tmp_path)
+    done = lpvguard("lcm", "bus", tmp_path / "run.lcm", "-o", tmp_path / "mirror.log")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "mirror.log").read_bytes() == (tmp_path / "brake_gain_40-1.log").read_bytes()
+    done = lpvguard("replay", "--vehicle", "truck", "--coefficients", truck_folder, tmp_path / "mirror.log", "--json", "-")
+    (replayed,) = json.loads(done.stdout)
+    assert done.returncode == 1 and replayed["first_invalid_s"] == pytest.approx(run["first_invalid_s"], abs=0.011)
+    assert replayed["verdict_final"] == run["verdict_final"] == "invalid"
+
+
+# $1: folder, the rest: the loop. A logger hears nothing from before it was up. The Python package has wrappers of the same names in front
+# of LCM's programs, which keep signals to themselves.
 RECORD_AND_REPLAY = """
+PATH=$(pkg-config --variable=prefix lcm)/bin:$PATH
 url=udpm://239.255.76.67:7667?ttl=0
 lcm-logger --quiet --force --lcm-url=$url "$1/recorded.lcm" & logger=$!
 sleep 2
@@ -86,27 +103,138 @@ sleep 1; kill -INT $logger; wait $logger || true
 """
 
 
-def test_two_processes_on_vcan_recorded_and_replayed_give_the_same_verdicts(types, truck_folder, tmp_path):
+def test_two_processes_on_vcan_recorded_and_replayed_give_the_same_verdicts(lcm_simulator, scenario, truck_folder, tmp_path):
     """Truck and firmware as two processes on a real vcan0, telemetry by multicast on lo: what lcm-logger wrote, and what a second one
-    heard when lcm-logplayer played it, say the verdicts and the supervision that the run reports."""
-    if shutil.which("lcm-logplayer") is None:
-        pytest.skip("lcm-logplayer not found: install liblcm-bin")
-    (tmp_path / "loop.toml").write_text(SCENARIO)
-    assert Simulator(truck_folder, lcm=True).ecu_program.is_file()  # compiled here, and not on the one processor of the guest
-    done = with_vcan("bash", "-euc", RECORD_AND_REPLAY, "replay", tmp_path, sys.executable, "-m", "lpvguard.cli", "sim", tmp_path / "loop.toml",
+    heard when lcm-logplayer played it, is on every channel what one process alone publishes, and says the verdicts of the run."""
+    assert lcm_simulator.ecu_program.is_file()  # compiled here, and not on the one processor of the guest
+    lcm_simulator.run(scenario, lcm=f"file://{tmp_path / 'alone.lcm'}?mode=w")
+    done = with_vcan("bash", "-euc", RECORD_AND_REPLAY, "replay", tmp_path, sys.executable, "-m", "lpvguard.cli", "sim", scenario.path,
                      "--coefficients", truck_folder, "--bus", "socketcan:vcan0", "--ecu-process", "--pace", 2, "--json", "-")
     assert done.returncode == 0, done.stderr
     (run,) = json.loads(done.stdout)
-    assert [s for _, s in run["supervision"]].count("live") == 2
+    assert [s for _, s in run["supervision"]].count("live") == 2 and "valid" in [v for _, v in run["verdicts"]]
+    alone, recorded, replayed = (heard(tmp_path / f"{name}.lcm") for name in ("alone", "recorded", "replayed"))
+    assert len(alone["LPVGUARD_MARGINS"]) > 20
+    for channel in CHANNELS:
+        require_nearly_all(replayed[channel], recorded[channel])
+        if channel != "LPVGUARD_GUARD":  # its margin comes off the bus, in steps of GUARD_OUT
+            require_nearly_all(recorded[channel], alone[channel])
+    margin = {g.utime: g.margin for g in alone["LPVGUARD_GUARD"]}
+    assert max(margin.values()) > 0.05
+    for log in (recorded, replayed):
+        for field, names, want in (("verdict", VERDICTS, run["verdicts"]), ("supervision", SUPERVISION, run["supervision"])):
+            got = changes(log["LPVGUARD_GUARD"], field, names)
+            assert [v for _, v in got] == [v for _, v in want] and np.allclose([t for t, _ in got], [t for t, _ in want], atol=0.3)
+        assert max(abs(g.margin - margin[g.utime]) for g in log["LPVGUARD_GUARD"]) <= 0.5 / 1024 + 1e-9
 
-    def changes(path: Path, field: str, names: tuple[str, ...]):
-        said = [types.guard_t.decode(data) for channel, data in events(path) if channel == "LPVGUARD_GUARD"]
-        assert [g.utime for g in said] == list(range(0, 6_000_000, 10_000)), "nothing lost"
-        firsts = [next(group) for _, group in groupby(said, key=lambda g: getattr(g, field))]
-        return [[g.utime * 1e-6, names[getattr(g, field)]] for g in firsts]
 
-    for name in ("recorded", "replayed"):
-        path = tmp_path / f"{name}.lcm"
-        for field, names, want in (("verdict", VERDICTS, run["verdicts"]), ("supervision", ("off", "hold", "live"), run["supervision"])):
-            got = changes(path, field, names)
-            assert [v for _, v in got] == [v for _, v in want] and np.allclose([t for t, _ in got], [t for t, _ in want])
+def test_the_emulated_ecu_publishes_what_the_host_does(lcm_simulator, scenario, truck_folder, tmp_path):
+    """Margins, supervision and bus of the firmware on the Cortex-R5F, message for message those of the host's."""
+    lcm_simulator.emulated("cortex-r5f")
+    lcm_simulator.run(scenario, lcm=f"file://{tmp_path / 'host.lcm'}?mode=w")
+    done = with_vcan(sys.executable, "-m", "lpvguard.cli", "sim", scenario.path, "--coefficients", truck_folder, "--bus", "socketcan:vcan0",
+                     "--target", "cortex-r5f", "--lcm", f"file://{tmp_path / 'r5f.lcm'}?mode=w", "--json", "-")
+    assert done.returncode in (0, 1) and done.stdout, done.stderr
+    host, r5f = heard(tmp_path / "host.lcm"), heard(tmp_path / "r5f.lcm")
+    assert len(host["LPVGUARD_MARGINS"]) > 20
+    for channel in ("LPVGUARD_MARGINS", "LPVGUARD_SUPERVISION", "LPVGUARD_BUS", "LPVGUARD_TRUTH", "LPVGUARD_STATUS"):
+        assert encoded(r5f[channel]) == encoded(host[channel]), channel
+
+
+# A client that leads a run step by step, so that what it does falls on the same ticks always; and another one that watches.
+LEAD = """
+import json, subprocess, sys
+from lpvguard.errors import InputError
+from lpvguard.lcm_client import Client, STATES
+URL = "udpm://239.255.76.67:7667?ttl=0"
+client, cli = Client(URL), [sys.executable, "-m", "lpvguard.cli"]
+watching = subprocess.Popen([*cli, "lcm", "watch", "--url", URL, "--silence", "100"], stdout=subprocess.PIPE, text=True)
+loop = subprocess.Popen([*cli, "sim", *sys.argv[1:], "--lcm", URL, "--paused", "--json", "-"], stdout=subprocess.PIPE, text=True)
+
+def paused_at():
+    return next(m.utime for c, m in client.messages(100) if c == "LPVGUARD_STATUS" and m.id == 0 and STATES[m.state] == "paused" and m.utime != at)
+
+at = None
+at = paused_at()
+said = [at]
+def step(ticks):
+    global at
+    client.command("step", ticks=ticks, timeout_s=20)
+    at = paused_at()
+    said.append(at)
+step(500)
+lost = client.command("inject", '[[can_fault]]\\nmessage = "VDC2"\\nkind = "lost"', timeout_s=20)
+try:
+    client.command("inject", 'can_fault = [{message = "VDC3", kind = "lost"}]', timeout_s=20)
+except InputError as error:
+    refused = str(error)
+step(50)
+found = subprocess.run([*cli, "lcm", "send", "clear", lost.entry, "--url", URL], capture_output=True, text=True)
+step(250)
+stop = client.command("stop", timeout_s=20)
+heard = {}
+for channel, message in client.messages(2.0):
+    heard[channel] = heard.get(channel, 0) + 1
+print(json.dumps({"said": said, "lost": [lost.utime, lost.entry], "refused": refused, "found": [found.returncode, found.stdout, found.stderr],
+                  "stop": stop.utime, "run": json.loads(loop.communicate()[0]), "watched": watching.communicate()[0].splitlines()}))
+"""
+
+
+def test_a_python_client_leads_a_run_and_what_it_did_can_be_run_again(lcm_simulator, simulator, scenario, truck_folder, tmp_path):
+    (tmp_path / "lead.py").write_text(LEAD)
+    message_types()  # made here, once
+    done = with_vcan(sys.executable, tmp_path / "lead.py", scenario.path, "--coefficients", truck_folder, "--pace", 100, "-o", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    got = json.loads(done.stdout)
+    (run,) = got["run"]
+    assert got["said"] == [0, 5_000_000, 5_500_000, 8_000_000] and got["stop"] == 8_000_000 and run["duration_s"] == 8.0
+    assert got["lost"] == [5_010_000, "can_fault[1]"]
+    assert "refused" in got["refused"] and 'can_fault.message = "VDC3": expected one of: VDC2' in got["refused"]
+    assert got["found"] == [0, "5.51 s: paused, can_fault[1]\n", ""]
+    off = [t for t, state in run["supervision"] if t > 5.0 and state != "live"]
+    live = [t for t, state in run["supervision"] if t > 5.0 and state == "live"]
+    assert 5.01 < off[0] <= 5.06 and 5.51 < live[-1] <= 6.51
+    assert [line.split("s  ")[1] for line in got["watched"] if "can_fault" in line and "refused" not in line] == ["paused can_fault[1]"] * 2
+    assert any("refused: command: can_fault.message" in line for line in got["watched"]) and got["watched"][-1].endswith("ended")
+    assert any("supervision off" in line for line in got["watched"])
+
+    applied = load_scenario(str(tmp_path / "out" / "loop-1.applied.toml"))
+    again = simulator.run(applied, out=tmp_path)
+    assert (again["frames"], again["frames_hash"]) == (run["frames"], run["frames_hash"])
+    assert again["verdicts"] == run["verdicts"] and again["supervision"] == run["supervision"]
+    assert (tmp_path / "loop-1.applied-1.log").read_bytes() == (tmp_path / "out" / "loop-1.log").read_bytes()
+    assert simulator.run(scenario)["frames_hash"] != run["frames_hash"]
+
+
+def test_what_goes_wrong_is_said(lpvguard, scenario, tmp_path):
+    done = lpvguard("sim", "nominal", "--paused", "--lcm", f"file://{tmp_path / 'x.lcm'}?mode=w")
+    assert done.returncode == 2 and "--paused" in done.stderr and "no client can reach" in done.stderr
+    done = lpvguard("lcm", "bus", tmp_path / "none.lcm", "-o", tmp_path / "x.log")
+    assert done.returncode == 2 and "no such file" in done.stderr and not (tmp_path / "x.log").exists()
+    (tmp_path / "foreign.lcm").write_bytes(b"")
+    done = lpvguard("lcm", "bus", tmp_path / "foreign.lcm", "-o", tmp_path / "x.log")
+    assert done.returncode == 2 and "holds no frame" in done.stderr
+    with pytest.raises(InputError, match="LCM"):
+        Client("carrier-pigeon://roof")
+    done = lpvguard("sim", scenario.path, "--lcm", "carrier-pigeon://roof")
+    assert done.returncode == 2 and "cannot be opened" in done.stderr
+
+
+def test_a_channel_of_another_version_is_not_read_as_ours(tmp_path):
+    import lcm
+
+    log = lcm.EventLog(tmp_path / "old.lcm", "w")
+    log.write_event(0, "LPVGUARD_GUARD", bytes(40))
+    log.close()
+    with pytest.raises(InputError, match="guard_t"):
+        list(read_log(tmp_path / "old.lcm"))
+
+
+def test_watching_says_what_changes_once():
+    types = message_types()
+    guard, again, status, ended = types.guard_t(), types.guard_t(), types.status_t(), types.status_t()
+    guard.verdict = again.verdict = 1
+    again.utime, status.id, status.reason, ended.state, ended.utime = 10_000, 7, "because", 2, 20_000
+    said = list(watch([("LPVGUARD_GUARD", guard), ("LPVGUARD_GUARD", again), ("LPVGUARD_STATUS", status), ("LPVGUARD_STATUS", ended),
+                       ("LPVGUARD_GUARD", types.guard_t())]))
+    assert said == ["     0.00 s  verdict valid, supervision off, margin 0.000", "     0.00 s  refused: because", "     0.02 s  ended"]

@@ -610,6 +610,60 @@ TEST_CASE("the speed profile is followed, and load moves forward when braking", 
     CHECK(plant.truth().wheel_load_n[front_left] == Approx(front_at_rest_n));
 }
 
+TEST_CASE("a speed change leaves the profile and goes at its rate", "[unit][plant]") {
+    Drive drive;
+    drive.speed_profile = {{0.0, 10.0}, {10.0, 20.0}};
+    drive.speed_changes = {{4.0, 12.0, 0.5}, {7.0, 16.0, 2.0}};
+    Plant plant(quiet(), drive, 1);
+    for (const double expected : {11.0, 12.0, 13.0, 14.0, 13.5, 13.0, 12.5, 14.5, 16.0, 16.0}) {
+        run(plant, 1.0, 0.0);
+        CHECK(plant.truth().speed_mps == Approx(expected));
+    }
+    drive.speed_changes = {{7.0, 16.0, 2.0}, {4.0, 12.0, 0.5}};
+    CHECK_THROWS_WITH(Plant(quiet(), drive, 1), Contains("order"));
+    drive.speed_changes = {{4.0, 31.0, 0.5}};
+    CHECK_THROWS_WITH(Plant(quiet(), drive, 1), Contains("3 .. 30 m/s"));
+    drive.speed_changes = {{4.0, 12.0, 0.0}};
+    CHECK_THROWS_WITH(Plant(quiet(), drive, 1), Contains("rate"));
+    drive.speed_changes = {{4.0, 12.0, 0.5}};
+    drive.speed_is_free = true;
+    CHECK_THROWS_WITH(Plant(quiet(), drive, 1), Contains("coasts"));
+}
+
+TEST_CASE("a plant that is revised goes on as one that had it from the start, and keeps what it had when refused", "[unit][plant]") {
+    Drive drive = at(15.0);
+    Faults faults;
+    faults.actuators.push_back({{1.0, 100.0}, 0.9, 0.0, 0.0});
+    Plant revised(shipped(), drive, 7, faults);
+    run(revised, 4.0, 1.0);
+
+    Faults too_late = faults;
+    too_late.actuators.push_back({{5.0, 6.0}, 1.0, 0.0, 1.99});
+    CHECK_THROWS_WITH(revised.revise(drive, too_late), Contains("at most 2 s of brake delay"));
+    run(revised, 4.0, -1.0);
+
+    Drive other_drive = drive;
+    other_drive.speed_changes = {{8.5, 12.0, 1.0}};
+    Faults other_faults = faults;
+    other_faults.actuators[0].window.end_s = 8.5;
+    SensorFault frozen;
+    frozen.window = {8.5, 10.0};
+    frozen.frozen = true;
+    other_faults.sensors.push_back(frozen);
+    revised.revise(other_drive, other_faults);
+    Plant whole(shipped(), other_drive, 7, other_faults);
+    run(whole, 4.0, 1.0);
+    run(whole, 4.0, -1.0);
+    for (int k = 0; k < 400; ++k) {
+        run(revised, 0.01, 1.0);
+        run(whole, 0.01, 1.0);
+        REQUIRE(revised.truth().yaw_rate_radps == whole.truth().yaw_rate_radps);
+        REQUIRE(revised.truth().speed_mps == whole.truth().speed_mps);
+        REQUIRE(revised.sensors().yaw_rate_radps == whole.sensors().yaw_rate_radps);
+    }
+    CHECK(whole.truth().speed_mps == Approx(12.0));
+}
+
 TEST_CASE("sensor faults act on the sensor, in their window, and nowhere else", "[unit][plant]") {
     const PlantParameters p = quiet();
     Faults faults;
@@ -751,6 +805,9 @@ frozen = true
 extra_delay_s = 0.4
 [[plant.surroundings_fault]]
 friction_left_ratio = 0.3
+[[plant.speed_change]]
+start_s = 40.0
+speed_mps = 10.0
 )";
     const Scenario scenario = parse_scenario(good, "good.toml");
     CHECK(scenario.drive.speed_profile.size() == 2);
@@ -765,6 +822,9 @@ friction_left_ratio = 0.3
     CHECK(scenario.faults.sensors[1].window.contains(1e6));
     CHECK(scenario.faults.actuators.at(0).extra_delay_s == 0.4);
     CHECK(scenario.faults.surroundings.at(0).friction_left_ratio == 0.3);
+    CHECK(scenario.drive.speed_changes.at(0).start_s == 40.0);
+    CHECK(scenario.drive.speed_changes.at(0).speed_mps == 10.0);
+    CHECK(scenario.drive.speed_changes.at(0).rate_mps2 == 1.0);
 
     const auto fails = [](const std::string& text, const std::string& expected) {
         CHECK_THROWS_WITH(parse_scenario(text, "bad.toml"), Contains("bad.toml") && Contains(expected));
@@ -781,5 +841,7 @@ friction_left_ratio = 0.3
     fails(replaced(good, "frozen = true", "frozen = 1"), "expected true or false");
     fails(replaced(good, "[[plant.actuator_fault]]", "[plant.actuator_fault]"), "expected an array of tables");
     fails(replaced(good, "gain = -1.0", "gain = \"x\""), "expected a number");
+    fails(replaced(good, "speed_mps = 10.0", "rate_mps2 = 1.0"), "plant.speed_change.speed_mps: missing");
+    fails(replaced(good, "speed_mps = 10.0", "speed_mps = 2.0"), "plant.speed_change.speed_mps = 2: expected 3 .. 30");
     CHECK_THROWS_AS(load_scenario("/nowhere.toml"), ParameterError);
 }

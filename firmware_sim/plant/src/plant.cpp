@@ -50,6 +50,14 @@ void check_drive(const Drive& drive) {
         require(std::isfinite(knot.time_s) && (i == 0 || knot.time_s > drive.speed_profile[i - 1].time_s),
                 "finite, strictly ascending times in the speed profile");
     }
+    for (std::size_t i = 0; i < drive.speed_changes.size(); ++i) {
+        const SpeedChange& change = drive.speed_changes[i];
+        require(!drive.speed_is_free, "no speed changes of a truck that coasts");
+        require(change.speed_mps >= Plant::slowest_mps && change.speed_mps <= Plant::fastest_mps && change.rate_mps2 > 0.0,
+                "speed changes to 3 .. 30 m/s at a rate above 0");
+        require(std::isfinite(change.start_s) && (i == 0 || change.start_s >= drive.speed_changes[i - 1].start_s),
+                "speed changes in the order of their starts");
+    }
     require(drive.substeps >= 1 && drive.substeps <= 100, "1 .. 100 substeps");
 }
 
@@ -138,6 +146,24 @@ double Plant::profile_speed(double time_s) {
     return from.speed_mps + (to.speed_mps - from.speed_mps) * (time_s - from.time_s) / (to.time_s - from.time_s);
 }
 
+// Of an ideal drive, at the end of the step that begins.
+double Plant::next_speed() {
+    const auto& changes = drive_.speed_changes;
+    const auto begun = std::find_if(changes.rbegin(), changes.rend(), [&](const SpeedChange& c) { return c.start_s <= truth_.time_s; });
+    if (begun == changes.rend()) {
+        return profile_speed(truth_.time_s + step_s);
+    }
+    const double most_mps = begun->rate_mps2 * step_s;
+    return x_[speed] + std::clamp(begun->speed_mps - x_[speed], -most_mps, most_mps);
+}
+
+void Plant::revise(const Drive& drive, const Faults& faults) {
+    check_drive(drive);
+    check_faults(faults, p_);
+    drive_ = drive;
+    faults_ = faults;
+}
+
 Plant::Held Plant::hold(double demand_bar, double driver_torque_nm) {
     const double time_s = truth_.time_s;
     double gain = 1.0;
@@ -180,7 +206,7 @@ Plant::Held Plant::hold(double demand_bar, double driver_torque_nm) {
     in.brake_force_npbar = p_.brake_force_npbar * gain;
     in.driver_moment_nm = driver_torque_nm * p_.steering_ratio;
     in.acceleration_mps2 = drive_.speed_is_free ? forces_.longitudinal_acceleration_mps2
-                                                : (profile_speed(time_s + step_s) - x_[speed]) / step_s;
+                                                : (next_speed() - x_[speed]) / step_s;
     in.bank_rad = bank_rad_;
     in.crosswind_mps = crosswind_mps;
     in.friction_squared = {square(friction_left), square(friction_right), square(friction_left), square(friction_right)};

@@ -60,6 +60,12 @@ constexpr Key<SurroundingsFault> surroundings_keys[] = {
     {"crosswind_mps", &SurroundingsFault::crosswind_mps, -50.0, 50.0},
 };
 
+constexpr Key<SpeedChange> speed_change_keys[] = {
+    {"start_s", &SpeedChange::start_s, 0.0, 1e9},
+    {"speed_mps", &SpeedChange::speed_mps, Plant::slowest_mps, Plant::fastest_mps},
+    {"rate_mps2", &SpeedChange::rate_mps2, 0.01, 5.0},
+};
+
 struct SignalName {
     std::string_view name;
     Signal signal;
@@ -90,6 +96,12 @@ public:
             if (const std::optional<double> value = take_number(key.name, key.low, key.high)) {
                 owner.*key.member = *value;
             }
+        }
+    }
+
+    void require(std::string_view name) const {
+        if (!table_.contains(name)) {
+            throw ParameterError(file_ + ": " + path(name) + ": missing, expected a number");
         }
     }
 
@@ -249,6 +261,13 @@ Scenario parse_scenario(const std::string& toml_text, const std::string& name) {
         table.take(fault, surroundings_keys);
         table.done();
         scenario.faults.surroundings.push_back(fault);
+    }
+    for (Table& table : plant.take_tables("speed_change")) {
+        SpeedChange change;
+        table.require("speed_mps");
+        table.take(change, speed_change_keys);
+        table.done();
+        scenario.drive.speed_changes.push_back(change);
     }
     plant.done();
     return scenario;

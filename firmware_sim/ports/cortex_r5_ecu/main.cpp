@@ -7,6 +7,7 @@
 #include "firmware.h"
 #include "port.h"
 #include "reception.hpp"
+#include "telemetry.hpp"
 #include "time_line.h"
 
 namespace {
@@ -26,8 +27,8 @@ struct Instructions {
     }
 };
 
-void answer(std::uint64_t status, std::uint64_t frames) {
-    const time_answer_t out = {status, frames};
+void answer(std::uint64_t status, std::uint64_t frames, bool judged = false) {
+    const time_answer_t out = {status, frames, judged ? 1U : 0U};
     port_console_send(&out, sizeof out);
 }
 
@@ -43,6 +44,7 @@ int main() {
     lpvg_status_t status = firmware_init(&firmware, &bus, &config, 0);
     port_counter_start();
     Reception reception;
+    Judgements judgements;
     Instructions instructions;
     answer(status, 0U);
     time_request_t request;
@@ -52,7 +54,15 @@ int main() {
         const std::uint32_t begin = port_counter();
         status = firmware_tick(&firmware, request.now_us);
         instructions.take(port_instructions(begin, port_counter()));
-        answer(status, can.sent - sent);
+        const bool judged = judgements.note(firmware);
+        answer(status, can.sent - sent, judged);
+        if (judged) {
+            port_console_send(&judgements.newest(), sizeof judgements.newest());
+        }
+        if (request.supervision != 0U) {
+            const Supervision supervision = supervision_of(firmware);
+            port_console_send(&supervision, sizeof supervision);
+        }
         reception.note(firmware.ecu.supervisor, request.now_us);
     }
     Text out(text, sizeof text);

@@ -2,7 +2,8 @@
  * bytes that go both ways, numbers as both processors have them (little-endian).
  *
  * Time is what a bus does not carry: here comes one request a tick, and its answer when everything that the tick sends is on the
- * bus. The counts let each side wait for frames that are still on their way. The ECU begins, with an answer that says it hears. */
+ * bus. The counts let each side wait for frames that are still on their way. The ECU begins, with an answer that says it hears.
+ * After an answer comes the frame that was judged (Judged, telemetry.hpp), then what was asked for (Supervision). */
 #ifndef LPVGUARD_TIME_LINE_H
 #define LPVGUARD_TIME_LINE_H
 
@@ -11,11 +12,13 @@
 typedef struct time_request_t {
     int64_t now_us;  /* of the tick; below 0: end, answered with the counters as text */
     uint64_t frames; /* sent to the ECU since the last request */
+    uint64_t supervision; /* 1: asked for */
 } time_request_t;
 
 typedef struct time_answer_t {
     uint64_t status; /* lpvg_status_t */
     uint64_t frames; /* sent by the ECU in this tick; of the last answer: bytes of the text that follows */
+    uint64_t judged; /* 1: the monitor has judged a frame in this tick */
 } time_answer_t;
 
 enum { TIME_LINE_TEXT_MAX = 16384 };

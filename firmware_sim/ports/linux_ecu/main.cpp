@@ -19,6 +19,7 @@
 #include "counted_bus.hpp"
 #include "lpvguard/bus.h"
 #include "reception.hpp"
+#include "telemetry.hpp"
 #include "time_line.h"
 
 namespace {
@@ -88,28 +89,36 @@ int run_on_time_line(const Options& options, const lpvg_ecu_config_t& config) {
     CountedBus bus;
     firmware_t firmware{};
     Reception reception;
+    Judgements judgements;
     if (!bus.open(options.interface, Filters().list(), Filters().size())) {
         return complain(std::string(options.interface) + ": " + std::strerror(bus.driver().error));
     }
     if (firmware_init(&firmware, bus.end(), &config, 0) != lpvg_status_ok) {
         return complain("the core refused its coefficients");
     }
+    const auto send = [&](const void* data, std::size_t bytes) {
+        return ::send(options.time_line, data, bytes, 0) == static_cast<ssize_t>(bytes);
+    };
     time_request_t request{};
     time_answer_t answer{};
     // The first answer says that the socket is open: what is sent from now on arrives.
-    while (::send(options.time_line, &answer, sizeof answer, 0) == static_cast<ssize_t>(sizeof answer) &&
-           ::recv(options.time_line, &request, sizeof request, MSG_WAITALL) == static_cast<ssize_t>(sizeof request) && request.now_us >= 0) {
+    bool sent = send(&answer, sizeof answer);
+    while (sent && ::recv(options.time_line, &request, sizeof request, MSG_WAITALL) == static_cast<ssize_t>(sizeof request) &&
+           request.now_us >= 0) {
         bus.expect(request.frames);
         answer.status = static_cast<std::uint64_t>(firmware_tick(&firmware, request.now_us));
         answer.frames = bus.take_sent();
+        answer.judged = judgements.note(firmware) ? 1U : 0U;
         reception.note(firmware.ecu.supervisor, request.now_us);
+        sent = send(&answer, sizeof answer) && (answer.judged == 0U || send(&judgements.newest(), sizeof judgements.newest()));
+        if (request.supervision != 0U) {
+            const Supervision supervision = supervision_of(firmware);
+            sent = sent && send(&supervision, sizeof supervision);
+        }
     }
     const std::string text = counters(reception, firmware);
-    answer = {lpvg_status_ok, text.size()};
-    return ::send(options.time_line, &answer, sizeof answer, 0) == static_cast<ssize_t>(sizeof answer) &&
-                   ::send(options.time_line, text.data(), text.size(), 0) == static_cast<ssize_t>(text.size())
-               ? 0
-               : complain(std::strerror(errno));
+    answer = {lpvg_status_ok, text.size(), 0U};
+    return send(&answer, sizeof answer) && send(text.data(), text.size()) ? 0 : complain(std::strerror(errno));
 }
 
 int run_in_real_time(const Options& options, const lpvg_ecu_config_t& config) {

@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from .can.catalogue import load_catalogue
+from .core import SUPERVISION
 from .receive import EVENTS
-from .sim import RECOVERY_S, SUPERVISION, Simulator, can_fault_table, load_scenario, steady_scenario
+from .sim import RECOVERY_S, Simulator, can_fault_table, load_scenario, steady_scenario
 
 START_S = 20.0
 _SETTLED_S = 1.0

@@ -33,6 +33,7 @@ Out = Annotated[Path, typer.Option("-o", "--out", help="Folder or file to write.
 JsonOut = Annotated[str | None, typer.Option("--json", help="Write JSON to this file; - is standard output.")]
 Jobs = Annotated[int, typer.Option(min=1, help="Processes of this machine that share the drives.")]
 Scheduler = Annotated[str | None, typer.Option(help="Address of a Dask scheduler whose workers share the drives.")]
+LCM_DEFAULT = "udpm://239.255.76.67:7667?ttl=0"
 Coefficients = Annotated[Path | None, typer.Option("--coefficients", help="Generated folder (default: the shipped one).")]
 
 
@@ -365,13 +366,16 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
             help="feedforward: the command over the model's DC gain; off: never engaged.")] = "designed",
         seed: Annotated[int | None, typer.Option(min=0, help="First seed (default: the scenario's).")] = None,
         seeds: Annotated[int, typer.Option(min=1, help="Runs of each scenario, with consecutive seeds.")] = 1,
-        lcm: Annotated[str | None, typer.Option(metavar="URL", help="Publish truth, commands and supervision there, as LCM reads it.")] = None,
+        lcm: Annotated[str | None, typer.Option(metavar="URL", help="Publish telemetry there and take commands, as LCM reads it.")] = None,
+        paused: Annotated[bool, typer.Option("--paused", help="Begin when a client says resume (with --lcm).")] = False,
         out: Annotated[Path | None, typer.Option("-o", "--out", help="Folder for frame logs (candump -L), telemetry and results.json.")] = None,
         json_out: JsonOut = None) -> None:
     """Close the loop with the simulated truck over CAN frames. Exit 1 when a run did not show what its scenario expects."""
     from .core import shipped_vehicle
     from .sim import Simulator, load_scenario
 
+    if paused and (lcm is None or lcm.startswith("file:")):
+        raise InputError("--paused", "", f"no client can reach --lcm {lcm}", "--lcm with a URL such as " + LCM_DEFAULT)
     loaded = [load_scenario(name) for name in scenarios]
     runs = []
     with _progress("sim") as tell:
@@ -382,7 +386,7 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
             for number in range(first, first + seeds):
                 tell(f"{scenario.name}, seed {number}")
                 runs.append(simulator.run(scenario, seed=number, bus=bus, out=out, ecu_process=ecu_process, target=target, pace=pace,
-                                          lcm=lcm))
+                                          lcm=lcm, paused=paused))
     _emit(json_out, runs)
     if out is not None:
         # How fast this machine was belongs to nobody's results.
@@ -394,8 +398,7 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
         invalid = ("–", "–") if r["first_invalid_s"] is None else (f"{r['first_invalid_s']:.2f}", f"{r['judged_to_invalid_s']:.2f}")
         ratio = f"{r['tracking_rms'] / r['command_rms']:.1%}" if r["command_rms"] else "–"
         table.add_row(r["scenario"], str(r["seed"]), r["verdict_final"], *invalid,
-                      "–" if r["max_margin"] is None else f"{r['max_margin']:.3f}", ratio,
-                      f"{r['real_time_factor']:.0f}", "; ".join(r["missed"]) or "nothing")
+                      f"{r['max_margin']:.3f}", ratio, f"{r['real_time_factor']:.0f}", "; ".join(r["missed"]) or "nothing")
     console.print(table)
     console.print(f"{bus} bus, controller {controller}, coefficients {simulator.folder}")
     for r in runs:
@@ -404,6 +407,50 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
             console.print(f"{r['scenario']}: {ecu['target']}, ELF {ecu['elf_sha256'][:16]}; of {counted['ticks']} ticks the worst took {counted['worst']} "
                           f"instructions, the mean {counted['total'] / counted['ticks']:.0f} (not cycles)")
     raise typer.Exit(1 if any(r["missed"] for r in runs) else 0)
+
+
+lcm_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Watch and lead a simulation that runs with `sim --lcm URL`.")
+app.add_typer(lcm_app, name="lcm")
+LcmUrl = Annotated[str, typer.Option("--url", help="Where it publishes, as LCM reads it.")]
+
+
+@lcm_app.command("watch", epilog="Example: lpvguard lcm watch --silence 60")
+def lcm_watch(url: LcmUrl = LCM_DEFAULT,
+              silence: Annotated[float, typer.Option(min=0.1, help="Give up after so many seconds without a message.")] = 10.0) -> None:
+    """Print what changes: verdict, supervision, trouble codes, the margin of every counted frame, commands. Ends with the run."""
+    from .lcm_client import Client, watch
+
+    heard = 0
+    for heard, line in enumerate(watch(Client(url).messages(silence)), start=1):
+        print(line, flush=True)
+    if not heard:
+        raise InputError(url, "", f"nothing heard within {silence:g} s", "a simulation that runs with --lcm at this URL")
+
+
+@lcm_app.command("send", epilog="Examples: lpvguard lcm send step --ticks 100\n\n"
+                 "lpvguard lcm send inject 'plant.sensor_fault = [{signal = \"yaw_rate\", gain = 0.7}]'\n\n"
+                 "lpvguard lcm send clear 'plant.sensor_fault[0]'")
+def lcm_send(action: Annotated[Literal["pause", "resume", "step", "stop", "inject", "clear"], typer.Argument(help="stop ends the run, clear ends a fault.")],
+             entry: Annotated[str, typer.Argument(help="inject: one entry of a scenario file (TOML) without start_s: can_fault, plant.sensor_fault, "
+                                                  "plant.actuator_fault, plant.surroundings_fault, plant.speed_change. clear: its name.")] = "",
+             ticks: Annotated[int, typer.Option(min=1, help="step: so many ticks of 10 ms, then paused again.")] = 1,
+             url: LcmUrl = LCM_DEFAULT) -> None:
+    """Tell it what to do, and print from when it acts. Exit 2 when it refuses or does not answer."""
+    from .lcm_client import STATES, Client
+
+    answer = Client(url).command(action, entry, ticks=ticks)
+    print(f"{answer.utime * 1e-6:.2f} s: {STATES[answer.state]}{', ' if answer.entry else ''}{answer.entry}")
+
+
+@lcm_app.command("bus", epilog="Example: lpvguard lcm bus RECORDED.lcm -o DRIVE.log && lpvguard replay --vehicle truck DRIVE.log")
+def lcm_bus(log: Annotated[Path, typer.Argument(help="Log of lcm-logger.")], out: Out) -> None:
+    """The CAN frames of an LCM log as candump -L writes them: the log that `sim -o` writes, byte for byte."""
+    from .lcm_client import candump_line, read_log
+
+    lines = [candump_line(message) for channel, message in read_log(log) if channel == "LPVGUARD_BUS"]
+    if not lines:
+        raise InputError(log, "LPVGUARD_BUS", "holds no frame", "a log of lcm-logger while a simulation ran with --lcm")
+    artefacts.write_file(out, "".join(lines))
 
 
 @app.command(epilog="Example: lpvguard evaluate --vehicle g80 out/identify DRIVES --json out/evaluation.json")

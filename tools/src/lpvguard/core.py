@@ -23,6 +23,8 @@ from .errors import InputError
 PACKAGE = Path(__file__).resolve().parent
 VERDICTS = ("unknown", "valid", "invalid", "not_judged", "stale", "fault")
 REASONS = ("none", "not_excited", "speed_moved", "out_of_range", "settling")
+SUPERVISION = ("off", "hold", "live")
+"""Names of lpvg_can_state_t."""
 STATUSES = ("ok", "bad_argument", "bad_magic", "bad_schema", "bad_size", "bad_estimator", "bad_crc", "not_finite",
             "bad_value", "bad_sample", "out_of_order", "not_ready")
 

@@ -35,7 +35,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from . import artefacts, native
 from .can.catalogue import load_catalogue
 from .control_export import ControllerCoefficients, build_controller, replaced_controller
-from .core import eigen_include, firmware_root, library_root
+from .core import SUPERVISION, eigen_include, firmware_root, library_root
 from .drives import Drive
 from .errors import InputError
 from .nominal import NominalModel
@@ -47,8 +47,6 @@ Controller = Literal["designed", "feedforward", "off"]
 RECOVERY_S = 1.0
 """Time after a bus fault within which supervision must be live again: five frames of the slowest message, and a reserve."""
 
-SUPERVISION = ("off", "hold", "live")
-"""Names of lpvg_can_state_t."""
 LCM_LINK = ("-Wl,--no-as-needed", "-llcm")
 FLAGS = ("-std=c++17", "-O2", "-ffp-contract=off", "-fno-math-errno")
 Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -168,7 +166,7 @@ class Simulator:
     """
 
     def __init__(self, folder: Path, *, controller: Controller = "designed", lcm: bool = False):
-        """``lcm``: the program can publish over LCM (needs liblcm-dev and lcm-gen)."""
+        """``lcm``: the program can publish and be led over LCM (needs liblcm-dev and lcm-gen)."""
         self.folder, self.controller, self._lcm = Path(folder), controller, lcm
         self._emulated: dict[str, EmulatedEcu] = {}
         manifest = artefacts.read_manifest(self.folder, "vehicle")
@@ -228,11 +226,13 @@ class Simulator:
                              "a C++17 compiler, Eigen 3.4 and libtomlplusplus-dev") from None
 
     def run(self, scenario: Scenario, *, seed: int | None = None, bus: str = "memory", out: Path | None = None,
-            ecu_process: bool = False, target: str = "host", pace: float | None = None, lcm: str | None = None) -> dict[str, Any]:
+            ecu_process: bool = False, target: str = "host", pace: float | None = None, lcm: str | None = None,
+            paused: bool = False) -> dict[str, Any]:
         """One run: the object of `lpvguard sim --json` (DESIGN 9). ``bus``: memory or socketcan:INTERFACE. ``ecu_process``: the
-        firmware is a process of its own (needs SocketCAN; what the monitor judged is then not known, only what it reported).
+        firmware is a process of its own (needs SocketCAN).
         ``target``: likewise on an emulated processor; the object then has ``ecu``: its target, ELF hash and instructions of the ticks.
-        ``pace``: at most so many times real time. ``lcm``: publish there (of a simulator made with ``lcm``). ``out``: a folder for NAME-SEED.log (candump -L), .frames.csv, .telemetry.csv and .drive.csv, which `lpvguard replay` reads. Same scenario, seed and vehicle: the same bytes but
+        ``pace``: at most so many times real time. ``lcm``: publish there and take commands (of a simulator made with ``lcm``); with ``out``
+        NAME-SEED.applied.toml is then the scenario with what clients changed. ``paused``: until a client says resume. ``out``: a folder for NAME-SEED.log (candump -L), .frames.csv, .telemetry.csv and .drive.csv, which `lpvguard replay` reads. Same scenario, seed and vehicle: the same bytes but
         for real_time_factor, which is simulated time over one core's processor time; over elapsed time where the firmware is not in this process."""
         seed = scenario.seed if seed is None else seed
         emulated = None if target == "host" else self.emulated(target)
@@ -247,15 +247,17 @@ class Simulator:
             if outside:
                 command += ["--ecu", self.ecu_program if emulated is None else emulated.program]
             if lcm is not None:
-                command += ["--lcm", lcm]
+                command += ["--lcm", lcm, "--start", "paused" if paused else "running"]
             if pace is not None:
                 command += ["--pace", pace]
             if out is not None:
                 out.mkdir(parents=True, exist_ok=True)
                 command += ["--log", f"{stem}.log", "--telemetry", f"{stem}.telemetry.csv", "--drive", f"{stem}.drive.csv"]
+                if lcm is not None:
+                    command += ["--applied", f"{stem}.applied.toml"]
             facts = _execute(command, scenario.path)
             rows = np.genfromtxt(frames, delimiter=",", names=True, ndmin=1)
-        result = self._result(scenario, facts, rows, outside)
+        result = self._result(scenario, facts, rows)
         if emulated is not None:
             result["ecu"] = {"target": target, "elf_sha256": emulated.elf_sha256, "instructions": facts["reception"]["instructions"]}
         return result
@@ -285,17 +287,16 @@ class Simulator:
         v = stack([p.speed])[:, 0]
         return Drive(name, t[0] + np.arange(len(v)) * p.Ts_s, np.where(present, v, 0.0), stack(p.inputs), stack(p.outputs)), present
 
-    def _result(self, scenario: Scenario, facts: dict[str, Any], rows: np.ndarray, ecu_process: bool) -> dict[str, Any]:
+    def _result(self, scenario: Scenario, facts: dict[str, Any], rows: np.ndarray) -> dict[str, Any]:
         expect = scenario.expect
         first_invalid = next((t for t, verdict in facts["verdicts"] if verdict == "invalid"), None)
         start = expect.fault_start_s or 0.0
-        # What a process of its own judged is not known: the whole time counts, which is never less.
-        spans = [[start, facts["duration_s"]]] if ecu_process else judged_spans(rows)
+        spans = judged_spans(rows)
         judged = None if first_invalid is None else overlap(spans, start, first_invalid)
         result = {"scenario": scenario.name, "title": scenario.title, "controller": self.controller,
                   "expected": expect.model_dump(exclude_none=True), "first_invalid_s": first_invalid,
-                  "judged_to_invalid_s": judged, "judged_s": None if ecu_process else overlap(spans, start, facts["duration_s"]),
-                  "max_margin": None if ecu_process else float(rows["margin"].max(initial=0.0)), **facts, "reception": _reception(facts["reception"])}
+                  "judged_to_invalid_s": judged, "judged_s": overlap(spans, start, facts["duration_s"]),
+                  "max_margin": float(rows["margin"].max(initial=0.0)), **facts, "reception": _reception(facts["reception"])}
         return result | {"missed": list(missed(expect, result, self.project.Ts_s))}
 
 
@@ -313,10 +314,13 @@ def _execute(command: list, scenario: Path) -> dict[str, Any]:
 
 def _lcm_publisher(root: Path, flags: tuple[str, ...], includes: list[Path]) -> Path:
     """Object of the LCM publisher, with its message types made by lcm-gen. NativeError when that is missing."""
-    if shutil.which("lcm-gen") is None:
-        raise native.NativeError("lcm-gen not found; install liblcm-dev and liblcm-bin")
+    # That of the library that is linked: C++ from another version's does not compile with it.
+    found = subprocess.run(["pkg-config", "--variable=prefix", "lcm"], capture_output=True, text=True, check=False).stdout.strip()
+    generator = Path(found, "bin", "lcm-gen")
+    if not found or not generator.is_file():
+        raise native.NativeError("LCM not found; install liblcm-dev and liblcm-bin")
     with tempfile.TemporaryDirectory() as types:
-        subprocess.run(["lcm-gen", "--cpp", "--cpp-hpath", types, *sorted((root / "lcm").glob("*.lcm"))], check=True)
+        subprocess.run([generator, "--cpp", "--cpp-hpath", types, *sorted((root / "lcm").glob("*.lcm"))], check=True)
         return native.compile_object(root / "lcm" / "publisher_lcm.cpp", flags=flags, include_dirs=[*includes, types])
 
 

@@ -51,11 +51,19 @@ struct SpeedKnot {
     double speed_mps = 0.0;
 };
 
+/// From start_s on the speed goes at rate_mps2 from where it is to speed_mps and stays there.
+struct SpeedChange {
+    double start_s = 0.0;
+    double speed_mps = 0.0;
+    double rate_mps2 = 1.0;          ///< > 0
+};
+
 /// How the truck is driven along. Speeds lie in Plant::slowest_mps .. fastest_mps.
 struct Drive {
     /// Linear between knots, constant outside them; the first knot is the initial speed. Times ascend strictly.
     std::vector<SpeedKnot> speed_profile;
     bool speed_is_free = false;      ///< Only the first knot counts, then the truck coasts.
+    std::vector<SpeedChange> speed_changes;  ///< In the order of their starts; the newest one that has begun replaces the profile.
     int substeps = 1;                ///< Integration steps per millisecond.
 };
 
@@ -108,6 +116,10 @@ public:
     /// as 0) and a driver's torque on the steering wheel, positive to the left.
     void step(double demand_bar, double driver_torque_nm = 0.0);
 
+    /// Goes on with these: as a plant does that had them from the start, provided that they differ from the ones before after truth().time_s
+    /// only, the speed profile and the order of the faults not at all. Throws ParameterError as the constructor does, and nothing has changed.
+    void revise(const Drive& drive, const Faults& faults);
+
     const Truth& truth() const { return truth_; }
     const Sensors& sensors() const { return sensors_; }
 
@@ -145,6 +157,7 @@ private:
     State derivative(const State& x, const Held& in, Forces& forces) const;
     void integrate(const Held& in);
     double profile_speed(double time_s);
+    double next_speed();
     void publish_truth(const Held& in);
     void sample_sensors();
     double measured(Signal signal, double true_value, const SensorParameters& sensor, double previous);

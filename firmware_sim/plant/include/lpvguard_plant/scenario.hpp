@@ -16,6 +16,10 @@
 ///     extra_delay_s = 0.4
 ///     [[plant.surroundings_fault]]
 ///     friction_left_ratio = 0.3
+///     [[plant.speed_change]]                           # any number, in the order of their starts; members of SpeedChange
+///     start_s = 40.0
+///     speed_mps = 10.0
+///     rate_mps2 = 0.5                                  # optional: 1
 ///
 /// Unknown keys, wrong types and numbers outside their ranges throw ParameterError naming file, key and range.
 #pragma once

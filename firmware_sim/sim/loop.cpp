@@ -1,0 +1,217 @@
+#include "loop.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cinttypes>
+#include <cmath>
+#include <ctime>
+#include <stdexcept>
+#include <thread>
+
+#include "lpvguard/coeff.h"
+
+namespace lpvguard_sim {
+namespace {
+
+using lpvguard_plant::Plant;
+
+constexpr std::int64_t tick_us = Control::tick_us;
+constexpr int telemetry_every = 10;  // ticks
+constexpr double two_pi = 6.283185307179586477;
+constexpr const char* verdict_names[] = {"unknown", "valid", "invalid", "not_judged", "stale", "fault"};
+constexpr const char* supervision_names[] = {"off", "hold", "live"};
+
+template <class Value, class Print>
+void print_changes(std::FILE* out, const char* name, const Changes<Value>& changes, const Print& print_value) {
+    std::fprintf(out, " \"%s\": [", name);
+    const char* separator = "";
+    for (const auto& change : changes.list()) {
+        std::fprintf(out, "%s[%.9g, ", separator, change.time_s);
+        print_value(change.value);
+        std::fprintf(out, "]");
+        separator = ", ";
+    }
+    std::fprintf(out, "],\n");
+}
+
+}  // namespace
+
+void FrameWatcher::take(const lpvg_can_frame_t& frame) {
+    ++count_;
+    add(frame.id, 4);
+    add(static_cast<std::uint64_t>(frame.t_us), 8);
+    for (std::size_t i = 0; i < frame.dlc; ++i) {
+        add(frame.data[i], 1);
+    }
+    if (publisher_ != nullptr) {
+        publisher_->publish(frame);
+    }
+    if (log_ != nullptr) {
+        std::fprintf(log_, "(%" PRId64 ".%06" PRId64 ") can0 %08X#", frame.t_us / 1'000'000, frame.t_us % 1'000'000,
+                     frame.id & (LPVG_CAN_ERROR | 0x1FFFFFFFU));
+        for (std::size_t i = 0; i < frame.dlc; ++i) {
+            std::fprintf(log_, "%02X", frame.data[i]);
+        }
+        std::fputc('\n', log_);
+    }
+}
+
+void FrameWatcher::add(std::uint64_t value, int bytes) {
+    for (int i = 0; i < bytes; ++i) {
+        hash_ = (hash_ ^ ((value >> (8 * i)) & 0xFFU)) * 0x100000001B3U;
+    }
+}
+
+Loop::Loop(const Scenario& scenario, const lpvguard_plant::PlantParameters& parameters, LoopBus& bus, EcuNode& ecu, const LoopEnds& ends)
+    : ticks_(std::llround(scenario.duration_s * 1e6 / static_cast<double>(tick_us))),
+      plant_(lpvguard_plant::varied(parameters, scenario.plant.variation), scenario.plant.drive, scenario.seed, scenario.plant.faults),
+      vehicle_(bus.end(LoopBus::vehicle), parameters.steering_ratio, scenario.can_faults, scenario.seed),
+      command_(scenario.command, scenario.seed),
+      bus_(bus),
+      ecu_(ecu),
+      ends_(ends),
+      watcher_(ends.log, ends.publisher) {
+    bus.watch(&FrameWatcher::watch, &watcher_);
+    if (ends_.frames != nullptr) {
+        std::fputs("t_end_s,t_begin_s,bin,reason,falsified,speed_mps,margin,statistic,evidence,energy_ratio\n", ends_.frames);
+    }
+    if (ends_.drive != nullptr) {
+        std::fputs("t,v,dp,r,delta\n", ends_.drive);
+    }
+    if (ends_.telemetry != nullptr) {
+        std::fputs("t_s,speed_mps,command_radps,wanted_radps,yaw_rate_radps,road_wheel_rad,demand_bar,margin,verdict,supervision\n",
+                   ends_.telemetry);
+    }
+}
+
+void Loop::run(double pace) {
+    using Clock = std::chrono::steady_clock;
+    const std::clock_t started = std::clock();
+    auto begin = Clock::now();
+    const auto revise = [this](const Scenario& scenario) {
+        plant_.revise(scenario.plant.drive, scenario.plant.faults);
+        vehicle_.revise(scenario.can_faults);
+    };
+    for (std::int64_t k = 0; k < ticks_; ++k) {
+        if (ends_.control != nullptr) {
+            const auto asked = Clock::now();
+            if (!ends_.control->may_tick(k * tick_us, revise)) {
+                ticks_ = k;
+                break;
+            }
+            begin += Clock::now() - asked;  // a pause is not to be made up for
+        }
+        if (pace > 0.0) {
+            std::this_thread::sleep_until(begin + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(
+                                                      static_cast<double>(k * tick_us) * 1e-6 / pace)));
+        }
+        tick(k);
+    }
+    if (ends_.control != nullptr) {
+        ends_.control->ended(ticks_ * tick_us);
+    }
+    // Processor time: what one core needs, whatever else the machine does. Of an ECU elsewhere it would be the smaller part.
+    const double processor_s = static_cast<double>(std::max<std::clock_t>(std::clock() - started, 1)) / CLOCKS_PER_SEC;
+    const std::chrono::duration<double> elapsed = Clock::now() - begin;
+    real_time_factor_ = static_cast<double>(ticks_ * tick_us) * 1e-6 / (ecu_.inside() != nullptr ? processor_s : elapsed.count());
+}
+
+void Loop::print(std::FILE* out, std::uint64_t seed) {
+    const auto n = static_cast<double>(ticks_);
+    std::fprintf(out, "{\"seed\": %" PRIu64 ", \"duration_s\": %.9g, \"threshold\": %.9g, \"verdict_final\": \"%s\",\n", seed,
+                 static_cast<double>(ticks_ * tick_us) * 1e-6, static_cast<double>(lpvg_coeff.reals.threshold),
+                 verdict_names[verdicts_.list().back().value]);
+    std::fprintf(out, " \"tracking_rms\": %.9g, \"command_rms\": %.9g, \"demand_max_bar\": %.9g,\n", std::sqrt(error_squares_ / n),
+                 std::sqrt(wanted_squares_ / n), demand_max_bar_);
+    if (ecu_.inside() != nullptr) {
+        std::fprintf(out, " \"limited_s\": %.9g,\n", static_cast<double>(ecu_.inside()->control.limited) * tick_us * 1e-6);
+    }
+    std::fprintf(out, " \"frames\": %" PRIu64 ", \"frames_hash\": \"%016" PRIx64 "\", \"real_time_factor\": %.4g,\n", watcher_.count(),
+                 watcher_.hash(), real_time_factor_);
+    print_changes(out, "verdicts", verdicts_, [out](std::uint8_t v) { std::fprintf(out, "\"%s\"", verdict_names[v]); });
+    print_changes(out, "supervision", supervision_, [out](std::uint8_t s) { std::fprintf(out, "\"%s\"", supervision_names[s]); });
+    print_changes(out, "implausible", implausible_, [out](std::uint8_t flags) { std::fprintf(out, "%d", flags); });
+    print_changes(out, "trouble_codes", troubles_, [out](const TroubleCode& t) {
+        std::fprintf(out, "{\"spn\": %" PRIu32 ", \"fmi\": %d}", t.spn, t.fmi);
+    });
+    std::fprintf(out, " \"reception\": %s,\n", ecu_.finish().c_str());
+    std::fprintf(out, " \"schema\": 1}\n");
+}
+
+// Row k of a drive: what the sensors say at t, and the demand that holds from t to the next row.
+void Loop::tick(std::int64_t k) {
+    const std::int64_t now_us = k * tick_us;
+    const double time_s = static_cast<double>(now_us) * 1e-6;
+    const double command_radps = command_.next();
+    const double wanted_radps = wanted_.step(command_radps);
+    const double yaw_rate_radps = plant_.truth().yaw_rate_radps;
+    error_squares_ += (wanted_radps - yaw_rate_radps) * (wanted_radps - yaw_rate_radps);
+    wanted_squares_ += wanted_radps * wanted_radps;
+
+    vehicle_.send(now_us, plant_.sensors(), command_radps);
+    ecu_.tick(now_us, ends_.publisher != nullptr && k % telemetry_every == 0);
+    vehicle_.receive(now_us);
+    if (!bus_.failure().empty()) {
+        throw std::runtime_error(bus_.failure());
+    }
+    note(k, time_s, command_radps, wanted_radps);
+    for (int i = 0; i < Plant::steps_per_sample; ++i) {
+        plant_.step(vehicle_.demand_bar());
+    }
+}
+
+void Loop::note(std::int64_t k, double time_s, double command_radps, double wanted_radps) {
+    const std::int64_t now_us = k * tick_us;
+    const lpvg_ecu_t* const ecu = ecu_.inside();
+    const lpvg_bus_report_t& report = ecu != nullptr ? ecu->report : vehicle_.report();
+    verdicts_.take(time_s, report.verdict);
+    supervision_.take(time_s, report.supervision);
+    troubles_.take(time_s, vehicle_.trouble());
+    demand_max_bar_ = std::fmax(demand_max_bar_, std::fabs(vehicle_.demand_bar()));
+    if (ecu != nullptr) {
+        implausible_.take(time_s, ecu->plausibility.flags);
+        note_sample(*ecu, k, time_s);
+    }
+    if (const Judged* const judged = ecu_.judged()) {
+        note_frame(*judged, now_us, report.verdict);
+    }
+    if (ends_.publisher != nullptr) {
+        ends_.publisher->publish(now_us, plant_.truth());
+        ends_.publisher->publish(now_us, GuardTelemetry{command_radps, wanted_radps, vehicle_.demand_bar(),
+                                                        static_cast<double>(report.margin), report.verdict, report.supervision});
+        if (k % telemetry_every == 0) {
+            ends_.publisher->publish(now_us, ecu_.supervision(), vehicle_.trouble());
+        }
+    }
+    if (ends_.telemetry != nullptr && k % telemetry_every == 0) {
+        const lpvguard_plant::Truth& truth = plant_.truth();
+        std::fprintf(ends_.telemetry, "%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%d,%d\n", time_s, truth.speed_mps, command_radps,
+                     wanted_radps, truth.yaw_rate_radps, truth.road_wheel_rad, vehicle_.demand_bar(),
+                     static_cast<double>(report.margin), report.verdict, report.supervision);
+    }
+}
+
+void Loop::note_frame(const Judged& judged, std::int64_t now_us, std::uint8_t verdict) {
+    const double length_us = static_cast<double>(lpvg_coeff.words.frame_length[judged.bin]) * static_cast<double>(tick_us);
+    const JudgedFrame frame{now_us, judged, judged.t_end_us - std::llround(length_us),
+                            two_pi * 1e6 * lpvg_coeff.words.cycles[judged.bin] / length_us, verdict};
+    if (ends_.frames != nullptr) {
+        std::fprintf(ends_.frames, "%.9g,%.9g,%u,%u,%u,%.9g,%.9g,%.9g,%.9g,%.9g\n", static_cast<double>(judged.t_end_us) * 1e-6,
+                     static_cast<double>(frame.begin_us) * 1e-6, judged.bin, judged.reason, judged.falsified, judged.speed_mps,
+                     judged.margin, judged.statistic, judged.evidence, judged.energy_ratio);
+    }
+    if (ends_.publisher != nullptr) {
+        ends_.publisher->publish(frame);
+    }
+}
+
+/// A sample with a missing or refused measurement never reached the monitor.
+void Loop::note_sample(const lpvg_ecu_t& ecu, std::int64_t k, double time_s) {
+    if (ends_.drive != nullptr && ecu.monitor.running && ecu.monitor.t_us == k * tick_us) {
+        std::fprintf(ends_.drive, "%.9g,%.9g,%.9g,%.9g,%.9g\n", time_s, static_cast<double>(ecu.signals.speed),
+                     static_cast<double>(ecu.control.u[0]), static_cast<double>(ecu.signals.y[0]),
+                     static_cast<double>(ecu.signals.y[1]));
+    }
+}
+
+}  // namespace lpvguard_sim

@@ -1,0 +1,99 @@
+/// @file loop.hpp -- one run: truck, command and controller from tick to tick, and what is noted of them.
+#pragma once
+
+#include <cstdint>
+#include <cstdio>
+#include <vector>
+
+#include "command.hpp"
+#include "control.hpp"
+#include "ecu_node.hpp"
+#include "loop_bus.hpp"
+#include "lpvguard_plant/plant.hpp"
+#include "publisher.hpp"
+#include "vehicle_node.hpp"
+
+namespace lpvguard_sim {
+
+/// Counts, hashes (FNV-1a) and, when asked, logs and publishes what passes the bus.
+class FrameWatcher {
+public:
+    FrameWatcher(std::FILE* log, Publisher* publisher) : log_(log), publisher_(publisher) {}
+
+    static void watch(void* self, const lpvg_can_frame_t& frame) { static_cast<FrameWatcher*>(self)->take(frame); }
+    std::uint64_t count() const { return count_; }
+    std::uint64_t hash() const { return hash_; }
+
+private:
+    void take(const lpvg_can_frame_t& frame);
+    void add(std::uint64_t value, int bytes);
+
+    std::FILE* log_;
+    Publisher* publisher_;
+    std::uint64_t count_ = 0;
+    std::uint64_t hash_ = 0xCBF29CE484222325U;
+};
+
+/// Values of something that changes seldom, with the times of the changes.
+template <class Value>
+class Changes {
+public:
+    struct Change {
+        double time_s;
+        Value value;
+    };
+
+    void take(double time_s, const Value& value) {
+        if (list_.empty() || list_.back().value != value) {
+            list_.push_back({time_s, value});
+        }
+    }
+    const std::vector<Change>& list() const { return list_; }
+
+private:
+    std::vector<Change> list_;
+};
+
+/// Where a run is written to and led from; null: nowhere.
+struct LoopEnds {
+    std::FILE* log = nullptr;        ///< Every frame of the bus as candump -L writes it.
+    std::FILE* frames = nullptr;     ///< Every frame that the monitor judged.
+    std::FILE* drive = nullptr;      ///< The samples that the monitor was given.
+    std::FILE* telemetry = nullptr;  ///< The loop every 100 ms.
+    Publisher* publisher = nullptr;
+    Control* control = nullptr;
+};
+
+class Loop {
+public:
+    Loop(const Scenario& scenario, const lpvguard_plant::PlantParameters& parameters, LoopBus& bus, EcuNode& ecu, const LoopEnds& ends);
+
+    /// At most `pace` times real time; 0: as fast as it goes. Throws std::runtime_error when the bus or the ECU fails.
+    void run(double pace);
+
+    /// What happened, as JSON.
+    void print(std::FILE* out, std::uint64_t seed);
+
+    const FrameWatcher& watcher() const { return watcher_; }
+
+private:
+    void tick(std::int64_t k);
+    void note(std::int64_t k, double time_s, double command_radps, double wanted_radps);
+    void note_frame(const Judged& judged, std::int64_t now_us, std::uint8_t verdict);
+    void note_sample(const lpvg_ecu_t& ecu, std::int64_t k, double time_s);
+
+    std::int64_t ticks_;
+    lpvguard_plant::Plant plant_;
+    VehicleNode vehicle_;
+    Command command_;
+    ReferenceModel wanted_;
+    const LoopBus& bus_;
+    EcuNode& ecu_;
+    LoopEnds ends_;
+    FrameWatcher watcher_;
+    Changes<std::uint8_t> verdicts_, supervision_, implausible_;
+    Changes<TroubleCode> troubles_;
+    double error_squares_ = 0.0, wanted_squares_ = 0.0, demand_max_bar_ = 0.0, real_time_factor_ = 0.0;
+};
+
+}  // namespace lpvguard_sim
