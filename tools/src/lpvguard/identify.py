@@ -53,6 +53,9 @@ DC_STAND_IN = 0.1
 """DC has no place on a logarithmic axis: its bound stands at this fraction of the lowest bin's frequency."""
 SMALLEST_NU = 1e-3
 """Floor of the uncertainty bound where the data ask for none; a weight must be positive."""
+LEAST_SHARE = 0.1
+"""Floor of step 7, as a part of B_w: less is left only where two weights happen to be equal, each of them a fit to some tenths of a dB.
+A floor above what is left covers it; one far below would stand as a chasm in the bound, which no weight of low order follows."""
 CUTS = 5
 """Random first samples from which every bound-setting drive is replayed to find the final inflation."""
 LARGEST_SPECTRA, DRAWN_SPECTRA = 250, 750
@@ -265,7 +268,7 @@ def disturbance_weights(project: Project, estimator: Estimator, B_w: list[Fitted
     """Step 7: W_w per output, what is left of B_w after the sensor's share, and the frequencies [rad/s] where nothing is."""
     omega, weights, floored = fitting_grid(estimator), [], []
     for b, noise, output in zip(B_w, W_n, project.outputs, strict=True):
-        left, empty = subtract_noise(b.magnitude(omega), noise.magnitude(omega), omega, floor=floor,
+        left, empty = subtract_noise(b.magnitude(omega), noise.magnitude(omega), omega, floor=np.fmax(floor, LEAST_SHARE * b.magnitude(omega)),
                                      disturbance_set=project.bounds.disturbance_set)
         weights.append(fit_bound(project, estimator, left, f"{what} of {output.name}", floor))
         floored.append(empty)
