@@ -280,6 +280,8 @@ def verify(path: Path, stored: StoredIdentification) -> None:
         raise InputError(path, "certificates", "missing", "a file that `lpvguard design` wrote for this vehicle")
     stated = document["certificates"]
     schedule = Scheduled.read(document)
+    if stated.get("coefficients_sha256") != schedule.digest():
+        raise InputError(path, "certificates.coefficients_sha256", "not that of speeds, a, B and L", "the coefficients that were certified")
     model, weights = NominalModel(stored.project), _weights(stored, settings)
     for key in ("structure", "A_t", "A_u"):
         if stated[key] != getattr(settings, key):
@@ -370,7 +372,7 @@ def save(result: Design, stored: StoredIdentification, target: Path, more: dict[
                      "mu <= mu_upper < 1 means robust performance for every LTI Delta within W_delta",
             "test": "bracket of the scaled closed loop's H-infinity norm by level-set tests of its Hamiltonian",
             "structure": settings.structure, "A_t": settings.A_t, "A_u": settings.A_u,
-            "order": schedule.order, "full_order": result.full_order,
+            "order": schedule.order, "full_order": result.full_order, "coefficients_sha256": schedule.digest(),
             "scaling_log_parameters": result.scaling.log_parameters,
             "scaling_columns": result.scaling.log_parameters.shape[1],
             "moving_speed": _moving(result.lpv),

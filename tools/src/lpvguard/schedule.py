@@ -21,6 +21,7 @@ cancel the vehicle's poles the controller's own states realise it: L is a linear
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -61,6 +62,11 @@ class Scheduled:
     def read(cls, document: dict) -> Scheduled:
         """From a controller.json."""
         return cls(document["Ts_s"], *(np.array(document[key], float) for key in ("speeds", "a", "B", "L")))
+
+    def digest(self) -> str:
+        """SHA-256 over every coefficient: which controller a certificate is about."""
+        arrays = (np.array(self.Ts), self.speeds, self.a, self.B, self.L)
+        return hashlib.sha256(b"".join(np.ascontiguousarray(x, "<f8").tobytes() for x in arrays)).hexdigest()
 
     @property
     def order(self) -> int:
