@@ -131,8 +131,8 @@ def test_the_compiled_controller_keeps_the_certified_gain(stored, designed, tmp_
         plant, controller = stage.frozen_plant(stored, v), result.schedule.at(v)
         row = run(compiled, plant, controller, v, proved, 10, 1)
         assert row.kept and row.rounding > 0
-        # A run of finite length does not fill a narrow peak.
-        assert row.worst >= 0.95 * row.worst_gain >= 0.9 * row.sampled
+        # A run of finite length does not fill a narrow peak, or one at DC.
+        assert row.worst >= 0.9 * row.worst_gain >= 0.9 * row.sampled
         assert not replace(row, bound=0.9 * row.worst).kept
 
 
