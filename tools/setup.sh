@@ -1,6 +1,8 @@
 # Sourced by lpvguard, demo and test: installs what is missing. Needs $root (the checkout); says what it does on stderr.
 # shellcheck shell=bash
 
+# A caller's PYTHONPATH would put another lpvguard before this checkout's.
+unset PYTHONPATH PYTHONHOME
 venv=$root/.venv
 packages_run="g++ libeigen3-dev libtomlplusplus-dev pkg-config python3 python3-venv"
 packages_test="can-utils catch2 clang cmake cppcheck g++-powerpc-linux-gnu gcc-powerpc-linux-gnu iproute2 libc6-dev-powerpc-cross libclang-rt-14-dev liblcm-bin liblcm-dev
