@@ -15,6 +15,7 @@
 
 #include "arguments.hpp"
 #include "counted_bus.hpp"
+#include "filter.h"
 #include "lpvg_can_codec.h"
 #include "memory_bus.hpp"
 #include "reception.hpp"
@@ -101,7 +102,7 @@ private:
         return true;
     }
 
-    CountedBus bus_;
+    CountedBus bus_{&filter_passes};
 };
 
 class RemoteEcu final : public EcuNode {

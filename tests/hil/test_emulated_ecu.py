@@ -17,7 +17,7 @@ from lpvguard.sim import can_fault_table, load_scenario, shipped_scenarios, stea
 
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
 R5F = targets.TARGETS["cortex-r5f"]
-SHORT = steady_scenario(6.0, can_fault_table("VDC2", "lost", 3.0, 3.2) + can_fault_table("VDC2", "bus_off", 4.05, 4.15),
+SHORT = steady_scenario(6.0, can_fault_table("VDC2", "unknown_id", 2.0, 2.5) + can_fault_table("VDC2", "lost", 3.0, 3.2) + can_fault_table("VDC2", "bus_off", 4.05, 4.15),
                         title="lost and off the bus",
                         expect='verdict = "any"\nsupervision = "reacts"\nfault_start_s = 3.0\nwithin_periods = 5')
 

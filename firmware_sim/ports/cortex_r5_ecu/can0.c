@@ -1,7 +1,7 @@
 /* can0.c -- see can0.h; registers: Zynq UltraScale+ Devices Register Reference (UG1087), module CAN. */
 #include "can0.h"
 
-#include "lpvguard/bus.h"
+#include "filter.h"
 
 #define CAN0(offset) (*(volatile uint32_t*)(0xFF060000u + (offset)))
 
@@ -43,17 +43,6 @@ static bool take_frame(lpvg_can_frame_t* frame)
     unpack(CAN0(RX + DATA2), &frame->data[4]);
     CAN0(ICR) = rx_not_empty; /* set again while there are more */
     return true;
-}
-
-static bool wanted(const lpvg_can_frame_t* frame)
-{
-    size_t i;
-    for (i = 0u; i < lpvg_bus.n_rules; ++i) {
-        if (((frame->id ^ lpvg_bus.rules[i].id) & lpvg_bus.rules[i].id_mask) == 0u) {
-            return true;
-        }
-    }
-    return (frame->id & LPVG_CAN_ERROR) != 0u;
 }
 
 static bool send_frame(void* driver, const lpvg_can_frame_t* frame)
@@ -114,7 +103,7 @@ void can0_await(can0_t* self, uint64_t frames)
     while (frames > 0u) {
         if (!take_frame(&frame)) {
             leave_the_lock();
-        } else if (wanted(&frame)) {
+        } else if (filter_passes(&frame)) {
             --frames;
             if (self->head - self->tail < CAN0_QUEUE) {
                 self->queue[self->head++ % CAN0_QUEUE] = frame;

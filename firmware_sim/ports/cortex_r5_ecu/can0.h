@@ -30,7 +30,7 @@ typedef struct can0_t {
 /* Resets the controller, lets it take every frame, and fills *bus, which refers to *self from then on. */
 void can0_open(can0_t* self, bus_t* bus);
 
-/* Takes frames from the controller into the queue until `frames` have come. Ones beyond the queue are lost. */
+/* Takes frames from the controller into the queue until `frames` that pass the filter have come. Ones beyond the queue are lost. */
 void can0_await(can0_t* self, uint64_t frames);
 
 #ifdef __cplusplus

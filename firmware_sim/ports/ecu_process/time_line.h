@@ -11,7 +11,7 @@
 
 typedef struct time_request_t {
     int64_t now_us;  /* of the tick; below 0: end, answered with the counters as text */
-    uint64_t frames; /* sent to the ECU since the last request */
+    uint64_t frames; /* sent since the last request and not kept from the ECU by its filter (../../ecu/filter.h) */
     uint64_t supervision; /* 1: asked for */
 } time_request_t;
 

@@ -15,7 +15,8 @@ public:
         end_ = {this, &CountedBus::send, &CountedBus::receive};
         return socketcan_open(&driver_, interface, filters, n_filters, socketcan_time_now, &raw_);
     }
-    CountedBus() = default;
+    /// `heard`: which of the frames sent the other end's filter lets through (null: all); the rest are not counted.
+    explicit CountedBus(bool (*heard)(const lpvg_can_frame_t*) = nullptr) : heard_(heard) {}
     CountedBus(const CountedBus&) = delete;
     CountedBus& operator=(const CountedBus&) = delete;
     ~CountedBus() { socketcan_close(&driver_); }
@@ -30,7 +31,7 @@ public:
     }
     bool waited_in_vain() const { return in_vain_; }
 
-    /// Frames sent since the last call.
+    /// Frames sent since the last call that the other end hears.
     std::uint64_t take_sent() {
         const std::uint64_t sent = sent_;
         sent_ = 0;
@@ -43,7 +44,7 @@ private:
     static bool send(void* self, const lpvg_can_frame_t* frame) {
         auto& bus = *static_cast<CountedBus*>(self);
         const bool done = bus_send(&bus.raw_, frame);
-        bus.sent_ += done ? 1U : 0U;
+        bus.sent_ += done && (bus.heard_ == nullptr || bus.heard_(frame)) ? 1U : 0U;
         return done;
     }
     static bool receive(void* self, std::int64_t now_us, lpvg_can_frame_t* frame) {
@@ -58,6 +59,7 @@ private:
     }
 
     socketcan_t driver_{-1, 0, socketcan_time_now, false, 0, 0, 0, {}, {}};
+    bool (*heard_)(const lpvg_can_frame_t*);
     bus_t raw_{}, end_{};
     std::uint64_t due_ = 0, received_ = 0, sent_ = 0;
     bool in_vain_ = false;
