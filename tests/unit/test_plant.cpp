@@ -785,6 +785,21 @@ TEST_CASE("variations of load, CG and tyres keep the truck on the road", "[unit]
     CHECK(std::fabs(plant.truth().yaw_rate_radps) < 0.05);
 }
 
+TEST_CASE("a truck that spins round stays a truck", "[unit][plant]") {
+    Variation variation;
+    variation.cornering_stiffness_rear_ratio = 0.3;
+    Plant plant(varied(shipped(), variation), at(20.0), 1);
+    double turned_rad = 0.0;
+    for (int k = 0; k < 120'000; ++k) {
+        plant.step(k / 3000 % 2 == 0 ? 3.0 : -3.0);
+        turned_rad += std::fabs(plant.truth().yaw_rate_radps) * Plant::step_s;
+    }
+    CHECK(turned_rad > 6.3);  // or nothing was shown
+    CHECK(std::isfinite(plant.truth().yaw_rate_radps));
+    CHECK(std::isfinite(plant.truth().lateral_velocity_mps));
+    CHECK(std::fabs(plant.truth().yaw_rate_radps) < 20.0);
+}
+
 TEST_CASE("scenario files: the plant's table is read whole or refused", "[unit][plant]") {
     const std::string good = R"(
 name = "not the plant's business"

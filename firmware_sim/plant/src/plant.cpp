@@ -264,7 +264,8 @@ Plant::State Plant::derivative(const State& x, const Held& in, Forces& forces) c
     for (std::size_t i = 0; i < 4; ++i) {
         const double wheel_vx = body_vx[i] * cosine[i] + body_vy[i] * sine[i];
         const double wheel_vy = body_vy[i] * cosine[i] - body_vx[i] * sine[i];
-        dx[slip + i] = (wheel_vy - wheel_vx * x[slip + i]) * inverse_relaxation_pm;
+        // Slip relaxes whichever way the wheel rolls; with the sign it would grow without end in a truck that has spun round.
+        dx[slip + i] = (wheel_vy - std::fabs(wheel_vx) * x[slip + i]) * inverse_relaxation_pm;
 
         const double load_ratio = forces.wheel_load_n[i] * inverse_static_load[i];
         const double stiffness_n =
