@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -217,3 +218,10 @@ def test_evaluation_and_a_core_of_another_identification_are_told(case, page, tm
     assert "lead alone: output × 0.6 (residual RMS);" in text
     for row in evaluation["faults"]:
         assert row["fault"] in text
+
+
+def test_a_weight_that_is_nearest_its_bound_at_infinity_is_shown(case, tmp_path):
+    weights = copy.deepcopy(case.stored.weights)
+    weights["W_delta"]["certificate"]["min_ratio_at"] = "inf"  # as Certificate.to_dict writes it
+    page = replace(case, stored=replace(case.stored, weights=weights)).page(tmp_path / "report.html").decode()
+    assert page.count("<td>∞</td>") == case.page(tmp_path / "other.html").decode().count("<td>∞</td>") + 1

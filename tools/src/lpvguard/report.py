@@ -219,7 +219,7 @@ def _summary(stored: StoredIdentification, replayer: Replayer | None, drives: Dr
          "proved up to, rad/s", "stable, minimum phase", "bins bridged for want of data, rad/s"],
         [[label, str(w["order"]), f"{w['worst_ratio_db']:.3f}", f"{w['lp_optimum_db']:.3f}",
           f"{w['certificate']['min_ratio']:.15g}",
-          _number(w["certificate"]["min_ratio_at"]), _limit(w["certificate"]["omega_max"]),
+          _limit(w["certificate"]["min_ratio_at"]), _limit(w["certificate"]["omega_max"]),
           _yes(w["certificate"]["stable"] and w["certificate"]["minimum_phase"] and w["certificate"]["ok"],
                "proved", "not proved"),
           ", ".join(_number(x) for x in w["certificate"]["without_data"]) or "none"] for label, w in weights])
