@@ -9,7 +9,7 @@ namespace {
 bool sizes_match(const uint32_t* sizes) {
     return sizes[0] == LPVG_NX && sizes[1] == LPVG_NU && sizes[2] == LPVG_NY && sizes[3] == LPVG_DELAY &&
            sizes[4] == LPVG_NBINS && sizes[5] == LPVG_NCELLS && sizes[6] == LPVG_NVARYING &&
-           sizes[7] == LPVG_NWEIGHT && sizes[8] == LPVG_NDIRECTIONS;
+           sizes[7] == LPVG_NWEIGHT && sizes[8] == LPVG_NDIRECTIONS && sizes[9] == LPVG_NBANDS;
 }
 
 bool words_in_range(const lpvg_coeff_words_t& w) {
@@ -27,20 +27,27 @@ bool words_in_range(const lpvg_coeff_words_t& w) {
     return good;
 }
 
-// Poles of a section of the energy test inside the unit circle.
+// Poles of a section of W_delta inside the unit circle.
 bool stable(const lpvg_real_t* c) {
     const lpvg_real_t a1 = c[3], a2 = c[4];
     return a2 > lpvg_real_t(0) && a2 < a1 && lpvg_real_t(4) - lpvg_real_t(2) * a1 + a2 > lpvg_real_t(0);
 }
 
 bool energy_in_range(const lpvg_coeff_reals_t& r) {
-    bool good = r.energy_forget > lpvg_real_t(0) && r.energy_forget < lpvg_real_t(1) && r.energy_threshold >= lpvg_real_t(1) &&
-                stable(r.energy_F);
+    bool good = r.energy_threshold >= lpvg_real_t(1) && r.energy_above > lpvg_real_t(0);
+    lpvg_real_t below = lpvg_real_t(0);
+    for (const lpvg_real_t corner : r.energy_corner) {
+        good = good && corner > lpvg_real_t(0) && corner >= below && corner < lpvg_real_t(1);
+        below = corner;
+    }
     for (const auto& section : r.energy_W) {
         good = good && stable(section);
     }
-    for (std::size_t j = 0; j < LPVG_NY; ++j) {
-        good = good && r.energy_scale[j] > lpvg_real_t(0) && r.energy_start[j] >= lpvg_real_t(0);
+    for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
+        good = good && r.energy_forget[b] > lpvg_real_t(0) && r.energy_forget[b] < lpvg_real_t(1);
+        for (std::size_t j = 0; j < LPVG_NY; ++j) {
+            good = good && r.energy_scale[b][j] > lpvg_real_t(0) && r.energy_start[b][j] >= lpvg_real_t(0);
+        }
     }
     for (const auto& direction : r.energy_direction) {
         lpvg_real_t sum = lpvg_real_t(0);

@@ -1,7 +1,10 @@
 // energy.cpp -- see energy.h.
 //
-// Filters are chains of sections in the operator d = z - 1, (b0 d^2 + b1 d + b2) / (d^2 + a1 d + a2), whose coefficients
+// W_delta is a chain of sections in the operator d = z - 1, (b0 d^2 + b1 d + b2) / (d^2 + a1 d + a2), whose coefficients
 // keep their relative precision in float however slow the poles are. So does the forgetting as x - k x with k = 1 - rho^2.
+//
+// The bands are made by two low-passes and differences, so they sum to the signal itself. W_delta commutes with them and acts
+// first, once for all bands.
 #include "lpvguard/energy.h"
 
 #include <Eigen/Core>
@@ -12,17 +15,27 @@ namespace {
 
 using Real = lpvg_real_t;
 constexpr int ny = LPVG_NY;
+constexpr uint32_t below = 0U, between = 1U, above = 2U;
 template <int N>
 using Row = Eigen::Array<Real, N, 1>;
 
-// One section for N signals: values in place, state[2][N].
-template <int N>
-void section(const Real* c, Row<N>& x, Real (*state)[N]) {
-    Eigen::Map<Row<N>> first(state[0]), second(state[1]);
-    const Row<N> y = c[0] * x + first;
+// One section for all outputs: values in place.
+void section(const Real* c, Row<ny>& x, Real (*state)[LPVG_NY]) {
+    Eigen::Map<Row<ny>> first(state[0]), second(state[1]);
+    const Row<ny> y = c[0] * x + first;
     first += c[1] * x - c[3] * y + second;
     second += c[2] * x - c[4] * y;
     x = y;
+}
+
+// The signals below a corner: a pole by the trapezoidal rule.
+template <int N>
+Row<N> low_pass(Real g, const Row<N>& x, Real* state) {
+    Eigen::Map<Row<N>> s(state);
+    const Row<N> half_step = g * (x - s);
+    const Row<N> y = s + half_step;
+    s = y + half_step;
+    return y;
 }
 
 void add(Real* gram, const Real* x, Real forget) {
@@ -34,8 +47,13 @@ void add(Real* gram, const Real* x, Real forget) {
     }
 }
 
+// Direction a in a band, divided by the band's sigma.
+Row<ny> direction(const lpvg_coeff_reals_t& r, std::size_t index, std::size_t band) {
+    return Eigen::Map<const Row<ny>>(r.energy_direction[index]) * Eigen::Map<const Row<ny>>(r.energy_scale[band]);
+}
+
 // sqrt(a' G a); rounding may leave a small negative number where a direction carries nothing.
-Real norm(const Real* gram, const Real* a) {
+Real norm(const Real* gram, const Row<ny>& a) {
     Real sum = Real(0);
     std::size_t k = 0;
     for (std::size_t i = 0; i < LPVG_NY; ++i) {
@@ -52,41 +70,60 @@ Real norm(const Real* gram, const Real* a) {
 
 extern "C" void lpvg_energy_start(lpvg_energy_t* self, const lpvg_coeff_t* coeff) {
     *self = lpvg_energy_t{};
-    std::size_t k = 0;
-    for (std::size_t i = 0; i < LPVG_NY; ++i) {
-        self->right[k] = coeff->reals.energy_start[i];
-        k += LPVG_NY - i;
+    for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
+        std::size_t k = 0;
+        for (std::size_t i = 0; i < LPVG_NY; ++i) {
+            self->band[b].right[k] = coeff->reals.energy_start[b][i];
+            k += LPVG_NY - i;
+        }
     }
 }
 
 extern "C" void lpvg_energy_advance(lpvg_energy_t* self, const lpvg_coeff_t* coeff, const lpvg_real_t* signal, bool settled) {
     const lpvg_coeff_reals_t& r = coeff->reals;
-    const Row<ny> scale = Eigen::Map<const Row<ny>>(r.energy_scale);
-    Row<2 * ny> filtered = Eigen::Map<const Row<2 * ny>>(signal);
-    filtered.template head<ny>() *= scale;
-    filtered.template tail<ny>() *= scale;
-    section<2 * ny>(r.energy_F, filtered, self->F);
-    Row<ny> weighted = filtered.template tail<ny>();
+    Row<3 * ny> whole;  // e, yhat, W_delta yhat
+    whole.template head<2 * ny>() = Eigen::Map<const Row<2 * ny>>(signal);
+    Row<ny> weighted = whole.template segment<ny>(ny);
     for (std::size_t s = 0; s < LPVG_NWEIGHT; ++s) {
-        section<ny>(r.energy_W[s], weighted, self->W[s]);
+        section(r.energy_W[s], weighted, self->W[s]);
     }
-    add(self->right, weighted.data(), r.energy_forget);
-    if (settled) {
-        add(self->left, filtered.data(), r.energy_forget);
-        add(self->nominal, filtered.data() + ny, r.energy_forget);
+    whole.template tail<ny>() = weighted;
+    const Row<3 * ny> up_to_last = low_pass<3 * ny>(r.energy_corner[1], whole, self->F[1]);
+    Row<3 * ny> filtered[LPVG_NBANDS];
+    filtered[below] = low_pass<3 * ny>(r.energy_corner[0], up_to_last, self->F[0]);
+    filtered[between] = up_to_last - filtered[below];
+    filtered[above] = whole - up_to_last;
+    filtered[above].template tail<ny>() = r.energy_above * filtered[above].template segment<ny>(ny);
+    for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
+        lpvg_energy_band_t& band = self->band[b];
+        const Real* const x = filtered[b].data();
+        const Real forget = r.energy_forget[b];
+        add(band.right, x + (2 * ny), forget);
+        if (settled) {
+            add(band.left, x, forget);
+            add(band.nominal, x + ny, forget);
+        }
     }
 }
 
 extern "C" lpvg_real_t lpvg_energy_judge(lpvg_energy_t* self, const lpvg_coeff_t* coeff) {
-    const lpvg_coeff_reals_t& r = coeff->reals;
     self->direction = self->next_direction;
     self->next_direction = self->direction + 1U < LPVG_NDIRECTIONS ? self->direction + 1U : 0U;
-    const Real* a = r.energy_direction[self->direction];
-    self->ratio = norm(self->left, a) / (norm(self->right, a) + Real(1));
+    self->ratio = Real(0);
+    self->strongest = below;
+    for (uint32_t b = 0; b < LPVG_NBANDS; ++b) {
+        const Row<ny> a = direction(coeff->reals, self->direction, b);
+        const Real ratio = norm(self->band[b].left, a) / (norm(self->band[b].right, a) + Real(1));
+        if (ratio > self->ratio) {
+            self->ratio = ratio;
+            self->strongest = b;
+        }
+    }
     return self->ratio;
 }
 
 extern "C" lpvg_real_t lpvg_energy_evidence(const lpvg_energy_t* self, const lpvg_coeff_t* coeff) {
-    const Real* a = coeff->reals.energy_direction[self->direction];
-    return norm(self->nominal, a) / (norm(self->right, a) + Real(1));
+    const lpvg_energy_band_t& band = self->band[self->strongest];
+    const Row<ny> a = direction(coeff->reals, self->direction, self->strongest);
+    return norm(band.nominal, a) / (norm(band.right, a) + Real(1));
 }

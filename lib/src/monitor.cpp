@@ -297,25 +297,25 @@ void judge_next(lpvg_monitor_t& self) {
     }
 }
 
-// ||x_j|| of the energy test's sums, in output units.
-Real output_norm(const lpvg_monitor_t& self, const Real* gram, std::size_t j) {
+// ||x_j|| of the energy test's sums.
+Real output_norm(const Real* gram, std::size_t j) {
     const std::size_t diagonal = j * (2U * ny + 1U - j) / 2U;
-    return std::sqrt(gram[diagonal]) / self.coeff->reals.energy_scale[j];
+    return std::sqrt(gram[diagonal]);
 }
 
 void record_energy(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
     lpvg_frame_t alarm{};
     alarm.test = lpvg_test_energy;
     alarm.sequence = self.frame.sequence;
-    alarm.bin = self.energy.direction;
+    alarm.bin = (self.energy.strongest * LPVG_NDIRECTIONS) + self.energy.direction;
     alarm.t_end_us = sample.t_us;
     alarm.falsified = true;
     alarm.speed = sample.speed;
     alarm.margin = alarm.statistic = self.energy.ratio;
     alarm.evidence = lpvg_energy_evidence(&self.energy, self.coeff);
     for (std::size_t j = 0; j < ny; ++j) {
-        alarm.E[j][0] = output_norm(self, self.energy.left, j);
-        alarm.Z[j][0] = output_norm(self, self.energy.right, j);
+        alarm.E[j][0] = output_norm(self.energy.band[self.energy.strongest].left, j);
+        alarm.Z[j][0] = output_norm(self.energy.band[self.energy.strongest].right, j);
     }
     record(self, alarm);
 }

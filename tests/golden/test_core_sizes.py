@@ -56,7 +56,8 @@ def case(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("synthetic") / "synthetic"
     folder.mkdir()
     energy = EnergyTest.design(project, estimator, Weight([0.3, 0.2, 0.1], [1.0, 1.0, 0.5]), estimator.omega[1:], np.full(sizes.bins - 1, 0.1), 1.0)
-    energy = replace(energy, sigma=0.02 * (1.0 + np.arange(sizes.n_y)), start=4.0 + np.arange(sizes.n_y))
+    sigma = 0.02 * np.add.outer(np.arange(len(energy.F)), 1.0 + np.arange(sizes.n_y))
+    energy = replace(energy, sigma=sigma, start=(4.0 + np.arange(sizes.n_y)) * sigma**2)
     write_files(folder, vehicle_files(project, build_coefficients(project, model, estimator, W_delta, B_w, 1.5, energy), {"kind": "test"}))
     return sizes, double, model, estimator, W_delta, B_w, folder
 

@@ -64,7 +64,8 @@ def test_the_weights_filter_has_the_fitted_magnitude_on_the_shifted_circle_at_wa
     assert np.abs(np.concatenate([np.roots(s[3:]) for s in test.W])).max() < test.rho
     low, high = (2 / test.Ts * np.tan(np.pi * f * test.Ts) for f in test.band_hz)
     s = 2j / test.Ts * np.tan(theta / 2)
-    np.testing.assert_allclose(on_circle(test.F, 1.0, theta), np.abs(high * s / ((s + low) * (s + high))), rtol=1e-7)
+    for F, expected in zip(test.F, (low * high / ((s + low) * (s + high)), high * s / ((s + low) * (s + high)), s / (s + high))):
+        np.testing.assert_allclose(on_circle(F[None], 1.0, theta), np.abs(expected), rtol=1e-7)
 
 
 def test_a_weight_that_falls_is_raised_until_it_is_above_its_bound_when_warped():
@@ -84,11 +85,30 @@ def test_a_weight_that_falls_is_raised_until_it_is_above_its_bound_when_warped()
 
 def test_the_sections_in_delta_are_the_sections_in_z(truck):
     z = np.exp(1j * np.linspace(0.01, 3.0, 50))
-    for sections in (truck[3].F, truck[3].W):
-        for (b0, b1, b2, a0, a1, a2), c in zip(sections, in_delta(sections)):
-            d = z - 1
-            np.testing.assert_allclose((c[0] * d**2 + c[1] * d + c[2]) / (d**2 + c[3] * d + c[4]),
-                                       (b0 * z**2 + b1 * z + b2) / (a0 * z**2 + a1 * z + a2), rtol=1e-9)
+    sections = truck[3].W
+    for (b0, b1, b2, a0, a1, a2), c in zip(sections, in_delta(sections)):
+        d = z - 1
+        np.testing.assert_allclose((c[0] * d**2 + c[1] * d + c[2]) / (d**2 + c[3] * d + c[4]),
+                                   (b0 * z**2 + b1 * z + b2) / (a0 * z**2 + a1 * z + a2), rtol=1e-9)
+
+
+def test_the_cores_low_passes_make_the_bands_and_the_bands_sum_to_the_signal(truck):
+    test = truck[3]
+    z = np.exp(1j * np.linspace(1e-3, 3.0, 50))
+    bands = [np.polyval(F[:3], z) / np.polyval(F[3:], z) for F in test.F]
+    first, second = (g * (z + 1) / (z - 1 + 2 * g) for g in test.coefficients()[2]["energy_corner"])
+    for band, expected in zip(bands, (first * second, (1 - first) * second, 1 - second)):
+        np.testing.assert_allclose(band, expected, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(sum(bands), 1.0, rtol=1e-9)
+
+
+def test_neighbours_in_the_fan_are_not_judged_one_after_the_other():
+    directions = fan(2)
+    angle = np.arctan2(directions[:, 1], directions[:, 0])
+    for window in (2, 4, 8):  # so many in a row look everywhere, as far as so many can
+        for k in range(0, len(angle), window):
+            seen = np.sort(angle[k:k + window])
+            assert np.diff(np.r_[seen, seen[0] + np.pi]).max() == pytest.approx(np.pi / window)
 
 
 @pytest.mark.parametrize(("n_y", "count"), [(1, 1), (2, 16), (3, 13), (4, 40)])
@@ -128,12 +148,16 @@ def deltas(rho, rng):
 
 
 def norm_peak(test, x, v):
-    """max over time of ||F x_j|| in units of sigma (n_y,)."""
-    return np.max([np.sqrt(np.einsum("njj->nj", left)).max(axis=0) for left, _ in test.norms(x, 0 * x, v)], axis=0)
+    """max over time and bands of ||F x_j|| / sigma_j (n_y,)."""
+    return np.max([np.sqrt(np.einsum("njj->nj", left)).max(axis=0) / test.sigma[band] for _, band, left, _ in test.norms(x, 0 * x, v)], axis=0)
+
+
+def largest_ratio(test, e, yhat, v):
+    return max(ratios.max() for _, _, ratios in test.ratios(e, yhat, v))
 
 
 def drive_within(project, model, test, delta, seconds, rng, *, gain=1.0, coherent=False):
-    """Samples t, v, u, y with e = gain Delta W_delta yhat + w, from rest, and max ||F w_j|| = 0.98 sigma_j."""
+    """Samples t, v, u, y with e = gain Delta W_delta yhat + w, from rest, and max ||F w_j|| = 0.98 sigma_j in some band."""
     n = int(seconds / project.Ts_s)
     t = np.arange(n) * project.Ts_s
     low, high = model.speed_range
@@ -144,28 +168,31 @@ def drive_within(project, model, test, delta, seconds, rng, *, gain=1.0, coheren
     yhat = model.simulate(v, u, model.output_offset)
     weighted = sosfilt(test.W, yhat, axis=0)
     w = weighted.copy() if coherent else lfilter([1.0], [1.0, -rng.choice([0.0, 0.9, 0.999])], rng.standard_normal(yhat.shape), axis=0)
-    w *= 0.98 * test.sigma / np.maximum(norm_peak(test, w, v) * test.sigma, 1e-12) if not coherent else 1.0
-    if coherent:  # the same multiple of W_delta yhat for both outputs
-        w *= 0.98 / norm_peak(test, w, v).max()
+    peak = norm_peak(test, w, v)
+    w *= 0.98 / (peak.max() if coherent else peak)  # coherent: the same multiple of W_delta yhat for both outputs
     w[0] = 0.0
     return t, v, u, yhat + gain * lfilter(*delta, weighted, axis=0) + w
 
 
 def test_no_alarm_where_delta_and_the_disturbance_are_within_the_bounds(truck):
-    """Ten hours in full; the ratio comes close to 1, so the bound is not slack by construction."""
+    """Ten hours in full; the ratio comes close to 1, so the bound is not slack by construction. With a Delta that remembers for as long
+    as the lower bands only those are heard; all are with one that forgets as fast as the band above."""
     project, model, core, test = truck
     rng = np.random.default_rng(4)
-    largest, hours = [], 0.0
-    seconds = 3000.0 if FULL else 300.0
-    for index, delta in enumerate(deltas(test.rho, rng)):
-        t, v, u, y = drive_within(project, model, test, delta, seconds, rng, coherent=index == 0)
-        run = core.monitor().run(t, v, u, y)
-        assert not len(run.energy_alarms.bin)
-        largest.append(run.energy.max())
-        hours += seconds / 3600
+    hours, seconds = 0.0, 2000.0 if FULL else 200.0
+    for heard, memory in ((2, test.memory_s), (3, test.memories_s.min())):
+        within = replace(test, sigma=np.where(np.arange(3)[:, None] < heard, 1.0, 1e9) * test.sigma)
+        reals = core.compiled[1].copy()
+        core.fields(reals)["energy_scale"][:] = 1 / within.sigma
+        largest = []
+        for index, delta in enumerate(deltas(np.exp(-test.Ts / memory), rng)):
+            run = core.monitor(reals=reals, seal=True).run(*drive_within(project, model, within, delta, seconds, rng, coherent=index == 0))
+            assert not len(run.energy_alarms.bin)
+            largest.append(run.energy.max())
+            hours += seconds / 3600
+        assert max(largest) <= 1.0 + ROUNDING / 2
+        assert largest[0] > 0.9 or heard == 3  # above the corners the bound allows more than W_delta
     assert hours >= 10.0 or not FULL
-    assert max(largest) <= 1.0 + ROUNDING / 2
-    assert largest[0] > 0.9
 
 
 def test_the_same_drives_alarm_when_delta_is_larger(truck):
@@ -183,10 +210,8 @@ def test_the_core_says_what_the_definition_says(truck):
     v[8000:8003] = 30.0  # out of range: from rest again
     yhat = model.simulate(v, u, y[0])
     ratios = np.zeros((len(t), len(test.directions)))
-    starts = iter((0, 8003))
-    for stretch in test.ratios(y - yhat, yhat, v):
-        first = next(starts) + test.settle
-        ratios[first:first + len(stretch)] = stretch
+    for first, _, stretch in test.ratios(y - yhat, yhat, v):
+        ratios[first:first + len(stretch)] = np.maximum(ratios[first:first + len(stretch)], stretch)
     judged = ratios.any(axis=1)
     for double, tolerance in ((False, 2e-4), (True, 1e-8)):
         said = Core(shipped_vehicle("truck"), double=double).monitor().run(t, v, u, y).energy
@@ -204,7 +229,7 @@ def test_opposite_errors_under_one_nominal_output_are_caught_by_the_joint_form_o
     project = parse_project(document, "twins")
     model = NominalModel(project)
     estimator = Estimator.of(project, model)
-    test = replace(EnergyTest.design(project, estimator, Weight([1.05], [1.0]), [1.0, 2.0], [1.0, 1.0], 1.0), sigma=np.full(2, 1e-3))
+    test = replace(EnergyTest.design(project, estimator, Weight([1.05], [1.0]), [1.0, 2.0], [1.0, 1.0], 1.0), sigma=np.full((3, 2), 1e-3))
     rng = np.random.default_rng(3)
     t = np.arange(6000) * project.Ts_s
     u, v = np.sin(np.outer(t, [0.5, 1.3, 3.0]) + rng.uniform(0, 6, 3)).sum(axis=1, keepdims=True), np.full(len(t), 15.0)
@@ -231,8 +256,7 @@ def test_no_identification_drive_alarms_also_when_cut_and_scores_are_the_cores(i
     worst = 0.0
     for name in groups["bounds"]:
         drive = read_drive(synthetic / f"{name}.csv", g80)
-        for ratios in test.at_rest().ratios(*nominal_error(drive, NominalModel(g80)), drive.v):
-            worst = max(worst, ratios.max())
+        worst = max(worst, largest_ratio(test.at_rest(), *nominal_error(drive, NominalModel(g80)), drive.v))
         for cut in (0, *np.random.default_rng(5).integers(1, len(drive.t) // 2, 4)):
             assert core.monitor().run_drive(drive.from_sample(cut)).energy.max() <= 1.0 + ROUNDING
     assert 0.0 < worst <= 1.0 + 1e-9
@@ -243,18 +267,21 @@ def test_no_identification_drive_alarms_also_when_cut_and_scores_are_the_cores(i
 
 
 def test_sigma_is_the_least_for_each_output_and_then_for_the_joint_form(truck):
-    test = replace(truck[3], sigma=np.ones(2), start=np.zeros(2), joint=1.0)
+    test = replace(truck[3], sigma=np.ones((3, 2)), start=np.zeros((3, 2)), joint=np.ones(3))
     t = np.arange(6000) * test.Ts
+    test = replace(test, above=0.35)
     e = 0.2 * np.column_stack([np.sin(t), -np.sin(t)])
     yhat = 0.3 * np.column_stack([np.sin(t), np.sin(t)])  # 0.35 of it explains half of each, and nothing of the difference
     v = np.full(len(t), 15.0)
     alone = test.with_sigma(test.needs(e, yhat, v))
     single = np.abs(alone.directions).max(axis=1) == 1.0
-    peak = np.max([r.max(axis=0) for r in alone.at_rest().ratios(e, yhat, v)], axis=0)
-    assert peak[single] == pytest.approx([1.0, 1.0], abs=1e-9) and peak.max() > 1.5
+    for _, _, ratios in alone.at_rest().ratios(e, yhat, v):
+        peak = ratios.max(axis=0)
+        assert peak[single] == pytest.approx([1.0, 1.0], abs=1e-9) and peak.max() > 1.5
     joint = alone.with_joint(alone.at_rest().needs(e, yhat, v))
-    assert joint.joint > 1.5 and joint.sigma == pytest.approx(alone.sigma * joint.joint)
-    assert max(r.max() for r in joint.at_rest().ratios(e, yhat, v)) == pytest.approx(1.0, abs=1e-9)
+    assert joint.joint.min() > 1.5 and joint.sigma == pytest.approx(alone.sigma * joint.joint[:, None])
+    for _, _, ratios in joint.at_rest().ratios(e, yhat, v):
+        assert ratios.max() == pytest.approx(1.0, abs=1e-7)  # the right side cancels but for rounding, of which the root is taken
     with pytest.raises(InputError, match="no excited drive that sets the bounds is judged"):
         test.with_sigma(test.needs(e[:100], yhat[:100], v[:100]))
     quiet = test.with_sigma(test.needs(0.0 * e, yhat, v))
@@ -284,7 +311,7 @@ def test_alarms_of_the_energy_test_stand_in_the_replay_beside_those_of_frames(co
     assert alarm.bin_rad_s is None and alarm.W_delta is None and alarm.direction == [1.0]
     assert alarm.margin == pytest.approx(alarm.E[0] / (alarm.Z[0] + alarm.B_w[0]), rel=1e-4)
     assert alarm.margin > alarm.threshold
-    assert alarm.evidence > alarm.margin  # a vehicle that does not respond is worse than half the gain
+    assert alarm.band == "above" and alarm.evidence < 1  # the gain jumps; that nothing responds there is allowed
     only_frames = Replayer(g80, core, energy_threshold=1e6).replay(inject(drive, Fault("gain", 0.5), 60.0, g80.Ts_s))
     assert {a.test for a in only_frames.alarms} == {"frame"} and not only_frames.over.any()
 

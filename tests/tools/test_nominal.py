@@ -77,7 +77,7 @@ def test_crc_of_python_is_the_crc_of_the_core(core, identified):
     from lpvguard.identify import load
 
     words, _ = core.compiled
-    assert int(words[13]) == load(identified).coefficients.crc32(4)
+    assert int(words[14]) == load(identified).coefficients.crc32(4)
 
 
 def test_coefficients_follow_the_signal_table(g80, g80_model):

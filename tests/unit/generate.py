@@ -35,7 +35,8 @@ def vehicle(project, model):
     B_w = np.outer(np.linspace(0.02, 0.01, estimator.n_bins), 1.0 + np.arange(project.n_y))
     energy = EnergyTest.design(project, estimator, Weight([0.3, 0.2, 0.1], [1.0, 1.0, 0.5]), estimator.omega[1:],
                                np.full(estimator.n_bins - 1, 0.1), 1.0)
-    energy = replace(energy, sigma=0.02 * (1.0 + np.arange(project.n_y)), start=4.0 + np.arange(project.n_y))
+    sigma = 0.02 * np.add.outer(np.arange(len(energy.F)), 1.0 + np.arange(project.n_y))
+    energy = replace(energy, sigma=sigma, start=(4.0 + np.arange(project.n_y)) * sigma**2)
     return vehicle_files(project, build_coefficients(project, model, estimator, W_delta, B_w, 1.5, energy), {"kind": "test"})
 
 

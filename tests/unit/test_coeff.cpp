@@ -128,24 +128,29 @@ TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]
     };
     cases.push_back({"judged before the frames", [](lpvg_coeff_t& c) { c.words.energy_settle = c.words.settle_samples - 1U; }});
     cases.push_back({"rearm 0", [](lpvg_coeff_t& c) { c.words.energy_rearm = 0U; }});
-    spoilt("no forgetting", [](lpvg_coeff_reals_t& r) { r.energy_forget = Real(0); });
-    spoilt("no memory", [](lpvg_coeff_reals_t& r) { r.energy_forget = Real(1); });
+    spoilt("nothing above the corners", [](lpvg_coeff_reals_t& r) { r.energy_above = Real(0); });
     spoilt("energy threshold below 1", [](lpvg_coeff_reals_t& r) { r.energy_threshold = Real(0.999); });
-    for (std::size_t place = 0; place <= LPVG_NWEIGHT; ++place) {
+    for (std::size_t place = 0; place < LPVG_NWEIGHT; ++place) {
         const auto poles = [&](const char* what, Real a1, Real a2) {
             spoilt(what, [=](lpvg_coeff_reals_t& r) {
-                Real* section = place < LPVG_NWEIGHT ? r.energy_W[place] : r.energy_F;
-                section[3] = a1;
-                section[4] = a2;
+                r.energy_W[place][3] = a1;
+                r.energy_W[place][4] = a2;
             });
         };
         poles("a pole at z = 1", Real(0.5), Real(0));
         poles("poles on the unit circle", Real(0.5), Real(0.5));
         poles("a pole at z = -1", Real(2.5), Real(1));
     }
-    for (std::size_t j = 0; j < LPVG_NY; ++j) {
-        spoilt("sigma infinite", [j](lpvg_coeff_reals_t& r) { r.energy_scale[j] = Real(0); });
-        spoilt("negative energy", [j](lpvg_coeff_reals_t& r) { r.energy_start[j] = Real(-1); });
+    spoilt("a corner at DC", [](lpvg_coeff_reals_t& r) { r.energy_corner[0] = Real(0); });
+    spoilt("corners that fall", [](lpvg_coeff_reals_t& r) { r.energy_corner[1] = Real(0.99) * r.energy_corner[0]; });
+    spoilt("a corner above Nyquist", [](lpvg_coeff_reals_t& r) { r.energy_corner[LPVG_NBANDS - 2] = Real(1); });
+    for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
+        spoilt("no forgetting", [b](lpvg_coeff_reals_t& r) { r.energy_forget[b] = Real(0); });
+        spoilt("no memory", [b](lpvg_coeff_reals_t& r) { r.energy_forget[b] = Real(1); });
+        for (std::size_t j = 0; j < LPVG_NY; ++j) {
+            spoilt("sigma infinite", [b, j](lpvg_coeff_reals_t& r) { r.energy_scale[b][j] = Real(0); });
+            spoilt("negative energy", [b, j](lpvg_coeff_reals_t& r) { r.energy_start[b][j] = Real(-1); });
+        }
     }
     spoilt("a direction that is none", [](lpvg_coeff_reals_t& r) {
         for (Real& a : r.energy_direction[LPVG_NDIRECTIONS - 1]) {
@@ -180,13 +185,15 @@ TEST_CASE("values at the edge of what is allowed are accepted", "[unit][coeff][R
         const auto small = Real(1e-6);  // what has to be positive has no other lower end
         c.reals.speed_min = c.reals.speed_tolerance = c.reals.threshold = small;
         c.reals.energy_threshold = Real(1);
+        c.reals.energy_above = small;
         for (std::size_t b = 0; b < LPVG_NBINS; ++b) {
             c.reals.W_delta[b] = c.reals.scale[b] = small;
             std::fill(std::begin(c.reals.B_w[b]), std::end(c.reals.B_w[b]), small);
         }
-        for (std::size_t j = 0; j < LPVG_NY; ++j) {
-            c.reals.energy_scale[j] = small;
-            c.reals.energy_start[j] = Real(0);
+        c.reals.energy_corner[0] = c.reals.energy_corner[1] = small;
+        for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
+            std::fill(std::begin(c.reals.energy_scale[b]), std::end(c.reals.energy_scale[b]), small);
+            std::fill(std::begin(c.reals.energy_start[b]), std::end(c.reals.energy_start[b]), Real(0));
         }
     });
     CHECK(lpvg_coeff_check(&coeff) == lpvg_status_ok);

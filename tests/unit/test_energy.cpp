@@ -14,7 +14,7 @@ namespace {
 
 constexpr double pi = 3.141592653589793;
 
-double rho() { return std::sqrt(1.0 - static_cast<double>(lpvg_coeff.reals.energy_forget)); }
+double rho() { return std::sqrt(1.0 - static_cast<double>(lpvg_coeff.reals.energy_forget[0])); }
 uint32_t memory() { return static_cast<uint32_t>(std::ceil(1.0 / -std::log(rho()))); }
 
 // W_delta a constant, b(z) = value (z^2) over z^2; sigma the same for all outputs.
@@ -26,16 +26,29 @@ void with_constant_weight(lpvg_coeff_t& c, double weight, double sigma) {
     for (std::size_t i = 0; i < 3U; ++i) {
         c.reals.energy_W[0][i] *= static_cast<Real>(weight);
     }
-    for (Real& scale : c.reals.energy_scale) {
-        scale = static_cast<Real>(1.0 / sigma);
+    c.reals.energy_above = static_cast<Real>(weight);
+    for (auto& band : c.reals.energy_scale) {
+        std::fill(std::begin(band), std::end(band), static_cast<Real>(1.0 / sigma));
     }
 }
 
-// |b/a| of a section at z.
-double magnitude(const Real* c, std::complex<double> z) {
-    const std::complex<double> d = z - 1.0;
-    const auto at = [&](int i) { return static_cast<double>(c[i]); };
-    return std::abs((at(0) * d * d + at(1) * d + at(2)) / (d * d + at(3) * d + at(4)));
+// F of a band at z: two low-passes L, made into L0 L1, (1 - L0) L1 and 1 - L1.
+std::complex<double> filter(const lpvg_coeff_t& c, std::size_t band, std::complex<double> z) {
+    const auto low_pass = [&](std::size_t corner) {
+        const auto g = static_cast<double>(c.reals.energy_corner[corner]);
+        return g * (z + 1.0) / (z - 1.0 + 2.0 * g);
+    };
+    const std::complex<double> up_to_first = low_pass(0), up_to_second = low_pass(1);
+    return band == 2U ? 1.0 - up_to_second : (band == 0U ? up_to_first : 1.0 - up_to_first) * up_to_second;
+}
+
+// Only one band is heard, the others' sigma being so large.
+void hear_only(lpvg_coeff_t& c, std::size_t band) {
+    for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
+        for (Real& scale : c.reals.energy_scale[b]) {
+            scale = b == band ? scale : Real(1e-12);
+        }
+    }
 }
 
 // The test alone, fed with e and yhat directly.
@@ -93,25 +106,49 @@ TEST_CASE("a constant error gain reads gain over weight, where sigma is small", 
 
 TEST_CASE("without nominal output the ratio is the filtered error's norm over sigma", "[unit][energy][REQ-MON-14]") {
     const double sigma = 0.05, amplitude = 0.2;
-    lpvg_coeff_t coeff = sealed([&](lpvg_coeff_t& c) { with_constant_weight(c, 0.5, sigma); });
     const double all[4] = {1.0, 1.0, 1.0, 1.0};
-    for (const uint32_t bin : {uint32_t{1}, uint32_t{LPVG_NBINS / 2}, uint32_t{LPVG_NBINS - 1}}) {
-        const double step = 2.0 * pi * words().cycles[bin] / words().frame_length[bin];
-        Fed fed(coeff);
-        double ratio = 0.0, least = 1e9, most = 0.0;
-        for (uint32_t k = 0; k < 12U * memory(); ++k) {
-            ratio = fed.take(all, amplitude * std::sin(step * k), all, 0.0);
-            if (k > 8U * memory()) {
-                least = std::min(least, ratio);
-                most = std::max(most, ratio);
+    for (std::size_t band = 0; band < LPVG_NBANDS; ++band) {
+        const lpvg_coeff_t coeff = sealed([&](lpvg_coeff_t& c) {
+            with_constant_weight(c, 0.5, sigma);
+            hear_only(c, band);
+        });
+        for (const uint32_t bin : {uint32_t{1}, uint32_t{LPVG_NBINS / 2}, uint32_t{LPVG_NBINS - 1}}) {
+            const double step = 2.0 * pi * words().cycles[bin] / words().frame_length[bin];
+            Fed fed(coeff);
+            double ratio = 0.0, least = 1e9, most = 0.0;
+            for (uint32_t k = 0; k < 12U * memory(); ++k) {
+                ratio = fed.take(all, amplitude * std::sin(step * k), all, 0.0);
+                if (k > 8U * memory()) {
+                    least = std::min(least, ratio);
+                    most = std::max(most, ratio);
+                }
             }
+            CAPTURE(band, bin);
+            const double norm = std::abs(filter(coeff, band, std::polar(1.0, step))) * amplitude /
+                                std::sqrt(2.0 * static_cast<double>(coeff.reals.energy_forget[band])) / sigma;
+            // The sum swells and falls with twice the sine's frequency, the more the shorter the memory.
+            const auto forget = static_cast<double>(coeff.reals.energy_forget[band]);
+            const double swing = forget / std::abs(1.0 - (1.0 - forget) * std::polar(1.0, -2.0 * step));
+            CHECK(least == Approx(norm * std::sqrt(1.0 - swing)).epsilon(0.02));
+            CHECK(most == Approx(norm * std::sqrt(1.0 + swing)).epsilon(0.02));
         }
-        const double norm = magnitude(coeff.reals.energy_F, std::polar(1.0, step)) * amplitude /
-                            std::sqrt(2.0 * static_cast<double>(coeff.reals.energy_forget)) / sigma;
-        CHECK(least <= 1.002 * norm);  // the sum swells and falls with the sine
-        CHECK(most >= 0.998 * norm);
-        CHECK(most - least < 0.4 * norm);
     }
+}
+
+TEST_CASE("each kind of error is told in its own band", "[unit][energy][REQ-MON-14]") {
+    const lpvg_coeff_t coeff = sealed([](lpvg_coeff_t& c) { with_constant_weight(c, 0.5, 0.05); });
+    const double all[4] = {1.0, 1.0, 1.0, 1.0};
+    const auto strongest = [&](const auto& error) {
+        Fed fed(coeff);
+        for (uint32_t k = 0; k < 10U * memory(); ++k) {
+            (void)fed.take(all, error(k), all, 0.0);
+        }
+        return fed.energy.strongest;
+    };
+    const auto between = std::sqrt(static_cast<double>(coeff.reals.energy_corner[0]) * static_cast<double>(coeff.reals.energy_corner[1]));
+    CHECK(strongest([](uint32_t) { return 0.2; }) == 0U);
+    CHECK(strongest([&](uint32_t k) { return 0.2 * std::sin(2.0 * std::atan(between / (1.0 - between)) * k); }) == 1U);
+    CHECK(strongest([](uint32_t k) { return k % 2U == 0U ? 0.2 : -0.2; }) == 2U);
 }
 
 TEST_CASE("errors of opposite sign under one nominal output are seen by the joint form only", "[unit][energy][REQ-MON-14]") {
@@ -144,13 +181,18 @@ TEST_CASE("a restart stays sound because the right sum starts with what Delta ma
     const double all[4] = {1.0, 1.0, 1.0, 1.0}, weight = 0.8, step = 2.0 * pi * 3.0 / words().frame_length[LPVG_NBINS / 2];
     const uint32_t delay = memory() / 4U;
     const auto worst_after_restart = [&](bool remembered) {
-        lpvg_coeff_t coeff = sealed([&](lpvg_coeff_t& c) { with_constant_weight(c, weight, 0.01); });
+        lpvg_coeff_t coeff = sealed([&](lpvg_coeff_t& c) {
+            with_constant_weight(c, weight, 0.01);
+            std::fill(std::begin(c.reals.energy_forget), std::end(c.reals.energy_forget), c.reals.energy_forget[0]);
+        });
         Fed probe(coeff);
         for (uint32_t k = 0; k < 4U * memory(); ++k) {
             (void)probe.take(all, 0.0, all, std::sin(step * k));
         }
-        for (std::size_t j = 0; j < LPVG_NY; ++j) {
-            coeff.reals.energy_start[j] = remembered ? static_cast<Real>(1.1 * LPVG_NY) * probe.energy.right[0] : Real(0);
+        for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
+            for (Real& start : coeff.reals.energy_start[b]) {
+                start = remembered ? static_cast<Real>(1.1 * LPVG_NY) * probe.energy.band[b].right[0] : Real(0);
+            }
         }
         Fed fed(coeff);
         std::deque<double> past(delay, 0.0);
@@ -182,8 +224,8 @@ lpvg_coeff_t energy_only(double weight) {
         with_constant_weight(c, weight, 1e-3);
         c.reals.energy_threshold = Real(1.001);
         c.reals.threshold = Real(1e9);
-        for (Real& start : c.reals.energy_start) {
-            start = Real(0);
+        for (auto& band : c.reals.energy_start) {
+            std::fill(std::begin(band), std::end(band), Real(0));
         }
     });
 }
@@ -210,7 +252,7 @@ TEST_CASE("the monitor judges after the settling time, and alarms once a memory"
     CHECK(record.test == lpvg_test_energy);
     CHECK(record.falsified);
     CHECK(record.t_end_us == drive.now());
-    CHECK(record.bin == drive.monitor.energy.direction);
+    CHECK(record.bin == drive.monitor.energy.strongest * LPVG_NDIRECTIONS + drive.monitor.energy.direction);
     CHECK(record.speed == cruise());
     CHECK(record.margin > Real(1.001));
     CHECK(record.statistic == record.margin);

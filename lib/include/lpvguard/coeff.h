@@ -13,7 +13,7 @@
 LPVG_EXTERN_C_BEGIN
 
 #define LPVG_COEFF_MAGIC 0x4C505647U
-#define LPVG_COEFF_SCHEMA 2U
+#define LPVG_COEFF_SCHEMA 3U
 /// Entries of Ad (n x n), B_old (n x n_u) and B_new (n x n_u), row after row, one matrix after the other.
 #define LPVG_NENTRIES (LPVG_NX * (LPVG_NX + (2 * LPVG_NU)))
 
@@ -28,7 +28,7 @@ typedef struct lpvg_coeff_words_t {
     uint32_t magic;                         ///< LPVG_COEFF_MAGIC
     uint32_t schema;                        ///< LPVG_COEFF_SCHEMA
     uint32_t real_bytes;                    ///< sizeof(lpvg_real_t)
-    uint32_t sizes[9];                      ///< LPVG_NX, NU, NY, DELAY, NBINS, NCELLS, NVARYING, NWEIGHT, NDIRECTIONS
+    uint32_t sizes[10];                     ///< LPVG_NX, NU, NY, DELAY, NBINS, NCELLS, NVARYING, NWEIGHT, NDIRECTIONS, NBANDS
     uint32_t estimator_id;                  ///< LPVG_ESTIMATOR_ID: definition of the frames the bounds were made with
     uint32_t crc32;                         ///< over all words and numbers
     uint32_t sample_period_us;              ///< Ts                                             [us]
@@ -58,12 +58,13 @@ typedef struct lpvg_coeff_reals_t {
     lpvg_real_t turn[LPVG_NBINS][2];                        ///< cos - 1 and sin of the phase step 2 pi cycles / N
     lpvg_real_t taper[LPVG_NBINS][2];                       ///< cos - 1 and sin of the window step 2 pi / N
     lpvg_real_t scale[LPVG_NBINS];                          ///< 2 / sum(window), at DC 1 / sum(window)
-    lpvg_real_t energy_F[5];                                ///< band-pass of the energy test, b0 b1 b2 a1 a2 (energy.cpp)
-    lpvg_real_t energy_W[LPVG_NWEIGHT][5];                  ///< sections of W_delta on the circle |z| = rho, likewise
-    lpvg_real_t energy_scale[LPVG_NY];                      ///< 1 / sigma_j                       [1/output unit]
-    lpvg_real_t energy_forget;                              ///< 1 - rho^2
-    lpvg_real_t energy_start[LPVG_NY];                      ///< right sum at rest, in units of sigma^2
-    lpvg_real_t energy_direction[LPVG_NDIRECTIONS][LPVG_NY];  ///< a / sigma, sum |a_j| = 1
+    lpvg_real_t energy_corner[LPVG_NBANDS - 1];             ///< g of the low-pass g (z + 1) / (z - 1 + 2 g) at each corner, not falling
+    lpvg_real_t energy_W[LPVG_NWEIGHT][5];                  ///< sections of W_delta on |z| = rho, b0 b1 b2 a1 a2 (energy.cpp)
+    lpvg_real_t energy_above;                               ///< what stands for W_delta above the last corner
+    lpvg_real_t energy_scale[LPVG_NBANDS][LPVG_NY];         ///< 1 / sigma_j of each band          [1/output unit]
+    lpvg_real_t energy_forget[LPVG_NBANDS];                 ///< 1 - rho^2, rho of the band
+    lpvg_real_t energy_start[LPVG_NBANDS][LPVG_NY];         ///< right sum at rest                 [output unit squared]
+    lpvg_real_t energy_direction[LPVG_NDIRECTIONS][LPVG_NY];  ///< a, in units of sigma, sum |a_j| = 1
     lpvg_real_t energy_threshold;                           ///< calibrated threshold of the energy test's ratio
     lpvg_real_t W_delta[LPVG_NBINS];                        ///< |W_delta| at the bin                 [-]
     lpvg_real_t B_w[LPVG_NBINS][LPVG_NY];                   ///< disturbance bound at the bin         [output unit]

@@ -11,11 +11,15 @@
 /// alone may begin later. So a ratio above 1 of the left side to the right proves (W_delta, sigma) wrong; the alarm is
 /// raised above a calibrated threshold that is not below 1 (plus what float may be off).
 ///
-/// F is a band-pass of second order. The filter that stands for W_delta is W_delta((2/Ts) (z/rho - 1) / (z/rho + 1)): its
-/// magnitude on |z| = rho is that of the fitted weight at the warped frequency, which `lpvguard identify` certifies to be
-/// above the identified bound. Every output is divided by its sigma_j first, and a is scaled to sum |a_j| = 1, so that the
-/// last term is 1. Directions a are taken from a fixed fan, one a judgement in turn: every one is a condition by itself, at
-/// any time.
+/// F is each of three filters in turn, which together sum to 1: below the first of two corners, between them, above the second.
+/// An error that stays, one that follows the input and one that jumps each stand against the sigma_j of their own band. Above the
+/// second corner, where no frame bounds W_delta, a constant not below 1 stands for it, so the vehicle need not respond there, and
+/// the memory is as much shorter as the corner is higher.
+///
+/// The filter that stands for W_delta is W_delta((2/Ts) (z/rho - 1) / (z/rho + 1)): its magnitude on |z| = rho is that of the
+/// fitted weight at the warped frequency, which `lpvguard identify` certifies to be above the identified bound. Directions a are
+/// in units of sigma and scaled to sum |a_j| = 1, so that the last term is 1. They are taken from a fixed fan, one a judgement in
+/// turn, in all bands: every one is a condition by itself, at any time.
 ///
 /// Cost: both functions constant. RAM: sizeof(lpvg_energy_t).
 /// Threads: one instance per thread; no function blocks. Fields are private but for those documented in monitor.h.
@@ -28,36 +32,43 @@ LPVG_EXTERN_C_BEGIN
 
 #define LPVG_NGRAM (LPVG_NY * (LPVG_NY + 1) / 2)  ///< entries of a symmetric matrix, row by row from the diagonal on
 
+#define lpvg_energy_band_t LPVG_SYM(energy_band_t)
 #define lpvg_energy_t LPVG_SYM(energy_t)
 #define lpvg_energy_start LPVG_SYM(energy_start)
 #define lpvg_energy_advance LPVG_SYM(energy_advance)
 #define lpvg_energy_judge LPVG_SYM(energy_judge)
 #define lpvg_energy_evidence LPVG_SYM(energy_evidence)
 
-typedef struct lpvg_energy_t {
-    lpvg_real_t F[2][2 * LPVG_NY];              ///< states of F for e, then yhat
-    lpvg_real_t W[LPVG_NWEIGHT][2][LPVG_NY];    ///< states of W_delta's sections
-    lpvg_real_t left[LPVG_NGRAM];               ///< forgetting sums of products of F e_j, in units of sigma
+/// Forgetting sums of products in one band.                                               [output unit squared]
+typedef struct lpvg_energy_band_t {
+    lpvg_real_t left[LPVG_NGRAM];               ///< of F e_j
     lpvg_real_t right[LPVG_NGRAM];              ///< of F W_delta yhat_j
     lpvg_real_t nominal[LPVG_NGRAM];            ///< of F yhat_j
-    lpvg_real_t ratio;                          ///< left side over right, in the newest direction; 0 before it is judged
+} lpvg_energy_band_t;
+
+typedef struct lpvg_energy_t {
+    lpvg_real_t F[LPVG_NBANDS - 1][3 * LPVG_NY];  ///< states of the low-passes for e, yhat and W_delta yhat
+    lpvg_real_t W[LPVG_NWEIGHT][2][LPVG_NY];    ///< states of W_delta's sections
+    lpvg_energy_band_t band[LPVG_NBANDS];
+    lpvg_real_t ratio;                          ///< left side over right in the newest direction, largest of all bands; 0 at first
+    uint32_t strongest;                         ///< the band it is of
     uint32_t direction;                         ///< index of the newest direction
     uint32_t next_direction;
 } lpvg_energy_t;
 
-/// From rest: filters and sums at zero, the right sum at `energy_start`, the energy that Delta may remember.
+/// From rest: filters and sums at zero, the right sums at `energy_start`, the energy that Delta may remember.
 /// The coefficients must have passed lpvg_coeff_check; no argument may be NULL (not checked: called once per sample).
 void lpvg_energy_start(lpvg_energy_t* self, const lpvg_coeff_t* coeff);
 
-/// Takes e, then yhat (2 LPVG_NY) of one sample. The left sum begins when `settled`, which must stay until the next start.
+/// Takes e, then yhat (2 LPVG_NY) of one sample. The left sums begin when `settled`, which must stay until the next start.
 /// NULL is not checked.
 void lpvg_energy_advance(lpvg_energy_t* self, const lpvg_coeff_t* coeff, const lpvg_real_t* signal, bool settled);
 
 /// Writes and returns `ratio`, in the next direction. NULL is not checked.
 lpvg_real_t lpvg_energy_judge(lpvg_energy_t* self, const lpvg_coeff_t* coeff);
 
-/// The ratio that a vehicle which did not respond at all (e = -yhat) would have shown in the newest direction. NULL is not
-/// checked.
+/// The ratio that a vehicle which did not respond at all (e = -yhat) would have shown in the newest direction and strongest
+/// band. NULL is not checked.
 lpvg_real_t lpvg_energy_evidence(const lpvg_energy_t* self, const lpvg_coeff_t* coeff);
 
 LPVG_EXTERN_C_END

@@ -83,9 +83,9 @@ typedef struct lpvg_sample_t {
     lpvg_real_t y[LPVG_NY];        ///< outputs, likewise
 } lpvg_sample_t;
 
-/// One frame of one bin, as it was judged; or, among the records only, an alarm of the energy test. For that, `bin` is the
-/// index of the direction, `margin` and `statistic` are the ratio, `speed` the sample's, E[j][0] the norm of F e_j and
-/// Z[j][0] that of F W_delta yhat_j (imaginary parts 0).
+/// One frame of one bin, as it was judged; or, among the records only, an alarm of the energy test. For that, `bin` is
+/// band * LPVG_NDIRECTIONS + direction (energy.h), `margin` and `statistic` are the ratio, `speed` the sample's, E[j][0] the norm
+/// of F e_j and Z[j][0] that of F W_delta yhat_j (imaginary parts 0).
 typedef struct lpvg_frame_t {
     uint32_t sequence;             ///< number of frames closed so far, this one included; 0: none yet
     lpvg_test_t test;

@@ -137,7 +137,7 @@ def identify(vehicle: Vehicle, drives: Annotated[Path, typer.Argument(help="Fold
         console.print(f"left out: {name}: {reason}")
     if result.energy is not None:
         console.print(f"energy test: threshold {result.energy.calibration.threshold:.4g} ({result.energy.calibration.claim()}), sigma "
-                      + ", ".join(f"{s.name} {x:.3g} {s.unit}" for s, x in zip(project.outputs, result.energy.sigma)))
+                      + result.energy.sigma_text(project))
     console.print(f"threshold {c.threshold:.4g} ({c.claim()}); final inflation {result.weights.inflation:.6g}; written to {out}")
 
 
@@ -629,7 +629,7 @@ def _alarm(a: dict[str, Any]) -> str:
         def listed(values: list[float]) -> str:
             return ", ".join(f"{x:.3g}" for x in values)
 
-        return (f"energy test, v = {a['speed_mps']:.1f} m/s: ratio {a['margin']:.2f} > {a['threshold']:.2f} in direction "
+        return (f"energy test, v = {a['speed_mps']:.1f} m/s: ratio {a['margin']:.2f} > {a['threshold']:.2f} {a['band']} the corners, in direction "
                 f"({listed(a['direction'])}); ||F e|| = {listed(a['E'])} against ||F W_delta yhat|| {listed(a['Z'])} + sigma "
                 f"{listed(a['B_w'])}")
     return (f"frame test, {a['bin_rad_s']:.3g} rad/s, v = {a['speed_mps']:.1f} m/s: "

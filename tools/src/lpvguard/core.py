@@ -23,6 +23,8 @@ from .errors import InputError
 PACKAGE = Path(__file__).resolve().parent
 VERDICTS = ("unknown", "valid", "invalid", "not_judged", "stale", "fault")
 REASONS = ("none", "not_excited", "speed_moved", "out_of_range", "settling")
+BANDS = ("below", "between", "above")
+"""Of the energy test: of its two corners."""
 SUPERVISION = ("off", "hold", "live")
 """Names of lpvg_can_state_t."""
 STATUSES = ("ok", "bad_argument", "bad_magic", "bad_schema", "bad_size", "bad_estimator", "bad_crc", "not_finite",
@@ -72,7 +74,7 @@ class FrameLog:
     """Frames judged by the core during a run, in the order of judgement; arrays over frames, E and Z (F, n_y).
 
     t_judged_s is the time of the sample with which the core said so: frames that end together are judged one after the other.
-    Alarms of the energy test come in the same form (lpvg_frame_t in monitor.h): bin is the direction, E and Z hold norms.
+    Alarms of the energy test come in the same form (lpvg_frame_t in monitor.h): bin is band and direction, E and Z hold norms.
     """
 
     t_judged_s: np.ndarray
@@ -155,14 +157,14 @@ class Core:
         return words, reals
 
     def estimator_id(self) -> int:
-        """Of the bounds in the compiled-in coefficients; words: magic, schema, number size, 9 sizes, estimator (coeff.h)."""
-        return int(self.compiled[0][12])
+        """Of the bounds in the compiled-in coefficients; words: magic, schema, number size, 10 sizes, estimator (coeff.h)."""
+        return int(self.compiled[0][13])
 
     def fields(self, reals: np.ndarray) -> dict[str, np.ndarray]:
         """The last fields of coeff.h by name, as views of flat numbers ``reals``."""
         n_y, K, directions = self.n_y, self.n_bins, int(self.compiled[0][11])
-        shapes = {"energy_scale": (n_y,), "energy_forget": (1,), "energy_start": (n_y,), "energy_direction": (directions, n_y),
-                  "energy_threshold": (1,), "W_delta": (K,), "B_w": (K, n_y), "threshold": (1,)}
+        shapes = {"energy_scale": (len(BANDS), n_y), "energy_forget": (len(BANDS),), "energy_start": (len(BANDS), n_y),
+                  "energy_direction": (directions, n_y), "energy_threshold": (1,), "W_delta": (K,), "B_w": (K, n_y), "threshold": (1,)}
         found, end = {}, len(reals)
         for name, shape in reversed(shapes.items()):
             first = end - int(np.prod(shape))

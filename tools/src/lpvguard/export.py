@@ -30,7 +30,7 @@ from .sealed import Sealed, coefficient_source
 if TYPE_CHECKING:
     from .identify import StoredIdentification
 
-MAGIC, SCHEMA = 0x4C505647, 2
+MAGIC, SCHEMA = 0x4C505647, 3
 MANIFEST_SCHEMA = 1
 
 

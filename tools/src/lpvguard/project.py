@@ -133,7 +133,7 @@ class FrameTestSettings(_Strict):
 
 
 class EnergyTestSettings(_Strict):
-    """The energy test (DESIGN 4.8). ``band_hz``: corners of its band-pass, by default the frames' f_min_hz and f_max_hz.
+    """The energy test (DESIGN 4.8). ``band_hz``: the two corners of its three bands, by default the frames' f_min_hz and f_max_hz.
     ``memory_s``: time constant of the forgetting, by default one period of f_min_hz."""
 
     band_hz: tuple[Positive, Positive] | None = None

@@ -11,7 +11,7 @@ import numpy as np
 
 from .can.logs import Frames, is_raw_table, read_log, stem
 from .can.play import frames_of_drive, values_of_drive
-from .core import REASONS, STATUSES, VERDICTS, Core, Run
+from .core import BANDS, REASONS, STATUSES, VERDICTS, Core, Run
 from .drives import TABLE_SUFFIXES, Drive, read_drive, require_units
 from .errors import InputError
 from .frames import Estimator
@@ -27,8 +27,8 @@ class Alarm:
     """What falsified the model, with what a person needs to believe it.
 
     ``frame``: a frame of a bin. ``energy``: the energy test's ratio (``margin``) exceeded its threshold, after a memory without
-    that; bin_rad_s and W_delta are None, ``direction`` (n_y,) says which sum of outputs, in units of sigma, B_w holds sigma, E the
-    norms of F e_j and Z those of F W_delta yhat_j.
+    that; bin_rad_s and W_delta are None, ``band`` is one of energy.BANDS, ``direction`` (n_y,) says which sum of outputs, in units of
+    sigma, B_w holds the band's sigma, E the norms of F e_j and Z those of F W_delta yhat_j.
     """
 
     t_s: float
@@ -44,6 +44,7 @@ class Alarm:
     E: list[complex]
     Z: list[complex]
     direction: list[float] | None = None
+    band: str | None = None
 
 
 @dataclass(frozen=True)
@@ -164,9 +165,9 @@ class Replayer:
                   for i in np.flatnonzero(frames.falsified)]
         found = run.energy_alarms
         alarms += [Alarm(float(found.t_end_s[i] - t0), "energy", None, float(found.speed[i]), float(found.margin[i]),
-                         float(found.evidence[i]), float(found.statistic[i]), self.energy_threshold, None, self.sigma.tolist(),
-                         found.E[i].real.tolist(), found.Z[i].real.tolist(), self.directions[found.bin[i]].tolist())
-                   for i in range(len(found.bin))]
+                         float(found.evidence[i]), float(found.statistic[i]), self.energy_threshold, None, self.sigma[band].tolist(),
+                         found.E[i].real.tolist(), found.Z[i].real.tolist(), self.directions[direction].tolist(), BANDS[band])
+                   for i, (band, direction) in enumerate(zip(*divmod(found.bin, len(self.directions))))]
         in_range = (drive.v >= low) & (drive.v <= high)
         falsified = np.zeros(len(drive.t), bool)
         falsified[np.round((frames.t_judged_s[frames.falsified] - t0) / Ts).astype(int)] = True

@@ -72,7 +72,8 @@ def write_budget_vehicle(folder: Path) -> Project:
     # W_delta of third order, as the truck's own, fits this weight: two sections.
     energy = EnergyTest.design(project, estimator, Weight([0.4, 0.2, 0.07, 0.02], [1.0, 0.7, 0.3, 0.1]), estimator.omega[1:],
                                np.full(estimator.n_bins - 1, 0.1), 1.0)
-    energy = replace(energy, sigma=np.array([0.1, 0.05]), start=np.array([50.0, 50.0]))
+    sigma = np.tile([0.1, 0.05], (len(energy.F), 1))
+    energy = replace(energy, sigma=sigma, start=50.0 * sigma**2)
     coefficients = build_coefficients(project, model, estimator, W_delta, B_w, 1.5, energy)
     folder.mkdir(parents=True, exist_ok=True)
     write_files(folder, vehicle_files(project, coefficients, {"kind": "vehicle", "project": project.model_dump(by_alias=True)},
