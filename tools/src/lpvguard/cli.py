@@ -445,9 +445,9 @@ def lcm_send(action: Annotated[Literal["pause", "resume", "step", "stop", "injec
 @lcm_app.command("bus", epilog="Example: lpvguard lcm bus RECORDED.lcm -o DRIVE.log && lpvguard replay --vehicle truck DRIVE.log")
 def lcm_bus(log: Annotated[Path, typer.Argument(help="Log of lcm-logger.")], out: Out) -> None:
     """The CAN frames of an LCM log as candump -L writes them: the log that `sim -o` writes, byte for byte."""
-    from .lcm_client import candump_line, read_log
+    from .lcm_client import log_line, read_log
 
-    lines = [candump_line(message) for channel, message in read_log(log) if channel == "LPVGUARD_BUS"]
+    lines = [log_line(message) for channel, message in read_log(log) if channel == "LPVGUARD_BUS"]
     if not lines:
         raise InputError(log, "LPVGUARD_BUS", "holds no frame", "a log of lcm-logger while a simulation ran with --lcm")
     artefacts.write_file(out, "".join(lines))

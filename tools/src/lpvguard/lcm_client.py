@@ -29,6 +29,7 @@ from types import ModuleType
 from typing import Any, Literal
 
 from . import native
+from .can.logs import ERROR_REPORT, EXTENDED, candump_line
 from .core import SUPERVISION, VERDICTS, firmware_root
 from .errors import InputError
 
@@ -102,10 +103,10 @@ def read_log(path: Path) -> Iterator[tuple[str, Any]]:
         log.close()
 
 
-def candump_line(frame: Any) -> str:
+def log_line(frame: Any) -> str:
     """A bus_t as a line of candump -L, as `lpvguard sim -o` writes it."""
-    identifier = f"{frame.id | 0x20000000:08X}" if frame.error else f"{frame.id:08X}" if frame.extended else f"{frame.id:03X}"
-    return f"({frame.utime // 10**6}.{frame.utime % 10**6:06d}) can0 {identifier}#{frame.data[:frame.dlc].hex().upper()}\n"
+    flags = (EXTENDED if frame.extended else 0) | (ERROR_REPORT if frame.error else 0)
+    return candump_line(frame.utime, "can0", frame.id | flags, frame.data[:frame.dlc])
 
 
 def watch(messages: Iterable[tuple[str, Any]]) -> Iterator[str]:

@@ -23,9 +23,10 @@ from ..errors import InputError
 
 EXTENDED = 0x80000000
 """Flag in ``Frames.id``: 29-bit identifier."""
+ERROR_REPORT = 0x20000000
+"""Flag in the identifier of a report of a bus error, as candump logs it."""
 
 _NAME_BYTES, _CHANNELS, _COUNTS, _FD_BYTES = 16, 64, 6, 64
-_ERROR_REPORT = 0x20000000
 _CANDUMP_SUFFIXES = {".log", ".candump", ".txt"}
 _PYTHON_CAN_SUFFIXES = {".asc", ".blf", ".trc"}
 _MDF_SUFFIXES = {".mf4", ".mdf", ".dat"}
@@ -58,6 +59,12 @@ class Frames:
         at = self.channel == self.channels.index(channel)
         arrays = (a[at] for a in (self.t_ns, self.id, self.channel, self.length, self.data))
         return Frames(*arrays, self.channels, self.left_out)
+
+
+def candump_line(t_us: int, channel: str, identifier: int, data: bytes) -> str:
+    """A line of candump -L, which is that of candump -l; ``identifier`` with EXTENDED and, of an error report, ERROR_REPORT."""
+    wide = 8 if identifier & (EXTENDED | ERROR_REPORT) else 3
+    return f"({t_us // 10**6}.{t_us % 10**6:06d}) {channel} {identifier & ~EXTENDED:0{wide}X}#{data.hex().upper()}\n"
 
 
 @dataclass(frozen=True)
@@ -223,7 +230,7 @@ def parse_candump_slowly(text: np.ndarray) -> Frames:
             continue
         seconds, fraction, interface, identifier, remote, data = match.groups()
         value = int(identifier, 16)
-        if len(identifier) == 8 and value & _ERROR_REPORT:
+        if len(identifier) == 8 and value & ERROR_REPORT:
             left_out["error reports"] = left_out.get("error reports", 0) + 1
         elif remote:
             left_out["remote frames"] = left_out.get("remote frames", 0) + 1

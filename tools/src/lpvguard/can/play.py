@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import InputError
 from .catalogue import Catalogue, Message, Signal, load_catalogue
-from .logs import EXTENDED, Frames
+from .logs import EXTENDED, Frames, candump_line
 
 _CRC8_POLYNOMIAL = 0x1D
 COUNTERS = 15
@@ -135,7 +135,7 @@ def values_of_drive(project, drive, catalogue: Catalogue | None = None) -> dict[
 def write_candump(frames: Frames, path: Path) -> None:
     """The frames as ``candump -l`` would have logged them."""
     lines = (
-        f"({t // 10**9}.{t % 10**9 // 1000:06d}) {frames.channels[c]} {i & 0x1FFFFFFF:0{8 if i & EXTENDED else 3}X}#{d[:n].tobytes().hex().upper()}\n"
+        candump_line(t // 1000, frames.channels[c], i, d[:n].tobytes())
         for t, c, i, n, d in zip(
             frames.t_ns.tolist(),
             frames.channel.tolist(),
