@@ -481,7 +481,7 @@ def evaluate(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(he
     for name, reason in result["without_faults"].items():
         console.print(f"no fault injected: {name}: {reason}")
     console.print(f"faults injected into {len(result['drives']) - len(result['without_faults'])} of {len(result['drives'])} drives; "
-                  f"found within {FOUND_WITHIN_S:g} s of judged, excited driving, of all starts (drives: from every start), median s:")
+                  f"found within {FOUND_WITHIN_S:g} s of judged, excited driving, of all starts (drives: from every start), and the median time:")
     ours = {"monitor": (result["false_alarms"]["all"], result["faults"])}
     ours |= {name: (t["false_alarms"], t["faults"]) for name, t in result["tests"].items()}
     console.print(_detector_table(ours))
@@ -609,19 +609,12 @@ def bench(context: typer.Context,
 
 def _detector_table(detectors: dict[str, tuple[dict, list[dict]]], best: list[str] | None = None) -> Table:
     """False alarms and found faults, a column per detector; ``best``: who leads, per fault."""
+    from .evaluate import detector_rows
+
     table = Table("", *detectors, *(["best"] if best else []), box=None)
-    table.add_row("alarmed pieces", *(f"{alarms['alarmed']} of {alarms['pieces']}" for alarms, _ in detectors.values()))
-    table.add_row("starts with an alarm anyway", *(f"{faults[0]['untouched_alarms']} of {faults[0]['counted']}" for _, faults in detectors.values()))
-    for index, row in enumerate(next(iter(detectors.values()))[1]):
-        table.add_row(row["fault"], *(_found(faults[index]) for _, faults in detectors.values()), *([best[index]] if best else []))
+    for row in detector_rows(detectors, best):
+        table.add_row(*row)
     return table
-
-
-def _found(row: dict[str, Any]) -> str:
-    if not row["counted"]:
-        return "no drive qualifies"
-    return (f"{row['found']} of {row['counted']} ({row['drives_found']} of {row['drives']}), "
-            + ("–" if row["median_s"] is None else f"{row['median_s']:.2f}"))
 
 
 def _alarm(a: dict[str, Any]) -> str:

@@ -333,6 +333,24 @@ def ranking(rows: dict[str, dict]) -> list[str]:
     return [name for name, row in rows.items() if merit(row) == best]
 
 
+def detector_rows(detectors: dict[str, tuple[dict, list[dict]]], best: list[str] | None = None) -> list[list[str]]:
+    """Table rows of false alarms and found faults, a column per detector: of each its counts of alarmed pieces and its rows of
+    _fault_rows; ``best``: who leads, per fault, in a last column."""
+    def found(row: dict) -> str:
+        if not row["counted"]:
+            return "no drive qualifies"
+        return (f"{row['found']} of {row['counted']} ({row['drives_found']} of {row['drives']})"
+                + ("" if row["median_s"] is None else f", {row['median_s']:.2f} s"))
+
+    alarms, faults = zip(*detectors.values())
+    rows = [[f"alarmed {PIECE_S:g} s pieces, no fault", *(f"{a['alarmed']} of {a['pieces']}" for a in alarms)],
+            ["starts, untouched drive alarms",
+             *(f"{of[0]['untouched_alarms']} of {of[0]['counted']}" for of in faults)],
+            *([same[0]["fault"], *map(found, same)] for same in zip(*faults)),
+            ["all faults", *(f"{sum(r['found'] for r in of)} of {sum(r['counted'] for r in of)}" for of in faults)]]
+    return [row + [name] for row, name in zip(rows, ["", "", *best, ""])] if best else rows
+
+
 # ---------------------------------------------------------------------------------------------------------------- all
 
 def _without_faults(row: dict) -> str:

@@ -20,7 +20,7 @@ from .design_files import draw
 from .drives import Drive
 from .energy import EnergyTest
 from .evaluate import (EXPORTED, FAULT_FROM_S, FOUND_WITHIN_S, MONITOR, PIECE_S, SHORTEST_FOR_FAULTS_S,
-                       STARTS)
+                       STARTS, detector_rows)
 from .frames import Estimator
 from .identify import DC_STAND_IN, SMALLEST_NU, DriveSet, StoredIdentification, fitting_grid, uncertainty_samples
 from .project import Project
@@ -584,24 +584,10 @@ def _energy(test: EnergyTest, project: Project) -> str:
             f"|z| = {test.rho:.6g} (least ratio {test.certificate['min_ratio']:.9g}); threshold {c.threshold:.4g}: {c.claim()}")
 
 
-def _found(row: dict) -> str:
-    if not row["counted"]:
-        return "no drive qualifies"
-    return (f"{row['found']} of {row['counted']} ({row['drives_found']} of {row['drives']})"
-            + ("" if row["median_s"] is None else f", {row['median_s']:.2f} s"))
-
-
 def _detectors(detectors: dict[str, tuple[dict, list[dict]]], best: list[str] | None = None) -> str:
     """False alarms and found faults, a column per detector (titles are text); ``best``: who leads, per fault."""
-    faults = next(iter(detectors.values()))[1]
-    return _table(["", *map(escape, detectors), *(["best"] if best else [])], [
-        [f"alarmed {PIECE_S:g} s pieces, no fault", *(f"{a['alarmed']} of {a['pieces']}" for a, _ in detectors.values()), *([""] if best else [])],
-        [f"starts after which the untouched drive alarms within {FOUND_WITHIN_S:g} s",
-         *(f"{rows[0]['untouched_alarms']} of {rows[0]['counted']}" for _, rows in detectors.values()), *([""] if best else [])],
-        *([escape(row["fault"]), *(_found(rows[i]) for _, rows in detectors.values()), *([escape(best[i])] if best else [])]
-          for i, row in enumerate(faults)),
-        ["all faults", *(f"{sum(r['found'] for r in rows)} of {sum(r['counted'] for r in rows)}" for _, rows in detectors.values()),
-         *([""] if best else [])]])
+    return _table(["", *map(escape, detectors), *(["best"] if best else [])],
+                  [[escape(cell) for cell in row] for row in detector_rows(detectors, best)])
 
 
 def _evaluation_section(evaluation: dict) -> str:
