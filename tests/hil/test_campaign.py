@@ -140,6 +140,15 @@ def test_speeds_are_constant_drift_or_sweep_the_range():
     assert 0.05 - 1e-9 <= min(slopes) and max(slopes) <= 0.3 + 1e-9
 
 
+def test_a_fault_found_with_its_first_sample_is_not_taken_for_an_alarm_before_it(truck_folder):
+    """A yaw rate that jumps by 0.2 rad/s: seen in the sample at the fault's time, which is not the run's 6000th."""
+    jump = "[[plant.sensor_fault]]\nsignal = \"yaw_rate\"\nstart_s = 60.0\nbias = 0.2\n"
+    context = stage.Context(truck_folder, 1, ((0.01, 0.01), (1.0,)), ())
+    row = stage.run_case(context, stage.Case(stage.FIRST_FAULT, "yaw-rate bias", 0.2, -1, 60.0, jump))
+    assert not row["monitor_before"] and row["monitor_score_before"] < 1.0
+    assert row["monitor_found_s"] <= 0.05 and row["ecu_invalid_s"] == pytest.approx(60.0, abs=0.05)
+
+
 def test_what_is_drawn_depends_on_seed_and_number_alone():
     case = stage.Case(17, "within", 0.0, 0, 0.0, stage.draw_variation(5, 3))
     assert stage.scenario_text(5, case) == stage.scenario_text(5, case)

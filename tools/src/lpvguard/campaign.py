@@ -81,7 +81,7 @@ FOUND_WITHIN_S = 60.0
 VISIBLE_RATIO, VISIBLE_SHARE, VISIBLE_FOUND = 1.5, 0.1, 0.95
 STRIDE = 10
 LATENCY_S = 1.0
-"""From the end of a frame to the verdict that says so, and what the run's clock is ahead of the drive's: a reserve over both."""
+"""From the end of a frame to the verdict that says so: a reserve."""
 CHUNK = 40
 PLANTS = 24
 RESPONSE_SPEEDS = (8.3, 12.0, 17.0, 21.7)
@@ -416,7 +416,7 @@ class Offline:
         e, yhat = nominal_error(drive, model)
         both = np.hstack([e, yhat])
         calm = np.concatenate([[0], np.cumsum(~replayer.excited(drive))])
-        first = round(from_s / model.Ts)
+        first = first_sample(drive, from_s, model.Ts)
         excited, after, due = [], [], np.inf
         for k, length in enumerate(estimator.length):
             counted = estimator.counted(drive.v, k)[::STRIDE]
@@ -428,7 +428,7 @@ class Offline:
             after.append(margins[later])
             excited.append(margins[later & (calm[starts + length] == calm[starts])])
             begin = _first_stretch(starts, margins >= VISIBLE_RATIO * replayer.threshold, length // 2)
-            due = due if begin is None else min(due, (begin + length // 2 + length) * model.Ts - from_s)
+            due = due if begin is None else min(due, (begin + length // 2 + length - first) * model.Ts)
         excited, after = np.concatenate(excited), np.concatenate(after)
         share = float((excited >= VISIBLE_RATIO * replayer.threshold).mean()) if len(excited) else 0.0
         return cls(share, due if np.isfinite(due) else None, float(np.median(after)) if len(after) else None,
@@ -440,6 +440,11 @@ def _first_stretch(starts: np.ndarray, above: np.ndarray, length: int) -> int | 
     good = starts[above]
     edges = np.flatnonzero(np.diff(good) != STRIDE) + 1
     return next((int(run[0]) for run in np.split(good, edges) if len(run) and run[-1] - run[0] >= length), None)
+
+
+def first_sample(drive: Drive, run_s: float, Ts: float) -> int:
+    """Index of the first sample at or after a time of the run: the drive begins when the ECU has all signals, tenths of a second later."""
+    return max(0, round((run_s - float(drive.t[0])) / Ts))
 
 
 @dataclass(frozen=True)
@@ -476,7 +481,7 @@ def run_case(context: Context, case: Case) -> dict[str, Any]:
         facts, drive, present = simulator.drive(path, log=log)
         reactions = supervision(simulator, facts, tomllib.loads(path.read_text(encoding="utf-8")), log, case.fault_s)
     replay = replayer.replay(drive, present)
-    clock = Clock.of(replay, round(case.fault_s / replay.Ts))
+    clock = Clock.of(replay, first_sample(drive, case.fault_s, replay.Ts))
     offline = Offline.of(replayer, drive, case.fault_s)
     row: dict[str, Any] = {
         "number": case.number, "kind": case.kind, "severity": case.severity, "plant": case.plant, "seed": facts["seed"],
