@@ -403,6 +403,10 @@ def map_key() -> Figure:
     return figure
 
 
+SOONEST_S = 0.01
+"""Where times below stand in `time_to_find`: its axis is logarithmic."""
+
+
 @picture
 def time_to_find(faults: list[dict], allowed_s: float) -> Figure:
     """Judged, excited seconds from each fault to the alarm it caused, a mark per case."""
@@ -412,14 +416,14 @@ def time_to_find(faults: list[dict], allowed_s: float) -> Figure:
     for y, row in enumerate(faults):
         spread = np.linspace(-0.22, 0.22, len(row["cases"])) if len(row["cases"]) > 1 else np.zeros(len(row["cases"]))
         for dy, case in zip(spread, row["cases"]):
-            x = never if case["s"] is None else max(case["s"], 0.1)
+            x = never if case["s"] is None else max(case["s"], SOONEST_S)
             found = case["s"] is not None
             axes.plot(x, y + dy, "o" if found else "X", ms=4, color=BLUE if found else RED)
         axes.text(1.01, y, f"{row['found']} of {row['counted']}", transform=axes.get_yaxis_transform(), va="center", fontsize=8)
     axes.axvline(allowed_s, color=ORANGE, ls="--")
     axes.set_xscale("log")
-    axes.set_xlim(0.08, 1.4 * never)
-    ticks = [t for t in (0.1, 0.3, 1, 3, 10, 30) if t <= allowed_s]
+    axes.set_xlim(0.8 * SOONEST_S, 1.4 * never)
+    ticks = [t for t in (SOONEST_S, 0.03, 0.1, 0.3, 1, 3, 10, 30) if t <= allowed_s]
     axes.set_xticks([*ticks, never], [*(f"{t:g}" for t in ticks), "not"])
     axes.xaxis.set_minor_locator(NullLocator())
     axes.set_yticks(range(len(faults)), [row["fault"] for row in faults])

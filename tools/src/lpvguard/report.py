@@ -544,7 +544,7 @@ def _drive_page(stored: StoredIdentification, replayer: Replayer, drive: Drive, 
         alarms = _table(
             ["alarm at, s", "test", "bin, rad/s", "speed, m/s", "margin", "statistic", "threshold", "|E|", "|Z|",
              "W<sub>Δ</sub>", "B<sub>w</sub>", "evidence"],
-            [[f"{a.t_s:.2f}", a.test, _number(a.bin_rad_s), f"{a.speed_mps:.1f}", _number(a.margin), _number(a.statistic),
+            [[f"{a.t_s:.2f}", a.test if a.band is None else f"{a.test}, {a.band}", _number(a.bin_rad_s), f"{a.speed_mps:.1f}", _number(a.margin), _number(a.statistic),
               _number(a.threshold), _number(np.linalg.norm(a.E)), _number(np.linalg.norm(a.Z)),
               _number(a.W_delta), ", ".join(_number(b) for b in a.B_w),
               _number(a.evidence)] for a in listed]) + more
@@ -566,7 +566,7 @@ def _drive_section(found: _Pass, replayer: Replayer) -> str:
         "blank: no frame. Triangles: alarms, at "
         "the end of the falsifying frame, pointing back to its cell; from above: alarms of the energy test. Below: speed, with the model's range dashed, and "
         "the monitor's verdict. In the alarm tables |E| and |Z| are "
-        "Euclidean norms in output units (energy test: |E| of F e, |Z| of F W<sub>Δ</sub> ŷ with forgetting, B<sub>w</sub> is σ), and evidence is the margin of a vehicle that does not respond. Judged seconds "
+        "Euclidean norms in output units (energy test, below, between or above its corners: |E| of F e, |Z| of F W<sub>Δ</sub> ŷ with forgetting, B<sub>w</sub> is σ), and evidence is the margin of a vehicle that does not respond. Judged seconds "
         "lie in a counted frame of any "
         "bin, with evidence or not; the verdict “valid” asks for evidence within the longest frame, so a drive can be "
         "judged all along and its verdict "
@@ -579,7 +579,7 @@ def _drive_section(found: _Pass, replayer: Replayer) -> str:
 def _energy(test: EnergyTest, project: Project) -> str:
     """Settings and numbers of the energy test in a sentence."""
     c = test.calibration
-    return (f"corners {test.band_hz[0]:g} and {test.band_hz[1]:g} Hz, memory {test.memory_s:g} s, judged {test.settle * test.Ts:.3g} s after entering "
+    return (f"corners {test.band_hz[0]:g} and {test.band_hz[1]:g} Hz, memory {test.memory_s:g} s, above them {test.memories_s[-1]:.3g} s and the constant {test.above:.3g} for W<sub>Δ</sub>, judged {test.settle * test.Ts:.3g} s after entering "
             f"the range; σ: {escape(test.sigma_text(project))}; {len(test.directions)} direction(s); W<sub>Δ</sub> as a filter proved above its bound on the circle "
             f"|z| = {test.rho:.6g} (least ratio {test.certificate['min_ratio']:.9g}); threshold {c.threshold:.4g}: {c.claim()}")
 
@@ -618,7 +618,7 @@ def _evaluation_section(evaluation: dict) -> str:
         figure = _figure(
             pictures.time_to_find("f7", evaluation["faults"], FOUND_WITHIN_S),
             f"<b>Time to find.</b> A mark per start in a drive: judged, excited driving from the fault's start to the alarm that it caused. "
-            f"Crosses: not within {FOUND_WITHIN_S:g} s (dashed). Times below 0.1 s stand at 0.1 s. Right: found of all.")
+            f"Crosses: not within {FOUND_WITHIN_S:g} s (dashed). Times below {pictures.SOONEST_S:g} s stand there. Right: found of all.")
     tried = len(evaluation["drives"]) - len(evaluation["without_faults"])
     return f"""<h2>Evaluation, leave one drive out</h2>
 <p>Every drive that did not set the bounds runs through the compiled core with thresholds from
