@@ -61,7 +61,7 @@ TEST_CASE("foreign, old and erased coefficients are named as such, CRC right or 
         {"number type", lpvg_status_bad_size, [](lpvg_coeff_t& c) { c.words.real_bytes = 12U - c.words.real_bytes; }},
         {"estimator", lpvg_status_bad_estimator, [](lpvg_coeff_t& c) { c.words.estimator_id ^= 1U; }},
     };
-    for (std::size_t i = 0; i < 9U; ++i) {
+    for (std::size_t i = 0; i < sizeof lpvg_coeff.words.sizes / sizeof lpvg_coeff.words.sizes[0]; ++i) {
         cases.push_back({"size", lpvg_status_bad_size, [i](lpvg_coeff_t& c) { ++c.words.sizes[i]; }});
     }
     for (const Case& test : cases) {
