@@ -19,9 +19,10 @@ frequencies, after a gain >= 1 where the weight falls with frequency.
 **F** is each of BANDS in turn: with the first-order low-passes L_1, L_2 (plain bilinear) of the two corners, L_1 L_2 below them,
 (1 - L_1) L_2 between, 1 - L_2 above; they sum to 1. Any stable F is sound, and each is a condition by itself. Drives meet large
 errors that stay (bank, offsets) and small fast ones: in a band of their own neither hides the other's kind, as they would in
-one sigma. The corners are those of the frames; below them a constant error counts, as DC does among the frames. Above them no frame bounds
-W_delta: a constant stands for it there, the largest of it but not less than 1, so the vehicle need not respond at all. The memory is as
-much shorter there as the second corner is higher: a jump need not stand out from all that was steered for a period of the first.
+one sigma. The corners are those of the frames; below them a constant error counts, as DC does among the frames. Above them no
+frame bounds W_delta: a constant stands for it there, the largest of it but not less than 1, so the vehicle need not respond at
+all. The memory is as much shorter there as the second corner is higher: a jump need not stand out from all that was steered for
+a period of the first.
 
 **sigma_j** of a band is the least number with which the inequality of output j alone holds, from rest, at every sample of every
 drive that set the bounds or the noise; then a band's are multiplied by the least common factor with which it holds for the fan of
@@ -93,9 +94,9 @@ def _norm_in(sums: np.ndarray, directions: np.ndarray) -> np.ndarray:
 class EnergyTest:
     """Filters, sigma and calibration, per band of BANDS. Units: ``sigma`` (3, n_y) the outputs', ``start`` (3, n_y) their squares.
 
-    ``F`` (3, 6): a section in z per band. ``W``: sections (S, 6) in z; ``above``: the constant in its place above the corners. ``gain``: what W_delta was raised by to stay above its bound
-    when warped. ``joint`` (3,): the common factor >= 1 in sigma that the fan, or a cut drive, asked for. ``directions`` (D, n_y) in
-    units of sigma.
+    ``F`` (3, 6): a section in z per band. ``W``: sections (S, 6) in z; ``above``: the constant in its place above the corners.
+    ``gain``: what W_delta was raised by to stay above its bound when warped. ``joint`` (3,): the common factor >= 1 in sigma that the
+    fan, or a cut drive, asked for. ``directions`` (D, n_y) in units of sigma.
     """
 
     Ts: float
@@ -138,9 +139,10 @@ class EnergyTest:
         F = [_sections(nothing, both, low_rad * high_rad, 1 / Ts, 1.0), _sections(np.zeros(1), both, high_rad, 1 / Ts, 1.0),
              _sections(np.zeros(1), both[1:], 1.0, 1 / Ts, 1.0)]
         each = (len(BANDS), project.n_y)
+        largest = inflation * float(raised.magnitude(np.geomspace(high_rad, 1e4 * high_rad, 1000)).max())
         return cls(Ts, memory, (low, high), settle, estimator.speed_range, np.concatenate(F),
                    _sections(raised.zeros(), raised.poles(), inflation * raised.num[0] / raised.den[0], 1 / Ts, rho),
-                   max(1.0, inflation * float(raised.magnitude(np.geomspace(high_rad, 1e4 * high_rad, 1000)).max())), gain, certificate.to_dict(), fan(project.n_y), np.ones(each), np.zeros(each))
+                   max(1.0, largest), gain, certificate.to_dict(), fan(project.n_y), np.ones(each), np.zeros(each))
 
     @property
     def memories_s(self) -> np.ndarray:
