@@ -13,8 +13,9 @@ from lpvguard.campaign import supervision
 from lpvguard.can.catalogue import load_catalogue
 from lpvguard.can.logs import EXTENDED, Frames, read_log
 from lpvguard.can.play import encode, protect
+from lpvguard.project import load_project
 from lpvguard.sim import RECOVERY_S, can_fault_table, load_scenario, shipped_scenarios, steady_scenario
-from lpvguard.supervision import HOLD, LIVE, OFF, Reactions, needed_messages, required
+from lpvguard.supervision import HOLD, LIVE, OFF, Reactions, limits, needed_messages, required
 
 SEEDS = (1, 2, 3)
 ON_BUS = [n for n in shipped_scenarios() if "can_fault" in load_scenario(n).path.read_text()]
@@ -138,6 +139,21 @@ def test_a_firmware_that_held_too_long_would_be_found(simulator, tmp_path):
     assert supervision(simulator, facts, scenario, None, 0.0).unwarranted_s == pytest.approx(5.01)
 
 
+def test_a_value_that_the_bus_allows_and_the_vehicle_does_not_is_off_while_it_lasts():
+    """As the ECU does: a speed of 145 km/h, where the message table ends at 150 and the truck's signals at 40 m/s."""
+    at = np.arange(40)
+    bus = frames(VDC2, periods(40), good(VDC2, 40, yaw_rate=np.where((at >= 20) & (at < 30), 0.05, 0.0)))
+    within = {("VDC2", "yaw_rate"): (-0.04, 0.04)}
+    states = required(bus, [VDC2], periods(40), within=within)
+    assert (states[4:20] == LIVE).all() and (states[20:30] == OFF).all() and (states[30:] == LIVE).all()
+    late = required(bus, [VDC2], 29 * PERIOD_US + np.array([0, 35_001]), within=within)
+    assert late.tolist() == [OFF, LIVE], "the frame after it is good"
+    silent = frames(VDC2, periods(30), bus.data[:30])
+    assert required(silent, [VDC2], 29 * PERIOD_US + np.array([0, 35_001]), within=within).tolist() == [OFF, HOLD]
+    truck = limits(load_project("truck"))
+    assert truck["EBC2", "front_axle_speed"][1] == pytest.approx(144.0)
+
+
 @pytest.mark.parametrize("name", ON_BUS)
 def test_scenarios_expect_of_the_supervision_what_the_frames_require(name, simulator, tmp_path):
     """"live" where never another state is required; "reacts" where one is, no later than the scenario says, and live again after."""
@@ -147,7 +163,7 @@ def test_scenarios_expect_of_the_supervision_what_the_frames_require(name, simul
     for seed in SEEDS:
         facts, _, _ = simulator.drive(scenario.path, seed=seed, log=log)
         ticks = np.arange(round(RECOVERY_S / Ts), round(facts["duration_s"] / Ts))
-        must = required(read_log(log), needed_messages(simulator.project), ticks * round(Ts * 1e6), off)
+        must = required(read_log(log), needed_messages(simulator.project), ticks * round(Ts * 1e6), off, limits(simulator.project))
         if expect.supervision == "live":
             assert (must == LIVE).all()
             continue

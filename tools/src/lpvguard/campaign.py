@@ -69,7 +69,7 @@ from .nominal import NominalModel
 from .parallel import Map
 from .replay import Replay, Replayer
 from .sim import RECOVERY_S, SUPERVISION, Simulator
-from .supervision import LIVE, Reactions, needed_messages, required
+from .supervision import LIVE, Reactions, limits, needed_messages, required
 from .synthesis.statespace import StateSpace, gain
 from .validation import s1
 
@@ -516,7 +516,7 @@ def supervision(simulator: Simulator, facts: dict[str, Any], scenario: dict[str,
     if log is None:
         return Reactions.of(said, np.full(len(ticks_us), LIVE), Ts)
     off_us = [round(fault["start_s"] * 1e6) for fault in scenario.get("can_fault", ()) if fault["kind"] == "bus_off"]
-    return Reactions.of(said, required(read_log(log), needed_messages(simulator.project), ticks_us, off_us), Ts)
+    return Reactions.of(said, required(read_log(log), needed_messages(simulator.project), ticks_us, off_us, limits(simulator.project)), Ts)
 
 
 def _statistic(replayer: Replayer, replay: Replay, drive: Drive) -> np.ndarray:

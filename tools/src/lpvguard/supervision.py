@@ -13,14 +13,16 @@ counter where the table gives it these (counter as in the frame before, 15, or m
 signal that is "error" or "not available", outside its range or, since the newest good frame, faster than allowed plus one raw step.
 "Off" forgets counter and values.
 
-The ECU says the worst state of the messages that its vehicle needs, at every tick, of what arrived up to it.
+The ECU says the worst state of the messages that its vehicle needs, at every tick, of what arrived up to it; and off where all are
+live but a newest good value is outside the range that the vehicle's own signal table gives it: such a sample is refused.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -44,14 +46,32 @@ def needed_messages(project: Project) -> list[Message]:
     return [catalogue.message(name) for name in sorted({p.message for p in places if p is not None})]
 
 
-def required(frames: Frames, messages: Sequence[Message], ticks_us: np.ndarray, bus_off_us: Sequence[int] = ()) -> np.ndarray:
-    """(N,) the worst state of ``messages`` at each tick. ``frames`` in the order of arrival; ``bus_off_us``: times of the reports."""
-    worst = np.full(len(ticks_us), LIVE)
+Limits = Mapping[tuple[str, str], tuple[float, float]]
+"""Least and largest bus value that a vehicle takes, by message and signal."""
+
+
+def limits(project: Project) -> dict[tuple[str, str], tuple[float, float]]:
+    """What the vehicle's signal table allows the signals that the bus carries to its monitor."""
+    return {(s.can.message, s.can.signal): tuple(sorted((s.can.factor * s.min, s.can.factor * s.max)))
+            for s in (project.speed, *project.outputs) if s.can is not None}
+
+
+def required(frames: Frames, messages: Sequence[Message], ticks_us: np.ndarray, bus_off_us: Sequence[int] = (),
+             within: Limits = MappingProxyType({})) -> np.ndarray:
+    """(N,) what must be said at each tick of ``messages``. ``frames`` in the order of arrival; ``bus_off_us``: times of the reports;
+    ``within``: of the vehicle, see ``limits``."""
+    worst, refused = np.full(len(ticks_us), LIVE), np.zeros(len(ticks_us), bool)
     for message in messages:
         at = np.flatnonzero((frames.id & np.uint32(ANY_PRIORITY)) == np.uint32((message.id | EXTENDED) & ANY_PRIORITY))
-        times, states = zip(*_states(message, frames.t_ns[at] // 1000, frames.length[at], frames.data[at, :8], sorted(bus_off_us)))
+        watch = _watched(message, frames.t_ns[at] // 1000, frames.length[at], frames.data[at, :8], sorted(bus_off_us))
+        times, states = zip(*watch.changes)
         worst = np.minimum(worst, np.array(states)[np.searchsorted(times, ticks_us, side="right") - 1])
-    return worst
+        for column, signal in enumerate(message.supervised):
+            low, high = within.get((message.name, signal.name), (-math.inf, math.inf))
+            value = np.array([0.0, *(signal.scale * values[column] + signal.offset for _, values in watch.taken)])
+            newest = np.searchsorted([t for t, _ in watch.taken], ticks_us, side="right")
+            refused |= (newest > 0) & ((value < low) | (value > high))[newest]
+    return np.where(refused & (worst == LIVE), OFF, worst)
 
 
 @dataclass
@@ -68,6 +88,7 @@ class _Watch:
 
     def __post_init__(self) -> None:
         self.changes = [(-1, OFF)]
+        self.taken: list[tuple[int, list[int]]] = []
 
     def go(self, t: int, state: int) -> None:
         if state == OFF:
@@ -92,6 +113,7 @@ class _Watch:
 
     def good(self, t: int, values: list[int]) -> None:
         self.accepted, self.values = t, values
+        self.taken.append((t, values))
         if self.state != OFF:
             self.score = max(0, self.score - 1)
             self.go(t, LIVE)
@@ -102,8 +124,8 @@ class _Watch:
             self.go(t, LIVE)
 
 
-def _states(message: Message, t_us: np.ndarray, length: np.ndarray, data: np.ndarray, bus_off_us: Sequence[int]) -> list[tuple[int, int]]:
-    """Changes of state of a message from its frames: t_us (N,), length (N,), data (N, 8)."""
+def _watched(message: Message, t_us: np.ndarray, length: np.ndarray, data: np.ndarray, bus_off_us: Sequence[int]) -> _Watch:
+    """Of a message's frames, t_us (N,), length (N,), data (N, 8): changes of state, and the good ones."""
     signals = message.supervised
     raw = np.column_stack([_raw(data, s) for s in signals]) if signals else np.zeros((len(t_us), 0), int)
     early = np.diff(t_us, prepend=-message.period_ms * 1000) < message.period_ms * 1000 // GAP_FRACTION
@@ -135,7 +157,7 @@ def _states(message: Message, t_us: np.ndarray, length: np.ndarray, data: np.nda
     for t in (*reports, np.iinfo(np.int64).max):
         watch.pass_time(int(t))
         watch.go(int(t), OFF)
-    return watch.changes
+    return watch
 
 
 def _raw(data: np.ndarray, signal: Signal) -> np.ndarray:
