@@ -53,7 +53,8 @@ Row<ny> direction(const lpvg_coeff_reals_t& r, std::size_t index, std::size_t ba
 }
 
 // sqrt(a' G a); rounding may leave a small negative number where a direction carries nothing.
-Real norm(const Real* gram, const Row<ny>& a) {
+Real norm(const Real* gram, const Row<ny>& along) {
+    const Real* const a = along.data();
     Real sum = Real(0);
     std::size_t k = 0;
     for (std::size_t i = 0; i < LPVG_NY; ++i) {
