@@ -66,11 +66,12 @@ def required(frames: Frames, messages: Sequence[Message], ticks_us: np.ndarray, 
         watch = _watched(message, frames.t_ns[at] // 1000, frames.length[at], frames.data[at, :8], sorted(bus_off_us))
         times, states = zip(*watch.changes)
         worst = np.minimum(worst, np.array(states)[np.searchsorted(times, ticks_us, side="right") - 1])
+        newest = np.searchsorted([t for t, _ in watch.taken], ticks_us, side="right")  # 0: none yet
         for column, signal in enumerate(message.supervised):
-            low, high = within.get((message.name, signal.name), (-math.inf, math.inf))
-            value = np.array([0.0, *(signal.scale * values[column] + signal.offset for _, values in watch.taken)])
-            newest = np.searchsorted([t for t, _ in watch.taken], ticks_us, side="right")
-            refused |= (newest > 0) & ((value < low) | (value > high))[newest]
+            if (message.name, signal.name) in within:
+                low, high = within[message.name, signal.name]
+                value = np.array([low, *(signal.scale * values[column] + signal.offset for _, values in watch.taken)])
+                refused |= ((value < low) | (value > high))[newest]
     return np.where(refused & (worst == LIVE), OFF, worst)
 
 
