@@ -24,7 +24,7 @@ corrupted or late value that passes for a good one is a model error to whoever s
 
 Files in the campaign's folder (each whole or absent; a campaign that was stopped goes on where it was):
 
-    MANIFEST.json      what was asked: seed, sizes, inputs; another campaign is refused
+    MANIFEST.json      what was asked: seed, sizes, inputs; another campaign is refused; and the seal of the files so far
     baselines.json     parameters and thresholds of the baselines (evaluate.BaselineStudy, all calibration drives)
     plants.json        candidates for "within" with their t*, and t* of the faulted trucks
     chunks/NNNNN.parquet   rows of CHUNK runs
@@ -35,7 +35,6 @@ Files in the campaign's folder (each whole or absent; a campaign that was stoppe
 from __future__ import annotations
 
 import io
-import os
 import subprocess
 import tempfile
 import tomllib
@@ -562,13 +561,17 @@ def campaign(stored: StoredIdentification, drives: DriveSet, folder: Path, out: 
     _require_same(stored, replayer)
     if controller is not None:
         _require_designed_for(stored, controller)
-    _claim(out, artefacts.manifest("campaign", seed=seed, size=asdict(size), vehicle=artefacts.read_manifest(folder, "vehicle"),
-                                   plan={k.name: [k.table, *k.values] for k in KINDS}, duration_s=DURATION_S))
+    with artefacts.kept_folder(out, "campaign", seed=seed, size=asdict(size), vehicle=artefacts.read_manifest(folder, "vehicle"),
+                               plan={k.name: [k.table, *k.values] for k in KINDS}, duration_s=DURATION_S) as kept_in:
+        return _go_on(stored, drives, folder, kept_in, replayer, core, seed, size, controller, workers, progress)
 
+
+def _go_on(stored: StoredIdentification, drives: DriveSet, folder: Path, out: artefacts.KeptFolder, replayer: Replayer, core: Core,
+           seed: int, size: Size, controller: Path | None, workers: Map, progress: Progress) -> dict[str, Any]:
     def kept(name: str, make: Callable[[], Any]) -> Any:
-        if not (out / name).is_file():
-            artefacts.write_file(out / name, artefacts.to_json(make()))
-        return artefacts.read_json(out / name)
+        if not out.has(name):
+            out.write(name, artefacts.to_json(make()).encode())
+        return artefacts.read_json(out.folder / name)
 
     tuned = kept("baselines.json", lambda: _tune(stored, drives, core, workers, progress))
     found = kept("plants.json", lambda: plants(replayer.model, Bounds.of(stored, replayer.estimator), seed, workers, progress))
@@ -577,21 +580,21 @@ def campaign(stored: StoredIdentification, drives: DriveSet, folder: Path, out: 
                       tuple((Baseline(**b["parameters"]), b["threshold"]) for b in tuned["chosen"]))
     cases = plan(size, [c["tables"] for c in found["candidates"] if c["margin"] <= 1][:PLANTS])
     chunks = [cases[i:i + CHUNK] for i in range(0, len(cases), CHUNK)]
-    paths = [out / "chunks" / f"{i:05d}.parquet" for i in range(len(chunks))]
-    left = [(p, c) for p, c in zip(paths, chunks) if not p.is_file()]
+    names = [f"chunks/{i:05d}.parquet" for i in range(len(chunks))]
+    left = [(n, c) for n, c in zip(names, chunks) if not out.has(n)]
     rows = iter(workers(partial(run_case, context), [case for _, chunk in left for case in chunk]))
     done = sum(len(c) for c in chunks) - sum(len(c) for _, c in left)
-    for path, chunk in left:
+    for name, chunk in left:
         table = []
         for case in chunk:
             table.append(next(rows))
             done += 1
             progress(f"run {done} of {len(cases)}, {case.kind}")
-        _write_table(pa.Table.from_pylist(table, schema=_schema(table[0])), path)
-    table = pa.concat_tables([pq.read_table(p) for p in paths])
-    _write_table(table, out / "runs.parquet")
+        out.write(name, _parquet(pa.Table.from_pylist(table, schema=_schema(table[0]))))
+    table = pa.concat_tables([pq.read_table(out.folder / n) for n in names])
+    out.write("runs.parquet", _parquet(table))
     summary = summarise(table, stored, found, levels, tuned)
-    artefacts.write_file(out / "summary.json", artefacts.to_json(summary))
+    out.write("summary.json", artefacts.to_json(summary).encode())
     return summary
 
 
@@ -607,17 +610,6 @@ def _require_designed_for(stored: StoredIdentification, controller: Path) -> Non
         raise InputError(controller.parent, "identification", "is another one", f"a design of {stored.folder}")
 
 
-def _claim(out: Path, manifest: str) -> None:
-    path = Path(out) / artefacts.MANIFEST
-    if path.is_file():
-        if path.read_text(encoding="utf-8") != manifest:
-            raise InputError(out, "-o", "holds a campaign with other settings or another vehicle", "a new folder, or the same settings")
-        return
-    if Path(out).exists() and any(Path(out).iterdir()):
-        raise InputError(out, "-o", "exists and is no campaign", "a new or empty folder")
-    artefacts.write_file(path, manifest)
-
-
 def _tune(stored: StoredIdentification, drives: DriveSet, core: Core, workers: Map, progress: Progress) -> dict[str, Any]:
     study = BaselineStudy(stored, drives, core, left_out=(None,), workers=workers, progress=progress)
     chosen = [study.best(kind) for kind in BASELINE_KINDS]
@@ -631,11 +623,10 @@ def _schema(row: dict[str, Any]) -> pa.Schema:
     return pa.schema([(name, types.get(type(value), pa.float64())) for name, value in row.items()])
 
 
-def _write_table(table: pa.Table, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(".part")
-    pq.write_table(table, part)
-    os.replace(part, path)
+def _parquet(table: pa.Table) -> bytes:
+    stream = io.BytesIO()
+    pq.write_table(table, stream)
+    return stream.getvalue()
 
 
 # ------------------------------------------------------------------------------------------------------------- the tables

@@ -6,14 +6,17 @@ standard error. Nothing is written except where -o or --json says.
 
 from __future__ import annotations
 
+import json
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import click
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -22,7 +25,81 @@ from rich.table import Table
 from . import __version__, artefacts
 from .errors import InputError
 
-app = typer.Typer(add_completion=False, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False,
+
+
+def _paths(parameter: click.Parameter, value: Any) -> list[Path]:
+    """The paths that a parameter's value names: a text that is no path may also be a vehicle's name, a bus or a number."""
+    texts = [str(v) for v in (value if isinstance(value, (list, tuple)) else [value]) if v is not None]
+    return [Path(text) for text in texts if isinstance(parameter.type, click.Path) or Path(text).is_file()]
+
+
+def _lcm_log(url: Any) -> str | None:
+    """The file that an LCM URL makes a log of."""
+    return url.removeprefix("file://").split("?")[0] if isinstance(url, str) and url.startswith("file:") and "mode=w" in url else None
+
+
+class _Guarded(typer.core.TyperCommand):
+    """A command whose outputs (-o, --json) are apart from its inputs (every other path), replace nothing but its own, and are its
+    own while it runs. All is refused before anything is done."""
+
+    FILES = ("report", "solve", "dbc", "bus", "plant")
+    """Commands whose -o is a file."""
+
+    def invoke(self, context: click.Context) -> Any:
+        folders, files, inputs = [], [], []
+        for parameter in self.get_params(context):
+            value = context.params.get(parameter.name)
+            if {"-o", "--json"} & set(parameter.opts):
+                if value is not None and str(value) != "-":
+                    folder = "-o" in parameter.opts and context.info_name not in self.FILES
+                    (folders if folder else files).append(Path(value))
+            elif log := _lcm_log(value) if parameter.name == "lcm" else None:
+                files.append(Path(log))
+            else:
+                inputs += _paths(parameter, value)
+        kind = context.info_name
+        words = list(context.args)
+        if kind == "bench":
+            kind += f" {context.params['name']}"
+        for index, word in enumerate(words):  # of bench and plant, which read their options themselves
+            name, _, value = word.partition("=")
+            if index and words[index - 1] in ("-o", "--json") or name == "--json" and value:
+                files += [Path(value or word)] if (value or word) != "-" else []
+            elif Path(word).exists():
+                inputs.append(Path(word))
+        files = [f for f in files if not f.exists() or f.is_file() or f.is_dir()]
+        with ExitStack() as held:
+            for path in inputs:
+                artefacts.recover(path)
+            artefacts.require_apart([*folders, *files], [*inputs, *_own_sources(context.info_name)])
+            for target in folders:
+                held.enter_context(artefacts.claimed(target))
+                artefacts.require_replaceable_folder(target, resumed=context.info_name == "campaign")
+            for target in files:
+                held.enter_context(artefacts.claimed(target))
+                if context.info_name != "bus":  # whose bytes decide
+                    artefacts.require_replaceable_file(target, kind)
+            return super().invoke(context)
+
+
+def _own_sources(command: str | None) -> list[Path]:
+    """What is compiled or read without being named. The shipped folders are what `export` may write."""
+    from .core import PACKAGE, firmware_root, library_root
+
+    library = library_root()
+    found = [PACKAGE, *([library / "src", library / "include"] if command == "export" else [library])]
+    try:
+        return [*found, firmware_root()]
+    except InputError:
+        return found
+
+
+class _Application(typer.Typer):
+    def command(self, *arguments: Any, **options: Any) -> Any:
+        return super().command(*arguments, **{"cls": _Guarded, **options})
+
+
+app = _Application(add_completion=False, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False,
                   context_settings={"help_option_names": ["-h", "--help"]},
                   help="From recorded drives to a compiled monitor and controller. Exit status 0, 1 (a finding), 2 (bad input).")
 # Away from a terminal nothing is known of the reader's width: keep rows whole.
@@ -45,11 +122,9 @@ def _progress(title: str) -> Iterator[Callable[[str], None]]:
         yield lambda text: bar.update(task, description=f"{title}: {text}")
 
 
-def _emit(json_out: str | None, value: Any) -> None:
-    if json_out == "-":
-        sys.stdout.write(artefacts.to_json(value))
-    elif json_out:
-        artefacts.write_file(Path(json_out), artefacts.to_json(value))
+def _emit(json_out: str | None, value: Any, *, each: bool = False) -> None:
+    if json_out:
+        artefacts.write_json(json_out, value, click.get_current_context().info_name, each=each)
 
 
 def _load_project(vehicle: str):
@@ -83,7 +158,14 @@ def plant(context: typer.Context) -> None:
     """Run the simulated truck's own tool: its frequency response against Table I, single experiments, a digest."""
     from .generate import plant_tool
 
-    raise typer.Exit(subprocess.run([plant_tool(), *context.args], check=False).returncode)
+    words = list(context.args)
+    at = words.index("-o") + 1 if "-o" in words[:-1] else None
+    with nullcontext() if at is None else artefacts.new_file(Path(words[at]), "plant") as scratch:
+        if at is not None:
+            words[at] = scratch
+        status = subprocess.run([plant_tool(), *words], check=False).returncode
+        if at is None or status:
+            raise typer.Exit(status)
 
 
 @app.command(epilog="Example: lpvguard ingest drive.log --dbc car.dbc --signals map.toml -o out/drives")
@@ -101,7 +183,7 @@ def ingest(logs: Annotated[list[Path], typer.Argument(help="candump (-l, -L, .gz
         raise InputError("ingest", "--signals, --vehicle", "both or neither given", "exactly one of them")
     with _progress("ingest"):
         report = run(logs, dbc=dbc, signals_map=signals or map_of_project(_load_project(vehicle)), out=out)
-    _emit(json_out, report)
+    _emit(json_out, report, each=True)
     console.print(f"{len(logs)} log(s) read; tables and reports written to {out}")
 
 
@@ -113,7 +195,7 @@ def dbc(out: Annotated[Path | None, typer.Option("-o", "--out", help="File to wr
     if out is None:
         sys.stdout.write(dbc_text())
     else:
-        artefacts.write_file(out, dbc_text())
+        artefacts.write_file(out, dbc_text(), "dbc")
 
 
 @app.command(epilog="Example: lpvguard identify --vehicle g80 DRIVES -o out/identify")
@@ -169,9 +251,7 @@ def design(out: Out, identification: Annotated[Path | None, typer.Argument(help=
         raise InputError("design", "--tradeoff", "given with --largest-A-t or --no-table", "neither: nothing is designed")
     if identification is None or vehicle is None:
         raise InputError("design", "--vehicle, IDENTIFICATION", "missing", "both, or --case")
-    stored, drive_set = (_stored(identification, vehicle), None) if drives is None else _stored_with_drives(identification, drives)
-    if stored.project.name != _load_project(vehicle).name:
-        raise InputError(identification, "vehicle", stored.project.name, f"an identification of {vehicle}")
+    stored, drive_set = (_stored(identification, vehicle), None) if drives is None else _stored_with_drives(identification, drives, vehicle)
     if tradeoff:
         raise typer.Exit(_design_tradeoff(stored, drive_set, out, json_out))
     raise typer.Exit(_design_vehicle(stored, drive_set, table, largest_A_t, out, json_out))
@@ -227,7 +307,7 @@ def _design_tradeoff(stored, drive_set, out: Path, json_out: str | None) -> int:
 
     with _progress("trade-off") as tell:
         found = search(FrozenProblem(stored, StoredFrames(stored, drive_set, tell)), tell)
-        with artefacts.new_folder(out) as folder:
+        with artefacts.new_folder(out, "design-tradeoff", stored.project.name) as folder:
             artefacts.write_files(folder, found.files() | {artefacts.MANIFEST: artefacts.manifest(
                 "design-tradeoff", vehicle=stored.project.name, identification=stored.manifest)})
     _emit(json_out, artefacts.read_json(out / "tradeoff.json"))
@@ -263,7 +343,7 @@ def _design_case(path: Path, out: Path, json_out: str | None) -> int:
         rows = paper_case(path, progress=tell)
         tell("differences to the paper")
         files = case_files(path.name, case, rows)
-        with artefacts.new_folder(out) as folder:
+        with artefacts.new_folder(out, "design-case") as folder:
             artefacts.write_files(folder, files | {artefacts.MANIFEST: artefacts.manifest(
                 "design-case", case=path.name, sha256=file_hash(path))})
     table = artefacts.read_json(out / "table2.json")["rows"]
@@ -381,17 +461,19 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
     with _progress("sim") as tell:
         tell("compiling")
         simulator = Simulator(coefficients or shipped_vehicle(vehicle), controller=controller, lcm=lcm is not None)
-        for scenario in loaded:
-            first = scenario.seed if seed is None else seed
-            for number in range(first, first + seeds):
-                tell(f"{scenario.name}, seed {number}")
-                runs.append(simulator.run(scenario, seed=number, bus=bus, out=out, ecu_process=ecu_process, target=target, pace=pace,
-                                          lcm=lcm, paused=paused))
+        with nullcontext() if out is None else artefacts.new_folder(out, "sim", simulator.project.name) as folder:
+            for scenario in loaded:
+                first = scenario.seed if seed is None else seed
+                for number in range(first, first + seeds):
+                    tell(f"{scenario.name}, seed {number}")
+                    runs.append(simulator.run(scenario, seed=number, bus=bus, out=folder, ecu_process=ecu_process, target=target,
+                                              pace=pace, lcm=lcm, paused=paused))
+            if folder is not None:
+                # How fast this machine was belongs to nobody's results.
+                results = [{k: v for k, v in r.items() if k != "real_time_factor"} for r in runs]
+                artefacts.write_files(folder, {"results.json": artefacts.to_json(results), artefacts.MANIFEST: artefacts.manifest(
+                    "sim", vehicle=simulator.project.name, controller=controller, scenarios=[s.name for s in loaded])})
     _emit(json_out, runs)
-    if out is not None:
-        # How fast this machine was belongs to nobody's results.
-        artefacts.write_file(out / "results.json", artefacts.to_json(
-            [{k: v for k, v in r.items() if k != "real_time_factor"} for r in runs]))
     table = Table("scenario", "seed", "verdict", "invalid at s", "judged s to it", "max margin", "tracking", "x real time", "missed",
                   box=None)
     for r in runs:
@@ -409,7 +491,7 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
     raise typer.Exit(1 if any(r["missed"] for r in runs) else 0)
 
 
-lcm_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Watch and lead a simulation that runs with `sim --lcm URL`.")
+lcm_app = _Application(no_args_is_help=True, rich_markup_mode=None, help="Watch and lead a simulation that runs with `sim --lcm URL`.")
 app.add_typer(lcm_app, name="lcm")
 LcmUrl = Annotated[str, typer.Option("--url", help="Where it publishes, as LCM reads it.")]
 
@@ -450,7 +532,7 @@ def lcm_bus(log: Annotated[Path, typer.Argument(help="Log of lcm-logger.")], out
     lines = [log_line(message) for channel, message in read_log(log) if channel == "LPVGUARD_BUS"]
     if not lines:
         raise InputError(log, "LPVGUARD_BUS", "holds no frame", "a log of lcm-logger while a simulation ran with --lcm")
-    artefacts.write_file(out, "".join(lines))
+    artefacts.write_file(out, "".join(lines), "lcm bus")
 
 
 @app.command(epilog="Example: lpvguard evaluate --vehicle g80 out/identify DRIVES --json out/evaluation.json")
@@ -462,7 +544,7 @@ def evaluate(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(he
     from .evaluate import evaluate as stage
     from .parallel import workers
 
-    stored, drive_set = _stored_with_drives(identification, drives)
+    stored, drive_set = _stored_with_drives(identification, drives, vehicle)
     replayer = _replayer(vehicle, coefficients)
     with _progress("evaluate") as tell, workers(jobs, scheduler) as run:
         result = stage(stored, drive_set, replayer.core, workers=run, progress=tell)
@@ -508,8 +590,10 @@ def campaign(identification: Annotated[Path, typer.Argument(help="Folder written
     from .parallel import workers
 
     stored, drive_set = _stored_with_drives(identification, drives)
+    folder = coefficients or shipped_vehicle(vehicle)
+    _require_settings(artefacts.read_manifest(folder, "vehicle")["project"], folder, stored.project, identification)
     with _progress("campaign") as tell, workers(jobs, scheduler) as run:
-        summary = stage.campaign(stored, drive_set, coefficients or shipped_vehicle(vehicle), out, seed=seed,
+        summary = stage.campaign(stored, drive_set, folder, out, seed=seed,
                                  size=stage.Size(hours, repeats), controller=design and design / "controller.json",
                                  workers=run, progress=tell)
     _emit(json_out, summary)
@@ -578,7 +662,10 @@ def report(identification: Annotated[Path, typer.Argument(help="Folder written b
     """One self-contained HTML page with every picture and table."""
     from .report import write_report
 
-    stored, drive_set = _stored_with_drives(identification, drives)
+    for kind, folder in (("sim", loops), ("campaign", campaign), ("design", design), ("design-tradeoff", tradeoff)):
+        if folder is not None:
+            artefacts.read_manifest(folder, kind)
+    stored, drive_set = _stored_with_drives(identification, drives, vehicle)
     replayer = _replayer(vehicle, coefficients) if stored.project.frames.estimator == "hann" else None
     with _progress("report") as tell:
         write_report(stored, drive_set, replayer, out, artefacts.read_json(evaluation) if evaluation else None, tell,
@@ -679,24 +766,39 @@ def _replayer(vehicle: str, coefficients: Path | None):
 
     project = _load_project(vehicle)
     require_core(project)
-    return Replayer(project, Core(coefficients or shipped_vehicle(project.name)))
+    folder = coefficients or shipped_vehicle(project.name)
+    _require_settings(artefacts.read_manifest(folder, "vehicle")["project"], folder, project, vehicle)
+    return Replayer(project, Core(folder))
+
+
+def _require_settings(stored: dict[str, Any], where: Path, project, vehicle: object) -> None:
+    """InputError naming the first setting in which the project file is not the one that ``where`` was made with. All count but the
+    title, of which nothing is computed."""
+    given = json.loads(artefacts.to_json(project.model_dump(by_alias=True)))
+    differs = artefacts.first_difference({**stored, "title": None}, {**given, "title": None})
+    if differs is not None:
+        setting, old, new = differs
+        raise InputError(setting, "", f"{json.dumps(old)} in {where}, {json.dumps(new)} in {vehicle}",
+                         "the settings that it was made with, or made anew with these")
 
 
 def _stored(identification: Path, vehicle: str):
     from . import identify as stage
 
-    stored = stage.load(identification)
-    if stored.project.name != _load_project(vehicle).name:
+    stored, project = stage.load(identification), _load_project(vehicle)
+    if stored.project.name != project.name:
         raise InputError(identification, "vehicle", stored.project.name, f"an identification of {vehicle}")
+    _require_settings(artefacts.read_json(identification / "project.json"), identification, project, vehicle)
     return stored
 
 
-def _stored_with_drives(identification: Path, folder: Path):
+def _stored_with_drives(identification: Path, folder: Path, vehicle: str | None = None):
+    """The identification and the drives that it was made from. ``vehicle`` None: of whatever vehicle."""
     from . import identify as stage
     from .drives import file_hash, list_experiments
     from .nominal import NominalModel
 
-    stored = stage.load(identification)
+    stored = stage.load(identification) if vehicle is None else _stored(identification, vehicle)
     experiments = list_experiments(folder)
     for e in experiments:
         if stored.manifest["sha256"].get(e.name) != file_hash(e.path):
@@ -708,10 +810,20 @@ def _complain(error: InputError) -> None:
     print(f"lpvguard: error: {error}", file=sys.stderr)
 
 
+def _end(number: int, _: Any) -> None:
+    """Ends the program as an error does, so that nothing half-written stays behind."""
+    signal.signal(number, signal.SIG_IGN)
+    sys.exit(128 + number)
+
+
 def main() -> None:
     """Entry point of the console script."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) == signal.SIG_DFL:  # nohup ignores the second
+            signal.signal(number, _end)
     try:
         app()
+        sys.stdout.flush()
     except InputError as error:
         _complain(error)
         sys.exit(2)

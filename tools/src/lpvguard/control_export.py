@@ -87,6 +87,8 @@ def load_controller(path: Path) -> ControllerCoefficients:
     document = artefacts.read_json(path)
     if not isinstance(document, dict):
         raise InputError(path, "", "not an object", "controller.json as `lpvguard design` writes it")
+    if "seal" in document:  # one made by hand has none
+        artefacts.require_seal(path, document, "`lpvguard design`")
     missing = [key for key in ("Ts_s", *ARRAYS) if key not in document]
     if missing:
         raise InputError(path, ", ".join(missing), "missing", "as `lpvguard design` writes it")

@@ -278,6 +278,9 @@ def verify(path: Path, stored: StoredIdentification) -> None:
     document = artefacts.read_json(path)
     if settings is None or "certificates" not in document:
         raise InputError(path, "certificates", "missing", "a file that `lpvguard design` wrote for this vehicle")
+    artefacts.require_seal(path, document, "`lpvguard design`")
+    if (path.parent / artefacts.MANIFEST).is_file():
+        artefacts.read_manifest(path.parent, "design")
     stated = document["certificates"]
     schedule = Scheduled.read(document)
     if stated.get("coefficients_sha256") != schedule.digest():
@@ -379,7 +382,7 @@ def save(result: Design, stored: StoredIdentification, target: Path, more: dict[
             "dc_floor": dc_floor(_weights(stored, settings)), "largest_A_t": None if largest is None else asdict(largest),
             "off_grid": {"speeds": OFF_GRID, "seed": stored.project.seed, **_row(*result.off_grid)},
             "speeds": [_row(v, p) for v, p in result.certificates]}}
-    with artefacts.new_folder(target) as folder:
+    with artefacts.new_folder(target, "design", stored.project.name) as folder:
         artefacts.write_files(folder, {
-            **(more or {}), "controller.json": artefacts.to_json(controller),
+            **(more or {}), "controller.json": artefacts.to_json(artefacts.sealed(controller)),
             artefacts.MANIFEST: artefacts.manifest("design", vehicle=stored.project.name, identification=stored.manifest)})

@@ -8,7 +8,6 @@ names file, line and column. Raw logs are turned into such tables by ``lpvguard 
 from __future__ import annotations
 
 import csv
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +16,7 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pa_parquet
 
+from .artefacts import file_hash as file_hash
 from .errors import InputError
 from .project import Project, Signal
 
@@ -55,12 +55,6 @@ class Experiment:
     path: Path
     split: str
     driver: str
-
-
-def file_hash(path: Path) -> str:
-    """SHA-256 of a file's bytes."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def list_experiments(folder: Path) -> list[Experiment]:

@@ -5,7 +5,8 @@
     lpvguard_control.c, lpvguard_bus.c, lpvg_can_codec.h/.c   with a controller only: control_export.py
     lpvguard_signals.h   the signal table: order, units, signs, ranges
     SIGNALS.md           the same for people
-    MANIFEST.json        where the numbers come from: hashes, settings, estimator, drives, errors of the speed tables
+    MANIFEST.json        where the numbers come from: hashes, settings, estimator, drives, errors of the speed tables; and the seal of
+                         all these files (artefacts.py)
 
 No clock time is written: the same input gives the same bytes. Numbers are printed with 9 (float) or 17 (double)
 significant digits, so that reading returns the same number.
@@ -131,5 +132,5 @@ def export_vehicle(stored: StoredIdentification, target: Path, controller: Contr
                   "final_inflation": stored.weights["inflation"],
                   "weights": {k: stored.weights[k] for k in ("W_w", "W_delta")},
                   "project": stored.project.model_dump(by_alias=True)}
-    with artefacts.new_folder(target) as folder:
+    with artefacts.new_folder(target, "vehicle", stored.project.name) as folder:
         artefacts.write_files(folder, vehicle_files(stored.project, coefficients, provenance, controller))

@@ -65,7 +65,7 @@ def generate(project: Project, target: Path, seed: int, tell: Callable[[str], No
     makers = {"car": fixture.write_drives, "truck": _truck}
     if project.data.generator not in makers:
         raise InputError(f"vehicle {project.name}", "data.generator", "not set", " or ".join(makers))
-    with artefacts.new_folder(target) as folder:
+    with artefacts.new_folder(target, "generate", project.name) as folder:
         rows = makers[project.data.generator](project, folder, seed, tell)
         stream = io.StringIO()
         csv.writer(stream, lineterminator="\n").writerows([("experiment", "split", "driver"), *rows])

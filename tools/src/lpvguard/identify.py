@@ -10,7 +10,7 @@ Writes a folder with
     visibility.json   smallest visible gain and delay errors, at typical and at the strongest excitation met
     spectra.npz       E, Z and mean speed of frames of the bound-setting drives, thinned, for the pictures and step 8's trade-offs
     project.json      the project file as it was
-    MANIFEST.json     inputs, drives, estimator
+    MANIFEST.json     inputs, drives, estimator, and the seal of all of it (artefacts.py)
 
 Every pass is one map over the drives (parallel.py) whose results are joined as they come: memory does not grow with the number of
 drives, and neither the number of workers nor the order of the drives changes a bit of the bounds.
@@ -528,7 +528,7 @@ def save(result: Identification, drives: DriveSet, target: Path) -> None:
              "window_error_median": error["median"], "window_error_percentile": error["percentile"]}
     front = {"omega_rad_s": bounds.omega, "points": FRONT_POINTS, "gamma_w": bounds.front_gamma_w, "nu": bounds.front_nu,
              "taken": {"gamma_w": bounds.gamma_w, "nu": bounds.nu}}
-    with artefacts.new_folder(target) as folder:
+    with artefacts.new_folder(target, "identify", result.project.name) as folder:
         artefacts.write_files(folder, {
             "bounds.json": artefacts.to_json(table),
             "front.json": artefacts.to_json(front),

@@ -4,7 +4,7 @@ Reads   candump, ASC, BLF, TRC, MF4, CSV, Parquet (can/logs.py); a CAN database;
 Writes  <out>/<log>.csv           one table a drive (<log>_1, _2, ... when it falls into pieces): t [s] and the map's columns
         <out>/<log>.report.json   samples, gaps, wraps, absent values, clock jumps, stretches left out
         <out>/experiments.csv     the index that `lpvguard identify` reads; every drive has the split "unassigned"
-        <out>/MANIFEST.json       hashes of the inputs, settings, tool version
+        <out>/MANIFEST.json       hashes of the inputs, settings, tool version, and of the files as they were written
 Next    drives.py reads the tables
 
 The signal map is a TOML file::
@@ -44,8 +44,6 @@ than ``max_gap_s``; so is everything across a jump of the log's clock.
 from __future__ import annotations
 
 import difflib
-import hashlib
-import json
 import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -55,7 +53,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from . import __version__
+from . import artefacts
 from .can.decode import decode_signal, find_frames, is_j1939, load_database, own_database
 from .can.logs import Frames, Series, Table, read_log, stem
 from .errors import InputError
@@ -645,7 +643,7 @@ def _ingest_one(path: Path, given: _Inputs) -> tuple[list[_Piece], dict]:
         )
     report = {
         "log": path.name,
-        "sha256": _sha256(path),
+        "sha256": artefacts.file_hash(path),
         "kind": "raw frames" if isinstance(log, Frames) else "decoded signals",
         "frames": len(log) if isinstance(log, Frames) else None,
         "not_frames": log.left_out if isinstance(log, Frames) else {},
@@ -656,11 +654,6 @@ def _ingest_one(path: Path, given: _Inputs) -> tuple[list[_Piece], dict]:
         "stretches": stretches,
     }
     return maker.pieces, report
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _write_piece(piece: _Piece, path: Path) -> None:
@@ -675,16 +668,12 @@ def _write_piece(piece: _Piece, path: Path) -> None:
         pa_csv.write_csv(table, path, pa_csv.WriteOptions(quoting_style="none"))
 
 
-def _write_json(path: Path, content: dict) -> None:
-    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-
-
 def ingest(logs: Iterable[Path], *, dbc: Path | None, signals_map: Path | SignalMap, out: Path) -> dict:
     """Turn ``logs`` into uniform drive tables in the folder ``out``; returns what the reports say, log by log.
 
     ``dbc`` None takes our own DBC; decoded logs need none. ``signals_map`` is a file, or a map that is made already (``map_of_project``).
     Raises InputError for a file that cannot be read, a map that does not fit database or log, two logs of the same
-    name, and a log of which nothing remains; logs before it have been written by then.
+    name, and a log of which nothing remains; nothing is written then.
     """
     paths = [Path(log) for log in logs]
     if not paths:
@@ -701,39 +690,36 @@ def ingest(logs: Iterable[Path], *, dbc: Path | None, signals_map: Path | Signal
         map=signals_map if ready else load_signal_map(signals_map),
         map_path=Path("signal map") if ready else Path(signals_map),
     )
-    out = Path(out)
-    out.mkdir(parents=True, exist_ok=True)
-    reports, drives = {}, []
-    for path in paths:
-        pieces, report = _ingest_one(path, given)
-        report["drives"] = []
-        for k, piece in enumerate(pieces, start=1):
-            name = stem(path) + (f"_{k}" if len(pieces) > 1 else "")
-            file = f"{name}.{given.map.format}"
-            _write_piece(piece, out / file)
-            drives.append(name)
-            report["drives"].append(
-                {
-                    "file": file,
-                    "rows": len(piece.t),
-                    "t_first_s": float(piece.t[0]),
-                    "t_last_s": float(piece.t[-1]),
-                    "log_time_of_first_row_s": piece.log_start_s,
-                }
-            )
-        _write_json(out / f"{stem(path)}.report.json", report)
-        reports[stem(path)] = report
-    (out / "experiments.csv").write_text(
-        "experiment,split\n" + "".join(f"{d},unassigned\n" for d in drives), encoding="utf-8"
-    )
-    _write_json(
-        out / "MANIFEST.json",
-        {
-            "schema": 1,
-            "command": "ingest",
-            "tool": f"lpvguard {__version__}",
-            "inputs": {p.name: _sha256(p) for p in [*paths, *([Path(dbc)] if dbc else [])]},
-            "signal_map": given.map.model_dump(by_alias=True),
-        },
-    )
+    reports = {}
+    with artefacts.new_folder(out, "ingest") as folder:
+        drives = []
+        for path in paths:
+            pieces, report = _ingest_one(path, given)
+            report["drives"] = []
+            for k, piece in enumerate(pieces, start=1):
+                name = stem(path) + (f"_{k}" if len(pieces) > 1 else "")
+                file = f"{name}.{given.map.format}"
+                _write_piece(piece, folder / file)
+                drives.append(name)
+                report["drives"].append(
+                    {
+                        "file": file,
+                        "rows": len(piece.t),
+                        "t_first_s": float(piece.t[0]),
+                        "t_last_s": float(piece.t[-1]),
+                        "log_time_of_first_row_s": piece.log_start_s,
+                    }
+                )
+            artefacts.write_files(folder, {f"{stem(path)}.report.json": artefacts.to_json(report)})
+            reports[stem(path)] = report
+        inputs = {p.name: artefacts.file_hash(p) for p in [*paths, *([Path(dbc)] if dbc else [])]}
+        artefacts.write_files(
+            folder,
+            {
+                "experiments.csv": "experiment,split\n" + "".join(f"{d},unassigned\n" for d in drives),
+                artefacts.MANIFEST: artefacts.manifest(
+                    "ingest", inputs=inputs, signal_map=given.map.model_dump(by_alias=True)
+                ),
+            },
+        )
     return reports

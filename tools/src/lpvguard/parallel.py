@@ -62,7 +62,11 @@ def _processes(jobs: int) -> Iterator[Map]:
     if "forkserver" in methods:
         context.set_forkserver_preload(["lpvguard.identify", "lpvguard.evaluate"])
     with ProcessPoolExecutor(max_workers=jobs, mp_context=context, initializer=_end_with_parent) as pool:
-        yield _bounded(pool.submit, lambda future: future.result(), lambda: UNDER_WAY_PER_WORKER * jobs)
+        try:
+            yield _bounded(pool.submit, lambda future: future.result(), lambda: UNDER_WAY_PER_WORKER * jobs)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)  # whoever is told to end does not wait for what nobody wants
+            raise
 
 
 @contextmanager

@@ -111,7 +111,7 @@ def write_report(stored: StoredIdentification, drives: DriveSet, replayer: Repla
     nav = "".join(f'<a href="#s{i}">{title}</a>' for i, title in enumerate(titles, start=1))
     body = "".join(f'<section id="s{i}">{s}</section>\n' for i, s in enumerate(sections, start=1))
     artefacts.write_file(out, f"""<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">
+<html lang="en"><head><meta charset="utf-8"><meta name="generator" content="{artefacts.mark("report")}"><meta name="viewport" content="width=device-width,initial-scale=1">
 <title>lpvguard report: {escape(project.name)}</title><style>{CSS}</style></head><body>
 <h1>{escape(project.title)}</h1>
 <p class="lead">How wrong the nominal model can be, according to the drives; what the monitor tolerates for it, and what it said
@@ -119,7 +119,7 @@ on every drive. Words and equation numbers are those of Rödönyi and Bokor, <i>
 vehicle model based on experimental data</i>. Made by lpvguard {escape(__version__)}; the same drives give the same page.</p>
 <nav>{nav}</nav>
 {body}</body></html>
-""")
+""", "report")
 
 
 # ---------------------------------------------------------------------------------------------------------------- parts

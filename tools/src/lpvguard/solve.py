@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from lpvguard.artefacts import write_json
 from lpvguard.errors import InputError
 from lpvguard.validation import s1
 
@@ -345,15 +346,6 @@ def _read(path: str) -> list:
     return problems
 
 
-def _finite(value: Any) -> Any:
-    """The value with every non-finite number as null: JSON has no other word for them."""
-    if isinstance(value, dict):
-        return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return [_finite(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def run_solve(path_or_dash: str | os.PathLike, out: str | os.PathLike | None = None, jobs: int = 1) -> int:
     """Solve a file of problems (``-``: standard input); exit status 0 ok, 1 any miss, 2 bad input.
 
@@ -366,17 +358,11 @@ def run_solve(path_or_dash: str | os.PathLike, out: str | os.PathLike | None = N
         print(f"error: {exc}", file=sys.stderr)
         return 2
     answers = solve_problems(problems, jobs)
-    text = (
-        json.dumps({"schema": ANSWERS_SCHEMA, "answers": _finite(answers)}, indent=1, allow_nan=False) + "\n"
-    )
-    if out is None or os.fspath(out) == "-":
-        sys.stdout.write(text)
-    else:
-        try:
-            Path(out).write_text(text, encoding="utf-8")
-        except OSError as exc:
-            print(f"error: {out}: {exc.strerror or exc}", file=sys.stderr)
-            return 2
+    try:
+        write_json("-" if out is None else os.fspath(out), {"schema": ANSWERS_SCHEMA, "answers": answers}, "solve")
+    except InputError as exc:
+        print(f"error: {exc}", file=sys.stderr)
+        return 2
     comparisons = [compare(p, a) for p, a in zip(problems, answers, strict=True)]
     for c in comparisons:
         for miss in c.misses:

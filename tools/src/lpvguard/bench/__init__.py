@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import sys
 from importlib import import_module
-from pathlib import Path
 from pkgutil import iter_modules
 from typing import Any
 
@@ -33,14 +32,12 @@ def parser(name: str, description: str | None) -> argparse.ArgumentParser:
     """Parser of a bench's options; ``--json`` is common to all."""
     made = argparse.ArgumentParser(prog=f"lpvguard bench {name}", description=description,
                                    formatter_class=argparse.RawDescriptionHelpFormatter)
-    made.add_argument("--json", dest="json_out", metavar="PATH", help="write the numbers as JSON; - is standard output")
+    made.add_argument("--json", dest="json_out", metavar="PATH", type=lambda path: (path, f"bench {name}"), help="write the numbers as JSON; - is standard output")
     return made
 
 
-def show(text: str, value: Any, json_out: str | None) -> None:
-    """Print the table, or (``--json -``) the numbers; write the numbers where asked."""
-    print(text, file=sys.stderr if json_out == "-" else sys.stdout)
-    if json_out == "-":
-        sys.stdout.write(artefacts.to_json(value))
-    elif json_out:
-        artefacts.write_file(Path(json_out), artefacts.to_json(value))
+def show(text: str, value: Any, json_out: tuple[str, str] | None) -> None:
+    """Print the table, or (``--json -``) the numbers; write the numbers where asked. ``json_out``: path and kind, as `parser` has them."""
+    print(text, file=sys.stderr if json_out and json_out[0] == "-" else sys.stdout)
+    if json_out:
+        artefacts.write_json(json_out[0], value, json_out[1])

@@ -25,6 +25,7 @@ def main(argv: list[str]) -> None:
     options.add_argument("vehicle", type=Path, help="folder written by export with that design's controller")
     options.add_argument("--draws", type=int, default=DRAWS, help="of Delta and input, all speeds together")
     given = options.parse_args(argv)
+    artefacts.read_manifest(given.design, "design")
     stored, document = identify.load(given.identification), artefacts.read_json(given.design / "controller.json")
     schedule, compiled = Scheduled.read(document), CompiledController(given.vehicle)
     speeds = schedule.speeds[::max(1, (len(schedule.speeds) - 1) // 3)]
