@@ -17,16 +17,16 @@ def test_a_pipe_is_written_to_and_stays_a_pipe(tmp_path):
     os.mkfifo(pipe)
     reader = threading.Thread(target=lambda: got.append(pipe.read_text()))
     reader.start()
-    artefacts.write_file(pipe, "verdict\n")
+    artefacts.write_file(pipe, "verdict\n", "report")
     reader.join(timeout=10)
     assert got == ["verdict\n"] and pipe.is_fifo()
 
 
 def test_a_failing_block_leaves_the_old_folder_and_no_scratch(tmp_path):
     target = tmp_path / "out"
-    with artefacts.new_folder(target) as folder:
-        artefacts.write_files(folder, {"MANIFEST.json": "{}", "a.txt": "old"})
-    with pytest.raises(RuntimeError), artefacts.new_folder(target) as folder:
+    with artefacts.new_folder(target, "sim") as folder:
+        artefacts.write_files(folder, {"MANIFEST.json": artefacts.manifest("sim"), "a.txt": "old"})
+    with pytest.raises(RuntimeError), artefacts.new_folder(target, "sim") as folder:
         artefacts.write_files(folder, {"a.txt": "new"})
         raise RuntimeError
     assert (target / "a.txt").read_text() == "old" and [p.name for p in tmp_path.iterdir()] == ["out"]
@@ -35,7 +35,7 @@ def test_a_failing_block_leaves_the_old_folder_and_no_scratch(tmp_path):
 def test_a_place_that_cannot_be_written_is_an_input_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
-        artefacts.write_file(tmp_path / "file" / "x.json", "{}")
+        artefacts.write_file(tmp_path / "file" / "x.json", "{}", "replay")
 
 
 def test_json_is_strict_and_plain():

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lpvguard import artefacts
 from lpvguard import identify as stage
 from lpvguard.core import Core, shipped_vehicle
 from lpvguard.drives import list_experiments, read_drive
@@ -61,6 +62,9 @@ def test_a_lowered_weight_or_another_estimator_is_refused_on_load(identified, tm
         data = json.loads((copy / file).read_text())
         change(data)
         (copy / file).write_text(json.dumps(data))
+        with pytest.raises(InputError, match=f"{says}|changed after"):
+            stage.load(copy)
+        artefacts.seal(copy)  # what the seal does not notice is noticed all the same
         with pytest.raises(InputError, match=says):
             stage.load(copy)
 

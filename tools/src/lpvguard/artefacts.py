@@ -19,6 +19,7 @@ import json
 import os
 import re
 import shutil
+import signal
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -276,6 +277,16 @@ def _written(target: Path) -> Iterator[None]:
 
 
 @contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Puts off the signals that end a program until the block is through."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGHUP, signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
 def claimed(target: Path) -> Iterator[Path]:
     """The work folder of ``target``, held until the end of the block; InputError while another run holds it.
 
@@ -289,7 +300,7 @@ def claimed(target: Path) -> Iterator[Path]:
     made = [p for p in (place.parent, *place.parent.parents) if not p.exists()]
     handle = None
     try:
-        with _written(target):
+        with _written(target), _undisturbed():
             place.parent.mkdir(parents=True, exist_ok=True)
             handle = _lock(target, work)
             _recover(place, work)
@@ -297,16 +308,17 @@ def claimed(target: Path) -> Iterator[Path]:
         _held[place] = work
         yield work
     finally:
-        _held.pop(place, None)
-        if handle is not None:
-            with suppress(OSError, InputError):
-                _recover(place, work)
-                (work / _SCRATCH).unlink(missing_ok=True)
-                work.rmdir()
-            os.close(handle)
-        for folder in made:
-            with suppress(OSError):
-                folder.rmdir()  # stays when anything is in it
+        with _undisturbed():
+            _held.pop(place, None)
+            if handle is not None:
+                with suppress(OSError, InputError):
+                    _recover(place, work)
+                    (work / _SCRATCH).unlink(missing_ok=True)
+                    work.rmdir()
+                os.close(handle)
+            for folder in made:
+                with suppress(OSError):
+                    folder.rmdir()  # stays when anything is in it
 
 
 def _lock(target: Path, work: Path) -> int:

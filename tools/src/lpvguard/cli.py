@@ -12,11 +12,10 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
-from functools import partial
+from functools import partial, wraps
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import click
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -27,62 +26,67 @@ from .errors import InputError
 
 
 
-def _paths(parameter: click.Parameter, value: Any) -> list[Path]:
-    """The paths that a parameter's value names: a text that is no path may also be a vehicle's name, a bus or a number."""
-    texts = [str(v) for v in (value if isinstance(value, (list, tuple)) else [value]) if v is not None]
-    return [Path(text) for text in texts if isinstance(parameter.type, click.Path) or Path(text).is_file()]
+_FILES = ("report", "solve", "dbc", "lcm bus", "plant")
+"""Commands whose -o is a file."""
+_running: list[str] = []
+"""Name of the command that runs, as its outputs are marked."""
 
 
-def _lcm_log(url: Any) -> str | None:
+def _lcm_log(url: str | None) -> list[Path]:
     """The file that an LCM URL makes a log of."""
-    return url.removeprefix("file://").split("?")[0] if isinstance(url, str) and url.startswith("file:") and "mode=w" in url else None
+    return [Path(url.removeprefix("file://").split("?")[0])] if url and url.startswith("file:") and "mode=w" in url else []
 
 
-class _Guarded(typer.core.TyperCommand):
-    """A command whose outputs (-o, --json) are apart from its inputs (every other path), replace nothing but its own, and are its
-    own while it runs. All is refused before anything is done."""
+def _named(name: str, given: dict[str, Any]) -> tuple[list[Path], list[Path], list[Path]]:
+    """Folders and files that a command is asked to write, and every other path among its parameters."""
+    folders, files, inputs = [], [], []
+    for key, value in given.items():
+        if key in ("out", "json_out"):
+            if value is not None and str(value) != "-":
+                (files if key == "json_out" or name in _FILES else folders).append(Path(value))
+        elif key == "lcm":
+            files += _lcm_log(value)
+        elif isinstance(value, typer.Context):  # bench and plant read their options themselves
+            for before, word in zip(["", *value.args], value.args):
+                option, _, rest = word.partition("=")
+                if before in ("-o", "--json") or option == "--json" and rest:
+                    files += [Path(rest or word)] if (rest or word) != "-" else []
+                elif Path(word).exists():
+                    inputs.append(Path(word))
+        else:
+            # A text that is no path may also be a vehicle's name, a bus or an address.
+            items = value if isinstance(value, list) else [value]
+            inputs += [Path(v) for v in items if isinstance(v, Path) or (isinstance(v, str) and Path(v).is_file())]
+    return folders, [f for f in files if not f.exists() or f.is_file() or f.is_dir()], inputs
 
-    FILES = ("report", "solve", "dbc", "bus", "plant")
-    """Commands whose -o is a file."""
 
-    def invoke(self, context: click.Context) -> Any:
-        folders, files, inputs = [], [], []
-        for parameter in self.get_params(context):
-            value = context.params.get(parameter.name)
-            if {"-o", "--json"} & set(parameter.opts):
-                if value is not None and str(value) != "-":
-                    folder = "-o" in parameter.opts and context.info_name not in self.FILES
-                    (folders if folder else files).append(Path(value))
-            elif log := _lcm_log(value) if parameter.name == "lcm" else None:
-                files.append(Path(log))
-            else:
-                inputs += _paths(parameter, value)
-        kind = context.info_name
-        words = list(context.args)
-        if kind == "bench":
-            kind += f" {context.params['name']}"
-        for index, word in enumerate(words):  # of bench and plant, which read their options themselves
-            name, _, value = word.partition("=")
-            if index and words[index - 1] in ("-o", "--json") or name == "--json" and value:
-                files += [Path(value or word)] if (value or word) != "-" else []
-            elif Path(word).exists():
-                inputs.append(Path(word))
-        files = [f for f in files if not f.exists() or f.is_file() or f.is_dir()]
+def _guarded(name: str, command: Callable[..., Any]) -> Callable[..., Any]:
+    """The command with outputs that are apart from its inputs (every other path), replace nothing but its own, and are its own
+    while it runs. What is not so is refused before anything is done."""
+
+    @wraps(command)
+    def run(*arguments: Any, **given: Any) -> Any:
+        folders, files, inputs = _named(name, given)
+        kind = f"bench {given['name']}" if name == "bench" else name
         with ExitStack() as held:
             for path in inputs:
                 artefacts.recover(path)
-            artefacts.require_apart([*folders, *files], [*inputs, *_own_sources(context.info_name)])
+            if folders or files:
+                artefacts.require_apart([*folders, *files], [*inputs, *_own_sources(name)])
             for target in folders:
                 held.enter_context(artefacts.claimed(target))
-                artefacts.require_replaceable_folder(target, resumed=context.info_name == "campaign")
+                artefacts.require_replaceable_folder(target, resumed=name == "campaign")
             for target in files:
                 held.enter_context(artefacts.claimed(target))
-                if context.info_name != "bus":  # whose bytes decide
+                if name != "lcm bus":  # a log has no room for a mark: its bytes decide, once they are known
                     artefacts.require_replaceable_file(target, kind)
-            return super().invoke(context)
+            _running[:] = [kind]
+            return command(*arguments, **given)
+
+    return run
 
 
-def _own_sources(command: str | None) -> list[Path]:
+def _own_sources(command: str) -> list[Path]:
     """What is compiled or read without being named. The shipped folders are what `export` may write."""
     from .core import PACKAGE, firmware_root, library_root
 
@@ -95,8 +99,16 @@ def _own_sources(command: str | None) -> list[Path]:
 
 
 class _Application(typer.Typer):
-    def command(self, *arguments: Any, **options: Any) -> Any:
-        return super().command(*arguments, **{"cls": _Guarded, **options})
+    """Whose commands are all guarded."""
+
+    prefix = ""
+
+    def command(self, name: str | None = None, **options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+        def register(function: Callable[..., Any]) -> Callable[..., Any]:
+            super(_Application, self).command(name, **options)(_guarded(self.prefix + (name or function.__name__), function))
+            return function
+
+        return register
 
 
 app = _Application(add_completion=False, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False,
@@ -124,7 +136,7 @@ def _progress(title: str) -> Iterator[Callable[[str], None]]:
 
 def _emit(json_out: str | None, value: Any, *, each: bool = False) -> None:
     if json_out:
-        artefacts.write_json(json_out, value, click.get_current_context().info_name, each=each)
+        artefacts.write_json(json_out, value, _running[0], each=each)
 
 
 def _load_project(vehicle: str):
@@ -492,6 +504,7 @@ def sim(scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios, 
 
 
 lcm_app = _Application(no_args_is_help=True, rich_markup_mode=None, help="Watch and lead a simulation that runs with `sim --lcm URL`.")
+lcm_app.prefix = "lcm "
 app.add_typer(lcm_app, name="lcm")
 LcmUrl = Annotated[str, typer.Option("--url", help="Where it publishes, as LCM reads it.")]
 
