@@ -271,8 +271,10 @@ def _written(target: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.filename is not None and _place(target).parent not in Path(os.fsdecode(error.filename)).absolute().parents:
-            raise  # of something else
+        if error.filename is not None:
+            place, path = _place(target), Path(os.fsdecode(error.filename)).absolute()
+            if path not in place.parents and place.parent not in path.parents:
+                raise  # of something else
         raise InputError(target, "", f"cannot be written ({error.strerror or error})", "a writable place") from None
 
 

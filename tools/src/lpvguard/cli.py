@@ -28,6 +28,8 @@ from .errors import InputError
 
 _FILES = ("report", "solve", "dbc", "lcm bus", "plant")
 """Commands whose -o is a file."""
+_KINDS = {"export": "vehicle", "design": None}
+"""Kinds of folders that are not named as their command; design writes several."""
 _running: list[str] = []
 """Name of the command that runs, as its outputs are marked."""
 
@@ -75,7 +77,7 @@ def _guarded(name: str, command: Callable[..., Any]) -> Callable[..., Any]:
                 artefacts.require_apart([*folders, *files], [*inputs, *_own_sources(name)])
             for target in folders:
                 held.enter_context(artefacts.claimed(target))
-                artefacts.require_replaceable_folder(target, resumed=name == "campaign")
+                artefacts.require_replaceable_folder(target, _KINDS.get(name, name), resumed=name == "campaign")
             for target in files:
                 held.enter_context(artefacts.claimed(target))
                 if name != "lcm bus":  # a log has no room for a mark: its bytes decide, once they are known

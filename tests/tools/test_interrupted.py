@@ -1,0 +1,32 @@
+"""Commands that are killed, or find the disk full, leave the old result or the new one (interrupted.py does it and judges)."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).with_name("interrupted.py")
+
+
+def interrupted(*words: object) -> dict:
+    done = subprocess.run([sys.executable, SCRIPT, *map(str, words)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.mark.parametrize("command", ["export", "replay", "campaign"])
+def test_no_step_at_which_a_command_ends_leaves_a_torn_result(command):
+    found = interrupted("steps", command)
+    assert found["runs"] >= 30 and found["torn"] == []
+
+
+def test_no_random_instant_does():
+    count = 200 if os.environ.get("LPVGUARD_FULL") == "1" else 18
+    found = interrupted("kills", 1, count)
+    assert found["runs"] == count and found["torn"] == []
+    assert found["fell"]["while it wrote"] > count / 2, "kills after the end prove nothing"
