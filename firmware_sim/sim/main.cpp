@@ -19,6 +19,7 @@
 #include <cerrno>
 #include <cstdio>
 #include <cstring>
+#include <initializer_list>
 #include <memory>
 #include <string>
 
@@ -41,6 +42,13 @@ OutputFile output_file(const std::string& path) {
         throw UsageError(path + ": cannot be written: " + std::strerror(errno));
     }
     return file;
+}
+
+/// UsageError unless everything that was written has reached the file: a full disk must not pass for a result.
+void require_written(const OutputFile& file) {
+    if (file != nullptr && (std::fflush(file.get()) != 0 || std::ferror(file.get()) != 0)) {
+        throw UsageError(std::string("an output file cannot be written: ") + std::strerror(errno));
+    }
 }
 
 int run(int argc, char** argv) {
@@ -82,6 +90,9 @@ int run(int argc, char** argv) {
     loop->print(stdout, scenario.now().seed);
     if (applied.get() != nullptr) {
         std::fputs(scenario.text().c_str(), applied.get());
+    }
+    for (const OutputFile* file : std::initializer_list<const OutputFile*>{&log, &frames, &drive, &telemetry, &applied}) {
+        require_written(*file);
     }
     return 0;
 }
