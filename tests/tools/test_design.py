@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from lpvguard import artefacts, generate
 from lpvguard import design as stage
-from lpvguard import generate
 from lpvguard import identify as identification
 from lpvguard.control_export import load_controller
 from lpvguard.errors import InputError
@@ -63,15 +63,18 @@ def test_the_certificate_is_proved_anew_and_an_altered_coefficient_is_refused(st
         index = np.unravel_index(random.choice(biggest), changed.shape)
         changed[index] *= 1.001
         altered = {**document, key: changed.tolist()}
-        (tmp_path / "controller.json").write_text(json.dumps(altered))
+        (tmp_path / "controller.json").write_text(artefacts.to_json(artefacts.sealed(altered)))
         with pytest.raises(InputError, match="coefficients_sha256"):
             stage.verify(tmp_path / "controller.json", stored)
+    (tmp_path / "controller.json").write_text(json.dumps({**document, "u_max": [2 * x for x in document["u_max"]]}))
+    with pytest.raises(InputError, match="seal: does not fit"):
+        stage.verify(tmp_path / "controller.json", stored)
     # With a sum that fits, the proof is what refuses.
     changed = np.array(document["a"])
     changed[np.argmax(np.abs(changed))] *= 1.001
     altered = {**document, "a": changed.tolist()}
     altered["certificates"] = {**document["certificates"], "coefficients_sha256": Scheduled.read(altered).digest()}
-    (tmp_path / "controller.json").write_text(json.dumps(altered))
+    (tmp_path / "controller.json").write_text(artefacts.to_json(artefacts.sealed(altered)))
     with pytest.raises(InputError, match="certificate at"):
         stage.verify(tmp_path / "controller.json", stored)
 
@@ -84,7 +87,7 @@ def test_a_stated_number_that_is_not_what_is_proved_is_refused(stored, designed,
     stated = document["certificates"]
     target = stated if place is None else stated[place][3] if place == "speeds" else stated[place]
     target[key] = factor * target[key] if target[key] else factor
-    (tmp_path / "controller.json").write_text(json.dumps(document))
+    (tmp_path / "controller.json").write_text(artefacts.to_json(artefacts.sealed(document)))
     with pytest.raises(InputError, match=key):
         stage.verify(tmp_path / "controller.json", stored)
 
@@ -97,7 +100,7 @@ def test_what_is_claimed_of_a_moving_speed_is_what_was_proved(stored, designed, 
     assert stated["rate_mps2"] == (result.lpv.rate if result.lpv else None)
     stated["rate_mps2"] = 30 * stated["rate_mps2"] if result.lpv else 1.0
     stated.setdefault("P", None)
-    (tmp_path / "controller.json").write_text(json.dumps(document))
+    (tmp_path / "controller.json").write_text(artefacts.to_json(artefacts.sealed(document)))
     with pytest.raises(InputError, match="moving_speed"):
         stage.verify(tmp_path / "controller.json", stored)
 
