@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from vcan import with_vcan
 
+from lpvguard import artefacts
 from lpvguard.errors import InputError
 from lpvguard.sim import Expectation, Simulator, can_fault_table, load_scenario, missed, shipped_scenarios, steady_scenario
 
@@ -205,5 +206,8 @@ def test_changing_one_coefficient_is_noticed_at_start(truck_folder, scenario, tm
     altered = re.sub(r"\.u_max = .*", ".u_max = {LPVG_NUMBER(3.5f, 3.5)},", source)
     assert altered != source
     (folder / "lpvguard_control.c").write_text(altered)
+    with pytest.raises(InputError, match="lpvguard_control.c: is not the file"):
+        Simulator(folder)
+    artefacts.seal(folder)  # what the seal does not notice is noticed all the same
     with pytest.raises(InputError, match="refused its coefficients"):
         Simulator(folder).run(scenario(5.0))

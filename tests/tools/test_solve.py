@@ -205,7 +205,7 @@ def test_run_solve_exit_statuses_files_and_streams(tmp_path, capsys, monkeypatch
         plain.write_text(text)
         assert solve.run_solve(plain) == 2
     assert solve.run_solve(tmp_path / "nowhere.json") == 2
-    assert solve.run_solve(good, tmp_path / "no" / "folder.json") == 2
+    assert solve.run_solve(good, good / "folder.json") == 2
 
 
 def test_jobs_change_nothing():
