@@ -95,7 +95,6 @@ def replace_computing(variant: str) -> None:
     text = f"variant {variant}\n" * 400
     stored = SimpleNamespace(manifest={"variant": variant}, project=SimpleNamespace(
         name="g80", frames=SimpleNamespace(estimator="hann"), design=SimpleNamespace(structure="K_i")))
-    cli._stored = cli._stored_with_drives = None
     cli._stored, cli._stored_with_drives = (lambda *_: stored), (lambda *_: (stored, None))
     cli._require_settings = lambda *_: None
     lpvguard.fixture.PLAN[:] = [("train", "human", 5.0, 1.0), ("valid", "human", 9.0, 1.0)]
@@ -352,7 +351,7 @@ def at_random_instants(base: Path, seed: int, count: int) -> dict:
             seen += len(got)
         time.sleep(wait)
         os.kill(child, number)
-        status, more = finish(child, pipe)
+        status, _ = finish(child, pipe)
         fell["while it wrote" if status in (-number, 128 + number) else "after its end"] += 1
         why = trial.torn(status, f"{number.name} after step {wanted} of {trial.steps}")
         torn += [why] if why else []

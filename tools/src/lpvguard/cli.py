@@ -24,8 +24,6 @@ from rich.table import Table
 from . import __version__, artefacts
 from .errors import InputError
 
-
-
 _FILES = ("report", "solve", "dbc", "lcm bus", "plant")
 """Commands whose -o is a file."""
 _KINDS = {"export": "vehicle", "design": None}
@@ -349,7 +347,6 @@ def _show_cells(cells) -> None:
 
 def _design_case(path: Path, out: Path, json_out: str | None) -> int:
     from .design_files import case_files
-    from .drives import file_hash
     from .synthesis.cases import paper_case, read_case
 
     case = read_case(path)
@@ -359,7 +356,7 @@ def _design_case(path: Path, out: Path, json_out: str | None) -> int:
         files = case_files(path.name, case, rows)
         with artefacts.new_folder(out, "design-case") as folder:
             artefacts.write_files(folder, files | {artefacts.MANIFEST: artefacts.manifest(
-                "design-case", case=path.name, sha256=file_hash(path))})
+                "design-case", case=path.name, sha256=artefacts.file_hash(path))})
     table = artefacts.read_json(out / "table2.json")["rows"]
     _emit(json_out, table)
     _show_cells(rows)
@@ -810,13 +807,13 @@ def _stored(identification: Path, vehicle: str):
 def _stored_with_drives(identification: Path, folder: Path, vehicle: str | None = None):
     """The identification and the drives that it was made from. ``vehicle`` None: of whatever vehicle."""
     from . import identify as stage
-    from .drives import file_hash, list_experiments
+    from .drives import list_experiments
     from .nominal import NominalModel
 
     stored = stage.load(identification) if vehicle is None else _stored(identification, vehicle)
     experiments = list_experiments(folder)
     for e in experiments:
-        if stored.manifest["sha256"].get(e.name) != file_hash(e.path):
+        if stored.manifest["sha256"].get(e.name) != artefacts.file_hash(e.path):
             raise InputError(e.path, "", "is not the file that was identified", f"the drives of {identification}")
     return stored, stage.DriveSet(stored.project, NominalModel(stored.project), experiments)
 

@@ -16,7 +16,6 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pa_parquet
 
-from .artefacts import file_hash as file_hash
 from .errors import InputError
 from .project import Project, Signal
 

@@ -35,7 +35,7 @@ from .bounds import (FRONT_POINTS, Bounds, FrameSet, Part, counted_frames, fold,
                      reduce_disturbance, reduce_uncertainty)
 from .calibration import Calibration, calibrate, energy_score, score
 from .core import Core
-from .drives import EXPERIMENTS, Drive, Experiment, file_hash, list_experiments, read_drive, require_units
+from .drives import EXPERIMENTS, Drive, Experiment, list_experiments, read_drive, require_units
 from .energy import EnergyTest
 from .errors import InputError
 from .export import Coefficients, build_coefficients, vehicle_files
@@ -454,7 +454,7 @@ def identify(project: Project, folder: Path, *, workers: Map = map, progress: Pr
         visibility(estimator.omega, estimator.speed_range, met, weights.at(estimator.omega)[0] / weights.inflation,
                    calibration.threshold, weights.inflation),
         _thinned(stacked(spectra)), [e.name for e in setting], list(calibration.scores), [e.name for e in noise], left_out,
-        dict(zip(drives.experiments, workers(file_hash, [e.path for e in experiments]))))
+        dict(zip(drives.experiments, workers(artefacts.file_hash, [e.path for e in experiments]))))
     return result, drives
 
 
