@@ -11,7 +11,7 @@ from scipy.linalg import solve_discrete_are
 
 from lpvguard.nominal import NominalModel
 from lpvguard.project import Project
-from lpvguard.schedule import realisation
+from lpvguard.scheduled import realisation
 
 NODES = 5
 PROPORTIONAL, INTEGRAL = 0.5, 0.5

@@ -18,7 +18,7 @@ from lpvguard import native
 from lpvguard.artefacts import write_files
 from lpvguard.control_export import build_controller, replaced_controller
 from lpvguard.core import library_root, shipped_vehicle
-from lpvguard.schedule import realisation
+from lpvguard.scheduled import realisation
 
 SOURCE = Path(__file__).with_name("control_run.cpp")
 ALLOWED = 1e-4

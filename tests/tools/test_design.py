@@ -15,7 +15,8 @@ from lpvguard.errors import InputError
 from lpvguard.export import export_vehicle
 from lpvguard.project import load_project
 from lpvguard.robust_run import CompiledController, run
-from lpvguard.schedule import FrozenLoop, Scheduled, fit
+from lpvguard.schedule import FrozenLoop, fit
+from lpvguard.scheduled import Scheduled
 from lpvguard.sim import Simulator, load_scenario
 from lpvguard.synthesis.statespace import StateSpace, lft
 

@@ -7,16 +7,8 @@ import pytest
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
 from lpvguard.control_export import build_controller
-from lpvguard.schedule import (
-    RECOVERY_EFFORT,
-    FrozenLoop,
-    Scheduled,
-    _first_columns,
-    _observed,
-    engagement,
-    fit,
-    realisation,
-)
+from lpvguard.schedule import RECOVERY_EFFORT, FrozenLoop, _first_columns, _observed, fit
+from lpvguard.scheduled import Scheduled, engagement, realisation
 from lpvguard.synthesis.dk import Scaling
 from lpvguard.synthesis.interconnection import GeneralisedPlant
 from lpvguard.synthesis.statespace import StateSpace, lft, series, zero_order_hold

@@ -9,6 +9,7 @@ import pytest
 from lpvguard import artefacts, generate, tradeoff
 from lpvguard import identify as identification
 from lpvguard.design_files import design_files
+from lpvguard.design_pictures import drawn
 from lpvguard.errors import InputError
 from lpvguard.frozen import FrozenProblem
 from lpvguard.project import load_project, parse_project
@@ -113,9 +114,11 @@ def test_worst_case_runs_and_files(problem, cells, truck, tmp_path):
     assert runs.runs[0].tracking_rms == runs.runs[0].tracking_rms_nominal
     files = design_files(problem, cells, runs)
     assert files == design_files(problem, cells, worst_runs(problem, cells, truck[1]))
-    assert set(files) == {"table2.json", "table2.csv", "figures.json", "fig5.svg", "fig6.svg"}
-    for name in ("fig5.svg", "fig6.svg"):
-        assert files[name].startswith("<svg xmlns=") and "var(--" not in files[name]
+    assert set(files) == {"table2.json", "table2.csv", "figures.json"}
+    pictures = drawn(files)
+    assert set(pictures) == {"fig5.svg", "fig6.svg"} and pictures == drawn(files)
+    for picture in pictures.values():
+        assert picture.startswith("<svg xmlns=") and "var(--" not in picture
     certificates = {"structure": "K_i", "order": 3, "claim": "c", "speeds": [{"v_mps": 8.0, "mu_upper": 0.9, "mu_lower": 0.8, "peak_rad_s": 0.0}]}
     artefacts.write_files(tmp_path, files | {"controller.json": json.dumps({"certificates": certificates})})
     section = _design_section(tmp_path)
@@ -147,7 +150,9 @@ def test_trade_off_finds_no_worse_than_the_projects_own_and_says_what_limits(pro
     document["bounds"]["nu_ceiling"] = found.setting()["bounds.nu_ceiling"]
     ceiling = parse_project(document, "test").bounds.nu_ceiling.at(problem.frames.estimator.omega / (2 * np.pi))
     np.testing.assert_allclose(ceiling, found.best.ceiling, rtol=1e-5)
-    artefacts.write_files(tmp_path, found.files())
+    files = found.files()
+    assert set(drawn(files)) == {"tradeoff.svg"}
+    artefacts.write_files(tmp_path, files)
     assert _tradeoff_section(tmp_path).count("<svg") == 1
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from lpvguard import truck_model
 from lpvguard.design_files import case_files
+from lpvguard.design_pictures import drawn
 from lpvguard.synthesis.cases import case_plant, differences, format_table, paper_case, read_case
 from lpvguard.synthesis.dk import Scaling, certify, dk_synthesis
 from lpvguard.synthesis.errors import SynthesisError
@@ -160,7 +161,7 @@ def test_the_files_of_a_case_hold_every_row_with_its_difference_and_no_time(case
     assert [r["mu_upper"] for r in table] == [r.upper for r in rows] and not any("second" in key for key in table[0])
     read = list(csv.DictReader(files["table2.csv"].splitlines()))
     assert len(read) == 9 and float(read[1]["floor"]) == pytest.approx(rows[1].floor.value) and read[0]["reference_order"] == ""
-    assert files["fig5.svg"].count("</svg>") == 1
+    assert drawn(files)["fig5.svg"].count("</svg>") == 1
 
 
 @pytest.mark.parametrize("structure, dt", [("K_i", 0.0), ("K_is", TS)])

@@ -278,6 +278,7 @@ def _design_vehicle(stored, drive_set, table: bool, largest_A_t: bool, out: Path
         more = {}
         if table:
             from .design_files import design_files
+            from .design_pictures import drawn
             from .frozen import FrozenProblem
             from .stored_frames import StoredFrames
             from .worst_run import worst_runs
@@ -286,6 +287,7 @@ def _design_vehicle(stored, drive_set, table: bool, largest_A_t: bool, out: Path
             cells = problem.table(tell)
             tell("worst-case runs")
             more = design_files(problem, cells, None if drive_set is None else worst_runs(problem, cells, drive_set))
+            more |= drawn(more)
         largest = stage.largest_A_t(stored, tell) if largest_A_t else None
         stage.save(result, stored, out, more, largest)
     rows = [{"v_mps": v, "mu_upper": p.upper, "mu_lower": p.lower, "peak_rad_s": p.bracket.peak_frequency}
@@ -313,14 +315,16 @@ def _design_vehicle(stored, drive_set, table: bool, largest_A_t: bool, out: Path
 
 
 def _design_tradeoff(stored, drive_set, out: Path, json_out: str | None) -> int:
+    from .design_pictures import drawn
     from .frozen import FrozenProblem
     from .stored_frames import StoredFrames
     from .tradeoff import search
 
     with _progress("trade-off") as tell:
         found = search(FrozenProblem(stored, StoredFrames(stored, drive_set, tell)), tell)
+        files = found.files()
         with artefacts.new_folder(out, "design-tradeoff", stored.project.name) as folder:
-            artefacts.write_files(folder, found.files() | {artefacts.MANIFEST: artefacts.manifest(
+            artefacts.write_files(folder, files | drawn(files) | {artefacts.MANIFEST: artefacts.manifest(
                 "design-tradeoff", vehicle=stored.project.name, identification=stored.manifest)})
     _emit(json_out, artefacts.read_json(out / "tradeoff.json"))
     shown = Table("structure", "nu low", "nu high", "lambda_s", "worst mu", "none below", box=None)
@@ -347,6 +351,7 @@ def _show_cells(cells) -> None:
 
 def _design_case(path: Path, out: Path, json_out: str | None) -> int:
     from .design_files import case_files
+    from .design_pictures import drawn
     from .synthesis.cases import paper_case, read_case
 
     case = read_case(path)
@@ -355,7 +360,7 @@ def _design_case(path: Path, out: Path, json_out: str | None) -> int:
         tell("differences to the paper")
         files = case_files(path.name, case, rows)
         with artefacts.new_folder(out, "design-case") as folder:
-            artefacts.write_files(folder, files | {artefacts.MANIFEST: artefacts.manifest(
+            artefacts.write_files(folder, files | drawn(files) | {artefacts.MANIFEST: artefacts.manifest(
                 "design-case", case=path.name, sha256=artefacts.file_hash(path))})
     table = artefacts.read_json(out / "table2.json")["rows"]
     _emit(json_out, table)

@@ -7,7 +7,7 @@
 Reads   controller.json, written by `lpvguard design`:
             Ts_s                        sample period [s]
             speeds (NG,)                nodes [m/s], equally spaced over the project's speed range
-            a (NK,)                     poles of every demand's states, as schedule.py and controller.h have them
+            a (NK,)                     poles of every demand's states, as scheduled.py and controller.h have them
             B (NG, NU, NK, NM)          numerators; measurements: reference, then outputs
             L (NG, NU, NK, NU)          anti-windup injection, A - L C stable at every node and between
             u_max (NU,), rate_max (NU,) limits of the demand [input unit], [input unit/s]
@@ -29,7 +29,7 @@ from .can.bus import bus_source
 from .can.codegen import codec_files
 from .errors import InputError
 from .project import Project
-from .schedule import Scheduled, engagement
+from .scheduled import Scheduled, engagement
 from .sealed import Sealed, coefficient_source
 
 MAGIC, SCHEMA = 0x4C505643, 2

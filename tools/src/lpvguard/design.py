@@ -25,7 +25,8 @@ from .errors import InputError
 from .identify import FittedWeight, Progress, StoredIdentification
 from .nominal import NominalModel
 from .project import DesignSettings
-from .schedule import FrozenLoop, Scheduled, fit
+from .schedule import FrozenLoop, fit
+from .scheduled import Scheduled
 from .synthesis import interconnection as fig1
 from .synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis
 from .synthesis.errors import SynthesisError

@@ -1,10 +1,10 @@
-"""The files of step 8 beside controller.json: Table II, Figs. 5 and 6, as numbers and as pictures; and those of a case file."""
+"""The files of step 8 beside controller.json, as numbers: Table II, Figs. 5 and 6; and those of a case file. design_pictures.py draws them."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from . import artefacts, pictures
+from . import artefacts
 from .frozen import FrozenProblem, table_files
 from .synthesis.cases import TableRow, case_weights, differences
 from .synthesis.interconnection import Weights
@@ -30,23 +30,8 @@ def _weights_figure(common: Weights, objectives: list[tuple[float, float, Weight
             "objectives": [[n, values] for n, values in rows.items()], "command": command}
 
 
-def draw(figures: dict) -> dict[str, str]:
-    """Inline SVG by name of what figures.json holds."""
-    out = {}
-    if "fig5" in figures:
-        f = figures["fig5"]
-        signals = [(n, np.array(v), u) for n, v, u in f["signals"]]
-        command = None if f["command"] is None else tuple(np.array(x, float) for x in f["command"])
-        out["fig5"] = pictures.performance_weights("w5", np.array(f["omega_rad_s"]), signals,
-                                                   [(n, np.array(v)) for n, v in f["objectives"]], command)
-    if "fig6" in figures:
-        out["fig6"] = pictures.worst_case_runs("w6", figures["fig6"])
-    return out
-
-
-def _with_pictures(figures: dict) -> dict[str, str]:
-    return {"figures.json": artefacts.to_json({"kind": "figures", "schema": 1, **figures})} | {
-        f"{name}.svg": pictures.standalone(svg) for name, svg in draw(figures).items()}
+def _figures_file(figures: dict) -> dict[str, str]:
+    return {"figures.json": artefacts.to_json({"kind": "figures", "schema": 1, **figures})}
 
 
 def design_files(problem: FrozenProblem, cells: list[Cell], runs: WorstRuns | None) -> dict[str, str]:
@@ -60,11 +45,11 @@ def design_files(problem: FrozenProblem, cells: list[Cell], runs: WorstRuns | No
     frames = "deciding frames of the drives" if problem.frames.complete else "stored sample of frames"
     return table_files([c.to_dict() for c in cells], vehicle=problem.stored.project.name, speed_mps=problem.settings.design_speed_mps,
                        Ts_s=problem.stored.project.Ts_s, delay_samples=1, lambda_s=problem.settings.lambda_s,
-                       state_uncertainty_from=frames) | _with_pictures(figures)
+                       state_uncertainty_from=frames) | _figures_file(figures)
 
 
 def case_files(name: str, case: dict, rows: list[TableRow]) -> dict[str, str]:
     """Files of a case file's table: each row with its difference to the paper's."""
     objectives = [(o["A_t"], o["A_u"], case_weights(case, o)) for o in case["objective"]]
     table = [row.to_dict() | {"difference": text} for row, text in zip(rows, differences(case, rows), strict=True)]
-    return table_files(table, case=name) | _with_pictures({"fig5": _weights_figure(objectives[0][2], objectives, None)})
+    return table_files(table, case=name) | _figures_file({"fig5": _weights_figure(objectives[0][2], objectives, None)})

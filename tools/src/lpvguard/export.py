@@ -16,13 +16,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from . import __version__, artefacts
 from .control_export import CONTROL_SIZES, ControllerCoefficients, control_files
-from .energy import EnergyTest
 from .frames import Estimator, require_core
 from .nominal import NominalModel
 from .project import Project
@@ -44,8 +43,15 @@ class Coefficients(Sealed):
     table_error: float
 
 
+class EnergyPart(Protocol):
+    """The energy test's part of the coefficients (energy.py finds it)."""
+
+    def coefficients(self) -> tuple[dict[str, int], dict[str, int], dict[str, np.ndarray]]:
+        """Sizes, words and numbers of coeff.h."""
+
+
 def build_coefficients(project: Project, model: NominalModel, estimator: Estimator, W_delta: np.ndarray, B_w: np.ndarray,
-                       threshold: float, energy: EnergyTest) -> Coefficients:
+                       threshold: float, energy: EnergyPart) -> Coefficients:
     """Coefficients from the model, the estimator, the fitted weights at the bins, W_delta (K,), B_w (K, n_y), and the two tests.
 
     Raises InputError for bounds of the plain DFT: the core computes Hann frames only.

@@ -10,6 +10,7 @@ from __future__ import annotations
 import multiprocessing
 import multiprocessing.connection
 import os
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -60,7 +61,8 @@ def _processes(jobs: int) -> Iterator[Map]:
     methods = multiprocessing.get_all_start_methods()
     context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
     if "forkserver" in methods:
-        context.set_forkserver_preload(["lpvguard.identify", "lpvguard.evaluate"])
+        # What the caller has loaded by now, its workers need too.
+        context.set_forkserver_preload(sorted(name for name in sys.modules if name.startswith("lpvguard.")))
     with ProcessPoolExecutor(max_workers=jobs, mp_context=context, initializer=_end_with_parent) as pool:
         try:
             yield _bounded(pool.submit, lambda future: future.result(), lambda: UNDER_WAY_PER_WORKER * jobs)

@@ -16,7 +16,7 @@ import numpy as np
 from . import __version__, artefacts, pictures
 from .bounds import FrameSet, counted_frames, explain
 from .core import REASONS, VERDICTS
-from .design_files import draw
+from .design_pictures import draw
 from .drives import Drive
 from .energy import EnergyTest
 from .evaluate import (EXPORTED, FAULT_FROM_S, FOUND_WITHIN_S, MONITOR, PIECE_S, SHORTEST_FOR_FAULTS_S,

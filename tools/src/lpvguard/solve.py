@@ -15,13 +15,16 @@ import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from lpvguard.artefacts import write_json
 from lpvguard.errors import InputError
+from lpvguard.problem_fields import Fields, pairs
 from lpvguard.validation import s1
 
 ANSWERS_SCHEMA = "lpvguard.answers/1"
@@ -30,91 +33,6 @@ BRACKET_GAP = 1e-3
 
 DATA_ROUNDING = 4.0 * float(np.finfo(float).eps)
 """Rounding of E and Z, relative, as it shows in B1."""
-
-
-class Fields:
-    """Typed access to one problem's fields; every complaint names the problem and the field."""
-
-    def __init__(self, problem: dict):
-        self._problem = problem
-        self.source = f"problem {problem.get('id', '(no id)')}"
-
-    def error(self, where: str, what: str, expected: str | None = None) -> InputError:
-        """An InputError about one field, ready to raise."""
-        return InputError(self.source, where, what, expected)
-
-    def has(self, name: str) -> bool:
-        """True when the field is there and not null."""
-        return self._problem.get(name) is not None
-
-    def raw(self, name: str) -> Any:
-        """The field as JSON gave it; an error when it is missing."""
-        if not self.has(name):
-            raise self.error(name, "missing", "a value")
-        return self._problem[name]
-
-    def _array(self, name: str, expected: str) -> np.ndarray:
-        value = self.raw(name)
-        try:
-            a = np.asarray(value, dtype=float)
-        except (TypeError, ValueError):
-            raise self.error(name, "not a regular array of numbers", expected) from None
-        if not np.all(np.isfinite(a)):
-            raise self.error(name, "a value that is not finite", expected)
-        return a
-
-    def real(self, name: str, shape: tuple[int | None, ...] = ()) -> np.ndarray:
-        """Finite real array of ``shape`` (None: any length)."""
-        expected = f"finite real numbers of shape {_shape_text(shape)}" if shape else "one finite real number"
-        a = self._array(name, expected)
-        if not _fits(a.shape, shape):
-            raise self.error(name, f"shape {a.shape}", expected)
-        return a
-
-    def number(self, name: str, *, positive: bool = False) -> float:
-        """One finite number, not negative; with ``positive`` not zero either."""
-        value = float(self.real(name))
-        if value < 0.0 or (positive and value == 0.0):
-            raise self.error(
-                name, f"{value:g}", "a positive number" if positive else "a number that is not negative"
-            )
-        return value
-
-    def weights(self, name: str, length: int, *, positive: bool = False) -> np.ndarray:
-        """``length`` finite numbers, not negative; with ``positive`` none is zero."""
-        a = self.real(name, (length,))
-        if np.any(a < 0.0) or (positive and np.any(a == 0.0)):
-            raise self.error(
-                name, f"{np.min(a):g}", "positive numbers" if positive else "numbers that are not negative"
-            )
-        return a
-
-    def complex(self, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
-        """Finite complex array of ``shape`` from [re, im] pairs; a matrix without columns may be written
-        ``[[], []]``."""
-        expected = f"finite [re, im] pairs of shape {_shape_text(shape)}"
-        a = self._array(name, expected)
-        if a.size == 0 and all(s is not None for s in shape) and math.prod(shape) == 0:
-            return np.zeros(shape, dtype=complex)
-        if a.ndim != len(shape) + 1 or a.shape[-1] != 2 or not _fits(a.shape[:-1], shape):
-            raise self.error(name, f"shape {a.shape}", expected)
-        return a[..., 0] + 1j * a[..., 1]
-
-
-def _fits(actual: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
-    return len(actual) == len(wanted) and all(
-        w is None or a == w for a, w in zip(actual, wanted, strict=True)
-    )
-
-
-def _shape_text(shape: tuple[int | None, ...]) -> str:
-    return "(" + ", ".join("n" if s is None else str(s) for s in shape) + ")"
-
-
-def pairs(a) -> list:
-    """Complex array as nested lists of [re, im]."""
-    a = np.asarray(a, dtype=complex)
-    return np.stack([a.real, a.imag], axis=-1).tolist()
 
 
 def _truck(f: Fields) -> tuple[float, float, float]:
@@ -168,27 +86,12 @@ def _solve_margin(f: Fields) -> dict:
     return {"t": float(s1.margin(e, z, f.number("W_delta"), f.weights("W_w", e.size, positive=True)))}
 
 
-def _synthesis(name: str) -> Callable[[Fields, dict], dict]:
-    def solve(f: Fields, problem: dict) -> dict:
-        try:
-            from lpvguard.synthesis import solve as synthesis
-        except ImportError as exc:
-            raise f.error(
-                "kind", f"synthesis is not available ({exc})", "a complete installation of lpvguard"
-            ) from exc
-        return getattr(synthesis, name)(problem)
-
-    return solve
-
-
-def _validation_lft(name: str) -> Callable[[Fields, dict], dict]:
-    def solve(f: Fields, _problem: dict) -> dict:
-        # scipy.optimize, which only this kind needs, doubles the start-up time.
-        from lpvguard.validation import problems
-
-        return getattr(problems, name)(f)
-
-    return solve
+def _part(module: str, f: Fields) -> ModuleType:
+    """A module that only its own kinds import: scipy.optimize would double the start-up time of the others."""
+    try:
+        return import_module(module)
+    except ImportError as exc:
+        raise f.error("kind", f"{module} is not available ({exc})", "a complete installation of lpvguard") from exc
 
 
 _SOLVERS: dict[str, Callable[[Fields, dict], dict]] = {
@@ -197,10 +100,10 @@ _SOLVERS: dict[str, Callable[[Fields, dict], dict]] = {
     "multiplicative": lambda f, _: _solve_multiplicative(f),
     "multiplicative_tradeoff": lambda f, _: _solve_multiplicative_tradeoff(f),
     "margin": lambda f, _: _solve_margin(f),
-    "lft": _validation_lft("solve_lft"),
-    "lft_margin": _validation_lft("solve_lft_margin"),
-    "mu": _synthesis("solve_mu"),
-    "hinf": _synthesis("solve_hinf"),
+    "lft": lambda f, _: _part("lpvguard.validation.problems", f).solve_lft(f),
+    "lft_margin": lambda f, _: _part("lpvguard.validation.problems", f).solve_lft_margin(f),
+    "mu": lambda f, problem: _part("lpvguard.synthesis.solve", f).solve_mu(problem),
+    "hinf": lambda f, problem: _part("lpvguard.synthesis.solve", f).solve_hinf(problem),
 }
 
 

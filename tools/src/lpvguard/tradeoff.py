@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from . import artefacts, pictures
+from . import artefacts
 from .frozen import FrozenProblem
 from .identify import Progress
 from .project import NuCeiling
@@ -87,7 +87,7 @@ class TradeOff:
     sentence: str
 
     def files(self) -> dict[str, str]:
-        """tradeoff.json, .csv and .svg."""
+        """tradeoff.json and .csv."""
         rows = [o.to_dict() for o in self.outcomes]
         document = {"kind": "tradeoff", "schema": 1, "vehicle": self.problem.stored.project.name, "speeds_mps": speeds(self.problem),
                     "A_t": self.problem.settings.A_t, "A_u": self.problem.settings.A_u,
@@ -96,9 +96,7 @@ class TradeOff:
                     "setting": self.setting(), "rows": rows, "omega_rad_s": self.problem.frames.estimator.omega,
                     "detail": {name: {"ceiling": o.ceiling, "gamma_w": o.split.gamma_w, "nu_i": o.split.nu_i, "nu_s": o.split.nu_s,
                                       "B_w": o.split.B_w} for name, o in (("best", self.best), ("own", self.own))}}
-        text = artefacts.to_json(document)
-        return {"tradeoff.json": text, "tradeoff.csv": to_csv(rows),
-                "tradeoff.svg": pictures.standalone(pictures.tradeoff_front("t", document))}
+        return {"tradeoff.json": artefacts.to_json(document), "tradeoff.csv": to_csv(rows)}
 
     def setting(self) -> dict:
         """What to write into the project file."""

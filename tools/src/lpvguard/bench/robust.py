@@ -9,7 +9,7 @@ from pathlib import Path
 
 from .. import artefacts, design, identify
 from ..robust_run import QUANTISATION, CompiledController, run
-from ..schedule import Scheduled
+from ..scheduled import Scheduled
 from ..sim import Simulator, load_scenario
 from ..synthesis.dk import certify
 from . import parser, show

@@ -3,16 +3,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from lpvguard.errors import InputError
+from lpvguard.problem_fields import Fields, pairs
 from lpvguard.validation import lft
 from lpvguard.validation.delta import Block
-
-if TYPE_CHECKING:
-    from lpvguard.solve import Fields
 
 GAP = 4e-4
 """Relative distance of the two sides that the branch and bound works to; the interface asks for 1e-3."""
@@ -20,10 +16,6 @@ GAP = 4e-4
 SIDE_NODES = 800
 """Nodes spent on ``nu_s_min`` and ``t_minmax``: they are reported by their attained values, which the first few nodes
 find."""
-
-
-def _pairs(a: np.ndarray) -> list:
-    return np.stack([a.real, a.imag], axis=-1).tolist()
 
 
 def _blocks(f: Fields) -> tuple[Block, ...]:
@@ -58,9 +50,9 @@ def _problem(f: Fields) -> lft.Lft:
 def _explanation(s: lft.Solution) -> dict:
     return {
         "nu": s.nu.tolist(),
-        "xi": _pairs(s.xi),
-        "w": _pairs(s.w),
-        "delta": [_pairs(d) for d in s.verification.deltas],
+        "xi": pairs(s.xi),
+        "w": pairs(s.w),
+        "delta": [pairs(d) for d in s.verification.deltas],
         "residual": s.verification.residual,
     }
 
