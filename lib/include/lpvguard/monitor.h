@@ -31,7 +31,6 @@
 
 LPVG_EXTERN_C_BEGIN
 
-#define LPVG_NHISTORY 8  ///< largest m of the k-of-m confirmation
 #define LPVG_NRECORDS 4  ///< falsifying frames kept until they are read out
 #define LPVG_NBLOCK 4    ///< samples that a bin takes up at once, a power of two
 #define LPVG_NPARTS ((LPVG_NY > 1) ? 2 : 1)  ///< pushes over which the judgement of a frame is spread

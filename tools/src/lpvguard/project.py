@@ -133,10 +133,11 @@ class FrameTestSettings(_Strict):
 
 
 class EnergyTestSettings(_Strict):
-    """The energy test (DESIGN 4.8). ``band_hz``: the two corners of its three bands, by default the frames' f_min_hz and f_max_hz.
+    """The energy test (DESIGN 4.8). ``band_hz``: the corners between its bands, two to seven that rise, by default the frames'
+    f_min_hz and f_max_hz, which make three bands.
     ``memory_s``: time constant of the forgetting, by default one period of f_min_hz."""
 
-    band_hz: tuple[Positive, Positive] | None = None
+    band_hz: Annotated[tuple[Positive, ...], Field(min_length=2, max_length=7)] | None = None
     memory_s: Positive | None = None
 
 
@@ -231,9 +232,9 @@ class Project(_Strict):
             raise ValueError("model: speed_min_mps must be below speed_max_mps")
         if not self.frames.f_min_hz < self.frames.f_max_hz < 0.5 / self.Ts_s:
             raise ValueError("frames: f_min_hz < f_max_hz < half the sampling rate must hold")
-        band = self.energy_test.band_hz
-        if band is not None and not band[0] < band[1] < 0.5 / self.Ts_s:
-            raise ValueError("energy_test.band_hz: low < high < half the sampling rate must hold")
+        corners = (*(self.energy_test.band_hz or ()), 0.5 / self.Ts_s)
+        if not all(low < high for low, high in zip(corners, corners[1:])):
+            raise ValueError("energy_test.band_hz: corners must rise and stay below half the sampling rate")
         return self
 
     def _require_vehicle_of_fig1(self) -> None:
