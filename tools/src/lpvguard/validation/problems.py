@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lpvguard.blocks import Block
 from lpvguard.errors import InputError
 from lpvguard.validation import lft
-from lpvguard.validation.delta import Block
 
 if TYPE_CHECKING:
     from lpvguard.solve import Fields
