@@ -6,14 +6,14 @@ The signal table of the project file is the only place where names, units, signs
 
 from __future__ import annotations
 
-import tomllib
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from .documents import checked, read_toml
 from .errors import InputError
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -290,21 +290,9 @@ def load_project(vehicle: str | Path) -> Project:
     else:
         raise InputError(str(vehicle), "--vehicle", "unknown vehicle",
                          f"one of {', '.join(shipped_vehicles())}, or a path to a project file (*.toml)")
-    try:
-        document = tomllib.loads(source.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(where, "", f"cannot be read ({error.strerror})", "a readable TOML project file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(where, "", str(error), "valid TOML") from None
-    return parse_project(document, where)
+    return parse_project(read_toml(source, "a project file", where), where)
 
 
 def parse_project(document: object, where: str) -> Project:
     """Validate a project document; InputError names ``where``, the field and what was expected."""
-    try:
-        return Project.model_validate(document)
-    except ValidationError as error:
-        first = error.errors()[0]
-        field = ".".join(str(p) for p in first["loc"]) or "project file"
-        given = f" (given: {first['input']!r})" if not isinstance(first.get("input"), dict) else ""
-        raise InputError(where, field, f"refused{given}", first["msg"]) from None
+    return checked(Project, document, "a project file as project.py describes", where)
