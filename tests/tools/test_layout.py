@@ -89,3 +89,8 @@ def test_a_missing_field_is_named(truck):
 
 def test_every_dimension_is_one_of_a_struct():
     assert set(layout.DIMENSIONS) == set(COEFF.dimensions) | set(CONTROL.dimensions)
+
+
+@pytest.mark.parametrize(("n_y", "bins", "latency"), [(1, 11, 3 + 5 + 11), (2, 11, 3 + 5 + 22), (4, 64, 3 + 32 + 128)])
+def test_the_latency_of_the_core_is_that_of_its_header(n_y, bins, latency):
+    assert layout.constant("NLATENCY", {"NY": n_y, "NBINS": bins}) == latency

@@ -23,6 +23,12 @@ LPVG_EXTERN_C_BEGIN
 #define LPVG_NENTRIES (LPVG_NX * (LPVG_NX + (2 * LPVG_NU)))
 /// Largest m of the k-of-m confirmation.
 #define LPVG_NHISTORY 8
+/// Samples that a bin takes up at once, a power of two.
+#define LPVG_NBLOCK 4
+/// Pushes over which the judgement of a frame is spread: 1 for one output, else 2.
+#define LPVG_NPARTS (2 - (1 / LPVG_NY))
+/// Samples from the end of a frame to its judgement, at most: the block, the pushes that close several frames, and the queue.
+#define LPVG_NLATENCY (LPVG_NBLOCK - 1 + (LPVG_NBINS / 2) + (LPVG_NPARTS * LPVG_NBINS))
 
 #define lpvg_coeff_words_t LPVG_SYM(coeff_words_t)
 #define lpvg_coeff_reals_t LPVG_SYM(coeff_reals_t)
@@ -41,7 +47,7 @@ typedef struct lpvg_coeff_words_t {
     uint32_t of_last;                       ///< m of the k-of-m confirmation, within [0, NHISTORY]
     uint32_t energy_settle;                 ///< time in range before the left sum of the energy test grows [samples], within [settle_samples, inf)
     uint32_t energy_rearm;                  ///< judgements without an exceedance after which the next one is an alarm anew, within [1, inf)
-    uint32_t frame_length[LPVG_NBINS];      ///< length of a frame: even, none longer than DC's; half exceeds LPVG_NLATENCY (monitor.h) [samples]
+    uint32_t frame_length[LPVG_NBINS];      ///< length of a frame: even, none longer than DC's; half exceeds LPVG_NLATENCY [samples]
     uint32_t cycles[LPVG_NBINS];            ///< periods a frame, 0 at DC, fewer than half its samples
     uint32_t varying_entry[LPVG_NVARYING];  ///< which of the LPVG_NENTRIES entries move with speed, within [0, NENTRIES)
 } lpvg_coeff_words_t;

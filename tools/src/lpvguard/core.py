@@ -17,19 +17,12 @@ from pathlib import Path
 import numpy as np
 
 from . import artefacts, native
+from .c_enums import enum_names
 from .drives import Drive
 from .errors import InputError
 from .layout import COEFF
 
 PACKAGE = Path(__file__).resolve().parent
-VERDICTS = ("unknown", "valid", "invalid", "not_judged", "stale", "fault")
-REASONS = ("none", "not_excited", "speed_moved", "out_of_range", "settling")
-SUPERVISION = ("off", "hold", "live")
-"""Names of lpvg_can_state_t."""
-STATUSES = ("ok", "bad_argument", "bad_magic", "bad_schema", "bad_size", "bad_estimator", "bad_crc", "not_finite",
-            "bad_value", "bad_sample", "out_of_order", "not_ready")
-
-
 def band_names(n: int) -> tuple[str, ...]:
     """Names of the energy test's ``n`` bands, lowest first: below its corners, between two of them, above them."""
     between = ["between"] if n == 3 else [f"between_{k}_{k + 1}" for k in range(1, n - 1)]
@@ -42,6 +35,18 @@ def library_root() -> Path:
         if (candidate / "src" / "monitor.cpp").is_file():
             return candidate
     raise InputError(PACKAGE, "lib", "the C core's sources are missing", "lib/ beside tools/, or an installed package")
+
+
+def _enum(header: str, name: str) -> tuple[str, ...]:
+    return enum_names(library_root() / "include" / "lpvguard" / header, name)
+
+
+VERDICTS = _enum("monitor.h", "lpvg_verdict_t")
+REASONS = _enum("monitor.h", "lpvg_reason_t")
+TESTS = _enum("monitor.h", "lpvg_test_t")
+STATUSES = _enum("status.h", "lpvg_status_t")
+SUPERVISION = _enum("can.h", "lpvg_can_state_t")
+EVENTS = _enum("can.h", "lpvg_can_event_t")
 
 
 def firmware_root() -> Path:

@@ -47,8 +47,12 @@ DIMENSIONS = {
 CONSTANTS = {
     "NENTRIES": ("(NX * (NX + (2 * NU)))", "Entries of Ad (n x n), B_old (n x n_u) and B_new (n x n_u), row after row, one matrix after the other."),
     "NHISTORY": ("8", "Largest m of the k-of-m confirmation."),
+    "NBLOCK": ("4", "Samples that a bin takes up at once, a power of two."),
+    "NPARTS": ("(2 - (1 / NY))", "Pushes over which the judgement of a frame is spread: 1 for one output, else 2."),
+    "NLATENCY": ("(NBLOCK - 1 + (NBINS / 2) + (NPARTS * NBINS))",
+                 "Samples from the end of a frame to its judgement, at most: the block, the pushes that close several frames, and the queue."),
 }
-"""Sizes made of dimensions, and fixed ones: C macro LPVG_<name> of coeff.h, with its comment."""
+"""Sizes made of dimensions, and fixed ones: C macro LPVG_<name> of coeff.h, with its comment. Division is that of whole numbers."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +150,7 @@ COEFF = Layout(
         Field("of_last", (), "", "m of the k-of-m confirmation", "[0, NHISTORY]"),
         Field("energy_settle", (), "samples", "time in range before the left sum of the energy test grows", "[settle_samples, inf)"),
         Field("energy_rearm", (), "", "judgements without an exceedance after which the next one is an alarm anew", "[1, inf)"),
-        Field("frame_length", ("NBINS",), "samples", "length of a frame: even, none longer than DC's; half exceeds LPVG_NLATENCY (monitor.h)"),
+        Field("frame_length", ("NBINS",), "samples", "length of a frame: even, none longer than DC's; half exceeds LPVG_NLATENCY"),
         Field("cycles", ("NBINS",), "", "periods a frame, 0 at DC, fewer than half its samples"),
         Field("varying_entry", ("NVARYING",), "", "which of the LPVG_NENTRIES entries move with speed", "[0, NENTRIES)"),
     ),
@@ -206,12 +210,17 @@ def _macros(expression: str) -> str:
     return re.sub(r"\b([A-Z]+)\b", r"LPVG_\1", expression)
 
 
+def constant(name: str, sizes: dict[str, int]) -> int:
+    """Value of one of CONSTANTS for the dimensions that it depends on."""
+    return _evaluated(CONSTANTS[name][0], sizes)
+
+
 def _evaluated(expression: str, sizes: dict[str, int]) -> int:
     known = dict(sizes)
-    for name, (text, _) in CONSTANTS.items():
+    for name in CONSTANTS:
         if name in expression:
-            known[name] = _evaluated(text, sizes)
-    return eval(expression, {"__builtins__": {}}, known)  # noqa: S307  (of this file's tables only)
+            known[name] = constant(name, sizes)
+    return eval(expression.replace("/", "//"), {"__builtins__": {}}, known)  # noqa: S307  (of this file's tables only)
 
 
 def _ends(interval: str) -> tuple[str, bool, str, bool]:

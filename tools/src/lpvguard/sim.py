@@ -34,13 +34,12 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from . import artefacts, native
 from .can.catalogue import load_catalogue
 from .control_export import ControllerCoefficients, build_controller, replaced_controller
-from .core import SUPERVISION, eigen_include, firmware_root, library_root
+from .core import EVENTS, SUPERVISION, eigen_include, firmware_root, library_root
 from .documents import checked, read_toml
 from .drives import Drive
 from .errors import InputError
 from .nominal import NominalModel
 from .project import Project, Signal, parse_project
-from .receive import EVENTS
 from .targets import EmulatedEcu, emulated_ecu
 
 Controller = Literal["designed", "feedforward", "off"]
