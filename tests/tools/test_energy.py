@@ -92,8 +92,12 @@ def test_the_sections_in_delta_are_the_sections_in_z(truck):
                                    (b0 * z**2 + b1 * z + b2) / (a0 * z**2 + a1 * z + a2), rtol=1e-9)
 
 
-def test_the_cores_low_passes_make_the_bands_and_the_bands_sum_to_the_signal(truck):
-    test = truck[3]
+@pytest.mark.parametrize("band_hz", [None, [0.1, 1.0], [0.05, 0.3, 2.0], [0.05, 0.3, 2.0, 7.0]])
+def test_the_cores_low_passes_make_the_bands_and_the_bands_sum_to_the_signal(g80, band_hz):
+    project = parse_project(g80.model_dump(by_alias=True) | {"energy_test": {"band_hz": band_hz}}, "test")
+    test = EnergyTest.design(project, Estimator.of(project, NominalModel(project)), Weight([1.0], [1.0]), [1.0, 2.0], [0.5, 0.5], 1.0)
+    assert len(test.F) == len(test.bands) == len(test.memories_s) == len(test.band_hz) + 1
+    assert test.bands[0] == "below" and test.bands[-1] == "above" and len(set(test.bands)) == len(test.bands)
     z = np.exp(1j * np.linspace(1e-3, 3.0, 50))
     bands = [np.prod([np.polyval(s[:3], z) / np.polyval(s[3:], z) for s in F], axis=0) for F in test.F]
     low_passes = [g * (z + 1) / (z - 1 + 2 * g) for g in test.coefficients()[2]["energy_corner"]]
