@@ -54,6 +54,21 @@ uint32_t coefficients_crc32(const Coeff& coeff) {
     return ~crc;
 }
 
+// Whether a condition holds for a number, or for every number of an array of any rank.
+template <class Items, class Condition>
+bool every(const Items& items, Condition holds) {
+    if constexpr (std::is_array<Items>::value) {
+        for (const auto& item : items) {
+            if (!every(item, holds)) {
+                return false;
+            }
+        }
+        return true;
+    } else {
+        return holds(items);
+    }
+}
+
 template <class Reals>
 bool all_finite(const Reals& reals) {
     for (std::size_t i = 0; i < sizeof reals / sizeof(lpvg_real_t); ++i) {

@@ -5,24 +5,12 @@
 
 #include <utility>
 
-#include "acceptance.hpp"
+#include "coefficient_checks.hpp"
 
 namespace {
 
 using Real = lpvg_real_t;
 constexpr std::size_t nk = LPVG_NK, nm = LPVG_NM, nu = LPVG_NU, nq = nm + nu;
-
-bool sizes_match(const uint32_t* sizes) {
-    return sizes[0] == LPVG_NK && sizes[1] == LPVG_NM && sizes[2] == LPVG_NG && sizes[3] == LPVG_NU;
-}
-
-bool reals_in_range(const lpvg_control_reals_t& r) {
-    bool good = r.speed_min > Real(0) && r.speed_min < r.speed_max;
-    for (std::size_t i = 0; i < nu; ++i) {
-        good = good && r.u_max[i] > Real(0) && r.rate_max[i] > Real(0);
-    }
-    return good;
-}
 
 void count(uint32_t& counter) { counter += counter < UINT32_MAX ? 1U : 0U; }
 
@@ -157,7 +145,7 @@ extern "C" lpvg_status_t lpvg_control_coeff_check(const lpvg_control_coeff_t* co
     if (w.schema != LPVG_CONTROL_SCHEMA) {
         return lpvg_status_bad_schema;
     }
-    if (w.real_bytes != sizeof(lpvg_real_t) || !sizes_match(w.sizes)) {
+    if (w.real_bytes != sizeof(lpvg_real_t) || !lpvguard::sizes_match(w)) {
         return lpvg_status_bad_size;
     }
     if (w.crc32 != lpvg_control_coeff_crc32(coeff)) {
@@ -166,7 +154,7 @@ extern "C" lpvg_status_t lpvg_control_coeff_check(const lpvg_control_coeff_t* co
     if (!lpvguard::all_finite(coeff->reals)) {
         return lpvg_status_not_finite;
     }
-    return w.sample_period_us > 0U && reals_in_range(coeff->reals) ? lpvg_status_ok : lpvg_status_bad_value;
+    return lpvguard::items_in_range(w) && lpvguard::items_in_range(coeff->reals) ? lpvg_status_ok : lpvg_status_bad_value;
 }
 
 extern "C" lpvg_status_t lpvg_control_init(lpvg_control_t* self, const lpvg_control_coeff_t* coeff) {

@@ -3,7 +3,7 @@
 // W_delta is a chain of sections in the operator d = z - 1, (b0 d^2 + b1 d + b2) / (d^2 + a1 d + a2), whose coefficients
 // keep their relative precision in float however slow the poles are. So does the forgetting as x - k x with k = 1 - rho^2.
 //
-// The bands are made by two low-passes and differences, so they sum to the signal itself. W_delta commutes with them and acts
+// The bands are made by a low-pass at each corner and differences, so they sum to the signal itself. W_delta commutes with them and acts
 // first, once for all bands.
 #include "lpvguard/energy.h"
 
@@ -15,7 +15,7 @@ namespace {
 
 using Real = lpvg_real_t;
 constexpr int ny = LPVG_NY;
-constexpr uint32_t below = 0U, between = 1U, above = 2U;
+constexpr std::size_t last = LPVG_NBANDS - 1;
 template <int N>
 using Row = Eigen::Array<Real, N, 1>;
 
@@ -89,12 +89,13 @@ extern "C" void lpvg_energy_advance(lpvg_energy_t* self, const lpvg_coeff_t* coe
         section(r.energy_W[s], weighted, self->W[s]);
     }
     whole.template tail<ny>() = weighted;
-    const Row<3 * ny> up_to_last = low_pass<3 * ny>(r.energy_corner[1], whole, self->F[1]);
     Row<3 * ny> filtered[LPVG_NBANDS];
-    filtered[below] = low_pass<3 * ny>(r.energy_corner[0], up_to_last, self->F[0]);
-    filtered[between] = up_to_last - filtered[below];
-    filtered[above] = whole - up_to_last;
-    filtered[above].template tail<ny>() = r.energy_above * filtered[above].template segment<ny>(ny);
+    filtered[last] = whole;
+    for (std::size_t b = last; b > 0U; --b) {
+        filtered[b - 1U] = low_pass<3 * ny>(r.energy_corner[b - 1U], filtered[b], self->F[b - 1U]);
+        filtered[b] -= filtered[b - 1U];
+    }
+    filtered[last].template tail<ny>() = r.energy_above * filtered[last].template segment<ny>(ny);
     for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
         lpvg_energy_band_t& band = self->band[b];
         const Real* const x = filtered[b].data();
@@ -111,7 +112,7 @@ extern "C" lpvg_real_t lpvg_energy_judge(lpvg_energy_t* self, const lpvg_coeff_t
     self->direction = self->next_direction;
     self->next_direction = self->direction + 1U < LPVG_NDIRECTIONS ? self->direction + 1U : 0U;
     self->ratio = Real(0);
-    self->strongest = below;
+    self->strongest = 0U;
     for (uint32_t b = 0; b < LPVG_NBANDS; ++b) {
         const Row<ny> a = direction(coeff->reals, self->direction, b);
         const Real ratio = norm(self->band[b].left, a) / (norm(self->band[b].right, a) + Real(1));

@@ -46,7 +46,7 @@ ENERGY_MUTANTS = {
     "sigma left out": "(norm(self->band[b].right, a) + Real(1));|(norm(self->band[b].right, a) + Real(0.5));",
     "bands of yhat forgotten": "add(band.right, x + (2 * ny), forget);|add(band.right, whole.data() + (2 * ny), forget);",
     "weight forgotten": "section(r.energy_W[s], weighted, self->W[s]);|(void)s;",
-    "a band left out": "if (ratio > self->ratio) {|if (b < above && ratio > self->ratio) {",
+    "a band left out": "if (ratio > self->ratio) {|if (b < last && ratio > self->ratio) {",
 }
 
 

@@ -343,7 +343,8 @@ def coverage(tree: Path, scratch: Path, only: str = "") -> list[str]:
 
 MUTATION_SAMPLE = 12
 LEAST_KILLED = 0.75, 0.9  # of the sample, of all
-SEES = {"acceptance.hpp": ["coeff.toy", "controller.hand_truck"], "can.cpp": ["can", "can_faults"], "margin.hpp": ["margin"], "coeff.cpp": ["coeff.toy"],
+SEES = {"acceptance.hpp": ["coeff.toy", "controller.hand_truck"], "coefficient_checks.hpp": ["coeff.toy", "controller.hand_truck"],
+        "can.cpp": ["can", "can_faults"], "margin.hpp": ["margin"], "coeff.cpp": ["coeff.toy"],
         "model.cpp": ["model.toy", "model.g80"], "monitor.cpp": ["monitor.toy", "energy.toy", "monitor.g80"],
         "controller.cpp": ["controller.hand_toy", "controller.hand_truck"], "ecu.cpp": ["ecu.hand_truck"], "energy.cpp": ["energy.toy", "energy.g80"]}
 """Source -> unit tests that look at it; in the sample only the first."""
@@ -431,11 +432,11 @@ PLANTS: dict[str, list[Plant]] = {
     "warnings": [
         Plant("lib/src/monitor.cpp", "const Real w = Real(0.5) - window_re;", "const Real w = Real(0.5 - window_re);",
               r"gcc-float(.|\n)*\[-Werror=double-promotion\]", "gcc-float-Release"),
-        Plant("lib/src/coeff.cpp", "bool sizes_match(", "constexpr int unused = 1;\n\nbool sizes_match(",
+        Plant("lib/src/coeff.cpp", "bool frames_fit(", "constexpr int unused = 1;\n\nbool frames_fit(",
               r"clang-float(.|\n)*-Wunused-const-variable", "clang-float-Release"),
         Plant("lib/src/model.cpp", "next;\n", "next;\n    int rounded = self->x[0]; (void)rounded;\n",
               r"clang(.|\n)*-Wfloat-conversion", "clang-float-Release"),
-        Plant("lib/src/coeff.cpp", "    for (std::size_t i = 0; i < LPVG_NVARYING; ++i) {", "    for (std::size_t i = 0; i < LPVG_NVARYING; ++i) {\n"
+        Plant("lib/src/coeff.cpp", "    for (std::size_t b = 0; b < LPVG_NBINS; ++b) {", "    for (std::size_t b = 0; b < LPVG_NBINS; ++b) {\n"
               "        const bool w = good; good = w;", r"gcc-float(.|\n)*-Werror=shadow", "gcc-float-Release"),
         Plant("firmware_sim/ecu/firmware.c", "    size_t i;\n", "    size_t i;\n    int n = n_in;\n", r"firmware\.c by gcc(.|\n)*firmware\.c by clang", "firmware"),
         Plant("firmware_sim/ports/cortex_m/startup.c", "return 0xFFFFFFu - SYST_CVR;", "return 0xFFFFFFu - SYST_CVR * 1.0;",
@@ -460,7 +461,7 @@ PLANTS: dict[str, list[Plant]] = {
         Plant("tools/src/lpvguard/sealed.py", 'return f"{int(value)}U"', 'return f"-{int(value)}"', r"toy by gcc"),
         Plant("tools/src/lpvguard/sealed.py", 'lines += ["    },", "};", ""]', 'lines += ["    },", "};;", ""]', r"toy by clang"),
         Plant("tools/src/lpvguard/export.py", "#define", "#  defined", r"toy by gcc"),
-        Plant("tools/src/lpvguard/control_export.py", '"controller.h", "lpvg_control_coeff")}', '"controller.h", "lpvg_control")}', r"hand_truck by gcc"),
+        Plant("tools/src/lpvguard/layout.py", 'struct="control_coeff"', 'struct="control"', r"hand_truck by gcc"),
         Plant("tools/src/lpvguard/can/bus.py", "= (lpvg_real_t){", "= (lpvg_real){", r"hand_truck by clang"),
         Plant("lib/vehicles/g80/lpvguard_coeff.c", ".schema = ", ".schema = 0b0U + ", r"g80 by gcc"),
     ],

@@ -51,8 +51,8 @@ def test_float_follows_double_to_the_end(name, record_property):
         core = Core(shipped_vehicle(name), double=double)
         words, reals = core.compiled
         reals = reals.copy()
-        valid = slice(4, 4 + 2 * (model.n_u + model.n_y))  # input_valid, output_valid of coeff.h: the burst must be taken
-        reals[valid] *= 1e4
+        for field in ("input_valid", "output_valid"):  # the burst must be taken
+            core.fields(reals)[field] *= 1e4
         monitors.append((core, core.monitor(words=words, reals=reals, seal=True)))
     frames = [[], []]
     for k, v, u, y in chunks(project, model):

@@ -15,7 +15,7 @@ from lpvguard.can.catalogue import load_catalogue
 from lpvguard.core import SUPERVISION, VERDICTS
 from lpvguard.errors import InputError
 from lpvguard.lcm_client import CHANNELS, Client, message_types, read_log, watch
-from lpvguard.receive import EVENTS
+from lpvguard.core import EVENTS
 from lpvguard.sim import Simulator, can_fault_table, load_scenario, steady_scenario
 
 SCENARIO = steady_scenario(30.0, can_fault_table("VDC2", "lost", 1.5, 1.7), title="two processes and a logger")

@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lpvguard.synthesis.hinf import hinf_synthesis
-from lpvguard.synthesis.mu import Block, mu_bounds
+from lpvguard.blocks import Block
+from lpvguard.synthesis.mu import mu_bounds
 from lpvguard.synthesis.norms import hinf_norm
 from lpvguard.synthesis.statespace import StateSpace, gain, lft, series
 

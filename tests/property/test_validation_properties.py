@@ -6,7 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lpvguard.validation import lft, s1
-from lpvguard.validation.delta import Block, split
+from lpvguard.blocks import Block
+from lpvguard.validation.delta import split
 from lpvguard.validation.lft import Lft
 
 SEEDS = st.integers(0, 2**32 - 1)

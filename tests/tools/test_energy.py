@@ -65,7 +65,7 @@ def test_the_weights_filter_has_the_fitted_magnitude_on_the_shifted_circle_at_wa
     low, high = (2 / test.Ts * np.tan(np.pi * f * test.Ts) for f in test.band_hz)
     s = 2j / test.Ts * np.tan(theta / 2)
     for F, expected in zip(test.F, (low * high / ((s + low) * (s + high)), high * s / ((s + low) * (s + high)), s / (s + high))):
-        np.testing.assert_allclose(on_circle(F[None], 1.0, theta), np.abs(expected), rtol=1e-7)
+        np.testing.assert_allclose(on_circle(F, 1.0, theta), np.abs(expected), rtol=1e-7)
 
 
 def test_a_weight_that_falls_is_raised_until_it_is_above_its_bound_when_warped():
@@ -92,12 +92,17 @@ def test_the_sections_in_delta_are_the_sections_in_z(truck):
                                    (b0 * z**2 + b1 * z + b2) / (a0 * z**2 + a1 * z + a2), rtol=1e-9)
 
 
-def test_the_cores_low_passes_make_the_bands_and_the_bands_sum_to_the_signal(truck):
-    test = truck[3]
+@pytest.mark.parametrize("band_hz", [None, [0.1, 1.0], [0.05, 0.3, 2.0], [0.05, 0.3, 2.0, 7.0]])
+def test_the_cores_low_passes_make_the_bands_and_the_bands_sum_to_the_signal(g80, band_hz):
+    project = parse_project(g80.model_dump(by_alias=True) | {"energy_test": {"band_hz": band_hz}}, "test")
+    test = EnergyTest.design(project, Estimator.of(project, NominalModel(project)), Weight([1.0], [1.0]), [1.0, 2.0], [0.5, 0.5], 1.0)
+    assert len(test.F) == len(test.bands) == len(test.memories_s) == len(test.band_hz) + 1
+    assert test.bands[0] == "below" and test.bands[-1] == "above" and len(set(test.bands)) == len(test.bands)
     z = np.exp(1j * np.linspace(1e-3, 3.0, 50))
-    bands = [np.polyval(F[:3], z) / np.polyval(F[3:], z) for F in test.F]
-    first, second = (g * (z + 1) / (z - 1 + 2 * g) for g in test.coefficients()[2]["energy_corner"])
-    for band, expected in zip(bands, (first * second, (1 - first) * second, 1 - second)):
+    bands = [np.prod([np.polyval(s[:3], z) / np.polyval(s[3:], z) for s in F], axis=0) for F in test.F]
+    low_passes = [g * (z + 1) / (z - 1 + 2 * g) for g in test.coefficients()[2]["energy_corner"]]
+    for b, band in enumerate(bands):
+        expected = np.prod(low_passes[b:], axis=0) * (1 - low_passes[b - 1] if b > 0 else 1)
         np.testing.assert_allclose(band, expected, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(sum(bands), 1.0, rtol=1e-9)
 

@@ -76,8 +76,7 @@ def test_outside_its_range_the_model_runs_at_the_nearest_speed_but_refuses_a_fre
 def test_crc_of_python_is_the_crc_of_the_core(core, identified):
     from lpvguard.identify import load
 
-    words, _ = core.compiled
-    assert int(words[14]) == load(identified).coefficients.crc32(4)
+    assert int(core.words["crc32"][0]) == load(identified).coefficients.crc32(4)
 
 
 def test_coefficients_follow_the_signal_table(g80, g80_model):

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from lpvguard.synthesis.errors import SynthesisError
-from lpvguard.synthesis.mu import Block, mu_bounds
+from lpvguard.blocks import Block
+from lpvguard.synthesis.mu import mu_bounds
 from lpvguard.synthesis.solve import solve_mu
 
 
@@ -19,7 +20,7 @@ def full(rows, cols=None):
 
 def random_matrix(blocks, seed, spread=0.0):
     rng = np.random.default_rng(seed)
-    shape = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
+    shape = sum(b.cols for b in blocks), sum(b.rows for b in blocks)
     M = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
     return (
         10.0 ** rng.uniform(-spread, spread, (shape[0], 1))
@@ -32,13 +33,13 @@ def check_delta(M, blocks, bounds):
     """Δ has the structure and the size it claims, and makes I − M Δ singular."""
     delta, r0, c0 = bounds.delta.copy(), 0, 0
     for b in blocks:
-        part = delta[c0 : c0 + b.cols, r0 : r0 + b.rows].copy()
+        part = delta[r0 : r0 + b.rows, c0 : c0 + b.cols].copy()
         assert np.linalg.norm(part, 2) <= 1 / bounds.lower * (1 + 1e-9)
         if b.kind != "full":
             assert np.allclose(part, part[0, 0] * np.eye(b.rows), atol=1e-12 / bounds.lower)
         if b.kind == "repeated_real":
             assert abs(part[0, 0].imag) <= 1e-12 / bounds.lower
-        delta[c0 : c0 + b.cols, r0 : r0 + b.rows] = 0
+        delta[r0 : r0 + b.rows, c0 : c0 + b.cols] = 0
         r0, c0 = r0 + b.rows, c0 + b.cols
     assert not np.any(delta)
     loop = np.eye(len(M)) - M @ bounds.delta
@@ -46,8 +47,8 @@ def check_delta(M, blocks, bounds):
 
 
 def test_one_full_block_is_the_largest_singular_value():
-    M = random_matrix([full(2, 3)], 0)
-    bounds = mu_bounds(M, [full(2, 3)])
+    M = random_matrix([full(3, 2)], 0)
+    bounds = mu_bounds(M, [full(3, 2)])
     assert bounds.upper == pytest.approx(np.linalg.norm(M, 2), rel=1e-8)
     assert bounds.lower == pytest.approx(np.linalg.norm(M, 2), rel=1e-8)
 
@@ -86,7 +87,7 @@ def test_a_rank_one_matrix_has_the_sum_of_its_products():
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("spread", [0.0, 3.0])
 def test_up_to_three_full_blocks_the_bounds_meet(seed, spread):
-    blocks = [full(1), full(3), full(2, 5)]
+    blocks = [full(1), full(3), full(5, 2)]
     M = random_matrix(blocks, seed, spread)
     bounds = mu_bounds(M, blocks)
     assert bounds.lower == pytest.approx(bounds.upper, rel=1e-7)
@@ -99,7 +100,7 @@ def conic_upper_bound(M, blocks):
     N, R, C = M / size, *M.shape
     DL, DR, G, constraints, r0, c0 = np.zeros((R, R)), np.zeros((C, C)), np.zeros((C, R)), [], 0, 0
     for b in blocks:
-        EL, ER = np.eye(R)[:, r0 : r0 + b.rows], np.eye(C)[:, c0 : c0 + b.cols]
+        EL, ER = np.eye(R)[:, r0 : r0 + b.cols], np.eye(C)[:, c0 : c0 + b.rows]
         if b.kind == "full":
             d = cp.Variable(nonneg=True)
             DL, DR = DL + d * (EL @ EL.T), DR + d * (ER @ ER.T)
@@ -109,7 +110,7 @@ def conic_upper_bound(M, blocks):
             DL, DR = DL + EL @ D @ EL.T, DR + ER @ D @ ER.T
             if b.kind == "repeated_real":
                 G = G + ER @ cp.Variable((b.rows, b.rows), hermitian=True) @ EL.T
-        r0, c0 = r0 + b.rows, c0 + b.cols
+        r0, c0 = r0 + b.cols, c0 + b.rows
     level, t = cp.Parameter(nonneg=True), cp.Variable()
     GN = cp.Constant(1j) * (G @ N)
     X = level * DR - N.conj().T @ DL @ N - GN - cp.conj(GN).T
@@ -134,9 +135,9 @@ def conic_upper_bound(M, blocks):
 @pytest.mark.parametrize(
     "seed, blocks",
     [
-        (0, [Block("repeated_complex", 2, 2), full(2, 3), full(1)]),
+        (0, [Block("repeated_complex", 2, 2), full(3, 2), full(1)]),
         (1, [Block("repeated_real", 2, 2), full(2)]),
-        (2, [Block("repeated_real", 1, 1), Block("repeated_real", 1, 1), full(2, 1)]),
+        (2, [Block("repeated_real", 1, 1), Block("repeated_real", 1, 1), full(1, 2)]),
         (3, [Block("repeated_real", 2, 2), Block("repeated_complex", 2, 2), full(1)]),
         (4, [full(1)] * 5),
         (5, [Block("repeated_real", 3, 3), Block("repeated_real", 2, 2)]),
@@ -163,7 +164,7 @@ def test_the_lower_bound_of_real_blocks_is_the_reciprocal_of_the_size_of_delta(s
 
 
 def test_the_scalings_prove_the_upper_bound():
-    blocks = [Block("repeated_real", 2, 2), full(1, 2)]
+    blocks = [Block("repeated_real", 2, 2), full(2, 1)]
     M = random_matrix(blocks, 7)
     b = mu_bounds(M, blocks)
     skew = 1j * (b.G @ M)
@@ -199,7 +200,7 @@ def test_solve_names_the_bad_field(change, where):
 @pytest.mark.parametrize("seed", [102, 301])
 def test_the_lower_bound_of_a_mixed_problem_is_the_best_of_a_dense_search(seed):
     """Two real scalars and a full block: every (δ1, δ2) on a grid, the full block by its singular value."""
-    blocks = [Block("repeated_real", 1, 1), Block("repeated_real", 1, 1), full(2, 1)]
+    blocks = [Block("repeated_real", 1, 1), Block("repeated_real", 1, 1), full(1, 2)]
     M = random_matrix(blocks, seed)
     bounds = mu_bounds(M, blocks)
     grid = np.linspace(-1, 1, 101)

@@ -190,7 +190,7 @@ TEST_CASE("values at the edge of what is allowed are accepted", "[unit][coeff][R
             c.reals.W_delta[b] = c.reals.scale[b] = small;
             std::fill(std::begin(c.reals.B_w[b]), std::end(c.reals.B_w[b]), small);
         }
-        c.reals.energy_corner[0] = c.reals.energy_corner[1] = small;
+        std::fill(std::begin(c.reals.energy_corner), std::end(c.reals.energy_corner), small);
         for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
             std::fill(std::begin(c.reals.energy_scale[b]), std::end(c.reals.energy_scale[b]), small);
             std::fill(std::begin(c.reals.energy_start[b]), std::end(c.reals.energy_start[b]), Real(0));

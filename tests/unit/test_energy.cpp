@@ -32,14 +32,17 @@ void with_constant_weight(lpvg_coeff_t& c, double weight, double sigma) {
     }
 }
 
-// F of a band at z: two low-passes L, made into L0 L1, (1 - L0) L1 and 1 - L1.
+// F of a band at z: with the corners' low-passes L, band b is (1 - L[b - 1]) L[b] L[b + 1] ... and band 0 all L.
 std::complex<double> filter(const lpvg_coeff_t& c, std::size_t band, std::complex<double> z) {
     const auto low_pass = [&](std::size_t corner) {
         const auto g = static_cast<double>(c.reals.energy_corner[corner]);
         return g * (z + 1.0) / (z - 1.0 + 2.0 * g);
     };
-    const std::complex<double> up_to_first = low_pass(0), up_to_second = low_pass(1);
-    return band == 2U ? 1.0 - up_to_second : (band == 0U ? up_to_first : 1.0 - up_to_first) * up_to_second;
+    std::complex<double> response = band == 0U ? 1.0 : 1.0 - low_pass(band - 1U);
+    for (std::size_t corner = band; corner < LPVG_NBANDS - 1U; ++corner) {
+        response *= low_pass(corner);
+    }
+    return response;
 }
 
 // Only one band is heard, the others' sigma being so large.
@@ -145,10 +148,12 @@ TEST_CASE("each kind of error is told in its own band", "[unit][energy][REQ-MON-
         }
         return fed.energy.strongest;
     };
-    const auto between = std::sqrt(static_cast<double>(coeff.reals.energy_corner[0]) * static_cast<double>(coeff.reals.energy_corner[1]));
     CHECK(strongest([](uint32_t) { return 0.2; }) == 0U);
-    CHECK(strongest([&](uint32_t k) { return 0.2 * std::sin(2.0 * std::atan(between / (1.0 - between)) * k); }) == 1U);
-    CHECK(strongest([](uint32_t k) { return k % 2U == 0U ? 0.2 : -0.2; }) == 2U);
+    for (uint32_t band = 1U; band + 1U < LPVG_NBANDS; ++band) {
+        const auto between = std::sqrt(static_cast<double>(coeff.reals.energy_corner[band - 1U]) * static_cast<double>(coeff.reals.energy_corner[band]));
+        CHECK(strongest([&](uint32_t k) { return 0.2 * std::sin(2.0 * std::atan(between / (1.0 - between)) * k); }) == band);
+    }
+    CHECK(strongest([](uint32_t k) { return k % 2U == 0U ? 0.2 : -0.2; }) == LPVG_NBANDS - 1U);
 }
 
 TEST_CASE("errors of opposite sign under one nominal output are seen by the joint form only", "[unit][energy][REQ-MON-14]") {

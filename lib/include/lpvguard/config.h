@@ -45,8 +45,8 @@ typedef float lpvg_real_t;
 #if !defined(LPVG_NWEIGHT) || !defined(LPVG_NDIRECTIONS)
 #error "lpvguard: lpvguard_vehicle.h is of an older exporter (LPVG_NWEIGHT is missing); export the vehicle again"
 #endif
-#if !defined(LPVG_NBANDS) || (LPVG_NBANDS != 3)
-#error "lpvguard: lpvguard_vehicle.h is of another exporter (its energy test has other bands); export the vehicle again"
+#if !defined(LPVG_NBANDS) || (LPVG_NBANDS < 2) || (LPVG_NBANDS > 8)
+#error "lpvguard: supported are 2..8 bands of the energy test (LPVG_NBANDS); export the vehicle again"
 #endif
 #ifndef LPVG_NK
 #error "lpvguard: lpvguard_vehicle.h is of an older exporter (LPVG_NK is missing); export the vehicle again"

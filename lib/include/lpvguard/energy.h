@@ -11,10 +11,10 @@
 /// alone may begin later. So a ratio above 1 of the left side to the right proves (W_delta, sigma) wrong; the alarm is
 /// raised above a calibrated threshold that is not below 1 (plus what float may be off).
 ///
-/// F is each of three filters in turn, which together sum to 1: below the first of two corners, between them, above the second.
-/// An error that stays, one that follows the input and one that jumps each stand against the sigma_j of their own band. Above the
-/// second corner, where no frame bounds W_delta, a constant not below 1 stands for it, so the vehicle need not respond there, and
-/// the memory is as much shorter as the corner is higher.
+/// F is the filter of each of LPVG_NBANDS bands in turn: below the first corner, between each and the next, above the last. The
+/// filters sum to 1. With two corners (three bands) an error that stays, one that follows the input and one that jumps each stand
+/// against the sigma_j of their own band. Above the last corner, where no frame bounds W_delta, a constant not below 1 stands for it,
+/// so the vehicle need not respond there. The memory above it is that of the other bands times first corner over last.
 ///
 /// The filter that stands for W_delta is W_delta((2/Ts) (z/rho - 1) / (z/rho + 1)): its magnitude on |z| = rho is that of the
 /// fitted weight at the warped frequency, which `lpvguard identify` certifies to be above the identified bound. Directions a are

@@ -31,12 +31,7 @@
 
 LPVG_EXTERN_C_BEGIN
 
-#define LPVG_NHISTORY 8  ///< largest m of the k-of-m confirmation
 #define LPVG_NRECORDS 4  ///< falsifying frames kept until they are read out
-#define LPVG_NBLOCK 4    ///< samples that a bin takes up at once, a power of two
-#define LPVG_NPARTS ((LPVG_NY > 1) ? 2 : 1)  ///< pushes over which the judgement of a frame is spread
-/// Samples from the end of a frame to its judgement, at most: the block, the pushes that close several frames, and the queue.
-#define LPVG_NLATENCY (LPVG_NBLOCK - 1 + (LPVG_NBINS / 2) + (LPVG_NPARTS * LPVG_NBINS))
 
 #define lpvg_sample_t LPVG_SYM(sample_t)
 #define lpvg_frame_t LPVG_SYM(frame_t)

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from .can.catalogue import load_catalogue
-from .core import SUPERVISION
-from .receive import EVENTS
+from .core import EVENTS, SUPERVISION
 from .sim import RECOVERY_S, Simulator, can_fault_table, load_scenario, steady_scenario
 
 START_S = 20.0

@@ -37,7 +37,6 @@ from __future__ import annotations
 import io
 import subprocess
 import tempfile
-import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from functools import cached_property, lru_cache, partial
@@ -58,6 +57,7 @@ from .can.logs import read_log
 from .control_export import load_controller
 from .core import Core
 from .design import faulted_performance
+from .documents import read_toml
 from .drives import Drive
 from .errors import InputError
 from .evaluate import MONITOR, TESTS, BaselineStudy, Clock, alarming, median_time
@@ -478,7 +478,7 @@ def run_case(context: Context, case: Case) -> dict[str, Any]:
         path.write_text(scenario_text(context.seed, case), encoding="utf-8")
         log = path.with_suffix(".log") if "can_fault" in case.tables else None
         facts, drive, present = simulator.drive(path, log=log)
-        reactions = supervision(simulator, facts, tomllib.loads(path.read_text(encoding="utf-8")), log, case.fault_s)
+        reactions = supervision(simulator, facts, read_toml(path, "a scenario file"), log, case.fault_s)
     replay = replayer.replay(drive, present)
     clock = Clock.of(replay, first_sample(drive, case.fault_s, replay.Ts))
     offline = Offline.of(replayer, drive, case.fault_s)

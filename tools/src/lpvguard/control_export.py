@@ -28,12 +28,12 @@ from . import artefacts
 from .can.bus import bus_source
 from .can.codegen import codec_files
 from .errors import InputError
+from .layout import COEFF, CONTROL
 from .project import Project
 from .scheduled import Scheduled, engagement
 from .sealed import Sealed, coefficient_source
 
-MAGIC, SCHEMA = 0x4C505643, 2
-CONTROL_SIZES = ("NK", "NM", "NG")
+CONTROL_SIZES = tuple(name for name in CONTROL.dimensions if name not in COEFF.dimensions)
 """Sizes of a controller in lpvguard_vehicle.h: states of a demand, measurements, nodes. Zero without one."""
 MAX_STATES = 40
 """Of all demands."""
@@ -44,6 +44,7 @@ ARRAYS = ("speeds", "a", "B", "L", "u_max", "rate_max")
 class ControllerCoefficients(Sealed):
     """A scheduled controller as the core takes it. ``origin`` goes into the manifest: its file's hash, its certificates."""
 
+    LAYOUT = CONTROL
     Ts_s: float
     speeds: np.ndarray
     origin: dict[str, Any]
@@ -66,12 +67,10 @@ def build_controller(Ts_s: float, speeds: np.ndarray, a: np.ndarray, B: np.ndarr
     except np.linalg.LinAlgError as error:
         raise InputError(where, "a", str(error), "stable poles") from None
     sizes = dict(zip(CONTROL_SIZES, (len(a), B.shape[3], len(speeds))))
-    words = {"magic": MAGIC, "schema": SCHEMA, "real_bytes": 4, "sizes": [*sizes.values(), len(u_max)], "crc32": 0,
-             "sample_period_us": round(Ts_s * 1e6)}
+    words = {**CONTROL.head(sizes | {"NU": len(u_max)}), "sample_period_us": round(Ts_s * 1e6)}
     reals = {"speed_min": speeds[0], "speed_max": speeds[-1], "u_max": u_max, "rate_max": rate_max, "A1": a, "engage": engage,
              "BL": np.concatenate([B, L], axis=3)}
-    return ControllerCoefficients(sizes, {k: np.array(v) for k, v in words.items()},
-                                  {k: np.array(v, float) for k, v in reals.items()}, Ts_s, speeds, origin or {})
+    return ControllerCoefficients(sizes, words, reals, Ts_s, speeds, origin or {})
 
 
 def replaced_controller(header: str, controller: ControllerCoefficients) -> dict[str, str]:
@@ -79,7 +78,7 @@ def replaced_controller(header: str, controller: ControllerCoefficients) -> dict
     for name, value in controller.sizes.items():
         header = re.sub(rf"(#define LPVG_{name}) \d+", rf"\1 {value}", header)
     return {"lpvguard_vehicle.h": header,
-            "lpvguard_control.c": coefficient_source(controller, "controller.h", "lpvg_control_coeff")}
+            "lpvguard_control.c": coefficient_source(controller)}
 
 
 def load_controller(path: Path) -> ControllerCoefficients:
@@ -150,5 +149,5 @@ def control_files(project: Project, controller: ControllerCoefficients) -> dict[
     if not np.allclose((controller.speeds[0], controller.speeds[-1]), ends, rtol=1e-9):
         raise InputError(where, "speeds", f"{controller.speeds[0]:g} to {controller.speeds[-1]:g} m/s",
                          f"{ends[0]:g} to {ends[1]:g} m/s, the model's range")
-    return {"lpvguard_control.c": coefficient_source(controller, "controller.h", "lpvg_control_coeff"),
+    return {"lpvguard_control.c": coefficient_source(controller),
             "lpvguard_bus.c": bus_source(project), **codec_files()}

@@ -17,18 +17,16 @@ from pathlib import Path
 import numpy as np
 
 from . import artefacts, native
+from .c_enums import enum_names
 from .drives import Drive
 from .errors import InputError
+from .layout import COEFF
 
 PACKAGE = Path(__file__).resolve().parent
-VERDICTS = ("unknown", "valid", "invalid", "not_judged", "stale", "fault")
-REASONS = ("none", "not_excited", "speed_moved", "out_of_range", "settling")
-BANDS = ("below", "between", "above")
-"""Of the energy test: of its two corners."""
-SUPERVISION = ("off", "hold", "live")
-"""Names of lpvg_can_state_t."""
-STATUSES = ("ok", "bad_argument", "bad_magic", "bad_schema", "bad_size", "bad_estimator", "bad_crc", "not_finite",
-            "bad_value", "bad_sample", "out_of_order", "not_ready")
+def band_names(n: int) -> tuple[str, ...]:
+    """Names of the energy test's ``n`` bands, lowest first: below its corners, between two of them, above them."""
+    between = ["between"] if n == 3 else [f"between_{k}_{k + 1}" for k in range(1, n - 1)]
+    return ("below", *between, "above")
 
 
 def library_root() -> Path:
@@ -37,6 +35,18 @@ def library_root() -> Path:
         if (candidate / "src" / "monitor.cpp").is_file():
             return candidate
     raise InputError(PACKAGE, "lib", "the C core's sources are missing", "lib/ beside tools/, or an installed package")
+
+
+def _enum(header: str, name: str) -> tuple[str, ...]:
+    return enum_names(library_root() / "include" / "lpvguard" / header, name)
+
+
+VERDICTS = _enum("monitor.h", "lpvg_verdict_t")
+REASONS = _enum("monitor.h", "lpvg_reason_t")
+TESTS = _enum("monitor.h", "lpvg_test_t")
+STATUSES = _enum("status.h", "lpvg_status_t")
+SUPERVISION = _enum("can.h", "lpvg_can_state_t")
+EVENTS = _enum("can.h", "lpvg_can_event_t")
 
 
 def firmware_root() -> Path:
@@ -156,21 +166,23 @@ class Core:
         self._lib.lpvgb_compiled_coeff(_pointer(words), _pointer(reals))
         return words, reals
 
+    @cached_property
+    def sizes(self) -> dict[str, int]:
+        """Compiled-in sizes by dimension (layout.py)."""
+        return COEFF.sizes_in(self.compiled[0])
+
+    @cached_property
+    def words(self) -> dict[str, np.ndarray]:
+        """The compiled-in words by field of coeff.h."""
+        return COEFF.split("words", self.compiled[0], self.sizes)
+
     def estimator_id(self) -> int:
-        """Of the bounds in the compiled-in coefficients; words: magic, schema, number size, 10 sizes, estimator (coeff.h)."""
-        return int(self.compiled[0][13])
+        """Of the bounds in the compiled-in coefficients."""
+        return int(self.words["estimator_id"][0])
 
     def fields(self, reals: np.ndarray) -> dict[str, np.ndarray]:
-        """The last fields of coeff.h by name, as views of flat numbers ``reals``."""
-        n_y, K, directions = self.n_y, self.n_bins, int(self.compiled[0][11])
-        shapes = {"energy_scale": (len(BANDS), n_y), "energy_forget": (len(BANDS),), "energy_start": (len(BANDS), n_y),
-                  "energy_direction": (directions, n_y), "energy_threshold": (1,), "W_delta": (K,), "B_w": (K, n_y), "threshold": (1,)}
-        found, end = {}, len(reals)
-        for name, shape in reversed(shapes.items()):
-            first = end - int(np.prod(shape))
-            found[name] = reals[first:end].reshape(shape)
-            end = first
-        return found
+        """The numbers of coeff.h by field, as views of flat numbers ``reals``, each in its shape; a scalar as (1,)."""
+        return COEFF.split("reals", reals, self.sizes)
 
     def monitor(self, *, words: np.ndarray | None = None, reals: np.ndarray | None = None, seal: bool = False) -> Monitor:
         """A fresh monitor with the compiled-in coefficients, or with the given ones (``seal`` renews their CRC).

@@ -16,13 +16,13 @@ the imaginary axis, so the filter W_delta(s(z)) has there the magnitude of the f
 (2/Ts) tan(omega Ts/2), however slow the weight's poles are. ``verify_overbound`` proves it above the samples of nu at their warped
 frequencies, after a gain >= 1 where the weight falls with frequency.
 
-**F** is each of BANDS in turn: with the first-order low-passes L_1, L_2 (plain bilinear) of the two corners, L_1 L_2 below them,
-(1 - L_1) L_2 between, 1 - L_2 above; they sum to 1. Any stable F is sound, and each is a condition by itself. Drives meet large
-errors that stay (bank, offsets) and small fast ones: in a band of their own neither hides the other's kind, as they would in
-one sigma. The corners are those of the frames; below them a constant error counts, as DC does among the frames. Above them no
-frame bounds W_delta: a constant stands for it there, the largest of it but not less than 1, so the vehicle need not respond at
-all. The memory is as much shorter there as the second corner is higher: a jump need not stand out from all that was steered for
-a period of the first.
+**F** is the filter of each band in turn. L_1 ... L_m are first-order low-passes (plain bilinear) of the corners, lowest first. Band 0
+is L_1 ... L_m, band b is (1 - L_b) L_(b+1) ... L_m, band m is 1 - L_m; they sum to 1. Any stable F is sound, and each is a condition
+by itself. Drives meet large errors that stay (bank, offsets) and small fast ones: in a band of their own neither hides the other's
+kind, as they would in one sigma. The default corners are the two of the frames; below them a constant error counts, as DC does among
+the frames. Above the last corner no frame bounds W_delta: a constant stands for it there, the largest of it but not less than 1, so
+the vehicle need not respond at all. The memory above it is memory_s times first corner over last: a jump need not stand out from all
+that was steered for a period of the first.
 
 **sigma_j** of a band is the least number with which the inequality of output j alone holds, from rest, at every sample of every
 drive that set the bounds or the noise; then a band's are multiplied by the least common factor with which it holds for the fan of
@@ -42,7 +42,7 @@ import numpy as np
 from scipy.signal import bilinear_zpk, lfilter, sosfilt, zpk2sos
 
 from .calibration import Calibration, calibrate
-from .core import BANDS
+from .core import band_names
 from .errors import InputError
 from .frames import Estimator
 from .project import Project
@@ -79,6 +79,15 @@ def _sections(zeros: np.ndarray, poles: np.ndarray, gain: float, rate: float, rh
     return zpk2sos(rho * z, rho * p, k)  # as many zeros as poles: the gain is the same
 
 
+def _bands(corner_rad: np.ndarray, rate: float) -> np.ndarray:
+    """Sections (B, S, 6) in z of the bands between the warped corners [rad/s]; a band of fewer sections ends with ones that pass all."""
+    one, nothing = np.zeros(1), np.zeros(0)
+    bands = [_sections(nothing, -corner_rad, np.prod(corner_rad), rate, 1.0),
+             *(_sections(one, -corner_rad[b:], np.prod(corner_rad[b + 1:]), rate, 1.0) for b in range(len(corner_rad)))]
+    passing = np.array([[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]])
+    return np.stack([np.concatenate([band, *[passing] * (len(bands[0]) - len(band))]) for band in bands])
+
+
 def in_delta(sections: np.ndarray) -> np.ndarray:
     """b0, b1, b2, a1, a2 (S, 5) in the operator z - 1 of sections (S, 6) in z, as the core takes them."""
     b, a = sections[:, :3], sections[:, 3:]
@@ -92,16 +101,17 @@ def _norm_in(sums: np.ndarray, directions: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class EnergyTest:
-    """Filters, sigma and calibration, per band of BANDS. Units: ``sigma`` (3, n_y) the outputs', ``start`` (3, n_y) their squares.
+    """Filters, sigma and calibration in B bands, one more than ``band_hz`` has corners. Units: ``sigma`` (B, n_y) the outputs', ``start``
+    (B, n_y) their squares.
 
-    ``F`` (3, 6): a section in z per band. ``W``: sections (S, 6) in z; ``above``: the constant in its place above the corners.
-    ``gain``: what W_delta was raised by to stay above its bound when warped. ``joint`` (3,): the common factor >= 1 in sigma that the
+    ``F`` (B, S, 6): sections in z per band. ``W``: sections (S, 6) in z; ``above``: the constant in its place above the corners.
+    ``gain``: what W_delta was raised by to stay above its bound when warped. ``joint`` (B,): the common factor >= 1 in sigma that the
     fan, or a cut drive, asked for. ``directions`` (D, n_y) in units of sigma.
     """
 
     Ts: float
     memory_s: float
-    band_hz: tuple[float, float]
+    band_hz: tuple[float, ...]
     settle: int
     speed_range: tuple[float, float]
     F: np.ndarray
@@ -112,7 +122,7 @@ class EnergyTest:
     directions: np.ndarray
     sigma: np.ndarray
     start: np.ndarray
-    joint: np.ndarray = field(default_factory=lambda: np.ones(len(BANDS)))
+    joint: np.ndarray
     calibration: Calibration = field(default_factory=lambda: Calibration(1.0 + ROUNDING, {}, None, None))
 
     @classmethod
@@ -120,11 +130,12 @@ class EnergyTest:
                inflation: float) -> EnergyTest:
         """Filters for W_delta, which lies above the samples ``bound`` (K,) at ``omega``, times the final inflation; sigma is 1 yet."""
         Ts, settings = estimator.Ts, project.energy_test
-        low, high = settings.band_hz or (project.frames.f_min_hz, project.frames.f_max_hz)
+        corners = settings.band_hz or (project.frames.f_min_hz, project.frames.f_max_hz)
         memory = settings.memory_s or 1.0 / project.frames.f_min_hz
-        low_rad, high_rad = (2 / Ts * np.tan(np.pi * f * Ts) for f in (low, high))
+        corner_rad = np.array([2 / Ts * np.tan(np.pi * f * Ts) for f in corners])
+        low_rad, high_rad = corner_rad[0], corner_rad[-1]
         if not memory * low_rad > 1:
-            raise InputError(f"vehicle {project.name}", "energy_test", f"memory {memory:g} s, band from {low:g} Hz",
+            raise InputError(f"vehicle {project.name}", "energy_test", f"memory {memory:g} s, band from {corners[0]:g} Hz",
                              f"a memory above {1 / low_rad:.3g} s: the filters must forget faster than the sums")
         warped = 2 / Ts * np.tan(np.asarray(omega) * Ts / 2)
         gain = max(1.0, (1 + 1e-9) / verify_overbound(W_delta, warped, bound, name="W_delta, warped").min_ratio)
@@ -135,20 +146,21 @@ class EnergyTest:
                              "a weight that stays above its bound")
         rho = np.exp(-Ts / memory)
         settle = max(estimator.settle, int(np.ceil(FEWEST_SETTLED / low_rad / Ts)))
-        both, nothing = np.array([-low_rad, -high_rad]), np.zeros(0)
-        F = [_sections(nothing, both, low_rad * high_rad, 1 / Ts, 1.0), _sections(np.zeros(1), both, high_rad, 1 / Ts, 1.0),
-             _sections(np.zeros(1), both[1:], 1.0, 1 / Ts, 1.0)]
-        each = (len(BANDS), project.n_y)
+        each = (len(corners) + 1, project.n_y)
         largest = inflation * float(raised.magnitude(np.geomspace(high_rad, 1e4 * high_rad, 1000)).max())
-        return cls(Ts, memory, (low, high), settle, estimator.speed_range, np.concatenate(F),
+        return cls(Ts, memory, tuple(corners), settle, estimator.speed_range, _bands(corner_rad, 1 / Ts),
                    _sections(raised.zeros(), raised.poles(), inflation * raised.num[0] / raised.den[0], 1 / Ts, rho),
-                   max(1.0, largest), gain, certificate.to_dict(), fan(project.n_y), np.ones(each), np.zeros(each))
+                   max(1.0, largest), gain, certificate.to_dict(), fan(project.n_y), np.ones(each), np.zeros(each), np.ones(each[0]))
 
     @property
     def memories_s(self) -> np.ndarray:
-        """Time constants of the forgetting (3,)."""
-        low, high = self.band_hz
-        return self.memory_s * np.array([1.0, 1.0, low / high])
+        """Time constants of the forgetting (B,)."""
+        return self.memory_s * np.array([*[1.0] * len(self.band_hz), self.band_hz[0] / self.band_hz[-1]])
+
+    @property
+    def bands(self) -> tuple[str, ...]:
+        """Names of the bands."""
+        return band_names(len(self.band_hz) + 1)
 
     @property
     def rho(self) -> float:
@@ -162,7 +174,7 @@ class EnergyTest:
 
     def sigma_text(self, project: Project) -> str:
         """sigma per output, below, between and above the corners."""
-        return "; ".join(f"{signal.name} {', '.join(f'{x:.3g}' for x in per_band)} {signal.unit} ({', '.join(BANDS)} the corners)"
+        return "; ".join(f"{signal.name} {', '.join(f'{x:.3g}' for x in per_band)} {signal.unit} ({', '.join(self.bands)} the corners)"
                          for signal, per_band in zip(project.outputs, self.sigma.T))
 
     def at_rest(self) -> EnergyTest:
@@ -178,7 +190,7 @@ class EnergyTest:
             explained = sosfilt(self.W, yhat[first:end], axis=0)
             for band, F in enumerate(self.F):
                 allowed = explained if band < len(self.F) - 1 else self.above * yhat[first:end]
-                left, right = sosfilt(F[None], e[first:end], axis=0), sosfilt(F[None], allowed, axis=0)
+                left, right = sosfilt(F, e[first:end], axis=0), sosfilt(F, allowed, axis=0)
                 yield (first + self.settle, band, self._sums(band, left[self.settle:], np.zeros_like(self.start[band])),
                        self._sums(band, right, self.start[band])[self.settle:])
 
@@ -194,8 +206,8 @@ class EnergyTest:
             yield first, band, _norm_in(left, a) / (_norm_in(right, a) + 1.0)
 
     def needs(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> dict[str, np.ndarray]:
-        """What a drive asks of sigma: per output (3, n_y) and jointly (3,), and the largest norms met; NaN where nothing is judged."""
-        out = {key: np.full(self.sigma.shape, np.nan) for key in ("sigma", "error", "bound")} | {"joint": np.full(len(BANDS), np.nan)}
+        """What a drive asks of sigma: per output (B, n_y) and jointly (B,), and the largest norms met; NaN where nothing is judged."""
+        out = {key: np.full(self.sigma.shape, np.nan) for key in ("sigma", "error", "bound")} | {"joint": np.full(len(self.F), np.nan)}
         single = np.eye(self.sigma.shape[1])
         for _, band, left, right in self.norms(e, yhat, v):
             error, bound = _norm_in(left, single), _norm_in(right, single)
@@ -232,17 +244,17 @@ class EnergyTest:
                  "energy_scale": 1 / self.sigma,
                  "energy_forget": -np.expm1(-2 * self.Ts / self.memories_s), "energy_start": self.start,
                  "energy_direction": self.directions, "energy_threshold": self.calibration.threshold}
-        return {"NWEIGHT": len(self.W), "NDIRECTIONS": len(self.directions), "NBANDS": len(BANDS)}, words, reals
+        return {"NWEIGHT": len(self.W), "NDIRECTIONS": len(self.directions), "NBANDS": len(self.F)}, words, reals
 
     def to_dict(self) -> dict:
-        return {"memory_s": self.memory_s, "band_hz": list(self.band_hz), "bands": list(BANDS), "settle_samples": self.settle,
+        return {"memory_s": self.memory_s, "band_hz": list(self.band_hz), "bands": list(self.bands), "settle_samples": self.settle,
                 "gain": self.gain, "above": self.above, "certificate": self.certificate, "directions": self.directions, "sigma": self.sigma, "start": self.start,
                 "joint": self.joint, "calibration": self.calibration.to_dict()}
 
     def restored(self, data: dict, where: str) -> EnergyTest:
         """With the stored sigma and calibration; InputError when ``data`` belongs to other filters."""
         stored = (data["memory_s"], *data["band_hz"], data["settle_samples"], *data.get("bands", ()))
-        if stored != (self.memory_s, *self.band_hz, self.settle, *BANDS):
+        if stored != (self.memory_s, *self.band_hz, self.settle, *self.bands):
             raise InputError(where, "memory_s, band_hz, settle_samples, bands", f"{stored}", "those that project.json describes")
         return replace(self, sigma=np.array(data["sigma"]), start=np.array(data["start"]), joint=np.array(data["joint"]),
                        calibration=Calibration(**data["calibration"]))

@@ -35,7 +35,7 @@ import numpy as np
 from .baselines import GRID, KINDS, TITLES, Bank, Baseline, Scales
 from .bounds import nominal_error
 from .calibration import Calibration, calibrate, joint_scores
-from .core import Core
+from .core import TESTS, Core
 from .drives import Drive, Experiment
 from .energy import ROUNDING
 from .errors import InputError
@@ -59,7 +59,6 @@ MONITOR = "monitor"
 """Name of our own detector beside the kinds of baselines.KINDS: both tests together, at one threshold."""
 EXPORTED = "exported"
 """Both tests, each at its own threshold, as `lpvguard export` writes them."""
-TESTS = ("frame", "energy")
 
 
 @dataclass(frozen=True)

@@ -26,11 +26,9 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.signal import oaconvolve
 
 from .errors import InputError
+from .layout import constant
 from .nominal import NominalModel
 from .project import FrameSettings, Project
-
-CORE_BLOCK = 4
-"""LPVG_NBLOCK of lib/include/lpvguard/monitor.h: samples that a bin of the core takes up at once."""
 
 
 def require_core(project: Project) -> None:
@@ -70,8 +68,7 @@ class Estimator:
             raise InputError(f"vehicle {project.name}", "frames",
                              f"the highest bins hold {length[-1]} samples a frame",
                              f"at least {4 * settings.periods} and different lengths; lower f_max_hz or bins_per_decade")
-        # LPVG_NLATENCY of monitor.h, DC included.
-        latency = CORE_BLOCK - 1 + (n_bins + 1) // 2 + (2 if project.n_y > 1 else 1) * (n_bins + 1)
+        latency = constant("NLATENCY", {"NBINS": n_bins + 1, "NY": project.n_y})  # DC included
         if length[-1] // 2 <= latency:
             raise InputError(f"vehicle {project.name}", "frames", f"{n_bins + 1} bins and half frames of {length[-1] // 2}",
                              f"half frames longer than {latency} samples, as the core spreads its work over samples")

@@ -44,18 +44,18 @@ than ``max_gap_s``; so is everything across a jump of the log's clock.
 from __future__ import annotations
 
 import difflib
-import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from . import artefacts
 from .can.decode import decode_signal, find_frames, is_j1939, load_database, own_database
 from .can.logs import Frames, Series, Table, read_log, stem
+from .documents import checked, read_toml
 from .errors import InputError
 
 REORDER_S = 0.1
@@ -146,23 +146,7 @@ class SignalMap(_Strict):
 
 def load_signal_map(path: Path) -> SignalMap:
     """Read and check a signal map. InputError names file, field and what was expected."""
-    try:
-        document = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(path, "", f"cannot be read ({error.strerror})", "a signal map (TOML)") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(path, "", str(error), "valid TOML") from None
-    try:
-        return SignalMap.model_validate(document)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(p) for p in first["loc"]) or "signal map"
-        raise InputError(
-            path,
-            where,
-            first["msg"].removeprefix("Value error, "),
-            "a signal map as `lpvguard ingest --help` describes",
-        ) from None
+    return checked(SignalMap, read_toml(Path(path), "a signal map"), "a signal map as `lpvguard ingest --help` describes", path)
 
 
 def map_of_project(project) -> SignalMap:

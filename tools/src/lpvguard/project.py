@@ -6,14 +6,14 @@ The signal table of the project file is the only place where names, units, signs
 
 from __future__ import annotations
 
-import tomllib
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from .documents import checked, read_toml
 from .errors import InputError
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -133,10 +133,11 @@ class FrameTestSettings(_Strict):
 
 
 class EnergyTestSettings(_Strict):
-    """The energy test (DESIGN 4.8). ``band_hz``: the two corners of its three bands, by default the frames' f_min_hz and f_max_hz.
+    """The energy test (DESIGN 4.8). ``band_hz``: the corners between its bands, two to seven that rise, by default the frames'
+    f_min_hz and f_max_hz, which make three bands.
     ``memory_s``: time constant of the forgetting, by default one period of f_min_hz."""
 
-    band_hz: tuple[Positive, Positive] | None = None
+    band_hz: Annotated[tuple[Positive, ...], Field(min_length=2, max_length=7)] | None = None
     memory_s: Positive | None = None
 
 
@@ -231,9 +232,9 @@ class Project(_Strict):
             raise ValueError("model: speed_min_mps must be below speed_max_mps")
         if not self.frames.f_min_hz < self.frames.f_max_hz < 0.5 / self.Ts_s:
             raise ValueError("frames: f_min_hz < f_max_hz < half the sampling rate must hold")
-        band = self.energy_test.band_hz
-        if band is not None and not band[0] < band[1] < 0.5 / self.Ts_s:
-            raise ValueError("energy_test.band_hz: low < high < half the sampling rate must hold")
+        corners = (*(self.energy_test.band_hz or ()), 0.5 / self.Ts_s)
+        if not all(low < high for low, high in zip(corners, corners[1:])):
+            raise ValueError("energy_test.band_hz: corners must rise and stay below half the sampling rate")
         return self
 
     def _require_vehicle_of_fig1(self) -> None:
@@ -289,21 +290,9 @@ def load_project(vehicle: str | Path) -> Project:
     else:
         raise InputError(str(vehicle), "--vehicle", "unknown vehicle",
                          f"one of {', '.join(shipped_vehicles())}, or a path to a project file (*.toml)")
-    try:
-        document = tomllib.loads(source.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(where, "", f"cannot be read ({error.strerror})", "a readable TOML project file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(where, "", str(error), "valid TOML") from None
-    return parse_project(document, where)
+    return parse_project(read_toml(source, "a project file", where), where)
 
 
 def parse_project(document: object, where: str) -> Project:
     """Validate a project document; InputError names ``where``, the field and what was expected."""
-    try:
-        return Project.model_validate(document)
-    except ValidationError as error:
-        first = error.errors()[0]
-        field = ".".join(str(p) for p in first["loc"]) or "project file"
-        given = f" (given: {first['input']!r})" if not isinstance(first.get("input"), dict) else ""
-        raise InputError(where, field, f"refused{given}", first["msg"]) from None
+    return checked(Project, document, "a project file as project.py describes", where)

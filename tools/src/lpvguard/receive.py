@@ -28,16 +28,12 @@ from .can.bus import take_case
 from .can.catalogue import Catalogue, Message, Signal, load_catalogue
 from .can.codegen import ANY_PRIORITY, SOURCE, codec_files, messages_in_order
 from .can.logs import EXTENDED, Frames
-from .core import PACKAGE, library_root
+from .core import EVENTS, PACKAGE, SUPERVISION, library_root
 from .errors import InputError
 from .ingest import clock_of
 from .project import Project
 
-EVENTS = ("none", "accepted", "recovering", "unknown_id", "error", "bus_off", "backwards", "early", "length", "checksum", "repeated",
-          "sequence", "absent", "invalid", "range", "gradient", "missed", "lost")
-"""Names of lpvg_can_event_t."""
-LIVE = 2
-"""lpvg_can_state_live."""
+LIVE = SUPERVISION.index("live")
 CLOCK_JUMP_S = 60.0
 PAUSE_S = 1.0
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from .can.logs import Frames, is_raw_table, read_log, stem
 from .can.play import frames_of_drive, values_of_drive
-from .core import BANDS, REASONS, STATUSES, VERDICTS, Core, Run
+from .core import REASONS, STATUSES, VERDICTS, Core, Run, band_names
 from .drives import TABLE_SUFFIXES, Drive, read_drive, require_units
 from .errors import InputError
 from .frames import Estimator
@@ -27,7 +27,7 @@ class Alarm:
     """What falsified the model, with what a person needs to believe it.
 
     ``frame``: a frame of a bin. ``energy``: the energy test's ratio (``margin``) exceeded its threshold, after a memory without
-    that; bin_rad_s and W_delta are None, ``band`` is one of energy.BANDS, ``direction`` (n_y,) says which sum of outputs, in units of
+    that; bin_rad_s and W_delta are None, ``band`` is one of core.band_names, ``direction`` (n_y,) says which sum of outputs, in units of
     sigma, B_w holds the band's sigma, E the norms of F e_j and Z those of F W_delta yhat_j.
     """
 
@@ -146,6 +146,7 @@ class Replayer:
         self.threshold, self.energy_threshold = (float(fields[name][0]) for name in ("threshold", "energy_threshold"))
         self.W_delta, self.B_w = fields["W_delta"], fields["B_w"]
         self.sigma, self.directions = 1.0 / fields["energy_scale"], fields["energy_direction"]
+        self.bands = band_names(len(self.sigma))
 
     def replay(self, drive: Drive, present: np.ndarray | None = None) -> Replay:
         """Run one drive; where ``present`` (N,) is False there was no sample and the drive's values mean nothing."""
@@ -166,7 +167,7 @@ class Replayer:
         found = run.energy_alarms
         alarms += [Alarm(float(found.t_end_s[i] - t0), "energy", None, float(found.speed[i]), float(found.margin[i]),
                          float(found.evidence[i]), float(found.statistic[i]), self.energy_threshold, None, self.sigma[band].tolist(),
-                         found.E[i].real.tolist(), found.Z[i].real.tolist(), self.directions[direction].tolist(), BANDS[band])
+                         found.E[i].real.tolist(), found.Z[i].real.tolist(), self.directions[direction].tolist(), self.bands[band])
                    for i, (band, direction) in enumerate(zip(*divmod(found.bin, len(self.directions))))]
         in_range = (drive.v >= low) & (drive.v <= high)
         falsified = np.zeros(len(drive.t), bool)

@@ -579,7 +579,7 @@ def _drive_section(found: _Pass, replayer: Replayer) -> str:
 def _energy(test: EnergyTest, project: Project) -> str:
     """Settings and numbers of the energy test in a sentence."""
     c = test.calibration
-    return (f"corners {test.band_hz[0]:g} and {test.band_hz[1]:g} Hz, memory {test.memory_s:g} s, above them {test.memories_s[-1]:.3g} s and the constant {test.above:.3g} for W<sub>Δ</sub>, judged {test.settle * test.Ts:.3g} s after entering "
+    return (f"corners {', '.join(f'{f:g}' for f in test.band_hz[:-1])} and {test.band_hz[-1]:g} Hz, memory {test.memory_s:g} s, above them {test.memories_s[-1]:.3g} s and the constant {test.above:.3g} for W<sub>Δ</sub>, judged {test.settle * test.Ts:.3g} s after entering "
             f"the range; σ: {escape(test.sigma_text(project))}; {len(test.directions)} direction(s); W<sub>Δ</sub> as a filter proved above its bound on the circle "
             f"|z| = {test.rho:.6g} (least ratio {test.certificate['min_ratio']:.9g}); threshold {c.threshold:.4g}: {c.claim()}")
 

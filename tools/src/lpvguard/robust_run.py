@@ -82,10 +82,10 @@ def run(compiled: CompiledController, plant: GeneralisedPlant, controller: State
         draws: int, seed: int) -> RobustRun:
     """``draws`` sampled Delta and inputs and the worst case at speed v. ``controller``: what the compiled one stands for, in double."""
     random = np.random.default_rng(seed)
-    size, dt, n_w = 1 / max(1.0, proved.upper), plant.system.dt, plant.performance_block.cols
+    size, dt, n_w = 1 / max(1.0, proved.upper), plant.system.dt, plant.performance_block.rows
     sampled, rounding = 0.0, 0.0
     for k in range(draws):
-        delta = append(*(_sampled_block(random, b.cols, b.rows, size, dt) for b in plant.blocks)) if plant.blocks else None
+        delta = append(*(_sampled_block(random, b.rows, b.cols, size, dt) for b in plant.blocks)) if plant.blocks else None
         w = _sampled_input(random, n_w, dt)
         ratio, rounded = _ratio(compiled, plant, controller, v, delta, w, compare=k < 3)
         sampled, rounding = max(sampled, ratio), max(rounding, rounded)

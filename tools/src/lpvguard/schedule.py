@@ -135,9 +135,9 @@ def _fits(loop: FrozenLoop, scaling: Scaling, omega: np.ndarray) -> list[_RowFit
     right = np.linalg.solve(np.eye(plant.n_measurement) - P22 @ K, P[:, n_z:, :n_w])
     row = col = 0
     for block, d in zip(plant.blocks, np.exp(scaling.log_magnitude(omega))):
-        left[:, row:row + block.rows] *= d[:, None, None]
-        right[:, :, col:col + block.cols] /= d[:, None, None]
-        row, col = row + block.rows, col + block.cols
+        left[:, row:row + block.cols] *= d[:, None, None]
+        right[:, :, col:col + block.rows] /= d[:, None, None]
+        row, col = row + block.cols, col + block.rows
     square = right @ np.conj(np.swapaxes(right, 1, 2))
     floor = 1e-12 * np.trace(square, axis1=1, axis2=2).real[:, None, None] * np.eye(plant.n_measurement)
     factor = np.linalg.cholesky(square + floor)

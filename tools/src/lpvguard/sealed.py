@@ -1,21 +1,35 @@
-"""Coefficient structs of the C core, as text and as bytes: 32-bit words, then numbers, under one CRC-32."""
+"""Coefficient structs of the C core, as text and as bytes: 32-bit words, then numbers, under one CRC-32 (layout.py)."""
 
 from __future__ import annotations
 
 import struct
 import zlib
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
+
+from .layout import Layout
 
 
 @dataclass(frozen=True)
 class Sealed:
-    """A coefficient struct of the core: 32-bit words, then numbers, under one CRC, in the order of its header."""
+    """A coefficient struct of the core: 32-bit words, then numbers, under one CRC, in the order of its LAYOUT.
 
+    ``sizes`` by dimension are those that the struct brings to lpvguard_vehicle.h; all that it depends on stand in words["sizes"].
+    Raises InputError for a field that is missing, unknown, of another shape than the layout's, not finite or out of its range.
+    """
+
+    LAYOUT: ClassVar[Layout]
     sizes: dict[str, int]
     words: dict[str, np.ndarray]
     reals: dict[str, np.ndarray]
+
+    def __post_init__(self) -> None:
+        layout = self.LAYOUT
+        sizes = dict(zip(layout.dimensions, map(int, self.words["sizes"])))
+        for part in ("words", "reals"):
+            object.__setattr__(self, part, layout.packed(part, getattr(self, part), sizes, f"coefficients ({layout.header})"))
 
     def flat_reals(self) -> np.ndarray:
         return np.concatenate([np.atleast_1d(v).ravel() for v in self.reals.values()]).astype(float)
@@ -53,8 +67,9 @@ def _literals(value: float) -> str:
     return f"LPVG_NUMBER({text(f'{np.float32(value):.9g}')}f, {text(f'{value:.17g}')})"
 
 
-def coefficient_source(c: Sealed, header: str, variable: str) -> str:
-    """C text that defines ``variable``, of type ``variable``_t, as ``header`` declares it."""
+def coefficient_source(c: Sealed) -> str:
+    """C text that defines the struct as its header declares it."""
+    header, variable = c.LAYOUT.header, f"lpvg_{c.LAYOUT.struct}"
 
     def word(value: int) -> str:
         return f"{int(value)}U"

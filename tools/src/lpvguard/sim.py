@@ -20,7 +20,6 @@ import json
 import shutil
 import subprocess
 import tempfile
-import tomllib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -30,17 +29,17 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pa_csv
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from . import artefacts, native
 from .can.catalogue import load_catalogue
 from .control_export import ControllerCoefficients, build_controller, replaced_controller
-from .core import SUPERVISION, eigen_include, firmware_root, library_root
+from .core import EVENTS, SUPERVISION, eigen_include, firmware_root, library_root
+from .documents import checked, read_toml
 from .drives import Drive
 from .errors import InputError
 from .nominal import NominalModel
 from .project import Project, Signal, parse_project
-from .receive import EVENTS
 from .targets import EmulatedEcu, emulated_ecu
 
 Controller = Literal["designed", "feedforward", "off"]
@@ -97,17 +96,8 @@ def load_scenario(name: str) -> Scenario:
         path = firmware_root() / "scenarios" / f"{name}.toml"
         if not path.is_file():
             raise InputError(name, "SCENARIO", "unknown", f"one of {', '.join(shipped_scenarios())}, or a path to *.toml")
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(path, "", f"cannot be read ({error.strerror})", "a scenario file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(path, "", str(error), "valid TOML") from None
-    try:
-        expect = Expectation.model_validate(document.get("expect"))
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise InputError(path, ".".join(["expect", *map(str, first["loc"])]), "refused", first["msg"]) from None
+    document = read_toml(path, "a scenario file")
+    expect = checked(Expectation, document.get("expect"), "a scenario file", path, table="expect")
     seed = document.get("seed", 1)
     if not isinstance(seed, int) or seed < 0:
         raise InputError(path, "seed", repr(seed), "a whole number from 0")

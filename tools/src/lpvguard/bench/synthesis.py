@@ -172,7 +172,7 @@ def _judged(answer: dict, plant: GeneralisedPlant) -> dict:
 def _question(plant: GeneralisedPlant) -> dict:
     """What the peers' script is given."""
     P = plant.system
-    blocks = [[b.cols, b.rows] for b in (*plant.blocks, plant.performance_block)] if plant.blocks else []
+    blocks = [[b.rows, b.cols] for b in (*plant.blocks, plant.performance_block)] if plant.blocks else []
     return {
         "A": P.A.tolist(),
         "B": P.B.tolist(),

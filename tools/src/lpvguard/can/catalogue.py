@@ -9,13 +9,13 @@ Raw values follow SAE J1939-71: of n bits the top codes say "not available" and 
 
 from __future__ import annotations
 
-import tomllib
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from ..documents import checked, read_toml
 from ..errors import InputError
 
 E2E_BITS = 12
@@ -226,17 +226,4 @@ def load_catalogue(path: Path | None = None) -> Catalogue:
     """The shipped catalogue, or the one at ``path``. InputError names the file, the field and what was expected."""
     source = path or resources.files(__package__).joinpath("catalogue.toml")
     where = path or "catalogue.toml"
-    try:
-        document = tomllib.loads(source.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(where, "", f"cannot be read ({error.strerror})", "a CAN catalogue (TOML)") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(where, "", str(error), "valid TOML") from None
-    try:
-        return Catalogue.model_validate(document)
-    except ValidationError as error:
-        first = error.errors()[0]
-        field = ".".join(str(p) for p in first["loc"]) or "catalogue"
-        raise InputError(
-            where, field, first["msg"].removeprefix("Value error, "), "a field as catalogue.py describes"
-        ) from None
+    return checked(Catalogue, read_toml(source, "a CAN catalogue", where), "a CAN catalogue as catalogue.py describes", where)

@@ -4,7 +4,6 @@ paper's.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from lpvguard import truck_model
+from lpvguard.documents import read_toml
 from lpvguard.synthesis.errors import SynthesisError
 from lpvguard.synthesis.interconnection import (
     STRUCTURES,
@@ -42,11 +42,8 @@ class TableRow(Cell):
 
 
 def read_case(path) -> dict:
-    """The case file as a dict; SynthesisError when it cannot be read or a weight is missing."""
-    try:
-        case = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, tomllib.TOMLDecodeError) as exc:
-        raise SynthesisError(path, "file", str(exc), "a case file in TOML") from exc
+    """The case file as a dict; InputError when it cannot be read or a weight is missing."""
+    case = read_toml(Path(path), "a case file")
     for name in ("v", "wheelbase", "objective", *(f.name for f in fields(Weights))):
         if name not in case:
             raise SynthesisError(path, name, "missing", "a case file as cases/paper_case.toml")

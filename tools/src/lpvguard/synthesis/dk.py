@@ -71,10 +71,10 @@ class Scaling:
         left, right = [], []
         for row, block in zip(self.log_parameters, plant.blocks, strict=True):
             g, z, p = np.exp(row[0]), np.exp(row[1::2]), np.exp(row[2::2])
-            left += [zeros_poles(g, z, p)] * block.rows
-            right += [zeros_poles(1 / g, p, z)] * block.cols
+            left += [zeros_poles(g, z, p)] * block.cols
+            right += [zeros_poles(1 / g, p, z)] * block.rows
         performance = plant.performance_block
-        return append(*left, gain(np.eye(performance.rows))), append(*right, gain(np.eye(performance.cols)))
+        return append(*left, gain(np.eye(performance.cols))), append(*right, gain(np.eye(performance.rows)))
 
     def _parts(self):
         return (
@@ -189,9 +189,9 @@ class _Work:
         self.plant = plant
         self.system = to_continuous(plant.system)
         self.omega = np.concatenate([[0.0], np.logspace(-4, 4, 64), [1e12]])  # ends stand for DC and infinity
-        edges = np.cumsum([0] + [b.rows for b in plant.blocks] + [plant.performance_block.rows])
-        self.rows = [slice(a, b) for a, b in itertools.pairwise(edges)]
         edges = np.cumsum([0] + [b.cols for b in plant.blocks] + [plant.performance_block.cols])
+        self.rows = [slice(a, b) for a, b in itertools.pairwise(edges)]
+        edges = np.cumsum([0] + [b.rows for b in plant.blocks] + [plant.performance_block.rows])
         self.cols = [slice(a, b) for a, b in itertools.pairwise(edges)]
 
     def unwarp(self, omega):

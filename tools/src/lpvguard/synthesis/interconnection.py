@@ -19,8 +19,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from lpvguard.blocks import Block
 from lpvguard.synthesis.errors import SynthesisError
-from lpvguard.synthesis.mu import Block
 from lpvguard.synthesis.statespace import StateSpace, append, balanced, to_discrete, zero_order_hold
 
 STRUCTURES = ("K_inf", "K_i", "K_is")
@@ -56,8 +56,7 @@ class Weights:
 
 @dataclass(frozen=True)
 class GeneralisedPlant:
-    """The plant with its bookkeeping: ``system`` (named signals), the blocks of Δ (cols × rows as in
-    mu.Block), and the numbers of Δ outputs, Δ inputs, controls and measurements.
+    """The plant with its bookkeeping: ``system`` (named signals), the blocks of Δ, and the numbers of Δ outputs, Δ inputs, controls and measurements.
     """
 
     system: StateSpace
@@ -72,7 +71,7 @@ class GeneralisedPlant:
         """The fictitious full block from z to [w; n; r_c] that turns robust performance into a μ test."""
         n_w = self.system.n_inputs - self.n_delta_out - self.n_control
         n_z = self.system.n_outputs - self.n_delta_in - self.n_measurement
-        return Block("full", n_z, n_w)
+        return Block("full", n_w, n_z)
 
 
 def rational(num, den) -> StateSpace:
@@ -220,8 +219,7 @@ def generalised_plant(
     }
     system = net.close(rows)
     blocks = (*[Block("full", 1, 1)] * with_input, *[Block("full", n, n)] * with_state)
-    count = sum(b.rows for b in blocks)
-    return GeneralisedPlant(system, blocks, count, count, 1, 3)
+    return GeneralisedPlant(system, blocks, sum(b.rows for b in blocks), sum(b.cols for b in blocks), 1, 3)
 
 
 class _Network:

@@ -64,7 +64,7 @@ class _Frequency:
         p, m = plant.n_measurement, plant.n_control
         M11 = G[:-p, :-m]
         blocks = (*plant.blocks, plant.performance_block)
-        self.rows, self.cols = np.array([b.rows for b in blocks]), np.array([b.cols for b in blocks])
+        self.rows, self.cols = np.array([b.cols for b in blocks]), np.array([b.rows for b in blocks])
         hidden = sl.null_space(G[-p:, :-m], rcond=KERNEL_RTOL)
         beyond = sl.null_space(G[:-p, -m:].conj().T, rcond=KERNEL_RTOL)
         self.unseen = M11 @ hidden, hidden

@@ -1,8 +1,8 @@
 """Structured singular value: the D,G upper bound to its infimum, and a lower bound by a perturbation that is
 checked.
 
-μ(M) = 1 / min{ max_i σ̄(Δ_i) : det(I − M Δ) = 0 } over Δ = diag(Δ_1, Δ_2, ...). M is (Σ rows) × (Σ cols);
-block i is cols_i × rows_i: full complex, or δ I with δ complex or real.
+μ(M) = 1 / min{ max_i σ̄(Δ_i) : det(I − M Δ) = 0 } over Δ = diag(Δ_1, Δ_2, ...). Δ is (Σ rows) × (Σ cols) and M
+(Σ cols) × (Σ rows) of the blocks: full complex, or δ I with δ complex or real.
 
 Upper bound: the least β with  Mᴴ D_L M + j (G M − Mᴴ G) ≼ β² D_R  (Fan, Tits & Doyle 1991), a generalised
 eigenvalue problem that the method of centres solves (Boyd & El Ghaoui 1993); the multipliers of each centre
@@ -14,41 +14,19 @@ ends with is scaled so that I − M Δ is singular, and that is verified.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg as sl
 
+from lpvguard.blocks import Block
 from lpvguard.synthesis.errors import SynthesisError
-
-KINDS = ("full", "repeated_complex", "repeated_real")
-
-
-@dataclass(frozen=True)
-class Block:
-    """One block of Δ: ``kind`` full, repeated_complex or repeated_real; rows × cols of its part of M (Δ_i:
-    cols × rows).
-    """
-
-    kind: str
-    rows: int
-    cols: int
-
-    def __post_init__(self):
-        if self.kind not in KINDS:
-            raise SynthesisError("mu", "block", f"type {self.kind!r}", f"one of {', '.join(KINDS)}")
-        if self.rows < 1 or self.cols < 1:
-            raise SynthesisError("mu", "block", f"{self.rows} × {self.cols}", "at least 1 × 1")
-        if self.kind != "full" and self.rows != self.cols:
-            raise SynthesisError(
-                "mu", "block", f"{self.kind} of {self.rows} × {self.cols}", "rows = cols = multiplicity"
-            )
-
 
 @dataclass(frozen=True)
 class MuBounds:
     """lower ≤ μ ≤ upper. ``infimum``: a value that no D scaling goes below, proved when all blocks are full,
-    else 0. ``delta`` (Σcols, Σrows) makes I − M Δ singular with max_i σ̄(Δ_i) = 1/lower; None when lower = 0.
+    else 0. ``delta`` (Σrows, Σcols) makes I − M Δ singular with max_i σ̄(Δ_i) = 1/lower; None when lower = 0.
     ``D_left``, ``D_right``: the scaling of ``upper``.
     """
 
@@ -61,16 +39,16 @@ class MuBounds:
     G: np.ndarray
 
 
-def mu_bounds(M, blocks, rtol: float = 1e-8) -> MuBounds:
-    """Both bounds of μ for a complex matrix ``M`` (Σrows, Σcols) and a sequence of Block.
+def mu_bounds(M, blocks: Sequence[Block], rtol: float = 1e-8) -> MuBounds:
+    """Both bounds of μ for a complex matrix ``M`` (Σcols, Σrows) and a sequence of Block.
 
     Raises SynthesisError when M is not finite or its shape is not that of the blocks.
     """
     M = np.asarray(M, dtype=complex)
     blocks = tuple(blocks)
-    shape = (sum(b.rows for b in blocks), sum(b.cols for b in blocks))
+    shape = (sum(b.cols for b in blocks), sum(b.rows for b in blocks))
     if M.shape != shape:
-        raise SynthesisError("mu", "M", f"shape {M.shape}", f"{shape}, the sum of the blocks' rows and cols")
+        raise SynthesisError("mu", "M", f"shape {M.shape}", f"{shape}, the sums of the blocks' inputs and outputs")
     if not np.all(np.isfinite(M)):
         raise SynthesisError("mu", "M", "a NaN or infinite entry", "finite numbers")
     structure = _Structure(blocks)
@@ -92,12 +70,13 @@ def mu_lower(M, blocks, left, right, enough: float, starts: int = 8) -> tuple[fl
 
 
 class _Structure:
-    """Index sets of the blocks and the real bases of their D and G scalings."""
+    """Index sets of the blocks in the rows (inputs of Δ) and columns (outputs of Δ) of M, and the real bases of their D and G
+    scalings."""
 
     def __init__(self, blocks):
         self.blocks = blocks
-        rows = np.cumsum([0] + [b.rows for b in blocks])
-        cols = np.cumsum([0] + [b.cols for b in blocks])
+        rows = np.cumsum([0] + [b.cols for b in blocks])
+        cols = np.cumsum([0] + [b.rows for b in blocks])
         self.row = [slice(a, b) for a, b in itertools.pairwise(rows)]
         self.col = [slice(a, b) for a, b in itertools.pairwise(cols)]
         self.n_rows, self.n_cols = int(rows[-1]), int(cols[-1])
@@ -105,8 +84,8 @@ class _Structure:
         for b, r, c in zip(blocks, self.row, self.col, strict=True):
             for E in [None] if b.kind == "full" else _hermitian_basis(b.rows):
                 EL, ER = np.zeros((self.n_rows,) * 2, complex), np.zeros((self.n_cols,) * 2, complex)
-                EL[r, r] = np.eye(b.rows) if E is None else E
-                ER[c, c] = np.eye(b.cols) if E is None else E
+                EL[r, r] = np.eye(b.cols) if E is None else E
+                ER[c, c] = np.eye(b.rows) if E is None else E
                 left.append(EL)
                 right.append(ER)
             if b.kind == "repeated_real":
@@ -178,10 +157,10 @@ def _upper_bound(M, structure, rtol):
     """
     d = _balance(M, structure)
     left = np.diag(
-        np.concatenate([np.full(b.rows, s) for b, s in zip(structure.blocks, d, strict=True)])
+        np.concatenate([np.full(b.cols, s) for b, s in zip(structure.blocks, d, strict=True)])
     ).astype(complex)
     right = np.diag(
-        np.concatenate([np.full(b.cols, s) for b, s in zip(structure.blocks, d, strict=True)])
+        np.concatenate([np.full(b.rows, s) for b, s in zip(structure.blocks, d, strict=True)])
     ).astype(complex)
     size = np.linalg.norm(left @ M @ np.linalg.inv(right), 2)
     G = np.zeros((structure.n_cols, structure.n_rows), complex)

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from lpvguard.blocks import Block
+from lpvguard.errors import InputError
 from lpvguard.synthesis.errors import SynthesisError
 from lpvguard.synthesis.hinf import hinf_synthesis
-from lpvguard.synthesis.mu import Block, mu_bounds
+from lpvguard.synthesis.mu import mu_bounds
 from lpvguard.synthesis.statespace import StateSpace
 
 
@@ -66,7 +68,12 @@ def solve_mu(problem: dict) -> dict:
         if not isinstance(b, dict):
             raise SynthesisError(name, f"blocks[{k}]", repr(b), "{type, rows, cols}")
         where = f"{name}: blocks[{k}]"
-        blocks.append(Block(b.get("type", "full"), _count(b, "rows", where), _count(b, "cols", where)))
+        rows_of_M, cols_of_M = _count(b, "rows", where), _count(b, "cols", where)
+        try:
+            blocks.append(Block(b.get("type", "full"), cols_of_M, rows_of_M))  # the contract states M's part, Block is Delta_i
+        except InputError as error:
+            what = error.what if error.where == "type" else f"{rows_of_M} x {cols_of_M}"
+            raise SynthesisError(where, error.where, what, error.expected) from None
     bounds = mu_bounds(M, blocks)
     delta = (
         None if bounds.delta is None else np.stack([bounds.delta.real, bounds.delta.imag], axis=-1).tolist()

@@ -89,8 +89,8 @@ class _Search:
     def __init__(self, plant: GeneralisedPlant):
         self.blocks = (*plant.blocks, plant.performance_block)
         self.a, self.b = plant.n_delta_in, plant.n_delta_out
-        self.rows = np.cumsum([0, *(one.rows for one in plant.blocks)])
-        self.cols = np.cumsum([0, *(one.cols for one in plant.blocks)])
+        self.rows = np.cumsum([0, *(one.cols for one in plant.blocks)])
+        self.cols = np.cumsum([0, *(one.rows for one in plant.blocks)])
 
     def run(self, M: np.ndarray, d: np.ndarray, steps: int) -> tuple[float, np.ndarray]:
         """The largest gain found and its Δ, each block of size 1; d (τ,): a scaling that helps.
@@ -98,7 +98,7 @@ class _Search:
         Each step takes the Δ of μ with the performance rows divided by the gain reached, and sizes its blocks to 1.
         """
         left, right = (np.concatenate([np.full(n, x) for n, x in zip(sizes, [*d, 1.0], strict=True)])
-                       for sizes in ([b.rows for b in self.blocks], [b.cols for b in self.blocks]))
+                       for sizes in ([b.cols for b in self.blocks], [b.rows for b in self.blocks]))
         level, best = np.linalg.norm(M[self.a:, self.b:], 2), np.zeros((self.b, self.a), complex)
         for _ in range(steps):
             scaled = M.copy()

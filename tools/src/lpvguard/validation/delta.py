@@ -8,34 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lpvguard.blocks import Block
 from lpvguard.errors import InputError
-
-BLOCK_TYPES = ("full", "repeated_complex", "repeated_real")
-
-
-@dataclass(frozen=True)
-class Block:
-    """One diagonal block of Delta: ``rows`` = dim xi_i, ``cols`` = dim eta_i; equal for repeated blocks."""
-
-    type: str
-    rows: int
-    cols: int
-
-    def __post_init__(self):
-        if self.type not in BLOCK_TYPES:
-            raise InputError("block", "type", repr(self.type), "one of " + ", ".join(BLOCK_TYPES))
-        if self.rows < 1 or self.cols < 1:
-            raise InputError("block", "rows, cols", f"{self.rows} x {self.cols}", "at least 1 x 1")
-        if self.repeated and self.rows != self.cols:
-            raise InputError(
-                "block", "rows, cols", f"{self.rows} x {self.cols}", "equal numbers for a repeated block"
-            )
-
-    @property
-    def repeated(self) -> bool:
-        """One scalar times the identity."""
-        return self.type != "full"
-
 
 def split(blocks: Sequence[Block], vector: np.ndarray, side: str) -> list[np.ndarray]:
     """Cut a stacked xi (``side`` 'rows') or eta ('cols'), or the rows of a matrix that maps to it, by
@@ -64,11 +38,11 @@ def construct(block: Block, xi: np.ndarray, eta: np.ndarray) -> np.ndarray:
         return np.zeros((block.rows, block.cols), dtype=complex)
     power = float(np.vdot(eta, eta).real)
     if power == 0.0:
-        raise InputError("Delta", f"{block.type} block", "eta = 0 but xi is not", "an input to the block")
+        raise InputError("Delta", f"{block.kind} block", "eta = 0 but xi is not", "an input to the block")
     if not block.repeated:
         return np.outer(xi, np.conj(eta)) / power
     scalar = np.vdot(eta, xi) / power
-    return (scalar.real if block.type == "repeated_real" else scalar) * np.eye(block.rows, dtype=complex)
+    return (scalar.real if block.kind == "repeated_real" else scalar) * np.eye(block.rows, dtype=complex)
 
 
 @dataclass(frozen=True)

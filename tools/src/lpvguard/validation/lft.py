@@ -29,9 +29,10 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import minimize
 
+from lpvguard.blocks import Block
 from lpvguard.errors import InputError
 from lpvguard.validation import lmi, s2
-from lpvguard.validation.delta import Block, Verification, least_size, split, verify
+from lpvguard.validation.delta import Verification, least_size, split, verify
 
 RANK_TOLERANCE = 1e-10
 """Singular values below this fraction of the largest count as zero (columns scaled to a common size)."""
@@ -1054,7 +1055,7 @@ def well_posed(problem: Lft, nu: np.ndarray) -> bool:
         basis = lmi.hermitian_basis(block.rows) if block.repeated else None
         a, b = xi[i][:, keep], nu[i] * etas[i][:, keep]
         pieces = [("psd", _gram(a, a, basis) - _gram(b, b, basis))]
-        if block.type == "repeated_real":
+        if block.kind == "repeated_real":
             cross = 1j * _gram(a, b, basis)
             pieces.append(("free", cross + cross.conj().transpose(0, 2, 1)))
         for kind, piece in pieces:
@@ -1070,14 +1071,14 @@ def _block_form(posed: _Posed, i: int, **bound) -> _Form:
     return _Form(
         posed.xi[i],
         posed.eta[i],
-        repeated=block.type if block.repeated and block.rows > 1 else _scalar(block),
+        repeated=block.kind if block.repeated and block.rows > 1 else _scalar(block),
         **bound,
     )
 
 
 def _scalar(block: Block) -> str | None:
     """A 1 x 1 complex scalar is a full block; a real one keeps its reality."""
-    return block.type if block.type == "repeated_real" else None
+    return block.kind if block.kind == "repeated_real" else None
 
 
 def _ball(posed: _Posed, gamma_w: float) -> list[_Form]:

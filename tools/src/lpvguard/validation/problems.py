@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from lpvguard.blocks import Block
 from lpvguard.errors import InputError
 from lpvguard.problem_fields import Fields, pairs
 from lpvguard.validation import lft
-from lpvguard.validation.delta import Block
 
 GAP = 4e-4
 """Relative distance of the two sides that the branch and bound works to; the interface asks for 1e-3."""
