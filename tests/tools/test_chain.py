@@ -1,4 +1,4 @@
-"""The chain on synthetic and on measured drives: bounds cover, identify repeats itself, replay says what DESIGN asks."""
+"""The chain on synthetic and on measured drives: bounds cover, identify repeats itself, replay says what users are promised."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def test_measured_drives_are_judged_and_seldom_alarm_and_faults_are_found(measur
 
 
 def test_shipped_coefficients_are_those_of_the_measured_drives(measured, g80, tmp_path):
-    """The committed folder is what identify and export make (weights by their values at the bins, DESIGN 2)."""
+    """The committed folder is what identify and export make (weights by their values at the bins)."""
     from lpvguard.export import export_vehicle
 
     stage.save(*stage.identify(g80, measured), tmp_path / "id")

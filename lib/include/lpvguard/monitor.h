@@ -1,9 +1,9 @@
 /// @file monitor.h -- does the nominal LPV model still describe this vehicle as well as it was designed for?
 ///
 /// Every sample advances the nominal model, forms the nominal error e = y - yhat and updates Hann frames of e and yhat
-/// in LPVG_NBINS bins (DC first; DESIGN 4.2). Whenever a bin has completed a frame, every half frame, its margin is
+/// in LPVG_NBINS bins (DC first; THEORY 3.2). Whenever a bin has completed a frame, every half frame, its margin is
 ///
-///     t* = min over complex d of max( |d| / W_delta, |E_j - d Z_j| / B_w,j for each output j )        (DESIGN 4.7)
+///     t* = min over complex d of max( |d| / W_delta, |E_j - d Z_j| / B_w,j for each output j )        (T17)
 ///
 /// the least common inflation of the fitted uncertainty and disturbance bounds that explains the frame: exact, in closed
 /// form. A frame *counts* when speed stayed in the scheduling range and within `speed_tolerance` of the frame's mean and

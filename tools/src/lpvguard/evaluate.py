@@ -1,5 +1,5 @@
 """`lpvguard evaluate`: what the monitor, and each of its two tests alone, does on drives that did not set the bounds,
-leave-one-drive-out (DESIGN 4.8), beside three baselines (baselines.py) on the same drives.
+leave-one-drive-out (THEORY 7.3), beside three baselines (baselines.py) on the same drives.
 
 **Thresholds.** Every drive runs through the compiled core with thresholds calibrated on all *other* drives that did not set the bounds.
 The monitor is compared with both tests at one threshold, calibrated jointly (calibration.joint_scores), so that it alarms on a further

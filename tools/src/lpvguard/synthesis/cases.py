@@ -49,7 +49,7 @@ def read_case(path) -> dict:
         raise SynthesisError(path, "file", str(exc), "a case file in TOML") from exc
     for name in ("v", "wheelbase", "objective", *(f.name for f in fields(Weights))):
         if name not in case:
-            raise SynthesisError(path, name, "missing", "a case file as cases/paper_case.toml")
+            raise SynthesisError(path, name, "missing", "a case file as tests/data/paper_case.toml")
     return case
 
 
