@@ -143,7 +143,7 @@ def test_measured_drives_are_judged_and_seldom_alarm_and_faults_are_found(measur
     for row in table["faults"]:
         assert row["drives"] == 7 and row["counted"] == 7 * STARTS
         assert row["found"] >= (0.5 if "0.15 s" in row["fault"] else 0.9) * row["counted"], row["fault"]
-    # Where a baseline leads, the page names it (tools/README.md says why).
+    # Where a baseline leads, the page names it (tools/DESIGN_LOG.md says why).
     behind = {row["fault"] for row in table["faults"] if "monitor" not in row["best"]}
     assert behind <= {"output × -1", "output + 0.05"}, behind
 

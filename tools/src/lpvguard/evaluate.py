@@ -9,8 +9,7 @@ each at its own threshold, together at most twice alpha.
 **False alarms** are counted in whole 60 s pieces.
 
 **Faults** are injected into drives longer than 120 s, from STARTS instants of each, drawn one in each of as many equal spans between
-60 s and the last instant that leaves 30 s of judged, excited driving. One start would do for the share of drives, but not for times: it is
-the same phase of every drive's frames (60 s ends a frame in many bins at once), and one spot of each road.
+60 s and the last instant that leaves 30 s of judged, excited driving (why several: tools/DESIGN_LOG.md).
 
 **Time** runs in judged, excited, in-range driving since the first faulty sample, which counts; judged is the monitor's for all detectors,
 though a baseline may alarm outside of it. An alarm stands at the sample with which the core said so, not at the end of its frame.
