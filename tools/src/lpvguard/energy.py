@@ -47,7 +47,7 @@ ROUNDING = 1e-3
 def fan(n_y: int) -> np.ndarray:
     """Directions (D, n_y) up to their sign, sum |a_j| = 1, single outputs among them, in units of sigma.
 
-    For two outputs in bit-reversed order: what one sees its neighbours nearly see, so that they come late.
+    For two outputs in bit-reversed order: neighbours see nearly the same, so consecutive judgements take distant directions.
     """
     if n_y == 2:
         turn = np.array([int(f"{k:0{FAN_BITS}b}"[::-1], 2) for k in range(2**FAN_BITS)]) / 2**FAN_BITS

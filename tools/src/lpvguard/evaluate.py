@@ -15,8 +15,8 @@ each at its own threshold, together at most twice alpha.
 though a baseline may alarm outside of it. An alarm stands at the sample with which the core said so, not at the end of its frame.
 
 **Found**: the first alarm from the fault's start on comes within 30 s, and before any of the same detector on the untouched drive since
-that instant. So nothing that would have been said without the fault counts for it, an alarm already standing when it starts included.
-How often the untouched drive alarms in the time allowed is told beside.
+that instant. An alarm that the untouched drive raises too does not count, nor does one that stands when the fault starts.
+The table also states how often the untouched drive alarms in the time allowed.
 
 A baseline gets the same drives, residuals, calibration drives and alpha. Its parameters are those that find most injected
 faults (then soonest) on the bound-setting and the other calibration drives: the drive under test takes part in nothing.
