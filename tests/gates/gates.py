@@ -489,6 +489,7 @@ PLANTS: dict[str, list[Plant]] = {
         Plant("lib/THEORY.md", "    |g| > threshold/t*(−Z, Z)", "|g| > threshold/t*(−Z, Z)", r"THEORY has no equation \(T25\)"),
         Plant("lib/THEORY.md", "| (T24) |", "| T24 |", r"\(T24\) has no row that says where it is implemented"),
         Plant("lib/THEORY.md", ":EnergyTest.memories_s`", ":EnergyTest.memory`", r"energy\.py does not define EnergyTest\.memory"),
+        Plant("lib/THEORY.md", "prediction [11]", "prediction [13]", r"work \[11\] is not cited(.|\n)*work \[13\] is not listed"),
         Plant("lib/THEORY.md", "margin.hpp:dead`", "margin.hpp:living`", r"margin\.hpp does not define living"),
         Plant("lib/THEORY.md", "test_margin.cpp:REQ-MON-3`", "test_margin.cpp:REQ-MON-13`", r"test_margin\.cpp does not define REQ-MON-13"),
         Plant("lib/THEORY.md", "plain_dft.py:spectra`", "plain_fft.py:spectra`", r"no file tools/.*plain_fft\.py"),

@@ -148,21 +148,26 @@ class Theory:
 
     sections: list[str]
     equations: list[str]
+    works: list[str]
 
     @classmethod
     def read(cls, path: Path) -> Theory:
         text = path.read_text(encoding="utf-8")
-        return cls(re.findall(r"^#+ (\d+(?:\.\d+)?)\.? ", text, re.MULTILINE), re.findall(r"^    .*\(T(\d+)\)$", text, re.MULTILINE))
+        return cls(re.findall(r"^#+ (\d+(?:\.\d+)?)\.? ", text, re.MULTILINE), re.findall(r"^    .*\(T(\d+)\)$", text, re.MULTILINE),
+                   re.findall(r"^(\d+)\. .*$", text.partition("## 12. References")[2], re.MULTILINE))
 
     def check(self, text: str, found: Found) -> None:
-        """Numbers run on, and each equation has its row: where implemented, where tested."""
-        for what, numbers in (("section", [s for s in self.sections if "." not in s]), ("equation", self.equations)):
+        """Numbers run on, each equation has its row (where implemented, where tested), and the works cited are those listed."""
+        for what, numbers in (("section", [s for s in self.sections if "." not in s]), ("equation", self.equations), ("work", self.works)):
             found.see(numbers == [str(n + 1) for n in range(len(numbers))], THEORY, f"{what}s are numbered {', '.join(numbers)}")
         rows = re.findall(r"^\| \(T(\d+)\) \|([^|]*)\|([^|]*)\|$", text, re.MULTILINE)
         for number in self.equations:
             row = [r for r in rows if r[0] == number]
             found.see(len(row) == 1 and all(PLACE.search(column) for column in row[0][1:]), THEORY,
                       f"(T{number}) has no row that says where it is implemented and where tested")
+        cited = {n for group in re.findall(r"\[(\d+(?:, \d+)*)\](?!\()", text) for n in group.split(", ")}
+        for number in sorted(cited | set(self.works), key=int):
+            found.see(number in cited and number in self.works, THEORY, f"work [{number}] is {'not cited' if number in self.works else 'not listed'}")
 
 
 def references(tree: Path, scratch: Path) -> list[str]:
