@@ -24,7 +24,7 @@ public:
     /// Its state, where it runs in this process; else null.
     virtual const lpvg_ecu_t* inside() const = 0;
 
-    /// Ends it. What its supervision counted, as JSON (reception.h).
+    /// Ends it. What its supervision counted, as JSON (reception.hpp).
     virtual std::string finish() = 0;
 
 protected:

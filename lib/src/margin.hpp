@@ -1,4 +1,4 @@
-// margin.hpp -- exact margin t* of one frame (DESIGN 4.7): a weighted 1-centre problem of n_y + 1 discs in the plane.
+// margin.hpp -- exact margin t* of one frame (T17): a weighted 1-centre problem of n_y + 1 discs in the plane.
 //
 //     t* = min over complex d of max( |d| / W, |E_j - d Z_j| / B_j )
 //

@@ -10,6 +10,7 @@
     manual       every public function says what it does, when it fails and, in the head of its header, what it costs, which
                  thread may call it and what memory it takes
     requirements every requirement of lib/REQUIREMENTS.md is named by a test, and every one that a test names stands there
+    references   every text, equation, requirement, file and symbol that the repository names is in it (references.py)
     options      every option is in the configure summary, and every preset's setting arrives there
     double       the unit tests pass with double as number type (a third of them; all with LPVGUARD_FULL=1)
     big_endian   acceptance of coefficients, and CAN, pass their unit tests on a big-endian processor (PowerPC, emulated)
@@ -40,6 +41,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mutation import Mutant, applied, mutants
+from references import references
 
 COMPILERS = {"gcc": ("gcc", "g++"), "clang": ("clang", "clang++")}
 WARNINGS = ["-pedantic-errors", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror"]
@@ -408,7 +410,8 @@ def fails(program: Path) -> bool:
 
 
 GATES: dict[str, Callable[..., list[str]]] = {
-    f.__name__: f for f in (warnings, imports, headers, generated_c, misra, manual, requirements, options, double, big_endian, sanitize, coverage, mutation)}
+    f.__name__: f for f in (warnings, imports, headers, generated_c, misra, manual, requirements, references, options, double, big_endian,
+                                  sanitize, coverage, mutation)}
 
 
 # --- planted bugs ---
@@ -481,6 +484,23 @@ PLANTS: dict[str, list[Plant]] = {
         Plant("lib/REQUIREMENTS.md", "| REQ-CORE-1 |", "| REQ-CORE-99 |", r"REQ-CORE-99 is named by no test(.|\n)*REQ-CORE-1 is no requirement"),
         Plant("tests/golden/test_core_sizes.py", "REQ-CORE-5", "REQ-CORE-55", r"test_core_sizes\.py: REQ-CORE-55 is no requirement"),
     ],
+    "references": [
+        Plant("lib/include/lpvguard/model.h", "THEORY 3.1", "THEORY 3.9", r"model\.h:5: THEORY has no section 3\.9"),
+        Plant("lib/src/margin.hpp", "(T17)", "(T77)", r"margin\.hpp:1: THEORY has no equation \(T77\)"),
+        Plant("lib/THEORY.md", "    |g| > threshold/t*(−Z, Z)", "|g| > threshold/t*(−Z, Z)", r"THEORY has no equation \(T25\)"),
+        Plant("lib/THEORY.md", "| (T24) |", "| T24 |", r"\(T24\) has no row that says where it is implemented"),
+        Plant("lib/THEORY.md", ":EnergyTest.memories_s`", ":EnergyTest.memory`", r"energy\.py does not define EnergyTest\.memory"),
+        Plant("lib/THEORY.md", "prediction [11]", "prediction [13]", r"work \[11\] is not cited(.|\n)*work \[13\] is not listed"),
+        Plant("lib/THEORY.md", "margin.hpp:dead`", "margin.hpp:living`", r"margin\.hpp does not define living"),
+        Plant("lib/THEORY.md", "test_margin.cpp:REQ-MON-3`", "test_margin.cpp:REQ-MON-13`", r"test_margin\.cpp does not define REQ-MON-13"),
+        Plant("lib/THEORY.md", "plain_dft.py:spectra`", "plain_fft.py:spectra`", r"no file tools/.*plain_fft\.py"),
+        Plant("lib/README.md", "](REQUIREMENTS.md)", "](REQUIREMENT.md)", r"README\.md:\d+: link to REQUIREMENT\.md"),
+        Plant("lib/MISRA.md", "# ", "# Section 3 of it. See [here](THEORY.md#3-nothing). ", r"section 3 of no work(.|\n)*THEORY\.md has no heading #3-nothing"),
+        Plant("tests/unit/test_ecu.cpp", "[REQ-ECU-5]", "[REQ-ECU-55]", r"test_ecu\.cpp:\d+: REQ-ECU-55 is no requirement"),
+        Plant("firmware_sim/sim/ecu_node.hpp", "(reception.hpp)", "(reception.h)", r"ecu_node\.hpp:27: no file reception\.h"),
+        Plant("firmware_sim/plant/truck.toml", "(Table I)", "(Table III; DESIGN 7, PLANT.md, paper (12), step 9, Fig. 7)",
+              r"no step 9(.|\n)*no figure 7(.|\n)*no table III(.|\n)*no equation 12(.|\n)*DESIGN is no text(.|\n)*PLANT\.md is no text"),
+    ],
     "options": [
         Plant("CMakePresets.json", '"LPVG_SANITIZE": "ON"', '"LPVG_SANITIZER": "ON"', r"preset sanitize: sets LPVG_SANITIZER", "sanitize"),
         Plant("CMakeLists.txt", 'lpvg_option(LPVG_BUILD_SIM', 'option(LPVG_BUILD_SIM', r"LPVG_BUILD_SIM bypasses", "default"),
@@ -518,10 +538,10 @@ def copy_of(source: Path, target: Path) -> Path:
     if target.exists():
         shutil.rmtree(target)
     ignore = shutil.ignore_patterns("__pycache__", ".*", "build")
-    for part in ("lib", "firmware_sim", "tests", "tools/src"):
+    for part in ("lib", "firmware_sim", "tests", "tools", "data"):
         shutil.copytree(source / part, target / part, ignore=ignore)
-    for part in ("CMakeLists.txt", "CMakePresets.json"):
-        shutil.copy2(source / part, target / part)
+    for file in (p for p in source.iterdir() if p.is_file() and not p.name.startswith(".")):
+        shutil.copy2(file, target / file.name)
     for plant in [p for of_gate in PLANTS.values() for p in of_gate]:
         (target / plant.file).touch()  # the objects of an earlier self-test hold its planted bugs
     return target

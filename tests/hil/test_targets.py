@@ -1,4 +1,4 @@
-"""The core on emulated Cortex-M4F, M7 and R5F: the same bits as on the host, within its budget (DESIGN 5)."""
+"""The core on emulated Cortex-M4F, M7 and R5F: the same bits as on the host, within its budget (lib/INTEGRATION.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The generated C codec and our DBC against cantools, canmatrix and autosar-e2e; the facts of DESIGN 6.
+"""The generated C codec and our DBC against cantools, canmatrix and autosar-e2e; the facts of SAE J1939-71 and E2E profile 11.
 
 The compiled codec runs through ctypes on whole arrays: a small C loop around each function comes with it, so that all raw
 values and a million frames take seconds. The same sources run on a big-endian processor when one can be emulated.
@@ -273,7 +273,7 @@ def test_the_command_writes_the_dbc(lpvguard, tmp_path):
     assert (tmp_path / "our.dbc").read_text() == dbc_text()
 
 
-# message, signal, PGN, id, period [ms], SPN, first bit, bits, scale, offset: DESIGN 6, written a second time on purpose
+# message, signal, PGN, id, period [ms], SPN, first bit, bits, scale, offset: SAE J1939-71, written a second time on purpose
 FACTS = [
     ("VDC2", "steering_wheel_angle", 61449, 0x18F0093E, 10, 1807, 0, 16, 1 / 1024, -31.374),
     ("VDC2", "yaw_rate", 61449, 0x18F0093E, 10, 1808, 24, 16, 1 / 8192, -3.92),

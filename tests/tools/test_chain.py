@@ -1,4 +1,4 @@
-"""The chain on synthetic and on measured drives: bounds cover, identify repeats itself, replay says what DESIGN asks."""
+"""The chain on synthetic and on measured drives: bounds cover, identify repeats itself, replay says what users are promised."""
 
 from __future__ import annotations
 
@@ -147,13 +147,13 @@ def test_measured_drives_are_judged_and_seldom_alarm_and_faults_are_found(measur
     for row in table["faults"]:
         assert row["drives"] == 7 and row["counted"] == 7 * STARTS
         assert row["found"] >= (0.5 if "0.15 s" in row["fault"] else 0.9) * row["counted"], row["fault"]
-    # Where a baseline leads, the page names it (tools/README.md says why).
+    # Where a baseline leads, the page names it (tools/DESIGN_LOG.md says why).
     behind = {row["fault"] for row in table["faults"] if "monitor" not in row["best"]}
     assert behind <= {"output × -1", "output + 0.05"}, behind
 
 
 def test_shipped_coefficients_are_those_of_the_measured_drives(measured, g80, tmp_path):
-    """The committed folder is what identify and export make (weights by their values at the bins, DESIGN 2)."""
+    """The committed folder is what identify and export make (weights by their values at the bins)."""
     from lpvguard.export import export_vehicle
 
     stage.save(*stage.identify(g80, measured), tmp_path / "id")

@@ -20,7 +20,7 @@ namespace {
 
 constexpr double two_pi = 6.283185307179586477;
 constexpr double lowest_radps = 0.2, highest_radps = 6.0;
-// Limits of the design (DESIGN.md section 7) for each speed and output, from the demand.
+// Limits of truck.toml's fit against Table I for each speed and output, from the demand.
 constexpr double largest_worst_ratio = 0.40;
 constexpr double least_median_ratio = 0.03;      ///< A plant equal to the model would prove nothing.
 constexpr double largest_median_ratio = 0.12;
@@ -110,7 +110,7 @@ public:
         ratios_.push_back(ratio);
     }
 
-    /// Whether the design's limits hold.
+    /// Whether these limits hold.
     bool within() const {
         const double middle = median();
         return middle >= least_median_ratio && middle <= largest_median_ratio && worst_ <= largest_worst_ratio;

@@ -16,14 +16,14 @@
 /// linearly between LPVG_NG speeds, equally spaced over the scheduling range; beyond its ends the nearest speed is used. At a
 /// constant speed the frequency response is then the linear interpolation of its neighbours, and A - L C that of theirs.
 ///
-/// While a limit acts, and while the controller is not engaged, u - v drives through L what the nominal vehicle would have
-/// done more, had it been given v: the states go on as in the loop without limits, and the vehicle's lag behind it dies out by
-/// a state feedback (model recovery anti-windup; tools/src/lpvguard/schedule.py). A - L C is stable.
-/// At the moment of engaging the state is moved so that neither this demand nor the next one differs from the one before:
-/// by the likeliest such change for m like white noise: engage times (u - v, -(v_next - v)), v_next with m at hand.
+/// Anti-windup: u - v is not zero while a limit acts or the controller is not engaged. L adds it to the states. L is a fit to
+/// model recovery (tools/src/lpvguard/schedule.py): the states go on as in the loop without limits, and a state feedback lets
+/// the nominal vehicle's lag behind that loop die out. A - L C is stable.
+/// Engaging: the state is changed once by `engage` times (u - v, -(v_next - v)), v_next being the next demand at the present m.
+/// Then neither this demand nor the next one jumps. Of all such changes it is the likeliest one when m is white noise.
 ///
-/// Numbers: a slow pole changes its state by far less than it is large, and float would lose that change; what rounding
-///          takes is carried to the next step, so that slow poles and integrators keep their precision in float.
+/// Numbers: a slow pole changes its state by less than one rounding of float. The part that rounding takes is kept and added in
+///          the next step, so slow poles and integrators keep their precision.
 ///
 /// Use:     init once -> step once per sample period.
 /// Cost:    LPVG_NU LPVG_NK (1 + 2 (LPVG_NM + LPVG_NU)) multiplications and as many additions a step, whether or not the

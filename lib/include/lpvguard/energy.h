@@ -1,25 +1,23 @@
 /// @file energy.h -- the energy test: can *one* causal Delta of gain at most 1 explain all outputs, from rest until now?
 ///
-/// Class of model error (DESIGN 4.3): e_j = Delta (W_delta yhat_j) + w_j, one linear time-invariant causal Delta common to
-/// all outputs. With the forgetting norm ||x||^2 = sum over t of rho^(2 (T - t)) x(t)^2, rho < 1, and any stable filter F
-/// (which commutes with Delta), for every real vector a
+/// Class of model error (THEORY 4.1): e_j = Delta (W_delta yhat_j) + w_j, one linear time-invariant causal Delta common to
+/// all outputs. With the forgetting norm ||x||^2 = sum over t of rho^(2 (T - t)) x(t)^2, rho < 1, and any stable filter F,
+/// for every real vector a and at every time T
 ///
-///     || sum_j a_j F e_j || <= || sum_j a_j F W_delta yhat_j || + sum_j |a_j| sigma_j                    (DESIGN 4.8)
+///     || sum_j a_j F e_j || <= || sum_j a_j F W_delta yhat_j || + sum_j |a_j| sigma_j                         (T19)
 ///
-/// at every time T, provided that |Delta| <= 1 on the circle |z| = rho and analytic outside it, that ||F w_j|| <= sigma_j
-/// at every T, and that Delta was at rest when the sums began or had been fed at most `energy_start` before. The left sum
-/// alone may begin later. So a ratio above 1 of the left side to the right proves (W_delta, sigma) wrong; the alarm is
-/// raised above a calibrated threshold that is not below 1 (plus what float may be off).
+/// Assumptions: |Delta| <= 1 on the circle |z| = rho and Delta analytic outside it; ||F w_j|| <= sigma_j at every T; Delta at
+/// rest when the sums begin, or fed at most `energy_start` before. The left sum alone may begin later.
+/// A ratio above 1 of the left side to the right proves (W_delta, sigma) wrong. The alarm is raised above a calibrated
+/// threshold, which is not below 1 plus the rounding of float. Proof: THEORY 7.2.
 ///
-/// F is the filter of each of LPVG_NBANDS bands in turn: below the first corner, between each and the next, above the last. The
-/// filters sum to 1. With two corners (three bands) an error that stays, one that follows the input and one that jumps each stand
-/// against the sigma_j of their own band. Above the last corner, where no frame bounds W_delta, a constant not below 1 stands for it,
-/// so the vehicle need not respond there. The memory above it is that of the other bands times first corner over last.
+/// F is the filter of each of LPVG_NBANDS bands in turn: below the first corner, between each and the next, above the last (T21).
+/// The filters sum to 1, and each band has a sigma_j of its own. Above the last corner a constant not below 1 stands for W_delta,
+/// because no frame bounds it there. The memory of that band is memory_s * f_first / f_last; that of the others is memory_s (T22).
 ///
-/// The filter that stands for W_delta is W_delta((2/Ts) (z/rho - 1) / (z/rho + 1)): its magnitude on |z| = rho is that of the
-/// fitted weight at the warped frequency, which `lpvguard identify` certifies to be above the identified bound. Directions a are
-/// in units of sigma and scaled to sum |a_j| = 1, so that the last term is 1. They are taken from a fixed fan, one a judgement in
-/// turn, in all bands: every one is a condition by itself, at any time.
+/// The filter for W_delta is W_delta((2/Ts) (z/rho - 1) / (z/rho + 1)) (T20). `lpvguard identify` certifies its magnitude on
+/// |z| = rho to be above the identified bound. Directions a are in units of sigma with sum |a_j| = 1, so the last term is 1.
+/// They come from a fixed fan. One direction is judged at a time, in all bands.
 ///
 /// Cost: both functions constant. RAM: sizeof(lpvg_energy_t).
 /// Threads: one instance per thread; no function blocks. Fields are private but for those documented in monitor.h.

@@ -2,7 +2,7 @@
 ///
 ///     yhat_k = C x_k + y0,   x_{k+1} = Ad(v_k) x_k + B_old(v_k) u_{k-d-1} + B_new(v_k) u_{k-d}
 ///
-/// exact zero-order hold of the continuous model (paper, section IV; DESIGN 4.1), its entries tabulated over speed as
+/// exact zero-order hold of the continuous model (paper, section IV; THEORY 3.1), its entries tabulated over speed as
 /// cubics whose error the vehicle's MANIFEST.json states. Outside the scheduling range the nearest speed is used.
 ///
 /// Cost: constant; entries are recomputed only when the speed has changed. RAM: sizeof(lpvg_model_t).

@@ -1,16 +1,16 @@
 /// @file monitor.h -- does the nominal LPV model still describe this vehicle as well as it was designed for?
 ///
 /// Every sample advances the nominal model, forms the nominal error e = y - yhat and updates Hann frames of e and yhat
-/// in LPVG_NBINS bins (DC first; DESIGN 4.2). Whenever a bin has completed a frame, every half frame, its margin is
+/// in LPVG_NBINS bins (DC first; THEORY 3.2). Whenever a bin has completed a frame, every half frame, its margin is
 ///
-///     t* = min over complex d of max( |d| / W_delta, |E_j - d Z_j| / B_w,j for each output j )        (DESIGN 4.7)
+///     t* = min over complex d of max( |d| / W_delta, |E_j - d Z_j| / B_w,j for each output j )        (T17)
 ///
 /// the least common inflation of the fitted uncertainty and disturbance bounds that explains the frame: exact, in closed
 /// form. A frame *counts* when speed stayed in the scheduling range and within `speed_tolerance` of the frame's mean and
 /// the model had settled. The bin's statistic is the k-th largest margin of its last m counted frames; a statistic above
 /// `threshold` falsifies the model (frame test). `evidence` is the margin that a vehicle which did not respond at all
-/// would have shown; a frame whose evidence is at or below the threshold could not have objected to anything and is
-/// no evidence for the model either.
+/// would have shown (T18). A frame whose evidence is at or below the threshold is "not excited": it could have falsified
+/// no vehicle, so it does not make the verdict valid.
 ///
 /// Beside it the energy test (energy.h) takes every sample and is judged in every push that judges no frame: its ratio above
 /// `energy_threshold` falsifies the model too, and the first one after `energy_rearm` judgements without is recorded as an alarm. A sample out of the

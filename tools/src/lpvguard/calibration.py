@@ -1,5 +1,5 @@
 """Stage 5, calibration of the frame test and of the energy test, each by itself, by split conformal prediction; the
-exchangeable unit is the drive (DESIGN 4.8); or of both together (`joint_scores`).
+exchangeable unit is the drive (THEORY 7.3); or of both together (`joint_scores`).
 
 A drive's score is the largest k-of-m statistic over its counted frames, or the largest ratio of the energy test, read from the
 compiled core. The threshold is the
@@ -18,7 +18,7 @@ from scipy.stats import beta
 from .core import Run
 
 FEWEST_FOR_ALPHA = 9
-"""Below this many calibration drives no alpha is stated at all (DESIGN 4.8)."""
+"""Below this many calibration drives no alpha is stated at all (THEORY 7.3)."""
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,11 @@ Two groups of runs of DURATION_S each, every one a scenario of its own drawn fro
              any alarm is false while the demand stays within the amplitude that the response was checked for
     faults   KINDS: one fault or variation, of the truck, of the bus, or of both at once, at several severities
 
-Within: the truck's response G to sines of RESPONSE_AMPLITUDES_BAR is measured at the bins and at RESPONSE_SPEEDS on a flat road
-without wind (`plant response`); with P the nominal model's and U = CHECKED_AMPLITUDE_BAR in every bin, t* of E = (G - P)U, Z = PU must
-not exceed 1 with the disturbance bound less the share W_n that zero-input driving needs. Then |E| of a frame whose input stays below
-U in its bin is explained with some |delta| <= W_delta, road, wind and sensors included; runs with a frame of more are counted apart. Neither this nor what follows uses
-what the monitor says.
+Within: G is the truck's measured response to sines of RESPONSE_AMPLITUDES_BAR, at the bins and at RESPONSE_SPEEDS, on a flat road
+without wind (`plant response`). P is the nominal response, and U is CHECKED_AMPLITUDE_BAR in every bin. A truck is within the bounds when
+t* of E = (G - P)U, Z = PU is at most 1. The disturbance bound used there leaves out the share W_n that zero-input driving needs.
+Then a frame whose input stays below U in its bin is explained by some |delta| <= W_delta, road, wind and sensors included. Runs with
+a frame of larger input are counted apart. Nothing here or below uses what the monitor says.
 
 What a fault should show is measured off line on the very samples of the run: frames at every STRIDE-th start, in double
 precision, by the estimator that set the bounds. A fault is *visible* in a run when t* is at least 1.5 times the threshold in at

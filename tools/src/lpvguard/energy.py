@@ -1,36 +1,24 @@
-"""Stage 5, the energy test: one causal Delta for all outputs, from rest until now (DESIGN 4.8; lib/include/lpvguard/energy.h).
+"""Stage 5, the energy test: one causal Delta for all outputs, from rest until now (THEORY 7.2; lib/include/lpvguard/energy.h).
 
-    || sum_j a_j F e_j || <= || sum_j a_j F W_delta yhat_j || + sum_j |a_j| sigma_j     for every real a, at every time T,
+    || sum_j a_j F e_j || <= || sum_j a_j F W_delta yhat_j || + sum_j |a_j| sigma_j     for every real a, at every time T,    (T19)
 
-||x||^2 = sum_{t <= T} rho^(2 (T - t)) x(t)^2. It holds when e_j = Delta (W_delta yhat_j) + w_j with
+||x||^2 = sum_{t <= T} rho^(2 (T - t)) x(t)^2. THEORY 7.2 states the assumptions, the proof, and what an exceedance refutes.
 
-* Delta linear, time-invariant, causal, |Delta(z)| <= 1 for |z| >= rho, common to all outputs, at rest when the sums begin: the
-  shorter the memory, the faster Delta must forget as well;
-* ||F w_j|| <= sigma_j at every T.
+**The weight** is a filter with the fitted weight's magnitude on |z| = rho, at the warped frequency (2/Ts) tan(omega Ts/2) (T20).
+``verify_overbound`` proves it above the samples of nu at their warped frequencies. Where the weight falls with frequency, a gain
+>= 1 is applied first.
 
-Proof: F commutes with Delta; rho^-t turns the norm into that of plain truncated sums and Delta(z) into Delta(rho z), whose gain
-over the unit circle bounds the truncated sums because it is causal. So an exceedance falsifies (W_delta, sigma).
-
-**The weight** is a filter, and what counts is its magnitude on |z| = rho. s = (2/Ts) (z/rho - 1)/(z/rho + 1) takes that circle to
-the imaginary axis, so the filter W_delta(s(z)) has there the magnitude of the fitted weight at the warped frequency
-(2/Ts) tan(omega Ts/2), however slow the weight's poles are. ``verify_overbound`` proves it above the samples of nu at their warped
-frequencies, after a gain >= 1 where the weight falls with frequency.
-
-**F** is the filter of each band in turn. L_1 ... L_m are first-order low-passes (plain bilinear) of the corners, lowest first. Band 0
-is L_1 ... L_m, band b is (1 - L_b) L_(b+1) ... L_m, band m is 1 - L_m; they sum to 1. Any stable F is sound, and each is a condition
-by itself. Drives meet large errors that stay (bank, offsets) and small fast ones: in a band of their own neither hides the other's
-kind, as they would in one sigma. The default corners are the two of the frames; below them a constant error counts, as DC does among
-the frames. Above the last corner no frame bounds W_delta: a constant stands for it there, the largest of it but not less than 1, so
-the vehicle need not respond at all. The memory above it is memory_s times first corner over last: a jump need not stand out from all
-that was steered for a period of the first.
+**F** is the filter of each band in turn (T21). L_1 ... L_m are first-order low-passes of the corners, lowest first. Band 0 is
+L_1 ... L_m, band b is (1 - L_b) L_(b+1) ... L_m, band m is 1 - L_m; they sum to 1. The corners are the frames' f_min_hz and f_max_hz, or
+the setting ``band_hz``. Above the last corner the constant ``above`` = max(1, sup W_delta) stands for W_delta, and the memory is
+memory_s * f_first / f_last (T22).
 
 **sigma_j** of a band is the least number with which the inequality of output j alone holds, from rest, at every sample of every
-drive that set the bounds or the noise; then a band's are multiplied by the least common factor with which it holds for the fan of
-directions a too. Every direction is a condition by itself; the core tests one a sample in turn.
+drive that set the bounds or the noise. A common factor per band then makes the fan of directions a hold too. Every direction is a
+condition by itself; the core tests one a judgement.
 
-**Starting in the middle** of a drive, as a core does, the left sum may begin at any time, but the right one must hold what Delta
-remembers: it starts at the largest energy met on the identification drives. Then what holds on a whole drive holds on it from any
-sample on, but for the transients of the model and of F; the common factors above cover those of drives cut at random.
+**Starting in the middle** of a drive, the left sum begins at zero and the right sum at ``start``, the largest energy met on the
+identification drives. Transients of the model and of F are not covered by that; the common factors cover drives cut at random.
 """
 
 from __future__ import annotations
@@ -61,7 +49,7 @@ ROUNDING = 1e-3
 def fan(n_y: int) -> np.ndarray:
     """Directions (D, n_y) up to their sign, sum |a_j| = 1, single outputs among them, in units of sigma.
 
-    For two outputs in bit-reversed order: what one sees its neighbours nearly see, so that they come late.
+    For two outputs in bit-reversed order: neighbours see nearly the same, so consecutive judgements take distant directions.
     """
     if n_y == 2:
         turn = np.array([int(f"{k:0{FAN_BITS}b}"[::-1], 2) for k in range(2**FAN_BITS)]) / 2**FAN_BITS

@@ -1,5 +1,5 @@
 """`lpvguard evaluate`: what the monitor, and each of its two tests alone, does on drives that did not set the bounds,
-leave-one-drive-out (DESIGN 4.8), beside three baselines (baselines.py) on the same drives.
+leave-one-drive-out (THEORY 7.3), beside three baselines (baselines.py) on the same drives.
 
 **Thresholds.** Every drive runs through the compiled core with thresholds calibrated on all *other* drives that did not set the bounds.
 The monitor is compared with both tests at one threshold, calibrated jointly (calibration.joint_scores), so that it alarms on a further
@@ -9,15 +9,14 @@ each at its own threshold, together at most twice alpha.
 **False alarms** are counted in whole 60 s pieces.
 
 **Faults** are injected into drives longer than 120 s, from STARTS instants of each, drawn one in each of as many equal spans between
-60 s and the last instant that leaves 30 s of judged, excited driving. One start would do for the share of drives, but not for times: it is
-the same phase of every drive's frames (60 s ends a frame in many bins at once), and one spot of each road.
+60 s and the last instant that leaves 30 s of judged, excited driving (why several: tools/DESIGN_LOG.md).
 
 **Time** runs in judged, excited, in-range driving since the first faulty sample, which counts; judged is the monitor's for all detectors,
 though a baseline may alarm outside of it. An alarm stands at the sample with which the core said so, not at the end of its frame.
 
 **Found**: the first alarm from the fault's start on comes within 30 s, and before any of the same detector on the untouched drive since
-that instant. So nothing that would have been said without the fault counts for it, an alarm already standing when it starts included.
-How often the untouched drive alarms in the time allowed is told beside.
+that instant. An alarm that the untouched drive raises too does not count, nor does one that stands when the fault starts.
+The table also states how often the untouched drive alarms in the time allowed.
 
 A baseline gets the same drives, residuals, calibration drives and alpha. Its parameters are those that find most injected
 faults (then soonest) on the bound-setting and the other calibration drives: the drive under test takes part in nothing.

@@ -7,7 +7,7 @@ as long as the lowest bin. A frame of bin k that starts at sample i reads
 
 with scale 2 / sum(w) (1 / sum(w) at DC): a sinusoid of amplitude a in the bin reads |X| = a. A frame *counts* when every
 sample lies in the model's speed range, at least ``settle`` samples after the last entry into it, and no speed in it
-differs by more than ``speed_tolerance`` from the frame's mean speed (DESIGN 4.2). The C core computes the same frames,
+differs by more than ``speed_tolerance`` from the frame's mean speed (THEORY 3.2). The C core computes the same frames,
 restarted every half frame from its first sample; bounds are set over frames at *every* start.
 
 The paper's plain DFT (estimator "dft") has bins of one common length, every line k/(N Ts) between the frequency limits and DC,

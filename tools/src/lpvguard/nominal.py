@@ -4,7 +4,7 @@
 
 with u the input minus ``input_offset``, and the input delay td = (d + f) Ts split into whole samples d and a fraction f:
 during the first f Ts of an interval the older input acts (exact for an input that is held between samples).
-Outside the speed range the model runs at the nearest speed of the range; what it says there is not judged (DESIGN 4.8).
+Outside the speed range the model runs at the nearest speed of the range; what it says there is not judged (THEORY 3.1).
 """
 
 from __future__ import annotations
@@ -228,7 +228,7 @@ class NominalModel:
 
     @property
     def settle_samples(self) -> int:
-        """Samples until the initial state has decayed by e^-5, at the slowest pole of the range (DESIGN 4.2)."""
+        """Samples until the initial state has decayed by e^-5, at the slowest pole of the range (THEORY 3.2)."""
         return int(np.ceil(5.0 / self.slowest_pole / self.Ts))
 
     def require_speed(self, v: float) -> None:

@@ -177,7 +177,7 @@ class Replayer:
                       sorted(alarms, key=lambda a: a.t_s), Ts)
 
     def excited(self, drive: Drive) -> np.ndarray:
-        """(N,) True where the drive is excited (DESIGN 4.2)."""
+        """(N,) True where the drive is excited (THEORY 11)."""
         return excited_samples(drive.u, self.project.Ts_s, self.project.frame_test.excited_std)
 
     def summarise_file(self, path: Path, channel: str | None = None) -> dict[str, Any] | InputError:

@@ -6,10 +6,10 @@ them, every B is a linear least-squares fit, weighed by what a deviation of K do
 
     D P12 (1 - K P22)^-1  dK  (1 - P22 K)^-1 P21 D^-1.
 
-Limits are compensated by model recovery (Weston and Postlethwaite 2000): xi, by how much the vehicle's state lags behind that
-of the loop without limits, follows xi+ = (A_p - B_p F) xi - B_p (u - v); the controller is shown y + C_p xi, and F xi is
-added to its output so that the lag dies out. Both together are a transfer function from u - v to v, and since K's zeros
-cancel the vehicle's poles the controller's own states realise it: L is a linear least-squares fit to it, per node.
+Limits are compensated by model recovery (Weston and Postlethwaite 2000). xi is the state of the loop without limits minus the
+vehicle's state, and follows xi+ = (A_p - B_p F) xi - B_p (u - v). The controller reads y + C_p xi instead of y. F xi is added to its
+output and makes xi decay. Both together are a transfer function from u - v to v. The controller's own states can realise it,
+because K's zeros cancel the vehicle's poles. L is a linear least-squares fit to it, per node.
 """
 
 from __future__ import annotations

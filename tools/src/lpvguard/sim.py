@@ -7,7 +7,7 @@ uses too. A scenario file says how the truck is driven and what breaks (firmware
     [expect]
     verdict = "never_invalid"     # or "invalid": not before fault_start_s, then within within_judged_s; or "any"
     fault_start_s = 60.0
-    within_judged_s = 30.0        # seconds of judged driving (DESIGN 4.2) after the fault's start
+    within_judged_s = 30.0        # seconds of judged driving (THEORY 11) after the fault's start
     supervision = "live"          # once live, always live; or "reacts": live until fault_start_s, then not live within
     within_periods = 5            #   so many sample periods, and live again within 1 s after fault_end_s
     fault_end_s = 35.0
@@ -218,7 +218,7 @@ class Simulator:
     def run(self, scenario: Scenario, *, seed: int | None = None, bus: str = "memory", out: Path | None = None,
             ecu_process: bool = False, target: str = "host", pace: float | None = None, lcm: str | None = None,
             paused: bool = False) -> dict[str, Any]:
-        """One run: the object of `lpvguard sim --json` (DESIGN 9). ``bus``: memory or socketcan:INTERFACE. ``ecu_process``: the
+        """One run: the object of `lpvguard sim --json`. ``bus``: memory or socketcan:INTERFACE. ``ecu_process``: the
         firmware is a process of its own (needs SocketCAN).
         ``target``: likewise on an emulated processor; the object then has ``ecu``: its target, ELF hash and instructions of the ticks.
         ``pace``: at most so many times real time. ``lcm``: publish there and take commands (of a simulator made with ``lcm``); with ``out``

@@ -1,10 +1,10 @@
 """Bounds and weights recomputed from few frames: quick enough to stand inside a search over trade-offs.
 
-Of the drives that set the bounds, taken at every start sample, the frames that no other frame exceeds in B1, |Z| and |delta0|
-all at once suffice: gamma_w's rule and nu grow with each of the three, so their maxima over these frames are those over all. Frames
-within NEAR of one that is kept are left out. Without the drives the stored sample is taken (spectra.npz: per bin the frames of largest |E| and a draw, on the core's grid), and the
-maxima are those of the sample. Largest |w_j| are over the sample and these frames: near their bounds, not bounds.
-So what comes out here chooses a trade-off; bounds come from identifying again with the choice in the project file.
+A frame decides when no other frame of the bin exceeds it in B1, |Z| and |delta0| at once. gamma_w's rule (T8) and nu (T5) grow with each
+of the three, so their maxima over the deciding frames are those over all. Deciding frames come from every start sample of the drives
+that set the bounds; those within NEAR of one that is kept are left out. Without the drives the stored sample replaces them
+(spectra.npz: per bin the frames of largest |E| and a draw, on the core's grid). Largest |w_j| are over the sample and these frames,
+so they are near their bounds and are no bounds. The result is for choosing a trade-off. Bounds come from `identify` with that choice.
 
 Class S2 (paper, K_is) needs u and the nominal state of a frame. They are taken from Z through the frozen model at the frame's
 mean speed: u the least-squares input behind Z, x_nom = (zI - A_d)^-1 B_d u.

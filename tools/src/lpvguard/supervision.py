@@ -1,4 +1,4 @@
-"""What the supervision of the bus must say: from the frames on the bus and the message table alone, by the rules of DESIGN 6.
+"""What the supervision of the bus must say, from the frames on the bus and the message table alone (rules: lib/include/lpvguard/can.h).
 
 Written from the rules, not from lib/src/can.cpp, so that one can be held against the other. Per message, with its period from the
 table, starting off:

@@ -3,7 +3,7 @@
 A candidate is a ceiling nu_bar(omega), linear over log omega between levels at the lowest and the highest bin, and a structure: K_i (class
 S1), or K_is (class S2) with Lambda_nu = diag(1, lambda_s). The rule of step 4 makes gamma_w of it, steps 5 to 7 the weights, from few
 frames (stored_frames.py). Its measure is the optimum over speeds under the best common D (synthesis/scheduling.py): an upper bound of
-the worst mu of the best frozen controllers, and what `design` starts from. The floor (synthesis/limits.py) costs a hundredth of that
+the worst mu of the best frozen controllers, and the level that `design` starts from. The floor (synthesis/limits.py) costs a hundredth of that
 and bounds every controller from below: a candidate whose floor is not below the best measure is not synthesised.
 
 The search: uniform ceilings for both structures (the front), then steps of the two levels and of lambda_s from the best. Its size is

@@ -1,4 +1,4 @@
-"""What stays invisible: the smallest gain and delay error that the frame test can see, per speed cell and bin (DESIGN 4.4).
+"""What stays invisible: the smallest gain and delay error that the frame test can see, per speed cell and bin (THEORY 7.4).
 
 A vehicle whose response is c times the nominal one shows the error E = -g Z in every output, |g| = |1 - c|. The margin of a
 frame grows in proportion to g (scale delta and w alike), so it exceeds the threshold exactly when

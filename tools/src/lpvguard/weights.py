@@ -2,7 +2,7 @@
 
 Reads   omega (K,) rad/s, bound (K,) in the unit of the weighted signal (NaN: bin without data)
 Gives   ``Weight`` W(s) with |W(jw)| >= bound(w) for every w >= 0, and how tight it is
-Source  Roedoenyi & Bokor, section III, steps 6 and 7; DESIGN 4.5
+Source  Roedoenyi & Bokor, section III, steps 6 and 7; THEORY 5.3
 
 **What is bounded.** Between samples the bound is linear in (ln w, ln bound), beyond the first and the last
 sample it is constant. The *worst ratio* is sup |W|/bound over all w, the ends included. A strictly proper

@@ -1,4 +1,4 @@
-"""How far windowed spectra are from the truth where dynamics are inverted: class S2 and the general LFT (DESIGN 4.3).
+"""How far windowed spectra are from the truth where dynamics are inverted: class S2 and the general LFT (THEORY 4.2).
 
 Class S1 compares windowed spectra of e and yhat and inverts nothing. Class S2 asks for xi_s in G_d xi_s = (z I - Ad) d, d = x - x_nom,
 and a Hann frame of x_{n+1} is z times that of x_n only approximately. Here the nominal model, at frozen speeds, is driven by a

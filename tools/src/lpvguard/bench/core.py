@@ -1,6 +1,6 @@
 """`lpvguard bench core`: what the core costs on an ECU -- ROM, RAM, stack, instructions of every part, share of a processor.
 
-Measured on emulated Cortex-M4F, M7 and R5F over a seeded drive, the vehicle's own or the one that the budget of DESIGN 5
+Measured on emulated Cortex-M4F, M7 and R5F over a seeded drive, the vehicle's own or the one that the budget of lib/INTEGRATION.md
 names: the truck with 20 bins, 2 outputs and a controller of 25 states. Every count is of executed
 *instructions, not cycles*: multiply by the cycles an instruction takes on the part, flash waits included.
 """

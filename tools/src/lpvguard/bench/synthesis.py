@@ -211,7 +211,7 @@ def as_dicts(rows: list[Row]) -> list[dict]:
 def main(argv: list[str]) -> None:
     """`lpvguard bench synthesis CASE.toml`."""
     options = parser("synthesis", __doc__)
-    options.add_argument("case", type=Path, help="the paper case, shared/cases/paper_case.toml")
+    options.add_argument("case", type=Path, help="the paper case, tests/data/paper_case.toml")
     options.add_argument("--peers", type=Path, help="folder for the peers' environment, made when missing")
     given = options.parse_args(argv)
     rows = run(given.case, peers=given.peers)

@@ -1,4 +1,4 @@
-"""The CAN catalogue: loads and validates the one table of messages (DESIGN 6).
+"""The CAN catalogue: loads and validates the one table of messages (can/catalogue.toml).
 
 Reads   catalogue.toml (shipped), or another file of the same form
 Next    dbc.py writes our DBC from it, codegen.py the C codec and the receiver's rules

@@ -1,4 +1,4 @@
-"""H∞ and μ: certified synthesis and analysis of linear controllers (DESIGN 4.6).
+"""H∞ and μ: certified synthesis and analysis of linear controllers (THEORY 6).
 
 | module | does |
 |---|---|

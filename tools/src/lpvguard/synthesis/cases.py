@@ -46,7 +46,7 @@ def read_case(path) -> dict:
     case = read_toml(Path(path), "a case file")
     for name in ("v", "wheelbase", "objective", *(f.name for f in fields(Weights))):
         if name not in case:
-            raise SynthesisError(path, name, "missing", "a case file as cases/paper_case.toml")
+            raise SynthesisError(path, name, "missing", "a case file as tests/data/paper_case.toml")
     return case
 
 

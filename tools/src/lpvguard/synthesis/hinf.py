@@ -6,13 +6,13 @@ optimum of a weighted problem, and else brackets it; the controller is the centr
 it, and the norm reported for it is that of the true closed loop on the plant as given.
 
 Singular problems (D12 or D21 without full rank, zeros on the imaginary axis) are solved, not refused. The
-optimum comes from exact reduction: a control direction without direct cost moves the states it drives at no
-cost, so those states become the controls of a smaller problem (the singular-H∞ result of Stoorvogel 1992, in
-LMI form Gahinet & Apkarian 1994: the free block of R takes the place of the feedback); what the smaller
-problem forgets is the Parrott bound at the frequency of the lost rank, kept separately. The controller comes
-from the plant with a small extra cost ε on the free directions and a small extra noise ε on the unmeasured
-ones; that cost contains the original one, so a level reached with it is reached without it, and ε is the
-largest power of ten whose certified norm is close enough.
+optimum comes from exact reduction. A control direction may have no direct cost; then the states that it drives
+can be set at no cost, and they become the controls of a smaller problem (Stoorvogel 1992; in LMI form
+Gahinet & Apkarian 1994, where the free block of R takes the place of the feedback). The smaller problem does
+not contain the Parrott bound at the frequency where rank is lost; that bound is kept separately.
+The controller comes from a regular plant: an extra cost ε on the free directions, an extra noise ε on the
+unmeasured ones. A level reached for it is reached for the original plant too, since its cost is larger. ε is
+the largest power of ten whose certified norm is close enough.
 """
 
 from __future__ import annotations

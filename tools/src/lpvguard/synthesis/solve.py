@@ -1,7 +1,7 @@
 """The kinds ``hinf`` and ``mu`` of the language-neutral solve interface: a problem as a dict in, answer
 fields out.
 
-Fields as in cases/README.md: complex numbers are [re, im], matrices row-major nested lists. A problem that
+Fields as in lpvguard/solve.py: complex numbers are [re, im], matrices row-major nested lists. A problem that
 cannot be answered raises InputError (what, where, expected), which the caller turns into an error answer.
 """
 

@@ -1,4 +1,4 @@
-"""Frequency-domain model validation (section II of the paper) for the classes of DESIGN 4.3.
+"""Frequency-domain model validation (section II of the paper) for the classes of THEORY 4.
 
 ``s1``     one complex scalar common to all outputs: closed forms on arrays of points, and the on-line margin
 ``s2``     input-multiplicative scalar and a full block on the state: certified global optimum, compiled

@@ -1,4 +1,4 @@
-"""Class S1: E = delta Z + w at every bin, one complex scalar delta common to all n_y outputs (DESIGN 4.3).
+"""Class S1: E = delta Z + w at every bin, one complex scalar delta common to all n_y outputs (T4).
 
 E is the windowed DFT of the nominal error, Z of the nominal output, both ``(..., n_y)`` complex in the
 outputs' own units; every other argument broadcasts against the leading shape. Closed forms, exact to rounding
@@ -337,7 +337,7 @@ MAX_OUTPUTS = 64
 
 
 def margin(e, z, w_delta, w_w) -> np.ndarray:
-    """On-line margin t* (...) of DESIGN 4.7: least t with |delta| <= t W_delta and |E_j - delta Z_j| <= t
+    """On-line margin t* (...) (T17): least t with |delta| <= t W_delta and |E_j - delta Z_j| <= t
     W_w,j.
 
     ``e``, ``z``, ``w_w`` (..., n_y), ``w_delta`` (...); w_w > 0, w_delta >= 0. A weighted 1-centre problem of

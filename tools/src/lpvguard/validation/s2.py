@@ -1,4 +1,4 @@
-"""Class S2: an input-multiplicative scalar and one full block on the state, certified globally (DESIGN 4.3).
+"""Class S2: an input-multiplicative scalar and one full block on the state, certified globally (T6).
 
     G_d xi_s = (z I - A_d) d - B_d xi_i,     d = x - x_nom,     e = C d + w
     |xi_i| <= nu_i |u|,    |xi_s| <= nu_s |x_nom + d|,    |w| <= gamma_w
