@@ -1,5 +1,5 @@
 // SocketCAN as the firmware's bus, on a real vcan0: run through tools/with-vcan. Fails, and is never skipped, without one.
-#include <catch2/catch.hpp>
+#include "../catch.hpp"
 
 #include <array>
 #include <atomic>

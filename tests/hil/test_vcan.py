@@ -1,4 +1,4 @@
-"""A real vcan0 through tools/with-vcan: what we play, candump logs, and ingest reads back. Never skipped: no backend is a failure."""
+"""A real vcan0 through tools/with-vcan: what we play, candump logs, and ingest reads back."""
 
 from __future__ import annotations
 
