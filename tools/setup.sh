@@ -1,4 +1,4 @@
-# Sourced by lpvguard, demo and test: installs what is missing. Needs $root (the checkout); says what it does on stderr.
+# Sourced by lpvguard, demo and test: installs what is missing. Needs $root (the checkout) and set -euo pipefail; says what it does on stderr.
 # shellcheck shell=bash
 
 # A caller's PYTHONPATH would put another lpvguard before this checkout's.
@@ -22,7 +22,8 @@ say() { printf '%s\n' "$*" >&2; }
 # clang_runtime: the package of the sanitizers of the release's clang, whose name holds the version.
 clang_runtime() {
   local depends
-  depends=$(dpkg-query -W -f='${Depends}' clang 2>/dev/null) || depends=$(apt-cache show --no-all-versions clang 2>/dev/null) || true
+  depends=$(dpkg-query -W -f='${Depends}' clang 2>/dev/null) || true
+  [ -n "$depends" ] || depends=$(apt-cache show --no-all-versions clang 2>/dev/null | sed -n 's/^Depends: //p') || true
   if [[ $depends =~ clang-([0-9]+) ]]; then echo "libclang-rt-${BASH_REMATCH[1]}-dev"; fi
 }
 
