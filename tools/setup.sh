@@ -77,8 +77,11 @@ apt_progress() {
 apt_install() {
   local log status=0
   log=$(mktemp)
-  "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends -o APT::Status-Fd=1 -o Dpkg::Use-Pty=0 \
-    "$@" </dev/null 2>&1 | apt_progress "$log" "$@" || status=$?
+  # Not APT::Status-Fd=1: apt closes that descriptor for the packages' scripts, and one that prints then fails. sudo closes 3, hence sh.
+  # shellcheck disable=SC2016
+  "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive \
+    sh -c 'exec apt-get install -y --no-install-recommends -o APT::Status-Fd=3 -o Dpkg::Use-Pty=0 "$@" 3>&1' apt-get "$@" </dev/null 2>&1 |
+    apt_progress "$log" "$@" || status=$?
   [ "$status" = 0 ] || tail -n 20 "$log" >&2
   rm -f "$log"
   return "$status"
