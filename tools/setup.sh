@@ -98,7 +98,7 @@ become_root() {
 # ensure_packages GROUP...: the required groups, exit 2 when they cannot be had; with the group test the optional parts too, of which one
 # that cannot be had is named once and left out.
 ensure_packages() {
-  local parts="" part log required names have_apt=1
+  local parts="" offered="" part log required names have_apt=1
   if [[ " $* " == *" test "* ]]; then
     for part in $optional_parts; do
       if [[ " ${LPVGUARD_WITHOUT:-} " == *" $part "* ]]; then say "without $part (LPVGUARD_WITHOUT): its tests are counted as skipped"
@@ -122,14 +122,17 @@ ensure_packages() {
     for part in $parts; do
       # A part of which the release lacks a package would fail the whole request.
       # shellcheck disable=SC2046
-      if apt-cache show $(packages_of "$part") >/dev/null 2>&1; then mapfile -t -O ${#names[@]} names < <(missing_of "$part"); fi
+      if apt-cache show $(packages_of "$part") >/dev/null 2>&1; then
+        offered+=" $part"
+        mapfile -t -O ${#names[@]} names < <(missing_of "$part")
+      fi
     done
     if [ ${#names[@]} -gt 0 ]; then
       say "installing ${#names[@]} packages and what they need: ${names[*]}"
       if ! apt_install "${names[@]}" && [ -n "$parts" ]; then
         say "not in one go: the required packages first, then part by part"
         [ ${#required[@]} = 0 ] || apt_install "${required[@]}" || true
-        for part in $parts; do
+        for part in $offered; do
           mapfile -t names < <(missing_of "$part")
           [ ${#names[@]} = 0 ] || apt_install "${names[@]}" || true
         done
