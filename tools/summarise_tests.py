@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 import xml.etree.ElementTree as ElementTree
 from collections import defaultdict
@@ -18,9 +19,20 @@ def suite_of(runner: str, case: ElementTree.Element) -> str:
     return f"pytest {case.get('classname', '').replace('tests.', '')}"
 
 
+def reason_of(case: ElementTree.Element, skipped: ElementTree.Element | None) -> str:
+    """Why a case was skipped; a ctest case that stands for a test that could not be built says so itself."""
+    said = re.search(r"^(?:skipped: |with-vcan: (?=no AF_CAN))(.*)$", case.findtext("system-out") or "", re.MULTILINE)
+    if said:
+        return said[1]
+    return (skipped.get("message") if skipped is not None else case.get("status")) or "no reason given"
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--build-failed", type=int, default=0, help="1: the C++ build failed and counts as one failure")
+    for runner in RUNNERS:
+        parser.add_argument(f"--{runner}-status", type=int, default=0, help="exit status: other than 0 without a failed case, it broke off")
+    parser.add_argument("--clean-room", help="passed, failed, or skipped: WHY")
     parser.add_argument("results", type=Path, help="folder with ctest.xml and pytest.xml")
     arguments = parser.parse_args()
 
@@ -34,7 +46,14 @@ def main() -> int:
             counts["failed"] += 1
             notes.append(f"FAILED {runner}: it did not run" + (" (the build failed)" if arguments.build_failed else ""))
             continue
-        for case in ElementTree.parse(path).getroot().iter("testcase"):
+        try:
+            cases = list(ElementTree.parse(path).getroot().iter("testcase"))
+        except ElementTree.ParseError as error:
+            counts["failed"] += 1
+            notes.append(f"FAILED {runner}: it broke off while it wrote {path.name} ({error})")
+            continue
+        failed_before = counts["failed"]
+        for case in cases:
             name = f"{case.get('classname', '')}::{case.get('name', '')}"
             seconds[suite_of(runner, case)] += float(case.get("time") or 0.0)
             number[suite_of(runner, case)] += 1
@@ -44,9 +63,18 @@ def main() -> int:
                 notes.append(f"FAILED {name}")
             elif skipped is not None or case.get("status") in ("disabled", "notrun"):
                 counts["skipped"] += 1
-                notes.append(f"SKIPPED {name}: {skipped.get('message') if skipped is not None else case.get('status')}")
+                notes.append(f"SKIPPED {name}: {reason_of(case, skipped)}")
             else:
                 counts["passed"] += 1
+        status = getattr(arguments, f"{runner}_status")
+        if status and counts["failed"] == failed_before:
+            counts["failed"] += 1
+            notes.append(f"FAILED {runner}: no case failed, yet it ended with status {status}")
+    if arguments.clean_room:
+        outcome, _, why = arguments.clean_room.partition(": ")
+        counts[outcome] += 1
+        if outcome != "passed":
+            notes.append(f"{outcome.upper()} clean-room ./tools/test: {why or 'see clean_room.log'}")
     width = max(map(len, seconds), default=10)
     print(f"\n{'suite':{width}}  tests  seconds")
     for suite in sorted(seconds):

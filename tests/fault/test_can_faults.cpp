@@ -1,6 +1,6 @@
 // The fault table: each fault, the state that it must lead to, and by when. VDC2 stands for the unprotected messages,
 // GUARD_IN for those with E2E profile 11; both have a period of 10 ms.
-#include <catch2/catch.hpp>
+#include "../catch.hpp"
 
 #include "../can_bus.hpp"
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from parts import require
 
 from lpvguard import targets
 from lpvguard.bench import core as bench
@@ -37,9 +38,7 @@ def host(vehicle):
 
 @pytest.fixture(scope="session", params=sorted(targets.TARGETS))
 def name(request):
-    missing = targets.missing_tools(targets.TARGETS[request.param])
-    if missing:
-        pytest.skip(f"{', '.join(missing)} not found: install {targets.PACKAGES}")
+    require("qemu")
     return request.param
 
 
@@ -123,8 +122,7 @@ def test_the_core_imports_neither_heap_nor_text_nor_double_arithmetic(counted):
 def test_two_vehicles_share_an_image(tmp_path):
     """tests/consumer/two_vehicles.c on the Cortex-M4F: cores of different sizes, one after the other."""
     target, root = targets.TARGETS["cortex-m4f"], Path(__file__).parents[1]
-    if missing := targets.missing_tools(target):
-        pytest.skip(f"{', '.join(missing)} not found: install {targets.PACKAGES}")
+    require("qemu")
     subprocess.run([sys.executable, root / "unit" / "generate.py", "vehicle", root / "unit" / "toy.toml", tmp_path / "toy"], check=True)
     core, ports = targets.library_root(), targets.firmware_root() / "ports"
     jobs = [(ports / "bare_metal" / "bare_metal.c", None), (ports / "cortex_m" / "startup.c", None), (root / "consumer" / "two_vehicles.c", None)]

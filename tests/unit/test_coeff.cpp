@@ -1,5 +1,5 @@
 // Acceptance of coefficients: every status that coeff.h and status.h document, provoked.
-#include <catch2/catch.hpp>
+#include "../catch.hpp"
 
 #include <algorithm>
 #include <cstring>

@@ -1,5 +1,5 @@
 // The controller against a dense recursion in double, its limits, anti-windup, engagement, and every documented failure.
-#include <catch2/catch.hpp>
+#include "../catch.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,5 +1,5 @@
 // The ECU step as a black box on its bus: engagement, every supervision state, reactions, reports, documented failures.
-#include <catch2/catch.hpp>
+#include "../catch.hpp"
 
 #include <cmath>
 #include <cstring>

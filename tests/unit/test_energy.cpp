@@ -1,5 +1,5 @@
 // The energy test: its sums and filters by themselves, and as a part of the monitor. Compiled for every test vehicle.
-#include <catch2/catch.hpp>
+#include "../catch.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,6 +1,6 @@
 // Every input that a number, a clock or a memory can hold: statuses as documented, demands within their limits, and an object
 // that was refused unchanged or in its safe state.
-#include <catch2/catch.hpp>
+#include "../catch.hpp"
 
 #include <cmath>
 #include <cstring>

@@ -1,5 +1,5 @@
 // The closed-form margin against a slow minimisation that shares nothing with it.
-#include <catch2/catch.hpp>
+#include "../catch.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,5 +1,5 @@
 // The nominal model's recursion against exact zero-order hold in double (golden_model.hpp, from the Python package).
-#include <catch2/catch.hpp>
+#include "../catch.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,5 +1,5 @@
 // The monitor as a black box: samples in, statuses, frames and verdicts out. Compiled for every test vehicle.
-#include <catch2/catch.hpp>
+#include "../catch.hpp"
 
 #include <algorithm>
 #include <array>

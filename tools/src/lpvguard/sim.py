@@ -308,7 +308,7 @@ def _lcm_publisher(root: Path, flags: tuple[str, ...], includes: list[Path]) -> 
     found = subprocess.run(["pkg-config", "--variable=prefix", "lcm"], capture_output=True, text=True, check=False).stdout.strip()
     generator = Path(found, "bin", "lcm-gen")
     if not found or not generator.is_file():
-        raise native.NativeError("LCM not found; install liblcm-dev and liblcm-bin")
+        raise native.NativeError("LCM not found; install liblcm-dev, liblcm-bin and libglib2.0-dev")
     with tempfile.TemporaryDirectory() as types:
         subprocess.run([generator, "--cpp", "--cpp-hpath", types, *sorted((root / "lcm").glob("*.lcm"))], check=True)
         return native.compile_object(root / "lcm" / "publisher_lcm.cpp", flags=flags, include_dirs=[*includes, types])

@@ -1,0 +1,37 @@
+"""Optional parts of the tests (tools/setup.sh installs them): a test that needs one says so, and is skipped with the reason."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import subprocess
+
+import pytest
+
+from lpvguard import targets
+
+PROGRAMS = {"powerpc": ("powerpc-linux-gnu-gcc", "qemu-ppc"), "lcm": ("pkg-config", "lcm-gen", "lcm-logger", "lcm-logplayer"),
+            "qemu": (), "uml": ("candump", "cangen", "cansend", "ip")}
+"""Part -> programs that the path must have."""
+
+
+def missing(part: str) -> str:
+    """Why the part cannot be used here; empty: it can. LPVGUARD_WITHOUT leaves parts out on purpose."""
+    if part in os.environ.get("LPVGUARD_WITHOUT", "").split():
+        return f"LPVGUARD_WITHOUT names {part}"
+    lost = [p for p in PROGRAMS[part] if shutil.which(p) is None]
+    if part == "qemu":
+        lost = sorted({tool for target in targets.TARGETS.values() for tool in targets.missing_tools(target)})
+    if part == "lcm" and not lost:
+        done = subprocess.run(["pkg-config", "--print-errors", "--exists", "lcm"], capture_output=True, text=True, check=False)
+        if done.returncode:
+            return f"pkg-config: {done.stderr.strip().splitlines()[-1]}"
+        lost = [] if importlib.util.find_spec("lcm") else ["the Python package lcm"]
+    return f"{', '.join(lost)} not found" if lost else ""
+
+
+def require(part: str) -> None:
+    """Skips the test that asks when the part is missing."""
+    if why := missing(part):
+        pytest.skip(why)

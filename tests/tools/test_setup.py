@@ -1,0 +1,153 @@
+"""The set-up (tools/setup.sh) with a fake interpreter, apt and dpkg: an environment and a build know their checkout; the closing line counts
+what broke off."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PYTHON = """#!/bin/sh
+# Makes an environment whose pip writes down that it was asked.
+case "$*" in
+  -V) echo "Python 3.11.${PATCH:-1}" ;;
+  "-m venv "*) mkdir -p "$3/bin" && cp "$0" "$3/bin/python" ;;
+  "-m pip "*) echo "$*" >>"$CALLS"; case "$*" in *"$PIP_FAILS"*) echo "no wheel of it"; exit 1 ;; esac
+    touch "${0%/*}/lpvguard"; chmod +x "${0%/*}/lpvguard" ;;
+esac
+"""
+
+
+@pytest.fixture
+def checkout(tmp_path):
+    folder = tmp_path / "one"
+    (folder / "tools").mkdir(parents=True)
+    for name in ("setup.sh", "pyproject.toml", "constraints.txt"):
+        shutil.copy(ROOT / "tools" / name, folder / "tools")
+    (tmp_path / "python").write_text(PYTHON)
+    (tmp_path / "python").chmod(0o755)
+    return folder
+
+
+def shell(root: Path, commands: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Commands after the set-up's functions; the interpreter is the fake."""
+    script = f'set -euo pipefail; root={root}; . "$root/tools/setup.sh"; find_python() {{ python={root.parent}/python; }}; {commands}'
+    return subprocess.run(["bash", "-c", script], env={**os.environ, "CALLS": str(root.parent / "calls"), "PIP_FAILS": "-nothing-", **environment},
+                          capture_output=True, text=True, check=False)
+
+
+def calls(checkout: Path) -> int:
+    log = checkout.parent / "calls"
+    return len(log.read_text().splitlines()) if log.exists() else 0
+
+
+def test_the_environment_is_made_once_and_anew_for_another_path_or_interpreter(checkout):
+    assert shell(checkout, "ensure_venv run").returncode == 0 and calls(checkout) == 1
+    assert shell(checkout, "ensure_venv run").stderr == "" and calls(checkout) == 1
+    copied = checkout.with_name("two")
+    subprocess.run(["cp", "-a", checkout, copied], check=True)
+    done = shell(copied, "venv_is_current run || ensure_venv run")
+    assert done.returncode == 0 and "made for another path or interpreter" in done.stderr and calls(checkout) == 2
+    assert (copied / ".venv" / ".lpvguard-made").read_text().splitlines() == [str(copied), "Python 3.11.1"]
+    assert shell(checkout, "ensure_venv run").stderr == "", "the original's is untouched"
+    done = shell(checkout, "ensure_venv run", PATCH="9")
+    assert "another path or interpreter" in done.stderr and calls(checkout) == 3
+
+
+def test_a_changed_list_of_packages_is_installed_into_the_same_environment(checkout):
+    shell(checkout, "ensure_venv run")
+    with (checkout / "tools" / "constraints.txt").open("a") as file:
+        file.write("other==1\n")
+    done = shell(checkout, "ensure_venv run")
+    assert "anew" not in done.stderr and calls(checkout) == 2
+
+
+def test_an_environment_of_somebody_else_is_refused_and_kept(checkout):
+    (checkout / ".venv").mkdir()
+    (checkout / ".venv" / "mine").write_text("")
+    done = shell(checkout, "ensure_venv run")
+    assert done.returncode == 2 and "not lpvguard's" in done.stderr and (checkout / ".venv" / "mine").exists()
+
+
+def test_an_optional_python_package_may_fail_a_needed_one_not(checkout):
+    done = shell(checkout, "ensure_venv test", PIP_FAILS="[lcm]")
+    assert done.returncode == 0 and "without the Python package lcm" in done.stderr and "no wheel of it" in done.stderr
+    shutil.rmtree(checkout / ".venv")
+    done = shell(checkout, "ensure_venv test", PIP_FAILS="[test]")
+    assert done.returncode == 2 and "no wheel of it" in done.stderr
+
+
+def test_only_cmakes_builds_of_another_checkout_are_removed(checkout):
+    def build(folder: str, cache_folder: Path, home: Path, project: str = "lpvguard") -> Path:
+        made = checkout / "build" / folder
+        made.mkdir(parents=True, exist_ok=True)
+        (made / "CMakeCache.txt").write_text(f"CMAKE_PROJECT_NAME:STATIC={project}\nCMAKE_CACHEFILE_DIR:INTERNAL={cache_folder}\nCMAKE_HOME_DIRECTORY:INTERNAL={home}\n")
+        return made
+
+    good = build("debug", checkout / "build" / "debug", checkout)
+    consumer = build("consumer", checkout / "build" / "consumer", checkout / "tests" / "consumer", "lpvguard_consumer")
+    copied = build("double", Path("/elsewhere/build/double"), Path("/elsewhere"))
+    foreign = build("foreign", Path("/elsewhere/build/foreign"), Path("/elsewhere"), "another_project")
+    own = checkout / "build" / "notes"
+    own.mkdir()
+    assert shell(checkout, "drop_foreign_builds").returncode == 0
+    assert [p.is_dir() for p in (good, consumer, copied, foreign, own)] == [True, True, False, True, True]
+    build(".", checkout / "build", Path("/elsewhere"))
+    assert "build is a build of another checkout" in shell(checkout, "drop_foreign_builds").stderr and not (checkout / "build").exists()
+
+
+FAKE_APT = r"""
+dpkg-query() { for name in "$@"; do [[ " $INSTALLED " != *" $name "* ]] || echo "installed $name"; done; }
+apt-cache() { [[ "$*" != *user-mode-linux* ]]; }
+apt-get() { :; }; become_root() { as_root=(); }
+apt_install() { echo "apt: $*"; [[ "$*" != *cppcheck* ]] || return 1; INSTALLED+=" $*"; }
+"""
+
+
+def test_parts_that_cannot_be_had_are_named_and_needed_packages_all_the_same_installed(checkout):
+    done = shell(checkout, FAKE_APT + "INSTALLED=; clang_runtime() { echo libclang-rt-99-dev; }; ensure_packages run test", LPVGUARD_WITHOUT="lcm")
+    assert done.returncode == 0, done.stderr
+    asked = [line.split()[1:] for line in done.stdout.splitlines()]
+    assert "libclang-rt-99-dev" in asked[0] and "user-mode-linux" not in asked[0] and "liblcm-dev" not in asked[0]
+    assert "without lcm (LPVGUARD_WITHOUT)" in done.stderr and "without uml: its tests are counted as skipped" in done.stderr
+    # cppcheck fails: the rest all the same, the needed ones first.
+    assert "without cppcheck" in done.stderr and done.stderr.count("without") == 3
+    assert asked[1][0] == "g++" and ["cppcheck"] in asked and ["qemu-system-arm"] == asked[-1][-1:]
+
+
+def test_without_root_needed_packages_are_named_and_nothing_is_asked_of_apt(checkout):
+    done = shell(checkout, FAKE_APT + "INSTALLED='g++ cmake'; become_root() { return 1; }; ensure_packages run")
+    assert done.returncode == 2 and "please install: apt-get install libeigen3-dev" in done.stderr and done.stdout == ""
+
+
+APT_SAYS = "Reading\ndlstatus:1:30.5:Retrieving\ndlstatus:1:31:Retrieving\npmstatus:clang:1:Unpacking clang (amd64)\npmstatus:x:2:Unpacking x (amd64)\nE: broken\n"
+
+
+def test_progress_is_a_line_a_quarter_and_a_line_a_package(checkout, tmp_path):
+    done = shell(checkout, f"printf '%s' '{APT_SAYS}' | apt_progress {tmp_path / 'log'} g++ clang")
+    assert done.stderr.splitlines() == ["  downloaded 25 %", "  installing 1 of 2: clang"]
+    assert (tmp_path / "log").read_text() == "Reading\nE: broken\n"
+
+
+GOOD = '<testsuite><testcase name="a.b" time="1"/></testsuite>'
+
+
+@pytest.mark.parametrize(("ctest", "options", "last", "says"), [
+    (GOOD, [], "2 passed, 0 failed, 0 skipped", ""),
+    (GOOD[:-15], [], "1 passed, 1 failed, 0 skipped", "FAILED ctest: it broke off while it wrote ctest.xml"),
+    ("", [], "1 passed, 1 failed, 0 skipped", "broke off"),
+    (GOOD, ["--ctest-status", "8"], "2 passed, 1 failed, 0 skipped", "no case failed, yet it ended with status 8"),
+    (GOOD, ["--clean-room", "skipped: no root"], "2 passed, 0 failed, 1 skipped", "SKIPPED clean-room ./tools/test: no root"),
+    (GOOD, ["--clean-room", "failed"], "2 passed, 1 failed, 0 skipped", "FAILED clean-room"),
+    ('<testsuite><testcase name="hil.x" status="notrun"><skipped message="SKIP_REGULAR_EXPRESSION_MATCHED"/><system-out>skipped: no clang\n</system-out>'
+     '</testcase></testsuite>', [], "1 passed, 0 failed, 1 skipped", "SKIPPED ::hil.x: no clang")])
+def test_the_closing_line_counts_what_broke_off_and_gives_reasons(tmp_path, ctest, options, last, says):
+    (tmp_path / "ctest.xml").write_text(ctest)
+    (tmp_path / "pytest.xml").write_text(GOOD)
+    done = subprocess.run([sys.executable, ROOT / "tools" / "summarise_tests.py", *options, tmp_path], capture_output=True, text=True, check=False)
+    assert done.stdout.splitlines()[-1] == last and says in done.stdout and done.returncode == (" 0 failed" not in last)
