@@ -67,7 +67,7 @@ class ModelSettings(_Strict):
 
 
 class FrameSettings(_Strict):
-    """The estimator (DESIGN 4.2).
+    """The estimator.
 
     ``hann``: constant-Q Hann frames of ``periods`` periods, ``bins_per_decade``. ``dft``: the paper's plain DFT, one rectangular
     frame of ``length_s`` per experiment, driven at constant speed, every line from f_min_hz to f_max_hz; for analysis only.
@@ -133,7 +133,7 @@ class FrameTestSettings(_Strict):
 
 
 class EnergyTestSettings(_Strict):
-    """The energy test (DESIGN 4.8). ``band_hz``: the two corners of its three bands, by default the frames' f_min_hz and f_max_hz.
+    """The energy test. ``band_hz``: the two corners of its three bands, by default the frames' f_min_hz and f_max_hz.
     ``memory_s``: time constant of the forgetting, by default one period of f_min_hz."""
 
     band_hz: tuple[Positive, Positive] | None = None
