@@ -124,6 +124,15 @@ def test_rates_have_exact_intervals():
     assert stage.rate(3, 3)["interval"][1] == 1.0 and stage.rate(0, 0)["interval"] is None
 
 
+def test_nobody_is_best_at_a_kind_where_nobody_found_a_fault():
+    def row(**found: int) -> dict:
+        found = dict.fromkeys(stage.DETECTORS, 0) | found
+        return {"runs": 4, "found": found, "matched": found}
+
+    assert stage._kind("k", [row(), row()])["best"] == stage._kind("k", [row()])["best_matched"] == []
+    assert stage._kind("k", [row(nis=1, rms=1), row()])["best_matched"] == ["rms", "nis"]
+
+
 def test_alarms_an_hour_have_exact_intervals():
     # Poisson: none in h hours ends at -ln(0.025)/h; 10 events are 4.795 to 18.391 (Garwood).
     assert stage.per_hour(0, 100.0)["interval"] == pytest.approx([0.0, -np.log(0.025) / 100])
@@ -226,6 +235,7 @@ def test_a_campaign_that_was_stopped_goes_on_and_ends_the_same(small, stored, tr
     covered, apart = summary["within"]["runs"], summary["within"]["beyond_checked_amplitude"]["of"]
     assert covered >= 1 and covered + apart == 5 and summary["within"]["hours"] == pytest.approx(0.05 * covered)
     assert summary["within"]["tests"].keys() == {"frame", "energy"}
+    assert set(summary["matched_stated"].values()) == {None} and summary["matched_claim"].startswith("counts only"), "five runs are too few"
     truck = [("brake gain", 0.0), ("yaw rate frozen", 1.0), ("brake gain, 5 % of VDC2 lost", 0.15)]
     assert [(s["kind"], s["severity"]) for s in summary["severities"]] == truck
     assert [s["found"]["monitor"] for s in summary["severities"]] == [2, 2, 2], "lost brakes and a dead sensor are found, on a faulty bus too"

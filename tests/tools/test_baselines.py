@@ -8,6 +8,7 @@ import pytest
 from lpvguard import evaluate as stage
 from lpvguard import identify
 from lpvguard.baselines import GRID, KINDS, Bank, Baseline, Scales
+from lpvguard.drives import list_experiments
 from lpvguard.frames import Estimator
 from lpvguard.nominal import NominalModel
 from lpvguard.project import load_project
@@ -94,8 +95,6 @@ def test_with_little_process_noise_nis_becomes_the_mean_square(truck, error):
 @pytest.fixture(scope="module")
 def study(g80, synthetic, identified, core):
     stored = identify.load(identified)
-    from lpvguard.drives import list_experiments
-
     drives = identify.DriveSet(g80, NominalModel(g80), list_experiments(synthetic))
     names = tuple(stored.calibration.scores)
     return stage.BaselineStudy(stored, drives, core, left_out=names), names
@@ -131,6 +130,32 @@ def test_no_setting_of_the_grid_finds_more_on_the_drives_of_the_search(study):
         assert finds(best) == max(finds(b) for b in GRID if b.kind == kind)
 
 
+def test_an_alarm_in_the_last_seconds_is_counted(study):
+    """Every sample from ``piece_starts`` on belongs to a piece, the drive's remainder after whole minutes too."""
+    found, names = study
+    b, name = GRID[0], names[0]
+    pieces = found.largest[name][b]
+    assert found.alarmed_pieces(b, np.inf, name) == (0, len(pieces))
+    last = {b: np.r_[np.full(len(pieces) - 1, -np.inf), 2.0]}
+    largest = dict(found.largest)
+    try:
+        found.largest[name] = last
+        assert found.alarmed_pieces(b, 1.0, name) == (1, len(pieces))
+    finally:
+        found.largest = largest
+
+
+def test_the_largest_statistic_is_that_of_each_piece_and_none_is_left_out(study, g80, synthetic):
+    found, names = study
+    drive, e, _ = identify.DriveSet(g80, NominalModel(g80), list_experiments(synthetic)).load(names[0])
+    statistics = dict(found.bank.statistics(GRID[:1], e, drive.v))[GRID[0]]
+    largest, length = found.largest[names[0]][GRID[0]], round(60.0 / g80.Ts_s)
+    assert len(largest) == -(-(len(drive.v) - 1) // length)
+    for i, value in enumerate(largest):
+        end = None if i == len(largest) - 1 else (i + 1) * length
+        assert value == statistics[i * length:end].max()
+
+
 def test_without_scores_a_baseline_never_alarms(study):
     """No drive on which it spoke calibrates it, and 0 is no threshold."""
     found, names = study
@@ -151,7 +176,8 @@ def test_ranking_is_by_share_then_time_and_names_all_that_tie():
     assert rank({"monitor": row(7, 7, 3.0), "rms": row(6, 7, 0.1)}) == ["monitor"]
     assert rank({"monitor": row(7, 7, 3.0), "rms": row(7, 7, 2.0)}) == ["rms"]
     assert rank({"monitor": row(7, 7, 2.0), "rms": row(7, 7, 2.0), "nis": row(5, 7, 1.0)}) == ["monitor", "rms"]
-    assert rank({"monitor": row(0, 7, None), "nis": row(0, 7, None)}) == ["monitor", "nis"]
+    assert rank({"monitor": row(0, 7, None), "nis": row(0, 7, None)}) == [], "nobody is best who found nothing"
+    assert rank({"monitor": row(0, 7, None), "nis": row(1, 7, None)}) == ["nis"]
     assert rank({"monitor": row(0, 0, None), "nis": row(0, 0, None)}) == []
     assert stage.median_time([1.0, None, 3.0]) == 3.0 and stage.median_time([None, None, 1.0]) is None
     assert stage.median_time([]) is None

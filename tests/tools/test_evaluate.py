@@ -12,7 +12,7 @@ from lpvguard import identify
 from lpvguard.calibration import calibrate, joint_scores
 from lpvguard.drives import list_experiments, read_drive
 from lpvguard.errors import InputError
-from lpvguard.evaluate import Case, Clock, alarmed_pieces, alarming, fault_clocks
+from lpvguard.evaluate import Case, Clock, Pieces, alarmed_pieces, alarming, fault_clocks
 from lpvguard.faults import Fault, inject
 from lpvguard.nominal import NominalModel
 from lpvguard.replay import Replay, Replayer
@@ -84,10 +84,30 @@ def test_starts_leave_time_to_find_and_do_not_depend_on_other_drives():
     assert fault_clocks(replay(120.0), seed=1) == [], "no longer than 120 s"
 
 
-def test_pieces_are_whole_and_counted_once():
+def test_every_second_counts_in_pieces_of_which_the_last_may_be_shorter():
     made = replay(170.0, falsified=(10, 20, 3000), over=(8400,))
-    assert alarmed_pieces(made) == (2, 2) and alarmed_pieces(made, "energy") == (0, 2) and alarmed_pieces(made, "frame") == (2, 2)
-    assert alarmed_pieces(replay(59.0, over=(5,))) == (0, 0)
+    assert alarmed_pieces(made) == (3, 3) and alarmed_pieces(made, "energy") == (1, 3) and alarmed_pieces(made, "frame") == (2, 3)
+    assert alarmed_pieces(replay(59.0, over=(5,))) == (1, 1)
+    assert alarmed_pieces(replay(140.0, falsified=(6500,))) == (1, 3), "an alarm in the last 20 s"
+    assert alarmed_pieces(replay(140.0, slice(0, 6000), over=(6500,))) == (1, 3), "where nothing is judged, too"
+    assert alarmed_pieces(replay(120.0, over=(6000,))) == (1, 2), "the closing sample is no piece of its own"
+    assert stage.piece_starts(1, TS).tolist() == [0]
+
+
+def test_false_alarms_are_counted_in_pieces_drives_and_by_the_hour_judged():
+    counted = Pieces.of([(2, 3), (0, 1), (1, 2)], [100.0, 0.0, 260.0], seed=1)
+    assert (counted.drives, counted.alarmed_drives, counted.alarmed, counted.pieces) == (3, 2, 3, 6)
+    assert counted.judged_h == pytest.approx(0.1) and counted.per_judged_h == pytest.approx(30.0)
+    assert Pieces.of([(1, 1)], [0.0], seed=1).per_judged_h is None
+    none = Pieces.of([], [], seed=1)
+    assert (none.drives, none.alarmed_drives, none.pieces, none.interval, none.per_judged_h) == (0, 0, 0, None, None)
+
+
+def test_equal_rates_are_claimed_only_where_all_are_stated():
+    assert "one guaranteed rate" in stage.equal_rates({"monitor": 0.1, "rms": 0.1})
+    said = stage.equal_rates({"monitor": 0.1, "rms": None})
+    assert said.startswith("by counts only") and said.endswith("for rms") and "one guaranteed rate" not in said
+    assert stage._one_rate([0.1, 0.1]) == 0.1 and stage._one_rate([0.1, None]) is None
 
 
 def test_an_alarm_stands_where_the_core_says_so(core, g80, synthetic):
@@ -155,10 +175,14 @@ def evaluated(g80, core, drives):
 
 def test_a_single_drive_to_evaluate_has_no_baselines_and_no_alpha(folder, g80, core):
     table = evaluated(g80, core, folder({"synthetic_01": "train", "synthetic_02": "train", "synthetic_06": "valid"}))
-    assert table["baselines"] == [] and all(row["best"] == ["monitor"] for row in table["faults"])
+    assert table["baselines"] == [] and all(row["best"] == (["monitor"] if row["found"] else []) for row in table["faults"])
     assert table["claims"]["identified"]["frame"].endswith("too few calibration drives (1)")
     assert table["claims"]["left_one_out"]["monitor"] == ["alpha is not stated: too few calibration drives (0)"]
     assert all(row["drives"] == 1 and row["counted"] == stage.STARTS for row in table["faults"])
+    assert table["stated_rates"] == {"monitor": None, "frame": None, "energy": None, "exported": None}
+    (drive,) = table["drives"]
+    assert drive["last_piece_s"] == pytest.approx(drive["duration_s"] - 60 * (drive["pieces"] - 1)) and 0 < drive["last_piece_s"] <= 60
+    assert table["false_alarms"]["all"]["judged_h"] == pytest.approx(drive["judged_s"] / 3600)
 
 
 def test_short_and_unexcited_drives_are_counted_and_named(folder, g80, core):
@@ -177,7 +201,7 @@ def test_short_and_unexcited_drives_are_counted_and_named(folder, g80, core):
     assert "s long, no more than 120 s" in table["without_faults"]["synthetic_06"]
     assert "less than 30 s of judged, excited" in table["without_faults"]["synthetic_08"]
     still = next(r for r in table["drives"] if r["run"] == "synthetic_08")
-    assert still["judged_of_in_range_excited"] is None and still["pieces"] == 2
+    assert still["judged_of_in_range_excited"] is None and still["pieces"] == len(stage.piece_starts(round(still["duration_s"] / TS) + 1, TS)) == 3
     assert all(row["drives"] == row["counted"] == 0 and row["best"] == [] and row["median_s"] is None for row in table["faults"])
     assert len(table["baselines"]) == 3 and all(r["counted"] == 0 for b in table["baselines"] for r in b["faults"])
 

@@ -177,6 +177,7 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
                        "energy": {"claim": "alpha is not stated", "alpha": None, "conditional_bound": None, "threshold": 1.1, "per_hour": None}},
         "due": seen, "visible": dict.fromkeys(detectors, seen),
         "average": dict.fromkeys(detectors, {"calibrated": 0.5, "matched": 0.25}),
+        "matched_stated": dict.fromkeys(detectors, 0.05), "matched_claim": "equal false alarms in the loop",
         "within": {"runs": 50, "hours": 2.5, "judged_hours": 2.0, "plants": 24, "candidates": 40, "nominal_margin": 0.8, "largest_margin": 0.9,
                    "alarmed": dict.fromkeys(detectors, seen), "beyond_checked_amplitude": seen,
                    "tests": {t: seen | {"per_hour": {"rate": 0.4, "interval": [0.01, 2.23]}, "alarms": 3} for t in ("frame", "energy")}},
@@ -192,6 +193,11 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
     assert "frame test: alpha 0.05 from 25 drives; energy test: alpha is not stated." in text
     assert "brake gain 0.7 × (mu unstable, found 1 of 4)" in text and "2.34" in text and "rms, 2 s" in text
     assert text.count("Detection against severity") == 2
+    assert text.count("equal false alarms in the loop") >= 4 and "counts only" not in text
+    summary |= {"matched_stated": {**summary["matched_stated"], "nis": None}, "matched_claim": "counts only: too few runs"}
+    write_report(case.stored, case.drives, case.replayer, tmp_path / "few.html", None, lambda _: None, campaign=summary)
+    few = (tmp_path / "few.html").read_text()
+    assert "equal" not in few[few.index("Campaign in the closed loop"):] and "<td>counts only</td>" in few
     assert "NIS on brake gain, 50% against 25%" in text and "0.40, 0.01 to 2.23" in text and "10.50 %" in text
     assert "<td>GUARD_IN lost</td><td>0.5 of the frames</td><td>3 of 4</td><td>77, 76</td><td>12.5%</td>" in text
 
@@ -206,6 +212,12 @@ def test_evaluation_and_a_core_of_another_identification_are_told(case, page, tm
     assert plain.count("no drive qualifies") == (4 + 4) * len(evaluation["faults"]) and "Time to find" not in plain
     assert "30.0 s long, no more than 120 s" in plain and LEFT_OUT + ": no frame counts" in plain
     assert "alpha is not stated: too few calibration drives (1)" in plain and "(2)" in plain
+    section = plain[plain.index("Evaluation, leave one drive out"):]
+    assert "<td>counts only</td>" in section and "guaranteed" not in section and "compared\nby counts only" in section
+    assert "<th>last piece, s</th>" in section and "<td>30.0</td>" in section and "alarmed drives, no fault" in section
+    stated = dict.fromkeys(evaluation["stated_rates"], 0.1) | {"exported": 0.2}
+    equal = case.page(tmp_path / "equal.html", evaluation | {"stated_rates": stated}).decode()
+    assert equal.count("one guaranteed rate") == 2 and "counts only" not in equal and "together allow at most 0.2" in equal
     # No drive is long enough for injected faults here: made-up cases make the picture.
     cases = [{"run": "check", "start_s": 61.0, "s": 2.0}, {"run": "weak", "start_s": 62.0, "s": None}]
     evaluation["faults"] = [row | {"drives": 2, "drives_found": 1, "counted": 2, "untouched_alarms": 1, "found": 1, "median_s": 2.0, "cases": cases, "best": ["rms"]}

@@ -10,7 +10,7 @@ q^2 diag(X), X the state covariance of the nominal model under white input of th
 SPEED_NODES speeds, the nearest one acts. Only samples in range and settled are used (frames.py); the sums restart after others.
 
 A detector alarms where its statistic exceeds a threshold: the conformal one of calibration.py from the same calibration drives,
-one score a drive, so all detectors have the same guaranteed rate of false alarms. Parameters are searched over GRID on
+one score a drive: where enough drives calibrate, all detectors have the same guaranteed rate of false alarms. Parameters are searched over GRID on
 bound-setting and calibration drives alone: most injected faults found in time there, then least time. The search knows
 the faults that are to be found; the monitor has no such search.
 """

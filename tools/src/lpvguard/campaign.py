@@ -52,7 +52,7 @@ from . import artefacts
 from .baselines import KINDS as BASELINE_KINDS
 from .baselines import TITLES, Bank, Baseline, Scales
 from .bounds import nominal_error
-from .calibration import calibrate
+from .calibration import Calibration, calibrate
 from .can.logs import read_log
 from .control_export import load_controller
 from .core import Core
@@ -60,7 +60,7 @@ from .design import faulted_performance
 from .documents import read_toml
 from .drives import Drive
 from .errors import InputError
-from .evaluate import MONITOR, TESTS, BaselineStudy, Clock, alarming, median_time
+from .evaluate import COUNTS_ONLY, MONITOR, TESTS, BaselineStudy, Clock, alarming, median_time
 from .frames import Estimator
 from .generate import plant_tool
 from .identify import DriveSet, StoredIdentification
@@ -648,8 +648,9 @@ def per_hour(count: int, hours: float) -> dict[str, Any]:
 def summarise(table: pa.Table, stored: StoredIdentification, found: dict, levels: list[dict], tuned: dict) -> dict[str, Any]:
     """The campaign's tables from its rows; JSON-able. ``severities``, ``kinds``, ``average``, ``visible``: faults of the truck; ``bus``: of the bus.
 
-    ``matched``: at equal false alarms in the loop, with every detector's threshold such that by the rule of calibration.py at most
-    alpha of the runs within the bounds alarm, and at most alpha of the faulty runs before their fault.
+    ``matched``: with every detector's threshold such that by the rule of calibration.py at most alpha of the runs within the bounds
+    alarm, and at most alpha of the faulty runs before their fault. Only where there are runs enough for alpha (``matched_stated``) are these
+    equal false alarms in the loop; ``matched_claim`` says so, or "counts only".
     """
     rows = table.to_pylist()
     drawn = [r for r in rows if r["kind"] == "within"]
@@ -660,8 +661,9 @@ def summarise(table: pa.Table, stored: StoredIdentification, found: dict, levels
     on_bus = [r for r in rows if r["kind"] in kinds and kinds[r["kind"]].of_bus]
     alpha = stored.project.frame_test.alpha
     before = [r for r in faulty if r["fault_s"] > 0]
-    matched = {d: max(_threshold([r[f"{d}_score"] for r in within], alpha),
-                      _threshold([r[f"{d}_score_before"] for r in before], alpha)) for d in DETECTORS}
+    calibrations = {d: (_calibration([r[f"{d}_score"] for r in within], alpha), _calibration([r[f"{d}_score_before"] for r in before], alpha))
+                    for d in DETECTORS}
+    matched = {d: max(c.threshold for c in both) for d, both in calibrations.items()}
     loops = {(row["kind"], row["severity"]): row for row in levels}
     response = {(row["kind"], row["severity"]): row["margin"] for row in found["faulted"]}
     severities = []
@@ -672,6 +674,7 @@ def summarise(table: pa.Table, stored: StoredIdentification, found: dict, levels
     visible = [r for r in faulty if _is_visible(r)]
     due = [r for r in rows if r["due_s"] is not None and r["fault_s"] + r["due_s"] + LATENCY_S <= r["duration_s"]]
     units = {name: k.unit for name, k in kinds.items()}
+    stated = {d: alpha if all(c.alpha is not None for c in both) else None for d, both in calibrations.items()}
     summary = {
         "detectors": {MONITOR: "lpvguard", **TITLES}, "units": units, "baselines": tuned["chosen"], "alpha": tuned["alpha"],
         "calibrated": {test: {"claim": c.claim(), "alpha": c.alpha, "conditional_bound": c.conditional_bound,
@@ -689,6 +692,8 @@ def summarise(table: pa.Table, stored: StoredIdentification, found: dict, levels
         "average": {d: {"calibrated": float(np.mean([s["found"][d] / s["runs"] for s in severities])),
                         "matched": float(np.mean([s["matched"][d] / s["runs"] for s in severities]))} for d in DETECTORS},
         "matched_thresholds": matched,
+        "matched_stated": stated,
+        "matched_claim": f"{COUNTS_ONLY}: too few runs for equal false alarms" if None in stated.values() else "equal false alarms in the loop",
         "kinds": [_kind(name, [s for s in severities if s["kind"] == name]) for name in dict.fromkeys(s["kind"] for s in severities)],
         "supervision": {"faulty": _supervision(on_bus), "healthy": _supervision(drawn)},
         "bus": [_bus_severity(*key, members) for key, members in _by_severity(on_bus).items()],
@@ -726,12 +731,12 @@ def _missed(summary: dict[str, Any]) -> Iterator[str]:
     average = {d: a["matched"] for d, a in summary["average"].items()}
     for d in BASELINE_KINDS:
         if average[d] >= average[MONITOR]:
-            yield f"{TITLES[d]} finds {average[d]:.1%} on average at equal false alarms, the monitor {average[MONITOR]:.1%}"
+            yield f"{TITLES[d]} finds {average[d]:.1%} on average ({summary['matched_claim']}), the monitor {average[MONITOR]:.1%}"
 
 
-def _threshold(scores: list[float], alpha: float) -> float:
-    """The conformal threshold of healthy stretches; those on which the detector never spoke give no score."""
-    return calibrate({str(i): s for i, s in enumerate(scores) if np.isfinite(s)}, alpha, floor=0.0).threshold
+def _calibration(scores: list[float], alpha: float) -> Calibration:
+    """Conformal calibration on healthy stretches; those on which the detector never spoke give no score."""
+    return calibrate({str(i): s for i, s in enumerate(scores) if np.isfinite(s)}, alpha, floor=0.0)
 
 
 def _is_visible(row: dict) -> bool:
@@ -797,8 +802,12 @@ def _bus_severity(kind: str, x: float, rows: list[dict]) -> dict[str, Any]:
 
 
 def _kind(name: str, rows: list[dict]) -> dict[str, Any]:
-    """A kind's average over its severities, and who is best at calibrated thresholds (all that tie)."""
+    """A kind's average over its severities, and who is best (all that tie; nobody where nobody found a fault) at calibrated and at matched
+    thresholds."""
     shares = {d: float(np.mean([s["found"][d] / s["runs"] for s in rows])) for d in DETECTORS}
     matched = {d: float(np.mean([s["matched"][d] / s["runs"] for s in rows])) for d in DETECTORS}
-    return {"kind": name, "found": shares, "matched": matched, "best": [d for d, s in shares.items() if s == max(shares.values())],
-            "best_matched": [d for d, s in matched.items() if s == max(matched.values())]}
+
+    def best(found: dict[str, float]) -> list[str]:
+        return [d for d, share in found.items() if 0 < share == max(found.values())]
+
+    return {"kind": name, "found": shares, "matched": matched, "best": best(shares), "best_matched": best(matched)}

@@ -557,7 +557,7 @@ def evaluate(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(he
              drives: Annotated[Path, typer.Argument(help="The drive folder it was made from.")],
              coefficients: Coefficients = None, json_out: JsonOut = None, jobs: Jobs = 1, scheduler: Scheduler = None) -> None:
     """False alarms and detection of injected faults, leave-one-drive-out, through the compiled core."""
-    from .evaluate import FOUND_WITHIN_S, PIECE_S
+    from .evaluate import FOUND_WITHIN_S, MONITOR, PIECE_S, TESTS, columns
     from .evaluate import evaluate as stage
     from .parallel import workers
 
@@ -566,11 +566,16 @@ def evaluate(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(he
     with _progress("evaluate") as tell, workers(jobs, scheduler) as run:
         result = stage(stored, drive_set, replayer.core, workers=run, progress=tell)
     _emit(json_out, result)
-    alarms = Table("drivers", "drives", f"alarmed {PIECE_S:g} s pieces", "95 % interval of the ratio", box=None)
+    alarms = Table("drivers", "alarmed drives", f"alarmed {PIECE_S:g} s pieces", "95 % interval of the ratio", "an hour judged", "judged, h",
+                   box=None)
     for group, row in result["false_alarms"].items():
         interval = "–" if row["interval"] is None else f"{row['interval'][0]:.3f} .. {row['interval'][1]:.3f}"
-        alarms.add_row(group, str(row["drives"]), f"{row['alarmed']} of {row['pieces']}", interval)
+        hourly = "–" if row["per_judged_h"] is None else f"{row['per_judged_h']:.2f}"
+        alarms.add_row(group, f"{row['alarmed_drives']} of {row['drives']}", f"{row['alarmed']} of {row['pieces']}", interval, hourly,
+                       f"{row['judged_h']:.3f}")
     console.print(alarms)
+    short = [f"{r['run']} {r['last_piece_s']:.1f} s" for r in result["drives"] if r["last_piece_s"] < PIECE_S]
+    console.print(f"last pieces that are shorter: {', '.join(short) or 'none'}")
     for test, claim in result["claims"]["identified"].items():
         console.print(f"{test} test as identified: {claim}")
     for what, claims in result["claims"]["left_one_out"].items():
@@ -581,12 +586,13 @@ def evaluate(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(he
         console.print(f"no fault injected: {name}: {reason}")
     console.print(f"faults injected into {len(result['drives']) - len(result['without_faults'])} of {len(result['drives'])} drives; "
                   f"found within {FOUND_WITHIN_S:g} s of judged, excited driving, of all starts (drives: from every start), and the median time:")
-    ours = {"monitor": (result["false_alarms"]["all"], result["faults"])}
-    ours |= {name: (t["false_alarms"], t["faults"]) for name, t in result["tests"].items()}
-    console.print(_detector_table(ours))
-    if result["baselines"]:
-        beside = {"monitor": ours["monitor"]} | {b["kind"]: (b["false_alarms"], b["faults"]) for b in result["baselines"]}
-        console.print(_detector_table(beside, [", ".join(row["best"]) for row in result["faults"]]))
+    detectors, others = columns(result), [b["kind"] for b in result["baselines"]]
+    console.print(_detector_table({name: d for name, d in detectors.items() if name not in others}))
+    _print_rates(detectors, [MONITOR, *TESTS])
+    if others:
+        beside = [MONITOR, *others]
+        console.print(_detector_table({name: detectors[name] for name in beside}, [", ".join(row["best"]) for row in result["faults"]]))
+        _print_rates(detectors, beside)
     else:
         console.print("no baselines: they need another calibration drive when one is left out")
 
@@ -619,6 +625,8 @@ def campaign(identification: Annotated[Path, typer.Argument(help="Folder written
 
 
 def _print_campaign(summary: dict[str, Any]) -> None:
+    from .evaluate import COUNTS_ONLY
+
     within, detectors = summary["within"], summary["detectors"]
     console.print(f"{within['hours']:.1f} h of {within['plants']} trucks within the bounds by their own frequency response (of {within['candidates']} drawn)")
     rates = Table("test", "runs that alarm", "calibrated", "such runs an hour", "calibrated", box=None)
@@ -632,15 +640,17 @@ def _print_campaign(summary: dict[str, Any]) -> None:
     table = Table("", *detectors.values(), box=None)
     for title, of in (("runs within the bounds that alarm", within["alarmed"]), ("visible faults found in time", summary["visible"])):
         table.add_row(title, *(_rate(of[d]) for d in detectors))
-    for title, key in (("average found", "calibrated"), ("average found, equal alarms in the loop", "matched")):
+    matched, stated = summary["matched_claim"], summary["matched_stated"]
+    for title, key in (("average found", "calibrated"), (f"average found, {matched}", "matched")):
         table.add_row(title, *(f"{summary['average'][d][key]:.1%}" for d in detectors))
+    table.add_row("at the latter thresholds a further run alarms", *(COUNTS_ONLY if stated[d] is None else f"at most {stated[d]:.3g}" for d in detectors))
     console.print(table)
-    kinds = Table("average over severities: calibrated, equal alarms in the loop", *detectors.values(), "best, equal alarms", box=None)
+    kinds = Table(f"average over severities: calibrated; {matched}", *detectors.values(), f"best, {matched}", box=None)
     for k in summary["kinds"]:
         kinds.add_row(k["kind"], *(f"{k['found'][d]:.0%}, {k['matched'][d]:.0%}" for d in detectors), ", ".join(detectors[d] for d in k["best_matched"]))
     console.print(kinds)
     for b in summary["beaten"]:
-        console.print(f"a baseline wins at equal alarms: {detectors[b['detector']]} on {b['kind']}, {b['matched']:.0%} against {b['monitor']:.0%}")
+        console.print(f"a baseline wins, {matched}: {detectors[b['detector']]} on {b['kind']}, {b['matched']:.0%} against {b['monitor']:.0%}")
     for s in summary["invisible"]:
         console.print(f"invisible, though {'mu is ' + format(s['mu_upper'], '.2f') if s['loop_stable'] else 'the loop is unstable'}: "
                       f"{s['kind']} {s['severity']:g} {summary['units'][s['kind']]}, found {s['found']['monitor']} of {s['runs']}")
@@ -711,14 +721,20 @@ def bench(context: typer.Context,
     run(name, context.args)
 
 
-def _detector_table(detectors: dict[str, tuple[dict, list[dict]]], best: list[str] | None = None) -> Table:
-    """False alarms and found faults, a column per detector; ``best``: who leads, per fault."""
+def _detector_table(detectors: dict[str, Any], best: list[str] | None = None) -> Table:
+    """False alarms and found faults, a column per detector (evaluate.Column); ``best``: who leads, per fault."""
     from .evaluate import detector_rows
 
     table = Table("", *detectors, *(["best"] if best else []), box=None)
-    for row in detector_rows(detectors, best):
+    for row in detector_rows(list(detectors.values()), best):
         table.add_row(*row)
     return table
+
+
+def _print_rates(detectors: dict[str, Any], names: list[str]) -> None:
+    from .evaluate import equal_rates
+
+    console.print(f"{', '.join(names)} are compared {equal_rates({name: detectors[name].stated for name in names})}")
 
 
 def _alarm(a: dict[str, Any]) -> str:

@@ -2,11 +2,13 @@
 leave-one-drive-out (THEORY 7.3), beside three baselines (baselines.py) on the same drives.
 
 **Thresholds.** Every drive runs through the compiled core with thresholds calibrated on all *other* drives that did not set the bounds.
-The monitor is compared with both tests at one threshold, calibrated jointly (calibration.joint_scores), so that it alarms on a further
-drive, by either test, with the same probability alpha as a baseline. Beside it stand each test alone at alpha, and both as exported:
-each at its own threshold, together at most twice alpha.
+The monitor is compared with both tests at one threshold, calibrated jointly (calibration.joint_scores): by either test, it alarms on a
+further drive with probability at most alpha, as a baseline does. Beside it stand each test alone at alpha, and both as exported:
+each at its own threshold, together at most twice alpha. Where fewer drives calibrate than alpha needs, no rate is stated, and the
+detectors are compared by counts only (`stated_rates`).
 
-**False alarms** are counted in whole 60 s pieces.
+**False alarms** are counted in every second of a drive, judged or not: in 60 s pieces, of which the last may be shorter, and in drives.
+The rate is alarmed pieces an hour of judged driving; judged is the monitor's for all detectors.
 
 **Faults** are injected into drives longer than 120 s, from STARTS instants of each, drawn one in each of as many equal spans between
 60 s and the last instant that leaves 30 s of judged, excited driving (why several: tools/DESIGN_LOG.md).
@@ -25,7 +27,7 @@ faults (then soonest) on the bound-setting and the other calibration drives: the
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -62,23 +64,33 @@ EXPORTED = "exported"
 
 @dataclass(frozen=True)
 class Pieces:
-    """Alarmed and all whole 60 s pieces, with a 95 % interval of their ratio from resampling drives."""
+    """Alarmed and all 60 s pieces, a drive's shorter last one included, with a 95 % interval of their ratio from resampling drives.
+
+    drives, alarmed_drives: all, and those with an alarmed piece; judged_h: hours of judged driving; per_judged_h: alarmed pieces an
+    hour of it, None without any.
+    """
 
     drives: int
     alarmed: int
     pieces: int
     interval: tuple[float, float] | None
+    alarmed_drives: int
+    judged_h: float
+    per_judged_h: float | None
 
     @classmethod
-    def of(cls, counts: list[tuple[int, int]], seed: int) -> Pieces:
+    def of(cls, counts: list[tuple[int, int]], judged_s: list[float], seed: int) -> Pieces:
+        """``counts``: (alarmed, all) pieces of each drive; ``judged_s``: the judged seconds of each."""
         alarmed, pieces = (int(sum(c[i] for c in counts)) for i in (0, 1))
+        judged_h = sum(judged_s) / 3600
+        rest = sum(c[0] > 0 for c in counts), judged_h, alarmed / judged_h if judged_h else None
         if not pieces:
-            return cls(len(counts), 0, 0, None)
+            return cls(len(counts), 0, 0, None, *rest)
         draws = np.random.default_rng(seed).integers(0, len(counts), (BOOTSTRAP_DRAWS, len(counts)))
         table = np.array(counts, float)[draws].sum(axis=1)
         ratio = table[:, 0] / np.maximum(table[:, 1], 1.0)
         low, high = np.percentile(ratio[table[:, 1] > 0], [2.5, 97.5])
-        return cls(len(counts), alarmed, pieces, (float(low), float(high)))
+        return cls(len(counts), alarmed, pieces, (float(low), float(high)), *rest)
 
 
 def alarming(replay: Replay, test: str | None = None) -> np.ndarray:
@@ -87,10 +99,15 @@ def alarming(replay: Replay, test: str | None = None) -> np.ndarray:
     return {"frame": replay.falsified, "energy": replay.over, None: replay.falsified | replay.over}[test]
 
 
+def piece_starts(samples: int, Ts: float) -> np.ndarray:
+    """First sample of each 60 s piece of a drive of ``samples``. The last piece is what remains, up to 60 s with the closing sample."""
+    return np.arange(0, max(1, samples - 1), round(PIECE_S / Ts))
+
+
 def alarmed_pieces(replay: Replay, test: str | None = None) -> tuple[int, int]:
-    """(alarmed, all) whole 60 s pieces of a drive, by a test (None: either)."""
-    length, pieces = round(PIECE_S / replay.Ts), int(replay.duration_s // PIECE_S)
-    return int(alarming(replay, test)[:pieces * length].reshape(pieces, length).any(axis=1).sum()), pieces
+    """(alarmed, all) 60 s pieces of a drive, by a test (None: either)."""
+    starts = piece_starts(len(replay.judged), replay.Ts)
+    return int(np.logical_or.reduceat(alarming(replay, test), starts).sum()), len(starts)
 
 
 @dataclass(frozen=True)
@@ -172,13 +189,13 @@ def _evaluate_drive(reader: DriveReader, core: Core, item: tuple[Experiment, dic
     drive, Ts = reader.read(experiment)[0], project.Ts_s
     untouched = {replayer: replayer.replay(drive) for replayer in (together, apart)}
     replay = untouched[together]
-    relevant, pieces = replay.in_range & replay.excited, alarmed_pieces(replay)[1]
+    relevant, starts = replay.in_range & replay.excited, piece_starts(len(replay.judged), Ts)
     clocks = fault_clocks(replay, project.seed)
     row = {"run": experiment.name, "driver": experiment.driver,
            "calibration": {what: {"threshold": c.threshold, "drives": len(c.scores), "alpha": c.alpha,
                                   "conditional_bound": c.conditional_bound, "claim": c.claim()} for what, c in calibrations.items()},
            "alarmed": {name: alarmed_pieces(untouched[replayer], test)[0] for name, (replayer, test) in detectors.items()},
-           "pieces": pieces, "duration_s": replay.duration_s, "judged_s": replay.judged_s,
+           "pieces": len(starts), "last_piece_s": round((len(replay.judged) - 1 - int(starts[-1])) * Ts, 6), "duration_s": replay.duration_s, "judged_s": replay.judged_s,
            "judged_of_in_range_excited": float((replay.judged & relevant).sum() / relevant.sum()) if relevant.any() else None,
            "fault_starts_s": [c.first * Ts for c in clocks]}
     found: dict[str, dict[str, list[Case]]] = {name: {f.label: [] for f in FAULTS} for name in detectors}
@@ -200,13 +217,10 @@ def _usable_errors(reader: DriveReader, experiment: Experiment) -> tuple[np.ndar
 
 
 def _largest(reader: DriveReader, bank: Bank, experiment: Experiment) -> dict[Baseline, np.ndarray]:
-    """Largest statistic of each baseline: in each whole 60 s piece, and last in what remains after them."""
+    """Largest statistic of each baseline in each 60 s piece (piece_starts)."""
     drive, e, _ = reader.read(experiment)
-    length = int(round(PIECE_S / reader.project.Ts_s))
-    pieces = int(drive.duration_s // PIECE_S)
-    return {b: np.array([*s[:pieces * length].reshape(pieces, length).max(axis=1, initial=-np.inf),
-                         s[pieces * length:].max(initial=-np.inf)])
-            for b, s in bank.statistics(GRID, e, drive.v)}
+    starts = piece_starts(len(drive.v), reader.project.Ts_s)
+    return {b: np.maximum.reduceat(s, starts) for b, s in bank.statistics(GRID, e, drive.v)}
 
 
 Cases = dict[tuple[Baseline, float], dict[str, list[Case]]]
@@ -275,8 +289,8 @@ class BaselineStudy:
         return b, self.calibration(b, without).threshold
 
     def alarmed_pieces(self, b: Baseline, threshold: float, name: str) -> tuple[int, int]:
-        """(alarmed, all) whole 60 s pieces of an untouched drive."""
-        pieces = self.largest[name][b][:-1]
+        """(alarmed, all) 60 s pieces of an untouched drive."""
+        pieces = self.largest[name][b]
         return int((pieces > threshold).sum()), len(pieces)
 
 
@@ -288,9 +302,10 @@ def _evaluate_baselines(study: BaselineStudy, rows: list[dict], seed: int) -> li
         counts = [study.alarmed_pieces(*tuned[r["run"]], r["run"]) for r in rows]
         cases = {f.label: [c for run, key in tuned.items() if study.cases[run] for c in study.cases[run][key][f.label]] for f in FAULTS}
         table.append({"kind": kind, "title": TITLES[kind], "searched": [b.label for b in GRID if b.kind == kind],
-                      "chosen": {run: {"parameters": b.label, "threshold": h, "claim": study.calibration(b, run).claim()}
-                                 for run, (b, h) in tuned.items()},
-                      "false_alarms": vars(Pieces.of(counts, seed)), "faults": _fault_rows(cases)})
+                      "chosen": {run: {"parameters": b.label, "threshold": h, "alpha": study.calibration(b, run).alpha,
+                                       "claim": study.calibration(b, run).claim()} for run, (b, h) in tuned.items()},
+                      "alarmed": {r["run"]: n for r, (n, _) in zip(rows, counts)},
+                      "false_alarms": vars(Pieces.of(counts, [r["judged_s"] for r in rows], seed)), "faults": _fault_rows(cases)})
     return table
 
 
@@ -317,7 +332,7 @@ def median_time(seconds: list[float | None]) -> float | None:
 
 def ranking(rows: dict[str, dict]) -> list[str]:
     """Who does best on one fault, all that tie: by the share of cases in which it was found, then by the median time; nobody
-    where there is no case.
+    where there is no case, or where nobody found one.
 
     ``rows``: per detector its row of _fault_rows.
     """
@@ -325,28 +340,67 @@ def ranking(rows: dict[str, dict]) -> list[str]:
     def merit(row: dict) -> tuple[float, float]:
         return row["found"] / row["counted"], -(np.inf if row["median_s"] is None else row["median_s"])
 
-    if not all(row["counted"] for row in rows.values()):
+    if not all(row["counted"] for row in rows.values()) or not any(row["found"] for row in rows.values()):
         return []
     best = max(merit(row) for row in rows.values())
     return [name for name, row in rows.items() if merit(row) == best]
 
 
-def detector_rows(detectors: dict[str, tuple[dict, list[dict]]], best: list[str] | None = None) -> list[list[str]]:
-    """Table rows of false alarms and found faults, a column per detector: of each its counts of alarmed pieces and its rows of
-    _fault_rows; ``best``: who leads, per fault, in a last column."""
+COUNTS_ONLY = "counts only"
+"""What stands in the place of a rate of false alarms that is not stated."""
+
+
+def equal_rates(stated: Mapping[str, float | None]) -> str:
+    """What may be said when detectors are compared, a clause for terminal and page: the one rate stated for all of them, or that
+    there are counts only, and whose rate is missing. ``stated``: per detector its rate or None."""
+    missing = [name for name, rate in stated.items() if rate is None]
+    if missing:
+        return f"by {COUNTS_ONLY}: too few drives calibrate, so no rate of false alarms is stated for {', '.join(missing)}"
+    (rate,) = set(stated.values())
+    return f"at one guaranteed rate: each alarms on a further drive with probability at most {rate:g}"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A detector in the table of detector_rows: its object of Pieces, its rows of _fault_rows, its stated rate or None."""
+
+    alarms: dict
+    faults: list[dict]
+    stated: float | None
+
+
+def columns(evaluation: dict) -> dict[str, Column]:
+    """Every detector of an evaluation by name, in the order of its JSON: the monitor, exported and each test, the baselines."""
+    found = {MONITOR: (evaluation["false_alarms"]["all"], evaluation["faults"])}
+    found |= {name: (t["false_alarms"], t["faults"]) for name, t in evaluation["tests"].items()}
+    found |= {b["kind"]: (b["false_alarms"], b["faults"]) for b in evaluation["baselines"]}
+    return {name: Column(*of, evaluation["stated_rates"][name]) for name, of in found.items()}
+
+
+def detector_rows(detectors: list[Column], best: list[str] | None = None) -> list[list[str]]:
+    """Table rows of false alarms and found faults, a column per detector; ``best``: who leads, per fault, in a last column."""
     def found(row: dict) -> str:
         if not row["counted"]:
             return "no drive qualifies"
         return (f"{row['found']} of {row['counted']} ({row['drives_found']} of {row['drives']})"
                 + ("" if row["median_s"] is None else f", {row['median_s']:.2f} s"))
 
-    alarms, faults = zip(*detectors.values())
-    rows = [[f"alarmed {PIECE_S:g} s pieces, no fault", *(f"{a['alarmed']} of {a['pieces']}" for a in alarms)],
+    def rate(per_judged_h: float | None) -> str:
+        return "–" if per_judged_h is None else f"{per_judged_h:.2f}"
+
+    alarms, faults = [d.alarms for d in detectors], [d.faults for d in detectors]
+    rows = [["stated: a further drive alarms", *(COUNTS_ONLY if d.stated is None else f"at most {d.stated:.3g}" for d in detectors)],
+            [f"alarmed {PIECE_S:g} s pieces, no fault", *(f"{a['alarmed']} of {a['pieces']}" for a in alarms)],
+            ["alarmed drives, no fault", *(f"{a['alarmed_drives']} of {a['drives']}" for a in alarms)],
+            ["alarmed pieces an hour judged", *(rate(a["per_judged_h"]) for a in alarms)],
             ["starts, untouched drive alarms",
-             *(f"{of[0]['untouched_alarms']} of {of[0]['counted']}" for of in faults)],
-            *([same[0]["fault"], *map(found, same)] for same in zip(*faults)),
-            ["all faults", *(f"{sum(r['found'] for r in of)} of {sum(r['counted'] for r in of)}" for of in faults)]]
-    return [row + [name] for row, name in zip(rows, ["", "", *best, ""])] if best else rows
+             *(f"{of[0]['untouched_alarms']} of {of[0]['counted']}" for of in faults)]]
+    named = [[same[0]["fault"], *map(found, same)] for same in zip(*faults)]
+    rows += [*named, ["all faults", *(f"{sum(r['found'] for r in of)} of {sum(r['counted'] for r in of)}" for of in faults)]]
+    if best is None:
+        return rows
+    before = [""] * (len(rows) - 1 - len(named))
+    return [row + [name] for row, name in zip(rows, [*before, *best, ""])]
 
 
 # ---------------------------------------------------------------------------------------------------------------- all
@@ -356,6 +410,12 @@ def _without_faults(row: dict) -> str:
     if row["duration_s"] <= SHORTEST_FOR_FAULTS_S:
         return f"{row['duration_s']:.1f} s long, no more than {SHORTEST_FOR_FAULTS_S:g} s"
     return f"less than {FOUND_WITHIN_S:g} s of judged, excited driving after {FAULT_FROM_S:g} s"
+
+
+def _one_rate(alphas: Iterable[float | None]) -> float | None:
+    """The alpha of a detector's calibrations, one for each drive left out; None where any of them states none."""
+    found = set(alphas)
+    return None if None in found else found.pop()
 
 
 def evaluate(stored: StoredIdentification, drives: DriveSet, core: Core, *, workers: Map = map,
@@ -383,18 +443,23 @@ def evaluate(stored: StoredIdentification, drives: DriveSet, core: Core, *, work
                 cases[detector][label] += members
 
     def pieces(detector: str, members: list[dict]) -> dict:
-        return vars(Pieces.of([(r["alarmed"][detector], r["pieces"]) for r in members], seed))
+        return vars(Pieces.of([(r["alarmed"][detector], r["pieces"]) for r in members], [r["judged_s"] for r in members], seed))
 
     groups = {"all": rows} | {d: [r for r in rows if r["driver"] == d] for d in sorted({r["driver"] for r in rows})}
     faults, baselines = _fault_rows(cases[MONITOR]), []
     if len(rows) >= FEWEST_FOR_BASELINES:
         study = BaselineStudy(stored, drives, core, left_out=tuple(frame), workers=workers, progress=progress)
         baselines = _evaluate_baselines(study, rows, seed)
+    stated = {what: _one_rate(r["calibration"][what]["alpha"] for r in rows) for what in scores}
+    apart = [stated[test] for test in TESTS]
+    stated |= {EXPORTED: None if None in apart else sum(apart)}
+    stated |= {b["kind"]: _one_rate(c["alpha"] for c in b["chosen"].values()) for b in baselines}
     best = [ranking({MONITOR: row} | {b["kind"]: b["faults"][i] for b in baselines}) for i, row in enumerate(faults)]
     return {
         "threshold_rule": "all other drives that did not set the bounds",
         "claims": {"identified": {"frame": stored.calibration.claim(), "energy": stored.energy.calibration.claim()},
                    "left_one_out": {what: sorted({r["calibration"][what]["claim"] for r in rows}) for what in scores}},
+        "stated_rates": stated,
         "drives": rows,
         "without_faults": {r["run"]: _without_faults(r) for r in rows if not r["fault_starts_s"]},
         "left_out": stored.manifest["drives"]["left_out"],

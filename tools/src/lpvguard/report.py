@@ -19,8 +19,8 @@ from .core import REASONS, VERDICTS
 from .design_pictures import draw
 from .drives import Drive
 from .energy import EnergyTest
-from .evaluate import (EXPORTED, FAULT_FROM_S, FOUND_WITHIN_S, MONITOR, PIECE_S, SHORTEST_FOR_FAULTS_S,
-                       STARTS, detector_rows)
+from .evaluate import (COUNTS_ONLY, EXPORTED, FAULT_FROM_S, FOUND_WITHIN_S, MONITOR, PIECE_S, SHORTEST_FOR_FAULTS_S,
+                       STARTS, TESTS, Column, columns, detector_rows, equal_rates)
 from .frames import Estimator
 from .identify import DC_STAND_IN, SMALLEST_NU, DriveSet, StoredIdentification, fitting_grid, uncertainty_samples
 from .project import Project
@@ -30,6 +30,7 @@ from .visibility import STATED_GAINS
 from .weights import Weight
 from .window_error import PERCENTILE, SPEEDS
 
+OURS = "lpvguard, both tests at one threshold"
 LONGEST_STRETCH_S = 60.0
 """At most this much of a stretch is drawn, so that single corners can be seen."""
 ALARMS_LISTED = 10
@@ -584,17 +585,19 @@ def _energy(test: EnergyTest, project: Project) -> str:
             f"|z| = {test.rho:.6g} (least ratio {test.certificate['min_ratio']:.9g}); threshold {c.threshold:.4g}: {c.claim()}")
 
 
-def _detectors(detectors: dict[str, tuple[dict, list[dict]]], best: list[str] | None = None) -> str:
+def _detectors(detectors: dict[str, Column], best: list[str] | None = None) -> str:
     """False alarms and found faults, a column per detector (titles are text); ``best``: who leads, per fault."""
     return _table(["", *map(escape, detectors), *(["best"] if best else [])],
-                  [[escape(cell) for cell in row] for row in detector_rows(detectors, best)])
+                  [[escape(cell) for cell in row] for row in detector_rows(list(detectors.values()), best)])
 
 
 def _evaluation_section(evaluation: dict) -> str:
     alarms = _table(
-        ["drivers", "drives", f"alarmed {PIECE_S:g} s pieces", "95 % interval of the ratio"],
-        [[escape(group), str(row["drives"]), f"{row['alarmed']} of {row['pieces']}",
-          "–" if row["interval"] is None else f"{row['interval'][0]:.3f} to {row['interval'][1]:.3f}"]
+        ["drivers", "alarmed drives", f"alarmed {PIECE_S:g} s pieces", "95 % interval of the ratio", "alarmed pieces an hour judged",
+         "judged, h"],
+        [[escape(group), f"{row['alarmed_drives']} of {row['drives']}", f"{row['alarmed']} of {row['pieces']}",
+          "–" if row["interval"] is None else f"{row['interval'][0]:.3f} to {row['interval'][1]:.3f}",
+          "–" if row["per_judged_h"] is None else f"{row['per_judged_h']:.2f}", f"{row['judged_h']:.3f}"]
          for group, row in evaluation["false_alarms"].items()])
     tests = {MONITOR: "both tests", "frame": "frame test", "energy": "energy test"}
     claims = _table(["calibration", "what its threshold promises"], [
@@ -602,17 +605,18 @@ def _evaluation_section(evaluation: dict) -> str:
         *([f"{tests[t]}{' at one threshold' if t == MONITOR else ''}, each drive without itself", escape("; or ".join(several))]
           for t, several in evaluation["claims"]["left_one_out"].items())], "words")
     drives = _table(
-        ["drive", "driver", *(f"{title}: threshold without it, score" for title in tests.values()), "alarmed pieces", "judged, s",
+        ["drive", "driver", *(f"{title}: threshold without it, score" for title in tests.values()), "alarmed pieces", "last piece, s", "judged, s",
          "of in-range, excited time", "faults from, s"],
         [[escape(r["run"]), escape(r["driver"]), *(f"{r['calibration'][t]['threshold']:.3f}, {_number(r['scores'][t], 4)}" for t in tests),
-          f"{r['alarmed'][MONITOR]} of {r['pieces']}", f"{r['judged_s']:.1f}",
+          f"{r['alarmed'][MONITOR]} of {r['pieces']}", f"{r['last_piece_s']:.1f}", f"{r['judged_s']:.1f}",
           "–" if r["judged_of_in_range_excited"] is None else f"{r['judged_of_in_range_excited']:.0%}",
           ", ".join(f"{s:.0f}" for s in r["fault_starts_s"]) or "–"] for r in evaluation["drives"]])
     left_out = "; ".join(f"{escape(n)}: {escape(why)}" for n, why in evaluation["left_out"].items())
     without = "; ".join(f"{escape(n)}: {escape(why)}" for n, why in evaluation["without_faults"].items())
-    ours = {"lpvguard, both tests at one threshold": (evaluation["false_alarms"]["all"], evaluation["faults"])}
-    titles = {EXPORTED: "as exported, each test at its threshold"} | {t: f"{t} test alone" for t in evaluation["tests"] if t != EXPORTED}
-    apart = {titles[name]: (t["false_alarms"], t["faults"]) for name, t in evaluation["tests"].items()}
+    titles = {MONITOR: OURS, EXPORTED: "as exported, each test at its threshold"} | {t: f"{t} test alone" for t in TESTS}
+    detectors, rates = columns(evaluation), evaluation["stated_rates"]
+    exported = (f"as exported the two thresholds together allow at most {rates[EXPORTED]:g}" if rates[EXPORTED] is not None
+                else "of the two thresholds as exported nothing is stated either")
     figure = ""
     if any(row["cases"] for row in evaluation["faults"]):
         figure = _figure(
@@ -622,20 +626,21 @@ def _evaluation_section(evaluation: dict) -> str:
     tried = len(evaluation["drives"]) - len(evaluation["without_faults"])
     return f"""<h2>Evaluation, leave one drive out</h2>
 <p>Every drive that did not set the bounds runs through the compiled core with thresholds from
-{escape(evaluation["threshold_rule"])}. The interval
+{escape(evaluation["threshold_rule"])}. Every second of a drive counts, judged or not: in pieces of {PIECE_S:g} s, of which the last
+is as long as its column says, and in drives. The rate is alarmed pieces an hour of judged driving. The interval
 resamples drives, not pieces: pieces of one drive are not exchangeable. Drives that the identification left out: {left_out or "none"}.</p>
 {claims}<h3>False alarms</h3>{alarms}{drives}<h3>Injected faults</h3>
 <p>Injected into {tried} of {len(evaluation["drives"])} drives, those longer than {SHORTEST_FOR_FAULTS_S:g} s, from {STARTS} instants of each after {FAULT_FROM_S:g} s, drawn so that
 {FOUND_WITHIN_S:g} s of judged, excited driving follow. Found: the first alarm from then on comes within {FOUND_WITHIN_S:g} s of such driving and
 before any that the same detector raises on the untouched drive; an alarm counts when the core says so, which for a frame is after its
 end. A cell: starts from which the fault was found, of all (drives in which from every start), and the median time, a miss counting as
-later than all. Not into {without or "none left"}.</p>{figure}{_detectors(ours | apart)}
-<p>The first column alarms on a further drive, by either test, with the same probability as either test alone; as exported the two
-thresholds together allow twice as much.</p>{_baselines(evaluation, ours)}"""
+later than all. Not into {without or "none left"}.</p>{figure}{_detectors({title: detectors[name] for name, title in titles.items()})}
+<p>Both tests at one threshold (an alarm by either counts) and each test alone are compared
+{escape(equal_rates({titles[name]: rates[name] for name in (MONITOR, *TESTS)}))}; {exported}.</p>{_baselines(evaluation)}"""
 
 
-def _baselines(evaluation: dict, ours: dict[str, tuple[dict, list[dict]]]) -> str:
-    others = evaluation["baselines"]
+def _baselines(evaluation: dict) -> str:
+    others, detectors, rates = evaluation["baselines"], columns(evaluation), evaluation["stated_rates"]
     if not others:
         return "<h3>Beside what is used today</h3><p>Not compared: a baseline needs another calibration drive when one is left out.</p>"
     titles = {MONITOR: "lpvguard"} | {b["kind"]: b["title"] for b in others}
@@ -646,10 +651,11 @@ def _baselines(evaluation: dict, ours: dict[str, tuple[dict, list[dict]]]) -> st
     lost = [f"{escape(row['fault'])} ({escape(who)})" for row, who in zip(evaluation["faults"], best) if row["best"] and row["best"] != [MONITOR]]
     return f"""<h3>Beside what is used today</h3>
 <p>Three detectors on the same residual e = y − ŷ, the same drives, and thresholds from the same calibration drives by the same
-rule, hence with the same guaranteed rate of false alarms as the monitor with both tests at one threshold. Their parameters are those
+rule as the monitor with both tests at one threshold. They are compared {escape(equal_rates({title: rates[name] for name, title in titles.items()}))}. Their parameters are those
 that find most injected faults, then soonest, on the bound-setting and the other calibration drives; the drive under test takes part in
-nothing ({searched}). Best: largest share of starts, then least median; detectors that tie are all named. Where the monitor does not
-lead alone: {"; ".join(lost) or "nowhere"}.</p>{_detectors(ours | {b["title"]: (b["false_alarms"], b["faults"]) for b in others}, best)}"""
+nothing ({searched}). Best: largest share of starts, then least median; detectors that tie are all named, and nobody where nobody
+found a fault. Where the monitor does not lead alone: {"; ".join(lost) or "nowhere"}.</p>
+{_detectors({OURS: detectors[MONITOR]} | {b["title"]: detectors[b["kind"]] for b in others}, best)}"""
 
 
 # --------------------------------------------------------------------------------------------------------------- step 8
@@ -752,17 +758,19 @@ def _campaign_section(c: dict) -> str:
     def best(detectors: list[str]) -> str:
         return escape(", ".join(names[d] for d in detectors))
 
+    matched, stated = escape(c["matched_claim"]), c["matched_stated"]
     overall = _table(["", *map(escape, names.values())], [
         ["runs within the bounds that alarm, 95 % interval", *(share(within["alarmed"][d]) for d in names)],
         ["visible faults found in time, 95 % interval", *(share(c["visible"][d]) for d in names)],
         ["average found, calibrated thresholds", *(f"{c['average'][d]['calibrated']:.1%}" for d in names)],
-        ["average found, equal false alarms in the loop", *(f"{c['average'][d]['matched']:.1%}" for d in names)]])
+        [f"average found, {matched}", *(f"{c['average'][d]['matched']:.1%}" for d in names)],
+        ["at the latter thresholds a further run alarms", *(COUNTS_ONLY if stated[d] is None else f"at most {stated[d]:.3g}" for d in names)]])
     alarms = _table(
         ["test of the monitor", "runs within the bounds that alarm, 95 % interval", "calibrated to at most", "with 95 % confidence below",
          "such runs an hour, 95 % interval", "calibrated to at most", "alarms in all"],
         [[t, share(r), percent(limit["alpha"]), percent(limit["conditional_bound"]), hourly(r["per_hour"]), _number(limit["per_hour"]),
           str(r["alarms"])] for t, r, limit in ((t, r, c["calibrated"][t]) for t, r in tests.items())])
-    kinds = _table(["kind", *(f"{escape(n)}: calibrated, equal alarms" for n in names.values()), "best, calibrated", "best, equal alarms"],
+    kinds = _table(["kind", *(f"{escape(n)}: calibrated; {matched}" for n in names.values()), "best, calibrated", f"best, {matched}"],
                    [[escape(k["kind"]), *(f"{k['found'][d]:.0%}, {k['matched'][d]:.0%}" for d in names), best(k["best"]),
                      best(k["best_matched"])] for k in c["kinds"]])
     severities = _table(
@@ -790,17 +798,17 @@ tenth of the excited frames after it; that uses nothing the monitor says. Of the
 {share(c["due"])} came in time.</p>
 {overall}{alarms}
 <p>Baselines ({baselines}) run on the same samples with thresholds from the same calibration drives by the same rule. Those drives are of one
-truck, so on trucks that differ from it within the bounds their rate is not the same: “equal false alarms in the loop” takes for
+truck, so on trucks that differ from it within the bounds their rate is not the same: “{matched}” takes for
 every detector the least threshold with which the same rule allows its alarms both in the runs within the bounds and before the faults.</p>
 {_figure(pictures.detection("c0", c["severities"], c["units"], names, "matched"),
-         "<b>Detection against severity</b>, at equal false alarms in the loop: share of runs in which the first alarm came within 60 s of "
+         f"<b>Detection against severity</b>, {matched}: share of runs in which the first alarm came within 60 s of "
          "judged, excited driving after the fault, and none before it. Grey: share of runs in which the fault is visible.")}
 {_figure(pictures.detection("c1", c["severities"], c["units"], names, "found"),
          "<b>Detection against severity</b>, at the thresholds calibrated on the drives of the identification.")}
 {_figure(pictures.detection_time("c2", c["severities"], c["units"], names),
          "<b>Time to the first alarm against severity</b>, at these thresholds: median judged, excited time over the runs without an alarm "
          "before the fault; no point where half of them never alarmed.")}
-<h3>Kinds of fault</h3>{kinds}<p>Where a baseline wins at equal alarms: {beaten or "nowhere"}.</p><h3>Severities</h3>{severities}
+<h3>Kinds of fault</h3>{kinds}<p>Where a baseline wins, {matched}: {beaten or "nowhere"}.</p><h3>Severities</h3>{severities}
 <h3>Invisible, though robust performance is lost</h3><p>Upper bound of mu of the faulted loop at least 1, visible in fewer than half of the runs:
 {hidden or "none"}. Some are found all the same, by the energy test or in single frames; nothing promises it. The largest mu over three speeds is meant; it exists for faults that are linear and time-invariant.</p>
 <h3>Faults of the bus</h3><p>What the supervision must say at every tick follows from the frames that were on the bus and the message table:
