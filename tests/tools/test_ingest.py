@@ -48,7 +48,7 @@ def test_every_form_of_raw_log_gives_the_same_drive(form, car, tmp_path):
             assert np.array_equal(decoded[message][name].value, samples.value), f"{message}.{name}"
 
 
-def test_decoding_equals_cantools(car, tmp_path):
+def test_decoded_signals_are_those_of_cantools(car, tmp_path):
     frames = other_car(3.0)
     database = load_database(car / "car.dbc")
     decoded = decode_all(read_log(write_log("log", frames, tmp_path / "drive")), database)
@@ -84,7 +84,7 @@ def test_any_layout_of_a_signal_equals_cantools(seed, tmp_path):
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet", "mf4"])
-def test_decoded_logs(form, car, tmp_path):
+def test_every_form_of_decoded_log_gives_the_same_drive(form, car, tmp_path):
     t = np.arange(0, 10, 0.02)
     x = truth(t)
     columns = {"t": t, "ANGLE": np.degrees(x["delta"]), "V": 3.6 * x["v"]}
@@ -151,7 +151,7 @@ def test_decoded_logs_with_gaps_absent_values_and_a_clock_that_goes_back(car, tm
     ]
 
 
-def test_units():
+def test_units_convert_only_within_one_quantity():
     assert unit_factor("km/h", "m/s") == pytest.approx(1 / 3.6) and unit_factor(
         "°/s", "rad/s"
     ) == pytest.approx(np.pi / 180)
@@ -170,7 +170,7 @@ def test_the_same_input_gives_the_same_bytes(car, tmp_path):
     assert set(json.loads(contents[0]["MANIFEST.json"])["inputs"]) == {"drive.log", "car.dbc"}
 
 
-def test_parquet_output(car, tmp_path):
+def test_parquet_is_written_when_the_map_asks_for_it(car, tmp_path):
     log = write_log("log", other_car(2.0), tmp_path / "drive")
     run(car, tmp_path / "out", log, map_text=MAP.replace("Ts_s = 0.01", 'Ts_s = 0.01\nformat = "parquet"'))
     agrees(tmp_path / "out/drive.parquet")
