@@ -153,6 +153,7 @@ def evaluated(g80, core, drives):
     return stage.evaluate(identify.load(folder), drive_set, core)
 
 
+@pytest.mark.slow("10 s: an identification and its evaluation")
 def test_a_single_drive_to_evaluate_has_no_baselines_and_no_alpha(folder, g80, core):
     table = evaluated(g80, core, folder({"synthetic_01": "train", "synthetic_02": "train", "synthetic_06": "valid"}))
     assert table["baselines"] == [] and all(row["best"] == ["monitor"] for row in table["faults"])
@@ -161,6 +162,7 @@ def test_a_single_drive_to_evaluate_has_no_baselines_and_no_alpha(folder, g80, c
     assert all(row["drives"] == 1 and row["counted"] == stage.STARTS for row in table["faults"])
 
 
+@pytest.mark.slow("5 s: an identification and its evaluation")
 def test_short_and_unexcited_drives_are_counted_and_named(folder, g80, core):
     def change(name: str, lines: list[str]) -> list[str]:
         if name == "synthetic_06":

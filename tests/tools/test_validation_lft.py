@@ -324,6 +324,7 @@ def test_a_certificate_does_not_rest_on_rounding():
     assert lmi.rounding(np.array([1.0, 0.0, 0.0]), forms) < 1e-23
 
 
+@pytest.mark.slow("6 s: boxes of two repeated blocks")
 def test_repeated_blocks_are_settled_by_boxes():
     rng = np.random.default_rng(4)
     problem, nu, w = made_from_truth(rng, 3, [("repeated_real", 2, 2), ("repeated_real", 3, 3)])
