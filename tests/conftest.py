@@ -1,26 +1,70 @@
-"""Shared fixtures: the synthetic drives, their identification and compiled core, and the measured drives where present."""
+"""Shared by all tests: what kind a test is, which tests share a worker, and the vehicles that many tests read (tests/made.py)."""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from lpvguard import generate as drive_maker
 from lpvguard import identify as stage
 from lpvguard.core import Core
 from lpvguard.export import export_vehicle
-from lpvguard.generate import generate
 from lpvguard.nominal import NominalModel
-from lpvguard.project import load_project
+from lpvguard.project import Project, load_project
+from made import ROOT, Store, digest_of, store
 
-ROOT = Path(__file__).resolve().parents[1]
+COLLECTED = pytest.StashKey[int]()
+TESTS = Path(__file__).resolve().parent
+KINDS = ("unit", "property", "golden", "fault", "hil", "fuzz", "gates", "tools")
+FEW_DRIVES = {"BOUND_SPEEDS": (8.3, 12.0, 17.0, 21.7), "CALIBRATION_SPEEDS": (10.0,), "ZERO_INPUT_SPEEDS": (12.0, 17.0)}
+
+
+SLOW_FIXTURES = {
+    "few_truck_identified": "45 s: a truck identified on few drives",
+    "truck_identified": "over 60 s: the truck identified as shipped",
+    "measured_identified": "10 s: the measured drives identified",
+}
+"""Fixtures that make every test that asks for them slow, and why (CPU seconds, once a run)."""
+MARKERS = (
+    "requirement(id): verifies this requirement of lib/REQUIREMENTS.md",
+    "slow(reason): not part of tools/test --fast; the reason is what takes the time",
+    "serial: on vcan0, with an emulator or in real time; no other test runs beside it",
+    *(f"{kind}: a kind of test, the first folder below tests/" for kind in KINDS),
+)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", "requirement(id): verifies this requirement of lib/REQUIREMENTS.md")
+    for marker in MARKERS:
+        config.addinivalue_line("markers", marker)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """A test's marker is its kind, the first folder below tests/. Under pytest-xdist a file's tests share a worker, because they
+    share the file's fixtures; a test names another group itself where it shares none."""
+    config.stash[COLLECTED] = len(items)
+    for item in items:
+        kind = item.path.relative_to(TESTS).parts[0]
+        if kind not in KINDS:
+            raise pytest.UsageError(f"{item.path}: {kind} is no kind of test ({', '.join(KINDS)})")
+        if (slow := item.get_closest_marker("slow")) and not slow.args:
+            raise pytest.UsageError(f"{item.nodeid}: slow without the reason")
+        item.add_marker(kind)
+        for name in SLOW_FIXTURES.keys() & set(item.fixturenames):
+            item.add_marker(pytest.mark.slow(SLOW_FIXTURES[name]))
+        if item.get_closest_marker("xdist_group") is None:
+            item.add_marker(pytest.mark.xdist_group(str(item.path.relative_to(TESTS))))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _collected(request, record_testsuite_property) -> None:
+    """How many tests there are, whether they run or not, for tools/summarise_tests.py. (Workers of pytest-xdist cannot say it.)"""
+    record_testsuite_property("collected", request.config.stash[COLLECTED])
 
 
 def measured_folder() -> Path:
@@ -37,6 +81,18 @@ def measured() -> Path:
 
 
 @pytest.fixture(scope="session")
+def made() -> Iterator[Store]:
+    """Folders that are made once a run; at the end nobody has changed any."""
+    with store(ROOT / "build" / "made") as folders:
+        yield folders
+        assert folders.changed() == [], "a test changed a folder that all tests read: it has to copy it first"
+
+
+def identify_into(folder: Path, project: Project, drives: Path) -> None:
+    stage.save(*stage.identify(project, drives), folder)
+
+
+@pytest.fixture(scope="session")
 def g80():
     return load_project("g80")
 
@@ -47,32 +103,68 @@ def g80_model(g80):
 
 
 @pytest.fixture(scope="session")
-def synthetic(g80, tmp_path_factory) -> Path:
+def synthetic(g80, made) -> Path:
     """Folder of the synthetic drives."""
-    folder = tmp_path_factory.mktemp("synthetic") / "drives"
-    generate(g80, folder, seed=7)
-    return folder
+    return made.folder("g80_drives", lambda folder: drive_maker.generate(g80, folder, seed=7))
 
 
 @pytest.fixture(scope="session")
-def identified(g80, synthetic, tmp_path_factory) -> Path:
+def identified(g80, synthetic, made) -> Path:
     """Identification folder of the synthetic drives."""
-    folder = tmp_path_factory.mktemp("identified") / "g80"
-    stage.save(*stage.identify(g80, synthetic), folder)
-    return folder
+    return made.folder("g80_identified", lambda folder: identify_into(folder, g80, synthetic))
 
 
 @pytest.fixture(scope="session")
-def vehicle(identified, tmp_path_factory) -> Path:
+def vehicle(identified, made) -> Path:
     """Generated C folder of the synthetic identification."""
-    folder = tmp_path_factory.mktemp("vehicle") / "g80"
-    export_vehicle(stage.load(identified), folder)
-    return folder
+    return made.folder("g80_vehicle", lambda folder: export_vehicle(stage.load(identified), folder))
 
 
 @pytest.fixture(scope="session")
 def core(vehicle) -> Core:
     return Core(vehicle)
+
+
+@pytest.fixture(scope="session")
+def measured_identified(g80, measured, made) -> Path:
+    """Identification folder of the measured drives."""
+    return made.folder(f"measured_identified_{digest_of(measured)[:16]}", lambda folder: identify_into(folder, g80, measured))
+
+
+@pytest.fixture(scope="session")
+def truck() -> Project:
+    return load_project("truck")
+
+
+@pytest.fixture(scope="session")
+def truck_drives(truck, made) -> Path:
+    """Folder of the simulated truck's drives, as shipped."""
+    return made.folder("truck_drives", lambda folder: drive_maker.generate(truck, folder, truck.seed))
+
+
+@pytest.fixture(scope="session")
+def truck_identified(truck, truck_drives, made) -> Path:
+    """Identification folder of the simulated truck, as shipped."""
+    return made.folder("truck_identified", lambda folder: identify_into(folder, truck, truck_drives))
+
+
+@pytest.fixture(scope="session")
+def few_truck_drives(truck, made) -> Path:
+    """Few drives of the simulated truck (FEW_DRIVES), for tests whose cost grows with their number."""
+
+    def make(folder: Path) -> None:
+        with pytest.MonkeyPatch.context() as patch:
+            for name, speeds in FEW_DRIVES.items():
+                patch.setattr(drive_maker, name, speeds)
+            drive_maker.generate(truck, folder, truck.seed)
+
+    return made.folder("few_truck_drives", make)
+
+
+@pytest.fixture(scope="session")
+def few_truck_identified(truck, few_truck_drives, made) -> Path:
+    """Identification folder of the few drives."""
+    return made.folder("few_truck_identified", lambda folder: identify_into(folder, truck, few_truck_drives))
 
 
 @pytest.fixture

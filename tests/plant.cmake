@@ -3,7 +3,9 @@ set(unit_tests ${CMAKE_CURRENT_LIST_DIR}/unit)
 add_executable(test_plant
   ${unit_tests}/catch_main.cpp
   ${unit_tests}/heap_counter.cpp
-  ${unit_tests}/test_plant.cpp)
+  ${unit_tests}/test_plant_faults.cpp
+  ${unit_tests}/test_plant_inputs.cpp
+  ${unit_tests}/test_plant_motion.cpp)
 target_link_libraries(test_plant PRIVATE lpvguard_plant Catch2::Catch2)
 target_compile_definitions(test_plant PRIVATE LPVGUARD_TRUCK_TOML="${CMAKE_CURRENT_LIST_DIR}/../firmware_sim/plant/truck.toml")
 target_compile_options(test_plant PRIVATE -Wall -Wextra -Wconversion -Wdouble-promotion -Werror -ffp-contract=off)

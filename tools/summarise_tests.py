@@ -9,7 +9,10 @@ import xml.etree.ElementTree as ElementTree
 from collections import defaultdict
 from pathlib import Path
 
-RUNNERS = ("ctest", "pytest")
+RUNNERS = ("ctest", "pytest", "pytest_serial")
+
+COLLECTED = "collected"
+"""Property of a JUnit file: tests that pytest found, before any was left out (tests/conftest.py)."""
 
 
 def suite_of(runner: str, case: ElementTree.Element) -> str:
@@ -30,30 +33,31 @@ def reason_of(case: ElementTree.Element, skipped: ElementTree.Element | None) ->
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--build-failed", type=int, default=0, help="1: the C++ build failed and counts as one failure")
-    for runner in RUNNERS:
-        parser.add_argument(f"--{runner}-status", type=int, default=0, help="exit status: other than 0 without a failed case, it broke off")
+    parser.add_argument("--fast", type=int, metavar="N", help="the fast tier was run; ctest has N tests in all")
     parser.add_argument("--clean-room", help="passed, failed, or skipped: WHY")
-    parser.add_argument("results", type=Path, help="folder with ctest.xml and pytest.xml")
+    parser.add_argument("results", type=Path, help="folder with RUNNER.xml and RUNNER.status, the runner's exit status when not 0")
     arguments = parser.parse_args()
 
     counts = {"passed": 0, "failed": 0, "skipped": 0}
     seconds: dict[str, float] = defaultdict(float)
     number: dict[str, int] = defaultdict(int)
     notes: list[str] = []
+    collected = 0
     for runner in RUNNERS:
         path = arguments.results / f"{runner}.xml"
         if not path.is_file():
             counts["failed"] += 1
-            notes.append(f"FAILED {runner}: it did not run" + (" (the build failed)" if arguments.build_failed else ""))
+            notes.append(f"FAILED {runner}: it did not run" + (" (the build failed)" if runner == "ctest" and arguments.build_failed else ""))
             continue
         try:
-            cases = list(ElementTree.parse(path).getroot().iter("testcase"))
+            root = ElementTree.parse(path).getroot()
         except ElementTree.ParseError as error:
             counts["failed"] += 1
             notes.append(f"FAILED {runner}: it broke off while it wrote {path.name} ({error})")
             continue
+        collected += sum(int(p.get("value", 0)) for p in root.iter("property") if p.get("name") == COLLECTED)
         failed_before = counts["failed"]
-        for case in cases:
+        for case in root.iter("testcase"):
             name = f"{case.get('classname', '')}::{case.get('name', '')}"
             seconds[suite_of(runner, case)] += float(case.get("time") or 0.0)
             number[suite_of(runner, case)] += 1
@@ -66,10 +70,10 @@ def main() -> int:
                 notes.append(f"SKIPPED {name}: {reason_of(case, skipped)}")
             else:
                 counts["passed"] += 1
-        status = getattr(arguments, f"{runner}_status")
-        if status and counts["failed"] == failed_before:
+        status = arguments.results / f"{runner}.status"
+        if status.is_file() and counts["failed"] == failed_before:
             counts["failed"] += 1
-            notes.append(f"FAILED {runner}: no case failed, yet it ended with status {status}")
+            notes.append(f"FAILED {runner}: no case failed, yet it ended with status {status.read_text().strip()}")
     if arguments.clean_room:
         outcome, _, why = arguments.clean_room.partition(": ")
         counts[outcome] += 1
@@ -82,6 +86,8 @@ def main() -> int:
     print("\n".join(["", *notes]) if notes else "")
     if not counts["passed"]:
         counts["failed"] += 1
+    if arguments.fast is not None:
+        print(f"fast: {sum(number.values())} of {collected + arguments.fast} tests; the slow ones run with tools/test alone")
     print(f"{counts['passed']} passed, {counts['failed']} failed, {counts['skipped']} skipped")
     return 1 if counts["failed"] else 0
 

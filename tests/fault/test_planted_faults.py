@@ -30,6 +30,7 @@ def drive(g80, synthetic):
 
 @pytest.mark.requirement("REQ-MON-3")
 @pytest.mark.parametrize("name", MUTANTS)
+@pytest.mark.slow("6 s: a core compiled with the fault")
 def test_a_planted_fault_changes_the_margins(name, drive, core, vehicle, tmp_path):
     file, original, mutant = MUTANTS[name]
     shutil.copytree(library_root(), tmp_path / "lib")
@@ -51,6 +52,7 @@ ENERGY_MUTANTS = {
 
 
 @pytest.mark.parametrize("name", ENERGY_MUTANTS)
+@pytest.mark.slow("6 s: a core compiled with the fault")
 def test_a_planted_fault_changes_the_energy_ratio(name, drive, core, vehicle, tmp_path):
     original, mutant = ENERGY_MUTANTS[name].split("|")
     shutil.copytree(library_root(), tmp_path / "lib")

@@ -76,7 +76,8 @@ def exact_outputs(model, v, u, y_first):
 
 
 @pytest.mark.requirement("REQ-CORE-5")
-def test_frames_and_margins_at_every_size(case):
+@pytest.mark.slow("6 s a core: one is compiled for every size")
+def test_frames_and_margins_equal_the_reference_at_every_size(case):
     sizes, double, model, estimator, W_delta, B_w, folder = case
     rng = np.random.default_rng(4)
     n = int(estimator.settle + 3 * estimator.length[0])
@@ -132,7 +133,8 @@ def dense(controller, v, m):
 
 
 @pytest.mark.requirement("REQ-CORE-5")
-def test_controller_at_every_size(case, tmp_path):
+@pytest.mark.slow("6 s a core: one is compiled for every size")
+def test_the_controller_equals_the_reference_at_every_size(case, tmp_path):
     sizes, double, *_, folder = case
     controller = synthetic_controller(sizes)
     files = {p.name: p.read_text() for p in folder.glob("lpvguard_*.h")}

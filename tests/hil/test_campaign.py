@@ -16,10 +16,8 @@ from lpvguard.baselines import Baseline
 from lpvguard.core import Core
 from lpvguard.drives import list_experiments
 from lpvguard.errors import InputError
-from lpvguard.generate import generate
 from lpvguard.nominal import NominalModel
 from lpvguard.parallel import workers
-from lpvguard.project import load_project
 from lpvguard.replay import Replayer
 from lpvguard.sim import load_scenario, shipped_scenarios
 
@@ -30,13 +28,9 @@ edge: its response keeps the bounds of frames at the run's demand, but the energ
 
 
 @pytest.fixture(scope="module")
-def stored(tmp_path_factory):
+def stored(truck, truck_drives, truck_identified):
     """The truck identified as it is shipped, and its drives."""
-    folder, truck = tmp_path_factory.mktemp("truck"), load_project("truck")
-    generate(truck, folder / "drives", truck.seed)
-    identify.save(*identify.identify(truck, folder / "drives"), folder / "identify")
-    found = identify.load(folder / "identify")
-    return found, identify.DriveSet(truck, NominalModel(truck), list_experiments(folder / "drives"))
+    return identify.load(truck_identified), identify.DriveSet(truck, NominalModel(truck), list_experiments(truck_drives))
 
 
 @pytest.fixture(scope="module")

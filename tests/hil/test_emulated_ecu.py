@@ -55,6 +55,8 @@ def compare(emulated, host):
         assert emulated[key] == host[key]
 
 
+@pytest.mark.serial
+@pytest.mark.slow("an emulator on vcan0")
 def test_the_emulated_ecu_sends_the_hosts_frames_through_loss_and_bus_off(on_vcan, short, simulator):
     (host,) = on_vcan([short], "--ecu-process")
     first, again = on_vcan([short, short], "--target", "cortex-r5f")
@@ -69,7 +71,9 @@ def test_the_emulated_ecu_sends_the_hosts_frames_through_loss_and_bus_off(on_vca
     assert again["ecu"] == first["ecu"], "to the instruction"
 
 
+@pytest.mark.serial
 @pytest.mark.parametrize("name", shipped_scenarios() if FULL else ["bus_off"])
+@pytest.mark.slow("an emulator on vcan0")
 def test_every_scenarios_verdicts_on_the_emulated_ecu_are_the_hosts(on_vcan, name):
     (host,), (emulated,) = on_vcan([name], "--ecu-process"), on_vcan([name], "--target", "cortex-r5f")
     print(f"{name}: {emulated['real_time_factor']:g} simulated s per real s")

@@ -106,6 +106,8 @@ sleep 1; kill -INT $logger; wait $logger || true
 """
 
 
+@pytest.mark.serial
+@pytest.mark.slow("30 s of simulated time on vcan0")
 def test_two_processes_on_vcan_recorded_and_replayed_give_the_same_verdicts(lcm_simulator, scenario, truck_folder, tmp_path):
     """Truck and firmware as two processes on a real vcan0, telemetry by multicast on lo: what lcm-logger wrote, and what a second one
     heard when lcm-logplayer played it, is on every channel what one process alone publishes, and says the verdicts of the run."""
@@ -131,6 +133,8 @@ def test_two_processes_on_vcan_recorded_and_replayed_give_the_same_verdicts(lcm_
         assert max(abs(g.margin - margin[g.utime]) for g in log["LPVGUARD_GUARD"]) <= 0.5 / 1024 + 1e-9
 
 
+@pytest.mark.serial
+@pytest.mark.slow("30 s of simulated time on vcan0")
 def test_the_emulated_ecu_publishes_what_the_host_does(lcm_simulator, scenario, truck_folder, tmp_path):
     """Margins, supervision and bus of the firmware on the Cortex-R5F, message for message those of the host's."""
     require("qemu")
@@ -184,6 +188,8 @@ print(json.dumps({"said": said, "lost": [lost.utime, lost.entry], "refused": ref
 """
 
 
+@pytest.mark.serial
+@pytest.mark.slow("30 s of simulated time on vcan0")
 def test_a_python_client_leads_a_run_and_what_it_did_can_be_run_again(lcm_simulator, simulator, scenario, truck_folder, tmp_path):
     (tmp_path / "lead.py").write_text(LEAD)
     message_types()  # made here, once

@@ -40,6 +40,7 @@ def can_fault(message: str, kind: str, **more: float) -> str:
 
 
 @pytest.mark.parametrize("name", shipped_scenarios())
+@pytest.mark.slow("every shipped scenario, with two seeds")
 def test_shipped_scenarios_show_what_they_expect(simulator, name):
     for seed in SEEDS:
         run = simulator.run(load_scenario(name), seed=seed)
@@ -122,6 +123,7 @@ def test_a_lost_actuator_is_found(simulator, scenario):
     assert run["first_invalid_s"] is not None and 40.0 < run["first_invalid_s"] < 70.0
 
 
+@pytest.mark.serial
 def test_a_real_can_interface_carries_the_same_frames(simulator, truck_folder, scenario):
     fault = scenario(15.0, can_fault("VDC2", "lost"))
     done = with_vcan(sys.executable, "-m", "lpvguard.cli", "sim", fault.path, "--coefficients", truck_folder, "--json", "-", "--bus", "socketcan:vcan0")

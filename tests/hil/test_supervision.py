@@ -155,6 +155,7 @@ def test_a_value_that_the_bus_allows_and_the_vehicle_does_not_is_off_while_it_la
 
 
 @pytest.mark.parametrize("name", ON_BUS)
+@pytest.mark.slow("every shipped scenario on a bus")
 def test_scenarios_expect_of_the_supervision_what_the_frames_require(name, simulator, tmp_path):
     """"live" where never another state is required; "reacts" where one is, no later than the scenario says, and live again after."""
     scenario, log = load_scenario(name), tmp_path / "run.log"

@@ -49,6 +49,7 @@ def counted(name, vehicle):
 
 
 @pytest.mark.requirement("REQ-CORE-4")
+@pytest.mark.slow("an image for every processor, counted in its emulator")
 def test_results_are_the_hosts_bit_for_bit(name, vehicle, host):
     run = targets.run_target(name, *vehicle, same_bits=True)
     kinds = [line.split()[0] for line in run["results"]]
@@ -69,6 +70,7 @@ def test_results_show_judged_and_falsifying_frames(host):
 
 @pytest.mark.requirement("REQ-CORE-2")
 @pytest.mark.requirement("REQ-CORE-7")
+@pytest.mark.slow("an image for every processor, counted in its emulator")
 def test_counts_are_within_the_budget(counted):
     step = counted["parts"]["ecu_step"]
     if counted["target"] == "cortex-m4f":  # the target that the budget is stated for
@@ -81,6 +83,7 @@ def test_counts_are_within_the_budget(counted):
     assert max(part["stack"] for part in counted["parts"].values()) <= bench.STACK_BYTES
 
 
+@pytest.mark.slow("an image for every processor, counted in its emulator")
 def test_the_guides_table_is_what_is_measured(counted):
     step, text = counted["parts"]["ecu_step"], (targets.library_root() / "INTEGRATION.md").read_text()
     table = text.partition(bench.BUDGET[0])[2].partition(bench.BUDGET[1])[0]
@@ -92,6 +95,7 @@ def test_the_guides_table_is_what_is_measured(counted):
         "run `lpvguard bench core --guide lib/INTEGRATION.md`"
 
 
+@pytest.mark.slow("an image for every processor, counted in its emulator")
 def test_the_memory_map_is_whole(counted):
     parts = counted["map"]
     assert {".vectors", ".core_code", ".core_coefficients", ".bss"} <= set(parts)
@@ -100,6 +104,7 @@ def test_the_memory_map_is_whole(counted):
     assert all(end <= begin for (_, end), (begin, _) in pairwise(ends))
 
 
+@pytest.mark.slow("an image for every processor, counted in its emulator")
 def test_the_controller_takes_a_fifth_of_what_full_matrices_take(counted):
     assert bench.dense_to_controller(counted) >= bench.DENSE_TO_CONTROLLER
     # What the demand is worth is compared on the target itself: both ask for the same (target_bench.cpp).
@@ -107,12 +112,14 @@ def test_the_controller_takes_a_fifth_of_what_full_matrices_take(counted):
     assert counted["parts"]["control_step"]["worst"] <= 1_750  # the step that engages; a ratchet
 
 
+@pytest.mark.slow("an image for every processor, counted in its emulator")
 def test_counts_repeat_to_the_instruction(counted, name, vehicle):
     again = targets.run_target(name, *vehicle, same_bits=False)
     assert again["parts"] == counted["parts"] and again["elf_sha256"] == counted["elf_sha256"]
 
 
 @pytest.mark.requirement("REQ-CORE-9")
+@pytest.mark.slow("an image for every processor, counted in its emulator")
 def test_the_core_imports_neither_heap_nor_text_nor_double_arithmetic(counted):
     assert [s for s in counted["imports"] if not ALLOWED_IMPORTS.fullmatch(s)] == []
     assert [s for s in counted["imports"] if DOUBLE_HELPER.fullmatch(s)] == []

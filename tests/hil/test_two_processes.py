@@ -53,6 +53,8 @@ def all_good(run) -> bool:
     return all(set(m["counts"]) <= {"accepted", "recovering"} for m in run["reception"]["messages"].values())
 
 
+@pytest.mark.serial
+@pytest.mark.slow("in real time on vcan0")
 def test_two_processes_lose_nothing_and_send_the_frames_of_one(loop):
     want, got, _ = loop(600.0 if FULL else 30.0)
     print(f"{got['duration_s']:g} s, {got['frames']} frames")
@@ -62,6 +64,8 @@ def test_two_processes_lose_nothing_and_send_the_frames_of_one(loop):
     assert got["reception"] == want["reception"]
 
 
+@pytest.mark.serial
+@pytest.mark.slow("in real time on vcan0")
 def test_a_flood_of_foreign_identifiers_changes_nothing(loop):
     """The filter: lpvguard_ecu hands the kernel identifier and mask of each message that it supervises; no other frame is received."""
     for_s = 60.0 if FULL else 5.0
@@ -74,6 +78,8 @@ def test_a_flood_of_foreign_identifiers_changes_nothing(loop):
     assert {"18F0093E", "18FF01FC"} <= {line.split()[2].split("#")[0] for line in beside["tail"].splitlines()}
 
 
+@pytest.mark.serial
+@pytest.mark.slow("in real time on vcan0")
 def test_babbling_with_an_identifier_of_ours(loop, truck_folder, tmp_path):
     """Safe state within 5 periods of its first frame, no demand out of its limits, live again within 1 s of its last."""
     for_s = 60.0 if FULL else 4.0
@@ -107,6 +113,8 @@ def test_babbling_with_an_identifier_of_ours(loop, truck_folder, tmp_path):
     assert released.sum() > 100 and np.abs(demand[released]).max() <= 1 / 2048
 
 
+@pytest.mark.serial
+@pytest.mark.slow("in real time on vcan0")
 def test_after_bus_off_the_driver_restarts_and_the_loop_is_live_within_1_s(loop):
     fault = '[[can_fault]]\nmessage = "VDC2"\nkind = "bus_off"\nstart_s = 4.05\nend_s = 4.15'
     _, got, _ = loop(7.0, more=fault)
@@ -129,6 +137,8 @@ print(heard.communicate()[0].count(b"\\n"))
 """
 
 
+@pytest.mark.serial
+@pytest.mark.slow("in real time on vcan0")
 def test_the_firmware_alone_hears_and_answers_a_played_drive(simulator, tmp_path):
     """Recorded frames onto the bus at their pace, the ECU's program on it: no simulator and no common clock."""
     path = tmp_path / "loop.toml"

@@ -30,6 +30,7 @@ with open(sys.argv[2], "wb") as out:
 """
 
 
+@pytest.mark.serial
 def test_what_is_played_is_what_candump_logs_and_ingest_reads(tmp_path):
     (tmp_path / "player.py").write_text(PLAYER)
     done = with_vcan(sys.executable, tmp_path / "player.py", tmp_path / "sent.log", tmp_path / "logged.log")

@@ -99,7 +99,7 @@ def test_a_readable_drive_is_still_answered_beside_an_unreadable_one(lpvguard, t
     (["identify", "--vehicle", "g80", "nowhere", "-o", "out"], "no such folder"),
     (["export", "--vehicle", "g80", "nowhere", "-o", "out"], "MANIFEST.json"),
 ])
-def test_bad_arguments(arguments, says, lpvguard, tmp_path):
+def test_bad_arguments_end_with_status_2_and_leave_nothing_behind(arguments, says, lpvguard, tmp_path):
     done = lpvguard(*arguments, cwd=tmp_path)
     assert done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr
     assert not list(tmp_path.iterdir())

@@ -144,7 +144,7 @@ def test_every_raw_value_decodes_as_cantools_says_and_comes_back(m, s, codec, da
 
 
 @pytest.mark.parametrize("m, s", SIGNALS)
-def test_codes_above_the_data(m, s, codec):
+def test_codes_above_the_data_decode_as_absent_error_or_reserved(m, s, codec):
     raw = np.arange(1 << s.length)
     _, q = _decode(codec, m, s, raw)
     top = {2: (1, 2, 3), 8: (0xFA, 0xFE, 0xFF), 16: (0xFAFF, 0xFE00, 0xFF00)}[s.length]
@@ -169,6 +169,7 @@ def test_encode_saturates_and_rounds(m, s, codec):
 # ---------------------------------------------------------------------------------------------------- random frames
 
 
+@pytest.mark.slow("5 s: a million frames")
 def test_a_million_random_frames_unpack_and_pack(codec, database):
     rng = np.random.default_rng(20261121)
     share = -(-FRAMES // len(GENERATED))
@@ -222,7 +223,7 @@ def test_e2e_vector_of_the_specification(codec):
     assert _protect(codec, bytes(8), 0x0123, 0)[0] == 0xCC
 
 
-def test_e2e_against_autosar_e2e(codec):
+def test_protection_of_the_codec_equals_autosar_e2e(codec):
     p11 = pytest.importorskip("e2e.p11", reason="pip install autosar-e2e")
     rng = np.random.default_rng(11)
     for _ in range(5000):
@@ -304,7 +305,7 @@ FACTS = [
 
 
 @pytest.mark.parametrize("fact", FACTS, ids=lambda f: f"{f[0]}.{f[1]}")
-def test_facts_of_j1939(fact):
+def test_the_catalogues_messages_have_the_numbers_of_j1939(fact):
     m = CATALOGUE.message(fact[0])
     s = next(s for s in m.signals if s.name == fact[1])
     assert (m.name, s.name, m.pgn, m.id, m.period_ms, s.spn, s.start, s.length, s.scale, s.offset) == fact

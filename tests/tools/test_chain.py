@@ -120,6 +120,7 @@ def test_unexcited_driving_is_not_judged_for_want_of_excitation(core, g80, synth
 # Measured drives ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow("7 s: every measured drive from seven starts")
 def test_measured_bound_drives_keep_their_margins(measured, g80):
     core, random = Core(shipped_vehicle("g80")), np.random.default_rng(5)
     for e in list_experiments(measured):
@@ -129,10 +130,9 @@ def test_measured_bound_drives_keep_their_margins(measured, g80):
                 assert worst_margin(core, drive.from_sample(cut)) <= 1 + 1e-3, (e.name, cut)
 
 
-def test_measured_drives_are_judged_and_seldom_alarm_and_faults_are_found(measured, g80, tmp_path):
-    result, drives = stage.identify(g80, measured)
-    stage.save(result, drives, tmp_path / "id")
-    table = evaluate(stage.load(tmp_path / "id"), drives, Core(shipped_vehicle("g80")))
+def test_measured_drives_are_judged_and_seldom_alarm_and_faults_are_found(measured, measured_identified, g80, g80_model):
+    drives = stage.DriveSet(g80, g80_model, list_experiments(measured))
+    table = evaluate(stage.load(measured_identified), drives, Core(shipped_vehicle("g80")))
     core = Core(shipped_vehicle("g80"))
     for e in list_experiments(measured):
         replay = Replayer(g80, core).replay(drives.load(e.name)[0])
@@ -152,12 +152,11 @@ def test_measured_drives_are_judged_and_seldom_alarm_and_faults_are_found(measur
     assert behind <= {"output × -1", "output + 0.05"}, behind
 
 
-def test_shipped_coefficients_are_those_of_the_measured_drives(measured, g80, tmp_path):
+def test_shipped_coefficients_are_those_of_the_measured_drives(measured_identified, tmp_path):
     """The committed folder is what identify and export make (weights by their values at the bins)."""
     from lpvguard.export import export_vehicle
 
-    stage.save(*stage.identify(g80, measured), tmp_path / "id")
-    export_vehicle(stage.load(tmp_path / "id"), tmp_path / "g80")
+    export_vehicle(stage.load(measured_identified), tmp_path / "g80")
     core = Core(shipped_vehicle("g80"))
     made = Core(tmp_path / "g80")
     for name in core.words.keys() - {"crc32"}:  # of the numbers, which may differ in their last digits

@@ -13,7 +13,6 @@ from lpvguard import identify as identification
 from lpvguard.control_export import load_controller
 from lpvguard.errors import InputError
 from lpvguard.export import export_vehicle
-from lpvguard.project import load_project
 from lpvguard.robust_run import CompiledController, run
 from lpvguard.schedule import FrozenLoop, fit
 from lpvguard.scheduled import Scheduled
@@ -22,16 +21,9 @@ from lpvguard.synthesis.statespace import StateSpace, lft
 
 
 @pytest.fixture(scope="module")
-def stored(tmp_path_factory):
+def stored(few_truck_identified):
     """The truck identified on few drives."""
-    folder, truck = tmp_path_factory.mktemp("truck"), load_project("truck")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(generate, "BOUND_SPEEDS", (8.3, 12.0, 17.0, 21.7))
-        patch.setattr(generate, "CALIBRATION_SPEEDS", (10.0,))
-        patch.setattr(generate, "ZERO_INPUT_SPEEDS", (12.0, 17.0))
-        generate.generate(truck, folder / "drives", truck.seed)
-    identification.save(*identification.identify(truck, folder / "drives"), folder / "identify")
-    return identification.load(folder / "identify")
+    return identification.load(few_truck_identified)
 
 
 @pytest.fixture(scope="module")
@@ -106,6 +98,7 @@ def test_what_is_claimed_of_a_moving_speed_is_what_was_proved(stored, designed, 
         stage.verify(tmp_path / "controller.json", stored)
 
 
+@pytest.mark.xdist_group("other structures")
 def test_the_largest_A_t_comes_near_the_dc_floor(stored, monkeypatch):
     monkeypatch.setattr(stage, "A_T_RTOL", 0.4)
     found = stage.largest_A_t(stored)
@@ -113,6 +106,7 @@ def test_the_largest_A_t_comes_near_the_dc_floor(stored, monkeypatch):
     assert found.product == pytest.approx(found.A_t * stage.dc_floor(stage._weights(stored, stored.project.design)))
 
 
+@pytest.mark.xdist_group("other structures")  # a design of its own, beside the others on another worker
 @pytest.mark.parametrize("structure", ["K_inf", "K_is"])
 def test_the_other_structures_go_from_design_to_the_closed_loop(stored, tmp_path, monkeypatch, structure):
     monkeypatch.setattr(stage, "find", lambda *_: None)  # the certificate at a moving speed has tests of its own

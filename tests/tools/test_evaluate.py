@@ -173,6 +173,7 @@ def evaluated(g80, core, drives):
     return stage.evaluate(identify.load(folder), drive_set, core)
 
 
+@pytest.mark.slow("10 s: an identification and its evaluation")
 def test_a_single_drive_to_evaluate_has_no_baselines_and_no_alpha(folder, g80, core):
     table = evaluated(g80, core, folder({"synthetic_01": "train", "synthetic_02": "train", "synthetic_06": "valid"}))
     assert table["baselines"] == [] and all(row["best"] == (["monitor"] if row["found"] else []) for row in table["faults"])
@@ -185,6 +186,7 @@ def test_a_single_drive_to_evaluate_has_no_baselines_and_no_alpha(folder, g80, c
     assert table["false_alarms"]["all"]["judged_h"] == pytest.approx(drive["judged_s"] / 3600)
 
 
+@pytest.mark.slow("5 s: an identification and its evaluation")
 def test_short_and_unexcited_drives_are_counted_and_named(folder, g80, core):
     def change(name: str, lines: list[str]) -> list[str]:
         if name == "synthetic_06":

@@ -109,6 +109,7 @@ def test_a_disturbance_bound_that_is_missing_or_below_b1_names_experiment_bin_an
 
 # ---------------------------------------------------------------------------------------------------------- workers
 
+@pytest.mark.slow("9 s: the fleet identified five times")
 def test_workers_and_order_do_not_change_a_byte(drives, tmp_path):
     alone = files(drives)
     with workers(2) as run:
@@ -208,6 +209,7 @@ def test_bad_worker_settings_are_named(given, says, monkeypatch):
         pass
 
 
+@pytest.mark.slow("25 s: evaluate of the synthetic drives, twice")
 def test_replay_and_evaluate_share_drives(lpvguard, vehicle, identified, synthetic, tmp_path):
     logs = [synthetic / f"synthetic_{i:02d}.csv" for i in (5, 6, 8)]
     replay = ("replay", "--vehicle", "g80", "--coefficients", vehicle, *logs, "--json", "-")
@@ -221,6 +223,7 @@ def test_replay_and_evaluate_share_drives(lpvguard, vehicle, identified, synthet
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory is read from /proc")
+@pytest.mark.slow("25 s: 120 drives identified")
 def test_memory_does_not_grow_with_the_number_of_drives(tmp_path):
     many = 1000 if os.environ.get("LPVGUARD_FULL") == "1" else 120
     peak = {}
@@ -230,6 +233,7 @@ def test_memory_does_not_grow_with_the_number_of_drives(tmp_path):
     assert peak[many] <= 1.2 * peak[10], peak
 
 
+@pytest.mark.slow("12 s: the fleet bench")
 def test_bench_names_what_there_is(lpvguard):
     done = lpvguard("bench", "nothing")
     assert done.returncode == 2 and "can or core or fleet or robust or synthesis or validation or weights" in done.stderr

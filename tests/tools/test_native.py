@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -37,21 +38,25 @@ def test_compiles_once_and_again_when_source_header_or_flags_change(tmp_path, ca
     assert not [p for p in cache.iterdir() if p.name.startswith(".")]
 
 
-def test_cpp_and_include_dirs(tmp_path, cache):
+def test_cpp_sources_find_headers_in_the_include_folders(tmp_path, cache):
     (tmp_path / "inc").mkdir()
     source(tmp_path / "inc", "constexpr int value = 5;\n", "value.hpp")
     cpp = source(tmp_path, '#include "value.hpp"\nextern "C" int f() { return value; }\n', "f.cpp")
     assert ctypes.CDLL(str(native.compile_shared([cpp], include_dirs=[tmp_path / "inc"]))).f() == 5
 
 
-def test_processes_that_start_together_do_not_disturb_each_other(tmp_path, cache):
+def test_of_several_that_start_together_one_compiles(tmp_path, cache, monkeypatch):
     c = source(tmp_path, "int f(void) { return 3; }\n")
+    compiler = source(tmp_path, f'#!/bin/sh\n[ "$1" = --version ] || echo run >>"{tmp_path}/runs"\nexec "{shutil.which("cc")}" "$@"\n', "cc")
+    compiler.chmod(0o755)
+    monkeypatch.setenv("CC", str(compiler))
     with ThreadPoolExecutor(4) as pool:
         paths = set(pool.map(lambda _: native.compile_shared([c]), range(4)))
     assert len(paths) == 1 and ctypes.CDLL(str(paths.pop())).f() == 3
+    assert (tmp_path / "runs").read_text() == "run\n"
 
 
-def test_refusals_say_why(tmp_path, cache, monkeypatch):
+def test_missing_sources_bad_code_and_unsafe_flags_are_refused_with_the_reason(tmp_path, cache, monkeypatch):
     with pytest.raises(native.NativeError, match="not found"):
         native.compile_shared([tmp_path / "missing.c"])
     bad = source(tmp_path, "this is not C\n", "bad.c")

@@ -100,7 +100,7 @@ def test_an_unwritable_place_is_named(tmp_path):
     assert "missing" in done.stderr
 
 
-def test_help_and_unknown_commands():
+def test_help_lists_the_commands_and_an_unknown_one_is_refused():
     assert "frequency-response" in run("generate", "--help").stdout
     assert run().returncode == 2
     assert "unknown command" in run("dance").stderr

@@ -138,7 +138,7 @@ def carry(problem, **answer):
     return problem | {"answer": answer, "rtol": 1e-6}
 
 
-def test_comparison_rules():
+def test_an_answer_agrees_within_its_tolerance_and_not_beyond():
     base = solve.solve_problem(MULTIPLICATIVE)
 
     def ok(changes, ref):
@@ -164,13 +164,13 @@ def test_comparison_rules():
         (0.9989, 0.9989, False),
     ],
 )
-def test_brackets(low, up, fine):
+def test_a_bracket_agrees_only_when_it_meets_the_reference_bracket_within_tolerance(low, up, fine):
     problem = carry(LFT, J_lower=0.9999, J_upper=1.0)
     problem["rtol"] = 1e-3
     assert solve.compare(problem, {"id": 1, "status": "ok", "J_lower": low, "J_upper": up}).ok is fine
 
 
-def test_mu_rules_and_statuses():
+def test_mu_bounds_may_not_cross_the_references_and_a_wanted_error_must_come():
     problem = carry({"id": 1, "kind": "mu"}, mu_upper=2.0, mu_lower=2.0)
     assert solve.compare(problem, {"id": 1, "status": "ok", "mu_upper": 1.9999, "mu_lower": 2.0001}).ok
     assert not solve.compare(problem, {"id": 1, "status": "ok", "mu_upper": 2.0001, "mu_lower": 2.0}).ok

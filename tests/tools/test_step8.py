@@ -6,13 +6,15 @@ import json
 
 import numpy as np
 import pytest
-from lpvguard import artefacts, generate, tradeoff
+from lpvguard import artefacts, tradeoff
 from lpvguard import identify as identification
 from lpvguard.design_files import design_files
 from lpvguard.design_pictures import drawn
+from lpvguard.drives import list_experiments
 from lpvguard.errors import InputError
 from lpvguard.frozen import FrozenProblem
-from lpvguard.project import load_project, parse_project
+from lpvguard.nominal import NominalModel
+from lpvguard.project import parse_project
 from lpvguard.report import _design_section, _tradeoff_section
 from lpvguard.stored_frames import NEAR, StoredFrames, deciding
 from lpvguard.synthesis.table import cell
@@ -21,23 +23,13 @@ from lpvguard.worst_run import respond, worst_runs
 
 
 @pytest.fixture(scope="module")
-def truck(tmp_path_factory):
-    """The truck identified on few drives: its folder and the drives' set."""
-    folder, project = tmp_path_factory.mktemp("truck"), load_project("truck")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(generate, "BOUND_SPEEDS", (8.3, 17.0))
-        patch.setattr(generate, "CALIBRATION_SPEEDS", (16.0,))
-        patch.setattr(generate, "ZERO_INPUT_SPEEDS", (12.0, 17.0))
-        generate.generate(project, folder / "drives", project.seed)
-    result, drives = identification.identify(project, folder / "drives")
-    identification.save(result, drives, folder / "identify")
-    return folder, drives
+def drives(truck, few_truck_drives):
+    return identification.DriveSet(truck, NominalModel(truck), list_experiments(few_truck_drives))
 
 
 @pytest.fixture(scope="module")
-def problem(truck):
-    folder, drives = truck
-    stored = identification.load(folder / "identify")
+def problem(few_truck_identified, drives):
+    stored = identification.load(few_truck_identified)
     return FrozenProblem(stored, StoredFrames(stored, drives))
 
 
@@ -104,16 +96,16 @@ def test_table_ii_is_certified_from_both_sides_and_above_its_floor(cells):
     assert K_inf.upper <= K_inf.floor.value * 1.01 and K_i.upper > K_i.floor.value
 
 
-def test_worst_case_runs_and_files(problem, cells, truck, tmp_path):
+def test_worst_case_runs_and_files(problem, cells, drives, tmp_path):
     """The drive is the measured one nearest to the design speed; files hold no time and are the same bytes again; each opens."""
-    runs = worst_runs(problem, cells, truck[1])
+    runs = worst_runs(problem, cells, drives)
     assert runs.drive.endswith("17mps") and 0 < runs.factor <= 1 and [r.cell.structure for r in runs.runs] == ["K_inf", "K_i", "K_is"]
     for r in runs.runs[1:]:
         assert r.worst.size == pytest.approx(1, abs=1e-5) and r.worst.gain <= r.cell.upper * (1 + 1e-6)
         assert r.tracking_rms != r.tracking_rms_nominal
     assert runs.runs[0].tracking_rms == runs.runs[0].tracking_rms_nominal
     files = design_files(problem, cells, runs)
-    assert files == design_files(problem, cells, worst_runs(problem, cells, truck[1]))
+    assert files == design_files(problem, cells, worst_runs(problem, cells, drives))
     assert set(files) == {"table2.json", "table2.csv", "figures.json"}
     pictures = drawn(files)
     assert set(pictures) == {"fig5.svg", "fig6.svg"} and pictures == drawn(files)
@@ -165,8 +157,7 @@ def test_the_sentence_is_honest_when_nothing_reaches_one(problem, monkeypatch):
     assert found.best.level >= 1 and "No candidate reaches mu < 1" in found.sentence and "no controller can" in found.sentence
 
 
-def test_commands_name_what_is_missing(lpvguard, truck, tmp_path):
-    folder, _ = truck
+def test_commands_name_what_is_missing(lpvguard, few_truck_identified, tmp_path):
     for arguments, word in ((("design", "-o", tmp_path / "x"), "--case"),
                             (("design", "--case", "a.toml", "--tradeoff", "-o", tmp_path / "x"), "a case file alone"),
                             (("design", "--case", tmp_path / "none.toml", "-o", tmp_path / "x"), "none.toml")):
@@ -174,8 +165,8 @@ def test_commands_name_what_is_missing(lpvguard, truck, tmp_path):
         assert done.returncode == 2 and word in done.stderr and not (tmp_path / "x").exists()
     old = tmp_path / "old"
     old.mkdir()
-    with np.load(folder / "identify" / "spectra.npz") as spectra:
+    with np.load(few_truck_identified / "spectra.npz") as spectra:
         np.savez(old / "spectra.npz", **{k: spectra[k] for k in spectra if k != "speed"})
-    stored = identification.load(folder / "identify")
+    stored = identification.load(few_truck_identified)
     with pytest.raises(InputError, match="identify` again"):
         StoredFrames(identification.StoredIdentification(**{**vars(stored), "folder": old}))

@@ -138,7 +138,7 @@ def test_cliff_of_60_db_within_a_thousandth_is_bounded_though_not_tightly():
     ([1.0], [3.0]), ([1e-5, 1e5], [2.0, 2.0]), ([1.0, 2.0], [1.0, 5.0]), ([1.0, 1e6], [1.0, 1e-6]),
     (np.geomspace(1e-3, 1e3, 7), [1, 2, 1, 5, 1, 9, 1]),
 ])
-def test_few_samples(omega, bound):
+def test_few_samples_are_covered_by_a_certified_weight(omega, bound):
     omega, bound = np.asarray(omega), np.asarray(bound, dtype=float)
     check(fit_overbound(omega, bound), omega, bound)
 

@@ -2,8 +2,8 @@
 
 The library lives in ``${LPVGUARD_CACHE:-${XDG_CACHE_HOME:-~/.cache}/lpvguard}`` under a name that is a hash
 of the sources, the headers beside them, the flags, the compiler's version and (for ``-march=native``) the
-processor: a stale or foreign library is never loaded. Writing is atomic, so processes that start together do
-not disturb each other.
+processor: a stale or foreign library is never loaded. Writing is atomic, and of processes that start together
+one compiles while the others wait.
 
 ``LPVGUARD_NO_NATIVE=1`` switches every compiled kernel off; the numpy versions give the same answers.
 """
@@ -11,6 +11,7 @@ not disturb each other.
 from __future__ import annotations
 
 import ctypes
+import fcntl
 import functools
 import hashlib
 import os
@@ -152,6 +153,14 @@ def _compile(sources, flags: tuple[str, ...], include_dirs, name: str, suffix: s
     target = cache_dir() / f"{name}-{_digest(paths, flags, includes, compiler)}{suffix}"
     if target.is_file():
         return target
+    with open(f"{target}.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # of processes that start together one compiles, the others wait for it
+        return target if target.is_file() else _compile_to(target, compiler, flags, includes, paths)
+
+
+def _compile_to(target: Path, compiler: str, flags: tuple[str, ...], includes: list[Path], paths: list[Path]) -> Path:
+    """Compile to ``target``, whole or not at all. Raises NativeError with the compiler's complaint."""
+    name, suffix = target.stem, target.suffix
     handle, temporary = tempfile.mkstemp(suffix=suffix, prefix=f".{name}-", dir=target.parent)
     os.close(handle)
     command = [compiler, *flags, *(f"-I{p}" for p in includes), *map(str, paths), "-o", temporary]

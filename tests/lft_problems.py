@@ -1,0 +1,62 @@
+"""Validation problems made from a known truth, and the explanation of one put back into it."""
+
+
+from __future__ import annotations
+
+import numpy as np
+from lpvguard.validation import delta as dl
+from lpvguard.validation.delta import Block
+from lpvguard.validation.lft import Lft
+
+
+def gauss(rng, *shape):
+    return (rng.normal(size=shape) + 1j * rng.normal(size=shape)) / np.sqrt(2)
+
+
+def made_from_truth(rng, n_y, blocks, *, p12=False, n_w=None, size=0.3, noise=0.1, gain=0.3):
+    """A point simulated with a known Delta and w; returns (problem, true sizes, w)."""
+    blocks = tuple(Block(*b) for b in blocks)
+    p, q, wide = sum(b.rows for b in blocks), sum(b.cols for b in blocks), n_w or n_y
+    p11, p21, eta0 = gain * gauss(rng, q, p) / np.sqrt(p), gauss(rng, n_y, p), gauss(rng, q)
+    p22 = np.eye(n_y, dtype=complex) if n_w is None else gauss(rng, n_y, wide)
+    p12 = gain * gauss(rng, q, wide) if p12 else np.zeros((q, wide), complex)
+    pieces = []
+    for b in blocks:
+        d = gauss(rng, b.rows, b.cols) if b.type == "full" else np.eye(b.rows, dtype=complex)
+        d *= size * rng.uniform(0.3, 1.0) / np.linalg.norm(d, 2)
+        pieces.append(d * (np.exp(2j * np.pi * rng.uniform()) if b.type == "repeated_complex" else 1.0))
+    total = np.zeros((p, q), complex)
+    row = col = 0
+    for d in pieces:
+        total[row : row + d.shape[0], col : col + d.shape[1]] = d
+        row, col = row + d.shape[0], col + d.shape[1]
+    w = gauss(rng, wide)
+    w *= noise / np.linalg.norm(w)
+    eta = np.linalg.solve(np.eye(q) - p11 @ total, p12 @ w + eta0)
+    e = p21 @ total @ eta + p22 @ w
+    return Lft(blocks, p11, p12, p21, p22, eta0, e), np.array([np.linalg.norm(d, 2) for d in pieces]), w
+
+
+def substitute(problem, s, gamma=None):
+    """Everything that a returned explanation promises, checked from the raw matrices."""
+    eta = problem.p11 @ s.xi + problem.p12 @ s.w + problem.eta0
+    np.testing.assert_allclose(
+        problem.p21 @ s.xi + problem.p22 @ s.w, problem.e, atol=1e-8 * np.linalg.norm(problem.e)
+    )
+    if gamma is not None:
+        assert np.linalg.norm(s.w) <= gamma * (1 + 1e-8)
+    pieces = zip(
+        problem.blocks,
+        dl.split(problem.blocks, s.xi, "rows"),
+        dl.split(problem.blocks, eta, "cols"),
+        s.nu,
+        strict=True,
+    )
+    for (block, xi, eta_i, nu), made in zip(pieces, s.verification.deltas, strict=True):
+        assert np.linalg.norm(xi) <= nu * np.linalg.norm(eta_i) * (1 + 1e-8) + 1e-12
+        np.testing.assert_allclose(made @ eta_i, xi, atol=1e-7 * (np.linalg.norm(xi) + 1e-9))
+        if block.type != "full":
+            np.testing.assert_allclose(made, made[0, 0] * np.eye(block.rows), atol=0)
+        if block.type == "repeated_real":
+            assert np.all(made.imag == 0)
+    assert s.verification.residual < 1e-6
