@@ -137,17 +137,20 @@ def test_progress_is_a_line_a_quarter_and_a_line_a_package(checkout, tmp_path):
 GOOD = '<testsuite><testcase name="a.b" time="1"/></testsuite>'
 
 
-@pytest.mark.parametrize(("ctest", "options", "last", "says"), [
-    (GOOD, [], "2 passed, 0 failed, 0 skipped", ""),
-    (GOOD[:-15], [], "1 passed, 1 failed, 0 skipped", "FAILED ctest: it broke off while it wrote ctest.xml"),
-    ("", [], "1 passed, 1 failed, 0 skipped", "broke off"),
-    (GOOD, ["--ctest-status", "8"], "2 passed, 1 failed, 0 skipped", "no case failed, yet it ended with status 8"),
-    (GOOD, ["--clean-room", "skipped: no root"], "2 passed, 0 failed, 1 skipped", "SKIPPED clean-room ./tools/test: no root"),
-    (GOOD, ["--clean-room", "failed"], "2 passed, 1 failed, 0 skipped", "FAILED clean-room"),
+@pytest.mark.parametrize(("ctest", "status", "options", "last", "says"), [
+    (GOOD, "", [], "3 passed, 0 failed, 0 skipped", ""),
+    (GOOD[:-15], "", [], "2 passed, 1 failed, 0 skipped", "FAILED ctest: it broke off while it wrote ctest.xml"),
+    ("", "", [], "2 passed, 1 failed, 0 skipped", "broke off"),
+    (GOOD, "8", [], "3 passed, 1 failed, 0 skipped", "no case failed, yet it ended with status 8"),
+    (GOOD, "", ["--clean-room", "skipped: no root"], "3 passed, 0 failed, 1 skipped", "SKIPPED clean-room ./tools/test: no root"),
+    (GOOD, "", ["--clean-room", "failed"], "3 passed, 1 failed, 0 skipped", "FAILED clean-room"),
+    (GOOD, "", ["--fast", "7"], "3 passed, 0 failed, 0 skipped", "fast: 3 of 7 tests"),
     ('<testsuite><testcase name="hil.x" status="notrun"><skipped message="SKIP_REGULAR_EXPRESSION_MATCHED"/><system-out>skipped: no clang\n</system-out>'
-     '</testcase></testsuite>', [], "1 passed, 0 failed, 1 skipped", "SKIPPED ::hil.x: no clang")])
-def test_the_closing_line_counts_what_broke_off_and_gives_reasons(tmp_path, ctest, options, last, says):
-    (tmp_path / "ctest.xml").write_text(ctest)
-    (tmp_path / "pytest.xml").write_text(GOOD)
+     '</testcase></testsuite>', "", [], "2 passed, 0 failed, 1 skipped", "SKIPPED ::hil.x: no clang")])
+def test_the_closing_line_counts_what_broke_off_and_gives_reasons(tmp_path, ctest, status, options, last, says):
+    for runner, text in (("ctest", ctest), ("pytest", GOOD), ("pytest_serial", GOOD)):
+        (tmp_path / f"{runner}.xml").write_text(text)
+    if status:
+        (tmp_path / "ctest.status").write_text(status)
     done = subprocess.run([sys.executable, ROOT / "tools" / "summarise_tests.py", *options, tmp_path], capture_output=True, text=True, check=False)
     assert done.stdout.splitlines()[-1] == last and says in done.stdout and done.returncode == (" 0 failed" not in last)
