@@ -8,6 +8,9 @@
 // Centres E_j/Z_j and radii are never formed: an output with a small Z_j has both far out, and differences of them cancel.
 // Every candidate is *evaluated*, and the least maximum is returned. Z_j = 0 needs no gate: its term does not depend on d.
 //
+// t* > 1: no one complex number d with |d| <= W and no disturbance within B explain this frame in this bin. It does not refute
+// every causal Delta of a certificate: one with memory is no such number (tools/README.md).
+//
 // Accuracy (tests/unit/test_margin.cpp, against a certified long double reference). The evaluation of E_j - d Z_j itself
 // rounds, by a part of |E_j|/B_j; no method in one number type avoids that. What is returned is therefore lowered by
 // 6 units of rounding of max |E_j|/B_j: rounding alone never raises an alarm. In float t* is never above the exact margin
