@@ -4,7 +4,7 @@
 //
 // At the optimum two or three of the terms are active, so d is one of finitely many candidates, each in closed form:
 //   two terms i, j:   d on the segment between E_i/Z_i and E_j/Z_j, dividing it as the radii B_i/|Z_i|, B_j/|Z_j| do;
-//   three terms:      equal terms, a quadratic equation, solved once from d = 0 and once more from the d so found.
+//   three terms:      equal terms, a quadratic equation, solved from d = 0 and twice more from the d so found.
 // Centres E_j/Z_j and radii are never formed: an output with a small Z_j has both far out, and differences of them cancel.
 // Every candidate is *evaluated*, and the least maximum is returned. Z_j = 0 needs no gate: its term does not depend on d.
 //
@@ -151,9 +151,17 @@ private:
     // else either may be.
     void triple(std::size_t i, std::size_t j, std::size_t k) {
         constexpr C zero{Real(0), Real(0)};
-        consider(equalised(i, j, k, equalised(i, j, k, zero, false), false));
+        settle(i, j, k, equalised(i, j, k, zero, false));
         if (i != NY) {
-            consider(equalised(i, j, k, equalised(i, j, k, zero, true), false));
+            settle(i, j, k, equalised(i, j, k, zero, true));
+        }
+    }
+
+    // Two more solutions from where the first led: it may have lost all digits where three gradients are nearly in line.
+    void settle(std::size_t i, std::size_t j, std::size_t k, C d) {
+        for (int again = 0; again < 2; ++again) {
+            d = equalised(i, j, k, d, false);
+            consider(d);
         }
     }
 
