@@ -3,14 +3,20 @@
 //     t* = min over complex d of max( |d| / W, |E_j - d Z_j| / B_j )
 //
 // At the optimum two or three of the terms are active, so d is one of finitely many candidates, each in closed form:
-//   two discs i, j:   d on the segment between the centres, dividing it as the radii do;
-//   three discs:      d equidistant (in units of the radii) from three centres, a quadratic equation in t^2.
-// Every candidate is *evaluated*, and the least maximum is returned: rounding in a candidate can only raise t*, and never
-// lowers it below a value that some d attains. Z_j = 0 needs no gate: its term does not depend on d.
+//   two terms i, j:   d on the segment between E_i/Z_i and E_j/Z_j, dividing it as the radii B_i/|Z_i|, B_j/|Z_j| do;
+//   three terms:      equal terms, a quadratic equation, solved from d = 0 and twice more from the d so found.
+// Centres E_j/Z_j and radii are never formed: an output with a small Z_j has both far out, and differences of them cancel.
+// Every candidate is *evaluated*, and the least maximum is returned. Z_j = 0 needs no gate: its term does not depend on d.
 //
-// Range of float (tests/unit/test_margin.cpp): the units of an output, that is E_j, Z_j, B_j together, are free from 1e-30
-// to 1e30. For |E_j|/B_j from 1e-9 to 1e9 and W|Z_j|/B_j up to 2e4 the error is at most 5e-5 of max |E_j|/B_j, upward,
-// and 1e-6 of it downward. Beyond, results err upward only; what is not finite reads infinity.
+// t* > 1: no one complex number d with |d| <= W and no disturbance within B explain this frame in this bin. It does not refute
+// every causal Delta of a certificate: one with memory is no such number (tools/README.md).
+//
+// Accuracy (tests/unit/test_margin.cpp, against a certified long double reference). The evaluation of E_j - d Z_j itself
+// rounds, by a part of |E_j|/B_j; no method in one number type avoids that. What is returned is therefore lowered by
+// 6 units of rounding of max |E_j|/B_j: rounding alone never raises an alarm. In float t* is never above the exact margin
+// and at most 1e-6 of max |E_j|/B_j below it; relative to t* that is 1e-6 (1 + max W |Z_j|/B_j) at most. The range:
+// |E_j|/B_j from 1e-9 to 1e9, W |Z_j|/B_j up to 2e4, and the units of an output, that is E_j, Z_j, B_j together, from
+// 1e-30 to 1e30. Beyond, a candidate may be lost and results err upward; what is not finite reads infinity.
 #pragma once
 
 #include <array>
@@ -39,6 +45,8 @@ template <class Real>
 constexpr Complex2<Real> conj(Complex2<Real> a) { return {a.re, -a.im}; }
 template <class Real>
 constexpr Real squared(Complex2<Real> a) { return a.re * a.re + a.im * a.im; }
+template <class Real>
+constexpr Real cross(Complex2<Real> a, Complex2<Real> b) { return a.re * b.im - a.im * b.re; }
 
 /// Margin of one frame with NY outputs. W > 0, B_j > 0; E and Z finite.
 template <class Real, std::size_t NY>
@@ -46,21 +54,19 @@ class Margin {
 public:
     using C = Complex2<Real>;
 
-    // Z = 0 bounds no d: its radius is infinite by IEEE arithmetic, which the sanitizer reports, and is never looked at.
-    __attribute__((no_sanitize("float-divide-by-zero"))) Margin(const C* E, const C* Z, Real W, const Real* B) {
+    Margin(const C* E, const C* Z, Real W, const Real* B) : W_(W) {
         for (std::size_t j = 0; j < NY; ++j) {
-            E_[j] = (Real(1) / B[j]) * E[j];
-            Z_[j] = (Real(1) / B[j]) * Z[j];
+            const Real unit = Real(1) / B[j];
+            E_[j] = unit * E[j];
+            Z_[j] = (W * unit) * Z[j];
             size_[j] = squared(Z_[j]);
-            radius_[j] = Real(1) / size_[j];
-            centre_[j] = radius_[j] * (E_[j] * conj(Z_[j]));
             gain_[j] = std::sqrt(size_[j]);
+            pull_[j] = (gain_[j] > Real(0) ? Real(1) / gain_[j] : Real(0)) * (E_[j] * conj(Z_[j]));
         }
-        // The size of d itself is the disc of an output with E = 0, Z = 1 and bound W.
-        gain_[NY] = Real(1) / W;
-        size_[NY] = gain_[NY] * gain_[NY];
-        radius_[NY] = Real(1) / size_[NY];
-        centre_[NY] = {Real(0), Real(0)};
+        // The size of d itself is the term of an output with E = 0 and Z = 1.
+        E_[NY] = pull_[NY] = {Real(0), Real(0)};
+        Z_[NY] = {Real(1), Real(0)};
+        size_[NY] = gain_[NY] = Real(1);
     }
 
     Real operator()() { return with_triples(with_pairs()); }
@@ -70,9 +76,7 @@ public:
         consider_zero();
         for (std::size_t i = 0; i < NY; ++i) {
             for (std::size_t j = i + 1; j <= NY; ++j) {
-                if (size_[i] > Real(0) && size_[j] > Real(0)) {
-                    pair(i, j);
-                }
+                pair(i, j);
             }
         }
         return best_;
@@ -84,13 +88,11 @@ public:
         for (std::size_t i = 0; i < NY; ++i) {
             for (std::size_t j = i + 1; j < NY; ++j) {
                 for (std::size_t k = j + 1; k <= NY; ++k) {
-                    if (size_[i] > Real(0) && size_[j] > Real(0) && size_[k] > Real(0)) {
-                        triple(i, j, k);
-                    }
+                    triple(k, i, j);
                 }
             }
         }
-        return std::sqrt(best_);
+        return lowered();
     }
 
     /// The margin had the vehicle not responded, E = -Z: d is real from -1 to 0, where |d| / W rises to meet
@@ -100,17 +102,18 @@ public:
         for (std::size_t j = 0; j < NY; ++j) {
             largest = gain_[j] > largest ? gain_[j] : largest;
         }
-        return largest * (gain_[NY] / (gain_[NY] + largest));
+        return largest / (Real(1) + largest) / W_;
     }
 
 private:
-    std::array<C, NY> E_, Z_;                          // scaled by B
-    std::array<C, NY + 1> centre_;                     // E / Z; a disc with Z = 0 is never looked at
-    std::array<Real, NY + 1> size_, radius_, gain_;    // |Z|^2, its inverse (the squared radius at t = 1), |Z|
+    Real W_;
+    std::array<C, NY + 1> E_, Z_;           // E / B and W Z / B: d is in units of W
+    std::array<C, NY + 1> pull_;            // E conj(Z) / |Z|; 0 where Z = 0
+    std::array<Real, NY + 1> size_, gain_;  // |Z|^2, |Z|
     Real best_ = std::numeric_limits<Real>::infinity();
 
     void consider(C d) {
-        Real worst = squared(gain_[NY] * d);
+        Real worst = squared(d);
         if (!(worst < best_)) {
             return;  // no better; or not a number, where a candidate overflowed, and that must not read as small
         }
@@ -138,38 +141,70 @@ private:
     }
 
     void pair(std::size_t i, std::size_t j) {
-        const Real a = gain_[i], b = gain_[j];  // the radius of disc i is t / a
-        consider((Real(1) / (a + b)) * (a * centre_[i] + b * centre_[j]));
+        const Real both = gain_[i] + gain_[j];
+        if (both > Real(0)) {
+            consider((Real(1) / both) * (pull_[i] + pull_[j]));
+        }
     }
 
-    // |d - c_m|^2 = s r_m^2 with s = t^2 for three discs. With the first centre as origin, subtracting the first equation
-    // from the others gives d = p + s q; the first then is quadratic in s.
+    // Of the two d that make three terms equal, the one nearer to 0 is the better where |d| is one of the terms (i = NY);
+    // else either may be.
     void triple(std::size_t i, std::size_t j, std::size_t k) {
-        const C origin = centre_[i];
-        const C a = centre_[j] - origin;
-        const C b = centre_[k] - origin;
-        const Real ri = radius_[i], rj = radius_[j], rk = radius_[k];
-        const Real det = Real(2) * (a.re * b.im - a.im * b.re);
+        constexpr C zero{Real(0), Real(0)};
+        settle(i, j, k, equalised(i, j, k, zero, false));
+        if (i != NY) {
+            settle(i, j, k, equalised(i, j, k, zero, true));
+        }
+    }
+
+    // Two more solutions from where the first led: it may have lost all digits where three gradients are nearly in line.
+    void settle(std::size_t i, std::size_t j, std::size_t k, C d) {
+        for (int again = 0; again < 2; ++again) {
+            d = equalised(i, j, k, d, false);
+            consider(d);
+        }
+    }
+
+    // The d nearest to `origin` (or the farther one) that makes three terms equal, `origin` itself where none does. With
+    // d = origin + h and R_m = E_m - origin Z_m the squared terms are |R_m|^2 - 2 <conj(Z_m) R_m, h> + |Z_m|^2 |h|^2. Their
+    // differences give h = p + n q with n = |h|^2; that is |q|^2 n^2 - 2 (1/2 - <p, q>) n + |p|^2 = 0.
+    C equalised(std::size_t i, std::size_t j, std::size_t k, C origin, bool farther) const {
+        const C Ri = E_[i] - origin * Z_[i], Rj = E_[j] - origin * Z_[j], Rk = E_[k] - origin * Z_[k];
+        const C gi = conj(Z_[i]) * Ri;
+        const C gj = conj(Z_[j]) * Rj - gi, gk = conj(Z_[k]) * Rk - gi;
+        const Real det = Real(2) * cross(gj, gk);
         if (!(std::fabs(det) > Real(0))) {
-            return;  // collinear centres: two discs decide
+            return origin;  // gradients in line: two terms decide
         }
-        const Real ha = squared(a), hb = squared(b);
-        const Real ga = ri - rj, gb = ri - rk;
         const Real inverse = Real(1) / det;
-        const C p = inverse * C{ha * b.im - hb * a.im, hb * a.re - ha * b.re};
-        const C q = inverse * C{ga * b.im - gb * a.im, gb * a.re - ga * b.re};
-        // |p + s q|^2 = s ri, that is |q|^2 s^2 + 2 h s + |p|^2 = 0. The discriminant h^2 - |p|^2 |q|^2 is written with the
-        // cross product of p and q: beside a disc much smaller than the others p and q are antiparallel, and the plain
-        // form loses half of the digits.
+        const Real fi = squared(Ri), fj = squared(Rj) - fi, fk = squared(Rk) - fi;
+        const Real sj = size_[j] - size_[i], sk = size_[k] - size_[i];
+        const C p = inverse * C{fj * gk.im - fk * gj.im, fk * gj.re - fj * gk.re};
+        const C q = inverse * C{sj * gk.im - sk * gj.im, sk * gj.re - sj * gk.re};
+        // The discriminant (1/2 - <p, q>)^2 - |p|^2 |q|^2 is written with the cross product of p and q, which does not
+        // cancel; what is left below zero is rounding, or no d makes the terms equal and the candidate is merely poor.
         const Real dot = p.re * q.re + p.im * q.im;
-        const Real cross = Real(0.5) * inverse * (ha * gb - hb * ga);
-        const Real discriminant = ri * (Real(0.25) * ri - dot) - cross * cross;
-        if (!(discriminant >= Real(0))) {
-            return;
+        const Real across = Real(0.5) * inverse * (fj * sk - fk * sj);
+        const Real discriminant = Real(0.25) - dot - across * across;
+        const Real sum = Real(0.5) - dot + std::sqrt(discriminant > Real(0) ? discriminant : Real(0));
+        const Real top = farther ? sum : squared(p);
+        const Real bottom = farther ? squared(q) : sum;
+        return bottom > Real(0) ? origin + p + (top / bottom) * q : origin;
+    }
+
+    // t* from its square, less what rounding of the evaluation may have added.
+    Real lowered() const {
+        Real largest = Real(0);
+        for (std::size_t j = 0; j < NY; ++j) {
+            const Real f = squared(E_[j]);
+            largest = f > largest ? f : largest;
         }
-        // Smaller root in the form that does not cancel (h < 0 whenever a positive root exists).
-        const Real s = squared(p) / (std::sqrt(discriminant) + Real(0.5) * ri - dot);
-        consider(origin + p + s * q);
+        const Real t = std::sqrt(best_);
+        if (!(largest < std::numeric_limits<Real>::infinity())) {
+            return t;  // beyond the range: upward
+        }
+        const Real rounding = Real(6) * std::numeric_limits<Real>::epsilon() * std::sqrt(largest);
+        return t > rounding ? t - rounding : Real(0);
     }
 };
 

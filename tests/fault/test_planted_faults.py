@@ -11,8 +11,8 @@ from lpvguard.core import Core, library_root
 from lpvguard.drives import read_drive
 
 MUTANTS = {
-    "margin forgets the uncertainty": ("margin.hpp", "gain_[NY] = Real(1) / W;", "gain_[NY] = Real(10) / W;"),
-    "margin scales the disturbance": ("margin.hpp", "E_[j] = (Real(1) / B[j]) * E[j];", "E_[j] = (Real(0.9) / B[j]) * E[j];"),
+    "margin forgets the uncertainty": ("margin.hpp", "Z_[j] = (W * unit) * Z[j];", "Z_[j] = (Real(0.1) * W * unit) * Z[j];"),
+    "margin scales the disturbance": ("margin.hpp", "E_[j] = unit * E[j];", "E_[j] = Real(0.9) * (unit * E[j]);"),
     "second half of the window turned": ("monitor.cpp",
                                          "const Real falling = coeff.words.cycles[b] % 2U != 0U ? -scale : scale;",
                                          "const Real falling = scale;"),

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
+import pytest
+from lpvguard.bench import memory
 from lpvguard.bench import validation as bench
 from lpvguard.validation import s1
 
@@ -24,3 +27,24 @@ def test_points_repeat_with_their_seed_and_lie_between_b1_and_the_error():
     assert all(np.array_equal(first[k], again[k]) for k in first)
     b1 = s1.solve(first["e"], first["z"], 0.0).b1
     assert np.all(first["gamma_w"] >= b1) and np.all(first["gamma_w"] < np.linalg.norm(first["e"], axis=1))
+
+
+@pytest.mark.parametrize("fraction", memory.FRACTIONS)
+def test_no_draw_exceeds_the_bound_that_its_memory_allows(fraction):
+    t, bound = memory.draw(fraction, 1000, seed=5)
+    assert (t <= bound).all()
+    if fraction >= 0.1:  # a fiftieth of it would be refuted
+        assert (t > 1 + 0.02 * (bound - 1)).any()
+
+
+def test_alarms_without_disturbance_come_with_memory():
+    found = memory.rows(1000, seed=1)
+    largest, share = [r.largest for r in found], [r.share_above_1 for r in found]
+    assert largest[0] <= 1 < largest[2] and largest == sorted(largest)
+    assert share[0] == 0.0 and share == sorted(share)
+
+
+def test_the_table_of_memory_stands_in_the_guide_as_the_command_prints_it(capsys):
+    bench.main(["--memory"])
+    printed = capsys.readouterr().out.strip()
+    assert printed in (Path(__file__).parents[2] / "tools" / "README.md").read_text()

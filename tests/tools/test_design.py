@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -13,10 +13,13 @@ from lpvguard import identify as identification
 from lpvguard.control_export import load_controller
 from lpvguard.errors import InputError
 from lpvguard.export import export_vehicle
+from lpvguard.nominal import NominalModel
 from lpvguard.robust_run import CompiledController, run
 from lpvguard.schedule import FrozenLoop, fit
 from lpvguard.scheduled import Scheduled
 from lpvguard.sim import Simulator, load_scenario
+from lpvguard.stored_frames import StoredFrames
+from lpvguard.synthesis import interconnection as fig1
 from lpvguard.synthesis.statespace import StateSpace, lft
 
 
@@ -106,9 +109,48 @@ def test_the_largest_A_t_comes_near_the_dc_floor(stored, monkeypatch):
     assert found.product == pytest.approx(found.A_t * stage.dc_floor(stage._weights(stored, stored.project.design)))
 
 
+def test_K_is_is_refused_where_frames_cannot_tell_the_states_uncertainty(stored):
+    with pytest.raises(InputError, match=r"median error of \d+% at .*plain DFT"):
+        stage.design(with_settings(stored, structure="K_is"))
+
+
+def with_exact_frames(stored):
+    """As if the window cost nothing, so that the rest of class S2's path can be walked."""
+    return replace(stored, bounds={**stored.bounds, "window_error_median": 0 * stored.bounds["window_error_median"]})
+
+
+def test_K_is_takes_the_states_own_bound_in_1_per_s(stored):
+    one = with_settings(with_exact_frames(stored), structure="K_is")
+    weights, frames = stage._weights(one, one.project.design), StoredFrames(one)
+    split = frames.explain_with_state(one.bounds["gamma_w"], one.project.design.lambda_s)
+    omega = frames.estimator.omega
+    for system, nu in ((weights.W_delta_s, split.nu_s), (weights.W_delta_i, split.nu_i)):
+        seen = np.isfinite(nu)
+        assert (np.abs(system.response(omega)[seen, 0, 0]) >= nu[seen] * (1 - 1e-6)).all()
+    assert not np.allclose(weights.W_delta_s.response(omega), weights.W_delta_i.response(omega), rtol=0.1)
+
+
+@pytest.mark.parametrize("factor", [0.1, 60.0])
+def test_another_unit_of_time_leaves_the_loop_of_K_is_as_it_was(stored, factor):
+    """x' = A x + B u + xi_s: in a unit of time `factor` times longer A, B and W_delta_s grow by that factor."""
+    model, settings = NominalModel(stored.project), stored.project.design
+    A, B = (m[0] for m in model.matrices(np.array([15.0])))
+    weights = stage._weights(stored, settings)
+    slower = fig1.Weights(**{f.name: replace(w, A=factor * w.A, B=factor * w.B)
+                             for f in fields(weights) for w in [getattr(weights, f.name)]})
+    rate = replace(slower.W_delta_s, C=factor * slower.W_delta_s.C, D=factor * slower.W_delta_s.D)
+    omega = np.geomspace(1e-2, 30.0, 40)
+    want = fig1.generalised_plant(A, B, weights, "K_is").system.response(omega)
+    got = fig1.generalised_plant(factor * A, factor * B, replace(slower, W_delta_s=rate), "K_is").system.response(factor * omega)
+    np.testing.assert_allclose(got, want, rtol=1e-8, atol=1e-10)
+    as_if_dimensionless = fig1.generalised_plant(factor * A, factor * B, slower, "K_is").system.response(factor * omega)
+    assert np.abs(as_if_dimensionless - want).max() > 1e-2 * np.abs(want).max()
+
+
 @pytest.mark.xdist_group("other structures")  # a design of its own, beside the others on another worker
 @pytest.mark.parametrize("structure", ["K_inf", "K_is"])
 def test_the_other_structures_go_from_design_to_the_closed_loop(stored, tmp_path, monkeypatch, structure):
+    stored = with_exact_frames(stored)
     monkeypatch.setattr(stage, "find", lambda *_: None)  # the certificate at a moving speed has tests of its own
     monkeypatch.setattr(stage, "OFF_GRID", 4)
     one = with_settings(stored, structure=structure, nodes=3, A_t=40.0, order_loss=0.05)

@@ -1,5 +1,7 @@
 """H∞ synthesis: independent references for γ, and every returned controller closed again here."""
 
+from fractions import Fraction
+
 import cvxpy as cp
 import numpy as np
 import pytest
@@ -245,6 +247,98 @@ def test_a_companion_realisation_gives_the_same_gamma():
     assert hinf_synthesis(coprime_plant(raw), 1, 1).gamma == pytest.approx(
         hinf_synthesis(coprime_plant(G), 1, 1).gamma, rel=1e-5
     )
+
+
+def mixed_sensitivity(n, slow, fast):
+    """z = [W1 e; W2 u] with W1's pole at ``slow`` and W2's at ``fast`` rad/s, y = e = w - G u, G of order n - 2."""
+    rng = np.random.default_rng(n)
+    poles, zeros = 10 ** rng.uniform(-1, 1.5, n - 2), 10 ** rng.uniform(-1, 1.5, n - 3)
+    num, den = np.poly(-zeros), np.poly(-poles)
+    G, W1, W2 = rational(num * den[-1] / num[-1], den), rational([0.5, 1.0], [1.0, slow]), rational([1.0, 1.0], [1 / fast, 1.0])
+    g, Z = G.order, np.zeros
+    A = sl.block_diag(G.A, W1.A, W2.A)
+    A[g, :g] = -W1.B[0, 0] * G.C[0]
+    B = np.block([[Z((g, 2)), G.B], [W1.B * [1, 0.01], Z((1, 1))], [Z((1, 2)), W2.B]])
+    C = np.block([[-W1.D * G.C, W1.C, Z((1, 1))], [Z((1, g + 1)), 0.01 * W2.C], [-G.C, Z((1, 2))]])
+    d1, d2 = W1.D[0, 0], 0.01 * W2.D[0, 0]
+    return StateSpace(A, B, C, [[d1, 0.01 * d1, 0], [0, 0, d2], [1, 0.01, 0]])
+
+
+def companion(G):
+    """G in controllable canonical coordinates of the sum of its inputs, transformed in exact arithmetic."""
+    n, exact = G.order, lambda M: [[Fraction(x) for x in row] for row in np.asarray(M).tolist()]
+    times = lambda X, Y: [[sum(a * b for a, b in zip(row, col, strict=True)) for col in zip(*Y, strict=True)] for row in X]
+
+    def solve(M, R):
+        M = [row + rest for row, rest in zip(M, R, strict=True)]
+        for i in range(n):
+            k = max(range(i, n), key=lambda k: abs(M[k][i]))
+            M[i], M[k] = M[k], M[i]
+            M[i] = [x / M[i][i] for x in M[i]]
+            M = [row if k == i else [x - row[i] * y for x, y in zip(row, M[i], strict=True)] for k, row in enumerate(M)]
+        return [row[n:] for row in M]
+
+    A, v, krylov = exact(G.A), exact(G.B.sum(axis=1, keepdims=True)), []
+    for _ in range(n):
+        krylov.append([row[0] for row in v])
+        v = times(A, v)
+    K = [list(row) for row in zip(*krylov, strict=True)]
+    a = [row[0] for row in solve(K, [[-row[0]] for row in v])] + [Fraction(1)]
+    T = times(K, [[a[i + j + 1] if i + j < n else Fraction(0) for j in range(n)] for i in range(n)])
+    numbers = lambda M: np.array([[float(x) for x in row] for row in M])
+    rows = np.vstack([np.eye(n)[1:], [-float(x) for x in a[:-1]]])
+    return StateSpace(rows, numbers(solve(T, exact(G.B))), numbers(times(exact(G.C), T)), G.D)
+
+
+@pytest.mark.parametrize("fast", [500.0, 2e4])
+@pytest.mark.parametrize("n", [4, 6, 8, 10, 12])
+def test_slow_weights_and_companion_forms_give_the_gamma_of_a_calm_realisation(n, fast):
+    """A weight's pole at 2e-5 rad/s is a zero of P21 there, which is not on the imaginary axis: no note may say so."""
+    plant = mixed_sensitivity(n, 2e-5, fast)
+    result = hinf_synthesis(plant, 1, 1)
+    modal = sl.schur(plant.A)[1]
+    rng = np.random.default_rng(2)
+    U, V = (np.linalg.qr(rng.standard_normal((n, n)))[0] for _ in range(2))
+    dense = plant.transformed(U @ np.diag(np.geomspace(1, 1e3, n)) @ V)
+    for other in (plant, companion(plant), plant.transformed(modal), to_discrete(plant, 0.005), dense):
+        got = hinf_synthesis(other, 1, 1)
+        assert not any("axis" in note for note in got.notes)
+        assert got.gamma == pytest.approx(result.gamma, rel=1e-3)
+        if other is dense and not got.resolved:  # rounding of its entries alone moves the closed loop's norm that far
+            assert got.gamma_lower <= result.gamma <= got.gamma_achieved
+            continue
+        assert got.resolved and got.gamma_lower <= got.gamma <= got.gamma_achieved
+        check_certificate(other, 1, 1, got)
+
+
+@pytest.mark.parametrize("size", [1e6, 1e8, 1e10])
+def test_what_rounding_of_the_plant_hides_is_not_claimed(size):
+    """Dense coordinates of this condition move the slow poles by more than their size: the plant as given is another."""
+    rng = np.random.default_rng(2)
+    plant = mixed_sensitivity(6, 2e-5, 2e4)
+    calm = hinf_synthesis(plant, 1, 1)
+    U, V = (np.linalg.qr(rng.standard_normal((6, 6)))[0] for _ in range(2))
+    given = plant.transformed(U @ np.diag(np.geomspace(1, size, 6)) @ V)
+    try:
+        got = hinf_synthesis(given, 1, 1)
+    except SynthesisError as refused:
+        assert "last digits of A move its pole" in str(refused)
+        return
+    assert not got.resolved and got.gamma_lower <= calm.gamma <= got.gamma_achieved
+    assert any("not resolved" in note for note in got.notes) and any("last digits of A" in note for note in got.notes)
+    loop = lft(given, got.controller)
+    grid = np.r_[0, np.geomspace(1e-6, 1e6, 2000)]
+    assert loop.stability_margin() > 0 and np.linalg.norm(loop.response(grid), 2, axis=(1, 2)).max() <= got.gamma_achieved
+
+
+@pytest.mark.parametrize("omega", [0.0, 0.3, 7.0])
+@pytest.mark.parametrize("shift", [0.0, 1e-6, 1e-4])
+def test_a_zero_counts_as_on_the_axis_only_when_it_is(omega, shift):
+    num = np.real(np.poly(np.array([1j, -1j]) * omega - shift)) if omega else np.array([1.0, shift])
+    G = rational(num, np.poly([-2e4, -1.0, -3.0]))
+    side = hinf._Side(G.A, np.zeros((3, 1)), G.B, G.C, np.zeros((1, 1)), np.zeros((1, 1)), np.eye(3))
+    defect = hinf._rank_defect(side, omega)
+    assert (defect <= hinf.ZERO_RTOL) == (shift == 0.0)
 
 
 def test_the_controller_backs_off_from_the_poles_of_the_optimum():

@@ -62,3 +62,13 @@ def test_unstable_and_marginal_systems_have_no_norm():
 def test_constants_and_zero_systems_are_exact():
     assert hinf_norm(gain([[3.0, 4.0]])).lower == pytest.approx(5.0, rel=1e-14)
     assert hinf_norm(StateSpace([[-1.0]], [[0.0]], [[1.0]], [[0.0]])).upper == 0.0
+
+
+def test_a_slow_pole_that_large_entries_hide_widens_the_bracket():
+    """Dense coordinates move the pole at 2e-5 rad/s by a part of itself: the norm at DC is known no better than that."""
+    rng = np.random.default_rng(2)
+    G = StateSpace(np.diag([-2e-5, -1.0, -30.0, -2e4]), [[2e-5], [1.0], [30.0], [2e4]], [[0.99, 0.3, 0.2, -0.2]], [[0.0]])
+    U, V = (np.linalg.qr(rng.standard_normal((4, 4)))[0] for _ in range(2))
+    calm, dense = hinf_norm(G), hinf_norm(G.transformed(U @ np.diag(np.geomspace(1, 1e3, 4)) @ V))
+    assert calm.upper <= calm.lower * (1 + 2e-6)
+    assert dense.upper >= calm.lower and dense.upper > dense.lower * (1 + 1e-3)

@@ -6,7 +6,8 @@
 ///     t* = min over complex d of max( |d| / W_delta, |E_j - d Z_j| / B_w,j for each output j )        (T17)
 ///
 /// the least common inflation of the fitted uncertainty and disturbance bounds that explains the frame: exact, in closed
-/// form. A frame *counts* when speed stayed in the scheduling range and within `speed_tolerance` of the frame's mean and
+/// form. t* > 1 refutes every one complex number d within W_delta together with a disturbance within B_w, for this frame and
+/// bin. It does not refute every causal Delta of a certificate; of those only the energy test speaks, given its sigma. A frame *counts* when speed stayed in the scheduling range and within `speed_tolerance` of the frame's mean and
 /// the model had settled. The bin's statistic is the k-th largest margin of its last m counted frames; a statistic above
 /// `threshold` falsifies the model (frame test). `evidence` is the margin that a vehicle which did not respond at all
 /// would have shown (T18). A frame whose evidence is at or below the threshold is "not excited": it could have falsified

@@ -27,6 +27,7 @@ from .nominal import NominalModel
 from .project import DesignSettings
 from .schedule import FrozenLoop, fit
 from .scheduled import Scheduled
+from .stored_frames import StoredFrames, UncertaintyWeights
 from .synthesis import interconnection as fig1
 from .synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis
 from .synthesis.errors import SynthesisError
@@ -52,6 +53,8 @@ LOWER_RTOL, PEAK_RTOL = 1e-3, 1e-3
 """The same for the lower bound, which a search finds, and for the gain at the stated peak, which is flat."""
 OFF_GRID = 24
 """Seeded speeds between the nodes at which the design is looked at besides nodes and midpoints."""
+LARGEST_WINDOW_ERROR = 0.1
+"""Median error of the state's uncertainty from frames, over bins, up to which K_is is designed from it."""
 A_T_RTOL = 0.01
 LARGER_STEP = 0.8
 """Of the way to the limit, while no A_t has failed: the answer lies near it."""
@@ -63,19 +66,37 @@ def _system(weight: FittedWeight, inflation: float) -> StateSpace:
     return fig1.rational(inflation * weight.fit.weight.num, weight.fit.weight.den)
 
 
+def _state_uncertainty(stored: StoredIdentification, settings: DesignSettings) -> UncertaintyWeights:
+    """Class S2's weights at the identified gamma_w: W_delta_i dimensionless, W_delta_s in 1/s, as xi_s adds to the state's
+    derivative. InputError where the frames cannot tell xi_s: it is found by inverting dynamics, which windows only approximate.
+    """
+    error = stored.bounds["window_error_median"]
+    worst = int(np.nanargmax(error))
+    if error[worst] > LARGEST_WINDOW_ERROR:
+        omega = stored.bounds["omega_rad_s"][worst]
+        raise InputError(stored.folder, "design.structure", f"K_is: these frames find the state's uncertainty with a median "
+                         f"error of {error[worst]:.0%} at {omega:.3g} rad/s",
+                         f'K_i, or frames whose error is at most {LARGEST_WINDOW_ERROR:.0%}: the plain DFT, frames.estimator = "dft"')
+    frames = StoredFrames(stored)
+    return frames.weights(frames.explain_with_state(stored.bounds["gamma_w"], settings.lambda_s))
+
+
 def _weights(stored: StoredIdentification, settings: DesignSettings) -> fig1.Weights:
     fitted = stored.fitted
     if not fitted.W_n or not fitted.W_C:
         raise InputError(stored.folder, "W_n, W_C", "missing: no drive of the noise split",
                          "zero-input drives listed under data.noise_split")
-    W_w = fitted.W_w_S0 if settings.structure == "K_inf" else fitted.W_w
+    W_w, W_delta_i, W_delta_s = fitted.W_w_S0 if settings.structure == "K_inf" else fitted.W_w, fitted.W_delta, fitted.W_delta
+    if settings.structure == "K_is":
+        state = _state_uncertainty(stored, settings)
+        W_w, W_delta_i, W_delta_s = state.W_w, state.W_delta_i, state.W_delta_s or state.W_delta_i
     g = fitted.inflation
     return fig1.Weights(
         W_R=fig1.rational(settings.W_R_num, settings.W_R_den), W_C=_system(fitted.W_C[0], 1.0),
         W_t=fig1.zeros_poles(settings.A_t, settings.W_t_zeros, settings.W_t_poles),
         W_u=fig1.zeros_poles(settings.A_u, settings.W_u_zeros, settings.W_u_poles),
         W_nr=_system(fitted.W_n[0], g), W_ndelta=_system(fitted.W_n[1], g), W_wr=_system(W_w[0], g),
-        W_wdelta=_system(W_w[1], g), W_delta_i=_system(fitted.W_delta, g), W_delta_s=_system(fitted.W_delta, g))
+        W_wdelta=_system(W_w[1], g), W_delta_i=_system(W_delta_i, g), W_delta_s=_system(W_delta_s, g))
 
 
 def _delayed(plant: fig1.GeneralisedPlant) -> fig1.GeneralisedPlant:

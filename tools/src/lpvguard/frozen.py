@@ -33,7 +33,8 @@ class FrozenProblem:
     def weights(self, structure: str, A_t: float, A_u: float, uncertainty: UncertaintyWeights | None = None) -> Weights:
         """The ten weights. ``uncertainty``: other W_w and W_delta than identified (K_is: than ``with_state``)."""
         chosen = self.settings.model_copy(update={"structure": structure, "A_t": A_t, "A_u": A_u})
-        weights = _weights(self.stored, chosen)
+        # K_is has weights of its own, which replace those of class S1 below.
+        weights = _weights(self.stored, chosen.model_copy(update={"structure": "K_i"}) if structure == "K_is" else chosen)
         if structure == "K_is" and uncertainty is None:
             uncertainty = self.with_state
         if structure == "K_inf" or uncertainty is None:

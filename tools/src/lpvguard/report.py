@@ -731,8 +731,8 @@ def _loop_section(folder: Path) -> str:
             pictures.closed_loop(f"l{index}", rows, frames, r["threshold"], r["expected"].get("fault_start_s")),
             f"<b>{escape(r['title'])}</b> (seed {r['seed']}). Top: what the command filtered by the reference model asks for, "
             "and the simulated truck's true yaw rate. Middle: the pressure difference the ECU demands. Bottom: the margin of "
-            "every counted frame as the ECU's monitor judged it; above the dashed line no uncertainty and disturbance "
-            "within the bounds explains it. Dotted: the fault begins."))
+            "every counted frame as the ECU's monitor judged it; above the dashed line no one complex number within "
+            "W_delta and no disturbance within B_w, both times the threshold, explain the frame in its bin. Dotted: the fault begins."))
     return f"""<h2>The closed loop over CAN frames</h2>
 <p>Simulated truck, its bus encoded and decoded frame by frame, and the compiled ECU loop: model, monitor and controller, as they
 go on the target. The truck shares no equation with the nominal model.</p>{table}{"".join(figures)}"""

@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from lpvguard import native, truck_model
-from lpvguard.bench import parser, show
+from lpvguard.bench import memory, parser, show
 from lpvguard.validation import s1, s2
 
 TARGET_US = {"S1": 0.02, "margin": 0.1, "S2": 500.0}
@@ -237,6 +237,10 @@ def main(argv: list[str]) -> None:
     options.add_argument("--experiments", type=int, default=20)
     options.add_argument("--bins", type=int, default=1024)
     options.add_argument("--no-peers", action="store_true", help="without the conic solver")
+    options.add_argument("--memory", action="store_true", help="instead: t* of error by Delta alone, over its memory")
     given = options.parse_args(argv)
+    if given.memory:
+        found = memory.rows()
+        return show(memory.table(found), [asdict(r) for r in found], given.json_out)
     rows = run(given.experiments, given.bins, peers=not given.no_peers)
     show(table(rows), as_dicts(rows), given.json_out)

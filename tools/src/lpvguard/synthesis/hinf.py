@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg as sl
+from scipy.optimize import minimize_scalar
 
 from lpvguard.synthesis.errors import SynthesisError
 from lpvguard.synthesis.norms import NormBracket, axis_frequencies, hinf_norm
@@ -41,6 +42,7 @@ AXIS_COST = (
     1e-7  # state cost, relative to ‖C1‖, that moves zeros off the imaginary axis in the optimum's search
 )
 MAX_WORK = 1000  # controllers tried times states: bounds the time of a problem whose optimum is out of reach
+ZERO_RTOL = 1e-12  # a system matrix this near to losing rank, by parts of its entries, has a zero
 STIFF = 1e4  # a Hamiltonian this much larger than the plant's A has lost digits to nearly free controls
 LIMIT_RTOL = 1e-4  # rounding allowed for in the bound of a single frequency
 CANCELLED = 1e-9  # share of G11 at a frequency below which what v leaves of it is rounding
@@ -51,7 +53,10 @@ GAMMA_RTOL = 1e-6  # width of the bracket of a regular problem's optimum
 class HinfResult:
     """A controller with its certificate.
 
-    gamma: the optimum (infimum over stabilising controllers). gamma_achieved ≥ ‖F_l(P, K)‖∞: upper end of the
+    gamma: the optimum (infimum over stabilising controllers) by the Riccati equations. resolved: whether the controller
+    comes within the back-off of it; else gamma is a claim, and what is known is gamma_lower ≤ optimum ≤
+    gamma_achieved. gamma_lower: what single frequencies allow at best; gamma less the width of its bracket where
+    resolved. gamma_achieved ≥ ‖F_l(P, K)‖∞: upper end of the
     bracket of the closed loop's norm on the plant as given; ``certificate`` is the whole bracket, its peak
     frequency in rad/s. regularisation: ε of the controller's design plant, 0 for a regular problem. notes:
     what was singular. basis (n, n): the state of the plant as given that the controller's state x_K stands for
@@ -63,6 +68,8 @@ class HinfResult:
     gamma_achieved: float
     certificate: NormBracket
     basis: np.ndarray
+    gamma_lower: float
+    resolved: bool = True
     regularisation: float = 0.0
     notes: tuple[str, ...] = ()
 
@@ -196,7 +203,27 @@ def hinf_synthesis(
     slow: at the optimum itself they run off to infinity. ``rtol``: width of the bracket of γ_opt; ``guess``:
     a level near it, which only saves time.
     """
-    problem, D22, shift, basis = _posed(plant, n_control, n_measurement)
+    best, failure = None, None
+    for coordinates in (_calm, _modal):
+        try:
+            result = _synthesis(plant, n_control, n_measurement, backoff, rtol, guess, coordinates)
+        except (SynthesisError, np.linalg.LinAlgError) as exc:
+            failure = failure or exc
+            continue
+        if best is None or result.gamma_achieved < best.gamma_achieved:
+            best = result
+        if best.resolved:
+            return best
+    if best is not None:
+        return best
+    if isinstance(failure, SynthesisError) and failure.source == "H-infinity synthesis":
+        raise SynthesisError(failure.source, failure.where, failure.what, _expected(plant)) from failure
+    raise failure
+
+
+def _synthesis(plant, n_control, n_measurement, backoff, rtol, guess, coordinates) -> HinfResult:
+    """``hinf_synthesis`` with the Riccati equations in one choice of ``coordinates``."""
+    problem, D22, shift, basis = _posed(plant, n_control, n_measurement, coordinates)
     try:
         gamma = problem.optimum(rtol, guess)
     except SynthesisError:
@@ -225,9 +252,12 @@ def improved_level(
     return problem.optimum(rtol, level) if level is None or problem.reached(level) else None
 
 
-def _posed(plant, n_control, n_measurement) -> tuple[_Problem, np.ndarray, np.ndarray, np.ndarray]:
+def _posed(
+    plant, n_control, n_measurement, coordinates=None
+) -> tuple[_Problem, np.ndarray, np.ndarray, np.ndarray]:
     """The continuous problem of any plant, its D22, the static feedback that was closed first, and the basis (n, n)
-    in which the problem has the plant's state; checks existence.
+    in which the problem has the plant's state; checks existence. ``coordinates``: those of the state, ``_calm`` unless
+    given.
     """
     _check_shape(plant, n_control, n_measurement)
     shift, shifted = _move_pole_at_minus_one(plant, n_control, n_measurement)
@@ -236,7 +266,7 @@ def _posed(plant, n_control, n_measurement) -> tuple[_Problem, np.ndarray, np.nd
         first = balancing(shifted)
         shifted = to_continuous(scaled_states(shifted, first))
         second = balancing(shifted)
-        shifted, third = _calm(scaled_states(shifted, second))
+        shifted, third = (coordinates or _calm)(scaled_states(shifted, second))
         basis = (first * second)[:, None] * third
     blocks, D22 = _blocks(shifted, n_control, n_measurement)
     _check_stabilisable(blocks, plant)
@@ -257,6 +287,19 @@ def _calm(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
     t = balancing(other)
     other = scaled_states(other, t)
     return (other, schur * t) if np.linalg.norm(other.A) < 0.1 * np.linalg.norm(G.A) else (G, own)
+
+
+def _modal(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
+    """G with A in real blocks, one for each pole or pair: slow modes stand apart from fast ones; and the basis. G itself
+    where the eigenvectors do not span the space.
+    """
+    values, vectors = np.linalg.eig(G.A)
+    T = sl.cdf2rdf(values, vectors)[1] if np.iscomplexobj(values) else vectors
+    if G.order < 2 or not np.linalg.cond(T) < 1e10:
+        return G, np.eye(G.order)
+    other = G.transformed(T)
+    t = balancing(other)
+    return scaled_states(other, t), T * t
 
 
 def _certified(plant, problem, gamma, backoff, restore, basis) -> HinfResult:
@@ -285,8 +328,16 @@ def _certified(plant, problem, gamma, backoff, restore, basis) -> HinfResult:
         ):  # a controller that cannot be realised is no controller
             return
         if best is None or norm.upper < best.gamma_achieved:
+            claim = min(gamma, norm.lower)
             best = HinfResult(
-                K, min(gamma, norm.lower), norm.upper, norm, basis * t, epsilon, tuple(problem.notes)
+                K,
+                claim,
+                norm.upper,
+                norm,
+                basis * t,
+                claim * (1 - GAMMA_RTOL),
+                regularisation=epsilon,
+                notes=tuple(problem.notes),
             )
 
     def good():
@@ -300,16 +351,42 @@ def _certified(plant, problem, gamma, backoff, restore, basis) -> HinfResult:
     _descend(problem, gamma, attempt, lambda: np.inf if best is None else best.gamma_achieved, good)
     if best is None or not np.isfinite(best.gamma_achieved):
         raise SynthesisError(
-            "H-infinity synthesis",
-            f"gamma {gamma:.6g}",
-            "no controller passed its certificate",
-            "a plant scaled so that signals of interest are of order one",
+            "H-infinity synthesis", f"gamma {gamma:.6g}", "no controller passed its certificate", _expected(plant)
         )
     if good():
         return best
-    reach = f"{best.gamma_achieved / gamma:.4g} times it" if gamma > 0 else f"{best.gamma_achieved:.3g}"
-    note = f"the optimum is approached only by ever faster controllers: stopped at {reach}"
-    return replace(best, notes=(*best.notes, note))
+    lower = min(problem.certain, best.certificate.lower)
+    note = (
+        f"not resolved: the optimum lies between {lower:.4g} and {best.gamma_achieved:.4g}; the Riccati equations claim "
+        f"{gamma:.4g}, and the best controller has poles up to {np.abs(best.controller.poles()).max(initial=0.0):.3g}"
+    )
+    return replace(
+        best, gamma_lower=lower, resolved=False, notes=(*best.notes, note, *filter(None, [_frail_pole(plant)]))
+    )
+
+
+def _frail_pole(plant: StateSpace) -> str:
+    """The pole of the plant as given that the last digits of A's entries leave uncertain, in a sentence; empty where there
+    is none.
+
+    First-order bound eps |y|ᵀ|A||x| / |yᴴx| on a pole's movement; it does not depend on the units of the states.
+    """
+    if plant.order == 0:
+        return ""
+    poles, left, right = sl.eig(plant.A, left=True, right=True)
+    overlap = np.abs(np.sum(left.conj() * right, axis=0))
+    moved = EPS * np.sum(np.abs(left) * (np.abs(plant.A) @ np.abs(right)), axis=0) / np.maximum(overlap, 1e-300)
+    room = np.abs(1 - np.abs(poles)) if plant.dt else np.abs(poles.real)
+    k = int(np.argmax(moved / np.maximum(room, 1e-300)))
+    if moved[k] <= 1e-3 * room[k]:
+        return ""
+    return f"the last digits of A move its pole at {poles[k]:.4g} by up to {moved[k]:.1g}"
+
+
+def _expected(plant: StateSpace) -> str:
+    """What would help: balanced coordinates only where the plant's own are shown to be the trouble."""
+    frail = _frail_pole(plant)
+    return f"balanced or modal coordinates: {frail}" if frail else "an optimum that double precision can show"
 
 
 def _descend(problem, gamma, attempt, reached, good) -> None:
@@ -608,16 +685,47 @@ def _reduce(P: _Plant) -> _Side:
 
 
 def _axis_zeros(side: _Side, scale: float) -> tuple[float, ...]:
-    """Frequencies of the imaginary-axis zeros of x' = A x + B2 u, z = C1 x + D12 u: axis eigenvalues of its
-    LQ problem.
+    """Frequencies of the imaginary-axis zeros of x' = A x + B2 u, z = C1 x + D12 u.
 
-    They are at least double, so rounding moves them by the square root of eps times the norm (``scale``: that
-    of A).
+    Candidates are the axis eigenvalues of its LQ problem. Those are at least double, so rounding moves them by the
+    square root of eps times the norm (``scale``: that of A), and a slow zero looks like one on the axis: only where
+    the system matrix itself loses rank is there a zero.
     """
     H = _hamiltonian(replace(side, B1=side.B1[:, :0], D11=side.D11[:, :0]), 1.0)
     eigenvalues = np.linalg.eigvals(_balance_hamiltonian(H)[0])
     near = np.abs(eigenvalues.real) <= 1e-7 * np.abs(eigenvalues) + 1e-8 * scale
-    return tuple(np.unique(np.round(np.abs(eigenvalues.imag[near]), 12)))
+    found = []
+    for omega in np.abs(eigenvalues.imag[near]):
+        if any(abs(omega - known) <= 1e-6 * omega + 1e-7 * scale for known in found):
+            continue
+        width = 1e-6 * omega + 1e-7 * scale
+        points = [0.0] if omega <= width else []
+        points.append(
+            minimize_scalar(
+                lambda w: _rank_defect(side, w),
+                bounds=(max(omega - width, 0.0), omega + width),
+                method="bounded",
+                options={"xatol": 1e-15 * (omega + width)},
+            ).x
+        )
+        best = min(points, key=lambda w: _rank_defect(side, w))
+        if _rank_defect(side, best) <= ZERO_RTOL:
+            found.append(best)
+    return tuple(np.unique(np.round(found, 12)))
+
+
+def _rank_defect(side: _Side, omega: float) -> float:
+    """Distance of the system matrix [A − jωI, B2; C1, D12] from loss of column rank, as a part of its entries: its
+    smallest singular value after rows and columns are brought to unit size (0: jω is a zero).
+    """
+    M = np.block([[side.A - 1j * omega * np.eye(len(side.A)), side.B2], [side.C1, side.D12]])
+    if M.shape[0] < M.shape[1]:
+        return 0.0
+    for _ in range(8):
+        for axis in (1, 0):
+            size = np.sqrt(np.abs(M).max(axis=axis, keepdims=True))
+            M = M / np.where(size > 0, size, 1)
+    return float(np.linalg.svd(M, compute_uv=False)[-1])
 
 
 def _unreachable_gain(D11, D12, scale) -> float:
@@ -718,6 +826,11 @@ class _Problem:
     def singular(self) -> bool:
         return self.rank_lost or bool(self.axis)
 
+    @property
+    def certain(self) -> float:
+        """A level that no controller goes below, whatever the Riccati equations say: single frequencies, direct terms."""
+        return max(self.floor, self.control.frequency_bound(), self.filter.frequency_bound())
+
     def coupling(self, gamma: float) -> float | None:
         """γ²/ρ(XY), above 1 exactly when γ is reached; negative past a blow-up of X or Y; None without
         solution.
@@ -774,7 +887,7 @@ class _Problem:
                         "H-infinity synthesis",
                         "gamma",
                         f"no level up to {high:.1g} can be reached",
-                        "modes on the stability limit given a small damping, and signals of order one",
+                        "an optimum that double precision can show",
                     )
         return self._narrow(rtol, low, low_value, high, high_value)
 

@@ -27,7 +27,7 @@ class NormBracket:
 
 def hinf_norm(G: StateSpace, rtol: float = 1e-6) -> NormBracket:
     """Bracket ‖G‖∞ so that upper ≤ (1 + rtol) lower, plus the rounding of G at its peak; DC and infinite (or Nyquist)
-    frequency included.
+    frequency included. Where rounding of A may lift G above that at DC or at the frequency of a pole, upper is that level.
 
     An unstable G gives (inf, inf). The response is evaluated wherever an eigenvalue of the Hamiltonian comes
     near the axis (1e-3 of its size, far more than rounding moves it), and between such neighbours: a crossing
@@ -46,15 +46,16 @@ def hinf_norm(G: StateSpace, rtol: float = 1e-6) -> NormBracket:
     if not (np.any(H.B) and np.any(H.C)):
         return NormBracket(lower, lower, warp(peak))
     tiny = 1e-300 + EPS * np.linalg.norm(H.D, 2)
+    lifted = _lifted(H, start)
     for _ in range(60):
         level = max(lower * (1 + rtol), tiny)
         candidates = _crossings(H, level)
         if candidates.size == 0:
-            return NormBracket(lower, level + _rounding(H, peak), warp(peak))
+            return NormBracket(lower, max(level + _rounding(H, peak), lifted), warp(peak))
         value, where = _largest(H, candidates)
         if value <= level:
             peak = where if value > lower else peak
-            return NormBracket(max(lower, value), level + _rounding(H, peak), warp(peak))
+            return NormBracket(max(lower, value), max(level + _rounding(H, peak), lifted), warp(peak))
         lower, peak = value, where
     raise ArithmeticError("the level test of the H-infinity norm did not settle in 60 steps")
 
@@ -65,6 +66,13 @@ def _largest(H: StateSpace, omega) -> tuple[float, float]:
     values = np.linalg.norm(H.response(omega), 2, axis=(1, 2))
     k = int(np.argmax(values))
     return float(values[k]), float(omega[k])
+
+
+def _lifted(H: StateSpace, omega) -> float:
+    """max over ``omega`` of σ̄(H(jω)) plus its rounding: a slow pole that A's large entries hide shows at its own frequency."""
+    omega = np.unique(omega[np.isfinite(omega)])
+    values = np.linalg.norm(H.response(omega), 2, axis=(1, 2))
+    return float(max((value + _rounding(H, w) for w, value in zip(omega, values, strict=True)), default=0.0))
 
 
 def _rounding(H: StateSpace, omega: float) -> float:

@@ -18,7 +18,7 @@ from lpvguard.synthesis.statespace import StateSpace
 
 
 def solve_hinf(problem: dict) -> dict:
-    """gamma, gamma_achieved, controller and the certificate for A, B, C, D, n_control, n_measurement, dt
+    """gamma, gamma_lower, gamma_achieved, resolved, controller and the certificate for A, B, C, D, n_control, n_measurement, dt
     (default 0).
     """
     name = str(problem.get("id", "hinf"))
@@ -39,7 +39,9 @@ def solve_hinf(problem: dict) -> dict:
     K = result.controller
     return {
         "gamma": result.gamma,
+        "gamma_lower": result.gamma_lower,
         "gamma_achieved": result.gamma_achieved,
+        "resolved": result.resolved,
         "controller": {
             "A": K.A.tolist(),
             "B": K.B.tolist(),
