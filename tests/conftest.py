@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from lpvguard import generate as drive_maker
-from lpvguard import identify as stage
-from lpvguard.core import Core
-from lpvguard.export import export_vehicle
-from lpvguard.nominal import NominalModel
-from lpvguard.project import Project, load_project
+from lpvguard.core.compiled import Core
+from lpvguard.identify import run as stage
+from lpvguard.identify.export import export_vehicle
+from lpvguard.loop import generate as drive_maker
+from lpvguard.vehicle.nominal import NominalModel
+from lpvguard.vehicle.project import Project, load_project
 from made import ROOT, Store, digest_of, store
 
 COLLECTED = pytest.StashKey[int]()

@@ -1,7 +1,7 @@
 """A controller made by hand for tests: reference model, feedforward by the DC gain, PI on the tracking error.
 
 It stands in for a designed one wherever a test needs some stable scheduled controller in the form that `lpvguard design`
-writes (tools/src/lpvguard/control_export.py).
+writes (tools/src/lpvguard/core/control_coefficients.py).
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from lpvguard.nominal import NominalModel
-from lpvguard.project import Project
-from lpvguard.scheduled import realisation
+from lpvguard.core.scheduled import realisation
+from lpvguard.vehicle.nominal import NominalModel
+from lpvguard.vehicle.project import Project
 
 NODES = 5
 PROPORTIONAL, INTEGRAL = 0.5, 0.5

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import numpy as np
-from lpvguard.validation import delta as dl
-from lpvguard.validation.delta import Block
-from lpvguard.validation.lft import Lft
+from lpvguard.engine.validation import delta as dl
+from lpvguard.engine.validation.delta import Block
+from lpvguard.engine.validation.lft import Lft
 
 
 def gauss(rng, *shape):

@@ -8,7 +8,7 @@ from pathlib import Path
 import can
 import cantools
 import numpy as np
-from lpvguard.ingest import ingest
+from lpvguard.drives.ingest import ingest
 
 OTHER_CAR = """VERSION ""
 NS_ :

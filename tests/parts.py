@@ -9,7 +9,7 @@ import subprocess
 
 import pytest
 
-from lpvguard import targets
+from lpvguard.core import targets
 
 PROGRAMS = {"powerpc": ("powerpc-linux-gnu-gcc", "qemu-ppc"), "lcm": ("pkg-config", "lcm-gen", "lcm-logger", "lcm-logplayer"),
             "qemu": (), "uml": ("candump", "cangen", "cansend", "ip")}

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lpvguard.control_export import ControllerCoefficients, build_controller
-from lpvguard.project import Project, parse_project
+from lpvguard.core.control_coefficients import ControllerCoefficients, build_controller
+from lpvguard.vehicle.project import Project, parse_project
 
 TS = 0.01
 SPEEDS = (8.0, 22.0)

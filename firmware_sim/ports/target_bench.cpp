@@ -1,6 +1,6 @@
 // target_bench.cpp -- the core of one vehicle on one target: what it answers, bit for bit, and what it costs.
 //
-// Runs over the drive in target_input.h (made by lpvguard.targets) and writes lines of words:
+// Runs over the drive in target_input.h (made by lpvguard.core.targets) and writes lines of words:
 //
 //   frame BIN T_END_US REASON FALSIFIED then bits of: speed margin statistic evidence, E, Z      results
 //   verdict T_US VERDICT                     when it changes

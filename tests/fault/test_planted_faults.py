@@ -7,8 +7,8 @@ import shutil
 import numpy as np
 import pytest
 
-from lpvguard.core import Core, library_root
-from lpvguard.drives import read_drive
+from lpvguard.core.compiled import Core, library_root
+from lpvguard.drives.tables import read_drive
 
 MUTANTS = {
     "margin forgets the uncertainty": ("margin.hpp", "Z_[j] = (W * unit) * Z[j];", "Z_[j] = (Real(0.1) * W * unit) * Z[j];"),

@@ -89,12 +89,12 @@ def warnings(tree: Path, scratch: Path, only: str = "") -> list[str]:
 
 def firmware_warnings(tree: Path, scratch: Path) -> list[str]:
     """Of firmware_sim/ecu and firmware_sim/ports. The bare-metal ports by clang only: gcc builds them as errors in
-    lpvguard.targets, with the same options."""
+    lpvguard.core.targets, with the same options."""
     sim = tree / "firmware_sim"
     cortex_m = ["--target=arm-none-eabi", "-mcpu=cortex-m4", "-mfloat-abi=hard", "-ffreestanding"]
     cortex_r = ["--target=arm-none-eabi", "-mcpu=cortex-r5", "-mfloat-abi=hard", "-ffreestanding"]
     scratch.mkdir(parents=True, exist_ok=True)
-    # What lpvguard.targets writes, in its smallest form.
+    # What lpvguard.core.targets writes, in its smallest form.
     (scratch / "target_input.h").write_text("#define TARGET_INPUT_SAMPLES 100U\n"
                                             "static const lpvg_real_t target_input[TARGET_INPUT_SAMPLES][4] = {{1.0F}};\n")
     includes = ["-I", tree / "lib" / "include", "-I", tree / "lib" / "src", "-I", tree / "lib" / "vehicles" / "truck",
@@ -461,10 +461,10 @@ PLANTS: dict[str, list[Plant]] = {
         Plant("lib/include/lpvguard/model.h", '#include "lpvguard/coeff.h"', "", r"model\.h as c99 by clang"),
     ],
     "generated_c": [
-        Plant("tools/src/lpvguard/sealed.py", 'return f"{int(value)}U"', 'return f"-{int(value)}"', r"toy by gcc"),
-        Plant("tools/src/lpvguard/sealed.py", 'lines += ["    },", "};", ""]', 'lines += ["    },", "};;", ""]', r"toy by clang"),
-        Plant("tools/src/lpvguard/export.py", "#define", "#  defined", r"toy by gcc"),
-        Plant("tools/src/lpvguard/layout.py", 'struct="control_coeff"', 'struct="control"', r"hand_truck by gcc"),
+        Plant("tools/src/lpvguard/core/seal.py", 'return f"{int(value)}U"', 'return f"-{int(value)}"', r"toy by gcc"),
+        Plant("tools/src/lpvguard/core/seal.py", 'lines += ["    },", "};", ""]', 'lines += ["    },", "};;", ""]', r"toy by clang"),
+        Plant("tools/src/lpvguard/core/coefficients.py", "#define", "#  defined", r"toy by gcc"),
+        Plant("tools/src/lpvguard/base/layout.py", 'struct="control_coeff"', 'struct="control"', r"hand_truck by gcc"),
         Plant("tools/src/lpvguard/can/bus.py", "= (lpvg_real_t){", "= (lpvg_real){", r"hand_truck by clang"),
         Plant("lib/vehicles/g80/lpvguard_coeff.c", ".schema = ", ".schema = 0b0U + ", r"g80 by gcc"),
     ],
@@ -493,7 +493,7 @@ PLANTS: dict[str, list[Plant]] = {
         Plant("lib/THEORY.md", "prediction [11]", "prediction [13]", r"work \[11\] is not cited(.|\n)*work \[13\] is not listed"),
         Plant("lib/THEORY.md", "margin.hpp:dead`", "margin.hpp:living`", r"margin\.hpp does not define living"),
         Plant("lib/THEORY.md", "test_margin.cpp:REQ-MON-3`", "test_margin.cpp:REQ-MON-13`", r"test_margin\.cpp does not define REQ-MON-13"),
-        Plant("lib/THEORY.md", "plain_dft.py:spectra`", "plain_fft.py:spectra`", r"no file tools/.*plain_fft\.py"),
+        Plant("lib/THEORY.md", "drives/dft.py:spectra`", "drives/fft.py:spectra`", r"no file tools/.*fft\.py"),
         Plant("lib/README.md", "](REQUIREMENTS.md)", "](REQUIREMENT.md)", r"README\.md:\d+: link to REQUIREMENT\.md"),
         Plant("lib/MISRA.md", "# ", "# Section 3 of it. See [here](THEORY.md#3-nothing). ", r"section 3 of no work(.|\n)*THEORY\.md has no heading #3-nothing"),
         Plant("tests/unit/test_ecu.cpp", "[REQ-ECU-5]", "[REQ-ECU-55]", r"test_ecu\.cpp:\d+: REQ-ECU-55 is no requirement"),

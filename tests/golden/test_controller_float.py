@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
-from lpvguard import native
-from lpvguard.artefacts import write_files
-from lpvguard.control_export import build_controller, replaced_controller
-from lpvguard.core import library_root, shipped_vehicle
-from lpvguard.scheduled import realisation
+from lpvguard.base import native
+from lpvguard.base.artefacts import write_files
+from lpvguard.core.compiled import library_root, shipped_vehicle
+from lpvguard.core.control_coefficients import build_controller, replaced_controller
+from lpvguard.core.scheduled import realisation
 
 SOURCE = Path(__file__).with_name("control_run.cpp")
 ALLOWED = 1e-4

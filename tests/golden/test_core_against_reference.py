@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import reference
 
-from lpvguard.drives import read_drive
-from lpvguard.frames import Estimator
+from lpvguard.drives.frames import Estimator
+from lpvguard.drives.tables import read_drive
 
 SNR_DB = 94.0
 

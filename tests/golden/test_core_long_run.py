@@ -10,10 +10,10 @@ import os
 import numpy as np
 import pytest
 
-from lpvguard.core import Core, shipped_vehicle
-from lpvguard.frames import Estimator
-from lpvguard.nominal import NominalModel
-from lpvguard.project import load_project
+from lpvguard.core.compiled import Core, shipped_vehicle
+from lpvguard.drives.frames import Estimator
+from lpvguard.vehicle.nominal import NominalModel
+from lpvguard.vehicle.project import load_project
 
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
 SAMPLES = 10_000_000 if FULL else 300_000

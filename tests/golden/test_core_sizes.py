@@ -19,16 +19,16 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from synthetic_vehicle import SPEEDS, TS, Sizes, synthetic_controller, synthetic_project
 
-from lpvguard import native
-from lpvguard.artefacts import write_files
-from lpvguard.control_export import replaced_controller
-from lpvguard.core import Core, library_root, shipped_vehicle
-from lpvguard.energy import EnergyTest
-from lpvguard.export import build_coefficients, vehicle_files
-from lpvguard.frames import Estimator
-from lpvguard.nominal import NominalModel
-from lpvguard.validation import s1
-from lpvguard.weights import Weight
+from lpvguard.base import native
+from lpvguard.base.artefacts import write_files
+from lpvguard.core.coefficients import build_coefficients, vehicle_files
+from lpvguard.core.compiled import Core, library_root, shipped_vehicle
+from lpvguard.core.control_coefficients import replaced_controller
+from lpvguard.drives.frames import Estimator
+from lpvguard.engine.overbound import Weight
+from lpvguard.engine.validation import s1
+from lpvguard.identify.energy import EnergyTest
+from lpvguard.vehicle.nominal import NominalModel
 
 CORNERS = [(Sizes(1, 1, 1, 2), False), (Sizes(40, 2, 4, 64, 3, 20), False), (Sizes(40, 2, 4, 64, 3, 20), True),
            (Sizes(7, 1, 3, 17, 1, 40), False)]

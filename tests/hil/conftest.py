@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from lpvguard.core import shipped_vehicle
-from lpvguard.sim import Simulator
+from lpvguard.core.compiled import shipped_vehicle
+from lpvguard.loop.sim import Simulator
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""The fault table at firmware level (lpvguard/bus_faults.py): every fault shows the state that it must, by its limit."""
+"""The fault table at firmware level (lpvguard/loop/bus_faults.py): every fault shows the state that it must, by its limit."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 
 import pytest
 
-from lpvguard.bus_faults import CASES, Case, run_case
+from lpvguard.loop.bus_faults import CASES, Case, run_case
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda c: f"{c.message} {c.name}")

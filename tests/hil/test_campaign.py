@@ -10,16 +10,17 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from lpvguard import campaign as stage
-from lpvguard import evaluate, identify
-from lpvguard.baselines import Baseline
-from lpvguard.core import Core
-from lpvguard.drives import list_experiments
-from lpvguard.errors import InputError
-from lpvguard.nominal import NominalModel
-from lpvguard.parallel import workers
-from lpvguard.replay import Replayer
-from lpvguard.sim import load_scenario, shipped_scenarios
+from lpvguard.base.errors import InputError
+from lpvguard.base.parallel import workers
+from lpvguard.core.compiled import Core
+from lpvguard.drives.tables import list_experiments
+from lpvguard.evaluate import run as evaluate
+from lpvguard.evaluate.baselines import Baseline
+from lpvguard.identify import run as identify
+from lpvguard.loop import campaign as stage
+from lpvguard.loop.sim import load_scenario, shipped_scenarios
+from lpvguard.replay.run import Replayer
+from lpvguard.vehicle.nominal import NominalModel
 
 SEEDS = (1, 2, 3)
 NO_VERDICT_FOLLOWS = {"bank_15mrad", "coarse_sensors", "crosswind_5", "jitter", "lossy_bus", "brake_gain_70"}

@@ -12,9 +12,9 @@ import pytest
 from parts import require
 from vcan import with_vcan
 
-from lpvguard import targets
-from lpvguard.errors import InputError
-from lpvguard.sim import can_fault_table, load_scenario, shipped_scenarios, steady_scenario
+from lpvguard.base.errors import InputError
+from lpvguard.core import targets
+from lpvguard.loop.sim import can_fault_table, load_scenario, shipped_scenarios, steady_scenario
 
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
 R5F = targets.TARGETS["cortex-r5f"]

@@ -12,12 +12,11 @@ import pytest
 from parts import missing, require
 from vcan import with_vcan
 
+from lpvguard.base.errors import InputError
 from lpvguard.can.catalogue import load_catalogue
-from lpvguard.core import SUPERVISION, VERDICTS
-from lpvguard.errors import InputError
-from lpvguard.lcm_client import CHANNELS, Client, message_types, read_log, watch
-from lpvguard.core import EVENTS
-from lpvguard.sim import Simulator, can_fault_table, load_scenario, steady_scenario
+from lpvguard.core.compiled import EVENTS, SUPERVISION, VERDICTS
+from lpvguard.loop.lcm_client import CHANNELS, Client, message_types, read_log, watch
+from lpvguard.loop.sim import Simulator, can_fault_table, load_scenario, steady_scenario
 
 pytestmark = pytest.mark.skipif(bool(missing("lcm")), reason=missing("lcm"))
 
@@ -152,8 +151,8 @@ def test_the_emulated_ecu_publishes_what_the_host_does(lcm_simulator, scenario, 
 # A client that leads a run step by step, so that what it does falls on the same ticks always; and another one that watches.
 LEAD = """
 import json, subprocess, sys
-from lpvguard.errors import InputError
-from lpvguard.lcm_client import Client, STATES
+from lpvguard.base.errors import InputError
+from lpvguard.loop.lcm_client import Client, STATES
 URL = "udpm://239.255.76.67:7667?ttl=0"
 client, cli = Client(URL), [sys.executable, "-m", "lpvguard.cli"]
 watching = subprocess.Popen([*cli, "lcm", "watch", "--url", URL, "--silence", "100"], stdout=subprocess.PIPE, text=True)

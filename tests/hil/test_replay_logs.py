@@ -15,20 +15,15 @@ from vcan import with_vcan
 
 can = pytest.importorskip("can")
 
+from lpvguard.base.errors import InputError
 from lpvguard.can.catalogue import load_catalogue
 from lpvguard.can.logs import EXTENDED, Frames, read_log
-from lpvguard.can.play import (
-    encode_raw,
-    frames_of_drive,
-    values_of_drive,
-    write_candump,
-)
-from lpvguard.core import VERDICTS, Core
-from lpvguard.drives import Drive, list_experiments, read_drive
-from lpvguard.errors import InputError
-from lpvguard.project import load_project
-from lpvguard.replay import Replayer
-from lpvguard.sim import load_scenario
+from lpvguard.can.play import encode_raw, frames_of_drive, values_of_drive, write_candump
+from lpvguard.core.compiled import VERDICTS, Core
+from lpvguard.drives.tables import Drive, list_experiments, read_drive
+from lpvguard.loop.sim import load_scenario
+from lpvguard.replay.run import Replayer
+from lpvguard.vehicle.project import load_project
 
 VDC2, GUARD_OUT = 0x18F0093E | EXTENDED, 0x18FF01FC | EXTENDED
 WARM_S = 0.4

@@ -11,9 +11,17 @@ import numpy as np
 import pytest
 from vcan import with_vcan
 
-from lpvguard import artefacts
-from lpvguard.errors import InputError
-from lpvguard.sim import Expectation, Simulator, can_fault_table, load_scenario, missed, shipped_scenarios, steady_scenario
+from lpvguard.base import artefacts
+from lpvguard.base.errors import InputError
+from lpvguard.loop.sim import (
+    Expectation,
+    Simulator,
+    can_fault_table,
+    load_scenario,
+    missed,
+    shipped_scenarios,
+    steady_scenario,
+)
 
 SEEDS = (1, 2)
 MESSAGE_PERIODS = {"VDC2": 0.01, "GUARD_IN": 0.01, "EBC2": 0.1}

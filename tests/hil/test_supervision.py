@@ -1,4 +1,4 @@
-"""What the supervision must say, worked out from frames and message table (lpvguard/supervision.py), and that the firmware says it."""
+"""What the supervision must say, worked out from frames and message table (lpvguard/loop/supervision.py), and that the firmware says it."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import tomllib
 import numpy as np
 import pytest
 
-from lpvguard.bus_faults import CASES
-from lpvguard.campaign import supervision
 from lpvguard.can.catalogue import load_catalogue
 from lpvguard.can.logs import EXTENDED, Frames, read_log
 from lpvguard.can.play import encode, protect
-from lpvguard.project import load_project
-from lpvguard.sim import RECOVERY_S, can_fault_table, load_scenario, shipped_scenarios, steady_scenario
-from lpvguard.supervision import HOLD, LIVE, OFF, Reactions, limits, needed_messages, required
+from lpvguard.loop.bus_faults import CASES
+from lpvguard.loop.campaign import supervision
+from lpvguard.loop.sim import RECOVERY_S, can_fault_table, load_scenario, shipped_scenarios, steady_scenario
+from lpvguard.loop.supervision import HOLD, LIVE, OFF, Reactions, limits, needed_messages, required
+from lpvguard.vehicle.project import load_project
 
 SEEDS = (1, 2, 3)
 ON_BUS = [n for n in shipped_scenarios() if "can_fault" in load_scenario(n).path.read_text()]

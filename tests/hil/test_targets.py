@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from parts import require
 
-from lpvguard import targets
+from lpvguard.base.errors import InputError
 from lpvguard.bench import core as bench
-from lpvguard.core import eigen_include, shipped_vehicle
-from lpvguard.errors import InputError
+from lpvguard.core import targets
+from lpvguard.core.compiled import eigen_include, shipped_vehicle
 
 # What the core's objects may take from libraries: moving memory, and integer division where the processor has none.
 ALLOWED_IMPORTS = re.compile(r"mem(cpy|set|move|cmp)|__aeabi_(mem\w+|(u?l|u?i)div(mod)?|(u?l)mul|llsl|llsr|lasr|[ful]2(u?lz|f|[lu]?2f)|u?l2f|f2u?lz)")

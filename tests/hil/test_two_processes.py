@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from vcan import with_vcan
 
-from lpvguard import artefacts
+from lpvguard.base import artefacts
 from lpvguard.can.decode import decode_all, own_database
 from lpvguard.can.logs import read_log
-from lpvguard.sim import RECOVERY_S, load_scenario, steady_scenario
+from lpvguard.loop.sim import RECOVERY_S, load_scenario, steady_scenario
 
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
 WARM_S = 3.0

@@ -6,11 +6,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lpvguard.synthesis.hinf import hinf_synthesis
-from lpvguard.blocks import Block
-from lpvguard.synthesis.mu import mu_bounds
-from lpvguard.synthesis.norms import hinf_norm
-from lpvguard.synthesis.statespace import StateSpace, gain, lft, series
+from lpvguard.engine.blocks import Block
+from lpvguard.engine.synthesis.hinf import hinf_synthesis
+from lpvguard.engine.synthesis.mu import mu_bounds
+from lpvguard.engine.synthesis.norms import hinf_norm
+from lpvguard.engine.synthesis.statespace import StateSpace, gain, lft, series
 
 seeds = st.integers(0, 2**32 - 1)
 quick = settings(max_examples=40, deadline=None, derandomize=True)

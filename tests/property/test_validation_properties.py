@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lpvguard.validation import lft, s1
-from lpvguard.blocks import Block
-from lpvguard.validation.delta import split
-from lpvguard.validation.lft import Lft
+from lpvguard.engine.blocks import Block
+from lpvguard.engine.validation import lft, s1
+from lpvguard.engine.validation.delta import split
+from lpvguard.engine.validation.lft import Lft
 
 SEEDS = st.integers(0, 2**32 - 1)
 fast = settings(derandomize=True, max_examples=150, deadline=None)

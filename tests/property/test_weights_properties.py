@@ -9,7 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from lpvguard.weights import Weight, _is_hurwitz, _squared, fit_overbound, subtract_noise, verify_overbound
+from lpvguard.engine.overbound import (
+    Weight,
+    _is_hurwitz,
+    _squared,
+    fit_overbound,
+    subtract_noise,
+    verify_overbound,
+)
 
 FEW = settings(max_examples=8, deadline=None, derandomize=True)
 MANY = settings(max_examples=40, deadline=None, derandomize=True)

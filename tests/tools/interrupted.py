@@ -25,25 +25,26 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import lpvguard.bench
-import lpvguard.campaign
+import lpvguard.loop.campaign
 import lpvguard.can.dbc
-import lpvguard.core
-import lpvguard.design_files
-import lpvguard.evaluate
-import lpvguard.export
-import lpvguard.fixture
-import lpvguard.frozen
-import lpvguard.generate
-import lpvguard.identify
-import lpvguard.ingest
-import lpvguard.lcm_client
-import lpvguard.report
-import lpvguard.sim
-import lpvguard.solve
-import lpvguard.stored_frames
-import lpvguard.synthesis.cases
-import lpvguard.tradeoff
-from lpvguard import artefacts, cli
+import lpvguard.core.compiled
+import lpvguard.control.design_files
+import lpvguard.evaluate.run
+import lpvguard.core.coefficients
+import lpvguard.drives.fixture
+import lpvguard.control.frozen
+import lpvguard.loop.generate
+import lpvguard.identify.run
+import lpvguard.drives.ingest
+import lpvguard.loop.lcm_client
+import lpvguard.report.page
+import lpvguard.loop.sim
+import lpvguard.problems.solve
+import lpvguard.control.stored_frames
+import lpvguard.engine.synthesis.cases
+import lpvguard.control.tradeoff
+from lpvguard import cli
+from lpvguard.base import artefacts
 
 MAP = 'schema = 1\nTs_s = 0.1\n[columns.v]\nunit = "m/s"\nsignal = "v"\n'
 ROW = {"scenario": "a", "seed": 1, "verdict_final": "valid", "first_invalid_s": None, "command_rms": 0, "max_margin": 0.5,
@@ -97,39 +98,39 @@ def replace_computing(variant: str) -> None:
         name="g80", frames=SimpleNamespace(estimator="hann"), design=SimpleNamespace(structure="K_i")))
     cli._stored, cli._stored_with_drives = (lambda *_: stored), (lambda *_: (stored, None))
     cli._require_settings = lambda *_: None
-    lpvguard.fixture.PLAN[:] = [("train", "human", 5.0, 1.0), ("valid", "human", 9.0, 1.0)]
+    lpvguard.drives.fixture.PLAN[:] = [("train", "human", 5.0, 1.0), ("valid", "human", 9.0, 1.0)]
     plain = lpvguard.can.dbc.dbc_text
     lpvguard.can.dbc.dbc_text = lambda: plain() + f'CM_ "{variant}";\n'
-    lpvguard.identify.identify = lambda *_, **__: (SimpleNamespace(
+    lpvguard.identify.run.identify = lambda *_, **__: (SimpleNamespace(
         bound_drives=[], calibration_drives=[], left_out={}, energy=None, weights=SimpleNamespace(inflation=1.0), calibration=SimpleNamespace(
             to_dict=dict, threshold=1.0, claim=lambda: "")), None)
-    lpvguard.identify.save = lambda result, drives, out: folder_of("identify", {"weights.json": text, "spectra.npz": text * 20})(out)
+    lpvguard.identify.run.save = lambda result, drives, out: folder_of("identify", {"weights.json": text, "spectra.npz": text * 20})(out)
     proved = SimpleNamespace(upper=0.5, lower=0.4, bracket=SimpleNamespace(peak_frequency=1.0))
-    lpvguard.design.design = lambda *_: SimpleNamespace(certificates=[(10.0, proved)], worst=0.5, off_grid=(11.0, proved), lpv=None, full_order=9,
+    lpvguard.control.design.design = lambda *_: SimpleNamespace(certificates=[(10.0, proved)], worst=0.5, off_grid=(11.0, proved), lpv=None, full_order=9,
                                                         schedule=SimpleNamespace(order=4, speeds=[1, 2]))
-    lpvguard.design.save = lambda result, stored, out, more, largest: folder_of("design", {"controller.json": text})(out)
-    lpvguard.synthesis.cases.read_case = lpvguard.synthesis.cases.paper_case = lambda *_, **__: []
-    lpvguard.design_files.case_files = lambda *_: {"table2.json": artefacts.to_json({"rows": [], "text": text})}
-    lpvguard.frozen.FrozenProblem = lpvguard.stored_frames.StoredFrames = lambda *_: None
-    lpvguard.tradeoff.search = lambda *_: SimpleNamespace(outcomes=[], sentence="", setting=dict, best=SimpleNamespace(level=0.5), files=lambda: {
+    lpvguard.control.design.save = lambda result, stored, out, more, largest: folder_of("design", {"controller.json": text})(out)
+    lpvguard.engine.synthesis.cases.read_case = lpvguard.engine.synthesis.cases.paper_case = lambda *_, **__: []
+    lpvguard.control.design_files.case_files = lambda *_: {"table2.json": artefacts.to_json({"rows": [], "text": text})}
+    lpvguard.control.frozen.FrozenProblem = lpvguard.control.stored_frames.StoredFrames = lambda *_: None
+    lpvguard.control.tradeoff.search = lambda *_: SimpleNamespace(outcomes=[], sentence="", setting=dict, best=SimpleNamespace(level=0.5), files=lambda: {
         "tradeoff.json": artefacts.to_json({"text": text})})
-    lpvguard.export.export_vehicle = lambda stored, out, controller: folder_of("vehicle", {"lpvguard_coeff.c": text, "SIGNALS.md": text})(out)
+    lpvguard.core.coefficients.export_vehicle = lambda stored, out, controller: folder_of("vehicle", {"lpvguard_coeff.c": text, "SIGNALS.md": text})(out)
     cli._replayer = lambda *_: SimpleNamespace(summarise_file=summarise, threshold=1.0, energy_threshold=1.0,
                                                core=SimpleNamespace(folder="core"), model=None)
     summarise.text = text
-    lpvguard.sim.load_scenario = lambda name: SimpleNamespace(name=name, seed=1)
-    lpvguard.sim.Simulator = lambda *_, **__: SimpleNamespace(run=run_sim, folder="core", project=stored.project)
+    lpvguard.loop.sim.load_scenario = lambda name: SimpleNamespace(name=name, seed=1)
+    lpvguard.loop.sim.Simulator = lambda *_, **__: SimpleNamespace(run=run_sim, folder="core", project=stored.project)
     run_sim.text = text
-    lpvguard.evaluate.evaluate = lambda *_, **__: {**EVALUATED, "text": text}
+    lpvguard.evaluate.run.evaluate = lambda *_, **__: {**EVALUATED, "text": text}
     cli._detector_table = lambda *_: ""
     cli._print_campaign = lambda _: None
-    lpvguard.campaign.campaign = run_campaign
-    lpvguard.report.write_report = lambda stored, drives, replayer, out, *_: artefacts.write_file(
+    lpvguard.loop.campaign.campaign = run_campaign
+    lpvguard.report.page.write_report = lambda stored, drives, replayer, out, *_: artefacts.write_file(
         out, f'<html><meta name="generator" content="{artefacts.mark("report")}">{text}', "report")
     lpvguard.bench.run = lambda name, words: lpvguard.bench.show("", [{"text": text}], lpvguard.bench.parser(name, None).parse_args(words).json_out)
-    lpvguard.lcm_client.read_log = lambda log: [("LPVGUARD_BUS", text)] * 9
-    lpvguard.lcm_client.log_line = lambda message: message
-    lpvguard.generate.plant_tool = lambda: Path("plant_tool").absolute()
+    lpvguard.loop.lcm_client.read_log = lambda log: [("LPVGUARD_BUS", text)] * 9
+    lpvguard.loop.lcm_client.log_line = lambda message: message
+    lpvguard.loop.generate.plant_tool = lambda: Path("plant_tool").absolute()
 
 
 def summarise(log, channel):

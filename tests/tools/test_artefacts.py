@@ -8,8 +8,8 @@ import threading
 import numpy as np
 import pytest
 
-from lpvguard import artefacts
-from lpvguard.errors import InputError
+from lpvguard.base import artefacts
+from lpvguard.base.errors import InputError
 
 
 def test_a_pipe_is_written_to_and_stays_a_pipe(tmp_path):

@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 
-from lpvguard import artefacts
+from lpvguard.base import artefacts
 
 
 def table(folder, name="run.csv", **change):
@@ -156,7 +156,7 @@ def test_coefficients_of_another_estimator_or_size_are_refused(file, old, new, s
 def test_a_vehicle_of_another_estimator_does_not_run_with_these_coefficients(lpvguard, vehicle, tmp_path):
     from importlib import resources
 
-    text = resources.files("lpvguard").joinpath("vehicles", "g80.toml").read_text()
+    text = resources.files("lpvguard.vehicle").joinpath("shipped", "g80.toml").read_text()
     (tmp_path / "g80.toml").write_text(text.replace("speed_tolerance = 0.15", "speed_tolerance = 0.2"))
     done = lpvguard("replay", "--vehicle", tmp_path / "g80.toml", "--coefficients", vehicle, table(tmp_path))
     assert done.returncode == 2 and "frames.speed_tolerance: 0.15 in" in done.stderr

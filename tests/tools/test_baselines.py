@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lpvguard import evaluate as stage
-from lpvguard import identify
-from lpvguard.baselines import GRID, KINDS, Bank, Baseline, Scales
-from lpvguard.drives import list_experiments
-from lpvguard.frames import Estimator
-from lpvguard.nominal import NominalModel
-from lpvguard.project import load_project
+from lpvguard.drives.frames import Estimator
+from lpvguard.drives.tables import list_experiments
+from lpvguard.evaluate import run as stage
+from lpvguard.evaluate.baselines import GRID, KINDS, Bank, Baseline, Scales
+from lpvguard.identify import run as identify
+from lpvguard.vehicle.nominal import NominalModel
+from lpvguard.vehicle.project import load_project
 
 SPEED = 12.0
 

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lpvguard.bench import memory
-from lpvguard.bench import validation as bench
-from lpvguard.validation import s1
+from lpvguard.bench import memory, validation as bench
+from lpvguard.engine.validation import s1
 
 
 def test_rows_carry_figures_targets_and_the_certified_gap():

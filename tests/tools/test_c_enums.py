@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from lpvguard import core
-from lpvguard.c_enums import enum_names
-from lpvguard.errors import InputError
+from lpvguard.base.errors import InputError
+from lpvguard.core import compiled as core
+from lpvguard.core.c_enums import enum_names
 
 HEADER = """typedef enum lpvg_gear_t {
     lpvg_gear_park = 0,     ///< Zero = rest, always.

@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 from parts import require
 
+from lpvguard.base.errors import InputError
 from lpvguard.can.catalogue import Catalogue, load_catalogue
 from lpvguard.can.codegen import HEADER, SOURCE, codec_files
 from lpvguard.can.dbc import dbc_text
-from lpvguard.errors import InputError
 
 cantools = pytest.importorskip("cantools")
 

@@ -8,11 +8,11 @@ import pytest
 can = pytest.importorskip("can")
 pytest.importorskip("cantools")
 
+from lpvguard.base.errors import InputError
 from lpvguard.can.catalogue import load_catalogue
 from lpvguard.can.decode import decode_all, own_database
 from lpvguard.can.logs import read_log
 from lpvguard.can.play import encode, encode_raw, frames_of_drive, play, protect, write_candump
-from lpvguard.errors import InputError
 
 CATALOGUE = load_catalogue()
 T = np.arange(0, 5, 0.02)

@@ -9,14 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lpvguard import artefacts
-from lpvguard import identify as stage
-from lpvguard.core import Core, shipped_vehicle
-from lpvguard.drives import list_experiments, read_drive
-from lpvguard.errors import InputError
-from lpvguard.evaluate import STARTS, Pieces, evaluate
-from lpvguard.faults import Fault, inject
-from lpvguard.replay import Replayer, excited_samples
+from lpvguard.base import artefacts
+from lpvguard.base.errors import InputError
+from lpvguard.core.compiled import Core, shipped_vehicle
+from lpvguard.drives.faults import Fault, inject
+from lpvguard.drives.tables import list_experiments, read_drive
+from lpvguard.evaluate.run import STARTS, Pieces, evaluate
+from lpvguard.identify import run as stage
+from lpvguard.replay.run import Replayer, excited_samples
 
 FIELDS = {"run", "duration_s", "judged", "judged_s", "verdict_final", "first_invalid_s", "max_margin", "alarms"}
 ALARM_FIELDS = {"t_s", "test", "bin_rad_s", "speed_mps", "margin", "evidence"}
@@ -154,7 +154,7 @@ def test_measured_drives_are_judged_and_seldom_alarm_and_faults_are_found(measur
 
 def test_shipped_coefficients_are_those_of_the_measured_drives(measured_identified, tmp_path):
     """The committed folder is what identify and export make (weights by their values at the bins)."""
-    from lpvguard.export import export_vehicle
+    from lpvguard.identify.export import export_vehicle
 
     export_vehicle(stage.load(measured_identified), tmp_path / "g80")
     core = Core(shipped_vehicle("g80"))

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hand_controller import hand_controller
 
+from lpvguard.base.errors import InputError
 from lpvguard.can.bus import bus_source
-from lpvguard.control_export import control_files, load_controller
-from lpvguard.errors import InputError
-from lpvguard.project import load_project
+from lpvguard.core.control_coefficients import control_files, load_controller
+from lpvguard.vehicle.project import load_project
 
 
 @pytest.fixture(scope="module")

@@ -7,20 +7,21 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from lpvguard import artefacts, generate
-from lpvguard import design as stage
-from lpvguard import identify as identification
-from lpvguard.control_export import load_controller
-from lpvguard.errors import InputError
-from lpvguard.export import export_vehicle
-from lpvguard.nominal import NominalModel
-from lpvguard.robust_run import CompiledController, run
-from lpvguard.schedule import FrozenLoop, fit
-from lpvguard.scheduled import Scheduled
-from lpvguard.sim import Simulator, load_scenario
-from lpvguard.stored_frames import StoredFrames
-from lpvguard.synthesis import interconnection as fig1
-from lpvguard.synthesis.statespace import StateSpace, lft
+from lpvguard.base import artefacts
+from lpvguard.base.errors import InputError
+from lpvguard.control import design as stage
+from lpvguard.control.robust_run import CompiledController, run
+from lpvguard.control.schedule import FrozenLoop, fit
+from lpvguard.control.stored_frames import StoredFrames
+from lpvguard.core.control_coefficients import load_controller
+from lpvguard.core.scheduled import Scheduled
+from lpvguard.engine.synthesis import interconnection as fig1
+from lpvguard.engine.synthesis.statespace import StateSpace, lft
+from lpvguard.identify import run as identification
+from lpvguard.identify.export import export_vehicle
+from lpvguard.loop import generate
+from lpvguard.loop.sim import Simulator, load_scenario
+from lpvguard.vehicle.nominal import NominalModel
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from pydantic import BaseModel, Field
 
-from lpvguard.documents import checked, read_toml
-from lpvguard.errors import InputError
+from lpvguard.base.documents import checked, read_toml
+from lpvguard.base.errors import InputError
 
 
 class Wheel(BaseModel):

@@ -12,22 +12,22 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter, sosfilt, sosfreqz
 
-from lpvguard import artefacts
-from lpvguard import identify as stage
-from lpvguard.bounds import nominal_error
-from lpvguard.core import Core, shipped_vehicle
-from lpvguard.drives import read_drive
-from lpvguard.energy import ROUNDING, EnergyTest, fan, in_delta
-from lpvguard.errors import InputError
-from lpvguard.export import build_coefficients, vehicle_files
-from lpvguard.faults import Fault, inject
-from lpvguard.frames import Estimator
-from lpvguard.generate import PROGRAMMES, plant_tool
-from lpvguard.nominal import NominalModel
-from lpvguard.project import load_project, parse_project
-from lpvguard.replay import Replayer
-from lpvguard.sim import steady_scenario
-from lpvguard.weights import Weight
+from lpvguard.base import artefacts
+from lpvguard.base.errors import InputError
+from lpvguard.core.coefficients import build_coefficients, vehicle_files
+from lpvguard.core.compiled import Core, shipped_vehicle
+from lpvguard.drives.faults import Fault, inject
+from lpvguard.drives.frames import Estimator
+from lpvguard.drives.tables import read_drive
+from lpvguard.engine.overbound import Weight
+from lpvguard.identify import run as stage
+from lpvguard.identify.bounds import nominal_error
+from lpvguard.identify.energy import ROUNDING, EnergyTest, fan, in_delta
+from lpvguard.loop.generate import PROGRAMMES, plant_tool
+from lpvguard.loop.sim import steady_scenario
+from lpvguard.replay.run import Replayer
+from lpvguard.vehicle.nominal import NominalModel
+from lpvguard.vehicle.project import load_project, parse_project
 
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
 

@@ -7,15 +7,15 @@ import shutil
 import numpy as np
 import pytest
 
-from lpvguard import evaluate as stage
-from lpvguard import identify
-from lpvguard.calibration import calibrate, joint_scores
-from lpvguard.drives import list_experiments, read_drive
-from lpvguard.errors import InputError
-from lpvguard.evaluate import Case, Clock, Pieces, alarmed_pieces, alarming, fault_clocks
-from lpvguard.faults import Fault, inject
-from lpvguard.nominal import NominalModel
-from lpvguard.replay import Replay, Replayer
+from lpvguard.base.errors import InputError
+from lpvguard.drives.faults import Fault, inject
+from lpvguard.drives.tables import list_experiments, read_drive
+from lpvguard.evaluate import run as stage
+from lpvguard.evaluate.run import Case, Clock, Pieces, alarmed_pieces, alarming, fault_clocks
+from lpvguard.identify import run as identify
+from lpvguard.identify.calibration import calibrate, joint_scores
+from lpvguard.replay.run import Replay, Replayer
+from lpvguard.vehicle.nominal import NominalModel
 
 TS = 0.02
 

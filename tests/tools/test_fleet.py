@@ -17,24 +17,31 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpvguard import identify as stage
-from lpvguard import native
+from lpvguard.base import native
+from lpvguard.base.errors import InputError
+from lpvguard.base.parallel import UNDER_WAY_PER_WORKER, workers
+from lpvguard.base.sampling import first_of_each, row_hash, stacked
 from lpvguard.bench import fleet
-from lpvguard.bounds import (
-    FRONT_POINTS, FrameSet, explain, front, front_grid, reduce_covering, reduce_disturbance, reduce_uncertainty,
+from lpvguard.drives.dft import spectra
+from lpvguard.drives.frames import Estimator
+from lpvguard.drives.tables import Drive
+from lpvguard.engine.validation import s1
+from lpvguard.identify import run as stage
+from lpvguard.identify.bounds import (
+    FRONT_POINTS,
+    FrameSet,
+    explain,
+    front,
+    front_grid,
+    reduce_covering,
+    reduce_disturbance,
+    reduce_uncertainty,
 )
-from lpvguard.drives import Drive
-from lpvguard.errors import InputError
-from lpvguard.export import export_vehicle
-from lpvguard.frames import Estimator
-from lpvguard.nominal import NominalModel, recursion
-from lpvguard.parallel import UNDER_WAY_PER_WORKER, workers
-from lpvguard.plain_dft import spectra
-from lpvguard.project import load_project, parse_project
-from lpvguard.sampling import first_of_each, row_hash, stacked
-from lpvguard.validation import s1
-from lpvguard.visibility import Excitation
-from lpvguard.window_error import window_error
+from lpvguard.identify.export import export_vehicle
+from lpvguard.identify.visibility import Excitation
+from lpvguard.identify.window_error import window_error
+from lpvguard.vehicle.nominal import NominalModel, recursion
+from lpvguard.vehicle.project import load_project, parse_project
 
 DRIVES = 9
 
@@ -154,7 +161,7 @@ def test_results_come_in_order_and_few_are_under_way():
 
 POOL = """
 import os, sys
-from lpvguard.parallel import workers
+from lpvguard.base.parallel import workers
 
 def process(item):
     return os.getpid()
@@ -202,7 +209,7 @@ def test_an_input_error_of_a_worker_keeps_its_parts(drives, tmp_path):
 @pytest.mark.parametrize(("given", "says"), [({"jobs": 0}, "at least 1"), ({"jobs": 2, "scheduler": "tcp://x:1"}, "one of them"),
                                              ({"scheduler": "nonsense"}, "no scheduler answers")])
 def test_bad_worker_settings_are_named(given, says, monkeypatch):
-    monkeypatch.setattr("lpvguard.parallel.CONNECT_TIMEOUT_S", 1)
+    monkeypatch.setattr("lpvguard.base.parallel.CONNECT_TIMEOUT_S", 1)
     if given.get("scheduler") == "nonsense":
         pytest.importorskip("distributed")
     with pytest.raises(InputError, match=says), workers(**given):
@@ -392,7 +399,7 @@ def test_identify_with_the_plain_dft_leaves_out_unsteady_drives_and_the_core_ref
         export_vehicle(stored, tmp_path / "vehicle")
     assert not (tmp_path / "vehicle").exists()
     settings = tmp_path / "plain.toml"
-    text = resources.files("lpvguard").joinpath("vehicles", "g80.toml").read_text()
+    text = resources.files("lpvguard.vehicle").joinpath("shipped", "g80.toml").read_text()
     settings.write_text(re.sub(r'estimator = "hann"', 'estimator = "dft"\nlength_s = 10.0', text))
     done = lpvguard("replay", "--vehicle", settings, tmp_path / "drives" / "drive_00001.parquet")
     assert done.returncode == 2 and "frames.estimator: the plain DFT, which the core does not compute" in done.stderr

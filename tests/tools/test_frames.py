@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lpvguard.frames import Estimator
+from lpvguard.drives.frames import Estimator
 
 
 @pytest.fixture(scope="module")

@@ -9,11 +9,11 @@ from pathlib import Path
 import cantools
 import numpy as np
 import pytest
-from lpvguard import native
+from lpvguard.base import native
+from lpvguard.base.errors import InputError
 from lpvguard.can.decode import decode_all, load_database
 from lpvguard.can.logs import EXTENDED, Frames, read_log
-from lpvguard.errors import InputError
-from lpvguard.ingest import ingest, unit_factor
+from lpvguard.drives.ingest import ingest, unit_factor
 from other_car import (
     MAP,
     agrees,

@@ -8,11 +8,11 @@ from types import SimpleNamespace
 import cantools
 import numpy as np
 import pytest
-from lpvguard import native
+from lpvguard.base import native
+from lpvguard.base.errors import InputError
 from lpvguard.can.dbc import dbc_text
 from lpvguard.can.logs import read_log
-from lpvguard.errors import InputError
-from lpvguard.ingest import ingest, map_of_project
+from lpvguard.drives.ingest import ingest, map_of_project
 from other_car import (
     COLUMNS,
     MAP,

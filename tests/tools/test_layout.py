@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lpvguard import layout
-from lpvguard.core import Core, library_root, shipped_vehicle
-from lpvguard.errors import InputError
-from lpvguard.layout import COEFF, CONTROL
+from lpvguard.base import layout
+from lpvguard.base.errors import InputError
+from lpvguard.base.layout import COEFF, CONTROL
+from lpvguard.core.compiled import Core, library_root, shipped_vehicle
 
 
 def test_the_generated_files_are_those_of_the_tree():
     stale = [str(path) for path, text in layout.generated(library_root()).items() if path.read_text(encoding="utf-8") != text]
-    assert not stale, "run `python -m lpvguard.layout`"
+    assert not stale, "run `python -m lpvguard.base.layout`"
 
 
 def test_a_changed_table_changes_header_checks_and_manual():

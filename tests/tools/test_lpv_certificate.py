@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from lpvguard import native
-from lpvguard.synthesis import lpv_certificate as lpv
-from lpvguard.synthesis.statespace import StateSpace
+from lpvguard.base import native
+from lpvguard.engine.synthesis import lpv_certificate as lpv
+from lpvguard.engine.synthesis.statespace import StateSpace
 from scipy.linalg import expm
 
 TS = 0.05

@@ -7,7 +7,7 @@ import shutil
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from lpvguard import native
+from lpvguard.base import native
 
 pytestmark = pytest.mark.skipif(native.kernels("s1") is None, reason="no C compiler on this machine")
 

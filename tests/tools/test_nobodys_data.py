@@ -15,13 +15,14 @@ from pathlib import Path
 import pytest
 from test_bad_input import table
 
-from lpvguard import artefacts, cli
-from lpvguard.control_export import load_controller
-from lpvguard.core import shipped_vehicle
-from lpvguard.errors import InputError
-from lpvguard.project import load_project, shipped_vehicles
+from lpvguard import cli
+from lpvguard.base import artefacts
+from lpvguard.base.errors import InputError
+from lpvguard.core.compiled import shipped_vehicle
+from lpvguard.core.control_coefficients import load_controller
+from lpvguard.vehicle.project import load_project, shipped_vehicles
 
-VEHICLES = resources.files("lpvguard").joinpath("vehicles")
+VEHICLES = resources.files("lpvguard.vehicle").joinpath("shipped")
 
 
 def contents(root: Path) -> dict[str, str]:

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from lpvguard.energy import EnergyTest
-from lpvguard.errors import InputError
-from lpvguard.export import build_coefficients
-from lpvguard.frames import Estimator
-from lpvguard.nominal import NominalModel
-from lpvguard.project import load_project
-from lpvguard.weights import Weight
+from lpvguard.base.errors import InputError
+from lpvguard.core.coefficients import build_coefficients
+from lpvguard.drives.frames import Estimator
+from lpvguard.engine.overbound import Weight
+from lpvguard.identify.energy import EnergyTest
+from lpvguard.vehicle.nominal import NominalModel
+from lpvguard.vehicle.project import load_project
 
 
 @pytest.fixture(params=[0.0, 0.02, 0.025, 0.05])
 def delayed(request, tmp_path):
-    text = resources.files("lpvguard").joinpath("vehicles", "g80.toml").read_text()
+    text = resources.files("lpvguard.vehicle").joinpath("shipped", "g80.toml").read_text()
     path = tmp_path / "car.toml"
     path.write_text(text.replace("input_delay_s = 0.025", f"input_delay_s = {request.param}"))
     return NominalModel(load_project(path)), request.param
@@ -74,7 +74,7 @@ def test_outside_its_range_the_model_runs_at_the_nearest_speed_but_refuses_a_fre
 
 
 def test_crc_of_python_is_the_crc_of_the_core(core, identified):
-    from lpvguard.identify import load
+    from lpvguard.identify.run import load
 
     assert int(core.words["crc32"][0]) == load(identified).coefficients.crc32(4)
 

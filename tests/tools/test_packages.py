@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from parts import PROGRAMS, missing
 
-from lpvguard import targets
+from lpvguard.core import targets
 
 ROOT = Path(__file__).resolve().parents[2]
 EITHER = {"catch2/catch_all.hpp": "catch2/catch.hpp", "catch2/catch.hpp": "catch2/catch_all.hpp"}
@@ -97,7 +97,7 @@ def programs() -> dict[str, str]:
     for line in re.findall(r"^(?:host_works|uml_works)\(\).*?\}$", (ROOT / "tools" / "with-vcan").read_text(), re.MULTILINE | re.DOTALL):
         asked |= {name: "tools/with-vcan" for name in re.findall(r"have ([\w-]+)", line)}
     asked |= {name: "tests/parts.py" for names in PROGRAMS.values() for name in names}
-    asked |= {target.emulator[0]: "tools/src/lpvguard/targets.py" for target in targets.TARGETS.values()}
+    asked |= {target.emulator[0]: "tools/src/lpvguard/core/targets.py" for target in targets.TARGETS.values()}
     asked |= {name: "CMakePresets.json" for name in ("cmake", "ctest", "ninja", "gcc", "g++")}
     return asked
 

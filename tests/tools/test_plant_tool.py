@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpvguard.generate import plant_tool
+from lpvguard.loop.generate import plant_tool
 
 TOOL = str(plant_tool())
 

@@ -7,11 +7,11 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from lpvguard.errors import InputError
-from lpvguard.nominal import NominalModel
-from lpvguard.project import load_project, shipped_vehicles
+from lpvguard.base.errors import InputError
+from lpvguard.vehicle.nominal import NominalModel
+from lpvguard.vehicle.project import load_project, shipped_vehicles
 
-VEHICLES = resources.files("lpvguard").joinpath("vehicles")
+VEHICLES = resources.files("lpvguard.vehicle").joinpath("shipped")
 TEXT = VEHICLES.joinpath("g80.toml").read_text()
 
 

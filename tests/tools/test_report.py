@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpvguard import identify as stage
-from lpvguard.core import Core
-from lpvguard.evaluate import evaluate
-from lpvguard.export import export_vehicle
-from lpvguard.nominal import NominalModel
-from lpvguard.project import load_project, parse_project
-from lpvguard.replay import Replayer
-from lpvguard.report import write_report
+from lpvguard.core.compiled import Core
+from lpvguard.evaluate.run import evaluate
+from lpvguard.identify import run as stage
+from lpvguard.identify.export import export_vehicle
+from lpvguard.replay.run import Replayer
+from lpvguard.report.page import write_report
+from lpvguard.vehicle.nominal import NominalModel
+from lpvguard.vehicle.project import load_project, parse_project
 
 TITLES = ["Summary", "Disturbance bound", "Weights over the bounds", "Trade-off between disturbance and uncertainty",
           "The nominal model in time",

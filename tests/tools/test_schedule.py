@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
-from lpvguard.control_export import build_controller
-from lpvguard.schedule import RECOVERY_EFFORT, FrozenLoop, _first_columns, _observed, fit
-from lpvguard.scheduled import Scheduled, engagement, realisation
-from lpvguard.synthesis.dk import Scaling
-from lpvguard.synthesis.interconnection import GeneralisedPlant
-from lpvguard.synthesis.statespace import StateSpace, lft, series, zero_order_hold
+from lpvguard.control.schedule import RECOVERY_EFFORT, FrozenLoop, _first_columns, _observed, fit
+from lpvguard.core.control_coefficients import build_controller
+from lpvguard.core.scheduled import Scheduled, engagement, realisation
+from lpvguard.engine.synthesis.dk import Scaling
+from lpvguard.engine.synthesis.interconnection import GeneralisedPlant
+from lpvguard.engine.synthesis.statespace import StateSpace, lft, series, zero_order_hold
 
 TS = 0.01
 POLES = [(-0.05, -3.0), (-2.0 + 3.0j, -2.0 - 3.0j), (-40.0, -40.0)]

@@ -10,16 +10,18 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from lpvguard import artefacts, identify, schemas
+from lpvguard import schemas
+from lpvguard.base import artefacts
 from lpvguard.can.dbc import dbc_text
-from lpvguard.drives import list_experiments
-from lpvguard.evaluate import evaluate
-from lpvguard.faults import Fault, inject
-from lpvguard.ingest import ingest
-from lpvguard.nominal import NominalModel
-from lpvguard.replay import Replayer
-from lpvguard.sim import load_scenario
-from lpvguard.solve import solve_problems
+from lpvguard.drives.faults import Fault, inject
+from lpvguard.drives.ingest import ingest
+from lpvguard.drives.tables import list_experiments
+from lpvguard.evaluate.run import evaluate
+from lpvguard.identify import run as identify
+from lpvguard.loop.sim import load_scenario
+from lpvguard.problems.solve import solve_problems
+from lpvguard.replay.run import Replayer
+from lpvguard.vehicle.nominal import NominalModel
 
 ANNOTATIONS = {"unit", "shape"}
 LOOSE = {"manifest", "problems", "answers"}

@@ -6,20 +6,21 @@ import json
 
 import numpy as np
 import pytest
-from lpvguard import artefacts, tradeoff
-from lpvguard import identify as identification
-from lpvguard.design_files import design_files
-from lpvguard.design_pictures import drawn
-from lpvguard.drives import list_experiments
-from lpvguard.errors import InputError
-from lpvguard.frozen import FrozenProblem
-from lpvguard.nominal import NominalModel
-from lpvguard.project import parse_project
-from lpvguard.report import _design_section, _tradeoff_section
-from lpvguard.stored_frames import NEAR, StoredFrames, deciding
-from lpvguard.synthesis.table import cell
-from lpvguard.validation import s1
-from lpvguard.worst_run import respond, worst_runs
+from lpvguard.base import artefacts
+from lpvguard.base.errors import InputError
+from lpvguard.control import tradeoff
+from lpvguard.control.design_files import design_files
+from lpvguard.control.frozen import FrozenProblem
+from lpvguard.control.stored_frames import NEAR, StoredFrames, deciding
+from lpvguard.control.worst_run import respond, worst_runs
+from lpvguard.drives.tables import list_experiments
+from lpvguard.engine.synthesis.table import cell
+from lpvguard.engine.validation import s1
+from lpvguard.identify import run as identification
+from lpvguard.report.design_pictures import drawn
+from lpvguard.report.page import _design_section, _tradeoff_section
+from lpvguard.vehicle.nominal import NominalModel
+from lpvguard.vehicle.project import parse_project
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 
 from lpvguard.bench import synthesis as bench
 from lpvguard.bench._peers import ask
-from lpvguard.synthesis.cases import case_plant, read_case
+from lpvguard.engine.synthesis.cases import case_plant, read_case
 
 CASE = Path(__file__).parents[1] / "data" / "paper_case.toml"
 

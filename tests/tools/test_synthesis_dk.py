@@ -8,18 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpvguard import truck_model
-from lpvguard.design_files import case_files
-from lpvguard.design_pictures import drawn
-from lpvguard.synthesis.cases import case_plant, differences, format_table, paper_case, read_case
-from lpvguard.synthesis.dk import Scaling, certify, dk_synthesis
-from lpvguard.synthesis.errors import SynthesisError
-from lpvguard.synthesis.hinf import hinf_synthesis
-from lpvguard.synthesis.interconnection import STRUCTURES
-from lpvguard.synthesis.limits import floor_exceeds, mu_floor
-from lpvguard.synthesis.mu import mu_bounds
-from lpvguard.synthesis.statespace import StateSpace, lft, to_discrete
-from lpvguard.synthesis.worst_case import close_delta, worst_case
+from lpvguard.control.design_files import case_files
+from lpvguard.engine.synthesis.cases import case_plant, differences, format_table, paper_case, read_case
+from lpvguard.engine.synthesis.dk import Scaling, certify, dk_synthesis
+from lpvguard.engine.synthesis.errors import SynthesisError
+from lpvguard.engine.synthesis.hinf import hinf_synthesis
+from lpvguard.engine.synthesis.interconnection import STRUCTURES
+from lpvguard.engine.synthesis.limits import floor_exceeds, mu_floor
+from lpvguard.engine.synthesis.mu import mu_bounds
+from lpvguard.engine.synthesis.statespace import StateSpace, lft, to_discrete
+from lpvguard.engine.synthesis.worst_case import close_delta, worst_case
+from lpvguard.report.design_pictures import drawn
+from lpvguard.vehicle import truck_model
 
 CASE = Path(__file__).parents[1] / "data" / "paper_case.toml"
 TS = 0.005

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
-from lpvguard.synthesis import hinf
-from lpvguard.synthesis.errors import SynthesisError
-from lpvguard.synthesis.hinf import hinf_synthesis
-from lpvguard.synthesis.interconnection import rational
-from lpvguard.synthesis.solve import solve_hinf
-from lpvguard.synthesis.statespace import StateSpace, lft, to_discrete, zero_order_hold
+from lpvguard.engine.synthesis import hinf
+from lpvguard.engine.synthesis.errors import SynthesisError
+from lpvguard.engine.synthesis.hinf import hinf_synthesis
+from lpvguard.engine.synthesis.interconnection import rational
+from lpvguard.engine.synthesis.statespace import StateSpace, lft, to_discrete, zero_order_hold
+from lpvguard.problems.synthesis import solve_hinf
 
 
 def check_certificate(plant, n_u, n_y, result, backoff=1.01):

@@ -8,10 +8,10 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from lpvguard.synthesis.errors import SynthesisError
-from lpvguard.blocks import Block
-from lpvguard.synthesis.mu import mu_bounds
-from lpvguard.synthesis.solve import solve_mu
+from lpvguard.engine.blocks import Block
+from lpvguard.engine.synthesis.errors import SynthesisError
+from lpvguard.engine.synthesis.mu import mu_bounds
+from lpvguard.problems.synthesis import solve_mu
 
 
 def full(rows, cols=None):

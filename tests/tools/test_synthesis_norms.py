@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from lpvguard.synthesis.interconnection import rational, zeros_poles
-from lpvguard.synthesis.norms import hinf_norm
-from lpvguard.synthesis.statespace import StateSpace, append, gain, series, to_discrete
+from lpvguard.engine.synthesis.interconnection import rational, zeros_poles
+from lpvguard.engine.synthesis.norms import hinf_norm
+from lpvguard.engine.synthesis.statespace import StateSpace, append, gain, series, to_discrete
 
 
 @pytest.mark.parametrize("zeta", [0.5, 1e-2, 1e-4, 1e-7])

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from lpvguard.synthesis.errors import SynthesisError
-from lpvguard.synthesis.interconnection import rational, zeros_poles
-from lpvguard.synthesis.statespace import (
+from lpvguard.engine.synthesis.errors import SynthesisError
+from lpvguard.engine.synthesis.interconnection import rational, zeros_poles
+from lpvguard.engine.synthesis.statespace import (
     StateSpace,
     append,
     balanced,

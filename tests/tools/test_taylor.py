@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from lpvguard.errors import InputError
-from lpvguard.nominal import NominalModel
-from lpvguard.project import load_project
-from lpvguard.synthesis.statespace import StateSpace, zero_order_hold
-from lpvguard.taylor import Taylor
+from lpvguard.base.errors import InputError
+from lpvguard.engine.synthesis.statespace import StateSpace, zero_order_hold
+from lpvguard.vehicle.nominal import NominalModel
+from lpvguard.vehicle.project import load_project
+from lpvguard.vehicle.taylor import Taylor
 
 FUNCTIONS = [
     (lambda v: 3 / v + 2 * v, lambda v: -3 / v**2 + 2, lambda v: 3 / v**3),

@@ -6,12 +6,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from lft_problems import gauss, made_from_truth, substitute
-from lpvguard import native
-from lpvguard.errors import InputError
-from lpvguard.validation import delta as dl
-from lpvguard.blocks import Block
-from lpvguard.validation import lft, lmi
-from lpvguard.validation.lft import Lft
+from lpvguard.base import native
+from lpvguard.base.errors import InputError
+from lpvguard.engine.blocks import Block
+from lpvguard.engine.validation import delta as dl, lft, lmi
+from lpvguard.engine.validation.lft import Lft
 
 FULL = {
     "one block": (2, [("full", 1, 1)], {}),

@@ -7,9 +7,9 @@ from decimal import Decimal, getcontext
 
 import numpy as np
 import pytest
-from lpvguard import native
-from lpvguard.errors import InputError
-from lpvguard.validation import s1
+from lpvguard.base import native
+from lpvguard.base.errors import InputError
+from lpvguard.engine.validation import s1
 
 getcontext().prec = 60
 

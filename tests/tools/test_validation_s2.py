@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from lpvguard import native
+from lpvguard.base import native
+from lpvguard.base.errors import InputError
 from lpvguard.bench.validation import truck_points
-from lpvguard.errors import InputError
-from lpvguard.validation import lft, s2
-from lpvguard.validation.delta import Block
-from lpvguard.validation.lft import Lft
+from lpvguard.engine.validation import lft, s2
+from lpvguard.engine.validation.delta import Block
+from lpvguard.engine.validation.lft import Lft
 
 S2_KEYS = ("e", "u", "x_nom", "h_i", "h_s", "c", "gamma_w")
 

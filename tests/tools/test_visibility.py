@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from lpvguard.validation import s1
-from lpvguard.visibility import PERCENTILE, SPEED_CELLS, Excitation, visibility
+from lpvguard.engine.validation import s1
+from lpvguard.identify.visibility import PERCENTILE, SPEED_CELLS, Excitation, visibility
 
 OMEGA = np.array([0.0, 0.7, 2.0, 9.0])
 SPEEDS = (4.0, 19.0)

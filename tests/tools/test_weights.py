@@ -12,11 +12,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lpvguard import weights
+from lpvguard.base.errors import InputError
 from lpvguard.bench import weights as bench
 from lpvguard.bench._peers import ask
-from lpvguard.errors import InputError
-from lpvguard.weights import Weight, fit_overbound, subtract_noise, verify_overbound
+from lpvguard.engine import overbound as weights
+from lpvguard.engine.overbound import Weight, fit_overbound, subtract_noise, verify_overbound
 
 BAND = np.geomspace(1e-3, 1e3, 401)
 

@@ -15,14 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
-from lpvguard.artefacts import write_files
-from lpvguard.control_export import ARRAYS, build_controller, control_files, replaced_controller
-from lpvguard.energy import EnergyTest
-from lpvguard.export import build_coefficients, vehicle_files
-from lpvguard.frames import Estimator
-from lpvguard.nominal import NominalModel
-from lpvguard.project import load_project
-from lpvguard.weights import Weight
+from lpvguard.base.artefacts import write_files
+from lpvguard.core.coefficients import build_coefficients, vehicle_files
+from lpvguard.core.control_coefficients import ARRAYS, build_controller, control_files, replaced_controller
+from lpvguard.drives.frames import Estimator
+from lpvguard.engine.overbound import Weight
+from lpvguard.identify.energy import EnergyTest
+from lpvguard.vehicle.nominal import NominalModel
+from lpvguard.vehicle.project import load_project
 
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))

@@ -1,6 +1,7 @@
 """lpvguard: unfalsified LPV vehicle models, robust controllers and an on-line nominal-error monitor.
 
-One module per stage of the chain; ``tools/README.md`` lists them in the order in which data pass through.
+One package per room, in the order of the data; ``tools/README.md`` is the map, and each room's docstring says what comes
+in, what goes out and which rooms it may import.
 """
 
 import os

@@ -12,8 +12,10 @@ from importlib import import_module
 from pkgutil import iter_modules
 from typing import Any
 
-from .. import artefacts
-from ..errors import InputError
+from ..base import artefacts
+from ..base.errors import InputError
+
+MAY_IMPORT = ("base", "vehicle", "engine", "can", "drives", "core", "identify", "control", "loop")
 
 
 def names() -> list[str]:

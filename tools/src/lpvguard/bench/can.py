@@ -1,5 +1,5 @@
 """`lpvguard bench can`: with a log and its database, how fast CAN logs are decoded, against a python-can + cantools loop in the
-same run; without, the fault table of the closed loop (bus_faults.py): what goes wrong on the bus, and what the firmware makes of it.
+same run; without, the fault table of the closed loop (loop/bus_faults.py): what goes wrong on the bus, and what the firmware makes of it.
 
 The former repeats a candump log to the wanted number of frames, decodes every signal of every message of the database from the
 text file, and runs the loop (python-can's reader, cantools' decode_message) over a part of the same file. One process, one thread; times are processor time (user and
@@ -14,11 +14,11 @@ import tempfile
 import time
 from pathlib import Path
 
-from .. import bus_faults
 from ..can.decode import decode_all, load_database
 from ..can.logs import read_log
-from ..core import shipped_vehicle
-from ..sim import Simulator
+from ..core.compiled import shipped_vehicle
+from ..loop import bus_faults
+from ..loop.sim import Simulator
 from . import parser, show
 
 

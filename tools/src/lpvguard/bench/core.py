@@ -16,16 +16,16 @@ from typing import Any
 
 import numpy as np
 
-from ..artefacts import write_files
-from ..control_export import ControllerCoefficients, build_controller
-from ..energy import EnergyTest
-from ..errors import InputError
-from ..export import build_coefficients, vehicle_files
-from ..frames import Estimator
-from ..nominal import NominalModel
-from ..project import Project, load_project, parse_project
-from ..targets import TARGETS, Input, run_host, run_target
-from ..weights import Weight
+from ..base.artefacts import write_files
+from ..base.errors import InputError
+from ..core.coefficients import build_coefficients, vehicle_files
+from ..core.control_coefficients import ControllerCoefficients, build_controller
+from ..core.targets import TARGETS, Input, run_host, run_target
+from ..drives.frames import Estimator
+from ..engine.overbound import Weight
+from ..identify.energy import EnergyTest
+from ..vehicle.nominal import NominalModel
+from ..vehicle.project import Project, load_project, parse_project
 
 WORST_STEP = 8000          # instructions, Cortex-M4F, everything included
 WORST_TO_MEDIAN = 1.3

@@ -19,10 +19,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pa_parquet
 
-from .. import identify as stage
-from ..nominal import NominalModel
-from ..parallel import workers
-from ..project import Project, load_project, parse_project
+from ..base.parallel import workers
+from ..identify import run as stage
+from ..vehicle.nominal import NominalModel
+from ..vehicle.project import Project, load_project, parse_project
 from . import parser, show
 
 MEMORY_DRIVES = (10, 100, 1000)

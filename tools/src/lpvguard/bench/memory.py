@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lpvguard.validation import s1
+from lpvguard.engine.validation import s1
 
 FRACTIONS = (0.02, 0.05, 0.1, 0.2, 0.5)
 SAMPLES, PERIODS = 300, 3

@@ -7,11 +7,13 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
-from .. import artefacts, design, identify
-from ..robust_run import QUANTISATION, CompiledController, run
-from ..scheduled import Scheduled
-from ..sim import Simulator, load_scenario
-from ..synthesis.dk import certify
+from ..base import artefacts
+from ..control import design
+from ..control.robust_run import QUANTISATION, CompiledController, run
+from ..core.scheduled import Scheduled
+from ..engine.synthesis.dk import certify
+from ..identify import run as identify
+from ..loop.sim import Simulator, load_scenario
 from . import parser, show
 
 DRAWS = 500

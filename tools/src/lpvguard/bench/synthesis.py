@@ -14,21 +14,21 @@ from pathlib import Path
 
 import numpy as np
 
-from lpvguard import truck_model
 from lpvguard.bench import parser, show
 from lpvguard.bench._peers import Peers
-from lpvguard.synthesis.cases import case_plant, read_case
-from lpvguard.synthesis.dk import certify, dk_synthesis
-from lpvguard.synthesis.hinf import hinf_synthesis
-from lpvguard.synthesis.interconnection import (
+from lpvguard.engine.synthesis.cases import case_plant, read_case
+from lpvguard.engine.synthesis.dk import certify, dk_synthesis
+from lpvguard.engine.synthesis.hinf import hinf_synthesis
+from lpvguard.engine.synthesis.interconnection import (
     GeneralisedPlant,
     Weights,
     generalised_plant,
     weight_from_table,
     zeros_poles,
 )
-from lpvguard.synthesis.norms import hinf_norm
-from lpvguard.synthesis.statespace import StateSpace, lft, series
+from lpvguard.engine.synthesis.norms import hinf_norm
+from lpvguard.engine.synthesis.statespace import StateSpace, lft, series
+from lpvguard.vehicle import truck_model
 
 TARGET_S = {"H_inf": 0.06, "K_i": 0.5, "K_is": 1.0}
 """Seconds that each synthesis is held to, certificate included."""

@@ -18,9 +18,10 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from lpvguard import native, truck_model
+from lpvguard.base import native
 from lpvguard.bench import memory, parser, show
-from lpvguard.validation import s1, s2
+from lpvguard.engine.validation import s1, s2
+from lpvguard.vehicle import truck_model
 
 TARGET_US = {"S1": 0.02, "margin": 0.1, "S2": 500.0}
 """Microseconds per point that each kernel is held to."""

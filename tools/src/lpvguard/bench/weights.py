@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..weights import Weight, fit_overbound
+from ..engine.overbound import Weight, fit_overbound
 from . import parser, show
 from ._peers import Peers
 

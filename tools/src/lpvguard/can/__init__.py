@@ -1,1 +1,4 @@
-"""CAN: the one table of messages (``catalogue.toml``) and what is made from it: our DBC and the C codec."""
+"""The one table of messages, `catalogue.toml`, and what is made of it. In: the catalogue, raw CAN logs. Out: our DBC,
+the C codec, frames decoded, and frames played onto a bus. Which rooms it may import: MAY_IMPORT."""
+
+MAY_IMPORT = ("base", "vehicle")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ..errors import InputError
-from ..project import CanPlace, Project
+from ..base.errors import InputError
+from ..vehicle.project import CanPlace, Project
 from .catalogue import Catalogue, Message, Signal, load_catalogue
 
 REFERENCE = CanPlace(message="GUARD_IN", signal="yaw_rate_command")

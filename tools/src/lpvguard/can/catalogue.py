@@ -15,8 +15,8 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from ..documents import checked, read_toml
-from ..errors import InputError
+from ..base.documents import checked, read_toml
+from ..base.errors import InputError
 
 E2E_BITS = 12
 """Bits that profile 11 takes at the start of a frame: CRC (8), counter (4); the next 4 are free and sent as 1."""

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError
+from ..base.errors import InputError
 from .catalogue import j1939_data_max
 from .dbc import dbc_text
 from .logs import EXTENDED, Frames

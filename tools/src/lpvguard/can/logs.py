@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import native
-from ..errors import InputError
+from ..base import native
+from ..base.errors import InputError
 
 EXTENDED = 0x80000000
 """Flag in ``Frames.id``: 29-bit identifier."""
@@ -172,7 +172,7 @@ def _read_candump(path: Path) -> Frames:
 
 
 def parse_candump(text: np.ndarray, library: ctypes.CDLL) -> Frames:
-    """Frames of the candump log ``text`` (bytes,) by the compiled parser (``_native/candump.c``)."""
+    """Frames of the candump log ``text`` (bytes,) by the compiled parser (``base/_native/candump.c``)."""
     block = 1 << 20  # stays in the cache
     capacity = 1 + sum(
         int(np.count_nonzero(text[i : i + block] == ord("\n"))) for i in range(0, len(text), block)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError
+from ..base.errors import InputError
 from .catalogue import Catalogue, Message, Signal, load_catalogue
 from .logs import EXTENDED, Frames, candump_line
 
@@ -102,7 +102,7 @@ def frames_of_drive(
 
 
 def values_of_drive(project, drive, catalogue: Catalogue | None = None) -> dict[tuple[str, str], np.ndarray]:
-    """What ``frames_of_drive`` sends for a drive of ``drives.py``: bus value = factor * value for every signal with a CAN place.
+    """What ``frames_of_drive`` sends for a drive of ``drives/tables.py``: bus value = factor * value for every signal with a CAN place.
 
     A receiver refuses a frame that lacks one of its supervised signals, so those that the drive does not say are filled in:
     lateral acceleration with speed * yaw rate (steady cornering), anything else with 0. InputError for a signal without a place.

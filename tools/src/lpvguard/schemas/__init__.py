@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from importlib import resources
 from typing import Any
 
+MAY_IMPORT = ("vehicle", "drives", "loop")
+
 
 def names() -> list[str]:
     """Names of the formats."""
@@ -34,9 +36,9 @@ def _read(*path: str) -> Any:
 
 def markdown() -> str:
     """The page FORMATS.md: tables and TOML files by hand (tables.md), the settings and the JSON from their schemas."""
-    from ..ingest import SignalMap
-    from ..project import Project
-    from ..sim import Expectation
+    from ..drives.ingest import SignalMap
+    from ..loop.sim import Expectation
+    from ..vehicle.project import Project
 
     text = [resources.files(__package__).joinpath("tables.md").read_text(encoding="utf-8").rstrip(), ""]
     settings = (("Project file", Project), ("Signal map", SignalMap), ("Table expect of a scenario", Expectation))

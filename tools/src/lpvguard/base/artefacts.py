@@ -1,0 +1,525 @@
+"""Files between the stages: written whole or not at all, named with schema, tool version and input hashes, no clock time.
+
+Folders     MANIFEST.json lists every other file of its folder with its SHA-256 (``files``) and ends with ``seal``, the SHA-256 of its
+            own other content. Reading refuses a folder that differs from its manifest. Whoever edits a file and computes both hashes
+            anew is not noticed: a seal guards against accident and carelessness, it is no signature.
+Replacing   A folder is replaced only by one of its kind and vehicle, and only while it holds exactly what its manifest lists. A single
+            file is replaced only when it carries the mark of the same command (`mark`), or holds nothing, or the same bytes.
+Writing     happens in ``.NAME.lpvguard`` beside the target NAME. The kernel's lock on that folder belongs to one run and ends with it.
+            A killed run leaves the folder behind; the next run into the same target clears it, and undoes a half-done swap first.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import fcntl
+import hashlib
+import json
+import os
+import re
+import shutil
+import signal
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import __version__
+from .errors import InputError
+
+MANIFEST = "MANIFEST.json"
+MARK_KEY = "written_by"
+"""Key of a JSON output, or of every member of one that is a list, with `mark` as its value."""
+_SCRATCH, _NEW, _OLD = "lpvguard-scratch", "new", "old"
+"""Names in a work folder: the file that says it is one, what is being written, what is being replaced."""
+_RENAME_EXCHANGE, _AT_FDCWD = 2, -100
+_held: dict[Path, Path] = {}
+"""Work folders that this process holds, by target."""
+
+
+def to_json(value: Any) -> str:
+    """Deterministic JSON text; arrays become lists, NaN becomes null."""
+
+    def plain(item: Any) -> Any:
+        if isinstance(item, dict):
+            return {str(k): plain(v) for k, v in item.items()}
+        if isinstance(item, (list, tuple)):
+            return [plain(v) for v in item]
+        if isinstance(item, np.ndarray):
+            return plain(item.tolist())
+        if isinstance(item, np.generic):
+            return plain(item.item())
+        if isinstance(item, complex):
+            return [plain(item.real), plain(item.imag)]
+        if isinstance(item, float) and not np.isfinite(item):
+            return None
+        return item
+
+    return json.dumps(plain(value), indent=1, allow_nan=False) + "\n"
+
+
+def manifest(kind: str, **content: Any) -> str:
+    """Manifest text of an artefact of ``kind``."""
+    return to_json({"kind": kind, "schema": 1, "tool": f"lpvguard {__version__}", **content})
+
+
+def read_json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(path, "", f"cannot be read ({error.strerror})", "a file written by lpvguard") from None
+    except ValueError as error:
+        raise InputError(path, "", f"not valid JSON ({error})", "a file written by lpvguard") from None
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file's bytes."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+# ------------------------------------------------------------------------------------------------------------------ seals
+
+def digest(document: dict[str, Any]) -> str:
+    """SHA-256 of a JSON object's content without its ``seal``; order of keys and white space do not count."""
+    content = json.loads(to_json({k: v for k, v in document.items() if k != "seal"}))
+    return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def sealed(document: dict[str, Any]) -> dict[str, Any]:
+    """The JSON object with its digest as ``seal``."""
+    return {**document, "seal": digest(document)}
+
+
+def require_seal(path: Path, document: dict[str, Any], writer: str) -> None:
+    """InputError unless the object read from ``path`` is as ``writer`` sealed it."""
+    if document.get("seal") != digest(document):
+        raise InputError(path, "seal", "missing, made by an earlier version" if "seal" not in document
+                         else f"does not fit the content: it was changed after {writer} wrote it", f"the file as {writer} writes it")
+
+
+def seal(folder: Path) -> None:
+    """Complete the manifest of a folder: all its other files with their hashes, and its own digest."""
+    path = folder / MANIFEST
+    document = {k: v for k, v in read_json(path).items() if k != "files"}
+    path.write_text(to_json(sealed({**document, "files": {name: file_hash(folder / name) for name in _files_of(folder)}})), encoding="utf-8")
+
+
+def _files_of(folder: Path) -> list[str]:
+    """Paths below ``folder`` of everything but its manifest and plain folders."""
+    below = (p for p in folder.rglob("*") if p.is_symlink() or not p.is_dir())
+    return sorted(name for p in below if (name := p.relative_to(folder).as_posix()) != MANIFEST)
+
+
+def _difference(folder: Path, listed: dict[str, str], *, may_lack: bool = False) -> tuple[str, str] | None:
+    """The first file in which ``folder`` differs from ``listed`` (name: hash), and how; None when it does not."""
+    present = _files_of(folder)
+    for name in sorted({*present, *listed}):
+        path = folder / name
+        if name not in listed:
+            return name, f"is not listed in its {MANIFEST}"
+        if name not in present:
+            if not may_lack:
+                return name, f"is missing, though listed in its {MANIFEST}"
+        elif path.is_symlink() or not path.is_file() or file_hash(path) != listed[name]:
+            return name, f"is not the file that its {MANIFEST} lists: it was changed after lpvguard wrote it"
+    return None
+
+
+def read_manifest(folder: Path, kind: str) -> dict[str, Any]:
+    """Manifest of an artefact folder; InputError when it is none, of another kind or schema, or differs from it in any file."""
+    folder = Path(folder)
+    command = f"`lpvguard {'export' if kind == 'vehicle' else kind}`"
+    if not (folder / MANIFEST).is_file():
+        raise InputError(folder, MANIFEST, "missing", f"a folder written by {command}")
+    found = read_json(folder / MANIFEST)
+    if not isinstance(found, dict):
+        raise InputError(folder / MANIFEST, "", "not an object", f"a folder written by {command}")
+    if found.get("kind") != kind or found.get("schema") != 1:
+        raise InputError(folder / MANIFEST, "kind, schema", f"{found.get('kind')!r}, {found.get('schema')!r}", f"{kind!r}, 1")
+    require_seal(folder / MANIFEST, found, command)
+    differs = _difference(folder, found["files"])
+    if differs:
+        raise InputError(folder / differs[0], "", differs[1], f"the folder as {command} wrote it, or a new one")
+    return found
+
+
+def first_difference(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | None:
+    """The first place in which two JSON values differ, as (path, value in a, value in b); None when they are equal."""
+    if isinstance(a, dict) and isinstance(b, dict):
+        pairs = [(f"{path}.{k}" if path else k, a.get(k), b.get(k)) for k in dict.fromkeys([*a, *b])]
+    elif isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
+        pairs = [(f"{path}[{i}]", x, y) for i, (x, y) in enumerate(zip(a, b))]
+    else:
+        return None if a == b and isinstance(a, bool) == isinstance(b, bool) else (path, a, b)
+    return next((d for p, x, y in pairs if (d := first_difference(x, y, p))), None)
+
+
+# ------------------------------------------------------------------------------------------------- what may be replaced
+
+def mark(kind: str) -> str:
+    """What a single file says of the command that wrote it."""
+    return f"lpvguard {kind}"
+
+
+def marked(value: Any, kind: str, *, each: bool = False) -> Any:
+    """The JSON value with its mark: on an object, on every member of a list, and with ``each`` on every member of an object."""
+    def one(item: Any) -> Any:
+        return {MARK_KEY: mark(kind), **item} if isinstance(item, dict) else item
+
+    if isinstance(value, list):
+        return [one(item) for item in value]
+    return {k: one(v) for k, v in value.items()} if each else one(value)
+
+
+def _carries_mark(text: str, kind: str) -> bool:
+    """Whether the text is JSON, HTML or a CAN database with the mark of ``kind``."""
+    head = text[:2000]
+    if re.search(rf'<meta name="generator" content="{re.escape(mark(kind))}">', head):
+        return True
+    if kind == "dbc" and head.startswith('VERSION "lpvguard"\n\nNS_ :\n'):
+        return True
+    try:
+        value = json.loads(text)
+    except ValueError:
+        return False
+    if isinstance(value, dict) and value.get(MARK_KEY) == mark(kind):
+        return True
+    members = list(value.values()) if isinstance(value, dict) else value if isinstance(value, list) else [None]
+    return all(isinstance(m, dict) and m.get(MARK_KEY) == mark(kind) for m in members)
+
+
+def _place(target: Path) -> Path:
+    """Where ``target`` lies, symbolic links followed. InputError for the root and for a loop of links."""
+    try:
+        place = Path(target).resolve()
+    except (OSError, RuntimeError) as error:
+        raise InputError(target, "", f"cannot be written ({error})", "a writable place") from None
+    if not place.name:
+        raise InputError(target, "", "is the root of the file system", "a folder or file of its own")
+    return place
+
+
+def require_replaceable_folder(target: Path, kind: str | None = None, vehicle: str | None = None, *, resumed: bool = False) -> None:
+    """InputError unless ``target`` is new, an empty folder, or a folder of this kind and vehicle (None: of any) with exactly the
+    files that its manifest lists; ``resumed``: or a part of them."""
+    place = _place(target)
+    expected = "a new or empty folder"
+    if place == Path.cwd() or place in Path.cwd().parents:
+        raise InputError(target, "-o", "is the current folder or lies above it", "a folder of its own")
+    if not place.exists() or (place.is_dir() and not any(place.iterdir())):
+        return
+    if not place.is_dir() or not (place / MANIFEST).is_file():
+        raise InputError(target, "-o", "exists and was not written by lpvguard", expected)
+    found = read_json(place / MANIFEST)
+    if not isinstance(found, dict) or "kind" not in found or not isinstance(found.get("files"), dict) or found.get("seal") != digest(found):
+        raise InputError(place / MANIFEST, "-o", "was changed, or written by an earlier version, so that nobody knows whose the files "
+                         "beside it are", expected)
+    for key, wanted in (("kind", kind), ("vehicle", vehicle)):
+        if wanted is not None and found.get(key) != wanted:
+            raise InputError(target, "-o", f"exists and holds another result: {key} {found.get(key)!r}, not {wanted!r}", expected)
+    differs = _difference(place, found["files"], may_lack=resumed)
+    if differs:
+        raise InputError(place / differs[0], "-o", f"{differs[1]}; the folder is not replaced", expected)
+
+
+def require_replaceable_file(target: Path, kind: str, data: bytes | None = None) -> None:
+    """InputError unless ``target`` is new, empty, the same bytes, or carries the mark of ``kind``; devices and pipes are nobody's."""
+    target = Path(target)
+    if target.is_dir():
+        raise InputError(target, "", "is a folder", "a file to write")
+    if not target.is_file():
+        return
+    present = target.read_bytes()
+    if present and present != data and not _carries_mark(present.decode("utf-8", "replace"), kind):
+        raise InputError(target, "", f"exists and was not written by `lpvguard {kind}`", "a new file")
+
+
+def _same(a: Path, b: Path) -> bool:
+    try:
+        return a == b or a.samefile(b)
+    except OSError:
+        return False
+
+
+def require_apart(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
+    """InputError when an output is an input, lies inside one or above one; links of both sorts followed."""
+    places = [(out, _place(out)) for out in outputs]
+    others = [(given, Path(given).resolve()) for given in inputs]
+    for index, (out, place) in enumerate(places):
+        for given, other in [*others, *places[:index]]:
+            inside = any(_same(p, other) for p in place.parents)
+            above = any(_same(p, place) for p in other.parents)
+            within = other.is_dir() and place.is_file() and any(_same(p, place) for p in other.iterdir())
+            if _same(place, other) or inside or above or within:
+                how = "lies inside" if inside else "lies above" if above else "is a file of" if within else "is"
+                raise InputError(out, "output", f"{how} {given}, which this command reads or writes too", "an output apart from every input")
+
+
+# ---------------------------------------------------------------------------------------------------------------- writing
+
+def _work_of(place: Path) -> Path:
+    return place.with_name(f".{place.name}.lpvguard")
+
+
+@contextmanager
+def _written(target: Path) -> Iterator[None]:
+    """Errors of the operating system (a full disk, no permission) as one InputError."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is not None:
+            place, path = _place(target), Path(os.fsdecode(error.filename)).absolute()
+            if path not in place.parents and place.parent not in path.parents:
+                raise  # of something else
+        raise InputError(target, "", f"cannot be written ({error.strerror or error})", "a writable place") from None
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Puts off the signals that end a program until the block is through."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGHUP, signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def claimed(target: Path) -> Iterator[Path]:
+    """The work folder of ``target``, held until the end of the block; InputError while another run holds it.
+
+    What a killed run left in it is undone or cleared. Within one process the same target may be claimed again.
+    """
+    place = _place(target)
+    if place in _held:
+        yield _held[place]
+        return
+    work = _work_of(place)
+    made = [p for p in (place.parent, *place.parent.parents) if not p.exists()]
+    handle = None
+    try:
+        with _written(target), _undisturbed():
+            place.parent.mkdir(parents=True, exist_ok=True)
+            handle = _lock(target, work)
+            _recover(place, work)
+            (work / _SCRATCH).touch()
+        _held[place] = work
+        yield work
+    finally:
+        with _undisturbed():
+            _held.pop(place, None)
+            if handle is not None:
+                with suppress(OSError, InputError):
+                    _recover(place, work)
+                    (work / _SCRATCH).unlink(missing_ok=True)
+                    work.rmdir()
+                os.close(handle)
+            for folder in made:
+                with suppress(OSError):
+                    folder.rmdir()  # stays when anything is in it
+
+
+def _lock(target: Path, work: Path) -> int:
+    """Make the work folder and lock it; the kernel unlocks it when the process ends, however it ends."""
+    while True:
+        work.mkdir(exist_ok=True)
+        try:
+            handle = os.open(work, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        except FileNotFoundError:
+            continue  # its holder has just removed it
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.path.samestat(os.fstat(handle), work.lstat()):
+                return handle
+        except FileNotFoundError:
+            pass
+        except BlockingIOError:
+            os.close(handle)
+            raise InputError(target, "-o", "is held by another run that writes there", "one run at a time") from None
+        except BaseException:
+            os.close(handle)
+            raise
+        os.close(handle)
+
+
+def _recover(place: Path, work: Path) -> None:
+    """Undo a half-done swap and clear what is left in a work folder; InputError when something else is in it."""
+    names = {p.name for p in work.iterdir()}
+    foreign = sorted(names - {_SCRATCH, _NEW, _OLD} if _SCRATCH in names else names)
+    if foreign:
+        raise InputError(work / foreign[0], "", "lies where lpvguard writes, and is not its own", "it moved elsewhere")
+    if _OLD in names and not os.path.lexists(place):
+        (work / _OLD).rename(place)
+    for name in (_NEW, _OLD):
+        path = work / name
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def recover(target: Path) -> None:
+    """Undo what a run killed in the middle of a swap left of ``target``, if it did."""
+    place = _place(target)
+    if not place.exists() and (_work_of(place) / _OLD).exists():
+        with claimed(target):
+            pass
+
+
+def _sync(path: Path) -> None:
+    """Force a file, or a folder with all below it, onto the disk."""
+    for item in ([*path.rglob("*")] if path.is_dir() else []) + [path]:
+        handle = os.open(item, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def _exchange(a: Path, b: Path) -> bool:
+    """Exchange two names in one step; False where the system cannot."""
+    try:
+        call = ctypes.CDLL(None, use_errno=True).renameat2
+    except (AttributeError, OSError):
+        return False
+    if call(_AT_FDCWD, os.fsencode(a), _AT_FDCWD, os.fsencode(b), _RENAME_EXCHANGE) == 0:
+        return True
+    code = ctypes.get_errno()
+    if code in (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP):
+        return False
+    raise OSError(code, os.strerror(code), str(b))
+
+
+def _swap(work: Path, place: Path) -> None:
+    """Put the new folder in place of the old one, which `claimed` then clears."""
+    _sync(work / _NEW)
+    if not place.is_dir() or not any(place.iterdir()):
+        (work / _NEW).rename(place)
+    elif not _exchange(work / _NEW, place):
+        # Killed between the two, the next run puts the old one back.
+        place.rename(work / _OLD)
+        (work / _NEW).rename(place)
+    _sync_name(place)
+
+
+def _sync_name(place: Path) -> None:
+    handle = os.open(place.parent, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def new_folder(target: Path, kind: str, vehicle: str | None = None) -> Iterator[Path]:
+    """A scratch folder that takes ``target``'s place when the block succeeds and vanishes when it fails.
+
+    The block writes the files and a manifest of this kind; it is sealed here. `require_replaceable_folder` says what is replaced.
+    """
+    with claimed(target) as work, _written(target):
+        require_replaceable_folder(target, kind, vehicle)
+        place, new = _place(target), work / _NEW
+        new.mkdir()
+        yield new
+        seal(new)
+        require_replaceable_folder(target, kind, vehicle)
+        _swap(work, place)
+
+
+@contextmanager
+def new_file(target: Path, kind: str) -> Iterator[Path]:
+    """A scratch file that takes ``target``'s place when the block succeeds; `require_replaceable_file` says what is replaced."""
+    with claimed(target) as work, _written(target):
+        require_replaceable_file(target, kind)
+        yield work / _NEW
+        _publish(work, _place(target))
+
+
+def _publish(work: Path, place: Path) -> None:
+    _sync(work / _NEW)
+    (work / _NEW).rename(place)
+    _sync_name(place)
+
+
+def write_file(target: Path, text: str, kind: str) -> None:
+    """Write the text file of ``lpvguard kind`` whole or not at all. A device or pipe is written to, never replaced."""
+    target, data = Path(target), text.encode()
+    if target.exists() and not target.is_file() and not target.is_dir():
+        with _written(target):
+            target.write_bytes(data)
+        return
+    with claimed(target) as work, _written(target):
+        require_replaceable_file(target, kind, data)
+        (work / _NEW).write_bytes(data)
+        _publish(work, _place(target))
+
+
+def write_json(target: str, value: Any, kind: str, *, each: bool = False) -> None:
+    """Write JSON with its mark (see `marked`) to a file, or to standard output for ``-``."""
+    text = to_json(marked(value, kind, each=each))
+    if target == "-":
+        print(text, end="")
+    else:
+        write_file(Path(target), text, kind)
+
+
+class KeptFolder:
+    """A folder that a command goes on with: every file is listed in the manifest before it appears, and none is replaced unlisted."""
+
+    def __init__(self, folder: Path, work: Path, document: dict[str, Any]):
+        self.folder, self._work, self._document = folder, work, document
+
+    def has(self, name: str) -> bool:
+        return (self.folder / name).is_file()
+
+    def write(self, name: str, data: bytes) -> None:
+        """Write one file, whole or not at all."""
+        with _written(self.folder / name):
+            listed, value = self._document["files"], hashlib.sha256(data).hexdigest()
+            if self.has(name):
+                if listed.get(name) == value:
+                    return
+                if listed.get(name) != file_hash(self.folder / name):
+                    raise InputError(self.folder / name, "", "came here while this command ran", "no other files in its folder")
+                (self.folder / name).unlink()
+            self._document["files"] = dict(sorted({**listed, name: value}.items()))
+            self._write_manifest()
+            (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (self._work / _NEW).write_bytes(data)
+            _publish(self._work, self.folder / name)
+
+    def _write_manifest(self) -> None:
+        (self._work / _NEW).write_text(to_json(sealed(self._document)), encoding="utf-8")
+        _publish(self._work, self.folder / MANIFEST)
+
+
+@contextmanager
+def kept_folder(target: Path, kind: str, **asked: Any) -> Iterator[KeptFolder]:
+    """The folder of a command that may be stopped and goes on where it was; InputError when ``target`` holds anything else, or the
+    same with other settings than ``asked``."""
+    place = _place(target)
+    document = json.loads(manifest(kind, **asked))
+    with claimed(target) as work:
+        if place.is_dir() and any(place.iterdir()) and not (place / MANIFEST).is_file():
+            raise InputError(target, "-o", f"exists and is no {kind}", "a new or empty folder")
+        require_replaceable_folder(target, kind, resumed=True)
+        found = read_json(place / MANIFEST) if (place / MANIFEST).is_file() else None
+        if found and {k: v for k, v in found.items() if k not in ("files", "seal")} != document:
+            raise InputError(target, "-o", f"holds a {kind} with other settings or another vehicle", "a new folder, or the same settings")
+        with _written(target):
+            folder = KeptFolder(place, work, {**document, "files": found["files"] if found else {}})
+            if not found:
+                place.mkdir(exist_ok=True)
+                folder._write_manifest()
+        yield folder
+
+
+def write_files(folder: Path, files: dict[str, str | bytes]) -> None:
+    """Write files into an existing folder, normally one of ``new_folder``."""
+    for name, content in files.items():
+        data = content.encode() if isinstance(content, str) else content
+        (folder / name).write_bytes(data)

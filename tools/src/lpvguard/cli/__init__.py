@@ -1,0 +1,69 @@
+"""The command line. Exit status: 0 done, 1 a finding (falsified, alarmed, an answer missed), 2 bad input.
+
+Results that machines read go to the file named with --json (``-``: standard output); progress and messages go to
+standard error. Nothing is written except where -o or --json says.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+from typing import Any
+
+from ..base.errors import InputError
+from . import (  # noqa: F401 - each adds its verb, in the order of --help
+    generate,
+    plant,
+    ingest,
+    dbc,
+    identify,
+    design,
+    export,
+    replay,
+    sim,
+    lcm,
+    evaluate,
+    campaign,
+    report,
+    solve,
+    bench,
+)
+from .shared import app, complain
+
+MAY_IMPORT = (
+    "base",
+    "vehicle",
+    "engine",
+    "can",
+    "drives",
+    "core",
+    "identify",
+    "control",
+    "replay",
+    "evaluate",
+    "loop",
+    "report",
+    "problems",
+    "bench",
+)
+
+
+def _end(number: int, _: Any) -> None:
+    """Ends the program as an error does, so that nothing half-written stays behind."""
+    signal.signal(number, signal.SIG_IGN)
+    sys.exit(128 + number)
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) == signal.SIG_DFL:  # nohup ignores the second
+            signal.signal(number, _end)
+    try:
+        app()
+        sys.stdout.flush()
+    except InputError as error:
+        complain(error)
+        sys.exit(2)
+    except BrokenPipeError:
+        sys.exit(2)

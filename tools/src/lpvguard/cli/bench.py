@@ -1,0 +1,20 @@
+"""`lpvguard bench`: measure performance, beside peers in the same run; prints a table."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from .shared import app
+
+
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
+             epilog="Example: lpvguard bench validation --json out/validation.json")
+def bench(context: typer.Context,
+          name: Annotated[str, typer.Argument(help="can, core, fleet, robust, synthesis, validation or weights; NAME -- --help for options.")],
+          ) -> None:
+    """Measure performance, beside peers in the same run; prints a table."""
+    from ..bench import run
+
+    run(name, context.args)

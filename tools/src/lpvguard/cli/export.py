@@ -1,0 +1,28 @@
+"""`lpvguard export`: generate the C folder of a vehicle: coefficients, controller, signal table, CAN codec, manifest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .shared import Out, Vehicle, app, console, stored_for
+
+
+@app.command(epilog="Example: lpvguard export --vehicle g80 out/identify -o lib/vehicles/g80")
+def export(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(help="Folder written by identify.")],
+           out: Out, controller: Annotated[Path | None, typer.Option(help="controller.json, or the folder written by design.")]
+           = None) -> None:
+    """Generate the C folder of a vehicle: coefficients, controller, signal table, CAN codec, manifest."""
+    from ..control.design import verify
+    from ..core.control_coefficients import load_controller
+    from ..identify.export import export_vehicle
+
+    stored = stored_for(identification, vehicle)
+    if controller is not None and controller.is_dir():
+        controller = controller / "controller.json"
+    if controller is not None:
+        verify(controller, stored)
+    export_vehicle(stored, out, load_controller(controller) if controller else None)
+    console.print(f"{stored.project.name}: written to {out}")

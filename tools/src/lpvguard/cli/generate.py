@@ -1,0 +1,21 @@
+"""`lpvguard generate`: write seeded synthetic drives of a vehicle: tables and experiments.csv."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from .shared import Out, Vehicle, app, console, progress_bar, project_of
+
+
+@app.command(epilog="Example: lpvguard generate --vehicle g80 -o out/drives --seed 1")
+def generate(vehicle: Vehicle, out: Out,
+             seed: Annotated[int | None, typer.Option(help="Seed (default: the project file's).")] = None) -> None:
+    """Write seeded synthetic drives of a vehicle: tables and experiments.csv."""
+    from ..loop.generate import generate as run
+
+    project = project_of(vehicle)
+    with progress_bar("generate") as tell:
+        count = run(project, out, project.seed if seed is None else seed, tell)
+    console.print(f"{count} drives written to {out}")

@@ -1,0 +1,55 @@
+"""The files of step 8 beside controller.json, as numbers: Table II, Figs. 5 and 6; and those of a case file. report/design_pictures.py draws them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..base import artefacts
+from ..engine.synthesis.cases import TableRow, case_weights, differences
+from ..engine.synthesis.interconnection import Weights
+from ..engine.synthesis.table import Cell
+from .frozen import FrozenProblem, table_files
+from .worst_run import WorstRuns
+
+FINE = np.geomspace(1e-3, 1e3, 200)
+"""rad/s"""
+UNITS = {"W_C": "rad/s", "W_nr": "rad/s", "W_ndelta": "rad", "W_wr": "rad/s", "W_wdelta": "rad"}
+
+
+def _magnitude(W) -> np.ndarray:
+    return np.abs(W.response(FINE)[:, 0, 0])
+
+
+def _weights_figure(common: Weights, objectives: list[tuple[float, float, Weights]], command) -> dict:
+    """Fig. 5 as numbers. ``objectives``: A_t, A_u and the weights with them."""
+    rows: dict[str, np.ndarray] = {}
+    for A_t, A_u, weights in objectives:
+        rows[f"W_t, A_t = {A_t:.4g}"], rows[f"W_u, A_u = {A_u:.4g}"] = _magnitude(weights.W_t), _magnitude(weights.W_u)
+    rows["W_R"] = _magnitude(common.W_R)
+    return {"omega_rad_s": FINE, "signals": [[n, _magnitude(getattr(common, n)), u] for n, u in UNITS.items()],
+            "objectives": [[n, values] for n, values in rows.items()], "command": command}
+
+
+def _figures_file(figures: dict) -> dict[str, str]:
+    return {"figures.json": artefacts.to_json({"kind": "figures", "schema": 1, **figures})}
+
+
+def design_files(problem: FrozenProblem, cells: list[Cell], runs: WorstRuns | None) -> dict[str, str]:
+    """Files of a vehicle's design; Fig. 6 needs ``runs``, which need drives."""
+    common = problem.weights("K_i", *problem.settings.objectives[0])
+    objectives = [(A_t, A_u, problem.weights("K_inf", A_t, A_u)) for A_t, A_u in problem.settings.objectives]
+    W_C = problem.stored.fitted.W_C[0]
+    figures = {"fig5": _weights_figure(common, objectives, [W_C.omega, W_C.bound])}
+    if runs is not None:
+        figures["fig6"] = runs.to_dict()
+    frames = "deciding frames of the drives" if problem.frames.complete else "stored sample of frames"
+    return table_files([c.to_dict() for c in cells], vehicle=problem.stored.project.name, speed_mps=problem.settings.design_speed_mps,
+                       Ts_s=problem.stored.project.Ts_s, delay_samples=1, lambda_s=problem.settings.lambda_s,
+                       state_uncertainty_from=frames) | _figures_file(figures)
+
+
+def case_files(name: str, case: dict, rows: list[TableRow]) -> dict[str, str]:
+    """Files of a case file's table: each row with its difference to the paper's."""
+    objectives = [(o["A_t"], o["A_u"], case_weights(case, o)) for o in case["objective"]]
+    table = [row.to_dict() | {"difference": text} for row, text in zip(rows, differences(case, rows), strict=True)]
+    return table_files(table, case=name) | _figures_file({"fig5": _weights_figure(objectives[0][2], objectives, None)})

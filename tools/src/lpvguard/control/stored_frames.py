@@ -1,0 +1,187 @@
+"""Bounds and weights recomputed from few frames: quick enough to stand inside a search over trade-offs.
+
+A frame decides when no other frame of the bin exceeds it in B1, |Z| and |delta0| at once. gamma_w's rule (T8) and nu (T5) grow with each
+of the three, so their maxima over the deciding frames are those over all. Deciding frames come from every start sample of the drives
+that set the bounds; those within NEAR of one that is kept are left out. Without the drives the stored sample replaces them
+(spectra.npz: per bin the frames of largest |E| and a draw, on the core's grid). Largest |w_j| are over the sample and these frames,
+so they are near their bounds and are no bounds. The result is for choosing a trade-off. Bounds come from `identify` with that choice.
+
+Class S2 (paper, K_is) needs u and the nominal state of a frame. They are taken from Z through the frozen model at the frame's
+mean speed: u the least-squares input behind Z, x_nom = (zI - A_d)^-1 B_d u.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+
+from ..base.errors import InputError
+from ..drives.frames import Estimator
+from ..engine.validation import s1, s2
+from ..identify.bounds import FrameSet, counted_frames, explain, reduce_disturbance
+from ..identify.run import (
+    SMALLEST_NU,
+    DriveSet,
+    FittedWeight,
+    Progress,
+    StoredIdentification,
+    disturbance_weights,
+    fit_bound,
+    smallest_disturbance,
+    uncertainty_samples,
+)
+from ..vehicle.nominal import NominalModel
+
+NEAR = 0.02
+
+
+@dataclass(frozen=True)
+class Split:
+    """The error of every stored frame divided among uncertainty and disturbance, as maxima per bin.
+
+    nu_i (K,): input-multiplicative; nu_s (K,) [1/s]: on the state, None in class S1; B_w (K, n_y): disturbance, jointly covering
+    where the project asks for it. NaN: no frame. ``at_cap``: frames whose best nu_s was the well-posedness cap, explained by
+    nu_i alone instead.
+    """
+
+    gamma_w: np.ndarray
+    nu_i: np.ndarray
+    nu_s: np.ndarray | None
+    B_w: np.ndarray
+    at_cap: int = 0
+
+
+@dataclass(frozen=True)
+class UncertaintyWeights:
+    """What step 6 and 7 fit above a Split; W_delta_s is None in class S1."""
+
+    W_w: list[FittedWeight]
+    W_delta_i: FittedWeight
+    W_delta_s: FittedWeight | None
+
+
+class StoredFrames:
+    """Frames of the drives that set the bounds: the stored sample and, given the drives, those that decide the bounds.
+
+    ``complete``: whether the drives were given.
+    """
+
+    def __init__(self, stored: StoredIdentification, drives: DriveSet | None = None, progress: Progress = lambda _: None):
+        self.stored, self.project = stored, stored.project
+        self.model = NominalModel(stored.project)
+        self.estimator = Estimator.of(stored.project, self.model)
+        path = stored.folder / "spectra.npz"
+        with np.load(path) as spectra:
+            if "speed" not in spectra:
+                raise InputError(path, "speed", "missing", "an identification made by this version: run `lpvguard identify` again")
+            columns = {key: spectra[key] for key in ("bin", "start", "speed", "E", "Z")}
+        self.sets, self.speeds = [], []
+        for k in range(self.estimator.n_bins):
+            of_bin = columns["bin"] == k
+            self.sets.append(FrameSet(k, *(columns[key][of_bin] for key in ("E", "Z", "start")), str(path)))
+            self.speeds.append(columns["speed"][of_bin])
+        self.complete = drives is not None
+        if drives is not None:
+            self._add_deciding(drives, progress)
+
+    def _add_deciding(self, drives: DriveSet, progress: Progress) -> None:
+        found = [(s, v) for s, v in zip(self.sets, self.speeds, strict=True)]
+        for name in self.stored.manifest["drives"]["bounds"]:
+            progress(f"deciding frames of {name}")
+            drive, e, yhat = drives.load(name)
+            total = np.concatenate([[0.0], np.cumsum(drive.v)])
+            for s in counted_frames(drive, e, yhat, self.model, self.estimator):
+                N, (old, speed) = self.estimator.length[s.bin], found[s.bin]
+                keep = deciding(s.E, s.Z) if len(s.E) else np.zeros(0, int)
+                found[s.bin] = (FrameSet(s.bin, *(np.concatenate([getattr(old, key), getattr(s, key)[keep]])
+                                                  for key in ("E", "Z", "starts")), old.experiment),
+                                np.concatenate([speed, (total[s.starts[keep] + N] - total[s.starts[keep]]) / N]))
+        self.sets, self.speeds = map(list, zip(*found, strict=True))
+
+    def gamma_rule(self, ceiling: np.ndarray) -> np.ndarray:
+        """Step 4 before smoothing, (K,), for a ceiling (K,) on nu."""
+        return reduce_disturbance(self.sets, self.estimator, ceiling, self.project.n_y)["gamma_rule"]
+
+    def smooth(self, rule: np.ndarray) -> np.ndarray:
+        """gamma_w (K,): the overbounding weight above the rule, at the bins."""
+        floor = smallest_disturbance(self.stored.bounds["B2"])
+        return fit_bound(self.project, self.estimator, rule, "gamma_w", floor).magnitude(self.estimator.omega)
+
+    def explain(self, gamma_w: np.ndarray) -> Split:
+        """Class S1: least nu_i given gamma_w (K,)."""
+        nu, w = zip(*(explain(s, self.estimator, gamma_w, "S1") for s in self.sets), strict=True)
+        return Split(gamma_w, np.array([_largest(n) for n in nu]), None, self._disturbance(w))
+
+    def explain_with_state(self, gamma_w: np.ndarray, lambda_s: float) -> Split:
+        """Class S2: min nu_i^2 + lambda_s nu_s^2 given gamma_w (K,); lambda_s in s^2 (Lambda_nu = diag(1, lambda_s))."""
+        nu_i, nu_s, all_w, at_cap = [], [], [], 0
+        for s, v in zip(self.sets, self.speeds, strict=True):
+            nu, w = explain(s, self.estimator, gamma_w, "S1")
+            state = np.zeros(len(nu))
+            needing = np.flatnonzero((nu > 0) & (np.linalg.norm(s.Z, axis=1) > 0))
+            if len(needing):
+                u, x_nom, h_i, h_s = self._behind(s.Z[needing], v[needing], self.estimator.omega[s.bin])
+                found = s2.solve(s.E[needing], u, x_nom, h_i, h_s, self.model.C, gamma_w[s.bin], 1.0, lambda_s)
+                at_cap += int(np.count_nonzero(found.at_cap))
+                # S1 is S2 with nu_s = 0: it stays where it explains the frame at less, as where Z is far from a frozen response.
+                good = ~found.at_cap & (found.upper <= nu[needing] ** 2)
+                nu[needing[good]], state[needing[good]], w[needing[good]] = found.nu_i[good], found.nu_s[good], found.w[good]
+            nu_i.append(_largest(nu))
+            nu_s.append(_largest(state))
+            all_w.append(w)
+        return Split(gamma_w, np.array(nu_i), np.array(nu_s), self._disturbance(all_w), at_cap)
+
+    def weights(self, split: Split) -> UncertaintyWeights:
+        """Steps 6 and 7."""
+        project, estimator, fitted = self.project, self.estimator, self.stored.fitted
+        floor = smallest_disturbance(self.stored.bounds["B2"])
+        B_w = [fit_bound(project, estimator, split.B_w[:, j], f"B_w of {s.name}", floor) for j, s in enumerate(project.outputs)]
+        delta = [None if nu is None else fit_bound(project, estimator, uncertainty_samples(estimator, nu), "nu", SMALLEST_NU)
+                 for nu in (split.nu_i, split.nu_s)]
+        return UncertaintyWeights(disturbance_weights(project, estimator, B_w, fitted.W_n, floor)[0], *delta)
+
+    def _disturbance(self, w) -> np.ndarray:
+        """B_w (K, n_y) over the disturbances of all frames, a list over bins of (F, n_y)."""
+        B_w = np.array([_largest(np.abs(one)) if len(one) else np.full(self.project.n_y, np.nan) for one in w])
+        if self.project.bounds.disturbance_set == "covering":
+            for k, one in enumerate(w):
+                if len(one):
+                    relative = np.divide(np.abs(one), B_w[k], out=np.zeros(one.shape), where=B_w[k] > 0)
+                    B_w[k] *= max(1.0, np.linalg.norm(relative, axis=1).max())
+        return B_w
+
+    def _behind(self, Z, v, omega):
+        """u (F,), x_nom (F, n), h_i (F, n) and h_s (F, n, n) of frames at speeds v (F,) in a bin at ``omega`` [rad/s]."""
+        speeds, index = np.unique(np.round(v, 2), return_inverse=True)  # 1 cm/s moves no entry by more than 1e-3
+        A, B = self.model.matrices(np.clip(speeds, *self.model.speed_range))
+        n, Ts, z = self.model.n, self.project.Ts_s, np.exp(1j * omega * self.project.Ts_s)
+        augmented = np.zeros((len(A), 2 * n, 2 * n))
+        augmented[:, :n, :n], augmented[:, :n, n:] = A * Ts, np.eye(n) * Ts
+        sampled = expm(augmented)
+        Ad, Gd = sampled[:, :n, :n], sampled[:, :n, n:]
+        h_s = np.linalg.solve(z * np.eye(n) - Ad, Gd)
+        h_i = (h_s @ B)[:, :, 0]
+        response = h_i @ self.model.C.T
+        h_s, h_i, response = h_s[index], h_i[index], response[index]
+        u = np.sum(response.conj() * Z, axis=1) / np.sum(np.abs(response) ** 2, axis=1)
+        return u, h_i * u[:, None], h_i, h_s
+
+
+def deciding(E: np.ndarray, Z: np.ndarray, near: float = NEAR) -> np.ndarray:
+    """Indices of frames of E, Z (F, n_y): every frame has B1, |Z| and |delta0| at most 1 + ``near`` times those of one of them."""
+    size = np.linalg.norm(E, axis=1)
+    values = np.column_stack([s1.solve(E, Z, size).b1, np.linalg.norm(Z, axis=1), np.abs(s1.least_squares_delta(E, Z))])
+    left = np.arange(len(values))
+    kept = []
+    scale = np.maximum(values.max(axis=0, initial=0.0), 1e-300)
+    while len(left):
+        best = left[np.argmax((values[left] / scale).sum(axis=1))]  # the largest sum cannot be exceeded by any that is left
+        kept.append(best)
+        left = left[(values[left] > (1 + near) * values[best]).any(axis=1)]
+    return np.sort(np.array(kept, int))
+
+
+def _largest(values: np.ndarray) -> np.ndarray | float:
+    return values.max(axis=0) if len(values) else np.nan

@@ -1,0 +1,104 @@
+"""A controller over speed as the core runs it (lib/include/lpvguard/controller.h): one realisation with fixed poles.
+
+    K(z, v) = c(z)' B(v),    c(z) = C (z I - A)^-1 with A, C constant
+
+has an interpolation that is exact (B linear in v: the response at a constant speed is the linear interpolation of its
+neighbours'), states that mean the same at every speed, and only B to be scheduled. A is block diagonal of pairs of poles in
+delta-operator observer form (Middleton and Goodwin 1990), [[1 + a, 1], [a', 1]]: real poles become complex without
+a jump in a, a', and C needs no multiplication.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg as sl
+
+from ..engine.synthesis.statespace import StateSpace
+
+
+@dataclass(frozen=True)
+class Scheduled:
+    """Strictly proper discrete controllers over speed: x+ = A x + B(v) m + L(v) (u - C x), u = C x, per demand.
+
+    speeds (G,), equally spaced; a (n,): first columns of the pairs of A - I, then of a single state where n is odd, the same
+    for every demand; B (G, n_u, n, 1 + n_y); L (G, n_u, n, n_u). m = [reference, outputs].
+    """
+
+    Ts: float
+    speeds: np.ndarray
+    a: np.ndarray
+    B: np.ndarray
+    L: np.ndarray
+
+    @classmethod
+    def read(cls, document: dict) -> Scheduled:
+        """From a controller.json."""
+        return cls(document["Ts_s"], *(np.array(document[key], float) for key in ("speeds", "a", "B", "L")))
+
+    def digest(self) -> str:
+        """SHA-256 over every coefficient: which controller a certificate is about."""
+        arrays = (np.array(self.Ts), self.speeds, self.a, self.B, self.L)
+        return hashlib.sha256(b"".join(np.ascontiguousarray(x, "<f8").tobytes() for x in arrays)).hexdigest()
+
+    @property
+    def order(self) -> int:
+        """States of all demands."""
+        return self.B.shape[1] * len(self.a)
+
+    def at(self, v: float) -> StateSpace:
+        """The controller the core runs at speed v: float32 coefficients with A - I formed in double, interpolated."""
+        A, C = self._constant()
+        B = self._between(self.B, v)
+        return StateSpace(A, B, C, np.zeros((len(C), B.shape[1])), self.Ts)
+
+    def injection_radius(self, v: float) -> float:
+        """Spectral radius of A - L C at speed v."""
+        A, C = self._constant()
+        return float(np.abs(np.linalg.eigvals(A - self._between(self.L, v) @ C)).max())
+
+    def _constant(self) -> tuple[np.ndarray, np.ndarray]:
+        """A and C of all demands."""
+        A, c = realisation(self.a.astype(np.float32).astype(float))
+        n_u = self.B.shape[1]
+        return np.kron(np.eye(n_u), A), np.kron(np.eye(n_u), c)
+
+    def _between(self, values: np.ndarray, v: float) -> np.ndarray:
+        """(order, columns): rows of B or L at speed v."""
+        position = np.clip((v - self.speeds[0]) / (self.speeds[-1] - self.speeds[0]), 0.0, 1.0) * (len(self.speeds) - 1)
+        k = min(int(position), len(self.speeds) - 2)
+        rounded = values[k:k + 2].astype(np.float32).astype(float)
+        return ((1 - (position - k)) * rounded[0] + (position - k) * rounded[1]).reshape(self.order, -1)
+
+
+def realisation(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A (n, n) and C (1, n) of one demand's states, pairs and a single one where n is odd."""
+    n = len(a)
+    A, heads = np.eye(n), np.arange(0, n, 2)
+    A[np.arange(n), np.arange(n) // 2 * 2] += a
+    A[heads[:n // 2], heads[:n // 2] + 1] = 1.0
+    return A, np.isin(np.arange(n), heads)[None].astype(float)
+
+
+def engagement(a: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """E (n, 2): x += E (u - C x, -(C (A x + B m) - C x)) makes this and the next wanted demand u; a, B as in ``Scheduled``.
+
+    The likeliest such change: least in the metric of the covariance that white m of equal size at all speeds gives x.
+    Where no state can meet both, the second is left out. Raises LinAlgError unless the poles are stable.
+    """
+    A, c = realisation(a)
+    if np.abs(np.linalg.eigvals(A)).max() >= 1:
+        raise np.linalg.LinAlgError("a pole on or outside the unit circle")
+    drive = np.moveaxis(B, 2, 0).reshape(len(a), -1)
+    size = np.linalg.norm(drive, axis=1)
+    P = sl.solve_discrete_lyapunov(A, drive @ drive.T) if size.any() else np.eye(len(a))
+    M = np.vstack([c, c @ (A - np.eye(len(a)))])
+    first = P @ c.T / (c @ P @ c.T)
+    rest = M[1] - M[1] @ first * c  # what the second constraint asks for when the first is met
+    left = (rest @ P @ rest.T).item()
+    if left <= 1e-9 * (M[1] @ P @ M[1]):
+        return np.hstack([first, np.zeros_like(first)])
+    second = P @ rest.T / left
+    return np.hstack([first - second * (M[1] @ first), second])

@@ -1,0 +1,146 @@
+"""Stage 2, the estimator: constant-Q Hann frames of the nominal error e = y - yhat and of the nominal output yhat.
+
+A bin k > 0 has N_k samples (even) that hold ``periods`` periods, so its frequency is periods / (N_k Ts); bin 0 is DC and
+as long as the lowest bin. A frame of bin k that starts at sample i reads
+
+    X = scale sum_{n<N} w_n x_{i+n} exp(-2 pi j c n / N),   w_n = 1/2 - 1/2 cos(2 pi n / N),   c = periods (0 at DC)
+
+with scale 2 / sum(w) (1 / sum(w) at DC): a sinusoid of amplitude a in the bin reads |X| = a. A frame *counts* when every
+sample lies in the model's speed range, at least ``settle`` samples after the last entry into it, and no speed in it
+differs by more than ``speed_tolerance`` from the frame's mean speed (THEORY 3.2). The C core computes the same frames,
+restarted every half frame from its first sample; bounds are set over frames at *every* start.
+
+The paper's plain DFT (estimator "dft") has bins of one common length, every line k/(N Ts) between the frequency limits and DC,
+a rectangular window and one frame a drive; dft.py removes its transient, so it needs no settling.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
+from scipy.signal import oaconvolve
+
+from ..base.errors import InputError
+from ..base.layout import constant
+from ..vehicle.nominal import NominalModel
+from ..vehicle.project import FrameSettings, Project
+
+
+def require_core(project: Project) -> None:
+    """InputError for a project of the plain DFT: the core computes Hann frames only."""
+    if project.frames.estimator != "hann":
+        raise InputError(f"vehicle {project.name}", "frames.estimator", "the plain DFT, which the core does not compute: its bounds "
+                         "are for identify and report only", 'estimator = "hann" and bounds made with it')
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """The frame grid of a vehicle; everything a bound must have been made with to be comparable.
+
+    length (K,) samples a frame; cycles (K,) periods a frame, 0 at DC; omega (K,) [rad/s]; settle [samples];
+    window: ``hann`` or ``rectangular``, the latter for the plain DFT.
+    """
+
+    Ts: float
+    length: np.ndarray
+    cycles: np.ndarray
+    settle: int
+    speed_tolerance: float
+    speed_range: tuple[float, float]
+    window: Literal["hann", "rectangular"] = "hann"
+
+    @classmethod
+    def of(cls, project: Project, model: NominalModel) -> Estimator:
+        settings: FrameSettings = project.frames
+        if settings.estimator == "dft":
+            return cls._plain_dft(project, model, settings)
+        decades = np.log10(settings.f_max_hz / settings.f_min_hz)
+        # The tolerance keeps a last bin that the decimal settings place exactly at f_max.
+        n_bins = int(np.floor(decades * settings.bins_per_decade + 1e-9)) + 1
+        f = settings.f_min_hz * 10.0 ** (np.arange(n_bins) / settings.bins_per_decade)
+        length = 2 * np.round(settings.periods / f / project.Ts_s / 2).astype(int)
+        if len(np.unique(length)) != n_bins or length[-1] < 4 * settings.periods:
+            raise InputError(f"vehicle {project.name}", "frames",
+                             f"the highest bins hold {length[-1]} samples a frame",
+                             f"at least {4 * settings.periods} and different lengths; lower f_max_hz or bins_per_decade")
+        latency = constant("NLATENCY", {"NBINS": n_bins + 1, "NY": project.n_y})  # DC included
+        if length[-1] // 2 <= latency:
+            raise InputError(f"vehicle {project.name}", "frames", f"{n_bins + 1} bins and half frames of {length[-1] // 2}",
+                             f"half frames longer than {latency} samples, as the core spreads its work over samples")
+        return cls(project.Ts_s, np.r_[length[0], length], np.r_[0, np.full(n_bins, settings.periods)],
+                   model.settle_samples, settings.speed_tolerance, model.speed_range)
+
+    @classmethod
+    def _plain_dft(cls, project: Project, model: NominalModel, settings: FrameSettings) -> Estimator:
+        N = int(round(settings.length_s / project.Ts_s))
+        lines = np.arange(N // 2)
+        f = lines / (N * project.Ts_s)
+        inside = lines[(lines > 0) & (f >= settings.f_min_hz * (1 - 1e-9)) & (f <= settings.f_max_hz * (1 + 1e-9))]
+        if 2 * len(inside) * project.n_y <= model.n:
+            raise InputError(f"vehicle {project.name}", "frames.length_s", f"{len(inside)} lines from {settings.f_min_hz:g} to "
+                             f"{settings.f_max_hz:g} Hz", f"more than the {model.n} unknowns of the transient; longer frames")
+        return cls(project.Ts_s, np.full(len(inside) + 1, N), np.r_[0, inside], 0, settings.speed_tolerance, model.speed_range,
+                   "rectangular")
+
+    @property
+    def omega(self) -> np.ndarray:
+        return 2 * np.pi * self.cycles / (self.length * self.Ts)
+
+    @property
+    def n_bins(self) -> int:
+        return len(self.length)
+
+    def identifier(self) -> int:
+        """CRC-32 of the estimator's definition: bounds and core must agree on it."""
+        definition = {"window": self.window, "Ts_ns": round(self.Ts * 1e9), "length": self.length.tolist(),
+                      "cycles": self.cycles.tolist(), "hop_per_frame": int(self.length[0] // self.hop[0]),
+                      "scale": "2/sum(w), 1/sum(w) at DC",
+                      "settle": self.settle, "speed_tolerance": repr(self.speed_tolerance),
+                      "speed_range": [repr(s) for s in self.speed_range]}
+        return zlib.crc32(json.dumps(definition, sort_keys=True).encode())
+
+    @property
+    def hop(self) -> np.ndarray:
+        """(K,) samples from one frame to the next where frames are not taken at every start: half a frame, or a whole one."""
+        return self.length // (2 if self.window == "hann" else 1)
+
+    def kernel(self, k: int) -> np.ndarray:
+        """Scaled window times exponential of bin k, (N_k,) complex."""
+        n = np.arange(self.length[k])
+        w = 0.5 - 0.5 * np.cos(2 * np.pi * n / self.length[k]) if self.window == "hann" else np.ones(len(n))
+        scale = (2.0 if self.cycles[k] else 1.0) / w.sum()
+        return scale * w * np.exp(-2j * np.pi * self.cycles[k] * n / self.length[k])
+
+    def settled(self, v: np.ndarray) -> np.ndarray:
+        """(N,) True where the speed has been in range for more than ``settle`` samples."""
+        in_range = (v >= self.speed_range[0]) & (v <= self.speed_range[1])
+        index = np.arange(1, len(v) + 1)
+        last_outside = np.maximum.accumulate(np.where(in_range, 0, index))
+        return index - last_outside > self.settle
+
+    def counted(self, v: np.ndarray, k: int) -> np.ndarray:
+        """(N - N_k + 1,) True for the start samples whose frame of bin k counts."""
+        N = int(self.length[k])
+        if len(v) < N:
+            return np.zeros(0, bool)
+        starts = len(v) - N + 1
+        origin = -(N // 2)  # makes the filters look ahead: element i covers samples i .. i + N - 1
+        low = minimum_filter1d(v, N, origin=origin)[:starts]
+        high = maximum_filter1d(v, N, origin=origin)[:starts]
+        total = np.concatenate([[0.0], np.cumsum(v)])
+        mean = (total[N:] - total[:-N]) / N
+        whole = np.concatenate([[0], np.cumsum(self.settled(v))])
+        steady = (low >= (1 - self.speed_tolerance) * mean) & (high <= (1 + self.speed_tolerance) * mean)
+        return steady & (whole[N:] - whole[:-N] == N)
+
+    def transform(self, x: np.ndarray, k: int, starts: np.ndarray) -> np.ndarray:
+        """Frames of bin k of the signals x (N, m) at the given start samples: (len(starts), m) complex."""
+        if not len(starts):
+            return np.zeros((0, x.shape[1]), complex)
+        kernel = self.kernel(k)[::-1, None]
+        return oaconvolve(x, kernel, mode="valid", axes=0)[starts]

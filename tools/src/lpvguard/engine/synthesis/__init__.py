@@ -1,0 +1,14 @@
+"""H∞ and μ: certified synthesis and analysis of linear controllers (THEORY 6).
+
+| module | does |
+|---|---|
+| ``statespace`` | small immutable systems: series, append, feedback, balancing, Tustin, zero-order hold |
+| ``norms`` | the H∞ norm as a bracket, all frequencies included |
+| ``hinf`` | γ-optimal controllers, regular and singular, continuous and discrete, each with its certificate |
+| ``mu`` | structured singular value of a matrix, from both sides |
+| ``interconnection`` | Fig. 1's generalised plant from weights, three uncertainty structures |
+| ``dk`` | D-K iteration, order reduction, ``certify`` for any controller |
+| ``limits`` | the level that no controller of any order goes below |
+| ``worst_case`` | the worst Δ of size 1 as a stable system |
+| ``table``, ``cases`` | cells of Table II; the paper case beside the paper's and the reference's numbers |
+"""

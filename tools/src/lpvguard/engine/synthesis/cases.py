@@ -1,0 +1,167 @@
+"""The paper case: every weight of Fig. 1 frozen in one TOML file, and Table II computed from it beside the
+paper's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from lpvguard.base.documents import read_toml
+from lpvguard.engine.synthesis.errors import SynthesisError
+from lpvguard.engine.synthesis.interconnection import (
+    STRUCTURES,
+    GeneralisedPlant,
+    Weights,
+    generalised_plant,
+    weight_from_table,
+)
+from lpvguard.engine.synthesis.limits import floor_exceeds
+from lpvguard.engine.synthesis.table import Cell, cell
+from lpvguard.vehicle import truck_model
+
+PAPER_DIGITS = 5e-4
+"""Half a unit of the paper's last digit."""
+
+
+@dataclass(frozen=True)
+class TableRow(Cell):
+    """A cell beside a reference's and the paper's; None where not given."""
+
+    reference: float | None
+    reference_order: int | None
+    paper: float | None
+    paper_order: int | None
+
+    def to_dict(self) -> dict:
+        names = ("reference", "reference_order", "paper", "paper_order")
+        return super().to_dict() | {name: getattr(self, name) for name in names}
+
+
+def read_case(path) -> dict:
+    """The case file as a dict; InputError when it cannot be read or a weight is missing."""
+    case = read_toml(Path(path), "a case file")
+    for name in ("v", "wheelbase", "objective", *(f.name for f in fields(Weights))):
+        if name not in case:
+            raise SynthesisError(path, name, "missing", "a case file as tests/data/paper_case.toml")
+    return case
+
+
+def case_weights(case: dict, objective: dict) -> Weights:
+    """The ten weights of a case with one objective's A_t and A_u."""
+    gains = {"A_t": objective["A_t"], "A_u": objective["A_u"]}
+    return Weights(**{f.name: weight_from_table(case[f.name], **gains) for f in fields(Weights)})
+
+
+def case_plant(
+    case: dict,
+    objective: dict,
+    structure: str,
+    *,
+    speed: float | None = None,
+    dt: float = 0.0,
+    delay: int = 0,
+) -> GeneralisedPlant:
+    """Fig. 1 for one objective (A_t, A_u) of a case; ``speed`` in m/s replaces the case's own."""
+    weights = case_weights(case, objective)
+    A, B = truck_model.continuous(case["v"] if speed is None else speed, case["wheelbase"])
+    return generalised_plant(A, B, weights, structure, dt, delay)
+
+
+def paper_case(path, dt: float = 0.0, progress: Callable[[str], None] = lambda _: None, **options) -> list[TableRow]:
+    """Table II for a case file: K_inf, K_i and K_is for each of its objectives, in that order.
+
+    ``dt`` > 0 designs in discrete time. ``options`` go to dk_synthesis.
+    """
+    case, rows = read_case(path), []
+    for objective in case["objective"]:
+        A_t, A_u, paper = objective["A_t"], objective["A_u"], objective.get("paper", {})
+        for structure, paper_order in zip(STRUCTURES, paper.get("orders", [None] * len(STRUCTURES)), strict=True):
+            progress(f"{structure}, A_t {A_t:g}, A_u {A_u:g}")
+            known = {"mu": objective.get("gamma_K_inf")} if structure == "K_inf" else objective.get(f"mu_{structure}", {})
+            made = cell(case_plant(case, objective, structure, dt=dt), structure, A_t, A_u, **options)
+            rows.append(TableRow(**vars(made), reference=known.get("mu"), reference_order=known.get("order"),
+                                 paper=paper.get(structure), paper_order=paper_order))
+    return rows
+
+
+def format_table(rows: list[TableRow]) -> str:
+    """The rows as fixed-width text: ours, the reference's and the paper's side by side."""
+    lines = [
+        (f"{'':6}{'A_t':>6}{'A_u':>8}{'certified':>11}{'lower':>9}{'order':>7}{'time':>8}"
+        f"{'reference':>11}{'order':>7}{'paper':>8}{'order':>7}")
+    ]
+    for r in rows:
+        lines.append(
+            f"{r.structure:6}{r.A_t:>6g}{r.A_u:>8.0e}{r.upper:>11.5f}{r.lower:>9.5f}{r.order:>7d}"
+            f"{r.seconds:>7.2f}s{_or_dash(r.reference):>11}{_or_dash(r.reference_order):>7}"
+            f"{_or_dash(r.paper):>8}{_or_dash(r.paper_order):>7}"
+        )
+    return "\n".join(lines)
+
+
+def differences(case: dict, rows: list[TableRow]) -> list[str]:
+    """One sentence a row: how it differs from the paper's, and why, by what the case's weights allow at all."""
+    return [_difference(case, row, rows) for row in rows]
+
+
+def _difference(case: dict, row: TableRow, rows: list[TableRow]) -> str:
+    if row.paper is None:
+        return "The paper has no such row."
+    limit = f"with this case's weights no controller goes below {row.floor.value:.5f} (at {row.floor.frequency:g} rad/s)"
+    apart = row.upper / row.paper - 1
+    order = (f"order {row.order} instead of {row.paper_order} since states are cut as long as the certified level stays "
+             f"(before: {row.full_order})" if row.paper_order else f"order {row.order}")
+    beyond = "" if row.reference is None or row.upper <= row.reference or row.floor.value <= row.reference else (
+        f"; the reference's {row.reference:g} is rounded, and below that limit")
+    if abs(row.upper - row.paper) <= PAPER_DIGITS:
+        why = ("|W_nr(0)| and |W_wr(0)| were calibrated to this row" if row.structure == "K_inf"
+               else "what the calibrated noise and disturbance allow at DC decides")
+        return f"The paper's value to its three digits, as {why}: {limit}{beyond}; {order}."
+    size = "above" if apart > 0 else "below"
+    text = f"{abs(apart):.1%} {size} the paper's {row.paper:g}: {limit}, and ours is within {row.upper / row.floor.value - 1:.1e} of that"
+    scale = _uncertainty_scale(case, row)
+    if scale is not None:
+        text += f"; the paper's value would be this limit with the uncertainty weights {scale:.2g} times as large, and its own are not published"
+    return f"{text}{_moves(row, rows)}{beyond}; {order}."
+
+
+def _moves(row: TableRow, rows: list[TableRow]) -> str:
+    """How the levels of the structure move with the objective, where the paper's do not move with A_t alone as a level does that
+    tracking limits."""
+    for other in rows:
+        if other.structure != row.structure or other is row or other.paper is None:
+            continue
+        by_tracking = other.A_t / row.A_t
+        if other.A_u <= row.A_u and abs(other.paper / row.paper - by_tracking) > 0.05:
+            return (f"; from A_t {row.A_t:g}, A_u {row.A_u:g} to {other.A_t:g}, {other.A_u:g} the paper's level moves by "
+                    f"{other.paper / row.paper - 1:+.1%}, ours by {other.upper / row.upper - 1:+.1%} and A_t by {by_tracking - 1:+.1%}: "
+                    "the paper's is limited by the control effort, this case's by tracking at DC")
+    return ""
+
+
+def _uncertainty_scale(case: dict, row: TableRow) -> float | None:
+    """The factor on W_delta_i and W_delta_s with which the row's limit would be the paper's value; None without uncertainty or
+    where no factor from 1e-3 to 1e3 does it."""
+    if row.structure == "K_inf":
+        return None
+
+    def exceeds(log_scale: float) -> bool:
+        scaled = {k: case[k] | {"gain": case[k]["gain"] * np.exp(log_scale)} for k in ("W_delta_i", "W_delta_s")}
+        plant = case_plant(case | scaled, {"A_t": row.A_t, "A_u": row.A_u}, row.structure)
+        return floor_exceeds(plant, row.floor.frequency, row.paper)
+
+    low, high = np.log(1e-3), np.log(1e3)
+    if exceeds(low) or not exceeds(high):
+        return None
+    while high - low > 1e-2:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if exceeds(middle) else (middle, high)
+    return float(np.exp(low))
+
+
+def _or_dash(value) -> str:
+    return "-" if value is None else f"{value:g}"

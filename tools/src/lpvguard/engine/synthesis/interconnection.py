@@ -1,0 +1,271 @@
+"""Fig. 1: the generalised plant of the yaw-rate tracking problem, with any of the three uncertainty
+structures.
+
+The nominal vehicle takes u (brake pressure difference, bar) to r (yaw rate, rad/s) and δ (road-wheel angle,
+rad):
+
+    ũ = u + W_Δi ξ_i            x' = A x + B ũ + W_Δs ξ_s         [r; δ] = C x
+    r_m = r + W_wr w_r          δ_m = δ + W_wδ w_δ                (disturbances)
+    e_t = W_R W_C r_c − r_m     z = [W_t e_t; W_u u]              (performance)
+    y = [W_C r_c, r_m + W_nr n_r, δ_m + W_nδ n_δ]                 (controller input)
+
+Inputs are [Δ outputs, w_r, w_δ, n_r, n_δ, r_c, u], outputs [Δ inputs, z_t, z_u, y_c, y_r, y_δ], with
+η_i = u and η_s = x where present. W_u weighs u, not ũ. Every external signal is normalised.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from lpvguard.engine.blocks import Block
+from lpvguard.engine.synthesis.errors import SynthesisError
+from lpvguard.engine.synthesis.statespace import StateSpace, append, balanced, to_discrete, zero_order_hold
+
+STRUCTURES = ("K_inf", "K_i", "K_is")
+"""Uncertainty structures: none, input-multiplicative, input-multiplicative and state."""
+
+
+@dataclass(frozen=True)
+class Weights:
+    """The ten weights of Fig. 1 as single-input single-output continuous systems, s in rad/s."""
+
+    W_R: StateSpace
+    W_C: StateSpace
+    W_t: StateSpace
+    W_u: StateSpace
+    W_nr: StateSpace
+    W_ndelta: StateSpace
+    W_wr: StateSpace
+    W_wdelta: StateSpace
+    W_delta_i: StateSpace
+    W_delta_s: StateSpace
+
+    def __post_init__(self):
+        for f in fields(self):
+            W = getattr(self, f.name)
+            if W.D.shape != (1, 1) or W.dt != 0:
+                raise SynthesisError(
+                    "interconnection",
+                    f.name,
+                    f"{W.D.shape} system with dt {W.dt:g}",
+                    "a continuous system with one input and one output",
+                )
+
+
+@dataclass(frozen=True)
+class GeneralisedPlant:
+    """The plant with its bookkeeping: ``system`` (named signals), the blocks of Δ, and the numbers of Δ outputs, Δ inputs, controls and measurements.
+    """
+
+    system: StateSpace
+    blocks: tuple[Block, ...]
+    n_delta_out: int
+    n_delta_in: int
+    n_control: int
+    n_measurement: int
+
+    @property
+    def performance_block(self) -> Block:
+        """The fictitious full block from z to [w; n; r_c] that turns robust performance into a μ test."""
+        n_w = self.system.n_inputs - self.n_delta_out - self.n_control
+        n_z = self.system.n_outputs - self.n_delta_in - self.n_measurement
+        return Block("full", n_w, n_z)
+
+
+def rational(num, den) -> StateSpace:
+    """num(s)/den(s), coefficients in descending powers of s (rad/s), proper; a balanced companion
+    realisation.
+    """
+    num, den = (np.trim_zeros(np.atleast_1d(np.asarray(c, dtype=float)), "f") for c in (num, den))
+    if den.size == 0 or num.size > den.size:
+        raise SynthesisError(
+            "weight",
+            "num, den",
+            f"degrees {num.size - 1} and {den.size - 1}",
+            "a proper transfer function with a denominator that is not zero",
+        )
+    num = np.concatenate([np.zeros(den.size - num.size), num]) / den[0]
+    den = den / den[0]
+    n = den.size - 1
+    A = np.eye(n, k=1)
+    if n:
+        A[-1] = -den[:0:-1]
+    B = np.zeros((n, 1))
+    B[-1:] = 1
+    C = (num[1:] - num[0] * den[1:])[::-1][None]
+    return balanced(StateSpace(A, B, C, [[num[0]]]))
+
+
+def zeros_poles(gain: float, zeros, poles) -> StateSpace:
+    """gain · Π(s/zero + 1) / Π(s/pole + 1), zeros and poles real in rad/s; a cascade of sections."""
+    zeros, poles = sorted(float(z) for z in zeros), sorted(float(p) for p in poles)
+    if len(zeros) > len(poles) or any(v == 0 or not np.isfinite(v) for v in (*zeros, *poles)):
+        raise SynthesisError(
+            "weight", "zeros, poles", f"{zeros} and {poles}", "no more zeros than poles, none at 0"
+        )
+    A, B, C, D = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[float(gain)]])
+    for k, p in enumerate(poles):
+        z = zeros[k - len(poles) + len(zeros)] if k >= len(poles) - len(zeros) else None
+        d = 0.0 if z is None else p / z
+        b = p * (1 - d)  # (s/z + 1)/(s/p + 1) = d + p (1 − d)/(s + p)
+        n = len(A)
+        A = np.block([[A, np.zeros((n, 1))], [b * C, np.array([[-p]])]])
+        B = np.vstack([B, b * D])
+        C = np.hstack([d * C, [[1.0]]])
+        D = d * D
+    return StateSpace(A, B, C, D)
+
+
+def weight_from_table(entry: dict, **gains: float) -> StateSpace:
+    """A weight of a case file: {num, den} or {gain, zeros, poles}; a gain given as a name is looked up in
+    ``gains``.
+    """
+    if "num" in entry:
+        return rational(entry["num"], entry["den"])
+    gain = entry["gain"]
+    return zeros_poles(gains[gain] if isinstance(gain, str) else gain, entry["zeros"], entry["poles"])
+
+
+def generalised_plant(
+    A, B, weights: Weights, structure: str, dt: float = 0.0, delay: int = 0, probes: bool = False
+) -> GeneralisedPlant:
+    """Fig. 1 around the vehicle x' = A x + B u, [r; δ] the first two states; A (n, n), B (n, 1) continuous.
+
+    ``dt`` > 0: the vehicle sampled exactly with u and ξ_s held (so ξ_s enters through ∫exp(As)ds), every
+    weight by Tustin's map; signals then are sequences. ``delay``: samples by which u reaches the vehicle
+    late, as computation and bus make it; Δ_i and W_u see u at once. ``probes``: the vehicle's state (n), input (1) and,
+    with state uncertainty, input on every state (n) are outputs too, behind z and counted as part of it. The vehicle's are
+    the first n states of the plant.
+    """
+    if delay < 0 or (delay and not dt):
+        raise SynthesisError(
+            "interconnection", "delay", f"{delay} samples at dt {dt:g}", "a whole number ≥ 0, and dt > 0"
+        )
+    if structure not in STRUCTURES:
+        raise SynthesisError(
+            "interconnection", "structure", repr(structure), f"one of {', '.join(STRUCTURES)}"
+        )
+    A, B = np.asarray(A, dtype=float), np.asarray(B, dtype=float)
+    n = len(A)
+    vehicle = StateSpace(
+        A, np.hstack([B, np.eye(n)]), np.vstack([np.eye(2, n), np.eye(n)]), np.zeros((2 + n, 1 + n))
+    )
+    W = {f.name: getattr(weights, f.name) for f in fields(weights)}
+    if dt:
+        vehicle = zero_order_hold(vehicle, dt)
+        W = {name: to_discrete(w, dt) for name, w in W.items()}
+    with_input, with_state = structure != "K_inf", structure == "K_is"
+
+    parts = {"vehicle": vehicle, **W}
+    for name, count in (("W_delta_i", int(with_input)), ("W_delta_s", n * with_state)):
+        one = parts.pop(name)
+        if count:
+            parts[name] = append(*[one] * count)
+    if delay:
+        parts["delay"] = StateSpace(np.eye(delay, k=1), np.eye(delay)[:, -1:], np.eye(delay)[:1], [[0.0]], dt)
+    net = _Network(parts)
+    signals = [
+        *(["xi_i"] * with_input),
+        *([f"xi_s{k}" for k in range(n)] * with_state),
+        "w_r",
+        "w_delta",
+        "n_r",
+        "n_delta",
+        "r_c",
+        "u",
+    ]
+    net.external(signals)
+    if with_input:
+        net.feed("W_delta_i", 0, {"xi_i": 1})
+    for k in range(n * with_state):
+        net.feed("W_delta_s", k, {f"xi_s{k}": 1})
+        net.feed("vehicle", 1 + k, {("W_delta_s", k): 1})
+    u_late = "u"
+    if delay:
+        net.feed("delay", 0, {"u": 1})
+        u_late = ("delay", 0)
+    u_tilde = {u_late: 1, **({("W_delta_i", 0): 1} if with_input else {})}
+    r_m = {("vehicle", 0): 1, ("W_wr", 0): 1}
+    delta_m = {("vehicle", 1): 1, ("W_wdelta", 0): 1}
+    net.feed("vehicle", 0, u_tilde)
+    net.feed("W_wr", 0, {"w_r": 1})
+    net.feed("W_wdelta", 0, {"w_delta": 1})
+    net.feed("W_nr", 0, {"n_r": 1})
+    net.feed("W_ndelta", 0, {"n_delta": 1})
+    net.feed("W_C", 0, {"r_c": 1})
+    net.feed("W_R", 0, {("W_C", 0): 1})
+    net.feed("W_t", 0, {("W_R", 0): 1, **{key: -1 for key in r_m}})
+    net.feed("W_u", 0, {"u": 1})
+    rows = {}
+    if with_input:
+        rows["eta_i"] = {"u": 1}
+    for k in range(n * with_state):
+        rows[f"eta_s{k}"] = {("vehicle", 2 + k): 1}
+    rows |= {
+        "z_t": {("W_t", 0): 1},
+        "z_u": {("W_u", 0): 1},
+        **(
+            {f"x_{k}": {("vehicle", 2 + k): 1} for k in range(n)}
+            | {"u_tilde": u_tilde}
+            | {f"x_in{k}": {("W_delta_s", k): 1} for k in range(n * with_state)}
+            if probes
+            else {}
+        ),
+        "y_c": {("W_C", 0): 1},
+        "y_r": {**r_m, ("W_nr", 0): 1},
+        "y_delta": {**delta_m, ("W_ndelta", 0): 1},
+    }
+    system = net.close(rows)
+    blocks = (*[Block("full", 1, 1)] * with_input, *[Block("full", n, n)] * with_state)
+    return GeneralisedPlant(system, blocks, sum(b.rows for b in blocks), sum(b.cols for b in blocks), 1, 3)
+
+
+class _Network:
+    """Systems joined by sums of each other's outputs and of external signals."""
+
+    def __init__(self, parts: dict[str, StateSpace]):
+        self.joined = append(*parts.values())
+        self.first_in, self.first_out, i, o = {}, {}, 0, 0
+        for name, g in parts.items():
+            self.first_in[name], self.first_out[name] = i, o
+            i, o = i + g.n_inputs, o + g.n_outputs
+        self.inner = np.zeros((i, o))
+
+    def external(self, names: list[str]) -> None:
+        """Declare the external inputs, in order."""
+        self.names = names
+        self.outer = np.zeros((self.joined.n_inputs, len(names)))
+
+    def feed(self, name: str, port: int, terms: dict) -> None:
+        """Input ``port`` of part ``name`` = the sum of ``terms``: external names or (part, output) pairs."""
+        inner, outer = self._row(terms)
+        self.inner[self.first_in[name] + port], self.outer[self.first_in[name] + port] = inner, outer
+
+    def _row(self, terms):
+        inner, outer = np.zeros(self.joined.n_outputs), np.zeros(len(self.names))
+        for key, sign in terms.items():
+            if isinstance(key, str):
+                outer[self.names.index(key)] += sign
+            else:
+                inner[self.first_out[key[0]] + key[1]] += sign
+        return inner, outer
+
+    def close(self, rows: dict[str, dict]) -> StateSpace:
+        """The system from the external inputs to the named ``rows``; Fig. 1 has no algebraic loop."""
+        G = self.joined
+        pick, direct = (np.array(part) for part in zip(*(self._row(t) for t in rows.values()), strict=True))
+        loop = np.linalg.inv(
+            np.eye(G.n_inputs) - self.inner @ G.D
+        )  # part inputs v = inner (C x + D v) + outer w
+        v_x, v_w = loop @ self.inner @ G.C, loop @ self.outer
+        return StateSpace(
+            G.A + G.B @ v_x,
+            G.B @ v_w,
+            pick @ (G.C + G.D @ v_x),
+            pick @ G.D @ v_w + direct,
+            G.dt,
+            tuple(self.names),
+            tuple(rows),
+        )

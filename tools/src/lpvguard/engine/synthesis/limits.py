@@ -1,0 +1,142 @@
+"""What no controller can do: a lower bound of μ over all controllers of a plant, frequency by frequency.
+
+At one frequency a controller is any matrix Q in M = M11 + M12 Q M21, and for a given D (Parrott 1978)
+
+    min over Q of σ̄(D M D⁻¹) = max( σ̄(D M11 D⁻¹) on the kernel of M21 D⁻¹, the same of the adjoint and the kernel of M12ᴴ D ),
+
+(T14). The first term is the gain from inputs that no measurement shows, the second the gain to outputs that no control reaches.
+The infimum over D is the least D-scaled bound of any controller at that frequency. For up to three full blocks, performance included,
+the D-scaled bound is μ itself. Branch and bound on ln d_i brackets the infimum. Over a box both terms are bounded from below by taking
+each d_i at its small end on the left of M and at its large end on the right.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg as sl
+
+from lpvguard.engine.synthesis.interconnection import GeneralisedPlant
+
+GRID = np.r_[0.0, np.geomspace(1e-3, 1e2, 16)]
+"""rad/s"""
+KERNEL_RTOL = 1e-9
+"""Singular values of M21 and M12 below this fraction of the largest are zero."""
+WIDEST = 15.0
+"""Largest |ln d| searched."""
+BOXES_AT_ONCE, MOST_ROUNDS = 128, 150
+
+
+@dataclass(frozen=True)
+class Floor:
+    """No controller, whatever its order, has a D-scaled μ bound below ``value`` at ``frequency`` [rad/s], |ln d_i| ≤ WIDEST.
+
+    ``at``: the least bound that was met while searching, value ≤ infimum ≤ at.
+    """
+
+    value: float
+    at: float
+    frequency: float
+
+
+def mu_floor(plant: GeneralisedPlant, omega=GRID, rtol: float = 2e-5) -> Floor:
+    """The highest floor over the frequencies ``omega`` [rad/s] (those above Nyquist are left out), to ``rtol``."""
+    omega = np.atleast_1d(np.asarray(omega, dtype=float))
+    omega = omega[omega * plant.system.dt <= np.pi]
+    best = Floor(0.0, 0.0, float(omega[0]))
+    for frequency, G in zip(omega, plant.system.response(omega), strict=True):
+        low, high = _Frequency(plant, G).infimum(rtol, best.value)
+        if low > best.value:
+            best = Floor(low, high, float(frequency))
+    return best
+
+
+def floor_exceeds(plant: GeneralisedPlant, omega: float, level: float) -> bool:
+    """True when every D has a bound above ``level`` at ``omega`` [rad/s], whatever the controller; False when one has not, or
+    when the search ends undecided."""
+    return _Frequency(plant, plant.system.response(omega)[0]).exceeds(level)
+
+
+class _Frequency:
+    """Both sides of Parrott's theorem at one frequency; boxes of ln d are (k, τ) arrays ``low``, ``high``."""
+
+    def __init__(self, plant: GeneralisedPlant, G: np.ndarray):
+        p, m = plant.n_measurement, plant.n_control
+        M11 = G[:-p, :-m]
+        blocks = (*plant.blocks, plant.performance_block)
+        self.rows, self.cols = np.array([b.cols for b in blocks]), np.array([b.rows for b in blocks])
+        hidden = sl.null_space(G[-p:, :-m], rcond=KERNEL_RTOL)
+        beyond = sl.null_space(G[:-p, -m:].conj().T, rcond=KERNEL_RTOL)
+        self.unseen = M11 @ hidden, hidden
+        self.unreached = M11.conj().T @ beyond, beyond
+        self.dim = len(plant.blocks)
+
+    def bound(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Lower bound (k,) of the scaled norm over each box; its value where low = high."""
+        zero = np.zeros((len(low), 1))
+        low, high = np.hstack([low, zero]), np.hstack([high, zero])
+        seen = _gain(*self.unseen, np.repeat(low, self.rows, axis=1), np.repeat(high, self.cols, axis=1))
+        return np.maximum(seen, _gain(*self.unreached, np.repeat(-high, self.cols, axis=1), np.repeat(-low, self.rows, axis=1)))
+
+    def infimum(self, rtol: float, enough: float) -> tuple[float, float]:
+        """Bracket of the infimum over D; the search ends as soon as it is known to lie below ``enough``."""
+        low, high = np.full((1, self.dim), -WIDEST), np.full((1, self.dim), WIDEST)
+        values, best, least = self.bound(low, high), np.inf, np.inf
+        for _ in range(MOST_ROUNDS):
+            middle = 0.5 * (low + high)
+            met = self.bound(middle, middle)
+            best = min(best, met.min())
+            if self.dim == 0 or best <= enough:
+                return min(best, values.min()), best
+            open_ = values < best * (1 - rtol)
+            least = min(least, values[~open_].min(initial=np.inf))
+            low, high, values = low[open_], high[open_], values[open_]
+            if not len(values):
+                break
+            low, high, values = self._divided(low, high, values)
+        return min(least, values.min(initial=np.inf), best), best
+
+
+    def exceeds(self, level: float) -> bool:
+        """Whether the infimum over D is known to lie above ``level``."""
+        low, high = np.full((1, self.dim), -WIDEST), np.full((1, self.dim), WIDEST)
+        values = self.bound(low, high)
+        for _ in range(MOST_ROUNDS):
+            open_ = values <= level
+            low, high, values = low[open_], high[open_], values[open_]
+            if not len(values):
+                return True
+            middle = 0.5 * (low + high)
+            if self.dim == 0 or self.bound(middle, middle).min() <= level:
+                return False
+            low, high, values = self._divided(low, high, values)
+        return False
+
+    def _divided(self, low, high, values):
+        """The boxes of least bound cut in two, the others as they are."""
+        order = np.argsort(values, kind="stable")
+        first, rest = order[:BOXES_AT_ONCE], order[BOXES_AT_ONCE:]
+        children = _halves(low[first], high[first])
+        return tuple(np.concatenate([new, old[rest]])
+                     for new, old in zip((*children, self.bound(*children)), (low, high, values), strict=True))
+
+
+def _halves(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes cut in two across their widest side."""
+    side = np.argmax(high - low, axis=1)
+    row = np.arange(len(low))
+    cut = 0.5 * (low[row, side] + high[row, side])
+    upper, lower = low.copy(), high.copy()
+    upper[row, side], lower[row, side] = cut, cut
+    return np.concatenate([low, upper]), np.concatenate([lower, high])
+
+
+def _gain(image: np.ndarray, source: np.ndarray, left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """max over v of ‖exp(left) image v‖ / ‖exp(right) source v‖ for each row of ``left`` and ``right``."""
+    if source.shape[1] == 0:
+        return np.zeros(len(left))
+    R = np.linalg.qr(np.exp(right)[:, :, None] * source, mode="r")
+    scaled = np.exp(left)[:, :, None] * image
+    adjoint = np.linalg.solve(np.conj(np.swapaxes(R, 1, 2)), np.conj(np.swapaxes(scaled, 1, 2)))
+    return np.linalg.norm(adjoint, 2, axis=(1, 2))

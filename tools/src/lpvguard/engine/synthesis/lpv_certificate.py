@@ -1,0 +1,487 @@
+"""Induced gain of a scheduled closed loop while the speed moves: a parameter-dependent storage function, found and proved.
+
+The loop is x+ = A(v) x + B(v) w, z = C(v) x + D(v) w with v+ - v in [-a Ts, a Ts]. With P(v) > 0 and
+
+    F(v, v+) = [P(v) 0; 0 I] - [A B]' P(v+) [A B] - [C D]' [C D] > 0     for all v in the range and |v+ - v| <= a Ts
+
+x' P(v) x is a storage function: the gain from w to z is below 1 for every speed history with |dv/dt| <= a, from rest. ``find``
+looks for P twice and keeps what proves the larger a: as P0 + v P1 + P2 / v, in which F is linear, by a barrier method on a grid of
+speeds; and as the solutions of the strict bounded-real Riccati equations. Either is taken piecewise linear between ``KNOTS`` knots
+in every interval of the controller's nodes. ``prove`` decides on all speeds: the range is covered by cells, F is tested at a cell's ends, and what
+it may lose between them is bounded by a matrix:
+
+- P is affine in a cell, P(v+) - P(v) is v+ - v times a mean of the slopes of the segments that v and v+ lie in: each is tested;
+- F is concave along the chord between the ends but for the product of dP and dM (M = [A B]), a bound of which is subtracted;
+- M leaves its chord in the vehicle's rows only (all else is affine between two nodes of the controller), there by bounds on the
+  derivatives of the vehicle's zero-order hold over the cell (``NominalModel.hold_bounds``).
+
+A cell that fails is cut in two, down to ``SMALLEST_CELL``. Every test is by eigenvalues with a reserve for rounding.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg as sl
+
+from lpvguard.base import native
+from lpvguard.engine.synthesis.dk import gramian_factor
+from lpvguard.engine.synthesis.norms import hinf_norm
+from lpvguard.engine.synthesis.statespace import EPS, StateSpace
+
+SMALLEST_CELL = 1e-3
+"""Width in m/s below which a cell that fails is a failure."""
+FIRST_CELLS = 8
+"""Cells that the interval between two knots is cut into at first."""
+MOST_CELLS = 4000
+"""Cells after which a proof is given up: it would take too long to be repeated at every export."""
+FIRST_RATE, LARGEST_RATE, SMALLEST_RATE = 0.25, 8.0, 0.015
+"""Rates |dv/dt| tried [m/s^2]: from the first by factors of four, no further than these; a truck brakes with less than the largest."""
+WANTED = 0.02
+"""Slack, relative to that of the frozen solutions' mean, with which the search at one rate is content."""
+SHARES = (0.95, 0.5)
+"""Of the rate for which a storage function was found on the grid, tried in the proof between its speeds; the last for Riccati
+solutions, which are taken as they come and waver between the knots."""
+KNOTS = 16
+"""Knots of a storage function in every interval between nodes: what it loses between knots is of second order."""
+NEWTON_STEPS = 25
+"""Steps for one rate before it counts as not found."""
+SLACKS = (3e-4, 1e-4, 3e-5, 1e-5, 1e-6)
+"""Extra input and output on every state with which the frozen Riccati equations are made strict, relative to the coordinates."""
+
+
+@dataclass(frozen=True)
+class Family:
+    """The scaled closed loop over speed.
+
+    at(v): StateSpace with ``n_probes`` extra outputs, last: the vehicle's state and inputs, in the order of the columns of
+    ``hold_bounds(low, high)`` = (|Xi'|, |Xi''|), entrywise bounds over speeds low..high for the rows ``vehicle`` of [A B] = Xi
+    times the probes. ``nodes``: speeds between which everything else in ``at`` is affine.
+    """
+
+    at: Callable[[float], StateSpace]
+    nodes: np.ndarray
+    vehicle: slice
+    n_probes: int
+    hold_bounds: Callable[[float, float], tuple[np.ndarray, np.ndarray]]
+    Ts: float
+
+
+@dataclass(frozen=True)
+class Storage:
+    """P(v) linear between ``knots`` (K,) [m/s], P (K, n, n) there, in the coordinates x = basis x~; basis (n, n)."""
+
+    basis: np.ndarray
+    knots: np.ndarray
+    P: np.ndarray
+
+    def at(self, v: float) -> np.ndarray:
+        """P(v)."""
+        k = int(np.clip(np.searchsorted(self.knots, v) - 1, 0, len(self.knots) - 2))
+        share = (v - self.knots[k]) / (self.knots[k + 1] - self.knots[k])
+        return (1 - share) * self.P[k] + share * self.P[k + 1]
+
+    @cached_property
+    def slopes(self) -> np.ndarray:
+        """dP/dv in every segment, (K - 1, n, n)."""
+        return np.diff(self.P, axis=0) / np.diff(self.knots)[:, None, None]
+
+    def slopes_near(self, low: float, high: float, step: float) -> np.ndarray:
+        """Those of the segments that speeds within ``step`` of low..high lie in."""
+        return self.slopes[(self.knots[:-1] < high + step) & (self.knots[1:] > low - step)]
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What ``prove`` found: number of cells and the least eigenvalue of F at their ends, remainder subtracted, relative to the
+    storage's trace over its order."""
+
+    cells: int
+    margin: float
+
+
+@dataclass(frozen=True)
+class LpvCertificate:
+    """``P`` (3, n, n): P0, P1, P2 in the coordinates ``storage.basis``; None: Riccati solutions, which ``riccati_storage`` makes
+    anew. Gain below 1 for |dv/dt| <= rate [m/s^2]. not_found: the least rate tried for which no storage function was found (None:
+    the largest tried was proved); it may exist all the same."""
+
+    rate: float
+    storage: Storage
+    P: np.ndarray | None
+    proof: Proof
+    not_found: float | None
+
+
+def terms(v) -> np.ndarray:
+    """(1, v, 1/v) in the last axis."""
+    v = np.asarray(v, float)
+    return np.stack([np.ones_like(v), v, 1 / v], axis=-1)
+
+
+def slopes(v) -> np.ndarray:
+    """d/dv of ``terms``."""
+    v = np.asarray(v, float)
+    return np.stack([np.zeros_like(v), np.ones_like(v), -1 / v**2], axis=-1)
+
+
+def prove(family: Family, storage: Storage, rate: float) -> Proof | None:
+    """The proof for all speeds between the first and the last node and |dv/dt| <= rate; None where it fails."""
+    ends: dict[float, _End] = {}
+
+    def end(v: float) -> _End:
+        if v not in ends:
+            ends[v] = _End.of(family, storage, v)
+        return ends[v]
+
+    if min(np.linalg.eigvalsh(P)[0] for P in storage.P) <= 0:
+        return None
+    cells, margin = 0, np.inf
+    edges = np.union1d(family.nodes, storage.knots)
+    todo = list(itertools.pairwise(map(float, _refined(edges, FIRST_CELLS))))
+    scale = np.trace(storage.P.mean(axis=0)) / len(storage.basis)
+    while todo:
+        low, high = todo.pop()
+        slack = _cell_slack(family, storage, end(low), end(high), rate)
+        if slack is None:
+            if high - low < SMALLEST_CELL or cells + len(todo) > MOST_CELLS:
+                return None
+            middle = 0.5 * (low + high)
+            todo += [(low, middle), (middle, high)]
+        else:
+            cells, margin = cells + 1, min(margin, slack / scale)
+    return Proof(cells, margin)
+
+
+@dataclass(frozen=True)
+class _End:
+    """The loop at a cell's end: M (n, n + m), the outputs' share N'N, the probes R (k, n + m), and P."""
+
+    v: float
+    M: np.ndarray
+    NN: np.ndarray
+    R: np.ndarray
+    P: np.ndarray
+
+    @classmethod
+    def of(cls, family: Family, storage: Storage, v: float) -> _End:
+        M, N, R = _loop(family, storage.basis, v)
+        return cls(v, M, N.T @ N, R, storage.at(v))
+
+
+def _loop(family: Family, basis: np.ndarray, v: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """[A B], [C D] and the probes' rows, in the coordinates of ``basis``."""
+    G, n_z = family.at(v), -family.n_probes
+    B = np.linalg.solve(basis, np.hstack([G.A @ basis, G.B]))
+    rows = np.hstack([G.C @ basis, G.D])
+    return B, rows[:n_z], rows[n_z:]
+
+
+def _cell_slack(family: Family, storage: Storage, one: _End, two: _End, rate: float) -> float | None:
+    """Least eigenvalue of F less remainder at a cell's ends; None when one is not positive."""
+    n, step, width = len(storage.basis), rate * family.Ts, two.v - one.v
+    first, second = family.hold_bounds(one.v, two.v)
+    M = (one.M, two.M)
+    E = np.eye(n, one.M.shape[1])
+    dM, dR, dP = two.M - one.M, two.R - one.R, _absolute(two.P - one.P)
+    U = np.linalg.solve(storage.basis, np.eye(n)[:, family.vehicle])
+    # The vehicle's rows leave their chord by (rho1 R + rho2 dR) with |rho1| <= width^2/8 |Xi''|, |rho2| <= width/4 |Xi'|.
+    bound = np.hstack([width**2 / 8 * second] * 2 + [width / 4 * first])
+    probes = np.vstack([one.R, two.R, dR])
+    driven = (probes.T * bound.sum(axis=0)) @ probes
+    product = dM.T @ dP @ dM, sum(m.T @ dP @ m for m in M)
+    slacks = []
+    for change in (sign * step * slope for slope in storage.slopes_near(one.v, two.v, step) for sign in (1.0, -1.0)):
+        Q = [end.P + change for end in (one, two)]
+        F = [_dissipation(end, q, E) for end, q in zip((one, two), Q)]
+        try:
+            inverse = np.linalg.inv(sum(F))
+        except np.linalg.LinAlgError:
+            return None
+        remainder = 0.25 * _weighed(*product, inverse)
+        reached = [m.T @ q @ U for m in M for q in Q]
+        remainder += _weighed(sum((x * bound.sum(axis=1)) @ x.T for x in reached), driven, inverse)
+        remainder += sum(np.trace(U.T @ q @ U) for q in Q) * np.sum(bound**2) * probes.T @ probes
+        for end, f, q in zip((one, two), F, Q):
+            size = np.abs(end.P).sum(axis=1).max() + np.linalg.norm(end.M, 2) ** 2 * np.abs(q).sum(axis=1).max()
+            value = np.linalg.eigvalsh(f - remainder)[0] - 4 * len(f) * EPS * size
+            if not value > 0:
+                return None
+            slacks.append(value)
+    return float(min(slacks))
+
+
+def _dissipation(end: _End, Q: np.ndarray, E: np.ndarray) -> np.ndarray:
+    F = E.T @ end.P @ E - end.M.T @ Q @ end.M - end.NN
+    k = len(end.P)
+    F[k:, k:] += np.eye(len(F) - k)
+    return 0.5 * (F + F.T)
+
+
+def _absolute(X: np.ndarray) -> np.ndarray:
+    """|X| of a symmetric X: -|X| <= X <= |X|."""
+    values, vectors = np.linalg.eigh(0.5 * (X + X.T))
+    return (vectors * np.abs(values)) @ vectors.T
+
+
+def _weighed(X: np.ndarray, Y: np.ndarray, inverse: np.ndarray) -> np.ndarray:
+    """eta X + Y / eta for X, Y >= 0 with the eta that costs least against the inverse of F."""
+    x, y = np.sum(inverse * X), np.sum(inverse * Y)
+    if not (x > 0 and y > 0):
+        return X + Y
+    eta = np.sqrt(y / x)
+    return eta * X + Y / eta
+
+
+def polynomial_storage(family: Family, basis: np.ndarray, P: np.ndarray) -> Storage:
+    """P0 + v P1 + P2 / v at the knots."""
+    knots = _refined(family.nodes, KNOTS)
+    return Storage(basis, knots, np.tensordot(terms(knots), P, 1))
+
+
+def riccati_storage(family: Family) -> Storage | None:
+    """Strict solutions of the bounded-real Riccati equation at the knots; None where a frozen gain is not below 1."""
+    knots = _refined(family.nodes, KNOTS)
+    frozen = _frozen_at(family, knots)
+    return frozen and Storage(frozen[0], knots, frozen[2])
+
+
+def _refined(nodes: np.ndarray, parts: int) -> np.ndarray:
+    return np.interp(np.arange((len(nodes) - 1) * parts + 1) / parts, np.arange(len(nodes)), nodes)
+
+
+def _frozen_at(family: Family, speeds: np.ndarray):
+    """basis, parts (M, N) and Riccati solutions at ``speeds``, in coordinates that suit all of them; None without solutions."""
+    loops = [family.at(v) for v in speeds]
+    if not all(G.stability_margin() > 0 for G in loops):
+        return None
+    basis = _coordinates([G.select(slice(0, G.n_outputs - family.n_probes), slice(None)) for G in loops])
+    parts = [_loop(family, basis, v)[:2] for v in speeds]
+    frozen = _frozen(parts, family.Ts)
+    return None if frozen is None else _even(basis, parts, frozen)
+
+
+def find(family: Family, progress: Callable[[str], None] = lambda _: None) -> LpvCertificate | None:
+    """The storage function with the largest rate that was found and proved; None when there is none."""
+    grid = _refined(family.nodes, 2)
+    start = _frozen_at(family, grid)
+    if start is None:
+        return None
+    basis, parts, frozen = start
+    mean, spread = float(grid.mean()), float(np.ptp(grid))
+    units = np.array([[1.0, 0, 0], [-mean / spread, 1 / spread, 0], [-1, 0, mean]])  # terms of like size
+    functions, rates = terms(grid) @ units.T, slopes(grid) @ units.T
+    P = np.linalg.lstsq(functions, frozen.reshape(len(grid), -1), rcond=None)[0].reshape(3, *frozen.shape[1:])
+    unit = _Barrier(parts, np.eye(len(grid)), np.eye(len(grid))).F(frozen).mean(axis=0)
+
+    twice = [part for part in parts for _ in (0, 1)]
+    now, change = np.repeat(functions, 2, axis=0), np.stack([rates, -rates], axis=1).reshape(-1, 3) * family.Ts
+    stored, failed, rate = [], None, FIRST_RATE
+    while rate is not None:
+        progress(f"storage function for |dv/dt| up to {rate:.3g} m/s2")
+        found = _feasible(_Barrier(twice, now, now + rate * change), P, unit)
+        if found is not None:
+            P = found
+            stored.append((rate, np.tensordot(units.T, found, 1)))
+        else:
+            failed = rate
+        rate = _next_rate(stored[-1][0] if stored else None, failed)
+    progress("proof between the speeds")
+    tried = [(rate, polynomial_storage(family, basis, P), P) for rate, P in stored]
+    riccati = riccati_storage(family)
+    if riccati is not None:
+        tried.append((_rate_at_knots(family, riccati), riccati, None))
+    for rate, storage, P in sorted(tried, key=lambda one: -one[0]):
+        for share in SHARES if P is not None else SHARES[-1:]:
+            proof = prove(family, storage, share * rate)
+            if proof is not None:
+                return LpvCertificate(share * rate, storage, P, proof, failed)
+    return None
+
+
+def _rate_at_knots(family: Family, storage: Storage) -> float:
+    """The largest rate for which F > 0 at the knots."""
+    parts = [_loop(family, storage.basis, v)[:2] for v in storage.knots]
+    barrier = _Barrier(parts, np.eye(len(parts)), np.eye(len(parts)))
+    largest = np.inf
+    for k, F in enumerate(barrier.F(storage.P)):
+        L = np.linalg.inv(np.linalg.cholesky(F)) @ barrier.M[k].T
+        for slope in storage.slopes[max(k - 1, 0):k + 1]:
+            largest = min(largest, 1 / (family.Ts * np.abs(np.linalg.eigvalsh(L @ slope @ L.T)).max()))
+    return float(largest)
+
+
+def _next_rate(found: float | None, failed: float | None) -> float | None:
+    """The rate to try after the largest found and the least failed; None: enough."""
+    if failed is None:
+        return min(4 * found, LARGEST_RATE) if found < LARGEST_RATE else None
+    if found is None:
+        return failed / 4 if failed / 4 >= SMALLEST_RATE else None
+    return float(np.sqrt(found * failed)) if failed > 2.1 * found else None
+
+
+def _coordinates(loops: list[StateSpace]) -> np.ndarray:
+    """Basis in which the sums over the loops of both Gramians are equal and diagonal."""
+    reach = sum(sl.solve_discrete_lyapunov(G.A, G.B @ G.B.T) for G in loops) / len(loops)
+    seen = sum(sl.solve_discrete_lyapunov(G.A.T, G.C.T @ G.C) for G in loops) / len(loops)
+    R, S = gramian_factor(reach), gramian_factor(seen)
+    _, sigma, Vt = np.linalg.svd(S.T @ R)
+    return R @ Vt.T / np.sqrt(np.maximum(sigma, EPS * sigma[0]))
+
+
+def _frozen(parts: list[tuple[np.ndarray, np.ndarray]], Ts: float) -> np.ndarray | None:
+    """Strict solutions of the bounded-real Riccati equation at every speed, (k, n, n), all with the same slack; None when a
+    frozen gain is not below 1."""
+    n = len(parts[0][0])
+    for slack in SLACKS:
+        extra, out = np.sqrt(slack) * np.eye(n), []
+        for M, N in parts:
+            m = M.shape[1] - n
+            B, C = np.hstack([M[:, n:], extra]), np.vstack([N[:, :n], extra])
+            D = sl.block_diag(N[:, n:], np.zeros((n, n)))
+            if hinf_norm(StateSpace(M[:, :n], B, C, D, Ts), rtol=1e-3).upper >= 1:
+                break
+            try:
+                P = sl.solve_discrete_are(M[:, :n], B, C.T @ C, D.T @ D - np.eye(m + n), s=C.T @ D, balanced=False)
+            except np.linalg.LinAlgError:
+                break
+            out.append(0.5 * (P + P.T))
+        else:
+            return np.array(out)
+    return None
+
+
+def _even(basis, parts, frozen):
+    """The same in the coordinates in which the frozen solutions' mean is diagonal and what they dissipate in a step is even:
+    slow states lose little of their storage in a step, and elsewhere the barrier's curvature would drown in theirs."""
+    n = len(basis)
+    lost = _Barrier(parts, np.eye(len(parts)), np.eye(len(parts))).F(frozen).mean(axis=0)[:n, :n]
+    T = sl.eigh(frozen.mean(axis=0), lost)[1]
+    wide = [sl.block_diag(T, np.eye(M.shape[1] - n)) for M, _ in parts]
+    return (basis @ T, [(np.linalg.solve(T, M @ W), N @ W) for (M, N), W in zip(parts, wide)], T.T @ frozen @ T)
+
+
+class _Barrier:
+    """F_i(P) = E' (sum_k phi_ik P_k) E - M_i' (sum_k next_ik P_k) M_i - N_i' N_i + diag(0, I) and the derivatives of its log det.
+
+    parts: (M, N) per i; phi, next (count, terms); P (terms, n, n) symmetric, as a vector its upper triangles row by row.
+    """
+
+    def __init__(self, parts: list[tuple[np.ndarray, np.ndarray]], phi: np.ndarray, next_: np.ndarray):
+        self.M, N = (np.array([part[k] for part in parts]) for k in (0, 1))
+        self.n, width = self.M.shape[1:]
+        self.phi, self.next = np.ascontiguousarray(phi), np.ascontiguousarray(next_)
+        self.constant = -np.swapaxes(N, 1, 2) @ N
+        self.constant[:, self.n:, self.n:] += np.eye(width - self.n)
+        self.upper = np.triu_indices(self.n)
+        self.twice = np.where(self.upper[0] == self.upper[1], 1.0, 2.0)
+
+    def F(self, P: np.ndarray, constant: bool = True) -> np.ndarray:
+        out = -np.swapaxes(self.M, 1, 2) @ np.tensordot(self.next, P, 1) @ self.M
+        out[:, :self.n, :self.n] += np.tensordot(self.phi, P, 1)
+        return out + self.constant if constant else out
+
+    def matrices(self, p: np.ndarray) -> np.ndarray:
+        """P from its vector."""
+        p = p.reshape(self.phi.shape[1], -1)
+        P = np.zeros((len(p), self.n, self.n))
+        P[:, self.upper[0], self.upper[1]] = p
+        P[:, self.upper[1], self.upper[0]] = p
+        return P
+
+    def adjoint(self, S: np.ndarray) -> np.ndarray:
+        """Gradient of sum_i tr(S_i F_i(P))."""
+        n = self.n
+        G = np.einsum("ik,iab->kab", self.phi, S[:, :n, :n]) - np.einsum(
+            "ik,iab->kab", self.next, self.M @ S @ np.swapaxes(self.M, 1, 2))
+        return (G[:, self.upper[0], self.upper[1]] * self.twice).ravel()
+
+    def hessian(self, S: np.ndarray) -> np.ndarray:
+        """Hessian of -sum_i log det F_i at S_i = F_i^-1, its lower triangle."""
+        n = self.n
+        parts = S[:, :n, :n], self.M @ S @ np.swapaxes(self.M, 1, 2), self.M @ S[:, :, :n]
+        a, b, c = (np.ascontiguousarray(x) for x in parts)
+        size = self.phi.shape[1] * len(self.twice)
+        H = np.zeros((size, size))
+        if lib := native.kernels("lyapunov_barrier"):
+            lib.lpvg_lyapunov_hessian(*(ctypes.c_ssize_t(x) for x in (n, len(S), self.phi.shape[1])),
+                                      *(x.ctypes.data_as(ctypes.c_void_p) for x in (a, b, c, self.phi, self.next, H)))
+            return H
+        i, j = self.upper
+        weight = 0.5 * np.outer(self.twice, self.twice)
+
+        def product(x: np.ndarray) -> np.ndarray:
+            return weight * (x[np.ix_(i, i)] * x[np.ix_(j, j)] + x[np.ix_(i, j)] * x[np.ix_(j, i)])
+
+        for ak, bk, ck, phi, nxt in zip(a, b, c, self.phi, self.next):
+            H += np.kron(np.outer(phi, phi), product(ak)) + np.kron(np.outer(nxt, nxt), product(bk))
+            H -= np.kron(np.outer(phi, nxt), product(ck.T)) + np.kron(np.outer(nxt, phi), product(ck))
+        return H
+
+
+def _feasible(barrier: _Barrier, P: np.ndarray, unit: np.ndarray) -> np.ndarray | None:
+    """P with every F_i > 0, from any P: Newton's method on tau t - sum_i log det(F_i + t unit), until t < -``WANTED``; what was reached
+    with t < 0, or None, when ``NEWTON_STEPS`` do not get there. ``unit`` (N, N) > 0: what F is measured in."""
+    count, width = len(barrier.M), len(unit)
+    p = P[:, barrier.upper[0], barrier.upper[1]].ravel()
+    L = np.linalg.inv(np.linalg.cholesky(unit))
+    t = 1.05 * max(-np.linalg.eigvalsh(L @ barrier.F(P) @ L.T).min(), 1e-3)
+    tau, found = 2.0 * count * width, None
+    for _ in range(NEWTON_STEPS):
+        try:
+            L = np.linalg.inv(np.linalg.cholesky(barrier.F(barrier.matrices(p)) + t * unit))
+            S = np.swapaxes(L, 1, 2) @ L
+            g, g_t = -barrier.adjoint(S), tau - np.sum(S * unit)
+            H = barrier.hessian(S)
+            cross = S @ unit @ S
+            h, h_t = barrier.adjoint(cross), np.sum(cross * unit)
+            scale = 1 / np.sqrt(np.diagonal(H))
+            H *= scale
+            H *= scale[:, None]
+            factor = _factored(H)
+        except np.linalg.LinAlgError:
+            return found
+        solved = sl.cho_solve(factor, np.stack([g, h], axis=1) * scale[:, None], check_finite=False) * scale[:, None]
+        d_t = -(g_t - h @ solved[:, 0]) / (h_t - h @ solved[:, 1])
+        d_p = -solved[:, 0] - solved[:, 1] * d_t
+        curve = np.linalg.eigvalsh(L @ (barrier.F(barrier.matrices(d_p), constant=False) + d_t * unit) @ np.swapaxes(L, 1, 2))
+        length = _line_search(curve.ravel(), tau * d_t)
+        p, t = p + length * d_p, t + length * d_t
+        if t < 0:
+            found = barrier.matrices(p)
+        decrement = -(g @ d_p + g_t * d_t)
+        if t < -WANTED or decrement < 1.0 and abs(t) > 2 * count * width / tau:
+            return found  # enough, or at the centre: the least t is not much below this one
+        if decrement < 25.0:
+            tau *= 10.0
+    return found
+
+
+def _factored(H: np.ndarray):
+    """Cholesky factor of H, unit diagonal, lower triangle given; with the least addition to the diagonal that rounding asks for."""
+    for extra in (1e-13, 1e-11, 1e-9):
+        np.fill_diagonal(H, 1 + extra)
+        try:
+            return sl.cho_factor(H, lower=True, check_finite=False)
+        except np.linalg.LinAlgError:
+            pass
+    raise np.linalg.LinAlgError("not positive definite")
+
+
+def _line_search(curve: np.ndarray, slope: float) -> float:
+    """Minimiser over s >= 0 of slope s - sum log(1 + s curve): Newton steps kept inside the domain."""
+    end = -1 / curve.min() if curve.min() < 0 else np.inf
+    s = min(1.0, 0.9 * end)
+    for _ in range(30):
+        ratio = curve / (1 + s * curve)
+        wanted = s - (slope - ratio.sum()) / np.sum(ratio**2)
+        new = float(np.clip(wanted, 0.1 * s, s + 0.9 * (end - s) if np.isfinite(end) else 10 * s))
+        if abs(new - s) <= 1e-3 * s:
+            break
+        s = new
+    return s

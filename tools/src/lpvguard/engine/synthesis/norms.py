@@ -1,0 +1,123 @@
+"""The H∞ norm as a bracket: a lower bound attained at a frequency and an upper bound from a level test.
+
+Continuous time by the eigenvalues of the Hamiltonian matrix (Boyd & Balakrishnan 1990; Bruinsma & Steinbuch
+1990); a discrete system is first mapped bilinearly, which keeps the norm (its symplectic pencil is that
+Hamiltonian's image).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpvguard.engine.synthesis.statespace import EPS, StateSpace, balanced, to_continuous
+
+
+@dataclass(frozen=True)
+class NormBracket:
+    """lower = σ̄(G) at ``peak_frequency`` (rad/s, possibly inf or 0) ≤ ‖G‖∞ ≤ upper; both inf when G is
+    unstable.
+    """
+
+    lower: float
+    upper: float
+    peak_frequency: float
+
+
+def hinf_norm(G: StateSpace, rtol: float = 1e-6) -> NormBracket:
+    """Bracket ‖G‖∞ so that upper ≤ (1 + rtol) lower, plus the rounding of G at its peak; DC and infinite (or Nyquist)
+    frequency included. Where rounding of A may lift G above that at DC or at the frequency of a pole, upper is that level.
+
+    An unstable G gives (inf, inf). The response is evaluated wherever an eigenvalue of the Hamiltonian comes
+    near the axis (1e-3 of its size, far more than rounding moves it), and between such neighbours: a crossing
+    that rounding has pushed off the axis is still found. Raises ArithmeticError if 60 levels do not suffice.
+    """
+    if not G.stability_margin() > 0:
+        return NormBracket(np.inf, np.inf, np.nan)
+    H = balanced(to_continuous(balanced(G)))
+
+    def warp(omega: float) -> float:
+        return float(2 / G.dt * np.arctan(omega * G.dt / 2)) if G.dt else float(omega)
+
+    poles = H.poles()
+    start = np.concatenate([[0.0, np.inf], np.abs(poles), np.abs(poles.imag)])
+    lower, peak = _largest(H, start)
+    if not (np.any(H.B) and np.any(H.C)):
+        return NormBracket(lower, lower, warp(peak))
+    tiny = 1e-300 + EPS * np.linalg.norm(H.D, 2)
+    lifted = _lifted(H, start)
+    for _ in range(60):
+        level = max(lower * (1 + rtol), tiny)
+        candidates = _crossings(H, level)
+        if candidates.size == 0:
+            return NormBracket(lower, max(level + _rounding(H, peak), lifted), warp(peak))
+        value, where = _largest(H, candidates)
+        if value <= level:
+            peak = where if value > lower else peak
+            return NormBracket(max(lower, value), max(level + _rounding(H, peak), lifted), warp(peak))
+        lower, peak = value, where
+    raise ArithmeticError("the level test of the H-infinity norm did not settle in 60 steps")
+
+
+def _largest(H: StateSpace, omega) -> tuple[float, float]:
+    """max over ``omega`` of σ̄(H(jω)) and the frequency that attains it."""
+    omega = np.unique(omega)
+    values = np.linalg.norm(H.response(omega), 2, axis=(1, 2))
+    k = int(np.argmax(values))
+    return float(values[k]), float(omega[k])
+
+
+def _lifted(H: StateSpace, omega) -> float:
+    """max over ``omega`` of σ̄(H(jω)) plus its rounding: a slow pole that A's large entries hide shows at its own frequency."""
+    omega = np.unique(omega[np.isfinite(omega)])
+    values = np.linalg.norm(H.response(omega), 2, axis=(1, 2))
+    return float(max((value + _rounding(H, w) for w, value in zip(omega, values, strict=True)), default=0.0))
+
+
+def _rounding(H: StateSpace, omega: float) -> float:
+    """How much rounding of the entries of A, by a few units in the last place each, moves σ̄(H(jω)): an error of first
+    order, entry by entry, so that the units of the states do not matter.
+
+    Far below any rtol unless the loop is nearly unstable or its signals are many decades apart.
+    """
+    if H.order == 0 or np.isinf(omega):
+        return 0.0
+    inverse = np.linalg.inv(1j * omega * np.eye(H.order) - H.A)
+    return float(8 * EPS * np.linalg.norm(np.abs(H.C @ inverse) @ np.abs(H.A) @ np.abs(inverse @ H.B)))
+
+
+def _crossings(H: StateSpace, level: float) -> np.ndarray:
+    """Frequencies where σ̄(H(jω)) may equal ``level``, and the points between them; empty when there are
+    none.
+    """
+    n = H.order
+    if n == 0:
+        return np.zeros(0)
+    B, D, C = H.B / level, H.D / level, H.C
+    if (
+        H.n_inputs > H.n_outputs
+    ):  # the smaller of the two Gram matrices; the norm of the transpose is the same
+        A, B, C, D = H.A.T, C.T / level, H.B.T, D.T
+    else:
+        A = H.A
+    R = np.eye(D.shape[1]) - D.T @ D
+    F = np.linalg.solve(R, np.hstack([D.T @ C, B.T]))
+    hamiltonian = np.block([[A, np.zeros((n, n))], [-C.T @ C, -A.T]]) + np.vstack([B, -C.T @ D]) @ F
+    return axis_frequencies(hamiltonian, np.linalg.norm(A, 2))
+
+
+def axis_frequencies(hamiltonian: np.ndarray, scale: float) -> np.ndarray:
+    """Frequencies of eigenvalues that lie on or near the imaginary axis, DC, and the points between them; empty when
+    there are none. ``scale``: ‖A‖ of the system.
+    """
+    eigenvalues = np.linalg.eigvals(hamiltonian)
+    # an eigenvalue of an n-fold near-defective cluster moves by about sqrt(eps) times the matrix norm
+    near = np.abs(eigenvalues.real) <= 1e-3 * np.abs(eigenvalues) + 1e2 * EPS * scale
+    cross = np.unique(np.abs(eigenvalues.imag[near]))
+    if cross.size == 0:
+        return cross
+    cross = np.concatenate([[0.0], cross[cross > 0]])
+    between = 0.5 * (cross[1:] + cross[:-1])
+    geometric = np.sqrt(cross[2:] * cross[1:-1]) if cross.size > 2 else np.zeros(0)
+    return np.concatenate([cross, between, geometric, [2 * cross[-1]]])

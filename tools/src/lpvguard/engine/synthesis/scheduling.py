@@ -1,0 +1,120 @@
+"""One family of controllers over the operating points of a scheduled plant, made so that it may be interpolated.
+
+Three things keep neighbours alike. One scaling D, the best for the worst point, and one level γ for all points: central
+controllers of neighbouring plants at the same level are neighbours, while near each plant's own optimum they are not. The
+plant's own coordinates: the central controller's state stands for the plant's. And one projection for all of them, from the
+sums over the points of the closed loops' Gramians (the frozen-parameter average of Wood, Goddard & Glover 1996): truncating
+each one by itself would keep different states of each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import scipy.linalg as sl
+
+from lpvguard.engine.synthesis.dk import Scaling, gramian_factor
+from lpvguard.engine.synthesis.hinf import hinf_synthesis, improved_level
+from lpvguard.engine.synthesis.interconnection import GeneralisedPlant
+from lpvguard.engine.synthesis.statespace import (
+    StateSpace,
+    append,
+    balancing,
+    gain,
+    lft,
+    scaled_states,
+    series,
+    to_continuous,
+    to_discrete,
+)
+
+FIRST_STEP, LAST_STEP = 0.2, 0.03
+"""Steps of the pattern search for the common scaling, in the logarithm of its parameters."""
+OPTIMUM_RTOL = 1e-4
+
+
+def scaled_plant(plant: GeneralisedPlant, scaling: Scaling) -> StateSpace:
+    """D P D⁻¹ in continuous time, states [D⁻¹; P; D] in their own coordinates, whatever the numbers in them."""
+    left, right = scaling.systems(plant)
+    G = to_continuous(plant.system)
+    left = append(left, gain(np.eye(G.n_outputs - left.n_outputs)))
+    right = append(right, gain(np.eye(G.n_inputs - right.n_inputs)))
+    return series(left, series(G, right))
+
+
+def closed_scaled(plant: GeneralisedPlant, controller: StateSpace, scaling: Scaling | None) -> StateSpace:
+    """The discrete closed loop D F_l(P, K) D⁻¹ from [Δ outputs; w] to [Δ inputs; z], states [D⁻¹; P; K; D]; D by Tustin's map.
+
+    Outputs of the plant beyond these (before its measurements) pass unscaled.
+    """
+    loop = lft(plant.system, controller)
+    if not plant.blocks:
+        return loop
+    left, right = (to_discrete(G, loop.dt) for G in scaling.systems(plant))
+    left = append(left, gain(np.eye(loop.n_outputs - left.n_outputs), loop.dt))
+    return series(left, series(loop, right))
+
+
+def common_scaling(plants: Sequence[GeneralisedPlant], start: Scaling) -> tuple[Scaling, float]:
+    """The scaling with the least worst-case optimum over ``plants``, by pattern search from ``start``; and that optimum."""
+
+    def worst(scaling: Scaling, limit: float | None) -> float | None:
+        """The largest optimum when all lie below ``limit`` (None: wherever), else None; the last offender is asked first."""
+        largest = 0.0
+        for k in list(order):
+            plant = plants[k]
+            value = improved_level(scaled_plant(plant, scaling), plant.n_control, plant.n_measurement, limit, OPTIMUM_RTOL)
+            if value is None:
+                order.remove(k)
+                order.insert(0, k)
+                return None
+            largest = max(largest, value)
+        return largest
+
+    order = list(range(len(plants)))
+    best, level = start, worst(start, None)
+    step = FIRST_STEP if plants[0].blocks else 0.0
+    while step >= LAST_STEP:
+        improved = False
+        for index in np.ndindex(best.log_parameters.shape):
+            for sign in (1.0, -1.0):
+                x = best.log_parameters.copy()
+                x[index] += sign * step
+                value = worst(Scaling(x), level * (1 - OPTIMUM_RTOL))
+                if value is not None:
+                    best, level, improved = Scaling(x), value, True
+                    break
+        step *= 1.0 if improved else 0.5
+    return best, level
+
+
+def common_family(plants: Sequence[GeneralisedPlant], scaling: Scaling,
+                  level: float) -> tuple[Callable[[int], list[StateSpace]], int]:
+    """Controllers of all ``plants`` (of one structure, discrete) at one ``level`` above each optimum, as a function of the order
+    they are truncated to, and the largest such order. Truncated or not they share one set of states."""
+    scaled = [scaled_plant(plant, scaling) for plant in plants]
+    t = balancing(scaled[len(scaled) // 2])
+    scaled = [scaled_states(G, t) for G in scaled]
+    n, full, reach, seen = scaled[0].order, [], 0.0, 0.0
+    for plant, G in zip(plants, scaled):
+        shape = plant.n_control, plant.n_measurement
+        optimum = improved_level(G, *shape, None, OPTIMUM_RTOL)
+        found = hinf_synthesis(G, *shape, backoff=max(level / optimum - 1, OPTIMUM_RTOL), guess=optimum)
+        K = found.controller.transformed(np.linalg.inv(found.basis))
+        loop = lft(G, K)
+        reach = reach + sl.solve_continuous_lyapunov(loop.A, -loop.B @ loop.B.T)[n:, n:]
+        seen = seen + sl.solve_continuous_lyapunov(loop.A.T, -loop.C.T @ loop.C)[n:, n:]
+        full.append(K)
+    R, S = gramian_factor(reach), gramian_factor(seen)
+    U, sigma, Vt = np.linalg.svd(S.T @ R)
+    rank = int(np.count_nonzero(sigma > 1e-13 * sigma[0]))
+    scale = 1 / np.sqrt(sigma[:rank])
+    into, out = R @ Vt[:rank].T * scale, (S @ U[:, :rank] * scale).T
+
+    def at_order(order: int) -> list[StateSpace]:
+        T, L = into[:, :order], out[:order]
+        return [to_discrete(replace(K, A=L @ K.A @ T, B=L @ K.B, C=K.C @ T), plant.system.dt) for K, plant in zip(full, plants)]
+
+    return at_order, rank

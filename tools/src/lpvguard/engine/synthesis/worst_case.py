@@ -1,0 +1,166 @@
+"""The worst stable Δ of size 1 for a closed loop, as a system that can be simulated.
+
+At a frequency the largest gain from [w; n; r_c] to z over ‖Δ_i‖ ≤ 1 is the γ at which μ of the loop, its performance rows divided by
+γ, is 1 (skewed μ; Packard & Doyle 1993). The lower bound of μ returns the Δ that attains it, a rank-one complex matrix per block,
+Δ_i = u vᴴ. A stable all-pass takes any phase at one frequency, so
+
+    Δ_i(s) = u(s) v(s)ᵀ,     u_k(s) = ±|u_k| (β_k − s)/(β_k + s),  v alike,
+
+has σ̄(Δ_i(jω)) = ‖u‖ ‖v‖ = 1 at every ω and equals u vᴴ at the chosen one. In discrete time it is the image under Tustin's map.
+At DC such a Δ is real: there every choice of signs of the real part is tried.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpvguard.engine.synthesis.dk import Scaling
+from lpvguard.engine.synthesis.interconnection import GeneralisedPlant
+from lpvguard.engine.synthesis.mu import mu_lower
+from lpvguard.engine.synthesis.norms import hinf_norm
+from lpvguard.engine.synthesis.statespace import StateSpace, append, gain, lft, series, to_discrete
+
+GRID = np.r_[0.0, np.geomspace(1e-3, 1e2, 61)]
+"""rad/s"""
+REFINED = 4
+"""Frequencies, those of largest gain, at which the search goes on to the end."""
+GAIN_RTOL = 1e-6
+
+
+@dataclass(frozen=True)
+class WorstCase:
+    """``delta`` (stable, ‖Δ‖∞ = ``size``, at most 1 within rounding) raises the loop's gain from [w; n; r_c] to z at
+    ``frequency`` [rad/s] from ``nominal`` to ``gain``, measured on the closed loop with it.
+    """
+
+    delta: StateSpace
+    size: float
+    frequency: float
+    gain: float
+    nominal: float
+
+
+def close_delta(loop: StateSpace, delta: StateSpace) -> StateSpace:
+    """Upper LFT: Δ closed around the first outputs and inputs of ``loop``."""
+    n_in, n_out = delta.n_inputs, delta.n_outputs
+    rows = np.r_[n_in:loop.n_outputs, :n_in]
+    cols = np.r_[n_out:loop.n_inputs, :n_out]
+    return lft(loop.select(rows, cols), delta)
+
+
+def worst_case(plant: GeneralisedPlant, controller: StateSpace, scaling: Scaling | None = None, omega=GRID) -> WorstCase:
+    """The worst Δ found over the frequencies ``omega`` [rad/s] (those above Nyquist are left out), verified: stable, of size 1, the
+    closed loop stable and its gain measured. Without blocks: Δ of size 0 × 0 and the nominal peak.
+
+    ``scaling``: the loop's certificate, which only helps the search. Raises ArithmeticError when at no frequency a Δ of size 1 was
+    found that keeps the loop stable.
+    """
+    loop = lft(plant.system, controller)
+    omega = np.unique(omega[omega * loop.dt < np.pi])
+    M = loop.response(omega)
+    nominal = np.linalg.norm(M[:, plant.n_delta_in:, plant.n_delta_out:], 2, axis=(1, 2))
+    if not plant.blocks:
+        k = int(np.argmax(nominal))
+        return WorstCase(gain(np.zeros((0, 0)), loop.dt), 0.0, float(omega[k]), float(nominal[k]), float(nominal[k]))
+    warped = 2 / loop.dt * np.tan(0.5 * omega * loop.dt) if loop.dt else omega
+    d = np.exp(scaling.log_magnitude(warped)) if scaling else np.ones((len(plant.blocks), len(omega)))
+    search = _Search(plant)
+    rough = [search.run(M[k], d[:, k], 1)[0] for k in range(len(omega))]
+    found = []
+    for k in np.argsort(rough, kind="stable")[::-1][:REFINED]:
+        _, delta = search.run(M[k], d[:, k], 20)
+        for parts in search.choices(delta, omega[k] == 0):
+            realised = append(*(_realise(u, v, omega[k], loop.dt) for u, v in parts))
+            closed = close_delta(loop, realised)
+            if closed.stability_margin() > 0:
+                measured = float(np.linalg.norm(closed.response(omega[k])[0], 2))
+                found.append(WorstCase(realised, hinf_norm(realised).upper, float(omega[k]), measured, float(nominal[k])))
+    if not found:
+        raise ArithmeticError("no Delta of size 1 that keeps the loop stable was found at any frequency")
+    return max(found, key=lambda one: one.gain)
+
+
+class _Search:
+    """Skewed μ at one frequency."""
+
+    def __init__(self, plant: GeneralisedPlant):
+        self.blocks = (*plant.blocks, plant.performance_block)
+        self.a, self.b = plant.n_delta_in, plant.n_delta_out
+        self.rows = np.cumsum([0, *(one.cols for one in plant.blocks)])
+        self.cols = np.cumsum([0, *(one.rows for one in plant.blocks)])
+
+    def run(self, M: np.ndarray, d: np.ndarray, steps: int) -> tuple[float, np.ndarray]:
+        """The largest gain found and its Δ, each block of size 1; d (τ,): a scaling that helps.
+
+        Each step takes the Δ of μ with the performance rows divided by the gain reached, and sizes its blocks to 1.
+        """
+        left, right = (np.concatenate([np.full(n, x) for n, x in zip(sizes, [*d, 1.0], strict=True)])
+                       for sizes in ([b.cols for b in self.blocks], [b.rows for b in self.blocks]))
+        level, best = np.linalg.norm(M[self.a:, self.b:], 2), np.zeros((self.b, self.a), complex)
+        for _ in range(steps):
+            scaled = M.copy()
+            scaled[self.a:] /= max(level, 1e-300)
+            _, delta = mu_lower(scaled, self.blocks, np.diag(left), np.diag(right), np.inf, starts=4)
+            if delta is None:
+                break
+            delta = self._sized(delta)
+            reached = self.gain(M, delta)
+            if not reached > level * (1 + GAIN_RTOL):
+                break
+            level, best = reached, delta
+        return level, best
+
+    def gain(self, M: np.ndarray, delta: np.ndarray) -> float:
+        """σ̄ of M from the performance inputs to the performance outputs with Δ closed."""
+        a, b = self.a, self.b
+        inner = np.linalg.solve(np.eye(a) - M[:a, :b] @ delta, M[:a, b:])
+        return float(np.linalg.norm(M[a:, b:] + M[a:, :b] @ delta @ inner, 2))
+
+    def _blocks_of(self, delta: np.ndarray):
+        return [(slice(*c), slice(*r), delta[slice(*c), slice(*r)])
+                for c, r in zip(itertools.pairwise(self.cols), itertools.pairwise(self.rows), strict=True)]
+
+    def _sized(self, delta: np.ndarray) -> np.ndarray:
+        out = np.zeros((self.b, self.a), complex)
+        for c, r, block in self._blocks_of(delta):
+            size = np.linalg.norm(block, 2)
+            out[c, r] = block / size if size > 0 else block
+        return out
+
+    def choices(self, delta: np.ndarray, real: bool):
+        """(u, v) per block with Δ_i = u vᴴ and ‖u‖ ‖v‖ = 1. ``real``: the real part, with every choice of signs."""
+        parts = []
+        for _, _, block in self._blocks_of(delta):
+            U, _, Vh = np.linalg.svd(block)
+            u, v = U[:, 0], Vh[0].conj()
+            if real:
+                turned = [(x * np.exp(-1j * np.angle(x[np.argmax(np.abs(x))]))).real for x in (u, v)]
+                u, v = (x / np.linalg.norm(x) for x in turned)
+            parts.append((u, v))
+        for signs in itertools.product((1.0, -1.0), repeat=len(parts)) if real else [[1.0] * len(parts)]:
+            yield [(sign * u, v) for sign, (u, v) in zip(signs, parts, strict=True)]
+
+
+def _realise(u: np.ndarray, v: np.ndarray, omega: float, dt: float) -> StateSpace:
+    """u(s) v(s)ᵀ with u(jω) v(jω)ᵀ = u vᴴ."""
+    warped = 2 / dt * np.tan(0.5 * omega * dt) if dt else omega
+    one = np.ones((1, 1))
+    left = series(append(*(_all_pass(x, warped) for x in u)), gain(np.repeat(one, len(u), axis=0)))
+    right = series(gain(np.repeat(one, len(v), axis=1)), append(*(_all_pass(x, warped) for x in v.conj())))
+    both = series(left, right)
+    return to_discrete(both, dt) if dt else both
+
+
+def _all_pass(value: complex, omega: float) -> StateSpace:
+    """A stable system of constant magnitude |value| that equals ``value`` at ``omega`` > 0 (at 0: its real part's sign)."""
+    size, phase = abs(value), np.angle(value)
+    if omega == 0 or abs(np.sin(phase)) < 1e-9:
+        return gain([[size * np.sign(np.cos(phase))]])
+    sign = 1.0 if phase < 0 else -1.0
+    lag = phase if phase < 0 else phase - np.pi  # of (β − s)/(β + s), within (−π, 0)
+    beta = omega / np.tan(-0.5 * lag)
+    # −1 + 2β/(s + β)
+    return StateSpace([[-beta]], [[1.0]], [[2 * beta * size * sign]], [[-size * sign]])

@@ -1,0 +1,250 @@
+"""Certificates for small Hermitian feasibility problems: max x such that sum_j y_j Q_j - x I is positive
+semidefinite.
+
+The multipliers y are split into groups: a scalar group is one number >= 0; a matrix group parametrises a
+Hermitian D >= 0 (the D-scaling of a repeated block); a free group has no sign (the G-scaling of a real
+block). The traces of all groups with a sign sum to one. A positive x proves that the forms z^* Q_j z (and
+their matrix versions) cannot all be <= 0 at once: the S-procedure. Own log-barrier Newton method: the forms
+have at most about ten rows, and each iterate is feasible, so that every bound read from it is rigorous
+whenever the iteration stops.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpvguard.base import native
+
+MAX_NEWTON = 120
+
+_NATIVE_N, _NATIVE_M, _NATIVE_ORDER = 16, 64, 4
+"""Sizes that the compiled version's fixed arrays hold (base/_native/ray.c); larger problems run in numpy."""
+
+
+@dataclass(frozen=True)
+class Cone:
+    """Multiplier cones: ``start[g]``, ``size[g]`` locate group g in y; ``order[g]`` is r for Hermitian r x r
+    PSD matrices (r = 1: a number >= 0) and 0 for a free group."""
+
+    start: tuple[int, ...]
+    size: tuple[int, ...]
+    order: tuple[int, ...]
+    normal: np.ndarray
+    """(m,) coefficients of the normalisation: traces of the signed groups."""
+
+
+def hermitian_basis(r: int) -> np.ndarray:
+    """(r^2, r, r) real basis of the Hermitian matrices: diagonal first."""
+    basis = []
+    for i in range(r):
+        m = np.zeros((r, r), dtype=complex)
+        m[i, i] = 1.0
+        basis.append(m)
+    for i in range(r):
+        for j in range(i):
+            for unit in (1.0, 1.0j):
+                m = np.zeros((r, r), dtype=complex)
+                m[i, j], m[j, i] = unit, np.conj(unit)
+                basis.append(m)
+    return np.array(basis)
+
+
+def cone(groups: list[tuple[str, int]]) -> Cone:
+    """Cone from ('psd' | 'free', r) per group."""
+    sizes = [r * r for _, r in groups]
+    start = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(int)
+    normal = np.zeros(sum(sizes))
+    for (kind, r), s in zip(groups, start, strict=True):
+        if kind == "psd":
+            normal[s : s + r] = 1.0
+    return Cone(
+        tuple(int(s) for s in start), tuple(sizes), tuple(r if k == "psd" else 0 for k, r in groups), normal
+    )
+
+
+def _member(c: Cone, g: int, y: np.ndarray) -> np.ndarray:
+    part = y[c.start[g] : c.start[g] + c.size[g]]
+    return np.tensordot(part, hermitian_basis(c.order[g]), axes=1)
+
+
+@dataclass(frozen=True)
+class Centre:
+    """``y`` is feasible with level ``x``; the optimum is below ``x_above``; ``inverse`` ~ (Q(y) - x I)^-1,
+    the primal."""
+
+    y: np.ndarray
+    x: float
+    x_above: float
+    inverse: np.ndarray
+
+
+def _interior(c: Cone, y: np.ndarray) -> bool:
+    for g, r in enumerate(c.order):
+        if r == 1 and y[c.start[g]] <= 0.0:
+            return False
+        if r > 1 and np.linalg.eigvalsh(_member(c, g, y))[0] <= 0.0:
+            return False
+    return True
+
+
+def maximise_level(q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: float = 1e-9) -> Centre:
+    """Path-following for the problem of the module's docstring.
+
+    ``q`` (m, n, n) Hermitian forms, scaled to order one. Stops when the optimal level is known within
+    ``relative`` of its magnitude or within ``absolute``, or is proven negative.
+    """
+    m, n = q.shape[:2]
+    y = c.normal / c.normal.sum()
+    matrix = np.tensordot(y, q, axes=1)
+    low = np.linalg.eigvalsh(matrix)[0]
+    x = low - 0.5 * max(1e-3, abs(low))
+    degree = n + sum(c.order)
+    eps = (low - x) / 2.0
+    eye = np.eye(n)
+    # The last row of ``forms`` is d(Q - x I)/dx; the KKT system keeps the normalisation.
+    forms = np.concatenate([q, -eye[None]])
+    kkt = np.zeros((m + 2, m + 2))
+    kkt[m + 1, :m] = kkt[:m, m + 1] = c.normal
+    x_above = np.inf
+    inverse = np.linalg.inv(matrix - x * eye)
+    for _ in range(MAX_NEWTON):
+        scaled = inverse @ forms
+        gradient = eps * np.einsum("jii->j", scaled).real
+        gradient[m] += 1.0
+        flat = scaled.reshape(m + 1, n * n)
+        hessian = eps * (flat @ scaled.transpose(0, 2, 1).reshape(m + 1, n * n).T).real
+        for g, r in enumerate(c.order):
+            s = slice(c.start[g], c.start[g] + c.size[g])
+            if r == 1:
+                gradient[s] += eps / y[s]
+                hessian[s, s] += eps / y[s] ** 2
+            elif r > 1:
+                d = np.linalg.inv(_member(c, g, y)) @ hermitian_basis(r)
+                gradient[s] += eps * np.einsum("jii->j", d).real
+                hessian[s, s] += eps * np.einsum("jab,kba->jk", d, d).real
+        kkt[: m + 1, : m + 1] = hessian
+        diag = np.arange(m + 1)
+        kkt[diag, diag] *= 1.0 + 1e-13
+        try:
+            step = np.linalg.solve(kkt, np.append(gradient, 0.0))[: m + 1]
+        except np.linalg.LinAlgError:
+            break
+        decrement = np.sqrt(max(float(gradient @ step) / eps, 0.0))
+        if not np.isfinite(decrement):
+            break
+        length = 1.0 if decrement < 0.25 else 1.0 / (1.0 + decrement)
+        if decrement > 1.0:
+            length = min(1.0, 4.0 * length)
+        while length > 1e-10:
+            y_new, x_new = y + length * step[:m], x + length * step[m]
+            slack = np.tensordot(y_new, q, axes=1) - x_new * eye
+            if _interior(c, y_new):
+                try:
+                    np.linalg.cholesky(slack)
+                    break
+                except np.linalg.LinAlgError:
+                    pass
+            length *= 0.5
+        else:
+            break
+        y, x = y_new, x_new
+        inverse = np.linalg.inv(slack)
+        inverse = 0.5 * (inverse + inverse.conj().T)
+        if decrement * length < 0.5 and decrement < 1.0:
+            x_above = min(x_above, x + 2.0 * eps * degree)
+            gap = x_above - x
+            if x_above < 0.0 or gap <= max(absolute, relative * abs(x)):
+                break
+            eps *= 0.15
+    return Centre(y, float(x), float(x_above), inverse)
+
+
+def rounding(y: np.ndarray, forms: np.ndarray) -> float:
+    """Bound on the rounding error (2-norm) of sum_j y_j forms_j, ``forms`` (m, n, n): free multipliers may be large and
+    cancel, and a certificate must not rest on what is left of that."""
+    n = forms.shape[-1]
+    return 4.0 * n * np.finfo(float).eps * float(np.abs(y) @ np.linalg.norm(forms, axis=(1, 2)))
+
+
+def reach(zero: np.ndarray, slopes: np.ndarray, error: float = 0.0) -> np.ndarray:
+    """Largest length (k,) at which ``zero`` - length ``slopes[k]`` stays >= 0; inf where nothing ends it, 0
+    where ``zero`` (n, n) itself is not positive definite. ``slopes`` (k, n, n) >= 0; ``error``: of ``zero``, 2-norm."""
+    zero = zero - error * np.eye(len(zero))
+    try:
+        factor = np.linalg.inv(np.linalg.cholesky(0.5 * (zero + zero.conj().T)))
+    except np.linalg.LinAlgError:
+        return np.zeros(len(slopes))
+    top = np.linalg.eigvalsh(factor @ slopes @ factor.conj().T)[:, -1]
+    return np.divide(1.0 - 1e-12, top, out=np.full(len(slopes), np.inf), where=top > 0.0)
+
+
+def reaches(zeros: np.ndarray, slopes: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """:func:`reach` (..., k) for many ``zeros`` (..., n, n) with ``errors`` (...,), -inf where one is not positive
+    definite; ``slopes`` (k, n, n)."""
+    zeros = zeros - errors[..., None, None] * np.eye(zeros.shape[-1])
+    good = np.linalg.eigvalsh(zeros)[..., 0] > errors
+    out = np.full((*good.shape, len(slopes)), -np.inf)
+    factor = np.linalg.inv(np.linalg.cholesky(zeros[good]))[:, None]
+    top = np.linalg.eigvalsh(factor @ slopes @ factor.conj().swapaxes(-1, -2))[..., -1]
+    out[good] = np.divide(1.0 - 1e-12, top, out=np.full(top.shape, np.inf), where=top > 0.0)
+    return out
+
+
+def _ray_length_numpy(q0, level, c: Cone, cutoff: float):
+    length, beyond, y, inverse = 0.0, np.inf, None, None
+    for turn in range(80):
+        ahead = turn % 2 == 1
+        at = length
+        if ahead and np.isfinite(beyond):
+            far = beyond > 4.0 * length
+            at = np.sqrt(max(length, 1e-6 * beyond) * beyond) if far else 0.5 * (length + beyond)
+        elif ahead:
+            at = max(cutoff, length) if np.isfinite(cutoff) else 8.0 * length
+        centre = maximise_level(q0 - at * level, c, relative=0.3, absolute=1e-8)
+        error = rounding(centre.y, q0)
+        if ahead and centre.x <= error:
+            beyond = at
+            continue
+        inverse = centre.inverse
+        if centre.x <= error:
+            break
+        y = centre.y
+        zero, slopes = np.tensordot(y, q0, axes=1), np.tensordot(y, level, axes=1)[None]
+        longer = max(at, float(reach(zero, slopes, error)[0]))
+        done = not ahead and (longer <= length * (1.0 + 1e-6) or beyond <= longer * (1.0 + 1e-5))
+        length = max(length, longer)
+        if done or length >= cutoff:
+            break
+    return length, y, inverse
+
+
+def ray_length(q0: np.ndarray, level: np.ndarray, c: Cone, cutoff: float = np.inf):
+    """Largest certified length: (length, its multipliers y or None, the primal matrix at the end).
+
+    ``q0``, ``level`` (m, n, n): the forms are Q0 - length L, L >= 0. No point satisfies all of them at a
+    smaller length. Dinkelbach's iteration (each y is used up to the largest length that it proves) with
+    bisection in between, as far from the end its steps can be a hundred times too short. Stops at ``cutoff``.
+    """
+    m, n = q0.shape[:2]
+    lib = native.kernels("ray")
+    if lib is None or n > _NATIVE_N or m > _NATIVE_M or max(c.order) > _NATIVE_ORDER:
+        return _ray_length_numpy(q0, level, c, cutoff)
+    q0, level = np.ascontiguousarray(q0, dtype=complex), np.ascontiguousarray(level, dtype=complex)
+    y, inverse, found = np.zeros(m), np.zeros((n, n), dtype=complex), ctypes.c_int(0)
+    groups = [np.array(part, dtype=np.int32) for part in (c.start, c.order)]
+    pointer = ctypes.c_void_p
+    lib.lpvg_ray.restype = ctypes.c_double
+    length = lib.lpvg_ray(
+        n,
+        m,
+        len(c.order),
+        *(a.ctypes.data_as(pointer) for a in (*groups, q0, level)),
+        ctypes.c_double(cutoff),
+        y.ctypes.data_as(pointer),
+        ctypes.byref(found),
+        inverse.ctypes.data_as(pointer),
+    )
+    return length, y if found.value else None, inverse

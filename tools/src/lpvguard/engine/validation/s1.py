@@ -1,0 +1,359 @@
+"""Class S1: E = delta Z + w at every bin, one complex scalar delta common to all n_y outputs (T4).
+
+E is the windowed DFT of the nominal error, Z of the nominal output, both ``(..., n_y)`` complex in the
+outputs' own units; every other argument broadcasts against the leading shape. Closed forms, exact to rounding
+also where the usual ones cancel (delta0 -> nu, gamma_w -> B1, gamma_w -> abs(E), E parallel to Z):
+differences of nearly equal products are formed in double-double arithmetic. The compiled kernels and the
+numpy versions agree to 1e-13 relative.
+
+With delta0 = Z^H E / Z^H Z (the least-squares scalar) and, by Lagrange's identity,
+
+    B1^2  = sum_{i<j} |E_i Z_j - E_j Z_i|^2 / |Z|^2             smallest disturbance, right side of (9)
+    rho^2 = (gamma_w^2 - B1^2) / |Z|^2                          |delta - delta0| <= rho explains the point
+    nu    = (|E|^2 - gamma_w^2) / (|Z|^2 (|delta0| + rho))      = |delta0| - rho without its cancellation
+"""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from lpvguard.base import native
+from lpvguard.base.errors import InputError
+
+EDGE_TOLERANCE = 2e-12
+"""gamma_w^2 may lie below B1^2 by this much, relative: a gamma_w that *is* the B1 returned here stays
+feasible."""
+
+
+@dataclass(frozen=True)
+class S1Result:
+    """Per point: all arrays have the leading shape of E, ``w`` has the shape of E.
+
+    ``nu`` is inf and ``feasible`` False where gamma_w < B1; everything is NaN where an input was not finite.
+    """
+
+    b1: np.ndarray
+    feasible: np.ndarray
+    nu: np.ndarray
+    delta: np.ndarray
+    w: np.ndarray
+
+
+def _two_sum(a, b):
+    s = a + b
+    v = s - a
+    return s, (a - (s - v)) + (b - v)
+
+
+def _two_prod(a, b):
+    p = a * b
+    ah = 134217729.0 * a
+    ah = ah - (ah - a)
+    bh = 134217729.0 * b
+    bh = bh - (bh - b)
+    al, bl = a - ah, b - bh
+    return p, ((ah * bh - p) + ah * bl + al * bh) + al * bl
+
+
+def _dd_add(x, y):
+    s, t = _two_sum(x[0], y[0])
+    t = t + (x[1] + y[1])
+    hi = s + t
+    return hi, t - (hi - s)
+
+
+def _dd_mul(x, y):
+    p, t = _two_prod(x[0], y[0])
+    t = t + (x[0] * y[1] + x[1] * y[0])
+    hi = p + t
+    return hi, t - (hi - p)
+
+
+def _dd_dot(pairs):
+    """Sum of products a b over ``pairs`` in double-double."""
+    total = None
+    for a, b in pairs:
+        term = _two_prod(a, b)
+        total = term if total is None else _dd_add(total, term)
+    return total
+
+
+def _dd_cross(a, b, c, d):
+    """Real and imaginary part of a b - c d, each as a double-double pair."""
+    re = _dd_dot([(a.real, b.real), (-c.real, d.real), (-a.imag, b.imag), (c.imag, d.imag)])
+    im = _dd_dot([(a.real, b.imag), (-c.real, d.imag), (a.imag, b.real), (-c.imag, d.real)])
+    return re, im
+
+
+def _exponent(values: np.ndarray) -> np.ndarray:
+    """Power of two just above the largest magnitude over the last axis; 0 where all are zero."""
+    return np.frexp(np.max(values, axis=-1))[1]
+
+
+def _s1_numpy(e: np.ndarray, z: np.ndarray, gamma: np.ndarray):
+    n = e.shape[-1]
+    bad = ~(np.isfinite(e).all(-1) & np.isfinite(z).all(-1) & np.isfinite(gamma))
+    e, z, gamma = np.where(bad[:, None], 0.0, e), np.where(bad[:, None], 0.0, z), np.where(bad, 0.0, gamma)
+    ke = _exponent(np.concatenate([abs(e.real), abs(e.imag), gamma[:, None]], axis=-1))
+    kz = _exponent(np.concatenate([abs(z.real), abs(z.imag)], axis=-1))
+    es = np.ldexp(e.real, -ke[:, None]) + 1j * np.ldexp(e.imag, -ke[:, None])
+    zs = np.ldexp(z.real, -kz[:, None]) + 1j * np.ldexp(z.imag, -kz[:, None])
+    g = np.ldexp(gamma, -ke)
+    ei, zi = [es[:, i] for i in range(n)], [zs[:, i] for i in range(n)]
+    gg = _two_prod(g, g)
+    ee = _dd_dot([(x, x) for i in range(n) for x in (ei[i].real, ei[i].imag)])
+    zz = _dd_dot([(x, x) for i in range(n) for x in (zi[i].real, zi[i].imag)])
+    ze_re = _dd_dot([pair for i in range(n) for pair in ((zi[i].real, ei[i].real), (zi[i].imag, ei[i].imag))])
+    ze_im = _dd_dot(
+        [pair for i in range(n) for pair in ((zi[i].real, ei[i].imag), (-zi[i].imag, ei[i].real))]
+    )
+    d2 = (np.zeros_like(g), np.zeros_like(g))
+    for i, j in combinations(range(n), 2):
+        for part in _dd_cross(ei[i], zi[j], ei[j], zi[i]):
+            d2 = _dd_add(d2, _dd_mul(part, part))
+    ee_g = _dd_add(ee, (-gg[0], -gg[1]))[0]
+    room_scale = _dd_mul(gg, zz)
+    room = _dd_add(room_scale, (-d2[0], -d2[1]))[0]
+    no_z = zz[0] == 0.0
+    infeasible = np.where(no_z, ee_g > EDGE_TOLERANCE * gg[0], room < -EDGE_TOLERANCE * room_scale[0])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        b1 = np.where(no_z, np.sqrt(ee[0]), np.sqrt(d2[0] / zz[0]))
+        ze = ze_re[0] + 1j * ze_im[0]
+        nu = np.where((ee_g <= 0.0) | no_z, 0.0, ee_g / (abs(ze) + np.sqrt(np.maximum(room, 0.0))))
+        nu = np.where(infeasible, np.inf, nu)
+        delta = np.where((nu > 0.0) & ~infeasible & (ze != 0.0), nu * (ze / abs(ze)), 0.0)
+    scale = ke - kz
+    delta = np.ldexp(delta.real, scale) + 1j * np.ldexp(delta.imag, scale)
+    nan = np.where(bad, np.nan, 0.0)
+    return np.ldexp(b1, ke) + nan, np.ldexp(nu, scale) + nan, delta + nan
+
+
+def _pointer(array: np.ndarray) -> ctypes.c_void_p:
+    return array.ctypes.data_as(ctypes.c_void_p)
+
+
+def _points(source: str, e, z, *extra: tuple[str, object, bool]):
+    """Broadcast to (points, n_y) complex and (points[, n_y]) real contiguous arrays; returns them and the
+    shape."""
+    e, z = np.asarray(e, dtype=complex), np.asarray(z, dtype=complex)
+    if e.ndim == 0 or z.ndim == 0 or e.shape[-1] != z.shape[-1] or e.shape[-1] == 0:
+        raise InputError(source, "E, Z", f"shapes {e.shape} and {z.shape}", "(..., n_y) both, n_y >= 1")
+    n = e.shape[-1]
+    arrays = []
+    for name, value, per_output in extra:
+        a = np.asarray(value, dtype=float)
+        if per_output and (a.ndim == 0 or a.shape[-1] != n):
+            raise InputError(source, name, f"shape {a.shape}", f"(..., {n}), one per output")
+        if np.any(a < 0.0):
+            raise InputError(source, name, f"{np.min(a):g}", "numbers that are not negative")
+        arrays.append(a)
+    leads = [a.shape[:-1] if per else a.shape for a, (_, _, per) in zip(arrays, extra, strict=True)]
+    try:
+        shape = np.broadcast_shapes(e.shape[:-1], z.shape[:-1], *leads)
+    except ValueError:
+        raise InputError(
+            source, "shapes", f"{e.shape}, {z.shape}, {leads}", "shapes that broadcast"
+        ) from None
+    count = int(np.prod(shape))
+
+    def flat(a, tail):
+        return np.ascontiguousarray(np.broadcast_to(a, (*shape, *tail))).reshape(count, *tail)
+
+    out = [flat(a, (n,) if per else ()) for a, (_, _, per) in zip(arrays, extra, strict=True)]
+    return shape, flat(e, (n,)), flat(z, (n,)), *out
+
+
+def solve(e, z, gamma_w) -> S1Result:
+    """Smallest |delta| with ||E - delta Z||_2 <= gamma_w, with the delta and w that attain it, at every
+    point.
+
+    ``e``, ``z`` (..., n_y) complex; ``gamma_w`` (...) >= 0 in the outputs' units. Raises InputError on shapes
+    that do not fit and on a negative gamma_w. About 20 ns a point compiled.
+    """
+    shape, e, z, gamma = _points("S1", e, z, ("gamma_w", gamma_w, False))
+    points, n = e.shape
+    lib = native.kernels("s1")
+    if lib is None:
+        b1, nu, delta = _s1_numpy(e, z, gamma)
+        w = e - delta[:, None] * z
+    else:
+        b1, nu, delta, w = (
+            np.empty(points),
+            np.empty(points),
+            np.empty(points, dtype=complex),
+            np.empty_like(e),
+        )
+        size = ctypes.c_ssize_t
+        lib.lpvg_s1(size(points), size(n), *map(_pointer, (e, z, gamma, b1, nu, delta, w)))
+    feasible = np.isfinite(nu)
+    return S1Result(
+        b1.reshape(shape),
+        feasible.reshape(shape),
+        nu.reshape(shape),
+        delta.reshape(shape),
+        w.reshape(*shape, n),
+    )
+
+
+def least_squares_delta(e, z) -> np.ndarray:
+    """delta0 = Z^H E / |Z|^2, shape (...): the scalar that leaves the smallest disturbance; 0 where Z = 0."""
+    e, z = np.asarray(e, dtype=complex), np.asarray(z, dtype=complex)
+    scale = np.max(np.abs(z), axis=-1, keepdims=True)
+    unit = np.divide(z, scale, out=np.zeros_like(z), where=scale > 0.0)
+    zz = np.sum(np.abs(unit) ** 2, axis=-1)
+    ze = np.sum(np.conj(unit) * e, axis=-1)
+    return np.divide(ze, zz * scale[..., 0], out=np.zeros_like(ze), where=zz > 0.0)
+
+
+@dataclass(frozen=True)
+class TradeoffResult:
+    """Per point: J of (8), nu = |delta| and the delta and w that attain it; inf where gamma_w < B1."""
+
+    cost: np.ndarray
+    nu: np.ndarray
+    delta: np.ndarray
+    w: np.ndarray
+
+
+def tradeoff(e, z, gamma_w, lambda_nu, lambda_w) -> TradeoffResult:
+    """Minimum of (8), lambda_nu nu^2 + sum_j lambda_w,j |w_j|^2 subject to |w| <= gamma_w.
+
+    ``lambda_nu`` (...) and ``lambda_w`` (..., n_y) >= 0. The cost is an isotropic quadratic in delta, so its
+    minimiser is the unconstrained one projected on the disc of explanations.
+    """
+    base = solve(e, z, gamma_w)
+    shape, e, z, gamma, lam, lam_w = _points(
+        "S1 trade-off",
+        e,
+        z,
+        ("gamma_w", gamma_w, False),
+        ("lambda_nu", lambda_nu, False),
+        ("lambda_w", lambda_w, True),
+    )
+    curvature = lam + np.sum(lam_w * np.abs(z) ** 2, axis=-1)
+    target = np.divide(
+        np.sum(lam_w * np.conj(z) * e, axis=-1),
+        curvature,
+        out=np.zeros(len(e), complex),
+        where=curvature > 0.0,
+    )
+    centre = least_squares_delta(e, z)
+    b1, zz = base.b1.ravel(), np.sum(np.abs(z) ** 2, axis=-1)
+    slack = np.maximum((gamma - b1) * (gamma + b1), 0.0)
+    radius = np.sqrt(np.divide(slack, zz, out=np.full(len(e), np.inf), where=zz > 0.0))
+    offset = target - centre
+    distance = np.abs(offset)
+    outside = distance > radius
+    pull = np.divide(radius, distance, out=np.ones(len(e)), where=outside)
+    delta = np.where(outside, centre + pull * offset, target)
+    # Close to the target the centre would cancel: the way there is the smallest delta that explains what the target leaves.
+    near = outside & (distance < 2.0 * radius)
+    rest = solve(e[near] - target[near, None] * z[near], z[near], gamma[near])
+    delta[near] = np.where(rest.feasible, target[near] + rest.delta, delta[near])
+    w = e - delta[:, None] * z
+    infeasible = ~base.feasible.ravel()
+    cost = np.where(infeasible, np.inf, lam * np.abs(delta) ** 2 + np.sum(lam_w * np.abs(w) ** 2, axis=-1))
+    nu = np.where(infeasible, np.inf, np.abs(delta))
+    return TradeoffResult(*(a.reshape(shape) for a in (cost, nu, delta)), w.reshape(*shape, e.shape[-1]))
+
+
+def _np_cross(a, b, c, d):
+    re, im = _dd_cross(a, b, c, d)
+    return re[0] + 1j * im[0]
+
+
+def _pair(i, j):
+    """Level at which two discs touch; a disc is (E, Z, B, |Z|), arrays over points."""
+    return np.abs(_np_cross(i[0], j[1], j[0], i[1])) / (i[2] * j[3] + j[2] * i[3])
+
+
+def _reach(i, j, k):
+    """Level at which disc k reaches the one point that discs i and j share at their own level."""
+    den = i[2] * j[3] + j[2] * i[3]
+    delta = np.conj(i[1]) * i[0] * (j[2] / (i[3] * den)) + np.conj(j[1]) * j[0] * (i[2] / (j[3] * den))
+    return np.abs(k[0] - delta * k[1]) / k[2]
+
+
+def _triple(i, j, k):
+    """Smallest level at which three discs meet in one point; derivation in base/_native/s1.c."""
+    rows = []
+    for o in (j, k):
+        d = _np_cross(o[0], i[1], i[0], o[1])
+        g = np.conj(o[1]) * d
+        norm = np.abs(g)
+        br, bi = o[2] * i[3], i[2] * o[3]
+        rows.append((g / norm, -0.5 * np.abs(d) ** 2 / norm, 0.5 * (br - bi) * (br + bi) / norm))
+    (a0, p0, q0), (a1, p1, q1) = rows
+    det = a0.real * a1.imag - a0.imag * a1.real
+    u0 = (p0 * a1.imag - p1 * a0.imag) + 1j * (a0.real * p1 - a1.real * p0)
+    u1 = (q0 * a1.imag - q1 * a0.imag) + 1j * (a0.real * q1 - a1.real * q0)
+    db2, uu = det**2 * i[2] ** 2, np.abs(u0) ** 2
+    pq = np.abs(u0) * np.abs(u1)
+    c = np.conj(u0) * u1
+    minus = np.where(c.real > 0.0, -(c.imag**2) / (pq + c.real), c.real - pq)
+    plus = np.where(c.real < 0.0, c.imag**2 / (pq - c.real), c.real + pq)
+    half = db2 - 2.0 * c.real + np.sqrt(np.maximum((2.0 * minus - db2) * (2.0 * plus - db2), 0.0))
+    t = np.sqrt(2.0 * uu / half)
+    return np.where((half > 0.0) & np.isfinite(t), t, 0.0)
+
+
+def _margin_numpy(e, z, w_delta, w_w):
+    n = e.shape[-1]
+    ones = np.ones(len(e), dtype=complex)
+    discs = [(0.0 * ones, ones, w_delta, ones.real)]
+    discs += [(e[:, k], z[:, k], w_w[:, k], np.abs(z[:, k])) for k in range(n)]
+    best = np.zeros(len(e))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for k in range(n):
+            best = np.where(discs[k + 1][3] == 0.0, np.fmax(best, np.abs(e[:, k]) / w_w[:, k]), best)
+        for i, j in combinations(range(n + 1), 2):
+            # A disc with Z = 0 is all of the plane or nothing; its level is counted above.
+            both = (discs[i][3] > 0.0) & (discs[j][3] > 0.0)
+            best = np.where(both, np.fmax(best, _pair(discs[i], discs[j])), best)
+        for trio in combinations(range(n + 1), 3):
+            d = [discs[m] for m in trio]
+            levels = np.stack([_pair(d[0], d[1]), _pair(d[0], d[2]), _pair(d[1], d[2])])
+            worst = np.argmax(np.nan_to_num(levels, nan=-1.0), axis=0)
+            order = [(0, 1, 2), (0, 2, 1), (1, 2, 0)]
+            i, j, k = (
+                tuple(np.choose(worst, [d[o[slot]][field] for o in order]) for field in range(4))
+                for slot in range(3)
+            )
+            level = np.max(levels, axis=0)
+            above = _reach(i, j, k)
+            joint = np.fmin(above, np.fmax(level, _triple(i, j, k)))
+            usable = (d[0][3] > 0.0) & (d[1][3] > 0.0) & (d[2][3] > 0.0) & (level > 0.0) & (above > level)
+            best = np.where(usable, np.fmax(best, joint), best)
+    finite = np.isfinite(e).all(-1) & np.isfinite(z).all(-1) & np.isfinite(w_delta) & np.isfinite(w_w).all(-1)
+    return np.where(finite, best, np.nan)
+
+
+MAX_OUTPUTS = 64
+"""Outputs the compiled margin accepts (a fixed array on its stack)."""
+
+
+def margin(e, z, w_delta, w_w) -> np.ndarray:
+    """On-line margin t* (...) (T17): least t with |delta| <= t W_delta and |E_j - delta Z_j| <= t
+    W_w,j.
+
+    ``e``, ``z``, ``w_w`` (..., n_y), ``w_delta`` (...); w_w > 0, w_delta >= 0. A weighted 1-centre problem of
+    n_y + 1 discs; by Helly's theorem it is the worst of the problems of three discs, each of which is a pair
+    or the smaller root of a quadratic. t* > 1: no one complex delta and w within the bounds explain the
+    frame; a causal Delta with memory may (lpvguard.bench.memory). NaN where an input was not finite.
+    Raises InputError on shapes that do not fit, a negative W_delta and a W_w that is not positive.
+    """
+    shape, e, z, w_delta, w_w = _points("margin", e, z, ("W_delta", w_delta, False), ("W_w", w_w, True))
+    if np.any(w_w == 0.0):
+        raise InputError("margin", "W_w", "0", "positive numbers")
+    points, n = e.shape
+    lib = native.kernels("s1")
+    if lib is None or n > MAX_OUTPUTS:
+        return _margin_numpy(e, z, w_delta, w_w).reshape(shape)
+    t = np.empty(points)
+    size = ctypes.c_ssize_t
+    lib.lpvg_margin(size(points), size(n), *map(_pointer, (e, z, w_delta, w_w, t)))
+    return t.reshape(shape)

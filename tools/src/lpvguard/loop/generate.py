@@ -1,0 +1,75 @@
+"""`lpvguard generate`: seeded synthetic drives of a vehicle, as a drive folder.
+
+`car` is the stand-in for the measured car (drives/fixture.py). `truck` runs the simulated truck of firmware_sim/plant, which shares
+nothing with the nominal model: held speeds over the model's range, several brake programmes, and zero-input runs.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+from ..base import artefacts, native
+from ..base.errors import InputError
+from ..core.compiled import firmware_root
+from ..drives import fixture
+from ..drives.tables import EXPERIMENTS
+from ..vehicle.project import Project
+
+DURATION_S = 180.0
+ZERO_INPUT_DURATION_S = 240.0
+# Just inside 8 to 22 m/s: the speed sensor's noise must not put samples out of range.
+BOUND_SPEEDS = (8.3, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0, 21.7)
+CALIBRATION_SPEEDS = (8.5, 9.5, 11.0, 13.0, 15.0, 17.0, 19.0, 21.0, 21.5)
+ZERO_INPUT_SPEEDS = (8.3, 12.0, 17.0, 21.7)
+PROGRAMMES = ("pulses", "telegraph", "multisine")
+
+
+def plant_tool() -> Path:
+    """The plant's tool, compiled on first use from firmware_sim/plant. InputError where the sources are absent."""
+    root = firmware_root() / "plant"
+    sources = [*sorted((root / "src").glob("*.cpp")), *sorted((root / "tool").glob("*.cpp"))]
+    flags = ("-std=c++17", "-O2", "-ffp-contract=off", f'-DLPVGUARD_TRUCK_TOML="{root / "truck.toml"}"')
+    try:
+        return native.compile_executable(sources, flags=flags, include_dirs=[root / "include", root / "src", root / "tool"],
+                                         name="plant_tool")
+    except native.NativeError as error:
+        raise InputError(root, "compiling the simulated truck", str(error), "a C++17 compiler and libtomlplusplus-dev") from None
+
+
+def _truck_plan() -> list[tuple[str, str, float, float]]:
+    """(split, programme, speed, duration) of every drive."""
+    plan = [("train", programme, v, DURATION_S) for v in BOUND_SPEEDS for programme in PROGRAMMES]
+    plan += [("valid", programme, v, DURATION_S) for v in CALIBRATION_SPEEDS for programme in PROGRAMMES]
+    return plan + [("noise", "zero", v, ZERO_INPUT_DURATION_S) for v in ZERO_INPUT_SPEEDS]
+
+
+def _truck(project: Project, folder: Path, seed: int, tell: Callable[[str], None]) -> list[fixture.Row]:
+    tool, rows = plant_tool(), []
+    for index, (split, programme, speed, duration) in enumerate(_truck_plan()):
+        name = f"{programme}_{index:02d}_{speed:g}mps".replace(".", "p")
+        tell(name)
+        command = [tool, "generate", "-o", folder / f"{name}.csv", "--speed", speed, "--program", programme, "--duration",
+                   duration, "--seed", seed * 1000 + index]
+        done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            raise InputError(tool, name, done.stderr.strip(), "a drive of the simulated truck")
+        rows.append((name, split, programme))
+    return rows
+
+
+def generate(project: Project, target: Path, seed: int, tell: Callable[[str], None] = lambda _: None) -> int:
+    """Write the drive folder whole or not at all; returns the number of drives."""
+    makers = {"car": fixture.write_drives, "truck": _truck}
+    if project.data.generator not in makers:
+        raise InputError(f"vehicle {project.name}", "data.generator", "not set", " or ".join(makers))
+    with artefacts.new_folder(target, "generate", project.name) as folder:
+        rows = makers[project.data.generator](project, folder, seed, tell)
+        stream = io.StringIO()
+        csv.writer(stream, lineterminator="\n").writerows([("experiment", "split", "driver"), *rows])
+        artefacts.write_files(folder, {EXPERIMENTS: stream.getvalue(), artefacts.MANIFEST: artefacts.manifest(
+            "generate", vehicle=project.name, seed=seed, drives=[r[0] for r in rows])})
+    return len(rows)

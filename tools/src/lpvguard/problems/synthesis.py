@@ -1,0 +1,129 @@
+"""The kinds ``hinf`` and ``mu`` of the language-neutral solve interface: a problem as a dict in, answer
+fields out.
+
+Fields as in lpvguard/problems/solve.py: complex numbers are [re, im], matrices row-major nested lists. A problem that
+cannot be answered raises InputError (what, where, expected), which the caller turns into an error answer.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lpvguard.base.errors import InputError
+from lpvguard.engine.blocks import Block
+from lpvguard.engine.synthesis.errors import SynthesisError
+from lpvguard.engine.synthesis.hinf import hinf_synthesis
+from lpvguard.engine.synthesis.mu import mu_bounds
+from lpvguard.engine.synthesis.statespace import StateSpace
+
+
+def solve_hinf(problem: dict) -> dict:
+    """gamma, gamma_lower, gamma_achieved, resolved, controller and the certificate for A, B, C, D, n_control, n_measurement, dt
+    (default 0).
+    """
+    name = str(problem.get("id", "hinf"))
+    D = _matrix(problem, "D", name)
+    n = len(problem["A"]) if isinstance(problem.get("A"), list) else 0
+    A, B, C = (
+        _matrix(problem, key, name, shape)
+        for key, shape in (("A", (n, n)), ("B", (n, D.shape[1])), ("C", (D.shape[0], n)))
+    )
+    plant = StateSpace(A, B, C, D, _number(problem, "dt", name, 0.0))
+    counts = _count(problem, "n_control", name), _count(problem, "n_measurement", name)
+    try:
+        result = hinf_synthesis(plant, *counts)
+    except (np.linalg.LinAlgError, ArithmeticError) as exc:
+        raise SynthesisError(
+            name, "arithmetic", str(exc), "a plant whose signals are scaled to order one"
+        ) from exc
+    K = result.controller
+    return {
+        "gamma": result.gamma,
+        "gamma_lower": result.gamma_lower,
+        "gamma_achieved": result.gamma_achieved,
+        "resolved": result.resolved,
+        "controller": {
+            "A": K.A.tolist(),
+            "B": K.B.tolist(),
+            "C": K.C.tolist(),
+            "D": K.D.tolist(),
+            "dt": K.dt,
+        },
+        "norm_lower": result.certificate.lower,
+        "peak_frequency": _finite(result.certificate.peak_frequency),
+        "regularisation": result.regularisation,
+        "note": "; ".join(result.notes),
+    }
+
+
+def solve_mu(problem: dict) -> dict:
+    """mu_upper and mu_lower for M and blocks; ``delta`` makes I − M Δ singular at size 1/mu_lower (null at
+    0).
+    """
+    name = str(problem.get("id", "mu"))
+    M = _complex_matrix(problem, "M", name)
+    listed = problem.get("blocks")
+    if not isinstance(listed, list) or not listed:
+        raise SynthesisError(name, "blocks", "missing or empty", "a list of {type, rows, cols}")
+    blocks = []
+    for k, b in enumerate(listed):
+        if not isinstance(b, dict):
+            raise SynthesisError(name, f"blocks[{k}]", repr(b), "{type, rows, cols}")
+        where = f"{name}: blocks[{k}]"
+        rows_of_M, cols_of_M = _count(b, "rows", where), _count(b, "cols", where)
+        try:
+            blocks.append(Block(b.get("type", "full"), cols_of_M, rows_of_M))  # the contract states M's part, Block is Delta_i
+        except InputError as error:
+            what = error.what if error.where == "type" else f"{rows_of_M} x {cols_of_M}"
+            raise SynthesisError(where, error.where, what, error.expected) from None
+    bounds = mu_bounds(M, blocks)
+    delta = (
+        None if bounds.delta is None else np.stack([bounds.delta.real, bounds.delta.imag], axis=-1).tolist()
+    )
+    return {"mu_upper": bounds.upper, "mu_lower": bounds.lower, "delta": delta}
+
+
+def _matrix(problem, key, name, shape=None) -> np.ndarray:
+    try:
+        value = np.asarray(problem[key], dtype=float)
+    except KeyError:
+        raise SynthesisError(name, key, "missing", "a matrix as nested lists") from None
+    except (TypeError, ValueError):
+        raise SynthesisError(name, key, "not a matrix of numbers", "nested lists of equal length") from None
+    if shape is not None and value.size == 0 and 0 in shape:
+        return value.reshape(shape)
+    if value.ndim != 2:
+        raise SynthesisError(name, key, f"{value.ndim} dimensions", "a matrix as nested lists")
+    return value
+
+
+def _complex_matrix(problem, key, name) -> np.ndarray:
+    try:
+        value = np.asarray(problem[key], dtype=float)
+    except KeyError:
+        raise SynthesisError(name, key, "missing", "a matrix of [re, im]") from None
+    except (TypeError, ValueError):
+        raise SynthesisError(name, key, "not a matrix of numbers", "nested lists of [re, im]") from None
+    if value.ndim == 2:
+        return value.astype(complex)
+    if value.ndim != 3 or value.shape[2] != 2:
+        raise SynthesisError(name, key, f"shape {value.shape}", "rows of [re, im]")
+    return value[..., 0] + 1j * value[..., 1]
+
+
+def _number(problem, key, name, default) -> float:
+    value = problem.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise SynthesisError(name, key, repr(value), "a number")
+    return float(value)
+
+
+def _count(problem, key, name) -> int:
+    value = problem.get(key)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or value != int(value) or value < 1:
+        raise SynthesisError(name, key, repr(value), "a whole number of at least 1")
+    return int(value)
+
+
+def _finite(value: float):
+    return float(value) if np.isfinite(value) else None

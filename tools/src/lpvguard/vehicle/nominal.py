@@ -1,0 +1,295 @@
+"""Stage 1, nominal model: continuous LPV model of the project file, exact zero-order hold, recursion along a drive.
+
+    x_{k+1} = Ad(v_k) x_k + B_old(v_k) u_{k-d-1} + B_new(v_k) u_{k-d},   yhat_k = C x_k + y0
+
+with u the input minus ``input_offset``, and the input delay td = (d + f) Ts split into whole samples d and a fraction f:
+during the first f Ts of an interval the older input acts (exact for an input that is held between samples).
+Outside the speed range the model runs at the nearest speed of the range; what it says there is not judged (THEORY 3.1).
+"""
+
+from __future__ import annotations
+
+import ast
+import ctypes
+import operator
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import expm
+
+from ..base import native
+from ..base.errors import InputError
+from .project import ModelSettings, Project
+from .taylor import COEFFICIENTS, Taylor
+
+_OPERATORS = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
+              ast.Pow: operator.pow, ast.USub: operator.neg, ast.UAdd: operator.pos}
+
+
+def evaluate(expression: float | str, names: dict[str, object], where: str) -> object:
+    """Value of an arithmetic expression of + - * / ** over ``names``; InputError names ``where`` and the culprit."""
+    if not isinstance(expression, str):
+        return expression
+
+    def walk(node: ast.expr) -> object:
+        if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)):
+            return node.value
+        if isinstance(node, ast.Name) and node.id in names:
+            return names[node.id]
+        if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
+            return _OPERATORS[type(node.op)](walk(node.left), walk(node.right))
+        if isinstance(node, ast.UnaryOp) and type(node.op) in _OPERATORS:
+            return _OPERATORS[type(node.op)](walk(node.operand))
+        raise InputError(where, expression, f"cannot use {ast.unparse(node)!r}",
+                         f"+ - * / ** over numbers and {', '.join(sorted(names))}")
+
+    try:
+        return walk(ast.parse(expression, mode="eval").body)
+    except SyntaxError:
+        raise InputError(where, expression, "not an arithmetic expression", "+ - * / ** over v and parameters") from None
+
+
+@dataclass(frozen=True)
+class DiscreteModel:
+    """Zero-order-hold matrices at m speeds: Ad (m, n, n), B_old and B_new (m, n, n_u)."""
+
+    Ad: np.ndarray
+    B_old: np.ndarray
+    B_new: np.ndarray
+
+
+TABLE_TOLERANCE = 1e-6
+"""Largest error of a tabulated model entry, relative to that entry's largest magnitude over the speed range."""
+
+
+@dataclass(frozen=True)
+class SpeedTable:
+    """Model entries over speed, as the core tabulates them: ``base`` (n_entries,), cubics ``cell`` (cells, varying, 4) for the entries ``varying``.
+
+    Entries are Ad, B_old, B_new row by row. Cell c of equal width holds a cubic in the position 0..1 within it.
+    ``error`` is the largest relative error found between the table and the exact zero-order hold.
+    """
+
+    speed_range: tuple[float, float]
+    base: np.ndarray
+    varying: np.ndarray
+    cell: np.ndarray
+    error: float
+
+    def at(self, v: np.ndarray) -> np.ndarray:
+        """Entries (m, n_entries) at speeds v (m,), clamped to the range."""
+        low, high = self.speed_range
+        position = (np.clip(v, low, high) - low) / (high - low) * len(self.cell)
+        cell = np.minimum(position.astype(int), len(self.cell) - 1)
+        out = np.repeat(self.base[None], len(position), axis=0)
+        powers = np.vander(position - cell, 4, increasing=True)
+        out[:, self.varying] = np.einsum("mvi,mi->mv", self.cell[cell], powers)
+        return out
+
+
+def _tabulate(entries: Callable[[np.ndarray], np.ndarray], low: float, high: float) -> SpeedTable:
+    """Cubic interpolation of ``entries`` at four Chebyshev points a cell, as many cells as needed."""
+    samples = entries(np.linspace(low, high, 101))
+    size = np.abs(samples).max(axis=0)
+    varying = np.flatnonzero(np.ptp(samples, axis=0) > TABLE_TOLERANCE * size)
+    # The core's arrays must not be empty; an entry that does not vary is harmless in the table.
+    varying = varying if len(varying) else np.array([0])
+    nodes = 0.5 - 0.5 * np.cos(np.pi * (np.arange(4) + 0.5) / 4)
+    to_cubic = np.linalg.inv(np.vander(nodes, 4, increasing=True))
+    check = np.linspace(0.0, 1.0, 33)
+    for cells in (2, 4, 8, 16, 32, 64):
+        width = (high - low) / cells
+        left = low + width * np.arange(cells)
+        at_nodes = entries((left[:, None] + width * nodes).ravel())[:, varying].reshape(cells, 4, -1)
+        cell = np.einsum("ij,cjv->cvi", to_cubic, at_nodes)
+        exact = entries((left[:, None] + width * check).ravel())[:, varying].reshape(cells, len(check), -1)
+        table = np.einsum("cvi,pi->cpv", cell, np.vander(check, 4, increasing=True))
+        error = float(np.max(np.abs(table - exact) / np.maximum(size[varying], np.finfo(float).tiny)))
+        if error <= TABLE_TOLERANCE:
+            break
+    return SpeedTable((low, high), samples[0], varying, cell, error)
+
+
+def recursion(Ad: np.ndarray, forced: np.ndarray, x_first: np.ndarray) -> np.ndarray:
+    """States (N, n) of x_{k+1} = Ad_k x_k + forced_k from x_first (n,); Ad (N, n, n), forced (N, n).
+
+    Compiled where possible; the numpy version gives the same bits.
+    """
+    Ad, forced, x = (np.ascontiguousarray(a, float) for a in (Ad, forced, x_first))
+    samples, n = forced.shape
+    states = np.empty((samples, n))
+    if lib := native.kernels("recursion"):
+        lib.lpvg_recursion(ctypes.c_ssize_t(samples), ctypes.c_ssize_t(n),
+                           *(a.ctypes.data_as(ctypes.c_void_p) for a in (Ad, forced, x, states)))
+        return states
+    for k in range(samples):
+        states[k] = x
+        product = Ad[k, :, 0] * x[0]
+        for j in range(1, n):
+            product += Ad[k, :, j] * x[j]
+        x = product + forced[k]
+    return states
+
+
+def entries_at(model: ModelSettings, v: object, where: str) -> tuple[list[list[object]], list[list[object]]]:
+    """Entries of A and B, row by row, with ``v`` in place of the speed."""
+    names: dict[str, object] = {"v": v, **model.parameters}
+    for name, expression in model.let.items():
+        names[name] = evaluate(expression, names, f"{where}, model.let.{name}")
+    return tuple([[evaluate(entry, names, f"{where}, model.{key}[{i}][{j}]") for j, entry in enumerate(row)]
+                  for i, row in enumerate(getattr(model, key))] for key in ("A", "B"))
+
+
+def state_space(model: ModelSettings, v: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray]:
+    """A (m, n, n) and B (m, n, n_u) of a project file's model at speeds v (m,) [m/s], in its range or not; ``where``: for errors."""
+    v = np.atleast_1d(np.asarray(v, float))
+
+    def filled(entries: list[list[object]]) -> np.ndarray:
+        out = np.empty((len(v), len(entries), len(entries[0])))
+        for i, row in enumerate(entries):
+            for j, entry in enumerate(row):
+                out[:, i, j] = entry
+        return out
+
+    with np.errstate(all="ignore"):
+        A, B = (filled(entries) for entries in entries_at(model, v, where))
+    bad = ~(np.isfinite(A).all((1, 2)) & np.isfinite(B).all((1, 2)))
+    if bad.any():
+        raise InputError(where, f"v = {v[bad][0]:.6g} m/s", "the model is not finite there", "finite A and B")
+    return A, B
+
+
+class NominalModel:
+    """The nominal LPV model of a project file.
+
+    n states, n_u inputs, n_y outputs; v [m/s] within ``speed_range``; matrices in the units of the signal table.
+    """
+
+    def __init__(self, project: Project):
+        self._settings, self._where = project.model, f"vehicle {project.name}"
+        self.Ts = project.Ts_s
+        self.n, self.n_u, self.n_y = len(self._settings.A), project.n_u, project.n_y
+        self.C = np.array(self._settings.C, float)
+        self.input_offset = np.array(self._settings.input_offset or [0.0] * self.n_u)
+        self.output_offset = np.array(self._settings.output_offset or [0.0] * self.n_y)
+        self.speed_range = (self._settings.speed_min_mps, self._settings.speed_max_mps)
+        delay = self._settings.input_delay_s / self.Ts
+        # A delay given as a decimal multiple of Ts must not become a fraction of 1e-16.
+        self.delay = int(round(delay)) if abs(delay - round(delay)) < 1e-9 else int(np.floor(delay))
+        self.delay_fraction = 0.0 if abs(delay - round(delay)) < 1e-9 else delay - self.delay
+        self._require_stable()
+
+    def matrices(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A (m, n, n) and B (m, n, n_u) at speeds v (m,) [m/s]."""
+        return state_space(self._settings, v, self._where)
+
+    def hold_bounds(self, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
+        """Entrywise bounds over speeds low..high of |d/dv| and |d2/dv2| of [Ad, Bd, Gd] (n, n + n_u + n), the zero-order hold
+        of A, B and of an input on every state. Rigorous up to rounding: the exponential's power series has positive
+        coefficients, so bounds of A, B and their Taylor coefficients in v bound those of the hold."""
+        n, width = self.n, 2 * self.n + self.n_u
+        bounds = np.zeros((COEFFICIENTS, width, width))
+        try:
+            entries = entries_at(self._settings, Taylor.variable(low, high), self._where)
+        except (TypeError, ZeroDivisionError) as error:
+            raise InputError(self._where, "model", f"cannot be bounded between {low:g} and {high:g} m/s: {error}",
+                             "entries rational in v with whole exponents") from None
+        for first, matrix in zip((0, n), entries):
+            for i, row in enumerate(matrix):
+                for j, entry in enumerate(row):
+                    bounds[:, i, first + j] = Taylor.of(entry).magnitude
+        bounds[0, :n, n + self.n_u:] = np.eye(n)
+        series = np.block([[bounds[k - i] if k >= i else np.zeros((width, width)) for k in range(COEFFICIENTS)]
+                           for i in range(COEFFICIENTS)])
+        first, second = (expm(series * self.Ts)[:n, k * width:(k + 1) * width] for k in (1, 2))
+        return first, 2 * second
+
+    @cached_property
+    def slowest_pole(self) -> float:
+        """Smallest |Re lambda| over the speed range [rad/s]."""
+        return float(-self._abscissa.max())
+
+    @cached_property
+    def _speed_samples(self) -> np.ndarray:
+        return np.linspace(*self.speed_range, 257)
+
+    @cached_property
+    def _abscissa(self) -> np.ndarray:
+        return np.linalg.eigvals(self.matrices(self._speed_samples)[0]).real.max(axis=1)
+
+    def _require_stable(self) -> None:
+        worst = int(np.argmax(self._abscissa))
+        if self._abscissa[worst] >= 0:
+            raise InputError(self._where, f"v = {self._speed_samples[worst]:.4g} m/s",
+                             f"the nominal model is unstable (max Re lambda = {self._abscissa[worst]:.3g} rad/s)",
+                             "a stable model over speed_min_mps..speed_max_mps")
+
+    @property
+    def settle_samples(self) -> int:
+        """Samples until the initial state has decayed by e^-5, at the slowest pole of the range (THEORY 3.2)."""
+        return int(np.ceil(5.0 / self.slowest_pole / self.Ts))
+
+    def require_speed(self, v: float) -> None:
+        """InputError when v [m/s] is outside the speed range."""
+        low, high = self.speed_range
+        if not low <= v <= high:
+            raise InputError(self._where, f"v = {v:g} m/s", "outside the model's speed range", f"{low:g} to {high:g} m/s")
+
+    def discretise(self, v: np.ndarray) -> DiscreteModel:
+        """Exact zero-order hold at speeds v (m,), clamped to the speed range."""
+        A, B = self.matrices(np.clip(v, *self.speed_range))
+        m, n = len(A), self.n
+        augmented = np.zeros((m, n + self.n_u, n + self.n_u))
+        augmented[:, :n, :n], augmented[:, :n, n:] = A, B
+
+        def hold(duration: float) -> tuple[np.ndarray, np.ndarray]:
+            e = expm(augmented * duration)
+            return e[:, :n, :n], e[:, :n, n:]
+
+        old = self.delay_fraction * self.Ts
+        phi_old, gamma_old = hold(old)
+        phi_new, gamma_new = hold(self.Ts - old)
+        return DiscreteModel(phi_new @ phi_old, phi_new @ gamma_old, gamma_new)
+
+    def frequency_response(self, omega: np.ndarray, v: float) -> np.ndarray:
+        """G(e^{j omega Ts}) (K, n_y, n_u) at frozen v, delay included; omega [rad/s]."""
+        self.require_speed(v)
+        d = self.discretise(np.array([v]))
+        z = np.exp(1j * np.asarray(omega, float) * self.Ts)[:, None, None]
+        numerator = (d.B_old[0] / z + d.B_new[0]) * z**-self.delay
+        return self.C @ np.linalg.solve(z * np.eye(self.n) - d.Ad[0], numerator)
+
+    def acting_inputs(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The inputs u_{k-d-1} and u_{k-d} that act during step k, offset removed: (N, n_u) each, from u (N, n_u)."""
+        du = np.asarray(u, float) - self.input_offset
+        past = np.vstack([np.repeat(du[:1], self.delay + 1, axis=0), du])
+        return past[:len(du)], past[1:len(du) + 1]
+
+    def simulate(self, v: np.ndarray, u: np.ndarray, y_first: np.ndarray) -> np.ndarray:
+        """Nominal output yhat (N, n_y) along a drive: v (N,) [m/s], u (N, n_u), started at the measured y_first (n_y,).
+
+        Before the first sample the input is taken as constant. The initial state is the least one with that output.
+        Runs on the speed table, so that identification sees the model that the core runs.
+        """
+        Ad, B_old, B_new = self._split(self.table.at(v))
+        older, newer = self.acting_inputs(u)
+        forced = np.einsum("kij,kj->ki", B_old, older) + np.einsum("kij,kj->ki", B_new, newer)
+        x_first = np.linalg.pinv(self.C) @ (np.asarray(y_first, float) - self.output_offset)
+        return recursion(Ad, forced, x_first) @ self.C.T + self.output_offset
+
+    @cached_property
+    def table(self) -> SpeedTable:
+        """The entries over speed that identification and the core run on."""
+
+        def entries(v: np.ndarray) -> np.ndarray:
+            d = self.discretise(v)
+            return np.concatenate([m.reshape(len(v), -1) for m in (d.Ad, d.B_old, d.B_new)], axis=1)
+
+        return _tabulate(entries, *self.speed_range)
+
+    def _split(self, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        m, n, n_u = len(entries), self.n, self.n_u
+        a, b = n * n, n * (n + n_u)
+        return entries[:, :a].reshape(m, n, n), entries[:, a:b].reshape(m, n, n_u), entries[:, b:].reshape(m, n, n_u)

@@ -1,0 +1,298 @@
+"""Project files: one vehicle = one TOML file, validated on load.
+
+The signal table of the project file is the only place where names, units, signs, ranges and CAN places of signals stand;
+``SignalTable`` order is: scheduling, inputs, outputs.
+"""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from ..base.documents import checked, read_toml
+from ..base.errors import InputError
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(gt=0, lt=1)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class CanPlace(_Strict):
+    """Message and signal of the CAN catalogue that carry a signal: bus value = factor * value."""
+
+    message: str
+    signal: str
+    factor: float = 1.0
+
+
+class Signal(_Strict):
+    """One measured signal; ``min`` and ``max`` bound what is physically possible, in ``unit``."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+    role: Literal["scheduling", "input", "output"]
+    column: str
+    unit: str
+    positive: str
+    min: float
+    max: float
+    can: CanPlace | None = None
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Signal:
+        if not self.min < self.max:
+            raise ValueError(f"signal {self.name}: min {self.min} must be below max {self.max}")
+        return self
+
+
+class ModelSettings(_Strict):
+    """Continuous-time nominal model; entries of A and B are numbers or expressions in v, the parameters and ``let``."""
+
+    input_delay_s: Annotated[float, Field(ge=0)] = 0.0
+    speed_min_mps: Positive
+    speed_max_mps: Positive
+    input_offset: list[float] | None = None
+    output_offset: list[float] | None = None
+    A: list[list[float | str]]
+    B: list[list[float | str]]
+    C: list[list[float]]
+    parameters: dict[str, float] = {}
+    let: dict[str, str] = {}
+
+
+class FrameSettings(_Strict):
+    """The estimator (THEORY 3.2, 3.3).
+
+    ``hann``: constant-Q Hann frames of ``periods`` periods, ``bins_per_decade``. ``dft``: the paper's plain DFT, one rectangular
+    frame of ``length_s`` per experiment, driven at constant speed, every line from f_min_hz to f_max_hz; for analysis only.
+    """
+
+    estimator: Literal["hann", "dft"] = "hann"
+    length_s: Positive | None = None
+    periods: Annotated[int, Field(ge=2, le=64)] = 6
+    bins_per_decade: Annotated[int, Field(ge=1, le=50)] = 10
+    f_min_hz: Positive
+    f_max_hz: Positive
+    hop_per_frame: Literal[2] = 2
+    speed_tolerance: Fraction = 0.15
+
+    @model_validator(mode="after")
+    def _length(self) -> FrameSettings:
+        if (self.estimator == "dft") != (self.length_s is not None):
+            raise ValueError("frames: length_s must be given for estimator 'dft', and only for it")
+        return self
+
+
+class NuCeiling(_Strict):
+    f_hz: list[Positive]
+    nu: list[Positive]
+
+    @model_validator(mode="after")
+    def _shape(self) -> NuCeiling:
+        if len(self.f_hz) != len(self.nu) or not self.f_hz:
+            raise ValueError("nu_ceiling: f_hz and nu must be non-empty and equally long")
+        if any(b <= a for a, b in zip(self.f_hz, self.f_hz[1:])):
+            raise ValueError("nu_ceiling: f_hz must increase")
+        return self
+
+    def at(self, f_hz: np.ndarray) -> np.ndarray:
+        """Ceiling at frequencies ``f_hz`` [Hz]: linear in log f, constant outside; 0 at DC."""
+        f = np.asarray(f_hz, float)
+        safe = np.where(f > 0, f, self.f_hz[0])
+        return np.where(f > 0, np.interp(np.log(safe), np.log(self.f_hz), self.nu), 0.0)
+
+
+class BoundSettings(_Strict):
+    structure: Literal["S0", "S1"] = "S1"
+    disturbance_set: Literal["paper", "covering"] = "covering"
+    nu_ceiling: NuCeiling
+
+
+class WeightSettings(_Strict):
+    max_order: Annotated[int, Field(ge=0, le=8)] = 4
+    tolerance_db: Positive = 0.3
+
+
+class FrameTestSettings(_Strict):
+    confirm: Annotated[int, Field(ge=1, le=8)] = 1
+    of_last: Annotated[int, Field(ge=1, le=8)] = 1
+    alpha: Fraction = 0.1
+    excited_std: Positive
+
+    @model_validator(mode="after")
+    def _k_of_m(self) -> FrameTestSettings:
+        if self.confirm > self.of_last:
+            raise ValueError(f"frame_test: confirm {self.confirm} must not exceed of_last {self.of_last}")
+        return self
+
+
+class EnergyTestSettings(_Strict):
+    """The energy test (THEORY 7.2). ``band_hz``: the corners between its bands, two to seven that rise, by default the frames'
+    f_min_hz and f_max_hz, which make three bands.
+    ``memory_s``: time constant of the forgetting, by default one period of f_min_hz."""
+
+    band_hz: Annotated[tuple[Positive, ...], Field(min_length=2, max_length=7)] | None = None
+    memory_s: Positive | None = None
+
+
+class DataSettings(_Strict):
+    """Which splits set the bounds, which are zero-input runs (W_n), and what `generate` makes; all other splits calibrate."""
+
+    bound_split: list[str]
+    noise_split: list[str] = []
+    generator: Literal["car", "truck"] | None = None
+
+    @model_validator(mode="after")
+    def _disjoint(self) -> DataSettings:
+        if set(self.bound_split) & set(self.noise_split):
+            raise ValueError("data: bound_split and noise_split must be disjoint")
+        return self
+
+
+class DesignSettings(_Strict):
+    """Step 8: objectives of Fig. 1 and the scheduled controller. W_t, W_u: gain A_t, A_u and the paper's break frequencies.
+
+    Weights are gain * prod(s/zero + 1) / prod(s/pole + 1), rad/s. ``nodes``: scheduling speeds of the controller, uniform
+    over the model's range. ``table``: the objectives [A_t, A_u] of Table II; ``lambda_s`` [s^2]: weight of the state uncertainty
+    beside the input's in (8), Lambda_nu = diag(1, lambda_s), for its K_is.
+    """
+
+    structure: Literal["K_inf", "K_i", "K_is"] = "K_i"
+    A_t: Positive
+    A_u: Positive
+    W_t_zeros: list[Positive] = [10.0]
+    W_t_poles: list[Positive] = [0.02]
+    W_u_zeros: list[Positive] = [0.02, 0.02]
+    W_u_poles: list[Positive] = [50.0, 50.0]
+    W_R_num: list[float] = [9.0]
+    W_R_den: list[float] = [1.0, 5.4, 9.0]
+    design_speed_mps: Positive = 17.0
+    nodes: Annotated[int, Field(ge=2, le=64)] = 8
+    backoff: Fraction = 0.05
+    order_loss: Fraction = 0.005
+    table: list[Annotated[list[Positive], Field(min_length=2, max_length=2)]] | None = None
+    lambda_s: Positive = 1.0
+    input_max: list[Positive]
+    input_rate_max_per_s: list[Positive]
+
+    @property
+    def objectives(self) -> list[tuple[float, float]]:
+        """(A_t, A_u) of Table II's columns: the table's, or as in the paper A_t with A_u, 75/95 of A_t, and a tenth of A_u."""
+        own = [[self.A_t, self.A_u], [self.A_t * 75 / 95, self.A_u], [self.A_t, self.A_u / 10]]
+        return [(A_t, A_u) for A_t, A_u in (self.table or own)]
+
+
+class Project(_Strict):
+    """A vehicle's project file."""
+
+    schema_: Literal[1] = Field(alias="schema")
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+    title: str
+    Ts_s: Positive
+    seed: Annotated[int, Field(ge=0)]
+    signals: list[Signal]
+    model: ModelSettings
+    frames: FrameSettings
+    bounds: BoundSettings
+    weights: WeightSettings
+    frame_test: FrameTestSettings
+    energy_test: EnergyTestSettings = EnergyTestSettings()
+    data: DataSettings
+    design: DesignSettings | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Project:
+        names = [s.name for s in self.signals]
+        columns = [s.column for s in self.signals]
+        if len(set(names)) != len(names) or len(set(columns)) != len(columns) or "t" in columns:
+            raise ValueError("signals: names and columns must be unique, and column 't' is time")
+        if len(self.of_role("scheduling")) != 1:
+            raise ValueError("signals: exactly one signal must have role 'scheduling'")
+        if not 1 <= self.n_u <= 2 or not 1 <= self.n_y <= 4:
+            raise ValueError(f"signals: 1 to 2 inputs and 1 to 4 outputs are supported, got {self.n_u} and {self.n_y}")
+        n = len(self.model.A)
+        shapes = {"A": (n, n), "B": (n, self.n_u), "C": (self.n_y, n)}
+        for key, (rows, cols) in shapes.items():
+            matrix = getattr(self.model, key)
+            if len(matrix) != rows or any(len(row) != cols for row in matrix):
+                raise ValueError(f"model.{key}: must be {rows} x {cols}")
+        for key, size in (("input_offset", self.n_u), ("output_offset", self.n_y)):
+            value = getattr(self.model, key)
+            if value is not None and len(value) != size:
+                raise ValueError(f"model.{key}: must have {size} entries")
+        if self.design is not None:
+            self._require_vehicle_of_fig1()
+        if not self.model.speed_min_mps < self.model.speed_max_mps:
+            raise ValueError("model: speed_min_mps must be below speed_max_mps")
+        if not self.frames.f_min_hz < self.frames.f_max_hz < 0.5 / self.Ts_s:
+            raise ValueError("frames: f_min_hz < f_max_hz < half the sampling rate must hold")
+        corners = (*(self.energy_test.band_hz or ()), 0.5 / self.Ts_s)
+        if not all(low < high for low, high in zip(corners, corners[1:])):
+            raise ValueError("energy_test.band_hz: corners must rise and stay below half the sampling rate")
+        return self
+
+    def _require_vehicle_of_fig1(self) -> None:
+        """Identification and monitor take any sizes; what Fig. 1 draws, and design makes a controller for, is one vehicle."""
+        first_two = [[float(i == j) for j in range(len(self.model.A))] for i in range(2)]
+        if self.n_u != 1 or self.n_y != 2 or self.model.C != first_two:
+            raise ValueError("design: Fig. 1 has one input and two outputs, the first two states (model.C = [I 0]); got "
+                             f"{self.n_u} input(s), {self.n_y} output(s), C = {self.model.C}")
+        for key in ("input_max", "input_rate_max_per_s"):
+            if len(getattr(self.design, key)) != self.n_u:
+                raise ValueError(f"design.{key}: must have {self.n_u} entries")
+
+    def of_role(self, role: str) -> list[Signal]:
+        return [s for s in self.signals if s.role == role]
+
+    @property
+    def speed(self) -> Signal:
+        return self.of_role("scheduling")[0]
+
+    @property
+    def inputs(self) -> list[Signal]:
+        return self.of_role("input")
+
+    @property
+    def outputs(self) -> list[Signal]:
+        return self.of_role("output")
+
+    @property
+    def n_u(self) -> int:
+        return len(self.inputs)
+
+    @property
+    def n_y(self) -> int:
+        return len(self.outputs)
+
+
+def shipped_vehicles() -> list[str]:
+    """Names of the vehicles that come with the package."""
+    return sorted(p.name.removesuffix(".toml") for p in resources.files(__package__).joinpath("shipped").iterdir()
+                  if p.name.endswith(".toml"))
+
+
+def load_project(vehicle: str | Path) -> Project:
+    """Load a project file by shipped name or by path.
+
+    Raises InputError naming the file, the field and what was expected.
+    """
+    path = Path(vehicle)
+    if path.suffix == ".toml" or path.is_file():
+        source, where = path, str(vehicle)
+    elif str(vehicle) in shipped_vehicles():
+        source, where = resources.files(__package__).joinpath("shipped", f"{vehicle}.toml"), f"vehicle {vehicle}"
+    else:
+        raise InputError(str(vehicle), "--vehicle", "unknown vehicle",
+                         f"one of {', '.join(shipped_vehicles())}, or a path to a project file (*.toml)")
+    return parse_project(read_toml(source, "a project file", where), where)
+
+
+def parse_project(document: object, where: str) -> Project:
+    """Validate a project document; InputError names ``where``, the field and what was expected."""
+    return checked(Project, document, "a project file as project.py describes", where)
