@@ -1,0 +1,86 @@
+"""Format, lint and types of the tree by the settings that it carries; each gate finds what is planted."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+TOOLS = ROOT / "tools"
+C_FOLDERS = ("lib/include", "lib/src", "firmware_sim", "tests", "tools/src/lpvguard")
+"""What people write; lib/vehicles is generated."""
+RUFF = (sys.executable, "-m", "ruff")
+CHECK = (*RUFF, "check", "--config", "pyproject.toml")
+FORMAT = (*RUFF, "format", "--check", "--config", "pyproject.toml")
+PLANTED = {CHECK: "import os\n", FORMAT: "x = {  'a':1 }\n"}
+
+
+def run(*command: object) -> subprocess.CompletedProcess[str]:
+    """From tools/, where the settings are."""
+    words = [str(word) for word in command]
+    return subprocess.run(words, cwd=TOOLS, capture_output=True, text=True, check=False)
+
+
+def c_files() -> list[Path]:
+    return sorted(
+        path
+        for folder in C_FOLDERS
+        for path in (ROOT / folder).rglob("*")
+        if path.suffix in (".c", ".h", ".cpp", ".hpp")
+    )
+
+
+def clang_format(*files: Path) -> subprocess.CompletedProcess[str]:
+    return run(
+        Path(sys.executable).with_name("clang-format"),
+        "--dry-run",
+        "--Werror",
+        f"--style=file:{ROOT / '.clang-format'}",
+        *files,
+    )
+
+
+@pytest.mark.parametrize("command", [CHECK, FORMAT], ids=["lint", "format"])
+def test_python_keeps_the_rules(command):
+    done = run(*command, "src", "summarise_tests.py", "../tests")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("command", [CHECK, FORMAT], ids=["lint", "format"])
+def test_a_planted_breach_is_found(command, tmp_path):
+    path = tmp_path / "planted.py"
+    path.write_text(PLANTED[command])
+    assert run(*command, path).returncode == 1
+
+
+def test_c_and_cpp_are_formatted():
+    files = c_files()
+    assert len(files) > 50
+    done = clang_format(*files)
+    assert done.returncode == 0, done.stderr
+
+
+def test_planted_c_that_is_not_formatted_is_found(tmp_path):
+    path = tmp_path / "planted.c"
+    path.write_text("int  f( void ){return 1;}\n")
+    assert clang_format(path).returncode == 1
+
+
+@pytest.mark.slow("60 s: mypy without its cache")
+def test_the_package_is_typed_throughout():
+    assert (TOOLS / "src" / "lpvguard" / "py.typed").is_file()
+    done = run(sys.executable, "-m", "mypy", "--cache-dir", ROOT / "build" / "mypy")
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.slow("20 s: mypy of one file and what it imports")
+def test_a_planted_type_error_is_found(tmp_path):
+    path = tmp_path / "planted.py"
+    path.write_text('x: int = "text"\n')
+    config = tmp_path / "mypy.ini"
+    config.write_text("[mypy]\n")
+    done = run(sys.executable, "-m", "mypy", "--config-file", config, "--cache-dir", tmp_path / "cache", path)
+    assert done.returncode == 1 and "[assignment]" in done.stdout
