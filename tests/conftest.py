@@ -1,4 +1,5 @@
-"""Shared by all tests: what kind a test is, which tests share a worker, and the vehicles that many tests read (tests/made.py)."""
+"""Shared by all tests: what kind a test is, which tests share a worker, and the vehicles that many tests read
+(tests/made.py)."""
 
 from __future__ import annotations
 
@@ -21,7 +22,11 @@ from made import ROOT, Store, digest_of, store
 COLLECTED = pytest.StashKey[int]()
 TESTS = Path(__file__).resolve().parent
 KINDS = ("unit", "property", "golden", "fault", "hil", "fuzz", "gates", "tools")
-FEW_DRIVES = {"BOUND_SPEEDS": (8.3, 12.0, 17.0, 21.7), "CALIBRATION_SPEEDS": (10.0,), "ZERO_INPUT_SPEEDS": (12.0, 17.0)}
+FEW_DRIVES = {
+    "BOUND_SPEEDS": (8.3, 12.0, 17.0, 21.7),
+    "CALIBRATION_SPEEDS": (10.0,),
+    "ZERO_INPUT_SPEEDS": (12.0, 17.0),
+}
 
 
 SLOW_FIXTURES = {
@@ -45,8 +50,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """A test's marker is its kind, the first folder below tests/. Under pytest-xdist a file's tests share a worker, because they
-    share the file's fixtures; a test names another group itself where it shares none."""
+    """A test's marker is its kind, the first folder below tests/. Under pytest-xdist a file's tests share a
+    worker, because they share the file's fixtures; a test names another group itself where it shares none."""
     config.stash[COLLECTED] = len(items)
     for item in items:
         kind = item.path.relative_to(TESTS).parts[0]
@@ -63,7 +68,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.fixture(scope="session", autouse=True)
 def _collected(request, record_testsuite_property) -> None:
-    """How many tests there are, whether they run or not, for tools/summarise_tests.py. (Workers of pytest-xdist cannot say it.)"""
+    """How many tests there are, whether they run or not, for tools/summarise_tests.py. (Workers of
+    pytest-xdist cannot say it.)"""
     record_testsuite_property("collected", request.config.stash[COLLECTED])
 
 
@@ -128,7 +134,9 @@ def core(vehicle) -> Core:
 @pytest.fixture(scope="session")
 def measured_identified(g80, measured, made) -> Path:
     """Identification folder of the measured drives."""
-    return made.folder(f"measured_identified_{digest_of(measured)[:16]}", lambda folder: identify_into(folder, g80, measured))
+    return made.folder(
+        f"measured_identified_{digest_of(measured)[:16]}", lambda folder: identify_into(folder, g80, measured)
+    )
 
 
 @pytest.fixture(scope="session")

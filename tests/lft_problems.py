@@ -1,9 +1,9 @@
 """Validation problems made from a known truth, and the explanation of one put back into it."""
 
-
 from __future__ import annotations
 
 import numpy as np
+
 from lpvguard.engine.validation import delta as dl
 from lpvguard.engine.validation.delta import Block
 from lpvguard.engine.validation.lft import Lft

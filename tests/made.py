@@ -1,7 +1,8 @@
-"""Folders that many tests read, made once: by one worker of a run, for all of them and for later runs on the same sources.
+"""Folders that many tests read, made once: by one worker of a run, for all of them and for later runs on the
+same sources.
 
-A folder lies below build/made/DIGEST. DIGEST is a hash of everything that it is made from: the package, the core, the simulated truck,
-the recipes in tests/, the versions of Python, NumPy and SciPy, and the processor.
+A folder lies below build/made/DIGEST. DIGEST is a hash of everything that it is made from: the package, the
+core, the simulated truck, the recipes in tests/, the versions of Python, NumPy and SciPy, and the processor.
 """
 
 from __future__ import annotations
@@ -36,9 +37,19 @@ def digest_of(folder: Path) -> str:
 
 def sources_digest() -> str:
     words = [digest_of(ROOT / name) for name in SOURCES]
-    words += [sys.version, numpy.__version__, scipy.__version__, platform.processor(), os.environ.get("LPVGUARD_NO_NATIVE", "")]
+    words += [
+        sys.version,
+        numpy.__version__,
+        scipy.__version__,
+        platform.processor(),
+        os.environ.get("LPVGUARD_NO_NATIVE", ""),
+    ]
     cpuinfo = Path("/proc/cpuinfo")
-    words += [line for line in cpuinfo.read_text().splitlines() if line.startswith(("flags", "Features"))][:1] if cpuinfo.is_file() else []
+    words += (
+        [line for line in cpuinfo.read_text().splitlines() if line.startswith(("flags", "Features"))][:1]
+        if cpuinfo.is_file()
+        else []
+    )
     return hashlib.sha256("\n".join(words).encode()).hexdigest()[:16]
 
 
@@ -74,8 +85,13 @@ class Store:
         return target
 
     def changed(self) -> list[str]:
-        """Names of the folders that are no longer what was given out; they are removed, so that the next run makes them anew."""
-        changed = [target for target, digest in self._given.items() if not target.is_dir() or digest_of(target) != digest]
+        """Names of the folders that are no longer what was given out; they are removed, so that the next run
+        makes them anew."""
+        changed = [
+            target
+            for target, digest in self._given.items()
+            if not target.is_dir() or digest_of(target) != digest
+        ]
         for target in changed:
             shutil.rmtree(target, ignore_errors=True)
         return [target.name for target in changed]

@@ -1,4 +1,5 @@
-"""A made-up car, its database and logs: Motorola and Intel, signed, float, multiplexed, an extended identifier, a CAN FD frame."""
+"""A made-up car, its database and logs: Motorola and Intel, signed, float, multiplexed, an extended
+identifier, a CAN FD frame."""
 
 from __future__ import annotations
 
@@ -8,6 +9,7 @@ from pathlib import Path
 import can
 import cantools
 import numpy as np
+
 from lpvguard.drives.ingest import ingest
 
 OTHER_CAR = """VERSION ""
@@ -108,11 +110,13 @@ def table(path: Path) -> dict[str, np.ndarray]:
 
 
 def agrees(path: Path, start: float = 0.0014, columns=COLUMNS) -> int:
-    """Rows of the table, after comparing it with the truth; ``start``: time of its t = 0 after the log's start."""
+    """Rows of the table, after comparing it with the truth; ``start``: time of its t = 0 after the log's
+    start."""
     got = table(path)
     want = truth(got["t"] + start)
     for name, tolerance in columns.items():
-        # MUXED and others were sampled at the tick but stamped up to 1.4 ms later: a shift, not an error of ingest
+        # MUXED and others were sampled at the tick but stamped up to 1.4 ms later: a shift, not an error of
+        # ingest
         assert (
             np.abs(got[name] - want[name]).max()
             < tolerance + 0.0014 * np.abs(np.gradient(want[name], got["t"])).max()

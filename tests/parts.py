@@ -1,4 +1,5 @@
-"""Optional parts of the tests (tools/setup.sh installs them): a test that needs one says so, and is skipped with the reason."""
+"""Optional parts of the tests (tools/setup.sh installs them): a test that needs one says so, and is skipped
+with the reason."""
 
 from __future__ import annotations
 
@@ -11,8 +12,12 @@ import pytest
 
 from lpvguard.core import targets
 
-PROGRAMS = {"powerpc": ("powerpc-linux-gnu-gcc", "qemu-ppc"), "lcm": ("pkg-config", "lcm-gen", "lcm-logger", "lcm-logplayer"),
-            "qemu": (), "uml": ("candump", "cangen", "cansend", "ip")}
+PROGRAMS = {
+    "powerpc": ("powerpc-linux-gnu-gcc", "qemu-ppc"),
+    "lcm": ("pkg-config", "lcm-gen", "lcm-logger", "lcm-logplayer"),
+    "qemu": (),
+    "uml": ("candump", "cangen", "cansend", "ip"),
+}
 """Part -> programs that the path must have."""
 
 
@@ -24,7 +29,9 @@ def missing(part: str) -> str:
     if part == "qemu":
         lost = sorted({tool for target in targets.TARGETS.values() for tool in targets.missing_tools(target)})
     if part == "lcm" and not lost:
-        done = subprocess.run(["pkg-config", "--print-errors", "--exists", "lcm"], capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            ["pkg-config", "--print-errors", "--exists", "lcm"], capture_output=True, text=True, check=False
+        )
         if done.returncode:
             return f"pkg-config: {done.stderr.strip().splitlines()[-1]}"
         lost = [] if importlib.util.find_spec("lcm") else ["the Python package lcm"]

@@ -7,21 +7,24 @@ import subprocess
 from pathlib import Path
 
 import pytest
+
 from parts import require
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
 def with_vcan(*words: object, timeout: float = 300) -> subprocess.CompletedProcess[str]:
-    """Runs a command there with this checkout's Python package; its output as text, its status unchecked. Skips the test where no
-    kernel has SocketCAN and none can be lent.
+    """Runs a command there with this checkout's Python package; its output as text, its status unchecked.
+    Skips the test where no kernel has SocketCAN and none can be lent.
 
     A run there is in real time, or takes an emulator or UML for itself: its test is marked serial.
     """
     assert "PYTEST_XDIST_WORKER" not in os.environ, "a test on vcan0 needs the marker serial"
     require("uml")
     command = [ROOT / "tools" / "with-vcan", "env", f"PYTHONPATH={ROOT / 'tools' / 'src'}", *words]
-    done = subprocess.run([str(w) for w in command], capture_output=True, text=True, timeout=timeout, check=False)
+    done = subprocess.run(
+        [str(w) for w in command], capture_output=True, text=True, timeout=timeout, check=False
+    )
     if done.returncode == 125 and "no AF_CAN here" in done.stderr:
         pytest.skip(done.stderr.strip())
     return done

@@ -1,4 +1,5 @@
-"""Sum up the JUnit files of a test run: a timing table per suite, what failed, what was skipped and why, one closing line."""
+"""Sum up the JUnit files of a test run: a timing table per suite, what failed, what was skipped and why, one
+closing line."""
 
 from __future__ import annotations
 
@@ -24,7 +25,9 @@ def suite_of(runner: str, case: ElementTree.Element) -> str:
 
 def reason_of(case: ElementTree.Element, skipped: ElementTree.Element | None) -> str:
     """Why a case was skipped; a ctest case that stands for a test that could not be built says so itself."""
-    said = re.search(r"^(?:skipped: |with-vcan: (?=no AF_CAN))(.*)$", case.findtext("system-out") or "", re.MULTILINE)
+    said = re.search(
+        r"^(?:skipped: |with-vcan: (?=no AF_CAN))(.*)$", case.findtext("system-out") or "", re.MULTILINE
+    )
     if said:
         return said[1]
     return (skipped.get("message") if skipped is not None else case.get("status")) or "no reason given"
@@ -32,10 +35,18 @@ def reason_of(case: ElementTree.Element, skipped: ElementTree.Element | None) ->
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--build-failed", type=int, default=0, help="1: the C++ build failed and counts as one failure")
-    parser.add_argument("--fast", type=int, metavar="N", help="the fast tier was run; ctest has N tests in all")
+    parser.add_argument(
+        "--build-failed", type=int, default=0, help="1: the C++ build failed and counts as one failure"
+    )
+    parser.add_argument(
+        "--fast", type=int, metavar="N", help="the fast tier was run; ctest has N tests in all"
+    )
     parser.add_argument("--clean-room", help="passed, failed, or skipped: WHY")
-    parser.add_argument("results", type=Path, help="folder with RUNNER.xml and RUNNER.status, the runner's exit status when not 0")
+    parser.add_argument(
+        "results",
+        type=Path,
+        help="folder with RUNNER.xml and RUNNER.status, the runner's exit status when not 0",
+    )
     arguments = parser.parse_args()
 
     counts = {"passed": 0, "failed": 0, "skipped": 0}
@@ -47,7 +58,10 @@ def main() -> int:
         path = arguments.results / f"{runner}.xml"
         if not path.is_file():
             counts["failed"] += 1
-            notes.append(f"FAILED {runner}: it did not run" + (" (the build failed)" if runner == "ctest" and arguments.build_failed else ""))
+            notes.append(
+                f"FAILED {runner}: it did not run"
+                + (" (the build failed)" if runner == "ctest" and arguments.build_failed else "")
+            )
             continue
         try:
             root = ElementTree.parse(path).getroot()
@@ -73,7 +87,9 @@ def main() -> int:
         status = arguments.results / f"{runner}.status"
         if status.is_file() and counts["failed"] == failed_before:
             counts["failed"] += 1
-            notes.append(f"FAILED {runner}: no case failed, yet it ended with status {status.read_text().strip()}")
+            notes.append(
+                f"FAILED {runner}: no case failed, yet it ended with status {status.read_text().strip()}"
+            )
     if arguments.clean_room:
         outcome, _, why = arguments.clean_room.partition(": ")
         counts[outcome] += 1
@@ -87,7 +103,9 @@ def main() -> int:
     if not counts["passed"]:
         counts["failed"] += 1
     if arguments.fast is not None:
-        print(f"fast: {sum(number.values())} of {collected + arguments.fast} tests; the slow ones run with tools/test alone")
+        print(
+            f"fast: {sum(number.values())} of {collected + arguments.fast} tests; the slow ones run with tools/test alone"
+        )
     print(f"{counts['passed']} passed, {counts['failed']} failed, {counts['skipped']} skipped")
     return 1 if counts["failed"] else 0
 

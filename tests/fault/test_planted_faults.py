@@ -1,4 +1,5 @@
-"""Mutants of the C sources must change what replay says: there is no second monitor that could agree with itself."""
+"""Mutants of the C sources must change what replay says: there is no second monitor that could agree with
+itself."""
 
 from __future__ import annotations
 
@@ -11,14 +12,31 @@ from lpvguard.core.compiled import Core, library_root
 from lpvguard.drives.tables import read_drive
 
 MUTANTS = {
-    "margin forgets the uncertainty": ("margin.hpp", "Z_[j] = (W * unit) * Z[j];", "Z_[j] = (Real(0.1) * W * unit) * Z[j];"),
-    "margin scales the disturbance": ("margin.hpp", "E_[j] = unit * E[j];", "E_[j] = Real(0.9) * (unit * E[j]);"),
-    "second half of the window turned": ("monitor.cpp",
-                                         "const Real falling = coeff.words.cycles[b] % 2U != 0U ? -scale : scale;",
-                                         "const Real falling = scale;"),
-    "error of the wrong sign": ("monitor.cpp", "signal[j] = sample->y[j] - yhat[j];", "signal[j] = sample->y[j] + yhat[j];"),
-    "input one sample late": ("model.cpp", "const Real* u_old = self->past[LPVG_DELAY];",
-                              "const Real* u_old = self->past[0];"),
+    "margin forgets the uncertainty": (
+        "margin.hpp",
+        "Z_[j] = (W * unit) * Z[j];",
+        "Z_[j] = (Real(0.1) * W * unit) * Z[j];",
+    ),
+    "margin scales the disturbance": (
+        "margin.hpp",
+        "E_[j] = unit * E[j];",
+        "E_[j] = Real(0.9) * (unit * E[j]);",
+    ),
+    "second half of the window turned": (
+        "monitor.cpp",
+        "const Real falling = coeff.words.cycles[b] % 2U != 0U ? -scale : scale;",
+        "const Real falling = scale;",
+    ),
+    "error of the wrong sign": (
+        "monitor.cpp",
+        "signal[j] = sample->y[j] - yhat[j];",
+        "signal[j] = sample->y[j] + yhat[j];",
+    ),
+    "input one sample late": (
+        "model.cpp",
+        "const Real* u_old = self->past[LPVG_DELAY];",
+        "const Real* u_old = self->past[0];",
+    ),
     "model offset forgotten": ("model.cpp", "+ ConstMap<ny, 1>(r.output_offset);", ";"),
 }
 
@@ -38,7 +56,9 @@ def test_a_planted_fault_changes_the_margins(name, drive, core, vehicle, tmp_pat
     text = source.read_text()
     assert text.count(original) == 1
     source.write_text(text.replace(original, mutant))
-    sound, mutated = (c.monitor().run_drive(drive).frames for c in (core, Core(vehicle, source_root=tmp_path / "lib")))
+    sound, mutated = (
+        c.monitor().run_drive(drive).frames for c in (core, Core(vehicle, source_root=tmp_path / "lib"))
+    )
     assert not np.allclose(sound.margin[sound.counted], mutated.margin[mutated.counted], rtol=1e-2)
 
 
@@ -60,5 +80,7 @@ def test_a_planted_fault_changes_the_energy_ratio(name, drive, core, vehicle, tm
     text = source.read_text()
     assert text.count(original) == 1
     source.write_text(text.replace(original, mutant))
-    sound, mutated = (c.monitor().run_drive(drive).energy for c in (core, Core(vehicle, source_root=tmp_path / "lib")))
+    sound, mutated = (
+        c.monitor().run_drive(drive).energy for c in (core, Core(vehicle, source_root=tmp_path / "lib"))
+    )
     assert sound.max() > 0 and not np.allclose(sound, mutated, rtol=1e-2)

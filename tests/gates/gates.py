@@ -1,28 +1,38 @@
-"""The gates on the C core. Each finds nothing on a good tree; --self-test plants bugs in a copy and expects each found.
+"""The gates on the C core. Each finds nothing on a good tree; --self-test plants bugs in a copy and expects
+each found.
 
-    gates.py GATE --source DIR --scratch DIR [--self-test]      exit 0 / 1 (a finding, or a planted bug that was missed)
+    gates.py GATE --source DIR --scratch DIR [--self-test]      exit 0 / 1 (a finding, or a planted bug that
+                                                                was missed)
 
-    warnings     lib/ compiles without a warning by gcc and clang, float and double; so do the firmware loop and the ports
-    imports      the archive as a whole imports nothing but memory copies and square roots, optimised or not, float and double
+    warnings     lib/ compiles without a warning by gcc and clang, float and double; so do the firmware loop
+                 and the ports
+    imports      the archive as a whole imports nothing but memory copies and square roots, optimised or not,
+                 float and double
     headers      every public header is strict C99 and strict C++17 by itself, by gcc and clang, without Eigen
-    generated_c  what `lpvguard export` writes is strict C99 without a warning, by gcc and clang, float and double
-    misra        public headers and exported C keep MISRA C:2012, as far as cppcheck's add-on sees, but for lib/MISRA.md
-    manual       every public function says what it does, when it fails and, in the head of its header, what it costs, which
-                 thread may call it and what memory it takes
-    requirements every requirement of lib/REQUIREMENTS.md is named by a test, and every one that a test names stands there
-    references   every text, equation, requirement, file and symbol that the repository names is in it (references.py)
+    generated_c  what `lpvguard export` writes is strict C99 without a warning, by gcc and clang, float and
+                 double
+    misra        public headers and exported C keep MISRA C:2012, as far as cppcheck's add-on sees, but for
+                 lib/MISRA.md
+    manual       every public function says what it does, when it fails and, in the head of its header, what
+                 it costs, which thread may call it and what memory it takes requirements every requirement of
+                 lib/REQUIREMENTS.md is named by a test, and every one that a test names stands there
+    references   every text, equation, requirement, file and symbol that the repository names is in it
+                 (references.py)
     options      every option is in the configure summary, and every preset's setting arrives there
     double       the unit tests pass with double as number type (a third of them; all with LPVGUARD_FULL=1)
-    big_endian   acceptance of coefficients, and CAN, pass their unit tests on a big-endian processor (PowerPC, emulated)
+    big_endian   acceptance of coefficients, and CAN, pass their unit tests on a big-endian processor
+                 (PowerPC, emulated)
     sanitize     the unit tests run clean under the address and undefined-behaviour sanitizers
-    coverage     lines and branches that the unit tests miss in a file of lib/src are as many as coverage.json says (a file
-                 that it does not name: none), no more, no less
-    mutation     unit tests notice small changes of lib/src (mutation.py): a seeded sample of them, all with LPVGUARD_FULL=1;
-                 survivors are printed; those that no test can notice stand in mutants.json with the reason
+    coverage     lines and branches that the unit tests miss in a file of lib/src are as many as coverage.json
+                 says (a file that it does not name: none), no more, no less
+    mutation     unit tests notice small changes of lib/src (mutation.py): a seeded sample of them, all with
+                 LPVGUARD_FULL=1; survivors are printed; those that no test can notice stand in mutants.json
+                 with the reason
 
-Builds stay in the scratch folder, so that a second run compiles only what changed; gates may share one, but not at once.
-A planted bug is looked for in the one variant of the build, or with the one unit test, that has to find it. Bugs that take
-builds of everything are planted only with LPVGUARD_FULL=1 in the environment (tools/test --full sets it).
+Builds stay in the scratch folder, so that a second run compiles only what changed; gates may share one, but
+not at once. A planted bug is looked for in the one variant of the build, or with the one unit test, that has
+to find it. Bugs that take builds of everything are planted only with LPVGUARD_FULL=1 in the environment
+(tools/test --full sets it).
 """
 
 from __future__ import annotations
@@ -44,15 +54,30 @@ from mutation import Mutant, applied, mutants
 from references import references
 
 COMPILERS = {"gcc": ("gcc", "g++"), "clang": ("clang", "clang++")}
-WARNINGS = ["-pedantic-errors", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror"]
+WARNINGS = [
+    "-pedantic-errors",
+    "-Wall",
+    "-Wextra",
+    "-Wconversion",
+    "-Wdouble-promotion",
+    "-Wshadow",
+    "-Werror",
+]
 IMPORTS_ALLOWED = re.compile(r"mem(cpy|set|move|cmp)|(sqrt|fabs)f?")
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
 LEAST_COVERAGE = {"lines": 1.0, "branches": 0.98}  # whatever coverage.json says
 
 
 def run(*command: object, cwd: Path | None = None, env: dict[str, str] | None = None) -> tuple[int, str]:
-    done = subprocess.run([str(c) for c in command], cwd=cwd, env={**os.environ, **(env or {})}, text=True,
-                          stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False)
+    done = subprocess.run(
+        [str(c) for c in command],
+        cwd=cwd,
+        env={**os.environ, **(env or {})},
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        check=False,
+    )
     return done.returncode, done.stdout
 
 
@@ -73,45 +98,105 @@ def build_core(tree: Path, scratch: Path, variant: str) -> tuple[Path, list[str]
     compiler, real, build_type = variant.split("-")
     c, cxx = COMPILERS[compiler]
     folder = scratch / variant
-    return folder, (failed(variant, "cmake", "-S", tree, "-B", folder, "-G", "Ninja", f"-DCMAKE_C_COMPILER={c}",
-                           f"-DCMAKE_CXX_COMPILER={cxx}", f"-DCMAKE_BUILD_TYPE={build_type}", "-DLPVG_BUILD_TESTS=OFF",
-                           f"-DLPVG_DOUBLE={'ON' if real == 'double' else 'OFF'}")
-                    or failed(variant, "cmake", "--build", folder))
+    return folder, (
+        failed(
+            variant,
+            "cmake",
+            "-S",
+            tree,
+            "-B",
+            folder,
+            "-G",
+            "Ninja",
+            f"-DCMAKE_C_COMPILER={c}",
+            f"-DCMAKE_CXX_COMPILER={cxx}",
+            f"-DCMAKE_BUILD_TYPE={build_type}",
+            "-DLPVG_BUILD_TESTS=OFF",
+            f"-DLPVG_DOUBLE={'ON' if real == 'double' else 'OFF'}",
+        )
+        or failed(variant, "cmake", "--build", folder)
+    )
 
 
 def warnings(tree: Path, scratch: Path, only: str = "") -> list[str]:
     if only == "firmware":
         return firmware_warnings(tree, scratch)
-    variants = [only] if only else [f"{compiler}-{real}-Release" for compiler in COMPILERS for real in ("float", "double")]
+    variants = (
+        [only]
+        if only
+        else [f"{compiler}-{real}-Release" for compiler in COMPILERS for real in ("float", "double")]
+    )
     findings = [finding for variant in variants for finding in build_core(tree, scratch, variant)[1]]
     return findings if only else findings + firmware_warnings(tree, scratch)
 
 
 def firmware_warnings(tree: Path, scratch: Path) -> list[str]:
-    """Of firmware_sim/ecu and firmware_sim/ports. The bare-metal ports by clang only: gcc builds them as errors in
-    lpvguard.core.targets, with the same options."""
+    """Of firmware_sim/ecu and firmware_sim/ports. The bare-metal ports by clang only: gcc builds them as
+    errors in lpvguard.core.targets, with the same options."""
     sim = tree / "firmware_sim"
     cortex_m = ["--target=arm-none-eabi", "-mcpu=cortex-m4", "-mfloat-abi=hard", "-ffreestanding"]
     cortex_r = ["--target=arm-none-eabi", "-mcpu=cortex-r5", "-mfloat-abi=hard", "-ffreestanding"]
     scratch.mkdir(parents=True, exist_ok=True)
     # What lpvguard.core.targets writes, in its smallest form.
-    (scratch / "target_input.h").write_text("#define TARGET_INPUT_SAMPLES 100U\n"
-                                            "static const lpvg_real_t target_input[TARGET_INPUT_SAMPLES][4] = {{1.0F}};\n")
-    includes = ["-I", tree / "lib" / "include", "-I", tree / "lib" / "src", "-I", tree / "lib" / "vehicles" / "truck",
-                "-I", sim / "ecu", "-I", sim / "ports", "-I", sim / "ports" / "ecu_process", "-I", sim / "ports" / "linux", "-I", scratch]
-    jobs = [(path, compiler, []) for folder in ("ecu", "ports/host", "ports/ecu_process", "ports/linux", "ports/linux_ecu")
-            for path in sorted((sim / folder).glob("*.c*")) for compiler in COMPILERS]
-    jobs += [(sim / "ports" / path, compiler, []) for path in ("target_bench.cpp", "cortex_r5_ecu/main.cpp") for compiler in COMPILERS]
+    (scratch / "target_input.h").write_text(
+        "#define TARGET_INPUT_SAMPLES 100U\n"
+        "static const lpvg_real_t target_input[TARGET_INPUT_SAMPLES][4] = {{1.0F}};\n"
+    )
+    includes = [
+        "-I",
+        tree / "lib" / "include",
+        "-I",
+        tree / "lib" / "src",
+        "-I",
+        tree / "lib" / "vehicles" / "truck",
+        "-I",
+        sim / "ecu",
+        "-I",
+        sim / "ports",
+        "-I",
+        sim / "ports" / "ecu_process",
+        "-I",
+        sim / "ports" / "linux",
+        "-I",
+        scratch,
+    ]
+    jobs = [
+        (path, compiler, [])
+        for folder in ("ecu", "ports/host", "ports/ecu_process", "ports/linux", "ports/linux_ecu")
+        for path in sorted((sim / folder).glob("*.c*"))
+        for compiler in COMPILERS
+    ]
+    jobs += [
+        (sim / "ports" / path, compiler, [])
+        for path in ("target_bench.cpp", "cortex_r5_ecu/main.cpp")
+        for compiler in COMPILERS
+    ]
     jobs += [(path, "clang", cortex_m) for path in sorted((sim / "ports" / "bare_metal").glob("*.c"))]
     jobs += [(path, "clang", cortex_m) for path in sorted((sim / "ports" / "cortex_m").glob("*.c"))]
-    jobs += [(path, "clang", cortex_r) for folder in ("cortex_r5", "cortex_r5_ecu") for path in sorted((sim / "ports" / folder).glob("*.c"))]
+    jobs += [
+        (path, "clang", cortex_r)
+        for folder in ("cortex_r5", "cortex_r5_ecu")
+        for path in sorted((sim / "ports" / folder).glob("*.c"))
+    ]
     findings = []
     for path, compiler, target in jobs:
         c, cxx = COMPILERS[compiler]
         # gnu99: registers and the bus are reached by what the standard does not have.
-        language = [cxx, "-std=c++17", "-fno-exceptions", "-fno-rtti"] if path.suffix == ".cpp" else [c, "-std=gnu99"]
+        language = (
+            [cxx, "-std=c++17", "-fno-exceptions", "-fno-rtti"]
+            if path.suffix == ".cpp"
+            else [c, "-std=gnu99"]
+        )
         options = [w for w in WARNINGS if w != "-pedantic-errors"]
-        findings += failed(f"{path.relative_to(tree)} by {compiler}", *language, *options, *target, *includes, "-fsyntax-only", path)
+        findings += failed(
+            f"{path.relative_to(tree)} by {compiler}",
+            *language,
+            *options,
+            *target,
+            *includes,
+            "-fsyntax-only",
+            path,
+        )
     return findings
 
 
@@ -133,7 +218,11 @@ def imports(tree: Path, scratch: Path, only: str = "") -> list[str]:
         for archive in archives:
             # What one object lacks and another one of the archive has is no import.
             missing = symbols(archive, "--undefined-only") - symbols(archive, "--defined-only")
-            findings += [f"{archive.name} ({variant}) imports {s}" for s in sorted(missing) if not IMPORTS_ALLOWED.fullmatch(s)]
+            findings += [
+                f"{archive.name} ({variant}) imports {s}"
+                for s in sorted(missing)
+                if not IMPORTS_ALLOWED.fullmatch(s)
+            ]
     return findings
 
 
@@ -161,8 +250,15 @@ def export(tree: Path, scratch: Path, name: str) -> tuple[Path, list[str]]:
     """Folder and findings; ``name``: a vehicle that the unit tests export too (tests/unit/CMakeLists.txt)."""
     unit = tree / "tests" / "unit"
     kind, project = {"toy": ("vehicle", unit / "toy.toml"), "hand_truck": ("guarded", "truck")}[name]
-    return scratch / name, failed(f"export of {name}", sys.executable, unit / "generate.py", kind, project, scratch / name,
-                                  env={"PYTHONPATH": str(tree / "tools" / "src")})
+    return scratch / name, failed(
+        f"export of {name}",
+        sys.executable,
+        unit / "generate.py",
+        kind,
+        project,
+        scratch / name,
+        env={"PYTHONPATH": str(tree / "tools" / "src")},
+    )
 
 
 def generated_c(tree: Path, scratch: Path) -> list[str]:
@@ -177,8 +273,21 @@ def generated_c(tree: Path, scratch: Path) -> list[str]:
         for source in sorted(folder.glob("*.c")):
             for compiler, _ in COMPILERS.values():
                 for real in ([], ["-DLPVG_DOUBLE"]):
-                    findings += failed(f"{folder.name} by {compiler} {' '.join(real)}", compiler, "-std=c99", *WARNINGS, *real,
-                                       "-I", tree / "lib" / "include", "-I", folder, "-c", source, "-o", scratch / "object.o")
+                    findings += failed(
+                        f"{folder.name} by {compiler} {' '.join(real)}",
+                        compiler,
+                        "-std=c99",
+                        *WARNINGS,
+                        *real,
+                        "-I",
+                        tree / "lib" / "include",
+                        "-I",
+                        folder,
+                        "-c",
+                        source,
+                        "-o",
+                        scratch / "object.o",
+                    )
     return findings
 
 
@@ -187,12 +296,28 @@ def misra(tree: Path, scratch: Path) -> list[str]:
     folder, findings = export(tree, scratch, "hand_truck")
     if findings:
         return findings
-    headers = [str(h.relative_to(include)) for h in sorted(include.rglob("*.h"))] + [h.name for h in sorted(folder.glob("*.h"))]
+    headers = [str(h.relative_to(include)) for h in sorted(include.rglob("*.h"))] + [
+        h.name for h in sorted(folder.glob("*.h"))
+    ]
     unit = scratch / "every_header.c"
     unit.write_text("".join(f'#include "{h}"\n' for h in headers) + "extern int not_empty;\n")
-    status, output = run("cppcheck", "--std=c99", "--platform=unix32", "--enable=style", "--addon=misra", "--inline-suppr", "--quiet",
-                         "--suppress=missingIncludeSystem", "--template={file}|{line}|{id}", "-I", include, "-I", folder,
-                         *sorted(folder.glob("*.c")), unit)
+    status, output = run(
+        "cppcheck",
+        "--std=c99",
+        "--platform=unix32",
+        "--enable=style",
+        "--addon=misra",
+        "--inline-suppr",
+        "--quiet",
+        "--suppress=missingIncludeSystem",
+        "--template={file}|{line}|{id}",
+        "-I",
+        include,
+        "-I",
+        folder,
+        *sorted(folder.glob("*.c")),
+        unit,
+    )
     if status:
         return [output]
     rows = re.findall(r"^\| (\d+\.\d+) \| advisory \| (\S+) \|", table.read_text(), re.MULTILINE)
@@ -203,11 +328,20 @@ def misra(tree: Path, scratch: Path) -> list[str]:
         used |= covering
         if not covering:
             findings.append(f"{Path(file).name}:{number}: {rule}")
-    return findings + [f"MISRA.md: rule {rule} in {files} covers nothing" for rule, files in rows if (rule, files) not in used]
+    return findings + [
+        f"MISRA.md: rule {rule} in {files} covers nothing"
+        for rule, files in rows
+        if (rule, files) not in used
+    ]
 
 
 FUNCTION = re.compile(r"^(?:LPVG_NODISCARD )?(?:const )?(\w+)\*? (lpvg_\w+)\(", re.MULTILINE)
-STRUCT_ONLY = {"bus.h", "coeff.h", "config.h", "status.h"}  # data, or glue that only ecu.cpp calls: no object to own
+STRUCT_ONLY = {
+    "bus.h",
+    "coeff.h",
+    "config.h",
+    "status.h",
+}  # data, or glue that only ecu.cpp calls: no object to own
 
 
 def manual(tree: Path, scratch: Path) -> list[str]:
@@ -215,38 +349,69 @@ def manual(tree: Path, scratch: Path) -> list[str]:
     for path in sorted((tree / "lib" / "include").rglob("*.h")):
         text = path.read_text()
         head = text.split("#ifndef")[0]
-        findings += [f"{path.name}: the head does not say {word}" for word in ("Cost:", "RAM:", "Threads:")
-                     if path.name not in STRUCT_ONLY and word not in head]
+        findings += [
+            f"{path.name}: the head does not say {word}"
+            for word in ("Cost:", "RAM:", "Threads:")
+            if path.name not in STRUCT_ONLY and word not in head
+        ]
         for found in FUNCTION.finditer(text):
-            comment = re.search(r"((?:^///[^\n]*\n)+)\Z", text[:found.start()], re.MULTILINE)
+            comment = re.search(r"((?:^///[^\n]*\n)+)\Z", text[: found.start()], re.MULTILINE)
             said = comment[1] if comment else ""
             if not said:
                 findings.append(f"{path.name}: {found[2]} is not described")
             elif found[1] == "lpvg_status_t" and "Returns" not in said:
                 findings.append(f"{path.name}: {found[2]} does not say which status it returns when")
-            elif "*" in text[found.start():].split(";")[0] and found[1] != "lpvg_status_t" and "NULL" not in said:
+            elif (
+                "*" in text[found.start() :].split(";")[0]
+                and found[1] != "lpvg_status_t"
+                and "NULL" not in said
+            ):
                 findings.append(f"{path.name}: {found[2]} does not say what it does with NULL")
     return findings
 
 
 def requirements(tree: Path, scratch: Path) -> list[str]:
-    stated = re.findall(r"^\| (REQ-[A-Z]+-\d+) \|", (tree / "lib" / "REQUIREMENTS.md").read_text(), re.MULTILINE)
+    stated = re.findall(
+        r"^\| (REQ-[A-Z]+-\d+) \|", (tree / "lib" / "REQUIREMENTS.md").read_text(), re.MULTILINE
+    )
     tests = tree / "tests"
-    tagged = [(path, name) for path in sorted(tests.rglob("*.cpp")) for tags in re.findall(r'^TEST_CASE\("[^"]*",\s*"([^"]*)"', path.read_text(), re.MULTILINE)
-              for name in re.findall(r"\[(REQ-[^\]]*)\]", tags)]
-    tagged += [(path, name) for path in sorted(tests.rglob("test_*.py")) for name in re.findall(r'^@pytest\.mark\.requirement\("([^"]*)"\)', path.read_text(), re.MULTILINE)]
-    tagged += [(path, name) for path in sorted(tests.rglob("CMakeLists.txt")) for name in re.findall(r"REQ-[A-Z]+-\d+", path.read_text())]
+    tagged = [
+        (path, name)
+        for path in sorted(tests.rglob("*.cpp"))
+        for tags in re.findall(r'^TEST_CASE\("[^"]*",\s*"([^"]*)"', path.read_text(), re.MULTILINE)
+        for name in re.findall(r"\[(REQ-[^\]]*)\]", tags)
+    ]
+    tagged += [
+        (path, name)
+        for path in sorted(tests.rglob("test_*.py"))
+        for name in re.findall(r'^@pytest\.mark\.requirement\("([^"]*)"\)', path.read_text(), re.MULTILINE)
+    ]
+    tagged += [
+        (path, name)
+        for path in sorted(tests.rglob("CMakeLists.txt"))
+        for name in re.findall(r"REQ-[A-Z]+-\d+", path.read_text())
+    ]
     named = {name for _, name in tagged}
     print(f"{len(stated)} requirements, named {len(tagged)} times")
-    return ([f"{name} is stated twice" for name in sorted({s for s in stated if stated.count(s) > 1})]
-            + [f"{name} is named by no test" for name in stated if name not in named]
-            + [f"{path.relative_to(tree)}: {name} is no requirement" for path, name in tagged if name not in stated])
+    return (
+        [f"{name} is stated twice" for name in sorted({s for s in stated if stated.count(s) > 1})]
+        + [f"{name} is named by no test" for name in stated if name not in named]
+        + [
+            f"{path.relative_to(tree)}: {name} is no requirement"
+            for path, name in tagged
+            if name not in stated
+        ]
+    )
 
 
 def options(tree: Path, scratch: Path, only: str = "") -> list[str]:
     source = (tree / "CMakeLists.txt").read_text()
     declared = set(re.findall(r"^lpvg_option\((LPVG_\w+)", source, re.MULTILINE))
-    findings = [f"{name} bypasses lpvg_option" for name in re.findall(r"^\s*option\((\w+)", source, re.MULTILINE) if name not in declared]
+    findings = [
+        f"{name} bypasses lpvg_option"
+        for name in re.findall(r"^\s*option\((\w+)", source, re.MULTILINE)
+        if name not in declared
+    ]
     presets = {p["name"]: p for p in json.loads((tree / "CMakePresets.json").read_text())["configurePresets"]}
 
     def settings(preset: dict) -> dict[str, str]:
@@ -257,22 +422,61 @@ def options(tree: Path, scratch: Path, only: str = "") -> list[str]:
         if only not in ("", name):
             continue
         # Tests off: their set-up is slow, and an option on the command line has to win over the preset's.
-        status, output = run("cmake", "--preset", name, "-B", scratch / name, "-DLPVG_BUILD_TESTS=OFF", cwd=tree)
+        status, output = run(
+            "cmake", "--preset", name, "-B", scratch / name, "-DLPVG_BUILD_TESTS=OFF", cwd=tree
+        )
         if status:
             return [f"preset {name}:\n{output}"]
         echoed = dict(re.findall(r"^--   (LPVG_\w+): (\w+)$", output, re.MULTILINE))
-        wanted = {k: v for k, v in settings(preset).items() if k.startswith("LPVG_")} | {"LPVG_BUILD_TESTS": "OFF"}
-        findings += [f"preset {name}: {option} is not in the summary" for option in sorted(declared - set(echoed))]
-        findings += [f"preset {name}: sets {k} to {v}, the summary says {echoed.get(k)}" for k, v in wanted.items()
-                     if echoed.get(k) != v]
+        wanted = {k: v for k, v in settings(preset).items() if k.startswith("LPVG_")} | {
+            "LPVG_BUILD_TESTS": "OFF"
+        }
+        findings += [
+            f"preset {name}: {option} is not in the summary" for option in sorted(declared - set(echoed))
+        ]
+        findings += [
+            f"preset {name}: sets {k} to {v}, the summary says {echoed.get(k)}"
+            for k, v in wanted.items()
+            if echoed.get(k) != v
+        ]
     return findings
 
 
 def unit_tests(tree: Path, folder: Path, preset: str, only: str = "") -> list[str]:
     """All unit tests, or the one named ``only`` (a self-test need not build the others)."""
-    return (failed("configure", "cmake", "--preset", preset, "-B", folder, f"-DPython3_EXECUTABLE={sys.executable}", cwd=tree)
-            or failed("build", "cmake", "--build", folder, "--target", f"test_{only.replace('.', '_')}" if only else "unit_tests")
-            or failed("tests", "ctest", "--test-dir", folder, "-L", "unit", "-R", f"^unit.{only}$" if only else ".", "-j2", "--no-tests=error", "--output-on-failure"))
+    return (
+        failed(
+            "configure",
+            "cmake",
+            "--preset",
+            preset,
+            "-B",
+            folder,
+            f"-DPython3_EXECUTABLE={sys.executable}",
+            cwd=tree,
+        )
+        or failed(
+            "build",
+            "cmake",
+            "--build",
+            folder,
+            "--target",
+            f"test_{only.replace('.', '_')}" if only else "unit_tests",
+        )
+        or failed(
+            "tests",
+            "ctest",
+            "--test-dir",
+            folder,
+            "-L",
+            "unit",
+            "-R",
+            f"^unit.{only}$" if only else ".",
+            "-j2",
+            "--no-tests=error",
+            "--output-on-failure",
+        )
+    )
 
 
 def double(tree: Path, scratch: Path, only: str = "") -> list[str]:
@@ -281,8 +485,13 @@ def double(tree: Path, scratch: Path, only: str = "") -> list[str]:
 
 
 def big_endian(tree: Path, scratch: Path, only: str = "") -> list[str]:
-    # What looks at bytes. Tests that call the library's sine cannot run: its code asks for more than this emulator has.
-    return [finding for name in ([only] if only else ["coeff.toy", "can"]) for finding in unit_tests(tree, scratch / "build", "big-endian", name)]
+    # What looks at bytes. Tests that call the library's sine cannot run: its code asks for more than this
+    # emulator has.
+    return [
+        finding
+        for name in ([only] if only else ["coeff.toy", "can"])
+        for finding in unit_tests(tree, scratch / "build", "big-endian", name)
+    ]
 
 
 def sanitize(tree: Path, scratch: Path, only: str = "") -> list[str]:
@@ -290,12 +499,17 @@ def sanitize(tree: Path, scratch: Path, only: str = "") -> list[str]:
 
 
 def coverage_of(tree: Path, build: Path) -> dict[str, dict[str, dict]]:
-    """File -> {"lines": {number: hits}, "branches": {(number, index): hits}} over lib/src, summed over vehicles and
-    template instances."""
+    """File -> {"lines": {number: hits}, "branches": {(number, index): hits}} over lib/src, summed over
+    vehicles and template instances."""
     out: dict[str, dict[str, dict]] = {}
     for data in sorted(build.rglob("*.gcda")):
-        report = subprocess.run(["gcov", "--json-format", "--stdout", "--branch-probabilities", str(data)], cwd=build,
-                                stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=True).stdout
+        report = subprocess.run(
+            ["gcov", "--json-format", "--stdout", "--branch-probabilities", str(data)],
+            cwd=build,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            check=True,
+        ).stdout
         report = gzip.decompress(report) if report[:2] == b"\x1f\x8b" else report
         for part in report.decode().splitlines():
             for file in json.loads(part)["files"]:
@@ -329,12 +543,16 @@ def coverage(tree: Path, scratch: Path, only: str = "") -> list[str]:
         total = missed_in_all = 0
         for name in sorted(sources & set(found)):
             sums = found[name][kind]
-            missed = [key[0] if isinstance(key, tuple) else key for key, hits in sorted(sums.items()) if not hits]
+            missed = [
+                key[0] if isinstance(key, tuple) else key for key, hits in sorted(sums.items()) if not hits
+            ]
             limit = limits[kind].get(name, 0)
             if len(missed) > limit:
                 findings.append(f"{name}: {len(missed)} {kind} missed, {limit} allowed: {missed}")
             elif len(missed) < limit:
-                findings.append(f"{name}: {len(missed)} {kind} missed, fewer than the {limit} of coverage.json: lower it")
+                findings.append(
+                    f"{name}: {len(missed)} {kind} missed, fewer than the {limit} of coverage.json: lower it"
+                )
             total += len(sums)
             missed_in_all += len(missed)
         print(f"{kind}: {total - missed_in_all} of {total} executed")
@@ -345,10 +563,18 @@ def coverage(tree: Path, scratch: Path, only: str = "") -> list[str]:
 
 MUTATION_SAMPLE = 12
 LEAST_KILLED = 0.75, 0.9  # of the sample, of all
-SEES = {"acceptance.hpp": ["coeff.toy", "controller.hand_truck"], "coefficient_checks.hpp": ["coeff.toy", "controller.hand_truck"],
-        "can.cpp": ["can", "can_faults"], "margin.hpp": ["margin"], "coeff.cpp": ["coeff.toy"],
-        "model.cpp": ["model.toy", "model.g80"], "monitor.cpp": ["monitor.toy", "energy.toy", "monitor.g80"],
-        "controller.cpp": ["controller.hand_toy", "controller.hand_truck"], "ecu.cpp": ["ecu.hand_truck"], "energy.cpp": ["energy.toy", "energy.g80"]}
+SEES = {
+    "acceptance.hpp": ["coeff.toy", "controller.hand_truck"],
+    "coefficient_checks.hpp": ["coeff.toy", "controller.hand_truck"],
+    "can.cpp": ["can", "can_faults"],
+    "margin.hpp": ["margin"],
+    "coeff.cpp": ["coeff.toy"],
+    "model.cpp": ["model.toy", "model.g80"],
+    "monitor.cpp": ["monitor.toy", "energy.toy", "monitor.g80"],
+    "controller.cpp": ["controller.hand_toy", "controller.hand_truck"],
+    "ecu.cpp": ["ecu.hand_truck"],
+    "energy.cpp": ["energy.toy", "energy.g80"],
+}
 """Source -> unit tests that look at it; in the sample only the first."""
 
 
@@ -366,14 +592,33 @@ def mutation(tree: Path, scratch: Path, only: str = "") -> list[str]:
     if not FULL:
         candidates = random.Random(6).sample(candidates, MUTATION_SAMPLE)
     build = scratch / "build"
-    broken = failed("configure", "cmake", "-S", work, "-B", build, "-G", "Ninja", "-DCMAKE_BUILD_TYPE=Debug", "-DCMAKE_CXX_FLAGS_DEBUG=-O1",
-                    "-DLPVG_BUILD_SIM=OFF", f"-DPython3_EXECUTABLE={sys.executable}")
-    fate: dict[str, list[Mutant]] = {"killed": [], "survived": [], "refused by the compiler": [], "the same code": []}
+    broken = failed(
+        "configure",
+        "cmake",
+        "-S",
+        work,
+        "-B",
+        build,
+        "-G",
+        "Ninja",
+        "-DCMAKE_BUILD_TYPE=Debug",
+        "-DCMAKE_CXX_FLAGS_DEBUG=-O1",
+        "-DLPVG_BUILD_SIM=OFF",
+        f"-DPython3_EXECUTABLE={sys.executable}",
+    )
+    fate: dict[str, list[Mutant]] = {
+        "killed": [],
+        "survived": [],
+        "refused by the compiler": [],
+        "the same code": [],
+    }
     tolerated = json.loads((tree / "tests" / "gates" / "mutants.json").read_text())
     for name in sorted({m.file for m in candidates}):
         tests = SEES[name] if FULL else SEES[name][:1]
         programs = [f"test_{test.replace('.', '_')}" for test in tests]
-        broken = broken or failed("build", "cmake", "--build", build, "--parallel", "2", "--target", *programs)
+        broken = broken or failed(
+            "build", "cmake", "--build", build, "--parallel", "2", "--target", *programs
+        )
         if broken:
             return broken
         paths = [path for path in build.rglob("test_*") if path.name in programs and path.is_file()]
@@ -392,26 +637,61 @@ def mutation(tree: Path, scratch: Path, only: str = "") -> list[str]:
     survived = [m for m in fate["survived"] if m.key not in tolerated]
     killed, least = len(fate["killed"]), LEAST_KILLED[FULL]
     score = killed / max(killed + len(survived), 1)
-    print(f"{len(candidates)} mutants: " + ", ".join(f"{len(group)} {what}" for what, group in fate.items())
-          + f" ({len(fate['survived']) - len(survived)} of them in mutants.json); {100 * score:.1f} % of the noticeable killed")
+    print(
+        f"{len(candidates)} mutants: "
+        + ", ".join(f"{len(group)} {what}" for what, group in fate.items())
+        + f" ({len(fate['survived']) - len(survived)} of them in mutants.json); {100 * score:.1f} % of the noticeable killed"
+    )
     for mutant in survived:
         print(f"survived: {mutant}")
-    findings = [f"{len(survived)} of {killed + len(survived)} mutants survive: {'; '.join(map(str, survived))}"] if score < least else []
+    findings = (
+        [f"{len(survived)} of {killed + len(survived)} mutants survive: {'; '.join(map(str, survived))}"]
+        if score < least
+        else []
+    )
     stale = set(tolerated) - {m.key for m in candidates} if FULL and not only else set()
-    return findings + [f"mutants.json: {key}: no such mutant survives" for key in sorted(stale | (set(tolerated) & {m.key for m in fate["killed"]}))]
+    return findings + [
+        f"mutants.json: {key}: no such mutant survives"
+        for key in sorted(stale | (set(tolerated) & {m.key for m in fate["killed"]}))
+    ]
 
 
 def fails(program: Path) -> bool:
     """Whether the test program finds something, or runs for ever."""
     try:
-        return subprocess.run([program, "--abort"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=60, check=False).returncode != 0
+        return (
+            subprocess.run(
+                [program, "--abort"],
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                timeout=60,
+                check=False,
+            ).returncode
+            != 0
+        )
     except subprocess.TimeoutExpired:
         return True
 
 
 GATES: dict[str, Callable[..., list[str]]] = {
-    f.__name__: f for f in (warnings, imports, headers, generated_c, misra, manual, requirements, references, options, double, big_endian,
-                                  sanitize, coverage, mutation)}
+    f.__name__: f
+    for f in (
+        warnings,
+        imports,
+        headers,
+        generated_c,
+        misra,
+        manual,
+        requirements,
+        references,
+        options,
+        double,
+        big_endian,
+        sanitize,
+        coverage,
+        mutation,
+    )
+}
 
 
 # --- planted bugs ---
@@ -433,103 +713,338 @@ FLOAT = "gcc-float-Release"
 MONITOR_H = "lib/include/lpvguard/monitor.h"
 PLANTS: dict[str, list[Plant]] = {
     "warnings": [
-        Plant("lib/src/monitor.cpp", "const Real w = Real(0.5) - window_re;", "const Real w = Real(0.5 - window_re);",
-              r"gcc-float(.|\n)*\[-Werror=double-promotion\]", "gcc-float-Release"),
-        Plant("lib/src/coeff.cpp", "bool frames_fit(", "constexpr int unused = 1;\n\nbool frames_fit(",
-              r"clang-float(.|\n)*-Wunused-const-variable", "clang-float-Release"),
-        Plant("lib/src/model.cpp", "next;\n", "next;\n    int rounded = self->x[0]; (void)rounded;\n",
-              r"clang(.|\n)*-Wfloat-conversion", "clang-float-Release"),
-        Plant("lib/src/coeff.cpp", "    for (std::size_t b = 0; b < LPVG_NBINS; ++b) {", "    for (std::size_t b = 0; b < LPVG_NBINS; ++b) {\n"
-              "        const bool w = good; good = w;", r"gcc-float(.|\n)*-Werror=shadow", "gcc-float-Release"),
-        Plant("firmware_sim/ecu/firmware.c", "    size_t i;\n", "    size_t i;\n    int n = n_in;\n", r"firmware\.c by gcc(.|\n)*firmware\.c by clang", "firmware"),
-        Plant("firmware_sim/ports/cortex_m/startup.c", "return 0xFFFFFFu - SYST_CVR;", "return 0xFFFFFFu - SYST_CVR * 1.0;",
-              r"startup\.c by clang(.|\n)*conversion", "firmware"),
+        Plant(
+            "lib/src/monitor.cpp",
+            "const Real w = Real(0.5) - window_re;",
+            "const Real w = Real(0.5 - window_re);",
+            r"gcc-float(.|\n)*\[-Werror=double-promotion\]",
+            "gcc-float-Release",
+        ),
+        Plant(
+            "lib/src/coeff.cpp",
+            "bool frames_fit(",
+            "constexpr int unused = 1;\n\nbool frames_fit(",
+            r"clang-float(.|\n)*-Wunused-const-variable",
+            "clang-float-Release",
+        ),
+        Plant(
+            "lib/src/model.cpp",
+            "next;\n",
+            "next;\n    int rounded = self->x[0]; (void)rounded;\n",
+            r"clang(.|\n)*-Wfloat-conversion",
+            "clang-float-Release",
+        ),
+        Plant(
+            "lib/src/coeff.cpp",
+            "    for (std::size_t b = 0; b < LPVG_NBINS; ++b) {",
+            "    for (std::size_t b = 0; b < LPVG_NBINS; ++b) {\n        const bool w = good; good = w;",
+            r"gcc-float(.|\n)*-Werror=shadow",
+            "gcc-float-Release",
+        ),
+        Plant(
+            "firmware_sim/ecu/firmware.c",
+            "    size_t i;\n",
+            "    size_t i;\n    int n = n_in;\n",
+            r"firmware\.c by gcc(.|\n)*firmware\.c by clang",
+            "firmware",
+        ),
+        Plant(
+            "firmware_sim/ports/cortex_m/startup.c",
+            "return 0xFFFFFFu - SYST_CVR;",
+            "return 0xFFFFFFu - SYST_CVR * 1.0;",
+            r"startup\.c by clang(.|\n)*conversion",
+            "firmware",
+        ),
     ],
     "imports": [
-        Plant("lib/src/model.cpp", "    set_speed(self, coeff, speed);", "    set_speed(self, coeff, speed);\n    Eigen::Matrix<Real, 8, 8> a = "
-              "Eigen::Matrix<Real, 8, 8>::Constant(speed), b = a * a;\n    self->x[0] += b(0, 0);", r"imports (malloc|free|_Zn)", FLOAT),
-        Plant("lib/src/monitor.cpp", "    ++self.restarts;", "    ++self.restarts;\n    __builtin_printf(\"restart\");",
-              r"imports (printf|puts|putchar|fwrite)", FLOAT),
-        Plant("lib/src/coeff.cpp", "lpvg_coeff_crc32(const", "other_crc32(const", r"imports lpvg_g80_coeff_crc32", FLOAT),
-        Plant("lib/src/acceptance.hpp", "    return ~crc;", "    return ~crc ^ static_cast<uint32_t>(std::exp(item_at<lpvg_real_t>(coeff.reals, 0)));",
-              r"imports expf?", FLOAT),
+        Plant(
+            "lib/src/model.cpp",
+            "    set_speed(self, coeff, speed);",
+            "    set_speed(self, coeff, speed);\n    Eigen::Matrix<Real, 8, 8> a = "
+            "Eigen::Matrix<Real, 8, 8>::Constant(speed), b = a * a;\n    self->x[0] += b(0, 0);",
+            r"imports (malloc|free|_Zn)",
+            FLOAT,
+        ),
+        Plant(
+            "lib/src/monitor.cpp",
+            "    ++self.restarts;",
+            '    ++self.restarts;\n    __builtin_printf("restart");',
+            r"imports (printf|puts|putchar|fwrite)",
+            FLOAT,
+        ),
+        Plant(
+            "lib/src/coeff.cpp",
+            "lpvg_coeff_crc32(const",
+            "other_crc32(const",
+            r"imports lpvg_g80_coeff_crc32",
+            FLOAT,
+        ),
+        Plant(
+            "lib/src/acceptance.hpp",
+            "    return ~crc;",
+            "    return ~crc ^ static_cast<uint32_t>(std::exp(item_at<lpvg_real_t>(coeff.reals, 0)));",
+            r"imports expf?",
+            FLOAT,
+        ),
     ],
     "headers": [
-        Plant(MONITOR_H, "bool lpvg_monitor_take_record(", "[[nodiscard]] bool lpvg_monitor_take_record(", r"monitor\.h as c99 by gcc"),
-        Plant(MONITOR_H, '#include "lpvguard/model.h"', '#include "lpvguard/model.h"\n#ifdef __cplusplus\n#include <eigen3/Eigen/Core>\n#endif',
-              r"monitor\.h as c\+\+17 by clang\+\+: Eigen is visible"),
+        Plant(
+            MONITOR_H,
+            "bool lpvg_monitor_take_record(",
+            "[[nodiscard]] bool lpvg_monitor_take_record(",
+            r"monitor\.h as c99 by gcc",
+        ),
+        Plant(
+            MONITOR_H,
+            '#include "lpvguard/model.h"',
+            '#include "lpvguard/model.h"\n#ifdef __cplusplus\n#include <eigen3/Eigen/Core>\n#endif',
+            r"monitor\.h as c\+\+17 by clang\+\+: Eigen is visible",
+        ),
         Plant("lib/include/lpvguard/model.h", '#include "lpvguard/coeff.h"', "", r"model\.h as c99 by clang"),
     ],
     "generated_c": [
-        Plant("tools/src/lpvguard/core/seal.py", 'return f"{int(value)}U"', 'return f"-{int(value)}"', r"toy by gcc"),
-        Plant("tools/src/lpvguard/core/seal.py", 'lines += ["    },", "};", ""]', 'lines += ["    },", "};;", ""]', r"toy by clang"),
+        Plant(
+            "tools/src/lpvguard/core/seal.py",
+            'return f"{int(value)}U"',
+            'return f"-{int(value)}"',
+            r"toy by gcc",
+        ),
+        Plant(
+            "tools/src/lpvguard/core/seal.py",
+            'lines += ["    },", "};", ""]',
+            'lines += ["    },", "};;", ""]',
+            r"toy by clang",
+        ),
         Plant("tools/src/lpvguard/core/coefficients.py", "#define", "#  defined", r"toy by gcc"),
-        Plant("tools/src/lpvguard/base/layout.py", 'struct="control_coeff"', 'struct="control"', r"hand_truck by gcc"),
+        Plant(
+            "tools/src/lpvguard/base/layout.py",
+            'struct="control_coeff"',
+            'struct="control"',
+            r"hand_truck by gcc",
+        ),
         Plant("tools/src/lpvguard/can/bus.py", "= (lpvg_real_t){", "= (lpvg_real){", r"hand_truck by clang"),
         Plant("lib/vehicles/g80/lpvguard_coeff.c", ".schema = ", ".schema = 0b0U + ", r"g80 by gcc"),
     ],
     "misra": [
-        Plant(MONITOR_H, "#define LPVG_NRECORDS 4", "#define LPVG_TWICE(x) x + x\n#define LPVG_NRECORDS 4", r"monitor\.h:\d+: misra-c2012-20\.7"),
-        Plant("tools/src/lpvguard/can/codegen.py", "(void)memset", "memset", r"lpvg_can_codec\.c:\d+: misra-c2012-17\.7"),
+        Plant(
+            MONITOR_H,
+            "#define LPVG_NRECORDS 4",
+            "#define LPVG_TWICE(x) x + x\n#define LPVG_NRECORDS 4",
+            r"monitor\.h:\d+: misra-c2012-20\.7",
+        ),
+        Plant(
+            "tools/src/lpvguard/can/codegen.py",
+            "(void)memset",
+            "memset",
+            r"lpvg_can_codec\.c:\d+: misra-c2012-17\.7",
+        ),
         Plant("lib/include/lpvguard/config.h", "cppcheck-suppress", "", r"config\.h:\d+: misra-c2012-20\.10"),
-        Plant("lib/MISRA.md", "| 15.5 |", "| 15.6 |", r"lpvguard_bus\.c:\d+: misra-c2012-15\.5(.|\n)*rule 15\.6 in \*\.c covers nothing"),
+        Plant(
+            "lib/MISRA.md",
+            "| 15.5 |",
+            "| 15.6 |",
+            r"lpvguard_bus\.c:\d+: misra-c2012-15\.5(.|\n)*rule 15\.6 in \*\.c covers nothing",
+        ),
     ],
     "manual": [
         Plant(MONITOR_H, "/// Threads:", "/// Contexts:", r"monitor\.h: the head does not say Threads:"),
-        Plant("lib/include/lpvguard/controller.h", "/// Returns bad_argument for NULL", "/// Refuses NULL", r"lpvg_control_init does not say which status"),
-        Plant(MONITOR_H, "/// Why the newest frame was no evidence; none before the first frame and for NULL.\n", "", r"lpvg_monitor_reason is not described"),
+        Plant(
+            "lib/include/lpvguard/controller.h",
+            "/// Returns bad_argument for NULL",
+            "/// Refuses NULL",
+            r"lpvg_control_init does not say which status",
+        ),
+        Plant(
+            MONITOR_H,
+            "/// Why the newest frame was no evidence; none before the first frame and for NULL.\n",
+            "",
+            r"lpvg_monitor_reason is not described",
+        ),
     ],
     "requirements": [
         Plant("tests/unit/test_ecu.cpp", "[REQ-ECU-5]", "", r"REQ-ECU-5 is named by no test"),
-        Plant("lib/REQUIREMENTS.md", "| REQ-CORE-1 |", "| REQ-CORE-99 |", r"REQ-CORE-99 is named by no test(.|\n)*REQ-CORE-1 is no requirement"),
-        Plant("tests/golden/test_core_sizes.py", "REQ-CORE-5", "REQ-CORE-55", r"test_core_sizes\.py: REQ-CORE-55 is no requirement"),
+        Plant(
+            "lib/REQUIREMENTS.md",
+            "| REQ-CORE-1 |",
+            "| REQ-CORE-99 |",
+            r"REQ-CORE-99 is named by no test(.|\n)*REQ-CORE-1 is no requirement",
+        ),
+        Plant(
+            "tests/golden/test_core_sizes.py",
+            "REQ-CORE-5",
+            "REQ-CORE-55",
+            r"test_core_sizes\.py: REQ-CORE-55 is no requirement",
+        ),
     ],
     "references": [
-        Plant("lib/include/lpvguard/model.h", "THEORY 3.1", "THEORY 3.9", r"model\.h:5: THEORY has no section 3\.9"),
+        Plant(
+            "lib/include/lpvguard/model.h",
+            "THEORY 3.1",
+            "THEORY 3.9",
+            r"model\.h:5: THEORY has no section 3\.9",
+        ),
         Plant("lib/src/margin.hpp", "(T17)", "(T77)", r"margin\.hpp:1: THEORY has no equation \(T77\)"),
-        Plant("lib/THEORY.md", "    |g| > threshold/t*(−Z, Z)", "|g| > threshold/t*(−Z, Z)", r"THEORY has no equation \(T25\)"),
-        Plant("lib/THEORY.md", "| (T24) |", "| T24 |", r"\(T24\) has no row that says where it is implemented"),
-        Plant("lib/THEORY.md", ":EnergyTest.memories_s`", ":EnergyTest.memory`", r"energy\.py does not define EnergyTest\.memory"),
-        Plant("lib/THEORY.md", "prediction [11]", "prediction [13]", r"work \[11\] is not cited(.|\n)*work \[13\] is not listed"),
-        Plant("lib/THEORY.md", "margin.hpp:dead`", "margin.hpp:living`", r"margin\.hpp does not define living"),
-        Plant("lib/THEORY.md", "test_margin.cpp:REQ-MON-3`", "test_margin.cpp:REQ-MON-13`", r"test_margin\.cpp does not define REQ-MON-13"),
-        Plant("lib/THEORY.md", "drives/dft.py:spectra`", "drives/fft.py:spectra`", r"no file tools/.*fft\.py"),
-        Plant("lib/README.md", "](REQUIREMENTS.md)", "](REQUIREMENT.md)", r"README\.md:\d+: link to REQUIREMENT\.md"),
-        Plant("lib/MISRA.md", "# ", "# Section 3 of it. See [here](THEORY.md#3-nothing). ", r"section 3 of no work(.|\n)*THEORY\.md has no heading #3-nothing"),
-        Plant("tests/unit/test_ecu.cpp", "[REQ-ECU-5]", "[REQ-ECU-55]", r"test_ecu\.cpp:\d+: REQ-ECU-55 is no requirement"),
-        Plant("firmware_sim/sim/ecu_node.hpp", "(reception.hpp)", "(reception.h)", r"ecu_node\.hpp:27: no file reception\.h"),
-        Plant("firmware_sim/plant/truck.toml", "(Table I)", "(Table III; DESIGN 7, PLANT.md, paper (12), step 9, Fig. 7)",
-              r"no step 9(.|\n)*no figure 7(.|\n)*no table III(.|\n)*no equation 12(.|\n)*DESIGN is no text(.|\n)*PLANT\.md is no text"),
+        Plant(
+            "lib/THEORY.md",
+            "    |g| > threshold/t*(−Z, Z)",
+            "|g| > threshold/t*(−Z, Z)",
+            r"THEORY has no equation \(T25\)",
+        ),
+        Plant(
+            "lib/THEORY.md", "| (T24) |", "| T24 |", r"\(T24\) has no row that says where it is implemented"
+        ),
+        Plant(
+            "lib/THEORY.md",
+            ":EnergyTest.memories_s`",
+            ":EnergyTest.memory`",
+            r"energy\.py does not define EnergyTest\.memory",
+        ),
+        Plant(
+            "lib/THEORY.md",
+            "prediction [11]",
+            "prediction [13]",
+            r"work \[11\] is not cited(.|\n)*work \[13\] is not listed",
+        ),
+        Plant(
+            "lib/THEORY.md", "margin.hpp:dead`", "margin.hpp:living`", r"margin\.hpp does not define living"
+        ),
+        Plant(
+            "lib/THEORY.md",
+            "test_margin.cpp:REQ-MON-3`",
+            "test_margin.cpp:REQ-MON-13`",
+            r"test_margin\.cpp does not define REQ-MON-13",
+        ),
+        Plant(
+            "lib/THEORY.md", "drives/dft.py:spectra`", "drives/fft.py:spectra`", r"no file tools/.*fft\.py"
+        ),
+        Plant(
+            "lib/README.md",
+            "](REQUIREMENTS.md)",
+            "](REQUIREMENT.md)",
+            r"README\.md:\d+: link to REQUIREMENT\.md",
+        ),
+        Plant(
+            "lib/MISRA.md",
+            "# ",
+            "# Section 3 of it. See [here](THEORY.md#3-nothing). ",
+            r"section 3 of no work(.|\n)*THEORY\.md has no heading #3-nothing",
+        ),
+        Plant(
+            "tests/unit/test_ecu.cpp",
+            "[REQ-ECU-5]",
+            "[REQ-ECU-55]",
+            r"test_ecu\.cpp:\d+: REQ-ECU-55 is no requirement",
+        ),
+        Plant(
+            "firmware_sim/sim/ecu_node.hpp",
+            "(reception.hpp)",
+            "(reception.h)",
+            r"ecu_node\.hpp:27: no file reception\.h",
+        ),
+        Plant(
+            "firmware_sim/plant/truck.toml",
+            "(Table I)",
+            "(Table III; DESIGN 7, PLANT.md, paper (12), step 9, Fig. 7)",
+            r"no step 9(.|\n)*no figure 7(.|\n)*no table III(.|\n)*no equation 12(.|\n)*DESIGN is no text(.|\n)*PLANT\.md is no text",
+        ),
     ],
     "options": [
-        Plant("CMakePresets.json", '"LPVG_SANITIZE": "ON"', '"LPVG_SANITIZER": "ON"', r"preset sanitize: sets LPVG_SANITIZER", "sanitize"),
-        Plant("CMakeLists.txt", 'lpvg_option(LPVG_BUILD_SIM', 'option(LPVG_BUILD_SIM', r"LPVG_BUILD_SIM bypasses", "default"),
-        Plant("CMakeLists.txt", "list(APPEND lpvg_options ${name})", "", r"LPVG_DOUBLE is not in the summary", "double"),
+        Plant(
+            "CMakePresets.json",
+            '"LPVG_SANITIZE": "ON"',
+            '"LPVG_SANITIZER": "ON"',
+            r"preset sanitize: sets LPVG_SANITIZER",
+            "sanitize",
+        ),
+        Plant(
+            "CMakeLists.txt",
+            "lpvg_option(LPVG_BUILD_SIM",
+            "option(LPVG_BUILD_SIM",
+            r"LPVG_BUILD_SIM bypasses",
+            "default",
+        ),
+        Plant(
+            "CMakeLists.txt",
+            "list(APPEND lpvg_options ${name})",
+            "",
+            r"LPVG_DOUBLE is not in the summary",
+            "double",
+        ),
     ],
     "double": [
-        Plant("lib/src/controller.cpp", "const Real next = x + change;", "const Real next = static_cast<float>(x + change);", r"tests:(.|\n)*the law equals a dense recursion", "controller.hand_toy"),
+        Plant(
+            "lib/src/controller.cpp",
+            "const Real next = x + change;",
+            "const Real next = static_cast<float>(x + change);",
+            r"tests:(.|\n)*the law equals a dense recursion",
+            "controller.hand_toy",
+        ),
     ],
     "big_endian": [
-        Plant("lib/src/acceptance.hpp", "static_cast<uint32_t>((word >> (8U * i)) & 0xFFU)", "reinterpret_cast<const unsigned char*>(&word)[i]",
-              r"tests:(.|\n)*the exported coefficients are accepted", "coeff.toy"),
-        Plant("lib/src/can.cpp", "uint32_t       bits  = frame.data[first];", "uint16_t bits = 0U; std::memcpy(&bits, &frame.data[first], 2U);",
-              r"tests:(.|\n)*limits of a signal", "can"),
+        Plant(
+            "lib/src/acceptance.hpp",
+            "static_cast<uint32_t>((word >> (8U * i)) & 0xFFU)",
+            "reinterpret_cast<const unsigned char*>(&word)[i]",
+            r"tests:(.|\n)*the exported coefficients are accepted",
+            "coeff.toy",
+        ),
+        Plant(
+            "lib/src/can.cpp",
+            "uint32_t       bits  = frame.data[first];",
+            "uint16_t bits = 0U; std::memcpy(&bits, &frame.data[first], 2U);",
+            r"tests:(.|\n)*limits of a signal",
+            "can",
+        ),
     ],
     "sanitize": [
-        Plant("lib/src/monitor.cpp", "self.n_records < LPVG_NRECORDS", "self.n_records <= LPVG_NRECORDS", r"tests:(.|\n)*(out of bounds|not a valid value for type 'lpvg_reason_t')", "monitor.toy"),
-        Plant("lib/src/monitor.cpp", "return static_cast<uint64_t>(later) - static_cast<uint64_t>(earlier);",
-              "return static_cast<uint64_t>(later - earlier);", r"tests:(.|\n)*signed integer overflow", "monitor.toy", full=True),
+        Plant(
+            "lib/src/monitor.cpp",
+            "self.n_records < LPVG_NRECORDS",
+            "self.n_records <= LPVG_NRECORDS",
+            r"tests:(.|\n)*(out of bounds|not a valid value for type 'lpvg_reason_t')",
+            "monitor.toy",
+        ),
+        Plant(
+            "lib/src/monitor.cpp",
+            "return static_cast<uint64_t>(later) - static_cast<uint64_t>(earlier);",
+            "return static_cast<uint64_t>(later - earlier);",
+            r"tests:(.|\n)*signed integer overflow",
+            "monitor.toy",
+            full=True,
+        ),
     ],
     "mutation": [
-        Plant("tests/unit/test_coeff.cpp", "CHECK(lpvg_coeff_check(coeff) == want);\n", "want = lpvg_coeff_check(coeff);\n",
-              r"mutants survive: coeff\.cpp", "coeff.cpp", full=True),
+        Plant(
+            "tests/unit/test_coeff.cpp",
+            "CHECK(lpvg_coeff_check(coeff) == want);\n",
+            "want = lpvg_coeff_check(coeff);\n",
+            r"mutants survive: coeff\.cpp",
+            "coeff.cpp",
+            full=True,
+        ),
     ],
     "coverage": [
-        Plant("lib/src/model.cpp", "namespace {\n", "uint32_t lpvg_unused(uint32_t n) {\n    return n;\n}\n\nnamespace {\n",
-              r"model\.cpp: \d+ lines missed, 0 allowed: \[8, 9\b", "model.toy"),
-        Plant("tests/gates/coverage.json", '"lines": {}', '"lines": {"model.cpp": 99}', r"model\.cpp: \d+ lines missed, fewer than the 99", "model.toy"),
-        Plant("lib/src/coeff.cpp", 'extern "C" uint32_t', 'uint32_t lpvg_unused(uint32_t n) {\n    return n;\n}\n\nextern "C" uint32_t',
-              r"coeff\.cpp: 2 lines missed, 0 allowed", full=True),
+        Plant(
+            "lib/src/model.cpp",
+            "namespace {\n",
+            "uint32_t lpvg_unused(uint32_t n) {\n    return n;\n}\n\nnamespace {\n",
+            r"model\.cpp: \d+ lines missed, 0 allowed: \[8, 9\b",
+            "model.toy",
+        ),
+        Plant(
+            "tests/gates/coverage.json",
+            '"lines": {}',
+            '"lines": {"model.cpp": 99}',
+            r"model\.cpp: \d+ lines missed, fewer than the 99",
+            "model.toy",
+        ),
+        Plant(
+            "lib/src/coeff.cpp",
+            'extern "C" uint32_t',
+            'uint32_t lpvg_unused(uint32_t n) {\n    return n;\n}\n\nextern "C" uint32_t',
+            r"coeff\.cpp: 2 lines missed, 0 allowed",
+            full=True,
+        ),
     ],
 }
 
@@ -559,15 +1074,21 @@ def self_test(gate: str, source: Path, scratch: Path) -> list[str]:
             missed.append(f"{plant.file} no longer holds {plant.old!r}: plant another bug")
             continue
         file.write_text(good.replace(plant.old, plant.new, 1))
-        findings = "\n".join(GATES[gate](tree, scratch / "work", **({"only": plant.only} if plant.only else {})))
+        findings = "\n".join(
+            GATES[gate](tree, scratch / "work", **({"only": plant.only} if plant.only else {}))
+        )
         file.write_text(good)
         if not re.search(plant.expect, findings):
-            missed.append(f"planted {plant.new!r} in {plant.file}; wanted /{plant.expect}/, found: {findings or 'nothing'}")
+            missed.append(
+                f"planted {plant.new!r} in {plant.file}; wanted /{plant.expect}/, found: {findings or 'nothing'}"
+            )
     return missed
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("gate", choices=GATES)
     parser.add_argument("--source", type=Path, required=True)
     parser.add_argument("--scratch", type=Path, required=True)

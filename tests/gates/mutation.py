@@ -1,8 +1,10 @@
-"""Small changes of a C++ source that its tests must notice: where they can be made, and the text that each makes.
+"""Small changes of a C++ source that its tests must notice: where they can be made, and the text that each
+makes.
 
-Operators: relational, arithmetic, bitwise, logical, constants one up, truth values, statements left out. Found in the text, line by
-line, with comments, preprocessor lines and compile-time assertions left alone. A line is written so that an operator between
-operands has a space on both sides; that is how `<` is told from a bracket of a template.
+Operators: relational, arithmetic, bitwise, logical, constants one up, truth values, statements left out.
+Found in the text, line by line, with comments, preprocessor lines and compile-time assertions left alone. A
+line is written so that an operator between operands has a space on both sides; that is how `<` is told from a
+bracket of a template.
 """
 
 from __future__ import annotations
@@ -10,14 +12,39 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-SWAPS = {"<": "<=", "<=": "<", ">": ">=", ">=": ">", "==": "!=", "!=": "==", "+": "-", "-": "+", "*": "/", "/": "*", "%": "*",
-         "&": "|", "|": "&", "^": "&", "<<": ">>", ">>": "<<", "&&": "||", "||": "&&", "+=": "-=", "-=": "+=", "|=": "&="}
-BETWEEN = re.compile(r"(?<= )(" + "|".join(re.escape(o) for o in sorted(SWAPS, key=len, reverse=True)) + r")(?= )")
+SWAPS = {
+    "<": "<=",
+    "<=": "<",
+    ">": ">=",
+    ">=": ">",
+    "==": "!=",
+    "!=": "==",
+    "+": "-",
+    "-": "+",
+    "*": "/",
+    "/": "*",
+    "%": "*",
+    "&": "|",
+    "|": "&",
+    "^": "&",
+    "<<": ">>",
+    ">>": "<<",
+    "&&": "||",
+    "||": "&&",
+    "+=": "-=",
+    "-=": "+=",
+    "|=": "&=",
+}
+BETWEEN = re.compile(
+    r"(?<= )(" + "|".join(re.escape(o) for o in sorted(SWAPS, key=len, reverse=True)) + r")(?= )"
+)
 STEP = re.compile(r"\+\+|(?<!-)--(?!-)")
 NOT = re.compile(r"!(?=[a-z(])")
 NUMBER = re.compile(r"(?<![\w.'])(\d+)(?=U?\b)(?![.'\w]*[.'xX])")
 TRUTH = re.compile(r"\b(true|false)\b")
-STATEMENT = re.compile(r"^(?!return\b|const\b|auto\b|using\b|break\b|case\b|default\b|static\b|constexpr\b).*[=(+-].*;$")
+STATEMENT = re.compile(
+    r"^(?!return\b|const\b|auto\b|using\b|break\b|case\b|default\b|static\b|constexpr\b).*[=(+-].*;$"
+)
 
 
 @dataclass(frozen=True)
@@ -46,11 +73,17 @@ def mutants(file: str, source: str) -> list[Mutant]:
         stripped = code.strip()
         if not stripped or stripped.startswith(("#", "static_assert", "template", "using ", "namespace")):
             continue
-        texts = [code[:m.start()] + SWAPS[m[0]] + code[m.end():] for m in BETWEEN.finditer(code)]
-        texts += [code[:m.start()] + ("--" if m[0] == "++" else "++") + code[m.end():] for m in STEP.finditer(code)]
-        texts += [code[:m.start()] + code[m.end():] for m in NOT.finditer(code)]
-        texts += [code[:m.start()] + str(int(m[1]) + 1) + code[m.end():] for m in NUMBER.finditer(code)]
-        texts += [code[:m.start()] + ("false" if m[0] == "true" else "true") + code[m.end():] for m in TRUTH.finditer(code)]
+        texts = [code[: m.start()] + SWAPS[m[0]] + code[m.end() :] for m in BETWEEN.finditer(code)]
+        texts += [
+            code[: m.start()] + ("--" if m[0] == "++" else "++") + code[m.end() :]
+            for m in STEP.finditer(code)
+        ]
+        texts += [code[: m.start()] + code[m.end() :] for m in NOT.finditer(code)]
+        texts += [code[: m.start()] + str(int(m[1]) + 1) + code[m.end() :] for m in NUMBER.finditer(code)]
+        texts += [
+            code[: m.start()] + ("false" if m[0] == "true" else "true") + code[m.end() :]
+            for m in TRUTH.finditer(code)
+        ]
         texts += [""] if STATEMENT.match(stripped) else []
         found += [Mutant(file, number, line, text) for text in dict.fromkeys(texts)]
     return found

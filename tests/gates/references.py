@@ -3,7 +3,8 @@
 Looked at in every text file of the tree, except this gate and its planted bugs:
 
     THEORY n.m, (Tn)      a section, an equation of lib/THEORY.md
-    paper                 its equations (1) to (9), steps 1 to 8, sections I to VII, Tables I and II, Figs. 1 to 6
+    paper                 its equations (1) to (9), steps 1 to 8, sections I to VII, Tables I and II, Figs. 1
+                          to 6
     REQ-...-n             a requirement of lib/REQUIREMENTS.md
     section n             of a work that is named with its year, or of a standard, within the words before
     *.md                  a file of the tree
@@ -12,9 +13,11 @@ and in Markdown, comments and docstrings besides:
 
     [text](link#anchor)   a file or folder, from the folder of the text, and a heading of it
     lib/..., tools/...    a file or folder of the tree
-    name.py, path/name.h  a file of the tree whose path ends so, or one that a program of the tree writes: "name.h" stands in a .py;
-                          NAME.lcm, DIR/name.h: capitals stand for what the user chooses
-    `path:symbol`         a file of the tree, and a function, class, method, constant or requirement's test in it
+    name.py, path/name.h  a file of the tree whose path ends so, or one that a program of the tree writes:
+                          "name.h" stands in a .py; NAME.lcm, DIR/name.h: capitals stand for what the user
+                          chooses
+    `path:symbol`         a file of the tree, and a function, class, method, constant or requirement's test in
+                          it
 
 Every equation of THEORY has one row in its table of places, with an implementation and a test.
 """
@@ -39,7 +42,9 @@ THEORY = "lib/THEORY.md"
 
 SOURCE = r"(?:py|cpp|hpp|h|c|S|cmake|lcm)"
 PLACE = re.compile(rf"`([\w./-]+\.{SOURCE}):([\w.-]+)`")
-TREE_PATH = re.compile(r"(?<![\w/.$}{<>*~-])(?:\./)?((?:lib|tools|tests|firmware_sim|data)/[\w./-]*\w)(?![\w/<>{}*-]|\.\w)")
+TREE_PATH = re.compile(
+    r"(?<![\w/.$}{<>*~-])(?:\./)?((?:lib|tools|tests|firmware_sim|data)/[\w./-]*\w)(?![\w/<>{}*-]|\.\w)"
+)
 SOURCE_NAME = re.compile(rf"(?<![\w/.$}}{{<>*~-])((?:\w[\w-]*/)*\w[\w.-]*\.{SOURCE})(?![\w/({{<>-]|\.\w)")
 TEXT_NAME = re.compile(r"(?<![\w/.*}>-])((?:[\w.-]+/)*[\w-]+\.md)\b(?!\()")
 LINK = re.compile(r"\]\((?![a-z]+:)([^)#\s]*)(?:#([^)\s]*))?\)")
@@ -47,11 +52,18 @@ LINK = re.compile(r"\]\((?![a-z]+:)([^)#\s]*)(?:#([^)\s]*))?\)")
 # Name of what is cited -> pattern whose groups hold it, and what exists.
 PAPER = {
     "step": (re.compile(r"\b[Ss]teps? (\d+)(?:(?:-|–| to | and )(\d+))?\b"), {str(n) for n in range(1, 9)}),
-    "figure": (re.compile(r"\bFigs?\. (\d+)(?:(?:,| and| to) (\d+))?(?:(?:,| and| to) (\d+))?"), {str(n) for n in range(1, 7)}),
+    "figure": (
+        re.compile(r"\bFigs?\. (\d+)(?:(?:,| and| to) (\d+))?(?:(?:,| and| to) (\d+))?"),
+        {str(n) for n in range(1, 7)},
+    ),
     "table": (re.compile(r"\bTable ([IVX]+)\b"), {"I", "II"}),
     "section": (re.compile(r"\b[Ss]ection ([IVX]+)\b"), {"I", "II", "III", "IV", "V", "VI", "VII"}),
-    "equation": (re.compile(r"\b(?:[Pp]aper|side of|ball|Optimum of|Minimum of|J of|point of|satisfy|in)\s+\((\d{1,2})\)(?: to \((\d{1,2})\))?"),
-                 {str(n) for n in range(1, 10)}),
+    "equation": (
+        re.compile(
+            r"\b(?:[Pp]aper|side of|ball|Optimum of|Minimum of|J of|point of|satisfy|in)\s+\((\d{1,2})\)(?: to \((\d{1,2})\))?"
+        ),
+        {str(n) for n in range(1, 10)},
+    ),
 }
 WORK = re.compile(r"\b(?:19|20)\d\d\b|\b(?:ISO|SAE|IEC|MISRA|AUTOSAR)\b")
 
@@ -89,9 +101,20 @@ def prose(path: Path, text: str) -> str:
     """What people read of a file, all else blanked: Markdown whole; comments and docstrings of sources."""
     if path.suffix == ".md":
         return text
-    spans = list(_python_prose(text)) if path.suffix == ".py" else [m.span() for m in re.finditer(
-        r"//[^\n]*|/\*.*?\*/" if path.suffix in (".h", ".hpp", ".c", ".cpp", ".lcm") else r"(?:^|(?<=\s))#(?!include|define|if|endif|else|undef|error|pragma)[^\n]*",
-        text, re.DOTALL)]
+    spans = (
+        list(_python_prose(text))
+        if path.suffix == ".py"
+        else [
+            m.span()
+            for m in re.finditer(
+                r"//[^\n]*|/\*.*?\*/"
+                if path.suffix in (".h", ".hpp", ".c", ".cpp", ".lcm")
+                else r"(?:^|(?<=\s))#(?!include|define|if|endif|else|undef|error|pragma)[^\n]*",
+                text,
+                re.DOTALL,
+            )
+        ]
+    )
     out = [c if c == "\n" else " " for c in text]
     for start, end in spans:
         out[start:end] = text[start:end]
@@ -125,13 +148,26 @@ def defines(path: Path, symbol: str) -> bool:
             body = getattr(inner[0], "body", [])
         return True
     name = re.escape(symbol)
-    return re.search(rf"^[^\n=;/]*\b(?:class|struct|enum)\s+{name}\b|^(?!\s*(?:return|//))[^\n=;]*[\w>&*]\s*[ *&]{name}\s*\(", text, re.MULTILINE) is not None
+    return (
+        re.search(
+            rf"^[^\n=;/]*\b(?:class|struct|enum)\s+{name}\b|^(?!\s*(?:return|//))[^\n=;]*[\w>&*]\s*[ *&]{name}\s*\(",
+            text,
+            re.MULTILINE,
+        )
+        is not None
+    )
 
 
 def _names(node: ast.stmt) -> set[str]:
     if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
         return {node.name}
-    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+    targets = (
+        node.targets
+        if isinstance(node, ast.Assign)
+        else [node.target]
+        if isinstance(node, ast.AnnAssign)
+        else []
+    )
     return {t.id for t in targets if isinstance(t, ast.Name)}
 
 
@@ -153,21 +189,40 @@ class Theory:
     @classmethod
     def read(cls, path: Path) -> Theory:
         text = path.read_text(encoding="utf-8")
-        return cls(re.findall(r"^#+ (\d+(?:\.\d+)?)\.? ", text, re.MULTILINE), re.findall(r"^    .*\(T(\d+)\)$", text, re.MULTILINE),
-                   re.findall(r"^(\d+)\. .*$", text.partition("## 12. References")[2], re.MULTILINE))
+        return cls(
+            re.findall(r"^#+ (\d+(?:\.\d+)?)\.? ", text, re.MULTILINE),
+            re.findall(r"^    .*\(T(\d+)\)$", text, re.MULTILINE),
+            re.findall(r"^(\d+)\. .*$", text.partition("## 12. References")[2], re.MULTILINE),
+        )
 
     def check(self, text: str, found: Found) -> None:
-        """Numbers run on, each equation has its row (where implemented, where tested), and the works cited are those listed."""
-        for what, numbers in (("section", [s for s in self.sections if "." not in s]), ("equation", self.equations), ("work", self.works)):
-            found.see(numbers == [str(n + 1) for n in range(len(numbers))], THEORY, f"{what}s are numbered {', '.join(numbers)}")
+        """Numbers run on, each equation has its row (where implemented, where tested), and the works cited
+        are those listed."""
+        for what, numbers in (
+            ("section", [s for s in self.sections if "." not in s]),
+            ("equation", self.equations),
+            ("work", self.works),
+        ):
+            found.see(
+                numbers == [str(n + 1) for n in range(len(numbers))],
+                THEORY,
+                f"{what}s are numbered {', '.join(numbers)}",
+            )
         rows = re.findall(r"^\| \(T(\d+)\) \|([^|]*)\|([^|]*)\|$", text, re.MULTILINE)
         for number in self.equations:
             row = [r for r in rows if r[0] == number]
-            found.see(len(row) == 1 and all(PLACE.search(column) for column in row[0][1:]), THEORY,
-                      f"(T{number}) has no row that says where it is implemented and where tested")
+            found.see(
+                len(row) == 1 and all(PLACE.search(column) for column in row[0][1:]),
+                THEORY,
+                f"(T{number}) has no row that says where it is implemented and where tested",
+            )
         cited = {n for group in re.findall(r"\[(\d+(?:, \d+)*)\](?!\()", text) for n in group.split(", ")}
         for number in sorted(cited | set(self.works), key=int):
-            found.see(number in cited and number in self.works, THEORY, f"work [{number}] is {'not cited' if number in self.works else 'not listed'}")
+            found.see(
+                number in cited and number in self.works,
+                THEORY,
+                f"work [{number}] is {'not cited' if number in self.works else 'not listed'}",
+            )
 
 
 def references(tree: Path, scratch: Path) -> list[str]:
@@ -176,10 +231,18 @@ def references(tree: Path, scratch: Path) -> list[str]:
     folders = {p.as_posix() for f in files for p in Path(f).parents}
     theory = Theory.read(files[THEORY])
     theory.check(files[THEORY].read_text(encoding="utf-8"), found)
-    stated = set(re.findall(r"^\| (REQ-[A-Z]+-\d+) \|", files["lib/REQUIREMENTS.md"].read_text(encoding="utf-8"), re.MULTILINE))
+    stated = set(
+        re.findall(
+            r"^\| (REQ-[A-Z]+-\d+) \|", files["lib/REQUIREMENTS.md"].read_text(encoding="utf-8"), re.MULTILINE
+        )
+    )
     endings = {"/".join(f.split("/")[i:]) for f in files for i in range(f.count("/") + 1)}
-    endings |= {made for f, p in files.items() if p.suffix == ".py" and f not in PLANTED
-                for made in re.findall(rf'"([\w-]+\.{SOURCE})"', p.read_text(encoding="utf-8"))}
+    endings |= {
+        made
+        for f, p in files.items()
+        if p.suffix == ".py" and f not in PLANTED
+        for made in re.findall(rf'"([\w-]+\.{SOURCE})"', p.read_text(encoding="utf-8"))
+    }
 
     for name, path in files.items():
         if name in PLANTED or (path.suffix not in SUFFIXES and name not in PROGRAMS):
@@ -192,22 +255,41 @@ def references(tree: Path, scratch: Path) -> list[str]:
         line = unwrapped(text)
         _citations(line, where, name, theory, stated, found)
         for m in TEXT_NAME.finditer(line):
-            found.see(m[1] in endings or os.path.normpath(Path(name).parent / m[1]) in files, where(m.start()), f"{m[1]} is no text of the repository")
+            found.see(
+                m[1] in endings or os.path.normpath(Path(name).parent / m[1]) in files,
+                where(m.start()),
+                f"{m[1]} is no text of the repository",
+            )
         read = prose(path, text)
         for m in PLACE.finditer(read):
-            found.see(m[1] in files and defines(files[m[1]], m[2]), where(m.start()),
-                      f"{m[1]} does not define {m[2]}" if m[1] in files else f"no file {m[1]}")
+            found.see(
+                m[1] in files and defines(files[m[1]], m[2]),
+                where(m.start()),
+                f"{m[1]} does not define {m[2]}" if m[1] in files else f"no file {m[1]}",
+            )
         for m in TREE_PATH.finditer(read):
             found.see(m[1] in files or m[1] in folders, where(m.start()), f"no file or folder {m[1]}")
         for m in SOURCE_NAME.finditer(read):
             if re.match(r"[A-Z_]+[./]", m[1]):
                 continue
-            found.see(m[1] in endings or os.path.normpath(Path(name).parent / m[1]) in files, where(m.start()), f"no file {m[1]}")
+            found.see(
+                m[1] in endings or os.path.normpath(Path(name).parent / m[1]) in files,
+                where(m.start()),
+                f"no file {m[1]}",
+            )
         for m in LINK.finditer(text) if path.suffix == ".md" else ():
             target = os.path.normpath(Path(name).parent / m[1]) if m[1] else name
-            found.see(target in files or target in folders or target == ".", where(m.start()), f"link to {m[1]}, which does not exist")
+            found.see(
+                target in files or target in folders or target == ".",
+                where(m.start()),
+                f"link to {m[1]}, which does not exist",
+            )
             if m[2] and target in files:
-                found.see(m[2] in anchors(files[target].read_text(encoding="utf-8")), where(m.start()), f"{target} has no heading #{m[2]}")
+                found.see(
+                    m[2] in anchors(files[target].read_text(encoding="utf-8")),
+                    where(m.start()),
+                    f"{target} has no heading #{m[2]}",
+                )
     print(f"{found.count} references, {len(found.dangling)} dangling")
     return found.dangling
 
@@ -215,10 +297,13 @@ def references(tree: Path, scratch: Path) -> list[str]:
 def _citations(line: str, where, name: str, theory: Theory, stated: set[str], found: Found) -> None:
     """Citations of THEORY, the paper, requirements and sections of other works in ``line``, a whole file."""
     for m in re.finditer(r"\bTHEORY\b(?!\.md|\"|`)", line):
-        cited = re.match(r"\s+(\d+(?:\.\d+)?(?:(?:,| and)\s+\d+\.\d+)*)|\s+\(T\d+\)", line[m.end():])
+        cited = re.match(r"\s+(\d+(?:\.\d+)?(?:(?:,| and)\s+\d+\.\d+)*)|\s+\(T\d+\)", line[m.end() :])
         numbers = re.findall(r"\d+(?:\.\d+)?", cited[1]) if cited and cited[1] else []
-        found.see(cited is not None and all(n in theory.sections for n in numbers), where(m.start()),
-                  f"THEORY has no section {', '.join(numbers) or line[m.end():m.end() + 12].strip()}")
+        found.see(
+            cited is not None and all(n in theory.sections for n in numbers),
+            where(m.start()),
+            f"THEORY has no section {', '.join(numbers) or line[m.end() : m.end() + 12].strip()}",
+        )
     for m in re.finditer(r"\(T(\d+)\)", line):
         found.see(m[1] in theory.equations, where(m.start()), f"THEORY has no equation (T{m[1]})")
     for what, (pattern, known) in PAPER.items():
@@ -229,6 +314,10 @@ def _citations(line: str, where, name: str, theory: Theory, stated: set[str], fo
         found.see(m[0] in stated, where(m.start()), f"{m[0]} is no requirement")
     for m in re.finditer(r"\b[Ss]ection (\d+(?:\.\d+)*)", line):
         own = name == THEORY and m[1] in theory.sections
-        found.see(own or WORK.search(line[max(0, m.start() - 120):m.start()]) is not None, where(m.start()), f"section {m[1]} of no work that is named")
+        found.see(
+            own or WORK.search(line[max(0, m.start() - 120) : m.start()]) is not None,
+            where(m.start()),
+            f"section {m[1]} of no work that is named",
+        )
     for m in re.finditer(r"\bDESIGN (?:\d|asks|says)", line):
         found.see(False, where(m.start()), "DESIGN is no text of the repository")

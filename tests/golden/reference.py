@@ -1,7 +1,8 @@
-"""Slow double-precision reference of the g80 chain, written from the definitions and from nothing in the package.
+"""Slow double-precision reference of the g80 chain, written from the definitions and from nothing in the
+package.
 
-Nominal model: closed-form solution of T dx/dt = -x + G u over each piece of held input. Frames: the defining sums.
-Margin, one output: t* = |E| / (B_w + W_delta |Z|).
+Nominal model: closed-form solution of T dx/dt = -x + G u over each piece of held input. Frames: the defining
+sums. Margin, one output: t* = |E| / (B_w + W_delta |Z|).
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ def frame(x: np.ndarray, start: int, length: int, cycles: int) -> complex:
     n = np.arange(length)
     w = 0.5 - 0.5 * np.cos(2 * np.pi * n / length)
     scale = (2.0 if cycles else 1.0) / w.sum()
-    return scale * np.sum(w * x[start:start + length] * np.exp(-2j * np.pi * cycles * n / length))
+    return scale * np.sum(w * x[start : start + length] * np.exp(-2j * np.pi * cycles * n / length))
 
 
 def margin(E: complex, Z: complex, W_delta: float, B_w: float) -> float:

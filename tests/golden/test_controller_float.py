@@ -1,7 +1,8 @@
-"""The shipped controller in float against the same in double: within 1e-4 of its range, at 5, 10 and 20 ms, for long.
+"""The shipped controller in float against the same in double: within 1e-4 of its range, at 5, 10 and 20 ms,
+for long.
 
-Both are given the same measurements, rounded to float, and the same coefficients, those of the double one unrounded: the
-difference is all that float does to the demand, coefficients included.
+Both are given the same measurements, rounded to float, and the same coefficients, those of the double one
+unrounded: the difference is all that float does to the demand, coefficients included.
 """
 
 from __future__ import annotations
@@ -29,10 +30,23 @@ class Controller:
 
     def __init__(self, folder: Path, *, double: bool):
         root = library_root()
-        flags = ("-std=c++17", "-O2", "-ffp-contract=off", "-fno-math-errno", *(["-DLPVG_DOUBLE"] if double else []))
-        self.lib = ctypes.CDLL(str(native.compile_shared(
-            [root / "src" / "controller.cpp", folder / "lpvguard_control.c", SOURCE], name="control_run", flags=flags,
-            include_dirs=[root / "include", root / "src", folder])))
+        flags = (
+            "-std=c++17",
+            "-O2",
+            "-ffp-contract=off",
+            "-fno-math-errno",
+            *(["-DLPVG_DOUBLE"] if double else []),
+        )
+        self.lib = ctypes.CDLL(
+            str(
+                native.compile_shared(
+                    [root / "src" / "controller.cpp", folder / "lpvguard_control.c", SOURCE],
+                    name="control_run",
+                    flags=flags,
+                    include_dirs=[root / "include", root / "src", folder],
+                )
+            )
+        )
         self.lib.control_run.restype = ctypes.c_int64
         sizes = np.zeros(5, np.int64)
         self.lib.control_sizes(_pointer(sizes))
@@ -47,7 +61,14 @@ class Controller:
         self.lib.control_coefficients(_pointer(values))
         ends, u_max, rate_max, a, _, BL = np.split(values, counts[:-1])
         BL = BL.reshape(n_g, n_u, n, n_m + n_u)
-        return {"speeds": np.linspace(*ends, n_g), "a": a, "B": BL[..., :n_m], "L": BL[..., n_m:], "u_max": u_max, "rate_max": rate_max}
+        return {
+            "speeds": np.linspace(*ends, n_g),
+            "a": a,
+            "B": BL[..., :n_m],
+            "L": BL[..., n_m:],
+            "u_max": u_max,
+            "rate_max": rate_max,
+        }
 
     def start(self) -> None:
         assert self.lib.control_start() == 0
@@ -66,18 +87,18 @@ def _pointer(array: np.ndarray) -> ctypes.c_void_p:
 
 
 def resampled(a: np.ndarray, rows: np.ndarray, Ts: float, to: float) -> tuple[np.ndarray, np.ndarray]:
-    """The same continuous pairs of poles, input held, at another sample period; rows (..., n, columns) of B and L.
-    The last state, the delay of one sample, stays one."""
+    """The same continuous pairs of poles, input held, at another sample period; rows (..., n, columns) of B
+    and L. The last state, the delay of one sample, stays one."""
     out_a, out = a.copy(), rows.copy()
     for j in range(0, len(a) - 1, 2):
-        A, c = realisation(a[j:j + 2])
+        A, c = realisation(a[j : j + 2])
         continuous = sl.logm(A).real / Ts
         A_to = sl.expm(continuous * to)
         held = np.linalg.solve(A - np.eye(2), np.linalg.solve(continuous, A_to - np.eye(2)) @ continuous).real
         trace, determinant = np.trace(A_to) - 2, np.linalg.det(A_to - np.eye(2))
-        out_a[j:j + 2] = trace, -determinant
+        out_a[j : j + 2] = trace, -determinant
         T = np.vstack([c, c @ (A_to - (1 + trace) * np.eye(2))])  # to the coordinates of ``realisation``
-        out[..., j:j + 2, :] = T @ held @ rows[..., j:j + 2, :]
+        out[..., j : j + 2, :] = T @ held @ rows[..., j : j + 2, :]
     return out_a, out
 
 
@@ -89,18 +110,28 @@ def pair(request, tmp_path_factory):
     arrays = original.arrays()
     if Ts != original.Ts:
         n_m = original.n_m
-        arrays["a"], BL = resampled(arrays["a"], np.concatenate([arrays["B"], arrays["L"]], axis=3), original.Ts, Ts)
+        arrays["a"], BL = resampled(
+            arrays["a"], np.concatenate([arrays["B"], arrays["L"]], axis=3), original.Ts, Ts
+        )
         arrays["B"], arrays["L"] = BL[..., :n_m], BL[..., n_m:]
     folder = tmp_path_factory.mktemp("control") / "truck"
     shutil.copytree(shipped, folder)
-    write_files(folder, replaced_controller((folder / "lpvguard_vehicle.h").read_text(), build_controller(Ts, **arrays)))
+    write_files(
+        folder,
+        replaced_controller((folder / "lpvguard_vehicle.h").read_text(), build_controller(Ts, **arrays)),
+    )
     return Controller(folder, double=False), Controller(folder, double=True), arrays
 
 
-def drive(rng: np.random.Generator, start_s: float, n: int, Ts: float, size: float) -> tuple[np.ndarray, np.ndarray]:
-    """Speed (n,) that leaves the range at both ends, and measurements (n, 3) of ``size`` [rad/s, rad/s, rad], float's."""
+def drive(
+    rng: np.random.Generator, start_s: float, n: int, Ts: float, size: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Speed (n,) that leaves the range at both ends, and measurements (n, 3) of ``size`` [rad/s, rad/s, rad],
+    float's."""
     t = start_s + Ts * np.arange(n)
-    m = size * (np.sin(np.outer(t, [0.31, 0.37, 0.43]) + [0.0, 0.3, 1.0]) + 0.02 * rng.standard_normal((n, 3)))
+    m = size * (
+        np.sin(np.outer(t, [0.31, 0.37, 0.43]) + [0.0, 0.3, 1.0]) + 0.02 * rng.standard_normal((n, 3))
+    )
     return (15 + 9 * np.sin(0.05 * t)).astype(np.float32), m.astype(np.float32)
 
 

@@ -1,4 +1,5 @@
-"""Does float wear out? The float core beside the double one over a long run with a burst 500 times as large as the signals.
+"""Does float wear out? The float core beside the double one over a long run with a burst 500 times as large
+as the signals.
 
 300 000 samples; with LPVGUARD_FULL=1 ten million, that is 56 hours of g80 and 28 of the truck.
 """
@@ -32,9 +33,12 @@ def chunks(project, model):
         k = start + np.arange(min(CHUNK, SAMPLES - start))
         v = 0.5 * (low + high) * (1 + 0.05 * np.sin(0.003 * k))
         # Steps of random height and length hold every bin's frequency.
-        u = scale * np.repeat(rng.standard_normal((len(k) // 10 + 1, model.n_u)), 10, axis=0)[:len(k)]
+        u = scale * np.repeat(rng.standard_normal((len(k) // 10 + 1, model.n_u)), 10, axis=0)[: len(k)]
         y = np.zeros((len(k), model.n_y))
-        y[:] = 1.2 * model.simulate(v, u, model.output_offset) + 0.02 * rng.standard_normal(y.shape) * scale.mean()
+        y[:] = (
+            1.2 * model.simulate(v, u, model.output_offset)
+            + 0.02 * rng.standard_normal(y.shape) * scale.mean()
+        )
         if start == CHUNK:
             u[:BURST_SAMPLES] *= BURST
             y[:BURST_SAMPLES] *= BURST
@@ -56,12 +60,18 @@ def test_float_follows_double_to_the_end(name, record_property):
         monitors.append((core, core.monitor(words=words, reals=reals, seal=True)))
     frames = [[], []]
     for k, v, u, y in chunks(project, model):
-        for log, (_, monitor) in zip(frames, monitors):
+        for log, (_, monitor) in zip(frames, monitors, strict=False):
             run = monitor.run(k * project.Ts_s, v, u, y)
             assert (run.status == 0).all()
             log.append(run.frames)
-    number = {key: np.concatenate([getattr(f, key) for f in frames[0]]) for key in ("bin", "t_end_s", "E", "Z", "counted")}
-    exact = {key: np.concatenate([getattr(f, key) for f in frames[1]]) for key in ("bin", "t_end_s", "E", "Z", "counted")}
+    number = {
+        key: np.concatenate([getattr(f, key) for f in frames[0]])
+        for key in ("bin", "t_end_s", "E", "Z", "counted")
+    }
+    exact = {
+        key: np.concatenate([getattr(f, key) for f in frames[1]])
+        for key in ("bin", "t_end_s", "E", "Z", "counted")
+    }
     for key in ("bin", "t_end_s", "counted"):
         np.testing.assert_array_equal(number[key], exact[key])
     Ts, longest = project.Ts_s, Estimator.of(project, model).length[0]
@@ -84,6 +94,8 @@ def test_float_follows_double_to_the_end(name, record_property):
             worst[key] = max(worst.get(key, 0.0), float(relative.max()))
             # No drift: the last tenth errs no more than the first.
             tenth = len(rows) // 10
-            assert np.sqrt(np.mean(relative[-tenth:] ** 2)) <= 1.5 * np.sqrt(np.mean(relative[:tenth] ** 2)), (key, b)
+            assert np.sqrt(np.mean(relative[-tenth:] ** 2)) <= 1.5 * np.sqrt(
+                np.mean(relative[:tenth] ** 2)
+            ), (key, b)
     record_property("worst_relative_error", worst)
     print(name, SAMPLES, worst)

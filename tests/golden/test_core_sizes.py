@@ -1,7 +1,8 @@
-"""The core at the ends of its sizes, float and double: monitor and controller against double arithmetic from the definitions.
+"""The core at the ends of its sizes, float and double: monitor and controller against double arithmetic from
+the definitions.
 
-n_x 1..40, n_u 1..2, n_y 1..4, 2..64 bins and 1..40 controller states of all demands are compile-time constants (lib/include/lpvguard/config.h).
-The corners run always, the whole grid with LPVGUARD_FULL=1.
+n_x 1..40, n_u 1..2, n_y 1..4, 2..64 bins and 1..40 controller states of all demands are compile-time
+constants (lib/include/lpvguard/config.h). The corners run always, the whole grid with LPVGUARD_FULL=1.
 """
 
 from __future__ import annotations
@@ -17,8 +18,6 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from synthetic_vehicle import SPEEDS, TS, Sizes, synthetic_controller, synthetic_project
-
 from lpvguard.base import native
 from lpvguard.base.artefacts import write_files
 from lpvguard.core.coefficients import build_coefficients, vehicle_files
@@ -29,11 +28,20 @@ from lpvguard.engine.overbound import Weight
 from lpvguard.engine.validation import s1
 from lpvguard.identify.energy import EnergyTest
 from lpvguard.vehicle.nominal import NominalModel
+from synthetic_vehicle import SPEEDS, TS, Sizes, synthetic_controller, synthetic_project
 
-CORNERS = [(Sizes(1, 1, 1, 2), False), (Sizes(40, 2, 4, 64, 3, 20), False), (Sizes(40, 2, 4, 64, 3, 20), True),
-           (Sizes(7, 1, 3, 17, 1, 40), False)]
-GRID = [(Sizes(n_x, n_u, n_y, bins, delay, n_k), double) for (n_x, delay, n_k), n_u, n_y, bins, double in
-        product([(1, 0, 1), (2, 1, 20), (40, 3, 13)], (1, 2), (1, 2, 3, 4), (2, 64), (False, True))]
+CORNERS = [
+    (Sizes(1, 1, 1, 2), False),
+    (Sizes(40, 2, 4, 64, 3, 20), False),
+    (Sizes(40, 2, 4, 64, 3, 20), True),
+    (Sizes(7, 1, 3, 17, 1, 40), False),
+]
+GRID = [
+    (Sizes(n_x, n_u, n_y, bins, delay, n_k), double)
+    for (n_x, delay, n_k), n_u, n_y, bins, double in product(
+        [(1, 0, 1), (2, 1, 20), (40, 3, 13)], (1, 2), (1, 2, 3, 4), (2, 64), (False, True)
+    )
+]
 CASES = list(dict.fromkeys(CORNERS + (GRID if os.environ.get("LPVGUARD_FULL") == "1" else [])))
 TABLE = 2e-5
 """What the tabulated model may differ from the exact one, of an output's size (tests/unit/test_model.cpp)."""
@@ -55,10 +63,24 @@ def case(request, tmp_path_factory):
     B_w = np.outer(np.linspace(0.02, 0.01, sizes.bins), 1.0 + np.arange(sizes.n_y))
     folder = tmp_path_factory.mktemp("synthetic") / "synthetic"
     folder.mkdir()
-    energy = EnergyTest.design(project, estimator, Weight([0.3, 0.2, 0.1], [1.0, 1.0, 0.5]), estimator.omega[1:], np.full(sizes.bins - 1, 0.1), 1.0)
+    energy = EnergyTest.design(
+        project,
+        estimator,
+        Weight([0.3, 0.2, 0.1], [1.0, 1.0, 0.5]),
+        estimator.omega[1:],
+        np.full(sizes.bins - 1, 0.1),
+        1.0,
+    )
     sigma = 0.02 * np.add.outer(np.arange(len(energy.F)), 1.0 + np.arange(sizes.n_y))
     energy = replace(energy, sigma=sigma, start=(4.0 + np.arange(sizes.n_y)) * sigma**2)
-    write_files(folder, vehicle_files(project, build_coefficients(project, model, estimator, W_delta, B_w, 1.5, energy), {"kind": "test"}))
+    write_files(
+        folder,
+        vehicle_files(
+            project,
+            build_coefficients(project, model, estimator, W_delta, B_w, 1.5, energy),
+            {"kind": "test"},
+        ),
+    )
     return sizes, double, model, estimator, W_delta, B_w, folder
 
 
@@ -71,7 +93,11 @@ def exact_outputs(model, v, u, y_first):
     outputs = np.empty((len(v), model.n_y))
     for k, s in enumerate(which):
         outputs[k] = model.C @ x + model.output_offset
-        x = d.Ad[s] @ x + d.B_old[s] @ du[max(k - model.delay - 1, 0)] + d.B_new[s] @ du[max(k - model.delay, 0)]
+        x = (
+            d.Ad[s] @ x
+            + d.B_old[s] @ du[max(k - model.delay - 1, 0)]
+            + d.B_new[s] @ du[max(k - model.delay, 0)]
+        )
     return outputs
 
 
@@ -84,7 +110,10 @@ def test_frames_and_margins_equal_the_reference_at_every_size(case):
     k = np.arange(n)
     v = 15.0 + 3.0 * np.round(4 * np.sin(0.002 * k)) / 4
     f = rng.uniform(0.1, 3.0, (sizes.n_u, 12))
-    u = np.stack([np.sin(2 * np.pi * TS * np.outer(k, row) + rng.uniform(0, 6, 12)).sum(axis=1) / 3 for row in f], axis=1)
+    u = np.stack(
+        [np.sin(2 * np.pi * TS * np.outer(k, row) + rng.uniform(0, 6, 12)).sum(axis=1) / 3 for row in f],
+        axis=1,
+    )
     yhat = exact_outputs(model, v, u, model.output_offset)
     size = np.abs(yhat - model.output_offset).max(axis=0)
     y = 0.7 * yhat + 0.05 * size * rng.standard_normal(yhat.shape)
@@ -101,17 +130,21 @@ def test_frames_and_margins_equal_the_reference_at_every_size(case):
         N = int(estimator.length[b])
         starts = np.round(frames.t_end_s[rows] / TS).astype(int) + 1 - N
         kernel = estimator.kernel(b)
-        E, Z = (np.array([kernel @ x[s:s + N] for s in starts]) for x in (e, yhat))
+        E, Z = (np.array([kernel @ x[s : s + N] for s in starts]) for x in (e, yhat))
         assert (np.abs(frames.E[rows] - E) <= allowed).all() and (np.abs(frames.Z[rows] - Z) <= allowed).all()
-        # Of the frames as the core has them: what is compared is the margin, not its sensitivity to the frame.
-        t = s1.margin(frames.E[rows], frames.Z[rows], np.full(len(rows), W_delta[b]), np.tile(B_w[b], (len(rows), 1)))
+        # Of the frames as the core has them: what is compared is the margin, not its sensitivity to the
+        # frame.
+        t = s1.margin(
+            frames.E[rows], frames.Z[rows], np.full(len(rows), W_delta[b]), np.tile(B_w[b], (len(rows), 1))
+        )
         scale = np.abs(frames.E[rows] / B_w[b]).max(axis=1)
         worst = max(worst, float((np.abs(frames.margin[rows] - t) / scale).max()))
     assert worst <= (1e-9 if double else 1.1e-6)  # float: margin.hpp
 
 
 def dense(controller, v, m):
-    """Demand (N, n_u) of the law of controller.h in double, with full matrices; L = 0, engaged while m is zero."""
+    """Demand (N, n_u) of the law of controller.h in double, with full matrices; L = 0, engaged while m is
+    zero."""
     c = controller.reals
     nodes, n_u, n_k, _ = c["BL"].shape
     A1 = np.zeros((n_k, n_k))
@@ -122,10 +155,12 @@ def dense(controller, v, m):
             A1[i, i + 1] = 1.0
     C = np.array([float(i == head) for i, head in enumerate(heads)])
     x, u, out = np.zeros((n_u, n_k)), np.zeros(n_u), []
-    for speed, measured in zip(v, m):
+    for speed, measured in zip(v, m, strict=False):
         position = (np.clip(speed, *SPEEDS) - SPEEDS[0]) / (SPEEDS[1] - SPEEDS[0]) * (nodes - 1)
         node = min(int(position), nodes - 2)
-        B = ((1 - position + node) * c["BL"][node] + (position - node) * c["BL"][node + 1])[:, :, :len(measured)]
+        B = ((1 - position + node) * c["BL"][node] + (position - node) * c["BL"][node + 1])[
+            :, :, : len(measured)
+        ]
         u = np.clip(np.clip(x @ C, -c["u_max"], c["u_max"]), u - c["rate_max"] * TS, u + c["rate_max"] * TS)
         out.append(u)
         x = x + x @ A1.T + B @ measured
@@ -140,13 +175,21 @@ def test_the_controller_equals_the_reference_at_every_size(case, tmp_path):
     files = {p.name: p.read_text() for p in folder.glob("lpvguard_*.h")}
     write_files(tmp_path, files | replaced_controller(files["lpvguard_vehicle.h"], controller))
     program = native.compile_executable(
-        [library_root() / "src" / "controller.cpp", tmp_path / "lpvguard_control.c", Path(__file__).with_name("controller_run.cpp")],
-        name="controller_run", flags=("-std=c++17", "-O2", "-ffp-contract=off", *(["-DLPVG_DOUBLE"] if double else [])),
-        include_dirs=[library_root() / "include", tmp_path])
+        [
+            library_root() / "src" / "controller.cpp",
+            tmp_path / "lpvguard_control.c",
+            Path(__file__).with_name("controller_run.cpp"),
+        ],
+        name="controller_run",
+        flags=("-std=c++17", "-O2", "-ffp-contract=off", *(["-DLPVG_DOUBLE"] if double else [])),
+        include_dirs=[library_root() / "include", tmp_path],
+    )
     k = np.arange(4000)
     v = (15.0 + 8.0 * np.sin(0.003 * k)).astype(np.float32)
     m = np.sin(np.outer(0.01 * k, 1 + np.arange(1 + sizes.n_y))).astype(np.float32)
-    done = subprocess.run([program], input=np.column_stack([v, m]).astype(float).tobytes(), stdout=subprocess.PIPE, check=True)
+    done = subprocess.run(
+        [program], input=np.column_stack([v, m]).astype(float).tobytes(), stdout=subprocess.PIPE, check=True
+    )
     u = np.frombuffer(done.stdout).reshape(len(k), sizes.n_u)
     want = dense(controller, v.astype(float), m.astype(float))
     assert np.abs(want).max() > 0.01
@@ -154,15 +197,40 @@ def test_the_controller_equals_the_reference_at_every_size(case, tmp_path):
 
 
 @pytest.mark.requirement("REQ-CORE-5")
-@pytest.mark.parametrize("name, value, message", [("LPVG_NX", 41, "1..40 states"), ("LPVG_NU", 3, "1..2 inputs"), ("LPVG_NY", 5, "1..4 outputs"),
-                                                   ("LPVG_NBINS", 65, "2..64 bins"), ("LPVG_NK", 41, "up to 40 states")])
+@pytest.mark.parametrize(
+    "name, value, message",
+    [
+        ("LPVG_NX", 41, "1..40 states"),
+        ("LPVG_NU", 3, "1..2 inputs"),
+        ("LPVG_NY", 5, "1..4 outputs"),
+        ("LPVG_NBINS", 65, "2..64 bins"),
+        ("LPVG_NK", 41, "up to 40 states"),
+    ],
+)
 def test_sizes_beyond_are_refused_by_the_compiler_with_their_name(name, value, message, tmp_path):
     folder = shipped_vehicle("g80")
     header = (folder / "lpvguard_vehicle.h").read_text().splitlines(keepends=True)
-    (tmp_path / "lpvguard_vehicle.h").write_text("".join(f"#define {name} {value}\n" if line.startswith(f"#define {name} ") else line for line in header))
+    (tmp_path / "lpvguard_vehicle.h").write_text(
+        "".join(
+            f"#define {name} {value}\n" if line.startswith(f"#define {name} ") else line for line in header
+        )
+    )
     # A copy: the compiler looks for headers beside the source first.
     source = tmp_path / "lpvguard_coeff.c"
     source.write_text((folder / source.name).read_text())
-    done = subprocess.run([native.find_compiler(cxx=False), "-std=c99", "-fsyntax-only", "-I", library_root() / "include", "-I", tmp_path, source],
-                          capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [
+            native.find_compiler(cxx=False),
+            "-std=c99",
+            "-fsyntax-only",
+            "-I",
+            library_root() / "include",
+            "-I",
+            tmp_path,
+            source,
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode != 0 and message in done.stderr

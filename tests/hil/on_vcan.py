@@ -1,8 +1,10 @@
-"""Runs under tools/with-vcan: the loop as two processes on vcan0 in real time, with other programs on the same bus. JSON to stdout.
+"""Runs under tools/with-vcan: the loop as two processes on vcan0 in real time, with other programs on the
+same bus. JSON to stdout.
 
 python on_vcan.py SIMULATOR_ARGUMENTS... -- AFTER_S FOR_S COMMAND [-- COMMAND]...
 
-The commands start AFTER_S after the first frame of the loop and are ended FOR_S later; candump then logs the end of it.
+The commands start AFTER_S after the first frame of the loop and are ended FOR_S later; candump then logs the
+end of it.
 """
 
 from __future__ import annotations
@@ -43,8 +45,17 @@ def main() -> None:
     took, sent = time.monotonic() - started, int(SENT.read_text()) - before
     heard = tail.communicate()[0].decode()
     answer, complaint = loop.communicate(timeout=600)
-    print(json.dumps({"loop": json.loads(answer) if answer else complaint, "status": loop.returncode, "sent": sent, "took_s": took,
-                      "tail": heard}))
+    print(
+        json.dumps(
+            {
+                "loop": json.loads(answer) if answer else complaint,
+                "status": loop.returncode,
+                "sent": sent,
+                "took_s": took,
+                "tail": heard,
+            }
+        )
+    )
 
 
 if __name__ == "__main__":

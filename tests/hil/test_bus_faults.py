@@ -1,4 +1,5 @@
-"""The fault table at firmware level (lpvguard/loop/bus_faults.py): every fault shows the state that it must, by its limit."""
+"""The fault table at firmware level (lpvguard/loop/bus_faults.py): every fault shows the state that it must,
+by its limit."""
 
 from __future__ import annotations
 

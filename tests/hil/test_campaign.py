@@ -1,4 +1,5 @@
-"""Campaigns: what runs show off line, what stopping and going on does, and that scenarios expect what follows from the bounds."""
+"""Campaigns: what runs show off line, what stopping and going on does, and that scenarios expect what follows
+from the bounds."""
 
 from __future__ import annotations
 
@@ -24,14 +25,17 @@ from lpvguard.vehicle.nominal import NominalModel
 
 SEEDS = (1, 2, 3)
 NO_VERDICT_FOLLOWS = {"bank_15mrad", "coarse_sensors", "crosswind_5", "jitter", "lossy_bus", "brake_gain_70"}
-"""Disturbances beyond those of the bounds: neither a frequency response nor the frames of a run oblige anyone. And a truck at the very
-edge: its response keeps the bounds of frames at the run's demand, but the energy test's sigma is no bound by frequency."""
+"""Disturbances beyond those of the bounds: neither a frequency response nor the frames of a run oblige
+anyone. And a truck at the very edge: its response keeps the bounds of frames at the run's demand, but the
+energy test's sigma is no bound by frequency."""
 
 
 @pytest.fixture(scope="module")
 def stored(truck, truck_drives, truck_identified):
     """The truck identified as it is shipped, and its drives."""
-    return identify.load(truck_identified), identify.DriveSet(truck, NominalModel(truck), list_experiments(truck_drives))
+    return identify.load(truck_identified), identify.DriveSet(
+        truck, NominalModel(truck), list_experiments(truck_drives)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -46,14 +50,18 @@ def bounds(stored, replayer):
 
 def plant_tables(name: str) -> str:
     text = load_scenario(name).path.read_text()
-    return "\n".join(line for line in text[text.index("[plant]"):text.index("[command]")].splitlines()[1:]
-                     if not line.startswith("speed_profile"))
+    return "\n".join(
+        line
+        for line in text[text.index("[plant]") : text.index("[command]")].splitlines()[1:]
+        if not line.startswith("speed_profile")
+    )
 
 
 @pytest.mark.parametrize("name", shipped_scenarios())
 def test_scenarios_expect_what_follows_from_the_bounds(name, simulator, replayer, bounds):
-    """"invalid" only where, and no later than, an alarm is due; "never_invalid" only for trucks within the bounds, which a faulty bus
-    shows as they are or not at all; else nothing. What the supervision must say: tests/hil/test_supervision.py."""
+    """ "invalid" only where, and no later than, an alarm is due; "never_invalid" only for trucks within the
+    bounds, which a faulty bus shows as they are or not at all; else nothing. What the supervision must say:
+    tests/hil/test_supervision.py."""
     scenario, due, demand, largest = load_scenario(name), [], np.zeros(replayer.estimator.n_bins), 0.0
     expect = scenario.expect
     for seed in SEEDS:
@@ -71,8 +79,11 @@ def test_scenarios_expect_what_follows_from_the_bounds(name, simulator, replayer
         assert "can_fault" not in scenario.path.read_text() or largest <= 1.0
     else:
         assert max((np.inf if d is None else d) for d in due) > 60.0
-        assert name in NO_VERDICT_FOLLOWS or "sensor_fault" in tables \
+        assert (
+            name in NO_VERDICT_FOLLOWS
+            or "sensor_fault" in tables
             or stage.response_margin(replayer.model, bounds, tables, demand) > 1.0
+        )
 
 
 def test_the_core_sees_in_the_written_drive_what_the_ecu_saw(simulator, replayer, tmp_path):
@@ -86,7 +97,9 @@ def test_the_core_sees_in_the_written_drive_what_the_ecu_saw(simulator, replayer
     np.testing.assert_array_equal(replay.run.frames.bin, seen["bin"])
     assert replay.first_invalid_s + drive.t[0] == pytest.approx(run["first_invalid_s"], abs=0.011)
     # As `replay` reads it from the file: the same.
-    assert replayer.replay_file(tmp_path / "brake_gain_40-1.drive.csv").max_margin == pytest.approx(replay.max_margin, rel=1e-6)
+    assert replayer.replay_file(tmp_path / "brake_gain_40-1.drive.csv").max_margin == pytest.approx(
+        replay.max_margin, rel=1e-6
+    )
 
 
 def test_where_the_ecu_withheld_samples_the_drive_has_none(simulator, replayer, tmp_path):
@@ -141,12 +154,13 @@ def test_speeds_are_constant_drift_or_sweep_the_range():
     assert all(8.3 <= v <= 21.7 for p in profiles for _, v in p), "within the grid of the controller"
     sweeps = [p for p in profiles if len(p) == 4]
     slopes = [abs(b[1] - a[1]) / (b[0] - a[0]) for p in sweeps for a, b in pairwise(p[1:])]
-    assert 0.05 - 1e-9 <= min(slopes) and max(slopes) <= 0.3 + 1e-9
+    assert min(slopes) >= 0.05 - 1e-9 and max(slopes) <= 0.3 + 1e-9
 
 
 def test_a_fault_found_with_its_first_sample_is_not_taken_for_an_alarm_before_it(truck_folder):
-    """A yaw rate that jumps by 0.2 rad/s: seen in the sample at the fault's time, which is not the run's 6000th."""
-    jump = "[[plant.sensor_fault]]\nsignal = \"yaw_rate\"\nstart_s = 60.0\nbias = 0.2\n"
+    """A yaw rate that jumps by 0.2 rad/s: seen in the sample at the fault's time, which is not the run's
+    6000th."""
+    jump = '[[plant.sensor_fault]]\nsignal = "yaw_rate"\nstart_s = 60.0\nbias = 0.2\n'
     context = stage.Context(truck_folder, 1, ((0.01, 0.01), (1.0,)), ())
     row = stage.run_case(context, stage.Case(stage.FIRST_FAULT, "yaw-rate bias", 0.2, -1, 60.0, jump))
     assert not row["monitor_before"] and row["monitor_score_before"] < 1.0
@@ -165,18 +179,37 @@ def test_what_is_drawn_depends_on_seed_and_number_alone():
     assert {c.kind for c in cases[4:]} == {k.name for k in stage.KINDS}
     names = [k.name for k in stage.KINDS]
     assert len(set(names)) == len(names), "a kind is found by its name"
-    assert all(k.of_truck or k.of_bus for k in stage.KINDS) and any(k.of_truck and k.of_bus for k in stage.KINDS)
+    assert all(k.of_truck or k.of_bus for k in stage.KINDS) and any(
+        k.of_truck and k.of_bus for k in stage.KINDS
+    )
 
 
 @pytest.fixture
 def small(monkeypatch):
-    """A campaign of minutes made one of seconds: faults of the truck, of the bus and of both, one truck, one setting a baseline."""
-    kinds = [k for k in stage.KINDS if k.name in ("brake gain", "yaw rate frozen", "GUARD_IN repeated", "brake gain, 5 % of VDC2 lost")]
-    monkeypatch.setattr(stage, "KINDS", tuple(stage.Kind(k.name, k.unit, k.values[:1], k.table, k.loop, k.response) for k in kinds))
+    """A campaign of minutes made one of seconds: faults of the truck, of the bus and of both, one truck, one
+    setting a baseline."""
+    kinds = [
+        k
+        for k in stage.KINDS
+        if k.name in ("brake gain", "yaw rate frozen", "GUARD_IN repeated", "brake gain, 5 % of VDC2 lost")
+    ]
+    monkeypatch.setattr(
+        stage,
+        "KINDS",
+        tuple(stage.Kind(k.name, k.unit, k.values[:1], k.table, k.loop, k.response) for k in kinds),
+    )
     monkeypatch.setattr(stage, "PLANTS", 1)
     monkeypatch.setattr(stage, "CHUNK", 3)
     monkeypatch.setattr(stage, "RESPONSE_SPEEDS", (15.0,))
-    monkeypatch.setattr(evaluate, "GRID", (Baseline("rms", window_s=0.2), Baseline("cusum", drift=4.0), Baseline("nis", window_s=0.5, process_ratio=0.03)))
+    monkeypatch.setattr(
+        evaluate,
+        "GRID",
+        (
+            Baseline("rms", window_s=0.2),
+            Baseline("cusum", drift=4.0),
+            Baseline("nis", window_s=0.5, process_ratio=0.03),
+        ),
+    )
 
 
 class Stopped(Exception):
@@ -187,11 +220,20 @@ def test_a_cluster_gives_the_same_bytes(small, stored, truck_folder, tmp_path):
     """Workers of a Dask cluster: the very files of a campaign in this process."""
     distributed = pytest.importorskip("distributed")
     found, drives = stored
-    with (distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None) as cluster,
-          workers(scheduler=cluster.scheduler_address) as run):
-        stage.campaign(found, drives, truck_folder, tmp_path / "cluster", seed=3, size=stage.Size(0.1, 1), workers=run)
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
+        ) as cluster,
+        workers(scheduler=cluster.scheduler_address) as run,
+    ):
+        stage.campaign(
+            found, drives, truck_folder, tmp_path / "cluster", seed=3, size=stage.Size(0.1, 1), workers=run
+        )
     stage.campaign(found, drives, truck_folder, tmp_path / "here", seed=3, size=stage.Size(0.1, 1))
-    files = [sorted(p.relative_to(tmp_path / name) for p in (tmp_path / name).rglob("*") if p.is_file()) for name in ("cluster", "here")]
+    files = [
+        sorted(p.relative_to(tmp_path / name) for p in (tmp_path / name).rglob("*") if p.is_file())
+        for name in ("cluster", "here")
+    ]
     assert files[0] == files[1] and Path("runs.parquet") in files[0]
     for file in files[0]:
         assert (tmp_path / "cluster" / file).read_bytes() == (tmp_path / "here" / file).read_bytes(), file
@@ -225,28 +267,49 @@ def test_a_campaign_that_was_stopped_goes_on_and_ends_the_same(small, stored, tr
     rows = pq.read_table(whole / "runs.parquet")
     for file in ("runs.parquet", "summary.json"):
         assert (whole / file).read_bytes() == (out / file).read_bytes(), file
-    assert rows.num_rows == cases and len(set(rows["seed"].to_pylist())) == cases, "every run's seed is recorded"
+    assert rows.num_rows == cases and len(set(rows["seed"].to_pylist())) == cases, (
+        "every run's seed is recorded"
+    )
 
     covered, apart = summary["within"]["runs"], summary["within"]["beyond_checked_amplitude"]["of"]
-    assert covered >= 1 and covered + apart == 5 and summary["within"]["hours"] == pytest.approx(0.05 * covered)
+    assert (
+        covered >= 1 and covered + apart == 5 and summary["within"]["hours"] == pytest.approx(0.05 * covered)
+    )
     assert summary["within"]["tests"].keys() == {"frame", "energy"}
-    assert set(summary["matched_stated"].values()) == {None} and summary["matched_claim"].startswith("counts only"), "five runs are too few"
+    assert set(summary["matched_stated"].values()) == {None} and summary["matched_claim"].startswith(
+        "counts only"
+    ), "five runs are too few"
     truck = [("brake gain", 0.0), ("yaw rate frozen", 1.0), ("brake gain, 5 % of VDC2 lost", 0.15)]
     assert [(s["kind"], s["severity"]) for s in summary["severities"]] == truck
-    assert [s["found"]["monitor"] for s in summary["severities"]] == [2, 2, 2], "lost brakes and a dead sensor are found, on a faulty bus too"
+    assert [s["found"]["monitor"] for s in summary["severities"]] == [2, 2, 2], (
+        "lost brakes and a dead sensor are found, on a faulty bus too"
+    )
     assert all(s["median_s"]["monitor"] < stage.FOUND_WITHIN_S for s in summary["severities"])
-    assert summary["visible"]["monitor"]["count"] == summary["visible"]["monitor"]["of"] == sum(s["visible_runs"] for s in summary["severities"]) > 0
+    assert (
+        summary["visible"]["monitor"]["count"]
+        == summary["visible"]["monitor"]["of"]
+        == sum(s["visible_runs"] for s in summary["severities"])
+        > 0
+    )
     assert summary["due"]["count"] == summary["due"]["of"] > 0
-    assert [s["kind"] for s in summary["bus"]] == ["brake gain, 5 % of VDC2 lost", "GUARD_IN repeated"], "the bus is scored apart"
+    assert [s["kind"] for s in summary["bus"]] == ["brake gain, 5 % of VDC2 lost", "GUARD_IN repeated"], (
+        "the bus is scored apart"
+    )
     said = summary["supervision"]
     assert said["faulty"]["as_required"]["count"] == 4 and all(s["as_required"] == 2 for s in summary["bus"])
-    assert said["faulty"]["met"] == said["faulty"]["due"] > 10 and said["healthy"]["as_required"]["count"] == 5 and said["healthy"]["due"] == 0
+    assert (
+        said["faulty"]["met"] == said["faulty"]["due"] > 10
+        and said["healthy"]["as_required"]["count"] == 5
+        and said["healthy"]["due"] == 0
+    )
     assert summary["bus"][0]["alarmed"]["monitor"] == 2 and summary["bus"][0]["judged"] > 0.9
     with pytest.raises(InputError, match="other settings"):
         stage.campaign(found, drives, truck_folder, out, seed=4, size=size)
 
 
-def test_a_folder_of_something_else_and_bounds_of_another_export_are_refused(small, stored, truck_folder, tmp_path):
+def test_a_folder_of_something_else_and_bounds_of_another_export_are_refused(
+    small, stored, truck_folder, tmp_path
+):
     found, drives = stored
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match="no campaign"):
@@ -257,5 +320,13 @@ def test_a_folder_of_something_else_and_bounds_of_another_export_are_refused(sma
     with pytest.raises(InputError, match="not those of the identification"):
         stage.campaign(other, drives, truck_folder, tmp_path / "new", seed=1, size=stage.Size(0.05, 1))
     with pytest.raises(InputError, match="controller.json"):
-        stage.campaign(found, drives, truck_folder, tmp_path / "new", seed=1, size=stage.Size(0.05, 1), controller=tmp_path / "controller.json")
+        stage.campaign(
+            found,
+            drives,
+            truck_folder,
+            tmp_path / "new",
+            seed=1,
+            size=stage.Size(0.05, 1),
+            controller=tmp_path / "controller.json",
+        )
     assert not (tmp_path / "new").exists(), "refused before anything is begun"

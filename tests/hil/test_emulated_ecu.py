@@ -1,5 +1,6 @@
-"""The firmware on the emulated Cortex-R5F, over its own CAN controller and a real vcan0 (tools/with-vcan): frame for frame what the same
-firmware says as a process of the host. All shipped scenarios with tools/test --full."""
+"""The firmware on the emulated Cortex-R5F, over its own CAN controller and a real vcan0 (tools/with-vcan):
+frame for frame what the same firmware says as a process of the host. All shipped scenarios with tools/test
+--full."""
 
 from __future__ import annotations
 
@@ -9,18 +10,23 @@ import os
 import sys
 
 import pytest
-from parts import require
-from vcan import with_vcan
 
 from lpvguard.base.errors import InputError
 from lpvguard.core import targets
 from lpvguard.loop.sim import can_fault_table, load_scenario, shipped_scenarios, steady_scenario
+from parts import require
+from vcan import with_vcan
 
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
 R5F = targets.TARGETS["cortex-r5f"]
-SHORT = steady_scenario(6.0, can_fault_table("VDC2", "unknown_id", 2.0, 2.5) + can_fault_table("VDC2", "lost", 3.0, 3.2) + can_fault_table("VDC2", "bus_off", 4.05, 4.15),
-                        title="lost and off the bus",
-                        expect='verdict = "any"\nsupervision = "reacts"\nfault_start_s = 3.0\nwithin_periods = 5')
+SHORT = steady_scenario(
+    6.0,
+    can_fault_table("VDC2", "unknown_id", 2.0, 2.5)
+    + can_fault_table("VDC2", "lost", 3.0, 3.2)
+    + can_fault_table("VDC2", "bus_off", 4.05, 4.15),
+    title="lost and off the bus",
+    expect='verdict = "any"\nsupervision = "reacts"\nfault_start_s = 3.0\nwithin_periods = 5',
+)
 
 
 @pytest.fixture(scope="module")
@@ -31,8 +37,21 @@ def on_vcan(simulator, truck_folder):
     assert simulator.ecu_program.is_file()
 
     def run(scenarios, *options):
-        done = with_vcan(sys.executable, "-m", "lpvguard.cli", "sim", *scenarios, "--coefficients", truck_folder, "--bus", "socketcan:vcan0",
-                         *options, "--json", "-", timeout=3000)
+        done = with_vcan(
+            sys.executable,
+            "-m",
+            "lpvguard.cli",
+            "sim",
+            *scenarios,
+            "--coefficients",
+            truck_folder,
+            "--bus",
+            "socketcan:vcan0",
+            *options,
+            "--json",
+            "-",
+            timeout=3000,
+        )
         assert done.returncode in (0, 1) and done.stdout, done.stderr
         return json.loads(done.stdout)
 
@@ -63,9 +82,22 @@ def test_the_emulated_ecu_sends_the_hosts_frames_through_loss_and_bus_off(on_vca
     print(f"{first['real_time_factor']:g} simulated s per real s; {first['ecu']}")
     compare(first, host)
     states = [state for _, state in first["supervision"]]
-    assert states == ["off", "live", "off", "live", "off", "live"] or states == ["off", "live", "hold", "off", "live", "off", "live"]
+    assert states == ["off", "live", "off", "live", "off", "live"] or states == [
+        "off",
+        "live",
+        "hold",
+        "off",
+        "live",
+        "off",
+        "live",
+    ]
     assert first["reception"]["send_failures"] == 10  # of 100 ms off the bus
-    assert first["ecu"]["elf_sha256"] == hashlib.sha256(simulator.emulated("cortex-r5f").program.with_suffix(".elf").read_bytes()).hexdigest()
+    assert (
+        first["ecu"]["elf_sha256"]
+        == hashlib.sha256(
+            simulator.emulated("cortex-r5f").program.with_suffix(".elf").read_bytes()
+        ).hexdigest()
+    )
     counted = first["ecu"]["instructions"]
     assert counted["ticks"] == 600 and 0 < counted["total"] / 600 < counted["worst"] < 20_000
     assert again["ecu"] == first["ecu"], "to the instruction"

@@ -1,4 +1,5 @@
-"""The loop over LCM: what is published, recorded by lcm-logger, replayed by lcm-logplayer, heard and led by Python clients."""
+"""The loop over LCM: what is published, recorded by lcm-logger, replayed by lcm-logplayer, heard and led by
+Python clients."""
 
 from __future__ import annotations
 
@@ -9,18 +10,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from parts import missing, require
-from vcan import with_vcan
 
 from lpvguard.base.errors import InputError
 from lpvguard.can.catalogue import load_catalogue
 from lpvguard.core.compiled import EVENTS, SUPERVISION, VERDICTS
 from lpvguard.loop.lcm_client import CHANNELS, Client, message_types, read_log, watch
 from lpvguard.loop.sim import Simulator, can_fault_table, load_scenario, steady_scenario
+from parts import missing, require
+from vcan import with_vcan
 
 pytestmark = pytest.mark.skipif(bool(missing("lcm")), reason=missing("lcm"))
 
-SCENARIO = steady_scenario(30.0, can_fault_table("VDC2", "lost", 1.5, 1.7), title="two processes and a logger")
+SCENARIO = steady_scenario(
+    30.0, can_fault_table("VDC2", "lost", 1.5, 1.7), title="two processes and a logger"
+)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +51,8 @@ def encoded(messages: list) -> list[bytes]:
 
 
 def require_nearly_all(part: list, whole: list) -> None:
-    """Every message of ``part`` is one of ``whole``, in its order; multicast repeats nothing, so a busy machine may lose a few."""
+    """Every message of ``part`` is one of ``whole``, in its order; multicast repeats nothing, so a busy
+    machine may lose a few."""
     rest = iter(encoded(whole))
     assert all(m in rest for m in encoded(part)) and len(part) >= 0.7 * len(whole)
 
@@ -62,35 +66,69 @@ def test_what_is_published_is_what_the_run_reports(lcm_simulator, tmp_path):
     run = lcm_simulator.run(load_scenario("dead_yaw_sensor"), lcm=f"file://{tmp_path / 'run.lcm'}?mode=w")
     said = heard(tmp_path / "run.lcm")
     ticks = round(run["duration_s"] / 0.01)
-    assert {c: len(said[c]) for c in ("LPVGUARD_TRUTH", "LPVGUARD_GUARD", "LPVGUARD_SUPERVISION", "LPVGUARD_BUS", "LPVGUARD_CONTROL")} == {
-        "LPVGUARD_TRUTH": ticks, "LPVGUARD_GUARD": ticks, "LPVGUARD_SUPERVISION": ticks // 10, "LPVGUARD_BUS": run["frames"],
-        "LPVGUARD_CONTROL": 0}
+    assert {
+        c: len(said[c])
+        for c in (
+            "LPVGUARD_TRUTH",
+            "LPVGUARD_GUARD",
+            "LPVGUARD_SUPERVISION",
+            "LPVGUARD_BUS",
+            "LPVGUARD_CONTROL",
+        )
+    } == {
+        "LPVGUARD_TRUTH": ticks,
+        "LPVGUARD_GUARD": ticks,
+        "LPVGUARD_SUPERVISION": ticks // 10,
+        "LPVGUARD_BUS": run["frames"],
+        "LPVGUARD_CONTROL": 0,
+    }
     assert changes(said["LPVGUARD_GUARD"], "supervision", SUPERVISION) == run["supervision"]
     assert changes(said["LPVGUARD_GUARD"], "verdict", VERDICTS) == run["verdicts"]
-    assert max(m.margin for m in said["LPVGUARD_MARGINS"]) == pytest.approx(run["max_margin"], rel=1e-8) and run["max_margin"] > 0.01
+    assert (
+        max(m.margin for m in said["LPVGUARD_MARGINS"]) == pytest.approx(run["max_margin"], rel=1e-8)
+        and run["max_margin"] > 0.01
+    )
     assert [s.state for s in said["LPVGUARD_STATUS"]] == [0] * (ticks // 100) + [2]
     last = said["LPVGUARD_SUPERVISION"][-1]
     vdc2 = next(w for w in last.watch if w.id == load_catalogue().message("VDC2").id)
-    counted = {kind: n for kind, n in zip(EVENTS, vdc2.count) if n}
+    counted = {kind: n for kind, n in zip(EVENTS, vdc2.count, strict=False) if n}
     want = run["reception"]["messages"]["VDC2"]["counts"]
-    assert counted["missed"] == want["missed"] and want["accepted"] - counted["accepted"] < 10 and vdc2.state == 2
-    assert last.messages == 6 and not last.bus_off and all(v > 10 for v in (t.speed for t in said["LPVGUARD_TRUTH"]))
-    assert any(s.trouble_spn == 1808 for s in said["LPVGUARD_SUPERVISION"])  # yaw rate, while its message is lost
+    assert (
+        counted["missed"] == want["missed"]
+        and want["accepted"] - counted["accepted"] < 10
+        and vdc2.state == 2
+    )
+    assert (
+        last.messages == 6
+        and not last.bus_off
+        and all(v > 10 for v in (t.speed for t in said["LPVGUARD_TRUTH"]))
+    )
+    assert any(
+        s.trouble_spn == 1808 for s in said["LPVGUARD_SUPERVISION"]
+    )  # yaw rate, while its message is lost
 
 
-def test_the_bus_of_an_lcm_log_is_the_candump_log_and_replays_to_the_same_verdicts(lcm_simulator, lpvguard, truck_folder, tmp_path):
-    run = lcm_simulator.run(load_scenario("brake_gain_40"), lcm=f"file://{tmp_path / 'run.lcm'}?mode=w", out=tmp_path)
+def test_the_bus_of_an_lcm_log_is_the_candump_log_and_replays_to_the_same_verdicts(
+    lcm_simulator, lpvguard, truck_folder, tmp_path
+):
+    run = lcm_simulator.run(
+        load_scenario("brake_gain_40"), lcm=f"file://{tmp_path / 'run.lcm'}?mode=w", out=tmp_path
+    )
     done = lpvguard("lcm", "bus", tmp_path / "run.lcm", "-o", tmp_path / "mirror.log")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "mirror.log").read_bytes() == (tmp_path / "brake_gain_40-1.log").read_bytes()
-    done = lpvguard("replay", "--vehicle", "truck", "--coefficients", truck_folder, tmp_path / "mirror.log", "--json", "-")
+    done = lpvguard(
+        "replay", "--vehicle", "truck", "--coefficients", truck_folder, tmp_path / "mirror.log", "--json", "-"
+    )
     (replayed,) = json.loads(done.stdout)
-    assert done.returncode == 1 and replayed["first_invalid_s"] == pytest.approx(run["first_invalid_s"], abs=0.011)
+    assert done.returncode == 1 and replayed["first_invalid_s"] == pytest.approx(
+        run["first_invalid_s"], abs=0.011
+    )
     assert replayed["verdict_final"] == run["verdict_final"] == "invalid"
 
 
-# $1: folder, the rest: the loop. A logger hears nothing from before it was up. The Python package has wrappers of the same names in front
-# of LCM's programs, which keep signals to themselves.
+# $1: folder, the rest: the loop. A logger hears nothing from before it was up. The Python package has
+# wrappers of the same names in front of LCM's programs, which keep signals to themselves.
 RECORD_AND_REPLAY = """
 PATH=$(pkg-config --variable=prefix lcm)/bin:$PATH
 url=udpm://239.255.76.67:7667?ttl=0
@@ -107,17 +145,43 @@ sleep 1; kill -INT $logger; wait $logger || true
 
 @pytest.mark.serial
 @pytest.mark.slow("30 s of simulated time on vcan0")
-def test_two_processes_on_vcan_recorded_and_replayed_give_the_same_verdicts(lcm_simulator, scenario, truck_folder, tmp_path):
-    """Truck and firmware as two processes on a real vcan0, telemetry by multicast on lo: what lcm-logger wrote, and what a second one
-    heard when lcm-logplayer played it, is on every channel what one process alone publishes, and says the verdicts of the run."""
+def test_two_processes_on_vcan_recorded_and_replayed_give_the_same_verdicts(
+    lcm_simulator, scenario, truck_folder, tmp_path
+):
+    """Truck and firmware as two processes on a real vcan0, telemetry by multicast on lo: what lcm-logger
+    wrote, and what a second one heard when lcm-logplayer played it, is on every channel what one process
+    alone publishes, and says the verdicts of the run."""
     assert lcm_simulator.ecu_program.is_file()  # compiled here, and not on the one processor of the guest
     lcm_simulator.run(scenario, lcm=f"file://{tmp_path / 'alone.lcm'}?mode=w")
-    done = with_vcan("bash", "-euc", RECORD_AND_REPLAY, "replay", tmp_path, sys.executable, "-m", "lpvguard.cli", "sim", scenario.path,
-                     "--coefficients", truck_folder, "--bus", "socketcan:vcan0", "--ecu-process", "--pace", 2, "--json", "-")
+    done = with_vcan(
+        "bash",
+        "-euc",
+        RECORD_AND_REPLAY,
+        "replay",
+        tmp_path,
+        sys.executable,
+        "-m",
+        "lpvguard.cli",
+        "sim",
+        scenario.path,
+        "--coefficients",
+        truck_folder,
+        "--bus",
+        "socketcan:vcan0",
+        "--ecu-process",
+        "--pace",
+        2,
+        "--json",
+        "-",
+    )
     assert done.returncode == 0, done.stderr
     (run,) = json.loads(done.stdout)
-    assert [s for _, s in run["supervision"]].count("live") == 2 and "valid" in [v for _, v in run["verdicts"]]
-    alone, recorded, replayed = (heard(tmp_path / f"{name}.lcm") for name in ("alone", "recorded", "replayed"))
+    assert [s for _, s in run["supervision"]].count("live") == 2 and "valid" in [
+        v for _, v in run["verdicts"]
+    ]
+    alone, recorded, replayed = (
+        heard(tmp_path / f"{name}.lcm") for name in ("alone", "recorded", "replayed")
+    )
     assert len(alone["LPVGUARD_MARGINS"]) > 20
     for channel in CHANNELS:
         require_nearly_all(replayed[channel], recorded[channel])
@@ -126,29 +190,57 @@ def test_two_processes_on_vcan_recorded_and_replayed_give_the_same_verdicts(lcm_
     margin = {g.utime: g.margin for g in alone["LPVGUARD_GUARD"]}
     assert max(margin.values()) > 0.05
     for log in (recorded, replayed):
-        for field, names, want in (("verdict", VERDICTS, run["verdicts"]), ("supervision", SUPERVISION, run["supervision"])):
+        for field, names, want in (
+            ("verdict", VERDICTS, run["verdicts"]),
+            ("supervision", SUPERVISION, run["supervision"]),
+        ):
             got = changes(log["LPVGUARD_GUARD"], field, names)
-            assert [v for _, v in got] == [v for _, v in want] and np.allclose([t for t, _ in got], [t for t, _ in want], atol=0.3)
+            assert [v for _, v in got] == [v for _, v in want] and np.allclose(
+                [t for t, _ in got], [t for t, _ in want], atol=0.3
+            )
         assert max(abs(g.margin - margin[g.utime]) for g in log["LPVGUARD_GUARD"]) <= 0.5 / 1024 + 1e-9
 
 
 @pytest.mark.serial
 @pytest.mark.slow("30 s of simulated time on vcan0")
 def test_the_emulated_ecu_publishes_what_the_host_does(lcm_simulator, scenario, truck_folder, tmp_path):
-    """Margins, supervision and bus of the firmware on the Cortex-R5F, message for message those of the host's."""
+    """Margins, supervision and bus of the firmware on the Cortex-R5F, message for message those of the
+    host's."""
     require("qemu")
     lcm_simulator.emulated("cortex-r5f")
     lcm_simulator.run(scenario, lcm=f"file://{tmp_path / 'host.lcm'}?mode=w")
-    done = with_vcan(sys.executable, "-m", "lpvguard.cli", "sim", scenario.path, "--coefficients", truck_folder, "--bus", "socketcan:vcan0",
-                     "--target", "cortex-r5f", "--lcm", f"file://{tmp_path / 'r5f.lcm'}?mode=w", "--json", "-")
+    done = with_vcan(
+        sys.executable,
+        "-m",
+        "lpvguard.cli",
+        "sim",
+        scenario.path,
+        "--coefficients",
+        truck_folder,
+        "--bus",
+        "socketcan:vcan0",
+        "--target",
+        "cortex-r5f",
+        "--lcm",
+        f"file://{tmp_path / 'r5f.lcm'}?mode=w",
+        "--json",
+        "-",
+    )
     assert done.returncode in (0, 1) and done.stdout, done.stderr
     host, r5f = heard(tmp_path / "host.lcm"), heard(tmp_path / "r5f.lcm")
     assert len(host["LPVGUARD_MARGINS"]) > 20
-    for channel in ("LPVGUARD_MARGINS", "LPVGUARD_SUPERVISION", "LPVGUARD_BUS", "LPVGUARD_TRUTH", "LPVGUARD_STATUS"):
+    for channel in (
+        "LPVGUARD_MARGINS",
+        "LPVGUARD_SUPERVISION",
+        "LPVGUARD_BUS",
+        "LPVGUARD_TRUTH",
+        "LPVGUARD_STATUS",
+    ):
         assert encoded(r5f[channel]) == encoded(host[channel]), channel
 
 
-# A client that leads a run step by step, so that what it does falls on the same ticks always; and another one that watches.
+# A client that leads a run step by step, so that what it does falls on the same ticks always; and another one
+# that watches.
 LEAD = """
 import json, subprocess, sys
 from lpvguard.base.errors import InputError
@@ -189,22 +281,44 @@ print(json.dumps({"said": said, "lost": [lost.utime, lost.entry], "refused": ref
 
 @pytest.mark.serial
 @pytest.mark.slow("30 s of simulated time on vcan0")
-def test_a_python_client_leads_a_run_and_what_it_did_can_be_run_again(lcm_simulator, simulator, scenario, truck_folder, tmp_path):
+def test_a_python_client_leads_a_run_and_what_it_did_can_be_run_again(
+    lcm_simulator, simulator, scenario, truck_folder, tmp_path
+):
     (tmp_path / "lead.py").write_text(LEAD)
     message_types()  # made here, once
-    done = with_vcan(sys.executable, tmp_path / "lead.py", scenario.path, "--coefficients", truck_folder, "--pace", 100, "-o", tmp_path / "out")
+    done = with_vcan(
+        sys.executable,
+        tmp_path / "lead.py",
+        scenario.path,
+        "--coefficients",
+        truck_folder,
+        "--pace",
+        100,
+        "-o",
+        tmp_path / "out",
+    )
     assert done.returncode == 0, done.stderr
     got = json.loads(done.stdout)
     (run,) = got["run"]
-    assert got["said"] == [0, 5_000_000, 5_500_000, 8_000_000] and got["stop"] == 8_000_000 and run["duration_s"] == 8.0
+    assert (
+        got["said"] == [0, 5_000_000, 5_500_000, 8_000_000]
+        and got["stop"] == 8_000_000
+        and run["duration_s"] == 8.0
+    )
     assert got["lost"] == [5_010_000, "can_fault[1]"]
-    assert "refused" in got["refused"] and 'can_fault.message = "VDC3": expected one of: VDC2' in got["refused"]
+    assert (
+        "refused" in got["refused"] and 'can_fault.message = "VDC3": expected one of: VDC2' in got["refused"]
+    )
     assert got["found"] == [0, "5.51 s: paused, can_fault[1]\n", ""]
     off = [t for t, state in run["supervision"] if t > 5.0 and state != "live"]
     live = [t for t, state in run["supervision"] if t > 5.0 and state == "live"]
     assert 5.01 < off[0] <= 5.06 and 5.51 < live[-1] <= 6.51
-    assert [line.split("s  ")[1] for line in got["watched"] if "can_fault" in line and "refused" not in line] == ["paused can_fault[1]"] * 2
-    assert any("refused: command: can_fault.message" in line for line in got["watched"]) and got["watched"][-1].endswith("ended")
+    assert [
+        line.split("s  ")[1] for line in got["watched"] if "can_fault" in line and "refused" not in line
+    ] == ["paused can_fault[1]"] * 2
+    assert any("refused: command: can_fault.message" in line for line in got["watched"]) and got["watched"][
+        -1
+    ].endswith("ended")
     assert any("supervision off" in line for line in got["watched"])
 
     applied = load_scenario(str(tmp_path / "out" / "loop-1.applied.toml"))
@@ -244,6 +358,19 @@ def test_watching_says_what_changes_once():
     guard, again, status, ended = types.guard_t(), types.guard_t(), types.status_t(), types.status_t()
     guard.verdict = again.verdict = 1
     again.utime, status.id, status.reason, ended.state, ended.utime = 10_000, 7, "because", 2, 20_000
-    said = list(watch([("LPVGUARD_GUARD", guard), ("LPVGUARD_GUARD", again), ("LPVGUARD_STATUS", status), ("LPVGUARD_STATUS", ended),
-                       ("LPVGUARD_GUARD", types.guard_t())]))
-    assert said == ["     0.00 s  verdict valid, supervision off, margin 0.000", "     0.00 s  refused: because", "     0.02 s  ended"]
+    said = list(
+        watch(
+            [
+                ("LPVGUARD_GUARD", guard),
+                ("LPVGUARD_GUARD", again),
+                ("LPVGUARD_STATUS", status),
+                ("LPVGUARD_STATUS", ended),
+                ("LPVGUARD_GUARD", types.guard_t()),
+            ]
+        )
+    )
+    assert said == [
+        "     0.00 s  verdict valid, supervision off, margin 0.000",
+        "     0.00 s  refused: because",
+        "     0.02 s  ended",
+    ]

@@ -1,4 +1,5 @@
-"""The closed loop over CAN frames: what the shipped scenarios expect, repeatability, bus faults, bad input, the command."""
+"""The closed loop over CAN frames: what the shipped scenarios expect, repeatability, bus faults, bad input,
+the command."""
 
 from __future__ import annotations
 
@@ -9,7 +10,6 @@ import sys
 
 import numpy as np
 import pytest
-from vcan import with_vcan
 
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
@@ -22,6 +22,7 @@ from lpvguard.loop.sim import (
     shipped_scenarios,
     steady_scenario,
 )
+from vcan import with_vcan
 
 SEEDS = (1, 2)
 MESSAGE_PERIODS = {"VDC2": 0.01, "GUARD_IN": 0.01, "EBC2": 0.1}
@@ -52,7 +53,9 @@ def can_fault(message: str, kind: str, **more: float) -> str:
 def test_shipped_scenarios_show_what_they_expect(simulator, name):
     for seed in SEEDS:
         run = simulator.run(load_scenario(name), seed=seed)
-        print(f"{name}, seed {seed}: invalid at {run['first_invalid_s']}, {run['real_time_factor']:.0f} x real time")
+        print(
+            f"{name}, seed {seed}: invalid at {run['first_invalid_s']}, {run['real_time_factor']:.0f} x real time"
+        )
         assert run["missed"] == []
 
 
@@ -70,11 +73,22 @@ def test_the_same_scenario_twice_sends_the_same_bytes(simulator, scenario, tmp_p
 def test_the_log_is_candump_with_simulated_time(simulator, scenario, tmp_path):
     simulator.run(scenario(1.0), out=tmp_path)
     lines = (tmp_path / "scenario-1.log").read_text().splitlines()
-    assert lines[0].startswith("(0.000000) can0 18F0093E#") and len(lines[0]) == len("(0.000000) can0 18F0093E#") + 16
+    assert (
+        lines[0].startswith("(0.000000) can0 18F0093E#")
+        and len(lines[0]) == len("(0.000000) can0 18F0093E#") + 16
+    )
     ids = [line.split()[2].split("#")[0] for line in lines]
     # 10 ms: VDC2, GUARD_IN, GUARD_OUT; 100 ms: EBC2, CCVS1, EBC3, EBC1; 1 s: DM1
-    assert {i: ids.count(i) for i in ids} == {"18F0093E": 100, "18FF000B": 100, "18FF01FC": 100, "18FEBF0B": 10, "18FEF100": 10,
-                                              "18FEAD0B": 10, "18F0010B": 10, "18FECAFC": 1}
+    assert {i: ids.count(i) for i in ids} == {
+        "18F0093E": 100,
+        "18FF000B": 100,
+        "18FF01FC": 100,
+        "18FEBF0B": 10,
+        "18FEF100": 10,
+        "18FEAD0B": 10,
+        "18F0010B": 10,
+        "18FECAFC": 1,
+    }
 
 
 def test_not_engaged_the_brakes_stay_released(truck_folder, scenario):
@@ -91,7 +105,7 @@ def test_feedforward_runs_on_the_same_seeds(truck_folder, simulator):
 def test_a_profile_is_followed_and_its_faults_are_named(simulator, tmp_path):
     path = tmp_path / "profile.toml"
     steady = small_steps(10)
-    multisine = steady[steady.index('kind = "multisine"'):steady.index("\n[expect]")]
+    multisine = steady[steady.index('kind = "multisine"') : steady.index("\n[expect]")]
 
     def write(knots: str) -> None:
         path.write_text(steady.replace(multisine, f'kind = "profile"\nknots = {knots}\n'))
@@ -99,7 +113,9 @@ def test_a_profile_is_followed_and_its_faults_are_named(simulator, tmp_path):
     write("[[1.0, 0.01], [3.0, 0.05], [3.5, -0.02]]")
     simulator.run(load_scenario(str(path)), out=tmp_path)
     rows = np.genfromtxt(tmp_path / "profile-1.telemetry.csv", delimiter=",", names=True)
-    np.testing.assert_allclose(rows["command_radps"], np.interp(rows["t_s"], [1.0, 3.0, 3.5], [0.01, 0.05, -0.02]), atol=1e-9)
+    np.testing.assert_allclose(
+        rows["command_radps"], np.interp(rows["t_s"], [1.0, 3.0, 3.5], [0.01, 0.05, -0.02]), atol=1e-9
+    )
     for knots in ("[]", "[[0.0]]", "[[1.0, 0.0], [1.0, 0.1]]", "[[0.0, 0.9]]", "3.0"):
         write(knots)
         with pytest.raises(InputError, match="command.knots"):
@@ -109,7 +125,9 @@ def test_a_profile_is_followed_and_its_faults_are_named(simulator, tmp_path):
 @pytest.mark.parametrize("message", MESSAGE_PERIODS)
 @pytest.mark.parametrize("kind", ["lost", "delayed"])
 def test_a_needed_message_that_stops_is_missed_within_5_periods(simulator, scenario, message, kind):
-    run = simulator.run(scenario(15.0, can_fault(message, kind, **({"delay_s": 1.0} if kind == "delayed" else {}))))
+    run = simulator.run(
+        scenario(15.0, can_fault(message, kind, **({"delay_s": 1.0} if kind == "delayed" else {})))
+    )
     left = next(t for t, state in run["supervision"] if t > 1.0 and state != "live")
     assert 5.0 <= left <= 5.0 + 5 * MESSAGE_PERIODS[message]
     assert run["supervision"][-1][1] == "live" and run["trouble_codes"][1][1]["spn"] != 0
@@ -134,7 +152,19 @@ def test_a_lost_actuator_is_found(simulator, scenario):
 @pytest.mark.serial
 def test_a_real_can_interface_carries_the_same_frames(simulator, truck_folder, scenario):
     fault = scenario(15.0, can_fault("VDC2", "lost"))
-    done = with_vcan(sys.executable, "-m", "lpvguard.cli", "sim", fault.path, "--coefficients", truck_folder, "--json", "-", "--bus", "socketcan:vcan0")
+    done = with_vcan(
+        sys.executable,
+        "-m",
+        "lpvguard.cli",
+        "sim",
+        fault.path,
+        "--coefficients",
+        truck_folder,
+        "--json",
+        "-",
+        "--bus",
+        "socketcan:vcan0",
+    )
     # The scenario expects supervision to stay live, which it must not: a finding.
     assert done.returncode == 1, done.stderr
     assert json.loads(done.stdout)[0]["frames_hash"] == simulator.run(fault)["frames_hash"]
@@ -146,19 +176,22 @@ def test_a_bus_that_does_not_exist_is_refused(simulator, scenario, bus):
         simulator.run(scenario(1.0), bus=bus)
 
 
-@pytest.mark.parametrize(("change", "says"), [
-    (("duration_s = 5", "duration_s = -1"), "duration_s"),
-    (("rms_radps", "rms"), "command.rms"),
-    (("kind = \"multisine\"", "kind = \"noise\""), "command.kind"),
-    (("[command]", "[command]\nextra = 1"), "extra"),
-    (("speed_profile", "profile"), "speed_profile"),
-    (("verdict = \"any\"", "verdict = \"maybe\""), "expect.verdict"),
-    (("verdict = \"any\"", "verdict = \"invalid\""), "within_judged_s"),
-    (("title", "titel"), "titel"),
-    (("[expect]", can_fault("VDC2", "stuck_counter") + "[expect]"), "only GUARD_IN has a counter"),
-    (("[expect]", can_fault("VDC2", "lots") + "[expect]"), "can_fault.kind"),
-    (("[expect]", can_fault("VDC2", "lost", delay_s=1.0) + "[expect]"), "can_fault.delay_s"),
-])
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (("duration_s = 5", "duration_s = -1"), "duration_s"),
+        (("rms_radps", "rms"), "command.rms"),
+        (('kind = "multisine"', 'kind = "noise"'), "command.kind"),
+        (("[command]", "[command]\nextra = 1"), "extra"),
+        (("speed_profile", "profile"), "speed_profile"),
+        (('verdict = "any"', 'verdict = "maybe"'), "expect.verdict"),
+        (('verdict = "any"', 'verdict = "invalid"'), "within_judged_s"),
+        (("title", "titel"), "titel"),
+        (("[expect]", can_fault("VDC2", "stuck_counter") + "[expect]"), "only GUARD_IN has a counter"),
+        (("[expect]", can_fault("VDC2", "lots") + "[expect]"), "can_fault.kind"),
+        (("[expect]", can_fault("VDC2", "lost", delay_s=1.0) + "[expect]"), "can_fault.delay_s"),
+    ],
+)
 def test_bad_scenarios_are_refused_by_field(simulator, tmp_path, change, says):
     path = tmp_path / "bad.toml"
     path.write_text(small_steps(5).replace(*change))
@@ -185,22 +218,39 @@ def test_expectations_find_what_is_missing(simulator, scenario):
     assert "judged driving" in next(missed(invalid, late, 0.01))
     never = Expectation(verdict="never_invalid", supervision="live", tracking_ratio_max=1e-6)
     assert [text.split()[0] for text in missed(never, late, 0.01)] == ["invalid", "tracking"]
-    reacts = Expectation(verdict="any", supervision="reacts", fault_start_s=2.0, fault_end_s=3.0, within_periods=5)
+    reacts = Expectation(
+        verdict="any", supervision="reacts", fault_start_s=2.0, fault_end_s=3.0, within_periods=5
+    )
     assert "still live" in next(missed(reacts, run, 0.01))
-    for changes, says in (([[0.0, "live"], [1.0, "off"]], "before the fault"), ([[0.0, "off"]], "never live"),
-                          ([[0.0, "live"], [2.03, "off"]], "not live again")):
+    for changes, says in (
+        ([[0.0, "live"], [1.0, "off"]], "before the fault"),
+        ([[0.0, "off"]], "never live"),
+        ([[0.0, "live"], [2.03, "off"]], "not live again"),
+    ):
         assert says in next(missed(reacts, run | {"supervision": changes}, 0.01))
 
 
-def test_the_command_writes_json_and_its_status_says_whether_expectations_were_met(lpvguard, truck_folder, tmp_path):
+def test_the_command_writes_json_and_its_status_says_whether_expectations_were_met(
+    lpvguard, truck_folder, tmp_path
+):
     done = lpvguard("sim", "dead_yaw_sensor", "--coefficients", truck_folder, "--json", "-", "--seeds", 2)
     assert done.returncode == 0, done.stderr
     runs = json.loads(done.stdout)
     assert [r["seed"] for r in runs] == [1, 2]
-    assert {"scenario", "expected", "verdict_final", "first_invalid_s", "tracking_rms", "command_rms", "frames",
-            "real_time_factor"} <= set(runs[0])
+    assert {
+        "scenario",
+        "expected",
+        "verdict_final",
+        "first_invalid_s",
+        "tracking_rms",
+        "command_rms",
+        "frames",
+        "real_time_factor",
+    } <= set(runs[0])
     strict = tmp_path / "strict.toml"
-    strict.write_text(small_steps(5).replace('supervision = "live"', 'supervision = "live"\ntracking_ratio_max = 1e-9'))
+    strict.write_text(
+        small_steps(5).replace('supervision = "live"', 'supervision = "live"\ntracking_ratio_max = 1e-9')
+    )
     done = lpvguard("sim", strict, "--coefficients", truck_folder)
     assert done.returncode == 1 and "tracking error" in done.stderr
     done = lpvguard("sim", "nowhere.toml", "--coefficients", truck_folder)

@@ -1,4 +1,5 @@
-"""What the supervision must say, worked out from frames and message table (lpvguard/loop/supervision.py), and that the firmware says it."""
+"""What the supervision must say, worked out from frames and message table (lpvguard/loop/supervision.py), and
+that the firmware says it."""
 
 from __future__ import annotations
 
@@ -30,8 +31,14 @@ def good(message, n: int, **values: np.ndarray) -> np.ndarray:
 
 def frames(message, t_us, data, length=8) -> Frames:
     n = len(data)
-    return Frames(np.asarray(t_us, np.int64) * 1000, np.full(n, message.id | EXTENDED, np.uint32), np.zeros(n, np.uint8),
-                  np.broadcast_to(np.uint8(length), n), data, ["can0"])
+    return Frames(
+        np.asarray(t_us, np.int64) * 1000,
+        np.full(n, message.id | EXTENDED, np.uint32),
+        np.zeros(n, np.uint8),
+        np.broadcast_to(np.uint8(length), n),
+        data,
+        ["can0"],
+    )
 
 
 def periods(n: int) -> np.ndarray:
@@ -42,7 +49,18 @@ def periods(n: int) -> np.ndarray:
 def test_silence_holds_after_three_and_a_half_periods_and_is_off_after_five_and_a_half(message):
     bus = frames(message, periods(8), good(message, 8))
     last = 7 * PERIOD_US
-    ticks = np.array([0, 4 * PERIOD_US - 1, 4 * PERIOD_US, last + 35_000, last + 35_001, last + 55_000, last + 55_001, last + 10**9])
+    ticks = np.array(
+        [
+            0,
+            4 * PERIOD_US - 1,
+            4 * PERIOD_US,
+            last + 35_000,
+            last + 35_001,
+            last + 55_000,
+            last + 55_001,
+            last + 10**9,
+        ]
+    )
     assert required(bus, [message], ticks).tolist() == [OFF, OFF, LIVE, LIVE, HOLD, HOLD, OFF, OFF]
 
 
@@ -67,13 +85,13 @@ def spoiled(what: str) -> Frames:
     data = good(message, n, **values)
     if what == "stuck counter":
         for row in np.flatnonzero(late):
-            protect(data[row:row + 1], GUARD_IN.e2e.data_id, 19 % 15)
+            protect(data[row : row + 1], GUARD_IN.e2e.data_id, 19 % 15)
     elif what == "counter of six":
         for i, row in enumerate(np.flatnonzero(late)):
-            protect(data[row:row + 1], GUARD_IN.e2e.data_id, (19 + 6 * (i + 1)) % 15)
+            protect(data[row : row + 1], GUARD_IN.e2e.data_id, (19 + 6 * (i + 1)) % 15)
     elif what == "counter of five":
         for i, row in enumerate(np.flatnonzero(late)):
-            protect(data[row:row + 1], GUARD_IN.e2e.data_id, (19 + 5 * (i + 1)) % 15)
+            protect(data[row : row + 1], GUARD_IN.e2e.data_id, (19 + 5 * (i + 1)) % 15)
     elif what == "length":
         length[late] = 7
     elif what == "babbling":
@@ -81,13 +99,27 @@ def spoiled(what: str) -> Frames:
     return frames(message, t, data, length)
 
 
-@pytest.mark.parametrize(("what", "state"), [("stuck counter", OFF), ("counter of six", OFF), ("counter of five", LIVE), ("length", OFF), ("range", OFF),
-                                             ("gradient", OFF), ("absent", OFF), ("babbling", OFF)])
+@pytest.mark.parametrize(
+    ("what", "state"),
+    [
+        ("stuck counter", OFF),
+        ("counter of six", OFF),
+        ("counter of five", LIVE),
+        ("length", OFF),
+        ("range", OFF),
+        ("gradient", OFF),
+        ("absent", OFF),
+        ("babbling", OFF),
+    ],
+)
 def test_five_frames_that_may_not_be_used_switch_off(what, state):
     bus = spoiled(what)
     message = GUARD_IN if bus.id[0] == np.uint32(GUARD_IN.id | EXTENDED) else VDC2
     fourth, fifth = bus.t_ns[23:25] // 1000
-    assert required(bus, [message], np.array([fourth, fifth])).tolist() == [HOLD if what not in ("counter of five", "babbling") else LIVE, state]
+    assert required(bus, [message], np.array([fourth, fifth])).tolist() == [
+        HOLD if what not in ("counter of five", "babbling") else LIVE,
+        state,
+    ]
 
 
 def test_bus_off_ends_everything_and_five_good_frames_bring_back():
@@ -116,7 +148,8 @@ def reactions(simulator, path, log, from_s: float = 0.0, **options) -> Reactions
 
 @pytest.mark.parametrize("case", CASES, ids=lambda c: f"{c.message} {c.name}")
 def test_the_firmware_says_what_the_frames_require(case, simulator, tmp_path):
-    """The fault table again, with each fault at random for ten seconds: whatever comes of it, at the very tick."""
+    """The fault table again, with each fault at random for ten seconds: whatever comes of it, at the very
+    tick."""
     more = {} if case.delay_s is None else {"delay_s": case.delay_s}
     for probability in (0.1, 0.4, 0.8):
         table = can_fault_table(case.message, case.kind, 5.0, 15.0, probability=probability, **more)
@@ -132,15 +165,22 @@ def test_a_firmware_that_held_too_long_would_be_found(simulator, tmp_path):
     facts, _, _ = simulator.drive(path, log=log)
     scenario = tomllib.loads(path.read_text())
     assert supervision(simulator, facts, scenario, log, 0.0).met == 1
-    slow = facts | {"supervision": [[t + 0.02 if state != "live" and t > 1.0 else t, state] for t, state in facts["supervision"]]}
+    slow = facts | {
+        "supervision": [
+            [t + 0.02 if state != "live" and t > 1.0 else t, state] for t, state in facts["supervision"]
+        ]
+    }
     seen = supervision(simulator, slow, scenario, log, 0.0)
-    assert (seen.due, seen.met) == (1, 0) and seen.late_s == pytest.approx(0.04), "two ticks late with hold, then with off"
+    assert (seen.due, seen.met) == (1, 0) and seen.late_s == pytest.approx(0.04), (
+        "two ticks late with hold, then with off"
+    )
     # Of a bus without fault the same report is worse than required.
     assert supervision(simulator, facts, scenario, None, 0.0).unwarranted_s == pytest.approx(5.01)
 
 
 def test_a_value_that_the_bus_allows_and_the_vehicle_does_not_is_off_while_it_lasts():
-    """As the ECU does: a speed of 145 km/h, where the message table ends at 150 and the truck's signals at 40 m/s."""
+    """As the ECU does: a speed of 145 km/h, where the message table ends at 150 and the truck's signals at 40
+    m/s."""
     at = np.arange(40)
     bus = frames(VDC2, periods(40), good(VDC2, 40, yaw_rate=np.where((at >= 20) & (at < 30), 0.05, 0.0)))
     within = {("VDC2", "yaw_rate"): (-0.04, 0.04)}
@@ -149,7 +189,10 @@ def test_a_value_that_the_bus_allows_and_the_vehicle_does_not_is_off_while_it_la
     late = required(bus, [VDC2], 29 * PERIOD_US + np.array([0, 35_001]), within=within)
     assert late.tolist() == [OFF, LIVE], "the frame after it is good"
     silent = frames(VDC2, periods(30), bus.data[:30])
-    assert required(silent, [VDC2], 29 * PERIOD_US + np.array([0, 35_001]), within=within).tolist() == [OFF, HOLD]
+    assert required(silent, [VDC2], 29 * PERIOD_US + np.array([0, 35_001]), within=within).tolist() == [
+        OFF,
+        HOLD,
+    ]
     truck = limits(load_project("truck"))
     assert truck["EBC2", "front_axle_speed"][1] == pytest.approx(144.0)
 
@@ -157,14 +200,25 @@ def test_a_value_that_the_bus_allows_and_the_vehicle_does_not_is_off_while_it_la
 @pytest.mark.parametrize("name", ON_BUS)
 @pytest.mark.slow("every shipped scenario on a bus")
 def test_scenarios_expect_of_the_supervision_what_the_frames_require(name, simulator, tmp_path):
-    """"live" where never another state is required; "reacts" where one is, no later than the scenario says, and live again after."""
+    """ "live" where never another state is required; "reacts" where one is, no later than the scenario says,
+    and live again after."""
     scenario, log = load_scenario(name), tmp_path / "run.log"
     expect, Ts = scenario.expect, simulator.project.Ts_s
-    off = [round(f["start_s"] * 1e6) for f in tomllib.loads(scenario.path.read_text())["can_fault"] if f["kind"] == "bus_off"]
+    off = [
+        round(f["start_s"] * 1e6)
+        for f in tomllib.loads(scenario.path.read_text())["can_fault"]
+        if f["kind"] == "bus_off"
+    ]
     for seed in SEEDS:
         facts, _, _ = simulator.drive(scenario.path, seed=seed, log=log)
         ticks = np.arange(round(RECOVERY_S / Ts), round(facts["duration_s"] / Ts))
-        must = required(read_log(log), needed_messages(simulator.project), ticks * round(Ts * 1e6), off, limits(simulator.project))
+        must = required(
+            read_log(log),
+            needed_messages(simulator.project),
+            ticks * round(Ts * 1e6),
+            off,
+            limits(simulator.project),
+        )
         if expect.supervision == "live":
             assert (must == LIVE).all()
             continue
@@ -176,4 +230,6 @@ def test_scenarios_expect_of_the_supervision_what_the_frames_require(name, simul
 
 def test_needed_messages_are_those_of_the_generated_core(simulator, truck_folder):
     listed = re.search(r"\.needed = (.*)", (truck_folder / "lpvguard_bus.c").read_text())[1]
-    assert {m.name for m in needed_messages(simulator.project)} == set(re.findall(r"LPVG_CAN_(\w+)_INDEX", listed))
+    assert {m.name for m in needed_messages(simulator.project)} == set(
+        re.findall(r"LPVG_CAN_(\w+)_INDEX", listed)
+    )

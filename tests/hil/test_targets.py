@@ -1,4 +1,5 @@
-"""The core on emulated Cortex-M4F, M7 and R5F: the same bits as on the host, within its budget (lib/INTEGRATION.md)."""
+"""The core on emulated Cortex-M4F, M7 and R5F: the same bits as on the host, within its budget
+(lib/INTEGRATION.md)."""
 
 from __future__ import annotations
 
@@ -11,15 +12,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from parts import require
 
 from lpvguard.base.errors import InputError
 from lpvguard.bench import core as bench
 from lpvguard.core import targets
 from lpvguard.core.compiled import eigen_include, shipped_vehicle
+from parts import require
 
-# What the core's objects may take from libraries: moving memory, and integer division where the processor has none.
-ALLOWED_IMPORTS = re.compile(r"mem(cpy|set|move|cmp)|__aeabi_(mem\w+|(u?l|u?i)div(mod)?|(u?l)mul|llsl|llsr|lasr|[ful]2(u?lz|f|[lu]?2f)|u?l2f|f2u?lz)")
+# What the core's objects may take from libraries: moving memory, and integer division where the processor has
+# none.
+ALLOWED_IMPORTS = re.compile(
+    r"mem(cpy|set|move|cmp)|__aeabi_(mem\w+|(u?l|u?i)div(mod)?|(u?l)mul|llsl|llsr|lasr|[ful]2(u?lz|f|[lu]?2f)|u?l2f|f2u?lz)"
+)
 DOUBLE_HELPER = re.compile(r"__aeabi_(d\w+|\w+2d|cd\w+)|__\w+df\w*")
 
 
@@ -62,8 +66,8 @@ def test_results_are_the_hosts_bit_for_bit(name, vehicle, host):
 def test_results_show_judged_and_falsifying_frames(host):
     """The drive reaches every branch that the comparison is about."""
     frames = [line.split() for line in host["results"] if line.startswith("frame")]
-    assert {f[3] for f in frames} >= {"0", "4"}       # counted, settling
-    assert {f[4] for f in frames} == {"0", "1"}       # falsified and not
+    assert {f[3] for f in frames} >= {"0", "4"}  # counted, settling
+    assert {f[4] for f in frames} == {"0", "1"}  # falsified and not
     margins = np.array([int(f[6], 16) for f in frames], np.uint32).view(np.float32)
     assert np.isfinite(margins).all() and margins.max() > 1.0
 
@@ -87,19 +91,32 @@ def test_counts_are_within_the_budget(counted):
 def test_the_guides_table_is_what_is_measured(counted):
     step, text = counted["parts"]["ecu_step"], (targets.library_root() / "INTEGRATION.md").read_text()
     table = text.partition(bench.BUDGET[0])[2].partition(bench.BUDGET[1])[0]
-    row = next(line.split("|")[2:] for line in table.splitlines() if line.startswith(f"| {counted['title']} |"))
-    measured = [step["worst"], step["median"], step["worst"] / step["median"], counted["structs"]["ecu"], sum(counted["rom"].values()),
-                max(part["stack"] for part in counted["parts"].values())]
+    row = next(
+        line.split("|")[2:] for line in table.splitlines() if line.startswith(f"| {counted['title']} |")
+    )
+    measured = [
+        step["worst"],
+        step["median"],
+        step["worst"] / step["median"],
+        counted["structs"]["ecu"],
+        sum(counted["rom"].values()),
+        max(part["stack"] for part in counted["parts"].values()),
+    ]
     # Compilers of other minor versions count a little differently.
-    assert [float(cell) for cell in row[:len(measured)]] == pytest.approx(measured, rel=0.03), \
+    assert [float(cell) for cell in row[: len(measured)]] == pytest.approx(measured, rel=0.03), (
         "run `lpvguard bench core --guide lib/INTEGRATION.md`"
+    )
 
 
 @pytest.mark.slow("an image for every processor, counted in its emulator")
 def test_the_memory_map_is_whole(counted):
     parts = counted["map"]
     assert {".vectors", ".core_code", ".core_coefficients", ".bss"} <= set(parts)
-    assert sum(parts[s]["bytes"] for s in targets.SECTIONS if s in parts) == sum(counted["rom"].values()) > 10_000
+    assert (
+        sum(parts[s]["bytes"] for s in targets.SECTIONS if s in parts)
+        == sum(counted["rom"].values())
+        > 10_000
+    )
     ends = [(s["address"], s["address"] + s["bytes"]) for s in parts.values()]
     assert all(end <= begin for (_, end), (begin, _) in pairwise(ends))
 
@@ -130,9 +147,22 @@ def test_two_vehicles_share_an_image(tmp_path):
     """tests/consumer/two_vehicles.c on the Cortex-M4F: cores of different sizes, one after the other."""
     target, root = targets.TARGETS["cortex-m4f"], Path(__file__).parents[1]
     require("qemu")
-    subprocess.run([sys.executable, root / "unit" / "generate.py", "vehicle", root / "unit" / "toy.toml", tmp_path / "toy"], check=True)
+    subprocess.run(
+        [
+            sys.executable,
+            root / "unit" / "generate.py",
+            "vehicle",
+            root / "unit" / "toy.toml",
+            tmp_path / "toy",
+        ],
+        check=True,
+    )
     core, ports = targets.library_root(), targets.firmware_root() / "ports"
-    jobs = [(ports / "bare_metal" / "bare_metal.c", None), (ports / "cortex_m" / "startup.c", None), (root / "consumer" / "two_vehicles.c", None)]
+    jobs = [
+        (ports / "bare_metal" / "bare_metal.c", None),
+        (ports / "cortex_m" / "startup.c", None),
+        (root / "consumer" / "two_vehicles.c", None),
+    ]
     for folder in (shipped_vehicle("g80"), tmp_path / "toy"):
         jobs += [(core / "src" / f"{part}.cpp", folder) for part in ("coeff", "model", "monitor")]
         jobs += [(core / "src" / "energy.cpp", folder)] if (core / "src" / "energy.cpp").is_file() else []
@@ -140,14 +170,67 @@ def test_two_vehicles_share_an_image(tmp_path):
     objects = []
     for source, folder in jobs:
         objects.append(tmp_path / f"{folder.name if folder else 'port'}_{source.stem}.o")
-        dialect = ["arm-none-eabi-g++", *targets.CXX, "-isystem", eigen_include()] if source.suffix == ".cpp" else ["arm-none-eabi-gcc", "-std=gnu99"]
-        subprocess.run([*dialect, *target.cpu, *targets.LANGUAGE, *targets.WARNINGS, "-DOTHER_TASK=lpvg_toy_task", "-I", core / "include",
-                        "-I", core / "src", "-I", ports, *(["-I", folder] if folder else []), "-c", source, "-o", objects[-1]], check=True)
+        dialect = (
+            ["arm-none-eabi-g++", *targets.CXX, "-isystem", eigen_include()]
+            if source.suffix == ".cpp"
+            else ["arm-none-eabi-gcc", "-std=gnu99"]
+        )
+        subprocess.run(
+            [
+                *dialect,
+                *target.cpu,
+                *targets.LANGUAGE,
+                *targets.WARNINGS,
+                "-DOTHER_TASK=lpvg_toy_task",
+                "-I",
+                core / "include",
+                "-I",
+                core / "src",
+                "-I",
+                ports,
+                *(["-I", folder] if folder else []),
+                "-c",
+                source,
+                "-o",
+                objects[-1],
+            ],
+            check=True,
+        )
     elf = tmp_path / "two_vehicles.elf"
-    subprocess.run(["arm-none-eabi-g++", *target.cpu, "--specs=nano.specs", "-nostartfiles", "-Wl,--gc-sections", "-Wl,--no-warn-rwx-segments",
-                    "-T", ports / "cortex_m" / target.linker_script, *objects, "-o", elf], check=True)
-    done = subprocess.run([*target.emulator, "-display", "none", "-serial", "none", "-semihosting-config", "enable=on,target=native", "-kernel", elf],
-                          stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False, timeout=targets.TIMEOUT_S)
+    subprocess.run(
+        [
+            "arm-none-eabi-g++",
+            *target.cpu,
+            "--specs=nano.specs",
+            "-nostartfiles",
+            "-Wl,--gc-sections",
+            "-Wl,--no-warn-rwx-segments",
+            "-T",
+            ports / "cortex_m" / target.linker_script,
+            *objects,
+            "-o",
+            elf,
+        ],
+        check=True,
+    )
+    done = subprocess.run(
+        [
+            *target.emulator,
+            "-display",
+            "none",
+            "-serial",
+            "none",
+            "-semihosting-config",
+            "enable=on,target=native",
+            "-kernel",
+            elf,
+        ],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=targets.TIMEOUT_S,
+    )
     assert (done.returncode, done.stderr) == (0, "")
 
 

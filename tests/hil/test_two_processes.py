@@ -1,5 +1,6 @@
-"""Firmware and plant as two processes on a real vcan0 (tools/with-vcan): nothing lost or late; floods of foreign frames, and babbling
-with an identifier of the loop's own. The long forms (10 minutes of simulated time; a flood of 60 s) run with tools/test --full."""
+"""Firmware and plant as two processes on a real vcan0 (tools/with-vcan): nothing lost or late; floods of
+foreign frames, and babbling with an identifier of the loop's own. The long forms (10 minutes of simulated
+time; a flood of 60 s) run with tools/test --full."""
 
 from __future__ import annotations
 
@@ -11,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from vcan import with_vcan
 
 from lpvguard.base import artefacts
 from lpvguard.can.decode import decode_all, own_database
 from lpvguard.can.logs import read_log
 from lpvguard.loop.sim import RECOVERY_S, load_scenario, steady_scenario
+from vcan import with_vcan
 
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
 WARM_S = 3.0
@@ -24,18 +25,42 @@ WARM_S = 3.0
 
 @pytest.fixture
 def loop(simulator, truck_folder, tmp_path):
-    """loop(seconds, flood seconds, commands): the same run in memory, and as two processes beside the commands."""
+    """loop(seconds, flood seconds, commands): the same run in memory, and as two processes beside the
+    commands."""
 
     def run(duration: float, for_s: float = 0.0, *commands: str, more: str = ""):
         path = tmp_path / "loop.toml"
         path.write_text(steady_scenario(duration, more))
         want = simulator.run(load_scenario(str(path)))
         assert simulator.ecu_program.is_file()  # compiled here, and not on the one processor of the guest
-        sim = ["-m", "lpvguard.cli", "sim", path, "--coefficients", truck_folder, "--bus", "socketcan:vcan0", "--ecu-process", "--json", "-",
-               "-o", tmp_path / "out"]
+        sim = [
+            "-m",
+            "lpvguard.cli",
+            "sim",
+            path,
+            "--coefficients",
+            truck_folder,
+            "--bus",
+            "socketcan:vcan0",
+            "--ecu-process",
+            "--json",
+            "-",
+            "-o",
+            tmp_path / "out",
+        ]
         if commands:
             words = [word for c in commands for word in ["--", *c.split()]][1:]
-            sim = [Path(__file__).with_name("on_vcan.py"), sys.executable, *sim, "--pace", 1, "--", WARM_S, for_s, *words]
+            sim = [
+                Path(__file__).with_name("on_vcan.py"),
+                sys.executable,
+                *sim,
+                "--pace",
+                1,
+                "--",
+                WARM_S,
+                for_s,
+                *words,
+            ]
         done = with_vcan(sys.executable, *sim, timeout=900)
         if commands:
             assert done.returncode == 0, done.stderr
@@ -67,10 +92,16 @@ def test_two_processes_lose_nothing_and_send_the_frames_of_one(loop):
 @pytest.mark.serial
 @pytest.mark.slow("in real time on vcan0")
 def test_a_flood_of_foreign_identifiers_changes_nothing(loop):
-    """The filter: lpvguard_ecu hands the kernel identifier and mask of each message that it supervises; no other frame is received."""
+    """The filter: lpvguard_ecu hands the kernel identifier and mask of each message that it supervises; no
+    other frame is received."""
     for_s = 60.0 if FULL else 5.0
-    want, got, beside = loop(WARM_S + for_s + 3.0, for_s, "cangen -g 0 -p 10 vcan0", "cangen -e -I 18F0043E -g 0 -p 10 vcan0",
-                             "cansend vcan0 123#DEADBEEF")
+    want, got, beside = loop(
+        WARM_S + for_s + 3.0,
+        for_s,
+        "cangen -g 0 -p 10 vcan0",
+        "cangen -e -I 18F0043E -g 0 -p 10 vcan0",
+        "cansend vcan0 123#DEADBEEF",
+    )
     print(f"{beside['sent']} frames on the bus in {beside['took_s']:.1f} s")
     assert beside["sent"] > 500 * for_s, "a flood"
     assert got["frames_hash"] == want["frames_hash"] and all_good(got)
@@ -81,7 +112,8 @@ def test_a_flood_of_foreign_identifiers_changes_nothing(loop):
 @pytest.mark.serial
 @pytest.mark.slow("in real time on vcan0")
 def test_babbling_with_an_identifier_of_ours(loop, truck_folder, tmp_path):
-    """Safe state within 5 periods of its first frame, no demand out of its limits, live again within 1 s of its last."""
+    """Safe state within 5 periods of its first frame, no demand out of its limits, live again within 1 s of
+    its last."""
     for_s = 60.0 if FULL else 4.0
     _, got, beside = loop(WARM_S + for_s + 4.0, for_s, "cangen -e -I 18F0093E -L 8 -g 0 -p 10 vcan0")
     vdc2 = got["reception"]["messages"]["VDC2"]
@@ -97,11 +129,19 @@ def test_babbling_with_an_identifier_of_ours(loop, truck_folder, tmp_path):
     foreign = [bytes.fromhex(data) not in good for identifier, data in heard if identifier == "18F0093E"]
     last = max(i for i, is_foreign in enumerate(foreign) if is_foreign)
     after_s = (len(foreign) - 1 - last) * 0.01
-    tail_ended_s = next(i for i, data in enumerate(own.data[own.id == 0x98F0093E][::-1])
-                        if data.tobytes().hex().upper() == [d for i, d in heard if i == "18F0093E"][-1]) * 0.01
+    tail_ended_s = (
+        next(
+            i
+            for i, data in enumerate(own.data[own.id == 0x98F0093E][::-1])
+            if data.tobytes().hex().upper() == [d for i, d in heard if i == "18F0093E"][-1]
+        )
+        * 0.01
+    )
     end_s = got["duration_s"] - tail_ended_s - after_s
     live_s, state = changes[-1]
-    print(f"off {(changes[0][0] - begin_s) * 1e3:.0f} ms after its first frame, live {(live_s - end_s) * 1e3:.0f} ms after its last")
+    print(
+        f"off {(changes[0][0] - begin_s) * 1e3:.0f} ms after its first frame, live {(live_s - end_s) * 1e3:.0f} ms after its last"
+    )
     assert state == "live" and live_s <= end_s + RECOVERY_S
     assert not any(s == "live" for t, s in changes if begin_s < t < end_s)
     limits = artefacts.read_manifest(truck_folder, "vehicle")["controller"]
@@ -122,7 +162,9 @@ def test_after_bus_off_the_driver_restarts_and_the_loop_is_live_within_1_s(loop)
     # Reports stop with the bus; the vehicle releases the brakes when it has missed five.
     assert (off, live) == ("off", "live") and 4.05 <= off_s <= 4.05 + 5 * 0.01 and live_s <= 4.15 + RECOVERY_S
     assert got["reception"]["messages"]["other"]["first_s"]["bus_off"] == 4.05
-    assert got["reception"]["send_failures"] == 10, "100 ms until the restart: the report of each tick, refused by the driver"
+    assert got["reception"]["send_failures"] == 10, (
+        "100 ms until the restart: the report of each tick, refused by the driver"
+    )
 
 
 REAL_TIME = """
@@ -140,12 +182,15 @@ print(heard.communicate()[0].count(b"\\n"))
 @pytest.mark.serial
 @pytest.mark.slow("in real time on vcan0")
 def test_the_firmware_alone_hears_and_answers_a_played_drive(simulator, tmp_path):
-    """Recorded frames onto the bus at their pace, the ECU's program on it: no simulator and no common clock."""
+    """Recorded frames onto the bus at their pace, the ECU's program on it: no simulator and no common
+    clock."""
     path = tmp_path / "loop.toml"
     path.write_text(steady_scenario(6.0))
     simulator.run(load_scenario(str(path)), out=tmp_path)
     lines = (tmp_path / "loop-1.log").read_text().splitlines(keepends=True)
-    (tmp_path / "truck.log").write_text("".join(line for line in lines if "FC#" not in line))  # all but the ECU's own
+    (tmp_path / "truck.log").write_text(
+        "".join(line for line in lines if "FC#" not in line)
+    )  # all but the ECU's own
     (tmp_path / "real_time.py").write_text(REAL_TIME)
     done = with_vcan(sys.executable, tmp_path / "real_time.py", simulator.ecu_program, tmp_path / "truck.log")
     assert done.returncode == 0, done.stderr
@@ -158,7 +203,14 @@ def test_the_firmware_alone_hears_and_answers_a_played_drive(simulator, tmp_path
 
 
 def test_the_firmware_alone_says_what_is_wrong(simulator):
-    for arguments, says in ((["vcan9"], "vcan9"), ([], "usage"), (["vcan0", "--engage", "maybe"], "usage"), (["vcan0", "--seconds", "x"], "usage"),
-                            (["a_name_longer_than_any"], "Invalid argument")):
-        done = subprocess.run([simulator.ecu_program, *arguments], capture_output=True, text=True, check=False)
+    for arguments, says in (
+        (["vcan9"], "vcan9"),
+        ([], "usage"),
+        (["vcan0", "--engage", "maybe"], "usage"),
+        (["vcan0", "--seconds", "x"], "usage"),
+        (["a_name_longer_than_any"], "Invalid argument"),
+    ):
+        done = subprocess.run(
+            [simulator.ecu_program, *arguments], capture_output=True, text=True, check=False
+        )
         assert done.returncode == 2 and says in done.stderr

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.validation import lft, s1
 from lpvguard.engine.validation.delta import split

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+
 from other_car import MAP, OTHER_CAR
 
 

@@ -1,11 +1,14 @@
-"""Every writing command, killed, or with a full disk, at chosen steps or instants: what it leaves must be the old result or the new one.
+"""Every writing command, killed, or with a full disk, at chosen steps or instants: what it leaves must be the
+old result or the new one.
 
-    interrupted.py steps              SIGKILL, SIGTERM and a full disk before each step that touches the disk, with and without the
-                                      system call that exchanges two names
-    interrupted.py kills SEED COUNT   COUNT kills at random instants of the time in which the commands write, SIGTERM and SIGKILL in turn
+    interrupted.py steps              SIGKILL, SIGTERM and a full disk before each step that touches the disk,
+                                      with and without the system call that exchanges two names interrupted.py
+                                      kills SEED COUNT   COUNT kills at random instants of the time in which
+                                      the commands write, SIGTERM and SIGKILL in turn
 
-The commands run in forked copies of one process that has all imports. What they compute is replaced here by small results of one of two
-variants; what they write goes the way it always goes. Prints JSON: runs, those that were torn and why, and where the kills fell.
+The commands run in forked copies of one process that has all imports. What they compute is replaced here by
+small results of one of two variants; what they write goes the way it always goes. Prints JSON: runs, those
+that were torn and why, and where the kills fell.
 """
 
 from __future__ import annotations
@@ -25,53 +28,98 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import lpvguard.bench
-import lpvguard.loop.campaign
 import lpvguard.can.dbc
-import lpvguard.core.compiled
 import lpvguard.control.design_files
-import lpvguard.evaluate.run
-import lpvguard.core.coefficients
-import lpvguard.drives.fixture
 import lpvguard.control.frozen
-import lpvguard.loop.generate
-import lpvguard.identify.run
+import lpvguard.control.stored_frames
+import lpvguard.control.tradeoff
+import lpvguard.core.coefficients
+import lpvguard.core.compiled
+import lpvguard.drives.fixture
 import lpvguard.drives.ingest
+import lpvguard.engine.synthesis.cases
+import lpvguard.evaluate.run
+import lpvguard.identify.run
+import lpvguard.loop.campaign
+import lpvguard.loop.generate
 import lpvguard.loop.lcm_client
-import lpvguard.report.page
 import lpvguard.loop.sim
 import lpvguard.problems.solve
-import lpvguard.control.stored_frames
-import lpvguard.engine.synthesis.cases
-import lpvguard.control.tradeoff
+import lpvguard.report.page
 from lpvguard import cli
 from lpvguard.base import artefacts
 
 MAP = 'schema = 1\nTs_s = 0.1\n[columns.v]\nunit = "m/s"\nsignal = "v"\n'
-ROW = {"scenario": "a", "seed": 1, "verdict_final": "valid", "first_invalid_s": None, "command_rms": 0, "max_margin": 0.5,
-       "real_time_factor": 1.0, "missed": []}
-REPLAYED = {"run": "a", "duration_s": 1.0, "judged_s": 1.0, "verdict_final": "valid", "first_invalid_s": None, "max_margin": None,
-            "max_energy_ratio": None, "alarms": []}
-EVALUATED = {"false_alarms": {"all": {"drives": 1, "alarmed": 0, "pieces": 9, "interval": None}}, "left_out": {}, "without_faults": {},
-             "drives": [], "faults": [], "tests": {}, "baselines": [], "claims": {"identified": {}, "left_one_out": {}}}
+ROW = {
+    "scenario": "a",
+    "seed": 1,
+    "verdict_final": "valid",
+    "first_invalid_s": None,
+    "command_rms": 0,
+    "max_margin": 0.5,
+    "real_time_factor": 1.0,
+    "missed": [],
+}
+REPLAYED = {
+    "run": "a",
+    "duration_s": 1.0,
+    "judged_s": 1.0,
+    "verdict_final": "valid",
+    "first_invalid_s": None,
+    "max_margin": None,
+    "max_energy_ratio": None,
+    "alarms": [],
+}
+EVALUATED = {
+    "false_alarms": {"all": {"drives": 1, "alarmed": 0, "pieces": 9, "interval": None}},
+    "left_out": {},
+    "without_faults": {},
+    "drives": [],
+    "faults": [],
+    "tests": {},
+    "baselines": [],
+    "claims": {"identified": {}, "left_one_out": {}},
+}
 
 
 def commands(variant: str) -> dict[str, tuple[list[str], str]]:
     """Words and target of every writing command, of variant a or b of its inputs."""
     return {
-        "generate": (["generate", "--vehicle", "g80", "-o", "out/drives", "--seed", {"a": "1", "b": "2"}[variant]], "out/drives"),
-        "ingest": (["ingest", f"{variant}/log.csv", "--signals", "map.toml", "-o", "out/tables"], "out/tables"),
-        "ingest --json": (["ingest", f"{variant}/log.csv", "--signals", "map.toml", "-o", "tables", "--json", "out/i.json"], "out/i.json"),
+        "generate": (
+            ["generate", "--vehicle", "g80", "-o", "out/drives", "--seed", {"a": "1", "b": "2"}[variant]],
+            "out/drives",
+        ),
+        "ingest": (
+            ["ingest", f"{variant}/log.csv", "--signals", "map.toml", "-o", "out/tables"],
+            "out/tables",
+        ),
+        "ingest --json": (
+            ["ingest", f"{variant}/log.csv", "--signals", "map.toml", "-o", "tables", "--json", "out/i.json"],
+            "out/i.json",
+        ),
         "dbc": (["dbc", "-o", "out/our.dbc"], "out/our.dbc"),
         "identify": (["identify", "--vehicle", "g80", "drives", "-o", "out/identify"], "out/identify"),
         "design": (["design", "--vehicle", "g80", "idn", "--no-table", "-o", "out/design"], "out/design"),
         "design --case": (["design", "--case", "case.toml", "-o", "out/case"], "out/case"),
-        "design --tradeoff": (["design", "--vehicle", "g80", "idn", "--tradeoff", "-o", "out/tradeoff"], "out/tradeoff"),
+        "design --tradeoff": (
+            ["design", "--vehicle", "g80", "idn", "--tradeoff", "-o", "out/tradeoff"],
+            "out/tradeoff",
+        ),
         "export": (["export", "--vehicle", "g80", "idn", "-o", "out/g80"], "out/g80"),
-        "replay": (["replay", "--vehicle", "g80", "a/log.csv", "--json", "out/replay.json"], "out/replay.json"),
+        "replay": (
+            ["replay", "--vehicle", "g80", "a/log.csv", "--json", "out/replay.json"],
+            "out/replay.json",
+        ),
         "sim": (["sim", "nominal", "-o", "out/sim"], "out/sim"),
-        "evaluate": (["evaluate", "--vehicle", "g80", "idn", "drives", "--json", "out/evaluation.json"], "out/evaluation.json"),
+        "evaluate": (
+            ["evaluate", "--vehicle", "g80", "idn", "drives", "--json", "out/evaluation.json"],
+            "out/evaluation.json",
+        ),
         "campaign": (["campaign", "idn", "drives", "-o", "out/campaign", "--seed", "1"], "out/campaign"),
-        "report": (["report", "idn", "drives", "--vehicle", "g80", "-o", "out/report.html"], "out/report.html"),
+        "report": (
+            ["report", "idn", "drives", "--vehicle", "g80", "-o", "out/report.html"],
+            "out/report.html",
+        ),
         "solve": (["solve", f"{variant}/problems.json", "-o", "out/answers.json"], "out/answers.json"),
         "bench": (["bench", "weights", "--json", "out/bench.json"], "out/bench.json"),
         "lcm bus": (["lcm", "bus", f"{variant}/log.csv", "-o", "out/bus.log"], "out/bus.log"),
@@ -86,7 +134,9 @@ RESUMED, NEVER_REPLACED = ("campaign",), ("lcm bus", "plant")
 def folder_of(kind: str, files: dict[str, str]):
     def write(target: Path) -> None:
         with artefacts.new_folder(target, kind, "g80") as folder:
-            artefacts.write_files(folder, files | {artefacts.MANIFEST: artefacts.manifest(kind, vehicle="g80")})
+            artefacts.write_files(
+                folder, files | {artefacts.MANIFEST: artefacts.manifest(kind, vehicle="g80")}
+            )
 
     return write
 
@@ -94,40 +144,81 @@ def folder_of(kind: str, files: dict[str, str]):
 def replace_computing(variant: str) -> None:
     """Small results instead of long computations, in this (forked) process only."""
     text = f"variant {variant}\n" * 400
-    stored = SimpleNamespace(manifest={"variant": variant}, project=SimpleNamespace(
-        name="g80", frames=SimpleNamespace(estimator="hann"), design=SimpleNamespace(structure="K_i")))
+    stored = SimpleNamespace(
+        manifest={"variant": variant},
+        project=SimpleNamespace(
+            name="g80", frames=SimpleNamespace(estimator="hann"), design=SimpleNamespace(structure="K_i")
+        ),
+    )
     cli._stored, cli._stored_with_drives = (lambda *_: stored), (lambda *_: (stored, None))
     cli._require_settings = lambda *_: None
     lpvguard.drives.fixture.PLAN[:] = [("train", "human", 5.0, 1.0), ("valid", "human", 9.0, 1.0)]
     plain = lpvguard.can.dbc.dbc_text
     lpvguard.can.dbc.dbc_text = lambda: plain() + f'CM_ "{variant}";\n'
-    lpvguard.identify.run.identify = lambda *_, **__: (SimpleNamespace(
-        bound_drives=[], calibration_drives=[], left_out={}, energy=None, weights=SimpleNamespace(inflation=1.0), calibration=SimpleNamespace(
-            to_dict=dict, threshold=1.0, claim=lambda: "")), None)
-    lpvguard.identify.run.save = lambda result, drives, out: folder_of("identify", {"weights.json": text, "spectra.npz": text * 20})(out)
+    lpvguard.identify.run.identify = lambda *_, **__: (
+        SimpleNamespace(
+            bound_drives=[],
+            calibration_drives=[],
+            left_out={},
+            energy=None,
+            weights=SimpleNamespace(inflation=1.0),
+            calibration=SimpleNamespace(to_dict=dict, threshold=1.0, claim=lambda: ""),
+        ),
+        None,
+    )
+    lpvguard.identify.run.save = lambda result, drives, out: folder_of(
+        "identify", {"weights.json": text, "spectra.npz": text * 20}
+    )(out)
     proved = SimpleNamespace(upper=0.5, lower=0.4, bracket=SimpleNamespace(peak_frequency=1.0))
-    lpvguard.control.design.design = lambda *_: SimpleNamespace(certificates=[(10.0, proved)], worst=0.5, off_grid=(11.0, proved), lpv=None, full_order=9,
-                                                        schedule=SimpleNamespace(order=4, speeds=[1, 2]))
-    lpvguard.control.design.save = lambda result, stored, out, more, largest: folder_of("design", {"controller.json": text})(out)
+    lpvguard.control.design.design = lambda *_: SimpleNamespace(
+        certificates=[(10.0, proved)],
+        worst=0.5,
+        off_grid=(11.0, proved),
+        lpv=None,
+        full_order=9,
+        schedule=SimpleNamespace(order=4, speeds=[1, 2]),
+    )
+    lpvguard.control.design.save = lambda result, stored, out, more, largest: folder_of(
+        "design", {"controller.json": text}
+    )(out)
     lpvguard.engine.synthesis.cases.read_case = lpvguard.engine.synthesis.cases.paper_case = lambda *_, **__: []
-    lpvguard.control.design_files.case_files = lambda *_: {"table2.json": artefacts.to_json({"rows": [], "text": text})}
+    lpvguard.control.design_files.case_files = lambda *_: {
+        "table2.json": artefacts.to_json({"rows": [], "text": text})
+    }
     lpvguard.control.frozen.FrozenProblem = lpvguard.control.stored_frames.StoredFrames = lambda *_: None
-    lpvguard.control.tradeoff.search = lambda *_: SimpleNamespace(outcomes=[], sentence="", setting=dict, best=SimpleNamespace(level=0.5), files=lambda: {
-        "tradeoff.json": artefacts.to_json({"text": text})})
-    lpvguard.core.coefficients.export_vehicle = lambda stored, out, controller: folder_of("vehicle", {"lpvguard_coeff.c": text, "SIGNALS.md": text})(out)
-    cli._replayer = lambda *_: SimpleNamespace(summarise_file=summarise, threshold=1.0, energy_threshold=1.0,
-                                               core=SimpleNamespace(folder="core"), model=None)
+    lpvguard.control.tradeoff.search = lambda *_: SimpleNamespace(
+        outcomes=[],
+        sentence="",
+        setting=dict,
+        best=SimpleNamespace(level=0.5),
+        files=lambda: {"tradeoff.json": artefacts.to_json({"text": text})},
+    )
+    lpvguard.core.coefficients.export_vehicle = lambda stored, out, controller: folder_of(
+        "vehicle", {"lpvguard_coeff.c": text, "SIGNALS.md": text}
+    )(out)
+    cli._replayer = lambda *_: SimpleNamespace(
+        summarise_file=summarise,
+        threshold=1.0,
+        energy_threshold=1.0,
+        core=SimpleNamespace(folder="core"),
+        model=None,
+    )
     summarise.text = text
     lpvguard.loop.sim.load_scenario = lambda name: SimpleNamespace(name=name, seed=1)
-    lpvguard.loop.sim.Simulator = lambda *_, **__: SimpleNamespace(run=run_sim, folder="core", project=stored.project)
+    lpvguard.loop.sim.Simulator = lambda *_, **__: SimpleNamespace(
+        run=run_sim, folder="core", project=stored.project
+    )
     run_sim.text = text
     lpvguard.evaluate.run.evaluate = lambda *_, **__: {**EVALUATED, "text": text}
     cli._detector_table = lambda *_: ""
     cli._print_campaign = lambda _: None
     lpvguard.loop.campaign.campaign = run_campaign
     lpvguard.report.page.write_report = lambda stored, drives, replayer, out, *_: artefacts.write_file(
-        out, f'<html><meta name="generator" content="{artefacts.mark("report")}">{text}', "report")
-    lpvguard.bench.run = lambda name, words: lpvguard.bench.show("", [{"text": text}], lpvguard.bench.parser(name, None).parse_args(words).json_out)
+        out, f'<html><meta name="generator" content="{artefacts.mark("report")}">{text}', "report"
+    )
+    lpvguard.bench.run = lambda name, words: lpvguard.bench.show(
+        "", [{"text": text}], lpvguard.bench.parser(name, None).parse_args(words).json_out
+    )
     lpvguard.loop.lcm_client.read_log = lambda log: [("LPVGUARD_BUS", text)] * 9
     lpvguard.loop.lcm_client.log_line = lambda message: message
     lpvguard.loop.generate.plant_tool = lambda: Path("plant_tool").absolute()
@@ -174,24 +265,45 @@ def tree(root: Path) -> dict[str, str]:
     """Every file below ``root``, and ``root`` itself when it is one, with its hash."""
     if root.is_file():
         return {"": hashlib.sha256(root.read_bytes()).hexdigest()}
-    return {p.relative_to(root).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in sorted(root.rglob("*")) if p.is_file()}
+    return {
+        p.relative_to(root).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest()
+        for p in sorted(root.rglob("*"))
+        if p.is_file()
+    }
 
 
 class Steps:
-    """Audit hook of a child: counts the steps that touch ``root``, tells of each, and does ``act`` before step ``at``."""
+    """Audit hook of a child: counts the steps that touch ``root``, tells of each, and does ``act`` before
+    step ``at``."""
 
-    EVENTS = {"open", "os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.unlink", "shutil.rmtree", "os.truncate", "fcntl.flock"}
+    EVENTS = {
+        "open",
+        "os.mkdir",
+        "os.rename",
+        "os.remove",
+        "os.rmdir",
+        "os.unlink",
+        "shutil.rmtree",
+        "os.truncate",
+        "fcntl.flock",
+    }
 
     def __init__(self, root: Path, at: int | None, act, tell: int | None):
         self.root, self.at, self.act, self.tell, self.count, self.busy = str(root), at, act, tell, 0, False
 
     def __call__(self, event: str, arguments: tuple) -> None:
-        if event in self.EVENTS and not self.busy and (event == "fcntl.flock" or self._writes(event, arguments)):
+        if (
+            event in self.EVENTS
+            and not self.busy
+            and (event == "fcntl.flock" or self._writes(event, arguments))
+        ):
             self.step()
 
     def _writes(self, event: str, arguments: tuple) -> bool:
         path = os.fsdecode(arguments[0]) if isinstance(arguments[0], (str, bytes, os.PathLike)) else ""
-        reads = event == "open" and not (isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT))
+        reads = event == "open" and not (
+            isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT)
+        )
         return os.path.abspath(path).startswith(self.root) and not reads
 
     def step(self) -> None:
@@ -208,7 +320,9 @@ def full_disk() -> None:
     raise OSError(28, "No space left on device")
 
 
-def start(root: Path, name: str, variant: str, *, at: int | None = None, act=None, exchange: bool = True) -> tuple[int, int]:
+def start(
+    root: Path, name: str, variant: str, *, at: int | None = None, act=None, exchange: bool = True
+) -> tuple[int, int]:
     """A child that runs the command in ``root``; returns its process and the pipe that says of every step."""
     words, _ = commands(variant)[name]
     out, into = os.pipe()
@@ -270,7 +384,10 @@ class Trial:
 
     def __init__(self, base: Path, name: str):
         self.name, self.target = name, commands("a")[name][1]
-        self.clean, self.root = base / f"{name.replace(' ', '_')}-clean", base / f"{name.replace(' ', '_')}-work"
+        self.clean, self.root = (
+            base / f"{name.replace(' ', '_')}-clean",
+            base / f"{name.replace(' ', '_')}-work",
+        )
         self.clean.mkdir()
         inputs(self.clean)
         replaced = name not in (*RESUMED, *NEVER_REPLACED)
@@ -286,7 +403,9 @@ class Trial:
     def _must_run(self, root: Path, variant: str) -> int:
         status, count = finish(*start(root, self.name, variant))
         if status:
-            raise RuntimeError(f"{self.name}: exit {status}: " + (root.parent / f"{root.name}.messages").read_text()[-2000:])
+            raise RuntimeError(
+                f"{self.name}: exit {status}: " + (root.parent / f"{root.name}.messages").read_text()[-2000:]
+            )
         return count
 
     def reset(self) -> None:
@@ -294,7 +413,8 @@ class Trial:
         shutil.copytree(self.clean, self.root)
 
     def torn(self, status: int, how: str, exchange: bool = True) -> str | None:
-        """Why what is left is torn, or None; then the command runs again, and must end as if nothing had been."""
+        """Why what is left is torn, or None; then the command runs again, and must end as if nothing had
+        been."""
         if not exchange:
             artefacts.recover(self.root / self.target)
         found = tree(self.root / self.target)
@@ -304,8 +424,13 @@ class Trial:
         left = {n for n in tree(self.root) if ".lpvguard/" in n}
         if left and how.split()[0] != "SIGKILL":
             return f"{self.name}, {how}: left {sorted(left)}"
-        if how.startswith("full") and status not in (0, 1, 2) or how.startswith("SIGTERM") and status not in (0, 1, 143):
-            return f"{self.name}, {how}: exit {status}: " + (self.root.parent / f"{self.root.name}.messages").read_text()[-600:]
+        if (how.startswith("full") and status not in (0, 1, 2)) or (
+            how.startswith("SIGTERM") and status not in (0, 1, 143)
+        ):
+            return (
+                f"{self.name}, {how}: exit {status}: "
+                + (self.root.parent / f"{self.root.name}.messages").read_text()[-600:]
+            )
         if self.name in NEVER_REPLACED and found == self.new and not left:
             return None
         again, _ = finish(*start(self.root, self.name, "b"))
@@ -321,7 +446,11 @@ class Trial:
 
 def at_every_step(base: Path, names: list[str]) -> dict:
     runs, torn = 0, []
-    acts = {"SIGKILL": lambda: os.kill(os.getpid(), signal.SIGKILL), "SIGTERM": lambda: os.kill(os.getpid(), signal.SIGTERM), "full disk": full_disk}
+    acts = {
+        "SIGKILL": lambda: os.kill(os.getpid(), signal.SIGKILL),
+        "SIGTERM": lambda: os.kill(os.getpid(), signal.SIGTERM),
+        "full disk": full_disk,
+    }
     for name in names:
         trial = Trial(base, name)
         for exchange in (True, False):
@@ -330,7 +459,12 @@ def at_every_step(base: Path, names: list[str]) -> dict:
                     trial.reset()
                     status, _ = finish(*start(trial.root, name, "b", at=at, act=act, exchange=exchange))
                     runs += 1
-                    why = trial.torn(status, f"{how} before step {at} of {trial.steps}" + ("" if exchange else " without exchange"), exchange)
+                    why = trial.torn(
+                        status,
+                        f"{how} before step {at} of {trial.steps}"
+                        + ("" if exchange else " without exchange"),
+                        exchange,
+                    )
                     torn += [why] if why else []
             if trial.root.joinpath(trial.target).is_file():
                 break  # a file is renamed, never exchanged
@@ -363,5 +497,9 @@ if __name__ == "__main__":
     what, *rest = sys.argv[1:]
     with tempfile.TemporaryDirectory() as scratch:
         base = Path(scratch).resolve()
-        result = at_every_step(base, rest or list(commands("a"))) if what == "steps" else at_random_instants(base, *map(int, rest))
+        result = (
+            at_every_step(base, rest or list(commands("a")))
+            if what == "steps"
+            else at_random_instants(base, *map(int, rest))
+        )
     print(json.dumps(result, indent=1))

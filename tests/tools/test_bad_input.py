@@ -12,7 +12,12 @@ from lpvguard.base import artefacts
 
 def table(folder, name="run.csv", **change):
     t = np.arange(0, 30, 0.02)
-    columns = {"t": t, "v": np.full_like(t, 10.0), "delta": 0.05 * np.sin(2 * t), "r": 0.17 * np.sin(2 * t - 0.3)} | change
+    columns = {
+        "t": t,
+        "v": np.full_like(t, 10.0),
+        "delta": 0.05 * np.sin(2 * t),
+        "r": 0.17 * np.sin(2 * t - 0.3),
+    } | change
     columns = {k: v for k, v in columns.items() if v is not None}
     path = folder / name
     rows = np.column_stack(list(columns.values()))
@@ -59,11 +64,18 @@ BAD_TABLES = {
     "blank": (with_value(50, "delta", ""), ["line 51", "column delta", "finite"]),
     "infinite": (with_value(50, "v", "inf"), ["line 51", "column v", "finite"]),
     "text": (with_value(50, "v", "fast"), ["line 51", "column v", "fast"]),
-    "degrees out of range": (lambda f: table(f, delta=np.degrees(0.05 * np.sin(2 * t))), ["column delta", "degrees", "rad"]),
-    "small angles in degrees": (lambda f: table(f, delta=np.degrees(0.01 * np.sin(2 * t)), r=0.034 * np.sin(2 * t - 0.3)),
-                                ["57.3", "degrees"]),
-    "yaw rate in degrees": (lambda f: table(f, delta=0.008 * np.sin(2 * t), r=np.degrees(0.027 * np.sin(2 * t - 0.3))),
-                            ["57.3", "degrees"]),
+    "degrees out of range": (
+        lambda f: table(f, delta=np.degrees(0.05 * np.sin(2 * t))),
+        ["column delta", "degrees", "rad"],
+    ),
+    "small angles in degrees": (
+        lambda f: table(f, delta=np.degrees(0.01 * np.sin(2 * t)), r=0.034 * np.sin(2 * t - 0.3)),
+        ["57.3", "degrees"],
+    ),
+    "yaw rate in degrees": (
+        lambda f: table(f, delta=0.008 * np.sin(2 * t), r=np.degrees(0.027 * np.sin(2 * t - 0.3))),
+        ["57.3", "degrees"],
+    ),
     "km/h": (lambda f: table(f, v=np.full_like(t, 100.0)), ["column v", "m/s"]),
     "empty file": (empty, ["empty"]),
     "header only": (header_only, ["samples"]),
@@ -92,13 +104,16 @@ def test_a_readable_drive_is_still_answered_beside_an_unreadable_one(lpvguard, t
     assert done.returncode == 2 and [d["run"] for d in json.loads(done.stdout)] == ["good"]
 
 
-@pytest.mark.parametrize(("arguments", "says"), [
-    (["replay", "--vehicle", "g81", "x.csv"], "unknown vehicle"),
-    (["replay", "--vehicle", "nothing.toml", "x.csv"], "nothing.toml"),
-    (["replay", "--vehicle", "g80", "x.csv", "--coefficients", "nowhere"], "nowhere"),
-    (["identify", "--vehicle", "g80", "nowhere", "-o", "out"], "no such folder"),
-    (["export", "--vehicle", "g80", "nowhere", "-o", "out"], "MANIFEST.json"),
-])
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["replay", "--vehicle", "g81", "x.csv"], "unknown vehicle"),
+        (["replay", "--vehicle", "nothing.toml", "x.csv"], "nothing.toml"),
+        (["replay", "--vehicle", "g80", "x.csv", "--coefficients", "nowhere"], "nowhere"),
+        (["identify", "--vehicle", "g80", "nowhere", "-o", "out"], "no such folder"),
+        (["export", "--vehicle", "g80", "nowhere", "-o", "out"], "MANIFEST.json"),
+    ],
+)
 def test_bad_arguments_end_with_status_2_and_leave_nothing_behind(arguments, says, lpvguard, tmp_path):
     done = lpvguard(*arguments, cwd=tmp_path)
     assert done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr
@@ -122,7 +137,9 @@ def test_identify_refuses_drives_without_any_counted_frame(lpvguard, tmp_path):
     table(drives, "slow.csv", v=np.full_like(t, 2.0))
     (drives / "experiments.csv").write_text("experiment,split\nslow,train\n")
     done = lpvguard("identify", "--vehicle", "g80", drives, "-o", tmp_path / "id")
-    assert done.returncode == 2 and "no judged stretch at all" in done.stderr and not (tmp_path / "id").exists()
+    assert (
+        done.returncode == 2 and "no judged stretch at all" in done.stderr and not (tmp_path / "id").exists()
+    )
 
 
 def test_a_foreign_folder_is_never_overwritten(lpvguard, synthetic, tmp_path):
@@ -134,13 +151,18 @@ def test_a_foreign_folder_is_never_overwritten(lpvguard, synthetic, tmp_path):
     assert (precious / "thesis.txt").read_text() == "years"
 
 
-@pytest.mark.parametrize(("file", "old", "new", "says"), [
-    ("lpvguard_vehicle.h", "#define LPVG_ESTIMATOR_ID ", "#define LPVG_ESTIMATOR_ID 1", "bad_estimator"),
-    ("lpvguard_vehicle.h", "#define LPVG_NCELLS 32", "#define LPVG_NCELLS 33", "bad_size"),
-    ("lpvguard_coeff.c", ".threshold = LPVG_NUMBER(", ".threshold = LPVG_NUMBER(1", "bad_crc"),
-    ("lpvguard_coeff.c", ".settle_samples = 18U", ".settle_samples = 19U", "bad_crc"),
-])
-def test_coefficients_of_another_estimator_or_size_are_refused(file, old, new, says, lpvguard, vehicle, tmp_path):
+@pytest.mark.parametrize(
+    ("file", "old", "new", "says"),
+    [
+        ("lpvguard_vehicle.h", "#define LPVG_ESTIMATOR_ID ", "#define LPVG_ESTIMATOR_ID 1", "bad_estimator"),
+        ("lpvguard_vehicle.h", "#define LPVG_NCELLS 32", "#define LPVG_NCELLS 33", "bad_size"),
+        ("lpvguard_coeff.c", ".threshold = LPVG_NUMBER(", ".threshold = LPVG_NUMBER(1", "bad_crc"),
+        ("lpvguard_coeff.c", ".settle_samples = 18U", ".settle_samples = 19U", "bad_crc"),
+    ],
+)
+def test_coefficients_of_another_estimator_or_size_are_refused(
+    file, old, new, says, lpvguard, vehicle, tmp_path
+):
     copy = tmp_path / "g80"
     shutil.copytree(vehicle, copy)
     text = (copy / file).read_text()
@@ -162,9 +184,16 @@ def test_a_vehicle_of_another_estimator_does_not_run_with_these_coefficients(lpv
     assert done.returncode == 2 and "frames.speed_tolerance: 0.15 in" in done.stderr
 
 
-@pytest.mark.parametrize("words", [("--case", "case.toml", "--largest-A-t"), ("--case", "case.toml", "--no-table"), ("--case", "case.toml", "--tradeoff"),
-                                   ("--vehicle", "truck", "identify", "--tradeoff", "--largest-A-t"),
-                                   ("--vehicle", "truck", "identify", "--tradeoff", "--no-table")])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--case", "case.toml", "--largest-A-t"),
+        ("--case", "case.toml", "--no-table"),
+        ("--case", "case.toml", "--tradeoff"),
+        ("--vehicle", "truck", "identify", "--tradeoff", "--largest-A-t"),
+        ("--vehicle", "truck", "identify", "--tradeoff", "--no-table"),
+    ],
+)
 def test_design_refuses_options_that_it_would_ignore(words, lpvguard, tmp_path):
     done = lpvguard("design", *words, "-o", tmp_path / "out")
     assert done.returncode == 2 and "expected" in done.stderr and words[-1] in done.stderr

@@ -1,4 +1,5 @@
-"""The baselines say what their definitions say, are tuned on nothing they are judged by, and rank honestly."""
+"""The baselines say what their definitions say, are tuned on nothing they are judged by, and rank
+honestly."""
 
 from __future__ import annotations
 
@@ -44,8 +45,10 @@ def test_rms_is_that_of_the_whole_window_and_says_nothing_before(truck, error):
     n, usable = 50, truck.estimator.settled(v)
     s = statistic(truck, Baseline("rms", window_s=0.5), e, v)
     for k in range(n, 6000, 37):
-        if usable[k + 1 - n:k + 1].all():
-            assert s[k] == pytest.approx(np.sqrt(np.mean(np.sum((e[k + 1 - n:k + 1] / [0.02, 0.01]) ** 2, axis=1))), rel=1e-9)
+        if usable[k + 1 - n : k + 1].all():
+            assert s[k] == pytest.approx(
+                np.sqrt(np.mean(np.sum((e[k + 1 - n : k + 1] / [0.02, 0.01]) ** 2, axis=1))), rel=1e-9
+            )
         else:
             assert s[k] == -np.inf
     assert np.isfinite(s).any() and not np.isnan(s).any()
@@ -68,7 +71,8 @@ def test_cusum_is_pages_recursion_from_zero_at_each_start(truck, error):
 
 @pytest.mark.parametrize("q", [0.003, 0.3])
 def test_the_innovations_of_the_process_that_the_filter_assumes_are_chi_square(truck, q):
-    """Simulated with the covariances of the module's docstring, nu' S^-1 nu has the mean n_y and nu is white."""
+    """Simulated with the covariances of the module's docstring, nu' S^-1 nu has the mean n_y and nu is
+    white."""
     from scipy.linalg import solve_discrete_lyapunov
 
     random, N = np.random.default_rng(8), 40_000
@@ -87,7 +91,10 @@ def test_the_innovations_of_the_process_that_the_filter_assumes_are_chi_square(t
 def test_with_little_process_noise_nis_becomes_the_mean_square(truck, error):
     """The filter then ignores e, and S is the covariance of the scales."""
     e, v = error
-    nis, rms = (statistic(truck, b, e, v) for b in (Baseline("nis", window_s=1.0, process_ratio=1e-7), Baseline("rms", window_s=1.0)))
+    nis, rms = (
+        statistic(truck, b, e, v)
+        for b in (Baseline("nis", window_s=1.0, process_ratio=1e-7), Baseline("rms", window_s=1.0))
+    )
     said = np.isfinite(rms)
     np.testing.assert_allclose(nis[said], rms[said] ** 2, rtol=1e-3)
 
@@ -109,11 +116,15 @@ def test_the_drive_under_test_takes_part_in_nothing(study, kind):
         largest, cases = dict(found.largest), dict(found.cases)
         try:
             found.largest[name] = {b: np.full(3, 1e9) for b in GRID}
-            found.cases[name] = {key: {label: [stage.Case(name, 60.0, 0.02, None)] * 9 for label in table}
-                                 for key, table in next(c for c in cases.values() if c).items()}
+            found.cases[name] = {
+                key: {label: [stage.Case(name, 60.0, 0.02, None)] * 9 for label in table}
+                for key, table in next(c for c in cases.values() if c).items()
+            }
             assert found.best(kind, name) == before
             without = {n: found.largest[n][before[0]].max() for n in names if n != name}
-            assert before[1] <= max(without.values()) and any(np.isclose(before[1], s) for s in without.values())
+            assert before[1] <= max(without.values()) and any(
+                np.isclose(before[1], s) for s in without.values()
+            )
         finally:
             found.largest, found.cases = largest, cases
 
@@ -123,7 +134,13 @@ def test_no_setting_of_the_grid_finds_more_on_the_drives_of_the_search(study):
 
     def finds(b: Baseline) -> int:
         h = found.calibration(b, names[0]).threshold
-        return sum(c.found for n, table in found.cases.items() if n != names[0] and table for of in table[b, h].values() for c in of)
+        return sum(
+            c.found
+            for n, table in found.cases.items()
+            if n != names[0] and table
+            for of in table[b, h].values()
+            for c in of
+        )
 
     for kind in KINDS:
         best, _ = found.best(kind, names[0])
@@ -131,7 +148,8 @@ def test_no_setting_of_the_grid_finds_more_on_the_drives_of_the_search(study):
 
 
 def test_an_alarm_in_the_last_seconds_is_counted(study):
-    """Every sample from ``piece_starts`` on belongs to a piece, the drive's remainder after whole minutes too."""
+    """Every sample from ``piece_starts`` on belongs to a piece, the drive's remainder after whole minutes
+    too."""
     found, names = study
     b, name = GRID[0], names[0]
     pieces = found.largest[name][b]
@@ -153,7 +171,7 @@ def test_the_largest_statistic_is_that_of_each_piece_and_none_is_left_out(study,
     assert len(largest) == -(-(len(drive.v) - 1) // length)
     for i, value in enumerate(largest):
         end = None if i == len(largest) - 1 else (i + 1) * length
-        assert value == statistics[i * length:end].max()
+        assert value == statistics[i * length : end].max()
 
 
 def test_without_scores_a_baseline_never_alarms(study):
@@ -163,7 +181,11 @@ def test_without_scores_a_baseline_never_alarms(study):
     try:
         found.largest.update({n: {b: np.full(3, -np.inf) for b in GRID} for n in names})
         calibration = found.calibration(GRID[0], names[0])
-        assert calibration.threshold == np.inf and calibration.alpha is None and "not stated" in calibration.claim()
+        assert (
+            calibration.threshold == np.inf
+            and calibration.alpha is None
+            and "not stated" in calibration.claim()
+        )
     finally:
         found.largest = largest
 
@@ -175,8 +197,13 @@ def test_ranking_is_by_share_then_time_and_names_all_that_tie():
     rank = stage.ranking
     assert rank({"monitor": row(7, 7, 3.0), "rms": row(6, 7, 0.1)}) == ["monitor"]
     assert rank({"monitor": row(7, 7, 3.0), "rms": row(7, 7, 2.0)}) == ["rms"]
-    assert rank({"monitor": row(7, 7, 2.0), "rms": row(7, 7, 2.0), "nis": row(5, 7, 1.0)}) == ["monitor", "rms"]
-    assert rank({"monitor": row(0, 7, None), "nis": row(0, 7, None)}) == [], "nobody is best who found nothing"
+    assert rank({"monitor": row(7, 7, 2.0), "rms": row(7, 7, 2.0), "nis": row(5, 7, 1.0)}) == [
+        "monitor",
+        "rms",
+    ]
+    assert rank({"monitor": row(0, 7, None), "nis": row(0, 7, None)}) == [], (
+        "nobody is best who found nothing"
+    )
     assert rank({"monitor": row(0, 7, None), "nis": row(1, 7, None)}) == ["nis"]
     assert rank({"monitor": row(0, 0, None), "nis": row(0, 0, None)}) == []
     assert stage.median_time([1.0, None, 3.0]) == 3.0 and stage.median_time([None, None, 1.0]) is None

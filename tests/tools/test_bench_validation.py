@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lpvguard.bench import memory, validation as bench
+
+from lpvguard.bench import memory
+from lpvguard.bench import validation as bench
 from lpvguard.engine.validation import s1
 
 

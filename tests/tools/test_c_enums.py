@@ -21,7 +21,10 @@ def test_names_come_in_the_order_of_their_values_without_the_count(tmp_path):
     assert enum_names(tmp_path / "gear.h", "lpvg_gear_t") == ("park", "drive")
 
 
-@pytest.mark.parametrize(("old", "new"), [("drive  = 1", "drive = 3"), ("lpvg_gear_t {", "lpvg_gears_t {"), ("lpvg_gear_park", "park")])
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("drive  = 1", "drive = 3"), ("lpvg_gear_t {", "lpvg_gears_t {"), ("lpvg_gear_park", "park")],
+)
 def test_a_header_that_does_not_say_so_is_refused(tmp_path, old, new):
     (tmp_path / "gear.h").write_text(HEADER.replace(old, new))
     with pytest.raises(InputError, match="gear.h: lpvg_gear_t"):

@@ -1,7 +1,9 @@
-"""The generated C codec and our DBC against cantools, canmatrix and autosar-e2e; the facts of SAE J1939-71 and E2E profile 11.
+"""The generated C codec and our DBC against cantools, canmatrix and autosar-e2e; the facts of SAE J1939-71
+and E2E profile 11.
 
-The compiled codec runs through ctypes on whole arrays: a small C loop around each function comes with it, so that all raw
-values and a million frames take seconds. The same sources run on a big-endian processor when one can be emulated.
+The compiled codec runs through ctypes on whole arrays: a small C loop around each function comes with it, so
+that all raw values and a million frames take seconds. The same sources run on a big-endian processor when one
+can be emulated.
 """
 
 from __future__ import annotations
@@ -14,12 +16,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from parts import require
 
 from lpvguard.base.errors import InputError
 from lpvguard.can.catalogue import Catalogue, load_catalogue
 from lpvguard.can.codegen import HEADER, SOURCE, codec_files
 from lpvguard.can.dbc import dbc_text
+from parts import require
 
 cantools = pytest.importorskip("cantools")
 
@@ -70,7 +72,8 @@ def _loops(catalogue: Catalogue) -> str:
 
 @pytest.fixture(scope="session")
 def codec(tmp_path_factory):
-    """The generated codec and the core's can.cpp as one shared library, compiled as strictly as the project is."""
+    """The generated codec and the core's can.cpp as one shared library, compiled as strictly as the project
+    is."""
     folder = tmp_path_factory.mktemp("codec")
     for name, text in codec_files().items():
         (folder / name).write_text(text)
@@ -122,7 +125,7 @@ def _encode(codec, m, s, x):
     return raw
 
 
-# ------------------------------------------------------------------------------------------------- every raw value
+# -------------------------------------------------------------------------------------------- every raw value
 
 
 @pytest.mark.parametrize("m, s", SIGNALS)
@@ -132,7 +135,8 @@ def test_every_raw_value_decodes_as_cantools_says_and_comes_back(m, s, codec, da
     good = raw <= s.raw_max
     reference = database.get_message_by_name(m.name).get_signal_by_name(s.name)
     want = np.array([reference.conversion.raw_to_scaled(int(r), decode_choices=False) for r in raw])
-    # float32: half a unit in the last place of each of the three rounded quantities, at the largest magnitude involved
+    # float32: half a unit in the last place of each of the three rounded quantities, at the largest magnitude
+    # involved
     tolerance = 2.0**-23 * max(abs(s.offset), abs(s.physical_max)) * 2
     assert np.abs(x[good] - want[good]).max() <= tolerance
     assert np.isnan(x[~good]).all()
@@ -166,7 +170,7 @@ def test_encode_saturates_and_rounds(m, s, codec):
     assert np.array_equal(_encode(codec, m, s, x)[decided], np.rint(exact[decided]).astype(np.uint16))
 
 
-# ---------------------------------------------------------------------------------------------------- random frames
+# ---------------------------------------------------------------------------------------------- random frames
 
 
 @pytest.mark.slow("5 s: a million frames")
@@ -199,7 +203,7 @@ def test_a_million_random_frames_unpack_and_pack(codec, database):
     assert total >= FRAMES
 
 
-# ------------------------------------------------------------------------------------------------------------- E2E
+# -------------------------------------------------------------------------------------------------------- E2E
 
 
 class Frame(ctypes.Structure):
@@ -240,7 +244,7 @@ def test_protection_of_the_codec_equals_autosar_e2e(codec):
         assert p11.e2e_p11_check(bytearray(ours), data_id, data_id_mode=p11.E2E_P11_DATAID_BOTH)
 
 
-# -------------------------------------------------------------------------------------------- DBC and facts of J1939
+# ------------------------------------------------------------------------------------- DBC and facts of J1939
 
 
 def test_dbc_opens_in_canmatrix_as_j1939():
@@ -275,7 +279,8 @@ def test_the_command_writes_the_dbc(lpvguard, tmp_path):
     assert (tmp_path / "our.dbc").read_text() == dbc_text()
 
 
-# message, signal, PGN, id, period [ms], SPN, first bit, bits, scale, offset: SAE J1939-71, written a second time on purpose
+# message, signal, PGN, id, period [ms], SPN, first bit, bits, scale, offset: SAE J1939-71, written a second
+# time on purpose
 FACTS = [
     ("VDC2", "steering_wheel_angle", 61449, 0x18F0093E, 10, 1807, 0, 16, 1 / 1024, -31.374),
     ("VDC2", "yaw_rate", 61449, 0x18F0093E, 10, 1808, 24, 16, 1 / 8192, -3.92),
@@ -348,7 +353,7 @@ def test_dm1_of_the_core_reads_as_the_dbc_says(codec, database):
     }
 
 
-# --------------------------------------------------------------------------------------------------------- generator
+# -------------------------------------------------------------------------------------------------- generator
 
 
 def test_generated_text_depends_on_the_catalogue_alone():
@@ -385,7 +390,7 @@ def test_a_spoilt_catalogue_is_refused_by_name(old, new, what, tmp_path):
     assert str(path) in str(error.value)
 
 
-# -------------------------------------------------------------------------------------------------------- big-endian
+# ------------------------------------------------------------------------------------------------- big-endian
 
 
 def test_codec_on_a_big_endian_processor(codec, tmp_path):

@@ -1,4 +1,5 @@
-"""Drives to frames and back: the numpy encoder against the compiled codec's rules, cantools and autosar-e2e."""
+"""Drives to frames and back: the numpy encoder against the compiled codec's rules, cantools and
+autosar-e2e."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The chain on synthetic and on measured drives: bounds cover, identify repeats itself, replay says what users are promised."""
+"""The chain on synthetic and on measured drives: bounds cover, identify repeats itself, replay says what
+users are promised."""
 
 from __future__ import annotations
 
@@ -18,7 +19,16 @@ from lpvguard.evaluate.run import STARTS, Pieces, evaluate
 from lpvguard.identify import run as stage
 from lpvguard.replay.run import Replayer, excited_samples
 
-FIELDS = {"run", "duration_s", "judged", "judged_s", "verdict_final", "first_invalid_s", "max_margin", "alarms"}
+FIELDS = {
+    "run",
+    "duration_s",
+    "judged",
+    "judged_s",
+    "verdict_final",
+    "first_invalid_s",
+    "max_margin",
+    "alarms",
+}
 ALARM_FIELDS = {"t_s", "test", "bin_rad_s", "speed_mps", "margin", "evidence"}
 
 
@@ -38,7 +48,9 @@ def test_bound_drives_keep_every_margin_within_one_also_when_cut(core, identifie
 
 def test_bound_and_calibration_drives_are_disjoint_and_listed(identified):
     drives = stage.load(identified).manifest["drives"]
-    assert drives["bounds"] and drives["calibration"] and not set(drives["bounds"]) & set(drives["calibration"])
+    assert (
+        drives["bounds"] and drives["calibration"] and not set(drives["bounds"]) & set(drives["calibration"])
+    )
 
 
 def test_identify_twice_gives_the_same_bytes(g80, synthetic, identified, tmp_path):
@@ -53,7 +65,11 @@ def test_a_lowered_weight_or_another_estimator_is_refused_on_load(identified, tm
     import shutil
 
     for file, change, says in (
-        ("weights.json", lambda d: d["W_delta"]["weight"].update(num=[0.99 * c for c in d["W_delta"]["weight"]["num"]]), "W_delta"),
+        (
+            "weights.json",
+            lambda d: d["W_delta"]["weight"].update(num=[0.99 * c for c in d["W_delta"]["weight"]["num"]]),
+            "W_delta",
+        ),
         ("project.json", lambda d: d["frames"].update(periods=4), "estimator"),
         ("MANIFEST.json", lambda d: d.update(kind="vehicle"), "kind"),
     ):
@@ -69,8 +85,15 @@ def test_a_lowered_weight_or_another_estimator_is_refused_on_load(identified, tm
             stage.load(copy)
 
 
-@pytest.mark.parametrize(("fault", "drive"), [(Fault("gain", 0.6), "synthetic_08"), (Fault("gain", -1.0), "synthetic_05"),
-                                              (Fault("freeze"), "synthetic_09"), (Fault("input_delay", 0.3), "synthetic_10")])
+@pytest.mark.parametrize(
+    ("fault", "drive"),
+    [
+        (Fault("gain", 0.6), "synthetic_08"),
+        (Fault("gain", -1.0), "synthetic_05"),
+        (Fault("freeze"), "synthetic_09"),
+        (Fault("input_delay", 0.3), "synthetic_10"),
+    ],
+)
 def test_faults_are_found_and_the_untouched_drive_is_not(fault, drive, core, g80, synthetic):
     replayer = Replayer(g80, core)
     clean = read_drive(synthetic / f"{drive}.csv", g80)
@@ -79,7 +102,9 @@ def test_faults_are_found_and_the_untouched_drive_is_not(fault, drive, core, g80
     assert found.alarms and 60.0 < found.alarms[0].t_s < 95.0 and found.first_invalid_s >= found.alarms[0].t_s
     alarm = next(a for a in found.alarms if a.test == "frame")
     assert alarm.statistic > alarm.threshold
-    assert abs(alarm.E[0]) == pytest.approx(alarm.margin * (alarm.B_w[0] + alarm.W_delta * abs(alarm.Z[0])), rel=1e-4)
+    assert abs(alarm.E[0]) == pytest.approx(
+        alarm.margin * (alarm.B_w[0] + alarm.W_delta * abs(alarm.Z[0])), rel=1e-4
+    )
 
 
 def test_bootstrap_interval_needs_pieces_and_brackets_the_ratio():
@@ -90,16 +115,34 @@ def test_bootstrap_interval_needs_pieces_and_brackets_the_ratio():
 
 def test_excited_samples_follow_the_definition():
     u = np.r_[np.zeros(1000), 0.01 * np.sin(0.1 * np.arange(1500)), np.zeros(1000)][:, None] + 0.5
-    direct = [u[max(0, k - 250):k + 251].std() > 0.004 for k in range(len(u))]
+    direct = [u[max(0, k - 250) : k + 251].std() > 0.004 for k in range(len(u))]
     np.testing.assert_array_equal(excited_samples(u, 0.02, 0.004), direct)
 
 
-def test_replay_json_has_every_field_and_exit_status_says_what_was_found(lpvguard, vehicle, synthetic, g80, tmp_path):
+def test_replay_json_has_every_field_and_exit_status_says_what_was_found(
+    lpvguard, vehicle, synthetic, g80, tmp_path
+):
     drive = read_drive(synthetic / "synthetic_08.csv", g80)
     faulty = inject(drive, Fault("gain", 0.5), 60.0, g80.Ts_s)
     path = tmp_path / "faulty.csv"
-    np.savetxt(path, np.column_stack([faulty.t, faulty.v, faulty.u, faulty.y]), delimiter=",", header="t,v,delta,r", comments="")
-    done = lpvguard("replay", "--vehicle", "g80", "--coefficients", vehicle, synthetic / "synthetic_08.csv", path, "--json", "-")
+    np.savetxt(
+        path,
+        np.column_stack([faulty.t, faulty.v, faulty.u, faulty.y]),
+        delimiter=",",
+        header="t,v,delta,r",
+        comments="",
+    )
+    done = lpvguard(
+        "replay",
+        "--vehicle",
+        "g80",
+        "--coefficients",
+        vehicle,
+        synthetic / "synthetic_08.csv",
+        path,
+        "--json",
+        "-",
+    )
     assert done.returncode == 1, done.stderr
     sound, alarmed = json.loads(done.stdout)
     assert sound.keys() >= FIELDS and sound["alarms"] == [] and sound["first_invalid_s"] is None
@@ -117,7 +160,8 @@ def test_unexcited_driving_is_not_judged_for_want_of_excitation(core, g80, synth
     assert set(middle) == {3} and replay.left_out()["not_excited"] > 100 and replay.left_out()["none"] == 0
 
 
-# Measured drives ------------------------------------------------------------------------------------------------------
+# Measured drives
+# ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow("7 s: every measured drive from seven starts")
@@ -130,7 +174,9 @@ def test_measured_bound_drives_keep_their_margins(measured, g80):
                 assert worst_margin(core, drive.from_sample(cut)) <= 1 + 1e-3, (e.name, cut)
 
 
-def test_measured_drives_are_judged_and_seldom_alarm_and_faults_are_found(measured, measured_identified, g80, g80_model):
+def test_measured_drives_are_judged_and_seldom_alarm_and_faults_are_found(
+    measured, measured_identified, g80, g80_model
+):
     drives = stage.DriveSet(g80, g80_model, list_experiments(measured))
     table = evaluate(stage.load(measured_identified), drives, Core(shipped_vehicle("g80")))
     core = Core(shipped_vehicle("g80"))
@@ -142,7 +188,9 @@ def test_measured_drives_are_judged_and_seldom_alarm_and_faults_are_found(measur
     total = table["false_alarms"]["all"]
     assert total["pieces"] > 25 and total["alarmed"] <= 0.1 * total["pieces"]
     assert set(table["claims"]["left_one_out"]) == {"monitor", "frame", "energy"}
-    assert table["claims"]["left_one_out"]["monitor"] == ["alpha 0.1 from 10 drives, with 95 % confidence below 0.259"]
+    assert table["claims"]["left_one_out"]["monitor"] == [
+        "alpha 0.1 from 10 drives, with 95 % confidence below 0.259"
+    ]
     assert len(table["drives"]) - len(table["without_faults"]) == 7
     for row in table["faults"]:
         assert row["drives"] == 7 and row["counted"] == 7 * STARTS

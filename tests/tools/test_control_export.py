@@ -1,4 +1,5 @@
-"""controller.json: what is accepted, what is refused and by which name, and what the generated folder says of it."""
+"""controller.json: what is accepted, what is refused and by which name, and what the generated folder says of
+it."""
 
 from __future__ import annotations
 
@@ -6,8 +7,8 @@ import json
 
 import numpy as np
 import pytest
-from hand_controller import hand_controller
 
+from hand_controller import hand_controller
 from lpvguard.base.errors import InputError
 from lpvguard.can.bus import bus_source
 from lpvguard.core.control_coefficients import control_files, load_controller
@@ -42,31 +43,41 @@ def test_a_good_controller_keeps_its_numbers(load, document, truck):
     controller = load({**document, "certificates": {"gamma": 1.0}})
     assert controller.sizes == {"NK": 5, "NM": 3, "NG": 5}
     np.testing.assert_array_equal(controller.reals["A1"], document["a"])
-    np.testing.assert_array_equal(controller.reals["BL"], np.concatenate([document["B"], document["L"]], axis=3))
+    np.testing.assert_array_equal(
+        controller.reals["BL"], np.concatenate([document["B"], document["L"]], axis=3)
+    )
     manifest = controller.manifest()
     assert manifest["certificates"] == {"gamma": 1.0} and len(manifest["sha256"]) == 64
-    assert set(control_files(truck, controller)) == {"lpvguard_control.c", "lpvguard_bus.c", "lpvg_can_codec.h", "lpvg_can_codec.c"}
+    assert set(control_files(truck, controller)) == {
+        "lpvguard_control.c",
+        "lpvguard_bus.c",
+        "lpvg_can_codec.h",
+        "lpvg_can_codec.c",
+    }
 
 
-@pytest.mark.parametrize(("change", "says"), [
-    (lambda d: "[]", "not an object"),
-    (lambda d: "{", "JSON"),
-    (lambda d: {k: v for k, v in d.items() if k != "L"}, "L"),
-    (lambda d: {**d, "B": [[1.0], [2.0, 3.0]]}, "B"),
-    (lambda d: {**d, "Ts_s": "fast"}, "Ts_s"),
-    (lambda d: {**d, "Ts_s": -1.0}, "Ts_s"),
-    (changed("speeds", lambda v: v[:1]), "speeds"),
-    (changed("speeds", lambda v: v[::-1]), "speeds"),
-    (changed("speeds", lambda v: v + [0, 0, 0.1, 0, 0]), "equally spaced"),
-    (changed("a", lambda a: a[None]), "dimensions"),
-    (changed("a", lambda a: a[:4]), "B"),
-    (changed("a", lambda a: a + [0, 0, 0, 1e-4, 0]), "stable poles"),
-    (changed("L", lambda l: l[:3]), "L"),
-    (changed("L", lambda l: 0 * l + 1e3), "spectral radius"),
-    (changed("B", lambda b: b * np.nan), "finite"),
-    (changed("u_max", lambda u: -u), "u_max"),
-    (changed("rate_max", lambda u: 0 * u), "rate_max"),
-])
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda d: "[]", "not an object"),
+        (lambda d: "{", "JSON"),
+        (lambda d: {k: v for k, v in d.items() if k != "L"}, "L"),
+        (lambda d: {**d, "B": [[1.0], [2.0, 3.0]]}, "B"),
+        (lambda d: {**d, "Ts_s": "fast"}, "Ts_s"),
+        (lambda d: {**d, "Ts_s": -1.0}, "Ts_s"),
+        (changed("speeds", lambda v: v[:1]), "speeds"),
+        (changed("speeds", lambda v: v[::-1]), "speeds"),
+        (changed("speeds", lambda v: v + [0, 0, 0.1, 0, 0]), "equally spaced"),
+        (changed("a", lambda a: a[None]), "dimensions"),
+        (changed("a", lambda a: a[:4]), "B"),
+        (changed("a", lambda a: a + [0, 0, 0, 1e-4, 0]), "stable poles"),
+        (changed("L", lambda l: l[:3]), "L"),
+        (changed("L", lambda l: 0 * l + 1e3), "spectral radius"),
+        (changed("B", lambda b: b * np.nan), "finite"),
+        (changed("u_max", lambda u: -u), "u_max"),
+        (changed("rate_max", lambda u: 0 * u), "rate_max"),
+    ],
+)
 def test_bad_controllers_are_refused_by_name(load, document, change, says):
     with pytest.raises(InputError, match=says):
         load(change(document))
@@ -78,11 +89,14 @@ def test_too_many_states_are_refused(load, document):
         load({**document, **{k: v.tolist() for k, v in big.items()}})
 
 
-@pytest.mark.parametrize(("change", "says"), [
-    (changed("speeds", lambda v: v + 1.0), "speeds"),
-    (lambda d: {**d, "Ts_s": 0.02}, "Ts_s"),
-    (changed("B", lambda b: b[..., :2]), "measurements"),
-])
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (changed("speeds", lambda v: v + 1.0), "speeds"),
+        (lambda d: {**d, "Ts_s": 0.02}, "Ts_s"),
+        (changed("B", lambda b: b[..., :2]), "measurements"),
+    ],
+)
 def test_a_controller_of_another_vehicle_is_refused(load, document, truck, change, says):
     with pytest.raises(InputError, match=says):
         control_files(truck, load(change(document)))
@@ -95,10 +109,18 @@ def _with_place(project, index, **place):
     return project.model_copy(update={"signals": signals})
 
 
-@pytest.mark.parametrize(("index", "place", "says"), [
-    (0, {}, "speed"), (1, {}, "brake_pressure_difference"), (1, {"factor": 2.0}, "dp_demand"), (1, {"message": "VDC2"}, "VDC2"),
-    (2, {"message": "GUARD_OUT"}, "GUARD_OUT"), (2, {"signal": "colour"}, "colour"), (2, {"message": "NONE"}, "NONE"),
-])
+@pytest.mark.parametrize(
+    ("index", "place", "says"),
+    [
+        (0, {}, "speed"),
+        (1, {}, "brake_pressure_difference"),
+        (1, {"factor": 2.0}, "dp_demand"),
+        (1, {"message": "VDC2"}, "VDC2"),
+        (2, {"message": "GUARD_OUT"}, "GUARD_OUT"),
+        (2, {"signal": "colour"}, "colour"),
+        (2, {"message": "NONE"}, "NONE"),
+    ],
+)
 def test_signals_without_a_usable_place_on_the_bus_are_refused(truck, index, place, says):
     with pytest.raises(InputError, match=says):
         bus_source(_with_place(truck, index, **place))

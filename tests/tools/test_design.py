@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
 from lpvguard.control import design as stage
@@ -19,7 +20,6 @@ from lpvguard.engine.synthesis import interconnection as fig1
 from lpvguard.engine.synthesis.statespace import StateSpace, lft
 from lpvguard.identify import run as identification
 from lpvguard.identify.export import export_vehicle
-from lpvguard.loop import generate
 from lpvguard.loop.sim import Simulator, load_scenario
 from lpvguard.vehicle.nominal import NominalModel
 
@@ -46,7 +46,9 @@ def with_settings(stored, **changes):
 def test_robust_performance_is_proved_at_every_node_and_midway(designed):
     result, _ = designed
     assert len(result.certificates) == 2 * len(result.schedule.speeds) - 1
-    assert all(proved.lower <= proved.upper * (1 + 1e-9) and proved.upper < 1.2 for _, proved in result.certificates)
+    assert all(
+        proved.lower <= proved.upper * (1 + 1e-9) and proved.upper < 1.2 for _, proved in result.certificates
+    )
 
 
 def test_the_certificate_is_proved_anew_and_an_altered_coefficient_is_refused(stored, designed, tmp_path):
@@ -63,23 +65,38 @@ def test_the_certificate_is_proved_anew_and_an_altered_coefficient_is_refused(st
         (tmp_path / "controller.json").write_text(artefacts.to_json(artefacts.sealed(altered)))
         with pytest.raises(InputError, match="coefficients_sha256"):
             stage.verify(tmp_path / "controller.json", stored)
-    (tmp_path / "controller.json").write_text(json.dumps({**document, "u_max": [2 * x for x in document["u_max"]]}))
+    (tmp_path / "controller.json").write_text(
+        json.dumps({**document, "u_max": [2 * x for x in document["u_max"]]})
+    )
     with pytest.raises(InputError, match="seal: does not fit"):
         stage.verify(tmp_path / "controller.json", stored)
     # With a sum that fits, the proof is what refuses.
     changed = np.array(document["a"])
     changed[np.argmax(np.abs(changed))] *= 1.001
     altered = {**document, "a": changed.tolist()}
-    altered["certificates"] = {**document["certificates"], "coefficients_sha256": Scheduled.read(altered).digest()}
+    altered["certificates"] = {
+        **document["certificates"],
+        "coefficients_sha256": Scheduled.read(altered).digest(),
+    }
     (tmp_path / "controller.json").write_text(artefacts.to_json(artefacts.sealed(altered)))
     with pytest.raises(InputError, match="certificate at"):
         stage.verify(tmp_path / "controller.json", stored)
 
 
-@pytest.mark.parametrize("place, key, factor", [
-    ("speeds", "mu_upper", 0.999), ("speeds", "mu_lower", 0.99), ("speeds", "peak_rad_s", 300.0), ("off_grid", "mu_upper", 1.001),
-    (None, "A_t", 1.01), (None, "A_u", 10.0)])
-def test_a_stated_number_that_is_not_what_is_proved_is_refused(stored, designed, tmp_path, place, key, factor):
+@pytest.mark.parametrize(
+    "place, key, factor",
+    [
+        ("speeds", "mu_upper", 0.999),
+        ("speeds", "mu_lower", 0.99),
+        ("speeds", "peak_rad_s", 300.0),
+        ("off_grid", "mu_upper", 1.001),
+        (None, "A_t", 1.01),
+        (None, "A_u", 10.0),
+    ],
+)
+def test_a_stated_number_that_is_not_what_is_proved_is_refused(
+    stored, designed, tmp_path, place, key, factor
+):
     document = json.loads(designed[1].read_text())
     stated = document["certificates"]
     target = stated if place is None else stated[place][3] if place == "speeds" else stated[place]
@@ -107,7 +124,9 @@ def test_the_largest_A_t_comes_near_the_dc_floor(stored, monkeypatch):
     monkeypatch.setattr(stage, "A_T_RTOL", 0.4)
     found = stage.largest_A_t(stored)
     assert found.worst < 1 and found.product >= 0.8
-    assert found.product == pytest.approx(found.A_t * stage.dc_floor(stage._weights(stored, stored.project.design)))
+    assert found.product == pytest.approx(
+        found.A_t * stage.dc_floor(stage._weights(stored, stored.project.design))
+    )
 
 
 def test_K_is_is_refused_where_frames_cannot_tell_the_states_uncertainty(stored):
@@ -117,7 +136,9 @@ def test_K_is_is_refused_where_frames_cannot_tell_the_states_uncertainty(stored)
 
 def with_exact_frames(stored):
     """As if the window cost nothing, so that the rest of class S2's path can be walked."""
-    return replace(stored, bounds={**stored.bounds, "window_error_median": 0 * stored.bounds["window_error_median"]})
+    return replace(
+        stored, bounds={**stored.bounds, "window_error_median": 0 * stored.bounds["window_error_median"]}
+    )
 
 
 def test_K_is_takes_the_states_own_bound_in_1_per_s(stored):
@@ -133,18 +154,28 @@ def test_K_is_takes_the_states_own_bound_in_1_per_s(stored):
 
 @pytest.mark.parametrize("factor", [0.1, 60.0])
 def test_another_unit_of_time_leaves_the_loop_of_K_is_as_it_was(stored, factor):
-    """x' = A x + B u + xi_s: in a unit of time `factor` times longer A, B and W_delta_s grow by that factor."""
+    """x' = A x + B u + xi_s: in a unit of time `factor` times longer A, B and W_delta_s grow by that
+    factor."""
     model, settings = NominalModel(stored.project), stored.project.design
     A, B = (m[0] for m in model.matrices(np.array([15.0])))
     weights = stage._weights(stored, settings)
-    slower = fig1.Weights(**{f.name: replace(w, A=factor * w.A, B=factor * w.B)
-                             for f in fields(weights) for w in [getattr(weights, f.name)]})
+    slower = fig1.Weights(
+        **{
+            f.name: replace(w, A=factor * w.A, B=factor * w.B)
+            for f in fields(weights)
+            for w in [getattr(weights, f.name)]
+        }
+    )
     rate = replace(slower.W_delta_s, C=factor * slower.W_delta_s.C, D=factor * slower.W_delta_s.D)
     omega = np.geomspace(1e-2, 30.0, 40)
     want = fig1.generalised_plant(A, B, weights, "K_is").system.response(omega)
-    got = fig1.generalised_plant(factor * A, factor * B, replace(slower, W_delta_s=rate), "K_is").system.response(factor * omega)
+    got = fig1.generalised_plant(
+        factor * A, factor * B, replace(slower, W_delta_s=rate), "K_is"
+    ).system.response(factor * omega)
     np.testing.assert_allclose(got, want, rtol=1e-8, atol=1e-10)
-    as_if_dimensionless = fig1.generalised_plant(factor * A, factor * B, slower, "K_is").system.response(factor * omega)
+    as_if_dimensionless = fig1.generalised_plant(factor * A, factor * B, slower, "K_is").system.response(
+        factor * omega
+    )
     assert np.abs(as_if_dimensionless - want).max() > 1e-2 * np.abs(want).max()
 
 
@@ -152,7 +183,9 @@ def test_another_unit_of_time_leaves_the_loop_of_K_is_as_it_was(stored, factor):
 @pytest.mark.parametrize("structure", ["K_inf", "K_is"])
 def test_the_other_structures_go_from_design_to_the_closed_loop(stored, tmp_path, monkeypatch, structure):
     stored = with_exact_frames(stored)
-    monkeypatch.setattr(stage, "find", lambda *_: None)  # the certificate at a moving speed has tests of its own
+    monkeypatch.setattr(
+        stage, "find", lambda *_: None
+    )  # the certificate at a moving speed has tests of its own
     monkeypatch.setattr(stage, "OFF_GRID", 4)
     one = with_settings(stored, structure=structure, nodes=3, A_t=40.0, order_loss=0.05)
     result = stage.design(one)
@@ -194,12 +227,19 @@ def test_the_certified_controller_is_the_one_the_core_is_given(designed):
 
 
 def test_a_controller_that_has_common_poles_is_met(stored, designed):
-    """The fit's own result, given as what is to be met at every node, comes back within what its ridge costs."""
+    """The fit's own result, given as what is to be met at every node, comes back within what its ridge
+    costs."""
     result, _ = designed
     schedule, model, settings = result.schedule, stage.NominalModel(stored.project), stored.project.design
     weights = stage._weights(stored, settings)
-    loops = [FrozenLoop(schedule.at(v), stage._plant(stored, model, weights, v, False), stage._vehicle(model, v, schedule.Ts))
-             for v in schedule.speeds]
+    loops = [
+        FrozenLoop(
+            schedule.at(v),
+            stage._plant(stored, model, weights, v, False),
+            stage._vehicle(model, v, schedule.Ts),
+        )
+        for v in schedule.speeds
+    ]
     again = fit(loops, schedule.speeds, result.scaling, len(schedule.a) // 2, np.array(settings.input_max))
     omega = np.logspace(-2, np.log10(np.pi / schedule.Ts), 50)
     for v in schedule.speeds:
@@ -208,17 +248,22 @@ def test_a_controller_that_has_common_poles_is_met(stored, designed):
 
 
 def test_random_deltas_within_the_bound_keep_the_certified_performance(stored, designed):
-    """Closed with stable Delta of size at most 1 / mu the norm from disturbances to objectives is at most mu."""
+    """Closed with stable Delta of size at most 1 / mu the norm from disturbances to objectives is at most
+    mu."""
     result, _ = designed
     v, proved = result.certificates[4]
-    plant = stage._plant(stored, stage.NominalModel(stored.project), stage._weights(stored, stored.project.design), v, False)
+    plant = stage._plant(
+        stored, stage.NominalModel(stored.project), stage._weights(stored, stored.project.design), v, False
+    )
     loop = lft(plant.system, result.schedule.at(v))
     level, random = proved.upper, np.random.default_rng(5)
     omega = np.concatenate([[0.0], np.logspace(-3, np.log10(np.pi / plant.system.dt), 400)])
     for _ in range(50):
         pole, sign = random.uniform(-0.99, 0.99), random.choice([-1.0, 1.0])
         size = sign * (1 - abs(pole)) / level / max(1.0, level)
-        delta = StateSpace(np.array([[pole]]), np.eye(1), np.array([[size]]), np.zeros((1, 1)), plant.system.dt)
+        delta = StateSpace(
+            np.array([[pole]]), np.eye(1), np.array([[size]]), np.zeros((1, 1)), plant.system.dt
+        )
         M, D = loop.response(omega), delta.response(omega)
         closed = M[:, 1:, 1:] + M[:, 1:, :1] @ (D / (1 - M[:, :1, :1] * D)) @ M[:, :1, 1:]
         assert np.linalg.norm(closed, 2, axis=(1, 2)).max() <= level * (1 + 1e-9)
@@ -237,15 +282,22 @@ class SaturatedLoop:
         self.vehicle, self.K = stage._vehicle(model, v, schedule.Ts), schedule.at(v)
         self.L, self.Ts = schedule._between(schedule.L, v)[:, 0], schedule.Ts
         self.u_max, self.rate = settings.input_max[0], settings.input_rate_max_per_s[0] * schedule.Ts
-        self.top = (self.vehicle.C @ np.linalg.solve(np.eye(self.vehicle.order) - self.vehicle.A, self.vehicle.B))[0, 0] * self.u_max
+        self.top = (
+            self.vehicle.C @ np.linalg.solve(np.eye(self.vehicle.order) - self.vehicle.A, self.vehicle.B)
+        )[0, 0] * self.u_max
 
     def run(self, command, state=None, limits=True):
-        """Controlled output, applied and wanted demand (N,), and the states (controller, vehicle) before every sample."""
+        """Controlled output, applied and wanted demand (N,), and the states (controller, vehicle) before
+        every sample."""
         x, xp = state or (np.zeros(self.K.order), np.zeros(self.vehicle.order))
         u, rows, states = 0.0, [], []
         for r in command:
             y, wanted = self.vehicle.C @ xp, (self.K.C @ x)[0]
-            u = np.clip(np.clip(wanted, -self.u_max, self.u_max), u - self.rate, u + self.rate) if limits else wanted
+            u = (
+                np.clip(np.clip(wanted, -self.u_max, self.u_max), u - self.rate, u + self.rate)
+                if limits
+                else wanted
+            )
             rows.append((y[0], u, wanted))
             states.append((x, xp))
             x = self.K.A @ x + self.K.B @ np.append(r, y) + self.L * (u - wanted)
@@ -262,8 +314,8 @@ class SaturatedLoop:
 @pytest.mark.parametrize("v", [8.0, 9.0, 11.0, 17.0, 22.0])
 @pytest.mark.parametrize("overdriven", [1.1, 3.0])
 def test_after_saturation_the_loop_settles_as_if_there_had_been_none(stored, designed, v, overdriven):
-    """A minute of a command that full demand cannot follow, then zero: the demand leaves its stop at once, and from the
-    moment it has, the loop settles as the loop without limits does from the same state."""
+    """A minute of a command that full demand cannot follow, then zero: the demand leaves its stop at once,
+    and from the moment it has, the loop settles as the loop without limits does from the same state."""
     loop = SaturatedLoop(designed[0], stage.NominalModel(stored.project), v, stored.project.design)
     minute, after = round(60 / loop.Ts), round(25 / loop.Ts)
     y, u, wanted, states = loop.run(np.append(np.full(minute, overdriven * loop.top), np.zeros(after)))
@@ -273,6 +325,9 @@ def test_after_saturation_the_loop_settles_as_if_there_had_been_none(stored, des
     band = 0.05 * abs(y[minute - 1])
     free, *_ = loop.run(np.zeros(len(y) - left), states[left], limits=False)
     assert loop.settling(y[left:], band) <= 1.1 * loop.settling(free, band) + loop.Ts
-    # All in all: the linear loop's settling from where full demand led, and what the lost demand takes to be made up for.
+    # All in all: the linear loop's settling from where full demand led, and what the lost demand takes to be
+    # made up for.
     linear, *_ = loop.run(np.append(np.full(minute, loop.top), np.zeros(after)), limits=False)
-    assert loop.settling(y[minute:], band) <= 2.8 * loop.settling(linear[minute:], 0.05 * abs(linear[minute - 1]))
+    assert loop.settling(y[minute:], band) <= 2.8 * loop.settling(
+        linear[minute:], 0.05 * abs(linear[minute - 1])
+    )

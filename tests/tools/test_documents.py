@@ -1,4 +1,5 @@
-"""TOML files that people write: every fault is an InputError that names file, field, value and what was expected."""
+"""TOML files that people write: every fault is an InputError that names file, field, value and what was
+expected."""
 
 from __future__ import annotations
 
@@ -18,8 +19,13 @@ class Car(BaseModel):
     wheels: list[Wheel] = []
 
 
-@pytest.mark.parametrize(("text", "says"), [
-    (b"name = ", r"car.toml: .*; expected a car \(valid TOML\)"), (b"name = '\xff'", r"car.toml: .*; expected a car \(valid TOML\)")])
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (b"name = ", r"car.toml: .*; expected a car \(valid TOML\)"),
+        (b"name = '\xff'", r"car.toml: .*; expected a car \(valid TOML\)"),
+    ],
+)
 def test_a_file_that_is_no_toml_is_named(tmp_path, text, says):
     path = tmp_path / "car.toml"
     path.write_bytes(text)
@@ -28,15 +34,25 @@ def test_a_file_that_is_no_toml_is_named(tmp_path, text, says):
 
 
 def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(InputError, match=r"given: cannot be read \(No such file or directory\); expected a car \(TOML\)"):
+    with pytest.raises(
+        InputError, match=r"given: cannot be read \(No such file or directory\); expected a car \(TOML\)"
+    ):
         read_toml(tmp_path / "car.toml", "a car", "given")
 
 
-@pytest.mark.parametrize(("document", "table", "says"), [
-    ({"name": "a", "wheels": [{"radius_m": 0.3}, {"radius_m": -1}]}, "", r"^f: wheels.1.radius_m: .*greater than 0 \(given: -1\); expected a car$"),
-    ({}, "", "^f: name: Field required; expected a car$"),
-    ({"name": 1}, "car", r"^f: car.name: .*string \(given: 1\)"),
-    (None, "car", r"^f: car: .*\(given: None\)")])
+@pytest.mark.parametrize(
+    ("document", "table", "says"),
+    [
+        (
+            {"name": "a", "wheels": [{"radius_m": 0.3}, {"radius_m": -1}]},
+            "",
+            r"^f: wheels.1.radius_m: .*greater than 0 \(given: -1\); expected a car$",
+        ),
+        ({}, "", "^f: name: Field required; expected a car$"),
+        ({"name": 1}, "car", r"^f: car.name: .*string \(given: 1\)"),
+        (None, "car", r"^f: car: .*\(given: None\)"),
+    ],
+)
 def test_the_first_field_that_is_refused_is_named(document, table, says):
     with pytest.raises(InputError, match=says):
         checked(Car, document, "a car", "f", table=table)
@@ -45,4 +61,6 @@ def test_the_first_field_that_is_refused_is_named(document, table, says):
 def test_a_good_document_is_read(tmp_path):
     path = tmp_path / "car.toml"
     path.write_text('name = "a"\n[[wheels]]\nradius_m = 0.3\n')
-    assert checked(Car, read_toml(path, "a car"), "a car", path) == Car(name="a", wheels=[Wheel(radius_m=0.3)])
+    assert checked(Car, read_toml(path, "a car"), "a car", path) == Car(
+        name="a", wheels=[Wheel(radius_m=0.3)]
+    )

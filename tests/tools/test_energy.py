@@ -1,4 +1,5 @@
-"""The energy test: what it proves, what it finds, and that the compiled core says what the definition says."""
+"""The energy test: what it proves, what it finds, and that the compiled core says what the definition
+says."""
 
 from __future__ import annotations
 
@@ -41,8 +42,14 @@ def truck():
     manifest = artefacts.read_manifest(folder, "vehicle")
     weight = manifest["weights"]["W_delta"]
     bound = np.array([np.nan if b is None else b for b in weight["bound"]], float)
-    filters = EnergyTest.design(project, Estimator.of(project, model), Weight.from_dict(weight["weight"]),
-                                np.array(weight["omega_rad_s"]), bound, manifest["final_inflation"])
+    filters = EnergyTest.design(
+        project,
+        Estimator.of(project, model),
+        Weight.from_dict(weight["weight"]),
+        np.array(weight["omega_rad_s"]),
+        bound,
+        manifest["final_inflation"],
+    )
     return project, model, Core(folder), filters.restored(manifest["energy_test"], "truck")
 
 
@@ -52,7 +59,8 @@ def on_circle(sections, rho, theta):
     return np.abs(sosfreqz(sections * np.r_[powers, powers], theta)[1])
 
 
-# ------------------------------------------------------------------------------------------------------------- filters
+# ---------------------------------------------------------------------------------------------------- filters
+
 
 def test_the_weights_filter_has_the_fitted_magnitude_on_the_shifted_circle_at_warped_frequencies(truck):
     _, _, _, test = truck
@@ -64,7 +72,11 @@ def test_the_weights_filter_has_the_fitted_magnitude_on_the_shifted_circle_at_wa
     assert np.abs(np.concatenate([np.roots(s[3:]) for s in test.W])).max() < test.rho
     low, high = (2 / test.Ts * np.tan(np.pi * f * test.Ts) for f in test.band_hz)
     s = 2j / test.Ts * np.tan(theta / 2)
-    for F, expected in zip(test.F, (low * high / ((s + low) * (s + high)), high * s / ((s + low) * (s + high)), s / (s + high))):
+    for F, expected in zip(
+        test.F,
+        (low * high / ((s + low) * (s + high)), high * s / ((s + low) * (s + high)), s / (s + high)),
+        strict=False,
+    ):
         np.testing.assert_allclose(on_circle(F, 1.0, theta), np.abs(expected), rtol=1e-7)
 
 
@@ -86,16 +98,26 @@ def test_a_weight_that_falls_is_raised_until_it_is_above_its_bound_when_warped()
 def test_the_sections_in_delta_are_the_sections_in_z(truck):
     z = np.exp(1j * np.linspace(0.01, 3.0, 50))
     sections = truck[3].W
-    for (b0, b1, b2, a0, a1, a2), c in zip(sections, in_delta(sections)):
+    for (b0, b1, b2, a0, a1, a2), c in zip(sections, in_delta(sections), strict=False):
         d = z - 1
-        np.testing.assert_allclose((c[0] * d**2 + c[1] * d + c[2]) / (d**2 + c[3] * d + c[4]),
-                                   (b0 * z**2 + b1 * z + b2) / (a0 * z**2 + a1 * z + a2), rtol=1e-9)
+        np.testing.assert_allclose(
+            (c[0] * d**2 + c[1] * d + c[2]) / (d**2 + c[3] * d + c[4]),
+            (b0 * z**2 + b1 * z + b2) / (a0 * z**2 + a1 * z + a2),
+            rtol=1e-9,
+        )
 
 
 @pytest.mark.parametrize("band_hz", [None, [0.1, 1.0], [0.05, 0.3, 2.0], [0.05, 0.3, 2.0, 7.0]])
 def test_the_cores_low_passes_make_the_bands_and_the_bands_sum_to_the_signal(g80, band_hz):
     project = parse_project(g80.model_dump(by_alias=True) | {"energy_test": {"band_hz": band_hz}}, "test")
-    test = EnergyTest.design(project, Estimator.of(project, NominalModel(project)), Weight([1.0], [1.0]), [1.0, 2.0], [0.5, 0.5], 1.0)
+    test = EnergyTest.design(
+        project,
+        Estimator.of(project, NominalModel(project)),
+        Weight([1.0], [1.0]),
+        [1.0, 2.0],
+        [0.5, 0.5],
+        1.0,
+    )
     assert len(test.F) == len(test.bands) == len(test.memories_s) == len(test.band_hz) + 1
     assert test.bands[0] == "below" and test.bands[-1] == "above" and len(set(test.bands)) == len(test.bands)
     z = np.exp(1j * np.linspace(1e-3, 3.0, 50))
@@ -112,7 +134,7 @@ def test_neighbours_in_the_fan_are_not_judged_one_after_the_other():
     angle = np.arctan2(directions[:, 1], directions[:, 0])
     for window in (2, 4, 8):  # so many in a row look everywhere, as far as so many can
         for k in range(0, len(angle), window):
-            seen = np.sort(angle[k:k + window])
+            seen = np.sort(angle[k : k + window])
             assert np.diff(np.r_[seen, seen[0] + np.pi]).max() == pytest.approx(np.pi / window)
 
 
@@ -127,16 +149,30 @@ def test_the_fan_holds_every_output_alone_and_no_direction_twice(n_y, count):
     assert (cosine - np.eye(count) < 1 - 1e-6).all()
 
 
-@pytest.mark.parametrize(("settings", "says"), [
-    ({"memory_s": 1.0}, "energy_test: memory 1 s"), ({"band_hz": [2.0, 1.0]}, "band_hz"), ({"band_hz": [1.0, 60.0]}, "band_hz")])
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({"memory_s": 1.0}, "energy_test: memory 1 s"),
+        ({"band_hz": [2.0, 1.0]}, "band_hz"),
+        ({"band_hz": [1.0, 60.0]}, "band_hz"),
+    ],
+)
 def test_settings_that_make_no_test_are_refused(settings, says, g80):
     document = g80.model_dump(by_alias=True) | {"energy_test": settings}
     with pytest.raises(InputError, match=says):
         project = parse_project(document, "test")
-        EnergyTest.design(project, Estimator.of(project, NominalModel(project)), Weight([1.0], [1.0]), [1.0, 2.0], [0.5, 0.5], 1.0)
+        EnergyTest.design(
+            project,
+            Estimator.of(project, NominalModel(project)),
+            Weight([1.0], [1.0]),
+            [1.0, 2.0],
+            [0.5, 0.5],
+            1.0,
+        )
 
 
-# ---------------------------------------------------------------------------------------------------------- soundness
+# -------------------------------------------------------------------------------------------------- soundness
+
 
 def deltas(rho, rng):
     """Impulse-response filters (b, a) in 1/z with |Delta| <= 1 on |z| = rho, analytic outside."""
@@ -154,7 +190,13 @@ def deltas(rho, rng):
 
 def norm_peak(test, x, v):
     """max over time and bands of ||F x_j|| / sigma_j (n_y,)."""
-    return np.max([np.sqrt(np.einsum("njj->nj", left)).max(axis=0) / test.sigma[band] for _, band, left, _ in test.norms(x, 0 * x, v)], axis=0)
+    return np.max(
+        [
+            np.sqrt(np.einsum("njj->nj", left)).max(axis=0) / test.sigma[band]
+            for _, band, left, _ in test.norms(x, 0 * x, v)
+        ],
+        axis=0,
+    )
 
 
 def largest_ratio(test, e, yhat, v):
@@ -162,26 +204,40 @@ def largest_ratio(test, e, yhat, v):
 
 
 def drive_within(project, model, test, delta, seconds, rng, *, gain=1.0, coherent=False):
-    """Samples t, v, u, y with e = gain Delta W_delta yhat + w, from rest, and max ||F w_j|| = 0.98 sigma_j in some band."""
+    """Samples t, v, u, y with e = gain Delta W_delta yhat + w, from rest, and max ||F w_j|| = 0.98 sigma_j in
+    some band."""
     n = int(seconds / project.Ts_s)
     t = np.arange(n) * project.Ts_s
     low, high = model.speed_range
-    v = 0.5 * (low + high) + 0.45 * (high - low) * np.sin(2 * np.pi * t / rng.uniform(60, 300) + rng.uniform(0, 6))
+    v = 0.5 * (low + high) + 0.45 * (high - low) * np.sin(
+        2 * np.pi * t / rng.uniform(60, 300) + rng.uniform(0, 6)
+    )
     tones = np.exp(rng.uniform(np.log(0.1), np.log(10.0), 12))
-    u = 0.4 * np.sin(np.outer(t, tones) + rng.uniform(0, 6, 12)).sum(axis=1, keepdims=True) * np.minimum(t / 20.0, 1.0)[:, None]
+    u = (
+        0.4
+        * np.sin(np.outer(t, tones) + rng.uniform(0, 6, 12)).sum(axis=1, keepdims=True)
+        * np.minimum(t / 20.0, 1.0)[:, None]
+    )
     u *= 1.0 + np.sin(2 * np.pi * t / 97.0)[:, None]  # stretches with little excitation too
     yhat = model.simulate(v, u, model.output_offset)
     weighted = sosfilt(test.W, yhat, axis=0)
-    w = weighted.copy() if coherent else lfilter([1.0], [1.0, -rng.choice([0.0, 0.9, 0.999])], rng.standard_normal(yhat.shape), axis=0)
+    w = (
+        weighted.copy()
+        if coherent
+        else lfilter([1.0], [1.0, -rng.choice([0.0, 0.9, 0.999])], rng.standard_normal(yhat.shape), axis=0)
+    )
     peak = norm_peak(test, w, v)
-    w *= 0.98 / (peak.max() if coherent else peak)  # coherent: the same multiple of W_delta yhat for both outputs
+    w *= 0.98 / (
+        peak.max() if coherent else peak
+    )  # coherent: the same multiple of W_delta yhat for both outputs
     w[0] = 0.0
     return t, v, u, yhat + gain * lfilter(*delta, weighted, axis=0) + w
 
 
 def test_no_alarm_where_delta_and_the_disturbance_are_within_the_bounds(truck):
-    """Ten hours in full; the ratio comes close to 1, so the bound is not slack by construction. With a Delta that remembers for as long
-    as the lower bands only those are heard; all are with one that forgets as fast as the band above."""
+    """Ten hours in full; the ratio comes close to 1, so the bound is not slack by construction. With a Delta
+    that remembers for as long as the lower bands only those are heard; all are with one that forgets as fast
+    as the band above."""
     project, model, core, test = truck
     rng = np.random.default_rng(4)
     hours, seconds = 0.0, 2000.0 if FULL else 200.0
@@ -191,7 +247,9 @@ def test_no_alarm_where_delta_and_the_disturbance_are_within_the_bounds(truck):
         core.fields(reals)["energy_scale"][:] = 1 / within.sigma
         largest = []
         for index, delta in enumerate(deltas(np.exp(-test.Ts / memory), rng)):
-            run = core.monitor(reals=reals, seal=True).run(*drive_within(project, model, within, delta, seconds, rng, coherent=index == 0))
+            run = core.monitor(reals=reals, seal=True).run(
+                *drive_within(project, model, within, delta, seconds, rng, coherent=index == 0)
+            )
             assert not len(run.energy_alarms.bin)
             largest.append(run.energy.max())
             hours += seconds / 3600
@@ -216,36 +274,51 @@ def test_the_core_says_what_the_definition_says(truck):
     yhat = model.simulate(v, u, y[0])
     ratios = np.zeros((len(t), len(test.directions)))
     for first, _, stretch in test.ratios(y - yhat, yhat, v):
-        ratios[first:first + len(stretch)] = np.maximum(ratios[first:first + len(stretch)], stretch)
+        ratios[first : first + len(stretch)] = np.maximum(ratios[first : first + len(stretch)], stretch)
     judged = ratios.any(axis=1)
     for double, tolerance in ((False, 2e-4), (True, 1e-8)):
         said = Core(shipped_vehicle("truck"), double=double).monitor().run(t, v, u, y).energy
-        assert not said[:test.settle].any() and not said[8003:8003 + test.settle].any()
+        assert not said[: test.settle].any() and not said[8003 : 8003 + test.settle].any()
         anew = judged & (said != np.r_[0.0, said[:-1]])
         assert np.abs(ratios[anew] - said[anew, None]).min(axis=1).max() < tolerance
         assert anew.sum() > 0.7 * judged.sum()
 
 
 def test_opposite_errors_under_one_nominal_output_are_caught_by_the_joint_form_only(tmp_path):
-    """e = (z, -z) against yhat = (z, z): each output alone passes W_delta = 1.05, no common Delta explains both."""
+    """e = (z, -z) against yhat = (z, z): each output alone passes W_delta = 1.05, no common Delta explains
+    both."""
     document = load_project("truck").model_dump(by_alias=True)
     document["model"]["C"] = [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
     document["name"], document["design"] = "twins", None  # Fig. 1 draws other outputs
     project = parse_project(document, "twins")
     model = NominalModel(project)
     estimator = Estimator.of(project, model)
-    test = replace(EnergyTest.design(project, estimator, Weight([1.05], [1.0]), [1.0, 2.0], [1.0, 1.0], 1.0), sigma=np.full((3, 2), 1e-3))
+    test = replace(
+        EnergyTest.design(project, estimator, Weight([1.05], [1.0]), [1.0, 2.0], [1.0, 1.0], 1.0),
+        sigma=np.full((3, 2), 1e-3),
+    )
     rng = np.random.default_rng(3)
     t = np.arange(6000) * project.Ts_s
-    u, v = np.sin(np.outer(t, [0.5, 1.3, 3.0]) + rng.uniform(0, 6, 3)).sum(axis=1, keepdims=True), np.full(len(t), 15.0)
+    u, v = (
+        np.sin(np.outer(t, [0.5, 1.3, 3.0]) + rng.uniform(0, 6, 3)).sum(axis=1, keepdims=True),
+        np.full(len(t), 15.0),
+    )
     z = model.simulate(v, u, model.output_offset)
     found = {}
-    for name, directions in (("joint", test.directions), ("separate", np.eye(2)[np.arange(len(test.directions)) % 2])):
+    for name, directions in (
+        ("joint", test.directions),
+        ("separate", np.eye(2)[np.arange(len(test.directions)) % 2]),
+    ):
         chosen = replace(test, directions=directions)
         wide = np.ones((estimator.n_bins, 2)) * 1e3
         folder = tmp_path / name / "twins"
         folder.mkdir(parents=True)
-        artefacts.write_files(folder, vehicle_files(project, build_coefficients(project, model, estimator, wide[:, 0], wide, 1.5, chosen), {}))
+        artefacts.write_files(
+            folder,
+            vehicle_files(
+                project, build_coefficients(project, model, estimator, wide[:, 0], wide, 1.5, chosen), {}
+            ),
+        )
         core = Core(folder)
         for sign in (1.0, -1.0):
             run = core.monitor().run(t, v, u, z + z * [1.0, sign])
@@ -253,9 +326,12 @@ def test_opposite_errors_under_one_nominal_output_are_caught_by_the_joint_form_o
     assert found == {("joint", 1.0): 0, ("joint", -1.0): 1, ("separate", 1.0): 0, ("separate", -1.0): 0}
 
 
-# ------------------------------------------------------------------------------------------------- sigma, calibration
+# ----------------------------------------------------------------------------------------- sigma, calibration
 
-def test_no_identification_drive_alarms_also_when_cut_and_scores_are_the_cores(identified, synthetic, g80, core):
+
+def test_no_identification_drive_alarms_also_when_cut_and_scores_are_the_cores(
+    identified, synthetic, g80, core
+):
     stored = stage.load(identified)
     test, groups = stored.energy, stored.manifest["drives"]
     worst = 0.0
@@ -268,7 +344,9 @@ def test_no_identification_drive_alarms_also_when_cut_and_scores_are_the_cores(i
     assert test.calibration.threshold >= 1.0 + ROUNDING
     assert set(test.calibration.scores) <= set(groups["calibration"])
     for name, score in test.calibration.scores.items():
-        assert core.monitor().run_drive(read_drive(synthetic / f"{name}.csv", g80)).energy.max() == pytest.approx(score, rel=1e-5)
+        assert core.monitor().run_drive(
+            read_drive(synthetic / f"{name}.csv", g80)
+        ).energy.max() == pytest.approx(score, rel=1e-5)
 
 
 def test_sigma_is_the_least_for_each_output_and_then_for_the_joint_form(truck):
@@ -276,7 +354,9 @@ def test_sigma_is_the_least_for_each_output_and_then_for_the_joint_form(truck):
     t = np.arange(6000) * test.Ts
     test = replace(test, above=0.35)
     e = 0.2 * np.column_stack([np.sin(t), -np.sin(t)])
-    yhat = 0.3 * np.column_stack([np.sin(t), np.sin(t)])  # 0.35 of it explains half of each, and nothing of the difference
+    yhat = 0.3 * np.column_stack(
+        [np.sin(t), np.sin(t)]
+    )  # 0.35 of it explains half of each, and nothing of the difference
     v = np.full(len(t), 15.0)
     alone = test.with_sigma(test.needs(e, yhat, v))
     single = np.abs(alone.directions).max(axis=1) == 1.0
@@ -286,7 +366,9 @@ def test_sigma_is_the_least_for_each_output_and_then_for_the_joint_form(truck):
     joint = alone.with_joint(alone.at_rest().needs(e, yhat, v))
     assert joint.joint.min() > 1.5 and joint.sigma == pytest.approx(alone.sigma * joint.joint[:, None])
     for _, _, ratios in joint.at_rest().ratios(e, yhat, v):
-        assert ratios.max() == pytest.approx(1.0, abs=1e-7)  # the right side cancels but for rounding, of which the root is taken
+        assert ratios.max() == pytest.approx(
+            1.0, abs=1e-7
+        )  # the right side cancels but for rounding, of which the root is taken
     with pytest.raises(InputError, match="no excited drive that sets the bounds is judged"):
         test.with_sigma(test.needs(e[:100], yhat[:100], v[:100]))
     quiet = test.with_sigma(test.needs(0.0 * e, yhat, v))
@@ -302,7 +384,8 @@ def test_another_memory_than_the_project_files_is_refused(identified, tmp_path):
         stage.load(copy)
 
 
-# ------------------------------------------------------------------------------------------------------------ findings
+# --------------------------------------------------------------------------------------------------- findings
+
 
 def test_alarms_of_the_energy_test_stand_in_the_replay_beside_those_of_frames(core, g80, synthetic):
     drive = read_drive(synthetic / "synthetic_08.csv", g80)
@@ -312,12 +395,16 @@ def test_alarms_of_the_energy_test_stand_in_the_replay_beside_those_of_frames(co
     assert {a.test for a in replay.alarms} == {"frame", "energy"}
     assert [a.t_s for a in replay.alarms] == sorted(a.t_s for a in replay.alarms)
     alarm = next(a for a in replay.alarms if a.test == "energy")
-    assert 60.0 < alarm.t_s and replay.over[int(round(alarm.t_s / g80.Ts_s))]
+    assert alarm.t_s > 60.0 and replay.over[int(round(alarm.t_s / g80.Ts_s))]
     assert alarm.bin_rad_s is None and alarm.W_delta is None and alarm.direction == [1.0]
     assert alarm.margin == pytest.approx(alarm.E[0] / (alarm.Z[0] + alarm.B_w[0]), rel=1e-4)
     assert alarm.margin > alarm.threshold
-    assert alarm.band == "above" and alarm.evidence < 1  # the gain jumps; that nothing responds there is allowed
-    only_frames = Replayer(g80, core, energy_threshold=1e6).replay(inject(drive, Fault("gain", 0.5), 60.0, g80.Ts_s))
+    assert (
+        alarm.band == "above" and alarm.evidence < 1
+    )  # the gain jumps; that nothing responds there is allowed
+    only_frames = Replayer(g80, core, energy_threshold=1e6).replay(
+        inject(drive, Fault("gain", 0.5), 60.0, g80.Ts_s)
+    )
     assert {a.test for a in only_frames.alarms} == {"frame"} and not only_frames.over.any()
 
 
@@ -329,9 +416,29 @@ def test_brakes_at_four_tenths_are_found_by_the_energy_test_alone_in_a_minute(tr
     found = 0
     for k in range(runs):
         scenario, table = tmp_path / f"{k}.toml", tmp_path / f"{k}.csv"
-        scenario.write_text(steady_scenario(60.0, "[[plant.actuator_fault]]\nstart_s = 0.0\nbrake_gain_ratio = 0.4\n", title="brakes at 0.4",
-                                            speed_mps=round(rng.uniform(8.5, 21.5), 2), seed=100 + k))
-        command = [plant_tool(), "generate", "-o", table, "--scenario", scenario, "--program", PROGRAMMES[k % 3], "--duration", 60, "--seed", 100 + k]
+        scenario.write_text(
+            steady_scenario(
+                60.0,
+                "[[plant.actuator_fault]]\nstart_s = 0.0\nbrake_gain_ratio = 0.4\n",
+                title="brakes at 0.4",
+                speed_mps=round(rng.uniform(8.5, 21.5), 2),
+                seed=100 + k,
+            )
+        )
+        command = [
+            plant_tool(),
+            "generate",
+            "-o",
+            table,
+            "--scenario",
+            scenario,
+            "--program",
+            PROGRAMMES[k % 3],
+            "--duration",
+            60,
+            "--seed",
+            100 + k,
+        ]
         subprocess.run([str(c) for c in command], check=True)
         alarms = replayer.replay_file(table).alarms
         assert {a.test for a in alarms} <= {"energy"}

@@ -1,4 +1,5 @@
-"""What counts as found, from when and until when; what a threshold promises; and drives that offer less than the measured ones."""
+"""What counts as found, from when and until when; what a threshold promises; and drives that offer less than
+the measured ones."""
 
 from __future__ import annotations
 
@@ -31,30 +32,55 @@ def replay(seconds: float, relevant=slice(None), *, name: str = "made up", falsi
     n = round(seconds / TS) + 1
     judged = np.zeros(n, bool)
     judged[relevant] = True
-    return Replay(name, seconds, None, judged, np.ones(n, bool), np.ones(n, bool), hits(n, *falsified), hits(n, *over), [], TS)
+    return Replay(
+        name,
+        seconds,
+        None,
+        judged,
+        np.ones(n, bool),
+        np.ones(n, bool),
+        hits(n, *falsified),
+        hits(n, *over),
+        [],
+        TS,
+    )
 
 
-# ---------------------------------------------------------------------------------------------------------- what counts
+# ------------------------------------------------------------------------------------------------ what counts
+
 
 def test_the_clock_runs_in_judged_driving_from_the_first_faulty_sample_on():
     clock = Clock.of(replay(100.0, slice(0, 3500)), 3000)
     assert clock.read(hits(5001, 2999)) is None
     assert clock.read(hits(5001, 2999, 3000)) == pytest.approx(TS), "the first faulty sample counts"
-    assert clock.read(hits(5001, 3499)) == clock.read(hits(5001, 4500)) == pytest.approx(10.0), "it stands where nothing is judged"
+    assert clock.read(hits(5001, 3499)) == clock.read(hits(5001, 4500)) == pytest.approx(10.0), (
+        "it stands where nothing is judged"
+    )
     whole = Clock.of(replay(100.0), 3000)
     assert whole.end == 3000 + round(stage.FOUND_WITHIN_S / TS)
 
 
-@pytest.mark.parametrize(("faulty", "untouched", "s"), [
-    (3009, None, 0.2), (3009, 3010, 0.2),                       # the twin is silent until then, or for ever
-    (3009, 3009, None), (3009, 3001, None),                     # it alarms with it, or first: not the fault's doing
-    (4499, None, 30.0), (4500, None, None)])                    # in time, and one sample too late
+@pytest.mark.parametrize(
+    ("faulty", "untouched", "s"),
+    [
+        (3009, None, 0.2),
+        (3009, 3010, 0.2),  # the twin is silent until then, or for ever
+        (3009, 3009, None),
+        (3009, 3001, None),  # it alarms with it, or first: not the fault's doing
+        (4499, None, 30.0),
+        (4500, None, None),
+    ],
+)  # in time, and one sample too late
 def test_found_means_before_the_untouched_drive_and_in_time(faulty, untouched, s):
     clock = Clock.of(replay(120.0), 3000)
     other = None if untouched is None else clock.read(hits(6001, untouched))
     case = Case.of("made up", TS, clock, hits(6001, faulty), other)
     assert case.untouched_s == other
-    assert case.s == (None if s is None else pytest.approx(s)) and case.found == (s is not None) and case.start_s == 60.0
+    assert (
+        case.s == (None if s is None else pytest.approx(s))
+        and case.found == (s is not None)
+        and case.start_s == 60.0
+    )
 
 
 def test_what_the_untouched_drive_says_later_does_not_matter():
@@ -75,7 +101,11 @@ def test_starts_leave_time_to_find_and_do_not_depend_on_other_drives():
     assert len(clocks) == stage.STARTS
     firsts = [c.first for c in clocks]
     assert firsts == sorted(firsts) and firsts[0] >= 3000 and firsts[-1] < 13501
-    assert [c.first for c in fault_clocks(long, seed=1)] == firsts != [c.first for c in fault_clocks(replay(300.0, name="b"), seed=1)]
+    assert (
+        [c.first for c in fault_clocks(long, seed=1)]
+        == firsts
+        != [c.first for c in fault_clocks(replay(300.0, name="b"), seed=1)]
+    )
     # Judged until 100 s alone: every start leaves 30 s of that.
     for clock in fault_clocks(replay(300.0, slice(0, 5000)), seed=1):
         assert clock.first >= 3000 and clock.seconds[-1] >= stage.FOUND_WITHIN_S - 1e-9
@@ -86,10 +116,16 @@ def test_starts_leave_time_to_find_and_do_not_depend_on_other_drives():
 
 def test_every_second_counts_in_pieces_of_which_the_last_may_be_shorter():
     made = replay(170.0, falsified=(10, 20, 3000), over=(8400,))
-    assert alarmed_pieces(made) == (3, 3) and alarmed_pieces(made, "energy") == (1, 3) and alarmed_pieces(made, "frame") == (2, 3)
+    assert (
+        alarmed_pieces(made) == (3, 3)
+        and alarmed_pieces(made, "energy") == (1, 3)
+        and alarmed_pieces(made, "frame") == (2, 3)
+    )
     assert alarmed_pieces(replay(59.0, over=(5,))) == (1, 1)
     assert alarmed_pieces(replay(140.0, falsified=(6500,))) == (1, 3), "an alarm in the last 20 s"
-    assert alarmed_pieces(replay(140.0, slice(0, 6000), over=(6500,))) == (1, 3), "where nothing is judged, too"
+    assert alarmed_pieces(replay(140.0, slice(0, 6000), over=(6500,))) == (1, 3), (
+        "where nothing is judged, too"
+    )
     assert alarmed_pieces(replay(120.0, over=(6000,))) == (1, 2), "the closing sample is no piece of its own"
     assert stage.piece_starts(1, TS).tolist() == [0]
 
@@ -100,18 +136,27 @@ def test_false_alarms_are_counted_in_pieces_drives_and_by_the_hour_judged():
     assert counted.judged_h == pytest.approx(0.1) and counted.per_judged_h == pytest.approx(30.0)
     assert Pieces.of([(1, 1)], [0.0], seed=1).per_judged_h is None
     none = Pieces.of([], [], seed=1)
-    assert (none.drives, none.alarmed_drives, none.pieces, none.interval, none.per_judged_h) == (0, 0, 0, None, None)
+    assert (none.drives, none.alarmed_drives, none.pieces, none.interval, none.per_judged_h) == (
+        0,
+        0,
+        0,
+        None,
+        None,
+    )
 
 
 def test_equal_rates_are_claimed_only_where_all_are_stated():
     assert "one guaranteed rate" in stage.equal_rates({"monitor": 0.1, "rms": 0.1})
     said = stage.equal_rates({"monitor": 0.1, "rms": None})
-    assert said.startswith("by counts only") and said.endswith("for rms") and "one guaranteed rate" not in said
+    assert (
+        said.startswith("by counts only") and said.endswith("for rms") and "one guaranteed rate" not in said
+    )
     assert stage._one_rate([0.1, 0.1]) == 0.1 and stage._one_rate([0.1, None]) is None
 
 
 def test_an_alarm_stands_where_the_core_says_so(core, g80, synthetic):
-    """The verdict turns invalid with the very samples that are counted; a frame waits for its turn after its end."""
+    """The verdict turns invalid with the very samples that are counted; a frame waits for its turn after its
+    end."""
     drive = inject(read_drive(synthetic / "synthetic_06.csv", g80), Fault("gain", 0.3), 60.0, g80.Ts_s)
     found = Replayer(g80, core, threshold=1.5, energy_threshold=1e6).replay(drive)
     assert not found.over.any() and found.falsified.any()
@@ -123,10 +168,12 @@ def test_an_alarm_stands_where_the_core_says_so(core, g80, synthetic):
     assert of_energy.first_invalid_s == pytest.approx(np.flatnonzero(alarming(of_energy))[0] * found.Ts)
 
 
-# ------------------------------------------------------------------------------------------------------ what is promised
+# ------------------------------------------------------------------------------------------- what is promised
+
 
 def test_one_threshold_for_both_tests_keeps_alpha_and_two_do_not():
-    """10 calibration drives, independent tests: by either, the joint threshold lets 1/11 alarm, the two 1 - (10/11)^2 = 21/121."""
+    """10 calibration drives, independent tests: by either, the joint threshold lets 1/11 alarm, the two 1 -
+    (10/11)^2 = 21/121."""
     random, n, alpha, trials = np.random.default_rng(3), 10, 0.1, 4000
     joint = apart = 0
     for _ in range(trials):
@@ -135,24 +182,36 @@ def test_one_threshold_for_both_tests_keeps_alpha_and_two_do_not():
         joint += max(frame[n], energy[n]) > calibrate(joint_scores(*of), alpha).threshold
         apart += frame[n] > calibrate(of[0], alpha).threshold or energy[n] > calibrate(of[1], alpha).threshold
     spread = 3 * np.sqrt(0.25 / trials)
-    assert joint / trials == pytest.approx(1 / 11, abs=spread) and apart / trials == pytest.approx(21 / 121, abs=spread)
+    assert joint / trials == pytest.approx(1 / 11, abs=spread) and apart / trials == pytest.approx(
+        21 / 121, abs=spread
+    )
     assert joint_scores({"a": 1.0, "b": 3.0}, {"b": 2.0, "c": 4.0}) == {"a": 1.0, "b": 3.0, "c": 4.0}
 
 
-@pytest.mark.parametrize(("drives", "alpha", "says"), [
-    (25, 0.04, "alpha 0.04 from 25 drives, with 95 % confidence below 0.113"),
-    (25, 0.038, "not stated"), (23, 0.04, "not stated"), (24, 0.04, "alpha 0.04 from 24 drives"),
-    (8, 0.2, "not stated"), (9, 0.1, "alpha 0.1 from 9 drives"), (0, 0.1, "not stated")])
+@pytest.mark.parametrize(
+    ("drives", "alpha", "says"),
+    [
+        (25, 0.04, "alpha 0.04 from 25 drives, with 95 % confidence below 0.113"),
+        (25, 0.038, "not stated"),
+        (23, 0.04, "not stated"),
+        (24, 0.04, "alpha 0.04 from 24 drives"),
+        (8, 0.2, "not stated"),
+        (9, 0.1, "alpha 0.1 from 9 drives"),
+        (0, 0.1, "not stated"),
+    ],
+)
 def test_a_claim_comes_with_its_conditional_bound_or_is_refused(drives, alpha, says):
     """n < 1/alpha - 1, or fewer than 9 drives: alpha is not stated."""
     assert says in calibrate({str(i): 1.0 + i for i in range(drives)}, alpha).claim()
 
 
-# --------------------------------------------------------------------------------------------------------- fewer drives
+# ----------------------------------------------------------------------------------------------- fewer drives
+
 
 @pytest.fixture
 def folder(synthetic, tmp_path):
-    """Makes a folder of chosen synthetic drives: name -> split, changed by a function of the table's text lines."""
+    """Makes a folder of chosen synthetic drives: name -> split, changed by a function of the table's text
+    lines."""
 
     def make(chosen: dict[str, str], change=lambda name, lines: lines):
         made = tmp_path / "drives"
@@ -160,7 +219,9 @@ def folder(synthetic, tmp_path):
         for name in chosen:
             lines = (synthetic / f"{name}.csv").read_text().splitlines()
             (made / f"{name}.csv").write_text("\n".join(change(name, lines)) + "\n")
-        (made / "experiments.csv").write_text("experiment,split\n" + "".join(f"{n},{s}\n" for n, s in chosen.items()))
+        (made / "experiments.csv").write_text(
+            "experiment,split\n" + "".join(f"{n},{s}\n" for n, s in chosen.items())
+        )
         return made
 
     return make
@@ -175,14 +236,23 @@ def evaluated(g80, core, drives):
 
 @pytest.mark.slow("10 s: an identification and its evaluation")
 def test_a_single_drive_to_evaluate_has_no_baselines_and_no_alpha(folder, g80, core):
-    table = evaluated(g80, core, folder({"synthetic_01": "train", "synthetic_02": "train", "synthetic_06": "valid"}))
-    assert table["baselines"] == [] and all(row["best"] == (["monitor"] if row["found"] else []) for row in table["faults"])
+    table = evaluated(
+        g80, core, folder({"synthetic_01": "train", "synthetic_02": "train", "synthetic_06": "valid"})
+    )
+    assert table["baselines"] == [] and all(
+        row["best"] == (["monitor"] if row["found"] else []) for row in table["faults"]
+    )
     assert table["claims"]["identified"]["frame"].endswith("too few calibration drives (1)")
-    assert table["claims"]["left_one_out"]["monitor"] == ["alpha is not stated: too few calibration drives (0)"]
+    assert table["claims"]["left_one_out"]["monitor"] == [
+        "alpha is not stated: too few calibration drives (0)"
+    ]
     assert all(row["drives"] == 1 and row["counted"] == stage.STARTS for row in table["faults"])
     assert table["stated_rates"] == {"monitor": None, "frame": None, "energy": None, "exported": None}
     (drive,) = table["drives"]
-    assert drive["last_piece_s"] == pytest.approx(drive["duration_s"] - 60 * (drive["pieces"] - 1)) and 0 < drive["last_piece_s"] <= 60
+    assert (
+        drive["last_piece_s"] == pytest.approx(drive["duration_s"] - 60 * (drive["pieces"] - 1))
+        and 0 < drive["last_piece_s"] <= 60
+    )
     assert table["false_alarms"]["all"]["judged_h"] == pytest.approx(drive["judged_s"] / 3600)
 
 
@@ -190,22 +260,35 @@ def test_a_single_drive_to_evaluate_has_no_baselines_and_no_alpha(folder, g80, c
 def test_short_and_unexcited_drives_are_counted_and_named(folder, g80, core):
     def change(name: str, lines: list[str]) -> list[str]:
         if name == "synthetic_06":
-            return lines[:1 + 50 * 100]
+            return lines[: 1 + 50 * 100]
         if name == "synthetic_08":
             header, rows = lines[0].split(","), [line.split(",") for line in lines[1:]]
             steering = header.index("delta")
-            return [lines[0], *(",".join("0" if i == steering else x for i, x in enumerate(row)) for row in rows)]
+            return [
+                lines[0],
+                *(",".join("0" if i == steering else x for i, x in enumerate(row)) for row in rows),
+            ]
         return lines
 
-    splits = dict.fromkeys(("synthetic_01", "synthetic_02"), "train") | dict.fromkeys(("synthetic_06", "synthetic_08"), "valid")
+    splits = dict.fromkeys(("synthetic_01", "synthetic_02"), "train") | dict.fromkeys(
+        ("synthetic_06", "synthetic_08"), "valid"
+    )
     table = evaluated(g80, core, folder(splits, change))
     assert set(table["without_faults"]) == {"synthetic_06", "synthetic_08"}
     assert "s long, no more than 120 s" in table["without_faults"]["synthetic_06"]
     assert "less than 30 s of judged, excited" in table["without_faults"]["synthetic_08"]
     still = next(r for r in table["drives"] if r["run"] == "synthetic_08")
-    assert still["judged_of_in_range_excited"] is None and still["pieces"] == len(stage.piece_starts(round(still["duration_s"] / TS) + 1, TS)) == 3
-    assert all(row["drives"] == row["counted"] == 0 and row["best"] == [] and row["median_s"] is None for row in table["faults"])
-    assert len(table["baselines"]) == 3 and all(r["counted"] == 0 for b in table["baselines"] for r in b["faults"])
+    assert (
+        still["judged_of_in_range_excited"] is None
+        and still["pieces"] == len(stage.piece_starts(round(still["duration_s"] / TS) + 1, TS)) == 3
+    )
+    assert all(
+        row["drives"] == row["counted"] == 0 and row["best"] == [] and row["median_s"] is None
+        for row in table["faults"]
+    )
+    assert len(table["baselines"]) == 3 and all(
+        r["counted"] == 0 for b in table["baselines"] for r in b["faults"]
+    )
 
 
 def test_nothing_to_evaluate_is_an_error_that_says_what_is_missing(folder, g80, core):

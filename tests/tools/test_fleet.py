@@ -1,4 +1,5 @@
-"""Many drives: the same bytes for any workers and any order, memory that does not grow, and what the passes over drives compute."""
+"""Many drives: the same bytes for any workers and any order, memory that does not grow, and what the passes
+over drives compute."""
 
 from __future__ import annotations
 
@@ -67,7 +68,8 @@ def files(folder: Path, run=map) -> dict[str, bytes]:
     return content
 
 
-# ---------------------------------------------------------------------------------------------------------- bad frames
+# ------------------------------------------------------------------------------------------------- bad frames
+
 
 @pytest.fixture(scope="module")
 def bad_frames():
@@ -100,9 +102,13 @@ def test_a_disturbance_bound_that_is_missing_or_below_b1_names_experiment_bin_an
     below, grid = np.full(K, 1e3), np.full((K, FRONT_POINTS), np.nan)
     below[2] = (1 - 1e-6) * size
     s = replace(s, E=np.where(np.arange(3)[:, None] == 2, s.E, 0.1 * s.Z))
-    place = re.escape(f"lap_7: bin 2 ({estimator.omega[2]:.6g} rad/s), frame from sample 400: B1 = {size:.6g} and gamma_w = ")
-    for run in (lambda g: reduce_uncertainty([s], estimator, g, grid, n_y, "S1"),
-                lambda g: reduce_covering([s], estimator, g, np.ones((K, n_y)), "S1")):
+    place = re.escape(
+        f"lap_7: bin 2 ({estimator.omega[2]:.6g} rad/s), frame from sample 400: B1 = {size:.6g} and gamma_w = "
+    )
+    for run in (
+        lambda g: reduce_uncertainty([s], estimator, g, grid, n_y, "S1"),
+        lambda g: reduce_covering([s], estimator, g, np.ones((K, n_y)), "S1"),
+    ):
         with pytest.raises(InputError, match=place + ".*expected finite spectra and gamma_w >= B1"):
             run(below)
         run(np.where(np.arange(K) == 2, size, below))
@@ -114,7 +120,8 @@ def test_a_disturbance_bound_that_is_missing_or_below_b1_names_experiment_bin_an
     assert explain(empty, estimator, none, "S1")[0].shape == (0,), "an empty bin asks for nothing"
 
 
-# ---------------------------------------------------------------------------------------------------------- workers
+# ---------------------------------------------------------------------------------------------------- workers
+
 
 @pytest.mark.slow("9 s: the fleet identified five times")
 def test_workers_and_order_do_not_change_a_byte(drives, tmp_path):
@@ -124,7 +131,9 @@ def test_workers_and_order_do_not_change_a_byte(drives, tmp_path):
     shuffled = tmp_path / "shuffled"
     shutil.copytree(drives, shuffled)
     head, *rows = (drives / "experiments.csv").read_text().splitlines()
-    (shuffled / "experiments.csv").write_text("\n".join([head, *np.random.default_rng(1).permutation(rows)]) + "\n")
+    (shuffled / "experiments.csv").write_text(
+        "\n".join([head, *np.random.default_rng(1).permutation(rows)]) + "\n"
+    )
     other = files(shuffled)
     for name in ("bounds.json", "front.json", "weights.json", "visibility.json"):
         assert other[name] == alone[name], name
@@ -134,14 +143,18 @@ def test_workers_and_order_do_not_change_a_byte(drives, tmp_path):
 
 def test_dask_gives_the_same_bytes(drives):
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None) as cluster:
-        with workers(scheduler=cluster.scheduler_address) as run:
-            assert files(drives, run) == files(drives)
+    with (
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
+        ) as cluster,
+        workers(scheduler=cluster.scheduler_address) as run,
+    ):
+        assert files(drives, run) == files(drives)
 
 
 def test_a_core_is_sent_as_its_sources_and_can_be_sent_on(core):
     again = pickle.loads(pickle.dumps(pickle.loads(pickle.dumps(core))))
-    for a, b in zip(core.compiled, again.compiled):
+    for a, b in zip(core.compiled, again.compiled, strict=False):
         np.testing.assert_array_equal(a, b)
 
 
@@ -178,7 +191,9 @@ def test_workers_end_with_a_pool_that_was_killed(tmp_path):
     """Nobody tells them: what started them was killed."""
     script = tmp_path / "pool.py"
     script.write_text(POOL)
-    with subprocess.Popen([sys.executable, script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as pool:
+    with subprocess.Popen(
+        [sys.executable, script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as pool:
         started = [int(p) for p in pool.stdout.readline().split()]
         assert started and all(map(alive, started))
         pool.kill()
@@ -206,8 +221,14 @@ def test_an_input_error_of_a_worker_keeps_its_parts(drives, tmp_path):
     assert caught.value.source.endswith("drive_00004.parquet")
 
 
-@pytest.mark.parametrize(("given", "says"), [({"jobs": 0}, "at least 1"), ({"jobs": 2, "scheduler": "tcp://x:1"}, "one of them"),
-                                             ({"scheduler": "nonsense"}, "no scheduler answers")])
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"jobs": 0}, "at least 1"),
+        ({"jobs": 2, "scheduler": "tcp://x:1"}, "one of them"),
+        ({"scheduler": "nonsense"}, "no scheduler answers"),
+    ],
+)
 def test_bad_worker_settings_are_named(given, says, monkeypatch):
     monkeypatch.setattr("lpvguard.base.parallel.CONNECT_TIMEOUT_S", 1)
     if given.get("scheduler") == "nonsense":
@@ -223,7 +244,17 @@ def test_replay_and_evaluate_share_drives(lpvguard, vehicle, identified, synthet
     alone, shared = lpvguard(*replay), lpvguard(*replay, "--jobs", 2)
     assert alone.returncode == shared.returncode == 0, shared.stderr
     assert alone.stdout == shared.stdout and len(json.loads(alone.stdout)) == 3
-    evaluate = ("evaluate", "--vehicle", "g80", identified, synthetic, "--coefficients", vehicle, "--json", "-")
+    evaluate = (
+        "evaluate",
+        "--vehicle",
+        "g80",
+        identified,
+        synthetic,
+        "--coefficients",
+        vehicle,
+        "--json",
+        "-",
+    )
     alone, shared = lpvguard(*evaluate), lpvguard(*evaluate, "--jobs", 2)
     assert alone.returncode == shared.returncode == 0, shared.stderr
     assert alone.stdout == shared.stdout
@@ -243,18 +274,28 @@ def test_memory_does_not_grow_with_the_number_of_drives(tmp_path):
 @pytest.mark.slow("12 s: the fleet bench")
 def test_bench_names_what_there_is(lpvguard):
     done = lpvguard("bench", "nothing")
-    assert done.returncode == 2 and "can or core or fleet or robust or synthesis or validation or weights" in done.stderr
+    assert (
+        done.returncode == 2
+        and "can or core or fleet or robust or synthesis or validation or weights" in done.stderr
+    )
     done = lpvguard("bench", "fleet", "--drives", 3, "--memory", "--json", "-")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["same_bytes"] is True
 
 
-# --------------------------------------------------------------------------------------------------------- sampling
+# --------------------------------------------------------------------------------------------------- sampling
+
 
 def test_samples_are_associative_and_commutative():
     random = np.random.default_rng(0)
-    parts = [{"group": random.integers(0, 4, n), "hash": row_hash(f"drive {i}", np.arange(n)), "x": random.standard_normal(n)}
-             for i, n in enumerate((50, 0, 7, 90, 200))]
+    parts = [
+        {
+            "group": random.integers(0, 4, n),
+            "hash": row_hash(f"drive {i}", np.arange(n)),
+            "x": random.standard_normal(n),
+        }
+        for i, n in enumerate((50, 0, 7, 90, 200))
+    ]
     whole = first_of_each(stacked(parts), 20, "x")
     for order in ([4, 3, 2, 1, 0], [1, 0, 4, 2, 3]):
         folded = first_of_each(parts[order[0]], 20, "x")
@@ -268,7 +309,11 @@ def test_samples_are_associative_and_commutative():
 
 
 def test_a_draw_by_hash_is_uniform():
-    rows = {"group": np.zeros(100_000, int), "hash": row_hash("drive", np.arange(100_000)), "x": np.arange(100_000) / 1e5}
+    rows = {
+        "group": np.zeros(100_000, int),
+        "hash": row_hash("drive", np.arange(100_000)),
+        "x": np.arange(100_000) / 1e5,
+    }
     drawn = first_of_each(rows, 2000)["x"]
     assert abs(drawn.mean() - 0.5) < 0.03 and abs(np.quantile(drawn, 0.9) - 0.9) < 0.03
 
@@ -286,8 +331,14 @@ def test_spectra_are_thinned_to_the_stated_cap_and_keep_the_largest(monkeypatch,
 def test_excitation_of_all_drives_is_that_of_their_frames_together():
     random = np.random.default_rng(2)
     W_delta, B_w, K = np.full(4, 0.1), np.full((4, 1), 0.01), 4
-    frames = [(random.integers(0, K, n), random.uniform(4, 19, n), random.standard_normal((n, 1)) + 0j) for n in (300, 700)]
-    parts = [Excitation.of(f"d{i}", (4.0, 19.0), b, v, Z, W_delta, B_w, np.arange(len(b))) for i, (b, v, Z) in enumerate(frames)]
+    frames = [
+        (random.integers(0, K, n), random.uniform(4, 19, n), random.standard_normal((n, 1)) + 0j)
+        for n in (300, 700)
+    ]
+    parts = [
+        Excitation.of(f"d{i}", (4.0, 19.0), b, v, Z, W_delta, B_w, np.arange(len(b)))
+        for i, (b, v, Z) in enumerate(frames)
+    ]
     joined = Excitation.joined(parts)
     np.testing.assert_array_equal(joined.count, parts[0].count + parts[1].count)
     assert joined.strongest["size"].max() == max(np.abs(Z).max() for _, _, Z in frames)
@@ -295,7 +346,8 @@ def test_excitation_of_all_drives_is_that_of_their_frames_together():
         np.testing.assert_array_equal(joined.sample[name], Excitation.joined(parts[::-1]).sample[name])
 
 
-# ------------------------------------------------------------------------------------------------ kernel, front
+# ---------------------------------------------------------------------------------------------- kernel, front
+
 
 @pytest.mark.parametrize("n", [1, 2, 3, 5])
 def test_compiled_recursion_has_the_bits_of_numpy(n, monkeypatch):
@@ -334,7 +386,8 @@ def test_what_was_taken_lies_on_the_front(found):
         assert b.front_nu[k][below].min() >= b.nu[k] >= (b.front_nu[k][above].max() if above.any() else 0.0)
 
 
-# -------------------------------------------------------------------------------------------------------- plain DFT
+# -------------------------------------------------------------------------------------------------- plain DFT
+
 
 def plain(name: str = "g80", **frames):
     document = load_project(name).model_dump(by_alias=True)
@@ -355,7 +408,8 @@ def test_plain_dft_of_the_models_own_data_is_zero_once_the_transient_is_out(name
     u = 0.05 * random.standard_normal((n, project.n_u))
     drive = Drive("d", np.arange(n) * model.Ts, v, u, model.simulate(v, u, np.full(project.n_y, 0.3)))
     E, Z = spectra(drive, 40, model, estimator)
-    # All that is left is the speed table's tolerance (1e-6 of each entry); with the transient in, E is of the output's size.
+    # All that is left is the speed table's tolerance (1e-6 of each entry); with the transient in, E is of the
+    # output's size.
     assert np.abs(E[1:]).max() < 1e-4 * np.abs(Z[1:]).max()
     G = model.frequency_response(estimator.omega[1:], 12.0)
     assert np.median(np.linalg.norm(Z[1:], axis=1) / np.linalg.norm(G[:, :, 0], axis=1)) < 0.05
@@ -391,7 +445,10 @@ def test_identify_with_the_plain_dft_leaves_out_unsteady_drives_and_the_core_ref
     assert list(result.left_out) == ["drive_00003"] and "15%" in result.left_out["drive_00003"]
     assert "drive_00003" not in result.bound_drives and len(result.bound_drives) == 3
     assert (result.bounds.frames == 3).all() and np.isfinite(result.bounds.B2).all()
-    assert result.weights.inflation >= 1.0 and set(result.calibration.scores) == {"drive_00002", "drive_00005"}
+    assert result.weights.inflation >= 1.0 and set(result.calibration.scores) == {
+        "drive_00002",
+        "drive_00005",
+    }
     stage.save(result, drive_set, tmp_path / "found")
     stored = stage.load(tmp_path / "found")
     assert stored.bounds["window_error_median"].max() < 1e-8
@@ -402,7 +459,10 @@ def test_identify_with_the_plain_dft_leaves_out_unsteady_drives_and_the_core_ref
     text = resources.files("lpvguard.vehicle").joinpath("shipped", "g80.toml").read_text()
     settings.write_text(re.sub(r'estimator = "hann"', 'estimator = "dft"\nlength_s = 10.0', text))
     done = lpvguard("replay", "--vehicle", settings, tmp_path / "drives" / "drive_00001.parquet")
-    assert done.returncode == 2 and "frames.estimator: the plain DFT, which the core does not compute" in done.stderr
+    assert (
+        done.returncode == 2
+        and "frames.estimator: the plain DFT, which the core does not compute" in done.stderr
+    )
     hann = Estimator.of(load_project("g80"), NominalModel(load_project("g80")))
     assert result.estimator.identifier() != hann.identifier()
 

@@ -31,7 +31,7 @@ def test_transform_is_the_defining_sum(estimator):
         w = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N) / N)
         scale = (2 if estimator.cycles[k] else 1) / w.sum()
         rotation = np.exp(-2j * np.pi * estimator.cycles[k] * np.arange(N) / N)
-        direct = [[scale * np.sum(w * rotation * x[s:s + N, j]) for j in range(2)] for s in starts]
+        direct = [[scale * np.sum(w * rotation * x[s : s + N, j]) for j in range(2)] for s in starts]
         np.testing.assert_allclose(estimator.transform(x, k, starts), direct, atol=1e-13)
 
 
@@ -42,16 +42,18 @@ def brute_counted(estimator, v, k):
         run = run + 1 if estimator.speed_range[0] <= speed <= estimator.speed_range[1] else 0
         good.append(run > estimator.settle)
     for s in range(len(v) - N + 1):
-        piece = v[s:s + N]
+        piece = v[s : s + N]
         steady = np.all(np.abs(piece / piece.mean() - 1) <= estimator.speed_tolerance)
-        out.append(bool(steady and all(good[s:s + N])))
+        out.append(bool(steady and all(good[s : s + N])))
     return np.array(out, bool)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_counted_frames_are_those_of_the_definition(estimator, seed):
     random = np.random.default_rng(seed)
-    v = np.repeat(random.uniform(2.0, 20.0, 12), random.integers(20, 120, 12)) * (1 + 0.05 * random.standard_normal())
+    v = np.repeat(random.uniform(2.0, 20.0, 12), random.integers(20, 120, 12)) * (
+        1 + 0.05 * random.standard_normal()
+    )
     v = np.convolve(v, np.ones(15) / 15, mode="same")
     for k in (estimator.n_bins - 1, estimator.n_bins - 4):
         np.testing.assert_array_equal(estimator.counted(v, k), brute_counted(estimator, v, k))
@@ -64,8 +66,12 @@ def test_a_drive_shorter_than_the_frame_has_none(estimator):
 def test_the_identifier_moves_with_every_part_of_the_definition(estimator):
     from dataclasses import replace
 
-    changed = [replace(estimator, Ts=0.01), replace(estimator, settle=estimator.settle + 1),
-               replace(estimator, speed_tolerance=0.16), replace(estimator, speed_range=(3.5, 20.0)),
-               replace(estimator, cycles=np.r_[0, estimator.cycles[1:] + 1])]
+    changed = [
+        replace(estimator, Ts=0.01),
+        replace(estimator, settle=estimator.settle + 1),
+        replace(estimator, speed_tolerance=0.16),
+        replace(estimator, speed_range=(3.5, 20.0)),
+        replace(estimator, cycles=np.r_[0, estimator.cycles[1:] + 1]),
+    ]
     identifiers = {e.identifier() for e in [estimator, *changed]}
     assert len(identifiers) == len(changed) + 1

@@ -1,4 +1,5 @@
-"""Ingest: every log form gives the same table, every database decodes as cantools does, and a real log gives its reference table."""
+"""Ingest: every log form gives the same table, every database decodes as cantools does, and a real log gives
+its reference table."""
 
 from __future__ import annotations
 
@@ -9,6 +10,7 @@ from pathlib import Path
 import cantools
 import numpy as np
 import pytest
+
 from lpvguard.base import native
 from lpvguard.base.errors import InputError
 from lpvguard.can.decode import decode_all, load_database
@@ -29,7 +31,7 @@ ROOT = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get("LPVGUARD_DATA", ROOT.parent / "shared/data"))
 
 
-# ------------------------------------------------------------------------------------------------------------- forms
+# ------------------------------------------------------------------------------------------------------ forms
 
 
 @pytest.mark.parametrize("form", ["log", "log.gz", "asc", "blf", "mf4", "csv", "parquet"])
@@ -133,7 +135,7 @@ columns.v = {{ unit = "m/s", signal = "V"{source[1]} }}''',
 def test_decoded_logs_with_gaps_absent_values_and_a_clock_that_goes_back(car, tmp_path):
     t = np.concatenate((np.arange(0, 4, 0.02), np.arange(6, 8, 0.02), np.arange(1, 3, 0.02)))
     x = np.sin(t)
-    text = [f"{a:.2f},{b:.6f}" for a, b in zip(t, x)]
+    text = [f"{a:.2f},{b:.6f}" for a, b in zip(t, x, strict=False)]
     text[50] = "1.00,"
     (tmp_path / "drive.csv").write_text("t,x\n" + "\n".join(text) + "\n")
     report = ingest(
@@ -176,7 +178,7 @@ def test_parquet_is_written_when_the_map_asks_for_it(car, tmp_path):
     agrees(tmp_path / "out/drive.parquet")
 
 
-# ---------------------------------------------------------------------------------------------------------- real data
+# -------------------------------------------------------------------------------------------------- real data
 
 RAV4 = DATA / "comma2k19_rav4"
 needs_rav4 = pytest.mark.skipif(not RAV4.is_dir(), reason=f"no {RAV4.name} in LPVGUARD_DATA")
@@ -237,7 +239,7 @@ def test_decoding_is_ten_times_the_python_loop():
     assert result["frames_per_s"] >= 2e6, result
 
 
-# ------------------------------------------------------------------------------------------------ databases of any kind
+# -------------------------------------------------------------------------------------- databases of any kind
 
 ODD_DBC = """VERSION ""
 NS_ :
@@ -253,38 +255,57 @@ BO_ 2147483748 TWICE: 8 CAR
 @pytest.mark.parametrize("encoding", ["utf-8", "cp1252"])
 @pytest.mark.parametrize("identifier, factor", [("064", 0.01), ("00000064", 0.02)])
 def test_units_in_any_encoding_and_names_given_twice(encoding, identifier, factor, tmp_path):
-    """The same name for a standard and an extended identifier of the same number: told apart by what the log holds."""
+    """The same name for a standard and an extended identifier of the same number: told apart by what the log
+    holds."""
     (tmp_path / "car.dbc").write_bytes(ODD_DBC.format(unit="°/s").encode(encoding))
     order = "big" if identifier == "064" else "little"
     (tmp_path / "drive.log").write_text(
-        "".join(f"({0.01 * k:.6f}) can0 {identifier}#{k.to_bytes(2, order).hex()}000000000000\n" for k in range(100))
+        "".join(
+            f"({0.01 * k:.6f}) can0 {identifier}#{k.to_bytes(2, order).hex()}000000000000\n"
+            for k in range(100)
+        )
     )
     (tmp_path / "map.toml").write_text(
         'schema = 1\nTs_s = 0.01\ncolumns.r = { unit = "rad/s", message = "TWICE", signal = "YAW" }\n'
     )
-    ingest([tmp_path / "drive.log"], dbc=tmp_path / "car.dbc", signals_map=tmp_path / "map.toml", out=tmp_path / "out")
+    ingest(
+        [tmp_path / "drive.log"],
+        dbc=tmp_path / "car.dbc",
+        signals_map=tmp_path / "map.toml",
+        out=tmp_path / "out",
+    )
     table = np.genfromtxt(tmp_path / "out" / "drive.csv", delimiter=",", names=True)
     assert np.allclose(table["r"], np.deg2rad(factor * np.arange(100)), atol=1e-12)
 
 
 def test_a_name_that_two_messages_of_the_log_carry_is_refused(tmp_path):
     (tmp_path / "car.dbc").write_text(ODD_DBC.format(unit="deg/s"))
-    (tmp_path / "drive.log").write_text("(0.0) can0 064#0000000000000000\n(0.1) can0 00000064#0000000000000000\n")
+    (tmp_path / "drive.log").write_text(
+        "(0.0) can0 064#0000000000000000\n(0.1) can0 00000064#0000000000000000\n"
+    )
     (tmp_path / "map.toml").write_text(
         'schema = 1\nTs_s = 0.01\ncolumns.r = { unit = "rad/s", message = "TWICE", signal = "YAW" }\n'
     )
     with pytest.raises(InputError, match="2 messages are called TWICE"):
-        ingest([tmp_path / "drive.log"], dbc=tmp_path / "car.dbc", signals_map=tmp_path / "map.toml", out=tmp_path / "out")
+        ingest(
+            [tmp_path / "drive.log"],
+            dbc=tmp_path / "car.dbc",
+            signals_map=tmp_path / "map.toml",
+            out=tmp_path / "out",
+        )
 
 
 def random_database(rng: np.random.Generator) -> str:
-    """Text of a DBC: up to 64 bytes, both byte orders, signed, float, multiplexed, standard and extended identifiers."""
+    """Text of a DBC: up to 64 bytes, both byte orders, signed, float, multiplexed, standard and extended
+    identifiers."""
     lines = ['VERSION ""', "NS_ :", "BS_:", "BU_: CAR"]
     floats = []
     for number in range(int(rng.integers(1, 6))):
         length = int(rng.choice([1, 2, 5, 8, 8, 8, 24, 64]))
         extended = bool(rng.integers(2))
-        identifier = 16 * int(rng.integers(1 << (25 if extended else 7))) + number | (0x80000000 if extended else 0)
+        identifier = 16 * int(rng.integers(1 << (25 if extended else 7))) + number | (
+            0x80000000 if extended else 0
+        )
         lines.append(f"BO_ {identifier} M{number}: {length} CAR")
         fixed, of_page = np.zeros(8 * length, bool), np.zeros((2, 8 * length), bool)
         multiplexed = length > 1 and rng.random() < 0.4
@@ -297,7 +318,9 @@ def random_database(rng: np.random.Generator) -> str:
             page = int(rng.integers(2)) if multiplexed and rng.random() < 0.6 else None
             big = bool(rng.integers(2))
             start = int(rng.integers(8 * length))
-            first = start - start % 8 + 7 - start % 8 if big else start  # position counted from the most significant bit of byte 0
+            first = (
+                start - start % 8 + 7 - start % 8 if big else start
+            )  # position counted from the most significant bit of byte 0
             places = np.arange(first, first + bits)
             if places[-1] >= 8 * length:
                 continue
@@ -307,8 +330,13 @@ def random_database(rng: np.random.Generator) -> str:
                 continue
             (fixed if page is None else of_page[page])[places] = True
             sign = "-" if floating or rng.integers(2) else "+"
-            scale, offset = rng.choice(["1", "0.1", "-0.5", "0.00390625", "1E-005"]), rng.choice(["0", "-40", "12.5"])
-            lines.append(f' SG_ S{k} {"" if page is None else f"m{page} "}: {start}|{bits}@{0 if big else 1}{sign} ({scale},{offset}) [0|0] "km/h" CAR')
+            scale, offset = (
+                rng.choice(["1", "0.1", "-0.5", "0.00390625", "1E-005"]),
+                rng.choice(["0", "-40", "12.5"]),
+            )
+            lines.append(
+                f' SG_ S{k} {"" if page is None else f"m{page} "}: {start}|{bits}@{0 if big else 1}{sign} ({scale},{offset}) [0|0] "km/h" CAR'
+            )
             if floating:
                 floats.append(f"SIG_VALTYPE_ {identifier} S{k} : {1 if bits == 32 else 2};")
     return "\n".join([*lines, *floats, ""])
@@ -329,11 +357,21 @@ def test_any_database_decodes_as_cantools_does(seed):
             rows.append(bytes(row))
     n = len(ids)
     data = np.array([list(row.ljust(64, b"\0")) for row in rows], np.uint8)
-    frames = Frames(np.arange(n) * 10**6, np.array(ids, np.uint32), np.zeros(n, np.uint8),
-                    np.array([len(row) for row in rows], np.uint8), data, ["can0"])
+    frames = Frames(
+        np.arange(n) * 10**6,
+        np.array(ids, np.uint32),
+        np.zeros(n, np.uint8),
+        np.array([len(row) for row in rows], np.uint8),
+        data,
+        ["can0"],
+    )
     decoded = decode_all(frames, database)
-    ours = {(name, signal, int(at)): x for name, signals in decoded.items() for signal, s in signals.items()
-            for at, x in zip(s.frame, s.value)}
+    ours = {
+        (name, signal, int(at)): x
+        for name, signals in decoded.items()
+        for signal, s in signals.items()
+        for at, x in zip(s.frame, s.value, strict=False)
+    }
     theirs = {}
     for at, row in enumerate(rows):
         message = database.messages[at // 50]

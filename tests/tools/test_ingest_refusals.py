@@ -1,4 +1,5 @@
-"""Ingest: what logs suffer is handled as stated and reported, J1939 senders are told apart, and bad input is refused by name."""
+"""Ingest: what logs suffer is handled as stated and reported, J1939 senders are told apart, and bad input is
+refused by name."""
 
 from __future__ import annotations
 
@@ -8,6 +9,7 @@ from types import SimpleNamespace
 import cantools
 import numpy as np
 import pytest
+
 from lpvguard.base import native
 from lpvguard.base.errors import InputError
 from lpvguard.can.dbc import dbc_text
@@ -25,7 +27,7 @@ from other_car import (
     write_map,
 )
 
-# ------------------------------------------------------------------------------------------------- what logs suffer
+# ------------------------------------------------------------------------------------------- what logs suffer
 
 
 @pytest.mark.parametrize("way", ["compiled", "without a compiler"])
@@ -137,7 +139,7 @@ def test_values_outside_the_limits_and_short_frames_are_left_out(car, tmp_path):
     agrees(tmp_path / "out/drive.csv", columns={k: v for k, v in COLUMNS.items() if k != "psi"})
 
 
-# --------------------------------------------------------------------------------------------------------------- J1939
+# ------------------------------------------------------------------------------------------------------ J1939
 
 J1939_MAP = """schema = 1
 Ts_s = 0.02
@@ -260,7 +262,7 @@ def test_a_vehicle_with_can_places_needs_no_map_and_no_dbc(tmp_path):
         map_of_project(project)
 
 
-# ----------------------------------------------------------------------------------------------------------- bad input
+# -------------------------------------------------------------------------------------------------- bad input
 
 
 @pytest.mark.parametrize(

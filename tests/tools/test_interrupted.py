@@ -1,4 +1,5 @@
-"""Commands that are killed, or find the disk full, leave the old result or the new one (interrupted.py does it and judges)."""
+"""Commands that are killed, or find the disk full, leave the old result or the new one (interrupted.py does
+it and judges)."""
 
 from __future__ import annotations
 
@@ -14,7 +15,9 @@ SCRIPT = Path(__file__).with_name("interrupted.py")
 
 
 def interrupted(*words: object) -> dict:
-    done = subprocess.run([sys.executable, SCRIPT, *map(str, words)], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, SCRIPT, *map(str, words)], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 

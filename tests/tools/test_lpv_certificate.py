@@ -1,20 +1,24 @@
-"""The certificate at a moving speed: what it proves holds along random histories, and what is false is not proved."""
+"""The certificate at a moving speed: what it proves holds along random histories, and what is false is not
+proved."""
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
+
 from lpvguard.base import native
 from lpvguard.engine.synthesis import lpv_certificate as lpv
 from lpvguard.engine.synthesis.statespace import StateSpace
-from scipy.linalg import expm
 
 TS = 0.05
 
 
 def family(gain: float, turn: float = 0.2) -> lpv.Family:
-    """A damped oscillator whose stiffness follows the speed, from force to ``gain`` times the position; v in 1..3 m/s.
+    """A damped oscillator whose stiffness follows the speed, from force to ``gain`` times the position; v in
+    1..3 m/s.
 
     Its vehicle is the oscillator itself: A(v) = [[0, 1], [-(1 + turn (v - 1)), -0.6]], B = [0, 1].
     """
+
     def continuous(v):
         return np.array([[0.0, 1.0, 0.0], [-1.0 - turn * (v - 1), -0.6, 1.0], [0, 0, 0]])
 
@@ -60,7 +64,10 @@ def test_the_stored_function_is_proved_anew_and_an_altered_one_is_not(proved):
     assert lpv.prove(family(0.58), proved.storage, proved.rate) is None  # its frozen gain is above 1
     P = proved.storage.P.copy()
     P[2] *= 0.5
-    assert lpv.prove(family(0.4), lpv.Storage(proved.storage.basis, proved.storage.knots, P), proved.rate) is None
+    assert (
+        lpv.prove(family(0.4), lpv.Storage(proved.storage.basis, proved.storage.knots, P), proved.rate)
+        is None
+    )
 
 
 def test_nothing_is_found_for_a_loop_whose_frozen_gain_is_not_below_one():
@@ -68,12 +75,15 @@ def test_nothing_is_found_for_a_loop_whose_frozen_gain_is_not_below_one():
 
 
 def test_a_peak_between_the_knots_is_seen():
-    """The proof rests on cells, not on the grid: a resonance that only speeds between the knots have is found out."""
+    """The proof rests on cells, not on the grid: a resonance that only speeds between the knots have is found
+    out."""
     plain = family(0.4)
 
     def at(v):
         G = plain.at(v)
-        return StateSpace(G.A, G.B, np.vstack([(1 + 6 * max(0.0, 1 - abs(v - 1.25) / 0.05)) * G.C[:1], G.C[1:]]), G.D, TS)
+        return StateSpace(
+            G.A, G.B, np.vstack([(1 + 6 * max(0.0, 1 - abs(v - 1.25) / 0.05)) * G.C[:1], G.C[1:]]), G.D, TS
+        )
 
     found = lpv.find(plain)
     bad = lpv.Family(at, np.array([1.0, 1.2, 1.25, 1.3, 2.0, 3.0]), plain.vehicle, 3, plain.hold_bounds, TS)

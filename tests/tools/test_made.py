@@ -1,11 +1,13 @@
-"""The folders that tests share (tests/made.py): made once, whole, for one state of the sources, and not changed unnoticed."""
+"""The folders that tests share (tests/made.py): made once, whole, for one state of the sources, and not
+changed unnoticed."""
 
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 
-import made
 import pytest
+
+import made
 
 
 @pytest.fixture
@@ -45,7 +47,14 @@ def test_a_folder_whose_making_breaks_off_is_not_there(tmp_path, sources):
         assert (store.folder("thing", one_file) / "file").is_file()
 
 
-@pytest.mark.parametrize("change", [lambda f: (f / "file").write_text("other"), lambda f: (f / "more").touch(), lambda f: (f / "file").unlink()])
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda f: (f / "file").write_text("other"),
+        lambda f: (f / "more").touch(),
+        lambda f: (f / "file").unlink(),
+    ],
+)
 def test_a_changed_folder_is_named_and_made_anew(tmp_path, sources, change):
     sources("now")
     with made.store(tmp_path) as store:

@@ -7,6 +7,7 @@ import shutil
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+
 from lpvguard.base import native
 
 pytestmark = pytest.mark.skipif(native.kernels("s1") is None, reason="no C compiler on this machine")
@@ -47,7 +48,11 @@ def test_cpp_sources_find_headers_in_the_include_folders(tmp_path, cache):
 
 def test_of_several_that_start_together_one_compiles(tmp_path, cache, monkeypatch):
     c = source(tmp_path, "int f(void) { return 3; }\n")
-    compiler = source(tmp_path, f'#!/bin/sh\n[ "$1" = --version ] || echo run >>"{tmp_path}/runs"\nexec "{shutil.which("cc")}" "$@"\n', "cc")
+    compiler = source(
+        tmp_path,
+        f'#!/bin/sh\n[ "$1" = --version ] || echo run >>"{tmp_path}/runs"\nexec "{shutil.which("cc")}" "$@"\n',
+        "cc",
+    )
     compiler.chmod(0o755)
     monkeypatch.setenv("CC", str(compiler))
     with ThreadPoolExecutor(4) as pool:

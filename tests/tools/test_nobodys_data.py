@@ -1,4 +1,5 @@
-"""No command removes or replaces what it did not write, and nothing edited is taken for what was written: exit 2, and nothing changes."""
+"""No command removes or replaces what it did not write, and nothing edited is taken for what was written:
+exit 2, and nothing changes."""
 
 from __future__ import annotations
 
@@ -27,6 +28,7 @@ VEHICLES = resources.files("lpvguard.vehicle").joinpath("shipped")
 
 def contents(root: Path) -> dict[str, str]:
     """Everything below a folder: names, kinds, links and hashes."""
+
     def of(p: Path) -> str:
         if p.is_symlink():
             return f"-> {os.readlink(p)}"
@@ -62,8 +64,11 @@ def here(tmp_path, monkeypatch, synthetic, identified, vehicle):
         shutil.copytree(folder, home / name)
     text = VEHICLES.joinpath("g80.toml").read_text()
     (home / "car.toml").write_text(text)
-    (home / "alpha.toml").write_text(text.replace("[frame_test]", "[frame_test]\nalpha = 0.05") if "alpha" not in text
-                                     else text.replace("alpha = 0.1", "alpha = 0.05"))
+    (home / "alpha.toml").write_text(
+        text.replace("[frame_test]", "[frame_test]\nalpha = 0.05")
+        if "alpha" not in text
+        else text.replace("alpha = 0.1", "alpha = 0.05")
+    )
     table(home, "x.csv")
     (home / "map.toml").write_text('schema = 1\nTs_s = 0.02\n[columns.v]\nunit = "m/s"\nsignal = "v"\n')
     (home / "problems.json").write_text("[]")
@@ -147,19 +152,51 @@ def test_it_is_refused_and_nothing_changes(case, run, here):
     assert contents(here) == before and contents(Path(str(VEHICLES))) == package
     target = next((words[i + 1] for o in ("--json", "-o") for i, w in enumerate(words) if w == o), "x.csv")
     if "alpha.toml" in words:
-        assert said.startswith("lpvguard: error: frame_test.alpha: 0.1 in ") and ", 0.05 in alpha.toml" in said
+        assert (
+            said.startswith("lpvguard: error: frame_test.alpha: 0.1 in ") and ", 0.05 in alpha.toml" in said
+        )
     else:
         assert target.strip("/") in said or target.rpartition("/")[2] in said, said
 
 
 EDITS = {
-    "the threshold": ("idn/calibration.json", '"threshold": ', '"threshold": 1', "export --vehicle g80 idn -o new"),
-    "a weight": ("idn/weights.json", '"inflation": ', '"inflation": 1', "evaluate --vehicle g80 idn drives --coefficients car"),
-    "a bound": ("idn/bounds.json", '"B_w": [', '"B_w": [ ', "report idn drives --vehicle g80 --coefficients car -o new.html"),
+    "the threshold": (
+        "idn/calibration.json",
+        '"threshold": ',
+        '"threshold": 1',
+        "export --vehicle g80 idn -o new",
+    ),
+    "a weight": (
+        "idn/weights.json",
+        '"inflation": ',
+        '"inflation": 1',
+        "evaluate --vehicle g80 idn drives --coefficients car",
+    ),
+    "a bound": (
+        "idn/bounds.json",
+        '"B_w": [',
+        '"B_w": [ ',
+        "report idn drives --vehicle g80 --coefficients car -o new.html",
+    ),
     "a setting": ("idn/project.json", '"alpha": 0.1', '"alpha": 0.2', "design --vehicle g80 idn -o new"),
-    "a hash": ("idn/MANIFEST.json", '"calibration.json": "', '"calibration.json": "0', "export --vehicle g80 idn -o new"),
-    "a coefficient": ("car/lpvguard_coeff.c", ".threshold = LPVG_NUMBER(", ".threshold = LPVG_NUMBER(1", REPLAY),
-    "a size": ("car/lpvguard_vehicle.h", "#define LPVG_NCELLS 32", "#define LPVG_NCELLS 33", "sim nominal --coefficients car"),
+    "a hash": (
+        "idn/MANIFEST.json",
+        '"calibration.json": "',
+        '"calibration.json": "0',
+        "export --vehicle g80 idn -o new",
+    ),
+    "a coefficient": (
+        "car/lpvguard_coeff.c",
+        ".threshold = LPVG_NUMBER(",
+        ".threshold = LPVG_NUMBER(1",
+        REPLAY,
+    ),
+    "a size": (
+        "car/lpvguard_vehicle.h",
+        "#define LPVG_NCELLS 32",
+        "#define LPVG_NCELLS 33",
+        "sim nominal --coefficients car",
+    ),
     "a signal": ("car/SIGNALS.md", "#", "##", "evaluate --vehicle g80 idn drives --coefficients car"),
     "a stored setting": ("car/MANIFEST.json", '"alpha": 0.1', '"alpha": 0.2', REPLAY),
 }
@@ -193,11 +230,18 @@ def test_a_folder_that_is_not_what_its_manifest_lists_is_neither_replaced_nor_re
 
 def test_what_is_ours_is_replaced_and_ends_the_same(run, here):
     before = contents(here)
-    assert run(*"export --vehicle car.toml idn -o car".split())[0] == 0
+    assert run(*["export", "--vehicle", "car.toml", "idn", "-o", "car"])[0] == 0
     assert contents(here) == before, "the same input gives the same bytes, and nothing stays beside it"
     (here / "title.toml").write_text((here / "car.toml").read_text().replace('title = "', 'title = "My '))
-    assert run(*"export --vehicle title.toml idn -o car".split())[0] == 0, "nothing is computed of a title"
-    for words in (f"{REPLAY} --json replay.json", f"{INGEST} -o tables --json i.json", "solve problems.json -o answers.json", "dbc -o our.dbc"):
+    assert run(*["export", "--vehicle", "title.toml", "idn", "-o", "car"])[0] == 0, (
+        "nothing is computed of a title"
+    )
+    for words in (
+        f"{REPLAY} --json replay.json",
+        f"{INGEST} -o tables --json i.json",
+        "solve problems.json -o answers.json",
+        "dbc -o our.dbc",
+    ):
         for _ in range(2):
             assert run(*words.split())[0] in (0, 1), words
     (here / "tables" / "experiments.csv").write_text("experiment,split\nx,train\n")
@@ -208,21 +252,25 @@ def test_what_is_ours_is_replaced_and_ends_the_same(run, here):
 def test_the_second_of_two_runs_is_refused_while_the_first_holds_the_folder(run, here):
     before = contents(here)
     script = "import sys\nfrom pathlib import Path\nfrom lpvguard import artefacts\nwith artefacts.claimed(Path('car')):\n    print('held', flush=True)\n    sys.stdin.read()"
-    with subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as first:
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as first:
         assert first.stdout.readline() == "held\n"
         held = contents(here)
-        status, said = run(*"export --vehicle g80 idn -o car".split())
+        status, said = run(*["export", "--vehicle", "g80", "idn", "-o", "car"])
         assert status == 2 and "car" in said and "another run" in said and contents(here) == held
         assert run(*REPLAY.split())[0] in (0, 1), "who reads is not held up"
         first.kill()
-    assert run(*"export --vehicle g80 idn -o car".split())[0] == 0 and contents(here) == before, "the lock ends with its process"
+    assert run(*["export", "--vehicle", "g80", "idn", "-o", "car"])[0] == 0 and contents(here) == before, (
+        "the lock ends with its process"
+    )
 
 
 def test_a_foreign_folder_by_the_name_of_a_work_folder_stays(run, here):
     (here / ".car.lpvguard").mkdir()
     (here / ".car.lpvguard" / "new").write_text("mine")
     before = contents(here)
-    status, said = run(*"export --vehicle g80 idn -o car".split())
+    status, said = run(*["export", "--vehicle", "g80", "idn", "-o", "car"])
     assert status == 2 and ".car.lpvguard/new" in said and contents(here) == before
 
 
@@ -232,14 +280,18 @@ def test_a_half_done_swap_is_undone_by_whoever_reads_next(run, here):
     (work / "lpvguard-scratch").touch()
     (work / "new").mkdir()
     (here / "car").rename(work / "old")
-    assert run(*REPLAY.split())[0] in (0, 1) and (here / "car" / "MANIFEST.json").is_file() and not work.exists()
+    assert (
+        run(*REPLAY.split())[0] in (0, 1) and (here / "car" / "MANIFEST.json").is_file() and not work.exists()
+    )
 
 
 def test_an_edited_controller_is_refused_by_its_own_seal(tmp_path):
     from test_control_export import hand_controller
 
     path = tmp_path / "controller.json"
-    document = json.loads(artefacts.to_json(artefacts.sealed({"kind": "controller", **hand_controller(load_project("truck"))})))
+    document = json.loads(
+        artefacts.to_json(artefacts.sealed({"kind": "controller", **hand_controller(load_project("truck"))}))
+    )
     path.write_text(json.dumps(document))
     load_controller(path)
     path.write_text(json.dumps(document | {"u_max": [2 * x for x in document["u_max"]]}))

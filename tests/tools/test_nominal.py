@@ -1,4 +1,5 @@
-"""Nominal model: exact hold against an ordinary differential equation solver, delay, speed table, frequency response."""
+"""Nominal model: exact hold against an ordinary differential equation solver, delay, speed table, frequency
+response."""
 
 from __future__ import annotations
 
@@ -40,10 +41,16 @@ def test_recursion_solves_the_differential_equation_with_held_delayed_input(dela
     for k in range(n - 1):
         assert yhat[k, 0] == pytest.approx(x + model.output_offset[0], abs=1e-6)
         # The input is constant on the pieces between its (delayed) steps: integrate each.
-        switch = [k * Ts, *([k * Ts + model.delay_fraction * Ts] if model.delay_fraction else []), (k + 1) * Ts]
-        for a, b in zip(switch, switch[1:]):
+        switch = [
+            k * Ts,
+            *([k * Ts + model.delay_fraction * Ts] if model.delay_fraction else []),
+            (k + 1) * Ts,
+        ]
+        for a, b in zip(switch, switch[1:], strict=False):
             value = held((a + b) / 2)
-            x = solve_ivp(lambda _, s, w=value: A[0, 0] * s + B[0, 0] * w, (a, b), [x], rtol=1e-10, atol=1e-12).y[0, -1]
+            x = solve_ivp(
+                lambda _, s, w=value: A[0, 0] * s + B[0, 0] * w, (a, b), [x], rtol=1e-10, atol=1e-12
+            ).y[0, -1]
 
 
 def test_frequency_response_is_that_of_the_recursion(delayed):
@@ -68,7 +75,9 @@ def test_speed_table_error_is_as_stated_between_its_nodes(g80_model):
 
 def test_outside_its_range_the_model_runs_at_the_nearest_speed_but_refuses_a_frequency_response(g80_model):
     u, y = np.full((5, 1), 0.1), np.zeros(1)
-    np.testing.assert_array_equal(g80_model.simulate(np.full(5, 0.0), u, y), g80_model.simulate(np.full(5, 3.5), u, y))
+    np.testing.assert_array_equal(
+        g80_model.simulate(np.full(5, 0.0), u, y), g80_model.simulate(np.full(5, 3.5), u, y)
+    )
     with pytest.raises(InputError, match="v = 25"):
         g80_model.frequency_response([1.0], 25.0)
 
@@ -82,5 +91,7 @@ def test_crc_of_python_is_the_crc_of_the_core(core, identified):
 def test_coefficients_follow_the_signal_table(g80, g80_model):
     estimator = Estimator.of(g80, g80_model)
     energy = EnergyTest.design(g80, estimator, Weight([1.0], [1.0]), [1.0, 2.0], [0.5, 0.5], 1.0)
-    c = build_coefficients(g80, g80_model, estimator, np.ones(estimator.n_bins), np.ones((estimator.n_bins, 1)), 1.0, energy)
+    c = build_coefficients(
+        g80, g80_model, estimator, np.ones(estimator.n_bins), np.ones((estimator.n_bins, 1)), 1.0, energy
+    )
     assert c.reals["input_valid"].tolist() == [[-0.8, 0.8]] and c.sizes["DELAY"] == 1

@@ -1,5 +1,6 @@
-"""Every program, header and pkg-config module that build and tests ask for is of a package on the lists of tools/setup.sh, or of what those
-depend on: on a machine with nothing else, it is there. dpkg says what belongs to whom."""
+"""Every program, header and pkg-config module that build and tests ask for is of a package on the lists of
+tools/setup.sh, or of what those depend on: on a machine with nothing else, it is there. dpkg says what
+belongs to whom."""
 
 from __future__ import annotations
 
@@ -10,14 +11,16 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from parts import PROGRAMS, missing
 
 from lpvguard.core import targets
+from parts import PROGRAMS
 
 ROOT = Path(__file__).resolve().parents[2]
 EITHER = {"catch2/catch_all.hpp": "catch2/catch.hpp", "catch2/catch.hpp": "catch2/catch_all.hpp"}
 """Headers of which one is enough (tests/catch.hpp)."""
-pytestmark = pytest.mark.skipif(shutil.which("dpkg-query") is None, reason="no dpkg here: it says what belongs to which package")
+pytestmark = pytest.mark.skipif(
+    shutil.which("dpkg-query") is None, reason="no dpkg here: it says what belongs to which package"
+)
 
 
 def output(*words: object) -> str:
@@ -34,13 +37,26 @@ def listed(*without: str) -> set[str]:
 
 @cache
 def installed() -> dict[str, tuple[frozenset[str], frozenset[str]]]:
-    """Package -> (packages that satisfy some dependency of it, names that it provides), of what is installed."""
-    rows = [line.split("\t") for line in output("dpkg-query", "-W", "-f", "${db:Status-Status}\t${Package}\t${Essential}\t${Provides}\t${Pre-Depends}, ${Depends}\n").splitlines()]
+    """Package -> (packages that satisfy some dependency of it, names that it provides), of what is
+    installed."""
+    rows = [
+        line.split("\t")
+        for line in output(
+            "dpkg-query",
+            "-W",
+            "-f",
+            "${db:Status-Status}\t${Package}\t${Essential}\t${Provides}\t${Pre-Depends}, ${Depends}\n",
+        ).splitlines()
+    ]
 
     def names(text: str) -> frozenset[str]:
         return frozenset(re.sub(r"\(.*?\)|:\w+", "", word).strip() for word in re.split(r"[,|]", text)) - {""}
 
-    return {row[1]: (names(row[4]), names(row[3]) | ({"essential"} if row[2] == "yes" else set())) for row in rows if row[0] == "installed"}
+    return {
+        row[1]: (names(row[4]), names(row[3]) | ({"essential"} if row[2] == "yes" else set()))
+        for row in rows
+        if row[0] == "installed"
+    }
 
 
 def closure(packages: set[str]) -> set[str]:
@@ -64,7 +80,10 @@ def owners(paths: tuple[Path, ...]) -> dict[Path, set[str]]:
     """Path -> packages; dpkg knows a file by the one or the other of /usr/lib and /lib."""
     also: dict[str, set[Path]] = {}
     for path in paths:
-        for name in (str(path), str(path.resolve())):  # update-alternatives: /usr/bin/c++ is a link to what a package holds
+        for name in (
+            str(path),
+            str(path.resolve()),
+        ):  # update-alternatives: /usr/bin/c++ is a link to what a package holds
             also.setdefault(name, set()).add(path)
             also.setdefault(name.removeprefix("/usr"), set()).add(path)
     found: dict[Path, set[str]] = {path: set() for path in paths}
@@ -85,43 +104,73 @@ def programs() -> dict[str, str]:
     """Program -> who asks for it."""
     asked: dict[str, str] = {}
     python = texts("tests/**/*.py", "tools/src/**/*.py")
-    cmake = texts("CMakeLists.txt", "lib/*.cmake", "firmware_sim/**/CMakeLists.txt", "tests/**/CMakeLists.txt", "tests/**/*.cmake")
+    cmake = texts(
+        "CMakeLists.txt",
+        "lib/*.cmake",
+        "firmware_sim/**/CMakeLists.txt",
+        "tests/**/CMakeLists.txt",
+        "tests/**/*.cmake",
+    )
     for path, text in python.items():
-        calls = r'(?:subprocess\.\w+|Popen|which)\(\s*\[?\s*"([a-z][\w.+-]*)"' if path.name != "gates.py" else r'(?:\brun|subprocess\.run)\(\[?"([\w.+-]+)"'
+        calls = (
+            r'(?:subprocess\.\w+|Popen|which)\(\s*\[?\s*"([a-z][\w.+-]*)"'
+            if path.name != "gates.py"
+            else r'(?:\brun|subprocess\.run)\(\[?"([\w.+-]+)"'
+        )
         asked |= {name: str(path.relative_to(ROOT)) for name in re.findall(calls, text, re.MULTILINE)}
     for path, text in cmake.items():
-        for words in re.findall(r"lpvg_missing\(\w+ \w+ ([\w+ -]+)\)|find_program\(\w+ ([\w+-]+)|_(?:COMPILER|EMULATOR) ([a-z][\w+-]+)\)", text):
+        for words in re.findall(
+            r"lpvg_missing\(\w+ \w+ ([\w+ -]+)\)|find_program\(\w+ ([\w+-]+)|_(?:COMPILER|EMULATOR) ([a-z][\w+-]+)\)",
+            text,
+        ):
             asked |= {name: str(path.relative_to(ROOT)) for name in " ".join(words).split()}
     for text in texts("tests/hil/*.cpp").values():
-        asked |= {name: "tests/hil" for name in re.findall(r'Beside \w+\("([\w-]+)', text)}
-    for line in re.findall(r"^(?:host_works|uml_works)\(\).*?\}$", (ROOT / "tools" / "with-vcan").read_text(), re.MULTILINE | re.DOTALL):
-        asked |= {name: "tools/with-vcan" for name in re.findall(r"have ([\w-]+)", line)}
+        asked |= dict.fromkeys(re.findall(r'Beside \w+\("([\w-]+)', text), "tests/hil")
+    for line in re.findall(
+        r"^(?:host_works|uml_works)\(\).*?\}$",
+        (ROOT / "tools" / "with-vcan").read_text(),
+        re.MULTILINE | re.DOTALL,
+    ):
+        asked |= dict.fromkeys(re.findall(r"have ([\w-]+)", line), "tools/with-vcan")
     asked |= {name: "tests/parts.py" for names in PROGRAMS.values() for name in names}
     asked |= {target.emulator[0]: "tools/src/lpvguard/core/targets.py" for target in targets.TARGETS.values()}
-    asked |= {name: "CMakePresets.json" for name in ("cmake", "ctest", "ninja", "gcc", "g++")}
+    asked |= dict.fromkeys(("cmake", "ctest", "ninja", "gcc", "g++"), "CMakePresets.json")
     return asked
 
 
 def headers() -> dict[str, str]:
     """System header -> who includes it; what this repository holds or makes is not the system's."""
-    ours = [f"/{p.relative_to(ROOT)}" for folder in ("lib", "firmware_sim", "tests") for p in (ROOT / folder).rglob("*.h*")]
+    ours = [
+        f"/{p.relative_to(ROOT)}"
+        for folder in ("lib", "firmware_sim", "tests")
+        for p in (ROOT / folder).rglob("*.h*")
+    ]
     sources = texts("lib/**/*.[ch]*", "firmware_sim/**/*.[ch]*", "tests/**/*.[ch]*")
-    return {name: str(path.relative_to(ROOT)) for path, text in sources.items()
-            if path.suffix in (".c", ".h", ".cpp", ".hpp") for name in re.findall(r"^\s*#\s*include\s*<([^>]+)>", text, re.MULTILINE)
-            if not name.startswith("lpvguard") and not any(path.endswith(f"/{name}") for path in ours)}
+    return {
+        name: str(path.relative_to(ROOT))
+        for path, text in sources.items()
+        if path.suffix in (".c", ".h", ".cpp", ".hpp")
+        for name in re.findall(r"^\s*#\s*include\s*<([^>]+)>", text, re.MULTILINE)
+        if not name.startswith("lpvguard") and not any(path.endswith(f"/{name}") for path in ours)
+    }
 
 
 def modules() -> dict[str, str]:
     """pkg-config module -> who asks for it, with what modules require of one another."""
     asked: dict[str, str] = {}
     for path, text in texts("firmware_sim/CMakeLists.txt", "tools/src/**/*.py").items():
-        found = re.findall(r'pkg_check_modules\(\w+ (?:REQUIRED )?(?:IMPORTED_TARGET )?(\w+)\)|"pkg-config", "[^"]+", "(\w+)"', text)
+        found = re.findall(
+            r'pkg_check_modules\(\w+ (?:REQUIRED )?(?:IMPORTED_TARGET )?(\w+)\)|"pkg-config", "[^"]+", "(\w+)"',
+            text,
+        )
         asked |= {name: str(path.relative_to(ROOT)) for words in found for name in words if name}
     left = list(asked)
     while left:
         name = left.pop()
         path = module_file(name)
-        required = re.findall(r"^Requires(?:\.private)?:(.*)$", path.read_text(), re.MULTILINE) if path else []
+        required = (
+            re.findall(r"^Requires(?:\.private)?:(.*)$", path.read_text(), re.MULTILINE) if path else []
+        )
         for other in re.findall(r"([A-Za-z][\w.+-]*)", re.sub(r"[<>=!]+\s*[\w.]+", "", " ".join(required))):
             if other not in asked:
                 package = ", ".join(owners((path,))[path])
@@ -138,19 +187,30 @@ def module_file(name: str) -> Path | None:
 @cache
 def places() -> dict[tuple[str, str, str], Path | None]:
     """(kind, name, who asks) -> file on this machine, None: it is not there."""
-    told = subprocess.run(["g++", "-xc++", "-E", "-v", "/dev/null"], capture_output=True, text=True, check=False).stderr
-    folders = [Path(line.strip()) for line in told.splitlines() if line.startswith(" /usr")] + [Path("/usr/include/eigen3")]
+    told = subprocess.run(
+        ["g++", "-xc++", "-E", "-v", "/dev/null"], capture_output=True, text=True, check=False
+    ).stderr
+    folders = [Path(line.strip()) for line in told.splitlines() if line.startswith(" /usr")] + [
+        Path("/usr/include/eigen3")
+    ]
 
     def first(names: list[str], where: list[Path]) -> Path | None:
         return next((folder / name for name in names for folder in where if (folder / name).exists()), None)
 
-    found = {("program", n, who): first([n], [Path("/usr/bin"), Path("/bin"), Path("/usr/sbin"), Path("/sbin")]) for n, who in programs().items()}
-    found |= {("header", n, who): first([n, *([EITHER[n]] if n in EITHER else [])], folders) for n, who in headers().items()}
+    found = {
+        ("program", n, who): first([n], [Path("/usr/bin"), Path("/bin"), Path("/usr/sbin"), Path("/sbin")])
+        for n, who in programs().items()
+    }
+    found |= {
+        ("header", n, who): first([n, *([EITHER[n]] if n in EITHER else [])], folders)
+        for n, who in headers().items()
+    }
     return found | {("pkg-config module", n, who): module_file(n) for n, who in modules().items()}
 
 
 def uncovered(packages: set[str]) -> tuple[list[str], list[str]]:
-    """What no package of the lists brings, and what cannot be judged because a package of the lists is not installed here."""
+    """What no package of the lists brings, and what cannot be judged because a package of the lists is not
+    installed here."""
     found, all_of_them = places(), closure(packages)
     owned = owners(tuple(sorted({p for p in found.values() if p})))
     absent = packages - set(installed())
@@ -159,7 +219,9 @@ def uncovered(packages: set[str]) -> tuple[list[str], list[str]]:
         if path is None:
             (open_ if absent else lost).append(f"{kind} {name}, asked for by {who}: not on this machine")
         elif not owned[path] & all_of_them:
-            lost.append(f"{kind} {name}, asked for by {who}: of {', '.join(sorted(owned[path])) or 'no package'}, which is not on the lists")
+            lost.append(
+                f"{kind} {name}, asked for by {who}: of {', '.join(sorted(owned[path])) or 'no package'}, which is not on the lists"
+            )
     return lost, open_
 
 
@@ -167,18 +229,44 @@ def test_what_the_build_asks_for_is_of_a_package_on_the_lists():
     lost, open_ = uncovered(listed())
     assert lost == []
     if open_:
-        pytest.skip(f"{', '.join(sorted(listed() - set(installed())))} not installed; all is on the lists but, not judged: {'; '.join(open_)}")
+        pytest.skip(
+            f"{', '.join(sorted(listed() - set(installed())))} not installed; all is on the lists but, not judged: {'; '.join(open_)}"
+        )
 
 
 def test_the_lists_are_read_from_what_build_and_tests_call():
-    assert {"candump", "cppcheck", "gcov", "lcm-gen", "nm", "pkg-config", "powerpc-linux-gnu-g++", "qemu-ppc", "unshare", "qemu-system-aarch64"} <= set(programs())
-    assert {"Eigen/Core", "catch2/catch_all.hpp", "cstring", "lcm/lcm-cpp.hpp", "linux/can.h", "toml++/toml.h"} <= set(headers())
+    assert {
+        "candump",
+        "cppcheck",
+        "gcov",
+        "lcm-gen",
+        "nm",
+        "pkg-config",
+        "powerpc-linux-gnu-g++",
+        "qemu-ppc",
+        "unshare",
+        "qemu-system-aarch64",
+    } <= set(programs())
+    assert {
+        "Eigen/Core",
+        "catch2/catch_all.hpp",
+        "cstring",
+        "lcm/lcm-cpp.hpp",
+        "linux/can.h",
+        "toml++/toml.h",
+    } <= set(headers())
     assert {"eigen3", "lcm"} <= set(modules())
 
 
-@pytest.mark.parametrize(("package", "says"), [
-    ("cppcheck", r"program cppcheck, asked for by .*gates"), ("libeigen3-dev", r"header Eigen/\w+, asked for by lib"),
-    ("qemu-user", "program qemu-ppc"), ("cmake", "program cmake")])
+@pytest.mark.parametrize(
+    ("package", "says"),
+    [
+        ("cppcheck", r"program cppcheck, asked for by .*gates"),
+        ("libeigen3-dev", r"header Eigen/\w+, asked for by lib"),
+        ("qemu-user", "program qemu-ppc"),
+        ("cmake", "program cmake"),
+    ],
+)
 def test_a_package_missing_from_the_lists_is_found(package, says):
     if not listed() <= set(installed()) and package not in installed():
         pytest.skip(f"{package} is not installed")

@@ -50,14 +50,16 @@ def test_the_columns_mean_what_the_header_says(tmp_path):
     assert np.allclose(v, 12, atol=0.1)
     braked = dp != 0
     assert 0.3 < braked.mean() < 0.7
-    assert 0.5 <= np.abs(dp[braked]).min() and np.abs(dp).max() <= 2.0
+    assert np.abs(dp[braked]).min() >= 0.5 and np.abs(dp).max() <= 2.0
     assert np.all(dp[t < 1.0] == 0.0)
     assert np.corrcoef(r[100:], dp[:-100])[0, 1] < -0.5, "braking right turns right"
     assert np.corrcoef(r, delta)[0, 1] > 0.9
 
 
 def test_the_amplitudes_of_the_programs(tmp_path):
-    telegraph = generate(tmp_path / "t.csv", "--program", "telegraph", "--amplitude-low", 1, "--amplitude-high", 1)[:, 2]
+    telegraph = generate(
+        tmp_path / "t.csv", "--program", "telegraph", "--amplitude-low", 1, "--amplitude-high", 1
+    )[:, 2]
     assert set(np.unique(telegraph)) == {-1.0, 0.0, 1.0}
     multisine = generate(tmp_path / "m.csv", "--program", "multisine", "--duration", 600)[:, 2]
     assert 0.8 < multisine.std() < 1.2 and np.abs(multisine).max() <= 2.0
@@ -125,10 +127,18 @@ def test_the_response_of_a_scenarios_truck_includes_its_faults_from_the_start_on
     assert omega.tolist() == [0.0, 0.5, 3.0]
     assert yaw[0].imag == 0 and -1.4 * 1.94 / 15 < yaw[0].real < -0.6 * 1.94 / 15 and wheel[0].real < 0
     assert abs(yaw[2]) < abs(yaw[1]) < 1.1 * abs(yaw[0])
-    path.write_text("[plant]\nspeed_profile = [[0, 10]]\n[[plant.actuator_fault]]\nstart_s = 60.0\nextra_delay_s = 0.2\nbrake_gain_ratio = 0.5\n")
+    path.write_text(
+        "[plant]\nspeed_profile = [[0, 10]]\n[[plant.actuator_fault]]\nstart_s = 60.0\nextra_delay_s = 0.2\nbrake_gain_ratio = 0.5\n"
+    )
     _, late, _ = response(path, "--speed", 15, "--omega", "0,0.5,3", "--amplitude", 1)
-    np.testing.assert_allclose(late / yaw, 0.5 * np.exp(-0.2j * omega), rtol=0.02)  # half the force of twice the demand
-    for words, complaint in ((["--omega", "1,fast"], "--omega 'fast'"), (["--omega", "1", "--speed", "50"], "--speed"), ([], "--omega: missing")):
+    np.testing.assert_allclose(
+        late / yaw, 0.5 * np.exp(-0.2j * omega), rtol=0.02
+    )  # half the force of twice the demand
+    for words, complaint in (
+        (["--omega", "1,fast"], "--omega 'fast'"),
+        (["--omega", "1", "--speed", "50"], "--speed"),
+        ([], "--omega: missing"),
+    ):
         done = run("response", "--scenario", path, *words)
         assert done.returncode == 2 and complaint in done.stderr
 
@@ -138,15 +148,21 @@ LIMITS = "limits (demand): median in 3 .. 12 %, worst at most 40 %"
 
 
 def compare(tmp_path, brake_force, points):
-    """Exit status, verdict, and per speed: (medians, worsts) [%] of yaw rate and wheel angle per demand, and the row's mark."""
-    text, count = re.subn(r"(brake_force_npbar = \{ value = )800\.0", rf"\g<1>{brake_force}", TRUCK.read_text(encoding="utf-8"))
+    """Exit status, verdict, and per speed: (medians, worsts) [%] of yaw rate and wheel angle per demand, and
+    the row's mark."""
+    text, count = re.subn(
+        r"(brake_force_npbar = \{ value = )800\.0", rf"\g<1>{brake_force}", TRUCK.read_text(encoding="utf-8")
+    )
     assert count == 1
     (tmp_path / "truck.toml").write_text(text, encoding="utf-8")
     done = run("frequency-response", "--points", points, "--parameters", tmp_path / "truck.toml")
     assert LIMITS in done.stdout and done.stderr == ""
     rows = [line for line in done.stdout.splitlines() if re.match(r" *\d+\.0 \|", line)]
     assert [float(row.split("|")[0]) for row in rows] == [8, 10, 12, 14, 16, 18, 20, 22]
-    numbers = [[[float(x) for x in re.findall(r"[\d.]+(?= %)", column)] for column in row.split("|")[1:3]] for row in rows]
+    numbers = [
+        [[float(x) for x in re.findall(r"[\d.]+(?= %)", column)] for column in row.split("|")[1:3]]
+        for row in rows
+    ]
     marks = [row.endswith("OUTSIDE") for row in rows]
     return done.returncode, done.stdout.splitlines()[-1], np.array(numbers), marks
 
@@ -160,12 +176,19 @@ def test_the_shipped_truck_keeps_the_designs_distance_from_table_i(tmp_path):
 
 def test_each_limit_alone_puts_a_truck_outside(tmp_path):
     causes = set()
-    for brake_force in (840.0, 880.0):  # few frequencies: the medians spread, so that every limit is passed alone somewhere
+    for brake_force in (
+        840.0,
+        880.0,
+    ):  # few frequencies: the medians spread, so that every limit is passed alone somewhere
         status, verdict, numbers, marks = compare(tmp_path, brake_force, 6)
         assert status == 1 and verdict == "OUTSIDE the limits"
         for row, mark in zip(numbers, marks, strict=True):
             median, worst = row.T
-            broken = {name for name, bad in (("too near", median < 3), ("too far", median > 12), ("worst", worst > 40)) if bad.any()}
+            broken = {
+                name
+                for name, bad in (("too near", median < 3), ("too far", median > 12), ("worst", worst > 40))
+                if bad.any()
+            }
             assert mark == bool(broken), (row, mark)
             causes.add(tuple(broken) if len(broken) < 2 else "several")
     assert {("too near",), ("too far",), ("worst",), ()} <= causes

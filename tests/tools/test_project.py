@@ -20,18 +20,21 @@ def test_every_shipped_vehicle_loads_and_is_stable(name):
     assert NominalModel(load_project(name)).slowest_pole > 0
 
 
-@pytest.mark.parametrize(("old", "new", "says"), [
-    ("Ts_s = 0.02", "Ts_s = -0.02", "Ts_s"),
-    ("Ts_s = 0.02", "Ts_s = 0.02\nTs = 1", "Ts"),
-    ('role = "output"', 'role = "scheduling"', "exactly one"),
-    ("min = -0.8", "min = 0.9", "road_wheel_angle"),
-    ('A = [["-1/T"]]', 'A = [["-1/T", 0]]', "model.A"),
-    ("f_max_hz = 3.2", "f_max_hz = 30.0", "half the sampling rate"),
-    ("confirm = 1 ", "confirm = 3 ", "confirm"),
-    ("nu = [0.1, 0.6]", "nu = [0.1]", "nu_ceiling"),
-    ("schema = 1", "schema = 2", "schema"),
-    ("schema = 1", "schema = ", "TOML"),
-])
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("Ts_s = 0.02", "Ts_s = -0.02", "Ts_s"),
+        ("Ts_s = 0.02", "Ts_s = 0.02\nTs = 1", "Ts"),
+        ('role = "output"', 'role = "scheduling"', "exactly one"),
+        ("min = -0.8", "min = 0.9", "road_wheel_angle"),
+        ('A = [["-1/T"]]', 'A = [["-1/T", 0]]', "model.A"),
+        ("f_max_hz = 3.2", "f_max_hz = 30.0", "half the sampling rate"),
+        ("confirm = 1 ", "confirm = 3 ", "confirm"),
+        ("nu = [0.1, 0.6]", "nu = [0.1]", "nu_ceiling"),
+        ("schema = 1", "schema = 2", "schema"),
+        ("schema = 1", "schema = ", "TOML"),
+    ],
+)
 def test_a_bad_project_file_is_refused_by_field(tmp_path, old, new, says):
     assert old in TEXT
     path = tmp_path / "car.toml"
@@ -41,12 +44,25 @@ def test_a_bad_project_file_is_refused_by_field(tmp_path, old, new, says):
     assert str(path) in str(caught.value) and says.lower() in str(caught.value).lower()
 
 
-@pytest.mark.parametrize(("name", "old", "new", "says"), [
-    ("g80", "[frames]", "[design]\nA_t = 9.0\nA_u = 0.1\ninput_max = [1.0]\ninput_rate_max_per_s = [1.0]\n\n[frames]", "two outputs"),
-    ("truck", "C = [[1.0, 0.0, 0.0]", "C = [[1.0, 0.0, 1.0]", r"model\.C = \[I 0\]"),
-    ("truck", "input_max = [6.0]", "input_max = [6.0, 6.0]", r"design\.input_max: must have 1"),
-    ("truck", "input_rate_max_per_s = [40.0]", "input_rate_max_per_s = []", r"design\.input_rate_max_per_s: must have 1"),
-])
+@pytest.mark.parametrize(
+    ("name", "old", "new", "says"),
+    [
+        (
+            "g80",
+            "[frames]",
+            "[design]\nA_t = 9.0\nA_u = 0.1\ninput_max = [1.0]\ninput_rate_max_per_s = [1.0]\n\n[frames]",
+            "two outputs",
+        ),
+        ("truck", "C = [[1.0, 0.0, 0.0]", "C = [[1.0, 0.0, 1.0]", r"model\.C = \[I 0\]"),
+        ("truck", "input_max = [6.0]", "input_max = [6.0, 6.0]", r"design\.input_max: must have 1"),
+        (
+            "truck",
+            "input_rate_max_per_s = [40.0]",
+            "input_rate_max_per_s = []",
+            r"design\.input_rate_max_per_s: must have 1",
+        ),
+    ],
+)
 def test_a_design_for_another_vehicle_than_that_of_fig_1_is_refused(tmp_path, name, old, new, says):
     text = VEHICLES.joinpath(f"{name}.toml").read_text()
     assert text.count(old) == 1
@@ -56,13 +72,16 @@ def test_a_design_for_another_vehicle_than_that_of_fig_1_is_refused(tmp_path, na
         load_project(path)
 
 
-@pytest.mark.parametrize(("old", "new", "says"), [
-    ('A = [["-1/T"]]', 'A = [["1/T"]]', "unstable"),
-    ('A = [["-1/T"]]', 'A = [["-1/q"]]', "q"),
-    ('A = [["-1/T"]]', 'A = [["__import__(1)"]]', "cannot use"),
-    ('A = [["-1/T"]]', 'A = [["-1/"]]', "not an arithmetic expression"),
-    ('G = "v/(L + K*v**2)"', 'G = "1/(v - 10)**0/(v - v)"', "not finite"),
-])
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('A = [["-1/T"]]', 'A = [["1/T"]]', "unstable"),
+        ('A = [["-1/T"]]', 'A = [["-1/q"]]', "q"),
+        ('A = [["-1/T"]]', 'A = [["__import__(1)"]]', "cannot use"),
+        ('A = [["-1/T"]]', 'A = [["-1/"]]', "not an arithmetic expression"),
+        ('G = "v/(L + K*v**2)"', 'G = "1/(v - 10)**0/(v - v)"', "not finite"),
+    ],
+)
 def test_a_bad_model_names_the_entry_or_the_speed(tmp_path, old, new, says):
     path = tmp_path / "car.toml"
     path.write_text(TEXT.replace(old, new, 1))

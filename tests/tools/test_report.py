@@ -19,15 +19,24 @@ from lpvguard.report.page import write_report
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project, parse_project
 
-TITLES = ["Summary", "Disturbance bound", "Weights over the bounds", "Trade-off between disturbance and uncertainty",
-          "The nominal model in time",
-          "Excitation and what stays invisible",
-          "Margin over time and frequency, drive by drive"]
+TITLES = [
+    "Summary",
+    "Disturbance bound",
+    "Weights over the bounds",
+    "Trade-off between disturbance and uncertainty",
+    "The nominal model in time",
+    "Excitation and what stays invisible",
+    "Margin over time and frequency, drive by drive",
+]
 LEFT_OUT = "creeping"
 # name, split, mean speed [m/s], duration [s]; the fault of "weak" makes alarms.
-DRIVES = [("slow", "train", 6.0, 30.0), ("fast", "train", 16.0, 30.0), ("check", "valid", 15.0, 30.0),
-          ("weak", "valid", 6.0, 30.0),
-          (LEFT_OUT, "valid", 2.0, 10.0)]
+DRIVES = [
+    ("slow", "train", 6.0, 30.0),
+    ("fast", "train", 16.0, 30.0),
+    ("check", "valid", 15.0, 30.0),
+    ("weak", "valid", 6.0, 30.0),
+    (LEFT_OUT, "valid", 2.0, 10.0),
+]
 
 
 def vehicle(n_y: int):
@@ -38,15 +47,23 @@ def vehicle(n_y: int):
     document["weights"] |= {"max_order": 2}
     if n_y == 2:
         document["name"] = "two_outputs"
-        second = {"name": "lateral_acceleration", "role": "output", "column": "ay", "unit": "m/s^2", "positive": "left turn",
-                  "min": -20.0, "max": 20.0}
+        second = {
+            "name": "lateral_acceleration",
+            "role": "output",
+            "column": "ay",
+            "unit": "m/s^2",
+            "positive": "left turn",
+            "min": -20.0,
+            "max": 20.0,
+        }
         document["signals"] = [*document["signals"], second]
         document["model"] |= {"C": [[1.0], [10.0]], "output_offset": [0.0, 0.0]}
     return parse_project(document, "test")
 
 
 def write_drives(project, folder: Path) -> None:
-    """Drives of a vehicle that differs from the nominal model by 10 % of gain and noise; "weak" has half the gain from 10 s on."""
+    """Drives of a vehicle that differs from the nominal model by 10 % of gain and noise; "weak" has half the
+    gain from 10 s on."""
     model, folder_index = NominalModel(project), ["experiment,split,driver"]
     folder.mkdir()
     for index, (name, split, speed, duration) in enumerate(DRIVES):
@@ -58,8 +75,14 @@ def write_drives(project, folder: Path) -> None:
         gain = np.where((name == "weak") & (t > 10.0), 0.5, 0.9)[:, None]
         y = gain * y + 2e-2 * np.abs(y).max(axis=0) * random.standard_normal(y.shape)
         columns = [project.speed.column, *(s.column for s in [*project.inputs, *project.outputs])]
-        np.savetxt(folder / f"{name}.csv", np.column_stack([t, v, u, y]), delimiter=",", header=",".join(["t", *columns]),
-                   comments="", fmt="%.9g")
+        np.savetxt(
+            folder / f"{name}.csv",
+            np.column_stack([t, v, u, y]),
+            delimiter=",",
+            header=",".join(["t", *columns]),
+            comments="",
+            fmt="%.9g",
+        )
         folder_index.append(f"{name},{split},robot")
     (folder / "experiments.csv").write_text("\n".join(folder_index) + "\n")
 
@@ -94,10 +117,15 @@ def page(case, tmp_path_factory) -> str:
 
 
 def test_the_window_error_is_shown_per_bin(case, page):
-    text = page[page.index("<h3>Window error</h3>"):]
-    shown = re.findall(r"<td>([^<]*)</td>", text[:text.index("</table>")])
-    for key, row in (("window_error_median", shown[1:]), ("window_error_percentile", shown[len(shown) // 2 + 1:])):
-        np.testing.assert_allclose([float(x) for x in row[:case.replayer.estimator.n_bins]], case.stored.bounds[key], rtol=0.06)
+    text = page[page.index("<h3>Window error</h3>") :]
+    shown = re.findall(r"<td>([^<]*)</td>", text[: text.index("</table>")])
+    for key, row in (
+        ("window_error_median", shown[1:]),
+        ("window_error_percentile", shown[len(shown) // 2 + 1 :]),
+    ):
+        np.testing.assert_allclose(
+            [float(x) for x in row[: case.replayer.estimator.n_bins]], case.stored.bounds[key], rtol=0.06
+        )
 
 
 def test_bounds_of_the_plain_dft_have_a_page_without_a_core(tmp_path):
@@ -128,7 +156,9 @@ def test_has_every_section_in_order(page):
 
 
 def test_needs_nothing_from_outside(page):
-    assert not re.search(r"https?:|//[a-z]|<script|<link|<iframe|@import|javascript:", re.sub(r"base64,[^\"]*", "", page))
+    assert not re.search(
+        r"https?:|//[a-z]|<script|<link|<iframe|@import|javascript:", re.sub(r"base64,[^\"]*", "", page)
+    )
     assert set(re.findall(r'(?:href|src)="(data:|#)?', page)) <= {"data:", "#"}
 
 
@@ -165,41 +195,125 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
 
     def severity(kind: str, x: float, found: int, mu: float | None, stable: bool = True) -> dict:
         shares = dict.fromkeys(detectors, found)
-        return {"kind": kind, "severity": x, "runs": 4, "visible_runs": 1, "visible_share": 0.1, "found": shares, "matched": shares,
-                "median_s": dict.fromkeys(detectors, 1.5), "mu_upper": mu, "loop_stable": stable, "response_margin": 1.25}
+        return {
+            "kind": kind,
+            "severity": x,
+            "runs": 4,
+            "visible_runs": 1,
+            "visible_share": 0.1,
+            "found": shares,
+            "matched": shares,
+            "median_s": dict.fromkeys(detectors, 1.5),
+            "mu_upper": mu,
+            "loop_stable": stable,
+            "response_margin": 1.25,
+        }
 
     rows = [severity("brake gain", 0.5, 4, 2.345), severity("brake gain", 0.7, 1, None, False)]
     seen = {"count": 1, "of": 50, "interval": [0.0005, 0.1065]}
     shares = dict.fromkeys(detectors, 0.5)
     summary = {
-        "detectors": detectors, "units": {"brake gain": "×", "GUARD_IN lost": "of the frames"}, "baselines": [{"label": "rms, 2 s"}],
-        "calibrated": {"frame": {"claim": "alpha 0.05 from 25 drives", "alpha": 0.05, "conditional_bound": 0.105, "threshold": 1.0, "per_hour": 1.0},
-                       "energy": {"claim": "alpha is not stated", "alpha": None, "conditional_bound": None, "threshold": 1.1, "per_hour": None}},
-        "due": seen, "visible": dict.fromkeys(detectors, seen),
+        "detectors": detectors,
+        "units": {"brake gain": "×", "GUARD_IN lost": "of the frames"},
+        "baselines": [{"label": "rms, 2 s"}],
+        "calibrated": {
+            "frame": {
+                "claim": "alpha 0.05 from 25 drives",
+                "alpha": 0.05,
+                "conditional_bound": 0.105,
+                "threshold": 1.0,
+                "per_hour": 1.0,
+            },
+            "energy": {
+                "claim": "alpha is not stated",
+                "alpha": None,
+                "conditional_bound": None,
+                "threshold": 1.1,
+                "per_hour": None,
+            },
+        },
+        "due": seen,
+        "visible": dict.fromkeys(detectors, seen),
         "average": dict.fromkeys(detectors, {"calibrated": 0.5, "matched": 0.25}),
-        "matched_stated": dict.fromkeys(detectors, 0.05), "matched_claim": "equal false alarms in the loop",
-        "within": {"runs": 50, "hours": 2.5, "judged_hours": 2.0, "plants": 24, "candidates": 40, "nominal_margin": 0.8, "largest_margin": 0.9,
-                   "alarmed": dict.fromkeys(detectors, seen), "beyond_checked_amplitude": seen,
-                   "tests": {t: seen | {"per_hour": {"rate": 0.4, "interval": [0.01, 2.23]}, "alarms": 3} for t in ("frame", "energy")}},
+        "matched_stated": dict.fromkeys(detectors, 0.05),
+        "matched_claim": "equal false alarms in the loop",
+        "within": {
+            "runs": 50,
+            "hours": 2.5,
+            "judged_hours": 2.0,
+            "plants": 24,
+            "candidates": 40,
+            "nominal_margin": 0.8,
+            "largest_margin": 0.9,
+            "alarmed": dict.fromkeys(detectors, seen),
+            "beyond_checked_amplitude": seen,
+            "tests": {
+                t: seen | {"per_hour": {"rate": 0.4, "interval": [0.01, 2.23]}, "alarms": 3}
+                for t in ("frame", "energy")
+            },
+        },
         "supervision": dict.fromkeys(("faulty", "healthy"), {"as_required": seen, "due": 77, "met": 76}),
-        "bus": [{"kind": "GUARD_IN lost", "severity": 0.5, "runs": 4, "as_required": 3, "due": 77, "met": 76, "late_s": 0.01, "unwarranted_s": 0.0,
-                 "away": 0.125, "judged": 0.87, "alarmed": dict.fromkeys(detectors, 1), "visible_runs": 2}],
+        "bus": [
+            {
+                "kind": "GUARD_IN lost",
+                "severity": 0.5,
+                "runs": 4,
+                "as_required": 3,
+                "due": 77,
+                "met": 76,
+                "late_s": 0.01,
+                "unwarranted_s": 0.0,
+                "away": 0.125,
+                "judged": 0.87,
+                "alarmed": dict.fromkeys(detectors, 1),
+                "visible_runs": 2,
+            }
+        ],
         "beaten": [{"kind": "brake gain", "detector": "nis", "matched": 0.5, "monitor": 0.25}],
-        "severities": rows, "invisible": rows[1:],
-        "kinds": [{"kind": "brake gain", "found": shares, "matched": shares, "best": ["monitor", "nis"], "best_matched": ["nis"]}]}
-    write_report(case.stored, case.drives, case.replayer, tmp_path / "report.html", None, lambda _: None, campaign=summary)
+        "severities": rows,
+        "invisible": rows[1:],
+        "kinds": [
+            {
+                "kind": "brake gain",
+                "found": shares,
+                "matched": shares,
+                "best": ["monitor", "nis"],
+                "best_matched": ["nis"],
+            }
+        ],
+    }
+    write_report(
+        case.stored,
+        case.drives,
+        case.replayer,
+        tmp_path / "report.html",
+        None,
+        lambda _: None,
+        campaign=summary,
+    )
     text = (tmp_path / "report.html").read_text()
-    assert "Campaign in the closed loop" in text and "1 of 50, 0.05 to 10.65 %" in text and "lpvguard, NIS" in text
+    assert (
+        "Campaign in the closed loop" in text
+        and "1 of 50, 0.05 to 10.65 %" in text
+        and "lpvguard, NIS" in text
+    )
     assert "frame test: alpha 0.05 from 25 drives; energy test: alpha is not stated." in text
     assert "brake gain 0.7 × (mu unstable, found 1 of 4)" in text and "2.34" in text and "rms, 2 s" in text
     assert text.count("Detection against severity") == 2
     assert text.count("equal false alarms in the loop") >= 4 and "counts only" not in text
-    summary |= {"matched_stated": {**summary["matched_stated"], "nis": None}, "matched_claim": "counts only: too few runs"}
-    write_report(case.stored, case.drives, case.replayer, tmp_path / "few.html", None, lambda _: None, campaign=summary)
+    summary |= {
+        "matched_stated": {**summary["matched_stated"], "nis": None},
+        "matched_claim": "counts only: too few runs",
+    }
+    write_report(
+        case.stored, case.drives, case.replayer, tmp_path / "few.html", None, lambda _: None, campaign=summary
+    )
     few = (tmp_path / "few.html").read_text()
-    assert "equal" not in few[few.index("Campaign in the closed loop"):] and "<td>counts only</td>" in few
+    assert "equal" not in few[few.index("Campaign in the closed loop") :] and "<td>counts only</td>" in few
     assert "NIS on brake gain, 50% against 25%" in text and "0.40, 0.01 to 2.23" in text and "10.50 %" in text
-    assert "<td>GUARD_IN lost</td><td>0.5 of the frames</td><td>3 of 4</td><td>77, 76</td><td>12.5%</td>" in text
+    assert (
+        "<td>GUARD_IN lost</td><td>0.5 of the frames</td><td>3 of 4</td><td>77, 76</td><td>12.5%</td>" in text
+    )
 
 
 def test_evaluation_and_a_core_of_another_identification_are_told(case, page, tmp_path):
@@ -209,19 +323,46 @@ def test_evaluation_and_a_core_of_another_identification_are_told(case, page, tm
     stored.coefficients.reals[name] = np.asarray(numbers) * 1.01
     evaluation = evaluate(case.stored, case.drives, case.replayer.core)
     plain = case.page(tmp_path / "plain.html", evaluation).decode()
-    assert plain.count("no drive qualifies") == (4 + 4) * len(evaluation["faults"]) and "Time to find" not in plain
+    assert (
+        plain.count("no drive qualifies") == (4 + 4) * len(evaluation["faults"])
+        and "Time to find" not in plain
+    )
     assert "30.0 s long, no more than 120 s" in plain and LEFT_OUT + ": no frame counts" in plain
     assert "alpha is not stated: too few calibration drives (1)" in plain and "(2)" in plain
-    section = plain[plain.index("Evaluation, leave one drive out"):]
-    assert "<td>counts only</td>" in section and "guaranteed" not in section and "compared\nby counts only" in section
-    assert "<th>last piece, s</th>" in section and "<td>30.0</td>" in section and "alarmed drives, no fault" in section
+    section = plain[plain.index("Evaluation, leave one drive out") :]
+    assert (
+        "<td>counts only</td>" in section
+        and "guaranteed" not in section
+        and "compared\nby counts only" in section
+    )
+    assert (
+        "<th>last piece, s</th>" in section
+        and "<td>30.0</td>" in section
+        and "alarmed drives, no fault" in section
+    )
     stated = dict.fromkeys(evaluation["stated_rates"], 0.1) | {"exported": 0.2}
     equal = case.page(tmp_path / "equal.html", evaluation | {"stated_rates": stated}).decode()
-    assert equal.count("one guaranteed rate") == 2 and "counts only" not in equal and "together allow at most 0.2" in equal
+    assert (
+        equal.count("one guaranteed rate") == 2
+        and "counts only" not in equal
+        and "together allow at most 0.2" in equal
+    )
     # No drive is long enough for injected faults here: made-up cases make the picture.
     cases = [{"run": "check", "start_s": 61.0, "s": 2.0}, {"run": "weak", "start_s": 62.0, "s": None}]
-    evaluation["faults"] = [row | {"drives": 2, "drives_found": 1, "counted": 2, "untouched_alarms": 1, "found": 1, "median_s": 2.0, "cases": cases, "best": ["rms"]}
-                            for row in evaluation["faults"]]
+    evaluation["faults"] = [
+        row
+        | {
+            "drives": 2,
+            "drives_found": 1,
+            "counted": 2,
+            "untouched_alarms": 1,
+            "found": 1,
+            "median_s": 2.0,
+            "cases": cases,
+            "best": ["rms"],
+        }
+        for row in evaluation["faults"]
+    ]
     text = Case(stored, case.drives, case.replayer).page(tmp_path / "report.html", evaluation).decode()
     assert "carries other numbers than this identification" in text
     assert re.findall("<h2>(.*?)</h2>", text) == [*TITLES, "Evaluation, leave one drive out"]

@@ -1,7 +1,8 @@
-"""The package's rooms: who may import whom, how long modules and functions may be, and that tools/README.md tells it as it is.
+"""The package's rooms: who may import whom, how long modules and functions may be, and that tools/README.md
+tells it as it is.
 
-    python tests/tools/test_rooms.py             prints which room imports which, and what is longer than allowed
-    python tests/tools/test_rooms.py --write     renews the picture in tools/README.md and rooms_baseline.json
+python tests/tools/test_rooms.py             prints which room imports which, and what is longer than allowed
+python tests/tools/test_rooms.py --write     renews the picture in tools/README.md and rooms_baseline.json
 """
 
 from __future__ import annotations
@@ -18,21 +19,45 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "tools/src/lpvguard"
 README = ROOT / "tools/README.md"
 BASELINE = Path(__file__).with_name("rooms_baseline.json")
-ORDER = ("base", "vehicle", "engine", "can", "drives", "core", "identify", "control", "replay", "evaluate", "loop", "report", "problems",
-         "schemas", "bench", "cli")
+ORDER = (
+    "base",
+    "vehicle",
+    "engine",
+    "can",
+    "drives",
+    "core",
+    "identify",
+    "control",
+    "replay",
+    "evaluate",
+    "loop",
+    "report",
+    "problems",
+    "schemas",
+    "bench",
+    "cli",
+)
 """Lowest first: a room imports only from rooms before it, and of those only what its MAY_IMPORT names."""
 MODULE_LINES, FUNCTION_LINES = 600, 60
 REASON = re.compile(r"^\s*Length: \S", re.MULTILINE)
 """A line of the docstring that says why a module or function is longer."""
-PICTURE = "<!-- rooms: written by `python tests/tools/test_rooms.py --write`, do not edit -->\n```\n", "```\n<!-- rooms: end -->"
+PICTURE = (
+    "<!-- rooms: written by `python tests/tools/test_rooms.py --write`, do not edit -->\n```\n",
+    "```\n<!-- rooms: end -->",
+)
 STOP = re.compile(r"^\d+\. `([\w/.]+):([\w.]+)`", re.MULTILINE)
 """A stop of a walk: file, from the repository's root, and function."""
 
 
 def imports(package: Path) -> dict[str, set[str]]:
-    """Module -> modules of the package that it imports anywhere, functions included, or names in a string as to be imported."""
-    paths = {".".join(["lpvguard", *path.relative_to(package).with_suffix("").parts]).removesuffix(".__init__"): path
-             for path in sorted(package.rglob("*.py"))}
+    """Module -> modules of the package that it imports anywhere, functions included, or names in a string as
+    to be imported."""
+    paths = {
+        ".".join(["lpvguard", *path.relative_to(package).with_suffix("").parts]).removesuffix(
+            ".__init__"
+        ): path
+        for path in sorted(package.rglob("*.py"))
+    }
 
     def known(name: str) -> str | None:
         while name not in paths and "." in name:
@@ -47,12 +72,20 @@ def imports(package: Path) -> dict[str, set[str]]:
             if isinstance(node, ast.Import):
                 named |= {alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom):
-                above = here.split(".")[:len(here.split(".")) - node.level + 1] if node.level else []
+                above = here.split(".")[: len(here.split(".")) - node.level + 1] if node.level else []
                 base = ".".join([*above, *([node.module] if node.module else [])])
                 named |= {f"{base}.{alias.name}" for alias in node.names}
-            elif isinstance(node, ast.Constant) and isinstance(node.value, str) and re.fullmatch(r"lpvguard(\.\w+)+", node.value):
+            elif (
+                isinstance(node, ast.Constant)
+                and isinstance(node.value, str)
+                and re.fullmatch(r"lpvguard(\.\w+)+", node.value)
+            ):
                 named.add(node.value)
-        found[module] = {known(name) for name in named if name.split(".")[0] == "lpvguard"} - {module, None, "lpvguard"}
+        found[module] = {known(name) for name in named if name.split(".")[0] == "lpvguard"} - {
+            module,
+            None,
+            "lpvguard",
+        }
     return found
 
 
@@ -64,7 +97,11 @@ def room_of(module: str) -> str:
 def declared(package: Path, room: str) -> tuple[str, tuple[str, ...]]:
     """Docstring and MAY_IMPORT of a room."""
     tree = ast.parse((package / room / "__init__.py").read_text(encoding="utf-8"))
-    values = [node.value for node in tree.body if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "MAY_IMPORT"]
+    values = [
+        node.value
+        for node in tree.body
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "MAY_IMPORT"
+    ]
     return ast.get_docstring(tree) or "", ast.literal_eval(values[0]) if values else ()
 
 
@@ -75,7 +112,7 @@ def circles(graph: dict[str, set[str]]) -> list[list[str]]:
 
     def visit(module: str, way: list[str]) -> None:
         if module in way:
-            found.append([*way[way.index(module):], module])
+            found.append([*way[way.index(module) :], module])
         elif module not in done:
             for other in sorted(graph[module]):
                 visit(other, [*way, module])
@@ -89,12 +126,16 @@ def circles(graph: dict[str, set[str]]) -> list[list[str]]:
 def faults(package: Path, order: tuple[str, ...] = ORDER) -> list[str]:
     """Everything that is wrong with the rooms."""
     graph = imports(package)
-    wrong = [f"{module} stands in no room of ORDER" for module in graph if room_of(module) and room_of(module) not in order]
+    wrong = [
+        f"{module} stands in no room of ORDER"
+        for module in graph
+        if room_of(module) and room_of(module) not in order
+    ]
     used: dict[str, set[str]] = {room: set() for room in order}
     for module, others in graph.items():
         room = room_of(module)
         for other in sorted(others) if room in order else ():
-            if room_of(other) in order[order.index(room) + 1:]:
+            if room_of(other) in order[order.index(room) + 1 :]:
                 wrong.append(f"{module} imports {other}: {room_of(other)} stands above {room}")
             elif room_of(other) != room:
                 used[room].add(room_of(other))
@@ -102,13 +143,19 @@ def faults(package: Path, order: tuple[str, ...] = ORDER) -> list[str]:
         says, may = declared(package, room)
         if len(says) < 80:
             wrong.append(f"{room}/__init__.py does not say what comes in and what goes out")
-        wrong += [f"{room} imports {other}, which its MAY_IMPORT does not name" for other in sorted(used[room] - set(may))]
-        wrong += [f"MAY_IMPORT of {room} names {other}, which it does not import" for other in sorted(set(may) - used[room])]
+        wrong += [
+            f"{room} imports {other}, which its MAY_IMPORT does not name"
+            for other in sorted(used[room] - set(may))
+        ]
+        wrong += [
+            f"MAY_IMPORT of {room} names {other}, which it does not import"
+            for other in sorted(set(may) - used[room])
+        ]
     return wrong + ["circle: " + " -> ".join(circle) for circle in circles(graph)]
 
 
 def long_ones(package: Path) -> dict[str, int]:
-    """"module.py" or "module.py:function" -> lines, of all that are longer than allowed without a reason."""
+    """ "module.py" or "module.py:function" -> lines, of all that are longer than allowed without a reason."""
     found = {}
     for path in sorted(package.rglob("*.py")):
         name, text = str(path.relative_to(package)), path.read_text(encoding="utf-8")
@@ -118,7 +165,11 @@ def long_ones(package: Path) -> dict[str, int]:
 
         def functions(node: ast.AST, above: str, name: str = name) -> None:
             for child in ast.iter_child_nodes(node):
-                inner = f"{above}.{child.name}" if above and hasattr(child, "name") else getattr(child, "name", above)
+                inner = (
+                    f"{above}.{child.name}"
+                    if above and hasattr(child, "name")
+                    else getattr(child, "name", above)
+                )
                 if isinstance(child, ast.FunctionDef):
                     lines = child.end_lineno - child.lineno + 1
                     if lines > FUNCTION_LINES and not REASON.search(ast.get_docstring(child) or ""):
@@ -136,8 +187,15 @@ def picture(package: Path) -> str:
     rows = []
     for room in ORDER:
         may = declared(package, room)[1]
-        rows.append((f"{room:10}" + " ".join(("x" if c in may else "." if ORDER.index(c) < ORDER.index(room) else " ").center(len(c))
-                                             for c in columns)).rstrip())
+        rows.append(
+            (
+                f"{room:10}"
+                + " ".join(
+                    ("x" if c in may else "." if ORDER.index(c) < ORDER.index(room) else " ").center(len(c))
+                    for c in columns
+                )
+            ).rstrip()
+        )
     return "\n".join([head, *rows]) + "\n"
 
 
@@ -149,10 +207,15 @@ def exists(stop: tuple[str, str]) -> bool:
         return False
     text, name = path.read_text(encoding="utf-8"), function.split(".")[-1]
     if path.suffix != ".py":
-        return re.search(rf"^(?!\s*(?:return|//))[^\n=;]*[\w>&*]\s*[ *&]{name}\s*\(", text, re.MULTILINE) is not None
+        return (
+            re.search(rf"^(?!\s*(?:return|//))[^\n=;]*[\w>&*]\s*[ *&]{name}\s*\(", text, re.MULTILINE)
+            is not None
+        )
     body: list[ast.stmt] = ast.parse(text).body
     for part in function.split("."):
-        node = next((n for n in body if isinstance(n, (ast.FunctionDef, ast.ClassDef)) and n.name == part), None)
+        node = next(
+            (n for n in body if isinstance(n, (ast.FunctionDef, ast.ClassDef)) and n.name == part), None
+        )
         if node is None:
             return False
         body = node.body
@@ -168,7 +231,9 @@ def planted(tmp_path):
     """A package of two rooms in order."""
     for room, may in (("low", "()"), ("high", '("low",)')):
         (tmp_path / room).mkdir()
-        (tmp_path / room / "__init__.py").write_text(f'"""{"What comes in, and what goes out. " * 3}"""\n\nMAY_IMPORT = {may}\n')
+        (tmp_path / room / "__init__.py").write_text(
+            f'"""{"What comes in, and what goes out. " * 3}"""\n\nMAY_IMPORT = {may}\n'
+        )
     (tmp_path / "__init__.py").write_text("")
     (tmp_path / "low" / "a.py").write_text("")
     (tmp_path / "low" / "b.py").write_text("from . import a\n")
@@ -177,16 +242,35 @@ def planted(tmp_path):
     return tmp_path
 
 
-@pytest.mark.parametrize("file, text, said", [
-    ("low/a.py", "from ..high import c\n", "lpvguard.low.a imports lpvguard.high.c: high stands above low"),
-    ("low/a.py", "def f():\n    from lpvguard.high.c import a\n", "lpvguard.low.a imports lpvguard.high.c: high stands above low"),
-    ("low/a.py", 'from importlib import import_module\nimport_module("lpvguard.high.c")\n', "high stands above low"),
-    ("low/a.py", "from .b import a\n", "circle: lpvguard.low.a -> lpvguard.low.b -> lpvguard.low.a"),
-    ("high/c.py", "", "MAY_IMPORT of high names low, which it does not import"),
-    ("high/__init__.py", '"""Short."""\nMAY_IMPORT = ("low",)\n', "high/__init__.py does not say"),
-    ("high/__init__.py", f'"""{"x" * 90}"""\nMAY_IMPORT = ()\n', "high imports low, which its MAY_IMPORT does not name"),
-    ("third/__init__.py", "", "lpvguard.third stands in no room"),
-])
+@pytest.mark.parametrize(
+    "file, text, said",
+    [
+        (
+            "low/a.py",
+            "from ..high import c\n",
+            "lpvguard.low.a imports lpvguard.high.c: high stands above low",
+        ),
+        (
+            "low/a.py",
+            "def f():\n    from lpvguard.high.c import a\n",
+            "lpvguard.low.a imports lpvguard.high.c: high stands above low",
+        ),
+        (
+            "low/a.py",
+            'from importlib import import_module\nimport_module("lpvguard.high.c")\n',
+            "high stands above low",
+        ),
+        ("low/a.py", "from .b import a\n", "circle: lpvguard.low.a -> lpvguard.low.b -> lpvguard.low.a"),
+        ("high/c.py", "", "MAY_IMPORT of high names low, which it does not import"),
+        ("high/__init__.py", '"""Short."""\nMAY_IMPORT = ("low",)\n', "high/__init__.py does not say"),
+        (
+            "high/__init__.py",
+            f'"""{"x" * 90}"""\nMAY_IMPORT = ()\n',
+            "high imports low, which its MAY_IMPORT does not name",
+        ),
+        ("third/__init__.py", "", "lpvguard.third stands in no room"),
+    ],
+)
 def test_a_planted_fault_is_found(planted, file, text, said):
     (planted / file).parent.mkdir(exist_ok=True)
     (planted / file).write_text(text)
@@ -194,18 +278,23 @@ def test_a_planted_fault_is_found(planted, file, text, said):
 
 
 def test_nothing_grows_longer_than_allowed():
-    """New long modules and functions fail; those of the baseline may only shrink, and leave it when they are short enough."""
+    """New long modules and functions fail; those of the baseline may only shrink, and leave it when they are
+    short enough."""
     allowed = json.loads(BASELINE.read_text())
     found = long_ones(PACKAGE)
     assert {name: lines for name, lines in found.items() if lines > allowed.get(name, 0)} == {}
-    assert sorted(set(allowed) - set(found)) == [], "short enough by now: take them out of rooms_baseline.json"
+    assert sorted(set(allowed) - set(found)) == [], (
+        "short enough by now: take them out of rooms_baseline.json"
+    )
 
 
 def test_a_planted_long_function_is_found_unless_it_says_why(tmp_path):
     body = "    x = 1\n" * FUNCTION_LINES
     (tmp_path / "a.py").write_text(f"class A:\n  def f():\n{body}\n")
     assert long_ones(tmp_path) == {"a.py:A.f": FUNCTION_LINES + 1}
-    (tmp_path / "a.py").write_text(f'def f():\n    """It does.\n\n    Length: one table, in one place.\n    """\n{body}\n')
+    (tmp_path / "a.py").write_text(
+        f'def f():\n    """It does.\n\n    Length: one table, in one place.\n    """\n{body}\n'
+    )
     assert long_ones(tmp_path) == {}
     (tmp_path / "a.py").write_text("x = 1\n" * (MODULE_LINES + 1))
     assert long_ones(tmp_path) == {"a.py": MODULE_LINES + 1}
@@ -220,13 +309,17 @@ def test_the_picture_in_the_readme_is_that_of_the_packages():
 
 def test_every_stop_of_the_walks_exists():
     text = README.read_text(encoding="utf-8")
-    walks = re.split(r"^### ", text.partition("## Four walks")[2].partition("\n## ")[0], flags=re.MULTILINE)[1:]
+    walks = re.split(r"^### ", text.partition("## Four walks")[2].partition("\n## ")[0], flags=re.MULTILINE)[
+        1:
+    ]
     assert len(walks) == 4
     for walk in walks:
         stops = STOP.findall(walk)
         assert 3 <= len(stops) <= 8 and len(stops) == len(re.findall(r"^\d+\. ", walk, re.MULTILINE)), walk
         assert [stop for stop in stops if not exists(stop)] == []
-    assert not exists(("tools/src/lpvguard/drives/tables.py", "no_such_function")) and not exists(("lib/src/ecu.cpp", "no_such_function"))
+    assert not exists(("tools/src/lpvguard/drives/tables.py", "no_such_function")) and not exists(
+        ("lib/src/ecu.cpp", "no_such_function")
+    )
 
 
 def main() -> None:

@@ -1,4 +1,5 @@
-"""The realisation that the core runs: its poles, its interpolation, and the change of state that engages without a jump."""
+"""The realisation that the core runs: its poles, its interpolation, and the change of state that engages
+without a jump."""
 
 from __future__ import annotations
 
@@ -22,13 +23,17 @@ THETA = np.log([[-(p + q).real, (p * q).real] for p, q in POLES]).ravel()
 def schedule():
     rng = np.random.default_rng(4)
     a = _first_columns(THETA, TS)
-    return Scheduled(TS, np.linspace(8.0, 22.0, 4), a, rng.standard_normal((4, 2, len(a), 3)), np.zeros((4, 2, len(a), 2)))
+    return Scheduled(
+        TS, np.linspace(8.0, 22.0, 4), a, rng.standard_normal((4, 2, len(a), 3)), np.zeros((4, 2, len(a), 2))
+    )
 
 
 def test_pairs_have_the_poles_asked_for_and_the_last_state_is_a_delay():
     A, c = realisation(_first_columns(THETA, TS))
     wanted = [np.exp(TS * p) for pair in POLES for p in pair] + [0.0]
-    np.testing.assert_allclose(np.sort_complex(np.linalg.eigvals(A)), np.sort_complex(np.array(wanted, complex)), atol=1e-7)
+    np.testing.assert_allclose(
+        np.sort_complex(np.linalg.eigvals(A)), np.sort_complex(np.array(wanted, complex)), atol=1e-7
+    )
     np.testing.assert_array_equal(c, [[1, 0, 1, 0, 1, 0, 1]])
 
 
@@ -76,13 +81,30 @@ def test_a_pole_on_the_unit_circle_has_no_likely_state():
 
 
 def two_input_loop(v: float) -> FrozenLoop:
-    """A stable vehicle of two inputs and outputs at a speed, and a controller for it that has three fixed poles and a delay."""
+    """A stable vehicle of two inputs and outputs at a speed, and a controller for it that has three fixed
+    poles and a delay."""
     eye, zero = np.eye(2), np.zeros((2, 2))
-    vehicle = zero_order_hold(StateSpace(np.array([[-1.0, 0.3 * v], [0.0, -4.0]]), np.array([[0.5 * v, 0.1], [0.2, 1.0]]), eye, zero), TS)
+    vehicle = zero_order_hold(
+        StateSpace(
+            np.array([[-1.0, 0.3 * v], [0.0, -4.0]]), np.array([[0.5 * v, 0.1], [0.2, 1.0]]), eye, zero
+        ),
+        TS,
+    )
     A = np.exp(TS * np.array([-0.5, -3.0, -12.0]))
-    numerators = np.array([[[0.4, -0.3, 0.1], [1.0, -0.8, -0.2]], [[-0.2, 0.1, -0.5], [0.3, 0.2, -0.6]], [[0.1, -0.4, 0.0], [0.0, -0.1, -0.4]]])
-    K = StateSpace(np.diag(A), (1 - A)[:, None] * np.array([[1.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, -1.0]]) / v,
-                   numerators[:, :, 0].T + numerators[:, :, 1].T * v, np.zeros((2, 3)), TS)
+    numerators = np.array(
+        [
+            [[0.4, -0.3, 0.1], [1.0, -0.8, -0.2]],
+            [[-0.2, 0.1, -0.5], [0.3, 0.2, -0.6]],
+            [[0.1, -0.4, 0.0], [0.0, -0.1, -0.4]],
+        ]
+    )
+    K = StateSpace(
+        np.diag(A),
+        (1 - A)[:, None] * np.array([[1.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, -1.0]]) / v,
+        numerators[:, :, 0].T + numerators[:, :, 1].T * v,
+        np.zeros((2, 3)),
+        TS,
+    )
     K = series(StateSpace(zero, eye, eye, zero, TS), K)
     # w = (r, noise); z = (r - y_1, u / 10); m = (r, y + noise).
     B = np.hstack([np.zeros((2, 3)), vehicle.B])
@@ -99,22 +121,30 @@ def test_two_inputs_are_met_by_poles_common_to_both():
     assert all(lft(loop.plant.system, loop.controller).stability_margin() > 0 for loop in loops)
     schedule = fit(loops, speeds, Scaling(np.zeros((0, 1))), 2, np.array([2.0, 1.0]))
     omega = np.logspace(-1, 2, 40)
-    for v, loop in zip(speeds, loops):
+    for v, loop in zip(speeds, loops, strict=False):
         wanted = loop.controller.response(omega)
         assert np.abs(schedule.at(v).response(omega) - wanted).max() <= 1e-3 * np.abs(wanted).max()
         assert schedule.injection_radius(v) < 1
-    coefficients = build_controller(TS, speeds, schedule.a, schedule.B, schedule.L, np.array([2.0, 1.0]), np.array([9.0, 9.0]))
-    assert coefficients.sizes == {"NK": 5, "NM": 3, "NG": 3} and coefficients.reals["BL"].shape == (3, 2, 5, 5)
+    coefficients = build_controller(
+        TS, speeds, schedule.a, schedule.B, schedule.L, np.array([2.0, 1.0]), np.array([9.0, 9.0])
+    )
+    assert coefficients.sizes == {"NK": 5, "NM": 3, "NG": 3} and coefficients.reals["BL"].shape == (
+        3,
+        2,
+        5,
+        5,
+    )
 
 
 def test_under_limits_the_law_is_that_of_model_recovery():
-    """Demands held at zero under a step of the reference: L alone against the recursion with the vehicle's lag xi in it."""
+    """Demands held at zero under a step of the reference: L alone against the recursion with the vehicle's
+    lag xi in it."""
     speeds, u_max = np.linspace(1.0, 2.0, 3), np.array([2.0, 1.0])
     schedule = fit([two_input_loop(v) for v in speeds], speeds, Scaling(np.zeros((0, 1))), 5, u_max)
     K, vehicle, L = schedule.at(1.5), two_input_loop(1.5).vehicle, schedule._between(schedule.L, 1.5)
     A, B, C = vehicle.A, vehicle.B, vehicle.C
     top = (C @ np.linalg.solve(np.eye(2) - A, B))[0] * u_max
-    Q, R = np.outer(C[0], C[0]) / (top @ top), RECOVERY_EFFORT * np.diag(u_max ** -2.0)
+    Q, R = np.outer(C[0], C[0]) / (top @ top), RECOVERY_EFFORT * np.diag(u_max**-2.0)
     X = solve_discrete_are(A, B, Q, R)
     F = np.linalg.solve(R + B.T @ X @ B, B.T @ X @ A)
     x, exact, xi, found, wanted = np.zeros(K.order), np.zeros(K.order), np.zeros(2), [], []

@@ -30,7 +30,10 @@ LOOSE = {"manifest", "problems", "answers"}
 
 def errors(name: str, value) -> list[str]:
     value = json.loads(artefacts.to_json(value))
-    return [f"{list(e.absolute_path)}: {e.message}" for e in jsonschema.Draft202012Validator(schemas.schema(name)).iter_errors(value)]
+    return [
+        f"{list(e.absolute_path)}: {e.message}"
+        for e in jsonschema.Draft202012Validator(schemas.schema(name)).iter_errors(value)
+    ]
 
 
 @pytest.mark.parametrize("name", schemas.names())
@@ -69,7 +72,9 @@ def test_an_example_is_accepted_and_an_unknown_or_missing_field_is_not(name):
         assert any(f"'{field}' is a required property" in e for e in errors(name, missing)), field
 
 
-@pytest.mark.parametrize("file", ["bounds", "front", "weights", "calibration", "energy", "visibility", "MANIFEST"])
+@pytest.mark.parametrize(
+    "file", ["bounds", "front", "weights", "calibration", "energy", "visibility", "MANIFEST"]
+)
 def test_an_identification_is_as_described(identified, vehicle, file):
     assert errors(file.lower(), json.loads((identified / f"{file}.json").read_text())) == []
     if file == "MANIFEST":
@@ -87,9 +92,16 @@ def test_a_replay_with_alarms_and_an_evaluation_are_as_described(g80, synthetic,
 
 def test_a_report_of_ingest_is_as_described(tmp_path):
     (tmp_path / "bus.dbc").write_text(dbc_text())
-    (tmp_path / "map.toml").write_text('schema = 1\nTs_s = 0.1\n[columns.v]\nunit = "m/s"\nsignal = "v"\nscale = 1.0\n')
+    (tmp_path / "map.toml").write_text(
+        'schema = 1\nTs_s = 0.1\n[columns.v]\nunit = "m/s"\nsignal = "v"\nscale = 1.0\n'
+    )
     (tmp_path / "log.csv").write_text("t,v\n" + "".join(f"{i / 10},{i}\n" for i in range(30)))
-    for report in ingest([tmp_path / "log.csv"], dbc=tmp_path / "bus.dbc", signals_map=tmp_path / "map.toml", out=tmp_path / "out").values():
+    for report in ingest(
+        [tmp_path / "log.csv"],
+        dbc=tmp_path / "bus.dbc",
+        signals_map=tmp_path / "map.toml",
+        out=tmp_path / "out",
+    ).values():
         assert errors("ingest", report) == []
     assert errors("ingest", json.loads((tmp_path / "out" / "log.report.json").read_text())) == []
 
@@ -97,7 +109,10 @@ def test_a_report_of_ingest_is_as_described(tmp_path):
 def test_answers_are_as_described():
     problems = schemas.example("problems")["problems"]
     answers = solve_problems([*problems, {"id": "bad", "kind": "mu"}], 1)
-    assert answers[-1]["status"] == "error" and errors("answers", {"schema": "lpvguard.answers/1", "answers": answers}) == []
+    assert (
+        answers[-1]["status"] == "error"
+        and errors("answers", {"schema": "lpvguard.answers/1", "answers": answers}) == []
+    )
 
 
 def test_what_a_scenario_expects_is_as_described():
@@ -107,5 +122,7 @@ def test_what_a_scenario_expects_is_as_described():
 
 def test_the_page_of_the_formats_says_what_the_schemas_say():
     page = Path(__file__).parents[2] / "tools" / "FORMATS.md"
-    assert page.read_text(encoding="utf-8") == schemas.markdown(), "write lpvguard.schemas.markdown() to tools/FORMATS.md"
+    assert page.read_text(encoding="utf-8") == schemas.markdown(), (
+        "write lpvguard.schemas.markdown() to tools/FORMATS.md"
+    )
     assert not re.search(r"DESIGN", page.read_text(encoding="utf-8"))

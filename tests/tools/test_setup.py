@@ -1,5 +1,5 @@
-"""The set-up (tools/setup.sh) with a fake interpreter, apt and dpkg: an environment and a build know their checkout; the closing line counts
-what broke off."""
+"""The set-up (tools/setup.sh) with a fake interpreter, apt and dpkg: an environment and a build know their
+checkout; the closing line counts what broke off."""
 
 from __future__ import annotations
 
@@ -37,8 +37,13 @@ def checkout(tmp_path):
 def shell(root: Path, commands: str, **environment: str) -> subprocess.CompletedProcess[str]:
     """Commands after the set-up's functions; the interpreter is the fake."""
     script = f'set -euo pipefail; root={root}; . "$root/tools/setup.sh"; find_python() {{ python={root.parent}/python; }}; {commands}'
-    return subprocess.run(["bash", "-c", script], env={**os.environ, "CALLS": str(root.parent / "calls"), "PIP_FAILS": "-nothing-", **environment},
-                          capture_output=True, text=True, check=False)
+    return subprocess.run(
+        ["bash", "-c", script],
+        env={**os.environ, "CALLS": str(root.parent / "calls"), "PIP_FAILS": "-nothing-", **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
 
 
 def calls(checkout: Path) -> int:
@@ -52,7 +57,11 @@ def test_the_environment_is_made_once_and_anew_for_another_path_or_interpreter(c
     copied = checkout.with_name("two")
     subprocess.run(["cp", "-a", checkout, copied], check=True)
     done = shell(copied, "venv_is_current run || ensure_venv run")
-    assert done.returncode == 0 and "made for another path or interpreter" in done.stderr and calls(checkout) == 2
+    assert (
+        done.returncode == 0
+        and "made for another path or interpreter" in done.stderr
+        and calls(checkout) == 2
+    )
     assert (copied / ".venv" / ".lpvguard-made").read_text().splitlines() == [str(copied), "Python 3.11.1"]
     assert shell(checkout, "ensure_venv run").stderr == "", "the original's is untouched"
     done = shell(checkout, "ensure_venv run", PATCH="9")
@@ -76,7 +85,11 @@ def test_an_environment_of_somebody_else_is_refused_and_kept(checkout):
 
 def test_an_optional_python_package_may_fail_a_needed_one_not(checkout):
     done = shell(checkout, "ensure_venv test", PIP_FAILS="[lcm]")
-    assert done.returncode == 0 and "without the Python package lcm" in done.stderr and "no wheel of it" in done.stderr
+    assert (
+        done.returncode == 0
+        and "without the Python package lcm" in done.stderr
+        and "no wheel of it" in done.stderr
+    )
     shutil.rmtree(checkout / ".venv")
     done = shell(checkout, "ensure_venv test", PIP_FAILS="[test]")
     assert done.returncode == 2 and "no wheel of it" in done.stderr
@@ -86,11 +99,15 @@ def test_only_cmakes_builds_of_another_checkout_are_removed(checkout):
     def build(folder: str, cache_folder: Path, home: Path, project: str = "lpvguard") -> Path:
         made = checkout / "build" / folder
         made.mkdir(parents=True, exist_ok=True)
-        (made / "CMakeCache.txt").write_text(f"CMAKE_PROJECT_NAME:STATIC={project}\nCMAKE_CACHEFILE_DIR:INTERNAL={cache_folder}\nCMAKE_HOME_DIRECTORY:INTERNAL={home}\n")
+        (made / "CMakeCache.txt").write_text(
+            f"CMAKE_PROJECT_NAME:STATIC={project}\nCMAKE_CACHEFILE_DIR:INTERNAL={cache_folder}\nCMAKE_HOME_DIRECTORY:INTERNAL={home}\n"
+        )
         return made
 
     good = build("debug", checkout / "build" / "debug", checkout)
-    consumer = build("consumer", checkout / "build" / "consumer", checkout / "tests" / "consumer", "lpvguard_consumer")
+    consumer = build(
+        "consumer", checkout / "build" / "consumer", checkout / "tests" / "consumer", "lpvguard_consumer"
+    )
     copied = build("double", Path("/elsewhere/build/double"), Path("/elsewhere"))
     foreign = build("foreign", Path("/elsewhere/build/foreign"), Path("/elsewhere"), "another_project")
     own = checkout / "build" / "notes"
@@ -98,7 +115,10 @@ def test_only_cmakes_builds_of_another_checkout_are_removed(checkout):
     assert shell(checkout, "drop_foreign_builds").returncode == 0
     assert [p.is_dir() for p in (good, consumer, copied, foreign, own)] == [True, True, False, True, True]
     build(".", checkout / "build", Path("/elsewhere"))
-    assert "build is a build of another checkout" in shell(checkout, "drop_foreign_builds").stderr and not (checkout / "build").exists()
+    assert (
+        "build is a build of another checkout" in shell(checkout, "drop_foreign_builds").stderr
+        and not (checkout / "build").exists()
+    )
 
 
 FAKE_APT = r"""
@@ -110,19 +130,36 @@ apt_install() { echo "apt: $*"; [[ "$*" != *cppcheck* ]] || return 1; INSTALLED+
 
 
 def test_parts_that_cannot_be_had_are_named_and_needed_packages_all_the_same_installed(checkout):
-    done = shell(checkout, FAKE_APT + "INSTALLED=; clang_runtime() { echo libclang-rt-99-dev; }; ensure_packages run test", LPVGUARD_WITHOUT="lcm")
+    done = shell(
+        checkout,
+        FAKE_APT + "INSTALLED=; clang_runtime() { echo libclang-rt-99-dev; }; ensure_packages run test",
+        LPVGUARD_WITHOUT="lcm",
+    )
     assert done.returncode == 0, done.stderr
     asked = [line.split()[1:] for line in done.stdout.splitlines()]
-    assert "libclang-rt-99-dev" in asked[0] and "user-mode-linux" not in asked[0] and "liblcm-dev" not in asked[0]
-    assert "without lcm (LPVGUARD_WITHOUT)" in done.stderr and "without uml: its tests are counted as skipped" in done.stderr
+    assert (
+        "libclang-rt-99-dev" in asked[0]
+        and "user-mode-linux" not in asked[0]
+        and "liblcm-dev" not in asked[0]
+    )
+    assert (
+        "without lcm (LPVGUARD_WITHOUT)" in done.stderr
+        and "without uml: its tests are counted as skipped" in done.stderr
+    )
     # cppcheck fails: the rest all the same, the needed ones first.
     assert "without cppcheck" in done.stderr and done.stderr.count("without") == 3
-    assert asked[1][0] == "g++" and ["cppcheck"] in asked and ["qemu-system-arm"] == asked[-1][-1:]
+    assert asked[1][0] == "g++" and ["cppcheck"] in asked and asked[-1][-1:] == ["qemu-system-arm"]
 
 
 def test_without_root_needed_packages_are_named_and_nothing_is_asked_of_apt(checkout):
-    done = shell(checkout, FAKE_APT + "INSTALLED='g++ cmake'; become_root() { return 1; }; ensure_packages run")
-    assert done.returncode == 2 and "please install: apt-get install libeigen3-dev" in done.stderr and done.stdout == ""
+    done = shell(
+        checkout, FAKE_APT + "INSTALLED='g++ cmake'; become_root() { return 1; }; ensure_packages run"
+    )
+    assert (
+        done.returncode == 2
+        and "please install: apt-get install libeigen3-dev" in done.stderr
+        and done.stdout == ""
+    )
 
 
 APT_SAYS = "Reading\ndlstatus:1:30.5:Retrieving\ndlstatus:1:31:Retrieving\npmstatus:clang:1:Unpacking clang (amd64)\npmstatus:x:2:Unpacking x (amd64)\nE: broken\n"
@@ -137,20 +174,53 @@ def test_progress_is_a_line_a_quarter_and_a_line_a_package(checkout, tmp_path):
 GOOD = '<testsuite><testcase name="a.b" time="1"/></testsuite>'
 
 
-@pytest.mark.parametrize(("ctest", "status", "options", "last", "says"), [
-    (GOOD, "", [], "3 passed, 0 failed, 0 skipped", ""),
-    (GOOD[:-15], "", [], "2 passed, 1 failed, 0 skipped", "FAILED ctest: it broke off while it wrote ctest.xml"),
-    ("", "", [], "2 passed, 1 failed, 0 skipped", "broke off"),
-    (GOOD, "8", [], "3 passed, 1 failed, 0 skipped", "no case failed, yet it ended with status 8"),
-    (GOOD, "", ["--clean-room", "skipped: no root"], "3 passed, 0 failed, 1 skipped", "SKIPPED clean-room ./tools/test: no root"),
-    (GOOD, "", ["--clean-room", "failed"], "3 passed, 1 failed, 0 skipped", "FAILED clean-room"),
-    (GOOD, "", ["--fast", "7"], "3 passed, 0 failed, 0 skipped", "fast: 3 of 7 tests"),
-    ('<testsuite><testcase name="hil.x" status="notrun"><skipped message="SKIP_REGULAR_EXPRESSION_MATCHED"/><system-out>skipped: no clang\n</system-out>'
-     '</testcase></testsuite>', "", [], "2 passed, 0 failed, 1 skipped", "SKIPPED ::hil.x: no clang")])
-def test_the_closing_line_counts_what_broke_off_and_gives_reasons(tmp_path, ctest, status, options, last, says):
+@pytest.mark.parametrize(
+    ("ctest", "status", "options", "last", "says"),
+    [
+        (GOOD, "", [], "3 passed, 0 failed, 0 skipped", ""),
+        (
+            GOOD[:-15],
+            "",
+            [],
+            "2 passed, 1 failed, 0 skipped",
+            "FAILED ctest: it broke off while it wrote ctest.xml",
+        ),
+        ("", "", [], "2 passed, 1 failed, 0 skipped", "broke off"),
+        (GOOD, "8", [], "3 passed, 1 failed, 0 skipped", "no case failed, yet it ended with status 8"),
+        (
+            GOOD,
+            "",
+            ["--clean-room", "skipped: no root"],
+            "3 passed, 0 failed, 1 skipped",
+            "SKIPPED clean-room ./tools/test: no root",
+        ),
+        (GOOD, "", ["--clean-room", "failed"], "3 passed, 1 failed, 0 skipped", "FAILED clean-room"),
+        (GOOD, "", ["--fast", "7"], "3 passed, 0 failed, 0 skipped", "fast: 3 of 7 tests"),
+        (
+            '<testsuite><testcase name="hil.x" status="notrun"><skipped message="SKIP_REGULAR_EXPRESSION_MATCHED"/><system-out>skipped: no clang\n</system-out>'
+            "</testcase></testsuite>",
+            "",
+            [],
+            "2 passed, 0 failed, 1 skipped",
+            "SKIPPED ::hil.x: no clang",
+        ),
+    ],
+)
+def test_the_closing_line_counts_what_broke_off_and_gives_reasons(
+    tmp_path, ctest, status, options, last, says
+):
     for runner, text in (("ctest", ctest), ("pytest", GOOD), ("pytest_serial", GOOD)):
         (tmp_path / f"{runner}.xml").write_text(text)
     if status:
         (tmp_path / "ctest.status").write_text(status)
-    done = subprocess.run([sys.executable, ROOT / "tools" / "summarise_tests.py", *options, tmp_path], capture_output=True, text=True, check=False)
-    assert done.stdout.splitlines()[-1] == last and says in done.stdout and done.returncode == (" 0 failed" not in last)
+    done = subprocess.run(
+        [sys.executable, ROOT / "tools" / "summarise_tests.py", *options, tmp_path],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (
+        done.stdout.splitlines()[-1] == last
+        and says in done.stdout
+        and done.returncode == (" 0 failed" not in last)
+    )

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from lpvguard.problems import solve
 
 REPOSITORY = Path(__file__).resolve().parents[2]

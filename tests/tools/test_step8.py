@@ -1,4 +1,5 @@
-"""Step 8 beside the controller: Table II of generated drives, the worst-case run, the trade-off; and the commands that write them."""
+"""Step 8 beside the controller: Table II of generated drives, the worst-case run, the trade-off; and the
+commands that write them."""
 
 from __future__ import annotations
 
@@ -6,6 +7,7 @@ import json
 
 import numpy as np
 import pytest
+
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
 from lpvguard.control import tradeoff
@@ -38,12 +40,22 @@ def problem(few_truck_identified, drives):
 def cells(problem):
     """One objective, with little effort spent on D."""
     A_t, A_u = problem.settings.objectives[0]
-    return [cell(problem.plant(s, problem.weights(s, A_t, A_u), problem.settings.design_speed_mps), s, A_t, A_u, iterations=3, polish=0)
-            for s in ("K_inf", "K_i", "K_is")]
+    return [
+        cell(
+            problem.plant(s, problem.weights(s, A_t, A_u), problem.settings.design_speed_mps),
+            s,
+            A_t,
+            A_u,
+            iterations=3,
+            polish=0,
+        )
+        for s in ("K_inf", "K_i", "K_is")
+    ]
 
 
 def test_deciding_frames_have_the_maxima_of_all_frames():
-    """gamma_w's rule and nu over the deciding frames are those over all frames, for any ceiling and gamma_w."""
+    """gamma_w's rule and nu over the deciding frames are those over all frames, for any ceiling and
+    gamma_w."""
     random = np.random.default_rng(1)
     E, Z = (random.normal(size=(4000, 2)) + 1j * random.normal(size=(4000, 2)) for _ in range(2))
     E *= 10 ** random.uniform(-2, 0, (4000, 1))
@@ -56,7 +68,11 @@ def test_deciding_frames_have_the_maxima_of_all_frames():
         assert rule[exact].max() == rule.max()
         assert rule[near].max() * (1 + NEAR) ** 2 >= rule.max() - z.max() * NEAR * ceiling
         gamma = rule.max()
-        assert s1.solve(E[exact], Z[exact], gamma).nu.max() == s1.solve(E, Z, gamma).nu.max() <= ceiling * (1 + 1e-9)
+        assert (
+            s1.solve(E[exact], Z[exact], gamma).nu.max()
+            == s1.solve(E, Z, gamma).nu.max()
+            <= ceiling * (1 + 1e-9)
+        )
 
 
 def test_bounds_of_the_deciding_frames_are_near_those_identified(problem):
@@ -69,7 +85,8 @@ def test_bounds_of_the_deciding_frames_are_near_those_identified(problem):
 
 
 def test_state_uncertainty_takes_over_what_lambda_leaves_to_it(problem):
-    """Each frame's pair explains it: nu_i falls and nu_s grows with a dearer input uncertainty; without room nothing is needed."""
+    """Each frame's pair explains it: nu_i falls and nu_s grows with a dearer input uncertainty; without room
+    nothing is needed."""
     gamma_w = problem.stored.bounds["gamma_w"]
     cheap, dear = (problem.frames.explain_with_state(gamma_w, x) for x in (0.1, 10.0))
     alone = problem.frames.explain(gamma_w)
@@ -82,7 +99,10 @@ def test_state_uncertainty_takes_over_what_lambda_leaves_to_it(problem):
 def test_state_of_a_frame_is_that_of_the_frozen_model(problem):
     """u and x_nom read from Z reproduce Z where Z is the model's own response."""
     v, omega, u = np.array([9.0, 20.0]), 1.3, np.array([0.3 + 1j, -2.0])
-    Z = problem.model.frequency_response([omega], 9.0)[0, :, 0] * u[0], problem.model.frequency_response([omega], 20.0)[0, :, 0] * u[1]
+    Z = (
+        problem.model.frequency_response([omega], 9.0)[0, :, 0] * u[0],
+        problem.model.frequency_response([omega], 20.0)[0, :, 0] * u[1],
+    )
     found, x_nom, _, h_s = problem.frames._behind(np.array(Z), v, omega)
     np.testing.assert_allclose(found, u, rtol=1e-9)
     np.testing.assert_allclose(x_nom @ problem.model.C.T, Z, rtol=1e-9)
@@ -98,9 +118,14 @@ def test_table_ii_is_certified_from_both_sides_and_above_its_floor(cells):
 
 
 def test_worst_case_runs_and_files(problem, cells, drives, tmp_path):
-    """The drive is the measured one nearest to the design speed; files hold no time and are the same bytes again; each opens."""
+    """The drive is the measured one nearest to the design speed; files hold no time and are the same bytes
+    again; each opens."""
     runs = worst_runs(problem, cells, drives)
-    assert runs.drive.endswith("17mps") and 0 < runs.factor <= 1 and [r.cell.structure for r in runs.runs] == ["K_inf", "K_i", "K_is"]
+    assert (
+        runs.drive.endswith("17mps")
+        and 0 < runs.factor <= 1
+        and [r.cell.structure for r in runs.runs] == ["K_inf", "K_i", "K_is"]
+    )
     for r in runs.runs[1:]:
         assert r.worst.size == pytest.approx(1, abs=1e-5) and r.worst.gain <= r.cell.upper * (1 + 1e-6)
         assert r.tracking_rms != r.tracking_rms_nominal
@@ -112,7 +137,12 @@ def test_worst_case_runs_and_files(problem, cells, drives, tmp_path):
     assert set(pictures) == {"fig5.svg", "fig6.svg"} and pictures == drawn(files)
     for picture in pictures.values():
         assert picture.startswith("<svg xmlns=") and "var(--" not in picture
-    certificates = {"structure": "K_i", "order": 3, "claim": "c", "speeds": [{"v_mps": 8.0, "mu_upper": 0.9, "mu_lower": 0.8, "peak_rad_s": 0.0}]}
+    certificates = {
+        "structure": "K_i",
+        "order": 3,
+        "claim": "c",
+        "speeds": [{"v_mps": 8.0, "mu_upper": 0.9, "mu_lower": 0.8, "peak_rad_s": 0.0}],
+    }
     artefacts.write_files(tmp_path, files | {"controller.json": json.dumps({"certificates": certificates})})
     section = _design_section(tmp_path)
     assert "Counterpart of Fig. 5" in section and "Counterpart of Fig. 6" in section and runs.drive in section
@@ -132,16 +162,24 @@ def test_trade_off_finds_no_worse_than_the_projects_own_and_says_what_limits(pro
     monkeypatch.setattr(tradeoff, "speeds", lambda p: [p.settings.design_speed_mps])
     found = tradeoff.search(problem)
     levels = [o.level for o in found.outcomes if o.level is not None]
-    assert found.best.level <= min(levels) * (1 + tradeoff.AS_GOOD) and found.best.level <= found.own.level and found.own.candidate.own
+    assert (
+        found.best.level <= min(levels) * (1 + tradeoff.AS_GOOD)
+        and found.best.level <= found.own.level
+        and found.own.candidate.own
+    )
     for o in found.outcomes:
         assert o.level is None or o.floor.value <= o.level
         if o.level is None:
             assert o.floor.value >= found.best.level
-    assert sum(found.limit["enters_by"].values()) == pytest.approx(1) == sum(found.limit["leaves_by"].values())
+    assert (
+        sum(found.limit["enters_by"].values()) == pytest.approx(1) == sum(found.limit["leaves_by"].values())
+    )
     assert "What limits it" in found.sentence and f"{found.best.level:.3f}" in found.sentence
     document = problem.stored.project.model_dump(by_alias=True)
     document["bounds"]["nu_ceiling"] = found.setting()["bounds.nu_ceiling"]
-    ceiling = parse_project(document, "test").bounds.nu_ceiling.at(problem.frames.estimator.omega / (2 * np.pi))
+    ceiling = parse_project(document, "test").bounds.nu_ceiling.at(
+        problem.frames.estimator.omega / (2 * np.pi)
+    )
     np.testing.assert_allclose(ceiling, found.best.ceiling, rtol=1e-5)
     files = found.files()
     assert set(drawn(files)) == {"tradeoff.svg"}
@@ -153,15 +191,27 @@ def test_the_sentence_is_honest_when_nothing_reaches_one(problem, monkeypatch):
     monkeypatch.setattr(tradeoff, "LEVELS", ())
     monkeypatch.setattr(tradeoff, "ROUNDS", 0)
     monkeypatch.setattr(tradeoff, "speeds", lambda p: [p.settings.design_speed_mps])
-    hard = problem.stored.project.model_copy(update={"design": problem.settings.model_copy(update={"A_t": 400.0})})
-    found = tradeoff.search(FrozenProblem(identification.StoredIdentification(**{**vars(problem.stored), "project": hard}), problem.frames))
-    assert found.best.level >= 1 and "No candidate reaches mu < 1" in found.sentence and "no controller can" in found.sentence
+    hard = problem.stored.project.model_copy(
+        update={"design": problem.settings.model_copy(update={"A_t": 400.0})}
+    )
+    found = tradeoff.search(
+        FrozenProblem(
+            identification.StoredIdentification(**{**vars(problem.stored), "project": hard}), problem.frames
+        )
+    )
+    assert (
+        found.best.level >= 1
+        and "No candidate reaches mu < 1" in found.sentence
+        and "no controller can" in found.sentence
+    )
 
 
 def test_commands_name_what_is_missing(lpvguard, few_truck_identified, tmp_path):
-    for arguments, word in ((("design", "-o", tmp_path / "x"), "--case"),
-                            (("design", "--case", "a.toml", "--tradeoff", "-o", tmp_path / "x"), "a case file alone"),
-                            (("design", "--case", tmp_path / "none.toml", "-o", tmp_path / "x"), "none.toml")):
+    for arguments, word in (
+        (("design", "-o", tmp_path / "x"), "--case"),
+        (("design", "--case", "a.toml", "--tradeoff", "-o", tmp_path / "x"), "a case file alone"),
+        (("design", "--case", tmp_path / "none.toml", "-o", tmp_path / "x"), "none.toml"),
+    ):
         done = lpvguard(*arguments)
         assert done.returncode == 2 and word in done.stderr and not (tmp_path / "x").exists()
     old = tmp_path / "old"

@@ -113,8 +113,8 @@ def test_k_inf_is_the_reference_gamma(case):
 
 
 def test_table_ii_meets_the_references_at_lower_order(rows):
-    """μ at most the best level known for these weights, at a fraction of its order, wherever a controller can have that level: the
-    references are rounded to three digits.
+    """μ at most the best level known for these weights, at a fraction of its order, wherever a controller can
+    have that level: the references are rounded to three digits.
     """
     assert [r.structure for r in rows] == ["K_inf", "K_i", "K_is"] * 3
     for row in rows:
@@ -131,7 +131,10 @@ def test_no_controller_goes_below_the_floor(case, rows):
         assert row.floor.value <= row.lower * (1 + 1e-9) and row.floor.at <= row.floor.value * (1 + 1e-3)
         if row.structure == "K_inf":
             w, n = case["W_wr"]["gain"], case["W_nr"]["gain"]
-            assert row.floor.value == pytest.approx(row.A_t / np.hypot(1 / w, 1 / n), rel=1e-9) and row.floor.frequency == 0
+            assert (
+                row.floor.value == pytest.approx(row.A_t / np.hypot(1 / w, 1 / n), rel=1e-9)
+                and row.floor.frequency == 0
+            )
     random = np.random.default_rng(2)
     plant, floor = case_plant(case, OBJECTIVE, "K_is"), rows[2].floor
     G = plant.system.response([0.0])[0]
@@ -140,7 +143,9 @@ def test_no_controller_goes_below_the_floor(case, rows):
         M = G[:-3, :-1] + G[:-3, -1:] @ Q @ G[-3:, :-1]
         left, right = np.repeat([*d, 1], [1, 3, 2]), np.repeat([*d, 1], [1, 3, 5])
         assert np.linalg.norm(left[:, None] * M / right, 2) >= floor.value
-    assert floor_exceeds(plant, 0.0, floor.value * (1 - 1e-3)) and not floor_exceeds(plant, 0.0, floor.at * (1 + 1e-6))
+    assert floor_exceeds(plant, 0.0, floor.value * (1 - 1e-3)) and not floor_exceeds(
+        plant, 0.0, floor.at * (1 + 1e-6)
+    )
 
 
 def test_each_difference_to_the_paper_is_one_sentence_that_the_weights_explain(case, rows):
@@ -158,9 +163,15 @@ def test_the_files_of_a_case_hold_every_row_with_its_difference_and_no_time(case
     files = case_files("paper_case.toml", case, rows)
     table = json.loads(files["table2.json"])["rows"]
     assert [r["difference"] for r in table] == differences(case, rows)
-    assert [r["mu_upper"] for r in table] == [r.upper for r in rows] and not any("second" in key for key in table[0])
+    assert [r["mu_upper"] for r in table] == [r.upper for r in rows] and not any(
+        "second" in key for key in table[0]
+    )
     read = list(csv.DictReader(files["table2.csv"].splitlines()))
-    assert len(read) == 9 and float(read[1]["floor"]) == pytest.approx(rows[1].floor.value) and read[0]["reference_order"] == ""
+    assert (
+        len(read) == 9
+        and float(read[1]["floor"]) == pytest.approx(rows[1].floor.value)
+        and read[0]["reference_order"] == ""
+    )
     assert drawn(files)["fig5.svg"].count("</svg>") == 1
 
 
@@ -178,7 +189,8 @@ def test_the_worst_delta_is_stable_of_size_one_and_reaches_the_certificate(case,
 
 
 def test_away_from_dc_the_worst_delta_takes_the_phases_it_needs(case, rows):
-    """At 0.3 rad/s no Δ of size 1 among many random ones raises the gain further, and its own gain is that of a complex matrix."""
+    """At 0.3 rad/s no Δ of size 1 among many random ones raises the gain further, and its own gain is that of
+    a complex matrix."""
     plant, K = case_plant(case, OBJECTIVE, "K_is", dt=TS), to_discrete(rows[2].controller, TS)
     worst = worst_case(plant, K, rows[2].result.performance.scaling, np.array([0.3]))
     M, random = lft(plant.system, K).response([0.3])[0], np.random.default_rng(4)
@@ -188,7 +200,10 @@ def test_away_from_dc_the_worst_delta_takes_the_phases_it_needs(case, rows):
     for _ in range(500):
         delta = np.zeros((4, 4), complex)
         block = random.normal(size=(3, 3)) + 1j * random.normal(size=(3, 3))
-        delta[0, 0], delta[1:, 1:] = np.exp(1j * random.uniform(0, 2 * np.pi)), block / np.linalg.norm(block, 2)
+        delta[0, 0], delta[1:, 1:] = (
+            np.exp(1j * random.uniform(0, 2 * np.pi)),
+            block / np.linalg.norm(block, 2),
+        )
         inner = np.linalg.solve(np.eye(4) - M[:4, :4] @ delta, M[:4, 4:])
         assert np.linalg.norm(M[4:, 4:] + M[4:, :4] @ delta @ inner, 2) <= worst.gain * (1 + 1e-9)
 

@@ -122,7 +122,8 @@ def test_the_bound_of_single_frequencies_saves_time_and_changes_nothing(seed, mo
 
 
 def test_an_optimum_set_by_one_frequency_takes_few_riccati_equations(monkeypatch):
-    """A resonant disturbance's peak, off the frequencies of the poles: γ = σ̄ there, found without a search."""
+    """A resonant disturbance's peak, off the frequencies of the poles: γ = σ̄ there, found without a
+    search."""
     plant = weighted_sensitivity(rational([1.0], [1.0, 3.0, 5.0]), rational([2.0, 4.0], [1.0, 1.2, 9.0]))
     C, D = np.insert(plant.C, 1, 0.0, axis=0), np.insert(plant.D, 1, [0.0, 1.0], axis=0)
     plant, calls, coupling = StateSpace(plant.A, plant.B, C, D), [], hinf._Problem.coupling
@@ -136,7 +137,9 @@ def test_an_optimum_set_by_one_frequency_takes_few_riccati_equations(monkeypatch
 
 def test_a_control_input_that_reaches_no_state_can_only_be_left_at_zero():
     """|w1 -> z1| of 2/(s + 4) peaks at 1/2, whatever u adds to z2."""
-    plant = StateSpace([[-4.0]], [[2.0, 0.0, 0.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]])
+    plant = StateSpace(
+        [[-4.0]], [[2.0, 0.0, 0.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]]
+    )
     result = hinf_synthesis(plant, 1, 1)
     check_certificate(plant, 1, 1, result)
     assert result.gamma == pytest.approx(0.5, rel=1e-5)
@@ -225,7 +228,8 @@ def test_a_badly_conditioned_realisation_gives_the_same_gamma(kind, dt):
 
 
 def test_an_optimum_that_cannot_be_bracketed_is_not_claimed(monkeypatch):
-    """Where rounding hides every level of a singular problem, the controller and its certificate still come back."""
+    """Where rounding hides every level of a singular problem, the controller and its certificate still come
+    back."""
     plant = weighted_sensitivity(rational([1.0, -2.0], [1.0, 3.0, 5.0]), rational([1.0, 10.0], [1.0, 0.1]))
     want = hinf_synthesis(plant, 1, 1).gamma
     monkeypatch.setattr(hinf._Problem, "coupling", lambda self, gamma: None)
@@ -250,11 +254,16 @@ def test_a_companion_realisation_gives_the_same_gamma():
 
 
 def mixed_sensitivity(n, slow, fast):
-    """z = [W1 e; W2 u] with W1's pole at ``slow`` and W2's at ``fast`` rad/s, y = e = w - G u, G of order n - 2."""
+    """z = [W1 e; W2 u] with W1's pole at ``slow`` and W2's at ``fast`` rad/s, y = e = w - G u, G of order n -
+    2."""
     rng = np.random.default_rng(n)
     poles, zeros = 10 ** rng.uniform(-1, 1.5, n - 2), 10 ** rng.uniform(-1, 1.5, n - 3)
     num, den = np.poly(-zeros), np.poly(-poles)
-    G, W1, W2 = rational(num * den[-1] / num[-1], den), rational([0.5, 1.0], [1.0, slow]), rational([1.0, 1.0], [1 / fast, 1.0])
+    G, W1, W2 = (
+        rational(num * den[-1] / num[-1], den),
+        rational([0.5, 1.0], [1.0, slow]),
+        rational([1.0, 1.0], [1 / fast, 1.0]),
+    )
     g, Z = G.order, np.zeros
     A = sl.block_diag(G.A, W1.A, W2.A)
     A[g, :g] = -W1.B[0, 0] * G.C[0]
@@ -267,7 +276,9 @@ def mixed_sensitivity(n, slow, fast):
 def companion(G):
     """G in controllable canonical coordinates of the sum of its inputs, transformed in exact arithmetic."""
     n, exact = G.order, lambda M: [[Fraction(x) for x in row] for row in np.asarray(M).tolist()]
-    times = lambda X, Y: [[sum(a * b for a, b in zip(row, col, strict=True)) for col in zip(*Y, strict=True)] for row in X]
+    times = lambda X, Y: [
+        [sum(a * b for a, b in zip(row, col, strict=True)) for col in zip(*Y, strict=True)] for row in X
+    ]
 
     def solve(M, R):
         M = [row + rest for row, rest in zip(M, R, strict=True)]
@@ -275,7 +286,10 @@ def companion(G):
             k = max(range(i, n), key=lambda k: abs(M[k][i]))
             M[i], M[k] = M[k], M[i]
             M[i] = [x / M[i][i] for x in M[i]]
-            M = [row if k == i else [x - row[i] * y for x, y in zip(row, M[i], strict=True)] for k, row in enumerate(M)]
+            M = [
+                row if k == i else [x - row[i] * y for x, y in zip(row, M[i], strict=True)]
+                for k, row in enumerate(M)
+            ]
         return [row[n:] for row in M]
 
     A, v, krylov = exact(G.A), exact(G.B.sum(axis=1, keepdims=True)), []
@@ -293,7 +307,8 @@ def companion(G):
 @pytest.mark.parametrize("fast", [500.0, 2e4])
 @pytest.mark.parametrize("n", [4, 6, 8, 10, 12])
 def test_slow_weights_and_companion_forms_give_the_gamma_of_a_calm_realisation(n, fast):
-    """A weight's pole at 2e-5 rad/s is a zero of P21 there, which is not on the imaginary axis: no note may say so."""
+    """A weight's pole at 2e-5 rad/s is a zero of P21 there, which is not on the imaginary axis: no note may
+    say so."""
     plant = mixed_sensitivity(n, 2e-5, fast)
     result = hinf_synthesis(plant, 1, 1)
     modal = sl.schur(plant.A)[1]
@@ -304,7 +319,9 @@ def test_slow_weights_and_companion_forms_give_the_gamma_of_a_calm_realisation(n
         got = hinf_synthesis(other, 1, 1)
         assert not any("axis" in note for note in got.notes)
         assert got.gamma == pytest.approx(result.gamma, rel=1e-3)
-        if other is dense and not got.resolved:  # rounding of its entries alone moves the closed loop's norm that far
+        if (
+            other is dense and not got.resolved
+        ):  # rounding of its entries alone moves the closed loop's norm that far
             assert got.gamma_lower <= result.gamma <= got.gamma_achieved
             continue
         assert got.resolved and got.gamma_lower <= got.gamma <= got.gamma_achieved
@@ -313,7 +330,8 @@ def test_slow_weights_and_companion_forms_give_the_gamma_of_a_calm_realisation(n
 
 @pytest.mark.parametrize("size", [1e6, 1e8, 1e10])
 def test_what_rounding_of_the_plant_hides_is_not_claimed(size):
-    """Dense coordinates of this condition move the slow poles by more than their size: the plant as given is another."""
+    """Dense coordinates of this condition move the slow poles by more than their size: the plant as given is
+    another."""
     rng = np.random.default_rng(2)
     plant = mixed_sensitivity(6, 2e-5, 2e4)
     calm = hinf_synthesis(plant, 1, 1)
@@ -325,10 +343,15 @@ def test_what_rounding_of_the_plant_hides_is_not_claimed(size):
         assert "last digits of A move its pole" in str(refused)
         return
     assert not got.resolved and got.gamma_lower <= calm.gamma <= got.gamma_achieved
-    assert any("not resolved" in note for note in got.notes) and any("last digits of A" in note for note in got.notes)
+    assert any("not resolved" in note for note in got.notes) and any(
+        "last digits of A" in note for note in got.notes
+    )
     loop = lft(given, got.controller)
     grid = np.r_[0, np.geomspace(1e-6, 1e6, 2000)]
-    assert loop.stability_margin() > 0 and np.linalg.norm(loop.response(grid), 2, axis=(1, 2)).max() <= got.gamma_achieved
+    assert (
+        loop.stability_margin() > 0
+        and np.linalg.norm(loop.response(grid), 2, axis=(1, 2)).max() <= got.gamma_achieved
+    )
 
 
 @pytest.mark.parametrize("omega", [0.0, 0.3, 7.0])

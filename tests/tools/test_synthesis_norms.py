@@ -65,9 +65,12 @@ def test_constants_and_zero_systems_are_exact():
 
 
 def test_a_slow_pole_that_large_entries_hide_widens_the_bracket():
-    """Dense coordinates move the pole at 2e-5 rad/s by a part of itself: the norm at DC is known no better than that."""
+    """Dense coordinates move the pole at 2e-5 rad/s by a part of itself: the norm at DC is known no better
+    than that."""
     rng = np.random.default_rng(2)
-    G = StateSpace(np.diag([-2e-5, -1.0, -30.0, -2e4]), [[2e-5], [1.0], [30.0], [2e4]], [[0.99, 0.3, 0.2, -0.2]], [[0.0]])
+    G = StateSpace(
+        np.diag([-2e-5, -1.0, -30.0, -2e4]), [[2e-5], [1.0], [30.0], [2e4]], [[0.99, 0.3, 0.2, -0.2]], [[0.0]]
+    )
     U, V = (np.linalg.qr(rng.standard_normal((4, 4)))[0] for _ in range(2))
     calm, dense = hinf_norm(G), hinf_norm(G.transformed(U @ np.diag(np.geomspace(1, 1e3, 4)) @ V))
     assert calm.upper <= calm.lower * (1 + 2e-6)

@@ -1,7 +1,9 @@
-"""Interval Taylor arithmetic encloses a function and its derivatives; the bounds of the zero-order hold that rest on it do too."""
+"""Interval Taylor arithmetic encloses a function and its derivatives; the bounds of the zero-order hold that
+rest on it do too."""
 
 import numpy as np
 import pytest
+
 from lpvguard.base.errors import InputError
 from lpvguard.engine.synthesis.statespace import StateSpace, zero_order_hold
 from lpvguard.vehicle.nominal import NominalModel
@@ -43,7 +45,9 @@ def test_the_zero_order_hold_moves_no_faster_than_its_bounds(low, high):
 
     def hold(v):
         A, B = (m[0] for m in model.matrices(np.array([v])))
-        G = zero_order_hold(StateSpace(A, np.hstack([B, np.eye(n)]), np.eye(n), np.zeros((n, 1 + n))), model.Ts)
+        G = zero_order_hold(
+            StateSpace(A, np.hstack([B, np.eye(n)]), np.eye(n), np.zeros((n, 1 + n))), model.Ts
+        )
         return np.hstack([G.A, G.B])
 
     h = 1e-3
@@ -51,7 +55,9 @@ def test_the_zero_order_hold_moves_no_faster_than_its_bounds(low, high):
         slope, bend = (hold(v + h) - hold(v - h)) / (2 * h), (hold(v + h) - 2 * hold(v) + hold(v - h)) / h**2
         assert (np.abs(slope) <= first * (1 + 1e-6) + 1e-12).all()
         assert (np.abs(bend) <= second * (1 + 1e-3) + 1e-8).all()
-    assert first.max() < 3 * np.abs(hold(high) - hold(low)).max() / (high - low) + 1e-12  # not a bound that says nothing
+    assert (
+        first.max() < 3 * np.abs(hold(high) - hold(low)).max() / (high - low) + 1e-12
+    )  # not a bound that says nothing
 
 
 def test_a_model_that_cannot_be_bounded_is_named():

@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from lft_problems import gauss, made_from_truth, substitute
 from lpvguard.base import native
 from lpvguard.base.errors import InputError
 from lpvguard.engine.blocks import Block
-from lpvguard.engine.validation import delta as dl, lft, lmi
+from lpvguard.engine.validation import delta as dl
+from lpvguard.engine.validation import lft, lmi
 from lpvguard.engine.validation.lft import Lft
 
 FULL = {
@@ -222,8 +224,8 @@ def test_singular_p22_fixes_the_scalar_that_makes_the_last_block_superfluous(see
     made, _, _ = made_from_truth(rng, 2, blocks, gain=0.0)
     p22 = gauss(rng, 2, 1) @ gauss(rng, 1, 2)
     problem = Lft(made.blocks, made.p11, made.p12, made.p21, p22, made.eta0, made.e)
-    # The inputs are constant and P22 has one dimension: where it does not reach, e fixes delta for each xi of the last
-    # block, and |w| = |one - per_xi xi| is left.
+    # The inputs are constant and P22 has one dimension: where it does not reach, e fixes delta for each xi of
+    # the last block, and |w| = |one - per_xi xi| is left.
     left, inverse = np.linalg.svd(p22)[0][:, 1].conj(), np.linalg.pinv(p22, rcond=1e-10)
     out, last = made.p21[:, :2] @ made.eta0[:2], made.p21[:, 2]
     one = inverse @ (made.e - out * (left @ made.e) / (left @ out))
@@ -310,7 +312,8 @@ def test_the_last_block_is_zero_only_where_a_zero_was_found(unit):
 
 
 def test_a_certificate_does_not_rest_on_rounding():
-    # Form 1 forces nothing; a free multiplier of 1e9 leaves rounding errors above the matrix that it should lift.
+    # Form 1 forces nothing; a free multiplier of 1e9 leaves rounding errors above the matrix that it should
+    # lift.
     rng = np.random.default_rng(3)
     a = gauss(rng, 4, 4)
     cross = a + a.conj().T
@@ -343,7 +346,8 @@ def test_repeated_blocks_are_settled_by_boxes():
     ],
 )
 def test_the_tangent_bounds_every_point_of_its_box(blocks):
-    """The cost of no point made inside the box is below the bound; halving the box more than halves the loss."""
+    """The cost of no point made inside the box is below the bound; halving the box more than halves the
+    loss."""
     rng = np.random.default_rng(12)
     problem, nu, w = made_from_truth(rng, 3, blocks, p12=True)
     gamma = 1.1 * np.linalg.norm(w)
@@ -433,7 +437,8 @@ def test_a_size_at_the_cap_is_never_returned_as_a_bound():
 
 @pytest.mark.parametrize("block_type", ["full", "repeated_complex", "repeated_real"])
 def test_well_posedness_is_that_of_the_structure(block_type):
-    # delta P11 is singular at 1 / delta = an eigenvalue: 2j for any scalar, 0.5 for a real one, |P11| for a full block.
+    # delta P11 is singular at 1 / delta = an eigenvalue: 2j for any scalar, 0.5 for a real one, |P11| for a
+    # full block.
     turn = np.linalg.qr(gauss(np.random.default_rng(3), 3, 3))[0]
     p11 = turn @ np.array([[2j, 4.0, 0.0], [0.0, 0.5, 3.0], [0.0, 0.0, 0.1]]) @ turn.conj().T
     cap = {"full": 1 / np.linalg.norm(p11, 2), "repeated_complex": 0.5, "repeated_real": 2.0}[block_type]

@@ -7,6 +7,7 @@ from decimal import Decimal, getcontext
 
 import numpy as np
 import pytest
+
 from lpvguard.base import native
 from lpvguard.base.errors import InputError
 from lpvguard.engine.validation import s1

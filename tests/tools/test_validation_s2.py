@@ -1,10 +1,11 @@
-"""Class S2: certified sizes of an uncertainty of input and state, compared with scans, with the general solver and between engines."""
-
+"""Class S2: certified sizes of an uncertainty of input and state, compared with scans, with the general
+solver and between engines."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from lpvguard.base import native
 from lpvguard.base.errors import InputError
 from lpvguard.bench.validation import truck_points

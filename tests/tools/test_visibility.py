@@ -1,4 +1,5 @@
-"""The list of invisible faults: what it calls the smallest visible error is where the exact margin crosses the threshold."""
+"""The list of invisible faults: what it calls the smallest visible error is where the exact margin crosses
+the threshold."""
 
 from __future__ import annotations
 
@@ -31,7 +32,8 @@ def run(bin_of, speed, Z, B_w) -> dict:
 
 
 def representative(c: int, k: int, bin_of, speed, Z, B_w) -> np.ndarray:
-    """Z of the frame at the percentile, found independently: sorted by the margin of a dead vehicle, nearest rank."""
+    """Z of the frame at the percentile, found independently: sorted by the margin of a dead vehicle, nearest
+    rank."""
     width = (SPEEDS[1] - SPEEDS[0]) / SPEED_CELLS
     of = (bin_of == k) & (np.minimum((speed - SPEEDS[0]) // width, SPEED_CELLS - 1) == c)
     ordered = sorted(Z[of], key=lambda z: float(s1.margin(-z, z, W_DELTA[k], B_w[k])))
@@ -60,7 +62,9 @@ def test_one_output_agrees_with_its_closed_form():
         for k in range(BINS):
             z = float(np.abs(representative(c, k, *frames)[0]))
             assert cell["excitation"][k] == pytest.approx(z, rel=1e-12)
-            assert cell["gain_error"][k] == pytest.approx(THRESHOLD * (frames[-1][k, 0] + W_DELTA[k] * z) / z, rel=1e-9)
+            assert cell["gain_error"][k] == pytest.approx(
+                THRESHOLD * (frames[-1][k, 0] + W_DELTA[k] * z) / z, rel=1e-9
+            )
 
 
 def test_stated_faults_follow_from_the_bins():
@@ -81,11 +85,16 @@ def test_no_excitation_beats_the_floor_and_strong_excitation_reaches_it():
     seen = run(bin_of, speed, 1e6 * Z, B_w)
     for cell in seen["at_percentile"]:
         assert cell["gain_error"] == pytest.approx(seen["gain_error_floor"], rel=1e-3)
-        assert all(g >= f for g, f in zip(cell["gain_error"], seen["gain_error_floor"]))
+        assert all(g >= f for g, f in zip(cell["gain_error"], seen["gain_error_floor"], strict=False))
 
 
 def test_cells_without_frames_and_frames_without_excitation_are_none():
-    bin_of, speed, Z, B_w = np.array([1, 1]), np.array([4.5, 4.6]), np.zeros((2, 1), complex), np.full((BINS, 1), 0.1)
+    bin_of, speed, Z, B_w = (
+        np.array([1, 1]),
+        np.array([4.5, 4.6]),
+        np.zeros((2, 1), complex),
+        np.full((BINS, 1), 0.1),
+    )
     seen = run(bin_of, speed, Z, B_w)
     assert json.loads(json.dumps(seen)) == seen
     assert seen["at_percentile"][0]["frames"] == [0, 2, 0, 0]
@@ -99,11 +108,14 @@ def test_cells_without_frames_and_frames_without_excitation_are_none():
 def test_the_strongest_frame_is_at_least_as_telling_and_inflation_scales_what_is_visible():
     bin_of, speed, Z, B_w = case(2)
     seen = run(bin_of, speed, Z, B_w)
-    for typical, strongest in zip(seen["at_percentile"], seen["at_strongest"]):
-        assert all(s <= t for s, t in zip(strongest["gain_error"], typical["gain_error"]))
+    for typical, strongest in zip(seen["at_percentile"], seen["at_strongest"], strict=False):
+        assert all(s <= t for s, t in zip(strongest["gain_error"], typical["gain_error"], strict=False))
         assert strongest["frames"] == typical["frames"]
     inflated = Excitation.of("drive", SPEEDS, bin_of, speed, Z, 1.3 * W_DELTA, 1.3 * B_w, np.arange(len(Z)))
     met = Excitation.of("drive", SPEEDS, bin_of, speed, Z, W_DELTA, B_w, np.arange(len(Z)))
-    a, b = visibility(OMEGA, SPEEDS, inflated, 1.3 * W_DELTA, THRESHOLD), visibility(OMEGA, SPEEDS, met, W_DELTA, THRESHOLD, 1.3)
-    for left, right in zip(a["at_percentile"], b["at_percentile"]):
+    a, b = (
+        visibility(OMEGA, SPEEDS, inflated, 1.3 * W_DELTA, THRESHOLD),
+        visibility(OMEGA, SPEEDS, met, W_DELTA, THRESHOLD, 1.3),
+    )
+    for left, right in zip(a["at_percentile"], b["at_percentile"], strict=False):
         assert left["gain_error"] == pytest.approx(right["gain_error"], rel=1e-12)

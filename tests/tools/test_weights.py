@@ -1,4 +1,5 @@
-"""Stage 4: a fitted weight lies above its bound, is nearly as tight as possible, and its certificate cannot be fooled."""
+"""Stage 4: a fitted weight lies above its bound, is nearly as tight as possible, and its certificate cannot
+be fooled."""
 
 from __future__ import annotations
 
@@ -22,13 +23,15 @@ BAND = np.geomspace(1e-3, 1e3, 401)
 
 
 def from_breaks(zeros, poles, gain=1.0):
-    """gain prod(s/z + 1) / prod(s/p + 1); ``zeros`` and ``poles`` are positive or in conjugate pairs, rad/s."""
+    """gain prod(s/z + 1) / prod(s/p + 1); ``zeros`` and ``poles`` are positive or in conjugate pairs,
+    rad/s."""
     num, den = (np.atleast_1d(np.real(np.poly(-np.asarray(v)) / np.prod(v))) for v in (zeros, poles))
     return Weight(gain * num, den)
 
 
 def dense(omega, bound, per_piece=40):
-    """Fine grid with the log-log interpolated bound, a factor 1000 beyond both ends: independent of the package."""
+    """Fine grid with the log-log interpolated bound, a factor 1000 beyond both ends: independent of the
+    package."""
     known = ~np.isnan(bound)
     omega, bound = np.asarray(omega)[known], np.asarray(bound)[known]
     pieces = [np.geomspace(a, b, per_piece) for a, b in pairwise(omega)]
@@ -40,8 +43,9 @@ def dense(omega, bound, per_piece=40):
 def alternation_db(fit, omega, bound):
     """Lower limit of any weight's worst ratio, from this fit alone (de la Vallee-Poussin).
 
-    Let the ratio of a fit of order n be >= H and <= L in turn at 2n + 2 points. A weight of order n whose worst ratio were
-    below H/L would make N D* - N* D, of degree 2n in w^2, change sign 2n + 1 times on w >= 0.
+    Let the ratio of a fit of order n be >= H and <= L in turn at 2n + 2 points. A weight of order n whose
+    worst ratio were below H/L would make N D* - N* D, of degree 2n in w^2, change sign 2n + 1 times on w >=
+    0.
     """
     grid, b = dense(omega, bound, per_piece=200 if len(omega) < 100 else 20)
     grid, b = np.append(grid, 1e9 * grid[-1]), np.append(b, b[-1])
@@ -63,7 +67,8 @@ def alternation_db(fit, omega, bound):
 
 
 def check(fit, omega, bound, gap_db=0.01):
-    """What every fit owes: above the bound everywhere, honest about its worst ratio, within ``gap_db`` of the optimum."""
+    """What every fit owes: above the bound everywhere, honest about its worst ratio, within ``gap_db`` of the
+    optimum."""
     grid, b = dense(omega, bound)
     ratio = fit.weight.magnitude(grid) / b
     assert ratio.min() >= 1.0
@@ -79,12 +84,15 @@ def check(fit, omega, bound, gap_db=0.01):
 # ---------------------------------------------------------------- recovery and optimality
 
 
-@pytest.mark.parametrize(("zeros", "poles", "gain"), [
-    ([1.0, 2.0, 0.5], [0.1, 8.0, 20.0], 3.0),
-    ([0.3, 0.3, 3.0], [0.05, 1.0, 10.0], 1e-6),
-    ([0.2 + 0.5j, 0.2 - 0.5j, 4.0], [0.1, 1.0 + 2.0j, 1.0 - 2.0j], 1e5),
-    ([0.05, 1.0, 20.0], [0.2, 4.0, 5.0], 0.02),
-])
+@pytest.mark.parametrize(
+    ("zeros", "poles", "gain"),
+    [
+        ([1.0, 2.0, 0.5], [0.1, 8.0, 20.0], 3.0),
+        ([0.3, 0.3, 3.0], [0.05, 1.0, 10.0], 1e-6),
+        ([0.2 + 0.5j, 0.2 - 0.5j, 4.0], [0.1, 1.0 + 2.0j, 1.0 - 2.0j], 1e5),
+        ([0.05, 1.0, 20.0], [0.2, 4.0, 5.0], 0.02),
+    ],
+)
 def test_an_exact_third_order_weight_is_recovered(zeros, poles, gain):
     truth = from_breaks(zeros, poles, gain)
     omega = np.geomspace(1e-4, 1e4, 1001)
@@ -100,7 +108,12 @@ def test_an_exact_third_order_weight_is_recovered(zeros, poles, gain):
 def test_no_weight_of_that_order_is_tighter(order, shape):
     omega = np.geomspace(1e-2, 1e2, 41)
     walk = np.cumsum(np.random.default_rng(5).standard_normal(41) * 0.3)
-    bound = {"rise": omega**1.3, "fall": omega**-1.5, "hump": 1 + 10 * np.exp(-np.log(omega) ** 2), "walk": np.exp(walk)}[shape]
+    bound = {
+        "rise": omega**1.3,
+        "fall": omega**-1.5,
+        "hump": 1 + 10 * np.exp(-(np.log(omega) ** 2)),
+        "walk": np.exp(walk),
+    }[shape]
     fit = check(fit_overbound(omega, bound, order=order), omega, bound)
     if fit.order == order:  # else the order below is as good, and it is the one with the full alternation
         assert fit.worst_ratio_db - alternation_db(fit, omega, bound) <= 0.02
@@ -117,7 +130,7 @@ def test_the_order_is_the_smallest_whose_successors_do_not_pay():
 
 def test_a_plateau_does_not_stop_the_search():
     omega = np.geomspace(1e-2, 1e2, 60)
-    bound = 1 + 10 * np.exp(-np.log(omega) ** 2)  # symmetric: orders 1 and 3 gain nothing
+    bound = 1 + 10 * np.exp(-(np.log(omega) ** 2))  # symmetric: orders 1 and 3 gain nothing
     fit = check(fit_overbound(omega, bound), omega, bound)
     assert fit.ratios_db[1] == pytest.approx(fit.ratios_db[0], abs=0.01) and fit.order == 4
 
@@ -134,10 +147,16 @@ def test_cliff_of_60_db_within_a_thousandth_is_bounded_though_not_tightly():
     check(fit_overbound(omega, bound), omega, bound, gap_db=3.0)
 
 
-@pytest.mark.parametrize(("omega", "bound"), [
-    ([1.0], [3.0]), ([1e-5, 1e5], [2.0, 2.0]), ([1.0, 2.0], [1.0, 5.0]), ([1.0, 1e6], [1.0, 1e-6]),
-    (np.geomspace(1e-3, 1e3, 7), [1, 2, 1, 5, 1, 9, 1]),
-])
+@pytest.mark.parametrize(
+    ("omega", "bound"),
+    [
+        ([1.0], [3.0]),
+        ([1e-5, 1e5], [2.0, 2.0]),
+        ([1.0, 2.0], [1.0, 5.0]),
+        ([1.0, 1e6], [1.0, 1e-6]),
+        (np.geomspace(1e-3, 1e3, 7), [1, 2, 1, 5, 1, 9, 1]),
+    ],
+)
 def test_few_samples_are_covered_by_a_certified_weight(omega, bound):
     omega, bound = np.asarray(omega), np.asarray(bound, dtype=float)
     check(fit_overbound(omega, bound), omega, bound)
@@ -161,7 +180,9 @@ def test_same_input_same_bytes():
     omega = np.geomspace(0.01, 100, 50)
     bound = np.exp(np.random.default_rng(1).standard_normal(50))
     one, other = fit_overbound(omega, bound), fit_overbound(omega, bound)
-    assert json.dumps(one.weight.to_dict() | one.certificate) == json.dumps(other.weight.to_dict() | other.certificate)
+    assert json.dumps(one.weight.to_dict() | one.certificate) == json.dumps(
+        other.weight.to_dict() | other.certificate
+    )
 
 
 def test_strictly_proper_weights_roll_off_and_say_where_the_claim_ends():
@@ -209,26 +230,29 @@ def test_bins_without_data_are_bridged_and_named():
     assert fit.weight.magnitude(2.0) >= 4.0
 
 
-@pytest.mark.parametrize(("omega", "bound", "options", "words"), [
-    ([1.0, 2.0, 2.0], [1, 1, 1], {}, "omega[2]"),
-    ([1.0, 3.0, 2.0], [1, 1, 1], {}, "omega[2]"),
-    ([0.0, 1.0], [1, 1], {}, "omega[0]"),
-    ([1.0, np.nan], [1, 1], {}, "omega[1]"),
-    ([1.0, np.inf], [1, 1], {}, "omega[1]"),
-    ([1.0, 2.0], [np.nan, np.nan], {}, "every value is NaN"),
-    ([1.0, 2.0], [1, -1], {}, "bound[1] at 2 rad/s"),
-    ([1.0, 2.0], [np.inf, 1], {}, "bound[0] at 1 rad/s"),
-    ([1.0, 2.0], [1, 0], {}, "bound at 2 rad/s"),
-    ([1.0, 2.0], [1, 1e-70], {}, "bound at 2 rad/s"),
-    ([1.0, 2.0], [1, 1, 1], {}, "(3,)"),
-    ([], [], {}, "(0,)"),
-    ([1.0], [1.0], {"floor": 0.0}, "floor"),
-    ([1.0], [1.0], {"order": -1}, "order"),
-    ([1.0], [1.0], {"order": 2.5}, "order"),
-    ([1.0], [1.0], {"order": 0, "proper": "strict"}, "order"),
-    ([1.0], [1.0], {"proper": "improper"}, "proper"),
-    ([1.0], [1.0], {"tol_db": math.nan}, "tol_db"),
-])
+@pytest.mark.parametrize(
+    ("omega", "bound", "options", "words"),
+    [
+        ([1.0, 2.0, 2.0], [1, 1, 1], {}, "omega[2]"),
+        ([1.0, 3.0, 2.0], [1, 1, 1], {}, "omega[2]"),
+        ([0.0, 1.0], [1, 1], {}, "omega[0]"),
+        ([1.0, np.nan], [1, 1], {}, "omega[1]"),
+        ([1.0, np.inf], [1, 1], {}, "omega[1]"),
+        ([1.0, 2.0], [np.nan, np.nan], {}, "every value is NaN"),
+        ([1.0, 2.0], [1, -1], {}, "bound[1] at 2 rad/s"),
+        ([1.0, 2.0], [np.inf, 1], {}, "bound[0] at 1 rad/s"),
+        ([1.0, 2.0], [1, 0], {}, "bound at 2 rad/s"),
+        ([1.0, 2.0], [1, 1e-70], {}, "bound at 2 rad/s"),
+        ([1.0, 2.0], [1, 1, 1], {}, "(3,)"),
+        ([], [], {}, "(0,)"),
+        ([1.0], [1.0], {"floor": 0.0}, "floor"),
+        ([1.0], [1.0], {"order": -1}, "order"),
+        ([1.0], [1.0], {"order": 2.5}, "order"),
+        ([1.0], [1.0], {"order": 0, "proper": "strict"}, "order"),
+        ([1.0], [1.0], {"proper": "improper"}, "proper"),
+        ([1.0], [1.0], {"tol_db": math.nan}, "tol_db"),
+    ],
+)
 def test_bad_input_is_refused_by_name(omega, bound, options, words):
     with pytest.raises(InputError) as refused:
         fit_overbound(omega, bound, name="W_delta", **options)
@@ -261,7 +285,10 @@ def test_a_weight_lowered_by_a_thousandth_is_rejected(fitted):
 def test_a_dip_between_samples_is_rejected_and_located(damping):
     omega = np.geomspace(0.1, 10, 12)
     where = math.sqrt(omega[5] * omega[6])
-    notch = Weight(1.02 * np.array([1.0, 2 * damping * 0.5 * where, where**2]), np.array([1.0, 2 * damping * where, where**2]))
+    notch = Weight(
+        1.02 * np.array([1.0, 2 * damping * 0.5 * where, where**2]),
+        np.array([1.0, 2 * damping * where, where**2]),
+    )
     weight = Weight(np.convolve(notch.num, [1.0]), notch.den)
     bound = np.minimum(weight.magnitude(omega) * (1 - 1e-6), 1.0)
     assert np.all(weight.magnitude(omega) > bound)
@@ -269,12 +296,15 @@ def test_a_dip_between_samples_is_rejected_and_located(damping):
     assert not report.ok and report.min_ratio_at == pytest.approx(where, rel=0.05)
 
 
-@pytest.mark.parametrize(("weight", "stable", "minimum_phase"), [
-    (Weight(np.array([10.0, 10.0]), np.array([1.0, -1.0])), False, True),
-    (Weight(np.array([10.0, -10.0]), np.array([1.0, 1.0])), True, False),
-    (Weight(np.array([10.0, 0.0, 10.0]), np.array([1.0, 2.0, 1.0])), True, False),
-    (Weight(np.array([10.0, 10.0]), np.array([1.0, 0.0])), False, True),
-])
+@pytest.mark.parametrize(
+    ("weight", "stable", "minimum_phase"),
+    [
+        (Weight(np.array([10.0, 10.0]), np.array([1.0, -1.0])), False, True),
+        (Weight(np.array([10.0, -10.0]), np.array([1.0, 1.0])), True, False),
+        (Weight(np.array([10.0, 0.0, 10.0]), np.array([1.0, 2.0, 1.0])), True, False),
+        (Weight(np.array([10.0, 10.0]), np.array([1.0, 0.0])), False, True),
+    ],
+)
 def test_unstable_or_nonminimum_phase_weights_are_rejected(weight, stable, minimum_phase):
     report = verify_overbound(weight, [1.0, 2.0], [1e-3, 1e-3])
     assert (report.ok, report.stable, report.minimum_phase) == (False, stable, minimum_phase)
@@ -282,7 +312,10 @@ def test_unstable_or_nonminimum_phase_weights_are_rejected(weight, stable, minim
 
 @pytest.mark.parametrize(("omega", "bound"), [([1.0, 10.0], [1.0, 1.0]), ([5.0], [1.0])])
 def test_a_weight_below_the_constant_beyond_the_ends_is_rejected(omega, bound):
-    high_pass, low_pass = Weight(np.array([10.0, 0.5]), np.array([1.0, 1.0])), Weight(np.array([0.5, 60.0]), np.array([1.0, 1.0]))
+    high_pass, low_pass = (
+        Weight(np.array([10.0, 0.5]), np.array([1.0, 1.0])),
+        Weight(np.array([0.5, 60.0]), np.array([1.0, 1.0])),
+    )
     assert verify_overbound(high_pass, omega, bound).min_ratio == pytest.approx(0.5, rel=1e-6)
     report = verify_overbound(low_pass, omega, bound)
     assert report.min_ratio == pytest.approx(0.5, rel=1e-6) and report.min_ratio_at == math.inf
@@ -299,12 +332,22 @@ def test_the_worst_ratio_sees_a_needle_between_samples():
 # ---------------------------------------------------------------- the weight itself
 
 
-@pytest.mark.parametrize(("zeros", "poles"), [
-    ([], []), ([2.0], [3.0]), ([1e-3, 1e2, 1e3], [1e-2, 1e-2, 1e2]), ([1.0, 1.0, 1.0], [1.0, 1.0, 1.0]),
-    ([0.1 + 1j, 0.1 - 1j, 5.0], [0.5, 2 + 9j, 2 - 9j]), ([0.1 + 1j, 0.1 - 1j], [1e-3, 1e3]), ([1e-3, 1e3], [0.1 + 1j, 0.1 - 1j]),
-    ([1e-4, 1e-1, 3.0, 1e3], [1e-5, 2e-2, 1e2, 1e4]), ([], [1.0, 2.0]), ([5.0], [1 + 1j, 1 - 1j, 1e-2]),
-    ([3.0, 0.2], [1.0, 1.0, 7.0]),
-])
+@pytest.mark.parametrize(
+    ("zeros", "poles"),
+    [
+        ([], []),
+        ([2.0], [3.0]),
+        ([1e-3, 1e2, 1e3], [1e-2, 1e-2, 1e2]),
+        ([1.0, 1.0, 1.0], [1.0, 1.0, 1.0]),
+        ([0.1 + 1j, 0.1 - 1j, 5.0], [0.5, 2 + 9j, 2 - 9j]),
+        ([0.1 + 1j, 0.1 - 1j], [1e-3, 1e3]),
+        ([1e-3, 1e3], [0.1 + 1j, 0.1 - 1j]),
+        ([1e-4, 1e-1, 3.0, 1e3], [1e-5, 2e-2, 1e2, 1e4]),
+        ([], [1.0, 2.0]),
+        ([5.0], [1 + 1j, 1 - 1j, 1e-2]),
+        ([3.0, 0.2], [1.0, 1.0, 7.0]),
+    ],
+)
 def test_state_space_has_the_response_of_the_weight_and_is_scaled(zeros, poles):
     weight = from_breaks(zeros, poles, 0.7)
     a, b, c, d = weight.to_state_space()
@@ -312,7 +355,9 @@ def test_state_space_has_the_response_of_the_weight_and_is_scaled(zeros, poles):
     assert (a.shape, b.shape, c.shape, d.shape) == ((n, n), (n, 1), (1, n), (1, 1))
     for w in [0.0, *np.geomspace(1e-6, 1e6, 60)]:
         exact = 0.7 * np.prod([1 + 1j * w / z for z in zeros]) / np.prod([1 + 1j * w / p for p in poles])
-        assert (c @ np.linalg.solve(1j * w * np.eye(n) - a, b) + d)[0, 0] == pytest.approx(exact, rel=1e-9, abs=1e-13)
+        assert (c @ np.linalg.solve(1j * w * np.eye(n) - a, b) + d)[0, 0] == pytest.approx(
+            exact, rel=1e-9, abs=1e-13
+        )
         assert weight(1j * w) == pytest.approx(exact, rel=1e-9)
     assert np.sort(np.abs(np.linalg.eigvals(a))) == pytest.approx(np.sort(np.abs(poles)), rel=1e-4)
     assert np.sort(np.abs(weight.zeros())) == pytest.approx(np.sort(np.abs(zeros)), rel=1e-4)
@@ -324,7 +369,9 @@ def test_dictionaries_keep_every_bit():
     assert back.num.tobytes() == weight.num.tobytes() and back.den.tobytes() == weight.den.tobytes()
 
 
-@pytest.mark.parametrize(("num", "den"), [([1, 2, 3], [1, 2]), ([0, 1], [1, 1]), ([1], []), ([math.nan], [1]), ([[1]], [1])])
+@pytest.mark.parametrize(
+    ("num", "den"), [([1, 2, 3], [1, 2]), ([0, 1], [1, 1]), ([1], []), ([math.nan], [1]), ([[1]], [1])]
+)
 def test_a_weight_that_is_none_is_refused(num, den):
     with pytest.raises(InputError):
         Weight(np.array(num, dtype=float), np.array(den, dtype=float))
@@ -343,9 +390,19 @@ def test_noise_is_subtracted_linearly_or_in_squares_and_losses_are_named():
     omega = np.array([1.0, 2.0, 3.0, 4.0])
     total, noise = np.array([5.0, 1.0, np.nan, 1.0]), np.array([3.0, 1.0, 1.0, 2.0])
     values, lost = subtract_noise(total, noise, omega, disturbance_set="paper", floor=0.25)
-    assert values.tolist()[:2] == [2.0, 0.25] and np.isnan(values[2]) and values[3] == 0.25 and lost == [2.0, 4.0]
+    assert (
+        values.tolist()[:2] == [2.0, 0.25]
+        and np.isnan(values[2])
+        and values[3] == 0.25
+        and lost == [2.0, 4.0]
+    )
     values, lost = subtract_noise(total, noise, omega, disturbance_set="covering", floor=0.25)
-    assert values.tolist()[:2] == [4.0, 0.25] and np.isnan(values[2]) and values[3] == 0.25 and lost == [2.0, 4.0]
+    assert (
+        values.tolist()[:2] == [4.0, 0.25]
+        and np.isnan(values[2])
+        and values[3] == 0.25
+        and lost == [2.0, 4.0]
+    )
 
 
 def test_noise_subtraction_takes_weights():
@@ -355,12 +412,25 @@ def test_noise_subtraction_takes_weights():
     assert values == pytest.approx(total.magnitude(omega) - 0.5) and lost == []
 
 
-@pytest.mark.parametrize(("changes", "words"), [
-    ({"disturbance_set": "joint"}, "disturbance_set"), ({"floor": 0.0}, "floor"), ({"floor": math.nan}, "floor"),
-    ({"B_w": [1.0]}, "B_w"), ({"W_n": [1.0, -1.0]}, "W_n at 2 rad/s"), ({"B_w": [np.inf, 1.0]}, "B_w at 1 rad/s"),
-])
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"disturbance_set": "joint"}, "disturbance_set"),
+        ({"floor": 0.0}, "floor"),
+        ({"floor": math.nan}, "floor"),
+        ({"B_w": [1.0]}, "B_w"),
+        ({"W_n": [1.0, -1.0]}, "W_n at 2 rad/s"),
+        ({"B_w": [np.inf, 1.0]}, "B_w at 1 rad/s"),
+    ],
+)
 def test_noise_subtraction_refuses_by_name(changes, words):
-    good = {"B_w": [2.0, 2.0], "W_n": [1.0, 1.0], "omega": [1.0, 2.0], "disturbance_set": "paper", "floor": 0.1}
+    good = {
+        "B_w": [2.0, 2.0],
+        "W_n": [1.0, 1.0],
+        "omega": [1.0, 2.0],
+        "disturbance_set": "paper",
+        "floor": 0.1,
+    }
     with pytest.raises(InputError) as refused:
         subtract_noise(**(good | changes))
     assert words in str(refused.value)
@@ -373,14 +443,20 @@ def test_the_32_bounds_of_the_bench_are_covered_tightly_by_few_linear_programs(m
     """The time of a fit goes into its linear programs; `lpvguard bench weights` measures it."""
     programs = []
     solve = weights.linprog
-    monkeypatch.setattr(weights, "linprog", lambda *arguments, **options: programs.append(name) or solve(*arguments, **options))
+    monkeypatch.setattr(
+        weights,
+        "linprog",
+        lambda *arguments, **options: programs.append(name) or solve(*arguments, **options),
+    )
     for name, omega, bound in bench.bounds():
         fit = fit_overbound(omega, bound, name=name)
         grid, b = dense(omega, bound, per_piece=7)
         assert np.min(fit.weight.magnitude(grid) / b) >= 1.0, name
         assert fit.certificate["ok"] and fit.worst_ratio_db - fit.lp_optimum_db <= 0.01, name
     count = Counter(programs)
-    assert len(count) == 32 and statistics.median(count.values()) <= 65 and max(count.values()) <= 130  # 57.5 and 108
+    assert (
+        len(count) == 32 and statistics.median(count.values()) <= 65 and max(count.values()) <= 130
+    )  # 57.5 and 108
 
 
 def test_the_exact_weights_of_the_bench_come_back_within_a_hundredth_of_a_db():
@@ -389,7 +465,10 @@ def test_the_exact_weights_of_the_bench_come_back_within_a_hundredth_of_a_db():
 
 
 def test_a_peer_that_falls_below_the_bound_or_fails_is_counted_so():
-    told = {"uniform": {"seconds": 1.0, "least": 0.942, "largest": 2.0}, "default": {"note": "failed: solver"}}
+    told = {
+        "uniform": {"seconds": 1.0, "least": 0.942, "largest": 2.0},
+        "default": {"note": "failed: solver"},
+    }
     rows = [{"peer": bench._judged(told)}, {"peer": bench._judged({"note": "no answer in 1 s"})}]
     assert rows[0]["peer"]["uniform"]["worst_db"] == pytest.approx(6.0206, abs=1e-3)
     summary = bench._peer_summary(rows)
@@ -397,8 +476,13 @@ def test_a_peer_that_falls_below_the_bound_or_fails_is_counted_so():
     assert summary["peer_uniform_below_the_bound"] == 1 and summary["peer_uniform_least_ratio"] == 0.942
 
 
-@pytest.mark.parametrize(("script", "limit_s", "note"), [
-    ("raise SystemExit('no wheel')", 60, "failed: no wheel"), ("pass", 60, "failed: no message"),
-    ("import time; time.sleep(60)", 0.2, "no answer in 0.2 s")])
+@pytest.mark.parametrize(
+    ("script", "limit_s", "note"),
+    [
+        ("raise SystemExit('no wheel')", 60, "failed: no wheel"),
+        ("pass", 60, "failed: no message"),
+        ("import time; time.sleep(60)", 0.2, "no answer in 0.2 s"),
+    ],
+)
 def test_what_keeps_a_peer_from_answering_is_told(script, limit_s, note):
     assert ask(sys.executable, script, {}, limit_s) == {"note": note}

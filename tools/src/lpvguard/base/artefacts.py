@@ -1,12 +1,16 @@
-"""Files between the stages: written whole or not at all, named with schema, tool version and input hashes, no clock time.
+"""Files between the stages: written whole or not at all, named with schema, tool version and input hashes, no
+clock time.
 
-Folders     MANIFEST.json lists every other file of its folder with its SHA-256 (``files``) and ends with ``seal``, the SHA-256 of its
-            own other content. Reading refuses a folder that differs from its manifest. Whoever edits a file and computes both hashes
-            anew is not noticed: a seal guards against accident and carelessness, it is no signature.
-Replacing   A folder is replaced only by one of its kind and vehicle, and only while it holds exactly what its manifest lists. A single
-            file is replaced only when it carries the mark of the same command (`mark`), or holds nothing, or the same bytes.
-Writing     happens in ``.NAME.lpvguard`` beside the target NAME. The kernel's lock on that folder belongs to one run and ends with it.
-            A killed run leaves the folder behind; the next run into the same target clears it, and undoes a half-done swap first.
+Folders     MANIFEST.json lists every other file of its folder with its SHA-256 (``files``) and ends with
+            ``seal``, the SHA-256 of its own other content. Reading refuses a folder that differs from its
+            manifest. Whoever edits a file and computes both hashes anew is not noticed: a seal guards against
+            accident and carelessness, it is no signature.
+Replacing   A folder is replaced only by one of its kind and vehicle, and only while it holds exactly what its
+            manifest lists. A single file is replaced only when it carries the mark of the same command
+            (`mark`), or holds nothing, or the same bytes.
+Writing     happens in ``.NAME.lpvguard`` beside the target NAME. The kernel's lock on that folder belongs to
+            one run and ends with it. A killed run leaves the folder behind; the next run into the same target
+            clears it, and undoes a half-done swap first.
 """
 
 from __future__ import annotations
@@ -70,7 +74,9 @@ def read_json(path: Path) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise InputError(path, "", f"cannot be read ({error.strerror})", "a file written by lpvguard") from None
+        raise InputError(
+            path, "", f"cannot be read ({error.strerror})", "a file written by lpvguard"
+        ) from None
     except ValueError as error:
         raise InputError(path, "", f"not valid JSON ({error})", "a file written by lpvguard") from None
 
@@ -81,7 +87,8 @@ def file_hash(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-# ------------------------------------------------------------------------------------------------------------------ seals
+# ------------------------------------------------------------------------------------------------------ seals
+
 
 def digest(document: dict[str, Any]) -> str:
     """SHA-256 of a JSON object's content without its ``seal``; order of keys and white space do not count."""
@@ -97,15 +104,26 @@ def sealed(document: dict[str, Any]) -> dict[str, Any]:
 def require_seal(path: Path, document: dict[str, Any], writer: str) -> None:
     """InputError unless the object read from ``path`` is as ``writer`` sealed it."""
     if document.get("seal") != digest(document):
-        raise InputError(path, "seal", "missing, made by an earlier version" if "seal" not in document
-                         else f"does not fit the content: it was changed after {writer} wrote it", f"the file as {writer} writes it")
+        raise InputError(
+            path,
+            "seal",
+            "missing, made by an earlier version"
+            if "seal" not in document
+            else f"does not fit the content: it was changed after {writer} wrote it",
+            f"the file as {writer} writes it",
+        )
 
 
 def seal(folder: Path) -> None:
     """Complete the manifest of a folder: all its other files with their hashes, and its own digest."""
     path = folder / MANIFEST
     document = {k: v for k, v in read_json(path).items() if k != "files"}
-    path.write_text(to_json(sealed({**document, "files": {name: file_hash(folder / name) for name in _files_of(folder)}})), encoding="utf-8")
+    path.write_text(
+        to_json(
+            sealed({**document, "files": {name: file_hash(folder / name) for name in _files_of(folder)}})
+        ),
+        encoding="utf-8",
+    )
 
 
 def _files_of(folder: Path) -> list[str]:
@@ -115,7 +133,8 @@ def _files_of(folder: Path) -> list[str]:
 
 
 def _difference(folder: Path, listed: dict[str, str], *, may_lack: bool = False) -> tuple[str, str] | None:
-    """The first file in which ``folder`` differs from ``listed`` (name: hash), and how; None when it does not."""
+    """The first file in which ``folder`` differs from ``listed`` (name: hash), and how; None when it does
+    not."""
     present = _files_of(folder)
     for name in sorted({*present, *listed}):
         path = folder / name
@@ -130,7 +149,8 @@ def _difference(folder: Path, listed: dict[str, str], *, may_lack: bool = False)
 
 
 def read_manifest(folder: Path, kind: str) -> dict[str, Any]:
-    """Manifest of an artefact folder; InputError when it is none, of another kind or schema, or differs from it in any file."""
+    """Manifest of an artefact folder; InputError when it is none, of another kind or schema, or differs from
+    it in any file."""
     folder = Path(folder)
     command = f"`lpvguard {'export' if kind == 'vehicle' else kind}`"
     if not (folder / MANIFEST).is_file():
@@ -139,26 +159,35 @@ def read_manifest(folder: Path, kind: str) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise InputError(folder / MANIFEST, "", "not an object", f"a folder written by {command}")
     if found.get("kind") != kind or found.get("schema") != 1:
-        raise InputError(folder / MANIFEST, "kind, schema", f"{found.get('kind')!r}, {found.get('schema')!r}", f"{kind!r}, 1")
+        raise InputError(
+            folder / MANIFEST,
+            "kind, schema",
+            f"{found.get('kind')!r}, {found.get('schema')!r}",
+            f"{kind!r}, 1",
+        )
     require_seal(folder / MANIFEST, found, command)
     differs = _difference(folder, found["files"])
     if differs:
-        raise InputError(folder / differs[0], "", differs[1], f"the folder as {command} wrote it, or a new one")
+        raise InputError(
+            folder / differs[0], "", differs[1], f"the folder as {command} wrote it, or a new one"
+        )
     return found
 
 
 def first_difference(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | None:
-    """The first place in which two JSON values differ, as (path, value in a, value in b); None when they are equal."""
+    """The first place in which two JSON values differ, as (path, value in a, value in b); None when they are
+    equal."""
     if isinstance(a, dict) and isinstance(b, dict):
         pairs = [(f"{path}.{k}" if path else k, a.get(k), b.get(k)) for k in dict.fromkeys([*a, *b])]
     elif isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
-        pairs = [(f"{path}[{i}]", x, y) for i, (x, y) in enumerate(zip(a, b))]
+        pairs = [(f"{path}[{i}]", x, y) for i, (x, y) in enumerate(zip(a, b, strict=False))]
     else:
         return None if a == b and isinstance(a, bool) == isinstance(b, bool) else (path, a, b)
     return next((d for p, x, y in pairs if (d := first_difference(x, y, p))), None)
 
 
-# ------------------------------------------------------------------------------------------------- what may be replaced
+# --------------------------------------------------------------------------------------- what may be replaced
+
 
 def mark(kind: str) -> str:
     """What a single file says of the command that wrote it."""
@@ -166,7 +195,9 @@ def mark(kind: str) -> str:
 
 
 def marked(value: Any, kind: str, *, each: bool = False) -> Any:
-    """The JSON value with its mark: on an object, on every member of a list, and with ``each`` on every member of an object."""
+    """The JSON value with its mark: on an object, on every member of a list, and with ``each`` on every
+    member of an object."""
+
     def one(item: Any) -> Any:
         return {MARK_KEY: mark(kind), **item} if isinstance(item, dict) else item
 
@@ -188,7 +219,9 @@ def _carries_mark(text: str, kind: str) -> bool:
         return False
     if isinstance(value, dict) and value.get(MARK_KEY) == mark(kind):
         return True
-    members = list(value.values()) if isinstance(value, dict) else value if isinstance(value, list) else [None]
+    members = (
+        list(value.values()) if isinstance(value, dict) else value if isinstance(value, list) else [None]
+    )
     return all(isinstance(m, dict) and m.get(MARK_KEY) == mark(kind) for m in members)
 
 
@@ -203,9 +236,11 @@ def _place(target: Path) -> Path:
     return place
 
 
-def require_replaceable_folder(target: Path, kind: str | None = None, vehicle: str | None = None, *, resumed: bool = False) -> None:
-    """InputError unless ``target`` is new, an empty folder, or a folder of this kind and vehicle (None: of any) with exactly the
-    files that its manifest lists; ``resumed``: or a part of them."""
+def require_replaceable_folder(
+    target: Path, kind: str | None = None, vehicle: str | None = None, *, resumed: bool = False
+) -> None:
+    """InputError unless ``target`` is new, an empty folder, or a folder of this kind and vehicle (None: of
+    any) with exactly the files that its manifest lists; ``resumed``: or a part of them."""
     place = _place(target)
     expected = "a new or empty folder"
     if place == Path.cwd() or place in Path.cwd().parents:
@@ -215,19 +250,35 @@ def require_replaceable_folder(target: Path, kind: str | None = None, vehicle: s
     if not place.is_dir() or not (place / MANIFEST).is_file():
         raise InputError(target, "-o", "exists and was not written by lpvguard", expected)
     found = read_json(place / MANIFEST)
-    if not isinstance(found, dict) or "kind" not in found or not isinstance(found.get("files"), dict) or found.get("seal") != digest(found):
-        raise InputError(place / MANIFEST, "-o", "was changed, or written by an earlier version, so that nobody knows whose the files "
-                         "beside it are", expected)
+    if (
+        not isinstance(found, dict)
+        or "kind" not in found
+        or not isinstance(found.get("files"), dict)
+        or found.get("seal") != digest(found)
+    ):
+        raise InputError(
+            place / MANIFEST,
+            "-o",
+            "was changed, or written by an earlier version, so that nobody knows whose the files "
+            "beside it are",
+            expected,
+        )
     for key, wanted in (("kind", kind), ("vehicle", vehicle)):
         if wanted is not None and found.get(key) != wanted:
-            raise InputError(target, "-o", f"exists and holds another result: {key} {found.get(key)!r}, not {wanted!r}", expected)
+            raise InputError(
+                target,
+                "-o",
+                f"exists and holds another result: {key} {found.get(key)!r}, not {wanted!r}",
+                expected,
+            )
     differs = _difference(place, found["files"], may_lack=resumed)
     if differs:
         raise InputError(place / differs[0], "-o", f"{differs[1]}; the folder is not replaced", expected)
 
 
 def require_replaceable_file(target: Path, kind: str, data: bytes | None = None) -> None:
-    """InputError unless ``target`` is new, empty, the same bytes, or carries the mark of ``kind``; devices and pipes are nobody's."""
+    """InputError unless ``target`` is new, empty, the same bytes, or carries the mark of ``kind``; devices
+    and pipes are nobody's."""
     target = Path(target)
     if target.is_dir():
         raise InputError(target, "", "is a folder", "a file to write")
@@ -255,11 +306,19 @@ def require_apart(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
             above = any(_same(p, place) for p in other.parents)
             within = other.is_dir() and place.is_file() and any(_same(p, place) for p in other.iterdir())
             if _same(place, other) or inside or above or within:
-                how = "lies inside" if inside else "lies above" if above else "is a file of" if within else "is"
-                raise InputError(out, "output", f"{how} {given}, which this command reads or writes too", "an output apart from every input")
+                how = (
+                    "lies inside" if inside else "lies above" if above else "is a file of" if within else "is"
+                )
+                raise InputError(
+                    out,
+                    "output",
+                    f"{how} {given}, which this command reads or writes too",
+                    "an output apart from every input",
+                )
 
 
-# ---------------------------------------------------------------------------------------------------------------- writing
+# ---------------------------------------------------------------------------------------------------- writing
+
 
 def _work_of(place: Path) -> Path:
     return place.with_name(f".{place.name}.lpvguard")
@@ -275,7 +334,9 @@ def _written(target: Path) -> Iterator[None]:
             place, path = _place(target), Path(os.fsdecode(error.filename)).absolute()
             if path not in place.parents and place.parent not in path.parents:
                 raise  # of something else
-        raise InputError(target, "", f"cannot be written ({error.strerror or error})", "a writable place") from None
+        raise InputError(
+            target, "", f"cannot be written ({error.strerror or error})", "a writable place"
+        ) from None
 
 
 @contextmanager
@@ -292,7 +353,8 @@ def _undisturbed() -> Iterator[None]:
 def claimed(target: Path) -> Iterator[Path]:
     """The work folder of ``target``, held until the end of the block; InputError while another run holds it.
 
-    What a killed run left in it is undone or cleared. Within one process the same target may be claimed again.
+    What a killed run left in it is undone or cleared. Within one process the same target may be claimed
+    again.
     """
     place = _place(target)
     if place in _held:
@@ -339,7 +401,9 @@ def _lock(target: Path, work: Path) -> int:
             pass
         except BlockingIOError:
             os.close(handle)
-            raise InputError(target, "-o", "is held by another run that writes there", "one run at a time") from None
+            raise InputError(
+                target, "-o", "is held by another run that writes there", "one run at a time"
+            ) from None
         except BaseException:
             os.close(handle)
             raise
@@ -347,11 +411,14 @@ def _lock(target: Path, work: Path) -> int:
 
 
 def _recover(place: Path, work: Path) -> None:
-    """Undo a half-done swap and clear what is left in a work folder; InputError when something else is in it."""
+    """Undo a half-done swap and clear what is left in a work folder; InputError when something else is in
+    it."""
     names = {p.name for p in work.iterdir()}
     foreign = sorted(names - {_SCRATCH, _NEW, _OLD} if _SCRATCH in names else names)
     if foreign:
-        raise InputError(work / foreign[0], "", "lies where lpvguard writes, and is not its own", "it moved elsewhere")
+        raise InputError(
+            work / foreign[0], "", "lies where lpvguard writes, and is not its own", "it moved elsewhere"
+        )
     if _OLD in names and not os.path.lexists(place):
         (work / _OLD).rename(place)
     for name in (_NEW, _OLD):
@@ -418,7 +485,8 @@ def _sync_name(place: Path) -> None:
 def new_folder(target: Path, kind: str, vehicle: str | None = None) -> Iterator[Path]:
     """A scratch folder that takes ``target``'s place when the block succeeds and vanishes when it fails.
 
-    The block writes the files and a manifest of this kind; it is sealed here. `require_replaceable_folder` says what is replaced.
+    The block writes the files and a manifest of this kind; it is sealed here. `require_replaceable_folder`
+    says what is replaced.
     """
     with claimed(target) as work, _written(target):
         require_replaceable_folder(target, kind, vehicle)
@@ -432,7 +500,8 @@ def new_folder(target: Path, kind: str, vehicle: str | None = None) -> Iterator[
 
 @contextmanager
 def new_file(target: Path, kind: str) -> Iterator[Path]:
-    """A scratch file that takes ``target``'s place when the block succeeds; `require_replaceable_file` says what is replaced."""
+    """A scratch file that takes ``target``'s place when the block succeeds; `require_replaceable_file` says
+    what is replaced."""
     with claimed(target) as work, _written(target):
         require_replaceable_file(target, kind)
         yield work / _NEW
@@ -446,7 +515,8 @@ def _publish(work: Path, place: Path) -> None:
 
 
 def write_file(target: Path, text: str, kind: str) -> None:
-    """Write the text file of ``lpvguard kind`` whole or not at all. A device or pipe is written to, never replaced."""
+    """Write the text file of ``lpvguard kind`` whole or not at all. A device or pipe is written to, never
+    replaced."""
     target, data = Path(target), text.encode()
     if target.exists() and not target.is_file() and not target.is_dir():
         with _written(target):
@@ -468,7 +538,8 @@ def write_json(target: str, value: Any, kind: str, *, each: bool = False) -> Non
 
 
 class KeptFolder:
-    """A folder that a command goes on with: every file is listed in the manifest before it appears, and none is replaced unlisted."""
+    """A folder that a command goes on with: every file is listed in the manifest before it appears, and none
+    is replaced unlisted."""
 
     def __init__(self, folder: Path, work: Path, document: dict[str, Any]):
         self.folder, self._work, self._document = folder, work, document
@@ -484,7 +555,12 @@ class KeptFolder:
                 if listed.get(name) == value:
                     return
                 if listed.get(name) != file_hash(self.folder / name):
-                    raise InputError(self.folder / name, "", "came here while this command ran", "no other files in its folder")
+                    raise InputError(
+                        self.folder / name,
+                        "",
+                        "came here while this command ran",
+                        "no other files in its folder",
+                    )
                 (self.folder / name).unlink()
             self._document["files"] = dict(sorted({**listed, name: value}.items()))
             self._write_manifest()
@@ -499,8 +575,8 @@ class KeptFolder:
 
 @contextmanager
 def kept_folder(target: Path, kind: str, **asked: Any) -> Iterator[KeptFolder]:
-    """The folder of a command that may be stopped and goes on where it was; InputError when ``target`` holds anything else, or the
-    same with other settings than ``asked``."""
+    """The folder of a command that may be stopped and goes on where it was; InputError when ``target`` holds
+    anything else, or the same with other settings than ``asked``."""
     place = _place(target)
     document = json.loads(manifest(kind, **asked))
     with claimed(target) as work:
@@ -509,7 +585,12 @@ def kept_folder(target: Path, kind: str, **asked: Any) -> Iterator[KeptFolder]:
         require_replaceable_folder(target, kind, resumed=True)
         found = read_json(place / MANIFEST) if (place / MANIFEST).is_file() else None
         if found and {k: v for k, v in found.items() if k not in ("files", "seal")} != document:
-            raise InputError(target, "-o", f"holds a {kind} with other settings or another vehicle", "a new folder, or the same settings")
+            raise InputError(
+                target,
+                "-o",
+                f"holds a {kind} with other settings or another vehicle",
+                "a new folder, or the same settings",
+            )
         with _written(target):
             folder = KeptFolder(place, work, {**document, "files": found["files"] if found else {}})
             if not found:

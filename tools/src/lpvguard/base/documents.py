@@ -1,4 +1,5 @@
-"""TOML files that people write: reading them, and checking them against a pydantic model; every fault is an InputError in one style."""
+"""TOML files that people write: reading them, and checking them against a pydantic model; every fault is an
+InputError in one style."""
 
 from __future__ import annotations
 
@@ -15,8 +16,8 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def read_toml(source: Path | Traversable, what: str, where: object = None) -> dict:
-    """The document of a TOML file. ``what`` the file should be, as "a signal map"; ``where``: its name in errors, by default its path.
-    Raises InputError when the file cannot be read or is not TOML."""
+    """The document of a TOML file. ``what`` the file should be, as "a signal map"; ``where``: its name in
+    errors, by default its path. Raises InputError when the file cannot be read or is not TOML."""
     where = source if where is None else where
     try:
         return tomllib.loads(source.read_text(encoding="utf-8"))
@@ -27,13 +28,18 @@ def read_toml(source: Path | Traversable, what: str, where: object = None) -> di
 
 
 def checked(model: type[Model], document: object, what: str, where: object, *, table: str = "") -> Model:
-    """``document`` as a ``model``. ``table``: the place of the document in its file, when it is a part. Raises InputError with the first
-    field that is refused, what was given, and the reason; ``what`` as in :func:`read_toml`."""
+    """``document`` as a ``model``. ``table``: the place of the document in its file, when it is a part.
+    Raises InputError with the first field that is refused, what was given, and the reason; ``what`` as in
+    :func:`read_toml`."""
     try:
         return model.model_validate(document)
     except ValidationError as error:
         first = error.errors()[0]
         field = ".".join([*([table] if table else []), *(str(part) for part in first["loc"])])
         value = first.get("input")
-        given = "" if isinstance(value, (dict, BaseModel)) or first["type"] == "missing" else f" (given: {value!r})"
+        given = (
+            ""
+            if isinstance(value, (dict, BaseModel)) or first["type"] == "missing"
+            else f" (given: {value!r})"
+        )
         raise InputError(where, field, first["msg"].removeprefix("Value error, ") + given, what) from None

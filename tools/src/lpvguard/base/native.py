@@ -134,8 +134,9 @@ def compile_object(
     flags: Sequence[str] = REPRODUCIBLE_FLAGS,
     include_dirs: Iterable[Path | str] = (),
 ) -> Path:
-    """Path of the object file of one source, for ``compile_executable``; C sources are compiled as C++. Otherwise as
-    ``compile_shared``. Objects of a program that is built in variants are then compiled once, and several at a time."""
+    """Path of the object file of one source, for ``compile_executable``; C sources are compiled as C++.
+    Otherwise as ``compile_shared``. Objects of a program that is built in variants are then compiled once,
+    and several at a time."""
     return _compile([source], (*flags, "-x", "c++", "-c"), include_dirs, Path(source).stem, ".o")
 
 
@@ -154,11 +155,15 @@ def _compile(sources, flags: tuple[str, ...], include_dirs, name: str, suffix: s
     if target.is_file():
         return target
     with open(f"{target}.lock", "w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # of processes that start together one compiles, the others wait for it
+        fcntl.flock(
+            lock, fcntl.LOCK_EX
+        )  # of processes that start together one compiles, the others wait for it
         return target if target.is_file() else _compile_to(target, compiler, flags, includes, paths)
 
 
-def _compile_to(target: Path, compiler: str, flags: tuple[str, ...], includes: list[Path], paths: list[Path]) -> Path:
+def _compile_to(
+    target: Path, compiler: str, flags: tuple[str, ...], includes: list[Path], paths: list[Path]
+) -> Path:
     """Compile to ``target``, whole or not at all. Raises NativeError with the compiler's complaint."""
     name, suffix = target.stem, target.suffix
     handle, temporary = tempfile.mkstemp(suffix=suffix, prefix=f".{name}-", dir=target.parent)
@@ -175,7 +180,14 @@ def _compile_to(target: Path, compiler: str, flags: tuple[str, ...], includes: l
     return target
 
 
-_KERNEL_LEVEL = {"lyapunov_barrier": "-O3", "s1": "-O3", "s2": "-O2", "ray": "-O2", "candump": "-O2", "recursion": "-O2"}
+_KERNEL_LEVEL = {
+    "lyapunov_barrier": "-O3",
+    "s1": "-O3",
+    "s2": "-O2",
+    "ray": "-O2",
+    "candump": "-O2",
+    "recursion": "-O2",
+}
 """Optimisation per kernel: -O3 vectorises s1 (twice as fast); the others gain nothing from its longer
 compilation."""
 
@@ -191,8 +203,8 @@ def _load_kernel(name: str) -> ctypes.CDLL | None:
 
 
 def kernels(name: str) -> ctypes.CDLL | None:
-    """The package's own compiled kernel of that name in ``_native``; None without a compiler, or when switched
-    off.
+    """The package's own compiled kernel of that name in ``_native``; None without a compiler, or when
+    switched off.
 
     Callers then use numpy, or for candump plain Python.
     """

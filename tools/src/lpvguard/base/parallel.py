@@ -1,8 +1,9 @@
 """One map over drives: here, in processes of this machine, or on the machines of a Dask cluster.
 
-Results come in the order of the items, whatever finishes first, and only a few items are under way or waiting at any time, so
-memory does not grow with their number. The reductions that this package joins them with are maxima, sums of whole numbers and
-selections by a key: associative and exact, so bounds are the same bits for any number of workers and any order of drives.
+Results come in the order of the items, whatever finishes first, and only a few items are under way or waiting
+at any time, so memory does not grow with their number. The reductions that this package joins them with are
+maxima, sums of whole numbers and selections by a key: associative and exact, so bounds are the same bits for
+any number of workers and any order of drives.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from .errors import InputError
 
 Item, Result = TypeVar("Item"), TypeVar("Result")
 Map = Callable[[Callable[[Item], Result], Iterable[Item]], Iterator[Result]]
-"""``workers(function, items)`` yields function(item) in order. Function, items and results must pickle unless it is ``map``."""
+"""``workers(function, items)`` yields function(item) in order. Function, items and results must pickle unless
+it is ``map``."""
 
 UNDER_WAY_PER_WORKER = 2
 """A worker never waits for its next item, and no more results than this wait to be taken."""
@@ -31,7 +33,8 @@ CONNECT_TIMEOUT_S = 20
 
 
 def _bounded(submit: Callable[..., Any], wait: Callable[[Any], Any], limit: Callable[[], int]) -> Map:
-    """A map from ``submit(function, item)``, which returns a handle, ``wait(handle)``, and the most handles at a time."""
+    """A map from ``submit(function, item)``, which returns a handle, ``wait(handle)``, and the most handles
+    at a time."""
 
     def run(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
         rest, handles = iter(items), deque()
@@ -45,7 +48,8 @@ def _bounded(submit: Callable[..., Any], wait: Callable[[Any], Any], limit: Call
 
 
 def _end_with_parent() -> None:
-    """Ends this worker when the process that started the pool is gone: killed, it could not say so, and workers would wait for ever."""
+    """Ends this worker when the process that started the pool is gone: killed, it could not say so, and
+    workers would wait for ever."""
     parent = multiprocessing.parent_process()
 
     def watch() -> None:
@@ -67,7 +71,9 @@ def _processes(jobs: int) -> Iterator[Map]:
         try:
             yield _bounded(pool.submit, lambda future: future.result(), lambda: UNDER_WAY_PER_WORKER * jobs)
         except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)  # whoever is told to end does not wait for what nobody wants
+            pool.shutdown(
+                wait=False, cancel_futures=True
+            )  # whoever is told to end does not wait for what nobody wants
             raise
 
 
@@ -76,23 +82,32 @@ def _cluster(address: str) -> Iterator[Map]:
     try:
         from distributed import Client
     except ImportError:
-        raise InputError("--scheduler", address, "Dask is not installed", "pip install 'lpvguard[dask]'") from None
+        raise InputError(
+            "--scheduler", address, "Dask is not installed", "pip install 'lpvguard[dask]'"
+        ) from None
     try:
         client = Client(address, timeout=CONNECT_TIMEOUT_S)
     except (OSError, ValueError) as error:
-        raise InputError("--scheduler", address, f"no scheduler answers ({error})".strip(),
-                         "the address of a running scheduler, like tcp://host:8786") from None
+        raise InputError(
+            "--scheduler",
+            address,
+            f"no scheduler answers ({error})".strip(),
+            "the address of a running scheduler, like tcp://host:8786",
+        ) from None
     with client:
-        yield _bounded(lambda function, item: client.submit(function, item, pure=False), lambda future: future.result(),
-                       lambda: UNDER_WAY_PER_WORKER * max(1, sum(client.nthreads().values())))
+        yield _bounded(
+            lambda function, item: client.submit(function, item, pure=False),
+            lambda future: future.result(),
+            lambda: UNDER_WAY_PER_WORKER * max(1, sum(client.nthreads().values())),
+        )
 
 
 @contextmanager
 def workers(jobs: int = 1, scheduler: str | None = None) -> Iterator[Map]:
     """The map of ``jobs`` processes, or of the Dask cluster at ``scheduler``; with 1 and None plain ``map``.
 
-    The machines of a cluster must have this package and see the drives under the same paths. Raises InputError for jobs < 1,
-    for both at once, and when no scheduler answers.
+    The machines of a cluster must have this package and see the drives under the same paths. Raises
+    InputError for jobs < 1, for both at once, and when no scheduler answers.
     """
     if jobs < 1:
         raise InputError("--jobs", "", str(jobs), "at least 1")

@@ -1,8 +1,10 @@
-"""Samples of bounded size from streams of frames: the same rows whatever the number of workers and the order of the drives.
+"""Samples of bounded size from streams of frames: the same rows whatever the number of workers and the order
+of the drives.
 
-A row is kept when it is among the first ``cap`` of its group in the order of a key that depends on the row alone (a quantity, or
-a hash of the drive's name and the row's number), so selecting is associative and commutative: the sample of two parts is that of
-both their samples. A hash as key makes it a uniform draw without replacement.
+A row is kept when it is among the first ``cap`` of its group in the order of a key that depends on the row
+alone (a quantity, or a hash of the drive's name and the row's number), so selecting is associative and
+commutative: the sample of two parts is that of both their samples. A hash as key makes it a uniform draw
+without replacement.
 """
 
 from __future__ import annotations

@@ -32,14 +32,24 @@ def run(name: str, argv: list[str]) -> None:
 
 def parser(name: str, description: str | None) -> argparse.ArgumentParser:
     """Parser of a bench's options; ``--json`` is common to all."""
-    made = argparse.ArgumentParser(prog=f"lpvguard bench {name}", description=description,
-                                   formatter_class=argparse.RawDescriptionHelpFormatter)
-    made.add_argument("--json", dest="json_out", metavar="PATH", type=lambda path: (path, f"bench {name}"), help="write the numbers as JSON; - is standard output")
+    made = argparse.ArgumentParser(
+        prog=f"lpvguard bench {name}",
+        description=description,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    made.add_argument(
+        "--json",
+        dest="json_out",
+        metavar="PATH",
+        type=lambda path: (path, f"bench {name}"),
+        help="write the numbers as JSON; - is standard output",
+    )
     return made
 
 
 def show(text: str, value: Any, json_out: tuple[str, str] | None) -> None:
-    """Print the table, or (``--json -``) the numbers; write the numbers where asked. ``json_out``: path and kind, as `parser` has them."""
+    """Print the table, or (``--json -``) the numbers; write the numbers where asked. ``json_out``: path and
+    kind, as `parser` has them."""
     print(text, file=sys.stderr if json_out and json_out[0] == "-" else sys.stdout)
     if json_out:
         artefacts.write_json(json_out[0], value, json_out[1])

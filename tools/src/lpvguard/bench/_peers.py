@@ -1,5 +1,6 @@
-"""Public peers in a virtual environment of their own, made when asked for (binary wheels only): nothing that they need, and no
-version that they are bound to, touches the package's own environment. What a peer returns is judged by the bench that asked.
+"""Public peers in a virtual environment of their own, made when asked for (binary wheels only): nothing that
+they need, and no version that they are bound to, touches the package's own environment. What a peer returns
+is judged by the bench that asked.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ PACKAGES = ("slycot", "control", "dkpy", "clarabel==0.9.0")  # dkpy 0.1.9 panics
 
 
 class Peers:
-    """The peers' environment in ``folder`` (made when missing); ``note`` says why there is none, and is empty otherwise."""
+    """The peers' environment in ``folder`` (made when missing); ``note`` says why there is none, and is empty
+    otherwise."""
 
     def __init__(self, folder: Path | None):
         self.note = "not asked for"
@@ -25,14 +27,19 @@ class Peers:
         self._python = Path(folder) / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
         if not self._python.exists():
             venv.create(folder, with_pip=True)
-            made = subprocess.run([self._python, "-m", "pip", "install", "--quiet", "--only-binary", ":all:", *PACKAGES],
-                                  capture_output=True, text=True, check=False)
+            made = subprocess.run(
+                [self._python, "-m", "pip", "install", "--quiet", "--only-binary", ":all:", *PACKAGES],
+                capture_output=True,
+                text=True,
+                check=False,
+            )
             if made.returncode:
                 self._python.unlink()
                 self.note = f"could not be installed: {made.stderr.strip().splitlines()[-1:]}"
 
     def ask(self, script: str, question: dict, limit_s: float) -> dict:
-        """What ``script`` (argv: file of the question, file for its answer, both JSON) answers, or {"note": why there is none}."""
+        """What ``script`` (argv: file of the question, file for its answer, both JSON) answers, or {"note":
+        why there is none}."""
         if self.note:
             return {"note": self.note}
         return ask(self._python, script, question, limit_s)
@@ -45,8 +52,14 @@ def ask(python: Path | str, script: str, question: dict, limit_s: float) -> dict
         given, answer = Path(folder) / "question.json", Path(folder) / "answer.json"
         given.write_text(json.dumps(question))
         try:
-            done = subprocess.run([python, "-c", script, given, answer], capture_output=True, text=True, timeout=limit_s,
-                                  env=environment, check=False)
+            done = subprocess.run(
+                [python, "-c", script, given, answer],
+                capture_output=True,
+                text=True,
+                timeout=limit_s,
+                env=environment,
+                check=False,
+            )
         except subprocess.TimeoutExpired:
             return {"note": f"no answer in {limit_s:g} s"}
         if done.returncode or not answer.exists():

@@ -1,9 +1,11 @@
-"""`lpvguard bench can`: with a log and its database, how fast CAN logs are decoded, against a python-can + cantools loop in the
-same run; without, the fault table of the closed loop (loop/bus_faults.py): what goes wrong on the bus, and what the firmware makes of it.
+"""`lpvguard bench can`: with a log and its database, how fast CAN logs are decoded, against a python-can +
+cantools loop in the same run; without, the fault table of the closed loop (loop/bus_faults.py): what goes
+wrong on the bus, and what the firmware makes of it.
 
-The former repeats a candump log to the wanted number of frames, decodes every signal of every message of the database from the
-text file, and runs the loop (python-can's reader, cantools' decode_message) over a part of the same file. One process, one thread; times are processor time (user and
-system), so that other work on the machine does not enter the ratio.
+The former repeats a candump log to the wanted number of frames, decodes every signal of every message of the
+database from the text file, and runs the loop (python-can's reader, cantools' decode_message) over a part of
+the same file. One process, one thread; times are processor time (user and system), so that other work on the
+machine does not enter the ratio.
 """
 
 from __future__ import annotations
@@ -80,7 +82,9 @@ def main(argv: list[str]) -> None:
     options.add_argument("log", type=Path, nargs="?", help="candump log, also .gz; without: the fault table")
     options.add_argument("dbc", type=Path, nargs="?")
     options.add_argument("--frames", type=int, default=5_000_000)
-    options.add_argument("--coefficients", type=Path, help="generated folder for the fault table (default: the shipped truck)")
+    options.add_argument(
+        "--coefficients", type=Path, help="generated folder for the fault table (default: the shipped truck)"
+    )
     given = options.parse_args(argv)
     if given.log is None:
         rows = bus_faults.table(Simulator(given.coefficients or shipped_vehicle("truck")))
@@ -89,9 +93,16 @@ def main(argv: list[str]) -> None:
     if given.dbc is None:
         options.error("a log needs its database")
     result = bench_decode(given.log, given.dbc, frames=given.frames)
-    show("\n".join([
-        f"{'lpvguard':<28} {result['frames_per_s'] / 1e6:8.3f} M frames/s  ({result['frames']} frames, {result['signals']} values; "
-        f"reading {result['read_s']:.2f} s, decoding {result['decode_s']:.2f} s)",
-        f"{result['peer']:<28} {result['peer_frames_per_s'] / 1e6:8.3f} M frames/s  ({result['peer_frames']} frames, "
-        f"{result['peer_signals']} values)",
-        f"{'ratio':<28} {result['ratio']:8.1f}"]), result, given.json_out)
+    show(
+        "\n".join(
+            [
+                f"{'lpvguard':<28} {result['frames_per_s'] / 1e6:8.3f} M frames/s  ({result['frames']} frames, {result['signals']} values; "
+                f"reading {result['read_s']:.2f} s, decoding {result['decode_s']:.2f} s)",
+                f"{result['peer']:<28} {result['peer_frames_per_s'] / 1e6:8.3f} M frames/s  ({result['peer_frames']} frames, "
+                f"{result['peer_signals']} values)",
+                f"{'ratio':<28} {result['ratio']:8.1f}",
+            ]
+        ),
+        result,
+        given.json_out,
+    )

@@ -1,8 +1,10 @@
-"""`lpvguard bench core`: what the core costs on an ECU -- ROM, RAM, stack, instructions of every part, share of a processor.
+"""`lpvguard bench core`: what the core costs on an ECU -- ROM, RAM, stack, instructions of every part, share
+of a processor.
 
-Measured on emulated Cortex-M4F, M7 and R5F over a seeded drive, the vehicle's own or the one that the budget of lib/INTEGRATION.md
-names: the truck with 20 bins, 2 outputs and a controller of 25 states. Every count is of executed
-*instructions, not cycles*: multiply by the cycles an instruction takes on the part, flash waits included.
+Measured on emulated Cortex-M4F, M7 and R5F over a seeded drive, the vehicle's own or the one that the budget
+of lib/INTEGRATION.md names: the truck with 20 bins, 2 outputs and a controller of 25 states. Every count is
+of executed *instructions, not cycles*: multiply by the cycles an instruction takes on the part, flash waits
+included.
 """
 
 from __future__ import annotations
@@ -27,10 +29,10 @@ from ..identify.energy import EnergyTest
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, load_project, parse_project
 
-WORST_STEP = 8000          # instructions, Cortex-M4F, everything included
+WORST_STEP = 8000  # instructions, Cortex-M4F, everything included
 WORST_TO_MEDIAN = 1.3
 RAM_BYTES = 8192
-RECORDED_FRAMES = 4        # in that RAM, at least
+RECORDED_FRAMES = 4  # in that RAM, at least
 ROM_BYTES = 32768
 STACK_BYTES = 2048
 DENSE_TO_CONTROLLER = 5.0  # instructions of a step with full matrices (firmware_sim/ports/dense_controller.hpp), same scheduling
@@ -54,12 +56,24 @@ def budget_controller(project: Project) -> ControllerCoefficients:
     n, Ts = CONTROLLER_STATES, project.Ts_s
     decay, turn = rng.uniform(0.2, 10.0, (2, n // 2))
     d = np.expm1((-decay + 1j * turn) * Ts)  # a pole less one, of every pair
-    a = np.append(np.column_stack([2 * d.real, -np.abs(d) ** 2]).ravel(), -1.0)
+    a = np.append(np.column_stack([2 * d.real, -(np.abs(d) ** 2)]).ravel(), -1.0)
     scale = np.append(Ts * np.column_stack([np.ones(n // 2), np.abs(d)]).ravel(), 1.0)
-    B = 0.5 * scale[:, None] * rng.standard_normal((n, 1 + model.n_y)) * np.linspace(1.0, 1.2, len(speeds))[:, None, None, None]
+    B = (
+        0.5
+        * scale[:, None]
+        * rng.standard_normal((n, 1 + model.n_y))
+        * np.linspace(1.0, 1.2, len(speeds))[:, None, None, None]
+    )
     B = np.repeat(B, model.n_u, axis=1)
-    return build_controller(Ts, speeds, a, B, np.zeros((len(speeds), model.n_u, n, model.n_u)), np.full(model.n_u, 6.0),
-                            np.full(model.n_u, 40.0))
+    return build_controller(
+        Ts,
+        speeds,
+        a,
+        B,
+        np.zeros((len(speeds), model.n_u, n, model.n_u)),
+        np.full(model.n_u, 6.0),
+        np.full(model.n_u, 40.0),
+    )
 
 
 def write_budget_vehicle(folder: Path) -> Project:
@@ -70,14 +84,27 @@ def write_budget_vehicle(folder: Path) -> Project:
     W_delta = np.linspace(0.1, 0.4, estimator.n_bins)
     B_w = np.outer(np.linspace(0.02, 0.01, estimator.n_bins), np.ones(project.n_y))
     # W_delta of third order, as the truck's own, fits this weight: two sections.
-    energy = EnergyTest.design(project, estimator, Weight([0.4, 0.2, 0.07, 0.02], [1.0, 0.7, 0.3, 0.1]), estimator.omega[1:],
-                               np.full(estimator.n_bins - 1, 0.1), 1.0)
+    energy = EnergyTest.design(
+        project,
+        estimator,
+        Weight([0.4, 0.2, 0.07, 0.02], [1.0, 0.7, 0.3, 0.1]),
+        estimator.omega[1:],
+        np.full(estimator.n_bins - 1, 0.1),
+        1.0,
+    )
     sigma = np.tile([0.1, 0.05], (len(energy.F), 1))
     energy = replace(energy, sigma=sigma, start=50.0 * sigma**2)
     coefficients = build_coefficients(project, model, estimator, W_delta, B_w, 1.5, energy)
     folder.mkdir(parents=True, exist_ok=True)
-    write_files(folder, vehicle_files(project, coefficients, {"kind": "vehicle", "project": project.model_dump(by_alias=True)},
-                                      budget_controller(project)))
+    write_files(
+        folder,
+        vehicle_files(
+            project,
+            coefficients,
+            {"kind": "vehicle", "project": project.model_dump(by_alias=True)},
+            budget_controller(project),
+        ),
+    )
     return project
 
 
@@ -91,11 +118,16 @@ def drive_of(project: Project, *, seed: int = 3) -> Input:
     low, high = model.speed_range
     v = 0.5 * (low + high) * (1.0 + 0.05 * np.sin(0.1 * t))
     frequencies = rng.uniform(0.05, 2.0, 8)
-    u = np.column_stack([0.05 * s.max * np.sin(2 * np.pi * np.outer(t, frequencies) + rng.uniform(0, 6, 8)).sum(axis=1)
-                         for s in project.inputs])
+    u = np.column_stack(
+        [
+            0.05 * s.max * np.sin(2 * np.pi * np.outer(t, frequencies) + rng.uniform(0, 6, 8)).sum(axis=1)
+            for s in project.inputs
+        ]
+    )
     yhat = model.simulate(v, u, model.output_offset)
     scale = np.std(yhat, axis=0)
-    # Twice the gain: frames of the higher bins, whose bounds are wide, pass, and those of the lower bins falsify.
+    # Twice the gain: frames of the higher bins, whose bounds are wide, pass, and those of the lower bins
+    # falsify.
     y = 2.0 * yhat + 0.05 * scale * rng.standard_normal(yhat.shape)
     return Input(v, u, y)
 
@@ -103,7 +135,8 @@ def drive_of(project: Project, *, seed: int = 3) -> Input:
 def bench_core(targets: tuple[str, ...] = tuple(TARGETS), *, clock_mhz: float = 168.0) -> dict[str, Any]:
     """The report: one entry a target, and whether results agree with the host's bit for bit.
 
-    ``load_percent`` is the worst whole step of a sample period at ``clock_mhz`` with one cycle an instruction.
+    ``load_percent`` is the worst whole step of a sample period at ``clock_mhz`` with one cycle an
+    instruction.
     """
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "truck"
@@ -113,16 +146,26 @@ def bench_core(targets: tuple[str, ...] = tuple(TARGETS), *, clock_mhz: float = 
         rows = []
         for name in targets:
             run = run_target(name, folder, drive, same_bits=False)
-            run["bit_identical"] = run_target(name, folder, drive, same_bits=True)["results"] == host["results"]
+            run["bit_identical"] = (
+                run_target(name, folder, drive, same_bits=True)["results"] == host["results"]
+            )
             del run["results"]
             step = run["parts"]["ecu_step"]
             run["rom_total"] = sum(run["rom"].values())
             run["worst_to_median"] = step["worst"] / step["median"]
             run["dense_to_controller"] = dense_to_controller(run)
-            run["load_percent"] = 100 * step["worst"] * CYCLES_PER_INSTRUCTION / (clock_mhz * 1e6 * project.Ts_s)
+            run["load_percent"] = (
+                100 * step["worst"] * CYCLES_PER_INSTRUCTION / (clock_mhz * 1e6 * project.Ts_s)
+            )
             rows.append(run)
-    return {"vehicle": "truck, 20 bins x 2 outputs, controller of 25 states", "Ts_s": project.Ts_s, "clock_mhz": clock_mhz,
-            "unit": "executed instructions, not cycles (QEMU -icount)", "samples": len(drive.v), "targets": rows}
+    return {
+        "vehicle": "truck, 20 bins x 2 outputs, controller of 25 states",
+        "Ts_s": project.Ts_s,
+        "clock_mhz": clock_mhz,
+        "unit": "executed instructions, not cycles (QEMU -icount)",
+        "samples": len(drive.v),
+        "targets": rows,
+    }
 
 
 def dense_to_controller(run: dict[str, Any]) -> float:
@@ -132,19 +175,38 @@ def dense_to_controller(run: dict[str, Any]) -> float:
 
 def print_report(report: dict[str, Any]) -> None:
     """The table, for people."""
-    print(f"{report['vehicle']}; counts are {report['unit']}, read by the program on the target from its own counter")
+    print(
+        f"{report['vehicle']}; counts are {report['unit']}, read by the program on the target from its own counter"
+    )
     for run in report["targets"]:
         rom, structs = run["rom"], run["structs"]
-        print(f"\n{run['title']}  ELF {run['elf_sha256'][:16]}  results {'bit-identical to' if run['bit_identical'] else 'DIFFER FROM'} the host's")
+        print(
+            f"\n{run['title']}  ELF {run['elf_sha256'][:16]}  results {'bit-identical to' if run['bit_identical'] else 'DIFFER FROM'} the host's"
+        )
         print(f"  ROM {run['rom_total']} bytes (" + ", ".join(f"{k} {v}" for k, v in rom.items()) + ")")
-        print("  RAM " + ", ".join(f"{k} {v}" for k, v in structs.items()) + " bytes (the ECU's includes the others)")
-        print(f"  {'part':<14} {'worst [instr]':>14} {'median [instr]':>15} {'worst/median':>13} {'stack [B]':>10}")
+        print(
+            "  RAM "
+            + ", ".join(f"{k} {v}" for k, v in structs.items())
+            + " bytes (the ECU's includes the others)"
+        )
+        print(
+            f"  {'part':<14} {'worst [instr]':>14} {'median [instr]':>15} {'worst/median':>13} {'stack [B]':>10}"
+        )
         for name, part in run["parts"].items():
-            print(f"  {name:<14} {part['worst']:>14} {part['median']:>15} {part['worst'] / part['median']:>13.2f} {part['stack']:>10}")
-        print("  memory map " + ", ".join(f"{name} {s['bytes']} at {s['address']:#010x}" for name, s in run["map"].items()))
-        print(f"  dense_step: the same controller with full matrices, {run['dense_to_controller']:.1f} times control_step")
-        print(f"  whole step: {run['load_percent']:.2f} % of {report['clock_mhz']:g} MHz at Ts {report['Ts_s']:g} s, "
-              "if an instruction took one cycle")
+            print(
+                f"  {name:<14} {part['worst']:>14} {part['median']:>15} {part['worst'] / part['median']:>13.2f} {part['stack']:>10}"
+            )
+        print(
+            "  memory map "
+            + ", ".join(f"{name} {s['bytes']} at {s['address']:#010x}" for name, s in run["map"].items())
+        )
+        print(
+            f"  dense_step: the same controller with full matrices, {run['dense_to_controller']:.1f} times control_step"
+        )
+        print(
+            f"  whole step: {run['load_percent']:.2f} % of {report['clock_mhz']:g} MHz at Ts {report['Ts_s']:g} s, "
+            "if an instruction took one cycle"
+        )
 
 
 BUDGET = ("<!-- budget: written by `lpvguard bench core --guide`, do not edit -->\n", "<!-- budget: end -->")
@@ -153,12 +215,40 @@ BUDGET = ("<!-- budget: written by `lpvguard bench core --guide`, do not edit --
 
 def budget_rows(report: dict[str, Any]) -> list[list[str]]:
     """The guide's table, without its head: a row a target, after one of the budgets."""
-    rows = [["budget", f"{WORST_STEP} (Cortex-M4F)", "", f"{WORST_TO_MEDIAN:g}", f"{RAM_BYTES}", f"{ROM_BYTES}", f"{STACK_BYTES}", "", ""]]
+    rows = [
+        [
+            "budget",
+            f"{WORST_STEP} (Cortex-M4F)",
+            "",
+            f"{WORST_TO_MEDIAN:g}",
+            f"{RAM_BYTES}",
+            f"{ROM_BYTES}",
+            f"{STACK_BYTES}",
+            "",
+            "",
+        ]
+    ]
     for run in report["targets"]:
         step = run["parts"]["ecu_step"]
         stack = max(part["stack"] for part in run["parts"].values())
-        rows.append([run["title"], *(str(n) for n in (step["worst"], step["median"], f"{run['worst_to_median']:.2f}", run["structs"]["ecu"], run["rom_total"],
-                                                      stack, f"{run['load_percent']:.2f} %")), run["elf_sha256"][:16]])
+        rows.append(
+            [
+                run["title"],
+                *(
+                    str(n)
+                    for n in (
+                        step["worst"],
+                        step["median"],
+                        f"{run['worst_to_median']:.2f}",
+                        run["structs"]["ecu"],
+                        run["rom_total"],
+                        stack,
+                        f"{run['load_percent']:.2f} %",
+                    )
+                ),
+                run["elf_sha256"][:16],
+            ]
+        )
     return rows
 
 
@@ -169,21 +259,33 @@ def write_guide(path: Path, report: dict[str, Any]) -> None:
     _, end, after = rest.partition(BUDGET[1])
     if not end:
         raise InputError(path, "", "no place for the table", f"{BUDGET[0].strip()} and {BUDGET[1]}")
-    head = ["target", "worst step [instr]", "median [instr]", "worst/median", "RAM [B]", "ROM [B]", "stack [B]",
-            f"of {report['clock_mhz']:g} MHz", "ELF"]
+    head = [
+        "target",
+        "worst step [instr]",
+        "median [instr]",
+        "worst/median",
+        "RAM [B]",
+        "ROM [B]",
+        "stack [B]",
+        f"of {report['clock_mhz']:g} MHz",
+        "ELF",
+    ]
     table = "".join(f"| {' | '.join(row)} |\n" for row in (head, ["---"] * len(head), *budget_rows(report)))
     path.write_text(before + begin + table + end + after, encoding="utf-8")
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Prints the table: ``python -m lpvguard.bench.core [--clock-mhz 168] [--target cortex-m4f] [--json] [--guide lib/INTEGRATION.md]``."""
+    """Prints the table: ``python -m lpvguard.bench.core [--clock-mhz 168] [--target cortex-m4f] [--json]
+    [--guide lib/INTEGRATION.md]``."""
     import argparse
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--clock-mhz", type=float, default=168.0)
     parser.add_argument("--target", action="append", choices=tuple(TARGETS))
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--guide", type=Path, help="also write the budget's table into this integration guide")
+    parser.add_argument(
+        "--guide", type=Path, help="also write the budget's table into this integration guide"
+    )
     arguments = parser.parse_args(argv)
     report = bench_core(tuple(arguments.target or TARGETS), clock_mhz=arguments.clock_mhz)
     if arguments.guide:

@@ -1,16 +1,18 @@
 """How the memory of Delta shows in the frame test: t* of error that a causal Delta makes alone, w = 0.
 
-A frame's t* asks for one complex number d. A causal Delta with impulse response delta_k is no such number: with the Hann
-window h of N samples (scale 4/N) and any nominal output z
+A frame's t* asks for one complex number d. A causal Delta with impulse response delta_k is no such number:
+with the Hann window h of N samples (scale 4/N) and any nominal output z
 
     E - Delta(jw) Z = (4/N) sum_k delta_k e^-jwk sum_m (h[m+k] - h[m]) z[m] e^-jwm.
 
-The differences have the Euclidean norm k (pi/N) sqrt(N/2) at most, so with |Delta(jw)| <= W_delta, the disturbance within B_w and
-z of root mean square rms over the N (1 + q) samples that reach into the frame, q N the length of delta,
+The differences have the Euclidean norm k (pi/N) sqrt(N/2) at most, so with |Delta(jw)| <= W_delta, the
+disturbance within B_w and z of root mean square rms over the N (1 + q) samples that reach into the frame, q N
+the length of delta,
 
     t* <= 1 + 2 sqrt(2) pi sqrt(1 + q) (sum_k k |delta_k| / N) rms / B_w.
 
-Drawn here: random stable Delta, sup |Delta| = W_delta, that lasts a fraction q of the frame, and random z with a steep spectrum.
+Drawn here: random stable Delta, sup |Delta| = W_delta, that lasts a fraction q of the frame, and random z
+with a steep spectrum.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ W_DELTA, B_W = 0.35, 0.05
 
 @dataclass(frozen=True)
 class MemoryRow:
-    """t* over draws of Delta that lasts ``fraction`` of the frame: median, 95th percentile, maximum, share above 1.
+    """t* over draws of Delta that lasts ``fraction`` of the frame: median, 95th percentile, maximum, share
+    above 1.
 
     ``bound_max``: the largest proved bound; ``tightest``: the largest (t* - 1) / (bound - 1).
     """
@@ -60,7 +63,7 @@ def draw(fraction: float, draws: int, seed: int) -> tuple[np.ndarray, np.ndarray
         z -= z.mean()
         e = np.convolve(z, delta)[: len(z)]
         z, e = z[1:], e[1:]  # length - 1 samples reach into the frame
-        reaching = z[-(N + length - 1):]
+        reaching = z[-(N + length - 1) :]
         rms = np.sqrt(np.mean(reaching**2))
         E, Z = kernel @ e[-N:], kernel @ z[-N:]
         t[i] = s1.margin(np.array([[E]]), np.array([[Z]]), np.array([W_DELTA]), np.array([[B_W * rms]]))[0]
@@ -74,13 +77,30 @@ def rows(draws: int = 2000, seed: int = 0) -> list[MemoryRow]:
     out = []
     for q in FRACTIONS:
         t, bound = draw(q, draws, seed)
-        out.append(MemoryRow(q, float(np.median(t)), float(np.percentile(t, 95)), float(t.max()), float(np.mean(t > 1)),
-                             float(bound.max()), float(np.max((t - 1) / (bound - 1)))))
+        out.append(
+            MemoryRow(
+                q,
+                float(np.median(t)),
+                float(np.percentile(t, 95)),
+                float(t.max()),
+                float(np.mean(t > 1)),
+                float(bound.max()),
+                float(np.max((t - 1) / (bound - 1))),
+            )
+        )
     return out
 
 
 def table(found: list[MemoryRow]) -> str:
     """The rows as a Markdown table."""
-    lines = ["| memory / frame | median t* | 95 % | largest | above 1 | largest bound |", "|---|---|---|---|---|---|"]
-    return "\n".join(lines + [f"| {r.fraction:g} | {r.median:.2f} | {r.p95:.2f} | {r.largest:.2f} | {r.share_above_1:.1%} | {r.bound_max:.2f} |"
-                              for r in found])
+    lines = [
+        "| memory / frame | median t* | 95 % | largest | above 1 | largest bound |",
+        "|---|---|---|---|---|---|",
+    ]
+    return "\n".join(
+        lines
+        + [
+            f"| {r.fraction:g} | {r.median:.2f} | {r.p95:.2f} | {r.largest:.2f} | {r.share_above_1:.1%} | {r.bound_max:.2f} |"
+            for r in found
+        ]
+    )

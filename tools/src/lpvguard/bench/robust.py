@@ -1,5 +1,5 @@
-"""The certified gain, run: sampled and worst stable Delta with the compiled controller at several speeds; and, apart, what the same
-controller does on the nonlinear truck, where nothing is certified.
+"""The certified gain, run: sampled and worst stable Delta with the compiled controller at several speeds;
+and, apart, what the same controller does on the nonlinear truck, where nothing is certified.
 """
 
 from __future__ import annotations
@@ -28,17 +28,41 @@ def main(argv: list[str]) -> None:
     options.add_argument("--draws", type=int, default=DRAWS, help="of Delta and input, all speeds together")
     given = options.parse_args(argv)
     artefacts.read_manifest(given.design, "design")
-    stored, document = identify.load(given.identification), artefacts.read_json(given.design / "controller.json")
+    stored, document = (
+        identify.load(given.identification),
+        artefacts.read_json(given.design / "controller.json"),
+    )
     schedule, compiled = Scheduled.read(document), CompiledController(given.vehicle)
-    speeds = schedule.speeds[::max(1, (len(schedule.speeds) - 1) // 3)]
+    speeds = schedule.speeds[:: max(1, (len(schedule.speeds) - 1) // 3)]
     rows = []
     for k, v in enumerate(map(float, speeds)):
         plant = design.frozen_plant(stored, v)
         proved = certify(plant, schedule.at(v), design.stated_scaling(document) if plant.blocks else None)
-        rows.append(run(compiled, plant, schedule.at(v), v, proved, -(-given.draws // len(speeds)), stored.project.seed + k))
+        rows.append(
+            run(
+                compiled,
+                plant,
+                schedule.at(v),
+                v,
+                proved,
+                -(-given.draws // len(speeds)),
+                stored.project.seed + k,
+            )
+        )
     empirical = Simulator(given.vehicle).run(load_scenario("nominal"))
     ratio = empirical["tracking_rms"] / empirical["command_rms"]
-    lines = [f"{'v m/s':>6}{'mu':>9}{'sampled':>9}{'worst':>9}{'rounding':>11}  kept (quantisation term {QUANTISATION:g})"]
-    lines += [f"{r.v:6.1f}{r.bound:9.4f}{r.sampled:9.4f}{r.worst:9.4f}{r.rounding:11.2e}  {'yes' if r.kept else 'NO'}" for r in rows]
-    lines.append(f"nonlinear truck, scenario nominal (measured, not certified): tracking error {ratio:.1%} of the command")
-    show("\n".join(lines), {"linear": [asdict(r) | {"kept": r.kept} for r in rows], "nonlinear_tracking_ratio": ratio}, given.json_out)
+    lines = [
+        f"{'v m/s':>6}{'mu':>9}{'sampled':>9}{'worst':>9}{'rounding':>11}  kept (quantisation term {QUANTISATION:g})"
+    ]
+    lines += [
+        f"{r.v:6.1f}{r.bound:9.4f}{r.sampled:9.4f}{r.worst:9.4f}{r.rounding:11.2e}  {'yes' if r.kept else 'NO'}"
+        for r in rows
+    ]
+    lines.append(
+        f"nonlinear truck, scenario nominal (measured, not certified): tracking error {ratio:.1%} of the command"
+    )
+    show(
+        "\n".join(lines),
+        {"linear": [asdict(r) | {"kept": r.kept} for r in rows], "nonlinear_tracking_ratio": ratio},
+        given.json_out,
+    )

@@ -1,8 +1,9 @@
 """Performance of the synthesis, with its certificates, beside public peers given the same plants in one run.
 
 H∞ on Fig. 1 with third-order weights (23 states, the paper's order), K_i and K_is on the paper case. Peers
-(_peers.py): python-control with slycot (``hinfsyn``) and dkpy (D-K iteration). What a peer returns is judged like ours: by the certified
-norm or μ bound of the loop that its controller closes, never by the level it claims.
+(_peers.py): python-control with slycot (``hinfsyn``) and dkpy (D-K iteration). What a peer returns is judged
+like ours: by the certified norm or μ bound of the loop that its controller closes, never by the level it
+claims.
 """
 
 from __future__ import annotations
@@ -148,7 +149,8 @@ def _timed(job):
 
 
 def _judged(answer: dict, plant: GeneralisedPlant) -> dict:
-    """A peer's answer with the certified ``level`` of the loop that its controller closes, its ``order`` and a ``note``."""
+    """A peer's answer with the certified ``level`` of the loop that its controller closes, its ``order`` and
+    a ``note``."""
     if "A" not in answer:
         return answer
     P, K = plant.system, StateSpace(*(np.array(answer[k]) for k in "ABCD"))
@@ -187,8 +189,10 @@ def _question(plant: GeneralisedPlant) -> dict:
 def table(rows: list[Row]) -> str:
     """The rows as text, one line each."""
     lines = [
-        (f"{'job':6}{'states':>7}{'time s':>9}{'target':>8}{'level':>10}{'order':>7}   "
-        f"{'peer':8}{'time s':>8}{'claims':>10}{'certified':>11}{'order':>7}{'ratio':>7}")
+        (
+            f"{'job':6}{'states':>7}{'time s':>9}{'target':>8}{'level':>10}{'order':>7}   "
+            f"{'peer':8}{'time s':>8}{'claims':>10}{'certified':>11}{'order':>7}{'ratio':>7}"
+        )
     ]
     for r in rows:
         peer = (

@@ -238,7 +238,9 @@ def main(argv: list[str]) -> None:
     options.add_argument("--experiments", type=int, default=20)
     options.add_argument("--bins", type=int, default=1024)
     options.add_argument("--no-peers", action="store_true", help="without the conic solver")
-    options.add_argument("--memory", action="store_true", help="instead: t* of error by Delta alone, over its memory")
+    options.add_argument(
+        "--memory", action="store_true", help="instead: t* of error by Delta alone, over its memory"
+    )
     given = options.parse_args(argv)
     if given.memory:
         found = memory.rows()

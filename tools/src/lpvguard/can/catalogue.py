@@ -3,8 +3,8 @@
 Reads   catalogue.toml (shipped), or another file of the same form
 Next    dbc.py writes our DBC from it, codegen.py the C codec and the receiver's rules
 
-Raw values follow SAE J1939-71: of n bits the top codes say "not available" and "error" (8 bits: 0xFF and 0xFE, 16 bits:
-0xFFnn and 0xFEnn, 2 bits: 3 and 2), and data end at 0xFA (8 bits) or 0xFAFF (16 bits).
+Raw values follow SAE J1939-71: of n bits the top codes say "not available" and "error" (8 bits: 0xFF and
+0xFE, 16 bits: 0xFFnn and 0xFEnn, 2 bits: 3 and 2), and data end at 0xFA (8 bits) or 0xFAFF (16 bits).
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from ..base.documents import checked, read_toml
 from ..base.errors import InputError
 
 E2E_BITS = 12
-"""Bits that profile 11 takes at the start of a frame: CRC (8), counter (4); the next 4 are free and sent as 1."""
+"""Bits that profile 11 takes at the start of a frame: CRC (8), counter (4); the next 4 are free and sent as
+1."""
 
 OWN_NODE = "LPVGUARD"
 """Name of the node that the generated code runs on."""
@@ -29,7 +30,8 @@ J1939_LENGTHS = (2, 4, 8, 16)
 
 
 def j1939_data_max(length: int) -> int:
-    """Largest raw value of ``length`` bits (2 or more) that is data: 0xFA in the top byte, below 8 bits all but two."""
+    """Largest raw value of ``length`` bits (2 or more) that is data: 0xFA in the top byte, below 8 bits all
+    but two."""
     return (0xFB << (length - 8)) - 1 if length >= 8 else (1 << length) - 3
 
 
@@ -38,7 +40,8 @@ class _Strict(BaseModel):
 
 
 class Supervision(_Strict):
-    """What a receiver accepts of a signal, in the signal's unit; ``max_rate`` is per second, None is unlimited."""
+    """What a receiver accepts of a signal, in the signal's unit; ``max_rate`` is per second, None is
+    unlimited."""
 
     min: float
     max: float
@@ -52,7 +55,8 @@ class Supervision(_Strict):
 
 
 class Signal(_Strict):
-    """A signal: physical = scale * raw + offset; ``coding`` "j1939" reserves the top raw values, "plain" none."""
+    """A signal: physical = scale * raw + offset; ``coding`` "j1939" reserves the top raw values, "plain"
+    none."""
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
     spn: Annotated[int, Field(ge=1, lt=2**19)] | None = None
@@ -223,7 +227,13 @@ class Catalogue(_Strict):
 
 
 def load_catalogue(path: Path | None = None) -> Catalogue:
-    """The shipped catalogue, or the one at ``path``. InputError names the file, the field and what was expected."""
+    """The shipped catalogue, or the one at ``path``. InputError names the file, the field and what was
+    expected."""
     source = path or resources.files(__package__).joinpath("catalogue.toml")
     where = path or "catalogue.toml"
-    return checked(Catalogue, read_toml(source, "a CAN catalogue", where), "a CAN catalogue as catalogue.py describes", where)
+    return checked(
+        Catalogue,
+        read_toml(source, "a CAN catalogue", where),
+        "a CAN catalogue as catalogue.py describes",
+        where,
+    )

@@ -1,9 +1,10 @@
 """Generates the C codec (C99) and the receiver's rules from the catalogue.
 
-Two files: ``lpvg_can_codec.h`` and ``lpvg_can_codec.c``. Per message a struct of raw values, ``pack`` and ``unpack``; per
-signal ``encode`` (physical to raw: rounds to nearest, saturates, NaN becomes "not available") and ``decode`` (raw to
-physical with a quality). Bytes are read and written one by one, so the byte order of the processor does not matter, and
-every shift is of an unsigned value by less than its width. The text depends on the catalogue alone.
+Two files: ``lpvg_can_codec.h`` and ``lpvg_can_codec.c``. Per message a struct of raw values, ``pack`` and
+``unpack``; per signal ``encode`` (physical to raw: rounds to nearest, saturates, NaN becomes "not available")
+and ``decode`` (raw to physical with a quality). Bytes are read and written one by one, so the byte order of
+the processor does not matter, and every shift is of an unsigned value by less than its width. The text
+depends on the catalogue alone.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from .catalogue import Catalogue, Message, Signal, load_catalogue
 
 HEADER, SOURCE = "lpvg_can_codec.h", "lpvg_can_codec.c"
 GAP_FRACTION = 4
-"""A frame sooner than period / 4 after the one before counts as babbling; cyclic senders jitter by far less."""
+"""A frame sooner than period / 4 after the one before counts as babbling; cyclic senders jitter by far
+less."""
 
 _EXTENDED = 0x80000000
 ANY_PRIORITY = 0xE3FFFFFF
@@ -40,7 +42,7 @@ def messages_in_order(catalogue: Catalogue) -> list[Message]:
     return sorted(generated, key=lambda m: m.source_address == catalogue.own_address)
 
 
-# ----------------------------------------------------------------------------------------------------------- numbers
+# ---------------------------------------------------------------------------------------------------- numbers
 
 
 def _float(value: float) -> str:
@@ -68,7 +70,7 @@ def _macro(message: Message) -> str:
     return f"LPVG_CAN_{message.name}"
 
 
-# ------------------------------------------------------------------------------------------------------------ header
+# ----------------------------------------------------------------------------------------------------- header
 
 
 def _header(messages: list[Message], n_received: int) -> str:
@@ -151,7 +153,7 @@ def _describe(s: Signal) -> str:
     return text
 
 
-# ------------------------------------------------------------------------------------------------------------ source
+# ----------------------------------------------------------------------------------------------------- source
 
 
 def _source(messages: list[Message]) -> str:

@@ -1,8 +1,8 @@
 """Decodes raw frames by a database, whole arrays at a time.
 
-Any signal that cantools describes: Intel and Motorola, signed, float, multiplexed (nested too), frames up to 64 bytes.
-J1939 messages are found by their parameter group: priority never matters, and the source address only when frames
-with the address of the database are in the log.
+Any signal that cantools describes: Intel and Motorola, signed, float, multiplexed (nested too), frames up to
+64 bytes. J1939 messages are found by their parameter group: priority never matters, and the source address
+only when frames with the address of the database are in the log.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ _PDU2 = 0xF0
 
 @dataclass(frozen=True)
 class Samples:
-    """A decoded signal: frame (K,) positions in the log, value (K,) physical, and what was left out by reason."""
+    """A decoded signal: frame (K,) positions in the log, value (K,) physical, and what was left out by
+    reason."""
 
     frame: np.ndarray
     value: np.ndarray
@@ -31,7 +32,8 @@ class Samples:
 
 
 def load_database(path: Path):
-    """A cantools database from a DBC (or another form that cantools reads). InputError names the file and line."""
+    """A cantools database from a DBC (or another form that cantools reads). InputError names the file and
+    line."""
     import cantools
 
     if not Path(path).is_file():
@@ -45,7 +47,8 @@ def load_database(path: Path):
 
 
 def _encoding(path: Path) -> str | None:
-    """Of a text form that does not say it: UTF-8 where the bytes are that, else what Vector's tools write. Units need it ("°/s")."""
+    """Of a text form that does not say it: UTF-8 where the bytes are that, else what Vector's tools write.
+    Units need it ("°/s")."""
     if path.suffix.lower() not in {".dbc", ".sym"}:
         return None
     try:
@@ -76,9 +79,11 @@ def find_frames(
     source_address: int | None = None,
     where: str = "",
 ) -> np.ndarray:
-    """Positions (K,) of the frames of a cantools ``message``, by group if ``j1939``; ``channel`` None takes every channel.
+    """Positions (K,) of the frames of a cantools ``message``, by group if ``j1939``; ``channel`` None takes
+    every channel.
 
-    InputError when a J1939 group comes from several senders and neither the database nor ``source_address`` says which.
+    InputError when a J1939 group comes from several senders and neither the database nor ``source_address``
+    says which.
     """
     if j1939 and message.is_extended_frame:
         wanted = _j1939(frames, message, source_address, where)
@@ -115,8 +120,8 @@ def _j1939(frames: Frames, message, source_address: int | None, where: str) -> n
 def decode_signal(frames: Frames, positions: np.ndarray, message, signal, *, j1939_codes: bool) -> Samples:
     """Physical values of a cantools ``signal`` in the frames at ``positions``.
 
-    Frames too short for the signal, frames of another multiplex, and with ``j1939_codes`` raw values above the data range
-    are left out and counted.
+    Frames too short for the signal, frames of another multiplex, and with ``j1939_codes`` raw values above
+    the data range are left out and counted.
     """
     left_out: dict[str, int] = {}
     rows = frames.data[positions]
@@ -167,7 +172,8 @@ def _multiplexed(rows: np.ndarray, message, signal) -> np.ndarray:
 
 
 def _pieces(signal) -> list[tuple[int, int, int]]:
-    """(byte, lowest bit in it, number of bits) of each byte that the signal touches, most significant first."""
+    """(byte, lowest bit in it, number of bits) of each byte that the signal touches, most significant
+    first."""
     pieces, left = [], signal.length
     if signal.byte_order == "big_endian":  # start: the most significant bit
         byte, high = divmod(signal.start, 8)
@@ -185,7 +191,8 @@ def _pieces(signal) -> list[tuple[int, int, int]]:
 
 
 def _raw(rows: np.ndarray, signal) -> np.ndarray:
-    """Unsigned raw values (K,); bytes beyond the log's frames read as 0 (such frames are left out as too short)."""
+    """Unsigned raw values (K,); bytes beyond the log's frames read as 0 (such frames are left out as too
+    short)."""
     raw = np.zeros(len(rows), np.uint64)
     for byte, low, bits in _pieces(signal):
         raw <<= np.uint64(bits)

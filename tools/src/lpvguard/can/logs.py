@@ -4,8 +4,9 @@ raw      candump (-l, -L), ASC, BLF, MF4 with bus logging, CSV and Parquet with 
          (timestamp, arbitration_id, extended, dlc, data); each also with .gz where it is text
 decoded  CSV and Parquet with one column a signal, MF4 with one channel a signal
 
-candump goes through a compiled parser, or through a slow one in Python when there is no compiler; the result is the
-same. Other raw forms go through python-can (which takes a bus-off report of a candump log for a frame) and asammdf.
+candump goes through a compiled parser, or through a slow one in Python when there is no compiler; the result
+is the same. Other raw forms go through python-can (which takes a bus-off report of a candump log for a frame)
+and asammdf.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ _RAW_COLUMNS = {"timestamp", "arbitration_id", "data"}
 
 @dataclass(frozen=True)
 class Frames:
-    """Raw frames in the order of the log: t_ns (N,), id (N,) with EXTENDED, channel (N,), length (N,), data (N, width)."""
+    """Raw frames in the order of the log: t_ns (N,), id (N,) with EXTENDED, channel (N,), length (N,), data
+    (N, width)."""
 
     t_ns: np.ndarray
     id: np.ndarray
@@ -55,21 +57,25 @@ class Frames:
         if channel is None:
             return self
         if channel not in self.channels:
-            raise InputError(where, "channel", f"{channel} is not in the log", f"one of {', '.join(self.channels)}")
+            raise InputError(
+                where, "channel", f"{channel} is not in the log", f"one of {', '.join(self.channels)}"
+            )
         at = self.channel == self.channels.index(channel)
         arrays = (a[at] for a in (self.t_ns, self.id, self.channel, self.length, self.data))
         return Frames(*arrays, self.channels, self.left_out)
 
 
 def candump_line(t_us: int, channel: str, identifier: int, data: bytes) -> str:
-    """A line of candump -L, which is that of candump -l; ``identifier`` with EXTENDED and, of an error report, ERROR_REPORT."""
+    """A line of candump -L, which is that of candump -l; ``identifier`` with EXTENDED and, of an error
+    report, ERROR_REPORT."""
     wide = 8 if identifier & (EXTENDED | ERROR_REPORT) else 3
     return f"({t_us // 10**6}.{t_us % 10**6:06d}) {channel} {identifier & ~EXTENDED:0{wide}X}#{data.hex().upper()}\n"
 
 
 @dataclass(frozen=True)
 class Series:
-    """A signal of a decoded log: t_ns (N,), value (N,), NaN where the log has none; unit as the log says, or ""."""
+    """A signal of a decoded log: t_ns (N,), value (N,), NaN where the log has none; unit as the log says, or
+    ""."""
 
     t_ns: np.ndarray
     value: np.ndarray
@@ -86,8 +92,8 @@ class Table:
 def read_log(path: Path, *, time_column: str | None = None) -> Frames | Table:
     """Read one log; its form follows from the suffix, for CSV, Parquet and MF4 also from what is in it.
 
-    ``time_column`` names the time (in s) of a decoded table; by default the first of t, time, timestamp that exists.
-    InputError when the file is missing, of unknown form, or holds no frame.
+    ``time_column`` names the time (in s) of a decoded table; by default the first of t, time, timestamp that
+    exists. InputError when the file is missing, of unknown form, or holds no frame.
     """
     path = Path(path)
     if not path.is_file():
@@ -129,9 +135,9 @@ def is_raw_table(path: Path) -> bool:
 
     try:
         if path.suffix.lower() == ".parquet":
-            return _RAW_COLUMNS <= set(pa_parquet.read_schema(path).names)
+            return set(pa_parquet.read_schema(path).names) >= _RAW_COLUMNS
         with path.open(encoding="utf-8") as text:
-            return _RAW_COLUMNS <= {name.strip() for name in text.readline().split(",")}
+            return {name.strip() for name in text.readline().split(",")} >= _RAW_COLUMNS
     except (OSError, ValueError):  # of pyarrow too
         return False
 
@@ -152,7 +158,7 @@ def _bytes(path: Path) -> bytes:
         ) from None
 
 
-# ---------------------------------------------------------------------------------------------------------- candump
+# ---------------------------------------------------------------------------------------------------- candump
 
 
 def _read_candump(path: Path) -> Frames:
@@ -247,7 +253,7 @@ def parse_candump_slowly(text: np.ndarray) -> Frames:
     return _from_rows(rows, left_out)
 
 
-# ------------------------------------------------------------------------------------------------------- python-can
+# ------------------------------------------------------------------------------------------------- python-can
 
 
 def _read_python_can(path: Path) -> Frames:
@@ -299,7 +305,7 @@ def _from_rows(rows: list[tuple[int, int, str, bytes]], left_out: dict[str, int]
     )
 
 
-# ----------------------------------------------------------------------------------------------------- CSV, Parquet
+# ----------------------------------------------------------------------------------------------- CSV, Parquet
 
 
 def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Table:
@@ -319,7 +325,7 @@ def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Ta
             f"cannot be parsed ({str(error).splitlines()[0]})",
             "a table with one header line" if suffix == ".csv" else "a Parquet table",
         ) from None
-    if _RAW_COLUMNS <= set(table.column_names):
+    if set(table.column_names) >= _RAW_COLUMNS:
         if suffix == ".csv" and path.suffix.lower() == ".csv":
             return _read_python_can(path)
         return _raw_table(path, table)
@@ -373,7 +379,7 @@ def _raw_table(path: Path, table) -> Frames:
         plain("channel", ""),
         plain("data", None),
     )
-    for number, (t, identifier, extended, channel, data) in enumerate(zip(*columns), start=1):
+    for number, (t, identifier, extended, channel, data) in enumerate(zip(*columns, strict=False), start=1):
         try:
             if isinstance(identifier, str):
                 identifier = int(identifier, 16)
@@ -392,7 +398,7 @@ def _raw_table(path: Path, table) -> Frames:
     return _from_rows(rows, {})
 
 
-# -------------------------------------------------------------------------------------------------------------- MF4
+# -------------------------------------------------------------------------------------------------------- MF4
 
 
 def _read_mf4(path: Path) -> Frames | Table:

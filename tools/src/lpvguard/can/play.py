@@ -1,7 +1,7 @@
 """Turns drives into frames of the catalogue's messages, and plays frames onto a bus or into a candump log.
 
-``encode`` does in numpy what the generated C codec does: rounds to the nearest raw value, saturates, sends NaN as "not
-available", sets unused bits to 1 and protects with E2E profile 11 where the catalogue says so.
+``encode`` does in numpy what the generated C codec does: rounds to the nearest raw value, saturates, sends
+NaN as "not available", sets unused bits to 1 and protects with E2E profile 11 where the catalogue says so.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ def protect(data: np.ndarray, data_id: int, first_counter: int = 0) -> None:
 
 
 def e2e_crc(data: np.ndarray, data_id: int) -> np.ndarray:
-    """What byte 0 of each of the frames ``data`` (N, 8) must be by E2E profile 11, data-id mode BOTH: (N,)."""
+    """What byte 0 of each of the frames ``data`` (N, 8) must be by E2E profile 11, data-id mode BOTH:
+    (N,)."""
     table = _crc8_table()
     crc = np.full(len(data), table[table[data_id & 0xFF] ^ data_id >> 8], np.uint8)
     for column in data.T[1:]:
@@ -68,8 +69,8 @@ def frames_of_drive(
 ) -> Frames:
     """Frames of a drive, each message on its own period from t[0] on.
 
-    ``t`` (N,) [s] increasing; ``values``: (message, signal) -> (N,) physical values on the bus, interpolated linearly to
-    the times of the message. InputError for a message that the catalogue lacks.
+    ``t`` (N,) [s] increasing; ``values``: (message, signal) -> (N,) physical values on the bus, interpolated
+    linearly to the times of the message. InputError for a message that the catalogue lacks.
     """
     catalogue = catalogue or load_catalogue()
     parts = []
@@ -102,10 +103,12 @@ def frames_of_drive(
 
 
 def values_of_drive(project, drive, catalogue: Catalogue | None = None) -> dict[tuple[str, str], np.ndarray]:
-    """What ``frames_of_drive`` sends for a drive of ``drives/tables.py``: bus value = factor * value for every signal with a CAN place.
+    """What ``frames_of_drive`` sends for a drive of ``drives/tables.py``: bus value = factor * value for
+    every signal with a CAN place.
 
-    A receiver refuses a frame that lacks one of its supervised signals, so those that the drive does not say are filled in:
-    lateral acceleration with speed * yaw rate (steady cornering), anything else with 0. InputError for a signal without a place.
+    A receiver refuses a frame that lacks one of its supervised signals, so those that the drive does not say
+    are filled in: lateral acceleration with speed * yaw rate (steady cornering), anything else with 0.
+    InputError for a signal without a place.
     """
     catalogue = catalogue or load_catalogue()
     columns = [
@@ -142,6 +145,7 @@ def write_candump(frames: Frames, path: Path) -> None:
             frames.id.tolist(),
             frames.length.tolist(),
             frames.data,
+            strict=False,
         )
     )
     Path(path).write_text("".join(lines), encoding="ascii")
@@ -155,16 +159,19 @@ def play(
     sleep: Callable[[float], None] = time.sleep,
     clock: Callable[[], float] = time.monotonic,
 ) -> float:
-    """Send ``frames`` on a python-can ``bus`` at ``speed`` times the recorded pace; ``speed`` inf does not wait.
+    """Send ``frames`` on a python-can ``bus`` at ``speed`` times the recorded pace; ``speed`` inf does not
+    wait.
 
-    A frame is never sent early; lateness does not add up, for every frame is timed from the start. Where the log's clock
-    goes back, the next frame follows at once. Returns the largest lateness [s].
+    A frame is never sent early; lateness does not add up, for every frame is timed from the start. Where the
+    log's clock goes back, the next frame follows at once. Returns the largest lateness [s].
     """
     import can
 
     due = np.concatenate(([0.0], np.cumsum(np.maximum(np.diff(frames.t_ns), 0)) / 1e9 / speed))
     late, start = 0.0, clock()
-    for due_s, id_, length, data in zip(due.tolist(), frames.id.tolist(), frames.length.tolist(), frames.data):
+    for due_s, id_, length, data in zip(
+        due.tolist(), frames.id.tolist(), frames.length.tolist(), frames.data, strict=False
+    ):
         ahead = start + due_s - clock()
         if ahead > 0:
             sleep(ahead)

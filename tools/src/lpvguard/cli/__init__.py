@@ -1,7 +1,7 @@
 """The command line. Exit status: 0 done, 1 a finding (falsified, alarmed, an answer missed), 2 bad input.
 
-Results that machines read go to the file named with --json (``-``: standard output); progress and messages go to
-standard error. Nothing is written except where -o or --json says.
+Results that machines read go to the file named with --json (``-``: standard output); progress and messages go
+to standard error. Nothing is written except where -o or --json says.
 """
 
 from __future__ import annotations
@@ -12,21 +12,21 @@ from typing import Any
 
 from ..base.errors import InputError
 from . import (  # noqa: F401 - each adds its verb, in the order of --help
-    generate,
-    plant,
-    ingest,
-    dbc,
-    identify,
-    design,
-    export,
-    replay,
-    sim,
-    lcm,
-    evaluate,
-    campaign,
-    report,
-    solve,
     bench,
+    campaign,
+    dbc,
+    design,
+    evaluate,
+    export,
+    generate,
+    identify,
+    ingest,
+    lcm,
+    plant,
+    replay,
+    report,
+    sim,
+    solve,
 )
 from .shared import app, complain
 

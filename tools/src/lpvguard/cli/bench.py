@@ -9,11 +9,19 @@ import typer
 from .shared import app
 
 
-@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
-             epilog="Example: lpvguard bench validation --json out/validation.json")
-def bench(context: typer.Context,
-          name: Annotated[str, typer.Argument(help="can, core, fleet, robust, synthesis, validation or weights; NAME -- --help for options.")],
-          ) -> None:
+@app.command(
+    context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
+    epilog="Example: lpvguard bench validation --json out/validation.json",
+)
+def bench(
+    context: typer.Context,
+    name: Annotated[
+        str,
+        typer.Argument(
+            help="can, core, fleet, robust, synthesis, validation or weights; NAME -- --help for options."
+        ),
+    ],
+) -> None:
     """Measure performance, beside peers in the same run; prints a table."""
     from ..bench import run
 

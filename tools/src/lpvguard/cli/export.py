@@ -1,4 +1,5 @@
-"""`lpvguard export`: generate the C folder of a vehicle: coefficients, controller, signal table, CAN codec, manifest."""
+"""`lpvguard export`: generate the C folder of a vehicle: coefficients, controller, signal table, CAN codec,
+manifest."""
 
 from __future__ import annotations
 
@@ -11,9 +12,14 @@ from .shared import Out, Vehicle, app, console, stored_for
 
 
 @app.command(epilog="Example: lpvguard export --vehicle g80 out/identify -o lib/vehicles/g80")
-def export(vehicle: Vehicle, identification: Annotated[Path, typer.Argument(help="Folder written by identify.")],
-           out: Out, controller: Annotated[Path | None, typer.Option(help="controller.json, or the folder written by design.")]
-           = None) -> None:
+def export(
+    vehicle: Vehicle,
+    identification: Annotated[Path, typer.Argument(help="Folder written by identify.")],
+    out: Out,
+    controller: Annotated[
+        Path | None, typer.Option(help="controller.json, or the folder written by design.")
+    ] = None,
+) -> None:
     """Generate the C folder of a vehicle: coefficients, controller, signal table, CAN codec, manifest."""
     from ..control.design import verify
     from ..core.control_coefficients import load_controller

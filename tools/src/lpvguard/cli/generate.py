@@ -10,8 +10,11 @@ from .shared import Out, Vehicle, app, console, progress_bar, project_of
 
 
 @app.command(epilog="Example: lpvguard generate --vehicle g80 -o out/drives --seed 1")
-def generate(vehicle: Vehicle, out: Out,
-             seed: Annotated[int | None, typer.Option(help="Seed (default: the project file's).")] = None) -> None:
+def generate(
+    vehicle: Vehicle,
+    out: Out,
+    seed: Annotated[int | None, typer.Option(help="Seed (default: the project file's).")] = None,
+) -> None:
     """Write seeded synthetic drives of a vehicle: tables and experiments.csv."""
     from ..loop.generate import generate as run
 

@@ -1,4 +1,5 @@
-"""`lpvguard identify`: find the unfalsified bounds, fit the weights, calibrate the frame test (paper, steps 1-7)."""
+"""`lpvguard identify`: find the unfalsified bounds, fit the weights, calibrate the frame test (paper, steps
+1-7)."""
 
 from __future__ import annotations
 
@@ -11,8 +12,14 @@ from .shared import Jobs, JsonOut, Out, Scheduler, Vehicle, app, console, emit, 
 
 
 @app.command(epilog="Example: lpvguard identify --vehicle g80 DRIVES -o out/identify")
-def identify(vehicle: Vehicle, drives: Annotated[Path, typer.Argument(help="Folder of drives with experiments.csv.")],
-             out: Out, json_out: JsonOut = None, jobs: Jobs = 1, scheduler: Scheduler = None) -> None:
+def identify(
+    vehicle: Vehicle,
+    drives: Annotated[Path, typer.Argument(help="Folder of drives with experiments.csv.")],
+    out: Out,
+    json_out: JsonOut = None,
+    jobs: Jobs = 1,
+    scheduler: Scheduler = None,
+) -> None:
     """Find the unfalsified bounds, fit the weights, calibrate the frame test (paper, steps 1-7)."""
     from ..base.parallel import workers
     from ..identify import run as stage
@@ -21,15 +28,29 @@ def identify(vehicle: Vehicle, drives: Annotated[Path, typer.Argument(help="Fold
     with progress_bar("identify") as tell, workers(jobs, scheduler) as run:
         result, drive_set = stage.identify(project, drives, workers=run, progress=tell)
         stage.save(result, drive_set, out)
-    emit(json_out, {"bound_drives": result.bound_drives, "calibration_drives": result.calibration_drives,
-                     "left_out": result.left_out, **result.calibration.to_dict(), "inflation": result.weights.inflation,
-                     "energy": result.energy.to_dict() if result.energy else None})
+    emit(
+        json_out,
+        {
+            "bound_drives": result.bound_drives,
+            "calibration_drives": result.calibration_drives,
+            "left_out": result.left_out,
+            **result.calibration.to_dict(),
+            "inflation": result.weights.inflation,
+            "energy": result.energy.to_dict() if result.energy else None,
+        },
+    )
     c = result.calibration
     console.print(f"{len(result.bound_drives)} drives set the bounds: {', '.join(result.bound_drives)}")
-    console.print(f"{len(result.calibration_drives)} others calibrate: {', '.join(result.calibration_drives) or 'none'}")
+    console.print(
+        f"{len(result.calibration_drives)} others calibrate: {', '.join(result.calibration_drives) or 'none'}"
+    )
     for name, reason in result.left_out.items():
         console.print(f"left out: {name}: {reason}")
     if result.energy is not None:
-        console.print(f"energy test: threshold {result.energy.calibration.threshold:.4g} ({result.energy.calibration.claim()}), sigma "
-                      + result.energy.sigma_text(project))
-    console.print(f"threshold {c.threshold:.4g} ({c.claim()}); final inflation {result.weights.inflation:.6g}; written to {out}")
+        console.print(
+            f"energy test: threshold {result.energy.calibration.threshold:.4g} ({result.energy.calibration.claim()}), sigma "
+            + result.energy.sigma_text(project)
+        )
+    console.print(
+        f"threshold {c.threshold:.4g} ({c.claim()}); final inflation {result.weights.inflation:.6g}; written to {out}"
+    )

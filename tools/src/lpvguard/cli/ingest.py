@@ -1,4 +1,5 @@
-"""`lpvguard ingest`: turn logs into uniform drive tables, with a report of what was left out and why. Needs no model."""
+"""`lpvguard ingest`: turn logs into uniform drive tables, with a report of what was left out and why. Needs
+no model."""
 
 from __future__ import annotations
 
@@ -12,14 +13,21 @@ from .shared import JsonOut, Out, app, console, emit, progress_bar, project_of
 
 
 @app.command(epilog="Example: lpvguard ingest drive.log --dbc car.dbc --signals map.toml -o out/drives")
-def ingest(logs: Annotated[list[Path], typer.Argument(help="candump (-l, -L, .gz), ASC, BLF, TRC, MF4, CSV or Parquet.")],
-           out: Out,
-           dbc: Annotated[Path | None, typer.Option(help="CAN database (default: our own J1939 one).")] = None,
-           signals: Annotated[Path | None, typer.Option(help="Signal map (TOML).")] = None,
-           vehicle: Annotated[str | None, typer.Option("--vehicle", help="Take the signal map from this vehicle.")] = None,
-           json_out: JsonOut = None) -> None:
+def ingest(
+    logs: Annotated[
+        list[Path], typer.Argument(help="candump (-l, -L, .gz), ASC, BLF, TRC, MF4, CSV or Parquet.")
+    ],
+    out: Out,
+    dbc: Annotated[Path | None, typer.Option(help="CAN database (default: our own J1939 one).")] = None,
+    signals: Annotated[Path | None, typer.Option(help="Signal map (TOML).")] = None,
+    vehicle: Annotated[
+        str | None, typer.Option("--vehicle", help="Take the signal map from this vehicle.")
+    ] = None,
+    json_out: JsonOut = None,
+) -> None:
     """Turn logs into uniform drive tables, with a report of what was left out and why. Needs no model."""
-    from ..drives.ingest import ingest as run, map_of_project
+    from ..drives.ingest import ingest as run
+    from ..drives.ingest import map_of_project
 
     if (signals is None) == (vehicle is None):
         raise InputError("ingest", "--signals, --vehicle", "both or neither given", "exactly one of them")

@@ -1,4 +1,5 @@
-"""`lpvguard plant`: run the simulated truck's own tool: its frequency response against Table I, single experiments, a digest."""
+"""`lpvguard plant`: run the simulated truck's own tool: its frequency response against Table I, single
+experiments, a digest."""
 
 from __future__ import annotations
 
@@ -12,10 +13,13 @@ from ..base import artefacts
 from .shared import app
 
 
-@app.command(epilog="Example: lpvguard plant frequency-response", context_settings={
-    "allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []})
+@app.command(
+    epilog="Example: lpvguard plant frequency-response",
+    context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []},
+)
 def plant(context: typer.Context) -> None:
-    """Run the simulated truck's own tool: its frequency response against Table I, single experiments, a digest."""
+    """Run the simulated truck's own tool: its frequency response against Table I, single experiments, a
+    digest."""
     from ..loop.generate import plant_tool
 
     words = list(context.args)

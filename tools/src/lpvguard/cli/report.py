@@ -12,23 +12,42 @@ from .shared import Coefficients, Out, Vehicle, app, console, progress_bar, repl
 
 
 @app.command(epilog="Example: lpvguard report out/identify DRIVES --vehicle g80 -o out/report.html")
-def report(identification: Annotated[Path, typer.Argument(help="Folder written by identify.")],
-           drives: Annotated[Path, typer.Argument(help="The drive folder it was made from.")],
-           vehicle: Vehicle, out: Out, coefficients: Coefficients = None,
-           evaluation: Annotated[Path | None, typer.Option(help="JSON written by evaluate.")] = None,
-           loops: Annotated[Path | None, typer.Option(help="Folder written by sim -o.")] = None,
-           campaign: Annotated[Path | None, typer.Option(help="Folder written by campaign.")] = None,
-           design: Annotated[Path | None, typer.Option(help="Folder written by design.")] = None,
-           tradeoff: Annotated[Path | None, typer.Option(help="Folder written by design --tradeoff.")] = None) -> None:
+def report(
+    identification: Annotated[Path, typer.Argument(help="Folder written by identify.")],
+    drives: Annotated[Path, typer.Argument(help="The drive folder it was made from.")],
+    vehicle: Vehicle,
+    out: Out,
+    coefficients: Coefficients = None,
+    evaluation: Annotated[Path | None, typer.Option(help="JSON written by evaluate.")] = None,
+    loops: Annotated[Path | None, typer.Option(help="Folder written by sim -o.")] = None,
+    campaign: Annotated[Path | None, typer.Option(help="Folder written by campaign.")] = None,
+    design: Annotated[Path | None, typer.Option(help="Folder written by design.")] = None,
+    tradeoff: Annotated[Path | None, typer.Option(help="Folder written by design --tradeoff.")] = None,
+) -> None:
     """One self-contained HTML page with every picture and table."""
     from ..report.page import write_report
 
-    for kind, folder in (("sim", loops), ("campaign", campaign), ("design", design), ("design-tradeoff", tradeoff)):
+    for kind, folder in (
+        ("sim", loops),
+        ("campaign", campaign),
+        ("design", design),
+        ("design-tradeoff", tradeoff),
+    ):
         if folder is not None:
             artefacts.read_manifest(folder, kind)
     stored, drive_set = stored_with_drives(identification, drives, vehicle)
     replayer = replayer_of(vehicle, coefficients) if stored.project.frames.estimator == "hann" else None
     with progress_bar("report") as tell:
-        write_report(stored, drive_set, replayer, out, artefacts.read_json(evaluation) if evaluation else None, tell,
-                     loops, design, tradeoff, artefacts.read_json(campaign / "summary.json") if campaign else None)
+        write_report(
+            stored,
+            drive_set,
+            replayer,
+            out,
+            artefacts.read_json(evaluation) if evaluation else None,
+            tell,
+            loops,
+            design,
+            tradeoff,
+            artefacts.read_json(campaign / "summary.json") if campaign else None,
+        )
     console.print(f"written to {out}")

@@ -1,14 +1,16 @@
-"""`lpvguard design`: weights -> controller scheduled over speed, certified frozen at every node and between nodes (step 8).
+"""`lpvguard design`: weights -> controller scheduled over speed, certified frozen at every node and between
+nodes (step 8).
 
-Everything is discrete from the start: the vehicle sampled exactly at Ts, the weights by Tustin's map, and one sample of
-delay between the controller's output and the vehicle, so that the ECU may take a whole period to compute. The delay then
-belongs to the controller, which makes it strictly proper.
+Everything is discrete from the start: the vehicle sampled exactly at Ts, the weights by Tustin's map, and one
+sample of delay between the controller's output and the vehicle, so that the ECU may take a whole period to
+compute. The delay then belongs to the controller, which makes it strictly proper.
 
-One scaling D (started by D-K iteration at the design speed, then the best for the worst speed) and one level serve all
-speeds, so that neighbouring controllers differ little (engine/synthesis/scheduling.py). They are brought to as few common poles as
-will do, with numerators interpolated over speed (schedule.py). What is certified is the controller the core runs: float32
-coefficients, interpolated, closed with the nominal model and the weights: at frozen speeds by mu, at the nodes and midway
-between them, and for every speed history up to a stated rate of change by a storage function (engine/synthesis/lpv_certificate.py).
+One scaling D (started by D-K iteration at the design speed, then the best for the worst speed) and one level
+serve all speeds, so that neighbouring controllers differ little (engine/synthesis/scheduling.py). They are
+brought to as few common poles as will do, with numerators interpolated over speed (schedule.py). What is
+certified is the controller the core runs: float32 coefficients, interpolated, closed with the nominal model
+and the weights: at frozen speeds by mu, at the nodes and midway between them, and for every speed history up
+to a stated rate of change by a storage function (engine/synthesis/lpv_certificate.py).
 """
 
 from __future__ import annotations
@@ -44,7 +46,8 @@ from .schedule import FrozenLoop, fit
 from .stored_frames import StoredFrames, UncertaintyWeights
 
 FEWEST_PAIRS, MOST_PAIRS = 2, 19
-"""Of poles, for each demand: fewer than the vehicle and the reference model have between them cannot do the job."""
+"""Of poles, for each demand: fewer than the vehicle and the reference model have between them cannot do the
+job."""
 PATIENCE = 2
 """Pairs tried beyond the best number so far."""
 CERTIFICATE_RTOL = 1e-6
@@ -67,16 +70,21 @@ def _system(weight: FittedWeight, inflation: float) -> StateSpace:
 
 
 def _state_uncertainty(stored: StoredIdentification, settings: DesignSettings) -> UncertaintyWeights:
-    """Class S2's weights at the identified gamma_w: W_delta_i dimensionless, W_delta_s in 1/s, as xi_s adds to the state's
-    derivative. InputError where the frames cannot tell xi_s: it is found by inverting dynamics, which windows only approximate.
+    """Class S2's weights at the identified gamma_w: W_delta_i dimensionless, W_delta_s in 1/s, as xi_s adds
+    to the state's derivative. InputError where the frames cannot tell xi_s: it is found by inverting
+    dynamics, which windows only approximate.
     """
     error = stored.bounds["window_error_median"]
     worst = int(np.nanargmax(error))
     if error[worst] > LARGEST_WINDOW_ERROR:
         omega = stored.bounds["omega_rad_s"][worst]
-        raise InputError(stored.folder, "design.structure", f"K_is: these frames find the state's uncertainty with a median "
-                         f"error of {error[worst]:.0%} at {omega:.3g} rad/s",
-                         f'K_i, or frames whose error is at most {LARGEST_WINDOW_ERROR:.0%}: the plain DFT, frames.estimator = "dft"')
+        raise InputError(
+            stored.folder,
+            "design.structure",
+            f"K_is: these frames find the state's uncertainty with a median "
+            f"error of {error[worst]:.0%} at {omega:.3g} rad/s",
+            f'K_i, or frames whose error is at most {LARGEST_WINDOW_ERROR:.0%}: the plain DFT, frames.estimator = "dft"',
+        )
     frames = StoredFrames(stored)
     return frames.weights(frames.explain_with_state(stored.bounds["gamma_w"], settings.lambda_s))
 
@@ -84,19 +92,33 @@ def _state_uncertainty(stored: StoredIdentification, settings: DesignSettings) -
 def _weights(stored: StoredIdentification, settings: DesignSettings) -> fig1.Weights:
     fitted = stored.fitted
     if not fitted.W_n or not fitted.W_C:
-        raise InputError(stored.folder, "W_n, W_C", "missing: no drive of the noise split",
-                         "zero-input drives listed under data.noise_split")
-    W_w, W_delta_i, W_delta_s = fitted.W_w_S0 if settings.structure == "K_inf" else fitted.W_w, fitted.W_delta, fitted.W_delta
+        raise InputError(
+            stored.folder,
+            "W_n, W_C",
+            "missing: no drive of the noise split",
+            "zero-input drives listed under data.noise_split",
+        )
+    W_w, W_delta_i, W_delta_s = (
+        fitted.W_w_S0 if settings.structure == "K_inf" else fitted.W_w,
+        fitted.W_delta,
+        fitted.W_delta,
+    )
     if settings.structure == "K_is":
         state = _state_uncertainty(stored, settings)
         W_w, W_delta_i, W_delta_s = state.W_w, state.W_delta_i, state.W_delta_s or state.W_delta_i
     g = fitted.inflation
     return fig1.Weights(
-        W_R=fig1.rational(settings.W_R_num, settings.W_R_den), W_C=_system(fitted.W_C[0], 1.0),
+        W_R=fig1.rational(settings.W_R_num, settings.W_R_den),
+        W_C=_system(fitted.W_C[0], 1.0),
         W_t=fig1.zeros_poles(settings.A_t, settings.W_t_zeros, settings.W_t_poles),
         W_u=fig1.zeros_poles(settings.A_u, settings.W_u_zeros, settings.W_u_poles),
-        W_nr=_system(fitted.W_n[0], g), W_ndelta=_system(fitted.W_n[1], g), W_wr=_system(W_w[0], g),
-        W_wdelta=_system(W_w[1], g), W_delta_i=_system(W_delta_i, g), W_delta_s=_system(W_delta_s, g))
+        W_nr=_system(fitted.W_n[0], g),
+        W_ndelta=_system(fitted.W_n[1], g),
+        W_wr=_system(W_w[0], g),
+        W_wdelta=_system(W_w[1], g),
+        W_delta_i=_system(W_delta_i, g),
+        W_delta_s=_system(W_delta_s, g),
+    )
 
 
 def _delayed(plant: fig1.GeneralisedPlant) -> fig1.GeneralisedPlant:
@@ -115,8 +137,8 @@ def _with_delay(K: StateSpace) -> StateSpace:
 
 @dataclass(frozen=True)
 class Design:
-    """A scheduled controller and its certificates: ``certificates`` per frozen speed, nodes and midpoints in order; ``lpv`` for
-    a moving speed (None: not asked for, or no storage function was found)."""
+    """A scheduled controller and its certificates: ``certificates`` per frozen speed, nodes and midpoints in
+    order; ``lpv`` for a moving speed (None: not asked for, or no storage function was found)."""
 
     schedule: Scheduled
     scaling: Scaling
@@ -131,10 +153,19 @@ class Design:
         return max(p.upper for _, p in [*self.certificates, self.off_grid])
 
 
-def _plant(stored: StoredIdentification, model: NominalModel, weights: fig1.Weights, v: float, delayed: bool,
-           structure: str | None = None, probes: bool = False) -> fig1.GeneralisedPlant:
+def _plant(
+    stored: StoredIdentification,
+    model: NominalModel,
+    weights: fig1.Weights,
+    v: float,
+    delayed: bool,
+    structure: str | None = None,
+    probes: bool = False,
+) -> fig1.GeneralisedPlant:
     A, B = (m[0] for m in model.matrices(np.array([v])))
-    plant = fig1.generalised_plant(A, B, weights, structure or stored.project.design.structure, stored.project.Ts_s, probes=probes)
+    plant = fig1.generalised_plant(
+        A, B, weights, structure or stored.project.design.structure, stored.project.Ts_s, probes=probes
+    )
     return _delayed(plant) if delayed else plant
 
 
@@ -156,29 +187,47 @@ def _vehicle(model: NominalModel, v: float, Ts: float) -> StateSpace:
 
 
 def design(stored: StoredIdentification, progress: Progress = lambda _: None) -> Design:
-    """Synthesise, schedule over common poles and certify. InputError when the project file has no [design] or no order certifies."""
+    """Synthesise, schedule over common poles and certify. InputError when the project file has no [design] or
+    no order certifies."""
     settings = stored.project.design
     if settings is None:
-        raise InputError(f"vehicle {stored.project.name}", "design", "no [design] table", "objectives for step 8")
+        raise InputError(
+            f"vehicle {stored.project.name}", "design", "no [design] table", "objectives for step 8"
+        )
     result = _designed(stored, settings, None, progress)
     return replace(result, lpv=find(_family(stored, settings, result.schedule, result.scaling), progress))
 
 
-def _family(stored: StoredIdentification, settings: DesignSettings, schedule: Scheduled, scaling: Scaling) -> Family:
+def _family(
+    stored: StoredIdentification, settings: DesignSettings, schedule: Scheduled, scaling: Scaling
+) -> Family:
     """The scaled closed loop over speed, for the certificate at a moving speed."""
     model, weights = NominalModel(stored.project), _weights(stored, settings)
 
     def at(v: float) -> StateSpace:
-        return closed_scaled(_plant(stored, model, weights, v, False, settings.structure, probes=True), schedule.at(v), scaling)
+        return closed_scaled(
+            _plant(stored, model, weights, v, False, settings.structure, probes=True), schedule.at(v), scaling
+        )
 
-    # The probes: state, input, and with state uncertainty an input on every state; see interconnection.generalised_plant.
+    # The probes: state, input, and with state uncertainty an input on every state; see
+    # interconnection.generalised_plant.
     held = model.n + model.n_u + (model.n if settings.structure == "K_is" else 0)
-    first = scaling.systems(_plant(stored, model, weights, float(schedule.speeds[0]), False, settings.structure))[1].order
-    return Family(at, schedule.speeds, slice(first, first + model.n), held,
-                  lambda low, high: tuple(bound[:, :held] for bound in model.hold_bounds(low, high)), schedule.Ts)
+    first = scaling.systems(
+        _plant(stored, model, weights, float(schedule.speeds[0]), False, settings.structure)
+    )[1].order
+    return Family(
+        at,
+        schedule.speeds,
+        slice(first, first + model.n),
+        held,
+        lambda low, high: tuple(bound[:, :held] for bound in model.hold_bounds(low, high)),
+        schedule.Ts,
+    )
 
 
-def _designed(stored: StoredIdentification, settings: DesignSettings, scaling: Scaling | None, progress: Progress) -> Design:
+def _designed(
+    stored: StoredIdentification, settings: DesignSettings, scaling: Scaling | None, progress: Progress
+) -> Design:
     """The design for ``settings``; ``scaling``: where the search for the common scaling starts."""
     model, weights = NominalModel(stored.project), _weights(stored, settings)
     speeds = np.linspace(*model.speed_range, settings.nodes)
@@ -193,13 +242,19 @@ def _designed(stored: StoredIdentification, settings: DesignSettings, scaling: S
     scaling, level = common_scaling([plants[k] for k in some], scaling)
     progress("controllers over speed")
     # Never more than half of what is left below 1.
-    level = min(level * (1 + settings.backoff), 0.5 * (1 + level)) if level < 1 else level * (1 + settings.backoff)
+    level = (
+        min(level * (1 + settings.backoff), 0.5 * (1 + level))
+        if level < 1
+        else level * (1 + settings.backoff)
+    )
     at_order, full_order = common_family(plants, scaling, level)
     check = np.linspace(speeds[0], speeds[-1], 2 * len(speeds) - 1)
     loops = {float(v): _plant(stored, model, weights, v, False) for v in check}
     input_max = np.array(settings.input_max)
-    frozen = [FrozenLoop(_with_delay(K), loops[float(v)], _vehicle(model, v, stored.project.Ts_s))
-              for v, K in zip(speeds, at_order(full_order))]
+    frozen = [
+        FrozenLoop(_with_delay(K), loops[float(v)], _vehicle(model, v, stored.project.Ts_s))
+        for v, K in zip(speeds, at_order(full_order), strict=False)
+    ]
     best, found, found_pairs = None, None, 0
     for pairs in range(FEWEST_PAIRS, MOST_PAIRS // len(input_max) + 1):
         progress(f"{pairs} pairs of poles")
@@ -212,15 +267,27 @@ def _designed(stored: StoredIdentification, settings: DesignSettings, scaling: S
         elif found is not None and pairs >= found_pairs + PATIENCE:
             break
     if found is None:
-        raise InputError(stored.folder, "controller", "no set of common poles stabilises every speed",
-                         "more nodes, or a lower A_t")
+        raise InputError(
+            stored.folder,
+            "controller",
+            "no set of common poles stabilises every speed",
+            "more nodes, or a lower A_t",
+        )
     progress("certificates")
-    return Design(found, scaling, _certificates(found, loops, scaling), full_order,
-                  _off_grid(found, scaling, lambda v: _plant(stored, model, weights, v, False), stored.project.seed))
+    return Design(
+        found,
+        scaling,
+        _certificates(found, loops, scaling),
+        full_order,
+        _off_grid(found, scaling, lambda v: _plant(stored, model, weights, v, False), stored.project.seed),
+    )
 
 
-def _worst_level(schedule: Scheduled, loops: dict[float, fig1.GeneralisedPlant], scaling: Scaling, limit: float) -> float:
-    """Largest norm of the scaled closed loops; inf when one is unstable, or as soon as one lies above ``limit``."""
+def _worst_level(
+    schedule: Scheduled, loops: dict[float, fig1.GeneralisedPlant], scaling: Scaling, limit: float
+) -> float:
+    """Largest norm of the scaled closed loops; inf when one is unstable, or as soon as one lies above
+    ``limit``."""
     worst = 0.0
     for v, plant in loops.items():
         worst = max(worst, hinf_norm(closed_scaled(plant, schedule.at(v), scaling), rtol=1e-3).upper)
@@ -229,9 +296,11 @@ def _worst_level(schedule: Scheduled, loops: dict[float, fig1.GeneralisedPlant],
     return worst
 
 
-def _off_grid(schedule: Scheduled, scaling: Scaling, plant: Callable[[float], fig1.GeneralisedPlant],
-              seed: int) -> tuple[float, RobustPerformance]:
-    """The worst of seeded speeds, moved to the top of its peak between its neighbours, and its certificate."""
+def _off_grid(
+    schedule: Scheduled, scaling: Scaling, plant: Callable[[float], fig1.GeneralisedPlant], seed: int
+) -> tuple[float, RobustPerformance]:
+    """The worst of seeded speeds, moved to the top of its peak between its neighbours, and its
+    certificate."""
     ends = schedule.speeds[[0, -1]]
     speeds = np.sort(np.concatenate([ends, np.random.default_rng(seed).uniform(*ends, OFF_GRID)]))
 
@@ -247,15 +316,17 @@ def _off_grid(schedule: Scheduled, scaling: Scaling, plant: Callable[[float], fi
 
 
 def dc_floor(weights: fig1.Weights) -> float:
-    """What no controller can be below, for every unit of A_t: 1 / sqrt(1/|W_nr(0)|^2 + 1/|W_wr(0)|^2), noise against disturbance."""
+    """What no controller can be below, for every unit of A_t: 1 / sqrt(1/|W_nr(0)|^2 + 1/|W_wr(0)|^2), noise
+    against disturbance."""
     n, w = (abs(W.response([0.0])[0, 0, 0]) for W in (weights.W_nr, weights.W_wr))
     return float(n * w / np.hypot(n, w))
 
 
 @dataclass(frozen=True)
 class LargestA_t:
-    """The largest A_t [per rad/s] found with mu < 1 at every speed looked at: ``worst`` is its largest mu, ``product`` A_t times
-    the DC floor (1 is the limit of any controller); ``failed``: the least A_t for which the design did not reach it."""
+    """The largest A_t [per rad/s] found with mu < 1 at every speed looked at: ``worst`` is its largest mu,
+    ``product`` A_t times the DC floor (1 is the limit of any controller); ``failed``: the least A_t for which
+    the design did not reach it."""
 
     A_t: float
     product: float
@@ -264,15 +335,20 @@ class LargestA_t:
 
 
 def largest_A_t(stored: StoredIdentification, progress: Progress = lambda _: None) -> LargestA_t | None:
-    """Bisection on A_t, whole designs, certified as the core runs them; None when half of the DC floor's limit is out of reach."""
+    """Bisection on A_t, whole designs, certified as the core runs them; None when half of the DC floor's
+    limit is out of reach."""
     settings = stored.project.design
     floor = dc_floor(_weights(stored, settings))
     low, high = 0.5 / floor, 1 / floor
     best, scaling, trial = None, None, low
     while high > low * (1 + A_T_RTOL):
         try:
-            one = _designed(stored, settings.model_copy(update={"A_t": trial}), scaling,
-                            lambda text, trial=trial: progress(f"A_t {trial:.4g}: {text}"))
+            one = _designed(
+                stored,
+                settings.model_copy(update={"A_t": trial}),
+                scaling,
+                lambda text, trial=trial: progress(f"A_t {trial:.4g}: {text}"),
+            )
             worst, scaling = one.worst, one.scaling
         except (InputError, SynthesisError):
             worst = np.inf
@@ -286,9 +362,12 @@ def largest_A_t(stored: StoredIdentification, progress: Progress = lambda _: Non
     return LargestA_t(best[0], best[0] * floor, best[1], high)
 
 
-def _certificates(schedule: Scheduled, loops: dict[float, fig1.GeneralisedPlant],
-                  scaling: Scaling | None) -> list[tuple[float, RobustPerformance]]:
-    return [(v, certify(plant, schedule.at(v), scaling if plant.blocks else None)) for v, plant in loops.items()]
+def _certificates(
+    schedule: Scheduled, loops: dict[float, fig1.GeneralisedPlant], scaling: Scaling | None
+) -> list[tuple[float, RobustPerformance]]:
+    return [
+        (v, certify(plant, schedule.at(v), scaling if plant.blocks else None)) for v, plant in loops.items()
+    ]
 
 
 def verify(path: Path, stored: StoredIdentification) -> None:
@@ -299,18 +378,27 @@ def verify(path: Path, stored: StoredIdentification) -> None:
     settings = stored.project.design
     document = artefacts.read_json(path)
     if settings is None or "certificates" not in document:
-        raise InputError(path, "certificates", "missing", "a file that `lpvguard design` wrote for this vehicle")
+        raise InputError(
+            path, "certificates", "missing", "a file that `lpvguard design` wrote for this vehicle"
+        )
     artefacts.require_seal(path, document, "`lpvguard design`")
     if (path.parent / artefacts.MANIFEST).is_file():
         artefacts.read_manifest(path.parent, "design")
     stated = document["certificates"]
     schedule = Scheduled.read(document)
     if stated.get("coefficients_sha256") != schedule.digest():
-        raise InputError(path, "certificates.coefficients_sha256", "not that of speeds, a, B and L", "the coefficients that were certified")
+        raise InputError(
+            path,
+            "certificates.coefficients_sha256",
+            "not that of speeds, a, B and L",
+            "the coefficients that were certified",
+        )
     model, weights = NominalModel(stored.project), _weights(stored, settings)
     for key in ("structure", "A_t", "A_u"):
         if stated[key] != getattr(settings, key):
-            raise InputError(path, f"certificates.{key}", repr(stated[key]), f"{getattr(settings, key)!r}, the project's")
+            raise InputError(
+                path, f"certificates.{key}", repr(stated[key]), f"{getattr(settings, key)!r}, the project's"
+            )
     rows = [*stated["speeds"], stated["off_grid"]]
     loops = {row["v_mps"]: _plant(stored, model, weights, row["v_mps"], False) for row in rows}
     scaling = stated_scaling(document)
@@ -323,24 +411,47 @@ def verify(path: Path, stored: StoredIdentification) -> None:
         if lpv["P"] is None:
             storage = riccati_storage(family)
         else:
-            storage = polynomial_storage(family, _square(lpv["basis"]), np.array([_symmetric(P) for P in lpv["P"]]))
+            storage = polynomial_storage(
+                family, _square(lpv["basis"]), np.array([_symmetric(P) for P in lpv["P"]])
+            )
         if storage is None or prove(family, storage, lpv["rate_mps2"]) is None:
-            raise InputError(path, "certificates.moving_speed", "the storage function does not prove a gain below 1 for "
-                             f"|dv/dt| up to {lpv['rate_mps2']:.4g} m/s2", "the coefficients, weights and P that were certified")
+            raise InputError(
+                path,
+                "certificates.moving_speed",
+                "the storage function does not prove a gain below 1 for "
+                f"|dv/dt| up to {lpv['rate_mps2']:.4g} m/s2",
+                "the coefficients, weights and P that were certified",
+            )
 
 
-def _compare(path: Path, row: dict, proved: RobustPerformance, plant: fig1.GeneralisedPlant, schedule: Scheduled) -> None:
-    """InputError unless a row states what is proved anew. The peak may be one of several: the scaled gain there must reach mu."""
+def _compare(
+    path: Path, row: dict, proved: RobustPerformance, plant: fig1.GeneralisedPlant, schedule: Scheduled
+) -> None:
+    """InputError unless a row states what is proved anew. The peak may be one of several: the scaled gain
+    there must reach mu."""
     v = row["v_mps"]
     loop = closed_scaled(plant, schedule.at(v), proved.scaling)
-    at_peak = np.linalg.norm(loop.response([row["peak_rad_s"]])[0], 2) if np.isfinite(proved.upper) else np.inf
-    for name, value, rtol in (("mu_upper", proved.upper, CERTIFICATE_RTOL), ("mu_lower", proved.lower, LOWER_RTOL)):
+    at_peak = (
+        np.linalg.norm(loop.response([row["peak_rad_s"]])[0], 2) if np.isfinite(proved.upper) else np.inf
+    )
+    for name, value, rtol in (
+        ("mu_upper", proved.upper, CERTIFICATE_RTOL),
+        ("mu_lower", proved.lower, LOWER_RTOL),
+    ):
         if not abs(value - row[name]) <= rtol * abs(row[name]):
-            raise InputError(path, f"certificate at {v:g} m/s, {name}", f"{value:.7g} when proved anew, not {row[name]:.7g}",
-                             "the coefficients and weights that were certified")
+            raise InputError(
+                path,
+                f"certificate at {v:g} m/s, {name}",
+                f"{value:.7g} when proved anew, not {row[name]:.7g}",
+                "the coefficients and weights that were certified",
+            )
     if not abs(at_peak - row["mu_upper"]) <= PEAK_RTOL * row["mu_upper"]:
-        raise InputError(path, f"certificate at {v:g} m/s, peak_rad_s", f"the gain at {row['peak_rad_s']:.6g} rad/s is {at_peak:.6g}",
-                         f"{row['mu_upper']:.6g}, the peak's")
+        raise InputError(
+            path,
+            f"certificate at {v:g} m/s, peak_rad_s",
+            f"the gain at {row['peak_rad_s']:.6g} rad/s is {at_peak:.6g}",
+            f"{row['mu_upper']:.6g}, the peak's",
+        )
 
 
 def _square(values: list[float]) -> np.ndarray:
@@ -359,52 +470,95 @@ def _symmetric(upper: list[float]) -> np.ndarray:
 def _moving(lpv: LpvCertificate | None) -> dict:
     """The certificate at a moving speed as controller.json holds it."""
     if lpv is None:
-        return {"claim": "no storage function was found: nothing is claimed about a moving speed", "rate_mps2": None}
+        return {
+            "claim": "no storage function was found: nothing is claimed about a moving speed",
+            "rate_mps2": None,
+        }
     upper = np.triu_indices(len(lpv.storage.basis))
     return {
         "claim": "gain of the whole scaled loop (nominal model, weights, fixed D(s), controller; nothing reduced for it) below 1 at "
-                 "every speed of the range and |dv/dt| up to rate_mps2, from rest: robust performance for every LTI Delta within W_delta",
+        "every speed of the range and |dv/dt| up to rate_mps2, from rest: robust performance for every LTI Delta within W_delta",
         "test": "discrete bounded-real inequality, x = basis x~, P(v) = P0 + v P1 + P2 / v (P null: strict Riccati solutions), linear "
-                "between knots, by eigenvalues at the ends of cells that cover the range, a bound of what it loses between them "
-                "subtracted",
-        "rate_mps2": lpv.rate, "not_found_mps2": lpv.not_found, "states": len(lpv.storage.basis), "cells": lpv.proof.cells,
-        "margin": lpv.proof.margin, "basis": None if lpv.P is None else lpv.storage.basis.ravel(),
-        "P": None if lpv.P is None else [P[upper] for P in lpv.P]}
+        "between knots, by eigenvalues at the ends of cells that cover the range, a bound of what it loses between them "
+        "subtracted",
+        "rate_mps2": lpv.rate,
+        "not_found_mps2": lpv.not_found,
+        "states": len(lpv.storage.basis),
+        "cells": lpv.proof.cells,
+        "margin": lpv.proof.margin,
+        "basis": None if lpv.P is None else lpv.storage.basis.ravel(),
+        "P": None if lpv.P is None else [P[upper] for P in lpv.P],
+    }
 
 
 def _row(v: float, proved: RobustPerformance) -> dict[str, float]:
-    return {"v_mps": v, "mu_upper": proved.upper, "mu_lower": proved.lower, "peak_rad_s": proved.bracket.peak_frequency}
+    return {
+        "v_mps": v,
+        "mu_upper": proved.upper,
+        "mu_lower": proved.lower,
+        "peak_rad_s": proved.bracket.peak_frequency,
+    }
 
 
-def faulted_performance(path: Path, stored: StoredIdentification, v: float, applied: StateSpace, measured: StateSpace) -> float:
-    """Upper bound of mu at frozen speed v of the loop closed by controller.json with two systems put into it: ``applied``
-    between controller and vehicle (n_u), ``measured`` between [reference, outputs] and controller; inf where it is unstable."""
+def faulted_performance(
+    path: Path, stored: StoredIdentification, v: float, applied: StateSpace, measured: StateSpace
+) -> float:
+    """Upper bound of mu at frozen speed v of the loop closed by controller.json with two systems put into it:
+    ``applied`` between controller and vehicle (n_u), ``measured`` between [reference, outputs] and
+    controller; inf where it is unstable."""
     document = artefacts.read_json(path)
     plant, K = frozen_plant(stored, v), Scheduled.read(document).at(v)
-    return certify(plant, series(applied, series(K, measured)), stated_scaling(document) if plant.blocks else None).upper
+    return certify(
+        plant, series(applied, series(K, measured)), stated_scaling(document) if plant.blocks else None
+    ).upper
 
 
-def save(result: Design, stored: StoredIdentification, target: Path, more: dict[str, str] | None = None,
-         largest: LargestA_t | None = None) -> None:
+def save(
+    result: Design,
+    stored: StoredIdentification,
+    target: Path,
+    more: dict[str, str] | None = None,
+    largest: LargestA_t | None = None,
+) -> None:
     """Write controller.json, its manifest and ``more`` files (name: text), whole or not at all."""
     settings, schedule = stored.project.design, result.schedule
     controller = {
-        "kind": "controller", "schema": 2, "Ts_s": schedule.Ts, "speeds": schedule.speeds, "a": schedule.a, "B": schedule.B,
+        "kind": "controller",
+        "schema": 2,
+        "Ts_s": schedule.Ts,
+        "speeds": schedule.speeds,
+        "a": schedule.a,
+        "B": schedule.B,
         "L": schedule.L,
-        "u_max": settings.input_max, "rate_max": settings.input_rate_max_per_s,
+        "u_max": settings.input_max,
+        "rate_max": settings.input_rate_max_per_s,
         "certificates": {
             "claim": "frozen speeds, float32 coefficients, interpolated, closed with the nominal model and the weights: "
-                     "mu <= mu_upper < 1 means robust performance for every LTI Delta within W_delta",
+            "mu <= mu_upper < 1 means robust performance for every LTI Delta within W_delta",
             "test": "bracket of the scaled closed loop's H-infinity norm by level-set tests of its Hamiltonian",
-            "structure": settings.structure, "A_t": settings.A_t, "A_u": settings.A_u,
-            "order": schedule.order, "full_order": result.full_order, "coefficients_sha256": schedule.digest(),
+            "structure": settings.structure,
+            "A_t": settings.A_t,
+            "A_u": settings.A_u,
+            "order": schedule.order,
+            "full_order": result.full_order,
+            "coefficients_sha256": schedule.digest(),
             "scaling_log_parameters": result.scaling.log_parameters,
             "scaling_columns": result.scaling.log_parameters.shape[1],
             "moving_speed": _moving(result.lpv),
-            "dc_floor": dc_floor(_weights(stored, settings)), "largest_A_t": None if largest is None else asdict(largest),
+            "dc_floor": dc_floor(_weights(stored, settings)),
+            "largest_A_t": None if largest is None else asdict(largest),
             "off_grid": {"speeds": OFF_GRID, "seed": stored.project.seed, **_row(*result.off_grid)},
-            "speeds": [_row(v, p) for v, p in result.certificates]}}
+            "speeds": [_row(v, p) for v, p in result.certificates],
+        },
+    }
     with artefacts.new_folder(target, "design", stored.project.name) as folder:
-        artefacts.write_files(folder, {
-            **(more or {}), "controller.json": artefacts.to_json(artefacts.sealed(controller)),
-            artefacts.MANIFEST: artefacts.manifest("design", vehicle=stored.project.name, identification=stored.manifest)})
+        artefacts.write_files(
+            folder,
+            {
+                **(more or {}),
+                "controller.json": artefacts.to_json(artefacts.sealed(controller)),
+                artefacts.MANIFEST: artefacts.manifest(
+                    "design", vehicle=stored.project.name, identification=stored.manifest
+                ),
+            },
+        )

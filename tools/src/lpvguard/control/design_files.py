@@ -1,4 +1,5 @@
-"""The files of step 8 beside controller.json, as numbers: Table II, Figs. 5 and 6; and those of a case file. report/design_pictures.py draws them."""
+"""The files of step 8 beside controller.json, as numbers: Table II, Figs. 5 and 6; and those of a case file.
+report/design_pictures.py draws them."""
 
 from __future__ import annotations
 
@@ -24,10 +25,17 @@ def _weights_figure(common: Weights, objectives: list[tuple[float, float, Weight
     """Fig. 5 as numbers. ``objectives``: A_t, A_u and the weights with them."""
     rows: dict[str, np.ndarray] = {}
     for A_t, A_u, weights in objectives:
-        rows[f"W_t, A_t = {A_t:.4g}"], rows[f"W_u, A_u = {A_u:.4g}"] = _magnitude(weights.W_t), _magnitude(weights.W_u)
+        rows[f"W_t, A_t = {A_t:.4g}"], rows[f"W_u, A_u = {A_u:.4g}"] = (
+            _magnitude(weights.W_t),
+            _magnitude(weights.W_u),
+        )
     rows["W_R"] = _magnitude(common.W_R)
-    return {"omega_rad_s": FINE, "signals": [[n, _magnitude(getattr(common, n)), u] for n, u in UNITS.items()],
-            "objectives": [[n, values] for n, values in rows.items()], "command": command}
+    return {
+        "omega_rad_s": FINE,
+        "signals": [[n, _magnitude(getattr(common, n)), u] for n, u in UNITS.items()],
+        "objectives": [[n, values] for n, values in rows.items()],
+        "command": command,
+    }
 
 
 def _figures_file(figures: dict) -> dict[str, str]:
@@ -43,13 +51,23 @@ def design_files(problem: FrozenProblem, cells: list[Cell], runs: WorstRuns | No
     if runs is not None:
         figures["fig6"] = runs.to_dict()
     frames = "deciding frames of the drives" if problem.frames.complete else "stored sample of frames"
-    return table_files([c.to_dict() for c in cells], vehicle=problem.stored.project.name, speed_mps=problem.settings.design_speed_mps,
-                       Ts_s=problem.stored.project.Ts_s, delay_samples=1, lambda_s=problem.settings.lambda_s,
-                       state_uncertainty_from=frames) | _figures_file(figures)
+    return table_files(
+        [c.to_dict() for c in cells],
+        vehicle=problem.stored.project.name,
+        speed_mps=problem.settings.design_speed_mps,
+        Ts_s=problem.stored.project.Ts_s,
+        delay_samples=1,
+        lambda_s=problem.settings.lambda_s,
+        state_uncertainty_from=frames,
+    ) | _figures_file(figures)
 
 
 def case_files(name: str, case: dict, rows: list[TableRow]) -> dict[str, str]:
     """Files of a case file's table: each row with its difference to the paper's."""
     objectives = [(o["A_t"], o["A_u"], case_weights(case, o)) for o in case["objective"]]
-    table = [row.to_dict() | {"difference": text} for row, text in zip(rows, differences(case, rows), strict=True)]
-    return table_files(table, case=name) | _figures_file({"fig5": _weights_figure(objectives[0][2], objectives, None)})
+    table = [
+        row.to_dict() | {"difference": text} for row, text in zip(rows, differences(case, rows), strict=True)
+    ]
+    return table_files(table, case=name) | _figures_file(
+        {"fig5": _weights_figure(objectives[0][2], objectives, None)}
+    )

@@ -1,4 +1,5 @@
-"""Fig. 1 of a vehicle at a frozen speed, for any structure, objective and choice of uncertainty weights; Table II made of it."""
+"""Fig. 1 of a vehicle at a frozen speed, for any structure, objective and choice of uncertainty weights;
+Table II made of it."""
 
 from __future__ import annotations
 
@@ -20,7 +21,9 @@ class FrozenProblem:
 
     def __init__(self, stored: StoredIdentification, frames: StoredFrames):
         if stored.project.design is None:
-            raise InputError(f"vehicle {stored.project.name}", "design", "no [design] table", "objectives for step 8")
+            raise InputError(
+                f"vehicle {stored.project.name}", "design", "no [design] table", "objectives for step 8"
+            )
         self.stored, self.frames, self.settings = stored, frames, stored.project.design
         self.model = NominalModel(stored.project)
 
@@ -30,19 +33,29 @@ class FrozenProblem:
         split = self.frames.explain_with_state(self.stored.bounds["gamma_w"], self.settings.lambda_s)
         return self.frames.weights(split)
 
-    def weights(self, structure: str, A_t: float, A_u: float, uncertainty: UncertaintyWeights | None = None) -> Weights:
-        """The ten weights. ``uncertainty``: other W_w and W_delta than identified (K_is: than ``with_state``)."""
+    def weights(
+        self, structure: str, A_t: float, A_u: float, uncertainty: UncertaintyWeights | None = None
+    ) -> Weights:
+        """The ten weights. ``uncertainty``: other W_w and W_delta than identified (K_is: than
+        ``with_state``)."""
         chosen = self.settings.model_copy(update={"structure": structure, "A_t": A_t, "A_u": A_u})
         # K_is has weights of its own, which replace those of class S1 below.
-        weights = _weights(self.stored, chosen.model_copy(update={"structure": "K_i"}) if structure == "K_is" else chosen)
+        weights = _weights(
+            self.stored, chosen.model_copy(update={"structure": "K_i"}) if structure == "K_is" else chosen
+        )
         if structure == "K_is" and uncertainty is None:
             uncertainty = self.with_state
         if structure == "K_inf" or uncertainty is None:
             return weights
         inflated = lambda w: _system(w, self.stored.fitted.inflation)
         W_wr, W_wdelta = map(inflated, uncertainty.W_w)
-        return replace(weights, W_wr=W_wr, W_wdelta=W_wdelta, W_delta_i=inflated(uncertainty.W_delta_i),
-                       W_delta_s=inflated(uncertainty.W_delta_s or uncertainty.W_delta_i))
+        return replace(
+            weights,
+            W_wr=W_wr,
+            W_wdelta=W_wdelta,
+            W_delta_i=inflated(uncertainty.W_delta_i),
+            W_delta_s=inflated(uncertainty.W_delta_s or uncertainty.W_delta_i),
+        )
 
     def plant(self, structure: str, weights: Weights, v: float) -> GeneralisedPlant:
         """The discrete plant at speed v [m/s] with one sample of delay in front of the control input."""
@@ -56,11 +69,16 @@ class FrozenProblem:
         for A_t, A_u in self.settings.objectives:
             for structure in STRUCTURES:
                 progress(f"Table II: {structure}, A_t {A_t:g}, A_u {A_u:g}")
-                plant = self.plant(structure, self.weights(structure, A_t, A_u), self.settings.design_speed_mps)
+                plant = self.plant(
+                    structure, self.weights(structure, A_t, A_u), self.settings.design_speed_mps
+                )
                 cells.append(cell(plant, structure, A_t, A_u))
         return cells
 
 
 def table_files(rows: list[dict], **about) -> dict[str, str]:
     """table2.json and table2.csv from the rows of cells; ``about``: what the table is of."""
-    return {"table2.json": artefacts.to_json({"kind": "table2", "schema": 1, **about, "rows": rows}), "table2.csv": to_csv(rows)}
+    return {
+        "table2.json": artefacts.to_json({"kind": "table2", "schema": 1, **about, "rows": rows}),
+        "table2.csv": to_csv(rows),
+    }

@@ -1,8 +1,10 @@
-"""The certified gain, run: nominal plant, weights, a stable Delta and the compiled controller, in float as on the ECU, without limits.
+"""The certified gain, run: nominal plant, weights, a stable Delta and the compiled controller, in float as on
+the ECU, without limits.
 
-For every Delta with ||Delta||_inf <= 1 / max(1, mu) the gain from [w; n; r_c] to z, both normalised (before the weights), is at most
-mu from rest: ||z|| <= mu ||[w; n; r_c]|| + ``QUANTISATION`` ||[w; n; r_c]||, the last for what the controller rounds. Tried on sampled
-Delta and inputs and on the worst stable Delta found (engine/synthesis/worst_case.py) with the input that it amplifies most.
+For every Delta with ||Delta||_inf <= 1 / max(1, mu) the gain from [w; n; r_c] to z, both normalised (before
+the weights), is at most mu from rest: ||z|| <= mu ||[w; n; r_c]|| + ``QUANTISATION`` ||[w; n; r_c]||, the
+last for what the controller rounds. Tried on sampled Delta and inputs and on the worst stable Delta found
+(engine/synthesis/worst_case.py) with the input that it amplifies most.
 """
 
 from __future__ import annotations
@@ -32,8 +34,9 @@ POLES_RAD_S = (0.02, 60.0)
 
 @dataclass(frozen=True)
 class RobustRun:
-    """Ratios ||z|| / ||[w; n; r_c]|| at speed v: ``sampled`` the largest of ``draws``, ``worst`` with the worst Delta found, which in
-    theory gives ``worst_gain``; ``bound`` is mu. ``rounding``: largest ||z - z of the same loop in double|| / ||input||."""
+    """Ratios ||z|| / ||[w; n; r_c]|| at speed v: ``sampled`` the largest of ``draws``, ``worst`` with the
+    worst Delta found, which in theory gives ``worst_gain``; ``bound`` is mu. ``rounding``: largest ||z - z of
+    the same loop in double|| / ||input||."""
 
     v: float
     bound: float
@@ -54,52 +57,87 @@ class CompiledController:
 
     def __init__(self, folder: Path):
         root = library_root()
-        sources = [*sorted((root / "src").glob("*.cpp")), *sorted(Path(folder).glob("*.c")), Path(__file__).with_name("loop.cpp")]
+        sources = [
+            *sorted((root / "src").glob("*.cpp")),
+            *sorted(Path(folder).glob("*.c")),
+            Path(__file__).with_name("loop.cpp"),
+        ]
         flags = ("-std=c++17", "-O2", "-ffp-contract=off", "-fno-math-errno", "-isystem", eigen_include())
         try:
-            library = native.compile_shared(sources, flags=flags, include_dirs=[root / "include", root / "src", Path(folder)],
-                                            name=f"loop_{Path(folder).name}")
+            library = native.compile_shared(
+                sources,
+                flags=flags,
+                include_dirs=[root / "include", root / "src", Path(folder)],
+                name=f"loop_{Path(folder).name}",
+            )
         except native.NativeError as error:
-            raise InputError(folder, "compiling the C core", str(error).strip(), "a C++17 compiler and Eigen 3.4") from None
+            raise InputError(
+                folder, "compiling the C core", str(error).strip(), "a C++17 compiler and Eigen 3.4"
+            ) from None
         self._run = ctypes.CDLL(str(library)).lpvgb_closed_loop
         self._run.restype = ctypes.c_int64
 
-    def close(self, plant: StateSpace, n_measurement: int, v: float, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """z (N, n_z) and u (N, n_u) of ``plant`` ([w; u] to [z; y], discrete) from rest, for inputs w (N, n_w), at speed v."""
+    def close(
+        self, plant: StateSpace, n_measurement: int, v: float, w: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """z (N, n_z) and u (N, n_u) of ``plant`` ([w; u] to [z; y], discrete) from rest, for inputs w (N,
+        n_w), at speed v."""
         w = np.ascontiguousarray(w)
         n_z, n_u = plant.n_outputs - n_measurement, plant.n_inputs - w.shape[1]
         z, u = np.empty((len(w), n_z)), np.empty((len(w), n_u))
         sizes = np.array([plant.order, w.shape[1], n_z, len(w)], np.int64)
         arrays = [np.ascontiguousarray(a) for a in (plant.A, plant.B, plant.C, plant.D)]
         pointers = [a.ctypes.data_as(ctypes.c_void_p) for a in (sizes, *arrays)]
-        limited = self._run(*pointers, ctypes.c_double(v), *(a.ctypes.data_as(ctypes.c_void_p) for a in (w, u, z)))
+        limited = self._run(
+            *pointers, ctypes.c_double(v), *(a.ctypes.data_as(ctypes.c_void_p) for a in (w, u, z))
+        )
         if limited:
             raise ArithmeticError("the controller refused a sample or met a limit")
         return z, u
 
 
-def run(compiled: CompiledController, plant: GeneralisedPlant, controller: StateSpace, v: float, proved: RobustPerformance,
-        draws: int, seed: int) -> RobustRun:
-    """``draws`` sampled Delta and inputs and the worst case at speed v. ``controller``: what the compiled one stands for, in double."""
+def run(
+    compiled: CompiledController,
+    plant: GeneralisedPlant,
+    controller: StateSpace,
+    v: float,
+    proved: RobustPerformance,
+    draws: int,
+    seed: int,
+) -> RobustRun:
+    """``draws`` sampled Delta and inputs and the worst case at speed v. ``controller``: what the compiled one
+    stands for, in double."""
     random = np.random.default_rng(seed)
     size, dt, n_w = 1 / max(1.0, proved.upper), plant.system.dt, plant.performance_block.rows
     sampled, rounding = 0.0, 0.0
     for k in range(draws):
-        delta = append(*(_sampled_block(random, b.rows, b.cols, size, dt) for b in plant.blocks)) if plant.blocks else None
+        delta = (
+            append(*(_sampled_block(random, b.rows, b.cols, size, dt) for b in plant.blocks))
+            if plant.blocks
+            else None
+        )
         w = _sampled_input(random, n_w, dt)
         ratio, rounded = _ratio(compiled, plant, controller, v, delta, w, compare=k < 3)
         sampled, rounding = max(sampled, ratio), max(rounding, rounded)
     found = worst_case(plant, controller, proved.scaling)
     delta = None
     if plant.blocks:
-        delta = StateSpace(found.delta.A, found.delta.B, size / found.size * found.delta.C, size / found.size * found.delta.D, dt)
+        delta = StateSpace(
+            found.delta.A,
+            found.delta.B,
+            size / found.size * found.delta.C,
+            size / found.size * found.delta.D,
+            dt,
+        )
     closed = lft(_perturbed(plant, delta), controller)
     gain = closed.response([found.frequency])[0]
     direction = np.linalg.svd(gain)[2][0].conj()
     t = dt * np.arange(WORST_STEPS)
     w = (np.exp(1j * found.frequency * t)[:, None] * direction).real * _window(WORST_STEPS)[:, None]
     worst, rounded = _ratio(compiled, plant, controller, v, delta, w, compare=True)
-    return RobustRun(v, proved.upper, draws, sampled, worst, float(np.linalg.norm(gain, 2)), max(rounding, rounded))
+    return RobustRun(
+        v, proved.upper, draws, sampled, worst, float(np.linalg.norm(gain, 2)), max(rounding, rounded)
+    )
 
 
 def _perturbed(plant: GeneralisedPlant, delta: StateSpace | None) -> StateSpace:
@@ -107,7 +145,8 @@ def _perturbed(plant: GeneralisedPlant, delta: StateSpace | None) -> StateSpace:
 
 
 def _ratio(compiled, plant, controller, v, delta, w, compare) -> tuple[float, float]:
-    """||z|| / ||w|| of the compiled loop and, to ``compare``, how far z is from the same loop's in double, over ||w||."""
+    """||z|| / ||w|| of the compiled loop and, to ``compare``, how far z is from the same loop's in double,
+    over ||w||."""
     system, size = _perturbed(plant, delta), np.linalg.norm(w)
     z, _ = compiled.close(system, plant.n_measurement, v, w)
     rounded = np.linalg.norm(z - _response(lft(system, controller), w)) / size if compare else 0.0
@@ -129,7 +168,11 @@ def _sampled_block(random, rows: int, cols: int, size: float, dt: float) -> Stat
     A = -np.diag(poles) + np.triu(random.standard_normal((n, n)), 1) * poles[:, None]
     A = A - A.T * np.triu(np.ones((n, n)), 1).T if random.random() < 0.5 else A
     A = A - max(np.linalg.eigvals(A).real.max() + POLES_RAD_S[0], 0.0) * np.eye(n)
-    parts = random.standard_normal((n, cols)), random.standard_normal((rows, n)), random.standard_normal((rows, cols))
+    parts = (
+        random.standard_normal((n, cols)),
+        random.standard_normal((rows, n)),
+        random.standard_normal((rows, cols)),
+    )
     G = to_discrete(StateSpace(A, *parts), dt)
     factor = size / hinf_norm(G).upper
     return StateSpace(G.A, G.B, factor * G.C, factor * G.D, dt)
@@ -142,7 +185,10 @@ def _sampled_input(random, n_w: int, dt: float) -> np.ndarray:
     else:
         t, omega = dt * np.arange(STEPS), np.exp(random.uniform(*np.log(POLES_RAD_S), 3))
         phases = random.uniform(0, 2 * np.pi, (3, n_w))
-        w = sum(np.cos(o * t[:, None] + p) * random.standard_normal(n_w) for o, p in zip(omega, phases))
+        w = sum(
+            np.cos(o * t[:, None] + p) * random.standard_normal(n_w)
+            for o, p in zip(omega, phases, strict=False)
+        )
     return w * _window(STEPS)[:, None]
 
 

@@ -1,15 +1,18 @@
-"""Finding a controller over speed: its common poles and, at every node, its numerators and anti-windup (core/scheduled.py).
+"""Finding a controller over speed: its common poles and, at every node, its numerators and anti-windup
+(core/scheduled.py).
 
-A controller of the order of an H-infinity design differs from speed to speed mostly in its zeros: a set of poles common to
-all speeds serves them all with few more states. The poles are found by variable projection (Golub and Pereyra 1973): given
-them, every B is a linear least-squares fit, weighed by what a deviation of K does to the scaled closed loop,
+A controller of the order of an H-infinity design differs from speed to speed mostly in its zeros: a set of
+poles common to all speeds serves them all with few more states. The poles are found by variable projection
+(Golub and Pereyra 1973): given them, every B is a linear least-squares fit, weighed by what a deviation of K
+does to the scaled closed loop,
 
     D P12 (1 - K P22)^-1  dK  (1 - P22 K)^-1 P21 D^-1.
 
-Limits are compensated by model recovery (Weston and Postlethwaite 2000). xi is the state of the loop without limits minus the
-vehicle's state, and follows xi+ = (A_p - B_p F) xi - B_p (u - v). The controller reads y + C_p xi instead of y. F xi is added to its
-output and makes xi decay. Both together are a transfer function from u - v to v. The controller's own states can realise it,
-because K's zeros cancel the vehicle's poles. L is a linear least-squares fit to it, per node.
+Limits are compensated by model recovery (Weston and Postlethwaite 2000). xi is the state of the loop without
+limits minus the vehicle's state, and follows xi+ = (A_p - B_p F) xi - B_p (u - v). The controller reads y +
+C_p xi instead of y. F xi is added to its output and makes xi decay. Both together are a transfer function
+from u - v to v. The controller's own states can realise it, because K's zeros cancel the vehicle's poles. L
+is a linear least-squares fit to it, per node.
 """
 
 from __future__ import annotations
@@ -31,23 +34,29 @@ FIT_POINTS = 100
 FIT_STEPS = 40
 """Steps of the search for poles."""
 RIDGE = 1e-6
-"""Of the largest column, added to each fit: keeps states that contribute little from cancelling each other."""
+"""Of the largest column, added to each fit: keeps states that contribute little from cancelling each
+other."""
 RECOVERY_RIDGE = 1e-4
 RECOVERY_EFFORT = 0.03
-"""Weight of the recovery's input, in u_max, against the output, in what u_max makes of it in the end; in squares."""
+"""Weight of the recovery's input, in u_max, against the output, in what u_max makes of it in the end; in
+squares."""
 
 
 @dataclass(frozen=True)
 class FrozenLoop:
-    """One speed: the controller to be realised, one sample late; its generalised plant; the vehicle from u to y. All discrete."""
+    """One speed: the controller to be realised, one sample late; its generalised plant; the vehicle from u to
+    y. All discrete."""
 
     controller: StateSpace
     plant: GeneralisedPlant
     vehicle: StateSpace
 
 
-def fit(loops: Sequence[FrozenLoop], speeds: np.ndarray, scaling: Scaling, pairs: int, u_max: np.ndarray) -> Scheduled:
-    """The schedule of ``pairs`` pairs of poles and a delay that comes nearest to the controllers of ``loops``, one a speed.
+def fit(
+    loops: Sequence[FrozenLoop], speeds: np.ndarray, scaling: Scaling, pairs: int, u_max: np.ndarray
+) -> Scheduled:
+    """The schedule of ``pairs`` pairs of poles and a delay that comes nearest to the controllers of
+    ``loops``, one a speed.
 
     u_max (n_u,): largest demand. Raises LinAlgError where a loop's sensitivity or recovery does not exist.
     """
@@ -56,15 +65,22 @@ def fit(loops: Sequence[FrozenLoop], speeds: np.ndarray, scaling: Scaling, pairs
     z = np.exp(1j * omega * Ts)
     fits = [fit for loop in loops for fit in _fits(loop, scaling, omega)]
     rates = np.concatenate([np.abs(_rates(loop.controller)) for loop in loops])
-    start = np.clip(np.quantile(np.log(rates), np.linspace(0.05, 0.95, pairs)), np.log(2 * omega[1]), np.log(0.5 * omega[-1]))
+    start = np.clip(
+        np.quantile(np.log(rates), np.linspace(0.05, 0.95, pairs)),
+        np.log(2 * omega[1]),
+        np.log(0.5 * omega[-1]),
+    )
     low, high = np.log(omega[1]), np.log(omega[-1])
-    found = least_squares(lambda theta: np.concatenate([f.miss(_first_columns(theta, Ts), z) for f in fits]),
-                          np.column_stack([start + np.log(1.4), 2 * start]).ravel(), max_nfev=FIT_STEPS,
-                          bounds=(np.tile([low, 2 * low], pairs), np.tile([high + np.log(2.0), 2 * high], pairs)))
+    found = least_squares(
+        lambda theta: np.concatenate([f.miss(_first_columns(theta, Ts), z) for f in fits]),
+        np.column_stack([start + np.log(1.4), 2 * start]).ravel(),
+        max_nfev=FIT_STEPS,
+        bounds=(np.tile([low, 2 * low], pairs), np.tile([high + np.log(2.0), 2 * high], pairs)),
+    )
     a = _first_columns(found.x, Ts)
     n_u = loops[0].controller.n_outputs
     B = np.array([f.rows(a, z) for f in fits]).reshape(len(loops), n_u, len(a), -1)
-    L = np.array([_recovery(loop.vehicle, a, rows, u_max, z) for loop, rows in zip(loops, B)])
+    L = np.array([_recovery(loop.vehicle, a, rows, u_max, z) for loop, rows in zip(loops, B, strict=False)])
     return Scheduled(Ts, np.asarray(speeds, float), a, B, L)
 
 
@@ -86,7 +102,7 @@ def _first_columns(theta: np.ndarray, Ts: float) -> np.ndarray:
 def _observed(a: np.ndarray, z: np.ndarray) -> np.ndarray:
     """C (z I - A)^-1, (k, n): what each state adds to the demand."""
     d = z[:, None] - 1
-    first, second = a[:len(a) // 2 * 2].reshape(-1, 2).T
+    first, second = a[: len(a) // 2 * 2].reshape(-1, 2).T
     pair = 1 / (d * d - first * d - second)
     columns = np.stack([d * pair, pair], axis=2).reshape(len(z), -1)
     return np.hstack([columns, 1 / (d - a[-1])]) if len(a) % 2 else columns
@@ -98,7 +114,8 @@ def _stacked(values: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _RowFit:
-    """One demand at one speed: response (k, m) to be met, weights left (k,) and right (k, m, m) of a deviation."""
+    """One demand at one speed: response (k, m) to be met, weights left (k,) and right (k, m, m) of a
+    deviation."""
 
     response: np.ndarray
     left: np.ndarray
@@ -134,9 +151,9 @@ def _fits(loop: FrozenLoop, scaling: Scaling, omega: np.ndarray) -> list[_RowFit
     left = P[:, :n_z, n_w:] @ np.linalg.inv(np.eye(plant.n_control) - K @ P22)
     right = np.linalg.solve(np.eye(plant.n_measurement) - P22 @ K, P[:, n_z:, :n_w])
     row = col = 0
-    for block, d in zip(plant.blocks, np.exp(scaling.log_magnitude(omega))):
-        left[:, row:row + block.cols] *= d[:, None, None]
-        right[:, :, col:col + block.rows] /= d[:, None, None]
+    for block, d in zip(plant.blocks, np.exp(scaling.log_magnitude(omega)), strict=False):
+        left[:, row : row + block.cols] *= d[:, None, None]
+        right[:, :, col : col + block.rows] /= d[:, None, None]
         row, col = row + block.cols, col + block.rows
     square = right @ np.conj(np.swapaxes(right, 1, 2))
     floor = 1e-12 * np.trace(square, axis1=1, axis2=2).real[:, None, None] * np.eye(plant.n_measurement)
@@ -144,17 +161,22 @@ def _fits(loop: FrozenLoop, scaling: Scaling, omega: np.ndarray) -> list[_RowFit
     return [_RowFit(K[:, i], np.linalg.norm(left[:, :, i], axis=1), factor) for i in range(plant.n_control)]
 
 
-def _recovery(vehicle: StateSpace, a: np.ndarray, B: np.ndarray, u_max: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """L (n_u, n, n_u) at one speed (the module's docstring), B (n_u, n, 1 + n_y) without the reference's column."""
+def _recovery(
+    vehicle: StateSpace, a: np.ndarray, B: np.ndarray, u_max: np.ndarray, z: np.ndarray
+) -> np.ndarray:
+    """L (n_u, n, n_u) at one speed (the module's docstring), B (n_u, n, 1 + n_y) without the reference's
+    column."""
     A_p, B_p, C_p = vehicle.A, vehicle.B, vehicle.C
     eye, n_u = np.eye(len(A_p)), len(u_max)
     in_the_end = (C_p @ np.linalg.solve(eye - A_p, B_p))[0] * u_max
-    Q, R = np.outer(C_p[0], C_p[0]) / (in_the_end @ in_the_end), RECOVERY_EFFORT * np.diag(u_max ** -2.0)
+    Q, R = np.outer(C_p[0], C_p[0]) / (in_the_end @ in_the_end), RECOVERY_EFFORT * np.diag(u_max**-2.0)
     X = sl.solve_discrete_are(A_p, B_p, Q, R)
     F = np.linalg.solve(R + B_p.T @ X @ B_p, B_p.T @ X @ A_p)
     seen = _observed(a, z)
     shown = np.einsum("kj,ijm->kim", seen, B[:, :, 1:]) @ C_p + F
-    wanted = -shown @ np.linalg.solve(z[:, None, None] * eye - A_p + B_p @ F, np.broadcast_to(B_p, (len(z), *B_p.shape)))
+    wanted = -shown @ np.linalg.solve(
+        z[:, None, None] * eye - A_p + B_p @ F, np.broadcast_to(B_p, (len(z), *B_p.shape))
+    )
     # With L the demand under limits is (1 + wanted)^-1 of what it would be: a deviation counts by that.
     weight = np.linalg.norm(np.linalg.inv(np.eye(n_u) + wanted), axis=1)
     L = np.empty((n_u, len(a), n_u))

@@ -1,13 +1,15 @@
 """Bounds and weights recomputed from few frames: quick enough to stand inside a search over trade-offs.
 
-A frame decides when no other frame of the bin exceeds it in B1, |Z| and |delta0| at once. gamma_w's rule (T8) and nu (T5) grow with each
-of the three, so their maxima over the deciding frames are those over all. Deciding frames come from every start sample of the drives
-that set the bounds; those within NEAR of one that is kept are left out. Without the drives the stored sample replaces them
-(spectra.npz: per bin the frames of largest |E| and a draw, on the core's grid). Largest |w_j| are over the sample and these frames,
-so they are near their bounds and are no bounds. The result is for choosing a trade-off. Bounds come from `identify` with that choice.
+A frame decides when no other frame of the bin exceeds it in B1, |Z| and |delta0| at once. gamma_w's rule (T8)
+and nu (T5) grow with each of the three, so their maxima over the deciding frames are those over all. Deciding
+frames come from every start sample of the drives that set the bounds; those within NEAR of one that is kept
+are left out. Without the drives the stored sample replaces them (spectra.npz: per bin the frames of largest
+|E| and a draw, on the core's grid). Largest |w_j| are over the sample and these frames, so they are near
+their bounds and are no bounds. The result is for choosing a trade-off. Bounds come from `identify` with that
+choice.
 
-Class S2 (paper, K_is) needs u and the nominal state of a frame. They are taken from Z through the frozen model at the frame's
-mean speed: u the least-squares input behind Z, x_nom = (zI - A_d)^-1 B_d u.
+Class S2 (paper, K_is) needs u and the nominal state of a frame. They are taken from Z through the frozen
+model at the frame's mean speed: u the least-squares input behind Z, x_nom = (zI - A_d)^-1 B_d u.
 """
 
 from __future__ import annotations
@@ -41,9 +43,9 @@ NEAR = 0.02
 class Split:
     """The error of every stored frame divided among uncertainty and disturbance, as maxima per bin.
 
-    nu_i (K,): input-multiplicative; nu_s (K,) [1/s]: on the state, None in class S1; B_w (K, n_y): disturbance, jointly covering
-    where the project asks for it. NaN: no frame. ``at_cap``: frames whose best nu_s was the well-posedness cap, explained by
-    nu_i alone instead.
+    nu_i (K,): input-multiplicative; nu_s (K,) [1/s]: on the state, None in class S1; B_w (K, n_y):
+    disturbance, jointly covering where the project asks for it. NaN: no frame. ``at_cap``: frames whose best
+    nu_s was the well-posedness cap, explained by nu_i alone instead.
     """
 
     gamma_w: np.ndarray
@@ -63,19 +65,30 @@ class UncertaintyWeights:
 
 
 class StoredFrames:
-    """Frames of the drives that set the bounds: the stored sample and, given the drives, those that decide the bounds.
+    """Frames of the drives that set the bounds: the stored sample and, given the drives, those that decide
+    the bounds.
 
     ``complete``: whether the drives were given.
     """
 
-    def __init__(self, stored: StoredIdentification, drives: DriveSet | None = None, progress: Progress = lambda _: None):
+    def __init__(
+        self,
+        stored: StoredIdentification,
+        drives: DriveSet | None = None,
+        progress: Progress = lambda _: None,
+    ):
         self.stored, self.project = stored, stored.project
         self.model = NominalModel(stored.project)
         self.estimator = Estimator.of(stored.project, self.model)
         path = stored.folder / "spectra.npz"
         with np.load(path) as spectra:
             if "speed" not in spectra:
-                raise InputError(path, "speed", "missing", "an identification made by this version: run `lpvguard identify` again")
+                raise InputError(
+                    path,
+                    "speed",
+                    "missing",
+                    "an identification made by this version: run `lpvguard identify` again",
+                )
             columns = {key: spectra[key] for key in ("bin", "start", "speed", "E", "Z")}
         self.sets, self.speeds = [], []
         for k in range(self.estimator.n_bins):
@@ -95,9 +108,17 @@ class StoredFrames:
             for s in counted_frames(drive, e, yhat, self.model, self.estimator):
                 N, (old, speed) = self.estimator.length[s.bin], found[s.bin]
                 keep = deciding(s.E, s.Z) if len(s.E) else np.zeros(0, int)
-                found[s.bin] = (FrameSet(s.bin, *(np.concatenate([getattr(old, key), getattr(s, key)[keep]])
-                                                  for key in ("E", "Z", "starts")), old.experiment),
-                                np.concatenate([speed, (total[s.starts[keep] + N] - total[s.starts[keep]]) / N]))
+                found[s.bin] = (
+                    FrameSet(
+                        s.bin,
+                        *(
+                            np.concatenate([getattr(old, key), getattr(s, key)[keep]])
+                            for key in ("E", "Z", "starts")
+                        ),
+                        old.experiment,
+                    ),
+                    np.concatenate([speed, (total[s.starts[keep] + N] - total[s.starts[keep]]) / N]),
+                )
         self.sets, self.speeds = map(list, zip(*found, strict=True))
 
     def gamma_rule(self, ceiling: np.ndarray) -> np.ndarray:
@@ -115,7 +136,8 @@ class StoredFrames:
         return Split(gamma_w, np.array([_largest(n) for n in nu]), None, self._disturbance(w))
 
     def explain_with_state(self, gamma_w: np.ndarray, lambda_s: float) -> Split:
-        """Class S2: min nu_i^2 + lambda_s nu_s^2 given gamma_w (K,); lambda_s in s^2 (Lambda_nu = diag(1, lambda_s))."""
+        """Class S2: min nu_i^2 + lambda_s nu_s^2 given gamma_w (K,); lambda_s in s^2 (Lambda_nu = diag(1,
+        lambda_s))."""
         nu_i, nu_s, all_w, at_cap = [], [], [], 0
         for s, v in zip(self.sets, self.speeds, strict=True):
             nu, w = explain(s, self.estimator, gamma_w, "S1")
@@ -123,11 +145,18 @@ class StoredFrames:
             needing = np.flatnonzero((nu > 0) & (np.linalg.norm(s.Z, axis=1) > 0))
             if len(needing):
                 u, x_nom, h_i, h_s = self._behind(s.Z[needing], v[needing], self.estimator.omega[s.bin])
-                found = s2.solve(s.E[needing], u, x_nom, h_i, h_s, self.model.C, gamma_w[s.bin], 1.0, lambda_s)
+                found = s2.solve(
+                    s.E[needing], u, x_nom, h_i, h_s, self.model.C, gamma_w[s.bin], 1.0, lambda_s
+                )
                 at_cap += int(np.count_nonzero(found.at_cap))
-                # S1 is S2 with nu_s = 0: it stays where it explains the frame at less, as where Z is far from a frozen response.
+                # S1 is S2 with nu_s = 0: it stays where it explains the frame at less, as where Z is far from
+                # a frozen response.
                 good = ~found.at_cap & (found.upper <= nu[needing] ** 2)
-                nu[needing[good]], state[needing[good]], w[needing[good]] = found.nu_i[good], found.nu_s[good], found.w[good]
+                nu[needing[good]], state[needing[good]], w[needing[good]] = (
+                    found.nu_i[good],
+                    found.nu_s[good],
+                    found.w[good],
+                )
             nu_i.append(_largest(nu))
             nu_s.append(_largest(state))
             all_w.append(w)
@@ -137,14 +166,23 @@ class StoredFrames:
         """Steps 6 and 7."""
         project, estimator, fitted = self.project, self.estimator, self.stored.fitted
         floor = smallest_disturbance(self.stored.bounds["B2"])
-        B_w = [fit_bound(project, estimator, split.B_w[:, j], f"B_w of {s.name}", floor) for j, s in enumerate(project.outputs)]
-        delta = [None if nu is None else fit_bound(project, estimator, uncertainty_samples(estimator, nu), "nu", SMALLEST_NU)
-                 for nu in (split.nu_i, split.nu_s)]
+        B_w = [
+            fit_bound(project, estimator, split.B_w[:, j], f"B_w of {s.name}", floor)
+            for j, s in enumerate(project.outputs)
+        ]
+        delta = [
+            None
+            if nu is None
+            else fit_bound(project, estimator, uncertainty_samples(estimator, nu), "nu", SMALLEST_NU)
+            for nu in (split.nu_i, split.nu_s)
+        ]
         return UncertaintyWeights(disturbance_weights(project, estimator, B_w, fitted.W_n, floor)[0], *delta)
 
     def _disturbance(self, w) -> np.ndarray:
         """B_w (K, n_y) over the disturbances of all frames, a list over bins of (F, n_y)."""
-        B_w = np.array([_largest(np.abs(one)) if len(one) else np.full(self.project.n_y, np.nan) for one in w])
+        B_w = np.array(
+            [_largest(np.abs(one)) if len(one) else np.full(self.project.n_y, np.nan) for one in w]
+        )
         if self.project.bounds.disturbance_set == "covering":
             for k, one in enumerate(w):
                 if len(one):
@@ -153,8 +191,11 @@ class StoredFrames:
         return B_w
 
     def _behind(self, Z, v, omega):
-        """u (F,), x_nom (F, n), h_i (F, n) and h_s (F, n, n) of frames at speeds v (F,) in a bin at ``omega`` [rad/s]."""
-        speeds, index = np.unique(np.round(v, 2), return_inverse=True)  # 1 cm/s moves no entry by more than 1e-3
+        """u (F,), x_nom (F, n), h_i (F, n) and h_s (F, n, n) of frames at speeds v (F,) in a bin at ``omega``
+        [rad/s]."""
+        speeds, index = np.unique(
+            np.round(v, 2), return_inverse=True
+        )  # 1 cm/s moves no entry by more than 1e-3
         A, B = self.model.matrices(np.clip(speeds, *self.model.speed_range))
         n, Ts, z = self.model.n, self.project.Ts_s, np.exp(1j * omega * self.project.Ts_s)
         augmented = np.zeros((len(A), 2 * n, 2 * n))
@@ -170,14 +211,19 @@ class StoredFrames:
 
 
 def deciding(E: np.ndarray, Z: np.ndarray, near: float = NEAR) -> np.ndarray:
-    """Indices of frames of E, Z (F, n_y): every frame has B1, |Z| and |delta0| at most 1 + ``near`` times those of one of them."""
+    """Indices of frames of E, Z (F, n_y): every frame has B1, |Z| and |delta0| at most 1 + ``near`` times
+    those of one of them."""
     size = np.linalg.norm(E, axis=1)
-    values = np.column_stack([s1.solve(E, Z, size).b1, np.linalg.norm(Z, axis=1), np.abs(s1.least_squares_delta(E, Z))])
+    values = np.column_stack(
+        [s1.solve(E, Z, size).b1, np.linalg.norm(Z, axis=1), np.abs(s1.least_squares_delta(E, Z))]
+    )
     left = np.arange(len(values))
     kept = []
     scale = np.maximum(values.max(axis=0, initial=0.0), 1e-300)
     while len(left):
-        best = left[np.argmax((values[left] / scale).sum(axis=1))]  # the largest sum cannot be exceeded by any that is left
+        best = left[
+            np.argmax((values[left] / scale).sum(axis=1))
+        ]  # the largest sum cannot be exceeded by any that is left
         kept.append(best)
         left = left[(values[left] > (1 + near) * values[best]).any(axis=1)]
     return np.sort(np.array(kept, int))

@@ -1,13 +1,17 @@
-"""`lpvguard design --tradeoff`: which ceiling on nu, and with it gamma_w, and which Lambda_nu give the least worst mu over speed.
+"""`lpvguard design --tradeoff`: which ceiling on nu, and with it gamma_w, and which Lambda_nu give the least
+worst mu over speed.
 
-A candidate is a ceiling nu_bar(omega), linear over log omega between levels at the lowest and the highest bin, and a structure: K_i (class
-S1), or K_is (class S2) with Lambda_nu = diag(1, lambda_s). The rule of step 4 makes gamma_w of it, steps 5 to 7 the weights, from few
-frames (stored_frames.py). Its measure is the optimum over speeds under the best common D (engine/synthesis/scheduling.py): an upper bound of
-the worst mu of the best frozen controllers, and the level that `design` starts from. The floor (engine/synthesis/limits.py) costs a hundredth of that
-and bounds every controller from below: a candidate whose floor is not below the best measure is not synthesised.
+A candidate is a ceiling nu_bar(omega), linear over log omega between levels at the lowest and the highest
+bin, and a structure: K_i (class S1), or K_is (class S2) with Lambda_nu = diag(1, lambda_s). The rule of step
+4 makes gamma_w of it, steps 5 to 7 the weights, from few frames (stored_frames.py). Its measure is the
+optimum over speeds under the best common D (engine/synthesis/scheduling.py): an upper bound of the worst mu
+of the best frozen controllers, and the level that `design` starts from. The floor
+(engine/synthesis/limits.py) costs a hundredth of that and bounds every controller from below: a candidate
+whose floor is not below the best measure is not synthesised.
 
-The search: uniform ceilings for both structures (the front), then steps of the two levels and of lambda_s from the best. Its size is
-fixed, so the same input gives the same bytes. The project's own ceiling is always among the candidates.
+The search: uniform ceilings for both structures (the front), then steps of the two levels and of lambda_s
+from the best. Its size is fixed, so the same input gives the same bytes. The project's own ceiling is always
+among the candidates.
 """
 
 from __future__ import annotations
@@ -41,8 +45,8 @@ ROUNDS = 2
 
 @dataclass(frozen=True)
 class Candidate:
-    """Ceiling ``low`` at the lowest bin, ``high`` at the highest, linear over log omega between; ``lambda_s`` [s^2], None: K_i.
-    ``own``: the project's ceiling instead."""
+    """Ceiling ``low`` at the lowest bin, ``high`` at the highest, linear over log omega between; ``lambda_s``
+    [s^2], None: K_i. ``own``: the project's ceiling instead."""
 
     low: float
     high: float
@@ -56,7 +60,8 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A candidate's ceiling and split (K,), floor, and ``level``: the optimum over speeds; None when the floor decided."""
+    """A candidate's ceiling and split (K,), floor, and ``level``: the optimum over speeds; None when the
+    floor decided."""
 
     candidate: Candidate
     ceiling: np.ndarray
@@ -67,17 +72,25 @@ class Outcome:
 
     def to_dict(self) -> dict:
         c = self.candidate
-        return {"structure": c.structure, "ceiling": "project" if c.own else "two levels", "nu_low": self.ceiling[1],
-                "nu_high": self.ceiling[-1], "lambda_s": c.lambda_s, "mu_worst": self.level, "floor": self.floor.value,
-                "floor_rad_s": self.floor.frequency, "gamma_w_max": float(np.nanmax(self.split.gamma_w)),
-                "nu_i_max": float(np.nanmax(self.split.nu_i)),
-                "nu_s_max": None if self.split.nu_s is None else float(np.nanmax(self.split.nu_s))}
+        return {
+            "structure": c.structure,
+            "ceiling": "project" if c.own else "two levels",
+            "nu_low": self.ceiling[1],
+            "nu_high": self.ceiling[-1],
+            "lambda_s": c.lambda_s,
+            "mu_worst": self.level,
+            "floor": self.floor.value,
+            "floor_rad_s": self.floor.frequency,
+            "gamma_w_max": float(np.nanmax(self.split.gamma_w)),
+            "nu_i_max": float(np.nanmax(self.split.nu_i)),
+            "nu_s_max": None if self.split.nu_s is None else float(np.nanmax(self.split.nu_s)),
+        }
 
 
 @dataclass(frozen=True)
 class TradeOff:
-    """``outcomes`` in the order tried, ``best`` and ``own`` (the project's setting) among them, and what limits the best:
-    ``limit`` in numbers, ``sentence`` in words."""
+    """``outcomes`` in the order tried, ``best`` and ``own`` (the project's setting) among them, and what
+    limits the best: ``limit`` in numbers, ``sentence`` in words."""
 
     problem: FrozenProblem
     outcomes: list[Outcome]
@@ -89,22 +102,47 @@ class TradeOff:
     def files(self) -> dict[str, str]:
         """tradeoff.json and .csv."""
         rows = [o.to_dict() for o in self.outcomes]
-        document = {"kind": "tradeoff", "schema": 1, "vehicle": self.problem.stored.project.name, "speeds_mps": speeds(self.problem),
-                    "A_t": self.problem.settings.A_t, "A_u": self.problem.settings.A_u,
-                    "frames": "deciding frames of the drives" if self.problem.frames.complete else "stored sample of frames",
-                    "sentence": self.sentence, "limit": self.limit, "best": self.best.to_dict(), "own": self.own.to_dict(),
-                    "setting": self.setting(), "rows": rows, "omega_rad_s": self.problem.frames.estimator.omega,
-                    "detail": {name: {"ceiling": o.ceiling, "gamma_w": o.split.gamma_w, "nu_i": o.split.nu_i, "nu_s": o.split.nu_s,
-                                      "B_w": o.split.B_w} for name, o in (("best", self.best), ("own", self.own))}}
+        document = {
+            "kind": "tradeoff",
+            "schema": 1,
+            "vehicle": self.problem.stored.project.name,
+            "speeds_mps": speeds(self.problem),
+            "A_t": self.problem.settings.A_t,
+            "A_u": self.problem.settings.A_u,
+            "frames": "deciding frames of the drives"
+            if self.problem.frames.complete
+            else "stored sample of frames",
+            "sentence": self.sentence,
+            "limit": self.limit,
+            "best": self.best.to_dict(),
+            "own": self.own.to_dict(),
+            "setting": self.setting(),
+            "rows": rows,
+            "omega_rad_s": self.problem.frames.estimator.omega,
+            "detail": {
+                name: {
+                    "ceiling": o.ceiling,
+                    "gamma_w": o.split.gamma_w,
+                    "nu_i": o.split.nu_i,
+                    "nu_s": o.split.nu_s,
+                    "B_w": o.split.B_w,
+                }
+                for name, o in (("best", self.best), ("own", self.own))
+            },
+        }
         return {"tradeoff.json": artefacts.to_json(document), "tradeoff.csv": to_csv(rows)}
 
     def setting(self) -> dict:
         """What to write into the project file."""
         omega = self.problem.frames.estimator.omega
-        ceiling = (self.problem.stored.project.bounds.nu_ceiling.model_dump() if self.best.candidate.own else
-                   between(self.best.candidate, omega).model_dump())
-        return {"bounds.nu_ceiling": ceiling} | ({} if self.best.candidate.lambda_s is None
-                                                 else {"design.lambda_s": self.best.candidate.lambda_s})
+        ceiling = (
+            self.problem.stored.project.bounds.nu_ceiling.model_dump()
+            if self.best.candidate.own
+            else between(self.best.candidate, omega).model_dump()
+        )
+        return {"bounds.nu_ceiling": ceiling} | (
+            {} if self.best.candidate.lambda_s is None else {"design.lambda_s": self.best.candidate.lambda_s}
+        )
 
 
 def between(c: Candidate, omega: np.ndarray) -> NuCeiling:
@@ -144,15 +182,20 @@ class _Search:
     def split(self, c: Candidate) -> tuple[np.ndarray, Split]:
         ceiling = self.ceiling(c)
         gamma_w = self.frames.smooth(self.frames.gamma_rule(ceiling))
-        return ceiling, (self.frames.explain(gamma_w) if c.lambda_s is None
-                         else self.frames.explain_with_state(gamma_w, c.lambda_s))
+        return ceiling, (
+            self.frames.explain(gamma_w)
+            if c.lambda_s is None
+            else self.frames.explain_with_state(gamma_w, c.lambda_s)
+        )
 
     def measure(self, c: Candidate, start: Scaling | None, must: bool = False) -> Outcome:
         """Outcome of a candidate; ``must``: synthesise whatever the floor says."""
         key = (*np.round([c.low, c.high, c.lambda_s or 0.0], 9), c.own)
         if key not in self.known:
-            self.progress(f"candidate {len(self.outcomes) + 1}: {c.structure}, ceiling {c.low:.3g} to {c.high:.3g}"
-                          + ("" if c.lambda_s is None else f", lambda_s {c.lambda_s:.3g}"))
+            self.progress(
+                f"candidate {len(self.outcomes) + 1}: {c.structure}, ceiling {c.low:.3g} to {c.high:.3g}"
+                + ("" if c.lambda_s is None else f", lambda_s {c.lambda_s:.3g}")
+            )
             ceiling, split = self.split(c)
             plants = self.plants(c, self.frames.weights(split))
             floor = max((mu_floor(p, rtol=1e-3) for p in plants), key=lambda f: f.value)
@@ -168,7 +211,11 @@ class _Search:
     def front(self) -> None:
         """Uniform ceilings, each starting from its neighbour's scaling."""
         for lambda_s in (None, self.problem.settings.lambda_s):
-            last = self.measure(Candidate(*self.problem.stored.bounds["nu_ceiling"][[1, -1]].tolist(), lambda_s, own=True), None, True)
+            last = self.measure(
+                Candidate(*self.problem.stored.bounds["nu_ceiling"][[1, -1]].tolist(), lambda_s, own=True),
+                None,
+                True,
+            )
             scaling = last.scaling
             for level in LEVELS:
                 outcome = self.measure(Candidate(level, level, lambda_s), scaling, True)
@@ -179,13 +226,18 @@ class _Search:
         for _ in range(ROUNDS):
             before = self.best()
             for move in ("low", "high", "lambda_s"):
-                for factor in (LEVEL_STEP, 1 / LEVEL_STEP) if move != "lambda_s" else (LAMBDA_STEP, 1 / LAMBDA_STEP):
+                for factor in (
+                    (LEVEL_STEP, 1 / LEVEL_STEP) if move != "lambda_s" else (LAMBDA_STEP, 1 / LAMBDA_STEP)
+                ):
                     centre = self.best()
                     value = getattr(centre.candidate, move)
                     if value is None:
                         continue
                     value = value * factor if move == "lambda_s" else min(value * factor, LARGEST_LEVEL)
-                    if self.measure(replace(centre.candidate, **{move: value}, own=False), centre.scaling) is self.best():
+                    if (
+                        self.measure(replace(centre.candidate, **{move: value}, own=False), centre.scaling)
+                        is self.best()
+                    ):
                         break
             if self.best() is before:
                 break
@@ -204,7 +256,8 @@ def search(problem: FrozenProblem, progress: Progress = lambda _: None) -> Trade
 
 
 def _limit(run: _Search, best: Outcome) -> dict:
-    """Where and through which signals the best candidate's worst speed has its mu: shares of the worst vectors at the peak."""
+    """Where and through which signals the best candidate's worst speed has its mu: shares of the worst
+    vectors at the peak."""
     plants = run.plants(best.candidate, run.frames.weights(best.split))
     worst = None
     for v, plant in zip(speeds(run.problem), plants, strict=True):
@@ -216,21 +269,43 @@ def _limit(run: _Search, best: Outcome) -> dict:
     frequency = performance.bracket.peak_frequency
     loop = lft(plant.system, result.controller)
     M = loop.response([frequency])[0]
-    left, right = (np.abs(np.diagonal(G.response([_warped(frequency, loop.dt)])[0])) for G in performance.scaling.systems(plant))
+    left, right = (
+        np.abs(np.diagonal(G.response([_warped(frequency, loop.dt)])[0]))
+        for G in performance.scaling.systems(plant)
+    )
     U, _, Vh = np.linalg.svd(left[:, None] * M * right)
     share = lambda x, names: dict(zip(names, (np.abs(x) ** 2).tolist(), strict=True))
-    return {"speed_mps": v, "mu_upper": performance.upper, "mu_lower": performance.lower, "peak_rad_s": frequency,
-            "enters_by": share(Vh[0], loop.inputs), "leaves_by": share(U[:, 0], loop.outputs),
-            "floor": best.floor.value, "floor_rad_s": best.floor.frequency}
+    return {
+        "speed_mps": v,
+        "mu_upper": performance.upper,
+        "mu_lower": performance.lower,
+        "peak_rad_s": frequency,
+        "enters_by": share(Vh[0], loop.inputs),
+        "leaves_by": share(U[:, 0], loop.outputs),
+        "floor": best.floor.value,
+        "floor_rad_s": best.floor.frequency,
+    }
 
 
 def _warped(omega: float, dt: float) -> float:
-    return float(np.minimum(2 / dt * np.tan(min(0.5 * omega * dt, 0.5 * np.pi * (1 - 1e-9))), 1e12)) if dt else omega
+    return (
+        float(np.minimum(2 / dt * np.tan(min(0.5 * omega * dt, 0.5 * np.pi * (1 - 1e-9))), 1e12))
+        if dt
+        else omega
+    )
 
 
-NAMES = {"w_r": "the yaw rate's disturbance", "w_delta": "the road-wheel angle's disturbance", "n_r": "the yaw rate's noise",
-         "n_delta": "the angle's noise", "r_c": "the command", "xi_i": "the input uncertainty", "z_t": "the tracking error",
-         "z_u": "the control effort", "eta_i": "the input uncertainty"}
+NAMES = {
+    "w_r": "the yaw rate's disturbance",
+    "w_delta": "the road-wheel angle's disturbance",
+    "n_r": "the yaw rate's noise",
+    "n_delta": "the angle's noise",
+    "r_c": "the command",
+    "xi_i": "the input uncertainty",
+    "z_t": "the tracking error",
+    "z_u": "the control effort",
+    "eta_i": "the input uncertainty",
+}
 
 
 def _carriers(shares: dict[str, float]) -> str:
@@ -244,17 +319,30 @@ def _carriers(shares: dict[str, float]) -> str:
 
 def _sentence(run: _Search, best: Outcome, own: Outcome, limit: dict) -> str:
     c = best.candidate
-    where = "the project's own ceiling" if c.own else f"a ceiling of {c.low:.3g} at the lowest bin and {c.high:.3g} at the highest"
-    text = (f"Least worst mu {best.level:.3f} with {c.structure}, {where}" + ("" if c.lambda_s is None else f", lambda_s {c.lambda_s:.3g} s^2")
-            + f" (K_i with the project's ceiling: {own.level:.3f}). ")
+    where = (
+        "the project's own ceiling"
+        if c.own
+        else f"a ceiling of {c.low:.3g} at the lowest bin and {c.high:.3g} at the highest"
+    )
+    text = (
+        f"Least worst mu {best.level:.3f} with {c.structure}, {where}"
+        + ("" if c.lambda_s is None else f", lambda_s {c.lambda_s:.3g} s^2")
+        + f" (K_i with the project's ceiling: {own.level:.3f}). "
+    )
     if best.level >= 1:
         least = min(o.floor.value for o in run.outcomes)
-        text += ("No candidate reaches mu < 1: with these objectives "
-                 + ("no controller can, as every candidate's floor is at least "
-                    f"{least:.3f}. " if least >= 1 else f"the floors (down to {least:.3f}) leave it open to other D or controllers. "))
+        text += "No candidate reaches mu < 1: with these objectives " + (
+            f"no controller can, as every candidate's floor is at least {least:.3f}. "
+            if least >= 1
+            else f"the floors (down to {least:.3f}) leave it open to other D or controllers. "
+        )
     at = lambda omega: "DC" if omega < 1e-2 * run.frames.estimator.omega[1] else f"{omega:.3g} rad/s"
-    text += (f"What limits it: at {limit['speed_mps']:g} m/s and {at(limit['peak_rad_s'])} mu enters by {_carriers(limit['enters_by'])} "
-             f"and leaves by {_carriers(limit['leaves_by'])}; with these weights no controller goes below {limit['floor']:.3f} "
-             f"(at {at(limit['floor_rad_s'])})")
+    text += (
+        f"What limits it: at {limit['speed_mps']:g} m/s and {at(limit['peak_rad_s'])} mu enters by {_carriers(limit['enters_by'])} "
+        f"and leaves by {_carriers(limit['leaves_by'])}; with these weights no controller goes below {limit['floor']:.3f} "
+        f"(at {at(limit['floor_rad_s'])})"
+    )
     reached = best.level <= best.floor.value * (1 + 10 * AS_GOOD)
-    return text + (": it is reached, so only other objectives, noise or disturbance bounds lower mu." if reached else ".")
+    return text + (
+        ": it is reached, so only other objectives, noise or disturbance bounds lower mu." if reached else "."
+    )

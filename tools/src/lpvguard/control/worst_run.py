@@ -1,9 +1,11 @@
-"""Fig. 6: controllers of Table II in the time domain, with the worst Δ of size 1, measured disturbances and a measured reference.
+"""Fig. 6: controllers of Table II in the time domain, with the worst Δ of size 1, measured disturbances and a
+measured reference.
 
-As in the paper (section V): r_c is the filtered yaw rate of a drive near the design speed, w = diag(f, 1) e its nominal error with the
-yaw rate's share decreased by f to keep the DC disturbance bound, the noise band-limited and white of power NOISE_POWER before W_n.
-The controllers run with their sample of delay on the nominal vehicle at the design speed; K_inf without Δ, K_i with the worst Δ_i,
-K_is with the worst Δ_i and Δ_s, found by the lower bound of μ and realised as stable all-pass systems (engine/synthesis/worst_case.py).
+As in the paper (section V): r_c is the filtered yaw rate of a drive near the design speed, w = diag(f, 1) e
+its nominal error with the yaw rate's share decreased by f to keep the DC disturbance bound, the noise
+band-limited and white of power NOISE_POWER before W_n. The controllers run with their sample of delay on the
+nominal vehicle at the design speed; K_inf without Δ, K_i with the worst Δ_i, K_is with the worst Δ_i and Δ_s,
+found by the lower bound of μ and realised as stable all-pass systems (engine/synthesis/worst_case.py).
 """
 
 from __future__ import annotations
@@ -25,7 +27,8 @@ from .frozen import FrozenProblem
 NOISE_POWER = 0.01
 """Spectral density of n, so its variance is NOISE_POWER / Ts."""
 REFERENCE_CUTOFF_RAD_S = 3.0
-"""Of the zero-phase second-order filter that makes r_c of the measured yaw rate: W_R's own bandwidth in the paper's spirit."""
+"""Of the zero-phase second-order filter that makes r_c of the measured yaw rate: W_R's own bandwidth in the
+paper's spirit."""
 SHOWN_S = 30.0
 SHOWN_STEP = 4
 """Every so-manyth sample is kept for the picture."""
@@ -33,7 +36,8 @@ SHOWN_STEP = 4
 
 @dataclass(frozen=True)
 class Run:
-    """One controller's run: u (N,) [bar], r (N,) [rad/s] its yaw rate with disturbance, tracking error rms of all samples."""
+    """One controller's run: u (N,) [bar], r (N,) [rad/s] its yaw rate with disturbance, tracking error rms of
+    all samples."""
 
     cell: Cell
     worst: WorstCase
@@ -45,7 +49,8 @@ class Run:
 
 @dataclass(frozen=True)
 class WorstRuns:
-    """All runs on ``drive``; t (N,), wanted = W_R r_c (N,). ``left_out``: structures none of whose objectives has μ < 1."""
+    """All runs on ``drive``; t (N,), wanted = W_R r_c (N,). ``left_out``: structures none of whose objectives
+    has μ < 1."""
 
     drive: str
     factor: float
@@ -58,17 +63,37 @@ class WorstRuns:
         """What Fig. 6 shows, thinned, and what was measured over the whole drive."""
         shown = slice(0, int(SHOWN_S / (self.t[1] - self.t[0])), SHOWN_STEP)
         return {
-            "drive": self.drive, "factor": self.factor, "noise_power": NOISE_POWER, "left_out": self.left_out,
-            "command_rms": float(np.sqrt(np.mean(self.wanted**2))), "t_s": self.t[shown], "wanted_radps": self.wanted[shown],
-            "runs": [{"structure": r.cell.structure, "A_t": r.cell.A_t, "A_u": r.cell.A_u, "mu_upper": r.cell.upper,
-                      "delta_norm": r.worst.size, "delta_rad_s": r.worst.frequency, "delta_order": r.worst.delta.order,
-                      "worst_gain": r.worst.gain, "nominal_gain": r.worst.nominal, "tracking_rms": r.tracking_rms,
-                      "tracking_rms_without_delta": r.tracking_rms_nominal, "u_bar": r.u[shown], "r_radps": r.r[shown]}
-                     for r in self.runs]}
+            "drive": self.drive,
+            "factor": self.factor,
+            "noise_power": NOISE_POWER,
+            "left_out": self.left_out,
+            "command_rms": float(np.sqrt(np.mean(self.wanted**2))),
+            "t_s": self.t[shown],
+            "wanted_radps": self.wanted[shown],
+            "runs": [
+                {
+                    "structure": r.cell.structure,
+                    "A_t": r.cell.A_t,
+                    "A_u": r.cell.A_u,
+                    "mu_upper": r.cell.upper,
+                    "delta_norm": r.worst.size,
+                    "delta_rad_s": r.worst.frequency,
+                    "delta_order": r.worst.delta.order,
+                    "worst_gain": r.worst.gain,
+                    "nominal_gain": r.worst.nominal,
+                    "tracking_rms": r.tracking_rms,
+                    "tracking_rms_without_delta": r.tracking_rms_nominal,
+                    "u_bar": r.u[shown],
+                    "r_radps": r.r[shown],
+                }
+                for r in self.runs
+            ],
+        }
 
 
 def nearest_drive(drives: DriveSet, speed: float) -> tuple[Drive, np.ndarray]:
-    """The drive with input and counted frames whose mean speed is nearest to ``speed`` [m/s], and its nominal error e (N, 2)."""
+    """The drive with input and counted frames whose mean speed is nearest to ``speed`` [m/s], and its nominal
+    error e (N, 2)."""
     project = drives.reader.project
     best = None
     for name, experiment in drives.experiments.items():
@@ -79,7 +104,9 @@ def nearest_drive(drives: DriveSet, speed: float) -> tuple[Drive, np.ndarray]:
         if settled.any() and (best is None or abs(drive.v[settled].mean() - speed) < best[0]):
             best = abs(drive.v[settled].mean() - speed), drive, e
     if best is None:
-        raise InputError("Fig. 6", "drives", "none within the model's speed range", f"a drive near {speed:g} m/s")
+        raise InputError(
+            "Fig. 6", "drives", "none within the model's speed range", f"a drive near {speed:g} m/s"
+        )
     return best[1:]
 
 
@@ -88,7 +115,7 @@ def worst_runs(problem: FrozenProblem, cells: list[Cell], drives: DriveSet) -> W
     project = problem.stored.project
     drive, e = nearest_drive(drives, problem.settings.design_speed_mps)
     settled = np.flatnonzero(drives.reader.estimator.settled(drive.v))
-    e, r_measured = e[settled[0]:], drive.y[settled[0]:, 0]
+    e, r_measured = e[settled[0] :], drive.y[settled[0] :, 0]
     reference = filtfilt(*butter(2, REFERENCE_CUTOFF_RAD_S, fs=2 * np.pi / project.Ts_s), r_measured)
     random = np.random.default_rng(project.seed)
     noise = random.standard_normal((len(e), 2)) * np.sqrt(NOISE_POWER / project.Ts_s)
@@ -99,8 +126,14 @@ def worst_runs(problem: FrozenProblem, cells: list[Cell], drives: DriveSet) -> W
     W_R = to_discrete(problem.weights("K_inf", 1.0, 1.0).W_R, project.Ts_s)
     wanted = respond(W_R, reference[:, None])[:, 0]
     runs = [_run(problem, c, signals, wanted) for c in chosen]
-    return WorstRuns(drive.name, float(factor), np.arange(len(e)) * project.Ts_s, wanted, runs,
-                     [s for s in dict.fromkeys(c.structure for c in cells) if s not in met])
+    return WorstRuns(
+        drive.name,
+        float(factor),
+        np.arange(len(e)) * project.Ts_s,
+        wanted,
+        runs,
+        [s for s in dict.fromkeys(c.structure for c in cells) if s not in met],
+    )
 
 
 def _dc_bound(problem: FrozenProblem, c: Cell) -> float:
@@ -112,14 +145,20 @@ def _run(problem: FrozenProblem, c: Cell, signals: np.ndarray, wanted: np.ndarra
     bins = problem.frames.estimator.omega
     # Within the band of the data: beyond it neither Δ nor what it would do was ever measured.
     band = np.r_[0.0, np.geomspace(0.1 * bins[1], bins[-1], 60)]
-    worst = worst_case(problem.plant(c.structure, weights, v), c.controller, c.result.performance.scaling, band)
+    worst = worst_case(
+        problem.plant(c.structure, weights, v), c.controller, c.result.performance.scaling, band
+    )
     physical = problem.plant(c.structure, _without_units(weights), v)
     loop = lft(physical.system, c.controller)
     with_delta = respond(close_delta(loop, worst.delta) if physical.blocks else loop, signals)
     n = physical.n_delta_in
-    without = respond(loop.select(np.arange(n, loop.n_outputs), np.arange(physical.n_delta_out, loop.n_inputs)), signals)
+    without = respond(
+        loop.select(np.arange(n, loop.n_outputs), np.arange(physical.n_delta_out, loop.n_inputs)), signals
+    )
     rms = lambda x: float(np.sqrt(np.mean(x**2)))
-    return Run(c, worst, with_delta[:, 1], wanted - with_delta[:, 0], rms(with_delta[:, 0]), rms(without[:, 0]))
+    return Run(
+        c, worst, with_delta[:, 1], wanted - with_delta[:, 0], rms(with_delta[:, 0]), rms(without[:, 0])
+    )
 
 
 def _without_units(weights: Weights) -> Weights:

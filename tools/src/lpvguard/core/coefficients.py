@@ -5,11 +5,11 @@
     lpvguard_control.c, lpvguard_bus.c, lpvg_can_codec.h/.c   with a controller only: control_coefficients.py
     lpvguard_signals.h   the signal table: order, units, signs, ranges
     SIGNALS.md           the same for people
-    MANIFEST.json        where the numbers come from: hashes, settings, estimator, drives, errors of the speed tables; and the seal of
-                         all these files (base/artefacts.py)
+    MANIFEST.json        where the numbers come from: hashes, settings, estimator, drives, errors of the speed
+                         tables; and the seal of all these files (base/artefacts.py)
 
-No clock time is written: the same input gives the same bytes. Numbers are printed with 9 (float) or 17 (double)
-significant digits, so that reading returns the same number.
+No clock time is written: the same input gives the same bytes. Numbers are printed with 9 (float) or 17
+(double) significant digits, so that reading returns the same number.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
 from .control_coefficients import CONTROL_SIZES, ControllerCoefficients, control_files
 from .seal import Sealed, coefficient_source
-
 
 MANIFEST_SCHEMA = 1
 
@@ -49,9 +48,17 @@ class EnergyPart(Protocol):
         """Sizes, words and numbers of coeff.h."""
 
 
-def build_coefficients(project: Project, model: NominalModel, estimator: Estimator, W_delta: np.ndarray, B_w: np.ndarray,
-                       threshold: float, energy: EnergyPart) -> Coefficients:
-    """Coefficients from the model, the estimator, the fitted weights at the bins, W_delta (K,), B_w (K, n_y), and the two tests.
+def build_coefficients(
+    project: Project,
+    model: NominalModel,
+    estimator: Estimator,
+    W_delta: np.ndarray,
+    B_w: np.ndarray,
+    threshold: float,
+    energy: EnergyPart,
+) -> Coefficients:
+    """Coefficients from the model, the estimator, the fitted weights at the bins, W_delta (K,), B_w (K, n_y),
+    and the two tests.
 
     Raises InputError for bounds of the plain DFT: the core computes Hann frames only.
     """
@@ -61,26 +68,51 @@ def build_coefficients(project: Project, model: NominalModel, estimator: Estimat
     phase = 2 * np.pi * estimator.cycles / estimator.length
     taper = 2 * np.pi / estimator.length
     half_sum = estimator.length / 2  # sum of a periodic Hann window
-    sizes = {"NX": model.n, "NU": model.n_u, "NY": model.n_y, "DELAY": model.delay, "NBINS": K,
-             "NCELLS": len(table.cell), "NVARYING": len(table.varying)}
+    sizes = {
+        "NX": model.n,
+        "NU": model.n_u,
+        "NY": model.n_y,
+        "DELAY": model.delay,
+        "NBINS": K,
+        "NCELLS": len(table.cell),
+        "NVARYING": len(table.varying),
+    }
     energy_sizes, energy_words, energy_reals = energy.coefficients()
     sizes |= energy_sizes
-    words = {**COEFF.head(sizes), "estimator_id": estimator.identifier(), "sample_period_us": round(project.Ts_s * 1e6),
-             "settle_samples": estimator.settle, "confirm": project.frame_test.confirm,
-             "of_last": project.frame_test.of_last, **energy_words, "frame_length": estimator.length, "cycles": estimator.cycles,
-             "varying_entry": table.varying}
+    words = {
+        **COEFF.head(sizes),
+        "estimator_id": estimator.identifier(),
+        "sample_period_us": round(project.Ts_s * 1e6),
+        "settle_samples": estimator.settle,
+        "confirm": project.frame_test.confirm,
+        "of_last": project.frame_test.of_last,
+        **energy_words,
+        "frame_length": estimator.length,
+        "cycles": estimator.cycles,
+        "varying_entry": table.varying,
+    }
     # cos - 1 = -2 sin^2(half angle) keeps its relative precision for small angles.
-    reals = {"speed_min": model.speed_range[0], "speed_max": model.speed_range[1],
-             "speed_valid": [project.speed.min, project.speed.max],
-             "input_valid": [[s.min, s.max] for s in project.inputs],
-             "output_valid": [[s.min, s.max] for s in project.outputs],
-             "speed_tolerance": estimator.speed_tolerance,
-             "input_offset": model.input_offset, "output_offset": model.output_offset,
-             "base": table.base, "cell": table.cell, "C": model.C, "C_pinv": np.linalg.pinv(model.C),
-             "turn": np.stack([-2 * np.sin(phase / 2) ** 2, np.sin(phase)], axis=1),
-             "taper": np.stack([-2 * np.sin(taper / 2) ** 2, np.sin(taper)], axis=1),
-             "scale": np.where(estimator.cycles > 0, 2.0, 1.0) / half_sum,
-             **energy_reals, "W_delta": W_delta, "B_w": B_w, "threshold": threshold}
+    reals = {
+        "speed_min": model.speed_range[0],
+        "speed_max": model.speed_range[1],
+        "speed_valid": [project.speed.min, project.speed.max],
+        "input_valid": [[s.min, s.max] for s in project.inputs],
+        "output_valid": [[s.min, s.max] for s in project.outputs],
+        "speed_tolerance": estimator.speed_tolerance,
+        "input_offset": model.input_offset,
+        "output_offset": model.output_offset,
+        "base": table.base,
+        "cell": table.cell,
+        "C": model.C,
+        "C_pinv": np.linalg.pinv(model.C),
+        "turn": np.stack([-2 * np.sin(phase / 2) ** 2, np.sin(phase)], axis=1),
+        "taper": np.stack([-2 * np.sin(taper / 2) ** 2, np.sin(taper)], axis=1),
+        "scale": np.where(estimator.cycles > 0, 2.0, 1.0) / half_sum,
+        **energy_reals,
+        "W_delta": W_delta,
+        "B_w": B_w,
+        "threshold": threshold,
+    }
     return Coefficients(sizes, words, reals, project.name, estimator.identifier(), table.error)
 
 
@@ -88,39 +120,72 @@ def _vehicle_header(c: Coefficients, controller: ControllerCoefficients | None) 
     guard = f"LPVGUARD_VEHICLE_{c.vehicle.upper()}_H"
     values = c.sizes | (controller.sizes if controller else dict.fromkeys(CONTROL_SIZES, 0))
     sizes = "\n".join(f"#define LPVG_{name} {values[name]}" for name in DIMENSIONS)
-    return (f"/* Generated by lpvguard export; do not edit. Name and sizes of this vehicle. */\n#ifndef {guard}\n"
-            f"#define {guard}\n\n#define LPVG_VEHICLE {c.vehicle}\n{sizes}\n"
-            f"#define LPVG_ESTIMATOR_ID {c.estimator_id}U\n\n#endif\n")
+    return (
+        f"/* Generated by lpvguard export; do not edit. Name and sizes of this vehicle. */\n#ifndef {guard}\n"
+        f"#define {guard}\n\n#define LPVG_VEHICLE {c.vehicle}\n{sizes}\n"
+        f"#define LPVG_ESTIMATOR_ID {c.estimator_id}U\n\n#endif\n"
+    )
 
 
 def _signals_header(project: Project) -> str:
-    lines = ["/* Generated by lpvguard export; do not edit. The vehicle's signal table. */",
-             f"#ifndef LPVGUARD_SIGNALS_{project.name.upper()}_H", f"#define LPVGUARD_SIGNALS_{project.name.upper()}_H", ""]
+    lines = [
+        "/* Generated by lpvguard export; do not edit. The vehicle's signal table. */",
+        f"#ifndef LPVGUARD_SIGNALS_{project.name.upper()}_H",
+        f"#define LPVGUARD_SIGNALS_{project.name.upper()}_H",
+        "",
+    ]
     for role, group in (("INPUT", project.inputs), ("OUTPUT", project.outputs)):
-        lines += [f"#define LPVG_{role}_{s.name.upper()} {i} /* [{s.unit}] {s.min:g}..{s.max:g}, {s.positive} > 0 */"
-                  for i, s in enumerate(group)]
+        lines += [
+            f"#define LPVG_{role}_{s.name.upper()} {i} /* [{s.unit}] {s.min:g}..{s.max:g}, {s.positive} > 0 */"
+            for i, s in enumerate(group)
+        ]
     return "\n".join([*lines, "", "#endif", ""])
 
 
 def signal_table_markdown(project: Project) -> str:
     """The signal table for people."""
-    rows = [f"| {s.name} | {s.role} | {s.column} | {s.unit} | {s.positive} | {s.min:g} .. {s.max:g} | "
-            + (f"{s.can.message}.{s.can.signal} = {s.can.factor:g} × value" if s.can else "–") + " |"
-            for s in project.signals]
-    return "\n".join([f"# Signals of `{project.name}`", "", project.title, "",
-                      "| signal | role | column | unit | positive | range | CAN |", "| --- | --- | --- | --- | --- | --- | --- |",
-                      *rows, ""])
+    rows = [
+        f"| {s.name} | {s.role} | {s.column} | {s.unit} | {s.positive} | {s.min:g} .. {s.max:g} | "
+        + (f"{s.can.message}.{s.can.signal} = {s.can.factor:g} × value" if s.can else "–")
+        + " |"
+        for s in project.signals
+    ]
+    return "\n".join(
+        [
+            f"# Signals of `{project.name}`",
+            "",
+            project.title,
+            "",
+            "| signal | role | column | unit | positive | range | CAN |",
+            "| --- | --- | --- | --- | --- | --- | --- |",
+            *rows,
+            "",
+        ]
+    )
 
 
-def vehicle_files(project: Project, coefficients: Coefficients, provenance: dict,
-                  controller: ControllerCoefficients | None = None) -> dict[str, str]:
+def vehicle_files(
+    project: Project,
+    coefficients: Coefficients,
+    provenance: dict,
+    controller: ControllerCoefficients | None = None,
+) -> dict[str, str]:
     """File name -> text of the generated folder; ``provenance`` goes into the manifest as it is."""
-    files = {"lpvguard_vehicle.h": _vehicle_header(coefficients, controller),
-             "lpvguard_coeff.c": coefficient_source(coefficients),
-             "lpvguard_signals.h": _signals_header(project), "SIGNALS.md": signal_table_markdown(project)}
-    manifest = {"schema": MANIFEST_SCHEMA, "tool": f"lpvguard {__version__}", "vehicle": project.name, "sizes": coefficients.sizes,
-                "estimator_id": coefficients.estimator_id, "speed_table_relative_error": coefficients.table_error,
-                "crc32": coefficients.crc32_by_type()}
+    files = {
+        "lpvguard_vehicle.h": _vehicle_header(coefficients, controller),
+        "lpvguard_coeff.c": coefficient_source(coefficients),
+        "lpvguard_signals.h": _signals_header(project),
+        "SIGNALS.md": signal_table_markdown(project),
+    }
+    manifest = {
+        "schema": MANIFEST_SCHEMA,
+        "tool": f"lpvguard {__version__}",
+        "vehicle": project.name,
+        "sizes": coefficients.sizes,
+        "estimator_id": coefficients.estimator_id,
+        "speed_table_relative_error": coefficients.table_error,
+        "crc32": coefficients.crc32_by_type(),
+    }
     if controller is not None:
         files |= control_files(project, controller)
         manifest["controller"] = controller.manifest()

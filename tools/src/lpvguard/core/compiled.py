@@ -1,7 +1,7 @@
 """The compiled C core of one vehicle, called from Python.
 
-The core is built on first use from the very sources that go on the ECU (lib/) and the vehicle's generated folder, into a
-cache keyed by their hash. There is no other monitor in this package.
+The core is built on first use from the very sources that go on the ECU (lib/) and the vehicle's generated
+folder, into a cache keyed by their hash. There is no other monitor in this package.
 """
 
 from __future__ import annotations
@@ -23,18 +23,24 @@ from ..drives.tables import Drive
 from .c_enums import enum_names
 
 PACKAGE = Path(__file__).resolve().parents[1]
+
+
 def band_names(n: int) -> tuple[str, ...]:
-    """Names of the energy test's ``n`` bands, lowest first: below its corners, between two of them, above them."""
+    """Names of the energy test's ``n`` bands, lowest first: below its corners, between two of them, above
+    them."""
     between = ["between"] if n == 3 else [f"between_{k}_{k + 1}" for k in range(1, n - 1)]
     return ("below", *between, "above")
 
 
 def library_root() -> Path:
-    """The folder lib/ of the C core: of the source tree when run from it, else the copy that the wheel carries."""
+    """The folder lib/ of the C core: of the source tree when run from it, else the copy that the wheel
+    carries."""
     for candidate in (PACKAGE.parents[2] / "lib", PACKAGE / "_lib"):
         if (candidate / "src" / "monitor.cpp").is_file():
             return candidate
-    raise InputError(PACKAGE, "lib", "the C core's sources are missing", "lib/ beside tools/, or an installed package")
+    raise InputError(
+        PACKAGE, "lib", "the C core's sources are missing", "lib/ beside tools/, or an installed package"
+    )
 
 
 def _enum(header: str, name: str) -> tuple[str, ...]:
@@ -50,7 +56,8 @@ EVENTS = _enum("can.h", "lpvg_can_event_t")
 
 
 def firmware_root() -> Path:
-    """The folder firmware_sim/ of a checkout. InputError where there is none: the wheel carries the core only."""
+    """The folder firmware_sim/ of a checkout. InputError where there is none: the wheel carries the core
+    only."""
     root = PACKAGE.parents[2] / "firmware_sim"
     if not (root / "plant" / "CMakeLists.txt").is_file():
         raise InputError(root, "", "the simulator's sources are missing", "a checkout of the project")
@@ -61,15 +68,21 @@ def shipped_vehicle(name: str) -> Path:
     """Generated folder of a vehicle that is shipped."""
     folder = library_root() / "vehicles" / name
     if not (folder / "lpvguard_coeff.c").is_file():
-        raise InputError(f"vehicle {name}", "coefficients", f"no generated folder {folder}",
-                         "`lpvguard identify` and `lpvguard export` first, then --coefficients DIR")
+        raise InputError(
+            f"vehicle {name}",
+            "coefficients",
+            f"no generated folder {folder}",
+            "`lpvguard identify` and `lpvguard export` first, then --coefficients DIR",
+        )
     return folder
 
 
 def eigen_include() -> str:
     """Include folder of Eigen 3. Raises NativeError when there is none."""
     if shutil.which("pkg-config"):
-        found = subprocess.run(["pkg-config", "--variable=includedir", "eigen3"], capture_output=True, text=True, check=False)
+        found = subprocess.run(
+            ["pkg-config", "--variable=includedir", "eigen3"], capture_output=True, text=True, check=False
+        )
         path = Path(found.stdout.strip() or "/usr/include") / "eigen3"
         if path.is_dir():
             return str(path)
@@ -81,10 +94,12 @@ def eigen_include() -> str:
 
 @dataclass(frozen=True)
 class FrameLog:
-    """Frames judged by the core during a run, in the order of judgement; arrays over frames, E and Z (F, n_y).
+    """Frames judged by the core during a run, in the order of judgement; arrays over frames, E and Z (F,
+    n_y).
 
-    t_judged_s is the time of the sample with which the core said so: frames that end together are judged one after the other.
-    Alarms of the energy test come in the same form (lpvg_frame_t in monitor.h): bin is band and direction, E and Z hold norms.
+    t_judged_s is the time of the sample with which the core said so: frames that end together are judged one
+    after the other. Alarms of the energy test come in the same form (lpvg_frame_t in monitor.h): bin is band
+    and direction, E and Z hold norms.
     """
 
     t_judged_s: np.ndarray
@@ -108,14 +123,25 @@ class FrameLog:
     def from_rows(cls, rows: np.ndarray, n_y: int) -> FrameLog:
         parts = rows[:, 10:].reshape(len(rows), 2, n_y, 2)
         spectra = parts[..., 0] + 1j * parts[..., 1]
-        return cls(rows[:, 0] * 1e-6, rows[:, 1].astype(int), rows[:, 2] * 1e-6, rows[:, 3].astype(int), rows[:, 4] > 0, rows[:, 5],
-                   rows[:, 6], rows[:, 7], rows[:, 8], spectra[:, 0], spectra[:, 1])
+        return cls(
+            rows[:, 0] * 1e-6,
+            rows[:, 1].astype(int),
+            rows[:, 2] * 1e-6,
+            rows[:, 3].astype(int),
+            rows[:, 4] > 0,
+            rows[:, 5],
+            rows[:, 6],
+            rows[:, 7],
+            rows[:, 8],
+            spectra[:, 0],
+            spectra[:, 1],
+        )
 
 
 @dataclass(frozen=True)
 class Run:
-    """What the core said along a drive: a verdict, a status and the energy test's ratio per sample (0: not judged), the judged
-    frames, and the energy test's alarms."""
+    """What the core said along a drive: a verdict, a status and the energy test's ratio per sample (0: not
+    judged), the judged frames, and the energy test's alarms."""
 
     frames: FrameLog
     verdict: np.ndarray
@@ -134,30 +160,56 @@ class Core:
         self.folder, self._double, self._source_root = Path(folder), double, source_root
         missing = [n for n in ("lpvguard_vehicle.h", "lpvguard_coeff.c") if not (self.folder / n).is_file()]
         if missing:
-            raise InputError(folder, "", f"{', '.join(missing)} missing", "a folder written by `lpvguard export`")
+            raise InputError(
+                folder, "", f"{', '.join(missing)} missing", "a folder written by `lpvguard export`"
+            )
         # Kept, because a scratch folder may be gone when the core is sent on.
-        self._files = tuple((p.name, p.read_text(encoding="utf-8")) for p in sorted(self.folder.iterdir()) if p.suffix in (".h", ".c"))
+        self._files = tuple(
+            (p.name, p.read_text(encoding="utf-8"))
+            for p in sorted(self.folder.iterdir())
+            if p.suffix in (".h", ".c")
+        )
         root = source_root or library_root()
-        sources = [*sorted((root / "src").glob("*.cpp")), *sorted(self.folder.glob("*.c")), Path(__file__).with_name("binding.cpp")]
+        sources = [
+            *sorted((root / "src").glob("*.cpp")),
+            *sorted(self.folder.glob("*.c")),
+            Path(__file__).with_name("binding.cpp"),
+        ]
         self.library = self._compile(sources, [root / "include", root / "src", self.folder], double)
         self._lib = ctypes.CDLL(str(self.library))
         self._lib.lpvgb_create.restype = ctypes.c_void_p
         self._lib.lpvgb_run.restype = ctypes.c_int64
         sizes = (ctypes.c_uint32 * 7)()
         self._lib.lpvgb_sizes(sizes)
-        self.n_u, self.n_y, self.n_bins, self._n_words, self._n_reals, self._columns, self.monitor_bytes = map(int, sizes)
+        self.n_u, self.n_y, self.n_bins, self._n_words, self._n_reals, self._columns, self.monitor_bytes = (
+            map(int, sizes)
+        )
 
     def __reduce__(self):
-        """A core goes to another process, or machine, as its generated sources, and is built there from the cache or anew."""
+        """A core goes to another process, or machine, as its generated sources, and is built there from the
+        cache or anew."""
         return _rebuilt, (self.folder.name, self._files, self._double, self._source_root)
 
     def _compile(self, sources: list[Path], includes: list[Path], double: bool) -> Path:
-        flags = ["-std=c++17", "-O2", "-fno-exceptions", "-fno-rtti", "-ffp-contract=off", "-fno-math-errno",
-                 "-isystem", eigen_include(), *(["-DLPVG_DOUBLE"] if double else [])]
+        flags = [
+            "-std=c++17",
+            "-O2",
+            "-fno-exceptions",
+            "-fno-rtti",
+            "-ffp-contract=off",
+            "-fno-math-errno",
+            "-isystem",
+            eigen_include(),
+            *(["-DLPVG_DOUBLE"] if double else []),
+        ]
         try:
-            return native.compile_shared(sources, flags=flags, include_dirs=includes, name=f"core_{self.folder.name}")
+            return native.compile_shared(
+                sources, flags=flags, include_dirs=includes, name=f"core_{self.folder.name}"
+            )
         except native.NativeError as error:
-            raise InputError(self.folder, "compiling the C core", str(error).strip(), "a C++17 compiler and Eigen 3.4") from None
+            raise InputError(
+                self.folder, "compiling the C core", str(error).strip(), "a C++17 compiler and Eigen 3.4"
+            ) from None
 
     @cached_property
     def compiled(self) -> tuple[np.ndarray, np.ndarray]:
@@ -181,11 +233,15 @@ class Core:
         return int(self.words["estimator_id"][0])
 
     def fields(self, reals: np.ndarray) -> dict[str, np.ndarray]:
-        """The numbers of coeff.h by field, as views of flat numbers ``reals``, each in its shape; a scalar as (1,)."""
+        """The numbers of coeff.h by field, as views of flat numbers ``reals``, each in its shape; a scalar as
+        (1,)."""
         return COEFF.split("reals", reals, self.sizes)
 
-    def monitor(self, *, words: np.ndarray | None = None, reals: np.ndarray | None = None, seal: bool = False) -> Monitor:
-        """A fresh monitor with the compiled-in coefficients, or with the given ones (``seal`` renews their CRC).
+    def monitor(
+        self, *, words: np.ndarray | None = None, reals: np.ndarray | None = None, seal: bool = False
+    ) -> Monitor:
+        """A fresh monitor with the compiled-in coefficients, or with the given ones (``seal`` renews their
+        CRC).
 
         Raises InputError with the core's status when init refuses them.
         """
@@ -199,8 +255,12 @@ class Core:
         status = ctypes.c_int()
         handle = self._lib.lpvgb_create(*arguments, int(seal), ctypes.byref(status))
         if not handle:
-            raise InputError(self.folder, "coefficients", f"the core's init refused them ({STATUSES[status.value]})",
-                             "coefficients written for this core, estimator and number type")
+            raise InputError(
+                self.folder,
+                "coefficients",
+                f"the core's init refused them ({STATUSES[status.value]})",
+                "coefficients written for this core, estimator and number type",
+            )
         return Monitor(self, handle)
 
 
@@ -227,20 +287,35 @@ class Monitor:
     def __del__(self) -> None:
         self._core._lib.lpvgb_destroy(self._handle)
 
-    def run(self, t: np.ndarray, v: np.ndarray, u: np.ndarray, y: np.ndarray, present: np.ndarray | None = None) -> Run:
-        """Push samples: t (N,) [s], v (N,), u (N, n_u), y (N, n_y); where ``present`` (N,) is False time passes without one."""
+    def run(
+        self, t: np.ndarray, v: np.ndarray, u: np.ndarray, y: np.ndarray, present: np.ndarray | None = None
+    ) -> Run:
+        """Push samples: t (N,) [s], v (N,), u (N, n_u), y (N, n_y); where ``present`` (N,) is False time
+        passes without one."""
         n = len(t)
         columns = self._core._columns
-        arrays = [np.ascontiguousarray(a, dtype) for a, dtype in
-                  ((np.round(np.asarray(t) * 1e6), np.int64), (v, float), (u, float), (y, float))]
+        arrays = [
+            np.ascontiguousarray(a, dtype)
+            for a, dtype in ((np.round(np.asarray(t) * 1e6), np.int64), (v, float), (u, float), (y, float))
+        ]
         rows = np.empty((2 * n, columns))  # at most a frame and an alarm a sample
         verdict, status, energy = np.empty(n, np.uint8), np.empty(n, np.uint8), np.empty(n)
         pushed = None if present is None else np.ascontiguousarray(present, np.uint8)
-        count = self._core._lib.lpvgb_run(self._handle, ctypes.c_int64(n), *map(_pointer, arrays),
-                                          None if pushed is None else _pointer(pushed), _pointer(rows),
-                                          ctypes.c_int64(2 * n), _pointer(verdict), _pointer(status), _pointer(energy))
+        count = self._core._lib.lpvgb_run(
+            self._handle,
+            ctypes.c_int64(n),
+            *map(_pointer, arrays),
+            None if pushed is None else _pointer(pushed),
+            _pointer(rows),
+            ctypes.c_int64(2 * n),
+            _pointer(verdict),
+            _pointer(status),
+            _pointer(energy),
+        )
         of_energy = rows[:count, 9] > 0
-        frames, alarms = (FrameLog.from_rows(rows[:count][chosen], self._core.n_y) for chosen in (~of_energy, of_energy))
+        frames, alarms = (
+            FrameLog.from_rows(rows[:count][chosen], self._core.n_y) for chosen in (~of_energy, of_energy)
+        )
         return Run(frames, verdict, status, energy, alarms)
 
     def run_drive(self, drive: Drive, present: np.ndarray | None = None) -> Run:

@@ -7,7 +7,8 @@
 Reads   controller.json, written by `lpvguard design`:
             Ts_s                        sample period [s]
             speeds (NG,)                nodes [m/s], equally spaced over the project's speed range
-            a (NK,)                     poles of every demand's states, as scheduled.py and controller.h have them
+            a (NK,)                     poles of every demand's states, as scheduled.py and controller.h have
+                                        them
             B (NG, NU, NK, NM)          numerators; measurements: reference, then outputs
             L (NG, NU, NK, NU)          anti-windup injection, A - L C stable at every node and between
             u_max (NU,), rate_max (NU,) limits of the demand [input unit], [input unit/s]
@@ -42,7 +43,8 @@ ARRAYS = ("speeds", "a", "B", "L", "u_max", "rate_max")
 
 @dataclass(frozen=True)
 class ControllerCoefficients(Sealed):
-    """A scheduled controller as the core takes it. ``origin`` goes into the manifest: its file's hash, its certificates."""
+    """A scheduled controller as the core takes it. ``origin`` goes into the manifest: its file's hash, its
+    certificates."""
 
     LAYOUT = CONTROL
     Ts_s: float
@@ -50,35 +52,61 @@ class ControllerCoefficients(Sealed):
     origin: dict[str, Any]
 
     def manifest(self) -> dict[str, Any]:
-        return {"sizes": self.sizes, "Ts_s": self.Ts_s, "speeds": self.speeds, "crc32": self.crc32_by_type(),
-                "u_max": self.reals["u_max"], "rate_max": self.reals["rate_max"], **self.origin}
+        return {
+            "sizes": self.sizes,
+            "Ts_s": self.Ts_s,
+            "speeds": self.speeds,
+            "crc32": self.crc32_by_type(),
+            "u_max": self.reals["u_max"],
+            "rate_max": self.reals["rate_max"],
+            **self.origin,
+        }
 
 
-def build_controller(Ts_s: float, speeds: np.ndarray, a: np.ndarray, B: np.ndarray, L: np.ndarray, u_max: np.ndarray,
-                     rate_max: np.ndarray, *, origin: dict[str, Any] | None = None,
-                     where: object = "controller") -> ControllerCoefficients:
+def build_controller(
+    Ts_s: float,
+    speeds: np.ndarray,
+    a: np.ndarray,
+    B: np.ndarray,
+    L: np.ndarray,
+    u_max: np.ndarray,
+    rate_max: np.ndarray,
+    *,
+    origin: dict[str, Any] | None = None,
+    where: object = "controller",
+) -> ControllerCoefficients:
     """Coefficients of a scheduled controller: a (NK,), B (NG, NU, NK, NM), L (NG, NU, NK, NU), limits (NU,).
     InputError names ``where``, the array and what is wrong with it."""
-    arrays = {key: np.asarray(value, float) for key, value in zip(ARRAYS, (speeds, a, B, L, u_max, rate_max))}
+    arrays = {
+        key: np.asarray(value, float)
+        for key, value in zip(ARRAYS, (speeds, a, B, L, u_max, rate_max), strict=False)
+    }
     speeds, a, B, L, u_max, rate_max = arrays.values()
     _check(where, Ts_s, arrays)
     try:
         engage = engagement(a, B)
     except np.linalg.LinAlgError as error:
         raise InputError(where, "a", str(error), "stable poles") from None
-    sizes = dict(zip(CONTROL_SIZES, (len(a), B.shape[3], len(speeds))))
+    sizes = dict(zip(CONTROL_SIZES, (len(a), B.shape[3], len(speeds)), strict=False))
     words = {**CONTROL.head(sizes | {"NU": len(u_max)}), "sample_period_us": round(Ts_s * 1e6)}
-    reals = {"speed_min": speeds[0], "speed_max": speeds[-1], "u_max": u_max, "rate_max": rate_max, "A1": a, "engage": engage,
-             "BL": np.concatenate([B, L], axis=3)}
+    reals = {
+        "speed_min": speeds[0],
+        "speed_max": speeds[-1],
+        "u_max": u_max,
+        "rate_max": rate_max,
+        "A1": a,
+        "engage": engage,
+        "BL": np.concatenate([B, L], axis=3),
+    }
     return ControllerCoefficients(sizes, words, reals, Ts_s, speeds, origin or {})
 
 
 def replaced_controller(header: str, controller: ControllerCoefficients) -> dict[str, str]:
-    """File name -> text of what changes in a vehicle folder that gets another controller; ``header``: its sizes so far."""
+    """File name -> text of what changes in a vehicle folder that gets another controller; ``header``: its
+    sizes so far."""
     for name, value in controller.sizes.items():
         header = re.sub(rf"(#define LPVG_{name}) \d+", rf"\1 {value}", header)
-    return {"lpvguard_vehicle.h": header,
-            "lpvguard_control.c": coefficient_source(controller)}
+    return {"lpvguard_vehicle.h": header, "lpvguard_control.c": coefficient_source(controller)}
 
 
 def load_controller(path: Path) -> ControllerCoefficients:
@@ -99,12 +127,16 @@ def load_controller(path: Path) -> ControllerCoefficients:
             raise InputError(path, key, "not an array of numbers", "nested lists of equal lengths") from None
     if not isinstance(document["Ts_s"], (int, float)):
         raise InputError(path, "Ts_s", repr(document["Ts_s"]), "a number of seconds")
-    origin = {"sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "certificates": document.get("certificates")}
+    origin = {
+        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "certificates": document.get("certificates"),
+    }
     return build_controller(float(document["Ts_s"]), *arrays, origin=origin, where=path)
 
 
 def _check(where: object, Ts_s: float, arrays: dict[str, np.ndarray]) -> None:
     """InputError unless the arrays fit each other, are finite and the anti-windup is stable."""
+
     def refuse(key: str, what: str, expected: str) -> None:
         raise InputError(where, key, what, expected)
 
@@ -113,10 +145,17 @@ def _check(where: object, Ts_s: float, arrays: dict[str, np.ndarray]) -> None:
         refuse("Ts_s", f"{Ts_s!r}", "a positive number of seconds")
     if speeds.ndim != 1 or len(speeds) < 2 or not speeds[0] > 0:
         refuse("speeds", f"shape {speeds.shape}", "two or more positive speeds")
-    if not np.allclose(speeds, np.linspace(speeds[0], speeds[-1], len(speeds)), rtol=1e-9) or speeds[0] >= speeds[-1]:
+    if (
+        not np.allclose(speeds, np.linspace(speeds[0], speeds[-1], len(speeds)), rtol=1e-9)
+        or speeds[0] >= speeds[-1]
+    ):
         refuse("speeds", f"{speeds.tolist()}", "ascending, equally spaced speeds")
     if a.ndim != 1 or B.ndim != 4:
-        refuse("a, B", f"of {a.ndim} and {B.ndim} dimensions", "one (states) and four (speeds, demands, states, measurements)")
+        refuse(
+            "a, B",
+            f"of {a.ndim} and {B.ndim} dimensions",
+            "one (states) and four (speeds, demands, states, measurements)",
+        )
     n_g, n_u, n_k, n_m = len(speeds), B.shape[1], len(a), B.shape[3]
     if not 1 <= n_u * n_k <= MAX_STATES:
         refuse("a", f"{n_u * n_k} states", f"1 to {MAX_STATES} of all demands")
@@ -133,21 +172,37 @@ def _check(where: object, Ts_s: float, arrays: dict[str, np.ndarray]) -> None:
     schedule = Scheduled(Ts_s, speeds, a, B, arrays["L"])
     radius = max(schedule.injection_radius(v) for v in np.linspace(speeds[0], speeds[-1], 2 * n_g - 1))
     if radius >= 1.0:
-        refuse("L", f"spectral radius of A - L C is {radius:.6g}", "below 1 at every node and midway between nodes")
+        refuse(
+            "L",
+            f"spectral radius of A - L C is {radius:.6g}",
+            "below 1 at every node and midway between nodes",
+        )
 
 
 def control_files(project: Project, controller: ControllerCoefficients) -> dict[str, str]:
-    """File name -> text of the controller's part of a vehicle folder. InputError when it does not fit the vehicle."""
+    """File name -> text of the controller's part of a vehicle folder. InputError when it does not fit the
+    vehicle."""
     where = f"controller for vehicle {project.name}"
     n_u = int(controller.words["sizes"][-1])
     if controller.sizes["NM"] != project.n_y + 1 or n_u != project.n_u:
-        raise InputError(where, "B", f"{controller.sizes['NM']} measurements, {n_u} inputs",
-                         f"{project.n_y + 1} (reference and outputs) and {project.n_u}")
+        raise InputError(
+            where,
+            "B",
+            f"{controller.sizes['NM']} measurements, {n_u} inputs",
+            f"{project.n_y + 1} (reference and outputs) and {project.n_u}",
+        )
     if round(controller.Ts_s * 1e6) != round(project.Ts_s * 1e6):
         raise InputError(where, "Ts_s", f"{controller.Ts_s:g}", f"{project.Ts_s:g}, the vehicle's")
     ends = (project.model.speed_min_mps, project.model.speed_max_mps)
     if not np.allclose((controller.speeds[0], controller.speeds[-1]), ends, rtol=1e-9):
-        raise InputError(where, "speeds", f"{controller.speeds[0]:g} to {controller.speeds[-1]:g} m/s",
-                         f"{ends[0]:g} to {ends[1]:g} m/s, the model's range")
-    return {"lpvguard_control.c": coefficient_source(controller),
-            "lpvguard_bus.c": bus_source(project), **codec_files()}
+        raise InputError(
+            where,
+            "speeds",
+            f"{controller.speeds[0]:g} to {controller.speeds[-1]:g} m/s",
+            f"{ends[0]:g} to {ends[1]:g} m/s, the model's range",
+        )
+    return {
+        "lpvguard_control.c": coefficient_source(controller),
+        "lpvguard_bus.c": bus_source(project),
+        **codec_files(),
+    }

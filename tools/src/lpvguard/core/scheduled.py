@@ -1,11 +1,12 @@
-"""A controller over speed as the core runs it (lib/include/lpvguard/controller.h): one realisation with fixed poles.
+"""A controller over speed as the core runs it (lib/include/lpvguard/controller.h): one realisation with fixed
+poles.
 
     K(z, v) = c(z)' B(v),    c(z) = C (z I - A)^-1 with A, C constant
 
-has an interpolation that is exact (B linear in v: the response at a constant speed is the linear interpolation of its
-neighbours'), states that mean the same at every speed, and only B to be scheduled. A is block diagonal of pairs of poles in
-delta-operator observer form (Middleton and Goodwin 1990), [[1 + a, 1], [a', 1]]: real poles become complex without
-a jump in a, a', and C needs no multiplication.
+has an interpolation that is exact (B linear in v: the response at a constant speed is the linear
+interpolation of its neighbours'), states that mean the same at every speed, and only B to be scheduled. A is
+block diagonal of pairs of poles in delta-operator observer form (Middleton and Goodwin 1990), [[1 + a, 1],
+[a', 1]]: real poles become complex without a jump in a, a', and C needs no multiplication.
 """
 
 from __future__ import annotations
@@ -21,10 +22,11 @@ from ..engine.synthesis.statespace import StateSpace
 
 @dataclass(frozen=True)
 class Scheduled:
-    """Strictly proper discrete controllers over speed: x+ = A x + B(v) m + L(v) (u - C x), u = C x, per demand.
+    """Strictly proper discrete controllers over speed: x+ = A x + B(v) m + L(v) (u - C x), u = C x, per
+    demand.
 
-    speeds (G,), equally spaced; a (n,): first columns of the pairs of A - I, then of a single state where n is odd, the same
-    for every demand; B (G, n_u, n, 1 + n_y); L (G, n_u, n, n_u). m = [reference, outputs].
+    speeds (G,), equally spaced; a (n,): first columns of the pairs of A - I, then of a single state where n
+    is odd, the same for every demand; B (G, n_u, n, 1 + n_y); L (G, n_u, n, n_u). m = [reference, outputs].
     """
 
     Ts: float
@@ -49,7 +51,8 @@ class Scheduled:
         return self.B.shape[1] * len(self.a)
 
     def at(self, v: float) -> StateSpace:
-        """The controller the core runs at speed v: float32 coefficients with A - I formed in double, interpolated."""
+        """The controller the core runs at speed v: float32 coefficients with A - I formed in double,
+        interpolated."""
         A, C = self._constant()
         B = self._between(self.B, v)
         return StateSpace(A, B, C, np.zeros((len(C), B.shape[1])), self.Ts)
@@ -67,9 +70,11 @@ class Scheduled:
 
     def _between(self, values: np.ndarray, v: float) -> np.ndarray:
         """(order, columns): rows of B or L at speed v."""
-        position = np.clip((v - self.speeds[0]) / (self.speeds[-1] - self.speeds[0]), 0.0, 1.0) * (len(self.speeds) - 1)
+        position = np.clip((v - self.speeds[0]) / (self.speeds[-1] - self.speeds[0]), 0.0, 1.0) * (
+            len(self.speeds) - 1
+        )
         k = min(int(position), len(self.speeds) - 2)
-        rounded = values[k:k + 2].astype(np.float32).astype(float)
+        rounded = values[k : k + 2].astype(np.float32).astype(float)
         return ((1 - (position - k)) * rounded[0] + (position - k) * rounded[1]).reshape(self.order, -1)
 
 
@@ -78,15 +83,17 @@ def realisation(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     n = len(a)
     A, heads = np.eye(n), np.arange(0, n, 2)
     A[np.arange(n), np.arange(n) // 2 * 2] += a
-    A[heads[:n // 2], heads[:n // 2] + 1] = 1.0
+    A[heads[: n // 2], heads[: n // 2] + 1] = 1.0
     return A, np.isin(np.arange(n), heads)[None].astype(float)
 
 
 def engagement(a: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """E (n, 2): x += E (u - C x, -(C (A x + B m) - C x)) makes this and the next wanted demand u; a, B as in ``Scheduled``.
+    """E (n, 2): x += E (u - C x, -(C (A x + B m) - C x)) makes this and the next wanted demand u; a, B as in
+    ``Scheduled``.
 
-    The likeliest such change: least in the metric of the covariance that white m of equal size at all speeds gives x.
-    Where no state can meet both, the second is left out. Raises LinAlgError unless the poles are stable.
+    The likeliest such change: least in the metric of the covariance that white m of equal size at all speeds
+    gives x. Where no state can meet both, the second is left out. Raises LinAlgError unless the poles are
+    stable.
     """
     A, c = realisation(a)
     if np.abs(np.linalg.eigvals(A)).max() >= 1:

@@ -1,14 +1,17 @@
-"""The core on ECU instruction sets, without hardware: built by the cross compiler, run by QEMU, counted by the guest.
+"""The core on ECU instruction sets, without hardware: built by the cross compiler, run by QEMU, counted by
+the guest.
 
-    cortex-m4f   QEMU mps2-an386          cortex-m7   QEMU mps2-an500          cortex-r5f   QEMU xlnx-zcu102, RPU core 0
+    cortex-m4f   QEMU mps2-an386          cortex-m7   QEMU mps2-an500          cortex-r5f   QEMU xlnx-zcu102,
+                 RPU core 0
 
-``run_target`` builds firmware_sim/ports/target_bench.cpp with a vehicle's generated folder and runs it over a drive; it
-returns what the core answered, bit for bit, and what every part cost: *instructions, not cycles* -- QEMU models no
-pipeline, cache or flash waits. ``run_host`` answers the same with the PC's compiler, to compare with. ``emulated_ecu`` builds the
-whole firmware for the loop of `lpvguard sim`, over the emulated CAN controller.
+``run_target`` builds firmware_sim/ports/target_bench.cpp with a vehicle's generated folder and runs it over a
+drive; it returns what the core answered, bit for bit, and what every part cost: *instructions, not cycles* --
+QEMU models no pipeline, cache or flash waits. ``run_host`` answers the same with the PC's compiler, to
+compare with. ``emulated_ecu`` builds the whole firmware for the loop of `lpvguard sim`, over the emulated CAN
+controller.
 
-Two builds: for comparing bits ``-ffp-contract=off`` on every side, because M4F and M7 have a fused multiply-add and the R5F
-has not; for counting the compiler's default, as an ECU project builds the library.
+Two builds: for comparing bits ``-ffp-contract=off`` on every side, because M4F and M7 have a fused
+multiply-add and the R5F has not; for counting the compiler's default, as an ECU project builds the library.
 """
 
 from __future__ import annotations
@@ -60,34 +63,73 @@ class Target:
     elf_option: str
     monitor_input: str | None = None
     can: tuple[str, ...] = ()
-    """Options that put the processor's CAN controller on QEMU's bus canbus0; empty where the board has none."""
+    """Options that put the processor's CAN controller on QEMU's bus canbus0; empty where the board has
+    none."""
 
 
 def _mps2(name: str, title: str, board: str, *cpu: str) -> Target:
-    return Target(name, title, "cortex_m", "mps2.ld", ("-mthumb", "-mfloat-abi=hard", *cpu),
-                  ("qemu-system-arm", "-M", board, "-monitor", "none", "-icount", "shift=7"), "-kernel={elf}")
+    return Target(
+        name,
+        title,
+        "cortex_m",
+        "mps2.ld",
+        ("-mthumb", "-mfloat-abi=hard", *cpu),
+        ("qemu-system-arm", "-M", board, "-monitor", "none", "-icount", "shift=7"),
+        "-kernel={elf}",
+    )
 
 
-TARGETS = {t.name: t for t in (
-    _mps2("cortex-m4f", "Cortex-M4F", "mps2-an386", "-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16"),
-    _mps2("cortex-m7", "Cortex-M7", "mps2-an500", "-mcpu=cortex-m7", "-mfpu=fpv5-sp-d16"),
-    Target("cortex-r5f", "Cortex-R5F", "cortex_r5", "zcu102.ld",
-           ("-mcpu=cortex-r5", "-marm", "-mfloat-abi=hard", "-mfpu=vfpv3-d16"),
-           ("qemu-system-aarch64", "-M", "xlnx-zcu102", "-smp", "5", "-m", "256M", "-icount", "shift=0", "-S",
-            "-monitor", "stdio", "-global", "xlnx-zynqmp.boot-cpu=rpu-cpu[0]"),
-           "-device=loader,file={elf},cpu-num=4", R5_START,
-           ("-object", "can-bus,id=canbus0", "-machine", "canbus0=canbus0")))}
+TARGETS = {
+    t.name: t
+    for t in (
+        _mps2("cortex-m4f", "Cortex-M4F", "mps2-an386", "-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16"),
+        _mps2("cortex-m7", "Cortex-M7", "mps2-an500", "-mcpu=cortex-m7", "-mfpu=fpv5-sp-d16"),
+        Target(
+            "cortex-r5f",
+            "Cortex-R5F",
+            "cortex_r5",
+            "zcu102.ld",
+            ("-mcpu=cortex-r5", "-marm", "-mfloat-abi=hard", "-mfpu=vfpv3-d16"),
+            (
+                "qemu-system-aarch64",
+                "-M",
+                "xlnx-zcu102",
+                "-smp",
+                "5",
+                "-m",
+                "256M",
+                "-icount",
+                "shift=0",
+                "-S",
+                "-monitor",
+                "stdio",
+                "-global",
+                "xlnx-zynqmp.boot-cpu=rpu-cpu[0]",
+            ),
+            "-device=loader,file={elf},cpu-num=4",
+            R5_START,
+            ("-object", "can-bus,id=canbus0", "-machine", "canbus0=canbus0"),
+        ),
+    )
+}
 
 
 def missing_tools(target: Target) -> list[str]:
     """Programs that ``run_target`` needs and the path lacks."""
-    tools = ("arm-none-eabi-gcc", "arm-none-eabi-g++", "arm-none-eabi-readelf", "arm-none-eabi-nm", target.emulator[0])
+    tools = (
+        "arm-none-eabi-gcc",
+        "arm-none-eabi-g++",
+        "arm-none-eabi-readelf",
+        "arm-none-eabi-nm",
+        target.emulator[0],
+    )
     return [tool for tool in tools if shutil.which(tool) is None]
 
 
 @dataclass(frozen=True)
 class Input:
-    """A drive as the core takes it: v (N,), u (N, n_u), y (N, n_y), rounded to float, one row a sample period."""
+    """A drive as the core takes it: v (N,), u (N, n_u), y (N, n_y), rounded to float, one row a sample
+    period."""
 
     v: np.ndarray
     u: np.ndarray
@@ -96,14 +138,17 @@ class Input:
     def header(self) -> str:
         rows = np.column_stack([self.v, self.u, self.y]).astype(np.float32)
         text = ",\n".join("{" + ", ".join(f"{float(x).hex()}F" for x in row) + "}" for row in rows)
-        return (f"// Made by lpvguard.core.targets: speed, inputs, outputs, one row a sample.\n#pragma once\n"
-                f"#define TARGET_INPUT_SAMPLES {len(rows)}U\n"
-                f"static const lpvg_real_t target_input[TARGET_INPUT_SAMPLES][{rows.shape[1]}] = {{\n{text}}};\n")
+        return (
+            f"// Made by lpvguard.core.targets: speed, inputs, outputs, one row a sample.\n#pragma once\n"
+            f"#define TARGET_INPUT_SAMPLES {len(rows)}U\n"
+            f"static const lpvg_real_t target_input[TARGET_INPUT_SAMPLES][{rows.shape[1]}] = {{\n{text}}};\n"
+        )
 
 
 @dataclass(frozen=True)
 class Program:
-    """What runs on a target beside the core and the port: sources, folders of their headers, generated headers by name."""
+    """What runs on a target beside the core and the port: sources, folders of their headers, generated
+    headers by name."""
 
     name: str
     sources: tuple[Path, ...]
@@ -116,13 +161,16 @@ def _target(name: str) -> Target:
         raise InputError(name, "target", "unknown", f"one of {', '.join(TARGETS)}")
     missing = missing_tools(TARGETS[name])
     if missing:
-        raise InputError(f"target {name}", "", f"{', '.join(missing)} not found", f"the Debian packages {PACKAGES}")
+        raise InputError(
+            f"target {name}", "", f"{', '.join(missing)} not found", f"the Debian packages {PACKAGES}"
+        )
     return TARGETS[name]
 
 
 @dataclass(frozen=True)
 class EmulatedEcu:
-    """The firmware of one vehicle for an emulated processor: ``program`` starts it as lpvguard_ecu is started, ``elf_sha256`` says what runs."""
+    """The firmware of one vehicle for an emulated processor: ``program`` starts it as lpvguard_ecu is
+    started, ``elf_sha256`` says what runs."""
 
     target: str
     program: Path
@@ -130,24 +178,53 @@ class EmulatedEcu:
 
 
 def emulated_ecu(name: str, vehicle: Path) -> EmulatedEcu:
-    """Build the firmware (firmware_sim/ports/cortex_r5_ecu) of a generated folder, results bit for bit those of the host.
+    """Build the firmware (firmware_sim/ports/cortex_r5_ecu) of a generated folder, results bit for bit those
+    of the host.
 
-    Raises InputError when tools are missing, it does not build, or the emulated machine has no CAN controller.
+    Raises InputError when tools are missing, it does not build, or the emulated machine has no CAN
+    controller.
     """
     if name in TARGETS and not TARGETS[name].can:
-        raise InputError(name, "target", "QEMU's board has no CAN controller", ", ".join(["host", *(t.name for t in TARGETS.values() if t.can)]))
+        raise InputError(
+            name,
+            "target",
+            "QEMU's board has no CAN controller",
+            ", ".join(["host", *(t.name for t in TARGETS.values() if t.can)]),
+        )
     target = _target(name)
     ports, ecu = firmware_root() / "ports", firmware_root() / "ecu"
     here = ports / "cortex_r5_ecu"
-    program = Program("ecu", (*sorted(here.glob("*.c*")), *sorted((ports / "ecu_process").glob("*.cpp")), *sorted(ecu.glob("*.c"))), {},
-                      (here, ports / "ecu_process", ecu))
+    program = Program(
+        "ecu",
+        (
+            *sorted(here.glob("*.c*")),
+            *sorted((ports / "ecu_process").glob("*.cpp")),
+            *sorted(ecu.glob("*.c")),
+        ),
+        {},
+        (here, ports / "ecu_process", ecu),
+    )
     elf, _ = _build(target, vehicle, program, (*LANGUAGE, SAME_BITS))
-    command = " ".join(map(shlex.quote, [*target.emulator, "-display", "none", "-serial", "none", *target.can,
-                                         *target.elf_option.format(elf=elf).split("=", 1)]))
+    command = " ".join(
+        map(
+            shlex.quote,
+            [
+                *target.emulator,
+                "-display",
+                "none",
+                "-serial",
+                "none",
+                *target.can,
+                *target.elf_option.format(elf=elf).split("=", 1),
+            ],
+        )
+    )
     # Arguments: INTERFACE --engage yes|no --time-line FD. The emulator ends when the simulator does.
-    script = (f"#!/bin/sh\nexport QEMU_AUDIO_DRV=none\nexec setpriv --pdeathsig TERM {command} -chardev \"socket,id=time,fd=$5\" "
-              f"-object \"can-host-socketcan,id=can,if=$1,canbus=canbus0\" "
-              f"-semihosting-config \"enable=on,target=native,chardev=time,arg=$3\" >/dev/null <<'END'\n{target.monitor_input or ''}END\n")
+    script = (
+        f'#!/bin/sh\nexport QEMU_AUDIO_DRV=none\nexec setpriv --pdeathsig TERM {command} -chardev "socket,id=time,fd=$5" '
+        f'-object "can-host-socketcan,id=can,if=$1,canbus=canbus0" '
+        f"-semihosting-config \"enable=on,target=native,chardev=time,arg=$3\" >/dev/null <<'END'\n{target.monitor_input or ''}END\n"
+    )
     start = elf.with_suffix(".sh")
     write_file(start, script)
     start.chmod(0o755)
@@ -155,49 +232,85 @@ def emulated_ecu(name: str, vehicle: Path) -> EmulatedEcu:
 
 
 def run_target(name: str, vehicle: Path, drive: Input, *, same_bits: bool) -> dict[str, Any]:
-    """Build for a target and run in QEMU; ``vehicle`` is a generated folder. ``same_bits``: results as on every other
-    target; else multiply and add may be fused, which is what to count.
+    """Build for a target and run in QEMU; ``vehicle`` is a generated folder. ``same_bits``: results as on
+    every other target; else multiply and add may be fused, which is what to count.
 
-    Returns target, elf_sha256, rom {code, coefficients, libraries} and structs {name: bytes}, map {section: {address, bytes}},
-    parts {name: {calls, worst, median, stack}} (instructions of one call, by the program's own counter; bytes), imports (symbols that the core's objects take from libraries) and
-    results (lines). Raises InputError when tools are missing, or the program does not build or fails.
+    Returns target, elf_sha256, rom {code, coefficients, libraries} and structs {name: bytes}, map {section:
+    {address, bytes}}, parts {name: {calls, worst, median, stack}} (instructions of one call, by the program's
+    own counter; bytes), imports (symbols that the core's objects take from libraries) and results (lines).
+    Raises InputError when tools are missing, or the program does not build or fails.
     """
     target = _target(name)
-    program = Program("target_bench", (firmware_root() / "ports" / "target_bench.cpp",), {"target_input.h": drive.header()})
+    program = Program(
+        "target_bench", (firmware_root() / "ports" / "target_bench.cpp",), {"target_input.h": drive.header()}
+    )
     elf, imports = _build(target, vehicle, program, (*LANGUAGE, SAME_BITS) if same_bits else LANGUAGE)
-    command = [*target.emulator, "-display", "none", "-serial", "none", "-semihosting-config", "enable=on,target=native",
-               *target.elf_option.format(elf=elf).split("=", 1)]
+    command = [
+        *target.emulator,
+        "-display",
+        "none",
+        "-serial",
+        "none",
+        "-semihosting-config",
+        "enable=on,target=native",
+        *target.elf_option.format(elf=elf).split("=", 1),
+    ]
     # Semihosting writes to standard error; standard output is the monitor's.
     try:
-        done = subprocess.run(command, input=target.monitor_input or "", capture_output=True, text=True, check=False,
-                              timeout=TIMEOUT_S, env={**os.environ, "QEMU_AUDIO_DRV": "none"})
+        done = subprocess.run(
+            command,
+            input=target.monitor_input or "",
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=TIMEOUT_S,
+            env={**os.environ, "QEMU_AUDIO_DRV": "none"},
+        )
     except subprocess.TimeoutExpired:
         raise InputError(f"target {name}", "run", f"no end after {TIMEOUT_S} s", "a run that ends") from None
     report = _parse(done.stderr.splitlines())
     if done.returncode != 0 or not report["ended"]:
-        raise InputError(f"target {name}", f"run of {elf.name}", f"status {done.returncode}: {done.stderr.strip()[-300:]}",
-                         "a run that ends with status 0")
-    return {"target": name, "title": target.title, "elf_sha256": hashlib.sha256(elf.read_bytes()).hexdigest(),
-            **_sections(elf), "imports": imports, **report}
+        raise InputError(
+            f"target {name}",
+            f"run of {elf.name}",
+            f"status {done.returncode}: {done.stderr.strip()[-300:]}",
+            "a run that ends with status 0",
+        )
+    return {
+        "target": name,
+        "title": target.title,
+        "elf_sha256": hashlib.sha256(elf.read_bytes()).hexdigest(),
+        **_sections(elf),
+        "imports": imports,
+        **report,
+    }
 
 
 def run_host(vehicle: Path, drive: Input) -> dict[str, Any]:
-    """The same program on this PC: results and structs; its counts are zero. Raises InputError when it does not build."""
+    """The same program on this PC: results and structs; its counts are zero. Raises InputError when it does
+    not build."""
     core, ports = library_root(), firmware_root() / "ports"
     with tempfile.TemporaryDirectory() as scratch:
         write_files(Path(scratch), {"target_input.h": drive.header()})
         core_sources, vehicle_sources = _sources(vehicle)
         sources = [*core_sources, *vehicle_sources, ports / "target_bench.cpp", ports / "host" / "port.c"]
         try:
-            program = native.compile_executable(sources, name="target_bench",
-                                                flags=(*CXX[:3], *LANGUAGE, SAME_BITS, "-isystem", eigen_include()),
-                                                include_dirs=[core / "include", core / "src", vehicle, ports, Path(scratch)])
+            program = native.compile_executable(
+                sources,
+                name="target_bench",
+                flags=(*CXX[:3], *LANGUAGE, SAME_BITS, "-isystem", eigen_include()),
+                include_dirs=[core / "include", core / "src", vehicle, ports, Path(scratch)],
+            )
         except native.NativeError as error:
-            raise InputError(vehicle, "compiling the target program for the host", str(error), "a C++17 compiler") from None
+            raise InputError(
+                vehicle, "compiling the target program for the host", str(error), "a C++17 compiler"
+            ) from None
     done = subprocess.run([program], capture_output=True, text=True, check=False)
     report = _parse(done.stdout.splitlines())
     if not report["ended"]:
-        raise InputError(vehicle, "running the target program on the host", done.stdout.strip()[-300:], "a run that ends")
+        raise InputError(
+            vehicle, "running the target program on the host", done.stdout.strip()[-300:], "a run that ends"
+        )
     return {"target": "host", **report}
 
 
@@ -206,23 +319,44 @@ def _sources(vehicle: Path) -> tuple[list[Path], list[Path]]:
     return sorted((library_root() / "src").glob("*.cpp")), sorted(Path(vehicle).glob("*.c"))
 
 
-def _build(target: Target, vehicle: Path, program: Program, language: tuple[str, ...]) -> tuple[Path, list[str]]:
-    """The ELF, from the cache when nothing has changed, and the symbols that the core's objects leave to libraries."""
+def _build(
+    target: Target, vehicle: Path, program: Program, language: tuple[str, ...]
+) -> tuple[Path, list[str]]:
+    """The ELF, from the cache when nothing has changed, and the symbols that the core's objects leave to
+    libraries."""
     ports, core, vehicle = firmware_root() / "ports", library_root(), Path(vehicle)
     port = ports / target.port
     core_sources, vehicle_sources = _sources(vehicle)
     # The linker scripts tell the core's objects by these prefixes.
-    sources = {**{f"core_{p.stem}": p for p in core_sources}, **{f"vehicle_{p.stem}": p for p in vehicle_sources},
-               **{f"port_{p.stem}": p for p in (*program.sources, ports / "bare_metal" / "bare_metal.c",
-                                                *sorted(port.glob("*.c")), *sorted(port.glob("*.S")))}}
+    sources = {
+        **{f"core_{p.stem}": p for p in core_sources},
+        **{f"vehicle_{p.stem}": p for p in vehicle_sources},
+        **{
+            f"port_{p.stem}": p
+            for p in (
+                *program.sources,
+                ports / "bare_metal" / "bare_metal.c",
+                *sorted(port.glob("*.c")),
+                *sorted(port.glob("*.S")),
+            )
+        },
+    }
     flags = (*target.cpu, *language, *WARNINGS, "-ffunction-sections", "-fdata-sections")
     key = hashlib.sha256()
-    version = subprocess.run(["arm-none-eabi-gcc", "--version"], capture_output=True, text=True, check=True).stdout
+    version = subprocess.run(
+        ["arm-none-eabi-gcc", "--version"], capture_output=True, text=True, check=True
+    ).stdout
     for text in (version, *flags, *CXX, *program.headers.values()):
         key.update(text.encode() + b"\0")
-    for path in (*sources.values(), port / target.linker_script, *sorted(ports.glob("*.h*")),
-                 *(h for folder in program.folders for h in sorted(folder.glob("*.h*"))), *sorted(vehicle.glob("*.h")),
-                 *sorted((core / "include").rglob("*.h")), *sorted((core / "src").glob("*.hpp"))):
+    for path in (
+        *sources.values(),
+        port / target.linker_script,
+        *sorted(ports.glob("*.h*")),
+        *(h for folder in program.folders for h in sorted(folder.glob("*.h*"))),
+        *sorted(vehicle.glob("*.h")),
+        *sorted((core / "include").rglob("*.h")),
+        *sorted((core / "src").glob("*.hpp")),
+    ):
         key.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     stem = native.cache_dir() / f"{program.name}_{target.name}-{key.hexdigest()[:24]}"
     elf, symbols = stem.with_suffix(".elf"), stem.with_suffix(".imports")
@@ -230,7 +364,9 @@ def _build(target: Target, vehicle: Path, program: Program, language: tuple[str,
         with tempfile.TemporaryDirectory(prefix="build", dir=stem.parent) as scratch:
             folder = Path(scratch)
             write_files(folder, program.headers)
-            includes = [f"-I{p}" for p in (core / "include", core / "src", vehicle, ports, folder, *program.folders)]
+            includes = [
+                f"-I{p}" for p in (core / "include", core / "src", vehicle, ports, folder, *program.folders)
+            ]
 
             def compile_one(item: tuple[str, Path]) -> Path:
                 name, source = item
@@ -242,9 +378,25 @@ def _build(target: Target, vehicle: Path, program: Program, language: tuple[str,
 
             with ThreadPoolExecutor(os.cpu_count()) as pool:
                 objects = list(pool.map(compile_one, sources.items()))
-            _tool(["arm-none-eabi-g++", *target.cpu, "--specs=nano.specs", "-nostartfiles", "-Wl,--gc-sections",
-                   "-Wl,--no-warn-rwx-segments", "-T", port / target.linker_script, *objects, "-o", folder / "out.elf"], vehicle)
-            (folder / "imports").write_text("\n".join(_imports([o for o in objects if not o.name.startswith("port_")])))
+            _tool(
+                [
+                    "arm-none-eabi-g++",
+                    *target.cpu,
+                    "--specs=nano.specs",
+                    "-nostartfiles",
+                    "-Wl,--gc-sections",
+                    "-Wl,--no-warn-rwx-segments",
+                    "-T",
+                    port / target.linker_script,
+                    *objects,
+                    "-o",
+                    folder / "out.elf",
+                ],
+                vehicle,
+            )
+            (folder / "imports").write_text(
+                "\n".join(_imports([o for o in objects if not o.name.startswith("port_")]))
+            )
             os.replace(folder / "imports", symbols)
             os.replace(folder / "out.elf", elf)
     return elf, symbols.read_text().split()
@@ -253,8 +405,12 @@ def _build(target: Target, vehicle: Path, program: Program, language: tuple[str,
 def _tool(command: Sequence[object], source: Path) -> str:
     done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        raise InputError(source, "building for the target", f"{' '.join(map(str, command))}\n{done.stderr.strip()[:2000]}",
-                         "sources that build")
+        raise InputError(
+            source,
+            "building for the target",
+            f"{' '.join(map(str, command))}\n{done.stderr.strip()[:2000]}",
+            "sources that build",
+        )
     return done.stdout
 
 
@@ -271,11 +427,19 @@ def _sections(elf: Path) -> dict[str, Any]:
     """``rom``, and ``map``: the sections that take memory on the target, by address."""
     listed = {}
     for line in _tool(["arm-none-eabi-readelf", "--section-headers", "--wide", elf], elf).splitlines():
-        found = re.match(r" *\[ *\d+\] (\.\S+) +\w+ +([0-9a-f]{8}) [0-9a-f]{6} ([0-9a-f]{6}) [0-9a-f]{2} +\w*A", line)
+        found = re.match(
+            r" *\[ *\d+\] (\.\S+) +\w+ +([0-9a-f]{8}) [0-9a-f]{6} ([0-9a-f]{6}) [0-9a-f]{2} +\w*A", line
+        )
         if found:
             listed[found[1]] = {"address": int(found[2], 16), "bytes": int(found[3], 16)}
-    return {"rom": {what: listed.get(name, {"bytes": 0})["bytes"] for name, what in SECTIONS.items()},
-            "map": {name: s for name, s in sorted(listed.items(), key=lambda item: item[1]["address"]) if s["bytes"] > 0}}
+    return {
+        "rom": {what: listed.get(name, {"bytes": 0})["bytes"] for name, what in SECTIONS.items()},
+        "map": {
+            name: s
+            for name, s in sorted(listed.items(), key=lambda item: item[1]["address"])
+            if s["bytes"] > 0
+        },
+    }
 
 
 def _parse(lines: list[str]) -> dict[str, Any]:
@@ -286,7 +450,9 @@ def _parse(lines: list[str]) -> dict[str, Any]:
         if kind == "size":
             structs[words[0]] = int(words[1])
         elif kind == "part":
-            parts[words[0]] = dict(zip(("calls", "worst", "median", "stack"), map(int, words[1:])))
+            parts[words[0]] = dict(
+                zip(("calls", "worst", "median", "stack"), map(int, words[1:]), strict=False)
+            )
         elif kind in ("frame", "verdict", "demand"):
             results.append(line.strip())
     return {"structs": structs, "parts": parts, "results": results, "ended": lines[-1:] == ["end"]}

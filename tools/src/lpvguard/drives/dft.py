@@ -1,13 +1,15 @@
-"""The paper's plain DFT estimator: one rectangular frame per experiment at constant speed, its transient removed exactly.
+"""The paper's plain DFT estimator: one rectangular frame per experiment at constant speed, its transient
+removed exactly.
 
-With X(k) = sum_{n<N} x_n z_k^-n, z_k = exp(2 pi j k / N), the recursion x_{n+1} = Ad x_n + B_old u_{n-d-1} + B_new u_{n-d}
-reads at the DFT's own lines
+With X(k) = sum_{n<N} x_n z_k^-n, z_k = exp(2 pi j k / N), the recursion x_{n+1} = Ad x_n + B_old u_{n-d-1} +
+B_new u_{n-d} reads at the DFT's own lines
 
     X(k) = (z_k I - Ad)^-1 (B_old U_old(k) + B_new U_new(k) + z_k (x_0 - x_N)),
 
-so E = Y - Z, with Z = C (z_k I - Ad)^-1 (B_old U_old + B_new U_new), holds e(k) = C (z_k I - Ad)^-1 z_k (x_0 - x_N) besides the
-model's error: without an error |E| / |Y| would still be near one. x_0 - x_N is a real vector of n numbers and is fitted by least
-squares over all lines but DC (which holds the offsets); what is left is E. On data of the nominal model that is zero.
+so E = Y - Z, with Z = C (z_k I - Ad)^-1 (B_old U_old + B_new U_new), holds e(k) = C (z_k I - Ad)^-1 z_k (x_0
+- x_N) besides the model's error: without an error |E| / |Y| would still be near one. x_0 - x_N is a real
+vector of n numbers and is fitted by least squares over all lines but DC (which holds the offsets); what is
+left is E. On data of the nominal model that is zero.
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ from .tables import Drive
 
 
 def lines(x: np.ndarray, estimator: Estimator) -> np.ndarray:
-    """Scaled DFT (..., K, m) at the estimator's lines of x (..., N, m): a sinusoid of amplitude a in a line reads a, DC its mean."""
+    """Scaled DFT (..., K, m) at the estimator's lines of x (..., N, m): a sinusoid of amplitude a in a line
+    reads a, DC its mean."""
     return _scale(estimator)[:, None] * np.fft.fft(x, axis=-2)[..., estimator.cycles, :]
 
 
@@ -34,8 +37,11 @@ def resolvent(Ad: np.ndarray, estimator: Estimator) -> tuple[np.ndarray, np.ndar
     return z, np.linalg.inv(z[:, None, None] * np.eye(len(Ad)) - Ad)
 
 
-def spectra(drive: Drive, start: int, model: NominalModel, estimator: Estimator) -> tuple[np.ndarray, np.ndarray]:
-    """E and Z (K, n_y) of the frame that starts at sample ``start``, by the model at the frame's mean speed."""
+def spectra(
+    drive: Drive, start: int, model: NominalModel, estimator: Estimator
+) -> tuple[np.ndarray, np.ndarray]:
+    """E and Z (K, n_y) of the frame that starts at sample ``start``, by the model at the frame's mean
+    speed."""
     frame = slice(start, start + int(estimator.length[0]))
     held = model.discretise(np.array([drive.v[frame].mean()]))
     z, inverse = resolvent(held.Ad[0], estimator)

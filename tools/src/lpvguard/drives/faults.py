@@ -1,6 +1,7 @@
 """Faults injected into recorded drives, from a given time on, to see what the monitor finds.
 
-Gain, sign, freeze and bias act on every output; the delays act on the input (the recorded input lags) or on the outputs.
+Gain, sign, freeze and bias act on every output; the delays act on the input (the recorded input lags) or on
+the outputs.
 """
 
 from __future__ import annotations
@@ -30,13 +31,19 @@ class Fault:
 
     @property
     def label(self) -> str:
-        texts = {"gain": "output × {:g}", "freeze": "output frozen", "bias": "output + {:g}",
-                 "input_delay": "input delayed by {:g} s", "output_delay": "output delayed by {:g} s"}
+        texts = {
+            "gain": "output × {:g}",
+            "freeze": "output frozen",
+            "bias": "output + {:g}",
+            "input_delay": "input delayed by {:g} s",
+            "output_delay": "output delayed by {:g} s",
+        }
         return texts[self.kind].format(self.value)
 
 
 def inject(drive: Drive, fault: Fault, start_s: float, Ts: float) -> Drive:
-    """The drive with ``fault`` from ``start_s`` seconds after its first sample on. Delays are whole samples."""
+    """The drive with ``fault`` from ``start_s`` seconds after its first sample on. Delays are whole
+    samples."""
     first = int(round(start_s / Ts))
     u, y = drive.u.copy(), drive.y.copy()
 

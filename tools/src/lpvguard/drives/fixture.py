@@ -1,8 +1,9 @@
 """Seeded synthetic drives of a g80-like car, for machines without the measured data.
 
-The truth is not the nominal model: a two-state bicycle model (side-slip and yaw rate, tyre cornering stiffness, its own
-delay), a lateral disturbance, a sensor bias of each drive, noise, and the sensors' quantisation. It is a stand-in for
-tests and the demo; numbers that are stated for the car come from measured drives only.
+The truth is not the nominal model: a two-state bicycle model (side-slip and yaw rate, tyre cornering
+stiffness, its own delay), a lateral disturbance, a sensor bias of each drive, noise, and the sensors'
+quantisation. It is a stand-in for tests and the demo; numbers that are stated for the car come from measured
+drives only.
 """
 
 from __future__ import annotations
@@ -20,36 +21,63 @@ from ..vehicle.project import Project
 Row = tuple[str, str, str]
 """Experiment, split, driver."""
 
-MASS_KG, YAW_INERTIA = 2000.0, 3500.0            # kg, kg m^2
-FRONT_M, REAR_M = 1.30, 1.36                     # m, centre of gravity to the axles
-FRONT_STIFFNESS, REAR_STIFFNESS = 126e3, 180e3   # N/rad per axle; understeer of the nominal model's size
+MASS_KG, YAW_INERTIA = 2000.0, 3500.0  # kg, kg m^2
+FRONT_M, REAR_M = 1.30, 1.36  # m, centre of gravity to the axles
+FRONT_STIFFNESS, REAR_STIFFNESS = 126e3, 180e3  # N/rad per axle; understeer of the nominal model's size
 DELAY_SAMPLES = 1
-STEPS = 4                                        # integration steps a sample
+STEPS = 4  # integration steps a sample
 ANGLE_GRID_RAD, RATE_GRID_RPS = np.radians(0.1) / 15.87, np.radians(0.02)
 # (split, driver, mean speed m/s, duration s): as mixed as the measured runs.
 PLAN = [("train", "human", v, 150.0) for v in (5.0, 9.0, 13.0, 16.0, 7.0)] + [
-    ("valid", driver, v, 140.0) for driver, v in
-    (("human", 6.0), ("human", 8.0), ("human", 11.0), ("mpc", 12.0), ("mpc", 14.0), ("mpc", 15.0), ("mpc", 10.0),
-     ("lmpc", 5.0), ("lmpc", 5.5), ("lmpc", 6.5), ("lmpc", 6.0))]
+    ("valid", driver, v, 140.0)
+    for driver, v in (
+        ("human", 6.0),
+        ("human", 8.0),
+        ("human", 11.0),
+        ("mpc", 12.0),
+        ("mpc", 14.0),
+        ("mpc", 15.0),
+        ("mpc", 10.0),
+        ("lmpc", 5.0),
+        ("lmpc", 5.5),
+        ("lmpc", 6.5),
+        ("lmpc", 6.0),
+    )
+]
 
 
 def _coloured(random: np.random.Generator, n: int, band_hz: tuple[float, float], Ts: float) -> np.ndarray:
     """Gaussian noise of unit variance within a band."""
-    x = sosfilt(butter(2, band_hz, "bandpass", fs=1 / Ts, output="sos"), random.standard_normal(n + 2000))[2000:]
+    x = sosfilt(butter(2, band_hz, "bandpass", fs=1 / Ts, output="sos"), random.standard_normal(n + 2000))[
+        2000:
+    ]
     return x / x.std()
 
 
-def _drive(random: np.random.Generator, mean_speed: float, duration: float, Ts: float) -> dict[str, np.ndarray]:
+def _drive(
+    random: np.random.Generator, mean_speed: float, duration: float, Ts: float
+) -> dict[str, np.ndarray]:
     n = int(round(duration / Ts)) + 1
     t = np.arange(n) * Ts
     # Starts and ends at standstill; in between the speed wanders by some ten per cent.
     wander = 0.06 * _coloured(random, n, (0.004, 0.02), Ts)
-    v = mean_speed * np.clip(np.minimum(t / 8.0, (t[-1] - t) / 8.0), 0.0, 1.0) * (1.0 + np.clip(wander, -0.2, 0.2))
+    v = (
+        mean_speed
+        * np.clip(np.minimum(t / 8.0, (t[-1] - t) / 8.0), 0.0, 1.0)
+        * (1.0 + np.clip(wander, -0.2, 0.2))
+    )
     slip_angle = 0.25 / (1.0 + 0.02 * mean_speed**2)
-    delta = slip_angle * (0.7 * _coloured(random, n, (0.02, 0.12), Ts) + 0.35 * _coloured(random, n, (0.1, 0.6), Ts)
-                          + 0.05 * _coloured(random, n, (0.5, 2.0), Ts)) * 0.4
-    side_force = 250.0 * _coloured(random, n, (0.05, 1.0), Ts)      # N: bank and wind
-    acted = np.r_[np.zeros(DELAY_SAMPLES), delta[:n - DELAY_SAMPLES]]
+    delta = (
+        slip_angle
+        * (
+            0.7 * _coloured(random, n, (0.02, 0.12), Ts)
+            + 0.35 * _coloured(random, n, (0.1, 0.6), Ts)
+            + 0.05 * _coloured(random, n, (0.5, 2.0), Ts)
+        )
+        * 0.4
+    )
+    side_force = 250.0 * _coloured(random, n, (0.05, 1.0), Ts)  # N: bank and wind
+    acted = np.r_[np.zeros(DELAY_SAMPLES), delta[: n - DELAY_SAMPLES]]
 
     h = Ts / STEPS
     slip, rate, r = 0.0, 0.0, np.empty(n)
@@ -63,14 +91,23 @@ def _drive(random: np.random.Generator, mean_speed: float, duration: float, Ts: 
             rate += h * (FRONT_M * front - REAR_M * rear) / YAW_INERTIA
     moving = np.clip(v / 2.0, 0.0, 1.0)
     r = r * moving + 1.5e-3 * random.standard_normal() + 9e-4 + 6.5e-4 * random.standard_normal(n)
-    return {"t": t, "v": v, "delta": np.round(delta / ANGLE_GRID_RAD) * ANGLE_GRID_RAD,
-            "r": np.round(r / RATE_GRID_RPS) * RATE_GRID_RPS}
+    return {
+        "t": t,
+        "v": v,
+        "delta": np.round(delta / ANGLE_GRID_RAD) * ANGLE_GRID_RAD,
+        "r": np.round(r / RATE_GRID_RPS) * RATE_GRID_RPS,
+    }
 
 
 def _csv(columns: dict[str, np.ndarray]) -> str:
     stream = io.StringIO()
     stream.write(",".join(columns) + "\n")
-    np.savetxt(stream, np.column_stack(list(columns.values())), fmt=["%.2f", *["%.9g"] * (len(columns) - 1)], delimiter=",")
+    np.savetxt(
+        stream,
+        np.column_stack(list(columns.values())),
+        fmt=["%.2f", *["%.9g"] * (len(columns) - 1)],
+        delimiter=",",
+    )
     return stream.getvalue()
 
 

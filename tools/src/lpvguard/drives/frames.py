@@ -1,17 +1,21 @@
-"""Stage 2, the estimator: constant-Q Hann frames of the nominal error e = y - yhat and of the nominal output yhat.
+"""Stage 2, the estimator: constant-Q Hann frames of the nominal error e = y - yhat and of the nominal output
+yhat.
 
-A bin k > 0 has N_k samples (even) that hold ``periods`` periods, so its frequency is periods / (N_k Ts); bin 0 is DC and
-as long as the lowest bin. A frame of bin k that starts at sample i reads
+A bin k > 0 has N_k samples (even) that hold ``periods`` periods, so its frequency is periods / (N_k Ts); bin
+0 is DC and as long as the lowest bin. A frame of bin k that starts at sample i reads
 
-    X = scale sum_{n<N} w_n x_{i+n} exp(-2 pi j c n / N),   w_n = 1/2 - 1/2 cos(2 pi n / N),   c = periods (0 at DC)
+    X = scale sum_{n<N} w_n x_{i+n} exp(-2 pi j c n / N),
+    w_n = 1/2 - 1/2 cos(2 pi n / N),   c = periods (0 at DC)
 
-with scale 2 / sum(w) (1 / sum(w) at DC): a sinusoid of amplitude a in the bin reads |X| = a. A frame *counts* when every
-sample lies in the model's speed range, at least ``settle`` samples after the last entry into it, and no speed in it
-differs by more than ``speed_tolerance`` from the frame's mean speed (THEORY 3.2). The C core computes the same frames,
-restarted every half frame from its first sample; bounds are set over frames at *every* start.
+with scale 2 / sum(w) (1 / sum(w) at DC): a sinusoid of amplitude a in the bin reads |X| = a. A frame *counts*
+when every sample lies in the model's speed range, at least ``settle`` samples after the last entry into it,
+and no speed in it differs by more than ``speed_tolerance`` from the frame's mean speed (THEORY 3.2). The C
+core computes the same frames, restarted every half frame from its first sample; bounds are set over frames at
+*every* start.
 
-The paper's plain DFT (estimator "dft") has bins of one common length, every line k/(N Ts) between the frequency limits and DC,
-a rectangular window and one frame a drive; dft.py removes its transient, so it needs no settling.
+The paper's plain DFT (estimator "dft") has bins of one common length, every line k/(N Ts) between the
+frequency limits and DC, a rectangular window and one frame a drive; dft.py removes its transient, so it needs
+no settling.
 """
 
 from __future__ import annotations
@@ -34,8 +38,12 @@ from ..vehicle.project import FrameSettings, Project
 def require_core(project: Project) -> None:
     """InputError for a project of the plain DFT: the core computes Hann frames only."""
     if project.frames.estimator != "hann":
-        raise InputError(f"vehicle {project.name}", "frames.estimator", "the plain DFT, which the core does not compute: its bounds "
-                         "are for identify and report only", 'estimator = "hann" and bounds made with it')
+        raise InputError(
+            f"vehicle {project.name}",
+            "frames.estimator",
+            "the plain DFT, which the core does not compute: its bounds are for identify and report only",
+            'estimator = "hann" and bounds made with it',
+        )
 
 
 @dataclass(frozen=True)
@@ -65,27 +73,53 @@ class Estimator:
         f = settings.f_min_hz * 10.0 ** (np.arange(n_bins) / settings.bins_per_decade)
         length = 2 * np.round(settings.periods / f / project.Ts_s / 2).astype(int)
         if len(np.unique(length)) != n_bins or length[-1] < 4 * settings.periods:
-            raise InputError(f"vehicle {project.name}", "frames",
-                             f"the highest bins hold {length[-1]} samples a frame",
-                             f"at least {4 * settings.periods} and different lengths; lower f_max_hz or bins_per_decade")
+            raise InputError(
+                f"vehicle {project.name}",
+                "frames",
+                f"the highest bins hold {length[-1]} samples a frame",
+                f"at least {4 * settings.periods} and different lengths; lower f_max_hz or bins_per_decade",
+            )
         latency = constant("NLATENCY", {"NBINS": n_bins + 1, "NY": project.n_y})  # DC included
         if length[-1] // 2 <= latency:
-            raise InputError(f"vehicle {project.name}", "frames", f"{n_bins + 1} bins and half frames of {length[-1] // 2}",
-                             f"half frames longer than {latency} samples, as the core spreads its work over samples")
-        return cls(project.Ts_s, np.r_[length[0], length], np.r_[0, np.full(n_bins, settings.periods)],
-                   model.settle_samples, settings.speed_tolerance, model.speed_range)
+            raise InputError(
+                f"vehicle {project.name}",
+                "frames",
+                f"{n_bins + 1} bins and half frames of {length[-1] // 2}",
+                f"half frames longer than {latency} samples, as the core spreads its work over samples",
+            )
+        return cls(
+            project.Ts_s,
+            np.r_[length[0], length],
+            np.r_[0, np.full(n_bins, settings.periods)],
+            model.settle_samples,
+            settings.speed_tolerance,
+            model.speed_range,
+        )
 
     @classmethod
     def _plain_dft(cls, project: Project, model: NominalModel, settings: FrameSettings) -> Estimator:
         N = int(round(settings.length_s / project.Ts_s))
         lines = np.arange(N // 2)
         f = lines / (N * project.Ts_s)
-        inside = lines[(lines > 0) & (f >= settings.f_min_hz * (1 - 1e-9)) & (f <= settings.f_max_hz * (1 + 1e-9))]
+        inside = lines[
+            (lines > 0) & (f >= settings.f_min_hz * (1 - 1e-9)) & (f <= settings.f_max_hz * (1 + 1e-9))
+        ]
         if 2 * len(inside) * project.n_y <= model.n:
-            raise InputError(f"vehicle {project.name}", "frames.length_s", f"{len(inside)} lines from {settings.f_min_hz:g} to "
-                             f"{settings.f_max_hz:g} Hz", f"more than the {model.n} unknowns of the transient; longer frames")
-        return cls(project.Ts_s, np.full(len(inside) + 1, N), np.r_[0, inside], 0, settings.speed_tolerance, model.speed_range,
-                   "rectangular")
+            raise InputError(
+                f"vehicle {project.name}",
+                "frames.length_s",
+                f"{len(inside)} lines from {settings.f_min_hz:g} to {settings.f_max_hz:g} Hz",
+                f"more than the {model.n} unknowns of the transient; longer frames",
+            )
+        return cls(
+            project.Ts_s,
+            np.full(len(inside) + 1, N),
+            np.r_[0, inside],
+            0,
+            settings.speed_tolerance,
+            model.speed_range,
+            "rectangular",
+        )
 
     @property
     def omega(self) -> np.ndarray:
@@ -97,16 +131,23 @@ class Estimator:
 
     def identifier(self) -> int:
         """CRC-32 of the estimator's definition: bounds and core must agree on it."""
-        definition = {"window": self.window, "Ts_ns": round(self.Ts * 1e9), "length": self.length.tolist(),
-                      "cycles": self.cycles.tolist(), "hop_per_frame": int(self.length[0] // self.hop[0]),
-                      "scale": "2/sum(w), 1/sum(w) at DC",
-                      "settle": self.settle, "speed_tolerance": repr(self.speed_tolerance),
-                      "speed_range": [repr(s) for s in self.speed_range]}
+        definition = {
+            "window": self.window,
+            "Ts_ns": round(self.Ts * 1e9),
+            "length": self.length.tolist(),
+            "cycles": self.cycles.tolist(),
+            "hop_per_frame": int(self.length[0] // self.hop[0]),
+            "scale": "2/sum(w), 1/sum(w) at DC",
+            "settle": self.settle,
+            "speed_tolerance": repr(self.speed_tolerance),
+            "speed_range": [repr(s) for s in self.speed_range],
+        }
         return zlib.crc32(json.dumps(definition, sort_keys=True).encode())
 
     @property
     def hop(self) -> np.ndarray:
-        """(K,) samples from one frame to the next where frames are not taken at every start: half a frame, or a whole one."""
+        """(K,) samples from one frame to the next where frames are not taken at every start: half a frame, or
+        a whole one."""
         return self.length // (2 if self.window == "hann" else 1)
 
     def kernel(self, k: int) -> np.ndarray:

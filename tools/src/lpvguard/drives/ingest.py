@@ -1,19 +1,22 @@
 """Stage 0: logs as users have them to uniform drive tables, with a report of what was left out and why.
 
 Reads   candump, ASC, BLF, TRC, MF4, CSV, Parquet (can/logs.py); a CAN database; a signal map
-Writes  <out>/<log>.csv           one table a drive (<log>_1, _2, ... when it falls into pieces): t [s] and the map's columns
-        <out>/<log>.report.json   samples, gaps, wraps, absent values, clock jumps, stretches left out
-        <out>/experiments.csv     the index that `lpvguard identify` reads; every drive has the split "unassigned"
-        <out>/MANIFEST.json       hashes of the inputs, settings, tool version, and of the files as they were written
+Writes  <out>/<log>.csv           one table a drive (<log>_1, _2, ... when it falls into pieces): t [s] and
+        the map's columns <out>/<log>.report.json   samples, gaps, wraps, absent values, clock jumps,
+        stretches left out <out>/experiments.csv     the index that `lpvguard identify` reads; every drive has
+        the split "unassigned" <out>/MANIFEST.json       hashes of the inputs, settings, tool version, and of
+        the files as they were written
 Next    tables.py reads the tables
 
 The signal map is a TOML file::
 
     schema = 1
     Ts_s = 0.01                 # grid of the table
-    max_gap_s = 0.5             # a longer pause of a signal is left out, a shorter one is interpolated (default 0.5)
+    max_gap_s = 0.5             # a longer pause of a signal is left out, a shorter one is interpolated
+                                (default 0.5)
     channel = "can0"            # frames of this interface only (default: all)
-    j1939 = true                # 29-bit messages are J1939 groups: any priority and sender (default: as the database says)
+    j1939 = true                # 29-bit messages are J1939 groups: any priority and sender (default: as the
+                                database says)
     time = "t"                  # time column of decoded tables, in s (default: t, time or timestamp)
     format = "csv"              # or "parquet"
 
@@ -30,15 +33,16 @@ The signal map is a TOML file::
     offset = 0.0
     terms = [{ message = "STEER", signal = "ANGLE" }, { message = "STEER", signal = "FRACTION" }]
 
-Further keys of a column: ``min``, ``max`` (in ``unit``; samples outside are left out) and ``max_gap_s``. Further keys of a
-term: ``source_unit`` (instead of the database's), ``wrap`` (period in the signal's own unit: unwrapped before
-interpolation; without it wraps are only suspected, and counted in the report), ``channel``, ``source_address`` (J1939) and ``not_available`` ("j1939" or "none"; default: "j1939" when the
+Further keys of a column: ``min``, ``max`` (in ``unit``; samples outside are left out) and ``max_gap_s``.
+Further keys of a term: ``source_unit`` (instead of the database's), ``wrap`` (period in the signal's own
+unit: unwrapped before interpolation; without it wraps are only suspected, and counted in the report),
+``channel``, ``source_address`` (J1939) and ``not_available`` ("j1939" or "none"; default: "j1939" when the
 message is a J1939 group).
 
-Resampling is linear interpolation between the signal's own samples at their time of arrival; a wheel-speed frame every
-12 ms stays what it was and gets no filter. The table starts with the first time at which every column has a sample
-(t = 0 there) and never extrapolates. A time is left out when, for any column, the samples around it lie further apart
-than ``max_gap_s``; so is everything across a jump of the log's clock.
+Resampling is linear interpolation between the signal's own samples at their time of arrival; a wheel-speed
+frame every 12 ms stays what it was and gets no filter. The table starts with the first time at which every
+column has a sample (t = 0 there) and never extrapolates. A time is left out when, for any column, the samples
+around it lie further apart than ``max_gap_s``; so is everything across a jump of the log's clock.
 """
 
 from __future__ import annotations
@@ -59,11 +63,13 @@ from ..can.decode import decode_signal, find_frames, is_j1939, load_database, ow
 from ..can.logs import Frames, Series, Table, read_log, stem
 
 REORDER_S = 0.1
-"""A step back of the clock up to this is a matter of order (several interfaces, buffered frames): the log is sorted."""
+"""A step back of the clock up to this is a matter of order (several interfaces, buffered frames): the log is
+sorted."""
 MIN_ROWS = 2
 """Shorter pieces are left out: a drive table needs at least two samples."""
 _WRAP_SHARE = 0.75
-"""A signal that moves by more than this share of its range between two samples is reported as a suspected wrap."""
+"""A signal that moves by more than this share of its range between two samples is reported as a suspected
+wrap."""
 _LISTED = 50
 """At most so many gaps are listed for a signal; all are counted."""
 
@@ -146,7 +152,12 @@ class SignalMap(_Strict):
 
 def load_signal_map(path: Path) -> SignalMap:
     """Read and check a signal map. InputError names file, field and what was expected."""
-    return checked(SignalMap, read_toml(Path(path), "a signal map"), "a signal map as `lpvguard ingest --help` describes", path)
+    return checked(
+        SignalMap,
+        read_toml(Path(path), "a signal map"),
+        "a signal map as `lpvguard ingest --help` describes",
+        path,
+    )
 
 
 def map_of_project(project) -> SignalMap:
@@ -171,7 +182,7 @@ def map_of_project(project) -> SignalMap:
     return SignalMap(schema=1, Ts_s=project.Ts_s, columns=columns)
 
 
-# -------------------------------------------------------------------------------------------------------------- units
+# ------------------------------------------------------------------------------------------------------ units
 
 # To SI: dimension, factor.
 _UNITS = {
@@ -242,12 +253,13 @@ def unit_factor(source: str, target: str) -> float | None:
     return known[0][1] / known[1][1]
 
 
-# ------------------------------------------------------------------------------------------------------------- signals
+# ---------------------------------------------------------------------------------------------------- signals
 
 
 @dataclass
 class _Source:
-    """A term of a column with the samples of one log; time in ns of the log's clock, value in the column's unit."""
+    """A term of a column with the samples of one log; time in ns of the log's clock, value in the column's
+    unit."""
 
     t_ns: np.ndarray
     value: np.ndarray
@@ -279,7 +291,8 @@ def _unknown(where: Path, field_: str, name: str, what: str, names: Iterable[str
 
 
 def _of_several(messages: list, frames: Frames, given: _Inputs, where: str):
-    """The message of a name; where a database gives the name to several, the one whose identifier is in the log."""
+    """The message of a name; where a database gives the name to several, the one whose identifier is in the
+    log."""
     if len(messages) > 1:
         in_log = [m for m in messages if len(find_frames(frames, m, j1939=is_j1939(m)))]
         if len(in_log) != 1:
@@ -302,7 +315,9 @@ def _from_frames(frames: Frames, given: _Inputs, column: str, term: Term) -> _So
     by_name = {m.name: m for m in given.database.messages}
     if term.message not in by_name:
         raise _unknown(given.database_path, f"{where} of {map_path}", term.message, "message", by_name)
-    message = _of_several([m for m in given.database.messages if m.name == term.message], frames, given, where)
+    message = _of_several(
+        [m for m in given.database.messages if m.name == term.message], frames, given, where
+    )
     signals = {s.name: s for s in message.signals}
     if term.signal not in signals:
         raise _unknown(
@@ -365,7 +380,7 @@ def _unwrap(value: np.ndarray, term: Term, report: dict) -> np.ndarray:
     return unwrapped
 
 
-# --------------------------------------------------------------------------------------------------------------- clock
+# ------------------------------------------------------------------------------------------------------ clock
 
 
 @dataclass
@@ -378,7 +393,8 @@ class Clock:
 
 
 def clock_of(t_ns: np.ndarray, max_gap_s: float) -> Clock:
-    """Find where the clock goes back by more than REORDER_S, or forward further than any gap that is interpolated."""
+    """Find where the clock goes back by more than REORDER_S, or forward further than any gap that is
+    interpolated."""
     step = np.diff(t_ns)
     back = step < -REORDER_S * _NS
     forward = step > max(max_gap_s, 1.0) * _NS
@@ -407,7 +423,7 @@ def _log_time(log: Frames | Table) -> np.ndarray:
     return next(iter(axes.values())) if len(axes) == 1 else np.sort(np.concatenate(list(axes.values())))
 
 
-# ---------------------------------------------------------------------------------------------------------- resampling
+# ------------------------------------------------------------------------------------------------- resampling
 
 
 @dataclass
@@ -420,7 +436,8 @@ class _Piece:
 
 
 def _resample(grid_ns: np.ndarray, source: _Source, max_gap_ns: float) -> tuple[np.ndarray, np.ndarray]:
-    """Linear interpolation at ``grid_ns``; also True where the samples around lie at most ``max_gap_ns`` apart."""
+    """Linear interpolation at ``grid_ns``; also True where the samples around lie at most ``max_gap_ns``
+    apart."""
     t = source.t_ns
     after = np.searchsorted(t, grid_ns, side="left")
     exact = t[np.minimum(after, len(t) - 1)] == grid_ns
@@ -435,7 +452,7 @@ def _resample(grid_ns: np.ndarray, source: _Source, max_gap_ns: float) -> tuple[
 def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
     """[first, end) of every stretch of True."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist()))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=False))
 
 
 class _TableMaker:
@@ -517,7 +534,8 @@ def _within_limits(column: Column, terms: list[_Source]) -> None:
 
 
 def _in_order(source: _Source) -> _Source:
-    """Samples by time. Two at the same time (frames read from a buffer) both stay: a step, of the earlier to the later."""
+    """Samples by time. Two at the same time (frames read from a buffer) both stay: a step, of the earlier to
+    the later."""
     t = source.t_ns
     source.report["same_time"] = int((np.diff(t) == 0).sum())
     if (np.diff(t) < 0).any():
@@ -566,7 +584,7 @@ def _stretch(log: Frames | Table, clock: Clock, first: int, end: int) -> Frames 
     return Table(series)
 
 
-# ---------------------------------------------------------------------------------------------------------------- runs
+# ------------------------------------------------------------------------------------------------------- runs
 
 
 @dataclass(frozen=True)
@@ -597,7 +615,7 @@ def _ingest_one(path: Path, given: _Inputs) -> tuple[list[_Piece], dict]:
         raise InputError(path, "", "holds no signal", "at least one column of numbers")
     clock = clock_of(t_ns, max(given.map.gap_s(name) for name in given.map.columns))
     maker, stretches = _TableMaker(given.map), []
-    for first, end in zip(clock.cuts, clock.cuts[1:]):
+    for first, end in zip(clock.cuts, clock.cuts[1:], strict=False):
         sources = _sources(_stretch(log, clock, first, end), path, given)
         t = t_ns[first:end]
         maker.add_stretch(int(t.min()), int(t.max()), sources)
@@ -653,11 +671,12 @@ def _write_piece(piece: _Piece, path: Path) -> None:
 
 
 def ingest(logs: Iterable[Path], *, dbc: Path | None, signals_map: Path | SignalMap, out: Path) -> dict:
-    """Turn ``logs`` into uniform drive tables in the folder ``out``; returns what the reports say, log by log.
+    """Turn ``logs`` into uniform drive tables in the folder ``out``; returns what the reports say, log by
+    log.
 
-    ``dbc`` None takes our own DBC; decoded logs need none. ``signals_map`` is a file, or a map that is made already (``map_of_project``).
-    Raises InputError for a file that cannot be read, a map that does not fit database or log, two logs of the same
-    name, and a log of which nothing remains; nothing is written then.
+    ``dbc`` None takes our own DBC; decoded logs need none. ``signals_map`` is a file, or a map that is made
+    already (``map_of_project``). Raises InputError for a file that cannot be read, a map that does not fit
+    database or log, two logs of the same name, and a log of which nothing remains; nothing is written then.
     """
     paths = [Path(log) for log in logs]
     if not paths:

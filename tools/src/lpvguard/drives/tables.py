@@ -1,8 +1,8 @@
 """Stage 0, drives: uniform drive tables (CSV or Parquet) checked against the signal table of the vehicle.
 
-A drive folder holds one table a drive and ``experiments.csv`` with at least the columns ``experiment`` (file stem) and
-``split``; ``driver`` is carried along when present. Nothing is repaired here: what does not fit is an InputError that
-names file, line and column. Raw logs are turned into such tables by ``lpvguard ingest``.
+A drive folder holds one table a drive and ``experiments.csv`` with at least the columns ``experiment`` (file
+stem) and ``split``; ``driver`` is carried along when present. Nothing is repaired here: what does not fit is
+an InputError that names file, line and column. Raw logs are turned into such tables by ``lpvguard ingest``.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ EXPERIMENTS = "experiments.csv"
 
 @dataclass(frozen=True)
 class Drive:
-    """One drive on a uniform grid: t (N,) [s], v (N,) [m/s], u (N, n_u), y (N, n_y) in the units of the signal table."""
+    """One drive on a uniform grid: t (N,) [s], v (N,) [m/s], u (N, n_u), y (N, n_y) in the units of the
+    signal table."""
 
     name: str
     t: np.ndarray
@@ -75,7 +76,9 @@ def list_experiments(folder: Path) -> list[Experiment]:
             raise InputError(index, f"line {line}, column experiment", f"{stem} occurs twice", "unique names")
         path = next((p for s in TABLE_SUFFIXES if (p := folder / f"{stem}{s}").is_file()), None)
         if path is None:
-            raise InputError(index, f"line {line}", f"no table {stem}.csv or {stem}.parquet", "the file beside it")
+            raise InputError(
+                index, f"line {line}", f"no table {stem}.csv or {stem}.parquet", "the file beside it"
+            )
         experiments.append(Experiment(stem, path.absolute(), row["split"], row.get("driver") or "unknown"))
     if not experiments:
         raise InputError(index, "", "lists no drive", "at least one line")
@@ -88,8 +91,12 @@ def read_drive(path: Path, project: Project) -> Drive:
     signals = [project.speed, *project.inputs, *project.outputs]
     for column in ["t", *(s.column for s in signals)]:
         if column not in table.column_names:
-            raise InputError(path, "header", f"column {column} is missing",
-                             f"columns t, {', '.join(s.column for s in signals)}")
+            raise InputError(
+                path,
+                "header",
+                f"column {column} is missing",
+                f"columns t, {', '.join(s.column for s in signals)}",
+            )
     t = _column(path, table, "t", "s")
     if len(t) < 2:
         raise InputError(path, "", f"{len(t)} sample(s)", "at least 2 samples")
@@ -113,8 +120,12 @@ def _read_table(path: Path) -> pa.Table:
         options = pa_csv.ConvertOptions(null_values=["", "NA", "null"], strings_can_be_null=True)
         return pa_csv.read_csv(path, convert_options=options)
     except (pa.ArrowException, OSError) as error:
-        raise InputError(path, "", f"cannot be parsed ({str(error).splitlines()[0]})",
-                         "a CSV with one header line, or Parquet") from None
+        raise InputError(
+            path,
+            "",
+            f"cannot be parsed ({str(error).splitlines()[0]})",
+            "a CSV with one header line, or Parquet",
+        ) from None
 
 
 def _line(index: int) -> str:
@@ -129,15 +140,20 @@ def _column(path: Path, table: pa.Table, column: str, unit: str) -> np.ndarray:
             try:
                 float(item)
             except (TypeError, ValueError):
-                raise InputError(path, f"{_line(i)}, column {column}", f"{item!r} is no number",
-                                 f"a number in {unit}") from None
+                raise InputError(
+                    path, f"{_line(i)}, column {column}", f"{item!r} is no number", f"a number in {unit}"
+                ) from None
         values = np.array([float(item) for item in text])
     else:
         values = chunked.cast(pa.float64()).to_numpy(zero_copy_only=False)
     bad = np.flatnonzero(~np.isfinite(values))
     if len(bad):
-        raise InputError(path, f"{_line(bad[0])}, column {column}", f"{values[bad[0]]}",
-                         f"a finite number in {unit} ({len(bad)} such values in the file)")
+        raise InputError(
+            path,
+            f"{_line(bad[0])}, column {column}",
+            f"{values[bad[0]]}",
+            f"a finite number in {unit} ({len(bad)} such values in the file)",
+        )
     return np.ascontiguousarray(values, float)
 
 
@@ -146,14 +162,24 @@ def _require_uniform(path: Path, t: np.ndarray, Ts: float) -> None:
     backwards = np.flatnonzero(step <= 0)
     if len(backwards):
         k = backwards[0] + 1
-        raise InputError(path, f"{_line(k)}, column t", f"time goes from {t[k - 1]:g} to {t[k]:g} s",
-                         "strictly increasing time")
+        raise InputError(
+            path,
+            f"{_line(k)}, column t",
+            f"time goes from {t[k - 1]:g} to {t[k]:g} s",
+            "strictly increasing time",
+        )
     # Half a sample of drift against the grid is the most that a rounded time column can explain.
-    off = np.flatnonzero((np.abs(step - Ts) > 0.25 * Ts) | (np.abs(t[1:] - t[0] - Ts * np.arange(1, len(t))) > 0.5 * Ts))
+    off = np.flatnonzero(
+        (np.abs(step - Ts) > 0.25 * Ts) | (np.abs(t[1:] - t[0] - Ts * np.arange(1, len(t))) > 0.5 * Ts)
+    )
     if len(off):
         k = off[0] + 1
-        raise InputError(path, f"{_line(k)}, column t", f"step of {step[k - 1]:g} s to t = {t[k]:g} s",
-                         f"a uniform grid of {Ts:g} s (lpvguard ingest resamples)")
+        raise InputError(
+            path,
+            f"{_line(k)}, column t",
+            f"step of {step[k - 1]:g} s to t = {t[k]:g} s",
+            f"a uniform grid of {Ts:g} s (lpvguard ingest resamples)",
+        )
 
 
 def _within(path: Path, signal: Signal, values: np.ndarray) -> np.ndarray:
@@ -161,17 +187,21 @@ def _within(path: Path, signal: Signal, values: np.ndarray) -> np.ndarray:
     if len(outside):
         k = outside[0]
         hint = "; is it in degrees?" if signal.unit.startswith("rad") else ""
-        raise InputError(path, f"{_line(k)}, column {signal.column}", f"{values[k]:g}{hint}",
-                         f"{signal.min:g} to {signal.max:g} {signal.unit} ({len(outside)} such values in the file)")
+        raise InputError(
+            path,
+            f"{_line(k)}, column {signal.column}",
+            f"{values[k]:g}{hint}",
+            f"{signal.min:g} to {signal.max:g} {signal.unit} ({len(outside)} such values in the file)",
+        )
     return values
 
 
 def require_units(path: Path | str, drive: Drive, nominal_output: np.ndarray, settled: np.ndarray) -> None:
     """Refuse a drive whose output is 57 times (or 1/57 of) what the nominal model says: degrees for radians.
 
-    Small angles given in degrees can stay within the signal's range; a factor of 40 to 80 together with a correlation
-    above 0.8 cannot come from a faulty sensor, which would be a finding and not an input error. ``settled`` (N,) bool:
-    in speed range, and the start at the measured output forgotten.
+    Small angles given in degrees can stay within the signal's range; a factor of 40 to 80 together with a
+    correlation above 0.8 cannot come from a faulty sensor, which would be a finding and not an input error.
+    ``settled`` (N,) bool: in speed range, and the start at the measured output forgotten.
     """
     for j in range(drive.y.shape[1]):
         y, yhat = drive.y[settled, j], nominal_output[settled, j]
@@ -179,5 +209,9 @@ def require_units(path: Path | str, drive: Drive, nominal_output: np.ndarray, se
             continue
         ratio = np.std(y) / np.std(yhat)
         if abs(np.corrcoef(y, yhat)[0, 1]) > 0.8 and (40 < ratio < 80 or 40 < 1 / ratio < 80):
-            raise InputError(path, f"output {j}", f"is {ratio:.3g} times the nominal model's",
-                             "radians (a factor near 57.3 means that one column is in degrees)")
+            raise InputError(
+                path,
+                f"output {j}",
+                f"is {ratio:.3g} times the nominal model's",
+                "radians (a factor near 57.3 means that one column is in degrees)",
+            )

@@ -1,4 +1,5 @@
-"""The diagonal blocks of an uncertainty Delta, for validation (validation/) and synthesis (synthesis/) alike."""
+"""The diagonal blocks of an uncertainty Delta, for validation (validation/) and synthesis (synthesis/)
+alike."""
 
 from __future__ import annotations
 
@@ -11,10 +12,12 @@ KINDS = ("full", "repeated_complex", "repeated_real")
 
 @dataclass(frozen=True)
 class Block:
-    """One diagonal block Delta_i of Delta, ``rows`` × ``cols``: ``cols`` inputs eta_i, ``rows`` outputs xi_i = Delta_i eta_i.
+    """One diagonal block Delta_i of Delta, ``rows`` × ``cols``: ``cols`` inputs eta_i, ``rows`` outputs xi_i
+    = Delta_i eta_i.
 
-    ``kind``: full (any complex matrix), repeated_complex or repeated_real (one scalar times the identity, so rows = cols). Of a matrix M
-    in eta = M xi the block's part is cols × rows. Raises InputError for another kind and for sizes that do not fit.
+    ``kind``: full (any complex matrix), repeated_complex or repeated_real (one scalar times the identity, so
+    rows = cols). Of a matrix M in eta = M xi the block's part is cols × rows. Raises InputError for another
+    kind and for sizes that do not fit.
     """
 
     kind: str

@@ -8,32 +8,35 @@ Source  Roedoenyi & Bokor, section III, steps 6 and 7; THEORY 5.3
 sample it is constant. The *worst ratio* is sup |W|/bound over all w, the ends included. A strictly proper
 weight cannot stay above a constant for ever: its claims, both ways, stop at the last sample.
 
-**How it is fitted.** With x = w^2, |W|^2 = N(x)/D(x) for polynomials N, D, and "bound^2 D <= N <= t^2 bound^2 D"
-is linear in (N, D) for a fixed t, so the least t is found by a sequence of linear programs. Each program
+**How it is fitted.** With x = w^2, |W|^2 = N(x)/D(x) for polynomials N, D, and "bound^2 D <= N <= t^2 bound^2
+D" is linear in (N, D) for a fixed t, so the least t is found by a sequence of linear programs. Each program
 minimises the violation of the upper inequality at a trial t (the differential correction of Barrodale, Powell
-and Roberts, SIAM J. Numer. Anal. 9, 1972): either it returns a better weight, or the trial t is infeasible and
-is a lower limit of what any weight of that order can reach. Trials sit 0.002 dB under the best weight so far.
-Rows are divided by bound^2 D of the current D (not under 1e-5 of its sum |d_i| x^i) and columns by the largest entry they
-then have, the max-plus scaling around that D: in this form monomials keep their accuracy over six decades. A verdict
-"infeasible" counts only when the D that scaled the rows was itself within 0.5 dB of the optimum. A program carries only the
-points that matter; points where its answer fails are added until none fails on a fine grid, which also
-takes up every lightly damped pole and zero. The left-half-plane spectral factors of N and D are the weight.
+and Roberts, SIAM J. Numer. Anal. 9, 1972): either it returns a better weight, or the trial t is infeasible
+and is a lower limit of what any weight of that order can reach. Trials sit 0.002 dB under the best weight so
+far. Rows are divided by bound^2 D of the current D (not under 1e-5 of its sum |d_i| x^i) and columns by the
+largest entry they then have, the max-plus scaling around that D: in this form monomials keep their accuracy
+over six decades. A verdict "infeasible" counts only when the D that scaled the rows was itself within 0.5 dB
+of the optimum. A program carries only the points that matter; points where its answer fails are added until
+none fails on a fine grid, which also takes up every lightly damped pole and zero. The left-half-plane
+spectral factors of N and D are the weight.
 
-**Why the weight is above the bound.** Not by a grid. On one piece bound^2 = c x^q with a real q, no polynomial;
-but x^q is convex in x (q <= 0 or q >= 1) or concave (0 < q < 1), so on [a, b] the chord respectively a tangent,
-a straight line L, lies above it. N - r^2 L D is then a polynomial, and if all its Bernstein coefficients on
-[a, b] are >= 0, so is the polynomial (it is a convex combination of them): it has no root in [a, b] and
-|W| >= r bound there. Where a coefficient is negative the interval is halved; L and the Bernstein coefficients
-converge quadratically, so the search ends. [0, w_1] is such a piece with q = 0 and [w_K, inf) becomes one in 1/x. The
-coefficients of N and D follow from those of W in rational arithmetic; the rounding error of the rest is
-subtracted (up to one rounding of the frequency). A proved ratio is 5e-10 below the one attained, so a weight that merely
-touches its bound is not accepted. Stability and minimum phase are decided by Routh's array in rational arithmetic. The same
-search with N and D exchanged bounds the worst ratio from above. The fit is closed by one scalar gain, ``inflation``, which
-lifts the weight by what the certificate found missing between the grid points.
+**Why the weight is above the bound.** Not by a grid. On one piece bound^2 = c x^q with a real q, no
+polynomial; but x^q is convex in x (q <= 0 or q >= 1) or concave (0 < q < 1), so on [a, b] the chord
+respectively a tangent, a straight line L, lies above it. N - r^2 L D is then a polynomial, and if all its
+Bernstein coefficients on [a, b] are >= 0, so is the polynomial (it is a convex combination of them): it has
+no root in [a, b] and |W| >= r bound there. Where a coefficient is negative the interval is halved; L and the
+Bernstein coefficients converge quadratically, so the search ends. [0, w_1] is such a piece with q = 0 and
+[w_K, inf) becomes one in 1/x. The coefficients of N and D follow from those of W in rational arithmetic; the
+rounding error of the rest is subtracted (up to one rounding of the frequency). A proved ratio is 5e-10 below
+the one attained, so a weight that merely touches its bound is not accepted. Stability and minimum phase are
+decided by Routh's array in rational arithmetic. The same search with N and D exchanged bounds the worst ratio
+from above. The fit is closed by one scalar gain, ``inflation``, which lifts the weight by what the
+certificate found missing between the grid points.
 
-**What it does not do.** The optimum of a given order may want a break beyond the first or last sample, or a sharp resonance
-around a single deep bin of raw scatter; both are kept, since leaving them out costs more than 0.01 dB, and the former are named
-in ``breaks_outside``. Who does not want the scatter's shape hands in an envelope.
+**What it does not do.** The optimum of a given order may want a break beyond the first or last sample, or a
+sharp resonance around a single deep bin of raw scatter; both are kept, since leaving them out costs more than
+0.01 dB, and the former are named in ``breaks_outside``. Who does not want the scatter's shape hands in an
+envelope.
 """
 
 from __future__ import annotations
@@ -81,13 +84,18 @@ class Weight:
         for name in ("num", "den"):
             value = np.array(getattr(self, name), dtype=float)
             if value.ndim != 1 or value.size == 0 or not np.all(np.isfinite(value)) or value[0] == 0.0:
-                raise InputError("weight", name, f"{value.tolist()}",
-                                 "a list of finite coefficients whose first is not 0")
+                raise InputError(
+                    "weight", name, f"{value.tolist()}", "a list of finite coefficients whose first is not 0"
+                )
             value.setflags(write=False)
             object.__setattr__(self, name, value)
         if self.num.size > self.den.size:
-            raise InputError("weight", "num", f"degree {self.num.size - 1} over degree {self.den.size - 1}",
-                             "a proper transfer function")
+            raise InputError(
+                "weight",
+                "num",
+                f"degree {self.num.size - 1} over degree {self.den.size - 1}",
+                "a proper transfer function",
+            )
 
     @property
     def order(self) -> int:
@@ -113,9 +121,9 @@ class Weight:
     def to_state_space(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """A (n,n), B (n,1), C (1,n), D (1,1) of W; W must be stable.
 
-        A chain of first- and second-order sections, slow to fast, each written from its own poles, so that poles many
-        decades apart keep their accuracy; states scaled by powers of two until the diagonals of both
-        Gramians agree within a factor four.
+        A chain of first- and second-order sections, slow to fast, each written from its own poles, so that
+        poles many decades apart keep their accuracy; states scaled by powers of two until the diagonals of
+        both Gramians agree within a factor four.
         """
         sections = _sections(self.num, self.den)
         a, b, c, d = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[1.0]])
@@ -140,15 +148,17 @@ class Weight:
         try:
             return cls(num=np.asarray(data["num"], dtype=float), den=np.asarray(data["den"], dtype=float))
         except (KeyError, TypeError) as problem:
-            raise InputError("weight", "", f"cannot be read ({problem!r})", "keys num and den, lists of numbers")
+            raise InputError(
+                "weight", "", f"cannot be read ({problem!r})", "keys num and den, lists of numbers"
+            )
 
 
 @dataclass(frozen=True)
 class Certificate:
     """What ``verify_overbound`` proved about a weight and a bound.
 
-    ``min_ratio`` <= |W|/bound <= ``max_ratio`` for all 0 <= w <= ``omega_max``; ``*_at`` (rad/s) is where the extreme
-    is attained within 1e-9. ``omega_max`` is inf, or the last sample when W is strictly proper.
+    ``min_ratio`` <= |W|/bound <= ``max_ratio`` for all 0 <= w <= ``omega_max``; ``*_at`` (rad/s) is where the
+    extreme is attained within 1e-9. ``omega_max`` is inf, or the last sample when W is strictly proper.
     ``intervals``: Bernstein tests made. ``without_data``: frequencies of NaN samples, bridged by the bound.
     """
 
@@ -173,11 +183,12 @@ class Certificate:
 class OverboundFit:
     """A fitted weight and how good it is.
 
-    ``worst_ratio_db``: proved upper limit of sup |W|/bound, 20 log10. ``lp_optimum_db``: proved infeasible for this order
-    (up to the LP solver's 1e-9), so the fit is within ``worst_ratio_db - lp_optimum_db`` of the best there is.
-    ``ratios_db``: worst ratio reached per order tried. ``inflation``: the final scalar gain, already in ``weight``.
-    ``certificate``: ``Certificate.to_dict()``. ``floored``: frequencies (rad/s) where the floor replaced a smaller bound.
-    ``breaks_outside``: |pole| and |zero| (rad/s) beyond the first or last sample, which the optimum asked for.
+    ``worst_ratio_db``: proved upper limit of sup |W|/bound, 20 log10. ``lp_optimum_db``: proved infeasible
+    for this order (up to the LP solver's 1e-9), so the fit is within ``worst_ratio_db - lp_optimum_db`` of
+    the best there is. ``ratios_db``: worst ratio reached per order tried. ``inflation``: the final scalar
+    gain, already in ``weight``. ``certificate``: ``Certificate.to_dict()``. ``floored``: frequencies (rad/s)
+    where the floor replaced a smaller bound. ``breaks_outside``: |pole| and |zero| (rad/s) beyond the first
+    or last sample, which the optimum asked for.
     """
 
     weight: Weight
@@ -191,18 +202,19 @@ class OverboundFit:
     breaks_outside: tuple[float, ...]
 
 
-def fit_overbound(omega, bound, *, max_order=4, order=None, floor=None, tol_db=0.3, proper="biproper",
-                  name="") -> OverboundFit:
+def fit_overbound(
+    omega, bound, *, max_order=4, order=None, floor=None, tol_db=0.3, proper="biproper", name=""
+) -> OverboundFit:
     """Lowest-order stable minimum-phase weight above ``bound`` with the least worst ratio.
 
     omega     (K,) rad/s, > 0, strictly increasing
-    bound     (K,) >= 0; NaN: no data there (the neighbours are joined); values under ``floor`` are raised to it
-    max_order highest order considered; the order taken is the smallest n such that no order n + k up to max_order
-              lowers the worst ratio by more than k ``tol_db``
+    bound     (K,) >= 0; NaN: no data there (the neighbours are joined); values under ``floor`` are raised to
+              it max_order highest order considered; the order taken is the smallest n such that no order n +
+              k up to max_order lowers the worst ratio by more than k ``tol_db``
     order     this order instead; a lower one is returned when the extra states gain nothing (0.002 dB)
     floor     > 0, needed where the bound is 0
-    proper    "biproper" (D(inf) > 0, which H-infinity rank conditions need) or "strict" (rolls off, from 10 omega[-1] on at the
-              latest; claims end at omega[-1])
+    proper    "biproper" (D(inf) > 0, which H-infinity rank conditions need) or "strict" (rolls off, from 10
+              omega[-1] on at the latest; claims end at omega[-1])
     name      of the bound, for messages
 
     Raises ``InputError`` naming the index or the frequency.
@@ -225,14 +237,22 @@ def fit_overbound(omega, bound, *, max_order=4, order=None, floor=None, tol_db=0
         if best[n].order == n and (closed := _close(problem, best[n], best.get(n - 1))) is not None:
             break
     else:
-        raise InputError(source, f"order {chosen}", "no weight could be certified", "a smoother bound or another order")
+        raise InputError(
+            source, f"order {chosen}", "no weight could be certified", "a smoother bound or another order"
+        )
     weight, inflation, certificate, lower_db = closed
     worst_db = _db(certificate.max_ratio)
     return OverboundFit(
-        weight=weight, order=weight.order, worst_ratio_db=worst_db, lp_optimum_db=lower_db, inflation=inflation,
+        weight=weight,
+        order=weight.order,
+        worst_ratio_db=worst_db,
+        lp_optimum_db=lower_db,
+        inflation=inflation,
         certificate=certificate.to_dict() | {"without_data": list(samples.without_data)},
-        ratios_db={m: candidate.ratio_db for m, candidate in best.items()} | {n: worst_db}, floored=samples.floored,
-        breaks_outside=_outside(weight, samples))
+        ratios_db={m: candidate.ratio_db for m, candidate in best.items()} | {n: worst_db},
+        floored=samples.floored,
+        breaks_outside=_outside(weight, samples),
+    )
 
 
 def _outside(weight: Weight, samples: _Samples) -> tuple[float, ...]:
@@ -243,8 +263,8 @@ def _outside(weight: Weight, samples: _Samples) -> tuple[float, ...]:
 def verify_overbound(weight: Weight, omega, bound, *, floor=None, name="") -> Certificate:
     """Prove or refute |W| >= bound from the coefficients of W alone; nothing of the fit is reused.
 
-    ``omega`` (K,) rad/s, ``bound`` (K,) and ``floor`` as in ``fit_overbound``. ``ok`` is true when W is stable,
-    minimum-phase and ``min_ratio`` >= 1. The method is the module's third paragraph.
+    ``omega`` (K,) rad/s, ``bound`` (K,) and ``floor`` as in ``fit_overbound``. ``ok`` is true when W is
+    stable, minimum-phase and ``min_ratio`` >= 1. The method is the module's third paragraph.
     """
     samples = _Samples.read(name or "weight check", omega, bound, floor)
     strict = weight.num.size < weight.den.size
@@ -253,10 +273,17 @@ def verify_overbound(weight: Weight, omega, bound, *, floor=None, name="") -> Ce
     low, low_at, tests = _least_ratio(top, bottom, samples, strict)
     high, high_at, more = _least_ratio(bottom, top, samples.reciprocal(), strict)
     return Certificate(
-        ok=bool(stable and minimum_phase and low >= 1.0), stable=stable, minimum_phase=minimum_phase,
-        min_ratio=low, min_ratio_at=low_at, max_ratio=1.0 / high if high > 0.0 else math.inf, max_ratio_at=high_at,
-        omega_max=float(samples.omega[-1]) if strict else math.inf, intervals=tests + more,
-        without_data=samples.without_data)
+        ok=bool(stable and minimum_phase and low >= 1.0),
+        stable=stable,
+        minimum_phase=minimum_phase,
+        min_ratio=low,
+        min_ratio_at=low_at,
+        max_ratio=1.0 / high if high > 0.0 else math.inf,
+        max_ratio_at=high_at,
+        omega_max=float(samples.omega[-1]) if strict else math.inf,
+        intervals=tests + more,
+        without_data=samples.without_data,
+    )
 
 
 def subtract_noise(B_w, W_n, omega, *, disturbance_set, floor) -> tuple[np.ndarray, list[float]]:
@@ -266,24 +293,30 @@ def subtract_noise(B_w, W_n, omega, *, disturbance_set, floor) -> tuple[np.ndarr
     disturbance_set  "paper": |B_w| - |W_n|; "covering": sqrt(|B_w|^2 - |W_n|^2)
     floor     > 0, scalar or (K,): the least value returned
 
-    Returns the values (K,) and the frequencies (rad/s) at which the difference was not positive, so that the floor
-    is all there is.
+    Returns the values (K,) and the frequencies (rad/s) at which the difference was not positive, so that the
+    floor is all there is.
 
-    >>> values, lost = subtract_noise([5.0, 1.0], [3.0, 2.0], [1.0, 10.0], disturbance_set="covering", floor=0.1)
-    >>> values.tolist(), lost
-    ([4.0, 0.1], [10.0])
+    >>> values, lost = subtract_noise([5.0, 1.0], [3.0, 2.0], [1.0, 10.0], disturbance_set="covering",
+    floor=0.1) >>> values.tolist(), lost ([4.0, 0.1], [10.0])
     """
     omega = np.asarray(omega, dtype=float)
     total, noise = (_magnitudes(what, value, omega) for what, value in (("B_w", B_w), ("W_n", W_n)))
     floor = np.broadcast_to(np.asarray(floor, dtype=float), omega.shape)
     if not np.all(np.isfinite(floor) & (floor > 0)):
-        raise InputError("noise subtraction", "floor", f"{floor[~(floor > 0) | ~np.isfinite(floor)][0]}", "a finite number > 0")
+        raise InputError(
+            "noise subtraction",
+            "floor",
+            f"{floor[~(floor > 0) | ~np.isfinite(floor)][0]}",
+            "a finite number > 0",
+        )
     if disturbance_set == "paper":
         left = total - noise
     elif disturbance_set == "covering":
         left = np.copysign(np.sqrt(np.abs(total - noise) * (total + noise)), total - noise)
     else:
-        raise InputError("noise subtraction", "disturbance_set", f"{disturbance_set!r}", "'paper' or 'covering'")
+        raise InputError(
+            "noise subtraction", "disturbance_set", f"{disturbance_set!r}", "'paper' or 'covering'"
+        )
     return np.maximum(left, floor), omega[left <= 0].tolist()
 
 
@@ -292,11 +325,17 @@ def _magnitudes(what: str, value, omega: np.ndarray) -> np.ndarray:
         return value.magnitude(omega)
     value = np.asarray(value, dtype=float)
     if value.shape != omega.shape:
-        raise InputError("noise subtraction", what, f"shape {value.shape}", f"the shape of omega, {omega.shape}")
+        raise InputError(
+            "noise subtraction", what, f"shape {value.shape}", f"the shape of omega, {omega.shape}"
+        )
     wrong = np.flatnonzero((value < 0) | np.isinf(value))
     if wrong.size:
-        raise InputError("noise subtraction", f"{what} at {omega[wrong[0]]:g} rad/s", f"{value[wrong[0]]}",
-                         "a finite magnitude >= 0 or NaN")
+        raise InputError(
+            "noise subtraction",
+            f"{what} at {omega[wrong[0]]:g} rad/s",
+            f"{value[wrong[0]]}",
+            "a finite magnitude >= 0 or NaN",
+        )
     return value
 
 
@@ -320,8 +359,8 @@ def _lowest_order(source, max_order, order, tol_db, proper) -> int:
 class _Samples:
     """A checked bound. ``omega`` (K,) and ``bound`` (K,), the latter over ``level``, without the NaN samples.
 
-    ``unit`` and ``level`` are powers of two near the middle of omega and bound: y = (w/unit)^2 and its powers and the
-    squares of the bound stay in range, and the change of units is exact.
+    ``unit`` and ``level`` are powers of two near the middle of omega and bound: y = (w/unit)^2 and its powers
+    and the squares of the bound stay in range, and the change of units is exact.
     """
 
     omega: np.ndarray
@@ -335,10 +374,16 @@ class _Samples:
     def read(cls, source, omega, bound, floor) -> _Samples:
         omega, bound = np.asarray(omega, dtype=float), np.asarray(bound, dtype=float)
         if omega.ndim != 1 or bound.shape != omega.shape or omega.size == 0:
-            raise InputError(source, "", f"omega has shape {omega.shape} and bound {bound.shape}",
-                             "two lists of the same length >= 1")
-        for wrong, expected in ((~np.isfinite(omega) | (omega <= 0), "a finite frequency > 0 rad/s"),
-                                (np.append(False, np.diff(omega) <= 0), "strictly increasing frequencies")):
+            raise InputError(
+                source,
+                "",
+                f"omega has shape {omega.shape} and bound {bound.shape}",
+                "two lists of the same length >= 1",
+            )
+        for wrong, expected in (
+            (~np.isfinite(omega) | (omega <= 0), "a finite frequency > 0 rad/s"),
+            (np.append(False, np.diff(omega) <= 0), "strictly increasing frequencies"),
+        ):
             if wrong.any():
                 at = int(np.argmax(wrong))
                 raise InputError(source, f"omega[{at}]", f"{omega[at]!r}", expected)
@@ -348,17 +393,27 @@ class _Samples:
         wrong = known & ((bound < 0) | np.isinf(bound))
         if wrong.any():
             at = int(np.argmax(wrong))
-            raise InputError(source, f"bound[{at}] at {omega[at]:g} rad/s", f"{bound[at]}", "a finite value >= 0, or NaN")
+            raise InputError(
+                source, f"bound[{at}] at {omega[at]:g} rad/s", f"{bound[at]}", "a finite value >= 0, or NaN"
+            )
         if floor is not None and not (np.isfinite(floor) and floor > 0):
             raise InputError(source, "floor", f"{floor!r}", "a finite number > 0")
         raised = known & (bound < (floor or 0.0))
         w, b = omega[known], np.where(raised, floor or 0.0, bound)[known]
         if (b == 0).any():
-            raise InputError(source, f"bound at {w[np.argmin(b)]:g} rad/s", "is 0, and no weight is nought on an interval",
-                             "a floor > 0")
+            raise InputError(
+                source,
+                f"bound at {w[np.argmin(b)]:g} rad/s",
+                "is 0, and no weight is nought on an interval",
+                "a floor > 0",
+            )
         if b.max() / b.min() > _MAX_RANGE:
-            raise InputError(source, f"bound at {w[np.argmin(b)]:g} rad/s", f"is {b.min()} below a largest value of {b.max()}",
-                             f"a range of at most {_MAX_RANGE:g}")
+            raise InputError(
+                source,
+                f"bound at {w[np.argmin(b)]:g} rad/s",
+                f"is {b.min()} below a largest value of {b.max()}",
+                f"a range of at most {_MAX_RANGE:g}",
+            )
         unit, level = (2.0 ** round(0.5 * (math.log2(v.min()) + math.log2(v.max()))) for v in (w, b))
         return cls(w, b / level, unit, level, tuple(omega[~known].tolist()), tuple(omega[raised].tolist()))
 
@@ -384,7 +439,7 @@ def _is_hurwitz(coefficients: np.ndarray) -> bool:
             return False
         padded = lower + [Fraction(0)] * (len(upper) - len(lower))
         quotient = upper[0] / lower[0]
-        upper, lower = lower, [u - quotient * p for u, p in zip(upper[1:], padded[1:])]
+        upper, lower = lower, [u - quotient * p for u, p in zip(upper[1:], padded[1:], strict=False)]
     return upper[0] > 0
 
 
@@ -400,38 +455,58 @@ def _squared(coefficients: np.ndarray, unit: float) -> np.ndarray:
     return np.array([float(v) for v in square])
 
 
-def _bernstein(polynomial: np.ndarray, lo: np.ndarray, hi: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
+def _bernstein(
+    polynomial: np.ndarray, lo: np.ndarray, hi: np.ndarray, degree: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Bernstein coefficients (M, degree+1) on [lo, hi] (M,) and the same of sum |c_i| y^i.
 
-    By the blossom: coefficient k of y^i is the mean of all products of i out of (degree-k) lo's and k hi's; for
-    0 <= lo <= hi nothing cancels within a monomial.
+    By the blossom: coefficient k of y^i is the mean of all products of i out of (degree-k) lo's and k hi's;
+    for 0 <= lo <= hi nothing cancels within a monomial.
     """
     out = np.zeros((2, lo.size, degree + 1))
     powers = [(lo**j, hi**j) for j in range(len(polynomial))]
     for i, c in enumerate(polynomial):
         for k in range(degree + 1):
-            mean = sum(math.comb(k, j) * math.comb(degree - k, i - j) / math.comb(degree, i) * powers[j][1] * powers[i - j][0]
-                       for j in range(max(0, i + k - degree), min(i, k) + 1))
+            mean = sum(
+                math.comb(k, j)
+                * math.comb(degree - k, i - j)
+                / math.comb(degree, i)
+                * powers[j][1]
+                * powers[i - j][0]
+                for j in range(max(0, i + k - degree), min(i, k) + 1)
+            )
             out[0, :, k] += c * mean
             out[1, :, k] += abs(c) * mean
     return out[0], out[1]
 
 
-def _least_ratio(top: np.ndarray, bottom: np.ndarray, samples: _Samples, strict: bool) -> tuple[float, float, int]:
+def _least_ratio(
+    top: np.ndarray, bottom: np.ndarray, samples: _Samples, strict: bool
+) -> tuple[float, float, int]:
     """Proved lower limit of inf sqrt(top/bottom)/bound, where it is attained within 1e-9 (rad/s), tests made.
 
-    ``top``, ``bottom``: polynomials in y, ascending, same unit as ``samples``; bottom >= 0. Returns 0 at the frequency
-    where no positive ratio could be proved. ``strict``: leave out what lies beyond the last sample.
+    ``top``, ``bottom``: polynomials in y, ascending, same unit as ``samples``; bottom >= 0. Returns 0 at the
+    frequency where no positive ratio could be proved. ``strict``: leave out what lies beyond the last sample.
     """
     size = max(len(top), len(bottom))
     top, bottom = (np.pad(p, (0, size - len(p))) for p in (top, bottom))
     y, log_b2 = samples.y, 2.0 * np.log(samples.bound)
-    slopes = np.diff(log_b2) / np.log(y[1:] / y[:-1])  # the very logarithm of ``_bound_squared``, however close the samples
-    inside = (np.append(0.0, y[:-1]), y, np.append(y[0], y[:-1]), np.append(log_b2[0], log_b2[:-1]), np.append(0.0, slopes))
+    slopes = np.diff(log_b2) / np.log(
+        y[1:] / y[:-1]
+    )  # the very logarithm of ``_bound_squared``, however close the samples
+    inside = (
+        np.append(0.0, y[:-1]),
+        y,
+        np.append(y[0], y[:-1]),
+        np.append(log_b2[0], log_b2[:-1]),
+        np.append(0.0, slopes),
+    )
     families = [(top, bottom, inside, lambda v: samples.unit * math.sqrt(v))]
     if not strict:  # [y_K, inf) in 1/y: the reversed polynomials on [0, 1/y_K]
         beyond = (np.zeros(1), 1.0 / y[-1:], 1.0 / y[-1:], log_b2[-1:], np.zeros(1))
-        families.append((top[::-1], bottom[::-1], beyond, lambda v: samples.unit / math.sqrt(v) if v else math.inf))
+        families.append(
+            (top[::-1], bottom[::-1], beyond, lambda v: samples.unit / math.sqrt(v) if v else math.inf)
+        )
     least, at, tests, margin = math.inf, math.nan, 0, _PROOF_MARGIN
     for p, q, pieces, frequency in families:
         points, shapes = np.concatenate(pieces[:2]), tuple(np.tile(v, 2) for v in pieces[2:])
@@ -450,7 +525,11 @@ def _least_ratio(top: np.ndarray, bottom: np.ndarray, samples: _Samples, strict:
             if tests > _MAX_TESTS:
                 return 0.0, frequency(hi[0]), tests
             points = np.where(lo > 0, np.sqrt(lo * hi), 0.25 * hi)
-            pieces = (np.concatenate([lo, points]), np.concatenate([points, hi]), *(np.tile(v, 2) for v in shapes))
+            pieces = (
+                np.concatenate([lo, points]),
+                np.concatenate([points, hi]),
+                *(np.tile(v, 2) for v in shapes),
+            )
         else:
             return 0.0, frequency(hi[0]), tests
     return math.sqrt(least * (1.0 - margin)), at, tests
@@ -464,7 +543,8 @@ def _bound_squared(points, y0, log0, slope) -> np.ndarray:
 
 
 def _attained(p, q, points, shapes) -> tuple[float, float]:
-    """Least p/(bound^2 q) over ``points``, less its rounding error, and the point; q = 0 counts as infinite."""
+    """Least p/(bound^2 q) over ``points``, less its rounding error, and the point; q = 0 counts as
+    infinite."""
     powers = points[:, None] ** np.arange(len(p))
     bottom = (powers @ q) * _bound_squared(points, *shapes)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -478,9 +558,14 @@ def _nonnegative(p, q, factor, lo, hi, y0, log0, slope) -> np.ndarray:
     at_lo, at_hi = (_bound_squared(v, y0, log0, slope) for v in (lo, hi))
     with np.errstate(divide="ignore", invalid="ignore"):
         middle = np.where(lo > 0, np.sqrt(lo * hi), 0.5 * hi)
-        tangent = _bound_squared(middle, y0, log0, slope) * (1.0 + slope * (np.array([lo, hi]) / middle - 1.0))
+        tangent = _bound_squared(middle, y0, log0, slope) * (
+            1.0 + slope * (np.array([lo, hi]) / middle - 1.0)
+        )
     concave = (slope > 0) & (slope < 1)
-    line_lo, line_hi = factor * np.where(concave, tangent[0], at_lo), factor * np.where(concave, tangent[1], at_hi)
+    line_lo, line_hi = (
+        factor * np.where(concave, tangent[0], at_lo),
+        factor * np.where(concave, tangent[1], at_hi),
+    )
     n = len(p) - 1
     p_c, p_abs = _bernstein(p, lo, hi, n)
     q_c, q_abs = _bernstein(q, lo, hi, n)
@@ -489,8 +574,11 @@ def _nonnegative(p, q, factor, lo, hi, y0, log0, slope) -> np.ndarray:
         value = np.zeros(lo.size)
         for weight, index, line in ((n + 1 - k, k, line_lo), (k, k - 1, line_hi)):
             if weight:
-                value += weight * (p_c[:, index] - line * q_c[:, index]
-                                   - _ROUNDING * (p_abs[:, index] + line * q_abs[:, index]))
+                value += weight * (
+                    p_c[:, index]
+                    - line * q_c[:, index]
+                    - _ROUNDING * (p_abs[:, index] + line * q_abs[:, index])
+                )
         proved &= value >= 0
     return proved
 
@@ -516,8 +604,8 @@ class _Candidate:
 class _Problem:
     """The cutting-plane grid: all samples, points between them, both ends and what lies beyond.
 
-    ``y`` (G,) ascending from 0 to inf, ``b2`` (G,) bound squared, ``below`` (G,) where the weight must be above the bound.
-    Grows by ``insert`` where a resonance hides between points.
+    ``y`` (G,) ascending from 0 to inf, ``b2`` (G,) bound squared, ``below`` (G,) where the weight must be
+    above the bound. Grows by ``insert`` where a resonance hides between points.
     """
 
     def __init__(self, samples: _Samples, strict: bool):
@@ -525,14 +613,21 @@ class _Problem:
         self._log_w, self._log_b = np.log(samples.omega / samples.unit), np.log(samples.bound)
         first, last = self.band = (self._log_w[0], self._log_w[-1])
         self.end = math.exp(2.0 * last)
-        tail = np.geomspace(_GRID_STEP, math.log(_OUTSIDE), 30)  # dense next to the corner of the bound at either end
-        fill = [np.linspace(a, b, int((b - a) / _GRID_STEP) + 2)[:-1] for a, b in zip(self._log_w[:-1], self._log_w[1:])]
+        tail = np.geomspace(
+            _GRID_STEP, math.log(_OUTSIDE), 30
+        )  # dense next to the corner of the bound at either end
+        fill = [
+            np.linspace(a, b, int((b - a) / _GRID_STEP) + 2)[:-1]
+            for a, b in zip(self._log_w[:-1], self._log_w[1:], strict=False)
+        ]
         self._place(np.concatenate([[-math.inf], first - tail[::-1], *fill, [last], last + tail, [math.inf]]))
 
     def _place(self, grid: np.ndarray):
         self.y = np.exp(2.0 * grid)
         self.b2 = np.exp(2.0 * np.interp(grid, self._log_w, self._log_b))
-        if self.strict:  # a ceiling that falls from a decade beyond the band, else the roll-off would start anywhere
+        if (
+            self.strict
+        ):  # a ceiling that falls from a decade beyond the band, else the roll-off would start anywhere
             self.b2[:-1] *= np.minimum(1.0, 100.0 * self.end / np.maximum(self.y[:-1], self.end))
         self.below = grid <= self.band[1] if self.strict else np.ones(grid.size, dtype=bool)
         self._grid = grid
@@ -542,7 +637,8 @@ class _Problem:
             self._place(np.union1d(self._grid, 0.5 * np.log(y)))
 
     def start(self) -> np.ndarray:
-        """y of the first linear program's rows: both ends, and highest and lowest bound in each of 24 stretches."""
+        """y of the first linear program's rows: both ends, and highest and lowest bound in each of 24
+        stretches."""
         cells = np.array_split(np.arange(self.y.size), 24)
         return np.unique(self.y[[0, -1] + [c[f(self.b2[c])] for c in cells for f in (np.argmin, np.argmax)]])
 
@@ -559,7 +655,8 @@ class _Problem:
             return np.where(low > 0, high / (self.b2 * low), math.nan)
 
     def spread_db(self, ratio2: np.ndarray, rows=slice(None)) -> float:
-        """Worst ratio over best of the ratios at ``rows``; inf when no gain makes that a weight above the bound."""
+        """Worst ratio over best of the ratios at ``rows``; inf when no gain makes that a weight above the
+        bound."""
         if np.isnan(ratio2).any() or not (least := ratio2[self.below[rows]].min()) > 0:
             return math.inf
         return 10.0 * math.log10(ratio2.max() / least)
@@ -569,7 +666,9 @@ def _db(ratio: float) -> float:
     return 20.0 * math.log10(ratio) if ratio < math.inf else math.inf
 
 
-def _optimum(problem: _Problem, order: int, lower_order: _Candidate | None, last: _Candidate | None = None) -> _Candidate:
+def _optimum(
+    problem: _Problem, order: int, lower_order: _Candidate | None, last: _Candidate | None = None
+) -> _Candidate:
     """Least worst ratio of one order; the lower order's candidate when it is not beaten by ``_STEP_DB``.
 
     ``last``: what was found before the grid grew.
@@ -590,7 +689,14 @@ def _optimum(problem: _Problem, order: int, lower_order: _Candidate | None, last
         active = np.union1d(active, _failures(problem, problem.ratio2(last.top, last.bottom), lower_db))
     if best is None:  # strictly proper, first order: any roll-off to start from
         ratio2 = problem.ratio2(np.ones(1), bottom)
-        best = _Candidate(order, 1.0 / ratio2[problem.below].min(keepdims=True), bottom, problem.spread_db(ratio2), 0.0, active)
+        best = _Candidate(
+            order,
+            1.0 / ratio2[problem.below].min(keepdims=True),
+            bottom,
+            problem.spread_db(ratio2),
+            0.0,
+            active,
+        )
     for _ in range(_MAX_CUTS):
         tol = max(_STEP_DB, 0.1 * excess)
         found, lower_db = _exchange(problem, active, order, bottom, lower_db, best.ratio_db, tol)
@@ -625,19 +731,25 @@ def _resolve(problem: _Problem, top: np.ndarray, bottom: np.ndarray):
 
 
 def _exchange(problem, active, order, bottom, lower_db, upper_db, tol_db):
-    """Bracket the optimum over the rows ``active`` (y values) to ``tol_db``: ((N, D) or None, level proved infeasible).
+    """Bracket the optimum over the rows ``active`` (y values) to ``tol_db``: ((N, D) or None, level proved
+    infeasible).
 
     ``upper_db`` is known to be reached; None when that cannot be bettered by ``tol_db``.
     """
     rows = np.searchsorted(problem.y, active)
     powers = problem.powers(order)
     found, level = None, min(lower_db + tol_db, 0.5 * (lower_db + upper_db))
-    scaled_by, judged_by = upper_db, math.inf  # what ``bottom`` reaches, now and at the last verdict "infeasible"
+    scaled_by, judged_by = (
+        upper_db,
+        math.inf,
+    )  # what ``bottom`` reaches, now and at the last verdict "infeasible"
     for _ in range(_MAX_PROGRAMS):
         if upper_db - lower_db <= tol_db:
             if judged_by <= lower_db + max(tol_db, _NEAR_DB):
                 break
-            level = lower_db  # rows scaled by a D far from the optimum may have led to that verdict: ask again
+            level = (
+                lower_db  # rows scaled by a D far from the optimum may have led to that verdict: ask again
+            )
         gap = upper_db - lower_db
         answer = _program(problem, powers[rows], rows, bottom, level)
         if answer is None:  # no verdict
@@ -661,8 +773,8 @@ def _exchange(problem, active, order, bottom, lower_db, upper_db, tol_db):
 def _program(problem, powers, rows, bottom, level_db):
     """(N, D) of the linear program at the trial worst ratio ``level_db``, None when the solver gives up.
 
-    Unknowns N' = N/t, D and tau; each row over the D of ``bottom``, and that not under 1e-5 of its sum |d_i| y^i, so that
-    the solver's tolerance is relative even in a sharp resonance:
+    Unknowns N' = N/t, D and tau; each row over the D of ``bottom``, and that not under 1e-5 of its sum |d_i|
+    y^i, so that the solver's tolerance is relative even in a sharp resonance:
     bound^2 D <= t N',  N'/t - bound^2 D <= tau bound^2 D_old,  D >= 1e-5 D_old,  mean of D = 1,  least tau.
     Where a strictly proper weight may leave the bound, N only stays positive.
     """
@@ -676,24 +788,37 @@ def _program(problem, powers, rows, bottom, level_db):
     n_scale, d_scale = n_rows.max(axis=0), d_rows.max(axis=0)
     n_rows, d_rows, mean = n_rows / n_scale, d_rows / d_scale, mean / d_scale
     below, tau = problem.below[rows], np.ones((len(rows), 1))
-    a_ub = np.vstack([np.hstack([-t * n_rows, d_rows * below[:, None], 0 * tau]),
-                      np.hstack([n_rows / t, -d_rows, -tau]),
-                      np.hstack([0 * n_rows, -d_rows, 0 * tau])])
+    a_ub = np.vstack(
+        [
+            np.hstack([-t * n_rows, d_rows * below[:, None], 0 * tau]),
+            np.hstack([n_rows / t, -d_rows, -tau]),
+            np.hstack([0 * n_rows, -d_rows, 0 * tau]),
+        ]
+    )
     roll_off = np.where(below, 0.0, -_RESOLUTION * problem.end / np.maximum(problem.y[rows], problem.end))
     b_ub = np.concatenate([roll_off, np.zeros(len(rows)), np.full(len(rows), -_RESOLUTION)])
     cost = np.zeros(a_ub.shape[1])
     cost[-1] = 1.0
     a_eq = np.concatenate([np.zeros(n_rows.shape[1]), mean, [0.0]])[None, :]
-    answer = linprog(cost, A_ub=a_ub, b_ub=b_ub, A_eq=a_eq, b_eq=[1.0], bounds=(None, None), method="highs-ds",
-                     options=_TOLERANCE)
+    answer = linprog(
+        cost,
+        A_ub=a_ub,
+        b_ub=b_ub,
+        A_eq=a_eq,
+        b_eq=[1.0],
+        bounds=(None, None),
+        method="highs-ds",
+        options=_TOLERANCE,
+    )
     if answer.status != 0:
         return None
-    top, bottom = answer.x[: n_rows.shape[1]] / n_scale, answer.x[n_rows.shape[1]:-1] / d_scale
+    top, bottom = answer.x[: n_rows.shape[1]] / n_scale, answer.x[n_rows.shape[1] : -1] / d_scale
     return top / np.abs(bottom).max(), bottom / np.abs(bottom).max()
 
 
 def _failures(problem: _Problem, ratio2: np.ndarray, level_db: float) -> np.ndarray:
-    """y to add: the worst local extremes of the ratio outside [1, level], and one per stretch where D <= 0."""
+    """y to add: the worst local extremes of the ratio outside [1, level], and one per stretch where D <=
+    0."""
     bad = ~((ratio2 > 0) | (problem.strict & np.isinf(problem.y)))
     log_r = 10.0 * np.log10(np.where(ratio2 > 0, ratio2, 1.0))
     miss = np.maximum(log_r - level_db, np.where(problem.below, -log_r, 0.0))
@@ -706,8 +831,11 @@ def _failures(problem: _Problem, ratio2: np.ndarray, level_db: float) -> np.ndar
 
 def _choose(best: dict[int, _Candidate], tol_db: float) -> int:
     """Smallest order n such that no order n + k gains more than k tol_db."""
-    return next(n for n, c in best.items()
-                if all(c.ratio_db - other.ratio_db <= tol_db * (m - n) for m, other in best.items() if m > n))
+    return next(
+        n
+        for n, c in best.items()
+        if all(c.ratio_db - other.ratio_db <= tol_db * (m - n) for m, other in best.items() if m > n)
+    )
 
 
 # ---------------------------------------------------------------- spectral factors
@@ -717,8 +845,8 @@ def _close(problem: _Problem, candidate: _Candidate, lower_order: _Candidate | N
     """Weight, inflation, certificate and lower limit [dB] of a candidate; None when no stable spectral factor
     is found that beats the lower order.
 
-    Where the certificate finds the ratio outside what the grid showed, that frequency joins the grid and the order is
-    fitted again.
+    Where the certificate finds the ratio outside what the grid showed, that frequency joins the grid and the
+    order is fitted again.
     """
     closed = None
     for _ in range(_MAX_REFITS):
@@ -728,16 +856,23 @@ def _close(problem: _Problem, candidate: _Candidate, lower_order: _Candidate | N
             closed = *lifted, candidate.lower_db
         if closed is not None and _db(closed[2].max_ratio) <= candidate.lower_db + 4 * _STEP_DB:
             break
-        problem.insert((np.array([certificate.min_ratio_at, certificate.max_ratio_at]) / problem.samples.unit) ** 2)
+        problem.insert(
+            (np.array([certificate.min_ratio_at, certificate.max_ratio_at]) / problem.samples.unit) ** 2
+        )
         candidate = _optimum(problem, candidate.order, lower_order, candidate)
         if lower_order is not None and candidate.order == lower_order.order:
             break
-    worse = closed is not None and lower_order is not None and _db(closed[2].max_ratio) > lower_order.ratio_db + _STEP_DB
+    worse = (
+        closed is not None
+        and lower_order is not None
+        and _db(closed[2].max_ratio) > lower_order.ratio_db + _STEP_DB
+    )
     return None if worse else closed
 
 
 def _lift(problem: _Problem, candidate: _Candidate) -> tuple[Weight, float, Certificate]:
-    """Spectral factors of a candidate, the gain that puts them above the bound, and the certificate of both."""
+    """Spectral factors of a candidate, the gain that puts them above the bound, and the certificate of
+    both."""
     samples = problem.samples
     factors = [_spectral_factor(np.trim_zeros(p, "b")) for p in (candidate.top, candidate.bottom)]
     num, den = (p / samples.unit ** np.arange(len(p) - 1, -1, -1.0) for p in factors)
@@ -761,7 +896,8 @@ def _roots(polynomial: np.ndarray) -> np.ndarray:
 
 
 def _spectral_factor(square: np.ndarray) -> np.ndarray:
-    """p with |p(jw)|^2 = square(w^2) and roots in the open left half-plane, where there is one; descending powers of s."""
+    """p with |p(jw)|^2 = square(w^2) and roots in the open left half-plane, where there is one; descending
+    powers of s."""
     roots = _roots(square[::-1])
     s = -np.sqrt(-roots.astype(complex))
     return math.sqrt(abs(square[-1])) * np.atleast_1d(np.real(np.poly(s)))
@@ -773,7 +909,7 @@ def _quadratics(roots: np.ndarray) -> list[np.ndarray]:
     factors = [np.array([1.0, -2.0 * r.real, abs(r) ** 2]) for r in roots if r.imag > 0]
     if len(real) % 2:
         factors.append(np.array([1.0, -real.pop()]))
-    factors += [np.poly(real[i:i + 2]) for i in range(0, len(real), 2)]
+    factors += [np.poly(real[i : i + 2]) for i in range(0, len(real), 2)]
     return sorted(factors, key=lambda f: (-len(f), abs(f[-1]) ** (1.0 / (len(f) - 1))))
 
 

@@ -1,10 +1,12 @@
-"""Stage 3, unfalsified bounds: B1, B2, gamma_w, nu and B_w per bin over frames at every start (paper, steps 2-6).
+"""Stage 3, unfalsified bounds: B1, B2, gamma_w, nu and B_w per bin over frames at every start (paper, steps
+2-6).
 
-Drives are streamed: every pass reduces a drive to maxima per bin (``reduce_...``), and maxima are joined (``fold``), so neither
-memory nor the result depends on the number or the order of the drives. Bins: 0 is DC. Units of E, Z, B1, B2, gamma_w, B_w: the outputs' own.
+Drives are streamed: every pass reduces a drive to maxima per bin (``reduce_...``), and maxima are joined
+(``fold``), so neither memory nor the result depends on the number or the order of the drives. Bins: 0 is DC.
+Units of E, Z, B1, B2, gamma_w, B_w: the outputs' own.
 
-Rule of step 4 (T8): a ceiling nu_bar(omega) on the uncertainty is set beforehand; the disturbance bound is what
-the frames need beyond it,
+Rule of step 4 (T8): a ceiling nu_bar(omega) on the uncertainty is set beforehand; the disturbance bound is
+what the frames need beyond it,
 
     gamma_w(omega_k) = max over frames of sqrt(B1^2 + |Z|^2 max(0, |delta0| - nu_bar)^2),   gamma_w(0) = B2(0)
 
@@ -27,13 +29,14 @@ from ..engine.validation import s1
 from ..vehicle.nominal import NominalModel
 
 FRONT_POINTS = 25
-"""Values of gamma_w per bin on the Pareto front, from B1 to B2, denser towards B1: B1 + (B2 - B1) t^2, t uniform."""
+"""Values of gamma_w per bin on the Pareto front, from B1 to B2, denser towards B1: B1 + (B2 - B1) t^2, t
+uniform."""
 
 
 @dataclass(frozen=True)
 class FrameSet:
-    """Counted frames of one drive in one bin: E, Z (F, n_y) complex, starts (F,) first samples; ``experiment`` is the drive's
-    name, for messages."""
+    """Counted frames of one drive in one bin: E, Z (F, n_y) complex, starts (F,) first samples;
+    ``experiment`` is the drive's name, for messages."""
 
     bin: int
     E: np.ndarray
@@ -41,22 +44,34 @@ class FrameSet:
     starts: np.ndarray
     experiment: str = ""
 
-    def require(self, good: np.ndarray, estimator: Estimator, what: Callable[[int], str], expected: str) -> None:
-        """InputError unless all frames are ``good`` (F,): names the experiment, the bin and the first bad frame's first sample."""
+    def require(
+        self, good: np.ndarray, estimator: Estimator, what: Callable[[int], str], expected: str
+    ) -> None:
+        """InputError unless all frames are ``good`` (F,): names the experiment, the bin and the first bad
+        frame's first sample."""
         if not np.all(good):
             first = int(np.argmin(good))
-            raise InputError(self.experiment or "frames", f"bin {self.bin} ({estimator.omega[self.bin]:.6g} rad/s), "
-                             f"frame from sample {self.starts[first]}", what(first), expected)
+            raise InputError(
+                self.experiment or "frames",
+                f"bin {self.bin} ({estimator.omega[self.bin]:.6g} rad/s), "
+                f"frame from sample {self.starts[first]}",
+                what(first),
+                expected,
+            )
 
 
 def nominal_error(drive: Drive, model: NominalModel) -> tuple[np.ndarray, np.ndarray]:
-    """Nominal error and nominal output along a drive: e, yhat (N, n_y) each, e = y - yhat (paper, e = y_n - P23 u)."""
+    """Nominal error and nominal output along a drive: e, yhat (N, n_y) each, e = y - yhat (paper, e = y_n -
+    P23 u)."""
     yhat = model.simulate(drive.v, drive.u, drive.y[0])
     return drive.y - yhat, yhat
 
 
-def counted_frames(drive: Drive, e: np.ndarray, yhat: np.ndarray, model: NominalModel, estimator: Estimator) -> Iterator[FrameSet]:
-    """All bins' counted frames of a drive: at every start, or the one frame of the plain DFT (the first that counts)."""
+def counted_frames(
+    drive: Drive, e: np.ndarray, yhat: np.ndarray, model: NominalModel, estimator: Estimator
+) -> Iterator[FrameSet]:
+    """All bins' counted frames of a drive: at every start, or the one frame of the plain DFT (the first that
+    counts)."""
     if estimator.window == "rectangular":
         starts = np.flatnonzero(estimator.counted(drive.v, 0))[:1]
         frames = [plain_dft.spectra(drive, s, model, estimator) for s in starts]
@@ -76,7 +91,8 @@ def counted_frames(drive: Drive, e: np.ndarray, yhat: np.ndarray, model: Nominal
 class Bounds:
     """Bounds per bin (K,), B_w (K, n_y); ``frames`` counts counted frames, ``excitation`` is max |Z|.
 
-    front_gamma_w, front_nu (K, FRONT_POINTS): the least nu that explains every frame, over gamma_w; NaN at DC and without frames.
+    front_gamma_w, front_nu (K, FRONT_POINTS): the least nu that explains every frame, over gamma_w; NaN at DC
+    and without frames.
     """
 
     omega: np.ndarray
@@ -93,7 +109,8 @@ class Bounds:
 
 
 Part = dict[str, np.ndarray]
-"""What a drive, or some drives, come to: ``frames`` is a sum of whole numbers, all else are maxima (NaN: no frame)."""
+"""What a drive, or some drives, come to: ``frames`` is a sum of whole numbers, all else are maxima (NaN: no
+frame)."""
 
 
 def fold(parts: Iterable[Part]) -> Part:
@@ -112,15 +129,19 @@ def _maximum(values: np.ndarray) -> np.ndarray | float:
     return values.max(axis=0) if len(values) else np.nan
 
 
-def reduce_disturbance(sets: Iterable[FrameSet], estimator: Estimator, nu_ceiling: np.ndarray, n_y: int) -> Part:
+def reduce_disturbance(
+    sets: Iterable[FrameSet], estimator: Estimator, nu_ceiling: np.ndarray, n_y: int
+) -> Part:
     """Steps 2-4 before smoothing. ``nu_ceiling`` (K,), 0 at DC.
 
-    ``E`` and ``Y`` (K, n_y) are the largest |E_j| and |Y_j| = |E_j + Z_j|: |E_j| of zero-input drives bounds the sensors' noise
-    (W_n), of all others the disturbance of class S0; |Y_j| of the yaw rate bounds the commands that such drives contain (W_C;
-    paper, section V).
+    ``E`` and ``Y`` (K, n_y) are the largest |E_j| and |Y_j| = |E_j + Z_j|: |E_j| of zero-input drives bounds
+    the sensors' noise (W_n), of all others the disturbance of class S0; |Y_j| of the yaw rate bounds the
+    commands that such drives contain (W_C; paper, section V).
     """
     K = estimator.n_bins
-    out = {key: np.full(K, np.nan) for key in ("excitation", "B1", "B2", "gamma_rule")} | {"frames": np.zeros(K, int)}
+    out = {key: np.full(K, np.nan) for key in ("excitation", "B1", "B2", "gamma_rule")} | {
+        "frames": np.zeros(K, int)
+    }
     out |= {key: np.full((K, n_y), np.nan) for key in ("E", "Y")}
     for s in sets:
         finite = np.all(np.isfinite(s.E) & np.isfinite(s.Z), axis=1)
@@ -131,28 +152,43 @@ def reduce_disturbance(sets: Iterable[FrameSet], estimator: Estimator, nu_ceilin
         b1 = s1.solve(s.E, s.Z, size).b1
         excess = np.maximum(0.0, np.abs(s1.least_squares_delta(s.E, s.Z)) - nu_ceiling[s.bin])
         rule = size if estimator.cycles[s.bin] == 0 else np.hypot(b1, z * excess)
-        for key, values in (("excitation", z), ("B1", b1), ("B2", size), ("gamma_rule", rule), ("E", np.abs(s.E)),
-                            ("Y", np.abs(s.E + s.Z))):
+        for key, values in (
+            ("excitation", z),
+            ("B1", b1),
+            ("B2", size),
+            ("gamma_rule", rule),
+            ("E", np.abs(s.E)),
+            ("Y", np.abs(s.E + s.Z)),
+        ):
             out[key][s.bin] = _maximum(values)
     return out
 
 
-def explain(s: FrameSet, estimator: Estimator, gamma_w: np.ndarray, structure: str) -> tuple[np.ndarray, np.ndarray]:
-    """Step 5 on every frame: least |delta| (F,) and the disturbance w (F, n_y) that goes with it, given ``gamma_w`` (K,).
+def explain(
+    s: FrameSet, estimator: Estimator, gamma_w: np.ndarray, structure: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Step 5 on every frame: least |delta| (F,) and the disturbance w (F, n_y) that goes with it, given
+    ``gamma_w`` (K,).
 
-    Raises InputError for a frame that is not finite, or whose B1 is above gamma_w: nothing in class S1 explains it.
+    Raises InputError for a frame that is not finite, or whose B1 is above gamma_w: nothing in class S1
+    explains it.
     """
     if structure == "S0" or estimator.cycles[s.bin] == 0:
         return np.zeros(len(s.E)), s.E
     gamma = gamma_w[s.bin]
     result = s1.solve(s.E, s.Z, gamma)
-    s.require(np.isfinite(result.nu), estimator,
-              lambda i: f"B1 = {result.b1[i]:.6g} and gamma_w = {gamma:.6g}", "finite spectra and gamma_w >= B1")
+    s.require(
+        np.isfinite(result.nu),
+        estimator,
+        lambda i: f"B1 = {result.b1[i]:.6g} and gamma_w = {gamma:.6g}",
+        "finite spectra and gamma_w >= B1",
+    )
     return result.nu, result.w
 
 
 def front_grid(B1: np.ndarray, B2: np.ndarray, estimator: Estimator, structure: str) -> np.ndarray:
-    """gamma_w (K, FRONT_POINTS) of the Pareto front; NaN where there is none: at DC, in class S0, without frames."""
+    """gamma_w (K, FRONT_POINTS) of the Pareto front; NaN where there is none: at DC, in class S0, without
+    frames."""
     t = np.linspace(0.0, 1.0, FRONT_POINTS) ** 2
     grid = B1[:, None] + (B2 - B1)[:, None] * t
     grid[:, -1] = B2
@@ -160,10 +196,11 @@ def front_grid(B1: np.ndarray, B2: np.ndarray, estimator: Estimator, structure: 
 
 
 def front(E: np.ndarray, Z: np.ndarray, gamma_w: np.ndarray) -> np.ndarray:
-    """max over frames of nu(gamma_w), exact, at each gamma_w (P,), all >= max B1 of the frames E, Z (F, n_y); NaN for NaN.
+    """max over frames of nu(gamma_w), exact, at each gamma_w (P,), all >= max B1 of the frames E, Z (F, n_y);
+    NaN for NaN.
 
-    nu = |delta0| - sqrt(gamma_w^2 - B1^2) / |Z| with its rounding error tells which frames can be the largest; only those are
-    solved without cancellation.
+    nu = |delta0| - sqrt(gamma_w^2 - B1^2) / |Z| with its rounding error tells which frames can be the
+    largest; only those are solved without cancellation.
     """
     size = np.linalg.norm(E, axis=1)
     b1, z = s1.solve(E, Z, size).b1, np.linalg.norm(Z, axis=1)
@@ -181,11 +218,20 @@ def front(E: np.ndarray, Z: np.ndarray, gamma_w: np.ndarray) -> np.ndarray:
     return out
 
 
-def reduce_uncertainty(sets: Iterable[FrameSet], estimator: Estimator, gamma_w: np.ndarray, grid: np.ndarray, n_y: int,
-                       structure: str) -> Part:
+def reduce_uncertainty(
+    sets: Iterable[FrameSet],
+    estimator: Estimator,
+    gamma_w: np.ndarray,
+    grid: np.ndarray,
+    n_y: int,
+    structure: str,
+) -> Part:
     """Steps 5-6 given ``gamma_w`` (K,): nu, |w_j|, and the front over ``grid`` (K, FRONT_POINTS)."""
-    out = {"nu": np.full(estimator.n_bins, np.nan), "B_w": np.full((estimator.n_bins, n_y), np.nan),
-           "front": np.full(grid.shape, np.nan)}
+    out = {
+        "nu": np.full(estimator.n_bins, np.nan),
+        "B_w": np.full((estimator.n_bins, n_y), np.nan),
+        "front": np.full(grid.shape, np.nan),
+    }
     for s in sets:
         nu, w = explain(s, estimator, gamma_w, structure)
         out["nu"][s.bin], out["B_w"][s.bin] = _maximum(nu), _maximum(np.abs(w))
@@ -193,8 +239,11 @@ def reduce_uncertainty(sets: Iterable[FrameSet], estimator: Estimator, gamma_w: 
     return out
 
 
-def reduce_covering(sets: Iterable[FrameSet], estimator: Estimator, gamma_w: np.ndarray, B_w: np.ndarray, structure: str) -> Part:
-    """Largest sqrt(sum_j |w_j / B_w,j|^2): the factor with which B_w (K, n_y) covers every frame's w jointly."""
+def reduce_covering(
+    sets: Iterable[FrameSet], estimator: Estimator, gamma_w: np.ndarray, B_w: np.ndarray, structure: str
+) -> Part:
+    """Largest sqrt(sum_j |w_j / B_w,j|^2): the factor with which B_w (K, n_y) covers every frame's w
+    jointly."""
     scale = np.full(estimator.n_bins, np.nan)
     for s in sets:
         w = explain(s, estimator, gamma_w, structure)[1]

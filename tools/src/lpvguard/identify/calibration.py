@@ -1,10 +1,10 @@
-"""Stage 5, calibration of the frame test and of the energy test, each by itself, by split conformal prediction; the
-exchangeable unit is the drive (THEORY 7.3); or of both together (`joint_scores`).
+"""Stage 5, calibration of the frame test and of the energy test, each by itself, by split conformal
+prediction; the exchangeable unit is the drive (THEORY 7.3); or of both together (`joint_scores`).
 
-A drive's score is the largest k-of-m statistic over its counted frames, or the largest ratio of the energy test, read from the
-compiled core. The threshold is the
-ceil((n + 1)(1 - alpha))-th smallest score of n calibration drives: a further, exchangeable drive alarms with probability
-at most alpha. With n < 1/alpha - 1 no finite threshold has that property, and alpha is not stated.
+A drive's score is the largest k-of-m statistic over its counted frames, or the largest ratio of the energy
+test, read from the compiled core. The threshold is the ceil((n + 1)(1 - alpha))-th smallest score of n
+calibration drives: a further, exchangeable drive alarms with probability at most alpha. With n < 1/alpha - 1
+no finite threshold has that property, and alpha is not stated.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ FEWEST_FOR_ALPHA = 9
 
 @dataclass(frozen=True)
 class Calibration:
-    """``alpha`` and ``conditional_bound`` are None where no claim can be made; then the threshold is the largest score.
+    """``alpha`` and ``conditional_bound`` are None where no claim can be made; then the threshold is the
+    largest score.
 
-    conditional_bound: with 95 % confidence over the calibration drives, the false-alarm probability of a further drive
-    is below this number.
+    conditional_bound: with 95 % confidence over the calibration drives, the false-alarm probability of a
+    further drive is below this number.
     """
 
     threshold: float
@@ -56,14 +57,16 @@ def energy_score(run: Run) -> float | None:
 
 
 def joint_scores(frame: dict[str, float], energy: dict[str, float]) -> dict[str, float]:
-    """Scores of both tests together. A margin and a ratio are both the least inflation of the bounds (W_delta, B_w or
-    W_delta, sigma) with which the data agree, so one threshold serves for the larger: a monitor of both tests with it
-    alarms on a further drive, by either, with probability at most alpha. Each at its own threshold: at most twice alpha."""
+    """Scores of both tests together. A margin and a ratio are both the least inflation of the bounds
+    (W_delta, B_w or W_delta, sigma) with which the data agree, so one threshold serves for the larger: a
+    monitor of both tests with it alarms on a further drive, by either, with probability at most alpha. Each
+    at its own threshold: at most twice alpha."""
     return {n: max(s[n] for s in (frame, energy) if n in s) for n in {**frame, **energy}}
 
 
 def calibrate(scores: dict[str, float], alpha: float, *, floor: float = 1.0) -> Calibration:
-    """Threshold from the scores of the calibration drives, at least ``floor``: a margin of 1 falsifies nothing."""
+    """Threshold from the scores of the calibration drives, at least ``floor``: a margin of 1 falsifies
+    nothing."""
     values = np.sort(np.array(list(scores.values()), float))
     n = len(values)
     if n == 0:
@@ -71,5 +74,9 @@ def calibrate(scores: dict[str, float], alpha: float, *, floor: float = 1.0) -> 
     rank = math.ceil((n + 1) * (1 - alpha) - 1e-12)
     stated = n >= FEWEST_FOR_ALPHA and rank <= n
     rank = min(rank, n)
-    return Calibration(threshold=max(floor, float(values[rank - 1])), scores=dict(scores), alpha=alpha if stated else None,
-                       conditional_bound=float(1 - beta.ppf(0.05, rank, n + 1 - rank)) if stated else None)
+    return Calibration(
+        threshold=max(floor, float(values[rank - 1])),
+        scores=dict(scores),
+        alpha=alpha if stated else None,
+        conditional_bound=float(1 - beta.ppf(0.05, rank, n + 1 - rank)) if stated else None,
+    )

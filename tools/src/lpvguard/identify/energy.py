@@ -1,24 +1,27 @@
-"""Stage 5, the energy test: one causal Delta for all outputs, from rest until now (THEORY 7.2; lib/include/lpvguard/energy.h).
+"""Stage 5, the energy test: one causal Delta for all outputs, from rest until now (THEORY 7.2;
+lib/include/lpvguard/energy.h).
 
-    || sum_j a_j F e_j || <= || sum_j a_j F W_delta yhat_j || + sum_j |a_j| sigma_j     for every real a, at every time T,    (T19)
+    || sum_j a_j F e_j || <= || sum_j a_j F W_delta yhat_j || + sum_j |a_j| sigma_j                (T19)
 
-||x||^2 = sum_{t <= T} rho^(2 (T - t)) x(t)^2. THEORY 7.2 states the assumptions, the proof, and what an exceedance refutes.
+for every real a and at every time T, with ||x||^2 = sum_{t <= T} rho^(2 (T - t)) x(t)^2. THEORY 7.2 states
+the assumptions, the proof, and what an exceedance refutes.
 
-**The weight** is a filter with the fitted weight's magnitude on |z| = rho, at the warped frequency (2/Ts) tan(omega Ts/2) (T20).
-``verify_overbound`` proves it above the samples of nu at their warped frequencies. Where the weight falls with frequency, a gain
->= 1 is applied first.
+**The weight** is a filter with the fitted weight's magnitude on |z| = rho, at the warped frequency (2/Ts)
+tan(omega Ts/2) (T20). ``verify_overbound`` proves it above the samples of nu at their warped frequencies.
+Where the weight falls with frequency, a gain >= 1 is applied first.
 
-**F** is the filter of each band in turn (T21). L_1 ... L_m are first-order low-passes of the corners, lowest first. Band 0 is
-L_1 ... L_m, band b is (1 - L_b) L_(b+1) ... L_m, band m is 1 - L_m; they sum to 1. The corners are the frames' f_min_hz and f_max_hz, or
-the setting ``band_hz``. Above the last corner the constant ``above`` = max(1, sup W_delta) stands for W_delta, and the memory is
-memory_s * f_first / f_last (T22).
+**F** is the filter of each band in turn (T21). L_1 ... L_m are first-order low-passes of the corners, lowest
+first. Band 0 is L_1 ... L_m, band b is (1 - L_b) L_(b+1) ... L_m, band m is 1 - L_m; they sum to 1. The
+corners are the frames' f_min_hz and f_max_hz, or the setting ``band_hz``. Above the last corner the constant
+``above`` = max(1, sup W_delta) stands for W_delta, and the memory is memory_s * f_first / f_last (T22).
 
-**sigma_j** of a band is the least number with which the inequality of output j alone holds, from rest, at every sample of every
-drive that set the bounds or the noise. A common factor per band then makes the fan of directions a hold too. Every direction is a
-condition by itself; the core tests one a judgement.
+**sigma_j** of a band is the least number with which the inequality of output j alone holds, from rest, at
+every sample of every drive that set the bounds or the noise. A common factor per band then makes the fan of
+directions a hold too. Every direction is a condition by itself; the core tests one a judgement.
 
-**Starting in the middle** of a drive, the left sum begins at zero and the right sum at ``start``, the largest energy met on the
-identification drives. Transients of the model and of F are not covered by that; the common factors cover drives cut at random.
+**Starting in the middle** of a drive, the left sum begins at zero and the right sum at ``start``, the largest
+energy met on the identification drives. Transients of the model and of F are not covered by that; the common
+factors cover drives cut at random.
 """
 
 from __future__ import annotations
@@ -41,7 +44,8 @@ FAN_BITS = 4
 FEWEST_SETTLED = 5.0
 """Time constants after which a transient counts as gone, as in drives/frames.py."""
 SMALLEST_SIGMA = 1e-2
-"""Floor of sigma_j over the largest ||F e_j|| and ||F W_delta yhat_j||: in units of sigma, sums stay where float adds finely enough."""
+"""Floor of sigma_j over the largest ||F e_j|| and ||F W_delta yhat_j||: in units of sigma, sums stay where
+float adds finely enough."""
 ROUNDING = 1e-3
 """What float may add to a ratio: a threshold never lies nearer to 1 (test_energy.py measures it)."""
 
@@ -49,7 +53,8 @@ ROUNDING = 1e-3
 def fan(n_y: int) -> np.ndarray:
     """Directions (D, n_y) up to their sign, sum |a_j| = 1, single outputs among them, in units of sigma.
 
-    For two outputs in bit-reversed order: neighbours see nearly the same, so consecutive judgements take distant directions.
+    For two outputs in bit-reversed order: neighbours see nearly the same, so consecutive judgements take
+    distant directions.
     """
     if n_y == 2:
         turn = np.array([int(f"{k:0{FAN_BITS}b}"[::-1], 2) for k in range(2**FAN_BITS)]) / 2**FAN_BITS
@@ -57,7 +62,7 @@ def fan(n_y: int) -> np.ndarray:
         directions[turn == 0.5, 0] = 0.0
     else:
         signs = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * n_y, indexing="ij"), axis=-1).reshape(-1, n_y)
-        directions = signs[len(signs) // 2 + 1:]  # the later half: first entry that is not 0 is positive
+        directions = signs[len(signs) // 2 + 1 :]  # the later half: first entry that is not 0 is positive
     return directions / np.abs(directions).sum(axis=1, keepdims=True)
 
 
@@ -68,10 +73,16 @@ def _sections(zeros: np.ndarray, poles: np.ndarray, gain: float, rate: float, rh
 
 
 def _bands(corner_rad: np.ndarray, rate: float) -> np.ndarray:
-    """Sections (B, S, 6) in z of the bands between the warped corners [rad/s]; a band of fewer sections ends with ones that pass all."""
+    """Sections (B, S, 6) in z of the bands between the warped corners [rad/s]; a band of fewer sections ends
+    with ones that pass all."""
     one, nothing = np.zeros(1), np.zeros(0)
-    bands = [_sections(nothing, -corner_rad, np.prod(corner_rad), rate, 1.0),
-             *(_sections(one, -corner_rad[b:], np.prod(corner_rad[b + 1:]), rate, 1.0) for b in range(len(corner_rad)))]
+    bands = [
+        _sections(nothing, -corner_rad, np.prod(corner_rad), rate, 1.0),
+        *(
+            _sections(one, -corner_rad[b:], np.prod(corner_rad[b + 1 :]), rate, 1.0)
+            for b in range(len(corner_rad))
+        ),
+    ]
     passing = np.array([[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]])
     return np.stack([np.concatenate([band, *[passing] * (len(bands[0]) - len(band))]) for band in bands])
 
@@ -79,7 +90,9 @@ def _bands(corner_rad: np.ndarray, rate: float) -> np.ndarray:
 def in_delta(sections: np.ndarray) -> np.ndarray:
     """b0, b1, b2, a1, a2 (S, 5) in the operator z - 1 of sections (S, 6) in z, as the core takes them."""
     b, a = sections[:, :3], sections[:, 3:]
-    return np.column_stack([b[:, 0], 2 * b[:, 0] + b[:, 1], b.sum(axis=1), 2 * a[:, 0] + a[:, 1], a.sum(axis=1)])
+    return np.column_stack(
+        [b[:, 0], 2 * b[:, 0] + b[:, 1], b.sum(axis=1), 2 * a[:, 0] + a[:, 1], a.sum(axis=1)]
+    )
 
 
 def _norm_in(sums: np.ndarray, directions: np.ndarray) -> np.ndarray:
@@ -89,12 +102,13 @@ def _norm_in(sums: np.ndarray, directions: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class EnergyTest:
-    """Filters, sigma and calibration in B bands, one more than ``band_hz`` has corners. Units: ``sigma`` (B, n_y) the outputs', ``start``
-    (B, n_y) their squares.
+    """Filters, sigma and calibration in B bands, one more than ``band_hz`` has corners. Units: ``sigma`` (B,
+    n_y) the outputs', ``start`` (B, n_y) their squares.
 
-    ``F`` (B, S, 6): sections in z per band. ``W``: sections (S, 6) in z; ``above``: the constant in its place above the corners.
-    ``gain``: what W_delta was raised by to stay above its bound when warped. ``joint`` (B,): the common factor >= 1 in sigma that the
-    fan, or a cut drive, asked for. ``directions`` (D, n_y) in units of sigma.
+    ``F`` (B, S, 6): sections in z per band. ``W``: sections (S, 6) in z; ``above``: the constant in its place
+    above the corners. ``gain``: what W_delta was raised by to stay above its bound when warped. ``joint``
+    (B,): the common factor >= 1 in sigma that the fan, or a cut drive, asked for. ``directions`` (D, n_y) in
+    units of sigma.
     """
 
     Ts: float
@@ -114,31 +128,62 @@ class EnergyTest:
     calibration: Calibration = field(default_factory=lambda: Calibration(1.0 + ROUNDING, {}, None, None))
 
     @classmethod
-    def design(cls, project: Project, estimator: Estimator, W_delta: Weight, omega: np.ndarray, bound: np.ndarray,
-               inflation: float) -> EnergyTest:
-        """Filters for W_delta, which lies above the samples ``bound`` (K,) at ``omega``, times the final inflation; sigma is 1 yet."""
+    def design(
+        cls,
+        project: Project,
+        estimator: Estimator,
+        W_delta: Weight,
+        omega: np.ndarray,
+        bound: np.ndarray,
+        inflation: float,
+    ) -> EnergyTest:
+        """Filters for W_delta, which lies above the samples ``bound`` (K,) at ``omega``, times the final
+        inflation; sigma is 1 yet."""
         Ts, settings = estimator.Ts, project.energy_test
         corners = settings.band_hz or (project.frames.f_min_hz, project.frames.f_max_hz)
         memory = settings.memory_s or 1.0 / project.frames.f_min_hz
         corner_rad = np.array([2 / Ts * np.tan(np.pi * f * Ts) for f in corners])
         low_rad, high_rad = corner_rad[0], corner_rad[-1]
         if not memory * low_rad > 1:
-            raise InputError(f"vehicle {project.name}", "energy_test", f"memory {memory:g} s, band from {corners[0]:g} Hz",
-                             f"a memory above {1 / low_rad:.3g} s: the filters must forget faster than the sums")
+            raise InputError(
+                f"vehicle {project.name}",
+                "energy_test",
+                f"memory {memory:g} s, band from {corners[0]:g} Hz",
+                f"a memory above {1 / low_rad:.3g} s: the filters must forget faster than the sums",
+            )
         warped = 2 / Ts * np.tan(np.asarray(omega) * Ts / 2)
-        gain = max(1.0, (1 + 1e-9) / verify_overbound(W_delta, warped, bound, name="W_delta, warped").min_ratio)
+        gain = max(
+            1.0, (1 + 1e-9) / verify_overbound(W_delta, warped, bound, name="W_delta, warped").min_ratio
+        )
         raised = Weight(W_delta.num * gain, W_delta.den)
         certificate = verify_overbound(raised, warped, bound, name="W_delta, warped")
         if not certificate.ok:
-            raise InputError("W_delta, warped", f"{certificate.min_ratio_at:.4g} rad/s", f"{certificate.min_ratio:.9f} of its bound",
-                             "a weight that stays above its bound")
+            raise InputError(
+                "W_delta, warped",
+                f"{certificate.min_ratio_at:.4g} rad/s",
+                f"{certificate.min_ratio:.9f} of its bound",
+                "a weight that stays above its bound",
+            )
         rho = np.exp(-Ts / memory)
         settle = max(estimator.settle, int(np.ceil(FEWEST_SETTLED / low_rad / Ts)))
         each = (len(corners) + 1, project.n_y)
         largest = inflation * float(raised.magnitude(np.geomspace(high_rad, 1e4 * high_rad, 1000)).max())
-        return cls(Ts, memory, tuple(corners), settle, estimator.speed_range, _bands(corner_rad, 1 / Ts),
-                   _sections(raised.zeros(), raised.poles(), inflation * raised.num[0] / raised.den[0], 1 / Ts, rho),
-                   max(1.0, largest), gain, certificate.to_dict(), fan(project.n_y), np.ones(each), np.zeros(each), np.ones(each[0]))
+        return cls(
+            Ts,
+            memory,
+            tuple(corners),
+            settle,
+            estimator.speed_range,
+            _bands(corner_rad, 1 / Ts),
+            _sections(raised.zeros(), raised.poles(), inflation * raised.num[0] / raised.den[0], 1 / Ts, rho),
+            max(1.0, largest),
+            gain,
+            certificate.to_dict(),
+            fan(project.n_y),
+            np.ones(each),
+            np.zeros(each),
+            np.ones(each[0]),
+        )
 
     @property
     def memories_s(self) -> np.ndarray:
@@ -162,15 +207,20 @@ class EnergyTest:
 
     def sigma_text(self, project: Project) -> str:
         """sigma per output, below, between and above the corners."""
-        return "; ".join(f"{signal.name} {', '.join(f'{x:.3g}' for x in per_band)} {signal.unit} ({', '.join(self.bands)} the corners)"
-                         for signal, per_band in zip(project.outputs, self.sigma.T))
+        return "; ".join(
+            f"{signal.name} {', '.join(f'{x:.3g}' for x in per_band)} {signal.unit} ({', '.join(self.bands)} the corners)"
+            for signal, per_band in zip(project.outputs, self.sigma.T, strict=False)
+        )
 
     def at_rest(self) -> EnergyTest:
         """With nothing remembered at the start."""
         return replace(self, start=np.zeros_like(self.start))
 
-    def norms(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
-        """Per stretch in speed range and band: first judged sample, band, left and right matrices of products (n, n_y, n_y)."""
+    def norms(
+        self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray
+    ) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
+        """Per stretch in speed range and band: first judged sample, band, left and right matrices of products
+        (n, n_y, n_y)."""
         inside = (v >= self.speed_range[0]) & (v <= self.speed_range[1])
         for first, end in np.flatnonzero(np.diff(np.r_[0, inside.astype(np.int8), 0])).reshape(-1, 2):
             if end - first <= self.settle:
@@ -179,8 +229,12 @@ class EnergyTest:
             for band, F in enumerate(self.F):
                 allowed = explained if band < len(self.F) - 1 else self.above * yhat[first:end]
                 left, right = sosfilt(F, e[first:end], axis=0), sosfilt(F, allowed, axis=0)
-                yield (first + self.settle, band, self._sums(band, left[self.settle:], np.zeros_like(self.start[band])),
-                       self._sums(band, right, self.start[band])[self.settle:])
+                yield (
+                    first + self.settle,
+                    band,
+                    self._sums(band, left[self.settle :], np.zeros_like(self.start[band])),
+                    self._sums(band, right, self.start[band])[self.settle :],
+                )
 
     def _sums(self, band: int, x: np.ndarray, start: np.ndarray) -> np.ndarray:
         products = x[:, :, None] * x[:, None, :]
@@ -188,30 +242,44 @@ class EnergyTest:
         return lfilter([1.0], [1.0, -kept], products, axis=0, zi=kept * np.diag(start)[None])[0]
 
     def ratios(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
-        """Per stretch in speed range and band: first judged sample, band, left side over right (n, D) in every direction."""
+        """Per stretch in speed range and band: first judged sample, band, left side over right (n, D) in
+        every direction."""
         for first, band, left, right in self.norms(e, yhat, v):
             a = self.directions / self.sigma[band]
             yield first, band, _norm_in(left, a) / (_norm_in(right, a) + 1.0)
 
     def needs(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> dict[str, np.ndarray]:
-        """What a drive asks of sigma: per output (B, n_y) and jointly (B,), and the largest norms met; NaN where nothing is judged."""
-        out = {key: np.full(self.sigma.shape, np.nan) for key in ("sigma", "error", "bound")} | {"joint": np.full(len(self.F), np.nan)}
+        """What a drive asks of sigma: per output (B, n_y) and jointly (B,), and the largest norms met; NaN
+        where nothing is judged."""
+        out = {key: np.full(self.sigma.shape, np.nan) for key in ("sigma", "error", "bound")} | {
+            "joint": np.full(len(self.F), np.nan)
+        }
         single = np.eye(self.sigma.shape[1])
         for _, band, left, right in self.norms(e, yhat, v):
             error, bound = _norm_in(left, single), _norm_in(right, single)
             a = self.directions / self.sigma[band]
-            for key, value in (("sigma", (error - bound).max(axis=0)), ("error", error.max(axis=0)), ("bound", bound.max(axis=0)),
-                               ("joint", (_norm_in(left, a) - _norm_in(right, a)).max())):
+            for key, value in (
+                ("sigma", (error - bound).max(axis=0)),
+                ("error", error.max(axis=0)),
+                ("bound", bound.max(axis=0)),
+                ("joint", (_norm_in(left, a) - _norm_in(right, a)).max()),
+            ):
                 out[key][band] = np.fmax(out[key][band], value)
         return out
 
     def with_sigma(self, needs: dict[str, np.ndarray]) -> EnergyTest:
-        """sigma per band and output from ``needs`` over all identification drives; and what Delta may remember at the start: the
-        largest energy met, for each output; n_y times, because products of different outputs start at zero."""
+        """sigma per band and output from ``needs`` over all identification drives; and what Delta may
+        remember at the start: the largest energy met, for each output; n_y times, because products of
+        different outputs start at zero."""
         size = np.maximum(needs["error"], needs["bound"])
         if not (size > 0).all():
-            raise InputError("energy test", "", "no excited drive that sets the bounds is judged by it", f"{self.settle * self.Ts:.3g} s "
-                             f"and more within {self.speed_range[0]:g}..{self.speed_range[1]:g} m/s")
+            raise InputError(
+                "energy test",
+                "",
+                "no excited drive that sets the bounds is judged by it",
+                f"{self.settle * self.Ts:.3g} s "
+                f"and more within {self.speed_range[0]:g}..{self.speed_range[1]:g} m/s",
+            )
         sigma = np.maximum(needs["sigma"], SMALLEST_SIGMA * size)
         return replace(self, sigma=sigma, start=sigma.shape[1] * needs["bound"] ** 2)
 
@@ -228,21 +296,52 @@ class EnergyTest:
         """Sizes, words and numbers of coeff.h."""
         words = {"energy_settle": self.settle, "energy_rearm": self.rearm}
         tangent = np.tan(np.pi * np.array(self.band_hz) * self.Ts)
-        reals = {"energy_corner": tangent / (1 + tangent), "energy_W": in_delta(self.W), "energy_above": self.above,
-                 "energy_scale": 1 / self.sigma,
-                 "energy_forget": -np.expm1(-2 * self.Ts / self.memories_s), "energy_start": self.start,
-                 "energy_direction": self.directions, "energy_threshold": self.calibration.threshold}
-        return {"NWEIGHT": len(self.W), "NDIRECTIONS": len(self.directions), "NBANDS": len(self.F)}, words, reals
+        reals = {
+            "energy_corner": tangent / (1 + tangent),
+            "energy_W": in_delta(self.W),
+            "energy_above": self.above,
+            "energy_scale": 1 / self.sigma,
+            "energy_forget": -np.expm1(-2 * self.Ts / self.memories_s),
+            "energy_start": self.start,
+            "energy_direction": self.directions,
+            "energy_threshold": self.calibration.threshold,
+        }
+        return (
+            {"NWEIGHT": len(self.W), "NDIRECTIONS": len(self.directions), "NBANDS": len(self.F)},
+            words,
+            reals,
+        )
 
     def to_dict(self) -> dict:
-        return {"memory_s": self.memory_s, "band_hz": list(self.band_hz), "bands": list(self.bands), "settle_samples": self.settle,
-                "gain": self.gain, "above": self.above, "certificate": self.certificate, "directions": self.directions, "sigma": self.sigma, "start": self.start,
-                "joint": self.joint, "calibration": self.calibration.to_dict()}
+        return {
+            "memory_s": self.memory_s,
+            "band_hz": list(self.band_hz),
+            "bands": list(self.bands),
+            "settle_samples": self.settle,
+            "gain": self.gain,
+            "above": self.above,
+            "certificate": self.certificate,
+            "directions": self.directions,
+            "sigma": self.sigma,
+            "start": self.start,
+            "joint": self.joint,
+            "calibration": self.calibration.to_dict(),
+        }
 
     def restored(self, data: dict, where: str) -> EnergyTest:
         """With the stored sigma and calibration; InputError when ``data`` belongs to other filters."""
         stored = (data["memory_s"], *data["band_hz"], data["settle_samples"], *data.get("bands", ()))
         if stored != (self.memory_s, *self.band_hz, self.settle, *self.bands):
-            raise InputError(where, "memory_s, band_hz, settle_samples, bands", f"{stored}", "those that project.json describes")
-        return replace(self, sigma=np.array(data["sigma"]), start=np.array(data["start"]), joint=np.array(data["joint"]),
-                       calibration=Calibration(**data["calibration"]))
+            raise InputError(
+                where,
+                "memory_s, band_hz, settle_samples, bands",
+                f"{stored}",
+                "those that project.json describes",
+            )
+        return replace(
+            self,
+            sigma=np.array(data["sigma"]),
+            start=np.array(data["start"]),
+            joint=np.array(data["joint"]),
+            calibration=Calibration(**data["calibration"]),
+        )

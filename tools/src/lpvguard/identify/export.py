@@ -10,12 +10,20 @@ from ..core.control_coefficients import ControllerCoefficients
 from .run import StoredIdentification
 
 
-def export_vehicle(stored: StoredIdentification, target: Path, controller: ControllerCoefficients | None = None) -> None:
-    """Write the generated folder of an identification, with its controller if there is one, whole or not at all."""
+def export_vehicle(
+    stored: StoredIdentification, target: Path, controller: ControllerCoefficients | None = None
+) -> None:
+    """Write the generated folder of an identification, with its controller if there is one, whole or not at
+    all."""
     coefficients = stored.coefficients
-    provenance = {"kind": "vehicle", "identification": stored.manifest, "threshold": stored.calibration.to_dict(), "energy_test": stored.energy.to_dict(),
-                  "final_inflation": stored.weights["inflation"],
-                  "weights": {k: stored.weights[k] for k in ("W_w", "W_delta")},
-                  "project": stored.project.model_dump(by_alias=True)}
+    provenance = {
+        "kind": "vehicle",
+        "identification": stored.manifest,
+        "threshold": stored.calibration.to_dict(),
+        "energy_test": stored.energy.to_dict(),
+        "final_inflation": stored.weights["inflation"],
+        "weights": {k: stored.weights[k] for k in ("W_w", "W_delta")},
+        "project": stored.project.model_dump(by_alias=True),
+    }
     with artefacts.new_folder(target, "vehicle", stored.project.name) as folder:
         artefacts.write_files(folder, vehicle_files(stored.project, coefficients, provenance, controller))

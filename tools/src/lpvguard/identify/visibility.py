@@ -1,16 +1,20 @@
-"""What stays invisible: the smallest gain and delay error that the frame test can see, per speed cell and bin (THEORY 7.4).
+"""What stays invisible: the smallest gain and delay error that the frame test can see, per speed cell and bin
+(THEORY 7.4).
 
-A vehicle whose response is c times the nominal one shows the error E = -g Z in every output, |g| = |1 - c|. The margin of a
-frame grows in proportion to g (scale delta and w alike), so it exceeds the threshold exactly when
+A vehicle whose response is c times the nominal one shows the error E = -g Z in every output, |g| = |1 - c|.
+The margin of a frame grows in proportion to g (scale delta and w alike), so it exceeds the threshold exactly
+when
 
     g > threshold / t*(-Z, Z),
 
-t* being the exact margin of validation.s1; with one output this is g |Z| > threshold (B_w + W_delta |Z|). However strong
-the excitation, g below threshold x W_delta stays invisible. A delay tau has g = |1 - exp(-j omega tau)| = 2 |sin(omega tau / 2)|.
-Only the phase of g is free here: the vehicle's ordinary nominal error comes on top and can add to the fault or hide it.
+t* being the exact margin of validation.s1; with one output this is g |Z| > threshold (B_w + W_delta |Z|).
+However strong the excitation, g below threshold x W_delta stays invisible. A delay tau has g = |1 - exp(-j
+omega tau)| = 2 |sin(omega tau / 2)|. Only the phase of g is free here: the vehicle's ordinary nominal error
+comes on top and can add to the fault or hide it.
 
-Both lists are made for the strongest excitation met (what any drive could show) and for PERCENTILE (what one counted frame in
-ten shows). t*(-Z, Z) orders excitation: for one output as |Z| does, for several without weighing their units.
+Both lists are made for the strongest excitation met (what any drive could show) and for PERCENTILE (what one
+counted frame in ten shows). t*(-Z, Z) orders excitation: for one output as |Z| does, for several without
+weighing their units.
 """
 
 from __future__ import annotations
@@ -26,7 +30,8 @@ from ..engine.validation import s1
 PERCENTILE = 90
 """Typical excitation: reached by one in ten counted frames of the speed cell and bin (nearest rank)."""
 SAMPLED_FRAMES = 400
-"""The percentile is over so many frames a cell and bin, drawn by hash; over all of them where there are no more."""
+"""The percentile is over so many frames a cell and bin, drawn by hash; over all of them where there are no
+more."""
 SPEED_CELLS = 5
 STATED_GAINS = (0.6, 0.7)
 STATED_DELAYS_S = (0.3, 0.15)
@@ -36,8 +41,9 @@ STATED_DELAYS_S = (0.3, 0.15)
 class Excitation:
     """Excitation met by counted frames, in bounded memory: joined over drives by ``joined``.
 
-    count (SPEED_CELLS, K): all frames. Rows hold ``group`` (cell * K + bin), ``hash``, ``dead`` = t*(-Z, Z) and ``size`` |Z|
-    [output units]: the frame of the largest ``dead`` of each group, and a sample of SAMPLED_FRAMES.
+    count (SPEED_CELLS, K): all frames. Rows hold ``group`` (cell * K + bin), ``hash``, ``dead`` = t*(-Z, Z)
+    and ``size`` |Z| [output units]: the frame of the largest ``dead`` of each group, and a sample of
+    SAMPLED_FRAMES.
     """
 
     count: np.ndarray
@@ -45,22 +51,41 @@ class Excitation:
     sample: Rows
 
     @classmethod
-    def of(cls, name: str, speed_range: tuple[float, float], bin_of: np.ndarray, speed: np.ndarray, Z: np.ndarray,
-           W_delta: np.ndarray, B_w: np.ndarray, number: np.ndarray) -> Excitation:
-        """Of the counted frames of drive ``name``: bin_of (F,), mean speed (F,) [m/s], Z (F, n_y), number (F,) that tells
-        the frames of a bin apart; SPEED_CELLS equal cells of ``speed_range`` [m/s]; W_delta (K,), B_w (K, n_y)."""
+    def of(
+        cls,
+        name: str,
+        speed_range: tuple[float, float],
+        bin_of: np.ndarray,
+        speed: np.ndarray,
+        Z: np.ndarray,
+        W_delta: np.ndarray,
+        B_w: np.ndarray,
+        number: np.ndarray,
+    ) -> Excitation:
+        """Of the counted frames of drive ``name``: bin_of (F,), mean speed (F,) [m/s], Z (F, n_y), number
+        (F,) that tells the frames of a bin apart; SPEED_CELLS equal cells of ``speed_range`` [m/s]; W_delta
+        (K,), B_w (K, n_y)."""
         K = len(W_delta)
         cell = np.searchsorted(_edges(speed_range), speed, side="right") - 1
         group = np.clip(cell, 0, SPEED_CELLS - 1) * K + bin_of
         dead = s1.margin(-Z, Z, W_delta[bin_of], B_w[bin_of])
-        rows = {"group": group, "hash": row_hash(name, bin_of, number), "dead": dead, "size": np.linalg.norm(Z, axis=1)}
-        return cls(np.bincount(group, minlength=SPEED_CELLS * K).reshape(SPEED_CELLS, K), *cls._selected(rows, rows))
+        rows = {
+            "group": group,
+            "hash": row_hash(name, bin_of, number),
+            "dead": dead,
+            "size": np.linalg.norm(Z, axis=1),
+        }
+        return cls(
+            np.bincount(group, minlength=SPEED_CELLS * K).reshape(SPEED_CELLS, K), *cls._selected(rows, rows)
+        )
 
     @classmethod
     def joined(cls, parts: Iterable[Excitation]) -> Excitation:
         parts = list(parts)
-        return cls(sum(p.count for p in parts), *cls._selected(stacked(p.strongest for p in parts),
-                                                               stacked(p.sample for p in parts)))
+        return cls(
+            sum(p.count for p in parts),
+            *cls._selected(stacked(p.strongest for p in parts), stacked(p.sample for p in parts)),
+        )
 
     @staticmethod
     def _selected(strongest: Rows, sample: Rows) -> tuple[Rows, Rows]:
@@ -72,39 +97,66 @@ def _edges(speed_range: tuple[float, float]) -> np.ndarray:
     return np.linspace(*speed_range, SPEED_CELLS + 1)
 
 
-def visibility(omega: np.ndarray, speed_range: tuple[float, float], met: Excitation, W_delta: np.ndarray, threshold: float,
-               inflation: float = 1.0) -> dict:
+def visibility(
+    omega: np.ndarray,
+    speed_range: tuple[float, float],
+    met: Excitation,
+    W_delta: np.ndarray,
+    threshold: float,
+    inflation: float = 1.0,
+) -> dict:
     """Smallest visible errors per speed cell and bin; JSON-able, None where no frame counts.
 
-    omega (K,) [rad/s], 0 at DC; W_delta (K,) as ``met`` was made with, ``inflation`` the factor on it and on B_w since.
-    ``at_percentile`` and ``at_strongest`` list the cells; the lists of a cell run over the bins: ``frames``, ``excitation``
-    |Z| [output units], ``gain_error`` [-], ``delay_s`` (None at DC and where no delay is large enough).
+    omega (K,) [rad/s], 0 at DC; W_delta (K,) as ``met`` was made with, ``inflation`` the factor on it and on
+    B_w since. ``at_percentile`` and ``at_strongest`` list the cells; the lists of a cell run over the bins:
+    ``frames``, ``excitation`` |Z| [output units], ``gain_error`` [-], ``delay_s`` (None at DC and where no
+    delay is large enough).
     """
     edges = _edges(speed_range)
 
     def cells(rows: Rows, percentile: float) -> list[dict]:
-        return [{"speed_mps": [float(edges[c]), float(edges[c + 1])]}
-                | _cell(omega, met.count[c], rows, c, percentile, threshold * inflation) for c in range(SPEED_CELLS)]
+        return [
+            {"speed_mps": [float(edges[c]), float(edges[c + 1])]}
+            | _cell(omega, met.count[c], rows, c, percentile, threshold * inflation)
+            for c in range(SPEED_CELLS)
+        ]
 
-    return {"threshold": float(threshold), "percentile": PERCENTILE, "sampled_frames": SAMPLED_FRAMES,
-            "omega_rad_s": omega.tolist(), "gain_error_floor": (threshold * inflation * W_delta).tolist(),
-            "at_percentile": cells(met.sample, PERCENTILE), "at_strongest": cells(met.strongest, 100)}
+    return {
+        "threshold": float(threshold),
+        "percentile": PERCENTILE,
+        "sampled_frames": SAMPLED_FRAMES,
+        "omega_rad_s": omega.tolist(),
+        "gain_error_floor": (threshold * inflation * W_delta).tolist(),
+        "at_percentile": cells(met.sample, PERCENTILE),
+        "at_strongest": cells(met.strongest, 100),
+    }
 
 
 def _cell(omega: np.ndarray, count: np.ndarray, rows: Rows, c: int, percentile: float, level: float) -> dict:
-    """Cell ``c``; ``level`` is the margin that a fault must exceed, in units of the weights that ``rows`` were made with."""
+    """Cell ``c``; ``level`` is the margin that a fault must exceed, in units of the weights that ``rows``
+    were made with."""
     K = len(omega)
-    chosen = [_at_percentile(rows["dead"], np.flatnonzero(rows["group"] == c * K + k), percentile) for k in range(K)]
+    chosen = [
+        _at_percentile(rows["dead"], np.flatnonzero(rows["group"] == c * K + k), percentile) for k in range(K)
+    ]
     gain = [None if i is None or rows["dead"][i] == 0 else float(level / rows["dead"][i]) for i in chosen]
-    delay = [_delay(g, w) for g, w in zip(gain, omega)]
+    delay = [_delay(g, w) for g, w in zip(gain, omega, strict=False)]
     return {
-        "frames": count.tolist(), "excitation": [None if i is None else float(rows["size"][i]) for i in chosen],
-        "gain_error": gain, "delay_s": delay,
+        "frames": count.tolist(),
+        "excitation": [None if i is None else float(rows["size"][i]) for i in chosen],
+        "gain_error": gain,
+        "delay_s": delay,
         "smallest_gain_error": min((g for g in gain if g is not None), default=None),
         "smallest_delay_s": min((d for d in delay if d is not None), default=None),
-        "stated": [{"fault": f"gain {value:g}", "visible": _seen(gain, np.full(K, abs(1 - value)))} for value in STATED_GAINS]
-                  + [{"fault": f"delay {value:g} s", "visible": _seen(gain, _delay_error(omega, value))}
-                     for value in STATED_DELAYS_S]}
+        "stated": [
+            {"fault": f"gain {value:g}", "visible": _seen(gain, np.full(K, abs(1 - value)))}
+            for value in STATED_GAINS
+        ]
+        + [
+            {"fault": f"delay {value:g} s", "visible": _seen(gain, _delay_error(omega, value))}
+            for value in STATED_DELAYS_S
+        ],
+    }
 
 
 def _at_percentile(values: np.ndarray, members: np.ndarray, percentile: float) -> int | None:
@@ -121,7 +173,8 @@ def _delay_error(omega: np.ndarray | float, tau: float) -> np.ndarray:
 
 
 def _delay(gain_error: float | None, omega: float) -> float | None:
-    """Smallest delay [s] whose error reaches ``gain_error``; no delay makes an error above 2, nor any at DC."""
+    """Smallest delay [s] whose error reaches ``gain_error``; no delay makes an error above 2, nor any at
+    DC."""
     if gain_error is None or omega == 0 or gain_error > 2:
         return None
     return float(2 * np.arcsin(gain_error / 2) / omega)
@@ -129,5 +182,5 @@ def _delay(gain_error: float | None, omega: float) -> float | None:
 
 def _seen(gain_error: list[float | None], error: np.ndarray) -> bool | None:
     """Whether an error of size ``error`` (K,) is visible in any bin; None where the cell has no frames."""
-    known = [(g, e) for g, e in zip(gain_error, error) if g is not None]
+    known = [(g, e) for g, e in zip(gain_error, error, strict=False) if g is not None]
     return any(e > g for g, e in known) if known else None

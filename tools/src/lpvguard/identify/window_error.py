@@ -1,9 +1,11 @@
-"""How far windowed spectra are from the truth where dynamics are inverted: class S2 and the general LFT (THEORY 4.2).
+"""How far windowed spectra are from the truth where dynamics are inverted: class S2 and the general LFT
+(THEORY 4.2).
 
-Class S1 compares windowed spectra of e and yhat and inverts nothing. Class S2 asks for xi_s in G_d xi_s = (z I - Ad) d, d = x - x_nom,
-and a Hann frame of x_{n+1} is z times that of x_n only approximately. Here the nominal model, at frozen speeds, is driven by a
-known white xi_s [state units per s], and xi_s is found back from frames of d: the relative error is what frames cost. For the
-plain DFT with x_0 - x_N known it is rounding.
+Class S1 compares windowed spectra of e and yhat and inverts nothing. Class S2 asks for xi_s in G_d xi_s = (z
+I - Ad) d, d = x - x_nom, and a Hann frame of x_{n+1} is z times that of x_n only approximately. Here the
+nominal model, at frozen speeds, is driven by a known white xi_s [state units per s], and xi_s is found back
+from frames of d: the relative error is what frames cost. For the plain DFT with x_0 - x_N known it is
+rounding.
 """
 
 from __future__ import annotations
@@ -24,10 +26,13 @@ PERCENTILE = 90
 
 
 def window_error(model: NominalModel, estimator: Estimator, seed: int) -> dict[str, np.ndarray]:
-    """``median`` and ``percentile`` (K,) of |xi_hat - xi| / |xi| over FRAMES frames a bin, at the worst of SPEEDS speeds."""
+    """``median`` and ``percentile`` (K,) of |xi_hat - xi| / |xi| over FRAMES frames a bin, at the worst of
+    SPEEDS speeds."""
     errors = [_at_speed(model, estimator, v, seed) for v in np.linspace(*model.speed_range, SPEEDS)]
-    return {"median": np.max([np.median(e, axis=0) for e in errors], axis=0),
-            "percentile": np.max([np.percentile(e, PERCENTILE, axis=0) for e in errors], axis=0)}
+    return {
+        "median": np.max([np.median(e, axis=0) for e in errors], axis=0),
+        "percentile": np.max([np.percentile(e, PERCENTILE, axis=0) for e in errors], axis=0),
+    }
 
 
 def _at_speed(model: NominalModel, estimator: Estimator, v: float, seed: int) -> np.ndarray:
@@ -43,18 +48,24 @@ def _at_speed(model: NominalModel, estimator: Estimator, v: float, seed: int) ->
     out = np.empty((FRAMES, estimator.n_bins))
     for k, starts, true, D in _frames(xi, d, model.settle_samples, estimator):
         # The plain DFT takes z (d_0 - d_N) out; a Hann window has no such term, which is its error.
-        ends = (d[starts] - d[starts + estimator.length[k]]) * estimator.kernel(k)[0] if estimator.window == "rectangular" else 0.0
+        ends = (
+            (d[starts] - d[starts + estimator.length[k]]) * estimator.kernel(k)[0]
+            if estimator.window == "rectangular"
+            else 0.0
+        )
         found = (z[k] * (D - ends) - D @ Ad.T) @ np.linalg.inv(Gd).T
         out[:, k] = np.linalg.norm(found - true, axis=1) / np.linalg.norm(true, axis=1)
     return out
 
 
-def _frames(xi: np.ndarray, d: np.ndarray, first: int, estimator: Estimator) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
+def _frames(
+    xi: np.ndarray, d: np.ndarray, first: int, estimator: Estimator
+) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
     """Per bin: number, starts (F,), frames of xi and of d (F, n)."""
     both, n = np.hstack([xi, d]), d.shape[1]
     if estimator.window == "rectangular":  # all bins have the same frames: one transform for all
         starts = first + estimator.hop[0] * np.arange(FRAMES)
-        every = lines(np.stack([both[s:s + estimator.length[0]] for s in starts]), estimator)
+        every = lines(np.stack([both[s : s + estimator.length[0]] for s in starts]), estimator)
         for k in range(estimator.n_bins):
             yield k, starts, every[:, k, :n], every[:, k, n:]
     else:

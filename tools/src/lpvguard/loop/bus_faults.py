@@ -1,7 +1,9 @@
-"""The fault table at firmware level: what goes wrong on the bus of the closed loop, what the firmware must make of it, and by when.
+"""The fault table at firmware level: what goes wrong on the bus of the closed loop, what the firmware must
+make of it, and by when.
 
-Each case is a run of the simulator in which one fault of the scenario files (firmware_sim/sim/scenario.hpp) starts at START_S.
-Times are those of the firmware's ticks: a state shows in the first report after it was reached.
+Each case is a run of the simulator in which one fault of the scenario files (firmware_sim/sim/scenario.hpp)
+starts at START_S. Times are those of the firmware's ticks: a state shows in the first report after it was
+reached.
 """
 
 from __future__ import annotations
@@ -22,9 +24,9 @@ _SETTLED_S = 1.0
 
 @dataclass(frozen=True)
 class Case:
-    """``periods``: length of the fault in periods of the message. ``seen``: the kind of event that must be counted first, within
-    ``seen_within`` periods ("": the fault leaves no trace, as can.h says). ``state``: the worst state that must show, ``within``
-    so many periods (for "live" no other may show at all)."""
+    """``periods``: length of the fault in periods of the message. ``seen``: the kind of event that must be
+    counted first, within ``seen_within`` periods ("": the fault leaves no trace, as can.h says). ``state``:
+    the worst state that must show, ``within`` so many periods (for "live" no other may show at all)."""
 
     name: str
     message: str
@@ -40,10 +42,16 @@ class Case:
 
 LOSSES = ((1, "live", 0), (3, "live", 0), (5, "off", 5), (20, "off", 5))
 CASES = [
-    *[Case(f"lost {n}", message, "lost", n, "missed", 1, state, within) for message in ("VDC2", "GUARD_IN") for n, state, within in LOSSES],
+    *[
+        Case(f"lost {n}", message, "lost", n, "missed", 1, state, within)
+        for message in ("VDC2", "GUARD_IN")
+        for n, state, within in LOSSES
+    ],
     # Between two frames of 100 ms there are ticks: hold shows before the next good frame ends it.
-    *[Case(f"lost {n}", "EBC2", "lost", n, "missed", 1, state, within)
-      for n, state, within in ((1, "live", 0), (3, "hold", 3), (5, "off", 5), (20, "off", 5))],
+    *[
+        Case(f"lost {n}", "EBC2", "lost", n, "missed", 1, state, within)
+        for n, state, within in ((1, "live", 0), (3, "hold", 3), (5, "off", 5), (20, "off", 5))
+    ],
     Case("repeated", "GUARD_IN", "repeated", 100, "repeated", 0, "off", 5),
     Case("repeated once", "GUARD_IN", "repeated", 1, "repeated", 0, "live", 0),
     Case("repeated once", "VDC2", "repeated", 1, "", 0, "live", 0),
@@ -62,13 +70,16 @@ CASES = [
 
 
 def run_case(simulator: Simulator, case: Case, **options: Any) -> dict[str, Any]:
-    """One row of the table; ``options`` go to Simulator.run. ``missed``: what did not come in time, one sentence each."""
+    """One row of the table; ``options`` go to Simulator.run. ``missed``: what did not come in time, one
+    sentence each."""
     period_s = load_catalogue().message(case.message).period_ms / 1000
     # A frame that is due at the very end is good again; the last delayed one comes later still.
     window_s = case.periods * period_s - simulator.project.Ts_s / 2
     end_s = START_S + window_s + (case.delay_s or 0.0)
     more = {} if case.delay_s is None else {"delay_s": case.delay_s}
-    fault = can_fault_table(case.message, case.kind, START_S, START_S + window_s, probability=case.probability, **more)
+    fault = can_fault_table(
+        case.message, case.kind, START_S, START_S + window_s, probability=case.probability, **more
+    )
     text = steady_scenario(end_s + RECOVERY_S + _SETTLED_S, fault, title=case.name)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "fault.toml"
@@ -79,10 +90,18 @@ def run_case(simulator: Simulator, case: Case, **options: Any) -> dict[str, Any]
     worst = min((state for _, state in states), key=SUPERVISION.index, default="live")
     reached_s = next((t for t, state in states if state == worst), None)
     live_s = states[-1][0] if states and states[-1][1] == "live" else None
-    row = {"fault": case.name, "message": case.message, "period_ms": round(period_s * 1e3), "seen": kind,
-           "seen_after_ms": _after(seen_s, START_S), "state": worst, "state_after_ms": _after(reached_s, START_S),
-           "limit_ms": round(case.within * period_s * 1e3), "live_again_after_ms": _after(live_s, end_s),
-           "demand_max_bar": result["demand_max_bar"]}
+    row = {
+        "fault": case.name,
+        "message": case.message,
+        "period_ms": round(period_s * 1e3),
+        "seen": kind,
+        "seen_after_ms": _after(seen_s, START_S),
+        "state": worst,
+        "state_after_ms": _after(reached_s, START_S),
+        "limit_ms": round(case.within * period_s * 1e3),
+        "live_again_after_ms": _after(live_s, end_s),
+        "demand_max_bar": result["demand_max_bar"],
+    }
     return row | {"missed": list(_missed(case, row, period_s * 1e3))}
 
 
@@ -99,16 +118,24 @@ def as_text(rows: list[dict[str, Any]]) -> str:
     """The table for people; times in ms after the fault's start, the last ones after its end."""
     head = f"{'fault':<18} {'message':<9} {'period':>6} {'first seen as':<14} {'at':>5} {'state':<5} {'at':>5} {'limit':>6} {'live again':>11}  missed"
     show = lambda x: "–" if x is None else f"{x:.0f}"
-    lines = [f"{r['fault']:<18} {r['message']:<9} {r['period_ms']:>6} {r['seen'] or 'nothing':<14} {show(r['seen_after_ms']):>5} "
-             f"{r['state']:<5} {show(r['state_after_ms']):>5} {show(r['limit_ms'] or None):>6} {show(r['live_again_after_ms']):>11}  "
-             + ("; ".join(r["missed"]) or "nothing") for r in rows]
+    lines = [
+        f"{r['fault']:<18} {r['message']:<9} {r['period_ms']:>6} {r['seen'] or 'nothing':<14} {show(r['seen_after_ms']):>5} "
+        f"{r['state']:<5} {show(r['state_after_ms']):>5} {show(r['limit_ms'] or None):>6} {show(r['live_again_after_ms']):>11}  "
+        + ("; ".join(r["missed"]) or "nothing")
+        for r in rows
+    ]
     return "\n".join([head, *lines])
 
 
 def _first_seen(messages: dict[str, Any], message: str) -> tuple[str, float | None]:
-    """The first event other than good frames, of the message or of none, with its time; of several at once the earliest checked."""
-    seen = [(t, EVENTS.index(kind), kind) for name in (message, "other") for kind, t in messages[name]["first_s"].items()
-            if kind not in ("accepted", "recovering")]
+    """The first event other than good frames, of the message or of none, with its time; of several at once
+    the earliest checked."""
+    seen = [
+        (t, EVENTS.index(kind), kind)
+        for name in (message, "other")
+        for kind, t in messages[name]["first_s"].items()
+        if kind not in ("accepted", "recovering")
+    ]
     t, _, kind = min(seen, default=(None, 0, ""))
     return kind, t
 

@@ -1,7 +1,8 @@
 """`lpvguard generate`: seeded synthetic drives of a vehicle, as a drive folder.
 
-`car` is the stand-in for the measured car (drives/fixture.py). `truck` runs the simulated truck of firmware_sim/plant, which shares
-nothing with the nominal model: held speeds over the model's range, several brake programmes, and zero-input runs.
+`car` is the stand-in for the measured car (drives/fixture.py). `truck` runs the simulated truck of
+firmware_sim/plant, which shares nothing with the nominal model: held speeds over the model's range, several
+brake programmes, and zero-input runs.
 """
 
 from __future__ import annotations
@@ -29,15 +30,22 @@ PROGRAMMES = ("pulses", "telegraph", "multisine")
 
 
 def plant_tool() -> Path:
-    """The plant's tool, compiled on first use from firmware_sim/plant. InputError where the sources are absent."""
+    """The plant's tool, compiled on first use from firmware_sim/plant. InputError where the sources are
+    absent."""
     root = firmware_root() / "plant"
     sources = [*sorted((root / "src").glob("*.cpp")), *sorted((root / "tool").glob("*.cpp"))]
     flags = ("-std=c++17", "-O2", "-ffp-contract=off", f'-DLPVGUARD_TRUCK_TOML="{root / "truck.toml"}"')
     try:
-        return native.compile_executable(sources, flags=flags, include_dirs=[root / "include", root / "src", root / "tool"],
-                                         name="plant_tool")
+        return native.compile_executable(
+            sources,
+            flags=flags,
+            include_dirs=[root / "include", root / "src", root / "tool"],
+            name="plant_tool",
+        )
     except native.NativeError as error:
-        raise InputError(root, "compiling the simulated truck", str(error), "a C++17 compiler and libtomlplusplus-dev") from None
+        raise InputError(
+            root, "compiling the simulated truck", str(error), "a C++17 compiler and libtomlplusplus-dev"
+        ) from None
 
 
 def _truck_plan() -> list[tuple[str, str, float, float]]:
@@ -52,8 +60,20 @@ def _truck(project: Project, folder: Path, seed: int, tell: Callable[[str], None
     for index, (split, programme, speed, duration) in enumerate(_truck_plan()):
         name = f"{programme}_{index:02d}_{speed:g}mps".replace(".", "p")
         tell(name)
-        command = [tool, "generate", "-o", folder / f"{name}.csv", "--speed", speed, "--program", programme, "--duration",
-                   duration, "--seed", seed * 1000 + index]
+        command = [
+            tool,
+            "generate",
+            "-o",
+            folder / f"{name}.csv",
+            "--speed",
+            speed,
+            "--program",
+            programme,
+            "--duration",
+            duration,
+            "--seed",
+            seed * 1000 + index,
+        ]
         done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False)
         if done.returncode != 0:
             raise InputError(tool, name, done.stderr.strip(), "a drive of the simulated truck")
@@ -70,6 +90,13 @@ def generate(project: Project, target: Path, seed: int, tell: Callable[[str], No
         rows = makers[project.data.generator](project, folder, seed, tell)
         stream = io.StringIO()
         csv.writer(stream, lineterminator="\n").writerows([("experiment", "split", "driver"), *rows])
-        artefacts.write_files(folder, {EXPERIMENTS: stream.getvalue(), artefacts.MANIFEST: artefacts.manifest(
-            "generate", vehicle=project.name, seed=seed, drives=[r[0] for r in rows])})
+        artefacts.write_files(
+            folder,
+            {
+                EXPERIMENTS: stream.getvalue(),
+                artefacts.MANIFEST: artefacts.manifest(
+                    "generate", vehicle=project.name, seed=seed, drives=[r[0] for r in rows]
+                ),
+            },
+        )
     return len(rows)

@@ -1,7 +1,8 @@
-"""Clients of a simulation that runs with `lpvguard sim --lcm URL`: its channels decoded, its logs, and commands to it.
+"""Clients of a simulation that runs with `lpvguard sim --lcm URL`: its channels decoded, its logs, and
+commands to it.
 
-The message types are those of firmware_sim/lcm, made by lcm-gen on first use; firmware_sim/README.md has the table of channels.
-Needs the packages of the extra ``lcm`` (``pip install './tools[lcm]'``).
+The message types are those of firmware_sim/lcm, made by lcm-gen on first use; firmware_sim/README.md has the
+table of channels. Needs the packages of the extra ``lcm`` (``pip install './tools[lcm]'``).
 
     client = Client("udpm://239.255.76.67:7667?ttl=0")
     answer = client.command("inject", 'plant.sensor_fault = [{signal = "yaw_rate", gain = 0.7}]')
@@ -33,8 +34,15 @@ from ..base.errors import InputError
 from ..can.logs import ERROR_REPORT, EXTENDED, candump_line
 from ..core.compiled import SUPERVISION, VERDICTS, firmware_root
 
-CHANNELS = {"LPVGUARD_TRUTH": "truth_t", "LPVGUARD_GUARD": "guard_t", "LPVGUARD_SUPERVISION": "supervision_t", "LPVGUARD_BUS": "bus_t",
-            "LPVGUARD_MARGINS": "margin_t", "LPVGUARD_STATUS": "status_t", "LPVGUARD_CONTROL": "control_t"}
+CHANNELS = {
+    "LPVGUARD_TRUTH": "truth_t",
+    "LPVGUARD_GUARD": "guard_t",
+    "LPVGUARD_SUPERVISION": "supervision_t",
+    "LPVGUARD_BUS": "bus_t",
+    "LPVGUARD_MARGINS": "margin_t",
+    "LPVGUARD_STATUS": "status_t",
+    "LPVGUARD_CONTROL": "control_t",
+}
 """Channel -> message type."""
 STATES = ("running", "paused", "ended")
 """Names of status_t.state."""
@@ -53,14 +61,17 @@ def generator() -> str:
 
 @cache
 def message_types() -> ModuleType:
-    """The package ``lpvguard_lcm`` with a class for each message type, made by lcm-gen into the cache on first use."""
+    """The package ``lpvguard_lcm`` with a class for each message type, made by lcm-gen into the cache on
+    first use."""
     sources = sorted((firmware_root() / "lcm").glob("*.lcm"))
     digest = hashlib.sha256(b"\0".join(s.read_bytes() for s in sources)).hexdigest()[:24]
     folder = native.cache_dir() / f"lcm-{digest}"
     if not folder.is_dir():
         with tempfile.TemporaryDirectory(dir=native.cache_dir()) as scratch:
             made = Path(scratch) / "types"
-            subprocess.run([generator(), "-p", "--ppath", made, *sources], check=True, stdout=subprocess.DEVNULL)
+            subprocess.run(
+                [generator(), "-p", "--ppath", made, *sources], check=True, stdout=subprocess.DEVNULL
+            )
             try:
                 made.rename(folder)
             except OSError:
@@ -90,7 +101,8 @@ def decode(channel: str, data: bytes) -> Any:
 
 
 def read_log(path: Path) -> Iterator[tuple[str, Any]]:
-    """(channel, message) of every message of ours in a log as lcm-logger writes it, in the order of the log."""
+    """(channel, message) of every message of ours in a log as lcm-logger writes it, in the order of the
+    log."""
     lcm = _lcm()
     if not path.is_file():
         raise InputError(path, "", "no such file", "a log of lcm-logger")
@@ -106,7 +118,7 @@ def read_log(path: Path) -> Iterator[tuple[str, Any]]:
 def log_line(frame: Any) -> str:
     """A bus_t as a line of candump -L, as `lpvguard sim -o` writes it."""
     flags = (EXTENDED if frame.extended else 0) | (ERROR_REPORT if frame.error else 0)
-    return candump_line(frame.utime, "can0", frame.id | flags, frame.data[:frame.dlc])
+    return candump_line(frame.utime, "can0", frame.id | flags, frame.data[: frame.dlc])
 
 
 def watch(messages: Iterable[tuple[str, Any]]) -> Iterator[str]:
@@ -120,28 +132,41 @@ def watch(messages: Iterable[tuple[str, Any]]) -> Iterator[str]:
     for channel, m in messages:
         said = []
         if channel == "LPVGUARD_GUARD" and changed("guard", (m.verdict, m.supervision)):
-            said.append(f"verdict {VERDICTS[m.verdict]}, supervision {SUPERVISION[m.supervision]}, margin {m.margin:.3f}")
-        elif channel == "LPVGUARD_SUPERVISION" and changed("trouble", (m.trouble_spn, m.trouble_fmi)) and m.trouble_spn:
+            said.append(
+                f"verdict {VERDICTS[m.verdict]}, supervision {SUPERVISION[m.supervision]}, margin {m.margin:.3f}"
+            )
+        elif (
+            channel == "LPVGUARD_SUPERVISION"
+            and changed("trouble", (m.trouble_spn, m.trouble_fmi))
+            and m.trouble_spn
+        ):
             said.append(f"trouble code SPN {m.trouble_spn} FMI {m.trouble_fmi}")
         elif channel == "LPVGUARD_MARGINS" and m.reason <= 1:
-            said.append(f"bin {m.bin} at {m.frequency:.3g} rad/s: t* {m.margin:.3f}, statistic {m.statistic:.3f} of {m.threshold:.3f}"
-                        f"{', too little excitation' if m.reason else ''}; energy ratio {m.energy_ratio:.3f} of {m.energy_threshold:.3f}")
+            said.append(
+                f"bin {m.bin} at {m.frequency:.3g} rad/s: t* {m.margin:.3f}, statistic {m.statistic:.3f} of {m.threshold:.3f}"
+                f"{', too little excitation' if m.reason else ''}; energy ratio {m.energy_ratio:.3f} of {m.energy_threshold:.3f}"
+            )
         elif channel == "LPVGUARD_STATUS" and (m.id or changed("state", m.state)):
-            said.append(f"refused: {m.reason}" if m.reason else f"{STATES[m.state]}{' ' if m.entry else ''}{m.entry}")
+            said.append(
+                f"refused: {m.reason}" if m.reason else f"{STATES[m.state]}{' ' if m.entry else ''}{m.entry}"
+            )
         yield from (f"{m.utime * 1e-6:9.2f} s  {line}" for line in said)
         if channel == "LPVGUARD_STATUS" and m.state == m.ENDED and not m.id:
             return
 
 
 class Client:
-    """Hears every channel of a simulation, and leads it. One thread; nothing is dropped here, however late it is read."""
+    """Hears every channel of a simulation, and leads it. One thread; nothing is dropped here, however late it
+    is read."""
 
     def __init__(self, url: str):
         """``url`` as LCM reads it. InputError when it cannot be opened."""
         try:
             self._lcm = _lcm().LCM(url)
         except RuntimeError as error:
-            raise InputError(url, "LCM", str(error), "a URL as LCM reads it, such as udpm://239.255.76.67:7667?ttl=0") from None
+            raise InputError(
+                url, "LCM", str(error), "a URL as LCM reads it, such as udpm://239.255.76.67:7667?ttl=0"
+            ) from None
         self._heard: deque[tuple[str, Any]] = deque()
         for channel in CHANNELS:
             self._lcm.subscribe(channel, self._hear).set_queue_capacity(0)  # 0: without end
@@ -153,11 +178,17 @@ class Client:
                 yield self._heard.popleft()
 
     def command(self, action: Action, entry: str = "", *, ticks: int = 1, timeout_s: float = 5.0) -> Any:
-        """Sends a control_t (firmware_sim/lcm/lpvguard_control.lcm), and returns the status_t that answers it; what comes meanwhile is for
-        ``messages``. InputError when it is refused, or when nobody answers within ``timeout_s`` [s]."""
+        """Sends a control_t (firmware_sim/lcm/lpvguard_control.lcm), and returns the status_t that answers
+        it; what comes meanwhile is for ``messages``. InputError when it is refused, or when nobody answers
+        within ``timeout_s`` [s]."""
         types = message_types()
         asked = types.control_t()
-        asked.id, asked.action, asked.entry, asked.ticks = 1 + secrets.randbits(62), getattr(asked, action.upper()), entry, ticks
+        asked.id, asked.action, asked.entry, asked.ticks = (
+            1 + secrets.randbits(62),
+            getattr(asked, action.upper()),
+            entry,
+            ticks,
+        )
         self._lcm.publish("LPVGUARD_CONTROL", asked.encode())
         ends = time.monotonic() + timeout_s
         seen = len(self._heard)
@@ -169,7 +200,9 @@ class Client:
                         raise InputError("simulation", action, f"refused: {message.reason}")
                     return message
             seen = len(self._heard)
-        raise InputError("simulation", action, f"no answer within {timeout_s:g} s", "one that runs with --lcm at this URL")
+        raise InputError(
+            "simulation", action, f"no answer within {timeout_s:g} s", "one that runs with --lcm at this URL"
+        )
 
     def _hear(self, channel: str, data: bytes) -> None:
         self._heard.append((channel, decode(channel, data)))

@@ -1,17 +1,16 @@
-"""`lpvguard sim`: the closed loop on a PC -- simulated truck, CAN frames, the compiled ECU loop -- and what it was to show.
+"""`lpvguard sim`: the closed loop on a PC -- simulated truck, CAN frames, the compiled ECU loop -- and what
+it was to show.
 
-The simulator (firmware_sim/) is compiled on first use with the vehicle's generated folder, into the cache that `replay`
-uses too. A scenario file says how the truck is driven and what breaks (firmware_sim/sim/scenario.hpp); its table
-``expect`` says what must be said and by when, and is judged here:
+The simulator (firmware_sim/) is compiled on first use with the vehicle's generated folder, into the cache
+that `replay` uses too. A scenario file says how the truck is driven and what breaks
+(firmware_sim/sim/scenario.hpp); its table ``expect`` says what must be said and by when, and is judged here:
 
-    [expect]
-    verdict = "never_invalid"     # or "invalid": not before fault_start_s, then within within_judged_s; or "any"
-    fault_start_s = 60.0
-    within_judged_s = 30.0        # seconds of judged driving (THEORY 11) after the fault's start
-    supervision = "live"          # once live, always live; or "reacts": live until fault_start_s, then not live within
-    within_periods = 5            #   so many sample periods, and live again within 1 s after fault_end_s
-    fault_end_s = 35.0
-    tracking_ratio_max = 0.25     # optional: tracking_rms / command_rms
+    [expect] verdict = "never_invalid"     # or "invalid": not before fault_start_s, then within
+    within_judged_s; or "any" fault_start_s = 60.0 within_judged_s = 30.0        # seconds of judged driving
+    (THEORY 11) after the fault's start supervision = "live"          # once live, always live; or "reacts":
+    live until fault_start_s, then not live within within_periods = 5            #   so many sample periods,
+    and live again within 1 s after fault_end_s fault_end_s = 35.0 tracking_ratio_max = 0.25     # optional:
+    tracking_rms / command_rms
 """
 
 from __future__ import annotations
@@ -44,7 +43,8 @@ from ..vehicle.project import Project, Signal, parse_project
 
 Controller = Literal["designed", "feedforward", "off"]
 RECOVERY_S = 1.0
-"""Time after a bus fault within which supervision must be live again: five frames of the slowest message, and a reserve."""
+"""Time after a bus fault within which supervision must be live again: five frames of the slowest message, and
+a reserve."""
 
 LCM_LINK = ("-Wl,--no-as-needed", "-llcm")
 FLAGS = ("-std=c++17", "-O2", "-ffp-contract=off", "-fno-math-errno")
@@ -67,9 +67,9 @@ class Expectation(BaseModel):
     @model_validator(mode="after")
     def _complete(self) -> Expectation:
         if self.verdict == "invalid" and (self.fault_start_s is None or self.within_judged_s is None):
-            raise ValueError("verdict \"invalid\" needs fault_start_s and within_judged_s")
+            raise ValueError('verdict "invalid" needs fault_start_s and within_judged_s')
         if self.supervision == "reacts" and (self.fault_start_s is None or self.within_periods is None):
-            raise ValueError("supervision \"reacts\" needs fault_start_s and within_periods")
+            raise ValueError('supervision "reacts" needs fault_start_s and within_periods')
         return self
 
 
@@ -95,7 +95,9 @@ def load_scenario(name: str) -> Scenario:
     if path.suffix != ".toml":
         path = firmware_root() / "scenarios" / f"{name}.toml"
         if not path.is_file():
-            raise InputError(name, "SCENARIO", "unknown", f"one of {', '.join(shipped_scenarios())}, or a path to *.toml")
+            raise InputError(
+                name, "SCENARIO", "unknown", f"one of {', '.join(shipped_scenarios())}, or a path to *.toml"
+            )
     document = read_toml(path, "a scenario file")
     expect = checked(Expectation, document.get("expect"), "a scenario file", path, table="expect")
     seed = document.get("seed", 1)
@@ -104,9 +106,18 @@ def load_scenario(name: str) -> Scenario:
     return Scenario(path.stem, path, str(document.get("title", "")), seed, expect)
 
 
-def steady_scenario(duration_s: float, tables: str = "", *, title: str = "steady driving", speed_mps: float = 15.0, rms_radps: float = 0.08,
-                    seed: int = 1, expect: str = 'verdict = "any"\nsupervision = "live"') -> str:
-    """Text of a scenario file: constant speed, a multisine yaw-rate command of 0.5 to 4 rad/s, further ``tables``, what to ``expect``."""
+def steady_scenario(
+    duration_s: float,
+    tables: str = "",
+    *,
+    title: str = "steady driving",
+    speed_mps: float = 15.0,
+    rms_radps: float = 0.08,
+    seed: int = 1,
+    expect: str = 'verdict = "any"\nsupervision = "live"',
+) -> str:
+    """Text of a scenario file: constant speed, a multisine yaw-rate command of 0.5 to 4 rad/s, further
+    ``tables``, what to ``expect``."""
     return f"""\
 title = {json.dumps(title)}
 duration_s = {duration_s:g}
@@ -132,27 +143,39 @@ def can_fault_table(message: str, kind: str, start_s: float, end_s: float, **mor
 
 
 def feedforward(project: Project, u_max: np.ndarray, rate_max: np.ndarray) -> ControllerCoefficients:
-    """The comparison: the command over the nominal model's DC gain, nothing fed back, one sample late as any controller."""
+    """The comparison: the command over the nominal model's DC gain, nothing fed back, one sample late as any
+    controller."""
     model = NominalModel(project)
     speeds = np.linspace(*model.speed_range, 15)
     A, B = model.matrices(speeds)
     gain = -(model.C @ np.linalg.solve(A, B))[:, 0, 0]
     numerators = np.zeros((len(speeds), 1, 1, 1 + model.n_y))
     numerators[:, 0, 0, 0] = 1.0 / gain
-    return build_controller(project.Ts_s, speeds, np.array([-1.0]), numerators, np.zeros((len(speeds), 1, 1, 1)), u_max, rate_max,
-                            where="feedforward")
+    return build_controller(
+        project.Ts_s,
+        speeds,
+        np.array([-1.0]),
+        numerators,
+        np.zeros((len(speeds), 1, 1, 1)),
+        u_max,
+        rate_max,
+        where="feedforward",
+    )
 
 
 def _replace_controller(folder: Path, controller: ControllerCoefficients, target: Path) -> None:
     """A copy of a vehicle folder with another controller."""
     shutil.copytree(folder, target)
-    artefacts.write_files(target, replaced_controller((target / "lpvguard_vehicle.h").read_text(), controller))
+    artefacts.write_files(
+        target, replaced_controller((target / "lpvguard_vehicle.h").read_text(), controller)
+    )
 
 
 class Simulator:
     """The compiled simulator of one vehicle.
 
-    ``folder`` is a generated folder with a controller. Raises InputError when it has none or does not compile.
+    ``folder`` is a generated folder with a controller. Raises InputError when it has none or does not
+    compile.
     """
 
     def __init__(self, folder: Path, *, controller: Controller = "designed", lcm: bool = False):
@@ -161,7 +184,9 @@ class Simulator:
         self._emulated: dict[str, EmulatedEcu] = {}
         manifest = artefacts.read_manifest(self.folder, "vehicle")
         if "controller" not in manifest:
-            raise InputError(folder, "controller", "the vehicle has none", "a folder exported with a controller")
+            raise InputError(
+                folder, "controller", "the vehicle has none", "a folder exported with a controller"
+            )
         self.project = parse_project(manifest["project"], str(self.folder / artefacts.MANIFEST))
         if controller == "feedforward":
             limits = (np.array(manifest["controller"][key]) for key in ("u_max", "rate_max"))
@@ -177,15 +202,27 @@ class Simulator:
         """lpvguard_ecu: the firmware alone, as a process on a CAN interface."""
         root, core = firmware_root(), library_root()
         includes = [root / "ecu", root / "ports", *_ports(root), core / "include", core / "src", self.folder]
-        sources = [*sorted((core / "src").glob("*.cpp")), *sorted(self.folder.glob("*.c")), *sorted((root / "ecu").glob("*.c")),
-                   *(s for p in _ports(root) for s in sorted(p.glob("*.cpp"))), root / "ports" / "linux_ecu" / "main.cpp"]
+        sources = [
+            *sorted((core / "src").glob("*.cpp")),
+            *sorted(self.folder.glob("*.c")),
+            *sorted((root / "ecu").glob("*.c")),
+            *(s for p in _ports(root) for s in sorted(p.glob("*.cpp"))),
+            root / "ports" / "linux_ecu" / "main.cpp",
+        ]
         try:
             with ThreadPoolExecutor() as pool:
                 flags = (*FLAGS, "-isystem", eigen_include())
-                objects = list(pool.map(lambda s: native.compile_object(s, flags=flags, include_dirs=includes), sources))
+                objects = list(
+                    pool.map(lambda s: native.compile_object(s, flags=flags, include_dirs=includes), sources)
+                )
             return native.compile_executable(objects, flags=(), name=f"ecu_{self.folder.name}")
         except native.NativeError as error:
-            raise InputError(self.folder, "compiling the ECU's program", str(error).strip(), "a C++17 compiler and Eigen 3.4") from None
+            raise InputError(
+                self.folder,
+                "compiling the ECU's program",
+                str(error).strip(),
+                "a C++17 compiler and Eigen 3.4",
+            ) from None
 
     def emulated(self, target: str) -> EmulatedEcu:
         """The firmware built for an emulated processor with a CAN controller."""
@@ -196,34 +233,68 @@ class Simulator:
     def _build(self, folder: Path) -> Path:
         root, core = firmware_root(), library_root()
         plant = [root / "plant" / "include", root / "plant" / "src", root / "plant" / "tool"]
-        here = [root / "sim", root / "ecu", root / "ports", *_ports(root), core / "include", core / "src", folder]
-        vehicle = [*sorted((core / "src").glob("*.cpp")), *sorted(folder.glob("*.c")), *sorted((root / "ecu").glob("*.c")),
-                   *(s for p in _ports(root) for s in sorted(p.glob("*.cpp"))),
-                   *(s for s in sorted((root / "sim").glob("*.cpp")) if s.stem != "publisher_none" or not self._lcm)]
+        here = [
+            root / "sim",
+            root / "ecu",
+            root / "ports",
+            *_ports(root),
+            core / "include",
+            core / "src",
+            folder,
+        ]
+        vehicle = [
+            *sorted((core / "src").glob("*.cpp")),
+            *sorted(folder.glob("*.c")),
+            *sorted((root / "ecu").glob("*.c")),
+            *(s for p in _ports(root) for s in sorted(p.glob("*.cpp"))),
+            *(s for s in sorted((root / "sim").glob("*.cpp")) if s.stem != "publisher_none" or not self._lcm),
+        ]
         truth = [*sorted((root / "plant" / "src").glob("*.cpp")), root / "plant" / "tool" / "arguments.cpp"]
         flags = (*FLAGS, "-isystem", eigen_include())
         try:
             with ThreadPoolExecutor() as pool:
                 # The plant knows no vehicle: its objects serve every folder.
                 jobs = [pool.submit(native.compile_object, s, flags=FLAGS, include_dirs=plant) for s in truth]
-                jobs += [pool.submit(native.compile_object, s, flags=flags, include_dirs=[*here, *plant]) for s in vehicle]
+                jobs += [
+                    pool.submit(native.compile_object, s, flags=flags, include_dirs=[*here, *plant])
+                    for s in vehicle
+                ]
                 objects = [job.result() for job in jobs]
             if self._lcm:
                 objects.append(_lcm_publisher(root, flags, [*here, *plant]))
-            return native.compile_executable(objects, flags=LCM_LINK if self._lcm else (), name=f"sim_{folder.name}")
+            return native.compile_executable(
+                objects, flags=LCM_LINK if self._lcm else (), name=f"sim_{folder.name}"
+            )
         except native.NativeError as error:
-            raise InputError(folder, "compiling the simulator", str(error).strip(),
-                             "a C++17 compiler, Eigen 3.4 and libtomlplusplus-dev") from None
+            raise InputError(
+                folder,
+                "compiling the simulator",
+                str(error).strip(),
+                "a C++17 compiler, Eigen 3.4 and libtomlplusplus-dev",
+            ) from None
 
-    def run(self, scenario: Scenario, *, seed: int | None = None, bus: str = "memory", out: Path | None = None,
-            ecu_process: bool = False, target: str = "host", pace: float | None = None, lcm: str | None = None,
-            paused: bool = False) -> dict[str, Any]:
-        """One run: the object of `lpvguard sim --json`. ``bus``: memory or socketcan:INTERFACE. ``ecu_process``: the
-        firmware is a process of its own (needs SocketCAN).
-        ``target``: likewise on an emulated processor; the object then has ``ecu``: its target, ELF hash and instructions of the ticks.
-        ``pace``: at most so many times real time. ``lcm``: publish there and take commands (of a simulator made with ``lcm``); with ``out``
-        NAME-SEED.applied.toml is then the scenario with what clients changed. ``paused``: until a client says resume. ``out``: a folder for NAME-SEED.log (candump -L), .frames.csv, .telemetry.csv and .drive.csv, which `lpvguard replay` reads. Same scenario, seed and vehicle: the same bytes but
-        for real_time_factor, which is simulated time over one core's processor time; over elapsed time where the firmware is not in this process."""
+    def run(
+        self,
+        scenario: Scenario,
+        *,
+        seed: int | None = None,
+        bus: str = "memory",
+        out: Path | None = None,
+        ecu_process: bool = False,
+        target: str = "host",
+        pace: float | None = None,
+        lcm: str | None = None,
+        paused: bool = False,
+    ) -> dict[str, Any]:
+        """One run: the object of `lpvguard sim --json`. ``bus``: memory or socketcan:INTERFACE.
+        ``ecu_process``: the firmware is a process of its own (needs SocketCAN). ``target``: likewise on an
+        emulated processor; the object then has ``ecu``: its target, ELF hash and instructions of the ticks.
+        ``pace``: at most so many times real time. ``lcm``: publish there and take commands (of a simulator
+        made with ``lcm``); with ``out`` NAME-SEED.applied.toml is then the scenario with what clients
+        changed. ``paused``: until a client says resume. ``out``: a folder for NAME-SEED.log (candump -L),
+        .frames.csv, .telemetry.csv and .drive.csv, which `lpvguard replay` reads. Same scenario, seed and
+        vehicle: the same bytes but for real_time_factor, which is simulated time over one core's processor
+        time; over elapsed time where the firmware is not in this process."""
         seed = scenario.seed if seed is None else seed
         emulated = None if target == "host" else self.emulated(target)
         outside = ecu_process or emulated is not None
@@ -232,8 +303,20 @@ class Simulator:
         with tempfile.TemporaryDirectory() as scratch:
             stem = (out or Path(scratch)) / f"{scenario.name}-{seed}"
             frames = stem.with_name(stem.name + ".frames.csv")
-            command = [self.program, scenario.path, "--parameters", firmware_root() / "plant" / "truck.toml", "--seed", seed, "--bus", bus,
-                       "--frames", frames, "--engage", "no" if self.controller == "off" else "yes"]
+            command = [
+                self.program,
+                scenario.path,
+                "--parameters",
+                firmware_root() / "plant" / "truck.toml",
+                "--seed",
+                seed,
+                "--bus",
+                bus,
+                "--frames",
+                frames,
+                "--engage",
+                "no" if self.controller == "off" else "yes",
+            ]
             if outside:
                 command += ["--ecu", self.ecu_program if emulated is None else emulated.program]
             if lcm is not None:
@@ -242,24 +325,46 @@ class Simulator:
                 command += ["--pace", pace]
             if out is not None:
                 out.mkdir(parents=True, exist_ok=True)
-                command += ["--log", f"{stem}.log", "--telemetry", f"{stem}.telemetry.csv", "--drive", f"{stem}.drive.csv"]
+                command += [
+                    "--log",
+                    f"{stem}.log",
+                    "--telemetry",
+                    f"{stem}.telemetry.csv",
+                    "--drive",
+                    f"{stem}.drive.csv",
+                ]
                 if lcm is not None:
                     command += ["--applied", f"{stem}.applied.toml"]
             facts = _execute(command, scenario.path)
             rows = np.genfromtxt(frames, delimiter=",", names=True, ndmin=1)
         result = self._result(scenario, facts, rows)
         if emulated is not None:
-            result["ecu"] = {"target": target, "elf_sha256": emulated.elf_sha256, "instructions": facts["reception"]["instructions"]}
+            result["ecu"] = {
+                "target": target,
+                "elf_sha256": emulated.elf_sha256,
+                "instructions": facts["reception"]["instructions"],
+            }
         return result
 
-    def drive(self, path: Path, *, seed: int | None = None, log: Path | None = None) -> tuple[dict[str, Any], Drive, np.ndarray]:
-        """One run of the scenario file ``path``: what happened, as the simulator prints it, the drive that its monitor saw, and
-        (N,) where it was given a sample; elsewhere the drive stands still, so that nothing is judged until the model has settled.
-        ``log``: where every frame of the bus goes as candump -L writes it."""
+    def drive(
+        self, path: Path, *, seed: int | None = None, log: Path | None = None
+    ) -> tuple[dict[str, Any], Drive, np.ndarray]:
+        """One run of the scenario file ``path``: what happened, as the simulator prints it, the drive that
+        its monitor saw, and (N,) where it was given a sample; elsewhere the drive stands still, so that
+        nothing is judged until the model has settled. ``log``: where every frame of the bus goes as candump
+        -L writes it."""
         with tempfile.TemporaryDirectory() as scratch:
             table = Path(scratch) / f"{path.stem}.csv"
-            command = [self.program, path, "--parameters", firmware_root() / "plant" / "truck.toml", "--drive", table,
-                       "--engage", "no" if self.controller == "off" else "yes"]
+            command = [
+                self.program,
+                path,
+                "--parameters",
+                firmware_root() / "plant" / "truck.toml",
+                "--drive",
+                table,
+                "--engage",
+                "no" if self.controller == "off" else "yes",
+            ]
             command += [*(() if seed is None else ("--seed", seed)), *(() if log is None else ("--log", log))]
             facts = _execute(command, path)
             return facts, *self._without_gaps(path.stem, pa_csv.read_csv(table))
@@ -275,7 +380,13 @@ class Simulator:
             return np.column_stack([table[s.column].to_numpy().astype(float) for s in signals])[newest]
 
         v = stack([p.speed])[:, 0]
-        return Drive(name, t[0] + np.arange(len(v)) * p.Ts_s, np.where(present, v, 0.0), stack(p.inputs), stack(p.outputs)), present
+        return Drive(
+            name,
+            t[0] + np.arange(len(v)) * p.Ts_s,
+            np.where(present, v, 0.0),
+            stack(p.inputs),
+            stack(p.outputs),
+        ), present
 
     def _result(self, scenario: Scenario, facts: dict[str, Any], rows: np.ndarray) -> dict[str, Any]:
         expect = scenario.expect
@@ -283,10 +394,18 @@ class Simulator:
         start = expect.fault_start_s or 0.0
         spans = judged_spans(rows)
         judged = None if first_invalid is None else overlap(spans, start, first_invalid)
-        result = {"scenario": scenario.name, "title": scenario.title, "controller": self.controller,
-                  "expected": expect.model_dump(exclude_none=True), "first_invalid_s": first_invalid,
-                  "judged_to_invalid_s": judged, "judged_s": overlap(spans, start, facts["duration_s"]),
-                  "max_margin": float(rows["margin"].max(initial=0.0)), **facts, "reception": _reception(facts["reception"])}
+        result = {
+            "scenario": scenario.name,
+            "title": scenario.title,
+            "controller": self.controller,
+            "expected": expect.model_dump(exclude_none=True),
+            "first_invalid_s": first_invalid,
+            "judged_to_invalid_s": judged,
+            "judged_s": overlap(spans, start, facts["duration_s"]),
+            "max_margin": float(rows["margin"].max(initial=0.0)),
+            **facts,
+            "reception": _reception(facts["reception"]),
+        }
         return result | {"missed": list(missed(expect, result, self.project.Ts_s))}
 
 
@@ -303,25 +422,36 @@ def _execute(command: list, scenario: Path) -> dict[str, Any]:
 
 
 def _lcm_publisher(root: Path, flags: tuple[str, ...], includes: list[Path]) -> Path:
-    """Object of the LCM publisher, with its message types made by lcm-gen. NativeError when that is missing."""
+    """Object of the LCM publisher, with its message types made by lcm-gen. NativeError when that is
+    missing."""
     # That of the library that is linked: C++ from another version's does not compile with it.
-    found = subprocess.run(["pkg-config", "--variable=prefix", "lcm"], capture_output=True, text=True, check=False).stdout.strip()
+    found = subprocess.run(
+        ["pkg-config", "--variable=prefix", "lcm"], capture_output=True, text=True, check=False
+    ).stdout.strip()
     generator = Path(found, "bin", "lcm-gen")
     if not found or not generator.is_file():
         raise native.NativeError("LCM not found; install liblcm-dev, liblcm-bin and libglib2.0-dev")
     with tempfile.TemporaryDirectory() as types:
-        subprocess.run([generator, "--cpp", "--cpp-hpath", types, *sorted((root / "lcm").glob("*.lcm"))], check=True)
-        return native.compile_object(root / "lcm" / "publisher_lcm.cpp", flags=flags, include_dirs=[*includes, types])
+        subprocess.run(
+            [generator, "--cpp", "--cpp-hpath", types, *sorted((root / "lcm").glob("*.lcm"))], check=True
+        )
+        return native.compile_object(
+            root / "lcm" / "publisher_lcm.cpp", flags=flags, include_dirs=[*includes, types]
+        )
 
 
 def _reception(raw: dict[str, Any]) -> dict[str, Any]:
-    """The supervision's counters by message and kind ("other": frames of no rule), and when each kind was first seen [s]."""
+    """The supervision's counters by message and kind ("other": frames of no rule), and when each kind was
+    first seen [s]."""
     names = {m.id: m.name for m in load_catalogue().messages} | {0: "other"}
     messages = {}
     for identifier, state, counts, first_s in raw["rules"]:
-        seen = [(kind, n, t) for kind, n, t in zip(EVENTS, counts, first_s) if n]
-        messages[names[identifier]] = {**({"state": SUPERVISION[state]} if identifier else {"bus_off": bool(state)}),
-                                       "counts": {kind: n for kind, n, _ in seen}, "first_s": {kind: t for kind, _, t in seen}}
+        seen = [(kind, n, t) for kind, n, t in zip(EVENTS, counts, first_s, strict=False) if n]
+        messages[names[identifier]] = {
+            **({"state": SUPERVISION[state]} if identifier else {"bus_off": bool(state)}),
+            "counts": {kind: n for kind, n, _ in seen},
+            "first_s": {kind: t for kind, _, t in seen},
+        }
     return {"send_failures": raw["send_failures"], "messages": messages}
 
 
@@ -329,7 +459,7 @@ def judged_spans(rows: np.ndarray) -> list[list[float]]:
     """Joined spans [t0, t1] of the counted frames [s]."""
     counted = rows[rows["reason"] <= 1]
     spans: list[list[float]] = []
-    for begin, end in sorted(zip(counted["t_begin_s"].tolist(), counted["t_end_s"].tolist())):
+    for begin, end in sorted(zip(counted["t_begin_s"].tolist(), counted["t_end_s"].tolist(), strict=False)):
         if spans and begin <= spans[-1][1]:
             spans[-1][1] = max(spans[-1][1], end)
         else:

@@ -1,20 +1,23 @@
-"""What the supervision of the bus must say, from the frames on the bus and the message table alone (rules: lib/include/lpvguard/can.h).
+"""What the supervision of the bus must say, from the frames on the bus and the message table alone (rules:
+lib/include/lpvguard/can.h).
 
-Written from the rules, not from lib/src/can.cpp, so that one can be held against the other. Per message, with its period from the
-table, starting off:
+Written from the rules, not from lib/src/can.cpp, so that one can be held against the other. Per message, with
+its period from the table, starting off:
 
-    off -> live         RECOVER_FRAMES good frames in a row
-    live -> hold -> off the newest good frame is older than HOLD_MISSED + 1/2, OFF_MISSED + 1/2 periods; a good frame ends "hold"
-    live, hold -> off   the score reaches SCORE_OFF: +1 for a bad frame, -1 for a good one, at least 0; 0 after recovery
+    off -> live         RECOVER_FRAMES good frames in a row live -> hold -> off the newest good frame is older
+                        than HOLD_MISSED + 1/2, OFF_MISSED + 1/2 periods; a good frame ends "hold"
+    live, hold -> off   the score reaches SCORE_OFF: +1 for a bad frame, -1 for a good one, at least 0; 0
+                        after recovery
     any -> off          a bus-off report
 
-A frame is bad when it comes within a quarter of a period of the one before (babbling), is not of 8 bytes, fails its checksum or
-counter where the table gives it these (counter as in the frame before, 15, or more than COUNTER_STEP on), or has a supervised
-signal that is "error" or "not available", outside its range or, since the newest good frame, faster than allowed plus one raw step.
-"Off" forgets counter and values.
+A frame is bad when it comes within a quarter of a period of the one before (babbling), is not of 8 bytes,
+fails its checksum or counter where the table gives it these (counter as in the frame before, 15, or more than
+COUNTER_STEP on), or has a supervised signal that is "error" or "not available", outside its range or, since
+the newest good frame, faster than allowed plus one raw step. "Off" forgets counter and values.
 
-The ECU says the worst state of the messages that its vehicle needs, at every tick, of what arrived up to it; and off where all are
-live but a newest good value is outside the range that the vehicle's own signal table gives it: such a sample is refused.
+The ECU says the worst state of the messages that its vehicle needs, at every tick, of what arrived up to it;
+and off where all are live but a newest good value is outside the range that the vehicle's own signal table
+gives it: such a sample is refused.
 """
 
 from __future__ import annotations
@@ -40,7 +43,8 @@ SCORE_OFF, RECOVER_FRAMES, COUNTER_STEP = 5, 5, 5
 
 
 def needed_messages(project: Project) -> list[Message]:
-    """The messages without which the ECU of a vehicle cannot work: those that carry speed, outputs and the command."""
+    """The messages without which the ECU of a vehicle cannot work: those that carry speed, outputs and the
+    command."""
     catalogue = load_catalogue()
     places = [project.speed.can, REFERENCE, *(s.can for s in project.outputs)]
     return [catalogue.message(name) for name in sorted({p.message for p in places if p is not None})]
@@ -52,25 +56,39 @@ Limits = Mapping[tuple[str, str], tuple[float, float]]
 
 def limits(project: Project) -> dict[tuple[str, str], tuple[float, float]]:
     """What the vehicle's signal table allows the signals that the bus carries to its monitor."""
-    return {(s.can.message, s.can.signal): tuple(sorted((s.can.factor * s.min, s.can.factor * s.max)))
-            for s in (project.speed, *project.outputs) if s.can is not None}
+    return {
+        (s.can.message, s.can.signal): tuple(sorted((s.can.factor * s.min, s.can.factor * s.max)))
+        for s in (project.speed, *project.outputs)
+        if s.can is not None
+    }
 
 
-def required(frames: Frames, messages: Sequence[Message], ticks_us: np.ndarray, bus_off_us: Sequence[int] = (),
-             within: Limits = MappingProxyType({})) -> np.ndarray:
-    """(N,) what must be said at each tick of ``messages``. ``frames`` in the order of arrival; ``bus_off_us``: times of the reports;
-    ``within``: of the vehicle, see ``limits``."""
+def required(
+    frames: Frames,
+    messages: Sequence[Message],
+    ticks_us: np.ndarray,
+    bus_off_us: Sequence[int] = (),
+    within: Limits = MappingProxyType({}),
+) -> np.ndarray:
+    """(N,) what must be said at each tick of ``messages``. ``frames`` in the order of arrival;
+    ``bus_off_us``: times of the reports; ``within``: of the vehicle, see ``limits``."""
     worst, refused = np.full(len(ticks_us), LIVE), np.zeros(len(ticks_us), bool)
     for message in messages:
-        at = np.flatnonzero((frames.id & np.uint32(ANY_PRIORITY)) == np.uint32((message.id | EXTENDED) & ANY_PRIORITY))
-        watch = _watched(message, frames.t_ns[at] // 1000, frames.length[at], frames.data[at, :8], sorted(bus_off_us))
-        times, states = zip(*watch.changes)
+        at = np.flatnonzero(
+            (frames.id & np.uint32(ANY_PRIORITY)) == np.uint32((message.id | EXTENDED) & ANY_PRIORITY)
+        )
+        watch = _watched(
+            message, frames.t_ns[at] // 1000, frames.length[at], frames.data[at, :8], sorted(bus_off_us)
+        )
+        times, states = zip(*watch.changes, strict=False)
         worst = np.minimum(worst, np.array(states)[np.searchsorted(times, ticks_us, side="right") - 1])
         newest = np.searchsorted([t for t, _ in watch.taken], ticks_us, side="right")  # 0: none yet
         for column, signal in enumerate(message.supervised):
             if (message.name, signal.name) in within:
                 low, high = within[message.name, signal.name]
-                value = np.array([low, *(signal.scale * values[column] + signal.offset for _, values in watch.taken)])
+                value = np.array(
+                    [low, *(signal.scale * values[column] + signal.offset for _, values in watch.taken)]
+                )
                 refused |= ((value < low) | (value > high))[newest]
     return np.where(refused & (worst == LIVE), OFF, worst)
 
@@ -99,7 +117,9 @@ class _Watch:
             self.changes.append((t, state))
 
     def pass_time(self, t: int) -> None:
-        held, off = (self.accepted + n * self.period + self.period // 2 + 1 for n in (HOLD_MISSED, OFF_MISSED))
+        held, off = (
+            self.accepted + n * self.period + self.period // 2 + 1 for n in (HOLD_MISSED, OFF_MISSED)
+        )
         if t >= held and self.state == LIVE:
             self.go(held, HOLD)
         if t >= off:
@@ -125,7 +145,9 @@ class _Watch:
             self.go(t, LIVE)
 
 
-def _watched(message: Message, t_us: np.ndarray, length: np.ndarray, data: np.ndarray, bus_off_us: Sequence[int]) -> _Watch:
+def _watched(
+    message: Message, t_us: np.ndarray, length: np.ndarray, data: np.ndarray, bus_off_us: Sequence[int]
+) -> _Watch:
     """Of a message's frames, t_us (N,), length (N,), data (N, 8): changes of state, and the good ones."""
     signals = message.supervised
     raw = np.column_stack([_raw(data, s) for s in signals]) if signals else np.zeros((len(t_us), 0), int)
@@ -134,23 +156,37 @@ def _watched(message: Message, t_us: np.ndarray, length: np.ndarray, data: np.nd
     if message.e2e:
         unreadable |= (e2e_crc(data, message.e2e.data_id) != data[:, 0]) | ((data[:, 1] & 0x0F) >= COUNTERS)
     outside = np.zeros(len(t_us), bool)
-    for signal, column in zip(signals, raw.T):
-        outside |= (column < math.ceil((signal.supervise.min - signal.offset) / signal.scale)) \
-            | (column > math.floor((signal.supervise.max - signal.offset) / signal.scale)) \
+    for signal, column in zip(signals, raw.T, strict=False):
+        outside |= (
+            (column < math.ceil((signal.supervise.min - signal.offset) / signal.scale))
+            | (column > math.floor((signal.supervise.max - signal.offset) / signal.scale))
             | (column >= (signal.raw_error_min or 1 << signal.length))
+        )
     per_us = [s.supervise.max_rate / s.scale * 1e-6 if s.supervise.max_rate else math.inf for s in signals]
     watch, reports = _Watch(message.period_ms * 1000), list(bus_off_us)
-    for t, wrong, counter, beyond, values in zip(t_us.tolist(), unreadable.tolist(), (data[:, 1] & 0x0F).tolist(), outside.tolist(), raw.tolist()):
+    for t, wrong, counter, beyond, values in zip(
+        t_us.tolist(),
+        unreadable.tolist(),
+        (data[:, 1] & 0x0F).tolist(),
+        outside.tolist(),
+        raw.tolist(),
+        strict=False,
+    ):
         while reports and reports[0] <= t:
             watch.pass_time(reports[0])
             watch.go(reports.pop(0), OFF)
         watch.pass_time(t)
         if not wrong and message.e2e:
-            wrong = watch.counter is not None and not 1 <= (counter - watch.counter) % COUNTERS <= COUNTER_STEP
+            wrong = (
+                watch.counter is not None and not 1 <= (counter - watch.counter) % COUNTERS <= COUNTER_STEP
+            )
             watch.counter = counter
         if not wrong and not beyond and watch.values is not None:
             since = max(t - watch.accepted, watch.period)
-            beyond = any(abs(a - b) > rate * since + 1 for a, b, rate in zip(values, watch.values, per_us))
+            beyond = any(
+                abs(a - b) > rate * since + 1
+                for a, b, rate in zip(values, watch.values, per_us, strict=False)
+            )
         if wrong or beyond:
             watch.bad(t)
         else:
@@ -168,9 +204,10 @@ def _raw(data: np.ndarray, signal: Signal) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Reactions:
-    """What was said against what had to be. ``due``: stretches of ticks for which a worse state than live is required; ``met``: those
-    in which every tick said it; ``late_s``: longest time on end for which a better state was said than required;
-    ``unwarranted_s``: time in which a worse state was said than required; ``away_s``: time for which not live was required."""
+    """What was said against what had to be. ``due``: stretches of ticks for which a worse state than live is
+    required; ``met``: those in which every tick said it; ``late_s``: longest time on end for which a better
+    state was said than required; ``unwarranted_s``: time in which a worse state was said than required;
+    ``away_s``: time for which not live was required."""
 
     due: int
     met: int
@@ -184,8 +221,13 @@ class Reactions:
         missed = said > must
         stretches = _stretches(must < LIVE)
         late = max((b - a for a, b in _stretches(missed)), default=0)
-        return cls(len(stretches), sum(not missed[a:b].any() for a, b in stretches), late * Ts,
-                   float((said < must).sum() * Ts), float((must < LIVE).sum() * Ts))
+        return cls(
+            len(stretches),
+            sum(not missed[a:b].any() for a, b in stretches),
+            late * Ts,
+            float((said < must).sum() * Ts),
+            float((must < LIVE).sum() * Ts),
+        )
 
 
 def _stretches(where: np.ndarray) -> list[tuple[int, int]]:

@@ -14,8 +14,8 @@ GAP = 4e-4
 """Relative distance of the two sides that the branch and bound works to; the interface asks for 1e-3."""
 
 SIDE_NODES = 800
-"""Nodes spent on ``nu_s_min`` and ``t_minmax``: they are reported by their attained values, which the first few nodes
-find."""
+"""Nodes spent on ``nu_s_min`` and ``t_minmax``: they are reported by their attained values, which the first
+few nodes find."""
 
 
 def _blocks(f: Fields) -> tuple[Block, ...]:

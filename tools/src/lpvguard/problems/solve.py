@@ -9,7 +9,6 @@ expected>"}`` and never stops the others. A problem that carries an ``answer`` i
 from __future__ import annotations
 
 import json
-import math
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -87,11 +86,14 @@ def _solve_margin(f: Fields) -> dict:
 
 
 def _part(module: str, f: Fields) -> ModuleType:
-    """A module that only its own kinds import: scipy.optimize would double the start-up time of the others."""
+    """A module that only its own kinds import: scipy.optimize would double the start-up time of the
+    others."""
     try:
         return import_module(module)
     except ImportError as exc:
-        raise f.error("kind", f"{module} is not available ({exc})", "a complete installation of lpvguard") from exc
+        raise f.error(
+            "kind", f"{module} is not available ({exc})", "a complete installation of lpvguard"
+        ) from exc
 
 
 _SOLVERS: dict[str, Callable[[Fields, dict], dict]] = {
@@ -125,7 +127,7 @@ def solve_problem(problem: Any) -> dict:
     except InputError as exc:
         text = str(exc) if str(exc).startswith(fields.source) else f"{fields.source}: {exc}"
         return identity | {"status": "error", "error": text}
-    except Exception as exc:  # noqa: BLE001 - one bad problem must not stop a fleet job
+    except Exception as exc:
         return identity | {
             "status": "error",
             "error": f"{fields.source}: internal error, {type(exc).__name__}: {exc}",
@@ -262,7 +264,9 @@ def run_solve(path_or_dash: str | os.PathLike, out: str | os.PathLike | None = N
         return 2
     answers = solve_problems(problems, jobs)
     try:
-        write_json("-" if out is None else os.fspath(out), {"schema": ANSWERS_SCHEMA, "answers": answers}, "solve")
+        write_json(
+            "-" if out is None else os.fspath(out), {"schema": ANSWERS_SCHEMA, "answers": answers}, "solve"
+        )
     except InputError as exc:
         print(f"error: {exc}", file=sys.stderr)
         return 2

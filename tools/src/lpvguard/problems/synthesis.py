@@ -1,8 +1,9 @@
 """The kinds ``hinf`` and ``mu`` of the language-neutral solve interface: a problem as a dict in, answer
 fields out.
 
-Fields as in lpvguard/problems/solve.py: complex numbers are [re, im], matrices row-major nested lists. A problem that
-cannot be answered raises InputError (what, where, expected), which the caller turns into an error answer.
+Fields as in lpvguard/problems/solve.py: complex numbers are [re, im], matrices row-major nested lists. A
+problem that cannot be answered raises InputError (what, where, expected), which the caller turns into an
+error answer.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from lpvguard.engine.synthesis.statespace import StateSpace
 
 
 def solve_hinf(problem: dict) -> dict:
-    """gamma, gamma_lower, gamma_achieved, resolved, controller and the certificate for A, B, C, D, n_control, n_measurement, dt
-    (default 0).
+    """gamma, gamma_lower, gamma_achieved, resolved, controller and the certificate for A, B, C, D, n_control,
+    n_measurement, dt (default 0).
     """
     name = str(problem.get("id", "hinf"))
     D = _matrix(problem, "D", name)
@@ -72,7 +73,9 @@ def solve_mu(problem: dict) -> dict:
         where = f"{name}: blocks[{k}]"
         rows_of_M, cols_of_M = _count(b, "rows", where), _count(b, "cols", where)
         try:
-            blocks.append(Block(b.get("type", "full"), cols_of_M, rows_of_M))  # the contract states M's part, Block is Delta_i
+            blocks.append(
+                Block(b.get("type", "full"), cols_of_M, rows_of_M)
+            )  # the contract states M's part, Block is Delta_i
         except InputError as error:
             what = error.what if error.where == "type" else f"{rows_of_M} x {cols_of_M}"
             raise SynthesisError(where, error.where, what, error.expected) from None

@@ -1,4 +1,4 @@
-"""Recorded data through the compiled core. In: drive tables, or raw CAN logs through the core's own receiver. Out:
-verdicts, judged frames and alarms of a drive. Which rooms it may import: MAY_IMPORT."""
+"""Recorded data through the compiled core. In: drive tables, or raw CAN logs through the core's own receiver.
+Out: verdicts, judged frames and alarms of a drive. Which rooms it may import: MAY_IMPORT."""
 
 MAY_IMPORT = ("base", "vehicle", "can", "drives", "core")

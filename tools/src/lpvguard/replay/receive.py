@@ -1,15 +1,18 @@
-"""Raw CAN logs through the compiled receiver: supervision and decoder of lib/, as the ECU would have run them.
+"""Raw CAN logs through the compiled receiver: supervision and decoder of lib/, as the ECU would have run
+them.
 
 Reads   candump, ASC, BLF, TRC, MF4 with bus logging, raw CSV and Parquet (can/logs.py)
 Next    run.py feeds the monitor with the samples
 
-Ticks are one sample period of the vehicle apart. A tick sees what the frames up to it brought: the newest accepted value of
-every signal, as in lpvg_ecu_step; nothing is interpolated. There is a sample where every message that carries a signal of
-the vehicle is live (can.h), and a gap elsewhere. A tick lies half a period after the mean arrival time of the fastest of these
-messages. Jitter below half a period then moves no frame to another tick. A log of our own simulator gives the samples that its
-ECU had, except that the demand has the resolution of the bus.
+Ticks are one sample period of the vehicle apart. A tick sees what the frames up to it brought: the newest
+accepted value of every signal, as in lpvg_ecu_step; nothing is interpolated. There is a sample where every
+message that carries a signal of the vehicle is live (can.h), and a gap elsewhere. A tick lies half a period
+after the mean arrival time of the fastest of these messages. Jitter below half a period then moves no frame
+to another tick. A log of our own simulator gives the samples that its ECU had, except that the demand has the
+resolution of the bus.
 
-A clock that goes back by more than REORDER_S, or forward by more than CLOCK_JUMP_S, is a jump: replayed as a pause of PAUSE_S.
+A clock that goes back by more than REORDER_S, or forward by more than CLOCK_JUMP_S, is a jump: replayed as a
+pause of PAUSE_S.
 """
 
 from __future__ import annotations
@@ -40,7 +43,8 @@ PAUSE_S = 1.0
 
 @dataclass(frozen=True)
 class Received:
-    """A log as the ECU would have sampled it: t (N,) [s] from 0, values (N, signals), present (N,) bool, and the report."""
+    """A log as the ECU would have sampled it: t (N,) [s] from 0, values (N, signals), present (N,) bool, and
+    the report."""
 
     t: np.ndarray
     values: np.ndarray
@@ -49,7 +53,8 @@ class Received:
 
 
 class Receiver:
-    """The compiled receiver of a vehicle: speed, inputs and outputs of its signal table, in this order, out of frames of the catalogue.
+    """The compiled receiver of a vehicle: speed, inputs and outputs of its signal table, in this order, out
+    of frames of the catalogue.
 
     Raises InputError when a signal has no place on the bus, or nothing compiles here.
     """
@@ -61,7 +66,9 @@ class Receiver:
         self._places = [_place(s, catalogue) for s in self.signals]
         self.needed = [m for m in self._rules if any(m is message for message, _ in self._places)]
         self._ids = np.array([m.id | EXTENDED for m in self.needed], np.uint32) & np.uint32(ANY_PRIORITY)
-        library = _library(project.name, _take_source(self.signals, self._places), *sorted(codec_files(catalogue).items()))
+        library = _library(
+            project.name, _take_source(self.signals, self._places), *sorted(codec_files(catalogue).items())
+        )
         self._lib = ctypes.CDLL(str(library))
         sizes = (ctypes.c_uint32 * 2)()
         self._lib.lpvgb_receiver_sizes(sizes)
@@ -69,15 +76,25 @@ class Receiver:
             raise AssertionError("the events of can.h and of this module differ")
 
     def receive(self, frames: Frames, where: str | Path, *, channel: str | None = None) -> Received:
-        """Sample a log. InputError when no needed message is in it, or they come from several channels and none was chosen."""
+        """Sample a log. InputError when no needed message is in it, or they come from several channels and
+        none was chosen."""
         frames = frames.of_channel(channel, where)
         ours = np.isin(frames.id & np.uint32(ANY_PRIORITY), self._ids)
         if not ours.any():
-            raise InputError(where, "", "holds no frame of " + ", ".join(f"{m.name} ({m.id:08X})" for m in self.needed),
-                             f"a log of the bus of vehicle {self.project.name}; `lpvguard ingest --dbc` takes other buses")
+            raise InputError(
+                where,
+                "",
+                "holds no frame of " + ", ".join(f"{m.name} ({m.id:08X})" for m in self.needed),
+                f"a log of the bus of vehicle {self.project.name}; `lpvguard ingest --dbc` takes other buses",
+            )
         channels = [frames.channels[c] for c in np.unique(frames.channel[ours])]
         if len(channels) > 1:
-            raise InputError(where, "channel", f"the vehicle's messages come from {', '.join(channels)}", "--channel, to say which")
+            raise InputError(
+                where,
+                "channel",
+                f"the vehicle's messages come from {', '.join(channels)}",
+                "--channel, to say which",
+            )
         frames = frames.of_channel(channels[0], where)
         ours = np.isin(frames.id & np.uint32(ANY_PRIORITY), self._ids)
         fastest = min(m.period_ms for m in self.needed) * 1000
@@ -89,41 +106,75 @@ class Receiver:
         values = np.empty((ticks, len(self._places)))
         states = np.empty((ticks, len(self._rules)), np.uint8)
         counts = np.zeros((len(self._rules) + 1, len(EVENTS)), np.uint32)
-        arrays = [np.ascontiguousarray(a) for a in (t_us, frames.id[order], frames.length[order], frames.data[order])]
+        arrays = [
+            np.ascontiguousarray(a)
+            for a in (t_us, frames.id[order], frames.length[order], frames.data[order])
+        ]
         status = self._lib.lpvgb_receive(
-            ctypes.c_int64(len(order)), *map(_pointer, arrays), ctypes.c_int64(arrays[3].shape[1]), ctypes.c_int64(first),
-            ctypes.c_int64(period), ctypes.c_int64(ticks), ctypes.c_int64(len(self._places)), *map(_pointer, (values, states, counts)))
+            ctypes.c_int64(len(order)),
+            *map(_pointer, arrays),
+            ctypes.c_int64(arrays[3].shape[1]),
+            ctypes.c_int64(first),
+            ctypes.c_int64(period),
+            ctypes.c_int64(ticks),
+            ctypes.c_int64(len(self._places)),
+            *map(_pointer, (values, states, counts)),
+        )
         if status != 0:
-            raise InputError(where, "", "the receiver refused the log's times", "times from 0 to 292000 years")
+            raise InputError(
+                where, "", "the receiver refused the log's times", "times from 0 to 292000 years"
+            )
         live = np.array([states[:, self._rules.index(m)] == LIVE for m in self.needed])
         present = live.all(axis=0) & np.isfinite(values).all(axis=1)
         t = np.arange(ticks) * self.project.Ts_s
-        report = {"channel": channels[0], "messages": self._counted(counts),
-                  "other": _named(counts[-1]), "not_frames": frames.left_out, "gaps": self._gaps(t, live, present),
-                  "clock_jumps": jumps}
+        report = {
+            "channel": channels[0],
+            "messages": self._counted(counts),
+            "other": _named(counts[-1]),
+            "not_frames": frames.left_out,
+            "gaps": self._gaps(t, live, present),
+            "clock_jumps": jumps,
+        }
         return Received(t, values, present, report)
 
     def _counted(self, counts: np.ndarray) -> dict[str, dict[str, int]]:
         """Frames and periods by kind, of the needed messages and of those that were seen."""
         missed = EVENTS.index("missed")
-        return {m.name: _named(row) for m, row in zip(self._rules, counts) if m in self.needed or row[:missed].any()}
+        return {
+            m.name: _named(row)
+            for m, row in zip(self._rules, counts, strict=False)
+            if m in self.needed or row[:missed].any()
+        }
 
     def _gaps(self, t: np.ndarray, live: np.ndarray, present: np.ndarray) -> list[dict[str, Any]]:
-        """Stretches without a sample: from the first tick without one to the tick that has one again (or the end)."""
+        """Stretches without a sample: from the first tick without one to the tick that has one again (or the
+        end)."""
         edges = np.flatnonzero(np.diff(np.r_[0, (~present).astype(np.int8), 0])).reshape(-1, 2)
-        return [{"from_s": round(float(t[a]), 6), "to_s": round(float(t[min(b, len(t) - 1)]), 6),
-                 "messages": [m.name for m, row in zip(self.needed, live) if not row[a:b].all()]} for a, b in edges]
+        return [
+            {
+                "from_s": round(float(t[a]), 6),
+                "to_s": round(float(t[min(b, len(t) - 1)]), 6),
+                "messages": [m.name for m, row in zip(self.needed, live, strict=False) if not row[a:b].all()],
+            }
+            for a, b in edges
+        ]
 
 
 def _place(signal, catalogue: Catalogue) -> tuple[Message, Signal]:
     where = f"vehicle signal {signal.name}"
     if signal.can is None:
-        raise InputError(where, "can", "no place on the bus", "can = { message, signal, factor } in the project file")
+        raise InputError(
+            where, "can", "no place on the bus", "can = { message, signal, factor } in the project file"
+        )
     message = catalogue.message(signal.can.message)
     found = next((s for s in message.signals if s.name == signal.can.signal), None)
     if found is None or message.codec != "generated":
-        raise InputError(where, "can", f"{message.name}.{signal.can.signal} is not in the CAN catalogue",
-                         f"one of {', '.join(s.name for s in message.signals)}")
+        raise InputError(
+            where,
+            "can",
+            f"{message.name}.{signal.can.signal} is not in the CAN catalogue",
+            f"one of {', '.join(s.name for s in message.signals)}",
+        )
     return message, found
 
 
@@ -132,10 +183,15 @@ def _take_source(signals: list, places: list[tuple[Message, Signal]]) -> str:
     cases = ""
     for name in dict.fromkeys(message.name for message, _ in places):
         of = [(i, message, signal) for i, (message, signal) in enumerate(places) if message.name == name]
-        statements = [f"values[{i}] = (double)({signal.name} * (float){1.0 / signals[i].can.factor:.17g});" for i, _, signal in of]
+        statements = [
+            f"values[{i}] = (double)({signal.name} * (float){1.0 / signals[i].can.factor:.17g});"
+            for i, _, signal in of
+        ]
         cases += take_case(of[0][1], [signal for _, _, signal in of], statements)
-    return ('#include "lpvg_can_codec.h"\n\nextern "C" void lpvgb_take(double* values, uint8_t index, const lpvg_can_frame_t* frame)\n'
-            f"{{\n    switch (index) {{\n{cases}    default:\n        break;\n    }}\n}}\n")
+    return (
+        '#include "lpvg_can_codec.h"\n\nextern "C" void lpvgb_take(double* values, uint8_t index, const lpvg_can_frame_t* frame)\n'
+        f"{{\n    switch (index) {{\n{cases}    default:\n        break;\n    }}\n}}\n"
+    )
 
 
 @cache
@@ -145,22 +201,36 @@ def _library(name: str, take: str, *codec: tuple[str, str]) -> Path:
         folder = Path(scratch)
         for file, text in (*codec, ("take.cpp", take)):
             (folder / file).write_text(text, encoding="utf-8")
-        sources = [folder / SOURCE, folder / "take.cpp", root / "src" / "can.cpp", Path(__file__).with_name("receiver.cpp")]
+        sources = [
+            folder / SOURCE,
+            folder / "take.cpp",
+            root / "src" / "can.cpp",
+            Path(__file__).with_name("receiver.cpp"),
+        ]
         try:
-            return native.compile_shared(sources, flags=("-std=c++17", "-O2", "-ffp-contract=off"),
-                                         include_dirs=[root / "include", folder], name=f"receiver_{name}")
+            return native.compile_shared(
+                sources,
+                flags=("-std=c++17", "-O2", "-ffp-contract=off"),
+                include_dirs=[root / "include", folder],
+                name=f"receiver_{name}",
+            )
         except native.NativeError as error:
-            raise InputError(f"vehicle {name}", "compiling the CAN receiver", str(error).strip(), "a C++17 compiler") from None
+            raise InputError(
+                f"vehicle {name}", "compiling the CAN receiver", str(error).strip(), "a C++17 compiler"
+            ) from None
 
 
-def _one_clock(t_ns: np.ndarray, ours: np.ndarray, period_us: int) -> tuple[np.ndarray, np.ndarray, list[dict]]:
+def _one_clock(
+    t_ns: np.ndarray, ours: np.ndarray, period_us: int
+) -> tuple[np.ndarray, np.ndarray, list[dict]]:
     """Times [us] from 0 in increasing order, the frames' positions in it, and the jumps of the log's clock.
 
-    Every stretch between jumps is shifted so that our frames arrive, in the circular mean, at multiples of ``period_us``.
+    Every stretch between jumps is shifted so that our frames arrive, in the circular mean, at multiples of
+    ``period_us``.
     """
     clock = clock_of(t_ns, CLOCK_JUMP_S)
     times, order, end = [], [], 0
-    for a, b in zip(clock.cuts, clock.cuts[1:]):
+    for a, b in zip(clock.cuts, clock.cuts[1:], strict=False):
         at = a + np.argsort(t_ns[a:b], kind="stable")
         t = (t_ns[at] - t_ns[at[0]]) // 1000
         angle = 2j * np.pi / period_us * (t[ours[at]] if ours[at].any() else t)
@@ -173,7 +243,7 @@ def _one_clock(t_ns: np.ndarray, ours: np.ndarray, period_us: int) -> tuple[np.n
 
 
 def _named(row: np.ndarray) -> dict[str, int]:
-    return {name: int(n) for name, n in zip(EVENTS, row) if n}
+    return {name: int(n) for name, n in zip(EVENTS, row, strict=False) if n}
 
 
 def _pointer(array: np.ndarray) -> ctypes.c_void_p:

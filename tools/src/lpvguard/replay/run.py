@@ -1,4 +1,5 @@
-"""Stage 8, replay: recorded drives and raw CAN logs through the compiled C core, and what it said, in a form people and machines can read."""
+"""Stage 8, replay: recorded drives and raw CAN logs through the compiled C core, and what it said, in a form
+people and machines can read."""
 
 from __future__ import annotations
 
@@ -26,9 +27,10 @@ EXCITED_WINDOW_S = 10.0
 class Alarm:
     """What falsified the model, with what a person needs to believe it.
 
-    ``frame``: a frame of a bin. ``energy``: the energy test's ratio (``margin``) exceeded its threshold, after a memory without
-    that; bin_rad_s and W_delta are None, ``band`` is one of core.band_names, ``direction`` (n_y,) says which sum of outputs, in units of
-    sigma, B_w holds the band's sigma, E the norms of F e_j and Z those of F W_delta yhat_j.
+    ``frame``: a frame of a bin. ``energy``: the energy test's ratio (``margin``) exceeded its threshold,
+    after a memory without that; bin_rad_s and W_delta are None, ``band`` is one of core.band_names,
+    ``direction`` (n_y,) says which sum of outputs, in units of sigma, B_w holds the band's sigma, E the norms
+    of F e_j and Z those of F W_delta yhat_j.
     """
 
     t_s: float
@@ -54,12 +56,12 @@ class Replay:
     name: str
     duration_s: float
     run: Run
-    judged: np.ndarray          # (N,) bool: the sample lies in a counted frame
-    in_range: np.ndarray        # (N,) bool
-    excited: np.ndarray         # (N,) bool
-    falsified: np.ndarray       # (N,) bool: with this sample the core judged a frame that falsifies
-    over: np.ndarray            # (N,) bool: the energy test's ratio is above its threshold
-    alarms: list[Alarm]         # of both tests, in the order of time
+    judged: np.ndarray  # (N,) bool: the sample lies in a counted frame
+    in_range: np.ndarray  # (N,) bool
+    excited: np.ndarray  # (N,) bool
+    falsified: np.ndarray  # (N,) bool: with this sample the core judged a frame that falsifies
+    over: np.ndarray  # (N,) bool: the energy test's ratio is above its threshold
+    alarms: list[Alarm]  # of both tests, in the order of time
     Ts: float
     can: dict[str, Any] | None = None  # of a raw log: what became of its frames, gaps (receive.py)
 
@@ -95,18 +97,26 @@ class Replay:
         """The object of `lpvguard replay --json`."""
         relevant = self.in_range & self.excited
         return {
-            "run": self.name, "duration_s": round(self.duration_s, 6),
+            "run": self.name,
+            "duration_s": round(self.duration_s, 6),
             "judged": [[round(a, 6), round(b, 6)] for a, b in self.judged_intervals],
-            "judged_s": round(self.judged_s, 6), "verdict_final": self.verdict_final,
-            "first_invalid_s": self.first_invalid_s, "max_margin": self.max_margin,
+            "judged_s": round(self.judged_s, 6),
+            "verdict_final": self.verdict_final,
+            "first_invalid_s": self.first_invalid_s,
+            "max_margin": self.max_margin,
             "max_energy_ratio": float(self.run.energy.max()) if self.run.energy.any() else None,
             "alarms": [vars(a) for a in self.alarms],
             "in_range_excited_s": round(float(relevant.sum() * self.Ts), 6),
             "judged_in_range_excited_s": round(float((relevant & self.judged).sum() * self.Ts), 6),
             "frames": self.left_out(),
-            "verdict_s": {v: round(float((self.run.verdict == i).sum() * self.Ts), 6) for i, v in enumerate(VERDICTS)},
-            "refused_samples": {s: int((self.run.status == i).sum()) for i, s in enumerate(STATUSES)
-                                if i and (self.run.status == i).any()},
+            "verdict_s": {
+                v: round(float((self.run.verdict == i).sum() * self.Ts), 6) for i, v in enumerate(VERDICTS)
+            },
+            "refused_samples": {
+                s: int((self.run.status == i).sum())
+                for i, s in enumerate(STATUSES)
+                if i and (self.run.status == i).any()
+            },
             **({} if self.can is None else {"can": self.can}),
         }
 
@@ -125,32 +135,53 @@ def excited_samples(u: np.ndarray, Ts: float, threshold: float) -> np.ndarray:
 
 
 class Replayer:
-    """Runs drives of one vehicle through its compiled core, with the compiled-in or with given coefficients."""
+    """Runs drives of one vehicle through its compiled core, with the compiled-in or with given
+    coefficients."""
 
-    def __init__(self, project: Project, core: Core, *, threshold: float | None = None, energy_threshold: float | None = None):
+    def __init__(
+        self,
+        project: Project,
+        core: Core,
+        *,
+        threshold: float | None = None,
+        energy_threshold: float | None = None,
+    ):
         self.project, self.core = project, core
         self.model = NominalModel(project)
         self.estimator = Estimator.of(project, self.model)
         if (core.n_u, core.n_y, core.n_bins) != (project.n_u, project.n_y, self.estimator.n_bins):
-            raise InputError(core.folder, "sizes", f"{core.n_u} inputs, {core.n_y} outputs, {core.n_bins} bins",
-                             f"those of vehicle {project.name}: {project.n_u}, {project.n_y}, {self.estimator.n_bins}")
+            raise InputError(
+                core.folder,
+                "sizes",
+                f"{core.n_u} inputs, {core.n_y} outputs, {core.n_bins} bins",
+                f"those of vehicle {project.name}: {project.n_u}, {project.n_y}, {self.estimator.n_bins}",
+            )
         if core.estimator_id() != self.estimator.identifier():
-            raise InputError(core.folder, "estimator", f"bounds were made with estimator {core.estimator_id():#010x}",
-                             f"{self.estimator.identifier():#010x}, the one the project file describes")
+            raise InputError(
+                core.folder,
+                "estimator",
+                f"bounds were made with estimator {core.estimator_id():#010x}",
+                f"{self.estimator.identifier():#010x}, the one the project file describes",
+            )
         reals = core.compiled[1].copy()
         fields = core.fields(reals)
         for name, value in (("threshold", threshold), ("energy_threshold", energy_threshold)):
             if value is not None:
                 fields[name][0] = value
         self._reals = reals if threshold is not None or energy_threshold is not None else None
-        self.threshold, self.energy_threshold = (float(fields[name][0]) for name in ("threshold", "energy_threshold"))
+        self.threshold, self.energy_threshold = (
+            float(fields[name][0]) for name in ("threshold", "energy_threshold")
+        )
         self.W_delta, self.B_w = fields["W_delta"], fields["B_w"]
         self.sigma, self.directions = 1.0 / fields["energy_scale"], fields["energy_direction"]
         self.bands = band_names(len(self.sigma))
 
     def replay(self, drive: Drive, present: np.ndarray | None = None) -> Replay:
-        """Run one drive; where ``present`` (N,) is False there was no sample and the drive's values mean nothing."""
-        monitor = self.core.monitor() if self._reals is None else self.core.monitor(reals=self._reals, seal=True)
+        """Run one drive; where ``present`` (N,) is False there was no sample and the drive's values mean
+        nothing."""
+        monitor = (
+            self.core.monitor() if self._reals is None else self.core.monitor(reals=self._reals, seal=True)
+        )
         run = monitor.run_drive(drive, present)
         frames, Ts, t0 = run.frames, self.project.Ts_s, drive.t[0]
         after = np.round((frames.t_end_s[frames.counted] - t0) / Ts).astype(int) + 1
@@ -159,29 +190,66 @@ class Replayer:
         np.add.at(frames_open, after, -1)
         judged = np.cumsum(frames_open)[:-1] > 0
         low, high = self.model.speed_range
-        alarms = [Alarm(float(frames.t_end_s[i] - t0), "frame", float(self.estimator.omega[frames.bin[i]]),
-                        float(frames.speed[i]), float(frames.margin[i]), float(frames.evidence[i]),
-                        float(frames.statistic[i]), self.threshold, float(self.W_delta[frames.bin[i]]),
-                        self.B_w[frames.bin[i]].tolist(), frames.E[i].tolist(), frames.Z[i].tolist())
-                  for i in np.flatnonzero(frames.falsified)]
+        alarms = [
+            Alarm(
+                float(frames.t_end_s[i] - t0),
+                "frame",
+                float(self.estimator.omega[frames.bin[i]]),
+                float(frames.speed[i]),
+                float(frames.margin[i]),
+                float(frames.evidence[i]),
+                float(frames.statistic[i]),
+                self.threshold,
+                float(self.W_delta[frames.bin[i]]),
+                self.B_w[frames.bin[i]].tolist(),
+                frames.E[i].tolist(),
+                frames.Z[i].tolist(),
+            )
+            for i in np.flatnonzero(frames.falsified)
+        ]
         found = run.energy_alarms
-        alarms += [Alarm(float(found.t_end_s[i] - t0), "energy", None, float(found.speed[i]), float(found.margin[i]),
-                         float(found.evidence[i]), float(found.statistic[i]), self.energy_threshold, None, self.sigma[band].tolist(),
-                         found.E[i].real.tolist(), found.Z[i].real.tolist(), self.directions[direction].tolist(), self.bands[band])
-                   for i, (band, direction) in enumerate(zip(*divmod(found.bin, len(self.directions))))]
+        alarms += [
+            Alarm(
+                float(found.t_end_s[i] - t0),
+                "energy",
+                None,
+                float(found.speed[i]),
+                float(found.margin[i]),
+                float(found.evidence[i]),
+                float(found.statistic[i]),
+                self.energy_threshold,
+                None,
+                self.sigma[band].tolist(),
+                found.E[i].real.tolist(),
+                found.Z[i].real.tolist(),
+                self.directions[direction].tolist(),
+                self.bands[band],
+            )
+            for i, (band, direction) in enumerate(zip(*divmod(found.bin, len(self.directions)), strict=False))
+        ]
         in_range = (drive.v >= low) & (drive.v <= high)
         falsified = np.zeros(len(drive.t), bool)
         falsified[np.round((frames.t_judged_s[frames.falsified] - t0) / Ts).astype(int)] = True
-        return Replay(drive.name, drive.duration_s, run, judged, in_range if present is None else in_range & present,
-                      self.excited(drive), falsified, run.energy > self.energy_threshold,
-                      sorted(alarms, key=lambda a: a.t_s), Ts)
+        return Replay(
+            drive.name,
+            drive.duration_s,
+            run,
+            judged,
+            in_range if present is None else in_range & present,
+            self.excited(drive),
+            falsified,
+            run.energy > self.energy_threshold,
+            sorted(alarms, key=lambda a: a.t_s),
+            Ts,
+        )
 
     def excited(self, drive: Drive) -> np.ndarray:
         """(N,) True where the drive is excited (THEORY 11)."""
         return excited_samples(drive.u, self.project.Ts_s, self.project.frame_test.excited_std)
 
     def summarise_file(self, path: Path, channel: str | None = None) -> dict[str, Any] | InputError:
-        """The object of `lpvguard replay --json` for one drive table or raw CAN log, or why it could not be read."""
+        """The object of `lpvguard replay --json` for one drive table or raw CAN log, or why it could not be
+        read."""
         try:
             return self.replay_file(path, channel).to_dict()
         except InputError as error:
@@ -198,14 +266,21 @@ class Replayer:
         return self.replay(drive)
 
     def replay_frames(self, log: Frames, path: Path, channel: str | None = None) -> Replay:
-        """Run the frames of a raw CAN log through the compiled receiver and the monitor, as the ECU on that bus would have."""
+        """Run the frames of a raw CAN log through the compiled receiver and the monitor, as the ECU on that
+        bus would have."""
         received = self._receiver.receive(log, path, channel=channel)
         if not received.present.any():
-            raise InputError(path, "", "no sample at all: " + _why_not_live(received.report), "every message of the vehicle, live")
-        # Ticks without a sample keep the newest values (zero before the first), so that statistics of the input stay finite.
+            raise InputError(
+                path,
+                "",
+                "no sample at all: " + _why_not_live(received.report),
+                "every message of the vehicle, live",
+            )
+        # Ticks without a sample keep the newest values (zero before the first), so that statistics of the
+        # input stay finite.
         values = np.nan_to_num(received.values)
         n_u = self.project.n_u
-        drive = Drive(stem(path), received.t, values[:, 0], values[:, 1:1 + n_u], values[:, 1 + n_u:])
+        drive = Drive(stem(path), received.t, values[:, 0], values[:, 1 : 1 + n_u], values[:, 1 + n_u :])
         return replace(self.replay(drive, received.present), can=received.report)
 
     @cached_property
@@ -219,12 +294,15 @@ def read_raw_log(path: Path) -> Frames | None:
         return None
     log = read_log(path)
     if not isinstance(log, Frames):
-        raise InputError(path, "", "holds decoded signals", "a raw CAN log, or a drive table made by `lpvguard ingest`")
+        raise InputError(
+            path, "", "holds decoded signals", "a raw CAN log, or a drive table made by `lpvguard ingest`"
+        )
     return log
 
 
 def bus_frames(path: Path, project: Project) -> Frames:
-    """What `lpvguard replay --to` plays: the frames of a raw log as they are, or a drive table as the vehicle's messages."""
+    """What `lpvguard replay --to` plays: the frames of a raw log as they are, or a drive table as the
+    vehicle's messages."""
     log = read_raw_log(path)
     if log is not None:
         return log
@@ -234,5 +312,7 @@ def bus_frames(path: Path, project: Project) -> Frames:
 
 def _why_not_live(report: dict[str, Any]) -> str:
     """Per needed message the kinds of frames and how many."""
-    return "; ".join(f"{name}: " + (", ".join(f"{n} {kind}" for kind, n in kinds.items()) or "none")
-                     for name, kinds in report["messages"].items())
+    return "; ".join(
+        f"{name}: " + (", ".join(f"{n} {kind}" for kind, n in kinds.items()) or "none")
+        for name, kinds in report["messages"].items()
+    )

@@ -1,4 +1,5 @@
-"""The pictures of what `lpvguard design` writes: Figs. 5 and 6, and the trade-off, each drawn from the numbers in its file."""
+"""The pictures of what `lpvguard design` writes: Figs. 5 and 6, and the trade-off, each drawn from the
+numbers in its file."""
 
 from __future__ import annotations
 
@@ -16,8 +17,9 @@ def draw(figures: dict) -> dict[str, str]:
         f = figures["fig5"]
         signals = [(n, np.array(v), u) for n, v, u in f["signals"]]
         command = None if f["command"] is None else tuple(np.array(x, float) for x in f["command"])
-        out["fig5"] = pictures.performance_weights("w5", np.array(f["omega_rad_s"]), signals,
-                                                   [(n, np.array(v)) for n, v in f["objectives"]], command)
+        out["fig5"] = pictures.performance_weights(
+            "w5", np.array(f["omega_rad_s"]), signals, [(n, np.array(v)) for n, v in f["objectives"]], command
+        )
     if "fig6" in figures:
         out["fig6"] = pictures.worst_case_runs("w6", figures["fig6"])
     return out

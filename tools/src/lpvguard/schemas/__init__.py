@@ -1,7 +1,9 @@
-"""Schemas of the JSON that lpvguard reads and writes: JSON Schema (draft 2020-12), one file a format, an example beside each.
+"""Schemas of the JSON that lpvguard reads and writes: JSON Schema (draft 2020-12), one file a format, an
+example beside each.
 
-NAME.schema.json describes every field; ``unit`` and ``shape`` are annotations of ours. A field that is not described is an
-error wherever the format is ours. examples/NAME.json is a real file with its lists shortened. FORMATS.md is ``markdown()``.
+NAME.schema.json describes every field; ``unit`` and ``shape`` are annotations of ours. A field that is not
+described is an error wherever the format is ours. examples/NAME.json is a real file with its lists shortened.
+FORMATS.md is ``markdown()``.
 """
 
 from __future__ import annotations
@@ -17,7 +19,9 @@ MAY_IMPORT = ("vehicle", "drives", "loop")
 def names() -> list[str]:
     """Names of the formats."""
     suffix = ".schema.json"
-    return sorted(p.name.removesuffix(suffix) for p in resources.files(__package__).iterdir() if p.name.endswith(suffix))
+    return sorted(
+        p.name.removesuffix(suffix) for p in resources.files(__package__).iterdir() if p.name.endswith(suffix)
+    )
 
 
 def schema(name: str) -> dict[str, Any]:
@@ -35,23 +39,34 @@ def _read(*path: str) -> Any:
 
 
 def markdown() -> str:
-    """The page FORMATS.md: tables and TOML files by hand (tables.md), the settings and the JSON from their schemas."""
+    """The page FORMATS.md: tables and TOML files by hand (tables.md), the settings and the JSON from their
+    schemas."""
     from ..drives.ingest import SignalMap
     from ..loop.sim import Expectation
     from ..vehicle.project import Project
 
     text = [resources.files(__package__).joinpath("tables.md").read_text(encoding="utf-8").rstrip(), ""]
-    settings = (("Project file", Project), ("Signal map", SignalMap), ("Table expect of a scenario", Expectation))
+    settings = (
+        ("Project file", Project),
+        ("Signal map", SignalMap),
+        ("Table expect of a scenario", Expectation),
+    )
     described = [(title, model.model_json_schema(by_alias=True)) for title, model in settings]
     for title, given in [*described, *((f"{n}: {schema(n)['title']}", schema(n)) for n in names())]:
         text += [f"## {title}", "", "| field | type | unit, shape | meaning |", "| --- | --- | --- | --- |"]
-        text += [f"| {' | '.join(cell.replace('|', chr(92) + '|').replace(chr(10), ' ') for cell in row)} |" for row in _rows(given, given, "", ())]
+        text += [
+            f"| {' | '.join(cell.replace('|', chr(92) + '|').replace(chr(10), ' ') for cell in row)} |"
+            for row in _rows(given, given, "", ())
+        ]
         text.append("")
     return "\n".join(text)
 
 
-def _rows(root: dict, node: dict, path: str, open_refs: tuple[str, ...]) -> Iterator[tuple[str, str, str, str]]:
-    """(path, type, unit and shape, meaning) of a node and of what is in it; a reference is followed once on a path."""
+def _rows(
+    root: dict, node: dict, path: str, open_refs: tuple[str, ...]
+) -> Iterator[tuple[str, str, str, str]]:
+    """(path, type, unit and shape, meaning) of a node and of what is in it; a reference is followed once on a
+    path."""
     alternatives = [a for a in node.get("anyOf", ()) if a.get("type") != "null"]
     if len(alternatives) == 1 and ("$ref" in alternatives[0] or "items" in alternatives[0]):
         node = {**alternatives[0], **{k: v for k, v in node.items() if k != "anyOf"}}
@@ -60,9 +75,17 @@ def _rows(root: dict, node: dict, path: str, open_refs: tuple[str, ...]) -> Iter
         if reference in open_refs:
             return
         target = root["$defs"][reference.rsplit("/", 1)[1]]
-        node, open_refs = {**target, **{k: v for k, v in node.items() if k != "$ref"}}, (*open_refs, reference)
+        node, open_refs = (
+            {**target, **{k: v for k, v in node.items() if k != "$ref"}},
+            (*open_refs, reference),
+        )
     if path:
-        yield f"`{path}`", _type(node), ", ".join(node[k] for k in ("unit", "shape") if k in node), node.get("description", "").split("\n\n")[0]
+        yield (
+            f"`{path}`",
+            _type(node),
+            ", ".join(node[k] for k in ("unit", "shape") if k in node),
+            node.get("description", "").split("\n\n")[0],
+        )
     required = node.get("required", ())
     for name, value in node.get("properties", {}).items():
         optional = "" if name in required else "?"
@@ -71,7 +94,7 @@ def _rows(root: dict, node: dict, path: str, open_refs: tuple[str, ...]) -> Iter
     for key, mark in inner:
         value = node.get(key)
         if isinstance(value, dict) and ("properties" in value or "$ref" in value):
-            yield from list(_rows(root, value, (path + mark).lstrip("."), open_refs))[0 if not path else 1:]
+            yield from list(_rows(root, value, (path + mark).lstrip("."), open_refs))[0 if not path else 1 :]
 
 
 def _type(node: dict) -> str:

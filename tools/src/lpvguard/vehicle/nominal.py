@@ -1,10 +1,12 @@
-"""Stage 1, nominal model: continuous LPV model of the project file, exact zero-order hold, recursion along a drive.
+"""Stage 1, nominal model: continuous LPV model of the project file, exact zero-order hold, recursion along a
+drive.
 
     x_{k+1} = Ad(v_k) x_k + B_old(v_k) u_{k-d-1} + B_new(v_k) u_{k-d},   yhat_k = C x_k + y0
 
-with u the input minus ``input_offset``, and the input delay td = (d + f) Ts split into whole samples d and a fraction f:
-during the first f Ts of an interval the older input acts (exact for an input that is held between samples).
-Outside the speed range the model runs at the nearest speed of the range; what it says there is not judged (THEORY 3.1).
+with u the input minus ``input_offset``, and the input delay td = (d + f) Ts split into whole samples d and a
+fraction f: during the first f Ts of an interval the older input acts (exact for an input that is held between
+samples). Outside the speed range the model runs at the nearest speed of the range; what it says there is not
+judged (THEORY 3.1).
 """
 
 from __future__ import annotations
@@ -24,12 +26,20 @@ from ..base.errors import InputError
 from .project import ModelSettings, Project
 from .taylor import COEFFICIENTS, Taylor
 
-_OPERATORS = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
-              ast.Pow: operator.pow, ast.USub: operator.neg, ast.UAdd: operator.pos}
+_OPERATORS = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
+}
 
 
 def evaluate(expression: float | str, names: dict[str, object], where: str) -> object:
-    """Value of an arithmetic expression of + - * / ** over ``names``; InputError names ``where`` and the culprit."""
+    """Value of an arithmetic expression of + - * / ** over ``names``; InputError names ``where`` and the
+    culprit."""
     if not isinstance(expression, str):
         return expression
 
@@ -42,13 +52,19 @@ def evaluate(expression: float | str, names: dict[str, object], where: str) -> o
             return _OPERATORS[type(node.op)](walk(node.left), walk(node.right))
         if isinstance(node, ast.UnaryOp) and type(node.op) in _OPERATORS:
             return _OPERATORS[type(node.op)](walk(node.operand))
-        raise InputError(where, expression, f"cannot use {ast.unparse(node)!r}",
-                         f"+ - * / ** over numbers and {', '.join(sorted(names))}")
+        raise InputError(
+            where,
+            expression,
+            f"cannot use {ast.unparse(node)!r}",
+            f"+ - * / ** over numbers and {', '.join(sorted(names))}",
+        )
 
     try:
         return walk(ast.parse(expression, mode="eval").body)
     except SyntaxError:
-        raise InputError(where, expression, "not an arithmetic expression", "+ - * / ** over v and parameters") from None
+        raise InputError(
+            where, expression, "not an arithmetic expression", "+ - * / ** over v and parameters"
+        ) from None
 
 
 @dataclass(frozen=True)
@@ -61,15 +77,17 @@ class DiscreteModel:
 
 
 TABLE_TOLERANCE = 1e-6
-"""Largest error of a tabulated model entry, relative to that entry's largest magnitude over the speed range."""
+"""Largest error of a tabulated model entry, relative to that entry's largest magnitude over the speed
+range."""
 
 
 @dataclass(frozen=True)
 class SpeedTable:
-    """Model entries over speed, as the core tabulates them: ``base`` (n_entries,), cubics ``cell`` (cells, varying, 4) for the entries ``varying``.
+    """Model entries over speed, as the core tabulates them: ``base`` (n_entries,), cubics ``cell`` (cells,
+    varying, 4) for the entries ``varying``.
 
-    Entries are Ad, B_old, B_new row by row. Cell c of equal width holds a cubic in the position 0..1 within it.
-    ``error`` is the largest relative error found between the table and the exact zero-order hold.
+    Entries are Ad, B_old, B_new row by row. Cell c of equal width holds a cubic in the position 0..1 within
+    it. ``error`` is the largest relative error found between the table and the exact zero-order hold.
     """
 
     speed_range: tuple[float, float]
@@ -121,8 +139,11 @@ def recursion(Ad: np.ndarray, forced: np.ndarray, x_first: np.ndarray) -> np.nda
     samples, n = forced.shape
     states = np.empty((samples, n))
     if lib := native.kernels("recursion"):
-        lib.lpvg_recursion(ctypes.c_ssize_t(samples), ctypes.c_ssize_t(n),
-                           *(a.ctypes.data_as(ctypes.c_void_p) for a in (Ad, forced, x, states)))
+        lib.lpvg_recursion(
+            ctypes.c_ssize_t(samples),
+            ctypes.c_ssize_t(n),
+            *(a.ctypes.data_as(ctypes.c_void_p) for a in (Ad, forced, x, states)),
+        )
         return states
     for k in range(samples):
         states[k] = x
@@ -138,12 +159,18 @@ def entries_at(model: ModelSettings, v: object, where: str) -> tuple[list[list[o
     names: dict[str, object] = {"v": v, **model.parameters}
     for name, expression in model.let.items():
         names[name] = evaluate(expression, names, f"{where}, model.let.{name}")
-    return tuple([[evaluate(entry, names, f"{where}, model.{key}[{i}][{j}]") for j, entry in enumerate(row)]
-                  for i, row in enumerate(getattr(model, key))] for key in ("A", "B"))
+    return tuple(
+        [
+            [evaluate(entry, names, f"{where}, model.{key}[{i}][{j}]") for j, entry in enumerate(row)]
+            for i, row in enumerate(getattr(model, key))
+        ]
+        for key in ("A", "B")
+    )
 
 
 def state_space(model: ModelSettings, v: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray]:
-    """A (m, n, n) and B (m, n, n_u) of a project file's model at speeds v (m,) [m/s], in its range or not; ``where``: for errors."""
+    """A (m, n, n) and B (m, n, n_u) of a project file's model at speeds v (m,) [m/s], in its range or not;
+    ``where``: for errors."""
     v = np.atleast_1d(np.asarray(v, float))
 
     def filled(entries: list[list[object]]) -> np.ndarray:
@@ -164,7 +191,8 @@ def state_space(model: ModelSettings, v: np.ndarray, where: str) -> tuple[np.nda
 class NominalModel:
     """The nominal LPV model of a project file.
 
-    n states, n_u inputs, n_y outputs; v [m/s] within ``speed_range``; matrices in the units of the signal table.
+    n states, n_u inputs, n_y outputs; v [m/s] within ``speed_range``; matrices in the units of the signal
+    table.
     """
 
     def __init__(self, project: Project):
@@ -186,24 +214,33 @@ class NominalModel:
         return state_space(self._settings, v, self._where)
 
     def hold_bounds(self, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
-        """Entrywise bounds over speeds low..high of |d/dv| and |d2/dv2| of [Ad, Bd, Gd] (n, n + n_u + n), the zero-order hold
-        of A, B and of an input on every state. Rigorous up to rounding: the exponential's power series has positive
-        coefficients, so bounds of A, B and their Taylor coefficients in v bound those of the hold."""
+        """Entrywise bounds over speeds low..high of |d/dv| and |d2/dv2| of [Ad, Bd, Gd] (n, n + n_u + n), the
+        zero-order hold of A, B and of an input on every state. Rigorous up to rounding: the exponential's
+        power series has positive coefficients, so bounds of A, B and their Taylor coefficients in v bound
+        those of the hold."""
         n, width = self.n, 2 * self.n + self.n_u
         bounds = np.zeros((COEFFICIENTS, width, width))
         try:
             entries = entries_at(self._settings, Taylor.variable(low, high), self._where)
         except (TypeError, ZeroDivisionError) as error:
-            raise InputError(self._where, "model", f"cannot be bounded between {low:g} and {high:g} m/s: {error}",
-                             "entries rational in v with whole exponents") from None
-        for first, matrix in zip((0, n), entries):
+            raise InputError(
+                self._where,
+                "model",
+                f"cannot be bounded between {low:g} and {high:g} m/s: {error}",
+                "entries rational in v with whole exponents",
+            ) from None
+        for first, matrix in zip((0, n), entries, strict=False):
             for i, row in enumerate(matrix):
                 for j, entry in enumerate(row):
                     bounds[:, i, first + j] = Taylor.of(entry).magnitude
-        bounds[0, :n, n + self.n_u:] = np.eye(n)
-        series = np.block([[bounds[k - i] if k >= i else np.zeros((width, width)) for k in range(COEFFICIENTS)]
-                           for i in range(COEFFICIENTS)])
-        first, second = (expm(series * self.Ts)[:n, k * width:(k + 1) * width] for k in (1, 2))
+        bounds[0, :n, n + self.n_u :] = np.eye(n)
+        series = np.block(
+            [
+                [bounds[k - i] if k >= i else np.zeros((width, width)) for k in range(COEFFICIENTS)]
+                for i in range(COEFFICIENTS)
+            ]
+        )
+        first, second = (expm(series * self.Ts)[:n, k * width : (k + 1) * width] for k in (1, 2))
         return first, 2 * second
 
     @cached_property
@@ -222,20 +259,26 @@ class NominalModel:
     def _require_stable(self) -> None:
         worst = int(np.argmax(self._abscissa))
         if self._abscissa[worst] >= 0:
-            raise InputError(self._where, f"v = {self._speed_samples[worst]:.4g} m/s",
-                             f"the nominal model is unstable (max Re lambda = {self._abscissa[worst]:.3g} rad/s)",
-                             "a stable model over speed_min_mps..speed_max_mps")
+            raise InputError(
+                self._where,
+                f"v = {self._speed_samples[worst]:.4g} m/s",
+                f"the nominal model is unstable (max Re lambda = {self._abscissa[worst]:.3g} rad/s)",
+                "a stable model over speed_min_mps..speed_max_mps",
+            )
 
     @property
     def settle_samples(self) -> int:
-        """Samples until the initial state has decayed by e^-5, at the slowest pole of the range (THEORY 3.2)."""
+        """Samples until the initial state has decayed by e^-5, at the slowest pole of the range (THEORY
+        3.2)."""
         return int(np.ceil(5.0 / self.slowest_pole / self.Ts))
 
     def require_speed(self, v: float) -> None:
         """InputError when v [m/s] is outside the speed range."""
         low, high = self.speed_range
         if not low <= v <= high:
-            raise InputError(self._where, f"v = {v:g} m/s", "outside the model's speed range", f"{low:g} to {high:g} m/s")
+            raise InputError(
+                self._where, f"v = {v:g} m/s", "outside the model's speed range", f"{low:g} to {high:g} m/s"
+            )
 
     def discretise(self, v: np.ndarray) -> DiscreteModel:
         """Exact zero-order hold at speeds v (m,), clamped to the speed range."""
@@ -262,16 +305,18 @@ class NominalModel:
         return self.C @ np.linalg.solve(z * np.eye(self.n) - d.Ad[0], numerator)
 
     def acting_inputs(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The inputs u_{k-d-1} and u_{k-d} that act during step k, offset removed: (N, n_u) each, from u (N, n_u)."""
+        """The inputs u_{k-d-1} and u_{k-d} that act during step k, offset removed: (N, n_u) each, from u (N,
+        n_u)."""
         du = np.asarray(u, float) - self.input_offset
         past = np.vstack([np.repeat(du[:1], self.delay + 1, axis=0), du])
-        return past[:len(du)], past[1:len(du) + 1]
+        return past[: len(du)], past[1 : len(du) + 1]
 
     def simulate(self, v: np.ndarray, u: np.ndarray, y_first: np.ndarray) -> np.ndarray:
-        """Nominal output yhat (N, n_y) along a drive: v (N,) [m/s], u (N, n_u), started at the measured y_first (n_y,).
+        """Nominal output yhat (N, n_y) along a drive: v (N,) [m/s], u (N, n_u), started at the measured
+        y_first (n_y,).
 
-        Before the first sample the input is taken as constant. The initial state is the least one with that output.
-        Runs on the speed table, so that identification sees the model that the core runs.
+        Before the first sample the input is taken as constant. The initial state is the least one with that
+        output. Runs on the speed table, so that identification sees the model that the core runs.
         """
         Ad, B_old, B_new = self._split(self.table.at(v))
         older, newer = self.acting_inputs(u)
@@ -292,4 +337,8 @@ class NominalModel:
     def _split(self, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         m, n, n_u = len(entries), self.n, self.n_u
         a, b = n * n, n * (n + n_u)
-        return entries[:, :a].reshape(m, n, n), entries[:, a:b].reshape(m, n, n_u), entries[:, b:].reshape(m, n, n_u)
+        return (
+            entries[:, :a].reshape(m, n, n),
+            entries[:, a:b].reshape(m, n, n_u),
+            entries[:, b:].reshape(m, n, n_u),
+        )

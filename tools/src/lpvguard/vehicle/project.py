@@ -1,7 +1,7 @@
 """Project files: one vehicle = one TOML file, validated on load.
 
-The signal table of the project file is the only place where names, units, signs, ranges and CAN places of signals stand;
-``SignalTable`` order is: scheduling, inputs, outputs.
+The signal table of the project file is the only place where names, units, signs, ranges and CAN places of
+signals stand; ``SignalTable`` order is: scheduling, inputs, outputs.
 """
 
 from __future__ import annotations
@@ -52,7 +52,8 @@ class Signal(_Strict):
 
 
 class ModelSettings(_Strict):
-    """Continuous-time nominal model; entries of A and B are numbers or expressions in v, the parameters and ``let``."""
+    """Continuous-time nominal model; entries of A and B are numbers or expressions in v, the parameters and
+    ``let``."""
 
     input_delay_s: Annotated[float, Field(ge=0)] = 0.0
     speed_min_mps: Positive
@@ -69,8 +70,9 @@ class ModelSettings(_Strict):
 class FrameSettings(_Strict):
     """The estimator (THEORY 3.2, 3.3).
 
-    ``hann``: constant-Q Hann frames of ``periods`` periods, ``bins_per_decade``. ``dft``: the paper's plain DFT, one rectangular
-    frame of ``length_s`` per experiment, driven at constant speed, every line from f_min_hz to f_max_hz; for analysis only.
+    ``hann``: constant-Q Hann frames of ``periods`` periods, ``bins_per_decade``. ``dft``: the paper's plain
+    DFT, one rectangular frame of ``length_s`` per experiment, driven at constant speed, every line from
+    f_min_hz to f_max_hz; for analysis only.
     """
 
     estimator: Literal["hann", "dft"] = "hann"
@@ -97,7 +99,7 @@ class NuCeiling(_Strict):
     def _shape(self) -> NuCeiling:
         if len(self.f_hz) != len(self.nu) or not self.f_hz:
             raise ValueError("nu_ceiling: f_hz and nu must be non-empty and equally long")
-        if any(b <= a for a, b in zip(self.f_hz, self.f_hz[1:])):
+        if any(b <= a for a, b in zip(self.f_hz, self.f_hz[1:], strict=False)):
             raise ValueError("nu_ceiling: f_hz must increase")
         return self
 
@@ -133,16 +135,17 @@ class FrameTestSettings(_Strict):
 
 
 class EnergyTestSettings(_Strict):
-    """The energy test (THEORY 7.2). ``band_hz``: the corners between its bands, two to seven that rise, by default the frames'
-    f_min_hz and f_max_hz, which make three bands.
-    ``memory_s``: time constant of the forgetting, by default one period of f_min_hz."""
+    """The energy test (THEORY 7.2). ``band_hz``: the corners between its bands, two to seven that rise, by
+    default the frames' f_min_hz and f_max_hz, which make three bands. ``memory_s``: time constant of the
+    forgetting, by default one period of f_min_hz."""
 
     band_hz: Annotated[tuple[Positive, ...], Field(min_length=2, max_length=7)] | None = None
     memory_s: Positive | None = None
 
 
 class DataSettings(_Strict):
-    """Which splits set the bounds, which are zero-input runs (W_n), and what `generate` makes; all other splits calibrate."""
+    """Which splits set the bounds, which are zero-input runs (W_n), and what `generate` makes; all other
+    splits calibrate."""
 
     bound_split: list[str]
     noise_split: list[str] = []
@@ -156,11 +159,13 @@ class DataSettings(_Strict):
 
 
 class DesignSettings(_Strict):
-    """Step 8: objectives of Fig. 1 and the scheduled controller. W_t, W_u: gain A_t, A_u and the paper's break frequencies.
+    """Step 8: objectives of Fig. 1 and the scheduled controller. W_t, W_u: gain A_t, A_u and the paper's
+    break frequencies.
 
-    Weights are gain * prod(s/zero + 1) / prod(s/pole + 1), rad/s. ``nodes``: scheduling speeds of the controller, uniform
-    over the model's range. ``table``: the objectives [A_t, A_u] of Table II; ``lambda_s`` [s^2]: weight of the state uncertainty
-    beside the input's in (8), Lambda_nu = diag(1, lambda_s), for its K_is.
+    Weights are gain * prod(s/zero + 1) / prod(s/pole + 1), rad/s. ``nodes``: scheduling speeds of the
+    controller, uniform over the model's range. ``table``: the objectives [A_t, A_u] of Table II; ``lambda_s``
+    [s^2]: weight of the state uncertainty beside the input's in (8), Lambda_nu = diag(1, lambda_s), for its
+    K_is.
     """
 
     structure: Literal["K_inf", "K_i", "K_is"] = "K_i"
@@ -183,7 +188,8 @@ class DesignSettings(_Strict):
 
     @property
     def objectives(self) -> list[tuple[float, float]]:
-        """(A_t, A_u) of Table II's columns: the table's, or as in the paper A_t with A_u, 75/95 of A_t, and a tenth of A_u."""
+        """(A_t, A_u) of Table II's columns: the table's, or as in the paper A_t with A_u, 75/95 of A_t, and a
+        tenth of A_u."""
         own = [[self.A_t, self.A_u], [self.A_t * 75 / 95, self.A_u], [self.A_t, self.A_u / 10]]
         return [(A_t, A_u) for A_t, A_u in (self.table or own)]
 
@@ -215,7 +221,9 @@ class Project(_Strict):
         if len(self.of_role("scheduling")) != 1:
             raise ValueError("signals: exactly one signal must have role 'scheduling'")
         if not 1 <= self.n_u <= 2 or not 1 <= self.n_y <= 4:
-            raise ValueError(f"signals: 1 to 2 inputs and 1 to 4 outputs are supported, got {self.n_u} and {self.n_y}")
+            raise ValueError(
+                f"signals: 1 to 2 inputs and 1 to 4 outputs are supported, got {self.n_u} and {self.n_y}"
+            )
         n = len(self.model.A)
         shapes = {"A": (n, n), "B": (n, self.n_u), "C": (self.n_y, n)}
         for key, (rows, cols) in shapes.items():
@@ -233,16 +241,19 @@ class Project(_Strict):
         if not self.frames.f_min_hz < self.frames.f_max_hz < 0.5 / self.Ts_s:
             raise ValueError("frames: f_min_hz < f_max_hz < half the sampling rate must hold")
         corners = (*(self.energy_test.band_hz or ()), 0.5 / self.Ts_s)
-        if not all(low < high for low, high in zip(corners, corners[1:])):
+        if not all(low < high for low, high in zip(corners, corners[1:], strict=False)):
             raise ValueError("energy_test.band_hz: corners must rise and stay below half the sampling rate")
         return self
 
     def _require_vehicle_of_fig1(self) -> None:
-        """Identification and monitor take any sizes; what Fig. 1 draws, and design makes a controller for, is one vehicle."""
+        """Identification and monitor take any sizes; what Fig. 1 draws, and design makes a controller for, is
+        one vehicle."""
         first_two = [[float(i == j) for j in range(len(self.model.A))] for i in range(2)]
-        if self.n_u != 1 or self.n_y != 2 or self.model.C != first_two:
-            raise ValueError("design: Fig. 1 has one input and two outputs, the first two states (model.C = [I 0]); got "
-                             f"{self.n_u} input(s), {self.n_y} output(s), C = {self.model.C}")
+        if self.n_u != 1 or self.n_y != 2 or first_two != self.model.C:
+            raise ValueError(
+                "design: Fig. 1 has one input and two outputs, the first two states (model.C = [I 0]); got "
+                f"{self.n_u} input(s), {self.n_y} output(s), C = {self.model.C}"
+            )
         for key in ("input_max", "input_rate_max_per_s"):
             if len(getattr(self.design, key)) != self.n_u:
                 raise ValueError(f"design.{key}: must have {self.n_u} entries")
@@ -273,8 +284,11 @@ class Project(_Strict):
 
 def shipped_vehicles() -> list[str]:
     """Names of the vehicles that come with the package."""
-    return sorted(p.name.removesuffix(".toml") for p in resources.files(__package__).joinpath("shipped").iterdir()
-                  if p.name.endswith(".toml"))
+    return sorted(
+        p.name.removesuffix(".toml")
+        for p in resources.files(__package__).joinpath("shipped").iterdir()
+        if p.name.endswith(".toml")
+    )
 
 
 def load_project(vehicle: str | Path) -> Project:
@@ -286,10 +300,17 @@ def load_project(vehicle: str | Path) -> Project:
     if path.suffix == ".toml" or path.is_file():
         source, where = path, str(vehicle)
     elif str(vehicle) in shipped_vehicles():
-        source, where = resources.files(__package__).joinpath("shipped", f"{vehicle}.toml"), f"vehicle {vehicle}"
+        source, where = (
+            resources.files(__package__).joinpath("shipped", f"{vehicle}.toml"),
+            f"vehicle {vehicle}",
+        )
     else:
-        raise InputError(str(vehicle), "--vehicle", "unknown vehicle",
-                         f"one of {', '.join(shipped_vehicles())}, or a path to a project file (*.toml)")
+        raise InputError(
+            str(vehicle),
+            "--vehicle",
+            "unknown vehicle",
+            f"one of {', '.join(shipped_vehicles())}, or a path to a project file (*.toml)",
+        )
     return parse_project(read_toml(source, "a project file", where), where)
 
 

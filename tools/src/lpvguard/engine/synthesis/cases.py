@@ -71,7 +71,9 @@ def case_plant(
     return generalised_plant(A, B, weights, structure, dt, delay)
 
 
-def paper_case(path, dt: float = 0.0, progress: Callable[[str], None] = lambda _: None, **options) -> list[TableRow]:
+def paper_case(
+    path, dt: float = 0.0, progress: Callable[[str], None] = lambda _: None, **options
+) -> list[TableRow]:
     """Table II for a case file: K_inf, K_i and K_is for each of its objectives, in that order.
 
     ``dt`` > 0 designs in discrete time. ``options`` go to dk_synthesis.
@@ -79,20 +81,35 @@ def paper_case(path, dt: float = 0.0, progress: Callable[[str], None] = lambda _
     case, rows = read_case(path), []
     for objective in case["objective"]:
         A_t, A_u, paper = objective["A_t"], objective["A_u"], objective.get("paper", {})
-        for structure, paper_order in zip(STRUCTURES, paper.get("orders", [None] * len(STRUCTURES)), strict=True):
+        for structure, paper_order in zip(
+            STRUCTURES, paper.get("orders", [None] * len(STRUCTURES)), strict=True
+        ):
             progress(f"{structure}, A_t {A_t:g}, A_u {A_u:g}")
-            known = {"mu": objective.get("gamma_K_inf")} if structure == "K_inf" else objective.get(f"mu_{structure}", {})
+            known = (
+                {"mu": objective.get("gamma_K_inf")}
+                if structure == "K_inf"
+                else objective.get(f"mu_{structure}", {})
+            )
             made = cell(case_plant(case, objective, structure, dt=dt), structure, A_t, A_u, **options)
-            rows.append(TableRow(**vars(made), reference=known.get("mu"), reference_order=known.get("order"),
-                                 paper=paper.get(structure), paper_order=paper_order))
+            rows.append(
+                TableRow(
+                    **vars(made),
+                    reference=known.get("mu"),
+                    reference_order=known.get("order"),
+                    paper=paper.get(structure),
+                    paper_order=paper_order,
+                )
+            )
     return rows
 
 
 def format_table(rows: list[TableRow]) -> str:
     """The rows as fixed-width text: ours, the reference's and the paper's side by side."""
     lines = [
-        (f"{'':6}{'A_t':>6}{'A_u':>8}{'certified':>11}{'lower':>9}{'order':>7}{'time':>8}"
-        f"{'reference':>11}{'order':>7}{'paper':>8}{'order':>7}")
+        (
+            f"{'':6}{'A_t':>6}{'A_u':>8}{'certified':>11}{'lower':>9}{'order':>7}{'time':>8}"
+            f"{'reference':>11}{'order':>7}{'paper':>8}{'order':>7}"
+        )
     ]
     for r in rows:
         lines.append(
@@ -104,7 +121,8 @@ def format_table(rows: list[TableRow]) -> str:
 
 
 def differences(case: dict, rows: list[TableRow]) -> list[str]:
-    """One sentence a row: how it differs from the paper's, and why, by what the case's weights allow at all."""
+    """One sentence a row: how it differs from the paper's, and why, by what the case's weights allow at
+    all."""
     return [_difference(case, row, rows) for row in rows]
 
 
@@ -113,13 +131,23 @@ def _difference(case: dict, row: TableRow, rows: list[TableRow]) -> str:
         return "The paper has no such row."
     limit = f"with this case's weights no controller goes below {row.floor.value:.5f} (at {row.floor.frequency:g} rad/s)"
     apart = row.upper / row.paper - 1
-    order = (f"order {row.order} instead of {row.paper_order} since states are cut as long as the certified level stays "
-             f"(before: {row.full_order})" if row.paper_order else f"order {row.order}")
-    beyond = "" if row.reference is None or row.upper <= row.reference or row.floor.value <= row.reference else (
-        f"; the reference's {row.reference:g} is rounded, and below that limit")
+    order = (
+        f"order {row.order} instead of {row.paper_order} since states are cut as long as the certified level stays "
+        f"(before: {row.full_order})"
+        if row.paper_order
+        else f"order {row.order}"
+    )
+    beyond = (
+        ""
+        if row.reference is None or row.upper <= row.reference or row.floor.value <= row.reference
+        else (f"; the reference's {row.reference:g} is rounded, and below that limit")
+    )
     if abs(row.upper - row.paper) <= PAPER_DIGITS:
-        why = ("|W_nr(0)| and |W_wr(0)| were calibrated to this row" if row.structure == "K_inf"
-               else "what the calibrated noise and disturbance allow at DC decides")
+        why = (
+            "|W_nr(0)| and |W_wr(0)| were calibrated to this row"
+            if row.structure == "K_inf"
+            else "what the calibrated noise and disturbance allow at DC decides"
+        )
         return f"The paper's value to its three digits, as {why}: {limit}{beyond}; {order}."
     size = "above" if apart > 0 else "below"
     text = f"{abs(apart):.1%} {size} the paper's {row.paper:g}: {limit}, and ours is within {row.upper / row.floor.value - 1:.1e} of that"
@@ -130,27 +158,31 @@ def _difference(case: dict, row: TableRow, rows: list[TableRow]) -> str:
 
 
 def _moves(row: TableRow, rows: list[TableRow]) -> str:
-    """How the levels of the structure move with the objective, where the paper's do not move with A_t alone as a level does that
-    tracking limits."""
+    """How the levels of the structure move with the objective, where the paper's do not move with A_t alone
+    as a level does that tracking limits."""
     for other in rows:
         if other.structure != row.structure or other is row or other.paper is None:
             continue
         by_tracking = other.A_t / row.A_t
         if other.A_u <= row.A_u and abs(other.paper / row.paper - by_tracking) > 0.05:
-            return (f"; from A_t {row.A_t:g}, A_u {row.A_u:g} to {other.A_t:g}, {other.A_u:g} the paper's level moves by "
-                    f"{other.paper / row.paper - 1:+.1%}, ours by {other.upper / row.upper - 1:+.1%} and A_t by {by_tracking - 1:+.1%}: "
-                    "the paper's is limited by the control effort, this case's by tracking at DC")
+            return (
+                f"; from A_t {row.A_t:g}, A_u {row.A_u:g} to {other.A_t:g}, {other.A_u:g} the paper's level moves by "
+                f"{other.paper / row.paper - 1:+.1%}, ours by {other.upper / row.upper - 1:+.1%} and A_t by {by_tracking - 1:+.1%}: "
+                "the paper's is limited by the control effort, this case's by tracking at DC"
+            )
     return ""
 
 
 def _uncertainty_scale(case: dict, row: TableRow) -> float | None:
-    """The factor on W_delta_i and W_delta_s with which the row's limit would be the paper's value; None without uncertainty or
-    where no factor from 1e-3 to 1e3 does it."""
+    """The factor on W_delta_i and W_delta_s with which the row's limit would be the paper's value; None
+    without uncertainty or where no factor from 1e-3 to 1e3 does it."""
     if row.structure == "K_inf":
         return None
 
     def exceeds(log_scale: float) -> bool:
-        scaled = {k: case[k] | {"gain": case[k]["gain"] * np.exp(log_scale)} for k in ("W_delta_i", "W_delta_s")}
+        scaled = {
+            k: case[k] | {"gain": case[k]["gain"] * np.exp(log_scale)} for k in ("W_delta_i", "W_delta_s")
+        }
         plant = case_plant(case | scaled, {"A_t": row.A_t, "A_u": row.A_u}, row.structure)
         return floor_exceeds(plant, row.floor.frequency, row.paper)
 

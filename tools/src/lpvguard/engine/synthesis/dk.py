@@ -126,7 +126,8 @@ def dk_synthesis(
 
     degree: order of each d_i. iterations: K and D steps. polish: further K steps that move D's parameters
     directly. reduction_loss: relative rise of the certified level that order reduction may cost. start: the
-    first D (default: I). Without blocks: H∞ synthesis. Raises SynthesisError where H∞ synthesis does, and for blocks that are not full.
+    first D (default: I). Without blocks: H∞ synthesis. Raises SynthesisError where H∞ synthesis does, and for
+    blocks that are not full.
     """
     if any(b.kind != "full" for b in plant.blocks):
         raise SynthesisError("D-K iteration", "blocks", "a repeated block", "full complex blocks")
@@ -319,7 +320,8 @@ def _polish(work: _Work, scaling: Scaling, level: float, budget: int) -> tuple[f
 
 
 def reduce_controller(work: _Work, K: StateSpace, scaling: Scaling, level: float) -> StateSpace:
-    """K with the fewest states whose certified scaled norm stays ≤ ``level``; K itself when nothing can go."""
+    """K with the fewest states whose certified scaled norm stays ≤ ``level``; K itself when nothing can
+    go."""
     scaled_plant = work.scaled(work.system, scaling)
     truncated, rank = _truncations(scaled_plant, K)
 
@@ -339,8 +341,9 @@ def reduce_controller(work: _Work, K: StateSpace, scaling: Scaling, level: float
 def _truncations(scaled_plant: StateSpace, K: StateSpace) -> tuple[Callable[[int], StateSpace], int]:
     """K truncated to any order up to the returned rank, in closed-loop coordinates.
 
-    The controller's blocks of the scaled closed loop's Gramians say what each of its states contributes to z from w
-    (Ceton, Wortelboer & Bosgra 1993); works for unstable controllers too. Rank 0: the Gramians could not be had.
+    The controller's blocks of the scaled closed loop's Gramians say what each of its states contributes to z
+    from w (Ceton, Wortelboer & Bosgra 1993); works for unstable controllers too. Rank 0: the Gramians could
+    not be had.
     """
     loop = lft(scaled_plant, K)
     n = scaled_plant.order

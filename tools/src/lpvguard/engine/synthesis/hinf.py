@@ -1,16 +1,16 @@
 """H∞-optimal output feedback with a certificate, continuous and discrete, regular and singular problems.
 
 Two coupled Riccati equations (Glover & Doyle 1988; Zhou, Doyle & Glover 1996, section 17.1: general D11)
-decide whether a level γ can be reached. The search on γ starts from what single frequencies allow, most often the
-optimum of a weighted problem, and else brackets it; the controller is the central one at a level a little above
-it, and the norm reported for it is that of the true closed loop on the plant as given.
+decide whether a level γ can be reached. The search on γ starts from what single frequencies allow, most often
+the optimum of a weighted problem, and else brackets it; the controller is the central one at a level a little
+above it, and the norm reported for it is that of the true closed loop on the plant as given.
 
 Singular problems (D12 or D21 without full rank, zeros on the imaginary axis) are solved, not refused. The
-optimum comes from exact reduction. A control direction may have no direct cost; then the states that it drives
-can be set at no cost, and they become the controls of a smaller problem (Stoorvogel 1992; in LMI form
+optimum comes from exact reduction. A control direction may have no direct cost; then the states that it
+drives can be set at no cost, and they become the controls of a smaller problem (Stoorvogel 1992; in LMI form
 Gahinet & Apkarian 1994, where the free block of R takes the place of the feedback). The smaller problem does
-not contain the Parrott bound at the frequency where rank is lost; that bound is kept separately.
-The controller comes from a regular plant: an extra cost ε on the free directions, an extra noise ε on the
+not contain the Parrott bound at the frequency where rank is lost; that bound is kept separately. The
+controller comes from a regular plant: an extra cost ε on the free directions, an extra noise ε on the
 unmeasured ones. A level reached for it is reached for the original plant too, since its cost is larger. ε is
 the largest power of ten whose certified norm is close enough.
 """
@@ -53,14 +53,14 @@ GAMMA_RTOL = 1e-6  # width of the bracket of a regular problem's optimum
 class HinfResult:
     """A controller with its certificate.
 
-    gamma: the optimum (infimum over stabilising controllers) by the Riccati equations. resolved: whether the controller
-    comes within the back-off of it; else gamma is a claim, and what is known is gamma_lower ≤ optimum ≤
-    gamma_achieved. gamma_lower: what single frequencies allow at best; gamma less the width of its bracket where
-    resolved. gamma_achieved ≥ ‖F_l(P, K)‖∞: upper end of the
-    bracket of the closed loop's norm on the plant as given; ``certificate`` is the whole bracket, its peak
-    frequency in rad/s. regularisation: ε of the controller's design plant, 0 for a regular problem. notes:
-    what was singular. basis (n, n): the state of the plant as given that the controller's state x_K stands for
-    is basis x_K; controllers of neighbouring plants are neighbours in those coordinates.
+    gamma: the optimum (infimum over stabilising controllers) by the Riccati equations. resolved: whether the
+    controller comes within the back-off of it; else gamma is a claim, and what is known is gamma_lower ≤
+    optimum ≤ gamma_achieved. gamma_lower: what single frequencies allow at best; gamma less the width of its
+    bracket where resolved. gamma_achieved ≥ ‖F_l(P, K)‖∞: upper end of the bracket of the closed loop's norm
+    on the plant as given; ``certificate`` is the whole bracket, its peak frequency in rad/s. regularisation:
+    ε of the controller's design plant, 0 for a regular problem. notes: what was singular. basis (n, n): the
+    state of the plant as given that the controller's state x_K stands for is basis x_K; controllers of
+    neighbouring plants are neighbours in those coordinates.
     """
 
     controller: StateSpace
@@ -158,11 +158,11 @@ class _Side:
         return StateSpace(self.A + self.B2 @ F, B, self.C1 + self.D12 @ F, D)
 
     def frequency_bound(self, level: float | None = None) -> float:
-        """A level that full information does not go below: max over frequencies of σ̄ of the part of G11(jω) that no
-        v cancels through G12(jω).
+        """A level that full information does not go below: max over frequencies of σ̄ of the part of G11(jω)
+        that no v cancels through G12(jω).
 
-        The frequencies: DC and those of the poles, or, with a ``level``, those where the bound may cross it (axis
-        eigenvalues of the Hamiltonian) and the points between them. 0 where no gain closes the loop.
+        The frequencies: DC and those of the poles, or, with a ``level``, those where the bound may cross it
+        (axis eigenvalues of the Hamiltonian) and the points between them. 0 where no gain closes the loop.
         """
         G = self._closed
         if G is None:
@@ -245,8 +245,8 @@ def _synthesis(plant, n_control, n_measurement, backoff, rtol, guess, coordinate
 def improved_level(
     plant: StateSpace, n_control: int, n_measurement: int, level: float | None, rtol: float
 ) -> float | None:
-    """γ_opt to ``rtol`` when it lies below ``level``, else None: decided by one pair of Riccati equations. Without a
-    ``level``: γ_opt.
+    """γ_opt to ``rtol`` when it lies below ``level``, else None: decided by one pair of Riccati equations.
+    Without a ``level``: γ_opt.
     """
     problem = _posed(plant, n_control, n_measurement)[0]
     return problem.optimum(rtol, level) if level is None or problem.reached(level) else None
@@ -255,9 +255,9 @@ def improved_level(
 def _posed(
     plant, n_control, n_measurement, coordinates=None
 ) -> tuple[_Problem, np.ndarray, np.ndarray, np.ndarray]:
-    """The continuous problem of any plant, its D22, the static feedback that was closed first, and the basis (n, n)
-    in which the problem has the plant's state; checks existence. ``coordinates``: those of the state, ``_calm`` unless
-    given.
+    """The continuous problem of any plant, its D22, the static feedback that was closed first, and the basis
+    (n, n) in which the problem has the plant's state; checks existence. ``coordinates``: those of the state,
+    ``_calm`` unless given.
     """
     _check_shape(plant, n_control, n_measurement)
     shift, shifted = _move_pole_at_minus_one(plant, n_control, n_measurement)
@@ -274,10 +274,11 @@ def _posed(
 
 
 def _calm(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
-    """G in the coordinates of a balanced Schur form where those leave much less than G's own, G itself otherwise; and
-    the basis of these coordinates.
+    """G in the coordinates of a balanced Schur form where those leave much less than G's own, G itself
+    otherwise; and the basis of these coordinates.
 
-    Scaling alone cannot undo a dense, badly conditioned change of coordinates: ‖A‖ then is far above its eigenvalues.
+    Scaling alone cannot undo a dense, badly conditioned change of coordinates: ‖A‖ then is far above its
+    eigenvalues.
     """
     own = np.eye(G.order)
     if G.order < 2:
@@ -290,8 +291,8 @@ def _calm(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
 
 
 def _modal(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
-    """G with A in real blocks, one for each pole or pair: slow modes stand apart from fast ones; and the basis. G itself
-    where the eigenvectors do not span the space.
+    """G with A in real blocks, one for each pole or pair: slow modes stand apart from fast ones; and the
+    basis. G itself where the eigenvectors do not span the space.
     """
     values, vectors = np.linalg.eig(G.A)
     T = sl.cdf2rdf(values, vectors)[1] if np.iscomplexobj(values) else vectors
@@ -351,7 +352,10 @@ def _certified(plant, problem, gamma, backoff, restore, basis) -> HinfResult:
     _descend(problem, gamma, attempt, lambda: np.inf if best is None else best.gamma_achieved, good)
     if best is None or not np.isfinite(best.gamma_achieved):
         raise SynthesisError(
-            "H-infinity synthesis", f"gamma {gamma:.6g}", "no controller passed its certificate", _expected(plant)
+            "H-infinity synthesis",
+            f"gamma {gamma:.6g}",
+            "no controller passed its certificate",
+            _expected(plant),
         )
     if good():
         return best
@@ -361,21 +365,27 @@ def _certified(plant, problem, gamma, backoff, restore, basis) -> HinfResult:
         f"{gamma:.4g}, and the best controller has poles up to {np.abs(best.controller.poles()).max(initial=0.0):.3g}"
     )
     return replace(
-        best, gamma_lower=lower, resolved=False, notes=(*best.notes, note, *filter(None, [_frail_pole(plant)]))
+        best,
+        gamma_lower=lower,
+        resolved=False,
+        notes=(*best.notes, note, *filter(None, [_frail_pole(plant)])),
     )
 
 
 def _frail_pole(plant: StateSpace) -> str:
-    """The pole of the plant as given that the last digits of A's entries leave uncertain, in a sentence; empty where there
-    is none.
+    """The pole of the plant as given that the last digits of A's entries leave uncertain, in a sentence;
+    empty where there is none.
 
-    First-order bound eps |y|ᵀ|A||x| / |yᴴx| on a pole's movement; it does not depend on the units of the states.
+    First-order bound eps |y|ᵀ|A||x| / |yᴴx| on a pole's movement; it does not depend on the units of the
+    states.
     """
     if plant.order == 0:
         return ""
     poles, left, right = sl.eig(plant.A, left=True, right=True)
     overlap = np.abs(np.sum(left.conj() * right, axis=0))
-    moved = EPS * np.sum(np.abs(left) * (np.abs(plant.A) @ np.abs(right)), axis=0) / np.maximum(overlap, 1e-300)
+    moved = (
+        EPS * np.sum(np.abs(left) * (np.abs(plant.A) @ np.abs(right)), axis=0) / np.maximum(overlap, 1e-300)
+    )
     room = np.abs(1 - np.abs(poles)) if plant.dt else np.abs(poles.real)
     k = int(np.argmax(moved / np.maximum(room, 1e-300)))
     if moved[k] <= 1e-3 * room[k]:
@@ -533,7 +543,7 @@ def _stabilising(H: np.ndarray, side: _Side | None = None, gamma: float = np.inf
         found, condition = _subspace_solution(balanced_H, t)
         if found is not None and (best is None or condition < best[1]):
             best = found, condition
-        if best is not None and best[1] < 1e10 or found is None and condition == 0.0:
+        if (best is not None and best[1] < 1e10) or (found is None and condition == 0.0):
             break
     if (
         side is not None
@@ -687,9 +697,9 @@ def _reduce(P: _Plant) -> _Side:
 def _axis_zeros(side: _Side, scale: float) -> tuple[float, ...]:
     """Frequencies of the imaginary-axis zeros of x' = A x + B2 u, z = C1 x + D12 u.
 
-    Candidates are the axis eigenvalues of its LQ problem. Those are at least double, so rounding moves them by the
-    square root of eps times the norm (``scale``: that of A), and a slow zero looks like one on the axis: only where
-    the system matrix itself loses rank is there a zero.
+    Candidates are the axis eigenvalues of its LQ problem. Those are at least double, so rounding moves them
+    by the square root of eps times the norm (``scale``: that of A), and a slow zero looks like one on the
+    axis: only where the system matrix itself loses rank is there a zero.
     """
     H = _hamiltonian(replace(side, B1=side.B1[:, :0], D11=side.D11[:, :0]), 1.0)
     eigenvalues = np.linalg.eigvals(_balance_hamiltonian(H)[0])
@@ -715,8 +725,8 @@ def _axis_zeros(side: _Side, scale: float) -> tuple[float, ...]:
 
 
 def _rank_defect(side: _Side, omega: float) -> float:
-    """Distance of the system matrix [A − jωI, B2; C1, D12] from loss of column rank, as a part of its entries: its
-    smallest singular value after rows and columns are brought to unit size (0: jω is a zero).
+    """Distance of the system matrix [A − jωI, B2; C1, D12] from loss of column rank, as a part of its
+    entries: its smallest singular value after rows and columns are brought to unit size (0: jω is a zero).
     """
     M = np.block([[side.A - 1j * omega * np.eye(len(side.A)), side.B2], [side.C1, side.D12]])
     if M.shape[0] < M.shape[1]:
@@ -776,7 +786,8 @@ def _axis_bounds(P: _Plant, frequencies) -> list[float]:
 
 
 def _stabilising_gain(A: np.ndarray, B: np.ndarray) -> np.ndarray | None:
-    """LQ gain F (m, n) with A + B F stable, unit weights in balanced units; None where there is none, so for B = 0."""
+    """LQ gain F (m, n) with A + B F stable, unit weights in balanced units; None where there is none, so for
+    B = 0."""
     width = np.linalg.norm(B, 2)
     if width == 0:
         return None
@@ -828,7 +839,8 @@ class _Problem:
 
     @property
     def certain(self) -> float:
-        """A level that no controller goes below, whatever the Riccati equations say: single frequencies, direct terms."""
+        """A level that no controller goes below, whatever the Riccati equations say: single frequencies,
+        direct terms."""
         return max(self.floor, self.control.frequency_bound(), self.filter.frequency_bound())
 
     def coupling(self, gamma: float) -> float | None:
@@ -844,10 +856,11 @@ class _Problem:
         return gamma > self.floor and _above_one(self.coupling(gamma))
 
     def optimum(self, rtol: float, guess: float | None = None) -> float:
-        """The infimum of reachable γ, to ``rtol``: what single frequencies allow where that is reached, else a bracket
-        from above it or around ``guess``, then secant steps.
+        """The infimum of reachable γ, to ``rtol``: what single frequencies allow where that is reached, else
+        a bracket from above it or around ``guess``, then secant steps.
 
-        From above, because far below the optimum the Riccati equations are rounding and may seem to be solved.
+        From above, because far below the optimum the Riccati equations are rounding and may seem to be
+        solved.
         """
         limit, value = self._frequency_limit(rtol)
         floor, floor_value, start = limit, value, max(2 * limit, 1.0)
@@ -894,8 +907,8 @@ class _Problem:
     def _frequency_limit(self, rtol: float) -> tuple[float, float | None]:
         """A level ``rtol`` above the largest bound of a single frequency, and the ``coupling`` there.
 
-        While a Riccati equation has no solution, the axis eigenvalues of its Hamiltonian show frequencies of a larger
-        bound, if one exists (as in Bruinsma & Steinbuch 1990).
+        While a Riccati equation has no solution, the axis eigenvalues of its Hamiltonian show frequencies of
+        a larger bound, if one exists (as in Bruinsma & Steinbuch 1990).
         """
         sides = self.control, self.filter
         bound, level, value = max(side.frequency_bound() for side in sides), self.floor, None

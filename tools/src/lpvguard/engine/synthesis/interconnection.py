@@ -56,8 +56,8 @@ class Weights:
 
 @dataclass(frozen=True)
 class GeneralisedPlant:
-    """The plant with its bookkeeping: ``system`` (named signals), the blocks of Δ, and the numbers of Δ outputs, Δ inputs, controls and measurements.
-    """
+    """The plant with its bookkeeping: ``system`` (named signals), the blocks of Δ, and the numbers of Δ
+    outputs, Δ inputs, controls and measurements."""
 
     system: StateSpace
     blocks: tuple[Block, ...]
@@ -135,9 +135,9 @@ def generalised_plant(
 
     ``dt`` > 0: the vehicle sampled exactly with u and ξ_s held (so ξ_s enters through ∫exp(As)ds), every
     weight by Tustin's map; signals then are sequences. ``delay``: samples by which u reaches the vehicle
-    late, as computation and bus make it; Δ_i and W_u see u at once. ``probes``: the vehicle's state (n), input (1) and,
-    with state uncertainty, input on every state (n) are outputs too, behind z and counted as part of it. The vehicle's are
-    the first n states of the plant.
+    late, as computation and bus make it; Δ_i and W_u see u at once. ``probes``: the vehicle's state (n),
+    input (1) and, with state uncertainty, input on every state (n) are outputs too, behind z and counted as
+    part of it. The vehicle's are the first n states of the plant.
     """
     if delay < 0 or (delay and not dt):
         raise SynthesisError(
@@ -196,7 +196,7 @@ def generalised_plant(
     net.feed("W_ndelta", 0, {"n_delta": 1})
     net.feed("W_C", 0, {"r_c": 1})
     net.feed("W_R", 0, {("W_C", 0): 1})
-    net.feed("W_t", 0, {("W_R", 0): 1, **{key: -1 for key in r_m}})
+    net.feed("W_t", 0, {("W_R", 0): 1, **dict.fromkeys(r_m, -1)})
     net.feed("W_u", 0, {"u": 1})
     rows = {}
     if with_input:

@@ -2,12 +2,14 @@
 
 At one frequency a controller is any matrix Q in M = M11 + M12 Q M21, and for a given D (Parrott 1978)
 
-    min over Q of σ̄(D M D⁻¹) = max( σ̄(D M11 D⁻¹) on the kernel of M21 D⁻¹, the same of the adjoint and the kernel of M12ᴴ D ),
+    min over Q of σ̄(D M D⁻¹) = max( σ̄(D M11 D⁻¹) on the kernel of M21 D⁻¹, the same of the adjoint and the
+    kernel of M12ᴴ D ),
 
-(T14). The first term is the gain from inputs that no measurement shows, the second the gain to outputs that no control reaches.
-The infimum over D is the least D-scaled bound of any controller at that frequency. For up to three full blocks, performance included,
-the D-scaled bound is μ itself. Branch and bound on ln d_i brackets the infimum. Over a box both terms are bounded from below by taking
-each d_i at its small end on the left of M and at its large end on the right.
+(T14). The first term is the gain from inputs that no measurement shows, the second the gain to outputs that
+no control reaches. The infimum over D is the least D-scaled bound of any controller at that frequency. For up
+to three full blocks, performance included, the D-scaled bound is μ itself. Branch and bound on ln d_i
+brackets the infimum. Over a box both terms are bounded from below by taking each d_i at its small end on the
+left of M and at its large end on the right.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ BOXES_AT_ONCE, MOST_ROUNDS = 128, 150
 
 @dataclass(frozen=True)
 class Floor:
-    """No controller, whatever its order, has a D-scaled μ bound below ``value`` at ``frequency`` [rad/s], |ln d_i| ≤ WIDEST.
+    """No controller, whatever its order, has a D-scaled μ bound below ``value`` at ``frequency`` [rad/s], |ln
+    d_i| ≤ WIDEST.
 
     ``at``: the least bound that was met while searching, value ≤ infimum ≤ at.
     """
@@ -41,7 +44,8 @@ class Floor:
 
 
 def mu_floor(plant: GeneralisedPlant, omega=GRID, rtol: float = 2e-5) -> Floor:
-    """The highest floor over the frequencies ``omega`` [rad/s] (those above Nyquist are left out), to ``rtol``."""
+    """The highest floor over the frequencies ``omega`` [rad/s] (those above Nyquist are left out), to
+    ``rtol``."""
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
     omega = omega[omega * plant.system.dt <= np.pi]
     best = Floor(0.0, 0.0, float(omega[0]))
@@ -53,8 +57,8 @@ def mu_floor(plant: GeneralisedPlant, omega=GRID, rtol: float = 2e-5) -> Floor:
 
 
 def floor_exceeds(plant: GeneralisedPlant, omega: float, level: float) -> bool:
-    """True when every D has a bound above ``level`` at ``omega`` [rad/s], whatever the controller; False when one has not, or
-    when the search ends undecided."""
+    """True when every D has a bound above ``level`` at ``omega`` [rad/s], whatever the controller; False when
+    one has not, or when the search ends undecided."""
     return _Frequency(plant, plant.system.response(omega)[0]).exceeds(level)
 
 
@@ -77,7 +81,10 @@ class _Frequency:
         zero = np.zeros((len(low), 1))
         low, high = np.hstack([low, zero]), np.hstack([high, zero])
         seen = _gain(*self.unseen, np.repeat(low, self.rows, axis=1), np.repeat(high, self.cols, axis=1))
-        return np.maximum(seen, _gain(*self.unreached, np.repeat(-high, self.cols, axis=1), np.repeat(-low, self.rows, axis=1)))
+        return np.maximum(
+            seen,
+            _gain(*self.unreached, np.repeat(-high, self.cols, axis=1), np.repeat(-low, self.rows, axis=1)),
+        )
 
     def infimum(self, rtol: float, enough: float) -> tuple[float, float]:
         """Bracket of the infimum over D; the search ends as soon as it is known to lie below ``enough``."""
@@ -96,7 +103,6 @@ class _Frequency:
                 break
             low, high, values = self._divided(low, high, values)
         return min(least, values.min(initial=np.inf), best), best
-
 
     def exceeds(self, level: float) -> bool:
         """Whether the infimum over D is known to lie above ``level``."""
@@ -118,8 +124,10 @@ class _Frequency:
         order = np.argsort(values, kind="stable")
         first, rest = order[:BOXES_AT_ONCE], order[BOXES_AT_ONCE:]
         children = _halves(low[first], high[first])
-        return tuple(np.concatenate([new, old[rest]])
-                     for new, old in zip((*children, self.bound(*children)), (low, high, values), strict=True))
+        return tuple(
+            np.concatenate([new, old[rest]])
+            for new, old in zip((*children, self.bound(*children)), (low, high, values), strict=True)
+        )
 
 
 def _halves(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,21 +1,28 @@
-"""Induced gain of a scheduled closed loop while the speed moves: a parameter-dependent storage function, found and proved.
+"""Induced gain of a scheduled closed loop while the speed moves: a parameter-dependent storage function,
+found and proved.
 
 The loop is x+ = A(v) x + B(v) w, z = C(v) x + D(v) w with v+ - v in [-a Ts, a Ts]. With P(v) > 0 and
 
-    F(v, v+) = [P(v) 0; 0 I] - [A B]' P(v+) [A B] - [C D]' [C D] > 0     for all v in the range and |v+ - v| <= a Ts
+    F(v, v+) = [P(v) 0; 0 I] - [A B]' P(v+) [A B] - [C D]' [C D] > 0     for all v in the range and |v+ - v|
+                                                                         <= a Ts
 
-x' P(v) x is a storage function: the gain from w to z is below 1 for every speed history with |dv/dt| <= a, from rest. ``find``
-looks for P twice and keeps what proves the larger a: as P0 + v P1 + P2 / v, in which F is linear, by a barrier method on a grid of
-speeds; and as the solutions of the strict bounded-real Riccati equations. Either is taken piecewise linear between ``KNOTS`` knots
-in every interval of the controller's nodes. ``prove`` decides on all speeds: the range is covered by cells, F is tested at a cell's ends, and what
+x' P(v) x is a storage function: the gain from w to z is below 1 for every speed history with |dv/dt| <= a,
+from rest. ``find`` looks for P twice and keeps what proves the larger a: as P0 + v P1 + P2 / v, in which F is
+linear, by a barrier method on a grid of speeds; and as the solutions of the strict bounded-real Riccati
+equations. Either is taken piecewise linear between ``KNOTS`` knots in every interval of the controller's
+nodes. ``prove`` decides on all speeds: the range is covered by cells, F is tested at a cell's ends, and what
 it may lose between them is bounded by a matrix:
 
-- P is affine in a cell, P(v+) - P(v) is v+ - v times a mean of the slopes of the segments that v and v+ lie in: each is tested;
-- F is concave along the chord between the ends but for the product of dP and dM (M = [A B]), a bound of which is subtracted;
-- M leaves its chord in the vehicle's rows only (all else is affine between two nodes of the controller), there by bounds on the
-  derivatives of the vehicle's zero-order hold over the cell (``NominalModel.hold_bounds``).
+- P is affine in a cell, P(v+) - P(v) is v+ - v times a mean of the slopes of the segments that v and v+ lie
+  in: each is tested;
+- F is concave along the chord between the ends but for the product of dP and dM (M = [A B]), a bound of which
+  is subtracted;
+- M leaves its chord in the vehicle's rows only (all else is affine between two nodes of the controller),
+  there by bounds on the derivatives of the vehicle's zero-order hold over the cell
+  (``NominalModel.hold_bounds``).
 
-A cell that fails is cut in two, down to ``SMALLEST_CELL``. Every test is by eigenvalues with a reserve for rounding.
+A cell that fails is cut in two, down to ``SMALLEST_CELL``. Every test is by eigenvalues with a reserve for
+rounding.
 """
 
 from __future__ import annotations
@@ -41,27 +48,31 @@ FIRST_CELLS = 8
 MOST_CELLS = 4000
 """Cells after which a proof is given up: it would take too long to be repeated at every export."""
 FIRST_RATE, LARGEST_RATE, SMALLEST_RATE = 0.25, 8.0, 0.015
-"""Rates |dv/dt| tried [m/s^2]: from the first by factors of four, no further than these; a truck brakes with less than the largest."""
+"""Rates |dv/dt| tried [m/s^2]: from the first by factors of four, no further than these; a truck brakes with
+less than the largest."""
 WANTED = 0.02
 """Slack, relative to that of the frozen solutions' mean, with which the search at one rate is content."""
 SHARES = (0.95, 0.5)
-"""Of the rate for which a storage function was found on the grid, tried in the proof between its speeds; the last for Riccati
-solutions, which are taken as they come and waver between the knots."""
+"""Of the rate for which a storage function was found on the grid, tried in the proof between its speeds; the
+last for Riccati solutions, which are taken as they come and waver between the knots."""
 KNOTS = 16
-"""Knots of a storage function in every interval between nodes: what it loses between knots is of second order."""
+"""Knots of a storage function in every interval between nodes: what it loses between knots is of second
+order."""
 NEWTON_STEPS = 25
 """Steps for one rate before it counts as not found."""
 SLACKS = (3e-4, 1e-4, 3e-5, 1e-5, 1e-6)
-"""Extra input and output on every state with which the frozen Riccati equations are made strict, relative to the coordinates."""
+"""Extra input and output on every state with which the frozen Riccati equations are made strict, relative to
+the coordinates."""
 
 
 @dataclass(frozen=True)
 class Family:
     """The scaled closed loop over speed.
 
-    at(v): StateSpace with ``n_probes`` extra outputs, last: the vehicle's state and inputs, in the order of the columns of
-    ``hold_bounds(low, high)`` = (|Xi'|, |Xi''|), entrywise bounds over speeds low..high for the rows ``vehicle`` of [A B] = Xi
-    times the probes. ``nodes``: speeds between which everything else in ``at`` is affine.
+    at(v): StateSpace with ``n_probes`` extra outputs, last: the vehicle's state and inputs, in the order of
+    the columns of ``hold_bounds(low, high)`` = (|Xi'|, |Xi''|), entrywise bounds over speeds low..high for
+    the rows ``vehicle`` of [A B] = Xi times the probes. ``nodes``: speeds between which everything else in
+    ``at`` is affine.
     """
 
     at: Callable[[float], StateSpace]
@@ -74,7 +85,8 @@ class Family:
 
 @dataclass(frozen=True)
 class Storage:
-    """P(v) linear between ``knots`` (K,) [m/s], P (K, n, n) there, in the coordinates x = basis x~; basis (n, n)."""
+    """P(v) linear between ``knots`` (K,) [m/s], P (K, n, n) there, in the coordinates x = basis x~; basis (n,
+    n)."""
 
     basis: np.ndarray
     knots: np.ndarray
@@ -98,8 +110,8 @@ class Storage:
 
 @dataclass(frozen=True)
 class Proof:
-    """What ``prove`` found: number of cells and the least eigenvalue of F at their ends, remainder subtracted, relative to the
-    storage's trace over its order."""
+    """What ``prove`` found: number of cells and the least eigenvalue of F at their ends, remainder
+    subtracted, relative to the storage's trace over its order."""
 
     cells: int
     margin: float
@@ -107,9 +119,10 @@ class Proof:
 
 @dataclass(frozen=True)
 class LpvCertificate:
-    """``P`` (3, n, n): P0, P1, P2 in the coordinates ``storage.basis``; None: Riccati solutions, which ``riccati_storage`` makes
-    anew. Gain below 1 for |dv/dt| <= rate [m/s^2]. not_found: the least rate tried for which no storage function was found (None:
-    the largest tried was proved); it may exist all the same."""
+    """``P`` (3, n, n): P0, P1, P2 in the coordinates ``storage.basis``; None: Riccati solutions, which
+    ``riccati_storage`` makes anew. Gain below 1 for |dv/dt| <= rate [m/s^2]. not_found: the least rate tried
+    for which no storage function was found (None: the largest tried was proved); it may exist all the
+    same."""
 
     rate: float
     storage: Storage
@@ -131,7 +144,8 @@ def slopes(v) -> np.ndarray:
 
 
 def prove(family: Family, storage: Storage, rate: float) -> Proof | None:
-    """The proof for all speeds between the first and the last node and |dv/dt| <= rate; None where it fails."""
+    """The proof for all speeds between the first and the last node and |dv/dt| <= rate; None where it
+    fails."""
     ends: dict[float, _End] = {}
 
     def end(v: float) -> _End:
@@ -190,15 +204,18 @@ def _cell_slack(family: Family, storage: Storage, one: _End, two: _End, rate: fl
     E = np.eye(n, one.M.shape[1])
     dM, dR, dP = two.M - one.M, two.R - one.R, _absolute(two.P - one.P)
     U = np.linalg.solve(storage.basis, np.eye(n)[:, family.vehicle])
-    # The vehicle's rows leave their chord by (rho1 R + rho2 dR) with |rho1| <= width^2/8 |Xi''|, |rho2| <= width/4 |Xi'|.
+    # The vehicle's rows leave their chord by (rho1 R + rho2 dR) with |rho1| <= width^2/8 |Xi''|, |rho2| <=
+    # width/4 |Xi'|.
     bound = np.hstack([width**2 / 8 * second] * 2 + [width / 4 * first])
     probes = np.vstack([one.R, two.R, dR])
     driven = (probes.T * bound.sum(axis=0)) @ probes
     product = dM.T @ dP @ dM, sum(m.T @ dP @ m for m in M)
     slacks = []
-    for change in (sign * step * slope for slope in storage.slopes_near(one.v, two.v, step) for sign in (1.0, -1.0)):
+    for change in (
+        sign * step * slope for slope in storage.slopes_near(one.v, two.v, step) for sign in (1.0, -1.0)
+    ):
         Q = [end.P + change for end in (one, two)]
-        F = [_dissipation(end, q, E) for end, q in zip((one, two), Q)]
+        F = [_dissipation(end, q, E) for end, q in zip((one, two), Q, strict=False)]
         try:
             inverse = np.linalg.inv(sum(F))
         except np.linalg.LinAlgError:
@@ -207,8 +224,10 @@ def _cell_slack(family: Family, storage: Storage, one: _End, two: _End, rate: fl
         reached = [m.T @ q @ U for m in M for q in Q]
         remainder += _weighed(sum((x * bound.sum(axis=1)) @ x.T for x in reached), driven, inverse)
         remainder += sum(np.trace(U.T @ q @ U) for q in Q) * np.sum(bound**2) * probes.T @ probes
-        for end, f, q in zip((one, two), F, Q):
-            size = np.abs(end.P).sum(axis=1).max() + np.linalg.norm(end.M, 2) ** 2 * np.abs(q).sum(axis=1).max()
+        for end, f, q in zip((one, two), F, Q, strict=False):
+            size = (
+                np.abs(end.P).sum(axis=1).max() + np.linalg.norm(end.M, 2) ** 2 * np.abs(q).sum(axis=1).max()
+            )
             value = np.linalg.eigvalsh(f - remainder)[0] - 4 * len(f) * EPS * size
             if not value > 0:
                 return None
@@ -245,7 +264,8 @@ def polynomial_storage(family: Family, basis: np.ndarray, P: np.ndarray) -> Stor
 
 
 def riccati_storage(family: Family) -> Storage | None:
-    """Strict solutions of the bounded-real Riccati equation at the knots; None where a frozen gain is not below 1."""
+    """Strict solutions of the bounded-real Riccati equation at the knots; None where a frozen gain is not
+    below 1."""
     knots = _refined(family.nodes, KNOTS)
     frozen = _frozen_at(family, knots)
     return frozen and Storage(frozen[0], knots, frozen[2])
@@ -256,7 +276,8 @@ def _refined(nodes: np.ndarray, parts: int) -> np.ndarray:
 
 
 def _frozen_at(family: Family, speeds: np.ndarray):
-    """basis, parts (M, N) and Riccati solutions at ``speeds``, in coordinates that suit all of them; None without solutions."""
+    """basis, parts (M, N) and Riccati solutions at ``speeds``, in coordinates that suit all of them; None
+    without solutions."""
     loops = [family.at(v) for v in speeds]
     if not all(G.stability_margin() > 0 for G in loops):
         return None
@@ -280,7 +301,10 @@ def find(family: Family, progress: Callable[[str], None] = lambda _: None) -> Lp
     unit = _Barrier(parts, np.eye(len(grid)), np.eye(len(grid))).F(frozen).mean(axis=0)
 
     twice = [part for part in parts for _ in (0, 1)]
-    now, change = np.repeat(functions, 2, axis=0), np.stack([rates, -rates], axis=1).reshape(-1, 3) * family.Ts
+    now, change = (
+        np.repeat(functions, 2, axis=0),
+        np.stack([rates, -rates], axis=1).reshape(-1, 3) * family.Ts,
+    )
     stored, failed, rate = [], None, FIRST_RATE
     while rate is not None:
         progress(f"storage function for |dv/dt| up to {rate:.3g} m/s2")
@@ -311,7 +335,7 @@ def _rate_at_knots(family: Family, storage: Storage) -> float:
     largest = np.inf
     for k, F in enumerate(barrier.F(storage.P)):
         L = np.linalg.inv(np.linalg.cholesky(F)) @ barrier.M[k].T
-        for slope in storage.slopes[max(k - 1, 0):k + 1]:
+        for slope in storage.slopes[max(k - 1, 0) : k + 1]:
             largest = min(largest, 1 / (family.Ts * np.abs(np.linalg.eigvalsh(L @ slope @ L.T)).max()))
     return float(largest)
 
@@ -335,8 +359,8 @@ def _coordinates(loops: list[StateSpace]) -> np.ndarray:
 
 
 def _frozen(parts: list[tuple[np.ndarray, np.ndarray]], Ts: float) -> np.ndarray | None:
-    """Strict solutions of the bounded-real Riccati equation at every speed, (k, n, n), all with the same slack; None when a
-    frozen gain is not below 1."""
+    """Strict solutions of the bounded-real Riccati equation at every speed, (k, n, n), all with the same
+    slack; None when a frozen gain is not below 1."""
     n = len(parts[0][0])
     for slack in SLACKS:
         extra, out = np.sqrt(slack) * np.eye(n), []
@@ -347,7 +371,9 @@ def _frozen(parts: list[tuple[np.ndarray, np.ndarray]], Ts: float) -> np.ndarray
             if hinf_norm(StateSpace(M[:, :n], B, C, D, Ts), rtol=1e-3).upper >= 1:
                 break
             try:
-                P = sl.solve_discrete_are(M[:, :n], B, C.T @ C, D.T @ D - np.eye(m + n), s=C.T @ D, balanced=False)
+                P = sl.solve_discrete_are(
+                    M[:, :n], B, C.T @ C, D.T @ D - np.eye(m + n), s=C.T @ D, balanced=False
+                )
             except np.linalg.LinAlgError:
                 break
             out.append(0.5 * (P + P.T))
@@ -357,19 +383,26 @@ def _frozen(parts: list[tuple[np.ndarray, np.ndarray]], Ts: float) -> np.ndarray
 
 
 def _even(basis, parts, frozen):
-    """The same in the coordinates in which the frozen solutions' mean is diagonal and what they dissipate in a step is even:
-    slow states lose little of their storage in a step, and elsewhere the barrier's curvature would drown in theirs."""
+    """The same in the coordinates in which the frozen solutions' mean is diagonal and what they dissipate in
+    a step is even: slow states lose little of their storage in a step, and elsewhere the barrier's curvature
+    would drown in theirs."""
     n = len(basis)
     lost = _Barrier(parts, np.eye(len(parts)), np.eye(len(parts))).F(frozen).mean(axis=0)[:n, :n]
     T = sl.eigh(frozen.mean(axis=0), lost)[1]
     wide = [sl.block_diag(T, np.eye(M.shape[1] - n)) for M, _ in parts]
-    return (basis @ T, [(np.linalg.solve(T, M @ W), N @ W) for (M, N), W in zip(parts, wide)], T.T @ frozen @ T)
+    return (
+        basis @ T,
+        [(np.linalg.solve(T, M @ W), N @ W) for (M, N), W in zip(parts, wide, strict=False)],
+        T.T @ frozen @ T,
+    )
 
 
 class _Barrier:
-    """F_i(P) = E' (sum_k phi_ik P_k) E - M_i' (sum_k next_ik P_k) M_i - N_i' N_i + diag(0, I) and the derivatives of its log det.
+    """F_i(P) = E' (sum_k phi_ik P_k) E - M_i' (sum_k next_ik P_k) M_i - N_i' N_i + diag(0, I) and the
+    derivatives of its log det.
 
-    parts: (M, N) per i; phi, next (count, terms); P (terms, n, n) symmetric, as a vector its upper triangles row by row.
+    parts: (M, N) per i; phi, next (count, terms); P (terms, n, n) symmetric, as a vector its upper triangles
+    row by row.
     """
 
     def __init__(self, parts: list[tuple[np.ndarray, np.ndarray]], phi: np.ndarray, next_: np.ndarray):
@@ -377,13 +410,13 @@ class _Barrier:
         self.n, width = self.M.shape[1:]
         self.phi, self.next = np.ascontiguousarray(phi), np.ascontiguousarray(next_)
         self.constant = -np.swapaxes(N, 1, 2) @ N
-        self.constant[:, self.n:, self.n:] += np.eye(width - self.n)
+        self.constant[:, self.n :, self.n :] += np.eye(width - self.n)
         self.upper = np.triu_indices(self.n)
         self.twice = np.where(self.upper[0] == self.upper[1], 1.0, 2.0)
 
     def F(self, P: np.ndarray, constant: bool = True) -> np.ndarray:
         out = -np.swapaxes(self.M, 1, 2) @ np.tensordot(self.next, P, 1) @ self.M
-        out[:, :self.n, :self.n] += np.tensordot(self.phi, P, 1)
+        out[:, : self.n, : self.n] += np.tensordot(self.phi, P, 1)
         return out + self.constant if constant else out
 
     def matrices(self, p: np.ndarray) -> np.ndarray:
@@ -398,7 +431,8 @@ class _Barrier:
         """Gradient of sum_i tr(S_i F_i(P))."""
         n = self.n
         G = np.einsum("ik,iab->kab", self.phi, S[:, :n, :n]) - np.einsum(
-            "ik,iab->kab", self.next, self.M @ S @ np.swapaxes(self.M, 1, 2))
+            "ik,iab->kab", self.next, self.M @ S @ np.swapaxes(self.M, 1, 2)
+        )
         return (G[:, self.upper[0], self.upper[1]] * self.twice).ravel()
 
     def hessian(self, S: np.ndarray) -> np.ndarray:
@@ -409,8 +443,10 @@ class _Barrier:
         size = self.phi.shape[1] * len(self.twice)
         H = np.zeros((size, size))
         if lib := native.kernels("lyapunov_barrier"):
-            lib.lpvg_lyapunov_hessian(*(ctypes.c_ssize_t(x) for x in (n, len(S), self.phi.shape[1])),
-                                      *(x.ctypes.data_as(ctypes.c_void_p) for x in (a, b, c, self.phi, self.next, H)))
+            lib.lpvg_lyapunov_hessian(
+                *(ctypes.c_ssize_t(x) for x in (n, len(S), self.phi.shape[1])),
+                *(x.ctypes.data_as(ctypes.c_void_p) for x in (a, b, c, self.phi, self.next, H)),
+            )
             return H
         i, j = self.upper
         weight = 0.5 * np.outer(self.twice, self.twice)
@@ -418,15 +454,16 @@ class _Barrier:
         def product(x: np.ndarray) -> np.ndarray:
             return weight * (x[np.ix_(i, i)] * x[np.ix_(j, j)] + x[np.ix_(i, j)] * x[np.ix_(j, i)])
 
-        for ak, bk, ck, phi, nxt in zip(a, b, c, self.phi, self.next):
+        for ak, bk, ck, phi, nxt in zip(a, b, c, self.phi, self.next, strict=False):
             H += np.kron(np.outer(phi, phi), product(ak)) + np.kron(np.outer(nxt, nxt), product(bk))
             H -= np.kron(np.outer(phi, nxt), product(ck.T)) + np.kron(np.outer(nxt, phi), product(ck))
         return H
 
 
 def _feasible(barrier: _Barrier, P: np.ndarray, unit: np.ndarray) -> np.ndarray | None:
-    """P with every F_i > 0, from any P: Newton's method on tau t - sum_i log det(F_i + t unit), until t < -``WANTED``; what was reached
-    with t < 0, or None, when ``NEWTON_STEPS`` do not get there. ``unit`` (N, N) > 0: what F is measured in."""
+    """P with every F_i > 0, from any P: Newton's method on tau t - sum_i log det(F_i + t unit), until t <
+    -``WANTED``; what was reached with t < 0, or None, when ``NEWTON_STEPS`` do not get there. ``unit`` (N, N)
+    > 0: what F is measured in."""
     count, width = len(barrier.M), len(unit)
     p = P[:, barrier.upper[0], barrier.upper[1]].ravel()
     L = np.linalg.inv(np.linalg.cholesky(unit))
@@ -446,16 +483,21 @@ def _feasible(barrier: _Barrier, P: np.ndarray, unit: np.ndarray) -> np.ndarray 
             factor = _factored(H)
         except np.linalg.LinAlgError:
             return found
-        solved = sl.cho_solve(factor, np.stack([g, h], axis=1) * scale[:, None], check_finite=False) * scale[:, None]
+        solved = (
+            sl.cho_solve(factor, np.stack([g, h], axis=1) * scale[:, None], check_finite=False)
+            * scale[:, None]
+        )
         d_t = -(g_t - h @ solved[:, 0]) / (h_t - h @ solved[:, 1])
         d_p = -solved[:, 0] - solved[:, 1] * d_t
-        curve = np.linalg.eigvalsh(L @ (barrier.F(barrier.matrices(d_p), constant=False) + d_t * unit) @ np.swapaxes(L, 1, 2))
+        curve = np.linalg.eigvalsh(
+            L @ (barrier.F(barrier.matrices(d_p), constant=False) + d_t * unit) @ np.swapaxes(L, 1, 2)
+        )
         length = _line_search(curve.ravel(), tau * d_t)
         p, t = p + length * d_p, t + length * d_t
         if t < 0:
             found = barrier.matrices(p)
         decrement = -(g @ d_p + g_t * d_t)
-        if t < -WANTED or decrement < 1.0 and abs(t) > 2 * count * width / tau:
+        if t < -WANTED or (decrement < 1.0 and abs(t) > 2 * count * width / tau):
             return found  # enough, or at the centre: the least t is not much below this one
         if decrement < 25.0:
             tau *= 10.0
@@ -463,7 +505,8 @@ def _feasible(barrier: _Barrier, P: np.ndarray, unit: np.ndarray) -> np.ndarray 
 
 
 def _factored(H: np.ndarray):
-    """Cholesky factor of H, unit diagonal, lower triangle given; with the least addition to the diagonal that rounding asks for."""
+    """Cholesky factor of H, unit diagonal, lower triangle given; with the least addition to the diagonal that
+    rounding asks for."""
     for extra in (1e-13, 1e-11, 1e-9):
         np.fill_diagonal(H, 1 + extra)
         try:

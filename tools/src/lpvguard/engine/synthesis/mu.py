@@ -1,8 +1,8 @@
 """Structured singular value: the D,G upper bound to its infimum, and a lower bound by a perturbation that is
 checked.
 
-μ(M) = 1 / min{ max_i σ̄(Δ_i) : det(I − M Δ) = 0 } over Δ = diag(Δ_1, Δ_2, ...). Δ is (Σ rows) × (Σ cols) and M
-(Σ cols) × (Σ rows) of the blocks: full complex, or δ I with δ complex or real.
+μ(M) = 1 / min{ max_i σ̄(Δ_i) : det(I − M Δ) = 0 } over Δ = diag(Δ_1, Δ_2, ...). Δ is (Σ rows) × (Σ cols) and
+M (Σ cols) × (Σ rows) of the blocks: full complex, or δ I with δ complex or real.
 
 Upper bound: the least β with  Mᴴ D_L M + j (G M − Mᴴ G) ≼ β² D_R  (Fan, Tits & Doyle 1991), a generalised
 eigenvalue problem that the method of centres solves (Boyd & El Ghaoui 1993); the multipliers of each centre
@@ -22,6 +22,7 @@ import scipy.linalg as sl
 
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis.errors import SynthesisError
+
 
 @dataclass(frozen=True)
 class MuBounds:
@@ -48,7 +49,9 @@ def mu_bounds(M, blocks: Sequence[Block], rtol: float = 1e-8) -> MuBounds:
     blocks = tuple(blocks)
     shape = (sum(b.cols for b in blocks), sum(b.rows for b in blocks))
     if M.shape != shape:
-        raise SynthesisError("mu", "M", f"shape {M.shape}", f"{shape}, the sums of the blocks' inputs and outputs")
+        raise SynthesisError(
+            "mu", "M", f"shape {M.shape}", f"{shape}, the sums of the blocks' inputs and outputs"
+        )
     if not np.all(np.isfinite(M)):
         raise SynthesisError("mu", "M", "a NaN or infinite entry", "finite numbers")
     structure = _Structure(blocks)
@@ -70,8 +73,8 @@ def mu_lower(M, blocks, left, right, enough: float, starts: int = 8) -> tuple[fl
 
 
 class _Structure:
-    """Index sets of the blocks in the rows (inputs of Δ) and columns (outputs of Δ) of M, and the real bases of their D and G
-    scalings."""
+    """Index sets of the blocks in the rows (inputs of Δ) and columns (outputs of Δ) of M, and the real bases
+    of their D and G scalings."""
 
     def __init__(self, blocks):
         self.blocks = blocks
@@ -151,9 +154,9 @@ def _upper_bound(M, structure, rtol):
     """β, the infimum's lower bound, factors L of D_left and D_right (D = L Lᴴ) and G by the method of
     centres.
 
-    After each centre its D + |G| is absorbed into the matrix (N ← Lᴴ N L⁻ᴴ, D + |G| = L Lᴴ), so that the next one
-    starts in well-scaled coordinates even where the infimum is approached by ever worse conditioned scalings; D
-    alone would leave an ever larger G where a real block's D vanishes beside it.
+    After each centre its D + |G| is absorbed into the matrix (N ← Lᴴ N L⁻ᴴ, D + |G| = L Lᴴ), so that the next
+    one starts in well-scaled coordinates even where the infimum is approached by ever worse conditioned
+    scalings; D alone would leave an ever larger G where a real block's D vanishes beside it.
     """
     d = _balance(M, structure)
     left = np.diag(

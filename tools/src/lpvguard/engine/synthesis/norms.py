@@ -26,8 +26,9 @@ class NormBracket:
 
 
 def hinf_norm(G: StateSpace, rtol: float = 1e-6) -> NormBracket:
-    """Bracket ‖G‖∞ so that upper ≤ (1 + rtol) lower, plus the rounding of G at its peak; DC and infinite (or Nyquist)
-    frequency included. Where rounding of A may lift G above that at DC or at the frequency of a pole, upper is that level.
+    """Bracket ‖G‖∞ so that upper ≤ (1 + rtol) lower, plus the rounding of G at its peak; DC and infinite (or
+    Nyquist) frequency included. Where rounding of A may lift G above that at DC or at the frequency of a
+    pole, upper is that level.
 
     An unstable G gives (inf, inf). The response is evaluated wherever an eigenvalue of the Hamiltonian comes
     near the axis (1e-3 of its size, far more than rounding moves it), and between such neighbours: a crossing
@@ -69,15 +70,16 @@ def _largest(H: StateSpace, omega) -> tuple[float, float]:
 
 
 def _lifted(H: StateSpace, omega) -> float:
-    """max over ``omega`` of σ̄(H(jω)) plus its rounding: a slow pole that A's large entries hide shows at its own frequency."""
+    """max over ``omega`` of σ̄(H(jω)) plus its rounding: a slow pole that A's large entries hide shows at its
+    own frequency."""
     omega = np.unique(omega[np.isfinite(omega)])
     values = np.linalg.norm(H.response(omega), 2, axis=(1, 2))
     return float(max((value + _rounding(H, w) for w, value in zip(omega, values, strict=True)), default=0.0))
 
 
 def _rounding(H: StateSpace, omega: float) -> float:
-    """How much rounding of the entries of A, by a few units in the last place each, moves σ̄(H(jω)): an error of first
-    order, entry by entry, so that the units of the states do not matter.
+    """How much rounding of the entries of A, by a few units in the last place each, moves σ̄(H(jω)): an error
+    of first order, entry by entry, so that the units of the states do not matter.
 
     Far below any rtol unless the loop is nearly unstable or its signals are many decades apart.
     """
@@ -108,8 +110,8 @@ def _crossings(H: StateSpace, level: float) -> np.ndarray:
 
 
 def axis_frequencies(hamiltonian: np.ndarray, scale: float) -> np.ndarray:
-    """Frequencies of eigenvalues that lie on or near the imaginary axis, DC, and the points between them; empty when
-    there are none. ``scale``: ‖A‖ of the system.
+    """Frequencies of eigenvalues that lie on or near the imaginary axis, DC, and the points between them;
+    empty when there are none. ``scale``: ‖A‖ of the system.
     """
     eigenvalues = np.linalg.eigvals(hamiltonian)
     # an eigenvalue of an n-fold near-defective cluster moves by about sqrt(eps) times the matrix norm

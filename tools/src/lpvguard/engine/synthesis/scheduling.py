@@ -1,10 +1,12 @@
-"""One family of controllers over the operating points of a scheduled plant, made so that it may be interpolated.
+"""One family of controllers over the operating points of a scheduled plant, made so that it may be
+interpolated.
 
-Three things keep neighbours alike. One scaling D, the best for the worst point, and one level γ for all points: central
-controllers of neighbouring plants at the same level are neighbours, while near each plant's own optimum they are not. The
-plant's own coordinates: the central controller's state stands for the plant's. And one projection for all of them, from the
-sums over the points of the closed loops' Gramians (the frozen-parameter average of Wood, Goddard & Glover 1996): truncating
-each one by itself would keep different states of each.
+Three things keep neighbours alike. One scaling D, the best for the worst point, and one level γ for all
+points: central controllers of neighbouring plants at the same level are neighbours, while near each plant's
+own optimum they are not. The plant's own coordinates: the central controller's state stands for the plant's.
+And one projection for all of them, from the sums over the points of the closed loops' Gramians (the
+frozen-parameter average of Wood, Goddard & Glover 1996): truncating each one by itself would keep different
+states of each.
 """
 
 from __future__ import annotations
@@ -36,7 +38,8 @@ OPTIMUM_RTOL = 1e-4
 
 
 def scaled_plant(plant: GeneralisedPlant, scaling: Scaling) -> StateSpace:
-    """D P D⁻¹ in continuous time, states [D⁻¹; P; D] in their own coordinates, whatever the numbers in them."""
+    """D P D⁻¹ in continuous time, states [D⁻¹; P; D] in their own coordinates, whatever the numbers in
+    them."""
     left, right = scaling.systems(plant)
     G = to_continuous(plant.system)
     left = append(left, gain(np.eye(G.n_outputs - left.n_outputs)))
@@ -45,7 +48,8 @@ def scaled_plant(plant: GeneralisedPlant, scaling: Scaling) -> StateSpace:
 
 
 def closed_scaled(plant: GeneralisedPlant, controller: StateSpace, scaling: Scaling | None) -> StateSpace:
-    """The discrete closed loop D F_l(P, K) D⁻¹ from [Δ outputs; w] to [Δ inputs; z], states [D⁻¹; P; K; D]; D by Tustin's map.
+    """The discrete closed loop D F_l(P, K) D⁻¹ from [Δ outputs; w] to [Δ inputs; z], states [D⁻¹; P; K; D]; D
+    by Tustin's map.
 
     Outputs of the plant beyond these (before its measurements) pass unscaled.
     """
@@ -58,14 +62,18 @@ def closed_scaled(plant: GeneralisedPlant, controller: StateSpace, scaling: Scal
 
 
 def common_scaling(plants: Sequence[GeneralisedPlant], start: Scaling) -> tuple[Scaling, float]:
-    """The scaling with the least worst-case optimum over ``plants``, by pattern search from ``start``; and that optimum."""
+    """The scaling with the least worst-case optimum over ``plants``, by pattern search from ``start``; and
+    that optimum."""
 
     def worst(scaling: Scaling, limit: float | None) -> float | None:
-        """The largest optimum when all lie below ``limit`` (None: wherever), else None; the last offender is asked first."""
+        """The largest optimum when all lie below ``limit`` (None: wherever), else None; the last offender is
+        asked first."""
         largest = 0.0
         for k in list(order):
             plant = plants[k]
-            value = improved_level(scaled_plant(plant, scaling), plant.n_control, plant.n_measurement, limit, OPTIMUM_RTOL)
+            value = improved_level(
+                scaled_plant(plant, scaling), plant.n_control, plant.n_measurement, limit, OPTIMUM_RTOL
+            )
             if value is None:
                 order.remove(k)
                 order.insert(0, k)
@@ -90,15 +98,17 @@ def common_scaling(plants: Sequence[GeneralisedPlant], start: Scaling) -> tuple[
     return best, level
 
 
-def common_family(plants: Sequence[GeneralisedPlant], scaling: Scaling,
-                  level: float) -> tuple[Callable[[int], list[StateSpace]], int]:
-    """Controllers of all ``plants`` (of one structure, discrete) at one ``level`` above each optimum, as a function of the order
-    they are truncated to, and the largest such order. Truncated or not they share one set of states."""
+def common_family(
+    plants: Sequence[GeneralisedPlant], scaling: Scaling, level: float
+) -> tuple[Callable[[int], list[StateSpace]], int]:
+    """Controllers of all ``plants`` (of one structure, discrete) at one ``level`` above each optimum, as a
+    function of the order they are truncated to, and the largest such order. Truncated or not they share one
+    set of states."""
     scaled = [scaled_plant(plant, scaling) for plant in plants]
     t = balancing(scaled[len(scaled) // 2])
     scaled = [scaled_states(G, t) for G in scaled]
     n, full, reach, seen = scaled[0].order, [], 0.0, 0.0
-    for plant, G in zip(plants, scaled):
+    for plant, G in zip(plants, scaled, strict=False):
         shape = plant.n_control, plant.n_measurement
         optimum = improved_level(G, *shape, None, OPTIMUM_RTOL)
         found = hinf_synthesis(G, *shape, backoff=max(level / optimum - 1, OPTIMUM_RTOL), guess=optimum)
@@ -115,6 +125,9 @@ def common_family(plants: Sequence[GeneralisedPlant], scaling: Scaling,
 
     def at_order(order: int) -> list[StateSpace]:
         T, L = into[:, :order], out[:order]
-        return [to_discrete(replace(K, A=L @ K.A @ T, B=L @ K.B, C=K.C @ T), plant.system.dt) for K, plant in zip(full, plants)]
+        return [
+            to_discrete(replace(K, A=L @ K.A @ T, B=L @ K.B, C=K.C @ T), plant.system.dt)
+            for K, plant in zip(full, plants, strict=False)
+        ]
 
     return at_order, rank

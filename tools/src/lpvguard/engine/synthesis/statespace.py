@@ -231,7 +231,8 @@ def same_time(first: StateSpace, second: StateSpace) -> None:
 
 
 def balancing(G: StateSpace) -> np.ndarray:
-    """Powers of two t (n,) that make rows and columns of [A B; C 0] of like norms in the coordinates x = diag(t) x̃.
+    """Powers of two t (n,) that make rows and columns of [A B; C 0] of like norms in the coordinates x =
+    diag(t) x̃.
 
     Osborne (1960) through LAPACK's gebal; the input and output scales stay: they enter as one source and one
     sink node that are never scaled.

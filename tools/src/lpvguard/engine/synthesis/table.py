@@ -1,6 +1,8 @@
-"""Cells of Table II: one controller a structure and objective, its certificate, and the level that no controller goes below.
+"""Cells of Table II: one controller a structure and objective, its certificate, and the level that no
+controller goes below.
 
-Seconds are measured for the console; files are made from ``Cell.to_dict`` and ``to_csv``, which leave them out.
+Seconds are measured for the console; files are made from ``Cell.to_dict`` and ``to_csv``, which leave them
+out.
 """
 
 from __future__ import annotations
@@ -16,7 +18,18 @@ from lpvguard.engine.synthesis.interconnection import GeneralisedPlant
 from lpvguard.engine.synthesis.limits import Floor, mu_floor
 from lpvguard.engine.synthesis.statespace import StateSpace
 
-COLUMNS = ("structure", "A_t", "A_u", "mu_upper", "mu_lower", "order", "full_order", "peak_rad_s", "floor", "floor_rad_s")
+COLUMNS = (
+    "structure",
+    "A_t",
+    "A_u",
+    "mu_upper",
+    "mu_lower",
+    "order",
+    "full_order",
+    "peak_rad_s",
+    "floor",
+    "floor_rad_s",
+)
 
 
 @dataclass(frozen=True)
@@ -57,8 +70,18 @@ class Cell:
 
     def to_dict(self) -> dict:
         """The cell without its time: the same input gives the same bytes."""
-        values = (self.structure, self.A_t, self.A_u, self.upper, self.lower, self.order, self.full_order,
-                  self.result.performance.bracket.peak_frequency, self.floor.value, self.floor.frequency)
+        values = (
+            self.structure,
+            self.A_t,
+            self.A_u,
+            self.upper,
+            self.lower,
+            self.order,
+            self.full_order,
+            self.result.performance.bracket.peak_frequency,
+            self.floor.value,
+            self.floor.frequency,
+        )
         return dict(zip(COLUMNS, values, strict=True))
 
 

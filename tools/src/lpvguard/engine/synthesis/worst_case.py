@@ -1,13 +1,14 @@
 """The worst stable Δ of size 1 for a closed loop, as a system that can be simulated.
 
-At a frequency the largest gain from [w; n; r_c] to z over ‖Δ_i‖ ≤ 1 is the γ at which μ of the loop, its performance rows divided by
-γ, is 1 (skewed μ; Packard & Doyle 1993). The lower bound of μ returns the Δ that attains it, a rank-one complex matrix per block,
-Δ_i = u vᴴ. A stable all-pass takes any phase at one frequency, so
+At a frequency the largest gain from [w; n; r_c] to z over ‖Δ_i‖ ≤ 1 is the γ at which μ of the loop, its
+performance rows divided by γ, is 1 (skewed μ; Packard & Doyle 1993). The lower bound of μ returns the Δ that
+attains it, a rank-one complex matrix per block, Δ_i = u vᴴ. A stable all-pass takes any phase at one
+frequency, so
 
     Δ_i(s) = u(s) v(s)ᵀ,     u_k(s) = ±|u_k| (β_k − s)/(β_k + s),  v alike,
 
-has σ̄(Δ_i(jω)) = ‖u‖ ‖v‖ = 1 at every ω and equals u vᴴ at the chosen one. In discrete time it is the image under Tustin's map.
-At DC such a Δ is real: there every choice of signs of the real part is tried.
+has σ̄(Δ_i(jω)) = ‖u‖ ‖v‖ = 1 at every ω and equals u vᴴ at the chosen one. In discrete time it is the image
+under Tustin's map. At DC such a Δ is real: there every choice of signs of the real part is tried.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ GAIN_RTOL = 1e-6
 
 @dataclass(frozen=True)
 class WorstCase:
-    """``delta`` (stable, ‖Δ‖∞ = ``size``, at most 1 within rounding) raises the loop's gain from [w; n; r_c] to z at
-    ``frequency`` [rad/s] from ``nominal`` to ``gain``, measured on the closed loop with it.
+    """``delta`` (stable, ‖Δ‖∞ = ``size``, at most 1 within rounding) raises the loop's gain from [w; n; r_c]
+    to z at ``frequency`` [rad/s] from ``nominal`` to ``gain``, measured on the closed loop with it.
     """
 
     delta: StateSpace
@@ -46,25 +47,30 @@ class WorstCase:
 def close_delta(loop: StateSpace, delta: StateSpace) -> StateSpace:
     """Upper LFT: Δ closed around the first outputs and inputs of ``loop``."""
     n_in, n_out = delta.n_inputs, delta.n_outputs
-    rows = np.r_[n_in:loop.n_outputs, :n_in]
-    cols = np.r_[n_out:loop.n_inputs, :n_out]
+    rows = np.r_[n_in : loop.n_outputs, :n_in]
+    cols = np.r_[n_out : loop.n_inputs, :n_out]
     return lft(loop.select(rows, cols), delta)
 
 
-def worst_case(plant: GeneralisedPlant, controller: StateSpace, scaling: Scaling | None = None, omega=GRID) -> WorstCase:
-    """The worst Δ found over the frequencies ``omega`` [rad/s] (those above Nyquist are left out), verified: stable, of size 1, the
-    closed loop stable and its gain measured. Without blocks: Δ of size 0 × 0 and the nominal peak.
+def worst_case(
+    plant: GeneralisedPlant, controller: StateSpace, scaling: Scaling | None = None, omega=GRID
+) -> WorstCase:
+    """The worst Δ found over the frequencies ``omega`` [rad/s] (those above Nyquist are left out), verified:
+    stable, of size 1, the closed loop stable and its gain measured. Without blocks: Δ of size 0 × 0 and the
+    nominal peak.
 
-    ``scaling``: the loop's certificate, which only helps the search. Raises ArithmeticError when at no frequency a Δ of size 1 was
-    found that keeps the loop stable.
+    ``scaling``: the loop's certificate, which only helps the search. Raises ArithmeticError when at no
+    frequency a Δ of size 1 was found that keeps the loop stable.
     """
     loop = lft(plant.system, controller)
     omega = np.unique(omega[omega * loop.dt < np.pi])
     M = loop.response(omega)
-    nominal = np.linalg.norm(M[:, plant.n_delta_in:, plant.n_delta_out:], 2, axis=(1, 2))
+    nominal = np.linalg.norm(M[:, plant.n_delta_in :, plant.n_delta_out :], 2, axis=(1, 2))
     if not plant.blocks:
         k = int(np.argmax(nominal))
-        return WorstCase(gain(np.zeros((0, 0)), loop.dt), 0.0, float(omega[k]), float(nominal[k]), float(nominal[k]))
+        return WorstCase(
+            gain(np.zeros((0, 0)), loop.dt), 0.0, float(omega[k]), float(nominal[k]), float(nominal[k])
+        )
     warped = 2 / loop.dt * np.tan(0.5 * omega * loop.dt) if loop.dt else omega
     d = np.exp(scaling.log_magnitude(warped)) if scaling else np.ones((len(plant.blocks), len(omega)))
     search = _Search(plant)
@@ -77,7 +83,11 @@ def worst_case(plant: GeneralisedPlant, controller: StateSpace, scaling: Scaling
             closed = close_delta(loop, realised)
             if closed.stability_margin() > 0:
                 measured = float(np.linalg.norm(closed.response(omega[k])[0], 2))
-                found.append(WorstCase(realised, hinf_norm(realised).upper, float(omega[k]), measured, float(nominal[k])))
+                found.append(
+                    WorstCase(
+                        realised, hinf_norm(realised).upper, float(omega[k]), measured, float(nominal[k])
+                    )
+                )
     if not found:
         raise ArithmeticError("no Delta of size 1 that keeps the loop stable was found at any frequency")
     return max(found, key=lambda one: one.gain)
@@ -95,14 +105,17 @@ class _Search:
     def run(self, M: np.ndarray, d: np.ndarray, steps: int) -> tuple[float, np.ndarray]:
         """The largest gain found and its Δ, each block of size 1; d (τ,): a scaling that helps.
 
-        Each step takes the Δ of μ with the performance rows divided by the gain reached, and sizes its blocks to 1.
+        Each step takes the Δ of μ with the performance rows divided by the gain reached, and sizes its blocks
+        to 1.
         """
-        left, right = (np.concatenate([np.full(n, x) for n, x in zip(sizes, [*d, 1.0], strict=True)])
-                       for sizes in ([b.cols for b in self.blocks], [b.rows for b in self.blocks]))
-        level, best = np.linalg.norm(M[self.a:, self.b:], 2), np.zeros((self.b, self.a), complex)
+        left, right = (
+            np.concatenate([np.full(n, x) for n, x in zip(sizes, [*d, 1.0], strict=True)])
+            for sizes in ([b.cols for b in self.blocks], [b.rows for b in self.blocks])
+        )
+        level, best = np.linalg.norm(M[self.a :, self.b :], 2), np.zeros((self.b, self.a), complex)
         for _ in range(steps):
             scaled = M.copy()
-            scaled[self.a:] /= max(level, 1e-300)
+            scaled[self.a :] /= max(level, 1e-300)
             _, delta = mu_lower(scaled, self.blocks, np.diag(left), np.diag(right), np.inf, starts=4)
             if delta is None:
                 break
@@ -120,8 +133,10 @@ class _Search:
         return float(np.linalg.norm(M[a:, b:] + M[a:, :b] @ delta @ inner, 2))
 
     def _blocks_of(self, delta: np.ndarray):
-        return [(slice(*c), slice(*r), delta[slice(*c), slice(*r)])
-                for c, r in zip(itertools.pairwise(self.cols), itertools.pairwise(self.rows), strict=True)]
+        return [
+            (slice(*c), slice(*r), delta[slice(*c), slice(*r)])
+            for c, r in zip(itertools.pairwise(self.cols), itertools.pairwise(self.rows), strict=True)
+        ]
 
     def _sized(self, delta: np.ndarray) -> np.ndarray:
         out = np.zeros((self.b, self.a), complex)
@@ -131,7 +146,8 @@ class _Search:
         return out
 
     def choices(self, delta: np.ndarray, real: bool):
-        """(u, v) per block with Δ_i = u vᴴ and ‖u‖ ‖v‖ = 1. ``real``: the real part, with every choice of signs."""
+        """(u, v) per block with Δ_i = u vᴴ and ‖u‖ ‖v‖ = 1. ``real``: the real part, with every choice of
+        signs."""
         parts = []
         for _, _, block in self._blocks_of(delta):
             U, _, Vh = np.linalg.svd(block)
@@ -155,7 +171,8 @@ def _realise(u: np.ndarray, v: np.ndarray, omega: float, dt: float) -> StateSpac
 
 
 def _all_pass(value: complex, omega: float) -> StateSpace:
-    """A stable system of constant magnitude |value| that equals ``value`` at ``omega`` > 0 (at 0: its real part's sign)."""
+    """A stable system of constant magnitude |value| that equals ``value`` at ``omega`` > 0 (at 0: its real
+    part's sign)."""
     size, phase = abs(value), np.angle(value)
     if omega == 0 or abs(np.sin(phase)) < 1e-9:
         return gain([[size * np.sign(np.cos(phase))]])

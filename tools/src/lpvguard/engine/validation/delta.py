@@ -11,6 +11,7 @@ import numpy as np
 from lpvguard.base.errors import InputError
 from lpvguard.engine.blocks import Block
 
+
 def split(blocks: Sequence[Block], vector: np.ndarray, side: str) -> list[np.ndarray]:
     """Cut a stacked xi (``side`` 'rows') or eta ('cols'), or the rows of a matrix that maps to it, by
     blocks."""

@@ -177,8 +177,8 @@ def parametrise(problem: Lft) -> Parametrisation:
 class _Form:
     """|a z|^2 <= (constant + sizes[param]) slope |b z|^2, and for a repeated block a z = delta b z as well.
 
-    ``param`` -1: the constant alone; inf when a repeated block has no bound (its own cap is infinite). ``parts``: the
-    signals that a is stacked from, when there are several.
+    ``param`` -1: the constant alone; inf when a repeated block has no bound (its own cap is infinite).
+    ``parts``: the signals that a is stacked from, when there are several.
     """
 
     a: np.ndarray
@@ -260,8 +260,8 @@ class _Node:
 
 @dataclass(frozen=True)
 class _Tangent:
-    """Bounds of :meth:`_Quadratic.tangent`: ``lower`` over the node; at the boxes' centre on the central ray, over the
-    corners there (``box``), over the rays there (``cone``); primal matrix or None."""
+    """Bounds of :meth:`_Quadratic.tangent`: ``lower`` over the node; at the boxes' centre on the central ray,
+    over the corners there (``box``), over the rays there (``cone``); primal matrix or None."""
 
     lower: float
     centre: float
@@ -288,13 +288,14 @@ class _Quadratic:
         self.forms, self.params, self._n = list(forms), params, n
         self.repeated = [k for k, f in enumerate(self.forms) if f.repeated]
         users = [f.param for f in self.forms]
-        # A size that one repeated block alone decides: its box bounds it, so it needs no direction of its own.
+        # A size that one repeated block alone decides: its box bounds it, so it needs no direction of its
+        # own.
         self._boxed = {
             self.forms[k].param for k in self.repeated if users.count(self.forms[k].param) == 1
         } - {-1}
         self._first_boxes: dict[int, _Box] = {}
-        # A Newton step takes the cube of the number of multipliers: with two larger blocks the relaxation costs fifty
-        # times the tangent's, and is left out where that was the better bound.
+        # A Newton step takes the cube of the number of multipliers: with two larger blocks the relaxation
+        # costs fifty times the tangent's, and is left out where that was the better bound.
         self._costly = (
             sum((3 if f.repeated == "repeated_real" else 2) * len(f.a) ** 2 for f in self.forms if f.repeated)
             > COSTLY
@@ -305,8 +306,8 @@ class _Quadratic:
     # -- certificates
 
     def _certificate_forms(self, boxes: dict[int, _Box], only: Sequence[int] | None = None):
-        """Generators Q0 (m, n, n), level part G (m, n, n) with the parameter of each, and the multiplier cone; of all
-        forms or of those in ``only``."""
+        """Generators Q0 (m, n, n), level part G (m, n, n) with the parameter of each, and the multiplier
+        cone; of all forms or of those in ``only``."""
         q0, level, param, groups = [], [], [], []
 
         def add(kind, order, zero, slope_part, index):
@@ -352,14 +353,15 @@ class _Quadratic:
         return base + edges, base + length, inverse
 
     def tangent(self, node: _Node, cutoff: float) -> _Tangent | None:
-        """Second bound over a node with boxes, whose error is of second order in their size; None without one.
+        """Second bound over a node with boxes, whose error is of second order in their size; None without
+        one.
 
-        At the boxes' centre c the repeated blocks are linear constraints, A(c) z = 0 with rows a - c b, and the
-        others give multipliers y on its kernel. Finsler: some Y makes the certificate
-        Q(y, p) + Y^* A(c) + A(c)^* Y positive on the whole space. With the same y and Y it is affine in the
-        scalars and the sizes, so that it holds over the box when it holds at its corners, and |delta|^2 lies
-        above its tangent at c. Y's part outside the kernel is free: a ladder of penalties on |A z|^2 is tried
-        and the best corner bound kept.
+        At the boxes' centre c the repeated blocks are linear constraints, A(c) z = 0 with rows a - c b, and
+        the others give multipliers y on its kernel. Finsler: some Y makes the certificate Q(y, p) + Y^* A(c)
+        + A(c)^* Y positive on the whole space. With the same y and Y it is affine in the scalars and the
+        sizes, so that it holds over the box when it holds at its corners, and |delta|^2 lies above its
+        tangent at c. Y's part outside the kernel is free: a ladder of penalties on |A z|^2 is tried and the
+        best corner bound kept.
         """
         if self._plain is None or not node.boxes:
             return None
@@ -405,7 +407,8 @@ class _Quadratic:
         zero, slopes = np.tensordot(y, q0, axes=1), np.tensordot(rays * y, level, axes=1)
         at = zero - (length if np.isfinite(length) else 0.0) * slopes[0]
         outside = normal.conj().T @ at @ normal
-        # Y^* = lift @ pinv(A N); lift makes the certificate block diagonal: ``at`` on the kernel, the penalty outside.
+        # Y^* = lift @ pinv(A N); lift makes the certificate block diagonal: ``at`` on the kernel, the penalty
+        # outside.
         to_rows = (left[:, :rank] / s[:rank]).conj().T
         penalties = np.linalg.norm(at) * PENALTIES
         cross = -kernel @ (kernel.conj().T @ at @ normal)
@@ -685,8 +688,8 @@ class _Quadratic:
         """A point that needs no size at all, when there is one: the optimum is then exactly zero."""
         if any(f.repeated and f.param < 0 for f in self.forms):
             return None
-        # Each signal in units of its own: xi and w may be 1e14 apart, or their weights, and one must not hide in the
-        # other's rounding.
+        # Each signal in units of its own: xi and w may be 1e14 apart, or their weights, and one must not hide
+        # in the other's rounding.
         wanted = [
             a / (np.linalg.norm(a) or 1.0) for f in self.forms if f.param >= 0 for a in f.parts or (f.a,)
         ]
@@ -745,8 +748,8 @@ class _Quadratic:
         found.
 
         ``points``: (n,) each, known explanations to begin with. A cost below ``zero`` times that of the first
-        point found counts as zero and ends the search. It ends as well once the optimum is known to be at most
-        ``enough``, or above it.
+        point found counts as zero and ends the search. It ends as well once the optimum is known to be at
+        most ``enough``, or above it.
         """
         free = self.zero()
         if free is not None:
@@ -811,8 +814,8 @@ class _Quadratic:
         return float(total.sum())
 
     def _branch(self, node: _Node, edges: float, central: float, best: _Best, tangent: _Tangent | None):
-        """Two nodes that cover this one: its widest pair of rays cut in the middle, or its widest box; None when
-        neither can be."""
+        """Two nodes that cover this one: its widest pair of rays cut in the middle, or its widest box; None
+        when neither can be."""
         cone_loss, relaxation_loss = central - edges, best.cost - central
         if tangent is not None and tangent.lower > edges:
             cone_loss, relaxation_loss = tangent.centre - tangent.cone, 2.0 * (tangent.centre - tangent.box)
@@ -831,7 +834,8 @@ class _Quadratic:
         if self.repeated and np.isfinite(best.cost):
             rays, boxes = node.rays, node.boxes
             if not boxes:
-                # A block without a cap or a size to pay for has no bounded box: its part of the interval stays open.
+                # A block without a cap or a size to pay for has no bounded box: its part of the interval
+                # stays open.
                 boxes = {
                     k: self._first_box(k, best.cost)
                     for k in self.repeated
@@ -976,8 +980,8 @@ class _Posed:
     def signals(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(xi, eta, w) at a point in scaled coordinates; a xi_i that is only rounding is exactly zero.
 
-        Rounding in xi_i = 0 has no direction: it is no multiple of eta_i, as a repeated block's xi_i has to be, and
-        gives a full block a size.
+        Rounding in xi_i = 0 has no direction: it is no multiple of eta_i, as a repeated block's xi_i has to
+        be, and gives a full block a size.
         """
         z = z / (self.t @ z)[0]
         xi = np.concatenate([np.zeros(len(m)) if _cancels(m, z) else m @ z for m in self.xi])
@@ -1174,8 +1178,8 @@ def _one_block(problem: _Quadratic, caps: np.ndarray, posed: _Posed) -> Interval
 
 
 def _last_block_is_free(problem: Lft, gamma_w: float, gap: float, max_nodes: int) -> bool:
-    """True when an explanation without the last block was found: the smallest disturbance that one needs is at
-    most gamma_w. Only asked beside repeated blocks: without them the least-squares point of
+    """True when an explanation without the last block was found: the smallest disturbance that one needs is
+    at most gamma_w. Only asked beside repeated blocks: without them the least-squares point of
     :meth:`_Quadratic.zero` decides.
     """
     last = len(problem.blocks) - 1

@@ -163,15 +163,16 @@ def maximise_level(q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: f
 
 
 def rounding(y: np.ndarray, forms: np.ndarray) -> float:
-    """Bound on the rounding error (2-norm) of sum_j y_j forms_j, ``forms`` (m, n, n): free multipliers may be large and
-    cancel, and a certificate must not rest on what is left of that."""
+    """Bound on the rounding error (2-norm) of sum_j y_j forms_j, ``forms`` (m, n, n): free multipliers may be
+    large and cancel, and a certificate must not rest on what is left of that."""
     n = forms.shape[-1]
     return 4.0 * n * np.finfo(float).eps * float(np.abs(y) @ np.linalg.norm(forms, axis=(1, 2)))
 
 
 def reach(zero: np.ndarray, slopes: np.ndarray, error: float = 0.0) -> np.ndarray:
     """Largest length (k,) at which ``zero`` - length ``slopes[k]`` stays >= 0; inf where nothing ends it, 0
-    where ``zero`` (n, n) itself is not positive definite. ``slopes`` (k, n, n) >= 0; ``error``: of ``zero``, 2-norm."""
+    where ``zero`` (n, n) itself is not positive definite. ``slopes`` (k, n, n) >= 0; ``error``: of ``zero``,
+    2-norm."""
     zero = zero - error * np.eye(len(zero))
     try:
         factor = np.linalg.inv(np.linalg.cholesky(0.5 * (zero + zero.conj().T)))
@@ -182,8 +183,8 @@ def reach(zero: np.ndarray, slopes: np.ndarray, error: float = 0.0) -> np.ndarra
 
 
 def reaches(zeros: np.ndarray, slopes: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """:func:`reach` (..., k) for many ``zeros`` (..., n, n) with ``errors`` (...,), -inf where one is not positive
-    definite; ``slopes`` (k, n, n)."""
+    """:func:`reach` (..., k) for many ``zeros`` (..., n, n) with ``errors`` (...,), -inf where one is not
+    positive definite; ``slopes`` (k, n, n)."""
     zeros = zeros - errors[..., None, None] * np.eye(zeros.shape[-1])
     good = np.linalg.eigvalsh(zeros)[..., 0] > errors
     out = np.full((*good.shape, len(slopes)), -np.inf)

@@ -250,7 +250,8 @@ def tradeoff(e, z, gamma_w, lambda_nu, lambda_w) -> TradeoffResult:
     outside = distance > radius
     pull = np.divide(radius, distance, out=np.ones(len(e)), where=outside)
     delta = np.where(outside, centre + pull * offset, target)
-    # Close to the target the centre would cancel: the way there is the smallest delta that explains what the target leaves.
+    # Close to the target the centre would cancel: the way there is the smallest delta that explains what the
+    # target leaves.
     near = outside & (distance < 2.0 * radius)
     rest = solve(e[near] - target[near, None] * z[near], z[near], gamma[near])
     delta[near] = np.where(rest.feasible, target[near] + rest.delta, delta[near])

@@ -7,8 +7,8 @@
 G_d = int_0^Ts e^{As} ds makes nu_s a rate (1/s), G_d = I a size per sample. At fixed nu_s this is a complex
 quadratic problem with two constraints, whose dual has no gap as long as nu_s < 1/sigma_max(H_s), H_s = (z I -
 A_d)^-1 G_d (at that cap an allowed Delta_s makes the loop singular). The optimum over nu_s is found by branch
-and bound: see base/_native/s2.c, whose numpy version is here. ``solve_forms`` is the kernel for any problem with
-one full block beside plain quadratics.
+and bound: see base/_native/s2.c, whose numpy version is here. ``solve_forms`` is the kernel for any problem
+with one full block beside plain quadratics.
 """
 
 from __future__ import annotations
@@ -255,13 +255,15 @@ def _gram(m: np.ndarray) -> np.ndarray:
     return np.swapaxes(m.conj(), -1, -2) @ m
 
 
-def solve(e, u, x_nom, h_i, h_s, c, gamma_w, lambda_i=1.0, lambda_s=1.0, *, gap: float = GAP, names=None) -> S2Result:
+def solve(
+    e, u, x_nom, h_i, h_s, c, gamma_w, lambda_i=1.0, lambda_s=1.0, *, gap: float = GAP, names=None
+) -> S2Result:
     """Optimum of (8) for class S2 at K points.
 
     ``e`` (K, n_y), ``u`` (K,), ``x_nom`` (K, n_x) complex DFTs; ``h_i`` (K, n_x) = (zI - A_d)^-1 B_d; ``h_s``
     (K, n_x, n_x) = (zI - A_d)^-1 G_d; ``c`` (n_y, n_x); ``gamma_w``, ``lambda_i``, ``lambda_s`` (K,) or
-    numbers, the lambdas > 0; ``names`` (K,): the points' experiment and bin, for messages. Raises InputError on
-    shapes that do not fit and, naming the point, on values that are not finite or not positive.
+    numbers, the lambdas > 0; ``names`` (K,): the points' experiment and bin, for messages. Raises InputError
+    on shapes that do not fit and, naming the point, on values that are not finite or not positive.
     """
     e, u, x_nom, h_i, h_s, c = (np.asarray(a, dtype=complex) for a in (e, u, x_nom, h_i, h_s, c))
     points, n_y = e.shape
