@@ -15,13 +15,13 @@ public:
             throw 1;
         }
         lpvg_can_vdc2_t vdc2{};
-        vdc2.steering_wheel_angle      = lpvg_can_vdc2_steering_wheel_angle_encode(0.1F);
-        vdc2.yaw_rate                  = lpvg_can_vdc2_yaw_rate_encode(0.05F);
-        vdc2.lateral_acceleration      = lpvg_can_vdc2_lateral_acceleration_encode(0.7F);
+        vdc2.steering_wheel_angle = lpvg_can_vdc2_steering_wheel_angle_encode(0.1F);
+        vdc2.yaw_rate = lpvg_can_vdc2_yaw_rate_encode(0.05F);
+        vdc2.lateral_acceleration = lpvg_can_vdc2_lateral_acceleration_encode(0.7F);
         vdc2.longitudinal_acceleration = lpvg_can_vdc2_longitudinal_acceleration_encode(0.0F);
         packed_ = lpvg_can_vdc2_pack(&vdc2, &vdc2_) == lpvg_status_ok;
         lpvg_can_guard_in_t in{};
-        in.dp_measured      = lpvg_can_guard_in_dp_measured_encode(0.5F);
+        in.dp_measured = lpvg_can_guard_in_dp_measured_encode(0.5F);
         in.yaw_rate_command = lpvg_can_guard_in_yaw_rate_command_encode(0.05F);
         packed_ = packed_ && lpvg_can_guard_in_pack(&in, &guard_in_) == lpvg_status_ok;
     }
@@ -31,8 +31,7 @@ public:
     lpvg_can_frame_t guard_in(int64_t k) const {
         lpvg_can_frame_t frame = at(guard_in_, kStart + k * LPVG_CAN_GUARD_IN_PERIOD_US);
         auto counter = static_cast<uint8_t>(k % 15);
-        return lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &counter) == lpvg_status_ok ? frame
-                                                                                                 : lpvg_can_frame_t{};
+        return lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &counter) == lpvg_status_ok ? frame : lpvg_can_frame_t{};
     }
 
     lpvg_can_event_t send(const lpvg_can_frame_t& frame) {
@@ -54,7 +53,7 @@ public:
         return state(index);
     }
     uint32_t count(uint8_t index, lpvg_can_event_t event) const { return supervisor.watch[index].count[event]; }
-    bool     packed() const { return packed_; }
+    bool packed() const { return packed_; }
 
     lpvg_can_supervisor_t supervisor{};
 
@@ -65,5 +64,5 @@ private:
     }
     lpvg_can_frame_t vdc2_{};
     lpvg_can_frame_t guard_in_{};
-    bool             packed_ = false;
+    bool packed_ = false;
 };

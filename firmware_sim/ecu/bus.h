@@ -17,14 +17,10 @@ typedef struct bus_t {
 } bus_t;
 
 /* False when the driver could not take the frame (queue full, bus off). */
-static inline bool bus_send(const bus_t* bus, const lpvg_can_frame_t* frame)
-{
-    return bus->send_frame(bus->driver, frame);
-}
+static inline bool bus_send(const bus_t* bus, const lpvg_can_frame_t* frame) { return bus->send_frame(bus->driver, frame); }
 
 /* False when no frame has arrived by now_us. Frames come in order of arrival, with their time in t_us. */
-static inline bool bus_receive(const bus_t* bus, int64_t now_us, lpvg_can_frame_t* frame)
-{
+static inline bool bus_receive(const bus_t* bus, int64_t now_us, lpvg_can_frame_t* frame) {
     return bus->receive_frame(bus->driver, now_us, frame);
 }
 

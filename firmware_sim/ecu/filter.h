@@ -7,8 +7,7 @@
 
 #include "lpvguard/bus.h"
 
-static inline bool filter_passes(const lpvg_can_frame_t* frame)
-{
+static inline bool filter_passes(const lpvg_can_frame_t* frame) {
     size_t i;
     for (i = 0u; i < lpvg_bus.n_rules; ++i) {
         if (((frame->id ^ lpvg_bus.rules[i].id) & lpvg_bus.rules[i].id_mask) == 0u) {

@@ -9,8 +9,7 @@ const lpvg_ecu_config_t firmware_config = {
     .plausibility = {.track_m = 2.07f, .speed_min_mps = 5.0f, .lateral_mps2 = 1.5f, .yaw_rps = 0.15f, .confirm = 100u},
 };
 
-lpvg_status_t firmware_init(firmware_t* self, const bus_t* bus, const lpvg_ecu_config_t* config, int64_t now_us)
-{
+lpvg_status_t firmware_init(firmware_t* self, const bus_t* bus, const lpvg_ecu_config_t* config, int64_t now_us) {
     if (self == NULL || bus == NULL) {
         return lpvg_status_bad_argument;
     }
@@ -19,8 +18,7 @@ lpvg_status_t firmware_init(firmware_t* self, const bus_t* bus, const lpvg_ecu_c
     return lpvg_ecu_init(&self->ecu, &lpvg_coeff, &lpvg_control_coeff, config, now_us);
 }
 
-lpvg_status_t firmware_tick(firmware_t* self, int64_t now_us)
-{
+lpvg_status_t firmware_tick(firmware_t* self, int64_t now_us) {
     lpvg_can_frame_t out[LPVG_ECU_FRAMES_OUT];
     size_t n_in = 0u;
     size_t n_out = 0u;

@@ -155,9 +155,7 @@ private:
 
 }  // namespace
 
-std::unique_ptr<Publisher> publisher_on(std::shared_ptr<lcm::LCM> lcm) {
-    return std::make_unique<LcmPublisher>(std::move(lcm));
-}
+std::unique_ptr<Publisher> publisher_on(std::shared_ptr<lcm::LCM> lcm) { return std::make_unique<LcmPublisher>(std::move(lcm)); }
 
 std::unique_ptr<Publisher> open_publisher(const std::string& url) {
     auto lcm = std::make_shared<lcm::LCM>(url);

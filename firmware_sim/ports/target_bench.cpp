@@ -207,9 +207,7 @@ void run_controller() {
         const lpvg_sample_t sample = sample_at(k);
         lpvg_real_t m[LPVG_NM];
         measurements(k, m);
-        part.run([&] {
-            require(lpvg_control_step(&control, sample.speed, m, true) == lpvg_status_ok, "a measurement was refused\n");
-        });
+        part.run([&] { require(lpvg_control_step(&control, sample.speed, m, true) == lpvg_status_ok, "a measurement was refused\n"); });
         demands[k] = control.u[0];
         if (k % 100U == 0U) {
             Line().word("demand").number(static_cast<uint64_t>(sample.t_us)).bits(control.u[0]).write();
@@ -276,9 +274,8 @@ void run_ecu() {
         lpvg_can_frame_t in[3] = {}, out[LPVG_ECU_FRAMES_OUT] = {};
         const std::size_t n_in = bus_frames(k, in, &counter);
         std::size_t n_out = 0;
-        part.run([&] {
-            require(lpvg_ecu_step(&ecu, time_us(k), in, n_in, out, LPVG_ECU_FRAMES_OUT, &n_out) == lpvg_status_ok, "no step\n");
-        });
+        part.run(
+            [&] { require(lpvg_ecu_step(&ecu, time_us(k), in, n_in, out, LPVG_ECU_FRAMES_OUT, &n_out) == lpvg_status_ok, "no step\n"); });
         if (k % 100U == 0U) {
             Line().word("demand").number(static_cast<uint64_t>(time_us(k))).bits(ecu.control.u[0]).write();
         }

@@ -27,9 +27,8 @@ Command::Command(const CommandSettings& settings, std::uint64_t seed) : settings
     for (int i = 0; i < n; ++i) {
         // A random place in each of n equal cells: no two seeds repeat with the same period.
         const double place = (i + random.uniform()) / n;
-        const double omega = settings_.linear_spacing
-                                 ? settings_.low_radps + place * (settings_.high_radps - settings_.low_radps)
-                                 : settings_.low_radps * std::pow(settings_.high_radps / settings_.low_radps, place);
+        const double omega = settings_.linear_spacing ? settings_.low_radps + place * (settings_.high_radps - settings_.low_radps)
+                                                      : settings_.low_radps * std::pow(settings_.high_radps / settings_.low_radps, place);
         const double phase = random.uniform(0.0, two_pi);
         oscillators_.push_back({std::cos(phase), std::sin(phase), std::cos(omega * sample_s), std::sin(omega * sample_s)});
     }
@@ -38,8 +37,7 @@ Command::Command(const CommandSettings& settings, std::uint64_t seed) : settings
 double Command::next() {
     const double time_s = static_cast<double>(samples_++) * sample_s;
     if (settings_.kind == CommandSettings::Kind::steps) {
-        return std::fmod(time_s, settings_.period_s) < 0.5 * settings_.period_s ? settings_.amplitude_radps
-                                                                                : -settings_.amplitude_radps;
+        return std::fmod(time_s, settings_.period_s) < 0.5 * settings_.period_s ? settings_.amplitude_radps : -settings_.amplitude_radps;
     }
     if (settings_.kind == CommandSettings::Kind::profile) {
         return on_profile(time_s);

@@ -39,15 +39,12 @@ Status Control::answer(std::int64_t now_us, const ControlCommand& command, const
     Status answer{now_us, state(), command.id, true};
     try {
         switch (command.action) {
-            case ControlCommand::pause:
-                left_ = 0;
-                break;
-            case ControlCommand::resume:
-                left_ = without_end;
-                break;
+            case ControlCommand::pause: left_ = 0; break;
+            case ControlCommand::resume: left_ = without_end; break;
             case ControlCommand::step:
                 if (command.ticks < 1 || command.ticks > steps_max) {
-                    throw ParameterError("command: ticks = " + std::to_string(command.ticks) + ": expected 1 .. " + std::to_string(steps_max));
+                    throw ParameterError("command: ticks = " + std::to_string(command.ticks) + ": expected 1 .. " +
+                                         std::to_string(steps_max));
                 }
                 left_ = command.ticks;
                 break;

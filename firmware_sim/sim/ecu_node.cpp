@@ -70,8 +70,8 @@ class RemoteBus final : public LoopBus {
 public:
     explicit RemoteBus(const std::string& interface) {
         constexpr std::uint32_t any_priority = ~0x1C000000U, dm1_id = LPVG_CAN_EXTENDED | 0x18FECA00U;
-        const std::array<socketcan_filter_t, 2> from_ecu = {{{LPVG_CAN_GUARD_OUT_ID, any_priority},
-                                                             {dm1_id | lpvg_bus.own_address, any_priority}}};
+        const std::array<socketcan_filter_t, 2> from_ecu = {
+            {{LPVG_CAN_GUARD_OUT_ID, any_priority}, {dm1_id | lpvg_bus.own_address, any_priority}}};
         if (!bus_.open(interface.c_str(), from_ecu.data(), from_ecu.size())) {
             throw UsageError("--bus socketcan:" + interface + ": " + std::strerror(bus_.driver().error));
         }
@@ -117,8 +117,8 @@ public:
         posix_spawn_file_actions_t actions;
         posix_spawn_file_actions_init(&actions);
         posix_spawn_file_actions_adddup2(&actions, pair[1], line_of_child);  // also without close-on-exec when they are the same
-        std::vector<std::string> words = {program, interface, "--engage", engage ? "yes" : "no", "--time-line",
-                                          std::to_string(line_of_child)};
+        std::vector<std::string> words = {
+            program, interface, "--engage", engage ? "yes" : "no", "--time-line", std::to_string(line_of_child)};
         std::vector<char*> argv;
         for (std::string& word : words) {
             argv.push_back(word.data());

@@ -31,7 +31,8 @@ public:
     };
 
     /// `toml`: one entry of can_fault, plant.sensor_fault, plant.actuator_fault, plant.surroundings_fault or plant.speed_change without
-    /// start_s, as in control_t (firmware_sim/lcm). All three throw ParameterError for what the scenario file could not hold, or says already.
+    /// start_s, as in control_t (firmware_sim/lcm). All three throw ParameterError for what the scenario file could not hold, or says
+    /// already.
     Change injected(double start_s, const std::string& toml) const;
     Change cleared(double end_s, const std::string& entry) const;
     Change ended(double duration_s) const;

@@ -102,8 +102,8 @@ void Loop::run(double pace) {
             begin += Clock::now() - asked;  // a pause is not to be made up for
         }
         if (pace > 0.0) {
-            std::this_thread::sleep_until(begin + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(
-                                                      static_cast<double>(k * tick_us) * 1e-6 / pace)));
+            std::this_thread::sleep_until(begin + std::chrono::duration_cast<Clock::duration>(
+                                                      std::chrono::duration<double>(static_cast<double>(k * tick_us) * 1e-6 / pace)));
         }
         tick(k);
     }
@@ -131,9 +131,8 @@ void Loop::print(std::FILE* out, std::uint64_t seed) {
     print_changes(out, "verdicts", verdicts_, [out](std::uint8_t v) { std::fprintf(out, "\"%s\"", verdict_names[v]); });
     print_changes(out, "supervision", supervision_, [out](std::uint8_t s) { std::fprintf(out, "\"%s\"", supervision_names[s]); });
     print_changes(out, "implausible", implausible_, [out](std::uint8_t flags) { std::fprintf(out, "%d", flags); });
-    print_changes(out, "trouble_codes", troubles_, [out](const TroubleCode& t) {
-        std::fprintf(out, "{\"spn\": %" PRIu32 ", \"fmi\": %d}", t.spn, t.fmi);
-    });
+    print_changes(out, "trouble_codes", troubles_,
+                  [out](const TroubleCode& t) { std::fprintf(out, "{\"spn\": %" PRIu32 ", \"fmi\": %d}", t.spn, t.fmi); });
     std::fprintf(out, " \"reception\": %s,\n", ecu_.finish().c_str());
     std::fprintf(out, " \"schema\": 1}\n");
 }
@@ -186,8 +185,8 @@ void Loop::note(std::int64_t k, double time_s, double command_radps, double want
     if (ends_.telemetry != nullptr && k % telemetry_every == 0) {
         const lpvguard_plant::Truth& truth = plant_.truth();
         std::fprintf(ends_.telemetry, "%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%d,%d\n", time_s, truth.speed_mps, command_radps,
-                     wanted_radps, truth.yaw_rate_radps, truth.road_wheel_rad, vehicle_.demand_bar(),
-                     static_cast<double>(report.margin), report.verdict, report.supervision);
+                     wanted_radps, truth.yaw_rate_radps, truth.road_wheel_rad, vehicle_.demand_bar(), static_cast<double>(report.margin),
+                     report.verdict, report.supervision);
     }
 }
 
@@ -209,8 +208,7 @@ void Loop::note_frame(const Judged& judged, std::int64_t now_us, std::uint8_t ve
 void Loop::note_sample(const lpvg_ecu_t& ecu, std::int64_t k, double time_s) {
     if (ends_.drive != nullptr && ecu.monitor.running && ecu.monitor.t_us == k * tick_us) {
         std::fprintf(ends_.drive, "%.9g,%.9g,%.9g,%.9g,%.9g\n", time_s, static_cast<double>(ecu.signals.speed),
-                     static_cast<double>(ecu.control.u[0]), static_cast<double>(ecu.signals.y[0]),
-                     static_cast<double>(ecu.signals.y[1]));
+                     static_cast<double>(ecu.control.u[0]), static_cast<double>(ecu.signals.y[0]), static_cast<double>(ecu.signals.y[1]));
     }
 }
 

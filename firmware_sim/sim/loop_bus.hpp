@@ -11,7 +11,10 @@ namespace lpvguard_sim {
 
 class LoopBus {
 public:
-    enum Node : std::size_t { vehicle, ecu };
+    enum Node : std::size_t {
+        vehicle,
+        ecu
+    };
 
     /// Called for every frame that a node sends, before it arrives.
     using Watcher = void (*)(void* context, const lpvg_can_frame_t& frame);

@@ -53,9 +53,10 @@ void require_written(const OutputFile& file) {
 
 int run(int argc, char** argv) {
     if (argc < 2 || std::strncmp(argv[1], "--", 2) == 0) {
-        throw UsageError("usage: lpvguard_sim SCENARIO --parameters TRUCK.toml [--seed N] [--engage yes|no] [--ecu PROGRAM] [--pace X] [--log F] "
-                         "[--frames F] [--drive F] [--telemetry F] [--lcm URL [--start running|paused] [--applied F]] "
-                         "[--bus memory|socketcan:INTERFACE]");
+        throw UsageError(
+            "usage: lpvguard_sim SCENARIO --parameters TRUCK.toml [--seed N] [--engage yes|no] [--ecu PROGRAM] [--pace X] [--log F] "
+            "[--frames F] [--drive F] [--telemetry F] [--lcm URL [--start running|paused] [--applied F]] "
+            "[--bus memory|socketcan:INTERFACE]");
     }
     lpvguard_plant::Arguments arguments(argc - 2, argv + 2);
     lpvguard_sim::LiveScenario scenario(argv[1]);

@@ -32,7 +32,14 @@ struct JudgedFrame {
 
 /// As control_t.
 struct ControlCommand {
-    enum Action : std::int8_t { pause, resume, step, stop, inject, clear };
+    enum Action : std::int8_t {
+        pause,
+        resume,
+        step,
+        stop,
+        inject,
+        clear
+    };
     std::int64_t id;
     std::int8_t action;           ///< As received: perhaps none of the above.
     std::int32_t ticks;
@@ -41,7 +48,11 @@ struct ControlCommand {
 
 /// As status_t.
 struct Status {
-    enum State : std::int8_t { running, paused, ended };
+    enum State : std::int8_t {
+        running,
+        paused,
+        ended
+    };
     std::int64_t now_us;
     State state;
     std::int64_t id = 0;

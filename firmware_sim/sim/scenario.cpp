@@ -26,8 +26,7 @@ constexpr MessageName messages[] = {
 /// One table of the file, whose numbers and words are taken by name.
 class Reader {
 public:
-    Reader(const toml::table& table, const std::string& file, const std::string& where)
-        : table_(table), file_(file), where_(where) {}
+    Reader(const toml::table& table, const std::string& file, const std::string& where) : table_(table), file_(file), where_(where) {}
 
     double required(std::string_view key, double low, double high) const {
         const toml::node* const node = table_.get(key);
@@ -89,9 +88,7 @@ CommandSettings read_command(const toml::table& table, const std::string& file) 
     constexpr std::string_view kinds[] = {"zero", "multisine", "steps", "profile"};
     command.kind = static_cast<CommandSettings::Kind>(reader.choice("kind", kinds));
     switch (command.kind) {
-        case CommandSettings::Kind::zero:
-            require_known_keys(table, file, "command.", {"kind"});
-            break;
+        case CommandSettings::Kind::zero: require_known_keys(table, file, "command.", {"kind"}); break;
         case CommandSettings::Kind::multisine: {
             require_known_keys(table, file, "command.", {"kind", "rms_radps", "low_radps", "high_radps", "spacing"});
             command.rms_radps = reader.required("rms_radps", 0.0, 0.2);
@@ -123,8 +120,8 @@ CanFault read_can_fault(const toml::table& table, const std::string& file) {
         names[i] = messages[i].name;
     }
     fault.id = messages[reader.choice("message", names)].id;
-    constexpr std::string_view kinds[] = {"lost", "corrupted", "delayed", "repeated", "swapped", "stuck_counter", "wrong_length",
-                                          "unknown_id", "babbling", "bus_off"};
+    constexpr std::string_view kinds[] = {"lost",          "corrupted",    "delayed",    "repeated", "swapped",
+                                          "stuck_counter", "wrong_length", "unknown_id", "babbling", "bus_off"};
     fault.kind = static_cast<CanFault::Kind>(reader.choice("kind", kinds));
     fault.window.start_s = reader.required("start_s", 0.0, 1e9);
     fault.window.end_s = reader.optional("end_s", fault.window.end_s, fault.window.start_s, 1e9);

@@ -39,7 +39,12 @@
 namespace lpvguard_sim {
 
 struct CommandSettings {
-    enum class Kind { zero, multisine, steps, profile };
+    enum class Kind {
+        zero,
+        multisine,
+        steps,
+        profile
+    };
     Kind kind = Kind::zero;
     double rms_radps = 0.0;
     double low_radps = 0.0;
@@ -52,7 +57,16 @@ struct CommandSettings {
 
 struct CanFault {
     enum class Kind {
-        lost, corrupted, delayed, repeated, swapped, stuck_counter, wrong_length, unknown_id, babbling, bus_off
+        lost,
+        corrupted,
+        delayed,
+        repeated,
+        swapped,
+        stuck_counter,
+        wrong_length,
+        unknown_id,
+        babbling,
+        bus_off
     };
     std::uint32_t id = 0;  ///< Of the message, as sent.
     Kind kind = Kind::lost;

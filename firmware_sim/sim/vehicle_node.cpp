@@ -61,8 +61,7 @@ void VehicleNode::send(std::int64_t now_us, const lpvguard_plant::Sensors& senso
     put(frame);
 
     lpvg_can_guard_in_t in{};
-    in.dp_measured = lpvg_can_guard_in_dp_measured_encode(
-        single(sensors.brake_pressure_right_bar - sensors.brake_pressure_left_bar));
+    in.dp_measured = lpvg_can_guard_in_dp_measured_encode(single(sensors.brake_pressure_right_bar - sensors.brake_pressure_left_bar));
     in.yaw_rate_command = lpvg_can_guard_in_yaw_rate_command_encode(single(command_radps));
     require(lpvg_can_guard_in_pack(&in, &frame));
     require(lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &counter_));
@@ -130,16 +129,13 @@ void VehicleNode::put(const lpvg_can_frame_t& sent) {
 bool VehicleNode::spoil(Fault& fault, lpvg_can_frame_t& frame, const lpvg_can_frame_t& before) {
     const bool first = !fault.holds;
     switch (fault.kind) {
-        case CanFault::Kind::lost:
-            return false;
+        case CanFault::Kind::lost: return false;
         case CanFault::Kind::corrupted: {
             const auto bit = static_cast<unsigned>(random_.uniform(0.0, 64.0));
             frame.data[bit / 8U] = static_cast<std::uint8_t>(frame.data[bit / 8U] ^ (1U << (bit % 8U)));
             return true;
         }
-        case CanFault::Kind::delayed:
-            delayed_.push_back({frame.t_us + std::llround(fault.delay_s * 1e6), frame});
-            return false;
+        case CanFault::Kind::delayed: delayed_.push_back({frame.t_us + std::llround(fault.delay_s * 1e6), frame}); return false;
         case CanFault::Kind::swapped:
             fault.holds = first;
             if (first) {
@@ -162,15 +158,9 @@ bool VehicleNode::spoil(Fault& fault, lpvg_can_frame_t& frame, const lpvg_can_fr
                 require(lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &counter));
             }
             return true;
-        case CanFault::Kind::wrong_length:
-            frame.dlc = 7;
-            return true;
-        case CanFault::Kind::unknown_id:
-            send_beside(frame, LPVG_CAN_EXTENDED | 0x18FFEE00U);
-            return true;
-        case CanFault::Kind::babbling:
-            send_beside(frame, frame.id);
-            return true;
+        case CanFault::Kind::wrong_length: frame.dlc = 7; return true;
+        case CanFault::Kind::unknown_id: send_beside(frame, LPVG_CAN_EXTENDED | 0x18FFEE00U); return true;
+        case CanFault::Kind::babbling: send_beside(frame, frame.id); return true;
         case CanFault::Kind::bus_off:  // concerns no single frame: off_the_bus
             break;
     }

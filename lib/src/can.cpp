@@ -6,8 +6,8 @@ namespace {
 
 constexpr uint32_t kPeriodMinUs = 4U;
 constexpr uint32_t kPeriodMaxUs = 10'000'000U;
-constexpr uint8_t  kCounters    = 15U;  // profile 11 counts 0 .. 14
-constexpr uint8_t  kFrameBytes  = 8U;
+constexpr uint8_t kCounters = 15U;  // profile 11 counts 0 .. 14
+constexpr uint8_t kFrameBytes = 8U;
 
 // CRC-8 with polynomial 0x1D, a byte at a time: entry n is the remainder of n * x^8.
 struct CrcTable {
@@ -29,7 +29,7 @@ uint8_t crc_step(uint8_t crc, uint8_t byte) { return kCrc.entry[static_cast<uint
 // Profile 11, data-id mode BOTH: id low, id high, then the frame without its CRC byte; start value and xor-out 0.
 uint8_t e2e_crc(const lpvg_can_frame_t& frame, uint16_t data_id) {
     uint8_t crc = crc_step(0U, static_cast<uint8_t>(data_id & 0xFFU));
-    crc         = crc_step(crc, static_cast<uint8_t>(data_id >> 8U));
+    crc = crc_step(crc, static_cast<uint8_t>(data_id >> 8U));
     for (uint8_t i = 1U; i < frame.dlc; ++i) {
         crc = crc_step(crc, frame.data[i]);
     }
@@ -41,9 +41,9 @@ bool e2e_length(const lpvg_can_frame_t& frame) { return frame.dlc >= 2U && frame
 void add(uint32_t& count, uint32_t n) { count = (n > UINT32_MAX - count) ? UINT32_MAX : count + n; }
 
 bool sane(const lpvg_can_rule_t& rule) {
-    if (rule.period_us < kPeriodMinUs || rule.period_us > kPeriodMaxUs || rule.gap_min_us >= rule.period_us ||
-        rule.dlc > kFrameBytes || rule.e2e > 1U || (rule.e2e == 1U && rule.dlc < 2U) ||
-        rule.n_signals > LPVG_CAN_SIGNALS_MAX || (rule.n_signals > 0U && rule.signals == nullptr)) {
+    if (rule.period_us < kPeriodMinUs || rule.period_us > kPeriodMaxUs || rule.gap_min_us >= rule.period_us || rule.dlc > kFrameBytes ||
+        rule.e2e > 1U || (rule.e2e == 1U && rule.dlc < 2U) || rule.n_signals > LPVG_CAN_SIGNALS_MAX ||
+        (rule.n_signals > 0U && rule.signals == nullptr)) {
         return false;
     }
     for (uint8_t i = 0U; i < rule.n_signals; ++i) {
@@ -58,7 +58,7 @@ bool sane(const lpvg_can_rule_t& rule) {
 // A signal of at most 16 bits lies in at most three bytes; what the frame has no more of, it does not reach.
 uint16_t extract(const lpvg_can_frame_t& frame, const lpvg_can_signal_rule_t& s) {
     const uint32_t first = s.start >> 3U;
-    uint32_t       bits  = frame.data[first];
+    uint32_t bits = frame.data[first];
     if (first < kFrameBytes - 1U) {
         bits |= static_cast<uint32_t>(frame.data[first + 1U]) << 8U;
     }
@@ -81,7 +81,7 @@ lpvg_can_event_t judge_signal(const lpvg_can_signal_rule_t& s, uint16_t raw, con
     if (before != nullptr && s.rate_max > 0U) {
         // |change| > rate * dt + 1 without a division; dt stays below 6 of the longest periods, so in 32 bits.
         const uint32_t change = raw > *before ? raw - *before : *before - raw;
-        const auto     dt     = static_cast<uint32_t>(dt_us);
+        const auto dt = static_cast<uint32_t>(dt_us);
         if (change > 1U && static_cast<uint64_t>(change - 1U) * 1'000'000U > static_cast<uint64_t>(s.rate_max) * dt) {
             return lpvg_can_event_gradient;
         }
@@ -95,9 +95,9 @@ lpvg_can_event_t judge_signals(const lpvg_can_rule_t& rule, const lpvg_can_watch
     // Jitter brings frames closer together than their values were taken: at least one period has passed for those.
     // A message that is older than the switch-off has no value to compare with, so the product below stays small.
     const int64_t age_us = frame.t_us - watch.t_accepted_us;
-    const int64_t dt_us  = age_us < rule.period_us ? rule.period_us : age_us;
+    const int64_t dt_us = age_us < rule.period_us ? rule.period_us : age_us;
     for (uint8_t i = 0U; i < rule.n_signals; ++i) {
-        raw[i]           = extract(frame, rule.signals[i]);
+        raw[i] = extract(frame, rule.signals[i]);
         const auto event = judge_signal(rule.signals[i], raw[i], watch.has_raw != 0U ? &watch.raw[i] : nullptr, dt_us);
         if (event != lpvg_can_event_accepted) {
             return event;
@@ -116,10 +116,10 @@ lpvg_can_event_t judge_protection(const lpvg_can_rule_t& rule, lpvg_can_watch_t&
     if (counter >= kCounters) {
         return lpvg_can_event_sequence;
     }
-    const auto step     = static_cast<uint8_t>((counter + kCounters - watch.counter) % kCounters);
-    const bool had_one  = watch.has_counter != 0U;
-    watch.counter       = counter;
-    watch.has_counter   = 1U;
+    const auto step = static_cast<uint8_t>((counter + kCounters - watch.counter) % kCounters);
+    const bool had_one = watch.has_counter != 0U;
+    watch.counter = counter;
+    watch.has_counter = 1U;
     if (had_one && step == 0U) {
         return lpvg_can_event_repeated;
     }
@@ -136,7 +136,7 @@ lpvg_can_event_t judge(const lpvg_can_rule_t& rule, lpvg_can_watch_t& watch, con
                        uint16_t (&raw)[LPVG_CAN_SIGNALS_MAX]) {
     const bool early = watch.has_arrival != 0U && frame.t_us - watch.t_arrival_us < rule.gap_min_us;
     watch.t_arrival_us = frame.t_us;
-    watch.has_arrival  = 1U;
+    watch.has_arrival = 1U;
     if (early) {
         return lpvg_can_event_early;
     }
@@ -153,9 +153,9 @@ lpvg_can_event_t judge(const lpvg_can_rule_t& rule, lpvg_can_watch_t& watch, con
 }
 
 void switch_off(lpvg_can_watch_t& watch) {
-    watch.state       = lpvg_can_state_off;
+    watch.state = lpvg_can_state_off;
     watch.good_in_row = 0U;
-    watch.has_raw     = 0U;
+    watch.has_raw = 0U;
     watch.has_counter = 0U;
 }
 
@@ -165,7 +165,7 @@ void take_bad(lpvg_can_watch_t& watch) {
     }
     if (watch.state == lpvg_can_state_off) {
         watch.good_in_row = 0U;
-        watch.has_raw     = 0U;
+        watch.has_raw = 0U;
     } else if (watch.score >= LPVG_CAN_SCORE_OFF) {
         switch_off(watch);
     }
@@ -174,7 +174,7 @@ void take_bad(lpvg_can_watch_t& watch) {
 // Returns what the frame may be used for.
 lpvg_can_event_t take_good(lpvg_can_watch_t& watch, int64_t t_us, const uint16_t (&raw)[LPVG_CAN_SIGNALS_MAX]) {
     watch.t_accepted_us = t_us;
-    watch.missed        = 0U;
+    watch.missed = 0U;
     std::memcpy(watch.raw, raw, sizeof watch.raw);
     watch.has_raw = 1U;
     if (watch.state == lpvg_can_state_off) {
@@ -182,7 +182,7 @@ lpvg_can_event_t take_good(lpvg_can_watch_t& watch, int64_t t_us, const uint16_t
         if (watch.good_in_row < LPVG_CAN_RECOVER_FRAMES) {
             return lpvg_can_event_recovering;
         }
-        watch.score       = 0U;
+        watch.score = 0U;
         watch.good_in_row = 0U;
     } else if (watch.score > 0U) {
         --watch.score;
@@ -193,12 +193,12 @@ lpvg_can_event_t take_good(lpvg_can_watch_t& watch, int64_t t_us, const uint16_t
 
 void advance(lpvg_can_watch_t& watch, const lpvg_can_rule_t& rule, int64_t now_us) {
     const int64_t period = rule.period_us;
-    const int64_t late   = now_us - watch.t_accepted_us - period / 2;
+    const int64_t late = now_us - watch.t_accepted_us - period / 2;
     if (late <= (static_cast<int64_t>(watch.missed) + 1) * period) {
         return;  // no further period missed: the common case, without a division
     }
-    const int64_t whole  = (late - 1) / period;
-    const auto    missed = whole > UINT32_MAX ? UINT32_MAX : static_cast<uint32_t>(whole);
+    const int64_t whole = (late - 1) / period;
+    const auto missed = whole > UINT32_MAX ? UINT32_MAX : static_cast<uint32_t>(whole);
     add(watch.count[lpvg_can_event_missed], missed - watch.missed);
     watch.missed = missed;
     if (missed >= LPVG_CAN_OFF_MISSED) {
@@ -210,8 +210,8 @@ void advance(lpvg_can_watch_t& watch, const lpvg_can_rule_t& rule, int64_t now_u
 
 // Steps one check by one sample: `deviation` beyond `limit` is a violation.
 void plausibility_step(lpvg_can_plausibility_t& self, uint8_t check, float deviation, float limit, uint16_t confirm) {
-    uint16_t&  score     = self.score[check];
-    const auto flag      = static_cast<uint8_t>(1U << check);
+    uint16_t& score = self.score[check];
+    const auto flag = static_cast<uint8_t>(1U << check);
     const bool violation = deviation > limit || deviation < -limit;
     if (violation && score < confirm) {
         ++score;
@@ -241,9 +241,9 @@ lpvg_status_t lpvg_can_init(lpvg_can_supervisor_t* self, const lpvg_can_rule_t* 
         }
     }
     std::memset(self, 0, sizeof *self);
-    self->rules   = rules;
+    self->rules = rules;
     self->n_rules = static_cast<uint8_t>(n_rules);
-    self->now_us  = now_us;
+    self->now_us = now_us;
     for (uint8_t i = 0U; i < self->n_rules; ++i) {
         self->watch[i].t_accepted_us = now_us;
     }
@@ -290,10 +290,10 @@ lpvg_can_event_t lpvg_can_receive(lpvg_can_supervisor_t* self, const lpvg_can_fr
         add(self->count[lpvg_can_event_unknown_id], 1U);
         return lpvg_can_event_unknown_id;
     }
-    *index                  = i;
+    *index = i;
     lpvg_can_watch_t& watch = self->watch[i];
-    uint16_t          raw[LPVG_CAN_SIGNALS_MAX] = {};
-    lpvg_can_event_t  event = judge(self->rules[i], watch, *frame, raw);
+    uint16_t raw[LPVG_CAN_SIGNALS_MAX] = {};
+    lpvg_can_event_t event = judge(self->rules[i], watch, *frame, raw);
     if (event == lpvg_can_event_accepted) {
         event = take_good(watch, frame->t_us, raw);
     } else {
@@ -316,7 +316,7 @@ lpvg_status_t lpvg_can_e2e_protect(lpvg_can_frame_t* frame, uint16_t data_id, ui
     }
     frame->data[1] = static_cast<uint8_t>((frame->data[1] & 0xF0U) | *counter);
     frame->data[0] = e2e_crc(*frame, data_id);
-    *counter       = static_cast<uint8_t>((*counter + 1U) % kCounters);
+    *counter = static_cast<uint8_t>((*counter + 1U) % kCounters);
     return lpvg_status_ok;
 }
 
@@ -332,8 +332,8 @@ lpvg_status_t lpvg_can_e2e_check(const lpvg_can_frame_t* frame, uint16_t data_id
     return lpvg_status_ok;
 }
 
-lpvg_status_t lpvg_can_plausibility(lpvg_can_plausibility_t* self, const lpvg_can_plausibility_limits_t* limits,
-                                    float yaw_rate, float lateral, float speed, float wheel_difference) {
+lpvg_status_t lpvg_can_plausibility(lpvg_can_plausibility_t* self, const lpvg_can_plausibility_limits_t* limits, float yaw_rate,
+                                    float lateral, float speed, float wheel_difference) {
     if (self == nullptr || limits == nullptr || !(limits->track_m > 0.0F) || !(limits->speed_min_mps > 0.0F) ||
         !(limits->lateral_mps2 > 0.0F) || !(limits->yaw_rps > 0.0F) || limits->confirm == 0U) {
         return lpvg_status_bad_argument;
@@ -369,18 +369,17 @@ uint8_t lpvg_can_fmi(lpvg_can_event_t event) {
     }
 }
 
-lpvg_status_t lpvg_can_dm1_pack(lpvg_can_frame_t* frame, uint8_t source_address, uint8_t lamps,
-                                const lpvg_can_dtc_t* dtc) {
-    constexpr uint32_t kDm1Id    = 0x18FECA00U;
-    constexpr uint8_t  kLampMask = LPVG_CAN_LAMP_PROTECT | LPVG_CAN_LAMP_AMBER | LPVG_CAN_LAMP_RED | LPVG_CAN_LAMP_MIL;
+lpvg_status_t lpvg_can_dm1_pack(lpvg_can_frame_t* frame, uint8_t source_address, uint8_t lamps, const lpvg_can_dtc_t* dtc) {
+    constexpr uint32_t kDm1Id = 0x18FECA00U;
+    constexpr uint8_t kLampMask = LPVG_CAN_LAMP_PROTECT | LPVG_CAN_LAMP_AMBER | LPVG_CAN_LAMP_RED | LPVG_CAN_LAMP_MIL;
     if (frame == nullptr || (lamps & ~kLampMask) != 0 ||
         (dtc != nullptr && (dtc->spn > 0x7FFFFU || dtc->fmi > 31U || dtc->occurrence > 127U))) {
         return lpvg_status_bad_argument;
     }
     const lpvg_can_dtc_t none{};
     const lpvg_can_dtc_t& code = dtc != nullptr ? *dtc : none;
-    frame->id      = LPVG_CAN_EXTENDED | kDm1Id | source_address;
-    frame->dlc     = kFrameBytes;
+    frame->id = LPVG_CAN_EXTENDED | kDm1Id | source_address;
+    frame->dlc = kFrameBytes;
     frame->data[0] = lamps;
     frame->data[1] = 0xFFU;  // no lamp flashes
     frame->data[2] = static_cast<uint8_t>(code.spn & 0xFFU);

@@ -12,8 +12,8 @@ bool frames_fit(const lpvg_coeff_words_t& w) {
     for (std::size_t b = 0; b < LPVG_NBINS; ++b) {
         // A frame must be judged before the bin's next one ends. No frame is longer than DC's, whose length the verdict is
         // held for.
-        good = good && w.frame_length[b] % 2U == 0U && w.frame_length[b] / 2U > LPVG_NLATENCY &&
-               w.frame_length[b] <= w.frame_length[0] && w.cycles[b] < w.frame_length[b] / 2U;
+        good = good && w.frame_length[b] % 2U == 0U && w.frame_length[b] / 2U > LPVG_NLATENCY && w.frame_length[b] <= w.frame_length[0] &&
+               w.cycles[b] < w.frame_length[b] / 2U;
     }
     return good;
 }
@@ -46,9 +46,7 @@ bool energy_fits(const lpvg_coeff_reals_t& r) {
 
 }  // namespace
 
-extern "C" uint32_t lpvg_coeff_crc32(const lpvg_coeff_t* coeff) {
-    return coeff == nullptr ? 0U : lpvguard::coefficients_crc32(*coeff);
-}
+extern "C" uint32_t lpvg_coeff_crc32(const lpvg_coeff_t* coeff) { return coeff == nullptr ? 0U : lpvguard::coefficients_crc32(*coeff); }
 
 extern "C" lpvg_status_t lpvg_coeff_check(const lpvg_coeff_t* coeff) {
     if (coeff == nullptr) {
@@ -73,6 +71,7 @@ extern "C" lpvg_status_t lpvg_coeff_check(const lpvg_coeff_t* coeff) {
     if (!lpvguard::all_finite(coeff->reals)) {
         return lpvg_status_not_finite;
     }
-    const bool in_range = lpvguard::items_in_range(w) && lpvguard::items_in_range(coeff->reals) && frames_fit(w) && energy_fits(coeff->reals);
+    const bool in_range =
+        lpvguard::items_in_range(w) && lpvguard::items_in_range(coeff->reals) && frames_fit(w) && energy_fits(coeff->reals);
     return in_range ? lpvg_status_ok : lpvg_status_bad_value;
 }

@@ -11,9 +11,7 @@ namespace {
 constexpr int64_t dm1_period_us = 1'000'000;
 constexpr uint8_t occurrence_max = 126U;  // 127 says "unknown"
 
-bool reaction_good(uint8_t reaction) {
-    return reaction == lpvg_ecu_reaction_report || reaction == lpvg_ecu_reaction_release;
-}
+bool reaction_good(uint8_t reaction) { return reaction == lpvg_ecu_reaction_report || reaction == lpvg_ecu_reaction_release; }
 
 // The limits are what lpvg_can_plausibility accepts: asked of it, on a sample that it leaves out.
 bool limits_good(const lpvg_can_plausibility_limits_t& limits) {
@@ -74,8 +72,7 @@ lpvg_ecu_fault_t gravest(const lpvg_ecu_t& self, lpvg_can_state_t supervision) {
 lpvg_can_dtc_t trouble_code(const lpvg_ecu_t& self, const lpvg_bus_need_t& need) {
     constexpr uint8_t fmi_erratic = 2U, fmi_condition_exists = 31U;
     switch (self.fault) {
-        case lpvg_ecu_fault_message:
-            return {need.spn, lpvg_can_fmi(main_reason(self.supervisor.watch[need.index])), self.occurrence};
+        case lpvg_ecu_fault_message: return {need.spn, lpvg_can_fmi(main_reason(self.supervisor.watch[need.index])), self.occurrence};
         case lpvg_ecu_fault_invalid: return {LPVG_ECU_SPN_INVALID, fmi_condition_exists, self.occurrence};
         case lpvg_ecu_fault_implausible: return {LPVG_ECU_SPN_IMPLAUSIBLE, fmi_erratic, self.occurrence};
         default: return {LPVG_ECU_SPN_REFUSED, fmi_erratic, self.occurrence};
@@ -181,9 +178,8 @@ extern "C" lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const l
 
     if (live) {
         // The limits have been checked by init.
-        (void)!lpvg_can_plausibility(&self->plausibility, &self->config.plausibility, self->signals.yaw_rate,
-                                     self->signals.lateral, static_cast<float>(self->signals.speed),
-                                     self->signals.wheel_difference);
+        (void)!lpvg_can_plausibility(&self->plausibility, &self->config.plausibility, self->signals.yaw_rate, self->signals.lateral,
+                                     static_cast<float>(self->signals.speed), self->signals.wheel_difference);
     }
     run_controller(*self, live);
     run_monitor(*self, live);

@@ -32,21 +32,33 @@ struct Complex2 {
 };
 
 template <class Real>
-constexpr Complex2<Real> operator+(Complex2<Real> a, Complex2<Real> b) { return {a.re + b.re, a.im + b.im}; }
+constexpr Complex2<Real> operator+(Complex2<Real> a, Complex2<Real> b) {
+    return {a.re + b.re, a.im + b.im};
+}
 template <class Real>
-constexpr Complex2<Real> operator-(Complex2<Real> a, Complex2<Real> b) { return {a.re - b.re, a.im - b.im}; }
+constexpr Complex2<Real> operator-(Complex2<Real> a, Complex2<Real> b) {
+    return {a.re - b.re, a.im - b.im};
+}
 template <class Real>
 constexpr Complex2<Real> operator*(Complex2<Real> a, Complex2<Real> b) {
     return {a.re * b.re - a.im * b.im, a.re * b.im + a.im * b.re};
 }
 template <class Real>
-constexpr Complex2<Real> operator*(Real s, Complex2<Real> a) { return {s * a.re, s * a.im}; }
+constexpr Complex2<Real> operator*(Real s, Complex2<Real> a) {
+    return {s * a.re, s * a.im};
+}
 template <class Real>
-constexpr Complex2<Real> conj(Complex2<Real> a) { return {a.re, -a.im}; }
+constexpr Complex2<Real> conj(Complex2<Real> a) {
+    return {a.re, -a.im};
+}
 template <class Real>
-constexpr Real squared(Complex2<Real> a) { return a.re * a.re + a.im * a.im; }
+constexpr Real squared(Complex2<Real> a) {
+    return a.re * a.re + a.im * a.im;
+}
 template <class Real>
-constexpr Real cross(Complex2<Real> a, Complex2<Real> b) { return a.re * b.im - a.im * b.re; }
+constexpr Real cross(Complex2<Real> a, Complex2<Real> b) {
+    return a.re * b.im - a.im * b.re;
+}
 
 /// Margin of one frame with NY outputs. W > 0, B_j > 0; E and Z finite.
 template <class Real, std::size_t NY>

@@ -36,8 +36,7 @@ void set_speed(lpvg_model_t* self, const lpvg_coeff_t* coeff, Real speed) {
 
 }  // namespace
 
-extern "C" void lpvg_model_start(lpvg_model_t* self, const lpvg_coeff_t* coeff, const lpvg_real_t* u,
-                                 const lpvg_real_t* y) {
+extern "C" void lpvg_model_start(lpvg_model_t* self, const lpvg_coeff_t* coeff, const lpvg_real_t* u, const lpvg_real_t* y) {
     const lpvg_coeff_reals_t& r = coeff->reals;
     for (std::size_t i = 0; i < LPVG_NENTRIES; ++i) {
         self->entry[i] = r.base[i];
@@ -48,18 +47,15 @@ extern "C" void lpvg_model_start(lpvg_model_t* self, const lpvg_coeff_t* coeff, 
             past[i] = u[i] - r.input_offset[i];
         }
     }
-    Eigen::Map<Matrix<nx, 1>>(self->x) =
-        ConstMap<nx, ny>(&r.C_pinv[0][0]) * (ConstMap<ny, 1>(y) - ConstMap<ny, 1>(r.output_offset));
+    Eigen::Map<Matrix<nx, 1>>(self->x) = ConstMap<nx, ny>(&r.C_pinv[0][0]) * (ConstMap<ny, 1>(y) - ConstMap<ny, 1>(r.output_offset));
 }
 
 extern "C" void lpvg_model_output(const lpvg_model_t* self, const lpvg_coeff_t* coeff, lpvg_real_t* yhat) {
     const lpvg_coeff_reals_t& r = coeff->reals;
-    Eigen::Map<Matrix<ny, 1>>{yhat} =
-        ConstMap<ny, nx>(&r.C[0][0]) * ConstMap<nx, 1>(self->x) + ConstMap<ny, 1>(r.output_offset);
+    Eigen::Map<Matrix<ny, 1>>{yhat} = ConstMap<ny, nx>(&r.C[0][0]) * ConstMap<nx, 1>(self->x) + ConstMap<ny, 1>(r.output_offset);
 }
 
-extern "C" void lpvg_model_advance(lpvg_model_t* self, const lpvg_coeff_t* coeff, lpvg_real_t speed,
-                                   const lpvg_real_t* u) {
+extern "C" void lpvg_model_advance(lpvg_model_t* self, const lpvg_coeff_t* coeff, lpvg_real_t speed, const lpvg_real_t* u) {
     set_speed(self, coeff, speed);
     Real newest[LPVG_NU];
     for (std::size_t i = 0; i < LPVG_NU; ++i) {

@@ -31,14 +31,10 @@ using Signals = Eigen::Array<Real, static_cast<int>(n_signals), 1>;
 Eigen::Map<Signals> signals(Real* values) { return Eigen::Map<Signals>(values); }
 Eigen::Map<const Signals> signals(const Real* values) { return Eigen::Map<const Signals>(values); }
 
-uint64_t hold_us(const lpvg_coeff_t& coeff) {
-    return static_cast<uint64_t>(coeff.words.frame_length[0]) * coeff.words.sample_period_us;
-}
+uint64_t hold_us(const lpvg_coeff_t& coeff) { return static_cast<uint64_t>(coeff.words.frame_length[0]) * coeff.words.sample_period_us; }
 
 // later - earlier >= 0, exact over the whole range of the clock.
-uint64_t elapsed_us(int64_t later, int64_t earlier) {
-    return static_cast<uint64_t>(later) - static_cast<uint64_t>(earlier);
-}
+uint64_t elapsed_us(int64_t later, int64_t earlier) { return static_cast<uint64_t>(later) - static_cast<uint64_t>(earlier); }
 
 bool within(Real value, const Real* range) {
     return value >= range[0] && value <= range[1];  // false for NaN
@@ -73,14 +69,10 @@ void extend(lpvg_span_t& span, const lpvg_span_t& more) {
 }
 
 // Sample i of the block, the oldest first.
-const lpvg_taken_t& taken(const lpvg_monitor_t& self, uint32_t i) {
-    return self.block[(self.newest + 1U + i) & (n_block - 1U)];
-}
+const lpvg_taken_t& taken(const lpvg_monitor_t& self, uint32_t i) { return self.block[(self.newest + 1U + i) & (n_block - 1U)]; }
 
 // e, then yhat of sample i of the block; those of the next samples follow.
-const Real* taken_signal(const lpvg_monitor_t& self, uint32_t i) {
-    return self.signal[((self.newest + 1U) & (n_block - 1U)) + i];
-}
+const Real* taken_signal(const lpvg_monitor_t& self, uint32_t i) { return self.signal[((self.newest + 1U) & (n_block - 1U)) + i]; }
 
 lpvg_span_t span_of(const lpvg_monitor_t& self, uint32_t first, uint32_t end) {
     lpvg_span_t span = taken(self, first).span;
@@ -235,10 +227,8 @@ bool judge(lpvg_monitor_t& self, std::size_t b) {
     lpvg_bin_t& bin = self.bin[b];
     const lpvg_span_t& span = bin.frame_span;
     const Real mean = span.speed_sum / static_cast<Real>(coeff.words.frame_length[b]);
-    const bool steady = span.speed_low >= (Real(1) - r.speed_tolerance) * mean &&
-                        span.speed_high <= (Real(1) + r.speed_tolerance) * mean;
-    const lpvg_reason_t reason =
-        span.reason != lpvg_reason_none ? span.reason : (steady ? lpvg_reason_none : lpvg_reason_speed_moved);
+    const bool steady = span.speed_low >= (Real(1) - r.speed_tolerance) * mean && span.speed_high <= (Real(1) + r.speed_tolerance) * mean;
+    const lpvg_reason_t reason = span.reason != lpvg_reason_none ? span.reason : (steady ? lpvg_reason_none : lpvg_reason_speed_moved);
     Complex E[ny], Z[ny];
     for (std::size_t j = 0; j < ny; ++j) {
         E[j] = {bin.frame_re[j], bin.frame_im[j]};
@@ -455,9 +445,7 @@ extern "C" lpvg_verdict_t lpvg_monitor_verdict(const lpvg_monitor_t* self, int64
     return self->frame.sequence == 0U ? lpvg_verdict_unknown : lpvg_verdict_not_judged;
 }
 
-extern "C" lpvg_reason_t lpvg_monitor_reason(const lpvg_monitor_t* self) {
-    return self == nullptr ? lpvg_reason_none : self->frame.reason;
-}
+extern "C" lpvg_reason_t lpvg_monitor_reason(const lpvg_monitor_t* self) { return self == nullptr ? lpvg_reason_none : self->frame.reason; }
 
 extern "C" const lpvg_frame_t* lpvg_monitor_frame(const lpvg_monitor_t* self) {
     return (self == nullptr || self->coeff == nullptr) ? nullptr : &self->frame;

@@ -12,7 +12,7 @@
 static lpvg_monitor_t monitor;
 
 int main(void) {
-    static const char *const names[] = {"unknown", "valid", "invalid", "not_judged", "stale", "fault"};
+    static const char* const names[] = {"unknown", "valid", "invalid", "not_judged", "stale", "fault"};
     const int64_t period_us = lpvg_coeff.words.sample_period_us;
     int64_t t_us = 0;
     int k;
@@ -32,7 +32,6 @@ int main(void) {
         }
     }
     printf("verdict: %s%s, %u frames recorded\n", names[lpvg_monitor_verdict(&monitor, t_us)],
-           lpvg_monitor_reason(&monitor) == lpvg_reason_not_excited ? " (too little excitation)" : "",
-           (unsigned)monitor.n_records);
+           lpvg_monitor_reason(&monitor) == lpvg_reason_not_excited ? " (too little excitation)" : "", (unsigned)monitor.n_records);
     return lpvg_monitor_verdict(&monitor, t_us) == lpvg_verdict_not_judged ? 0 : 1;
 }

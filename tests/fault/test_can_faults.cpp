@@ -7,9 +7,9 @@
 namespace {
 
 constexpr int64_t kPeriod = LPVG_CAN_VDC2_PERIOD_US;
-constexpr int64_t kWarm   = 20;  // good frames before every fault
-constexpr auto    kVdc2   = LPVG_CAN_VDC2_INDEX;
-constexpr auto    kGuard  = LPVG_CAN_GUARD_IN_INDEX;
+constexpr int64_t kWarm = 20;  // good frames before every fault
+constexpr auto kVdc2 = LPVG_CAN_VDC2_INDEX;
+constexpr auto kGuard = LPVG_CAN_GUARD_IN_INDEX;
 
 int64_t due(int64_t k) { return CanBus::kStart + k * kPeriod; }
 
@@ -26,9 +26,12 @@ int64_t reaches(CanBus& bus, uint8_t index, lpvg_can_state_t state, int64_t from
 }  // namespace
 
 TEST_CASE("lost frames: 1 nothing, 3 hold, 5 and 20 off, each within half a period of the last missed", "[fault][can][REQ-CAN-2]") {
-    struct Case { int lost; lpvg_can_state_t want; };
-    const auto c     = GENERATE(Case{1, lpvg_can_state_live}, Case{2, lpvg_can_state_live}, Case{3, lpvg_can_state_hold},
-                                Case{4, lpvg_can_state_hold}, Case{5, lpvg_can_state_off}, Case{20, lpvg_can_state_off});
+    struct Case {
+        int lost;
+        lpvg_can_state_t want;
+    };
+    const auto c = GENERATE(Case{1, lpvg_can_state_live}, Case{2, lpvg_can_state_live}, Case{3, lpvg_can_state_hold},
+                            Case{4, lpvg_can_state_hold}, Case{5, lpvg_can_state_off}, Case{20, lpvg_can_state_off});
     const auto index = GENERATE(as<uint8_t>{}, kVdc2, kGuard);
     CAPTURE(c.lost, +index);
     CanBus bus;
@@ -71,8 +74,8 @@ TEST_CASE("repeated frame: found at once where there is a counter; too soon, it 
     auto soon = bus.vdc2(kWarm);
     soon.t_us += kPeriod / 8;
     lpvg_can_supervisor_t copy = bus.supervisor;  // the repeated frame above moved time on: judge from before
-    copy.now_us                = due(kWarm);
-    uint8_t index              = 0U;
+    copy.now_us = due(kWarm);
+    uint8_t index = 0U;
     CHECK(lpvg_can_receive(&copy, &soon, &index) == lpvg_can_event_early);
     CHECK(bus.state(kGuard) == lpvg_can_state_live);  // one is no reason to degrade
 }
@@ -81,7 +84,7 @@ TEST_CASE("swapped frames: the later-sent one is taken, the earlier-sent one rej
     CanBus bus;
     bus.run(1, kWarm);
     auto first = bus.guard_in(kWarm + 2), second = bus.guard_in(kWarm + 1);
-    first.t_us  = due(kWarm + 1);
+    first.t_us = due(kWarm + 1);
     second.t_us = due(kWarm + 2);
     CHECK(bus.send(first) == lpvg_can_event_accepted);
     CHECK(bus.send(second) == lpvg_can_event_sequence);
@@ -90,7 +93,10 @@ TEST_CASE("swapped frames: the later-sent one is taken, the earlier-sent one rej
 }
 
 TEST_CASE("delayed frames: by 1 period nothing, by 3 hold and back at once, by 5 off", "[fault][can][REQ-CAN-2]") {
-    struct Case { int delay; lpvg_can_state_t before; };
+    struct Case {
+        int delay;
+        lpvg_can_state_t before;
+    };
     const auto c = GENERATE(Case{1, lpvg_can_state_live}, Case{3, lpvg_can_state_hold}, Case{5, lpvg_can_state_off});
     CAPTURE(c.delay);
     CanBus bus;
@@ -98,20 +104,17 @@ TEST_CASE("delayed frames: by 1 period nothing, by 3 hold and back at once, by 5
     auto frame = bus.guard_in(kWarm + 1);
     frame.t_us += c.delay * kPeriod;
     CHECK(bus.state_at(kGuard, frame.t_us - 1) == c.before);
-    CHECK(bus.send(frame) ==
-          (c.before == lpvg_can_state_off ? lpvg_can_event_recovering : lpvg_can_event_accepted));
+    CHECK(bus.send(frame) == (c.before == lpvg_can_state_off ? lpvg_can_event_recovering : lpvg_can_event_accepted));
 }
 
 TEST_CASE("wrong CRC: rejected at once; hold after 3.5 periods; off within 5 of them", "[fault][can][REQ-CAN-4]") {
     CanBus bus;
     bus.run(1, kWarm);
     for (int64_t k = 1; k <= 5; ++k) {
-        auto frame    = bus.guard_in(kWarm + k);
+        auto frame = bus.guard_in(kWarm + k);
         frame.data[5] = static_cast<uint8_t>(frame.data[5] ^ 0x01U);
         CHECK(bus.send(frame) == lpvg_can_event_checksum);
-        CHECK(bus.state(kGuard) == (k <= 3   ? lpvg_can_state_live
-                                    : k == 4 ? lpvg_can_state_hold
-                                             : lpvg_can_state_off));
+        CHECK(bus.state(kGuard) == (k <= 3 ? lpvg_can_state_live : k == 4 ? lpvg_can_state_hold : lpvg_can_state_off));
     }
     bus.run(kWarm + 6, kWarm + 10);
     CHECK(bus.state(kGuard) == lpvg_can_state_live);
@@ -154,12 +157,12 @@ TEST_CASE("stuck counter: off with the fifth frame", "[fault][can][REQ-CAN-4]") 
 TEST_CASE("counter 15 is never sent: rejected under any checksum", "[fault][can]") {
     CanBus bus;
     bus.run(1, 29);  // newest counter: 14, so that 15 looks like the next one
-    auto frame    = bus.guard_in(30);
+    auto frame = bus.guard_in(30);
     frame.data[1] = 0xFFU;
-    int right     = 0;
+    int right = 0;
     for (unsigned crc = 0U; crc < 256U; ++crc) {
-        frame.data[0]    = static_cast<uint8_t>(crc);
-        CanBus     trial = bus;
+        frame.data[0] = static_cast<uint8_t>(crc);
+        CanBus trial = bus;
         const auto event = trial.send(frame);
         CHECK((event == lpvg_can_event_checksum || event == lpvg_can_event_sequence));
         right += event == lpvg_can_event_sequence ? 1 : 0;
@@ -170,10 +173,10 @@ TEST_CASE("counter 15 is never sent: rejected under any checksum", "[fault][can]
 TEST_CASE("a sender that starts anew is followed after one rejection", "[fault][can]") {
     CanBus bus;
     bus.run(1, kWarm + 2);  // newest counter: 7
-    auto       frame = bus.guard_in(15);  // counter 0
-    frame.t_us       = due(kWarm + 3);
+    auto frame = bus.guard_in(15);  // counter 0
+    frame.t_us = due(kWarm + 3);
     CHECK(bus.send(frame) == lpvg_can_event_sequence);
-    frame      = bus.guard_in(16);
+    frame = bus.guard_in(16);
     frame.t_us = due(kWarm + 4);
     CHECK(bus.send(frame) == lpvg_can_event_accepted);
 }
@@ -183,14 +186,14 @@ TEST_CASE("wrong length: every other length is rejected; off with the fifth", "[
         CanBus bus;
         bus.run(1, kWarm);
         auto frame = bus.vdc2(kWarm + 1);
-        frame.dlc  = static_cast<uint8_t>(dlc);
+        frame.dlc = static_cast<uint8_t>(dlc);
         CHECK(bus.send(frame) == (dlc == 8U ? lpvg_can_event_accepted : lpvg_can_event_length));
     }
     CanBus bus;
     bus.run(1, kWarm);
     for (int64_t k = 1; k <= 5; ++k) {
         auto frame = bus.vdc2(kWarm + k);
-        frame.dlc  = 7U;
+        frame.dlc = 7U;
         bus.send(frame);
     }
     CHECK(bus.state(kVdc2) == lpvg_can_state_off);
@@ -203,7 +206,7 @@ TEST_CASE("unknown ids at full speed change no state and no value", "[fault][can
     lpvg_can_frame_t frame{};
     frame.dlc = 8U;
     for (uint32_t n = 0U; n < 100'000U; ++n) {
-        frame.id   = (n % 2U == 0U) ? (LPVG_CAN_EXTENDED | (n * 2654435761U & 0x1FFFFFFFU)) : (n & 0x7FFU);
+        frame.id = (n % 2U == 0U) ? (LPVG_CAN_EXTENDED | (n * 2654435761U & 0x1FFFFFFFU)) : (n & 0x7FFU);
         frame.t_us = due(kWarm) + n / 50U;
         const auto event = bus.send(frame);
         if (event != lpvg_can_event_unknown_id) {
@@ -220,14 +223,14 @@ TEST_CASE("babbling with random data: off within one period, no frame of it used
     CanBus bus;
     bus.run(1, kWarm);
     uint32_t noise = 12345U;
-    int64_t  t     = due(kWarm) + 100;
-    int64_t  off_at = -1;
-    int      used  = 0;
-    auto     frame = bus.vdc2(kWarm);
+    int64_t t = due(kWarm) + 100;
+    int64_t off_at = -1;
+    int used = 0;
+    auto frame = bus.vdc2(kWarm);
     for (int n = 0; n < 5000; ++n, t += 550) {  // back to back at 250 kbit/s, for 2.75 s
         for (auto& byte : frame.data) {
             noise = noise * 1664525U + 1013904223U;
-            byte  = static_cast<uint8_t>(noise >> 24U);
+            byte = static_cast<uint8_t>(noise >> 24U);
         }
         frame.t_us = t;
         used += bus.send(frame) == lpvg_can_event_accepted ? 1 : 0;
@@ -247,9 +250,9 @@ TEST_CASE("bus-off: everything off at once, back after 5 good frames; other erro
     CanBus bus;
     bus.run(1, kWarm);
     lpvg_can_frame_t error{};
-    error.dlc  = 8U;
+    error.dlc = 8U;
     error.t_us = due(kWarm) + 1;
-    error.id   = 0x20000004U;  // controller problem
+    error.id = 0x20000004U;  // controller problem
     CHECK(bus.send(error) == lpvg_can_event_error);
     CHECK(bus.state(kVdc2) == lpvg_can_state_live);
     error.id = 0x20000040U;  // as SocketCAN reports it
@@ -270,14 +273,14 @@ TEST_CASE("a value that jumps and stays is refused until the allowed change has 
     CanBus bus;
     bus.run(1, kWarm);
     const auto jumped = lpvg_can_vdc2_yaw_rate_encode(0.05F + 0.25F);
-    int64_t    k      = kWarm;
+    int64_t k = kWarm;
     lpvg_can_event_t event = lpvg_can_event_none;
     while (event != lpvg_can_event_accepted && k < kWarm + 10) {
         ++k;
-        auto frame    = bus.vdc2(k);
+        auto frame = bus.vdc2(k);
         frame.data[3] = static_cast<uint8_t>(jumped & 0xFFU);
         frame.data[4] = static_cast<uint8_t>(jumped >> 8U);
-        event         = bus.send(frame);
+        event = bus.send(frame);
     }
     CHECK(k == kWarm + 3);  // 10 rad/s2 for 30 ms
     CHECK(bus.count(kVdc2, lpvg_can_event_gradient) == 2U);

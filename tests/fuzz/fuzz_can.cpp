@@ -15,8 +15,8 @@
 
 namespace {
 
-constexpr int64_t kStepUs[16] = {0,      1,       550,     2'499,     2'500,     5'000,        9'000,  10'000,
-                                 10'001, 35'001,  55'000,  55'001,    100'000,   1'000'000,    -4'000, -1'000'000};
+constexpr int64_t kStepUs[16] = {0,      1,      550,    2'499,  2'500,   5'000,     9'000,  10'000,
+                                 10'001, 35'001, 55'000, 55'001, 100'000, 1'000'000, -4'000, -1'000'000};
 uint64_t g_frames = 0;
 
 [[noreturn]] void fail(const char* what) {
@@ -32,7 +32,7 @@ void promise(bool kept, const char* what) {
 class Program {
 public:
     Program(const uint8_t* data, size_t size) : at_(data), end_(data + size) {}
-    bool    more() const { return at_ != end_; }
+    bool more() const { return at_ != end_; }
     uint8_t byte() { return more() ? *at_++ : uint8_t{0}; }
 
 private:
@@ -59,9 +59,9 @@ void check_values(const lpvg_can_frame_t& frame, uint8_t index) {
 void check_state(const lpvg_can_supervisor_t& self, int64_t now_before) {
     promise(self.now_us >= now_before, "time does not go back");
     for (uint8_t i = 0U; i < self.n_rules; ++i) {
-        const lpvg_can_watch_t& w      = self.watch[i];
-        const int64_t           age    = self.now_us - w.t_accepted_us;
-        const int64_t           period = self.rules[i].period_us;
+        const lpvg_can_watch_t& w = self.watch[i];
+        const int64_t age = self.now_us - w.t_accepted_us;
+        const int64_t period = self.rules[i].period_us;
         promise(w.state <= lpvg_can_state_live, "state is one of three");
         promise(w.score <= LPVG_CAN_SCORE_OFF && w.good_in_row < LPVG_CAN_RECOVER_FRAMES && w.counter < 15U, "counters");
         promise(w.state == lpvg_can_state_off || w.score < LPVG_CAN_SCORE_OFF, "a full score is off");
@@ -71,8 +71,8 @@ void check_state(const lpvg_can_supervisor_t& self, int64_t now_before) {
 }
 
 void receive(lpvg_can_supervisor_t& self, const lpvg_can_frame_t& frame) {
-    const int64_t         now    = self.now_us;
-    uint8_t               index  = 0U;
+    const int64_t now = self.now_us;
+    uint8_t index = 0U;
     const lpvg_can_event_t event = lpvg_can_receive(&self, &frame, &index);
     ++g_frames;
     promise(event > lpvg_can_event_none && event < lpvg_can_event_missed, "a frame has an event");
@@ -88,7 +88,7 @@ void receive(lpvg_can_supervisor_t& self, const lpvg_can_frame_t& frame) {
 lpvg_can_frame_t good_frame(uint8_t index, uint8_t& counter, uint8_t low) {
     lpvg_can_frame_t frame{};
     frame.dlc = 8U;
-    frame.id  = lpvg_can_rules[index].id;
+    frame.id = lpvg_can_rules[index].id;
     if (index == LPVG_CAN_VDC2_INDEX) {
         const lpvg_can_vdc2_t m = {static_cast<uint16_t>(32000U + low), static_cast<uint16_t>(32000U + low), 32000U, 125U};
         promise(lpvg_can_vdc2_pack(&m, &frame) == lpvg_status_ok, "pack");
@@ -103,38 +103,44 @@ lpvg_can_frame_t good_frame(uint8_t index, uint8_t& counter, uint8_t low) {
 }
 
 void run(const uint8_t* data, size_t size) {
-    Program               program(data, size);
+    Program program(data, size);
     lpvg_can_supervisor_t self{};
-    int64_t               t       = 1'000'000;
-    uint8_t               counter = 0U;
+    int64_t t = 1'000'000;
+    uint8_t counter = 0U;
     promise(lpvg_can_init(&self, lpvg_can_rules, LPVG_CAN_RECEIVED, t) == lpvg_status_ok, "init");
     while (program.more()) {
         const uint8_t op = program.byte();
         t += kStepUs[op >> 4U];
         lpvg_can_frame_t frame{};
         switch (op & 0x0FU) {
-            case 0: case 1: case 2: case 3: case 4: case 5:  // a good frame of one message
+            case 0:
+            case 1:
+            case 2:
+            case 3:
+            case 4:
+            case 5:  // a good frame of one message
                 frame = good_frame(op & 0x0FU, counter, program.byte());
                 break;
             case 6: {  // ten good frames on time: gets the state machine to live in few bytes
                 for (int n = 0; n < 10; ++n, t += 10'000) {
-                    frame      = good_frame(LPVG_CAN_GUARD_IN_INDEX, counter, 0U);
+                    frame = good_frame(LPVG_CAN_GUARD_IN_INDEX, counter, 0U);
                     frame.t_us = t;
                     receive(self, frame);
-                    frame      = good_frame(LPVG_CAN_VDC2_INDEX, counter, 0U);
+                    frame = good_frame(LPVG_CAN_VDC2_INDEX, counter, 0U);
                     frame.t_us = t;
                     receive(self, frame);
                 }
                 continue;
             }
-            case 7: case 8: {  // a good frame with one byte changed
-                frame            = good_frame((op & 1U) != 0U ? LPVG_CAN_GUARD_IN_INDEX : LPVG_CAN_VDC2_INDEX, counter, 0U);
+            case 7:
+            case 8: {  // a good frame with one byte changed
+                frame = good_frame((op & 1U) != 0U ? LPVG_CAN_GUARD_IN_INDEX : LPVG_CAN_VDC2_INDEX, counter, 0U);
                 const uint8_t at = program.byte();
                 frame.data[at & 7U] = program.byte();
                 break;
             }
             case 9: {  // protected frame with any payload and any counter
-                frame     = good_frame(LPVG_CAN_GUARD_IN_INDEX, counter, 0U);
+                frame = good_frame(LPVG_CAN_GUARD_IN_INDEX, counter, 0U);
                 frame.data[2] = program.byte();
                 frame.data[3] = program.byte();
                 uint8_t any = static_cast<uint8_t>(program.byte() % 15U);
@@ -142,7 +148,7 @@ void run(const uint8_t* data, size_t size) {
                 break;
             }
             case 10:  // a wrong length
-                frame     = good_frame(LPVG_CAN_VDC2_INDEX, counter, 0U);
+                frame = good_frame(LPVG_CAN_VDC2_INDEX, counter, 0U);
                 frame.dlc = program.byte();
                 break;
             case 11:  // a skipped frame
@@ -155,23 +161,23 @@ void run(const uint8_t* data, size_t size) {
                 continue;
             }
             case 13:  // an error report
-                frame.id  = LPVG_CAN_ERROR | program.byte();
+                frame.id = LPVG_CAN_ERROR | program.byte();
                 frame.dlc = 8U;
                 break;
             case 14: {  // anything at any time
                 uint64_t raw = 0U;
                 for (int n = 0; n < 8; ++n) {
                     frame.data[n] = program.byte();
-                    raw           = (raw << 8U) | frame.data[n];
+                    raw = (raw << 8U) | frame.data[n];
                 }
                 std::memcpy(&frame.t_us, &raw, sizeof raw);
-                frame.id  = lpvg_can_rules[raw % LPVG_CAN_RECEIVED].id ^ program.byte();
+                frame.id = lpvg_can_rules[raw % LPVG_CAN_RECEIVED].id ^ program.byte();
                 frame.dlc = program.byte();
                 receive(self, frame);
                 continue;
             }
             default:  // one of ours with any data
-                frame.id  = lpvg_can_rules[program.byte() % LPVG_CAN_RECEIVED].id;
+                frame.id = lpvg_can_rules[program.byte() % LPVG_CAN_RECEIVED].id;
                 frame.dlc = 8U;
                 for (auto& byte : frame.data) {
                     byte = program.byte();
@@ -220,7 +226,7 @@ int main(int argc, char** argv) {
         run(buffer, std::fread(buffer, 1U, sizeof buffer, file));
         std::fclose(file);
     }
-    uint64_t   random    = std::strtoull(argv[1], nullptr, 10) * 2U + 1U;
+    uint64_t random = std::strtoull(argv[1], nullptr, 10) * 2U + 1U;
     const auto sequences = std::strtoull(argv[2], nullptr, 10);
     for (uint64_t n = 0; n < sequences; ++n) {
         for (size_t i = 0; i < 256U; ++i) {
@@ -231,8 +237,7 @@ int main(int argc, char** argv) {
         }
         run(buffer, 256U);
     }
-    std::printf("%d files, %llu random sequences, %llu frames\n", argc - 3, sequences,
-                static_cast<unsigned long long>(g_frames));
+    std::printf("%d files, %llu random sequences, %llu frames\n", argc - 3, sequences, static_cast<unsigned long long>(g_frames));
     return 0;
 }
 

@@ -44,5 +44,4 @@ int64_t control_run(int64_t n, const double* speed, const double* m, const uint8
     }
     return static_cast<int64_t>(control.limited - before);
 }
-
 }

@@ -264,10 +264,18 @@ TEST_CASE("every channel carries what the run writes to its files", "[hil][lcm]"
     for (std::size_t i = 0; i < heard.margins.size(); ++i) {
         const lpvguard_lcm::margin_t& m = heard.margins[i];
         double row[10];
-        REQUIRE(std::sscanf(frames[i + 1].c_str(), "%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf", row, row + 1, row + 2, row + 3, row + 4, row + 5,
-                            row + 6, row + 7, row + 8, row + 9) == 10);
-        const double said[] = {static_cast<double>(m.end_utime) * 1e-6, static_cast<double>(m.begin_utime) * 1e-6, static_cast<double>(m.bin),
-                               static_cast<double>(m.reason), m.falsified ? 1.0 : 0.0, m.speed, m.margin, m.statistic, m.evidence, m.energy_ratio};
+        REQUIRE(std::sscanf(frames[i + 1].c_str(), "%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf", row, row + 1, row + 2, row + 3, row + 4,
+                            row + 5, row + 6, row + 7, row + 8, row + 9) == 10);
+        const double said[] = {static_cast<double>(m.end_utime) * 1e-6,
+                               static_cast<double>(m.begin_utime) * 1e-6,
+                               static_cast<double>(m.bin),
+                               static_cast<double>(m.reason),
+                               m.falsified ? 1.0 : 0.0,
+                               m.speed,
+                               m.margin,
+                               m.statistic,
+                               m.evidence,
+                               m.energy_ratio};
         for (std::size_t j = 0; j < 10; ++j) {
             REQUIRE(said[j] == Approx(row[j]).epsilon(1e-8));
         }
@@ -300,7 +308,8 @@ TEST_CASE("what clients change acts from the tick that the answer says, and the 
         id["friction"] = client.send(control_t::INJECT, "[[plant.surroundings_fault]]\nfriction_left_ratio = 0.8");
         id["repeated"] = client.send(control_t::INJECT, "[[can_fault]]\nmessage = \"GUARD_IN\"\nkind = \"repeated\"\nprobability = 0.05");
     });
-    client.at(14 * kSecond, [&] { id["slower"] = client.send(control_t::INJECT, "[[plant.speed_change]]\nspeed_mps = 12.5\nrate_mps2 = 2.0"); });
+    client.at(14 * kSecond,
+              [&] { id["slower"] = client.send(control_t::INJECT, "[[plant.speed_change]]\nspeed_mps = 12.5\nrate_mps2 = 2.0"); });
     client.at(17 * kSecond, [&] { id["pause"] = client.send(control_t::PAUSE); });
     client.when_paused([&] { id["step"] = client.send(control_t::STEP, "", 7); });
     client.when_paused([&] { id["go"] = client.send(control_t::RESUME); });
@@ -370,8 +379,10 @@ TEST_CASE("bad commands are refused with the reason and change nothing", "[hil][
         {control_t::INJECT, "plant.speed_change = [12.0]", 0, "expected one entry of one of"},
         {control_t::INJECT, "plant.speed_change = [{rate_mps2 = 1.0}]", 0, "plant.speed_change.speed_mps: missing"},
         {control_t::INJECT, "plant.speed_change = [{speed_mps = 31.0}]", 0, "plant.speed_change.speed_mps = 31: expected 3 .. 30"},
-        {control_t::INJECT, "plant.sensor_fault = [{signal = \"yaw\"}]", 0, "plant.sensor_fault.signal = \"yaw\": expected one of: yaw_rate"},
-        {control_t::INJECT, "plant.sensor_fault = [{signal = \"yaw_rate\", start_s = 0.0}]", 0, "plant.sensor_fault.start_s: not to be given"},
+        {control_t::INJECT, "plant.sensor_fault = [{signal = \"yaw\"}]", 0,
+         "plant.sensor_fault.signal = \"yaw\": expected one of: yaw_rate"},
+        {control_t::INJECT, "plant.sensor_fault = [{signal = \"yaw_rate\", start_s = 0.0}]", 0,
+         "plant.sensor_fault.start_s: not to be given"},
         {control_t::INJECT, "plant.sensor_fault = [{signal = \"yaw_rate\", end_s = 0.4}]", 0, "plant.sensor_fault.end_s: expected later"},
         {control_t::INJECT, "plant.actuator_fault = [{extra_delay_s = 1.99}]", 0, "at most 2 s of brake delay in total"},
         {control_t::INJECT, "can_fault = [{message = \"VDC2\", kind = \"gone\"}]", 0, "can_fault.kind = \"gone\": expected one of: lost"},

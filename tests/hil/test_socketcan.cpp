@@ -18,7 +18,7 @@ namespace {
 // A socket and its bus, closed at the end of the test.
 struct Node {
     Node() = default;
-    Node(const Node&)            = delete;
+    Node(const Node&) = delete;
     Node& operator=(const Node&) = delete;
     ~Node() { socketcan_close(&driver); }
 
@@ -30,7 +30,7 @@ struct Node {
     bool receive(lpvg_can_frame_t& frame, int64_t now = 0) { return bus_receive(&bus, now, &frame); }
 
     socketcan_t driver = closed();
-    bus_t       bus{};
+    bus_t bus{};
 
 private:
     static socketcan_t closed() {
@@ -42,8 +42,8 @@ private:
 
 lpvg_can_frame_t frame_of(uint32_t id, uint8_t first) {
     lpvg_can_frame_t frame{};
-    frame.id      = id;
-    frame.dlc     = 8U;
+    frame.id = id;
+    frame.dlc = 8U;
     frame.data[0] = first;
     return frame;
 }
@@ -85,8 +85,7 @@ public:
                 if (first_foreign_us == 0 && std::memcmp(frame.data, good_.data, sizeof frame.data) != 0) {
                     first_foreign_us = frame.t_us;
                 }
-                if (lpvg_can_receive(&supervisor, &frame, &index) == lpvg_can_event_accepted &&
-                    supervisor.watch[kIndex].raw[0] != kSpeed) {
+                if (lpvg_can_receive(&supervisor, &frame, &index) == lpvg_can_event_accepted && supervisor.watch[kIndex].raw[0] != kSpeed) {
                     ++foreign_used;
                 }
                 if (first_off_us == 0 && was_live_ && state() == lpvg_can_state_off) {
@@ -102,19 +101,19 @@ public:
     lpvg_can_state_t state() const { return lpvg_can_state(&supervisor, kIndex); }
 
     lpvg_can_supervisor_t supervisor{};
-    int     sent         = 0;
-    int     received     = 0;
-    int     foreign_used = 0;
+    int sent = 0;
+    int received = 0;
+    int foreign_used = 0;
     int64_t first_foreign_us = 0;
-    int64_t first_off_us     = 0;
-    int64_t clock_us         = 1'000'000;
+    int64_t first_off_us = 0;
+    int64_t clock_us = 1'000'000;
 
 private:
     static constexpr uint16_t kSpeed = 54U * 256U;
-    Node             sender_, receiver_;
+    Node sender_, receiver_;
     lpvg_can_frame_t good_{};
-    int64_t          due_us_   = clock_us;
-    bool             was_live_ = false;
+    int64_t due_us_ = clock_us;
+    bool was_live_ = false;
 };
 
 // Runs a shell command beside the test.
@@ -136,7 +135,7 @@ private:
 }  // namespace
 
 TEST_CASE("frames come in order, not back to the sender, and only the filtered", "[socketcan]") {
-    Node             a, b;
+    Node a, b;
     lpvg_can_frame_t got{};
     REQUIRE(a.open());
     REQUIRE(b.open(kOurs.data(), kOurs.size()));
@@ -164,7 +163,7 @@ TEST_CASE("frames come in order, not back to the sender, and only the filtered",
 }
 
 TEST_CASE("bus-off passes any filter, switches the supervision off, and the driver restarts behind it", "[socketcan]") {
-    Node             a, b;
+    Node a, b;
     lpvg_can_frame_t got{};
     REQUIRE(a.open());
     REQUIRE(b.open(kOurs.data(), kOurs.size()));
@@ -198,7 +197,7 @@ TEST_CASE("bus-off passes any filter, switches the supervision off, and the driv
 
 TEST_CASE("a controller that reports its restart is used again at once", "[socketcan]") {
     constexpr uint32_t restarted = LPVG_CAN_ERROR | 0x100U;
-    Node             a, b;
+    Node a, b;
     lpvg_can_frame_t got{};
     REQUIRE(a.open());
     REQUIRE(b.open(kOurs.data(), kOurs.size()));
@@ -216,7 +215,7 @@ TEST_CASE("a controller that reports its restart is used again at once", "[socke
 }
 
 TEST_CASE("times are those of arrival on the firmware's clock, or of the call where time is simulated", "[socketcan]") {
-    Node             a, real, simulated;
+    Node a, real, simulated;
     lpvg_can_frame_t got{};
     REQUIRE(a.open());
     REQUIRE(real.open());
@@ -236,7 +235,7 @@ TEST_CASE("times are those of arrival on the firmware's clock, or of the call wh
 
 TEST_CASE("what cannot be opened or sent says why", "[socketcan]") {
     socketcan_t driver{};
-    bus_t       bus{};
+    bus_t bus{};
     CHECK_FALSE(socketcan_open(&driver, "nocan7", nullptr, 0, socketcan_time_arrival, &bus));
     CHECK(driver.error == ENODEV);
     CHECK_FALSE(socketcan_open(&driver, "a_name_longer_than_any", nullptr, 0, socketcan_time_arrival, &bus));

@@ -15,9 +15,7 @@ void* counted(std::size_t size) noexcept {
 
 }  // namespace
 
-long heap_allocations() {
-    return allocations;
-}
+long heap_allocations() { return allocations; }
 
 void* operator new(std::size_t size) {
     if (void* const memory = counted(size)) {

@@ -17,17 +17,15 @@ namespace plant_drives {
 
 using namespace lpvguard_plant;
 
-inline PlantParameters shipped() {
-    return load_parameters(LPVGUARD_TRUCK_TOML);
-}
+inline PlantParameters shipped() { return load_parameters(LPVGUARD_TRUCK_TOML); }
 
 /// Flat road, no wind, exact sensors.
 inline PlantParameters quiet() {
     PlantParameters p = shipped();
     p.bank_rms_rad = 0.0;
     p.crosswind_gust_rms_mps = 0.0;
-    for (SensorParameters* sensor : {&p.yaw_rate_sensor, &p.steering_wheel_sensor, &p.lateral_acceleration_sensor,
-                                     &p.speed_sensor, &p.wheel_speed_sensor, &p.brake_pressure_sensor}) {
+    for (SensorParameters* sensor : {&p.yaw_rate_sensor, &p.steering_wheel_sensor, &p.lateral_acceleration_sensor, &p.speed_sensor,
+                                     &p.wheel_speed_sensor, &p.brake_pressure_sensor}) {
         *sensor = SensorParameters{0.0, 1e-7, 0.0};
     }
     return p;
@@ -59,9 +57,7 @@ inline std::string replaced(std::string text, const std::string& old_words, cons
     return text.replace(found, old_words.size(), new_words);
 }
 
-inline double sum(const std::array<double, 4>& values) {
-    return values[0] + values[1] + values[2] + values[3];
-}
+inline double sum(const std::array<double, 4>& values) { return values[0] + values[1] + values[2] + values[3]; }
 
 }  // namespace plant_drives
 

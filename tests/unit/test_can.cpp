@@ -24,7 +24,7 @@ TEST_CASE("E2E profile 11: the published vector, the counter and the free nibble
     CHECK(counter == 1U);
 
     frame.data[1] = 0xA0U;
-    counter       = 14U;
+    counter = 14U;
     REQUIRE(lpvg_can_e2e_protect(&frame, 0x0123U, &counter) == lpvg_status_ok);
     CHECK(frame.data[1] == 0xAEU);
     CHECK(counter == 0U);  // 15 is never sent
@@ -42,7 +42,7 @@ TEST_CASE("E2E profile 11: every single-bit error and every other data id is fou
     REQUIRE(lpvg_can_e2e_protect(&good, 0x4C01U, &counter) == lpvg_status_ok);
     for (unsigned bit = 0U; bit < 8U * good.dlc; ++bit) {
         lpvg_can_frame_t bad = good;
-        bad.data[bit / 8U]   = static_cast<uint8_t>(bad.data[bit / 8U] ^ (1U << (bit % 8U)));
+        bad.data[bit / 8U] = static_cast<uint8_t>(bad.data[bit / 8U] ^ (1U << (bit % 8U)));
         CAPTURE(bit);
         CHECK(lpvg_can_e2e_check(&bad, 0x4C01U, &counter) == lpvg_status_bad_sample);
     }
@@ -54,14 +54,14 @@ TEST_CASE("E2E profile 11: every single-bit error and every other data id is fou
 
 TEST_CASE("E2E profile 11 refuses what it cannot protect and changes nothing", "[unit][can][REQ-CAN-1]") {
     lpvg_can_frame_t frame{};
-    uint8_t          counter = 0U;
+    uint8_t counter = 0U;
     for (const uint8_t dlc : {uint8_t{0}, uint8_t{1}, uint8_t{9}, uint8_t{255}}) {
         frame.dlc = dlc;
         CHECK(lpvg_can_e2e_protect(&frame, 1U, &counter) == lpvg_status_bad_argument);
         CHECK(lpvg_can_e2e_check(&frame, 1U, &counter) == lpvg_status_bad_argument);
     }
     frame.dlc = 8U;
-    counter   = 15U;
+    counter = 15U;
     CHECK(lpvg_can_e2e_protect(&frame, 1U, &counter) == lpvg_status_bad_argument);
     CHECK(counter == 15U);
     CHECK(lpvg_can_e2e_protect(nullptr, 1U, &counter) == lpvg_status_bad_argument);
@@ -72,8 +72,8 @@ TEST_CASE("E2E profile 11 refuses what it cannot protect and changes nothing", "
 
 TEST_CASE("E2E profile 11: counter 15 is refused under any CRC", "[unit][can]") {
     lpvg_can_frame_t frame{};
-    frame.dlc       = 8U;
-    frame.data[1]   = 0x0FU;
+    frame.dlc = 8U;
+    frame.data[1] = 0x0FU;
     uint8_t counter = 3U;
     for (unsigned crc = 0U; crc < 256U; ++crc) {
         frame.data[0] = static_cast<uint8_t>(crc);
@@ -86,8 +86,8 @@ TEST_CASE("init refuses rules that make no sense and leaves the struct alone", "
     lpvg_can_supervisor_t self;
     std::memset(&self, 0xA5, sizeof self);
     const lpvg_can_supervisor_t before = self;
-    lpvg_can_signal_rule_t      signal = {0U, 16U, 0U, 100U, 0U, 0U, 0U};
-    lpvg_can_rule_t             rule   = {1U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 8U, 1U, &signal};
+    lpvg_can_signal_rule_t signal = {0U, 16U, 0U, 100U, 0U, 0U, 0U};
+    lpvg_can_rule_t rule = {1U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 8U, 1U, &signal};
     const auto refused = [&](size_t n = 1U, int64_t now = 0) {
         const bool status = lpvg_can_init(&self, &rule, n, now) == lpvg_status_bad_argument;
         return status && std::memcmp(&self, &before, sizeof self) == 0;
@@ -97,26 +97,63 @@ TEST_CASE("init refuses rules that make no sense and leaves the struct alone", "
     CHECK(refused(0U));
     CHECK(refused(LPVG_CAN_RULES_MAX + 1U));
     CHECK(refused(1U, -1));
-    SECTION("period too short") { rule.period_us = 3U; CHECK(refused()); }
-    SECTION("period too long") { rule.period_us = 10'000'001U; CHECK(refused()); }
-    SECTION("gap not below the period") { rule.gap_min_us = 10'000U; CHECK(refused()); }
-    SECTION("too many bytes") { rule.dlc = 9U; CHECK(refused()); }
-    SECTION("unknown protection") { rule.e2e = 2U; CHECK(refused()); }
-    SECTION("protection without room") { rule.e2e = 1U; rule.dlc = 1U; rule.n_signals = 0U; CHECK(refused()); }
-    SECTION("too many signals") { rule.n_signals = LPVG_CAN_SIGNALS_MAX + 1U; CHECK(refused()); }
-    SECTION("signals missing") { rule.signals = nullptr; CHECK(refused()); }
-    SECTION("no bits") { signal.length = 0U; CHECK(refused()); }
-    SECTION("too many bits") { signal.length = 17U; CHECK(refused()); }
-    SECTION("beyond the frame") { signal.start = 49U; CHECK(refused()); }
-    SECTION("empty range") { signal.raw_min = 101U; CHECK(refused()); }
+    SECTION("period too short") {
+        rule.period_us = 3U;
+        CHECK(refused());
+    }
+    SECTION("period too long") {
+        rule.period_us = 10'000'001U;
+        CHECK(refused());
+    }
+    SECTION("gap not below the period") {
+        rule.gap_min_us = 10'000U;
+        CHECK(refused());
+    }
+    SECTION("too many bytes") {
+        rule.dlc = 9U;
+        CHECK(refused());
+    }
+    SECTION("unknown protection") {
+        rule.e2e = 2U;
+        CHECK(refused());
+    }
+    SECTION("protection without room") {
+        rule.e2e = 1U;
+        rule.dlc = 1U;
+        rule.n_signals = 0U;
+        CHECK(refused());
+    }
+    SECTION("too many signals") {
+        rule.n_signals = LPVG_CAN_SIGNALS_MAX + 1U;
+        CHECK(refused());
+    }
+    SECTION("signals missing") {
+        rule.signals = nullptr;
+        CHECK(refused());
+    }
+    SECTION("no bits") {
+        signal.length = 0U;
+        CHECK(refused());
+    }
+    SECTION("too many bits") {
+        signal.length = 17U;
+        CHECK(refused());
+    }
+    SECTION("beyond the frame") {
+        signal.start = 49U;
+        CHECK(refused());
+    }
+    SECTION("empty range") {
+        signal.raw_min = 101U;
+        CHECK(refused());
+    }
     SECTION("and takes the rest") { CHECK(lpvg_can_init(&self, &rule, 1U, 0) == lpvg_status_ok); }
     SECTION("and takes the ends of every range") {
-        const lpvg_can_signal_rule_t one_bit[LPVG_CAN_SIGNALS_MAX] = {{15U, 1U, 1U, 1U, 0U, 0U, 0U}, {0U, 1U, 0U, 0U, 0U, 0U, 0U},
-                                                                      {0U, 16U, 0U, 9U, 0U, 0U, 0U}, {0U, 1U, 0U, 1U, 0U, 0U, 0U},
-                                                                      {0U, 1U, 0U, 1U, 0U, 0U, 0U},  {0U, 1U, 0U, 1U, 0U, 0U, 0U},
-                                                                      {0U, 1U, 0U, 1U, 0U, 0U, 0U},  {0U, 1U, 0U, 1U, 0U, 0U, 0U}};
+        const lpvg_can_signal_rule_t one_bit[LPVG_CAN_SIGNALS_MAX] = {
+            {15U, 1U, 1U, 1U, 0U, 0U, 0U}, {0U, 1U, 0U, 0U, 0U, 0U, 0U}, {0U, 16U, 0U, 9U, 0U, 0U, 0U}, {0U, 1U, 0U, 1U, 0U, 0U, 0U},
+            {0U, 1U, 0U, 1U, 0U, 0U, 0U},  {0U, 1U, 0U, 1U, 0U, 0U, 0U}, {0U, 1U, 0U, 1U, 0U, 0U, 0U},  {0U, 1U, 0U, 1U, 0U, 0U, 0U}};
         const lpvg_can_rule_t shortest = {1U, 0U, 4U, 3U, 0U, 1U, 2U, LPVG_CAN_SIGNALS_MAX, one_bit};
-        lpvg_can_rule_t       all[LPVG_CAN_RULES_MAX];
+        lpvg_can_rule_t all[LPVG_CAN_RULES_MAX];
         for (auto& each : all) {
             each = shortest;
         }
@@ -127,8 +164,8 @@ TEST_CASE("init refuses rules that make no sense and leaves the struct alone", "
 
 TEST_CASE("cleared memory and NULL read as off and do nothing", "[unit][can][REQ-CAN-8]") {
     lpvg_can_supervisor_t self{};
-    lpvg_can_frame_t      frame{};
-    uint8_t               index = 0U;
+    lpvg_can_frame_t frame{};
+    uint8_t index = 0U;
     CHECK(lpvg_can_state(&self, 0U) == lpvg_can_state_off);
     CHECK(lpvg_can_state(nullptr, 0U) == lpvg_can_state_off);
     CHECK(lpvg_can_receive(&self, &frame, &index) == lpvg_can_event_unknown_id);
@@ -153,11 +190,12 @@ TEST_CASE("a message becomes live with the fifth good frame and not before", "[u
     CHECK(bus.state(LPVG_CAN_EBC2_INDEX) == lpvg_can_state_off);
 }
 
-TEST_CASE("five good frames means in a row: a bad one starts the count anew, and live starts with a clean score", "[unit][can][REQ-CAN-3]") {
+TEST_CASE("five good frames means in a row: a bad one starts the count anew, and live starts with a clean score",
+          "[unit][can][REQ-CAN-3]") {
     CanBus bus;
     bus.run(1, 4);
     auto bad = bus.vdc2(5);
-    bad.dlc  = 7U;
+    bad.dlc = 7U;
     CHECK(bus.send(bad) == lpvg_can_event_length);
     for (int64_t k = 6; k <= 9; ++k) {
         CHECK(bus.send(bus.vdc2(k)) == lpvg_can_event_recovering);
@@ -168,13 +206,13 @@ TEST_CASE("five good frames means in a row: a bad one starts the count anew, and
 }
 
 TEST_CASE("only the supervised bits count: the others may hold anything", "[unit][can]") {
-    CanBus           bus;
+    CanBus bus;
     lpvg_can_frame_t frame{};
-    frame.id  = LPVG_CAN_EBC1_ID;
+    frame.id = LPVG_CAN_EBC1_ID;
     frame.dlc = 8U;
     std::memset(frame.data, 0xFF, 8U);
     frame.data[0] = 0xDFU;  // ABS active: 01
-    frame.t_us    = CanBus::kStart + LPVG_CAN_EBC1_PERIOD_US;
+    frame.t_us = CanBus::kStart + LPVG_CAN_EBC1_PERIOD_US;
     CHECK(bus.send(frame) == lpvg_can_event_recovering);
     CHECK(bus.supervisor.watch[LPVG_CAN_EBC1_INDEX].raw[0] == 1U);
     frame.data[0] = 0xEFU;  // 10: error
@@ -183,17 +221,17 @@ TEST_CASE("only the supervised bits count: the others may hold anything", "[unit
 }
 
 TEST_CASE("a value from before the switch-off, or before a bad frame while off, limits no gradient", "[unit][can]") {
-    CanBus     bus;
+    CanBus bus;
     const auto with = [&](int64_t k, float yaw_rate) {
         const auto raw = lpvg_can_vdc2_yaw_rate_encode(yaw_rate);
-        auto       f   = bus.vdc2(k);
-        f.data[3]      = static_cast<uint8_t>(raw & 0xFFU);
-        f.data[4]      = static_cast<uint8_t>(raw >> 8U);
+        auto f = bus.vdc2(k);
+        f.data[3] = static_cast<uint8_t>(raw & 0xFFU);
+        f.data[4] = static_cast<uint8_t>(raw >> 8U);
         return f;
     };
     const auto spoil = [&](int64_t k) {
         auto f = bus.vdc2(k);
-        f.dlc  = 7U;
+        f.dlc = 7U;
         bus.send(f);
     };
     bus.run(1, 5);
@@ -210,7 +248,7 @@ TEST_CASE("a value from before the switch-off, or before a bad frame while off, 
 
 TEST_CASE("a frame exactly one smallest gap after the one before is not babbling", "[unit][can]") {
     CanBus bus;
-    auto   frame = bus.vdc2(1);
+    auto frame = bus.vdc2(1);
     CHECK(bus.send(frame) == lpvg_can_event_recovering);
     frame.t_us += lpvg_can_rules[LPVG_CAN_VDC2_INDEX].gap_min_us;
     CHECK(bus.send(frame) == lpvg_can_event_recovering);
@@ -220,8 +258,8 @@ TEST_CASE("a frame exactly one smallest gap after the one before is not babbling
 
 TEST_CASE("any priority of the same group and source is the same message; another source is not", "[unit][can]") {
     CanBus bus;
-    auto   frame = bus.vdc2(1);
-    frame.id     = LPVG_CAN_EXTENDED | 0x0CF0093EU;
+    auto frame = bus.vdc2(1);
+    frame.id = LPVG_CAN_EXTENDED | 0x0CF0093EU;
     CHECK(bus.send(frame) == lpvg_can_event_recovering);
     frame.id = LPVG_CAN_EXTENDED | 0x18F0093FU;
     CHECK(bus.send(frame) == lpvg_can_event_unknown_id);
@@ -231,8 +269,9 @@ TEST_CASE("any priority of the same group and source is the same message; anothe
     CHECK(bus.send(frame) == lpvg_can_event_unknown_id);
 }
 
-TEST_CASE("the counter of a message: 15, a repetition and a jump are refused, a small step counts what was lost", "[unit][can][REQ-CAN-4]") {
-    CanBus     bus;
+TEST_CASE("the counter of a message: 15, a repetition and a jump are refused, a small step counts what was lost",
+          "[unit][can][REQ-CAN-4]") {
+    CanBus bus;
     const auto guard_in = LPVG_CAN_GUARD_IN_INDEX;
     const auto with = [&](int64_t k, uint8_t sent) {
         auto f = bus.guard_in(k);
@@ -248,7 +287,7 @@ TEST_CASE("the counter of a message: 15, a repetition and a jump are refused, a 
     // The only counter 15 that a receiver can see has a right checksum: any of the 256 may be it.
     unsigned refused = 0U;
     for (unsigned crc = 0U; crc < 256U; ++crc) {
-        auto f    = bus.guard_in(9);
+        auto f = bus.guard_in(9);
         f.data[1] = static_cast<uint8_t>(f.data[1] | 0x0FU);
         f.data[0] = static_cast<uint8_t>(crc);
         CanBus fresh;
@@ -261,7 +300,7 @@ TEST_CASE("an error frame is counted and changes no message; bus-off switches al
     CanBus bus;
     bus.run(1, 5);
     lpvg_can_frame_t error{};
-    error.id   = LPVG_CAN_ERROR;
+    error.id = LPVG_CAN_ERROR;
     error.t_us = bus.supervisor.now_us;
     const uint32_t* count = bus.supervisor.watch[LPVG_CAN_VDC2_INDEX].count;
     CHECK(count[lpvg_can_event_recovering] == LPVG_CAN_RECOVER_FRAMES - 1U);
@@ -277,17 +316,18 @@ TEST_CASE("an error frame is counted and changes no message; bus-off switches al
 }
 
 TEST_CASE("limits of a signal are exact: the last good raw value and the first bad one", "[unit][can][REQ-CAN-4]") {
-    struct Case { uint16_t raw; lpvg_can_event_t want; };
+    struct Case {
+        uint16_t raw;
+        lpvg_can_event_t want;
+    };
     // yaw rate of VDC2: supervised from -1.5 to 1.5 rad/s
     const auto c = GENERATE(Case{19825, lpvg_can_event_recovering}, Case{19824, lpvg_can_event_range},
-                            Case{44400, lpvg_can_event_recovering}, Case{44401, lpvg_can_event_range},
-                            Case{0xFAFF, lpvg_can_event_range}, Case{0xFB00, lpvg_can_event_range},
-                            Case{0xFDFF, lpvg_can_event_range}, Case{0xFE00, lpvg_can_event_invalid},
-                            Case{0xFEFF, lpvg_can_event_invalid}, Case{0xFF00, lpvg_can_event_absent},
-                            Case{0xFFFF, lpvg_can_event_absent});
+                            Case{44400, lpvg_can_event_recovering}, Case{44401, lpvg_can_event_range}, Case{0xFAFF, lpvg_can_event_range},
+                            Case{0xFB00, lpvg_can_event_range}, Case{0xFDFF, lpvg_can_event_range}, Case{0xFE00, lpvg_can_event_invalid},
+                            Case{0xFEFF, lpvg_can_event_invalid}, Case{0xFF00, lpvg_can_event_absent}, Case{0xFFFF, lpvg_can_event_absent});
     CAPTURE(c.raw);
     CanBus bus;
-    auto   frame  = bus.vdc2(1);
+    auto frame = bus.vdc2(1);
     frame.data[3] = static_cast<uint8_t>(c.raw & 0xFFU);
     frame.data[4] = static_cast<uint8_t>(c.raw >> 8U);
     CHECK(bus.send(frame) == c.want);
@@ -296,10 +336,10 @@ TEST_CASE("limits of a signal are exact: the last good raw value and the first b
 TEST_CASE("gradient: the largest allowed step passes, one more is rejected, a pause allows more", "[unit][can][REQ-CAN-4]") {
     CanBus bus;
     bus.run(1, 5);
-    const auto     base  = lpvg_can_vdc2_yaw_rate_encode(0.05F);
+    const auto base = lpvg_can_vdc2_yaw_rate_encode(0.05F);
     const uint16_t limit = 820U;  // 10 rad/s2 * 8192 / (rad/s) * 10 ms, and one step of rounding
-    const auto     with  = [&](int64_t k, unsigned raw) {
-        auto frame    = bus.vdc2(k);
+    const auto with = [&](int64_t k, unsigned raw) {
+        auto frame = bus.vdc2(k);
         frame.data[3] = static_cast<uint8_t>(raw & 0xFFU);
         frame.data[4] = static_cast<uint8_t>(raw >> 8U);
         return frame;
@@ -312,7 +352,7 @@ TEST_CASE("gradient: the largest allowed step passes, one more is rejected, a pa
         const auto lateral = lpvg_can_vdc2_lateral_acceleration_encode(0.7F);
         for (const unsigned step : {3074U, 3073U}) {
             CanBus fresh = bus;
-            auto   frame = bus.vdc2(6);
+            auto frame = bus.vdc2(6);
             frame.data[5] = static_cast<uint8_t>((lateral + step) & 0xFFU);
             frame.data[6] = static_cast<uint8_t>((lateral + step) >> 8U);
             CHECK(fresh.send(frame) == (step == 3073U ? lpvg_can_event_accepted : lpvg_can_event_gradient));
@@ -323,23 +363,22 @@ TEST_CASE("gradient: the largest allowed step passes, one more is rejected, a pa
 
 TEST_CASE("a signal without codes and without a rate takes any change and every raw value of its range", "[unit][can]") {
     const lpvg_can_signal_rule_t plain = {4U, 16U, 0U, 0xFFFFU, 0U, 0U, 0U};  // in three bytes
-    const lpvg_can_rule_t        rules[] = {{1U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 3U, 1U, &plain},
-                                            {2U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 0U, 0U, nullptr}};
+    const lpvg_can_rule_t rules[] = {{1U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 3U, 1U, &plain},
+                                     {2U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 0U, 0U, nullptr}};
     lpvg_can_supervisor_t self;
     REQUIRE(lpvg_can_init(&self, rules, 2U, 0) == lpvg_status_ok);
     uint8_t index = 0U;
     for (int64_t k = 1; k <= 10; ++k) {
         lpvg_can_frame_t frame{};
-        frame.id      = 1U;
-        frame.dlc     = 3U;
-        frame.t_us    = 10'000 * k;
+        frame.id = 1U;
+        frame.dlc = 3U;
+        frame.t_us = 10'000 * k;
         frame.data[0] = (k % 2 == 0) ? 0x1FU : 0xE0U;
         frame.data[1] = (k % 2 == 0) ? 0x32U : 0xCDU;
         frame.data[2] = (k % 2 == 0) ? 0xF4U : 0x0BU;
-        CHECK(lpvg_can_receive(&self, &frame, &index) ==
-              (k < 5 ? lpvg_can_event_recovering : lpvg_can_event_accepted));
+        CHECK(lpvg_can_receive(&self, &frame, &index) == (k < 5 ? lpvg_can_event_recovering : lpvg_can_event_accepted));
         CHECK(self.watch[0].raw[0] == (k % 2 == 0 ? 0x4321U : 0xBCDEU));
-        frame.id  = 2U;  // a message of no byte is a sign of life
+        frame.id = 2U;  // a message of no byte is a sign of life
         frame.dlc = 0U;
         lpvg_can_receive(&self, &frame, &index);
         CHECK(index == 1U);
@@ -349,12 +388,12 @@ TEST_CASE("a signal without codes and without a rate takes any change and every 
 
 TEST_CASE("signals in the last bytes of a frame", "[unit][can]") {
     const lpvg_can_signal_rule_t last[] = {{56U, 8U, 0U, 0xFFU, 0U, 0U, 0U}, {48U, 16U, 0U, 0xFFFFU, 0U, 0U, 0U}};
-    const lpvg_can_rule_t        rule   = {1U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 8U, 2U, last};
-    lpvg_can_supervisor_t        self;
+    const lpvg_can_rule_t rule = {1U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 8U, 2U, last};
+    lpvg_can_supervisor_t self;
     REQUIRE(lpvg_can_init(&self, &rule, 1U, 0) == lpvg_status_ok);
     lpvg_can_frame_t frame{};
-    frame.id      = 1U;
-    frame.dlc     = 8U;
+    frame.id = 1U;
+    frame.dlc = 8U;
     frame.data[6] = 0x34U;
     frame.data[7] = 0x12U;
     uint8_t index = 0U;
@@ -367,7 +406,7 @@ TEST_CASE("counters saturate", "[unit][can]") {
     CanBus bus;
     bus.supervisor.count[lpvg_can_event_unknown_id] = UINT32_MAX;
     lpvg_can_frame_t frame{};
-    frame.id   = 1U;
+    frame.id = 1U;
     frame.t_us = CanBus::kStart;
     CHECK(bus.send(frame) == lpvg_can_event_unknown_id);
     CHECK(bus.supervisor.count[lpvg_can_event_unknown_id] == UINT32_MAX);
@@ -392,7 +431,7 @@ TEST_CASE("the ends of the clock overflow nothing", "[unit][can][REQ-CAN-8]") {
     CanBus bus;
     bus.run(1, 5);
     lpvg_can_frame_t frame = bus.vdc2(6);
-    frame.t_us             = INT64_MIN;
+    frame.t_us = INT64_MIN;
     CHECK(bus.send(frame) == lpvg_can_event_backwards);
     frame.t_us = INT64_MAX;
     CHECK(bus.send(frame) == lpvg_can_event_recovering);
@@ -407,17 +446,25 @@ TEST_CASE("cross-checks: agreement, each disagreement alone, confirmation and re
         REQUIRE(lpvg_can_plausibility(&self, &kLimits, r, ay, v, dv) == lpvg_status_ok);
     };
     const float r = 0.1F, v = 15.0F, ay = r * v, dv = r * kLimits.track_m;
-    for (int i = 0; i < 100; ++i) { step(r, ay, v, dv); }
+    for (int i = 0; i < 100; ++i) {
+        step(r, ay, v, dv);
+    }
     CHECK(self.flags == 0U);
-    for (int i = 0; i < 4; ++i) { step(r, ay + 1.6F, v, dv); }
+    for (int i = 0; i < 4; ++i) {
+        step(r, ay + 1.6F, v, dv);
+    }
     CHECK(self.flags == 0U);
     step(r, ay + 1.6F, v, dv);
     CHECK(self.flags == LPVG_CAN_IMPLAUSIBLE_LATERAL);
-    for (int i = 0; i < 4; ++i) { step(r, ay, v, dv); }
+    for (int i = 0; i < 4; ++i) {
+        step(r, ay, v, dv);
+    }
     CHECK(self.flags == LPVG_CAN_IMPLAUSIBLE_LATERAL);
     step(r, ay, v, dv);
     CHECK(self.flags == 0U);
-    for (int i = 0; i < 5; ++i) { step(r, ay, v, dv - 0.06F * kLimits.track_m); }
+    for (int i = 0; i < 5; ++i) {
+        step(r, ay, v, dv - 0.06F * kLimits.track_m);
+    }
     CHECK(self.flags == LPVG_CAN_IMPLAUSIBLE_WHEELS);
 }
 
@@ -442,7 +489,9 @@ TEST_CASE("cross-checks: a deviation of exactly the limit is none; long violatio
 
 TEST_CASE("cross-checks leave out what cannot be judged", "[unit][can][REQ-CAN-6]") {
     lpvg_can_plausibility_t self{};
-    struct Case { float r, ay, v, dv; };
+    struct Case {
+        float r, ay, v, dv;
+    };
     const auto c = GENERATE(Case{kNan, 0.0F, 15.0F, 0.0F}, Case{1.0F, 0.0F, 2.9F, 0.0F}, Case{1.0F, 0.0F, kNan, 0.0F},
                             Case{kInf, 0.0F, 15.0F, 0.0F}, Case{1.0F, kNan, 15.0F, kInf});
     for (int i = 0; i < 20; ++i) {
@@ -453,7 +502,7 @@ TEST_CASE("cross-checks leave out what cannot be judged", "[unit][can][REQ-CAN-6
 }
 
 TEST_CASE("cross-checks refuse limits that are not positive", "[unit][can][REQ-CAN-6]") {
-    lpvg_can_plausibility_t        self{};
+    lpvg_can_plausibility_t self{};
     lpvg_can_plausibility_limits_t limits = kLimits;
     CHECK(lpvg_can_plausibility(nullptr, &limits, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_status_bad_argument);
     CHECK(lpvg_can_plausibility(&self, nullptr, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_status_bad_argument);

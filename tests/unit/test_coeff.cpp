@@ -91,14 +91,13 @@ TEST_CASE("any single flipped bit after the header is a CRC error", "[unit][coef
 }
 
 TEST_CASE("a number that is not finite is refused wherever it stands", "[unit][coeff][REQ-COEF-3]") {
-    const Real bad = GENERATE(std::numeric_limits<Real>::quiet_NaN(), std::numeric_limits<Real>::infinity(),
-                              -std::numeric_limits<Real>::infinity());
+    const Real bad =
+        GENERATE(std::numeric_limits<Real>::quiet_NaN(), std::numeric_limits<Real>::infinity(), -std::numeric_limits<Real>::infinity());
     constexpr std::size_t n = sizeof(lpvg_coeff_reals_t) / sizeof(Real);
     std::size_t wrong = 0;
     for (std::size_t i = 0; i < n; ++i) {
-        const lpvg_coeff_t coeff = sealed([&](lpvg_coeff_t& c) {
-            std::memcpy(reinterpret_cast<unsigned char*>(&c.reals) + i * sizeof bad, &bad, sizeof bad);
-        });
+        const lpvg_coeff_t coeff =
+            sealed([&](lpvg_coeff_t& c) { std::memcpy(reinterpret_cast<unsigned char*>(&c.reals) + i * sizeof bad, &bad, sizeof bad); });
         wrong += lpvg_coeff_check(&coeff) != lpvg_status_not_finite ? 1U : 0U;
     }
     CHECK(wrong == 0U);

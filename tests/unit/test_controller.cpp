@@ -102,7 +102,8 @@ Real mid_speed() { return (reals.speed_min + reals.speed_max) / Real(2); }
 
 }  // namespace
 
-TEST_CASE("the law equals a dense recursion in double, within 1e-4 of its range, also against the limits", "[unit][controller][REQ-CTL-1]") {
+TEST_CASE("the law equals a dense recursion in double, within 1e-4 of its range, also against the limits",
+          "[unit][controller][REQ-CTL-1]") {
     const double scale = GENERATE(0.02, 0.5);  // the second one saturates
     lpvg_control_t control = ready();
     Reference reference;
@@ -146,8 +147,8 @@ TEST_CASE("released, the demand is zero after at most u_max / rate_max", "[unit]
         REQUIRE(lpvg_control_step(&control, mid_speed(), m.data(), true) == lpvg_status_ok);
     }
     CHECK(std::fabs(control.u[0]) == reals.u_max[0]);
-    const auto steps = static_cast<int>(
-        std::ceil(static_cast<double>(reals.u_max[0]) / (static_cast<double>(reals.rate_max[0]) * period_s)));
+    const auto steps =
+        static_cast<int>(std::ceil(static_cast<double>(reals.u_max[0]) / (static_cast<double>(reals.rate_max[0]) * period_s)));
     for (int k = 0; k <= steps; ++k) {
         REQUIRE(lpvg_control_step(&control, mid_speed(), m.data(), false) == lpvg_status_ok);
     }
@@ -217,8 +218,8 @@ TEST_CASE("saturation does not wind the state up", "[unit][controller][REQ-CTL-5
 }
 
 TEST_CASE("a number that is not finite releases the demand and spoils nothing", "[unit][controller][REQ-CTL-6]") {
-    const Real bad = GENERATE(std::numeric_limits<Real>::quiet_NaN(), std::numeric_limits<Real>::infinity(),
-                              -std::numeric_limits<Real>::infinity());
+    const Real bad =
+        GENERATE(std::numeric_limits<Real>::quiet_NaN(), std::numeric_limits<Real>::infinity(), -std::numeric_limits<Real>::infinity());
     const int where = GENERATE(range(-1, static_cast<int>(LPVG_NM)));
     lpvg_control_t control = ready();
     for (int k = 0; k < 300; ++k) {

@@ -14,8 +14,7 @@ namespace {
 
 constexpr int64_t tick_us = 10'000;
 
-const lpvg_ecu_config_t config = {true, lpvg_ecu_reaction_report, lpvg_ecu_reaction_report,
-                                  {2.07F, 5.0F, 1.5F, 0.15F, 100U}};
+const lpvg_ecu_config_t config = {true, lpvg_ecu_reaction_report, lpvg_ecu_reaction_report, {2.07F, 5.0F, 1.5F, 0.15F, 100U}};
 
 struct Report {
     float demand = NAN, margin = NAN, verdict = NAN, supervision = NAN;

@@ -150,7 +150,8 @@ TEST_CASE("each kind of error is told in its own band", "[unit][energy][REQ-MON-
     };
     CHECK(strongest([](uint32_t) { return 0.2; }) == 0U);
     for (uint32_t band = 1U; band + 1U < LPVG_NBANDS; ++band) {
-        const auto between = std::sqrt(static_cast<double>(coeff.reals.energy_corner[band - 1U]) * static_cast<double>(coeff.reals.energy_corner[band]));
+        const auto between =
+            std::sqrt(static_cast<double>(coeff.reals.energy_corner[band - 1U]) * static_cast<double>(coeff.reals.energy_corner[band]));
         CHECK(strongest([&](uint32_t k) { return 0.2 * std::sin(2.0 * std::atan(between / (1.0 - between)) * k); }) == band);
     }
     CHECK(strongest([](uint32_t k) { return k % 2U == 0U ? 0.2 : -0.2; }) == LPVG_NBANDS - 1U);

@@ -15,14 +15,30 @@ namespace {
 using Real = lpvg_real_t;
 using Limits = std::numeric_limits<Real>;
 
-const Real special[] = {Limits::quiet_NaN(), Limits::signaling_NaN(), Limits::infinity(), -Limits::infinity(), Limits::max(), Limits::lowest(),
-                        Real(0), -Real(0), Limits::denorm_min(), -Limits::denorm_min(), Limits::min(), -Limits::min(), Limits::epsilon(),
-                        Real(1e30), Real(-1e30), Real(1000), Real(-1000)};
+const Real special[] = {Limits::quiet_NaN(),
+                        Limits::signaling_NaN(),
+                        Limits::infinity(),
+                        -Limits::infinity(),
+                        Limits::max(),
+                        Limits::lowest(),
+                        Real(0),
+                        -Real(0),
+                        Limits::denorm_min(),
+                        -Limits::denorm_min(),
+                        Limits::min(),
+                        -Limits::min(),
+                        Limits::epsilon(),
+                        Real(1e30),
+                        Real(-1e30),
+                        Real(1000),
+                        Real(-1000)};
 
 bool within(Real value, const Real* range) { return value >= range[0] && value <= range[1]; }
 
 template <class Struct>
-bool same_bytes(const Struct& a, const Struct& b) { return std::memcmp(&a, &b, sizeof a) == 0; }
+bool same_bytes(const Struct& a, const Struct& b) {
+    return std::memcmp(&a, &b, sizeof a) == 0;
+}
 
 // Mostly ordinary numbers, so that objects run on between the blows.
 class Blows {

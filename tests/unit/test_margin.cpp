@@ -122,11 +122,9 @@ private:
 
     void newton(std::size_t i, std::size_t j, std::size_t k, C d, bool farther) {
         for (int step = 0; step < 6 && open(); ++step) {
-            const C gi = lpvg::conj(z_[i]) * rest(i, d), gj = lpvg::conj(z_[j]) * rest(j, d),
-                    gk = lpvg::conj(z_[k]) * rest(k, d);
+            const C gi = lpvg::conj(z_[i]) * rest(i, d), gj = lpvg::conj(z_[j]) * rest(j, d), gk = lpvg::conj(z_[k]) * rest(k, d);
             const C a = gj - gi, b = gk - gi;
-            const Long fi = lpvg::squared(rest(i, d)), fj = lpvg::squared(rest(j, d)) - fi,
-                       fk = lpvg::squared(rest(k, d)) - fi;
+            const Long fi = lpvg::squared(rest(i, d)), fj = lpvg::squared(rest(j, d)) - fi, fk = lpvg::squared(rest(k, d)) - fi;
             const Long si = lpvg::squared(z_[i]), sj = lpvg::squared(z_[j]) - si, sk = lpvg::squared(z_[k]) - si;
             const Long det = 2 * lpvg::cross(a, b);
             if (!(std::fabs(det) > 0)) {

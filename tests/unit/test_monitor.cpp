@@ -385,9 +385,8 @@ TEST_CASE("a sample that cannot be is a fault until the next good one, and resta
     // Nothing may be bridged: a frame that began before the last fault must not come.
     const int64_t restart = drive.now();
     drive.run(LPVG_NLATENCY);  // frames that had ended before may still be judged
-    drive.run(longest(), [&](const lpvg_frame_t& frame) {
-        CHECK(frame.t_end_us - period_us() * (words().frame_length[frame.bin] - 1) >= restart);
-    });
+    drive.run(longest(),
+              [&](const lpvg_frame_t& frame) { CHECK(frame.t_end_us - period_us() * (words().frame_length[frame.bin] - 1) >= restart); });
 }
 
 TEST_CASE("the ends of the physical ranges are good", "[unit][monitor][REQ-MON-8]") {
@@ -437,8 +436,8 @@ TEST_CASE("a step of half to one and a half periods goes on, anything else resta
         uint32_t restarts;
     };
     const int64_t T = period_us();
-    const Step step = GENERATE_COPY(Step{T / 2, 0U}, Step{T / 2 - 1, 1U}, Step{T * 3 / 2, 0U}, Step{T * 3 / 2 + 1, 1U},
-                                    Step{2 * T, 1U}, Step{int64_t{1} << 33, 1U}, Step{int64_t{1} << 62, 1U});
+    const Step step = GENERATE_COPY(Step{T / 2, 0U}, Step{T / 2 - 1, 1U}, Step{T * 3 / 2, 0U}, Step{T * 3 / 2 + 1, 1U}, Step{2 * T, 1U},
+                                    Step{int64_t{1} << 33, 1U}, Step{int64_t{1} << 62, 1U});
     Drive drive;
     drive.run(longest() - 1U);
     REQUIRE(drive.monitor.restarts == 1U);

@@ -16,12 +16,8 @@ TEST_CASE("a fault from the start equals the same variation", "[unit][plant]") {
     faults.actuators.resize(1);
     SECTION("friction left") { variation.friction_left_ratio = faults.surroundings[0].friction_left_ratio = 0.4; }
     SECTION("friction right") { variation.friction_right_ratio = faults.surroundings[0].friction_right_ratio = 0.4; }
-    SECTION("front tyres") {
-        variation.cornering_stiffness_front_ratio = faults.surroundings[0].cornering_stiffness_front_ratio = 0.7;
-    }
-    SECTION("rear tyres") {
-        variation.cornering_stiffness_rear_ratio = faults.surroundings[0].cornering_stiffness_rear_ratio = 0.7;
-    }
+    SECTION("front tyres") { variation.cornering_stiffness_front_ratio = faults.surroundings[0].cornering_stiffness_front_ratio = 0.7; }
+    SECTION("rear tyres") { variation.cornering_stiffness_rear_ratio = faults.surroundings[0].cornering_stiffness_rear_ratio = 0.7; }
     SECTION("wind") { variation.crosswind_mean_mps = faults.surroundings[0].crosswind_mps = 5.0; }
     SECTION("brake gain") { variation.brake_gain_ratio = faults.actuators[0].brake_gain_ratio = 0.4; }
     SECTION("brake lag") {

@@ -1,4 +1,5 @@
-/// @file test_plant_inputs.cpp -- are parameters and scenarios read whole or refused; do seeds, sensors and speed profiles do what they say?
+/// @file test_plant_inputs.cpp -- are parameters and scenarios read whole or refused; do seeds, sensors and speed profiles do what they
+/// say?
 #include "../catch.hpp"
 
 #include <cmath>
@@ -153,8 +154,7 @@ TEST_CASE("wheel speeds show the turn and the braked wheel's slip", "[unit][plan
     run(plant, 20.0, -1.0);
     const Sensors& s = plant.sensors();
     CHECK(s.speed_mps == Approx(12.0));
-    CHECK((s.wheel_speed_mps[rear_right] - s.wheel_speed_mps[rear_left]) / p.track_m ==
-          Approx(plant.truth().yaw_rate_radps).epsilon(1e-3));
+    CHECK((s.wheel_speed_mps[rear_right] - s.wheel_speed_mps[rear_left]) / p.track_m == Approx(plant.truth().yaw_rate_radps).epsilon(1e-3));
     const Truth& t = plant.truth();
     const double along_mps = t.speed_mps * std::cos(t.road_wheel_rad) +
                              (t.lateral_velocity_mps + p.cg_to_front_axle_m * t.yaw_rate_radps) * std::sin(t.road_wheel_rad);
@@ -176,8 +176,7 @@ TEST_CASE("the speed profile is followed, and load moves forward when braking", 
     run(plant, 5.0, 0.0);
     CHECK(plant.truth().speed_mps == Approx(15.0));
     const PlantParameters p = quiet();
-    const double moment_kgm =
-        p.sprung_mass_kg * p.sprung_cg_height_m + (p.mass_kg - p.sprung_mass_kg) * p.unsprung_cg_height_m;
+    const double moment_kgm = p.sprung_mass_kg * p.sprung_cg_height_m + (p.mass_kg - p.sprung_mass_kg) * p.unsprung_cg_height_m;
     CHECK(plant.truth().wheel_load_n[front_left] - front_at_rest_n == Approx(0.5 * moment_kgm / p.wheelbase_m));  // 1 m/s^2
     CHECK(sum(plant.truth().wheel_load_n) == Approx(9.81 * p.mass_kg));
     run(plant, 10.0, 0.0);

@@ -53,11 +53,12 @@ TEST_CASE("a steady circle balances forces, loads and roll", "[unit][plant]") {
     const double stiffness = p.roll_stiffness_front_nmprad + p.roll_stiffness_rear_nmprad - 9.81 * sprung_moment;
     CHECK(t.roll_rad == Approx(sprung_moment * t.lateral_acceleration_mps2 / stiffness).epsilon(1e-3));
     // Overturning moment: loads times half a track carry CG height times lateral force plus the CG's own shift by roll.
-    const double moment = 0.5 * p.track_m * (t.wheel_load_n[front_right] + t.wheel_load_n[rear_right] -
-                                             t.wheel_load_n[front_left] - t.wheel_load_n[rear_left]);
+    const double moment =
+        0.5 * p.track_m *
+        (t.wheel_load_n[front_right] + t.wheel_load_n[rear_right] - t.wheel_load_n[front_left] - t.wheel_load_n[rear_left]);
     const double unsprung_moment = (p.mass_kg - p.sprung_mass_kg) * p.unsprung_cg_height_m;
-    CHECK(moment == Approx((sprung_moment + unsprung_moment) * t.lateral_acceleration_mps2 + 9.81 * sprung_moment * t.roll_rad)
-                        .epsilon(1e-3));
+    CHECK(moment ==
+          Approx((sprung_moment + unsprung_moment) * t.lateral_acceleration_mps2 + 9.81 * sprung_moment * t.roll_rad).epsilon(1e-3));
     // Near-neutral handling: the wheels stay within 3 degrees of the geometric angle.
     CHECK(std::fabs(t.road_wheel_rad - p.wheelbase_m * t.yaw_rate_radps / t.speed_mps) < 0.05);
 }
@@ -114,15 +115,15 @@ TEST_CASE("tyres: slip relaxes over its length, force follows slip, load, fricti
         if (k % 50 != 49) {
             continue;
         }
-        const auto middle = [&](double Truth::*member) { return 0.5 * (before.*member + after.*member); };
+        const auto middle = [&](double Truth::* member) { return 0.5 * (before.*member + after.*member); };
         const double r = middle(&Truth::yaw_rate_radps);
         for (std::size_t i = 0; i < 4; ++i) {
             CAPTURE(k, i);
             const bool front = i == front_left || i == front_right;
             const bool left = i == front_left || i == rear_left;
             const double vx = middle(&Truth::speed_mps) + (left ? -0.5 : 0.5) * p.track_m * r;
-            const double vy = middle(&Truth::lateral_velocity_mps) +
-                              (front ? p.cg_to_front_axle_m : p.cg_to_front_axle_m - p.wheelbase_m) * r;
+            const double vy =
+                middle(&Truth::lateral_velocity_mps) + (front ? p.cg_to_front_axle_m : p.cg_to_front_axle_m - p.wheelbase_m) * r;
             const double steer = front ? middle(&Truth::road_wheel_rad) : p.rear_roll_steer_ratio * middle(&Truth::roll_rad);
             const double wheel_vx = vx * std::cos(steer) + vy * std::sin(steer);
             const double wheel_vy = vy * std::cos(steer) - vx * std::sin(steer);
@@ -134,8 +135,7 @@ TEST_CASE("tyres: slip relaxes over its length, force follows slip, load, fricti
             const double static_n = 0.5 * p.mass_kg * 9.81 * share / p.wheelbase_m;
             const double load_ratio = after.wheel_load_n[i] / static_n;
             const double axle_n = front ? p.cornering_stiffness_front_nprad : p.cornering_stiffness_rear_nprad;
-            const double linear_n = -0.5 * axle_n * load_ratio *
-                                    (1.0 - p.load_sensitivity_ratio * (load_ratio - 1.0)) * after.tyre_slip[i];
+            const double linear_n = -0.5 * axle_n * load_ratio * (1.0 - p.load_sensitivity_ratio * (load_ratio - 1.0)) * after.tyre_slip[i];
             const double grip_n = (left ? p.friction_left_ratio : p.friction_right_ratio) * after.wheel_load_n[i];
             const double limit_n = std::sqrt(std::fmax(grip_n * grip_n - after.brake_force_n[i] * after.brake_force_n[i], 0.0));
             const double expected_n = linear_n / std::sqrt(1.0 + linear_n * linear_n / (limit_n * limit_n));
@@ -151,8 +151,7 @@ TEST_CASE("braking harder than the tyre holds leaves the wheel its steering", "[
     p.friction_left_ratio = p.friction_right_ratio = 0.2;
     Plant plant(p, at(15.0), 1);
     run(plant, 1.0, 10.0);
-    CHECK(plant.truth().brake_force_n[front_right] ==
-          Approx(0.9 * 0.2 * plant.truth().wheel_load_n[front_right]).epsilon(1e-3));
+    CHECK(plant.truth().brake_force_n[front_right] == Approx(0.9 * 0.2 * plant.truth().wheel_load_n[front_right]).epsilon(1e-3));
     CHECK(plant.truth().brake_force_n[front_left] == 0.0);
 }
 
@@ -198,11 +197,10 @@ TEST_CASE("a coasting truck is slowed along its own axis by its tyres and resist
         run(plant, Plant::step_s, 1.0, -4.0);
         const Truth t = plant.truth();
         const double rear_steer = p.rear_roll_steer_ratio * t.roll_rad;
-        const double along_n =
-            -(t.tyre_lateral_force_n[front_left] + t.tyre_lateral_force_n[front_right]) * std::sin(t.road_wheel_rad) -
-            (t.brake_force_n[front_left] + t.brake_force_n[front_right]) * std::cos(t.road_wheel_rad) -
-            (t.tyre_lateral_force_n[rear_left] + t.tyre_lateral_force_n[rear_right]) * std::sin(rear_steer) -
-            9.81 * p.mass_kg * p.rolling_resistance_ratio - 0.6 * p.drag_area_m2 * t.speed_mps * t.speed_mps;
+        const double along_n = -(t.tyre_lateral_force_n[front_left] + t.tyre_lateral_force_n[front_right]) * std::sin(t.road_wheel_rad) -
+                               (t.brake_force_n[front_left] + t.brake_force_n[front_right]) * std::cos(t.road_wheel_rad) -
+                               (t.tyre_lateral_force_n[rear_left] + t.tyre_lateral_force_n[rear_right]) * std::sin(rear_steer) -
+                               9.81 * p.mass_kg * p.rolling_resistance_ratio - 0.6 * p.drag_area_m2 * t.speed_mps * t.speed_mps;
         const double expected_mps2 = along_n / p.mass_kg + t.lateral_velocity_mps * t.yaw_rate_radps;
         CHECK((t.speed_mps - before.speed_mps) / Plant::step_s == Approx(expected_mps2).epsilon(2e-3));
     }
@@ -293,8 +291,7 @@ TEST_CASE("halving the integration step changes the answer by less than 1 %", "[
         one.step(demand_bar);
         two.step(demand_bar);
         largest_radps = std::fmax(largest_radps, std::fabs(one.truth().yaw_rate_radps));
-        difference_radps =
-            std::fmax(difference_radps, std::fabs(one.truth().yaw_rate_radps - two.truth().yaw_rate_radps));
+        difference_radps = std::fmax(difference_radps, std::fabs(one.truth().yaw_rate_radps - two.truth().yaw_rate_radps));
     }
     CAPTURE(speed_mps, largest_radps, difference_radps);
     CHECK(largest_radps > 0.05);

@@ -14,7 +14,7 @@ using P = PlantParameters;
 struct Field {
     std::string_view section;
     std::string_view key;
-    double P::*member;
+    double P::* member;
     double low;
     double high;
 };
@@ -68,7 +68,7 @@ constexpr Field fields[] = {
 /// One sensor: the section is the sensor, its three keys are those of SensorParameters.
 struct SensorField {
     std::string_view section;
-    SensorParameters P::*member;
+    SensorParameters P::* member;
     double largest;  ///< Bound on the magnitude of every key, in the sensor's unit.
 };
 
@@ -83,7 +83,7 @@ constexpr SensorField sensor_fields[] = {
 
 struct SensorKey {
     std::string_view key;
-    double SensorParameters::*member;
+    double SensorParameters::* member;
     double low_ratio;  ///< Lower end of the range over SensorField::largest.
 };
 
@@ -93,9 +93,7 @@ constexpr SensorKey sensor_keys[] = {
     {"offset", &SensorParameters::offset, -1.0},
 };
 
-std::string dotted(std::string_view section, std::string_view key) {
-    return std::string(section) + "." + std::string(key);
-}
+std::string dotted(std::string_view section, std::string_view key) { return std::string(section) + "." + std::string(key); }
 
 /// The value of `section.key = { value = ..., source = "..." }`, removed from `document` so that left-overs can be found.
 double take_value(toml::table& document, const std::string& file, std::string_view section, std::string_view key) {
@@ -155,8 +153,8 @@ void check(const PlantParameters& p, const std::string& name) {
     }
     for (const SensorField& sensor : sensor_fields) {
         for (const SensorKey& key : sensor_keys) {
-            require_in_range(name, dotted(sensor.section, key.key), p.*sensor.member.*key.member,
-                             key.low_ratio * sensor.largest, sensor.largest);
+            require_in_range(name, dotted(sensor.section, key.key), p.*sensor.member.*key.member, key.low_ratio * sensor.largest,
+                             sensor.largest);
         }
     }
     require_relation(p.sprung_mass_kg < p.mass_kg, name, "chassis.sprung_mass_kg < chassis.mass_kg");
@@ -185,9 +183,7 @@ PlantParameters parse_parameters(const std::string& toml_text, const std::string
     return p;
 }
 
-PlantParameters load_parameters(const std::string& path) {
-    return parse_parameters(read_text(path), path);
-}
+PlantParameters load_parameters(const std::string& path) { return parse_parameters(read_text(path), path); }
 
 PlantParameters varied(const PlantParameters& nominal, const Variation& v) {
     PlantParameters p = nominal;
@@ -198,8 +194,8 @@ PlantParameters varied(const PlantParameters& nominal, const Variation& v) {
     p.roll_inertia_kgm2 *= p.sprung_mass_kg / nominal.sprung_mass_kg * v.cg_height_ratio * v.cg_height_ratio;
     p.cg_to_front_axle_m += v.cg_shift_m;
     // The moment comes from the load that lateral acceleration shifts between the front wheels: it goes with the axle's load.
-    p.lateral_acceleration_moment_nms2pm *= v.load_ratio * (p.wheelbase_m - p.cg_to_front_axle_m) /
-                                            (nominal.wheelbase_m - nominal.cg_to_front_axle_m);
+    p.lateral_acceleration_moment_nms2pm *=
+        v.load_ratio * (p.wheelbase_m - p.cg_to_front_axle_m) / (nominal.wheelbase_m - nominal.cg_to_front_axle_m);
     p.sprung_cg_height_m *= v.cg_height_ratio;
     p.friction_left_ratio *= v.friction_left_ratio;
     p.friction_right_ratio *= v.friction_right_ratio;

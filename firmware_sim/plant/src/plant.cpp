@@ -13,9 +13,7 @@ constexpr double air_density_kgpm3 = 1.2;
 /// The EBS keeps a braked wheel this far inside its friction limit, so that it still steers (an ideal anti-lock function).
 constexpr double usable_brake_share = 0.9;
 
-double square(double x) {
-    return x * x;
-}
+double square(double x) { return x * x; }
 
 /// Series for |x| <= 0.8 (the largest steering stop): error below 4e-7, 1e-12 in ordinary driving. libm's results differ in the
 /// last bit between machines with and without FMA; these do not.
@@ -61,17 +59,15 @@ void check_drive(const Drive& drive) {
     require(drive.substeps >= 1 && drive.substeps <= 100, "1 .. 100 substeps");
 }
 
-void check_window(const Window& window) {
-    require(window.end_s > window.start_s, "fault windows that end after they start");
-}
+void check_window(const Window& window) { require(window.end_s > window.start_s, "fault windows that end after they start"); }
 
 void check_faults(const Faults& faults, const PlantParameters& p) {
     for (const SensorFault& fault : faults.sensors) {
         check_window(fault.window);
         require(fault.extra_noise_rms >= 0.0, "sensor fault extra_noise_rms >= 0");
-        require(std::isfinite(fault.gain) && std::isfinite(fault.bias) && std::isfinite(fault.drift_ps) &&
-                    std::isfinite(fault.extra_noise_rms),
-                "finite sensor fault sizes");
+        require(
+            std::isfinite(fault.gain) && std::isfinite(fault.bias) && std::isfinite(fault.drift_ps) && std::isfinite(fault.extra_noise_rms),
+            "finite sensor fault sizes");
     }
     double delay_s = p.brake_delay_s;
     for (const ActuatorFault& fault : faults.actuators) {
@@ -95,12 +91,7 @@ void check_faults(const Faults& faults, const PlantParameters& p) {
 }  // namespace
 
 Plant::Plant(const PlantParameters& parameters, const Drive& drive, std::uint64_t seed, const Faults& faults)
-    : p_(parameters),
-      drive_(drive),
-      faults_(faults),
-      bank_random_(seed, 1),
-      gust_random_(seed, 2),
-      sensor_random_(seed, 3) {
+    : p_(parameters), drive_(drive), faults_(faults), bank_random_(seed, 1), gust_random_(seed, 2), sensor_random_(seed, 3) {
     check(p_, "plant parameters");
     check_drive(drive_);
     check_faults(faults_, p_);
@@ -113,10 +104,8 @@ Plant::Plant(const PlantParameters& parameters, const Drive& drive, std::uint64_
     sprung_moment_kgm_ = p_.sprung_mass_kg * p_.sprung_cg_height_m;
     unsprung_moment_front_kgm_ = unsprung_mass_kg * p_.unsprung_cg_height_m * front_share;
     unsprung_moment_rear_kgm_ = unsprung_mass_kg * p_.unsprung_cg_height_m * (1.0 - front_share);
-    longitudinal_transfer_kg_ =
-        0.5 * (sprung_moment_kgm_ + unsprung_mass_kg * p_.unsprung_cg_height_m) / p_.wheelbase_m;
-    const double front_roll_share =
-        p_.roll_stiffness_front_nmprad / (p_.roll_stiffness_front_nmprad + p_.roll_stiffness_rear_nmprad);
+    longitudinal_transfer_kg_ = 0.5 * (sprung_moment_kgm_ + unsprung_mass_kg * p_.unsprung_cg_height_m) / p_.wheelbase_m;
+    const double front_roll_share = p_.roll_stiffness_front_nmprad / (p_.roll_stiffness_front_nmprad + p_.roll_stiffness_rear_nmprad);
     roll_damping_front_nmsprad_ = p_.roll_damping_nmsprad * front_roll_share;
     roll_damping_rear_nmsprad_ = p_.roll_damping_nmsprad * (1.0 - front_roll_share);
     reduced_roll_inertia_kgm2_ = p_.roll_inertia_kgm2 - square(sprung_moment_kgm_) / p_.mass_kg;
@@ -205,8 +194,7 @@ Plant::Held Plant::hold(double demand_bar, double driver_torque_nm) {
     in.inverse_lag_ps = 1.0 / lag_s;
     in.brake_force_npbar = p_.brake_force_npbar * gain;
     in.driver_moment_nm = driver_torque_nm * p_.steering_ratio;
-    in.acceleration_mps2 = drive_.speed_is_free ? forces_.longitudinal_acceleration_mps2
-                                                : (next_speed() - x_[speed]) / step_s;
+    in.acceleration_mps2 = drive_.speed_is_free ? forces_.longitudinal_acceleration_mps2 : (next_speed() - x_[speed]) / step_s;
     in.bank_rad = bank_rad_;
     in.crosswind_mps = crosswind_mps;
     in.friction_squared = {square(friction_left), square(friction_right), square(friction_left), square(friction_right)};
@@ -225,11 +213,10 @@ Plant::State Plant::derivative(const State& x, const Held& in, Forces& forces) c
 
     // Wheel loads. The unsprung masses feel vx r + g e here, not A: A depends on the loads, and vy' is small beside it.
     const double felt_mps2 = vx * r + gravity_mps2 * in.bank_rad;
-    const double front_roll_moment_nm = p_.roll_stiffness_front_nmprad * x[roll] +
-                                        roll_damping_front_nmsprad_ * x[roll_rate] +
-                                        unsprung_moment_front_kgm_ * felt_mps2;
-    const double rear_roll_moment_nm = p_.roll_stiffness_rear_nmprad * x[roll] +
-                                       roll_damping_rear_nmsprad_ * x[roll_rate] + unsprung_moment_rear_kgm_ * felt_mps2;
+    const double front_roll_moment_nm =
+        p_.roll_stiffness_front_nmprad * x[roll] + roll_damping_front_nmsprad_ * x[roll_rate] + unsprung_moment_front_kgm_ * felt_mps2;
+    const double rear_roll_moment_nm =
+        p_.roll_stiffness_rear_nmprad * x[roll] + roll_damping_rear_nmsprad_ * x[roll_rate] + unsprung_moment_rear_kgm_ * felt_mps2;
     const double longitudinal_n = longitudinal_transfer_kg_ * in.acceleration_mps2;
     const double mean_front_n = static_load_front_n_ - longitudinal_n;
     const double mean_rear_n = static_load_rear_n_ + longitudinal_n;
@@ -247,17 +234,14 @@ Plant::State Plant::derivative(const State& x, const Held& in, Forces& forces) c
     const std::array<double, 4> sine{sine_front, sine_front, sine_rear, sine_rear};
     const std::array<double, 4> cosine{cosine_front, cosine_front, cosine_rear, cosine_rear};
     const double half_track_speed = 0.5 * p_.track_m * r;
-    const std::array<double, 4> body_vx{vx - half_track_speed, vx + half_track_speed, vx - half_track_speed,
-                                        vx + half_track_speed};
+    const std::array<double, 4> body_vx{vx - half_track_speed, vx + half_track_speed, vx - half_track_speed, vx + half_track_speed};
     const double front_vy = vy + p_.cg_to_front_axle_m * r;
     const double rear_vy = vy - cg_to_rear_axle_m_ * r;
     const std::array<double, 4> body_vy{front_vy, front_vy, rear_vy, rear_vy};
     const double inverse_front_load = 1.0 / static_load_front_n_;
     const double inverse_rear_load = 1.0 / static_load_rear_n_;
-    const std::array<double, 4> inverse_static_load{inverse_front_load, inverse_front_load, inverse_rear_load,
-                                                    inverse_rear_load};
-    const std::array<double, 4> wanted_brake_n{in.brake_force_npbar * x[pressure_left],
-                                               in.brake_force_npbar * x[pressure_right], 0.0, 0.0};
+    const std::array<double, 4> inverse_static_load{inverse_front_load, inverse_front_load, inverse_rear_load, inverse_rear_load};
+    const std::array<double, 4> wanted_brake_n{in.brake_force_npbar * x[pressure_left], in.brake_force_npbar * x[pressure_right], 0.0, 0.0};
     const double inverse_relaxation_pm = 1.0 / p_.relaxation_length_m;
     std::array<double, 4> body_x_n{};
     std::array<double, 4> body_y_n{};
@@ -268,8 +252,7 @@ Plant::State Plant::derivative(const State& x, const Held& in, Forces& forces) c
         dx[slip + i] = (wheel_vy - std::fabs(wheel_vx) * x[slip + i]) * inverse_relaxation_pm;
 
         const double load_ratio = forces.wheel_load_n[i] * inverse_static_load[i];
-        const double stiffness_n =
-            in.cornering_stiffness_n[i] * load_ratio * (1.0 - p_.load_sensitivity_ratio * (load_ratio - 1.0));
+        const double stiffness_n = in.cornering_stiffness_n[i] * load_ratio * (1.0 - p_.load_sensitivity_ratio * (load_ratio - 1.0));
         const double grip_squared = in.friction_squared[i] * square(forces.wheel_load_n[i]);
         const double brake_squared = std::min(square(wanted_brake_n[i]), square(usable_brake_share) * grip_squared);
         forces.brake_force_n[i] = brake_squared < square(wanted_brake_n[i]) ? std::sqrt(brake_squared) : wanted_brake_n[i];
@@ -290,8 +273,7 @@ Plant::State Plant::derivative(const State& x, const Held& in, Forces& forces) c
     const double roll_nm = sprung_moment_kgm_ * gravity_mps2 * (x[roll] + in.bank_rad) -
                            (p_.roll_stiffness_front_nmprad + p_.roll_stiffness_rear_nmprad) * x[roll] -
                            p_.roll_damping_nmsprad * x[roll_rate] - wind_n * p_.wind_height_m;
-    const double roll_acceleration =
-        (roll_nm + sprung_moment_kgm_ / p_.mass_kg * side_n) / reduced_roll_inertia_kgm2_;
+    const double roll_acceleration = (roll_nm + sprung_moment_kgm_ / p_.mass_kg * side_n) / reduced_roll_inertia_kgm2_;
     const double lateral_mps2 = (side_n + sprung_moment_kgm_ * roll_acceleration) / p_.mass_kg;
     forces.lateral_acceleration_mps2 = lateral_mps2;
     dx[lateral_velocity] = lateral_mps2 - vx * r;
@@ -301,24 +283,23 @@ Plant::State Plant::derivative(const State& x, const Held& in, Forces& forces) c
     // Yaw.
     const double left_x_n = body_x_n[front_left] + body_x_n[rear_left];
     const double right_x_n = body_x_n[front_right] + body_x_n[rear_right];
-    dx[yaw_rate] = (p_.cg_to_front_axle_m * front_y_n - cg_to_rear_axle_m_ * rear_y_n +
-                    0.5 * p_.track_m * (right_x_n - left_x_n) + wind_n * p_.wind_arm_m) /
+    dx[yaw_rate] = (p_.cg_to_front_axle_m * front_y_n - cg_to_rear_axle_m_ * rear_y_n + 0.5 * p_.track_m * (right_x_n - left_x_n) +
+                    wind_n * p_.wind_arm_m) /
                    p_.yaw_inertia_kgm2;
 
     // Steering. Friction is Coulomb's, rounded near rest so that the step size need not resolve a jump.
     const double friction_nm =
         p_.kingpin_friction_nm * x[steer_rate] / std::sqrt(square(x[steer_rate]) + square(p_.kingpin_friction_blend_radps));
-    const double steering_nm =
-        -p_.trail_m * (forces.lateral_n[front_left] + forces.lateral_n[front_right]) -
-        p_.scrub_radius_m * (forces.brake_force_n[front_right] - forces.brake_force_n[front_left]) +
-        p_.lateral_acceleration_moment_nms2pm * (lateral_mps2 + gravity_mps2 * in.bank_rad) -
-        p_.steering_damping_nmsprad * x[steer_rate] - friction_nm + in.driver_moment_nm;
+    const double steering_nm = -p_.trail_m * (forces.lateral_n[front_left] + forces.lateral_n[front_right]) -
+                               p_.scrub_radius_m * (forces.brake_force_n[front_right] - forces.brake_force_n[front_left]) +
+                               p_.lateral_acceleration_moment_nms2pm * (lateral_mps2 + gravity_mps2 * in.bank_rad) -
+                               p_.steering_damping_nmsprad * x[steer_rate] - friction_nm + in.driver_moment_nm;
     dx[steer] = x[steer_rate];
     dx[steer_rate] = steering_nm / p_.steering_inertia_kgm2;
 
     // Speed.
-    const double resistance_n = p_.rolling_resistance_ratio * p_.mass_kg * gravity_mps2 +
-                                0.5 * air_density_kgpm3 * p_.drag_area_m2 * square(vx);
+    const double resistance_n =
+        p_.rolling_resistance_ratio * p_.mass_kg * gravity_mps2 + 0.5 * air_density_kgpm3 * p_.drag_area_m2 * square(vx);
     forces.longitudinal_acceleration_mps2 = (left_x_n + right_x_n - resistance_n) / p_.mass_kg;
     dx[speed] = drive_.speed_is_free ? forces.longitudinal_acceleration_mps2 + vy * r : in.acceleration_mps2;
     return dx;
@@ -406,13 +387,11 @@ double Plant::measured(Signal signal, double true_value, const SensorParameters&
 void Plant::sample_sensors() {
     const Sensors old = sensors_;
     sensors_.time_s = truth_.time_s;
-    sensors_.yaw_rate_radps =
-        measured(Signal::yaw_rate, truth_.yaw_rate_radps, p_.yaw_rate_sensor, old.yaw_rate_radps);
-    sensors_.steering_wheel_rad = measured(Signal::steering_wheel, truth_.road_wheel_rad * p_.steering_ratio,
-                                           p_.steering_wheel_sensor, old.steering_wheel_rad);
+    sensors_.yaw_rate_radps = measured(Signal::yaw_rate, truth_.yaw_rate_radps, p_.yaw_rate_sensor, old.yaw_rate_radps);
+    sensors_.steering_wheel_rad =
+        measured(Signal::steering_wheel, truth_.road_wheel_rad * p_.steering_ratio, p_.steering_wheel_sensor, old.steering_wheel_rad);
     sensors_.lateral_acceleration_mps2 =
-        measured(Signal::lateral_acceleration,
-                 truth_.lateral_acceleration_mps2 + gravity_mps2 * (truth_.roll_rad + truth_.bank_rad),
+        measured(Signal::lateral_acceleration, truth_.lateral_acceleration_mps2 + gravity_mps2 * (truth_.roll_rad + truth_.bank_rad),
                  p_.lateral_acceleration_sensor, old.lateral_acceleration_mps2);
     sensors_.speed_mps = measured(Signal::speed, truth_.speed_mps, p_.speed_sensor, old.speed_mps);
 
@@ -430,14 +409,13 @@ void Plant::sample_sensors() {
                                                  Signal::wheel_speed_rear_left, Signal::wheel_speed_rear_right};
     for (std::size_t i = 0; i < 4; ++i) {
         const double slip_ratio = forces_.brake_force_n[i] / p_.brake_slip_stiffness_n;
-        sensors_.wheel_speed_mps[i] =
-            measured(wheel_signal[i], std::max(wheel_speed_mps[i] * (1.0 - slip_ratio), 0.0), p_.wheel_speed_sensor,
-                     old.wheel_speed_mps[i]);
+        sensors_.wheel_speed_mps[i] = measured(wheel_signal[i], std::max(wheel_speed_mps[i] * (1.0 - slip_ratio), 0.0),
+                                               p_.wheel_speed_sensor, old.wheel_speed_mps[i]);
     }
-    sensors_.brake_pressure_left_bar = measured(Signal::brake_pressure_left, truth_.pressure_left_bar,
-                                                p_.brake_pressure_sensor, old.brake_pressure_left_bar);
-    sensors_.brake_pressure_right_bar = measured(Signal::brake_pressure_right, truth_.pressure_right_bar,
-                                                 p_.brake_pressure_sensor, old.brake_pressure_right_bar);
+    sensors_.brake_pressure_left_bar =
+        measured(Signal::brake_pressure_left, truth_.pressure_left_bar, p_.brake_pressure_sensor, old.brake_pressure_left_bar);
+    sensors_.brake_pressure_right_bar =
+        measured(Signal::brake_pressure_right, truth_.pressure_right_bar, p_.brake_pressure_sensor, old.brake_pressure_right_bar);
 }
 
 }  // namespace lpvguard_plant

@@ -5,9 +5,7 @@
 namespace lpvguard_plant {
 namespace {
 
-std::uint64_t rotate_left(std::uint64_t x, int count) {
-    return (x << count) | (x >> (64 - count));
-}
+std::uint64_t rotate_left(std::uint64_t x, int count) { return (x << count) | (x >> (64 - count)); }
 
 std::uint64_t splitmix64(std::uint64_t& state) {
     state += 0x9E3779B97F4A7C15U;
@@ -29,8 +27,7 @@ double logarithm(double x) {
     }
     const double s = (mantissa - 1.0) / (mantissa + 1.0);
     const double s2 = s * s;
-    const double series =
-        1.0 + s2 * (1.0 / 3 + s2 * (1.0 / 5 + s2 * (1.0 / 7 + s2 * (1.0 / 9 + s2 * (1.0 / 11 + s2 / 13)))));
+    const double series = 1.0 + s2 * (1.0 / 3 + s2 * (1.0 / 5 + s2 * (1.0 / 7 + s2 * (1.0 / 9 + s2 * (1.0 / 11 + s2 / 13)))));
     return static_cast<double>(exponent) * log_2 + 2.0 * s * series;
 }
 
@@ -46,8 +43,8 @@ double normal_quantile(double p) {
     double value = 0.0;
     if (r <= 5.0) {
         r -= 1.6;
-        value = (((0.17023821103 * r + 1.3067284816) * r + 2.7568153900) * r + 1.4234372777) /
-                ((0.12021132975 * r + 0.73700164250) * r + 1.0);
+        value =
+            (((0.17023821103 * r + 1.3067284816) * r + 2.7568153900) * r + 1.4234372777) / ((0.12021132975 * r + 0.73700164250) * r + 1.0);
     } else {
         r -= 5.0;
         value = (((0.017337203997 * r + 0.42868294337) * r + 3.0812263860) * r + 6.6579051150) /
@@ -83,12 +80,8 @@ double Random::uniform() {
     return (static_cast<double>(bits() >> 12) + 0.5) * 0x1.0p-52;
 }
 
-double Random::uniform(double low, double high) {
-    return low + (high - low) * uniform();
-}
+double Random::uniform(double low, double high) { return low + (high - low) * uniform(); }
 
-double Random::normal() {
-    return normal_quantile(uniform());
-}
+double Random::normal() { return normal_quantile(uniform()); }
 
 }  // namespace lpvguard_plant

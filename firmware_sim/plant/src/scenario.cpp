@@ -13,7 +13,7 @@ namespace {
 template <typename Owner>
 struct Key {
     std::string_view name;
-    double Owner::*member;
+    double Owner::* member;
     double low;
     double high;
 };
@@ -87,8 +87,7 @@ constexpr SignalName signal_names[signal_count] = {
 /// One table of a scenario. Each key taken leaves it, so that done() can refuse what nobody asked for.
 class Table {
 public:
-    Table(toml::table table, const std::string& file, const std::string& where)
-        : table_(std::move(table)), file_(file), where_(where) {}
+    Table(toml::table table, const std::string& file, const std::string& where) : table_(std::move(table)), file_(file), where_(where) {}
 
     template <typename Owner, std::size_t count>
     void take(Owner& owner, const Key<Owner> (&keys)[count]) {
@@ -273,8 +272,6 @@ Scenario parse_scenario(const std::string& toml_text, const std::string& name) {
     return scenario;
 }
 
-Scenario load_scenario(const std::string& path) {
-    return parse_scenario(read_text(path), path);
-}
+Scenario load_scenario(const std::string& path) { return parse_scenario(read_text(path), path); }
 
 }  // namespace lpvguard_plant

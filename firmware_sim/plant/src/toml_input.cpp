@@ -12,8 +12,7 @@ toml::table parse_toml(const std::string& text, const std::string& name) {
         return toml::parse(text, name);
     } catch (const toml::parse_error& error) {
         std::ostringstream message;
-        message << name << ':' << error.source().begin.line << ':' << error.source().begin.column << ": "
-                << error.description();
+        message << name << ':' << error.source().begin.line << ':' << error.source().begin.column << ": " << error.description();
         throw ParameterError(message.str());
     }
 }

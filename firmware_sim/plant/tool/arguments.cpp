@@ -28,9 +28,7 @@ std::string Arguments::take(const std::string& name) {
     return value;
 }
 
-std::string Arguments::text(const std::string& name, const std::string& otherwise) {
-    return has(name) ? take(name) : otherwise;
-}
+std::string Arguments::text(const std::string& name, const std::string& otherwise) { return has(name) ? take(name) : otherwise; }
 
 std::string Arguments::text(const std::string& name) {
     if (!has(name)) {
@@ -43,8 +41,7 @@ double Arguments::to_number(const std::string& name, const std::string& word, do
     char* end = nullptr;
     const double value = std::strtod(word.c_str(), &end);
     if (word.empty() || *end != '\0' || !(value >= low && value <= high)) {
-        throw UsageError(name + " '" + word + "': expected a number, " + std::to_string(low) + " .. " +
-                         std::to_string(high));
+        throw UsageError(name + " '" + word + "': expected a number, " + std::to_string(low) + " .. " + std::to_string(high));
     }
     return value;
 }

@@ -23,9 +23,7 @@ double sine(double x) {
         folded = std::copysign(0.5 * two_pi, folded) - folded;
     }
     const double f2 = folded * folded;
-    return folded * (1.0 - f2 / 6.0 *
-                               (1.0 - f2 / 20.0 *
-                                          (1.0 - f2 / 42.0 * (1.0 - f2 / 72.0 * (1.0 - f2 / 110.0 * (1.0 - f2 / 156.0))))));
+    return folded * (1.0 - f2 / 6.0 * (1.0 - f2 / 20.0 * (1.0 - f2 / 42.0 * (1.0 - f2 / 72.0 * (1.0 - f2 / 110.0 * (1.0 - f2 / 156.0))))));
 }
 
 /// The brake demand over time: one call per 10 ms.
@@ -150,8 +148,7 @@ private:
             return load_scenario(arguments.text("--scenario"));
         }
         Scenario scenario;
-        scenario.drive.speed_profile = {
-            {0.0, arguments.number("--speed", 12.0, Plant::slowest_mps, Plant::fastest_mps)}};
+        scenario.drive.speed_profile = {{0.0, arguments.number("--speed", 12.0, Plant::slowest_mps, Plant::fastest_mps)}};
         return scenario;
     }
 
@@ -184,16 +181,16 @@ int generate(Arguments arguments) {
     const std::string path = arguments.text("-o");
     Experiment experiment(arguments, 60.0);
     arguments.done();
-    const auto plant = std::make_unique<Plant>(experiment.parameters, experiment.scenario.drive, experiment.seed,
-                                               experiment.scenario.faults);
+    const auto plant =
+        std::make_unique<Plant>(experiment.parameters, experiment.scenario.drive, experiment.seed, experiment.scenario.faults);
     ResultFile result(path);
     std::fputs("t,v,dp,r,delta\n", result.handle());
     for (std::int64_t k = 0; k < experiment.samples; ++k) {
         // Row k: what the sensors read at t, and the demand that holds from t to the next row.
         const double demand_bar = experiment.program.next();
         const Sensors& seen = plant->sensors();
-        std::fprintf(result.handle(), "%.9g,%.9g,%.9g,%.9g,%.9g\n", static_cast<double>(k) * sample_s, seen.speed_mps,
-                     demand_bar, seen.yaw_rate_radps, seen.steering_wheel_rad / experiment.parameters.steering_ratio);
+        std::fprintf(result.handle(), "%.9g,%.9g,%.9g,%.9g,%.9g\n", static_cast<double>(k) * sample_s, seen.speed_mps, demand_bar,
+                     seen.yaw_rate_radps, seen.steering_wheel_rad / experiment.parameters.steering_ratio);
         for (int i = 0; i < Plant::steps_per_sample; ++i) {
             plant->step(demand_bar);
         }
@@ -205,8 +202,8 @@ int generate(Arguments arguments) {
 int digest(Arguments arguments) {
     Experiment experiment(arguments, 600.0);
     arguments.done();
-    const auto plant = std::make_unique<Plant>(experiment.parameters, experiment.scenario.drive, experiment.seed,
-                                               experiment.scenario.faults);
+    const auto plant =
+        std::make_unique<Plant>(experiment.parameters, experiment.scenario.drive, experiment.seed, experiment.scenario.faults);
     Hash hash;
     for (std::int64_t k = 0; k < experiment.samples; ++k) {
         const double demand_bar = experiment.program.next();
@@ -215,9 +212,8 @@ int digest(Arguments arguments) {
         }
         const Truth& truth = plant->truth();
         const Sensors& seen = plant->sensors();
-        for (const double value : {truth.yaw_rate_radps, truth.road_wheel_rad, truth.roll_rad, truth.lateral_velocity_mps,
-                                   truth.speed_mps, seen.yaw_rate_radps, seen.steering_wheel_rad, seen.speed_mps,
-                                   seen.lateral_acceleration_mps2}) {
+        for (const double value : {truth.yaw_rate_radps, truth.road_wheel_rad, truth.roll_rad, truth.lateral_velocity_mps, truth.speed_mps,
+                                   seen.yaw_rate_radps, seen.steering_wheel_rad, seen.speed_mps, seen.lateral_acceleration_mps2}) {
             hash.add(value);
         }
     }

@@ -139,8 +139,8 @@ int frequency_response(Arguments arguments) {
     const int points = static_cast<int>(arguments.number("--points", 24.0, 2.0, 1000.0));
     arguments.done();
 
-    std::printf("relative difference from Table I (l = 4.5 m), %.3g to %.3g rad/s, %d points, sine of %.3g bar\n",
-                lowest_radps, highest_radps, points, amplitude_bar);
+    std::printf("relative difference from Table I (l = 4.5 m), %.3g to %.3g rad/s, %d points, sine of %.3g bar\n", lowest_radps,
+                highest_radps, points, amplitude_bar);
     std::printf("columns: median, worst, its frequency [rad/s]\n");
     std::printf("limits (demand): median in %.0f .. %.0f %%, worst at most %.0f %%\n\n", 100.0 * least_median_ratio,
                 100.0 * largest_median_ratio, 100.0 * largest_worst_ratio);
@@ -189,8 +189,8 @@ int response(Arguments arguments) {
     for (const double omega : omegas_radps) {
         const Response found = omega == 0.0 ? steady(parameters, speed_mps, amplitude_bar, faults)
                                             : measure(parameters, speed_mps, omega, amplitude_bar, faults).from_demand;
-        std::printf("%.9g,%.9g,%.9g,%.9g,%.9g\n", omega, found.yaw_rate.real(), found.yaw_rate.imag(),
-                    found.road_wheel.real(), found.road_wheel.imag());
+        std::printf("%.9g,%.9g,%.9g,%.9g,%.9g\n", omega, found.yaw_rate.real(), found.yaw_rate.imag(), found.road_wheel.real(),
+                    found.road_wheel.imag());
     }
     return 0;
 }

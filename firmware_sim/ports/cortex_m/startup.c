@@ -14,8 +14,7 @@ int main(void);
 void reset(void);
 void fault(void);
 
-void reset(void)
-{
+void reset(void) {
     uint32_t* to;
     const uint32_t* from = &__data_load;
     CPACR |= 0xFu << 20; /* coprocessors 10 and 11 */
@@ -29,32 +28,23 @@ void reset(void)
     port_exit(main());
 }
 
-void fault(void)
-{
+void fault(void) {
     port_write("processor fault\n");
     port_exit(99);
 }
 
 __attribute__((section(".vectors"), used)) static const void* const vectors[16] = {
-    &__stack_top, (const void*)reset, (const void*)fault, (const void*)fault, (const void*)fault, (const void*)fault,
-    (const void*)fault};
+    &__stack_top, (const void*)reset, (const void*)fault, (const void*)fault, (const void*)fault, (const void*)fault, (const void*)fault};
 
 /* QEMU's processor models have no cycle counter, so SysTick: 24 bits at 25 MHz, counting down. Under -icount shift=7 an
  * instruction takes 128 ns, that is 3.2 ticks: exact to the instruction, at most 5.2 million of them. */
-void port_counter_start(void)
-{
+void port_counter_start(void) {
     SYST_CSR = 0u;
     SYST_RVR = 0xFFFFFFu;
     SYST_CVR = 0u;
     SYST_CSR = 5u;
 }
 
-uint32_t port_counter(void)
-{
-    return 0xFFFFFFu - SYST_CVR;
-}
+uint32_t port_counter(void) { return 0xFFFFFFu - SYST_CVR; }
 
-uint32_t port_instructions(uint32_t begin, uint32_t end)
-{
-    return (((end - begin) & 0xFFFFFFu) * 5u + 8u) / 16u;
-}
+uint32_t port_instructions(uint32_t begin, uint32_t end) { return (((end - begin) & 0xFFFFFFu) * 5u + 8u) / 16u; }

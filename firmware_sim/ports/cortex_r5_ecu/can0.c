@@ -6,34 +6,40 @@
 #define CAN0(offset) (*(volatile uint32_t*)(0xFF060000u + (offset)))
 
 enum {
-    SRR = 0x00, MSR = 0x04, BRPR = 0x08, BTR = 0x0C, SR = 0x18, ISR = 0x1C, ICR = 0x24, TX = 0x30, RX = 0x50, AFR = 0x60,
-    ID = 0x0, DLC = 0x4, DATA1 = 0x8, DATA2 = 0xC /* of TX and RX */
+    SRR = 0x00,
+    MSR = 0x04,
+    BRPR = 0x08,
+    BTR = 0x0C,
+    SR = 0x18,
+    ISR = 0x1C,
+    ICR = 0x24,
+    TX = 0x30,
+    RX = 0x50,
+    AFR = 0x60,
+    ID = 0x0,
+    DLC = 0x4,
+    DATA1 = 0x8,
+    DATA2 = 0xC /* of TX and RX */
 };
 static const uint32_t software_reset = 1u << 0, enable = 1u << 1, tx_full = 1u << 10, rx_not_empty = 1u << 7;
 
 /* Each access to a register takes QEMU's one lock; on one processor its input thread would never get it from a tight loop. */
-static void leave_the_lock(void)
-{
+static void leave_the_lock(void) {
     volatile int idle;
     for (idle = 0; idle < 2000; ++idle) {
     }
 }
 
-static uint32_t packed(const uint8_t* data)
-{
-    return data[0] | (uint32_t)data[1] << 8 | (uint32_t)data[2] << 16 | (uint32_t)data[3] << 24;
-}
+static uint32_t packed(const uint8_t* data) { return data[0] | (uint32_t)data[1] << 8 | (uint32_t)data[2] << 16 | (uint32_t)data[3] << 24; }
 
-static void unpack(uint32_t word, uint8_t* data)
-{
+static void unpack(uint32_t word, uint8_t* data) {
     size_t i;
     for (i = 0u; i < 4u; ++i) {
         data[i] = (uint8_t)(word >> (8u * i));
     }
 }
 
-static bool take_frame(lpvg_can_frame_t* frame)
-{
+static bool take_frame(lpvg_can_frame_t* frame) {
     if ((CAN0(ISR) & rx_not_empty) == 0u) {
         return false;
     }
@@ -45,8 +51,7 @@ static bool take_frame(lpvg_can_frame_t* frame)
     return true;
 }
 
-static bool send_frame(void* driver, const lpvg_can_frame_t* frame)
-{
+static bool send_frame(void* driver, const lpvg_can_frame_t* frame) {
     can0_t* const self = (can0_t*)driver;
     if (self->bus_off || frame->dlc > sizeof frame->data || (CAN0(SR) & tx_full) != 0u) {
         return false;
@@ -59,8 +64,7 @@ static bool send_frame(void* driver, const lpvg_can_frame_t* frame)
     return true;
 }
 
-static bool receive_frame(void* driver, int64_t now_us, lpvg_can_frame_t* frame)
-{
+static bool receive_frame(void* driver, int64_t now_us, lpvg_can_frame_t* frame) {
     can0_t* const self = (can0_t*)driver;
     bool off;
     if (self->bus_off && now_us - self->bus_off_us >= CAN0_RESTART_US) {
@@ -81,8 +85,7 @@ static bool receive_frame(void* driver, int64_t now_us, lpvg_can_frame_t* frame)
     return false;
 }
 
-void can0_open(can0_t* self, bus_t* bus)
-{
+void can0_open(can0_t* self, bus_t* bus) {
     self->head = self->tail = 0u;
     self->sent = 0u;
     self->bus_off = false;
@@ -97,8 +100,7 @@ void can0_open(can0_t* self, bus_t* bus)
     bus->receive_frame = receive_frame;
 }
 
-void can0_await(can0_t* self, uint64_t frames)
-{
+void can0_await(can0_t* self, uint64_t frames) {
     lpvg_can_frame_t frame;
     while (frames > 0u) {
         if (!take_frame(&frame)) {

@@ -17,7 +17,10 @@
 extern "C" {
 #endif
 
-enum { CAN0_QUEUE = 128, CAN0_RESTART_US = 100000 };
+enum {
+    CAN0_QUEUE = 128,
+    CAN0_RESTART_US = 100000
+};
 
 typedef struct can0_t {
     lpvg_can_frame_t queue[CAN0_QUEUE]; /* taken from the controller, not yet received */

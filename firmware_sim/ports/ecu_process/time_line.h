@@ -21,6 +21,8 @@ typedef struct time_answer_t {
     uint64_t judged; /* 1: the monitor has judged a frame in this tick */
 } time_answer_t;
 
-enum { TIME_LINE_TEXT_MAX = 16384 };
+enum {
+    TIME_LINE_TEXT_MAX = 16384
+};
 
 #endif

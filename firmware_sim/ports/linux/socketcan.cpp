@@ -16,7 +16,8 @@
 namespace {
 
 static_assert(LPVG_CAN_EXTENDED == CAN_EFF_FLAG && LPVG_CAN_REMOTE == CAN_RTR_FLAG && LPVG_CAN_ERROR == CAN_ERR_FLAG &&
-              LPVG_CAN_BUS_OFF == CAN_ERR_BUSOFF, "the core's flags are the kernel's");
+                  LPVG_CAN_BUS_OFF == CAN_ERR_BUSOFF,
+              "the core's flags are the kernel's");
 
 template <class T>
 bool set(int socket, int level, int name, const T& value) {
@@ -27,25 +28,24 @@ bool set_filters(int socket, const socketcan_filter_t* filters, size_t n) {
     // In a filter the kernel reads the error flag otherwise: in the mask as "error reports only", in the id as "inverted".
     can_filter kernel[SOCKETCAN_FILTERS_MAX];
     for (size_t i = 0; i < n; ++i) {
-        kernel[i].can_id   = filters[i].id & ~CAN_ERR_FLAG;
+        kernel[i].can_id = filters[i].id & ~CAN_ERR_FLAG;
         kernel[i].can_mask = filters[i].mask & ~CAN_ERR_FLAG;
     }
-    return n == 0 || ::setsockopt(socket, SOL_CAN_RAW, CAN_RAW_FILTER, kernel,
-                                  static_cast<socklen_t>(n * sizeof kernel[0])) == 0;
+    return n == 0 || ::setsockopt(socket, SOL_CAN_RAW, CAN_RAW_FILTER, kernel, static_cast<socklen_t>(n * sizeof kernel[0])) == 0;
 }
 
 bool open_socket(socketcan_t& self) {
     sockaddr_can address{};
-    address.can_family  = AF_CAN;
+    address.can_family = AF_CAN;
     address.can_ifindex = static_cast<int>(::if_nametoindex(self.interface));
     const can_err_mask_t errors = CAN_ERR_MASK;
-    const int            on     = 1;
+    const int on = 1;
     if (address.can_ifindex != 0) {
         self.socket = ::socket(PF_CAN, SOCK_RAW | SOCK_NONBLOCK | SOCK_CLOEXEC, CAN_RAW);
     }
     if (self.socket < 0 || !set_filters(self.socket, self.filters, self.n_filters) ||
-        !set(self.socket, SOL_CAN_RAW, CAN_RAW_ERR_FILTER, errors) ||
-        !set(self.socket, SOL_CAN_RAW, CAN_RAW_FD_FRAMES, on) || !set(self.socket, SOL_SOCKET, SO_TIMESTAMPNS, on) ||
+        !set(self.socket, SOL_CAN_RAW, CAN_RAW_ERR_FILTER, errors) || !set(self.socket, SOL_CAN_RAW, CAN_RAW_FD_FRAMES, on) ||
+        !set(self.socket, SOL_SOCKET, SO_TIMESTAMPNS, on) ||
         ::bind(self.socket, reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0) {
         self.error = errno;
         socketcan_close(&self);
@@ -79,7 +79,7 @@ bool send(void* driver, const lpvg_can_frame_t* frame) {
         return false;
     }
     can_frame out{};
-    out.can_id  = frame->id;
+    out.can_id = frame->id;
     out.can_dlc = frame->dlc;
     std::memcpy(out.data, frame->data, frame->dlc);
     if (::write(self.socket, &out, sizeof out) == static_cast<ssize_t>(sizeof out)) {
@@ -106,19 +106,19 @@ int64_t waited_us(msghdr& message) {
 
 bool receive_one(socketcan_t& self, int64_t now_us, lpvg_can_frame_t* frame) {
     canfd_frame in{};
-    iovec       payload = {&in, sizeof in};
+    iovec payload = {&in, sizeof in};
     alignas(cmsghdr) char control[CMSG_SPACE(sizeof(timespec))];
     msghdr message{};
-    message.msg_iov        = &payload;
-    message.msg_iovlen     = 1;
-    message.msg_control    = control;
+    message.msg_iov = &payload;
+    message.msg_iovlen = 1;
+    message.msg_control = control;
     message.msg_controllen = sizeof control;
     if (::recvmsg(self.socket, &message, 0) < 0) {
         self.error = errno == EAGAIN ? self.error : errno;
         return false;
     }
-    frame->id   = in.can_id;
-    frame->dlc  = in.len;
+    frame->id = in.can_id;
+    frame->dlc = in.len;
     frame->t_us = self.time == socketcan_time_now ? now_us : now_us - waited_us(message);
     std::memcpy(frame->data, in.data, sizeof frame->data);
     return true;
@@ -126,13 +126,13 @@ bool receive_one(socketcan_t& self, int64_t now_us, lpvg_can_frame_t* frame) {
 
 bool receive(void* driver, int64_t now_us, lpvg_can_frame_t* frame) {
     auto& self = *static_cast<socketcan_t*>(driver);
-    bool  off  = still_off(self, now_us);
+    bool off = still_off(self, now_us);
     while (receive_one(self, now_us, frame)) {
         const bool report = (frame->id & CAN_ERR_FLAG) != 0U;
         if (report && (frame->id & CAN_ERR_RESTARTED) != 0U) {
             self.bus_off = off = false;
         } else if (report && (frame->id & CAN_ERR_BUSOFF) != 0U && !off) {
-            self.bus_off    = true;
+            self.bus_off = true;
             self.bus_off_us = now_us;
         }
         if (!off) {
@@ -145,12 +145,12 @@ bool receive(void* driver, int64_t now_us, lpvg_can_frame_t* frame) {
 
 }  // namespace
 
-bool socketcan_open(socketcan_t* self, const char* interface, const socketcan_filter_t* filters, size_t n_filters,
-                    socketcan_time_t time, bus_t* bus) {
-    *self        = socketcan_t{};
-    self->time   = time;
+bool socketcan_open(socketcan_t* self, const char* interface, const socketcan_filter_t* filters, size_t n_filters, socketcan_time_t time,
+                    bus_t* bus) {
+    *self = socketcan_t{};
+    self->time = time;
     self->socket = -1;
-    *bus         = {self, send, receive};
+    *bus = {self, send, receive};
     if (n_filters > SOCKETCAN_FILTERS_MAX || std::strlen(interface) >= SOCKETCAN_NAME_MAX) {
         self->error = EINVAL;
         return false;

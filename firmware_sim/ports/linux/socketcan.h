@@ -22,12 +22,16 @@ typedef struct socketcan_filter_t {
     uint32_t mask;
 } socketcan_filter_t;
 
-enum { SOCKETCAN_FILTERS_MAX = 32, SOCKETCAN_NAME_MAX = 16, SOCKETCAN_RESTART_US = 100000 };
+enum {
+    SOCKETCAN_FILTERS_MAX = 32,
+    SOCKETCAN_NAME_MAX = 16,
+    SOCKETCAN_RESTART_US = 100000
+};
 
 /* What t_us of a received frame says. */
 typedef enum socketcan_time_t {
     socketcan_time_arrival = 0, /* the firmware's clock when the kernel took the frame: for firmware in real time */
-    socketcan_time_now     = 1, /* now_us of the call: for simulated time, of which the kernel knows nothing */
+    socketcan_time_now = 1, /* now_us of the call: for simulated time, of which the kernel knows nothing */
 } socketcan_time_t;
 
 typedef struct socketcan_t {
@@ -44,8 +48,8 @@ typedef struct socketcan_t {
 
 /* Opens `interface`, such as "vcan0", and fills *bus, which refers to *self from then on. With n_filters 0 every frame passes.
  * False, with the reason in self->error, when the interface is absent or the kernel refuses. */
-bool socketcan_open(socketcan_t* self, const char* interface, const socketcan_filter_t* filters, size_t n_filters,
-                    socketcan_time_t time, bus_t* bus);
+bool socketcan_open(socketcan_t* self, const char* interface, const socketcan_filter_t* filters, size_t n_filters, socketcan_time_t time,
+                    bus_t* bus);
 
 /* Waits until a frame can be received. False when none came within timeout_ms, or not open. */
 bool socketcan_wait(const socketcan_t* self, int timeout_ms);

@@ -138,8 +138,8 @@ int run_in_real_time(const Options& options, const lpvg_ecu_config_t& config) {
         socketcan_close(&driver);
         return complain("the core refused its coefficients");
     }
-    for (std::int64_t due_us = start_us; g_stop == 0 && (options.seconds <= 0.0 || static_cast<double>(due_us - start_us) < options.seconds * 1e6);
-         due_us += period_us) {
+    for (std::int64_t due_us = start_us;
+         g_stop == 0 && (options.seconds <= 0.0 || static_cast<double>(due_us - start_us) < options.seconds * 1e6); due_us += period_us) {
         next = {static_cast<time_t>(due_us / 1'000'000), static_cast<long>(due_us % 1'000'000 * 1'000)};
         while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &next, nullptr) == EINTR && g_stop == 0) {
         }

@@ -32,15 +32,15 @@ typedef struct lpvg_bus_signals_t {
 
 /// What the guarded controller tells the vehicle every step.
 typedef struct lpvg_bus_report_t {
-    float   demand;        ///< applied demand                                                [input unit]
-    float   margin;        ///< newest statistic of the frame test                            [-]
+    float demand;        ///< applied demand                                                [input unit]
+    float margin;        ///< newest statistic of the frame test                            [-]
     uint8_t verdict;       ///< lpvg_verdict_t
     uint8_t supervision;   ///< lpvg_can_state_t
 } lpvg_bus_report_t;
 
 /// A message without which the loop cannot run.
 typedef struct lpvg_bus_need_t {
-    uint8_t  index;  ///< in rules
+    uint8_t index;  ///< in rules
     uint32_t spn;    ///< suspect parameter number of its trouble code
 } lpvg_bus_need_t;
 

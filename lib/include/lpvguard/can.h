@@ -39,40 +39,40 @@ extern "C" {
 #endif
 
 #define LPVG_CAN_EXTENDED 0x80000000u  ///< Flag in lpvg_can_frame_t.id: 29-bit identifier (bit values as SocketCAN).
-#define LPVG_CAN_REMOTE   0x40000000u  ///< Flag: remote frame. No rule matches one.
-#define LPVG_CAN_ERROR    0x20000000u  ///< Flag: the controller reports an error, not a frame of the bus.
-#define LPVG_CAN_BUS_OFF  0x00000040u  ///< In an error report: the controller has left the bus.
+#define LPVG_CAN_REMOTE 0x40000000u  ///< Flag: remote frame. No rule matches one.
+#define LPVG_CAN_ERROR 0x20000000u  ///< Flag: the controller reports an error, not a frame of the bus.
+#define LPVG_CAN_BUS_OFF 0x00000040u  ///< In an error report: the controller has left the bus.
 
-#define LPVG_CAN_RULES_MAX      8u  ///< Messages that one supervisor can watch.
-#define LPVG_CAN_SIGNALS_MAX    8u  ///< Supervised signals of one message.
-#define LPVG_CAN_HOLD_MISSED    3u
-#define LPVG_CAN_OFF_MISSED     5u
-#define LPVG_CAN_SCORE_OFF      5u
+#define LPVG_CAN_RULES_MAX 8u  ///< Messages that one supervisor can watch.
+#define LPVG_CAN_SIGNALS_MAX 8u  ///< Supervised signals of one message.
+#define LPVG_CAN_HOLD_MISSED 3u
+#define LPVG_CAN_OFF_MISSED 5u
+#define LPVG_CAN_SCORE_OFF 5u
 #define LPVG_CAN_RECOVER_FRAMES 5u
-#define LPVG_CAN_COUNTER_STEP   5u  ///< Largest step of a counter that is read as loss and not as a wrong sequence.
-#define LPVG_CAN_REORDER_US     5000   ///< A frame may carry a time this much before the newest time seen (it waited in a queue).
-#define LPVG_CAN_NO_INDEX       0xFFu
+#define LPVG_CAN_COUNTER_STEP 5u  ///< Largest step of a counter that is read as loss and not as a wrong sequence.
+#define LPVG_CAN_REORDER_US 5000   ///< A frame may carry a time this much before the newest time seen (it waited in a queue).
+#define LPVG_CAN_NO_INDEX 0xFFu
 
 /// A frame as it arrived, or as it is to be sent.
 typedef struct lpvg_can_frame_t {
     uint32_t id;       ///< Identifier and the flags above
-    uint8_t  dlc;      ///< Number of data bytes      0 .. 8 (a longer CAN FD frame is given with its true length)
-    uint8_t  data[8];
-    int64_t  t_us;     ///< Arrival time              [us]
+    uint8_t dlc;      ///< Number of data bytes      0 .. 8 (a longer CAN FD frame is given with its true length)
+    uint8_t data[8];
+    int64_t t_us;     ///< Arrival time              [us]
 } lpvg_can_frame_t;
 
 /// Quality of a decoded value. Zero is "absent": a cleared struct never reads as good.
 typedef enum lpvg_can_quality_t {
-    lpvg_can_quality_absent   = 0,  ///< Raw value says "not available".
-    lpvg_can_quality_good     = 1,
-    lpvg_can_quality_error    = 2,  ///< Raw value says "error".
+    lpvg_can_quality_absent = 0,  ///< Raw value says "not available".
+    lpvg_can_quality_good = 1,
+    lpvg_can_quality_error = 2,  ///< Raw value says "error".
     lpvg_can_quality_reserved = 3,  ///< Between the largest data value and the error codes.
 } lpvg_can_quality_t;
 
 /// What is accepted of one signal, in raw values. Generated.
 typedef struct lpvg_can_signal_rule_t {
-    uint8_t  start;       ///< Lowest bit, Intel order                                        0 .. 63
-    uint8_t  length;      ///< Bits                                                           1 .. 16
+    uint8_t start;       ///< Lowest bit, Intel order                                        0 .. 63
+    uint8_t length;      ///< Bits                                                           1 .. 16
     uint16_t raw_min;     ///< Smallest accepted
     uint16_t raw_max;     ///< Largest accepted
     uint16_t error_min;   ///< From here up: "error". 0: no such code.
@@ -87,71 +87,70 @@ typedef struct lpvg_can_rule_t {
     uint32_t period_us;    ///< Sending period                                                4 .. 10 000 000
     uint32_t gap_min_us;   ///< A frame sooner than this after the one before is babbling     below period_us
     uint16_t e2e_data_id;  ///< Data id of profile 11
-    uint8_t  e2e;          ///< 1: profile 11; 0: neither counter nor checksum
-    uint8_t  dlc;
-    uint8_t  n_signals;
+    uint8_t e2e;          ///< 1: profile 11; 0: neither counter nor checksum
+    uint8_t dlc;
+    uint8_t n_signals;
     const lpvg_can_signal_rule_t* signals;  ///< [n_signals], outlives the supervisor
 } lpvg_can_rule_t;
 
 /// What became of a frame; also the index of the counters.
 typedef enum lpvg_can_event_t {
-    lpvg_can_event_none       = 0,   ///< A NULL argument.
-    lpvg_can_event_accepted   = 1,   ///< Use it.
+    lpvg_can_event_none = 0,   ///< A NULL argument.
+    lpvg_can_event_accepted = 1,   ///< Use it.
     lpvg_can_event_recovering = 2,   ///< Good, but the message is still off: do not use it.
     lpvg_can_event_unknown_id = 3,   ///< No rule matches; ignored.
-    lpvg_can_event_error      = 4,   ///< Error report other than bus-off; ignored.
-    lpvg_can_event_bus_off    = 5,   ///< Every message is off now.
-    lpvg_can_event_backwards  = 6,   ///< More than LPVG_CAN_REORDER_US before the newest time seen; ignored.
-    lpvg_can_event_early      = 7,   ///< Babbling: sooner than gap_min_us after the frame before.
-    lpvg_can_event_length     = 8,   ///< Wrong number of bytes.
-    lpvg_can_event_checksum   = 9,
-    lpvg_can_event_repeated   = 10,  ///< Counter as in the frame before: repeated or stuck.
-    lpvg_can_event_sequence   = 11,  ///< Counter 15, or a step larger than LPVG_CAN_COUNTER_STEP: swapped or inserted.
-    lpvg_can_event_absent     = 12,  ///< A supervised signal says "not available".
-    lpvg_can_event_invalid    = 13,  ///< A supervised signal says "error".
-    lpvg_can_event_range      = 14,
-    lpvg_can_event_gradient   = 15,
-    lpvg_can_event_missed     = 16,  ///< Not of a frame: a period without an accepted frame.
-    lpvg_can_event_lost       = 17,  ///< Not of a frame: the counter skipped one.
-    lpvg_can_event_count      = 18
+    lpvg_can_event_error = 4,   ///< Error report other than bus-off; ignored.
+    lpvg_can_event_bus_off = 5,   ///< Every message is off now.
+    lpvg_can_event_backwards = 6,   ///< More than LPVG_CAN_REORDER_US before the newest time seen; ignored.
+    lpvg_can_event_early = 7,   ///< Babbling: sooner than gap_min_us after the frame before.
+    lpvg_can_event_length = 8,   ///< Wrong number of bytes.
+    lpvg_can_event_checksum = 9,
+    lpvg_can_event_repeated = 10,  ///< Counter as in the frame before: repeated or stuck.
+    lpvg_can_event_sequence = 11,  ///< Counter 15, or a step larger than LPVG_CAN_COUNTER_STEP: swapped or inserted.
+    lpvg_can_event_absent = 12,  ///< A supervised signal says "not available".
+    lpvg_can_event_invalid = 13,  ///< A supervised signal says "error".
+    lpvg_can_event_range = 14,
+    lpvg_can_event_gradient = 15,
+    lpvg_can_event_missed = 16,  ///< Not of a frame: a period without an accepted frame.
+    lpvg_can_event_lost = 17,  ///< Not of a frame: the counter skipped one.
+    lpvg_can_event_count = 18
 } lpvg_can_event_t;
 
 typedef enum lpvg_can_state_t {
-    lpvg_can_state_off  = 0,  ///< No usable value.
+    lpvg_can_state_off = 0,  ///< No usable value.
     lpvg_can_state_hold = 1,  ///< Newest value is more than LPVG_CAN_HOLD_MISSED periods old: degrade.
     lpvg_can_state_live = 2,
 } lpvg_can_state_t;
 
 /// Supervision of one message.
 typedef struct lpvg_can_watch_t {
-    int64_t  t_accepted_us;  ///< Newest good frame; before the first, the time of init                  [us]
-    int64_t  t_arrival_us;   ///< Newest frame of this identifier, good or bad                           [us]
+    int64_t t_accepted_us;  ///< Newest good frame; before the first, the time of init                  [us]
+    int64_t t_arrival_us;   ///< Newest frame of this identifier, good or bad                           [us]
     uint32_t count[lpvg_can_event_count];  ///< Frames and periods by kind, saturating
     uint32_t missed;         ///< Periods missed since the newest good frame
     uint16_t raw[LPVG_CAN_SIGNALS_MAX];    ///< Supervised signals of the newest good frame, raw
-    uint8_t  state;          ///< lpvg_can_state_t
-    uint8_t  score;          ///< Of bad frames                                                          0 .. 5
-    uint8_t  good_in_row;    ///< While off                                                              0 .. 5
-    uint8_t  counter;        ///< Of the newest frame with a right checksum                              0 .. 14
-    uint8_t  has_arrival;    ///< t_arrival_us is known
-    uint8_t  has_raw;        ///< raw is known: gradients can be judged
-    uint8_t  has_counter;    ///< counter is known
+    uint8_t state;          ///< lpvg_can_state_t
+    uint8_t score;          ///< Of bad frames                                                          0 .. 5
+    uint8_t good_in_row;    ///< While off                                                              0 .. 5
+    uint8_t counter;        ///< Of the newest frame with a right checksum                              0 .. 14
+    uint8_t has_arrival;    ///< t_arrival_us is known
+    uint8_t has_raw;        ///< raw is known: gradients can be judged
+    uint8_t has_counter;    ///< counter is known
 } lpvg_can_watch_t;
 
 typedef struct lpvg_can_supervisor_t {
     const lpvg_can_rule_t* rules;                ///< [n_rules]
-    int64_t          now_us;                     ///< Newest time seen                                   [us]
-    uint32_t         count[lpvg_can_event_count];///< Frames that belong to no rule, by kind, saturating
+    int64_t now_us;                     ///< Newest time seen                                   [us]
+    uint32_t count[lpvg_can_event_count];///< Frames that belong to no rule, by kind, saturating
     lpvg_can_watch_t watch[LPVG_CAN_RULES_MAX];
-    uint8_t          n_rules;
-    uint8_t          bus_off;                    ///< 1 from a bus-off report to the next ordinary frame
+    uint8_t n_rules;
+    uint8_t bus_off;                    ///< 1 from a bus-off report to the next ordinary frame
 } lpvg_can_supervisor_t;
 
 /// Starts with every message off. `rules` [n_rules] is kept by reference.
 /// Returns bad_argument, leaving *self untouched, when a pointer is NULL, n_rules is 0 or above LPVG_CAN_RULES_MAX,
 /// now_us < 0, or a rule holds a number outside its stated range.
-LPVG_NODISCARD lpvg_status_t lpvg_can_init(lpvg_can_supervisor_t* self, const lpvg_can_rule_t* rules, size_t n_rules,
-                                           int64_t now_us);
+LPVG_NODISCARD lpvg_status_t lpvg_can_init(lpvg_can_supervisor_t* self, const lpvg_can_rule_t* rules, size_t n_rules, int64_t now_us);
 
 /// Judges one frame at its own time frame->t_us (so it also does what lpvg_can_advance does).
 /// *index becomes the rule that it belongs to, LPVG_CAN_NO_INDEX when none. Checks, in this order; the first that fails
@@ -176,40 +175,39 @@ LPVG_NODISCARD lpvg_status_t lpvg_can_e2e_check(const lpvg_can_frame_t* frame, u
 
 /// Limits of the cross-checks between signals of different sensors. All > 0.
 typedef struct lpvg_can_plausibility_limits_t {
-    float    track_m;            ///< Distance of the two wheels whose speeds are compared                 [m]
-    float    speed_min_mps;      ///< Below it nothing is judged                                           [m/s]
-    float    lateral_mps2;       ///< Allowed |yaw rate * speed - ay|: bank, side-slip rate, sensor errors [m/s2]
-    float    yaw_rps;            ///< Allowed |yaw rate - wheel speed difference / track|: slip            [rad/s]
+    float track_m;            ///< Distance of the two wheels whose speeds are compared                 [m]
+    float speed_min_mps;      ///< Below it nothing is judged                                           [m/s]
+    float lateral_mps2;       ///< Allowed |yaw rate * speed - ay|: bank, side-slip rate, sensor errors [m/s2]
+    float yaw_rps;            ///< Allowed |yaw rate - wheel speed difference / track|: slip            [rad/s]
     uint16_t confirm;            ///< Samples by which violations must outnumber agreements
 } lpvg_can_plausibility_limits_t;
 
 #define LPVG_CAN_IMPLAUSIBLE_LATERAL 1u  ///< Yaw rate against lateral acceleration / speed
-#define LPVG_CAN_IMPLAUSIBLE_WHEELS  2u  ///< Yaw rate against wheel speed difference
+#define LPVG_CAN_IMPLAUSIBLE_WHEELS 2u  ///< Yaw rate against wheel speed difference
 
 /// Zero-initialise before first use.
 typedef struct lpvg_can_plausibility_t {
     uint16_t score[2];  ///< Violations minus agreements of the two checks, 0 .. confirm
-    uint8_t  flags;     ///< LPVG_CAN_IMPLAUSIBLE_*: set when a score reaches confirm, cleared when it is back at 0
+    uint8_t flags;     ///< LPVG_CAN_IMPLAUSIBLE_*: set when a score reaches confirm, cleared when it is back at 0
 } lpvg_can_plausibility_t;
 
 /// One sample of the cross-checks: yaw rate [rad/s] and lateral acceleration [m/s2], left positive; speed [m/s];
 /// wheel_difference = right wheel - left wheel of one unbraked axle [m/s]. A check whose inputs are not finite, or any
 /// check below speed_min_mps, is left out: its score stays. Returns ok; bad_argument (NULL, or a limit that is not > 0).
-LPVG_NODISCARD lpvg_status_t lpvg_can_plausibility(lpvg_can_plausibility_t* self,
-                                                   const lpvg_can_plausibility_limits_t* limits, float yaw_rate,
-                                                   float lateral, float speed, float wheel_difference);
+LPVG_NODISCARD lpvg_status_t lpvg_can_plausibility(lpvg_can_plausibility_t* self, const lpvg_can_plausibility_limits_t* limits,
+                                                   float yaw_rate, float lateral, float speed, float wheel_difference);
 
 /// A J1939 trouble code.
 typedef struct lpvg_can_dtc_t {
     uint32_t spn;         ///< Suspect parameter number                 0 .. 0x7FFFF
-    uint8_t  fmi;         ///< Failure mode identifier                  0 .. 31
-    uint8_t  occurrence;  ///< Times seen; 127: unknown                 0 .. 127
+    uint8_t fmi;         ///< Failure mode identifier                  0 .. 31
+    uint8_t occurrence;  ///< Times seen; 127: unknown                 0 .. 127
 } lpvg_can_dtc_t;
 
 #define LPVG_CAN_LAMP_PROTECT 0x01u
-#define LPVG_CAN_LAMP_AMBER   0x04u
-#define LPVG_CAN_LAMP_RED     0x10u
-#define LPVG_CAN_LAMP_MIL     0x40u
+#define LPVG_CAN_LAMP_AMBER 0x04u
+#define LPVG_CAN_LAMP_RED 0x10u
+#define LPVG_CAN_LAMP_MIL 0x40u
 
 /// Failure mode identifier that says what an event says (J1939-73): 9 abnormal update rate, 19 received network data in
 /// error, 2 erratic, 8 abnormal frequency, 10 abnormal rate of change, 31 condition exists.
@@ -218,8 +216,7 @@ uint8_t lpvg_can_fmi(lpvg_can_event_t event);
 /// DM1 (PGN 65226) with one active trouble code, or with none (dtc NULL), and the lamps LPVG_CAN_LAMP_*, the others off.
 /// Several codes need the transport protocol: send the gravest. frame->t_us is kept.
 /// Returns bad_argument, changing nothing, when frame is NULL, lamps holds another bit, or a field of *dtc is too large.
-LPVG_NODISCARD lpvg_status_t lpvg_can_dm1_pack(lpvg_can_frame_t* frame, uint8_t source_address, uint8_t lamps,
-                                               const lpvg_can_dtc_t* dtc);
+LPVG_NODISCARD lpvg_status_t lpvg_can_dm1_pack(lpvg_can_frame_t* frame, uint8_t source_address, uint8_t lamps, const lpvg_can_dtc_t* dtc);
 
 #ifdef __cplusplus
 }

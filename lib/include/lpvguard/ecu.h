@@ -61,8 +61,8 @@ typedef enum lpvg_ecu_fault_t {
     lpvg_ecu_fault_implausible = 4   ///< Sensors contradict each other.
 } lpvg_ecu_fault_t;
 
-#define LPVG_ECU_SPN_REFUSED     520200U  ///< Trouble codes without a standard number (J1939-73 leaves these to makers).
-#define LPVG_ECU_SPN_INVALID     520201U
+#define LPVG_ECU_SPN_REFUSED 520200U  ///< Trouble codes without a standard number (J1939-73 leaves these to makers).
+#define LPVG_ECU_SPN_INVALID 520201U
 #define LPVG_ECU_SPN_IMPLAUSIBLE 520202U
 
 typedef struct lpvg_ecu_t {
@@ -94,9 +94,9 @@ LPVG_NODISCARD lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t*
 /// Asks for engagement or release from the next step on. Nothing for NULL.
 void lpvg_ecu_engage(lpvg_ecu_t* self, bool engage);
 
-/// One sample period. frames_in [n_in] may be NULL when n_in is 0; a time stamp after now_us counts as now_us. *n_out frames are written to frames_out, with time now_us.
-/// Returns ok; bad_argument (NULL, or max_out < LPVG_ECU_FRAMES_OUT), not_ready (no init), out_of_order (now_us not after
-/// the newest step): nothing is received, changed or sent, and *n_out, where given, is 0.
+/// One sample period. frames_in [n_in] may be NULL when n_in is 0; a time stamp after now_us counts as now_us. *n_out frames are written to
+/// frames_out, with time now_us. Returns ok; bad_argument (NULL, or max_out < LPVG_ECU_FRAMES_OUT), not_ready (no init), out_of_order
+/// (now_us not after the newest step): nothing is received, changed or sent, and *n_out, where given, is 0.
 LPVG_NODISCARD lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const lpvg_can_frame_t* frames_in, size_t n_in,
                                            lpvg_can_frame_t* frames_out, size_t max_out, size_t* n_out);
 

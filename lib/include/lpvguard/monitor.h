@@ -7,15 +7,15 @@
 ///
 /// the least common inflation of the fitted uncertainty and disturbance bounds that explains the frame: exact, in closed
 /// form. t* > 1 refutes every one complex number d within W_delta together with a disturbance within B_w, for this frame and
-/// bin. It does not refute every causal Delta of a certificate; of those only the energy test speaks, given its sigma. A frame *counts* when speed stayed in the scheduling range and within `speed_tolerance` of the frame's mean and
-/// the model had settled. The bin's statistic is the k-th largest margin of its last m counted frames; a statistic above
-/// `threshold` falsifies the model (frame test). `evidence` is the margin that a vehicle which did not respond at all
-/// would have shown (T18). A frame whose evidence is at or below the threshold is "not excited": it could have falsified
-/// no vehicle, so it does not make the verdict valid.
+/// bin. It does not refute every causal Delta of a certificate; of those only the energy test speaks, given its sigma. A frame *counts*
+/// when speed stayed in the scheduling range and within `speed_tolerance` of the frame's mean and the model had settled. The bin's
+/// statistic is the k-th largest margin of its last m counted frames; a statistic above `threshold` falsifies the model (frame test).
+/// `evidence` is the margin that a vehicle which did not respond at all would have shown (T18). A frame whose evidence is at or below the
+/// threshold is "not excited": it could have falsified no vehicle, so it does not make the verdict valid.
 ///
 /// Beside it the energy test (energy.h) takes every sample and is judged in every push that judges no frame: its ratio above
-/// `energy_threshold` falsifies the model too, and the first one after `energy_rearm` judgements without is recorded as an alarm. A sample out of the
-/// scheduling range, a gap and a refused sample restart it from rest; until the model and F have settled it is not judged.
+/// `energy_threshold` falsifies the model too, and the first one after `energy_rearm` judgements without is recorded as an alarm. A sample
+/// out of the scheduling range, a gap and a refused sample restart it from rest; until the model and F have settled it is not judged.
 ///
 /// Use:     init once -> push one sample per period -> verdict, frame and records at any time.
 /// Cost:    even over pushes. A bin takes up LPVG_NBLOCK samples at once, a quarter of the bins each push; at most one frame
@@ -140,7 +140,8 @@ typedef struct lpvg_monitor_t {
     uint32_t n_records, records_lost;
     uint32_t settled;                         ///< samples since the speed entered the range, saturating
     lpvg_taken_t block[LPVG_NBLOCK];          ///< newest samples, a ring
-    lpvg_real_t signal[2 * LPVG_NBLOCK][2 * LPVG_NY];  ///< e, then yhat of the newest samples: the ring twice, so that a block is in one piece
+    /// e, then yhat of the newest samples: the ring twice, so that a block is in one piece.
+    lpvg_real_t signal[2 * LPVG_NBLOCK][2 * LPVG_NY];
     uint32_t newest, n_block;                 ///< its newest entry; entries since the start, LPVG_NBLOCK at most
     uint32_t queue[LPVG_NBINS];               ///< bins whose frames wait to be judged, a ring
     uint32_t queue_first, n_queue;

@@ -44,7 +44,12 @@
 namespace lpvguard_plant {
 
 /// Wheel order of every array of four.
-enum Wheel : std::size_t { front_left, front_right, rear_left, rear_right };
+enum Wheel : std::size_t {
+    front_left,
+    front_right,
+    rear_left,
+    rear_right
+};
 
 struct SpeedKnot {
     double time_s = 0.0;
@@ -116,8 +121,9 @@ public:
     /// as 0) and a driver's torque on the steering wheel, positive to the left.
     void step(double demand_bar, double driver_torque_nm = 0.0);
 
-    /// Goes on with these: as a plant does that had them from the start, provided that they differ from the ones before after truth().time_s
-    /// only, the speed profile and the order of the faults not at all. Throws ParameterError as the constructor does, and nothing has changed.
+    /// Goes on with these: as a plant does that had them from the start, provided that they differ from the ones before after
+    /// truth().time_s only, the speed profile and the order of the faults not at all. Throws ParameterError as the constructor does, and
+    /// nothing has changed.
     void revise(const Drive& drive, const Faults& faults);
 
     const Truth& truth() const { return truth_; }
@@ -126,7 +132,16 @@ public:
 private:
     /// Integrated quantities; `slip` and on are ordered as Wheel.
     enum Index : std::size_t {
-        lateral_velocity, yaw_rate, roll, roll_rate, steer, steer_rate, pressure_left, pressure_right, speed, slip,
+        lateral_velocity,
+        yaw_rate,
+        roll,
+        roll_rate,
+        steer,
+        steer_rate,
+        pressure_left,
+        pressure_right,
+        speed,
+        slip,
         state_size = slip + 4
     };
     using State = std::array<double, state_size>;

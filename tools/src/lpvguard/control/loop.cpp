@@ -1,4 +1,5 @@
-// loop.cpp -- a linear plant closed with one vehicle's compiled controller, for lpvguard.control.robust_run (ctypes). Not part of the ECU image.
+// loop.cpp -- a linear plant closed with one vehicle's compiled controller, for lpvguard.control.robust_run (ctypes). Not part of the ECU
+// image.
 #include <cstddef>
 #include <cstdint>
 #include <limits>

@@ -19,11 +19,10 @@ constexpr std::size_t frame_columns = 10U + 4U * LPVG_NY;
 
 // t_us: time of the sample with which the core said so; a frame waits for its turn after its end.
 void write_frame(const lpvg_frame_t& f, int64_t t_us, double* row) {
-    const double head[10] = {static_cast<double>(t_us),        static_cast<double>(f.bin),
-                            static_cast<double>(f.t_end_us),  static_cast<double>(f.reason),
-                            f.falsified ? 1.0 : 0.0,          static_cast<double>(f.speed),
-                            static_cast<double>(f.margin),    static_cast<double>(f.statistic),
-                            static_cast<double>(f.evidence),  static_cast<double>(f.test)};
+    const double head[10] = {static_cast<double>(t_us),     static_cast<double>(f.bin),       static_cast<double>(f.t_end_us),
+                             static_cast<double>(f.reason), f.falsified ? 1.0 : 0.0,          static_cast<double>(f.speed),
+                             static_cast<double>(f.margin), static_cast<double>(f.statistic), static_cast<double>(f.evidence),
+                             static_cast<double>(f.test)};
     std::memcpy(row, head, sizeof head);
     for (std::size_t j = 0; j < LPVG_NY; ++j) {
         for (std::size_t part = 0; part < 2U; ++part) {
@@ -38,8 +37,12 @@ void write_frame(const lpvg_frame_t& f, int64_t t_us, double* row) {
 extern "C" {
 
 void lpvgb_sizes(uint32_t* sizes) {
-    const uint32_t values[7] = {LPVG_NU, LPVG_NY, LPVG_NBINS, static_cast<uint32_t>(n_words),
-                                static_cast<uint32_t>(n_reals), static_cast<uint32_t>(frame_columns),
+    const uint32_t values[7] = {LPVG_NU,
+                                LPVG_NY,
+                                LPVG_NBINS,
+                                static_cast<uint32_t>(n_words),
+                                static_cast<uint32_t>(n_reals),
+                                static_cast<uint32_t>(frame_columns),
                                 static_cast<uint32_t>(sizeof(lpvg_monitor_t))};
     std::memcpy(sizes, values, sizeof values);
 }
@@ -85,8 +88,8 @@ void lpvgb_destroy(void* handle) { delete static_cast<Handle*>(handle); }
 // Pushes n samples (those with present[k] != 0; NULL: all); per sample a verdict, a status and the energy test's ratio (0: not
 // judged), per judged frame and per alarm of the energy test a row of frame_columns numbers. Returns the rows. Takes the
 // monitor's records out.
-int64_t lpvgb_run(void* opaque, int64_t n, const int64_t* t_us, const double* v, const double* u, const double* y,
-                  const uint8_t* present, double* rows, int64_t max_rows, uint8_t* verdict, uint8_t* status, double* energy) {
+int64_t lpvgb_run(void* opaque, int64_t n, const int64_t* t_us, const double* v, const double* u, const double* y, const uint8_t* present,
+                  double* rows, int64_t max_rows, uint8_t* verdict, uint8_t* status, double* energy) {
     lpvg_monitor_t* monitor = &static_cast<Handle*>(opaque)->monitor;
     int64_t count = 0;
     uint32_t last = lpvg_monitor_frame(monitor)->sequence;

@@ -23,8 +23,7 @@ int lpvgb_receive(int64_t n, const int64_t* t_us, const uint32_t* id, const uint
                   int64_t first_us, int64_t period_us, int64_t n_ticks, int64_t n_values, double* values, uint8_t* states,
                   uint32_t* counts) {
     lpvg_can_supervisor_t supervisor{};
-    if (lpvg_can_init(&supervisor, lpvg_can_rules, LPVG_CAN_RULES, n > 0 && t_us[0] < first_us ? t_us[0] : first_us) !=
-        lpvg_status_ok) {
+    if (lpvg_can_init(&supervisor, lpvg_can_rules, LPVG_CAN_RULES, n > 0 && t_us[0] < first_us ? t_us[0] : first_us) != lpvg_status_ok) {
         return -1;
     }
     int64_t i = 0;

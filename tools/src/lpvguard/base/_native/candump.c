@@ -10,13 +10,25 @@
 #include <stdint.h>
 #include <string.h>
 
-enum { NAME = 16, CHANNELS = 64, MAX_BYTES = 64 };
-enum { BAD_LINES, FIRST_BAD_LINE, ERROR_FRAMES, REMOTE_FRAMES, N_CHANNELS, LONGEST, N_COUNTS };
+enum {
+    NAME = 16,
+    CHANNELS = 64,
+    MAX_BYTES = 64
+};
+enum {
+    BAD_LINES,
+    FIRST_BAD_LINE,
+    ERROR_FRAMES,
+    REMOTE_FRAMES,
+    N_CHANNELS,
+    LONGEST,
+    N_COUNTS
+};
 
 /* Value of a hexadecimal digit plus one; 0 for any other character. */
-static const uint8_t kHex[256] = {
-    ['0'] = 1,  ['1'] = 2,  ['2'] = 3,  ['3'] = 4,  ['4'] = 5,  ['5'] = 6,  ['6'] = 7,  ['7'] = 8,  ['8'] = 9,  ['9'] = 10, ['A'] = 11,
-    ['B'] = 12, ['C'] = 13, ['D'] = 14, ['E'] = 15, ['F'] = 16, ['a'] = 11, ['b'] = 12, ['c'] = 13, ['d'] = 14, ['e'] = 15, ['f'] = 16};
+static const uint8_t kHex[256] = {['0'] = 1,  ['1'] = 2,  ['2'] = 3,  ['3'] = 4,  ['4'] = 5,  ['5'] = 6,  ['6'] = 7,  ['7'] = 8,
+                                  ['8'] = 9,  ['9'] = 10, ['A'] = 11, ['B'] = 12, ['C'] = 13, ['D'] = 14, ['E'] = 15, ['F'] = 16,
+                                  ['a'] = 11, ['b'] = 12, ['c'] = 13, ['d'] = 14, ['e'] = 15, ['f'] = 16};
 
 static int hex(char c) { return kHex[(unsigned char)c] - 1; }
 
@@ -106,7 +118,7 @@ static int line(const char* p, const char* end, int64_t n, int width, int64_t* t
  * counts [N_COUNTS]; returns the number of frames. capacity >= number of lines. When counts[LONGEST] > width, data are
  * cut: parse again with a larger width. */
 int64_t lpvg_candump(const char* text, int64_t size, int width, int64_t* t_ns, uint32_t* id, uint8_t* channel, uint8_t* length,
-                  uint8_t* data, char* names, int64_t* counts) {
+                     uint8_t* data, char* names, int64_t* counts) {
     int64_t n = 0, number = 0;
     memset(counts, 0, N_COUNTS * sizeof *counts);
     for (const char *p = text, *last = text + size; p < last; ++number) {

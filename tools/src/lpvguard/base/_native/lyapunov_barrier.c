@@ -8,11 +8,11 @@
 
 #define MAX_TERMS 4
 
-void lpvg_lyapunov_hessian(ptrdiff_t n, ptrdiff_t count, ptrdiff_t terms, const double *a, const double *b, const double *c,
-                           const double *phi, const double *next, double *h);
+void lpvg_lyapunov_hessian(ptrdiff_t n, ptrdiff_t count, ptrdiff_t terms, const double* a, const double* b, const double* c,
+                           const double* phi, const double* next, double* h);
 
-void lpvg_lyapunov_hessian(ptrdiff_t n, ptrdiff_t count, ptrdiff_t terms, const double *a, const double *b, const double *c,
-                           const double *phi, const double *next, double *h) {
+void lpvg_lyapunov_hessian(ptrdiff_t n, ptrdiff_t count, ptrdiff_t terms, const double* a, const double* b, const double* c,
+                           const double* phi, const double* next, double* h) {
     const ptrdiff_t size = n * (n + 1) / 2, width = terms * size;
     ptrdiff_t row = 0;
     for (ptrdiff_t i = 0; i < n; i++) {
@@ -38,7 +38,7 @@ void lpvg_lyapunov_hessian(ptrdiff_t n, ptrdiff_t count, ptrdiff_t terms, const 
                 ptrdiff_t q0 = 0;
                 for (ptrdiff_t k = 0; k < n; k++) {
                     const double aik = ai[k], ajk = aj[k], bik = bi[k], bjk = bj[k], cik = ci[k], cjk = cj[k];
-                    const double *ck = cm + k * n;
+                    const double* ck = cm + k * n;
                     const double dik = ck[i], djk = ck[j]; /* E S G' */
                     double part[4][256];
                     const ptrdiff_t run = n - k;
@@ -54,8 +54,8 @@ void lpvg_lyapunov_hessian(ptrdiff_t n, ptrdiff_t count, ptrdiff_t terms, const 
                     }
                     for (ptrdiff_t s = 0; s < terms; s++)
                         for (ptrdiff_t t = 0; t <= s; t++) {
-                            double *out = h + (s * size + row) * width + t * size + q0;
-                            const double *g = f[s][t];
+                            double* out = h + (s * size + row) * width + t * size + q0;
+                            const double* g = f[s][t];
                             for (ptrdiff_t l = 0; l < run; l++)
                                 out[l] += g[0] * part[0][l] + g[1] * part[1][l] + g[2] * part[2][l] + g[3] * part[3][l];
                         }

@@ -13,9 +13,16 @@
 #include <stddef.h>
 #include <string.h>
 
-enum { MAX_N = 16, MAX_M = 64, MAX_R = 4, MAX_NEWTON = 120 };
+enum {
+    MAX_N = 16,
+    MAX_M = 64,
+    MAX_R = 4,
+    MAX_NEWTON = 120
+};
 
-typedef struct { double re, im; } cpx;
+typedef struct {
+    double re, im;
+} cpx;
 typedef cpx matrix[MAX_N][MAX_N];
 typedef struct {
     int n, m, groups;
@@ -68,7 +75,7 @@ static void invert(int n, matrix c, matrix out) {
 }
 
 /* sum_j y_j (Q0_j - length L_j) - x I. */
-static void combine(const problem *p, const double *y, double length, double x, matrix out) {
+static void combine(const problem* p, const double* y, double length, double x, matrix out) {
     const int n = p->n;
     for (int i = 0; i < n; i++)
         for (int j = 0; j <= i; j++) out[i][j] = (cpx){i == j ? -x : 0.0, 0.0};
@@ -82,7 +89,7 @@ static void combine(const problem *p, const double *y, double length, double x, 
 }
 
 /* The Hermitian matrix of one group, lower triangle. */
-static void member(int r, const double *y, matrix d) {
+static void member(int r, const double* y, matrix d) {
     int k = r;
     for (int i = 0; i < r; i++) {
         d[i][i] = (cpx){y[i], 0.0};
@@ -90,7 +97,7 @@ static void member(int r, const double *y, matrix d) {
     }
 }
 
-static int interior(const problem *p, const double *y) {
+static int interior(const problem* p, const double* y) {
     matrix d;
     for (int g = 0; g < p->groups; g++) {
         if (p->order[g] == 1 && !(y[p->start[g]] > 0.0)) return 0;
@@ -120,7 +127,7 @@ static void times_basis(int r, matrix inverse, int k, cpx out[MAX_R][MAX_R]) {
     }
 }
 
-static void add_group(int r, const double *y, double eps, double *gradient, double *hessian, int stride) {
+static void add_group(int r, const double* y, double eps, double* gradient, double* hessian, int stride) {
     matrix d, inverse;
     cpx t[MAX_R * MAX_R][MAX_R][MAX_R];
     member(r, y, d);
@@ -140,15 +147,21 @@ static void add_group(int r, const double *y, double eps, double *gradient, doub
 }
 
 /* Gauss with partial pivoting on a (size x size, stride MAX_M + 2); the solution replaces b. 0 when singular. */
-static int gauss(int size, double a[MAX_M + 2][MAX_M + 2], double *b) {
+static int gauss(int size, double a[MAX_M + 2][MAX_M + 2], double* b) {
     for (int k = 0; k < size; k++) {
         int best = k;
         for (int i = k + 1; i < size; i++)
             if (fabs(a[i][k]) > fabs(a[best][k])) best = i;
         if (!(fabs(a[best][k]) > 0.0)) return 0;
         if (best != k) {
-            for (int j = k; j < size; j++) { const double t = a[k][j]; a[k][j] = a[best][j]; a[best][j] = t; }
-            const double t = b[k]; b[k] = b[best]; b[best] = t;
+            for (int j = k; j < size; j++) {
+                const double t = a[k][j];
+                a[k][j] = a[best][j];
+                a[best][j] = t;
+            }
+            const double t = b[k];
+            b[k] = b[best];
+            b[best] = t;
         }
         for (int i = k + 1; i < size; i++) {
             const double f = a[i][k] / a[k][k];
@@ -165,7 +178,7 @@ static int gauss(int size, double a[MAX_M + 2][MAX_M + 2], double *b) {
 }
 
 /* Largest x with a matrix - x I positive definite, from below, by bisection on the factorisation. */
-static double least_eigenvalue(const problem *p, const double *y, double length) {
+static double least_eigenvalue(const problem* p, const double* y, double length) {
     matrix a;
     double bound = 0.0;
     combine(p, y, length, 0.0, a);
@@ -178,13 +191,16 @@ static double least_eigenvalue(const problem *p, const double *y, double length)
     for (int k = 0; k < 30; k++) {
         const double mid = 0.5 * (lo + hi);
         combine(p, y, length, mid, a);
-        if (cholesky(p->n, a)) lo = mid; else hi = mid;
+        if (cholesky(p->n, a))
+            lo = mid;
+        else
+            hi = mid;
     }
     return lo;
 }
 
 /* Bound on the rounding error of sum_j y_j Q0_j: free multipliers may be large and cancel. */
-static double rounding(const problem *p, const double *y) {
+static double rounding(const problem* p, const double* y) {
     const size_t entries = (size_t)p->n * (size_t)p->n;
     double sum = 0.0;
     for (int k = 0; k < p->m; k++) {
@@ -199,7 +215,7 @@ static double rounding(const problem *p, const double *y) {
 }
 
 /* max x at one length. y in: the start; out: the best multipliers; inverse: (matrix - x I)^-1 there. Returns x. */
-static double maximise_level(const problem *p, double length, double relative, double absolute, double *y, matrix inverse) {
+static double maximise_level(const problem* p, double length, double relative, double absolute, double* y, matrix inverse) {
     static const double shrink = 0.15;
     const int n = p->n, m = p->m, size = m + 2;
     static _Thread_local cpx scaled[MAX_M + 1][MAX_N][MAX_N];
@@ -271,7 +287,10 @@ static double maximise_level(const problem *p, double length, double relative, d
             for (int k = 0; k < m; k++) trial[k] = y[k] + step * rhs[k];
             if (!interior(p, trial)) continue;
             combine(p, trial, length, x + step * rhs[m], slack);
-            if (cholesky(n, slack)) { taken = 1; break; }
+            if (cholesky(n, slack)) {
+                taken = 1;
+                break;
+            }
         }
         if (!taken) break;
         memcpy(y, trial, sizeof(double) * (size_t)m);
@@ -286,8 +305,9 @@ static double maximise_level(const problem *p, double length, double relative, d
     return x;
 }
 
-/* Largest length at which y still certifies (and everything shorter) in spite of an ``error`` of the matrix; INFINITY when no length ends it. */
-static double reach(const problem *p, const double *y, double from, double error) {
+/* Largest length at which y still certifies (and everything shorter) in spite of an ``error`` of the matrix; INFINITY when no length ends
+ * it. */
+static double reach(const problem* p, const double* y, double from, double error) {
     matrix a;
     double lo = from, hi = fmax(2.0 * from, 1e-12);
     combine(p, y, lo, error, a);
@@ -301,15 +321,18 @@ static double reach(const problem *p, const double *y, double from, double error
     for (int k = 0; k < 60 && hi - lo > 1e-9 * hi; k++) {
         const double mid = lo > 0.0 && hi > 2.0 * lo ? sqrt(lo * hi) : 0.5 * (lo + hi);
         combine(p, y, mid, error, a);
-        if (cholesky(p->n, a)) lo = mid; else hi = mid;
+        if (cholesky(p->n, a))
+            lo = mid;
+        else
+            hi = mid;
     }
     return lo;
 }
 
 /* Returns the certified length. y (m) out: its multipliers, valid when *found; inverse (n x n) out: the primal at the end.
  * -1 when the sizes do not fit the fixed arrays. */
-double lpvg_ray(int n, int m, int groups, const int *start, const int *order, const cpx *q0, const cpx *level, double cutoff,
-                double *y, int *found, cpx *inverse) {
+double lpvg_ray(int n, int m, int groups, const int* start, const int* order, const cpx* q0, const cpx* level, double cutoff, double* y,
+                int* found, cpx* inverse) {
     const problem p = {n, m, groups, start, order, q0, level};
     *found = 0;
     if (n > MAX_N || m > MAX_M) return -1.0;
@@ -346,4 +369,3 @@ double lpvg_ray(int n, int m, int groups, const int *start, const int *order, co
     }
     return length;
 }
-

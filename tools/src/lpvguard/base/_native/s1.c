@@ -6,8 +6,12 @@
 #include <math.h>
 #include <stddef.h>
 
-typedef struct { double hi, lo; } dd;            /* unevaluated sum hi + lo, about 32 digits */
-typedef struct { double re, im; } cpx;
+typedef struct {
+    double hi, lo;
+} dd;            /* unevaluated sum hi + lo, about 32 digits */
+typedef struct {
+    double re, im;
+} cpx;
 
 static dd dd_add(dd a, dd b) {
     const double s = a.hi + b.hi, v = s - a.hi;
@@ -44,7 +48,10 @@ static cpx mul(cpx a, cpx b) { return (cpx){a.re * b.re - a.im * b.im, a.re * b.
 static cpx conj_mul(cpx a, cpx b) { return (cpx){a.re * b.re + a.im * b.im, a.re * b.im - a.im * b.re}; }
 static cpx scale(cpx a, double s) { return (cpx){a.re * s, a.im * s}; }
 
-typedef struct { double b1, nu; cpx delta; } s1_result;
+typedef struct {
+    double b1, nu;
+    cpx delta;
+} s1_result;
 
 static const double edge = 1e-3;                 /* a difference of squares below this, relative, loses three digits */
 static const double edge2 = 1e-6;                /* the same for the square of a difference */
@@ -54,7 +61,10 @@ static const double tiny = 1e-250, huge_ = 1e250; /* outside, squares of squares
 static s1_result finish(double ee_g, double room, double room_scale, double d2, double zz, cpx ze) {
     s1_result r = {sqrt(d2 / zz), 0.0, {0.0, 0.0}};
     if (room < 0.0) {
-        if (room < -2e-12 * room_scale) { r.nu = INFINITY; return r; }
+        if (room < -2e-12 * room_scale) {
+            r.nu = INFINITY;
+            return r;
+        }
         room = 0.0;                              /* gamma is B1 rounded: the edge itself is feasible */
     }
     if (ee_g <= 0.0) return r;
@@ -65,7 +75,7 @@ static s1_result finish(double ee_g, double room, double room_scale, double d2, 
 }
 
 /* Any scaling, any cancellation: power-of-two scaling, then double-double sums. */
-static s1_result s1_careful(ptrdiff_t n, const cpx *e, const cpx *z, double gamma) {
+static s1_result s1_careful(ptrdiff_t n, const cpx* e, const cpx* z, double gamma) {
     double big_e = gamma, big_z = 0.0, sum = 0.0 * gamma;
     for (ptrdiff_t i = 0; i < n; i++) {
         big_e = fmax(big_e, fmax(fabs(e[i].re), fabs(e[i].im)));
@@ -111,8 +121,8 @@ static s1_result s1_careful(ptrdiff_t n, const cpx *e, const cpx *z, double gamm
  * group for which they would lose digits (or that are not finite) are then done again with care. */
 #define LANES 8
 
-static inline void s1_group(ptrdiff_t n, int live, const cpx *restrict e, const cpx *restrict z, const double *restrict gamma,
-                            double *restrict b1, double *restrict nu, cpx *restrict delta, cpx *restrict w) {
+static inline void s1_group(ptrdiff_t n, int live, const cpx* restrict e, const cpx* restrict z, const double* restrict gamma,
+                            double* restrict b1, double* restrict nu, cpx* restrict delta, cpx* restrict w) {
     double ee[LANES] = {0}, zz[LANES] = {0}, d2[LANES] = {0}, zr[LANES] = {0}, zi[LANES] = {0}, gg[LANES] = {0};
     double out_b[LANES], out_n[LANES], out_s[LANES];
     int safe[LANES];
@@ -177,12 +187,10 @@ static inline void s1_group(ptrdiff_t n, int live, const cpx *restrict e, const 
         }
 }
 
-void lpvg_s1(ptrdiff_t points, ptrdiff_t n, const cpx *e, const cpx *z, const double *gamma, double *b1, double *nu, cpx *delta,
-             cpx *w) {
+void lpvg_s1(ptrdiff_t points, ptrdiff_t n, const cpx* e, const cpx* z, const double* gamma, double* b1, double* nu, cpx* delta, cpx* w) {
     ptrdiff_t p = 0;
     if (n == 2)                                      /* constant trip counts: the common case becomes straight vector code */
-        for (; p + LANES <= points; p += LANES)
-            s1_group(2, LANES, e + 2 * p, z + 2 * p, gamma + p, b1 + p, nu + p, delta + p, w + 2 * p);
+        for (; p + LANES <= points; p += LANES) s1_group(2, LANES, e + 2 * p, z + 2 * p, gamma + p, b1 + p, nu + p, delta + p, w + 2 * p);
     for (; p < points; p += LANES) {
         const int live = (int)(points - p < LANES ? points - p : LANES);
         s1_group(n, live, e + p * n, z + p * n, gamma + p, b1 + p, nu + p, delta + p, w + p * n);
@@ -191,10 +199,13 @@ void lpvg_s1(ptrdiff_t points, ptrdiff_t n, const cpx *e, const cpx *z, const do
 
 /* ---- margin: weighted 1-centre of discs |E_k - delta Z_k| <= t B_k; disc 0 is |delta| <= t W (E = 0, Z = 1). ---- */
 
-typedef struct { cpx e, z; double b, az; } disc;
+typedef struct {
+    cpx e, z;
+    double b, az;
+} disc;
 
 /* a b - c d; *lost counts the differences that cancel so far that they must be formed with care. */
-static inline cpx cross(cpx a, cpx b, cpx c, cpx d, int careful, int *lost) {
+static inline cpx cross(cpx a, cpx b, cpx c, cpx d, int careful, int* lost) {
     const cpx x = mul(a, b), y = mul(c, d), z = {x.re - y.re, x.im - y.im};
     if (!careful) {
         *lost |= abs2(z) < 1e-6 * (abs2(x) + abs2(y));
@@ -205,7 +216,7 @@ static inline cpx cross(cpx a, cpx b, cpx c, cpx d, int careful, int *lost) {
     return (cpx){out[0].hi, out[1].hi};
 }
 
-static inline double pair_t(disc i, disc j, int careful, int *lost) {
+static inline double pair_t(disc i, disc j, int careful, int* lost) {
     return cabs_(cross(i.e, j.z, j.e, i.z, careful, lost)) / (i.b * j.az + j.b * i.az);
 }
 
@@ -220,7 +231,7 @@ static inline double reach(disc i, disc j, disc k) {
 /* Smallest t at which three discs meet in one point, from the residual u of the first: |u| = t B_i,
  * |D_j + u Z_j| = t B_j |Z_i|, D_j = E_j Z_i - E_i Z_j. Both differences from |u|^2 are linear in u, with right-hand
  * side Re(conj(g) u); t^2 is then the smaller root of a quadratic. NaN when two discs are concentric: a pair decides. */
-static inline double triple(disc i, disc j, disc k, int careful, int *lost) {
+static inline double triple(disc i, disc j, disc k, int careful, int* lost) {
     const cpx dj = cross(j.e, i.z, i.e, j.z, careful, lost), dk = cross(k.e, i.z, i.e, k.z, careful, lost);
     const cpx gj = conj_mul(j.z, dj), gk = conj_mul(k.z, dk);
     const double nj = 1.0 / cabs_(gj), nk = 1.0 / cabs_(gk);
@@ -241,11 +252,13 @@ static inline double triple(disc i, disc j, disc k, int careful, int *lost) {
 }
 
 static inline disc pick(int first, disc a, disc b) {
-    return (disc){{first ? a.e.re : b.e.re, first ? a.e.im : b.e.im}, {first ? a.z.re : b.z.re, first ? a.z.im : b.z.im},
-                  first ? a.b : b.b, first ? a.az : b.az};
+    return (disc){{first ? a.e.re : b.e.re, first ? a.e.im : b.e.im},
+                  {first ? a.z.re : b.z.re, first ? a.z.im : b.z.im},
+                  first ? a.b : b.b,
+                  first ? a.az : b.az};
 }
 
-static inline double margin_of_three(disc d0, disc d1, disc d2, int careful, int *lost) {
+static inline double margin_of_three(disc d0, disc d1, disc d2, int careful, int* lost) {
     const double t01 = pair_t(d0, d1, careful, lost), t02 = pair_t(d0, d2, careful, lost), t12 = pair_t(d1, d2, careful, lost);
     const int last0 = (t12 >= t01) & (t12 >= t02), last1 = !last0 & (t02 >= t01);   /* the disc outside the worst pair */
     const disc i = pick(last0, d1, d0), j = pick(last0 | last1, d2, d1), k = pick(last0, d0, pick(last1, d1, d2));
@@ -257,7 +270,7 @@ static inline double margin_of_three(disc d0, disc d1, disc d2, int careful, int
 
 #define MAX_DISCS 65
 
-static double margin_point(ptrdiff_t n, const cpx *e, const cpx *z, double w_delta, const double *w_w) {
+static double margin_point(ptrdiff_t n, const cpx* e, const cpx* z, double w_delta, const double* w_w) {
     disc d[MAX_DISCS];
     double best = 0.0, sum = w_delta;
     int m = 1, lost = 0;
@@ -265,8 +278,10 @@ static double margin_point(ptrdiff_t n, const cpx *e, const cpx *z, double w_del
     for (ptrdiff_t i = 0; i < n; i++) {
         const disc o = {e[i], z[i], w_w[i], cabs_(z[i])};
         sum += o.e.re + o.e.im + o.z.re + o.z.im + o.b;
-        if (o.az > 0.0) d[m++] = o;
-        else best = fmax(best, cabs_(o.e) / o.b);   /* Z = 0: delta has no part in it */
+        if (o.az > 0.0)
+            d[m++] = o;
+        else
+            best = fmax(best, cabs_(o.e) / o.b);   /* Z = 0: delta has no part in it */
     }
     if (m == 2) best = fmax(best, pair_t(d[0], d[1], 1, &lost));
     for (int i = 0; i < m; i++)
@@ -276,7 +291,7 @@ static double margin_point(ptrdiff_t n, const cpx *e, const cpx *z, double w_del
 }
 
 /* Two outputs, the common case: LANES points as vector code; those that cancel or hold a zero are done again. */
-static void margin_group_of_two(const cpx *e, const cpx *z, const double *w_delta, const double *w_w, double *t) {
+static void margin_group_of_two(const cpx* e, const cpx* z, const double* w_delta, const double* w_w, double* t) {
     double f[10][LANES];
     int lost[LANES];
     for (int l = 0; l < LANES; l++) {
@@ -298,7 +313,7 @@ static void margin_group_of_two(const cpx *e, const cpx *z, const double *w_delt
         if (lost[l]) t[l] = margin_point(2, e + 2 * l, z + 2 * l, w_delta[l], w_w + 2 * l);
 }
 
-void lpvg_margin(ptrdiff_t points, ptrdiff_t n, const cpx *e, const cpx *z, const double *w_delta, const double *w_w, double *t) {
+void lpvg_margin(ptrdiff_t points, ptrdiff_t n, const cpx* e, const cpx* z, const double* w_delta, const double* w_w, double* t) {
     ptrdiff_t p = 0;
     if (n == 2)
         for (; p + LANES <= points; p += LANES) margin_group_of_two(e + 2 * p, z + 2 * p, w_delta + p, w_w + 2 * p, t + p);

@@ -15,15 +15,29 @@
 #include <stddef.h>
 #include <string.h>
 
-enum { MAX_N = 16, MAX_OPEN = 256, MAX_NEWTON = 60, MAX_DUALS = 240 };
+enum {
+    MAX_N = 16,
+    MAX_OPEN = 256,
+    MAX_NEWTON = 60,
+    MAX_DUALS = 240
+};
 
-typedef struct { double re, im; } cpx;
-typedef struct { int n; const cpx *q0, *qw, *a, *b; double p_max, gap; } problem;
-typedef struct { double mu[2], value, slope; cpx z[MAX_N]; } dual_point;
+typedef struct {
+    double re, im;
+} cpx;
+typedef struct {
+    int n;
+    const cpx *q0, *qw, *a, *b;
+    double p_max, gap;
+} problem;
+typedef struct {
+    double mu[2], value, slope;
+    cpx z[MAX_N];
+} dual_point;
 
 /* Factor S_TT = C C^*, with the bordered row: returns L(mu, p), or NAN when S_TT is not positive definite. On return
  * c holds the factor (lower triangle), y = C^-1 S_Tt. */
-static double factor(const problem *pr, const double mu[2], double p, cpx c[MAX_N][MAX_N], cpx y[MAX_N]) {
+static double factor(const problem* pr, const double mu[2], double p, cpx c[MAX_N][MAX_N], cpx y[MAX_N]) {
     const int n = pr->n, d = n - 1;
     const double mp = mu[1] * p;
     for (int i = 0; i < n; i++) {
@@ -52,7 +66,7 @@ static double factor(const problem *pr, const double mu[2], double p, cpx c[MAX_
 }
 
 /* v <- C^-1 v for one column. */
-static void forward(int d, const cpx c[MAX_N][MAX_N], cpx *v) {
+static void forward(int d, const cpx c[MAX_N][MAX_N], cpx* v) {
     for (int i = 0; i < d; i++) {
         double re = v[i].re, im = v[i].im;
         for (int m = 0; m < i; m++) {
@@ -64,7 +78,7 @@ static void forward(int d, const cpx c[MAX_N][MAX_N], cpx *v) {
 }
 
 /* z = (-S_TT^-1 S_Tt, 1) from y = C^-1 S_Tt. */
-static void primal(int d, const cpx c[MAX_N][MAX_N], const cpx *y, cpx *z) {
+static void primal(int d, const cpx c[MAX_N][MAX_N], const cpx* y, cpx* z) {
     for (int i = d - 1; i >= 0; i--) {
         double re = -y[i].re, im = -y[i].im;
         for (int m = i + 1; m < d; m++) {           /* row i of C^* is the conjugate column */
@@ -76,7 +90,7 @@ static void primal(int d, const cpx c[MAX_N][MAX_N], const cpx *y, cpx *z) {
     z[d] = (cpx){1.0, 0.0};
 }
 
-static double form(int n, const cpx *q, const cpx *z) {
+static double form(int n, const cpx* q, const cpx* z) {
     double sum = 0.0;
     for (int i = 0; i < n; i++) {
         double re = 0.0, im = 0.0;
@@ -90,7 +104,7 @@ static double form(int n, const cpx *q, const cpx *z) {
 }
 
 /* u = C^-1 (Q z)_T and z* Q z for Q = qa - p qb. */
-static double push(const problem *pr, const cpx *qa, const cpx *qb, double p, const cpx c[MAX_N][MAX_N], const cpx *z, cpx *u) {
+static double push(const problem* pr, const cpx* qa, const cpx* qb, double p, const cpx c[MAX_N][MAX_N], const cpx* z, cpx* u) {
     const int n = pr->n;
     double value = 0.0;
     for (int i = 0; i < n; i++) {
@@ -107,7 +121,7 @@ static double push(const problem *pr, const cpx *qa, const cpx *qb, double p, co
     return value;
 }
 
-static double dot(int d, const cpx *a, const cpx *b) {
+static double dot(int d, const cpx* a, const cpx* b) {
     double s = 0.0;
     for (int i = 0; i < d; i++) s += a[i].re * b[i].re + a[i].im * b[i].im;
     return s;
@@ -119,7 +133,7 @@ static double dot(int d, const cpx *a, const cpx *b) {
  * between L and the cost of z: the stopping rule is exact. It stops when that gap is below `fine`; already at
  * `coarse` when p + L exceeds `beyond` (only a rough bound is needed there); and when p + L exceeds `enough`.
  * Returns 0 when no multipliers with S_TT > 0 were found. */
-static int maximise_dual(const problem *pr, double p, double fine, double coarse, double beyond, double enough, dual_point *at) {
+static int maximise_dual(const problem* pr, double p, double fine, double coarse, double beyond, double enough, dual_point* at) {
     const int d = pr->n - 1;
     cpx c[MAX_N][MAX_N], y[MAX_N], u0[MAX_N], u1[MAX_N];
     double slack[2] = {0.0, 0.0}, *mu = at->mu, value = factor(pr, mu, p, c, y);
@@ -183,15 +197,18 @@ static int maximise_dual(const problem *pr, double p, double fine, double coarse
     return 1;
 }
 
-static double bound_at(const problem *pr, const dual_point *at, double p) {
+static double bound_at(const problem* pr, const dual_point* at, double p) {
     cpx c[MAX_N][MAX_N], y[MAX_N];
     return p + factor(pr, at->mu, p, c, y);
 }
 
-typedef struct { double cost, p; cpx *z; } incumbent;
+typedef struct {
+    double cost, p;
+    cpx* z;
+} incumbent;
 
 /* Take z when it beats the incumbent; its cost counts its own least p, not the one it was found at. */
-static void offer(const problem *pr, const cpx *z, incumbent *best) {
+static void offer(const problem* pr, const cpx* z, incumbent* best) {
     const double a = form(pr->n, pr->a, z), b = form(pr->n, pr->b, z), p = a <= 0.0 ? 0.0 : b > 0.0 ? a / b : INFINITY;
     const double cost = p + form(pr->n, pr->q0, z);
     if (form(pr->n, pr->qw, z) <= 0.0 && p <= pr->p_max && cost < best->cost) {
@@ -202,15 +219,19 @@ static void offer(const problem *pr, const cpx *z, incumbent *best) {
 }
 
 /* An interval of p; `at` holds multipliers found at hi or above (known), which bound all of it. */
-typedef struct { double lo, hi, lower, lo_slope; int known; dual_point at; } interval;
+typedef struct {
+    double lo, hi, lower, lo_slope;
+    int known;
+    dual_point at;
+} interval;
 
-static double interval_bound(const problem *pr, const interval *v) {
+static double interval_bound(const problem* pr, const interval* v) {
     const double floor_ = fmax(v->lower, v->lo);
     return v->known ? fmax(floor_, fmin(bound_at(pr, &v->at, v->lo), bound_at(pr, &v->at, v->hi))) : floor_;
 }
 
 /* A point strictly between: where the slopes of p + g(p) at the ends say that the minimum lies, in log p. */
-static double cut(const interval *v) {
+static double cut(const interval* v) {
     if (v->lo <= 0.0) return v->hi * (v->at.slope > 0.0 ? 0.125 : 0.5);
     const double ratio = v->hi / v->lo, f0 = v->lo_slope * v->lo, f1 = v->at.slope * v->hi;
     double x = 0.5;
@@ -219,18 +240,18 @@ static double cut(const interval *v) {
 }
 
 /* Dual at hi, from the multipliers that v carries: lifted off zero, where an interior-point method would stall. */
-static void evaluate(const problem *pr, interval *v, incumbent *best) {
+static void evaluate(const problem* pr, interval* v, incumbent* best) {
     const double cost = fmin(best->cost, 1.0), lift = 1e-3 * cost;   /* 1: the scale of the problem, before any point is known */
     v->at.mu[0] = fmax(v->at.mu[0], lift);
     v->at.mu[1] = fmax(v->at.mu[1], lift);
-    v->known = maximise_dual(pr, v->hi, 0.1 * pr->gap * cost, 0.02 * cost, 1.05 * best->cost,
-                             fmin(best->cost, 1e9) + (v->hi - v->lo), &v->at);
+    v->known =
+        maximise_dual(pr, v->hi, 0.1 * pr->gap * cost, 0.02 * cost, 1.05 * best->cost, fmin(best->cost, 1e9) + (v->hi - v->lo), &v->at);
     if (v->known) offer(pr, v->at.z, best);
     v->lower = interval_bound(pr, v);
 }
 
 /* z: a feasible start, then the point that attains the upper bound. out: lower, upper, p of the upper, duals used. */
-static void solve_point(const problem *pr, cpx *z, double out[4]) {
+static void solve_point(const problem* pr, cpx* z, double out[4]) {
     interval open[MAX_OPEN];
     cpx start[MAX_N];
     incumbent best = {INFINITY, 0.0, z};
@@ -253,10 +274,12 @@ static void solve_point(const problem *pr, cpx *z, double out[4]) {
         evaluate(pr, &left, &best);
         right.lo_slope = left.known ? left.at.slope : -1.0;
         right.lower = interval_bound(pr, &right);
-        const interval *child[2] = {&left, &right};
+        const interval* child[2] = {&left, &right};
         for (int i = 0; i < 2; i++) {
-            if (child[i]->lower < best.cost * (1.0 - pr->gap)) open[count++] = *child[i];
-            else closed = fmin(closed, child[i]->lower);
+            if (child[i]->lower < best.cost * (1.0 - pr->gap))
+                open[count++] = *child[i];
+            else
+                closed = fmin(closed, child[i]->lower);
         }
     }
     for (int i = 0; i < count; i++) closed = fmin(closed, open[i].lower);
@@ -267,10 +290,10 @@ static void solve_point(const problem *pr, cpx *z, double out[4]) {
 }
 
 /* forms: per point Q0, Qw, A, B, each n x n; z per point n. Returns 0, or 1 when n does not fit the fixed arrays. */
-int lpvg_s2(ptrdiff_t points, ptrdiff_t n, const cpx *forms, const double *p_max, double gap, cpx *z, double *out) {
+int lpvg_s2(ptrdiff_t points, ptrdiff_t n, const cpx* forms, const double* p_max, double gap, cpx* z, double* out) {
     if (n < 2 || n > MAX_N) return 1;
     for (ptrdiff_t k = 0; k < points; k++) {
-        const cpx *f = forms + k * 4 * n * n;
+        const cpx* f = forms + k * 4 * n * n;
         const problem pr = {(int)n, f, f + n * n, f + 2 * n * n, f + 3 * n * n, p_max[k], gap};
         solve_point(&pr, z + k * n, out + 4 * k);
     }
