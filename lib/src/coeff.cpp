@@ -28,7 +28,9 @@ bool energy_fits(const lpvg_coeff_reals_t& r) {
     bool good = true;
     lpvg_real_t below = lpvg_real_t(0);
     for (const lpvg_real_t corner : r.energy_corner) {
-        good = good && corner >= below;
+        if (!(corner >= below)) {
+            good = false;
+        }
         below = corner;
     }
     for (const auto& section : r.energy_W) {
