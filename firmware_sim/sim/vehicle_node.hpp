@@ -50,6 +50,7 @@ private:
         bool holds = false;
     };
 
+    void send_slow(std::int64_t now_us, const lpvguard_plant::Sensors& sensors);
     void put(const lpvg_can_frame_t& frame);
     bool spoil(Fault& fault, lpvg_can_frame_t& frame, const lpvg_can_frame_t& before);
     bool off_the_bus(std::int64_t now_us);
