@@ -17,7 +17,7 @@ namespace lpvguard_sim {
 
 /// As guard_t.
 struct GuardTelemetry {
-    double command_radps, wanted_radps, demand_bar, margin;
+    double command_radps, wanted_radps, demand_bar, statistic;
     std::uint8_t verdict, supervision;
 };
 

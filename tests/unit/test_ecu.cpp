@@ -112,7 +112,7 @@ private:
             lpvg_can_guard_out_t message{};
             REQUIRE(lpvg_can_guard_out_unpack(&message, &out[i]) == lpvg_status_ok);
             lpvg_can_guard_out_dp_demand_decode(message.dp_demand, &report.demand);
-            lpvg_can_guard_out_monitor_margin_decode(message.monitor_margin, &report.margin);
+            lpvg_can_guard_out_monitor_margin_decode(message.monitor_margin, &report.statistic);
             lpvg_can_guard_out_monitor_verdict_decode(message.monitor_verdict, &report.verdict);
             lpvg_can_guard_out_supervision_state_decode(message.supervision_state, &report.supervision);
         }

@@ -209,8 +209,14 @@ typedef struct lpvg_can_dtc_t {
 #define LPVG_CAN_LAMP_RED 0x10u
 #define LPVG_CAN_LAMP_MIL 0x40u
 
-/// Failure mode identifier that says what an event says (J1939-73): 9 abnormal update rate, 19 received network data in
-/// error, 2 erratic, 8 abnormal frequency, 10 abnormal rate of change, 31 condition exists.
+#define LPVG_CAN_FMI_ERRATIC 2u  ///< Failure mode identifiers (J1939-73): data erratic.
+#define LPVG_CAN_FMI_FREQUENCY 8u  ///< Abnormal frequency.
+#define LPVG_CAN_FMI_UPDATE_RATE 9u  ///< Abnormal update rate.
+#define LPVG_CAN_FMI_RATE_OF_CHANGE 10u  ///< Abnormal rate of change.
+#define LPVG_CAN_FMI_NETWORK 19u  ///< Received network data in error.
+#define LPVG_CAN_FMI_CONDITION 31u  ///< Condition exists.
+
+/// Failure mode identifier LPVG_CAN_FMI_* of an event.
 uint8_t lpvg_can_fmi(lpvg_can_event_t event);
 
 /// DM1 (PGN 65226) with one active trouble code, or with none (dtc NULL), and the lamps LPVG_CAN_LAMP_*, the others off.
