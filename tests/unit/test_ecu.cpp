@@ -17,7 +17,7 @@ constexpr int64_t tick_us = 10'000;
 const lpvg_ecu_config_t config = {true, lpvg_ecu_reaction_report, lpvg_ecu_reaction_report, {2.07F, 5.0F, 1.5F, 0.15F, 100U}};
 
 struct Report {
-    float demand = NAN, margin = NAN, verdict = NAN, supervision = NAN;
+    float demand = NAN, statistic = NAN, verdict = NAN, supervision = NAN;
 };
 
 // An ECU and the frames of a truck that drives straight on at 12 m/s while a yaw rate is asked for.
