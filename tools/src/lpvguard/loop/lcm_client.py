@@ -8,7 +8,7 @@ table of channels. Needs the packages of the extra ``lcm`` (``pip install './too
     answer = client.command("inject", 'plant.sensor_fault = [{signal = "yaw_rate", gain = 0.7}]')
     for channel, message in client.messages(timeout_s=2.0):
         if channel == "LPVGUARD_MARGINS":
-            print(message.frequency, message.margin / message.threshold)
+            print(message.frequency, message.statistic / message.threshold)
     client.command("clear", answer.entry)
 """
 
@@ -143,7 +143,8 @@ def watch(messages: Iterable[tuple[str, Any]]) -> Iterator[str]:
         said = []
         if channel == "LPVGUARD_GUARD" and changed("guard", (m.verdict, m.supervision)):
             said.append(
-                f"verdict {VERDICTS[m.verdict]}, supervision {SUPERVISION[m.supervision]}, statistic {m.statistic:.3f}"
+                f"verdict {VERDICTS[m.verdict]}, supervision {SUPERVISION[m.supervision]}, "
+                f"statistic {m.statistic:.3f}"
             )
         elif (
             channel == "LPVGUARD_SUPERVISION"
