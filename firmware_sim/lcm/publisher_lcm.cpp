@@ -26,7 +26,9 @@ static_assert(ControlCommand::pause == lpvguard_lcm::control_t::PAUSE && Control
 static_assert(Status::running == lpvguard_lcm::status_t::RUNNING && Status::paused == lpvguard_lcm::status_t::PAUSED &&
                   Status::ended == lpvguard_lcm::status_t::ENDED,
               "as in lpvguard_status.lcm");
-static_assert(sizeof(lpvguard_lcm::supervision_t::other) / sizeof(std::int64_t) == lpvg_can_event_count, "as in lpvguard_supervision.lcm");
+static_assert(sizeof(lpvguard_lcm::supervision_t::other) / sizeof(std::int64_t) == lpvg_can_event_count &&
+                  sizeof(lpvguard_lcm::watch_t::count) / sizeof(std::int64_t) == lpvg_can_event_count,
+              "as in lpvguard_supervision.lcm");
 
 class LcmPublisher final : public Publisher {
 public:
@@ -60,7 +62,7 @@ public:
         g.command = guard.command_radps;
         g.wanted = guard.wanted_radps;
         g.demand = guard.demand_bar;
-        g.margin = guard.margin;
+        g.statistic = guard.statistic;
         g.verdict = static_cast<std::int8_t>(guard.verdict);
         g.supervision = static_cast<std::int8_t>(guard.supervision);
         lcm_->publish("LPVGUARD_GUARD", &g);

@@ -1,5 +1,6 @@
-/* port.h -- what a program without an operating system needs from its processor: text out, an exit status, a count of
- * executed instructions and the depth of the stack.
+/* port.h -- what a program without an operating system needs from its processor.
+ *
+ * That is text out, an exit status, a count of executed instructions and the depth of the stack.
  *
  * Ports: cortex_m (QEMU mps2-an386, mps2-an500), cortex_r5 (QEMU xlnx-zcu102, RPU core 0), host (the same program on a
  * PC, to compare results with; it counts nothing). No port has a heap or libc input and output. */

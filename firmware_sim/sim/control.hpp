@@ -1,8 +1,8 @@
 /// @file control.hpp -- what clients may do to a running simulation (control_t, status_t: firmware_sim/lcm).
 ///
-/// Commands are taken between two ticks. Pausing and stepping touch the time of people only, not the simulated one. What INJECT and CLEAR
-/// change acts from the next tick on, whose sensors have not been sampled yet, and is a change of the scenario's file (live_scenario.hpp):
-/// run from the start, that file gives the same run.
+/// Commands are taken between two ticks. Pausing and stepping change no simulated time. What INJECT and CLEAR change acts from the
+/// next tick on, whose sensors have not been sampled yet. It is a change of the scenario's file (live_scenario.hpp). Run from the
+/// start, that file gives the same run.
 #pragma once
 
 #include <cstdint>

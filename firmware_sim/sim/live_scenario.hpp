@@ -1,7 +1,7 @@
-/// @file live_scenario.hpp -- a scenario that may still be changed while it runs, later than it has come.
+/// @file live_scenario.hpp -- a scenario that may still be changed while it runs, from the next tick on.
 ///
-/// Whatever changes is an entry of the scenario's file, and text() is that file: run from the start it gives the same frames, byte for
-/// byte, as the run that was changed on its way. So a change must not reach back: it has to begin after the newest tick.
+/// Whatever changes is an entry of the scenario's file, and text() is that file. Run from the start, it gives the same frames, byte for
+/// byte, as the run that was changed on its way. A change therefore has to begin after the newest tick.
 #pragma once
 
 #include <cstdint>
@@ -30,9 +30,9 @@ public:
         Scenario scenario;
     };
 
-    /// `toml`: one entry of can_fault, plant.sensor_fault, plant.actuator_fault, plant.surroundings_fault or plant.speed_change without
-    /// start_s, as in control_t (firmware_sim/lcm). All three throw ParameterError for what the scenario file could not hold, or says
-    /// already.
+    /// `toml`: one entry without start_s, as in control_t (firmware_sim/lcm). It is of can_fault, plant.sensor_fault,
+    /// plant.actuator_fault, plant.surroundings_fault or plant.speed_change. All three throw ParameterError for what the scenario file
+    /// could not hold, or says already.
     Change injected(double start_s, const std::string& toml) const;
     Change cleared(double end_s, const std::string& entry) const;
     Change ended(double duration_s) const;

@@ -18,8 +18,6 @@ using lpvguard_plant::Plant;
 constexpr std::int64_t tick_us = Control::tick_us;
 constexpr int telemetry_every = 10;  // ticks
 constexpr double two_pi = 6.283185307179586477;
-constexpr const char* verdict_names[] = {"unknown", "valid", "invalid", "not_judged", "stale", "fault"};
-constexpr const char* supervision_names[] = {"off", "hold", "live"};
 
 template <class Value, class Print>
 void print_changes(std::FILE* out, const char* name, const Changes<Value>& changes, const Print& print_value) {
@@ -79,7 +77,7 @@ Loop::Loop(const Scenario& scenario, const lpvguard_plant::PlantParameters& para
         std::fputs("t,v,dp,r,delta\n", ends_.drive);
     }
     if (ends_.telemetry != nullptr) {
-        std::fputs("t_s,speed_mps,command_radps,wanted_radps,yaw_rate_radps,road_wheel_rad,demand_bar,margin,verdict,supervision\n",
+        std::fputs("t_s,speed_mps,command_radps,wanted_radps,yaw_rate_radps,road_wheel_rad,demand_bar,statistic,verdict,supervision\n",
                    ends_.telemetry);
     }
 }
@@ -118,9 +116,9 @@ void Loop::run(double pace) {
 
 void Loop::print(std::FILE* out, std::uint64_t seed) {
     const auto n = static_cast<double>(ticks_);
-    std::fprintf(out, "{\"seed\": %" PRIu64 ", \"duration_s\": %.9g, \"threshold\": %.9g, \"verdict_final\": \"%s\",\n", seed,
+    std::fprintf(out, "{\"seed\": %" PRIu64 ", \"duration_s\": %.9g, \"threshold\": %.9g, \"verdict_final\": %d,\n", seed,
                  static_cast<double>(ticks_ * tick_us) * 1e-6, static_cast<double>(lpvg_coeff.reals.threshold),
-                 verdict_names[verdicts_.list().back().value]);
+                 verdicts_.list().back().value);
     std::fprintf(out, " \"tracking_rms\": %.9g, \"command_rms\": %.9g, \"demand_max_bar\": %.9g,\n", std::sqrt(error_squares_ / n),
                  std::sqrt(wanted_squares_ / n), demand_max_bar_);
     if (ecu_.inside() != nullptr) {
@@ -128,9 +126,10 @@ void Loop::print(std::FILE* out, std::uint64_t seed) {
     }
     std::fprintf(out, " \"frames\": %" PRIu64 ", \"frames_hash\": \"%016" PRIx64 "\", \"real_time_factor\": %.4g,\n", watcher_.count(),
                  watcher_.hash(), real_time_factor_);
-    print_changes(out, "verdicts", verdicts_, [out](std::uint8_t v) { std::fprintf(out, "\"%s\"", verdict_names[v]); });
-    print_changes(out, "supervision", supervision_, [out](std::uint8_t s) { std::fprintf(out, "\"%s\"", supervision_names[s]); });
-    print_changes(out, "implausible", implausible_, [out](std::uint8_t flags) { std::fprintf(out, "%d", flags); });
+    const auto print_number = [out](std::uint8_t value) { std::fprintf(out, "%d", value); };
+    print_changes(out, "verdicts", verdicts_, print_number);
+    print_changes(out, "supervision", supervision_, print_number);
+    print_changes(out, "implausible", implausible_, print_number);
     print_changes(out, "trouble_codes", troubles_,
                   [out](const TroubleCode& t) { std::fprintf(out, "{\"spn\": %" PRIu32 ", \"fmi\": %d}", t.spn, t.fmi); });
     std::fprintf(out, " \"reception\": %s,\n", ecu_.finish().c_str());
@@ -177,7 +176,7 @@ void Loop::note(std::int64_t k, double time_s, double command_radps, double want
     if (ends_.publisher != nullptr) {
         ends_.publisher->publish(now_us, plant_.truth());
         ends_.publisher->publish(now_us, GuardTelemetry{command_radps, wanted_radps, vehicle_.demand_bar(),
-                                                        static_cast<double>(report.margin), report.verdict, report.supervision});
+                                                        static_cast<double>(report.statistic), report.verdict, report.supervision});
         if (k % telemetry_every == 0) {
             ends_.publisher->publish(now_us, ecu_.supervision(), vehicle_.trouble());
         }
@@ -185,7 +184,7 @@ void Loop::note(std::int64_t k, double time_s, double command_radps, double want
     if (ends_.telemetry != nullptr && k % telemetry_every == 0) {
         const lpvguard_plant::Truth& truth = plant_.truth();
         std::fprintf(ends_.telemetry, "%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%d,%d\n", time_s, truth.speed_mps, command_radps,
-                     wanted_radps, truth.yaw_rate_radps, truth.road_wheel_rad, vehicle_.demand_bar(), static_cast<double>(report.margin),
+                     wanted_radps, truth.yaw_rate_radps, truth.road_wheel_rad, vehicle_.demand_bar(), static_cast<double>(report.statistic),
                      report.verdict, report.supervision);
     }
 }

@@ -71,7 +71,7 @@ public:
     /// At most `pace` times real time; 0: as fast as it goes. Throws std::runtime_error when the bus or the ECU fails.
     void run(double pace);
 
-    /// What happened, as JSON.
+    /// What happened, as JSON. Verdicts and supervision are numbers: lpvg_verdict_t, lpvg_can_state_t.
     void print(std::FILE* out, std::uint64_t seed);
 
     const FrameWatcher& watcher() const { return watcher_; }

@@ -5,7 +5,7 @@
 //                [--lcm URL [--start running|paused] [--applied F]]
 //
 //   --ecu        the ECU's firmware is this program (lpvguard_ecu), a process of its own on the same CAN interface, in lock-step by
-//                simulated time; what it says is then read off the bus and the time line, and --drive stays empty
+//                simulated time. What it says is then read off the bus and the time line, and --drive stays empty.
 //   --pace       at most X times real time (default: as fast as it goes)
 //   --log        every frame of the bus as candump -L writes it, with simulated time
 //   --frames     every frame that the monitor judged (CSV)

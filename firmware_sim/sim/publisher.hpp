@@ -1,7 +1,7 @@
-/// @file publisher.hpp -- the simulation as people and other programs see and lead it: telemetry out, commands in (LCM: firmware_sim/lcm,
-/// whose files give units, signs and channels).
+/// @file publisher.hpp -- the simulation as people and other programs see and lead it: telemetry out, commands in.
 ///
-/// CAN carries only what a truck's bus carries; all else goes this way.
+/// The message types in firmware_sim/lcm give units, signs and channels. CAN carries only what a truck's bus carries; all else
+/// goes this way.
 #pragma once
 
 #include <cstdint>
@@ -17,7 +17,7 @@ namespace lpvguard_sim {
 
 /// As guard_t.
 struct GuardTelemetry {
-    double command_radps, wanted_radps, demand_bar, margin;
+    double command_radps, wanted_radps, demand_bar, statistic;
     std::uint8_t verdict, supervision;
 };
 

@@ -13,14 +13,35 @@ using lpvguard_plant::ParameterError;
 using lpvguard_plant::require_in_range;
 using lpvguard_plant::require_known_keys;
 
-struct MessageName {
+/// A word of the file and what it stands for.
+template <class Value>
+struct Named {
     std::string_view name;
-    std::uint32_t id;
+    Value value;
 };
 
-constexpr MessageName messages[] = {
+constexpr Named<std::uint32_t> messages[] = {
     {"VDC2", LPVG_CAN_VDC2_ID}, {"EBC2", LPVG_CAN_EBC2_ID}, {"CCVS1", LPVG_CAN_CCVS1_ID},
     {"EBC3", LPVG_CAN_EBC3_ID}, {"EBC1", LPVG_CAN_EBC1_ID}, {"GUARD_IN", LPVG_CAN_GUARD_IN_ID},
+};
+constexpr Named<CommandSettings::Kind> command_kinds[] = {
+    {"zero", CommandSettings::Kind::zero},
+    {"multisine", CommandSettings::Kind::multisine},
+    {"steps", CommandSettings::Kind::steps},
+    {"profile", CommandSettings::Kind::profile},
+};
+constexpr Named<bool> spacings[] = {{"log", false}, {"linear", true}};
+constexpr Named<CanFault::Kind> can_fault_kinds[] = {
+    {"lost", CanFault::Kind::lost},
+    {"corrupted", CanFault::Kind::corrupted},
+    {"delayed", CanFault::Kind::delayed},
+    {"repeated", CanFault::Kind::repeated},
+    {"swapped", CanFault::Kind::swapped},
+    {"stuck_counter", CanFault::Kind::stuck_counter},
+    {"wrong_length", CanFault::Kind::wrong_length},
+    {"unknown_id", CanFault::Kind::unknown_id},
+    {"babbling", CanFault::Kind::babbling},
+    {"bus_off", CanFault::Kind::bus_off},
 };
 
 /// One table of the file, whose numbers and words are taken by name.
@@ -42,16 +63,16 @@ public:
         return table_.contains(key) ? required(key, low, high) : otherwise;
     }
 
-    /// Position of the word at `key` among `allowed`.
-    template <std::size_t count>
-    std::size_t choice(std::string_view key, const std::string_view (&allowed)[count]) const {
+    /// What the word at `key` stands for among `allowed`.
+    template <class Value, std::size_t count>
+    Value choice(std::string_view key, const Named<Value> (&allowed)[count]) const {
         const std::string word = table_[key].value_or(std::string{});
         std::string message = file_ + ": " + where_ + std::string(key) + " = \"" + word + "\": expected one of:";
-        for (std::size_t i = 0; i < count; ++i) {
-            if (allowed[i] == word) {
-                return i;
+        for (const Named<Value>& one : allowed) {
+            if (one.name == word) {
+                return one.value;
             }
-            message += " " + std::string(allowed[i]);
+            message += " " + std::string(one.name);
         }
         throw ParameterError(message);
     }
@@ -85,8 +106,7 @@ std::vector<std::pair<double, double>> read_knots(const toml::table& table, cons
 CommandSettings read_command(const toml::table& table, const std::string& file) {
     const Reader reader(table, file, "command.");
     CommandSettings command;
-    constexpr std::string_view kinds[] = {"zero", "multisine", "steps", "profile"};
-    command.kind = static_cast<CommandSettings::Kind>(reader.choice("kind", kinds));
+    command.kind = reader.choice("kind", command_kinds);
     switch (command.kind) {
         case CommandSettings::Kind::zero: require_known_keys(table, file, "command.", {"kind"}); break;
         case CommandSettings::Kind::multisine: {
@@ -94,8 +114,7 @@ CommandSettings read_command(const toml::table& table, const std::string& file) 
             command.rms_radps = reader.required("rms_radps", 0.0, 0.2);
             command.low_radps = reader.required("low_radps", 0.001, 50.0);
             command.high_radps = reader.required("high_radps", command.low_radps, 50.0);
-            constexpr std::string_view spacings[] = {"log", "linear"};
-            command.linear_spacing = reader.choice("spacing", spacings) == 1U;
+            command.linear_spacing = reader.choice("spacing", spacings);
             break;
         }
         case CommandSettings::Kind::steps:
@@ -115,14 +134,8 @@ CanFault read_can_fault(const toml::table& table, const std::string& file) {
     const Reader reader(table, file, "can_fault.");
     require_known_keys(table, file, "can_fault.", {"message", "kind", "start_s", "end_s", "probability", "delay_s"});
     CanFault fault;
-    std::string_view names[std::size(messages)];
-    for (std::size_t i = 0; i < std::size(messages); ++i) {
-        names[i] = messages[i].name;
-    }
-    fault.id = messages[reader.choice("message", names)].id;
-    constexpr std::string_view kinds[] = {"lost",          "corrupted",    "delayed",    "repeated", "swapped",
-                                          "stuck_counter", "wrong_length", "unknown_id", "babbling", "bus_off"};
-    fault.kind = static_cast<CanFault::Kind>(reader.choice("kind", kinds));
+    fault.id = reader.choice("message", messages);
+    fault.kind = reader.choice("kind", can_fault_kinds);
     fault.window.start_s = reader.required("start_s", 0.0, 1e9);
     fault.window.end_s = reader.optional("end_s", fault.window.end_s, fault.window.start_s, 1e9);
     fault.probability = reader.optional("probability", 1.0, 0.0, 1.0);

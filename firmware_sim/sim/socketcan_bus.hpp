@@ -1,8 +1,8 @@
 /// @file socketcan_bus.hpp -- the two nodes on a real SocketCAN interface, in lock-step by simulated time.
 ///
-/// A node that receives waits until everything the other one has sent has come through the kernel, so a run gives the same
-/// frames as on the memory bus whatever the machine's speed. Others may listen (candump); a foreign sender's frames reach
-/// both nodes and break the count, hence the repeatability.
+/// A node that receives waits until everything the other one has sent has come through the kernel. So a run gives the same
+/// frames as on the memory bus, whatever the machine's speed. Others may listen (candump). A foreign sender's frames reach
+/// both nodes and break the count; such a run cannot be repeated exactly.
 #pragma once
 
 #include <array>

@@ -46,7 +46,6 @@ void VehicleNode::revise(const std::vector<CanFault>& faults) {
 }
 
 void VehicleNode::send(std::int64_t now_us, const lpvguard_plant::Sensors& sensors, double command_radps) {
-    using lpvguard_plant::Wheel;
     bus_off_ = off_the_bus(now_us);
     release_due(now_us);
     lpvg_can_frame_t frame{};
@@ -67,9 +66,16 @@ void VehicleNode::send(std::int64_t now_us, const lpvguard_plant::Sensors& senso
     require(lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &counter_));
     put(frame);
 
-    if (now_us % slow_period_us != 0) {
-        return;
+    if (now_us % slow_period_us == 0) {
+        send_slow(now_us, sensors);
     }
+}
+
+// The messages that come every 100 ms.
+void VehicleNode::send_slow(std::int64_t now_us, const lpvguard_plant::Sensors& sensors) {
+    using lpvguard_plant::Wheel;
+    lpvg_can_frame_t frame{};
+    frame.t_us = now_us;
     const auto& wheel = sensors.wheel_speed_mps;
     const double front = 0.5 * (wheel[Wheel::front_left] + wheel[Wheel::front_right]);
     const auto relative = [&](Wheel which) { return single((wheel[which] - front) * kmh_per_mps); };

@@ -31,8 +31,7 @@ public:
     /// Sends the messages that are due at now (VDC2 and GUARD_IN every 10 ms, the others every 100 ms), faults applied.
     void send(std::int64_t now_us, const lpvguard_plant::Sensors& sensors, double command_radps);
 
-    /// Takes what has arrived. The demand stays as it was for two periods without a good GUARD_OUT, and is 0 once its
-    /// supervision says off: the brakes do not hold a demand that nobody stands for.
+    /// Takes what has arrived. The demand is kept while GUARD_OUT is late, and is 0 once the supervision of GUARD_OUT says off.
     void receive(std::int64_t now_us);
 
     double demand_bar() const { return demand_bar_; }
@@ -50,6 +49,7 @@ private:
         bool holds = false;
     };
 
+    void send_slow(std::int64_t now_us, const lpvguard_plant::Sensors& sensors);
     void put(const lpvg_can_frame_t& frame);
     bool spoil(Fault& fault, lpvg_can_frame_t& frame, const lpvg_can_frame_t& before);
     bool off_the_bus(std::int64_t now_us);

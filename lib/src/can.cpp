@@ -352,20 +352,20 @@ lpvg_status_t lpvg_can_plausibility(lpvg_can_plausibility_t* self, const lpvg_ca
 
 uint8_t lpvg_can_fmi(lpvg_can_event_t event) {
     switch (event) {
-        case lpvg_can_event_missed: return 9U;
-        case lpvg_can_event_early: return 8U;
-        case lpvg_can_event_gradient: return 10U;
+        case lpvg_can_event_missed: return LPVG_CAN_FMI_UPDATE_RATE;
+        case lpvg_can_event_early: return LPVG_CAN_FMI_FREQUENCY;
+        case lpvg_can_event_gradient: return LPVG_CAN_FMI_RATE_OF_CHANGE;
         case lpvg_can_event_absent:
         case lpvg_can_event_invalid:
-        case lpvg_can_event_range: return 2U;
+        case lpvg_can_event_range: return LPVG_CAN_FMI_ERRATIC;
         case lpvg_can_event_length:
         case lpvg_can_event_checksum:
         case lpvg_can_event_repeated:
         case lpvg_can_event_sequence:
         case lpvg_can_event_lost:
         case lpvg_can_event_bus_off:
-        case lpvg_can_event_error: return 19U;
-        default: return 31U;
+        case lpvg_can_event_error: return LPVG_CAN_FMI_NETWORK;
+        default: return LPVG_CAN_FMI_CONDITION;
     }
 }
 

@@ -70,12 +70,11 @@ lpvg_ecu_fault_t gravest(const lpvg_ecu_t& self, lpvg_can_state_t supervision) {
 }
 
 lpvg_can_dtc_t trouble_code(const lpvg_ecu_t& self, const lpvg_bus_need_t& need) {
-    constexpr uint8_t fmi_erratic = 2U, fmi_condition_exists = 31U;
     switch (self.fault) {
         case lpvg_ecu_fault_message: return {need.spn, lpvg_can_fmi(main_reason(self.supervisor.watch[need.index])), self.occurrence};
-        case lpvg_ecu_fault_invalid: return {LPVG_ECU_SPN_INVALID, fmi_condition_exists, self.occurrence};
-        case lpvg_ecu_fault_implausible: return {LPVG_ECU_SPN_IMPLAUSIBLE, fmi_erratic, self.occurrence};
-        default: return {LPVG_ECU_SPN_REFUSED, fmi_erratic, self.occurrence};
+        case lpvg_ecu_fault_invalid: return {LPVG_ECU_SPN_INVALID, LPVG_CAN_FMI_CONDITION, self.occurrence};
+        case lpvg_ecu_fault_implausible: return {LPVG_ECU_SPN_IMPLAUSIBLE, LPVG_CAN_FMI_ERRATIC, self.occurrence};
+        default: return {LPVG_ECU_SPN_REFUSED, LPVG_CAN_FMI_ERRATIC, self.occurrence};
     }
 }
 
@@ -107,7 +106,7 @@ void run_monitor(lpvg_ecu_t& self, bool live) {
         }
     }
     self.report.verdict = static_cast<uint8_t>(lpvg_monitor_verdict(&self.monitor, self.now_us));
-    self.report.margin = static_cast<float>(lpvg_monitor_frame(&self.monitor)->statistic);
+    self.report.statistic = static_cast<float>(lpvg_monitor_frame(&self.monitor)->statistic);
 }
 
 }  // namespace

@@ -1,7 +1,7 @@
 // energy.cpp -- see energy.h.
 //
-// W_delta is a chain of sections in the operator d = z - 1, (b0 d^2 + b1 d + b2) / (d^2 + a1 d + a2), whose coefficients
-// keep their relative precision in float however slow the poles are. So does the forgetting as x - k x with k = 1 - rho^2.
+// W_delta is a chain of sections (b0 d^2 + b1 d + b2) / (d^2 + a1 d + a2) in the operator d = z - 1. Their coefficients keep
+// their relative precision in float, however slow the poles are. So does the forgetting as x - k x with k = 1 - rho^2.
 //
 // The bands are made by a low-pass at each corner and differences, so they sum to the signal itself. W_delta commutes with them and acts
 // first, once for all bands.

@@ -2,9 +2,9 @@
 //
 //     t* = min over complex d of max( |d| / W, |E_j - d Z_j| / B_j )
 //
-// At the optimum two or three of the terms are active, so d is one of finitely many candidates, each in closed form:
+// At the optimum two or three of the terms are equal to t*. So d is one of finitely many candidates, each in closed form:
 //   two terms i, j:   d on the segment between E_i/Z_i and E_j/Z_j, dividing it as the radii B_i/|Z_i|, B_j/|Z_j| do;
-//   three terms:      equal terms, a quadratic equation, solved from d = 0 and twice more from the d so found.
+//   three terms:      d makes them equal: a quadratic equation, solved from d = 0 and twice more from the d so found.
 // Centres E_j/Z_j and radii are never formed: an output with a small Z_j has both far out, and differences of them cancel.
 // Every candidate is *evaluated*, and the least maximum is returned. Z_j = 0 needs no gate: its term does not depend on d.
 //
@@ -13,9 +13,9 @@
 //
 // Accuracy (tests/unit/test_margin.cpp, against a certified long double reference). The evaluation of E_j - d Z_j itself
 // rounds, by a part of |E_j|/B_j; no method in one number type avoids that. What is returned is therefore lowered by
-// 6 units of rounding of max |E_j|/B_j: rounding alone never raises an alarm. In float t* is never above the exact margin
-// and at most 1e-6 of max |E_j|/B_j below it; relative to t* that is 1e-6 (1 + max W |Z_j|/B_j) at most. The range:
-// |E_j|/B_j from 1e-9 to 1e9, W |Z_j|/B_j up to 2e4, and the units of an output, that is E_j, Z_j, B_j together, from
+// 6 units of rounding of max |E_j|/B_j: rounding alone never raises an alarm. In float t* is never above the exact margin,
+// and at most 1e-6 of max |E_j|/B_j below it. Relative to t* that is 1e-6 (1 + max W |Z_j|/B_j) at most.
+// Range: |E_j|/B_j from 1e-9 to 1e9, and W |Z_j|/B_j up to 2e4. The units of an output scale E_j, Z_j and B_j together, from
 // 1e-30 to 1e30. Beyond, a candidate may be lost and results err upward; what is not finite reads infinity.
 #pragma once
 
@@ -107,8 +107,8 @@ public:
         return lowered();
     }
 
-    /// The margin had the vehicle not responded, E = -Z: d is real from -1 to 0, where |d| / W rises to meet
-    /// (1 - |d|) max |Z_j| / B_j.
+    /// The evidence: the margin had the vehicle not responded, E = -Z. The best d is real, from -1 to 0. It makes |d| / W
+    /// equal to (1 - |d|) max |Z_j| / B_j.
     Real dead() const {
         Real largest = Real(0);
         for (std::size_t j = 0; j < NY; ++j) {
@@ -159,8 +159,7 @@ private:
         }
     }
 
-    // Of the two d that make three terms equal, the one nearer to 0 is the better where |d| is one of the terms (i = NY);
-    // else either may be.
+    // Two d make three terms equal. Where |d| is one of the terms (i = NY), the one nearer to 0 is the better. Else either may be.
     void triple(std::size_t i, std::size_t j, std::size_t k) {
         constexpr C zero{Real(0), Real(0)};
         settle(i, j, k, equalised(i, j, k, zero, false));
@@ -194,7 +193,7 @@ private:
         const C p = inverse * C{fj * gk.im - fk * gj.im, fk * gj.re - fj * gk.re};
         const C q = inverse * C{sj * gk.im - sk * gj.im, sk * gj.re - sj * gk.re};
         // The discriminant (1/2 - <p, q>)^2 - |p|^2 |q|^2 is written with the cross product of p and q, which does not
-        // cancel; what is left below zero is rounding, or no d makes the terms equal and the candidate is merely poor.
+        // cancel. Below zero it is rounding, or no d makes the terms equal. The candidate is then merely poor.
         const Real dot = p.re * q.re + p.im * q.im;
         const Real across = Real(0.5) * inverse * (fj * sk - fk * sj);
         const Real discriminant = Real(0.25) - dot - across * across;

@@ -1,12 +1,12 @@
 // monitor.cpp -- see monitor.h.
 //
-// Two frames of a bin overlap by half. Over one half, with p_n the exponential and w_n the rising half of the window,
-// sum(x p) and sum(x w p) are accumulated; since the falling half of a Hann window is 1 - w_n, the frame that ends with
-// this half is (rising sum of the previous half) + (-1)^cycles (plain - rising sum of this half). The sums restart every
-// half frame, so that rounding cannot accumulate over a drive.
+// Two frames of a bin overlap by half. Over one half the sums `plain` = sum(x p) and `rising` = sum(x w p) are accumulated. Here
+// p_n is the exponential and w_n the rising half of the window. The falling half of a Hann window is 1 - w_n. The frame that ends
+// with this half is therefore (rising of the previous half) + (-1)^cycles (plain - rising of this half). The sums restart
+// every half frame, so rounding cannot accumulate over a drive.
 //
-// Each push keeps its sample in a block; every bin takes up a whole block at a time, bin b in the pushes whose number is
-// b modulo the block's length. So its sums stay in registers over a block, and at most a quarter of the bins can end a
+// Each push keeps its sample in a block. Every bin takes up a whole block at a time. Bin b does so in the pushes whose number is
+// b modulo the block's length. Its sums stay in registers over a block, and at most a quarter of the bins can end a
 // half frame in one push.
 #include "lpvguard/monitor.h"
 
@@ -82,8 +82,8 @@ lpvg_span_t span_of(const lpvg_monitor_t& self, uint32_t first, uint32_t end) {
     return span;
 }
 
-// Adds n samples, x the first one's signals, to the sums of a bin: summed among themselves first, so that the long sums,
-// beside which a sample is small, are rounded once a block. The phasors are turned by small angles, stored as cos - 1
+// Adds n samples, x the first one's signals, to the sums of a bin. They are summed among themselves first: a sample is small
+// beside the long sums, which are rounded once a block only. The phasors are turned by small angles, stored as cos - 1
 // and sin, which keeps their relative precision in float.
 void accumulate(lpvg_bin_t& bin, const Real* turn, const Real* taper, const Real* x, uint32_t n) {
     const bool begins = bin.n == 0U;
@@ -357,6 +357,7 @@ extern "C" lpvg_status_t lpvg_monitor_init(lpvg_monitor_t* self, const lpvg_coef
     return status;
 }
 
+// Length: the path of one sample in its order; every branch of it ends or restarts the steps that follow.
 extern "C" lpvg_status_t lpvg_monitor_push(lpvg_monitor_t* self, const lpvg_sample_t* sample) {
     if (self == nullptr || sample == nullptr) {
         return lpvg_status_bad_argument;

@@ -7,14 +7,16 @@ import json
 import sys
 from itertools import groupby
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
 
 from lpvguard.base.errors import InputError
 from lpvguard.can.catalogue import load_catalogue
+from lpvguard.cli.lcm import lcm_send
 from lpvguard.core.compiled import EVENTS, SUPERVISION, VERDICTS
-from lpvguard.loop.lcm_client import CHANNELS, Client, message_types, read_log, watch
+from lpvguard.loop.lcm_client import CHANNELS, Action, Client, constants, message_types, read_log, watch
 from lpvguard.loop.sim import Simulator, can_fault_table, load_scenario, steady_scenario
 from parts import missing, require
 from vcan import with_vcan
@@ -185,10 +187,10 @@ def test_two_processes_on_vcan_recorded_and_replayed_give_the_same_verdicts(
     assert len(alone["LPVGUARD_MARGINS"]) > 20
     for channel in CHANNELS:
         require_nearly_all(replayed[channel], recorded[channel])
-        if channel != "LPVGUARD_GUARD":  # its margin comes off the bus, in steps of GUARD_OUT
+        if channel != "LPVGUARD_GUARD":  # its statistic comes off the bus, in steps of GUARD_OUT
             require_nearly_all(recorded[channel], alone[channel])
-    margin = {g.utime: g.margin for g in alone["LPVGUARD_GUARD"]}
-    assert max(margin.values()) > 0.05
+    statistic = {g.utime: g.statistic for g in alone["LPVGUARD_GUARD"]}
+    assert max(statistic.values()) > 0.05
     for log in (recorded, replayed):
         for field, names, want in (
             ("verdict", VERDICTS, run["verdicts"]),
@@ -198,7 +200,7 @@ def test_two_processes_on_vcan_recorded_and_replayed_give_the_same_verdicts(
             assert [v for _, v in got] == [v for _, v in want] and np.allclose(
                 [t for t, _ in got], [t for t, _ in want], atol=0.3
             )
-        assert max(abs(g.margin - margin[g.utime]) for g in log["LPVGUARD_GUARD"]) <= 0.5 / 1024 + 1e-9
+        assert max(abs(g.statistic - statistic[g.utime]) for g in log["LPVGUARD_GUARD"]) <= 0.5 / 1024 + 1e-9
 
 
 @pytest.mark.serial
@@ -244,14 +246,14 @@ def test_the_emulated_ecu_publishes_what_the_host_does(lcm_simulator, scenario, 
 LEAD = """
 import json, subprocess, sys
 from lpvguard.base.errors import InputError
-from lpvguard.loop.lcm_client import Client, STATES
+from lpvguard.loop.lcm_client import Client, state_name
 URL = "udpm://239.255.76.67:7667?ttl=0"
 client, cli = Client(URL), [sys.executable, "-m", "lpvguard.cli"]
 watching = subprocess.Popen([*cli, "lcm", "watch", "--url", URL, "--silence", "100"], stdout=subprocess.PIPE, text=True)
 loop = subprocess.Popen([*cli, "sim", *sys.argv[1:], "--lcm", URL, "--paused", "--json", "-"], stdout=subprocess.PIPE, text=True)
 
 def paused_at():
-    return next(m.utime for c, m in client.messages(100) if c == "LPVGUARD_STATUS" and m.id == 0 and STATES[m.state] == "paused" and m.utime != at)
+    return next(m.utime for c, m in client.messages(100) if c == "LPVGUARD_STATUS" and m.id == 0 and state_name(m) == "paused" and m.utime != at)
 
 at = None
 at = paused_at()
@@ -353,6 +355,16 @@ def test_a_channel_of_another_version_is_not_read_as_ours(tmp_path):
         list(read_log(tmp_path / "old.lcm"))
 
 
+def test_actions_of_client_and_command_line_are_those_of_the_message_type():
+    actions = tuple(constants("control_t"))
+    assert (
+        actions
+        == get_args(Action)
+        == get_args(get_args(get_type_hints(lcm_send, include_extras=True)["action"])[0])
+    )
+    assert tuple(constants("status_t")) == ("running", "paused", "ended")
+
+
 def test_watching_says_what_changes_once():
     types = message_types()
     guard, again, status, ended = types.guard_t(), types.guard_t(), types.status_t(), types.status_t()
@@ -370,7 +382,7 @@ def test_watching_says_what_changes_once():
         )
     )
     assert said == [
-        "     0.00 s  verdict valid, supervision off, margin 0.000",
+        "     0.00 s  verdict valid, supervision off, statistic 0.000",
         "     0.00 s  refused: because",
         "     0.02 s  ended",
     ]

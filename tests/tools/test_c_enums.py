@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from lpvguard.base.errors import InputError
+from lpvguard.can.catalogue import load_catalogue
 from lpvguard.core import compiled as core
 from lpvguard.core.c_enums import enum_names
 
@@ -37,3 +40,37 @@ def test_the_documented_words_of_the_replay_are_those_of_the_headers():
     assert core.TESTS == ("frame", "energy") and core.SUPERVISION == ("off", "hold", "live")
     assert len(core.STATUSES) == 12 and core.STATUSES[-1] == "not_ready"
     assert len(core.EVENTS) == 18 and core.EVENTS[-1] == "lost"
+
+
+LCM = sorted((core.firmware_root() / "lcm").glob("*.lcm"))
+STATED = re.compile(r"(lpvg_\w+_t): ((?:\d+ \w+(?:, )?)+)")
+
+
+def stated_otherwise(text: str) -> list[str]:
+    """Enumerations of which a comment of ``text`` (`lpvg_verdict_t: 0 unknown, 1 valid`) says other members
+    than the headers do."""
+    include = core.library_root() / "include" / "lpvguard"
+    wrong = []
+    for name, said in STATED.findall(text):
+        header = next(h for h in sorted(include.glob("*.h")) if f"typedef enum {name} " in h.read_text())
+        members = ", ".join(f"{i} {member}" for i, member in enumerate(enum_names(header, name)))
+        wrong += [] if said == members else [name]
+    return wrong
+
+
+def test_the_lcm_types_state_the_members_of_the_headers():
+    assert [p.name for p in LCM if stated_otherwise(p.read_text())] == []
+    named = [name for p in LCM for name, _ in STATED.findall(p.read_text())]
+    assert sorted(named) == ["lpvg_can_state_t", "lpvg_can_state_t", "lpvg_reason_t", "lpvg_verdict_t"]
+    guard = next(p for p in LCM if p.name == "lpvguard_guard.lcm").read_text()
+    assert stated_otherwise(guard.replace("3 not_judged", "3 not_known")) == ["lpvg_verdict_t"]
+    assert stated_otherwise(guard.replace(", 2 live", "")) == ["lpvg_can_state_t"]
+
+
+@pytest.mark.parametrize(
+    ("signal", "names"), [("monitor_verdict", core.VERDICTS), ("supervision_state", core.SUPERVISION)]
+)
+def test_the_can_catalogue_states_the_members_of_the_headers(signal, names):
+    report = load_catalogue().message("GUARD_OUT")
+    values = next(s.values for s in report.signals if s.name == signal)
+    assert values == {name: i for i, name in enumerate(names)}

@@ -17,7 +17,7 @@ constexpr int64_t tick_us = 10'000;
 const lpvg_ecu_config_t config = {true, lpvg_ecu_reaction_report, lpvg_ecu_reaction_report, {2.07F, 5.0F, 1.5F, 0.15F, 100U}};
 
 struct Report {
-    float demand = NAN, margin = NAN, verdict = NAN, supervision = NAN;
+    float demand = NAN, statistic = NAN, verdict = NAN, supervision = NAN;
 };
 
 // An ECU and the frames of a truck that drives straight on at 12 m/s while a yaw rate is asked for.
@@ -112,7 +112,7 @@ private:
             lpvg_can_guard_out_t message{};
             REQUIRE(lpvg_can_guard_out_unpack(&message, &out[i]) == lpvg_status_ok);
             lpvg_can_guard_out_dp_demand_decode(message.dp_demand, &report.demand);
-            lpvg_can_guard_out_monitor_margin_decode(message.monitor_margin, &report.margin);
+            lpvg_can_guard_out_monitor_margin_decode(message.monitor_margin, &report.statistic);
             lpvg_can_guard_out_monitor_verdict_decode(message.monitor_verdict, &report.verdict);
             lpvg_can_guard_out_supervision_state_decode(message.supervision_state, &report.supervision);
         }

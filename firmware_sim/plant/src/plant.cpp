@@ -15,8 +15,8 @@ constexpr double usable_brake_share = 0.9;
 
 double square(double x) { return x * x; }
 
-/// Series for |x| <= 0.8 (the largest steering stop): error below 4e-7, 1e-12 in ordinary driving. libm's results differ in the
-/// last bit between machines with and without FMA; these do not.
+/// Series for |x| <= 0.8 (the largest steering stop): error below 4e-7, 1e-12 in ordinary driving. It gives the same bits on
+/// machines with and without FMA, which libm does not.
 double small_sine(double x) {
     const double x2 = x * x;
     return x * (1.0 - x2 / 6.0 * (1.0 - x2 / 20.0 * (1.0 - x2 / 42.0)));
@@ -202,6 +202,7 @@ Plant::Held Plant::hold(double demand_bar, double driver_torque_nm) {
     return in;
 }
 
+// Length: the equations of plant.hpp in their order; each uses forces of the ones before and is read in one piece with them.
 Plant::State Plant::derivative(const State& x, const Held& in, Forces& forces) const {
     State dx{};
     const double vx = x[speed];

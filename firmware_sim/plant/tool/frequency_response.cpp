@@ -1,6 +1,6 @@
 /// @file frequency_response.cpp -- how far the simulated truck is from the nominal model, measured as on a test track.
 ///
-/// For each speed and frequency the truck is driven with a sine demand on a flat road without wind; after the transient its
+/// For each speed and frequency the truck is driven with a sine demand on a flat road without wind. After the transient its
 /// true yaw rate and road-wheel angle are correlated with the sine over whole periods. Table I is copied here as the target of
 /// the comparison only; the plant does not know it. `response` prints the same measurement for a scenario's truck, as numbers.
 #include <algorithm>

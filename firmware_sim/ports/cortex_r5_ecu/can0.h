@@ -1,11 +1,11 @@
 /* can0.h -- CAN controller 0 of the ZynqMP, as QEMU 7.2 models it, as the firmware's bus.
  *
- * QEMU's model differs from silicon in two ways: its identifier registers hold the identifier and flags as SocketCAN has them (silicon:
- * 28..18 in bits 31..21, 17..0 in bits 18..1), and byte 0 of the data is in bits 7..0 (silicon: 31..24). A controller on a virtual bus
- * has no bus-off of its own: as with vcan, an injected error report says so.
+ * QEMU's model differs from silicon in two ways. Its identifier registers hold identifier and flags as SocketCAN has them (silicon:
+ * 28..18 in bits 31..21, 17..0 in bits 18..1). Byte 0 of the data is in bits 7..0 (silicon: 31..24). A controller on a virtual bus
+ * never goes off by itself: as with vcan, an injected error report says bus-off.
  *
- * Polled, for the model wires no interrupt controller to the RPU. Filter and bus-off as in ../linux/socketcan.h: what no rule of the
- * vehicle matches is dropped; off the bus nothing is sent or received for CAN0_RESTART_US. */
+ * The controller is polled, because the model wires no interrupt controller to the RPU. Filter and bus-off are those of
+ * ../linux/socketcan.h. What no rule of the vehicle matches is dropped. Off the bus nothing is sent or received for CAN0_RESTART_US. */
 #ifndef LPVGUARD_CAN0_H
 #define LPVGUARD_CAN0_H
 

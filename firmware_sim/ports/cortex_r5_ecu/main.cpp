@@ -1,8 +1,9 @@
 // main.cpp -- the ECU's firmware on the emulated Cortex-R5F (QEMU xlnx-zcu102): its own CAN controller, led through simulated time.
 //
-// The time line (time_line.h) is the semihosting console: a read of it stops the processor until the host has written, so that an
+// The time line (time_line.h) is the semihosting console. A read of it stops the processor until the host has written, so an
 // emulated ECU that waits takes no time of the PC's. The command line is "yes" or "no": engage or not. At the end the supervision's
-// counters and the instructions of the ticks are written as JSON: by the processor's own counter, of firmware_tick alone.
+// counters and the instructions of the ticks are written as JSON. The instructions are of firmware_tick alone, by the processor's
+// own counter.
 #include "can0.h"
 #include "firmware.h"
 #include "port.h"

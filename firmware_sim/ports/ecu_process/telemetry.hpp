@@ -1,5 +1,6 @@
-/// @file telemetry.hpp -- what a simulator may ask of an ECU beside the frames on its bus, in a layout that every processor shares: it
-/// goes over the time line (time_line.h). Not part of the loop.
+/// @file telemetry.hpp -- what a simulator may ask of an ECU beside the frames on its bus. Not part of the loop.
+///
+/// It goes over the time line (time_line.h), in a layout that every processor shares.
 #pragma once
 
 #include <cstdint>
@@ -11,7 +12,7 @@ struct Judged {
     std::int64_t t_end_us;  ///< of the frame's last sample
     std::uint32_t sequence, bin, reason, falsified;  ///< as in lpvg_frame_t
     double speed_mps, margin, statistic, evidence;   ///< likewise
-    double energy_ratio;    ///< largest of the energy test since the frame before
+    double energy_ratio;    ///< largest ratio of the energy test since the frame before
 };
 
 /// What the supervision of the ECU's bus has counted: saturating, kinds in the order of lpvg_can_event_t.

@@ -1,9 +1,9 @@
-/* time_line.h -- how a simulator leads an ECU of its own, a process or an emulated processor, through simulated time: over a stream of
- * bytes that go both ways, numbers as both processors have them (little-endian).
+/* time_line.h -- how a simulator leads an ECU of its own, a process or an emulated processor, through simulated time.
  *
- * Time is what a bus does not carry: here comes one request a tick, and its answer when everything that the tick sends is on the
- * bus. The counts let each side wait for frames that are still on their way. The ECU begins, with an answer that says it hears.
- * After an answer comes the frame that was judged (Judged, telemetry.hpp), then what was asked for (Supervision). */
+ * It is a stream of bytes that go both ways. Numbers are as both processors have them (little-endian). A bus carries no time, so
+ * one request comes here each tick. The answer comes when everything that the tick sends is on the bus. The counts let each
+ * side wait for frames that are still on their way. The ECU begins, with an answer that says it hears. After an answer comes the
+ * frame that was judged (Judged, telemetry.hpp), then what was asked for (Supervision). */
 #ifndef LPVGUARD_TIME_LINE_H
 #define LPVGUARD_TIME_LINE_H
 

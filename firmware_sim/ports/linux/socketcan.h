@@ -2,9 +2,9 @@
  *
  * Filters run in the kernel, so foreign frames cost the firmware nothing; error reports always pass, with LPVG_CAN_ERROR
  * set. A CAN FD frame comes with its true length and its first 8 bytes, so that the supervision rejects it by its length.
- * Bus-off: the error report is handed on; from then on nothing is sent or received, and SOCKETCAN_RESTART_US later the driver
- * opens its socket anew, which drops what is still queued. The controller itself is restarted by the kernel (ip link set DEV
- * type can restart-ms 100); its report of that ends the wait at once. vcan has no controller: an injected report does the same. */
+ * Bus-off: the error report is handed on. From then on nothing is sent or received. SOCKETCAN_RESTART_US later the driver
+ * opens its socket anew, which drops what is still queued. The kernel restarts the controller itself (ip link set DEV
+ * type can restart-ms 100). Its report of that ends the wait at once. vcan has no controller: an injected report does the same. */
 #ifndef LPVGUARD_SOCKETCAN_H
 #define LPVGUARD_SOCKETCAN_H
 

@@ -33,7 +33,7 @@ typedef struct lpvg_bus_signals_t {
 /// What the guarded controller tells the vehicle every step.
 typedef struct lpvg_bus_report_t {
     float demand;        ///< applied demand                                                [input unit]
-    float margin;        ///< newest statistic of the frame test                            [-]
+    float statistic;     ///< of the newest judged frame (monitor.h)                          [-]
     uint8_t verdict;       ///< lpvg_verdict_t
     uint8_t supervision;   ///< lpvg_can_state_t
 } lpvg_bus_report_t;

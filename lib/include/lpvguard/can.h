@@ -24,8 +24,8 @@
 ///
 /// Period number k counts as missed when the newest accepted frame is older than k + 1/2 periods.
 ///
-/// What can be found and what cannot: frames without counter and checksum (every standard J1939 message) reveal loss,
-/// babbling, absent or erroneous values, range and gradient; a repeated or swapped frame of theirs looks like a valid one.
+/// Limits: standard J1939 messages have neither counter nor checksum. Of them loss, babbling, absent or erroneous values, range
+/// and gradient are found. A repeated or swapped frame of such a message looks valid.
 #ifndef LPVGUARD_CAN_H
 #define LPVGUARD_CAN_H
 
@@ -148,14 +148,15 @@ typedef struct lpvg_can_supervisor_t {
 } lpvg_can_supervisor_t;
 
 /// Starts with every message off. `rules` [n_rules] is kept by reference.
-/// Returns bad_argument, leaving *self untouched, when a pointer is NULL, n_rules is 0 or above LPVG_CAN_RULES_MAX,
-/// now_us < 0, or a rule holds a number outside its stated range.
+/// Returns bad_argument when a pointer is NULL, n_rules is 0 or above LPVG_CAN_RULES_MAX, or now_us < 0. It is also returned when a
+/// rule holds a number outside its stated range. *self is untouched then.
 LPVG_NODISCARD lpvg_status_t lpvg_can_init(lpvg_can_supervisor_t* self, const lpvg_can_rule_t* rules, size_t n_rules, int64_t now_us);
 
 /// Judges one frame at its own time frame->t_us (so it also does what lpvg_can_advance does).
-/// *index becomes the rule that it belongs to, LPVG_CAN_NO_INDEX when none. Checks, in this order; the first that fails
-/// names the event: time, bus error, identifier, gap, length, checksum, counter, then per supervised signal in the
-/// order of the rule: not available, error, range, gradient. Only `accepted` frames may be used. NULL: none, nothing happens.
+/// *index becomes the rule that it belongs to, LPVG_CAN_NO_INDEX when none. The first check that fails names the event.
+/// The order is: time, bus error, identifier, gap, length, checksum, counter, then the supervised signals in the order of the rule.
+/// Each signal is checked for: not available, error, range, gradient. Only `accepted` frames may be used.
+/// NULL gives `none`, and nothing happens.
 lpvg_can_event_t lpvg_can_receive(lpvg_can_supervisor_t* self, const lpvg_can_frame_t* frame, uint8_t* index);
 
 /// Lets time pass: counts missed periods and moves live -> hold -> off. A time before the newest seen, and NULL, change nothing.
@@ -164,12 +165,12 @@ void lpvg_can_advance(lpvg_can_supervisor_t* self, int64_t now_us);
 /// State of message `index` at the newest time seen; off when self is NULL or index is out of range.
 lpvg_can_state_t lpvg_can_state(const lpvg_can_supervisor_t* self, uint8_t index);
 
-/// AUTOSAR E2E profile 11, data-id mode BOTH, over frame->dlc bytes (2 .. 8): writes *counter (0 .. 14) to the low nibble of
-/// byte 1, keeps the high nibble, writes the CRC to byte 0, and steps *counter for the next frame.
+/// AUTOSAR E2E profile 11, data-id mode BOTH, over frame->dlc bytes (2 .. 8). Writes *counter (0 .. 14) to the low nibble of
+/// byte 1 and keeps the high nibble. Writes the CRC to byte 0, and steps *counter for the next frame.
 /// Returns bad_argument, changing nothing, when a pointer is NULL, dlc or *counter is out of range.
 LPVG_NODISCARD lpvg_status_t lpvg_can_e2e_protect(lpvg_can_frame_t* frame, uint16_t data_id, uint8_t* counter);
 
-/// Returns ok and *counter when the CRC is right; bad_sample when it is not or the counter is 15; bad_argument when a
+/// Returns ok and *counter when the CRC is right. Returns bad_sample when it is not or the counter is 15, and bad_argument when a
 /// pointer is NULL or dlc is out of range. *counter is written only with ok.
 LPVG_NODISCARD lpvg_status_t lpvg_can_e2e_check(const lpvg_can_frame_t* frame, uint16_t data_id, uint8_t* counter);
 
@@ -191,9 +192,9 @@ typedef struct lpvg_can_plausibility_t {
     uint8_t flags;     ///< LPVG_CAN_IMPLAUSIBLE_*: set when a score reaches confirm, cleared when it is back at 0
 } lpvg_can_plausibility_t;
 
-/// One sample of the cross-checks: yaw rate [rad/s] and lateral acceleration [m/s2], left positive; speed [m/s];
-/// wheel_difference = right wheel - left wheel of one unbraked axle [m/s]. A check whose inputs are not finite, or any
-/// check below speed_min_mps, is left out: its score stays. Returns ok; bad_argument (NULL, or a limit that is not > 0).
+/// One sample of the cross-checks. Yaw rate [rad/s] and lateral acceleration [m/s2] are positive to the left; speed is in m/s.
+/// wheel_difference = right wheel - left wheel of one unbraked axle [m/s]. A check whose inputs are not finite is left out, and so
+/// is every check below speed_min_mps: its score stays. Returns ok; bad_argument (NULL, or a limit that is not > 0).
 LPVG_NODISCARD lpvg_status_t lpvg_can_plausibility(lpvg_can_plausibility_t* self, const lpvg_can_plausibility_limits_t* limits,
                                                    float yaw_rate, float lateral, float speed, float wheel_difference);
 
@@ -209,8 +210,14 @@ typedef struct lpvg_can_dtc_t {
 #define LPVG_CAN_LAMP_RED 0x10u
 #define LPVG_CAN_LAMP_MIL 0x40u
 
-/// Failure mode identifier that says what an event says (J1939-73): 9 abnormal update rate, 19 received network data in
-/// error, 2 erratic, 8 abnormal frequency, 10 abnormal rate of change, 31 condition exists.
+#define LPVG_CAN_FMI_ERRATIC 2u  ///< Failure mode identifiers (J1939-73): data erratic.
+#define LPVG_CAN_FMI_FREQUENCY 8u  ///< Abnormal frequency.
+#define LPVG_CAN_FMI_UPDATE_RATE 9u  ///< Abnormal update rate.
+#define LPVG_CAN_FMI_RATE_OF_CHANGE 10u  ///< Abnormal rate of change.
+#define LPVG_CAN_FMI_NETWORK 19u  ///< Received network data in error.
+#define LPVG_CAN_FMI_CONDITION 31u  ///< Condition exists.
+
+/// Failure mode identifier LPVG_CAN_FMI_* of an event.
 uint8_t lpvg_can_fmi(lpvg_can_event_t event);
 
 /// DM1 (PGN 65226) with one active trouble code, or with none (dtc NULL), and the lamps LPVG_CAN_LAMP_*, the others off.

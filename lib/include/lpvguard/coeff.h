@@ -1,9 +1,9 @@
 /// @file coeff.h -- the coefficients of one vehicle, as `lpvguard export` writes them.
 ///
 /// The struct is data, not an interface to program against: link the generated `lpvguard_coeff.c` and pass
-/// `&lpvg_coeff` to the init functions. It consists of 32-bit words followed by numbers of type lpvg_real_t, so that its
-/// CRC-32 (ISO-HDLC, over the words and then the numbers, each least significant byte first, with `crc32` read as zero)
-/// is the same on every target.
+/// `&lpvg_coeff` to the init functions. It consists of 32-bit words followed by numbers of type lpvg_real_t. Its CRC-32
+/// (ISO-HDLC) runs over the words and then the numbers, each least significant byte first, with `crc32` read as zero.
+/// It is therefore the same on every target.
 #ifndef LPVGUARD_COEFF_H
 #define LPVGUARD_COEFF_H
 

@@ -14,16 +14,16 @@
 ///
 /// so A1 holds one number a state, C none, and what lies in a state means the same at every speed. B and L are interpolated
 /// linearly between LPVG_NG speeds, equally spaced over the scheduling range; beyond its ends the nearest speed is used. At a
-/// constant speed the frequency response is then the linear interpolation of its neighbours, and A - L C that of theirs.
+/// constant speed the frequency response is then the linear interpolation of its neighbours. So is A - L C.
 ///
 /// Anti-windup: u - v is not zero while a limit acts or the controller is not engaged. L adds it to the states. L is a fit to
-/// model recovery (tools/src/lpvguard/control/schedule.py): the states go on as in the loop without limits, and a state feedback lets
+/// model recovery (tools/src/lpvguard/control/schedule.py): the states go on as in the loop without limits. A state feedback lets
 /// the nominal vehicle's lag behind that loop die out. A - L C is stable.
 /// Engaging: the state is changed once by `engage` times (u - v, -(v_next - v)), v_next being the next demand at the present m.
 /// Then neither this demand nor the next one jumps. Of all such changes it is the likeliest one when m is white noise.
 ///
-/// Numbers: a slow pole changes its state by less than one rounding of float. The part that rounding takes is kept and added in
-///          the next step, so slow poles and integrators keep their precision.
+/// Numbers: a slow pole changes its state by less than one rounding of float. What rounding takes is kept and added in the next
+///          step, so slow poles and integrators keep their precision.
 ///
 /// Use:     init once -> step once per sample period.
 /// Cost:    LPVG_NU LPVG_NK (1 + 2 (LPVG_NM + LPVG_NU)) multiplications and as many additions a step, whether or not the
@@ -111,8 +111,8 @@ LPVG_NODISCARD lpvg_status_t lpvg_control_init(lpvg_control_t* self, const lpvg_
 
 /// One sample: measured speed [m/s], measurements m (LPVG_NM), engaged or not. self->u becomes the demand to apply from
 /// now to the next sample. Returns ok; bad_argument (NULL), not_ready (no init): nothing happens.
-/// bad_sample (speed or m not finite, or the states grown until C x is not: counted): the step is made not engaged with m
-/// left out, so the demand runs to zero; states that have grown so far are cleared.
+/// Returns bad_sample, counted, when speed, m or C x is not finite. The step is then made not engaged and without m, so the
+/// demand runs to zero. States that make C x not finite are cleared.
 LPVG_NODISCARD lpvg_status_t lpvg_control_step(lpvg_control_t* self, lpvg_real_t speed, const lpvg_real_t* m, bool engaged);
 
 LPVG_EXTERN_C_END

@@ -1,8 +1,8 @@
 /// @file ecu.h -- the guarded controller as one object: frames in, frames out, once per sample period.
 ///
-/// A step judges and decodes what was received, cross-checks it, runs the controller, feeds the monitor with the outputs
-/// and the demand applied from this step on, and answers with the vehicle's report message (every step, end-to-end
-/// protected: demand, margin, verdict, supervision state) and the trouble-code message DM1 (first step, then every second).
+/// A step judges and decodes what was received, cross-checks it and runs the controller. It feeds the monitor with the outputs
+/// and the demand applied from this step on. It answers with two messages. The vehicle's report comes every step, end-to-end
+/// protected: demand, statistic, verdict, supervision state. The trouble-code message DM1 comes in the first step, then every second.
 ///
 /// Supervision is the worst state (can.h) among the messages that the loop needs:
 ///
@@ -10,9 +10,9 @@
 ///     hold -- a needed message is late: not engaged, the demand runs to zero within the rate limit; the monitor has a gap
 ///     off  -- a needed message is unusable, or a number was refused: the same, and a trouble code
 ///
-/// Not engaged is the safe state: the demand reaches zero after at most u_max / rate_max, the controller's state follows
-/// it, and engaging again does not jump (controller.h). Recovery is by itself, when every needed message is live again;
-/// a message that went off must first deliver LPVG_CAN_RECOVER_FRAMES good frames. A lost message shows as hold in the
+/// Not engaged is the safe state: the demand reaches zero after at most u_max / rate_max. The controller's state follows the
+/// demand, so engaging again does not jump (controller.h). The loop recovers by itself when every needed message is live again.
+/// A message that went off must first deliver LPVG_CAN_RECOVER_FRAMES good frames. A lost message shows as hold in the
 /// report of the first step later than LPVG_CAN_HOLD_MISSED + 1/2 of its periods after its newest good frame.
 ///
 /// Use:     init once -> step every sample period with all frames received since the last step, in order of arrival ->
@@ -85,8 +85,8 @@ typedef struct lpvg_ecu_t {
 } lpvg_ecu_t;
 
 /// Makes *self ready at time now_us >= 0. Coefficients stay referenced and must outlive it.
-/// Returns bad_argument (NULL, now_us < 0, a reaction or a plausibility limit outside its range), what
-/// lpvg_coeff_check or lpvg_control_coeff_check say, or bad_value when the two sample periods differ.
+/// Returns bad_argument (NULL, now_us < 0, a reaction or a plausibility limit outside its range).
+/// Returns what lpvg_coeff_check or lpvg_control_coeff_check say, or bad_value when the two sample periods differ.
 /// *self is untouched unless ok is returned.
 LPVG_NODISCARD lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t* coeff, const lpvg_control_coeff_t* control,
                                            const lpvg_ecu_config_t* config, int64_t now_us);
@@ -94,9 +94,10 @@ LPVG_NODISCARD lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t*
 /// Asks for engagement or release from the next step on. Nothing for NULL.
 void lpvg_ecu_engage(lpvg_ecu_t* self, bool engage);
 
-/// One sample period. frames_in [n_in] may be NULL when n_in is 0; a time stamp after now_us counts as now_us. *n_out frames are written to
-/// frames_out, with time now_us. Returns ok; bad_argument (NULL, or max_out < LPVG_ECU_FRAMES_OUT), not_ready (no init), out_of_order
-/// (now_us not after the newest step): nothing is received, changed or sent, and *n_out, where given, is 0.
+/// One sample period. frames_in [n_in] may be NULL when n_in is 0; a time stamp after now_us counts as now_us.
+/// *n_out frames are written to frames_out, with time now_us. Returns ok; bad_argument (NULL, or max_out < LPVG_ECU_FRAMES_OUT),
+/// not_ready (no init), out_of_order (now_us not after the newest step). Unless it is ok, nothing is received, changed or sent,
+/// and *n_out, where given, is 0.
 LPVG_NODISCARD lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const lpvg_can_frame_t* frames_in, size_t n_in,
                                            lpvg_can_frame_t* frames_out, size_t max_out, size_t* n_out);
 

@@ -1,13 +1,13 @@
 /// @file energy.h -- the energy test: can *one* causal Delta of gain at most 1 explain all outputs, from rest until now?
 ///
 /// Class of model error (THEORY 4.1): e_j = Delta (W_delta yhat_j) + w_j, one linear time-invariant causal Delta common to
-/// all outputs. With the forgetting norm ||x||^2 = sum over t of rho^(2 (T - t)) x(t)^2, rho < 1, and any stable filter F,
-/// for every real vector a and at every time T
+/// all outputs. The forgetting norm is ||x||^2 = sum over t of rho^(2 (T - t)) x(t)^2, rho < 1, and F is any stable filter.
+/// For every real vector a and at every time T
 ///
 ///     || sum_j a_j F e_j || <= || sum_j a_j F W_delta yhat_j || + sum_j |a_j| sigma_j                         (T19)
 ///
-/// Assumptions: |Delta| <= 1 on the circle |z| = rho and Delta analytic outside it; ||F w_j|| <= sigma_j at every T; Delta at
-/// rest when the sums begin, or fed at most `energy_start` before. The left sum alone may begin later.
+/// Assumptions: |Delta| <= 1 on the circle |z| = rho, and Delta is analytic outside it. ||F w_j|| <= sigma_j at every T. Delta is at
+/// rest when the sums begin, or was fed at most `energy_start` before. The left sum alone may begin later.
 /// A ratio above 1 of the left side to the right proves (W_delta, sigma) wrong. The alarm is raised above a calibrated
 /// threshold, which is not below 1 plus the rounding of float. Proof: THEORY 7.2.
 ///

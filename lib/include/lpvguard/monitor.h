@@ -1,26 +1,29 @@
 /// @file monitor.h -- does the nominal LPV model still describe this vehicle as well as it was designed for?
 ///
-/// Every sample advances the nominal model, forms the nominal error e = y - yhat and updates Hann frames of e and yhat
-/// in LPVG_NBINS bins (DC first; THEORY 3.2). Whenever a bin has completed a frame, every half frame, its margin is
+/// Every sample advances the nominal model and forms the nominal error e = y - yhat. It updates Hann frames of e and yhat
+/// in LPVG_NBINS bins (DC first; THEORY 3.2). A bin completes a frame every half frame. The frame's *margin* is
 ///
 ///     t* = min over complex d of max( |d| / W_delta, |E_j - d Z_j| / B_w,j for each output j )        (T17)
 ///
-/// the least common inflation of the fitted uncertainty and disturbance bounds that explains the frame: exact, in closed
-/// form. t* > 1 refutes every one complex number d within W_delta together with a disturbance within B_w, for this frame and
-/// bin. It does not refute every causal Delta of a certificate; of those only the energy test speaks, given its sigma. A frame *counts*
-/// when speed stayed in the scheduling range and within `speed_tolerance` of the frame's mean and the model had settled. The bin's
-/// statistic is the k-th largest margin of its last m counted frames; a statistic above `threshold` falsifies the model (frame test).
-/// `evidence` is the margin that a vehicle which did not respond at all would have shown (T18). A frame whose evidence is at or below the
-/// threshold is "not excited": it could have falsified no vehicle, so it does not make the verdict valid.
+/// the least common inflation of the fitted uncertainty and disturbance bounds that explains the frame. It is exact, in closed form.
+/// With t* > 1 no one complex number d within W_delta and no disturbance within B_w explain this frame in this bin.
+/// It does not refute every causal Delta of a certificate. Of those only the energy test speaks, given its sigma.
 ///
-/// Beside it the energy test (energy.h) takes every sample and is judged in every push that judges no frame: its ratio above
-/// `energy_threshold` falsifies the model too, and the first one after `energy_rearm` judgements without is recorded as an alarm. A sample
-/// out of the scheduling range, a gap and a refused sample restart it from rest; until the model and F have settled it is not judged.
+/// A frame *counts* when the model had settled and the speed kept two limits: the scheduling range, and `speed_tolerance` around
+/// the frame's mean. The bin's *statistic* is the k-th largest margin of its last m counted frames. A statistic above `threshold`
+/// falsifies the model (frame test). The *evidence* is the margin that a vehicle which did not respond at all would have shown (T18).
+/// A frame whose evidence is at or below the threshold is "not excited". It could have falsified no vehicle, so it does not make
+/// the verdict valid.
+///
+/// The energy test (energy.h) takes every sample and is judged in every push that judges no frame. Its *ratio* above
+/// `energy_threshold` falsifies the model too. The first such ratio after `energy_rearm` judgements without one is recorded as an
+/// alarm. A sample out of the scheduling range, a gap and a refused sample restart the test from rest. It is not judged until the
+/// model and F have settled.
 ///
 /// Use:     init once -> push one sample per period -> verdict, frame and records at any time.
-/// Cost:    even over pushes. A bin takes up LPVG_NBLOCK samples at once, a quarter of the bins each push; at most one frame
-///          is judged per push, over LPVG_NPARTS pushes, and none in a push that closes several. A frame is therefore judged at the latest
-///          LPVG_NLATENCY samples after its end; one that ends fewer than LPVG_NBLOCK samples before a gap is dropped.
+/// Cost:    even over pushes. A bin takes up LPVG_NBLOCK samples at once, a quarter of the bins each push. At most one frame
+///          is judged per push, over LPVG_NPARTS pushes, and none in a push that closes several. A frame is therefore judged at the
+///          latest LPVG_NLATENCY samples after its end. One that ends fewer than LPVG_NBLOCK samples before a gap is dropped.
 ///          Instructions on three targets: `lpvguard bench core`. No heap, no locks, no I/O.
 /// Threads: one instance per thread; nothing here may be called from two contexts at once. RAM: sizeof(lpvg_monitor_t).
 ///          Fields are private; the layout may change.
@@ -79,9 +82,10 @@ typedef struct lpvg_sample_t {
     lpvg_real_t y[LPVG_NY];        ///< outputs, likewise
 } lpvg_sample_t;
 
-/// One frame of one bin, as it was judged; or, among the records only, an alarm of the energy test. For that, `bin` is
-/// band * LPVG_NDIRECTIONS + direction (energy.h), `margin` and `statistic` are the ratio, `speed` the sample's, E[j][0] the norm
-/// of F e_j and Z[j][0] that of F W_delta yhat_j (imaginary parts 0).
+/// One frame of one bin, as it was judged; or, among the records only, an alarm of the energy test. Of an alarm, `bin` is
+/// band * LPVG_NDIRECTIONS + direction (energy.h). Both `margin` and `statistic` are the ratio, and `evidence` is the ratio that a
+/// vehicle which did not respond would have shown. `speed` is the sample's. E[j][0] is the norm of F e_j and Z[j][0] that of
+/// F W_delta yhat_j; the imaginary parts are 0.
 typedef struct lpvg_frame_t {
     uint32_t sequence;             ///< number of frames closed so far, this one included; 0: none yet
     lpvg_test_t test;
@@ -157,9 +161,9 @@ typedef struct lpvg_monitor_t {
 /// Returns bad_argument for NULL, or what lpvg_coeff_check says; *self is untouched unless ok is returned.
 LPVG_NODISCARD lpvg_status_t lpvg_monitor_init(lpvg_monitor_t* self, const lpvg_coeff_t* coeff);
 
-/// Takes the sample of one period. Returns ok; bad_argument (NULL); not_ready (no init);
-/// bad_sample (NaN, Inf or outside the physical range: counted, verdict fault, frames and model restart with the next
-/// good sample); out_of_order (not newer than the last: counted, ignored).
+/// Takes the sample of one period. Returns ok; bad_argument (NULL); not_ready (no init).
+/// Returns bad_sample when a number is NaN, Inf or outside its physical range. It is counted, the verdict is fault, and frames and
+/// model restart with the next good sample. Returns out_of_order for a sample not newer than the last: counted, ignored.
 /// A step in time of less than half or more than one and a half periods restarts frames and model; nothing is bridged.
 LPVG_NODISCARD lpvg_status_t lpvg_monitor_push(lpvg_monitor_t* self, const lpvg_sample_t* sample);
 

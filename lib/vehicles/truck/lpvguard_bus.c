@@ -66,7 +66,7 @@ lpvg_status_t lpvg_bus_pack_report(const lpvg_bus_report_t* report, lpvg_can_fra
         return lpvg_status_bad_argument;
     }
     message.dp_demand = lpvg_can_guard_out_dp_demand_encode((float)report->demand);
-    message.monitor_margin = lpvg_can_guard_out_monitor_margin_encode((float)report->margin);
+    message.monitor_margin = lpvg_can_guard_out_monitor_margin_encode((float)report->statistic);
     message.monitor_verdict = lpvg_can_guard_out_monitor_verdict_encode((float)report->verdict);
     message.supervision_state = lpvg_can_guard_out_supervision_state_encode((float)report->supervision);
     status = lpvg_can_guard_out_pack(&message, frame);

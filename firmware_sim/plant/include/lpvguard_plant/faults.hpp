@@ -1,7 +1,8 @@
 /// @file faults.hpp -- what may go wrong in the simulated truck, where, and when.
 ///
-/// Each fault acts in its own window of simulated time, on the path where it would act in a truck: sensors after the truth and
-/// before the number grid, actuators between the demand and the brake force, surroundings in the tyre contact and the air.
+/// Each fault acts in its own window of simulated time, on the path where it would act in a truck. A sensor's fault acts after the
+/// truth and before the number grid, an actuator's between the demand and the brake force. Surroundings act in the tyre contact
+/// and the air.
 /// Windows of one kind may overlap: gains multiply, offsets add. The default of every member is "healthy".
 #pragma once
 

@@ -1,9 +1,9 @@
 /// @file plant.hpp -- the truth of the simulator: a two-axle truck that is steered by braking one front wheel.
 ///
-/// Frames and signs (ISO 8855): x forward, y left, z up; yaw rate, road-wheel angle, slip and lateral force positive to the left;
-/// roll positive when the left side rises (so a left bend rolls the body positively); bank positive when the road's left edge is
-/// the higher one. Brake demand = pressure right - pressure left [bar]: positive turns the truck right, because the braked
-/// wheel's scrub radius turns the wheels towards it (Table I of the paper: DC gain r / demand = -1.94 / v).
+/// Frames and signs (ISO 8855): x forward, y left, z up. Yaw rate, road-wheel angle, slip and lateral force are positive to the left.
+/// Roll is positive when the left side rises, so a left bend rolls the body positively. Bank is positive when the road's left edge
+/// is the higher one. Brake demand = pressure right - pressure left [bar]. A positive demand turns the truck right: the
+/// scrub radius of the braked wheel turns the wheels towards it (Table I of the paper: DC gain r / demand = -1.94 / v).
 ///
 /// Equations (plant.cpp carries them out in this order)
 ///   delay and lag     the demand passes a pure delay, is split into the two sides and lags: T dp/dt = demand - p
@@ -23,7 +23,7 @@
 /// truck, least of all with its speed held.
 ///
 /// Integration: classical Runge-Kutta of order 4 at a fixed 1 ms, disturbances and demand held over the step. The fastest pole is
-/// the tyre relaxation, at most 150 1/s (30 m/s over 0.2 m), far inside the stability limit of 2785 1/s; explicit stages need no
+/// the tyre relaxation, at most 150 1/s (30 m/s over 0.2 m), far inside the stability limit of 2785 1/s. Explicit stages need no
 /// iteration, so the cost per step is constant. Halving the step (`substeps`) moves the yaw rate by less than 1e-4 of its peak.
 ///
 /// Use:     construct once, step() once per millisecond, read truth() and sensors() at any time.
@@ -117,13 +117,13 @@ public:
     /// Throws ParameterError when the parameters, the profile or a fault lie outside their ranges.
     Plant(const PlantParameters& parameters, const Drive& drive, std::uint64_t seed, const Faults& faults = {});
 
-    /// Advances by 1 ms under a brake demand (pressure right - left, limited to the brake's range; a non-finite demand counts
-    /// as 0) and a driver's torque on the steering wheel, positive to the left.
+    /// Advances by 1 ms under a brake demand and a driver's torque on the steering wheel, positive to the left. The demand is
+    /// pressure right - left, limited to the brake's range; one that is not finite counts as 0.
     void step(double demand_bar, double driver_torque_nm = 0.0);
 
-    /// Goes on with these: as a plant does that had them from the start, provided that they differ from the ones before after
-    /// truth().time_s only, the speed profile and the order of the faults not at all. Throws ParameterError as the constructor does, and
-    /// nothing has changed.
+    /// Goes on with another drive and other faults. The run is that of a plant which had them from the start, on two conditions.
+    /// They differ from the ones before only after truth().time_s. The speed profile and the order of the faults stay.
+    /// Throws ParameterError as the constructor does; nothing has changed then.
     void revise(const Drive& drive, const Faults& faults);
 
     const Truth& truth() const { return truth_; }

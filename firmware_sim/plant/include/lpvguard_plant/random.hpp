@@ -2,8 +2,8 @@
 ///
 /// Generator: xoshiro256++ seeded by splitmix64 (Blackman and Vigna, "Scrambled linear pseudorandom number generators", 2019;
 /// both published by their authors as public domain). Gaussian: inversion by Wichura's AS 241, routine PPND7 (Applied
-/// Statistics 37, 1988; absolute error below 2e-7). std::normal_distribution and libm's log are not specified to the bit, so
-/// neither is used; sqrt, frexp and the four operations are.
+/// Statistics 37, 1988; absolute error below 2e-7). std::normal_distribution and libm's log are not specified to the
+/// bit, so neither is used. The bits of sqrt, frexp and the four operations are specified.
 #pragma once
 
 #include <array>

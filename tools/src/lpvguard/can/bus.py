@@ -10,7 +10,7 @@ from .catalogue import Catalogue, Message, Signal, load_catalogue
 REFERENCE = CanPlace(message="GUARD_IN", signal="yaw_rate_command")
 REPORT = {
     "dp_demand": "demand",
-    "monitor_margin": "margin",
+    "monitor_margin": "statistic",
     "monitor_verdict": "verdict",
     "supervision_state": "supervision",
 }

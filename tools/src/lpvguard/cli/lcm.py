@@ -28,8 +28,8 @@ def lcm_watch(
         float, typer.Option(min=0.1, help="Give up after so many seconds without a message.")
     ] = 10.0,
 ) -> None:
-    """Print what changes: verdict, supervision, trouble codes, the margin of every counted frame, commands.
-    Ends with the run."""
+    """Print what changes: verdict, supervision, trouble codes, counted frames with margin and statistic,
+    commands. Ends with the run."""
     from ..loop.lcm_client import Client, watch
 
     heard = 0
@@ -63,10 +63,11 @@ def lcm_send(
     url: LcmUrl = LCM_DEFAULT,
 ) -> None:
     """Tell it what to do, and print from when it acts. Exit 2 when it refuses or does not answer."""
-    from ..loop.lcm_client import STATES, Client
+    from ..loop.lcm_client import Client, state_name
 
     answer = Client(url).command(action, entry, ticks=ticks)
-    print(f"{answer.utime * 1e-6:.2f} s: {STATES[answer.state]}{', ' if answer.entry else ''}{answer.entry}")
+    entry = f", {answer.entry}" if answer.entry else ""
+    print(f"{answer.utime * 1e-6:.2f} s: {state_name(answer)}{entry}")
 
 
 @lcm_app.command(

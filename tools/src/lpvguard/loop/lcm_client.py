@@ -8,7 +8,7 @@ table of channels. Needs the packages of the extra ``lcm`` (``pip install './too
     answer = client.command("inject", 'plant.sensor_fault = [{signal = "yaw_rate", gain = 0.7}]')
     for channel, message in client.messages(timeout_s=2.0):
         if channel == "LPVGUARD_MARGINS":
-            print(message.frequency, message.margin / message.threshold)
+            print(message.frequency, message.statistic / message.threshold)
     client.command("clear", answer.entry)
 """
 
@@ -32,7 +32,7 @@ from typing import Any, Literal
 from ..base import native
 from ..base.errors import InputError
 from ..can.logs import ERROR_REPORT, EXTENDED, candump_line
-from ..core.compiled import SUPERVISION, VERDICTS, firmware_root
+from ..core.compiled import REASONS, SUPERVISION, VERDICTS, firmware_root
 
 CHANNELS = {
     "LPVGUARD_TRUTH": "truth_t",
@@ -44,8 +44,6 @@ CHANNELS = {
     "LPVGUARD_CONTROL": "control_t",
 }
 """Channel -> message type."""
-STATES = ("running", "paused", "ended")
-"""Names of status_t.state."""
 Action = Literal["pause", "resume", "step", "stop", "inject", "clear"]
 INSTALL = "the Debian packages liblcm-dev and liblcm-bin, or pip install './tools[lcm]'"
 
@@ -82,6 +80,18 @@ def message_types() -> ModuleType:
     sys.modules["lpvguard_lcm"] = package  # its modules import one another by this name
     spec.loader.exec_module(package)
     return package
+
+
+def constants(type_name: str) -> dict[str, int]:
+    """Constants of a message type by name in lower case, as its .lcm file states them: the actions of
+    control_t, the states of status_t."""
+    members = vars(getattr(message_types(), type_name))
+    return {name.lower(): value for name, value in members.items() if name.isupper()}
+
+
+def state_name(status: Any) -> str:
+    """Name of a status_t's state."""
+    return next(name for name, value in constants("status_t").items() if value == status.state)
 
 
 def _lcm() -> ModuleType:
@@ -133,7 +143,8 @@ def watch(messages: Iterable[tuple[str, Any]]) -> Iterator[str]:
         said = []
         if channel == "LPVGUARD_GUARD" and changed("guard", (m.verdict, m.supervision)):
             said.append(
-                f"verdict {VERDICTS[m.verdict]}, supervision {SUPERVISION[m.supervision]}, margin {m.margin:.3f}"
+                f"verdict {VERDICTS[m.verdict]}, supervision {SUPERVISION[m.supervision]}, "
+                f"statistic {m.statistic:.3f}"
             )
         elif (
             channel == "LPVGUARD_SUPERVISION"
@@ -141,14 +152,14 @@ def watch(messages: Iterable[tuple[str, Any]]) -> Iterator[str]:
             and m.trouble_spn
         ):
             said.append(f"trouble code SPN {m.trouble_spn} FMI {m.trouble_fmi}")
-        elif channel == "LPVGUARD_MARGINS" and m.reason <= 1:
+        elif channel == "LPVGUARD_MARGINS" and m.reason <= REASONS.index("not_excited"):
             said.append(
                 f"bin {m.bin} at {m.frequency:.3g} rad/s: t* {m.margin:.3f}, statistic {m.statistic:.3f} of {m.threshold:.3f}"
                 f"{', too little excitation' if m.reason else ''}; energy ratio {m.energy_ratio:.3f} of {m.energy_threshold:.3f}"
             )
         elif channel == "LPVGUARD_STATUS" and (m.id or changed("state", m.state)):
             said.append(
-                f"refused: {m.reason}" if m.reason else f"{STATES[m.state]}{' ' if m.entry else ''}{m.entry}"
+                f"refused: {m.reason}" if m.reason else f"{state_name(m)}{' ' if m.entry else ''}{m.entry}"
             )
         yield from (f"{m.utime * 1e-6:9.2f} s  {line}" for line in said)
         if channel == "LPVGUARD_STATUS" and m.state == m.ENDED and not m.id:
@@ -185,7 +196,7 @@ class Client:
         asked = types.control_t()
         asked.id, asked.action, asked.entry, asked.ticks = (
             1 + secrets.randbits(62),
-            getattr(asked, action.upper()),
+            constants("control_t")[action],
             entry,
             ticks,
         )

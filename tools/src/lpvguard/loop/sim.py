@@ -34,7 +34,7 @@ from ..base import artefacts, native
 from ..base.documents import checked, read_toml
 from ..base.errors import InputError
 from ..can.catalogue import load_catalogue
-from ..core.compiled import EVENTS, SUPERVISION, eigen_include, firmware_root, library_root
+from ..core.compiled import EVENTS, SUPERVISION, VERDICTS, eigen_include, firmware_root, library_root
 from ..core.control_coefficients import ControllerCoefficients, build_controller, replaced_controller
 from ..core.targets import EmulatedEcu, emulated_ecu
 from ..drives.tables import Drive
@@ -418,7 +418,12 @@ def _execute(command: list, scenario: Path) -> dict[str, Any]:
     done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise InputError(scenario, "", done.stderr.strip(), "a scenario and a bus that the simulator accepts")
-    return json.loads(done.stdout)
+    facts = json.loads(done.stdout)
+    changes = {
+        key: [[t, names[value]] for t, value in facts[key]]
+        for key, names in (("verdicts", VERDICTS), ("supervision", SUPERVISION))
+    }
+    return facts | changes | {"verdict_final": VERDICTS[facts["verdict_final"]]}
 
 
 def _lcm_publisher(root: Path, flags: tuple[str, ...], includes: list[Path]) -> Path:

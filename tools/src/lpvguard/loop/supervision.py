@@ -34,9 +34,10 @@ from ..can.catalogue import Message, Signal, load_catalogue
 from ..can.codegen import ANY_PRIORITY, GAP_FRACTION
 from ..can.logs import EXTENDED, Frames
 from ..can.play import COUNTERS, e2e_crc
+from ..core.compiled import SUPERVISION
 from ..vehicle.project import Project
 
-OFF, HOLD, LIVE = range(3)
+OFF, HOLD, LIVE = (SUPERVISION.index(state) for state in ("off", "hold", "live"))
 """lpvg_can_state_t, the worse the smaller."""
 HOLD_MISSED, OFF_MISSED = 3, 5
 SCORE_OFF, RECOVER_FRAMES, COUNTER_STEP = 5, 5, 5
