@@ -20,7 +20,8 @@ from lpvguard.engine.synthesis.table import cell
 from lpvguard.engine.validation import s1
 from lpvguard.identify import run as identification
 from lpvguard.report.design_pictures import drawn
-from lpvguard.report.page import _design_section, _tradeoff_section
+from lpvguard.report.sections.design import design_section
+from lpvguard.report.sections.tradeoff import tradeoff_section
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import parse_project
 
@@ -144,7 +145,7 @@ def test_worst_case_runs_and_files(problem, cells, drives, tmp_path):
         "speeds": [{"v_mps": 8.0, "mu_upper": 0.9, "mu_lower": 0.8, "peak_rad_s": 0.0}],
     }
     artefacts.write_files(tmp_path, files | {"controller.json": json.dumps({"certificates": certificates})})
-    section = _design_section(tmp_path)
+    section = design_section(tmp_path)
     assert "Counterpart of Fig. 5" in section and "Counterpart of Fig. 6" in section and runs.drive in section
     assert section.count("<svg") == 2 and f"{cells[1].upper:.4f}" in section
 
@@ -184,7 +185,7 @@ def test_trade_off_finds_no_worse_than_the_projects_own_and_says_what_limits(pro
     files = found.files()
     assert set(drawn(files)) == {"tradeoff.svg"}
     artefacts.write_files(tmp_path, files)
-    assert _tradeoff_section(tmp_path).count("<svg") == 1
+    assert tradeoff_section(tmp_path).count("<svg") == 1
 
 
 def test_the_sentence_is_honest_when_nothing_reaches_one(problem, monkeypatch):

@@ -1,0 +1,163 @@
+"""Pictures of detectors: times to find injected faults, and detection in the campaign against severity."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
+
+from .drawing import BLUE, GREEN, ORANGE, PINK, POINTS, RED, new_figure, picture
+
+SOONEST_S = 0.01
+"""Where times below stand in `time_to_find`: its axis is logarithmic."""
+
+DETECTOR_STYLES = (
+    (BLUE, "-", "o", 2.0),
+    (ORANGE, "--", "s", 1.1),
+    (GREEN, "-.", "^", 1.1),
+    (PINK, ":", "D", 1.1),
+)
+
+
+@picture
+def time_to_find(faults: list[dict], allowed_s: float) -> Figure:
+    """Judged, excited time [s] from each fault to the alarm that it caused, a mark per case.
+
+    ``faults``: rows of an evaluation; ``allowed_s``: the alarm must come within this time [s].
+    """
+    figure = new_figure(8.2, 1.0 + 0.32 * len(faults))
+    axes = figure.subplots()
+    never = 2.0 * allowed_s
+    for y, row in enumerate(faults):
+        spread = (
+            np.linspace(-0.22, 0.22, len(row["cases"]))
+            if len(row["cases"]) > 1
+            else np.zeros(len(row["cases"]))
+        )
+        for dy, case in zip(spread, row["cases"], strict=False):
+            x = never if case["s"] is None else max(case["s"], SOONEST_S)
+            found = case["s"] is not None
+            axes.plot(x, y + dy, "o" if found else "X", ms=4, color=BLUE if found else RED)
+        axes.text(
+            1.01,
+            y,
+            f"{row['found']} of {row['counted']}",
+            transform=axes.get_yaxis_transform(),
+            va="center",
+            fontsize=8,
+        )
+    axes.axvline(allowed_s, color=ORANGE, ls="--")
+    axes.set_xscale("log")
+    axes.set_xlim(0.8 * SOONEST_S, 1.4 * never)
+    ticks = [t for t in (SOONEST_S, 0.03, 0.1, 0.3, 1, 3, 10, 30) if t <= allowed_s]
+    axes.set_xticks([*ticks, never], [*(f"{t:g}" for t in ticks), "not"])
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.set_yticks(range(len(faults)), [row["fault"] for row in faults])
+    axes.invert_yaxis()
+    axes.set_xlabel("judged, excited seconds from the fault to the first alarm")
+    return figure
+
+
+def _over_severity(
+    severities: list[dict],
+    units: dict[str, str],
+    label: str,
+    draw: Callable[[Axes, np.ndarray, list[dict]], None],
+) -> Figure:
+    """A panel per kind of fault with more than one severity.
+
+    ``draw(axes, x, rows)`` fills a panel; ``rows`` stand in the order of their severities ``x``. ``units``:
+    kind of fault -> unit of its severity; ``label``: of the
+    vertical axes.
+    """
+    kinds = [k for k in units if sum(s["kind"] == k for s in severities) > 1]
+    columns = 4
+    lines = -(-len(kinds) // columns)
+    figure = new_figure(9.6, 1.75 * lines + 0.5)
+    panels = figure.subplots(lines, columns, sharey=True, squeeze=False).ravel()
+    for axes in panels[len(kinds) :]:
+        axes.set_axis_off()
+    for index, (axes, kind) in enumerate(zip(panels, kinds, strict=False)):
+        rows = sorted((s for s in severities if s["kind"] == kind), key=lambda s: s["severity"])
+        x = np.array([s["severity"] for s in rows])
+        draw(axes, x, rows)
+        if index % columns == 0:
+            axes.set_ylabel(label)
+        axes.set_title(textwrap.fill(kind, 26))
+        axes.set_xlabel(units[kind])
+        low, high = x[0], x[-1]
+        if len(x) > 2 and low > 0 and high / low > 15:
+            axes.set_xscale("log")
+            axes.set_xticks(x, [f"{v:g}" for v in x])
+            axes.xaxis.set_minor_locator(NullLocator())
+            axes.set_xlim(low * (low / high) ** 0.05, high * (high / low) ** 0.05)
+        else:
+            axes.set_xlim(low - 0.05 * (high - low), high + 0.05 * (high - low))
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    return figure
+
+
+@picture
+def detection(severities: list[dict], units: dict[str, str], names: dict[str, str], key: str) -> Figure:
+    """Share of runs in which a fault was found in time, against its severity.
+
+    A panel per kind of fault, a line per detector.
+
+    ``severities``: rows of a campaign's summary; ``key``: "found" or "matched"; ``names``: detector -> title,
+    ours first.
+    """
+
+    def draw(axes: Axes, x: np.ndarray, rows: list[dict]) -> None:
+        for detector, (colour, line, mark, width) in zip(names, DETECTOR_STYLES, strict=False):
+            axes.plot(
+                x,
+                [s[key][detector] / s["runs"] for s in rows],
+                line,
+                marker=mark,
+                ms=3.2,
+                lw=width,
+                color=colour,
+                label=names[detector],
+            )
+        axes.fill_between(
+            x,
+            0,
+            [s["visible_runs"] / s["runs"] for s in rows],
+            color=POINTS,
+            alpha=0.25,
+            lw=0,
+            label="visible runs",
+        )
+        axes.set_ylim(-0.05, 1.05)
+
+    return _over_severity(severities, units, "found", draw)
+
+
+@picture
+def detection_time(severities: list[dict], units: dict[str, str], names: dict[str, str]) -> Figure:
+    """Median judged, excited time [s] from a fault to the first alarm, against its severity.
+
+    Where fewer than half of the runs alarmed there is no point. Arguments: as of ``detection``.
+    """
+
+    def draw(axes: Axes, x: np.ndarray, rows: list[dict]) -> None:
+        for detector, (colour, line, mark, width) in zip(names, DETECTOR_STYLES, strict=False):
+            axes.plot(
+                x,
+                [np.nan if s["median_s"][detector] is None else s["median_s"][detector] for s in rows],
+                line,
+                marker=mark,
+                ms=3.2,
+                lw=width,
+                color=colour,
+                label=names[detector],
+            )
+        axes.set_yscale("log")
+        axes.set_ylim(0.05, 200.0)
+
+    return _over_severity(severities, units, "median, s", draw)

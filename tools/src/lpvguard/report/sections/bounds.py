@@ -1,0 +1,192 @@
+"""Sections on the bounds: Fig. 2 (disturbance), Fig. 3 (weights), and the Pareto fronts between the two."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...drives.frames import Estimator
+from ...engine.overbound import Weight
+from ...engine.validation import s1
+from ...identify.bounds import FrameSet, explain
+from ...identify.run import (
+    DC_STAND_IN,
+    SMALLEST_NU,
+    StoredIdentification,
+    fitting_grid,
+    uncertainty_samples,
+)
+from ..markup import captioned, unit_of_norm
+from ..pictures.over_bins import POINTS_PER_BIN, Clouds, disturbance_design, pareto, weights_over_bounds
+
+
+def bound_sections(stored: StoredIdentification, estimator: Estimator) -> list[str]:
+    """The three sections; each begins with its h2."""
+    clouds, grid = _clouds(stored, estimator), fitting_grid(estimator)
+    fine = np.geomspace(grid[0], 2 * grid[-1], 400)
+    return [
+        f"<h2>Disturbance bound</h2>{_disturbance(stored, estimator, clouds, grid, fine)}",
+        f"<h2>Weights over the bounds</h2>{_weights(stored, estimator, clouds, grid, fine)}",
+        f"<h2>Trade-off between disturbance and uncertainty</h2>{_front(stored, estimator)}",
+    ]
+
+
+def _clouds(stored: StoredIdentification, estimator: Estimator) -> Clouds:
+    """Points of the frames of the bound-setting drives, on the frame grid of the core."""
+    with np.load(stored.folder / "spectra.npz") as spectra:
+        names = spectra["names"].tolist()
+        setting = np.isin(spectra["drive"], [names.index(n) for n in stored.manifest["drives"]["bounds"]])
+        columns = {key: spectra[key][setting] for key in ("bin", "start", "E", "Z")}
+    clouds = Clouds([], [], [], [])
+    for k in range(estimator.n_bins):
+        of_bin = columns["bin"] == k
+        frames = FrameSet(
+            k,
+            columns["E"][of_bin],
+            columns["Z"][of_bin],
+            columns["start"][of_bin],
+            str(stored.folder / "spectra.npz"),
+        )
+        size = np.linalg.norm(frames.E, axis=1)
+        nu, w = explain(frames, estimator, stored.bounds["gamma_w"], stored.project.bounds.structure)
+        clouds.E.append(size)
+        clouds.B1.append(s1.solve(frames.E, frames.Z, size).b1)
+        clouds.nu.append(nu)
+        clouds.w.append(np.abs(w))
+    return clouds
+
+
+def _magnitude(entry: dict, omega: np.ndarray) -> np.ndarray:
+    """|W| (N,) at ``omega`` (N,) [rad/s] of an entry of weights.json, without the inflation."""
+    return Weight.from_dict(entry["weight"]).magnitude(omega)
+
+
+def _data_words(bounds: dict[str, np.ndarray], grid: np.ndarray) -> str:
+    """What the caption of Fig. 2 says of B1, of DC and of bins without frames."""
+    without = int((~(bounds["frames"] > 0)).sum())
+    gaps = (
+        f" {without} bins without a counted frame are hatched: no information."
+        if without
+        else " Every bin has data."
+    )
+    if np.nanmax(bounds["B1"]) > 0:
+        b1 = (
+            "Green: the right side of (9) per frame and its maximum B<sub>1</sub>, the least disturbance "
+            "that one δ common to all outputs leaves to explain."
+        )
+    else:
+        b1 = (
+            "B<sub>1</sub> is 0 in every bin and has no place on the logarithmic axis: with one output δ = "
+            "E/Z explains any frame without a disturbance, so the ceiling alone decides the trade-off."
+        )
+    stars = (
+        f"Stars: DC, standing at {grid[0]:.3g} rad/s ({DC_STAND_IN:g} of the lowest bin) for want of a "
+        "place; the shaded gap between is below the lowest bin, where there is no information and only "
+        "longer records help."
+    )
+    return f"{b1} {stars}{gaps}"
+
+
+def _disturbance(
+    stored: StoredIdentification, estimator: Estimator, clouds: Clouds, grid: np.ndarray, fine: np.ndarray
+) -> str:
+    """Counterpart of Fig. 2, and what its caption says of these data."""
+    bounds = stored.bounds
+    points = sum(len(c) for c in clouds.E)
+    binding = np.nanargmax(
+        np.where(estimator.cycles > 0, bounds["nu"] / np.maximum(bounds["nu_ceiling"], 1e-300), np.nan)
+    )
+    return captioned(
+        disturbance_design(
+            "f2",
+            grid,
+            clouds,
+            bounds,
+            _magnitude(stored.weights["gamma_w"], fine),
+            fine,
+            unit_of_norm(stored.project.outputs),
+        ),
+        f"<b>Counterpart of Fig. 2.</b> Grey: |E| of {points} frames of the "
+        f"{len(stored.manifest['drives']['bounds'])} bound-setting drives on the monitor's frame grid, "
+        f"thinned to about {POINTS_PER_BIN} a bin (the largest |E| kept). B<sub>2</sub>: their bound over "
+        f"frames at every start ({int(bounds['frames'].sum())} frames), hence on or above all points. "
+        "Circles: γ<sub>w</sub> that the rule asks for, max √(B<sub>1</sub>² + |Z|² max(0, |δ<sub>0</sub>| − "
+        "ν̄)²), and at DC B<sub>2</sub>; line: the overbounding fit that is used. "
+        f"{_data_words(bounds, grid)} Lower panel: the ceiling ν̄(ω) on the uncertainty, set beforehand in "
+        "the project file, and what was needed in the end (closest to its ceiling at "
+        f"{estimator.omega[binding]:.3g} rad/s: ν = {bounds['nu'][binding]:.3g} of "
+        f"{bounds['nu_ceiling'][binding]:.3g}). How to read it: γ<sub>w</sub> near B<sub>2</sub> blames the "
+        "disturbance, γ<sub>w</sub> near B<sub>1</sub> blames the model.",
+    )
+
+
+def _weights(
+    stored: StoredIdentification, estimator: Estimator, clouds: Clouds, grid: np.ndarray, fine: np.ndarray
+) -> str:
+    """Counterpart of Fig. 3, and what its caption says of these data."""
+    bounds, weights, inflation = stored.bounds, stored.weights, stored.weights["inflation"]
+    outputs, structure = stored.project.outputs, stored.project.bounds.structure
+    points = sum(len(c) for c in clouds.E)
+    needing = sum(int((c > 0).sum()) for c in clouds.nu)
+    noise = (
+        "Dash-dotted: the sensor's weight |W<sub>n</sub>|, the bound of the zero-input drives; W<sub>w</sub> "
+        "is what B<sub>w</sub> leaves without it (step 7)."
+        if weights["W_n"]
+        else "Without zero-input drives there is no noise weight: W<sub>w</sub> covers B<sub>w</sub>."
+    )
+    samples = uncertainty_samples(estimator, bounds["nu"])
+    none_allowed = (
+        " Structure S0 allows no uncertainty: all error is disturbance." if structure == "S0" else ""
+    )
+    return captioned(
+        weights_over_bounds(
+            "f3",
+            grid,
+            clouds,
+            bounds,
+            inflation * np.column_stack([_magnitude(w, fine) for w in weights["W_w"]]),
+            inflation * np.column_stack([_magnitude(w, fine) for w in weights["W_n"]])
+            if weights["W_n"]
+            else None,
+            fine,
+            samples,
+            inflation * _magnitude(weights["W_delta"], fine),
+            outputs,
+        ),
+        "<b>Counterpart of Fig. 3.</b> Left: the disturbance |w<sub>j</sub>| that is left of each frame once "
+        "δ has taken its part, its bound B<sub>w</sub> over every start (dashed) and the weight "
+        f"|W<sub>w</sub>| (line, inflation {inflation:.6g} included), per output. {noise} Right: the "
+        f"uncertainty ν = min |δ| with |E − δZ| ≤ γ<sub>w</sub>; {needing} of {points} frames need any, the "
+        "others (ν = 0) have no place on the axis. Dashed: the running maximum of ν from the lowest bin up, "
+        "which W<sub>Δ</sub> must cover (a dip only says that no frame there happened to need it), at least "
+        f"{SMALLEST_NU:g} as a weight must be positive; bounds and ν are over every start, so they can lie "
+        f"above the points of the monitor's grid. ν(0) = 0 by definition.{none_allowed} How to read it: a "
+        "line far above its dashed bound is conservatism of the fit, the worst is in the summary.",
+    )
+
+
+def _front(stored: StoredIdentification, estimator: Estimator) -> str:
+    """Pareto front per bin; in words where there is none."""
+    front, bounds = stored.front, stored.bounds
+    if not np.isfinite(front["nu"]).any():
+        return "<p>Structure S0 puts all error into the disturbance: there is nothing to trade.</p>"
+    svg = pareto(
+        "front",
+        estimator.omega,
+        front["gamma_w"],
+        front["nu"],
+        bounds,
+        bounds["nu_ceiling"],
+        unit_of_norm(stored.project.outputs),
+    )
+    return captioned(
+        svg,
+        (
+            "<b>Pareto front.</b> The least uncertainty ν with which every frame of the bound-setting "
+            "drives, at every start, is explained with a disturbance of at most γ<sub>w</sub>: exact at "
+            f"{front['nu'].shape[1]} values of γ<sub>w</sub> a bin from B<sub>1</sub>, where the line ends "
+            "on the left, to B<sub>2</sub>, where it meets 0. Everything below the line is falsified. Dot: "
+            "the pair that was taken, by the ceiling (dashed) and the smoothing of γ<sub>w</sub> over the "
+            "bins. How to read it: a dot on a steep part pays for a little less disturbance with much more "
+            "uncertainty; vertical axes end at three times what was taken or allowed."
+        ),
+    )

@@ -1,0 +1,284 @@
+"""Section "Campaign in the closed loop": many trucks and faults, the monitor beside the baselines."""
+
+from __future__ import annotations
+
+from html import escape
+
+from ...evaluate.run import COUNTS_ONLY
+from ..markup import captioned, html_table, number
+from ..pictures.detectors import detection, detection_time
+
+
+def campaign_section(c: dict) -> str:
+    """The section. ``c``: summary.json of `lpvguard campaign`."""
+    return f"""<h2>Campaign in the closed loop</h2>
+{_runs(c)}
+{_overall(c)}{_alarm_table(c)}
+{_baselines(c)}
+{_pictures(c)}
+<h3>Kinds of fault</h3>{_kind_table(c)}\
+<p>Where a baseline wins, {escape(c["matched_claim"])}: {_beaten(c)}.</p>\
+<h3>Severities</h3>{_severity_table(c)}
+{_invisible(c)}
+{_bus(c)}"""
+
+
+def _share(rate: dict) -> str:
+    """Count of all and its interval [%]; a dash when nothing was counted."""
+    if not rate["of"]:
+        return "–"
+    low, high = rate["interval"]
+    return f"{rate['count']} of {rate['of']}, {100 * low:.2f} to {100 * high:.2f} %"
+
+
+def _percent(value: float | None) -> str:
+    return "–" if value is None else f"{100 * value:.2f} %"
+
+
+def _hourly(rate: dict) -> str:
+    """Rate [1/h] and its interval; a dash when there is no interval."""
+    if rate["interval"] is None:
+        return "–"
+    return f"{rate['rate']:.2f}, {rate['interval'][0]:.2f} to {rate['interval'][1]:.2f}"
+
+
+def _severity(c: dict, row: dict) -> str:
+    """Severity of a row with its unit."""
+    return f"{row['severity']:g} {escape(c['units'][row['kind']])}"
+
+
+def _level(severity: dict) -> str:
+    """Upper bound of mu of the faulted loop, or that the loop is unstable."""
+    return number(severity["mu_upper"]) if severity["loop_stable"] else "unstable"
+
+
+def _runs(c: dict) -> str:
+    """What was driven, how rates are stated, and what visible means."""
+    within = c["within"]
+    faulted = sum(s["runs"] for s in c["severities"])
+    claims = "; ".join(f"{escape(t)} test: {escape(limit['claim'])}" for t, limit in c["calibrated"].items())
+    beyond = _share(within["beyond_checked_amplitude"])
+    return f"""<p>{within["runs"]} runs, {within["hours"]:.1f} h of driving \
+({within["judged_hours"]:.1f} h judged), of {within["plants"]} trucks whose own frequency
+response lies within the bounds (of {within["candidates"]} drawn; largest t* \
+{within["largest_margin"]:.3f}, the nominal truck's
+{within["nominal_margin"]:.3f}), and {faulted} runs with a fault of the truck. Intervals are exact, over runs
+(Clopper and Pearson; an hour: Poisson), since alarms of one run come together.
+Calibrated per drive: {claims}. Counted apart: runs of these trucks with a frame that held more demand in \
+its bin
+than their response was checked for (alarmed: {beyond}). A fault is <i>visible</i> in a run when off-line t* \
+is at least 1.5 times the threshold in a
+tenth of the excited frames after it; that uses nothing the monitor says. Of the alarms that were due by the \
+bounds,
+{_share(c["due"])} came in time.</p>"""
+
+
+def _overall(c: dict) -> str:
+    """False alarms and found faults, a column per detector."""
+    names, within, stated = c["detectors"], c["within"], c["matched_stated"]
+    matched = escape(c["matched_claim"])
+    return html_table(
+        ["", *map(escape, names.values())],
+        [
+            [
+                "runs within the bounds that alarm, 95 % interval",
+                *(_share(within["alarmed"][d]) for d in names),
+            ],
+            ["visible faults found in time, 95 % interval", *(_share(c["visible"][d]) for d in names)],
+            [
+                "average found, calibrated thresholds",
+                *(f"{c['average'][d]['calibrated']:.1%}" for d in names),
+            ],
+            [f"average found, {matched}", *(f"{c['average'][d]['matched']:.1%}" for d in names)],
+            [
+                "at the latter thresholds a further run alarms",
+                *(COUNTS_ONLY if stated[d] is None else f"at most {stated[d]:.3g}" for d in names),
+            ],
+        ],
+    )
+
+
+def _alarm_table(c: dict) -> str:
+    """Alarms of each test of the monitor in the runs within the bounds, beside what was calibrated."""
+    tests = c["within"]["tests"]
+    return html_table(
+        [
+            "test of the monitor",
+            "runs within the bounds that alarm, 95 % interval",
+            "calibrated to at most",
+            "with 95 % confidence below",
+            "such runs an hour, 95 % interval",
+            "calibrated to at most",
+            "alarms in all",
+        ],
+        [
+            [
+                t,
+                _share(r),
+                _percent(limit["alpha"]),
+                _percent(limit["conditional_bound"]),
+                _hourly(r["per_hour"]),
+                number(limit["per_hour"]),
+                str(r["alarms"]),
+            ]
+            for t, r, limit in ((t, r, c["calibrated"][t]) for t, r in tests.items())
+        ],
+    )
+
+
+def _baselines(c: dict) -> str:
+    """How the baselines are calibrated and compared."""
+    baselines = ", ".join(escape(b["label"]) for b in c["baselines"])
+    return f"""<p>Baselines ({baselines}) run on the same samples with thresholds from the same calibration \
+drives by the same rule. Those drives are of one
+truck, so on trucks that differ from it within the bounds their rate is not the same: \
+“{escape(c["matched_claim"])}” takes for
+every detector the least threshold with which the same rule allows its alarms both in the runs within the \
+bounds and before the faults.</p>"""
+
+
+def _pictures(c: dict) -> str:
+    """Detection and time to the first alarm against severity."""
+    severities, units, names = c["severities"], c["units"], c["detectors"]
+    matched = captioned(
+        detection("c0", severities, units, names, "matched"),
+        f"<b>Detection against severity</b>, {escape(c['matched_claim'])}: share of runs in which the first "
+        "alarm came within 60 s of judged, excited driving after the fault, and none before it. Grey: share "
+        "of runs in which the fault is visible.",
+    )
+    calibrated = captioned(
+        detection("c1", severities, units, names, "found"),
+        "<b>Detection against severity</b>, at the thresholds calibrated on the drives of the "
+        "identification.",
+    )
+    time = captioned(
+        detection_time("c2", severities, units, names),
+        "<b>Time to the first alarm against severity</b>, at these thresholds: median judged, excited time "
+        "over the runs without an alarm before the fault; no point where half of them never alarmed.",
+    )
+    return f"{matched}\n{calibrated}\n{time}"
+
+
+def _kind_table(c: dict) -> str:
+    """Share found per kind of fault and detector, at both sets of thresholds, and who leads."""
+    names, matched = c["detectors"], escape(c["matched_claim"])
+
+    def best(detectors: list[str]) -> str:
+        return escape(", ".join(names[d] for d in detectors))
+
+    return html_table(
+        [
+            "kind",
+            *(f"{escape(n)}: calibrated; {matched}" for n in names.values()),
+            "best, calibrated",
+            f"best, {matched}",
+        ],
+        [
+            [
+                escape(k["kind"]),
+                *(f"{k['found'][d]:.0%}, {k['matched'][d]:.0%}" for d in names),
+                best(k["best"]),
+                best(k["best_matched"]),
+            ]
+            for k in c["kinds"]
+        ],
+    )
+
+
+def _beaten(c: dict) -> str:
+    """Where a baseline finds more than the monitor."""
+    names = c["detectors"]
+    return (
+        "; ".join(
+            f"{escape(names[b['detector']])} on {escape(b['kind'])}, {b['matched']:.0%} against "
+            f"{b['monitor']:.0%}"
+            for b in c["beaten"]
+        )
+        or "nowhere"
+    )
+
+
+def _severity_table(c: dict) -> str:
+    """A row per kind and severity: margin, mu, runs, and what each detector found."""
+    names = c["detectors"]
+    return html_table(
+        [
+            "kind",
+            "severity",
+            "t* of its own response",
+            "mu of its loop",
+            "runs",
+            "visible runs",
+            *(f"{escape(n)}: found, median s" for n in names.values()),
+        ],
+        [
+            [
+                escape(s["kind"]),
+                _severity(c, s),
+                number(s["response_margin"]),
+                _level(s),
+                str(s["runs"]),
+                str(s["visible_runs"]),
+                *(f"{s['found'][d]}, {number(s['median_s'][d])}" for d in names),
+            ]
+            for s in c["severities"]
+        ],
+    )
+
+
+def _invisible(c: dict) -> str:
+    """Faults with which robust performance is lost though few runs show them."""
+    hidden = "; ".join(
+        f"{escape(s['kind'])} {_severity(c, s)} (mu {_level(s)}, found {s['found']['monitor']} of "
+        f"{s['runs']})"
+        for s in c["invisible"]
+    )
+    return f"""<h3>Invisible, though robust performance is lost</h3><p>Upper bound of mu of the faulted loop \
+at least 1, visible in fewer than half of the runs:
+{hidden or "none"}. Some are found all the same, by the energy test or in single frames; nothing promises \
+it. The largest mu over three speeds is meant; it exists for faults that are linear and time-invariant.</p>"""
+
+
+def _bus(c: dict) -> str:
+    """What the supervision had to say about faults of the bus, and what it said."""
+    faulty, healthy = c["supervision"]["faulty"], c["supervision"]["healthy"]
+    return f"""<h3>Faults of the bus</h3><p>What the supervision must say at every tick follows from the \
+frames that were on the bus and the message table:
+three missed periods hold, five switch off, so does a score of five bad frames, and five good ones bring \
+back. That is worked out
+apart from the core. As required were {_share(faulty["as_required"])} of the runs with a faulty bus, where \
+of {faulty["due"]} reactions due
+{faulty["met"]} came at the very tick, and {_share(healthy["as_required"])} of those within the bounds, with \
+none due. <i>Judged</i> is excited driving that the monitor judged, of the time since the fault: after every
+gap its model has to settle. Alarms of model error stand beside the runs in which the samples themselves \
+show one: a late or corrupted
+value that passes for a good one.</p>{_bus_table(c)}"""
+
+
+def _bus_table(c: dict) -> str:
+    """A row per fault of the bus and severity."""
+    return html_table(
+        [
+            "fault",
+            "severity",
+            "runs as required",
+            "reactions due, met",
+            "not live for",
+            "judged",
+            "runs that alarm",
+            "visible runs",
+        ],
+        [
+            [
+                escape(s["kind"]),
+                _severity(c, s),
+                f"{s['as_required']} of {s['runs']}",
+                f"{s['due']}, {s['met']}",
+                f"{s['away']:.1%}",
+                f"{s['judged']:.0%}",
+                str(s["alarmed"]["monitor"]),
+                str(s["visible_runs"]),
+            ]
+            for s in c["bus"]
+        ],
+    )

@@ -1,0 +1,123 @@
+"""Section "Controller and its certificates": Table II, and the counterparts of Figs. 5 and 6."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+
+from ...base import artefacts
+from ..design_pictures import draw
+from ..markup import captioned, html_table, number
+
+
+def design_section(folder: Path) -> str:
+    """The section. ``folder``: written by `lpvguard design`; Table II and its pictures may be missing."""
+    controller = artefacts.read_json(folder / "controller.json")["certificates"]
+    speeds = html_table(
+        ["speed, m/s", "μ upper", "μ lower", "peak, rad/s"],
+        [
+            [number(r["v_mps"], 4), f"{r['mu_upper']:.4f}", f"{r['mu_lower']:.4f}", number(r["peak_rad_s"])]
+            for r in controller["speeds"]
+        ],
+        "tight",
+    )
+    text = f"""<h2>Controller and its certificates</h2>
+<p>{escape(controller["structure"])} scheduled over speed, {controller["order"]} states: \
+{escape(controller["claim"])}.</p>{speeds}"""
+    if not (folder / "table2.json").is_file():
+        return text
+    table, figures = (artefacts.read_json(folder / name) for name in ("table2.json", "figures.json"))
+    pictures = draw(figures)
+    text += _table_2(table, pictures["fig5"])
+    if "fig6" in figures:
+        text += _worst_case(figures["fig6"], pictures["fig6"])
+    return text
+
+
+def _table_2(table: dict, fig5: str) -> str:
+    """Table II, ``table``: table2.json, and the picture of its weights."""
+    rows = html_table(
+        [
+            "Table II",
+            "A<sub>t</sub>",
+            "A<sub>u</sub>",
+            "μ upper",
+            "μ lower",
+            "no controller below",
+            "order",
+            "before reduction",
+            "peak, rad/s",
+        ],
+        [
+            [
+                escape(r["structure"]),
+                number(r["A_t"], 4),
+                number(r["A_u"]),
+                f"{r['mu_upper']:.4f}",
+                f"{r['mu_lower']:.4f}",
+                f"{r['floor']:.4f}",
+                str(r["order"]),
+                str(r["full_order"]),
+                number(r["peak_rad_s"]),
+            ]
+            for r in table["rows"]
+        ],
+    )
+    weights = captioned(
+        fig5,
+        "<b>Counterpart of Fig. 5.</b> Weights of the control problem: left what normalises signals, right "
+        "the objectives of Table II.",
+    )
+    return f"""<h3>Table II for these drives</h3>
+<p>At {table["speed_mps"]:g} m/s, sampled every {table["Ts_s"]:g} s, one sample of delay. μ upper is \
+certified over all frequencies
+(K<sub>∞</sub>: the closed-loop norm); K<sub>is</sub> takes state uncertainty with Λ<sub>ν</sub> = diag(1, \
+{table["lambda_s"]:g} s²), its
+bounds from the {escape(table["state_uncertainty_from"])}. “No controller below” bounds every controller of \
+any order with these
+weights.</p>{rows}{weights}"""
+
+
+def _worst_case(run: dict, fig6: str) -> str:
+    """Runs with the worst uncertainty, ``run``: the object fig6 of figures.json, and their picture."""
+    measured = html_table(
+        [
+            "controller",
+            "A<sub>t</sub>",
+            "A<sub>u</sub>",
+            "‖Δ‖∞",
+            "Δ exact at, rad/s",
+            "gain with Δ",
+            "without Δ",
+            "tracking error with Δ, rad/s rms",
+            "without Δ",
+        ],
+        [
+            [
+                escape(r["structure"]),
+                number(r["A_t"], 4),
+                number(r["A_u"]),
+                number(r["delta_norm"]),
+                number(r["delta_rad_s"]),
+                f"{r['worst_gain']:.4f}",
+                f"{r['nominal_gain']:.4f}",
+                number(r["tracking_rms"]),
+                number(r["tracking_rms_without_delta"]),
+            ]
+            for r in run["runs"]
+        ],
+    )
+    left = (
+        f" Left out, as no objective of theirs has μ below 1: {', '.join(run['left_out'])}."
+        if run["left_out"]
+        else ""
+    )
+    figure = captioned(
+        fig6,
+        f"<b>Counterpart of Fig. 6.</b> Reference: the filtered yaw rate of {escape(run['drive'])} through "
+        f"W<sub>R</sub>. Disturbance: that drive's nominal error, the yaw rate's times {run['factor']:.2g} "
+        f"(it keeps the DC bound), band-limited noise of power {run['noise_power']:g} before W<sub>n</sub>. "
+        "K<sub>∞</sub> runs without Δ; K<sub>i</sub> and K<sub>is</sub> with the worst Δ found by the lower "
+        f"bound of μ within the band of the data, realised as a stable system of constant size.{left}",
+    )
+    return figure + measured

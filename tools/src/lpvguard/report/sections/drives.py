@@ -1,0 +1,210 @@
+"""Section "Margin over time and frequency, drive by drive", and its short form for the plain DFT."""
+
+from __future__ import annotations
+
+from html import escape
+
+import numpy as np
+
+from ...core.compiled import REASONS, VERDICTS
+from ...drives.tables import Drive
+from ...engine.validation import s1
+from ...identify.bounds import counted_frames
+from ...identify.run import DriveSet, StoredIdentification
+from ...replay.run import Alarm, Replay, Replayer, excited_samples
+from ..markup import captioned, html_table, number
+from ..pictures.margin_map import REASON_WORDS, map_key, margin_map
+from ..visits import Visits, longest_run
+
+ALARMS_LISTED = 10
+
+
+def visit(visits: Visits, stored: StoredIdentification, replayer: Replayer, drive: Drive, key: str) -> str:
+    """Replay a drive, keep its counted frames and longest stretches in ``visits``, and return its page.
+
+    ``key``: name of its picture, its own on the page.
+    """
+    replay = replayer.replay(drive)
+    frames = replay.run.frames
+    counted = frames.counted
+    visits.bin.append(frames.bin[counted])
+    visits.Z.append(frames.Z[counted])
+    low, high = replayer.model.speed_range
+    usable = replay.judged & replay.in_range & replay.excited
+    third = (high - low) / 3
+    visits.slow = visits.slow.or_longer(drive.name, longest_run(usable & (drive.v <= low + third)))
+    visits.fast = visits.fast.or_longer(drive.name, longest_run(usable & (drive.v >= high - third)))
+    return _drive_page(stored, replayer, drive, replay, key)
+
+
+def visit_plain(visits: Visits, stored: StoredIdentification, drives: DriveSet, drive: Drive) -> list[str]:
+    """Judge the drive's frame of the plain DFT by the exact margin under the stored weights.
+
+    Keeps the frame in ``visits`` and returns the drive's row of the table.
+    """
+    reader, project = drives.reader, stored.project
+    estimator, model = reader.estimator, reader.model
+    sets = list(counted_frames(drive, *drives.load(drive.name)[1:], model, estimator))
+    row = [escape(drive.name), escape(stored.manifest["drivers"][drive.name]), _role(stored, drive.name)]
+    if not len(sets[0].starts):
+        return [*row, "–", "–", "–", "–"]
+    E, Z = (np.concatenate([getattr(s, a) for s in sets]) for a in ("E", "Z"))
+    visits.bin.append(np.arange(estimator.n_bins))
+    visits.Z.append(Z)
+    span = slice(int(sets[0].starts[0]), int(sets[0].starts[0] + estimator.length[0]))
+    low, high = model.speed_range
+    third = (high - low) / 3
+    speed = drive.v[span].mean()
+    if excited_samples(drive.u, project.Ts_s, project.frame_test.excited_std)[span].any():
+        if speed <= low + third:
+            visits.slow = visits.slow.or_longer(drive.name, span)
+        elif speed >= high - third:
+            visits.fast = visits.fast.or_longer(drive.name, span)
+    margin = s1.margin(E, Z, *stored.fitted.at(estimator.omega))
+    worst = int(np.argmax(margin))
+    return [
+        *row,
+        f"{drive.t[span.start] - drive.t[0]:.4g}",
+        f"{speed:.3g}",
+        number(margin[worst]),
+        number(estimator.omega[worst]),
+    ]
+
+
+def plain_section(rows: list[list[str]]) -> str:
+    """The section for bounds of the plain DFT: the ``rows`` that ``visit_plain`` returned."""
+    table = html_table(
+        [
+            "drive",
+            "driver",
+            "part",
+            "frame from, s",
+            "mean speed, m/s",
+            "largest margin",
+            "in the bin, rad/s",
+        ],
+        rows,
+    )
+    return f"""<h2>Margin drive by drive</h2>
+<p>One frame a drive, the first that keeps its speed, judged by the exact margin: above 1, no uncertainty \
+and disturbance within the
+weights explains it. Drives that set the bounds are at or below 1 by construction. “–”: no \
+frame.</p>{table}"""
+
+
+def _role(stored: StoredIdentification, name: str) -> str:
+    """What the identification did with a drive."""
+    groups = stored.manifest["drives"]
+    if name in groups["bounds"]:
+        return "set the bounds"
+    if name in groups["left_out"]:
+        return f"left out: {escape(groups['left_out'][name])}"
+    if name in groups["noise"]:
+        return "zero input: bounds the noise"
+    return f"calibrates, score {stored.calibration.scores[name]:.3f}"
+
+
+def _facts(replay: Replay) -> str:
+    """Three small tables of a drive: totals, time per verdict, frames per reason."""
+    report, frames = replay.to_dict(), len(replay.run.frames.bin)
+    share = (
+        report["judged_in_range_excited_s"] / report["in_range_excited_s"]
+        if report["in_range_excited_s"]
+        else None
+    )
+    totals = {
+        "duration, s": f"{replay.duration_s:.1f}",
+        "judged, s": f"{replay.judged_s:.1f}",
+        "of in-range, excited time": "–" if share is None else f"{share:.1%}",
+        "largest margin": number(replay.max_margin),
+        "alarms": str(len(replay.alarms)),
+        "final verdict": escape(replay.verdict_final.replace("_", " ")),
+    }
+    verdicts = {f"{v.replace('_', ' ')}, s": f"{report['verdict_s'][v]:.1f}" for v in VERDICTS}
+    reasons = {"frames": str(frames)} | {
+        REASON_WORDS[r]: f"{report['frames'][r]} ({100 * report['frames'][r] / max(1, frames):.1f} %)"
+        for r in REASONS
+    }
+    return "".join(html_table(of, [of.values()], "tight") for of in (totals, verdicts, reasons))
+
+
+def _alarm_table(alarms: list[Alarm]) -> str:
+    """The first alarms of a drive with their evidence, and how many more there are."""
+    if not alarms:
+        return ""
+    head = [
+        "alarm at, s",
+        "test",
+        "bin, rad/s",
+        "speed, m/s",
+        "margin",
+        "statistic",
+        "threshold",
+        "|E|",
+        "|Z|",
+        "W<sub>Δ</sub>",
+        "B<sub>w</sub>",
+        "evidence",
+    ]
+    listed = alarms[:ALARMS_LISTED]
+    rows = [
+        [
+            f"{a.t_s:.2f}",
+            a.test if a.band is None else f"{a.test}, {a.band}",
+            number(a.bin_rad_s),
+            f"{a.speed_mps:.1f}",
+            number(a.margin),
+            number(a.statistic),
+            number(a.threshold),
+            number(np.linalg.norm(a.E)),
+            number(np.linalg.norm(a.Z)),
+            number(a.W_delta),
+            ", ".join(number(b) for b in a.B_w),
+            number(a.evidence),
+        ]
+        for a in listed
+    ]
+    left = len(alarms) - len(listed)
+    more = f'<p class="note">{left} more alarms; lpvguard replay --json lists all.</p>' if left else ""
+    return html_table(head, rows) + more
+
+
+def _drive_page(
+    stored: StoredIdentification, replayer: Replayer, drive: Drive, replay: Replay, key: str
+) -> str:
+    """Map of the drive's margins, its facts and its alarms."""
+    svg = margin_map(
+        key,
+        replay,
+        drive.t,
+        drive.v,
+        replayer.estimator.omega,
+        replayer.estimator.length,
+        replayer.threshold,
+        replayer.model.speed_range,
+    )
+    driver = escape(stored.manifest["drivers"][drive.name])
+    role = _role(stored, drive.name)
+    return f"""<h3>{escape(drive.name)} <span class="note">({driver} driver; {role})</span></h3>
+<figure>{svg}</figure><div class="facts">{_facts(replay)}</div>{_alarm_table(replay.alarms)}"""
+
+
+def drive_section(pages: list[str], threshold: float) -> str:
+    """The section: how to read the maps, then the ``pages`` that ``visit`` returned."""
+    key = captioned(
+        map_key("key"),
+        "<b>How to read the maps.</b> Time runs to the right, a line per bin, DC at the bottom. Each cell is "
+        "one frame judged by the compiled core, drawn over its central half; colour is its margin t* over "
+        f"the threshold {threshold:.4g} (1/{threshold:.4g} = {1 / threshold:.2g} is t* = 1, where the fitted "
+        "bounds just explain the frame). Screened cells counted, but held so little excitation that even a "
+        "vehicle that does not respond would have passed: they are no evidence for the model. Patterned "
+        "cells were not judged, for the reason in the key; blank: no frame. Triangles: alarms, at the end of "
+        "the falsifying frame, pointing back to its cell; from above: alarms of the energy test. Below: "
+        "speed, with the model's range dashed, and the monitor's verdict. In the alarm tables |E| and |Z| "
+        "are Euclidean norms in output units (energy test, below, between or above its corners: |E| of F e, "
+        "|Z| of F W<sub>Δ</sub> ŷ with forgetting, B<sub>w</sub> is σ), and evidence is the margin of a "
+        "vehicle that does not respond. Judged seconds lie in a counted frame of any bin, with evidence or "
+        "not; the verdict “valid” asks for evidence within the longest frame, so a drive can be judged all "
+        "along and its verdict still be “not judged”.",
+    )
+    return f"<h2>Margin over time and frequency, drive by drive</h2>{key}{''.join(pages)}"

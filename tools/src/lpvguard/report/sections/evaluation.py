@@ -1,0 +1,208 @@
+"""Section "Evaluation, leave one drive out": false alarms, injected faults, and the baselines."""
+
+from __future__ import annotations
+
+from html import escape
+
+from ...core.compiled import TESTS
+from ...evaluate.run import (
+    EXPORTED,
+    FAULT_FROM_S,
+    FOUND_WITHIN_S,
+    MONITOR,
+    PIECE_S,
+    SHORTEST_FOR_FAULTS_S,
+    STARTS,
+    Column,
+    columns,
+    detector_rows,
+    equal_rates,
+)
+from ..markup import captioned, html_table, number
+from ..pictures.detectors import SOONEST_S, time_to_find
+
+OURS = "lpvguard, both tests at one threshold"
+TEST_TITLES = {MONITOR: "both tests", "frame": "frame test", "energy": "energy test"}
+
+
+def evaluation_section(evaluation: dict) -> str:
+    """The section. ``evaluation``: JSON of `lpvguard evaluate`."""
+    left_out = "; ".join(f"{escape(n)}: {escape(why)}" for n, why in evaluation["left_out"].items())
+    return f"""<h2>Evaluation, leave one drive out</h2>
+<p>Every drive that did not set the bounds runs through the compiled core with thresholds from
+{escape(evaluation["threshold_rule"])}. Every second of a drive counts, judged or not: in pieces of \
+{PIECE_S:g} s, of which the last
+is as long as its column says, and in drives. The rate is alarmed pieces an hour of judged driving. The \
+interval
+resamples drives, not pieces: pieces of one drive are not exchangeable. Drives that the identification left \
+out: {left_out or "none"}.</p>
+{_claim_table(evaluation)}\
+<h3>False alarms</h3>{_alarm_table(evaluation)}{_drive_table(evaluation)}\
+{_injected_faults(evaluation)}{_baselines(evaluation)}"""
+
+
+def _alarm_table(evaluation: dict) -> str:
+    """False alarms of the monitor per group of drivers."""
+    return html_table(
+        [
+            "drivers",
+            "alarmed drives",
+            f"alarmed {PIECE_S:g} s pieces",
+            "95 % interval of the ratio",
+            "alarmed pieces an hour judged",
+            "judged, h",
+        ],
+        [
+            [
+                escape(group),
+                f"{row['alarmed_drives']} of {row['drives']}",
+                f"{row['alarmed']} of {row['pieces']}",
+                "–" if row["interval"] is None else f"{row['interval'][0]:.3f} to {row['interval'][1]:.3f}",
+                "–" if row["per_judged_h"] is None else f"{row['per_judged_h']:.2f}",
+                f"{row['judged_h']:.3f}",
+            ]
+            for group, row in evaluation["false_alarms"].items()
+        ],
+    )
+
+
+def _claim_table(evaluation: dict) -> str:
+    """What the thresholds promise: as identified, and each drive without itself."""
+    return html_table(
+        ["calibration", "what its threshold promises"],
+        [
+            *(
+                [f"{TEST_TITLES[t]}, as identified", escape(claim)]
+                for t, claim in evaluation["claims"]["identified"].items()
+            ),
+            *(
+                [
+                    f"{TEST_TITLES[t]}{' at one threshold' if t == MONITOR else ''}, "
+                    "each drive without itself",
+                    escape("; or ".join(several)),
+                ]
+                for t, several in evaluation["claims"]["left_one_out"].items()
+            ),
+        ],
+        "words",
+    )
+
+
+def _drive_table(evaluation: dict) -> str:
+    """A row per drive: thresholds without it, scores, alarms, judged time, where faults were injected."""
+    return html_table(
+        [
+            "drive",
+            "driver",
+            *(f"{title}: threshold without it, score" for title in TEST_TITLES.values()),
+            "alarmed pieces",
+            "last piece, s",
+            "judged, s",
+            "of in-range, excited time",
+            "faults from, s",
+        ],
+        [
+            [
+                escape(r["run"]),
+                escape(r["driver"]),
+                *(
+                    f"{r['calibration'][t]['threshold']:.3f}, {number(r['scores'][t], 4)}"
+                    for t in TEST_TITLES
+                ),
+                f"{r['alarmed'][MONITOR]} of {r['pieces']}",
+                f"{r['last_piece_s']:.1f}",
+                f"{r['judged_s']:.1f}",
+                "–" if r["judged_of_in_range_excited"] is None else f"{r['judged_of_in_range_excited']:.0%}",
+                ", ".join(f"{s:.0f}" for s in r["fault_starts_s"]) or "–",
+            ]
+            for r in evaluation["drives"]
+        ],
+    )
+
+
+def _time_to_find(faults: list[dict]) -> str:
+    """Picture of the times to find injected faults; empty when no fault was injected."""
+    if not any(row["cases"] for row in faults):
+        return ""
+    return captioned(
+        time_to_find("f7", faults, FOUND_WITHIN_S),
+        "<b>Time to find.</b> A mark per start in a drive: judged, excited driving from the fault's start to "
+        f"the alarm that it caused. Crosses: not within {FOUND_WITHIN_S:g} s (dashed). Times below "
+        f"{SOONEST_S:g} s stand there. Right: found of all.",
+    )
+
+
+def _injected_faults(evaluation: dict) -> str:
+    """Which injected faults were found: by both tests at one threshold, as exported, by each test alone."""
+    without = "; ".join(f"{escape(n)}: {escape(why)}" for n, why in evaluation["without_faults"].items())
+    titles = {MONITOR: OURS, EXPORTED: "as exported, each test at its threshold"} | {
+        t: f"{t} test alone" for t in TESTS
+    }
+    detectors, rates = columns(evaluation), evaluation["stated_rates"]
+    exported = (
+        f"as exported the two thresholds together allow at most {rates[EXPORTED]:g}"
+        if rates[EXPORTED] is not None
+        else "of the two thresholds as exported nothing is stated either"
+    )
+    tried = len(evaluation["drives"]) - len(evaluation["without_faults"])
+    compared = equal_rates({titles[name]: rates[name] for name in (MONITOR, *TESTS)})
+    table = _detectors({title: detectors[name] for name, title in titles.items()})
+    return f"""<h3>Injected faults</h3>
+<p>Injected into {tried} of {len(evaluation["drives"])} drives, those longer than {SHORTEST_FOR_FAULTS_S:g} \
+s, from {STARTS} instants of each after {FAULT_FROM_S:g} s, drawn so that
+{FOUND_WITHIN_S:g} s of judged, excited driving follow. Found: the first alarm from then on comes within \
+{FOUND_WITHIN_S:g} s of such driving and
+before any that the same detector raises on the untouched drive; an alarm counts when the core says so, \
+which for a frame is after its
+end. A cell: starts from which the fault was found, of all (drives in which from every start), and the \
+median time, a miss counting as
+later than all. Not into {without or "none left"}.</p>{_time_to_find(evaluation["faults"])}{table}
+<p>Both tests at one threshold (an alarm by either counts) and each test alone are compared
+{escape(compared)}; {exported}.</p>"""
+
+
+def _detectors(detectors: dict[str, Column], best: list[str] | None = None) -> str:
+    """False alarms and found faults, a column per detector; ``best``: who leads, per fault.
+
+    ``detectors``: by title, which is text.
+    """
+    return html_table(
+        ["", *map(escape, detectors), *(["best"] if best else [])],
+        [[escape(cell) for cell in row] for row in detector_rows(list(detectors.values()), best)],
+    )
+
+
+def _baselines(evaluation: dict) -> str:
+    """The baselines beside the monitor: settings, claims, and who leads."""
+    others, detectors, rates = evaluation["baselines"], columns(evaluation), evaluation["stated_rates"]
+    if not others:
+        return (
+            "<h3>Beside what is used today</h3><p>Not compared: a baseline needs another calibration drive "
+            "when one is left out.</p>"
+        )
+    titles = {MONITOR: "lpvguard"} | {b["kind"]: b["title"] for b in others}
+    searched = "; ".join(
+        f"{escape(b['title'])}: {len(b['searched'])} settings, chosen "
+        f"{escape(', '.join(sorted({c['parameters'] for c in b['chosen'].values()})))}, "
+        f"{escape('; or '.join(sorted({c['claim'] for c in b['chosen'].values()})))}"
+        for b in others
+    )
+    best = [", ".join(titles[n] for n in row["best"]) for row in evaluation["faults"]]
+    lost = [
+        f"{escape(row['fault'])} ({escape(who)})"
+        for row, who in zip(evaluation["faults"], best, strict=False)
+        if row["best"] and row["best"] != [MONITOR]
+    ]
+    compared = equal_rates({title: rates[name] for name, title in titles.items()})
+    table = _detectors({OURS: detectors[MONITOR]} | {b["title"]: detectors[b["kind"]] for b in others}, best)
+    return f"""<h3>Beside what is used today</h3>
+<p>Three detectors on the same residual e = y − ŷ, the same drives, and thresholds from the same calibration \
+drives by the same
+rule as the monitor with both tests at one threshold. They are compared {escape(compared)}. Their parameters \
+are those
+that find most injected faults, then soonest, on the bound-setting and the other calibration drives; the \
+drive under test takes part in
+nothing ({searched}). Best: largest share of starts, then least median; detectors that tie are all named, \
+and nobody where nobody
+found a fault. Where the monitor does not lead alone: {"; ".join(lost) or "nowhere"}.</p>
+{table}"""

@@ -1,0 +1,48 @@
+"""Section "The nominal model in time": the counterpart of Fig. 4."""
+
+from __future__ import annotations
+
+from html import escape
+
+import numpy as np
+
+from ...identify.run import DriveSet, StoredIdentification
+from ..markup import captioned
+from ..pictures.over_time import Stretch, model_in_time
+from ..visits import Visits
+
+LONGEST_STRETCH_S = 60.0
+"""At most this much of a stretch is drawn, so that single corners can be seen."""
+
+
+def time_section(visits: Visits, stored: StoredIdentification, drives: DriveSet) -> str:
+    """The section: the longest judged, excited stretches of ``visits`` at low and at high speed."""
+    stretches, words, project = [], [], stored.project
+    for label, longest in (("lower", visits.slow), ("upper", visits.fast)):
+        if not longest.samples:
+            words.append(f"No judged, excited stretch in the {label} third of the speed range.")
+            continue
+        name, start = longest.drive, longest.start
+        drive, e, yhat = drives.load(name)
+        shown = slice(start, min(longest.stop, start + round(LONGEST_STRETCH_S / project.Ts_s)))
+        v, error, y = drive.v[shown], e[shown], drive.y[shown]
+        role = "set the bounds" if name in stored.manifest["drives"]["bounds"] else "did not set the bounds"
+        title = f"{name}, {v.min():.1f} to {v.max():.1f} m/s"
+        stretches.append(Stretch(title, drive.t[shown] - drive.t[0], v, y, yhat[shown]))
+        rms = "; ".join(
+            f"{escape(s.name)} error rms {np.std(error[:, j]):.2g} {escape(s.unit)} about its mean "
+            f"{error[:, j].mean():.2g}, against {np.std(y[:, j]):.2g} of the measurement"
+            for j, s in enumerate(project.outputs)
+        )
+        words.append(
+            f"{label.capitalize()} third: {escape(name)} ({role}), {longest.samples * project.Ts_s:.1f} s "
+            f"long, {(shown.stop - shown.start) * project.Ts_s:.1f} s shown; {rms}."
+        )
+    svg = model_in_time("f4", stretches, project.outputs) if stretches else ""
+    return "<h2>The nominal model in time</h2>" + captioned(
+        svg,
+        "<b>Counterpart of Fig. 4.</b> Measured output (solid) and nominal model along the measured speed "
+        "(dashed), below it the nominal error e = y − ŷ on its own scale. Chosen without looking: the "
+        "longest judged, in-range, excited stretch in the lower and in the upper third of the "
+        "model's speed range. " + " ".join(words),
+    )

@@ -1,0 +1,245 @@
+"""Section "Summary": which drives, which estimator, what is claimed, and how tight the weights are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from html import escape
+
+import numpy as np
+
+from ...drives.frames import Estimator
+from ...identify.energy import EnergyTest
+from ...identify.run import DC_STAND_IN, DriveSet, StoredIdentification
+from ...identify.window_error import PERCENTILE, SPEEDS
+from ...replay.run import Replayer
+from ...vehicle.project import Project, Signal
+from ..markup import html_table, number, yes_or_no
+
+
+def _estimator_words(stored: StoredIdentification, estimator: Estimator) -> str:
+    """Settings of the frames in a sentence."""
+    frames, length_s = stored.project.frames, estimator.length * estimator.Ts
+    common = (
+        f"{estimator.n_bins - 1} bins from {estimator.omega[1]:.3g} to {estimator.omega[-1]:.3g} rad/s and "
+        f"DC; speed within ±{estimator.speed_tolerance:.0%} of the frame's mean"
+    )
+    if estimator.window == "rectangular":
+        return (
+            f"the paper's plain DFT: one rectangular frame of {length_s[0]:.4g} s a drive, its transient "
+            f"removed by least squares; {common}; identifier {estimator.identifier():#010x}"
+        )
+    return (
+        f"periodic Hann window, {frames.periods} periods a frame, {frames.bins_per_decade} bins a decade, "
+        f"hop 1/{frames.hop_per_frame} frame; {common}; frames {length_s[1]:.4g} s long in the lowest bin "
+        f"and at DC, {length_s[-1]:.3g} s in the highest; settling {estimator.settle * estimator.Ts:.3g} s; "
+        f"identifier {estimator.identifier():#010x}"
+    )
+
+
+def _core_words(stored: StoredIdentification, replayer: Replayer | None) -> str:
+    """Whether the core that replayed carries the numbers of this identification."""
+    if replayer is None:
+        return (
+            "none: the core computes Hann frames only; these bounds are for analysis, and export, replay and "
+            "evaluate refuse them"
+        )
+    same = _same_numbers(stored, replayer)
+    return yes_or_no(
+        same <= 1e-6,
+        f"carries the numbers of this identification (largest relative difference {same:.1e}, float32)",
+        f"carries other numbers than this identification (largest relative difference {same:.1e}): maps and "
+        "verdicts below are that core's",
+    )
+
+
+def _claim(stored: StoredIdentification) -> str:
+    """What the threshold of the frame test promises."""
+    calibration = stored.calibration
+    if calibration.alpha is None:
+        return "not stated: too few calibration drives; the threshold is the largest score"
+    return (
+        f"{calibration.alpha:g}: a further drive, exchangeable with the {len(calibration.scores)} "
+        f"calibration drives, alarms with probability at most {calibration.alpha:g} (on average over "
+        "calibration sets)" + (", by each test; by either, at most twice that" if stored.energy else "")
+    )
+
+
+def _conditional_claim(stored: StoredIdentification) -> str:
+    """What the threshold promises with 95 % confidence over the calibration drives."""
+    bound = stored.calibration.conditional_bound
+    if bound is None:
+        return "–"
+    return f"with 95 % confidence over the calibration drives the probability is below {bound:.3f}"
+
+
+def _drive_rows(stored: StoredIdentification) -> list[tuple[str, str]]:
+    """Label and text of every group of drives."""
+    groups, drivers = stored.manifest["drives"], stored.manifest["drivers"]
+
+    def listed(names: list[str]) -> str:
+        return f"{len(names)}: " + (", ".join(f"{escape(n)} ({escape(drivers[n])})" for n in names) or "none")
+
+    left_out = "".join(f"<br>{escape(n)}: {escape(why)}" for n, why in groups["left_out"].items())
+    return [
+        ("drives that set the bounds", listed(groups["bounds"])),
+        ("drives that calibrate the threshold", listed(groups["calibration"])),
+        ("zero-input drives (noise)", listed(groups["noise"])),
+        ("drives left out", f"{len(groups['left_out'])}{left_out or ': none'}"),
+    ]
+
+
+def _rows(
+    stored: StoredIdentification, replayer: Replayer | None, estimator: Estimator
+) -> list[tuple[str, str]]:
+    """Label and text of every line of the summary."""
+    project = stored.project
+    threshold = stored.calibration.threshold if replayer is None else replayer.threshold
+    if replayer is None:
+        judge = "the exact margin finds none above 1 on the bound-setting drives"
+    else:
+        judge = (
+            "the compiled core finds no margin above 1 on the bound-setting drives, whole or with their "
+            "first samples cut"
+        )
+    return [
+        (
+            "vehicle",
+            f"{escape(project.name)}: {escape(project.title)}; inputs {_signals(project.inputs)}; outputs "
+            f"{_signals(project.outputs)}; speed {estimator.speed_range[0]:g} to "
+            f"{estimator.speed_range[1]:g} m/s; sampled every {project.Ts_s:g} s",
+        ),
+        *_drive_rows(stored),
+        (
+            "model error class",
+            f"{project.bounds.structure}, disturbance set “{project.bounds.disturbance_set}”",
+        ),
+        ("estimator", _estimator_words(stored, estimator)),
+        (
+            "threshold of the frame test",
+            f"{threshold:.4g} on the {project.frame_test.confirm}-of-{project.frame_test.of_last} margin",
+        ),
+        ("alpha", _claim(stored)),
+        ("conditional bound", _conditional_claim(stored)),
+        *([("energy test", _energy_words(stored.energy, project))] if stored.energy else []),
+        (
+            "final inflation of the weights",
+            f"{stored.weights['inflation']:.6g}, the least factor with which {judge}",
+        ),
+        ("core that replayed the drives", _core_words(stored, replayer)),
+    ]
+
+
+def _proof_table(stored: StoredIdentification) -> str:
+    """How tight each weight is, and what is proved of it."""
+    weights = [
+        (f"W<sub>{index}</sub> of {escape(s.name)}", w)
+        for index in ("w", "n")
+        for s, w in zip(stored.project.outputs, stored.weights[f"W_{index}"], strict=False)
+    ]
+    weights += [
+        ("W<sub>Δ</sub>", stored.weights["W_delta"]),
+        ("γ<sub>w</sub> smoothed", stored.weights["gamma_w"]),
+    ]
+    return html_table(
+        [
+            "weight",
+            "order",
+            "worst |W|/bound, dB",
+            "no weight of this order below, dB",
+            "smallest |W|/bound proved",
+            "at, rad/s",
+            "proved up to, rad/s",
+            "stable, minimum phase",
+            "bins bridged for want of data, rad/s",
+        ],
+        [
+            [
+                label,
+                str(w["order"]),
+                f"{w['worst_ratio_db']:.3f}",
+                f"{w['lp_optimum_db']:.3f}",
+                f"{w['certificate']['min_ratio']:.15g}",
+                _limit(w["certificate"]["min_ratio_at"]),
+                _limit(w["certificate"]["omega_max"]),
+                yes_or_no(
+                    w["certificate"]["stable"]
+                    and w["certificate"]["minimum_phase"]
+                    and w["certificate"]["ok"],
+                    "proved",
+                    "not proved",
+                ),
+                ", ".join(number(x) for x in w["certificate"]["without_data"]) or "none",
+            ]
+            for label, w in weights
+        ],
+    )
+
+
+def summary_section(stored: StoredIdentification, replayer: Replayer | None, drives: DriveSet) -> str:
+    """The section. ``replayer``: None when the core does not compute these frames."""
+    estimator = drives.reader.estimator
+    table = html_table([], _rows(stored, replayer, estimator), "words")
+    return f"""<h2>Summary</h2>{table}
+<p>Each weight lies above its bound at every frequency, proved piece by piece by exact Routh arrays and \
+Bernstein coefficients,
+not on a grid, and proved anew when this page was made (for W<sub>w</sub> and W<sub>Δ</sub>); between bins a \
+bound is log-log
+linear. The worst ratio is how far the weight lies above its bound where it lies highest; the column beside \
+it is a proved lower
+limit for any weight of the same order.
+DC stands at {DC_STAND_IN:g} times the lowest bin's frequency, so “at”
+{estimator.omega[1] * DC_STAND_IN:.3g} rad/s means DC.</p>\
+{_proof_table(stored)}{_window_error(stored, estimator)}"""
+
+
+def _window_error(stored: StoredIdentification, estimator: Estimator) -> str:
+    """What the estimator costs where dynamics are inverted, per bin."""
+
+    def row(label: str, key: str) -> list[str]:
+        return [label, *(number(x, 2) for x in stored.bounds[key])]
+
+    table = html_table(
+        ["relative error of ξ<sub>s</sub> \\ bin, rad/s", "DC", *(f"{w:.3g}" for w in estimator.omega[1:])],
+        [row("median", "window_error_median"), row(f"{PERCENTILE}th percentile", "window_error_percentile")],
+    )
+    return f"""<h3>Window error</h3>{table}
+<p class="note">|ξ̂<sub>s</sub> − ξ<sub>s</sub>| / |ξ<sub>s</sub>| when a known ξ<sub>s</sub> that drives \
+the nominal model's state is found
+back from such frames of that state (made-up data; largest over {SPEEDS} frozen speeds). It is the error of \
+class S2 and of any LFT that inverts
+dynamics when they are given frames of this estimator, and tells whether these frames are long enough for \
+that; class S1
+compares spectra of e and ŷ, inverts nothing and does not have it.</p>"""
+
+
+def _limit(value: float | str) -> str:
+    """A frequency [rad/s]; a certificate states infinity as the text "inf"."""
+    return "∞" if isinstance(value, str) else number(value)
+
+
+def _signals(signals: Iterable[Signal]) -> str:
+    """Name, unit and positive direction of each signal."""
+    return ", ".join(f"{escape(s.name)} [{escape(s.unit)}], positive: {escape(s.positive)}" for s in signals)
+
+
+def _same_numbers(stored: StoredIdentification, replayer: Replayer) -> float:
+    """Largest relative difference between the coefficients of this identification and those of the core."""
+    ours, theirs = stored.coefficients.flat_reals(), replayer.core.compiled[1]
+    if len(ours) != len(theirs):
+        return float("inf")
+    scale = np.maximum(np.abs(ours), np.finfo(np.float32).tiny)
+    return float(np.max(np.abs(ours - theirs) / scale))
+
+
+def _energy_words(test: EnergyTest, project: Project) -> str:
+    """Settings and numbers of the energy test in a sentence."""
+    c = test.calibration
+    corners = ", ".join(f"{f:g}" for f in test.band_hz[:-1])
+    return (
+        f"corners {corners} and {test.band_hz[-1]:g} Hz, memory {test.memory_s:g} s, above them "
+        f"{test.memories_s[-1]:.3g} s and the constant {test.above:.3g} for W<sub>Δ</sub>, judged "
+        f"{test.settle * test.Ts:.3g} s after entering the range; σ: {escape(test.sigma_text(project))}; "
+        f"{len(test.directions)} direction(s); W<sub>Δ</sub> as a filter proved above its bound on the "
+        f"circle |z| = {test.rho:.6g} (least ratio {test.certificate['min_ratio']:.9g}); threshold "
+        f"{c.threshold:.4g}: {c.claim()}"
+    )

@@ -1,0 +1,48 @@
+"""Section "Trade-off between uncertainty, disturbance and performance" of the controller design."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+
+from ...base import artefacts
+from ..markup import captioned, html_table, number
+from ..pictures.design import tradeoff_front
+
+
+def tradeoff_section(folder: Path) -> str:
+    """The section. ``folder``: written by `lpvguard design --tradeoff`."""
+    found = artefacts.read_json(folder / "tradeoff.json")
+    rows = html_table(
+        [
+            "structure",
+            "ceiling",
+            "ν̄ at the lowest bin",
+            "at the highest",
+            "λ<sub>s</sub>, s²",
+            "worst μ",
+            "no controller below",
+            "largest γ<sub>w</sub>",
+        ],
+        [
+            [
+                escape(r["structure"]),
+                r["ceiling"],
+                number(r["nu_low"]),
+                number(r["nu_high"]),
+                number(r["lambda_s"]),
+                number(r["mu_worst"], 4),
+                number(r["floor"], 4),
+                number(r["gamma_w_max"]),
+            ]
+            for r in found["rows"]
+        ],
+    )
+    front = captioned(
+        tradeoff_front("t", found),
+        "Left: the optimum over speeds for uniform ceilings on ν, and the level below which no controller "
+        "goes. Right: ceiling, uncertainty and disturbance bound of the best candidate and of the project's "
+        f"setting. Bounds from the {escape(found['frames'])}; “–”: the floor alone ruled the candidate out.",
+    )
+    return f"""<h2>Trade-off between uncertainty, disturbance and performance</h2>
+<p>{escape(found["sentence"])}</p>{front}{rows}"""

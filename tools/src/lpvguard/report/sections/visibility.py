@@ -1,0 +1,131 @@
+"""Section "Excitation and what stays invisible": |Z| per bin, and the smallest visible errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from html import escape
+
+import numpy as np
+
+from ...drives.frames import Estimator
+from ...identify.run import StoredIdentification, fitting_grid
+from ...identify.visibility import STATED_GAINS
+from ..markup import captioned, html_table, number, unit_of_norm, yes_or_no
+from ..pictures.over_bins import excitation
+from ..visits import Visits
+
+
+def visibility_section(visits: Visits, stored: StoredIdentification, estimator: Estimator) -> str:
+    """The section: excitation in the counted frames of ``visits``, and the tables of visibility.json."""
+    return f"""<h2>Excitation and what stays invisible</h2>{_excitation(visits, stored, estimator)}
+{_smallest_visible(stored.visibility, estimator, unit_of_norm(stored.project.outputs))}"""
+
+
+def _excitation(visits: Visits, stored: StoredIdentification, estimator: Estimator) -> str:
+    """Picture of |Z| per bin over the counted frames."""
+    unit = unit_of_norm(stored.project.outputs)
+    bin_of, Z = np.concatenate(visits.bin), np.concatenate(visits.Z)
+    size = np.linalg.norm(Z, axis=1)
+    K = estimator.n_bins
+
+    def per_bin(statistic: Callable[[np.ndarray], float]) -> np.ndarray:
+        return np.array([statistic(size[bin_of == k]) if (bin_of == k).any() else np.nan for k in range(K)])
+
+    overlap = " (half overlapping, so they are not independent)" if estimator.window == "hann" else ""
+    return captioned(
+        excitation(
+            "f5",
+            fitting_grid(estimator),
+            np.bincount(bin_of, minlength=K),
+            per_bin(np.max),
+            per_bin(np.median),
+            stored.bounds["excitation"],
+            stored.bounds["gamma_w"],
+            unit,
+        ),
+        f"<b>Excitation.</b> Largest and median |Z|, the nominal output in a frame, over the {len(bin_of)} "
+        "counted frames of all drives, with the disturbance bound to compare: where the median lies below "
+        f"it, most frames say little about the model. Lower panel: counted frames a bin{overlap}. Left-most: "
+        f"DC. Unit of |Z|: {escape(unit)}.",
+    )
+
+
+def _cell_names(cells: list[dict]) -> list[str]:
+    """Speed range of every cell [m/s], as text."""
+    return [f"{c['speed_mps'][0]:.3g}–{c['speed_mps'][1]:.3g}" for c in cells]
+
+
+def _overall(seen: dict) -> str:
+    """Table per speed: smallest visible errors over all bins, and whether the stated faults are visible."""
+    typical, strongest = seen["at_percentile"], seen["at_strongest"]
+    names = _cell_names(typical)
+    return html_table(
+        [
+            "speed, m/s",
+            "counted frames",
+            "excitation",
+            "smallest visible gain error",
+            "smallest visible delay, s",
+            *(s["fault"] + "?" for s in typical[0]["stated"]),
+        ],
+        [
+            [
+                n,
+                str(sum(c["frames"])),
+                word,
+                number(c["smallest_gain_error"]),
+                number(c["smallest_delay_s"]),
+                *(yes_or_no(s["visible"], "visible", "invisible") for s in c["stated"]),
+            ]
+            for n, *both in zip(names, typical, strongest, strict=False)
+            for word, c in zip((f"{seen['percentile']}th percentile", "strongest"), both, strict=False)
+        ],
+    )
+
+
+def _smallest_visible(seen: dict, estimator: Estimator, unit: str) -> str:
+    """The tables of visibility.json, ``seen``; ``unit``: of |Z|."""
+    typical, strongest = seen["at_percentile"], seen["at_strongest"]
+    names = _cell_names(typical)
+    labels = ["DC", *(f"{w:.3g}" for w in estimator.omega[1:])]
+    stated = ", ".join(f"a gain of {c:g} has g = {abs(1 - c):.3g}" for c in STATED_GAINS)
+
+    def by_bin(key: str, cells: list[dict]) -> list[list[str]]:
+        return [[n, *(number(x, 2) for x in c[key])] for n, c in zip(names, cells, strict=False)]
+
+    head = ["speed, m/s \\ bin, rad/s", *labels]
+    floor = ["any excitation", *(number(x, 2) for x in seen["gain_error_floor"])]
+    gain, gain_strongest = (
+        html_table(head, [*by_bin("gain_error", cells), floor]) for cells in (typical, strongest)
+    )
+    delay, delay_strongest = (html_table(head, by_bin("delay_s", cells)) for cells in (typical, strongest))
+    frames = html_table(
+        head, [[n, *(str(x) for x in c["frames"])] for n, c in zip(names, typical, strict=False)]
+    )
+    size_table, size_strongest = (
+        html_table(head, by_bin("excitation", cells)) for cells in (typical, strongest)
+    )
+    return f"""<h3>Smallest visible error per speed</h3>
+<p>A frame of a vehicle that responds with c times the nominal output shows E = −gZ, |g| = |1 − c|, and \
+exceeds the threshold
+{seen["threshold"]:.4g} exactly when g &gt; threshold / t*(−Z, Z); with one output, when
+g|Z| &gt; threshold · (B<sub>w</sub> + W<sub>Δ</sub>|Z|). A delay τ has g = |1 − e<sup>−jωτ</sup>|. Z is \
+taken at the
+{seen["percentile"]}th percentile of what the bound-setting and calibration drives met in the cell (over at \
+most
+{seen["sampled_frames"]} of its frames), so one counted frame in {100 // (100 - seen["percentile"])} is at \
+least
+as strong, and at the strongest frame met. A smaller fault is invisible unless the excitation is stronger \
+than that, or the vehicle's ordinary
+error happens to add to it; {stated}. “–”: no frame counted there.</p>{_overall(seen)}
+<h3>Smallest visible gain error, per speed and bin, {seen["percentile"]}th percentile</h3>{gain}
+<h3>At the strongest excitation</h3>{gain_strongest}\
+<p class="note">Last line: threshold · W<sub>Δ</sub>, below
+which a gain error stays invisible however strong the excitation. Above 1
+ not even a vehicle that does not respond at all would be noticed in that bin.</p>
+<h3>Smallest visible delay [s], per speed and bin, {seen["percentile"]}th percentile</h3>{delay}
+<h3>At the strongest excitation</h3>{delay_strongest}
+<p class="note">“–”: no delay is large enough (g above 2), DC, or no frame.</p>
+<h3>Excitation |Z| [{escape(unit)}] behind these numbers: {seen["percentile"]}th percentile, strongest</h3>\
+{size_table}{size_strongest}
+<h3>Counted frames</h3>{frames}"""

@@ -1,0 +1,46 @@
+"""What the page keeps of one pass over the drives: counted frames, and the stretches that Fig. 4 shows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Longest:
+    """The longest stretch met so far: name of its drive, first sample, and the sample after its last."""
+
+    drive: str = ""
+    start: int = 0
+    stop: int = 0
+
+    @property
+    def samples(self) -> int:
+        """Length of the stretch [samples]; 0 when none was met."""
+        return self.stop - self.start
+
+    def or_longer(self, drive: str, span: slice) -> Longest:
+        """This stretch, or the ``span`` of ``drive`` when it is longer."""
+        other = Longest(drive, span.start, span.stop)
+        return other if other.samples > self.samples else self
+
+
+@dataclass
+class Visits:
+    """Counted frames of all drives: lists over drives of bins (F,) and Z (F, n_y). Longest judged, excited
+    stretches in the lower and in the upper third of the model's speed range."""
+
+    bin: list[np.ndarray] = field(default_factory=list)
+    Z: list[np.ndarray] = field(default_factory=list)
+    slow: Longest = Longest()
+    fast: Longest = Longest()
+
+
+def longest_run(mask: np.ndarray) -> slice:
+    """The longest run of True in ``mask`` (N,); an empty slice when there is none."""
+    edges = np.flatnonzero(np.diff(np.r_[0, mask.astype(np.int8), 0])).reshape(-1, 2)
+    if not len(edges):
+        return slice(0, 0)
+    a, b = edges[np.argmax(edges[:, 1] - edges[:, 0])]
+    return slice(int(a), int(b))
