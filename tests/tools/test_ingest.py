@@ -75,7 +75,8 @@ def test_any_layout_of_a_signal_equals_cantools(seed, tmp_path):
     start = first if order else 8 * (first // 8) + 7 - first % 8
     dbc = tmp_path / "one.dbc"
     dbc.write_text(
-        f'VERSION ""\nNS_ :\nBS_:\nBU_: A\nBO_ 1 M: 8 A\n SG_ S : {start}|{length}@{order}{sign} (1,0) [0|0] "" A\n'
+        f'VERSION ""\nNS_ :\nBS_:\nBU_: A\nBO_ 1 M: 8 A\n'
+        f' SG_ S : {start}|{length}@{order}{sign} (1,0) [0|0] "" A\n'
     )
     data = rng.integers(0, 256, (64, 8), np.uint8)
     log = tmp_path / "one.log"
@@ -197,7 +198,8 @@ Ts_s = 0.01
 channel = "can0"
 columns.v = {{ unit = "m/s", terms = [{terms}] }}
 columns.sw_angle = {{ unit = "rad", terms = [{{ message = "STEER_ANGLE_SENSOR", signal = "STEER_ANGLE" }},
-                                            {{ message = "STEER_ANGLE_SENSOR", signal = "STEER_FRACTION" }}] }}
+                                            {{ message = "STEER_ANGLE_SENSOR",
+                                               signal = "STEER_FRACTION" }}] }}
 columns.sw_rate = {{ unit = "rad/s", message = "STEER_ANGLE_SENSOR", signal = "STEER_RATE" }}
 columns.r_can = {{ unit = "rad/s", message = "KINEMATICS", signal = "YAW_RATE" }}
 columns.ay = {{ unit = "m/s2", message = "KINEMATICS", signal = "ACCEL_Y", factor = -1 }}
@@ -335,7 +337,8 @@ def random_database(rng: np.random.Generator) -> str:
                 rng.choice(["0", "-40", "12.5"]),
             )
             lines.append(
-                f' SG_ S{k} {"" if page is None else f"m{page} "}: {start}|{bits}@{0 if big else 1}{sign} ({scale},{offset}) [0|0] "km/h" CAR'
+                f" SG_ S{k} {'' if page is None else f'm{page} '}: "
+                f'{start}|{bits}@{0 if big else 1}{sign} ({scale},{offset}) [0|0] "km/h" CAR'
             )
             if floating:
                 floats.append(f"SIG_VALTYPE_ {identifier} S{k} : {1 if bits == 32 else 2};")

@@ -128,7 +128,8 @@ def test_the_response_of_a_scenarios_truck_includes_its_faults_from_the_start_on
     assert yaw[0].imag == 0 and -1.4 * 1.94 / 15 < yaw[0].real < -0.6 * 1.94 / 15 and wheel[0].real < 0
     assert abs(yaw[2]) < abs(yaw[1]) < 1.1 * abs(yaw[0])
     path.write_text(
-        "[plant]\nspeed_profile = [[0, 10]]\n[[plant.actuator_fault]]\nstart_s = 60.0\nextra_delay_s = 0.2\nbrake_gain_ratio = 0.5\n"
+        "[plant]\nspeed_profile = [[0, 10]]\n[[plant.actuator_fault]]\n"
+        "start_s = 60.0\nextra_delay_s = 0.2\nbrake_gain_ratio = 0.5\n"
     )
     _, late, _ = response(path, "--speed", 15, "--omega", "0,0.5,3", "--amplitude", 1)
     np.testing.assert_allclose(

@@ -234,7 +234,7 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
         },
         "due": seen,
         "visible": dict.fromkeys(detectors, seen),
-        "average": dict.fromkeys(detectors, {"calibrated": 0.5, "matched": 0.25}),
+        "average": {d: {"calibrated": 0.5, "matched": 0.25} for d in detectors},
         "matched_stated": dict.fromkeys(detectors, 0.05),
         "matched_claim": "equal false alarms in the loop",
         "within": {
@@ -252,7 +252,7 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
                 for t in ("frame", "energy")
             },
         },
-        "supervision": dict.fromkeys(("faulty", "healthy"), {"as_required": seen, "due": 77, "met": 76}),
+        "supervision": {kind: {"as_required": seen, "due": 77, "met": 76} for kind in ("faulty", "healthy")},
         "bus": [
             {
                 "kind": "GUARD_IN lost",
