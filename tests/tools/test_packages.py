@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from lpvguard.core import targets
+from made import ROOT
 from parts import PROGRAMS
 
-ROOT = Path(__file__).resolve().parents[2]
 EITHER = {"catch2/catch_all.hpp": "catch2/catch.hpp", "catch2/catch.hpp": "catch2/catch_all.hpp"}
 """Headers of which one is enough (tests/catch.hpp)."""
 pytestmark = pytest.mark.skipif(

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from made import ROOT
+
 PYTHON = """#!/bin/sh
 # Makes an environment whose pip writes down that it was asked.
 case "$*" in

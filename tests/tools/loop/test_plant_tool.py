@@ -5,12 +5,12 @@ The tool is the one that `lpvguard generate` runs.
 
 import re
 import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from lpvguard.loop.generate import plant_tool
+from made import ROOT
 
 TOOL = str(plant_tool())
 
@@ -144,7 +144,7 @@ def test_the_response_of_a_scenarios_truck_includes_its_faults_from_the_start_on
         assert done.returncode == 2 and complaint in done.stderr
 
 
-TRUCK = Path(__file__).parents[2] / "firmware_sim/plant/truck.toml"
+TRUCK = ROOT / "firmware_sim/plant/truck.toml"
 LIMITS = "limits (demand): median in 3 .. 12 %, worst at most 40 %"
 
 

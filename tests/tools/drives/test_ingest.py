@@ -16,6 +16,7 @@ from lpvguard.base.errors import InputError
 from lpvguard.can.decode import decode_all, load_database
 from lpvguard.can.logs import EXTENDED, Frames, read_log
 from lpvguard.drives.ingest import ingest, unit_factor
+from made import ROOT
 from other_car import (
     MAP,
     agrees,
@@ -27,7 +28,6 @@ from other_car import (
     write_map,
 )
 
-ROOT = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get("LPVGUARD_DATA", ROOT.parent / "shared/data"))
 
 

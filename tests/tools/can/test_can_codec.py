@@ -22,9 +22,9 @@ from lpvguard.base.errors import InputError
 from lpvguard.can.catalogue import Catalogue, load_catalogue
 from lpvguard.can.codegen import HEADER, SOURCE, codec_files
 from lpvguard.can.dbc import dbc_text
+from made import ROOT
 from parts import require
 
-ROOT = Path(__file__).resolve().parents[2]
 CATALOGUE = load_catalogue()
 GENERATED = [m for m in CATALOGUE.messages if m.codec == "generated"]
 SIGNALS = [pytest.param(m, s, id=f"{m.name}.{s.name}") for m in GENERATED for s in m.signals]
