@@ -197,9 +197,9 @@ def test_the_rav4_log_gives_the_reference_table(tmp_path):
 Ts_s = 0.01
 channel = "can0"
 columns.v = {{ unit = "m/s", terms = [{terms}] }}
-columns.sw_angle = {{ unit = "rad", terms = [{{ message = "STEER_ANGLE_SENSOR", signal = "STEER_ANGLE" }},
-                                            {{ message = "STEER_ANGLE_SENSOR",
-                                               signal = "STEER_FRACTION" }}] }}
+columns.sw_angle = {{ unit = "rad", terms = [
+    {{ message = "STEER_ANGLE_SENSOR", signal = "STEER_ANGLE" }},
+    {{ message = "STEER_ANGLE_SENSOR", signal = "STEER_FRACTION" }}] }}
 columns.sw_rate = {{ unit = "rad/s", message = "STEER_ANGLE_SENSOR", signal = "STEER_RATE" }}
 columns.r_can = {{ unit = "rad/s", message = "KINEMATICS", signal = "YAW_RATE" }}
 columns.ay = {{ unit = "m/s2", message = "KINEMATICS", signal = "ACCEL_Y", factor = -1 }}
