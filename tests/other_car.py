@@ -88,7 +88,8 @@ def other_car(seconds: float = 12.0, start: float = 1000.0) -> list[can.Message]
 
 def candump(frames: list[can.Message], interface: str = "can0") -> str:
     return "".join(
-        f"({m.timestamp:.6f}) {interface} {m.arbitration_id:0{8 if m.is_extended_id else 3}X}#{m.data.hex().upper()}\n"
+        f"({m.timestamp:.6f}) {interface} "
+        f"{m.arbitration_id:0{8 if m.is_extended_id else 3}X}#{m.data.hex().upper()}\n"
         for m in frames
     )
 

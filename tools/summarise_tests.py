@@ -104,7 +104,8 @@ def main() -> int:
         counts["failed"] += 1
     if arguments.fast is not None:
         print(
-            f"fast: {sum(number.values())} of {collected + arguments.fast} tests; the slow ones run with tools/test alone"
+            f"fast: {sum(number.values())} of {collected + arguments.fast} tests; "
+            f"the slow ones run with tools/test alone"
         )
     print(f"{counts['passed']} passed, {counts['failed']} failed, {counts['skipped']} skipped")
     return 1 if counts["failed"] else 0

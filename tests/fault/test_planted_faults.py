@@ -65,7 +65,8 @@ def test_a_planted_fault_changes_the_margins(name, drive, core, vehicle, tmp_pat
 ENERGY_MUTANTS = {
     "forgetting left out": "gram[k] += x[i] * x[j] - forget * gram[k];|gram[k] += x[i] * x[j];",
     "sigma left out": "(norm(self->band[b].right, a) + Real(1));|(norm(self->band[b].right, a) + Real(0.5));",
-    "bands of yhat forgotten": "add(band.right, x + (2 * ny), forget);|add(band.right, whole.data() + (2 * ny), forget);",
+    "bands of yhat forgotten": "add(band.right, x + (2 * ny), forget);"
+    "|add(band.right, whole.data() + (2 * ny), forget);",
     "weight forgotten": "section(r.energy_W[s], weighted, self->W[s]);|(void)s;",
     "a band left out": "if (ratio > self->ratio) {|if (b < last && ratio > self->ratio) {",
 }

@@ -640,7 +640,8 @@ def mutation(tree: Path, scratch: Path, only: str = "") -> list[str]:
     print(
         f"{len(candidates)} mutants: "
         + ", ".join(f"{len(group)} {what}" for what, group in fate.items())
-        + f" ({len(fate['survived']) - len(survived)} of them in mutants.json); {100 * score:.1f} % of the noticeable killed"
+        + f" ({len(fate['survived']) - len(survived)} of them in mutants.json); "
+        f"{100 * score:.1f} % of the noticeable killed"
     )
     for mutant in survived:
         print(f"survived: {mutant}")
@@ -945,7 +946,8 @@ PLANTS: dict[str, list[Plant]] = {
             "firmware_sim/plant/truck.toml",
             "(Table I)",
             "(Table III; DESIGN 7, PLANT.md, paper (12), step 9, Fig. 7)",
-            r"no step 9(.|\n)*no figure 7(.|\n)*no table III(.|\n)*no equation 12(.|\n)*DESIGN is no text(.|\n)*PLANT\.md is no text",
+            r"no step 9(.|\n)*no figure 7(.|\n)*no table III(.|\n)*no equation 12(.|\n)*"
+            r"DESIGN is no text(.|\n)*PLANT\.md is no text",
         ),
     ],
     "options": [
@@ -990,7 +992,7 @@ PLANTS: dict[str, list[Plant]] = {
         ),
         Plant(
             "lib/src/can.cpp",
-            "uint32_t       bits  = frame.data[first];",
+            "uint32_t bits = frame.data[first];",
             "uint16_t bits = 0U; std::memcpy(&bits, &frame.data[first], 2U);",
             r"tests:(.|\n)*limits of a signal",
             "can",
@@ -1080,7 +1082,8 @@ def self_test(gate: str, source: Path, scratch: Path) -> list[str]:
         file.write_text(good)
         if not re.search(plant.expect, findings):
             missed.append(
-                f"planted {plant.new!r} in {plant.file}; wanted /{plant.expect}/, found: {findings or 'nothing'}"
+                f"planted {plant.new!r} in {plant.file}; wanted /{plant.expect}/, "
+                f"found: {findings or 'nothing'}"
             )
     return missed
 

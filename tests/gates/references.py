@@ -7,7 +7,8 @@ Looked at in every text file of the tree, except this gate and its planted bugs:
                           to 6
     REQ-...-n             a requirement of lib/REQUIREMENTS.md
     section n             of a work that is named with its year, or of a standard, within the words before
-    *.md                  a file of the tree
+    *.md                  a file of the tree, or FOLDER/name.md, where the package writes "name.md" and the
+                          tree has no such folder
 
 and in Markdown, comments and docstrings besides:
 
@@ -60,7 +61,8 @@ PAPER = {
     "section": (re.compile(r"\b[Ss]ection ([IVX]+)\b"), {"I", "II", "III", "IV", "V", "VI", "VII"}),
     "equation": (
         re.compile(
-            r"\b(?:[Pp]aper|side of|ball|Optimum of|Minimum of|J of|point of|satisfy|in)\s+\((\d{1,2})\)(?: to \((\d{1,2})\))?"
+            r"\b(?:[Pp]aper|side of|ball|Optimum of|Minimum of|J of|point of|satisfy|in)"
+            r"\s+\((\d{1,2})\)(?: to \((\d{1,2})\))?"
         ),
         {str(n) for n in range(1, 10)},
     ),
@@ -150,7 +152,8 @@ def defines(path: Path, symbol: str) -> bool:
     name = re.escape(symbol)
     return (
         re.search(
-            rf"^[^\n=;/]*\b(?:class|struct|enum)\s+{name}\b|^(?!\s*(?:return|//))[^\n=;]*[\w>&*]\s*[ *&]{name}\s*\(",
+            rf"^[^\n=;/]*\b(?:class|struct|enum)\s+{name}\b"
+            rf"|^(?!\s*(?:return|//))[^\n=;]*[\w>&*]\s*[ *&]{name}\s*\(",
             text,
             re.MULTILINE,
         )
@@ -243,6 +246,12 @@ def references(tree: Path, scratch: Path) -> list[str]:
         if p.suffix == ".py" and f not in PLANTED
         for made in re.findall(rf'"([\w-]+\.{SOURCE})"', p.read_text(encoding="utf-8"))
     }
+    texts = {
+        text
+        for f, p in files.items()
+        if f.startswith("tools/src/") and p.suffix == ".py"
+        for text in re.findall(r'"([\w-]+\.md)"', p.read_text(encoding="utf-8"))
+    }
 
     for name, path in files.items():
         if name in PLANTED or (path.suffix not in SUFFIXES and name not in PROGRAMS):
@@ -255,8 +264,11 @@ def references(tree: Path, scratch: Path) -> list[str]:
         line = unwrapped(text)
         _citations(line, where, name, theory, stated, found)
         for m in TEXT_NAME.finditer(line):
+            folder, _, text_name = m[1].rpartition("/")
             found.see(
-                m[1] in endings or os.path.normpath(Path(name).parent / m[1]) in files,
+                m[1] in endings
+                or os.path.normpath(Path(name).parent / m[1]) in files
+                or (text_name in texts and folder not in folders),
                 where(m.start()),
                 f"{m[1]} is no text of the repository",
             )

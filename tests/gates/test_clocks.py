@@ -97,13 +97,15 @@ def test_no_test_asserts_a_clock(path):
     [
         ("import time\nstart = time.process_time()\nwork()\nassert time.process_time() - start < 5.0\n", [4]),
         (
-            "seconds = []\nstart = time.perf_counter()\nseconds.append(time.perf_counter() - start)\nassert len(x) and median(seconds) < 0.3\n",
+            "seconds = []\nstart = time.perf_counter()\n"
+            "seconds.append(time.perf_counter() - start)\nassert len(x) and median(seconds) < 0.3\n",
             [4],
         ),
         ("a, b = f(), time.monotonic()\nlate = b - a\nassert late < 1\nassert a == 1\n", [3]),
         ("from time import perf_counter\nassert perf_counter() < 1\n", [2]),
         (
-            "def clock():\n    return 0\nassert clock() == 0\nfor _ in range(100):\n    time.sleep(0.05)\nassert drive.time[3] == 2\n",
+            "def clock():\n    return 0\nassert clock() == 0\n"
+            "for _ in range(100):\n    time.sleep(0.05)\nassert drive.time[3] == 2\n",
             [],
         ),
     ],

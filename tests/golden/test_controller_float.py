@@ -129,9 +129,8 @@ def drive(
     """Speed (n,) that leaves the range at both ends, and measurements (n, 3) of ``size`` [rad/s, rad/s, rad],
     float's."""
     t = start_s + Ts * np.arange(n)
-    m = size * (
-        np.sin(np.outer(t, [0.31, 0.37, 0.43]) + [0.0, 0.3, 1.0]) + 0.02 * rng.standard_normal((n, 3))
-    )
+    phase = np.array([0.0, 0.3, 1.0])
+    m = size * (np.sin(np.outer(t, [0.31, 0.37, 0.43]) + phase) + 0.02 * rng.standard_normal((n, 3)))
     return (15 + 9 * np.sin(0.05 * t)).astype(np.float32), m.astype(np.float32)
 
 

@@ -319,7 +319,7 @@ def test_a_folder_of_something_else_and_bounds_of_another_export_are_refused(
     other = replace(found, fitted=replace(found.fitted, inflation=1.1))
     with pytest.raises(InputError, match="not those of the identification"):
         stage.campaign(other, drives, truck_folder, tmp_path / "new", seed=1, size=stage.Size(0.05, 1))
-    with pytest.raises(InputError, match="controller.json"):
+    with pytest.raises(InputError, match=r"controller\.json"):
         stage.campaign(
             found,
             drives,

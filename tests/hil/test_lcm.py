@@ -249,11 +249,15 @@ from lpvguard.base.errors import InputError
 from lpvguard.loop.lcm_client import Client, state_name
 URL = "udpm://239.255.76.67:7667?ttl=0"
 client, cli = Client(URL), [sys.executable, "-m", "lpvguard.cli"]
-watching = subprocess.Popen([*cli, "lcm", "watch", "--url", URL, "--silence", "100"], stdout=subprocess.PIPE, text=True)
-loop = subprocess.Popen([*cli, "sim", *sys.argv[1:], "--lcm", URL, "--paused", "--json", "-"], stdout=subprocess.PIPE, text=True)
+def started(*words):
+    return subprocess.Popen([*cli, *words], stdout=subprocess.PIPE, text=True)
+
+watching = started("lcm", "watch", "--url", URL, "--silence", "100")
+loop = started("sim", *sys.argv[1:], "--lcm", URL, "--paused", "--json", "-")
 
 def paused_at():
-    return next(m.utime for c, m in client.messages(100) if c == "LPVGUARD_STATUS" and m.id == 0 and state_name(m) == "paused" and m.utime != at)
+    status = (m for c, m in client.messages(100) if c == "LPVGUARD_STATUS" and m.id == 0)
+    return next(m.utime for m in status if state_name(m) == "paused" and m.utime != at)
 
 at = None
 at = paused_at()
@@ -270,14 +274,17 @@ try:
 except InputError as error:
     refused = str(error)
 step(50)
-found = subprocess.run([*cli, "lcm", "send", "clear", lost.entry, "--url", URL], capture_output=True, text=True)
+clear = [*cli, "lcm", "send", "clear", lost.entry, "--url", URL]
+found = subprocess.run(clear, capture_output=True, text=True)
 step(250)
 stop = client.command("stop", timeout_s=20)
 heard = {}
 for channel, message in client.messages(2.0):
     heard[channel] = heard.get(channel, 0) + 1
-print(json.dumps({"said": said, "lost": [lost.utime, lost.entry], "refused": refused, "found": [found.returncode, found.stdout, found.stderr],
-                  "stop": stop.utime, "run": json.loads(loop.communicate()[0]), "watched": watching.communicate()[0].splitlines()}))
+print(json.dumps({"said": said, "lost": [lost.utime, lost.entry], "refused": refused,
+                  "found": [found.returncode, found.stdout, found.stderr], "stop": stop.utime,
+                  "run": json.loads(loop.communicate()[0]),
+                  "watched": watching.communicate()[0].splitlines()}))
 """
 
 

@@ -10,12 +10,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import can
 import numpy as np
 import pytest
-
-from vcan import with_vcan
-
-can = pytest.importorskip("can")
 
 from lpvguard.base.errors import InputError
 from lpvguard.can.catalogue import load_catalogue
@@ -26,6 +23,7 @@ from lpvguard.drives.tables import Drive, list_experiments, read_drive
 from lpvguard.loop.sim import load_scenario
 from lpvguard.replay.run import Replayer
 from lpvguard.vehicle.project import load_project
+from vcan import with_vcan
 
 VDC2, GUARD_OUT = 0x18F0093E | EXTENDED, 0x18FF01FC | EXTENDED
 WARM_S = 0.4
@@ -213,14 +211,14 @@ def test_jitter_and_disorder_of_arrival_lose_no_sample(on_bus, g80_replayer):
 
 
 def test_logs_that_cannot_be_judged_say_why(on_bus, g80, g80_replayer, tmp_path):
-    with pytest.raises(InputError, match="no frame of VDC2 .*CCVS1"):
+    with pytest.raises(InputError, match=r"no frame of VDC2 .*CCVS1"):
         g80_replayer.replay_frames(only(on_bus, on_bus.id == 7), Path("x.log"))
-    with pytest.raises(InputError, match="no sample at all: VDC2: .*CCVS1: .*missed"):
+    with pytest.raises(InputError, match=r"no sample at all: VDC2: .*CCVS1: .*missed"):
         g80_replayer.replay_frames(only(on_bus, on_bus.id == VDC2), Path("x.log"))
     twice = dataclasses.replace(
         on_bus, channel=(np.arange(len(on_bus)) % 2).astype(np.uint8), channels=["can0", "can1"]
     )
-    with pytest.raises(InputError, match="can0, can1.*--channel"):
+    with pytest.raises(InputError, match=r"can0, can1.*--channel"):
         g80_replayer.replay_frames(twice, Path("x.log"))
     with pytest.raises(InputError, match="can7 is not in the log"):
         g80_replayer.replay_frames(twice, Path("x.log"), "can7")
@@ -260,7 +258,9 @@ import subprocess, sys
 logged, count, drive, *options = sys.argv[1:]
 with open(logged, "wb") as out:
     logger = subprocess.Popen(["candump", "-L", "-n", count, "-T", "60000", "vcan0"], stdout=out)
-    done = subprocess.run([sys.executable, "-m", "lpvguard.cli", "replay", drive, "--to", "socketcan:vcan0", *options])
+    done = subprocess.run([
+        sys.executable, "-m", "lpvguard.cli", "replay", drive, "--to", "socketcan:vcan0", *options
+    ])
     logger.wait(timeout=60)
 sys.exit(done.returncode)
 """

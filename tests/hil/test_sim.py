@@ -54,7 +54,8 @@ def test_shipped_scenarios_show_what_they_expect(simulator, name):
     for seed in SEEDS:
         run = simulator.run(load_scenario(name), seed=seed)
         print(
-            f"{name}, seed {seed}: invalid at {run['first_invalid_s']}, {run['real_time_factor']:.0f} x real time"
+            f"{name}, seed {seed}: invalid at {run['first_invalid_s']}, "
+            f"{run['real_time_factor']:.0f} x real time"
         )
         assert run["missed"] == []
 
@@ -118,7 +119,7 @@ def test_a_profile_is_followed_and_its_faults_are_named(simulator, tmp_path):
     )
     for knots in ("[]", "[[0.0]]", "[[1.0, 0.0], [1.0, 0.1]]", "[[0.0, 0.9]]", "3.0"):
         write(knots)
-        with pytest.raises(InputError, match="command.knots"):
+        with pytest.raises(InputError, match=r"command\.knots"):
             simulator.run(load_scenario(str(path)))
 
 
@@ -264,7 +265,7 @@ def test_changing_one_coefficient_is_noticed_at_start(truck_folder, scenario, tm
     altered = re.sub(r"\.u_max = .*", ".u_max = {LPVG_NUMBER(3.5f, 3.5)},", source)
     assert altered != source
     (folder / "lpvguard_control.c").write_text(altered)
-    with pytest.raises(InputError, match="lpvguard_control.c: is not the file"):
+    with pytest.raises(InputError, match=r"lpvguard_control\.c: is not the file"):
         Simulator(folder)
     artefacts.seal(folder)  # what the seal does not notice is noticed all the same
     with pytest.raises(InputError, match="refused its coefficients"):

@@ -236,7 +236,7 @@ def test_two_vehicles_share_an_image(tmp_path):
 
 def test_missing_tools_are_named_with_their_packages(vehicle, monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda tool: None)
-    with pytest.raises(InputError, match="qemu-system-arm.*gcc-arm-none-eabi"):
+    with pytest.raises(InputError, match=r"qemu-system-arm.*gcc-arm-none-eabi"):
         targets.run_target("cortex-m4f", *vehicle, same_bits=True)
 
 

@@ -140,7 +140,8 @@ def test_babbling_with_an_identifier_of_ours(loop, truck_folder, tmp_path):
     end_s = got["duration_s"] - tail_ended_s - after_s
     live_s, state = changes[-1]
     print(
-        f"off {(changes[0][0] - begin_s) * 1e3:.0f} ms after its first frame, live {(live_s - end_s) * 1e3:.0f} ms after its last"
+        f"off {(changes[0][0] - begin_s) * 1e3:.0f} ms after its first frame, "
+        f"live {(live_s - end_s) * 1e3:.0f} ms after its last"
     )
     assert state == "live" and live_s <= end_s + RECOVERY_S
     assert not any(s == "live" for t, s in changes if begin_s < t < end_s)
@@ -171,7 +172,8 @@ REAL_TIME = """
 import subprocess, sys
 ecu = subprocess.Popen([sys.argv[1], "vcan0", "--seconds", "30"], stdout=subprocess.PIPE)
 heard = subprocess.Popen(["candump", "-L", "-T", "30000", "vcan0,18FF01FC:1FFFFFFF"], stdout=subprocess.PIPE)
-subprocess.run([sys.executable, "-m", "lpvguard.cli", "replay", sys.argv[2], "--vehicle", "truck", "--to", "socketcan:vcan0"], check=True)
+replay = [sys.executable, "-m", "lpvguard.cli", "replay", sys.argv[2], "--vehicle", "truck"]
+subprocess.run([*replay, "--to", "socketcan:vcan0"], check=True)
 ecu.terminate()
 heard.terminate()
 print(ecu.communicate()[0].decode().strip())

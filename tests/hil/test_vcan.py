@@ -7,12 +7,8 @@ import sys
 import numpy as np
 import pytest
 
-from vcan import with_vcan
-
-pytest.importorskip("can")
-pytest.importorskip("cantools")
-
 from lpvguard.can.logs import read_log
+from vcan import with_vcan
 
 PLAYER = """
 import subprocess, sys, time
@@ -22,7 +18,9 @@ T = np.arange(0, 2, 0.02)
 frames = frames_of_drive(T, {("VDC2", "yaw_rate"): 0.1 * np.sin(T), ("CCVS1", "wheel_based_speed"): 54 + T})
 write_candump(frames, sys.argv[1])
 with open(sys.argv[2], "wb") as out:
-    logger = subprocess.Popen(["candump", "-L", "-n", str(len(frames) + 1), "-T", "20000", "vcan0"], stdout=out)
+    logger = subprocess.Popen(["candump", "-L", "-n", str(len(frames) + 1), "-T", "20000", "vcan0"],
+        stdout=out,
+    )
     with can.Bus("vcan0", interface="socketcan", receive_own_messages=False) as bus:
         time.sleep(0.5)                       # candump is listening
         subprocess.run(["cansend", "vcan0", "123#DEADBEEF"], check=True)

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from lpvguard.core import targets
+from made import ROOT
 from parts import PROGRAMS
 
-ROOT = Path(__file__).resolve().parents[2]
 EITHER = {"catch2/catch_all.hpp": "catch2/catch.hpp", "catch2/catch.hpp": "catch2/catch_all.hpp"}
 """Headers of which one is enough (tests/catch.hpp)."""
 pytestmark = pytest.mark.skipif(
@@ -120,7 +120,8 @@ def programs() -> dict[str, str]:
         asked |= {name: str(path.relative_to(ROOT)) for name in re.findall(calls, text, re.MULTILINE)}
     for path, text in cmake.items():
         for words in re.findall(
-            r"lpvg_missing\(\w+ \w+ ([\w+ -]+)\)|find_program\(\w+ ([\w+-]+)|_(?:COMPILER|EMULATOR) ([a-z][\w+-]+)\)",
+            r"lpvg_missing\(\w+ \w+ ([\w+ -]+)\)"
+            r"|find_program\(\w+ ([\w+-]+)|_(?:COMPILER|EMULATOR) ([a-z][\w+-]+)\)",
             text,
         ):
             asked |= {name: str(path.relative_to(ROOT)) for name in " ".join(words).split()}
@@ -160,7 +161,8 @@ def modules() -> dict[str, str]:
     asked: dict[str, str] = {}
     for path, text in texts("firmware_sim/CMakeLists.txt", "tools/src/**/*.py").items():
         found = re.findall(
-            r'pkg_check_modules\(\w+ (?:REQUIRED )?(?:IMPORTED_TARGET )?(\w+)\)|"pkg-config", "[^"]+", "(\w+)"',
+            r"pkg_check_modules\(\w+ (?:REQUIRED )?(?:IMPORTED_TARGET )?(\w+)\)"
+            r'|"pkg-config", "[^"]+", "(\w+)"',
             text,
         )
         asked |= {name: str(path.relative_to(ROOT)) for words in found for name in words if name}
@@ -220,7 +222,8 @@ def uncovered(packages: set[str]) -> tuple[list[str], list[str]]:
             (open_ if absent else lost).append(f"{kind} {name}, asked for by {who}: not on this machine")
         elif not owned[path] & all_of_them:
             lost.append(
-                f"{kind} {name}, asked for by {who}: of {', '.join(sorted(owned[path])) or 'no package'}, which is not on the lists"
+                f"{kind} {name}, asked for by {who}: "
+                f"of {', '.join(sorted(owned[path])) or 'no package'}, which is not on the lists"
             )
     return lost, open_
 
@@ -230,7 +233,8 @@ def test_what_the_build_asks_for_is_of_a_package_on_the_lists():
     assert lost == []
     if open_:
         pytest.skip(
-            f"{', '.join(sorted(listed() - set(installed())))} not installed; all is on the lists but, not judged: {'; '.join(open_)}"
+            f"{', '.join(sorted(listed() - set(installed())))} not installed; "
+            f"all is on the lists but, not judged: {'; '.join(open_)}"
         )
 
 

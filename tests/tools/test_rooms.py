@@ -307,6 +307,11 @@ def test_the_picture_in_the_readme_is_that_of_the_packages():
     assert table == list(ORDER)
 
 
+def test_every_room_has_its_folder_of_tests_and_no_other_is_there():
+    folders = {path.parent.name for path in Path(__file__).parent.glob("*/test_*.py")}
+    assert folders == set(ORDER)
+
+
 def test_every_stop_of_the_walks_exists():
     text = README.read_text(encoding="utf-8")
     walks = re.split(r"^### ", text.partition("## Four walks")[2].partition("\n## ")[0], flags=re.MULTILINE)[

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from made import ROOT
+
 PYTHON = """#!/bin/sh
 # Makes an environment whose pip writes down that it was asked.
 case "$*" in
@@ -36,7 +37,10 @@ def checkout(tmp_path):
 
 def shell(root: Path, commands: str, **environment: str) -> subprocess.CompletedProcess[str]:
     """Commands after the set-up's functions; the interpreter is the fake."""
-    script = f'set -euo pipefail; root={root}; . "$root/tools/setup.sh"; find_python() {{ python={root.parent}/python; }}; {commands}'
+    script = (
+        f'set -euo pipefail; root={root}; . "$root/tools/setup.sh"; '
+        f"find_python() {{ python={root.parent}/python; }}; {commands}"
+    )
     return subprocess.run(
         ["bash", "-c", script],
         env={**os.environ, "CALLS": str(root.parent / "calls"), "PIP_FAILS": "-nothing-", **environment},
@@ -162,7 +166,10 @@ def test_without_root_needed_packages_are_named_and_nothing_is_asked_of_apt(chec
     )
 
 
-APT_SAYS = "Reading\ndlstatus:1:30.5:Retrieving\ndlstatus:1:31:Retrieving\npmstatus:clang:1:Unpacking clang (amd64)\npmstatus:x:2:Unpacking x (amd64)\nE: broken\n"
+APT_SAYS = (
+    "Reading\ndlstatus:1:30.5:Retrieving\ndlstatus:1:31:Retrieving\n"
+    "pmstatus:clang:1:Unpacking clang (amd64)\npmstatus:x:2:Unpacking x (amd64)\nE: broken\n"
+)
 
 
 def test_progress_is_a_line_a_quarter_and_a_line_a_package(checkout, tmp_path):
@@ -197,7 +204,9 @@ GOOD = '<testsuite><testcase name="a.b" time="1"/></testsuite>'
         (GOOD, "", ["--clean-room", "failed"], "3 passed, 1 failed, 0 skipped", "FAILED clean-room"),
         (GOOD, "", ["--fast", "7"], "3 passed, 0 failed, 0 skipped", "fast: 3 of 7 tests"),
         (
-            '<testsuite><testcase name="hil.x" status="notrun"><skipped message="SKIP_REGULAR_EXPRESSION_MATCHED"/><system-out>skipped: no clang\n</system-out>'
+            '<testsuite><testcase name="hil.x" status="notrun">'
+            '<skipped message="SKIP_REGULAR_EXPRESSION_MATCHED"/>'
+            "<system-out>skipped: no clang\n</system-out>"
             "</testcase></testsuite>",
             "",
             [],

@@ -50,7 +50,8 @@ def test_of_several_that_start_together_one_compiles(tmp_path, cache, monkeypatc
     c = source(tmp_path, "int f(void) { return 3; }\n")
     compiler = source(
         tmp_path,
-        f'#!/bin/sh\n[ "$1" = --version ] || echo run >>"{tmp_path}/runs"\nexec "{shutil.which("cc")}" "$@"\n',
+        f'#!/bin/sh\n[ "$1" = --version ] ||'
+        f' echo run >>"{tmp_path}/runs"\nexec "{shutil.which("cc")}" "$@"\n',
         "cc",
     )
     compiler.chmod(0o755)

@@ -33,7 +33,7 @@ def test_a_changed_table_changes_header_checks_and_manual():
 def test_a_header_without_its_marks_is_refused(tmp_path):
     (tmp_path / "include/lpvguard").mkdir(parents=True)
     (tmp_path / "include/lpvguard/coeff.h").write_text("no marks")
-    with pytest.raises(InputError, match="coeff.h: the marks"):
+    with pytest.raises(InputError, match=r"coeff\.h: the marks"):
         layout.generated(tmp_path)
 
 

@@ -459,7 +459,7 @@ def test_a_block_without_input_cannot_explain():
         np.zeros(1, complex),
         np.ones(1, complex),
     )
-    with pytest.raises(InputError, match="zero|B1|no Delta"):
+    with pytest.raises(InputError, match=r"zero|B1|no Delta"):
         lft.optimum(silent, 0.5, [1.0])
     assert lft.optimum(silent, 1.1, [1.0]).upper == 0.0
 

@@ -16,6 +16,7 @@ from lpvguard.base.errors import InputError
 from lpvguard.can.decode import decode_all, load_database
 from lpvguard.can.logs import EXTENDED, Frames, read_log
 from lpvguard.drives.ingest import ingest, unit_factor
+from made import ROOT
 from other_car import (
     MAP,
     agrees,
@@ -27,7 +28,6 @@ from other_car import (
     write_map,
 )
 
-ROOT = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get("LPVGUARD_DATA", ROOT.parent / "shared/data"))
 
 
@@ -75,7 +75,8 @@ def test_any_layout_of_a_signal_equals_cantools(seed, tmp_path):
     start = first if order else 8 * (first // 8) + 7 - first % 8
     dbc = tmp_path / "one.dbc"
     dbc.write_text(
-        f'VERSION ""\nNS_ :\nBS_:\nBU_: A\nBO_ 1 M: 8 A\n SG_ S : {start}|{length}@{order}{sign} (1,0) [0|0] "" A\n'
+        f'VERSION ""\nNS_ :\nBS_:\nBU_: A\nBO_ 1 M: 8 A\n'
+        f' SG_ S : {start}|{length}@{order}{sign} (1,0) [0|0] "" A\n'
     )
     data = rng.integers(0, 256, (64, 8), np.uint8)
     log = tmp_path / "one.log"
@@ -196,8 +197,9 @@ def test_the_rav4_log_gives_the_reference_table(tmp_path):
 Ts_s = 0.01
 channel = "can0"
 columns.v = {{ unit = "m/s", terms = [{terms}] }}
-columns.sw_angle = {{ unit = "rad", terms = [{{ message = "STEER_ANGLE_SENSOR", signal = "STEER_ANGLE" }},
-                                            {{ message = "STEER_ANGLE_SENSOR", signal = "STEER_FRACTION" }}] }}
+columns.sw_angle = {{ unit = "rad", terms = [
+    {{ message = "STEER_ANGLE_SENSOR", signal = "STEER_ANGLE" }},
+    {{ message = "STEER_ANGLE_SENSOR", signal = "STEER_FRACTION" }}] }}
 columns.sw_rate = {{ unit = "rad/s", message = "STEER_ANGLE_SENSOR", signal = "STEER_RATE" }}
 columns.r_can = {{ unit = "rad/s", message = "KINEMATICS", signal = "YAW_RATE" }}
 columns.ay = {{ unit = "m/s2", message = "KINEMATICS", signal = "ACCEL_Y", factor = -1 }}
@@ -335,7 +337,8 @@ def random_database(rng: np.random.Generator) -> str:
                 rng.choice(["0", "-40", "12.5"]),
             )
             lines.append(
-                f' SG_ S{k} {"" if page is None else f"m{page} "}: {start}|{bits}@{0 if big else 1}{sign} ({scale},{offset}) [0|0] "km/h" CAR'
+                f" SG_ S{k} {'' if page is None else f'm{page} '}: "
+                f'{start}|{bits}@{0 if big else 1}{sign} ({scale},{offset}) [0|0] "km/h" CAR'
             )
             if floating:
                 floats.append(f"SIG_VALTYPE_ {identifier} S{k} : {1 if bits == 32 else 2};")

@@ -5,12 +5,12 @@ The tool is the one that `lpvguard generate` runs.
 
 import re
 import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from lpvguard.loop.generate import plant_tool
+from made import ROOT
 
 TOOL = str(plant_tool())
 
@@ -128,7 +128,8 @@ def test_the_response_of_a_scenarios_truck_includes_its_faults_from_the_start_on
     assert yaw[0].imag == 0 and -1.4 * 1.94 / 15 < yaw[0].real < -0.6 * 1.94 / 15 and wheel[0].real < 0
     assert abs(yaw[2]) < abs(yaw[1]) < 1.1 * abs(yaw[0])
     path.write_text(
-        "[plant]\nspeed_profile = [[0, 10]]\n[[plant.actuator_fault]]\nstart_s = 60.0\nextra_delay_s = 0.2\nbrake_gain_ratio = 0.5\n"
+        "[plant]\nspeed_profile = [[0, 10]]\n[[plant.actuator_fault]]\n"
+        "start_s = 60.0\nextra_delay_s = 0.2\nbrake_gain_ratio = 0.5\n"
     )
     _, late, _ = response(path, "--speed", 15, "--omega", "0,0.5,3", "--amplitude", 1)
     np.testing.assert_allclose(
@@ -143,7 +144,7 @@ def test_the_response_of_a_scenarios_truck_includes_its_faults_from_the_start_on
         assert done.returncode == 2 and complaint in done.stderr
 
 
-TRUCK = Path(__file__).parents[2] / "firmware_sim/plant/truck.toml"
+TRUCK = ROOT / "firmware_sim/plant/truck.toml"
 LIMITS = "limits (demand): median in 3 .. 12 %, worst at most 40 %"
 
 

@@ -3,7 +3,6 @@
 import csv
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,8 +19,9 @@ from lpvguard.engine.synthesis.statespace import StateSpace, lft, to_discrete
 from lpvguard.engine.synthesis.worst_case import close_delta, worst_case
 from lpvguard.report.design_pictures import drawn
 from lpvguard.vehicle import truck_model
+from made import ROOT
 
-CASE = Path(__file__).parents[1] / "data" / "paper_case.toml"
+CASE = ROOT / "tests" / "data" / "paper_case.toml"
 TS = 0.005
 OBJECTIVE = {"A_t": 95.0, "A_u": 1e-6}
 

@@ -275,10 +275,18 @@ def mixed_sensitivity(n, slow, fast):
 
 def companion(G):
     """G in controllable canonical coordinates of the sum of its inputs, transformed in exact arithmetic."""
-    n, exact = G.order, lambda M: [[Fraction(x) for x in row] for row in np.asarray(M).tolist()]
-    times = lambda X, Y: [
-        [sum(a * b for a, b in zip(row, col, strict=True)) for col in zip(*Y, strict=True)] for row in X
-    ]
+    n = G.order
+
+    def exact(M):
+        return [[Fraction(x) for x in row] for row in np.asarray(M).tolist()]
+
+    def numbers(M):
+        return np.array([[float(x) for x in row] for row in M])
+
+    def times(X, Y):
+        return [
+            [sum(a * b for a, b in zip(row, col, strict=True)) for col in zip(*Y, strict=True)] for row in X
+        ]
 
     def solve(M, R):
         M = [row + rest for row, rest in zip(M, R, strict=True)]
@@ -299,7 +307,6 @@ def companion(G):
     K = [list(row) for row in zip(*krylov, strict=True)]
     a = [row[0] for row in solve(K, [[-row[0]] for row in v])] + [Fraction(1)]
     T = times(K, [[a[i + j + 1] if i + j < n else Fraction(0) for j in range(n)] for i in range(n)])
-    numbers = lambda M: np.array([[float(x) for x in row] for row in M])
     rows = np.vstack([np.eye(n)[1:], [-float(x) for x in a[:-1]]])
     return StateSpace(rows, numbers(solve(T, exact(G.B))), numbers(times(exact(G.C), T)), G.D)
 

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from lpvguard.problems import solve
+from made import ROOT
 
-REPOSITORY = Path(__file__).resolve().parents[2]
-GOLDEN = REPOSITORY / "tests" / "golden" / "validation_problems.json"
+GOLDEN = ROOT / "tests" / "golden" / "validation_problems.json"
 
 
 def cases_file() -> Path:
-    folder = Path(os.environ.get("LPVGUARD_CASES", REPOSITORY / ".." / "shared" / "cases"))
+    folder = Path(os.environ.get("LPVGUARD_CASES", ROOT / ".." / "shared" / "cases"))
     return folder if folder.is_file() else folder / "problems.json"
 
 

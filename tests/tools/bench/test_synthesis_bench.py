@@ -1,15 +1,15 @@
 """The performance table: what it measures, and that a peer's claim is not taken for its result."""
 
 import sys
-from pathlib import Path
 
 import pytest
 
 from lpvguard.bench import synthesis as bench
 from lpvguard.bench._peers import ask
 from lpvguard.engine.synthesis.cases import case_plant, read_case
+from made import ROOT
 
-CASE = Path(__file__).parents[1] / "data" / "paper_case.toml"
+CASE = ROOT / "tests" / "data" / "paper_case.toml"
 
 
 def test_the_table_measures_three_syntheses_at_the_papers_order():
@@ -26,14 +26,16 @@ def test_the_table_measures_three_syntheses_at_the_papers_order():
         ("raise SystemExit('solver panic')", "failed: solver panic"),
         (
             (
-                'import json, sys; json.dump({"seconds": 1.0, "claimed": 0.5, "A": [[-1.0]], "B": [[0.0] * 3],'
+                "import json, sys; "
+                'json.dump({"seconds": 1.0, "claimed": 0.5, "A": [[-1.0]], "B": [[0.0] * 3],'
                 ' "C": [[0.0]], "D": [[0.0] * 3]}, open(sys.argv[2], "w"))'
             ),
             "claim not met",
         ),
         (
             (
-                'import json, sys; json.dump({"seconds": 1.0, "claimed": 0.5, "A": [[1.0]], "B": [[0.0] * 3],'
+                "import json, sys; "
+                'json.dump({"seconds": 1.0, "claimed": 0.5, "A": [[1.0]], "B": [[0.0] * 3],'
                 ' "C": [[0.0]], "D": [[0.0] * 3]}, open(sys.argv[2], "w"))'
             ),
             "its loop is unstable",

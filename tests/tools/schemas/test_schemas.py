@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import json
 import re
-from pathlib import Path
 
 import jsonschema
 import pytest
@@ -22,6 +21,7 @@ from lpvguard.loop.sim import load_scenario
 from lpvguard.problems.solve import solve_problems
 from lpvguard.replay.run import Replayer
 from lpvguard.vehicle.nominal import NominalModel
+from made import ROOT
 
 ANNOTATIONS = {"unit", "shape"}
 LOOSE = {"manifest", "problems", "answers"}
@@ -121,7 +121,7 @@ def test_what_a_scenario_expects_is_as_described():
 
 
 def test_the_page_of_the_formats_says_what_the_schemas_say():
-    page = Path(__file__).parents[2] / "tools" / "FORMATS.md"
+    page = ROOT / "tools" / "FORMATS.md"
     assert page.read_text(encoding="utf-8") == schemas.markdown(), (
         "write lpvguard.schemas.markdown() to tools/FORMATS.md"
     )

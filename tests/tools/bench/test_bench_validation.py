@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +10,7 @@ import pytest
 from lpvguard.bench import memory
 from lpvguard.bench import validation as bench
 from lpvguard.engine.validation import s1
+from made import ROOT
 
 
 def test_rows_carry_figures_targets_and_the_certified_gap():
@@ -48,4 +48,4 @@ def test_alarms_without_disturbance_come_with_memory():
 def test_the_table_of_memory_stands_in_the_guide_as_the_command_prints_it(capsys):
     bench.main(["--memory"])
     printed = capsys.readouterr().out.strip()
-    assert printed in (Path(__file__).parents[2] / "tools" / "README.md").read_text()
+    assert printed in (ROOT / "tools" / "README.md").read_text()

@@ -86,6 +86,7 @@ def here(tmp_path, monkeypatch, synthetic, identified, vehicle):
 
 INGEST = "ingest x.csv --signals map.toml"
 REPLAY = "replay --vehicle g80 --coefficients car x.csv"
+EVALUATE = "evaluate --vehicle g80 idn drives --coefficients car"
 REFUSED = {
     # An output that is an input, or lies inside or above one.
     "identify drives -o drives": "identify --vehicle g80 drives -o drives",
@@ -108,8 +109,8 @@ REFUSED = {
     "replay over its coefficients": f"{REPLAY} --json car/lpvguard_coeff.c",
     "identify --json into its drives": "identify --vehicle g80 drives -o new --json drives/found.json",
     "identify --json into its own output": "identify --vehicle g80 drives -o new --json new/found.json",
-    "evaluate into the identification": "evaluate --vehicle g80 idn drives --coefficients car --json idn/evaluation.json",
-    "evaluate over the index": "evaluate --vehicle g80 idn drives --coefficients car --json drives/experiments.csv",
+    "evaluate into the identification": f"{EVALUATE} --json idn/evaluation.json",
+    "evaluate over the index": f"{EVALUATE} --json drives/experiments.csv",
     "report over the project file": "report idn drives --vehicle car.toml --coefficients car -o car.toml",
     "report into the identification": "report idn drives --vehicle g80 --coefficients car -o idn/report.html",
     "ingest over its map": f"{INGEST} -o new --json map.toml",
@@ -124,7 +125,7 @@ REFUSED = {
     "a generated folder by ingest": f"{INGEST} -o car",
     "drives by sim": "sim nominal -o drives",
     "a user's list": f"{REPLAY} --json list.json",
-    "a user's object": "evaluate --vehicle g80 idn drives --coefficients car --json object.json",
+    "a user's object": f"{EVALUATE} --json object.json",
     "a page over a table": "report idn drives --vehicle g80 --coefficients car -o x.csv",
     "a database over notes": "dbc -o notes/thesis.txt",
     "answers over a user's list": "solve problems.json -o list.json",
@@ -138,7 +139,7 @@ REFUSED = {
     "export of other settings": "export --vehicle alpha.toml idn -o new",
     "design of other settings": "design --vehicle alpha.toml idn -o new",
     "replay of other settings": "replay --vehicle alpha.toml --coefficients car x.csv",
-    "evaluate of other settings": "evaluate --vehicle alpha.toml idn drives --coefficients car --json new.json",
+    "evaluate of other settings": f"{EVALUATE} --json new.json".replace("g80", "alpha.toml"),
     "report of other settings": "report idn drives --vehicle alpha.toml --coefficients car -o new.html",
 }
 
@@ -170,7 +171,7 @@ EDITS = {
         "idn/weights.json",
         '"inflation": ',
         '"inflation": 1',
-        "evaluate --vehicle g80 idn drives --coefficients car",
+        EVALUATE,
     ),
     "a bound": (
         "idn/bounds.json",
@@ -197,7 +198,7 @@ EDITS = {
         "#define LPVG_NCELLS 33",
         "sim nominal --coefficients car",
     ),
-    "a signal": ("car/SIGNALS.md", "#", "##", "evaluate --vehicle g80 idn drives --coefficients car"),
+    "a signal": ("car/SIGNALS.md", "#", "##", EVALUATE),
     "a stored setting": ("car/MANIFEST.json", '"alpha": 0.1', '"alpha": 0.2', REPLAY),
 }
 
@@ -251,7 +252,10 @@ def test_what_is_ours_is_replaced_and_ends_the_same(run, here):
 
 def test_the_second_of_two_runs_is_refused_while_the_first_holds_the_folder(run, here):
     before = contents(here)
-    script = "import sys\nfrom pathlib import Path\nfrom lpvguard import artefacts\nwith artefacts.claimed(Path('car')):\n    print('held', flush=True)\n    sys.stdin.read()"
+    script = (
+        "import sys\nfrom pathlib import Path\nfrom lpvguard.base import artefacts\n"
+        "with artefacts.claimed(Path('car')):\n    print('held', flush=True)\n    sys.stdin.read()"
+    )
     with subprocess.Popen(
         [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as first:

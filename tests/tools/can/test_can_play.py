@@ -3,11 +3,9 @@ autosar-e2e."""
 
 from __future__ import annotations
 
+import can
 import numpy as np
 import pytest
-
-can = pytest.importorskip("can")
-pytest.importorskip("cantools")
 
 from lpvguard.base.errors import InputError
 from lpvguard.can.catalogue import load_catalogue
@@ -100,5 +98,5 @@ def test_play_on_a_bus_of_python_can():
 
 
 def test_an_unknown_message_is_refused_by_name():
-    with pytest.raises(InputError, match="VDC3.*one of VDC2"):
+    with pytest.raises(InputError, match=r"VDC3.*one of VDC2"):
         frames_of_drive(T, {("VDC3", "yaw_rate"): T})

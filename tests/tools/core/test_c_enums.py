@@ -30,7 +30,7 @@ def test_names_come_in_the_order_of_their_values_without_the_count(tmp_path):
 )
 def test_a_header_that_does_not_say_so_is_refused(tmp_path, old, new):
     (tmp_path / "gear.h").write_text(HEADER.replace(old, new))
-    with pytest.raises(InputError, match="gear.h: lpvg_gear_t"):
+    with pytest.raises(InputError, match=r"gear\.h: lpvg_gear_t"):
         enum_names(tmp_path / "gear.h", "lpvg_gear_t")
 
 

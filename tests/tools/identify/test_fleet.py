@@ -103,7 +103,8 @@ def test_a_disturbance_bound_that_is_missing_or_below_b1_names_experiment_bin_an
     below[2] = (1 - 1e-6) * size
     s = replace(s, E=np.where(np.arange(3)[:, None] == 2, s.E, 0.1 * s.Z))
     place = re.escape(
-        f"lap_7: bin 2 ({estimator.omega[2]:.6g} rad/s), frame from sample 400: B1 = {size:.6g} and gamma_w = "
+        f"lap_7: bin 2 ({estimator.omega[2]:.6g} rad/s), frame from sample 400: "
+        f"B1 = {size:.6g} and gamma_w = "
     )
     for run in (
         lambda g: reduce_uncertainty([s], estimator, g, grid, n_y, "S1"),
@@ -114,7 +115,7 @@ def test_a_disturbance_bound_that_is_missing_or_below_b1_names_experiment_bin_an
         run(np.where(np.arange(K) == 2, size, below))
     none = below.copy()
     none[2] = np.nan  # a bin that set no bound, met by a drive that has frames there
-    with pytest.raises(InputError, match="lap_7: bin 2 .*gamma_w = nan"):
+    with pytest.raises(InputError, match=r"lap_7: bin 2 .*gamma_w = nan"):
         explain(s, estimator, none, "S1")
     empty = replace(s, E=s.E[:0], Z=s.Z[:0], starts=s.starts[:0])
     assert explain(empty, estimator, none, "S1")[0].shape == (0,), "an empty bin asks for nothing"
@@ -425,7 +426,7 @@ def test_plain_dft_finds_a_known_gain_and_disturbance(g80):
     u = model.input_offset + 0.02 * np.sin(np.outer(t, estimator.omega[[3, 12]])).sum(axis=1)[:, None]
     yhat = model.simulate(v, u, np.zeros(1))
     y = yhat + 1e-3 * np.cos(line * t)[:, None]
-    E, Z = spectra(Drive("d", t, v, u, y), 0, model, estimator)
+    E, _ = spectra(Drive("d", t, v, u, y), 0, model, estimator)
     # The fitted transient, one real number against 2 K, takes a little of the disturbance with it.
     assert abs(E[7, 0]) == pytest.approx(1e-3, rel=0.1)
     assert np.delete(np.abs(E[1:, 0]), 6).max() < 1e-4

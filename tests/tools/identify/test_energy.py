@@ -395,7 +395,7 @@ def test_alarms_of_the_energy_test_stand_in_the_replay_beside_those_of_frames(co
     assert {a.test for a in replay.alarms} == {"frame", "energy"}
     assert [a.t_s for a in replay.alarms] == sorted(a.t_s for a in replay.alarms)
     alarm = next(a for a in replay.alarms if a.test == "energy")
-    assert alarm.t_s > 60.0 and replay.over[int(round(alarm.t_s / g80.Ts_s))]
+    assert alarm.t_s > 60.0 and replay.over[round(alarm.t_s / g80.Ts_s)]
     assert alarm.bin_rad_s is None and alarm.W_delta is None and alarm.direction == [1.0]
     assert alarm.margin == pytest.approx(alarm.E[0] / (alarm.Z[0] + alarm.B_w[0]), rel=1e-4)
     assert alarm.margin > alarm.threshold

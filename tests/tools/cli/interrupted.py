@@ -181,7 +181,8 @@ def replace_computing(variant: str) -> None:
     lpvguard.control.design.save = lambda result, stored, out, more, largest: folder_of(
         "design", {"controller.json": text}
     )(out)
-    lpvguard.engine.synthesis.cases.read_case = lpvguard.engine.synthesis.cases.paper_case = lambda *_, **__: []
+    cases = lpvguard.engine.synthesis.cases
+    cases.read_case = cases.paper_case = lambda *_, **__: []
     lpvguard.control.design_files.case_files = lambda *_: {
         "table2.json": artefacts.to_json({"rows": [], "text": text})
     }
@@ -276,17 +277,19 @@ class Steps:
     """Audit hook of a child: counts the steps that touch ``root``, tells of each, and does ``act`` before
     step ``at``."""
 
-    EVENTS = {
-        "open",
-        "os.mkdir",
-        "os.rename",
-        "os.remove",
-        "os.rmdir",
-        "os.unlink",
-        "shutil.rmtree",
-        "os.truncate",
-        "fcntl.flock",
-    }
+    EVENTS = frozenset(
+        {
+            "open",
+            "os.mkdir",
+            "os.rename",
+            "os.remove",
+            "os.rmdir",
+            "os.unlink",
+            "shutil.rmtree",
+            "os.truncate",
+            "fcntl.flock",
+        }
+    )
 
     def __init__(self, root: Path, at: int | None, act, tell: int | None):
         self.root, self.at, self.act, self.tell, self.count, self.busy = str(root), at, act, tell, 0, False
@@ -437,7 +440,10 @@ class Trial:
         if self.name in NEVER_REPLACED and found == self.new:
             return None  # refused, or the same bytes
         if again or tree(self.root) != self.after:
-            return f"{self.name}, {how}: the next run exits {again} and leaves {sorted(tree(self.root).items() ^ self.after.items())[:4]}"
+            return (
+                f"{self.name}, {how}: the next run exits {again} and leaves "
+                f"{sorted(tree(self.root).items() ^ self.after.items())[:4]}"
+            )
         return None
 
     def _part(self, found: dict[str, str]) -> bool:

@@ -14,6 +14,7 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import cantools
 import numpy as np
 import pytest
 
@@ -21,11 +22,9 @@ from lpvguard.base.errors import InputError
 from lpvguard.can.catalogue import Catalogue, load_catalogue
 from lpvguard.can.codegen import HEADER, SOURCE, codec_files
 from lpvguard.can.dbc import dbc_text
+from made import ROOT
 from parts import require
 
-cantools = pytest.importorskip("cantools")
-
-ROOT = Path(__file__).resolve().parents[2]
 CATALOGUE = load_catalogue()
 GENERATED = [m for m in CATALOGUE.messages if m.codec == "generated"]
 SIGNALS = [pytest.param(m, s, id=f"{m.name}.{s.name}") for m in GENERATED for s in m.signals]
@@ -45,8 +44,10 @@ def _loops(catalogue: Catalogue) -> str:
         name = f"lpvg_can_{m.name.lower()}"
         parts.append(
             f"void loop_{m.name}_unpack(const uint8_t* data, long n, uint16_t* raw) {{\n"
-            f"  for (long i = 0; i < n; ++i) {{ lpvg_can_frame_t f; {name}_t s; f.dlc = 8u; f.id = 0u; f.t_us = 0;\n"
-            f"    memcpy(f.data, data + 8 * i, 8u); if ({name}_unpack(&s, &f) != lpvg_status_ok) {{ return; }}\n"
+            f"  for (long i = 0; i < n; ++i) {{ lpvg_can_frame_t f; {name}_t s; "
+            f"f.dlc = 8u; f.id = 0u; f.t_us = 0;\n"
+            f"    memcpy(f.data, data + 8 * i, 8u); "
+            f"if ({name}_unpack(&s, &f) != lpvg_status_ok) {{ return; }}\n"
         )
         parts += [f"    raw[{len(m.signals)} * i + {k}] = s.{s.name};\n" for k, s in enumerate(m.signals)]
         parts.append(
@@ -57,7 +58,8 @@ def _loops(catalogue: Catalogue) -> str:
             kind = "uint8_t" if s.length <= 8 else "uint16_t"
             parts.append(f"    s.{s.name} = ({kind})raw[{len(m.signals)} * i + {k}];\n")
         parts.append(
-            f"    if ({name}_pack(&s, &f) != lpvg_status_ok) {{ return; }} memcpy(data + 8 * i, f.data, 8u);\n  }}\n}}\n"
+            f"    if ({name}_pack(&s, &f) != lpvg_status_ok) {{ return; }} "
+            f"memcpy(data + 8 * i, f.data, 8u);\n  }}\n}}\n"
         )
         for s in m.signals:
             kind = "uint8_t" if s.length <= 8 else "uint16_t"
@@ -65,7 +67,8 @@ def _loops(catalogue: Catalogue) -> str:
                 f"void loop_{m.name}_{s.name}_encode(const float* x, long n, uint16_t* raw) {{\n"
                 f"  for (long i = 0; i < n; ++i) {{ raw[i] = {name}_{s.name}_encode(x[i]); }}\n}}\n"
                 f"void loop_{m.name}_{s.name}_decode(const uint16_t* raw, long n, float* x, int* q) {{\n"
-                f"  for (long i = 0; i < n; ++i) {{ q[i] = (int){name}_{s.name}_decode(({kind})raw[i], x + i); }}\n}}\n"
+                f"  for (long i = 0; i < n; ++i) {{ "
+                f"q[i] = (int){name}_{s.name}_decode(({kind})raw[i], x + i); }}\n}}\n"
             )
     return "".join(parts)
 
@@ -414,7 +417,8 @@ def test_codec_on_a_big_endian_processor(codec, tmp_path):
         )
     (tmp_path / "main.c").write_text(
         '#include "loops.c"\n#include <stdio.h>\nenum { N = 500 };\n'
-        "static uint8_t data[8 * N], back[8 * N]; static uint16_t raw[8 * N], one[N]; static float x[N]; static int q[N];\n"
+        "static uint8_t data[8 * N], back[8 * N]; "
+        "static uint16_t raw[8 * N], one[N]; static float x[N]; static int q[N];\n"
         "int main(void) { long i; uint32_t bits, r = 1u;\n"
         "    for (i = 0; i < 8 * N; ++i) { r = r * 1664525u + 1013904223u; data[i] = (uint8_t)(r >> 24); }\n"
         + "".join(blocks)

@@ -169,7 +169,8 @@ def j1939_log(*, vdc2: tuple[int, ...] = (0x18F0093E,), absent: range = range(0)
         lines += [f"({t:.6f}) can0 {id_:08X}#{data.hex()}\n" for id_ in vdc2]
         if k % 10 == 0:
             lines.append(
-                f"({t:.6f}) can0 18FEF100#{database.encode_message('CCVS1', {'wheel_based_speed': 54.0}).hex()}\n"
+                f"({t:.6f}) can0 18FEF100#"
+                f"{database.encode_message('CCVS1', {'wheel_based_speed': 54.0}).hex()}\n"
             )
     return "".join(lines)
 

@@ -4,6 +4,7 @@ response."""
 from __future__ import annotations
 
 from importlib import resources
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -46,7 +47,7 @@ def test_recursion_solves_the_differential_equation_with_held_delayed_input(dela
             *([k * Ts + model.delay_fraction * Ts] if model.delay_fraction else []),
             (k + 1) * Ts,
         ]
-        for a, b in zip(switch, switch[1:], strict=False):
+        for a, b in pairwise(switch):
             value = held((a + b) / 2)
             x = solve_ivp(
                 lambda _, s, w=value: A[0, 0] * s + B[0, 0] * w, (a, b), [x], rtol=1e-10, atol=1e-12
