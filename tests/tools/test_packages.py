@@ -115,7 +115,7 @@ def programs() -> dict[str, str]:
         calls = (
             r'(?:subprocess\.\w+|Popen|which)\(\s*\[?\s*"([a-z][\w.+-]*)"'
             if path.name != "gates.py"
-            else r'(?:\brun|subprocess\.run)\(\[?"([\w.+-]+)"'
+            else r'(?:\brun|subprocess\.run)\(\s*\[?\s*"([\w.+-]+)"'
         )
         asked |= {name: str(path.relative_to(ROOT)) for name in re.findall(calls, text, re.MULTILINE)}
     for path, text in cmake.items():
