@@ -47,7 +47,7 @@ import lpvguard.loop.sim
 import lpvguard.problems.solve
 import lpvguard.report.page
 from lpvguard import cli
-from lpvguard.base import artefacts
+from lpvguard.base import artefacts, system
 
 MAP = 'schema = 1\nTs_s = 0.1\n[columns.v]\nunit = "m/s"\nsignal = "v"\n'
 ROW = {
@@ -339,7 +339,7 @@ def start(
         os.dup2(quiet, 1), os.dup2(quiet, 2)
         replace_computing(variant)
         steps = Steps(root, at, act, into)
-        sync, exchange_names = os.fsync, artefacts._exchange
+        sync, exchange_names = os.fsync, system.exchange
 
         def synced(handle):
             steps.step()
@@ -353,7 +353,7 @@ def start(
             steps.step()
             return done
 
-        os.fsync, artefacts._exchange = synced, exchanged
+        os.fsync, system.exchange = synced, exchanged
         sys.addaudithook(steps)
         sys.argv = ["lpvguard", *words]
         try:
