@@ -35,15 +35,20 @@ from ..vehicle.nominal import NominalModel
 from ..vehicle.project import FrameSettings, Project
 
 
+def not_for_the_core(project: Project) -> InputError:
+    """The error of a project of the plain DFT: the core computes Hann frames only."""
+    return InputError(
+        f"vehicle {project.name}",
+        "frames.estimator",
+        "the plain DFT, which the core does not compute: its bounds are for identify and report only",
+        'estimator = "hann" and bounds made with it',
+    )
+
+
 def require_core(project: Project) -> None:
-    """InputError for a project of the plain DFT: the core computes Hann frames only."""
+    """InputError for a project of the plain DFT."""
     if project.frames.estimator != "hann":
-        raise InputError(
-            f"vehicle {project.name}",
-            "frames.estimator",
-            "the plain DFT, which the core does not compute: its bounds are for identify and report only",
-            'estimator = "hann" and bounds made with it',
-        )
+        raise not_for_the_core(project)
 
 
 @dataclass(frozen=True)

@@ -38,15 +38,9 @@ from ..evaluate.run import (
 )
 from ..identify.bounds import FrameSet, counted_frames, explain
 from ..identify.energy import EnergyTest
-from ..identify.run import (
-    DC_STAND_IN,
-    SMALLEST_NU,
-    DriveSet,
-    StoredIdentification,
-    fitting_grid,
-    uncertainty_samples,
-)
+from ..identify.run import DriveSet, StoredIdentification
 from ..identify.visibility import STATED_GAINS
+from ..identify.weights import DC_STAND_IN, SMALLEST_NU, fitting_grid, uncertainty_samples
 from ..identify.window_error import PERCENTILE, SPEEDS
 from ..replay.run import Replay, Replayer, excited_samples
 from ..vehicle.project import Project
