@@ -169,8 +169,14 @@ class Message(_Strict):
         return self.id & 0xFF
 
     @property
+    def rules(self) -> list[tuple[Signal, Supervision]]:
+        """The supervised signals, each with what a receiver accepts of it."""
+        return [(s, s.supervise) for s in self.signals if s.supervise]
+
+    @property
     def supervised(self) -> list[Signal]:
-        return [s for s in self.signals if s.supervise]
+        """The signals that a receiver supervises."""
+        return [s for s, _ in self.rules]
 
 
 class Node(_Strict):

@@ -39,15 +39,19 @@ def load_database(path: Path) -> Database:
     """A cantools database from a DBC (or another form that cantools reads). InputError names the file and
     line."""
     import cantools
+    from cantools.database.can import Database
 
     if not Path(path).is_file():
         raise InputError(path, "--dbc", "no such file", "a CAN database (.dbc, .arxml, .kcd, .sym)")
     try:
-        return cantools.database.load_file(path, strict=False, encoding=_encoding(Path(path)))
+        found = cantools.database.load_file(path, strict=False, encoding=_encoding(Path(path)))
     except Exception as error:  # one exception class for each form of database
         raise InputError(
             path, "", f"cannot be read ({str(error).splitlines()[0]})", "a CAN database"
         ) from None
+    if not isinstance(found, Database):
+        raise InputError(path, "--dbc", "describes diagnostics, no messages", "a CAN database")
+    return found
 
 
 def _encoding(path: Path) -> str | None:
@@ -64,9 +68,11 @@ def _encoding(path: Path) -> str | None:
 
 def own_database() -> Database:
     """The cantools database of our own DBC."""
-    import cantools
+    from cantools.database.can import Database
 
-    return cantools.database.load_string(dbc_text(), "dbc")
+    database = Database()
+    database.add_dbc_string(dbc_text())
+    return database
 
 
 def is_j1939(message: Message) -> bool:

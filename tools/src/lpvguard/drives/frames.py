@@ -70,8 +70,8 @@ class Estimator:
     @classmethod
     def of(cls, project: Project, model: NominalModel) -> Estimator:
         settings: FrameSettings = project.frames
-        if settings.estimator == "dft":
-            return cls._plain_dft(project, model, settings)
+        if settings.length_s is not None:
+            return cls._plain_dft(project, model, settings, settings.length_s)
         decades = np.log10(settings.f_max_hz / settings.f_min_hz)
         # The tolerance keeps a last bin that the decimal settings place exactly at f_max.
         n_bins = int(np.floor(decades * settings.bins_per_decade + 1e-9)) + 1
@@ -102,8 +102,10 @@ class Estimator:
         )
 
     @classmethod
-    def _plain_dft(cls, project: Project, model: NominalModel, settings: FrameSettings) -> Estimator:
-        N = int(round(settings.length_s / project.Ts_s))
+    def _plain_dft(
+        cls, project: Project, model: NominalModel, settings: FrameSettings, length_s: float
+    ) -> Estimator:
+        N = round(length_s / project.Ts_s)
         lines = np.arange(N // 2)
         f = lines / (N * project.Ts_s)
         inside = lines[

@@ -3,7 +3,8 @@
 Reads   candump, ASC, BLF, TRC, MF4, CSV, Parquet (can/logs.py); a CAN database; a signal map (signal_map.py)
 Writes  into the folder <out>
 
-    <log>.csv           one table a drive (<log>_1, _2, ... when it falls into pieces): t [s], the map's columns
+    <log>.csv           one table a drive (<log>_1, _2, ... when it falls into pieces): t [s] and the map's
+                        columns
     <log>.report.json   samples, gaps, wraps, absent values, clock jumps, stretches left out
     experiments.csv     the index that `lpvguard identify` reads; every drive has the split "unassigned"
     MANIFEST.json       hashes of the inputs, settings, tool version, and of the files as they were written
@@ -170,16 +171,7 @@ def _stretch(log: Frames | Table, clock: Clock, first: int, end: int) -> Frames 
     if len(clock.cuts) == 2:
         return log
     if isinstance(log, Frames):
-        cut = slice(first, end)
-        return Frames(
-            log.t_ns[cut],
-            log.id[cut],
-            log.channel[cut],
-            log.length[cut],
-            log.data[cut],
-            log.channels,
-            log.left_out,
-        )
+        return log.at(slice(first, end))
     low, high = int(clock.t_ns[first]), int(clock.t_ns[end - 1])
     series = {}
     for name, s in log.series.items():

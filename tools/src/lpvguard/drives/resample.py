@@ -9,7 +9,6 @@ around it lie further apart than ``max_gap_s``; so is everything across a jump o
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 

@@ -7,6 +7,7 @@ signals stand; ``SignalTable`` order is: scheduling, inputs, outputs.
 from __future__ import annotations
 
 from importlib import resources
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -241,7 +242,7 @@ class Project(_Strict):
         if not self.frames.f_min_hz < self.frames.f_max_hz < 0.5 / self.Ts_s:
             raise ValueError("frames: f_min_hz < f_max_hz < half the sampling rate must hold")
         corners = (*(self.energy_test.band_hz or ()), 0.5 / self.Ts_s)
-        if not all(low < high for low, high in zip(corners, corners[1:], strict=False)):
+        if not all(low < high for low, high in pairwise(corners)):
             raise ValueError("energy_test.band_hz: corners must rise and stay below half the sampling rate")
         return self
 
@@ -298,20 +299,16 @@ def load_project(vehicle: str | Path) -> Project:
     """
     path = Path(vehicle)
     if path.suffix == ".toml" or path.is_file():
-        source, where = path, str(vehicle)
-    elif str(vehicle) in shipped_vehicles():
-        source, where = (
-            resources.files(__package__).joinpath("shipped", f"{vehicle}.toml"),
-            f"vehicle {vehicle}",
-        )
-    else:
-        raise InputError(
-            str(vehicle),
-            "--vehicle",
-            "unknown vehicle",
-            f"one of {', '.join(shipped_vehicles())}, or a path to a project file (*.toml)",
-        )
-    return parse_project(read_toml(source, "a project file", where), where)
+        return parse_project(read_toml(path, "a project file", str(vehicle)), str(vehicle))
+    if str(vehicle) in shipped_vehicles():
+        shipped, where = resources.files(__package__) / "shipped" / f"{vehicle}.toml", f"vehicle {vehicle}"
+        return parse_project(read_toml(shipped, "a project file", where), where)
+    raise InputError(
+        str(vehicle),
+        "--vehicle",
+        "unknown vehicle",
+        f"one of {', '.join(shipped_vehicles())}, or a path to a project file (*.toml)",
+    )
 
 
 def parse_project(document: object, where: str) -> Project:
