@@ -86,6 +86,7 @@ class Field:
 
     @property
     def declarator(self) -> str:
+        """C declarator: the name with its sizes."""
         return self.name + "".join(f"[{_macros(size)}]" for size in self.shape)
 
 
@@ -168,6 +169,7 @@ class Layout:
 
     @cached_property
     def macro(self) -> str:
+        """Beginning of the names of the struct's C macros."""
         return f"LPVG_{self.stem.upper()}"
 
 

@@ -121,6 +121,7 @@ class FrameLog:
 
     @classmethod
     def from_rows(cls, rows: np.ndarray, n_y: int) -> FrameLog:
+        """From rows as the C wrapper writes them, (F, 10 + 4 n_y); times in microseconds."""
         parts = rows[:, 10:].reshape(len(rows), 2, n_y, 2)
         spectra = parts[..., 0] + 1j * parts[..., 1]
         return cls(
@@ -318,4 +319,5 @@ class Monitor:
         return Run(frames, verdict, status, energy, alarms)
 
     def run_drive(self, drive: Drive, present: np.ndarray | None = None) -> Run:
+        """`run` over a whole drive."""
         return self.run(drive.t, drive.v, drive.u, drive.y, present)

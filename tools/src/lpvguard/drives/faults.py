@@ -31,6 +31,7 @@ class Fault:
 
     @property
     def label(self) -> str:
+        """The fault in words, with its size."""
         texts = {
             "gain": "output × {:g}",
             "freeze": "output frozen",

@@ -69,6 +69,7 @@ class Estimator:
 
     @classmethod
     def of(cls, project: Project, model: NominalModel) -> Estimator:
+        """The estimator of a project (THEORY 3.2). Raises InputError for settings that it cannot realise."""
         settings: FrameSettings = project.frames
         if settings.length_s is not None:
             return cls._plain_dft(project, model, settings, settings.length_s)
@@ -130,10 +131,12 @@ class Estimator:
 
     @property
     def omega(self) -> np.ndarray:
+        """Frequencies of the bins (K,) [rad/s]; 0 is DC."""
         return 2 * np.pi * self.cycles / (self.length * self.Ts)
 
     @property
     def n_bins(self) -> int:
+        """Number of bins K, DC included."""
         return len(self.length)
 
     def identifier(self) -> int:

@@ -314,6 +314,7 @@ class EnergyTest:
         )
 
     def to_dict(self) -> dict:
+        """JSON-able, for `restored`."""
         return {
             "memory_s": self.memory_s,
             "band_hz": list(self.band_hz),

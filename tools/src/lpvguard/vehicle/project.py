@@ -93,6 +93,8 @@ class FrameSettings(_Strict):
 
 
 class NuCeiling(_Strict):
+    """Ceiling on the uncertainty bound over frequency (THEORY 5.1): ``nu`` at ``f_hz`` [Hz]."""
+
     f_hz: list[Positive]
     nu: list[Positive]
 
@@ -112,17 +114,28 @@ class NuCeiling(_Strict):
 
 
 class BoundSettings(_Strict):
+    """Bounds (THEORY 5): structure of the uncertainty, set of the disturbance, ceiling on nu."""
+
     structure: Literal["S0", "S1"] = "S1"
     disturbance_set: Literal["paper", "covering"] = "covering"
     nu_ceiling: NuCeiling
 
 
 class WeightSettings(_Strict):
+    """Fits of the weights: largest order, and tolerance above the least worst ratio [dB]."""
+
     max_order: Annotated[int, Field(ge=0, le=8)] = 4
     tolerance_db: Positive = 0.3
 
 
 class FrameTestSettings(_Strict):
+    """Frame test (THEORY 7.1).
+
+    ``confirm`` exceedances among the last ``of_last`` frames of a bin make an alarm. ``alpha``: the rate of
+    false alarms that calibration aims at. ``excited_std``: a sample is excited where the first input's
+    standard deviation over 10 s is above this, in the input's unit.
+    """
+
     confirm: Annotated[int, Field(ge=1, le=8)] = 1
     of_last: Annotated[int, Field(ge=1, le=8)] = 1
     alpha: Fraction = 0.1
@@ -260,26 +273,32 @@ class Project(_Strict):
                 raise ValueError(f"design.{key}: must have {self.n_u} entries")
 
     def of_role(self, role: str) -> list[Signal]:
+        """Signals of a role, in the order of the file."""
         return [s for s in self.signals if s.role == role]
 
     @property
     def speed(self) -> Signal:
+        """The scheduling signal."""
         return self.of_role("scheduling")[0]
 
     @property
     def inputs(self) -> list[Signal]:
+        """Inputs u, in the order of the file."""
         return self.of_role("input")
 
     @property
     def outputs(self) -> list[Signal]:
+        """Outputs y, in the order of the file."""
         return self.of_role("output")
 
     @property
     def n_u(self) -> int:
+        """Number of inputs."""
         return len(self.inputs)
 
     @property
     def n_y(self) -> int:
+        """Number of outputs."""
         return len(self.outputs)
 
 
