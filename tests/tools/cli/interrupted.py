@@ -33,12 +33,12 @@ import lpvguard.control.design_files
 import lpvguard.control.frozen
 import lpvguard.control.stored_frames
 import lpvguard.control.tradeoff
-import lpvguard.core.coefficients
 import lpvguard.core.compiled
 import lpvguard.drives.fixture
 import lpvguard.drives.ingest
 import lpvguard.engine.synthesis.cases
 import lpvguard.evaluate.run
+import lpvguard.identify.export
 import lpvguard.identify.run
 import lpvguard.loop.campaign
 import lpvguard.loop.generate
@@ -47,7 +47,7 @@ import lpvguard.loop.sim
 import lpvguard.problems.solve
 import lpvguard.report.page
 from lpvguard import cli
-from lpvguard.base import artefacts
+from lpvguard.base import artefacts, system
 
 MAP = 'schema = 1\nTs_s = 0.1\n[columns.v]\nunit = "m/s"\nsignal = "v"\n'
 ROW = {
@@ -141,6 +141,14 @@ def folder_of(kind: str, files: dict[str, str]):
     return write
 
 
+def replace_in_cli(name: str, value: object) -> None:
+    """Replace what the modules of the command line call by this name."""
+    modules = [m for n, m in sys.modules.items() if n.startswith("lpvguard.cli.") and hasattr(m, name)]
+    assert modules, name
+    for module in modules:
+        setattr(module, name, value)
+
+
 def replace_computing(variant: str) -> None:
     """Small results instead of long computations, in this (forked) process only."""
     text = f"variant {variant}\n" * 400
@@ -150,8 +158,9 @@ def replace_computing(variant: str) -> None:
             name="g80", frames=SimpleNamespace(estimator="hann"), design=SimpleNamespace(structure="K_i")
         ),
     )
-    cli._stored, cli._stored_with_drives = (lambda *_: stored), (lambda *_: (stored, None))
-    cli._require_settings = lambda *_: None
+    replace_in_cli("stored_for", lambda *_: stored)
+    replace_in_cli("stored_with_drives", lambda *_: (stored, None))
+    replace_in_cli("require_settings", lambda *_: None)
     lpvguard.drives.fixture.PLAN[:] = [("train", "human", 5.0, 1.0), ("valid", "human", 9.0, 1.0)]
     plain = lpvguard.can.dbc.dbc_text
     lpvguard.can.dbc.dbc_text = lambda: plain() + f'CM_ "{variant}";\n'
@@ -194,16 +203,17 @@ def replace_computing(variant: str) -> None:
         best=SimpleNamespace(level=0.5),
         files=lambda: {"tradeoff.json": artefacts.to_json({"text": text})},
     )
-    lpvguard.core.coefficients.export_vehicle = lambda stored, out, controller: folder_of(
+    lpvguard.identify.export.export_vehicle = lambda stored, out, controller: folder_of(
         "vehicle", {"lpvguard_coeff.c": text, "SIGNALS.md": text}
     )(out)
-    cli._replayer = lambda *_: SimpleNamespace(
+    replayer = SimpleNamespace(
         summarise_file=summarise,
         threshold=1.0,
         energy_threshold=1.0,
         core=SimpleNamespace(folder="core"),
         model=None,
     )
+    replace_in_cli("replayer_of", lambda *_: replayer)
     summarise.text = text
     lpvguard.loop.sim.load_scenario = lambda name: SimpleNamespace(name=name, seed=1)
     lpvguard.loop.sim.Simulator = lambda *_, **__: SimpleNamespace(
@@ -211,8 +221,8 @@ def replace_computing(variant: str) -> None:
     )
     run_sim.text = text
     lpvguard.evaluate.run.evaluate = lambda *_, **__: {**EVALUATED, "text": text}
-    cli._detector_table = lambda *_: ""
-    cli._print_campaign = lambda _: None
+    replace_in_cli("_detector_table", lambda *_: "")
+    replace_in_cli("print_campaign", lambda _: None)
     lpvguard.loop.campaign.campaign = run_campaign
     lpvguard.report.page.write_report = lambda stored, drives, replayer, out, *_: artefacts.write_file(
         out, f'<html><meta name="generator" content="{artefacts.mark("report")}">{text}', "report"
@@ -342,7 +352,7 @@ def start(
         os.dup2(quiet, 1), os.dup2(quiet, 2)
         replace_computing(variant)
         steps = Steps(root, at, act, into)
-        sync, exchange_names = os.fsync, artefacts._exchange
+        sync, exchange_names = os.fsync, system.exchange
 
         def synced(handle):
             steps.step()
@@ -356,7 +366,7 @@ def start(
             steps.step()
             return done
 
-        os.fsync, artefacts._exchange = synced, exchanged
+        os.fsync, system.exchange = synced, exchanged
         sys.addaudithook(steps)
         sys.argv = ["lpvguard", *words]
         try:

@@ -15,7 +15,8 @@ from lpvguard.base import native
 from lpvguard.base.errors import InputError
 from lpvguard.can.decode import decode_all, load_database
 from lpvguard.can.logs import EXTENDED, Frames, read_log
-from lpvguard.drives.ingest import ingest, unit_factor
+from lpvguard.drives.ingest import ingest
+from lpvguard.drives.units import unit_factor
 from made import ROOT
 from other_car import (
     MAP,

@@ -14,7 +14,8 @@ from lpvguard.base import native
 from lpvguard.base.errors import InputError
 from lpvguard.can.dbc import dbc_text
 from lpvguard.can.logs import read_log
-from lpvguard.drives.ingest import ingest, map_of_project
+from lpvguard.drives.ingest import ingest
+from lpvguard.drives.signal_map import map_of_project
 from other_car import (
     COLUMNS,
     MAP,

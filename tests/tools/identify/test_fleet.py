@@ -27,6 +27,7 @@ from lpvguard.drives.dft import spectra
 from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import Drive
 from lpvguard.engine.validation import s1
+from lpvguard.identify import passes
 from lpvguard.identify import run as stage
 from lpvguard.identify.bounds import (
     FRONT_POINTS,
@@ -320,8 +321,8 @@ def test_a_draw_by_hash_is_uniform():
 
 
 def test_spectra_are_thinned_to_the_stated_cap_and_keep_the_largest(monkeypatch, drives, found):
-    monkeypatch.setattr(stage, "LARGEST_SPECTRA", 5)
-    monkeypatch.setattr(stage, "DRAWN_SPECTRA", 15)
+    monkeypatch.setattr(passes, "LARGEST_SPECTRA", 5)
+    monkeypatch.setattr(passes, "DRAWN_SPECTRA", 15)
     thin = stage.identify(fleet.vehicle(), drives)[0].spectra
     for k in range(found.estimator.n_bins):
         whole, kept = (np.linalg.norm(r["E"][r["group"] == k], axis=1) for r in (found.spectra, thin))

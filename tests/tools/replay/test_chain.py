@@ -108,8 +108,8 @@ def test_faults_are_found_and_the_untouched_drive_is_not(fault, drive, core, g80
 
 
 def test_bootstrap_interval_needs_pieces_and_brackets_the_ratio():
-    assert Pieces.of([(0, 0)], 1).interval is None
-    p = Pieces.of([(1, 5), (0, 4), (0, 5), (2, 6)], 1)
+    assert Pieces.of([(0, 0)], [0.0], 1).interval is None
+    p = Pieces.of([(1, 5), (0, 4), (0, 5), (2, 6)], [300.0] * 4, 1)
     assert p.interval[0] <= p.alarmed / p.pieces <= p.interval[1]
 
 

@@ -252,11 +252,7 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
                 for t in ("frame", "energy")
             },
         },
-<<<<<<< HEAD:tests/tools/test_report.py
-        "supervision": {w: {"as_required": seen, "due": 77, "met": 76} for w in ("faulty", "healthy")},
-=======
         "supervision": {kind: {"as_required": seen, "due": 77, "met": 76} for kind in ("faulty", "healthy")},
->>>>>>> fd2ddd6:tests/tools/report/test_report.py
         "bus": [
             {
                 "kind": "GUARD_IN lost",

@@ -15,16 +15,12 @@ Writing     happens in ``.NAME.lpvguard`` beside the target NAME. The kernel's l
 
 from __future__ import annotations
 
-import ctypes
-import errno
-import fcntl
 import hashlib
 import json
 import os
 import re
 import shutil
-import signal
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -32,14 +28,15 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
+from . import system
 from .errors import InputError
 
 MANIFEST = "MANIFEST.json"
 MARK_KEY = "written_by"
 """Key of a JSON output, or of every member of one that is a list, with `mark` as its value."""
-_SCRATCH, _NEW, _OLD = "lpvguard-scratch", "new", "old"
-"""Names in a work folder: the file that says it is one, what is being written, what is being replaced."""
-_RENAME_EXCHANGE, _AT_FDCWD = 2, -100
+_SCRATCH, _NEW, _OLD, _LOCK = "lpvguard-scratch", "new", "old", "lpvguard-lock"
+"""Names in a work folder: the file that says it is one, what is being written, what is being replaced, and
+the lock where a folder itself cannot be locked."""
 _held: dict[Path, Path] = {}
 """Work folders that this process holds, by target."""
 
@@ -71,6 +68,7 @@ def manifest(kind: str, **content: Any) -> str:
 
 
 def read_json(path: Path) -> Any:
+    """Value of a JSON file; InputError when it cannot be read or is not JSON."""
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -118,12 +116,8 @@ def seal(folder: Path) -> None:
     """Complete the manifest of a folder: all its other files with their hashes, and its own digest."""
     path = folder / MANIFEST
     document = {k: v for k, v in read_json(path).items() if k != "files"}
-    path.write_text(
-        to_json(
-            sealed({**document, "files": {name: file_hash(folder / name) for name in _files_of(folder)}})
-        ),
-        encoding="utf-8",
-    )
+    files = {name: file_hash(folder / name) for name in _files_of(folder)}
+    path.write_bytes(to_json(sealed({**document, "files": files})).encode())
 
 
 def _files_of(folder: Path) -> list[str]:
@@ -340,16 +334,6 @@ def _written(target: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _undisturbed() -> Iterator[None]:
-    """Puts off the signals that end a program until the block is through."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGHUP, signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
 def claimed(target: Path) -> Iterator[Path]:
     """The work folder of ``target``, held until the end of the block; InputError while another run holds it.
 
@@ -364,7 +348,7 @@ def claimed(target: Path) -> Iterator[Path]:
     made = [p for p in (place.parent, *place.parent.parents) if not p.exists()]
     handle = None
     try:
-        with _written(target), _undisturbed():
+        with _written(target), system.undisturbed():
             place.parent.mkdir(parents=True, exist_ok=True)
             handle = _lock(target, work)
             _recover(place, work)
@@ -372,48 +356,36 @@ def claimed(target: Path) -> Iterator[Path]:
         _held[place] = work
         yield work
     finally:
-        with _undisturbed():
+        with system.undisturbed():
             _held.pop(place, None)
             if handle is not None:
                 with suppress(OSError, InputError):
                     _recover(place, work)
                     (work / _SCRATCH).unlink(missing_ok=True)
-                    work.rmdir()
-                os.close(handle)
+                with suppress(OSError):
+                    system.unlock_folder(handle, work, _LOCK)
             for folder in made:
                 with suppress(OSError):
                     folder.rmdir()  # stays when anything is in it
 
 
 def _lock(target: Path, work: Path) -> int:
-    """Make the work folder and lock it; the kernel unlocks it when the process ends, however it ends."""
+    """Make the work folder and lock it; InputError while another run holds it."""
     while True:
         work.mkdir(exist_ok=True)
         try:
-            handle = os.open(work, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            handle = system.lock_folder(work, _LOCK)
         except FileNotFoundError:
             continue  # its holder has just removed it
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if os.path.samestat(os.fstat(handle), work.lstat()):
-                return handle
-        except FileNotFoundError:
-            pass
-        except BlockingIOError:
-            os.close(handle)
-            raise InputError(
-                target, "-o", "is held by another run that writes there", "one run at a time"
-            ) from None
-        except BaseException:
-            os.close(handle)
-            raise
-        os.close(handle)
+        if handle is None:
+            raise InputError(target, "-o", "is held by another run that writes there", "one run at a time")
+        return handle
 
 
 def _recover(place: Path, work: Path) -> None:
     """Undo a half-done swap and clear what is left in a work folder; InputError when something else is in
     it."""
-    names = {p.name for p in work.iterdir()}
+    names = {p.name for p in work.iterdir()} - {_LOCK}
     foreign = sorted(names - {_SCRATCH, _NEW, _OLD} if _SCRATCH in names else names)
     if foreign:
         raise InputError(
@@ -440,45 +412,19 @@ def recover(target: Path) -> None:
 def _sync(path: Path) -> None:
     """Force a file, or a folder with all below it, onto the disk."""
     for item in ([*path.rglob("*")] if path.is_dir() else []) + [path]:
-        handle = os.open(item, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
-
-
-def _exchange(a: Path, b: Path) -> bool:
-    """Exchange two names in one step; False where the system cannot."""
-    try:
-        call = ctypes.CDLL(None, use_errno=True).renameat2
-    except (AttributeError, OSError):
-        return False
-    if call(_AT_FDCWD, os.fsencode(a), _AT_FDCWD, os.fsencode(b), _RENAME_EXCHANGE) == 0:
-        return True
-    code = ctypes.get_errno()
-    if code in (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP):
-        return False
-    raise OSError(code, os.strerror(code), str(b))
+        system.sync(item)
 
 
 def _swap(work: Path, place: Path) -> None:
     """Put the new folder in place of the old one, which `claimed` then clears."""
     _sync(work / _NEW)
     if not place.is_dir() or not any(place.iterdir()):
-        (work / _NEW).rename(place)
-    elif not _exchange(work / _NEW, place):
+        system.rename_over(work / _NEW, place)
+    elif not system.exchange(work / _NEW, place):
         # Killed between the two, the next run puts the old one back.
         place.rename(work / _OLD)
         (work / _NEW).rename(place)
-    _sync_name(place)
-
-
-def _sync_name(place: Path) -> None:
-    handle = os.open(place.parent, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+    system.sync(place.parent)
 
 
 @contextmanager
@@ -510,8 +456,8 @@ def new_file(target: Path, kind: str) -> Iterator[Path]:
 
 def _publish(work: Path, place: Path) -> None:
     _sync(work / _NEW)
-    (work / _NEW).rename(place)
-    _sync_name(place)
+    system.rename_over(work / _NEW, place)
+    system.sync(place.parent)
 
 
 def write_file(target: Path, text: str, kind: str) -> None:
@@ -545,6 +491,7 @@ class KeptFolder:
         self.folder, self._work, self._document = folder, work, document
 
     def has(self, name: str) -> bool:
+        """Whether the file is there."""
         return (self.folder / name).is_file()
 
     def write(self, name: str, data: bytes) -> None:
@@ -569,7 +516,7 @@ class KeptFolder:
             _publish(self._work, self.folder / name)
 
     def _write_manifest(self) -> None:
-        (self._work / _NEW).write_text(to_json(sealed(self._document)), encoding="utf-8")
+        (self._work / _NEW).write_bytes(to_json(sealed(self._document)).encode())
         _publish(self._work, self.folder / MANIFEST)
 
 
@@ -599,8 +546,8 @@ def kept_folder(target: Path, kind: str, **asked: Any) -> Iterator[KeptFolder]:
         yield folder
 
 
-def write_files(folder: Path, files: dict[str, str | bytes]) -> None:
-    """Write files into an existing folder, normally one of ``new_folder``."""
+def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
+    """Write files into an existing folder, normally one of ``new_folder``; a text as UTF-8."""
     for name, content in files.items():
         data = content.encode() if isinstance(content, str) else content
         (folder / name).write_bytes(data)

@@ -11,7 +11,6 @@ one compiles while the others wait.
 from __future__ import annotations
 
 import ctypes
-import fcntl
 import functools
 import hashlib
 import os
@@ -22,6 +21,8 @@ import sys
 import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+
+from .system import locked_file
 
 REPRODUCIBLE_FLAGS = ("-O3", "-ffp-contract=off", "-fno-math-errno")
 """Contraction off: the same source gives the same bits whether or not the target has FMA. Never
@@ -140,7 +141,13 @@ def compile_object(
     return _compile([source], (*flags, "-x", "c++", "-c"), include_dirs, Path(source).stem, ".o")
 
 
-def _compile(sources, flags: tuple[str, ...], include_dirs, name: str, suffix: str) -> Path:
+def _compile(
+    sources: Iterable[Path | str],
+    flags: tuple[str, ...],
+    include_dirs: Iterable[Path | str],
+    name: str,
+    suffix: str,
+) -> Path:
     paths = [Path(s).resolve() for s in sources]
     includes = [Path(p).resolve() for p in include_dirs]
     missing = [str(p) for p in paths if not p.is_file()]
@@ -154,10 +161,7 @@ def _compile(sources, flags: tuple[str, ...], include_dirs, name: str, suffix: s
     target = cache_dir() / f"{name}-{_digest(paths, flags, includes, compiler)}{suffix}"
     if target.is_file():
         return target
-    with open(f"{target}.lock", "w") as lock:
-        fcntl.flock(
-            lock, fcntl.LOCK_EX
-        )  # of processes that start together one compiles, the others wait for it
+    with locked_file(Path(f"{target}.lock")):  # of processes that start together one compiles
         return target if target.is_file() else _compile_to(target, compiler, flags, includes, paths)
 
 

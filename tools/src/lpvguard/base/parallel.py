@@ -18,14 +18,23 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from itertools import islice
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from .errors import InputError
 
-Item, Result = TypeVar("Item"), TypeVar("Result")
-Map = Callable[[Callable[[Item], Result], Iterable[Item]], Iterator[Result]]
-"""``workers(function, items)`` yields function(item) in order. Function, items and results must pickle unless
-it is ``map``."""
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+class Map(Protocol):
+    """``workers(function, items)`` yields function(item) in order.
+
+    Function, items and results must pickle unless it is ``map``.
+    """
+
+    def __call__(self, function: Callable[[Item], Result], items: Iterable[Item], /) -> Iterator[Result]:
+        """function(item) of every item."""
+
 
 UNDER_WAY_PER_WORKER = 2
 """A worker never waits for its next item, and no more results than this wait to be taken."""
@@ -36,8 +45,9 @@ def _bounded(submit: Callable[..., Any], wait: Callable[[Any], Any], limit: Call
     """A map from ``submit(function, item)``, which returns a handle, ``wait(handle)``, and the most handles
     at a time."""
 
-    def run(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-        rest, handles = iter(items), deque()
+    def run(function: Callable[[Item], Result], items: Iterable[Item], /) -> Iterator[Result]:
+        rest = iter(items)
+        handles: deque[Any] = deque()
         while True:
             handles.extend(submit(function, item) for item in islice(rest, max(0, limit() - len(handles))))
             if not handles:
@@ -51,6 +61,8 @@ def _end_with_parent() -> None:
     """Ends this worker when the process that started the pool is gone: killed, it could not say so, and
     workers would wait for ever."""
     parent = multiprocessing.parent_process()
+    if parent is None:
+        return  # a process that nobody started for a pool
 
     def watch() -> None:
         multiprocessing.connection.wait([parent.sentinel])

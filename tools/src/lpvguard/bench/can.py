@@ -15,13 +15,18 @@ import os
 import tempfile
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from ..base.errors import InputError
 from ..can.decode import decode_all, load_database
-from ..can.logs import read_log
+from ..can.logs import Frames, read_log
 from ..core.compiled import shipped_vehicle
 from ..loop import bus_faults
 from ..loop.sim import Simulator
 from . import parser, show
+
+if TYPE_CHECKING:  # cantools takes long to import
+    from cantools.database.can import Database
 
 
 def bench_decode(log: Path, dbc: Path, *, frames: int = 5_000_000, peer_frames: int = 200_000) -> dict:
@@ -40,6 +45,8 @@ def bench_decode(log: Path, dbc: Path, *, frames: int = 5_000_000, peer_frames: 
         read_log(part)  # compiles the parser when the cache is empty
         start = time.process_time()
         raw = read_log(whole)
+        if not isinstance(raw, Frames):
+            raise InputError(log, "", "holds decoded signals", "a candump log")
         read = time.process_time()
         decoded = decode_all(raw, database)
         end = time.process_time()
@@ -61,7 +68,7 @@ def bench_decode(log: Path, dbc: Path, *, frames: int = 5_000_000, peer_frames: 
     }
 
 
-def _peer(path: Path, database) -> tuple[int, float]:
+def _peer(path: Path, database: Database) -> tuple[int, float]:
     import can
 
     known = {m.frame_id for m in database.messages}
@@ -71,7 +78,11 @@ def _peer(path: Path, database) -> tuple[int, float]:
         for message in reader:
             if message.arbitration_id in known:
                 signals += len(
-                    database.decode_message(message.arbitration_id, message.data, decode_choices=False)
+                    database.decode_message(
+                        message.arbitration_id,
+                        message.data,  # type: ignore[arg-type]  # any buffer will do, says its code
+                        decode_choices=False,
+                    )
                 )
     return signals, time.process_time() - start
 
@@ -96,10 +107,11 @@ def main(argv: list[str]) -> None:
     show(
         "\n".join(
             [
-                f"{'lpvguard':<28} {result['frames_per_s'] / 1e6:8.3f} M frames/s  ({result['frames']} frames, {result['signals']} values; "
+                f"{'lpvguard':<28} {result['frames_per_s'] / 1e6:8.3f} M frames/s  "
+                f"({result['frames']} frames, {result['signals']} values; "
                 f"reading {result['read_s']:.2f} s, decoding {result['decode_s']:.2f} s)",
-                f"{result['peer']:<28} {result['peer_frames_per_s'] / 1e6:8.3f} M frames/s  ({result['peer_frames']} frames, "
-                f"{result['peer_signals']} values)",
+                f"{result['peer']:<28} {result['peer_frames_per_s'] / 1e6:8.3f} M frames/s  "
+                f"({result['peer_frames']} frames, {result['peer_signals']} values)",
                 f"{'ratio':<28} {result['ratio']:8.1f}",
             ]
         ),

@@ -35,7 +35,9 @@ RAM_BYTES = 8192
 RECORDED_FRAMES = 4  # in that RAM, at least
 ROM_BYTES = 32768
 STACK_BYTES = 2048
-DENSE_TO_CONTROLLER = 5.0  # instructions of a step with full matrices (firmware_sim/ports/dense_controller.hpp), same scheduling
+DENSE_TO_CONTROLLER = 5.0
+"""At least so many times more instructions a step with full matrices takes, under the same scheduling
+(firmware_sim/ports/dense_controller.hpp)."""
 CONTROLLER_STATES = 25
 CYCLES_PER_INSTRUCTION = 1.0
 """Assumed where a share of the processor is given; the report says so."""
@@ -87,7 +89,7 @@ def write_budget_vehicle(folder: Path) -> Project:
     energy = EnergyTest.design(
         project,
         estimator,
-        Weight([0.4, 0.2, 0.07, 0.02], [1.0, 0.7, 0.3, 0.1]),
+        Weight(np.array([0.4, 0.2, 0.07, 0.02]), np.array([1.0, 0.7, 0.3, 0.1])),
         estimator.omega[1:],
         np.full(estimator.n_bins - 1, 0.1),
         1.0,
@@ -176,13 +178,13 @@ def dense_to_controller(run: dict[str, Any]) -> float:
 def print_report(report: dict[str, Any]) -> None:
     """The table, for people."""
     print(
-        f"{report['vehicle']}; counts are {report['unit']}, read by the program on the target from its own counter"
+        f"{report['vehicle']}; counts are {report['unit']}, "
+        "read by the program on the target from its own counter"
     )
     for run in report["targets"]:
         rom, structs = run["rom"], run["structs"]
-        print(
-            f"\n{run['title']}  ELF {run['elf_sha256'][:16]}  results {'bit-identical to' if run['bit_identical'] else 'DIFFER FROM'} the host's"
-        )
+        agrees = "bit-identical to" if run["bit_identical"] else "DIFFER FROM"
+        print(f"\n{run['title']}  ELF {run['elf_sha256'][:16]}  results {agrees} the host's")
         print(f"  ROM {run['rom_total']} bytes (" + ", ".join(f"{k} {v}" for k, v in rom.items()) + ")")
         print(
             "  RAM "
@@ -190,22 +192,25 @@ def print_report(report: dict[str, Any]) -> None:
             + " bytes (the ECU's includes the others)"
         )
         print(
-            f"  {'part':<14} {'worst [instr]':>14} {'median [instr]':>15} {'worst/median':>13} {'stack [B]':>10}"
+            f"  {'part':<14} {'worst [instr]':>14} {'median [instr]':>15} {'worst/median':>13} "
+            f"{'stack [B]':>10}"
         )
         for name, part in run["parts"].items():
             print(
-                f"  {name:<14} {part['worst']:>14} {part['median']:>15} {part['worst'] / part['median']:>13.2f} {part['stack']:>10}"
+                f"  {name:<14} {part['worst']:>14} {part['median']:>15} "
+                f"{part['worst'] / part['median']:>13.2f} {part['stack']:>10}"
             )
         print(
             "  memory map "
             + ", ".join(f"{name} {s['bytes']} at {s['address']:#010x}" for name, s in run["map"].items())
         )
         print(
-            f"  dense_step: the same controller with full matrices, {run['dense_to_controller']:.1f} times control_step"
+            "  dense_step: the same controller with full matrices, "
+            f"{run['dense_to_controller']:.1f} times control_step"
         )
         print(
-            f"  whole step: {run['load_percent']:.2f} % of {report['clock_mhz']:g} MHz at Ts {report['Ts_s']:g} s, "
-            "if an instruction took one cycle"
+            f"  whole step: {run['load_percent']:.2f} % of {report['clock_mhz']:g} MHz "
+            f"at Ts {report['Ts_s']:g} s, if an instruction took one cycle"
         )
 
 

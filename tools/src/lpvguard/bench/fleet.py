@@ -64,7 +64,8 @@ def peak_memory_kib(folder: Path) -> int:
     """High-water mark [KiB] of a process that identifies the drives of ``folder`` and writes the result
     (Linux)."""
     script = (
-        "import sys, tempfile\nfrom pathlib import Path\nfrom lpvguard import identify as stage\nfrom lpvguard.bench import fleet\n"
+        "import sys, tempfile\nfrom pathlib import Path\n"
+        "from lpvguard.bench import fleet\nfrom lpvguard.identify import run as stage\n"
         "with tempfile.TemporaryDirectory() as out:\n"
         "    stage.save(*stage.identify(fleet.vehicle(), Path(sys.argv[1])), Path(out) / 'found')\n"
         "print(next(x.split()[1] for x in open('/proc/self/status') if x.startswith('VmHWM')))\n"
@@ -89,7 +90,7 @@ def bench_fleet(drives: int, duration_s: float, jobs: int, memory: tuple[int, ..
     with tempfile.TemporaryDirectory() as scratch:
         root = Path(scratch)
         write_fleet(root / "drives", drives, duration_s=duration_s)
-        seconds = {n: [] for n in (1, jobs)}
+        seconds: dict[int, list[float]] = {n: [] for n in (1, jobs)}
         for _ in range(2):
             for n, taken in seconds.items():
                 taken.append(_identified(root / "drives", n, root / str(n)))
@@ -130,11 +131,10 @@ def main(argv: list[str]) -> None:
     given = options.parse_args(argv)
     r = bench_fleet(given.drives, given.duration, given.jobs, tuple(given.memory))
     lines = [
-        (
-            f"identify, {r['drives']} drives of {r['duration_s']:g} s: 1 worker {r['seconds_1']:.1f} s, {r['jobs']} workers "
-            f"{r[f'seconds_{given.jobs}']:.1f} s, ratio {r['ratio']:.2f} ({r['processors']} processors, load {r['load']:.1f}); "
-            f"{'the same bytes' if r['same_bytes'] else 'DIFFERENT BYTES'}"
-        )
+        f"identify, {r['drives']} drives of {r['duration_s']:g} s: 1 worker {r['seconds_1']:.1f} s, "
+        f"{r['jobs']} workers {r[f'seconds_{given.jobs}']:.1f} s, ratio {r['ratio']:.2f} "
+        f"({r['processors']} processors, load {r['load']:.1f}); "
+        f"{'the same bytes' if r['same_bytes'] else 'DIFFERENT BYTES'}"
     ]
     smallest = min(r["peak_memory_kib"].values(), default=1)
     lines += [

@@ -100,7 +100,8 @@ def table(found: list[MemoryRow]) -> str:
     return "\n".join(
         lines
         + [
-            f"| {r.fraction:g} | {r.median:.2f} | {r.p95:.2f} | {r.largest:.2f} | {r.share_above_1:.1%} | {r.bound_max:.2f} |"
+            f"| {r.fraction:g} | {r.median:.2f} | {r.p95:.2f} | {r.largest:.2f} | {r.share_above_1:.1%} "
+            f"| {r.bound_max:.2f} |"
             for r in found
         ]
     )

@@ -89,6 +89,7 @@ class Signal(_Strict):
 
     @property
     def bits(self) -> range:
+        """Bits of the frame's data that the signal takes up."""
         return range(self.start, self.start + self.length)
 
     @property
@@ -117,10 +118,12 @@ class Signal(_Strict):
 
     @property
     def physical_min(self) -> float:
+        """Physical value of the smallest raw value."""
         return self.physical(0)
 
     @property
     def physical_max(self) -> float:
+        """Physical value of the largest raw value that is data."""
         return self.physical(self.raw_max)
 
 
@@ -166,11 +169,18 @@ class Message(_Strict):
 
     @property
     def source_address(self) -> int:
+        """J1939 source address: the lowest byte of the identifier."""
         return self.id & 0xFF
 
     @property
+    def rules(self) -> list[tuple[Signal, Supervision]]:
+        """The supervised signals, each with what a receiver accepts of it."""
+        return [(s, s.supervise) for s in self.signals if s.supervise]
+
+    @property
     def supervised(self) -> list[Signal]:
-        return [s for s in self.signals if s.supervise]
+        """The signals that a receiver supervises."""
+        return [s for s, _ in self.rules]
 
 
 class Node(_Strict):
@@ -214,6 +224,7 @@ class Catalogue(_Strict):
         return next(n.address for n in self.nodes if n.name == OWN_NODE)
 
     def sender(self, message: Message) -> Node:
+        """The node that sends a message."""
         return next(n for n in self.nodes if n.address == message.source_address)
 
     def message(self, name: str) -> Message:

@@ -88,9 +88,11 @@ extern "C" {
 /* Structs hold raw values. physical = scale * raw + offset.
  * encode: rounds to the nearest raw value, saturates at the ends of the range; NaN becomes "not available".
  * decode: writes the physical value and returns good; otherwise writes NaN and returns why there is no value.
- * pack:   fills id, dlc and data, unused bits 1, E2E header not yet (lpvg_can_e2e_protect); keeps t_us. The raw values are
+ * pack:   fills id, dlc and data, unused bits 1, E2E header not yet (lpvg_can_e2e_protect); keeps t_us. \
+The raw values are
  *         cut to their width. Returns bad_argument when a pointer is NULL.
- * unpack: returns bad_argument when a pointer is NULL, bad_sample when dlc is below 8 (*message is then untouched).
+ * unpack: returns bad_argument when a pointer is NULL, bad_sample when dlc is below 8 \
+(*message is then untouched).
  *         It checks nothing else: what may be used is for lpvg_can_receive to say. */
 
 /* Position of each message in lpvg_can_rules; the guarded controller receives the first LPVG_CAN_RECEIVED. */
@@ -98,7 +100,8 @@ extern "C" {
     ]
     parts += [f"#define {_macro(m)}_INDEX {i}u\n" for i, m in enumerate(messages)]
     parts.append(
-        f"#define LPVG_CAN_RECEIVED {n_received}u\n#define LPVG_CAN_RULES {len(messages)}u\nextern const lpvg_can_rule_t lpvg_can_rules[LPVG_CAN_RULES];\n"
+        f"#define LPVG_CAN_RECEIVED {n_received}u\n#define LPVG_CAN_RULES {len(messages)}u\n"
+        "extern const lpvg_can_rule_t lpvg_can_rules[LPVG_CAN_RULES];\n"
     )
     parts += [_message_header(m) for m in messages]
     parts.append("""
@@ -116,7 +119,8 @@ def _message_header(message: Message) -> str:
         f"E2E profile 11, data id 0x{message.e2e.data_id:04X}" if message.e2e else "no counter, no checksum"
     )
     lines = [
-        f"\n/* {message.name}: {message.title}. PGN {message.pgn}, {message.period_ms} ms, {protection}. */\n",
+        f"\n/* {message.name}: {message.title}. "
+        f"PGN {message.pgn}, {message.period_ms} ms, {protection}. */\n",
         f"#define {macro}_ID (LPVG_CAN_EXTENDED | 0x{message.id:08X}u)\n",
         f"#define {macro}_PERIOD_US {message.period_ms * 1000}u\n",
     ]
@@ -209,13 +213,13 @@ def _rules(messages: list[Message]) -> str:
         parts.append(
             f"\nstatic const lpvg_can_signal_rule_t {m.name.lower()}_signals[{len(m.supervised)}] = {{\n"
         )
-        for s in m.supervised:
-            low = math.ceil((s.supervise.min - s.offset) / s.scale)
-            high = math.floor((s.supervise.max - s.offset) / s.scale)
-            rate = math.ceil(s.supervise.max_rate / s.scale) if s.supervise.max_rate else 0
+        for s, accepted in m.rules:
+            low = math.ceil((accepted.min - s.offset) / s.scale)
+            high = math.floor((accepted.max - s.offset) / s.scale)
+            rate = math.ceil(accepted.max_rate / s.scale) if accepted.max_rate else 0
             parts.append(
-                f"    {{{s.start}u, {s.length}u, {low}u, {high}u, {s.raw_error_min or 0}u, {s.raw_absent_min or 0}u, "
-                f"{rate}u}}, /* {s.name} */\n"
+                f"    {{{s.start}u, {s.length}u, {low}u, {high}u, {s.raw_error_min or 0}u, "
+                f"{s.raw_absent_min or 0}u, {rate}u}}, /* {s.name} */\n"
             )
         parts.append("};\n")
     parts.append("\nconst lpvg_can_rule_t lpvg_can_rules[LPVG_CAN_RULES] = {\n")
@@ -223,7 +227,8 @@ def _rules(messages: list[Message]) -> str:
         data_id, e2e = (m.e2e.data_id, 1) if m.e2e else (0, 0)
         signals = f"{m.name.lower()}_signals" if m.supervised else "NULL"
         parts.append(
-            f"    {{{_macro(m)}_ID, 0x{ANY_PRIORITY:08X}u, {_macro(m)}_PERIOD_US, {m.period_ms * 1000 // GAP_FRACTION}u, "
+            f"    {{{_macro(m)}_ID, 0x{ANY_PRIORITY:08X}u, {_macro(m)}_PERIOD_US, "
+            f"{m.period_ms * 1000 // GAP_FRACTION}u, "
             f"0x{data_id:04X}u, {e2e}u, 8u, {len(m.supervised)}u, {signals}}},\n"
         )
     parts.append("};\n")
@@ -265,16 +270,18 @@ lpvg_status_t {name}_unpack({name}_t* message, const lpvg_can_frame_t* frame)
     lines += [f"    message->{s.name} = ({_raw_type(s)})({_load(s)});\n" for s in message.signals]
     lines.append("    return lpvg_status_ok;\n}\n")
     for s in message.signals:
+        forward = f"(physical + {_float(-s.offset)}) * {_float(1.0 / s.scale)}"
+        quality = f"{s.raw_max}u, {_code(s.raw_error_min)}u, {_code(s.raw_absent_min)}u"
         inverse = f"({_float(s.scale)} * (float)raw) {'-' if s.offset < 0 else '+'} {_float(abs(s.offset))}"
         lines.append(f"""
 {_raw_type(s)} {name}_{s.name}_encode(float physical)
 {{
-    return ({_raw_type(s)})round_and_saturate((physical + {_float(-s.offset)}) * {_float(1.0 / s.scale)}, {s.raw_max}u, {_absent(s)}u);
+    return ({_raw_type(s)})round_and_saturate({forward}, {s.raw_max}u, {_absent(s)}u);
 }}
 
 lpvg_can_quality_t {name}_{s.name}_decode({_raw_type(s)} raw, float* physical)
 {{
-    const lpvg_can_quality_t q = quality(raw, {s.raw_max}u, {_code(s.raw_error_min)}u, {_code(s.raw_absent_min)}u);
+    const lpvg_can_quality_t q = quality(raw, {quality});
     *physical = NAN;
     if (q == lpvg_can_quality_good) {{
         *physical = {inverse};

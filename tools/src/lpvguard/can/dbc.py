@@ -37,7 +37,8 @@ def _number(value: float) -> str:
 
 def _signal(signal: Signal) -> str:
     return (
-        f" SG_ {signal.name} : {signal.start}|{signal.length}@1+ ({_number(signal.scale)},{_number(signal.offset)}) "
+        f" SG_ {signal.name} : {signal.start}|{signal.length}@1+ "
+        f"({_number(signal.scale)},{_number(signal.offset)}) "
         f'[{_number(signal.physical_min)}|{_number(signal.physical_max)}] "{signal.unit}" Vector__XXX\n'
     )
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from ..base.errors import InputError
 from .catalogue import j1939_data_max
 from .dbc import dbc_text
 from .logs import EXTENDED, Frames
+
+if TYPE_CHECKING:  # cantools takes long to import
+    from cantools.database.can import Database, Message, Signal
 
 _PRIORITY = 0x1C000000
 _PDU2 = 0xF0
@@ -31,19 +35,23 @@ class Samples:
     left_out: dict[str, int] = field(default_factory=dict)
 
 
-def load_database(path: Path):
+def load_database(path: Path) -> Database:
     """A cantools database from a DBC (or another form that cantools reads). InputError names the file and
     line."""
     import cantools
+    from cantools.database.can import Database
 
     if not Path(path).is_file():
         raise InputError(path, "--dbc", "no such file", "a CAN database (.dbc, .arxml, .kcd, .sym)")
     try:
-        return cantools.database.load_file(path, strict=False, encoding=_encoding(Path(path)))
+        found = cantools.database.load_file(path, strict=False, encoding=_encoding(Path(path)))
     except Exception as error:  # one exception class for each form of database
         raise InputError(
             path, "", f"cannot be read ({str(error).splitlines()[0]})", "a CAN database"
         ) from None
+    if not isinstance(found, Database):
+        raise InputError(path, "--dbc", "describes diagnostics, no messages", "a CAN database")
+    return found
 
 
 def _encoding(path: Path) -> str | None:
@@ -58,21 +66,23 @@ def _encoding(path: Path) -> str | None:
     return "utf-8"
 
 
-def own_database():
+def own_database() -> Database:
     """The cantools database of our own DBC."""
-    import cantools
+    from cantools.database.can import Database
 
-    return cantools.database.load_string(dbc_text(), "dbc")
+    database = Database()
+    database.add_dbc_string(dbc_text())
+    return database
 
 
-def is_j1939(message) -> bool:
+def is_j1939(message: Message) -> bool:
     """Whether the database says that a cantools ``message`` is a J1939 parameter group."""
     return message.protocol == "j1939"
 
 
 def find_frames(
     frames: Frames,
-    message,
+    message: Message,
     *,
     j1939: bool,
     channel: str | None = None,
@@ -117,7 +127,9 @@ def _j1939(frames: Frames, message, source_address: int | None, where: str) -> n
     return of_group & (sender == address)
 
 
-def decode_signal(frames: Frames, positions: np.ndarray, message, signal, *, j1939_codes: bool) -> Samples:
+def decode_signal(
+    frames: Frames, positions: np.ndarray, message: Message, signal: Signal, *, j1939_codes: bool
+) -> Samples:
     """Physical values of a cantools ``signal`` in the frames at ``positions``.
 
     Frames too short for the signal, frames of another multiplex, and with ``j1939_codes`` raw values above

@@ -61,15 +61,27 @@ class Frames:
                 where, "channel", f"{channel} is not in the log", f"one of {', '.join(self.channels)}"
             )
         at = self.channel == self.channels.index(channel)
-        arrays = (a[at] for a in (self.t_ns, self.id, self.channel, self.length, self.data))
-        return Frames(*arrays, self.channels, self.left_out)
+        return self.at(at)
+
+    def at(self, rows: np.ndarray | slice) -> Frames:
+        """Some of the frames; ``rows`` is a mask (N,), positions or a slice."""
+        return Frames(
+            self.t_ns[rows],
+            self.id[rows],
+            self.channel[rows],
+            self.length[rows],
+            self.data[rows],
+            self.channels,
+            self.left_out,
+        )
 
 
 def candump_line(t_us: int, channel: str, identifier: int, data: bytes) -> str:
     """A line of candump -L, which is that of candump -l; ``identifier`` with EXTENDED and, of an error
     report, ERROR_REPORT."""
     wide = 8 if identifier & (EXTENDED | ERROR_REPORT) else 3
-    return f"({t_us // 10**6}.{t_us % 10**6:06d}) {channel} {identifier & ~EXTENDED:0{wide}X}#{data.hex().upper()}\n"
+    frame = f"{identifier & ~EXTENDED:0{wide}X}#{data.hex().upper()}"
+    return f"({t_us // 10**6}.{t_us % 10**6:06d}) {channel} {frame}\n"
 
 
 @dataclass(frozen=True)
@@ -330,12 +342,13 @@ def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Ta
             return _read_python_can(path)
         return _raw_table(path, table)
     time = time_column or next((c for c in ("t", "time", "timestamp") if c in table.column_names), None)
-    if time not in table.column_names:
+    if time is None or time not in table.column_names:
         raise InputError(
             path,
             "header",
             f"no time column{f' {time}' if time else ''}",
-            f"one of t, time, timestamp in s (or `time` in the signal map); there are {', '.join(table.column_names)}",
+            "one of t, time, timestamp in s (or `time` in the signal map); "
+            f"there are {', '.join(table.column_names)}",
         )
     t_ns = np.rint(_numbers(path, table, time) * 1e9)
     bad = np.flatnonzero(~np.isfinite(t_ns))
@@ -459,7 +472,7 @@ def _mf4_frames(mdf, places: list[tuple[int, int]]) -> Frames:
 
 
 def _mf4_signals(mdf) -> Table:
-    series = {}
+    series: dict[str, Series] = {}
     for group, content in enumerate(mdf.groups):
         for index, channel in enumerate(content.channels):
             if mdf.masters_db.get(group) == index:

@@ -22,7 +22,7 @@ COUNTERS = 15
 
 
 def _crc8_table() -> np.ndarray:
-    crc = np.arange(256, dtype=np.uint16)
+    crc = np.arange(256)
     for _ in range(8):
         crc = np.where(crc & 0x80, crc << 1 ^ _CRC8_POLYNOMIAL, crc << 1) & 0xFF
     return crc.astype(np.uint8)
@@ -127,11 +127,9 @@ def values_of_drive(project, drive, catalogue: Catalogue | None = None) -> dict[
     values = {(s.can.message, s.can.signal): s.can.factor * x for s, x in columns}
     steady = drive.v * values.get(("VDC2", "yaw_rate"), 0.0)
     for message in dict.fromkeys(message for message, _ in values):
-        for signal in catalogue.message(message).supervised:
+        for signal, accepted in catalogue.message(message).rules:
             fill = steady if signal.name == "lateral_acceleration" else np.zeros(len(drive.t))
-            values.setdefault(
-                (message, signal.name), np.clip(fill, signal.supervise.min, signal.supervise.max)
-            )
+            values.setdefault((message, signal.name), np.clip(fill, accepted.min, accepted.max))
     return values
 
 

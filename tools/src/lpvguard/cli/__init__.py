@@ -11,6 +11,7 @@ import sys
 from typing import Any
 
 from ..base.errors import InputError
+from ..base.system import ENDING_SIGNALS
 from . import (  # noqa: F401 - each adds its verb, in the order of --help
     bench,
     campaign,
@@ -56,8 +57,8 @@ def _end(number: int, _: Any) -> None:
 
 def main() -> None:
     """Entry point of the console script."""
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) == signal.SIG_DFL:  # nohup ignores the second
+    for number in ENDING_SIGNALS:
+        if signal.getsignal(number) == signal.SIG_DFL:  # nohup ignores SIGHUP
             signal.signal(number, _end)
     try:
         app()

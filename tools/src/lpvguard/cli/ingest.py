@@ -27,7 +27,7 @@ def ingest(
 ) -> None:
     """Turn logs into uniform drive tables, with a report of what was left out and why. Needs no model."""
     from ..drives.ingest import ingest as run
-    from ..drives.ingest import map_of_project
+    from ..drives.signal_map import map_of_project
 
     if (signals is None) == (vehicle is None):
         raise InputError("ingest", "--signals, --vehicle", "both or neither given", "exactly one of them")

@@ -39,7 +39,8 @@ from ..engine.synthesis.lpv_certificate import (
 from ..engine.synthesis.norms import hinf_norm
 from ..engine.synthesis.scheduling import closed_scaled, common_family, common_scaling
 from ..engine.synthesis.statespace import StateSpace, append, gain, series, zero_order_hold
-from ..identify.run import FittedWeight, Progress, StoredIdentification
+from ..identify.run import Progress, StoredIdentification
+from ..identify.weights import FittedWeight
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import DesignSettings
 from .schedule import FrozenLoop, fit

@@ -23,12 +23,10 @@ from ..base.errors import InputError
 from ..drives.frames import Estimator
 from ..engine.validation import s1, s2
 from ..identify.bounds import FrameSet, counted_frames, explain, reduce_disturbance
-from ..identify.run import (
+from ..identify.run import DriveSet, Progress, StoredIdentification
+from ..identify.weights import (
     SMALLEST_NU,
-    DriveSet,
     FittedWeight,
-    Progress,
-    StoredIdentification,
     disturbance_weights,
     fit_bound,
     smallest_disturbance,

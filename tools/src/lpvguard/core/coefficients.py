@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .. import __version__
 from ..base import artefacts
@@ -64,21 +65,17 @@ def build_coefficients(
     """
     require_core(project)
     table = model.table
-    K = estimator.n_bins
-    phase = 2 * np.pi * estimator.cycles / estimator.length
-    taper = 2 * np.pi / estimator.length
-    half_sum = estimator.length / 2  # sum of a periodic Hann window
+    energy_sizes, energy_words, energy_reals = energy.coefficients()
     sizes = {
         "NX": model.n,
         "NU": model.n_u,
         "NY": model.n_y,
         "DELAY": model.delay,
-        "NBINS": K,
+        "NBINS": estimator.n_bins,
         "NCELLS": len(table.cell),
         "NVARYING": len(table.varying),
+        **energy_sizes,
     }
-    energy_sizes, energy_words, energy_reals = energy.coefficients()
-    sizes |= energy_sizes
     words = {
         **COEFF.head(sizes),
         "estimator_id": estimator.identifier(),
@@ -91,29 +88,47 @@ def build_coefficients(
         "cycles": estimator.cycles,
         "varying_entry": table.varying,
     }
-    # cos - 1 = -2 sin^2(half angle) keeps its relative precision for small angles.
-    reals = {
-        "speed_min": model.speed_range[0],
-        "speed_max": model.speed_range[1],
-        "speed_valid": [project.speed.min, project.speed.max],
-        "input_valid": [[s.min, s.max] for s in project.inputs],
-        "output_valid": [[s.min, s.max] for s in project.outputs],
-        "speed_tolerance": estimator.speed_tolerance,
-        "input_offset": model.input_offset,
-        "output_offset": model.output_offset,
-        "base": table.base,
-        "cell": table.cell,
-        "C": model.C,
-        "C_pinv": np.linalg.pinv(model.C),
-        "turn": np.stack([-2 * np.sin(phase / 2) ** 2, np.sin(phase)], axis=1),
-        "taper": np.stack([-2 * np.sin(taper / 2) ** 2, np.sin(taper)], axis=1),
-        "scale": np.where(estimator.cycles > 0, 2.0, 1.0) / half_sum,
+    reals: dict[str, ArrayLike] = {
+        **_model_reals(project, model),
+        **_estimator_reals(estimator),
         **energy_reals,
         "W_delta": W_delta,
         "B_w": B_w,
         "threshold": threshold,
     }
-    return Coefficients(sizes, words, reals, project.name, estimator.identifier(), table.error)
+    numbers = {name: np.array(value, float) for name, value in reals.items()}
+    return Coefficients(sizes, words, numbers, project.name, estimator.identifier(), table.error)
+
+
+def _model_reals(project: Project, model: NominalModel) -> dict[str, ArrayLike]:
+    """Ranges of the signals, and the model over its speed cells."""
+    return {
+        "speed_min": model.speed_range[0],
+        "speed_max": model.speed_range[1],
+        "speed_valid": [project.speed.min, project.speed.max],
+        "input_valid": [[s.min, s.max] for s in project.inputs],
+        "output_valid": [[s.min, s.max] for s in project.outputs],
+        "input_offset": model.input_offset,
+        "output_offset": model.output_offset,
+        "base": model.table.base,
+        "cell": model.table.cell,
+        "C": model.C,
+        "C_pinv": np.linalg.pinv(model.C),
+    }
+
+
+def _estimator_reals(estimator: Estimator) -> dict[str, ArrayLike]:
+    """Rotations of bin and Hann window by one sample, each less one, and the scale of a frame's sum."""
+    phase = 2 * np.pi * estimator.cycles / estimator.length
+    taper = 2 * np.pi / estimator.length
+    half_sum = estimator.length / 2  # sum of a periodic Hann window
+    # cos - 1 = -2 sin^2(half angle) keeps its relative precision for small angles.
+    return {
+        "speed_tolerance": estimator.speed_tolerance,
+        "turn": np.stack([-2 * np.sin(phase / 2) ** 2, np.sin(phase)], axis=1),
+        "taper": np.stack([-2 * np.sin(taper / 2) ** 2, np.sin(taper)], axis=1),
+        "scale": np.where(estimator.cycles > 0, 2.0, 1.0) / half_sum,
+    }
 
 
 def _vehicle_header(c: Coefficients, controller: ControllerCoefficients | None) -> str:
@@ -136,7 +151,8 @@ def _signals_header(project: Project) -> str:
     ]
     for role, group in (("INPUT", project.inputs), ("OUTPUT", project.outputs)):
         lines += [
-            f"#define LPVG_{role}_{s.name.upper()} {i} /* [{s.unit}] {s.min:g}..{s.max:g}, {s.positive} > 0 */"
+            f"#define LPVG_{role}_{s.name.upper()} {i} "
+            f"/* [{s.unit}] {s.min:g}..{s.max:g}, {s.positive} > 0 */"
             for i, s in enumerate(group)
         ]
     return "\n".join([*lines, "", "#endif", ""])

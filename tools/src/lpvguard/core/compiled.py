@@ -86,9 +86,9 @@ def eigen_include() -> str:
         path = Path(found.stdout.strip() or "/usr/include") / "eigen3"
         if path.is_dir():
             return str(path)
-    for path in ("/usr/include/eigen3", "/usr/local/include/eigen3", "/opt/homebrew/include/eigen3"):
-        if Path(path).is_dir():
-            return path
+    for usual in ("/usr/include/eigen3", "/usr/local/include/eigen3", "/opt/homebrew/include/eigen3"):
+        if Path(usual).is_dir():
+            return usual
     raise native.NativeError("Eigen 3.4 not found; install libeigen3-dev")
 
 
@@ -121,6 +121,7 @@ class FrameLog:
 
     @classmethod
     def from_rows(cls, rows: np.ndarray, n_y: int) -> FrameLog:
+        """From rows as the C wrapper writes them, (F, 10 + 4 n_y); times in microseconds."""
         parts = rows[:, 10:].reshape(len(rows), 2, n_y, 2)
         spectra = parts[..., 0] + 1j * parts[..., 1]
         return cls(
@@ -246,9 +247,8 @@ class Core:
         Raises InputError with the core's status when init refuses them.
         """
         compiled_words, compiled_reals = self.compiled
-        if words is None and reals is None:
-            arguments = (None, None)
-        else:
+        arguments: tuple[ctypes.c_void_p | None, ctypes.c_void_p | None] = (None, None)
+        if words is not None or reals is not None:
             words = np.ascontiguousarray(compiled_words if words is None else words, np.uint32)
             reals = np.ascontiguousarray(compiled_reals if reals is None else reals, float)
             arguments = (_pointer(words), _pointer(reals))
@@ -319,4 +319,5 @@ class Monitor:
         return Run(frames, verdict, status, energy, alarms)
 
     def run_drive(self, drive: Drive, present: np.ndarray | None = None) -> Run:
+        """`run` over a whole drive."""
         return self.run(drive.t, drive.v, drive.u, drive.y, present)

@@ -52,6 +52,7 @@ class ControllerCoefficients(Sealed):
     origin: dict[str, Any]
 
     def manifest(self) -> dict[str, Any]:
+        """What the generated folder's manifest says of the controller."""
         return {
             "sizes": self.sizes,
             "Ts_s": self.Ts_s,

@@ -37,6 +37,7 @@ class Sealed:
             )
 
     def flat_reals(self) -> np.ndarray:
+        """All numbers in the order of the struct, (n,)."""
         return np.concatenate([np.atleast_1d(v).ravel() for v in self.reals.values()]).astype(float)
 
     def crc32(self, real_bytes: int) -> int:

@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 
 from ..base import native
-from ..base.artefacts import write_file, write_files
+from ..base.artefacts import write_files
 from ..base.errors import InputError
 from .compiled import eigen_include, firmware_root, library_root
 
@@ -136,6 +136,7 @@ class Input:
     y: np.ndarray
 
     def header(self) -> str:
+        """C++ text of target_input.h."""
         rows = np.column_stack([self.v, self.u, self.y]).astype(np.float32)
         text = ",\n".join("{" + ", ".join(f"{float(x).hex()}F" for x in row) + "}" for row in rows)
         return (
@@ -221,13 +222,18 @@ def emulated_ecu(name: str, vehicle: Path) -> EmulatedEcu:
     )
     # Arguments: INTERFACE --engage yes|no --time-line FD. The emulator ends when the simulator does.
     script = (
-        f'#!/bin/sh\nexport QEMU_AUDIO_DRV=none\nexec setpriv --pdeathsig TERM {command} -chardev "socket,id=time,fd=$5" '
-        f'-object "can-host-socketcan,id=can,if=$1,canbus=canbus0" '
-        f"-semihosting-config \"enable=on,target=native,chardev=time,arg=$3\" >/dev/null <<'END'\n{target.monitor_input or ''}END\n"
+        "#!/bin/sh\nexport QEMU_AUDIO_DRV=none\n"
+        f'exec setpriv --pdeathsig TERM {command} -chardev "socket,id=time,fd=$5" '
+        '-object "can-host-socketcan,id=can,if=$1,canbus=canbus0" '
+        '-semihosting-config "enable=on,target=native,chardev=time,arg=$3" '
+        f">/dev/null <<'END'\n{target.monitor_input or ''}END\n"
     )
     start = elf.with_suffix(".sh")
-    write_file(start, script)
-    start.chmod(0o755)
+    with tempfile.TemporaryDirectory(prefix="build", dir=elf.parent) as scratch:
+        new = Path(scratch) / start.name
+        new.write_text(script)
+        new.chmod(0o755)
+        os.replace(new, start)
     return EmulatedEcu(name, start, hashlib.sha256(elf.read_bytes()).hexdigest())
 
 
@@ -324,24 +330,48 @@ def _build(
 ) -> tuple[Path, list[str]]:
     """The ELF, from the cache when nothing has changed, and the symbols that the core's objects leave to
     libraries."""
-    ports, core, vehicle = firmware_root() / "ports", library_root(), Path(vehicle)
+    vehicle = Path(vehicle)
+    sources = _named_sources(target, vehicle, program)
+    flags = (*target.cpu, *language, *WARNINGS, "-ffunction-sections", "-fdata-sections")
+    key = _build_key(target, vehicle, program, sources, flags)
+    stem = native.cache_dir() / f"{program.name}_{target.name}-{key}"
+    elf, symbols = stem.with_suffix(".elf"), stem.with_suffix(".imports")
+    if not (elf.is_file() and symbols.is_file()):
+        with tempfile.TemporaryDirectory(prefix="build", dir=stem.parent) as scratch:
+            folder = Path(scratch)
+            objects = _compile(vehicle, program, sources, flags, folder)
+            _link(target, objects, folder / "out.elf", vehicle)
+            (folder / "imports").write_text(
+                "\n".join(_imports([o for o in objects if not o.name.startswith("port_")]))
+            )
+            os.replace(folder / "imports", symbols)
+            os.replace(folder / "out.elf", elf)
+    return elf, symbols.read_text().split()
+
+
+def _named_sources(target: Target, vehicle: Path, program: Program) -> dict[str, Path]:
+    """Object's name -> source; the linker scripts tell the core's objects by the prefixes."""
+    ports = firmware_root() / "ports"
     port = ports / target.port
     core_sources, vehicle_sources = _sources(vehicle)
-    # The linker scripts tell the core's objects by these prefixes.
-    sources = {
+    port_sources = (
+        *program.sources,
+        ports / "bare_metal" / "bare_metal.c",
+        *sorted(port.glob("*.c")),
+        *sorted(port.glob("*.S")),
+    )
+    return {
         **{f"core_{p.stem}": p for p in core_sources},
         **{f"vehicle_{p.stem}": p for p in vehicle_sources},
-        **{
-            f"port_{p.stem}": p
-            for p in (
-                *program.sources,
-                ports / "bare_metal" / "bare_metal.c",
-                *sorted(port.glob("*.c")),
-                *sorted(port.glob("*.S")),
-            )
-        },
+        **{f"port_{p.stem}": p for p in port_sources},
     }
-    flags = (*target.cpu, *language, *WARNINGS, "-ffunction-sections", "-fdata-sections")
+
+
+def _build_key(
+    target: Target, vehicle: Path, program: Program, sources: dict[str, Path], flags: tuple[str, ...]
+) -> str:
+    """Hash of all that a build depends on: compiler, flags, sources and headers."""
+    ports, core = firmware_root() / "ports", library_root()
     key = hashlib.sha256()
     version = subprocess.run(
         ["arm-none-eabi-gcc", "--version"], capture_output=True, text=True, check=True
@@ -350,7 +380,7 @@ def _build(
         key.update(text.encode() + b"\0")
     for path in (
         *sources.values(),
-        port / target.linker_script,
+        ports / target.port / target.linker_script,
         *sorted(ports.glob("*.h*")),
         *(h for folder in program.folders for h in sorted(folder.glob("*.h*"))),
         *sorted(vehicle.glob("*.h")),
@@ -358,48 +388,34 @@ def _build(
         *sorted((core / "src").glob("*.hpp")),
     ):
         key.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
-    stem = native.cache_dir() / f"{program.name}_{target.name}-{key.hexdigest()[:24]}"
-    elf, symbols = stem.with_suffix(".elf"), stem.with_suffix(".imports")
-    if not (elf.is_file() and symbols.is_file()):
-        with tempfile.TemporaryDirectory(prefix="build", dir=stem.parent) as scratch:
-            folder = Path(scratch)
-            write_files(folder, program.headers)
-            includes = [
-                f"-I{p}" for p in (core / "include", core / "src", vehicle, ports, folder, *program.folders)
-            ]
+    return key.hexdigest()[:24]
 
-            def compile_one(item: tuple[str, Path]) -> Path:
-                name, source = item
-                is_cxx = source.suffix == ".cpp"
-                dialect = (*CXX, "-isystem", eigen_include()) if is_cxx else ("-std=gnu99",)
-                tool = "arm-none-eabi-g++" if is_cxx else "arm-none-eabi-gcc"
-                _tool([tool, *flags, *dialect, *includes, "-c", source, "-o", folder / f"{name}.o"], source)
-                return folder / f"{name}.o"
 
-            with ThreadPoolExecutor(os.cpu_count()) as pool:
-                objects = list(pool.map(compile_one, sources.items()))
-            _tool(
-                [
-                    "arm-none-eabi-g++",
-                    *target.cpu,
-                    "--specs=nano.specs",
-                    "-nostartfiles",
-                    "-Wl,--gc-sections",
-                    "-Wl,--no-warn-rwx-segments",
-                    "-T",
-                    port / target.linker_script,
-                    *objects,
-                    "-o",
-                    folder / "out.elf",
-                ],
-                vehicle,
-            )
-            (folder / "imports").write_text(
-                "\n".join(_imports([o for o in objects if not o.name.startswith("port_")]))
-            )
-            os.replace(folder / "imports", symbols)
-            os.replace(folder / "out.elf", elf)
-    return elf, symbols.read_text().split()
+def _compile(
+    vehicle: Path, program: Program, sources: dict[str, Path], flags: tuple[str, ...], folder: Path
+) -> list[Path]:
+    """Objects of all sources, in ``folder``; the program's generated headers are written there first."""
+    write_files(folder, program.headers)
+    ports, core = firmware_root() / "ports", library_root()
+    includes = [f"-I{p}" for p in (core / "include", core / "src", vehicle, ports, folder, *program.folders)]
+
+    def compile_one(item: tuple[str, Path]) -> Path:
+        name, source = item
+        is_cxx = source.suffix == ".cpp"
+        dialect = (*CXX, "-isystem", eigen_include()) if is_cxx else ("-std=gnu99",)
+        tool = "arm-none-eabi-g++" if is_cxx else "arm-none-eabi-gcc"
+        _tool([tool, *flags, *dialect, *includes, "-c", source, "-o", folder / f"{name}.o"], source)
+        return folder / f"{name}.o"
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return list(pool.map(compile_one, sources.items()))
+
+
+def _link(target: Target, objects: list[Path], elf: Path, vehicle: Path) -> None:
+    """Link to ``elf`` by the target's linker script."""
+    script = firmware_root() / "ports" / target.port / target.linker_script
+    options = ("--specs=nano.specs", "-nostartfiles", "-Wl,--gc-sections", "-Wl,--no-warn-rwx-segments")
+    _tool(["arm-none-eabi-g++", *target.cpu, *options, "-T", script, *objects, "-o", elf], vehicle)
 
 
 def _tool(command: Sequence[object], source: Path) -> str:
@@ -416,7 +432,8 @@ def _tool(command: Sequence[object], source: Path) -> str:
 
 def _imports(objects: list[Path]) -> list[str]:
     """Symbols that the objects need and none of them defines."""
-    needed, defined = set(), set()
+    needed: set[str] = set()
+    defined: set[str] = set()
     for line in _tool(["arm-none-eabi-nm", *objects], objects[0]).splitlines():
         *_, kind, symbol = line.rsplit(maxsplit=2) if len(line.split()) > 1 else ("", "", "")
         (needed if kind == "U" else defined).add(symbol)

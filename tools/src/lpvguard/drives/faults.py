@@ -31,6 +31,7 @@ class Fault:
 
     @property
     def label(self) -> str:
+        """The fault in words, with its size."""
         texts = {
             "gain": "output × {:g}",
             "freeze": "output frozen",
@@ -44,12 +45,12 @@ class Fault:
 def inject(drive: Drive, fault: Fault, start_s: float, Ts: float) -> Drive:
     """The drive with ``fault`` from ``start_s`` seconds after its first sample on. Delays are whole
     samples."""
-    first = int(round(start_s / Ts))
+    first = round(start_s / Ts)
     u, y = drive.u.copy(), drive.y.copy()
 
     def delayed(x: np.ndarray) -> np.ndarray:
         index = np.arange(len(x))
-        shift = int(round(fault.value / Ts))
+        shift = round(fault.value / Ts)
         return x[np.where(index >= first, np.maximum(index - shift, 0), index)]
 
     if fault.kind == "gain":

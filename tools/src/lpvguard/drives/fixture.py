@@ -57,7 +57,7 @@ def _coloured(random: np.random.Generator, n: int, band_hz: tuple[float, float],
 def _drive(
     random: np.random.Generator, mean_speed: float, duration: float, Ts: float
 ) -> dict[str, np.ndarray]:
-    n = int(round(duration / Ts)) + 1
+    n = round(duration / Ts) + 1
     t = np.arange(n) * Ts
     # Starts and ends at standstill; in between the speed wanders by some ten per cent.
     wander = 0.06 * _coloured(random, n, (0.004, 0.02), Ts)

@@ -35,15 +35,20 @@ from ..vehicle.nominal import NominalModel
 from ..vehicle.project import FrameSettings, Project
 
 
+def not_for_the_core(project: Project) -> InputError:
+    """The error of a project of the plain DFT: the core computes Hann frames only."""
+    return InputError(
+        f"vehicle {project.name}",
+        "frames.estimator",
+        "the plain DFT, which the core does not compute: its bounds are for identify and report only",
+        'estimator = "hann" and bounds made with it',
+    )
+
+
 def require_core(project: Project) -> None:
-    """InputError for a project of the plain DFT: the core computes Hann frames only."""
+    """InputError for a project of the plain DFT."""
     if project.frames.estimator != "hann":
-        raise InputError(
-            f"vehicle {project.name}",
-            "frames.estimator",
-            "the plain DFT, which the core does not compute: its bounds are for identify and report only",
-            'estimator = "hann" and bounds made with it',
-        )
+        raise not_for_the_core(project)
 
 
 @dataclass(frozen=True)
@@ -64,9 +69,10 @@ class Estimator:
 
     @classmethod
     def of(cls, project: Project, model: NominalModel) -> Estimator:
+        """The estimator of a project (THEORY 3.2). Raises InputError for settings that it cannot realise."""
         settings: FrameSettings = project.frames
-        if settings.estimator == "dft":
-            return cls._plain_dft(project, model, settings)
+        if settings.length_s is not None:
+            return cls._plain_dft(project, model, settings, settings.length_s)
         decades = np.log10(settings.f_max_hz / settings.f_min_hz)
         # The tolerance keeps a last bin that the decimal settings place exactly at f_max.
         n_bins = int(np.floor(decades * settings.bins_per_decade + 1e-9)) + 1
@@ -97,8 +103,10 @@ class Estimator:
         )
 
     @classmethod
-    def _plain_dft(cls, project: Project, model: NominalModel, settings: FrameSettings) -> Estimator:
-        N = int(round(settings.length_s / project.Ts_s))
+    def _plain_dft(
+        cls, project: Project, model: NominalModel, settings: FrameSettings, length_s: float
+    ) -> Estimator:
+        N = round(length_s / project.Ts_s)
         lines = np.arange(N // 2)
         f = lines / (N * project.Ts_s)
         inside = lines[
@@ -123,10 +131,12 @@ class Estimator:
 
     @property
     def omega(self) -> np.ndarray:
+        """Frequencies of the bins (K,) [rad/s]; 0 is DC."""
         return 2 * np.pi * self.cycles / (self.length * self.Ts)
 
     @property
     def n_bins(self) -> int:
+        """Number of bins K, DC included."""
         return len(self.length)
 
     def identifier(self) -> int:

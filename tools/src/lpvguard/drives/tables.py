@@ -36,6 +36,7 @@ class Drive:
 
     @property
     def duration_s(self) -> float:
+        """Time from the first to the last sample [s]."""
         return float(self.t[-1] - self.t[0])
 
     def from_sample(self, k: int) -> Drive:

@@ -47,7 +47,8 @@ from ..drives.tables import Drive, Experiment
 from ..identify.bounds import nominal_error
 from ..identify.calibration import Calibration, calibrate, joint_scores
 from ..identify.energy import ROUNDING
-from ..identify.run import DriveReader, DriveSet, StoredIdentification
+from ..identify.passes import DriveReader
+from ..identify.run import DriveSet, StoredIdentification
 from ..replay.run import Replay, Replayer
 from .baselines import GRID, KINDS, TITLES, Bank, Baseline, Scales
 

@@ -36,13 +36,17 @@ class Calibration:
     conditional_bound: float | None
 
     def to_dict(self) -> dict:
+        """JSON-able; the constructor takes it back."""
         return asdict(self)
 
     def claim(self) -> str:
         """What may be said of the threshold's false alarms, in words; never a threshold without it."""
         if self.alpha is None:
             return f"alpha is not stated: too few calibration drives ({len(self.scores)})"
-        return f"alpha {self.alpha:g} from {len(self.scores)} drives, with 95 % confidence below {self.conditional_bound:.3f}"
+        return (
+            f"alpha {self.alpha:g} from {len(self.scores)} drives, with 95 % confidence below "
+            f"{self.conditional_bound:.3f}"
+        )
 
 
 def score(run: Run) -> float | None:

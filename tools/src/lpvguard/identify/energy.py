@@ -207,8 +207,9 @@ class EnergyTest:
 
     def sigma_text(self, project: Project) -> str:
         """sigma per output, below, between and above the corners."""
+        bands = ", ".join(self.bands)
         return "; ".join(
-            f"{signal.name} {', '.join(f'{x:.3g}' for x in per_band)} {signal.unit} ({', '.join(self.bands)} the corners)"
+            f"{signal.name} {', '.join(f'{x:.3g}' for x in per_band)} {signal.unit} ({bands} the corners)"
             for signal, per_band in zip(project.outputs, self.sigma.T, strict=False)
         )
 
@@ -313,6 +314,7 @@ class EnergyTest:
         )
 
     def to_dict(self) -> dict:
+        """JSON-able, for `restored`."""
         return {
             "memory_s": self.memory_s,
             "band_hz": list(self.band_hz),

@@ -24,177 +24,62 @@ from __future__ import annotations
 
 import io
 import tempfile
-import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property, partial, reduce
+from functools import cached_property, partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import TypeVar
 
 import numpy as np
 
 from ..base import artefacts
 from ..base.errors import InputError
 from ..base.parallel import Map
-from ..base.sampling import Rows, first_of_each, row_hash, stacked
-from ..core.coefficients import Coefficients, build_coefficients, vehicle_files
+from ..base.sampling import Rows, stacked
+from ..core.coefficients import Coefficients, vehicle_files
 from ..core.compiled import Core
-from ..drives.frames import Estimator
-from ..drives.tables import EXPERIMENTS, Drive, Experiment, list_experiments, read_drive, require_units
-from ..engine.overbound import OverboundFit, Weight, fit_overbound, subtract_noise, verify_overbound
-from ..engine.validation import s1
+from ..drives.frames import Estimator, not_for_the_core
+from ..drives.tables import EXPERIMENTS, Drive, Experiment, list_experiments
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, parse_project
-from .bounds import (
-    FRONT_POINTS,
-    Bounds,
-    FrameSet,
-    Part,
-    counted_frames,
-    fold,
-    front_grid,
-    nominal_error,
-    reduce_covering,
-    reduce_disturbance,
-    reduce_uncertainty,
-)
-from .calibration import Calibration, calibrate, energy_score, score
+from .bounds import FRONT_POINTS, Bounds, Part, fold, front_grid
+from .calibration import Calibration, calibrate
 from .energy import EnergyTest
+from .passes import (
+    DriveReader,
+    Judged,
+    covering_pass,
+    energy_pass,
+    first_pass,
+    judge,
+    thinned,
+    uncertainty_pass,
+)
 from .visibility import Excitation, visibility
+from .weights import (
+    Weights,
+    coefficients_of,
+    energy_filters,
+    fit_bound,
+    fit_weights,
+    smallest_disturbance,
+)
 from .window_error import window_error
 
-DC_STAND_IN = 0.1
-"""DC has no place on a logarithmic axis: its bound stands at this fraction of the lowest bin's frequency."""
-SMALLEST_NU = 1e-3
-"""Floor of the uncertainty bound where the data ask for none; a weight must be positive."""
-LEAST_SHARE = 0.1
-"""Floor of step 7, as a part of B_w: less is left only where two weights happen to be equal, each of them a
-fit to some tenths of a dB. A floor above what is left covers it; one far below would stand as a chasm in the
-bound, which no weight of low order follows."""
 CUTS = 5
 """Random first samples from which every bound-setting drive is replayed to find the final inflation."""
-LARGEST_SPECTRA, DRAWN_SPECTRA = 250, 750
-"""Frames a bin in spectra.npz: those of largest |E|, and a draw by hash among all."""
-
 JOINED_AT_ONCE = 32
 """Samples of so many drives wait to be joined: sorting them together costs the process that joins less
 time."""
 
 Progress = Callable[[str], None]
+"""Takes what a run does next, in words."""
+Result = TypeVar("Result")
 
 
 def _quiet(_: str) -> None:
     pass
-
-
-@dataclass(frozen=True)
-class FittedWeight:
-    """A weight with the samples it was fitted above: omega, bound (K',) (NaN: no data)."""
-
-    fit: OverboundFit
-    omega: np.ndarray
-    bound: np.ndarray
-
-    def magnitude(self, omega: np.ndarray) -> np.ndarray:
-        return self.fit.weight.magnitude(omega)
-
-    def to_dict(self) -> dict:
-        f = self.fit
-        return {
-            "weight": f.weight.to_dict(),
-            "order": f.order,
-            "worst_ratio_db": f.worst_ratio_db,
-            "lp_optimum_db": f.lp_optimum_db,
-            "certificate": f.certificate,
-            "floored_rad_s": list(f.floored),
-            "breaks_outside_rad_s": list(f.breaks_outside),
-            "omega_rad_s": self.omega,
-            "bound": self.bound,
-        }
-
-
-@dataclass(frozen=True)
-class Weights:
-    """Fitted weights. ``inflation`` multiplies W_w, W_n and W_delta wherever they are used.
-
-    W_w, W_n and W_w_S0 hold one weight per output. Without zero-input drives W_n is empty, and so are W_w_S0
-    and W_C, which only synthesis needs. W_w_S0: disturbance of class S0, where nothing is left to uncertainty
-    (K_inf). ``floored``: step 7, frequencies [rad/s] per weight where nothing was left of B_w after the
-    sensor's share.
-    """
-
-    W_w: list[FittedWeight]
-    W_delta: FittedWeight
-    gamma_w: FittedWeight
-    W_n: list[FittedWeight]
-    W_w_S0: list[FittedWeight]
-    W_C: list[FittedWeight]
-    floored: dict[str, list[float]]
-    disturbance_set: str
-    inflation: float = 1.0
-
-    def at(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """W_delta (K,) and B_w (K, n_y) as the monitor uses them: inflation included, the sensor's share put
-        back."""
-        B_w = np.column_stack([w.magnitude(omega) for w in self.W_w])
-        if self.W_n:
-            W_n = np.column_stack([w.magnitude(omega) for w in self.W_n])
-            B_w = np.hypot(B_w, W_n) if self.disturbance_set == "covering" else B_w + W_n
-        return self.inflation * self.W_delta.magnitude(omega), self.inflation * B_w
-
-    def to_dict(self) -> dict:
-        lists = {key: [w.to_dict() for w in getattr(self, key)] for key in ("W_w", "W_n", "W_w_S0", "W_C")}
-        return lists | {
-            "W_delta": self.W_delta.to_dict(),
-            "gamma_w": self.gamma_w.to_dict(),
-            "floored_rad_s": self.floored,
-            "disturbance_set": self.disturbance_set,
-            "inflation": self.inflation,
-        }
-
-    @classmethod
-    def from_dict(cls, data: dict, source: str) -> Weights:
-        """Read back; every certificate is proved anew against its samples, a failing one is an InputError."""
-
-        def weight(entry: dict, name: str) -> FittedWeight:
-            omega = np.array(entry["omega_rad_s"], float)
-            bound = np.array([np.nan if b is None else b for b in entry["bound"]], float)
-            loaded = Weight.from_dict(entry["weight"])
-            certificate = verify_overbound(loaded, omega, bound, name=name)
-            if not certificate.ok:
-                raise InputError(
-                    source,
-                    name,
-                    f"the weight falls to {certificate.min_ratio:.6f} of its bound at "
-                    f"{certificate.min_ratio_at:.4g} rad/s",
-                    "a weight that overbounds its data",
-                )
-            fit = OverboundFit(
-                loaded,
-                entry["order"],
-                entry["worst_ratio_db"],
-                entry["lp_optimum_db"],
-                1.0,
-                certificate.to_dict(),
-                {},
-                tuple(entry["floored_rad_s"]),
-                tuple(entry["breaks_outside_rad_s"]),
-            )
-            return FittedWeight(fit, omega, bound)
-
-        lists = {
-            key: [weight(e, f"{key}[{j}]") for j, e in enumerate(data[key])]
-            for key in ("W_w", "W_n", "W_w_S0", "W_C")
-        }
-        return cls(
-            **lists,
-            W_delta=weight(data["W_delta"], "W_delta"),
-            gamma_w=weight(data["gamma_w"], "gamma_w"),
-            floored=data["floored_rad_s"],
-            disturbance_set=data["disturbance_set"],
-            inflation=data["inflation"],
-        )
 
 
 @dataclass(frozen=True)
@@ -217,38 +102,6 @@ class Identification:
     sha256: dict[str, str]
 
 
-class DriveReader:
-    """Reads drives and takes their frames; what is sent to a worker."""
-
-    def __init__(self, project: Project, model: NominalModel):
-        self.project, self.model, self.estimator = project, model, Estimator.of(project, model)
-        _ = model.table  # made here once, not by every worker
-
-    def read(self, experiment: Experiment) -> tuple[Drive, np.ndarray, np.ndarray]:
-        """The drive, its nominal error e and nominal output yhat (N, n_y)."""
-        drive = read_drive(experiment.path, self.project)
-        e, yhat = nominal_error(drive, self.model)
-        require_units(experiment.path, drive, yhat, self.estimator.settled(drive.v))
-        return drive, e, yhat
-
-    def frames(self, experiment: Experiment) -> Iterator[FrameSet]:
-        """The counted frames of a drive, bin by bin."""
-        return counted_frames(*self.read(experiment), self.model, self.estimator)
-
-    def why_without_frames(self) -> str:
-        """Why a drive has no counted frame."""
-        low, high = self.estimator.speed_range
-        return (
-            f"no frame counts: nowhere {self.estimator.length.min() * self.estimator.Ts:g} s within {low:g}..{high:g} m/s and "
-            f"{self.estimator.speed_tolerance:.0%} of their mean speed"
-            + (
-                f", {self.estimator.settle * self.estimator.Ts:.3g} s after entering"
-                if self.estimator.settle
-                else ""
-            )
-        )
-
-
 class DriveSet:
     """The drives of a folder, read when asked for and not kept."""
 
@@ -257,114 +110,8 @@ class DriveSet:
         self.experiments = {e.name: e for e in experiments}
 
     def load(self, name: str) -> tuple[Drive, np.ndarray, np.ndarray]:
+        """The drive, its nominal error e and nominal output yhat (N, n_y)."""
         return self.reader.read(self.experiments[name])
-
-
-def fitting_grid(estimator: Estimator) -> np.ndarray:
-    omega = estimator.omega.copy()
-    omega[0] = DC_STAND_IN * omega[1]
-    return omega
-
-
-def smallest_disturbance(B2: np.ndarray) -> float:
-    """Smallest disturbance bound: a weight must be positive where a bound is zero."""
-    return 1e-6 * float(np.nanmax(B2))
-
-
-def uncertainty_samples(estimator: Estimator, nu: np.ndarray) -> np.ndarray:
-    """What W_delta must cover: the running maximum of nu from the lowest bin up, nothing at DC.
-
-    Neglected dynamics grow with frequency, and a dip in nu only tells that no frame happened to need
-    uncertainty there. nu(0) = 0 by definition; below the lowest bin any small value will do (paper, step 6).
-    """
-    running = np.fmax.accumulate(np.where(estimator.cycles > 0, np.fmax(nu, SMALLEST_NU), SMALLEST_NU))
-    return np.where((estimator.cycles > 0) & np.isfinite(nu), running, np.nan)
-
-
-def _fit_settings(project: Project) -> dict:
-    return {"max_order": project.weights.max_order, "tol_db": project.weights.tolerance_db}
-
-
-def fit_bound(
-    project: Project, estimator: Estimator, bound: np.ndarray, name: str, floor: float
-) -> FittedWeight:
-    omega = fitting_grid(estimator)
-    # What the weight is proved against: the floor applied.
-    raised = np.where(np.isnan(bound), np.nan, np.fmax(bound, floor))
-    return FittedWeight(fit_overbound(omega, raised, name=name, **_fit_settings(project)), omega, raised)
-
-
-def fit_weights(
-    project: Project,
-    estimator: Estimator,
-    bounds: Bounds,
-    gamma_w: FittedWeight,
-    noise: np.ndarray,
-    error: np.ndarray,
-    command: np.ndarray,
-) -> Weights:
-    """Steps 6 and 7. ``noise``, ``error`` (K, n_y): peaks of E without and with input; ``command`` (K,): of
-    the first output.
-
-    Without zero-input drives (``noise`` all NaN) B_w itself is W_w.
-    """
-    floor = smallest_disturbance(bounds.B2)
-    names = [s.name for s in project.outputs]
-
-    def fit_all(bound: np.ndarray, what: str) -> list[FittedWeight]:
-        return [
-            fit_bound(project, estimator, bound[:, j], f"{what} of {n}", floor) for j, n in enumerate(names)
-        ]
-
-    W_delta = fit_bound(project, estimator, uncertainty_samples(estimator, bounds.nu), "nu", SMALLEST_NU)
-    chosen = {"disturbance_set": project.bounds.disturbance_set}
-    B_w = fit_all(bounds.B_w, "B_w")
-    if np.isnan(noise).all():
-        return Weights(B_w, W_delta, gamma_w, [], [], [], {}, **chosen)
-    W_n = fit_all(noise, "W_n")
-    # A covering set is an ellipsoid: n_y outputs at their peaks together need sqrt(n_y).
-    cover = np.sqrt(project.n_y) if project.bounds.disturbance_set == "covering" else 1.0
-    floored: dict[str, list[float]] = {}
-
-    def without_noise(B: list[FittedWeight], what: str) -> list[FittedWeight]:
-        weights, empty = disturbance_weights(project, estimator, B, W_n, floor, what)
-        floored.update({f"{what} of {n}": e for n, e in zip(names, empty, strict=False)})
-        return weights
-
-    return Weights(
-        without_noise(B_w, "W_w"),
-        W_delta,
-        gamma_w,
-        W_n,
-        without_noise(fit_all(cover * error, "B_w of S0"), "W_w of S0"),
-        [fit_bound(project, estimator, command, "W_C", floor)],
-        floored,
-        **chosen,
-    )
-
-
-def disturbance_weights(
-    project: Project,
-    estimator: Estimator,
-    B_w: list[FittedWeight],
-    W_n: list[FittedWeight],
-    floor: float,
-    what: str = "W_w",
-) -> tuple[list[FittedWeight], list[list[float]]]:
-    """Step 7: W_w per output, what is left of B_w after the sensor's share, and the frequencies [rad/s] where
-    nothing is."""
-    omega, weights, floored = fitting_grid(estimator), [], []
-    for b, noise, output in zip(B_w, W_n, project.outputs, strict=True):
-        left, empty = subtract_noise(
-            b.magnitude(omega),
-            noise.magnitude(omega),
-            omega,
-            floor=np.fmax(floor, LEAST_SHARE * b.magnitude(omega)),
-            disturbance_set=project.bounds.disturbance_set,
-        )
-        weights.append(fit_bound(project, estimator, left, f"{what} of {output.name}", floor))
-        floored.append(empty)
-    return weights, floored
 
 
 @contextmanager
@@ -377,173 +124,172 @@ def _scratch_core(project: Project, coefficients: Coefficients) -> Iterator[Core
         yield Core(target)
 
 
-def coefficients_of(
-    project: Project,
-    model: NominalModel,
-    estimator: Estimator,
-    weights: Weights,
-    threshold: float,
-    energy: EnergyTest,
-) -> Coefficients:
-    """The core's coefficients for these weights."""
-    return build_coefficients(project, model, estimator, *weights.at(estimator.omega), threshold, energy)
+@dataclass(frozen=True)
+class _Chosen:
+    """Drives by what they are for: those that set the bounds, those without input, and all others, which
+    calibrate."""
+
+    setting: list[Experiment]
+    noise: list[Experiment]
+    others: list[Experiment]
+
+    @classmethod
+    def by_split(cls, project: Project, experiments: list[Experiment], folder: Path) -> _Chosen:
+        """By the column split of the index; InputError when no drive sets the bounds."""
+        setting = [e for e in experiments if e.split in project.data.bound_split]
+        noise = [e for e in experiments if e.split in project.data.noise_split]
+        if not setting:
+            raise InputError(
+                folder / EXPERIMENTS,
+                "column split",
+                f"no drive has split {' or '.join(project.data.bound_split)}",
+                "at least one drive that sets the bounds",
+            )
+        return cls(setting, noise, [e for e in experiments if e not in setting and e not in noise])
 
 
-def energy_filters(project: Project, estimator: Estimator, weights: Weights) -> EnergyTest:
-    """The energy test's filters for these weights; sigma is yet to be found."""
-    fitted = weights.W_delta
-    return EnergyTest.design(
-        project, estimator, fitted.fit.weight, fitted.omega, fitted.bound, weights.inflation
-    )
+class _Run:
+    """Passes over the drives: mapped by ``workers``, joined as they come.
 
+    ``left_out``: drive -> why it has no counted frame; ``spectra``, ``met``: samples joined so far.
+    """
 
-# ---------------------------------------------------------------------------------- what is done to one drive
+    def __init__(self, reader: DriveReader, workers: Map, progress: Progress):
+        self.reader, self.workers, self.progress = reader, workers, progress
+        self.left_out: dict[str, str] = {}
+        self._spectra: list[Rows] = []
+        self._met: list[Excitation] = []
 
+    def over(
+        self, what: str, task: Callable[[Experiment], Result], chosen: Iterable[Experiment]
+    ) -> Iterator[Result]:
+        """``task`` of every chosen drive, in order."""
+        chosen = list(chosen)
+        for e, result in zip(chosen, self.workers(task, chosen), strict=False):
+            self.progress(f"{what} of {e.name}")
+            yield result
 
-def _spectra_rows(s: FrameSet, name: str, v: np.ndarray, estimator: Estimator) -> Rows:
-    """The frames that the core would see, as rows of a sample; ``v`` (N,): the drive's speed."""
-    on_grid = (
-        s.starts % estimator.hop[s.bin] == 0 if estimator.window == "hann" else np.ones(len(s.starts), bool)
-    )
-    E, Z, start = s.E[on_grid], s.Z[on_grid], s.starts[on_grid]
-    group = np.full(len(start), s.bin)
-    return {
-        "group": group,
-        "hash": row_hash(name, group, start),
-        "weakness": -np.linalg.norm(E, axis=1),
-        "start": start,
-        "speed": np.array([v[a : a + estimator.length[s.bin]].mean() for a in start], float),
-        "drive": np.full(len(start), name, dtype=object),
-        "E": E,
-        "Z": Z,
-    }
+    def first_parts(self, chosen: list[Experiment], *, keep: bool) -> Iterator[Part]:
+        """Bounds before smoothing and peaks of every drive; with ``keep`` its spectra are sampled too."""
+        ceiling = self.reader.project.bounds.nu_ceiling.at(self.reader.estimator.omega / (2 * np.pi))
+        task = partial(first_pass, self.reader, ceiling)
+        for e, (part, rows) in zip(chosen, self.over("frames", task, chosen), strict=False):
+            if not part["frames"].any():
+                self.left_out[e.name] = self.reader.why_without_frames()
+            if keep:
+                self._spectra.append(rows)
+                if len(self._spectra) == JOINED_AT_ONCE:
+                    self._spectra = [self.spectra]
+            yield part
 
+    @property
+    def spectra(self) -> Rows:
+        """Sample of the frames of all drives so far."""
+        return thinned(stacked(self._spectra))
 
-def _thinned(rows: Rows) -> Rows:
-    """LARGEST_SPECTRA and DRAWN_SPECTRA rows a bin, each once; of the union of two thinned parts again those
-    of all."""
-    both = stacked([first_of_each(rows, LARGEST_SPECTRA, "weakness"), first_of_each(rows, DRAWN_SPECTRA)])
-    order = np.lexsort((both["hash"], both["group"]))
-    both = {k: v[order] for k, v in both.items()}
-    new = np.r_[True, (np.diff(both["hash"]) != 0) | (np.diff(both["group"]) != 0)][: len(order)]
-    return {k: v[new] for k, v in both.items()}
+    def setting_with_frames(self, setting: list[Experiment], folder: Path) -> list[Experiment]:
+        """The bound-setting drives that were not left out; InputError when none remains."""
+        left = [e for e in setting if e.name not in self.left_out]
+        if not left:
+            name, reason = next(iter(self.left_out.items()))
+            raise InputError(
+                folder,
+                "split " + ", ".join(self.reader.project.data.bound_split),
+                "no frame counts: no judged stretch at all",
+                f"at least one drive unlike {name} ({reason})",
+            )
+        return left
 
-
-def _first_pass(reader: DriveReader, nu_ceiling: np.ndarray, experiment: Experiment) -> tuple[Part, Rows]:
-    """Bounds before smoothing, peaks, and a sample of the spectra."""
-    rows: list[Rows] = []
-    drive, e, yhat = reader.read(experiment)
-
-    def watched() -> Iterator[FrameSet]:
-        for s in counted_frames(drive, e, yhat, reader.model, reader.estimator):
-            rows.append(_spectra_rows(s, experiment.name, drive.v, reader.estimator))
-            yield s
-
-    part = reduce_disturbance(watched(), reader.estimator, nu_ceiling, reader.project.n_y)
-    return part, _thinned(stacked(rows))
-
-
-def _uncertainty_pass(
-    reader: DriveReader, gamma_w: np.ndarray, grid: np.ndarray, experiment: Experiment
-) -> Part:
-    return reduce_uncertainty(
-        reader.frames(experiment),
-        reader.estimator,
-        gamma_w,
-        grid,
-        reader.project.n_y,
-        reader.project.bounds.structure,
-    )
-
-
-def _covering_pass(reader: DriveReader, gamma_w: np.ndarray, B_w: np.ndarray, experiment: Experiment) -> Part:
-    return reduce_covering(
-        reader.frames(experiment), reader.estimator, gamma_w, B_w, reader.project.bounds.structure
-    )
-
-
-class Judged(NamedTuple):
-    """What the tests say of a drive: its largest margin, its scores (None: nothing judged), and its
-    excitation."""
-
-    worst: float
-    score: float | None
-    energy_score: float | None
-    met: Excitation
-
-
-def _judge(
-    reader: DriveReader,
-    W_delta: np.ndarray,
-    B_w: np.ndarray,
-    core: Core | None,
-    reals: np.ndarray | None,
-    cuts: int,
-    experiment: Experiment,
-) -> Judged:
-    """Judge a drive, whole and (for ``worst``) from ``cuts`` random first samples, by the compiled core;
-    without one (plain DFT) by the exact margin under W_delta (K,), B_w (K, n_y)."""
-    speed_range, name = reader.estimator.speed_range, experiment.name
-    drive, e, yhat = reader.read(experiment)
-    if core is None:
-        sets = list(counted_frames(drive, e, yhat, reader.model, reader.estimator))
-        bin_of, start = (
-            np.concatenate(a)
-            for a in zip(*((np.full(len(s.E), s.bin), s.starts) for s in sets), strict=False)
+    def bounds(self, first: Part, gamma_w: np.ndarray, setting: list[Experiment]) -> Bounds:
+        """Steps 5-6. ``covering``: B_w is scaled until sum_j |w_j / B_w,j|^2 <= 1 on every frame; ``paper``:
+        |w_j| <= B_w,j."""
+        project, estimator = self.reader.project, self.reader.estimator
+        grid = front_grid(first["B1"], first["B2"], estimator, project.bounds.structure)
+        second = fold(self.over("bounds", partial(uncertainty_pass, self.reader, gamma_w, grid), setting))
+        B_w = second["B_w"]
+        if project.bounds.disturbance_set == "covering" and project.n_y > 1:
+            task = partial(covering_pass, self.reader, gamma_w, B_w)
+            B_w = B_w * np.fmax(1.0, fold(self.over("bounds", task, setting))["scale"])[:, None]
+        return Bounds(
+            omega=estimator.omega,
+            **{k: first[k] for k in ("frames", "excitation", "B1", "B2", "gamma_rule")},
+            gamma_w=gamma_w,
+            nu=second["nu"],
+            B_w=B_w,
+            front_gamma_w=grid,
+            front_nu=second["front"],
         )
-        E, Z = (np.concatenate([getattr(s, a) for s in sets]) for a in ("E", "Z"))
-        worst = s1.margin(E, Z, W_delta[bin_of], B_w[bin_of]).max(initial=0.0)
-        speed = np.array(
-            [drive.v[a : a + n].mean() for a, n in zip(start, reader.estimator.length[bin_of], strict=False)]
-        )
-        return Judged(
-            worst,
-            float(worst) if len(E) else None,
-            None,
-            Excitation.of(name, speed_range, bin_of, speed, Z, W_delta, B_w, start),
-        )
-    worst = 0.0
-    for cut in _first_samples(reader, name, len(drive.t), cuts):
-        run = core.monitor(reals=reals, seal=reals is not None).run_drive(drive.from_sample(cut))
-        counted = run.frames.counted
-        worst = max(worst, float(run.frames.margin[counted].max(initial=0.0)))
-        if cut == 0:
-            whole, of_whole = run, counted
-    f = whole.frames
-    met = Excitation.of(
-        name,
-        speed_range,
-        f.bin[of_whole],
-        f.speed[of_whole],
-        f.Z[of_whole],
-        W_delta,
-        B_w,
-        np.round(f.t_end_s[of_whole] * 1e6).astype(np.int64),
-    )
-    return Judged(worst, score(whole), energy_score(whole), met)
 
+    def calibrated(self, weights: Weights, drives: _Chosen) -> tuple[Weights, Calibration, EnergyTest | None]:
+        """Weights with their final inflation, and both tests with their thresholds; the plain DFT has no
+        energy test."""
+        project, model, estimator = self.reader.project, self.reader.model, self.reader.estimator
+        alpha = project.frame_test.alpha
+        if estimator.window != "hann":
+            inflated = self._inflated(weights, None, drives)
+            scores, _ = self._scores(weights, None, None, drives)
+            return inflated, calibrate({n: s / inflated.inflation for n, s in scores.items()}, alpha), None
+        filters = energy_filters(project, estimator, weights)
+        with _scratch_core(
+            project, coefficients_of(project, model, estimator, weights, 1.0, filters)
+        ) as core:
+            inflated = self._inflated(weights, core, drives)
+            test = self._energy_test(inflated, drives)
+            reals = coefficients_of(project, model, estimator, inflated, 1.0, test).flat_reals()
+            scores, energy_scores = self._scores(weights, core, reals, drives)
+            return inflated, calibrate(scores, alpha), test.calibrated(energy_scores, alpha)
 
-def _first_samples(reader: DriveReader, name: str, samples: int, cuts: int) -> list[int]:
-    """0 and ``cuts`` random first samples in the first half of a drive."""
-    # A stream of random numbers for each drive: the other drives and their order make no difference.
-    random = np.random.default_rng([reader.project.seed, zlib.crc32(name.encode())])
-    return [0, *random.integers(1, max(2, samples // 2), cuts).tolist()]
+    @property
+    def met(self) -> Excitation:
+        """Excitation of all judged drives so far."""
+        return Excitation.joined(self._met)
 
+    def _judged(
+        self,
+        what: str,
+        weights: Weights,
+        core: Core | None,
+        reals: np.ndarray | None,
+        cuts: int,
+        chosen: list[Experiment],
+    ) -> Iterator[Judged]:
+        task = partial(judge, self.reader, *weights.at(self.reader.estimator.omega), core, reals, cuts)
+        for j in self.over(what, task, chosen):
+            self._met.append(j.met)
+            if len(self._met) == JOINED_AT_ONCE:
+                self._met = [self.met]
+            yield j
 
-def _energy_pass(reader: DriveReader, test: EnergyTest, cuts: int, experiment: Experiment) -> Part:
-    """What a drive asks of sigma: whole, from rest; with its first samples cut, from what Delta may
-    remember."""
-    drive = reader.read(experiment)[0]
+    def _inflated(self, weights: Weights, core: Core | None, drives: _Chosen) -> Weights:
+        """The final inflation: the least factor >= 1 on the weights with which no margin is above 1 on a
+        bound-setting drive, whole or with its first samples cut; rounded up by 1e-4 when it is above 1."""
+        judged = self._judged("inflation", weights, core, None, CUTS, drives.setting)
+        worst = max([1.0, *(j.worst for j in judged)])
+        return replace(weights, inflation=worst if worst == 1.0 else worst * (1 + 1e-4))
 
-    def parts() -> Iterator[Part]:
-        for cut in _first_samples(reader, experiment.name, len(drive.t), cuts):
-            rest = drive.from_sample(cut)
-            yield (test if cut else test.at_rest()).needs(*nominal_error(rest, reader.model), rest.v)
+    def _energy_test(self, inflated: Weights, drives: _Chosen) -> EnergyTest:
+        """The energy test with the sigma that the drives with and without input ask for."""
+        test = energy_filters(self.reader.project, self.reader.estimator, inflated)
+        chosen = drives.setting + drives.noise
+        test = test.with_sigma(fold(self.over("sigma", partial(energy_pass, self.reader, test, 0), chosen)))
+        task = partial(energy_pass, self.reader, test, CUTS)
+        return test.with_joint(fold(self.over("joint sigma", task, chosen)))
 
-    return fold(parts())
-
-
-# ------------------------------------------------------------------------------------------------- all drives
+    def _scores(
+        self, weights: Weights, core: Core | None, reals: np.ndarray | None, drives: _Chosen
+    ) -> tuple[dict[str, float], dict[str, float]]:
+        """Scores of the calibration drives in the frame test and in the energy test; adds to
+        ``left_out``."""
+        scores, energy_scores = {}, {}
+        judged = self._judged("score", weights, core, reals, 0, drives.others)
+        for e, j in zip(drives.others, judged, strict=False):
+            if j.score is None:
+                self.left_out[e.name] = self.reader.why_without_frames()
+            else:
+                scores[e.name] = j.score
+            if j.energy_score is not None:
+                energy_scores[e.name] = j.energy_score
+        return scores, energy_scores
 
 
 def identify(
@@ -556,165 +302,41 @@ def identify(
     model = NominalModel(project)
     experiments = list_experiments(Path(folder))
     drives = DriveSet(project, model, experiments)
-    reader, estimator = drives.reader, drives.reader.estimator
-    setting = [e for e in experiments if e.split in project.data.bound_split]
-    noise = [e for e in experiments if e.split in project.data.noise_split]
-    others = [e for e in experiments if e not in setting and e not in noise]
-    if not setting:
-        raise InputError(
-            Path(folder) / EXPERIMENTS,
-            "column split",
-            f"no drive has split {' or '.join(project.data.bound_split)}",
-            "at least one drive that sets the bounds",
-        )
-
-    def over(what: str, task: Callable, chosen: list[Experiment]) -> Iterator:
-        for e, result in zip(chosen, workers(task, chosen), strict=False):
-            progress(f"{what} of {e.name}")
-            yield result
-
-    left_out: dict[str, str] = {}
-    spectra: list[Rows] = []
-
-    def first_parts(chosen: list[Experiment], *, keep: bool) -> Iterator[Part]:
-        task = partial(_first_pass, reader, project.bounds.nu_ceiling.at(estimator.omega / (2 * np.pi)))
-        for e, (part, rows) in zip(chosen, over("frames", task, chosen), strict=False):
-            if not part["frames"].any():
-                left_out[e.name] = reader.why_without_frames()
-            if keep:
-                spectra.append(rows)
-                if len(spectra) == JOINED_AT_ONCE:
-                    spectra[:] = [_thinned(stacked(spectra))]
-            yield part
-
-    first = fold(first_parts(setting, keep=True))
-    setting = [e for e in setting if e.name not in left_out]
-    if not setting:
-        name, reason = next(iter(left_out.items()))
-        raise InputError(
-            folder,
-            "split " + ", ".join(project.data.bound_split),
-            "no frame counts: no judged stretch at all",
-            f"at least one drive unlike {name} ({reason})",
-        )
+    estimator, run = drives.reader.estimator, _Run(drives.reader, workers, progress)
+    chosen = _Chosen.by_split(project, experiments, Path(folder))
+    first = fold(run.first_parts(chosen.setting, keep=True))
+    chosen = replace(chosen, setting=run.setting_with_frames(chosen.setting, folder))
     progress("weights")
     noise_peak = np.full(first["E"].shape, np.nan)
-    if noise:
-        noise_peak = fold(first_parts(noise, keep=False))["E"]
+    if chosen.noise:
+        noise_peak = fold(run.first_parts(chosen.noise, keep=False))["E"]
     gamma_w = fit_bound(project, estimator, first["gamma_rule"], "gamma_w", smallest_disturbance(first["B2"]))
-    bounds = _bounds(reader, first, gamma_w.magnitude(estimator.omega), partial(over, "bounds"), setting)
+    bounds = run.bounds(first, gamma_w.magnitude(estimator.omega), chosen.setting)
     weights = fit_weights(project, estimator, bounds, gamma_w, noise_peak, first["E"], first["Y"][:, 0])
-    weights, calibration, energy, met = _calibrate(reader, weights, over, setting, noise, others, left_out)
+    weights, calibration, energy = run.calibrated(weights, chosen)
+    met = run.met
     progress("window error")
+    W_delta = weights.at(estimator.omega)[0] / weights.inflation
+    hashes = workers(artefacts.file_hash, [e.path for e in experiments])
     result = Identification(
-        project,
-        model,
-        estimator,
-        bounds,
-        weights,
-        calibration,
-        energy,
-        visibility(
-            estimator.omega,
-            estimator.speed_range,
-            met,
-            weights.at(estimator.omega)[0] / weights.inflation,
-            calibration.threshold,
-            weights.inflation,
+        project=project,
+        model=model,
+        estimator=estimator,
+        bounds=bounds,
+        weights=weights,
+        calibration=calibration,
+        energy=energy,
+        visibility=visibility(
+            estimator.omega, estimator.speed_range, met, W_delta, calibration.threshold, weights.inflation
         ),
-        _thinned(stacked(spectra)),
-        [e.name for e in setting],
-        list(calibration.scores),
-        [e.name for e in noise],
-        left_out,
-        dict(
-            zip(drives.experiments, workers(artefacts.file_hash, [e.path for e in experiments]), strict=False)
-        ),
+        spectra=run.spectra,
+        bound_drives=[e.name for e in chosen.setting],
+        calibration_drives=list(calibration.scores),
+        noise_drives=[e.name for e in chosen.noise],
+        left_out=run.left_out,
+        sha256=dict(zip(drives.experiments, hashes, strict=False)),
     )
     return result, drives
-
-
-def _bounds(
-    reader: DriveReader, first: Part, gamma_w: np.ndarray, over: Callable, setting: list[Experiment]
-) -> Bounds:
-    """Steps 5-6. ``covering``: B_w is scaled until sum_j |w_j / B_w,j|^2 <= 1 on every frame; ``paper``:
-    |w_j| <= B_w,j."""
-    project, estimator = reader.project, reader.estimator
-    grid = front_grid(first["B1"], first["B2"], estimator, project.bounds.structure)
-    second = fold(over(partial(_uncertainty_pass, reader, gamma_w, grid), setting))
-    B_w = second["B_w"]
-    if project.bounds.disturbance_set == "covering" and project.n_y > 1:
-        scale = fold(over(partial(_covering_pass, reader, gamma_w, B_w), setting))["scale"]
-        B_w = B_w * np.fmax(1.0, scale)[:, None]
-    return Bounds(
-        estimator.omega,
-        *(first[k] for k in ("frames", "excitation", "B1", "B2", "gamma_rule")),
-        gamma_w,
-        second["nu"],
-        B_w,
-        grid,
-        second["front"],
-    )
-
-
-def _calibrate(
-    reader: DriveReader,
-    weights: Weights,
-    over: Callable,
-    setting: list[Experiment],
-    noise: list[Experiment],
-    others: list[Experiment],
-    left_out: dict[str, str],
-) -> tuple[Weights, Calibration, EnergyTest | None, Excitation]:
-    """Final inflation, the energy test's sigma, scores of the other drives and the thresholds of both tests;
-    adds to ``left_out``; excitation of all of them.
-
-    The inflation is the least factor >= 1 on the weights with which no margin is above 1 on a bound-setting
-    drive, whole or with its first samples cut; rounded up by 1e-4 when it is above 1.
-    """
-    project, model, estimator = reader.project, reader.model, reader.estimator
-    plain = weights.at(estimator.omega)
-    met: list[Excitation] = []
-
-    def judged(
-        what: str, core: Core | None, reals: np.ndarray | None, cuts: int, chosen: list[Experiment]
-    ) -> Iterator[Judged]:
-        for j in over(what, partial(_judge, reader, *plain, core, reals, cuts), chosen):
-            met.append(j.met)
-            if len(met) == JOINED_AT_ONCE:
-                met[:] = [Excitation.joined(met)]
-            yield j
-
-    def energy_test(inflated: Weights) -> EnergyTest:
-        test = energy_filters(project, estimator, inflated)
-        test = test.with_sigma(fold(over("sigma", partial(_energy_pass, reader, test, 0), setting + noise)))
-        return test.with_joint(
-            fold(over("joint sigma", partial(_energy_pass, reader, test, CUTS), setting + noise))
-        )
-
-    def run(core: Core | None) -> tuple[Weights, Calibration, EnergyTest | None]:
-        worst = reduce(max, (j.worst for j in judged("inflation", core, None, CUTS, setting)), 1.0)
-        inflated = replace(weights, inflation=worst if worst == 1.0 else worst * (1 + 1e-4))
-        test = energy_test(inflated) if core else None
-        reals = coefficients_of(project, model, estimator, inflated, 1.0, test).flat_reals() if core else None
-        scores, energy_scores = {}, {}
-        for e, j in zip(others, judged("score", core, reals, 0, others), strict=False):
-            if j.score is None:
-                left_out[e.name] = reader.why_without_frames()
-            else:
-                scores[e.name] = j.score if core else j.score / inflated.inflation
-            if j.energy_score is not None:
-                energy_scores[e.name] = j.energy_score
-        alpha = project.frame_test.alpha
-        return inflated, calibrate(scores, alpha), test and test.calibrated(energy_scores, alpha)
-
-    if estimator.window != "hann":
-        return *run(None), Excitation.joined(met)
-    with _scratch_core(
-        project,
-        coefficients_of(project, model, estimator, weights, 1.0, energy_filters(project, estimator, weights)),
-    ) as core:
-        return *run(core), Excitation.joined(met)
 
 
 def save(result: Identification, drives: DriveSet, target: Path) -> None:
@@ -814,8 +436,15 @@ class StoredIdentification:
             Estimator.of(self.project, model),
             self.fitted,
             self.calibration.threshold,
-            self.energy,
+            self.energy_of_core,
         )
+
+    @property
+    def energy_of_core(self) -> EnergyTest:
+        """The energy test; InputError for bounds of an estimator that the core does not compute."""
+        if self.energy is None:
+            raise not_for_the_core(self.project)
+        return self.energy
 
 
 def load(folder: Path) -> StoredIdentification:

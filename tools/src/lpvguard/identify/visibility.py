@@ -81,9 +81,10 @@ class Excitation:
 
     @classmethod
     def joined(cls, parts: Iterable[Excitation]) -> Excitation:
+        """Of the frames of all parts together."""
         parts = list(parts)
         return cls(
-            sum(p.count for p in parts),
+            np.sum([p.count for p in parts], axis=0),
             *cls._selected(stacked(p.strongest for p in parts), stacked(p.sample for p in parts)),
         )
 

@@ -33,7 +33,7 @@ from ..can.catalogue import Catalogue, Message, Signal, load_catalogue
 from ..can.codegen import ANY_PRIORITY, SOURCE, codec_files, messages_in_order
 from ..can.logs import EXTENDED, Frames
 from ..core.compiled import EVENTS, SUPERVISION, library_root
-from ..drives.ingest import clock_of
+from ..drives.resample import clock_of
 from ..vehicle.project import Project
 
 LIVE = SUPERVISION.index("live")

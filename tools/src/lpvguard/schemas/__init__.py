@@ -41,7 +41,7 @@ def _read(*path: str) -> Any:
 def markdown() -> str:
     """The page FORMATS.md: tables and TOML files by hand (tables.md), the settings and the JSON from their
     schemas."""
-    from ..drives.ingest import SignalMap
+    from ..drives.signal_map import SignalMap
     from ..loop.sim import Expectation
     from ..vehicle.project import Project
 

@@ -14,9 +14,10 @@ from __future__ import annotations
 import ast
 import ctypes
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.linalg import expm
@@ -26,7 +27,9 @@ from ..base.errors import InputError
 from .project import ModelSettings, Project
 from .taylor import COEFFICIENTS, Taylor
 
-_OPERATORS = {
+Speed = TypeVar("Speed", np.ndarray, Taylor)
+"""What stands for the speed in an expression of a project file: speeds (m,) or an interval of speeds."""
+_OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
@@ -37,13 +40,13 @@ _OPERATORS = {
 }
 
 
-def evaluate(expression: float | str, names: dict[str, object], where: str) -> object:
+def evaluate(expression: float | str, names: Mapping[str, Speed | float], where: str) -> Speed | float:
     """Value of an arithmetic expression of + - * / ** over ``names``; InputError names ``where`` and the
     culprit."""
     if not isinstance(expression, str):
         return expression
 
-    def walk(node: ast.expr) -> object:
+    def walk(node: ast.expr) -> Speed | float:
         if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)):
             return node.value
         if isinstance(node, ast.Name) and node.id in names:
@@ -154,26 +157,29 @@ def recursion(Ad: np.ndarray, forced: np.ndarray, x_first: np.ndarray) -> np.nda
     return states
 
 
-def entries_at(model: ModelSettings, v: object, where: str) -> tuple[list[list[object]], list[list[object]]]:
+def entries_at(
+    model: ModelSettings, v: Speed, where: str
+) -> tuple[list[list[Speed | float]], list[list[Speed | float]]]:
     """Entries of A and B, row by row, with ``v`` in place of the speed."""
-    names: dict[str, object] = {"v": v, **model.parameters}
+    names: dict[str, Speed | float] = {"v": v, **model.parameters}
     for name, expression in model.let.items():
         names[name] = evaluate(expression, names, f"{where}, model.let.{name}")
-    return tuple(
-        [
+
+    def matrix(key: str) -> list[list[Speed | float]]:
+        return [
             [evaluate(entry, names, f"{where}, model.{key}[{i}][{j}]") for j, entry in enumerate(row)]
             for i, row in enumerate(getattr(model, key))
         ]
-        for key in ("A", "B")
-    )
+
+    return matrix("A"), matrix("B")
 
 
-def state_space(model: ModelSettings, v: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray]:
+def state_space(model: ModelSettings, v: np.ndarray | float, where: str) -> tuple[np.ndarray, np.ndarray]:
     """A (m, n, n) and B (m, n, n_u) of a project file's model at speeds v (m,) [m/s], in its range or not;
     ``where``: for errors."""
     v = np.atleast_1d(np.asarray(v, float))
 
-    def filled(entries: list[list[object]]) -> np.ndarray:
+    def filled(entries: list[list[np.ndarray | float]]) -> np.ndarray:
         out = np.empty((len(v), len(entries), len(entries[0])))
         for i, row in enumerate(entries):
             for j, entry in enumerate(row):
@@ -205,7 +211,7 @@ class NominalModel:
         self.speed_range = (self._settings.speed_min_mps, self._settings.speed_max_mps)
         delay = self._settings.input_delay_s / self.Ts
         # A delay given as a decimal multiple of Ts must not become a fraction of 1e-16.
-        self.delay = int(round(delay)) if abs(delay - round(delay)) < 1e-9 else int(np.floor(delay))
+        self.delay = round(delay) if abs(delay - round(delay)) < 1e-9 else int(np.floor(delay))
         self.delay_fraction = 0.0 if abs(delay - round(delay)) < 1e-9 else delay - self.delay
         self._require_stable()
 

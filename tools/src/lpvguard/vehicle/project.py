@@ -7,6 +7,7 @@ signals stand; ``SignalTable`` order is: scheduling, inputs, outputs.
 from __future__ import annotations
 
 from importlib import resources
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -92,6 +93,8 @@ class FrameSettings(_Strict):
 
 
 class NuCeiling(_Strict):
+    """Ceiling on the uncertainty bound over frequency (THEORY 5.1): ``nu`` at ``f_hz`` [Hz]."""
+
     f_hz: list[Positive]
     nu: list[Positive]
 
@@ -111,17 +114,28 @@ class NuCeiling(_Strict):
 
 
 class BoundSettings(_Strict):
+    """Bounds (THEORY 5): structure of the uncertainty, set of the disturbance, ceiling on nu."""
+
     structure: Literal["S0", "S1"] = "S1"
     disturbance_set: Literal["paper", "covering"] = "covering"
     nu_ceiling: NuCeiling
 
 
 class WeightSettings(_Strict):
+    """Fits of the weights: largest order, and tolerance above the least worst ratio [dB]."""
+
     max_order: Annotated[int, Field(ge=0, le=8)] = 4
     tolerance_db: Positive = 0.3
 
 
 class FrameTestSettings(_Strict):
+    """Frame test (THEORY 7.1).
+
+    ``confirm`` exceedances among the last ``of_last`` frames of a bin make an alarm. ``alpha``: the rate of
+    false alarms that calibration aims at. ``excited_std``: a sample is excited where the first input's
+    standard deviation over 10 s is above this, in the input's unit.
+    """
+
     confirm: Annotated[int, Field(ge=1, le=8)] = 1
     of_last: Annotated[int, Field(ge=1, le=8)] = 1
     alpha: Fraction = 0.1
@@ -241,7 +255,7 @@ class Project(_Strict):
         if not self.frames.f_min_hz < self.frames.f_max_hz < 0.5 / self.Ts_s:
             raise ValueError("frames: f_min_hz < f_max_hz < half the sampling rate must hold")
         corners = (*(self.energy_test.band_hz or ()), 0.5 / self.Ts_s)
-        if not all(low < high for low, high in zip(corners, corners[1:], strict=False)):
+        if not all(low < high for low, high in pairwise(corners)):
             raise ValueError("energy_test.band_hz: corners must rise and stay below half the sampling rate")
         return self
 
@@ -259,26 +273,32 @@ class Project(_Strict):
                 raise ValueError(f"design.{key}: must have {self.n_u} entries")
 
     def of_role(self, role: str) -> list[Signal]:
+        """Signals of a role, in the order of the file."""
         return [s for s in self.signals if s.role == role]
 
     @property
     def speed(self) -> Signal:
+        """The scheduling signal."""
         return self.of_role("scheduling")[0]
 
     @property
     def inputs(self) -> list[Signal]:
+        """Inputs u, in the order of the file."""
         return self.of_role("input")
 
     @property
     def outputs(self) -> list[Signal]:
+        """Outputs y, in the order of the file."""
         return self.of_role("output")
 
     @property
     def n_u(self) -> int:
+        """Number of inputs."""
         return len(self.inputs)
 
     @property
     def n_y(self) -> int:
+        """Number of outputs."""
         return len(self.outputs)
 
 
@@ -298,20 +318,16 @@ def load_project(vehicle: str | Path) -> Project:
     """
     path = Path(vehicle)
     if path.suffix == ".toml" or path.is_file():
-        source, where = path, str(vehicle)
-    elif str(vehicle) in shipped_vehicles():
-        source, where = (
-            resources.files(__package__).joinpath("shipped", f"{vehicle}.toml"),
-            f"vehicle {vehicle}",
-        )
-    else:
-        raise InputError(
-            str(vehicle),
-            "--vehicle",
-            "unknown vehicle",
-            f"one of {', '.join(shipped_vehicles())}, or a path to a project file (*.toml)",
-        )
-    return parse_project(read_toml(source, "a project file", where), where)
+        return parse_project(read_toml(path, "a project file", str(vehicle)), str(vehicle))
+    if str(vehicle) in shipped_vehicles():
+        shipped, where = resources.files(__package__) / "shipped" / f"{vehicle}.toml", f"vehicle {vehicle}"
+        return parse_project(read_toml(shipped, "a project file", where), where)
+    raise InputError(
+        str(vehicle),
+        "--vehicle",
+        "unknown vehicle",
+        f"one of {', '.join(shipped_vehicles())}, or a path to a project file (*.toml)",
+    )
 
 
 def parse_project(document: object, where: str) -> Project:

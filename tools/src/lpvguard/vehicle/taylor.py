@@ -31,7 +31,7 @@ class Taylor:
         return cls(np.array([low, 1.0, 0.0]), np.array([high, 1.0, 0.0]))
 
     @classmethod
-    def of(cls, value: object) -> Taylor:
+    def of(cls, value: Taylor | float) -> Taylor:
         """``value`` itself, or a number as a constant function."""
         if isinstance(value, Taylor):
             return value
@@ -49,14 +49,14 @@ class Taylor:
     def __pos__(self) -> Taylor:
         return self
 
-    def __add__(self, other: object) -> Taylor:
+    def __add__(self, other: Taylor | float) -> Taylor:
         other = Taylor.of(other)
         return Taylor(self.low + other.low, self.high + other.high)
 
-    def __sub__(self, other: object) -> Taylor:
+    def __sub__(self, other: Taylor | float) -> Taylor:
         return self + -Taylor.of(other)
 
-    def __mul__(self, other: object) -> Taylor:
+    def __mul__(self, other: Taylor | float) -> Taylor:
         other = Taylor.of(other)
         low, high = np.zeros(COEFFICIENTS), np.zeros(COEFFICIENTS)
         for k in range(COEFFICIENTS):
@@ -65,7 +65,7 @@ class Taylor:
                 low[k], high[k] = low[k] + ends.min(), high[k] + ends.max()
         return Taylor(low, high)
 
-    def __truediv__(self, other: object) -> Taylor:
+    def __truediv__(self, other: Taylor | float) -> Taylor:
         other = Taylor.of(other)
         if other.low[0] <= 0 <= other.high[0]:
             raise ZeroDivisionError("the denominator's interval contains zero")
@@ -76,24 +76,24 @@ class Taylor:
         parts = [inverse, -(g1 * square), g1 * g1 * square * inverse - g2 * square]
         return self * Taylor(np.array([p.low[0] for p in parts]), np.array([p.high[0] for p in parts]))
 
-    def __pow__(self, exponent: object) -> Taylor:
-        if not float(exponent).is_integer():
+    def __pow__(self, exponent: Taylor | float) -> Taylor:
+        if isinstance(exponent, Taylor) or not float(exponent).is_integer():
             raise TypeError("only whole exponents")
         out = Taylor.of(1.0)
         for _ in range(abs(int(exponent))):
             out = out * self
         return out if exponent >= 0 else 1 / out
 
-    def __radd__(self, other: object) -> Taylor:
+    def __radd__(self, other: Taylor | float) -> Taylor:
         return self + other
 
-    def __rsub__(self, other: object) -> Taylor:
+    def __rsub__(self, other: Taylor | float) -> Taylor:
         return -self + other
 
-    def __rmul__(self, other: object) -> Taylor:
+    def __rmul__(self, other: Taylor | float) -> Taylor:
         return self * other
 
-    def __rtruediv__(self, other: object) -> Taylor:
+    def __rtruediv__(self, other: Taylor | float) -> Taylor:
         return Taylor.of(other) / self
 
 

@@ -1,0 +1,198 @@
+"""Samples of several signals on one uniform grid, with what was left out and why.
+
+Resampling is linear interpolation between the signal's own samples at their time of arrival; a wheel-speed
+frame every 12 ms stays what it was and gets no filter. The table starts with the first time at which every
+column has a sample (t = 0 there) and never extrapolates. A time is left out when, for any column, the samples
+around it lie further apart than ``max_gap_s``; so is everything across a jump of the log's clock.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .signal_map import Column, SignalMap
+
+REORDER_S = 0.1
+"""A step back of the clock up to this is a matter of order (several interfaces, buffered frames): the log is
+sorted."""
+MIN_ROWS = 2
+"""Shorter pieces are left out: a drive table needs at least two samples."""
+_LISTED = 50
+"""At most so many gaps are listed for a signal; all are counted."""
+
+NS = 1_000_000_000
+"""Nanoseconds in a second."""
+
+
+@dataclass
+class Source:
+    """A term of a column with the samples of one log; time in ns of the log's clock, value in the column's
+    unit."""
+
+    t_ns: np.ndarray
+    value: np.ndarray
+    report: dict
+
+
+@dataclass
+class Clock:
+    """The log's time axis cut where it jumps: [start, end) positions in the log, and the jumps."""
+
+    t_ns: np.ndarray
+    jumps: list[dict]
+    cuts: list[int]
+
+
+def clock_of(t_ns: np.ndarray, max_gap_s: float) -> Clock:
+    """Find where the clock goes back by more than REORDER_S, or forward further than any gap that is
+    interpolated."""
+    step = np.diff(t_ns)
+    back = step < -REORDER_S * NS
+    forward = step > max(max_gap_s, 1.0) * NS
+    clock = Clock(t_ns, jumps=[], cuts=[0])
+    for i in np.flatnonzero(back | forward).tolist():
+        clock.jumps.append(
+            {
+                "after_frame": i + 1,
+                "kind": "backwards" if back[i] else "pause or jump forwards",
+                "from_s": t_ns[i] / NS,
+                "to_s": t_ns[i + 1] / NS,
+            }
+        )
+        clock.cuts.append(i + 1)
+    clock.cuts.append(len(t_ns))
+    return clock
+
+
+@dataclass
+class Piece:
+    """Rows of a drive table without a gap: t (rows,) [s], each column (rows,)."""
+
+    t: np.ndarray
+    values: dict[str, np.ndarray]
+    log_start_s: float
+
+
+def _resample(grid_ns: np.ndarray, source: Source, max_gap_ns: float) -> tuple[np.ndarray, np.ndarray]:
+    """Linear interpolation at ``grid_ns``; also True where the samples around lie at most ``max_gap_ns``
+    apart."""
+    t = source.t_ns
+    after = np.searchsorted(t, grid_ns, side="left")
+    exact = t[np.minimum(after, len(t) - 1)] == grid_ns
+    before = np.where(exact, after, after - 1)
+    inside = (before >= 0) & (after < len(t))
+    gap = t[np.clip(after, 0, len(t) - 1)] - t[np.clip(before, 0, len(t) - 1)]
+    origin = grid_ns[0]
+    value = np.interp((grid_ns - origin) / NS, (t - origin) / NS, source.value)
+    return value, inside & (gap <= max_gap_ns)
+
+
+def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
+    """[first, end) of every stretch of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=False))
+
+
+class TableMaker:
+    """Makes the pieces of one log; collects what was left out."""
+
+    def __init__(self, signal_map: SignalMap):
+        self.map = signal_map
+        self.pieces: list[Piece] = []
+        self.left_out: list[dict] = []
+        self._first_start: int | None = None
+
+    def add_stretch(self, first_ns: int, last_ns: int, members: dict[str, list[Source]]) -> None:
+        """Grid of one stretch of unbroken clock; ``members`` are the samples in it."""
+        empty = [c for c, terms in members.items() if any(len(s.t_ns) == 0 for s in terms)]
+        if empty:
+            self._leave_out(first_ns, last_ns, empty, "no sample in this stretch of the log")
+            return
+        start = max(int(s.t_ns[0]) for terms in members.values() for s in terms)
+        end = min(int(s.t_ns[-1]) for terms in members.values() for s in terms)
+        Ts_ns = self.map.Ts_s * NS
+        origin = 0.0
+        if self._first_start is None or start < self._first_start:
+            self._first_start = start
+        else:  # a later stretch stays on the grid of the first
+            origin = np.ceil((start - self._first_start) / Ts_ns)
+            start = round(self._first_start + origin * Ts_ns)
+        rows = int((end - start) // Ts_ns) + 1 if end >= start else 0
+        if rows < MIN_ROWS:
+            self._leave_out(first_ns, last_ns, [], f"fewer than {MIN_ROWS} rows in common")
+            return
+        grid = start + np.rint(np.arange(rows) * Ts_ns).astype(np.int64)
+        values, good = {}, {}
+        for name, terms in members.items():
+            column = self.map.columns[name]
+            gap_ns = self.map.gap_s(name) * NS
+            parts = [_resample(grid, s, gap_ns) for s in terms]
+            values[name] = sum(p[0] for p in parts) + column.offset
+            good[name] = np.logical_and.reduce([p[1] for p in parts])
+        self._cut(grid, origin, values, good)
+
+    def _cut(self, grid: np.ndarray, origin: float, values: dict, good: dict) -> None:
+        complete = np.logical_and.reduce(list(good.values()))
+        for first, end in _runs(~complete):
+            missing = [name for name, mask in good.items() if not mask[first:end].all()]
+            self._leave_out(
+                int(grid[first]), int(grid[end - 1]), missing, "samples further apart than max_gap_s"
+            )
+        for first, end in _runs(complete):
+            if end - first < MIN_ROWS:
+                self._leave_out(
+                    int(grid[first]), int(grid[end - 1]), [], f"fewer than {MIN_ROWS} rows between gaps"
+                )
+                continue
+            t = np.round((origin + np.arange(first, end)) * self.map.Ts_s, 9)
+            self.pieces.append(Piece(t, {n: v[first:end] for n, v in values.items()}, int(grid[first]) / NS))
+
+    def _leave_out(self, first_ns: int, last_ns: int, columns: list[str], reason: str) -> None:
+        self.left_out.append(
+            {"from_s": first_ns / NS, "to_s": last_ns / NS, "columns": columns, "reason": reason}
+        )
+
+
+def within_limits(column: Column, terms: list[Source]) -> None:
+    """Drops the samples outside [min, max] of the column (which then has one term)."""
+    if column.min is None and column.max is None:
+        return
+    source = terms[0]
+    value = source.value + column.offset
+    keep = np.ones(len(value), bool)
+    if column.min is not None:
+        keep &= value >= column.min
+    if column.max is not None:
+        keep &= value <= column.max
+    if not keep.all():
+        source.report["left_out"]["outside min and max of the map"] = int((~keep).sum())
+        source.t_ns, source.value = source.t_ns[keep], source.value[keep]
+
+
+def in_order(source: Source) -> Source:
+    """Samples by time. Two at the same time (frames read from a buffer) both stay: a step, of the earlier to
+    the later."""
+    t = source.t_ns
+    source.report["same_time"] = int((np.diff(t) == 0).sum())
+    if (np.diff(t) < 0).any():
+        order = np.argsort(t, kind="stable")
+        source.report["out_of_order"] = int((np.diff(t) < 0).sum())
+        return Source(t[order], source.value[order], source.report)
+    return source
+
+
+def describe(source: Source, max_gap_s: float) -> dict:
+    """The report of a term: how many samples, how often, and where they pause."""
+    step = np.diff(source.t_ns)
+    pauses = np.flatnonzero(step > max_gap_s * NS)
+    listed = [[source.t_ns[i] / NS, source.t_ns[i + 1] / NS] for i in pauses[:_LISTED].tolist()]
+    return {
+        **source.report,
+        "samples": len(source.t_ns),
+        "median_period_s": float(np.median(step)) / NS if len(step) else None,
+        "longest_pause_s": float(step.max()) / NS if len(step) else None,
+        "gaps": len(pauses),
+        "gaps_s": listed,
+    }

@@ -1,0 +1,153 @@
+"""What a drive table is made of: the signal map of `lpvguard ingest`.
+
+It is a TOML file::
+
+    schema = 1
+    Ts_s = 0.01                 # grid of the table
+    max_gap_s = 0.5             # a longer pause of a signal is left out, a shorter one is interpolated
+                                (default 0.5)
+    channel = "can0"            # frames of this interface only (default: all)
+    j1939 = true                # 29-bit messages are J1939 groups: any priority and sender (default: as the
+                                database says)
+    time = "t"                  # time column of decoded tables, in s (default: t, time or timestamp)
+    format = "csv"              # or "parquet"
+
+    [columns.v]                 # column = factor * (signal in `unit`) + offset
+    unit = "m/s"
+    message = "SPEED"           # of the database; leave out for logs that are decoded already
+    signal = "SPEED"            # signal, channel or column of the log
+    factor = 1.0                # -1 turns the signal round, 0.25 makes a mean of four (default 1)
+    scale = 0.2777777777777778  # from the signal's unit to `unit`; needed only where the units are not known
+    offset = 0.0                # in `unit`
+
+    [columns.delta]             # or a sum of signals: each term as above, the offset beside them
+    unit = "rad"
+    offset = 0.0
+    terms = [{ message = "STEER", signal = "ANGLE" }, { message = "STEER", signal = "FRACTION" }]
+
+Further keys of a column: ``min``, ``max`` (in ``unit``; samples outside are left out) and ``max_gap_s``.
+Further keys of a term: ``source_unit`` (instead of the database's), ``wrap`` (period in the signal's own
+unit: unwrapped before interpolation; without it wraps are only suspected, and counted in the report),
+``channel``, ``source_address`` (J1939) and ``not_available`` ("j1939" or "none"; default: "j1939" when the
+message is a J1939 group).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from ..base.documents import checked, read_toml
+from ..base.errors import InputError
+from ..vehicle.project import Project
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Term(_Strict):
+    """A signal of the log that a column is made of."""
+
+    signal: str
+    message: str | None = None
+    factor: float = 1.0
+    scale: float | None = None
+    source_unit: str | None = None
+    wrap: Positive | None = None
+    channel: str | None = None
+    source_address: Annotated[int, Field(ge=0, le=253)] | None = None
+    not_available: Literal["j1939", "none"] | None = None
+
+    @property
+    def name(self) -> str:
+        """MESSAGE.SIGNAL, or the signal alone where it has no message."""
+        return f"{self.message}.{self.signal}" if self.message else self.signal
+
+
+class Column(_Strict):
+    """A column of the drive table: offset + the sum of its terms, in ``unit``."""
+
+    unit: str
+    terms: Annotated[list[Term], Field(min_length=1)]
+    offset: float = 0.0
+    min: float | None = None
+    max: float | None = None
+    max_gap_s: Positive | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_term(cls, given: Any) -> Any:
+        """A column of one signal may carry the keys of its term itself."""
+        if isinstance(given, dict) and "terms" not in given:
+            of_column = {k: v for k, v in given.items() if k in cls.model_fields}
+            return {**of_column, "terms": [{k: v for k, v in given.items() if k not in of_column}]}
+        return given
+
+    @model_validator(mode="after")
+    def _limits_of_one_term(self) -> Column:
+        if len(self.terms) > 1 and (self.min is not None or self.max is not None):
+            raise ValueError(
+                "min and max judge the samples of one signal; a sum of terms has none of its own"
+            )
+        return self
+
+
+class SignalMap(_Strict):
+    """What a drive table is made of; the module's text says what the keys mean."""
+
+    schema_: Literal[1] = Field(alias="schema")
+    Ts_s: Positive
+    columns: Annotated[dict[Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$")], Column], Field(min_length=1)]
+    max_gap_s: Positive = 0.5
+    channel: str | None = None
+    j1939: bool | None = None
+    time: str | None = None
+    format: Literal["csv", "parquet"] = "csv"
+
+    def gap_s(self, column: str) -> float:
+        """Longest pause that is interpolated in ``column``."""
+        return self.columns[column].max_gap_s or self.max_gap_s
+
+    @model_validator(mode="after")
+    def _time_is_taken(self) -> SignalMap:
+        if "t" in self.columns:
+            raise ValueError("columns: t is the time")
+        return self
+
+
+def load_signal_map(path: Path) -> SignalMap:
+    """Read and check a signal map. InputError names file, field and what was expected."""
+    return checked(
+        SignalMap,
+        read_toml(Path(path), "a signal map"),
+        "a signal map as `lpvguard ingest --help` describes",
+        path,
+    )
+
+
+def map_of_project(project: Project) -> SignalMap:
+    """The signal map of a vehicle whose signals have a CAN place: bus value = factor * value."""
+    without = [s.name for s in project.signals if s.can is None]
+    if without:
+        raise InputError(
+            f"vehicle {project.name}",
+            "signals",
+            f"{', '.join(without)} have no `can` entry",
+            "a message and a signal for each, or --dbc and --signals",
+        )
+    columns = {
+        s.column: Column(
+            unit=s.unit,
+            min=s.min,
+            max=s.max,
+            terms=[Term(message=place.message, signal=place.signal, scale=1.0 / place.factor)],
+        )
+        for s in project.signals
+        if (place := s.can) is not None
+    }
+    return SignalMap(schema=1, Ts_s=project.Ts_s, columns=columns)

@@ -1,0 +1,73 @@
+"""Units of measured signals, and factors between them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+# To SI: dimension, factor.
+_UNITS = {
+    "rad": ("angle", 1.0),
+    "deg": ("angle", np.pi / 180),
+    "mrad": ("angle", 1e-3),
+    "rad/s": ("rate", 1.0),
+    "deg/s": ("rate", np.pi / 180),
+    "mrad/s": ("rate", 1e-3),
+    "m/s": ("speed", 1.0),
+    "km/h": ("speed", 1 / 3.6),
+    "mph": ("speed", 0.44704),
+    "kn": ("speed", 1852 / 3600),
+    "m/s2": ("acceleration", 1.0),
+    "g": ("acceleration", 9.80665),
+    "Pa": ("pressure", 1.0),
+    "kPa": ("pressure", 1e3),
+    "bar": ("pressure", 1e5),
+    "MPa": ("pressure", 1e6),
+    "psi": ("pressure", 6894.757293168),
+    "m": ("length", 1.0),
+    "mm": ("length", 1e-3),
+    "s": ("time", 1.0),
+    "ms": ("time", 1e-3),
+    "N": ("force", 1.0),
+    "kN": ("force", 1e3),
+    "Nm": ("torque", 1.0),
+    "%": ("ratio", 0.01),
+    "1": ("ratio", 1.0),
+}
+_SPELLINGS = {
+    "°": "deg",
+    "degree": "deg",
+    "degrees": "deg",
+    "°/s": "deg/s",
+    "degree/s": "deg/s",
+    "degrees/s": "deg/s",
+    "deg/sec": "deg/s",
+    "rad/sec": "rad/s",
+    "kph": "km/h",
+    "kmh": "km/h",
+    "kmph": "km/h",
+    "m/s^2": "m/s2",
+    "m/s²": "m/s2",
+    "m/sec2": "m/s2",
+    "m/s/s": "m/s2",
+    "m/s**2": "m/s2",
+    "n·m": "nm",
+    "n*m": "nm",
+}
+_BY_LOWER_CASE = {name.lower(): name for name in _UNITS}
+
+
+def unit_factor(source: str, target: str) -> float | None:
+    """Factor from unit ``source`` to ``target``; None when it is unknown or they measure different things.
+
+    >>> round(unit_factor("deg/s", "rad/s"), 6), unit_factor("km/h", "rad")
+    (0.017453, None)
+    """
+    if source == target:
+        return 1.0
+    known = []
+    for text in (source, target):
+        plain = text.strip().lower().replace(" ", "")
+        known.append(_UNITS.get(_BY_LOWER_CASE.get(_SPELLINGS.get(plain, plain), "")))
+    if known[0] is None or known[1] is None or known[0][0] != known[1][0]:
+        return None
+    return known[0][1] / known[1][1]

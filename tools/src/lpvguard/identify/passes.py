@@ -1,0 +1,208 @@
+"""What `identify` does to one drive: the functions that its passes map over the drives, sent to workers."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from ..base.sampling import Rows, first_of_each, row_hash, stacked
+from ..core.compiled import Core
+from ..drives.frames import Estimator
+from ..drives.tables import Drive, Experiment, read_drive, require_units
+from ..engine.validation import s1
+from ..vehicle.nominal import NominalModel
+from ..vehicle.project import Project
+from .bounds import (
+    FrameSet,
+    Part,
+    counted_frames,
+    fold,
+    nominal_error,
+    reduce_covering,
+    reduce_disturbance,
+    reduce_uncertainty,
+)
+from .calibration import energy_score, score
+from .energy import EnergyTest
+from .visibility import Excitation
+
+LARGEST_SPECTRA, DRAWN_SPECTRA = 250, 750
+"""Frames a bin in spectra.npz: those of largest |E|, and a draw by hash among all."""
+
+
+class DriveReader:
+    """Reads drives and takes their frames; what is sent to a worker."""
+
+    def __init__(self, project: Project, model: NominalModel):
+        self.project, self.model, self.estimator = project, model, Estimator.of(project, model)
+        _ = model.table  # made here once, not by every worker
+
+    def read(self, experiment: Experiment) -> tuple[Drive, np.ndarray, np.ndarray]:
+        """The drive, its nominal error e and nominal output yhat (N, n_y)."""
+        drive = read_drive(experiment.path, self.project)
+        e, yhat = nominal_error(drive, self.model)
+        require_units(experiment.path, drive, yhat, self.estimator.settled(drive.v))
+        return drive, e, yhat
+
+    def frames(self, experiment: Experiment) -> Iterator[FrameSet]:
+        """The counted frames of a drive, bin by bin."""
+        return counted_frames(*self.read(experiment), self.model, self.estimator)
+
+    def why_without_frames(self) -> str:
+        """Why a drive has no counted frame."""
+        low, high = self.estimator.speed_range
+        shortest_s = self.estimator.length.min() * self.estimator.Ts
+        settled_s = self.estimator.settle * self.estimator.Ts
+        return (
+            f"no frame counts: nowhere {shortest_s:g} s within {low:g}..{high:g} m/s and "
+            f"{self.estimator.speed_tolerance:.0%} of their mean speed"
+            + (f", {settled_s:.3g} s after entering" if self.estimator.settle else "")
+        )
+
+
+def _spectra_rows(s: FrameSet, name: str, v: np.ndarray, estimator: Estimator) -> Rows:
+    """The frames that the core would see, as rows of a sample; ``v`` (N,): the drive's speed."""
+    on_grid = (
+        s.starts % estimator.hop[s.bin] == 0 if estimator.window == "hann" else np.ones(len(s.starts), bool)
+    )
+    E, Z, start = s.E[on_grid], s.Z[on_grid], s.starts[on_grid]
+    group = np.full(len(start), s.bin)
+    return {
+        "group": group,
+        "hash": row_hash(name, group, start),
+        "weakness": -np.linalg.norm(E, axis=1),
+        "start": start,
+        "speed": np.array([v[a : a + estimator.length[s.bin]].mean() for a in start], float),
+        "drive": np.full(len(start), name, dtype=object),
+        "E": E,
+        "Z": Z,
+    }
+
+
+def thinned(rows: Rows) -> Rows:
+    """LARGEST_SPECTRA and DRAWN_SPECTRA rows a bin, each once; of the union of two thinned parts again those
+    of all."""
+    both = stacked([first_of_each(rows, LARGEST_SPECTRA, "weakness"), first_of_each(rows, DRAWN_SPECTRA)])
+    order = np.lexsort((both["hash"], both["group"]))
+    both = {k: v[order] for k, v in both.items()}
+    new = np.r_[True, (np.diff(both["hash"]) != 0) | (np.diff(both["group"]) != 0)][: len(order)]
+    return {k: v[new] for k, v in both.items()}
+
+
+def first_pass(reader: DriveReader, nu_ceiling: np.ndarray, experiment: Experiment) -> tuple[Part, Rows]:
+    """Bounds before smoothing, peaks, and a sample of the spectra."""
+    rows: list[Rows] = []
+    drive, e, yhat = reader.read(experiment)
+
+    def watched() -> Iterator[FrameSet]:
+        for s in counted_frames(drive, e, yhat, reader.model, reader.estimator):
+            rows.append(_spectra_rows(s, experiment.name, drive.v, reader.estimator))
+            yield s
+
+    part = reduce_disturbance(watched(), reader.estimator, nu_ceiling, reader.project.n_y)
+    return part, thinned(stacked(rows))
+
+
+def uncertainty_pass(
+    reader: DriveReader, gamma_w: np.ndarray, grid: np.ndarray, experiment: Experiment
+) -> Part:
+    """Step 5: nu and B_w that the drive asks for under gamma_w (K,), and its front over ``grid``."""
+    return reduce_uncertainty(
+        reader.frames(experiment),
+        reader.estimator,
+        gamma_w,
+        grid,
+        reader.project.n_y,
+        reader.project.bounds.structure,
+    )
+
+
+def covering_pass(reader: DriveReader, gamma_w: np.ndarray, B_w: np.ndarray, experiment: Experiment) -> Part:
+    """The factor on B_w (K, n_y) with which the drive's disturbances lie in a covering set."""
+    return reduce_covering(
+        reader.frames(experiment), reader.estimator, gamma_w, B_w, reader.project.bounds.structure
+    )
+
+
+class Judged(NamedTuple):
+    """What the tests say of a drive: its largest margin, its scores (None: nothing judged), and its
+    excitation."""
+
+    worst: float
+    score: float | None
+    energy_score: float | None
+    met: Excitation
+
+
+def judge(
+    reader: DriveReader,
+    W_delta: np.ndarray,
+    B_w: np.ndarray,
+    core: Core | None,
+    reals: np.ndarray | None,
+    cuts: int,
+    experiment: Experiment,
+) -> Judged:
+    """Judge a drive, whole and (for ``worst``) from ``cuts`` random first samples, by the compiled core;
+    without one (plain DFT) by the exact margin under W_delta (K,), B_w (K, n_y)."""
+    speed_range, name = reader.estimator.speed_range, experiment.name
+    drive, e, yhat = reader.read(experiment)
+    if core is None:
+        sets = list(counted_frames(drive, e, yhat, reader.model, reader.estimator))
+        bin_of, start = (
+            np.concatenate(a)
+            for a in zip(*((np.full(len(s.E), s.bin), s.starts) for s in sets), strict=False)
+        )
+        E, Z = (np.concatenate([getattr(s, a) for s in sets]) for a in ("E", "Z"))
+        worst = s1.margin(E, Z, W_delta[bin_of], B_w[bin_of]).max(initial=0.0)
+        speed = np.array(
+            [drive.v[a : a + n].mean() for a, n in zip(start, reader.estimator.length[bin_of], strict=False)]
+        )
+        return Judged(
+            worst,
+            float(worst) if len(E) else None,
+            None,
+            Excitation.of(name, speed_range, bin_of, speed, Z, W_delta, B_w, start),
+        )
+    worst = 0.0
+    for cut in _first_samples(reader, name, len(drive.t), cuts):
+        run = core.monitor(reals=reals, seal=reals is not None).run_drive(drive.from_sample(cut))
+        counted = run.frames.counted
+        worst = max(worst, float(run.frames.margin[counted].max(initial=0.0)))
+        if cut == 0:
+            whole, of_whole = run, counted
+    f = whole.frames
+    met = Excitation.of(
+        name,
+        speed_range,
+        f.bin[of_whole],
+        f.speed[of_whole],
+        f.Z[of_whole],
+        W_delta,
+        B_w,
+        np.round(f.t_end_s[of_whole] * 1e6).astype(np.int64),
+    )
+    return Judged(worst, score(whole), energy_score(whole), met)
+
+
+def _first_samples(reader: DriveReader, name: str, samples: int, cuts: int) -> list[int]:
+    """0 and ``cuts`` random first samples in the first half of a drive."""
+    # A stream of random numbers for each drive: the other drives and their order make no difference.
+    random = np.random.default_rng([reader.project.seed, zlib.crc32(name.encode())])
+    return [0, *random.integers(1, max(2, samples // 2), cuts).tolist()]
+
+
+def energy_pass(reader: DriveReader, test: EnergyTest, cuts: int, experiment: Experiment) -> Part:
+    """What a drive asks of sigma: whole, from rest; with its first samples cut, from what Delta may
+    remember."""
+    drive, _, _ = reader.read(experiment)
+
+    def parts() -> Iterator[Part]:
+        for cut in _first_samples(reader, experiment.name, len(drive.t), cuts):
+            rest = drive.from_sample(cut)
+            yield (test if cut else test.at_rest()).needs(*nominal_error(rest, reader.model), rest.v)
+
+    return fold(parts())

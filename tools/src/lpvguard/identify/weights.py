@@ -1,0 +1,275 @@
+"""Weights of an identification: rational magnitudes above the bounds (steps 6 and 7), and the core's numbers
+for them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..base.errors import InputError
+from ..core.coefficients import Coefficients, build_coefficients
+from ..drives.frames import Estimator
+from ..engine.overbound import OverboundFit, Weight, fit_overbound, subtract_noise, verify_overbound
+from ..vehicle.nominal import NominalModel
+from ..vehicle.project import Project
+from .bounds import Bounds
+from .energy import EnergyTest
+
+DC_STAND_IN = 0.1
+"""DC has no place on a logarithmic axis: its bound stands at this fraction of the lowest bin's frequency."""
+SMALLEST_NU = 1e-3
+"""Floor of the uncertainty bound where the data ask for none; a weight must be positive."""
+LEAST_SHARE = 0.1
+"""Floor of step 7, as a part of B_w.
+
+Less is left only where two weights happen to be equal, each of them a fit to some tenths of a dB. A floor
+above what is left covers it. A floor far below would put a notch into the bound that no weight of low order
+follows.
+"""
+
+
+@dataclass(frozen=True)
+class FittedWeight:
+    """A weight with the samples it was fitted above: omega, bound (K',) (NaN: no data)."""
+
+    fit: OverboundFit
+    omega: np.ndarray
+    bound: np.ndarray
+
+    def magnitude(self, omega: np.ndarray) -> np.ndarray:
+        """|W| at omega [rad/s], of the same shape."""
+        return self.fit.weight.magnitude(omega)
+
+    def to_dict(self) -> dict:
+        """JSON-able: the weight, how it fits, and its samples."""
+        f = self.fit
+        return {
+            "weight": f.weight.to_dict(),
+            "order": f.order,
+            "worst_ratio_db": f.worst_ratio_db,
+            "lp_optimum_db": f.lp_optimum_db,
+            "certificate": f.certificate,
+            "floored_rad_s": list(f.floored),
+            "breaks_outside_rad_s": list(f.breaks_outside),
+            "omega_rad_s": self.omega,
+            "bound": self.bound,
+        }
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Fitted weights. ``inflation`` multiplies W_w, W_n and W_delta wherever they are used.
+
+    W_w, W_n and W_w_S0 hold one weight per output. Without zero-input drives W_n is empty, and so are W_w_S0
+    and W_C, which only synthesis needs. W_w_S0: disturbance of class S0, where nothing is left to uncertainty
+    (K_inf). ``floored``: step 7, frequencies [rad/s] per weight where nothing was left of B_w after the
+    sensor's share.
+    """
+
+    W_w: list[FittedWeight]
+    W_delta: FittedWeight
+    gamma_w: FittedWeight
+    W_n: list[FittedWeight]
+    W_w_S0: list[FittedWeight]
+    W_C: list[FittedWeight]
+    floored: dict[str, list[float]]
+    disturbance_set: str
+    inflation: float = 1.0
+
+    def at(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """W_delta (K,) and B_w (K, n_y) as the monitor uses them: inflation included, the sensor's share put
+        back."""
+        B_w = np.column_stack([w.magnitude(omega) for w in self.W_w])
+        if self.W_n:
+            W_n = np.column_stack([w.magnitude(omega) for w in self.W_n])
+            B_w = np.hypot(B_w, W_n) if self.disturbance_set == "covering" else B_w + W_n
+        return self.inflation * self.W_delta.magnitude(omega), self.inflation * B_w
+
+    def to_dict(self) -> dict:
+        """JSON-able, for `from_dict`."""
+        lists = {key: [w.to_dict() for w in getattr(self, key)] for key in ("W_w", "W_n", "W_w_S0", "W_C")}
+        return lists | {
+            "W_delta": self.W_delta.to_dict(),
+            "gamma_w": self.gamma_w.to_dict(),
+            "floored_rad_s": self.floored,
+            "disturbance_set": self.disturbance_set,
+            "inflation": self.inflation,
+        }
+
+    @classmethod
+    def from_dict(cls, data: dict, source: str) -> Weights:
+        """Read back; every certificate is proved anew against its samples, a failing one is an InputError."""
+
+        def weight(entry: dict, name: str) -> FittedWeight:
+            omega = np.array(entry["omega_rad_s"], float)
+            bound = np.array([np.nan if b is None else b for b in entry["bound"]], float)
+            loaded = Weight.from_dict(entry["weight"])
+            certificate = verify_overbound(loaded, omega, bound, name=name)
+            if not certificate.ok:
+                raise InputError(
+                    source,
+                    name,
+                    f"the weight falls to {certificate.min_ratio:.6f} of its bound at "
+                    f"{certificate.min_ratio_at:.4g} rad/s",
+                    "a weight that overbounds its data",
+                )
+            fit = OverboundFit(
+                loaded,
+                entry["order"],
+                entry["worst_ratio_db"],
+                entry["lp_optimum_db"],
+                1.0,
+                certificate.to_dict(),
+                {},
+                tuple(entry["floored_rad_s"]),
+                tuple(entry["breaks_outside_rad_s"]),
+            )
+            return FittedWeight(fit, omega, bound)
+
+        lists = {
+            key: [weight(e, f"{key}[{j}]") for j, e in enumerate(data[key])]
+            for key in ("W_w", "W_n", "W_w_S0", "W_C")
+        }
+        return cls(
+            **lists,
+            W_delta=weight(data["W_delta"], "W_delta"),
+            gamma_w=weight(data["gamma_w"], "gamma_w"),
+            floored=data["floored_rad_s"],
+            disturbance_set=data["disturbance_set"],
+            inflation=data["inflation"],
+        )
+
+
+def fitting_grid(estimator: Estimator) -> np.ndarray:
+    """Frequencies (K,) [rad/s] at which weights are fitted: those of the bins, with a stand-in for DC."""
+    omega = estimator.omega.copy()
+    omega[0] = DC_STAND_IN * omega[1]
+    return omega
+
+
+def smallest_disturbance(B2: np.ndarray) -> float:
+    """Smallest disturbance bound: a weight must be positive where a bound is zero."""
+    return 1e-6 * float(np.nanmax(B2))
+
+
+def uncertainty_samples(estimator: Estimator, nu: np.ndarray) -> np.ndarray:
+    """What W_delta must cover: the running maximum of nu from the lowest bin up, nothing at DC.
+
+    Neglected dynamics grow with frequency, and a dip in nu only tells that no frame happened to need
+    uncertainty there. nu(0) = 0 by definition; below the lowest bin any small value will do (paper, step 6).
+    """
+    running = np.fmax.accumulate(np.where(estimator.cycles > 0, np.fmax(nu, SMALLEST_NU), SMALLEST_NU))
+    return np.where((estimator.cycles > 0) & np.isfinite(nu), running, np.nan)
+
+
+def fit_bound(
+    project: Project, estimator: Estimator, bound: np.ndarray, name: str, floor: float
+) -> FittedWeight:
+    """Weight above ``bound`` (K,) and ``floor``, in the bound's unit; NaN: no data. ``name``: for errors.
+
+    Raises InputError when no weight of the project's order fits."""
+    omega = fitting_grid(estimator)
+    # What the weight is proved against: the floor applied.
+    raised = np.where(np.isnan(bound), np.nan, np.fmax(bound, floor))
+    fit = fit_overbound(
+        omega,
+        raised,
+        name=name,
+        max_order=project.weights.max_order,
+        tol_db=project.weights.tolerance_db,
+    )
+    return FittedWeight(fit, omega, raised)
+
+
+def fit_weights(
+    project: Project,
+    estimator: Estimator,
+    bounds: Bounds,
+    gamma_w: FittedWeight,
+    noise: np.ndarray,
+    error: np.ndarray,
+    command: np.ndarray,
+) -> Weights:
+    """Steps 6 and 7. ``noise``, ``error`` (K, n_y): peaks of E without and with input; ``command`` (K,): of
+    the first output.
+
+    Without zero-input drives (``noise`` all NaN) B_w itself is W_w.
+    """
+    floor = smallest_disturbance(bounds.B2)
+    names = [s.name for s in project.outputs]
+
+    def fit_all(bound: np.ndarray, what: str) -> list[FittedWeight]:
+        return [
+            fit_bound(project, estimator, bound[:, j], f"{what} of {n}", floor) for j, n in enumerate(names)
+        ]
+
+    W_delta = fit_bound(project, estimator, uncertainty_samples(estimator, bounds.nu), "nu", SMALLEST_NU)
+    disturbance_set = project.bounds.disturbance_set
+    B_w = fit_all(bounds.B_w, "B_w")
+    if np.isnan(noise).all():
+        return Weights(B_w, W_delta, gamma_w, [], [], [], {}, disturbance_set)
+    W_n = fit_all(noise, "W_n")
+    # A covering set is an ellipsoid: n_y outputs at their peaks together need sqrt(n_y).
+    cover = np.sqrt(project.n_y) if disturbance_set == "covering" else 1.0
+    floored: dict[str, list[float]] = {}
+
+    def without_noise(B: list[FittedWeight], what: str) -> list[FittedWeight]:
+        weights, empty = disturbance_weights(project, estimator, B, W_n, floor, what)
+        floored.update({f"{what} of {n}": e for n, e in zip(names, empty, strict=False)})
+        return weights
+
+    return Weights(
+        without_noise(B_w, "W_w"),
+        W_delta,
+        gamma_w,
+        W_n,
+        without_noise(fit_all(cover * error, "B_w of S0"), "W_w of S0"),
+        [fit_bound(project, estimator, command, "W_C", floor)],
+        floored,
+        disturbance_set,
+    )
+
+
+def disturbance_weights(
+    project: Project,
+    estimator: Estimator,
+    B_w: list[FittedWeight],
+    W_n: list[FittedWeight],
+    floor: float,
+    what: str = "W_w",
+) -> tuple[list[FittedWeight], list[list[float]]]:
+    """Step 7: W_w per output, what is left of B_w after the sensor's share, and the frequencies [rad/s] where
+    nothing is."""
+    omega, weights, floored = fitting_grid(estimator), [], []
+    for b, noise, output in zip(B_w, W_n, project.outputs, strict=True):
+        left, empty = subtract_noise(
+            b.magnitude(omega),
+            noise.magnitude(omega),
+            omega,
+            floor=np.fmax(floor, LEAST_SHARE * b.magnitude(omega)),
+            disturbance_set=project.bounds.disturbance_set,
+        )
+        weights.append(fit_bound(project, estimator, left, f"{what} of {output.name}", floor))
+        floored.append(empty)
+    return weights, floored
+
+
+def coefficients_of(
+    project: Project,
+    model: NominalModel,
+    estimator: Estimator,
+    weights: Weights,
+    threshold: float,
+    energy: EnergyTest,
+) -> Coefficients:
+    """The core's coefficients for these weights."""
+    return build_coefficients(project, model, estimator, *weights.at(estimator.omega), threshold, energy)
+
+
+def energy_filters(project: Project, estimator: Estimator, weights: Weights) -> EnergyTest:
+    """The energy test's filters for these weights; sigma is yet to be found."""
+    fitted = weights.W_delta
+    return EnergyTest.design(
+        project, estimator, fitted.fit.weight, fitted.omega, fitted.bound, weights.inflation
+    )
