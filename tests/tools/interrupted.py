@@ -33,12 +33,12 @@ import lpvguard.control.design_files
 import lpvguard.control.frozen
 import lpvguard.control.stored_frames
 import lpvguard.control.tradeoff
-import lpvguard.core.coefficients
 import lpvguard.core.compiled
 import lpvguard.drives.fixture
 import lpvguard.drives.ingest
 import lpvguard.engine.synthesis.cases
 import lpvguard.evaluate.run
+import lpvguard.identify.export
 import lpvguard.identify.run
 import lpvguard.loop.campaign
 import lpvguard.loop.generate
@@ -141,6 +141,15 @@ def folder_of(kind: str, files: dict[str, str]):
     return write
 
 
+def in_the_verbs(name: str, value: object) -> None:
+    """``value`` in place of ``name`` in every module of cli that has it; AttributeError when none has."""
+    having = [m for key, m in sys.modules.items() if key.startswith("lpvguard.cli.") and hasattr(m, name)]
+    if not having:
+        raise AttributeError(f"no verb has {name}")
+    for module in having:
+        setattr(module, name, value)
+
+
 def replace_computing(variant: str) -> None:
     """Small results instead of long computations, in this (forked) process only."""
     text = f"variant {variant}\n" * 400
@@ -150,8 +159,9 @@ def replace_computing(variant: str) -> None:
             name="g80", frames=SimpleNamespace(estimator="hann"), design=SimpleNamespace(structure="K_i")
         ),
     )
-    cli._stored, cli._stored_with_drives = (lambda *_: stored), (lambda *_: (stored, None))
-    cli._require_settings = lambda *_: None
+    in_the_verbs("stored_for", lambda *_: stored)
+    in_the_verbs("stored_with_drives", lambda *_: (stored, None))
+    in_the_verbs("require_settings", lambda *_: None)
     lpvguard.drives.fixture.PLAN[:] = [("train", "human", 5.0, 1.0), ("valid", "human", 9.0, 1.0)]
     plain = lpvguard.can.dbc.dbc_text
     lpvguard.can.dbc.dbc_text = lambda: plain() + f'CM_ "{variant}";\n'
@@ -193,16 +203,17 @@ def replace_computing(variant: str) -> None:
         best=SimpleNamespace(level=0.5),
         files=lambda: {"tradeoff.json": artefacts.to_json({"text": text})},
     )
-    lpvguard.core.coefficients.export_vehicle = lambda stored, out, controller: folder_of(
+    lpvguard.identify.export.export_vehicle = lambda stored, out, controller: folder_of(
         "vehicle", {"lpvguard_coeff.c": text, "SIGNALS.md": text}
     )(out)
-    cli._replayer = lambda *_: SimpleNamespace(
+    replayer = SimpleNamespace(
         summarise_file=summarise,
         threshold=1.0,
         energy_threshold=1.0,
         core=SimpleNamespace(folder="core"),
         model=None,
     )
+    in_the_verbs("replayer_of", lambda *_: replayer)
     summarise.text = text
     lpvguard.loop.sim.load_scenario = lambda name: SimpleNamespace(name=name, seed=1)
     lpvguard.loop.sim.Simulator = lambda *_, **__: SimpleNamespace(
@@ -210,8 +221,8 @@ def replace_computing(variant: str) -> None:
     )
     run_sim.text = text
     lpvguard.evaluate.run.evaluate = lambda *_, **__: {**EVALUATED, "text": text}
-    cli._detector_table = lambda *_: ""
-    cli._print_campaign = lambda _: None
+    in_the_verbs("print_evaluation", lambda _: None)
+    in_the_verbs("print_campaign", lambda _: None)
     lpvguard.loop.campaign.campaign = run_campaign
     lpvguard.report.page.write_report = lambda stored, drives, replayer, out, *_: artefacts.write_file(
         out, f'<html><meta name="generator" content="{artefacts.mark("report")}">{text}', "report"

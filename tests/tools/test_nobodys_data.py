@@ -251,7 +251,7 @@ def test_what_is_ours_is_replaced_and_ends_the_same(run, here):
 
 def test_the_second_of_two_runs_is_refused_while_the_first_holds_the_folder(run, here):
     before = contents(here)
-    script = "import sys\nfrom pathlib import Path\nfrom lpvguard import artefacts\nwith artefacts.claimed(Path('car')):\n    print('held', flush=True)\n    sys.stdin.read()"
+    script = "import sys\nfrom pathlib import Path\nfrom lpvguard.base import artefacts\nwith artefacts.claimed(Path('car')):\n    print('held', flush=True)\n    sys.stdin.read()"
     with subprocess.Popen(
         [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as first:
