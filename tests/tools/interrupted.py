@@ -40,7 +40,7 @@ import lpvguard.engine.synthesis.cases
 import lpvguard.evaluate.run
 import lpvguard.identify.export
 import lpvguard.identify.run
-import lpvguard.loop.campaign
+import lpvguard.loop.campaign.run
 import lpvguard.loop.generate
 import lpvguard.loop.lcm_client
 import lpvguard.loop.sim
@@ -223,7 +223,7 @@ def replace_computing(variant: str) -> None:
     lpvguard.evaluate.run.evaluate = lambda *_, **__: {**EVALUATED, "text": text}
     in_the_verbs("print_evaluation", lambda _: None)
     in_the_verbs("print_campaign", lambda _: None)
-    lpvguard.loop.campaign.campaign = run_campaign
+    lpvguard.loop.campaign.run.campaign = run_campaign
     lpvguard.report.page.write_report = lambda stored, drives, replayer, out, *_: artefacts.write_file(
         out, f'<html><meta name="generator" content="{artefacts.mark("report")}">{text}', "report"
     )

@@ -16,26 +16,22 @@ import numpy as np
 
 from .. import __version__
 from ..base import artefacts
-from ..core.compiled import REASONS, VERDICTS
+from ..core.compiled import REASONS, TESTS, VERDICTS
 from ..drives.frames import Estimator
 from ..drives.tables import Drive
 from ..engine.overbound import Weight
 from ..engine.validation import s1
-from ..evaluate.run import (
+from ..evaluate.comparison import (
     COUNTS_ONLY,
     EXPORTED,
-    FAULT_FROM_S,
-    FOUND_WITHIN_S,
     MONITOR,
-    PIECE_S,
-    SHORTEST_FOR_FAULTS_S,
-    STARTS,
-    TESTS,
     Column,
     columns,
     detector_rows,
     equal_rates,
 )
+from ..evaluate.detection import FAULT_FROM_S, FOUND_WITHIN_S, SHORTEST_FOR_FAULTS_S, STARTS
+from ..evaluate.false_alarms import PIECE_S
 from ..identify.bounds import FrameSet, counted_frames, explain
 from ..identify.energy import EnergyTest
 from ..identify.run import (
