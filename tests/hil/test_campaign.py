@@ -15,10 +15,12 @@ from lpvguard.base.errors import InputError
 from lpvguard.base.parallel import workers
 from lpvguard.core.compiled import Core
 from lpvguard.drives.tables import list_experiments
-from lpvguard.evaluate import run as evaluate
+from lpvguard.evaluate import baseline_study
 from lpvguard.evaluate.baselines import Baseline
 from lpvguard.identify import run as identify
-from lpvguard.loop import campaign as stage
+from lpvguard.loop.campaign import faults, one_run, run, scenarios, summary, trucks
+from lpvguard.loop.campaign.run import campaign
+from lpvguard.loop.campaign.scenarios import Case, Size
 from lpvguard.loop.sim import load_scenario, shipped_scenarios
 from lpvguard.replay.run import Replayer
 from lpvguard.vehicle.nominal import NominalModel
@@ -45,7 +47,7 @@ def replayer(simulator, truck_folder) -> Replayer:
 
 @pytest.fixture(scope="module")
 def bounds(stored, replayer):
-    return stage.Bounds.of(stored[0], replayer.estimator)
+    return trucks.Bounds.of(stored[0], replayer.estimator)
 
 
 def plant_tables(name: str) -> str:
@@ -66,23 +68,23 @@ def test_scenarios_expect_what_follows_from_the_bounds(name, simulator, replayer
     expect = scenario.expect
     for seed in SEEDS:
         _, drive, _ = simulator.drive(scenario.path, seed=seed)
-        offline = stage.Offline.of(replayer, drive, expect.fault_start_s or 0.0)
+        offline = one_run.Offline.of(replayer, drive, expect.fault_start_s or 0.0)
         due.append(offline.due_s)
         largest = max(largest, offline.largest)
-        demand = np.maximum(demand, stage.largest_input(replayer, drive))
+        demand = np.maximum(demand, one_run.largest_input(replayer, drive))
     tables = plant_tables(name)
     if expect.verdict == "invalid":
         assert None not in due and max(due) <= expect.within_judged_s <= 1.5 * max(due) + 10.0, due
     elif expect.verdict == "never_invalid":
         assert "sensor_fault" not in tables
-        assert stage.response_margin(replayer.model, bounds, tables, demand) <= 1.0
+        assert trucks.response_margin(replayer.model, bounds, tables, demand) <= 1.0
         assert "can_fault" not in scenario.path.read_text() or largest <= 1.0
     else:
         assert max((np.inf if d is None else d) for d in due) > 60.0
         assert (
             name in NO_VERDICT_FOLLOWS
             or "sensor_fault" in tables
-            or stage.response_margin(replayer.model, bounds, tables, demand) > 1.0
+            or trucks.response_margin(replayer.model, bounds, tables, demand) > 1.0
         )
 
 
@@ -113,43 +115,45 @@ def test_where_the_ecu_withheld_samples_the_drive_has_none(simulator, replayer, 
 
 
 def test_a_frame_that_an_alarm_is_due_for_is_judged_whatever_the_phase(replayer):
-    """_first_stretch: a run of starts of half a frame, unbroken."""
-    starts = np.arange(0, 1000, stage.STRIDE)
+    """first_stretch: a run of starts of half a frame, unbroken."""
+    starts = np.arange(0, 1000, one_run.STRIDE)
     above = np.zeros(len(starts), bool)
     above[20:30] = True
-    assert stage._first_stretch(starts, above, 90) == 200
-    assert stage._first_stretch(starts, above, 91) is None
+    assert one_run.first_stretch(starts, above, 90) == 200
+    assert one_run.first_stretch(starts, above, 91) is None
     above[25] = False
-    assert stage._first_stretch(starts, above, 90) is None
-    assert stage._first_stretch(np.delete(starts, 24), np.delete(above, 24), 41) is None
-    assert stage._first_stretch(starts[:0], above[:0], 0) is None
+    assert one_run.first_stretch(starts, above, 90) is None
+    assert one_run.first_stretch(np.delete(starts, 24), np.delete(above, 24), 41) is None
+    assert one_run.first_stretch(starts[:0], above[:0], 0) is None
 
 
 def test_rates_have_exact_intervals():
     # Clopper and Pearson: 0 of n ends at 1 - 0.025^(1/n); 5 of 10 is 18.71 to 81.29 %.
-    assert stage.rate(0, 2000)["interval"] == pytest.approx([0.0, 1 - 0.025 ** (1 / 2000)])
-    assert stage.rate(5, 10)["interval"] == pytest.approx([0.1871, 0.8129], abs=1e-4)
-    assert stage.rate(3, 3)["interval"][1] == 1.0 and stage.rate(0, 0)["interval"] is None
+    assert summary.rate(0, 2000)["interval"] == pytest.approx([0.0, 1 - 0.025 ** (1 / 2000)])
+    assert summary.rate(5, 10)["interval"] == pytest.approx([0.1871, 0.8129], abs=1e-4)
+    assert summary.rate(3, 3)["interval"][1] == 1.0 and summary.rate(0, 0)["interval"] is None
 
 
 def test_nobody_is_best_at_a_kind_where_nobody_found_a_fault():
     def row(**found: int) -> dict:
-        found = dict.fromkeys(stage.DETECTORS, 0) | found
+        found = dict.fromkeys(summary.DETECTORS, 0) | found
         return {"runs": 4, "found": found, "matched": found}
 
-    assert stage._kind("k", [row(), row()])["best"] == stage._kind("k", [row()])["best_matched"] == []
-    assert stage._kind("k", [row(nis=1, rms=1), row()])["best_matched"] == ["rms", "nis"]
+    assert (
+        summary.kind_row("k", [row(), row()])["best"] == summary.kind_row("k", [row()])["best_matched"] == []
+    )
+    assert summary.kind_row("k", [row(nis=1, rms=1), row()])["best_matched"] == ["rms", "nis"]
 
 
 def test_alarms_an_hour_have_exact_intervals():
     # Poisson: none in h hours ends at -ln(0.025)/h; 10 events are 4.795 to 18.391 (Garwood).
-    assert stage.per_hour(0, 100.0)["interval"] == pytest.approx([0.0, -np.log(0.025) / 100])
-    assert stage.per_hour(10, 2.0)["interval"] == pytest.approx([4.7954 / 2, 18.3904 / 2], rel=1e-4)
-    assert stage.per_hour(10, 2.0)["rate"] == 5.0 and stage.per_hour(0, 0.0)["interval"] is None
+    assert summary.per_hour(0, 100.0)["interval"] == pytest.approx([0.0, -np.log(0.025) / 100])
+    assert summary.per_hour(10, 2.0)["interval"] == pytest.approx([4.7954 / 2, 18.3904 / 2], rel=1e-4)
+    assert summary.per_hour(10, 2.0)["rate"] == 5.0 and summary.per_hour(0, 0.0)["interval"] is None
 
 
 def test_speeds_are_constant_drift_or_sweep_the_range():
-    profiles = [stage._speed_profile(np.random.default_rng(n)) for n in range(200)]
+    profiles = [scenarios.speed_profile(np.random.default_rng(n)) for n in range(200)]
     assert {len(p) for p in profiles} == {1, 3, 4}
     assert all(8.3 <= v <= 21.7 for p in profiles for _, v in p), "within the grid of the controller"
     sweeps = [p for p in profiles if len(p) == 4]
@@ -161,26 +165,28 @@ def test_a_fault_found_with_its_first_sample_is_not_taken_for_an_alarm_before_it
     """A yaw rate that jumps by 0.2 rad/s: seen in the sample at the fault's time, which is not the run's
     6000th."""
     jump = '[[plant.sensor_fault]]\nsignal = "yaw_rate"\nstart_s = 60.0\nbias = 0.2\n'
-    context = stage.Context(truck_folder, 1, ((0.01, 0.01), (1.0,)), ())
-    row = stage.run_case(context, stage.Case(stage.FIRST_FAULT, "yaw-rate bias", 0.2, -1, 60.0, jump))
+    context = one_run.Context(truck_folder, 1, ((0.01, 0.01), (1.0,)), ())
+    row = one_run.run_case(context, Case(scenarios.FIRST_FAULT, "yaw-rate bias", 0.2, -1, 60.0, jump))
     assert not row["monitor_before"] and row["monitor_score_before"] < 1.0
     assert row["monitor_found_s"] <= 0.05 and row["ecu_invalid_s"] == pytest.approx(60.0, abs=0.05)
 
 
 def test_what_is_drawn_depends_on_seed_and_number_alone():
-    case = stage.Case(17, "within", 0.0, 0, 0.0, stage.draw_variation(5, 3))
-    assert stage.scenario_text(5, case) == stage.scenario_text(5, case)
-    other = stage.Case(18, "within", 0.0, 0, 0.0, stage.draw_variation(5, 4))
-    assert stage.scenario_text(5, case) != stage.scenario_text(6, case) and case.tables != other.tables
-    cases = stage.plan(stage.Size(0.2, 2), ["a", "b"])
+    case = Case(17, "within", 0.0, 0, 0.0, scenarios.draw_variation(5, 3))
+    assert scenarios.scenario_text(5, case) == scenarios.scenario_text(5, case)
+    other = Case(18, "within", 0.0, 0, 0.0, scenarios.draw_variation(5, 4))
+    assert (
+        scenarios.scenario_text(5, case) != scenarios.scenario_text(6, case) and case.tables != other.tables
+    )
+    cases = scenarios.plan(Size(0.2, 2), ["a", "b"])
     assert [c.number for c in cases[:4]] == [0, 1, 2, 3] and [c.plant for c in cases[:4]] == [0, 1, 0, 1]
-    longer = stage.plan(stage.Size(1.0, 2), ["a", "b"])
+    longer = scenarios.plan(Size(1.0, 2), ["a", "b"])
     assert longer[20:] == cases[4:], "the faulty runs are the same, however many hours are driven within"
-    assert {c.kind for c in cases[4:]} == {k.name for k in stage.KINDS}
-    names = [k.name for k in stage.KINDS]
+    assert {c.kind for c in cases[4:]} == {k.name for k in faults.KINDS}
+    names = [k.name for k in faults.KINDS]
     assert len(set(names)) == len(names), "a kind is found by its name"
-    assert all(k.of_truck or k.of_bus for k in stage.KINDS) and any(
-        k.of_truck and k.of_bus for k in stage.KINDS
+    assert all(k.of_truck or k.of_bus for k in faults.KINDS) and any(
+        k.of_truck and k.of_bus for k in faults.KINDS
     )
 
 
@@ -190,19 +196,19 @@ def small(monkeypatch):
     setting a baseline."""
     kinds = [
         k
-        for k in stage.KINDS
+        for k in faults.KINDS
         if k.name in ("brake gain", "yaw rate frozen", "GUARD_IN repeated", "brake gain, 5 % of VDC2 lost")
     ]
     monkeypatch.setattr(
-        stage,
+        faults,
         "KINDS",
-        tuple(stage.Kind(k.name, k.unit, k.values[:1], k.table, k.loop, k.response) for k in kinds),
+        tuple(faults.Kind(k.name, k.unit, k.values[:1], k.table, k.loop, k.response) for k in kinds),
     )
-    monkeypatch.setattr(stage, "PLANTS", 1)
-    monkeypatch.setattr(stage, "CHUNK", 3)
-    monkeypatch.setattr(stage, "RESPONSE_SPEEDS", (15.0,))
+    monkeypatch.setattr(trucks, "PLANTS", 1)
+    monkeypatch.setattr(run, "CHUNK", 3)
+    monkeypatch.setattr(trucks, "RESPONSE_SPEEDS", (15.0,))
     monkeypatch.setattr(
-        evaluate,
+        baseline_study,
         "GRID",
         (
             Baseline("rms", window_s=0.2),
@@ -224,12 +230,10 @@ def test_a_cluster_gives_the_same_bytes(small, stored, truck_folder, tmp_path):
         distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
         ) as cluster,
-        workers(scheduler=cluster.scheduler_address) as run,
+        workers(scheduler=cluster.scheduler_address) as shared,
     ):
-        stage.campaign(
-            found, drives, truck_folder, tmp_path / "cluster", seed=3, size=stage.Size(0.1, 1), workers=run
-        )
-    stage.campaign(found, drives, truck_folder, tmp_path / "here", seed=3, size=stage.Size(0.1, 1))
+        campaign(found, drives, truck_folder, tmp_path / "cluster", seed=3, size=Size(0.1, 1), workers=shared)
+    campaign(found, drives, truck_folder, tmp_path / "here", seed=3, size=Size(0.1, 1))
     files = [
         sorted(p.relative_to(tmp_path / name) for p in (tmp_path / name).rglob("*") if p.is_file())
         for name in ("cluster", "here")
@@ -241,29 +245,29 @@ def test_a_cluster_gives_the_same_bytes(small, stored, truck_folder, tmp_path):
 
 def test_a_campaign_that_was_stopped_goes_on_and_ends_the_same(small, stored, truck_folder, tmp_path):
     found, drives = stored
-    size = stage.Size(0.25, 2)
+    size = Size(0.25, 2)
     cases = 5 + 4 * 2
 
-    def run(out: Path, stop_at: int | None = None) -> dict:
+    def go_on(out: Path, stop_at: int | None = None) -> dict:
         def progress(text: str) -> None:
             if stop_at is not None and text.startswith(f"run {stop_at} "):
                 raise Stopped
 
-        return stage.campaign(found, drives, truck_folder, out, seed=3, size=size, progress=progress)
+        return campaign(found, drives, truck_folder, out, seed=3, size=size, progress=progress)
 
     out = tmp_path / "stopped"
     with pytest.raises(Stopped):
-        run(out, stop_at=5)
+        go_on(out, stop_at=5)
     chunks = sorted((out / "chunks").iterdir())
     assert [c.name for c in chunks] == ["00000.parquet"] and not (out / "summary.json").exists()
     kept = {p: os.stat(p).st_mtime_ns for p in [*chunks, out / "plants.json", out / "baselines.json"]}
-    summary = run(out)
+    told = go_on(out)
     assert kept == {p: os.stat(p).st_mtime_ns for p in kept}, "what was finished is not done again"
     whole = tmp_path / "whole"
     (whole / "chunks").mkdir(parents=True)
     for name in ("MANIFEST.json", "plants.json", "baselines.json"):
         (whole / name).write_bytes((out / name).read_bytes())
-    assert run(whole) == summary
+    assert go_on(whole) == told
     rows = pq.read_table(whole / "runs.parquet")
     for file in ("runs.parquet", "summary.json"):
         assert (whole / file).read_bytes() == (out / file).read_bytes(), file
@@ -271,40 +275,38 @@ def test_a_campaign_that_was_stopped_goes_on_and_ends_the_same(small, stored, tr
         "every run's seed is recorded"
     )
 
-    covered, apart = summary["within"]["runs"], summary["within"]["beyond_checked_amplitude"]["of"]
-    assert (
-        covered >= 1 and covered + apart == 5 and summary["within"]["hours"] == pytest.approx(0.05 * covered)
-    )
-    assert summary["within"]["tests"].keys() == {"frame", "energy"}
-    assert set(summary["matched_stated"].values()) == {None} and summary["matched_claim"].startswith(
+    covered, apart = told["within"]["runs"], told["within"]["beyond_checked_amplitude"]["of"]
+    assert covered >= 1 and covered + apart == 5 and told["within"]["hours"] == pytest.approx(0.05 * covered)
+    assert told["within"]["tests"].keys() == {"frame", "energy"}
+    assert set(told["matched_stated"].values()) == {None} and told["matched_claim"].startswith(
         "counts only"
     ), "five runs are too few"
     truck = [("brake gain", 0.0), ("yaw rate frozen", 1.0), ("brake gain, 5 % of VDC2 lost", 0.15)]
-    assert [(s["kind"], s["severity"]) for s in summary["severities"]] == truck
-    assert [s["found"]["monitor"] for s in summary["severities"]] == [2, 2, 2], (
+    assert [(s["kind"], s["severity"]) for s in told["severities"]] == truck
+    assert [s["found"]["monitor"] for s in told["severities"]] == [2, 2, 2], (
         "lost brakes and a dead sensor are found, on a faulty bus too"
     )
-    assert all(s["median_s"]["monitor"] < stage.FOUND_WITHIN_S for s in summary["severities"])
+    assert all(s["median_s"]["monitor"] < one_run.FOUND_WITHIN_S for s in told["severities"])
     assert (
-        summary["visible"]["monitor"]["count"]
-        == summary["visible"]["monitor"]["of"]
-        == sum(s["visible_runs"] for s in summary["severities"])
+        told["visible"]["monitor"]["count"]
+        == told["visible"]["monitor"]["of"]
+        == sum(s["visible_runs"] for s in told["severities"])
         > 0
     )
-    assert summary["due"]["count"] == summary["due"]["of"] > 0
-    assert [s["kind"] for s in summary["bus"]] == ["brake gain, 5 % of VDC2 lost", "GUARD_IN repeated"], (
+    assert told["due"]["count"] == told["due"]["of"] > 0
+    assert [s["kind"] for s in told["bus"]] == ["brake gain, 5 % of VDC2 lost", "GUARD_IN repeated"], (
         "the bus is scored apart"
     )
-    said = summary["supervision"]
-    assert said["faulty"]["as_required"]["count"] == 4 and all(s["as_required"] == 2 for s in summary["bus"])
+    said = told["supervision"]
+    assert said["faulty"]["as_required"]["count"] == 4 and all(s["as_required"] == 2 for s in told["bus"])
     assert (
         said["faulty"]["met"] == said["faulty"]["due"] > 10
         and said["healthy"]["as_required"]["count"] == 5
         and said["healthy"]["due"] == 0
     )
-    assert summary["bus"][0]["alarmed"]["monitor"] == 2 and summary["bus"][0]["judged"] > 0.9
+    assert told["bus"][0]["alarmed"]["monitor"] == 2 and told["bus"][0]["judged"] > 0.9
     with pytest.raises(InputError, match="other settings"):
-        stage.campaign(found, drives, truck_folder, out, seed=4, size=size)
+        campaign(found, drives, truck_folder, out, seed=4, size=size)
 
 
 def test_a_folder_of_something_else_and_bounds_of_another_export_are_refused(
@@ -313,20 +315,20 @@ def test_a_folder_of_something_else_and_bounds_of_another_export_are_refused(
     found, drives = stored
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match="no campaign"):
-        stage.campaign(found, drives, truck_folder, tmp_path, seed=1, size=stage.Size(0.05, 1))
+        campaign(found, drives, truck_folder, tmp_path, seed=1, size=Size(0.05, 1))
     from dataclasses import replace
 
     other = replace(found, fitted=replace(found.fitted, inflation=1.1))
     with pytest.raises(InputError, match="not those of the identification"):
-        stage.campaign(other, drives, truck_folder, tmp_path / "new", seed=1, size=stage.Size(0.05, 1))
+        campaign(other, drives, truck_folder, tmp_path / "new", seed=1, size=Size(0.05, 1))
     with pytest.raises(InputError, match=r"controller\.json"):
-        stage.campaign(
+        campaign(
             found,
             drives,
             truck_folder,
             tmp_path / "new",
             seed=1,
-            size=stage.Size(0.05, 1),
+            size=Size(0.05, 1),
             controller=tmp_path / "controller.json",
         )
     assert not (tmp_path / "new").exists(), "refused before anything is begun"

@@ -13,7 +13,7 @@ from lpvguard.can.catalogue import load_catalogue
 from lpvguard.can.logs import EXTENDED, Frames, read_log
 from lpvguard.can.play import encode, protect
 from lpvguard.loop.bus_faults import CASES
-from lpvguard.loop.campaign import supervision
+from lpvguard.loop.campaign.one_run import supervision
 from lpvguard.loop.sim import RECOVERY_S, can_fault_table, load_scenario, shipped_scenarios, steady_scenario
 from lpvguard.loop.supervision import HOLD, LIVE, OFF, Reactions, limits, needed_messages, required
 from lpvguard.vehicle.project import load_project

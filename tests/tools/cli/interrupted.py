@@ -40,7 +40,7 @@ import lpvguard.engine.synthesis.cases
 import lpvguard.evaluate.run
 import lpvguard.identify.export
 import lpvguard.identify.run
-import lpvguard.loop.campaign
+import lpvguard.loop.campaign.run
 import lpvguard.loop.generate
 import lpvguard.loop.lcm_client
 import lpvguard.loop.sim
@@ -69,16 +69,6 @@ REPLAYED = {
     "max_margin": None,
     "max_energy_ratio": None,
     "alarms": [],
-}
-EVALUATED = {
-    "false_alarms": {"all": {"drives": 1, "alarmed": 0, "pieces": 9, "interval": None}},
-    "left_out": {},
-    "without_faults": {},
-    "drives": [],
-    "faults": [],
-    "tests": {},
-    "baselines": [],
-    "claims": {"identified": {}, "left_one_out": {}},
 }
 
 
@@ -217,13 +207,13 @@ def replace_computing(variant: str) -> None:
     summarise.text = text
     lpvguard.loop.sim.load_scenario = lambda name: SimpleNamespace(name=name, seed=1)
     lpvguard.loop.sim.Simulator = lambda *_, **__: SimpleNamespace(
-        run=run_sim, folder="core", project=stored.project
+        run=run_sim, folder="core", controller="designed", project=stored.project
     )
     run_sim.text = text
     lpvguard.evaluate.run.evaluate = lambda *_, **__: {**EVALUATED, "text": text}
-    replace_in_cli("_detector_table", lambda *_: "")
+    replace_in_cli("print_evaluation", lambda _: None)
     replace_in_cli("print_campaign", lambda _: None)
-    lpvguard.loop.campaign.campaign = run_campaign
+    lpvguard.loop.campaign.run.campaign = run_campaign
     lpvguard.report.page.write_report = lambda stored, drives, replayer, out, *_: artefacts.write_file(
         out, f'<html><meta name="generator" content="{artefacts.mark("report")}">{text}', "report"
     )

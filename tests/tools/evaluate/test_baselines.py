@@ -8,8 +8,9 @@ import pytest
 
 from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import list_experiments
-from lpvguard.evaluate import run as stage
+from lpvguard.evaluate.baseline_study import BaselineStudy
 from lpvguard.evaluate.baselines import GRID, KINDS, Bank, Baseline, Scales
+from lpvguard.evaluate.detection import Case, median_time, ranking
 from lpvguard.identify import run as identify
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project
@@ -104,7 +105,7 @@ def study(g80, synthetic, identified, core):
     stored = identify.load(identified)
     drives = identify.DriveSet(g80, NominalModel(g80), list_experiments(synthetic))
     names = tuple(stored.calibration.scores)
-    return stage.BaselineStudy(stored, drives, core, left_out=names), names
+    return BaselineStudy(stored, drives, core, left_out=names), names
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -117,7 +118,7 @@ def test_the_drive_under_test_takes_part_in_nothing(study, kind):
         try:
             found.largest[name] = {b: np.full(3, 1e9) for b in GRID}
             found.cases[name] = {
-                key: {label: [stage.Case(name, 60.0, 0.02, None)] * 9 for label in table}
+                key: {label: [Case(name, 60.0, 0.02, None)] * 9 for label in table}
                 for key, table in next(c for c in cases.values() if c).items()
             }
             assert found.best(kind, name) == before
@@ -194,17 +195,16 @@ def test_ranking_is_by_share_then_time_and_names_all_that_tie():
     def row(found, counted, median):
         return {"found": found, "counted": counted, "median_s": median}
 
-    rank = stage.ranking
-    assert rank({"monitor": row(7, 7, 3.0), "rms": row(6, 7, 0.1)}) == ["monitor"]
-    assert rank({"monitor": row(7, 7, 3.0), "rms": row(7, 7, 2.0)}) == ["rms"]
-    assert rank({"monitor": row(7, 7, 2.0), "rms": row(7, 7, 2.0), "nis": row(5, 7, 1.0)}) == [
+    assert ranking({"monitor": row(7, 7, 3.0), "rms": row(6, 7, 0.1)}) == ["monitor"]
+    assert ranking({"monitor": row(7, 7, 3.0), "rms": row(7, 7, 2.0)}) == ["rms"]
+    assert ranking({"monitor": row(7, 7, 2.0), "rms": row(7, 7, 2.0), "nis": row(5, 7, 1.0)}) == [
         "monitor",
         "rms",
     ]
-    assert rank({"monitor": row(0, 7, None), "nis": row(0, 7, None)}) == [], (
+    assert ranking({"monitor": row(0, 7, None), "nis": row(0, 7, None)}) == [], (
         "nobody is best who found nothing"
     )
-    assert rank({"monitor": row(0, 7, None), "nis": row(1, 7, None)}) == ["nis"]
-    assert rank({"monitor": row(0, 0, None), "nis": row(0, 0, None)}) == []
-    assert stage.median_time([1.0, None, 3.0]) == 3.0 and stage.median_time([None, None, 1.0]) is None
-    assert stage.median_time([]) is None
+    assert ranking({"monitor": row(0, 7, None), "nis": row(1, 7, None)}) == ["nis"]
+    assert ranking({"monitor": row(0, 0, None), "nis": row(0, 0, None)}) == []
+    assert median_time([1.0, None, 3.0]) == 3.0 and median_time([None, None, 1.0]) is None
+    assert median_time([]) is None

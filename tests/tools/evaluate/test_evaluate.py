@@ -12,7 +12,9 @@ from lpvguard.base.errors import InputError
 from lpvguard.drives.faults import Fault, inject
 from lpvguard.drives.tables import list_experiments, read_drive
 from lpvguard.evaluate import run as stage
-from lpvguard.evaluate.run import Case, Clock, Pieces, alarmed_pieces, alarming, fault_clocks
+from lpvguard.evaluate.comparison import equal_rates
+from lpvguard.evaluate.detection import FOUND_WITHIN_S, STARTS, Case, Clock, fault_clocks
+from lpvguard.evaluate.false_alarms import Pieces, alarmed_pieces, alarming, piece_starts
 from lpvguard.identify import run as identify
 from lpvguard.identify.calibration import calibrate, joint_scores
 from lpvguard.replay.run import Replay, Replayer
@@ -57,7 +59,7 @@ def test_the_clock_runs_in_judged_driving_from_the_first_faulty_sample_on():
         "it stands where nothing is judged"
     )
     whole = Clock.of(replay(100.0), 3000)
-    assert whole.end == 3000 + round(stage.FOUND_WITHIN_S / TS)
+    assert whole.end == 3000 + round(FOUND_WITHIN_S / TS)
 
 
 @pytest.mark.parametrize(
@@ -98,7 +100,7 @@ def test_an_alarm_that_stands_when_the_fault_starts_is_none_of_it():
 def test_starts_leave_time_to_find_and_do_not_depend_on_other_drives():
     long = replay(300.0, name="a")
     clocks = fault_clocks(long, seed=1)
-    assert len(clocks) == stage.STARTS
+    assert len(clocks) == STARTS
     firsts = [c.first for c in clocks]
     assert firsts == sorted(firsts) and firsts[0] >= 3000 and firsts[-1] < 13501
     assert (
@@ -108,7 +110,7 @@ def test_starts_leave_time_to_find_and_do_not_depend_on_other_drives():
     )
     # Judged until 100 s alone: every start leaves 30 s of that.
     for clock in fault_clocks(replay(300.0, slice(0, 5000)), seed=1):
-        assert clock.first >= 3000 and clock.seconds[-1] >= stage.FOUND_WITHIN_S - 1e-9
+        assert clock.first >= 3000 and clock.seconds[-1] >= FOUND_WITHIN_S - 1e-9
     assert fault_clocks(replay(300.0, slice(0, 4400)), seed=1) == [], "28 s are not enough"
     assert fault_clocks(replay(300.0, slice(0, 0)), seed=1) == [], "never excited"
     assert fault_clocks(replay(120.0), seed=1) == [], "no longer than 120 s"
@@ -127,7 +129,7 @@ def test_every_second_counts_in_pieces_of_which_the_last_may_be_shorter():
         "where nothing is judged, too"
     )
     assert alarmed_pieces(replay(120.0, over=(6000,))) == (1, 2), "the closing sample is no piece of its own"
-    assert stage.piece_starts(1, TS).tolist() == [0]
+    assert piece_starts(1, TS).tolist() == [0]
 
 
 def test_false_alarms_are_counted_in_pieces_drives_and_by_the_hour_judged():
@@ -146,12 +148,12 @@ def test_false_alarms_are_counted_in_pieces_drives_and_by_the_hour_judged():
 
 
 def test_equal_rates_are_claimed_only_where_all_are_stated():
-    assert "one guaranteed rate" in stage.equal_rates({"monitor": 0.1, "rms": 0.1})
-    said = stage.equal_rates({"monitor": 0.1, "rms": None})
+    assert "one guaranteed rate" in equal_rates({"monitor": 0.1, "rms": 0.1})
+    said = equal_rates({"monitor": 0.1, "rms": None})
     assert (
         said.startswith("by counts only") and said.endswith("for rms") and "one guaranteed rate" not in said
     )
-    assert stage._one_rate([0.1, 0.1]) == 0.1 and stage._one_rate([0.1, None]) is None
+    assert stage.one_rate([0.1, 0.1]) == 0.1 and stage.one_rate([0.1, None]) is None
 
 
 def test_an_alarm_stands_where_the_core_says_so(core, g80, synthetic):
@@ -246,7 +248,7 @@ def test_a_single_drive_to_evaluate_has_no_baselines_and_no_alpha(folder, g80, c
     assert table["claims"]["left_one_out"]["monitor"] == [
         "alpha is not stated: too few calibration drives (0)"
     ]
-    assert all(row["drives"] == 1 and row["counted"] == stage.STARTS for row in table["faults"])
+    assert all(row["drives"] == 1 and row["counted"] == STARTS for row in table["faults"])
     assert table["stated_rates"] == {"monitor": None, "frame": None, "energy": None, "exported": None}
     (drive,) = table["drives"]
     assert (
@@ -280,7 +282,7 @@ def test_short_and_unexcited_drives_are_counted_and_named(folder, g80, core):
     still = next(r for r in table["drives"] if r["run"] == "synthetic_08")
     assert (
         still["judged_of_in_range_excited"] is None
-        and still["pieces"] == len(stage.piece_starts(round(still["duration_s"] / TS) + 1, TS)) == 3
+        and still["pieces"] == len(piece_starts(round(still["duration_s"] / TS) + 1, TS)) == 3
     )
     assert all(
         row["drives"] == row["counted"] == 0 and row["best"] == [] and row["median_s"] is None

@@ -15,7 +15,9 @@ from lpvguard.base.errors import InputError
 from lpvguard.core.compiled import Core, shipped_vehicle
 from lpvguard.drives.faults import Fault, inject
 from lpvguard.drives.tables import list_experiments, read_drive
-from lpvguard.evaluate.run import STARTS, Pieces, evaluate
+from lpvguard.evaluate.detection import STARTS
+from lpvguard.evaluate.false_alarms import Pieces
+from lpvguard.evaluate.run import evaluate
 from lpvguard.identify import run as stage
 from lpvguard.replay.run import Replayer, excited_samples
 

@@ -17,15 +17,16 @@ from .shared import (
     Scheduler,
     app,
     emit,
-    print_campaign,
     progress_bar,
     require_settings,
     stored_with_drives,
 )
+from .tables import print_campaign
 
 
 @app.command(
-    epilog="Example: lpvguard campaign out/truck/identify out/truck/drives -o out/campaign --coefficients out/truck/vehicle"
+    epilog="Example: lpvguard campaign out/truck/identify out/truck/drives -o out/campaign "
+    "--coefficients out/truck/vehicle"
 )
 def campaign(
     identification: Annotated[Path, typer.Argument(help="Folder written by identify.")],
@@ -49,7 +50,8 @@ def campaign(
     on. Exit 1: a claim missed."""
     from ..base.parallel import workers
     from ..core.compiled import shipped_vehicle
-    from ..loop import campaign as stage
+    from ..loop.campaign.run import campaign as stage
+    from ..loop.campaign.scenarios import Size
 
     stored, drive_set = stored_with_drives(identification, drives)
     folder = coefficients or shipped_vehicle(vehicle)
@@ -57,13 +59,13 @@ def campaign(
         artefacts.read_manifest(folder, "vehicle")["project"], folder, stored.project, identification
     )
     with progress_bar("campaign") as tell, workers(jobs, scheduler) as run:
-        summary = stage.campaign(
+        summary = stage(
             stored,
             drive_set,
             folder,
             out,
             seed=seed,
-            size=stage.Size(hours, repeats),
+            size=Size(hours, repeats),
             controller=design and design / "controller.json",
             workers=run,
             progress=tell,

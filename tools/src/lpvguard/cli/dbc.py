@@ -14,7 +14,8 @@ from .shared import app
 
 
 @app.command(
-    epilog="Example: lpvguard dbc -o lpvguard.dbc; candump -L vcan0 | .venv/bin/cantools decode -s lpvguard.dbc"
+    epilog="Example: lpvguard dbc -o lpvguard.dbc; "
+    "candump -L vcan0 | .venv/bin/cantools decode -s lpvguard.dbc"
 )
 def dbc(
     out: Annotated[

@@ -3,22 +3,37 @@ structures (paper, step 8)."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..base import artefacts
 from ..base.errors import InputError
 from .shared import (
     JsonOut,
     Out,
     app,
-    design_case,
-    design_tradeoff,
-    design_vehicle,
+    console,
+    emit,
+    progress_bar,
     stored_for,
     stored_with_drives,
 )
+from .tables import (
+    print_case,
+    print_cells,
+    print_certificates,
+    print_design,
+    print_largest_A_t,
+    print_moving_speed,
+    print_tradeoff,
+)
+
+if TYPE_CHECKING:
+    from ..engine.synthesis.table import Cell
+    from ..identify.run import DriveSet, StoredIdentification
 
 
 @app.command(
@@ -65,32 +80,144 @@ def design(
     Exit 1 when robust performance (mu below 1) is not certified: at a speed, in a row of the case's table, or
     by any trade-off."""
     if case is not None:
-        if (
-            identification is not None
-            or vehicle is not None
-            or drives is not None
-            or tradeoff
-            or largest_A_t
-            or not table
-        ):
+        vehicles = identification is not None or vehicle is not None or drives is not None
+        if vehicles or tradeoff or largest_A_t or not table:
             raise InputError(
                 "design",
                 "--case",
                 "given with a vehicle, drives, --tradeoff, --largest-A-t or --no-table",
                 "a case file alone",
             )
-        raise typer.Exit(design_case(case, out, json_out))
+        raise typer.Exit(_design_case(case, out, json_out))
     if tradeoff and (largest_A_t or not table):
         raise InputError(
             "design", "--tradeoff", "given with --largest-A-t or --no-table", "neither: nothing is designed"
         )
     if identification is None or vehicle is None:
         raise InputError("design", "--vehicle, IDENTIFICATION", "missing", "both, or --case")
-    stored, drive_set = (
-        (stored_for(identification, vehicle), None)
-        if drives is None
-        else stored_with_drives(identification, drives, vehicle)
-    )
+    stored, drive_set = _read(identification, vehicle, drives)
     if tradeoff:
-        raise typer.Exit(design_tradeoff(stored, drive_set, out, json_out))
-    raise typer.Exit(design_vehicle(stored, drive_set, table, largest_A_t, out, json_out))
+        raise typer.Exit(_design_tradeoff(stored, drive_set, out, json_out))
+    raise typer.Exit(_design_vehicle(stored, drive_set, table, largest_A_t, out, json_out))
+
+
+def _read(
+    identification: Path, vehicle: str, drives: Path | None
+) -> tuple[StoredIdentification, DriveSet | None]:
+    if drives is None:
+        return stored_for(identification, vehicle), None
+    return stored_with_drives(identification, drives, vehicle)
+
+
+def _design_vehicle(
+    stored: StoredIdentification,
+    drive_set: DriveSet | None,
+    table: bool,
+    largest_A_t: bool,
+    out: Path,
+    json_out: str | None,
+) -> int:
+    """Design and certify a vehicle's controller, with Table II and the figures where ``table``. Returns the
+    exit status: 1 when mu is not certified below 1."""
+    from ..control import design as stage
+
+    cells: list[Cell] = []
+    more: dict[str, str] = {}
+    with progress_bar("design") as tell:
+        result = stage.design(stored, tell)
+        if table:
+            cells, more = _table_and_figures(stored, drive_set, tell)
+        largest = stage.largest_A_t(stored, tell) if largest_A_t else None
+        stage.save(result, stored, out, more, largest)
+    rows = [
+        {"v_mps": v, "mu_upper": p.upper, "mu_lower": p.lower, "peak_rad_s": p.bracket.peak_frequency}
+        for v, p in result.certificates
+    ]
+    emit(json_out, rows)
+    print_certificates(rows)
+    if cells:
+        print_cells(cells)
+        if drive_set is None:
+            console.print("Fig. 6 needs the drives: --drives")
+    print_design(result, stored.project.design.structure, out)
+    if largest_A_t:
+        print_largest_A_t(largest)
+    print_moving_speed(result)
+    return 0 if result.worst < 1 else 1
+
+
+def _table_and_figures(
+    stored: StoredIdentification, drive_set: DriveSet | None, tell: Callable[[str], None]
+) -> tuple[list[Cell], dict[str, str]]:
+    """Table II of a vehicle, and the files of table and figures; Fig. 6 needs the drives."""
+    from ..control.design_files import design_files
+    from ..control.frozen import FrozenProblem
+    from ..control.stored_frames import StoredFrames
+    from ..control.worst_run import worst_runs
+    from ..report.design_pictures import drawn
+
+    problem = FrozenProblem(stored, StoredFrames(stored, drive_set, tell))
+    cells = problem.table(tell)
+    tell("worst-case runs")
+    runs = None if drive_set is None else worst_runs(problem, cells, drive_set)
+    files = design_files(problem, cells, runs)
+    return cells, files | drawn(files)
+
+
+def _design_tradeoff(
+    stored: StoredIdentification, drive_set: DriveSet | None, out: Path, json_out: str | None
+) -> int:
+    """Search the trade-off and write it. Returns the exit status: 1 when no candidate is below 1."""
+    from ..control.frozen import FrozenProblem
+    from ..control.stored_frames import StoredFrames
+    from ..control.tradeoff import search
+    from ..report.design_pictures import drawn
+
+    with progress_bar("trade-off") as tell:
+        found = search(FrozenProblem(stored, StoredFrames(stored, drive_set, tell)), tell)
+        files = found.files()
+        with artefacts.new_folder(out, "design-tradeoff", stored.project.name) as folder:
+            artefacts.write_files(
+                folder,
+                files
+                | drawn(files)
+                | {
+                    artefacts.MANIFEST: artefacts.manifest(
+                        "design-tradeoff", vehicle=stored.project.name, identification=stored.manifest
+                    )
+                },
+            )
+    emit(json_out, artefacts.read_json(out / "tradeoff.json"))
+    print_tradeoff(found)
+    console.print(f"written to {out}")
+    level = found.best.level
+    return 0 if level is not None and level < 1 else 1
+
+
+def _design_case(path: Path, out: Path, json_out: str | None) -> int:
+    """Table II of a case file. Returns the exit status: 1 when a row is not certified below 1."""
+    from ..control.design_files import case_files
+    from ..engine.synthesis.cases import paper_case, read_case
+    from ..report.design_pictures import drawn
+
+    case = read_case(path)
+    with progress_bar("design") as tell:
+        rows = paper_case(path, progress=tell)
+        tell("differences to the paper")
+        files = case_files(path.name, case, rows)
+        with artefacts.new_folder(out, "design-case") as folder:
+            artefacts.write_files(
+                folder,
+                files
+                | drawn(files)
+                | {
+                    artefacts.MANIFEST: artefacts.manifest(
+                        "design-case", case=path.name, sha256=artefacts.file_hash(path)
+                    )
+                },
+            )
+    table = artefacts.read_json(out / "table2.json")["rows"]
+    emit(json_out, table)
+    print_case(rows, table)
+    console.print(f"written to {out}")
+    return 0 if all(r.upper < 1 for r in rows) else 1

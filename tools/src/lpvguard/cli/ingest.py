@@ -29,9 +29,12 @@ def ingest(
     from ..drives.ingest import ingest as run
     from ..drives.signal_map import map_of_project
 
-    if (signals is None) == (vehicle is None):
-        raise InputError("ingest", "--signals, --vehicle", "both or neither given", "exactly one of them")
     with progress_bar("ingest"):
-        report = run(logs, dbc=dbc, signals_map=signals or map_of_project(project_of(vehicle)), out=out)
+        if signals is not None and vehicle is None:
+            report = run(logs, dbc=dbc, signals_map=signals, out=out)
+        elif signals is None and vehicle is not None:
+            report = run(logs, dbc=dbc, signals_map=map_of_project(project_of(vehicle)), out=out)
+        else:
+            raise InputError("ingest", "--signals, --vehicle", "both or neither given", "exactly one of them")
     emit(json_out, report, each=True)
     console.print(f"{len(logs)} log(s) read; tables and reports written to {out}")

@@ -9,7 +9,8 @@ import typer
 
 from ..base import artefacts
 from ..base.errors import InputError
-from .shared import LCM_DEFAULT, Application, Out, app
+from .guard import Application
+from .shared import LCM_DEFAULT, Out, app
 
 lcm_app = Application(
     no_args_is_help=True,
@@ -32,9 +33,10 @@ def lcm_watch(
     commands. Ends with the run."""
     from ..loop.lcm_client import Client, watch
 
-    heard = 0
-    for heard, line in enumerate(watch(Client(url).messages(silence)), start=1):
+    heard = False
+    for line in watch(Client(url).messages(silence)):
         print(line, flush=True)
+        heard = True
     if not heard:
         raise InputError(
             url, "", f"nothing heard within {silence:g} s", "a simulation that runs with --lcm at this URL"
@@ -55,8 +57,9 @@ def lcm_send(
     entry: Annotated[
         str,
         typer.Argument(
-            help="inject: one entry of a scenario file (TOML) without start_s: can_fault, plant.sensor_fault, "
-            "plant.actuator_fault, plant.surroundings_fault, plant.speed_change. clear: its name."
+            help="inject: one entry of a scenario file (TOML) without start_s: can_fault, "
+            "plant.sensor_fault, plant.actuator_fault, plant.surroundings_fault, plant.speed_change. "
+            "clear: its name."
         ),
     ] = "",
     ticks: Annotated[int, typer.Option(min=1, help="step: so many ticks of 10 ms, then paused again.")] = 1,

@@ -4,7 +4,6 @@ experiments, a digest."""
 from __future__ import annotations
 
 import subprocess
-from contextlib import nullcontext
 from pathlib import Path
 
 import typer
@@ -23,10 +22,11 @@ def plant(context: typer.Context) -> None:
     from ..loop.generate import plant_tool
 
     words = list(context.args)
-    at = words.index("-o") + 1 if "-o" in words[:-1] else None
-    with nullcontext() if at is None else artefacts.new_file(Path(words[at]), "plant") as scratch:
-        if at is not None:
-            words[at] = scratch
+    if "-o" not in words[:-1]:
+        raise typer.Exit(subprocess.run([plant_tool(), *words], check=False).returncode)
+    at = words.index("-o") + 1
+    with artefacts.new_file(Path(words[at]), "plant") as scratch:
+        words[at] = str(scratch)
         status = subprocess.run([plant_tool(), *words], check=False).returncode
-        if at is None or status:
+        if status:
             raise typer.Exit(status)

@@ -3,12 +3,12 @@ any was unreadable."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
 
 from ..base.errors import InputError
 from .shared import (
@@ -25,10 +25,16 @@ from .shared import (
     project_of,
     replayer_of,
 )
+from .tables import print_replays
+
+if TYPE_CHECKING:
+    from ..replay.run import Replayer
+    from ..vehicle.project import Project
 
 
 @app.command(
-    epilog="Examples: lpvguard replay --vehicle g80 RUN.csv --json -; lpvguard replay --vehicle truck RUN.log --to socketcan:vcan0"
+    epilog="Examples: lpvguard replay --vehicle g80 RUN.csv --json -; "
+    "lpvguard replay --vehicle truck RUN.log --to socketcan:vcan0"
 )
 def replay(
     vehicle: Vehicle,
@@ -60,25 +66,33 @@ def replay(
         return
     if speed is not None:
         raise InputError("replay", "--speed", "given without --to", "a bus to play onto")
+    replayer = replayer_of(vehicle, coefficients)
+    done, failed = _replayed(replayer, logs, channel, jobs, scheduler)
+    emit(json_out, done)
+    print_replays(done, replayer)
+    raise typer.Exit(2 if failed else 1 if any(r["alarms"] for r in done) else 0)
+
+
+def _replayed(
+    replayer: Replayer, logs: list[Path], channel: str | None, jobs: int, scheduler: str | None
+) -> tuple[list[dict[str, Any]], bool]:
+    """The object of every drive that could be read, and whether anything was complained about."""
     from ..base.parallel import workers
 
-    replayer = replayer_of(vehicle, coefficients)
     done: list[dict[str, Any]] = []
-    failed = 0
+    failed = False
     with progress_bar("replay") as tell, workers(jobs, scheduler) as run:
-        for log, result in zip(
-            logs,
-            run(partial(replayer.summarise_file, channel=channel), [log.absolute() for log in logs]),
-            strict=False,
-        ):
+        task = partial(replayer.summarise_file, channel=channel)
+        results: Iterator[dict[str, Any] | InputError] = run(task, [log.absolute() for log in logs])
+        for log, result in zip(logs, results, strict=True):
             tell(log.name)
             if isinstance(result, InputError):
-                failed += 1
+                failed = True
                 complain(result)
             else:
                 done.append(result)
     if done and not any(r["judged_s"] for r in done):
-        failed += 1
+        failed = True
         low, high = replayer.model.speed_range
         complain(
             InputError(
@@ -88,80 +102,11 @@ def replay(
                 f"some steady driving between {low:g} and {high:g} m/s",
             )
         )
-    emit(json_out, done)
-    table = Table(
-        "drive",
-        "duration s",
-        "judged s",
-        "verdict",
-        "first invalid s",
-        "max margin",
-        "max energy ratio",
-        "alarms",
-        box=None,
-    )
-    for r in done:
-        table.add_row(
-            r["run"],
-            f"{r['duration_s']:.1f}",
-            f"{r['judged_s']:.1f}",
-            r["verdict_final"],
-            "–" if r["first_invalid_s"] is None else f"{r['first_invalid_s']:.2f}",
-            "–" if r["max_margin"] is None else f"{r['max_margin']:.3f}",
-            "–" if r["max_energy_ratio"] is None else f"{r['max_energy_ratio']:.3f}",
-            str(len(r["alarms"])),
-        )
-    console.print(table)
-    console.print(
-        f"thresholds: frame test {replayer.threshold:.4g}, energy test {replayer.energy_threshold:.4g}; core {replayer.core.folder}"
-    )
-    for r in done:
-        for a in r["alarms"][:3]:
-            console.print(
-                f"{r['run']}: t = {a['t_s']:.2f} s, {_alarm(a)}; a dead vehicle would read {a['evidence']:.2f}"
-            )
-        if len(r["alarms"]) > 3:
-            console.print(f"{r['run']}: {len(r['alarms']) - 3} more alarms (--json lists all)")
-        if "can" in r:
-            _print_reception(r["run"], r["can"])
-    raise typer.Exit(2 if failed else 1 if any(r["alarms"] for r in done) else 0)
+    return done, failed
 
 
-def _alarm(a: dict[str, Any]) -> str:
-    if a["test"] == "energy":
-
-        def listed(values: list[float]) -> str:
-            return ", ".join(f"{x:.3g}" for x in values)
-
-        return (
-            f"energy test, v = {a['speed_mps']:.1f} m/s: ratio {a['margin']:.2f} > {a['threshold']:.2f} {a['band']} the corners, in direction "
-            f"({listed(a['direction'])}); ||F e|| = {listed(a['E'])} against ||F W_delta yhat|| {listed(a['Z'])} + sigma "
-            f"{listed(a['B_w'])}"
-        )
-    return (
-        f"frame test, {a['bin_rad_s']:.3g} rad/s, v = {a['speed_mps']:.1f} m/s: "
-        f"margin {a['margin']:.2f} (statistic {a['statistic']:.2f} > {a['threshold']:.2f}); |E| = "
-        f"{_norm(a['E']):.3g} against W_delta {a['W_delta']:.3g} x |Z| {_norm(a['Z']):.3g} + B_w "
-        f"{', '.join(f'{b:.3g}' for b in a['B_w'])}"
-    )
-
-
-def _print_reception(run: str, can: dict[str, Any]) -> None:
-    for message, kinds in can["messages"].items():
-        rejected = ", ".join(
-            f"{n} {kind}" for kind, n in kinds.items() if kind not in ("accepted", "recovering")
-        )
-        if rejected:
-            console.print(f"{run}: {message}: {kinds.get('accepted', 0)} frames used; {rejected}")
-    for gap in can["gaps"][:3]:
-        console.print(
-            f"{run}: no sample from {gap['from_s']:.2f} to {gap['to_s']:.2f} s: {', '.join(gap['messages'])} not live"
-        )
-    if len(can["gaps"]) > 3:
-        console.print(f"{run}: {len(can['gaps']) - 3} more gaps (--json lists all)")
-
-
-def _play(project, logs: list[Path], to: str, speed: float, channel: str | None) -> None:
+def _play(project: Project, logs: list[Path], to: str, speed: float, channel: str | None) -> None:
+    """Play logs onto a bus, at ``speed`` times their pace. InputError where there is no such bus."""
     import can
 
     from ..can.play import play
@@ -179,13 +124,10 @@ def _play(project, logs: list[Path], to: str, speed: float, channel: str | None)
                 tell(f"{log.name} onto {interface}")
                 late = play(frames, bus, speed=speed)
                 console.print(
-                    f"{log.name}: {len(frames)} frames onto {interface}, the latest {late * 1e3:.1f} ms behind its time"
+                    f"{log.name}: {len(frames)} frames onto {interface}, "
+                    f"the latest {late * 1e3:.1f} ms behind its time"
                 )
     except (OSError, can.CanError) as error:
         raise InputError(
             "replay", f"--to {to}", str(error), "a SocketCAN interface that is up (tools/with-vcan lends one)"
         ) from None
-
-
-def _norm(values: list[complex]) -> float:
-    return sum(abs(x) ** 2 for x in values) ** 0.5

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 
 import numpy as np
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
@@ -78,12 +78,10 @@ class Scales:
     @classmethod
     def of(cls, drives: Iterable[tuple[np.ndarray, np.ndarray]]) -> Scales:
         """From (e, u) of each drive at its usable samples; all samples count alike."""
-        sums, count = None, 0
-        for e, u in drives:
-            squares = np.array([*np.sum(e**2, axis=0), *np.sum(u**2, axis=0)])
-            sums, n_y, count = squares if sums is None else sums + squares, e.shape[1], count + len(e)
-        rms = np.sqrt(sums / count)
-        return cls(rms[:n_y], rms[n_y:])
+        sizes = [(np.sum(e**2, axis=0), np.sum(u**2, axis=0), len(e)) for e, u in drives]
+        count = sum(samples for *_, samples in sizes)
+        error, given = (reduce(np.add, [of[i] for of in sizes]) for i in (0, 1))
+        return cls(np.sqrt(error / count), np.sqrt(given / count))
 
 
 class Bank:
@@ -119,7 +117,7 @@ class Bank:
     def _mean(self, total: np.ndarray, window_s: float, run: np.ndarray) -> np.ndarray:
         """Mean over the last window_s of what ``total`` (N + 1,) sums, none of it negative; -inf where the
         window is not within the ``run`` (N,) of usable samples that ends there."""
-        n = max(1, int(round(window_s / self.estimator.Ts)))
+        n = max(1, round(window_s / self.estimator.Ts))
         mean = np.full(len(run), -np.inf)
         # A difference of sums may round below zero, whose root would be NaN.
         mean[n - 1 :] = np.where(run[n - 1 :] >= n, np.maximum((total[n:] - total[:-n]) / n, 0.0), -np.inf)
@@ -152,14 +150,16 @@ class Bank:
     def _stationary(self, process_ratio: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """A (I - K C), A K and S^-1 of the stationary filter at each node."""
         d, C, R = self.model.discretise(self._nodes), self.model.C, np.diag(self.scales.error**2)
-        found = []
-        for A, B in zip(d.Ad, d.B_old + d.B_new, strict=False):
+        closed, injected, inverses = [], [], []
+        for A, B in zip(d.Ad, d.B_old + d.B_new, strict=True):
             X = solve_discrete_lyapunov(A, B @ np.diag(self.scales.input**2) @ B.T)
             P = solve_discrete_are(A.T, C.T, process_ratio**2 * np.diag(np.diag(X)), R)
             S_inverse = np.linalg.inv(C @ P @ C.T + R)
             AK = A @ P @ C.T @ S_inverse
-            found.append((A - AK @ C, AK, S_inverse))
-        return tuple(np.array(part) for part in zip(*found, strict=False))
+            closed.append(A - AK @ C)
+            injected.append(AK)
+            inverses.append(S_inverse)
+        return np.array(closed), np.array(injected), np.array(inverses)
 
 
 def _cusum(scaled: np.ndarray, drift: float, usable: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ reached.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,9 +24,13 @@ _SETTLED_S = 1.0
 
 @dataclass(frozen=True)
 class Case:
-    """``periods``: length of the fault in periods of the message. ``seen``: the kind of event that must be
-    counted first, within ``seen_within`` periods ("": the fault leaves no trace, as can.h says). ``state``:
-    the worst state that must show, ``within`` so many periods (for "live" no other may show at all)."""
+    """A fault of a message, and what the firmware must make of it.
+
+    periods              length of the fault in periods of the message
+    seen, seen_within    the kind of event that must be counted first, within so many periods; "": the fault
+                         leaves no trace, as can.h says
+    state, within        the worst state that must show, within so many periods; "live": no other may show
+    """
 
     name: str
     message: str
@@ -116,15 +120,23 @@ def table(simulator: Simulator, tell: Callable[[str], None] = lambda _: None) ->
 
 def as_text(rows: list[dict[str, Any]]) -> str:
     """The table for people; times in ms after the fault's start, the last ones after its end."""
-    head = f"{'fault':<18} {'message':<9} {'period':>6} {'first seen as':<14} {'at':>5} {'state':<5} {'at':>5} {'limit':>6} {'live again':>11}  missed"
-    show = lambda x: "–" if x is None else f"{x:.0f}"
-    lines = [
-        f"{r['fault']:<18} {r['message']:<9} {r['period_ms']:>6} {r['seen'] or 'nothing':<14} {show(r['seen_after_ms']):>5} "
-        f"{r['state']:<5} {show(r['state_after_ms']):>5} {show(r['limit_ms'] or None):>6} {show(r['live_again_after_ms']):>11}  "
-        + ("; ".join(r["missed"]) or "nothing")
-        for r in rows
-    ]
-    return "\n".join([head, *lines])
+    head = (
+        f"{'fault':<18} {'message':<9} {'period':>6} {'first seen as':<14} {'at':>5} "
+        f"{'state':<5} {'at':>5} {'limit':>6} {'live again':>11}  missed"
+    )
+
+    def show(x: float | None) -> str:
+        return "–" if x is None else f"{x:.0f}"
+
+    def line(r: dict[str, Any]) -> str:
+        return (
+            f"{r['fault']:<18} {r['message']:<9} {r['period_ms']:>6} "
+            f"{r['seen'] or 'nothing':<14} {show(r['seen_after_ms']):>5} "
+            f"{r['state']:<5} {show(r['state_after_ms']):>5} {show(r['limit_ms'] or None):>6} "
+            f"{show(r['live_again_after_ms']):>11}  {'; '.join(r['missed']) or 'nothing'}"
+        )
+
+    return "\n".join([head, *map(line, rows)])
 
 
 def _first_seen(messages: dict[str, Any], message: str) -> tuple[str, float | None]:
@@ -144,7 +156,8 @@ def _after(t_s: float | None, from_s: float) -> float | None:
     return None if t_s is None else round((t_s - from_s) * 1e3, 3)
 
 
-def _missed(case: Case, row: dict[str, Any], period_ms: float):
+def _missed(case: Case, row: dict[str, Any], period_ms: float) -> Iterator[str]:
+    """What a row did not show in time, a sentence each."""
     if row["seen"] != case.seen:
         yield f"first seen as {row['seen'] or 'nothing'}, not as {case.seen or 'nothing'}"
     elif case.seen and row["seen_after_ms"] > case.seen_within * period_ms:

@@ -76,6 +76,8 @@ def message_types() -> ModuleType:
                 if not folder.is_dir():  # else another process was quicker
                     raise
     spec = importlib.util.spec_from_file_location("lpvguard_lcm", folder / "lpvguard_lcm" / "__init__.py")
+    if spec is None or spec.loader is None:
+        raise InputError(folder, "", "holds no Python package", "what lcm-gen -p makes")
     package = importlib.util.module_from_spec(spec)
     sys.modules["lpvguard_lcm"] = package  # its modules import one another by this name
     spec.loader.exec_module(package)
@@ -154,8 +156,10 @@ def watch(messages: Iterable[tuple[str, Any]]) -> Iterator[str]:
             said.append(f"trouble code SPN {m.trouble_spn} FMI {m.trouble_fmi}")
         elif channel == "LPVGUARD_MARGINS" and m.reason <= REASONS.index("not_excited"):
             said.append(
-                f"bin {m.bin} at {m.frequency:.3g} rad/s: t* {m.margin:.3f}, statistic {m.statistic:.3f} of {m.threshold:.3f}"
-                f"{', too little excitation' if m.reason else ''}; energy ratio {m.energy_ratio:.3f} of {m.energy_threshold:.3f}"
+                f"bin {m.bin} at {m.frequency:.3g} rad/s: t* {m.margin:.3f}, "
+                f"statistic {m.statistic:.3f} of {m.threshold:.3f}"
+                f"{', too little excitation' if m.reason else ''}; "
+                f"energy ratio {m.energy_ratio:.3f} of {m.energy_threshold:.3f}"
             )
         elif channel == "LPVGUARD_STATUS" and (m.id or changed("state", m.state)):
             said.append(

@@ -5,12 +5,14 @@ The simulator (firmware_sim/) is compiled on first use with the vehicle's genera
 that `replay` uses too. A scenario file says how the truck is driven and what breaks
 (firmware_sim/sim/scenario.hpp); its table ``expect`` says what must be said and by when, and is judged here:
 
-    [expect] verdict = "never_invalid"     # or "invalid": not before fault_start_s, then within
-    within_judged_s; or "any" fault_start_s = 60.0 within_judged_s = 30.0        # seconds of judged driving
-    (THEORY 11) after the fault's start supervision = "live"          # once live, always live; or "reacts":
-    live until fault_start_s, then not live within within_periods = 5            #   so many sample periods,
-    and live again within 1 s after fault_end_s fault_end_s = 35.0 tracking_ratio_max = 0.25     # optional:
-    tracking_rms / command_rms
+    [expect]
+    verdict = "never_invalid"     # or "any"; or "invalid": not before fault_start_s, then in within_judged_s
+    fault_start_s = 60.0
+    within_judged_s = 30.0        # seconds of judged driving (THEORY 11) after the fault's start
+    supervision = "live"          # once live, always live; or "reacts": live until fault_start_s, then
+    within_periods = 5            #   not live within so many periods, and live within 1 s after fault_end_s
+    fault_end_s = 35.0
+    tracking_ratio_max = 0.25     # optional: tracking_rms / command_rms
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ import json
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -71,6 +74,13 @@ class Expectation(BaseModel):
         if self.supervision == "reacts" and (self.fault_start_s is None or self.within_periods is None):
             raise ValueError('supervision "reacts" needs fault_start_s and within_periods')
         return self
+
+    def reaction_s(self, Ts_s: float) -> tuple[float, float] | None:
+        """(from when, by when) [s] the supervision must leave live, at a sample period ``Ts_s`` [s]; None: it
+        must stay live."""
+        if self.supervision == "live" or self.fault_start_s is None or self.within_periods is None:
+            return None
+        return self.fault_start_s, self.fault_start_s + self.within_periods * Ts_s
 
 
 @dataclass(frozen=True)
@@ -286,88 +296,84 @@ class Simulator:
         lcm: str | None = None,
         paused: bool = False,
     ) -> dict[str, Any]:
-        """One run: the object of `lpvguard sim --json`. ``bus``: memory or socketcan:INTERFACE.
-        ``ecu_process``: the firmware is a process of its own (needs SocketCAN). ``target``: likewise on an
-        emulated processor; the object then has ``ecu``: its target, ELF hash and instructions of the ticks.
-        ``pace``: at most so many times real time. ``lcm``: publish there and take commands (of a simulator
-        made with ``lcm``); with ``out`` NAME-SEED.applied.toml is then the scenario with what clients
-        changed. ``paused``: until a client says resume. ``out``: a folder for NAME-SEED.log (candump -L),
-        .frames.csv, .telemetry.csv and .drive.csv, which `lpvguard replay` reads. Same scenario, seed and
-        vehicle: the same bytes but for real_time_factor, which is simulated time over one core's processor
-        time; over elapsed time where the firmware is not in this process."""
+        """One run: the object of `lpvguard sim --json`.
+
+        seed         None: the scenario's
+        bus          memory, or socketcan:INTERFACE
+        out          a folder for NAME-SEED.log (candump -L), .frames.csv, .telemetry.csv and .drive.csv,
+                     which `lpvguard replay` reads
+        ecu_process  the firmware is a process of its own; it needs SocketCAN
+        target       host, or an emulated processor, which needs SocketCAN too; the object then has ``ecu``:
+                     the target, the hash of the ELF file and the instructions of the ticks
+        pace         at most so many times real time
+        lcm          URL where the run is published and commands are taken (of a simulator made with ``lcm``);
+                     with ``out``, NAME-SEED.applied.toml is then the scenario with what clients changed
+        paused       wait until a client says resume
+
+        Same scenario, seed and vehicle: the same bytes but for real_time_factor. That is simulated time over
+        one core's processor time; over elapsed time where the firmware is not in this process. InputError
+        where the simulator refuses the scenario or the bus.
+        """
         seed = scenario.seed if seed is None else seed
         emulated = None if target == "host" else self.emulated(target)
-        outside = ecu_process or emulated is not None
-        if outside and not bus.startswith("socketcan:"):
-            raise InputError(bus, "bus", "joins nothing outside the simulator", "socketcan:INTERFACE")
+        command: list[Any] = ["--seed", seed, "--bus", bus]
+        if ecu_process or emulated is not None:
+            if not bus.startswith("socketcan:"):
+                raise InputError(bus, "bus", "joins nothing outside the simulator", "socketcan:INTERFACE")
+            command += ["--ecu", self.ecu_program if emulated is None else emulated.program]
+        if lcm is not None:
+            command += ["--lcm", lcm, "--start", "paused" if paused else "running"]
+        if pace is not None:
+            command += ["--pace", pace]
         with tempfile.TemporaryDirectory() as scratch:
             stem = (out or Path(scratch)) / f"{scenario.name}-{seed}"
             frames = stem.with_name(stem.name + ".frames.csv")
-            command = [
-                self.program,
-                scenario.path,
-                "--parameters",
-                firmware_root() / "plant" / "truck.toml",
-                "--seed",
-                seed,
-                "--bus",
-                bus,
-                "--frames",
-                frames,
-                "--engage",
-                "no" if self.controller == "off" else "yes",
-            ]
-            if outside:
-                command += ["--ecu", self.ecu_program if emulated is None else emulated.program]
-            if lcm is not None:
-                command += ["--lcm", lcm, "--start", "paused" if paused else "running"]
-            if pace is not None:
-                command += ["--pace", pace]
+            command += ["--frames", frames]
             if out is not None:
                 out.mkdir(parents=True, exist_ok=True)
-                command += [
-                    "--log",
-                    f"{stem}.log",
-                    "--telemetry",
-                    f"{stem}.telemetry.csv",
-                    "--drive",
-                    f"{stem}.drive.csv",
-                ]
-                if lcm is not None:
-                    command += ["--applied", f"{stem}.applied.toml"]
-            facts = _execute(command, scenario.path)
+                command += ["--log", f"{stem}.log", "--telemetry", f"{stem}.telemetry.csv"]
+                command += ["--drive", f"{stem}.drive.csv"]
+                command += [] if lcm is None else ["--applied", f"{stem}.applied.toml"]
+            facts = self._execute(scenario.path, command)
             rows = np.genfromtxt(frames, delimiter=",", names=True, ndmin=1)
         result = self._result(scenario, facts, rows)
         if emulated is not None:
-            result["ecu"] = {
-                "target": target,
-                "elf_sha256": emulated.elf_sha256,
-                "instructions": facts["reception"]["instructions"],
-            }
+            counted, elf = facts["reception"]["instructions"], emulated.elf_sha256
+            result["ecu"] = {"target": target, "elf_sha256": elf, "instructions": counted}
         return result
 
     def drive(
         self, path: Path, *, seed: int | None = None, log: Path | None = None
     ) -> tuple[dict[str, Any], Drive, np.ndarray]:
-        """One run of the scenario file ``path``: what happened, as the simulator prints it, the drive that
-        its monitor saw, and (N,) where it was given a sample; elsewhere the drive stands still, so that
-        nothing is judged until the model has settled. ``log``: where every frame of the bus goes as candump
-        -L writes it."""
+        """One run of the scenario file ``path``: what happened, the drive, and where it has samples.
+
+        What happened is as the simulator prints it. The drive is what its monitor saw; (N,) is True where it
+        was given a sample. Elsewhere the drive stands still, so that nothing is judged until the model has
+        settled. ``log``: where every frame of the bus goes as candump -L writes it.
+        """
         with tempfile.TemporaryDirectory() as scratch:
             table = Path(scratch) / f"{path.stem}.csv"
-            command = [
-                self.program,
-                path,
-                "--parameters",
-                firmware_root() / "plant" / "truck.toml",
-                "--drive",
-                table,
-                "--engage",
-                "no" if self.controller == "off" else "yes",
-            ]
+            command: list[Any] = ["--drive", table]
             command += [*(() if seed is None else ("--seed", seed)), *(() if log is None else ("--log", log))]
-            facts = _execute(command, path)
+            facts = self._execute(path, command)
             return facts, *self._without_gaps(path.stem, pa_csv.read_csv(table))
+
+    def _execute(self, scenario: Path, options: list[Any]) -> dict[str, Any]:
+        """What the simulator prints of a run of the scenario file with further options. InputError where it
+        refuses them."""
+        words = [self.program, scenario, "--parameters", firmware_root() / "plant" / "truck.toml"]
+        words += ["--engage", "no" if self.controller == "off" else "yes", *options]
+        done = subprocess.run([str(w) for w in words], capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            raise InputError(
+                scenario, "", done.stderr.strip(), "a scenario and a bus that the simulator accepts"
+            )
+        facts = json.loads(done.stdout)
+        changes = {
+            key: [[t, names[value]] for t, value in facts[key]]
+            for key, names in (("verdicts", VERDICTS), ("supervision", SUPERVISION))
+        }
+        return facts | changes | {"verdict_final": VERDICTS[facts["verdict_final"]]}
 
     def _without_gaps(self, name: str, table: pa.Table) -> tuple[Drive, np.ndarray]:
         p = self.project
@@ -412,18 +418,6 @@ class Simulator:
 def _ports(root: Path) -> list[Path]:
     """Folders of what an ECU on Linux and its simulator share."""
     return [root / "ports" / "ecu_process", root / "ports" / "linux"]
-
-
-def _execute(command: list, scenario: Path) -> dict[str, Any]:
-    done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        raise InputError(scenario, "", done.stderr.strip(), "a scenario and a bus that the simulator accepts")
-    facts = json.loads(done.stdout)
-    changes = {
-        key: [[t, names[value]] for t, value in facts[key]]
-        for key, names in (("verdicts", VERDICTS), ("supervision", SUPERVISION))
-    }
-    return facts | changes | {"verdict_final": VERDICTS[facts["verdict_final"]]}
 
 
 def _lcm_publisher(root: Path, flags: tuple[str, ...], includes: list[Path]) -> Path:
@@ -477,7 +471,7 @@ def overlap(spans: list[list[float]], start: float, end: float) -> float:
     return round(sum(max(0.0, min(b, end) - max(a, start)) for a, b in spans), 6)
 
 
-def missed(expect: Expectation, result: dict[str, Any], Ts_s: float):
+def missed(expect: Expectation, result: dict[str, Any], Ts_s: float) -> Iterator[str]:
     """What a run did not show although its scenario expects it, one sentence each."""
     first = result["first_invalid_s"]
     if expect.verdict == "never_invalid" and first is not None:
@@ -495,18 +489,20 @@ def missed(expect: Expectation, result: dict[str, Any], Ts_s: float):
     yield from _supervision_missed(expect, result["supervision"], Ts_s)
 
 
-def _supervision_missed(expect: Expectation, changes: list[list], Ts_s: float):
+def _supervision_missed(expect: Expectation, changes: list[list], Ts_s: float) -> Iterator[str]:
+    """What the supervision did not say although the scenario expects it, one sentence each."""
     first_live = next((t for t, state in changes if state == "live"), None)
     if first_live is None:
         yield "supervision was never live"
         return
     left = [t for t, state in changes if t > first_live and state != "live"]
-    if expect.supervision == "live":
+    reaction = expect.reaction_s(Ts_s)
+    if reaction is None:
         if left:
             yield f"supervision left live at {left[0]:g} s"
         return
-    deadline = expect.fault_start_s + expect.within_periods * Ts_s
-    if left and left[0] < expect.fault_start_s:
+    start, deadline = reaction
+    if left and left[0] < start:
         yield f"supervision left live at {left[0]:g} s, before the fault"
     elif not left or left[0] > deadline + 1e-9:
         yield f"supervision still live at {deadline:g} s"

@@ -4,8 +4,9 @@ lib/include/lpvguard/can.h).
 Written from the rules, not from lib/src/can.cpp, so that one can be held against the other. Per message, with
 its period from the table, starting off:
 
-    off -> live         RECOVER_FRAMES good frames in a row live -> hold -> off the newest good frame is older
-                        than HOLD_MISSED + 1/2, OFF_MISSED + 1/2 periods; a good frame ends "hold"
+    off -> live         RECOVER_FRAMES good frames in a row
+    live -> hold -> off the newest good frame is older than HOLD_MISSED + 1/2, OFF_MISSED + 1/2 periods; a
+                        good frame ends "hold"
     live, hold -> off   the score reaches SCORE_OFF: +1 for a bad frame, -1 for a good one, at least 0; 0
                         after recovery
     any -> off          a bus-off report
@@ -57,11 +58,12 @@ Limits = Mapping[tuple[str, str], tuple[float, float]]
 
 def limits(project: Project) -> dict[tuple[str, str], tuple[float, float]]:
     """What the vehicle's signal table allows the signals that the bus carries to its monitor."""
-    return {
-        (s.can.message, s.can.signal): tuple(sorted((s.can.factor * s.min, s.can.factor * s.max)))
-        for s in (project.speed, *project.outputs)
-        if s.can is not None
-    }
+    found = {}
+    for s in (project.speed, *project.outputs):
+        if s.can is not None:
+            ends = s.can.factor * s.min, s.can.factor * s.max
+            found[s.can.message, s.can.signal] = min(ends), max(ends)
+    return found
 
 
 def required(
@@ -96,7 +98,10 @@ def required(
 
 @dataclass
 class _Watch:
-    """One message at the time of its newest frame. ``changes``: (time [us], state from then on)."""
+    """One message at the time of its newest frame.
+
+    ``changes``: (time [us], state from then on); ``taken``: (time [us], raw values) of every good frame.
+    """
 
     period: int
     state: int = OFF
@@ -157,13 +162,15 @@ def _watched(
     if message.e2e:
         unreadable |= (e2e_crc(data, message.e2e.data_id) != data[:, 0]) | ((data[:, 1] & 0x0F) >= COUNTERS)
     outside = np.zeros(len(t_us), bool)
-    for signal, column in zip(signals, raw.T, strict=False):
+    per_us = []
+    rules = [s.supervise for s in signals if s.supervise is not None]
+    for signal, rule, column in zip(signals, rules, raw.T, strict=True):
         outside |= (
-            (column < math.ceil((signal.supervise.min - signal.offset) / signal.scale))
-            | (column > math.floor((signal.supervise.max - signal.offset) / signal.scale))
+            (column < math.ceil((rule.min - signal.offset) / signal.scale))
+            | (column > math.floor((rule.max - signal.offset) / signal.scale))
             | (column >= (signal.raw_error_min or 1 << signal.length))
         )
-    per_us = [s.supervise.max_rate / s.scale * 1e-6 if s.supervise.max_rate else math.inf for s in signals]
+        per_us.append(rule.max_rate / signal.scale * 1e-6 if rule.max_rate else math.inf)
     watch, reports = _Watch(message.period_ms * 1000), list(bus_off_us)
     for t, wrong, counter, beyond, values in zip(
         t_us.tolist(),
@@ -205,10 +212,14 @@ def _raw(data: np.ndarray, signal: Signal) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Reactions:
-    """What was said against what had to be. ``due``: stretches of ticks for which a worse state than live is
-    required; ``met``: those in which every tick said it; ``late_s``: longest time on end for which a better
-    state was said than required; ``unwarranted_s``: time in which a worse state was said than required;
-    ``away_s``: time for which not live was required."""
+    """What was said against what had to be said.
+
+    due             stretches of ticks for which a worse state than live is required
+    met             those of them in which every tick said it
+    late_s          longest time on end for which a better state was said than required [s]
+    unwarranted_s   time in which a worse state was said than required [s]
+    away_s          time for which a state other than live was required [s]
+    """
 
     due: int
     met: int

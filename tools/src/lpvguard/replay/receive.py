@@ -1,8 +1,7 @@
 """Raw CAN logs through the compiled receiver: supervision and decoder of lib/, as the ECU would have run
 them.
 
-Reads   candump, ASC, BLF, TRC, MF4 with bus logging, raw CSV and Parquet (can/logs.py)
-Next    run.py feeds the monitor with the samples
+can/logs.py reads the logs; run.py feeds the monitor with the samples.
 
 Ticks are one sample period of the vehicle apart. A tick sees what the frames up to it brought: the newest
 accepted value of every signal, as in lpvg_ecu_step; nothing is interpolated. There is a sample where every
@@ -35,6 +34,7 @@ from ..can.logs import EXTENDED, Frames
 from ..core.compiled import EVENTS, SUPERVISION, library_root
 from ..drives.resample import clock_of
 from ..vehicle.project import Project
+from ..vehicle.project import Signal as VehicleSignal
 
 LIVE = SUPERVISION.index("live")
 CLOCK_JUMP_S = 60.0
@@ -64,11 +64,9 @@ class Receiver:
         self._rules = messages_in_order(catalogue)
         self.signals = [project.speed, *project.inputs, *project.outputs]
         self._places = [_place(s, catalogue) for s in self.signals]
-        self.needed = [m for m in self._rules if any(m is message for message, _ in self._places)]
+        self.needed = [m for m in self._rules if any(m is p.message for p in self._places)]
         self._ids = np.array([m.id | EXTENDED for m in self.needed], np.uint32) & np.uint32(ANY_PRIORITY)
-        library = _library(
-            project.name, _take_source(self.signals, self._places), *sorted(codec_files(catalogue).items())
-        )
+        library = _library(project.name, _take_source(self._places), *sorted(codec_files(catalogue).items()))
         self._lib = ctypes.CDLL(str(library))
         sizes = (ctypes.c_uint32 * 2)()
         self._lib.lpvgb_receiver_sizes(sizes)
@@ -78,8 +76,50 @@ class Receiver:
     def receive(self, frames: Frames, where: str | Path, *, channel: str | None = None) -> Received:
         """Sample a log. InputError when no needed message is in it, or they come from several channels and
         none was chosen."""
-        frames = frames.of_channel(channel, where)
-        ours = np.isin(frames.id & np.uint32(ANY_PRIORITY), self._ids)
+        frames, ours = self._one_channel(frames.of_channel(channel, where), where)
+        fastest = min(m.period_ms for m in self.needed) * 1000
+        t_us, order, jumps = _one_clock(frames.t_ns, ours, fastest)
+        period = round(self.project.Ts_s * 1e6)
+        # The first sample waits for the first frame of a message that counts; silence before it is no gap.
+        first = round(int(t_us[np.flatnonzero(ours[order])[0]]) / fastest) * fastest + fastest // 2
+        ticks = max(int(t_us[-1] - first) // period + 1, 1)
+        values = np.empty((ticks, len(self._places)))
+        states = np.empty((ticks, len(self._rules)), np.uint8)
+        counts = np.zeros((len(self._rules) + 1, len(EVENTS)), np.uint32)
+        log = (t_us, frames.id[order], frames.length[order], frames.data[order])
+        arrays: list[np.ndarray] = [np.ascontiguousarray(a) for a in log]
+        results: list[np.ndarray] = [values, states, counts]
+        status = self._lib.lpvgb_receive(
+            ctypes.c_int64(len(order)),
+            *map(_pointer, arrays),
+            ctypes.c_int64(arrays[3].shape[1]),
+            ctypes.c_int64(first),
+            ctypes.c_int64(period),
+            ctypes.c_int64(ticks),
+            ctypes.c_int64(len(self._places)),
+            *map(_pointer, results),
+        )
+        if status != 0:
+            raise InputError(
+                where, "", "the receiver refused the log's times", "times from 0 to 292000 years"
+            )
+        live = np.array([states[:, self._rules.index(m)] == LIVE for m in self.needed])
+        present: np.ndarray = np.logical_and(live.all(axis=0), np.isfinite(values).all(axis=1))
+        t = np.arange(ticks) * self.project.Ts_s
+        report = {
+            "channel": frames.channels[int(frames.channel[0])],
+            "messages": self._counted(counts),
+            "other": _named(counts[-1]),
+            "not_frames": frames.left_out,
+            "gaps": self._gaps(t, live, present),
+            "clock_jumps": jumps,
+        }
+        return Received(t, values, present, report)
+
+    def _one_channel(self, frames: Frames, where: str | Path) -> tuple[Frames, np.ndarray]:
+        """The frames of the one channel that carries needed messages, and (N,) which of them these are.
+        InputError when no channel does, or several."""
+        ours = self._ours(frames)
         if not ours.any():
             raise InputError(
                 where,
@@ -96,46 +136,11 @@ class Receiver:
                 "--channel, to say which",
             )
         frames = frames.of_channel(channels[0], where)
-        ours = np.isin(frames.id & np.uint32(ANY_PRIORITY), self._ids)
-        fastest = min(m.period_ms for m in self.needed) * 1000
-        t_us, order, jumps = _one_clock(frames.t_ns, ours, fastest)
-        period = round(self.project.Ts_s * 1e6)
-        # The first sample waits for the first frame of a message that counts; silence before it is no gap.
-        first = round(int(t_us[np.flatnonzero(ours[order])[0]]) / fastest) * fastest + fastest // 2
-        ticks = max(int(t_us[-1] - first) // period + 1, 1)
-        values = np.empty((ticks, len(self._places)))
-        states = np.empty((ticks, len(self._rules)), np.uint8)
-        counts = np.zeros((len(self._rules) + 1, len(EVENTS)), np.uint32)
-        arrays = [
-            np.ascontiguousarray(a)
-            for a in (t_us, frames.id[order], frames.length[order], frames.data[order])
-        ]
-        status = self._lib.lpvgb_receive(
-            ctypes.c_int64(len(order)),
-            *map(_pointer, arrays),
-            ctypes.c_int64(arrays[3].shape[1]),
-            ctypes.c_int64(first),
-            ctypes.c_int64(period),
-            ctypes.c_int64(ticks),
-            ctypes.c_int64(len(self._places)),
-            *map(_pointer, (values, states, counts)),
-        )
-        if status != 0:
-            raise InputError(
-                where, "", "the receiver refused the log's times", "times from 0 to 292000 years"
-            )
-        live = np.array([states[:, self._rules.index(m)] == LIVE for m in self.needed])
-        present = live.all(axis=0) & np.isfinite(values).all(axis=1)
-        t = np.arange(ticks) * self.project.Ts_s
-        report = {
-            "channel": channels[0],
-            "messages": self._counted(counts),
-            "other": _named(counts[-1]),
-            "not_frames": frames.left_out,
-            "gaps": self._gaps(t, live, present),
-            "clock_jumps": jumps,
-        }
-        return Received(t, values, present, report)
+        return frames, self._ours(frames)
+
+    def _ours(self, frames: Frames) -> np.ndarray:
+        """(N,) True for the frames of needed messages, whatever their priority."""
+        return np.isin(frames.id & np.uint32(ANY_PRIORITY), self._ids)
 
     def _counted(self, counts: np.ndarray) -> dict[str, dict[str, int]]:
         """Frames and periods by kind, of the needed messages and of those that were seen."""
@@ -160,7 +165,17 @@ class Receiver:
         ]
 
 
-def _place(signal, catalogue: Catalogue) -> tuple[Message, Signal]:
+@dataclass(frozen=True)
+class _Place:
+    """Where the bus carries a signal of the vehicle: bus value = factor * value."""
+
+    message: Message
+    signal: Signal
+    factor: float
+
+
+def _place(signal: VehicleSignal, catalogue: Catalogue) -> _Place:
+    """Where the bus carries a signal of the vehicle. InputError where it does not."""
     where = f"vehicle signal {signal.name}"
     if signal.can is None:
         raise InputError(
@@ -175,21 +190,21 @@ def _place(signal, catalogue: Catalogue) -> tuple[Message, Signal]:
             f"{message.name}.{signal.can.signal} is not in the CAN catalogue",
             f"one of {', '.join(s.name for s in message.signals)}",
         )
-    return message, found
+    return _Place(message, found, signal.can.factor)
 
 
-def _take_source(signals: list, places: list[tuple[Message, Signal]]) -> str:
+def _take_source(places: list[_Place]) -> str:
     """C text of lpvgb_take: value = bus value / factor, in the float arithmetic of the ECU (can/bus.py)."""
     cases = ""
-    for name in dict.fromkeys(message.name for message, _ in places):
-        of = [(i, message, signal) for i, (message, signal) in enumerate(places) if message.name == name]
+    for name in dict.fromkeys(p.message.name for p in places):
+        of = [(i, p) for i, p in enumerate(places) if p.message.name == name]
         statements = [
-            f"values[{i}] = (double)({signal.name} * (float){1.0 / signals[i].can.factor:.17g});"
-            for i, _, signal in of
+            f"values[{i}] = (double)({p.signal.name} * (float){1.0 / p.factor:.17g});" for i, p in of
         ]
-        cases += take_case(of[0][1], [signal for _, _, signal in of], statements)
+        cases += take_case(of[0][1].message, [p.signal for _, p in of], statements)
     return (
-        '#include "lpvg_can_codec.h"\n\nextern "C" void lpvgb_take(double* values, uint8_t index, const lpvg_can_frame_t* frame)\n'
+        '#include "lpvg_can_codec.h"\n\n'
+        'extern "C" void lpvgb_take(double* values, uint8_t index, const lpvg_can_frame_t* frame)\n'
         f"{{\n    switch (index) {{\n{cases}    default:\n        break;\n    }}\n}}\n"
     )
 
@@ -229,7 +244,9 @@ def _one_clock(
     ``period_us``.
     """
     clock = clock_of(t_ns, CLOCK_JUMP_S)
-    times, order, end = [], [], 0
+    times: list[np.ndarray] = []
+    order: list[np.ndarray] = []
+    end = 0
     for a, b in zip(clock.cuts, clock.cuts[1:], strict=False):
         at = a + np.argsort(t_ns[a:b], kind="stable")
         t = (t_ns[at] - t_ns[at[0]]) // 1000

@@ -25,11 +25,13 @@ EXCITED_WINDOW_S = 10.0
 
 @dataclass(frozen=True)
 class Alarm:
-    """What falsified the model, with what a person needs to believe it.
+    """What falsified the model, with what a person needs to believe it. ``t_s`` [s] is the end of what was
+    judged.
 
-    ``frame``: a frame of a bin. ``energy``: the energy test's ratio (``margin``) exceeded its threshold,
-    after a memory without that; bin_rad_s and W_delta are None, ``band`` is one of core.band_names,
-    ``direction`` (n_y,) says which sum of outputs, in units of sigma, B_w holds the band's sigma, E the norms
+    ``test`` is "frame" or "energy". "frame": a frame of the bin ``bin_rad_s`` [rad/s]; E and Z are its DFT of
+    error and nominal output. "energy": the energy test's ratio (``margin``) exceeded its threshold, after a
+    memory without that. Then bin_rad_s and W_delta are None. ``band`` is one of core.band_names;
+    ``direction`` (n_y,) says which sum of outputs, in units of sigma. B_w holds the band's sigma, E the norms
     of F e_j and Z those of F W_delta yhat_j.
     """
 
@@ -73,20 +75,24 @@ class Replay:
 
     @property
     def judged_s(self) -> float:
+        """Time in counted frames [s]."""
         return float(self.judged.sum() * self.Ts)
 
     @property
     def max_margin(self) -> float | None:
+        """Largest t* of the counted frames; None without any."""
         counted = self.run.frames.counted
         return float(self.run.frames.margin[counted].max()) if counted.any() else None
 
     @property
     def first_invalid_s(self) -> float | None:
+        """When the verdict was first "invalid" [s after the first sample]; None: never."""
         invalid = np.flatnonzero(self.run.verdict == VERDICTS.index("invalid"))
         return float(invalid[0] * self.Ts) if len(invalid) else None
 
     @property
     def verdict_final(self) -> str:
+        """The verdict at the last sample."""
         return VERDICTS[self.run.verdict[-1]]
 
     def left_out(self) -> dict[str, int]:
@@ -123,7 +129,7 @@ class Replay:
 
 def excited_samples(u: np.ndarray, Ts: float, threshold: float) -> np.ndarray:
     """(N,) True where the standard deviation of an input over the surrounding 10 s exceeds ``threshold``."""
-    half = int(round(EXCITED_WINDOW_S / Ts / 2))
+    half = round(EXCITED_WINDOW_S / Ts / 2)
     low = np.maximum(np.arange(len(u)) - half, 0)
     high = np.minimum(np.arange(len(u)) + half + 1, len(u))
     centred = u - u.mean(axis=0)  # the difference of running sums would cancel against a large mean
@@ -190,7 +196,26 @@ class Replayer:
         np.add.at(frames_open, after, -1)
         judged = np.cumsum(frames_open)[:-1] > 0
         low, high = self.model.speed_range
-        alarms = [
+        falsified = np.zeros(len(drive.t), bool)
+        falsified[np.round((frames.t_judged_s[frames.falsified] - t0) / Ts).astype(int)] = True
+        in_range = (drive.v >= low) & (drive.v <= high)
+        return Replay(
+            drive.name,
+            drive.duration_s,
+            run,
+            judged,
+            in_range if present is None else in_range & present,
+            self.excited(drive),
+            falsified,
+            run.energy > self.energy_threshold,
+            sorted([*self._frame_alarms(run, t0), *self._energy_alarms(run, t0)], key=lambda a: a.t_s),
+            Ts,
+        )
+
+    def _frame_alarms(self, run: Run, t0: float) -> list[Alarm]:
+        """An alarm for each frame that falsifies the model; ``t0``: time of the drive's first sample [s]."""
+        frames = run.frames
+        return [
             Alarm(
                 float(frames.t_end_s[i] - t0),
                 "frame",
@@ -207,8 +232,12 @@ class Replayer:
             )
             for i in np.flatnonzero(frames.falsified)
         ]
+
+    def _energy_alarms(self, run: Run, t0: float) -> list[Alarm]:
+        """The alarms of the energy test; ``t0``: time of the drive's first sample [s]."""
         found = run.energy_alarms
-        alarms += [
+        places = zip(*divmod(found.bin, len(self.directions)), strict=True)
+        return [
             Alarm(
                 float(found.t_end_s[i] - t0),
                 "energy",
@@ -225,23 +254,8 @@ class Replayer:
                 self.directions[direction].tolist(),
                 self.bands[band],
             )
-            for i, (band, direction) in enumerate(zip(*divmod(found.bin, len(self.directions)), strict=False))
+            for i, (band, direction) in enumerate(places)
         ]
-        in_range = (drive.v >= low) & (drive.v <= high)
-        falsified = np.zeros(len(drive.t), bool)
-        falsified[np.round((frames.t_judged_s[frames.falsified] - t0) / Ts).astype(int)] = True
-        return Replay(
-            drive.name,
-            drive.duration_s,
-            run,
-            judged,
-            in_range if present is None else in_range & present,
-            self.excited(drive),
-            falsified,
-            run.energy > self.energy_threshold,
-            sorted(alarms, key=lambda a: a.t_s),
-            Ts,
-        )
 
     def excited(self, drive: Drive) -> np.ndarray:
         """(N,) True where the drive is excited (THEORY 11)."""

@@ -1,0 +1,460 @@
+"""What the verbs print for people, on standard error: tables and sentences from the objects that machines
+read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.table import Table
+
+from .shared import console
+
+if TYPE_CHECKING:
+    from ..control.design import Design, LargestA_t
+    from ..control.tradeoff import TradeOff
+    from ..engine.synthesis.cases import TableRow
+    from ..engine.synthesis.table import Cell
+    from ..evaluate.comparison import Column
+    from ..loop.sim import Simulator
+    from ..replay.run import Replayer
+
+
+def print_replays(done: list[dict[str, Any]], replayer: Replayer) -> None:
+    """The objects of `lpvguard replay --json`: a row per drive, then alarms and what became of CAN frames."""
+    table = Table(
+        "drive",
+        "duration s",
+        "judged s",
+        "verdict",
+        "first invalid s",
+        "max margin",
+        "max energy ratio",
+        "alarms",
+        box=None,
+    )
+    for r in done:
+        table.add_row(
+            r["run"],
+            f"{r['duration_s']:.1f}",
+            f"{r['judged_s']:.1f}",
+            r["verdict_final"],
+            "–" if r["first_invalid_s"] is None else f"{r['first_invalid_s']:.2f}",
+            "–" if r["max_margin"] is None else f"{r['max_margin']:.3f}",
+            "–" if r["max_energy_ratio"] is None else f"{r['max_energy_ratio']:.3f}",
+            str(len(r["alarms"])),
+        )
+    console.print(table)
+    console.print(
+        f"thresholds: frame test {replayer.threshold:.4g}, energy test {replayer.energy_threshold:.4g}; "
+        f"core {replayer.core.folder}"
+    )
+    for r in done:
+        for a in r["alarms"][:3]:
+            console.print(
+                f"{r['run']}: t = {a['t_s']:.2f} s, {_alarm(a)}; "
+                f"a dead vehicle would read {a['evidence']:.2f}"
+            )
+        if len(r["alarms"]) > 3:
+            console.print(f"{r['run']}: {len(r['alarms']) - 3} more alarms (--json lists all)")
+        if "can" in r:
+            _print_reception(r["run"], r["can"])
+
+
+def _alarm(a: dict[str, Any]) -> str:
+    if a["test"] == "energy":
+
+        def listed(values: list[float]) -> str:
+            return ", ".join(f"{x:.3g}" for x in values)
+
+        return (
+            f"energy test, v = {a['speed_mps']:.1f} m/s: ratio {a['margin']:.2f} > {a['threshold']:.2f} "
+            f"{a['band']} the corners, in direction ({listed(a['direction'])}); ||F e|| = {listed(a['E'])} "
+            f"against ||F W_delta yhat|| {listed(a['Z'])} + sigma {listed(a['B_w'])}"
+        )
+    return (
+        f"frame test, {a['bin_rad_s']:.3g} rad/s, v = {a['speed_mps']:.1f} m/s: "
+        f"margin {a['margin']:.2f} (statistic {a['statistic']:.2f} > {a['threshold']:.2f}); |E| = "
+        f"{_norm(a['E']):.3g} against W_delta {a['W_delta']:.3g} x |Z| {_norm(a['Z']):.3g} + B_w "
+        f"{', '.join(f'{b:.3g}' for b in a['B_w'])}"
+    )
+
+
+def _norm(values: list[complex]) -> float:
+    return sum(abs(x) ** 2 for x in values) ** 0.5
+
+
+def _print_reception(run: str, can: dict[str, Any]) -> None:
+    for message, kinds in can["messages"].items():
+        rejected = ", ".join(
+            f"{n} {kind}" for kind, n in kinds.items() if kind not in ("accepted", "recovering")
+        )
+        if rejected:
+            console.print(f"{run}: {message}: {kinds.get('accepted', 0)} frames used; {rejected}")
+    for gap in can["gaps"][:3]:
+        console.print(
+            f"{run}: no sample from {gap['from_s']:.2f} to {gap['to_s']:.2f} s: "
+            f"{', '.join(gap['messages'])} not live"
+        )
+    if len(can["gaps"]) > 3:
+        console.print(f"{run}: {len(can['gaps']) - 3} more gaps (--json lists all)")
+
+
+def print_runs(runs: list[dict[str, Any]], bus: str, simulator: Simulator) -> None:
+    """The objects of `lpvguard sim --json`: a row per run, then what an emulated ECU took."""
+    table = Table(
+        "scenario",
+        "seed",
+        "verdict",
+        "invalid at s",
+        "judged s to it",
+        "max margin",
+        "tracking",
+        "x real time",
+        "missed",
+        box=None,
+    )
+    for r in runs:
+        invalid = (
+            ("–", "–")
+            if r["first_invalid_s"] is None
+            else (f"{r['first_invalid_s']:.2f}", f"{r['judged_to_invalid_s']:.2f}")
+        )
+        ratio = f"{r['tracking_rms'] / r['command_rms']:.1%}" if r["command_rms"] else "–"
+        table.add_row(
+            r["scenario"],
+            str(r["seed"]),
+            r["verdict_final"],
+            *invalid,
+            f"{r['max_margin']:.3f}",
+            ratio,
+            f"{r['real_time_factor']:.0f}",
+            "; ".join(r["missed"]) or "nothing",
+        )
+    console.print(table)
+    console.print(f"{bus} bus, controller {simulator.controller}, coefficients {simulator.folder}")
+    for r in runs:
+        if "ecu" in r:
+            ecu, counted = r["ecu"], r["ecu"]["instructions"]
+            console.print(
+                f"{r['scenario']}: {ecu['target']}, ELF {ecu['elf_sha256'][:16]}; "
+                f"of {counted['ticks']} ticks the worst took {counted['worst']} instructions, "
+                f"the mean {counted['total'] / counted['ticks']:.0f} (not cycles)"
+            )
+
+
+def print_evaluation(result: dict[str, Any]) -> None:
+    """The object of `lpvguard evaluate --json`: false alarms, claims, faults found, beside the baselines."""
+    from ..core.compiled import TESTS
+    from ..evaluate.comparison import MONITOR, columns
+    from ..evaluate.detection import FOUND_WITHIN_S
+    from ..evaluate.false_alarms import PIECE_S
+
+    alarms = Table(
+        "drivers",
+        "alarmed drives",
+        f"alarmed {PIECE_S:g} s pieces",
+        "95 % interval of the ratio",
+        "an hour judged",
+        "judged, h",
+        box=None,
+    )
+    for group, row in result["false_alarms"].items():
+        interval = "–" if row["interval"] is None else f"{row['interval'][0]:.3f} .. {row['interval'][1]:.3f}"
+        hourly = "–" if row["per_judged_h"] is None else f"{row['per_judged_h']:.2f}"
+        alarms.add_row(
+            group,
+            f"{row['alarmed_drives']} of {row['drives']}",
+            f"{row['alarmed']} of {row['pieces']}",
+            interval,
+            hourly,
+            f"{row['judged_h']:.3f}",
+        )
+    console.print(alarms)
+    short = [f"{r['run']} {r['last_piece_s']:.1f} s" for r in result["drives"] if r["last_piece_s"] < PIECE_S]
+    console.print(f"last pieces that are shorter: {', '.join(short) or 'none'}")
+    for test, claim in result["claims"]["identified"].items():
+        console.print(f"{test} test as identified: {claim}")
+    for what, claims in result["claims"]["left_one_out"].items():
+        tests = "both tests at one threshold" if what == "monitor" else what + " test"
+        console.print(f"{tests}, each drive without itself: {'; or '.join(claims)}")
+    for name, reason in result["left_out"].items():
+        console.print(f"left out: {name}: {reason}")
+    for name, reason in result["without_faults"].items():
+        console.print(f"no fault injected: {name}: {reason}")
+    console.print(
+        f"faults injected into {len(result['drives']) - len(result['without_faults'])} of "
+        f"{len(result['drives'])} drives; found within {FOUND_WITHIN_S:g} s of judged, excited driving, "
+        "of all starts (drives: from every start), and the median time:"
+    )
+    detectors, others = columns(result), [b["kind"] for b in result["baselines"]]
+    console.print(_detector_table({name: d for name, d in detectors.items() if name not in others}))
+    _print_rates(detectors, [MONITOR, *TESTS])
+    if others:
+        beside = [MONITOR, *others]
+        console.print(
+            _detector_table(
+                {name: detectors[name] for name in beside},
+                [", ".join(row["best"]) for row in result["faults"]],
+            )
+        )
+        _print_rates(detectors, beside)
+    else:
+        console.print("no baselines: they need another calibration drive when one is left out")
+
+
+def _detector_table(detectors: dict[str, Column], best: list[str] | None = None) -> Table:
+    """False alarms and found faults, a column per detector (comparison.Column); ``best``: who leads, per
+    fault."""
+    from ..evaluate.comparison import detector_rows
+
+    table = Table("", *detectors, *(["best"] if best else []), box=None)
+    for row in detector_rows(list(detectors.values()), best):
+        table.add_row(*row)
+    return table
+
+
+def _print_rates(detectors: dict[str, Column], names: list[str]) -> None:
+    from ..evaluate.comparison import equal_rates
+
+    console.print(
+        f"{', '.join(names)} are compared {equal_rates({name: detectors[name].stated for name in names})}"
+    )
+
+
+def print_certificates(rows: list[dict[str, Any]]) -> None:
+    """The objects of `lpvguard design --json`: mu of the scheduled controller at every speed."""
+    speeds = Table("v m/s", "mu upper", "mu lower", "peak rad/s", box=None)
+    for row in rows:
+        speeds.add_row(
+            f"{row['v_mps']:.4g}",
+            f"{row['mu_upper']:.4f}",
+            f"{row['mu_lower']:.4f}",
+            f"{row['peak_rad_s']:.3g}",
+        )
+    console.print(speeds)
+
+
+def print_design(result: Design, structure: str, out: Path) -> None:
+    """Order and worst mu of a designed controller, on the grid of speeds and off it."""
+    from ..control.design import OFF_GRID
+
+    console.print(
+        f"{structure}: {result.schedule.order} states (of {result.full_order} per speed before), "
+        f"{len(result.schedule.speeds)} nodes; worst mu {result.worst:.4f}; written to {out}"
+    )
+    speed, worst = result.off_grid
+    console.print(f"worst of {OFF_GRID} speeds off the grid: mu {worst.upper:.4f} at {speed:.4g} m/s")
+
+
+def print_largest_A_t(largest: LargestA_t | None) -> None:
+    """The largest A_t with mu below 1 at every speed; None: there is none in the range of the search."""
+    console.print(
+        "largest A_t: none with mu < 1 from half the DC floor's limit on"
+        if largest is None
+        else f"largest A_t with mu < 1 at every speed: {largest.A_t:.4g}, "
+        f"times the DC floor {largest.product:.3f} "
+        f"(mu {largest.worst:.4f}; not reached at {largest.failed:.4g})"
+    )
+
+
+def print_moving_speed(result: Design) -> None:
+    """What is proved of a controller while the speed moves."""
+    console.print(
+        "moving speed: no storage function was found, nothing is claimed"
+        if result.lpv is None
+        else f"moving speed: gain below 1 proved for |dv/dt| up to {result.lpv.rate:.3g} m/s2, "
+        f"{result.lpv.proof.cells} cells"
+    )
+
+
+def print_cells(cells: Sequence[Cell]) -> None:
+    """Table II on the console, with the times that no file holds."""
+    shown = Table(
+        "Table II", "A_t", "A_u", "mu upper", "mu lower", "none below", "order", "before", "time s", box=None
+    )
+    for c in cells:
+        shown.add_row(
+            c.structure,
+            f"{c.A_t:.4g}",
+            f"{c.A_u:.2g}",
+            f"{c.upper:.5f}",
+            f"{c.lower:.5f}",
+            f"{c.floor.value:.5f}",
+            str(c.order),
+            str(c.full_order),
+            f"{c.seconds:.2f}",
+        )
+    console.print(shown)
+
+
+def print_tradeoff(found: TradeOff) -> None:
+    """Every candidate of a trade-off, the sentence of the best, and what to write into the project file."""
+    shown = Table("structure", "nu low", "nu high", "lambda_s", "worst mu", "none below", box=None)
+    for o in found.outcomes:
+        c = o.candidate
+        shown.add_row(
+            c.structure + (" (project)" if c.own else ""),
+            f"{o.ceiling[1]:.3g}",
+            f"{o.ceiling[-1]:.3g}",
+            "–" if c.lambda_s is None else f"{c.lambda_s:.3g}",
+            "–" if o.level is None else f"{o.level:.4f}",
+            f"{o.floor.value:.4f}",
+        )
+    console.print(shown)
+    console.print(found.sentence)
+    for key, value in found.setting().items():
+        console.print(f"to take it, write into the project file {key} = {_toml(value)} and identify again")
+
+
+def _toml(value: dict[str, Any] | float) -> str:
+    """A number, or an inline table of numbers, as TOML writes it."""
+    return (
+        "{ " + ", ".join(f"{k} = {v}" for k, v in value.items()) + " }"
+        if isinstance(value, dict)
+        else f"{value:g}"
+    )
+
+
+def print_case(rows: list[TableRow], table: list[dict[str, Any]]) -> None:
+    """Table II of a case file, ours beside the paper's."""
+    print_cells(rows)
+    known = Table("Table II", "A_t", "A_u", "ours", "reference", "order", "paper", "order", box=None)
+
+    def number(x: float | None) -> str:
+        return "–" if x is None else f"{x:g}"
+
+    for r in rows:
+        known.add_row(
+            r.structure,
+            f"{r.A_t:.4g}",
+            f"{r.A_u:.2g}",
+            f"{r.upper:.5f}",
+            number(r.reference),
+            number(r.reference_order),
+            number(r.paper),
+            number(r.paper_order),
+        )
+    console.print(known)
+    for row in table:
+        console.print(f"{row['structure']}, A_t {row['A_t']:g}, A_u {row['A_u']:g}: {row['difference']}")
+
+
+def print_campaign(summary: dict[str, Any]) -> None:
+    """The summary of a campaign: false alarms, detection beside the baselines, supervision of the bus, and
+    the claims that it contradicts."""
+    _print_within(summary)
+    _print_detection(summary)
+    _print_invisible(summary)
+    _print_bus(summary)
+    for text in summary["missed"]:
+        console.print(f"missed: {text}")
+
+
+def _print_within(summary: dict[str, Any]) -> None:
+    """False alarms of trucks within the bounds, beside the rates that were calibrated."""
+    within = summary["within"]
+    console.print(
+        f"{within['hours']:.1f} h of {within['plants']} trucks within the bounds by their own frequency "
+        f"response (of {within['candidates']} drawn)"
+    )
+    rates = Table("test", "runs that alarm", "calibrated", "such runs an hour", "calibrated", box=None)
+    for test, seen in within["tests"].items():
+        calibrated, hourly = summary["calibrated"][test], seen["per_hour"]
+        interval = (
+            ""
+            if hourly["interval"] is None
+            else f"{hourly['rate']:.2f} ({hourly['interval'][0]:.2f} .. {hourly['interval'][1]:.2f})"
+        )
+        stated = (
+            ("not stated", "")
+            if calibrated["alpha"] is None
+            else (f"{calibrated['alpha']:.2%}", f"{calibrated['per_hour']:.2f}")
+        )
+        rates.add_row(test, _rate(seen), stated[0], interval, stated[1])
+    console.print(rates)
+    console.print(f"apart, with more demand than was checked: {_rate(within['beyond_checked_amplitude'])}")
+
+
+def _print_detection(summary: dict[str, Any]) -> None:
+    """The detectors beside one another: over all faults, by kind, and where a baseline wins."""
+    from ..evaluate.comparison import COUNTS_ONLY
+
+    detectors, matched, stated = summary["detectors"], summary["matched_claim"], summary["matched_stated"]
+    table = Table("", *detectors.values(), box=None)
+    for title, of in (
+        ("runs within the bounds that alarm", summary["within"]["alarmed"]),
+        ("visible faults found in time", summary["visible"]),
+    ):
+        table.add_row(title, *(_rate(of[d]) for d in detectors))
+    for title, key in (("average found", "calibrated"), (f"average found, {matched}", "matched")):
+        table.add_row(title, *(f"{summary['average'][d][key]:.1%}" for d in detectors))
+    table.add_row(
+        "at the latter thresholds a further run alarms",
+        *(COUNTS_ONLY if stated[d] is None else f"at most {stated[d]:.3g}" for d in detectors),
+    )
+    console.print(table)
+    title = f"average over severities: calibrated; {matched}"
+    kinds = Table(title, *detectors.values(), f"best, {matched}", box=None)
+    for k in summary["kinds"]:
+        kinds.add_row(
+            k["kind"],
+            *(f"{k['found'][d]:.0%}, {k['matched'][d]:.0%}" for d in detectors),
+            ", ".join(detectors[d] for d in k["best_matched"]),
+        )
+    console.print(kinds)
+    for b in summary["beaten"]:
+        console.print(
+            f"a baseline wins, {matched}: {detectors[b['detector']]} on {b['kind']}, {b['matched']:.0%} "
+            f"against {b['monitor']:.0%}"
+        )
+
+
+def _print_invisible(summary: dict[str, Any]) -> None:
+    """Faults that harm the loop and that the samples do not show."""
+    for s in summary["invisible"]:
+        harm = "mu is " + format(s["mu_upper"], ".2f") if s["loop_stable"] else "the loop is unstable"
+        console.print(
+            f"invisible, though {harm}: {s['kind']} {s['severity']:g} {summary['units'][s['kind']]}, "
+            f"found {s['found']['monitor']} of {s['runs']}"
+        )
+
+
+def _print_bus(summary: dict[str, Any]) -> None:
+    """What the supervision made of faults of the bus, and of buses without a fault."""
+    bus = Table(
+        "fault of the bus, by severity",
+        "runs as required",
+        "reactions met",
+        "not live",
+        "judged",
+        "alarmed, visible runs",
+        box=None,
+    )
+    for kind in dict.fromkeys(s["kind"] for s in summary["bus"]):
+        rows = [s for s in summary["bus"] if s["kind"] == kind]
+        severities = ", ".join(f"{s['severity']:g}" for s in rows)
+        bus.add_row(
+            f"{kind}: {severities} {summary['units'][kind]}",
+            _of(rows, "as_required", "runs"),
+            _of(rows, "met", "due"),
+            *(f"{min(s[k] for s in rows):.0%} .. {max(s[k] for s in rows):.0%}" for k in ("away", "judged")),
+            f"{sum(s['alarmed']['monitor'] for s in rows)}, {sum(s['visible_runs'] for s in rows)}",
+        )
+    console.print(bus)
+    for which, said in summary["supervision"].items():
+        console.print(
+            f"supervision of a {which} bus as its frames require: {_rate(said['as_required'])} runs; "
+            f"of {said['due']} reactions due {said['met']} at the very tick"
+        )
+
+
+def _of(rows: list[dict], count: str, of: str) -> str:
+    return f"{sum(r[count] for r in rows)} of {sum(r[of] for r in rows)}"
+
+
+def _rate(rate: dict) -> str:
+    return f"{rate['count']} of {rate['of']}" + (
+        "" if rate["interval"] is None else f" ({rate['interval'][0]:.2%} .. {rate['interval'][1]:.2%})"
+    )

@@ -1,0 +1,176 @@
+"""The baselines (baselines.py) tuned, calibrated and evaluated on the drives of an identification.
+
+A baseline gets the same drives, residuals, calibration drives and alpha as the monitor. Its parameters are
+those that find most injected faults (then soonest) on the bound-setting and the other calibration drives. The
+drive under test takes part in nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from ..base.parallel import Map
+from ..core.compiled import Core
+from ..drives.tables import Experiment
+from ..identify.bounds import nominal_error
+from ..identify.calibration import Calibration, calibrate
+from ..identify.run import DriveReader, DriveSet, StoredIdentification
+from ..replay.run import Replayer
+from .baselines import GRID, KINDS, TITLES, Bank, Baseline, Scales
+from .detection import FAULTS, FOUND_WITHIN_S, Case, fault_clocks, fault_rows, faulty_drive
+from .false_alarms import Pieces, piece_starts
+
+
+def _usable_errors(reader: DriveReader, experiment: Experiment) -> tuple[np.ndarray, np.ndarray]:
+    drive, e, _ = reader.read(experiment)
+    usable = reader.estimator.settled(drive.v)
+    return e[usable], drive.u[usable]
+
+
+def _largest(reader: DriveReader, bank: Bank, experiment: Experiment) -> dict[Baseline, np.ndarray]:
+    """Largest statistic of each baseline in each 60 s piece (piece_starts)."""
+    drive, e, _ = reader.read(experiment)
+    starts = piece_starts(len(drive.v), reader.project.Ts_s)
+    return {b: np.maximum.reduceat(s, starts) for b, s in bank.statistics(GRID, e, drive.v)}
+
+
+Cases = dict[tuple[Baseline, float], dict[str, list[Case]]]
+"""Of one drive: per baseline and threshold, and fault, what became of it from every start."""
+
+
+def _cases(
+    reader: DriveReader,
+    core: Core,
+    bank: Bank,
+    thresholds: dict[Baseline, tuple[float, ...]],
+    experiment: Experiment,
+) -> Cases:
+    """Every baseline at each of its thresholds on one drive; empty where the drive does not qualify."""
+    drive, e, _ = reader.read(experiment)
+    clocks, Ts = (
+        fault_clocks(Replayer(reader.project, core).replay(drive), reader.project.seed),
+        reader.project.Ts_s,
+    )
+    if not clocks:
+        return {}
+
+    def alarms(error: np.ndarray, v: np.ndarray):
+        return (((b, h), s > h) for b, s in bank.statistics(thresholds, error, v) for h in thresholds[b])
+
+    first = {key: [clock.read(hits) for clock in clocks] for key, hits in alarms(e, drive.v)}
+    cases: Cases = {key: {f.label: [] for f in FAULTS} for key in first}
+    for i, clock in enumerate(clocks):
+        for fault in FAULTS:
+            faulty = faulty_drive(drive, fault, clock, Ts)
+            for key, hits in alarms(nominal_error(faulty, reader.model)[0], faulty.v):
+                cases[key][fault.label].append(Case.of(experiment.name, Ts, clock, hits, first[key][i]))
+    return cases
+
+
+class BaselineStudy:
+    """The baselines on the drives of an identification: scores, thresholds, searched parameters."""
+
+    def __init__(
+        self,
+        stored: StoredIdentification,
+        drives: DriveSet,
+        core: Core,
+        *,
+        left_out: tuple[str | None, ...],
+        workers: Map = map,
+        progress: Callable[[str], None] = lambda _: None,
+    ):
+        """``left_out``: the drives that will be asked about, None for "all calibration drives count"."""
+        groups, reader = stored.manifest["drives"], drives.reader
+        self.alpha, self.calibration_drives = stored.project.frame_test.alpha, list(stored.calibration.scores)
+        chosen = [drives.experiments[n] for n in (*groups["bounds"], *self.calibration_drives)]
+        self.bank = Bank(
+            reader.model,
+            reader.estimator,
+            Scales.of(
+                workers(partial(_usable_errors, reader), [drives.experiments[n] for n in groups["bounds"]])
+            ),
+        )
+
+        def over(task: Callable, what: str) -> dict:
+            results = {}
+            for e, result in zip(chosen, workers(task, chosen), strict=False):
+                progress(f"{what} of {e.name}")
+                results[e.name] = result
+            return results
+
+        self.largest = over(partial(_largest, reader, self.bank), "baselines")
+        thresholds = {
+            b: tuple(sorted({self.calibration(b, name).threshold for name in left_out})) for b in GRID
+        }
+        self.cases: dict[str, Cases] = over(
+            partial(_cases, reader, core, self.bank, thresholds), "baselines on faults"
+        )
+
+    def calibration(self, b: Baseline, without: str | None = None) -> Calibration:
+        """Conformal threshold from the calibration drives but ``without``; drives on which it never spoke
+        give no score, and without any score it never alarms."""
+        scores = {n: float(self.largest[n][b].max()) for n in self.calibration_drives if n != without}
+        spoken = {n: s for n, s in scores.items() if np.isfinite(s)}
+        return calibrate(spoken, self.alpha, floor=0.0 if spoken else np.inf)
+
+    def best(self, kind: str, without: str | None = None) -> tuple[Baseline, float]:
+        """The parameters of ``kind`` that find most faults, then soonest, on all drives but ``without``; with
+        their threshold."""
+
+        def merit(b: Baseline) -> tuple[int, float]:
+            key = b, self.calibration(b, without).threshold
+            cases = [
+                c
+                for name, table in self.cases.items()
+                if name != without and table
+                for of in table[key].values()
+                for c in of
+            ]
+            return sum(c.found for c in cases), -sum(FOUND_WITHIN_S if c.s is None else c.s for c in cases)
+
+        b = max((b for b in GRID if b.kind == kind), key=merit)
+        return b, self.calibration(b, without).threshold
+
+    def alarmed_pieces(self, b: Baseline, threshold: float, name: str) -> tuple[int, int]:
+        """(alarmed, all) 60 s pieces of an untouched drive."""
+        pieces = self.largest[name][b]
+        return int((pieces > threshold).sum()), len(pieces)
+
+
+def evaluate_baselines(study: BaselineStudy, rows: list[dict], seed: int) -> list[dict]:
+    """Per kind: false alarms, parameters chosen, and per fault its cases; each drive with what was tuned
+    without it."""
+    table = []
+    for kind in KINDS:
+        tuned = {r["run"]: study.best(kind, r["run"]) for r in rows}
+        counts = [study.alarmed_pieces(*tuned[r["run"]], r["run"]) for r in rows]
+        cases = {
+            f.label: [
+                c for run, key in tuned.items() if study.cases[run] for c in study.cases[run][key][f.label]
+            ]
+            for f in FAULTS
+        }
+        table.append(
+            {
+                "kind": kind,
+                "title": TITLES[kind],
+                "searched": [b.label for b in GRID if b.kind == kind],
+                "chosen": {
+                    run: {
+                        "parameters": b.label,
+                        "threshold": h,
+                        "alpha": study.calibration(b, run).alpha,
+                        "claim": study.calibration(b, run).claim(),
+                    }
+                    for run, (b, h) in tuned.items()
+                },
+                "alarmed": {r["run"]: n for r, (n, _) in zip(rows, counts, strict=False)},
+                "false_alarms": vars(Pieces.of(counts, [r["judged_s"] for r in rows], seed)),
+                "faults": fault_rows(cases),
+            }
+        )
+    return table

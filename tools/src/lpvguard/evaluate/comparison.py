@@ -1,0 +1,91 @@
+"""What terminal and page show of an evaluation: a column per detector, the rows of the table, and at which
+rate of false alarms the detectors are compared."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from .false_alarms import PIECE_S
+
+MONITOR = "monitor"
+"""Name of our own detector beside the kinds of baselines.KINDS: both tests together, at one threshold."""
+EXPORTED = "exported"
+"""Both tests, each at its own threshold, as `lpvguard export` writes them."""
+COUNTS_ONLY = "counts only"
+"""What stands in the place of a rate of false alarms that is not stated."""
+
+
+def equal_rates(stated: Mapping[str, float | None]) -> str:
+    """What may be said when detectors are compared, a clause for terminal and page: the one rate stated for
+    all of them, or that there are counts only, and whose rate is missing. ``stated``: per detector its rate
+    or None."""
+    missing = [name for name, rate in stated.items() if rate is None]
+    if missing:
+        return (
+            f"by {COUNTS_ONLY}: too few drives calibrate, so no rate of false alarms is stated for "
+            f"{', '.join(missing)}"
+        )
+    (rate,) = set(stated.values())
+    return f"at one guaranteed rate: each alarms on a further drive with probability at most {rate:g}"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A detector in the table of detector_rows: its object of Pieces, its rows of fault_rows, its stated
+    rate or None."""
+
+    alarms: dict
+    faults: list[dict]
+    stated: float | None
+
+
+def columns(evaluation: dict) -> dict[str, Column]:
+    """Every detector of an evaluation by name, in the order of its JSON: the monitor, exported and each test,
+    the baselines."""
+    found = {MONITOR: (evaluation["false_alarms"]["all"], evaluation["faults"])}
+    found |= {name: (t["false_alarms"], t["faults"]) for name, t in evaluation["tests"].items()}
+    found |= {b["kind"]: (b["false_alarms"], b["faults"]) for b in evaluation["baselines"]}
+    return {name: Column(*of, evaluation["stated_rates"][name]) for name, of in found.items()}
+
+
+def detector_rows(detectors: list[Column], best: list[str] | None = None) -> list[list[str]]:
+    """Table rows of false alarms and found faults, a column per detector; ``best``: who leads, per fault, in
+    a last column."""
+
+    def found(row: dict) -> str:
+        if not row["counted"]:
+            return "no drive qualifies"
+        return f"{row['found']} of {row['counted']} ({row['drives_found']} of {row['drives']})" + (
+            "" if row["median_s"] is None else f", {row['median_s']:.2f} s"
+        )
+
+    def rate(per_judged_h: float | None) -> str:
+        return "–" if per_judged_h is None else f"{per_judged_h:.2f}"
+
+    alarms, faults = [d.alarms for d in detectors], [d.faults for d in detectors]
+    rows = [
+        [
+            "stated: a further drive alarms",
+            *(COUNTS_ONLY if d.stated is None else f"at most {d.stated:.3g}" for d in detectors),
+        ],
+        [f"alarmed {PIECE_S:g} s pieces, no fault", *(f"{a['alarmed']} of {a['pieces']}" for a in alarms)],
+        ["alarmed drives, no fault", *(f"{a['alarmed_drives']} of {a['drives']}" for a in alarms)],
+        ["alarmed pieces an hour judged", *(rate(a["per_judged_h"]) for a in alarms)],
+        [
+            "starts, untouched drive alarms",
+            *(f"{of[0]['untouched_alarms']} of {of[0]['counted']}" for of in faults),
+        ],
+    ]
+    named = [[same[0]["fault"], *map(found, same)] for same in zip(*faults, strict=False)]
+    rows += [
+        *named,
+        [
+            "all faults",
+            *(f"{sum(r['found'] for r in of)} of {sum(r['counted'] for r in of)}" for of in faults),
+        ],
+    ]
+    if best is None:
+        return rows
+    before = [""] * (len(rows) - 1 - len(named))
+    return [[*row, name] for row, name in zip(rows, [*before, *best, ""], strict=True)]

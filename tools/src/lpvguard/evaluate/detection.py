@@ -1,0 +1,169 @@
+"""Faults put into drives: from which instants, how time runs after them, and whether a detector found them.
+
+**Faults** are injected into drives longer than 120 s, from STARTS instants of each, drawn one in each of as
+many equal spans between 60 s and the last instant that leaves 30 s of judged, excited driving (why several:
+tools/DESIGN_LOG.md).
+
+**Time** runs in judged, excited, in-range driving since the first faulty sample, which counts; judged is the
+monitor's for all detectors, though a baseline may alarm outside of it. An alarm stands at the sample with
+which the core said so, not at the end of its frame.
+
+**Found**: the first alarm from the fault's start on comes within 30 s, and before any of the same detector on
+the untouched drive since that instant. An alarm that the untouched drive raises too does not count, nor does
+one that stands when the fault starts. The table also states how often the untouched drive alarms in the time
+allowed.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..drives.faults import Fault, inject
+from ..drives.tables import Drive
+from ..replay.run import Replay
+
+FAULT_FROM_S = 60.0
+SHORTEST_FOR_FAULTS_S = 120.0
+FOUND_WITHIN_S = 30.0
+STARTS = 5
+FAULTS = (
+    Fault("gain", 0.6),
+    Fault("gain", -1.0),
+    Fault("freeze"),
+    Fault("input_delay", 0.3),
+    Fault("output_delay", 0.3),
+    Fault("gain", 0.7),
+    Fault("gain", 1.3),
+    Fault("bias", 0.05),
+    Fault("input_delay", 0.15),
+    Fault("output_delay", 0.15),
+)
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Judged, excited, in-range seconds of a drive from its sample ``first`` on, that one included, (N,) at
+    every sample."""
+
+    seconds: np.ndarray
+    first: int
+
+    @classmethod
+    def of(cls, replay: Replay, first: int) -> Clock:
+        """The clock of a replayed drive, from its sample ``first`` on."""
+        relevant = replay.judged & replay.in_range & replay.excited
+        relevant[:first] = False
+        return cls(np.cumsum(relevant) * replay.Ts, first)
+
+    @property
+    def end(self) -> int:
+        """Samples up to the last with which a fault is still found in time."""
+        return int(np.searchsorted(self.seconds, FOUND_WITHIN_S * (1 + 1e-9), side="right"))
+
+    def read(self, hits: np.ndarray) -> float | None:
+        """The reading [s] at the first True of ``hits`` (N or fewer samples) from ``first`` on; None:
+        nowhere."""
+        found = np.flatnonzero(hits[self.first :])
+        return float(self.seconds[self.first + found[0]]) if len(found) else None
+
+
+def fault_clocks(untouched: Replay, seed: int) -> list[Clock]:
+    """One clock for each instant from which faults are injected into a drive; none where the drive does not
+    qualify."""
+    if untouched.duration_s <= SHORTEST_FOR_FAULTS_S:
+        return []
+    earliest = round(FAULT_FROM_S / untouched.Ts)
+    seconds = Clock.of(untouched, earliest).seconds
+    latest = int(np.searchsorted(seconds, seconds[-1] - FOUND_WITHIN_S, side="right"))
+    if seconds[-1] < FOUND_WITHIN_S:
+        return []
+    # A stream of random numbers for each drive: the other drives make no difference.
+    random = np.random.default_rng([seed, zlib.crc32(untouched.name.encode())])
+    spans = (np.arange(STARTS) + random.uniform(size=STARTS)) / STARTS
+    return [Clock.of(untouched, int(first)) for first in earliest + spans * max(0, latest - earliest)]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A fault in the drive ``run`` from ``start_s`` [s] on.
+
+    ``s``: judged, excited seconds until it was found; None: it was not. ``untouched_s``: those until the
+    detector would have alarmed without the fault; None: not within the time allowed.
+    """
+
+    run: str
+    start_s: float
+    s: float | None
+    untouched_s: float | None
+
+    @classmethod
+    def of(cls, run: str, Ts: float, clock: Clock, faulty: np.ndarray, untouched: float | None) -> Case:
+        """``faulty``: samples at which the detector alarms with the fault; ``untouched``: the clock at its
+        first alarm without."""
+        s = clock.read(faulty[: clock.end])
+        caused = s is not None and (untouched is None or s < untouched)
+        return cls(
+            run,
+            clock.first * Ts,
+            s if caused else None,
+            untouched if untouched is not None and untouched <= clock.seconds[clock.end - 1] else None,
+        )
+
+    @property
+    def found(self) -> bool:
+        """Whether the detector found the fault in time."""
+        return self.s is not None
+
+
+def faulty_drive(drive: Drive, fault: Fault, clock: Clock, Ts: float) -> Drive:
+    """The drive with the fault, cut where it can no longer be found in time."""
+    return inject(drive.before_sample(clock.end), fault, clock.first * Ts, Ts)
+
+
+def fault_rows(cases: dict[str, list[Case]]) -> list[dict]:
+    """Per fault, in the order of ``cases``: cases found and all cases; drives and those in which it was found
+    from every start; cases whose untouched drive alarms in the time allowed; median time [s]."""
+    rows = []
+    for label, members in cases.items():
+        runs = {c.run for c in members}
+        rows.append(
+            {
+                "fault": label,
+                "found": sum(c.found for c in members),
+                "counted": len(members),
+                "drives": len(runs),
+                "drives_found": len(runs - {c.run for c in members if not c.found}),
+                "untouched_alarms": sum(c.untouched_s is not None for c in members),
+                "median_s": median_time([c.s for c in members]),
+                "cases": [vars(c) for c in members],
+            }
+        )
+    return rows
+
+
+def median_time(seconds: list[float | None]) -> float | None:
+    """Median time to the first alarm, a miss counting as later than all; None: at least half are misses, or
+    there is none."""
+    if not seconds:
+        return None
+    middle = float(np.median([np.inf if s is None else s for s in seconds]))
+    return middle if np.isfinite(middle) else None
+
+
+def ranking(rows: dict[str, dict]) -> list[str]:
+    """Who does best on one fault, all that tie: by the share of cases in which it was found, then by the
+    median time; nobody where there is no case, or where nobody found one.
+
+    ``rows``: per detector its row of fault_rows.
+    """
+
+    def merit(row: dict) -> tuple[float, float]:
+        return row["found"] / row["counted"], -(np.inf if row["median_s"] is None else row["median_s"])
+
+    if not all(row["counted"] for row in rows.values()) or not any(row["found"] for row in rows.values()):
+        return []
+    best = max(merit(row) for row in rows.values())
+    return [name for name, row in rows.items() if merit(row) == best]

@@ -1,0 +1,244 @@
+"""One run of a campaign: simulated, replayed through the compiled core, judged by every detector and off
+line.
+
+What a fault should show is measured off line on the very samples of the run, in double precision, by the
+estimator that set the bounds. Frames begin at every STRIDE-th start. An alarm is *due* by the time that class
+Offline derives. Runs in which a detector alarms before the fault do not count for it.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import asdict, dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...base.documents import read_toml
+from ...core.compiled import SUPERVISION, TESTS, Core
+from ...drives.tables import Drive
+from ...engine.validation import s1
+from ...evaluate.baselines import Bank, Baseline, Scales
+from ...evaluate.comparison import MONITOR
+from ...evaluate.detection import Clock
+from ...evaluate.false_alarms import alarming
+from ...identify.bounds import nominal_error
+from ...replay.run import Replay, Replayer, read_raw_log
+from ..sim import RECOVERY_S, Simulator
+from ..supervision import LIVE, Reactions, limits, needed_messages, required
+from .scenarios import Case, scenario_text
+
+FOUND_WITHIN_S = 60.0
+STRIDE = 10
+"""Samples between the starts of the frames that are measured off line."""
+VISIBLE_RATIO = 1.5
+"""A frame shows a fault when its t* is at least so many times the threshold."""
+
+
+@dataclass(frozen=True)
+class Offline:
+    """What the samples of a run show, whatever the monitor says: frames of all bins, by the estimator that
+    set the bounds, in double.
+
+    visible_share: share with t* >= VISIBLE_RATIO times the threshold of the frames that lie wholly in excited
+    driving after the fault, 0 without any. due_s: when a monitor with these bounds must have alarmed [s after
+    the fault], None: never. It judges a frame every half frame; where t* >= VISIBLE_RATIO times the threshold
+    at every start of half a frame, one of these is judged, and ended, by the end of the last. median,
+    largest: of t* of the frames after the fault.
+    """
+
+    visible_share: float
+    due_s: float | None
+    median: float | None
+    largest: float
+
+    @classmethod
+    def of(cls, replayer: Replayer, drive: Drive, from_s: float) -> Offline:
+        model, estimator = replayer.model, replayer.estimator
+        e, yhat = nominal_error(drive, model)
+        both = np.hstack([e, yhat])
+        calm = np.concatenate([[0], np.cumsum(~replayer.excited(drive))])
+        first = first_sample(drive, from_s, model.Ts)
+        in_excited: list[np.ndarray] = []
+        later_on: list[np.ndarray] = []
+        due = np.inf
+        for k, length in enumerate(estimator.length):
+            counted = estimator.counted(drive.v, k)[::STRIDE]
+            starts = STRIDE * np.flatnonzero(counted)
+            starts = starts[starts + length > first]
+            frames = estimator.transform(both, k, starts)
+            margins = s1.margin(
+                frames[:, : e.shape[1]], frames[:, e.shape[1] :], replayer.W_delta[k], replayer.B_w[k]
+            )
+            later = starts >= first
+            later_on.append(margins[later])
+            in_excited.append(margins[later & (calm[starts + length] == calm[starts])])
+            begin = first_stretch(starts, margins >= VISIBLE_RATIO * replayer.threshold, length // 2)
+            due = due if begin is None else min(due, (begin + length // 2 + length - first) * model.Ts)
+        excited, after = np.concatenate(in_excited), np.concatenate(later_on)
+        share = float((excited >= VISIBLE_RATIO * replayer.threshold).mean()) if len(excited) else 0.0
+        return cls(
+            share,
+            due if np.isfinite(due) else None,
+            float(np.median(after)) if len(after) else None,
+            float(after.max(initial=0.0)),
+        )
+
+
+def first_stretch(starts: np.ndarray, above: np.ndarray, length: int) -> int | None:
+    """First of ``starts`` (STRIDE apart, but for gaps) from which all are ``above`` for ``length`` samples;
+    None: nowhere."""
+    good = starts[above]
+    edges = np.flatnonzero(np.diff(good) != STRIDE) + 1
+    return next(
+        (int(run[0]) for run in np.split(good, edges) if len(run) and run[-1] - run[0] >= length), None
+    )
+
+
+def first_sample(drive: Drive, run_s: float, Ts: float) -> int:
+    """Index of the first sample at or after a time of the run: the drive begins when the ECU has all signals,
+    tenths of a second later."""
+    return max(0, round((run_s - float(drive.t[0])) / Ts))
+
+
+@dataclass(frozen=True)
+class Context:
+    """What every worker needs; it builds simulator and core from ``folder`` (same path on every machine) and
+    its cache."""
+
+    folder: Path
+    seed: int
+    scales: tuple[tuple[float, ...], tuple[float, ...]]
+    baselines: tuple[tuple[Baseline, float], ...]
+
+    @cached_property
+    def tools(self) -> tuple[Simulator, Replayer, Bank]:
+        return _tools(self.folder, self.scales)
+
+    def __getstate__(self) -> dict:
+        return {k: v for k, v in self.__dict__.items() if k != "tools"}
+
+
+@lru_cache(maxsize=2)
+def _tools(
+    folder: Path, scales: tuple[tuple[float, ...], tuple[float, ...]]
+) -> tuple[Simulator, Replayer, Bank]:
+    simulator = Simulator(folder)
+    replayer = Replayer(simulator.project, Core(folder))
+    return (
+        simulator,
+        replayer,
+        Bank(replayer.model, replayer.estimator, Scales(*(np.array(s) for s in scales))),
+    )
+
+
+def run_case(context: Context, case: Case) -> dict[str, Any]:
+    """One run: simulated, replayed through the core, judged by every detector and off line. A row of the
+    Parquet files."""
+    simulator, replayer, bank = context.tools
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "scenario.toml"
+        path.write_text(scenario_text(context.seed, case), encoding="utf-8")
+        log = path.with_suffix(".log") if "can_fault" in case.tables else None
+        facts, drive, present = simulator.drive(path, log=log)
+        reactions = supervision(simulator, facts, read_toml(path, "a scenario file"), log, case.fault_s)
+    replay = replayer.replay(drive, present)
+    clock = Clock.of(replay, first_sample(drive, case.fault_s, replay.Ts))
+    offline = Offline.of(replayer, drive, case.fault_s)
+    row: dict[str, Any] = {
+        "number": case.number,
+        "kind": case.kind,
+        "severity": case.severity,
+        "plant": case.plant,
+        "seed": facts["seed"],
+        "fault_s": case.fault_s,
+        "duration_s": facts["duration_s"],
+        "speed_mps": float(drive.v.mean()),
+        "frames_hash": facts["frames_hash"],
+        "demand_max_bar": facts["demand_max_bar"],
+        "frame_demand_max_bar": float(largest_input(replayer, drive).max()),
+        "tracking_ratio": facts["tracking_rms"] / facts["command_rms"] if facts["command_rms"] else None,
+        "judged_s": replay.judged_s,
+        "excited_after_s": float(clock.seconds[-1]),
+        "visible_share": offline.visible_share,
+        "due_s": offline.due_s,
+        "offline_median": offline.median,
+        "offline_max": offline.largest,
+        "ecu_invalid_s": next((t for t, verdict in facts["verdicts"] if verdict == "invalid"), None),
+        **{f"supervision_{key}": value for key, value in asdict(reactions).items()},
+    }
+    for test in TESTS:
+        hits = alarming(replay, test)
+        row |= {
+            f"alarms_{test}": sum(a.test == test for a in replay.alarms),
+            f"alarmed_{test}": bool(hits.any()),
+            f"{test}_found_s": clock.read(hits),
+        }
+    row |= _judged(MONITOR, _statistic(replayer, replay, drive), 1.0, clock)
+    e = nominal_error(drive, replayer.model)[0]
+    thresholds = dict(context.baselines)
+    for b, values in bank.statistics(thresholds, e, drive.v):
+        row |= _judged(b.kind, values, thresholds[b], clock)
+    return row
+
+
+def supervision(
+    simulator: Simulator, facts: dict[str, Any], scenario: dict[str, Any], log: Path | None, from_s: float
+) -> Reactions:
+    """What the ECU reported of its bus against what the frames on the bus require.
+
+    ``facts``, ``scenario``: as the simulator prints and was given them. ``log``: the frames; None: of a bus
+    without fault, which requires the supervision to be live. ``from_s`` [s]: from when on, but not before the
+    bus came up.
+    """
+    project, Ts = simulator.project, simulator.project.Ts_s
+    first, end = round(max(from_s, RECOVERY_S) / Ts), round(facts["duration_s"] / Ts)
+    ticks_us = np.arange(first, end) * round(Ts * 1e6)
+    times, states = zip(*facts["supervision"], strict=True)
+    newest = np.searchsorted(np.round(np.array(times) * 1e6), ticks_us, side="right") - 1
+    said = np.array([SUPERVISION.index(s) for s in states])[newest]
+    frames = None if log is None else read_raw_log(log)
+    if frames is None:
+        return Reactions.of(said, np.full(len(ticks_us), LIVE), Ts)
+    off_us = [
+        round(fault["start_s"] * 1e6) for fault in scenario.get("can_fault", ()) if fault["kind"] == "bus_off"
+    ]
+    must = required(frames, needed_messages(project), ticks_us, off_us, limits(project))
+    return Reactions.of(said, must, Ts)
+
+
+def _statistic(replayer: Replayer, replay: Replay, drive: Drive) -> np.ndarray:
+    """(N,) of the monitor: the larger of the frame test's statistic (where frames were judged) and the energy
+    test's ratio, each over its threshold; -inf where neither judged. Above 1: an alarm."""
+    frames = replay.run.frames
+    statistic = np.where(replay.run.energy > 0, replay.run.energy / replayer.energy_threshold, -np.inf)
+    at = np.round((frames.t_judged_s - drive.t[0]) / replay.Ts).astype(int)
+    np.maximum.at(statistic, at[frames.counted], frames.statistic[frames.counted] / replayer.threshold)
+    return statistic
+
+
+def _judged(name: str, statistic: np.ndarray, threshold: float, clock: Clock) -> dict[str, Any]:
+    """NAME_before, NAME_found_s at the threshold; largest statistic before the fault and within the time
+    allowed after it."""
+    within = slice(clock.first, int(np.searchsorted(clock.seconds, FOUND_WITHIN_S, side="right")))
+    before = float(statistic[: clock.first].max(initial=-np.inf))
+    return {
+        f"{name}_before": before > threshold,
+        f"{name}_found_s": clock.read(statistic > threshold),
+        f"{name}_score_before": before,
+        f"{name}_score_within": float(statistic[within].max(initial=-np.inf)),
+        f"{name}_score": float(statistic.max(initial=-np.inf)),
+    }
+
+
+def largest_input(replayer: Replayer, drive: Drive) -> np.ndarray:
+    """(K,) largest |U| of the first input in the counted frames of each bin [input unit]; 0 where there are
+    none."""
+    estimator = replayer.estimator
+    largest = np.zeros(estimator.n_bins)
+    for k in range(estimator.n_bins):
+        starts = STRIDE * np.flatnonzero(estimator.counted(drive.v, k)[::STRIDE])
+        largest[k] = np.abs(estimator.transform(drive.u[:, :1], k, starts)).max(initial=0.0)
+    return largest

@@ -1,0 +1,167 @@
+"""The campaign: it prepares baselines and trucks, makes the runs in chunks, and summarises them. A campaign
+that was stopped goes on where it was, and ends with the same bytes."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ...base import artefacts
+from ...base.errors import InputError
+from ...base.parallel import Map
+from ...core.compiled import Core
+from ...core.control_coefficients import load_controller
+from ...evaluate.baseline_study import BaselineStudy
+from ...evaluate.baselines import KINDS as BASELINE_KINDS
+from ...evaluate.baselines import Baseline
+from ...identify.run import DriveSet, StoredIdentification
+from ...replay.run import Replayer
+from ..sim import Simulator
+from . import faults, trucks
+from .one_run import Context, run_case
+from .scenarios import DURATION_S, Case, Size, plan
+from .summary import summarise
+from .trucks import Progress
+
+CHUNK = 40
+
+
+def campaign(
+    stored: StoredIdentification,
+    drives: DriveSet,
+    folder: Path,
+    out: Path,
+    *,
+    seed: int,
+    size: Size,
+    controller: Path | None = None,
+    workers: Map = map,
+    progress: Progress = lambda _: None,
+) -> dict[str, Any]:
+    """Run or go on with the campaign in ``out``; returns its summary.
+
+    ``folder``: generated folder with controller, of this identification; ``controller``: controller.json
+    written by `design`, for mu of the faulted loops. InputError when ``out`` holds another campaign, or one
+    of these belongs to another identification.
+    """
+    core = Core(folder)
+    replayer = Replayer(Simulator(folder).project, core)
+    _require_same(stored, replayer)
+    if controller is not None:
+        _require_designed_for(stored, controller)
+    with artefacts.kept_folder(
+        out,
+        "campaign",
+        seed=seed,
+        size=asdict(size),
+        vehicle=artefacts.read_manifest(folder, "vehicle"),
+        plan={k.name: [k.table, *k.values] for k in faults.KINDS},
+        duration_s=DURATION_S,
+    ) as kept_in:
+        tuned = _kept(kept_in, "baselines.json", lambda: _tune(stored, drives, core, workers, progress))
+        bounds = trucks.Bounds.of(stored, replayer.estimator)
+        found = _kept(
+            kept_in,
+            "plants.json",
+            lambda: trucks.plants(replayer.model, bounds, seed, workers, progress),
+        )
+        levels = []
+        if controller is not None:
+            levels = _kept(kept_in, "loops.json", lambda: trucks.loop_levels(stored, controller, progress))
+        within = [c["tables"] for c in found["candidates"] if c["margin"] <= 1][: trucks.PLANTS]
+        table = _run_cases(kept_in, _context(folder, seed, tuned), plan(size, within), workers, progress)
+        kept_in.write("runs.parquet", _parquet(table))
+        summary = summarise(table, stored, found, levels, tuned)
+        kept_in.write("summary.json", artefacts.to_json(summary).encode())
+    return summary
+
+
+def _kept(out: artefacts.KeptFolder, name: str, make: Callable[[], Any]) -> Any:
+    """The JSON value of a file of the campaign's folder; made and written first where it is absent."""
+    if not out.has(name):
+        out.write(name, artefacts.to_json(make()).encode())
+    return artefacts.read_json(out.folder / name)
+
+
+def _context(folder: Path, seed: int, tuned: dict[str, Any]) -> Context:
+    """What every run needs, from baselines.json."""
+    return Context(
+        Path(folder).absolute(),
+        seed,
+        (tuple(tuned["scales"]["error"]), tuple(tuned["scales"]["input"])),
+        tuple((Baseline(**b["parameters"]), b["threshold"]) for b in tuned["chosen"]),
+    )
+
+
+def _run_cases(
+    out: artefacts.KeptFolder, context: Context, cases: list[Case], workers: Map, progress: Progress
+) -> pa.Table:
+    """The rows of all cases: those of chunks that are kept in ``out``, and the others run and kept."""
+    chunks = [cases[i : i + CHUNK] for i in range(0, len(cases), CHUNK)]
+    names = [f"chunks/{i:05d}.parquet" for i in range(len(chunks))]
+    left = [(n, c) for n, c in zip(names, chunks, strict=True) if not out.has(n)]
+    rows = iter(workers(partial(run_case, context), [case for _, chunk in left for case in chunk]))
+    done = len(cases) - sum(len(chunk) for _, chunk in left)
+    for name, chunk in left:
+        table = []
+        for case in chunk:
+            table.append(next(rows))
+            done += 1
+            progress(f"run {done} of {len(cases)}, {case.kind}")
+        out.write(name, _parquet(pa.Table.from_pylist(table, schema=_schema(table[0]))))
+    return pa.concat_tables([pq.read_table(out.folder / n) for n in names])
+
+
+def _require_same(stored: StoredIdentification, replayer: Replayer) -> None:
+    """InputError where the folder's bounds are not those of the identification."""
+    W_delta, B_w = stored.fitted.at(replayer.estimator.omega)
+    if not (np.allclose(W_delta, replayer.W_delta, rtol=1e-4) and np.allclose(B_w, replayer.B_w, rtol=1e-4)):
+        raise InputError(
+            replayer.core.folder,
+            "bounds",
+            "are not those of the identification",
+            f"an export of {stored.folder}",
+        )
+
+
+def _require_designed_for(stored: StoredIdentification, controller: Path) -> None:
+    """InputError where controller.json was designed for another identification."""
+    load_controller(controller)
+    if artefacts.read_manifest(controller.parent, "design")["identification"] != stored.manifest:
+        raise InputError(
+            controller.parent, "identification", "is another one", f"a design of {stored.folder}"
+        )
+
+
+def _tune(
+    stored: StoredIdentification, drives: DriveSet, core: Core, workers: Map, progress: Progress
+) -> dict[str, Any]:
+    """The content of baselines.json: scales, alpha, and per kind the best parameters with their threshold."""
+    study = BaselineStudy(stored, drives, core, left_out=(None,), workers=workers, progress=progress)
+    chosen = [study.best(kind) for kind in BASELINE_KINDS]
+    return {
+        "scales": asdict(study.bank.scales),
+        "alpha": study.calibration(chosen[0][0]).alpha,
+        "chosen": [{"label": b.label, "parameters": asdict(b), "threshold": h} for b, h in chosen],
+    }
+
+
+def _schema(row: dict[str, Any]) -> pa.Schema:
+    """Numbers may be null anywhere, so types go by name and value, not by what the first rows happen to
+    hold."""
+    types = {int: pa.int64(), str: pa.string(), bool: pa.bool_()}
+    return pa.schema([(name, types.get(type(value), pa.float64())) for name, value in row.items()])
+
+
+def _parquet(table: pa.Table) -> bytes:
+    stream = io.BytesIO()
+    pq.write_table(table, stream)
+    return stream.getvalue()
