@@ -106,14 +106,16 @@ def hinf_synthesis(
 
 
 def improved_level(
-    plant: StateSpace, n_control: int, n_measurement: int, level: float | None, rtol: float
+    plant: StateSpace, n_control: int, n_measurement: int, level: float, rtol: float
 ) -> float | None:
-    """γ_opt to ``rtol`` when it lies below ``level``, else None: decided by one pair of Riccati equations.
-
-    Without a ``level``: γ_opt.
-    """
+    """γ_opt to ``rtol`` when it lies below ``level``, else None: decided by one pair of Riccati equations."""
     problem = _posed(plant, n_control, n_measurement, schur_coordinates).problem
-    return problem.optimum(rtol, level) if level is None or problem.reached(level) else None
+    return problem.optimum(rtol, level) if problem.reached(level) else None
+
+
+def optimal_level(plant: StateSpace, n_control: int, n_measurement: int, rtol: float) -> float:
+    """γ_opt to ``rtol``; SynthesisError where no level can be reached."""
+    return _posed(plant, n_control, n_measurement, schur_coordinates).problem.optimum(rtol)
 
 
 @dataclass(frozen=True)

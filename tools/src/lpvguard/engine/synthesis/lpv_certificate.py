@@ -305,8 +305,9 @@ def find(family: Family, progress: Callable[[str], None] = lambda _: None) -> Lp
         np.repeat(functions, 2, axis=0),
         np.stack([rates, -rates], axis=1).reshape(-1, 3) * family.Ts,
     )
-    stored, failed, rate = [], None, FIRST_RATE
-    while rate is not None:
+    stored: list[tuple[float, np.ndarray]] = []
+    failed: float | None = None
+    while (rate := _next_rate(stored[-1][0] if stored else None, failed)) is not None:
         progress(f"storage function for |dv/dt| up to {rate:.3g} m/s2")
         found = _feasible(_Barrier(twice, now, now + rate * change), P, unit)
         if found is not None:
@@ -314,17 +315,18 @@ def find(family: Family, progress: Callable[[str], None] = lambda _: None) -> Lp
             stored.append((rate, np.tensordot(units.T, found, 1)))
         else:
             failed = rate
-        rate = _next_rate(stored[-1][0] if stored else None, failed)
     progress("proof between the speeds")
-    tried = [(rate, polynomial_storage(family, basis, P), P) for rate, P in stored]
+    tried: list[tuple[float, Storage, np.ndarray | None]] = [
+        (rate, polynomial_storage(family, basis, P), P) for rate, P in stored
+    ]
     riccati = riccati_storage(family)
     if riccati is not None:
         tried.append((_rate_at_knots(family, riccati), riccati, None))
-    for rate, storage, P in sorted(tried, key=lambda one: -one[0]):
-        for share in SHARES if P is not None else SHARES[-1:]:
-            proof = prove(family, storage, share * rate)
+    for on_grid, storage, coefficients in sorted(tried, key=lambda one: -one[0]):
+        for share in SHARES if coefficients is not None else SHARES[-1:]:
+            proof = prove(family, storage, share * on_grid)
             if proof is not None:
-                return LpvCertificate(share * rate, storage, P, proof, failed)
+                return LpvCertificate(share * on_grid, storage, coefficients, proof, failed)
     return None
 
 
@@ -341,11 +343,13 @@ def _rate_at_knots(family: Family, storage: Storage) -> float:
 
 
 def _next_rate(found: float | None, failed: float | None) -> float | None:
-    """The rate to try after the largest found and the least failed; None: enough."""
+    """The rate to try after the largest found and the least failed [m/s^2]; None: enough."""
+    if found is None:
+        if failed is None:
+            return FIRST_RATE
+        return failed / 4 if failed / 4 >= SMALLEST_RATE else None
     if failed is None:
         return min(4 * found, LARGEST_RATE) if found < LARGEST_RATE else None
-    if found is None:
-        return failed / 4 if failed / 4 >= SMALLEST_RATE else None
     return float(np.sqrt(found * failed)) if failed > 2.1 * found else None
 
 

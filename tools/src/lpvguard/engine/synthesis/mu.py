@@ -174,7 +174,8 @@ def _upper_bound(M, structure, rtol):
     )
     n_d = len(structure.left)
     D_left, D_right = np.eye(structure.n_rows, dtype=complex), np.eye(structure.n_cols, dtype=complex)
-    level, best, infimum, kept = 1.1, np.inf, 0.0, None
+    level, best, infimum = 1.1, np.inf, 0.0
+    kept = left, right, D_left, D_right, G
     for _ in range(300):
         N = left.conj().T @ M @ np.linalg.inv(right.conj().T) / size
         quad = N.conj().T @ structure.left @ N
@@ -377,9 +378,10 @@ class _MixedAscent:
     def __init__(self, M, structure, parts):
         real = [b.kind == "repeated_real" for b in structure.blocks]
         self.structure, self.real = structure, real
-        join = lambda slices, kind: np.concatenate(
-            [np.r_[s] for s, r in zip(slices, real, strict=True) if r == kind]
-        )
+
+        def join(slices: list[slice], kind: bool) -> np.ndarray:
+            return np.concatenate([np.r_[s] for s, r in zip(slices, real, strict=True) if r == kind])
+
         self.r_row, self.r_col = join(structure.row, True), join(structure.col, True)
         c_row, c_col = join(structure.row, False), join(structure.col, False)
         self.rest = _Structure(tuple(b for b, r in zip(structure.blocks, real, strict=True) if not r))
@@ -434,10 +436,8 @@ class _MixedAscent:
             f1 = np.log(max(abs(value), 1e-300) / beta)
             if abs(f1) < 1e-13:
                 break
-            if f0 is None or f0 == f1:
-                step = f1
-            else:
-                step = -f1 * (np.log(beta) - np.log(low)) / (f1 - f0)
+            secant = f0 is not None and f0 != f1
+            step = -f1 * (np.log(beta) - np.log(low)) / (f1 - f0) if secant else f1
             low, f0 = beta, f1
             beta *= np.exp(np.clip(step, -0.5, 0.5))
         self.parts = parts
@@ -534,7 +534,9 @@ def _make_singular(M, structure, parts):
 
 def _size(structure, delta) -> float:
     """max_i σ̄(Δ_i)."""
-    return max(np.linalg.norm(delta[c, r], 2) for r, c in zip(structure.row, structure.col, strict=True))
+    return max(
+        float(np.linalg.norm(delta[c, r], 2)) for r, c in zip(structure.row, structure.col, strict=True)
+    )
 
 
 def _free_parameters(structure, parts):
