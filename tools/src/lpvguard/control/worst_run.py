@@ -155,10 +155,13 @@ def _run(problem: FrozenProblem, c: Cell, signals: np.ndarray, wanted: np.ndarra
     without = respond(
         loop.select(np.arange(n, loop.n_outputs), np.arange(physical.n_delta_out, loop.n_inputs)), signals
     )
-    rms = lambda x: float(np.sqrt(np.mean(x**2)))
     return Run(
-        c, worst, with_delta[:, 1], wanted - with_delta[:, 0], rms(with_delta[:, 0]), rms(without[:, 0])
+        c, worst, with_delta[:, 1], wanted - with_delta[:, 0], _rms(with_delta[:, 0]), _rms(without[:, 0])
     )
+
+
+def _rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(x**2)))
 
 
 def _without_units(weights: Weights) -> Weights:
