@@ -1,16 +1,17 @@
 """`lpvguard design`: weights -> controller scheduled over speed, certified frozen at every node and between
 nodes (step 8).
 
-Everything is discrete from the start: the vehicle sampled exactly at Ts, the weights by Tustin's map, and one
-sample of delay between the controller's output and the vehicle, so that the ECU may take a whole period to
-compute. The delay then belongs to the controller, which makes it strictly proper.
+Everything is discrete from the start: the vehicle is sampled exactly at Ts, the weights by Tustin's map
+(plants.py). One sample of delay stands between the controller's output and the vehicle, so that the ECU may
+take a whole period to compute. The delay then belongs to the controller, which makes it strictly proper.
 
-One scaling D (started by D-K iteration at the design speed, then the best for the worst speed) and one level
-serve all speeds, so that neighbouring controllers differ little (engine/synthesis/scheduling.py). They are
-brought to as few common poles as will do, with numerators interpolated over speed (schedule.py). What is
-certified is the controller the core runs: float32 coefficients, interpolated, closed with the nominal model
-and the weights: at frozen speeds by mu, at the nodes and midway between them, and for every speed history up
-to a stated rate of change by a storage function (engine/synthesis/lpv_certificate.py).
+One scaling D and one level serve all speeds, so that neighbouring controllers differ little
+(engine/synthesis/scheduling.py). D-K iteration at the design speed gives the first D; the best for the worst
+speed replaces it. The controllers are brought to as few common poles as will do, with numerators interpolated
+over speed (schedule.py). What is certified is the controller the core runs: float32 coefficients,
+interpolated, closed with the nominal model and the weights. mu certifies frozen speeds: the nodes and midway
+between them. A storage function certifies every speed history up to a stated rate of change
+(engine/synthesis/lpv_certificate.py).
 """
 
 from __future__ import annotations
@@ -455,8 +456,8 @@ def save(
         "u_max": settings.input_max,
         "rate_max": settings.input_rate_max_per_s,
         "certificates": {
-            "claim": "frozen speeds, float32 coefficients, interpolated, closed with the nominal model and the "
-            "weights: mu <= mu_upper < 1 means robust performance for every LTI Delta within W_delta",
+            "claim": "frozen speeds, float32 coefficients, interpolated, closed with the nominal model and "
+            "the weights: mu <= mu_upper < 1 means robust performance for every LTI Delta within W_delta",
             "test": "bracket of the scaled closed loop's H-infinity norm by level-set tests of its "
             "Hamiltonian",
             "structure": settings.structure,

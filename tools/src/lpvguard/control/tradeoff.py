@@ -64,7 +64,7 @@ class Candidate:
         return (*np.round([self.low, self.high, self.lambda_s or 0.0], 9), self.own)
 
     def moved(self, name: str, factor: float) -> Candidate | None:
-        """The candidate with ``name`` (low, high or lambda_s) times ``factor``; None where it has no lambda_s.
+        """The candidate with low, high or lambda_s, as ``name`` says, times ``factor``; None without it.
 
         A level stays at most LARGEST_LEVEL.
         """

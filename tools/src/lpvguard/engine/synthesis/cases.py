@@ -37,6 +37,7 @@ class TableRow(Cell):
     paper_order: int | None
 
     def to_dict(self) -> dict:
+        """The cell's row with the reference's and the paper's numbers behind it."""
         names = ("reference", "reference_order", "paper", "paper_order")
         return super().to_dict() | {name: getattr(self, name) for name in names}
 

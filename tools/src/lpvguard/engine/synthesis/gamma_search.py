@@ -154,8 +154,8 @@ class GammaProblem:
     def _frequency_limit(self, rtol: float) -> tuple[float, float | None]:
         """A level ``rtol`` above the largest bound of a single frequency, and the ``coupling`` there.
 
-        While a Riccati equation has no solution, the axis eigenvalues of its Hamiltonian show frequencies of
-        a larger bound, if one exists (as in Bruinsma & Steinbuch 1990).
+        Where a Riccati equation has no solution, the axis eigenvalues of its Hamiltonian show frequencies
+        where the bound may be larger (as in Bruinsma & Steinbuch 1990).
         """
         sides = self.control, self.filter
         bound, level, value = max(side.frequency_bound() for side in sides), self.floor, None

@@ -49,13 +49,14 @@ class HinfResult:
     """A controller with its certificate.
 
     gamma: the optimum (infimum over stabilising controllers) by the Riccati equations. resolved: whether the
-    controller comes within the back-off of it; else gamma is a claim, and what is known is gamma_lower ≤
+    controller comes within the back-off of it. Where not, gamma is a claim; what is known is gamma_lower ≤
     optimum ≤ gamma_achieved. gamma_lower: what single frequencies allow at best; gamma less the width of its
     bracket where resolved. gamma_achieved ≥ ‖F_l(P, K)‖∞: upper end of the bracket of the closed loop's norm
     on the plant as given; ``certificate`` is the whole bracket, its peak frequency in rad/s. regularisation:
-    ε of the controller's design plant, 0 for a regular problem. notes: what was singular. basis (n, n): the
-    state of the plant as given that the controller's state x_K stands for is basis x_K; controllers of
-    neighbouring plants are neighbours in those coordinates.
+    ε of the controller's design plant, 0 for a regular problem. notes: what was singular.
+
+    basis (n, n): the controller's state x_K stands for the plant's state basis x_K. Controllers of
+    neighbouring plants are neighbours in the plant's coordinates.
     """
 
     controller: StateSpace

@@ -13,12 +13,12 @@ equations. Either is taken piecewise linear between ``KNOTS`` knots in every int
 nodes. ``prove`` decides on all speeds: the range is covered by cells, F is tested at a cell's ends, and what
 it may lose between them is bounded by a matrix:
 
-- P is affine in a cell, P(v+) - P(v) is v+ - v times a mean of the slopes of the segments that v and v+ lie
-  in: each is tested;
-- F is concave along the chord between the ends but for the product of dP and dM (M = [A B]), a bound of which
-  is subtracted;
-- M leaves its chord in the vehicle's rows only (all else is affine between two nodes of the controller),
-  there by bounds on the derivatives of the vehicle's zero-order hold over the cell
+- P is affine in a cell. P(v+) - P(v) is v+ - v times a mean of the slopes of the segments that v and v+ lie
+  in; each slope is tested.
+- F is concave along the chord between the ends but for the product of dP and dM (M = [A B]). A bound of that
+  product is subtracted.
+- M leaves its chord in the vehicle's rows only: all else is affine between two nodes of the controller. How
+  far it does follows from bounds on the derivatives of the vehicle's zero-order hold over the cell
   (``NominalModel.hold_bounds``).
 
 A cell that fails is cut in two, down to ``SMALLEST_CELL``. Every test is by eigenvalues with a reserve for
@@ -69,10 +69,10 @@ the coordinates."""
 class Family:
     """The scaled closed loop over speed.
 
-    at(v): StateSpace with ``n_probes`` extra outputs, last: the vehicle's state and inputs, in the order of
-    the columns of ``hold_bounds(low, high)`` = (|Xi'|, |Xi''|), entrywise bounds over speeds low..high for
-    the rows ``vehicle`` of [A B] = Xi times the probes. ``nodes``: speeds between which everything else in
-    ``at`` is affine.
+    at(v): StateSpace at speed v [m/s]. Its last ``n_probes`` outputs are the probes: the vehicle's state and
+    inputs. vehicle: the rows of [A B] that are Xi(v) times the probes. hold_bounds(low, high): entrywise
+    bounds of |Xi'| and |Xi''| over speeds low..high, columns in the order of the probes. nodes: speeds
+    between which everything else in ``at`` is affine. Ts: sampling time in seconds.
     """
 
     at: Callable[[float], StateSpace]

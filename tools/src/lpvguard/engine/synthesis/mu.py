@@ -4,11 +4,11 @@ checked.
 μ(M) = 1 / min{ max_i σ̄(Δ_i) : det(I − M Δ) = 0 } over Δ = diag(Δ_1, Δ_2, ...). Δ is (Σ rows) × (Σ cols) and
 M (Σ cols) × (Σ rows) of the blocks: full complex, or δ I with δ complex or real.
 
-Upper bound: the least β with  Mᴴ D_L M + j (G M − Mᴴ G) ≼ β² D_R  (Fan, Tits & Doyle 1991), a generalised
-eigenvalue problem that the method of centres solves (Boyd & El Ghaoui 1993); the multipliers of each centre
-bound the infimum from below, so the returned number is within ``rtol`` of it. Exact for up to three full
-complex blocks. Lower bound: the mixed power iteration (Young & Doyle 1990) from many starts at once; the Δ it
-ends with is scaled so that I − M Δ is singular, and that is verified.
+Upper bound: the least β with  Mᴴ D_L M + j (G M − Mᴴ G) ≼ β² D_R  (Fan, Tits & Doyle 1991). The method of
+centres solves this generalised eigenvalue problem (Boyd & El Ghaoui 1993). The multipliers of each centre
+bound the infimum from below, so the returned number is within ``rtol`` of it. It is exact for up to three
+full complex blocks. Lower bound: the mixed power iteration (Young & Doyle 1990) from many starts at once. The
+Δ it ends with is scaled so that I − M Δ is singular, and that is verified.
 """
 
 from __future__ import annotations
@@ -154,9 +154,9 @@ def _upper_bound(M, structure, rtol):
     """β, the infimum's lower bound, factors L of D_left and D_right (D = L Lᴴ) and G by the method of
     centres.
 
-    After each centre its D + |G| is absorbed into the matrix (N ← Lᴴ N L⁻ᴴ, D + |G| = L Lᴴ), so that the next
-    one starts in well-scaled coordinates even where the infimum is approached by ever worse conditioned
-    scalings; D alone would leave an ever larger G where a real block's D vanishes beside it.
+    After each centre its D + |G| is absorbed into the matrix (N ← Lᴴ N L⁻ᴴ, D + |G| = L Lᴴ). The next one so
+    starts in well-scaled coordinates even where ever worse conditioned scalings approach the infimum. D alone
+    would leave an ever larger G where a real block's D vanishes beside it.
     """
     d = _balance(M, structure)
     left = np.diag(

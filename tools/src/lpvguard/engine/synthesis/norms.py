@@ -31,8 +31,9 @@ def hinf_norm(G: StateSpace, rtol: float = 1e-6) -> NormBracket:
     pole, upper is that level.
 
     An unstable G gives (inf, inf). The response is evaluated wherever an eigenvalue of the Hamiltonian comes
-    near the axis (1e-3 of its size, far more than rounding moves it), and between such neighbours: a crossing
-    that rounding has pushed off the axis is still found. Raises ArithmeticError if 60 levels do not suffice.
+    near the axis, and between such neighbours. Near means 1e-3 of its size, far more than rounding moves it:
+    a crossing that rounding has pushed off the axis is still found. Raises ArithmeticError if 60 levels do
+    not suffice.
     """
     if not G.stability_margin() > 0:
         return NormBracket(np.inf, np.inf, np.nan)

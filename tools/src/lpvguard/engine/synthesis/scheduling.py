@@ -104,9 +104,12 @@ def common_scaling(plants: Sequence[GeneralisedPlant], start: Scaling) -> tuple[
 def common_family(
     plants: Sequence[GeneralisedPlant], scaling: Scaling, level: float
 ) -> tuple[Callable[[int], list[StateSpace]], int]:
-    """Controllers of all ``plants`` (of one structure, discrete) at one ``level`` above each optimum, as a
-    function of the order they are truncated to, and the largest such order. Truncated or not they share one
-    set of states."""
+    """Controllers of all ``plants`` at one ``level``: a function of the order that they are truncated to, and
+    the largest such order.
+
+    The plants are discrete and of one structure, the level is above each optimum. Truncated or not the
+    controllers share one set of states.
+    """
     scaled = [scaled_plant(plant, scaling) for plant in plants]
     t = balancing(scaled[len(scaled) // 2])
     scaled = [scaled_states(G, t) for G in scaled]
