@@ -9,7 +9,7 @@
 | ``riccati``, ``central`` | the two Riccati equations at a level γ, and the central controller |
 | ``gamma_search`` | the search for the optimum γ |
 | ``direct_terms``, ``zeros``, ``singular`` | what singular problems leave out of reach; their reduction |
-| ``mu`` | structured singular value of a matrix, from both sides |
+| ``mu`` | structured singular value of a matrix, from both sides: ``mu_upper``, ``mu_lower`` |
 | ``interconnection`` | Fig. 1's generalised plant from weights, three uncertainty structures |
 | ``dk`` | D-K iteration, order reduction, ``certify`` for any controller |
 | ``limits`` | the level that no controller of any order goes below |
