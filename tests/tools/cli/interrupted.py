@@ -210,7 +210,7 @@ def replace_computing(variant: str) -> None:
         run=run_sim, folder="core", controller="designed", project=stored.project
     )
     run_sim.text = text
-    lpvguard.evaluate.run.evaluate = lambda *_, **__: {**EVALUATED, "text": text}
+    lpvguard.evaluate.run.evaluate = lambda *_, **__: {"text": text}
     replace_in_cli("print_evaluation", lambda _: None)
     replace_in_cli("print_campaign", lambda _: None)
     lpvguard.loop.campaign.run.campaign = run_campaign

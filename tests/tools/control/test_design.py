@@ -11,6 +11,7 @@ import pytest
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
 from lpvguard.control import design as stage
+from lpvguard.control.plants import fig1_weights, frozen_plant
 from lpvguard.control.robust_run import CompiledController, run
 from lpvguard.control.schedule import FrozenLoop, fit
 from lpvguard.control.stored_frames import StoredFrames
@@ -125,7 +126,7 @@ def test_the_largest_A_t_comes_near_the_dc_floor(stored, monkeypatch):
     found = stage.largest_A_t(stored)
     assert found.worst < 1 and found.product >= 0.8
     assert found.product == pytest.approx(
-        found.A_t * stage.dc_floor(stage._weights(stored, stored.project.design))
+        found.A_t * stage.dc_floor(fig1_weights(stored, stored.project.design))
     )
 
 
@@ -202,7 +203,7 @@ def test_the_compiled_controller_keeps_the_certified_gain(stored, designed, tmp_
     export_vehicle(stored, tmp_path / "vehicle", load_controller(path))
     compiled = CompiledController(tmp_path / "vehicle")
     for v, proved in (result.certificates[0], result.certificates[9]):
-        plant, controller = stage.frozen_plant(stored, v), result.schedule.at(v)
+        plant, controller = frozen_plant(stored, v), result.schedule.at(v)
         row = run(compiled, plant, controller, v, proved, 10, 1)
         assert row.kept and row.rounding > 0
         # A run of finite length does not fill a narrow peak, or one at DC.

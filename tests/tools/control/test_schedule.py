@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
-from lpvguard.control.schedule import RECOVERY_EFFORT, FrozenLoop, _first_columns, _observed, fit
+from lpvguard.control.schedule import RECOVERY_EFFORT, FrozenLoop, first_columns, fit, observed
 from lpvguard.core.control_coefficients import build_controller
 from lpvguard.core.scheduled import Scheduled, engagement, realisation
 from lpvguard.engine.synthesis.dk import Scaling
@@ -22,14 +22,14 @@ THETA = np.log([[-(p + q).real, (p * q).real] for p, q in POLES]).ravel()
 @pytest.fixture(scope="module")
 def schedule():
     rng = np.random.default_rng(4)
-    a = _first_columns(THETA, TS)
+    a = first_columns(THETA, TS)
     return Scheduled(
         TS, np.linspace(8.0, 22.0, 4), a, rng.standard_normal((4, 2, len(a), 3)), np.zeros((4, 2, len(a), 2))
     )
 
 
 def test_pairs_have_the_poles_asked_for_and_the_last_state_is_a_delay():
-    A, c = realisation(_first_columns(THETA, TS))
+    A, c = realisation(first_columns(THETA, TS))
     wanted = [np.exp(TS * p) for pair in POLES for p in pair] + [0.0]
     np.testing.assert_allclose(
         np.sort_complex(np.linalg.eigvals(A)), np.sort_complex(np.array(wanted, complex)), atol=1e-7
@@ -39,11 +39,11 @@ def test_pairs_have_the_poles_asked_for_and_the_last_state_is_a_delay():
 
 @pytest.mark.parametrize("n", [1, 2, 6, 7])
 def test_what_each_state_adds_to_the_demand(n):
-    a = _first_columns(THETA, TS)[-n:] if n in (1, 7) else _first_columns(THETA, TS)[:n]
+    a = first_columns(THETA, TS)[-n:] if n in (1, 7) else first_columns(THETA, TS)[:n]
     A, c = realisation(a)
     z = np.exp(1j * np.array([1e-4, 0.01, 0.5, 3.0]))
     wanted = [(c @ np.linalg.inv(x * np.eye(n) - A))[0] for x in z]
-    np.testing.assert_allclose(_observed(a, z), wanted, rtol=1e-8)
+    np.testing.assert_allclose(observed(a, z), wanted, rtol=1e-8)
 
 
 def test_between_nodes_the_response_is_the_mean_of_the_nodes(schedule):

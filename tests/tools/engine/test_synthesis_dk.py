@@ -7,10 +7,10 @@ import re
 import numpy as np
 import pytest
 
+from lpvguard.base.errors import InputError
 from lpvguard.control.design_files import case_files
 from lpvguard.engine.synthesis.cases import case_plant, differences, format_table, paper_case, read_case
 from lpvguard.engine.synthesis.dk import Scaling, certify, dk_synthesis
-from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.hinf import hinf_synthesis
 from lpvguard.engine.synthesis.interconnection import STRUCTURES
 from lpvguard.engine.synthesis.limits import floor_exceeds, mu_floor
@@ -274,5 +274,5 @@ def test_scaling_gradient_is_the_derivative_of_its_magnitude():
     ],
 )
 def test_bad_requests_are_named(case, call, where):
-    with pytest.raises(SynthesisError, match=where):
+    with pytest.raises(InputError, match=where):
         call(case)

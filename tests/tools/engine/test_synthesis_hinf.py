@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
-from lpvguard.engine.synthesis import hinf
+from lpvguard.engine.synthesis import gamma_search, riccati, zeros
 from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.hinf import hinf_synthesis
 from lpvguard.engine.synthesis.interconnection import rational
@@ -117,7 +117,7 @@ def test_the_bound_of_single_frequencies_saves_time_and_changes_nothing(seed, mo
     plant = random_plant(seed)
     result = hinf_synthesis(plant, 2, 2)
     check_certificate(plant, 2, 2, result)
-    monkeypatch.setattr(hinf._Side, "frequency_bound", lambda self, level=None: 0.0)
+    monkeypatch.setattr(riccati.Side, "frequency_bound", lambda self, level=None: 0.0)
     assert result.gamma == pytest.approx(hinf_synthesis(plant, 2, 2).gamma, rel=3e-6)
 
 
@@ -126,9 +126,12 @@ def test_an_optimum_set_by_one_frequency_takes_few_riccati_equations(monkeypatch
     search."""
     plant = weighted_sensitivity(rational([1.0], [1.0, 3.0, 5.0]), rational([2.0, 4.0], [1.0, 1.2, 9.0]))
     C, D = np.insert(plant.C, 1, 0.0, axis=0), np.insert(plant.D, 1, [0.0, 1.0], axis=0)
-    plant, calls, coupling = StateSpace(plant.A, plant.B, C, D), [], hinf._Problem.coupling
+    plant, calls = StateSpace(plant.A, plant.B, C, D), []
+    coupling = gamma_search.GammaProblem.coupling
     monkeypatch.setattr(
-        hinf._Problem, "coupling", lambda self, gamma: calls.append(gamma) or coupling(self, gamma)
+        gamma_search.GammaProblem,
+        "coupling",
+        lambda self, gamma: calls.append(gamma) or coupling(self, gamma),
     )
     result = hinf_synthesis(plant, 1, 1)
     check_certificate(plant, 1, 1, result)
@@ -148,7 +151,7 @@ def test_a_control_input_that_reaches_no_state_can_only_be_left_at_zero():
 def test_a_wrong_bound_of_a_single_frequency_is_found_out(monkeypatch):
     plant = random_plant(3)
     want = hinf_synthesis(plant, 2, 2).gamma
-    monkeypatch.setattr(hinf._Side, "frequency_bound", lambda self, level=None: 1.5 * want)
+    monkeypatch.setattr(riccati.Side, "frequency_bound", lambda self, level=None: 1.5 * want)
     assert hinf_synthesis(plant, 2, 2).gamma == pytest.approx(want, rel=3e-6)
 
 
@@ -232,7 +235,7 @@ def test_an_optimum_that_cannot_be_bracketed_is_not_claimed(monkeypatch):
     back."""
     plant = weighted_sensitivity(rational([1.0, -2.0], [1.0, 3.0, 5.0]), rational([1.0, 10.0], [1.0, 0.1]))
     want = hinf_synthesis(plant, 1, 1).gamma
-    monkeypatch.setattr(hinf._Problem, "coupling", lambda self, gamma: None)
+    monkeypatch.setattr(gamma_search.GammaProblem, "coupling", lambda self, gamma: None)
     result = hinf_synthesis(plant, 1, 1)
     assert result.gamma <= want <= result.gamma_achieved
     assert any("lower bound only" in note for note in result.notes)
@@ -280,9 +283,6 @@ def companion(G):
     def exact(M):
         return [[Fraction(x) for x in row] for row in np.asarray(M).tolist()]
 
-    def numbers(M):
-        return np.array([[float(x) for x in row] for row in M])
-
     def times(X, Y):
         return [
             [sum(a * b for a, b in zip(row, col, strict=True)) for col in zip(*Y, strict=True)] for row in X
@@ -299,6 +299,9 @@ def companion(G):
                 for k, row in enumerate(M)
             ]
         return [row[n:] for row in M]
+
+    def numbers(M):
+        return np.array([[float(x) for x in row] for row in M])
 
     A, v, krylov = exact(G.A), exact(G.B.sum(axis=1, keepdims=True)), []
     for _ in range(n):
@@ -366,9 +369,9 @@ def test_what_rounding_of_the_plant_hides_is_not_claimed(size):
 def test_a_zero_counts_as_on_the_axis_only_when_it_is(omega, shift):
     num = np.real(np.poly(np.array([1j, -1j]) * omega - shift)) if omega else np.array([1.0, shift])
     G = rational(num, np.poly([-2e4, -1.0, -3.0]))
-    side = hinf._Side(G.A, np.zeros((3, 1)), G.B, G.C, np.zeros((1, 1)), np.zeros((1, 1)), np.eye(3))
-    defect = hinf._rank_defect(side, omega)
-    assert (defect <= hinf.ZERO_RTOL) == (shift == 0.0)
+    side = riccati.Side(G.A, np.zeros((3, 1)), G.B, G.C, np.zeros((1, 1)), np.zeros((1, 1)), np.eye(3))
+    defect = zeros.rank_defect(side, omega)
+    assert (defect <= zeros.ZERO_RTOL) == (shift == 0.0)
 
 
 def test_the_controller_backs_off_from_the_poles_of_the_optimum():

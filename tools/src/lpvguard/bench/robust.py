@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ..base import artefacts
 from ..control import design
+from ..control.plants import frozen_plant
 from ..control.robust_run import QUANTISATION, CompiledController, run
 from ..core.scheduled import Scheduled
 from ..engine.synthesis.dk import certify
@@ -36,8 +37,9 @@ def main(argv: list[str]) -> None:
     speeds = schedule.speeds[:: max(1, (len(schedule.speeds) - 1) // 3)]
     rows = []
     for k, v in enumerate(map(float, speeds)):
-        plant = design.frozen_plant(stored, v)
-        proved = certify(plant, schedule.at(v), design.stated_scaling(document) if plant.blocks else None)
+        plant = frozen_plant(stored, v)
+        scaling = design.stated_scaling(document) if plant.blocks else None
+        proved = certify(plant, schedule.at(v), scaling)
         rows.append(
             run(
                 compiled,
@@ -52,14 +54,17 @@ def main(argv: list[str]) -> None:
     empirical = Simulator(given.vehicle).run(load_scenario("nominal"))
     ratio = empirical["tracking_rms"] / empirical["command_rms"]
     lines = [
-        f"{'v m/s':>6}{'mu':>9}{'sampled':>9}{'worst':>9}{'rounding':>11}  kept (quantisation term {QUANTISATION:g})"
+        f"{'v m/s':>6}{'mu':>9}{'sampled':>9}{'worst':>9}{'rounding':>11}  "
+        f"kept (quantisation term {QUANTISATION:g})"
     ]
     lines += [
-        f"{r.v:6.1f}{r.bound:9.4f}{r.sampled:9.4f}{r.worst:9.4f}{r.rounding:11.2e}  {'yes' if r.kept else 'NO'}"
+        f"{r.v:6.1f}{r.bound:9.4f}{r.sampled:9.4f}{r.worst:9.4f}{r.rounding:11.2e}  "
+        f"{'yes' if r.kept else 'NO'}"
         for r in rows
     ]
     lines.append(
-        f"nonlinear truck, scenario nominal (measured, not certified): tracking error {ratio:.1%} of the command"
+        "nonlinear truck, scenario nominal (measured, not certified): "
+        f"tracking error {ratio:.1%} of the command"
     )
     show(
         "\n".join(lines),

@@ -153,7 +153,7 @@ def _judged(answer: dict, plant: GeneralisedPlant) -> dict:
     a ``note``."""
     if "A" not in answer:
         return answer
-    P, K = plant.system, StateSpace(*(np.array(answer[k]) for k in "ABCD"))
+    P, K = plant.system, _system(answer)
     level = certify(plant, K).upper if plant.blocks else hinf_norm(lft(P, K)).upper
     note = (
         "its loop is unstable"
@@ -169,6 +169,12 @@ def _judged(answer: dict, plant: GeneralisedPlant) -> dict:
         "order": K.order,
         "note": note,
     }
+
+
+def _system(answer: dict) -> StateSpace:
+    """A peer's continuous controller from its matrices A, B, C and D."""
+    A, B, C, D = (np.array(answer[k]) for k in "ABCD")
+    return StateSpace(A, B, C, D)
 
 
 def _question(plant: GeneralisedPlant) -> dict:

@@ -1,16 +1,17 @@
 """`lpvguard design`: weights -> controller scheduled over speed, certified frozen at every node and between
 nodes (step 8).
 
-Everything is discrete from the start: the vehicle sampled exactly at Ts, the weights by Tustin's map, and one
-sample of delay between the controller's output and the vehicle, so that the ECU may take a whole period to
-compute. The delay then belongs to the controller, which makes it strictly proper.
+Everything is discrete from the start: the vehicle is sampled exactly at Ts, the weights by Tustin's map
+(plants.py). One sample of delay stands between the controller's output and the vehicle, so that the ECU may
+take a whole period to compute. The delay then belongs to the controller, which makes it strictly proper.
 
-One scaling D (started by D-K iteration at the design speed, then the best for the worst speed) and one level
-serve all speeds, so that neighbouring controllers differ little (engine/synthesis/scheduling.py). They are
-brought to as few common poles as will do, with numerators interpolated over speed (schedule.py). What is
-certified is the controller the core runs: float32 coefficients, interpolated, closed with the nominal model
-and the weights: at frozen speeds by mu, at the nodes and midway between them, and for every speed history up
-to a stated rate of change by a storage function (engine/synthesis/lpv_certificate.py).
+One scaling D and one level serve all speeds, so that neighbouring controllers differ little
+(engine/synthesis/scheduling.py). D-K iteration at the design speed gives the first D; the best for the worst
+speed replaces it. The controllers are brought to as few common poles as will do, with numerators interpolated
+over speed (schedule.py). What is certified is the controller the core runs: float32 coefficients,
+interpolated, closed with the nominal model and the weights. mu certifies frozen speeds: the nodes and midway
+between them. A storage function certifies every speed history up to a stated rate of change
+(engine/synthesis/lpv_certificate.py).
 """
 
 from __future__ import annotations
@@ -38,13 +39,12 @@ from ..engine.synthesis.lpv_certificate import (
 )
 from ..engine.synthesis.norms import hinf_norm
 from ..engine.synthesis.scheduling import closed_scaled, common_family, common_scaling
-from ..engine.synthesis.statespace import StateSpace, append, gain, series, zero_order_hold
+from ..engine.synthesis.statespace import StateSpace, series, zero_order_hold
 from ..identify.run import Progress, StoredIdentification
-from ..identify.weights import FittedWeight
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import DesignSettings
+from .plants import design_settings, fig1_weights, frozen_plant, plant_at
 from .schedule import FrozenLoop, fit
-from .stored_frames import StoredFrames, UncertaintyWeights
 
 FEWEST_PAIRS, MOST_PAIRS = 2, 19
 """Of poles, for each demand: fewer than the vehicle and the reference model have between them cannot do the
@@ -57,77 +57,11 @@ LOWER_RTOL, PEAK_RTOL = 1e-3, 1e-3
 """The same for the lower bound, which a search finds, and for the gain at the stated peak, which is flat."""
 OFF_GRID = 24
 """Seeded speeds between the nodes at which the design is looked at besides nodes and midpoints."""
-LARGEST_WINDOW_ERROR = 0.1
-"""Median error of the state's uncertainty from frames, over bins, up to which K_is is designed from it."""
 A_T_RTOL = 0.01
 LARGER_STEP = 0.8
 """Of the way to the limit, while no A_t has failed: the answer lies near it."""
 SCALING_SPEEDS = 4
 """Nodes, ends included, for which the common scaling is searched: the optimum moves slowly with speed."""
-
-
-def _system(weight: FittedWeight, inflation: float) -> StateSpace:
-    return fig1.rational(inflation * weight.fit.weight.num, weight.fit.weight.den)
-
-
-def _state_uncertainty(stored: StoredIdentification, settings: DesignSettings) -> UncertaintyWeights:
-    """Class S2's weights at the identified gamma_w: W_delta_i dimensionless, W_delta_s in 1/s, as xi_s adds
-    to the state's derivative. InputError where the frames cannot tell xi_s: it is found by inverting
-    dynamics, which windows only approximate.
-    """
-    error = stored.bounds["window_error_median"]
-    worst = int(np.nanargmax(error))
-    if error[worst] > LARGEST_WINDOW_ERROR:
-        omega = stored.bounds["omega_rad_s"][worst]
-        raise InputError(
-            stored.folder,
-            "design.structure",
-            f"K_is: these frames find the state's uncertainty with a median "
-            f"error of {error[worst]:.0%} at {omega:.3g} rad/s",
-            f'K_i, or frames whose error is at most {LARGEST_WINDOW_ERROR:.0%}: the plain DFT, frames.estimator = "dft"',
-        )
-    frames = StoredFrames(stored)
-    return frames.weights(frames.explain_with_state(stored.bounds["gamma_w"], settings.lambda_s))
-
-
-def _weights(stored: StoredIdentification, settings: DesignSettings) -> fig1.Weights:
-    fitted = stored.fitted
-    if not fitted.W_n or not fitted.W_C:
-        raise InputError(
-            stored.folder,
-            "W_n, W_C",
-            "missing: no drive of the noise split",
-            "zero-input drives listed under data.noise_split",
-        )
-    W_w, W_delta_i, W_delta_s = (
-        fitted.W_w_S0 if settings.structure == "K_inf" else fitted.W_w,
-        fitted.W_delta,
-        fitted.W_delta,
-    )
-    if settings.structure == "K_is":
-        state = _state_uncertainty(stored, settings)
-        W_w, W_delta_i, W_delta_s = state.W_w, state.W_delta_i, state.W_delta_s or state.W_delta_i
-    g = fitted.inflation
-    return fig1.Weights(
-        W_R=fig1.rational(settings.W_R_num, settings.W_R_den),
-        W_C=_system(fitted.W_C[0], 1.0),
-        W_t=fig1.zeros_poles(settings.A_t, settings.W_t_zeros, settings.W_t_poles),
-        W_u=fig1.zeros_poles(settings.A_u, settings.W_u_zeros, settings.W_u_poles),
-        W_nr=_system(fitted.W_n[0], g),
-        W_ndelta=_system(fitted.W_n[1], g),
-        W_wr=_system(W_w[0], g),
-        W_wdelta=_system(W_w[1], g),
-        W_delta_i=_system(W_delta_i, g),
-        W_delta_s=_system(W_delta_s, g),
-    )
-
-
-def _delayed(plant: fig1.GeneralisedPlant) -> fig1.GeneralisedPlant:
-    """The plant with one sample of delay in front of its control input."""
-    n_w, n_u, dt = plant.system.n_inputs - plant.n_control, plant.n_control, plant.system.dt
-    shift = StateSpace(np.zeros((n_u, n_u)), np.eye(n_u), np.eye(n_u), np.zeros((n_u, n_u)), dt)
-    late = series(plant.system, append(gain(np.eye(n_w), dt), shift))
-    return replace(plant, system=replace(late, inputs=plant.system.inputs))
 
 
 def _with_delay(K: StateSpace) -> StateSpace:
@@ -154,27 +88,6 @@ class Design:
         return max(p.upper for _, p in [*self.certificates, self.off_grid])
 
 
-def _plant(
-    stored: StoredIdentification,
-    model: NominalModel,
-    weights: fig1.Weights,
-    v: float,
-    delayed: bool,
-    structure: str | None = None,
-    probes: bool = False,
-) -> fig1.GeneralisedPlant:
-    A, B = (m[0] for m in model.matrices(np.array([v])))
-    plant = fig1.generalised_plant(
-        A, B, weights, structure or stored.project.design.structure, stored.project.Ts_s, probes=probes
-    )
-    return _delayed(plant) if delayed else plant
-
-
-def frozen_plant(stored: StoredIdentification, v: float) -> fig1.GeneralisedPlant:
-    """The discrete generalised plant at speed v that the certificates of a design are about."""
-    return _plant(stored, NominalModel(stored.project), _weights(stored, stored.project.design), v, False)
-
-
 def stated_scaling(document: dict) -> Scaling:
     """The common scaling of a controller.json."""
     stated = document["certificates"]
@@ -190,11 +103,7 @@ def _vehicle(model: NominalModel, v: float, Ts: float) -> StateSpace:
 def design(stored: StoredIdentification, progress: Progress = lambda _: None) -> Design:
     """Synthesise, schedule over common poles and certify. InputError when the project file has no [design] or
     no order certifies."""
-    settings = stored.project.design
-    if settings is None:
-        raise InputError(
-            f"vehicle {stored.project.name}", "design", "no [design] table", "objectives for step 8"
-        )
+    settings = design_settings(stored)
     result = _designed(stored, settings, None, progress)
     return replace(result, lpv=find(_family(stored, settings, result.schedule, result.scaling), progress))
 
@@ -203,25 +112,31 @@ def _family(
     stored: StoredIdentification, settings: DesignSettings, schedule: Scheduled, scaling: Scaling
 ) -> Family:
     """The scaled closed loop over speed, for the certificate at a moving speed."""
-    model, weights = NominalModel(stored.project), _weights(stored, settings)
+    model, weights = NominalModel(stored.project), fig1_weights(stored, settings)
 
     def at(v: float) -> StateSpace:
         return closed_scaled(
-            _plant(stored, model, weights, v, False, settings.structure, probes=True), schedule.at(v), scaling
+            plant_at(stored, model, weights, v, False, settings.structure, probes=True),
+            schedule.at(v),
+            scaling,
         )
 
     # The probes: state, input, and with state uncertainty an input on every state; see
     # interconnection.generalised_plant.
     held = model.n + model.n_u + (model.n if settings.structure == "K_is" else 0)
-    first = scaling.systems(
-        _plant(stored, model, weights, float(schedule.speeds[0]), False, settings.structure)
-    )[1].order
+    plant = plant_at(stored, model, weights, float(schedule.speeds[0]), False, settings.structure)
+    first = scaling.systems(plant)[1].order
+
+    def hold_bounds(low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
+        first_derivative, second = model.hold_bounds(low, high)
+        return first_derivative[:, :held], second[:, :held]
+
     return Family(
         at,
         schedule.speeds,
         slice(first, first + model.n),
         held,
-        lambda low, high: tuple(bound[:, :held] for bound in model.hold_bounds(low, high)),
+        hold_bounds,
         schedule.Ts,
     )
 
@@ -230,14 +145,13 @@ def _designed(
     stored: StoredIdentification, settings: DesignSettings, scaling: Scaling | None, progress: Progress
 ) -> Design:
     """The design for ``settings``; ``scaling``: where the search for the common scaling starts."""
-    model, weights = NominalModel(stored.project), _weights(stored, settings)
+    model, weights = NominalModel(stored.project), fig1_weights(stored, settings)
     speeds = np.linspace(*model.speed_range, settings.nodes)
-    plants = [_plant(stored, model, weights, v, True) for v in speeds]
+    plants = [plant_at(stored, model, weights, v, True, settings.structure) for v in speeds]
     if scaling is None:
         progress("D-K iteration at the design speed")
         start = int(np.argmin(np.abs(speeds - settings.design_speed_mps)))
-        # K_inf has no blocks to scale.
-        scaling = dk_synthesis(plants[start]).performance.scaling or Scaling(np.zeros((0, 1)))
+        scaling = dk_synthesis(plants[start]).performance.scaling
     progress("one scaling for all speeds")
     some = np.unique(np.linspace(0, len(plants) - 1, SCALING_SPEEDS).round().astype(int))
     scaling, level = common_scaling([plants[k] for k in some], scaling)
@@ -250,7 +164,11 @@ def _designed(
     )
     at_order, full_order = common_family(plants, scaling, level)
     check = np.linspace(speeds[0], speeds[-1], 2 * len(speeds) - 1)
-    loops = {float(v): _plant(stored, model, weights, v, False) for v in check}
+
+    def loop_at(v: float) -> fig1.GeneralisedPlant:
+        return plant_at(stored, model, weights, v, False, settings.structure)
+
+    loops = {float(v): loop_at(v) for v in check}
     input_max = np.array(settings.input_max)
     frozen = [
         FrozenLoop(_with_delay(K), loops[float(v)], _vehicle(model, v, stored.project.Ts_s))
@@ -280,7 +198,7 @@ def _designed(
         scaling,
         _certificates(found, loops, scaling),
         full_order,
-        _off_grid(found, scaling, lambda v: _plant(stored, model, weights, v, False), stored.project.seed),
+        _off_grid(found, scaling, loop_at, stored.project.seed),
     )
 
 
@@ -302,8 +220,8 @@ def _off_grid(
 ) -> tuple[float, RobustPerformance]:
     """The worst of seeded speeds, moved to the top of its peak between its neighbours, and its
     certificate."""
-    ends = schedule.speeds[[0, -1]]
-    speeds = np.sort(np.concatenate([ends, np.random.default_rng(seed).uniform(*ends, OFF_GRID)]))
+    low, high = schedule.speeds[[0, -1]].tolist()
+    speeds = np.sort(np.concatenate([[low, high], np.random.default_rng(seed).uniform(low, high, OFF_GRID)]))
 
     def norm(v: float) -> float:
         return hinf_norm(closed_scaled(plant(v), schedule.at(v), scaling), rtol=1e-4).upper
@@ -338,29 +256,29 @@ class LargestA_t:
 def largest_A_t(stored: StoredIdentification, progress: Progress = lambda _: None) -> LargestA_t | None:
     """Bisection on A_t, whole designs, certified as the core runs them; None when half of the DC floor's
     limit is out of reach."""
-    settings = stored.project.design
-    floor = dc_floor(_weights(stored, settings))
+    settings = design_settings(stored)
+    floor = dc_floor(fig1_weights(stored, settings))
     low, high = 0.5 / floor, 1 / floor
-    best, scaling, trial = None, None, low
+    reached: float | None = None
+    scaling, trial = None, low
     while high > low * (1 + A_T_RTOL):
+
+        def tell(text: str, trial: float = trial) -> None:
+            progress(f"A_t {trial:.4g}: {text}")
+
         try:
-            one = _designed(
-                stored,
-                settings.model_copy(update={"A_t": trial}),
-                scaling,
-                lambda text, trial=trial: progress(f"A_t {trial:.4g}: {text}"),
-            )
+            one = _designed(stored, settings.model_copy(update={"A_t": trial}), scaling, tell)
             worst, scaling = one.worst, one.scaling
         except (InputError, SynthesisError):
             worst = np.inf
         if worst < 1:
-            low, best = trial, (trial, worst)
+            low, reached = trial, worst
         else:
             high = trial
-            if best is None:
+            if reached is None:
                 return None
         trial = low + LARGER_STEP * (high - low) if high == 1 / floor else float(np.sqrt(low * high))
-    return LargestA_t(best[0], best[0] * floor, best[1], high)
+    return None if reached is None else LargestA_t(low, low * floor, reached, high)
 
 
 def _certificates(
@@ -394,14 +312,17 @@ def verify(path: Path, stored: StoredIdentification) -> None:
             "not that of speeds, a, B and L",
             "the coefficients that were certified",
         )
-    model, weights = NominalModel(stored.project), _weights(stored, settings)
+    model, weights = NominalModel(stored.project), fig1_weights(stored, settings)
     for key in ("structure", "A_t", "A_u"):
         if stated[key] != getattr(settings, key):
             raise InputError(
                 path, f"certificates.{key}", repr(stated[key]), f"{getattr(settings, key)!r}, the project's"
             )
     rows = [*stated["speeds"], stated["off_grid"]]
-    loops = {row["v_mps"]: _plant(stored, model, weights, row["v_mps"], False) for row in rows}
+    loops = {
+        row["v_mps"]: plant_at(stored, model, weights, row["v_mps"], False, settings.structure)
+        for row in rows
+    }
     scaling = stated_scaling(document)
     proved_rows = dict(_certificates(schedule, loops, scaling))
     for row in rows:
@@ -477,11 +398,12 @@ def _moving(lpv: LpvCertificate | None) -> dict:
         }
     upper = np.triu_indices(len(lpv.storage.basis))
     return {
-        "claim": "gain of the whole scaled loop (nominal model, weights, fixed D(s), controller; nothing reduced for it) below 1 at "
-        "every speed of the range and |dv/dt| up to rate_mps2, from rest: robust performance for every LTI Delta within W_delta",
-        "test": "discrete bounded-real inequality, x = basis x~, P(v) = P0 + v P1 + P2 / v (P null: strict Riccati solutions), linear "
-        "between knots, by eigenvalues at the ends of cells that cover the range, a bound of what it loses between them "
-        "subtracted",
+        "claim": "gain of the whole scaled loop (nominal model, weights, fixed D(s), controller; nothing "
+        "reduced for it) below 1 at every speed of the range and |dv/dt| up to rate_mps2, from rest: robust "
+        "performance for every LTI Delta within W_delta",
+        "test": "discrete bounded-real inequality, x = basis x~, P(v) = P0 + v P1 + P2 / v (P null: strict "
+        "Riccati solutions), linear between knots, by eigenvalues at the ends of cells that cover the range, "
+        "a bound of what it loses between them subtracted",
         "rate_mps2": lpv.rate,
         "not_found_mps2": lpv.not_found,
         "states": len(lpv.storage.basis),
@@ -522,7 +444,7 @@ def save(
     largest: LargestA_t | None = None,
 ) -> None:
     """Write controller.json, its manifest and ``more`` files (name: text), whole or not at all."""
-    settings, schedule = stored.project.design, result.schedule
+    settings, schedule = design_settings(stored), result.schedule
     controller = {
         "kind": "controller",
         "schema": 2,
@@ -534,9 +456,10 @@ def save(
         "u_max": settings.input_max,
         "rate_max": settings.input_rate_max_per_s,
         "certificates": {
-            "claim": "frozen speeds, float32 coefficients, interpolated, closed with the nominal model and the weights: "
-            "mu <= mu_upper < 1 means robust performance for every LTI Delta within W_delta",
-            "test": "bracket of the scaled closed loop's H-infinity norm by level-set tests of its Hamiltonian",
+            "claim": "frozen speeds, float32 coefficients, interpolated, closed with the nominal model and "
+            "the weights: mu <= mu_upper < 1 means robust performance for every LTI Delta within W_delta",
+            "test": "bracket of the scaled closed loop's H-infinity norm by level-set tests of its "
+            "Hamiltonian",
             "structure": settings.structure,
             "A_t": settings.A_t,
             "A_u": settings.A_u,
@@ -546,7 +469,7 @@ def save(
             "scaling_log_parameters": result.scaling.log_parameters,
             "scaling_columns": result.scaling.log_parameters.shape[1],
             "moving_speed": _moving(result.lpv),
-            "dc_floor": dc_floor(_weights(stored, settings)),
+            "dc_floor": dc_floor(fig1_weights(stored, settings)),
             "largest_A_t": None if largest is None else asdict(largest),
             "off_grid": {"speeds": OFF_GRID, "seed": stored.project.seed, **_row(*result.off_grid)},
             "speeds": [_row(v, p) for v, p in result.certificates],

@@ -7,12 +7,12 @@ from dataclasses import replace
 from functools import cached_property
 
 from ..base import artefacts
-from ..base.errors import InputError
 from ..engine.synthesis.interconnection import STRUCTURES, GeneralisedPlant, Weights
+from ..engine.synthesis.statespace import StateSpace
 from ..engine.synthesis.table import Cell, cell, to_csv
-from ..identify.run import Progress, StoredIdentification
+from ..identify.run import FittedWeight, Progress, StoredIdentification
 from ..vehicle.nominal import NominalModel
-from .design import _plant, _system, _weights
+from .plants import design_settings, fig1_weights, plant_at, weight_system
 from .stored_frames import StoredFrames, UncertaintyWeights
 
 
@@ -20,11 +20,7 @@ class FrozenProblem:
     """The control problem of an identification at frozen speeds. InputError without a [design] table."""
 
     def __init__(self, stored: StoredIdentification, frames: StoredFrames):
-        if stored.project.design is None:
-            raise InputError(
-                f"vehicle {stored.project.name}", "design", "no [design] table", "objectives for step 8"
-            )
-        self.stored, self.frames, self.settings = stored, frames, stored.project.design
+        self.stored, self.frames, self.settings = stored, frames, design_settings(stored)
         self.model = NominalModel(stored.project)
 
     @cached_property
@@ -40,14 +36,17 @@ class FrozenProblem:
         ``with_state``)."""
         chosen = self.settings.model_copy(update={"structure": structure, "A_t": A_t, "A_u": A_u})
         # K_is has weights of its own, which replace those of class S1 below.
-        weights = _weights(
+        weights = fig1_weights(
             self.stored, chosen.model_copy(update={"structure": "K_i"}) if structure == "K_is" else chosen
         )
         if structure == "K_is" and uncertainty is None:
             uncertainty = self.with_state
         if structure == "K_inf" or uncertainty is None:
             return weights
-        inflated = lambda w: _system(w, self.stored.fitted.inflation)
+
+        def inflated(weight: FittedWeight) -> StateSpace:
+            return weight_system(weight, self.stored.fitted.inflation)
+
         W_wr, W_wdelta = map(inflated, uncertainty.W_w)
         return replace(
             weights,
@@ -59,9 +58,7 @@ class FrozenProblem:
 
     def plant(self, structure: str, weights: Weights, v: float) -> GeneralisedPlant:
         """The discrete plant at speed v [m/s] with one sample of delay in front of the control input."""
-        chosen = self.settings.model_copy(update={"structure": structure})
-        project = self.stored.project.model_copy(update={"design": chosen})
-        return _plant(replace(self.stored, project=project), self.model, weights, v, True)
+        return plant_at(self.stored, self.model, weights, v, True, structure)
 
     def table(self, progress: Progress = lambda _: None) -> list[Cell]:
         """Table II at the design speed: the three structures for each objective."""

@@ -72,12 +72,12 @@ def fit(
     )
     low, high = np.log(omega[1]), np.log(omega[-1])
     found = least_squares(
-        lambda theta: np.concatenate([f.miss(_first_columns(theta, Ts), z) for f in fits]),
+        lambda theta: np.concatenate([f.miss(first_columns(theta, Ts), z) for f in fits]),
         np.column_stack([start + np.log(1.4), 2 * start]).ravel(),
         max_nfev=FIT_STEPS,
         bounds=(np.tile([low, 2 * low], pairs), np.tile([high + np.log(2.0), 2 * high], pairs)),
     )
-    a = _first_columns(found.x, Ts)
+    a = first_columns(found.x, Ts)
     n_u = loops[0].controller.n_outputs
     B = np.array([f.rows(a, z) for f in fits]).reshape(len(loops), n_u, len(a), -1)
     L = np.array([_recovery(loop.vehicle, a, rows, u_max, z) for loop, rows in zip(loops, B, strict=False)])
@@ -90,7 +90,7 @@ def _rates(K: StateSpace) -> np.ndarray:
     return np.log(poles[np.abs(poles) > 1e-9].astype(complex)) / K.dt
 
 
-def _first_columns(theta: np.ndarray, Ts: float) -> np.ndarray:
+def first_columns(theta: np.ndarray, Ts: float) -> np.ndarray:
     """a of pairs with s^2 + p s + q = 0, theta = (ln p, ln q, ...), and of a state at z = 0: the delay."""
     p, q = np.exp(theta[0::2]), np.exp(theta[1::2])
     # Sum of the two e^(s Ts) less 2, and minus the product of the two e^(s Ts) - 1, without cancellation.
@@ -99,7 +99,7 @@ def _first_columns(theta: np.ndarray, Ts: float) -> np.ndarray:
     return np.append(np.column_stack([(first + second).real, -(first * second).real]).ravel(), -1.0)
 
 
-def _observed(a: np.ndarray, z: np.ndarray) -> np.ndarray:
+def observed(a: np.ndarray, z: np.ndarray) -> np.ndarray:
     """C (z I - A)^-1, (k, n): what each state adds to the demand."""
     d = z[:, None] - 1
     first, second = a[: len(a) // 2 * 2].reshape(-1, 2).T
@@ -123,7 +123,7 @@ class _RowFit:
 
     def problem(self, a: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Matrix, right-hand side and scales of the states, of the least-squares problem for B (n, m)."""
-        seen = _observed(a, z)
+        seen = observed(a, z)
         size = np.sqrt(np.mean(np.abs(seen) ** 2, axis=0))
         K = np.einsum("k,kj,kmc->kcjm", self.left, seen / size, self.right).reshape(self.response.size, -1)
         wanted = np.einsum("k,km,kmc->kc", self.left, self.response, self.right).ravel()
@@ -172,7 +172,7 @@ def _recovery(
     Q, R = np.outer(C_p[0], C_p[0]) / (in_the_end @ in_the_end), RECOVERY_EFFORT * np.diag(u_max**-2.0)
     X = sl.solve_discrete_are(A_p, B_p, Q, R)
     F = np.linalg.solve(R + B_p.T @ X @ B_p, B_p.T @ X @ A_p)
-    seen = _observed(a, z)
+    seen = observed(a, z)
     shown = np.einsum("kj,ijm->kim", seen, B[:, :, 1:]) @ C_p + F
     wanted = -shown @ np.linalg.solve(
         z[:, None, None] * eye - A_p + B_p @ F, np.broadcast_to(B_p, (len(z), *B_p.shape))

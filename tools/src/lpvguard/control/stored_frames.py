@@ -91,7 +91,8 @@ class StoredFrames:
         self.sets, self.speeds = [], []
         for k in range(self.estimator.n_bins):
             of_bin = columns["bin"] == k
-            self.sets.append(FrameSet(k, *(columns[key][of_bin] for key in ("E", "Z", "start")), str(path)))
+            E, Z, starts = (columns[key][of_bin] for key in ("E", "Z", "start"))
+            self.sets.append(FrameSet(k, E, Z, starts, str(path)))
             self.speeds.append(columns["speed"][of_bin])
         self.complete = drives is not None
         if drives is not None:
@@ -106,15 +107,11 @@ class StoredFrames:
             for s in counted_frames(drive, e, yhat, self.model, self.estimator):
                 N, (old, speed) = self.estimator.length[s.bin], found[s.bin]
                 keep = deciding(s.E, s.Z) if len(s.E) else np.zeros(0, int)
+                E, Z, starts = (
+                    np.concatenate([getattr(old, key), getattr(s, key)[keep]]) for key in ("E", "Z", "starts")
+                )
                 found[s.bin] = (
-                    FrameSet(
-                        s.bin,
-                        *(
-                            np.concatenate([getattr(old, key), getattr(s, key)[keep]])
-                            for key in ("E", "Z", "starts")
-                        ),
-                        old.experiment,
-                    ),
+                    FrameSet(s.bin, E, Z, starts, old.experiment),
                     np.concatenate([speed, (total[s.starts[keep] + N] - total[s.starts[keep]]) / N]),
                 )
         self.sets, self.speeds = map(list, zip(*found, strict=True))
@@ -168,13 +165,15 @@ class StoredFrames:
             fit_bound(project, estimator, split.B_w[:, j], f"B_w of {s.name}", floor)
             for j, s in enumerate(project.outputs)
         ]
-        delta = [
-            None
-            if nu is None
-            else fit_bound(project, estimator, uncertainty_samples(estimator, nu), "nu", SMALLEST_NU)
-            for nu in (split.nu_i, split.nu_s)
-        ]
-        return UncertaintyWeights(disturbance_weights(project, estimator, B_w, fitted.W_n, floor)[0], *delta)
+
+        def delta(nu: np.ndarray) -> FittedWeight:
+            return fit_bound(project, estimator, uncertainty_samples(estimator, nu), "nu", SMALLEST_NU)
+
+        return UncertaintyWeights(
+            disturbance_weights(project, estimator, B_w, fitted.W_n, floor)[0],
+            delta(split.nu_i),
+            None if split.nu_s is None else delta(split.nu_s),
+        )
 
     def _disturbance(self, w) -> np.ndarray:
         """B_w (K, n_y) over the disturbances of all frames, a list over bins of (F, n_y)."""

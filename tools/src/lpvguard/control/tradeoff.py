@@ -55,7 +55,24 @@ class Candidate:
 
     @property
     def structure(self) -> str:
+        """K_i or K_is."""
         return "K_i" if self.lambda_s is None else "K_is"
+
+    @property
+    def key(self) -> tuple:
+        """The same for candidates that differ by rounding only."""
+        return (*np.round([self.low, self.high, self.lambda_s or 0.0], 9), self.own)
+
+    def moved(self, name: str, factor: float) -> Candidate | None:
+        """The candidate with low, high or lambda_s, as ``name`` says, times ``factor``; None without it.
+
+        A level stays at most LARGEST_LEVEL.
+        """
+        value = getattr(self, name)
+        if value is None:
+            return None
+        value = value * factor if name == "lambda_s" else min(value * factor, LARGEST_LEVEL)
+        return replace(self, **{name: value}, own=False)
 
 
 @dataclass(frozen=True)
@@ -71,6 +88,7 @@ class Outcome:
     scaling: Scaling | None
 
     def to_dict(self) -> dict:
+        """The row of tradeoff.json."""
         c = self.candidate
         return {
             "structure": c.structure,
@@ -88,14 +106,22 @@ class Outcome:
 
 
 @dataclass(frozen=True)
+class Measured(Outcome):
+    """The outcome of a candidate that was synthesised: its level and the scaling that gives it."""
+
+    level: float
+    scaling: Scaling
+
+
+@dataclass(frozen=True)
 class TradeOff:
     """``outcomes`` in the order tried, ``best`` and ``own`` (the project's setting) among them, and what
     limits the best: ``limit`` in numbers, ``sentence`` in words."""
 
     problem: FrozenProblem
     outcomes: list[Outcome]
-    best: Outcome
-    own: Outcome
+    best: Measured
+    own: Measured
     limit: dict
     sentence: str
 
@@ -157,29 +183,34 @@ def speeds(problem: FrozenProblem) -> list[float]:
 
 
 class _Search:
+    """The candidates tried so far: ``outcomes`` all of them in order, ``made`` those synthesised."""
+
     def __init__(self, problem: FrozenProblem, progress: Progress):
         self.problem, self.progress, self.frames = problem, progress, problem.frames
         self.outcomes: list[Outcome] = []
+        self.made: list[Measured] = []
         self.known: dict[tuple, Outcome] = {}
 
-    def best(self) -> Outcome | None:
-        """The least level, or the first tried that is as good: K_i before K_is."""
-        made = [o for o in self.outcomes if o.level is not None]
-        least = min((o.level for o in made), default=None)
-        return next((o for o in made if o.level <= least * (1 + AS_GOOD)), None)
+    def best(self) -> Measured:
+        """The least level, or the first tried that is as good: K_i before K_is. The front must have run."""
+        least = min(o.level for o in self.made)
+        return next(o for o in self.made if o.level <= least * (1 + AS_GOOD))
 
     def ceiling(self, c: Candidate) -> np.ndarray:
+        """The candidate's ceiling on nu at the bins, (K,)."""
         omega = self.frames.estimator.omega
         if c.own:
             return self.problem.stored.bounds["nu_ceiling"]
         return between(c, omega).at(omega / (2 * np.pi))
 
     def plants(self, c: Candidate, uncertainty: UncertaintyWeights) -> list[GeneralisedPlant]:
+        """The generalised plants at ``speeds`` with these weights."""
         s = self.problem.settings
         weights = self.problem.weights(c.structure, s.A_t, s.A_u, uncertainty)
         return [self.problem.plant(c.structure, weights, v) for v in speeds(self.problem)]
 
     def split(self, c: Candidate) -> tuple[np.ndarray, Split]:
+        """The candidate's ceiling (K,) and the split of the error that its gamma_w gives."""
         ceiling = self.ceiling(c)
         gamma_w = self.frames.smooth(self.frames.gamma_rule(ceiling))
         return ceiling, (
@@ -188,56 +219,59 @@ class _Search:
             else self.frames.explain_with_state(gamma_w, c.lambda_s)
         )
 
-    def measure(self, c: Candidate, start: Scaling | None, must: bool = False) -> Outcome:
-        """Outcome of a candidate; ``must``: synthesise whatever the floor says."""
-        key = (*np.round([c.low, c.high, c.lambda_s or 0.0], 9), c.own)
-        if key not in self.known:
-            self.progress(
-                f"candidate {len(self.outcomes) + 1}: {c.structure}, ceiling {c.low:.3g} to {c.high:.3g}"
-                + ("" if c.lambda_s is None else f", lambda_s {c.lambda_s:.3g}")
-            )
-            ceiling, split = self.split(c)
-            plants = self.plants(c, self.frames.weights(split))
-            floor = max((mu_floor(p, rtol=1e-3) for p in plants), key=lambda f: f.value)
-            best, level, scaling = self.best(), None, None
-            if must or best is None or floor.value < best.level:
-                middle = plants[speeds(self.problem).index(self.problem.settings.design_speed_mps)]
-                start = start or dk_synthesis(middle, iterations=3, polish=0).performance.scaling
-                scaling, level = common_scaling(plants, start)
-            self.known[key] = Outcome(c, ceiling, split, floor, level, scaling)
-            self.outcomes.append(self.known[key])
-        return self.known[key]
+    def posed(self, c: Candidate) -> tuple[Outcome, list[GeneralisedPlant]]:
+        """The candidate's split and floor, and its plants over speed; nothing is synthesised."""
+        self.progress(
+            f"candidate {len(self.outcomes) + 1}: {c.structure}, ceiling {c.low:.3g} to {c.high:.3g}"
+            + ("" if c.lambda_s is None else f", lambda_s {c.lambda_s:.3g}")
+        )
+        ceiling, split = self.split(c)
+        plants = self.plants(c, self.frames.weights(split))
+        floor = max((mu_floor(p, rtol=1e-3) for p in plants), key=lambda f: f.value)
+        return Outcome(c, ceiling, split, floor, None, None), plants
+
+    def synthesised(
+        self, outcome: Outcome, plants: list[GeneralisedPlant], start: Scaling | None
+    ) -> Measured:
+        """The outcome with its level. ``start``: where the search for the scaling starts (None: from D-K
+        iteration at the design speed)."""
+        middle = plants[speeds(self.problem).index(self.problem.settings.design_speed_mps)]
+        start = start or dk_synthesis(middle, iterations=3, polish=0).performance.scaling
+        scaling, level = common_scaling(plants, start)
+        made = Measured(outcome.candidate, outcome.ceiling, outcome.split, outcome.floor, level, scaling)
+        self.made.append(made)
+        self.outcomes.append(made)
+        self.known[outcome.candidate.key] = made
+        return made
+
+    def tried(self, c: Candidate, start: Scaling) -> Outcome:
+        """Outcome of a candidate, known or new; synthesised only where its floor is below the best level."""
+        if c.key in self.known:
+            return self.known[c.key]
+        outcome, plants = self.posed(c)
+        if outcome.floor.value < self.best().level:
+            return self.synthesised(outcome, plants, start)
+        self.known[c.key] = outcome
+        self.outcomes.append(outcome)
+        return outcome
 
     def front(self) -> None:
         """Uniform ceilings, each starting from its neighbour's scaling."""
+        low, high = self.problem.stored.bounds["nu_ceiling"][[1, -1]].tolist()
         for lambda_s in (None, self.problem.settings.lambda_s):
-            last = self.measure(
-                Candidate(*self.problem.stored.bounds["nu_ceiling"][[1, -1]].tolist(), lambda_s, own=True),
-                None,
-                True,
-            )
-            scaling = last.scaling
+            made = self.synthesised(*self.posed(Candidate(low, high, lambda_s, own=True)), None)
             for level in LEVELS:
-                outcome = self.measure(Candidate(level, level, lambda_s), scaling, True)
-                scaling = outcome.scaling or scaling
+                made = self.synthesised(*self.posed(Candidate(level, level, lambda_s)), made.scaling)
 
     def refine(self) -> None:
         """Steps of one number at a time from the best so far."""
         for _ in range(ROUNDS):
             before = self.best()
-            for move in ("low", "high", "lambda_s"):
-                for factor in (
-                    (LEVEL_STEP, 1 / LEVEL_STEP) if move != "lambda_s" else (LAMBDA_STEP, 1 / LAMBDA_STEP)
-                ):
+            for move, step in (("low", LEVEL_STEP), ("high", LEVEL_STEP), ("lambda_s", LAMBDA_STEP)):
+                for factor in (step, 1 / step):
                     centre = self.best()
-                    value = getattr(centre.candidate, move)
-                    if value is None:
-                        continue
-                    value = value * factor if move == "lambda_s" else min(value * factor, LARGEST_LEVEL)
-                    if (
-                        self.measure(replace(centre.candidate, **{move: value}, own=False), centre.scaling)
-                        is self.best()
-                    ):
+                    moved = centre.candidate.moved(move, factor)
+                    if moved is not None and self.tried(moved, centre.scaling) is self.best():
                         break
             if self.best() is before:
                 break
@@ -249,22 +283,19 @@ def search(problem: FrozenProblem, progress: Progress = lambda _: None) -> Trade
     run.front()
     run.refine()
     best = run.best()
-    own = next(o for o in run.outcomes if o.candidate.own and o.candidate.lambda_s is None)
+    own = next(o for o in run.made if o.candidate.own and o.candidate.lambda_s is None)
     progress("what limits the best")
     limit = _limit(run, best)
     return TradeOff(problem, run.outcomes, best, own, limit, _sentence(run, best, own, limit))
 
 
-def _limit(run: _Search, best: Outcome) -> dict:
+def _limit(run: _Search, best: Measured) -> dict:
     """Where and through which signals the best candidate's worst speed has its mu: shares of the worst
     vectors at the peak."""
     plants = run.plants(best.candidate, run.frames.weights(best.split))
-    worst = None
-    for v, plant in zip(speeds(run.problem), plants, strict=True):
-        result = dk_synthesis(plant, iterations=2, polish=0, start=best.scaling)
-        if worst is None or result.performance.upper > worst[2].performance.upper:
-            worst = v, plant, result
-    v, plant, result = worst
+    made = [dk_synthesis(plant, iterations=2, polish=0, start=best.scaling) for plant in plants]
+    k = int(np.argmax([result.performance.upper for result in made]))
+    v, plant, result = speeds(run.problem)[k], plants[k], made[k]
     performance = result.performance
     frequency = performance.bracket.peak_frequency
     loop = lft(plant.system, result.controller)
@@ -274,17 +305,21 @@ def _limit(run: _Search, best: Outcome) -> dict:
         for G in performance.scaling.systems(plant)
     )
     U, _, Vh = np.linalg.svd(left[:, None] * M * right)
-    share = lambda x, names: dict(zip(names, (np.abs(x) ** 2).tolist(), strict=True))
     return {
         "speed_mps": v,
         "mu_upper": performance.upper,
         "mu_lower": performance.lower,
         "peak_rad_s": frequency,
-        "enters_by": share(Vh[0], loop.inputs),
-        "leaves_by": share(U[:, 0], loop.outputs),
+        "enters_by": _shares(Vh[0], loop.inputs),
+        "leaves_by": _shares(U[:, 0], loop.outputs),
         "floor": best.floor.value,
         "floor_rad_s": best.floor.frequency,
     }
+
+
+def _shares(x: np.ndarray, names: tuple[str, ...]) -> dict[str, float]:
+    """|x_k|^2 by name, of a vector of length 1."""
+    return dict(zip(names, (np.abs(x) ** 2).tolist(), strict=True))
 
 
 def _warped(omega: float, dt: float) -> float:
@@ -317,7 +352,7 @@ def _carriers(shares: dict[str, float]) -> str:
     return " and ".join(f"{name} ({share:.0%})" for share, name in large)
 
 
-def _sentence(run: _Search, best: Outcome, own: Outcome, limit: dict) -> str:
+def _sentence(run: _Search, best: Measured, own: Measured, limit: dict) -> str:
     c = best.candidate
     where = (
         "the project's own ceiling"
@@ -336,11 +371,14 @@ def _sentence(run: _Search, best: Outcome, own: Outcome, limit: dict) -> str:
             if least >= 1
             else f"the floors (down to {least:.3f}) leave it open to other D or controllers. "
         )
-    at = lambda omega: "DC" if omega < 1e-2 * run.frames.estimator.omega[1] else f"{omega:.3g} rad/s"
+
+    def at(omega: float) -> str:
+        return "DC" if omega < 1e-2 * run.frames.estimator.omega[1] else f"{omega:.3g} rad/s"
+
     text += (
-        f"What limits it: at {limit['speed_mps']:g} m/s and {at(limit['peak_rad_s'])} mu enters by {_carriers(limit['enters_by'])} "
-        f"and leaves by {_carriers(limit['leaves_by'])}; with these weights no controller goes below {limit['floor']:.3f} "
-        f"(at {at(limit['floor_rad_s'])})"
+        f"What limits it: at {limit['speed_mps']:g} m/s and {at(limit['peak_rad_s'])} mu enters by "
+        f"{_carriers(limit['enters_by'])} and leaves by {_carriers(limit['leaves_by'])}; "
+        f"with these weights no controller goes below {limit['floor']:.3f} (at {at(limit['floor_rad_s'])})"
     )
     reached = best.level <= best.floor.value * (1 + 10 * AS_GOOD)
     return text + (

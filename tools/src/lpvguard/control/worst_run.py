@@ -1,11 +1,13 @@
 """Fig. 6: controllers of Table II in the time domain, with the worst Δ of size 1, measured disturbances and a
 measured reference.
 
-As in the paper (section V): r_c is the filtered yaw rate of a drive near the design speed, w = diag(f, 1) e
-its nominal error with the yaw rate's share decreased by f to keep the DC disturbance bound, the noise
-band-limited and white of power NOISE_POWER before W_n. The controllers run with their sample of delay on the
-nominal vehicle at the design speed; K_inf without Δ, K_i with the worst Δ_i, K_is with the worst Δ_i and Δ_s,
-found by the lower bound of μ and realised as stable all-pass systems (engine/synthesis/worst_case.py).
+Signals are those of the paper (section V). r_c is the filtered yaw rate of a drive near the design speed.
+w = diag(f, 1) e is the drive's nominal error; f reduces the yaw rate's share to keep the DC disturbance
+bound. The noise is white and band-limited, of power NOISE_POWER before W_n.
+
+The controllers run with their sample of delay on the nominal vehicle at the design speed: K_inf without Δ,
+K_i with the worst Δ_i, K_is with the worst Δ_i and Δ_s. The lower bound of μ finds the worst Δ, a stable
+all-pass system (engine/synthesis/worst_case.py).
 """
 
 from __future__ import annotations
@@ -27,8 +29,8 @@ from .frozen import FrozenProblem
 NOISE_POWER = 0.01
 """Spectral density of n, so its variance is NOISE_POWER / Ts."""
 REFERENCE_CUTOFF_RAD_S = 3.0
-"""Of the zero-phase second-order filter that makes r_c of the measured yaw rate: W_R's own bandwidth in the
-paper's spirit."""
+"""Cutoff of the zero-phase second-order filter that makes r_c of the measured yaw rate: about W_R's
+bandwidth."""
 SHOWN_S = 30.0
 SHOWN_STEP = 4
 """Every so-manyth sample is kept for the picture."""
@@ -155,10 +157,13 @@ def _run(problem: FrozenProblem, c: Cell, signals: np.ndarray, wanted: np.ndarra
     without = respond(
         loop.select(np.arange(n, loop.n_outputs), np.arange(physical.n_delta_out, loop.n_inputs)), signals
     )
-    rms = lambda x: float(np.sqrt(np.mean(x**2)))
     return Run(
-        c, worst, with_delta[:, 1], wanted - with_delta[:, 0], rms(with_delta[:, 0]), rms(without[:, 0])
+        c, worst, with_delta[:, 1], wanted - with_delta[:, 0], _rms(with_delta[:, 0]), _rms(without[:, 0])
     )
+
+
+def _rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(x**2)))
 
 
 def _without_units(weights: Weights) -> Weights:

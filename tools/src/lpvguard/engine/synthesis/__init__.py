@@ -4,8 +4,12 @@
 |---|---|
 | ``statespace`` | small immutable systems: series, append, feedback, balancing, Tustin, zero-order hold |
 | ``norms`` | the H∞ norm as a bracket, all frequencies included |
-| ``hinf`` | γ-optimal controllers, regular and singular, continuous and discrete, each with its certificate |
-| ``mu`` | structured singular value of a matrix, from both sides |
+| ``hinf`` | γ-optimal controllers with a certificate: regular and singular, continuous and discrete |
+| ``partition``, ``coordinates`` | the plant as the Riccati equations take it |
+| ``riccati``, ``central`` | the two Riccati equations at a level γ, and the central controller |
+| ``gamma_search`` | the search for the optimum γ |
+| ``direct_terms``, ``zeros``, ``singular`` | what singular problems leave out of reach; their reduction |
+| ``mu`` | structured singular value of a matrix, from both sides: ``mu_upper``, ``mu_lower`` |
 | ``interconnection`` | Fig. 1's generalised plant from weights, three uncertainty structures |
 | ``dk`` | D-K iteration, order reduction, ``certify`` for any controller |
 | ``limits`` | the level that no controller of any order goes below |

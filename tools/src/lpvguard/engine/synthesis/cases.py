@@ -37,6 +37,7 @@ class TableRow(Cell):
     paper_order: int | None
 
     def to_dict(self) -> dict:
+        """The cell's row with the reference's and the paper's numbers behind it."""
         names = ("reference", "reference_order", "paper", "paper_order")
         return super().to_dict() | {name: getattr(self, name) for name in names}
 
@@ -129,11 +130,14 @@ def differences(case: dict, rows: list[TableRow]) -> list[str]:
 def _difference(case: dict, row: TableRow, rows: list[TableRow]) -> str:
     if row.paper is None:
         return "The paper has no such row."
-    limit = f"with this case's weights no controller goes below {row.floor.value:.5f} (at {row.floor.frequency:g} rad/s)"
+    limit = (
+        f"with this case's weights no controller goes below {row.floor.value:.5f} "
+        f"(at {row.floor.frequency:g} rad/s)"
+    )
     apart = row.upper / row.paper - 1
     order = (
-        f"order {row.order} instead of {row.paper_order} since states are cut as long as the certified level stays "
-        f"(before: {row.full_order})"
+        f"order {row.order} instead of {row.paper_order} since states are cut as long as the certified level "
+        f"stays (before: {row.full_order})"
         if row.paper_order
         else f"order {row.order}"
     )
@@ -150,31 +154,40 @@ def _difference(case: dict, row: TableRow, rows: list[TableRow]) -> str:
         )
         return f"The paper's value to its three digits, as {why}: {limit}{beyond}; {order}."
     size = "above" if apart > 0 else "below"
-    text = f"{abs(apart):.1%} {size} the paper's {row.paper:g}: {limit}, and ours is within {row.upper / row.floor.value - 1:.1e} of that"
-    scale = _uncertainty_scale(case, row)
+    text = (
+        f"{abs(apart):.1%} {size} the paper's {row.paper:g}: {limit}, "
+        f"and ours is within {row.upper / row.floor.value - 1:.1e} of that"
+    )
+    scale = _uncertainty_scale(case, row, row.paper)
     if scale is not None:
-        text += f"; the paper's value would be this limit with the uncertainty weights {scale:.2g} times as large, and its own are not published"
-    return f"{text}{_moves(row, rows)}{beyond}; {order}."
+        text += (
+            f"; the paper's value would be this limit with the uncertainty weights {scale:.2g} times as "
+            "large, and its own are not published"
+        )
+    return f"{text}{_moves(row, row.paper, rows)}{beyond}; {order}."
 
 
-def _moves(row: TableRow, rows: list[TableRow]) -> str:
-    """How the levels of the structure move with the objective, where the paper's do not move with A_t alone
-    as a level does that tracking limits."""
+def _moves(row: TableRow, paper: float, rows: list[TableRow]) -> str:
+    """How the structure's levels move with the objective; empty where tracking may limit the paper's.
+
+    A level that tracking limits moves with A_t alone. ``paper``: the row's level in the paper.
+    """
     for other in rows:
         if other.structure != row.structure or other is row or other.paper is None:
             continue
         by_tracking = other.A_t / row.A_t
-        if other.A_u <= row.A_u and abs(other.paper / row.paper - by_tracking) > 0.05:
+        if other.A_u <= row.A_u and abs(other.paper / paper - by_tracking) > 0.05:
             return (
-                f"; from A_t {row.A_t:g}, A_u {row.A_u:g} to {other.A_t:g}, {other.A_u:g} the paper's level moves by "
-                f"{other.paper / row.paper - 1:+.1%}, ours by {other.upper / row.upper - 1:+.1%} and A_t by {by_tracking - 1:+.1%}: "
+                f"; from A_t {row.A_t:g}, A_u {row.A_u:g} to {other.A_t:g}, {other.A_u:g} the paper's level "
+                f"moves by {other.paper / paper - 1:+.1%}, ours by {other.upper / row.upper - 1:+.1%} "
+                f"and A_t by {by_tracking - 1:+.1%}: "
                 "the paper's is limited by the control effort, this case's by tracking at DC"
             )
     return ""
 
 
-def _uncertainty_scale(case: dict, row: TableRow) -> float | None:
-    """The factor on W_delta_i and W_delta_s with which the row's limit would be the paper's value; None
+def _uncertainty_scale(case: dict, row: TableRow, paper: float) -> float | None:
+    """The factor on W_delta_i and W_delta_s with which the row's limit would be the level ``paper``; None
     without uncertainty or where no factor from 1e-3 to 1e3 does it."""
     if row.structure == "K_inf":
         return None
@@ -184,7 +197,7 @@ def _uncertainty_scale(case: dict, row: TableRow) -> float | None:
             k: case[k] | {"gain": case[k]["gain"] * np.exp(log_scale)} for k in ("W_delta_i", "W_delta_s")
         }
         plant = case_plant(case | scaled, {"A_t": row.A_t, "A_u": row.A_u}, row.structure)
-        return floor_exceeds(plant, row.floor.frequency, row.paper)
+        return floor_exceeds(plant, row.floor.frequency, paper)
 
     low, high = np.log(1e-3), np.log(1e3)
     if exceeds(low) or not exceeds(high):

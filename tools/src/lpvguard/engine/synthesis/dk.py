@@ -5,7 +5,7 @@ Robust performance holds at level β when μ(F_l(P, K)(jω)) ≤ β over the blo
 block. With scalar D_i(s) per Δ block, stable with stable inverse, ‖D F_l(P, K) D⁻¹‖∞ ≤ β proves it at every
 frequency, DC and infinity included (Doyle 1985; Packard & Doyle 1993). So K and D are improved in turn: K by
 H∞ synthesis for the scaled plant, D by a fit of Π (s/z + 1)/(s/p + 1) that lowers the scaled singular values
-over the whole band, and the number reported is the certified norm of the final scaled loop: no fit of
+over the whole band. The number reported is the certified norm of the final scaled loop: no fit of
 frequency-wise scalings stands between the bound and the proof. D(s) covers LTI and slowly varying Δ; a
 constant D (degree 0) covers Δ varying arbitrarily fast.
 """
@@ -21,7 +21,7 @@ import scipy.linalg as sl
 from scipy.optimize import minimize
 
 from lpvguard.engine.synthesis.errors import SynthesisError
-from lpvguard.engine.synthesis.hinf import hinf_synthesis, improved_level
+from lpvguard.engine.synthesis.hinf import HinfResult, hinf_synthesis, improved_level
 from lpvguard.engine.synthesis.interconnection import GeneralisedPlant, zeros_poles
 from lpvguard.engine.synthesis.mu import mu_lower
 from lpvguard.engine.synthesis.norms import NormBracket, hinf_norm
@@ -45,7 +45,8 @@ class Scaling:
     """D(s) = diag(d_1 I, d_2 I, ..., I): d_i = g Π_k (s/z_k + 1)/(s/p_k + 1), one row of ``log_parameters``
     per block.
 
-    log_parameters (τ, 1 + 2·degree): [ln g, ln z_1, ln p_1, ...], z and p in rad/s.
+    log_parameters (τ, 1 + 2·degree): [ln g, ln z_1, ln p_1, ...], z and p in rad/s. Without blocks τ = 0 and
+    D = I.
     """
 
     log_parameters: np.ndarray
@@ -98,7 +99,7 @@ class RobustPerformance:
     lower: float
     lower_frequency: float
     bracket: NormBracket
-    scaling: Scaling | None
+    scaling: Scaling
     delta: np.ndarray | None
 
 
@@ -133,18 +134,19 @@ def dk_synthesis(
         raise SynthesisError("D-K iteration", "blocks", "a repeated block", "full complex blocks")
     work = _Work(plant)
     scaling = start or Scaling(np.tile(np.r_[0.0, [0.0, 0.0] * degree], (len(plant.blocks), 1)))
-    history, level = [], None
+    history: list[float] = []
+    level = None
     if plant.blocks:
-        best = None
+        best, best_scaling = np.inf, scaling
         for k in range(iterations):
             result = work.controller(scaling, rtol=2e-5, guess=history[-1] if history else None)
             history.append(result.gamma)
-            if best is None or result.gamma < best[0]:
-                best = result.gamma, scaling
+            if result.gamma < best:
+                best, best_scaling = result.gamma, scaling
             if k == iterations - 1 or (k > 1 and result.gamma > history[-2] * (1 - 1e-4)):
                 break
             scaling = work.fit(lft(work.system, result.controller), scaling, power=10)
-        level, scaling = _polish(work, best[1], best[0], polish)
+        level, scaling = _polish(work, best_scaling, best, polish)
         history.append(level)
     final = work.controller(scaling, backoff=3e-4, guess=level)
     reduced = reduce_controller(work, final.controller, scaling, final.gamma_achieved * (1 + reduction_loss))
@@ -163,12 +165,13 @@ def certify(
     work = _Work(plant)
     K = to_continuous(controller)
     loop = lft(work.system, K)
+    start = scaling or Scaling(np.tile([0.0, np.log(0.1), np.log(0.1)], (len(plant.blocks), 1)))
     if not loop.stability_margin() > 0:
-        return RobustPerformance(np.inf, np.inf, np.nan, NormBracket(np.inf, np.inf, np.nan), scaling, None)
+        return RobustPerformance(np.inf, np.inf, np.nan, NormBracket(np.inf, np.inf, np.nan), start, None)
     if not plant.blocks:
         bracket = hinf_norm(lft(plant.system, controller))
-        return RobustPerformance(bracket.upper, bracket.lower, bracket.peak_frequency, bracket, None, None)
-    start = scaling or Scaling(np.tile([0.0, np.log(0.1), np.log(0.1)], (len(plant.blocks), 1)))
+        nothing = Scaling(np.zeros((0, 1)))
+        return RobustPerformance(bracket.upper, bracket.lower, bracket.peak_frequency, bracket, nothing, None)
     tried = [start, work.fit(loop, start, power=200)]
     brackets = [work.scaled_norm(loop, one) for one in tried]
     k = int(np.argmin([b.upper for b in brackets]))
@@ -195,10 +198,10 @@ class _Work:
         edges = np.cumsum([0] + [b.rows for b in plant.blocks] + [plant.performance_block.rows])
         self.cols = [slice(a, b) for a, b in itertools.pairwise(edges)]
 
-    def unwarp(self, omega):
+    def unwarp(self, omega: float) -> float:
         """Frequency in the plant's own time of a frequency of its continuous image."""
         dt = self.plant.system.dt
-        return 2 / dt * np.arctan(omega * dt / 2) if dt else omega
+        return float(2 / dt * np.arctan(omega * dt / 2)) if dt else omega
 
     def scaled(self, G: StateSpace, scaling: Scaling) -> StateSpace:
         """D G D⁻¹ for a plant or a closed loop (D = I on controls and measurements)."""
@@ -209,8 +212,8 @@ class _Work:
             right = append(right, gain(np.eye(G.n_inputs - right.n_inputs)))
         return balanced(series(left, series(G, right)))
 
-    def controller(self, scaling: Scaling, **options):
-        """H∞ synthesis for the scaled plant."""
+    def controller(self, scaling: Scaling, **options) -> HinfResult:
+        """H∞ synthesis for the scaled plant; ``options`` go to hinf_synthesis."""
         return hinf_synthesis(
             self.scaled(self.system, scaling), self.plant.n_control, self.plant.n_measurement, **options
         )
@@ -274,7 +277,9 @@ class _Work:
         )
         return Scaling(np.clip(found.x.reshape(shape), low, high))
 
-    def lower(self, loop, scaling, peak):
+    def lower(
+        self, loop: StateSpace, scaling: Scaling, peak: float
+    ) -> tuple[float, float, np.ndarray | None]:
         """Best μ lower bound at the scaled norm's peak and at the highest points of the grid: value, rad/s,
         Δ.
         """

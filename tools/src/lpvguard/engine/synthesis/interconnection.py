@@ -25,6 +25,8 @@ from lpvguard.engine.synthesis.statespace import StateSpace, append, balanced, t
 
 STRUCTURES = ("K_inf", "K_i", "K_is")
 """Uncertainty structures: none, input-multiplicative, input-multiplicative and state."""
+Terms = dict[str | tuple[str, int], int]
+"""A sum: sign of each external input, by name, and of each part's output, as (part, output)."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,7 @@ def rational(num, den) -> StateSpace:
     B = np.zeros((n, 1))
     B[-1:] = 1
     C = (num[1:] - num[0] * den[1:])[::-1][None]
-    return balanced(StateSpace(A, B, C, [[num[0]]]))
+    return balanced(StateSpace(A, B, C, num[:1, None]))
 
 
 def zeros_poles(gain: float, zeros, poles) -> StateSpace:
@@ -149,6 +151,48 @@ def generalised_plant(
         )
     A, B = np.asarray(A, dtype=float), np.asarray(B, dtype=float)
     n = len(A)
+    with_input, n_state = structure != "K_inf", n if structure == "K_is" else 0
+    net = _Network(
+        _parts(A, B, weights, int(with_input), n_state, dt, delay),
+        [
+            *(["xi_i"] * with_input),
+            *(f"xi_s{k}" for k in range(n_state)),
+            *("w_r", "w_delta", "n_r", "n_delta", "r_c", "u"),
+        ],
+    )
+    u_tilde: Terms = {("delay", 0) if delay else "u": 1}
+    if with_input:
+        u_tilde[("W_delta_i", 0)] = 1
+    r_m: Terms = {("vehicle", 0): 1, ("W_wr", 0): 1}
+    delta_m: Terms = {("vehicle", 1): 1, ("W_wdelta", 0): 1}
+    _join(net, u_tilde, r_m, n_state)
+    rows: dict[str, Terms] = {"eta_i": {"u": 1}} if with_input else {}
+    rows |= {f"eta_s{k}": {("vehicle", 2 + k): 1} for k in range(n_state)}
+    rows |= {"z_t": {("W_t", 0): 1}, "z_u": {("W_u", 0): 1}}
+    if probes:
+        rows |= {f"x_{k}": {("vehicle", 2 + k): 1} for k in range(n)}
+        rows["u_tilde"] = u_tilde
+        rows |= {f"x_in{k}": {("W_delta_s", k): 1} for k in range(n_state)}
+    rows |= {
+        "y_c": {("W_C", 0): 1},
+        "y_r": {**r_m, ("W_nr", 0): 1},
+        "y_delta": {**delta_m, ("W_ndelta", 0): 1},
+    }
+    blocks = (*[Block("full", 1, 1)] * with_input, *[Block("full", n, n)] * (n_state > 0))
+    return GeneralisedPlant(
+        net.close(rows), blocks, sum(b.rows for b in blocks), sum(b.cols for b in blocks), 1, 3
+    )
+
+
+def _parts(
+    A: np.ndarray, B: np.ndarray, weights: Weights, n_input: int, n_state: int, dt: float, delay: int
+) -> dict[str, StateSpace]:
+    """The systems of Fig. 1 by name, sampled where ``dt`` > 0.
+
+    The vehicle goes from [ũ; an input on every state] to [r; δ; x]. W_delta_i and W_delta_s act on
+    ``n_input`` and ``n_state`` channels and are left out where these are 0, as the delay is.
+    """
+    n = len(A)
     vehicle = StateSpace(
         A, np.hstack([B, np.eye(n)]), np.vstack([np.eye(2, n), np.eye(n)]), np.zeros((2 + n, 1 + n))
     )
@@ -156,39 +200,27 @@ def generalised_plant(
     if dt:
         vehicle = zero_order_hold(vehicle, dt)
         W = {name: to_discrete(w, dt) for name, w in W.items()}
-    with_input, with_state = structure != "K_inf", structure == "K_is"
-
     parts = {"vehicle": vehicle, **W}
-    for name, count in (("W_delta_i", int(with_input)), ("W_delta_s", n * with_state)):
+    for name, count in (("W_delta_i", n_input), ("W_delta_s", n_state)):
         one = parts.pop(name)
         if count:
             parts[name] = append(*[one] * count)
     if delay:
-        parts["delay"] = StateSpace(np.eye(delay, k=1), np.eye(delay)[:, -1:], np.eye(delay)[:1], [[0.0]], dt)
-    net = _Network(parts)
-    signals = [
-        *(["xi_i"] * with_input),
-        *([f"xi_s{k}" for k in range(n)] * with_state),
-        "w_r",
-        "w_delta",
-        "n_r",
-        "n_delta",
-        "r_c",
-        "u",
-    ]
-    net.external(signals)
-    if with_input:
+        parts["delay"] = StateSpace(
+            np.eye(delay, k=1), np.eye(delay)[:, -1:], np.eye(delay)[:1], np.zeros((1, 1)), dt
+        )
+    return parts
+
+
+def _join(net: _Network, u_tilde: Terms, r_m: Terms, n_state: int) -> None:
+    """The connections of Fig. 1 between its parts; ``u_tilde`` and ``r_m`` are ũ and r_m as sums."""
+    if "delay" in net.first_in:
+        net.feed("delay", 0, {"u": 1})
+    if "W_delta_i" in net.first_in:
         net.feed("W_delta_i", 0, {"xi_i": 1})
-    for k in range(n * with_state):
+    for k in range(n_state):
         net.feed("W_delta_s", k, {f"xi_s{k}": 1})
         net.feed("vehicle", 1 + k, {("W_delta_s", k): 1})
-    u_late = "u"
-    if delay:
-        net.feed("delay", 0, {"u": 1})
-        u_late = ("delay", 0)
-    u_tilde = {u_late: 1, **({("W_delta_i", 0): 1} if with_input else {})}
-    r_m = {("vehicle", 0): 1, ("W_wr", 0): 1}
-    delta_m = {("vehicle", 1): 1, ("W_wdelta", 0): 1}
     net.feed("vehicle", 0, u_tilde)
     net.feed("W_wr", 0, {"w_r": 1})
     net.feed("W_wdelta", 0, {"w_delta": 1})
@@ -198,52 +230,30 @@ def generalised_plant(
     net.feed("W_R", 0, {("W_C", 0): 1})
     net.feed("W_t", 0, {("W_R", 0): 1, **dict.fromkeys(r_m, -1)})
     net.feed("W_u", 0, {"u": 1})
-    rows = {}
-    if with_input:
-        rows["eta_i"] = {"u": 1}
-    for k in range(n * with_state):
-        rows[f"eta_s{k}"] = {("vehicle", 2 + k): 1}
-    rows |= {
-        "z_t": {("W_t", 0): 1},
-        "z_u": {("W_u", 0): 1},
-        **(
-            {f"x_{k}": {("vehicle", 2 + k): 1} for k in range(n)}
-            | {"u_tilde": u_tilde}
-            | {f"x_in{k}": {("W_delta_s", k): 1} for k in range(n * with_state)}
-            if probes
-            else {}
-        ),
-        "y_c": {("W_C", 0): 1},
-        "y_r": {**r_m, ("W_nr", 0): 1},
-        "y_delta": {**delta_m, ("W_ndelta", 0): 1},
-    }
-    system = net.close(rows)
-    blocks = (*[Block("full", 1, 1)] * with_input, *[Block("full", n, n)] * with_state)
-    return GeneralisedPlant(system, blocks, sum(b.rows for b in blocks), sum(b.cols for b in blocks), 1, 3)
 
 
 class _Network:
     """Systems joined by sums of each other's outputs and of external signals."""
 
-    def __init__(self, parts: dict[str, StateSpace]):
+    def __init__(self, parts: dict[str, StateSpace], external: list[str]):
+        """``parts`` by name, side by side; ``external``: names of the external inputs, in order."""
         self.joined = append(*parts.values())
-        self.first_in, self.first_out, i, o = {}, {}, 0, 0
+        self.first_in: dict[str, int] = {}
+        self.first_out: dict[str, int] = {}
+        i, o = 0, 0
         for name, g in parts.items():
             self.first_in[name], self.first_out[name] = i, o
             i, o = i + g.n_inputs, o + g.n_outputs
-        self.inner = np.zeros((i, o))
+        self.names = external
+        self.inner, self.outer = np.zeros((i, o)), np.zeros((i, len(external)))
 
-    def external(self, names: list[str]) -> None:
-        """Declare the external inputs, in order."""
-        self.names = names
-        self.outer = np.zeros((self.joined.n_inputs, len(names)))
-
-    def feed(self, name: str, port: int, terms: dict) -> None:
-        """Input ``port`` of part ``name`` = the sum of ``terms``: external names or (part, output) pairs."""
+    def feed(self, name: str, port: int, terms: Terms) -> None:
+        """Input ``port`` of part ``name`` is the sum of ``terms``."""
         inner, outer = self._row(terms)
         self.inner[self.first_in[name] + port], self.outer[self.first_in[name] + port] = inner, outer
 
-    def _row(self, terms):
+    def _row(self, terms: Terms) -> tuple[np.ndarray, np.ndarray]:
+        """Row of ``terms`` over the parts' outputs and over the external inputs."""
         inner, outer = np.zeros(self.joined.n_outputs), np.zeros(len(self.names))
         for key, sign in terms.items():
             if isinstance(key, str):
@@ -252,13 +262,12 @@ class _Network:
                 inner[self.first_out[key[0]] + key[1]] += sign
         return inner, outer
 
-    def close(self, rows: dict[str, dict]) -> StateSpace:
+    def close(self, rows: dict[str, Terms]) -> StateSpace:
         """The system from the external inputs to the named ``rows``; Fig. 1 has no algebraic loop."""
         G = self.joined
         pick, direct = (np.array(part) for part in zip(*(self._row(t) for t in rows.values()), strict=True))
-        loop = np.linalg.inv(
-            np.eye(G.n_inputs) - self.inner @ G.D
-        )  # part inputs v = inner (C x + D v) + outer w
+        # part inputs v = inner (C x + D v) + outer w
+        loop = np.linalg.inv(np.eye(G.n_inputs) - self.inner @ G.D)
         v_x, v_w = loop @ self.inner @ G.C, loop @ self.outer
         return StateSpace(
             G.A + G.B @ v_x,

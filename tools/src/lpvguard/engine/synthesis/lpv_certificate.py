@@ -13,12 +13,12 @@ equations. Either is taken piecewise linear between ``KNOTS`` knots in every int
 nodes. ``prove`` decides on all speeds: the range is covered by cells, F is tested at a cell's ends, and what
 it may lose between them is bounded by a matrix:
 
-- P is affine in a cell, P(v+) - P(v) is v+ - v times a mean of the slopes of the segments that v and v+ lie
-  in: each is tested;
-- F is concave along the chord between the ends but for the product of dP and dM (M = [A B]), a bound of which
-  is subtracted;
-- M leaves its chord in the vehicle's rows only (all else is affine between two nodes of the controller),
-  there by bounds on the derivatives of the vehicle's zero-order hold over the cell
+- P is affine in a cell. P(v+) - P(v) is v+ - v times a mean of the slopes of the segments that v and v+ lie
+  in; each slope is tested.
+- F is concave along the chord between the ends but for the product of dP and dM (M = [A B]). A bound of that
+  product is subtracted.
+- M leaves its chord in the vehicle's rows only: all else is affine between two nodes of the controller. How
+  far it does follows from bounds on the derivatives of the vehicle's zero-order hold over the cell
   (``NominalModel.hold_bounds``).
 
 A cell that fails is cut in two, down to ``SMALLEST_CELL``. Every test is by eigenvalues with a reserve for
@@ -69,10 +69,10 @@ the coordinates."""
 class Family:
     """The scaled closed loop over speed.
 
-    at(v): StateSpace with ``n_probes`` extra outputs, last: the vehicle's state and inputs, in the order of
-    the columns of ``hold_bounds(low, high)`` = (|Xi'|, |Xi''|), entrywise bounds over speeds low..high for
-    the rows ``vehicle`` of [A B] = Xi times the probes. ``nodes``: speeds between which everything else in
-    ``at`` is affine.
+    at(v): StateSpace at speed v [m/s]. Its last ``n_probes`` outputs are the probes: the vehicle's state and
+    inputs. vehicle: the rows of [A B] that are Xi(v) times the probes. hold_bounds(low, high): entrywise
+    bounds of |Xi'| and |Xi''| over speeds low..high, columns in the order of the probes. nodes: speeds
+    between which everything else in ``at`` is affine. Ts: sampling time in seconds.
     """
 
     at: Callable[[float], StateSpace]
@@ -305,8 +305,9 @@ def find(family: Family, progress: Callable[[str], None] = lambda _: None) -> Lp
         np.repeat(functions, 2, axis=0),
         np.stack([rates, -rates], axis=1).reshape(-1, 3) * family.Ts,
     )
-    stored, failed, rate = [], None, FIRST_RATE
-    while rate is not None:
+    stored: list[tuple[float, np.ndarray]] = []
+    failed: float | None = None
+    while (rate := _next_rate(stored[-1][0] if stored else None, failed)) is not None:
         progress(f"storage function for |dv/dt| up to {rate:.3g} m/s2")
         found = _feasible(_Barrier(twice, now, now + rate * change), P, unit)
         if found is not None:
@@ -314,17 +315,18 @@ def find(family: Family, progress: Callable[[str], None] = lambda _: None) -> Lp
             stored.append((rate, np.tensordot(units.T, found, 1)))
         else:
             failed = rate
-        rate = _next_rate(stored[-1][0] if stored else None, failed)
     progress("proof between the speeds")
-    tried = [(rate, polynomial_storage(family, basis, P), P) for rate, P in stored]
+    tried: list[tuple[float, Storage, np.ndarray | None]] = [
+        (rate, polynomial_storage(family, basis, P), P) for rate, P in stored
+    ]
     riccati = riccati_storage(family)
     if riccati is not None:
         tried.append((_rate_at_knots(family, riccati), riccati, None))
-    for rate, storage, P in sorted(tried, key=lambda one: -one[0]):
-        for share in SHARES if P is not None else SHARES[-1:]:
-            proof = prove(family, storage, share * rate)
+    for on_grid, storage, coefficients in sorted(tried, key=lambda one: -one[0]):
+        for share in SHARES if coefficients is not None else SHARES[-1:]:
+            proof = prove(family, storage, share * on_grid)
             if proof is not None:
-                return LpvCertificate(share * rate, storage, P, proof, failed)
+                return LpvCertificate(share * on_grid, storage, coefficients, proof, failed)
     return None
 
 
@@ -341,11 +343,13 @@ def _rate_at_knots(family: Family, storage: Storage) -> float:
 
 
 def _next_rate(found: float | None, failed: float | None) -> float | None:
-    """The rate to try after the largest found and the least failed; None: enough."""
+    """The rate to try after the largest found and the least failed [m/s^2]; None: enough."""
+    if found is None:
+        if failed is None:
+            return FIRST_RATE
+        return failed / 4 if failed / 4 >= SMALLEST_RATE else None
     if failed is None:
         return min(4 * found, LARGEST_RATE) if found < LARGEST_RATE else None
-    if found is None:
-        return failed / 4 if failed / 4 >= SMALLEST_RATE else None
     return float(np.sqrt(found * failed)) if failed > 2.1 * found else None
 
 

@@ -31,8 +31,9 @@ def hinf_norm(G: StateSpace, rtol: float = 1e-6) -> NormBracket:
     pole, upper is that level.
 
     An unstable G gives (inf, inf). The response is evaluated wherever an eigenvalue of the Hamiltonian comes
-    near the axis (1e-3 of its size, far more than rounding moves it), and between such neighbours: a crossing
-    that rounding has pushed off the axis is still found. Raises ArithmeticError if 60 levels do not suffice.
+    near the axis, and between such neighbours. Near means 1e-3 of its size, far more than rounding moves it:
+    a crossing that rounding has pushed off the axis is still found. Raises ArithmeticError if 60 levels do
+    not suffice.
     """
     if not G.stability_margin() > 0:
         return NormBracket(np.inf, np.inf, np.nan)
@@ -106,7 +107,7 @@ def _crossings(H: StateSpace, level: float) -> np.ndarray:
     R = np.eye(D.shape[1]) - D.T @ D
     F = np.linalg.solve(R, np.hstack([D.T @ C, B.T]))
     hamiltonian = np.block([[A, np.zeros((n, n))], [-C.T @ C, -A.T]]) + np.vstack([B, -C.T @ D]) @ F
-    return axis_frequencies(hamiltonian, np.linalg.norm(A, 2))
+    return axis_frequencies(hamiltonian, float(np.linalg.norm(A, 2)))
 
 
 def axis_frequencies(hamiltonian: np.ndarray, scale: float) -> np.ndarray:

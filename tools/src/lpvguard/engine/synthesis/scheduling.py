@@ -18,7 +18,7 @@ import numpy as np
 import scipy.linalg as sl
 
 from lpvguard.engine.synthesis.dk import Scaling, gramian_factor
-from lpvguard.engine.synthesis.hinf import hinf_synthesis, improved_level
+from lpvguard.engine.synthesis.hinf import hinf_synthesis, improved_level, optimal_level
 from lpvguard.engine.synthesis.interconnection import GeneralisedPlant
 from lpvguard.engine.synthesis.statespace import (
     StateSpace,
@@ -47,7 +47,7 @@ def scaled_plant(plant: GeneralisedPlant, scaling: Scaling) -> StateSpace:
     return series(left, series(G, right))
 
 
-def closed_scaled(plant: GeneralisedPlant, controller: StateSpace, scaling: Scaling | None) -> StateSpace:
+def closed_scaled(plant: GeneralisedPlant, controller: StateSpace, scaling: Scaling) -> StateSpace:
     """The discrete closed loop D F_l(P, K) D⁻¹ from [Δ outputs; w] to [Δ inputs; z], states [D⁻¹; P; K; D]; D
     by Tustin's map.
 
@@ -65,9 +65,8 @@ def common_scaling(plants: Sequence[GeneralisedPlant], start: Scaling) -> tuple[
     """The scaling with the least worst-case optimum over ``plants``, by pattern search from ``start``; and
     that optimum."""
 
-    def worst(scaling: Scaling, limit: float | None) -> float | None:
-        """The largest optimum when all lie below ``limit`` (None: wherever), else None; the last offender is
-        asked first."""
+    def worst_below(limit: float, scaling: Scaling) -> float | None:
+        """The largest optimum when all lie below ``limit``, else None; the last offender is asked first."""
         largest = 0.0
         for k in list(order):
             plant = plants[k]
@@ -82,7 +81,11 @@ def common_scaling(plants: Sequence[GeneralisedPlant], start: Scaling) -> tuple[
         return largest
 
     order = list(range(len(plants)))
-    best, level = start, worst(start, None)
+    best = start
+    level = max(
+        optimal_level(scaled_plant(plant, start), plant.n_control, plant.n_measurement, OPTIMUM_RTOL)
+        for plant in plants
+    )
     step = FIRST_STEP if plants[0].blocks else 0.0
     while step >= LAST_STEP:
         improved = False
@@ -90,7 +93,7 @@ def common_scaling(plants: Sequence[GeneralisedPlant], start: Scaling) -> tuple[
             for sign in (1.0, -1.0):
                 x = best.log_parameters.copy()
                 x[index] += sign * step
-                value = worst(Scaling(x), level * (1 - OPTIMUM_RTOL))
+                value = worst_below(level * (1 - OPTIMUM_RTOL), Scaling(x))
                 if value is not None:
                     best, level, improved = Scaling(x), value, True
                     break
@@ -101,16 +104,20 @@ def common_scaling(plants: Sequence[GeneralisedPlant], start: Scaling) -> tuple[
 def common_family(
     plants: Sequence[GeneralisedPlant], scaling: Scaling, level: float
 ) -> tuple[Callable[[int], list[StateSpace]], int]:
-    """Controllers of all ``plants`` (of one structure, discrete) at one ``level`` above each optimum, as a
-    function of the order they are truncated to, and the largest such order. Truncated or not they share one
-    set of states."""
+    """Controllers of all ``plants`` at one ``level``: a function of the order that they are truncated to, and
+    the largest such order.
+
+    The plants are discrete and of one structure, the level is above each optimum. Truncated or not the
+    controllers share one set of states.
+    """
     scaled = [scaled_plant(plant, scaling) for plant in plants]
     t = balancing(scaled[len(scaled) // 2])
     scaled = [scaled_states(G, t) for G in scaled]
-    n, full, reach, seen = scaled[0].order, [], 0.0, 0.0
+    n, full = scaled[0].order, []
+    reach, seen = np.zeros((n, n)), np.zeros((n, n))
     for plant, G in zip(plants, scaled, strict=False):
         shape = plant.n_control, plant.n_measurement
-        optimum = improved_level(G, *shape, None, OPTIMUM_RTOL)
+        optimum = optimal_level(G, *shape, OPTIMUM_RTOL)
         found = hinf_synthesis(G, *shape, backoff=max(level / optimum - 1, OPTIMUM_RTOL), guess=optimum)
         K = found.controller.transformed(np.linalg.inv(found.basis))
         loop = lft(G, K)

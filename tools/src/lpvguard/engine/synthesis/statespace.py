@@ -130,20 +130,24 @@ class StateSpace:
 
     def select(self, rows, cols) -> StateSpace:
         """The subsystem from the inputs ``cols`` to the outputs ``rows`` (index arrays or slices)."""
-        names = lambda labels, index: tuple(np.asarray(labels, dtype=object)[index]) if labels else ()
         return StateSpace(
             self.A,
             self.B[:, cols],
             self.C[rows],
             self.D[rows][:, cols],
             self.dt,
-            names(self.inputs, cols),
-            names(self.outputs, rows),
+            _picked(self.inputs, cols),
+            _picked(self.outputs, rows),
         )
 
     def transformed(self, T) -> StateSpace:
         """The same system in the coordinates x = T x̃; ``T`` (n, n) invertible."""
         return replace(self, A=np.linalg.solve(T, self.A @ T), B=np.linalg.solve(T, self.B), C=self.C @ T)
+
+
+def _picked(labels: tuple[str, ...], index) -> tuple[str, ...]:
+    """The labels at ``index`` (an index array or a slice), none where there are none."""
+    return tuple(np.asarray(labels, dtype=object)[index]) if labels else ()
 
 
 def gain(D, dt: float = 0.0) -> StateSpace:
@@ -171,7 +175,10 @@ def append(*systems: StateSpace) -> StateSpace:
     """diag(G1, G2, ...): inputs and outputs side by side, nothing connected."""
     for one in systems[1:]:
         same_time(systems[0], one)
-    join = lambda part: sl.block_diag(*(getattr(g, part) for g in systems))
+
+    def join(part: str) -> np.ndarray:
+        return sl.block_diag(*(getattr(g, part) for g in systems))
+
     named = all(g.inputs and g.outputs for g in systems)
     n, m, p = (sum(getattr(g, k) for g in systems) for k in ("order", "n_inputs", "n_outputs"))
     return StateSpace(

@@ -112,7 +112,7 @@ class _Search:
             np.concatenate([np.full(n, x) for n, x in zip(sizes, [*d, 1.0], strict=True)])
             for sizes in ([b.cols for b in self.blocks], [b.rows for b in self.blocks])
         )
-        level, best = np.linalg.norm(M[self.a :, self.b :], 2), np.zeros((self.b, self.a), complex)
+        level, best = float(np.linalg.norm(M[self.a :, self.b :], 2)), np.zeros((self.b, self.a), complex)
         for _ in range(steps):
             scaled = M.copy()
             scaled[self.a :] /= max(level, 1e-300)
@@ -180,4 +180,6 @@ def _all_pass(value: complex, omega: float) -> StateSpace:
     lag = phase if phase < 0 else phase - np.pi  # of (β − s)/(β + s), within (−π, 0)
     beta = omega / np.tan(-0.5 * lag)
     # −1 + 2β/(s + β)
-    return StateSpace([[-beta]], [[1.0]], [[2 * beta * size * sign]], [[-size * sign]])
+    return StateSpace(
+        np.array([[-beta]]), np.ones((1, 1)), np.array([[2 * beta * size * sign]]), np.array([[-size * sign]])
+    )

@@ -1,0 +1,127 @@
+"""Fig. 1 of an identified vehicle: its settings, its weights and the generalised plant at a frozen speed.
+
+Everything is discrete from the start: the vehicle sampled exactly at Ts, the weights by Tustin's map. A delay
+in the plant holds the control input back by one sample.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..base.errors import InputError
+from ..engine.synthesis import interconnection as fig1
+from ..engine.synthesis.statespace import StateSpace, append, gain, series
+from ..identify.run import FittedWeight, StoredIdentification
+from ..vehicle.nominal import NominalModel
+from ..vehicle.project import DesignSettings
+from .stored_frames import StoredFrames, UncertaintyWeights
+
+LARGEST_WINDOW_ERROR = 0.1
+"""Median error of the state's uncertainty from frames, over bins, up to which K_is is designed from it."""
+
+
+def design_settings(stored: StoredIdentification) -> DesignSettings:
+    """The project's [design] table; InputError without one."""
+    if stored.project.design is None:
+        raise InputError(
+            f"vehicle {stored.project.name}", "design", "no [design] table", "objectives for step 8"
+        )
+    return stored.project.design
+
+
+def weight_system(weight: FittedWeight, inflation: float) -> StateSpace:
+    """A fitted weight times ``inflation`` as a continuous system, s in rad/s."""
+    return fig1.rational(inflation * weight.fit.weight.num, weight.fit.weight.den)
+
+
+def state_uncertainty(stored: StoredIdentification, settings: DesignSettings) -> UncertaintyWeights:
+    """Class S2's weights at the identified gamma_w: W_delta_i dimensionless, W_delta_s in 1/s.
+
+    xi_s adds to the state's derivative. It is found by inverting dynamics, which windows only approximate:
+    InputError where the frames cannot tell it.
+    """
+    error = stored.bounds["window_error_median"]
+    worst = int(np.nanargmax(error))
+    if error[worst] > LARGEST_WINDOW_ERROR:
+        omega = stored.bounds["omega_rad_s"][worst]
+        raise InputError(
+            stored.folder,
+            "design.structure",
+            f"K_is: these frames find the state's uncertainty with a median "
+            f"error of {error[worst]:.0%} at {omega:.3g} rad/s",
+            f"K_i, or frames whose error is at most {LARGEST_WINDOW_ERROR:.0%}: "
+            'the plain DFT, frames.estimator = "dft"',
+        )
+    frames = StoredFrames(stored)
+    return frames.weights(frames.explain_with_state(stored.bounds["gamma_w"], settings.lambda_s))
+
+
+def fig1_weights(stored: StoredIdentification, settings: DesignSettings) -> fig1.Weights:
+    """The ten weights of Fig. 1 for ``settings``: structure, A_t, A_u and shapes; the others as identified.
+
+    InputError without drives of the noise split.
+    """
+    fitted = stored.fitted
+    if not fitted.W_n or not fitted.W_C:
+        raise InputError(
+            stored.folder,
+            "W_n, W_C",
+            "missing: no drive of the noise split",
+            "zero-input drives listed under data.noise_split",
+        )
+    W_w, W_delta_i, W_delta_s = (
+        fitted.W_w_S0 if settings.structure == "K_inf" else fitted.W_w,
+        fitted.W_delta,
+        fitted.W_delta,
+    )
+    if settings.structure == "K_is":
+        state = state_uncertainty(stored, settings)
+        W_w, W_delta_i, W_delta_s = state.W_w, state.W_delta_i, state.W_delta_s or state.W_delta_i
+    g = fitted.inflation
+    return fig1.Weights(
+        W_R=fig1.rational(settings.W_R_num, settings.W_R_den),
+        W_C=weight_system(fitted.W_C[0], 1.0),
+        W_t=fig1.zeros_poles(settings.A_t, settings.W_t_zeros, settings.W_t_poles),
+        W_u=fig1.zeros_poles(settings.A_u, settings.W_u_zeros, settings.W_u_poles),
+        W_nr=weight_system(fitted.W_n[0], g),
+        W_ndelta=weight_system(fitted.W_n[1], g),
+        W_wr=weight_system(W_w[0], g),
+        W_wdelta=weight_system(W_w[1], g),
+        W_delta_i=weight_system(W_delta_i, g),
+        W_delta_s=weight_system(W_delta_s, g),
+    )
+
+
+def _delayed(plant: fig1.GeneralisedPlant) -> fig1.GeneralisedPlant:
+    """The plant with one sample of delay in front of its control input."""
+    n_w, n_u, dt = plant.system.n_inputs - plant.n_control, plant.n_control, plant.system.dt
+    shift = StateSpace(np.zeros((n_u, n_u)), np.eye(n_u), np.eye(n_u), np.zeros((n_u, n_u)), dt)
+    late = series(plant.system, append(gain(np.eye(n_w), dt), shift))
+    return replace(plant, system=replace(late, inputs=plant.system.inputs))
+
+
+def plant_at(
+    stored: StoredIdentification,
+    model: NominalModel,
+    weights: fig1.Weights,
+    v: float,
+    delayed: bool,
+    structure: str,
+    probes: bool = False,
+) -> fig1.GeneralisedPlant:
+    """The discrete generalised plant at speed v [m/s].
+
+    delayed: with one sample of delay in front of the control input. probes: as in ``generalised_plant``.
+    """
+    A, B = (m[0] for m in model.matrices(np.array([v])))
+    plant = fig1.generalised_plant(A, B, weights, structure, stored.project.Ts_s, probes=probes)
+    return _delayed(plant) if delayed else plant
+
+
+def frozen_plant(stored: StoredIdentification, v: float) -> fig1.GeneralisedPlant:
+    """The discrete generalised plant at speed v [m/s] that the certificates of a design are about."""
+    settings = design_settings(stored)
+    weights = fig1_weights(stored, settings)
+    return plant_at(stored, NominalModel(stored.project), weights, v, False, settings.structure)

@@ -1,0 +1,62 @@
+"""Coordinates of the state in which the Riccati equations lose few digits, and the pole that a plant's own
+coordinates leave uncertain.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg as sl
+
+from lpvguard.engine.synthesis.statespace import EPS, StateSpace, balancing, scaled_states
+
+
+def schur_coordinates(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
+    """G in the coordinates of a balanced Schur form, and their basis T (n, n): x = T x̃.
+
+    G itself is returned unless these coordinates make ‖A‖ at least ten times smaller. Scaling alone cannot
+    undo a dense, badly conditioned change of coordinates: ‖A‖ then is far above its eigenvalues.
+    """
+    own = np.eye(G.order)
+    if G.order < 2:
+        return G, own
+    schur = sl.schur(G.A)[1]
+    other = G.transformed(schur)
+    t = balancing(other)
+    other = scaled_states(other, t)
+    return (other, schur * t) if np.linalg.norm(other.A) < 0.1 * np.linalg.norm(G.A) else (G, own)
+
+
+def modal_coordinates(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
+    """G with A in real blocks, one for each pole or pair, and the basis T (n, n): x = T x̃.
+
+    Slow modes then stand apart from fast ones. G itself is returned where the eigenvectors do not span the
+    space.
+    """
+    values, vectors = np.linalg.eig(G.A)
+    T = sl.cdf2rdf(values, vectors)[1] if np.iscomplexobj(values) else vectors
+    if G.order < 2 or not np.linalg.cond(T) < 1e10:
+        return G, np.eye(G.order)
+    other = G.transformed(T)
+    t = balancing(other)
+    return scaled_states(other, t), T * t
+
+
+def frail_pole(plant: StateSpace) -> str:
+    """The pole of the plant as given that the last digits of A's entries leave uncertain, in a sentence;
+    empty where there is none.
+
+    First-order bound eps |y|ᵀ|A||x| / |yᴴx| on a pole's movement; it does not depend on the units of the
+    states.
+    """
+    if plant.order == 0:
+        return ""
+    poles, left, right = sl.eig(plant.A, left=True, right=True)
+    overlap = np.abs(np.sum(left.conj() * right, axis=0))
+    moved = (
+        EPS * np.sum(np.abs(left) * (np.abs(plant.A) @ np.abs(right)), axis=0) / np.maximum(overlap, 1e-300)
+    )
+    room = np.abs(1 - np.abs(poles)) if plant.dt else np.abs(poles.real)
+    k = int(np.argmax(moved / np.maximum(room, 1e-300)))
+    if moved[k] <= 1e-3 * room[k]:
+        return ""
+    return f"the last digits of A move its pole at {poles[k]:.4g} by up to {moved[k]:.1g}"

@@ -1,0 +1,324 @@
+"""The lower bound of μ: a Δ with I − M Δ singular, searched from many starts at once, and checked.
+
+The mixed power iteration (Young & Doyle 1990) finds candidates. A local ascent improves the best of them
+where blocks are complex or mixed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import scipy.linalg as sl
+
+from lpvguard.engine.blocks import Block
+from lpvguard.engine.synthesis.structure import Structure
+
+Parts = list[np.ndarray | complex]
+"""A Δ of unit size block by block: a matrix of a full block, the number of a repeated one."""
+_Found = tuple[float, np.ndarray, Parts]
+"""A lower bound, the Δ that attains it, and the parts that Δ was made of."""
+
+
+def lower_bound(
+    M: np.ndarray,
+    structure: Structure,
+    left: np.ndarray,
+    right: np.ndarray,
+    enough: float,
+    starts: int,
+    steps: int = 200,
+) -> tuple[float, np.ndarray | None]:
+    """Largest β found with I − M Δ singular and max σ̄(Δ_i) = 1/β, and that Δ; (0, None) when none was found.
+
+    The factors of the upper bound's scalings commute with Δ, so the iteration runs on the scaled,
+    well-balanced matrix.
+    """
+    N = left.conj().T @ M @ np.linalg.inv(right.conj().T)
+    scaled = N / np.linalg.norm(N, 2)
+    candidates = _power_iteration(scaled, structure, starts, steps)
+    found: list[_Found] = []
+    for parts in candidates + _vertices(structure, candidates[-1]):
+        value, delta = _make_singular(M, structure, parts)
+        if delta is not None and _is_singular(M, delta):
+            found.append((value, delta, parts))
+    found.sort(key=lambda one: -one[0])
+    if structure.complex_only:
+        for _, _, parts in found[:3]:
+            if found[0][0] >= enough:
+                break
+            value, delta = _make_singular(M, structure, _align(scaled, structure, parts))
+            if delta is not None and value > found[0][0] and _is_singular(M, delta):
+                found.insert(0, (value, delta, parts))
+    elif any(b.kind != "repeated_real" for b in structure.blocks):
+        for value, _, parts in _distinct(found)[:6]:
+            if found[0][0] >= enough:
+                break
+            value, delta = _MixedAscent(M, structure, parts).run(value)
+            if value > found[0][0] and _is_singular(M, delta):
+                found.insert(0, (value, delta, parts))
+    return found[0][:2] if found else (0.0, None)
+
+
+def _distinct(found: list[_Found]) -> list[_Found]:
+    """Of candidates sorted by value those that differ in it by more than rounding."""
+    return [one for k, one in enumerate(found) if k == 0 or one[0] < found[k - 1][0] * (1 - 1e-6)]
+
+
+def _vertices(structure: Structure, parts: Parts) -> list[Parts]:
+    """``parts`` with the real blocks at every combination of ±1 (up to 64 of them): where a pure real optimum
+    often lies.
+    """
+    real = [k for k, b in enumerate(structure.blocks) if b.kind == "repeated_real"]
+    out = []
+    for signs in range(2 ** max(min(len(real), 7) - 1, 0) if real else 0):
+        one = list(parts)
+        for j, k in enumerate(real):
+            one[k] = -1.0 if j and signs >> (j - 1) & 1 else 1.0
+        out.append(one)
+    return out
+
+
+def _align(M: np.ndarray, structure: Structure, parts: Parts, steps: int = 200) -> Parts:
+    """Local ascent of ρ(M Q) over complex Q: each block turned to the gradient at the eigenvectors."""
+    value = 0.0
+    for _ in range(steps):
+        Q = _assemble(structure, parts)
+        values, left, right = sl.eig(M @ Q, left=True)
+        k = int(np.argmax(np.abs(values)))
+        x, y = right[:, k], M.conj().T @ left[:, k]
+        inner = np.vdot(left[:, k], x)
+        turn = values[k] / max(abs(values[k]), 1e-300) * inner / max(abs(inner), 1e-300)
+        new = []
+        for block, r, c in zip(structure.blocks, structure.row, structure.col, strict=True):
+            if block.kind == "full":
+                new.append(
+                    turn
+                    * np.outer(y[c], x[r].conj())
+                    / max(np.linalg.norm(y[c]) * np.linalg.norm(x[r]), 1e-300)
+                )
+            else:
+                overlap = np.vdot(x[r], y[c])
+                new.append(turn * overlap / max(abs(overlap), 1e-300))
+        if abs(values[k]) <= value * (1 + 1e-13):
+            break
+        value, parts = abs(values[k]), new
+    return parts
+
+
+class _MixedAscent:
+    """Local search over a mixed Δ: the real blocks q/β are closed first, the complex ones are aligned to what
+    is left.
+
+    At a level β that is reached, any q for which the rest N(β, q) has ρ(N Q) > β raises the level; a pattern
+    search on q in [−1, 1] looks for one, and a secant search on β finds the level at which ρ(N Q) = β again.
+    """
+
+    def __init__(self, M: np.ndarray, structure: Structure, parts: Parts):
+        real = [b.kind == "repeated_real" for b in structure.blocks]
+        self.structure, self.real = structure, real
+
+        def join(slices: list[slice], kind: bool) -> np.ndarray:
+            return np.concatenate([np.r_[s] for s, r in zip(slices, real, strict=True) if r == kind])
+
+        self.r_row, self.r_col = join(structure.row, True), join(structure.col, True)
+        c_row, c_col = join(structure.row, False), join(structure.col, False)
+        self.rest = Structure(tuple(b for b, r in zip(structure.blocks, real, strict=True) if not r))
+        self.sizes = [b.rows for b, r in zip(structure.blocks, real, strict=True) if r]
+        self.Mcc, self.Mcr = M[np.ix_(c_row, c_col)], M[np.ix_(c_row, self.r_col)]
+        self.Mrc, self.Mrr = M[np.ix_(self.r_row, c_col)], M[np.ix_(self.r_row, self.r_col)]
+        self.q = np.array([p for p, r in zip(parts, real, strict=True) if r])
+        self.parts = [p for p, r in zip(parts, real, strict=True) if not r]
+
+    def spectral(self, q: np.ndarray, beta: float, parts: Parts) -> tuple[complex, Parts]:
+        """ρ(N(β, q) Q) with Q aligned from ``parts``: the eigenvalue and the aligned parts; 0 where N does
+        not exist.
+        """
+        diagonal = np.repeat(q, self.sizes) / beta
+        try:
+            inner = np.linalg.solve(np.eye(len(diagonal)) - self.Mrr * diagonal, self.Mrc)
+        except np.linalg.LinAlgError:
+            return 0.0, parts
+        N = self.Mcc + self.Mcr * diagonal @ inner
+        parts = _align(N, self.rest, parts, steps=20)
+        values = np.linalg.eigvals(N @ _assemble(self.rest, parts))
+        return values[np.argmax(np.abs(values))], parts
+
+    def run(self, beta: float, budget: int = 120) -> tuple[float, np.ndarray]:
+        """Search from level ``beta``; the level reached and Δ there."""
+        size = 0.4
+        beta, value = self.level(self.q, beta, self.parts)
+        while size > 1e-5 and budget > 0:
+            better = False
+            for k in range(len(self.q)):
+                for sign in (1, -1):
+                    trial = self.q.copy()
+                    trial[k] = np.clip(trial[k] + sign * size, -1, 1)
+                    if trial[k] == self.q[k]:
+                        continue
+                    budget -= 1
+                    found, parts = self.spectral(trial, beta, self.parts)
+                    if abs(found) > beta * (1 + 1e-9):
+                        self.q, self.parts, better = trial, parts, True
+                        beta, value = self.level(trial, beta, parts)
+            size *= 1.0 if better else 0.4
+        q, rest = iter(self.q), iter(self.parts)
+        full = [next(q) if r else next(rest) * (abs(value) / value if value else 1.0) for r in self.real]
+        return beta, _assemble(self.structure, full) / beta
+
+    def level(self, q: np.ndarray, beta: float, parts: Parts) -> tuple[float, complex]:
+        """The β ≥ about ``beta`` at which ρ(N(β, q) Q) = β, by secant steps; and the eigenvalue there."""
+        low, f0 = beta, None
+        value: complex = 0.0
+        for _ in range(40):
+            value, parts = self.spectral(q, beta, parts)
+            f1 = np.log(max(abs(value), 1e-300) / beta)
+            if abs(f1) < 1e-13:
+                break
+            secant = f0 is not None and f0 != f1
+            step = -f1 * (np.log(beta) - np.log(low)) / (f1 - f0) if secant else f1
+            low, f0 = beta, f1
+            beta *= np.exp(np.clip(step, -0.5, 0.5))
+        self.parts = parts
+        return beta, value
+
+
+def _power_iteration(N: np.ndarray, structure: Structure, starts: int, steps: int) -> list[Parts]:
+    """Unit-size perturbations, per block an array (full) or a number, from ``starts`` runs side by side."""
+    rng = np.random.default_rng(1)
+    count = starts + min(N.shape)
+    b = rng.standard_normal((N.shape[1], count)) + 1j * rng.standard_normal((N.shape[1], count))
+    b[:, starts:] = np.linalg.svd(N)[2][: count - starts].conj().T
+    w = b.copy()
+    q = np.where(np.arange(count) % 2, rng.uniform(-1, 1, (len(structure.blocks), count)), 1.0)
+    z = np.zeros((N.shape[0], count), complex)
+    tiny = 1e-300
+    for _ in range(steps):
+        a = _unit(N @ b)
+        for k, (block, r, c) in enumerate(zip(structure.blocks, structure.row, structure.col, strict=True)):
+            if block.kind == "full":
+                z[r] = a[r] * (np.linalg.norm(w[c], axis=0) / (np.linalg.norm(a[r], axis=0) + tiny))
+            else:
+                z[r] = w[c] * _factor(block, a[r], w[c], b[c], q, k)
+        w = _unit(N.conj().T @ z)
+        before = b
+        b = np.empty_like(b)
+        for k, (block, r, c) in enumerate(zip(structure.blocks, structure.row, structure.col, strict=True)):
+            if block.kind == "full":
+                b[c] = w[c] * (np.linalg.norm(a[r], axis=0) / (np.linalg.norm(w[c], axis=0) + tiny))
+            else:
+                b[c] = a[r] * np.conj(_factor(block, a[r], w[c], before[c], q, k))
+        if np.abs(b - before).max() < 1e-13:
+            break
+    out = []
+    for s in range(count):
+        parts = []
+        for k, (block, r, c) in enumerate(zip(structure.blocks, structure.row, structure.col, strict=True)):
+            u, v = w[c, s], a[r, s]
+            if block.kind == "full":
+                parts.append(np.outer(u, v.conj()) / max(np.linalg.norm(u) * np.linalg.norm(v), tiny))
+            elif block.kind == "repeated_complex":
+                inner = np.vdot(v, u)
+                parts.append(inner / abs(inner) if abs(inner) > 0 else 1.0 + 0j)
+            else:
+                parts.append(float(q[k, s]))
+        out.append(parts)
+    return out
+
+
+def _factor(block: Block, a: np.ndarray, w: np.ndarray, b: np.ndarray, q: np.ndarray, k: int) -> np.ndarray:
+    """The number that a repeated block multiplies by: a phase, or q in [−1, 1] (updated in place)."""
+    inner = np.sum(w.conj() * a, axis=0)
+    if block.kind == "repeated_complex":
+        return np.where(np.abs(inner) > 0, inner / np.maximum(np.abs(inner), 1e-300), 1.0)
+    step = (
+        np.sign(q[k]) * np.linalg.norm(b, axis=0) / np.maximum(np.linalg.norm(a, axis=0), 1e-300) + inner.real
+    )
+    q[k] = np.clip(np.where(step == 0, 1e-3, step), -1, 1)
+    return q[k]
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    return v / np.maximum(np.linalg.norm(v, axis=0), 1e-300)
+
+
+def _assemble(structure: Structure, parts: Parts, turn: complex = 1.0) -> np.ndarray:
+    """Δ from its parts, complex blocks turned by the phase ``turn``."""
+    delta = np.zeros((structure.n_cols, structure.n_rows), complex)
+    for block, r, c, part in zip(structure.blocks, structure.row, structure.col, parts, strict=True):
+        if block.kind == "full":
+            delta[c, r] = part * turn
+        else:
+            delta[c, r] = np.eye(block.rows) * (part if block.kind == "repeated_real" else part * turn)
+    return delta
+
+
+def _make_singular(M: np.ndarray, structure: Structure, parts: Parts) -> tuple[float, np.ndarray | None]:
+    """Scale a unit perturbation to Δ with I − M Δ singular; (β, Δ) or (0, None)."""
+    if structure.complex_only:
+        delta = _assemble(structure, parts)
+        values = np.linalg.eigvals(M @ delta)
+        value = values[np.argmax(np.abs(values))]
+        return (abs(value), delta / value) if abs(value) > 0 else (0.0, None)
+    best, found = 0.0, None
+    for vary in _free_parameters(structure, parts):
+        for start in np.linalg.eigvals(M @ vary(0.0)):
+            real = _make_real(M, vary, start)[1]
+            # a Δ whose blocks all lie inside their bounds is smaller than 1/value
+            if real is not None and 1 / _size(structure, real) > best:
+                best, found = 1 / _size(structure, real), real
+    return best, found
+
+
+def _size(structure: Structure, delta: np.ndarray) -> float:
+    """max_i σ̄(Δ_i)."""
+    return max(
+        float(np.linalg.norm(delta[c, r], 2)) for r, c in zip(structure.row, structure.col, strict=True)
+    )
+
+
+def _free_parameters(structure: Structure, parts: Parts) -> Iterator[Callable[[float], np.ndarray]]:
+    """One-parameter families through a mixed Δ that keep its size: turn the complex blocks, or move one real
+    block.
+    """
+    if any(b.kind != "repeated_real" for b in structure.blocks):
+        yield lambda s: _assemble(structure, parts, np.exp(1j * s))
+    for k, block in enumerate(structure.blocks):
+        if block.kind == "repeated_real":
+
+            def move(s, k=k):
+                return _assemble(
+                    structure, [*parts[:k], float(np.clip(parts[k] + s, -1, 1)), *parts[k + 1 :]]
+                )
+
+            yield move
+
+
+def _make_real(
+    M: np.ndarray, vary: Callable[[float], np.ndarray], start: complex
+) -> tuple[float, np.ndarray | None]:
+    """Secant steps take the eigenvalue ``start`` of M Δ(s) to the real axis; (β, Δ(s)/±β) or (0, None)."""
+    s0, value = 0.0, start
+    s1 = 1e-4
+    f0 = value.imag
+    for _ in range(30):
+        if abs(value.imag) <= 1e-13 * abs(value):
+            break
+        values = np.linalg.eigvals(M @ vary(s1))
+        value = values[np.argmin(np.abs(values - value))]
+        f1 = value.imag
+        if f1 == f0:
+            break
+        s0, s1, f0 = s1, s1 - np.clip(f1 * (s1 - s0) / (f1 - f0), -0.5, 0.5), f1
+    else:
+        return 0.0, None
+    if abs(value.imag) > 1e-11 * abs(value) or value.real == 0:
+        return 0.0, None
+    delta = vary(s0 if abs(start.imag) > 1e-13 * abs(start) else 0.0)
+    return abs(value.real), delta / value.real
+
+
+def _is_singular(M: np.ndarray, delta: np.ndarray) -> bool:
+    """det(I − M Δ) = 0 within rounding."""
+    sigma = np.linalg.svd(np.eye(len(M)) - M @ delta, compute_uv=False)
+    return bool(sigma[-1] <= 1e-9 * max(sigma[0], 1.0))
