@@ -21,7 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..engine.overbound import Weight, fit_overbound
+from ..engine.overbound.fit import fit_overbound
+from ..engine.overbound.weight import Weight
 from . import parser, show
 from ._peers import Peers
 

@@ -42,7 +42,10 @@ from ..core.coefficients import Coefficients, build_coefficients, vehicle_files
 from ..core.compiled import Core
 from ..drives.frames import Estimator
 from ..drives.tables import EXPERIMENTS, Drive, Experiment, list_experiments, read_drive, require_units
-from ..engine.overbound import OverboundFit, Weight, fit_overbound, subtract_noise, verify_overbound
+from ..engine.overbound.certificate import verify_overbound
+from ..engine.overbound.fit import OverboundFit, fit_overbound
+from ..engine.overbound.noise import subtract_noise
+from ..engine.overbound.weight import Weight
 from ..engine.validation import s1
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, parse_project

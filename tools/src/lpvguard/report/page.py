@@ -19,7 +19,7 @@ from ..base import artefacts
 from ..core.compiled import REASONS, VERDICTS
 from ..drives.frames import Estimator
 from ..drives.tables import Drive
-from ..engine.overbound import Weight
+from ..engine.overbound.weight import Weight
 from ..engine.validation import s1
 from ..evaluate.run import (
     COUNTS_ONLY,
