@@ -9,9 +9,9 @@ import pytest
 from lpvguard.base import native
 from lpvguard.base.errors import InputError
 from lpvguard.bench.validation import truck_points
+from lpvguard.engine.blocks import Block
 from lpvguard.engine.validation import lft, s2
-from lpvguard.engine.validation.delta import Block
-from lpvguard.engine.validation.lft import Lft
+from lpvguard.engine.validation.problem import Lft
 
 S2_KEYS = ("e", "u", "x_nom", "h_i", "h_s", "c", "gamma_w")
 
@@ -143,7 +143,7 @@ def test_s2_names_the_bad_point():
     with pytest.raises(InputError, match="e, point 2"):
         s2.solve(*args)
     names = [f"drive {k // 2}, {1.5 + k % 2} rad/s" for k in range(len(args[0]))]
-    with pytest.raises(InputError, match="e, drive 1, 1.5 rad/s: a value that is not finite"):
+    with pytest.raises(InputError, match=r"e, drive 1, 1.5 rad/s: a value that is not finite"):
         s2.solve(*args, names=names)
     for slot, value, what in ((1, 0.0, "u"), (6, -1.0, "gamma_w")):
         bad = [np.array(data[k]) for k in S2_KEYS]
@@ -153,5 +153,5 @@ def test_s2_names_the_bad_point():
     with pytest.raises(InputError, match="names"):
         s2.solve(*[np.array(data[k]) for k in S2_KEYS], names=names[1:])
     args = [np.array(data[k]) for k in S2_KEYS]
-    with pytest.raises(InputError, match="x_nom|h_i"):
+    with pytest.raises(InputError, match=r"x_nom|h_i"):
         s2.solve(*args[:3], args[3][:, :2], *args[4:])
