@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from lpvguard.engine.blocks import Block
 from lpvguard.engine.validation import delta as dl
-from lpvguard.engine.validation.delta import Block
-from lpvguard.engine.validation.lft import Lft
+from lpvguard.engine.validation.problem import Lft
 
 
 def gauss(rng, *shape):
@@ -22,9 +22,9 @@ def made_from_truth(rng, n_y, blocks, *, p12=False, n_w=None, size=0.3, noise=0.
     p12 = gain * gauss(rng, q, wide) if p12 else np.zeros((q, wide), complex)
     pieces = []
     for b in blocks:
-        d = gauss(rng, b.rows, b.cols) if b.type == "full" else np.eye(b.rows, dtype=complex)
+        d = gauss(rng, b.rows, b.cols) if b.kind == "full" else np.eye(b.rows, dtype=complex)
         d *= size * rng.uniform(0.3, 1.0) / np.linalg.norm(d, 2)
-        pieces.append(d * (np.exp(2j * np.pi * rng.uniform()) if b.type == "repeated_complex" else 1.0))
+        pieces.append(d * (np.exp(2j * np.pi * rng.uniform()) if b.kind == "repeated_complex" else 1.0))
     total = np.zeros((p, q), complex)
     row = col = 0
     for d in pieces:
@@ -55,8 +55,8 @@ def substitute(problem, s, gamma=None):
     for (block, xi, eta_i, nu), made in zip(pieces, s.verification.deltas, strict=True):
         assert np.linalg.norm(xi) <= nu * np.linalg.norm(eta_i) * (1 + 1e-8) + 1e-12
         np.testing.assert_allclose(made @ eta_i, xi, atol=1e-7 * (np.linalg.norm(xi) + 1e-9))
-        if block.type != "full":
+        if block.kind != "full":
             np.testing.assert_allclose(made, made[0, 0] * np.eye(block.rows), atol=0)
-        if block.type == "repeated_real":
+        if block.kind == "repeated_real":
             assert np.all(made.imag == 0)
     assert s.verification.residual < 1e-6

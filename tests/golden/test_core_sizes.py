@@ -24,7 +24,7 @@ from lpvguard.core.coefficients import build_coefficients, vehicle_files
 from lpvguard.core.compiled import Core, library_root, shipped_vehicle
 from lpvguard.core.control_coefficients import replaced_controller
 from lpvguard.drives.frames import Estimator
-from lpvguard.engine.overbound import Weight
+from lpvguard.engine.overbound.weight import Weight
 from lpvguard.engine.validation import s1
 from lpvguard.identify.energy import EnergyTest
 from lpvguard.vehicle.nominal import NominalModel

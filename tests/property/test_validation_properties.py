@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.validation import lft, s1
 from lpvguard.engine.validation.delta import split
-from lpvguard.engine.validation.lft import Lft
+from lpvguard.engine.validation.problem import Lft, parametrise
 
 SEEDS = st.integers(0, 2**32 - 1)
 fast = settings(derandomize=True, max_examples=150, deadline=None)
@@ -174,7 +174,7 @@ def test_random_explanations_are_never_below_the_certified_bound(seed):
     rng, p, _, _ = lft_point(seed)
     gamma = 0.2
     s = lft.optimum(p, gamma, [1.0, 1.0])
-    par = lft.parametrise(p)
+    par = parametrise(p)
     d = par.xi_map.shape[1] - 1
     for _ in range(300):
         z = gauss(rng, d) * 10.0 ** rng.uniform(-2, 1)

@@ -9,14 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from lpvguard.engine.overbound import (
-    Weight,
-    _is_hurwitz,
-    _squared,
-    fit_overbound,
-    subtract_noise,
-    verify_overbound,
-)
+from lpvguard.engine.overbound.certificate import is_hurwitz, squared, verify_overbound
+from lpvguard.engine.overbound.fit import fit_overbound
+from lpvguard.engine.overbound.noise import subtract_noise
+from lpvguard.engine.overbound.weight import Weight
 
 FEW = settings(max_examples=8, deadline=None, derandomize=True)
 MANY = settings(max_examples=40, deadline=None, derandomize=True)
@@ -129,11 +125,11 @@ def test_a_lowered_fit_is_rejected(sample, by):
 @given(stable_weights())
 def test_squared_magnitude_and_stability_agree_with_the_roots(weight):
     omega = np.geomspace(1e-3, 1e3, 50)
-    square = np.polynomial.polynomial.polyval((omega / 0.5) ** 2, _squared(weight.den, 0.5))
+    square = np.polynomial.polynomial.polyval((omega / 0.5) ** 2, squared(weight.den, 0.5))
     assert np.allclose(square, np.abs(np.polyval(weight.den, 1j * omega)) ** 2, rtol=1e-6)
-    assert _is_hurwitz(weight.den) and _is_hurwitz(weight.num)
+    assert is_hurwitz(weight.den) and is_hurwitz(weight.num)
     flipped = weight.den * (-1.0) ** np.arange(weight.den.size)
-    assert _is_hurwitz(flipped) == (weight.order == 0)
+    assert is_hurwitz(flipped) == (weight.order == 0)
 
 
 @MANY

@@ -21,7 +21,7 @@ from lpvguard.base.artefacts import write_files
 from lpvguard.core.coefficients import build_coefficients, vehicle_files
 from lpvguard.core.control_coefficients import ARRAYS, build_controller, control_files, replaced_controller
 from lpvguard.drives.frames import Estimator
-from lpvguard.engine.overbound import Weight
+from lpvguard.engine.overbound.weight import Weight
 from lpvguard.identify.energy import EnergyTest
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project

@@ -12,7 +12,11 @@ from lpvguard.base.errors import InputError
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.validation import delta as dl
 from lpvguard.engine.validation import lft, lmi
-from lpvguard.engine.validation.lft import Lft
+from lpvguard.engine.validation.posed import ball, block_form, pose
+from lpvguard.engine.validation.problem import Lft, parametrise
+from lpvguard.engine.validation.quadratic import Form, Quadratic
+from lpvguard.engine.validation.relaxation import Box, Node, Relaxation
+from lpvguard.engine.validation.well_posed import block_caps, well_posed
 
 FULL = {
     "one block": (2, [("full", 1, 1)], {}),
@@ -42,7 +46,7 @@ def test_full_blocks_are_solved_to_a_certified_gap(name):
 
 def forms(problem):
     """Homogeneous maps (xi, eta, w, t) of a problem in the paper's coordinates, for conic references."""
-    par = lft.parametrise(problem)
+    par = parametrise(problem)
     t = np.zeros((1, par.xi_map.shape[1]))
     t[0, -1] = 1.0
     return (
@@ -153,7 +157,7 @@ def test_parametrisation_covers_exactly_the_solutions():
     rng = np.random.default_rng(2)
     for n_w in (1, 2, 4):
         problem, _, _ = made_from_truth(rng, 2, [("full", 2, 2), ("full", 1, 1)], p12=True, n_w=n_w)
-        par = lft.parametrise(problem)
+        par = parametrise(problem)
         d = par.xi_map.shape[1] - 1
         assert d == 3 + n_w - 2
         for _ in range(10):
@@ -169,7 +173,7 @@ def test_parametrisation_covers_exactly_the_solutions():
 
 def test_b1_is_the_feasibility_edge():
     problem, _, _ = made_from_truth(np.random.default_rng(3), 3, [("full", 1, 1)], noise=0.4)
-    b1 = lft.parametrise(problem).b1
+    b1 = parametrise(problem).b1
     assert b1 > 0
     s = lft.optimum(problem, b1, [1.0])
     assert np.linalg.norm(s.w) == pytest.approx(b1, rel=1e-8)
@@ -353,19 +357,19 @@ def test_the_tangent_bounds_every_point_of_its_box(blocks):
     gamma = 1.1 * np.linalg.norm(w)
     lambda_w = 0.3 * np.sum(nu**2) / np.linalg.norm(w) ** 2 * np.ones(3)
     s = lft.optimum(problem, gamma, np.ones(len(blocks)), lambda_w, gap=4e-4)
-    posed = lft._pose(problem, gamma)
-    forms = lft._ball(posed, gamma) + [lft._block_form(posed, i, param=i) for i in range(len(blocks))]
-    forms.append(lft._Form(np.sqrt(lambda_w)[:, None] * posed.w, posed.t, param=len(blocks)))
-    search = lft._Quadratic(forms, len(blocks) + 1, posed.n)
+    posed = pose(problem, gamma)
+    forms = ball(posed, gamma) + [block_form(posed, i, param=i) for i in range(len(blocks))]
+    forms.append(Form(np.sqrt(lambda_w)[:, None] * posed.w, posed.t, param=len(blocks)))
+    search = Quadratic(forms, len(blocks) + 1, posed.n)
     at = {k: complex(s.verification.deltas[k - 1][0, 0]) for k in search.repeated}
-    rays = np.eye(len(blocks) + 1)[[p for p in range(len(blocks) + 1) if p not in search._boxed]]
+    rays = np.eye(len(blocks) + 1)[[p for p in range(len(blocks) + 1) if p not in search.boxed]]
     losses = []
     for half in (0.02, 0.01, 0.005):
         boxes = {}
         for k, c in at.items():
             side = half * (1.0 if search.forms[k].repeated == "repeated_real" else 1 + 1j)
-            boxes[k] = lft._Box(c - side, c + side)
-        bound = search.tangent(lft._Node(0.0, 0, rays, boxes), np.inf)
+            boxes[k] = Box(c - side, c + side)
+        bound = Relaxation(search).tangent(Node(0.0, 0, rays, boxes), np.inf)
         # The optimum lies in the box, and so do the nearby points below.
         assert bound.lower <= s.upper * (1 + 1e-9)
         losses.append(bound.centre - bound.box)
@@ -377,8 +381,8 @@ def test_the_tangent_bounds_every_point_of_its_box(blocks):
                 )
                 for k, b in boxes.items()
             }
-            z, _ = search._on_subspace(posed.points(s)[0], scalars)
-            z = search.repair(z) if z is not None else None
+            projected = search.on_subspace(posed.points(s)[0], scalars)
+            z = search.repair(projected[0]) if projected is not None else None
             if z is not None:
                 assert search.cost(z) >= bound.lower * (1 - 1e-9)
     assert losses[2] < 0.5 * losses[1] < 0.25 * losses[0]
@@ -423,7 +427,7 @@ def test_a_size_at_the_cap_is_never_returned_as_a_bound():
         0.01 * gauss(rng, 2),
         np.array([1.0 + 0j, -1.0]),
     )
-    assert lft.block_caps(problem)[0] == pytest.approx(0.1)
+    assert block_caps(problem)[0] == pytest.approx(0.1)
     solution = None
     try:
         solution = lft.optimum(problem, 0.01, [1.0])
@@ -431,8 +435,8 @@ def test_a_size_at_the_cap_is_never_returned_as_a_bound():
         assert "cap" in str(exc)
     if solution is not None:
         assert solution.nu[0] < 0.1
-    assert not lft.well_posed(problem, np.array([0.1]))
-    assert lft.well_posed(problem, np.array([0.0999]))
+    assert not well_posed(problem, np.array([0.1]))
+    assert well_posed(problem, np.array([0.0999]))
 
 
 @pytest.mark.parametrize("block_type", ["full", "repeated_complex", "repeated_real"])
@@ -444,8 +448,8 @@ def test_well_posedness_is_that_of_the_structure(block_type):
     cap = {"full": 1 / np.linalg.norm(p11, 2), "repeated_complex": 0.5, "repeated_real": 2.0}[block_type]
     zero, one = np.zeros((3, 3), complex), np.ones(3, complex)
     problem = Lft((Block(block_type, 3, 3),), p11, zero, np.eye(3) + zero, np.eye(3) + zero, one, one)
-    assert lft.well_posed(problem, np.array([0.98 * cap]))
-    assert not lft.well_posed(problem, np.array([1.0001 * cap]))
+    assert well_posed(problem, np.array([0.98 * cap]))
+    assert not well_posed(problem, np.array([1.0001 * cap]))
 
 
 def test_a_block_without_input_cannot_explain():

@@ -9,9 +9,9 @@ import pytest
 from lpvguard.base import native
 from lpvguard.base.errors import InputError
 from lpvguard.bench.validation import truck_points
+from lpvguard.engine.blocks import Block
 from lpvguard.engine.validation import lft, s2
-from lpvguard.engine.validation.delta import Block
-from lpvguard.engine.validation.lft import Lft
+from lpvguard.engine.validation.problem import Lft
 
 S2_KEYS = ("e", "u", "x_nom", "h_i", "h_s", "c", "gamma_w")
 

@@ -16,8 +16,11 @@ import pytest
 from lpvguard.base.errors import InputError
 from lpvguard.bench import weights as bench
 from lpvguard.bench._peers import ask
-from lpvguard.engine import overbound as weights
-from lpvguard.engine.overbound import Weight, fit_overbound, subtract_noise, verify_overbound
+from lpvguard.engine.overbound import minimax
+from lpvguard.engine.overbound.certificate import verify_overbound
+from lpvguard.engine.overbound.fit import fit_overbound
+from lpvguard.engine.overbound.noise import subtract_noise
+from lpvguard.engine.overbound.weight import Weight
 
 BAND = np.geomspace(1e-3, 1e3, 401)
 
@@ -442,9 +445,9 @@ def test_noise_subtraction_refuses_by_name(changes, words):
 def test_the_32_bounds_of_the_bench_are_covered_tightly_by_few_linear_programs(monkeypatch):
     """The time of a fit goes into its linear programs; `lpvguard bench weights` measures it."""
     programs = []
-    solve = weights.linprog
+    solve = minimax.linprog
     monkeypatch.setattr(
-        weights,
+        minimax,
         "linprog",
         lambda *arguments, **options: programs.append(name) or solve(*arguments, **options),
     )

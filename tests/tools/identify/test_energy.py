@@ -20,7 +20,7 @@ from lpvguard.core.compiled import Core, shipped_vehicle
 from lpvguard.drives.faults import Fault, inject
 from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import read_drive
-from lpvguard.engine.overbound import Weight
+from lpvguard.engine.overbound.weight import Weight
 from lpvguard.identify import run as stage
 from lpvguard.identify.bounds import nominal_error
 from lpvguard.identify.energy import ROUNDING, EnergyTest, fan, in_delta

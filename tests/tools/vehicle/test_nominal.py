@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from lpvguard.base.errors import InputError
 from lpvguard.core.coefficients import build_coefficients
 from lpvguard.drives.frames import Estimator
-from lpvguard.engine.overbound import Weight
+from lpvguard.engine.overbound.weight import Weight
 from lpvguard.identify.energy import EnergyTest
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project

@@ -24,7 +24,7 @@ from ..core.coefficients import build_coefficients, vehicle_files
 from ..core.control_coefficients import ControllerCoefficients, build_controller
 from ..core.targets import TARGETS, Input, run_host, run_target
 from ..drives.frames import Estimator
-from ..engine.overbound import Weight
+from ..engine.overbound.weight import Weight
 from ..identify.energy import EnergyTest
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, load_project, parse_project

@@ -52,9 +52,9 @@ class Row:
 def truck_points(
     experiments: int = 20, bins: int = 1024, seed: int = 0, ts_s: float = 0.01
 ) -> dict[str, np.ndarray]:
-    """Points made from a known (delta, Delta_s, w): speeds 8 to 22 m/s, 1024 bins from 0.02 rad/s to 90 % of
-    Nyquist.
+    """Points of class S2 made from a known (delta, Delta_s, w), all of them from ``seed``.
 
+    ``experiments`` speeds from 8 to 22 m/s, ``bins`` from 0.02 rad/s to 90 % of Nyquist, sampled at ``ts_s``.
     Keys: e (K, 2), z (K, 2), u (K,), x_nom (K, 3), h_i (K, 3), h_s (K, 3, 3), c (2, 3), gamma_w (K,), w_delta
     (K,), w_w (K, 2).
     """
@@ -64,15 +64,15 @@ def truck_points(
         return (rng.normal(size=shape) + 1j * rng.normal(size=shape)) / np.sqrt(2.0)
 
     omega = np.geomspace(0.02, 0.9 * np.pi / ts_s, bins)
-    h_i, h_s = [], []
+    per_speed_i, per_speed_s = [], []
     for v in np.linspace(8.0, 22.0, experiments):
         a, _ = truck_model.continuous(v, 4.5)
         a_d, b_d = truck_model.zoh(v, 4.5, ts_s)
         g_d = np.linalg.solve(a, a_d - np.eye(3))
         resolvent = np.linalg.inv(np.exp(1j * omega * ts_s)[:, None, None] * np.eye(3) - a_d)
-        h_i.append((resolvent @ b_d)[:, :, 0])
-        h_s.append(resolvent @ g_d)
-    h_i, h_s = np.concatenate(h_i), np.concatenate(h_s)
+        per_speed_i.append((resolvent @ b_d)[:, :, 0])
+        per_speed_s.append(resolvent @ g_d)
+    h_i, h_s = np.concatenate(per_speed_i), np.concatenate(per_speed_s)
     points = experiments * bins
     u = gauss(points)
     x_nom = h_i * u[:, None]
@@ -113,29 +113,34 @@ def _time_us(run: Callable[[], object], points: int, repeats: int) -> float:
 
 def _peer_s1(data, k):
     import cvxpy as cp
+    from cvxpy.atoms.elementwise.abs import abs as modulus
+    from cvxpy.atoms.norm import norm
 
     delta = cp.Variable(complex=True)
     e, z = data["e"][k], data["z"][k]
     scale = np.linalg.norm(e)
     problem = cp.Problem(
-        cp.Minimize(cp.abs(delta)), [cp.norm(e / scale - delta * (z / scale)) <= data["gamma_w"][k] / scale]
+        cp.Minimize(modulus(delta)), [norm(e / scale - delta * (z / scale)) <= data["gamma_w"][k] / scale]
     )
     return problem.solve(solver=cp.CLARABEL)
 
 
 def _peer_margin(data, k):
     import cvxpy as cp
+    from cvxpy.atoms.elementwise.abs import abs as modulus
 
     delta, t = cp.Variable(complex=True), cp.Variable()
     e, z, w_w = data["e"][k], data["z"][k], data["w_w"][k]
-    limits = [cp.abs(delta) <= t * data["w_delta"][k]]
-    limits += [cp.abs(e[j] / w_w[j] - delta * (z[j] / w_w[j])) <= t for j in range(2)]
+    limits = [modulus(delta) <= t * data["w_delta"][k]]
+    limits += [modulus(e[j] / w_w[j] - delta * (z[j] / w_w[j])) <= t for j in range(2)]
     return cp.Problem(cp.Minimize(t), limits).solve(solver=cp.CLARABEL)
 
 
 def _peer_s2(data, k):
     """Least J over a grid of nu_s, one Shor relaxation each (exact for two constraints)."""
     import cvxpy as cp
+    from cvxpy.atoms.affine.real import real
+    from cvxpy.atoms.affine.trace import trace
 
     u, gain = abs(data["u"][k]), np.column_stack([data["h_i"][k], data["h_s"][k]])
     m = data["c"] @ gain
@@ -151,12 +156,11 @@ def _peer_s2(data, k):
     best = np.inf
     for nu in np.geomspace(1e-3 * cap, 0.98 * cap, GRID):
         x = cp.Variable((5, 5), hermitian=True)
-        trace = [
-            cp.real(cp.trace(g @ x))
-            for g in (gram[0], gram[1], (gram[2] - nu**2 * gram[3]) / np.trace(gram[2]))
+        traces = [
+            real(trace(g @ x)) for g in (gram[0], gram[1], (gram[2] - nu**2 * gram[3]) / np.trace(gram[2]))
         ]
-        limits = [x >> 0, cp.real(row_t @ x @ row_t) == 1, trace[1] <= 1, trace[2] <= 0]
-        value = cp.Problem(cp.Minimize(trace[0]), limits).solve(solver=cp.CLARABEL)
+        limits = [x >> 0, real(row_t @ x @ row_t) == 1, traces[1] <= 1, traces[2] <= 0]
+        value = cp.Problem(cp.Minimize(traces[0]), limits).solve(solver=cp.CLARABEL)
         best = min(best, value + nu**2)
     return best
 

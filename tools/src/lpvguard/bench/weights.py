@@ -21,7 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..engine.overbound import Weight, fit_overbound
+from ..engine.overbound.fit import fit_overbound
+from ..engine.overbound.weight import Weight
 from . import parser, show
 from ._peers import Peers
 
@@ -38,9 +39,11 @@ answer = {}
 for name, weighting in (("uniform", np.ones((len(omega), 1))), ("default", None)):
     start = time.perf_counter()
     try:
-        weight = dkpy.fit_uncertainty_weight(bound[:, None, None].astype(complex), omega, job["order"], weight=weighting)
+        response = bound[:, None, None].astype(complex)
+        weight = dkpy.fit_uncertainty_weight(response, omega, job["order"], weight=weighting)
         ratio = np.abs(control.frequency_response(weight, omega).complex.ravel()) / bound
-        answer[name] = {"seconds": time.perf_counter() - start, "least": float(ratio.min()), "largest": float(ratio.max())}
+        seconds, least, largest = time.perf_counter() - start, float(ratio.min()), float(ratio.max())
+        answer[name] = {"seconds": seconds, "least": least, "largest": largest}
     except Exception as failure:
         answer[name] = {"note": f"failed: {failure}"[:80]}
 json.dump(answer, open(sys.argv[2], "w"))
@@ -155,7 +158,7 @@ def _judged(answer: dict) -> dict:
 
 
 def _peer_summary(rows: list[dict]) -> dict:
-    summary = {}
+    summary: dict[str, float] = {}
     for name in ("uniform", "default"):
         done = [r["peer"][name] for r in rows if "note" not in r["peer"][name]]
         summary |= {
@@ -177,7 +180,8 @@ def table(result: dict) -> str:
         f"{'bound':<28}{'samples':>8}{'order':>6}{'worst dB':>10}{'gap dB':>9}{'|W|/bound':>12}{'seconds':>9}"
     )
     if with_peer:
-        head += f"   dkpy:{'worst dB':>9}{'|W|/bound':>11}{'seconds':>9}   as it comes:{'worst dB':>9}{'|W|/bound':>11}"
+        head += f"   dkpy:{'worst dB':>9}{'|W|/bound':>11}{'seconds':>9}"
+        head += f"   as it comes:{'worst dB':>9}{'|W|/bound':>11}"
     lines = [head]
     for r in result["rows"]:
         line = (
@@ -198,8 +202,8 @@ def table(result: dict) -> str:
             )
         lines.append(line)
     lines += [
-        f"{r['weight']:<28} exact, fitted at order {r['order']}: within {r['distance_db']:.4f} dB of the weight itself, "
-        f"{r['seconds']:.3f} s"
+        f"{r['weight']:<28} exact, fitted at order {r['order']}: within {r['distance_db']:.4f} dB of the "
+        f"weight itself, {r['seconds']:.3f} s"
         for r in result["exact"]
     ]
     return "\n".join(

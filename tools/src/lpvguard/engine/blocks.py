@@ -1,5 +1,4 @@
-"""The diagonal blocks of an uncertainty Delta, for validation (validation/) and synthesis (synthesis/)
-alike."""
+"""The diagonal blocks of an uncertainty Delta, for validation and synthesis alike."""
 
 from __future__ import annotations
 

@@ -35,7 +35,8 @@ from scipy.signal import bilinear_zpk, lfilter, sosfilt, zpk2sos
 from ..base.errors import InputError
 from ..core.compiled import band_names
 from ..drives.frames import Estimator
-from ..engine.overbound import Weight, verify_overbound
+from ..engine.overbound.certificate import verify_overbound
+from ..engine.overbound.weight import Weight
 from ..vehicle.project import Project
 from .calibration import Calibration, calibrate
 

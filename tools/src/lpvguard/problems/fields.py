@@ -6,12 +6,16 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lpvguard.base.errors import InputError
 
 
 class Fields:
-    """Typed access to one problem's fields; every complaint names the problem and the field."""
+    """Typed access to one problem's fields.
+
+    Every method raises an InputError that names the problem and the field when the field does not fit.
+    """
 
     def __init__(self, problem: dict):
         self._problem = problem
@@ -68,12 +72,15 @@ class Fields:
         return a
 
     def complex(self, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
-        """Finite complex array of ``shape`` from [re, im] pairs; a matrix without columns may be written
-        ``[[], []]``."""
+        """Finite complex array of ``shape`` (None: any length) from [re, im] pairs.
+
+        A matrix without columns may be written ``[[], []]``.
+        """
         expected = f"finite [re, im] pairs of shape {_shape_text(shape)}"
         a = self._array(name, expected)
-        if a.size == 0 and all(s is not None for s in shape) and math.prod(shape) == 0:
-            return np.zeros(shape, dtype=complex)
+        sizes = [s for s in shape if s is not None]
+        if a.size == 0 and len(sizes) == len(shape) and math.prod(sizes) == 0:
+            return np.zeros(sizes, dtype=complex)
         if a.ndim != len(shape) + 1 or a.shape[-1] != 2 or not _fits(a.shape[:-1], shape):
             raise self.error(name, f"shape {a.shape}", expected)
         return a[..., 0] + 1j * a[..., 1]
@@ -89,7 +96,7 @@ def _shape_text(shape: tuple[int | None, ...]) -> str:
     return "(" + ", ".join("n" if s is None else str(s) for s in shape) + ")"
 
 
-def pairs(a) -> list:
-    """Complex array as nested lists of [re, im]."""
+def pairs(a: ArrayLike) -> list:
+    """A complex array of any shape as nested lists of [re, im]."""
     a = np.asarray(a, dtype=complex)
     return np.stack([a.real, a.imag], axis=-1).tolist()

@@ -1,5 +1,4 @@
-"""The kinds ``hinf`` and ``mu`` of the language-neutral solve interface: a problem as a dict in, answer
-fields out.
+"""The kinds ``hinf`` and ``mu`` of the problem interface: a problem as a dict in, answer fields out.
 
 Fields as in lpvguard/problems/solve.py: complex numbers are [re, im], matrices row-major nested lists. A
 problem that cannot be answered raises InputError (what, where, expected), which the caller turns into an
@@ -19,8 +18,10 @@ from lpvguard.engine.synthesis.statespace import StateSpace
 
 
 def solve_hinf(problem: dict) -> dict:
-    """gamma, gamma_lower, gamma_achieved, resolved, controller and the certificate for A, B, C, D, n_control,
-    n_measurement, dt (default 0).
+    """Answer to kind ``hinf``: the H-infinity controller of a plant, its levels and its certificate.
+
+    Fields: A, B, C, D, n_control, n_measurement, dt (default 0). Raises SynthesisError, naming the field, on
+    what cannot be answered.
     """
     name = str(problem.get("id", "hinf"))
     D = _matrix(problem, "D", name)
@@ -58,8 +59,10 @@ def solve_hinf(problem: dict) -> dict:
 
 
 def solve_mu(problem: dict) -> dict:
-    """mu_upper and mu_lower for M and blocks; ``delta`` makes I − M Δ singular at size 1/mu_lower (null at
-    0).
+    """Answer to kind ``mu``: mu_upper and mu_lower for the fields M and blocks.
+
+    ``delta`` makes I − M Δ singular at size 1/mu_lower; it is null for mu_lower = 0. Raises SynthesisError,
+    naming the field, on what cannot be answered.
     """
     name = str(problem.get("id", "mu"))
     M = _complex_matrix(problem, "M", name)
@@ -73,9 +76,8 @@ def solve_mu(problem: dict) -> dict:
         where = f"{name}: blocks[{k}]"
         rows_of_M, cols_of_M = _count(b, "rows", where), _count(b, "cols", where)
         try:
-            blocks.append(
-                Block(b.get("type", "full"), cols_of_M, rows_of_M)
-            )  # the contract states M's part, Block is Delta_i
+            # The contract states M's part; Block is Delta_i.
+            blocks.append(Block(b.get("type", "full"), cols_of_M, rows_of_M))
         except InputError as error:
             what = error.what if error.where == "type" else f"{rows_of_M} x {cols_of_M}"
             raise SynthesisError(where, error.where, what, error.expected) from None
@@ -86,7 +88,7 @@ def solve_mu(problem: dict) -> dict:
     return {"mu_upper": bounds.upper, "mu_lower": bounds.lower, "delta": delta}
 
 
-def _matrix(problem, key, name, shape=None) -> np.ndarray:
+def _matrix(problem: dict, key: str, name: str, shape: tuple[int, int] | None = None) -> np.ndarray:
     try:
         value = np.asarray(problem[key], dtype=float)
     except KeyError:
@@ -100,7 +102,7 @@ def _matrix(problem, key, name, shape=None) -> np.ndarray:
     return value
 
 
-def _complex_matrix(problem, key, name) -> np.ndarray:
+def _complex_matrix(problem: dict, key: str, name: str) -> np.ndarray:
     try:
         value = np.asarray(problem[key], dtype=float)
     except KeyError:
@@ -114,19 +116,19 @@ def _complex_matrix(problem, key, name) -> np.ndarray:
     return value[..., 0] + 1j * value[..., 1]
 
 
-def _number(problem, key, name, default) -> float:
+def _number(problem: dict, key: str, name: str, default: float) -> float:
     value = problem.get(key, default)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise SynthesisError(name, key, repr(value), "a number")
     return float(value)
 
 
-def _count(problem, key, name) -> int:
+def _count(problem: dict, key: str, name: str) -> int:
     value = problem.get(key)
     if isinstance(value, bool) or not isinstance(value, (int, float)) or value != int(value) or value < 1:
         raise SynthesisError(name, key, repr(value), "a whole number of at least 1")
     return int(value)
 
 
-def _finite(value: float):
+def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None

@@ -1,5 +1,4 @@
-"""The perturbation that explains the data: Delta_i from (xi_i, eta_i) for each kind of block, and its
-verification."""
+"""The perturbation that explains the data: Delta_i from (xi_i, eta_i) for each kind of block, verified."""
 
 from __future__ import annotations
 
@@ -13,15 +12,16 @@ from lpvguard.engine.blocks import Block
 
 
 def split(blocks: Sequence[Block], vector: np.ndarray, side: str) -> list[np.ndarray]:
-    """Cut a stacked xi (``side`` 'rows') or eta ('cols'), or the rows of a matrix that maps to it, by
-    blocks."""
+    """A stacked xi (``side`` 'rows') or eta ('cols'), or the rows of a map to it, cut by blocks."""
     ends = np.cumsum([getattr(b, side) for b in blocks])
     return np.split(vector, ends[:-1])
 
 
 def least_size(xi: np.ndarray, eta: np.ndarray) -> float:
-    """Least ||Delta_i|| that maps eta to xi, given that one exists: |xi| / |eta|; 0 for xi = 0, inf for eta =
-    0."""
+    """Least ||Delta_i|| that maps ``eta`` to ``xi``, given that one exists: |xi| / |eta|.
+
+    0 for xi = 0, inf for eta = 0 with another xi.
+    """
     top, bottom = float(np.linalg.norm(xi)), float(np.linalg.norm(eta))
     if top == 0.0:
         return 0.0
@@ -48,8 +48,11 @@ def construct(block: Block, xi: np.ndarray, eta: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Verification:
-    """What :func:`verify` found; ``residual`` is |e - M [xi; w]| with xi = Delta eta re-simulated, relative
-    to |e|."""
+    """What :func:`verify` found.
+
+    ``deltas``: Delta_i (rows, cols) a block; ``sizes`` (tau,): their largest singular values. ``residual``:
+    |e - M [xi; w]| with xi = Delta eta re-simulated, relative to |e|.
+    """
 
     deltas: list[np.ndarray]
     sizes: np.ndarray
@@ -61,9 +64,9 @@ def verify(
 ) -> Verification:
     """Build Delta from (xi, w), close the loop with it and check that it re-simulates the data.
 
-    ``p`` holds P11, P12, P21, P22 and eta0 = P13 u. Closing the loop means solving (I - P11 Delta) eta = P12
-    w + eta0 anew, so xi is only used to build Delta. Raises InputError when a block is larger than its nu, or
-    the data are not reproduced: no explanation leaves this package unverified.
+    ``p`` holds P11, P12, P21, P22 and eta0 = P13 u; ``nu`` (tau,). Closing the loop means solving
+    (I - P11 Delta) eta = P12 w + eta0 anew, so xi is only used to build Delta. Raises InputError when a block
+    is larger than its nu, or the data are not reproduced: no explanation leaves this package unverified.
     """
     eta = p["P11"] @ xi + p["P12"] @ w + p["eta0"]
     pieces = list(zip(blocks, split(blocks, xi, "rows"), split(blocks, eta, "cols"), strict=True))

@@ -1,11 +1,10 @@
-"""Certificates for small Hermitian feasibility problems: max x such that sum_j y_j Q_j - x I is positive
-semidefinite.
+"""Certificates for small Hermitian feasibility problems: max x so that sum_j y_j Q_j - x I >= 0.
 
 The multipliers y are split into groups: a scalar group is one number >= 0; a matrix group parametrises a
 Hermitian D >= 0 (the D-scaling of a repeated block); a free group has no sign (the G-scaling of a real
 block). The traces of all groups with a sign sum to one. A positive x proves that the forms z^* Q_j z (and
-their matrix versions) cannot all be <= 0 at once: the S-procedure. Own log-barrier Newton method: the forms
-have at most about ten rows, and each iterate is feasible, so that every bound read from it is rigorous
+their matrix versions) cannot all be <= 0 at once: the S-procedure. The method is Newton's on a log barrier.
+The forms have at most about ten rows. Each iterate is feasible, so every bound read from it is rigorous
 whenever the iteration stops.
 """
 
@@ -52,8 +51,18 @@ def hermitian_basis(r: int) -> np.ndarray:
     return np.array(basis)
 
 
+def gram(left: np.ndarray, right: np.ndarray, basis: np.ndarray | None) -> np.ndarray:
+    """left^* B right (k, n, n) for each B of ``basis`` (k, r, r); ``left``, ``right`` (r, n).
+
+    ``basis`` None: the identity alone, and ``right`` of any number of rows.
+    """
+    if basis is None:
+        return (left.conj().T @ right)[None]
+    return np.einsum("ia,kij,jb->kab", left.conj(), basis, right)
+
+
 def cone(groups: list[tuple[str, int]]) -> Cone:
-    """Cone from ('psd' | 'free', r) per group."""
+    """Cone of groups in order: ('psd', r) for a matrix D >= 0 (r x r), ('free', r) for one without a sign."""
     sizes = [r * r for _, r in groups]
     start = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(int)
     normal = np.zeros(sum(sizes))
@@ -100,7 +109,7 @@ def maximise_level(q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: f
     y = c.normal / c.normal.sum()
     matrix = np.tensordot(y, q, axes=1)
     low = np.linalg.eigvalsh(matrix)[0]
-    x = low - 0.5 * max(1e-3, abs(low))
+    x = float(low - 0.5 * max(1e-3, abs(low)))
     degree = n + sum(c.order)
     eps = (low - x) / 2.0
     eye = np.eye(n)
@@ -111,20 +120,7 @@ def maximise_level(q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: f
     x_above = np.inf
     inverse = np.linalg.inv(matrix - x * eye)
     for _ in range(MAX_NEWTON):
-        scaled = inverse @ forms
-        gradient = eps * np.einsum("jii->j", scaled).real
-        gradient[m] += 1.0
-        flat = scaled.reshape(m + 1, n * n)
-        hessian = eps * (flat @ scaled.transpose(0, 2, 1).reshape(m + 1, n * n).T).real
-        for g, r in enumerate(c.order):
-            s = slice(c.start[g], c.start[g] + c.size[g])
-            if r == 1:
-                gradient[s] += eps / y[s]
-                hessian[s, s] += eps / y[s] ** 2
-            elif r > 1:
-                d = np.linalg.inv(_member(c, g, y)) @ hermitian_basis(r)
-                gradient[s] += eps * np.einsum("jii->j", d).real
-                hessian[s, s] += eps * np.einsum("jab,kba->jk", d, d).real
+        gradient, hessian = _barrier(inverse, forms, c, y, eps)
         kkt[: m + 1, : m + 1] = hessian
         diag = np.arange(m + 1)
         kkt[diag, diag] *= 1.0 + 1e-13
@@ -138,19 +134,10 @@ def maximise_level(q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: f
         length = 1.0 if decrement < 0.25 else 1.0 / (1.0 + decrement)
         if decrement > 1.0:
             length = min(1.0, 4.0 * length)
-        while length > 1e-10:
-            y_new, x_new = y + length * step[:m], x + length * step[m]
-            slack = np.tensordot(y_new, q, axes=1) - x_new * eye
-            if _interior(c, y_new):
-                try:
-                    np.linalg.cholesky(slack)
-                    break
-                except np.linalg.LinAlgError:
-                    pass
-            length *= 0.5
-        else:
+        moved = _feasible_step(q, c, y, x, step, length)
+        if moved is None:
             break
-        y, x = y_new, x_new
+        y, x, slack, length = moved
         inverse = np.linalg.inv(slack)
         inverse = 0.5 * (inverse + inverse.conj().T)
         if decrement * length < 0.5 and decrement < 1.0:
@@ -162,17 +149,64 @@ def maximise_level(q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: f
     return Centre(y, float(x), float(x_above), inverse)
 
 
+def _barrier(
+    inverse: np.ndarray, forms: np.ndarray, c: Cone, y: np.ndarray, eps: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient (m + 1,) and negative Hessian (m + 1, m + 1) in (y, x) of x + eps times the log barrier.
+
+    ``inverse``: (Q(y) - x I)^-1. ``forms`` (m + 1, n, n): derivatives of Q(y) - x I.
+    """
+    count, n = forms.shape[:2]
+    scaled = inverse @ forms
+    gradient = eps * np.einsum("jii->j", scaled).real
+    gradient[count - 1] += 1.0
+    flat = scaled.reshape(count, n * n)
+    hessian = eps * (flat @ scaled.transpose(0, 2, 1).reshape(count, n * n).T).real
+    for g, r in enumerate(c.order):
+        s = slice(c.start[g], c.start[g] + c.size[g])
+        if r == 1:
+            gradient[s] += eps / y[s]
+            hessian[s, s] += eps / y[s] ** 2
+        elif r > 1:
+            d = np.linalg.inv(_member(c, g, y)) @ hermitian_basis(r)
+            gradient[s] += eps * np.einsum("jii->j", d).real
+            hessian[s, s] += eps * np.einsum("jab,kba->jk", d, d).real
+    return gradient, hessian
+
+
+def _feasible_step(
+    q: np.ndarray, c: Cone, y: np.ndarray, x: float, step: np.ndarray, length: float
+) -> tuple[np.ndarray, float, np.ndarray, float] | None:
+    """(y, x, Q(y) - x I, length) after the longest halved step that stays feasible; None without one."""
+    m, n = q.shape[:2]
+    while length > 1e-10:
+        y_new, x_new = y + length * step[:m], float(x + length * step[m])
+        slack = np.tensordot(y_new, q, axes=1) - x_new * np.eye(n)
+        if _interior(c, y_new):
+            try:
+                np.linalg.cholesky(slack)
+                return y_new, x_new, slack, length
+            except np.linalg.LinAlgError:
+                pass
+        length *= 0.5
+    return None
+
+
 def rounding(y: np.ndarray, forms: np.ndarray) -> float:
-    """Bound on the rounding error (2-norm) of sum_j y_j forms_j, ``forms`` (m, n, n): free multipliers may be
-    large and cancel, and a certificate must not rest on what is left of that."""
+    """Bound on the rounding error (2-norm) of sum_j y_j forms_j; ``y`` (m,), ``forms`` (m, n, n).
+
+    Free multipliers may be large and cancel. A certificate must not rest on what is left of that.
+    """
     n = forms.shape[-1]
     return 4.0 * n * np.finfo(float).eps * float(np.abs(y) @ np.linalg.norm(forms, axis=(1, 2)))
 
 
 def reach(zero: np.ndarray, slopes: np.ndarray, error: float = 0.0) -> np.ndarray:
-    """Largest length (k,) at which ``zero`` - length ``slopes[k]`` stays >= 0; inf where nothing ends it, 0
-    where ``zero`` (n, n) itself is not positive definite. ``slopes`` (k, n, n) >= 0; ``error``: of ``zero``,
-    2-norm."""
+    """Largest length (k,) at which ``zero`` - length ``slopes[k]`` stays >= 0.
+
+    ``zero`` (n, n), ``error``: its own, 2-norm; ``slopes`` (k, n, n) >= 0. inf where nothing ends it, 0 where
+    ``zero`` itself is not positive definite.
+    """
     zero = zero - error * np.eye(len(zero))
     try:
         factor = np.linalg.inv(np.linalg.cholesky(0.5 * (zero + zero.conj().T)))
@@ -183,8 +217,10 @@ def reach(zero: np.ndarray, slopes: np.ndarray, error: float = 0.0) -> np.ndarra
 
 
 def reaches(zeros: np.ndarray, slopes: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """:func:`reach` (..., k) for many ``zeros`` (..., n, n) with ``errors`` (...,), -inf where one is not
-    positive definite; ``slopes`` (k, n, n)."""
+    """:func:`reach` (..., k) for many ``zeros`` (..., n, n) with ``errors`` (...,); ``slopes`` (k, n, n).
+
+    -inf where a zero is not positive definite.
+    """
     zeros = zeros - errors[..., None, None] * np.eye(zeros.shape[-1])
     good = np.linalg.eigvalsh(zeros)[..., 0] > errors
     out = np.full((*good.shape, len(slopes)), -np.inf)
@@ -194,8 +230,12 @@ def reaches(zeros: np.ndarray, slopes: np.ndarray, errors: np.ndarray) -> np.nda
     return out
 
 
-def _ray_length_numpy(q0, level, c: Cone, cutoff: float):
-    length, beyond, y, inverse = 0.0, np.inf, None, None
+def _ray_length_numpy(
+    q0: np.ndarray, level: np.ndarray, c: Cone, cutoff: float
+) -> tuple[float, np.ndarray | None, np.ndarray | None]:
+    length, beyond = 0.0, np.inf
+    y: np.ndarray | None = None
+    inverse: np.ndarray | None = None
     for turn in range(80):
         ahead = turn % 2 == 1
         at = length
@@ -222,12 +262,15 @@ def _ray_length_numpy(q0, level, c: Cone, cutoff: float):
     return length, y, inverse
 
 
-def ray_length(q0: np.ndarray, level: np.ndarray, c: Cone, cutoff: float = np.inf):
-    """Largest certified length: (length, its multipliers y or None, the primal matrix at the end).
+def ray_length(
+    q0: np.ndarray, level: np.ndarray, c: Cone, cutoff: float = np.inf
+) -> tuple[float, np.ndarray | None, np.ndarray | None]:
+    """Largest certified length: (length, its multipliers y (m,) or None, primal matrix (n, n) at the end).
 
     ``q0``, ``level`` (m, n, n): the forms are Q0 - length L, L >= 0. No point satisfies all of them at a
-    smaller length. Dinkelbach's iteration (each y is used up to the largest length that it proves) with
-    bisection in between, as far from the end its steps can be a hundred times too short. Stops at ``cutoff``.
+    smaller length. The method is Dinkelbach's iteration: each y is used up to the largest length that it
+    proves. Bisection goes in between, because far from the end a step can be a hundred times too short. Stops
+    at ``cutoff``.
     """
     m, n = q0.shape[:2]
     lib = native.kernels("ray")

@@ -211,7 +211,10 @@ def least_squares_delta(e, z) -> np.ndarray:
 
 @dataclass(frozen=True)
 class TradeoffResult:
-    """Per point: J of (8), nu = |delta| and the delta and w that attain it; inf where gamma_w < B1."""
+    """Per point: J of (8) as ``cost``, nu = |delta|, and the delta and w that attain it.
+
+    Shapes as in :class:`S1Result`. ``cost`` and ``nu`` are inf where gamma_w < B1.
+    """
 
     cost: np.ndarray
     nu: np.ndarray
@@ -222,8 +225,9 @@ class TradeoffResult:
 def tradeoff(e, z, gamma_w, lambda_nu, lambda_w) -> TradeoffResult:
     """Minimum of (8), lambda_nu nu^2 + sum_j lambda_w,j |w_j|^2 subject to |w| <= gamma_w.
 
-    ``lambda_nu`` (...) and ``lambda_w`` (..., n_y) >= 0. The cost is an isotropic quadratic in delta, so its
-    minimiser is the unconstrained one projected on the disc of explanations.
+    ``lambda_nu`` (...) and ``lambda_w`` (..., n_y) >= 0; the other arguments and errors as for :func:`solve`.
+    The cost is an isotropic quadratic in delta. So its minimiser is the unconstrained one, projected on the
+    disc of explanations.
     """
     base = solve(e, z, gamma_w)
     shape, e, z, gamma, lam, lam_w = _points(
@@ -259,7 +263,9 @@ def tradeoff(e, z, gamma_w, lambda_nu, lambda_w) -> TradeoffResult:
     infeasible = ~base.feasible.ravel()
     cost = np.where(infeasible, np.inf, lam * np.abs(delta) ** 2 + np.sum(lam_w * np.abs(w) ** 2, axis=-1))
     nu = np.where(infeasible, np.inf, np.abs(delta))
-    return TradeoffResult(*(a.reshape(shape) for a in (cost, nu, delta)), w.reshape(*shape, e.shape[-1]))
+    return TradeoffResult(
+        cost.reshape(shape), nu.reshape(shape), delta.reshape(shape), w.reshape(*shape, e.shape[-1])
+    )
 
 
 def _np_cross(a, b, c, d):
@@ -320,13 +326,13 @@ def _margin_numpy(e, z, w_delta, w_w):
             levels = np.stack([_pair(d[0], d[1]), _pair(d[0], d[2]), _pair(d[1], d[2])])
             worst = np.argmax(np.nan_to_num(levels, nan=-1.0), axis=0)
             order = [(0, 1, 2), (0, 2, 1), (1, 2, 0)]
-            i, j, k = (
+            first, second, third = (
                 tuple(np.choose(worst, [d[o[slot]][field] for o in order]) for field in range(4))
                 for slot in range(3)
             )
             level = np.max(levels, axis=0)
-            above = _reach(i, j, k)
-            joint = np.fmin(above, np.fmax(level, _triple(i, j, k)))
+            above = _reach(first, second, third)
+            joint = np.fmin(above, np.fmax(level, _triple(first, second, third)))
             usable = (d[0][3] > 0.0) & (d[1][3] > 0.0) & (d[2][3] > 0.0) & (level > 0.0) & (above > level)
             best = np.where(usable, np.fmax(best, joint), best)
     finite = np.isfinite(e).all(-1) & np.isfinite(z).all(-1) & np.isfinite(w_delta) & np.isfinite(w_w).all(-1)

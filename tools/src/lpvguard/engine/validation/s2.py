@@ -5,8 +5,8 @@
     min lambda_i nu_i^2 + lambda_s nu_s^2
 
 G_d = int_0^Ts e^{As} ds makes nu_s a rate (1/s), G_d = I a size per sample. At fixed nu_s this is a complex
-quadratic problem with two constraints, whose dual has no gap as long as nu_s < 1/sigma_max(H_s), H_s = (z I -
-A_d)^-1 G_d (at that cap an allowed Delta_s makes the loop singular). The optimum over nu_s is found by branch
+quadratic problem with two constraints. Its dual has no gap as long as nu_s < 1/sigma_max(H_s), H_s = (z I -
+A_d)^-1 G_d. At that cap an allowed Delta_s makes the loop singular. The optimum over nu_s is found by branch
 and bound: see base/_native/s2.c, whose numpy version is here. ``solve_forms`` is the kernel for any problem
 with one full block beside plain quadratics.
 """
@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import ctypes
 import heapq
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,8 @@ from lpvguard.base import native
 from lpvguard.base.errors import InputError
 
 GAP = 1e-4
+"""Relative distance of the two sides at which the branch and bound stops."""
+
 NEAR_CAP = 1.0 - 1e-4
 """An optimum at this fraction of the well-posedness cap or above is the cap's doing, not the data's."""
 
@@ -34,8 +37,10 @@ _MAX_DUALS, _MAX_NEWTON, _MAX_OPEN = 240, 60, 256
 
 @dataclass(frozen=True)
 class FormsResult:
-    """Per point: certified ``lower``, attained ``upper``, the size ``p`` and point ``z`` (n,) that attain it,
-    dual problems used."""
+    """Per point: certified ``lower``, attained ``upper``, the size ``p`` and point ``z`` (n,) that attain it.
+
+    ``duals``: dual problems used.
+    """
 
     lower: np.ndarray
     upper: np.ndarray
@@ -235,10 +240,13 @@ class _Point:
 
 @dataclass(frozen=True)
 class S2Result:
-    """Per point (K,): certified ``lower`` <= optimum <= attained ``upper``, the sizes, signals xi (K, 1 +
-    n_x) and w (K, n_y) that attain it, and the dual problems used. Points with gamma_w < B1 have inf bounds
-    and NaN signals. ``at_cap`` marks points whose best nu_s is the well-posedness cap itself (or whose bounds
-    did not meet near it): their figures are no bound on the vehicle, they say that the class does not fit."""
+    """Per point (K,): certified ``lower`` <= optimum <= attained ``upper``, and what attains it.
+
+    ``nu_i``, ``nu_s`` (K,): the sizes. ``xi`` (K, 1 + n_x), ``w`` (K, n_y): the signals. ``duals``: dual
+    problems used. Points with gamma_w < B1 have inf bounds and NaN signals. ``at_cap`` marks points whose
+    best nu_s is the well-posedness cap itself, or whose bounds did not meet near it. Their figures are no
+    bound on the vehicle: they say that the class does not fit.
+    """
 
     lower: np.ndarray
     upper: np.ndarray
@@ -255,77 +263,102 @@ def _gram(m: np.ndarray) -> np.ndarray:
     return np.swapaxes(m.conj(), -1, -2) @ m
 
 
-def solve(
-    e, u, x_nom, h_i, h_s, c, gamma_w, lambda_i=1.0, lambda_s=1.0, *, gap: float = GAP, names=None
-) -> S2Result:
-    """Optimum of (8) for class S2 at K points.
+@dataclass(frozen=True)
+class _Data:
+    """Checked arguments of :func:`solve`, one row a point."""
 
-    ``e`` (K, n_y), ``u`` (K,), ``x_nom`` (K, n_x) complex DFTs; ``h_i`` (K, n_x) = (zI - A_d)^-1 B_d; ``h_s``
-    (K, n_x, n_x) = (zI - A_d)^-1 G_d; ``c`` (n_y, n_x); ``gamma_w``, ``lambda_i``, ``lambda_s`` (K,) or
-    numbers, the lambdas > 0; ``names`` (K,): the points' experiment and bin, for messages. Raises InputError
-    on shapes that do not fit and, naming the point, on values that are not finite or not positive.
-    """
-    e, u, x_nom, h_i, h_s, c = (np.asarray(a, dtype=complex) for a in (e, u, x_nom, h_i, h_s, c))
-    points, n_y = e.shape
-    n_x = x_nom.shape[-1]
-    shapes = {"u": (u, (points,)), "x_nom": (x_nom, (points, n_x)), "h_i": (h_i, (points, n_x))}
-    shapes |= {"h_s": (h_s, (points, n_x, n_x)), "c": (c, (n_y, n_x))}
-    for name, (array, shape) in shapes.items():
-        if array.shape != shape:
-            raise InputError("S2", name, f"shape {array.shape}", f"{shape}")
-    gamma, lam_i, lam_s = (
-        np.broadcast_to(np.asarray(a, dtype=float), (points,)) for a in (gamma_w, lambda_i, lambda_s)
-    )
-    if names is not None and len(names) != points:
-        raise InputError("S2", "names", f"{len(names)} for {points} points", "one a point")
+    e: np.ndarray
+    u: np.ndarray
+    x_nom: np.ndarray
+    h_i: np.ndarray
+    h_s: np.ndarray
+    c: np.ndarray
+    gamma: np.ndarray
+    lam_i: np.ndarray
+    lam_s: np.ndarray
 
-    def require(good: np.ndarray, name: str, what: str, expected: str) -> None:
-        bad = ~good.reshape(points, -1).all(axis=1)
-        if bad.any():
-            k = int(np.argmax(bad))
-            raise InputError("S2", f"{name}, {f'point {k}' if names is None else names[k]}", what, expected)
+    def check(self, names: Sequence[str] | None) -> None:
+        """Raise the InputErrors of :func:`solve`."""
+        points, n_y = self.e.shape
+        n_x = self.x_nom.shape[-1]
+        shapes = {
+            "u": (self.u, (points,)),
+            "x_nom": (self.x_nom, (points, n_x)),
+            "h_i": (self.h_i, (points, n_x)),
+            "h_s": (self.h_s, (points, n_x, n_x)),
+            "c": (self.c, (n_y, n_x)),
+        }
+        for name, (array, shape) in shapes.items():
+            if array.shape != shape:
+                raise InputError("S2", name, f"shape {array.shape}", f"{shape}")
+        if names is not None and len(names) != points:
+            raise InputError("S2", "names", f"{len(names)} for {points} points", "one a point")
 
-    for name, array in (("e", e), ("u", u), ("x_nom", x_nom), ("h_i", h_i), ("h_s", h_s), ("gamma_w", gamma)):
-        require(np.isfinite(array), name, "a value that is not finite", "finite numbers")
-    for name, array in (("gamma_w", gamma), ("lambda_i", lam_i), ("lambda_s", lam_s)):
-        require(array > 0.0, name, "zero or negative", "a positive number")
-    require(u != 0.0, "u", "zero", "an input: without one there is no multiplicative uncertainty")
+        def require(good: np.ndarray, name: str, what: str, expected: str) -> None:
+            bad = ~good.reshape(points, -1).all(axis=1)
+            if bad.any():
+                k = int(np.argmax(bad))
+                raise InputError(
+                    "S2", f"{name}, {f'point {k}' if names is None else names[k]}", what, expected
+                )
 
-    # theta = xi = (xi_i, xi_s): w = e - C d, d = h_i xi_i + h_s xi_s.
-    d = n_x + 1
-    to_d = np.concatenate([h_i[:, :, None], h_s], axis=2)
-    gain = c @ to_d
-    size_e = np.maximum(np.linalg.norm(e, axis=1), 1e-300)
-    unit_i = np.linalg.norm(gain[:, :, 0], axis=1) / size_e
-    unit_s = np.linalg.norm(gain[:, :, 1:], axis=(1, 2)) / size_e
-    scale = np.concatenate([unit_i[:, None], np.repeat(unit_s[:, None], n_x, axis=1)], axis=1)
-    stacked = np.concatenate([scale[:, :, None] * np.eye(d), -gain / gamma[:, None, None]], axis=1)
-    column_t = np.concatenate([np.zeros((points, d)), e / gamma[:, None]], axis=1)
-    q, r = np.linalg.qr(stacked)
-    shift = np.swapaxes(q.conj(), 1, 2) @ column_t[:, :, None]
-    back = np.zeros((points, d, d + 1), dtype=complex)
-    back[:, :, :d] = np.linalg.inv(r)
-    back[:, :, d:] = -back[:, :, :d] @ shift
+        for name in ("e", "u", "x_nom", "h_i", "h_s"):
+            require(np.isfinite(getattr(self, name)), name, "a value that is not finite", "finite numbers")
+        require(np.isfinite(self.gamma), "gamma_w", "a value that is not finite", "finite numbers")
+        for name, array in (("gamma_w", self.gamma), ("lambda_i", self.lam_i), ("lambda_s", self.lam_s)):
+            require(array > 0.0, name, "zero or negative", "a positive number")
+        require(self.u != 0.0, "u", "zero", "an input: without one there is no multiplicative uncertainty")
 
-    t_row = np.zeros(d + 1)
-    t_row[-1] = 1.0
-    w_map = e[:, :, None] * t_row - gain @ back
-    eta_map = x_nom[:, :, None] * t_row + to_d @ back
-    per_i = lam_i / np.abs(u) ** 2
-    q0, a, b = per_i[:, None, None] * _gram(back[:, :1]), _gram(back[:, 1:]), _gram(eta_map)
-    ball = _gram(w_map) / gamma[:, None, None] ** 2
+
+@dataclass(frozen=True)
+class _Maps:
+    """Well-scaled coordinates z = (theta, 1): ``xi``, ``w`` and ``eta`` (K, ., n) map z to signals."""
+
+    xi: np.ndarray
+    w: np.ndarray
+    eta: np.ndarray
+
+    @classmethod
+    def of(cls, data: _Data) -> _Maps:
+        """xi = (xi_i, xi_s) is free: w = e - C d with d = h_i xi_i + h_s xi_s, and eta = x_nom + d."""
+        e, points, n_x = data.e, len(data.e), data.x_nom.shape[-1]
+        d = n_x + 1
+        to_d = np.concatenate([data.h_i[:, :, None], data.h_s], axis=2)
+        gain = data.c @ to_d
+        size_e = np.maximum(np.linalg.norm(e, axis=1), 1e-300)
+        unit_i = np.linalg.norm(gain[:, :, 0], axis=1) / size_e
+        unit_s = np.linalg.norm(gain[:, :, 1:], axis=(1, 2)) / size_e
+        scale = np.concatenate([unit_i[:, None], np.repeat(unit_s[:, None], n_x, axis=1)], axis=1)
+        stacked = np.concatenate([scale[:, :, None] * np.eye(d), -gain / data.gamma[:, None, None]], axis=1)
+        column_t = np.concatenate([np.zeros((points, d)), e / data.gamma[:, None]], axis=1)
+        q, r = np.linalg.qr(stacked)
+        shift = np.swapaxes(q.conj(), 1, 2) @ column_t[:, :, None]
+        back = np.zeros((points, d, d + 1), dtype=complex)
+        back[:, :, :d] = np.linalg.inv(r)
+        back[:, :, d:] = -back[:, :, :d] @ shift
+        t_row = np.zeros(d + 1)
+        t_row[-1] = 1.0
+        w_map = e[:, :, None] * t_row - gain @ back
+        eta_map = data.x_nom[:, :, None] * t_row + to_d @ back
+        return cls(back, w_map, eta_map)
+
+
+def _at(maps: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """``maps`` (K, m, n) times ``z`` (K, n)."""
+    return (maps @ z[:, :, None])[:, :, 0]
+
+
+def _problem(data: _Data, maps: _Maps, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Forms (K, 4, n, n) of :func:`solve_forms` and the cost (K,) at ``start`` (K, n) that they are over."""
+    per_i = data.lam_i / np.abs(data.u) ** 2
+    q0, a, b = per_i[:, None, None] * _gram(maps.xi[:, :1]), _gram(maps.xi[:, 1:]), _gram(maps.eta)
+    ball = _gram(maps.w) / data.gamma[:, None, None] ** 2
     ball[:, -1, -1] -= 1.0
-
-    # A point inside the ball: from the least-squares point towards the one with the smallest w.
-    b1, start = _inside_ball(w_map, gamma)
-    feasible = np.isfinite(start).all(axis=1)
-    start = np.where(feasible[:, None], start, 0.0)
-    start[:, -1] = 1.0
-    xi_0, eta_0 = (back @ start[:, :, None])[:, :, 0], (eta_map @ start[:, :, None])[:, :, 0]
+    xi_0, eta_0 = _at(maps.xi, start), _at(maps.eta, start)
     block_0 = np.sum(np.abs(xi_0[:, 1:]) ** 2, axis=1) / np.maximum(
         np.sum(np.abs(eta_0) ** 2, axis=1), 1e-300
     )
-    cost = per_i * np.abs(xi_0[:, 0]) ** 2 + lam_s * block_0
+    cost = per_i * np.abs(xi_0[:, 0]) ** 2 + data.lam_s * block_0
     trivial = np.where(cost > 0.0, cost, 1.0)
     weight = np.trace(a, axis1=1, axis2=2).real
     forms = np.stack(
@@ -333,27 +366,61 @@ def solve(
             q0 / trivial[:, None, None],
             ball,
             a / weight[:, None, None],
-            b * (trivial / lam_s / weight)[:, None, None],
+            b * (trivial / data.lam_s / weight)[:, None, None],
         ],
         axis=1,
     )
+    return forms, trivial
+
+
+def solve(
+    e,
+    u,
+    x_nom,
+    h_i,
+    h_s,
+    c,
+    gamma_w,
+    lambda_i=1.0,
+    lambda_s=1.0,
+    *,
+    gap: float = GAP,
+    names: Sequence[str] | None = None,
+) -> S2Result:
+    """Optimum of (8) for class S2 at K points.
+
+    ``e`` (K, n_y), ``u`` (K,), ``x_nom`` (K, n_x): complex DFTs. ``h_i`` (K, n_x) = (zI - A_d)^-1 B_d;
+    ``h_s`` (K, n_x, n_x) = (zI - A_d)^-1 G_d; ``c`` (n_y, n_x). ``gamma_w``, ``lambda_i``, ``lambda_s``:
+    (K,) or numbers, > 0. ``names`` (K,): the points' experiment and bin, for messages. Raises InputError on
+    shapes that do not fit and, naming the point, on values that are not finite or not positive.
+    """
+    e, u, x_nom, h_i, h_s, c = (np.asarray(a, dtype=complex) for a in (e, u, x_nom, h_i, h_s, c))
+    points = len(e)
+    gamma, lam_i, lam_s = (
+        np.broadcast_to(np.asarray(a, dtype=float), (points,)) for a in (gamma_w, lambda_i, lambda_s)
+    )
+    data = _Data(e, u, x_nom, h_i, h_s, c, gamma, lam_i, lam_s)
+    data.check(names)
+    maps = _Maps.of(data)
+    # A point inside the ball: from the least-squares point towards the one with the smallest w.
+    b1, start = _inside_ball(maps.w, gamma)
+    feasible = np.isfinite(start).all(axis=1)
+    start = np.where(feasible[:, None], start, 0.0)
+    start[:, -1] = 1.0
+    forms, trivial = _problem(data, maps, start)
     cap_s = 1.0 / np.linalg.norm(h_s, 2, axis=(1, 2))
     p_max = lam_s * cap_s**2 * (1.0 - 1e-9) / trivial
     out = solve_forms(forms[feasible], start[feasible], p_max[feasible], gap=gap)
 
-    def spread(values, fill=np.inf):
+    def spread(values: np.ndarray, fill: float = np.inf) -> np.ndarray:
         full = np.full((points, *values.shape[1:]), fill, dtype=values.dtype)
         full[feasible] = values
         return full
 
-    upper, lower, z = (
-        spread(out.upper * trivial[feasible]),
-        spread(out.lower * trivial[feasible]),
-        spread(out.z, np.nan),
-    )
+    upper, lower = spread(out.upper * trivial[feasible]), spread(out.lower * trivial[feasible])
+    z = spread(out.z, np.nan)
     z[~np.isfinite(upper)] = np.nan
-    xi, w = (back @ z[:, :, None])[:, :, 0], (w_map @ z[:, :, None])[:, :, 0]
-    eta = (eta_map @ z[:, :, None])[:, :, 0]
+    xi, w, eta = _at(maps.xi, z), _at(maps.w, z), _at(maps.eta, z)
     nu_s = np.linalg.norm(xi[:, 1:], axis=1) / np.linalg.norm(eta, axis=1)
     # A disturbance alone explains these: the optimum is zero, which a relative gap cannot reach.
     silent = np.linalg.norm(e, axis=1) <= gamma

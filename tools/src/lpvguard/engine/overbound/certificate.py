@@ -1,0 +1,272 @@
+"""The proof that a weight lies above a bound, from the weight's coefficients alone (T10).
+
+A grid proves nothing between its points, so the proof goes piece by piece. With y = w^2, |W|^2 = N(y)/D(y)
+for polynomials N and D. On one piece bound^2 = c y^q with a real q, which is no polynomial. But y^q is
+convex (q <= 0 or q >= 1) or concave (0 < q < 1). So a straight line L lies above it on [a, b]: the chord
+where it is convex, a tangent where it is concave.
+
+N - r^2 L D is then a polynomial. If all its Bernstein coefficients on [a, b] are >= 0, so is the
+polynomial, because it is a convex combination of them. Then |W| >= r bound on [a, b]. Where a coefficient
+is negative the interval is halved. L and the Bernstein coefficients converge quadratically, so the search
+ends. [0, w_1] is such a piece with q = 0; [w_K, inf) becomes one in 1/y.
+
+The coefficients of N and D follow from those of W in rational arithmetic. The rounding error of the rest is
+subtracted (up to one rounding of the frequency). A proved ratio is 5e-10 below the one attained: a weight
+that merely touches its bound is not accepted. Routh's array in rational arithmetic decides stability and
+minimum phase. The same search with N and D exchanged bounds the worst ratio from above."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .bound import SampledBound
+from .weight import Weight
+
+_PROOF_MARGIN = 1e-9
+"""Relative, on |W|^2: a proved ratio is this much below the one attained."""
+
+_PATIENCE = 18
+"""Halvings beyond which the margin grows four times with each, because rounding stops the proof."""
+
+_MAX_HALVINGS = 28
+_MAX_TESTS = 300_000
+_ROUNDING = 1e-13
+"""Relative to sum |c_i| y^i: over the rounding of exp, log and the Bernstein coefficients."""
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What :func:`verify_overbound` proved about a weight and a bound.
+
+    ``min_ratio`` <= |W|/bound <= ``max_ratio`` for all 0 <= w <= ``omega_max``. ``*_at`` (rad/s) is where the
+    extreme is attained within 1e-9. ``omega_max`` is inf, or the last sample when W is strictly proper.
+    ``intervals``: Bernstein tests made. ``without_data``: frequencies of NaN samples, bridged by the bound.
+    """
+
+    ok: bool
+    stable: bool
+    minimum_phase: bool
+    min_ratio: float
+    min_ratio_at: float
+    max_ratio: float
+    max_ratio_at: float
+    omega_max: float
+    intervals: int
+    without_data: tuple[float, ...]
+
+    def to_dict(self) -> dict:
+        """The fields as JSON can hold them; an infinite frequency becomes the string "inf"."""
+        plain = asdict(self) | {"without_data": list(self.without_data)}
+        return {k: "inf" if v == math.inf else v for k, v in plain.items()}
+
+
+def verify_overbound(
+    weight: Weight, omega: ArrayLike, bound: ArrayLike, *, floor: float | None = None, name: str = ""
+) -> Certificate:
+    """Prove or refute |W| >= bound from the coefficients of W alone; nothing of the fit is reused.
+
+    ``omega`` (K,) rad/s, ``bound`` (K,), ``floor`` and ``name`` as in :func:`fit.fit_overbound`. ``ok`` is
+    true when W is stable, minimum-phase and ``min_ratio`` >= 1. Raises InputError on what is no bound.
+    """
+    samples = SampledBound.read(name or "weight check", omega, bound, floor)
+    strict = weight.num.size < weight.den.size
+    stable, minimum_phase = is_hurwitz(weight.den), is_hurwitz(weight.num)
+    top, bottom = squared(weight.num / samples.level, samples.unit), squared(weight.den, samples.unit)
+    low, low_at, tests = _least_ratio(top, bottom, samples, strict)
+    high, high_at, more = _least_ratio(bottom, top, samples.reciprocal(), strict)
+    return Certificate(
+        ok=bool(stable and minimum_phase and low >= 1.0),
+        stable=stable,
+        minimum_phase=minimum_phase,
+        min_ratio=low,
+        min_ratio_at=low_at,
+        max_ratio=1.0 / high if high > 0.0 else math.inf,
+        max_ratio_at=high_at,
+        omega_max=float(samples.omega[-1]) if strict else math.inf,
+        intervals=tests + more,
+        without_data=samples.without_data,
+    )
+
+
+def is_hurwitz(coefficients: np.ndarray) -> bool:
+    """Whether all roots lie in the open left half-plane: Routh's array in rational arithmetic, no rounding.
+
+    ``coefficients`` in descending powers, the first not 0.
+    """
+    c = [Fraction(float(v)) for v in coefficients]
+    if c[0] < 0:
+        c = [-v for v in c]
+    upper, lower = c[0::2], c[1::2]
+    while lower:
+        if lower[0] <= 0 or upper[0] <= 0:
+            return False
+        padded = lower + [Fraction(0)] * (len(upper) - len(lower))
+        quotient = upper[0] / lower[0]
+        upper, lower = lower, [u - quotient * p for u, p in zip(upper[1:], padded[1:], strict=False)]
+    return upper[0] > 0
+
+
+def squared(coefficients: np.ndarray, unit: float) -> np.ndarray:
+    """|p(j w)|^2 as a polynomial in y = (w/unit)^2, ascending, each coefficient rounded once.
+
+    ``coefficients`` of p(s) in descending powers; ``unit`` in rad/s.
+    """
+    scale = Fraction(unit)
+    c = [Fraction(float(v)) * scale**i for i, v in enumerate(coefficients[::-1])]
+    square = [Fraction(0)] * len(c)
+    for i, ci in enumerate(c):
+        for k, ck in enumerate(c):
+            if (i + k) % 2 == 0:  # p(s) p(-s) at s = jw: odd powers cancel, s^2 = -w^2
+                square[(i + k) // 2] += ci * ck * (-1) ** ((i - k) // 2)
+    return np.array([float(v) for v in square])
+
+
+def _bernstein(
+    polynomial: np.ndarray, lo: np.ndarray, hi: np.ndarray, degree: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Bernstein coefficients (M, degree+1) on [lo, hi] (M,) and the same of sum |c_i| y^i.
+
+    By the blossom: coefficient k of y^i is the mean of all products of i out of (degree-k) lo's and k hi's;
+    for 0 <= lo <= hi nothing cancels within a monomial.
+    """
+    out = np.zeros((2, lo.size, degree + 1))
+    powers = [(lo**j, hi**j) for j in range(len(polynomial))]
+    for i, c in enumerate(polynomial):
+        for k in range(degree + 1):
+            mean = sum(
+                math.comb(k, j)
+                * math.comb(degree - k, i - j)
+                / math.comb(degree, i)
+                * powers[j][1]
+                * powers[i - j][0]
+                for j in range(max(0, i + k - degree), min(i, k) + 1)
+            )
+            out[0, :, k] += c * mean
+            out[1, :, k] += abs(c) * mean
+    return out[0], out[1]
+
+
+_Shapes = tuple[np.ndarray, np.ndarray, np.ndarray]
+_Pieces = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Intervals [lo, hi] (M,) in y, each with y0, log0 and slope (M,) of :func:`_bound_squared`."""
+
+
+def _least_ratio(
+    top: np.ndarray, bottom: np.ndarray, samples: SampledBound, strict: bool
+) -> tuple[float, float, int]:
+    """Proved lower limit of inf sqrt(top/bottom)/bound, where it is attained within 1e-9 (rad/s), tests made.
+
+    ``top``, ``bottom``: polynomials in y, ascending, same unit as ``samples``; bottom >= 0. Returns 0 at the
+    frequency where no positive ratio could be proved. ``strict``: leave out what lies beyond the last sample.
+    """
+    size = max(len(top), len(bottom))
+    top, bottom = (np.pad(p, (0, size - len(p))) for p in (top, bottom))
+    y, log_b2 = samples.y, 2.0 * np.log(samples.bound)
+    # The very logarithm of ``_bound_squared``, however close the samples.
+    slopes = np.diff(log_b2) / np.log(y[1:] / y[:-1])
+    inside: _Pieces = (
+        np.append(0.0, y[:-1]),
+        y,
+        np.append(y[0], y[:-1]),
+        np.append(log_b2[0], log_b2[:-1]),
+        np.append(0.0, slopes),
+    )
+    families: list[tuple[np.ndarray, np.ndarray, _Pieces, Callable[[float], float]]] = [
+        (top, bottom, inside, lambda v: samples.unit * math.sqrt(v))
+    ]
+    if not strict:  # [y_K, inf) in 1/y: the reversed polynomials on [0, 1/y_K]
+        beyond = (np.zeros(1), 1.0 / y[-1:], 1.0 / y[-1:], log_b2[-1:], np.zeros(1))
+        families.append(
+            (top[::-1], bottom[::-1], beyond, lambda v: samples.unit / math.sqrt(v) if v else math.inf)
+        )
+    least, at, tests, margin = math.inf, math.nan, 0, _PROOF_MARGIN
+    for p, q, pieces, frequency in families:
+        points, shapes = np.concatenate(pieces[:2]), _twice(pieces[2:])
+        for halvings in range(_MAX_HALVINGS):
+            margin = max(margin, _PROOF_MARGIN * 4.0 ** (halvings - _PATIENCE))
+            value, point = _attained(p, q, points, shapes)
+            if value < least:
+                least, at = value, frequency(point)
+            if not least > 0.0:
+                return 0.0, at, tests
+            tests += len(pieces[0])
+            open_ = ~_nonnegative(p, q, least * (1.0 - margin), *pieces)
+            lo, hi, y0, log0, slope = (v[open_] for v in pieces)
+            shapes = (y0, log0, slope)
+            if not lo.size:
+                break
+            if tests > _MAX_TESTS:
+                return 0.0, frequency(hi[0]), tests
+            points = np.where(lo > 0, np.sqrt(lo * hi), 0.25 * hi)
+            pieces = (np.concatenate([lo, points]), np.concatenate([points, hi]), *_twice(shapes))
+        else:
+            return 0.0, frequency(hi[0]), tests
+    return math.sqrt(least * (1.0 - margin)), at, tests
+
+
+def _twice(shapes: _Shapes) -> _Shapes:
+    """Every piece's shape for its two halves: all left ones, then all right ones."""
+    y0, log0, slope = (np.tile(v, 2) for v in shapes)
+    return y0, log0, slope
+
+
+def _bound_squared(points: np.ndarray, y0: np.ndarray, log0: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """c y^q of one piece; its value at y0 is exp(log0). q = 0 pieces may contain y = 0."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        exponent = np.where(slope == 0, 0.0, slope * np.log(points / y0))
+    return np.exp(log0 + exponent)
+
+
+def _attained(p: np.ndarray, q: np.ndarray, points: np.ndarray, shapes: _Shapes) -> tuple[float, float]:
+    """Least p/(bound^2 q) over ``points``, less its rounding error, and the point; inf where q = 0."""
+    powers = points[:, None] ** np.arange(len(p))
+    bottom = (powers @ q) * _bound_squared(points, *shapes)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(bottom > 0, (powers @ p - _ROUNDING * (powers @ np.abs(p))) / bottom, math.inf)
+    k = int(np.argmin(ratio))
+    return float(ratio[k]), float(points[k])
+
+
+def _nonnegative(
+    p: np.ndarray,
+    q: np.ndarray,
+    factor: float,
+    lo: np.ndarray,
+    hi: np.ndarray,
+    y0: np.ndarray,
+    log0: np.ndarray,
+    slope: np.ndarray,
+) -> np.ndarray:
+    """True (M,) where p >= factor bound^2 q is proved on [lo, hi]."""
+    at_lo, at_hi = (_bound_squared(v, y0, log0, slope) for v in (lo, hi))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        middle = np.where(lo > 0, np.sqrt(lo * hi), 0.5 * hi)
+        tangent = _bound_squared(middle, y0, log0, slope) * (
+            1.0 + slope * (np.array([lo, hi]) / middle - 1.0)
+        )
+    concave = (slope > 0) & (slope < 1)
+    line_lo, line_hi = (
+        factor * np.where(concave, tangent[0], at_lo),
+        factor * np.where(concave, tangent[1], at_hi),
+    )
+    n = len(p) - 1
+    p_c, p_abs = _bernstein(p, lo, hi, n)
+    q_c, q_abs = _bernstein(q, lo, hi, n)
+    proved = np.ones(lo.size, dtype=bool)
+    for k in range(n + 2):  # coefficient k of p and of (line q), both raised to degree n + 1
+        value = np.zeros(lo.size)
+        for weight, index, line in ((n + 1 - k, k, line_lo), (k, k - 1, line_hi)):
+            if weight:
+                value += weight * (
+                    p_c[:, index]
+                    - line * q_c[:, index]
+                    - _ROUNDING * (p_abs[:, index] + line * q_abs[:, index])
+                )
+        proved &= value >= 0
+    return proved

@@ -1,0 +1,206 @@
+"""Stage 4: stable, minimum-phase weights of low order that provably lie above the identified bounds.
+
+Reads   omega (K,) rad/s, bound (K,) in the unit of the weighted signal (NaN: bin without data)
+Gives   ``Weight`` W(s) with |W(jw)| >= bound(w) for every w >= 0, and how tight it is
+Source  Roedoenyi & Bokor, section III, steps 6 and 7; THEORY 5.3
+
+The *worst ratio* is sup |W|/bound over all w, the ends included. A strictly proper weight cannot stay above
+a constant for ever: its claims, both ways, stop at the last sample.
+
+Linear programs find the squared magnitude with the least worst ratio (``minimax``). Its left-half-plane
+spectral factors are the weight. One scalar gain, ``inflation``, closes the fit: it lifts the weight by what
+the certificate (``certificate``) found missing between the grid points.
+
+The optimum of a given order may want a break beyond the first or last sample, or a sharp resonance around a
+single deep bin of raw scatter. Both are kept, because leaving them out costs more than 0.01 dB. Breaks
+beyond the samples are named in ``breaks_outside``. Who does not want the scatter's shape hands in an
+envelope."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...base.errors import InputError
+from .bound import SampledBound
+from .certificate import Certificate, verify_overbound
+from .minimax import STEP_DB, Candidate, Grid, least_worst_ratio
+from .weight import Weight, polynomial_roots
+
+_MAX_REFITS = 8
+
+
+@dataclass(frozen=True)
+class OverboundFit:
+    """A fitted weight and how good it is.
+
+    ``worst_ratio_db``: proved upper limit of sup |W|/bound, 20 log10.
+    ``lp_optimum_db``: level proved infeasible for this order, up to the LP solver's 1e-9. The fit is within
+    ``worst_ratio_db - lp_optimum_db`` of the best there is.
+    ``inflation``: the final scalar gain, already in ``weight``.
+    ``certificate``: ``Certificate.to_dict()``.
+    ``ratios_db``: worst ratio reached per order tried.
+    ``floored``: frequencies (rad/s) where the floor replaced a smaller bound.
+    ``breaks_outside``: |pole| and |zero| (rad/s) beyond the first or last sample that the optimum asked for.
+    """
+
+    weight: Weight
+    order: int
+    worst_ratio_db: float
+    lp_optimum_db: float
+    inflation: float
+    certificate: dict
+    ratios_db: dict[int, float]
+    floored: tuple[float, ...]
+    breaks_outside: tuple[float, ...]
+
+
+def fit_overbound(
+    omega: ArrayLike,
+    bound: ArrayLike,
+    *,
+    max_order: int = 4,
+    order: int | None = None,
+    floor: float | None = None,
+    tol_db: float = 0.3,
+    proper: str = "biproper",
+    name: str = "",
+) -> OverboundFit:
+    """Lowest-order stable minimum-phase weight above ``bound`` with the least worst ratio.
+
+    omega     (K,) rad/s, > 0, strictly increasing
+    bound     (K,) >= 0; NaN: no data there (the neighbours are joined); values under ``floor`` are raised to
+              it
+    max_order highest order considered; the order taken is the smallest n such that no order n + k up to
+              max_order lowers the worst ratio by more than k ``tol_db``
+    order     this order instead; a lower one is returned when the extra states gain nothing (0.002 dB)
+    floor     > 0, needed where the bound is 0
+    proper    "biproper" (D(inf) > 0, which H-infinity rank conditions need) or "strict" (rolls off, from 10
+              omega[-1] on at the latest; claims end at omega[-1])
+    name      of the bound, for messages
+
+    Raises ``InputError`` naming the index or the frequency.
+
+    >>> fit = fit_overbound([0.1, 1.0, 10.0], [2.0, 2.0, 2.0])
+    >>> fit.order, round(float(fit.weight.magnitude(1.0)), 6)
+    (0, 2.0)
+    """
+    source = name or "weight fit"
+    lowest = _lowest_order(source, max_order, order, tol_db, proper)
+    samples = SampledBound.read(source, omega, bound, floor)
+    grid = Grid(samples, strict=proper == "strict")
+    best: dict[int, Candidate] = {}
+    for n in range(lowest, (max_order if order is None else order) + 1):
+        best[n] = least_worst_ratio(grid, n, best.get(n - 1))
+        if order is None and best[n].ratio_db <= tol_db:
+            break  # no higher order can gain more than tol_db
+    chosen = _choose(best, tol_db) if order is None else order
+    for n in range(chosen, lowest - 1, -1):
+        if best[n].order == n and (closed := _close(grid, best[n], best.get(n - 1))) is not None:
+            break
+    else:
+        raise InputError(
+            source, f"order {chosen}", "no weight could be certified", "a smoother bound or another order"
+        )
+    weight, inflation, certificate, lower_db = closed
+    worst_db = _db(certificate.max_ratio)
+    return OverboundFit(
+        weight=weight,
+        order=weight.order,
+        worst_ratio_db=worst_db,
+        lp_optimum_db=lower_db,
+        inflation=inflation,
+        certificate=certificate.to_dict() | {"without_data": list(samples.without_data)},
+        ratios_db={m: candidate.ratio_db for m, candidate in best.items()} | {n: worst_db},
+        floored=samples.floored,
+        breaks_outside=_outside(weight, samples),
+    )
+
+
+def _outside(weight: Weight, samples: SampledBound) -> tuple[float, ...]:
+    """|pole| and |zero| (rad/s) beyond the first or last sample."""
+    breaks = np.sort(np.abs(np.concatenate([weight.zeros(), weight.poles()])))
+    return tuple(breaks[(breaks < samples.omega[0]) | (breaks > samples.omega[-1])].tolist())
+
+
+def _lowest_order(source: str, max_order: int, order: int | None, tol_db: float, proper: str) -> int:
+    """The lowest order to try; refuses options that mean nothing."""
+    if proper not in ("biproper", "strict"):
+        raise InputError(source, "proper", f"{proper!r}", "'biproper' or 'strict'")
+    lowest = 1 if proper == "strict" else 0
+    for what, value in (("max_order", max_order), ("order", order)):
+        if value is not None and not (isinstance(value, int) and lowest <= value <= 8):
+            raise InputError(source, what, f"{value!r}", f"an integer from {lowest} to 8")
+    if not (math.isfinite(tol_db) and tol_db >= 0):
+        raise InputError(source, "tol_db", f"{tol_db!r}", "a finite number of dB >= 0")
+    return lowest
+
+
+def _choose(best: dict[int, Candidate], tol_db: float) -> int:
+    """Smallest order n such that no order n + k gains more than k tol_db."""
+    return next(
+        n
+        for n, c in best.items()
+        if all(c.ratio_db - other.ratio_db <= tol_db * (m - n) for m, other in best.items() if m > n)
+    )
+
+
+def _close(
+    grid: Grid, candidate: Candidate, lower_order: Candidate | None
+) -> tuple[Weight, float, Certificate, float] | None:
+    """Weight, inflation, certificate and lower limit [dB] of a candidate; None when no stable spectral factor
+    is found that beats the lower order.
+
+    Where the certificate finds the ratio outside what the grid showed, that frequency joins the grid and the
+    order is fitted again.
+    """
+    closed = None
+    for _ in range(_MAX_REFITS):
+        lifted = _lift(grid, candidate)
+        certificate = lifted[2]
+        if certificate.ok and (closed is None or certificate.max_ratio < closed[2].max_ratio):
+            closed = *lifted, candidate.lower_db
+        if closed is not None and _db(closed[2].max_ratio) <= candidate.lower_db + 4 * STEP_DB:
+            break
+        grid.insert((np.array([certificate.min_ratio_at, certificate.max_ratio_at]) / grid.samples.unit) ** 2)
+        candidate = least_worst_ratio(grid, candidate.order, lower_order, candidate)
+        if lower_order is not None and candidate.order == lower_order.order:
+            break
+    worse = (
+        closed is not None
+        and lower_order is not None
+        and _db(closed[2].max_ratio) > lower_order.ratio_db + STEP_DB
+    )
+    return None if worse else closed
+
+
+def _lift(grid: Grid, candidate: Candidate) -> tuple[Weight, float, Certificate]:
+    """Spectral factors of a candidate, the gain that puts them above the bound, and the certificate of
+    both."""
+    samples = grid.samples
+    factors = [_spectral_factor(np.trim_zeros(p, "b")) for p in (candidate.top, candidate.bottom)]
+    num, den = (p / samples.unit ** np.arange(len(p) - 1, -1, -1.0) for p in factors)
+    raw, inflation = Weight(samples.level * num / den[0], den / den[0]), 1.0
+    for _ in range(3):
+        weight = Weight(raw.num * inflation, raw.den)
+        certificate = verify_overbound(weight, samples.omega, samples.bound * samples.level)
+        if certificate.ok or certificate.min_ratio == 0.0:
+            break
+        inflation *= (1.0 + 1e-12) / certificate.min_ratio
+    return weight, inflation, certificate
+
+
+def _spectral_factor(square: np.ndarray) -> np.ndarray:
+    """p with |p(jw)|^2 = square(w^2) and roots in the open left half-plane, where there is one; descending
+    powers of s."""
+    roots = polynomial_roots(square[::-1])
+    s = -np.sqrt(-roots.astype(complex))
+    return math.sqrt(abs(square[-1])) * np.atleast_1d(np.real(np.poly(s)))
+
+
+def _db(ratio: float) -> float:
+    """20 log10; inf stays inf."""
+    return 20.0 * math.log10(ratio) if ratio < math.inf else math.inf

@@ -1,0 +1,71 @@
+"""Step 7 of the paper: the disturbance without the share that the sensors' noise already explains (T9)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...base.errors import InputError
+from .weight import Weight
+
+
+def subtract_noise(
+    B_w: Weight | ArrayLike,
+    W_n: Weight | ArrayLike,
+    omega: ArrayLike,
+    *,
+    disturbance_set: str,
+    floor: ArrayLike,
+) -> tuple[np.ndarray, list[float]]:
+    """Step 7: the disturbance's magnitude without the sensor's share.
+
+    B_w, W_n  Weight, or magnitudes (K,) at ``omega`` (K,) rad/s (NaN: no data, stays NaN)
+    disturbance_set  "paper": |B_w| - |W_n|; "covering": sqrt(|B_w|^2 - |W_n|^2)
+    floor     > 0, scalar or (K,): the least value returned
+
+    Returns the values (K,) and the frequencies (rad/s) at which the difference was not positive: there the
+    floor is all that is left. Raises InputError on magnitudes, floors and sets that mean nothing.
+
+    >>> options = {"disturbance_set": "covering", "floor": 0.1}
+    >>> values, lost = subtract_noise([5.0, 1.0], [3.0, 2.0], [1.0, 10.0], **options)
+    >>> values.tolist(), lost
+    ([4.0, 0.1], [10.0])
+    """
+    omega = np.asarray(omega, dtype=float)
+    total, noise = (_magnitudes(what, value, omega) for what, value in (("B_w", B_w), ("W_n", W_n)))
+    floor = np.broadcast_to(np.asarray(floor, dtype=float), omega.shape)
+    if not np.all(np.isfinite(floor) & (floor > 0)):
+        raise InputError(
+            "noise subtraction",
+            "floor",
+            f"{floor[~(floor > 0) | ~np.isfinite(floor)][0]}",
+            "a finite number > 0",
+        )
+    if disturbance_set == "paper":
+        left = total - noise
+    elif disturbance_set == "covering":
+        left = np.copysign(np.sqrt(np.abs(total - noise) * (total + noise)), total - noise)
+    else:
+        raise InputError(
+            "noise subtraction", "disturbance_set", f"{disturbance_set!r}", "'paper' or 'covering'"
+        )
+    return np.maximum(left, floor), omega[left <= 0].tolist()
+
+
+def _magnitudes(what: str, value: Weight | ArrayLike, omega: np.ndarray) -> np.ndarray:
+    if isinstance(value, Weight):
+        return value.magnitude(omega)
+    value = np.asarray(value, dtype=float)
+    if value.shape != omega.shape:
+        raise InputError(
+            "noise subtraction", what, f"shape {value.shape}", f"the shape of omega, {omega.shape}"
+        )
+    wrong = np.flatnonzero((value < 0) | np.isinf(value))
+    if wrong.size:
+        raise InputError(
+            "noise subtraction",
+            f"{what} at {omega[wrong[0]]:g} rad/s",
+            f"{value[wrong[0]]}",
+            "a finite magnitude >= 0 or NaN",
+        )
+    return value

@@ -1,0 +1,181 @@
+"""The quadratic problem, not convex, that is left of an LFT point: least sizes p for signals z.
+
+min sum_j p_j over z = (theta, 1) and p >= 0 subject to :class:`Form` s. A full block or the disturbance's
+ball is a form. A repeated block is a form and an equation a z = delta b z with one scalar delta.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpvguard.engine.validation.problem import RANK_TOLERANCE
+
+CANCELLED = 1e-12
+"""A signal below this fraction of the terms that it is the sum of is their rounding."""
+
+
+@dataclass(frozen=True)
+class Form:
+    """|a z|^2 <= (constant + sizes[param]) slope |b z|^2, and for a repeated block a z = delta b z as well.
+
+    ``a`` (r, n), ``b`` (r', n); r = r' for a repeated block, whose kind is ``repeated``.
+    ``param`` -1: the constant alone; it is inf when a repeated block has no bound (its own cap is infinite).
+    ``parts``: the signals that a is stacked from, when there are several.
+    """
+
+    a: np.ndarray
+    b: np.ndarray
+    constant: float = 0.0
+    param: int = -1
+    slope: float = 1.0
+    repeated: str | None = None
+    parts: tuple[np.ndarray, ...] = ()
+
+
+def cancels(a: np.ndarray, z: np.ndarray) -> bool:
+    """Whether a @ z is zero up to the rounding of its own terms; ``a`` (r, n), ``z`` (n,)."""
+    return bool(np.linalg.norm(a @ z) <= CANCELLED * np.linalg.norm(np.abs(a) @ np.abs(z)))
+
+
+class Quadratic:
+    """min sum_j p_j over z = (theta, 1) of length ``n`` and p >= 0 (``params`` of them) subject to ``forms``.
+
+    ``repeated``: indices of the forms of repeated blocks. ``boxed``: sizes that one repeated block alone
+    decides. The box of that block bounds the size, so it needs no direction of its own.
+    """
+
+    def __init__(self, forms: Sequence[Form], params: int, n: int):
+        self.forms, self.params, self.n = list(forms), params, n
+        self.repeated = [k for k, f in enumerate(self.forms) if f.repeated]
+        users = [f.param for f in self.forms]
+        self.boxed = {self.forms[k].param for k in self.repeated if users.count(self.forms[k].param) == 1} - {
+            -1
+        }
+
+    def origin(self) -> np.ndarray:
+        """(n,) the point theta = 0."""
+        return np.append(np.zeros(self.n - 1, dtype=complex), 1.0)
+
+    def scalar(self, k: int, z: np.ndarray) -> complex:
+        """Scalar of repeated form ``k`` that maps b z to a z best, real for a real block; 0 for b z = 0."""
+        f = self.forms[k]
+        xi, eta = f.a @ z, f.b @ z
+        power = np.vdot(eta, eta).real
+        d = np.vdot(eta, xi) / power if power > 0.0 else 0.0
+        return d.real if f.repeated == "repeated_real" else d
+
+    def cost(self, z: np.ndarray) -> float:
+        """Sum of the least sizes that ``z`` (n,) needs; inf outside the constant constraints."""
+        p = np.zeros(self.params)
+        for f in self.forms:
+            a, b = np.linalg.norm(f.a @ z) ** 2, f.slope * np.linalg.norm(f.b @ z) ** 2
+            if f.param < 0:
+                if np.isfinite(f.constant) and a > f.constant * b * (1.0 + 1e-9):
+                    return np.inf
+            elif a > 0.0:
+                p[f.param] = max(p[f.param], a / b - f.constant if b > 0.0 else np.inf)
+        return float(np.sum(np.maximum(p, 0.0)))
+
+    def on_subspace(
+        self, z: np.ndarray, deltas: dict[int, complex]
+    ) -> tuple[np.ndarray, np.ndarray | None] | None:
+        """``z`` projected on the constraints a z = delta b z, and a basis (n - 1, m) of what stays free.
+
+        ``deltas``: scalar per index of a repeated form. The basis is None without any (everything is free);
+        the answer is None when the constraints have no solution.
+        """
+        if not deltas:
+            return z, None
+        # Rows of a block in units of its own: sizes of blocks may be 1e10 apart.
+        scaled, sizes = [], []
+        for k, d in deltas.items():
+            f = self.forms[k]
+            unit = (np.linalg.norm(f.a) + abs(d) * np.linalg.norm(f.b)) or 1.0
+            scaled.append((f.a - d * f.b) / unit)
+            sizes.append((np.abs(f.a) + abs(d) * np.abs(f.b)) / unit)  # a and d b may cancel
+        rows, terms = np.vstack(scaled), np.vstack(sizes)
+        left, right = rows[:, :-1], -rows[:, -1]
+        fix, *_ = np.linalg.lstsq(left, right - left @ z[:-1], rcond=RANK_TOLERANCE)
+        z = np.append(z[:-1] + fix, 1.0)
+        if np.linalg.norm(rows @ z) > 1e-9 * np.linalg.norm(terms @ np.abs(z)):
+            return None
+        _, s, vh = np.linalg.svd(left)
+        rank = int(np.sum(s > RANK_TOLERANCE * s.max(initial=0.0)))
+        return z, vh[rank:].conj().T
+
+    def repair(self, z: np.ndarray) -> np.ndarray | None:
+        """A point near ``z`` (n,) that satisfies the constant constraints exactly, or None."""
+        projected = self.on_subspace(z, {k: self.scalar(k, z) for k in self.repeated})
+        if projected is None:
+            return None
+        z, null = projected
+        fixed = [f for f in self.forms if f.param < 0 and not f.repeated and np.isfinite(f.constant)]
+        for f in fixed:
+            # A constant constraint is a ball, its b z the same for all theta: shrink towards its centre.
+            limit = f.constant * f.slope * np.linalg.norm(f.b @ z) ** 2
+            if np.linalg.norm(f.a @ z) ** 2 <= limit * (1.0 + 1e-12):
+                continue
+            basis = np.eye(len(z) - 1, dtype=complex) if null is None else null
+            step, *_ = np.linalg.lstsq(f.a[:, :-1] @ basis, -(f.a @ z), rcond=RANK_TOLERANCE)
+            move = np.append(basis @ step, 0.0)
+            v, d = f.a @ z, f.a @ move
+            # |v + tau d|^2 = limit, smaller root
+            qa, qb, qc = np.vdot(d, d).real, np.vdot(v, d).real, np.vdot(v, v).real - limit
+            disc = qb * qb - qa * qc
+            if qa == 0.0 or disc < -1e-9 * qb * qb:
+                return None
+            z = z + (qc / (-qb + np.sqrt(max(disc, 0.0)))) * move
+        return z
+
+    def inside(self, deltas: dict[int, complex]) -> tuple[float, np.ndarray | None]:
+        """(ratio, z): the point with a z = delta b z that violates the constant constraints least.
+
+        ``deltas`` as for :meth:`on_subspace`. A ratio of at most 1 is inside; it is inf, and z None, where no
+        point has these scalars.
+        """
+        projected = self.on_subspace(self.origin(), deltas)
+        if projected is None:
+            return np.inf, None
+        z, null = projected
+        fixed = [f for f in self.forms if f.param < 0 and not f.repeated]
+        if not fixed:
+            return 0.0, z
+        if null is None:
+            null = np.eye(len(z) - 1, dtype=complex)
+        left = np.vstack([f.a[:, :-1] @ null / np.sqrt(f.constant * f.slope) for f in fixed])
+        right = np.concatenate([f.a @ z / np.sqrt(f.constant * f.slope) for f in fixed])
+        step, *_ = np.linalg.lstsq(left, -right, rcond=RANK_TOLERANCE)
+        z = z + np.append(null @ step, 0.0)
+        return max(
+            float(np.linalg.norm(f.a @ z) / np.sqrt(f.constant * f.slope) / np.linalg.norm(f.b @ z))
+            for f in fixed
+        ), z
+
+    def zero(self) -> np.ndarray | None:
+        """A point (n,) that needs no size at all, when there is one: the optimum is then exactly zero."""
+        if any(f.repeated and f.param < 0 for f in self.forms):
+            return None
+        # Each signal in units of its own: xi and w may be 1e14 apart, or their weights, and one must not hide
+        # in the other's rounding.
+        wanted = [
+            a / (np.linalg.norm(a) or 1.0) for f in self.forms if f.param >= 0 for a in f.parts or (f.a,)
+        ]
+        rows = np.vstack([np.zeros((0, self.n)), *wanted])
+        left = rows[:, :-1]
+        theta, *_ = np.linalg.lstsq(left, -rows[:, -1], rcond=RANK_TOLERANCE)
+        z = np.append(theta, 1.0)
+        _, s, vh = np.linalg.svd(left)
+        null = vh[int(np.sum(s > RANK_TOLERANCE * max(s[0], 1e-300))) if s.size else 0 :].conj().T
+        fixed = [f for f in self.forms if f.param < 0]
+        for f in fixed:
+            step, *_ = np.linalg.lstsq(f.a[:, :-1] @ null, -(f.a @ z), rcond=RANK_TOLERANCE)
+            z = z + np.append(null @ step, 0.0)
+        if not all(cancels(a, z) for a in wanted):
+            return None
+        inside = all(
+            np.linalg.norm(f.a @ z) ** 2 <= f.constant * f.slope * np.linalg.norm(f.b @ z) ** 2 for f in fixed
+        )
+        return z if inside else None

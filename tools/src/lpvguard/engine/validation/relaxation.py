@@ -1,0 +1,267 @@
+"""Certified lower bounds of the quadratic problem over a node of the branch and bound (S-procedure).
+
+Two facts make the branch and bound short. First, a certificate y found at sizes p stays valid for every p'
+with sum_j y_j Q_j(p') >= 0. That is a convex set that contains [0, p]. So a cone of directions is bounded at
+its edges, with an error of second order in its angle (Tuy). Second, a certificate is an eigenvalue problem in
+the length along a ray. So each multiplier vector is used up to the largest length that it proves
+(Dinkelbach). With the scalars of repeated blocks as linear constraints, a certificate is affine in them too.
+So a box is bounded at its corners, again with an error of second order (:meth:`Relaxation.tangent`).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lpvguard.engine.validation import lmi
+from lpvguard.engine.validation.problem import RANK_TOLERANCE
+from lpvguard.engine.validation.quadratic import Form, Quadratic
+
+PENALTIES = 10.0 ** np.arange(-2.0, 5.0)
+"""Weights of |A z|^2 beside the certificate's norm that :meth:`Relaxation.tangent` tries."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """Closed box of a repeated block's scalar: real interval, or rectangle of the complex plane."""
+
+    low: complex
+    high: complex
+
+    @property
+    def centre(self) -> complex:
+        """Middle of the box."""
+        return 0.5 * (self.low + self.high)
+
+    @property
+    def radius(self) -> float:
+        """Half the distance of ``low`` and ``high``."""
+        return 0.5 * abs(self.high - self.low)
+
+    @property
+    def least(self) -> float:
+        """Smallest modulus in the box."""
+        d = self.high - self.low
+        c = self.centre
+        return float(np.hypot(max(abs(c.real) - 0.5 * d.real, 0.0), max(abs(c.imag) - 0.5 * d.imag, 0.0)))
+
+    @property
+    def most(self) -> float:
+        """Largest modulus in the box."""
+        return max(abs(self.low), abs(self.high), abs(complex(self.low.real, self.high.imag)))
+
+    @property
+    def corners(self) -> list[complex]:
+        """Two ends of an interval, four corners of a rectangle."""
+        low, high = self.low, self.high
+        ends = [low, complex(high.real, low.imag), complex(low.real, high.imag), high]
+        return list(dict.fromkeys(ends))
+
+    def halves(self) -> tuple[Box, Box]:
+        """The box cut in the middle of its longer side."""
+        d = self.high - self.low
+        cut = 0.5 * d.real if d.real >= d.imag else 0.5j * d.imag
+        return Box(self.low, self.high - cut), Box(self.low + cut, self.high)
+
+
+@dataclass(order=True)
+class Node:
+    """A cone of sizes, spanned by ``rays`` (k, params), and a box per repeated form (``boxes``, by index).
+
+    ``lower``: certified bound of the cost over it. ``small``: at the parent the tangent's bound was the
+    better one.
+    """
+
+    lower: float
+    serial: int
+    rays: np.ndarray = field(compare=False)
+    boxes: dict[int, Box] = field(compare=False)
+    small: bool = field(compare=False, default=False)
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """Bounds of :meth:`Relaxation.tangent` and the primal matrix (n, n), or None.
+
+    ``lower``: over the node. ``centre``: at the boxes' centre on the central ray. ``box``: over the corners
+    there. ``cone``: over the rays there.
+    """
+
+    lower: float
+    centre: float
+    box: float
+    cone: float
+    inverse: np.ndarray | None
+
+
+@dataclass(frozen=True)
+class _Generators:
+    """What a certificate is combined from: Q0 (m, n, n) and level part G (m, n, n), the parameter of each
+    (m,), and the multiplier cone."""
+
+    q0: np.ndarray
+    level: np.ndarray
+    param: np.ndarray
+    cone: lmi.Cone
+
+
+class _HeldScalars:
+    """The repeated blocks of a node as linear constraints (a - d b) z = 0, with their scalars d held."""
+
+    def __init__(self, problem: Quadratic, boxes: dict[int, Box]):
+        self._forms: list[Form] = [problem.forms[k] for k in boxes]
+        self.centre = np.array([box.centre for box in boxes.values()])
+        self.corners = [np.array(c) for c in itertools.product(*(box.corners for box in boxes.values()))]
+        self._known = [i for i, f in enumerate(self._forms) if f.param in problem.boxed]
+        self._unit = [
+            1.0 / (np.linalg.norm(f.a) + abs(c) * np.linalg.norm(f.b))
+            for f, c in zip(self._forms, self.centre, strict=True)
+        ]
+
+    def rows(self, scalars: np.ndarray) -> np.ndarray:
+        """Rows a - d b of all blocks, each block in units of its own."""
+        return np.vstack(
+            [u * (f.a - d * f.b) for u, f, d in zip(self._unit, self._forms, scalars, strict=True)]
+        )
+
+    def base(self, scalars: np.ndarray) -> float:
+        """Sizes that the scalars alone decide, each |d|^2 replaced by its tangent at the centre."""
+        centre = self.centre
+        return sum(
+            (2.0 * (centre[i].conjugate() * scalars[i]).real - abs(centre[i]) ** 2) / self._forms[i].slope
+            for i in self._known
+        )
+
+
+class Relaxation:
+    """Lower bounds of a :class:`quadratic.Quadratic` over nodes."""
+
+    def __init__(self, problem: Quadratic):
+        self.problem = problem
+        plain = [k for k, f in enumerate(problem.forms) if not f.repeated and np.isfinite(f.constant)]
+        self._plain = self._generators({}, plain) if plain else None
+
+    def _generators(self, boxes: dict[int, Box], only: Sequence[int] | None = None) -> _Generators:
+        """Generators of all forms or of those in ``only``."""
+        forms, boxed = self.problem.forms, self.problem.boxed
+        q0: list[np.ndarray] = []
+        level: list[np.ndarray] = []
+        param: list[int] = []
+        groups: list[tuple[str, int]] = []
+
+        def add(kind: str, order: int, zero: np.ndarray, slope_part: np.ndarray, index: int) -> None:
+            size = max(float(np.max(np.abs(zero))), 1e-300)
+            q0.extend(zero / size)
+            level.extend(slope_part / size)
+            param.extend([index] * len(zero))
+            groups.append((kind, order))
+
+        for k in range(len(forms)) if only is None else only:
+            f = forms[k]
+            r = f.a.shape[0] if f.repeated else 1
+            basis = lmi.hermitian_basis(r) if f.repeated else None
+
+            if k in boxes and f.param in boxed:
+                aa, bb = lmi.gram(f.a, f.a, basis), lmi.gram(f.b, f.b, basis)
+                add("psd", r, aa - boxes[k].most ** 2 * bb, 0.0 * bb, -1)
+            elif np.isfinite(f.constant):
+                aa, bb = lmi.gram(f.a, f.a, basis), f.slope * lmi.gram(f.b, f.b, basis)
+                add("psd", r, aa - f.constant * bb, bb if f.param >= 0 else 0.0 * bb, f.param)
+            if f.repeated == "repeated_real":
+                cross = 1j * lmi.gram(f.a, f.b, basis)
+                add("free", r, cross + cross.conj().transpose(0, 2, 1), 0.0 * cross, -1)
+            if k in boxes:
+                box = boxes[k]
+                d, bb = f.a - box.centre * f.b, lmi.gram(f.b, f.b, basis)
+                add("psd", r, lmi.gram(d, d, basis) - box.radius**2 * bb, 0.0 * bb, -1)
+        return _Generators(np.array(q0), np.array(level), np.array(param), lmi.cone(groups))
+
+    def box_bound(self, node: Node, params: set[int]) -> float:
+        """Sum of the sizes among ``params`` that the boxes of repeated blocks force."""
+        total = np.zeros(self.problem.params)
+        for k, box in node.boxes.items():
+            f = self.problem.forms[k]
+            if f.param in params:
+                total[f.param] = max(total[f.param], box.least**2 / f.slope - f.constant)
+        return float(total.sum())
+
+    def lower(self, node: Node, cutoff: float) -> tuple[float, float, np.ndarray | None]:
+        """Certified lower bound over a node, bound on the central ray, and primal matrix (n, n) or None."""
+        g = self._generators(node.boxes) if self.problem.repeated or self._plain is None else self._plain
+        base = self.box_bound(node, self.problem.boxed)
+        weight = np.append(node.rays.mean(axis=0), 0.0)
+        length, y, inverse = lmi.ray_length(
+            g.q0, g.level * weight[g.param][:, None, None], g.cone, max(cutoff - base, 0.0)
+        )
+        edges = 0.0
+        if y is not None:
+            rays = np.column_stack([node.rays, np.zeros(len(node.rays))])
+            slopes = np.tensordot(rays[:, g.param] * y, g.level, axes=1)
+            edges = float(np.min(lmi.reach(np.tensordot(y, g.q0, axes=1), slopes, lmi.rounding(y, g.q0))))
+        return base + edges, base + length, inverse
+
+    def tangent(self, node: Node, cutoff: float) -> Tangent | None:
+        """Second bound over a node with boxes, whose error is of second order in their size; None without
+        one.
+
+        At the boxes' centre c the repeated blocks are linear constraints, A(c) z = 0 with rows a - c b. The
+        other forms give multipliers y on its kernel. Finsler: some Y makes the certificate Q(y, p) + Y^* A(c)
+        + A(c)^* Y positive on the whole space. With the same y and Y it is affine in the scalars and the
+        sizes. So it holds over the box when it holds at the corners, and |delta|^2 lies above its tangent at
+        c. Y's part outside the kernel is free: a ladder of penalties on |A z|^2 is tried, and the best corner
+        bound kept.
+        """
+        if self._plain is None or not node.boxes:
+            return None
+        g, held = self._plain, _HeldScalars(self.problem, node.boxes)
+        left, s, vh = np.linalg.svd(held.rows(held.centre))
+        rank = int(np.sum(s > RANK_TOLERANCE * s[0]))
+        normal, kernel = vh[:rank].conj().T, vh[rank:].conj().T
+        rays = np.vstack([node.rays.mean(axis=0), node.rays])
+        rays = np.column_stack([rays, np.zeros(len(rays))])[:, g.param]
+        at_centre = held.base(held.centre)
+        length, inverse = 0.0, None
+        y: np.ndarray | None = g.cone.normal / g.cone.normal.sum()
+        if kernel.shape[1]:
+            q0, level = (kernel.conj().T @ m @ kernel for m in (g.q0, g.level * rays[0][:, None, None]))
+            length, y, reduced = lmi.ray_length(q0, level, g.cone, max(cutoff - at_centre, 0.0))
+            inverse = None if reduced is None else kernel @ reduced @ kernel.conj().T
+        if y is None:
+            return None
+        zero, slopes = np.tensordot(y, g.q0, axes=1), np.tensordot(rays * y, g.level, axes=1)
+        at = zero - (length if np.isfinite(length) else 0.0) * slopes[0]
+        to_rows = (left[:, :rank] / s[:rank]).conj().T
+        duals = _lifts(at, kernel, normal, s[:rank]) @ to_rows
+        scalars = [held.centre, *held.corners]
+        terms = np.stack([duals @ held.rows(d) for d in scalars])
+        errors = lmi.rounding(y, g.q0) + 8.0 * len(zero) * np.finfo(float).eps * np.linalg.norm(
+            duals, axis=(1, 2)
+        )
+        lengths = lmi.reaches(
+            zero + terms + terms.conj().swapaxes(-1, -2), slopes, np.broadcast_to(errors, terms.shape[:2])
+        )
+        # (1 + corners, penalties, 1 + rays)
+        bounds = lengths + np.array([held.base(d) for d in scalars])[:, None, None]
+        kept = int(np.argmax(bounds[1:, :, 1:].min(axis=(0, 2))))
+        return Tangent(
+            float(bounds[1:, kept, 1:].min()),
+            at_centre + length,
+            float(bounds[1:, kept, 0].min()),
+            float(bounds[0, kept, 1:].min()),
+            inverse,
+        )
+
+
+def _lifts(at: np.ndarray, kernel: np.ndarray, normal: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """(penalties, n, rank) matrices ``lift`` with Y^* = lift pinv(A N), N = ``normal``.
+
+    A lift makes the certificate block diagonal: ``at`` on the kernel, the penalty outside. ``s``: singular
+    values of A.
+    """
+    outside = normal.conj().T @ at @ normal
+    penalties = np.linalg.norm(at) * PENALTIES
+    cross = -kernel @ (kernel.conj().T @ at @ normal)
+    return cross + 0.5 * normal @ (penalties[:, None, None] * np.diag(s**2) - outside)
