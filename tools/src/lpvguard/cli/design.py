@@ -120,6 +120,7 @@ def _design_vehicle(
     """Design and certify a vehicle's controller, with Table II and the figures where ``table``. Returns the
     exit status: 1 when mu is not certified below 1."""
     from ..control import design as stage
+    from ..control.plants import design_settings
 
     cells: list[Cell] = []
     more: dict[str, str] = {}
@@ -139,7 +140,7 @@ def _design_vehicle(
         print_cells(cells)
         if drive_set is None:
             console.print("Fig. 6 needs the drives: --drives")
-    print_design(result, stored.project.design.structure, out)
+    print_design(result, design_settings(stored).structure, out)
     if largest_A_t:
         print_largest_A_t(largest)
     print_moving_speed(result)

@@ -10,7 +10,8 @@ from ..base import artefacts
 from ..engine.synthesis.interconnection import STRUCTURES, GeneralisedPlant, Weights
 from ..engine.synthesis.statespace import StateSpace
 from ..engine.synthesis.table import Cell, cell, to_csv
-from ..identify.run import FittedWeight, Progress, StoredIdentification
+from ..identify.run import Progress, StoredIdentification
+from ..identify.weights import FittedWeight
 from ..vehicle.nominal import NominalModel
 from .plants import design_settings, fig1_weights, plant_at, weight_system
 from .stored_frames import StoredFrames, UncertaintyWeights

@@ -13,7 +13,8 @@ import numpy as np
 from ..base.errors import InputError
 from ..engine.synthesis import interconnection as fig1
 from ..engine.synthesis.statespace import StateSpace, append, gain, series
-from ..identify.run import FittedWeight, StoredIdentification
+from ..identify.run import StoredIdentification
+from ..identify.weights import FittedWeight
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import DesignSettings
 from .stored_frames import StoredFrames, UncertaintyWeights

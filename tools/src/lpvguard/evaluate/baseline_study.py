@@ -17,7 +17,8 @@ from ..core.compiled import Core
 from ..drives.tables import Experiment
 from ..identify.bounds import nominal_error
 from ..identify.calibration import Calibration, calibrate
-from ..identify.run import DriveReader, DriveSet, StoredIdentification
+from ..identify.passes import DriveReader
+from ..identify.run import DriveSet, StoredIdentification
 from ..replay.run import Replayer
 from .baselines import GRID, KINDS, TITLES, Bank, Baseline, Scales
 from .detection import FAULTS, FOUND_WITHIN_S, Case, fault_clocks, fault_rows, faulty_drive

@@ -10,7 +10,10 @@ import numpy as np
 from ..base.errors import InputError
 from ..core.coefficients import Coefficients, build_coefficients
 from ..drives.frames import Estimator
-from ..engine.overbound import OverboundFit, Weight, fit_overbound, subtract_noise, verify_overbound
+from ..engine.overbound.certificate import verify_overbound
+from ..engine.overbound.fit import OverboundFit, fit_overbound
+from ..engine.overbound.noise import subtract_noise
+from ..engine.overbound.weight import Weight
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
 from .bounds import Bounds

@@ -23,12 +23,8 @@ def upper_bound(
     would leave an ever larger G where a real block's D vanishes beside it.
     """
     d = _balance(M, structure)
-    left = np.diag(
-        np.concatenate([np.full(b.cols, s) for b, s in zip(structure.blocks, d, strict=True)])
-    ).astype(complex)
-    right = np.diag(
-        np.concatenate([np.full(b.rows, s) for b, s in zip(structure.blocks, d, strict=True)])
-    ).astype(complex)
+    left = _spread(d, [b.cols for b in structure.blocks])
+    right = _spread(d, [b.rows for b in structure.blocks])
     size = float(np.linalg.norm(left @ M @ np.linalg.inv(right), 2))
     G = np.zeros((structure.n_cols, structure.n_rows), complex)
     if size == 0:
@@ -74,6 +70,11 @@ def upper_bound(
         right @ np.linalg.cholesky(D_right),
         size * right @ G @ left.conj().T,
     )
+
+
+def _spread(scales: np.ndarray, sizes: list[int]) -> np.ndarray:
+    """Diagonal complex matrix with each of ``scales`` repeated ``sizes`` times."""
+    return np.diag(np.repeat(scales, sizes)).astype(complex)
 
 
 def _balance(M: np.ndarray, structure: Structure) -> np.ndarray:

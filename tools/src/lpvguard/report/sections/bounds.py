@@ -5,16 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from ...drives.frames import Estimator
-from ...engine.overbound import Weight
+from ...engine.overbound.weight import Weight
 from ...engine.validation import s1
 from ...identify.bounds import FrameSet, explain
-from ...identify.run import (
-    DC_STAND_IN,
-    SMALLEST_NU,
-    StoredIdentification,
-    fitting_grid,
-    uncertainty_samples,
-)
+from ...identify.run import StoredIdentification
+from ...identify.weights import DC_STAND_IN, SMALLEST_NU, fitting_grid, uncertainty_samples
 from ..markup import captioned, unit_of_norm
 from ..pictures.over_bins import POINTS_PER_BIN, Clouds, disturbance_design, pareto, weights_over_bounds
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from html import escape
 
-from ...evaluate.run import COUNTS_ONLY
+from ...evaluate.comparison import COUNTS_ONLY
 from ..markup import captioned, html_table, number
 from ..pictures.detectors import detection, detection_time
 

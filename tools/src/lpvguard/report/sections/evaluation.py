@@ -5,19 +5,9 @@ from __future__ import annotations
 from html import escape
 
 from ...core.compiled import TESTS
-from ...evaluate.run import (
-    EXPORTED,
-    FAULT_FROM_S,
-    FOUND_WITHIN_S,
-    MONITOR,
-    PIECE_S,
-    SHORTEST_FOR_FAULTS_S,
-    STARTS,
-    Column,
-    columns,
-    detector_rows,
-    equal_rates,
-)
+from ...evaluate.comparison import EXPORTED, MONITOR, Column, columns, detector_rows, equal_rates
+from ...evaluate.detection import FAULT_FROM_S, FOUND_WITHIN_S, SHORTEST_FOR_FAULTS_S, STARTS
+from ...evaluate.false_alarms import PIECE_S
 from ..markup import captioned, html_table, number
 from ..pictures.detectors import SOONEST_S, time_to_find
 

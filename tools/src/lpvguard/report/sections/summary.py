@@ -9,7 +9,8 @@ import numpy as np
 
 from ...drives.frames import Estimator
 from ...identify.energy import EnergyTest
-from ...identify.run import DC_STAND_IN, DriveSet, StoredIdentification
+from ...identify.run import DriveSet, StoredIdentification
+from ...identify.weights import DC_STAND_IN
 from ...identify.window_error import PERCENTILE, SPEEDS
 from ...replay.run import Replayer
 from ...vehicle.project import Project, Signal

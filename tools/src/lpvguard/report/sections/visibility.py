@@ -8,8 +8,9 @@ from html import escape
 import numpy as np
 
 from ...drives.frames import Estimator
-from ...identify.run import StoredIdentification, fitting_grid
+from ...identify.run import StoredIdentification
 from ...identify.visibility import STATED_GAINS
+from ...identify.weights import fitting_grid
 from ..markup import captioned, html_table, number, unit_of_norm, yes_or_no
 from ..pictures.over_bins import excitation
 from ..visits import Visits
