@@ -115,7 +115,7 @@ def require_seal(path: Path, document: dict[str, Any], writer: str) -> None:
 def seal(folder: Path) -> None:
     """Complete the manifest of a folder: all its other files with their hashes, and its own digest."""
     path = folder / MANIFEST
-    document = {k: v for k, v in read_json(path).items() if k != "files"}
+    document = {k: v for k, v in read_json(path).items() if k not in ("files", "seal")}
     files = {name: file_hash(folder / name) for name in _files_of(folder)}
     path.write_bytes(to_json(sealed({**document, "files": files})).encode())
 
