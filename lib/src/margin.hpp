@@ -14,7 +14,7 @@
 // Accuracy (tests/unit/test_margin.cpp, against a certified long double reference). The evaluation of E_j - d Z_j itself
 // rounds, by a part of |E_j|/B_j; no method in one number type avoids that. What is returned is therefore lowered by
 // 6 units of rounding of max |E_j|/B_j: rounding alone never raises an alarm. In float t* is never above the exact margin,
-// and at most 1e-6 of max |E_j|/B_j below it. Relative to t* that is 1e-6 (1 + max W |Z_j|/B_j) at most.
+// and at most 1e-6 of max |E_j|/B_j below it. Relative to t* that is 1e-6 (1 + max W |Z_j|/B_j) at most; of one output, 2e-6.
 // Range: |E_j|/B_j from 1e-9 to 1e9, and W |Z_j|/B_j up to 2e4. The units of an output scale E_j, Z_j and B_j together, from
 // 1e-30 to 1e30. Beyond, a candidate may be lost and results err upward; what is not finite reads infinity.
 #pragma once
@@ -203,8 +203,14 @@ private:
         return bottom > Real(0) ? origin + p + (top / bottom) * q : origin;
     }
 
-    // t* from its square, less what rounding of the evaluation may have added.
+    // t* from its square, less what rounding of the evaluation may have added. One output needs no candidate: t* is
+    // |E| / (1 + |Z|), where nothing cancels.
     Real lowered() const {
+        constexpr Real unit = Real(6) * std::numeric_limits<Real>::epsilon();
+        if constexpr (NY == 1) {
+            const Real t = std::sqrt(squared(E_[0])) / (Real(1) + gain_[0]);
+            return best_ < std::numeric_limits<Real>::infinity() ? (Real(1) - unit) * t : best_;
+        }
         Real largest = Real(0);
         for (std::size_t j = 0; j < NY; ++j) {
             const Real f = squared(E_[j]);
@@ -214,7 +220,7 @@ private:
         if (!(largest < std::numeric_limits<Real>::infinity())) {
             return t;  // beyond the range: upward
         }
-        const Real rounding = Real(6) * std::numeric_limits<Real>::epsilon() * std::sqrt(largest);
+        const Real rounding = unit * std::sqrt(largest);
         return t > rounding ? t - rounding : Real(0);
     }
 };

@@ -11,8 +11,8 @@ A coefficient struct of the core is 32-bit words, then numbers, under one CRC-32
     core/compiled.py                             names and shapes of what is read back
 
 ``python -m lpvguard.base.layout`` in a checkout writes the first three; tests/tools/base/test_layout.py fails
-when they differ from the tables. What holds between items of arrays (stable sections, even frames) is checked in
-coeff.cpp and said in a field's meaning. A change of the tables needs a higher ``schema`` of its struct, and
+when they differ from the tables. What holds between items of arrays (stable sections, even frames) is checked
+in coeff.cpp and said in a field's meaning. A change of the tables needs a higher ``schema`` of its struct, and
 every vehicle exported again.
 """
 
