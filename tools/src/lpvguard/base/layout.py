@@ -12,8 +12,8 @@ A coefficient struct of the core is 32-bit words, then numbers, under one CRC-32
 
 ``python -m lpvguard.base.layout`` in a checkout writes the first three; tests/tools/base/test_layout.py fails
 when they differ from the tables. What holds between items of arrays (stable sections, even frames) is checked
-in coeff.cpp and said in a field's meaning. A change of the tables needs a higher ``schema`` of its struct, and
-every vehicle exported again.
+in coeff.cpp and said in a field's meaning. A change of the tables needs a higher ``schema`` of its struct,
+and every vehicle exported again.
 """
 
 from __future__ import annotations
@@ -117,8 +117,11 @@ class Layout:
     def packed(
         self, part: str, values: dict[str, Any], sizes: dict[str, int], where: object
     ) -> dict[str, np.ndarray]:
-        """``values`` of "words" or "reals" as arrays in the order of the struct. InputError names ``where``
-        and the field that is missing, unknown, of the wrong shape, not finite or out of its range."""
+        """``values`` of "words" or "reals" by field, each as an array in the shape of its field.
+
+        The result is in the order of the struct. ``sizes``: by dimension. InputError names ``where`` and the
+        field that is missing, unknown, of the wrong shape, not finite or out of its range.
+        """
         fields: tuple[Field, ...] = getattr(self, part)
         names = [field.name for field in fields]
         if set(values) != set(names):

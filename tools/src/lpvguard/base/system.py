@@ -1,5 +1,5 @@
-"""What the operating system must give to whoever writes files: a lock that ends with its process, two names
-exchanged in one step, a file forced onto the disk, signals put off.
+"""What the operating system gives to whoever writes files: a lock that ends with its process; two names
+exchanged in one step; a file forced onto the disk; signals put off.
 
 This is the only module that asks for the system. Linux has all of it. Elsewhere
 

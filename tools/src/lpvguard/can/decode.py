@@ -130,10 +130,10 @@ def _j1939(frames: Frames, message, source_address: int | None, where: str) -> n
 def decode_signal(
     frames: Frames, positions: np.ndarray, message: Message, signal: Signal, *, j1939_codes: bool
 ) -> Samples:
-    """Physical values of a cantools ``signal`` in the frames at ``positions``.
+    """Physical values of a cantools ``signal`` in the frames at ``positions`` (K,), in the signal's unit.
 
-    Frames too short for the signal, frames of another multiplex, and with ``j1939_codes`` raw values above
-    the data range are left out and counted.
+    Frames too short for the signal and frames of another multiplex are left out and counted. So are values
+    that are not finite and, with ``j1939_codes``, raw values above the data range.
     """
     left_out: dict[str, int] = {}
     rows = frames.data[positions]

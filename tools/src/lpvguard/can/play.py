@@ -103,12 +103,12 @@ def frames_of_drive(
 
 
 def values_of_drive(project, drive, catalogue: Catalogue | None = None) -> dict[tuple[str, str], np.ndarray]:
-    """What ``frames_of_drive`` sends for a drive of ``drives/tables.py``: bus value = factor * value for
-    every signal with a CAN place.
+    """What ``frames_of_drive`` sends for a drive of ``drives/tables.py`` with N samples: (message, signal) ->
+    (N,) values on the bus.
 
-    A receiver refuses a frame that lacks one of its supervised signals, so those that the drive does not say
-    are filled in: lateral acceleration with speed * yaw rate (steady cornering), anything else with 0.
-    InputError for a signal without a place.
+    Bus value = factor * value for every signal with a CAN place. A receiver refuses a frame that lacks one of
+    its supervised signals. Those that the drive does not have are filled in: lateral acceleration with speed
+    * yaw rate (steady cornering), anything else with 0. InputError names the signals without a place.
     """
     catalogue = catalogue or load_catalogue()
     columns = [

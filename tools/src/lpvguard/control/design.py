@@ -243,9 +243,11 @@ def dc_floor(weights: fig1.Weights) -> float:
 
 @dataclass(frozen=True)
 class LargestA_t:
-    """The largest A_t [per rad/s] found with mu < 1 at every speed looked at: ``worst`` is its largest mu,
-    ``product`` A_t times the DC floor (1 is the limit of any controller); ``failed``: the least A_t for which
-    the design did not reach it."""
+    """The largest A_t [per rad/s] found with mu < 1 at every speed looked at.
+
+    ``worst``: its largest mu. ``product``: A_t times the DC floor (1 is the limit of any controller).
+    ``failed``: the least A_t not reached, by the design or by any controller [per rad/s].
+    """
 
     A_t: float
     product: float
@@ -426,9 +428,12 @@ def _row(v: float, proved: RobustPerformance) -> dict[str, float]:
 def faulted_performance(
     path: Path, stored: StoredIdentification, v: float, applied: StateSpace, measured: StateSpace
 ) -> float:
-    """Upper bound of mu at frozen speed v of the loop closed by controller.json with two systems put into it:
-    ``applied`` between controller and vehicle (n_u), ``measured`` between [reference, outputs] and
-    controller; inf where it is unstable."""
+    """Upper bound of mu at frozen speed v [m/s] of the loop closed by controller.json with two systems put
+    into it.
+
+    ``applied`` (n_u inputs and outputs) acts between controller and vehicle. ``measured`` acts on [reference,
+    outputs] before the controller. The bound is inf where the loop is unstable.
+    """
     document = artefacts.read_json(path)
     plant, K = frozen_plant(stored, v), Scheduled.read(document).at(v)
     return certify(

@@ -46,7 +46,7 @@ class EnergyPart(Protocol):
     """The energy test's part of the coefficients (identify/energy.py finds it)."""
 
     def coefficients(self) -> tuple[dict[str, int], dict[str, int], dict[str, np.ndarray]]:
-        """Sizes, words and numbers of coeff.h."""
+        """Sizes by dimension; words and numbers by field of coeff.h, in the shape of the field."""
 
 
 def build_coefficients(

@@ -141,8 +141,12 @@ class FrameLog:
 
 @dataclass(frozen=True)
 class Run:
-    """What the core said along a drive: a verdict, a status and the energy test's ratio per sample (0: not
-    judged), the judged frames, and the energy test's alarms."""
+    """What the core said along a drive of N samples.
+
+    ``verdict`` (N,): codes of monitor.h. ``status`` (N,): codes of status.h. ``energy`` (N,): the energy
+    test's ratio, 0 where it is not judged. ``frames``: the judged frames. ``energy_alarms``: the energy
+    test's alarms.
+    """
 
     frames: FrameLog
     verdict: np.ndarray
@@ -214,7 +218,7 @@ class Core:
 
     @cached_property
     def compiled(self) -> tuple[np.ndarray, np.ndarray]:
-        """The compiled-in coefficients as flat words and numbers, in the order of coeff.h."""
+        """The compiled-in coefficients as flat words (W,) and numbers (R,), in the order of coeff.h."""
         words, reals = np.zeros(self._n_words, np.uint32), np.zeros(self._n_reals)
         self._lib.lpvgb_compiled_coeff(_pointer(words), _pointer(reals))
         return words, reals
@@ -226,7 +230,7 @@ class Core:
 
     @cached_property
     def words(self) -> dict[str, np.ndarray]:
-        """The compiled-in words by field of coeff.h."""
+        """The compiled-in words by field of coeff.h, each in its shape; a scalar as (1,)."""
         return COEFF.split("words", self.compiled[0], self.sizes)
 
     def estimator_id(self) -> int:
@@ -241,10 +245,11 @@ class Core:
     def monitor(
         self, *, words: np.ndarray | None = None, reals: np.ndarray | None = None, seal: bool = False
     ) -> Monitor:
-        """A fresh monitor with the compiled-in coefficients, or with the given ones (``seal`` renews their
-        CRC).
+        """A fresh monitor with the compiled-in coefficients, or with the given ones.
 
-        Raises InputError with the core's status when init refuses them.
+        ``words`` (W,) and ``reals`` (R,): flat, as in ``compiled``; None: the compiled-in ones. ``seal``
+        renews the CRC of what is given. Raises InputError with the core's status when init refuses the
+        coefficients.
         """
         compiled_words, compiled_reals = self.compiled
         arguments: tuple[ctypes.c_void_p | None, ctypes.c_void_p | None] = (None, None)
@@ -319,5 +324,6 @@ class Monitor:
         return Run(frames, verdict, status, energy, alarms)
 
     def run_drive(self, drive: Drive, present: np.ndarray | None = None) -> Run:
-        """`run` over a whole drive."""
+        """`run` over a whole drive of N samples; where ``present`` (N,) is False time passes without a
+        sample."""
         return self.run(drive.t, drive.v, drive.u, drive.y, present)

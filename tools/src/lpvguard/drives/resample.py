@@ -46,8 +46,11 @@ class Clock:
 
 
 def clock_of(t_ns: np.ndarray, max_gap_s: float) -> Clock:
-    """Find where the clock goes back by more than REORDER_S, or forward further than any gap that is
-    interpolated."""
+    """The log's time axis ``t_ns`` (N,) [ns], cut where it jumps.
+
+    It jumps where it goes back by more than REORDER_S, or forward by more than 1 s and ``max_gap_s`` [s], the
+    largest gap that is interpolated.
+    """
     step = np.diff(t_ns)
     back = step < -REORDER_S * NS
     forward = step > max(max_gap_s, 1.0) * NS

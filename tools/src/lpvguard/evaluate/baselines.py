@@ -46,6 +46,8 @@ class Baseline:
 
     @property
     def label(self) -> str:
+        """The detector and its parameters in words, for tables: the window in seconds, drift and process
+        ratio bare numbers."""
         if self.kind == "cusum":
             return f"cusum, drift {self.drift:g}"
         return f"{self.kind}, {self.window_s:g} s" + (

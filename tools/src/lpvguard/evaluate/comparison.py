@@ -1,5 +1,5 @@
-"""What terminal and page show of an evaluation: a column per detector, the rows of the table, and at which
-rate of false alarms the detectors are compared."""
+"""What terminal and page show of an evaluation: a column per detector; the rows of the table; the rate of
+false alarms at which the detectors are compared."""
 
 from __future__ import annotations
 
@@ -17,9 +17,11 @@ COUNTS_ONLY = "counts only"
 
 
 def equal_rates(stated: Mapping[str, float | None]) -> str:
-    """What may be said when detectors are compared, a clause for terminal and page: the one rate stated for
-    all of them, or that there are counts only, and whose rate is missing. ``stated``: per detector its rate
-    or None."""
+    """The clause for terminal and page that says how detectors are compared.
+
+    It states the one rate of all of them. Where a rate is missing it says whose, and that there are counts
+    only. ``stated``: per detector its rate or None. ValueError when the rates differ.
+    """
     missing = [name for name, rate in stated.items() if rate is None]
     if missing:
         return (

@@ -101,8 +101,11 @@ class Case:
 
     @classmethod
     def of(cls, run: str, Ts: float, clock: Clock, faulty: np.ndarray, untouched: float | None) -> Case:
-        """``faulty``: samples at which the detector alarms with the fault; ``untouched``: the clock at its
-        first alarm without."""
+        """The case of a fault from the start of ``clock`` on, in a drive of N samples at ``Ts`` [s].
+
+        ``faulty`` (N,): samples at which the detector alarms with the fault. ``untouched``: the clock [s] at
+        its first alarm without the fault, None without any.
+        """
         s = clock.read(faulty[: clock.end])
         caused = s is not None and (untouched is None or s < untouched)
         return cls(

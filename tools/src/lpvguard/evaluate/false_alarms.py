@@ -49,15 +49,19 @@ class Pieces:
 
 
 def alarming(replay: Replay, test: str | None = None) -> np.ndarray:
-    """(N,) True at samples where a test (None: either) falsifies the model: with which a falsifying frame was
-    judged, and all above the energy test's threshold, for that test stays where it is while a frame is judged
-    once."""
+    """(N,) True at samples where a test (None: either) falsifies the model.
+
+    For "frame" these are the samples with which a falsifying frame was judged. For "energy" they are all
+    samples above the threshold, because this test's value persists. A frame is judged once.
+    """
     return {"frame": replay.falsified, "energy": replay.over, None: replay.falsified | replay.over}[test]
 
 
 def piece_starts(samples: int, Ts: float) -> np.ndarray:
-    """First sample of each 60 s piece of a drive of ``samples``. The last piece is what remains, up to 60 s
-    with the closing sample."""
+    """First samples (P,) of the 60 s pieces of a drive of ``samples`` at ``Ts`` [s].
+
+    The last piece is what remains, up to 60 s with the closing sample.
+    """
     return np.arange(0, max(1, samples - 1), round(PIECE_S / Ts))
 
 

@@ -1,5 +1,5 @@
 """`lpvguard evaluate`: what the monitor, and each of its two tests alone, does on drives that did not set the
-bounds, leave-one-drive-out (THEORY 7.3), beside three baselines on the same drives.
+bounds. One drive is left out at a time (THEORY 7.3). Three baselines run on the same drives.
 
 Every drive runs through the compiled core with thresholds calibrated on all *other* drives that did not set
 the bounds. The monitor is compared with both tests at one threshold, calibrated jointly

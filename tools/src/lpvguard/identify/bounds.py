@@ -70,8 +70,10 @@ def nominal_error(drive: Drive, model: NominalModel) -> tuple[np.ndarray, np.nda
 def counted_frames(
     drive: Drive, e: np.ndarray, yhat: np.ndarray, model: NominalModel, estimator: Estimator
 ) -> Iterator[FrameSet]:
-    """All bins' counted frames of a drive: at every start, or the one frame of the plain DFT (the first that
-    counts)."""
+    """Counted frames of a drive, one set per bin; e, yhat (N, n_y) in output units, e = y - yhat.
+
+    Frames start at every sample that counts. The plain DFT has one frame: the first that counts.
+    """
     if estimator.window == "rectangular":
         starts = np.flatnonzero(estimator.counted(drive.v, 0))[:1]
         frames = [plain_dft.spectra(drive, s, model, estimator) for s in starts]

@@ -61,10 +61,13 @@ def energy_score(run: Run) -> float | None:
 
 
 def joint_scores(frame: dict[str, float], energy: dict[str, float]) -> dict[str, float]:
-    """Scores of both tests together. A margin and a ratio are both the least inflation of the bounds
-    (W_delta, B_w or W_delta, sigma) with which the data agree, so one threshold serves for the larger: a
-    monitor of both tests with it alarms on a further drive, by either, with probability at most alpha. Each
-    at its own threshold: at most twice alpha."""
+    """Scores of both tests together, per drive the larger of ``frame`` and ``energy``.
+
+    A margin and a ratio are both the least inflation of the bounds with which the data agree. The bounds are
+    W_delta and B_w, or W_delta and sigma. One threshold therefore serves for the larger. A monitor of both
+    tests with it alarms on a further drive, by either, with probability at most alpha. With each test at its
+    own threshold that probability is at most twice alpha.
+    """
     return {n: max(s[n] for s in (frame, energy) if n in s) for n in {**frame, **energy}}
 
 

@@ -93,7 +93,10 @@ def thinned(rows: Rows) -> Rows:
 
 
 def first_pass(reader: DriveReader, nu_ceiling: np.ndarray, experiment: Experiment) -> tuple[Part, Rows]:
-    """Bounds before smoothing, peaks, and a sample of the spectra."""
+    """Bounds before smoothing, peaks, and a sample of the spectra of one drive.
+
+    ``nu_ceiling`` (K,): the ceiling on the uncertainty bound in every bin, 0 at DC.
+    """
     rows: list[Rows] = []
     drive, e, yhat = reader.read(experiment)
 

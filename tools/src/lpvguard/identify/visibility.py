@@ -62,9 +62,12 @@ class Excitation:
         B_w: np.ndarray,
         number: np.ndarray,
     ) -> Excitation:
-        """Of the counted frames of drive ``name``: bin_of (F,), mean speed (F,) [m/s], Z (F, n_y), number
-        (F,) that tells the frames of a bin apart; SPEED_CELLS equal cells of ``speed_range`` [m/s]; W_delta
-        (K,), B_w (K, n_y)."""
+        """Excitation of the F counted frames of drive ``name``.
+
+        bin_of (F,); ``speed`` (F,): mean of each frame [m/s]; Z (F, n_y) [output units]; ``number`` (F,)
+        tells the frames of a bin apart. ``speed_range`` [m/s] is cut into SPEED_CELLS equal cells. The bounds
+        are W_delta (K,) and B_w (K, n_y).
+        """
         K = len(W_delta)
         cell = np.searchsorted(_edges(speed_range), speed, side="right") - 1
         group = np.clip(cell, 0, SPEED_CELLS - 1) * K + bin_of

@@ -41,7 +41,7 @@ class FittedWeight:
     bound: np.ndarray
 
     def magnitude(self, omega: np.ndarray) -> np.ndarray:
-        """|W| at omega [rad/s], of the same shape."""
+        """|W| at omega [rad/s], in the same shape as omega."""
         return self.fit.weight.magnitude(omega)
 
     def to_dict(self) -> dict:
@@ -152,7 +152,10 @@ def fitting_grid(estimator: Estimator) -> np.ndarray:
 
 
 def smallest_disturbance(B2: np.ndarray) -> float:
-    """Smallest disturbance bound: a weight must be positive where a bound is zero."""
+    """Smallest disturbance bound, 1e-6 times the largest of B2 (K,) (NaN: no data), in its unit.
+
+    A weight must be positive where a bound is zero.
+    """
     return 1e-6 * float(np.nanmax(B2))
 
 

@@ -1,5 +1,5 @@
-"""The fault table at firmware level: what goes wrong on the bus of the closed loop, what the firmware must
-make of it, and by when.
+"""The fault table at firmware level. Each row says what goes wrong on the bus of the closed loop, what the
+firmware must make of it, and by when.
 
 Each case is a run of the simulator in which one fault of the scenario files (firmware_sim/sim/scenario.hpp)
 starts at START_S. Times are those of the firmware's ticks: a state shows in the first report after it was

@@ -153,8 +153,12 @@ def can_fault_table(message: str, kind: str, start_s: float, end_s: float, **mor
 
 
 def feedforward(project: Project, u_max: np.ndarray, rate_max: np.ndarray) -> ControllerCoefficients:
-    """The comparison: the command over the nominal model's DC gain, nothing fed back, one sample late as any
-    controller."""
+    """The controller for comparison: the command over the nominal model's DC gain, nothing fed back, one
+    sample late as any controller.
+
+    Limits of the demand: u_max (1,) [input unit], rate_max (1,) [input unit/s]. InputError as of
+    ``build_controller``.
+    """
     model = NominalModel(project)
     speeds = np.linspace(*model.speed_range, 15)
     A, B = model.matrices(speeds)
@@ -455,7 +459,10 @@ def _reception(raw: dict[str, Any]) -> dict[str, Any]:
 
 
 def judged_spans(rows: np.ndarray) -> list[list[float]]:
-    """Joined spans [t0, t1] of the counted frames [s]."""
+    """Joined spans [t0, t1] of the counted frames [s], in order of time.
+
+    ``rows`` (F,): the simulator's table of frames with fields reason, t_begin_s, t_end_s.
+    """
     counted = rows[rows["reason"] <= 1]
     spans: list[list[float]] = []
     for begin, end in sorted(zip(counted["t_begin_s"].tolist(), counted["t_end_s"].tolist(), strict=False)):

@@ -46,7 +46,7 @@ class Fields:
         return a
 
     def real(self, name: str, shape: tuple[int | None, ...] = ()) -> np.ndarray:
-        """Finite real array of ``shape`` (None: any length)."""
+        """Finite real array of the shape ``shape`` (None: any length; (): a scalar)."""
         expected = f"finite real numbers of shape {_shape_text(shape)}" if shape else "one finite real number"
         a = self._array(name, expected)
         if not _fits(a.shape, shape):
@@ -63,7 +63,7 @@ class Fields:
         return value
 
     def weights(self, name: str, length: int, *, positive: bool = False) -> np.ndarray:
-        """``length`` finite numbers, not negative; with ``positive`` none is zero."""
+        """Finite numbers (length,), none negative; with ``positive`` none is zero."""
         a = self.real(name, (length,))
         if np.any(a < 0.0) or (positive and np.any(a == 0.0)):
             raise self.error(
@@ -72,7 +72,7 @@ class Fields:
         return a
 
     def complex(self, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
-        """Finite complex array of ``shape`` (None: any length) from [re, im] pairs.
+        """Finite complex array of the shape ``shape`` (None: any length) from [re, im] pairs.
 
         A matrix without columns may be written ``[[], []]``.
         """

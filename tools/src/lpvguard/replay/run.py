@@ -1,5 +1,5 @@
-"""Stage 8, replay: recorded drives and raw CAN logs through the compiled C core, and what it said, in a form
-people and machines can read."""
+"""Stage 8, replay: recorded drives and raw CAN logs run through the compiled C core. What the core said is
+written in a form that people and machines can read."""
 
 from __future__ import annotations
 

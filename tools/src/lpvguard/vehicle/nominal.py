@@ -220,10 +220,13 @@ class NominalModel:
         return state_space(self._settings, v, self._where)
 
     def hold_bounds(self, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
-        """Entrywise bounds over speeds low..high of |d/dv| and |d2/dv2| of [Ad, Bd, Gd] (n, n + n_u + n), the
-        zero-order hold of A, B and of an input on every state. Rigorous up to rounding: the exponential's
-        power series has positive coefficients, so bounds of A, B and their Taylor coefficients in v bound
-        those of the hold."""
+        """Entrywise bounds of |d/dv| and |d2/dv2| of [Ad, Bd, Gd] (n, n + n_u + n) over low..high [m/s].
+
+        Ad, Bd, Gd are the zero-order hold of A, B and of an input on every state. The bounds are rigorous up
+        to rounding. The exponential's power series has positive coefficients. Bounds of A, B and their Taylor
+        coefficients in v therefore bound those of the hold. InputError when an entry is not rational in v,
+        has a fractional exponent, or has a denominator whose bounds contain 0.
+        """
         n, width = self.n, 2 * self.n + self.n_u
         bounds = np.zeros((COEFFICIENTS, width, width))
         try:

@@ -107,7 +107,8 @@ class NuCeiling(_Strict):
         return self
 
     def at(self, f_hz: np.ndarray) -> np.ndarray:
-        """Ceiling at frequencies ``f_hz`` [Hz]: linear in log f, constant outside; 0 at DC."""
+        """Ceiling at frequencies ``f_hz`` [Hz], in the same shape as f_hz: linear in log f, constant outside;
+        0 at DC."""
         f = np.asarray(f_hz, float)
         safe = np.where(f > 0, f, self.f_hz[0])
         return np.where(f > 0, np.interp(np.log(safe), np.log(self.f_hz), self.nu), 0.0)

@@ -97,7 +97,7 @@ def verify_overbound(
 def is_hurwitz(coefficients: np.ndarray) -> bool:
     """Whether all roots lie in the open left half-plane: Routh's array in rational arithmetic, no rounding.
 
-    ``coefficients`` in descending powers, the first not 0.
+    ``coefficients`` (n + 1,) in descending powers, the first not 0.
     """
     c = [Fraction(float(v)) for v in coefficients]
     if c[0] < 0:
@@ -113,9 +113,9 @@ def is_hurwitz(coefficients: np.ndarray) -> bool:
 
 
 def squared(coefficients: np.ndarray, unit: float) -> np.ndarray:
-    """|p(j w)|^2 as a polynomial in y = (w/unit)^2, ascending, each coefficient rounded once.
+    """|p(j w)|^2 as a polynomial (n + 1,) in y = (w/unit)^2, ascending, each coefficient rounded once.
 
-    ``coefficients`` of p(s) in descending powers; ``unit`` in rad/s.
+    ``coefficients`` (n + 1,) of p(s) in descending powers; ``unit`` in rad/s.
     """
     scale = Fraction(unit)
     c = [Fraction(float(v)) * scale**i for i, v in enumerate(coefficients[::-1])]

@@ -102,7 +102,10 @@ class Weight:
 
 
 def polynomial_roots(polynomial: np.ndarray) -> np.ndarray:
-    """Roots of a polynomial in descending powers, in a unit that puts their geometric mean at 1."""
+    """Roots (n,) of a ``polynomial`` (n + 1,) in descending powers, the first not 0.
+
+    They are computed in a unit that puts their geometric mean near 1.
+    """
     n = len(polynomial) - 1
     if n == 0 or polynomial[-1] == 0:
         return np.roots(polynomial)

@@ -34,8 +34,9 @@ def column_rank(D: np.ndarray, scale: np.ndarray) -> tuple[int, np.ndarray]:
 
 
 def unreachable_gain(D11: np.ndarray, D12: np.ndarray, scale: np.ndarray) -> float:
-    """σ̄ of the part of D11 that no u can cancel through D12, for any rank of D12; ``scale`` as in
-    ``column_rank``.
+    """σ̄ of the part of D11 (p1, m1) that no u can cancel through D12 (p1, m2), for any rank of D12.
+
+    ``scale`` (m2,) as in ``column_rank``.
     """
     rank, V = column_rank(D12, scale)
     Q = sl.qr(D12 @ V[:, :rank], mode="full")[0] if rank else np.eye(D11.shape[0])

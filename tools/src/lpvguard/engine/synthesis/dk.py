@@ -91,8 +91,10 @@ def _squares(omega, corners):
 
 @dataclass(frozen=True)
 class RobustPerformance:
-    """μ bounds of one closed loop: ``upper`` is proved over all frequencies by ``scaling`` (the bracket's
-    upper end), ``lower`` comes from a Δ found and checked at ``lower_frequency`` rad/s.
+    """μ bounds of one closed loop.
+
+    ``upper`` is proved over all frequencies by ``scaling`` (the bracket's upper end). ``lower`` comes from a
+    ``delta`` found and checked at ``lower_frequency`` [rad/s].
     """
 
     upper: float
@@ -371,6 +373,7 @@ def _truncations(scaled_plant: StateSpace, K: StateSpace) -> tuple[Callable[[int
 
 
 def gramian_factor(gramian: np.ndarray) -> np.ndarray:
-    """A square factor F of a Gramian, F Fᵀ = gramian with rounding's negative eigenvalues dropped."""
+    """A square factor F (n, n) of a Gramian (n, n): F Fᵀ = gramian with rounding's negative eigenvalues
+    dropped."""
     values, vectors = np.linalg.eigh(0.5 * (gramian + gramian.T))
     return vectors * np.sqrt(np.maximum(values, 0.0))

@@ -94,11 +94,12 @@ class GammaProblem:
         return gamma > self.floor and _above_one(self.coupling(gamma))
 
     def optimum(self, rtol: float, guess: float | None = None) -> float:
-        """The infimum of reachable γ, to ``rtol``: what single frequencies allow where that is reached, else
-        a bracket from above it or around ``guess``, then secant steps.
+        """The infimum of reachable γ, to ``rtol``.
 
-        From above, because far below the optimum the Riccati equations are rounding and may seem to be
-        solved.
+        It is the limit of single frequencies where that limit is reached. Elsewhere it is bracketed from
+        above that limit or around ``guess``, and secant steps narrow the bracket. The search starts from
+        above: far below the optimum the Riccati equations are rounding and may seem to be solved.
+        SynthesisError when no level can be reached.
         """
         limit, value = self._frequency_limit(rtol)
         floor, floor_value, start = limit, value, max(2 * limit, 1.0)

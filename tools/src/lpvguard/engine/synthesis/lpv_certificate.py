@@ -138,7 +138,7 @@ def terms(v) -> np.ndarray:
 
 
 def slopes(v) -> np.ndarray:
-    """d/dv of ``terms``."""
+    """(0, 1, -1/v²), d/dv of ``terms``, in the last axis; speeds v [m/s]."""
     v = np.asarray(v, float)
     return np.stack([np.zeros_like(v), np.ones_like(v), -1 / v**2], axis=-1)
 
@@ -258,7 +258,8 @@ def _weighed(X: np.ndarray, Y: np.ndarray, inverse: np.ndarray) -> np.ndarray:
 
 
 def polynomial_storage(family: Family, basis: np.ndarray, P: np.ndarray) -> Storage:
-    """P0 + v P1 + P2 / v at the knots."""
+    """P0 + v P1 + P2 / v at the knots that refine the family's nodes; P (3, n, n) in the coordinates
+    ``basis`` (n, n)."""
     knots = _refined(family.nodes, KNOTS)
     return Storage(basis, knots, np.tensordot(terms(knots), P, 1))
 

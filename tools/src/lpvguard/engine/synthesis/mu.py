@@ -72,9 +72,10 @@ def mu_lower(
     enough: float,
     starts: int = 8,
 ) -> tuple[float, np.ndarray | None]:
-    """Lower bound of μ and the Δ that attains it; ``left`` M ``right``⁻¹: a well-scaled image of M, which
-    speeds it up.
+    """Lower bound of μ of M (Σcols, Σrows) and the Δ (Σrows, Σcols) that attains it, None for the bound 0.
 
-    The search ends early at a value of ``enough``.
+    ``left`` (Σcols, Σcols) and ``right`` (Σrows, Σrows) make leftᴴ M right⁻ᴴ a well-scaled image of M, which
+    speeds the search up. They are factors as ``upper_bound`` gives them. The search ends early at a value of
+    ``enough``.
     """
     return lower_bound(np.asarray(M, dtype=complex), Structure(tuple(blocks)), left, right, enough, starts)

@@ -15,8 +15,10 @@ from lpvguard.engine.synthesis.structure import Structure
 def upper_bound(
     M: np.ndarray, structure: Structure, rtol: float
 ) -> tuple[float, float, np.ndarray, np.ndarray, np.ndarray]:
-    """β, the infimum's lower bound, factors L of D_left and D_right (D = L Lᴴ) and G by the method of
-    centres.
+    """β for M (Σcols, Σrows), the infimum's lower bound, factors L of D_left and D_right (D = L Lᴴ), and G.
+
+    D_left is (Σcols, Σcols), D_right (Σrows, Σrows), G (Σrows, Σcols). The search ends when β is within
+    ``rtol`` (relative) of the infimum, or when rounding lets it go no lower.
 
     After each centre its D + |G| is absorbed into the matrix (N ← Lᴴ N L⁻ᴴ, D + |G| = L Lᴴ). The next one so
     starts in well-scaled coordinates even where ever worse conditioned scalings approach the infimum. D alone

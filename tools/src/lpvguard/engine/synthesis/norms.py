@@ -111,8 +111,10 @@ def _crossings(H: StateSpace, level: float) -> np.ndarray:
 
 
 def axis_frequencies(hamiltonian: np.ndarray, scale: float) -> np.ndarray:
-    """Frequencies of eigenvalues that lie on or near the imaginary axis, DC, and the points between them;
-    empty when there are none. ``scale``: ‖A‖ of the system.
+    """Frequencies (K,) [rad/s] of eigenvalues on or near the imaginary axis, DC, and points between and above
+    them.
+
+    It is empty when no eigenvalue of ``hamiltonian`` (2n, 2n) lies there. ``scale``: ‖A‖ of the system.
     """
     eigenvalues = np.linalg.eigvals(hamiltonian)
     # an eigenvalue of an n-fold near-defective cluster moves by about sqrt(eps) times the matrix norm

@@ -77,7 +77,8 @@ def move_pole_at_minus_one(
 
 
 def partition(plant: StateSpace, n_u: int, n_y: int) -> tuple[Plant, np.ndarray]:
-    """The blocks of a plant whose last ``n_u`` inputs are u and whose last ``n_y`` outputs are y; and D22."""
+    """The blocks of a plant whose last ``n_u`` inputs are u and whose last ``n_y`` outputs are y; and D22
+    (n_y, n_u)."""
     w, u = slice(0, plant.n_inputs - n_u), slice(plant.n_inputs - n_u, None)
     z, y = slice(0, plant.n_outputs - n_y), slice(plant.n_outputs - n_y, None)
     A, B, C, D = plant.A, plant.B, plant.C, plant.D

@@ -159,12 +159,13 @@ def balance_hamiltonian(H: np.ndarray, floor: float = 0.0) -> tuple[np.ndarray, 
 def stabilising_solution(
     H: np.ndarray, side: Side | None = None, gamma: float = np.inf
 ) -> RiccatiSolution | None:
-    """X = X2 X1⁻¹ from the stable invariant subspace of H, symmetric; None when eigenvalues lie on the axis.
+    """X = X2 X1⁻¹ (n, n) from the stable invariant subspace of H (2n, 2n), symmetric.
 
-    The balancing that takes every entry seriously is tried first; where rounding stands in place of zeros (X
-    exactly singular) it makes X1 nearly singular, and a balancing that ignores such entries is used. Where H
-    is much larger than the A of its ``side`` (nearly free controls) the answer is trusted only when it is
-    well conditioned; else the extended pencil decides, which never forms the inverse that made H large.
+    None when eigenvalues lie on the axis. The balancing that takes every entry seriously is tried first.
+    Where rounding stands in place of zeros (X exactly singular) it makes X1 nearly singular, and a balancing
+    that ignores such entries is used. Where H is much larger than the A of its ``side`` (nearly free
+    controls) the answer is trusted only when it is well conditioned. Otherwise the extended pencil at
+    ``gamma`` decides, which never forms the inverse that made H large.
     """
     best: tuple[RiccatiSolution, float] | None = None
     for floor in (0.0, EPS):

@@ -255,7 +255,7 @@ def balancing(G: StateSpace) -> np.ndarray:
 
 
 def scaled_states(G: StateSpace, t: np.ndarray) -> StateSpace:
-    """G in the coordinates x = diag(t) x̃; exact in floating point when t holds powers of two."""
+    """G in the coordinates x = diag(t) x̃, t (n,); exact in floating point when t holds powers of two."""
     return replace(G, A=G.A * t / t[:, None], B=G.B / t[:, None], C=G.C * t)
 
 

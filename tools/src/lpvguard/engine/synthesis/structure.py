@@ -38,7 +38,11 @@ class Structure:
         self.complex_only = all(b.kind != "repeated_real" for b in blocks)
 
     def coordinates(self, D: np.ndarray, G: np.ndarray) -> np.ndarray:
-        """Coefficients of ``D`` in the (orthogonal) basis ``right`` and of ``G`` in ``skew``."""
+        """Coefficients of ``D`` (n_cols, n_cols) in the (orthogonal) basis ``right`` and of ``G`` (n_cols,
+        n_rows) in ``skew``.
+
+        They are one real vector (len(right) + len(skew),), those of D first.
+        """
         parts = [
             np.real(np.sum(basis.conj() * value, axis=(1, 2))) / np.sum(np.abs(basis) ** 2, axis=(1, 2))
             for basis, value in ((self.right, D), (self.skew, G))
@@ -46,7 +50,8 @@ class Structure:
         return np.concatenate(parts)
 
     def magnitude(self, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """|G| = (G²)^½ in the places of D_left and of D_right."""
+        """|G| = (G²)^½ of G (n_cols, n_rows) in the places of D_left (n_rows, n_rows) and of D_right (n_cols,
+        n_cols)."""
         left, right = np.zeros((self.n_rows,) * 2, complex), np.zeros((self.n_cols,) * 2, complex)
         for b, r, c in zip(self.blocks, self.row, self.col, strict=True):
             if b.kind == "repeated_real":

@@ -46,8 +46,11 @@ def axis_zeros(side: Side, scale: float) -> tuple[float, ...]:
 
 
 def rank_defect(side: Side, omega: float) -> float:
-    """Distance of the system matrix [A − jωI, B2; C1, D12] from loss of column rank, as a part of its
-    entries: its smallest singular value after rows and columns are brought to unit size (0: jω is a zero).
+    """Distance of the system matrix ``[A − jωI, B2; C1, D12]`` from loss of column rank, relative to its
+    entries.
+
+    It is the smallest singular value after rows and columns are brought to unit size. 0 means that jω is a
+    zero, ``omega`` in rad/s.
     """
     M = np.block([[side.A - 1j * omega * np.eye(len(side.A)), side.B2], [side.C1, side.D12]])
     if M.shape[0] < M.shape[1]:

@@ -12,13 +12,14 @@ from lpvguard.engine.blocks import Block
 
 
 def split(blocks: Sequence[Block], vector: np.ndarray, side: str) -> list[np.ndarray]:
-    """A stacked xi (``side`` 'rows') or eta ('cols'), or the rows of a map to it, cut by blocks."""
+    """A stacked xi (Σrows,) (``side`` 'rows') or eta (Σcols,) ('cols'), or the rows of a map (Σrows or Σcols,
+    m) to it, cut by blocks."""
     ends = np.cumsum([getattr(b, side) for b in blocks])
     return np.split(vector, ends[:-1])
 
 
 def least_size(xi: np.ndarray, eta: np.ndarray) -> float:
-    """Least ||Delta_i|| that maps ``eta`` to ``xi``, given that one exists: |xi| / |eta|.
+    """Least ||Delta_i|| that maps ``eta`` (cols,) to ``xi`` (rows,), given that one exists: |xi| / |eta|.
 
     0 for xi = 0, inf for eta = 0 with another xi.
     """

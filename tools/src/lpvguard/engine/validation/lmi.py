@@ -36,7 +36,7 @@ class Cone:
 
 
 def hermitian_basis(r: int) -> np.ndarray:
-    """(r^2, r, r) real basis of the Hermitian matrices: diagonal first."""
+    """Real basis (r*r, r, r) of the Hermitian matrices (r, r): diagonal first."""
     basis = []
     for i in range(r):
         m = np.zeros((r, r), dtype=complex)

@@ -16,12 +16,13 @@ BUS_FAULT_UNTIL_S = 150.0
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of fault: ``table`` is the text of its scenario tables, with {x} for the severity, {start} and
-    {end} for when it begins and ends [s], {until} for the severity in seconds after its begin.
+    """A kind of fault.
 
-    ``loop``: severity -> what it does between controller and vehicle and between sensors and controller, as
-    (applied, measured), where that is linear and time-invariant; ``response``: whether the truck's frequency
-    response tells of it.
+    ``table`` is the text of its scenario tables. In it {x} stands for the severity, {start} and {end} for
+    begin and end [s], {until} for x seconds after the begin [s]. ``loop`` gives (applied, measured) for a
+    severity where the fault is linear and time-invariant, else None. ``applied`` acts between controller and
+    vehicle, ``measured`` between sensors and controller. ``response``: whether the truck's frequency response
+    tells of the fault.
     """
 
     name: str

@@ -56,6 +56,10 @@ class Offline:
 
     @classmethod
     def of(cls, replayer: Replayer, drive: Drive, from_s: float) -> Offline:
+        """What the samples of ``drive`` show of a fault from ``from_s`` on [s of the run].
+
+        The frames are judged with the bounds and the threshold of ``replayer``.
+        """
         model, estimator = replayer.model, replayer.estimator
         e, yhat = nominal_error(drive, model)
         both = np.hstack([e, yhat])
@@ -98,8 +102,10 @@ def first_stretch(starts: np.ndarray, above: np.ndarray, length: int) -> int | N
 
 
 def first_sample(drive: Drive, run_s: float, Ts: float) -> int:
-    """Index of the first sample at or after a time of the run: the drive begins when the ECU has all signals,
-    tenths of a second later."""
+    """Index of the sample nearest to ``run_s`` [s of the run], 0 for times before the drive; ``Ts`` [s].
+
+    The drive begins when the ECU has all signals, tenths of a second after the run.
+    """
     return max(0, round((run_s - float(drive.t[0])) / Ts))
 
 
@@ -115,6 +121,7 @@ class Context:
 
     @cached_property
     def tools(self) -> tuple[Simulator, Replayer, Bank]:
+        """Simulator, replayer and baseline detectors, built once in every process and not pickled."""
         return _tools(self.folder, self.scales)
 
     def __getstate__(self) -> dict:

@@ -96,8 +96,11 @@ def scenario_text(seed: int, case: Case) -> str:
 
 
 def speed_profile(random: np.random.Generator) -> list[tuple[float, float]]:
-    """(time [s], speed [m/s]): constant, drifting by at most 3 m/s, or swept to the farther end of the range
-    and back at 0.05 to 0.3 m/s2."""
+    """Knots (time [s], speed [m/s]) of a random speed profile.
+
+    The speed is constant, drifts by at most 3 m/s, or is swept to the farther end of the range and back at
+    0.05 to 0.3 m/s2.
+    """
     first = random.uniform(9.0, 21.0)
     manner = random.integers(5)
     if manner < 2:

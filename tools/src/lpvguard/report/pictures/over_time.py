@@ -61,8 +61,8 @@ def closed_loop(
     """Yaw rate against what was wanted, the demand, and the margins of the counted frames, over one simulated
     run.
 
-    ``rows``: telemetry with t_s, wanted_radps, yaw_rate_radps, demand_bar; ``frames``: t_end_s, reason,
-    margin.
+    ``rows`` (N,): telemetry with fields t_s, wanted_radps, yaw_rate_radps, demand_bar. ``frames`` (F,):
+    fields t_end_s, reason, margin. ``fault_start_s`` [s] is marked where it is given.
     """
     figure = new_figure(8.2, 5.2)
     rate, demand, margin = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])

@@ -1,0 +1,153 @@
+"""Docstrings of the package: there, with the shapes of arrays, in sentences that are short enough.
+
+Public is what has no leading underscore, in a module and package that have none, and is not defined inside a
+function.
+
+python tests/gates/test_docstrings.py        prints how many findings each room has, and each of them
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from made import ROOT
+
+PACKAGE = ROOT / "tools/src/lpvguard"
+WORDS = 25
+"""The longest sentence of a public docstring's first paragraph."""
+ARRAY = re.compile(r"\b(?:np\.ndarray|ndarray|NDArray|ArrayLike)\b")
+SHAPE = re.compile(
+    r"\([\w*+/ .-]*(?:,[\w*+/ .,-]*|\bn_\w+|[A-Z])\)|\bscalar\b|[Ss]hapes? |\bentry by entry\b"
+)
+"""A shape as "(N, n_y)", "(n,)", or in words: scalar; the shape of something else; entry by entry."""
+FORMULA = re.compile(r"``[^`]*``|`[^`]*`|\([^()]*\)|https?://\S+")
+"""What is not read as words: code, what stands in brackets, addresses."""
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def public(tree: ast.Module) -> Iterator[tuple[str, ast.ClassDef | Function, str]]:
+    """(qualified name, node, docstring of the class around it) of everything public in a module."""
+    for node in tree.body:
+        if isinstance(node, (ast.ClassDef, *Function.__args__)) and not node.name.startswith("_"):
+            yield node.name, node, ""
+            if isinstance(node, ast.ClassDef):
+                around = ast.get_docstring(node) or ""
+                for inner in node.body:
+                    if isinstance(inner, Function) and not inner.name.startswith("_"):
+                        yield f"{node.name}.{inner.name}", inner, around
+
+
+def sentences(docstring: str) -> Iterator[str]:
+    """Sentences of the first paragraph, and items of a list that are divided by semicolons, without indented
+    blocks, code and what stands in brackets."""
+    paragraph = docstring.split("\n\n")[0]
+    lines = [line for i, line in enumerate(paragraph.splitlines()) if i == 0 or not line.startswith("    ")]
+    yield from re.split(r"(?<=[.;!?])\s+(?=\S)", FORMULA.sub("x", " ".join(lines)))
+
+
+def arrays(node: Function) -> bool:
+    """Whether a function takes or gives an array, as its annotations say."""
+    notes = [a.annotation for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
+    return any(ARRAY.search(ast.unparse(note)) for note in (*notes, node.returns) if note is not None)
+
+
+def findings(path: Path, name: str) -> list[str]:
+    """What is wrong with the docstrings of a module, each with its place."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    here = ast.get_docstring(tree) or ""
+    found = [] if here else [f"{name}: no docstring"]
+    texts = [(name, here)]
+    for what, node, around in public(tree):
+        place, text = f"{name}:{what}", ast.get_docstring(node) or ""
+        if not text:
+            found.append(f"{place}: no docstring")
+            continue
+        texts.append((place, text))
+        if isinstance(node, Function) and arrays(node) and not SHAPE.search(f"{text} {around}"):
+            found.append(f"{place}: arrays without a shape")
+    for place, text in texts:
+        for sentence in sentences(text):
+            if (words := len(re.findall(r"[^\W_][\w'.-]*", sentence))) > WORDS:
+                found.append(f"{place}: {words} words in one sentence: {sentence[:60]} …")
+    return found
+
+
+def of_package() -> dict[str, list[str]]:
+    """Findings by module, those of private modules left out."""
+    paths = sorted(PACKAGE.rglob("*.py"))
+    names = [str(path.relative_to(PACKAGE)) for path in paths]
+    return {
+        name: findings(path, name)
+        for path, name in zip(paths, names, strict=True)
+        if not re.search(r"(^|/)_(?!_)", name)
+    }
+
+
+def test_every_public_docstring_says_what_it_has_to():
+    found = [finding for of_module in of_package().values() for finding in of_module]
+    assert found == []
+
+
+GOOD = '''"""A module."""
+
+import numpy as np
+
+
+class Filter:
+    """Coefficients (n, 2)."""
+
+    def response(self, omega: np.ndarray) -> np.ndarray:
+        """At ``omega`` (K,); returns (K, n)."""
+
+    def _state(self, x: np.ndarray):
+        pass
+
+
+def gain(x: float) -> float:
+    """Twice x. The other half of the signal, which nobody has asked for so far, stays where it was before. Of
+    another sentence `code with a great many words in it, however many there are of them` counts as one.
+
+        an indented block, however many words there are in it, is a formula and not a sentence to be read in
+        one go by anybody, so it does not count either
+    """
+'''
+
+
+@pytest.mark.parametrize(
+    "old, new, found",
+    [
+        ('"""A module."""', "", "planted.py: no docstring"),
+        ('"""Coefficients (n, 2)."""', "", "planted.py:Filter: no docstring"),
+        ('"""At ``omega`` (K,); returns (K, n)."""', "pass", "planted.py:Filter.response: no docstring"),
+        ("(n, 2)", "", "planted.py:Filter.response: arrays without a shape"),
+        ("before. Of", "before and of", "planted.py:gain: 26 words in one sentence"),
+    ],
+)
+def test_a_planted_fault_is_found(tmp_path, old, new, found):
+    path = tmp_path / "planted.py"
+    path.write_text(GOOD)
+    assert findings(path, path.name) == []
+    text = GOOD.replace("; returns (K, n)", "").replace("(K,)", "") if old == "(n, 2)" else GOOD
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    assert [f for f in findings(path, path.name) if f.startswith(found)] != []
+
+
+def main() -> None:
+    """The findings, and how many each room has."""
+    found = of_package()
+    rooms = Counter(dict.fromkeys((name.split("/")[0] for name in found if "/" in name), 0))
+    for name, of_module in found.items():
+        rooms[name.split("/")[0]] += len(of_module)
+        print("\n".join(of_module), end="\n" * bool(of_module))
+    print("\n".join(f"{count:5} {room}" for room, count in rooms.most_common()))
+
+
+if __name__ == "__main__":
+    main()
