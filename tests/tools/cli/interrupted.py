@@ -45,6 +45,7 @@ import lpvguard.loop.generate
 import lpvguard.loop.lcm_client
 import lpvguard.loop.sim
 import lpvguard.problems.solve
+import lpvguard.report.design_pictures
 import lpvguard.report.page
 from lpvguard import cli
 from lpvguard.base import artefacts, system
@@ -186,6 +187,7 @@ def replace_computing(variant: str) -> None:
         "table2.json": artefacts.to_json({"rows": [], "text": text})
     }
     lpvguard.control.frozen.FrozenProblem = lpvguard.control.stored_frames.StoredFrames = lambda *_: None
+    lpvguard.report.design_pictures.drawn = lambda _: {}
     lpvguard.control.tradeoff.search = lambda *_: SimpleNamespace(
         outcomes=[],
         sentence="",
@@ -369,8 +371,13 @@ def start(
 
         traceback.print_exc()
     finally:
-        sys.stdout.flush(), sys.stderr.flush()
-        os._exit(status)
+        # A signal after the command's end must not unwind this copy of the parent, and with it the parent's
+        # scratch folder.
+        try:
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+            sys.stdout.flush(), sys.stderr.flush()
+        finally:
+            os._exit(status)
 
 
 def finish(child: int, pipe: int) -> tuple[int, int]:
@@ -425,7 +432,7 @@ class Trial:
         if not whole:
             return f"{self.name}, {how}: the target holds neither the old result nor the new one"
         left = {n for n in tree(self.root) if ".lpvguard/" in n}
-        if left and how.split()[0] != "SIGKILL":
+        if left and how.startswith("SIGTERM"):  # a full disk, as made here, may refuse to remove too
             return f"{self.name}, {how}: left {sorted(left)}"
         if (how.startswith("full") and status not in (0, 1, 2)) or (
             how.startswith("SIGTERM") and status not in (0, 1, 143)
@@ -485,7 +492,7 @@ def at_random_instants(base: Path, seed: int, count: int) -> dict:
         number = (signal.SIGTERM, signal.SIGKILL)[(k + k // len(trials)) % 2]
         trial.reset()
         # The instant: after a random step has begun, by a random part of the time between two steps.
-        wanted, wait = draw.randint(1, trial.steps), draw.uniform(0, 2e-3)
+        wanted, wait = draw.randint(1, trial.steps), draw.uniform(0, 5e-4)
         child, pipe = start(trial.root, trial.name, "b")
         seen = 0
         while seen < wanted and select.select([pipe], [], [], 60)[0] and (got := os.read(pipe, 1)):

@@ -32,4 +32,4 @@ def test_no_random_instant_does():
     count = 200 if os.environ.get("LPVGUARD_FULL") == "1" else 18
     found = interrupted("kills", 1, count)
     assert found["runs"] == count and found["torn"] == []
-    assert found["fell"]["while it wrote"] > count / 2, "kills after the end prove nothing"
+    assert found["fell"]["while it wrote"] > count / 4, "kills after the end prove nothing"

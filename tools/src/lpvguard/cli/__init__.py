@@ -6,6 +6,8 @@ to standard error. Nothing is written except where -o or --json says.
 
 from __future__ import annotations
 
+import errno
+import os
 import signal
 import sys
 from typing import Any
@@ -61,10 +63,19 @@ def main() -> None:
         if signal.getsignal(number) == signal.SIG_DFL:  # nohup ignores SIGHUP
             signal.signal(number, _end)
     try:
-        app()
-        sys.stdout.flush()
+        try:
+            app()
+        finally:
+            sys.stdout.flush()
     except InputError as error:
         complain(error)
         sys.exit(2)
-    except BrokenPipeError:
+    except OSError as error:
+        if not isinstance(error, BrokenPipeError):
+            if error.errno != errno.ENOSPC:
+                raise
+            what = f"cannot be written ({error.strerror})"
+            complain(InputError("standard output or a scratch file", "", what, "room on the disk"))
+        # What is left for standard output would fail once more at the end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         sys.exit(2)

@@ -169,6 +169,7 @@ class Replayer:
                 f"bounds were made with estimator {core.estimator_id():#010x}",
                 f"{self.estimator.identifier():#010x}, the one the project file describes",
             )
+        core.monitor()  # refuses coefficients that the core refuses, before they are read by field
         reals = core.compiled[1].copy()
         fields = core.fields(reals)
         for name, value in (("threshold", threshold), ("energy_threshold", energy_threshold)):
