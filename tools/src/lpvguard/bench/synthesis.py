@@ -22,7 +22,7 @@ from lpvguard.engine.synthesis.dk import certify, dk_synthesis
 from lpvguard.engine.synthesis.hinf import hinf_synthesis
 from lpvguard.engine.synthesis.interconnection import (
     GeneralisedPlant,
-    Weights,
+    PlantWeights,
     generalised_plant,
     weight_from_table,
     zeros_poles,
@@ -93,13 +93,13 @@ def order_23_plant(case: dict) -> GeneralisedPlant:
     objective = case["objective"][0]
     weights = {
         f.name: weight_from_table(case[f.name], A_t=objective["A_t"], A_u=objective["A_u"])
-        for f in fields(Weights)
+        for f in fields(PlantWeights)
     }
     ripple = {1: zeros_poles(1.0, [0.4], [0.5]), 2: zeros_poles(1.0, [0.4, 9.0], [0.5, 11.0])}
     for name in ("W_C", "W_nr", "W_ndelta", "W_wr", "W_wdelta"):
         weights[name] = series(ripple[3 - weights[name].order], weights[name])
     A, B = truck_model.continuous(case["v"], case["wheelbase"])
-    return generalised_plant(A, B, Weights(**weights), "K_inf")
+    return generalised_plant(A, B, PlantWeights(**weights), "K_inf")
 
 
 def run(case_path, repeats: int = 5, peers: Path | None = None) -> list[Row]:

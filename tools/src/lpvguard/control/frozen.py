@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import cached_property
 
 from ..base import artefacts
-from ..engine.synthesis.interconnection import STRUCTURES, GeneralisedPlant, Weights
+from ..engine.synthesis.interconnection import STRUCTURES, GeneralisedPlant, PlantWeights
 from ..engine.synthesis.statespace import StateSpace
 from ..engine.synthesis.table import Cell, cell, to_csv
 from ..identify.run import Progress, StoredIdentification
@@ -32,7 +32,7 @@ class FrozenProblem:
 
     def weights(
         self, structure: str, A_t: float, A_u: float, uncertainty: UncertaintyWeights | None = None
-    ) -> Weights:
+    ) -> PlantWeights:
         """The ten weights. ``uncertainty``: other W_w and W_delta than identified (K_is: than
         ``with_state``)."""
         chosen = self.settings.model_copy(update={"structure": structure, "A_t": A_t, "A_u": A_u})
@@ -57,7 +57,7 @@ class FrozenProblem:
             W_delta_s=inflated(uncertainty.W_delta_s or uncertainty.W_delta_i),
         )
 
-    def plant(self, structure: str, weights: Weights, v: float) -> GeneralisedPlant:
+    def plant(self, structure: str, weights: PlantWeights, v: float) -> GeneralisedPlant:
         """The discrete plant at speed v [m/s] with one sample of delay in front of the control input."""
         return plant_at(self.stored, self.model, weights, v, True, structure)
 

@@ -19,7 +19,7 @@ from scipy.signal import butter, filtfilt
 
 from ..base.errors import InputError
 from ..drives.tables import Drive
-from ..engine.synthesis.interconnection import Weights
+from ..engine.synthesis.interconnection import PlantWeights
 from ..engine.synthesis.statespace import StateSpace, gain, lft, to_discrete
 from ..engine.synthesis.table import Cell
 from ..engine.synthesis.worst_case import WorstCase, close_delta, worst_case
@@ -166,7 +166,7 @@ def _rms(x: np.ndarray) -> float:
     return float(np.sqrt(np.mean(x**2)))
 
 
-def _without_units(weights: Weights) -> Weights:
+def _without_units(weights: PlantWeights) -> PlantWeights:
     """Weights with which w, r_c and z are in physical units: z = [W_R r_c − r_m; u]."""
     one = gain([[1.0]])
     return replace(weights, W_C=one, W_t=one, W_u=one, W_wr=one, W_wdelta=one)
