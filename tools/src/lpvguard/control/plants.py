@@ -17,7 +17,7 @@ from ..identify.run import StoredIdentification
 from ..identify.weights import FittedWeight
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import DesignSettings
-from .stored_frames import StoredFrames, UncertaintyWeights
+from .stored_frames import SplitWeights, StoredFrames
 
 LARGEST_WINDOW_ERROR = 0.1
 """Median error of the state's uncertainty from frames, over bins, up to which K_is is designed from it."""
@@ -37,7 +37,7 @@ def weight_system(weight: FittedWeight, inflation: float) -> StateSpace:
     return fig1.rational(inflation * weight.fit.weight.num, weight.fit.weight.den)
 
 
-def state_uncertainty(stored: StoredIdentification, settings: DesignSettings) -> UncertaintyWeights:
+def state_uncertainty(stored: StoredIdentification, settings: DesignSettings) -> SplitWeights:
     """Class S2's weights at the identified gamma_w: W_delta_i dimensionless, W_delta_s in 1/s.
 
     xi_s adds to the state's derivative. It is found by inverting dynamics, which windows only approximate:
