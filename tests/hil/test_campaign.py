@@ -46,8 +46,8 @@ def replayer(simulator, truck_folder) -> Replayer:
 
 
 @pytest.fixture(scope="module")
-def bounds(stored, replayer):
-    return trucks.Bounds.of(stored[0], replayer.estimator)
+def weights(stored, replayer):
+    return trucks.WeightMagnitudes.of(stored[0], replayer.estimator)
 
 
 def plant_tables(name: str) -> str:
@@ -60,7 +60,7 @@ def plant_tables(name: str) -> str:
 
 
 @pytest.mark.parametrize("name", shipped_scenarios())
-def test_scenarios_expect_what_follows_from_the_bounds(name, simulator, replayer, bounds):
+def test_scenarios_expect_what_follows_from_the_bounds(name, simulator, replayer, weights):
     """ "invalid" only where, and no later than, an alarm is due; "never_invalid" only for trucks within the
     bounds, which a faulty bus shows as they are or not at all; else nothing. What the supervision must say:
     tests/hil/test_supervision.py."""
@@ -77,14 +77,14 @@ def test_scenarios_expect_what_follows_from_the_bounds(name, simulator, replayer
         assert None not in due and max(due) <= expect.within_judged_s <= 1.5 * max(due) + 10.0, due
     elif expect.verdict == "never_invalid":
         assert "sensor_fault" not in tables
-        assert trucks.response_margin(replayer.model, bounds, tables, demand) <= 1.0
+        assert trucks.response_margin(replayer.model, weights, tables, demand) <= 1.0
         assert "can_fault" not in scenario.path.read_text() or largest <= 1.0
     else:
         assert max((np.inf if d is None else d) for d in due) > 60.0
         assert (
             name in NO_VERDICT_FOLLOWS
             or "sensor_fault" in tables
-            or trucks.response_margin(replayer.model, bounds, tables, demand) > 1.0
+            or trucks.response_margin(replayer.model, weights, tables, demand) > 1.0
         )
 
 

@@ -67,11 +67,11 @@ def campaign(
         duration_s=DURATION_S,
     ) as kept_in:
         tuned = _kept(kept_in, "baselines.json", lambda: _tune(stored, drives, core, workers, progress))
-        bounds = trucks.Bounds.of(stored, replayer.estimator)
+        weights = trucks.WeightMagnitudes.of(stored, replayer.estimator)
         found = _kept(
             kept_in,
             "plants.json",
-            lambda: trucks.plants(replayer.model, bounds, seed, workers, progress),
+            lambda: trucks.plants(replayer.model, weights, seed, workers, progress),
         )
         levels = []
         if controller is not None:
