@@ -87,7 +87,7 @@ def fault_clocks(untouched: Replay, seed: int) -> list[Clock]:
 
 
 @dataclass(frozen=True)
-class Case:
+class FaultOutcome:
     """A fault in the drive ``run`` from ``start_s`` [s] on.
 
     ``s``: judged, excited seconds until it was found; None: it was not. ``untouched_s``: those until the
@@ -100,7 +100,9 @@ class Case:
     untouched_s: float | None
 
     @classmethod
-    def of(cls, run: str, Ts: float, clock: Clock, faulty: np.ndarray, untouched: float | None) -> Case:
+    def of(
+        cls, run: str, Ts: float, clock: Clock, faulty: np.ndarray, untouched: float | None
+    ) -> FaultOutcome:
         """``faulty``: samples at which the detector alarms with the fault; ``untouched``: the clock at its
         first alarm without."""
         s = clock.read(faulty[: clock.end])
@@ -123,7 +125,7 @@ def faulty_drive(drive: Drive, fault: Fault, clock: Clock, Ts: float) -> Drive:
     return inject(drive.before_sample(clock.end), fault, clock.first * Ts, Ts)
 
 
-def fault_rows(cases: dict[str, list[Case]]) -> list[dict]:
+def fault_rows(cases: dict[str, list[FaultOutcome]]) -> list[dict]:
     """Per fault, in the order of ``cases``: cases found and all cases; drives and those in which it was found
     from every start; cases whose untouched drive alarms in the time allowed; median time [s]."""
     rows = []
