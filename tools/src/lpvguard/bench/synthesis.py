@@ -60,7 +60,7 @@ json.dump({"seconds": seconds, "claimed": float(level), **matrices}, open(sys.ar
 
 
 @dataclass(frozen=True)
-class Row:
+class SynthesisRow:
     """One line of the table: ours and a peer's. ``level``: certified bound; ``claimed``: the peer's own word.
 
     Peer fields are None when it was not run; ``peer_note`` says why, or what went wrong with it.
@@ -102,7 +102,7 @@ def order_23_plant(case: dict) -> GeneralisedPlant:
     return generalised_plant(A, B, PlantWeights(**weights), "K_inf")
 
 
-def run(case_path, repeats: int = 5, peers: Path | None = None) -> list[Row]:
+def run(case_path, repeats: int = 5, peers: Path | None = None) -> list[SynthesisRow]:
     """Measure the three syntheses; ``peers``: a folder for the peers' environment (made when missing), None:
     without them.
 
@@ -123,7 +123,7 @@ def run(case_path, repeats: int = 5, peers: Path | None = None) -> list[Row]:
         level = result.gamma_achieved if name == "H_inf" else result.performance.upper
         peer = _judged(environment.ask(_PEER_SCRIPT, _question(plant), PEER_LIMIT_S), plant)
         rows.append(
-            Row(
+            SynthesisRow(
                 name,
                 plant.system.order,
                 seconds,
@@ -192,7 +192,7 @@ def _question(plant: GeneralisedPlant) -> dict:
     }
 
 
-def table(rows: list[Row]) -> str:
+def table(rows: list[SynthesisRow]) -> str:
     """The rows as text, one line each."""
     lines = [
         (
@@ -213,7 +213,7 @@ def table(rows: list[Row]) -> str:
     return "\n".join(lines)
 
 
-def as_dicts(rows: list[Row]) -> list[dict]:
+def as_dicts(rows: list[SynthesisRow]) -> list[dict]:
     """The rows for ``--json``."""
     return [asdict(r) | {"ok": r.ok} for r in rows]
 
