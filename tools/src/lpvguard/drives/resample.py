@@ -37,7 +37,7 @@ class Source:
 
 
 @dataclass
-class Clock:
+class LogClock:
     """The log's time axis cut where it jumps: [start, end) positions in the log, and the jumps."""
 
     t_ns: np.ndarray
@@ -45,13 +45,13 @@ class Clock:
     cuts: list[int]
 
 
-def clock_of(t_ns: np.ndarray, max_gap_s: float) -> Clock:
+def clock_of(t_ns: np.ndarray, max_gap_s: float) -> LogClock:
     """Find where the clock goes back by more than REORDER_S, or forward further than any gap that is
     interpolated."""
     step = np.diff(t_ns)
     back = step < -REORDER_S * NS
     forward = step > max(max_gap_s, 1.0) * NS
-    clock = Clock(t_ns, jumps=[], cuts=[0])
+    clock = LogClock(t_ns, jumps=[], cuts=[0])
     for i in np.flatnonzero(back | forward).tolist():
         clock.jumps.append(
             {

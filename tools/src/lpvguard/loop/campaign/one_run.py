@@ -22,7 +22,7 @@ from ...drives.tables import Drive
 from ...engine.validation import s1
 from ...evaluate.baselines import Bank, Baseline, Scales
 from ...evaluate.comparison import MONITOR
-from ...evaluate.detection import Clock
+from ...evaluate.detection import JudgedClock
 from ...evaluate.false_alarms import alarming
 from ...identify.bounds import nominal_error
 from ...replay.run import Replay, Replayer, read_raw_log
@@ -145,7 +145,7 @@ def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
         facts, drive, present = simulator.drive(path, log=log)
         reactions = supervision(simulator, facts, read_toml(path, "a scenario file"), log, planned.fault_s)
     replay = replayer.replay(drive, present)
-    clock = Clock.of(replay, first_sample(drive, planned.fault_s, replay.Ts))
+    clock = JudgedClock.of(replay, first_sample(drive, planned.fault_s, replay.Ts))
     offline = Offline.of(replayer, drive, planned.fault_s)
     row: dict[str, Any] = {
         "number": planned.number,
@@ -219,7 +219,7 @@ def _statistic(replayer: Replayer, replay: Replay, drive: Drive) -> np.ndarray:
     return statistic
 
 
-def _judged(name: str, statistic: np.ndarray, threshold: float, clock: Clock) -> dict[str, Any]:
+def _judged(name: str, statistic: np.ndarray, threshold: float, clock: JudgedClock) -> dict[str, Any]:
     """NAME_before, NAME_found_s at the threshold; largest statistic before the fault and within the time
     allowed after it."""
     within = slice(clock.first, int(np.searchsorted(clock.seconds, FOUND_WITHIN_S, side="right")))
