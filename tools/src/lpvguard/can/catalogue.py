@@ -54,7 +54,7 @@ class Supervision(_Strict):
         return self
 
 
-class Signal(_Strict):
+class BusSignal(_Strict):
     """A signal: physical = scale * raw + offset; ``coding`` "j1939" reserves the top raw values, "plain"
     none."""
 
@@ -71,7 +71,7 @@ class Signal(_Strict):
     supervise: Supervision | None = None
 
     @model_validator(mode="after")
-    def _consistent(self) -> Signal:
+    def _consistent(self) -> BusSignal:
         if self.coding == "j1939" and self.length not in J1939_LENGTHS:
             raise ValueError(
                 f"signal {self.name}: J1939 codes exist for 2, 4, 8 and 16 bits, not {self.length}"
@@ -144,7 +144,7 @@ class Message(_Strict):
     period_ms: Annotated[int, Field(ge=1)]
     codec: Literal["generated", "core"] = "generated"
     e2e: E2E | None = None
-    signals: Annotated[list[Signal], Field(min_length=1)]
+    signals: Annotated[list[BusSignal], Field(min_length=1)]
 
     @model_validator(mode="after")
     def _consistent(self) -> Message:
@@ -173,12 +173,12 @@ class Message(_Strict):
         return self.id & 0xFF
 
     @property
-    def rules(self) -> list[tuple[Signal, Supervision]]:
+    def rules(self) -> list[tuple[BusSignal, Supervision]]:
         """The supervised signals, each with what a receiver accepts of it."""
         return [(s, s.supervise) for s in self.signals if s.supervise]
 
     @property
-    def supervised(self) -> list[Signal]:
+    def supervised(self) -> list[BusSignal]:
         """The signals that a receiver supervises."""
         return [s for s, _ in self.rules]
 
