@@ -39,11 +39,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from ..base.documents import StrictModel, checked, read_toml
+from ..base.documents import Positive, StrictModel, checked, read_toml
 from ..base.errors import InputError
 from ..vehicle.project import Project
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class Term(StrictModel):

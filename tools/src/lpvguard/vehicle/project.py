@@ -14,10 +14,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from ..base.documents import StrictModel, checked, read_toml
+from ..base.documents import Positive, StrictModel, checked, read_toml
 from ..base.errors import InputError
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
 
 

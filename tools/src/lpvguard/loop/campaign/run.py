@@ -22,14 +22,13 @@ from ...core.control_coefficients import load_controller
 from ...evaluate.baseline_study import BaselineStudy
 from ...evaluate.baselines import KINDS as BASELINE_KINDS
 from ...evaluate.baselines import Baseline
-from ...identify.run import DriveSet, StoredIdentification
+from ...identify.run import DriveSet, Progress, StoredIdentification
 from ...replay.run import Replayer
 from ..sim import Simulator
 from . import faults, trucks
 from .one_run import Context, run_planned
 from .scenarios import DURATION_S, PlannedRun, Size, plan
 from .summary import summarise
-from .trucks import Progress
 
 CHUNK = 40
 

@@ -14,7 +14,6 @@ from __future__ import annotations
 import io
 import subprocess
 import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -27,7 +26,7 @@ from ...base.parallel import Map
 from ...control.design import faulted_performance
 from ...drives.frames import Estimator
 from ...engine.validation import s1
-from ...identify.run import StoredIdentification
+from ...identify.run import Progress, StoredIdentification
 from ...vehicle.nominal import NominalModel
 from ..generate import plant_tool
 from . import faults
@@ -43,8 +42,6 @@ say nothing of a demand that the drives did not hold: at 1.5 bar, of one frequen
 leaves them by a third, at 0.5 to 0.7 rad/s."""
 LOOP_SPEEDS = (8.5, 15.0, 21.5)
 """Where mu of a faulted loop is computed; the largest is stated."""
-Progress = Callable[[str], None]
-"""Is told what is being done."""
 
 
 @dataclass(frozen=True)
