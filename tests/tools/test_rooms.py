@@ -2,13 +2,12 @@
 tells it as it is.
 
 python tests/tools/test_rooms.py             prints which room imports which, and what is longer than allowed
-python tests/tools/test_rooms.py --write     renews the picture in tools/README.md and rooms_baseline.json
+python tests/tools/test_rooms.py --write     renews the picture in tools/README.md
 """
 
 from __future__ import annotations
 
 import ast
-import json
 import re
 import sys
 from pathlib import Path
@@ -18,7 +17,6 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "tools/src/lpvguard"
 README = ROOT / "tools/README.md"
-BASELINE = Path(__file__).with_name("rooms_baseline.json")
 ORDER = (
     "base",
     "vehicle",
@@ -277,15 +275,8 @@ def test_a_planted_fault_is_found(planted, file, text, said):
     assert any(said in fault for fault in faults(planted, ("low", "high")))
 
 
-def test_nothing_grows_longer_than_allowed():
-    """New long modules and functions fail; those of the baseline may only shrink, and leave it when they are
-    short enough."""
-    allowed = json.loads(BASELINE.read_text())
-    found = long_ones(PACKAGE)
-    assert {name: lines for name, lines in found.items() if lines > allowed.get(name, 0)} == {}
-    assert sorted(set(allowed) - set(found)) == [], (
-        "short enough by now: take them out of rooms_baseline.json"
-    )
+def test_nothing_is_longer_than_allowed():
+    assert long_ones(PACKAGE) == {}
 
 
 def test_a_planted_long_function_is_found_unless_it_says_why(tmp_path):
@@ -328,15 +319,13 @@ def test_every_stop_of_the_walks_exists():
 
 
 def main() -> None:
-    """The room graph and what is too long, printed; with --write, README and the baseline renewed."""
+    """The room graph and what is too long, printed; with --write, the picture in README renewed."""
     print(picture(PACKAGE))
     for fault in faults(PACKAGE):
         print(fault)
-    found = long_ones(PACKAGE)
-    for name, lines in sorted(found.items(), key=lambda item: -item[1]):
+    for name, lines in sorted(long_ones(PACKAGE).items(), key=lambda item: -item[1]):
         print(f"{lines:5} {name}")
     if "--write" in sys.argv[1:]:
-        BASELINE.write_text(json.dumps(found, indent=1, sort_keys=True) + "\n")
         text = README.read_text(encoding="utf-8")
         before, begin, rest = text.partition(PICTURE[0])
         _, end, after = rest.partition(PICTURE[1])
