@@ -1,7 +1,7 @@
-"""The package's rooms: who may import whom, how long modules and functions may be, and that tools/README.md
-tells it as it is.
+"""The package's rooms: who may import whom, how long modules and functions may be, that a name is that of one
+class only, and that tools/README.md tells it as it is.
 
-python tests/tools/test_rooms.py             prints which room imports which, and what is longer than allowed
+python tests/tools/test_rooms.py             prints which room imports which, and what breaks a rule
 python tests/tools/test_rooms.py --write     renews the picture in tools/README.md
 """
 
@@ -178,6 +178,16 @@ def long_ones(package: Path) -> dict[str, int]:
     return found
 
 
+def shared_class_names(package: Path) -> dict[str, list[str]]:
+    """Name -> the modules that define it, of every public class that is defined more than once."""
+    defined: dict[str, list[str]] = {}
+    for path in sorted(package.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                defined.setdefault(node.name, []).append(str(path.relative_to(package)))
+    return {name: modules for name, modules in defined.items() if len(modules) > 1}
+
+
 def picture(package: Path) -> str:
     """Which room imports which, as README shows it: a row imports from the columns that are marked."""
     columns = ORDER[:-1]
@@ -291,6 +301,19 @@ def test_a_planted_long_function_is_found_unless_it_says_why(tmp_path):
     assert long_ones(tmp_path) == {"a.py": MODULE_LINES + 1}
 
 
+def test_no_public_class_name_is_defined_twice():
+    """One type for one noun: a reader who knows a name knows what it is in every room."""
+    assert shared_class_names(PACKAGE) == {}
+
+
+def test_a_planted_second_class_of_a_name_is_found(planted):
+    (planted / "low" / "a.py").write_text("class Signal: ...\nclass _Search: ...\n")
+    (planted / "high" / "c.py").write_text("from ..low.a import Signal\nclass _Search: ...\n")
+    assert shared_class_names(planted) == {}, "an import is no definition, and a private name stays at home"
+    (planted / "high" / "c.py").write_text("class Signal: ...\n")
+    assert shared_class_names(planted) == {"Signal": ["high/c.py", "low/a.py"]}
+
+
 def test_the_picture_in_the_readme_is_that_of_the_packages():
     text = README.read_text(encoding="utf-8")
     assert text.partition(PICTURE[0])[2].partition(PICTURE[1])[0] == picture(PACKAGE)
@@ -319,12 +342,14 @@ def test_every_stop_of_the_walks_exists():
 
 
 def main() -> None:
-    """The room graph and what is too long, printed; with --write, the picture in README renewed."""
+    """The room graph and what breaks a rule, printed; with --write, the picture in README renewed."""
     print(picture(PACKAGE))
     for fault in faults(PACKAGE):
         print(fault)
     for name, lines in sorted(long_ones(PACKAGE).items(), key=lambda item: -item[1]):
         print(f"{lines:5} {name}")
+    for name, modules in shared_class_names(PACKAGE).items():
+        print(f"class {name} is defined in {', '.join(modules)}")
     if "--write" in sys.argv[1:]:
         text = README.read_text(encoding="utf-8")
         before, begin, rest = text.partition(PICTURE[0])
