@@ -20,7 +20,7 @@ from lpvguard.evaluate.baselines import Baseline
 from lpvguard.identify import run as identify
 from lpvguard.loop.campaign import faults, one_run, run, scenarios, summary, trucks
 from lpvguard.loop.campaign.run import campaign
-from lpvguard.loop.campaign.scenarios import Case, Size
+from lpvguard.loop.campaign.scenarios import PlannedRun, Size
 from lpvguard.loop.sim import load_scenario, shipped_scenarios
 from lpvguard.replay.run import Replayer
 from lpvguard.vehicle.nominal import NominalModel
@@ -46,8 +46,8 @@ def replayer(simulator, truck_folder) -> Replayer:
 
 
 @pytest.fixture(scope="module")
-def bounds(stored, replayer):
-    return trucks.Bounds.of(stored[0], replayer.estimator)
+def weights(stored, replayer):
+    return trucks.WeightMagnitudes.of(stored[0], replayer.estimator)
 
 
 def plant_tables(name: str) -> str:
@@ -60,7 +60,7 @@ def plant_tables(name: str) -> str:
 
 
 @pytest.mark.parametrize("name", shipped_scenarios())
-def test_scenarios_expect_what_follows_from_the_bounds(name, simulator, replayer, bounds):
+def test_scenarios_expect_what_follows_from_the_bounds(name, simulator, replayer, weights):
     """ "invalid" only where, and no later than, an alarm is due; "never_invalid" only for trucks within the
     bounds, which a faulty bus shows as they are or not at all; else nothing. What the supervision must say:
     tests/hil/test_supervision.py."""
@@ -77,14 +77,14 @@ def test_scenarios_expect_what_follows_from_the_bounds(name, simulator, replayer
         assert None not in due and max(due) <= expect.within_judged_s <= 1.5 * max(due) + 10.0, due
     elif expect.verdict == "never_invalid":
         assert "sensor_fault" not in tables
-        assert trucks.response_margin(replayer.model, bounds, tables, demand) <= 1.0
+        assert trucks.response_margin(replayer.model, weights, tables, demand) <= 1.0
         assert "can_fault" not in scenario.path.read_text() or largest <= 1.0
     else:
         assert max((np.inf if d is None else d) for d in due) > 60.0
         assert (
             name in NO_VERDICT_FOLLOWS
             or "sensor_fault" in tables
-            or trucks.response_margin(replayer.model, bounds, tables, demand) > 1.0
+            or trucks.response_margin(replayer.model, weights, tables, demand) > 1.0
         )
 
 
@@ -166,23 +166,26 @@ def test_a_fault_found_with_its_first_sample_is_not_taken_for_an_alarm_before_it
     6000th."""
     jump = '[[plant.sensor_fault]]\nsignal = "yaw_rate"\nstart_s = 60.0\nbias = 0.2\n'
     context = one_run.Context(truck_folder, 1, ((0.01, 0.01), (1.0,)), ())
-    row = one_run.run_case(context, Case(scenarios.FIRST_FAULT, "yaw-rate bias", 0.2, -1, 60.0, jump))
+    row = one_run.run_planned(
+        context, PlannedRun(scenarios.FIRST_FAULT, "yaw-rate bias", 0.2, -1, 60.0, jump)
+    )
     assert not row["monitor_before"] and row["monitor_score_before"] < 1.0
     assert row["monitor_found_s"] <= 0.05 and row["ecu_invalid_s"] == pytest.approx(60.0, abs=0.05)
 
 
 def test_what_is_drawn_depends_on_seed_and_number_alone():
-    case = Case(17, "within", 0.0, 0, 0.0, scenarios.draw_variation(5, 3))
-    assert scenarios.scenario_text(5, case) == scenarios.scenario_text(5, case)
-    other = Case(18, "within", 0.0, 0, 0.0, scenarios.draw_variation(5, 4))
+    planned = PlannedRun(17, "within", 0.0, 0, 0.0, scenarios.draw_variation(5, 3))
+    assert scenarios.scenario_text(5, planned) == scenarios.scenario_text(5, planned)
+    other = PlannedRun(18, "within", 0.0, 0, 0.0, scenarios.draw_variation(5, 4))
     assert (
-        scenarios.scenario_text(5, case) != scenarios.scenario_text(6, case) and case.tables != other.tables
+        scenarios.scenario_text(5, planned) != scenarios.scenario_text(6, planned)
+        and planned.tables != other.tables
     )
-    cases = scenarios.plan(Size(0.2, 2), ["a", "b"])
-    assert [c.number for c in cases[:4]] == [0, 1, 2, 3] and [c.plant for c in cases[:4]] == [0, 1, 0, 1]
+    runs = scenarios.plan(Size(0.2, 2), ["a", "b"])
+    assert [c.number for c in runs[:4]] == [0, 1, 2, 3] and [c.plant for c in runs[:4]] == [0, 1, 0, 1]
     longer = scenarios.plan(Size(1.0, 2), ["a", "b"])
-    assert longer[20:] == cases[4:], "the faulty runs are the same, however many hours are driven within"
-    assert {c.kind for c in cases[4:]} == {k.name for k in faults.KINDS}
+    assert longer[20:] == runs[4:], "the faulty runs are the same, however many hours are driven within"
+    assert {c.kind for c in runs[4:]} == {k.name for k in faults.KINDS}
     names = [k.name for k in faults.KINDS]
     assert len(set(names)) == len(names), "a kind is found by its name"
     assert all(k.of_truck or k.of_bus for k in faults.KINDS) and any(
@@ -246,7 +249,7 @@ def test_a_cluster_gives_the_same_bytes(small, stored, truck_folder, tmp_path):
 def test_a_campaign_that_was_stopped_goes_on_and_ends_the_same(small, stored, truck_folder, tmp_path):
     found, drives = stored
     size = Size(0.25, 2)
-    cases = 5 + 4 * 2
+    runs = 5 + 4 * 2
 
     def go_on(out: Path, stop_at: int | None = None) -> dict:
         def progress(text: str) -> None:
@@ -271,7 +274,7 @@ def test_a_campaign_that_was_stopped_goes_on_and_ends_the_same(small, stored, tr
     rows = pq.read_table(whole / "runs.parquet")
     for file in ("runs.parquet", "summary.json"):
         assert (whole / file).read_bytes() == (out / file).read_bytes(), file
-    assert rows.num_rows == cases and len(set(rows["seed"].to_pylist())) == cases, (
+    assert rows.num_rows == runs and len(set(rows["seed"].to_pylist())) == runs, (
         "every run's seed is recorded"
     )
 

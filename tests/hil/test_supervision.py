@@ -12,7 +12,7 @@ import pytest
 from lpvguard.can.catalogue import load_catalogue
 from lpvguard.can.logs import EXTENDED, Frames, read_log
 from lpvguard.can.play import encode, protect
-from lpvguard.loop.bus_faults import CASES
+from lpvguard.loop.bus_faults import BUS_FAULTS
 from lpvguard.loop.campaign.one_run import supervision
 from lpvguard.loop.sim import RECOVERY_S, can_fault_table, load_scenario, shipped_scenarios, steady_scenario
 from lpvguard.loop.supervision import HOLD, LIVE, OFF, Reactions, limits, needed_messages, required
@@ -146,13 +146,13 @@ def reactions(simulator, path, log, from_s: float = 0.0, **options) -> Reactions
     return supervision(simulator, facts, tomllib.loads(path.read_text()), log, from_s)
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda c: f"{c.message} {c.name}")
-def test_the_firmware_says_what_the_frames_require(case, simulator, tmp_path):
+@pytest.mark.parametrize("fault", BUS_FAULTS, ids=lambda c: f"{c.message} {c.name}")
+def test_the_firmware_says_what_the_frames_require(fault, simulator, tmp_path):
     """The fault table again, with each fault at random for ten seconds: whatever comes of it, at the very
     tick."""
-    more = {} if case.delay_s is None else {"delay_s": case.delay_s}
+    more = {} if fault.delay_s is None else {"delay_s": fault.delay_s}
     for probability in (0.1, 0.4, 0.8):
-        table = can_fault_table(case.message, case.kind, 5.0, 15.0, probability=probability, **more)
+        table = can_fault_table(fault.message, fault.kind, 5.0, 15.0, probability=probability, **more)
         path = tmp_path / "fault.toml"
         path.write_text(steady_scenario(20.0, table))
         seen = reactions(simulator, path, tmp_path / "fault.log")

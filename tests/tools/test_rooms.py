@@ -1,14 +1,13 @@
-"""The package's rooms: who may import whom, how long modules and functions may be, and that tools/README.md
-tells it as it is.
+"""The package's rooms: who may import whom, how long modules and functions may be, that a name is that of one
+class only, and that tools/README.md tells it as it is.
 
-python tests/tools/test_rooms.py             prints which room imports which, and what is longer than allowed
-python tests/tools/test_rooms.py --write     renews the picture in tools/README.md and rooms_baseline.json
+python tests/tools/test_rooms.py             prints which room imports which, and what breaks a rule
+python tests/tools/test_rooms.py --write     renews the picture in tools/README.md
 """
 
 from __future__ import annotations
 
 import ast
-import json
 import re
 import sys
 from pathlib import Path
@@ -18,7 +17,6 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "tools/src/lpvguard"
 README = ROOT / "tools/README.md"
-BASELINE = Path(__file__).with_name("rooms_baseline.json")
 ORDER = (
     "base",
     "vehicle",
@@ -180,6 +178,16 @@ def long_ones(package: Path) -> dict[str, int]:
     return found
 
 
+def shared_class_names(package: Path) -> dict[str, list[str]]:
+    """Name -> the modules that define it, of every public class that is defined more than once."""
+    defined: dict[str, list[str]] = {}
+    for path in sorted(package.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                defined.setdefault(node.name, []).append(str(path.relative_to(package)))
+    return {name: modules for name, modules in defined.items() if len(modules) > 1}
+
+
 def picture(package: Path) -> str:
     """Which room imports which, as README shows it: a row imports from the columns that are marked."""
     columns = ORDER[:-1]
@@ -277,15 +285,8 @@ def test_a_planted_fault_is_found(planted, file, text, said):
     assert any(said in fault for fault in faults(planted, ("low", "high")))
 
 
-def test_nothing_grows_longer_than_allowed():
-    """New long modules and functions fail; those of the baseline may only shrink, and leave it when they are
-    short enough."""
-    allowed = json.loads(BASELINE.read_text())
-    found = long_ones(PACKAGE)
-    assert {name: lines for name, lines in found.items() if lines > allowed.get(name, 0)} == {}
-    assert sorted(set(allowed) - set(found)) == [], (
-        "short enough by now: take them out of rooms_baseline.json"
-    )
+def test_nothing_is_longer_than_allowed():
+    assert long_ones(PACKAGE) == {}
 
 
 def test_a_planted_long_function_is_found_unless_it_says_why(tmp_path):
@@ -298,6 +299,19 @@ def test_a_planted_long_function_is_found_unless_it_says_why(tmp_path):
     assert long_ones(tmp_path) == {}
     (tmp_path / "a.py").write_text("x = 1\n" * (MODULE_LINES + 1))
     assert long_ones(tmp_path) == {"a.py": MODULE_LINES + 1}
+
+
+def test_no_public_class_name_is_defined_twice():
+    """One type for one noun: a reader who knows a name knows what it is in every room."""
+    assert shared_class_names(PACKAGE) == {}
+
+
+def test_a_planted_second_class_of_a_name_is_found(planted):
+    (planted / "low" / "a.py").write_text("class Signal: ...\nclass _Search: ...\n")
+    (planted / "high" / "c.py").write_text("from ..low.a import Signal\nclass _Search: ...\n")
+    assert shared_class_names(planted) == {}, "an import is no definition, and a private name stays at home"
+    (planted / "high" / "c.py").write_text("class Signal: ...\n")
+    assert shared_class_names(planted) == {"Signal": ["high/c.py", "low/a.py"]}
 
 
 def test_the_picture_in_the_readme_is_that_of_the_packages():
@@ -328,15 +342,15 @@ def test_every_stop_of_the_walks_exists():
 
 
 def main() -> None:
-    """The room graph and what is too long, printed; with --write, README and the baseline renewed."""
+    """The room graph and what breaks a rule, printed; with --write, the picture in README renewed."""
     print(picture(PACKAGE))
     for fault in faults(PACKAGE):
         print(fault)
-    found = long_ones(PACKAGE)
-    for name, lines in sorted(found.items(), key=lambda item: -item[1]):
+    for name, lines in sorted(long_ones(PACKAGE).items(), key=lambda item: -item[1]):
         print(f"{lines:5} {name}")
+    for name, modules in shared_class_names(PACKAGE).items():
+        print(f"class {name} is defined in {', '.join(modules)}")
     if "--write" in sys.argv[1:]:
-        BASELINE.write_text(json.dumps(found, indent=1, sort_keys=True) + "\n")
         text = README.read_text(encoding="utf-8")
         before, begin, rest = text.partition(PICTURE[0])
         _, end, after = rest.partition(PICTURE[1])

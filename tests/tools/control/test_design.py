@@ -160,7 +160,7 @@ def test_another_unit_of_time_leaves_the_loop_of_K_is_as_it_was(stored, factor):
     model, settings = NominalModel(stored.project), stored.project.design
     A, B = (m[0] for m in model.matrices(np.array([15.0])))
     weights = stage._weights(stored, settings)
-    slower = fig1.Weights(
+    slower = fig1.PlantWeights(
         **{
             f.name: replace(w, A=factor * w.A, B=factor * w.B)
             for f in fields(weights)

@@ -15,7 +15,7 @@ from lpvguard.engine.validation import lft, lmi
 from lpvguard.engine.validation.posed import ball, block_form, pose
 from lpvguard.engine.validation.problem import Lft, parametrise
 from lpvguard.engine.validation.quadratic import Form, Quadratic
-from lpvguard.engine.validation.relaxation import Box, Node, Relaxation
+from lpvguard.engine.validation.relaxation import Box, BranchNode, Relaxation
 from lpvguard.engine.validation.well_posed import block_caps, well_posed
 
 FULL = {
@@ -369,7 +369,7 @@ def test_the_tangent_bounds_every_point_of_its_box(blocks):
         for k, c in at.items():
             side = half * (1.0 if search.forms[k].repeated == "repeated_real" else 1 + 1j)
             boxes[k] = Box(c - side, c + side)
-        bound = Relaxation(search).tangent(Node(0.0, 0, rays, boxes), np.inf)
+        bound = Relaxation(search).tangent(BranchNode(0.0, 0, rays, boxes), np.inf)
         # The optimum lies in the box, and so do the nearby points below.
         assert bound.lower <= s.upper * (1 + 1e-9)
         losses.append(bound.centre - bound.box)

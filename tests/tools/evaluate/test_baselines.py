@@ -10,7 +10,7 @@ from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import list_experiments
 from lpvguard.evaluate.baseline_study import BaselineStudy
 from lpvguard.evaluate.baselines import GRID, KINDS, Bank, Baseline, Scales
-from lpvguard.evaluate.detection import Case, median_time, ranking
+from lpvguard.evaluate.detection import FaultOutcome, median_time, ranking
 from lpvguard.identify import run as identify
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project
@@ -118,7 +118,7 @@ def test_the_drive_under_test_takes_part_in_nothing(study, kind):
         try:
             found.largest[name] = {b: np.full(3, 1e9) for b in GRID}
             found.cases[name] = {
-                key: {label: [Case(name, 60.0, 0.02, None)] * 9 for label in table}
+                key: {label: [FaultOutcome(name, 60.0, 0.02, None)] * 9 for label in table}
                 for key, table in next(c for c in cases.values() if c).items()
             }
             assert found.best(kind, name) == before

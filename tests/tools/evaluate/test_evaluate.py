@@ -13,7 +13,7 @@ from lpvguard.drives.faults import Fault, inject
 from lpvguard.drives.tables import list_experiments, read_drive
 from lpvguard.evaluate import run as stage
 from lpvguard.evaluate.comparison import equal_rates
-from lpvguard.evaluate.detection import FOUND_WITHIN_S, STARTS, Case, Clock, fault_clocks
+from lpvguard.evaluate.detection import FOUND_WITHIN_S, STARTS, FaultOutcome, JudgedClock, fault_clocks
 from lpvguard.evaluate.false_alarms import Pieces, alarmed_pieces, alarming, piece_starts
 from lpvguard.identify import run as identify
 from lpvguard.identify.calibration import calibrate, joint_scores
@@ -52,13 +52,13 @@ def replay(seconds: float, relevant=slice(None), *, name: str = "made up", falsi
 
 
 def test_the_clock_runs_in_judged_driving_from_the_first_faulty_sample_on():
-    clock = Clock.of(replay(100.0, slice(0, 3500)), 3000)
+    clock = JudgedClock.of(replay(100.0, slice(0, 3500)), 3000)
     assert clock.read(hits(5001, 2999)) is None
     assert clock.read(hits(5001, 2999, 3000)) == pytest.approx(TS), "the first faulty sample counts"
     assert clock.read(hits(5001, 3499)) == clock.read(hits(5001, 4500)) == pytest.approx(10.0), (
         "it stands where nothing is judged"
     )
-    whole = Clock.of(replay(100.0), 3000)
+    whole = JudgedClock.of(replay(100.0), 3000)
     assert whole.end == 3000 + round(FOUND_WITHIN_S / TS)
 
 
@@ -74,9 +74,9 @@ def test_the_clock_runs_in_judged_driving_from_the_first_faulty_sample_on():
     ],
 )  # in time, and one sample too late
 def test_found_means_before_the_untouched_drive_and_in_time(faulty, untouched, s):
-    clock = Clock.of(replay(120.0), 3000)
+    clock = JudgedClock.of(replay(120.0), 3000)
     other = None if untouched is None else clock.read(hits(6001, untouched))
-    case = Case.of("made up", TS, clock, hits(6001, faulty), other)
+    case = FaultOutcome.of("made up", TS, clock, hits(6001, faulty), other)
     assert case.untouched_s == other
     assert (
         case.s == (None if s is None else pytest.approx(s))
@@ -86,15 +86,15 @@ def test_found_means_before_the_untouched_drive_and_in_time(faulty, untouched, s
 
 
 def test_what_the_untouched_drive_says_later_does_not_matter():
-    clock = Clock.of(replay(120.0), 3000)
-    case = Case.of("made up", TS, clock, hits(6001, 3009), clock.read(hits(6001, 4501)))
+    clock = JudgedClock.of(replay(120.0), 3000)
+    case = FaultOutcome.of("made up", TS, clock, hits(6001, 3009), clock.read(hits(6001, 4501)))
     assert case.found and case.untouched_s is None
 
 
 def test_an_alarm_that_stands_when_the_fault_starts_is_none_of_it():
-    clock = Clock.of(replay(120.0), 3000)
+    clock = JudgedClock.of(replay(120.0), 3000)
     standing = hits(6001, *range(2900, 3100))
-    assert not Case.of("made up", TS, clock, standing | hits(6001, 3200), clock.read(standing)).found
+    assert not FaultOutcome.of("made up", TS, clock, standing | hits(6001, 3200), clock.read(standing)).found
 
 
 def test_starts_leave_time_to_find_and_do_not_depend_on_other_drives():

@@ -22,7 +22,7 @@ from lpvguard.engine.synthesis.dk import certify, dk_synthesis
 from lpvguard.engine.synthesis.hinf import hinf_synthesis
 from lpvguard.engine.synthesis.interconnection import (
     GeneralisedPlant,
-    Weights,
+    PlantWeights,
     generalised_plant,
     weight_from_table,
     zeros_poles,
@@ -60,7 +60,7 @@ json.dump({"seconds": seconds, "claimed": float(level), **matrices}, open(sys.ar
 
 
 @dataclass(frozen=True)
-class Row:
+class SynthesisRow:
     """One line of the table: ours and a peer's. ``level``: certified bound; ``claimed``: the peer's own word.
 
     Peer fields are None when it was not run; ``peer_note`` says why, or what went wrong with it.
@@ -93,16 +93,16 @@ def order_23_plant(case: dict) -> GeneralisedPlant:
     objective = case["objective"][0]
     weights = {
         f.name: weight_from_table(case[f.name], A_t=objective["A_t"], A_u=objective["A_u"])
-        for f in fields(Weights)
+        for f in fields(PlantWeights)
     }
     ripple = {1: zeros_poles(1.0, [0.4], [0.5]), 2: zeros_poles(1.0, [0.4, 9.0], [0.5, 11.0])}
     for name in ("W_C", "W_nr", "W_ndelta", "W_wr", "W_wdelta"):
         weights[name] = series(ripple[3 - weights[name].order], weights[name])
     A, B = truck_model.continuous(case["v"], case["wheelbase"])
-    return generalised_plant(A, B, Weights(**weights), "K_inf")
+    return generalised_plant(A, B, PlantWeights(**weights), "K_inf")
 
 
-def run(case_path, repeats: int = 5, peers: Path | None = None) -> list[Row]:
+def run(case_path, repeats: int = 5, peers: Path | None = None) -> list[SynthesisRow]:
     """Measure the three syntheses; ``peers``: a folder for the peers' environment (made when missing), None:
     without them.
 
@@ -123,7 +123,7 @@ def run(case_path, repeats: int = 5, peers: Path | None = None) -> list[Row]:
         level = result.gamma_achieved if name == "H_inf" else result.performance.upper
         peer = _judged(environment.ask(_PEER_SCRIPT, _question(plant), PEER_LIMIT_S), plant)
         rows.append(
-            Row(
+            SynthesisRow(
                 name,
                 plant.system.order,
                 seconds,
@@ -192,7 +192,7 @@ def _question(plant: GeneralisedPlant) -> dict:
     }
 
 
-def table(rows: list[Row]) -> str:
+def table(rows: list[SynthesisRow]) -> str:
     """The rows as text, one line each."""
     lines = [
         (
@@ -213,7 +213,7 @@ def table(rows: list[Row]) -> str:
     return "\n".join(lines)
 
 
-def as_dicts(rows: list[Row]) -> list[dict]:
+def as_dicts(rows: list[SynthesisRow]) -> list[dict]:
     """The rows for ``--json``."""
     return [asdict(r) | {"ok": r.ok} for r in rows]
 

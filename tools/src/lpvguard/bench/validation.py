@@ -31,7 +31,7 @@ GRID = 40
 
 
 @dataclass(frozen=True)
-class Row:
+class KernelRow:
     """One line of the table. ``peer_us`` and ``ratio`` are None without cvxpy; ``worst_gap`` only for S2."""
 
     kernel: str
@@ -182,7 +182,7 @@ def _peer_us(kernel: str, data: dict) -> float | None:
     return (time.perf_counter() - start) / count * 1e6
 
 
-def run(experiments: int = 20, bins: int = 1024, seed: int = 0, peers: bool = True) -> list[Row]:
+def run(experiments: int = 20, bins: int = 1024, seed: int = 0, peers: bool = True) -> list[KernelRow]:
     """Measure; one row per kernel. S2 runs on every point as well."""
     data = truck_points(experiments, bins, seed)
     points = experiments * bins
@@ -205,7 +205,7 @@ def run(experiments: int = 20, bins: int = 1024, seed: int = 0, peers: bool = Tr
         us = _time_us(job, points, repeats)
         peer = _peer_us(kernel, data) if peers else None
         rows.append(
-            Row(
+            KernelRow(
                 kernel,
                 points,
                 us,
@@ -219,7 +219,7 @@ def run(experiments: int = 20, bins: int = 1024, seed: int = 0, peers: bool = Tr
     return rows
 
 
-def table(rows: list[Row]) -> str:
+def table(rows: list[KernelRow]) -> str:
     """The rows as text, one line each."""
     lines = [f"{'kernel':8} {'points':>7} {'us/point':>10} {'target':>8} {'conic us':>10} {'ratio':>9}  gap"]
     for r in rows:
@@ -231,7 +231,7 @@ def table(rows: list[Row]) -> str:
     return "\n".join(lines)
 
 
-def as_dicts(rows: list[Row]) -> list[dict]:
+def as_dicts(rows: list[KernelRow]) -> list[dict]:
     """The rows for ``--json``."""
     return [asdict(r) | {"ok": r.ok} for r in rows]
 

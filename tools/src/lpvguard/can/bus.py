@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from ..base.errors import InputError
 from ..vehicle.project import CanPlace, Project
-from .catalogue import Catalogue, Message, Signal, load_catalogue
+from .catalogue import BusSignal, Catalogue, Message, load_catalogue
 
 REFERENCE = CanPlace(message="GUARD_IN", signal="yaw_rate_command")
 REPORT = {
@@ -31,7 +31,7 @@ def bus_source(project: Project, catalogue: Catalogue | None = None) -> str:
     where = f"vehicle {project.name}"
     report = _report_message(project, catalogue, where)
     values: dict[str, list[str]] = {}
-    used: dict[str, list[Signal]] = {}
+    used: dict[str, list[BusSignal]] = {}
     for member, place in _places(project, where):
         message, signal = _received(catalogue, place, where)
         used.setdefault(message.name, []).append(signal)
@@ -113,7 +113,7 @@ def _place(name: str, place: CanPlace | None, where: str) -> CanPlace:
     return place
 
 
-def _received(catalogue: Catalogue, place: CanPlace, where: str) -> tuple[Message, Signal]:
+def _received(catalogue: Catalogue, place: CanPlace, where: str) -> tuple[Message, BusSignal]:
     message = catalogue.message(place.message)
     signal = next((s for s in message.signals if s.name == place.signal), None)
     if signal is None or message.source_address == catalogue.own_address or message.codec != "generated":
@@ -126,7 +126,7 @@ def _received(catalogue: Catalogue, place: CanPlace, where: str) -> tuple[Messag
     return message, signal
 
 
-def take_case(message: Message, signals: list[Signal], statements: list[str]) -> str:
+def take_case(message: Message, signals: list[BusSignal], statements: list[str]) -> str:
     """C case of a switch over message indices: decodes ``signals`` of ``frame`` to floats of their names,
     then ``statements``."""
     prefix = f"lpvg_can_{message.name.lower()}"

@@ -13,9 +13,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-from ..base.documents import checked, read_toml
+from ..base.documents import StrictModel, checked, read_toml
 from ..base.errors import InputError
 
 E2E_BITS = 12
@@ -35,11 +35,7 @@ def j1939_data_max(length: int) -> int:
     return (0xFB << (length - 8)) - 1 if length >= 8 else (1 << length) - 3
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Supervision(_Strict):
+class Supervision(StrictModel):
     """What a receiver accepts of a signal, in the signal's unit; ``max_rate`` is per second, None is
     unlimited."""
 
@@ -54,7 +50,7 @@ class Supervision(_Strict):
         return self
 
 
-class Signal(_Strict):
+class BusSignal(StrictModel):
     """A signal: physical = scale * raw + offset; ``coding`` "j1939" reserves the top raw values, "plain"
     none."""
 
@@ -67,11 +63,11 @@ class Signal(_Strict):
     unit: str
     positive: str
     coding: Literal["j1939", "plain"] = "j1939"
-    values: dict[str, Annotated[int, Field(ge=0)]] = {}
+    values: dict[str, Annotated[int, Field(ge=0)]] = Field(default={})
     supervise: Supervision | None = None
 
     @model_validator(mode="after")
-    def _consistent(self) -> Signal:
+    def _consistent(self) -> BusSignal:
         if self.coding == "j1939" and self.length not in J1939_LENGTHS:
             raise ValueError(
                 f"signal {self.name}: J1939 codes exist for 2, 4, 8 and 16 bits, not {self.length}"
@@ -127,14 +123,14 @@ class Signal(_Strict):
         return self.physical(self.raw_max)
 
 
-class E2E(_Strict):
+class E2E(StrictModel):
     """AUTOSAR E2E profile 11, data-id mode BOTH."""
 
     profile: Literal[11]
     data_id: Annotated[int, Field(ge=0, le=0xFFFF)]
 
 
-class Message(_Strict):
+class Message(StrictModel):
     """A parameter group in one 8-byte frame. ``codec`` "core": the C core packs it, no codec is generated."""
 
     name: Annotated[str, Field(pattern=r"^[A-Z][A-Z0-9_]*$")]
@@ -144,7 +140,7 @@ class Message(_Strict):
     period_ms: Annotated[int, Field(ge=1)]
     codec: Literal["generated", "core"] = "generated"
     e2e: E2E | None = None
-    signals: Annotated[list[Signal], Field(min_length=1)]
+    signals: Annotated[list[BusSignal], Field(min_length=1)]
 
     @model_validator(mode="after")
     def _consistent(self) -> Message:
@@ -173,17 +169,17 @@ class Message(_Strict):
         return self.id & 0xFF
 
     @property
-    def rules(self) -> list[tuple[Signal, Supervision]]:
+    def rules(self) -> list[tuple[BusSignal, Supervision]]:
         """The supervised signals, each with what a receiver accepts of it."""
         return [(s, s.supervise) for s in self.signals if s.supervise]
 
     @property
-    def supervised(self) -> list[Signal]:
+    def supervised(self) -> list[BusSignal]:
         """The signals that a receiver supervises."""
         return [s for s, _ in self.rules]
 
 
-class Node(_Strict):
+class Node(StrictModel):
     """A controller on the bus and its J1939 source address."""
 
     name: Annotated[str, Field(pattern=r"^[A-Z][A-Z0-9_]*$")]
@@ -191,7 +187,7 @@ class Node(_Strict):
     comment: str
 
 
-class Catalogue(_Strict):
+class Catalogue(StrictModel):
     """Every node and message of the bus."""
 
     schema_: Literal[1] = Field(alias="schema")

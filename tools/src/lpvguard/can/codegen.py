@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import math
 
-from .catalogue import Catalogue, Message, Signal, load_catalogue
+from .catalogue import BusSignal, Catalogue, Message, load_catalogue
 
 HEADER, SOURCE = "lpvg_can_codec.h", "lpvg_can_codec.c"
 GAP_FRACTION = 4
@@ -54,11 +54,11 @@ def _plain(value: float) -> str:
     return f"{value:.15g}"
 
 
-def _raw_type(signal: Signal) -> str:
+def _raw_type(signal: BusSignal) -> str:
     return "uint8_t" if signal.length <= 8 else "uint16_t"
 
 
-def _absent(signal: Signal) -> int:
+def _absent(signal: BusSignal) -> int:
     return (1 << signal.length) - 1 if signal.raw_absent_min is not None else 0
 
 
@@ -142,7 +142,7 @@ def _message_header(message: Message) -> str:
     return "".join(lines)
 
 
-def _describe(s: Signal) -> str:
+def _describe(s: BusSignal) -> str:
     unit = s.unit or "no unit"
     text = (
         f"raw 0 .. {s.raw_max}; physical {_plain(s.physical_min)} .. {_plain(s.physical_max)} {unit}; "
@@ -296,7 +296,7 @@ def _code(minimum: int | None) -> int:
     return 0x10000 if minimum is None else minimum
 
 
-def _pieces(signal: Signal) -> list[tuple[int, int, int, int]]:
+def _pieces(signal: BusSignal) -> list[tuple[int, int, int, int]]:
     """(byte, lowest bit in the byte, bits, lowest bit of the signal) of each byte that the signal touches."""
     pieces, done = [], 0
     while done < signal.length:
@@ -311,7 +311,7 @@ def _shifted(term: str, operator: str, by: int) -> str:
     return f"({term} {operator} {by})" if by else term
 
 
-def _load(signal: Signal) -> str:
+def _load(signal: BusSignal) -> str:
     terms = []
     for byte, low, bits, position in _pieces(signal):
         term = _shifted(f"(uint32_t)frame->data[{byte}]", ">>", low)
@@ -321,7 +321,7 @@ def _load(signal: Signal) -> str:
     return " | ".join(terms)
 
 
-def _store(signal: Signal) -> list[str]:
+def _store(signal: BusSignal) -> list[str]:
     statements = []
     for byte, low, bits, position in _pieces(signal):
         mask = ((1 << bits) - 1) << low

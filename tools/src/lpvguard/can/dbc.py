@@ -7,7 +7,7 @@ to 1.
 
 from __future__ import annotations
 
-from .catalogue import Catalogue, Message, Signal, load_catalogue
+from .catalogue import BusSignal, Catalogue, Message, load_catalogue
 
 _EXTENDED = 0x80000000
 _J1939_PG = 3
@@ -35,7 +35,7 @@ def _number(value: float) -> str:
     return f"{value:.15g}"
 
 
-def _signal(signal: Signal) -> str:
+def _signal(signal: BusSignal) -> str:
     return (
         f" SG_ {signal.name} : {signal.start}|{signal.length}@1+ "
         f"({_number(signal.scale)},{_number(signal.offset)}) "

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ..base.errors import InputError
-from .catalogue import Catalogue, Message, Signal, load_catalogue
+from .catalogue import BusSignal, Catalogue, Message, load_catalogue
 from .logs import EXTENDED, Frames, candump_line
 
 _CRC8_POLYNOMIAL = 0x1D
@@ -44,7 +44,7 @@ def e2e_crc(data: np.ndarray, data_id: int) -> np.ndarray:
     return crc
 
 
-def encode_raw(signal: Signal, physical: np.ndarray) -> np.ndarray:
+def encode_raw(signal: BusSignal, physical: np.ndarray) -> np.ndarray:
     """Raw values (N,) of physical ones; NaN gives the largest code, "not available"."""
     steps = np.floor((np.asarray(physical, float) - signal.offset) / signal.scale + 0.5)
     absent = (1 << signal.length) - 1

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ..control.tradeoff import TradeOff
     from ..engine.synthesis.cases import TableRow
     from ..engine.synthesis.table import Cell
-    from ..evaluate.comparison import Column
+    from ..evaluate.comparison import DetectorColumn
     from ..loop.sim import Simulator
     from ..replay.run import Replayer
 
@@ -204,9 +204,8 @@ def print_evaluation(result: dict[str, Any]) -> None:
         console.print("no baselines: they need another calibration drive when one is left out")
 
 
-def _detector_table(detectors: dict[str, Column], best: list[str] | None = None) -> Table:
-    """False alarms and found faults, a column per detector (comparison.Column); ``best``: who leads, per
-    fault."""
+def _detector_table(detectors: dict[str, DetectorColumn], best: list[str] | None = None) -> Table:
+    """False alarms and found faults, a column per detector; ``best``: who leads, per fault."""
     from ..evaluate.comparison import detector_rows
 
     table = Table("", *detectors, *(["best"] if best else []), box=None)
@@ -215,7 +214,7 @@ def _detector_table(detectors: dict[str, Column], best: list[str] | None = None)
     return table
 
 
-def _print_rates(detectors: dict[str, Column], names: list[str]) -> None:
+def _print_rates(detectors: dict[str, DetectorColumn], names: list[str]) -> None:
     from ..evaluate.comparison import equal_rates
 
     console.print(

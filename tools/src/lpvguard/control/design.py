@@ -234,7 +234,7 @@ def _off_grid(
     return v, _certificates(schedule, {v: plant(v)}, scaling)[0][1]
 
 
-def dc_floor(weights: fig1.Weights) -> float:
+def dc_floor(weights: fig1.PlantWeights) -> float:
     """What no controller can be below, for every unit of A_t: 1 / sqrt(1/|W_nr(0)|^2 + 1/|W_wr(0)|^2), noise
     against disturbance."""
     n, w = (abs(W.response([0.0])[0, 0, 0]) for W in (weights.W_nr, weights.W_wr))

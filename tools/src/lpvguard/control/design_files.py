@@ -7,7 +7,7 @@ import numpy as np
 
 from ..base import artefacts
 from ..engine.synthesis.cases import TableRow, case_weights, differences
-from ..engine.synthesis.interconnection import Weights
+from ..engine.synthesis.interconnection import PlantWeights
 from ..engine.synthesis.table import Cell
 from .frozen import FrozenProblem, table_files
 from .worst_run import WorstRuns
@@ -21,7 +21,9 @@ def _magnitude(W) -> np.ndarray:
     return np.abs(W.response(FINE)[:, 0, 0])
 
 
-def _weights_figure(common: Weights, objectives: list[tuple[float, float, Weights]], command) -> dict:
+def _weights_figure(
+    common: PlantWeights, objectives: list[tuple[float, float, PlantWeights]], command
+) -> dict:
     """Fig. 5 as numbers. ``objectives``: A_t, A_u and the weights with them."""
     rows: dict[str, np.ndarray] = {}
     for A_t, A_u, weights in objectives:

@@ -7,14 +7,14 @@ from dataclasses import replace
 from functools import cached_property
 
 from ..base import artefacts
-from ..engine.synthesis.interconnection import STRUCTURES, GeneralisedPlant, Weights
+from ..engine.synthesis.interconnection import STRUCTURES, GeneralisedPlant, PlantWeights
 from ..engine.synthesis.statespace import StateSpace
 from ..engine.synthesis.table import Cell, cell, to_csv
 from ..identify.run import Progress, StoredIdentification
 from ..identify.weights import FittedWeight
 from ..vehicle.nominal import NominalModel
 from .plants import design_settings, fig1_weights, plant_at, weight_system
-from .stored_frames import StoredFrames, UncertaintyWeights
+from .stored_frames import SplitWeights, StoredFrames
 
 
 class FrozenProblem:
@@ -25,39 +25,39 @@ class FrozenProblem:
         self.model = NominalModel(stored.project)
 
     @cached_property
-    def with_state(self) -> UncertaintyWeights:
+    def with_state(self) -> SplitWeights:
         """Class S2's weights at the identified gamma_w and the settings' Lambda_nu = diag(1, lambda_s)."""
         split = self.frames.explain_with_state(self.stored.bounds["gamma_w"], self.settings.lambda_s)
         return self.frames.weights(split)
 
     def weights(
-        self, structure: str, A_t: float, A_u: float, uncertainty: UncertaintyWeights | None = None
-    ) -> Weights:
-        """The ten weights. ``uncertainty``: other W_w and W_delta than identified (K_is: than
+        self, structure: str, A_t: float, A_u: float, fitted: SplitWeights | None = None
+    ) -> PlantWeights:
+        """The ten weights. ``fitted``: other W_w and W_delta than identified (K_is: than
         ``with_state``)."""
         chosen = self.settings.model_copy(update={"structure": structure, "A_t": A_t, "A_u": A_u})
         # K_is has weights of its own, which replace those of class S1 below.
         weights = fig1_weights(
             self.stored, chosen.model_copy(update={"structure": "K_i"}) if structure == "K_is" else chosen
         )
-        if structure == "K_is" and uncertainty is None:
-            uncertainty = self.with_state
-        if structure == "K_inf" or uncertainty is None:
+        if structure == "K_is" and fitted is None:
+            fitted = self.with_state
+        if structure == "K_inf" or fitted is None:
             return weights
 
         def inflated(weight: FittedWeight) -> StateSpace:
             return weight_system(weight, self.stored.fitted.inflation)
 
-        W_wr, W_wdelta = map(inflated, uncertainty.W_w)
+        W_wr, W_wdelta = map(inflated, fitted.W_w)
         return replace(
             weights,
             W_wr=W_wr,
             W_wdelta=W_wdelta,
-            W_delta_i=inflated(uncertainty.W_delta_i),
-            W_delta_s=inflated(uncertainty.W_delta_s or uncertainty.W_delta_i),
+            W_delta_i=inflated(fitted.W_delta_i),
+            W_delta_s=inflated(fitted.W_delta_s or fitted.W_delta_i),
         )
 
-    def plant(self, structure: str, weights: Weights, v: float) -> GeneralisedPlant:
+    def plant(self, structure: str, weights: PlantWeights, v: float) -> GeneralisedPlant:
         """The discrete plant at speed v [m/s] with one sample of delay in front of the control input."""
         return plant_at(self.stored, self.model, weights, v, True, structure)
 

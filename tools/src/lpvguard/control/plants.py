@@ -17,7 +17,7 @@ from ..identify.run import StoredIdentification
 from ..identify.weights import FittedWeight
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import DesignSettings
-from .stored_frames import StoredFrames, UncertaintyWeights
+from .stored_frames import SplitWeights, StoredFrames
 
 LARGEST_WINDOW_ERROR = 0.1
 """Median error of the state's uncertainty from frames, over bins, up to which K_is is designed from it."""
@@ -37,7 +37,7 @@ def weight_system(weight: FittedWeight, inflation: float) -> StateSpace:
     return fig1.rational(inflation * weight.fit.weight.num, weight.fit.weight.den)
 
 
-def state_uncertainty(stored: StoredIdentification, settings: DesignSettings) -> UncertaintyWeights:
+def state_uncertainty(stored: StoredIdentification, settings: DesignSettings) -> SplitWeights:
     """Class S2's weights at the identified gamma_w: W_delta_i dimensionless, W_delta_s in 1/s.
 
     xi_s adds to the state's derivative. It is found by inverting dynamics, which windows only approximate:
@@ -59,7 +59,7 @@ def state_uncertainty(stored: StoredIdentification, settings: DesignSettings) ->
     return frames.weights(frames.explain_with_state(stored.bounds["gamma_w"], settings.lambda_s))
 
 
-def fig1_weights(stored: StoredIdentification, settings: DesignSettings) -> fig1.Weights:
+def fig1_weights(stored: StoredIdentification, settings: DesignSettings) -> fig1.PlantWeights:
     """The ten weights of Fig. 1 for ``settings``: structure, A_t, A_u and shapes; the others as identified.
 
     InputError without drives of the noise split.
@@ -81,7 +81,7 @@ def fig1_weights(stored: StoredIdentification, settings: DesignSettings) -> fig1
         state = state_uncertainty(stored, settings)
         W_w, W_delta_i, W_delta_s = state.W_w, state.W_delta_i, state.W_delta_s or state.W_delta_i
     g = fitted.inflation
-    return fig1.Weights(
+    return fig1.PlantWeights(
         W_R=fig1.rational(settings.W_R_num, settings.W_R_den),
         W_C=weight_system(fitted.W_C[0], 1.0),
         W_t=fig1.zeros_poles(settings.A_t, settings.W_t_zeros, settings.W_t_poles),
@@ -106,7 +106,7 @@ def _delayed(plant: fig1.GeneralisedPlant) -> fig1.GeneralisedPlant:
 def plant_at(
     stored: StoredIdentification,
     model: NominalModel,
-    weights: fig1.Weights,
+    weights: fig1.PlantWeights,
     v: float,
     delayed: bool,
     structure: str,

@@ -54,8 +54,8 @@ class Split:
 
 
 @dataclass(frozen=True)
-class UncertaintyWeights:
-    """What step 6 and 7 fit above a Split; W_delta_s is None in class S1."""
+class SplitWeights:
+    """Weights that steps 6 and 7 fit above a Split; W_delta_s is None in class S1."""
 
     W_w: list[FittedWeight]
     W_delta_i: FittedWeight
@@ -157,7 +157,7 @@ class StoredFrames:
             all_w.append(w)
         return Split(gamma_w, np.array(nu_i), np.array(nu_s), self._disturbance(all_w), at_cap)
 
-    def weights(self, split: Split) -> UncertaintyWeights:
+    def weights(self, split: Split) -> SplitWeights:
         """Steps 6 and 7."""
         project, estimator, fitted = self.project, self.estimator, self.stored.fitted
         floor = smallest_disturbance(self.stored.bounds["B2"])
@@ -169,7 +169,7 @@ class StoredFrames:
         def delta(nu: np.ndarray) -> FittedWeight:
             return fit_bound(project, estimator, uncertainty_samples(estimator, nu), "nu", SMALLEST_NU)
 
-        return UncertaintyWeights(
+        return SplitWeights(
             disturbance_weights(project, estimator, B_w, fitted.W_n, floor)[0],
             delta(split.nu_i),
             None if split.nu_s is None else delta(split.nu_s),

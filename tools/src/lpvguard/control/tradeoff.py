@@ -30,7 +30,7 @@ from ..engine.synthesis.table import to_csv
 from ..identify.run import Progress
 from ..vehicle.project import NuCeiling
 from .frozen import FrozenProblem
-from .stored_frames import Split, UncertaintyWeights
+from .stored_frames import Split, SplitWeights
 
 LEVELS = (0.05, 0.1, 0.2, 0.35, 0.6)
 """Uniform ceilings of the front."""
@@ -203,10 +203,10 @@ class _Search:
             return self.problem.stored.bounds["nu_ceiling"]
         return between(c, omega).at(omega / (2 * np.pi))
 
-    def plants(self, c: Candidate, uncertainty: UncertaintyWeights) -> list[GeneralisedPlant]:
+    def plants(self, c: Candidate, fitted: SplitWeights) -> list[GeneralisedPlant]:
         """The generalised plants at ``speeds`` with these weights."""
         s = self.problem.settings
-        weights = self.problem.weights(c.structure, s.A_t, s.A_u, uncertainty)
+        weights = self.problem.weights(c.structure, s.A_t, s.A_u, fitted)
         return [self.problem.plant(c.structure, weights, v) for v in speeds(self.problem)]
 
     def split(self, c: Candidate) -> tuple[np.ndarray, Split]:

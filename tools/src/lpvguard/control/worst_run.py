@@ -19,7 +19,7 @@ from scipy.signal import butter, filtfilt
 
 from ..base.errors import InputError
 from ..drives.tables import Drive
-from ..engine.synthesis.interconnection import Weights
+from ..engine.synthesis.interconnection import PlantWeights
 from ..engine.synthesis.statespace import StateSpace, gain, lft, to_discrete
 from ..engine.synthesis.table import Cell
 from ..engine.synthesis.worst_case import WorstCase, close_delta, worst_case
@@ -37,7 +37,7 @@ SHOWN_STEP = 4
 
 
 @dataclass(frozen=True)
-class Run:
+class WorstRun:
     """One controller's run: u (N,) [bar], r (N,) [rad/s] its yaw rate with disturbance, tracking error rms of
     all samples."""
 
@@ -58,7 +58,7 @@ class WorstRuns:
     factor: float
     t: np.ndarray
     wanted: np.ndarray
-    runs: list[Run]
+    runs: list[WorstRun]
     left_out: list[str]
 
     def to_dict(self) -> dict:
@@ -142,7 +142,7 @@ def _dc_bound(problem: FrozenProblem, c: Cell) -> float:
     return float(abs(problem.weights(c.structure, c.A_t, c.A_u).W_wr.response([0.0])[0, 0, 0]))
 
 
-def _run(problem: FrozenProblem, c: Cell, signals: np.ndarray, wanted: np.ndarray) -> Run:
+def _run(problem: FrozenProblem, c: Cell, signals: np.ndarray, wanted: np.ndarray) -> WorstRun:
     weights, v = problem.weights(c.structure, c.A_t, c.A_u), problem.settings.design_speed_mps
     bins = problem.frames.estimator.omega
     # Within the band of the data: beyond it neither Δ nor what it would do was ever measured.
@@ -157,7 +157,7 @@ def _run(problem: FrozenProblem, c: Cell, signals: np.ndarray, wanted: np.ndarra
     without = respond(
         loop.select(np.arange(n, loop.n_outputs), np.arange(physical.n_delta_out, loop.n_inputs)), signals
     )
-    return Run(
+    return WorstRun(
         c, worst, with_delta[:, 1], wanted - with_delta[:, 0], _rms(with_delta[:, 0]), _rms(without[:, 0])
     )
 
@@ -166,7 +166,7 @@ def _rms(x: np.ndarray) -> float:
     return float(np.sqrt(np.mean(x**2)))
 
 
-def _without_units(weights: Weights) -> Weights:
+def _without_units(weights: PlantWeights) -> PlantWeights:
     """Weights with which w, r_c and z are in physical units: z = [W_R r_c − r_m; u]."""
     one = gain([[1.0]])
     return replace(weights, W_C=one, W_t=one, W_u=one, W_wr=one, W_wdelta=one)

@@ -26,7 +26,7 @@ from ..base import artefacts
 from ..base.errors import InputError
 from ..can.decode import decode_signal, find_frames, is_j1939, load_database, own_database
 from ..can.logs import Frames, Series, Table, read_log, stem
-from .resample import NS, Clock, Piece, Source, TableMaker, clock_of, describe, in_order, within_limits
+from .resample import NS, LogClock, Piece, Source, TableMaker, clock_of, describe, in_order, within_limits
 from .signal_map import SignalMap, Term, load_signal_map
 from .units import unit_factor
 
@@ -166,7 +166,7 @@ def _log_time(log: Frames | Table) -> np.ndarray:
     return next(iter(axes.values())) if len(axes) == 1 else np.sort(np.concatenate(list(axes.values())))
 
 
-def _stretch(log: Frames | Table, clock: Clock, first: int, end: int) -> Frames | Table:
+def _stretch(log: Frames | Table, clock: LogClock, first: int, end: int) -> Frames | Table:
     """The part of the log between two jumps of its clock."""
     if len(clock.cuts) == 2:
         return log

@@ -37,7 +37,7 @@ class Source:
 
 
 @dataclass
-class Clock:
+class LogClock:
     """The log's time axis cut where it jumps: [start, end) positions in the log, and the jumps."""
 
     t_ns: np.ndarray
@@ -45,7 +45,7 @@ class Clock:
     cuts: list[int]
 
 
-def clock_of(t_ns: np.ndarray, max_gap_s: float) -> Clock:
+def clock_of(t_ns: np.ndarray, max_gap_s: float) -> LogClock:
     """The log's time axis ``t_ns`` (N,) [ns], cut where it jumps.
 
     It jumps where it goes back by more than REORDER_S, or forward by more than 1 s and ``max_gap_s`` [s], the
@@ -54,7 +54,7 @@ def clock_of(t_ns: np.ndarray, max_gap_s: float) -> Clock:
     step = np.diff(t_ns)
     back = step < -REORDER_S * NS
     forward = step > max(max_gap_s, 1.0) * NS
-    clock = Clock(t_ns, jumps=[], cuts=[0])
+    clock = LogClock(t_ns, jumps=[], cuts=[0])
     for i in np.flatnonzero(back | forward).tolist():
         clock.jumps.append(
             {

@@ -37,20 +37,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-from ..base.documents import checked, read_toml
+from ..base.documents import Positive, StrictModel, checked, read_toml
 from ..base.errors import InputError
 from ..vehicle.project import Project
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Term(_Strict):
+class Term(StrictModel):
     """A signal of the log that a column is made of."""
 
     signal: str
@@ -69,7 +63,7 @@ class Term(_Strict):
         return f"{self.message}.{self.signal}" if self.message else self.signal
 
 
-class Column(_Strict):
+class Column(StrictModel):
     """A column of the drive table: offset + the sum of its terms, in ``unit``."""
 
     unit: str
@@ -97,7 +91,7 @@ class Column(_Strict):
         return self
 
 
-class SignalMap(_Strict):
+class SignalMap(StrictModel):
     """What a drive table is made of; the module's text says what the keys mean."""
 
     schema_: Literal[1] = Field(alias="schema")

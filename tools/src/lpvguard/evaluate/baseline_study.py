@@ -21,7 +21,7 @@ from ..identify.passes import DriveReader
 from ..identify.run import DriveSet, StoredIdentification
 from ..replay.run import Replayer
 from .baselines import GRID, KINDS, TITLES, Bank, Baseline, Scales
-from .detection import FAULTS, FOUND_WITHIN_S, Case, fault_clocks, fault_rows, faulty_drive
+from .detection import FAULTS, FOUND_WITHIN_S, FaultOutcome, fault_clocks, fault_rows, faulty_drive
 from .false_alarms import Pieces, piece_starts
 
 
@@ -38,7 +38,7 @@ def _largest(reader: DriveReader, bank: Bank, experiment: Experiment) -> dict[Ba
     return {b: np.maximum.reduceat(s, starts) for b, s in bank.statistics(GRID, e, drive.v)}
 
 
-Cases = dict[tuple[Baseline, float], dict[str, list[Case]]]
+Cases = dict[tuple[Baseline, float], dict[str, list[FaultOutcome]]]
 """Of one drive: per baseline and threshold, and fault, what became of it from every start."""
 
 
@@ -67,7 +67,9 @@ def _cases(
         for fault in FAULTS:
             faulty = faulty_drive(drive, fault, clock, Ts)
             for key, hits in alarms(nominal_error(faulty, reader.model)[0], faulty.v):
-                cases[key][fault.label].append(Case.of(experiment.name, Ts, clock, hits, first[key][i]))
+                cases[key][fault.label].append(
+                    FaultOutcome.of(experiment.name, Ts, clock, hits, first[key][i])
+                )
     return cases
 
 

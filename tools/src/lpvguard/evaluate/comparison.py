@@ -33,7 +33,7 @@ def equal_rates(stated: Mapping[str, float | None]) -> str:
 
 
 @dataclass(frozen=True)
-class Column:
+class DetectorColumn:
     """A detector in the table of detector_rows: its object of Pieces, its rows of fault_rows, its stated
     rate or None."""
 
@@ -42,16 +42,16 @@ class Column:
     stated: float | None
 
 
-def columns(evaluation: dict) -> dict[str, Column]:
+def columns(evaluation: dict) -> dict[str, DetectorColumn]:
     """Every detector of an evaluation by name, in the order of its JSON: the monitor, exported and each test,
     the baselines."""
     found = {MONITOR: (evaluation["false_alarms"]["all"], evaluation["faults"])}
     found |= {name: (t["false_alarms"], t["faults"]) for name, t in evaluation["tests"].items()}
     found |= {b["kind"]: (b["false_alarms"], b["faults"]) for b in evaluation["baselines"]}
-    return {name: Column(*of, evaluation["stated_rates"][name]) for name, of in found.items()}
+    return {name: DetectorColumn(*of, evaluation["stated_rates"][name]) for name, of in found.items()}
 
 
-def detector_rows(detectors: list[Column], best: list[str] | None = None) -> list[list[str]]:
+def detector_rows(detectors: list[DetectorColumn], best: list[str] | None = None) -> list[list[str]]:
     """Table rows of false alarms and found faults, a column per detector; ``best``: who leads, per fault, in
     a last column."""
 

@@ -44,7 +44,7 @@ FAULTS = (
 
 
 @dataclass(frozen=True)
-class Clock:
+class JudgedClock:
     """Judged, excited, in-range seconds of a drive from its sample ``first`` on, that one included, (N,) at
     every sample."""
 
@@ -52,7 +52,7 @@ class Clock:
     first: int
 
     @classmethod
-    def of(cls, replay: Replay, first: int) -> Clock:
+    def of(cls, replay: Replay, first: int) -> JudgedClock:
         """The clock of a replayed drive, from its sample ``first`` on."""
         relevant = replay.judged & replay.in_range & replay.excited
         relevant[:first] = False
@@ -70,24 +70,24 @@ class Clock:
         return float(self.seconds[self.first + found[0]]) if len(found) else None
 
 
-def fault_clocks(untouched: Replay, seed: int) -> list[Clock]:
+def fault_clocks(untouched: Replay, seed: int) -> list[JudgedClock]:
     """One clock for each instant from which faults are injected into a drive; none where the drive does not
     qualify."""
     if untouched.duration_s <= SHORTEST_FOR_FAULTS_S:
         return []
     earliest = round(FAULT_FROM_S / untouched.Ts)
-    seconds = Clock.of(untouched, earliest).seconds
+    seconds = JudgedClock.of(untouched, earliest).seconds
     latest = int(np.searchsorted(seconds, seconds[-1] - FOUND_WITHIN_S, side="right"))
     if seconds[-1] < FOUND_WITHIN_S:
         return []
     # A stream of random numbers for each drive: the other drives make no difference.
     random = np.random.default_rng([seed, zlib.crc32(untouched.name.encode())])
     spans = (np.arange(STARTS) + random.uniform(size=STARTS)) / STARTS
-    return [Clock.of(untouched, int(first)) for first in earliest + spans * max(0, latest - earliest)]
+    return [JudgedClock.of(untouched, int(first)) for first in earliest + spans * max(0, latest - earliest)]
 
 
 @dataclass(frozen=True)
-class Case:
+class FaultOutcome:
     """A fault in the drive ``run`` from ``start_s`` [s] on.
 
     ``s``: judged, excited seconds until it was found; None: it was not. ``untouched_s``: those until the
@@ -100,8 +100,10 @@ class Case:
     untouched_s: float | None
 
     @classmethod
-    def of(cls, run: str, Ts: float, clock: Clock, faulty: np.ndarray, untouched: float | None) -> Case:
-        """The case of a fault from the start of ``clock`` on, in a drive of N samples at ``Ts`` [s].
+    def of(
+        cls, run: str, Ts: float, clock: JudgedClock, faulty: np.ndarray, untouched: float | None
+    ) -> FaultOutcome:
+        """The outcome of a fault from the start of ``clock`` on, in a drive of N samples at ``Ts`` [s].
 
         ``faulty`` (N,): samples at which the detector alarms with the fault. ``untouched``: the clock [s] at
         its first alarm without the fault, None without any.
@@ -121,12 +123,12 @@ class Case:
         return self.s is not None
 
 
-def faulty_drive(drive: Drive, fault: Fault, clock: Clock, Ts: float) -> Drive:
+def faulty_drive(drive: Drive, fault: Fault, clock: JudgedClock, Ts: float) -> Drive:
     """The drive with the fault, cut where it can no longer be found in time."""
     return inject(drive.before_sample(clock.end), fault, clock.first * Ts, Ts)
 
 
-def fault_rows(cases: dict[str, list[Case]]) -> list[dict]:
+def fault_rows(cases: dict[str, list[FaultOutcome]]) -> list[dict]:
     """Per fault, in the order of ``cases``: cases found and all cases; drives and those in which it was found
     from every start; cases whose untouched drive alarms in the time allowed; median time [s]."""
     rows = []

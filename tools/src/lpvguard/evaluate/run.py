@@ -33,7 +33,7 @@ from .detection import (
     FAULTS,
     FOUND_WITHIN_S,
     SHORTEST_FOR_FAULTS_S,
-    Case,
+    FaultOutcome,
     fault_clocks,
     fault_rows,
     faulty_drive,
@@ -45,7 +45,7 @@ FEWEST_FOR_BASELINES = 2
 """Calibration drives: a baseline has no natural threshold, so one must be left when a drive is left out."""
 
 
-Found = dict[str, dict[str, list[Case]]]
+Found = dict[str, dict[str, list[FaultOutcome]]]
 """Per detector, and per fault, what became of it."""
 
 
@@ -99,7 +99,7 @@ def _evaluate_drive(
             }
             for name, (replayer, test) in detectors.items():
                 found[name][fault.label].append(
-                    Case.of(experiment.name, Ts, clock, alarming(faulty[replayer], test), first[name])
+                    FaultOutcome.of(experiment.name, Ts, clock, alarming(faulty[replayer], test), first[name])
                 )
     return row, found
 

@@ -1,7 +1,7 @@
 """The fault table at firmware level. Each row says what goes wrong on the bus of the closed loop, what the
 firmware must make of it, and by when.
 
-Each case is a run of the simulator in which one fault of the scenario files (firmware_sim/sim/scenario.hpp)
+Each row is a run of the simulator in which one fault of the scenario files (firmware_sim/sim/scenario.hpp)
 starts at START_S. Times are those of the firmware's ticks: a state shows in the first report after it was
 reached.
 """
@@ -23,7 +23,7 @@ _SETTLED_S = 1.0
 
 
 @dataclass(frozen=True)
-class Case:
+class BusFault:
     """A fault of a message, and what the firmware must make of it.
 
     periods              length of the fault in periods of the message
@@ -45,76 +45,76 @@ class Case:
 
 
 LOSSES = ((1, "live", 0), (3, "live", 0), (5, "off", 5), (20, "off", 5))
-CASES = [
+BUS_FAULTS = [
     *[
-        Case(f"lost {n}", message, "lost", n, "missed", 1, state, within)
+        BusFault(f"lost {n}", message, "lost", n, "missed", 1, state, within)
         for message in ("VDC2", "GUARD_IN")
         for n, state, within in LOSSES
     ],
     # Between two frames of 100 ms there are ticks: hold shows before the next good frame ends it.
     *[
-        Case(f"lost {n}", "EBC2", "lost", n, "missed", 1, state, within)
+        BusFault(f"lost {n}", "EBC2", "lost", n, "missed", 1, state, within)
         for n, state, within in ((1, "live", 0), (3, "hold", 3), (5, "off", 5), (20, "off", 5))
     ],
-    Case("repeated", "GUARD_IN", "repeated", 100, "repeated", 0, "off", 5),
-    Case("repeated once", "GUARD_IN", "repeated", 1, "repeated", 0, "live", 0),
-    Case("repeated once", "VDC2", "repeated", 1, "", 0, "live", 0),
-    Case("swapped in pairs", "GUARD_IN", "swapped", 100, "early", 1, "live", 0),
-    Case("delayed by 10 ms", "GUARD_IN", "delayed", 1, "early", 1, "live", 0, 0.01),
-    Case("delayed by 50 ms", "GUARD_IN", "delayed", 100, "missed", 1, "off", 5, 0.05),
-    Case("delayed by 1 s", "VDC2", "delayed", 100, "missed", 1, "off", 5, 1.0),
-    Case("wrong CRC", "GUARD_IN", "corrupted", 100, "checksum", 0, "off", 5),
-    Case("stuck counter", "GUARD_IN", "stuck_counter", 100, "repeated", 0, "off", 5),
-    Case("wrong length", "VDC2", "wrong_length", 100, "length", 0, "off", 5),
-    Case("unknown id", "VDC2", "unknown_id", 100, "unknown_id", 0, "live", 0),
-    Case("babbling", "VDC2", "babbling", 100, "early", 0, "off", 1),
-    Case("babbling", "GUARD_IN", "babbling", 100, "early", 0, "off", 1),
-    Case("bus-off", "VDC2", "bus_off", 50, "bus_off", 0, "off", 1),
+    BusFault("repeated", "GUARD_IN", "repeated", 100, "repeated", 0, "off", 5),
+    BusFault("repeated once", "GUARD_IN", "repeated", 1, "repeated", 0, "live", 0),
+    BusFault("repeated once", "VDC2", "repeated", 1, "", 0, "live", 0),
+    BusFault("swapped in pairs", "GUARD_IN", "swapped", 100, "early", 1, "live", 0),
+    BusFault("delayed by 10 ms", "GUARD_IN", "delayed", 1, "early", 1, "live", 0, 0.01),
+    BusFault("delayed by 50 ms", "GUARD_IN", "delayed", 100, "missed", 1, "off", 5, 0.05),
+    BusFault("delayed by 1 s", "VDC2", "delayed", 100, "missed", 1, "off", 5, 1.0),
+    BusFault("wrong CRC", "GUARD_IN", "corrupted", 100, "checksum", 0, "off", 5),
+    BusFault("stuck counter", "GUARD_IN", "stuck_counter", 100, "repeated", 0, "off", 5),
+    BusFault("wrong length", "VDC2", "wrong_length", 100, "length", 0, "off", 5),
+    BusFault("unknown id", "VDC2", "unknown_id", 100, "unknown_id", 0, "live", 0),
+    BusFault("babbling", "VDC2", "babbling", 100, "early", 0, "off", 1),
+    BusFault("babbling", "GUARD_IN", "babbling", 100, "early", 0, "off", 1),
+    BusFault("bus-off", "VDC2", "bus_off", 50, "bus_off", 0, "off", 1),
 ]
 
 
-def run_case(simulator: Simulator, case: Case, **options: Any) -> dict[str, Any]:
+def run_fault(simulator: Simulator, fault: BusFault, **options: Any) -> dict[str, Any]:
     """One row of the table; ``options`` go to Simulator.run. ``missed``: what did not come in time, one
     sentence each."""
-    period_s = load_catalogue().message(case.message).period_ms / 1000
+    period_s = load_catalogue().message(fault.message).period_ms / 1000
     # A frame that is due at the very end is good again; the last delayed one comes later still.
-    window_s = case.periods * period_s - simulator.project.Ts_s / 2
-    end_s = START_S + window_s + (case.delay_s or 0.0)
-    more = {} if case.delay_s is None else {"delay_s": case.delay_s}
-    fault = can_fault_table(
-        case.message, case.kind, START_S, START_S + window_s, probability=case.probability, **more
+    window_s = fault.periods * period_s - simulator.project.Ts_s / 2
+    end_s = START_S + window_s + (fault.delay_s or 0.0)
+    more = {} if fault.delay_s is None else {"delay_s": fault.delay_s}
+    injected = can_fault_table(
+        fault.message, fault.kind, START_S, START_S + window_s, probability=fault.probability, **more
     )
-    text = steady_scenario(end_s + RECOVERY_S + _SETTLED_S, fault, title=case.name)
+    text = steady_scenario(end_s + RECOVERY_S + _SETTLED_S, injected, title=fault.name)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "fault.toml"
         path.write_text(text)
         result = simulator.run(load_scenario(str(path)), **options)
-    kind, seen_s = _first_seen(result["reception"]["messages"], case.message)
+    kind, seen_s = _first_seen(result["reception"]["messages"], fault.message)
     states = [(t, state) for t, state in result["supervision"] if t >= START_S]
     worst = min((state for _, state in states), key=SUPERVISION.index, default="live")
     reached_s = next((t for t, state in states if state == worst), None)
     live_s = states[-1][0] if states and states[-1][1] == "live" else None
     row = {
-        "fault": case.name,
-        "message": case.message,
+        "fault": fault.name,
+        "message": fault.message,
         "period_ms": round(period_s * 1e3),
         "seen": kind,
         "seen_after_ms": _after(seen_s, START_S),
         "state": worst,
         "state_after_ms": _after(reached_s, START_S),
-        "limit_ms": round(case.within * period_s * 1e3),
+        "limit_ms": round(fault.within * period_s * 1e3),
         "live_again_after_ms": _after(live_s, end_s),
         "demand_max_bar": result["demand_max_bar"],
     }
-    return row | {"missed": list(_missed(case, row, period_s * 1e3))}
+    return row | {"missed": list(_missed(fault, row, period_s * 1e3))}
 
 
 def table(simulator: Simulator, tell: Callable[[str], None] = lambda _: None) -> list[dict[str, Any]]:
-    """Every case, in order."""
+    """Every fault, in order."""
     rows = []
-    for case in CASES:
-        tell(f"{case.name}, {case.message}")
-        rows.append(run_case(simulator, case))
+    for fault in BUS_FAULTS:
+        tell(f"{fault.name}, {fault.message}")
+        rows.append(run_fault(simulator, fault))
     return rows
 
 
@@ -156,16 +156,16 @@ def _after(t_s: float | None, from_s: float) -> float | None:
     return None if t_s is None else round((t_s - from_s) * 1e3, 3)
 
 
-def _missed(case: Case, row: dict[str, Any], period_ms: float) -> Iterator[str]:
+def _missed(fault: BusFault, row: dict[str, Any], period_ms: float) -> Iterator[str]:
     """What a row did not show in time, a sentence each."""
-    if row["seen"] != case.seen:
-        yield f"first seen as {row['seen'] or 'nothing'}, not as {case.seen or 'nothing'}"
-    elif case.seen and row["seen_after_ms"] > case.seen_within * period_ms:
+    if row["seen"] != fault.seen:
+        yield f"first seen as {row['seen'] or 'nothing'}, not as {fault.seen or 'nothing'}"
+    elif fault.seen and row["seen_after_ms"] > fault.seen_within * period_ms:
         yield f"seen after {row['seen_after_ms']:g} ms"
-    if row["state"] != case.state:
-        yield f"state {row['state']}, not {case.state}"
-    elif case.state != "live":
-        if row["state_after_ms"] > case.within * period_ms:
-            yield f"{case.state} after {row['state_after_ms']:g} ms"
+    if row["state"] != fault.state:
+        yield f"state {row['state']}, not {fault.state}"
+    elif fault.state != "live":
+        if row["state_after_ms"] > fault.within * period_ms:
+            yield f"{fault.state} after {row['state_after_ms']:g} ms"
         if row["live_again_after_ms"] is None or row["live_again_after_ms"] > RECOVERY_S * 1e3:
             yield f"not live again within {RECOVERY_S:g} s"

@@ -31,10 +31,10 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pa_csv
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from ..base import artefacts, native
-from ..base.documents import checked, read_toml
+from ..base.documents import StrictModel, checked, read_toml
 from ..base.errors import InputError
 from ..can.catalogue import load_catalogue
 from ..core.compiled import EVENTS, SUPERVISION, VERDICTS, eigen_include, firmware_root, library_root
@@ -54,10 +54,8 @@ FLAGS = ("-std=c++17", "-O2", "-ffp-contract=off", "-fno-math-errno")
 Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
-class Expectation(BaseModel):
+class Expectation(StrictModel):
     """The table ``expect`` of a scenario; see the module's docstring."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     verdict: Literal["never_invalid", "invalid", "any"]
     supervision: Literal["live", "reacts"]

@@ -31,7 +31,7 @@ from types import MappingProxyType
 import numpy as np
 
 from ..can.bus import REFERENCE
-from ..can.catalogue import Message, Signal, load_catalogue
+from ..can.catalogue import BusSignal, Message, load_catalogue
 from ..can.codegen import ANY_PRIORITY, GAP_FRACTION
 from ..can.logs import EXTENDED, Frames
 from ..can.play import COUNTERS, e2e_crc
@@ -205,7 +205,7 @@ def _watched(
     return watch
 
 
-def _raw(data: np.ndarray, signal: Signal) -> np.ndarray:
+def _raw(data: np.ndarray, signal: BusSignal) -> np.ndarray:
     whole = np.ascontiguousarray(data).view("<u8")[:, 0]
     return (whole >> np.uint64(signal.start) & np.uint64((1 << signal.length) - 1)).astype(int)
 

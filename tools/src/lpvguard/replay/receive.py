@@ -28,13 +28,12 @@ import numpy as np
 from ..base import native
 from ..base.errors import InputError
 from ..can.bus import take_case
-from ..can.catalogue import Catalogue, Message, Signal, load_catalogue
+from ..can.catalogue import BusSignal, Catalogue, Message, load_catalogue
 from ..can.codegen import ANY_PRIORITY, SOURCE, codec_files, messages_in_order
 from ..can.logs import EXTENDED, Frames
 from ..core.compiled import EVENTS, SUPERVISION, library_root
 from ..drives.resample import clock_of
-from ..vehicle.project import Project
-from ..vehicle.project import Signal as VehicleSignal
+from ..vehicle.project import Project, Signal
 
 LIVE = SUPERVISION.index("live")
 CLOCK_JUMP_S = 60.0
@@ -170,11 +169,11 @@ class _Place:
     """Where the bus carries a signal of the vehicle: bus value = factor * value."""
 
     message: Message
-    signal: Signal
+    signal: BusSignal
     factor: float
 
 
-def _place(signal: VehicleSignal, catalogue: Catalogue) -> _Place:
+def _place(signal: Signal, catalogue: Catalogue) -> _Place:
     """Where the bus carries a signal of the vehicle. InputError where it does not."""
     where = f"vehicle signal {signal.name}"
     if signal.can is None:

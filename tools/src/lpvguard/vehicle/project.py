@@ -12,20 +12,15 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-from ..base.documents import checked, read_toml
+from ..base.documents import Positive, StrictModel, checked, read_toml
 from ..base.errors import InputError
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class CanPlace(_Strict):
+class CanPlace(StrictModel):
     """Message and signal of the CAN catalogue that carry a signal: bus value = factor * value."""
 
     message: str
@@ -33,7 +28,7 @@ class CanPlace(_Strict):
     factor: float = 1.0
 
 
-class Signal(_Strict):
+class Signal(StrictModel):
     """One measured signal; ``min`` and ``max`` bound what is physically possible, in ``unit``."""
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
@@ -52,7 +47,7 @@ class Signal(_Strict):
         return self
 
 
-class ModelSettings(_Strict):
+class ModelSettings(StrictModel):
     """Continuous-time nominal model; entries of A and B are numbers or expressions in v, the parameters and
     ``let``."""
 
@@ -64,11 +59,11 @@ class ModelSettings(_Strict):
     A: list[list[float | str]]
     B: list[list[float | str]]
     C: list[list[float]]
-    parameters: dict[str, float] = {}
-    let: dict[str, str] = {}
+    parameters: dict[str, float] = Field(default={})
+    let: dict[str, str] = Field(default={})
 
 
-class FrameSettings(_Strict):
+class FrameSettings(StrictModel):
     """The estimator (THEORY 3.2, 3.3).
 
     ``hann``: constant-Q Hann frames of ``periods`` periods, ``bins_per_decade``. ``dft``: the paper's plain
@@ -92,7 +87,7 @@ class FrameSettings(_Strict):
         return self
 
 
-class NuCeiling(_Strict):
+class NuCeiling(StrictModel):
     """Ceiling on the uncertainty bound over frequency (THEORY 5.1): ``nu`` at ``f_hz`` [Hz]."""
 
     f_hz: list[Positive]
@@ -114,7 +109,7 @@ class NuCeiling(_Strict):
         return np.where(f > 0, np.interp(np.log(safe), np.log(self.f_hz), self.nu), 0.0)
 
 
-class BoundSettings(_Strict):
+class BoundSettings(StrictModel):
     """Bounds (THEORY 5): structure of the uncertainty, set of the disturbance, ceiling on nu."""
 
     structure: Literal["S0", "S1"] = "S1"
@@ -122,14 +117,14 @@ class BoundSettings(_Strict):
     nu_ceiling: NuCeiling
 
 
-class WeightSettings(_Strict):
+class WeightSettings(StrictModel):
     """Fits of the weights: largest order, and tolerance above the least worst ratio [dB]."""
 
     max_order: Annotated[int, Field(ge=0, le=8)] = 4
     tolerance_db: Positive = 0.3
 
 
-class FrameTestSettings(_Strict):
+class FrameTestSettings(StrictModel):
     """Frame test (THEORY 7.1).
 
     ``confirm`` exceedances among the last ``of_last`` frames of a bin make an alarm. ``alpha``: the rate of
@@ -149,7 +144,7 @@ class FrameTestSettings(_Strict):
         return self
 
 
-class EnergyTestSettings(_Strict):
+class EnergyTestSettings(StrictModel):
     """The energy test (THEORY 7.2). ``band_hz``: the corners between its bands, two to seven that rise, by
     default the frames' f_min_hz and f_max_hz, which make three bands. ``memory_s``: time constant of the
     forgetting, by default one period of f_min_hz."""
@@ -158,12 +153,12 @@ class EnergyTestSettings(_Strict):
     memory_s: Positive | None = None
 
 
-class DataSettings(_Strict):
+class DataSettings(StrictModel):
     """Which splits set the bounds, which are zero-input runs (W_n), and what `generate` makes; all other
     splits calibrate."""
 
     bound_split: list[str]
-    noise_split: list[str] = []
+    noise_split: list[str] = Field(default=[])
     generator: Literal["car", "truck"] | None = None
 
     @model_validator(mode="after")
@@ -173,7 +168,7 @@ class DataSettings(_Strict):
         return self
 
 
-class DesignSettings(_Strict):
+class DesignSettings(StrictModel):
     """Step 8: objectives of Fig. 1 and the scheduled controller. W_t, W_u: gain A_t, A_u and the paper's
     break frequencies.
 
@@ -186,12 +181,12 @@ class DesignSettings(_Strict):
     structure: Literal["K_inf", "K_i", "K_is"] = "K_i"
     A_t: Positive
     A_u: Positive
-    W_t_zeros: list[Positive] = [10.0]
-    W_t_poles: list[Positive] = [0.02]
-    W_u_zeros: list[Positive] = [0.02, 0.02]
-    W_u_poles: list[Positive] = [50.0, 50.0]
-    W_R_num: list[float] = [9.0]
-    W_R_den: list[float] = [1.0, 5.4, 9.0]
+    W_t_zeros: list[Positive] = Field(default=[10.0])
+    W_t_poles: list[Positive] = Field(default=[0.02])
+    W_u_zeros: list[Positive] = Field(default=[0.02, 0.02])
+    W_u_poles: list[Positive] = Field(default=[50.0, 50.0])
+    W_R_num: list[float] = Field(default=[9.0])
+    W_R_den: list[float] = Field(default=[1.0, 5.4, 9.0])
     design_speed_mps: Positive = 17.0
     nodes: Annotated[int, Field(ge=2, le=64)] = 8
     backoff: Fraction = 0.05
@@ -209,7 +204,7 @@ class DesignSettings(_Strict):
         return [(A_t, A_u) for A_t, A_u in (self.table or own)]
 
 
-class Project(_Strict):
+class Project(StrictModel):
     """A vehicle's project file."""
 
     schema_: Literal[1] = Field(alias="schema")

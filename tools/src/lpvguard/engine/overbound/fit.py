@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 from ...base.errors import InputError
 from .bound import SampledBound
 from .certificate import Certificate, verify_overbound
-from .minimax import STEP_DB, Candidate, Grid, least_worst_ratio
+from .minimax import STEP_DB, Grid, MinimaxFit, least_worst_ratio
 from .weight import Weight, polynomial_roots
 
 _MAX_REFITS = 8
@@ -92,7 +92,7 @@ def fit_overbound(
     lowest = _lowest_order(source, max_order, order, tol_db, proper)
     samples = SampledBound.read(source, omega, bound, floor)
     grid = Grid(samples, strict=proper == "strict")
-    best: dict[int, Candidate] = {}
+    best: dict[int, MinimaxFit] = {}
     for n in range(lowest, (max_order if order is None else order) + 1):
         best[n] = least_worst_ratio(grid, n, best.get(n - 1))
         if order is None and best[n].ratio_db <= tol_db:
@@ -139,7 +139,7 @@ def _lowest_order(source: str, max_order: int, order: int | None, tol_db: float,
     return lowest
 
 
-def _choose(best: dict[int, Candidate], tol_db: float) -> int:
+def _choose(best: dict[int, MinimaxFit], tol_db: float) -> int:
     """Smallest order n such that no order n + k gains more than k tol_db."""
     return next(
         n
@@ -149,7 +149,7 @@ def _choose(best: dict[int, Candidate], tol_db: float) -> int:
 
 
 def _close(
-    grid: Grid, candidate: Candidate, lower_order: Candidate | None
+    grid: Grid, candidate: MinimaxFit, lower_order: MinimaxFit | None
 ) -> tuple[Weight, float, Certificate, float] | None:
     """Weight, inflation, certificate and lower limit [dB] of a candidate; None when no stable spectral factor
     is found that beats the lower order.
@@ -177,7 +177,7 @@ def _close(
     return None if worse else closed
 
 
-def _lift(grid: Grid, candidate: Candidate) -> tuple[Weight, float, Certificate]:
+def _lift(grid: Grid, candidate: MinimaxFit) -> tuple[Weight, float, Certificate]:
     """Spectral factors of a candidate, the gain that puts them above the bound, and the certificate of
     both."""
     samples = grid.samples

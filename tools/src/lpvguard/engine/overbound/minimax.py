@@ -47,7 +47,7 @@ _ALL = slice(None)
 
 
 @dataclass(frozen=True)
-class Candidate:
+class MinimaxFit:
     """N, D ascending in y with min N/(bound^2 D) = 1 on the grid, where it reaches ``ratio_db``.
 
     ``lower_db``: infeasible for this order on the rows ``active`` (y values) alone.
@@ -123,8 +123,8 @@ class Grid:
 
 
 def least_worst_ratio(
-    grid: Grid, order: int, lower_order: Candidate | None, last: Candidate | None = None
-) -> Candidate:
+    grid: Grid, order: int, lower_order: MinimaxFit | None, last: MinimaxFit | None = None
+) -> MinimaxFit:
     """Least worst ratio of one order; the lower order's candidate when it is not beaten by ``STEP_DB``.
 
     ``last``: what was found before the grid grew.
@@ -132,7 +132,7 @@ def least_worst_ratio(
     best = lower_order
     if order == 0:
         ratio_db = 10.0 * math.log10(grid.b2.max() / grid.b2.min())
-        return Candidate(0, np.array([grid.b2.max()]), np.ones(1), ratio_db, ratio_db, grid.y)
+        return MinimaxFit(0, np.array([grid.b2.max()]), np.ones(1), ratio_db, ratio_db, grid.y)
     if best is not None and best.ratio_db <= STEP_DB:
         return best
     if last is None:
@@ -145,7 +145,7 @@ def least_worst_ratio(
         active = np.union1d(active, _failures(grid, grid.ratio2(last.top, last.bottom), lower_db))
     if best is None:  # strictly proper, first order: any roll-off to start from
         ratio2 = grid.ratio2(np.ones(1), bottom)
-        best = Candidate(
+        best = MinimaxFit(
             order,
             1.0 / ratio2[grid.below].min(keepdims=True),
             bottom,
@@ -166,7 +166,7 @@ def least_worst_ratio(
         ratio2 = grid.ratio2(top, bottom)
         worst = grid.spread_db(ratio2)
         if worst < best.ratio_db:
-            best = Candidate(order, top / ratio2[grid.below].min(), bottom, worst, lower_db, active)
+            best = MinimaxFit(order, top / ratio2[grid.below].min(), bottom, worst, lower_db, active)
         excess = min(excess, worst - lower_db) if math.isfinite(worst) else excess
         fresh = np.setdiff1d(_failures(grid, ratio2, lower_db), active)
         if best.ratio_db <= lower_db + 2 * STEP_DB or (not fresh.size and tol == STEP_DB):

@@ -15,7 +15,7 @@ from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.interconnection import (
     STRUCTURES,
     GeneralisedPlant,
-    Weights,
+    PlantWeights,
     generalised_plant,
     weight_from_table,
 )
@@ -45,16 +45,16 @@ class TableRow(Cell):
 def read_case(path) -> dict:
     """The case file as a dict; InputError when it cannot be read or a weight is missing."""
     case = read_toml(Path(path), "a case file")
-    for name in ("v", "wheelbase", "objective", *(f.name for f in fields(Weights))):
+    for name in ("v", "wheelbase", "objective", *(f.name for f in fields(PlantWeights))):
         if name not in case:
             raise SynthesisError(path, name, "missing", "a case file as tests/data/paper_case.toml")
     return case
 
 
-def case_weights(case: dict, objective: dict) -> Weights:
+def case_weights(case: dict, objective: dict) -> PlantWeights:
     """The ten weights of a case with one objective's A_t and A_u."""
     gains = {"A_t": objective["A_t"], "A_u": objective["A_u"]}
-    return Weights(**{f.name: weight_from_table(case[f.name], **gains) for f in fields(Weights)})
+    return PlantWeights(**{f.name: weight_from_table(case[f.name], **gains) for f in fields(PlantWeights)})
 
 
 def case_plant(

@@ -30,7 +30,7 @@ Terms = dict[str | tuple[str, int], int]
 
 
 @dataclass(frozen=True)
-class Weights:
+class PlantWeights:
     """The ten weights of Fig. 1 as single-input single-output continuous systems, s in rad/s."""
 
     W_R: StateSpace
@@ -131,7 +131,7 @@ def weight_from_table(entry: dict, **gains: float) -> StateSpace:
 
 
 def generalised_plant(
-    A, B, weights: Weights, structure: str, dt: float = 0.0, delay: int = 0, probes: bool = False
+    A, B, weights: PlantWeights, structure: str, dt: float = 0.0, delay: int = 0, probes: bool = False
 ) -> GeneralisedPlant:
     """Fig. 1 around the vehicle x' = A x + B u, [r; δ] the first two states; A (n, n), B (n, 1) continuous.
 
@@ -185,7 +185,7 @@ def generalised_plant(
 
 
 def _parts(
-    A: np.ndarray, B: np.ndarray, weights: Weights, n_input: int, n_state: int, dt: float, delay: int
+    A: np.ndarray, B: np.ndarray, weights: PlantWeights, n_input: int, n_state: int, dt: float, delay: int
 ) -> dict[str, StateSpace]:
     """The systems of Fig. 1 by name, sampled where ``dt`` > 0.
 

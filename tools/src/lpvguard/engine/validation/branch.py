@@ -11,7 +11,7 @@ import numpy as np
 
 from lpvguard.engine.validation.local_search import MAX_POLISHED, polish, repeated_starts
 from lpvguard.engine.validation.quadratic import Quadratic
-from lpvguard.engine.validation.relaxation import Box, Node, Relaxation, Tangent
+from lpvguard.engine.validation.relaxation import Box, BranchNode, Relaxation, Tangent
 
 GAP = 1e-4
 """Relative distance of the two sides at which the branch and bound stops."""
@@ -130,7 +130,7 @@ class _Search:
         """The search; arguments as for :func:`minimise`."""
         best, serial = self.best, 0
         first = best.start([self.problem.origin(), *points])
-        open_nodes = [Node(0.0, serial, np.eye(self.problem.params), {})]
+        open_nodes = [BranchNode(0.0, serial, np.eye(self.problem.params), {})]
         closed = np.inf
         while open_nodes and serial < max_nodes:
             node = heapq.heappop(open_nodes)
@@ -153,11 +153,11 @@ class _Search:
             small = tangent is not None and tangent.lower > max(bounds.edges, node.lower)
             for rays, boxes in children:
                 serial += 1
-                heapq.heappush(open_nodes, Node(bounds.lower, serial, rays, boxes, small))
+                heapq.heappush(open_nodes, BranchNode(bounds.lower, serial, rays, boxes, small))
         remaining = min((n.lower for n in open_nodes), default=np.inf)
         return Interval(min(closed, remaining, best.cost), best.cost, best.z, serial + 1)
 
-    def _bound(self, node: Node) -> _NodeBounds:
+    def _bound(self, node: BranchNode) -> _NodeBounds:
         """Boxes first, then the tangent, then the relaxation where these leave the node open."""
         best = self.best
         lower = max(node.lower, self.relaxation.box_bound(node, set(range(self.problem.params))))
@@ -183,7 +183,9 @@ class _Search:
                 self._polished += 1
                 best.improve(z)
 
-    def _branch(self, node: Node, bounds: _NodeBounds) -> list[tuple[np.ndarray, dict[int, Box]]] | None:
+    def _branch(
+        self, node: BranchNode, bounds: _NodeBounds
+    ) -> list[tuple[np.ndarray, dict[int, Box]]] | None:
         """(rays, boxes) of two nodes that cover this one; None when it cannot be cut.
 
         Its widest pair of rays is cut in the middle, or its widest box.
@@ -206,7 +208,7 @@ class _Search:
                 return children
         return self._cut_box(node) if problem.repeated and np.isfinite(best.cost) else None
 
-    def _cut_box(self, node: Node) -> list[tuple[np.ndarray, dict[int, Box]]] | None:
+    def _cut_box(self, node: BranchNode) -> list[tuple[np.ndarray, dict[int, Box]]] | None:
         """(rays, boxes) of the two halves of a node's widest box; None when it has none to cut."""
         problem, rays, boxes = self.problem, node.rays, node.boxes
         if not boxes:

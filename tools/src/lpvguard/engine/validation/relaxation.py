@@ -68,7 +68,7 @@ class Box:
 
 
 @dataclass(order=True)
-class Node:
+class BranchNode:
     """A cone of sizes, spanned by ``rays`` (k, params), and a box per repeated form (``boxes``, by index).
 
     ``lower``: certified bound of the cost over it. ``small``: at the parent the tangent's bound was the
@@ -179,7 +179,7 @@ class Relaxation:
                 add("psd", r, lmi.gram(d, d, basis) - box.radius**2 * bb, 0.0 * bb, -1)
         return _Generators(np.array(q0), np.array(level), np.array(param), lmi.cone(groups))
 
-    def box_bound(self, node: Node, params: set[int]) -> float:
+    def box_bound(self, node: BranchNode, params: set[int]) -> float:
         """Sum of the sizes among ``params`` that the boxes of repeated blocks force."""
         total = np.zeros(self.problem.params)
         for k, box in node.boxes.items():
@@ -188,7 +188,7 @@ class Relaxation:
                 total[f.param] = max(total[f.param], box.least**2 / f.slope - f.constant)
         return float(total.sum())
 
-    def lower(self, node: Node, cutoff: float) -> tuple[float, float, np.ndarray | None]:
+    def lower(self, node: BranchNode, cutoff: float) -> tuple[float, float, np.ndarray | None]:
         """Certified lower bound over a node, bound on the central ray, and primal matrix (n, n) or None."""
         g = self._generators(node.boxes) if self.problem.repeated or self._plain is None else self._plain
         base = self.box_bound(node, self.problem.boxed)
@@ -203,7 +203,7 @@ class Relaxation:
             edges = float(np.min(lmi.reach(np.tensordot(y, g.q0, axes=1), slopes, lmi.rounding(y, g.q0))))
         return base + edges, base + length, inverse
 
-    def tangent(self, node: Node, cutoff: float) -> Tangent | None:
+    def tangent(self, node: BranchNode, cutoff: float) -> Tangent | None:
         """Second bound over a node with boxes, whose error is of second order in their size; None without
         one.
 

@@ -22,13 +22,13 @@ from ...drives.tables import Drive
 from ...engine.validation import s1
 from ...evaluate.baselines import Bank, Baseline, Scales
 from ...evaluate.comparison import MONITOR
-from ...evaluate.detection import Clock
+from ...evaluate.detection import JudgedClock
 from ...evaluate.false_alarms import alarming
 from ...identify.bounds import nominal_error
 from ...replay.run import Replay, Replayer, read_raw_log
 from ..sim import RECOVERY_S, Simulator
 from ..supervision import LIVE, Reactions, limits, needed_messages, required
-from .scenarios import Case, scenario_text
+from .scenarios import PlannedRun, scenario_text
 
 FOUND_WITHIN_S = 60.0
 STRIDE = 10
@@ -141,26 +141,26 @@ def _tools(
     )
 
 
-def run_case(context: Context, case: Case) -> dict[str, Any]:
+def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
     """One run: simulated, replayed through the core, judged by every detector and off line. A row of the
     Parquet files."""
     simulator, replayer, bank = context.tools
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "scenario.toml"
-        path.write_text(scenario_text(context.seed, case), encoding="utf-8")
-        log = path.with_suffix(".log") if "can_fault" in case.tables else None
+        path.write_text(scenario_text(context.seed, planned), encoding="utf-8")
+        log = path.with_suffix(".log") if "can_fault" in planned.tables else None
         facts, drive, present = simulator.drive(path, log=log)
-        reactions = supervision(simulator, facts, read_toml(path, "a scenario file"), log, case.fault_s)
+        reactions = supervision(simulator, facts, read_toml(path, "a scenario file"), log, planned.fault_s)
     replay = replayer.replay(drive, present)
-    clock = Clock.of(replay, first_sample(drive, case.fault_s, replay.Ts))
-    offline = Offline.of(replayer, drive, case.fault_s)
+    clock = JudgedClock.of(replay, first_sample(drive, planned.fault_s, replay.Ts))
+    offline = Offline.of(replayer, drive, planned.fault_s)
     row: dict[str, Any] = {
-        "number": case.number,
-        "kind": case.kind,
-        "severity": case.severity,
-        "plant": case.plant,
+        "number": planned.number,
+        "kind": planned.kind,
+        "severity": planned.severity,
+        "plant": planned.plant,
         "seed": facts["seed"],
-        "fault_s": case.fault_s,
+        "fault_s": planned.fault_s,
         "duration_s": facts["duration_s"],
         "speed_mps": float(drive.v.mean()),
         "frames_hash": facts["frames_hash"],
@@ -226,7 +226,7 @@ def _statistic(replayer: Replayer, replay: Replay, drive: Drive) -> np.ndarray:
     return statistic
 
 
-def _judged(name: str, statistic: np.ndarray, threshold: float, clock: Clock) -> dict[str, Any]:
+def _judged(name: str, statistic: np.ndarray, threshold: float, clock: JudgedClock) -> dict[str, Any]:
     """NAME_before, NAME_found_s at the threshold; largest statistic before the fault and within the time
     allowed after it."""
     within = slice(clock.first, int(np.searchsorted(clock.seconds, FOUND_WITHIN_S, side="right")))

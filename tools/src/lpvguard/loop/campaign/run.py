@@ -22,14 +22,13 @@ from ...core.control_coefficients import load_controller
 from ...evaluate.baseline_study import BaselineStudy
 from ...evaluate.baselines import KINDS as BASELINE_KINDS
 from ...evaluate.baselines import Baseline
-from ...identify.run import DriveSet, StoredIdentification
+from ...identify.run import DriveSet, Progress, StoredIdentification
 from ...replay.run import Replayer
 from ..sim import Simulator
 from . import faults, trucks
-from .one_run import Context, run_case
-from .scenarios import DURATION_S, Case, Size, plan
+from .one_run import Context, run_planned
+from .scenarios import DURATION_S, PlannedRun, Size, plan
 from .summary import summarise
-from .trucks import Progress
 
 CHUNK = 40
 
@@ -67,17 +66,17 @@ def campaign(
         duration_s=DURATION_S,
     ) as kept_in:
         tuned = _kept(kept_in, "baselines.json", lambda: _tune(stored, drives, core, workers, progress))
-        bounds = trucks.Bounds.of(stored, replayer.estimator)
+        weights = trucks.WeightMagnitudes.of(stored, replayer.estimator)
         found = _kept(
             kept_in,
             "plants.json",
-            lambda: trucks.plants(replayer.model, bounds, seed, workers, progress),
+            lambda: trucks.plants(replayer.model, weights, seed, workers, progress),
         )
         levels = []
         if controller is not None:
             levels = _kept(kept_in, "loops.json", lambda: trucks.loop_levels(stored, controller, progress))
         within = [c["tables"] for c in found["candidates"] if c["margin"] <= 1][: trucks.PLANTS]
-        table = _run_cases(kept_in, _context(folder, seed, tuned), plan(size, within), workers, progress)
+        table = _run_all(kept_in, _context(folder, seed, tuned), plan(size, within), workers, progress)
         kept_in.write("runs.parquet", _parquet(table))
         summary = summarise(table, stored, found, levels, tuned)
         kept_in.write("summary.json", artefacts.to_json(summary).encode())
@@ -101,21 +100,21 @@ def _context(folder: Path, seed: int, tuned: dict[str, Any]) -> Context:
     )
 
 
-def _run_cases(
-    out: artefacts.KeptFolder, context: Context, cases: list[Case], workers: Map, progress: Progress
+def _run_all(
+    out: artefacts.KeptFolder, context: Context, runs: list[PlannedRun], workers: Map, progress: Progress
 ) -> pa.Table:
-    """The rows of all cases: those of chunks that are kept in ``out``, and the others run and kept."""
-    chunks = [cases[i : i + CHUNK] for i in range(0, len(cases), CHUNK)]
+    """The rows of all runs: those of chunks that are kept in ``out``, and the others run and kept."""
+    chunks = [runs[i : i + CHUNK] for i in range(0, len(runs), CHUNK)]
     names = [f"chunks/{i:05d}.parquet" for i in range(len(chunks))]
     left = [(n, c) for n, c in zip(names, chunks, strict=True) if not out.has(n)]
-    rows = iter(workers(partial(run_case, context), [case for _, chunk in left for case in chunk]))
-    done = len(cases) - sum(len(chunk) for _, chunk in left)
+    rows = iter(workers(partial(run_planned, context), [planned for _, chunk in left for planned in chunk]))
+    done = len(runs) - sum(len(chunk) for _, chunk in left)
     for name, chunk in left:
         table = []
-        for case in chunk:
+        for planned in chunk:
             table.append(next(rows))
             done += 1
-            progress(f"run {done} of {len(cases)}, {case.kind}")
+            progress(f"run {done} of {len(runs)}, {planned.kind}")
         out.write(name, _parquet(pa.Table.from_pylist(table, schema=_schema(table[0]))))
     return pa.concat_tables([pq.read_table(out.folder / n) for n in names])
 

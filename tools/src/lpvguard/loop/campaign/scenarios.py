@@ -17,7 +17,7 @@ FIRST_FAULT = 1_000_000
 
 
 @dataclass(frozen=True)
-class Case:
+class PlannedRun:
     """One run. ``plant``: index of the truck of group "within", -1 elsewhere; ``tables``: its fault or
     variation."""
 
@@ -37,15 +37,16 @@ class Size:
     repeats: int
 
 
-def plan(size: Size, variations: list[str]) -> list[Case]:
+def plan(size: Size, variations: list[str]) -> list[PlannedRun]:
     """All runs, in the order of their numbers."""
     runs = int(np.ceil(size.hours * 3600 / DURATION_S))
-    cases = [
-        Case(n, "within", 0.0, n % len(variations), 0.0, variations[n % len(variations)]) for n in range(runs)
+    within = [
+        PlannedRun(n, "within", 0.0, n % len(variations), 0.0, variations[n % len(variations)])
+        for n in range(runs)
     ]
     chosen = [(kind, x) for kind in faults.KINDS for x in kind.values for _ in range(size.repeats)]
-    return cases + [
-        Case(FIRST_FAULT + n, kind.name, x, -1, kind.from_s, kind.text(x))
+    return within + [
+        PlannedRun(FIRST_FAULT + n, kind.name, x, -1, kind.from_s, kind.text(x))
         for n, (kind, x) in enumerate(chosen)
     ]
 
@@ -73,12 +74,12 @@ def draw_variation(seed: int, candidate: int) -> str:
     return VARIATION + "".join(f"{key} = {value:.6g}\n" for key, value in drawn.items())
 
 
-def scenario_text(seed: int, case: Case) -> str:
+def scenario_text(seed: int, planned: PlannedRun) -> str:
     """The scenario file of a run: speed and command drawn, so that the demand stays within what the bounds
     were made from."""
-    random = np.random.default_rng([seed, 2, case.number])
+    random = np.random.default_rng([seed, 2, planned.number])
     profile = speed_profile(random)
-    demand_bar = random.uniform(0.1, 0.3) if case.plant >= 0 else random.uniform(0.3, 0.7)
+    demand_bar = random.uniform(0.1, 0.3) if planned.plant >= 0 else random.uniform(0.3, 0.7)
     yaw_rate = 1.94 / max(v for _, v in profile) * demand_bar  # Table I's gain at DC
     command = (
         'kind = "multisine"\nspacing = "log"\nlow_radps = 0.5\nhigh_radps = 4.0\nrms_radps = {r:.6g}',
@@ -91,7 +92,7 @@ def scenario_text(seed: int, case: Case) -> str:
         + "\n[plant]\nspeed_profile = ["
         + ", ".join(f"[{t:.6g}, {v:.6g}]" for t, v in profile)
         + "]\n"
-        + case.tables
+        + planned.tables
     )
 
 

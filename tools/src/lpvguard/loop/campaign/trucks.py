@@ -14,7 +14,6 @@ from __future__ import annotations
 import io
 import subprocess
 import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -27,7 +26,7 @@ from ...base.parallel import Map
 from ...control.design import faulted_performance
 from ...drives.frames import Estimator
 from ...engine.validation import s1
-from ...identify.run import StoredIdentification
+from ...identify.run import Progress, StoredIdentification
 from ...vehicle.nominal import NominalModel
 from ..generate import plant_tool
 from . import faults
@@ -43,14 +42,14 @@ say nothing of a demand that the drives did not hold: at 1.5 bar, of one frequen
 leaves them by a third, at 0.5 to 0.7 rad/s."""
 LOOP_SPEEDS = (8.5, 15.0, 21.5)
 """Where mu of a faulted loop is computed; the largest is stated."""
-Progress = Callable[[str], None]
-"""Is told what is being done."""
 
 
 @dataclass(frozen=True)
-class Bounds:
-    """What a frequency response is held against: the bins, weights at them and W_n, nominal model; from an
-    identification."""
+class WeightMagnitudes:
+    """Magnitudes of an identification's weights, which a truck's frequency response is held against.
+
+    omega (K,): the bins [rad/s]. W_delta (K,). B_w (K, n_y): the share W_n (K, n_y) included.
+    """
 
     omega: np.ndarray
     W_delta: np.ndarray
@@ -58,8 +57,8 @@ class Bounds:
     W_n: np.ndarray
 
     @classmethod
-    def of(cls, stored: StoredIdentification, estimator: Estimator) -> Bounds:
-        """The bounds of an identification. InputError where it has no zero-input drives."""
+    def of(cls, stored: StoredIdentification, estimator: Estimator) -> WeightMagnitudes:
+        """The weights at the bins, inflation included. InputError where it has no zero-input drives."""
         fitted = stored.fitted
         if not fitted.W_n:
             raise InputError(
@@ -76,7 +75,10 @@ class Bounds:
 
 
 def response_margin(
-    model: NominalModel, bounds: Bounds, tables: str, demand_bar: float | np.ndarray = CHECKED_AMPLITUDE_BAR
+    model: NominalModel,
+    weights: WeightMagnitudes,
+    tables: str,
+    demand_bar: float | np.ndarray = CHECKED_AMPLITUDE_BAR,
 ) -> float:
     """Largest t* of a truck's own frequency response over speeds, amplitudes and bins; see the module's
     docstring.
@@ -84,19 +86,19 @@ def response_margin(
     ``tables``: its variation and faults, as scenario tables. ``demand_bar``: |U| that the frames may hold,
     for all bins or (K,). 1 or less: within the bounds.
     """
-    U = np.broadcast_to(demand_bar, bounds.omega.shape)[:, None]
-    half = 0.5 * bounds.omega * model.Ts
+    U = np.broadcast_to(demand_bar, weights.omega.shape)[:, None]
+    half = 0.5 * weights.omega * model.Ts
     hold = np.exp(-1j * half) * np.sinc(half / np.pi)  # the demand is held over a sample
     tool, worst = plant_tool(), 0.0
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "truck.toml"
         path.write_text("[plant]\nspeed_profile = [[0.0, 15.0]]\n" + tables, encoding="utf-8")
         for v in RESPONSE_SPEEDS:
-            P = model.frequency_response(bounds.omega, v)[..., 0]
+            P = model.frequency_response(weights.omega, v)[..., 0]
             for amplitude in RESPONSE_AMPLITUDES_BAR:
-                G = _frequency_response(tool, path, v, amplitude, bounds.omega) * hold[:, None]
-                left = np.maximum(bounds.B_w - bounds.W_n, 1e-12)
-                worst = max(worst, float(s1.margin((G - P) * U, P * U, bounds.W_delta, left).max()))
+                G = _frequency_response(tool, path, v, amplitude, weights.omega) * hold[:, None]
+                left = np.maximum(weights.B_w - weights.W_n, 1e-12)
+                worst = max(worst, float(s1.margin((G - P) * U, P * U, weights.W_delta, left).max()))
     return worst
 
 
@@ -118,11 +120,11 @@ def _frequency_response(
 
 
 def plants(
-    model: NominalModel, bounds: Bounds, seed: int, workers: Map, progress: Progress
+    model: NominalModel, weights: WeightMagnitudes, seed: int, workers: Map, progress: Progress
 ) -> dict[str, Any]:
     """Trucks within the bounds, in the order drawn until there are PLANTS, and t* of every faulted truck that
     has a response."""
-    margin = partial(response_margin, model, bounds)
+    margin = partial(response_margin, model, weights)
     candidates: list[dict[str, Any]] = []
     while sum(c["margin"] <= 1 for c in candidates) < PLANTS:
         tables = [draw_variation(seed, len(candidates) + i) for i in range(8)]

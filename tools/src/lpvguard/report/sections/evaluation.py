@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 
 from ...core.compiled import TESTS
-from ...evaluate.comparison import EXPORTED, MONITOR, Column, columns, detector_rows, equal_rates
+from ...evaluate.comparison import EXPORTED, MONITOR, DetectorColumn, columns, detector_rows, equal_rates
 from ...evaluate.detection import FAULT_FROM_S, FOUND_WITHIN_S, SHORTEST_FOR_FAULTS_S, STARTS
 from ...evaluate.false_alarms import PIECE_S
 from ..markup import captioned, html_table, number
@@ -151,7 +151,7 @@ later than all. Not into {without or "none left"}.</p>{_time_to_find(evaluation[
 {escape(compared)}; {exported}.</p>"""
 
 
-def _detectors(detectors: dict[str, Column], best: list[str] | None = None) -> str:
+def _detectors(detectors: dict[str, DetectorColumn], best: list[str] | None = None) -> str:
     """False alarms and found faults, a column per detector; ``best``: who leads, per fault.
 
     ``detectors``: by title, which is text.
