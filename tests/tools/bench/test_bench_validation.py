@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from lpvguard.bench import memory
+from lpvguard.bench import _memory as memory
 from lpvguard.bench import validation as bench
 from lpvguard.engine.validation import s1
 from made import ROOT

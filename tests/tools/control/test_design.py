@@ -144,7 +144,7 @@ def with_exact_frames(stored):
 
 def test_K_is_takes_the_states_own_bound_in_1_per_s(stored):
     one = with_settings(with_exact_frames(stored), structure="K_is")
-    weights, frames = stage._weights(one, one.project.design), StoredFrames(one)
+    weights, frames = fig1_weights(one, one.project.design), StoredFrames(one)
     split = frames.explain_with_state(one.bounds["gamma_w"], one.project.design.lambda_s)
     omega = frames.estimator.omega
     for system, nu in ((weights.W_delta_s, split.nu_s), (weights.W_delta_i, split.nu_i)):
@@ -159,7 +159,7 @@ def test_another_unit_of_time_leaves_the_loop_of_K_is_as_it_was(stored, factor):
     factor."""
     model, settings = NominalModel(stored.project), stored.project.design
     A, B = (m[0] for m in model.matrices(np.array([15.0])))
-    weights = stage._weights(stored, settings)
+    weights = fig1_weights(stored, settings)
     slower = fig1.PlantWeights(
         **{
             f.name: replace(w, A=factor * w.A, B=factor * w.B)
@@ -231,13 +231,12 @@ def test_a_controller_that_has_common_poles_is_met(stored, designed):
     """The fit's own result, given as what is to be met at every node, comes back within what its ridge
     costs."""
     result, _ = designed
-    schedule, model, settings = result.schedule, stage.NominalModel(stored.project), stored.project.design
-    weights = stage._weights(stored, settings)
+    schedule, model, settings = result.schedule, NominalModel(stored.project), stored.project.design
     loops = [
         FrozenLoop(
             schedule.at(v),
-            stage._plant(stored, model, weights, v, False),
-            stage._vehicle(model, v, schedule.Ts),
+            frozen_plant(stored, v),
+            stage.vehicle_at(model, v, schedule.Ts),
         )
         for v in schedule.speeds
     ]
@@ -253,9 +252,7 @@ def test_random_deltas_within_the_bound_keep_the_certified_performance(stored, d
     mu."""
     result, _ = designed
     v, proved = result.certificates[4]
-    plant = stage._plant(
-        stored, stage.NominalModel(stored.project), stage._weights(stored, stored.project.design), v, False
-    )
+    plant = frozen_plant(stored, v)
     loop = lft(plant.system, result.schedule.at(v))
     level, random = proved.upper, np.random.default_rng(5)
     omega = np.concatenate([[0.0], np.logspace(-3, np.log10(np.pi / plant.system.dt), 400)])
@@ -280,7 +277,7 @@ class SaturatedLoop:
 
     def __init__(self, result, model, v, settings):
         schedule = result.schedule
-        self.vehicle, self.K = stage._vehicle(model, v, schedule.Ts), schedule.at(v)
+        self.vehicle, self.K = stage.vehicle_at(model, v, schedule.Ts), schedule.at(v)
         self.L, self.Ts = schedule._between(schedule.L, v)[:, 0], schedule.Ts
         self.u_max, self.rate = settings.input_max[0], settings.input_rate_max_per_s[0] * schedule.Ts
         self.top = (
@@ -317,7 +314,7 @@ class SaturatedLoop:
 def test_after_saturation_the_loop_settles_as_if_there_had_been_none(stored, designed, v, overdriven):
     """A minute of a command that full demand cannot follow, then zero: the demand leaves its stop at once,
     and from the moment it has, the loop settles as the loop without limits does from the same state."""
-    loop = SaturatedLoop(designed[0], stage.NominalModel(stored.project), v, stored.project.design)
+    loop = SaturatedLoop(designed[0], NominalModel(stored.project), v, stored.project.design)
     minute, after = round(60 / loop.Ts), round(25 / loop.Ts)
     y, u, wanted, states = loop.run(np.append(np.full(minute, overdriven * loop.top), np.zeros(after)))
     assert abs(u[minute - 1]) == loop.u_max

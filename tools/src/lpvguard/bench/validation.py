@@ -19,7 +19,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from lpvguard.base import native
-from lpvguard.bench import memory, parser, show
+from lpvguard.bench import _memory as memory
+from lpvguard.bench import parser, show
 from lpvguard.engine.validation import s1, s2
 from lpvguard.vehicle import truck_model
 

@@ -94,8 +94,8 @@ def stated_scaling(document: dict) -> Scaling:
     return Scaling(np.array(stated["scaling_log_parameters"], float).reshape(-1, stated["scaling_columns"]))
 
 
-def _vehicle(model: NominalModel, v: float, Ts: float) -> StateSpace:
-    """The nominal vehicle at speed v, sampled."""
+def vehicle_at(model: NominalModel, v: float, Ts: float) -> StateSpace:
+    """The nominal vehicle from u to y at speed v [m/s], sampled every Ts [s] with its input held."""
     A, B = (m[0] for m in model.matrices(np.array([v])))
     return zero_order_hold(StateSpace(A, B, model.C, np.zeros((model.n_y, B.shape[1]))), Ts)
 
@@ -171,7 +171,7 @@ def _designed(
     loops = {float(v): loop_at(v) for v in check}
     input_max = np.array(settings.input_max)
     frozen = [
-        FrozenLoop(_with_delay(K), loops[float(v)], _vehicle(model, v, stored.project.Ts_s))
+        FrozenLoop(_with_delay(K), loops[float(v)], vehicle_at(model, v, stored.project.Ts_s))
         for v, K in zip(speeds, at_order(full_order), strict=False)
     ]
     best, found, found_pairs = None, None, 0

@@ -350,7 +350,7 @@ def margin(e, z, w_delta, w_w) -> np.ndarray:
     ``e``, ``z``, ``w_w`` (..., n_y), ``w_delta`` (...); w_w > 0, w_delta >= 0. A weighted 1-centre problem of
     n_y + 1 discs; by Helly's theorem it is the worst of the problems of three discs, each of which is a pair
     or the smaller root of a quadratic. t* > 1: no one complex delta and w within the bounds explain the
-    frame; a causal Delta with memory may (lpvguard.bench.memory). NaN where an input was not finite.
+    frame; a causal Delta with memory may (lpvguard.bench._memory). NaN where an input was not finite.
     Raises InputError on shapes that do not fit, a negative W_delta and a W_w that is not positive.
     """
     shape, e, z, w_delta, w_w = _points("margin", e, z, ("W_delta", w_delta, False), ("W_w", w_w, True))
