@@ -430,4 +430,7 @@ TEST_CASE("a frame that is not finite falsifies", "[unit][margin][REQ-MON-4]") {
     const double bad = GENERATE(std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity());
     CHECK(std::isinf(margin<float>({{bad, 0.0}, {1.0, 1.0}, 0.3, {0.1, 0.1}})));
     CHECK(std::isinf(margin<float>({{0.0, 1.0}, {1.0, bad}, 0.3, {0.1, 0.1}})));
+    const Problem bad_error{{{bad, 0.0}}, {{1.0, 0.0}}, 0.3, {0.1}}, bad_output{{{1.0, 0.0}}, {{bad, 0.0}}, 0.3, {0.1}};
+    CHECK(std::isinf(margin<float>(bad_error)));
+    CHECK(std::isinf(margin<float>(bad_output)));
 }
