@@ -96,7 +96,8 @@ def owners(paths: tuple[Path, ...]) -> dict[Path, set[str]]:
 
 
 def texts(*patterns: str) -> dict[Path, str]:
-    paths = {p for pattern in patterns for p in ROOT.glob(pattern) if p.is_file()}
+    found = (p for pattern in patterns for p in ROOT.glob(pattern))
+    paths = {p for p in found if p.is_file() and p.suffix != ".pyc"}  # *.cpython-311.pyc looks like C
     return {p: p.read_text() for p in sorted(paths)}
 
 
