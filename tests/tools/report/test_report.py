@@ -10,12 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lpvguard import schemas
+from lpvguard.base import artefacts
+from lpvguard.base.errors import InputError
 from lpvguard.core.compiled import Core
 from lpvguard.evaluate.run import evaluate
 from lpvguard.identify import run as stage
 from lpvguard.identify.export import export_vehicle
 from lpvguard.replay.run import Replayer
 from lpvguard.report.page import write_report
+from lpvguard.report.sections.design import design_section
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project, parse_project
 
@@ -98,7 +102,11 @@ class Case:
         return out.read_bytes()
 
 
-@pytest.fixture(scope="module", params=[1, 2], ids=["one output", "two outputs"])
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(1, marks=pytest.mark.slow("5 s: its pages")), 2],
+    ids=["one output", "two outputs"],
+)
 def case(request, tmp_path_factory) -> Case:
     folder = tmp_path_factory.mktemp("report")
     project = vehicle(request.param)
@@ -128,6 +136,7 @@ def test_the_window_error_is_shown_per_bin(case, page):
         )
 
 
+@pytest.mark.slow("4 s: an identification and two pages")
 def test_bounds_of_the_plain_dft_have_a_page_without_a_core(tmp_path):
     document = vehicle(1).model_dump(by_alias=True)
     document["frames"] |= {"estimator": "dft", "length_s": 8.0}
@@ -190,6 +199,7 @@ def test_alarms_are_listed_with_their_evidence(case, page):
     assert "alarm at, s" in page
 
 
+@pytest.mark.slow("5 s: two more pages")
 def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_path):
     detectors = {"monitor": "lpvguard", "rms": "residual RMS", "cusum": "CUSUM", "nis": "NIS"}
 
@@ -316,6 +326,7 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
     )
 
 
+@pytest.mark.slow("5 s: an evaluation and two more pages")
 def test_evaluation_and_a_core_of_another_identification_are_told(case, page, tmp_path):
     assert "carries the numbers of this identification" in page
     stored = stage.load(case.stored.folder)
@@ -372,8 +383,30 @@ def test_evaluation_and_a_core_of_another_identification_are_told(case, page, tm
         assert row["fault"] in text
 
 
+@pytest.mark.slow("4 s: another page")
 def test_a_weight_that_is_nearest_its_bound_at_infinity_is_shown(case, tmp_path):
     weights = copy.deepcopy(case.stored.weights)
-    weights["W_delta"]["certificate"]["min_ratio_at"] = "inf"  # as Certificate.to_dict writes it
+    weights["W_delta"][0]["certificate"]["min_ratio_at"] = "inf"  # as Certificate.to_dict writes it
     page = replace(case, stored=replace(case.stored, weights=weights)).page(tmp_path / "report.html").decode()
     assert page.count("<td>∞</td>") == case.page(tmp_path / "other.html").decode().count("<td>∞</td>") + 1
+
+
+def test_the_design_section_tells_true_margins_where_they_lie_beside_it(tmp_path):
+    folder, found = tmp_path / "design", schemas.example("robust")
+    folder.mkdir()
+    certificates = schemas.example("controller")["certificates"]
+    (folder / "controller.json").write_text(artefacts.to_json({"certificates": certificates}))
+    assert "what is promised" not in design_section(folder)
+    found |= {"coefficients_sha256": certificates["coefficients_sha256"], "beyond": 1}
+    true = found["true"][0]
+    true["deviations"][0] |= {"ratio": 1.25, "delta": 0.75, "W_delta": 0.6, "omega_rad_s": 7.5}
+    true["margins"]["gain_up"] |= {"value": 1.625}
+    found["true"].append(true | {"unstable_poles": 2, "margins": None, "deviations": []})
+    (tmp_path / "robust.json").write_text(artefacts.to_json(found))
+    text = design_section(folder)
+    name = true["deviations"][0]["output"]
+    assert f'{name} <span class="no">1.25</span>: 0.75 against 0.6 at 7.5 rad/s' in text
+    assert "<td>1.62</td>" in text and '<span class="no">unstable</span>' in text and "1 of 2 ratios" in text
+    (tmp_path / "robust.json").write_text(artefacts.to_json(found | {"coefficients_sha256": "0" * 64}))
+    with pytest.raises(InputError, match="another controller"):
+        design_section(folder)

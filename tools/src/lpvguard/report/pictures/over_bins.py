@@ -13,11 +13,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter
 
 from ...vehicle.project import Signal
-from .drawing import BLUE, GREEN, INK, PINK, POINTS, RED, SKY, legend_above, new_figure, picture
+from .drawing import BLUE, GREEN, INK, ORANGE, PINK, POINTS, RED, SKY, legend_above, new_figure, picture
 
 MOST_BIN_LABELS = 6
 POINTS_PER_BIN = 400
 """More points in a bin are thinned: the largest stay, of the others every n-th in order of size."""
+DELTA_COLOURS = ((RED, BLUE), (ORANGE, SKY), (PINK, GREEN), (POINTS, INK))
+"""Colours of an uncertainty's bound and of its weight, one pair a Delta."""
 FRONT_COLUMNS = 5
 MOST_FRONTS = 30
 """Panels of the Pareto picture: of more bins every n-th is drawn."""
@@ -25,8 +27,8 @@ MOST_FRONTS = 30
 
 @dataclass(frozen=True)
 class Clouds:
-    """Points per bin, lists over bins of arrays over frames: |E|, B1 (right side of (9)), nu, |w| (F,
-    n_y)."""
+    """Points per bin, lists over bins of arrays over frames: |E|, B1 (right side of (9)), nu (F, n_delta),
+    |w| (F, n_y)."""
 
     E: list[np.ndarray]
     B1: list[np.ndarray]
@@ -124,7 +126,7 @@ def disturbance_design(
     """Fig. 2: the disturbance bound and what it was made of; below it the ceiling on the uncertainty.
 
     Points are |E| and B1 of frames. Lines are B1, B2 and gamma_w: as the rule asks for it, and smoothed.
-    ``bounds``: arrays (K,) of bounds.json; ``gamma_fine`` (N,): gamma_w smoothed, at ``fine`` (N,) [rad/s].
+    ``bounds``: arrays of bounds.json; ``gamma_fine`` (N,): gamma_w smoothed, at ``fine`` (N,) [rad/s].
     """
     figure = new_figure(8.2, 5.6)
     top, low = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1.1])
@@ -151,7 +153,8 @@ def disturbance_design(
     _bins(top, grid, without, label=False)
     legend_above(top, 3)
     low.plot(grid[1:], bounds["nu_ceiling"][1:], "-o", ms=3.5, color=PINK, label=r"ceiling $\bar\nu(\omega)$")
-    low.plot(grid[1:], bounds["nu"][1:], "v", ms=4, color=INK, label=r"$\nu$ needed")
+    for d, nu in enumerate(bounds["nu"].T):
+        low.plot(grid[1:], nu[1:], "v^<>"[d], ms=4, color=INK, label="_" * min(d, 1) + r"$\nu$ needed")
     low.set_ylim(0, 1.15 * max(np.nanmax(bounds["nu_ceiling"]), np.nanmax(bounds["nu"])))
     low.set_ylabel(r"$|\delta|$, –")
     low.legend(loc="upper left", bbox_to_anchor=(0.12, 1.0))
@@ -183,8 +186,8 @@ def weights_over_bounds(
 ) -> Figure:
     """Fig. 3: left, per output, points |w_j|, the bound B_w and the weights; right, points nu and W_delta.
 
-    ``W_w`` (N, n_y), ``W_n`` (N, n_y) or None where there is no noise weight, and ``W_delta`` (N,) are
-    magnitudes at ``fine`` (N,) [rad/s]. ``samples`` (K,): the bound on nu that W_delta covers.
+    ``W_w`` (N, n_y), ``W_n`` (N, n_y) or None where there is no noise weight, and ``W_delta`` (N, n_delta)
+    are magnitudes at ``fine`` (N,) [rad/s]. ``samples`` (K, n_delta): the bound on nu that W_delta covers.
     """
     figure = new_figure(8.2, 3.6 if len(outputs) == 1 else 2.9 * len(outputs))
     left, beside = figure.subfigures(1, 2, width_ratios=[1, 1], squeeze=False).flat
@@ -203,13 +206,16 @@ def weights_over_bounds(
         _bins(axes, grid, without, label=j == len(outputs) - 1)
     legend_above(left.axes[0], 3)
     right = beside.subplots()
-    _cloud(right, grid, clouds.nu, POINTS, r"$\nu$ of a frame")
-    _bound(right, grid, samples, "--s", "running bound", ms=4, color=RED)
-    right.plot(fine, W_delta, "-", color=BLUE, label=r"$|W_\Delta|$")
+    points = [nu.ravel() for nu in clouds.nu]
+    _cloud(right, grid, points, POINTS, r"$\nu$ of a frame")
+    for d, (of_bound, of_weight) in zip(range(W_delta.shape[1]), DELTA_COLOURS, strict=False):
+        name = f", {outputs[d].name.replace('_', ' ')}" if W_delta.shape[1] > 1 else ""
+        _bound(right, grid, samples[:, d], "--s", f"running bound{name}", ms=4, color=of_bound)
+        right.plot(fine, W_delta[:, d], "-", color=of_weight, label=rf"$|W_\Delta|${name}")
     right.set_yscale("log")
-    right.set_ylim(_decent_bottom(clouds.nu, samples), 2 * max(W_delta.max(), np.nanmax(samples)))
+    right.set_ylim(_decent_bottom(points, samples), 2 * max(W_delta.max(), np.nanmax(samples)))
     right.set_ylabel(r"uncertainty size $|\delta|$, –")
-    legend_above(right, 3)
+    legend_above(right, 3 if W_delta.shape[1] == 1 else 1)
     _bins(right, grid, without)
     return figure
 
@@ -225,7 +231,7 @@ def pareto(
 ) -> Figure:
     """Pareto fronts nu(gamma_w) (K, P), a panel per bin.
 
-    ``taken``: the pair that was taken, gamma_w and nu (K,); ``ceiling`` (K,): ceiling on nu.
+    ``taken``: what was taken, gamma_w (K,) and nu (K, n_delta); ``ceiling`` (K,): ceiling on nu.
     """
     known = np.flatnonzero(np.isfinite(nu).any(axis=1))
     shown = known[:: -(-len(known) // MOST_FRONTS)]
@@ -233,10 +239,11 @@ def pareto(
     figure = new_figure(8.2, 0.5 + 1.5 * rows)
     panels = figure.subplots(rows, FRONT_COLUMNS, squeeze=False).ravel()
     for axes, k in zip(panels, shown, strict=False):
-        top = 3 * max(taken["nu"][k], ceiling[k])
+        top = 3 * max(np.max(taken["nu"][k]), ceiling[k])
         axes.plot(gamma_w[k], nu[k], "-", color=BLUE, label=r"front $\nu(\gamma_w)$")
         axes.axhline(ceiling[k], ls="--", lw=0.9, color=PINK, label=r"ceiling $\bar\nu$")
-        axes.plot(taken["gamma_w"][k], taken["nu"][k], "o", ms=5, color=RED, label="taken")
+        for d, nu_taken in enumerate(taken["nu"][k]):
+            axes.plot(taken["gamma_w"][k], nu_taken, "o", ms=5, color=RED, label="_" * min(d, 1) + "taken")
         axes.set_ylim(-0.04 * top, top)
         axes.set_xlim(left=0)
         axes.set_title(f"{omega[k]:.3g} rad/s", fontsize=8)

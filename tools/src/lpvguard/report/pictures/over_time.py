@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ...vehicle.project import Signal
@@ -54,44 +55,51 @@ def model_in_time(stretches: list[Stretch], outputs: Sequence[Signal]) -> Figure
     return figure
 
 
+def _margins(axes: Axes, counted: np.ndarray, threshold: float) -> None:
+    """Margins of the counted frames; those above four thresholds stand at the upper edge."""
+    t, margin = counted["t_end_s"], counted["margin"]
+    top = max(1.2 * threshold, min(4.0 * threshold, 1.1 * float(margin.max(initial=0.0))))
+    below, beyond = margin <= threshold, margin > top
+    above = ~below & ~beyond
+    axes.plot(t[below], margin[below], ".", ms=2.5, color=BLUE, label="frame", rasterized=True)
+    axes.plot(t[above], margin[above], "v", ms=4, color=RED, label="falsifies")
+    if beyond.any():
+        edge = np.full(beyond.sum(), 0.96 * top)
+        axes.plot(t[beyond], edge, "^", ms=4, color=INK, label="falsifies, above the axis")
+    axes.axhline(threshold, color=INK, lw=0.9, ls="--", label="threshold")
+    axes.set_ylabel("margin t*, –")
+    axes.set_xlabel("time, s")
+    axes.set_ylim(0.0, top)
+
+
 @picture
 def closed_loop(
-    rows: np.ndarray, frames: np.ndarray, threshold: float, fault_start_s: float | None
+    rows: np.ndarray,
+    frames: np.ndarray,
+    threshold: float,
+    fault_start_s: float | None,
+    first_invalid_s: float | None,
 ) -> Figure:
     """Yaw rate against what was wanted, the demand, and the margins of the counted frames, over one simulated
     run.
 
     ``rows`` (N,): telemetry with fields t_s, wanted_radps, yaw_rate_radps, demand_bar. ``frames`` (F,):
-    fields t_end_s, reason, margin. ``fault_start_s`` [s] is marked where it is given.
+    fields t_end_s, reason, margin. ``fault_start_s`` and ``first_invalid_s`` [s] are marked where they are
+    given. Margins above four thresholds stand at the upper edge.
     """
-    figure = new_figure(8.2, 5.2)
+    figure = new_figure(8.2, 5.6)
     rate, demand, margin = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
     rate.plot(rows["t_s"], rows["wanted_radps"], "--", color=RED, lw=1.0, label="wanted, filtered command")
     rate.plot(rows["t_s"], rows["yaw_rate_radps"], "-", color=INK, lw=0.8, label="truck")
     rate.set_ylabel("yaw rate, rad/s")
     demand.plot(rows["t_s"], rows["demand_bar"], "-", color=BLUE, lw=0.8)
     demand.set_ylabel("demand, bar")
-    counted = frames[frames["reason"] <= 1]
-    above = counted["margin"] > threshold
-    margin.plot(
-        counted["t_end_s"][~above],
-        counted["margin"][~above],
-        ".",
-        ms=2.5,
-        color=BLUE,
-        label="frame",
-        rasterized=True,
-    )
-    margin.plot(counted["t_end_s"][above], counted["margin"][above], "v", ms=4, color=RED, label="falsifies")
-    margin.axhline(threshold, color=INK, lw=0.9, ls="--", label="threshold")
-    margin.set_ylabel("margin t*, –")
-    margin.set_xlabel("time, s")
-    margin.set_ylim(
-        0.0, max(1.2 * threshold, min(4.0 * threshold, 1.1 * float(counted["margin"].max(initial=0.0))))
-    )
+    _margins(margin, frames[frames["reason"] <= 1], threshold)
     if fault_start_s is not None:
         for axes in (rate, demand, margin):
             axes.axvline(fault_start_s, color=RED, lw=0.9, ls=":")
+    if first_invalid_s is not None:
+        margin.axvline(first_invalid_s, color=INK, lw=0.9, label="first invalid")
     for axes in (rate, margin):
-        axes.legend(loc="upper left", ncols=3, fontsize="small")
+        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, fontsize="small", frameon=False)
     return figure

@@ -45,7 +45,7 @@ def _clouds(stored: StoredIdentification, estimator: Estimator) -> Clouds:
         nu, w = explain(frames, estimator, stored.bounds["gamma_w"], stored.project.bounds.structure)
         clouds.E.append(size)
         clouds.B1.append(s1.solve(frames.E, frames.Z, size).b1)
-        clouds.nu.append(nu)
+        clouds.nu.append(nu.reshape(len(nu), stored.project.n_delta))
         clouds.w.append(np.abs(w))
     return clouds
 
@@ -87,8 +87,9 @@ def _disturbance(
     """Counterpart of Fig. 2, and what its caption says of these data."""
     bounds = stored.bounds
     points = sum(len(c) for c in clouds.E)
+    nu = np.fmax.reduce(bounds["nu"], axis=1)
     binding = np.nanargmax(
-        np.where(estimator.cycles > 0, bounds["nu"] / np.maximum(bounds["nu_ceiling"], 1e-300), np.nan)
+        np.where(estimator.cycles > 0, nu / np.maximum(bounds["nu_ceiling"], 1e-300), np.nan)
     )
     return captioned(
         disturbance_design(
@@ -108,7 +109,7 @@ def _disturbance(
         "ν̄)²), and at DC B<sub>2</sub>; line: the overbounding fit that is used. "
         f"{_data_words(bounds, grid)} Lower panel: the ceiling ν̄(ω) on the uncertainty, set beforehand in "
         "the project file, and what was needed in the end (closest to its ceiling at "
-        f"{estimator.omega[binding]:.3g} rad/s: ν = {bounds['nu'][binding]:.3g} of "
+        f"{estimator.omega[binding]:.3g} rad/s: ν = {nu[binding]:.3g} of "
         f"{bounds['nu_ceiling'][binding]:.3g}). How to read it: γ<sub>w</sub> near B<sub>2</sub> blames the "
         "disturbance, γ<sub>w</sub> near B<sub>1</sub> blames the model.",
     )
@@ -121,17 +122,18 @@ def _weights(
     bounds, weights, inflation = stored.bounds, stored.weights, stored.weights["inflation"]
     outputs, structure = stored.project.outputs, stored.project.bounds.structure
     points = sum(len(c) for c in clouds.E)
-    needing = sum(int((c > 0).sum()) for c in clouds.nu)
+    needing = sum(int((c > 0).any(axis=1).sum()) for c in clouds.nu)
     noise = (
         "Dash-dotted: the sensor's weight |W<sub>n</sub>|, the bound of the zero-input drives; W<sub>w</sub> "
         "is what B<sub>w</sub> leaves without it (step 7)."
         if weights["W_n"]
         else "Without zero-input drives there is no noise weight: W<sub>w</sub> covers B<sub>w</sub>."
     )
-    samples = uncertainty_samples(estimator, bounds["nu"])
-    none_allowed = (
-        " Structure S0 allows no uncertainty: all error is disturbance." if structure == "S0" else ""
-    )
+    samples = np.column_stack([uncertainty_samples(estimator, nu) for nu in bounds["nu"].T])
+    of_structure = {
+        "S0": " Structure S0 allows no uncertainty: all error is disturbance.",
+        "S1_diagonal": " Structure S1_diagonal: one Δ<sub>j</sub>, and one line, an output.",
+    }.get(structure, "")
     return captioned(
         weights_over_bounds(
             "f3",
@@ -144,7 +146,7 @@ def _weights(
             else None,
             fine,
             samples,
-            inflation * _magnitude(weights["W_delta"], fine),
+            inflation * np.column_stack([_magnitude(w, fine) for w in weights["W_delta"]]),
             outputs,
         ),
         "<b>Counterpart of Fig. 3.</b> Left: the disturbance |w<sub>j</sub>| that is left of each frame once "
@@ -154,7 +156,7 @@ def _weights(
         "others (ν = 0) have no place on the axis. Dashed: the running maximum of ν from the lowest bin up, "
         "which W<sub>Δ</sub> must cover (a dip only says that no frame there happened to need it), at least "
         f"{SMALLEST_NU:g} as a weight must be positive; bounds and ν are over every start, so they can lie "
-        f"above the points of the monitor's grid. ν(0) = 0 by definition.{none_allowed} How to read it: a "
+        f"above the points of the monitor's grid. ν(0) = 0 by definition.{of_structure} How to read it: a "
         "line far above its dashed bound is conservatism of the fit, the worst is in the summary.",
     )
 

@@ -12,6 +12,25 @@ from ..markup import captioned, html_table, number, yes_or_no
 from ..pictures.over_time import closed_loop
 
 
+def _run(folder: Path, name: str, r: dict) -> str:
+    """Picture and caption of the run ``r`` of results.json; ``name`` is the picture's, unique in the page."""
+    rows, frames = (
+        np.genfromtxt(folder / f"{r['scenario']}-{r['seed']}.{kind}.csv", delimiter=",", names=True, ndmin=1)
+        for kind in ("telemetry", "frames")
+    )
+    return captioned(
+        closed_loop(
+            name, rows, frames, r["threshold"], r["expected"].get("fault_start_s"), r["first_invalid_s"]
+        ),
+        f"<b>{escape(r['title'])}</b> (seed {r['seed']}). Top: what the command filtered by the reference "
+        "model asks for, and the simulated truck's true yaw rate. Middle: the pressure difference the ECU "
+        "demands. Bottom: the margin of every counted frame as the ECU's monitor judged it; above the dashed "
+        "line no one complex number within W<sub>Δ</sub> and no disturbance within B<sub>w</sub>, both times "
+        "the threshold, explain the frame in its bin. Dotted: the fault begins. Solid: the verdict first "
+        "turns invalid, by either test; the energy test has no frames and is not drawn.",
+    )
+
+
 def loop_section(folder: Path) -> str:
     """The section. ``folder``: written by `lpvguard sim -o`, with results.json and the tables of the runs."""
     results = artefacts.read_json(folder / "results.json")
@@ -46,24 +65,7 @@ def loop_section(folder: Path) -> str:
             for r in results
         ],
     )
-    figures = []
-    for index, r in enumerate(results):
-        stem = folder / f"{r['scenario']}-{r['seed']}"
-        rows, frames = (
-            np.genfromtxt(f"{stem}.{kind}.csv", delimiter=",", names=True, ndmin=1)
-            for kind in ("telemetry", "frames")
-        )
-        figures.append(
-            captioned(
-                closed_loop(f"l{index}", rows, frames, r["threshold"], r["expected"].get("fault_start_s")),
-                f"<b>{escape(r['title'])}</b> (seed {r['seed']}). Top: what the command filtered by the "
-                "reference model asks for, and the simulated truck's true yaw rate. Middle: the pressure "
-                "difference the ECU demands. Bottom: the margin of every counted frame as the ECU's monitor "
-                "judged it; above the dashed line no one complex number within W_delta and no disturbance "
-                "within B_w, both times the threshold, explain the frame in its bin. Dotted: the fault "
-                "begins.",
-            )
-        )
+    figures = [_run(folder, f"l{index}", r) for index, r in enumerate(results)]
     return f"""<h2>The closed loop over CAN frames</h2>
 <p>Simulated truck, its bus encoded and decoded frame by frame, and the compiled ECU loop: model, monitor \
 and controller, as they

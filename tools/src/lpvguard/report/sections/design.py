@@ -1,17 +1,37 @@
-"""Section "Controller and its certificates": Table II, and the counterparts of Figs. 5 and 6."""
+"""Section "Controller and its certificates": what the truck's loop has beside what is promised, Table II, and
+the counterparts of Figs. 5 and 6."""
 
 from __future__ import annotations
 
 from html import escape
 from pathlib import Path
 
+import numpy as np
+
 from ...base import artefacts
+from ...base.errors import InputError
 from ..design_pictures import draw
-from ..markup import captioned, html_table, number
+from ..markup import captioned, html_table, number, yes_or_no
+
+ROBUST = "robust.json"
+"""Written by `lpvguard bench robust --json`, beside the design's folder."""
+MARGINS = {
+    "gain_up": ("gain, up", 1.0),
+    "phase": ("phase, °", 180 / np.pi),
+    "delay": ("delay, ms", 1e3),
+    "Ms": ("M<sub>s</sub>", 1.0),
+    "Mt": ("M<sub>t</sub>", 1.0),
+    "disk_balanced": ("disk margin", 1.0),
+    "disk_gain": ("disk: gain", 1.0),
+    "disk_phase": ("disk: phase, °", 180 / np.pi),
+}
+"""Margins that are shown: title, and what a value is multiplied by."""
 
 
 def design_section(folder: Path) -> str:
-    """The section. ``folder``: written by `lpvguard design`; Table II and its pictures may be missing."""
+    """The section. ``folder``: written by `lpvguard design`; Table II and its pictures may be missing, and so
+    may ROBUST beside it. InputError where ROBUST is of another controller.
+    """
     controller = artefacts.read_json(folder / "controller.json")["certificates"]
     speeds = html_table(
         ["speed, m/s", "μ upper", "μ lower", "peak, rad/s"],
@@ -24,6 +44,9 @@ def design_section(folder: Path) -> str:
     text = f"""<h2>Controller and its certificates</h2>
 <p>{escape(controller["structure"])} scheduled over speed, {controller["order"]} states: \
 {escape(controller["claim"])}.</p>{speeds}"""
+    beside = folder.absolute().parent / ROBUST
+    if beside.is_file():
+        text += _true_loop(beside, controller["coefficients_sha256"])
     if not (folder / "table2.json").is_file():
         return text
     table, figures = (artefacts.read_json(folder / name) for name in ("table2.json", "figures.json"))
@@ -32,6 +55,52 @@ def design_section(folder: Path) -> str:
     if "fig6" in figures:
         text += _worst_case(figures["fig6"], pictures["fig6"])
     return text
+
+
+def _true_loop(path: Path, controller: str) -> str:
+    """Promised and true margins and the distance from the nominal model, from ROBUST at ``path``; SHA-256 of
+    the ``controller``."""
+    found = artefacts.read_json(path)
+    if found["coefficients_sha256"] != controller:
+        raise InputError(
+            path, "coefficients_sha256", "is of another controller", "bench robust of this design, or no file"
+        )
+    promised = {row["v_mps"]: row["margins"] for row in found["promised"]}
+    rows = []
+    for v, held in promised.items():
+        rows.append([number(v, 4), "promised", *_margin_cells(held), ""])
+        for row in (r for r in found["true"] if r["v_mps"] == v):
+            cells = _margin_cells(row["margins"])
+            rows.append(["", number(row["amplitude"]), *cells, _farthest(row["deviations"])])
+    titles = [title for title, _ in MARGINS.values()]
+    table = html_table(
+        ["speed, m/s", "amplitude", *titles, "|δ|/W<sub>Δ</sub>, largest of each output"], rows, "tight"
+    )
+    within = yes_or_no(found["beyond"] == 0, "within W<sub>Δ</sub> everywhere", "beyond W<sub>Δ</sub>")
+    return f"""<h3>What the loop has, and what is promised</h3>
+<p>Promised: the least margins over every vehicle within W<sub>Δ</sub> (THEORY 7.5). True: the loop around \
+the simulated truck's response to sines of each amplitude. The response lies {within}: {found["beyond"]} of \
+{sum(len(r["deviations"]) for r in found["true"])} ratios exceed 1. What is promised holds only for a truck \
+within W<sub>Δ</sub>.</p>{table}"""
+
+
+def _margin_cells(margins: dict | None) -> list[str]:
+    """Cells of MARGINS; a dash is an unlimited margin, words stand where the loop is unstable."""
+    if margins is None:
+        return ['<span class="no">unstable</span>', *[""] * (len(MARGINS) - 1)]
+    return [
+        "–" if (value := margins[name]["value"]) is None else number(factor * value)
+        for name, (_, factor) in MARGINS.items()
+    ]
+
+
+def _farthest(deviations: list[dict]) -> str:
+    """Each output's largest ratio with both numbers and where."""
+    return "<br>".join(
+        f"{escape(d['output'])} {yes_or_no(d['ratio'] <= 1, number(d['ratio']), number(d['ratio']))}: "
+        f"{number(d['delta'])} against {number(d['W_delta'])} at {number(d['omega_rad_s'])} rad/s"
+        for d in deviations
+    )
 
 
 def _table_2(table: dict, fig5: str) -> str:

@@ -158,7 +158,7 @@ def _alarm_table(alarms: list[Alarm]) -> str:
             number(a.threshold),
             number(np.linalg.norm(a.E)),
             number(np.linalg.norm(a.Z)),
-            number(a.W_delta),
+            "–" if a.W_delta is None else ", ".join(number(w) for w in a.W_delta),
             ", ".join(number(b) for b in a.B_w),
             number(a.evidence),
         ]

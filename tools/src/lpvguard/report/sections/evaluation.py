@@ -173,7 +173,7 @@ def _baselines(evaluation: dict) -> str:
     titles = {MONITOR: "lpvguard"} | {b["kind"]: b["title"] for b in others}
     searched = "; ".join(
         f"{escape(b['title'])}: {len(b['searched'])} settings, chosen "
-        f"{escape(', '.join(sorted({c['parameters'] for c in b['chosen'].values()})))}, "
+        f"{escape(' or '.join(sorted({c['parameters'] for c in b['chosen'].values()})))}; "
         f"{escape('; or '.join(sorted({c['claim'] for c in b['chosen'].values()})))}"
         for b in others
     )

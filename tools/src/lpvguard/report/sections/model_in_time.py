@@ -27,7 +27,8 @@ def time_section(visits: Visits, stored: StoredIdentification, drives: DriveSet)
         shown = slice(start, min(longest.stop, start + round(LONGEST_STRETCH_S / project.Ts_s)))
         v, error, y = drive.v[shown], e[shown], drive.y[shown]
         role = "set the bounds" if name in stored.manifest["drives"]["bounds"] else "did not set the bounds"
-        title = f"{name}, {v.min():.1f} to {v.max():.1f} m/s"
+        low, high = f"{v.min():.1f}", f"{v.max():.1f}"
+        title = f"{name}, {low} m/s" if low == high else f"{name}, {low} to {high} m/s"
         stretches.append(Stretch(title, drive.t[shown] - drive.t[0], v, y, yhat[shown]))
         rms = "; ".join(
             f"{escape(s.name)} error rms {np.std(error[:, j]):.2g} {escape(s.unit)} about its mean "

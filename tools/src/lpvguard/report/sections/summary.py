@@ -138,7 +138,13 @@ def _proof_table(stored: StoredIdentification) -> str:
         for s, w in zip(stored.project.outputs, stored.weights[f"W_{index}"], strict=False)
     ]
     weights += [
-        ("W<sub>Δ</sub>", stored.weights["W_delta"]),
+        (
+            "W<sub>Δ</sub>" if stored.project.n_delta == 1 else f"W<sub>Δ</sub> of {escape(s.name)}",
+            w,
+        )
+        for s, w in zip(stored.project.outputs, stored.weights["W_delta"], strict=False)
+    ]
+    weights += [
         ("γ<sub>w</sub> smoothed", stored.weights["gamma_w"]),
     ]
     return html_table(
@@ -235,12 +241,14 @@ def _same_numbers(stored: StoredIdentification, replayer: Replayer) -> float:
 def _energy_words(test: EnergyTest, project: Project) -> str:
     """Settings and numbers of the energy test in a sentence."""
     c = test.calibration
+    above = ", ".join(f"{x:.3g}" for x in test.above)
+    least = min(certificate["min_ratio"] for certificate in test.certificate)
     corners = ", ".join(f"{f:g}" for f in test.band_hz[:-1])
     return (
         f"corners {corners} and {test.band_hz[-1]:g} Hz, memory {test.memory_s:g} s, above them "
-        f"{test.memories_s[-1]:.3g} s and the constant {test.above:.3g} for W<sub>Δ</sub>, judged "
+        f"{test.memories_s[-1]:.3g} s and the constant {above} for W<sub>Δ</sub>, judged "
         f"{test.settle * test.Ts:.3g} s after entering the range; σ: {escape(test.sigma_text(project))}; "
         f"{len(test.directions)} direction(s); W<sub>Δ</sub> as a filter proved above its bound on the "
-        f"circle |z| = {test.rho:.6g} (least ratio {test.certificate['min_ratio']:.9g}); threshold "
+        f"circle |z| = {test.rho:.6g} (least ratio {least:.9g}); threshold "
         f"{c.threshold:.4g}: {c.claim()}"
     )

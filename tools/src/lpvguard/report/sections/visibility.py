@@ -52,8 +52,8 @@ def _excitation(visits: Visits, stored: StoredIdentification, estimator: Estimat
 
 
 def _cell_names(cells: list[dict]) -> list[str]:
-    """Speed range of every cell [m/s], as text."""
-    return [f"{c['speed_mps'][0]:.3g}–{c['speed_mps'][1]:.3g}" for c in cells]
+    """Speed range of every cell [m/s], as text that no line break divides."""
+    return [f"{c['speed_mps'][0]:.3g}–\N{WORD JOINER}{c['speed_mps'][1]:.3g}" for c in cells]
 
 
 def _overall(seen: dict) -> str:
