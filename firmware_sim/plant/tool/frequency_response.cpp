@@ -2,7 +2,11 @@
 ///
 /// For each speed and frequency the truck is driven with a sine demand on a flat road without wind. After the transient its
 /// true yaw rate and road-wheel angle are correlated with the sine over whole periods. Table I is copied here as the target of
-/// the comparison only; the plant does not know it. `response` prints the same measurement for a scenario's truck, as numbers.
+/// the comparison only; the plant does not know it.
+///
+/// `response` prints what a controller meets: the response of a scenario's truck, as numbers, from a demand that is held over each
+/// sample of 10 ms to the true outputs at the sample instants, before the demand changes. Hold, brake delay and brake lag are in
+/// it. The controller's own sample of delay is not, nor are noise and number grids of the sensors.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -50,6 +54,16 @@ struct Measurement {
 
 constexpr long transient_steps = 25000;  // 10 time constants of the slowest pole (8 m/s).
 
+/// The response to a demand that is held over each sample, at the frequency nearest to the wanted one of which whole periods are
+/// whole samples.
+struct HeldMeasurement {
+    double omega_radps = 0.0;
+    Response from_demand;
+};
+
+constexpr long transient_samples = transient_steps / Plant::steps_per_sample;
+constexpr long least_samples = 1000;     ///< Of a measurement: sets the frequency to 0.05 % and averages what is not periodic.
+
 /// On a flat road without wind.
 PlantParameters undisturbed(PlantParameters parameters) {
     parameters.bank_rms_rad = 0.0;
@@ -73,9 +87,8 @@ Response steady(const PlantParameters& parameters, double speed_mps, double dema
     return {plant->truth().yaw_rate_radps / demand_bar, plant->truth().road_wheel_rad / demand_bar};
 }
 
-Measurement measure(const PlantParameters& parameters, double speed_mps, double omega_radps, double amplitude_bar,
-                    const Faults& faults = {}) {
-    const auto plant = at_speed(parameters, speed_mps, faults);
+Measurement measure(const PlantParameters& parameters, double speed_mps, double omega_radps, double amplitude_bar) {
+    const auto plant = at_speed(parameters, speed_mps, {});
     const auto period_steps = std::lround(two_pi / omega_radps / Plant::step_s);
     const double phase_per_step = two_pi / static_cast<double>(period_steps);
     const long settle_periods = transient_steps / period_steps + 1;
@@ -96,6 +109,31 @@ Measurement measure(const PlantParameters& parameters, double speed_mps, double 
         plant->step(demand_bar);
     }
     return {{yaw_rate / demand, road_wheel / demand}, {yaw_rate / pressure, road_wheel / pressure}};
+}
+
+HeldMeasurement measure_held(const PlantParameters& parameters, double speed_mps, double omega_radps, double amplitude_bar,
+                             const Faults& faults) {
+    constexpr double sample_s = Plant::step_s * Plant::steps_per_sample;
+    const auto plant = at_speed(parameters, speed_mps, faults);
+    const double period_samples = two_pi / omega_radps / sample_s;
+    const double periods = std::ceil(static_cast<double>(least_samples) / period_samples);
+    const long samples = std::lround(periods * period_samples);
+    const double phase_per_sample = two_pi * periods / static_cast<double>(samples);
+    Complex demand, yaw_rate, road_wheel;
+    for (long k = -transient_samples; k < samples; ++k) {
+        const double phase = phase_per_sample * static_cast<double>(k);
+        const double demand_bar = amplitude_bar * std::sin(phase);
+        if (k >= 0) {
+            const Complex carrier(std::cos(phase), -std::sin(phase));
+            demand += carrier * demand_bar;
+            yaw_rate += carrier * plant->truth().yaw_rate_radps;
+            road_wheel += carrier * plant->truth().road_wheel_rad;
+        }
+        for (int step = 0; step < Plant::steps_per_sample; ++step) {
+            plant->step(demand_bar);
+        }
+    }
+    return {phase_per_sample / sample_s, {yaw_rate / demand, road_wheel / demand}};
 }
 
 /// Relative differences |G - G0| / |G0| of one transfer over the frequencies.
@@ -187,10 +225,11 @@ int response(Arguments arguments) {
     }
     std::printf("omega_radps,yaw_rate_re,yaw_rate_im,road_wheel_re,road_wheel_im\n");
     for (const double omega : omegas_radps) {
-        const Response found = omega == 0.0 ? steady(parameters, speed_mps, amplitude_bar, faults)
-                                            : measure(parameters, speed_mps, omega, amplitude_bar, faults).from_demand;
-        std::printf("%.9g,%.9g,%.9g,%.9g,%.9g\n", omega, found.yaw_rate.real(), found.yaw_rate.imag(), found.road_wheel.real(),
-                    found.road_wheel.imag());
+        const HeldMeasurement measured = omega == 0.0 ? HeldMeasurement{0.0, steady(parameters, speed_mps, amplitude_bar, faults)}
+                                                      : measure_held(parameters, speed_mps, omega, amplitude_bar, faults);
+        const Response& found = measured.from_demand;
+        std::printf("%.9g,%.9g,%.9g,%.9g,%.9g\n", measured.omega_radps, found.yaw_rate.real(), found.yaw_rate.imag(),
+                    found.road_wheel.real(), found.road_wheel.imag());
     }
     return 0;
 }

@@ -15,7 +15,8 @@ frequency-response   compare yaw rate and road-wheel angle per brake demand with
     exit status 1 unless at each speed both differ by 3 .. 12 % in the median over the frequencies and by 40 % at most
 
 response             print the frequency response per bar of a scenario's truck (its variation, actuator and surroundings
-                     faults from the start on; flat road, no wind): omega, yaw rate, road-wheel angle as CSV
+                     faults from the start on; flat road, no wind; demand held over each sample of 10 ms): the omega
+                     driven, yaw rate, road-wheel angle as CSV
     --scenario FILE      its [plant] table
     --speed 15           [m/s]
     --amplitude 0.5      [bar]

@@ -9,7 +9,9 @@ import subprocess
 import numpy as np
 import pytest
 
+from lpvguard.base.errors import InputError
 from lpvguard.loop.generate import plant_tool
+from lpvguard.loop.response import frequency_response
 from made import ROOT
 
 TOOL = str(plant_tool())
@@ -124,7 +126,7 @@ def test_the_response_of_a_scenarios_truck_includes_its_faults_from_the_start_on
     path = tmp_path / "truck.toml"
     path.write_text("[plant]\nspeed_profile = [[0, 10]]\n")
     omega, yaw, wheel = response(path, "--speed", 15, "--omega", "0,0.5,3")
-    assert omega.tolist() == [0.0, 0.5, 3.0]
+    np.testing.assert_allclose(omega, [0.0, 0.5, 3.0], rtol=5e-4)
     assert yaw[0].imag == 0 and -1.4 * 1.94 / 15 < yaw[0].real < -0.6 * 1.94 / 15 and wheel[0].real < 0
     assert abs(yaw[2]) < abs(yaw[1]) < 1.1 * abs(yaw[0])
     path.write_text(
@@ -142,6 +144,22 @@ def test_the_response_of_a_scenarios_truck_includes_its_faults_from_the_start_on
     ):
         done = run("response", "--scenario", path, *words)
         assert done.returncode == 2 and complaint in done.stderr
+
+
+def test_the_response_is_driven_in_whole_samples_and_a_delay_turns_it(tmp_path):
+    path = tmp_path / "truck.toml"
+    path.write_text("[plant]\nspeed_profile = [[0, 10]]\n")
+    omega, G = frequency_response("", 15.0, 0.5, np.array([0.3, 2.0, 9.0, 40.0, 60.0]))
+    again, yaw, wheel = response(path, "--speed", 15, "--omega", "0.3,2,9,40,60", "--amplitude", 0.5)
+    assert np.array_equal(again, omega) and np.array_equal(G, np.column_stack([yaw, wheel]))
+    samples = 2 * np.pi / omega / 0.01  # whole periods take whole samples, at least 1000
+    periods = np.ceil(1000 / (2 * np.pi / np.array([0.3, 2.0, 9.0, 40.0, 60.0]) / 0.01))
+    np.testing.assert_allclose(periods * samples, np.round(periods * samples), atol=1e-3)
+    late = "[[plant.actuator_fault]]\nstart_s = 0.0\nextra_delay_s = 0.05\n"
+    _, delayed = frequency_response(late, 15.0, 0.5, np.array([0.3, 2.0, 9.0, 40.0, 60.0]))
+    np.testing.assert_allclose(delayed, G * np.exp(-0.05j * omega)[:, None], rtol=0.02)
+    with pytest.raises(InputError, match="response"):
+        frequency_response("", 99.0, 0.5, omega)
 
 
 TRUCK = ROOT / "firmware_sim/plant/truck.toml"
@@ -168,6 +186,7 @@ def compare(tmp_path, brake_force, points):
     return done.returncode, done.stdout.splitlines()[-1], np.array(numbers), marks
 
 
+@pytest.mark.slow("3 s: every limit of the truck")
 def test_the_shipped_truck_keeps_the_designs_distance_from_table_i(tmp_path):
     status, verdict, numbers, marks = compare(tmp_path, 800.0, 24)
     assert status == 0 and verdict == "within the limits" and not any(marks)

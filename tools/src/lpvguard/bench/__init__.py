@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import sys
 from importlib import import_module
+from pathlib import Path
 from pkgutil import iter_modules
 from typing import Any
 
@@ -30,6 +31,15 @@ def run(name: str, argv: list[str]) -> None:
     import_module(f"{__name__}.{name}").main(argv)
 
 
+class _JsonOut(argparse.Action):
+    """``--json``: (path, kind). A file that may not be replaced is refused before the bench runs."""
+
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
+        if values != "-":
+            artefacts.require_replaceable_file(Path(values), str(self.const))
+        setattr(namespace, self.dest, (values, self.const))
+
+
 def parser(name: str, description: str | None) -> argparse.ArgumentParser:
     """Parser of a bench's options; ``--json`` is common to all."""
     made = argparse.ArgumentParser(
@@ -41,7 +51,8 @@ def parser(name: str, description: str | None) -> argparse.ArgumentParser:
         "--json",
         dest="json_out",
         metavar="PATH",
-        type=lambda path: (path, f"bench {name}"),
+        action=_JsonOut,
+        const=f"bench {name}",
         help="write the numbers as JSON; - is standard output",
     )
     return made

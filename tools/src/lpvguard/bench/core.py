@@ -73,7 +73,7 @@ def budget_controller(project: Project) -> ControllerCoefficients:
         a,
         B,
         np.zeros((len(speeds), model.n_u, n, model.n_u)),
-        np.full(model.n_u, 6.0),
+        np.repeat(np.linspace(6.0, 4.0, len(speeds))[:, None], model.n_u, axis=1),
         np.full(model.n_u, 40.0),
     )
 
@@ -83,15 +83,15 @@ def write_budget_vehicle(folder: Path) -> Project:
     project = budget_project()
     model = NominalModel(project)
     estimator = Estimator.of(project, model)
-    W_delta = np.linspace(0.1, 0.4, estimator.n_bins)
+    W_delta = np.linspace(0.1, 0.4, estimator.n_bins)[:, None]
     B_w = np.outer(np.linspace(0.02, 0.01, estimator.n_bins), np.ones(project.n_y))
     # W_delta of third order, as the truck's own, fits this weight: two sections.
     energy = EnergyTest.design(
         project,
         estimator,
-        Weight(np.array([0.4, 0.2, 0.07, 0.02]), np.array([1.0, 0.7, 0.3, 0.1])),
+        [Weight(np.array([0.4, 0.2, 0.07, 0.02]), np.array([1.0, 0.7, 0.3, 0.1]))],
         estimator.omega[1:],
-        np.full(estimator.n_bins - 1, 0.1),
+        np.full((estimator.n_bins - 1, 1), 0.1),
         1.0,
     )
     sigma = np.tile([0.1, 0.05], (len(energy.F), 1))

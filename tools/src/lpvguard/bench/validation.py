@@ -57,7 +57,7 @@ def truck_points(
 
     ``experiments`` speeds from 8 to 22 m/s, ``bins`` from 0.02 rad/s to 90 % of Nyquist, sampled at ``ts_s``.
     Keys: e (K, 2), z (K, 2), u (K,), x_nom (K, 3), h_i (K, 3), h_s (K, 3, 3), c (2, 3), gamma_w (K,), w_delta
-    (K,), w_w (K, 2).
+    (K, 1), w_w (K, 2).
     """
     rng = np.random.default_rng(seed)
 
@@ -97,7 +97,7 @@ def truck_points(
         "h_s": h_s,
         "c": truck_model.C,
         "gamma_w": gamma,
-        "w_delta": rng.uniform(0.05, 0.5, points),
+        "w_delta": rng.uniform(0.05, 0.5, (points, 1)),
         "w_w": rng.uniform(0.05, 0.5, (points, 2)) * size[:, None],
     }
 
@@ -132,7 +132,7 @@ def _peer_margin(data, k):
 
     delta, t = cp.Variable(complex=True), cp.Variable()
     e, z, w_w = data["e"][k], data["z"][k], data["w_w"][k]
-    limits = [modulus(delta) <= t * data["w_delta"][k]]
+    limits = [modulus(delta) <= t * data["w_delta"][k, 0]]
     limits += [modulus(e[j] / w_w[j] - delta * (z[j] / w_w[j])) <= t for j in range(2)]
     return cp.Problem(cp.Minimize(t), limits).solve(solver=cp.CLARABEL)
 

@@ -12,6 +12,7 @@
 | ``mu`` | structured singular value of a matrix, from both sides: ``mu_upper``, ``mu_lower`` |
 | ``interconnection`` | Fig. 1's generalised plant from weights, three uncertainty structures |
 | ``dk`` | D-K iteration, order reduction, ``certify`` for any controller |
+| ``margins`` | gain, phase, delay and disk margins of one loop, and those promised for a set of loops |
 | ``limits`` | the level that no controller of any order goes below |
 | ``worst_case`` | the worst Δ of size 1 as a stable system |
 | ``table``, ``cases`` | cells of Table II; the paper case beside the paper's and the reference's numbers |

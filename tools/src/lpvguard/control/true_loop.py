@@ -1,0 +1,172 @@
+"""What the loop really has, beside what its certificate promises, at a speed and an amplitude of the demand
+(THEORY 7.5).
+
+True: the loop closed around a response that was measured, with the controller at that speed. Promised: the
+least margins over all loops that the certificate is about, the nominal model with |delta| <= W_delta. W_delta
+is taken at (2/Ts) tan(omega Ts/2), as Tustin's map of the plant has it.
+
+A measured response goes from the demand of a sample to the outputs at the sample instants, before the demand
+changes. Hold, actuator delay and actuator lag are in it. The controller's one sample of delay is in the
+controller (``Scheduled`` is strictly proper), so the loop holds each delay once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..base.errors import InputError
+from ..core.scheduled import Scheduled
+from ..engine.synthesis.margins import (
+    LoopMargins,
+    Response,
+    guaranteed,
+    margins,
+    of_samples,
+)
+from ..engine.synthesis.statespace import StateSpace
+from ..identify.run import StoredIdentification
+from ..vehicle.nominal import NominalModel
+from .input_limit import turning_limit
+from .plants import design_settings
+
+LATERAL_ACCELERATION_MAX = 4.0
+"""[m/s^2] Predicted steady; above it tyres are no longer near linear, and roads are not driven so."""
+PROMISED_GRID = 400
+LAST = 1 - 1e-6
+"""Of half the sampling frequency: how far the promise is looked at."""
+
+
+@dataclass(frozen=True)
+class MeasuredResponse:
+    """Sines at one speed and amplitude. ``v`` [m/s]; ``asked``, ``amplitude``: wanted and driven amplitude of
+    the demand; ``omega`` (K,) [rad/s]; ``G`` (K, n_y) complex, outputs per demand."""
+
+    v: float
+    asked: float
+    amplitude: float
+    omega: np.ndarray
+    G: np.ndarray
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """Where |delta_j| / W_delta is largest: ``output`` j by name, ``omega`` [rad/s], ``delta`` = |G_j/P_j -
+    1|, ``W_delta`` there."""
+
+    output: str
+    omega: float
+    delta: float
+    W_delta: float
+
+    @property
+    def ratio(self) -> float:
+        """|delta| / W_delta; above 1 the truck is not in the certified set."""
+        return self.delta / self.W_delta
+
+
+@dataclass(frozen=True)
+class TrueLoop:
+    """At one speed ``v`` [m/s] and amplitude: the loop's margins and a deviation for each output.
+
+    ``asked``, ``amplitude``: as in ``MeasuredResponse``.
+    """
+
+    v: float
+    asked: float
+    amplitude: float
+    margins: LoopMargins
+    deviations: tuple[Deviation, ...]
+
+
+class CertifiedLoop:
+    """The nominal loop of a design with its uncertainty weight.
+
+    Negative feedback: L_j = -K_j P_j for output j, L their sum, broken at the vehicle's input. InputError
+    unless the vehicle has one input and the structure is K_i, whose certificate is about W_delta alone.
+    """
+
+    def __init__(self, stored: StoredIdentification, schedule: Scheduled):
+        structure = design_settings(stored).structure
+        if structure != "K_i":
+            raise InputError(
+                f"vehicle {stored.project.name}",
+                "design.structure",
+                f"{structure}, whose certificate is not about W_delta alone",
+                "K_i",
+            )
+        self.stored, self.schedule = stored, schedule
+        self.model = NominalModel(stored.project)
+        self.outputs = [signal.name for signal in stored.project.outputs]
+
+    def amplitudes(self, v: float, asked: Sequence[float]) -> list[float]:
+        """Each of ``asked``, reduced to where the predicted steady lateral acceleration v |G_r(0)| u is
+        LATERAL_ACCELERATION_MAX; the yaw rate r is the first output."""
+        edge = float(turning_limit(self.model, LATERAL_ACCELERATION_MAX, np.array([v]))[0, 0])
+        return [min(u, edge) for u in asked]
+
+    def W_delta(self, omega: np.ndarray) -> np.ndarray:
+        """The certified weight (K, n_delta) at ``omega`` (K,) [rad/s] of the sampled loop; n_delta is 1 (one
+        delta for all outputs) or n_y."""
+        warped = 2 / self.model.Ts * np.tan(omega * self.model.Ts / 2)
+        return self.stored.fitted.at(warped)[0]
+
+    def promised(self, v: float) -> LoopMargins | None:
+        """The least margins over every vehicle within W_delta at speed ``v`` [m/s]; None where one of them is
+        unstable."""
+        K = self._controller(v)
+        last = LAST * np.pi / self.model.Ts
+
+        def parts(omega: np.ndarray) -> np.ndarray:
+            return -_feedback(K, omega) * self._nominal(omega, v)
+
+        def radius(omega: np.ndarray) -> np.ndarray:
+            W = self.W_delta(omega)
+            return (np.abs(parts(omega).reshape(*W.shape, -1).sum(axis=2)) * W).sum(axis=1)
+
+        grid = np.concatenate([[0.0], np.geomspace(1e-3, last, PROMISED_GRID)])
+        return guaranteed(lambda omega: parts(omega).sum(axis=1), radius, grid)
+
+    def true(self, measured: MeasuredResponse) -> TrueLoop:
+        """The loop around a measured response. Between its samples G/P is interpolated, K and P are exact;
+        below the first sample G/P is constant."""
+        v, omega = measured.v, measured.omega
+        K = self._controller(v)
+        ratio = measured.G / self._nominal(omega, v)
+        true_over_nominal: list[Response] = [of_samples(omega, column) for column in ratio.T]
+
+        def loop(at: np.ndarray) -> np.ndarray:
+            G = self._nominal(at, v) * np.column_stack([part(at) for part in true_over_nominal])
+            return -(_feedback(K, at) * G).sum(axis=1)
+
+        delta = np.abs(ratio - 1)
+        W = np.broadcast_to(self.W_delta(omega), delta.shape)
+        worst = np.argmax(delta / W, axis=0)
+        return TrueLoop(
+            v,
+            measured.asked,
+            measured.amplitude,
+            margins(loop, np.concatenate([[0.0], omega])),
+            tuple(
+                Deviation(name, float(omega[k]), float(delta[k, j]), float(W[k, j]))
+                for j, (name, k) in enumerate(zip(self.outputs, worst, strict=True))
+            ),
+        )
+
+    def _nominal(self, omega: np.ndarray, v: float) -> np.ndarray:
+        """(K, n_y) nominal response, input delay included."""
+        return self.model.frequency_response(omega, v)[..., 0]
+
+    def _controller(self, v: float) -> StateSpace:
+        """The controller at speed v [m/s]; InputError unless it is stable, which Nyquist's count needs."""
+        K = self.schedule.at(v)
+        if K.stability_margin() <= 0:
+            raise InputError("controller", f"v = {v:g} m/s", "has an unstable pole", "stable poles")
+        return K
+
+
+def _feedback(K: StateSpace, omega: np.ndarray) -> np.ndarray:
+    """(K, n_y) response of the controller from the outputs; its first input is the reference."""
+    return K.response(omega)[:, 0, 1:]
