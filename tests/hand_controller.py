@@ -59,6 +59,6 @@ def hand_controller(project: Project) -> dict:
         "a": a.tolist(),
         "B": B.tolist(),
         "L": L.tolist(),
-        "u_max": [3.0] * model.n_u,
+        "u_max": (np.array([3.0, 2.5])[: model.n_u] * (speeds[0] / speeds[:, None]) ** 0.25).tolist(),
         "rate_max": [20.0] * model.n_u,
     }

@@ -43,7 +43,8 @@ public:
             Sum sum;
             sum.add(C_[node][i], C_[node + 1U][i], x_, n);
             const lpvg_real_t v = sum.at(weight), rate = r.rate_max[i] * period;
-            const lpvg_real_t target = v > r.u_max[i] ? r.u_max[i] : (v < -r.u_max[i] ? -r.u_max[i] : v);
+            const lpvg_real_t top = r.u_max[node][i] + weight * (r.u_max[node + 1U][i] - r.u_max[node][i]);
+            const lpvg_real_t target = v > top ? top : (v < -top ? -top : v);
             u[i] = target > u[i] + rate ? u[i] + rate : (target < u[i] - rate ? u[i] - rate : target);
             excess[i] = u[i] - v;
         }

@@ -179,7 +179,8 @@ void run_margin() {
             E[j] = {0.3F * target_input[k - 3U][y], 0.1F * target_input[k - 5U][y]};
         }
         const std::size_t b = k % LPVG_NBINS;
-        part.run([&] { sink = lpvg::Margin<lpvg_real_t, LPVG_NY>(E, Z, lpvg_coeff.reals.W_delta[b], lpvg_coeff.reals.B_w[b])(); });
+        part.run(
+            [&] { sink = lpvg::Margin<lpvg_real_t, LPVG_NY, LPVG_NDELTA>(E, Z, lpvg_coeff.reals.W_delta[b], lpvg_coeff.reals.B_w[b])(); });
     }
     part.write();
 }
@@ -228,7 +229,7 @@ void run_dense_controller() {
         part.run([&] { dense.step(sample.speed, m); });
         worst = std::max(worst, std::fabs(dense.u[0] - demands[k]));
     }
-    require(worst <= 1e-4F * lpvg_control_coeff.reals.u_max[0], "the dense controller asks for something else\n");
+    require(worst <= 1e-4F * lpvg_control_coeff.reals.u_max[0][0], "the dense controller asks for something else\n");
     part.write();
 }
 

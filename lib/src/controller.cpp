@@ -37,6 +37,12 @@ Place place(const lpvg_control_reals_t& r, Real speed) {
     return {node, position - static_cast<Real>(node)};
 }
 
+// Largest |demand i| at a place between the nodes.
+Real limit_at(const lpvg_control_reals_t& r, const Place& at, std::size_t i) {
+    const Real below = r.u_max[at.node][i];
+    return below + at.weight * (r.u_max[at.node + 1U][i] - below);
+}
+
 // What drives the states, q = (m, u - v), split between the node below and the one above: weighing q once saves
 // interpolating every coefficient.
 struct Drive {
@@ -197,7 +203,7 @@ extern "C" lpvg_status_t lpvg_control_step(lpvg_control_t* self, lpvg_real_t spe
     Real excess[nu];
     bool limited = false;
     for (std::size_t i = 0; i < nu; ++i) {
-        const Real target = !active ? Real(0) : towards(Real(0), v[i], r.u_max[i]);
+        const Real target = !active ? Real(0) : towards(Real(0), v[i], limit_at(r, at, i));
         self->u[i] = towards(self->u[i], target, r.rate_max[i] * period);
         excess[i] = self->u[i] - v[i];
         limited = limited || excess[i] < Real(0) || excess[i] > Real(0);

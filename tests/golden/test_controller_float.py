@@ -17,12 +17,17 @@ import scipy.linalg as sl
 
 from lpvguard.base import native
 from lpvguard.base.artefacts import write_files
+from lpvguard.control.input_limit import input_limit, rule
 from lpvguard.core.compiled import library_root, shipped_vehicle
 from lpvguard.core.control_coefficients import build_controller, replaced_controller
 from lpvguard.core.scheduled import realisation
+from lpvguard.vehicle.nominal import NominalModel
+from lpvguard.vehicle.project import load_project
 
 SOURCE = Path(__file__).with_name("control_run.cpp")
 ALLOWED = 1e-4
+RANGE = load_project("truck").design.input_max[0]
+"""Of the demand [bar]: what the actuator gives, whatever the limit at a speed."""
 
 
 class Controller:
@@ -56,7 +61,7 @@ class Controller:
     def arrays(self) -> dict[str, np.ndarray]:
         """The coefficients by the names of ``build_controller``."""
         n, n_m, n_g, n_u = self.n, self.n_m, self.n_g, self.n_u
-        counts = np.cumsum([2, n_u, n_u, n, 2 * n, n_g * n_u * n * (n_m + n_u)])
+        counts = np.cumsum([2, n_g * n_u, n_u, n, 2 * n, n_g * n_u * n * (n_m + n_u)])
         values = np.zeros(counts[-1])
         self.lib.control_coefficients(_pointer(values))
         ends, u_max, rate_max, a, _, BL = np.split(values, counts[:-1])
@@ -66,7 +71,7 @@ class Controller:
             "a": a,
             "B": BL[..., :n_m],
             "L": BL[..., n_m:],
-            "u_max": u_max,
+            "u_max": u_max.reshape(n_g, n_u),
             "rate_max": rate_max,
         }
 
@@ -120,7 +125,7 @@ def pair(request, tmp_path_factory):
         folder,
         replaced_controller((folder / "lpvguard_vehicle.h").read_text(), build_controller(Ts, **arrays)),
     )
-    return Controller(folder, double=False), Controller(folder, double=True), arrays
+    return Controller(folder, double=False), Controller(folder, double=True)
 
 
 def drive(
@@ -137,20 +142,20 @@ def drive(
 @pytest.mark.requirement("REQ-CTL-1")
 @pytest.mark.parametrize(("size", "limited_share"), [(0.01, 0.0), (0.3, 0.3)], ids=["free", "saturated"])
 def test_float_is_within_1e4_of_the_range(pair, size, limited_share):
-    single, double, arrays = pair
+    single, double = pair
     n = round(600 / single.Ts)
     speed, m = drive(np.random.default_rng(1), 0.0, n, single.Ts, size)
     engaged = np.arange(n) % round(100 / single.Ts) < round(90 / single.Ts)  # released for 10 s at a time
     single.start(), double.start()
     (u, limited), (exact, _) = single.run(speed, m, engaged), double.run(speed, m, engaged)
     assert limited >= limited_share * engaged.sum() and np.abs(exact).max() > 0.1
-    assert np.abs(u - exact).max() <= ALLOWED * arrays["u_max"].min()
+    assert np.abs(u - exact).max() <= ALLOWED * RANGE
 
 
 @pytest.mark.requirement("REQ-CTL-1")
 @pytest.mark.parametrize("pair", [0.01], indirect=True)
 def test_float_does_not_drift_in_1e7_samples_and_forgets_a_burst(pair):
-    single, double, arrays = pair
+    single, double = pair
     rng, chunk = np.random.default_rng(2), 100_000
     single.start(), double.start()
     errors = []
@@ -160,6 +165,40 @@ def test_float_does_not_drift_in_1e7_samples_and_forgets_a_burst(pair):
             m[:1000] *= 500
         engaged = np.ones(chunk, bool)
         errors.append(np.abs(single.run(speed, m, engaged)[0] - double.run(speed, m, engaged)[0]).max())
-    errors = np.array(errors) / arrays["u_max"].min()
+    errors = np.array(errors) / RANGE
     assert errors.max() <= ALLOWED
     assert errors[90:].max() <= 2 * errors[:10].max()
+
+
+@pytest.mark.requirement("REQ-CTL-2")
+@pytest.mark.parametrize("double", [False, True], ids=["float", "double"])
+def test_the_demand_is_nowhere_above_the_rule_of_the_input_limit(double, tmp_path):
+    """A demand that follows its limit at once, at 1000 random speeds. From 15 m/s on it falls as 1/v."""
+    project = load_project("truck")
+    B = [
+        [entry.replace("p6", "p6*v/15") if isinstance(entry, str) else entry for entry in row]
+        for row in project.model.B
+    ]
+    model = NominalModel(project.model_copy(update={"model": project.model.model_copy(update={"B": B})}))
+    speeds = np.linspace(*model.speed_range, 8)
+    settings = project.design.model_copy(update={"input_max": [2.0]})
+    u_max = input_limit(model, settings, speeds)
+    wanted = np.zeros((8, 1, 1, 1 + model.n_y))
+    wanted[..., 0] = 1.0  # one sample late: no state but the delay
+    controller = build_controller(
+        model.Ts, speeds, np.array([-1.0]), wanted, np.zeros((8, 1, 1, 1)), u_max, np.array([1e6])
+    )
+    folder = tmp_path / "truck"
+    shutil.copytree(shipped_vehicle("truck"), folder)
+    write_files(folder, replaced_controller((folder / "lpvguard_vehicle.h").read_text(), controller))
+    compiled = Controller(folder, double=double)
+    rng = np.random.default_rng(6)
+    v = rng.uniform(*model.speed_range, 1000).astype(np.float32).astype(float)
+    m = np.zeros((1000, 1 + model.n_y))
+    m[:, 0] = 50.0 * rng.choice([-1.0, 1.0], 1000)
+    compiled.start()
+    u, limited = compiled.run(v, m, np.ones(1000, bool))
+    size, allowed = np.abs(u[1:, 0]), rule(model, settings, v[1:])[:, 0]
+    assert limited == 999 and (np.sign(u[1:, 0]) == np.sign(m[:-1, 0])).all()
+    assert (size <= allowed).all() and (size >= 0.95 * allowed).all()
+    assert (allowed < 2.0).sum() > 100 and (size == 2.0).sum() > 100

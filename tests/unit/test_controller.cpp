@@ -8,6 +8,7 @@
 #include <limits>
 #include <vector>
 
+#include "control_limits.hpp"
 #include "lpvguard/controller.h"
 
 namespace {
@@ -30,6 +31,18 @@ lpvg_control_coeff_t sealed(const std::function<void(lpvg_control_coeff_t&)>& ch
     return coeff;
 }
 
+// The same controller with limits that differ from node to node and from input to input: sharp steps down and up.
+lpvg_control_coeff_t with_scheduled_limits() {
+    return sealed([](lpvg_control_coeff_t& c) {
+        for (std::size_t g = 0; g < LPVG_NG; ++g) {
+            for (std::size_t i = 0; i < nu; ++i) {
+                const Real share = g % 2U == 0U ? Real(1) : Real(0.25);
+                c.reals.u_max[g][i] *= share + Real(0.01) * static_cast<Real>(g + 3U * i);
+            }
+        }
+    });
+}
+
 void check_refused(const lpvg_control_coeff_t* coeff, lpvg_status_t want) {
     CHECK(lpvg_control_coeff_check(coeff) == want);
     lpvg_control_t control, before;
@@ -43,10 +56,11 @@ void check_refused(const lpvg_control_coeff_t* coeff, lpvg_status_t want) {
 struct Reference {
     static constexpr std::size_t n = nu * nk;
     using Matrix = std::vector<std::vector<double>>;
+    const lpvg_control_reals_t& reals;
     Matrix A1 = Matrix(n, std::vector<double>(n, 0.0)), C = Matrix(nu, std::vector<double>(n, 0.0));
     std::vector<double> x = std::vector<double>(n, 0.0), u = std::vector<double>(nu, 0.0);
 
-    Reference() {
+    explicit Reference(const lpvg_control_coeff_t& coeff) : reals(coeff.reals) {
         for (std::size_t i = 0; i < nu; ++i) {
             for (std::size_t j = 0; j < nk; ++j) {
                 const std::size_t head = j / 2 * 2;
@@ -62,8 +76,7 @@ struct Reference {
     }
 
     void step(double speed, const std::vector<double>& m) {
-        const double low = static_cast<double>(reals.speed_min), high = static_cast<double>(reals.speed_max);
-        const double position = (std::fmin(std::fmax(speed, low), high) - low) / (high - low) * (LPVG_NG - 1);
+        const double position = node_position(reals, speed);
         const auto g = static_cast<std::size_t>(std::fmin(std::floor(position), LPVG_NG - 2));
         const double w = position - static_cast<double>(g);
         std::vector<double> q = m, next = x;
@@ -72,7 +85,7 @@ struct Reference {
             for (std::size_t j = 0; j < n; ++j) {
                 v += C[i][j] * x[j];
             }
-            const double rate = static_cast<double>(reals.rate_max[i]) * period_s, top = static_cast<double>(reals.u_max[i]);
+            const double rate = static_cast<double>(reals.rate_max[i]) * period_s, top = limit_at(reals, speed, i);
             const double inside = std::fmin(std::fmax(v, -top), top);
             u[i] = std::fmin(std::fmax(inside, u[i] - rate), u[i] + rate);
             q.push_back(u[i] - v);
@@ -105,8 +118,10 @@ Real mid_speed() { return (reals.speed_min + reals.speed_max) / Real(2); }
 TEST_CASE("the law equals a dense recursion in double, within 1e-4 of its range, also against the limits",
           "[unit][controller][REQ-CTL-1]") {
     const double scale = GENERATE(0.02, 0.5);  // the second one saturates
-    lpvg_control_t control = ready();
-    Reference reference;
+    const bool scheduled = GENERATE(false, true);
+    const lpvg_control_coeff_t coeff = scheduled ? with_scheduled_limits() : lpvg_control_coeff;
+    lpvg_control_t control = ready(coeff);
+    Reference reference(coeff);
     double worst = 0.0;
     for (int k = 0; k < 20000; ++k) {
         const double low = static_cast<double>(reals.speed_min), high = static_cast<double>(reals.speed_max);
@@ -117,10 +132,10 @@ TEST_CASE("the law equals a dense recursion in double, within 1e-4 of its range,
         reference.step(static_cast<double>(static_cast<Real>(speed)), same);
         for (std::size_t i = 0; i < nu; ++i) {
             const double error = std::fabs(static_cast<double>(control.u[i]) - reference.u[i]);
-            worst = std::fmax(worst, error / static_cast<double>(reals.u_max[i]));
+            worst = std::fmax(worst, error / largest_limit(reals, i));
         }
     }
-    CAPTURE(worst);
+    CAPTURE(worst, scheduled);
     CHECK(worst <= (sizeof(Real) == 4U ? 1e-4 : 1e-12));
     CHECK((scale < 0.1 || control.limited > 1000U));
 }
@@ -132,23 +147,80 @@ TEST_CASE("demand and its change never exceed their limits, engaged or not", "[u
         const std::vector<Real> m = measurement(k % 500 < 250 ? 50.0 : 0.01, k);
         REQUIRE(lpvg_control_step(&control, mid_speed(), m.data(), k % 70 < 50) == lpvg_status_ok);
         for (std::size_t i = 0; i < nu; ++i) {
-            REQUIRE(std::fabs(control.u[i]) <= reals.u_max[i]);
-            REQUIRE(static_cast<double>(std::fabs(control.u[i] - before[i])) <=
-                    static_cast<double>(reals.rate_max[i]) * period_s * (1.0 + 1e-4));
+            REQUIRE(static_cast<double>(std::fabs(control.u[i])) <= limit_at(reals, static_cast<double>(mid_speed()), i) * rounding);
+            REQUIRE(static_cast<double>(std::fabs(control.u[i] - before[i])) <= largest_change(lpvg_control_coeff, i) * (1.0 + 1e-4));
             before[i] = control.u[i];
         }
     }
 }
 
-TEST_CASE("released, the demand is zero after at most u_max / rate_max", "[unit][controller][REQ-CTL-3]") {
+TEST_CASE("overdriven, the demand stands at the limit of the speed: at nodes, between them and beyond", "[unit][controller][REQ-CTL-2]") {
+    const lpvg_control_coeff_t coeff = with_scheduled_limits();
+    const lpvg_control_reals_t& r = coeff.reals;
+    const Real sign = GENERATE(Real(1), Real(-1));
+    std::vector<Real> m(nm, Real(0));
+    m[0] = sign * Real(50);
+    for (int place = -1; place <= 4 * (LPVG_NG - 1) + 1; ++place) {  // four places a cell, and one beyond either end
+        const Real speed = r.speed_min + (r.speed_max - r.speed_min) * static_cast<Real>(place) / Real(4 * (LPVG_NG - 1));
+        lpvg_control_t control = ready(coeff);
+        for (int k = 0; k < 400; ++k) {
+            REQUIRE(lpvg_control_step(&control, speed, m.data(), true) == lpvg_status_ok);
+        }
+        const double want = limit_at(r, static_cast<double>(speed), 0U);
+        CAPTURE(place, want);
+        CHECK(std::fabs(static_cast<double>(std::fabs(control.u[0])) - want) <= 1e-6 * want);
+        const auto node = static_cast<std::size_t>(place < 0 ? 0 : std::min(place / 4, LPVG_NG - 1));
+        if (place < 0 || place % 4 == 0 || place > 4 * (LPVG_NG - 1)) {
+            CHECK(std::fabs(static_cast<double>(std::fabs(control.u[0]) - r.u_max[node][0])) <= 1e-6 * want);
+        }
+        const auto settled = static_cast<double>(std::fabs(control.u[0]));
+        CHECK((control.limited >= 1U && settled > 0.0));
+    }
+}
+
+TEST_CASE("a speed that moves or jumps makes no jump of the demand, and its limit is met at the rate limit",
+          "[unit][controller][REQ-CTL-2]") {
+    const lpvg_control_coeff_t coeff = with_scheduled_limits();
+    const lpvg_control_reals_t& r = coeff.reals;
+    const int hold = GENERATE(1, 7, 100);  // samples between jumps
+    lpvg_control_t control = ready(coeff);
+    std::vector<Real> before(nu, Real(0));
+    std::size_t above = 0, longest = 0, in_a_row = 0, at_limit = 0;
+    for (int k = 0; k < 20000; ++k) {
+        const std::vector<Real> m = measurement(k % 5000 < 4000 ? 50.0 : 0.01, k);
+        const double share = 0.5 + 0.6 * std::sin(2.4 * (k / hold));  // NOLINT: jumps of every size
+        const Real speed = r.speed_min + static_cast<Real>(share) * (r.speed_max - r.speed_min);
+        REQUIRE(lpvg_control_step(&control, speed, m.data(), k % 700 < 600) == lpvg_status_ok);
+        bool any = false;
+        for (std::size_t i = 0; i < nu; ++i) {
+            REQUIRE(within_limits(coeff, static_cast<double>(speed), i, before[i], control.u[i]));
+            const double size = static_cast<double>(std::fabs(control.u[i])), top = limit_at(r, static_cast<double>(speed), i);
+            any = any || size > top * 1.001;
+            at_limit += std::fabs(size - top) <= 1e-6 * top ? 1U : 0U;
+            before[i] = control.u[i];
+        }
+        above += any ? 1U : 0U;
+        in_a_row = any ? in_a_row + 1U : 0U;
+        longest = std::max(longest, in_a_row);
+    }
+    CAPTURE(above, longest, at_limit);
+    CHECK(above > 0U);  // a jump that the rate limit cannot follow at once
+    CHECK((hold < 100 || at_limit > 1000U));
+    double bound = 0.0;
+    for (std::size_t i = 0; i < nu; ++i) {
+        bound = std::fmax(bound, largest_limit(r, i) / largest_change(coeff, i));
+    }
+    CHECK((hold < 100 || static_cast<double>(longest) <= std::ceil(bound)));
+}
+
+TEST_CASE("released, the demand is zero after at most the largest u_max / rate_max", "[unit][controller][REQ-CTL-3]") {
     lpvg_control_t control = ready();
     const std::vector<Real> m = measurement(50.0, 40);
     for (int k = 0; k < 300; ++k) {
         REQUIRE(lpvg_control_step(&control, mid_speed(), m.data(), true) == lpvg_status_ok);
     }
-    CHECK(std::fabs(control.u[0]) == reals.u_max[0]);
-    const auto steps =
-        static_cast<int>(std::ceil(static_cast<double>(reals.u_max[0]) / (static_cast<double>(reals.rate_max[0]) * period_s)));
+    CHECK(static_cast<double>(std::fabs(control.u[0])) * rounding >= limit_at(reals, static_cast<double>(mid_speed()), 0U));
+    const auto steps = static_cast<int>(std::ceil(largest_limit(reals, 0U) / largest_change(lpvg_control_coeff, 0U)));
     for (int k = 0; k <= steps; ++k) {
         REQUIRE(lpvg_control_step(&control, mid_speed(), m.data(), false) == lpvg_status_ok);
     }
@@ -193,10 +265,11 @@ double seconds_at_the_limit(const lpvg_control_coeff_t& coeff) {
     for (int k = 0; k < 6000; ++k) {
         REQUIRE(lpvg_control_step(&control, mid_speed(), m.data(), true) == lpvg_status_ok);
     }
-    REQUIRE(std::fabs(control.u[0]) == reals.u_max[0]);
+    const double top = limit_at(reals, static_cast<double>(mid_speed()), 0U);
+    REQUIRE(static_cast<double>(std::fabs(control.u[0])) * rounding >= top);
     m[0] = Real(0);
     int steps = 0;
-    while (std::fabs(control.u[0]) > Real(0.9) * reals.u_max[0] && steps < 6000) {
+    while (static_cast<double>(std::fabs(control.u[0])) > 0.9 * top && steps < 6000) {
         REQUIRE(lpvg_control_step(&control, mid_speed(), m.data(), true) == lpvg_status_ok);
         ++steps;
     }
@@ -251,7 +324,7 @@ TEST_CASE("a state that grew beyond the numbers is cleared", "[unit][controller]
         refused = lpvg_control_step(&control, mid_speed(), m.data(), true) == lpvg_status_bad_sample || refused;
         for (std::size_t i = 0; i < nu; ++i) {
             REQUIRE(std::isfinite(control.u[i]));
-            REQUIRE(std::fabs(control.u[i]) <= reals.u_max[i]);
+            REQUIRE(static_cast<double>(std::fabs(control.u[i])) <= limit_at(reals, static_cast<double>(mid_speed()), i) * rounding);
         }
     }
     CHECK(refused);
@@ -296,7 +369,12 @@ TEST_CASE("foreign, damaged and impossible controller coefficients are refused b
         {"period", lpvg_status_bad_value, [](lpvg_control_coeff_t& c) { c.words.sample_period_us = 0U; }},
         {"speed", lpvg_status_bad_value, [](lpvg_control_coeff_t& c) { c.reals.speed_min = Real(0); }},
         {"speeds", lpvg_status_bad_value, [](lpvg_control_coeff_t& c) { c.reals.speed_max = c.reals.speed_min; }},
-        {"limit", lpvg_status_bad_value, [](lpvg_control_coeff_t& c) { c.reals.u_max[0] = Real(0); }},
+        {"first limit", lpvg_status_bad_value, [](lpvg_control_coeff_t& c) { c.reals.u_max[0][0] = Real(0); }},
+        {"last limit", lpvg_status_bad_value, [](lpvg_control_coeff_t& c) { c.reals.u_max[LPVG_NG - 1][nu - 1] = Real(-1); }},
+        {"least limit", lpvg_status_ok,
+         [](lpvg_control_coeff_t& c) { c.reals.u_max[LPVG_NG - 1][nu - 1] = std::numeric_limits<Real>::denorm_min(); }},
+        {"largest limits", lpvg_status_ok,
+         [](lpvg_control_coeff_t& c) { c.reals.u_max[0][0] = c.reals.u_max[1][0] = std::numeric_limits<Real>::max(); }},
         {"rate", lpvg_status_bad_value, [](lpvg_control_coeff_t& c) { c.reals.rate_max[LPVG_NU - 1] = Real(-1); }},
     };
     for (std::size_t i = 0; i < 4U; ++i) {
@@ -305,7 +383,11 @@ TEST_CASE("foreign, damaged and impossible controller coefficients are refused b
     for (const Case& test : cases) {
         CAPTURE(test.what);
         const lpvg_control_coeff_t coeff = sealed(test.change);
-        check_refused(&coeff, test.want);
+        if (test.want == lpvg_status_ok) {
+            CHECK(lpvg_control_coeff_check(&coeff) == lpvg_status_ok);
+        } else {
+            check_refused(&coeff, test.want);
+        }
     }
     lpvg_control_coeff_t altered = lpvg_control_coeff;
     altered.reals.BL[0][0][0][0] += Real(1);

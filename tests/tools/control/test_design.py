@@ -57,7 +57,7 @@ def test_the_certificate_is_proved_anew_and_an_altered_coefficient_is_refused(st
     stage.verify(path, stored)
     document = json.loads(path.read_text())
     random = np.random.default_rng(3)
-    for key in ("a", "B"):
+    for key in ("a", "B", "u_max"):
         changed = np.array(document[key])
         biggest = np.argsort(np.abs(changed).ravel())[-3:]
         index = np.unravel_index(random.choice(biggest), changed.shape)
@@ -67,9 +67,15 @@ def test_the_certificate_is_proved_anew_and_an_altered_coefficient_is_refused(st
         with pytest.raises(InputError, match="coefficients_sha256"):
             stage.verify(tmp_path / "controller.json", stored)
     (tmp_path / "controller.json").write_text(
-        json.dumps({**document, "u_max": [2 * x for x in document["u_max"]]})
+        json.dumps({**document, "u_max": [[2 * x for x in node] for node in document["u_max"]]})
     )
     with pytest.raises(InputError, match="seal: does not fit"):
+        stage.verify(tmp_path / "controller.json", stored)
+    with pytest.raises(InputError, match=r"u_max: .* of the project's limits"):
+        stage.verify(path, with_settings(stored, lateral_acceleration_max_mps2=5.0))
+    flat = {**document, "u_max": np.ravel(document["u_max"]).tolist()}  # the same bytes in another shape
+    (tmp_path / "controller.json").write_text(artefacts.to_json(artefacts.sealed(flat)))
+    with pytest.raises(InputError, match=r"u_max: .* of the project's limits"):
         stage.verify(tmp_path / "controller.json", stored)
     # With a sum that fits, the proof is what refuses.
     changed = np.array(document["a"])
@@ -120,7 +126,6 @@ def test_what_is_claimed_of_a_moving_speed_is_what_was_proved(stored, designed, 
         stage.verify(tmp_path / "controller.json", stored)
 
 
-@pytest.mark.xdist_group("other structures")
 def test_the_largest_A_t_comes_near_the_dc_floor(stored, monkeypatch):
     monkeypatch.setattr(stage, "A_T_RTOL", 0.4)
     found = stage.largest_A_t(stored)
@@ -180,7 +185,6 @@ def test_another_unit_of_time_leaves_the_loop_of_K_is_as_it_was(stored, factor):
     assert np.abs(as_if_dimensionless - want).max() > 1e-2 * np.abs(want).max()
 
 
-@pytest.mark.xdist_group("other structures")  # a design of its own, beside the others on another worker
 @pytest.mark.parametrize("structure", ["K_inf", "K_is"])
 def test_the_other_structures_go_from_design_to_the_closed_loop(stored, tmp_path, monkeypatch, structure):
     stored = with_exact_frames(stored)
@@ -231,7 +235,7 @@ def test_a_controller_that_has_common_poles_is_met(stored, designed):
     """The fit's own result, given as what is to be met at every node, comes back within what its ridge
     costs."""
     result, _ = designed
-    schedule, model, settings = result.schedule, NominalModel(stored.project), stored.project.design
+    schedule, model = result.schedule, NominalModel(stored.project)
     loops = [
         FrozenLoop(
             schedule.at(v),
@@ -240,7 +244,7 @@ def test_a_controller_that_has_common_poles_is_met(stored, designed):
         )
         for v in schedule.speeds
     ]
-    again = fit(loops, schedule.speeds, result.scaling, len(schedule.a) // 2, np.array(settings.input_max))
+    again = fit(loops, schedule.speeds, result.scaling, len(schedule.a) // 2, schedule.u_max)
     omega = np.logspace(-2, np.log10(np.pi / schedule.Ts), 50)
     for v in schedule.speeds:
         wanted = schedule.at(v).response(omega)
@@ -278,8 +282,8 @@ class SaturatedLoop:
     def __init__(self, result, model, v, settings):
         schedule = result.schedule
         self.vehicle, self.K = stage.vehicle_at(model, v, schedule.Ts), schedule.at(v)
-        self.L, self.Ts = schedule._between(schedule.L, v)[:, 0], schedule.Ts
-        self.u_max, self.rate = settings.input_max[0], settings.input_rate_max_per_s[0] * schedule.Ts
+        self.L, self.Ts = schedule._rows(schedule.L, v)[:, 0], schedule.Ts
+        self.u_max, self.rate = schedule.limit(v)[0], settings.input_rate_max_per_s[0] * schedule.Ts
         self.top = (
             self.vehicle.C @ np.linalg.solve(np.eye(self.vehicle.order) - self.vehicle.A, self.vehicle.B)
         )[0, 0] * self.u_max

@@ -3,6 +3,8 @@ without a jump."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
@@ -24,7 +26,12 @@ def schedule():
     rng = np.random.default_rng(4)
     a = first_columns(THETA, TS)
     return Scheduled(
-        TS, np.linspace(8.0, 22.0, 4), a, rng.standard_normal((4, 2, len(a), 3)), np.zeros((4, 2, len(a), 2))
+        TS,
+        np.linspace(8.0, 22.0, 4),
+        a,
+        rng.standard_normal((4, 2, len(a), 3)),
+        np.zeros((4, 2, len(a), 2)),
+        np.array([[6.0, 1.0], [5.0, 2.0], [3.0, 4.0], [2.0, 8.0]]),
     )
 
 
@@ -53,6 +60,21 @@ def test_between_nodes_the_response_is_the_mean_of_the_nodes(schedule):
     assert middle.shape == (3, 2, 3)
     np.testing.assert_allclose(middle, (low + high) / 2, rtol=1e-9)
     np.testing.assert_array_equal(schedule.at(99.0).B, schedule.at(22.0).B)
+
+
+def test_the_limit_is_that_of_the_node_and_between_nodes_their_line(schedule):
+    for v, wanted in zip(schedule.speeds, schedule.u_max, strict=True):
+        np.testing.assert_allclose(schedule.limit(v), wanted, rtol=1e-12)
+    third = schedule.speeds[1] + (schedule.speeds[2] - schedule.speeds[1]) / 4
+    np.testing.assert_allclose(schedule.limit(third), [4.5, 2.5], rtol=1e-12)
+    for outside, node in ((0.0, 0), (99.0, -1)):
+        np.testing.assert_array_equal(schedule.limit(outside), schedule.u_max[node])
+
+
+def test_the_digest_is_of_every_coefficient(schedule):
+    arrays = ("speeds", "a", "B", "L", "u_max")
+    others = [replace(schedule, **{key: getattr(schedule, key) + 1e-9}) for key in arrays]
+    assert len({s.digest() for s in [schedule, replace(schedule, Ts=0.02), *others]}) == 7
 
 
 def test_engaging_meets_both_samples_by_the_likeliest_change(schedule):
@@ -119,14 +141,14 @@ def test_two_inputs_are_met_by_poles_common_to_both():
     speeds = np.linspace(1.0, 2.0, 3)
     loops = [two_input_loop(v) for v in speeds]
     assert all(lft(loop.plant.system, loop.controller).stability_margin() > 0 for loop in loops)
-    schedule = fit(loops, speeds, Scaling(np.zeros((0, 1))), 2, np.array([2.0, 1.0]))
+    schedule = fit(loops, speeds, Scaling(np.zeros((0, 1))), 2, np.tile([2.0, 1.0], (3, 1)))
     omega = np.logspace(-1, 2, 40)
     for v, loop in zip(speeds, loops, strict=False):
         wanted = loop.controller.response(omega)
         assert np.abs(schedule.at(v).response(omega) - wanted).max() <= 1e-3 * np.abs(wanted).max()
         assert schedule.injection_radius(v) < 1
     coefficients = build_controller(
-        TS, speeds, schedule.a, schedule.B, schedule.L, np.array([2.0, 1.0]), np.array([9.0, 9.0])
+        TS, speeds, schedule.a, schedule.B, schedule.L, schedule.u_max, np.array([9.0, 9.0])
     )
     assert coefficients.sizes == {"NK": 5, "NM": 3, "NG": 3} and coefficients.reals["BL"].shape == (
         3,
@@ -139,9 +161,12 @@ def test_two_inputs_are_met_by_poles_common_to_both():
 def test_under_limits_the_law_is_that_of_model_recovery():
     """Demands held at zero under a step of the reference: L alone against the recursion with the vehicle's
     lag xi in it."""
-    speeds, u_max = np.linspace(1.0, 2.0, 3), np.array([2.0, 1.0])
-    schedule = fit([two_input_loop(v) for v in speeds], speeds, Scaling(np.zeros((0, 1))), 5, u_max)
-    K, vehicle, L = schedule.at(1.5), two_input_loop(1.5).vehicle, schedule._between(schedule.L, 1.5)
+    speeds, node = np.linspace(1.0, 2.0, 3), 1
+    limits = np.array([[2.0, 1.0], [1.0, 3.0], [5.0, 0.2]])  # each node's L is about its own
+    schedule = fit([two_input_loop(v) for v in speeds], speeds, Scaling(np.zeros((0, 1))), 5, limits)
+    np.testing.assert_array_equal(schedule.u_max, limits)
+    u_max = limits[node]
+    K, vehicle, L = schedule.at(1.5), two_input_loop(1.5).vehicle, schedule._rows(schedule.L, 1.5)
     A, B, C = vehicle.A, vehicle.B, vehicle.C
     top = (C @ np.linalg.solve(np.eye(2) - A, B))[0] * u_max
     Q, R = np.outer(C[0], C[0]) / (top @ top), RECOVERY_EFFORT * np.diag(u_max**-2.0)

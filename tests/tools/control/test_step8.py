@@ -82,7 +82,7 @@ def test_bounds_of_the_deciding_frames_are_near_those_identified(problem):
     rule = frames.gamma_rule(bounds["nu_ceiling"])
     np.testing.assert_allclose(rule[known], bounds["gamma_rule"][known], rtol=2.5 * NEAR)
     split = frames.explain(bounds["gamma_w"])
-    np.testing.assert_allclose(split.nu_i[known], bounds["nu"][known], atol=2 * NEAR)
+    np.testing.assert_allclose(split.nu_i[known], bounds["nu"][known, 0], atol=2 * NEAR)
 
 
 def test_state_uncertainty_takes_over_what_lambda_leaves_to_it(problem):

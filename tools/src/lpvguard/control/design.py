@@ -25,6 +25,7 @@ from scipy.optimize import minimize_scalar
 
 from ..base import artefacts
 from ..base.errors import InputError
+from ..core.control_coefficients import load_controller
 from ..core.scheduled import Scheduled
 from ..engine.synthesis import interconnection as fig1
 from ..engine.synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis
@@ -43,6 +44,7 @@ from ..engine.synthesis.statespace import StateSpace, series, zero_order_hold
 from ..identify.run import Progress, StoredIdentification
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import DesignSettings
+from .input_limit import input_limit
 from .plants import design_settings, fig1_weights, frozen_plant, plant_at
 from .schedule import FrozenLoop, fit
 
@@ -169,15 +171,15 @@ def _designed(
         return plant_at(stored, model, weights, v, False, settings.structure)
 
     loops = {float(v): loop_at(v) for v in check}
-    input_max = np.array(settings.input_max)
+    u_max = input_limit(model, settings, speeds)
     frozen = [
         FrozenLoop(_with_delay(K), loops[float(v)], vehicle_at(model, v, stored.project.Ts_s))
         for v, K in zip(speeds, at_order(full_order), strict=False)
     ]
     best, found, found_pairs = None, None, 0
-    for pairs in range(FEWEST_PAIRS, MOST_PAIRS // len(input_max) + 1):
+    for pairs in range(FEWEST_PAIRS, MOST_PAIRS // model.n_u + 1):
         progress(f"{pairs} pairs of poles")
-        schedule = fit(frozen, speeds, scaling, pairs, input_max)
+        schedule = fit(frozen, speeds, scaling, pairs, u_max)
         if not all(schedule.injection_radius(v) < 1 for v in loops):
             continue
         worst = _worst_level(schedule, loops, scaling, np.inf if best is None else best)
@@ -294,7 +296,8 @@ def _certificates(
 def verify(path: Path, stored: StoredIdentification) -> None:
     """Prove the certificates of a controller.json anew, for its coefficients as they stand and these weights.
 
-    InputError names the speed at which the loop is unstable or a stated number is not the one proved.
+    InputError names the speed at which the loop is unstable or a stated number is not the one proved, or the
+    objective or the limits of the input that are not the project's.
     """
     settings = stored.project.design
     document = artefacts.read_json(path)
@@ -311,15 +314,11 @@ def verify(path: Path, stored: StoredIdentification) -> None:
         raise InputError(
             path,
             "certificates.coefficients_sha256",
-            "not that of speeds, a, B and L",
+            "not that of speeds, a, B, L and u_max",
             "the coefficients that were certified",
         )
     model, weights = NominalModel(stored.project), fig1_weights(stored, settings)
-    for key in ("structure", "A_t", "A_u"):
-        if stated[key] != getattr(settings, key):
-            raise InputError(
-                path, f"certificates.{key}", repr(stated[key]), f"{getattr(settings, key)!r}, the project's"
-            )
+    _require_settings(path, stated, schedule, settings, model)
     rows = [*stated["speeds"], stated["off_grid"]]
     loops = {
         row["v_mps"]: plant_at(stored, model, weights, row["v_mps"], False, settings.structure)
@@ -346,6 +345,22 @@ def verify(path: Path, stored: StoredIdentification) -> None:
                 f"|dv/dt| up to {lpv['rate_mps2']:.4g} m/s2",
                 "the coefficients, weights and P that were certified",
             )
+
+
+def _require_settings(
+    path: Path, stated: dict, schedule: Scheduled, settings: DesignSettings, model: NominalModel
+) -> None:
+    """InputError unless objectives and input limits are those of the project."""
+    for key in ("structure", "A_t", "A_u"):
+        if stated[key] != getattr(settings, key):
+            raise InputError(
+                path, f"certificates.{key}", repr(stated[key]), f"{getattr(settings, key)!r}, the project's"
+            )
+    limits = input_limit(model, settings, schedule.speeds)
+    if schedule.u_max.shape != limits.shape or not np.allclose(schedule.u_max, limits, rtol=1e-9, atol=0):
+        raise InputError(
+            path, "u_max", f"{schedule.u_max.tolist()}", f"{limits.tolist()}, of the project's limits"
+        )
 
 
 def _compare(
@@ -425,6 +440,15 @@ def _row(v: float, proved: RobustPerformance) -> dict[str, float]:
     }
 
 
+def require_designed_for(stored: StoredIdentification, controller: Path) -> None:
+    """InputError where controller.json cannot be read or was designed for another identification."""
+    load_controller(controller)
+    if artefacts.read_manifest(controller.parent, "design")["identification"] != stored.manifest:
+        raise InputError(
+            controller.parent, "identification", "is another one", f"a design of {stored.folder}"
+        )
+
+
 def faulted_performance(
     path: Path, stored: StoredIdentification, v: float, applied: StateSpace, measured: StateSpace
 ) -> float:
@@ -452,13 +476,13 @@ def save(
     settings, schedule = design_settings(stored), result.schedule
     controller = {
         "kind": "controller",
-        "schema": 2,
+        "schema": 3,
         "Ts_s": schedule.Ts,
         "speeds": schedule.speeds,
         "a": schedule.a,
         "B": schedule.B,
         "L": schedule.L,
-        "u_max": settings.input_max,
+        "u_max": schedule.u_max,
         "rate_max": settings.input_rate_max_per_s,
         "certificates": {
             "claim": "frozen speeds, float32 coefficients, interpolated, closed with the nominal model and "

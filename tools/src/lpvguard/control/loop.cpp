@@ -34,7 +34,10 @@ int64_t lpvgb_closed_loop(const int64_t* sizes, const double* A, const double* B
     const std::size_t n_in = n_w + LPVG_NU, n_out = n_z + LPVG_NM;
     lpvg_control_coeff_t coeff = lpvg_control_coeff;
     for (std::size_t i = 0; i < LPVG_NU; ++i) {
-        coeff.reals.u_max[i] = coeff.reals.rate_max[i] = std::numeric_limits<lpvg_real_t>::max() / 4;
+        coeff.reals.rate_max[i] = std::numeric_limits<lpvg_real_t>::max() / 4;
+        for (auto& node : coeff.reals.u_max) {
+            node[i] = coeff.reals.rate_max[i];
+        }
     }
     coeff.words.crc32 = lpvg_control_coeff_crc32(&coeff);
     lpvg_control_t control{};

@@ -62,9 +62,17 @@ def state_uncertainty(stored: StoredIdentification, settings: DesignSettings) ->
 def fig1_weights(stored: StoredIdentification, settings: DesignSettings) -> fig1.PlantWeights:
     """The ten weights of Fig. 1 for ``settings``: structure, A_t, A_u and shapes; the others as identified.
 
-    InputError without drives of the noise split.
+    InputError without drives of the noise split, and where every output has a Delta of its own: Fig. 1 has
+    one.
     """
     fitted = stored.fitted
+    if len(fitted.W_delta) > 1:
+        raise InputError(
+            stored.folder,
+            "bounds.structure",
+            f"{len(fitted.W_delta)} blocks Delta, one an output",
+            "S0 or S1: Fig. 1 has one Delta",
+        )
     if not fitted.W_n or not fitted.W_C:
         raise InputError(
             stored.folder,
@@ -74,8 +82,8 @@ def fig1_weights(stored: StoredIdentification, settings: DesignSettings) -> fig1
         )
     W_w, W_delta_i, W_delta_s = (
         fitted.W_w_S0 if settings.structure == "K_inf" else fitted.W_w,
-        fitted.W_delta,
-        fitted.W_delta,
+        fitted.W_delta[0],
+        fitted.W_delta[0],
     )
     if settings.structure == "K_is":
         state = state_uncertainty(stored, settings)

@@ -38,8 +38,8 @@ RIDGE = 1e-6
 other."""
 RECOVERY_RIDGE = 1e-4
 RECOVERY_EFFORT = 0.03
-"""Weight of the recovery's input, in u_max, against the output, in what u_max makes of it in the end; in
-squares."""
+"""Weight of the recovery's input, in the node's u_max, against the output, in what u_max makes of it in the
+end; in squares."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,8 @@ def fit(
     """The schedule of ``pairs`` pairs of poles and a delay that comes nearest to the controllers of
     ``loops``, one a speed.
 
-    u_max (n_u,): largest demand. Raises LinAlgError where a loop's sensitivity or recovery does not exist.
+    u_max (G, n_u): largest |demand| at every speed [input unit]. Raises LinAlgError where a loop's
+    sensitivity or recovery does not exist.
     """
     Ts = loops[0].controller.dt
     omega = np.concatenate([[0.0], np.logspace(-5, 0, FIT_POINTS) * np.pi / Ts * (1 - 1e-9)])
@@ -80,8 +81,10 @@ def fit(
     a = first_columns(found.x, Ts)
     n_u = loops[0].controller.n_outputs
     B = np.array([f.rows(a, z) for f in fits]).reshape(len(loops), n_u, len(a), -1)
-    L = np.array([_recovery(loop.vehicle, a, rows, u_max, z) for loop, rows in zip(loops, B, strict=False)])
-    return Scheduled(Ts, np.asarray(speeds, float), a, B, L)
+    L = np.array(
+        [_recovery(loop.vehicle, a, rows, top, z) for loop, rows, top in zip(loops, B, u_max, strict=True)]
+    )
+    return Scheduled(Ts, np.asarray(speeds, float), a, B, L, np.asarray(u_max, float))
 
 
 def _rates(K: StateSpace) -> np.ndarray:
@@ -165,7 +168,7 @@ def _recovery(
     vehicle: StateSpace, a: np.ndarray, B: np.ndarray, u_max: np.ndarray, z: np.ndarray
 ) -> np.ndarray:
     """L (n_u, n, n_u) at one speed (the module's docstring), B (n_u, n, 1 + n_y) without the reference's
-    column."""
+    column, u_max (n_u,)."""
     A_p, B_p, C_p = vehicle.A, vehicle.B, vehicle.C
     eye, n_u = np.eye(len(A_p)), len(u_max)
     in_the_end = (C_p @ np.linalg.solve(eye - A_p, B_p))[0] * u_max

@@ -11,7 +11,8 @@ Reads   controller.json, written by `lpvguard design`:
                                         them
             B (NG, NU, NK, NM)          numerators; measurements: reference, then outputs
             L (NG, NU, NK, NU)          anti-windup injection, A - L C stable at every node and between
-            u_max (NU,), rate_max (NU,) limits of the demand [input unit], [input unit/s]
+            u_max (NG, NU)              largest |demand| [input unit]
+            rate_max (NU,)              its largest change [input unit/s]
             certificates                optional, kept in the manifest as it is
 """
 
@@ -76,8 +77,8 @@ def build_controller(
     origin: dict[str, Any] | None = None,
     where: object = "controller",
 ) -> ControllerCoefficients:
-    """Coefficients of a scheduled controller: a (NK,), B (NG, NU, NK, NM), L (NG, NU, NK, NU), limits (NU,).
-    InputError names ``where``, the array and what is wrong with it."""
+    """Coefficients of a scheduled controller: a (NK,), B (NG, NU, NK, NM), L (NG, NU, NK, NU), u_max (NG,
+    NU), rate_max (NU,). InputError names ``where``, the array and what is wrong with it."""
     arrays = {
         key: np.asarray(value, float)
         for key, value in zip(ARRAYS, (speeds, a, B, L, u_max, rate_max), strict=False)
@@ -89,7 +90,7 @@ def build_controller(
     except np.linalg.LinAlgError as error:
         raise InputError(where, "a", str(error), "stable poles") from None
     sizes = dict(zip(CONTROL_SIZES, (len(a), B.shape[3], len(speeds)), strict=False))
-    words = {**CONTROL.head(sizes | {"NU": len(u_max)}), "sample_period_us": round(Ts_s * 1e6)}
+    words = {**CONTROL.head(sizes | {"NU": len(rate_max)}), "sample_period_us": round(Ts_s * 1e6)}
     reals = {
         "speed_min": speeds[0],
         "speed_max": speeds[-1],
@@ -160,7 +161,7 @@ def _check(where: object, Ts_s: float, arrays: dict[str, np.ndarray]) -> None:
     n_g, n_u, n_k, n_m = len(speeds), B.shape[1], len(a), B.shape[3]
     if not 1 <= n_u * n_k <= MAX_STATES:
         refuse("a", f"{n_u * n_k} states", f"1 to {MAX_STATES} of all demands")
-    shapes = {"B": (n_g, n_u, n_k, n_m), "L": (n_g, n_u, n_k, n_u), "u_max": (n_u,), "rate_max": (n_u,)}
+    shapes = {"B": (n_g, n_u, n_k, n_m), "L": (n_g, n_u, n_k, n_u), "u_max": (n_g, n_u), "rate_max": (n_u,)}
     for key, shape in shapes.items():
         if arrays[key].shape != shape:
             refuse(key, f"shape {arrays[key].shape}", f"shape {shape}")
@@ -170,7 +171,7 @@ def _check(where: object, Ts_s: float, arrays: dict[str, np.ndarray]) -> None:
     for key in ("u_max", "rate_max"):
         if not (arrays[key] > 0).all():
             refuse(key, f"{arrays[key].tolist()}", "positive limits")
-    schedule = Scheduled(Ts_s, speeds, a, B, arrays["L"])
+    schedule = Scheduled(Ts_s, speeds, a, B, arrays["L"], arrays["u_max"])
     radius = max(schedule.injection_radius(v) for v in np.linspace(speeds[0], speeds[-1], 2 * n_g - 1))
     if radius >= 1.0:
         refuse(
