@@ -19,7 +19,7 @@ PERIODS, BINS_PER_DECADE, SHORTEST = 6, 50, 332
 @dataclass(frozen=True)
 class Sizes:
     """States, inputs, outputs, bins (DC included), whole samples of input delay, controller states of each
-    demand."""
+    demand; class of the model error."""
 
     n_x: int
     n_u: int
@@ -27,6 +27,7 @@ class Sizes:
     bins: int
     delay: int = 0
     n_k: int = 1
+    structure: str = "S1"
 
 
 def synthetic_project(sizes: Sizes, name: str = "synthetic") -> Project:
@@ -87,7 +88,7 @@ def synthetic_project(sizes: Sizes, name: str = "synthetic") -> Project:
                 if sizes.bins > 2
                 else f_max * (1 - 1e-9),
             },
-            "bounds": {"nu_ceiling": {"f_hz": [1.0], "nu": [0.3]}},
+            "bounds": {"structure": sizes.structure, "nu_ceiling": {"f_hz": [1.0], "nu": [0.3]}},
             "weights": {},
             "frame_test": {"excited_std": 0.1},
             "data": {"bound_split": ["train"]},
@@ -116,6 +117,6 @@ def synthetic_controller(sizes: Sizes, *, nodes: int = 5) -> ControllerCoefficie
         a,
         B,
         np.zeros((nodes, sizes.n_u, sizes.n_k, sizes.n_u)),
-        np.full(sizes.n_u, 6.0),
+        6.0 * np.add.outer(np.linspace(1.0, 0.6, nodes) ** 2, 0.1 * np.arange(sizes.n_u)),
         np.full(sizes.n_u, 40.0),
     )

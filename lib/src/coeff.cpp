@@ -33,15 +33,21 @@ bool energy_fits(const lpvg_coeff_reals_t& r) {
         }
         below = corner;
     }
-    for (const auto& section : r.energy_W) {
-        good = good && stable(section);
+    for (const auto& weight : r.energy_W) {
+        for (const auto& section : weight) {
+            good = good && stable(section);
+        }
     }
     for (const auto& direction : r.energy_direction) {
-        lpvg_real_t sum = lpvg_real_t(0);
+        lpvg_real_t sum = lpvg_real_t(0), largest = lpvg_real_t(0);
         for (const lpvg_real_t a : direction) {
-            sum += a < lpvg_real_t(0) ? -a : a;
+            const lpvg_real_t size = a < lpvg_real_t(0) ? -a : a;
+            sum += size;
+            largest = size > largest ? size : largest;
         }
         good = good && sum > lpvg_real_t(0.9999) && sum < lpvg_real_t(1.0001);
+        // No sum of outputs is bounded where each has a Delta of its own.
+        good = good && (LPVG_NDELTA == 1 || !(largest < sum));
     }
     return good;
 }

@@ -19,7 +19,8 @@ inline bool sizes_match(const lpvg_coeff_words_t& f) {
            f.sizes[6] == LPVG_NVARYING &&
            f.sizes[7] == LPVG_NWEIGHT &&
            f.sizes[8] == LPVG_NDIRECTIONS &&
-           f.sizes[9] == LPVG_NBANDS;
+           f.sizes[9] == LPVG_NBANDS &&
+           f.sizes[10] == LPVG_NDELTA;
 }
 
 inline bool items_in_range(const lpvg_coeff_words_t& f) {

@@ -4,7 +4,7 @@
 // their relative precision in float, however slow the poles are. So does the forgetting as x - k x with k = 1 - rho^2.
 //
 // The bands are made by a low-pass at each corner and differences, so they sum to the signal itself. W_delta commutes with them and acts
-// first, once for all bands.
+// first, once for all bands. With one Delta an output the directions are single outputs, and each has its own W_delta.
 #include "lpvguard/energy.h"
 
 #include <Eigen/Core>
@@ -15,14 +15,15 @@ namespace {
 
 using Real = lpvg_real_t;
 constexpr int ny = LPVG_NY;
+constexpr int group = LPVG_NY / LPVG_NDELTA;  // outputs that one Delta is common to
 constexpr std::size_t last = LPVG_NBANDS - 1;
 template <int N>
 using Row = Eigen::Array<Real, N, 1>;
 
-// One section for all outputs: values in place.
-void section(const Real* c, Row<ny>& x, Real (*state)[LPVG_NY]) {
-    Eigen::Map<Row<ny>> first(state[0]), second(state[1]);
-    const Row<ny> y = c[0] * x + first;
+// One section for the outputs of one Delta: values in place.
+void section(const Real* c, Real* values, Real* before, Real* before_that) {
+    Eigen::Map<Row<group>> x(values), first(before), second(before_that);
+    const Row<group> y = c[0] * x + first;
     first += c[1] * x - c[3] * y + second;
     second += c[2] * x - c[4] * y;
     x = y;
@@ -84,18 +85,23 @@ extern "C" void lpvg_energy_advance(lpvg_energy_t* self, const lpvg_coeff_t* coe
     const lpvg_coeff_reals_t& r = coeff->reals;
     Row<3 * ny> whole;  // e, yhat, W_delta yhat
     whole.template head<2 * ny>() = Eigen::Map<const Row<2 * ny>>(signal);
-    Row<ny> weighted = whole.template segment<ny>(ny);
-    for (std::size_t s = 0; s < LPVG_NWEIGHT; ++s) {
-        section(r.energy_W[s], weighted, self->W[s]);
+    whole.template tail<ny>() = whole.template segment<ny>(ny);
+    for (std::size_t d = 0; d < LPVG_NDELTA; ++d) {
+        const std::size_t j = d * group;
+        for (std::size_t s = 0; s < LPVG_NWEIGHT; ++s) {
+            section(r.energy_W[d][s], whole.data() + (2 * ny) + j, self->W[s][0] + j, self->W[s][1] + j);
+        }
     }
-    whole.template tail<ny>() = weighted;
     Row<3 * ny> filtered[LPVG_NBANDS];
     filtered[last] = whole;
     for (std::size_t b = last; b > 0U; --b) {
         filtered[b - 1U] = low_pass<3 * ny>(r.energy_corner[b - 1U], filtered[b], self->F[b - 1U]);
         filtered[b] -= filtered[b - 1U];
     }
-    filtered[last].template tail<ny>() = r.energy_above * filtered[last].template segment<ny>(ny);
+    for (int d = 0; d < LPVG_NDELTA; ++d) {
+        filtered[last].template segment<group>(2 * ny + d * group) =
+            r.energy_above[d] * filtered[last].template segment<group>(ny + d * group);
+    }
     for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
         lpvg_energy_band_t& band = self->band[b];
         const Real* const x = filtered[b].data();

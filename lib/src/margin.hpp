@@ -1,20 +1,26 @@
-// margin.hpp -- exact margin t* of one frame (T17): a weighted 1-centre problem of n_y + 1 discs in the plane.
+// margin.hpp -- exact margin t* of one frame (T17). With one Delta common to all outputs it is a weighted 1-centre problem of
+// n_y + 1 discs in the plane:
 //
 //     t* = min over complex d of max( |d| / W, |E_j - d Z_j| / B_j )
 //
-// At the optimum two or three of the terms are equal to t*. So d is one of finitely many candidates, each in closed form:
+// With one Delta an output (S1_diagonal, and one output alone) each d_j is found by itself, and no candidate is needed:
+//
+//     t* = max over j of |E_j| / (B_j + W_j |Z_j|)
+//
+// At the optimum of the first two or three of the terms are equal to t*. So d is one of finitely many candidates, each in closed form:
 //   two terms i, j:   d on the segment between E_i/Z_i and E_j/Z_j, dividing it as the radii B_i/|Z_i|, B_j/|Z_j| do;
 //   three terms:      d makes them equal: a quadratic equation, solved from d = 0 and twice more from the d so found.
 // Centres E_j/Z_j and radii are never formed: an output with a small Z_j has both far out, and differences of them cancel.
 // Every candidate is *evaluated*, and the least maximum is returned. Z_j = 0 needs no gate: its term does not depend on d.
 //
-// t* > 1: no one complex number d with |d| <= W and no disturbance within B explain this frame in this bin. It does not refute
+// t* > 1: no one complex number d (no d_j) with |d| <= W and no disturbance within B explain this frame in this bin. It does not refute
 // every causal Delta of a certificate: one with memory is no such number (tools/README.md).
 //
 // Accuracy (tests/unit/test_margin.cpp, against a certified long double reference). The evaluation of E_j - d Z_j itself
 // rounds, by a part of |E_j|/B_j; no method in one number type avoids that. What is returned is therefore lowered by
 // 6 units of rounding of max |E_j|/B_j: rounding alone never raises an alarm. In float t* is never above the exact margin,
-// and at most 1e-6 of max |E_j|/B_j below it. Relative to t* that is 1e-6 (1 + max W |Z_j|/B_j) at most; of one output, 2e-6.
+// and at most 1e-6 of max |E_j|/B_j below it. Relative to t* that is 1e-6 (1 + max W |Z_j|/B_j) at most. With one Delta an
+// output nothing cancels: t* is lowered by 6 units of its own size, and is at most 1.1e-6 of itself below.
 // Range: |E_j|/B_j from 1e-9 to 1e9, and W |Z_j|/B_j up to 2e4. The units of an output scale E_j, Z_j and B_j together, from
 // 1e-30 to 1e30. Beyond, a candidate may be lost and results err upward; what is not finite reads infinity.
 #pragma once
@@ -23,6 +29,7 @@
 #include <cmath>
 #include <cstddef>
 #include <limits>
+#include <type_traits>
 
 namespace lpvg {
 
@@ -60,17 +67,21 @@ constexpr Real cross(Complex2<Real> a, Complex2<Real> b) {
     return a.re * b.im - a.im * b.re;
 }
 
-/// Margin of one frame with NY outputs. W > 0, B_j > 0; E and Z finite.
+/// What rounding may have added to a margin, in parts of max |E_j|/B_j; it is taken off.
+template <class Real>
+constexpr Real margin_rounding = Real(6) * std::numeric_limits<Real>::epsilon();
+
+/// Margin of one frame with NY outputs that one Delta is common to. W points to one number > 0, B to NY; E and Z finite.
 template <class Real, std::size_t NY>
-class Margin {
+class CommonMargin {
 public:
     using C = Complex2<Real>;
 
-    Margin(const C* E, const C* Z, Real W, const Real* B) : W_(W) {
+    CommonMargin(const C* E, const C* Z, const Real* W, const Real* B) : W_(*W) {
         for (std::size_t j = 0; j < NY; ++j) {
             const Real unit = Real(1) / B[j];
             E_[j] = unit * E[j];
-            Z_[j] = (W * unit) * Z[j];
+            Z_[j] = (W_ * unit) * Z[j];
             size_[j] = squared(Z_[j]);
             gain_[j] = std::sqrt(size_[j]);
             pull_[j] = (gain_[j] > Real(0) ? Real(1) / gain_[j] : Real(0)) * (E_[j] * conj(Z_[j]));
@@ -85,7 +96,7 @@ public:
 
     /// The work in two parts: the least squared maximum over d = 0 and the pairs ...
     Real with_pairs() {
-        consider_zero();
+        consider({Real(0), Real(0)});
         for (std::size_t i = 0; i < NY; ++i) {
             for (std::size_t j = i + 1; j <= NY; ++j) {
                 pair(i, j);
@@ -131,19 +142,6 @@ private:
         }
         for (std::size_t j = 0; j < NY; ++j) {
             const Real f = squared(E_[j] - d * Z_[j]);
-            if (!(f < best_)) {
-                return;
-            }
-            worst = f > worst ? f : worst;
-        }
-        best_ = worst;
-    }
-
-    // d = 0. The products with Z are there for what is not finite.
-    void consider_zero() {
-        Real worst = Real(0);
-        for (std::size_t j = 0; j < NY; ++j) {
-            const Real f = squared(E_[j] - Real(0) * Z_[j]);
             if (!(f < best_)) {
                 return;
             }
@@ -203,14 +201,8 @@ private:
         return bottom > Real(0) ? origin + p + (top / bottom) * q : origin;
     }
 
-    // t* from its square, less what rounding of the evaluation may have added. One output needs no candidate: t* is
-    // |E| / (1 + |Z|), where nothing cancels.
+    // t* from its square, less what rounding of the evaluation may have added.
     Real lowered() const {
-        constexpr Real unit = Real(6) * std::numeric_limits<Real>::epsilon();
-        if constexpr (NY == 1) {
-            const Real t = std::sqrt(squared(E_[0])) / (Real(1) + gain_[0]);
-            return best_ < std::numeric_limits<Real>::infinity() ? (Real(1) - unit) * t : best_;
-        }
         Real largest = Real(0);
         for (std::size_t j = 0; j < NY; ++j) {
             const Real f = squared(E_[j]);
@@ -220,9 +212,55 @@ private:
         if (!(largest < std::numeric_limits<Real>::infinity())) {
             return t;  // beyond the range: upward
         }
-        const Real rounding = unit * std::sqrt(largest);
+        const Real rounding = margin_rounding<Real> * std::sqrt(largest);
         return t > rounding ? t - rounding : Real(0);
     }
 };
+
+/// Margin of one frame with NY outputs, each with a Delta of its own: every output for itself. W and B point to NY numbers > 0.
+template <class Real, std::size_t NY>
+class SeparateMargin {
+public:
+    using C = Complex2<Real>;
+
+    SeparateMargin(const C* E, const C* Z, const Real* W, const Real* B) : W_(W) {
+        for (std::size_t j = 0; j < NY; ++j) {
+            const Real unit = Real(1) / B[j];
+            size_[j] = squared(unit * E[j]);
+            gain_[j] = std::sqrt(squared((W[j] * unit) * Z[j]));
+        }
+    }
+
+    Real operator()() const {
+        constexpr Real infinity = std::numeric_limits<Real>::infinity();
+        Real largest = Real(0);
+        for (std::size_t j = 0; j < NY; ++j) {
+            if (!(size_[j] < infinity) || !(gain_[j] < infinity)) {
+                return infinity;  // not a number, or beyond the range
+            }
+            const Real t = std::sqrt(size_[j]) / (Real(1) + gain_[j]);
+            largest = t > largest ? t : largest;
+        }
+        return (Real(1) - margin_rounding<Real>)*largest;
+    }
+
+    /// The evidence: the margin had the vehicle not responded, E = -Z.
+    Real dead() const {
+        Real largest = Real(0);
+        for (std::size_t j = 0; j < NY; ++j) {
+            const Real t = gain_[j] / (Real(1) + gain_[j]) / W_[j];
+            largest = t > largest ? t : largest;
+        }
+        return largest;
+    }
+
+private:
+    const Real* W_;
+    std::array<Real, NY> size_, gain_;  // |E|^2 / B^2, W |Z| / B
+};
+
+/// Margin of one frame with NY outputs and ND blocks Delta: one common to all outputs, or one an output.
+template <class Real, std::size_t NY, std::size_t ND>
+using Margin = std::conditional_t<ND == NY, SeparateMargin<Real, NY>, CommonMargin<Real, NY>>;
 
 }  // namespace lpvg

@@ -220,6 +220,29 @@ void falsified_at(lpvg_monitor_t& self, int64_t t_us) {
     self.has_falsified = true;
 }
 
+// Whether all but the last part of the work on a margin was done before; else does the first.
+template <class Margin>
+bool begun(lpvg_monitor_t& self, Margin& margin) {
+    if constexpr (LPVG_NPARTS > 1) {
+        self.parts = 1U - self.parts;
+        if (self.parts > 0U) {
+            self.by_pairs = margin.with_pairs();
+            return false;
+        }
+    }
+    return true;
+}
+
+// The margin, given what the first part found where there are two.
+template <class Margin>
+Real finished(const lpvg_monitor_t& self, Margin& margin) {
+    if constexpr (LPVG_NPARTS > 1) {
+        return margin.with_triples(self.by_pairs);
+    } else {
+        return margin();
+    }
+}
+
 // The next part of the judgement of bin b's frame; whether it was the last.
 bool judge(lpvg_monitor_t& self, std::size_t b) {
     const lpvg_coeff_t& coeff = *self.coeff;
@@ -234,13 +257,10 @@ bool judge(lpvg_monitor_t& self, std::size_t b) {
         E[j] = {bin.frame_re[j], bin.frame_im[j]};
         Z[j] = {bin.frame_re[ny + j], bin.frame_im[ny + j]};
     }
-    lpvg::Margin<Real, ny> margin(E, Z, r.W_delta[b], r.B_w[b]);
-    if (LPVG_NPARTS > 1 && self.parts == 0U) {
-        self.by_pairs = margin.with_pairs();
-        self.parts = 1U;
+    lpvg::Margin<Real, ny, LPVG_NDELTA> margin(E, Z, r.W_delta[b], r.B_w[b]);
+    if (!begun(self, margin)) {
         return false;
     }
-    self.parts = 0U;
     lpvg_frame_t& frame = self.frame;
     const uint32_t sequence = frame.sequence + 1U;
     if (reason != lpvg_reason_none) {
@@ -258,7 +278,7 @@ bool judge(lpvg_monitor_t& self, std::size_t b) {
             frame.Z[j][1] = Z[j].im;
         }
         frame.speed = mean;
-        frame.margin = margin.with_triples(LPVG_NPARTS > 1 ? self.by_pairs : margin.with_pairs());
+        frame.margin = finished(self, margin);
         frame.evidence = margin.dead();
         bin.history[bin.next_history] = frame.margin;
         bin.next_history = bin.next_history + 1U < coeff.words.of_last ? bin.next_history + 1U : 0U;

@@ -46,7 +46,9 @@ def chunks(project, model):
 
 
 @pytest.mark.requirement("REQ-CORE-6")
-@pytest.mark.parametrize("name", ["g80", "truck"])
+@pytest.mark.parametrize(
+    "name", ["g80", pytest.param("truck", marks=pytest.mark.slow("8 s: a core in double"))]
+)
 def test_float_follows_double_to_the_end(name, record_property):
     project = load_project(name)
     model = NominalModel(project)

@@ -35,11 +35,17 @@ CORNERS = [
     (Sizes(40, 2, 4, 64, 3, 20), False),
     (Sizes(40, 2, 4, 64, 3, 20), True),
     (Sizes(7, 1, 3, 17, 1, 40), False),
+    (Sizes(7, 1, 3, 17, 1, 40, "S1_diagonal"), False),
 ]
 GRID = [
-    (Sizes(n_x, n_u, n_y, bins, delay, n_k), double)
-    for (n_x, delay, n_k), n_u, n_y, bins, double in product(
-        [(1, 0, 1), (2, 1, 20), (40, 3, 13)], (1, 2), (1, 2, 3, 4), (2, 64), (False, True)
+    (Sizes(n_x, n_u, n_y, bins, delay, n_k, structure), double)
+    for (n_x, delay, n_k), n_u, n_y, bins, structure, double in product(
+        [(1, 0, 1), (2, 1, 20), (40, 3, 13)],
+        (1, 2),
+        (1, 2, 3, 4),
+        (2, 64),
+        ("S1", "S1_diagonal"),
+        (False, True),
     )
 ]
 CASES = list(dict.fromkeys(CORNERS + (GRID if os.environ.get("LPVGUARD_FULL") == "1" else [])))
@@ -59,16 +65,17 @@ def case(request, tmp_path_factory):
     model = NominalModel(project)
     estimator = Estimator.of(project, model)
     assert estimator.n_bins == sizes.bins and model.delay == sizes.delay
-    W_delta = np.linspace(0.1, 0.3, sizes.bins)
+    each = 1.0 + 0.2 * np.arange(project.n_delta)
+    W_delta = np.outer(np.linspace(0.1, 0.3, sizes.bins), each)
     B_w = np.outer(np.linspace(0.02, 0.01, sizes.bins), 1.0 + np.arange(sizes.n_y))
     folder = tmp_path_factory.mktemp("synthetic") / "synthetic"
     folder.mkdir()
     energy = EnergyTest.design(
         project,
         estimator,
-        Weight([0.3, 0.2, 0.1], [1.0, 1.0, 0.5]),
+        [Weight(factor * np.array([0.3, 0.2, 0.1]), [1.0, 1.0, 0.5]) for factor in each],
         estimator.omega[1:],
-        np.full(sizes.bins - 1, 0.1),
+        np.full((sizes.bins - 1, project.n_delta), 0.1),
         1.0,
     )
     sigma = 0.02 * np.add.outer(np.arange(len(energy.F)), 1.0 + np.arange(sizes.n_y))
@@ -134,9 +141,7 @@ def test_frames_and_margins_equal_the_reference_at_every_size(case):
         assert (np.abs(frames.E[rows] - E) <= allowed).all() and (np.abs(frames.Z[rows] - Z) <= allowed).all()
         # Of the frames as the core has them: what is compared is the margin, not its sensitivity to the
         # frame.
-        t = s1.margin(
-            frames.E[rows], frames.Z[rows], np.full(len(rows), W_delta[b]), np.tile(B_w[b], (len(rows), 1))
-        )
+        t = s1.margin(frames.E[rows], frames.Z[rows], W_delta[b], B_w[b])
         scale = np.abs(frames.E[rows] / B_w[b]).max(axis=1)
         worst = max(worst, float((np.abs(frames.margin[rows] - t) / scale).max()))
     assert worst <= (1e-9 if double else 1.1e-6)  # float: margin.hpp
@@ -161,7 +166,8 @@ def dense(controller, v, m):
         B = ((1 - position + node) * c["BL"][node] + (position - node) * c["BL"][node + 1])[
             :, :, : len(measured)
         ]
-        u = np.clip(np.clip(x @ C, -c["u_max"], c["u_max"]), u - c["rate_max"] * TS, u + c["rate_max"] * TS)
+        top = (1 - position + node) * c["u_max"][node] + (position - node) * c["u_max"][node + 1]
+        u = np.clip(np.clip(x @ C, -top, top), u - c["rate_max"] * TS, u + c["rate_max"] * TS)
         out.append(u)
         x = x + x @ A1.T + B @ measured
     return np.array(out)
@@ -204,6 +210,7 @@ def test_the_controller_equals_the_reference_at_every_size(case, tmp_path):
         ("LPVG_NU", 3, "1..2 inputs"),
         ("LPVG_NY", 5, "1..4 outputs"),
         ("LPVG_NBINS", 65, "2..64 bins"),
+        ("LPVG_NDELTA", 2, "one Delta common to all outputs, or one an output"),
         ("LPVG_NK", 41, "up to 40 states"),
     ],
 )

@@ -1,9 +1,11 @@
 """Inputs of the C++ unit tests, made by the Python package.
 
     generate.py vehicle PROJECT DIR   a vehicle folder as `lpvguard export` writes it, with made-up weights
-                                      and threshold generate.py guarded PROJECT DIR   the same with the
-                                      hand-made controller, called like DIR; without the bus's glue where the
-                                      project gives its signals no place on the bus
+                                      and threshold
+    generate.py separate PROJECT DIR  the same with a Delta for every output, called like DIR
+    generate.py guarded PROJECT DIR   the same as vehicle with the hand-made controller, called like DIR;
+                                      without the bus's glue where the project gives its signals no place on
+                                      the bus
     generate.py golden  PROJECT DIR   golden_model.hpp: a drive, and the nominal output by exact zero-order
                         hold in double
 
@@ -32,14 +34,15 @@ from hand_controller import hand_controller
 
 def vehicle(project, model):
     estimator = Estimator.of(project, model)
-    W_delta = np.linspace(0.1, 0.4, estimator.n_bins)
+    each = 1.0 + 0.5 * np.arange(project.n_delta)
+    W_delta = np.outer(np.linspace(0.1, 0.4, estimator.n_bins), each)
     B_w = np.outer(np.linspace(0.02, 0.01, estimator.n_bins), 1.0 + np.arange(project.n_y))
     energy = EnergyTest.design(
         project,
         estimator,
-        Weight([0.3, 0.2, 0.1], [1.0, 1.0, 0.5]),
+        [Weight(factor * np.array([0.3, 0.2, 0.1]), [1.0, 1.0, 0.5]) for factor in each],
         estimator.omega[1:],
-        np.full(estimator.n_bins - 1, 0.1),
+        np.full((estimator.n_bins - 1, project.n_delta), 0.1),
         1.0,
     )
     sigma = 0.02 * np.add.outer(np.arange(len(energy.F)), 1.0 + np.arange(project.n_y))
@@ -47,6 +50,11 @@ def vehicle(project, model):
     return vehicle_files(
         project, build_coefficients(project, model, estimator, W_delta, B_w, 1.5, energy), {"kind": "test"}
     )
+
+
+def separate(project, model, name):
+    bounds = project.bounds.model_copy(update={"structure": "S1_diagonal"})
+    return vehicle(project.model_copy(update={"name": name, "bounds": bounds}), model)
 
 
 def guarded(project, model, name):
@@ -108,7 +116,12 @@ def main():
     kind, project_name, folder = sys.argv[1:]
     project = load_project(project_name)
     target = Path(folder)
-    makers = {"vehicle": vehicle, "golden": golden, "guarded": partial(guarded, name=target.name)}
+    makers = {
+        "vehicle": vehicle,
+        "separate": partial(separate, name=target.name),
+        "guarded": partial(guarded, name=target.name),
+        "golden": golden,
+    }
     files = makers[kind](project, NominalModel(project))
     target.mkdir(parents=True, exist_ok=True)
     # Unchanged files keep their time, so that configuring again rebuilds nothing.

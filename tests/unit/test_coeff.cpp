@@ -127,13 +127,13 @@ TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]
     };
     cases.push_back({"judged before the frames", [](lpvg_coeff_t& c) { c.words.energy_settle = c.words.settle_samples - 1U; }});
     cases.push_back({"rearm 0", [](lpvg_coeff_t& c) { c.words.energy_rearm = 0U; }});
-    spoilt("nothing above the corners", [](lpvg_coeff_reals_t& r) { r.energy_above = Real(0); });
+    spoilt("nothing above the corners", [](lpvg_coeff_reals_t& r) { r.energy_above[LPVG_NDELTA - 1] = Real(0); });
     spoilt("energy threshold below 1", [](lpvg_coeff_reals_t& r) { r.energy_threshold = Real(0.999); });
     for (std::size_t place = 0; place < LPVG_NWEIGHT; ++place) {
         const auto poles = [&](const char* what, Real a1, Real a2) {
             spoilt(what, [=](lpvg_coeff_reals_t& r) {
-                r.energy_W[place][3] = a1;
-                r.energy_W[place][4] = a2;
+                r.energy_W[LPVG_NDELTA - 1][place][3] = a1;
+                r.energy_W[LPVG_NDELTA - 1][place][4] = a2;
             });
         };
         poles("a pole at z = 1", Real(0.5), Real(0));
@@ -156,12 +156,16 @@ TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]
             a = Real(0);
         }
     });
+    if (LPVG_NDELTA > 1) {
+        spoilt("a sum of outputs that have no common Delta",
+               [](lpvg_coeff_reals_t& r) { r.energy_direction[0][0] = r.energy_direction[0][1] = Real(0.5); });
+    }
     spoilt("a direction too long", [](lpvg_coeff_reals_t& r) { r.energy_direction[0][0] = Real(-1.5); });
     for (std::size_t b : {std::size_t{0}, std::size_t{LPVG_NBINS - 1}}) {
         cases.push_back({"odd frame", [b](lpvg_coeff_t& c) { c.words.frame_length[b] -= 1U; }});
         cases.push_back({"half a frame within the latency", [b](lpvg_coeff_t& c) { c.words.frame_length[b] = 2U * LPVG_NLATENCY; }});
         cases.push_back({"above Nyquist", [b](lpvg_coeff_t& c) { c.words.cycles[b] = c.words.frame_length[b] / 2U; }});
-        cases.push_back({"W_delta 0", [b](lpvg_coeff_t& c) { c.reals.W_delta[b] = Real(0); }});
+        cases.push_back({"W_delta 0", [b](lpvg_coeff_t& c) { c.reals.W_delta[b][LPVG_NDELTA - 1] = Real(0); }});
         cases.push_back({"scale 0", [b](lpvg_coeff_t& c) { c.reals.scale[b] = Real(0); }});
         for (std::size_t j = 0; j < LPVG_NY; ++j) {
             cases.push_back({"B_w 0", [b, j](lpvg_coeff_t& c) { c.reals.B_w[b][j] = Real(0); }});
@@ -184,9 +188,10 @@ TEST_CASE("values at the edge of what is allowed are accepted", "[unit][coeff][R
         const auto small = Real(1e-6);  // what has to be positive has no other lower end
         c.reals.speed_min = c.reals.speed_tolerance = c.reals.threshold = small;
         c.reals.energy_threshold = Real(1);
-        c.reals.energy_above = small;
+        std::fill(std::begin(c.reals.energy_above), std::end(c.reals.energy_above), small);
         for (std::size_t b = 0; b < LPVG_NBINS; ++b) {
-            c.reals.W_delta[b] = c.reals.scale[b] = small;
+            c.reals.scale[b] = small;
+            std::fill(std::begin(c.reals.W_delta[b]), std::end(c.reals.W_delta[b]), small);
             std::fill(std::begin(c.reals.B_w[b]), std::end(c.reals.B_w[b]), small);
         }
         std::fill(std::begin(c.reals.energy_corner), std::end(c.reals.energy_corner), small);

@@ -19,14 +19,16 @@ uint32_t memory() { return static_cast<uint32_t>(std::ceil(1.0 / -std::log(rho()
 
 // W_delta a constant, b(z) = value (z^2) over z^2; sigma the same for all outputs.
 void with_constant_weight(lpvg_coeff_t& c, double weight, double sigma) {
-    for (auto& section : c.reals.energy_W) {
-        const Real chain[5] = {Real(1), Real(2), Real(1), Real(2), Real(1)};
-        std::memcpy(section, chain, sizeof chain);
+    for (std::size_t d = 0; d < LPVG_NDELTA; ++d) {
+        for (auto& section : c.reals.energy_W[d]) {
+            const Real chain[5] = {Real(1), Real(2), Real(1), Real(2), Real(1)};
+            std::memcpy(section, chain, sizeof chain);
+        }
+        for (std::size_t i = 0; i < 3U; ++i) {
+            c.reals.energy_W[d][0][i] *= static_cast<Real>(weight);
+        }
+        c.reals.energy_above[d] = static_cast<Real>(weight);
     }
-    for (std::size_t i = 0; i < 3U; ++i) {
-        c.reals.energy_W[0][i] *= static_cast<Real>(weight);
-    }
-    c.reals.energy_above = static_cast<Real>(weight);
     for (auto& band : c.reals.energy_scale) {
         std::fill(std::begin(band), std::end(band), static_cast<Real>(1.0 / sigma));
     }
@@ -158,7 +160,7 @@ TEST_CASE("each kind of error is told in its own band", "[unit][energy][REQ-MON-
 }
 
 TEST_CASE("errors of opposite sign under one nominal output are seen by the joint form only", "[unit][energy][REQ-MON-14]") {
-    if (LPVG_NY < 2) {
+    if (LPVG_NY < 2 || LPVG_NDELTA > 1) {
         return;
     }
     Fed fed(sealed([](lpvg_coeff_t& c) { with_constant_weight(c, 1.05, 0.01); }));
@@ -180,6 +182,38 @@ TEST_CASE("errors of opposite sign under one nominal output are seen by the join
         joint = std::max(joint, ratio);
     }
     CHECK(joint > 2.0);
+}
+
+TEST_CASE("every output is held against its own weight where it has its own Delta", "[unit][energy][REQ-MON-14]") {
+    // The outputs' errors are 0.9 of what their weights allow, the last output's 1.2.
+    if (LPVG_NDELTA == 1) {
+        return;
+    }
+    Fed fed(sealed([](lpvg_coeff_t& c) {
+        with_constant_weight(c, 1.0, 1e-4);
+        for (std::size_t d = 0; d < LPVG_NDELTA; ++d) {
+            const auto weight = static_cast<Real>(0.2 * static_cast<double>(d + 1U));
+            for (std::size_t i = 0; i < 3U; ++i) {
+                c.reals.energy_W[d][0][i] *= weight;
+            }
+            c.reals.energy_above[d] = weight;
+        }
+    }));
+    double all[4] = {1.0, 1.0, 1.0, 1.0}, error[4] = {};
+    for (std::size_t j = 0; j < LPVG_NY; ++j) {  // signs alternate: no Delta is common to the outputs
+        error[j] = (j + 1U < LPVG_NY ? 0.9 : 1.2) * 0.2 * static_cast<double>(j + 1U) * (j % 2U == 0U ? 1.0 : -1.0);
+    }
+    const double step = 2.0 * pi * 3.0 / words().frame_length[LPVG_NBINS / 2];
+    for (uint32_t k = 0; k < 8U * memory(); ++k) {
+        (void)fed.take(error, std::sin(step * k), all, std::sin(step * k));
+    }
+    for (const auto& a : fed.coeff.reals.energy_direction) {
+        CHECK(single(a));
+        const double ratio = static_cast<double>(lpvg_energy_judge(&fed.energy, &fed.coeff));
+        CHECK(ratio == Approx(a[LPVG_NY - 1] != Real(0) ? 1.2 : 0.9).epsilon(2e-3));
+        const double allowed = 0.2 * static_cast<double>(std::find_if(a, a + LPVG_NY, [](Real x) { return x != Real(0); }) - a + 1);
+        CHECK(lpvg_energy_evidence(&fed.energy, &fed.coeff) == Approx(1.0 / allowed).epsilon(2e-3));
+    }
 }
 
 TEST_CASE("a restart stays sound because the right sum starts with what Delta may remember", "[unit][energy][REQ-MON-14]") {

@@ -162,7 +162,8 @@ double margin(const Problem& p) {
         Z[j] = {static_cast<Real>(p.Z[j].real()), static_cast<Real>(p.Z[j].imag())};
         B[j] = static_cast<Real>(p.B[j]);
     }
-    return static_cast<double>(lpvg::Margin<Real, NY>(E, Z, static_cast<Real>(p.W), B)());
+    const auto W = static_cast<Real>(p.W);
+    return static_cast<double>(lpvg::Margin<Real, NY, 1>(E, Z, &W, B)());
 }
 
 template <class Real>
@@ -249,6 +250,7 @@ struct Error {
 };
 
 constexpr double float_below = 1e-6;  // as margin.hpp states; above: nothing
+constexpr double separate_below = 1.1e-6;  // of the margin itself, with a Delta an output
 
 void check_against_reference(const std::vector<Problem>& problems) {
     Error in_float, in_double;
@@ -312,6 +314,68 @@ TEST_CASE("one output: |E| / (B + W |Z|), and |E| / B where Z = 0", "[unit][marg
         CHECK(std::fabs(margin<double>(p) - want) <= 2e-15 * worst_term(p, 0.0));
         p.Z[0] = 0.0;
         CHECK(margin<double>(p) == Approx(std::abs(p.E[0]) / p.B[0]).epsilon(1e-14));
+    }
+}
+
+namespace {
+
+// Every output with a Delta of its own: the margin in long double, of the frame as the number type has it, and what the core
+// says of it.
+template <class Real, std::size_t NY>
+void check_separate(unsigned seed, int count, double below) {
+    Random random(seed);
+    double above = -std::numeric_limits<double>::infinity(), least = 0.0, dead = 0.0;
+    for (int i = 0; i < count; ++i) {
+        lpvg::Complex2<Real> E[NY], Z[NY];
+        Real W[NY], B[NY];
+        Long want = 0, gone = 0;
+        for (std::size_t j = 0; j < NY; ++j) {
+            const Problem p = hard_problem(random, 1U);
+            E[j] = {static_cast<Real>(p.E[0].real()), static_cast<Real>(p.E[0].imag())};
+            Z[j] = {static_cast<Real>(p.Z[0].real()), static_cast<Real>(p.Z[0].imag())};
+            W[j] = static_cast<Real>(p.W);
+            B[j] = static_cast<Real>(p.B[0]);
+            const Long e = std::hypot(Long(E[j].re), Long(E[j].im)), z = std::hypot(Long(Z[j].re), Long(Z[j].im));
+            want = std::max(want, e / (Long(B[j]) + Long(W[j]) * z));
+            gone = std::max(gone, z / (Long(B[j]) + Long(W[j]) * z));
+        }
+        const lpvg::Margin<Real, NY, NY> margin(E, Z, W, B);
+        if (want > 0) {
+            const Long got = margin();
+            above = std::max(above, static_cast<double>((got - want) / want));
+            least = std::max(least, static_cast<double>((want - got) / want));
+        }
+        dead = std::max(dead, std::fabs(static_cast<double>((Long(margin.dead()) - gone) / std::max(gone, Long(1e-300)))));
+    }
+    CAPTURE(NY, above, least, dead);
+    CHECK(above <= 0.0);
+    CHECK(least <= below);
+    CHECK(dead <= below);
+}
+
+}  // namespace
+
+// 10^6 frames a size, in all.
+TEST_CASE("with a Delta an output the margin is the worst output's, never above it", "[unit][margin][REQ-MON-3]") {
+    check_separate<float, 1>(41U, 1000000, separate_below);
+    check_separate<float, 2>(42U, 1000000, separate_below);
+    check_separate<float, 3>(43U, 1000000, separate_below);
+    check_separate<float, 4>(44U, 1000000, separate_below);
+    check_separate<double, 2>(45U, 100000, 4e-15);
+}
+
+TEST_CASE("with a Delta an output nothing is lost of a frame beyond the range or not finite", "[unit][margin][REQ-MON-4]") {
+    using C = lpvg::Complex2<float>;
+    const float W[2] = {0.3F, 0.2F}, B[2] = {0.1F, 0.2F};
+    const auto t = [&](C e, C z) {
+        const C E[2] = {{0.1F, 0.0F}, e}, Z[2] = {{1.0F, 0.0F}, z};
+        return lpvg::Margin<float, 2, 2>(E, Z, W, B)();
+    };
+    CHECK(t({0.3F, 0.4F}, {0.0F, 0.0F}) == Approx(2.5).epsilon(2e-6));
+    CHECK(t({0.0F, 0.0F}, {1.0F, 0.0F}) == Approx(0.25).epsilon(2e-6));  // the other output's
+    for (const float bad : {std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::infinity(), 1e30F}) {
+        CHECK(std::isinf(t({bad, 0.0F}, {1.0F, 0.0F})));
+        CHECK(std::isinf(t({1.0F, 0.0F}, {0.0F, bad})));
     }
 }
 

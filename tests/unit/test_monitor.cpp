@@ -31,7 +31,7 @@ lpvg_coeff_t only_bin(uint32_t bin) {
             for (std::size_t j = 0; j < LPVG_NY; ++j) {
                 c.reals.B_w[b][j] = b == bin ? Real(0.001) : Real(1e6);
             }
-            c.reals.W_delta[b] = Real(0.2);
+            std::fill(std::begin(c.reals.W_delta[b]), std::end(c.reals.W_delta[b]), Real(0.2));
         }
     });
 }
@@ -187,9 +187,13 @@ TEST_CASE("the verdict flips exactly where the gain leaves the bound", "[unit][m
         REQUIRE(frame.margin > Real(0));
         CHECK(drive.verdict() == lpvg_verdict_valid);
         critical = 0.1 / static_cast<double>(frame.margin);
-        if (LPVG_NY == 1) {
-            const double Z = std::hypot(static_cast<double>(frame.Z[0][0]), static_cast<double>(frame.Z[0][1]));
-            CHECK(critical == Approx(static_cast<double>(coeff.reals.W_delta[bin]) + 0.001 / Z).epsilon(1e-4));
+        if (LPVG_NDELTA == LPVG_NY) {
+            double least = std::numeric_limits<double>::infinity();
+            for (std::size_t j = 0; j < LPVG_NY; ++j) {
+                const double Z = std::hypot(static_cast<double>(frame.Z[j][0]), static_cast<double>(frame.Z[j][1]));
+                least = std::min(least, static_cast<double>(coeff.reals.W_delta[bin][j]) + 0.001 / Z);
+            }
+            CHECK(critical == Approx(least).epsilon(1e-4));
         }
         CHECK(critical > 0.2);  // W_delta
     }

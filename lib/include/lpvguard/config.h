@@ -48,6 +48,11 @@ typedef float lpvg_real_t;
 #if !defined(LPVG_NBANDS) || (LPVG_NBANDS < 2) || (LPVG_NBANDS > 8)
 #error "lpvguard: supported are 2..8 bands of the energy test (LPVG_NBANDS); export the vehicle again"
 #endif
+#ifndef LPVG_NDELTA
+#error "lpvguard: lpvguard_vehicle.h is of an older exporter (LPVG_NDELTA is missing); export the vehicle again"
+#elif (LPVG_NDELTA != 1) && (LPVG_NDELTA != LPVG_NY)
+#error "lpvguard: supported are one Delta common to all outputs, or one an output (LPVG_NDELTA)"
+#endif
 #ifndef LPVG_NK
 #error "lpvguard: lpvguard_vehicle.h is of an older exporter (LPVG_NK is missing); export the vehicle again"
 #endif

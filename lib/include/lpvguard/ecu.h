@@ -10,9 +10,9 @@
 ///     hold -- a needed message is late: not engaged, the demand runs to zero within the rate limit; the monitor has a gap
 ///     off  -- a needed message is unusable, or a number was refused: the same, and a trouble code
 ///
-/// Not engaged is the safe state: the demand reaches zero after at most u_max / rate_max. The controller's state follows the
-/// demand, so engaging again does not jump (controller.h). The loop recovers by itself when every needed message is live again.
-/// A message that went off must first deliver LPVG_CAN_RECOVER_FRAMES good frames. A lost message shows as hold in the
+/// Not engaged is the safe state: the demand reaches zero after at most the largest u_max / rate_max. The controller's state
+/// follows the demand, so engaging again does not jump (controller.h). The loop recovers by itself when every needed message is
+/// live again. A message that went off must first deliver LPVG_CAN_RECOVER_FRAMES good frames. A lost message shows as hold in the
 /// report of the first step later than LPVG_CAN_HOLD_MISSED + 1/2 of its periods after its newest good frame.
 ///
 /// Use:     init once -> step every sample period with all frames received since the last step, in order of arrival ->

@@ -1,10 +1,14 @@
-/// @file energy.h -- the energy test: can *one* causal Delta of gain at most 1 explain all outputs, from rest until now?
+/// @file energy.h -- the energy test: can *one* causal Delta of gain at most 1 (or one an output) explain all outputs, from rest
+/// until now?
 ///
 /// Class of model error (THEORY 4.1): e_j = Delta (W_delta yhat_j) + w_j, one linear time-invariant causal Delta common to
-/// all outputs. The forgetting norm is ||x||^2 = sum over t of rho^(2 (T - t)) x(t)^2, rho < 1, and F is any stable filter.
+/// all outputs (S1). The forgetting norm is ||x||^2 = sum over t of rho^(2 (T - t)) x(t)^2, rho < 1, and F is any stable filter.
 /// For every real vector a and at every time T
 ///
 ///     || sum_j a_j F e_j || <= || sum_j a_j F W_delta yhat_j || + sum_j |a_j| sigma_j                         (T19)
+///
+/// With one Delta_j and W_delta,j an output (S1_diagonal, LPVG_NDELTA = LPVG_NY) a sum of outputs is not bounded, so a is one of the
+/// unit vectors: ||F e_j|| <= ||F W_delta,j yhat_j|| + sigma_j.
 ///
 /// Assumptions: |Delta| <= 1 on the circle |z| = rho, and Delta is analytic outside it. ||F w_j|| <= sigma_j at every T. Delta is at
 /// rest when the sums begin, or was fed at most `energy_start` before. The left sum alone may begin later.
@@ -17,7 +21,7 @@
 ///
 /// The filter for W_delta is W_delta((2/Ts) (z/rho - 1) / (z/rho + 1)) (T20). `lpvguard identify` certifies its magnitude on
 /// |z| = rho to be above the identified bound. Directions a are in units of sigma with sum |a_j| = 1, so the last term is 1.
-/// They come from a fixed fan. One direction is judged at a time, in all bands.
+/// They come from a fixed fan, or are the unit vectors. One direction is judged at a time, in all bands.
 ///
 /// Cost: both functions constant. RAM: sizeof(lpvg_energy_t).
 /// Threads: one instance per thread; no function blocks. Fields are private but for those documented in monitor.h.
@@ -46,7 +50,7 @@ typedef struct lpvg_energy_band_t {
 
 typedef struct lpvg_energy_t {
     lpvg_real_t F[LPVG_NBANDS - 1][3 * LPVG_NY];  ///< states of the low-passes for e, yhat and W_delta yhat
-    lpvg_real_t W[LPVG_NWEIGHT][2][LPVG_NY];    ///< states of W_delta's sections
+    lpvg_real_t W[LPVG_NWEIGHT][2][LPVG_NY];    ///< states of the sections of W_delta
     lpvg_energy_band_t band[LPVG_NBANDS];
     lpvg_real_t ratio;                          ///< left side over right in the newest direction, largest of all bands; 0 at first
     uint32_t strongest;                         ///< the band it is of

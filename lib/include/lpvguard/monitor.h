@@ -6,7 +6,11 @@
 ///     t* = min over complex d of max( |d| / W_delta, |E_j - d Z_j| / B_w,j for each output j )        (T17)
 ///
 /// the least common inflation of the fitted uncertainty and disturbance bounds that explains the frame. It is exact, in closed form.
-/// With t* > 1 no one complex number d within W_delta and no disturbance within B_w explain this frame in this bin.
+/// Where every output has a Delta of its own (S1_diagonal, LPVG_NDELTA = LPVG_NY), so has d_j and W_delta,j:
+///
+///     t* = max over j of |E_j| / (B_w,j + W_delta,j |Z_j|)
+///
+/// With t* > 1 no complex number d (no d_j) within W_delta and no disturbance within B_w explain this frame in this bin.
 /// It does not refute every causal Delta of a certificate. Of those only the energy test speaks, given its sigma.
 ///
 /// A frame *counts* when the model had settled and the speed kept two limits: the scheduling range, and `speed_tolerance` around

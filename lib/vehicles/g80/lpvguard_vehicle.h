@@ -13,6 +13,7 @@
 #define LPVG_NWEIGHT 3
 #define LPVG_NDIRECTIONS 1
 #define LPVG_NBANDS 3
+#define LPVG_NDELTA 1
 #define LPVG_NK 0
 #define LPVG_NM 0
 #define LPVG_NG 0

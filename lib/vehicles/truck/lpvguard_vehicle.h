@@ -13,6 +13,7 @@
 #define LPVG_NWEIGHT 2
 #define LPVG_NDIRECTIONS 16
 #define LPVG_NBANDS 3
+#define LPVG_NDELTA 1
 #define LPVG_NK 13
 #define LPVG_NM 3
 #define LPVG_NG 8

@@ -46,7 +46,9 @@ def test_a_good_controller_keeps_its_numbers(load, document, truck):
     np.testing.assert_array_equal(
         controller.reals["BL"], np.concatenate([document["B"], document["L"]], axis=3)
     )
+    np.testing.assert_array_equal(controller.reals["u_max"], document["u_max"])
     manifest = controller.manifest()
+    assert manifest["u_max"] is controller.reals["u_max"]
     assert manifest["certificates"] == {"gamma": 1.0} and len(manifest["sha256"]) == 64
     assert set(control_files(truck, controller)) == {
         "lpvguard_control.c",
@@ -75,6 +77,9 @@ def test_a_good_controller_keeps_its_numbers(load, document, truck):
         (changed("L", lambda gain: 0 * gain + 1e3), "spectral radius"),
         (changed("B", lambda b: b * np.nan), "finite"),
         (changed("u_max", lambda u: -u), "u_max"),
+        (changed("u_max", lambda u: u * (np.arange(5) < 4)[:, None]), "u_max"),
+        (changed("u_max", lambda u: u[0]), r"u_max: shape \(1,\); expected shape \(5, 1\)"),
+        (changed("u_max", lambda u: u[:4]), "u_max"),
         (changed("rate_max", lambda u: 0 * u), "rate_max"),
     ],
 )

@@ -18,6 +18,7 @@ from lpvguard.engine.validation.quadratic import Form, Quadratic
 from lpvguard.engine.validation.relaxation import Box, BranchNode, Relaxation
 from lpvguard.engine.validation.well_posed import block_caps, well_posed
 
+TWO_BLOCKS = pytest.mark.slow("4 s: branch and bound over two blocks")
 FULL = {
     "one block": (2, [("full", 1, 1)], {}),
     "one wide block, three outputs": (3, [("full", 2, 3)], {}),
@@ -116,7 +117,7 @@ def test_repeated_block_beats_no_grid_point_and_is_beaten_by_none(block_type, ro
     [
         [("repeated_complex", 2, 2), ("full", 1, 1)],
         [("repeated_real", 2, 2), ("full", 2, 2)],
-        [("repeated_real", 1, 1), ("repeated_complex", 2, 2)],
+        pytest.param([("repeated_real", 1, 1), ("repeated_complex", 2, 2)], marks=TWO_BLOCKS),
     ],
     ids=["complex+full", "real+full", "real+complex"],
 )
@@ -345,8 +346,8 @@ def test_repeated_blocks_are_settled_by_boxes():
     "blocks",
     [
         [("repeated_complex", 2, 2)],
-        [("repeated_real", 2, 2), ("repeated_complex", 2, 2)],
-        [("full", 1, 2), ("repeated_complex", 2, 2)],
+        pytest.param([("repeated_real", 2, 2), ("repeated_complex", 2, 2)], marks=TWO_BLOCKS),
+        pytest.param([("full", 1, 2), ("repeated_complex", 2, 2)], marks=TWO_BLOCKS),
     ],
 )
 def test_the_tangent_bounds_every_point_of_its_box(blocks):

@@ -195,6 +195,22 @@ def test_margin_of_dense_degenerate_cases_is_bracketed(engine):
             assert t >= level.min() - slope * 0.005 - 1e-7
 
 
+@pytest.mark.parametrize("n_y", [2, 3])
+def test_with_a_delta_an_output_the_margin_is_the_worst_of_the_outputs_alone(n_y):
+    rng = np.random.default_rng(6)
+    e, z = gauss(rng, 500, n_y), gauss(rng, 500, n_y)
+    z[::7, 0] = 0.0
+    w_delta, w_w = rng.uniform(0.1, 1, (500, n_y)), rng.uniform(0.1, 1, (500, n_y))
+    t = s1.margin(e, z, w_delta, w_w)
+    alone = [s1.margin(*(a[:, j : j + 1] for a in (e, z, w_delta, w_w))) for j in range(n_y)]
+    np.testing.assert_allclose(t, np.max(alone, axis=0), rtol=1e-14)
+    # One delta common to all is one of them: it never explains more.
+    widest = np.broadcast_to(w_delta.max(axis=1, keepdims=True), w_delta.shape)
+    assert (s1.margin(e, z, widest, w_w) <= s1.margin(e, z, widest[:, :1], w_w) * (1 + 1e-12)).all()
+    e[3, 1] = np.nan
+    assert np.isnan(s1.margin(e, z, w_delta, w_w)[3])
+
+
 def test_both_engines_agree(monkeypatch):
     if native.kernels("s1") is None:
         pytest.skip("no C compiler: nothing to compare with")
@@ -204,7 +220,7 @@ def test_both_engines_agree(monkeypatch):
         e[::9], z[::7, 0] = (0.2 + 0.1j) * z[::9], 0.0
         gamma, w_delta, w_w = (
             rng.uniform(0.1, 3, 1003),
-            rng.uniform(0.1, 1, 1003),
+            rng.uniform(0.1, 1, (1003, 1)),
             rng.uniform(0.1, 1, (1003, n_y)),
         )
         compiled, t = s1.solve(e, z, gamma), s1.margin(e, z, w_delta, w_w)
@@ -227,6 +243,8 @@ def test_both_engines_agree(monkeypatch):
         (lambda: s1.margin(np.ones(2), np.ones(2), 1.0, np.ones(3)), "W_w"),
         (lambda: s1.margin(np.ones(2), np.ones(2), 1.0, np.array([1.0, 0.0])), "W_w"),
         (lambda: s1.margin(np.ones(2), np.ones(2), -1.0, np.ones(2)), "W_delta"),
+        (lambda: s1.margin(np.ones(2), np.ones(2), [1.0, -1.0], np.ones(2)), "W_delta"),
+        (lambda: s1.margin(np.ones(2), np.ones(2), np.ones(3), np.ones(2)), "W_delta"),
     ],
 )
 def test_bad_arguments_are_named(call, word):

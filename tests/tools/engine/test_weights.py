@@ -442,6 +442,7 @@ def test_noise_subtraction_refuses_by_name(changes, words):
 # ---------------------------------------------------------------- the promise of the README
 
 
+@pytest.mark.slow("6 s: 32 weights fitted")
 def test_the_32_bounds_of_the_bench_are_covered_tightly_by_few_linear_programs(monkeypatch):
     """The time of a fit goes into its linear programs; `lpvguard bench weights` measures it."""
     programs = []

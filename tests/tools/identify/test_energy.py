@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter, sosfilt, sosfreqz
+from scipy.signal import lfilter, sosfreqz
 
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
@@ -40,12 +40,12 @@ def truck():
     model = NominalModel(project)
     folder = shipped_vehicle("truck")
     manifest = artefacts.read_manifest(folder, "vehicle")
-    weight = manifest["weights"]["W_delta"]
-    bound = np.array([np.nan if b is None else b for b in weight["bound"]], float)
+    (weight,) = manifest["weights"]["W_delta"]
+    bound = np.array([[np.nan if b is None else b] for b in weight["bound"]], float)
     filters = EnergyTest.design(
         project,
         Estimator.of(project, model),
-        Weight.from_dict(weight["weight"]),
+        [Weight.from_dict(weight["weight"])],
         np.array(weight["omega_rad_s"]),
         bound,
         manifest["final_inflation"],
@@ -65,11 +65,11 @@ def on_circle(sections, rho, theta):
 def test_the_weights_filter_has_the_fitted_magnitude_on_the_shifted_circle_at_warped_frequencies(truck):
     _, _, _, test = truck
     manifest = artefacts.read_manifest(shipped_vehicle("truck"), "vehicle")
-    W = Weight.from_dict(manifest["weights"]["W_delta"]["weight"])
+    W = Weight.from_dict(manifest["weights"]["W_delta"][0]["weight"])
     theta = np.geomspace(1e-5, 3.0, 400)
-    expected = manifest["final_inflation"] * test.gain * W.magnitude(2 / test.Ts * np.tan(theta / 2))
-    np.testing.assert_allclose(on_circle(test.W, test.rho, theta), expected, rtol=1e-7)
-    assert np.abs(np.concatenate([np.roots(s[3:]) for s in test.W])).max() < test.rho
+    expected = manifest["final_inflation"] * test.gain[0] * W.magnitude(2 / test.Ts * np.tan(theta / 2))
+    np.testing.assert_allclose(on_circle(test.W[0], test.rho, theta), expected, rtol=1e-7)
+    assert np.abs(np.concatenate([np.roots(s[3:]) for s in test.W[0]])).max() < test.rho
     low, high = (2 / test.Ts * np.tan(np.pi * f * test.Ts) for f in test.band_hz)
     s = 2j / test.Ts * np.tan(theta / 2)
     for F, expected in zip(
@@ -87,17 +87,17 @@ def test_a_weight_that_falls_is_raised_until_it_is_above_its_bound_when_warped()
     omega = np.geomspace(0.5, 60.0, 12)
     bound = W.magnitude(omega) * 0.9999
     bound[0] = bound[0] * 0.9
-    test = EnergyTest.design(project, estimator, W, omega, bound, 1.0)
-    assert test.gain > 1.05  # 60 rad/s is warped to 68 at 50 Hz
+    test = EnergyTest.design(project, estimator, [W], omega, bound[:, None], 1.0)
+    assert test.gain[0] > 1.05  # 60 rad/s is warped to 68 at 50 Hz
     grid = np.geomspace(omega[0], omega[-1], 2000)
     warped = [2 / test.Ts * np.tan(w * test.Ts / 2) for w in (omega, grid)]
     bound_there = np.exp(np.interp(np.log(warped[1]), np.log(warped[0]), np.log(bound)))
-    assert (on_circle(test.W, test.rho, grid * test.Ts) >= bound_there).all()
+    assert (on_circle(test.W[0], test.rho, grid * test.Ts) >= bound_there).all()
 
 
 def test_the_sections_in_delta_are_the_sections_in_z(truck):
     z = np.exp(1j * np.linspace(0.01, 3.0, 50))
-    sections = truck[3].W
+    sections = truck[3].W[0]
     for (b0, b1, b2, a0, a1, a2), c in zip(sections, in_delta(sections), strict=False):
         d = z - 1
         np.testing.assert_allclose(
@@ -113,9 +113,9 @@ def test_the_cores_low_passes_make_the_bands_and_the_bands_sum_to_the_signal(g80
     test = EnergyTest.design(
         project,
         Estimator.of(project, NominalModel(project)),
-        Weight([1.0], [1.0]),
+        [Weight([1.0], [1.0])],
         [1.0, 2.0],
-        [0.5, 0.5],
+        [[0.5], [0.5]],
         1.0,
     )
     assert len(test.F) == len(test.bands) == len(test.memories_s) == len(test.band_hz) + 1
@@ -164,9 +164,9 @@ def test_settings_that_make_no_test_are_refused(settings, says, g80):
         EnergyTest.design(
             project,
             Estimator.of(project, NominalModel(project)),
-            Weight([1.0], [1.0]),
+            [Weight([1.0], [1.0])],
             [1.0, 2.0],
-            [0.5, 0.5],
+            [[0.5], [0.5]],
             1.0,
         )
 
@@ -205,7 +205,7 @@ def largest_ratio(test, e, yhat, v):
 
 def drive_within(project, model, test, delta, seconds, rng, *, gain=1.0, coherent=False):
     """Samples t, v, u, y with e = gain Delta W_delta yhat + w, from rest, and max ||F w_j|| = 0.98 sigma_j in
-    some band."""
+    some band. ``delta``: a filter, or one an output; ``gain``: a number, or (n_y,)."""
     n = int(seconds / project.Ts_s)
     t = np.arange(n) * project.Ts_s
     low, high = model.speed_range
@@ -220,7 +220,7 @@ def drive_within(project, model, test, delta, seconds, rng, *, gain=1.0, coheren
     )
     u *= 1.0 + np.sin(2 * np.pi * t / 97.0)[:, None]  # stretches with little excitation too
     yhat = model.simulate(v, u, model.output_offset)
-    weighted = sosfilt(test.W, yhat, axis=0)
+    weighted = test.weighted(yhat)
     w = (
         weighted.copy()
         if coherent
@@ -231,7 +231,9 @@ def drive_within(project, model, test, delta, seconds, rng, *, gain=1.0, coheren
         peak.max() if coherent else peak
     )  # coherent: the same multiple of W_delta yhat for both outputs
     w[0] = 0.0
-    return t, v, u, yhat + gain * lfilter(*delta, weighted, axis=0) + w
+    each = delta if isinstance(delta, list) else [delta] * yhat.shape[1]
+    explained = np.column_stack([lfilter(*d, x) for d, x in zip(each, weighted.T, strict=True)])
+    return t, v, u, yhat + gain * explained + w
 
 
 def test_no_alarm_where_delta_and_the_disturbance_are_within_the_bounds(truck):
@@ -266,24 +268,32 @@ def test_the_same_drives_alarm_when_delta_is_larger(truck):
         assert len(run.energy_alarms.bin) and run.energy.max() > 1.2
 
 
-def test_the_core_says_what_the_definition_says(truck):
-    """Float and double, wherever the ratio is judged anew: that of one of the directions at that sample."""
-    project, model, _, test = truck
-    t, v, u, y = drive_within(project, model, test, ([0.0, 1.0], [1.0]), 150.0, np.random.default_rng(8))
+def check_ratios(core, model, test, drive, tolerance):
+    """Wherever the ratio is judged anew it is that of one of the directions at that sample; ``drive``: t, v,
+    u, y."""
+    t, v, u, y = drive
     v[8000:8003] = 30.0  # out of range: from rest again
     yhat = model.simulate(v, u, y[0])
     ratios = np.zeros((len(t), len(test.directions)))
     for first, _, stretch in test.ratios(y - yhat, yhat, v):
         ratios[first : first + len(stretch)] = np.maximum(ratios[first : first + len(stretch)], stretch)
     judged = ratios.any(axis=1)
+    said = core.monitor().run(t, v, u, y).energy
+    assert not said[: test.settle].any() and not said[8003 : 8003 + test.settle].any()
+    anew = judged & (said != np.r_[0.0, said[:-1]])
+    assert np.abs(ratios[anew] - said[anew, None]).min(axis=1).max() < tolerance
+    assert anew.sum() > 0.7 * judged.sum()
+
+
+def test_the_core_says_what_the_definition_says(truck):
+    """In float and double."""
+    project, model, _, test = truck
+    drive = drive_within(project, model, test, ([0.0, 1.0], [1.0]), 150.0, np.random.default_rng(8))
     for double, tolerance in ((False, 2e-4), (True, 1e-8)):
-        said = Core(shipped_vehicle("truck"), double=double).monitor().run(t, v, u, y).energy
-        assert not said[: test.settle].any() and not said[8003 : 8003 + test.settle].any()
-        anew = judged & (said != np.r_[0.0, said[:-1]])
-        assert np.abs(ratios[anew] - said[anew, None]).min(axis=1).max() < tolerance
-        assert anew.sum() > 0.7 * judged.sum()
+        check_ratios(Core(shipped_vehicle("truck"), double=double), model, test, drive, tolerance)
 
 
+@pytest.mark.slow("6 s: a core of two outputs")
 def test_opposite_errors_under_one_nominal_output_are_caught_by_the_joint_form_only(tmp_path):
     """e = (z, -z) against yhat = (z, z): each output alone passes W_delta = 1.05, no common Delta explains
     both."""
@@ -294,7 +304,7 @@ def test_opposite_errors_under_one_nominal_output_are_caught_by_the_joint_form_o
     model = NominalModel(project)
     estimator = Estimator.of(project, model)
     test = replace(
-        EnergyTest.design(project, estimator, Weight([1.05], [1.0]), [1.0, 2.0], [1.0, 1.0], 1.0),
+        EnergyTest.design(project, estimator, [Weight([1.05], [1.0])], [1.0, 2.0], [[1.0], [1.0]], 1.0),
         sigma=np.full((3, 2), 1e-3),
     )
     rng = np.random.default_rng(3)
@@ -316,7 +326,7 @@ def test_opposite_errors_under_one_nominal_output_are_caught_by_the_joint_form_o
         artefacts.write_files(
             folder,
             vehicle_files(
-                project, build_coefficients(project, model, estimator, wide[:, 0], wide, 1.5, chosen), {}
+                project, build_coefficients(project, model, estimator, wide[:, :1], wide, 1.5, chosen), {}
             ),
         )
         core = Core(folder)
@@ -324,6 +334,107 @@ def test_opposite_errors_under_one_nominal_output_are_caught_by_the_joint_form_o
             run = core.monitor().run(t, v, u, z + z * [1.0, sign])
             found[name, sign] = len(run.energy_alarms.bin)
     assert found == {("joint", 1.0): 0, ("joint", -1.0): 1, ("separate", 1.0): 0, ("separate", -1.0): 0}
+
+
+# ------------------------------------------------------------------------------------------ a Delta an output
+
+
+@pytest.fixture(scope="module")
+def separate(tmp_path_factory):
+    """Project, model, core and energy test of a truck with a Delta, and a weight, of its own for each
+    output."""
+    document = load_project("truck").model_dump(by_alias=True)
+    document["name"], document["design"] = "separate", None
+    document["bounds"]["structure"] = "S1_diagonal"
+    project = parse_project(document, "separate")
+    model = NominalModel(project)
+    estimator = Estimator.of(project, model)
+    weights = [Weight([0.5, 0.2], [1.0, 1.0]), Weight([0.9, 0.5, 0.1], [1.0, 1.4, 1.0])]
+    test = EnergyTest.design(project, estimator, weights, [1.0, 2.0], np.full((2, 2), 0.1), 1.0)
+    test = replace(test, sigma=np.full((3, 2), 5e-3) * [1.0, 0.5])
+    wide = np.ones((estimator.n_bins, 2)) * 1e3
+    folder = tmp_path_factory.mktemp("separate") / "separate"
+    folder.mkdir()
+    coefficients = build_coefficients(project, model, estimator, wide, wide, 1.5, test)
+    artefacts.write_files(folder, vehicle_files(project, coefficients, {}))
+    return project, model, estimator, Core(folder), test
+
+
+def test_weights_of_different_order_are_padded_and_each_keeps_its_magnitude(separate):
+    *_, test = separate
+    assert test.W.shape[:1] == test.gain.shape == test.above.shape == (2,) and len(test.certificate) == 2
+    np.testing.assert_array_equal(test.directions, np.eye(2))
+    theta = np.geomspace(1e-5, 3.0, 100)
+    s = 2j / test.Ts * np.tan(theta / 2)
+    for sections, W in zip(
+        test.W, ((0.5 * s + 0.2) / (s + 1), (0.9 * s**2 + 0.5 * s + 0.1) / (s**2 + 1.4 * s + 1)), strict=True
+    ):
+        np.testing.assert_allclose(on_circle(sections, test.rho, theta), np.abs(W), rtol=1e-7)
+
+
+def test_with_a_delta_an_output_none_within_the_bounds_alarms_where_a_common_one_would(separate):
+    """Delta_j differ from output to output; the same data refute every common Delta of these weights."""
+    project, model, _, core, test = separate
+    fan_of_common = replace(test, directions=fan(2))  # what a test of one common Delta would ask for
+    rng = np.random.default_rng(14)
+    pool = list(deltas(test.rho, rng))
+    heard = replace(test, sigma=np.array([[1.0], [1.0], [1e9]]) * test.sigma)
+    reals = core.compiled[1].copy()
+    core.fields(reals)["energy_scale"][:] = 1 / heard.sigma
+    largest, common = [], []
+    for index, (one, other) in enumerate(zip(pool, [pool[1], pool[0], *pool[:1:-1]], strict=True)):
+        t, v, u, y = drive_within(project, model, heard, [one, other], 200.0, rng, coherent=index == 0)
+        run = core.monitor(reals=reals, seal=True).run(t, v, u, y)
+        assert not len(run.energy_alarms.bin)
+        largest.append(run.energy.max())
+        yhat = model.simulate(v, u, y[0])
+        common.append(largest_ratio(replace(fan_of_common, sigma=heard.sigma), y - yhat, yhat, v))
+    assert 0.9 < max(largest) <= 1.0 + ROUNDING / 2
+    assert common[0] > 2.0
+
+
+def test_with_a_delta_an_output_a_larger_one_alarms(separate):
+    project, model, _, core, test = separate
+    rng = np.random.default_rng(4)
+    for gain in ([1.5, 1.0], [1.0, -1.5]):
+        run = core.monitor().run(
+            *drive_within(project, model, test, [([1.0], [1.0])] * 2, 200.0, rng, gain=np.array(gain))
+        )
+        assert len(run.energy_alarms.bin) and run.energy.max() > 1.2
+        assert set(run.energy_alarms.bin % 2) == {int(np.argmax(np.abs(gain)))}
+
+
+def test_with_a_delta_an_output_the_core_says_what_the_definition_says(separate):
+    project, model, _, core, test = separate
+    drive = drive_within(
+        project, model, test, [([0.0, 1.0], [1.0]), ([-1.0], [1.0])], 150.0, np.random.default_rng(8)
+    )
+    for double, tolerance in ((False, 2e-4), (True, 1e-8)):
+        check_ratios(Core(core.folder, double=double), model, test, drive, tolerance)
+
+
+def test_identification_coefficients_and_core_of_different_structures_are_refused(separate, tmp_path):
+    project, model, estimator, core, test = separate
+    bounds = project.bounds.model_copy(update={"structure": "S1"})
+    common = project.model_copy(update={"bounds": bounds})
+    wide = np.ones((estimator.n_bins, 2))
+    with pytest.raises(InputError, match="W_delta: 2 weights, 2 bounds; expected 1 of each: structure S1"):
+        EnergyTest.design(
+            common, estimator, [Weight([1.0], [1.0])] * 2, [1.0, 2.0], np.full((2, 2), 0.5), 1.0
+        )
+    with pytest.raises(InputError, match=r"energy_W: shape \(2, .* expected \(1, "):
+        build_coefficients(common, model, estimator, wide[:, :1], wide, 1.5, test)
+    with pytest.raises(InputError, match=r"W_delta: shape \(11, 1\); expected \(11, 2\), NBINS × NDELTA"):
+        build_coefficients(project, model, estimator, wide[:, :1], wide, 1.5, test)
+    with pytest.raises(InputError, match="2 blocks Delta; expected those of vehicle separate: 1, 2, 11, 1"):
+        Replayer(common, core)
+    Replayer(project, core)
+    for header in ("lpvguard_vehicle.h", "lpvguard_coeff.c"):
+        shutil.copy(core.folder / header, tmp_path / header)
+    header = tmp_path / "lpvguard_vehicle.h"
+    header.write_text(header.read_text().replace("#define LPVG_NDELTA 2", "#define LPVG_NDELTA 1"))
+    with pytest.raises(InputError, match="compiling the C core"):
+        Core(tmp_path)
 
 
 # ----------------------------------------------------------------------------------------- sigma, calibration
@@ -352,7 +463,7 @@ def test_no_identification_drive_alarms_also_when_cut_and_scores_are_the_cores(
 def test_sigma_is_the_least_for_each_output_and_then_for_the_joint_form(truck):
     test = replace(truck[3], sigma=np.ones((3, 2)), start=np.zeros((3, 2)), joint=np.ones(3))
     t = np.arange(6000) * test.Ts
-    test = replace(test, above=0.35)
+    test = replace(test, above=np.array([0.35]))
     e = 0.2 * np.column_stack([np.sin(t), -np.sin(t)])
     yhat = 0.3 * np.column_stack(
         [np.sin(t), np.sin(t)]

@@ -143,6 +143,7 @@ def test_workers_and_order_do_not_change_a_byte(drives, tmp_path):
     assert a == b  # scores are listed in the order of the drives
 
 
+@pytest.mark.slow("4 s: a cluster is started")
 def test_dask_gives_the_same_bytes(drives):
     distributed = pytest.importorskip("distributed")
     with (
@@ -332,7 +333,7 @@ def test_spectra_are_thinned_to_the_stated_cap_and_keep_the_largest(monkeypatch,
 
 def test_excitation_of_all_drives_is_that_of_their_frames_together():
     random = np.random.default_rng(2)
-    W_delta, B_w, K = np.full(4, 0.1), np.full((4, 1), 0.01), 4
+    W_delta, B_w, K = np.full((4, 1), 0.1), np.full((4, 1), 0.01), 4
     frames = [
         (random.integers(0, K, n), random.uniform(4, 19, n), random.standard_normal((n, 1)) + 0j)
         for n in (300, 700)

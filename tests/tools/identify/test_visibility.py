@@ -14,7 +14,7 @@ from lpvguard.identify.visibility import PERCENTILE, SPEED_CELLS, Excitation, vi
 OMEGA = np.array([0.0, 0.7, 2.0, 9.0])
 SPEEDS = (4.0, 19.0)
 THRESHOLD = 1.7
-W_DELTA = np.array([0.05, 0.1, 0.15, 0.5])
+W_DELTA = np.array([[0.05], [0.1], [0.15], [0.5]])
 BINS = len(OMEGA)
 
 
@@ -26,34 +26,37 @@ def case(n_y: int, frames: int = 400, seed: int = 3):
     return random.integers(0, BINS, frames), random.uniform(*SPEEDS, frames), Z, B_w
 
 
-def run(bin_of, speed, Z, B_w) -> dict:
-    met = Excitation.of("drive", SPEEDS, bin_of, speed, Z, W_DELTA, B_w, np.arange(len(Z)))
-    return visibility(OMEGA, SPEEDS, met, W_DELTA, THRESHOLD)
+def run(bin_of, speed, Z, B_w, W_delta=W_DELTA) -> dict:
+    met = Excitation.of("drive", SPEEDS, bin_of, speed, Z, W_delta, B_w, np.arange(len(Z)))
+    return visibility(OMEGA, SPEEDS, met, W_delta, THRESHOLD)
 
 
-def representative(c: int, k: int, bin_of, speed, Z, B_w) -> np.ndarray:
+def representative(c: int, k: int, bin_of, speed, Z, B_w, W_delta=W_DELTA) -> np.ndarray:
     """Z of the frame at the percentile, found independently: sorted by the margin of a dead vehicle, nearest
     rank."""
     width = (SPEEDS[1] - SPEEDS[0]) / SPEED_CELLS
     of = (bin_of == k) & (np.minimum((speed - SPEEDS[0]) // width, SPEED_CELLS - 1) == c)
-    ordered = sorted(Z[of], key=lambda z: float(s1.margin(-z, z, W_DELTA[k], B_w[k])))
+    ordered = sorted(Z[of], key=lambda z: float(s1.margin(-z, z, W_delta[k], B_w[k])))
     return ordered[-(-PERCENTILE * len(ordered) // 100) - 1]
 
 
-@pytest.mark.parametrize("n_y", [1, 2, 3])
-def test_margin_crosses_the_threshold_at_the_smallest_visible_errors(n_y):
-    frames = case(n_y)
-    B_w = frames[-1]
-    for c, cell in enumerate(run(*frames)["at_percentile"]):
+@pytest.mark.parametrize(("n_y", "n_delta"), [(1, 1), (2, 1), (3, 1), (2, 2), (3, 3)])
+def test_margin_crosses_the_threshold_at_the_smallest_visible_errors(n_y, n_delta):
+    """Also of one Delta an output (n_delta = n_y), with weights that differ."""
+    frames, W_delta = case(n_y), W_DELTA * (1.0 + np.arange(n_delta))
+    B_w, found = frames[-1], run(*frames, W_delta)
+    np.testing.assert_allclose(found["gain_error_floor"], THRESHOLD * W_DELTA[:, 0])
+    for c, cell in enumerate(found["at_percentile"]):
+        assert (np.array(cell["gain_error"]) > found["gain_error_floor"]).all()
         for k in range(BINS):
-            z = representative(c, k, *frames)
+            z = representative(c, k, *frames, W_delta)
             for factor, above in ((1 - 1e-6, False), (1 + 1e-6, True)):
                 g = factor * cell["gain_error"][k]
-                assert (s1.margin(-g * z, z, W_DELTA[k], B_w[k]) > THRESHOLD) == above
+                assert (s1.margin(-g * z, z, W_delta[k], B_w[k]) > THRESHOLD) == above
                 tau = cell["delay_s"][k]
                 if tau is not None:
                     late = np.exp(-1j * OMEGA[k] * factor * tau)
-                    assert (s1.margin((late - 1) * z, z, W_DELTA[k], B_w[k]) > THRESHOLD) == above
+                    assert (s1.margin((late - 1) * z, z, W_delta[k], B_w[k]) > THRESHOLD) == above
 
 
 def test_one_output_agrees_with_its_closed_form():
@@ -63,7 +66,7 @@ def test_one_output_agrees_with_its_closed_form():
             z = float(np.abs(representative(c, k, *frames)[0]))
             assert cell["excitation"][k] == pytest.approx(z, rel=1e-12)
             assert cell["gain_error"][k] == pytest.approx(
-                THRESHOLD * (frames[-1][k, 0] + W_DELTA[k] * z) / z, rel=1e-9
+                THRESHOLD * (frames[-1][k, 0] + W_DELTA[k, 0] * z) / z, rel=1e-9
             )
 
 

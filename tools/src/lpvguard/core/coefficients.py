@@ -58,10 +58,11 @@ def build_coefficients(
     threshold: float,
     energy: EnergyPart,
 ) -> Coefficients:
-    """Coefficients from the model, the estimator, the fitted weights at the bins, W_delta (K,), B_w (K, n_y),
-    and the two tests.
+    """Coefficients from the model, the estimator, the fitted weights at the bins, W_delta (K, n_delta), B_w
+    (K, n_y), and the two tests.
 
-    Raises InputError for bounds of the plain DFT: the core computes Hann frames only.
+    Raises InputError for bounds of the plain DFT: the core computes Hann frames only. Weights or an energy
+    test of another structure than the project's are an InputError too, which names the field.
     """
     require_core(project)
     table = model.table
@@ -74,6 +75,7 @@ def build_coefficients(
         "NBINS": estimator.n_bins,
         "NCELLS": len(table.cell),
         "NVARYING": len(table.varying),
+        "NDELTA": project.n_delta,
         **energy_sizes,
     }
     words = {

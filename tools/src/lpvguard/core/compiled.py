@@ -1,7 +1,7 @@
 """The compiled C core of one vehicle, called from Python.
 
-The core is built on first use from the very sources that go on the ECU (lib/) and the vehicle's generated
-folder, into a cache keyed by their hash. There is no other monitor in this package.
+The core is built on first use, into a cache keyed by a hash. Its sources are those that go on the ECU: lib/
+and the vehicle's generated folder. There is no other monitor in this package.
 """
 
 from __future__ import annotations

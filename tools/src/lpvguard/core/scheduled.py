@@ -3,10 +3,10 @@ poles.
 
     K(z, v) = c(z)' B(v),    c(z) = C (z I - A)^-1 with A, C constant
 
-has an interpolation that is exact (B linear in v: the response at a constant speed is the linear
-interpolation of its neighbours'), states that mean the same at every speed, and only B to be scheduled. A is
-block diagonal of pairs of poles in delta-operator observer form (Middleton and Goodwin 1990), [[1 + a, 1],
-[a', 1]]: real poles become complex without a jump in a, a', and C needs no multiplication.
+Only B is scheduled, linearly in v, and the states mean the same at every speed. Interpolation is exact: the
+response at a constant speed is the linear interpolation of its neighbours'. A is block diagonal of pairs of
+poles in delta-operator observer form [[1 + a, 1], [a', 1]] (Middleton and Goodwin 1990). Real poles become
+complex without a jump in a, a', and C needs no multiplication.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ class Scheduled:
 
     speeds (G,), equally spaced; a (n,): first columns of the pairs of A - I, then of a single state where n
     is odd, the same for every demand; B (G, n_u, n, 1 + n_y); L (G, n_u, n, n_u). m = [reference, outputs].
+    u_max (G, n_u): largest |demand| [input unit].
     """
 
     Ts: float
@@ -34,15 +35,17 @@ class Scheduled:
     a: np.ndarray
     B: np.ndarray
     L: np.ndarray
+    u_max: np.ndarray
 
     @classmethod
     def read(cls, document: dict) -> Scheduled:
         """From a controller.json."""
-        return cls(document["Ts_s"], *(np.array(document[key], float) for key in ("speeds", "a", "B", "L")))
+        arrays = (np.array(document[key], float) for key in ("speeds", "a", "B", "L", "u_max"))
+        return cls(document["Ts_s"], *arrays)
 
     def digest(self) -> str:
         """SHA-256 over every coefficient: which controller a certificate is about."""
-        arrays = (np.array(self.Ts), self.speeds, self.a, self.B, self.L)
+        arrays = (np.array(self.Ts), self.speeds, self.a, self.B, self.L, self.u_max)
         return hashlib.sha256(b"".join(np.ascontiguousarray(x, "<f8").tobytes() for x in arrays)).hexdigest()
 
     @property
@@ -54,13 +57,17 @@ class Scheduled:
         """The controller the core runs at speed v: float32 coefficients with A - I formed in double,
         interpolated."""
         A, C = self._constant()
-        B = self._between(self.B, v)
+        B = self._rows(self.B, v)
         return StateSpace(A, B, C, np.zeros((len(C), B.shape[1])), self.Ts)
 
     def injection_radius(self, v: float) -> float:
         """Spectral radius of A - L C at speed v."""
         A, C = self._constant()
-        return float(np.abs(np.linalg.eigvals(A - self._between(self.L, v) @ C)).max())
+        return float(np.abs(np.linalg.eigvals(A - self._rows(self.L, v) @ C)).max())
+
+    def limit(self, v: float) -> np.ndarray:
+        """(n_u,): largest |demand| at speed v."""
+        return self._between(self.u_max, v)
 
     def _constant(self) -> tuple[np.ndarray, np.ndarray]:
         """A and C of all demands."""
@@ -68,14 +75,18 @@ class Scheduled:
         n_u = self.B.shape[1]
         return np.kron(np.eye(n_u), A), np.kron(np.eye(n_u), c)
 
-    def _between(self, values: np.ndarray, v: float) -> np.ndarray:
+    def _rows(self, values: np.ndarray, v: float) -> np.ndarray:
         """(order, columns): rows of B or L at speed v."""
+        return self._between(values, v).reshape(self.order, -1)
+
+    def _between(self, values: np.ndarray, v: float) -> np.ndarray:
+        """What has values (G, ...) at the nodes, at speed v."""
         position = np.clip((v - self.speeds[0]) / (self.speeds[-1] - self.speeds[0]), 0.0, 1.0) * (
             len(self.speeds) - 1
         )
         k = min(int(position), len(self.speeds) - 2)
         rounded = values[k : k + 2].astype(np.float32).astype(float)
-        return ((1 - (position - k)) * rounded[0] + (position - k) * rounded[1]).reshape(self.order, -1)
+        return (1 - (position - k)) * rounded[0] + (position - k) * rounded[1]
 
 
 def realisation(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

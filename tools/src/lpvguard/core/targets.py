@@ -5,13 +5,14 @@ the guest.
                  RPU core 0
 
 ``run_target`` builds firmware_sim/ports/target_bench.cpp with a vehicle's generated folder and runs it over a
-drive; it returns what the core answered, bit for bit, and what every part cost: *instructions, not cycles* --
-QEMU models no pipeline, cache or flash waits. ``run_host`` answers the same with the PC's compiler, to
-compare with. ``emulated_ecu`` builds the whole firmware for the loop of `lpvguard sim`, over the emulated CAN
-controller.
+drive. It returns what the core answered, bit for bit, and what every part cost. Costs are *instructions, not
+cycles*: QEMU models no pipeline, cache or flash waits. ``run_host`` answers the same with the PC's compiler,
+to compare with. ``emulated_ecu`` builds the whole firmware for the loop of `lpvguard sim`, over the emulated
+CAN controller.
 
-Two builds: for comparing bits ``-ffp-contract=off`` on every side, because M4F and M7 have a fused
-multiply-add and the R5F has not; for counting the compiler's default, as an ECU project builds the library.
+There are two builds. The one for comparing bits has ``-ffp-contract=off`` on every side, because M4F and M7
+have a fused multiply-add and the R5F has not. The one for counting has the compiler's default, as an ECU
+project builds the library.
 """
 
 from __future__ import annotations

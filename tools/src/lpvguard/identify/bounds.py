@@ -91,7 +91,8 @@ def counted_frames(
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bounds per bin (K,), B_w (K, n_y); ``frames`` counts counted frames, ``excitation`` is max |Z|.
+    """Bounds per bin (K,), nu (K, n_delta), B_w (K, n_y); ``frames`` counts counted frames,
+    ``excitation`` is max |Z|.
 
     front_gamma_w, front_nu (K, FRONT_POINTS): the least nu that explains every frame, over gamma_w; NaN at DC
     and without frames.
@@ -169,12 +170,14 @@ def reduce_disturbance(
 def explain(
     s: FrameSet, estimator: Estimator, gamma_w: np.ndarray, structure: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Step 5 on every frame: least |delta| (F,) and the disturbance w (F, n_y) that goes with it, given
-    ``gamma_w`` (K,).
+    """Step 5 on every frame: least |delta| (F,), in class S1_diagonal |delta_j| (F, n_y), and the disturbance
+    w (F, n_y) that goes with it, given ``gamma_w`` (K,).
 
     Raises InputError for a frame that is not finite, or whose B1 is above gamma_w: nothing in class S1
-    explains it.
+    explains it. In class S1_diagonal gamma_w bounds each |w_j|, and what Z_j = 0 leaves above it is refused.
     """
+    if structure == "S1_diagonal":
+        return _explain_each(s, estimator, gamma_w)
     if structure == "S0" or estimator.cycles[s.bin] == 0:
         return np.zeros(len(s.E)), s.E
     gamma = gamma_w[s.bin]
@@ -186,6 +189,22 @@ def explain(
         "finite spectra and gamma_w >= B1",
     )
     return result.nu, result.w
+
+
+def _explain_each(s: FrameSet, estimator: Estimator, gamma_w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`explain` of class S1_diagonal: every output by itself, E_j = delta_j Z_j + w_j, |w_j| <= gamma_w."""
+    if estimator.cycles[s.bin] == 0:
+        return np.zeros(s.E.shape), s.E
+    size, gain = np.abs(s.E), np.abs(s.Z)
+    excess = np.maximum(0.0, size - gamma_w[s.bin])
+    nu = np.divide(excess, gain, out=np.where(excess > 0, np.inf, 0.0), where=gain > 0)
+    s.require(
+        np.isfinite(nu).all(axis=1),
+        estimator,
+        lambda i: f"|E| = {size[i].max():.6g} beside Z = 0, or not finite",
+        "finite spectra and |E_j| <= gamma_w where Z_j = 0",
+    )
+    return nu, s.E * np.divide(size - excess, size, out=np.zeros(size.shape), where=size > 0)
 
 
 def front_grid(B1: np.ndarray, B2: np.ndarray, estimator: Estimator, structure: str) -> np.ndarray:
@@ -228,15 +247,16 @@ def reduce_uncertainty(
     n_y: int,
     structure: str,
 ) -> Part:
-    """Steps 5-6 given ``gamma_w`` (K,): nu, |w_j|, and the front over ``grid`` (K, FRONT_POINTS)."""
+    """Steps 5-6 given ``gamma_w`` (K,): nu (K, n_delta), |w_j| (K, n_y), and the front over
+    ``grid`` (K, FRONT_POINTS)."""
     out = {
-        "nu": np.full(estimator.n_bins, np.nan),
+        "nu": np.full((estimator.n_bins, n_y if structure == "S1_diagonal" else 1), np.nan),
         "B_w": np.full((estimator.n_bins, n_y), np.nan),
         "front": np.full(grid.shape, np.nan),
     }
     for s in sets:
         nu, w = explain(s, estimator, gamma_w, structure)
-        out["nu"][s.bin], out["B_w"][s.bin] = _maximum(nu), _maximum(np.abs(w))
+        out["nu"][s.bin], out["B_w"][s.bin] = _maximum(nu.reshape(len(nu), -1)), _maximum(np.abs(w))
         out["front"][s.bin] = front(s.E, s.Z, grid[s.bin])
     return out
 

@@ -1,10 +1,12 @@
-"""Stage 5, calibration of the frame test and of the energy test, each by itself, by split conformal
-prediction; the exchangeable unit is the drive (THEORY 7.3); or of both together (`joint_scores`).
+"""Stage 5, calibration of the frame test and of the energy test by split conformal prediction.
+
+Each test is calibrated by itself, or both together (`joint_scores`). The exchangeable unit is the drive
+(THEORY 7.3).
 
 A drive's score is the largest k-of-m statistic over its counted frames, or the largest ratio of the energy
 test, read from the compiled core. The threshold is the ceil((n + 1)(1 - alpha))-th smallest score of n
-calibration drives: a further, exchangeable drive alarms with probability at most alpha. With n < 1/alpha - 1
-no finite threshold has that property, and alpha is not stated.
+calibration drives. A further, exchangeable drive then alarms with probability at most alpha. With n < 1/alpha
+- 1 no finite threshold has that property, and alpha is not stated.
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
-"""Stage 5, the energy test: one causal Delta for all outputs, from rest until now (THEORY 7.2;
-lib/include/lpvguard/energy.h).
+"""Stage 5, the energy test: one causal Delta for all outputs, or one an output, from rest until now (THEORY
+7.2; lib/include/lpvguard/energy.h).
 
     || sum_j a_j F e_j || <= || sum_j a_j F W_delta yhat_j || + sum_j |a_j| sigma_j                (T19)
 
-for every real a and at every time T, with ||x||^2 = sum_{t <= T} rho^(2 (T - t)) x(t)^2. THEORY 7.2 states
-the assumptions, the proof, and what an exceedance refutes.
+for every real a and at every time T, with ||x||^2 = sum_{t <= T} rho^(2 (T - t)) x(t)^2. With one Delta_j an
+output (S1_diagonal) a is a unit vector, and W_delta,j filters yhat_j. THEORY 7.2 states the assumptions, the
+proof, and what an exceedance refutes.
 
 **The weight** is a filter with the fitted weight's magnitude on |z| = rho, at the warped frequency (2/Ts)
 tan(omega Ts/2) (T20). ``verify_overbound`` proves it above the samples of nu at their warped frequencies.
@@ -13,20 +14,21 @@ Where the weight falls with frequency, a gain >= 1 is applied first.
 **F** is the filter of each band in turn (T21). L_1 ... L_m are first-order low-passes of the corners, lowest
 first. Band 0 is L_1 ... L_m, band b is (1 - L_b) L_(b+1) ... L_m, band m is 1 - L_m; they sum to 1. The
 corners are the frames' f_min_hz and f_max_hz, or the setting ``band_hz``. Above the last corner the constant
-``above`` = max(1, sup W_delta) stands for W_delta, and the memory is memory_s * f_first / f_last (T22).
+``above`` = max(1, sup W_delta) stands for W_delta. The memory there is memory_s * f_first / f_last (T22).
 
-**sigma_j** of a band is the least number with which the inequality of output j alone holds, from rest, at
-every sample of every drive that set the bounds or the noise. A common factor per band then makes the fan of
-directions a hold too. Every direction is a condition by itself; the core tests one a judgement.
+**sigma_j** of a band belongs to the inequality of output j alone, from rest. It is the least number with
+which that holds at every sample of every drive that set the bounds or the noise. A common factor per band
+then makes the fan of directions a hold too. Every direction is a condition by itself; the core tests one a
+judgement.
 
-**Starting in the middle** of a drive, the left sum begins at zero and the right sum at ``start``, the largest
-energy met on the identification drives. Transients of the model and of F are not covered by that; the common
-factors cover drives cut at random.
+**Starting in the middle** of a drive, the left sum begins at zero and the right sum at ``start``. That is the
+largest energy met on the identification drives. Transients of the model and of F are not covered by that; the
+common factors cover drives cut at random.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -74,8 +76,7 @@ def _sections(zeros: np.ndarray, poles: np.ndarray, gain: float, rate: float, rh
 
 
 def _bands(corner_rad: np.ndarray, rate: float) -> np.ndarray:
-    """Sections (B, S, 6) in z of the bands between the warped corners [rad/s]; a band of fewer sections ends
-    with ones that pass all."""
+    """Sections (B, S, 6) in z of the bands between the warped corners [rad/s]."""
     one, nothing = np.zeros(1), np.zeros(0)
     bands = [
         _sections(nothing, -corner_rad, np.prod(corner_rad), rate, 1.0),
@@ -84,16 +85,49 @@ def _bands(corner_rad: np.ndarray, rate: float) -> np.ndarray:
             for b in range(len(corner_rad))
         ),
     ]
+    return _padded(bands)
+
+
+def _padded(filters: list[np.ndarray]) -> np.ndarray:
+    """Sections (N, S, 6) of filters of at most S sections each; fewer end with ones that pass all."""
     passing = np.array([[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]])
-    return np.stack([np.concatenate([band, *[passing] * (len(bands[0]) - len(band))]) for band in bands])
+    most = max(map(len, filters))
+    return np.stack([np.concatenate([f, *[passing] * (most - len(f))]) for f in filters])
 
 
 def in_delta(sections: np.ndarray) -> np.ndarray:
-    """b0, b1, b2, a1, a2 (S, 5) in the operator z - 1 of sections (S, 6) in z, as the core takes them."""
-    b, a = sections[:, :3], sections[:, 3:]
-    return np.column_stack(
-        [b[:, 0], 2 * b[:, 0] + b[:, 1], b.sum(axis=1), 2 * a[:, 0] + a[:, 1], a.sum(axis=1)]
+    """b0, b1, b2, a1, a2 (..., 5) in the operator z - 1 of sections (..., 6) in z, as the core takes them."""
+    b, a = sections[..., :3], sections[..., 3:]
+    return np.stack(
+        [b[..., 0], 2 * b[..., 0] + b[..., 1], b.sum(-1), 2 * a[..., 0] + a[..., 1], a.sum(-1)], axis=-1
     )
+
+
+def _raised(
+    project: Project, W_delta: Sequence[Weight], warped: np.ndarray, bounds: np.ndarray
+) -> Iterator[tuple[float, Weight, dict]]:
+    """Of each weight: the gain >= 1 with which it is above its row of ``bounds`` (n_delta, K) at ``warped``
+    (K,) [rad/s], the weight so raised, and its certificate."""
+    if not len(W_delta) == len(bounds) == project.n_delta:
+        raise InputError(
+            f"vehicle {project.name}",
+            "W_delta",
+            f"{len(W_delta)} weights, {len(bounds)} bounds",
+            f"{project.n_delta} of each: structure {project.bounds.structure}",
+        )
+    name = "W_delta, warped"
+    for W, bound in zip(W_delta, bounds, strict=True):
+        gain = max(1.0, (1 + 1e-9) / verify_overbound(W, warped, bound, name=name).min_ratio)
+        raised = Weight(W.num * gain, W.den)
+        certificate = verify_overbound(raised, warped, bound, name=name)
+        if not certificate.ok:
+            raise InputError(
+                name,
+                f"{certificate.min_ratio_at:.4g} rad/s",
+                f"{certificate.min_ratio:.9f} of its bound",
+                "a weight that stays above its bound",
+            )
+        yield gain, raised, certificate.to_dict()
 
 
 def _norm_in(sums: np.ndarray, directions: np.ndarray) -> np.ndarray:
@@ -106,10 +140,10 @@ class EnergyTest:
     """Filters, sigma and calibration in B bands, one more than ``band_hz`` has corners. Units: ``sigma`` (B,
     n_y) the outputs', ``start`` (B, n_y) their squares.
 
-    ``F`` (B, S, 6): sections in z per band. ``W``: sections (S, 6) in z; ``above``: the constant in its place
-    above the corners. ``gain``: what W_delta was raised by to stay above its bound when warped. ``joint``
-    (B,): the common factor >= 1 in sigma that the fan, or a cut drive, asked for. ``directions`` (D, n_y) in
-    units of sigma.
+    ``F`` (B, S, 6): sections in z per band. ``W`` (n_delta, S, 6): sections in z per Delta; ``above``
+    (n_delta,): the constant in its place above the corners. ``gain`` (n_delta,): what W_delta was raised by
+    to stay above its bound when warped, with a certificate each. ``joint`` (B,): the common factor >= 1 in
+    sigma that the fan, or a cut drive, asked for. ``directions`` (D, n_y) in units of sigma.
     """
 
     Ts: float
@@ -119,9 +153,9 @@ class EnergyTest:
     speed_range: tuple[float, float]
     F: np.ndarray
     W: np.ndarray
-    above: float
-    gain: float
-    certificate: dict
+    above: np.ndarray
+    gain: np.ndarray
+    certificate: list[dict]
     directions: np.ndarray
     sigma: np.ndarray
     start: np.ndarray
@@ -133,13 +167,16 @@ class EnergyTest:
         cls,
         project: Project,
         estimator: Estimator,
-        W_delta: Weight,
+        W_delta: Sequence[Weight],
         omega: np.ndarray,
         bound: np.ndarray,
         inflation: float,
     ) -> EnergyTest:
-        """Filters for W_delta, which lies above the samples ``bound`` (K,) at ``omega``, times the final
-        inflation; sigma is 1 yet."""
+        """Filters for the project's n_delta weights W_delta, which lie above the samples ``bound`` (K,
+        n_delta) at ``omega`` (K,), times the final inflation; sigma is 1 yet.
+
+        Raises InputError for settings that make no test, and for weights of another structure.
+        """
         Ts, settings = estimator.Ts, project.energy_test
         corners = settings.band_hz or (project.frames.f_min_hz, project.frames.f_max_hz)
         memory = settings.memory_s or 1.0 / project.frames.f_min_hz
@@ -152,23 +189,12 @@ class EnergyTest:
                 f"memory {memory:g} s, band from {corners[0]:g} Hz",
                 f"a memory above {1 / low_rad:.3g} s: the filters must forget faster than the sums",
             )
-        warped = 2 / Ts * np.tan(np.asarray(omega) * Ts / 2)
-        gain = max(
-            1.0, (1 + 1e-9) / verify_overbound(W_delta, warped, bound, name="W_delta, warped").min_ratio
-        )
-        raised = Weight(W_delta.num * gain, W_delta.den)
-        certificate = verify_overbound(raised, warped, bound, name="W_delta, warped")
-        if not certificate.ok:
-            raise InputError(
-                "W_delta, warped",
-                f"{certificate.min_ratio_at:.4g} rad/s",
-                f"{certificate.min_ratio:.9f} of its bound",
-                "a weight that stays above its bound",
-            )
+        warped, bounds = 2 / Ts * np.tan(np.asarray(omega) * Ts / 2), np.transpose(bound)
+        gain, raised, certificate = zip(*_raised(project, W_delta, warped, bounds), strict=True)
         rho = np.exp(-Ts / memory)
         settle = max(estimator.settle, int(np.ceil(FEWEST_SETTLED / low_rad / Ts)))
         each = (len(corners) + 1, project.n_y)
-        largest = inflation * float(raised.magnitude(np.geomspace(high_rad, 1e4 * high_rad, 1000)).max())
+        beyond = np.geomspace(high_rad, 1e4 * high_rad, 1000)
         return cls(
             Ts,
             memory,
@@ -176,11 +202,16 @@ class EnergyTest:
             settle,
             estimator.speed_range,
             _bands(corner_rad, 1 / Ts),
-            _sections(raised.zeros(), raised.poles(), inflation * raised.num[0] / raised.den[0], 1 / Ts, rho),
-            max(1.0, largest),
-            gain,
-            certificate.to_dict(),
-            fan(project.n_y),
+            _padded(
+                [
+                    _sections(W.zeros(), W.poles(), inflation * W.num[0] / W.den[0], 1 / Ts, rho)
+                    for W in raised
+                ]
+            ),
+            np.array([max(1.0, inflation * float(W.magnitude(beyond).max())) for W in raised]),
+            np.array(gain),
+            list(certificate),
+            fan(project.n_y) if project.n_delta == 1 else np.eye(project.n_y),
             np.ones(each),
             np.zeros(each),
             np.ones(each[0]),
@@ -227,7 +258,7 @@ class EnergyTest:
         for first, end in np.flatnonzero(np.diff(np.r_[0, inside.astype(np.int8), 0])).reshape(-1, 2):
             if end - first <= self.settle:
                 continue
-            explained = sosfilt(self.W, yhat[first:end], axis=0)
+            explained = self.weighted(yhat[first:end])
             for band, F in enumerate(self.F):
                 allowed = explained if band < len(self.F) - 1 else self.above * yhat[first:end]
                 left, right = sosfilt(F, e[first:end], axis=0), sosfilt(F, allowed, axis=0)
@@ -237,6 +268,13 @@ class EnergyTest:
                     self._sums(band, left[self.settle :], np.zeros_like(self.start[band])),
                     self._sums(band, right, self.start[band])[self.settle :],
                 )
+
+    def weighted(self, yhat: np.ndarray) -> np.ndarray:
+        """W_delta yhat_j (N, n_y) of the nominal output (N, n_y), from rest: each by the W_delta of its
+        Delta."""
+        if len(self.W) == 1:
+            return sosfilt(self.W[0], yhat, axis=0)
+        return np.column_stack([sosfilt(W, column) for W, column in zip(self.W, yhat.T, strict=True)])
 
     def _sums(self, band: int, x: np.ndarray, start: np.ndarray) -> np.ndarray:
         products = x[:, :, None] * x[:, None, :]
@@ -271,8 +309,8 @@ class EnergyTest:
 
     def with_sigma(self, needs: dict[str, np.ndarray]) -> EnergyTest:
         """sigma per band and output from ``needs`` over all identification drives; and what Delta may
-        remember at the start: the largest energy met, for each output; n_y times, because products of
-        different outputs start at zero."""
+        remember at the start: the largest energy met, for each output; n_y times where one Delta is common,
+        because products of different outputs start at zero."""
         size = np.maximum(needs["error"], needs["bound"])
         if not (size > 0).all():
             raise InputError(
@@ -283,7 +321,7 @@ class EnergyTest:
                 f"and more within {self.speed_range[0]:g}..{self.speed_range[1]:g} m/s",
             )
         sigma = np.maximum(needs["sigma"], SMALLEST_SIGMA * size)
-        return replace(self, sigma=sigma, start=sigma.shape[1] * needs["bound"] ** 2)
+        return replace(self, sigma=sigma, start=sigma.shape[1] / len(self.W) * needs["bound"] ** 2)
 
     def with_joint(self, needs: dict[str, np.ndarray]) -> EnergyTest:
         """sigma raised until the fan of directions holds too; ``needs`` met with sigma per output."""
@@ -309,7 +347,7 @@ class EnergyTest:
             "energy_threshold": self.calibration.threshold,
         }
         return (
-            {"NWEIGHT": len(self.W), "NDIRECTIONS": len(self.directions), "NBANDS": len(self.F)},
+            {"NWEIGHT": self.W.shape[1], "NDIRECTIONS": len(self.directions), "NBANDS": len(self.F)},
             words,
             reals,
         )

@@ -150,7 +150,7 @@ def judge(
     experiment: Experiment,
 ) -> Judged:
     """Judge a drive, whole and (for ``worst``) from ``cuts`` random first samples, by the compiled core;
-    without one (plain DFT) by the exact margin under W_delta (K,), B_w (K, n_y)."""
+    without one (plain DFT) by the exact margin under W_delta (K, n_delta), B_w (K, n_y)."""
     speed_range, name = reader.estimator.speed_range, experiment.name
     drive, e, yhat = reader.read(experiment)
     if core is None:

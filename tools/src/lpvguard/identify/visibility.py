@@ -1,15 +1,16 @@
 """What stays invisible: the smallest gain and delay error that the frame test can see, per speed cell and bin
 (THEORY 7.4).
 
-A vehicle whose response is c times the nominal one shows the error E = -g Z in every output, |g| = |1 - c|.
-The margin of a frame grows in proportion to g (scale delta and w alike), so it exceeds the threshold exactly
-when
+A vehicle whose response is c times the nominal one shows the error E = -g Z in every output, with
+|g| = |1 - c|. The margin of a frame grows in proportion to g, because delta and w scale alike. It therefore
+exceeds the threshold exactly when
 
     g > threshold / t*(-Z, Z),
 
-t* being the exact margin of validation.s1; with one output this is g |Z| > threshold (B_w + W_delta |Z|).
-However strong the excitation, g below threshold x W_delta stays invisible. A delay tau has g = |1 - exp(-j
-omega tau)| = 2 |sin(omega tau / 2)|. Only the phase of g is free here: the vehicle's ordinary nominal error
+t* being the exact margin of validation.s1, of the project's structure. With one output this is g |Z| >
+threshold (B_w + W_delta |Z|). However strong the excitation, g below threshold x W_delta stays invisible, the
+least W_delta,j where every output has a Delta of its own. A delay tau has g = |1 - exp(-j omega tau)| =
+2 |sin(omega tau / 2)|. Only the phase of g is free here. The vehicle's ordinary nominal error
 comes on top and can add to the fault or hide it.
 
 Both lists are made for the strongest excitation met (what any drive could show) and for PERCENTILE (what one
@@ -66,7 +67,7 @@ class Excitation:
 
         bin_of (F,); ``speed`` (F,): mean of each frame [m/s]; Z (F, n_y) [output units]; ``number`` (F,)
         tells the frames of a bin apart. ``speed_range`` [m/s] is cut into SPEED_CELLS equal cells. The bounds
-        are W_delta (K,) and B_w (K, n_y).
+        are W_delta (K, n_delta) and B_w (K, n_y).
         """
         K = len(W_delta)
         cell = np.searchsorted(_edges(speed_range), speed, side="right") - 1
@@ -111,10 +112,10 @@ def visibility(
 ) -> dict:
     """Smallest visible errors per speed cell and bin; JSON-able, None where no frame counts.
 
-    omega (K,) [rad/s], 0 at DC; W_delta (K,) as ``met`` was made with, ``inflation`` the factor on it and on
-    B_w since. ``at_percentile`` and ``at_strongest`` list the cells; the lists of a cell run over the bins:
-    ``frames``, ``excitation`` |Z| [output units], ``gain_error`` [-], ``delay_s`` (None at DC and where no
-    delay is large enough).
+    omega (K,) [rad/s], 0 at DC; W_delta (K, n_delta) as ``met`` was made with, ``inflation`` the factor on
+    it and on B_w since. ``at_percentile`` and ``at_strongest`` list the cells; the lists of a cell run over
+    the bins: ``frames``, ``excitation`` |Z| [output units], ``gain_error`` [-], ``delay_s`` (None at DC and
+    where no delay is large enough).
     """
     edges = _edges(speed_range)
 
@@ -130,7 +131,7 @@ def visibility(
         "percentile": PERCENTILE,
         "sampled_frames": SAMPLED_FRAMES,
         "omega_rad_s": omega.tolist(),
-        "gain_error_floor": (threshold * inflation * W_delta).tolist(),
+        "gain_error_floor": (threshold * inflation * W_delta.min(axis=1)).tolist(),
         "at_percentile": cells(met.sample, PERCENTILE),
         "at_strongest": cells(met.strongest, 100),
     }

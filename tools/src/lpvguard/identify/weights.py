@@ -30,6 +30,8 @@ Less is left only where two weights happen to be equal, each of them a fit to so
 above what is left covers it. A floor far below would put a notch into the bound that no weight of low order
 follows.
 """
+LISTED = ("W_w", "W_n", "W_w_S0", "W_C", "W_delta")
+"""Weights of which weights.json holds a list."""
 
 
 @dataclass(frozen=True)
@@ -64,14 +66,14 @@ class FittedWeight:
 class Weights:
     """Fitted weights. ``inflation`` multiplies W_w, W_n and W_delta wherever they are used.
 
-    W_w, W_n and W_w_S0 hold one weight per output. Without zero-input drives W_n is empty, and so are W_w_S0
-    and W_C, which only synthesis needs. W_w_S0: disturbance of class S0, where nothing is left to uncertainty
-    (K_inf). ``floored``: step 7, frequencies [rad/s] per weight where nothing was left of B_w after the
-    sensor's share.
+    W_w, W_n and W_w_S0 hold one weight per output, W_delta one per Delta (n_delta). Without zero-input drives
+    W_n is empty, and so are W_w_S0 and W_C, which only synthesis needs. W_w_S0: disturbance of class S0,
+    where nothing is left to uncertainty (K_inf). ``floored``: step 7, frequencies [rad/s] per weight where
+    nothing was left of B_w after the sensor's share.
     """
 
     W_w: list[FittedWeight]
-    W_delta: FittedWeight
+    W_delta: list[FittedWeight]
     gamma_w: FittedWeight
     W_n: list[FittedWeight]
     W_w_S0: list[FittedWeight]
@@ -81,19 +83,19 @@ class Weights:
     inflation: float = 1.0
 
     def at(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """W_delta (K,) and B_w (K, n_y) as the monitor uses them: inflation included, the sensor's share put
-        back."""
+        """W_delta (K, n_delta) and B_w (K, n_y) as the monitor uses them: inflation included, the sensor's
+        share put back."""
         B_w = np.column_stack([w.magnitude(omega) for w in self.W_w])
         if self.W_n:
             W_n = np.column_stack([w.magnitude(omega) for w in self.W_n])
             B_w = np.hypot(B_w, W_n) if self.disturbance_set == "covering" else B_w + W_n
-        return self.inflation * self.W_delta.magnitude(omega), self.inflation * B_w
+        W_delta = np.column_stack([w.magnitude(omega) for w in self.W_delta])
+        return self.inflation * W_delta, self.inflation * B_w
 
     def to_dict(self) -> dict:
         """JSON-able, for `from_dict`."""
-        lists = {key: [w.to_dict() for w in getattr(self, key)] for key in ("W_w", "W_n", "W_w_S0", "W_C")}
+        lists = {key: [w.to_dict() for w in getattr(self, key)] for key in LISTED}
         return lists | {
-            "W_delta": self.W_delta.to_dict(),
             "gamma_w": self.gamma_w.to_dict(),
             "floored_rad_s": self.floored,
             "disturbance_set": self.disturbance_set,
@@ -130,13 +132,13 @@ class Weights:
             )
             return FittedWeight(fit, omega, bound)
 
-        lists = {
-            key: [weight(e, f"{key}[{j}]") for j, e in enumerate(data[key])]
-            for key in ("W_w", "W_n", "W_w_S0", "W_C")
-        }
+        if isinstance(data["W_delta"], dict):
+            raise InputError(
+                source, "W_delta", "one weight", "a list, one a Delta: identify the drives again"
+            )
+        lists = {key: [weight(e, f"{key}[{j}]") for j, e in enumerate(data[key])] for key in LISTED}
         return cls(
             **lists,
-            W_delta=weight(data["W_delta"], "W_delta"),
             gamma_w=weight(data["gamma_w"], "gamma_w"),
             floored=data["floored_rad_s"],
             disturbance_set=data["disturbance_set"],
@@ -200,7 +202,8 @@ def fit_weights(
     """Steps 6 and 7. ``noise``, ``error`` (K, n_y): peaks of E without and with input; ``command`` (K,): of
     the first output.
 
-    Without zero-input drives (``noise`` all NaN) B_w itself is W_w.
+    Bounds.nu is (K, n_delta): every Delta gets a weight of its own. Without zero-input drives (``noise`` all
+    NaN) B_w itself is W_w.
     """
     floor = smallest_disturbance(bounds.B2)
     names = [s.name for s in project.outputs]
@@ -210,7 +213,11 @@ def fit_weights(
             fit_bound(project, estimator, bound[:, j], f"{what} of {n}", floor) for j, n in enumerate(names)
         ]
 
-    W_delta = fit_bound(project, estimator, uncertainty_samples(estimator, bounds.nu), "nu", SMALLEST_NU)
+    of_delta = [f"nu of {n}" for n in names] if project.n_delta > 1 else ["nu"]
+    W_delta = [
+        fit_bound(project, estimator, uncertainty_samples(estimator, nu), what, SMALLEST_NU)
+        for nu, what in zip(bounds.nu.T, of_delta, strict=True)
+    ]
     disturbance_set = project.bounds.disturbance_set
     B_w = fit_all(bounds.B_w, "B_w")
     if np.isnan(noise).all():
@@ -274,8 +281,14 @@ def coefficients_of(
 
 
 def energy_filters(project: Project, estimator: Estimator, weights: Weights) -> EnergyTest:
-    """The energy test's filters for these weights; sigma is yet to be found."""
+    """The energy test's filters for these weights; sigma is yet to be found. InputError for weights of
+    another structure than the project's."""
     fitted = weights.W_delta
     return EnergyTest.design(
-        project, estimator, fitted.fit.weight, fitted.omega, fitted.bound, weights.inflation
+        project,
+        estimator,
+        [w.fit.weight for w in fitted],
+        fitted[0].omega,
+        np.column_stack([w.bound for w in fitted]),
+        weights.inflation,
     )

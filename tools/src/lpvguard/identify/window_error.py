@@ -2,10 +2,9 @@
 (THEORY 4.2).
 
 Class S1 compares windowed spectra of e and yhat and inverts nothing. Class S2 asks for xi_s in G_d xi_s = (z
-I - Ad) d, d = x - x_nom, and a Hann frame of x_{n+1} is z times that of x_n only approximately. Here the
-nominal model, at frozen speeds, is driven by a known white xi_s [state units per s], and xi_s is found back
-from frames of d: the relative error is what frames cost. For the plain DFT with x_0 - x_N known it is
-rounding.
+I - Ad) d, with d = x - x_nom. A Hann frame of x_{n+1} is z times that of x_n only approximately. Here a known
+white xi_s [state units per s] drives the nominal model at frozen speeds. xi_s is then found back from frames
+of d; its relative error is what frames cost. For the plain DFT with x_0 - x_N known it is rounding.
 """
 
 from __future__ import annotations

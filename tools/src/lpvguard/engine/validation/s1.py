@@ -344,19 +344,34 @@ MAX_OUTPUTS = 64
 
 
 def margin(e, z, w_delta, w_w) -> np.ndarray:
-    """On-line margin t* (...) (T17): least t with |delta| <= t W_delta and |E_j - delta Z_j| <= t
+    """On-line margin t* (...) (T17): least t with |delta_j| <= t W_delta,j and |E_j - delta_j Z_j| <= t
     W_w,j.
 
-    ``e``, ``z``, ``w_w`` (..., n_y), ``w_delta`` (...); w_w > 0, w_delta >= 0. A weighted 1-centre problem of
-    n_y + 1 discs; by Helly's theorem it is the worst of the problems of three discs, each of which is a pair
-    or the smaller root of a quadratic. t* > 1: no one complex delta and w within the bounds explain the
-    frame; a causal Delta with memory may (lpvguard.bench._memory). NaN where an input was not finite.
-    Raises InputError on shapes that do not fit, a negative W_delta and a W_w that is not positive.
+    ``e``, ``z``, ``w_w`` (..., n_y), ``w_delta`` (..., n_delta), a number standing for (1,); w_w > 0, w_delta
+    >= 0. With n_delta = 1 one delta is common to all outputs: a weighted 1-centre problem of n_y + 1 discs.
+    By Helly's theorem it is the worst of the problems of three discs, each of which is a pair or the smaller
+    root of a quadratic. With n_delta = n_y every output has its own: the largest |E_j| / (W_w,j + W_delta,j
+    |Z_j|). t* > 1: no complex delta and w within the bounds explain the frame; a causal Delta with memory may
+    (lpvguard.bench._memory). NaN where an input was not finite. Raises InputError on shapes that do not fit,
+    a negative W_delta and a W_w that is not positive.
     """
-    shape, e, z, w_delta, w_w = _points("margin", e, z, ("W_delta", w_delta, False), ("W_w", w_w, True))
+    n = np.shape(e)[-1] if np.ndim(e) else 0
+    w_delta = np.atleast_1d(np.asarray(w_delta, float))
+    if w_delta.shape[-1] not in (1, n):
+        raise InputError("margin", "W_delta", f"shape {w_delta.shape}", f"(..., 1) or (..., {n})")
+    if n > 1 and w_delta.shape[-1] == n:
+        shape, e, z, w_delta, w_w = _points("margin", e, z, ("W_delta", w_delta, True), ("W_w", w_w, True))
+    else:
+        shape, e, z, w_delta, w_w = _points(
+            "margin", e, z, ("W_delta", w_delta[..., 0], False), ("W_w", w_w, True)
+        )
     if np.any(w_w == 0.0):
         raise InputError("margin", "W_w", "0", "positive numbers")
-    points, n = e.shape
+    if w_delta.ndim > 1:
+        t = (np.abs(e) / (w_w + w_delta * np.abs(z))).max(axis=-1)
+        finite = np.isfinite(e) & np.isfinite(z) & np.isfinite(w_delta) & np.isfinite(w_w)
+        return np.where(finite.all(axis=-1), t, np.nan).reshape(shape)
+    points = len(e)
     lib = native.kernels("s1")
     if lib is None or n > MAX_OUTPUTS:
         return _margin_numpy(e, z, w_delta, w_w).reshape(shape)

@@ -1,0 +1,64 @@
+"""Class S1_diagonal from drives to the page: a Delta, a bound and a weight of its own for every output."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lpvguard.base.errors import InputError
+from lpvguard.control.plants import design_settings, fig1_weights
+from lpvguard.core.compiled import Core
+from lpvguard.drives.frames import Estimator
+from lpvguard.drives.tables import list_experiments, read_drive
+from lpvguard.identify.export import export_vehicle
+from lpvguard.identify.run import identify, load, save
+from lpvguard.report.sections.bounds import bound_sections
+from lpvguard.vehicle.nominal import NominalModel
+
+pytestmark = pytest.mark.slow("45 s: a truck identified on few drives")
+
+
+@pytest.fixture(scope="module")
+def stored(truck, few_truck_drives, tmp_path_factory):
+    bounds = truck.bounds.model_copy(update={"structure": "S1_diagonal"})
+    folder = tmp_path_factory.mktemp("separate") / "identified"
+    save(*identify(truck.model_copy(update={"bounds": bounds}), few_truck_drives), folder)
+    return load(folder)
+
+
+@pytest.fixture(scope="module")
+def core(stored, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("separate") / "truck"
+    export_vehicle(stored, folder)
+    return Core(folder)
+
+
+def test_every_output_has_its_own_bound_and_a_weight_above_it(stored):
+    estimator = Estimator.of(stored.project, NominalModel(stored.project))
+    nu, W_delta = stored.bounds["nu"], stored.fitted.at(estimator.omega)[0]
+    assert nu.shape == W_delta.shape == (estimator.n_bins, 2)
+    known = np.isfinite(nu) & (nu > 0)
+    assert known.any(axis=0).all() and (W_delta[known] >= nu[known] * (1 - 1e-9)).all()
+    assert not np.allclose(W_delta[:, 0], W_delta[:, 1], rtol=1e-2)
+    assert stored.energy.W.shape[0] == 2
+
+
+def test_the_core_holds_the_weights_and_finds_no_bound_drive_outside(stored, core, few_truck_drives):
+    assert core.sizes["NDELTA"] == 2 and core.sizes["NDIRECTIONS"] == 2
+    np.testing.assert_allclose(core.compiled[1], stored.coefficients.flat_reals(), rtol=1e-6)
+    setting = [e for e in list_experiments(few_truck_drives) if e.name in stored.manifest["drives"]["bounds"]]
+    for experiment in setting:
+        run = core.monitor().run_drive(read_drive(experiment.path, stored.project))
+        assert run.frames.margin[run.frames.counted].max(initial=0.0) <= 1 + 1e-6
+        assert run.energy.max() <= 1.001
+
+
+def test_no_controller_is_certified_with_one_of_the_deltas_alone(stored):
+    with pytest.raises(InputError, match="2 blocks Delta, one an output; expected S0 or S1"):
+        fig1_weights(stored, design_settings(stored))
+
+
+def test_the_page_draws_one_line_an_output(stored):
+    estimator = Estimator.of(stored.project, NominalModel(stored.project))
+    page = "".join(bound_sections(stored, estimator))
+    assert "one line, an output" in page and page.count("<svg") == 3
