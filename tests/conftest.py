@@ -1,9 +1,11 @@
-"""Shared by all tests: what kind a test is, which tests share a worker, and the vehicles that many tests read
+"""Shared by all tests: what kind a test is, what it cost, and the vehicles that many tests read
 (tests/made.py)."""
 
 from __future__ import annotations
 
+import io
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -11,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from lpvguard import cli
 from lpvguard.core.compiled import Core
 from lpvguard.identify import run as stage
 from lpvguard.identify.export import export_vehicle
@@ -20,6 +23,7 @@ from lpvguard.vehicle.project import Project, load_project
 from made import ROOT, Store, digest_of, store
 
 COLLECTED = pytest.StashKey[int]()
+BEGAN = pytest.StashKey[float]()
 TESTS = Path(__file__).resolve().parent
 KINDS = ("unit", "property", "golden", "fault", "hil", "fuzz", "gates", "tools")
 FEW_DRIVES = {
@@ -37,7 +41,7 @@ SLOW_FIXTURES = {
 """Fixtures that make every test that asks for them slow, and why (CPU seconds, once a run)."""
 MARKERS = (
     "requirement(id): verifies this requirement of lib/REQUIREMENTS.md",
-    "slow(reason): not part of tools/test --fast; the reason is what takes the time",
+    "slow(reason): not part of tools/test --fast: over 3 processor seconds of its own; says what takes them",
     "serial: on vcan0, with an emulator or in real time; no other test runs beside it",
     *(f"{kind}: a kind of test, the first folder below tests/" for kind in KINDS),
 )
@@ -50,8 +54,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """A test's marker is its kind, the first folder below tests/. Under pytest-xdist a file's tests share a
-    worker, because they share the file's fixtures; a test names another group itself where it shares none."""
+    """A test's marker is its kind, the first folder below tests/."""
     config.stash[COLLECTED] = len(items)
     for item in items:
         kind = item.path.relative_to(TESTS).parts[0]
@@ -62,8 +65,33 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         item.add_marker(kind)
         for name in SLOW_FIXTURES.keys() & set(item.fixturenames):
             item.add_marker(pytest.mark.slow(SLOW_FIXTURES[name]))
-        if item.get_closest_marker("xdist_group") is None:
-            item.add_marker(pytest.mark.xdist_group(str(item.path.relative_to(TESTS))))
+
+
+def cpu_seconds() -> float:
+    """Processor time of this process and of the children that it waited for."""
+    return sum(os.times()[:4])
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    item.stash[BEGAN] = cpu_seconds()
+    return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    began = cpu_seconds()
+    try:
+        return (yield)
+    finally:
+        item.user_properties.append(("cpu_call", f"{cpu_seconds() - began:.2f}"))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo) -> None:
+    """What a test cost, for tools/summarise_tests.py: its processor seconds, with and without fixtures."""
+    if call.when == "teardown":
+        item.user_properties.append(("cpu", f"{cpu_seconds() - item.stash[BEGAN]:.2f}"))
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -176,11 +204,31 @@ def few_truck_identified(truck, few_truck_drives, made) -> Path:
 
 
 @pytest.fixture
-def lpvguard():
-    """Run the command line in a process of its own; returns the completed process."""
+def lpvguard(monkeypatch):
+    """Run the command line; returns the completed process. Without options, or with ``cwd`` alone, it runs in
+    this process, which spares the imports; with other options of subprocess.run in a process of its own."""
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
 
-    def run(*arguments: object, **options) -> subprocess.CompletedProcess:
-        command = [sys.executable, "-m", "lpvguard.cli", *map(str, arguments)]
-        return subprocess.run(command, capture_output=True, text=True, check=False, **options)
+    def run(*arguments: object, cwd: Path | None = None, **options) -> subprocess.CompletedProcess:
+        words = [*map(str, arguments)]
+        if options:
+            command = [sys.executable, "-m", "lpvguard.cli", *words]
+            return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False, **options)
+        streams = [io.TextIOWrapper(io.BytesIO(), encoding="utf-8") for _ in range(2)]
+        status: int | str | None = 0
+        with monkeypatch.context() as patch:
+            patch.setattr(sys, "argv", ["lpvguard", *words])
+            patch.setattr(sys, "stdout", streams[0])
+            patch.setattr(sys, "stderr", streams[1])
+            if cwd is not None:
+                patch.chdir(cwd)
+            try:
+                cli.main()
+            except SystemExit as end:
+                status = end.code or 0
+        for stream in streams:
+            stream.flush()
+        said = [stream.buffer.getvalue().decode() for stream in streams]
+        return subprocess.CompletedProcess(words, status, *said)
 
     return run

@@ -1,16 +1,18 @@
 # Tests of the simulated truck, for the whole project and for firmware_sim/plant built alone.
 set(unit_tests ${CMAKE_CURRENT_LIST_DIR}/unit)
 add_executable(test_plant
-  ${unit_tests}/catch_main.cpp
   ${unit_tests}/heap_counter.cpp
   ${unit_tests}/test_plant_faults.cpp
   ${unit_tests}/test_plant_inputs.cpp
   ${unit_tests}/test_plant_motion.cpp)
-target_link_libraries(test_plant PRIVATE lpvguard_plant Catch2::Catch2)
+target_link_libraries(test_plant PRIVATE lpvguard_plant lpvg_catch)
 target_compile_definitions(test_plant PRIVATE LPVGUARD_TRUCK_TOML="${CMAKE_CURRENT_LIST_DIR}/../firmware_sim/plant/truck.toml")
 target_compile_options(test_plant PRIVATE -Wall -Wextra -Wconversion -Wdouble-promotion -Werror -ffp-contract=off)
 add_test(NAME unit.plant COMMAND test_plant)
 foreach(amplitude_bar 0.25 0.5 1 2)
   add_test(NAME unit.plant_frequency_response_${amplitude_bar}_bar
     COMMAND lpvguard_plant_tool frequency-response --amplitude ${amplitude_bar})
+  if(NOT amplitude_bar EQUAL 1)
+    set_tests_properties(unit.plant_frequency_response_${amplitude_bar}_bar PROPERTIES LABELS slow)  # 2 s each
+  endif()
 endforeach()

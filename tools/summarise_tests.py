@@ -12,6 +12,9 @@ from pathlib import Path
 
 RUNNERS = ("ctest", "pytest", "pytest_serial")
 
+SLOW_FROM_S = 3.0
+"""A test that takes more processor seconds than this, without its fixtures, is to be marked slow."""
+
 COLLECTED = "collected"
 """Property of a JUnit file: tests that pytest found, before any was left out (tests/conftest.py)."""
 
@@ -33,6 +36,11 @@ def reason_of(case: ElementTree.Element, skipped: ElementTree.Element | None) ->
     return (skipped.get("message") if skipped is not None else case.get("status")) or "no reason given"
 
 
+def processor_seconds(case: ElementTree.Element, name: str) -> float:
+    """What tests/conftest.py noted: ``cpu`` in all, ``cpu_call`` without fixtures; 0 of a test of ctest."""
+    return sum(float(p.get("value") or 0.0) for p in case.iter("property") if p.get("name") == name)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
@@ -51,7 +59,9 @@ def main() -> int:
 
     counts = {"passed": 0, "failed": 0, "skipped": 0}
     seconds: dict[str, float] = defaultdict(float)
+    processor: dict[str, float] = defaultdict(float)
     number: dict[str, int] = defaultdict(int)
+    dear: list[str] = []
     notes: list[str] = []
     collected = 0
     for runner in RUNNERS:
@@ -74,7 +84,10 @@ def main() -> int:
         for case in root.iter("testcase"):
             name = f"{case.get('classname', '')}::{case.get('name', '')}"
             seconds[suite_of(runner, case)] += float(case.get("time") or 0.0)
+            processor[suite_of(runner, case)] += processor_seconds(case, "cpu")
             number[suite_of(runner, case)] += 1
+            if (cost := processor_seconds(case, "cpu_call")) > SLOW_FROM_S:
+                dear.append(f"{cost:5.1f} s  {name}")
             skipped = case.find("skipped")
             if case.find("failure") is not None or case.find("error") is not None:
                 counts["failed"] += 1
@@ -96,9 +109,12 @@ def main() -> int:
         if outcome != "passed":
             notes.append(f"{outcome.upper()} clean-room ./tools/test: {why or 'see clean_room.log'}")
     width = max(map(len, seconds), default=10)
-    print(f"\n{'suite':{width}}  tests  seconds")
+    print(f"\n{'suite':{width}}  tests  seconds  processor")
     for suite in sorted(seconds):
-        print(f"{suite:{width}}  {number[suite]:5d}  {seconds[suite]:7.1f}")
+        spent = "" if suite.startswith("ctest") else f"{processor[suite]:9.1f}"
+        print(f"{suite:{width}}  {number[suite]:5d}  {seconds[suite]:7.1f}  {spent}".rstrip())
+    if arguments.fast is not None and dear:
+        print(f"\nover {SLOW_FROM_S:g} processor seconds, in the fast tier all the same:", *dear, sep="\n  ")
     print("\n".join(["", *notes]) if notes else "")
     if not counts["passed"]:
         counts["failed"] += 1

@@ -14,13 +14,13 @@ from lpvguard.drives.tables import read_drive
 MUTANTS = {
     "margin forgets the uncertainty": (
         "margin.hpp",
-        "Z_[j] = (W * unit) * Z[j];",
-        "Z_[j] = (Real(0.1) * W * unit) * Z[j];",
+        "gain_[j] = std::sqrt(squared((W[j] * unit) * Z[j]));",
+        "gain_[j] = std::sqrt(squared((Real(0.1) * W[j] * unit) * Z[j]));",
     ),
     "margin scales the disturbance": (
         "margin.hpp",
-        "E_[j] = unit * E[j];",
-        "E_[j] = Real(0.9) * (unit * E[j]);",
+        "size_[j] = squared(unit * E[j]);",
+        "size_[j] = squared(Real(0.9) * (unit * E[j]));",
     ),
     "second half of the window turned": (
         "monitor.cpp",
@@ -67,7 +67,8 @@ ENERGY_MUTANTS = {
     "sigma left out": "(norm(self->band[b].right, a) + Real(1));|(norm(self->band[b].right, a) + Real(0.5));",
     "bands of yhat forgotten": "add(band.right, x + (2 * ny), forget);"
     "|add(band.right, whole.data() + (2 * ny), forget);",
-    "weight forgotten": "section(r.energy_W[s], weighted, self->W[s]);|(void)s;",
+    "weight forgotten": "section(r.energy_W[d][s], whole.data() + (2 * ny) + j, self->W[s][0] + j, "
+    "self->W[s][1] + j);|(void)j;",
     "a band left out": "if (ratio > self->ratio) {|if (b < last && ratio > self->ratio) {",
 }
 

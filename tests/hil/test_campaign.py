@@ -3,14 +3,17 @@ from the bounds."""
 
 from __future__ import annotations
 
+import json
 import os
 from itertools import pairwise
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from lpvguard import schemas
 from lpvguard.base.errors import InputError
 from lpvguard.base.parallel import workers
 from lpvguard.core.compiled import Core
@@ -265,6 +268,8 @@ def test_a_campaign_that_was_stopped_goes_on_and_ends_the_same(small, stored, tr
     assert [c.name for c in chunks] == ["00000.parquet"] and not (out / "summary.json").exists()
     kept = {p: os.stat(p).st_mtime_ns for p in [*chunks, out / "plants.json", out / "baselines.json"]}
     told = go_on(out)
+    described = jsonschema.Draft202012Validator(schemas.schema("campaign"))
+    assert [e.message for e in described.iter_errors(json.loads((out / "summary.json").read_text()))] == []
     assert kept == {p: os.stat(p).st_mtime_ns for p in kept}, "what was finished is not done again"
     whole = tmp_path / "whole"
     (whole / "chunks").mkdir(parents=True)

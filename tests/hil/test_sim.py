@@ -17,11 +17,13 @@ from lpvguard.loop.sim import (
     Expectation,
     Simulator,
     can_fault_table,
+    feedforward,
     load_scenario,
     missed,
     shipped_scenarios,
     steady_scenario,
 )
+from lpvguard.vehicle.project import load_project
 from vcan import with_vcan
 
 SEEDS = (1, 2)
@@ -97,10 +99,22 @@ def test_not_engaged_the_brakes_stay_released(truck_folder, scenario):
     assert run["demand_max_bar"] < 1 / 2048 and run["supervision"][-1][1] == "live"
 
 
+def test_feedforward_has_the_limits_of_the_controller_that_it_is_compared_with():
+    project, nodes = load_project("truck"), np.linspace(8.0, 22.0, 4)
+    u_max, rate_max = np.array([[6.0], [2.0], [1.5], [4.0]]), np.array([40.0])
+    reals = feedforward(project, nodes, u_max, rate_max).reals
+    finer = np.linspace(8.0, 22.0, len(reals["u_max"]))
+    v = np.random.default_rng(1).uniform(8.0, 22.0, 200)
+    wanted = np.interp(v, nodes, u_max[:, 0])
+    np.testing.assert_allclose(np.interp(v, finer, reals["u_max"][:, 0]), wanted, rtol=1e-12)
+    np.testing.assert_array_equal(reals["rate_max"], rate_max)
+
+
+@pytest.mark.slow("12 s: a simulator around another core")
 def test_feedforward_runs_on_the_same_seeds(truck_folder, simulator):
     nominal = load_scenario("nominal")
-    feedforward = Simulator(truck_folder, controller="feedforward").run(nominal)
-    assert feedforward["missed"] == [] and feedforward["command_rms"] == simulator.run(nominal)["command_rms"]
+    compared = Simulator(truck_folder, controller="feedforward").run(nominal)
+    assert compared["missed"] == [] and compared["command_rms"] == simulator.run(nominal)["command_rms"]
 
 
 def test_a_profile_is_followed_and_its_faults_are_named(simulator, tmp_path):
@@ -258,11 +272,13 @@ def test_the_command_writes_json_and_its_status_says_whether_expectations_were_m
     assert done.returncode == 2 and "nowhere.toml" in done.stderr
 
 
+@pytest.mark.slow("11 s: a simulator around another core")
 def test_changing_one_coefficient_is_noticed_at_start(truck_folder, scenario, tmp_path):
     folder = tmp_path / "altered"
     shutil.copytree(truck_folder, folder)
     source = (folder / "lpvguard_control.c").read_text()
-    altered = re.sub(r"\.u_max = .*", ".u_max = {LPVG_NUMBER(3.5f, 3.5)},", source)
+    nodes = len(artefacts.read_manifest(folder, "vehicle")["controller"]["speeds"])
+    altered = re.sub(r"\.u_max = .*", ".u_max = {" + "{LPVG_NUMBER(3.5f, 3.5)}, " * nodes + "},", source)
     assert altered != source
     (folder / "lpvguard_control.c").write_text(altered)
     with pytest.raises(InputError, match=r"lpvguard_control\.c: is not the file"):

@@ -142,6 +142,7 @@ def test_the_core_imports_neither_heap_nor_text_nor_double_arithmetic(counted):
     assert [s for s in counted["imports"] if DOUBLE_HELPER.fullmatch(s)] == []
 
 
+@pytest.mark.slow("6 s: an image of two cores")
 @pytest.mark.requirement("REQ-CORE-8")
 def test_two_vehicles_share_an_image(tmp_path):
     """tests/consumer/two_vehicles.c on the Cortex-M4F: cores of different sizes, one after the other."""

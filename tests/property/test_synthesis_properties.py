@@ -3,6 +3,7 @@ axioms.
 """
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -76,6 +77,7 @@ def test_mu_is_homogeneous_invariant_to_scalings_and_between_radius_and_norm(see
 
 @quick
 @given(seeds)
+@pytest.mark.slow("5 s: real mu of random matrices")
 def test_a_real_scalar_is_never_worse_than_a_complex_one(seed):
     rng = np.random.default_rng(seed)
     M = rng.standard_normal((4, 4)) + 1j * rng.standard_normal((4, 4))

@@ -106,7 +106,14 @@ def test_every_dimension_is_one_of_a_struct():
 
 
 @pytest.mark.parametrize(
-    ("n_y", "bins", "latency"), [(1, 11, 3 + 5 + 11), (2, 11, 3 + 5 + 22), (4, 64, 3 + 32 + 128)]
+    ("n_y", "n_delta", "bins", "latency"),
+    [
+        (1, 1, 11, 3 + 5 + 11),
+        (2, 1, 11, 3 + 5 + 22),
+        (2, 2, 11, 3 + 5 + 11),
+        (4, 1, 64, 3 + 32 + 128),
+        (4, 4, 64, 3 + 32 + 64),
+    ],
 )
-def test_the_latency_of_the_core_is_that_of_its_header(n_y, bins, latency):
-    assert layout.constant("NLATENCY", {"NY": n_y, "NBINS": bins}) == latency
+def test_the_latency_of_the_core_is_that_of_its_header(n_y, n_delta, bins, latency):
+    assert layout.constant("NLATENCY", {"NY": n_y, "NDELTA": n_delta, "NBINS": bins}) == latency

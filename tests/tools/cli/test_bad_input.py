@@ -9,6 +9,8 @@ import pytest
 
 from lpvguard.base import artefacts
 
+ANOTHER_CORE = pytest.mark.slow("3 s: a core compiled with it")
+
 
 def table(folder, name="run.csv", **change):
     t = np.arange(0, 30, 0.02)
@@ -155,9 +157,27 @@ def test_a_foreign_folder_is_never_overwritten(lpvguard, synthetic, tmp_path):
     ("file", "old", "new", "says"),
     [
         ("lpvguard_vehicle.h", "#define LPVG_ESTIMATOR_ID ", "#define LPVG_ESTIMATOR_ID 1", "bad_estimator"),
-        ("lpvguard_vehicle.h", "#define LPVG_NCELLS 32", "#define LPVG_NCELLS 33", "bad_size"),
-        ("lpvguard_coeff.c", ".threshold = LPVG_NUMBER(", ".threshold = LPVG_NUMBER(1", "bad_crc"),
-        ("lpvguard_coeff.c", ".settle_samples = 18U", ".settle_samples = 19U", "bad_crc"),
+        pytest.param(
+            "lpvguard_vehicle.h",
+            "#define LPVG_NCELLS 32",
+            "#define LPVG_NCELLS 33",
+            "bad_size",
+            marks=ANOTHER_CORE,
+        ),
+        pytest.param(
+            "lpvguard_coeff.c",
+            ".threshold = LPVG_NUMBER(",
+            ".threshold = LPVG_NUMBER(1",
+            "bad_crc",
+            marks=ANOTHER_CORE,
+        ),
+        pytest.param(
+            "lpvguard_coeff.c",
+            ".settle_samples = 18U",
+            ".settle_samples = 19U",
+            "bad_crc",
+            marks=ANOTHER_CORE,
+        ),
     ],
 )
 def test_coefficients_of_another_estimator_or_size_are_refused(

@@ -22,12 +22,20 @@ def interrupted(*words: object) -> dict:
     return json.loads(done.stdout)
 
 
-@pytest.mark.parametrize("command", ["export", "replay", "campaign"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        "replay",
+        pytest.param("export", marks=pytest.mark.slow("10 s: a process for every step")),
+        pytest.param("campaign", marks=pytest.mark.slow("33 s: a process for every step")),
+    ],
+)
 def test_no_step_at_which_a_command_ends_leaves_a_torn_result(command):
     found = interrupted("steps", command)
     assert found["runs"] >= 30 and found["torn"] == []
 
 
+@pytest.mark.slow("8 s: a process for every instant")
 def test_no_random_instant_does():
     count = 200 if os.environ.get("LPVGUARD_FULL") == "1" else 18
     found = interrupted("kills", 1, count)

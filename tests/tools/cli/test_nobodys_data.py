@@ -7,7 +7,6 @@ import hashlib
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 from importlib import resources
@@ -16,7 +15,6 @@ from pathlib import Path
 import pytest
 from test_bad_input import table
 
-from lpvguard import cli
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
 from lpvguard.core.compiled import shipped_vehicle
@@ -38,19 +36,12 @@ def contents(root: Path) -> dict[str, str]:
 
 
 @pytest.fixture
-def run(monkeypatch, capsys):
-    """The command line in this process: words -> exit status and what it said."""
-    monkeypatch.setattr(signal, "signal", lambda *_: None)
+def run(lpvguard):
+    """The command line: words -> exit status and what it said."""
 
     def call(*words: object) -> tuple[int, str]:
-        monkeypatch.setattr(sys, "argv", ["lpvguard", *map(str, words)])
-        try:
-            cli.main()
-            status = 0
-        except SystemExit as end:
-            status = end.code or 0
-        said = capsys.readouterr()
-        return status, said.err
+        done = lpvguard(*words)
+        return done.returncode, done.stderr
 
     return call
 
@@ -298,7 +289,7 @@ def test_an_edited_controller_is_refused_by_its_own_seal(tmp_path):
     )
     path.write_text(json.dumps(document))
     load_controller(path)
-    path.write_text(json.dumps(document | {"u_max": [2 * x for x in document["u_max"]]}))
+    path.write_text(json.dumps(document | {"u_max": [[2 * x for x in node] for node in document["u_max"]]}))
     with pytest.raises(InputError, match="seal: does not fit"):
         load_controller(path)
 

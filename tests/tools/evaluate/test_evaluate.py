@@ -293,6 +293,7 @@ def test_short_and_unexcited_drives_are_counted_and_named(folder, g80, core):
     )
 
 
+@pytest.mark.slow("4 s: an identification and its core")
 def test_nothing_to_evaluate_is_an_error_that_says_what_is_missing(folder, g80, core):
     with pytest.raises(InputError, match=r"every judged drive set the bounds.*split is not train"):
         evaluated(g80, core, folder({"synthetic_01": "train", "synthetic_02": "train"}))

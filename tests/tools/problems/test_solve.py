@@ -85,6 +85,8 @@ ZOH = {"id": "z", "kind": "zoh", "model": "truck", "v": 15.0, "wheelbase": 4.5, 
         ),
         (MULTIPLICATIVE | {"kind": "margin", "W_delta": 1, "W_w": [1, 0]}, ["W_w", "positive"]),
         (MULTIPLICATIVE | {"kind": "margin", "W_delta": 1, "W_w": [1]}, ["W_w", "shape"]),
+        (MULTIPLICATIVE | {"kind": "margin", "W_delta": [1], "W_w": [1, 1]}, ["W_delta", "shape"]),
+        (MULTIPLICATIVE | {"kind": "margin", "W_delta": [1, -1], "W_w": [1, 1]}, ["W_delta", "negative"]),
         (ZOH | {"v": 0.0}, ["v", "positive"]),
         (ZOH | {"v": 90.0}, ["v = 90", "unstable"]),
         (ZOH | {"model": "g80"}, ["model", "g80"]),
@@ -111,6 +113,15 @@ def test_bad_problems_get_an_error_that_names_the_place_and_stop_nothing(problem
     assert "internal" not in answers[0]["error"]
     for word in words:
         assert word in answers[0]["error"]
+
+
+def test_a_margin_takes_one_W_delta_or_one_an_output():
+    common, each = (
+        solve.solve_problem(MULTIPLICATIVE | {"kind": "margin", "W_delta": W, "W_w": [0.3, 0.2]})["t"]
+        for W in (0.5, [0.5, 0.5])
+    )
+    E, Z = (np.abs(np.array(MULTIPLICATIVE[k]) @ [1, 1j]) for k in "EZ")
+    assert each == pytest.approx((E / ([0.3, 0.2] + 0.5 * Z)).max()) and each <= common
 
 
 def test_lft_answer_is_attained_and_holds_the_side_questions():

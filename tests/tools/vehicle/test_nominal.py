@@ -91,8 +91,7 @@ def test_crc_of_python_is_the_crc_of_the_core(core, identified):
 
 def test_coefficients_follow_the_signal_table(g80, g80_model):
     estimator = Estimator.of(g80, g80_model)
-    energy = EnergyTest.design(g80, estimator, Weight([1.0], [1.0]), [1.0, 2.0], [0.5, 0.5], 1.0)
-    c = build_coefficients(
-        g80, g80_model, estimator, np.ones(estimator.n_bins), np.ones((estimator.n_bins, 1)), 1.0, energy
-    )
+    energy = EnergyTest.design(g80, estimator, [Weight([1.0], [1.0])], [1.0, 2.0], [[0.5], [0.5]], 1.0)
+    ones = np.ones((estimator.n_bins, 1))
+    c = build_coefficients(g80, g80_model, estimator, ones, ones, 1.0, energy)
     assert c.reals["input_valid"].tolist() == [[-0.8, 0.8]] and c.sizes["DELAY"] == 1

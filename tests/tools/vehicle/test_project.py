@@ -61,6 +61,18 @@ def test_a_bad_project_file_is_refused_by_field(tmp_path, old, new, says):
             "input_rate_max_per_s = []",
             r"design\.input_rate_max_per_s: must have 1",
         ),
+        (
+            "truck",
+            "lateral_acceleration_max_mps2 = 4.0",
+            "lateral_acceleration_max_mps2 = 0.0",
+            r"lateral_acceleration_max_mps2",
+        ),
+        (
+            "truck",
+            'column = "r"\nunit = "rad/s"',
+            'column = "r"\nunit = "deg/s"',
+            r"lateral_acceleration_max_mps2: .* yaw_rate in deg/s",
+        ),
     ],
 )
 def test_a_design_for_another_vehicle_than_that_of_fig_1_is_refused(tmp_path, name, old, new, says):
