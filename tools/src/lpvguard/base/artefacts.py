@@ -3,8 +3,8 @@ clock time.
 
 Folders     MANIFEST.json lists every other file of its folder with its SHA-256 (``files``) and ends with
             ``seal``, the SHA-256 of its own other content. Reading refuses a folder that differs from its
-            manifest. Whoever edits a file and computes both hashes anew is not noticed: a seal guards against
-            accident and carelessness, it is no signature.
+            manifest. A seal guards against accident and carelessness. It is no signature: whoever edits a
+            file and computes both hashes anew is not noticed.
 Replacing   A folder is replaced only by one of its kind and vehicle, and only while it holds exactly what its
             manifest lists. A single file is replaced only when it carries the mark of the same command
             (`mark`), or holds nothing, or the same bytes.

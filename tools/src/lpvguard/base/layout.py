@@ -40,6 +40,7 @@ DIMENSIONS = {
     "NWEIGHT": "sections of the filter W_delta",
     "NDIRECTIONS": "directions of the energy test's fan",
     "NBANDS": "bands of the energy test, one more than its corners",
+    "NDELTA": "blocks Delta of the uncertainty: 1, common to all outputs, or NY, one an output",
     "NK": "states of one demand of the controller",
     "NM": "measurements: the reference, then the outputs",
     "NG": "nodes of the controller's speed grid",
@@ -56,8 +57,9 @@ CONSTANTS = {
     "NHISTORY": ("8", "Largest m of the k-of-m confirmation."),
     "NBLOCK": ("4", "Samples that a bin takes up at once, a power of two."),
     "NPARTS": (
-        "(2 - (1 / NY))",
-        "Pushes over which the judgement of a frame is spread: 1 for one output, else 2.",
+        "(2 - (NDELTA / NY))",
+        "Pushes over which the judgement of a frame is spread: 1 where every output has a Delta of its own, "
+        "else 2.",
     ),
     "NLATENCY": (
         "(NBLOCK - 1 + (NBINS / 2) + (NPARTS * NBINS))",
@@ -185,13 +187,13 @@ def _head(macro: str, dimensions: tuple[str, ...]) -> tuple[Field, ...]:
     )
 
 
-_COEFF_DIMENSIONS = tuple(DIMENSIONS)[:10]
+_COEFF_DIMENSIONS = tuple(DIMENSIONS)[:11]
 COEFF = Layout(
     stem="coeff",
     struct="coeff",
     header="coeff.h",
     magic=0x4C505647,
-    schema=3,
+    schema=4,
     dimensions=_COEFF_DIMENSIONS,
     words=(
         *_head("LPVG_COEFF", _COEFF_DIMENSIONS),
@@ -257,17 +259,22 @@ COEFF = Layout(
         ),
         Field(
             "energy_W",
-            ("NWEIGHT", "5"),
+            ("NDELTA", "NWEIGHT", "5"),
             "-",
             "sections of W_delta on |z| = rho, b0 b1 b2 a1 a2, stable (energy.cpp)",
         ),
-        Field("energy_above", (), "-", "what stands for W_delta above the last corner", "(0, inf)"),
+        Field("energy_above", ("NDELTA",), "-", "what stands for W_delta above the last corner", "(0, inf)"),
         Field("energy_scale", ("NBANDS", "NY"), "1/output unit", "1 / sigma_j of each band", "(0, inf)"),
         Field("energy_forget", ("NBANDS",), "-", "1 - rho^2, rho of the band", "(0, 1)"),
         Field("energy_start", ("NBANDS", "NY"), "output unit squared", "right sum at rest", "[0, inf)"),
-        Field("energy_direction", ("NDIRECTIONS", "NY"), "-", "a, in units of sigma, sum |a_j| = 1"),
+        Field(
+            "energy_direction",
+            ("NDIRECTIONS", "NY"),
+            "-",
+            "a, in units of sigma, sum |a_j| = 1; of a single output where NDELTA > 1",
+        ),
         Field("energy_threshold", (), "-", "calibrated threshold of the energy test's ratio", "[1, inf)"),
-        Field("W_delta", ("NBINS",), "-", "|W_delta| at the bin", "(0, inf)"),
+        Field("W_delta", ("NBINS", "NDELTA"), "-", "|W_delta| at the bin", "(0, inf)"),
         Field("B_w", ("NBINS", "NY"), "output unit", "disturbance bound at the bin", "(0, inf)"),
         Field("threshold", (), "-", "calibrated threshold of the frame test's statistic", "(0, inf)"),
     ),
@@ -279,7 +286,7 @@ CONTROL = Layout(
     struct="control_coeff",
     header="controller.h",
     magic=0x4C505643,
-    schema=2,
+    schema=3,
     dimensions=_CONTROL_DIMENSIONS,
     words=(
         *_head("LPVG_CONTROL", _CONTROL_DIMENSIONS),
@@ -289,7 +296,7 @@ CONTROL = Layout(
     reals=(
         Field("speed_min", (), "m/s", "first node", "(0, speed_max)"),
         Field("speed_max", (), "m/s", "last node"),
-        Field("u_max", ("NU",), "input unit", "largest |demand|", "(0, inf)"),
+        Field("u_max", ("NG", "NU"), "input unit", "largest |demand| at every node", "(0, inf)"),
         Field("rate_max", ("NU",), "input unit/s", "largest |change of demand|", "(0, inf)"),
         Field("A1", ("NK",), "-", "a, a' of every pair, a of a single state"),
         Field("engage", ("NK", "2"), "-", "change of x for what v misses, and for its drift"),

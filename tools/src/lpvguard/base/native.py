@@ -1,9 +1,9 @@
 """Compile C and C++ sources to a shared library on first use, and load it.
 
-The library lives in ``${LPVGUARD_CACHE:-${XDG_CACHE_HOME:-~/.cache}/lpvguard}`` under a name that is a hash
-of the sources, the headers beside them, the flags, the compiler's version and (for ``-march=native``) the
-processor: a stale or foreign library is never loaded. Writing is atomic, and of processes that start together
-one compiles while the others wait.
+The library lives in ``${LPVGUARD_CACHE:-${XDG_CACHE_HOME:-~/.cache}/lpvguard}``. Its name is a hash of the
+sources, the headers beside them, the flags and the compiler's version; with ``-march=native`` also of the
+processor. A stale or foreign library is therefore never loaded. Writing is atomic. Of processes that start
+together one compiles while the others wait.
 
 ``LPVGUARD_NO_NATIVE=1`` switches every compiled kernel off; the numpy versions give the same answers.
 """

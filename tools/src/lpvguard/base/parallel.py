@@ -1,9 +1,9 @@
 """One map over drives: here, in processes of this machine, or on the machines of a Dask cluster.
 
-Results come in the order of the items, whatever finishes first, and only a few items are under way or waiting
-at any time, so memory does not grow with their number. The reductions that this package joins them with are
-maxima, sums of whole numbers and selections by a key: associative and exact, so bounds are the same bits for
-any number of workers and any order of drives.
+Results come in the order of the items, whatever finishes first. Only a few items are under way or waiting at
+any time, so memory does not grow with their number. This package joins results by maxima, sums of whole
+numbers and selections by a key. These reductions are associative and exact: bounds are the same bits for any
+number of workers and any order of drives.
 """
 
 from __future__ import annotations

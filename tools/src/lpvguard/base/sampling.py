@@ -1,9 +1,9 @@
 """Samples of bounded size from streams of frames: the same rows whatever the number of workers and the order
 of the drives.
 
-A row is kept when it is among the first ``cap`` of its group in the order of a key that depends on the row
-alone (a quantity, or a hash of the drive's name and the row's number), so selecting is associative and
-commutative: the sample of two parts is that of both their samples. A hash as key makes it a uniform draw
+A row is kept when it is among the first ``cap`` of its group in the order of a key. The key depends on the
+row alone: a quantity, or a hash of the drive's name and the row's number. Selecting is therefore associative
+and commutative: the sample of two parts is that of both their samples. A hash as key makes it a uniform draw
 without replacement.
 """
 

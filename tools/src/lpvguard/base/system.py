@@ -1,7 +1,7 @@
-"""What the operating system gives to whoever writes files: a lock that ends with its process; two names
-exchanged in one step; a file forced onto the disk; signals put off.
+"""What the operating system gives to whoever writes files.
 
-This is the only module that asks for the system. Linux has all of it. Elsewhere
+It gives a lock that ends with its process. It exchanges two names in one step, forces a file onto the disk,
+and puts signals off. This is the only module that asks for the system. Linux has all of it. Elsewhere
 
     exchange    False: the caller then renames twice
     undisturbed Windows: does nothing; Ctrl-C may end a program within the block

@@ -62,21 +62,21 @@ def print_replays(done: list[dict[str, Any]], replayer: Replayer) -> None:
             _print_reception(r["run"], r["can"])
 
 
+def _listed(values: list[float]) -> str:
+    return ", ".join(f"{x:.3g}" for x in values)
+
+
 def _alarm(a: dict[str, Any]) -> str:
     if a["test"] == "energy":
-
-        def listed(values: list[float]) -> str:
-            return ", ".join(f"{x:.3g}" for x in values)
-
         return (
             f"energy test, v = {a['speed_mps']:.1f} m/s: ratio {a['margin']:.2f} > {a['threshold']:.2f} "
-            f"{a['band']} the corners, in direction ({listed(a['direction'])}); ||F e|| = {listed(a['E'])} "
-            f"against ||F W_delta yhat|| {listed(a['Z'])} + sigma {listed(a['B_w'])}"
+            f"{a['band']} the corners, in direction ({_listed(a['direction'])}); ||F e|| = {_listed(a['E'])} "
+            f"against ||F W_delta yhat|| {_listed(a['Z'])} + sigma {_listed(a['B_w'])}"
         )
     return (
         f"frame test, {a['bin_rad_s']:.3g} rad/s, v = {a['speed_mps']:.1f} m/s: "
         f"margin {a['margin']:.2f} (statistic {a['statistic']:.2f} > {a['threshold']:.2f}); |E| = "
-        f"{_norm(a['E']):.3g} against W_delta {a['W_delta']:.3g} x |Z| {_norm(a['Z']):.3g} + B_w "
+        f"{_norm(a['E']):.3g} against W_delta {_listed(a['W_delta'])} x |Z| {_norm(a['Z']):.3g} + B_w "
         f"{', '.join(f'{b:.3g}' for b in a['B_w'])}"
     )
 

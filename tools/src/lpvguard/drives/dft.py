@@ -6,10 +6,13 @@ B_new u_{n-d} reads at the DFT's own lines
 
     X(k) = (z_k I - Ad)^-1 (B_old U_old(k) + B_new U_new(k) + z_k (x_0 - x_N)),
 
-so E = Y - Z, with Z = C (z_k I - Ad)^-1 (B_old U_old + B_new U_new), holds e(k) = C (z_k I - Ad)^-1 z_k (x_0
-- x_N) besides the model's error: without an error |E| / |Y| would still be near one. x_0 - x_N is a real
-vector of n numbers and is fitted by least squares over all lines but DC (which holds the offsets); what is
-left is E. On data of the nominal model that is zero.
+Let Z = C (z_k I - Ad)^-1 (B_old U_old + B_new U_new). Y - Z then holds the transient
+
+    C (z_k I - Ad)^-1 z_k (x_0 - x_N)
+
+besides the model's error: |Y - Z| / |Y| would be near one even without an error. x_0 - x_N is a real vector
+of n numbers. It is fitted by least squares over all lines but DC, which holds the offsets. What is left is E.
+On data of the nominal model that is zero.
 """
 
 from __future__ import annotations

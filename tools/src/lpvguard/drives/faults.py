@@ -1,7 +1,7 @@
 """Faults injected into recorded drives, from a given time on, to see what the monitor finds.
 
-Gain, sign, freeze and bias act on every output; the delays act on the input (the recorded input lags) or on
-the outputs.
+Gain, sign, freeze and bias act on every output. A delay acts on the input (the recorded input lags) or on the
+outputs.
 """
 
 from __future__ import annotations

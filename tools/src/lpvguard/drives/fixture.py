@@ -1,9 +1,9 @@
 """Seeded synthetic drives of a g80-like car, for machines without the measured data.
 
-The truth is not the nominal model: a two-state bicycle model (side-slip and yaw rate, tyre cornering
-stiffness, its own delay), a lateral disturbance, a sensor bias of each drive, noise, and the sensors'
-quantisation. It is a stand-in for tests and the demo; numbers that are stated for the car come from measured
-drives only.
+The truth is not the nominal model. It is a two-state bicycle model (side-slip and yaw rate, tyre cornering
+stiffness) with its own delay. A lateral disturbance, a sensor bias of each drive, noise and the sensors'
+quantisation come on top. The drives stand in for measured ones in tests and the demo. Numbers that are stated
+for the car come from measured drives only.
 """
 
 from __future__ import annotations

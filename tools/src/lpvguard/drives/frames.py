@@ -1,20 +1,20 @@
 """Stage 2, the estimator: constant-Q Hann frames of the nominal error e = y - yhat and of the nominal output
 yhat.
 
-A bin k > 0 has N_k samples (even) that hold ``periods`` periods, so its frequency is periods / (N_k Ts); bin
+A bin k > 0 has N_k samples (even) that hold ``periods`` periods, so its frequency is periods / (N_k Ts). Bin
 0 is DC and as long as the lowest bin. A frame of bin k that starts at sample i reads
 
     X = scale sum_{n<N} w_n x_{i+n} exp(-2 pi j c n / N),
     w_n = 1/2 - 1/2 cos(2 pi n / N),   c = periods (0 at DC)
 
 with scale 2 / sum(w) (1 / sum(w) at DC): a sinusoid of amplitude a in the bin reads |X| = a. A frame *counts*
-when every sample lies in the model's speed range, at least ``settle`` samples after the last entry into it,
-and no speed in it differs by more than ``speed_tolerance`` from the frame's mean speed (THEORY 3.2). The C
-core computes the same frames, restarted every half frame from its first sample; bounds are set over frames at
-*every* start.
+when two things hold (THEORY 3.2). Every sample lies in the model's speed range, at least ``settle`` samples
+after the last entry into it. No speed in the frame differs by more than ``speed_tolerance`` from its mean.
+The C core computes the same frames, restarted every half frame from its first sample. Bounds are set over
+frames at *every* start.
 
-The paper's plain DFT (estimator "dft") has bins of one common length, every line k/(N Ts) between the
-frequency limits and DC, a rectangular window and one frame a drive; dft.py removes its transient, so it needs
+The paper's plain DFT (estimator "dft") has bins of one common length: DC and every line k/(N Ts) between the
+frequency limits. It has a rectangular window and one frame a drive. dft.py removes its transient, so it needs
 no settling.
 """
 
@@ -85,7 +85,9 @@ class Estimator:
                 f"the highest bins hold {length[-1]} samples a frame",
                 f"at least {4 * settings.periods} and different lengths; lower f_max_hz or bins_per_decade",
             )
-        latency = constant("NLATENCY", {"NBINS": n_bins + 1, "NY": project.n_y})  # DC included
+        latency = constant(
+            "NLATENCY", {"NBINS": n_bins + 1, "NY": project.n_y, "NDELTA": project.n_delta}
+        )  # DC included
         if length[-1] // 2 <= latency:
             raise InputError(
                 f"vehicle {project.name}",

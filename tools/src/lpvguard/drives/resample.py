@@ -1,9 +1,9 @@
 """Samples of several signals on one uniform grid, with what was left out and why.
 
-Resampling is linear interpolation between the signal's own samples at their time of arrival; a wheel-speed
-frame every 12 ms stays what it was and gets no filter. The table starts with the first time at which every
-column has a sample (t = 0 there) and never extrapolates. A time is left out when, for any column, the samples
-around it lie further apart than ``max_gap_s``; so is everything across a jump of the log's clock.
+Resampling is linear interpolation between the signal's own samples at their time of arrival. No signal is
+filtered. The table starts with the first time at which every column has a sample (t = 0 there) and never
+extrapolates. A time is left out when, for any column, the samples around it lie further apart than
+``max_gap_s``. Times across a jump of the log's clock are left out too.
 """
 
 from __future__ import annotations

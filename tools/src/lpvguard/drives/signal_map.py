@@ -26,10 +26,10 @@ It is a TOML file::
     terms = [{ message = "STEER", signal = "ANGLE" }, { message = "STEER", signal = "FRACTION" }]
 
 Further keys of a column: ``min``, ``max`` (in ``unit``; samples outside are left out) and ``max_gap_s``.
-Further keys of a term: ``source_unit`` (instead of the database's), ``wrap`` (period in the signal's own
-unit: unwrapped before interpolation; without it wraps are only suspected, and counted in the report),
-``channel``, ``source_address`` (J1939) and ``not_available`` ("j1939" or "none"; default: "j1939" when the
-message is a J1939 group).
+Further keys of a term: ``source_unit`` (instead of the database's), ``wrap``, ``channel``, ``source_address``
+(J1939) and ``not_available``. ``wrap`` is a period in the signal's own unit: the signal is unwrapped before
+interpolation. Without it wraps are only suspected, and counted in the report. ``not_available`` is "j1939" or
+"none", by default "j1939" when the message is a J1939 group.
 """
 
 from __future__ import annotations

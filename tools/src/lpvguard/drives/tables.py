@@ -1,8 +1,9 @@
 """Stage 0, drives: uniform drive tables (CSV or Parquet) checked against the signal table of the vehicle.
 
-A drive folder holds one table a drive and ``experiments.csv`` with at least the columns ``experiment`` (file
-stem) and ``split``; ``driver`` is carried along when present. Nothing is repaired here: what does not fit is
-an InputError that names file, line and column. Raw logs are turned into such tables by ``lpvguard ingest``.
+A drive folder holds one table a drive and ``experiments.csv``. That index has at least the columns
+``experiment`` (file stem) and ``split``; ``driver`` is carried along when present. Nothing is repaired here:
+what does not fit is an InputError that names file, line and column. Raw logs are turned into such tables by
+``lpvguard ingest``.
 """
 
 from __future__ import annotations

@@ -1,21 +1,22 @@
-"""What is used today in the monitor's place: three detectors on the same residual e = y - yhat, tuned and
-calibrated alike.
+"""What is used today in the monitor's place: three detectors on the same residual e = y - yhat.
+
+They are tuned and calibrated alike.
 
     rms     root of the mean over a window of sum_j (e_j / s_j)^2
     cusum   two-sided cumulative sums of e_j / s_j less a drift, largest over sides and outputs (Page's test)
     nis     mean over a window of the normalised innovation squared of a Kalman filter (chi-square test)
 
-s_j is the rms of e_j on the drives that set the bounds. The filter runs on e: with the input known, the error
-of the nominal model obeys x+ = A(v) x + w, e = C x + n, so its innovations are those of a filter on y. n has
-covariance diag(s_j^2); w has q^2 diag(X), X the state covariance of the nominal model under white input of
-the rms met; gains are stationary at each of SPEED_NODES speeds, the nearest one acts. Only samples in range
-and settled are used (drives/frames.py); the sums restart after others.
+s_j is the rms of e_j on the drives that set the bounds. The filter runs on e. With the input known,
+the error of the nominal model obeys x+ = A(v) x + w, e = C x + n. Its innovations are therefore those of a
+filter on y. n has covariance diag(s_j^2), w has q^2 diag(X). X is the state covariance of the nominal model
+under white input of the rms met. Gains are stationary at each of SPEED_NODES speeds; the nearest one acts.
+Only samples in range and settled are used (drives/frames.py); the sums restart after others.
 
-A detector alarms where its statistic exceeds a threshold: the conformal one of identify/calibration.py from
-the same calibration drives, one score a drive: where enough drives calibrate, all detectors have the same
-guaranteed rate of false alarms. Parameters are searched over GRID on bound-setting and calibration drives
-alone: most injected faults found in time there, then least time. The search knows the faults that are to be
-found; the monitor has no such search.
+A detector alarms where its statistic exceeds a threshold. That is the conformal one of
+identify/calibration.py from the same calibration drives, one score a drive. Where enough drives calibrate,
+all detectors have the same guaranteed rate of false alarms. Parameters are searched over GRID on
+bound-setting and calibration drives alone: most injected faults found in time there, then least time. The
+search knows the faults that are to be found; the monitor has no such search.
 """
 
 from __future__ import annotations

@@ -1,5 +1,7 @@
-"""What terminal and page show of an evaluation: a column per detector; the rows of the table; the rate of
-false alarms at which the detectors are compared."""
+"""What terminal and page show of an evaluation.
+
+The table has a column per detector. The words say at which rate of false alarms the detectors are compared.
+"""
 
 from __future__ import annotations
 

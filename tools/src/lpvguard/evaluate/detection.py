@@ -1,17 +1,17 @@
 """Faults put into drives: from which instants, how time runs after them, and whether a detector found them.
 
-**Faults** are injected into drives longer than 120 s, from STARTS instants of each, drawn one in each of as
-many equal spans between 60 s and the last instant that leaves 30 s of judged, excited driving (why several:
-tools/DESIGN_LOG.md).
+**Faults** are injected into drives longer than 120 s, from STARTS instants of each. The span from 60 s to the
+last instant that leaves 30 s of judged, excited driving is divided into STARTS equal parts. One instant is
+drawn in each (why several: tools/DESIGN_LOG.md).
 
-**Time** runs in judged, excited, in-range driving since the first faulty sample, which counts; judged is the
+**Time** runs in judged, excited, in-range driving since the first faulty sample, which counts. Judged is the
 monitor's for all detectors, though a baseline may alarm outside of it. An alarm stands at the sample with
 which the core said so, not at the end of its frame.
 
-**Found**: the first alarm from the fault's start on comes within 30 s, and before any of the same detector on
-the untouched drive since that instant. An alarm that the untouched drive raises too does not count, nor does
-one that stands when the fault starts. The table also states how often the untouched drive alarms in the time
-allowed.
+**Found**: the first alarm from the fault's start on comes within 30 s. It also comes before any alarm of the
+same detector on the untouched drive since that instant. An alarm that the untouched drive raises too does not
+count, nor does one that stands when the fault starts. The table also states how often the untouched drive
+alarms in the time allowed.
 """
 
 from __future__ import annotations

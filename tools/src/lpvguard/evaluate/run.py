@@ -3,7 +3,7 @@ bounds. One drive is left out at a time (THEORY 7.3). Three baselines run on the
 
 Every drive runs through the compiled core with thresholds calibrated on all *other* drives that did not set
 the bounds. The monitor is compared with both tests at one threshold, calibrated jointly
-(calibration.joint_scores): by either test, it alarms on a further drive with probability at most alpha, as a
+(calibration.joint_scores). By either test it alarms on a further drive with probability at most alpha, as a
 baseline does. Beside it stand each test alone at alpha, and both as exported: each at its own threshold,
 together at most twice alpha. Where fewer drives calibrate than alpha needs, no rate is stated, and the
 detectors are compared by counts only (`stated_rates`).

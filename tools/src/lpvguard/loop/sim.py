@@ -150,17 +150,19 @@ def can_fault_table(message: str, kind: str, start_s: float, end_s: float, **mor
     return "[[can_fault]]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
 
 
-def feedforward(project: Project, u_max: np.ndarray, rate_max: np.ndarray) -> ControllerCoefficients:
+def feedforward(
+    project: Project, nodes: np.ndarray, u_max: np.ndarray, rate_max: np.ndarray
+) -> ControllerCoefficients:
     """The controller for comparison: the command over the nominal model's DC gain, nothing fed back, one
     sample late as any controller.
 
-    Limits of the demand: u_max (1,) [input unit], rate_max (1,) [input unit/s]. InputError as of
-    ``build_controller``.
+    Limits of the demand, those of the controller compared with: u_max (G, 1) [input unit] at its nodes (G,)
+    [m/s], rate_max (1,) [input unit/s]. Its nodes and the speeds midway are the nodes here, so the limits are
+    the same everywhere. InputError as of ``build_controller``.
     """
     model = NominalModel(project)
-    speeds = np.linspace(*model.speed_range, 15)
-    A, B = model.matrices(speeds)
-    gain = -(model.C @ np.linalg.solve(A, B))[:, 0, 0]
+    speeds = np.linspace(nodes[0], nodes[-1], 2 * len(nodes) - 1)
+    gain = model.dc_gain(speeds)[:, 0, 0]
     numerators = np.zeros((len(speeds), 1, 1, 1 + model.n_y))
     numerators[:, 0, 0, 0] = 1.0 / gain
     return build_controller(
@@ -169,7 +171,7 @@ def feedforward(project: Project, u_max: np.ndarray, rate_max: np.ndarray) -> Co
         np.array([-1.0]),
         numerators,
         np.zeros((len(speeds), 1, 1, 1)),
-        u_max,
+        np.interp(speeds, nodes, u_max[:, 0])[:, None],
         rate_max,
         where="feedforward",
     )
@@ -201,7 +203,7 @@ class Simulator:
             )
         self.project = parse_project(manifest["project"], str(self.folder / artefacts.MANIFEST))
         if controller == "feedforward":
-            limits = (np.array(manifest["controller"][key]) for key in ("u_max", "rate_max"))
+            limits = (np.array(manifest["controller"][key]) for key in ("speeds", "u_max", "rate_max"))
             with tempfile.TemporaryDirectory() as scratch:
                 variant = Path(scratch) / self.folder.name
                 _replace_controller(self.folder, feedforward(self.project, *limits), variant)

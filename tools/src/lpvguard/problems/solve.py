@@ -82,7 +82,8 @@ def _solve_multiplicative_tradeoff(f: Fields) -> dict:
 
 def _solve_margin(f: Fields) -> dict:
     e, z = _bin(f)
-    return {"t": float(s1.margin(e, z, f.number("W_delta"), f.weights("W_w", e.size, positive=True)))}
+    w_delta = f.weights("W_delta", e.size) if isinstance(f.raw("W_delta"), list) else f.number("W_delta")
+    return {"t": float(s1.margin(e, z, w_delta, f.weights("W_w", e.size, positive=True)))}
 
 
 def _part(module: str, f: Fields) -> ModuleType:

@@ -3,15 +3,14 @@ them.
 
 can/logs.py reads the logs; run.py feeds the monitor with the samples.
 
-Ticks are one sample period of the vehicle apart. A tick sees what the frames up to it brought: the newest
-accepted value of every signal, as in lpvg_ecu_step; nothing is interpolated. There is a sample where every
-message that carries a signal of the vehicle is live (can.h), and a gap elsewhere. A tick lies half a period
-after the mean arrival time of the fastest of these messages. Jitter below half a period then moves no frame
-to another tick. A log of our own simulator gives the samples that its ECU had, except that the demand has the
-resolution of the bus.
+Ticks are one sample period of the vehicle apart. A tick sees the newest accepted value of every signal, as in
+lpvg_ecu_step; nothing is interpolated. There is a sample where every message that carries a signal of the
+vehicle is live (can.h), and a gap elsewhere. A tick lies half a period after the mean arrival time of the
+fastest of these messages. Jitter below half a period then moves no frame to another tick. A log of our own
+simulator gives the samples that its ECU had. The demand alone has the resolution of the bus.
 
-A clock that goes back by more than REORDER_S, or forward by more than CLOCK_JUMP_S, is a jump: replayed as a
-pause of PAUSE_S.
+A clock that goes back by more than REORDER_S, or forward by more than CLOCK_JUMP_S, is a jump. It is
+replayed as a pause of PAUSE_S.
 """
 
 from __future__ import annotations

@@ -30,9 +30,9 @@ class Alarm:
 
     ``test`` is "frame" or "energy". "frame": a frame of the bin ``bin_rad_s`` [rad/s]; E and Z are its DFT of
     error and nominal output. "energy": the energy test's ratio (``margin``) exceeded its threshold, after a
-    memory without that. Then bin_rad_s and W_delta are None. ``band`` is one of core.band_names;
-    ``direction`` (n_y,) says which sum of outputs, in units of sigma. B_w holds the band's sigma, E the norms
-    of F e_j and Z those of F W_delta yhat_j.
+    memory without that. Then bin_rad_s and W_delta, of a frame (n_delta,), are None. ``band`` is one of
+    core.band_names; ``direction`` (n_y,) says which sum of outputs, in units of sigma. B_w holds the
+    band's sigma, E the norms of F e_j and Z those of F W_delta yhat_j.
     """
 
     t_s: float
@@ -43,7 +43,7 @@ class Alarm:
     evidence: float
     statistic: float
     threshold: float
-    W_delta: float | None
+    W_delta: list[float] | None
     B_w: list[float]
     E: list[complex]
     Z: list[complex]
@@ -155,12 +155,14 @@ class Replayer:
         self.project, self.core = project, core
         self.model = NominalModel(project)
         self.estimator = Estimator.of(project, self.model)
-        if (core.n_u, core.n_y, core.n_bins) != (project.n_u, project.n_y, self.estimator.n_bins):
+        found = tuple(core.sizes[d] for d in ("NU", "NY", "NBINS", "NDELTA"))
+        wanted = (project.n_u, project.n_y, self.estimator.n_bins, project.n_delta)
+        if found != wanted:
             raise InputError(
                 core.folder,
                 "sizes",
-                f"{core.n_u} inputs, {core.n_y} outputs, {core.n_bins} bins",
-                f"those of vehicle {project.name}: {project.n_u}, {project.n_y}, {self.estimator.n_bins}",
+                "{} inputs, {} outputs, {} bins, {} blocks Delta".format(*found),
+                f"those of vehicle {project.name}: {', '.join(map(str, wanted))}",
             )
         if core.estimator_id() != self.estimator.identifier():
             raise InputError(
@@ -226,7 +228,7 @@ class Replayer:
                 float(frames.evidence[i]),
                 float(frames.statistic[i]),
                 self.threshold,
-                float(self.W_delta[frames.bin[i]]),
+                self.W_delta[frames.bin[i]].tolist(),
                 self.B_w[frames.bin[i]].tolist(),
                 frames.E[i].tolist(),
                 frames.Z[i].tolist(),

@@ -3,10 +3,10 @@ drive.
 
     x_{k+1} = Ad(v_k) x_k + B_old(v_k) u_{k-d-1} + B_new(v_k) u_{k-d},   yhat_k = C x_k + y0
 
-with u the input minus ``input_offset``, and the input delay td = (d + f) Ts split into whole samples d and a
-fraction f: during the first f Ts of an interval the older input acts (exact for an input that is held between
-samples). Outside the speed range the model runs at the nearest speed of the range; what it says there is not
-judged (THEORY 3.1).
+with u the input minus ``input_offset``. The input delay td = (d + f) Ts is split into whole samples d and a
+fraction f. During the first f Ts of an interval the older input acts; this is exact for an input that is held
+between samples. Outside the speed range the model runs at the nearest speed of the range. What it says there
+is not judged (THEORY 3.1).
 """
 
 from __future__ import annotations
@@ -312,6 +312,11 @@ class NominalModel:
         z = np.exp(1j * np.asarray(omega, float) * self.Ts)[:, None, None]
         numerator = (d.B_old[0] / z + d.B_new[0]) * z**-self.delay
         return self.C @ np.linalg.solve(z * np.eye(self.n) - d.Ad[0], numerator)
+
+    def dc_gain(self, v: np.ndarray) -> np.ndarray:
+        """Steady outputs per constant input, (m, n_y, n_u), at frozen speeds v (m,) [m/s], less offsets."""
+        A, B = self.matrices(v)
+        return -(self.C @ np.linalg.solve(A, B))
 
     def acting_inputs(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The inputs u_{k-d-1} and u_{k-d} that act during step k, offset removed: (N, n_u) each, from u (N,

@@ -110,9 +110,10 @@ class NuCeiling(StrictModel):
 
 
 class BoundSettings(StrictModel):
-    """Bounds (THEORY 5): structure of the uncertainty, set of the disturbance, ceiling on nu."""
+    """Bounds (THEORY 5): structure of the uncertainty (THEORY 4.1: S0 none, S1 one Delta common to all
+    outputs, S1_diagonal one an output), set of the disturbance, ceiling on nu."""
 
-    structure: Literal["S0", "S1"] = "S1"
+    structure: Literal["S0", "S1", "S1_diagonal"] = "S1"
     disturbance_set: Literal["paper", "covering"] = "covering"
     nu_ceiling: NuCeiling
 
@@ -175,7 +176,11 @@ class DesignSettings(StrictModel):
     Weights are gain * prod(s/zero + 1) / prod(s/pole + 1), rad/s. ``nodes``: scheduling speeds of the
     controller, uniform over the model's range. ``table``: the objectives [A_t, A_u] of Table II; ``lambda_s``
     [s^2]: weight of the state uncertainty beside the input's in (8), Lambda_nu = diag(1, lambda_s), for its
-    K_is.
+    K_is. ``input_max`` [input unit] and ``input_rate_max_per_s`` limit the demand;
+    ``lateral_acceleration_max_mps2``, where given, limits it further over speed: the nominal model's steady
+    yaw rate, the first output, times the speed stays within it (control/input_limit.py).
+    K_is. ``amplitudes``: edges of the classes of the demand's amplitude [unit of the input], at which
+    `bench robust` measures; None: its own.
     """
 
     structure: Literal["K_inf", "K_i", "K_is"] = "K_i"
@@ -193,7 +198,9 @@ class DesignSettings(StrictModel):
     order_loss: Fraction = 0.005
     table: list[Annotated[list[Positive], Field(min_length=2, max_length=2)]] | None = None
     lambda_s: Positive = 1.0
+    amplitudes: Annotated[list[Positive], Field(min_length=1)] | None = None
     input_max: list[Positive]
+    lateral_acceleration_max_mps2: Positive | None = None
     input_rate_max_per_s: list[Positive]
 
     @property
@@ -245,7 +252,7 @@ class Project(StrictModel):
             if value is not None and len(value) != size:
                 raise ValueError(f"model.{key}: must have {size} entries")
         if self.design is not None:
-            self._require_vehicle_of_fig1()
+            self._require_vehicle_of_fig1(self.design)
         if not self.model.speed_min_mps < self.model.speed_max_mps:
             raise ValueError("model: speed_min_mps must be below speed_max_mps")
         if not self.frames.f_min_hz < self.frames.f_max_hz < 0.5 / self.Ts_s:
@@ -255,7 +262,7 @@ class Project(StrictModel):
             raise ValueError("energy_test.band_hz: corners must rise and stay below half the sampling rate")
         return self
 
-    def _require_vehicle_of_fig1(self) -> None:
+    def _require_vehicle_of_fig1(self, design: DesignSettings) -> None:
         """Identification and monitor take any sizes; what Fig. 1 draws, and design makes a controller for, is
         one vehicle."""
         first_two = [[float(i == j) for j in range(len(self.model.A))] for i in range(2)]
@@ -265,8 +272,13 @@ class Project(StrictModel):
                 f"{self.n_u} input(s), {self.n_y} output(s), C = {self.model.C}"
             )
         for key in ("input_max", "input_rate_max_per_s"):
-            if len(getattr(self.design, key)) != self.n_u:
+            if len(getattr(design, key)) != self.n_u:
                 raise ValueError(f"design.{key}: must have {self.n_u} entries")
+        if design.lateral_acceleration_max_mps2 is not None and self.outputs[0].unit != "rad/s":
+            raise ValueError(
+                "design.lateral_acceleration_max_mps2: the first output must be a yaw rate in rad/s, "
+                f"got {self.outputs[0].name} in {self.outputs[0].unit}"
+            )
 
     def of_role(self, role: str) -> list[Signal]:
         """Signals of a role, in the order of the file."""
@@ -296,6 +308,11 @@ class Project(StrictModel):
     def n_y(self) -> int:
         """Number of outputs."""
         return len(self.outputs)
+
+    @property
+    def n_delta(self) -> int:
+        """Number of uncertainty blocks Delta: one an output in class S1_diagonal, else one common to all."""
+        return self.n_y if self.bounds.structure == "S1_diagonal" else 1
 
 
 def shipped_vehicles() -> list[str]:

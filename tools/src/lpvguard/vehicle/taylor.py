@@ -1,8 +1,8 @@
 """Bounds of a function of one variable and of its first two Taylor coefficients over an interval.
 
-Interval arithmetic on truncated power series: an expression over + - * / ** evaluated with
-``Taylor.variable(low, high)`` in place of its variable encloses f, f' and f''/2 at every point of [low,
-high], up to rounding.
+It is interval arithmetic on truncated power series. An expression over + - * / ** is evaluated with
+``Taylor.variable(low, high)`` in place of its variable. The result encloses f, f' and f''/2 at every point of
+[low, high], up to rounding.
 
 >>> f = 1 / Taylor.variable(2.0, 4.0)
 >>> [float(x) for x in f.low], [float(x) for x in f.high]

@@ -1,8 +1,8 @@
 """The paper's nominal truck at one frozen speed, any speed and wheelbase: continuous, exact zero-order hold,
 frequency response. Equations and Table I stand in vehicle/shipped/truck.toml.
 
-State ``[r, delta, delta_dot]`` (yaw rate rad/s, road-wheel angle rad, its rate rad/s), input the brake
-pressure difference in bar (right minus left), outputs ``[r, delta]``; left positive.
+The state is ``[r, delta, delta_dot]``: yaw rate [rad/s], road-wheel angle [rad], its rate [rad/s]. The input
+is the brake pressure difference [bar], right minus left. The outputs are ``[r, delta]``; left is positive.
 
 >>> a, b = zoh(speed_mps=5.0, wheelbase_m=3.6, ts_s=0.005)
 >>> float(round(a[0, 0], 12))

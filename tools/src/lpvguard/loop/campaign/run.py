@@ -17,8 +17,8 @@ import pyarrow.parquet as pq
 from ...base import artefacts
 from ...base.errors import InputError
 from ...base.parallel import Map
+from ...control.design import require_designed_for
 from ...core.compiled import Core
-from ...core.control_coefficients import load_controller
 from ...evaluate.baseline_study import BaselineStudy
 from ...evaluate.baselines import KINDS as BASELINE_KINDS
 from ...evaluate.baselines import Baseline
@@ -55,7 +55,7 @@ def campaign(
     replayer = Replayer(Simulator(folder).project, core)
     _require_same(stored, replayer)
     if controller is not None:
-        _require_designed_for(stored, controller)
+        require_designed_for(stored, controller)
     with artefacts.kept_folder(
         out,
         "campaign",
@@ -128,15 +128,6 @@ def _require_same(stored: StoredIdentification, replayer: Replayer) -> None:
             "bounds",
             "are not those of the identification",
             f"an export of {stored.folder}",
-        )
-
-
-def _require_designed_for(stored: StoredIdentification, controller: Path) -> None:
-    """InputError where controller.json was designed for another identification."""
-    load_controller(controller)
-    if artefacts.read_manifest(controller.parent, "design")["identification"] != stored.manifest:
-        raise InputError(
-            controller.parent, "identification", "is another one", f"a design of {stored.folder}"
         )
 
 

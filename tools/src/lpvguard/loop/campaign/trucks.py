@@ -11,9 +11,6 @@ with a frame of larger input are counted apart. Nothing here uses what the monit
 
 from __future__ import annotations
 
-import io
-import subprocess
-import tempfile
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -28,7 +25,7 @@ from ...drives.frames import Estimator
 from ...engine.validation import s1
 from ...identify.run import Progress, StoredIdentification
 from ...vehicle.nominal import NominalModel
-from ..generate import plant_tool
+from ..response import frequency_response
 from . import faults
 from .scenarios import draw_variation
 
@@ -48,7 +45,7 @@ LOOP_SPEEDS = (8.5, 15.0, 21.5)
 class WeightMagnitudes:
     """Magnitudes of an identification's weights, which a truck's frequency response is held against.
 
-    omega (K,): the bins [rad/s]. W_delta (K,). B_w (K, n_y): the share W_n (K, n_y) included.
+    omega (K,): the bins [rad/s]. W_delta (K, n_delta). B_w (K, n_y): the share W_n (K, n_y) included.
     """
 
     omega: np.ndarray
@@ -87,36 +84,13 @@ def response_margin(
     for all bins or (K,). 1 or less: within the bounds.
     """
     U = np.broadcast_to(demand_bar, weights.omega.shape)[:, None]
-    half = 0.5 * weights.omega * model.Ts
-    hold = np.exp(-1j * half) * np.sinc(half / np.pi)  # the demand is held over a sample
-    tool, worst = plant_tool(), 0.0
-    with tempfile.TemporaryDirectory() as scratch:
-        path = Path(scratch) / "truck.toml"
-        path.write_text("[plant]\nspeed_profile = [[0.0, 15.0]]\n" + tables, encoding="utf-8")
-        for v in RESPONSE_SPEEDS:
-            P = model.frequency_response(weights.omega, v)[..., 0]
-            for amplitude in RESPONSE_AMPLITUDES_BAR:
-                G = _frequency_response(tool, path, v, amplitude, weights.omega) * hold[:, None]
-                left = np.maximum(weights.B_w - weights.W_n, 1e-12)
-                worst = max(worst, float(s1.margin((G - P) * U, P * U, weights.W_delta, left).max()))
+    left, worst = np.maximum(weights.B_w - weights.W_n, 1e-12), 0.0
+    for v in RESPONSE_SPEEDS:
+        for amplitude in RESPONSE_AMPLITUDES_BAR:
+            omega, G = frequency_response(tables, v, amplitude, weights.omega)
+            P = model.frequency_response(omega, v)[..., 0]
+            worst = max(worst, float(s1.margin((G - P) * U, P * U, weights.W_delta, left).max()))
     return worst
-
-
-def _frequency_response(
-    tool: Path, scenario: Path, v: float, amplitude: float, omega: np.ndarray
-) -> np.ndarray:
-    """(K, n_y) complex: outputs of the simulated truck over a sine at each of ``omega`` (K,) [rad/s].
-
-    ``tool``: of the plant; ``v``: speed [m/s]; ``amplitude``: of the demand [bar]. InputError when the truck
-    cannot be driven so.
-    """
-    options = ("--scenario", scenario, "--speed", v, "--amplitude", amplitude)
-    command = [tool, "response", *options, "--omega", ",".join(f"{w:.9g}" for w in omega)]
-    done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        raise InputError(tool, "response", done.stderr.strip(), "a truck that can be driven")
-    rows = np.loadtxt(io.StringIO(done.stdout), delimiter=",", skiprows=1)
-    return rows[:, 1::2] + 1j * rows[:, 2::2]
 
 
 def plants(
