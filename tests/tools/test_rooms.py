@@ -17,6 +17,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "tools/src/lpvguard"
 README = ROOT / "tools/README.md"
+TESTS = ROOT / "tests"
 ORDER = (
     "base",
     "vehicle",
@@ -324,6 +325,26 @@ def test_the_picture_in_the_readme_is_that_of_the_packages():
 def test_every_room_has_its_folder_of_tests_and_no_other_is_there():
     folders = {path.parent.name for path in Path(__file__).parent.glob("*/test_*.py")}
     assert folders == set(ORDER)
+
+
+def imported_tests(text: str) -> list[str]:
+    """Modules of tests and conftests that a module's ``text`` imports anywhere: which file such a name means
+    depends on what pytest collected before."""
+    named = []
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            named += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            named.append(node.module or "")
+    return [name for name in named if re.match(r"(test_|conftest\b)", name.rpartition(".")[2])]
+
+
+def test_no_test_imports_from_another_test():
+    """What two tests need stands in a module of tests/."""
+    found = {path.name: imported_tests(path.read_text(encoding="utf-8")) for path in TESTS.rglob("*.py")}
+    assert {name: others for name, others in found.items() if others} == {}
+    planted = "import conftest\ndef f():\n    from test_bad_input import table\n"
+    assert imported_tests(planted) == ["conftest", "test_bad_input"]
 
 
 def test_every_stop_of_the_walks_exists():

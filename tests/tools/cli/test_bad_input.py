@@ -7,24 +7,10 @@ import shutil
 import numpy as np
 import pytest
 
+from drive_table import table
 from lpvguard.base import artefacts
 
 ANOTHER_CORE = pytest.mark.slow("3 s: a core compiled with it")
-
-
-def table(folder, name="run.csv", **change):
-    t = np.arange(0, 30, 0.02)
-    columns = {
-        "t": t,
-        "v": np.full_like(t, 10.0),
-        "delta": 0.05 * np.sin(2 * t),
-        "r": 0.17 * np.sin(2 * t - 0.3),
-    } | change
-    columns = {k: v for k, v in columns.items() if v is not None}
-    path = folder / name
-    rows = np.column_stack(list(columns.values()))
-    np.savetxt(path, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
-    return path
 
 
 def with_value(index, column, value):

@@ -13,8 +13,9 @@ from importlib import resources
 from pathlib import Path
 
 import pytest
-from test_bad_input import table
 
+from drive_table import table
+from hand_controller import hand_controller
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
 from lpvguard.core.compiled import shipped_vehicle
@@ -281,8 +282,6 @@ def test_a_half_done_swap_is_undone_by_whoever_reads_next(run, here):
 
 
 def test_an_edited_controller_is_refused_by_its_own_seal(tmp_path):
-    from test_control_export import hand_controller
-
     path = tmp_path / "controller.json"
     document = json.loads(
         artefacts.to_json(artefacts.sealed({"kind": "controller", **hand_controller(load_project("truck"))}))
