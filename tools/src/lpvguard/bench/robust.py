@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from ..base import artefacts
 from ..base.errors import InputError
 from ..base.parallel import Map, workers
 from ..control import design
@@ -52,10 +51,8 @@ def main(argv: list[str]) -> None:
         + ", ".join(f"{u:g}" for u in AMPLITUDES_BAR),
     )
     given = options.parse_args(argv)
-    artefacts.read_manifest(given.design, "design")
-    stored, controller = identify.load(given.identification), given.design / "controller.json"
-    design.require_designed_for(stored, controller)
-    document = artefacts.read_json(controller)
+    stored = identify.load(given.identification)
+    document = design.require_designed_for(stored, given.design / "controller.json")
     schedule = Scheduled.read(document)
     asked = amplitudes(given.amplitudes, design_settings(stored).amplitudes)
     runs = certified_runs(stored, document, CompiledController(given.vehicle), given.draws)

@@ -25,7 +25,7 @@ from scipy.optimize import minimize_scalar
 
 from ..base import artefacts
 from ..base.errors import InputError
-from ..core.control_coefficients import load_controller
+from ..core.control_coefficients import read_controller
 from ..core.scheduled import Scheduled
 from ..engine.synthesis import interconnection as fig1
 from ..engine.synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis
@@ -440,13 +440,15 @@ def _row(v: float, proved: RobustPerformance) -> dict[str, float]:
     }
 
 
-def require_designed_for(stored: StoredIdentification, controller: Path) -> None:
-    """InputError where controller.json cannot be read or was designed for another identification."""
-    load_controller(controller)
+def require_designed_for(stored: StoredIdentification, controller: Path) -> dict:
+    """The document of controller.json; InputError where it cannot be read or was designed for another
+    identification."""
+    document = read_controller(controller)
     if artefacts.read_manifest(controller.parent, "design")["identification"] != stored.manifest:
         raise InputError(
             controller.parent, "identification", "is another one", f"a design of {stored.folder}"
         )
+    return document
 
 
 def faulted_performance(

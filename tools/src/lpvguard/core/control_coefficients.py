@@ -111,8 +111,8 @@ def replaced_controller(header: str, controller: ControllerCoefficients) -> dict
     return {"lpvguard_vehicle.h": header, "lpvguard_control.c": coefficient_source(controller)}
 
 
-def load_controller(path: Path) -> ControllerCoefficients:
-    """Read and check ``controller.json`` (the module's docstring says what it holds). Raises InputError."""
+def read_controller(path: Path) -> dict[str, Any]:
+    """The document of a ``controller.json`` that is sealed and complete; InputError otherwise."""
     document = artefacts.read_json(path)
     if not isinstance(document, dict):
         raise InputError(path, "", "not an object", "controller.json as `lpvguard design` writes it")
@@ -121,6 +121,12 @@ def load_controller(path: Path) -> ControllerCoefficients:
     missing = [key for key in ("Ts_s", *ARRAYS) if key not in document]
     if missing:
         raise InputError(path, ", ".join(missing), "missing", "as `lpvguard design` writes it")
+    return document
+
+
+def load_controller(path: Path) -> ControllerCoefficients:
+    """Read and check ``controller.json`` (the module's docstring says what it holds). Raises InputError."""
+    document = read_controller(path)
     arrays = []
     for key in ARRAYS:
         try:
