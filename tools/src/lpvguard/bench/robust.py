@@ -22,7 +22,7 @@ from ..control.robust_run import QUANTISATION, CompiledController, RobustRun, ru
 from ..control.true_loop import CertifiedLoop, MeasuredResponse, TrueLoop
 from ..core.scheduled import Scheduled
 from ..engine.synthesis.dk import certify
-from ..engine.synthesis.margins import NAMES, LoopMargins
+from ..engine.synthesis.margins import NAMES, LoopMargins, shown
 from ..identify import run as identify
 from ..identify.run import StoredIdentification
 from ..loop.response import frequency_response
@@ -201,10 +201,6 @@ def true_lines(table: dict[str, Any]) -> Iterator[str]:
 def _numbers(margins: dict[str, Any] | None, otherwise: str) -> str:
     if margins is None:
         return "  " + otherwise
-    units = {"phase": 180 / np.pi, "disk_phase": 180 / np.pi, "delay": 1e3}
     values = {name: margins[name]["value"] for name in NAMES}
-    texts = {
-        name: "-" if x is None or np.isinf(x) else f"{x * units.get(name, 1.0):.3f}"
-        for name, x in values.items()
-    }
-    return "".join(f"{text:>9}" for text in texts.values())
+    texts = ["-" if x is None or np.isinf(x) else f"{shown(name, x):.3f}" for name, x in values.items()]
+    return "".join(f"{text:>9}" for text in texts)

@@ -32,6 +32,8 @@ NAMES = (
 )
 """Names of the margins: factors, rad, s, factors, radii of disks, and what the balanced disk covers: a factor
 up and down, rad."""
+SHOWN = {"phase": ("°", 180 / np.pi), "delay": ("ms", 1e3), "disk_phase": ("°", 180 / np.pi)}
+"""Unit in which people read a margin, and its factor from SI; the other margins have no unit."""
 STEP = 0.05
 """Largest change of log L and log (1 + L) between neighbours of a refined grid."""
 ROUNDS = 60
@@ -66,6 +68,11 @@ class LoopMargins:
     def stable(self) -> bool:
         """Whether the closed loop is stable."""
         return self.unstable_poles == 0
+
+
+def shown(name: str, value: float) -> float:
+    """The ``value`` of the margin ``name`` in the unit in which people read it (SHOWN)."""
+    return value * SHOWN[name][1] if name in SHOWN else value
 
 
 def disk_gain_and_phase(alpha: float, skew: float) -> tuple[float, float, float]:

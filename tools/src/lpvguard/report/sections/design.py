@@ -6,26 +6,25 @@ from __future__ import annotations
 from html import escape
 from pathlib import Path
 
-import numpy as np
-
 from ...base import artefacts
 from ...base.errors import InputError
+from ...engine.synthesis.margins import SHOWN, shown
 from ..design_pictures import draw
 from ..markup import captioned, html_table, number, yes_or_no
 
 ROBUST = "robust.json"
 """Written by `lpvguard bench robust --json`, beside the design's folder."""
 MARGINS = {
-    "gain_up": ("gain, up", 1.0),
-    "phase": ("phase, °", 180 / np.pi),
-    "delay": ("delay, ms", 1e3),
-    "Ms": ("M<sub>s</sub>", 1.0),
-    "Mt": ("M<sub>t</sub>", 1.0),
-    "disk_balanced": ("disk margin", 1.0),
-    "disk_gain": ("disk: gain", 1.0),
-    "disk_phase": ("disk: phase, °", 180 / np.pi),
+    "gain_up": "gain, up",
+    "phase": "phase",
+    "delay": "delay",
+    "Ms": "M<sub>s</sub>",
+    "Mt": "M<sub>t</sub>",
+    "disk_balanced": "disk margin",
+    "disk_gain": "disk: gain",
+    "disk_phase": "disk: phase",
 }
-"""Margins that are shown: title, and what a value is multiplied by."""
+"""Margins that are shown, with their titles."""
 
 
 def design_section(folder: Path) -> str:
@@ -72,7 +71,7 @@ def _true_loop(path: Path, controller: str) -> str:
         for row in (r for r in found["true"] if r["v_mps"] == v):
             cells = _margin_cells(row["margins"])
             rows.append(["", number(row["amplitude"]), *cells, _farthest(row["deviations"])])
-    titles = [title for title, _ in MARGINS.values()]
+    titles = [f"{title}, {SHOWN[name][0]}" if name in SHOWN else title for name, title in MARGINS.items()]
     table = html_table(
         ["speed, m/s", "amplitude", *titles, "|δ|/W<sub>Δ</sub>, largest of each output"], rows, "tight"
     )
@@ -89,8 +88,7 @@ def _margin_cells(margins: dict | None) -> list[str]:
     if margins is None:
         return ['<span class="no">unstable</span>', *[""] * (len(MARGINS) - 1)]
     return [
-        "–" if (value := margins[name]["value"]) is None else number(factor * value)
-        for name, (_, factor) in MARGINS.items()
+        "–" if (value := margins[name]["value"]) is None else number(shown(name, value)) for name in MARGINS
     ]
 
 
