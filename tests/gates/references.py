@@ -153,7 +153,7 @@ def defines(path: Path, symbol: str) -> bool:
     return (
         re.search(
             rf"^[^\n=;/]*\b(?:class|struct|enum)\s+{name}\b"
-            rf"|^(?!\s*(?:return|//))[^\n=;]*[\w>&*]\s*[ *&]{name}\s*\(",
+            rf"|^(?!\s*(?:return|//))[^\n=;]*[\w>&*]\s*[ *&](?:\w+::)?{name}\s*\(",
             text,
             re.MULTILINE,
         )

@@ -217,7 +217,9 @@ def exists(stop: tuple[str, str]) -> bool:
     text, name = path.read_text(encoding="utf-8"), function.split(".")[-1]
     if path.suffix != ".py":
         return (
-            re.search(rf"^(?!\s*(?:return|//))[^\n=;]*[\w>&*]\s*[ *&]{name}\s*\(", text, re.MULTILINE)
+            re.search(
+                rf"^(?!\s*(?:return|//))[^\n=;]*[\w>&*]\s*[ *&](?:\w+::)?{name}\s*\(", text, re.MULTILINE
+            )
             is not None
         )
     body: list[ast.stmt] = ast.parse(text).body
