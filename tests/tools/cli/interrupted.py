@@ -47,30 +47,12 @@ import lpvguard.loop.sim
 import lpvguard.problems.solve
 import lpvguard.report.design_pictures
 import lpvguard.report.page
-from lpvguard import cli
+from lpvguard import cli, schemas
 from lpvguard.base import artefacts, system
 
 MAP = 'schema = 1\nTs_s = 0.1\n[columns.v]\nunit = "m/s"\nsignal = "v"\n'
-ROW = {
-    "scenario": "a",
-    "seed": 1,
-    "verdict_final": "valid",
-    "first_invalid_s": None,
-    "command_rms": 0,
-    "max_margin": 0.5,
-    "real_time_factor": 1.0,
-    "missed": [],
-}
-REPLAYED = {
-    "run": "a",
-    "duration_s": 1.0,
-    "judged_s": 1.0,
-    "verdict_final": "valid",
-    "first_invalid_s": None,
-    "max_margin": None,
-    "max_energy_ratio": None,
-    "alarms": [],
-}
+ROW = schemas.example("sim")[0] | {"scenario": "a", "seed": 1, "real_time_factor": 1.0}
+REPLAYED = schemas.example("replay")[0] | {"run": "a", "alarms": []}
 
 
 def commands(variant: str) -> dict[str, tuple[list[str], str]]:
