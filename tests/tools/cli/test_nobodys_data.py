@@ -293,9 +293,8 @@ def test_an_edited_controller_is_refused_by_its_own_seal(tmp_path):
         load_controller(path)
 
 
-@pytest.mark.parametrize("name", ["g80", "truck"])
+@pytest.mark.parametrize("name", shipped_vehicles())
 def test_the_shipped_folders_are_sealed_and_have_the_shipped_settings(name):
-    assert name in shipped_vehicles()
     stored = artefacts.read_manifest(shipped_vehicle(name), "vehicle")["project"]
     given = json.loads(artefacts.to_json(load_project(name).model_dump(by_alias=True)))
     assert artefacts.first_difference(stored, given) is None
