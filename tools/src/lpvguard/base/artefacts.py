@@ -35,8 +35,8 @@ MANIFEST = "MANIFEST.json"
 MARK_KEY = "written_by"
 """Key of a JSON output, or of every member of one that is a list, with `mark` as its value."""
 _SCRATCH, _NEW, _OLD, _LOCK = "lpvguard-scratch", "new", "old", "lpvguard-lock"
-"""Names in a work folder: the file that says it is one, what is being written, what is being replaced, and
-the lock where a folder itself cannot be locked."""
+"""Names in a work folder: the file that says it is one; what is being written; what is being replaced; the
+lock, where a folder itself cannot be locked."""
 _held: dict[Path, Path] = {}
 """Work folders that this process holds, by target."""
 
@@ -233,8 +233,10 @@ def _place(target: Path) -> Path:
 def require_replaceable_folder(
     target: Path, kind: str | None = None, vehicle: str | None = None, *, resumed: bool = False
 ) -> None:
-    """InputError unless ``target`` is new, an empty folder, or a folder of this kind and vehicle (None: of
-    any) with exactly the files that its manifest lists; ``resumed``: or a part of them."""
+    """InputError unless ``target`` is new, an empty folder, or one of this kind and vehicle (None: of any).
+
+    Such a folder has exactly the files that its manifest lists; with ``resumed``, or a part of them.
+    """
     place = _place(target)
     expected = "a new or empty folder"
     if place == Path.cwd() or place in Path.cwd().parents:
@@ -271,8 +273,10 @@ def require_replaceable_folder(
 
 
 def require_replaceable_file(target: Path, kind: str, data: bytes | None = None) -> None:
-    """InputError unless ``target`` is new, empty, the same bytes, or carries the mark of ``kind``; devices
-    and pipes are nobody's."""
+    """InputError unless ``target`` is new, empty, holds the same bytes or carries the mark of ``kind``.
+
+    Devices and pipes are never refused.
+    """
     target = Path(target)
     if target.is_dir():
         raise InputError(target, "", "is a folder", "a file to write")

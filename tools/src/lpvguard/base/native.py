@@ -111,8 +111,8 @@ def compile_shared(
 
     ``flags`` go to the compiler as they are, in front of ``-fPIC -shared``. C++ when any source is C++.
     Headers are hashed when they lie in ``include_dirs`` or beside a source; system headers are covered by the
-    compiler's version only. Raises NativeError when there is no compiler, a source is missing or does not
-    compile, or a flag would let the compiler reorder floating-point arithmetic.
+    compiler's version only. Raises NativeError when there is no compiler, or a source is missing or does not
+    compile. A flag that would let the compiler reorder floating-point arithmetic raises it too.
     """
     suffix = ".dylib" if sys.platform == "darwin" else ".so"
     return _compile(sources, (*flags, "-fPIC", "-shared"), include_dirs, name, suffix)

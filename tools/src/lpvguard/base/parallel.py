@@ -83,9 +83,7 @@ def _processes(jobs: int) -> Iterator[Map]:
         try:
             yield _bounded(pool.submit, lambda future: future.result(), lambda: UNDER_WAY_PER_WORKER * jobs)
         except BaseException:
-            pool.shutdown(
-                wait=False, cancel_futures=True
-            )  # whoever is told to end does not wait for what nobody wants
+            pool.shutdown(wait=False, cancel_futures=True)  # a run that ends does not wait for unused results
             raise
 
 

@@ -1,4 +1,4 @@
-"""What the operating system gives to whoever writes files.
+"""What writing files takes from the operating system.
 
 It gives a lock that ends with its process. It exchanges two names in one step, forces a file onto the disk,
 and puts signals off. This is the only module that asks for the system. Linux has all of it. Elsewhere

@@ -5,9 +5,9 @@ with the Hann window h of N samples (scale 4/N) and any nominal output z
 
     E - Delta(jw) Z = (4/N) sum_k delta_k e^-jwk sum_m (h[m+k] - h[m]) z[m] e^-jwm.
 
-The differences have the Euclidean norm k (pi/N) sqrt(N/2) at most, so with |Delta(jw)| <= W_delta, the
-disturbance within B_w and z of root mean square rms over the N (1 + q) samples that reach into the frame, q N
-the length of delta,
+The differences have the Euclidean norm k (pi/N) sqrt(N/2) at most. Let |Delta(jw)| <= W_delta, and let the
+disturbance lie within B_w. Let delta be q N samples long. N (1 + q) samples of z then reach into the frame,
+and rms is their root mean square:
 
     t* <= 1 + 2 sqrt(2) pi sqrt(1 + q) (sum_k k |delta_k| / N) rms / B_w.
 

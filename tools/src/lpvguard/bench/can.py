@@ -1,11 +1,12 @@
-"""`lpvguard bench can`: with a log and its database, how fast CAN logs are decoded, against a python-can +
-cantools loop in the same run; without, the fault table of the closed loop (loop/bus_faults.py): what goes
-wrong on the bus, and what the firmware makes of it.
+"""`lpvguard bench can`: how fast CAN logs are decoded, or what the closed loop makes of faults on the bus.
 
-The former repeats a candump log to the wanted number of frames, decodes every signal of every message of the
-database from the text file, and runs the loop (python-can's reader, cantools' decode_message) over a part of
-the same file. One process, one thread; times are processor time (user and system), so that other work on the
-machine does not enter the ratio.
+With a log and its database it measures decoding. It repeats a candump log to the wanted number of frames and
+decodes every signal of every message of the database from the text file. A loop of python-can's reader and
+cantools' decode_message runs over a part of the same file in the same run. One process, one thread. Times are
+processor time (user and system), so that other work on the machine does not enter the ratio.
+
+Without a log it prints the fault table of the closed loop (loop/bus_faults.py): what goes wrong on the bus,
+and what the firmware makes of it.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """`lpvguard bench core`: what the core costs on an ECU -- ROM, RAM, stack, instructions of every part, share
 of a processor.
 
-Measured on emulated Cortex-M4F, M7 and R5F over a seeded drive, the vehicle's own or the one that the budget
-of lib/INTEGRATION.md names: the truck with 20 bins, 2 outputs and a controller of 25 states. Every count is
-of executed *instructions, not cycles*: multiply by the cycles an instruction takes on the part, flash waits
+Measured on emulated Cortex-M4F, M7 and R5F over a seeded drive. The vehicle is the one that the budget of
+lib/INTEGRATION.md names: the truck with 20 bins, 2 outputs and a controller of 25 states. Every count is of
+executed *instructions, not cycles*: multiply by the cycles an instruction takes on the part, flash waits
 included.
 """
 
@@ -36,7 +36,7 @@ RECORDED_FRAMES = 4  # in that RAM, at least
 ROM_BYTES = 32768
 STACK_BYTES = 2048
 DENSE_TO_CONTROLLER = 5.0
-"""At least so many times more instructions a step with full matrices takes, under the same scheduling
+"""A step with full matrices takes at least this factor more instructions, under the same scheduling
 (firmware_sim/ports/dense_controller.hpp)."""
 CONTROLLER_STATES = 25
 CYCLES_PER_INSTRUCTION = 1.0

@@ -1,8 +1,8 @@
 """Performance of the validation engine: one thread, 20 experiments x 1024 bins of the paper's truck.
 
-Three kernels (S1 closed form, on-line margin, S2 to a certified gap of 1e-4) on arrays, and beside them the
-same problems written for a conic solver (cvxpy + Clarabel, rebuilt per point) on a subsample of the same
-points in the same run. The peer for S2 is a bisection-free grid: one semidefinite relaxation per trial nu_s.
+Three kernels run on arrays: S1 closed form, on-line margin, S2 to a certified gap of 1e-4. Beside them, in
+the same run, a conic solver (cvxpy + Clarabel, rebuilt per point) solves a subsample of the same problems.
+The peer for S2 is a bisection-free grid: one semidefinite relaxation per trial nu_s.
 cvxpy is a test dependency: without it the ratios are left out.
 
 >>> data = truck_points(experiments=2, bins=4, seed=1)

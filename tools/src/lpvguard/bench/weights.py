@@ -51,8 +51,8 @@ json.dump(answer, open(sys.argv[2], "w"))
 
 
 def third_order(rng: np.random.Generator, decades: int) -> Weight:
-    """A weight with three real zeros and three real poles, at least a decade inside a band of so many decades
-    about 1 rad/s."""
+    """A weight with three real zeros and three real poles. All lie at least a decade inside a band of
+    ``decades`` about 1 rad/s."""
     half = decades / 2 - 1
     return Weight(*(np.poly(-(10.0 ** rng.uniform(-half, half, 3))) for _ in range(2)))
 

@@ -2,9 +2,9 @@
 
 Two files: ``lpvg_can_codec.h`` and ``lpvg_can_codec.c``. Per message a struct of raw values, ``pack`` and
 ``unpack``; per signal ``encode`` (physical to raw: rounds to nearest, saturates, NaN becomes "not available")
-and ``decode`` (raw to physical with a quality). Bytes are read and written one by one, so the byte order of
-the processor does not matter, and every shift is of an unsigned value by less than its width. The text
-depends on the catalogue alone.
+and ``decode`` (raw to physical with a quality). Bytes are read and written one by one: the byte order of the
+processor does not matter. Every shift is of an unsigned value by less than its width. The text depends on the
+catalogue alone.
 """
 
 from __future__ import annotations

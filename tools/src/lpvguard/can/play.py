@@ -1,7 +1,7 @@
 """Turns drives into frames of the catalogue's messages, and plays frames onto a bus or into a candump log.
 
-``encode`` does in numpy what the generated C codec does: rounds to the nearest raw value, saturates, sends
-NaN as "not available", sets unused bits to 1 and protects with E2E profile 11 where the catalogue says so.
+``encode`` does in numpy what the generated C codec does. It rounds to the nearest raw value, saturates, and
+sends NaN as "not available". It sets unused bits to 1 and adds E2E profile 11 where the catalogue says so.
 """
 
 from __future__ import annotations

@@ -123,7 +123,7 @@ def _kept(
     """The runs, with the folder of their logs, telemetry and results.json at ``out``."""
     with artefacts.new_folder(out, "sim", simulator.project.name) as folder:
         runs = run(folder)
-        # How fast this machine was belongs to nobody's results.
+        # The speed of this machine is no result.
         results = [{k: v for k, v in r.items() if k != "real_time_factor"} for r in runs]
         artefacts.write_files(
             folder,

@@ -13,9 +13,11 @@ _MEMBER = re.compile(r"\s*(?P<name>\w+)\s*=\s*(?P<value>\d+)\s*")
 
 
 def enum_names(header: Path, name: str) -> tuple[str, ...]:
-    """Names of the members of ``typedef enum name`` in the order of their values 0, 1, ..., without the
-    type's prefix and without a member that only counts. Raises InputError when the header has no such type,
-    or its values have gaps."""
+    """Names of the members of ``typedef enum name`` in the order of their values 0, 1, ...
+
+    They are without the type's prefix. A member that only counts is left out. Raises InputError when the
+    header has no such type, or its values have gaps.
+    """
     found = re.search(_TYPE.format(name=name), header.read_text(encoding="utf-8"), re.DOTALL)
     items = [] if found is None else [m for m in _COMMENT.sub("", found["body"]).split(",") if m.strip()]
     parsed = [_MEMBER.fullmatch(item) for item in items]

@@ -275,8 +275,9 @@ def ingest(logs: Iterable[Path], *, dbc: Path | None, signals_map: Path | Signal
     log.
 
     ``dbc`` None takes our own DBC; decoded logs need none. ``signals_map`` is a file, or a map that is made
-    already (``map_of_project``). Raises InputError for a file that cannot be read, a map that does not fit
-    database or log, two logs of the same name, and a log of which nothing remains; nothing is written then.
+    already (``map_of_project``). Raises InputError for a file that cannot be read, and for a map that does
+    not fit database or log. Two logs of the same name are refused, and so is a log of which nothing remains.
+    Nothing is written then.
     """
     paths = [Path(log) for log in logs]
     if not paths:

@@ -48,8 +48,8 @@ class LogClock:
 def clock_of(t_ns: np.ndarray, max_gap_s: float) -> LogClock:
     """The log's time axis ``t_ns`` (N,) [ns], cut where it jumps.
 
-    It jumps where it goes back by more than REORDER_S, or forward by more than 1 s and ``max_gap_s`` [s], the
-    largest gap that is interpolated.
+    It jumps where it goes back by more than REORDER_S. It also jumps where it goes forward by more than 1 s
+    and more than ``max_gap_s`` [s], the largest gap that is interpolated.
     """
     step = np.diff(t_ns)
     back = step < -REORDER_S * NS

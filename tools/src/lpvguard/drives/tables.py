@@ -201,8 +201,8 @@ def _within(path: Path, signal: Signal, values: np.ndarray) -> np.ndarray:
 def require_units(path: Path | str, drive: Drive, nominal_output: np.ndarray, settled: np.ndarray) -> None:
     """Refuse a drive whose output is 57 times (or 1/57 of) what the nominal model says: degrees for radians.
 
-    Small angles given in degrees can stay within the signal's range; a factor of 40 to 80 together with a
-    correlation above 0.8 cannot come from a faulty sensor, which would be a finding and not an input error.
+    Small angles given in degrees can stay within the signal's range. Refused is a factor of 40 to 80 together
+    with a correlation above 0.8. A faulty sensor does not do that; it would be a finding and no input error.
     ``settled`` (N,) bool: in speed range, and the start at the measured output forgotten.
     """
     for j in range(drive.y.shape[1]):

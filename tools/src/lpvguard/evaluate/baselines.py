@@ -14,9 +14,10 @@ Only samples in range and settled are used (drives/frames.py); the sums restart 
 
 A detector alarms where its statistic exceeds a threshold. That is the conformal one of
 identify/calibration.py from the same calibration drives, one score a drive. Where enough drives calibrate,
-all detectors have the same guaranteed rate of false alarms. Parameters are searched over GRID on
-bound-setting and calibration drives alone: most injected faults found in time there, then least time. The
-search knows the faults that are to be found; the monitor has no such search.
+all detectors have the same guaranteed rate of false alarms. Parameters are searched over GRID, on
+bound-setting and calibration drives alone. The best find the most injected faults in time there; of those
+that tie, the fastest is taken. The search knows the faults that are to be found; the monitor has no such
+search.
 """
 
 from __future__ import annotations

@@ -159,8 +159,8 @@ def median_time(seconds: list[float | None]) -> float | None:
 
 
 def ranking(rows: dict[str, dict]) -> list[str]:
-    """Who does best on one fault, all that tie: by the share of cases in which it was found, then by the
-    median time; nobody where there is no case, or where nobody found one.
+    """The detectors that do best on one fault, all that tie. The share of cases in which each found it
+    counts first, then the median time. Empty where there is no case, or where no detector found one.
 
     ``rows``: per detector its row of fault_rows.
     """

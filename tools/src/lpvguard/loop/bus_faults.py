@@ -27,9 +27,9 @@ class BusFault:
     """A fault of a message, and what the firmware must make of it.
 
     periods              length of the fault in periods of the message
-    seen, seen_within    the kind of event that must be counted first, within so many periods; "": the fault
+    seen, seen_within    kind of event that must be counted first, and within how many periods; "": the fault
                          leaves no trace, as can.h says
-    state, within        the worst state that must show, within so many periods; "live": no other may show
+    state, within        worst state that must show, and within how many periods; "live": no other may show
     """
 
     name: str

@@ -193,9 +193,11 @@ class Client:
                 yield self._heard.popleft()
 
     def command(self, action: Action, entry: str = "", *, ticks: int = 1, timeout_s: float = 5.0) -> Any:
-        """Sends a control_t (firmware_sim/lcm/lpvguard_control.lcm), and returns the status_t that answers
-        it; what comes meanwhile is for ``messages``. InputError when it is refused, or when nobody answers
-        within ``timeout_s`` [s]."""
+        """Sends a control_t (firmware_sim/lcm/lpvguard_control.lcm) and returns the status_t that answers it.
+
+        ``messages`` yields what comes meanwhile. InputError when the command is refused, or when no answer
+        comes within ``timeout_s`` [s].
+        """
         types = message_types()
         asked = types.control_t()
         asked.id, asked.action, asked.entry, asked.ticks = (

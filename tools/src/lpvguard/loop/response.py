@@ -1,8 +1,8 @@
 """The simulated truck's frequency response from the demand, measured with sines (`plant response`).
 
-The demand is held over each sample and the outputs are read at the sample instants, so hold, brake delay and
-brake lag are in the response. Road and wind are calm. Measured are the true outputs, without noise and number
-grids. The controller's own sample of delay is not in it (control/true_loop.py).
+The demand is held over each sample, and the outputs are read at the sample instants. Hold, brake delay and
+brake lag are therefore in the response. Road and wind are calm. Measured are the true outputs, without noise
+and number grids. The controller's own sample of delay is not in it (control/true_loop.py).
 """
 
 from __future__ import annotations

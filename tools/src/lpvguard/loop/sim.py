@@ -307,16 +307,16 @@ class Simulator:
         out          a folder for NAME-SEED.log (candump -L), .frames.csv, .telemetry.csv and .drive.csv,
                      which `lpvguard replay` reads
         ecu_process  the firmware is a process of its own; it needs SocketCAN
-        target       host, or an emulated processor, which needs SocketCAN too; the object then has ``ecu``:
-                     the target, the hash of the ELF file and the instructions of the ticks
+        target       host, or an emulated processor, which needs SocketCAN too. The object of the latter has
+                     ``ecu``: the target, the hash of the ELF file and the instructions of the ticks
         pace         at most so many times real time
-        lcm          URL where the run is published and commands are taken (of a simulator made with ``lcm``);
-                     with ``out``, NAME-SEED.applied.toml is then the scenario with what clients changed
+        lcm          URL where the run is published and commands are taken (of a simulator made with ``lcm``).
+                     With ``out``, NAME-SEED.applied.toml is the scenario with what clients changed
         paused       wait until a client says resume
 
-        Same scenario, seed and vehicle: the same bytes but for real_time_factor. That is simulated time over
-        one core's processor time; over elapsed time where the firmware is not in this process. InputError
-        where the simulator refuses the scenario or the bus.
+        The same scenario, seed and vehicle give the same bytes but for real_time_factor. That is simulated
+        time over one core's processor time. Where the firmware is not in this process, it is over elapsed
+        time. InputError where the simulator refuses the scenario or the bus.
         """
         seed = scenario.seed if seed is None else seed
         emulated = None if target == "host" else self.emulated(target)

@@ -11,14 +11,20 @@ its period from the table, starting off:
                         after recovery
     any -> off          a bus-off report
 
-A frame is bad when it comes within a quarter of a period of the one before (babbling), is not of 8 bytes,
-fails its checksum or counter where the table gives it these (counter as in the frame before, 15, or more than
-COUNTER_STEP on), or has a supervised signal that is "error" or "not available", outside its range or, since
-the newest good frame, faster than allowed plus one raw step. "Off" forgets counter and values.
+A frame is bad when one of these holds:
 
-The ECU says the worst state of the messages that its vehicle needs, at every tick, of what arrived up to it;
-and off where all are live but a newest good value is outside the range that the vehicle's own signal table
-gives it: such a sample is refused.
+    time        it comes within a quarter of a period of the one before (babbling)
+    length      it is not of 8 bytes
+    checksum    it fails, where the table gives it one
+    counter     it is as in the frame before, 15, or more than COUNTER_STEP on, where the table gives it one
+    signal      a supervised one is "error", "not available" or outside its range, or it changed faster than
+                allowed plus one raw step since the newest good frame
+
+"Off" forgets counter and values.
+
+At every tick the ECU says the worst state of the messages that its vehicle needs, of what arrived up to it.
+It says off, too, where all are live but a newest good value is outside the range of the vehicle's own signal
+table: such a sample is refused.
 """
 
 from __future__ import annotations

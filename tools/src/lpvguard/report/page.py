@@ -1,8 +1,8 @@
 """`lpvguard report`: one self-contained HTML page with every picture and table of an identification.
 
-Every number on the page is read from the identification folder, or computed here from its frames and from a
-replay of the drives through the compiled core. No script, nothing from outside, no clock time: the same input
-gives the same bytes.
+Every number is read from the identification folder or computed here. Computing uses the folder's frames and
+a replay of the drives through the compiled core. The page has no script, nothing from outside and no clock
+time: the same input gives the same bytes.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ def continuous(speed_mps: float, wheelbase_m: float) -> tuple[np.ndarray, np.nda
     """State matrix A(v) (3, 3) and input matrix B (3, 1) of section IV.
 
     Raises InputError for a speed or wheelbase that is not finite and positive, and for a speed at which the
-    model is unstable (the paper's parameters turn unstable at high speed): both name the speed.
+    model is unstable. The paper's parameters turn unstable at high speed. Both errors name the speed.
     """
     v = _positive(speed_mps, "v", "m/s")
     length = _positive(wheelbase_m, "wheelbase", "m")

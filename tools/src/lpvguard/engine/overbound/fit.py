@@ -11,10 +11,11 @@ Linear programs find the squared magnitude with the least worst ratio (``minimax
 spectral factors are the weight. One scalar gain, ``inflation``, closes the fit: it lifts the weight by what
 the certificate (``certificate``) found missing between the grid points.
 
-The optimum of a given order may want a break beyond the first or last sample, or a sharp resonance around a
-single deep bin of raw scatter. Both are kept, because leaving them out costs more than 0.01 dB. Breaks
-beyond the samples are named in ``breaks_outside``. Who does not want the scatter's shape hands in an
-envelope."""
+The optimum of a given order may have a break beyond the first or last sample. It may also have a sharp
+resonance around a single deep bin of raw scatter. Both are kept, because leaving them out costs more than
+0.01 dB. ``breaks_outside`` names breaks beyond the samples. Hand in an envelope where the scatter's shape is
+not wanted.
+"""
 
 from __future__ import annotations
 
@@ -74,8 +75,8 @@ def fit_overbound(
     omega     (K,) rad/s, > 0, strictly increasing
     bound     (K,) >= 0; NaN: no data there (the neighbours are joined); values under ``floor`` are raised to
               it
-    max_order highest order considered; the order taken is the smallest n such that no order n + k up to
-              max_order lowers the worst ratio by more than k ``tol_db``
+    max_order highest order considered. Taken is the smallest order n that is good enough: no order n + k up
+              to max_order lowers the worst ratio by more than k ``tol_db``
     order     this order instead; a lower one is returned when the extra states gain nothing (0.002 dB)
     floor     > 0, needed where the bound is 0
     proper    "biproper" (D(inf) > 0, which H-infinity rank conditions need) or "strict" (rolls off, from 10

@@ -239,9 +239,13 @@ def _program(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """(N, D) of the linear program at the trial worst ratio ``level_db``, None when the solver gives up.
 
-    Unknowns N' = N/t, D and tau; each row over the D of ``bottom``, and that not under 1e-5 of its sum |d_i|
-    y^i, so that the solver's tolerance is relative even in a sharp resonance:
-    bound^2 D <= t N',  N'/t - bound^2 D <= tau bound^2 D_old,  D >= 1e-5 D_old,  mean of D = 1,  least tau.
+    Unknowns are N' = N/t, D and tau. D_old is the D of ``bottom``:
+
+        bound^2 D <= t N',  N'/t - bound^2 D <= tau bound^2 D_old,
+        D >= 1e-5 D_old,  mean of D = 1,  least tau
+
+    Each row is divided by D_old, or by 1e-5 of its sum |d_i| y^i where that is more. The solver's tolerance
+    is then relative even in a sharp resonance.
     Where a strictly proper weight may leave the bound, N only stays positive.
     """
     t = 10.0 ** (level_db / 20.0)

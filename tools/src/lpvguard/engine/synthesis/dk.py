@@ -3,9 +3,9 @@ order.
 
 Robust performance holds at level β when μ(F_l(P, K)(jω)) ≤ β over the blocks of Δ and the full performance
 block. With scalar D_i(s) per Δ block, stable with stable inverse, ‖D F_l(P, K) D⁻¹‖∞ ≤ β proves it at every
-frequency, DC and infinity included (Doyle 1985; Packard & Doyle 1993). So K and D are improved in turn: K by
-H∞ synthesis for the scaled plant, D by a fit of Π (s/z + 1)/(s/p + 1) that lowers the scaled singular values
-over the whole band. The number reported is the certified norm of the final scaled loop: no fit of
+frequency, DC and infinity included (Doyle 1985; Packard & Doyle 1993). K and D are improved in turn. H∞
+synthesis for the scaled plant gives K. A fit of Π (s/z + 1)/(s/p + 1) that lowers the scaled singular values
+over the whole band gives D. The number reported is the certified norm of the final scaled loop: no fit of
 frequency-wise scalings stands between the bound and the proof. D(s) covers LTI and slowly varying Δ; a
 constant D (degree 0) covers Δ varying arbitrarily fast.
 """

@@ -2,14 +2,14 @@
 
 At one frequency a controller is any matrix Q in M = M11 + M12 Q M21, and for a given D (Parrott 1978)
 
-    min over Q of σ̄(D M D⁻¹) = max( σ̄(D M11 D⁻¹) on the kernel of M21 D⁻¹, the same of the adjoint and the
-    kernel of M12ᴴ D ),
+    min over Q of σ̄(D M D⁻¹) = max( σ̄(D M11 D⁻¹) on the kernel of M21 D⁻¹,
+                                    the same of the adjoint and the kernel of M12ᴴ D )
 
-(T14). The first term is the gain from inputs that no measurement shows, the second the gain to outputs that
-no control reaches. The infimum over D is the least D-scaled bound of any controller at that frequency. For up
-to three full blocks, performance included, the D-scaled bound is μ itself. Branch and bound on ln d_i
-brackets the infimum. Over a box, each d_i at its small end on the left of M and at its large end on the right
-bounds both terms from below.
+(T14). The first term is the gain from inputs that no measurement shows. The second is the gain to outputs
+that no control reaches. The infimum over D is the least D-scaled bound of any controller at that frequency.
+For up to three full blocks, performance included, the D-scaled bound is μ itself. Branch and bound on ln d_i
+brackets the infimum. Over a box both terms are bounded from below: each d_i takes its small end on the left
+of M and its large end on the right.
 """
 
 from __future__ import annotations

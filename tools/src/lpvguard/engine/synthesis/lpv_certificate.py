@@ -7,11 +7,11 @@ The loop is x+ = A(v) x + B(v) w, z = C(v) x + D(v) w with v+ - v in [-a Ts, a T
                                                                          <= a Ts
 
 x' P(v) x is a storage function: the gain from w to z is below 1 for every speed history with |dv/dt| <= a,
-from rest. ``find`` looks for P twice and keeps what proves the larger a: as P0 + v P1 + P2 / v, in which F is
-linear, by a barrier method on a grid of speeds; and as the solutions of the strict bounded-real Riccati
-equations. Either is taken piecewise linear between ``KNOTS`` knots in every interval of the controller's
-nodes. ``prove`` decides on all speeds: the range is covered by cells, F is tested at a cell's ends, and what
-it may lose between them is bounded by a matrix:
+from rest. ``find`` looks for P twice and keeps what proves the larger a. A barrier method on a grid of speeds
+finds P0 + v P1 + P2 / v, in which F is linear. The strict bounded-real Riccati equations give the other P.
+Either is taken piecewise linear between ``KNOTS`` knots in every interval of the controller's nodes.
+``prove`` decides on all speeds. Cells cover the range, and F is tested at a cell's ends. A matrix bounds what
+F may lose between them:
 
 - P is affine in a cell. P(v+) - P(v) is v+ - v times a mean of the slopes of the segments that v and v+ lie
   in; each slope is tested.

@@ -110,8 +110,8 @@ class _MixedAscent:
     """Local search over a mixed Δ: the real blocks q/β are closed first, the complex ones are aligned to what
     is left.
 
-    At a level β that is reached, any q for which the rest N(β, q) has ρ(N Q) > β raises the level; a pattern
-    search on q in [−1, 1] looks for one, and a secant search on β finds the level at which ρ(N Q) = β again.
+    At a level β that is reached, any q for which the rest N(β, q) has ρ(N Q) > β raises the level. A pattern
+    search on q in [−1, 1] looks for such a q. A secant search on β finds the level at which ρ(N Q) = β again.
     """
 
     def __init__(self, M: np.ndarray, structure: Structure, parts: Parts):

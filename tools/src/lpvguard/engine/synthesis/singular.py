@@ -1,9 +1,9 @@
 """Singular problems: the exact reduction that gives the optimum, and the regular plant that the controller
 comes from.
 
-A control direction may have no direct cost; then the states that it drives can be set at no cost, and they
-become the controls of a smaller problem (Stoorvogel 1992; in LMI form Gahinet & Apkarian 1994, where the free
-block of R takes the place of the feedback). The controller comes from a plant with an extra cost ε on the
+A control direction may have no direct cost. The states that it drives can then be set at no cost, and become
+the controls of a smaller problem (Stoorvogel 1992; in LMI form Gahinet & Apkarian 1994, where the free block
+of R takes the place of the feedback). The controller comes from a plant with an extra cost ε on the
 free directions and an extra noise ε on the unmeasured ones. A level reached for it is reached for the
 original plant too, since its cost is larger.
 """
@@ -68,8 +68,8 @@ def reduced_side(P: Plant) -> Side:
 def extended_plant(P: Plant, soft: tuple[bool, bool], epsilon: float) -> Plant:
     """The regular plant with extra costs ε on the controls and extra noises ε on the measurements.
 
-    soft: whether the control and the filter side get the same on every state too, as zeros that stay on the
-    imaginary axis need it.
+    ``soft``: whether the control side gets the cost, and the filter side the noise, on every state too. Zeros
+    that stay on the imaginary axis need it.
     """
     cost_u, cost_x = _extension(P, soft[0], epsilon)
     noise_y, noise_x = _extension(P.dual, soft[1], epsilon)

@@ -10,8 +10,10 @@ from lpvguard.engine.blocks import Block
 
 
 class Structure:
-    """Index sets of the blocks in the rows (inputs of Δ) and columns (outputs of Δ) of M, and the real bases
-    of their D and G scalings."""
+    """The blocks of Δ in M: index sets of rows (inputs of Δ) and columns (outputs of Δ).
+
+    It also has the real bases of the blocks' D and G scalings.
+    """
 
     def __init__(self, blocks: tuple[Block, ...]):
         self.blocks = blocks

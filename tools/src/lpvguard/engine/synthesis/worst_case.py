@@ -1,7 +1,7 @@
 """The worst stable Δ of size 1 for a closed loop, as a system that can be simulated.
 
-At a frequency the largest gain from [w; n; r_c] to z over ‖Δ_i‖ ≤ 1 is the γ at which μ of the loop, its
-performance rows divided by γ, is 1 (skewed μ; Packard & Doyle 1993). The lower bound of μ returns the Δ that
+Let γ be the largest gain from [w; n; r_c] to z over ‖Δ_i‖ ≤ 1 at a frequency. The loop with its performance
+rows divided by γ has μ = 1 (skewed μ; Packard & Doyle 1993). The lower bound of μ returns the Δ that
 attains it, a rank-one complex matrix per block, Δ_i = u vᴴ. A stable all-pass takes any phase at one
 frequency, so
 

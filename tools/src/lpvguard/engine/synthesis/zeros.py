@@ -19,8 +19,8 @@ def axis_zeros(side: Side, scale: float) -> tuple[float, ...]:
     """Frequencies of the imaginary-axis zeros of x' = A x + B2 u, z = C1 x + D12 u.
 
     Candidates are the axis eigenvalues of its LQ problem. Those are at least double, so rounding moves them
-    by the square root of eps times the norm (``scale``: that of A), and a slow zero looks like one on the
-    axis: only where the system matrix itself loses rank is there a zero.
+    by the square root of eps times the norm (``scale``: that of A). A slow zero then looks like one on the
+    axis. There is a zero only where the system matrix itself loses rank.
     """
     H = hamiltonian(replace(side, B1=side.B1[:, :0], D11=side.D11[:, :0]), 1.0)
     eigenvalues = np.linalg.eigvals(balance_hamiltonian(H)[0])

@@ -41,8 +41,9 @@ def optimum(
 ) -> Solution:
     """Optimum of (8): min sum_i lambda_nu,i nu_i^2 + sum_j lambda_w,j |w_j|^2 subject to |w| <= gamma_w.
 
-    ``lambda_nu`` (tau,), ``lambda_w`` (n_w,) >= 0, default 0. Raises InputError when e is not in Im M,
-    gamma_w < B1, nothing in the structure explains e, or the optimum lies at the well-posedness cap.
+    ``lambda_nu`` (tau,), ``lambda_w`` (n_w,) >= 0, default 0. Raises InputError when e is not in Im M or
+    gamma_w < B1. It also does where nothing in the structure explains e, and where the optimum lies at the
+    well-posedness cap.
     """
     posed = pose(problem, gamma_w)
     lam = np.asarray(lambda_nu, dtype=float)

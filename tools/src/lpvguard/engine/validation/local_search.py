@@ -150,8 +150,8 @@ def polish(problem: Quadratic, z: np.ndarray) -> np.ndarray | None:
 def repeated_starts(problem: Quadratic) -> list[np.ndarray]:
     """Points (n,) inside the constant constraints for problems with repeated blocks: samples, then descent.
 
-    The scalars are sampled up to a few times the size at which the block, from its constant input, reaches
-    the scale of its output. The seed is fixed.
+    The scalars are sampled up to a few times a reference size. At that size the block reaches the scale of
+    its output from its constant input. The seed is fixed.
     """
     if not problem.repeated:
         return []

@@ -151,8 +151,8 @@ class Posed:
     def signals(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """xi (p,), eta (q,) and w (n_w,) at ``z`` (n,); a xi_i that is only rounding is exactly zero.
 
-        Rounding in xi_i = 0 has no direction. It gives a full block a size, and it is no multiple of eta_i,
-        as the xi_i of a repeated block has to be.
+        Rounding in xi_i = 0 has no direction. It would give a full block a size. In a repeated block xi_i has
+        to be a multiple of eta_i, and rounding is none.
         """
         z = z / (self.t @ z)[0]
         xi = np.concatenate([np.zeros(len(m)) if cancels(m, z) else m @ z for m in self.xi])

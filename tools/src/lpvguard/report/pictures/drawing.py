@@ -63,7 +63,7 @@ STYLE: dict[RcKeyType, object] = {
 
 
 def new_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
-    """An empty figure of this width and height [inch]; ``layout`` None: whoever draws places the axes."""
+    """An empty figure of this width and height [inch]; ``layout`` None: the caller places the axes."""
     figure = Figure(figsize=(width, height), layout=layout)
     FigureCanvasSVG(figure)
     return figure
