@@ -9,8 +9,8 @@ rad):
     e_t = W_R W_C r_c − r_m     z = [W_t e_t; W_u u]              (performance)
     y = [W_C r_c, r_m + W_nr n_r, δ_m + W_nδ n_δ]                 (controller input)
 
-Inputs are [Δ outputs, w_r, w_δ, n_r, n_δ, r_c, u]. Outputs are [Δ inputs, z_t, z_u, y_c, y_r, y_δ]. Inputs
-of Δ are η_i = u and η_s = x where present. W_u weighs u, not ũ. Every external signal is normalised.
+Inputs are [Δ outputs, w_r, w_δ, n_r, n_δ, r_c, u], outputs [Δ inputs, z_t, z_u, y_c, y_r, y_δ], with
+η_i = u and η_s = x where present. W_u weighs u, not ũ. Every external signal is normalised.
 """
 
 from __future__ import annotations
@@ -135,11 +135,11 @@ def generalised_plant(
 ) -> GeneralisedPlant:
     """Fig. 1 around the vehicle x' = A x + B u, [r; δ] the first two states; A (n, n), B (n, 1) continuous.
 
-    ``dt`` > 0: the vehicle is sampled exactly with u and ξ_s held, so ξ_s enters through ∫exp(As)ds. Weights
-    are sampled by Tustin's map. Signals then are sequences. ``delay``: samples by which u reaches the vehicle
-    late, as computation and bus make it; Δ_i and W_u see u at once. ``probes``: there are more outputs,
-    behind z and counted as part of it. They are the vehicle's state (n), its input (1) and, with state
-    uncertainty, the input on every state (n). The first n states of the plant are the vehicle's.
+    ``dt`` > 0: the vehicle sampled exactly with u and ξ_s held (so ξ_s enters through ∫exp(As)ds), every
+    weight by Tustin's map; signals then are sequences. ``delay``: samples by which u reaches the vehicle
+    late, as computation and bus make it; Δ_i and W_u see u at once. ``probes``: the vehicle's state (n),
+    input (1) and, with state uncertainty, input on every state (n) are outputs too, behind z and counted as
+    part of it. The vehicle's are the first n states of the plant.
     """
     if delay < 0 or (delay and not dt):
         raise SynthesisError(
