@@ -23,6 +23,7 @@ ORDER = (
     "engine",
     "can",
     "drives",
+    "fit",
     "core",
     "identify",
     "control",
