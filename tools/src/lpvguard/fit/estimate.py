@@ -4,7 +4,9 @@
 
 A and sigma are the noise model of the residuals (noise.py). Fit and noise model alternate until theta rests:
 generalised least squares, which is efficient for a coloured disturbance (Ljung, System Identification, 2nd
-ed., 7.5 and 10.2). A trim a drive enters linearly and is projected out.
+ed., 7.5 and 10.2). Where that leaves much more of the outputs than plain least squares do, the residuals are
+the model's own error and no noise. Then the plain fit is taken. A trim a drive enters linearly and is
+projected out.
 
 Standard errors are those of a sandwich H^-1 S H^-1. H is of the whitened derivatives, S the spread of the
 scores over blocks of the drives. They hold where the noise differs by speed or drive, and allow for what the
@@ -30,8 +32,11 @@ PASSES = 5
 """Most alternations of fit and noise model."""
 RESTS = 0.05
 """The fit rests when no unknown moves by more than this share of its standard error."""
-BLOCKS = 120
-"""About so many blocks of all drives together give the spread of the scores."""
+BLOCKS, COLOURED_BLOCKS = 120, 40
+"""About so many blocks of all drives together give the spread of the scores. Coloured residuals are
+remembered longer, so the blocks of a plain fit are longer."""
+WORSE = 1.5
+"""A whitened fit may leave so many times what the plain one leaves."""
 SHORTEST_S = 2.0
 """Shorter stretches of judged speed are left out."""
 HOPELESS = 1e3
@@ -49,6 +54,8 @@ class Estimate:
     whitening: list[Whitening]
     trims: np.ndarray
     trim_errors: np.ndarray
+    plain: bool
+    """Whether plain least squares were taken."""
 
     @property
     def standard_error(self) -> np.ndarray:
@@ -213,18 +220,32 @@ class Fit:
 
     def estimated(self, theta: np.ndarray) -> Estimate:
         """Fit and noise model in turn, from theta (p,), until the fit rests."""
-        theta = self.plain(theta)
+        plain = theta = self.plain(theta)
+        white, pieces, least = self.whitening, self.pieces, self._left(plain)
         for _ in range(PASSES):
             self.pieces = self._pieces(theta)
             self.whitening = [noise.fitted(drives) for drives in self._stretches(self._trimmed_errors(theta))]
             before, theta = theta, self.minimised(theta)
-            covariance = self._covariance(theta)
+            covariance = self._covariance(theta, BLOCKS)
             if np.all(np.abs(theta - before) <= RESTS * np.sqrt(np.diag(covariance))):
                 break
+        taken = self._left(theta) > WORSE * least
+        if taken:
+            theta, self.whitening, self.pieces = plain, white, pieces
+            covariance = self._covariance(theta, COLOURED_BLOCKS)
         trims, trim_errors = self._trims(theta)
         if self.own_trim:
             theta, trims = self._mean_trim_written(theta, trims)
-        return Estimate(self.unknowns, theta, covariance, list(self.whitening), trims, trim_errors)
+        return Estimate(self.unknowns, theta, covariance, list(self.whitening), trims, trim_errors, taken)
+
+    def _left(self, theta: np.ndarray) -> float:
+        """Sum of what is left of the outputs, each over its variance, about the mean of each stretch."""
+        errors = self._trimmed_errors(theta)
+        return sum(
+            float(np.sum((e[s] - e[s].mean(0)) ** 2 / self._scale**2))
+            for e, pieces in zip(errors, self.pieces, strict=True)
+            for s in pieces
+        )
 
     def _mean_trim_written(self, theta: np.ndarray, trims: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The unknowns as they were; their project gets the mean trim as input_offset."""
@@ -239,13 +260,13 @@ class Fit:
         )
         return theta, trims - mean
 
-    def _covariance(self, theta: np.ndarray) -> np.ndarray:
-        """Covariance (p, p) of the unknowns by the sandwich; unknowns at an end of their range are taken as
-        known."""
+    def _covariance(self, theta: np.ndarray, blocks: int) -> np.ndarray:
+        """Covariance (p, p) of the unknowns by the sandwich of so many blocks. Unknowns at an end of their
+        range are taken as known."""
         residuals, derivatives = self.residuals(theta), self.derivatives(theta)
         free = np.array([name not in self.unknowns.at_end(theta) for name in self.unknowns.names])
         H = sum((J[:, free].T @ J[:, free] for J in derivatives), np.zeros((free.sum(),) * 2))
-        length = max(1, sum(len(r) for r in residuals) // BLOCKS)
+        length = max(1, sum(len(r) for r in residuals) // blocks)
         scores = []
         for r, J in zip(residuals, derivatives, strict=True):
             count = max(1, round(len(r) / length))

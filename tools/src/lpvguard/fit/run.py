@@ -73,6 +73,7 @@ class FittedModel:
                 for i, name in enumerate(u.names)
             ],
             "correlation": e.correlation,
+            "plain": e.plain,
             "noise": [{"a": w.a, "sigma": w.sigma} for w in e.whitening],
             "trims": {
                 d.name: {"value": t, "standard_error": s}
@@ -150,6 +151,11 @@ def _findings(estimate: Estimate, found: list[Quality]) -> list[str]:
         "the range is too narrow"
         for name in u.at_end(theta)
     ]
+    if estimate.plain:
+        says.append(
+            "the residuals are the model's own error and no noise: plain least squares were taken, and "
+            "another model may do better"
+        )
     given = u.base.model.input_delay_s
     if DELAY in u.names and given > u.high[u.names.index(DELAY)]:
         says.append(

@@ -199,7 +199,7 @@ def screened(project: Project, drives: list[Drive]) -> Screened:
     if not explained:
         return Screened(drives, theta, {}, set())
     faults, certain = judged_beside(unknowns, theta, drives)
-    return Screened(explained, theta, faults, certain)
+    return Screened([d for d in drives if d.name not in faults], theta, faults, certain)
 
 
 def judged_beside(
@@ -211,9 +211,9 @@ def judged_beside(
     faults: dict[str, InputError] = {}
     certain: set[str] = set()
     for d, x in zip(drives, left, strict=True):
-        if x > LITTLE:
-            faults[d.name], known = _fault_of(unknowns, theta, d, x)
-            certain |= {d.name} if known else set()
+        if x > LITTLE and (found := _fault_of(unknowns, theta, d, x)) is not None:
+            faults[d.name] = found[0]
+            certain |= {d.name} if found[1] else set()
     return faults, certain
 
 
@@ -304,8 +304,11 @@ def _shift_of(unknowns: Unknowns, theta: np.ndarray, drive: Drive, left: float) 
     return _error(drive.name, reading, then, left) if then <= LITTLE and then <= BETTER * left else None
 
 
-def _fault_of(unknowns: Unknowns, theta: np.ndarray, drive: Drive, left: float) -> tuple[InputError, bool]:
-    """What is wrong with one drive beside others that theta (p,) explains, and whether it is certain."""
+def _fault_of(
+    unknowns: Unknowns, theta: np.ndarray, drive: Drive, left: float
+) -> tuple[InputError, bool] | None:
+    """What is wrong with one drive beside others that theta (p,) explains, and whether it is certain; None
+    where the drive is only explained poorly."""
     tried = [(_left(unknowns, theta, r.read(drive)), i, r) for i, r in enumerate(readings(unknowns.base))]
     then, _, reading = min(tried)
     own = _fitted(unknowns, [drive])
@@ -327,10 +330,12 @@ def _fault_of(unknowns: Unknowns, theta: np.ndarray, drive: Drive, left: float) 
                 "",
                 f"needs other parameters than the other drives ({values}): it leaves {alone:.1%} with its "
                 f"own, {left:.1%} with theirs",
-                "drives of one car: same vehicle, tyres and load",
+                "drives of one car: same vehicle, tyres and load, and within its grip",
             ),
             False,
         )
+    if left < 1:
+        return None
     share = "nothing is judged" if not np.isfinite(left) else f"the model leaves {left:.0%} of the output"
     return (
         InputError(
