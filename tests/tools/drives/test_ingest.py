@@ -14,7 +14,7 @@ import pytest
 from lpvguard.base import native
 from lpvguard.base.errors import InputError
 from lpvguard.can.decode import decode_all, load_database
-from lpvguard.can.logs import EXTENDED, Frames, read_log
+from lpvguard.can.logs import EXTENDED, Frames, Table, read_log
 from lpvguard.drives.ingest import ingest
 from lpvguard.drives.units import unit_factor
 from made import ROOT
@@ -383,3 +383,21 @@ def test_any_database_decodes_as_cantools_does(seed):
         theirs |= {(message.name, signal, at): float(x) for signal, x in values.items() if np.isfinite(x)}
     assert ours.keys() == theirs.keys() and (len(ours) >= 50 or not any(m.signals for m in database.messages))
     assert all(np.isclose(ours[key], x, rtol=1e-12, atol=0) for key, x in theirs.items())
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "\ufefft,v\n0.0,1.5\n0.1,2.5\n0.2,3.5\n",
+        "# a comment, with commas\n\nt, v\n0.0,1.5\n0.1,2.5\n0.2,3.5\n",
+        "t;v\n0,0;1,5\n0,1;2,5\n0,2;3,5\n",
+        "t;v\r\n0.0;1.5\r\n0.1;2.5\r\n0.2;3.5\r\n",
+    ],
+    ids=["byte-order mark", "comments", "decimal commas", "semicolons"],
+)
+def test_csv_is_read_as_people_have_it(tmp_path, text):
+    (tmp_path / "log.csv").write_bytes(text.encode())
+    log = read_log(tmp_path / "log.csv")
+    assert isinstance(log, Table)
+    assert log.series["v"].value.tolist() == [1.5, 2.5, 3.5]
+    assert log.series["v"].t_ns.tolist() == [0, 10**8, 2 * 10**8]

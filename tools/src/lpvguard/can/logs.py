@@ -322,14 +322,15 @@ def _from_rows(rows: list[tuple[int, int, str, bytes]], left_out: dict[str, int]
 
 def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Table:
     import pyarrow as pa
-    import pyarrow.csv as pa_csv
     import pyarrow.parquet as pa_parquet
+
+    from .delimited import read_csv
 
     try:
         if suffix == ".parquet":
-            table = pa_parquet.read_table(path)
+            table, skipped = pa_parquet.read_table(path), 0
         else:
-            table = pa_csv.read_csv(pa.BufferReader(_bytes(path)))
+            table, skipped = read_csv(_bytes(path))
     except (pa.ArrowException, OSError) as error:
         raise InputError(
             path,
@@ -353,7 +354,8 @@ def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Ta
     t_ns = np.rint(_numbers(path, table, time) * 1e9)
     bad = np.flatnonzero(~np.isfinite(t_ns))
     if len(bad):
-        raise InputError(path, f"line {bad[0] + 2}, column {time}", "no time", "a time in s in every line")
+        line = f"line {bad[0] + 2 + skipped}, column {time}"
+        raise InputError(path, line, "no time", "a time in s in every line")
     t_ns = t_ns.astype(np.int64)
     return Table(
         {

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.csv as pa_csv
 import pyarrow.parquet as pa_parquet
 
 from ..base.errors import InputError
+from ..can.delimited import read_csv
 from ..vehicle.project import Project, Signal
 
 TABLE_SUFFIXES = (".csv", ".parquet")
@@ -134,8 +134,10 @@ def _read_table(path: Path) -> pa.Table:
     try:
         if path.suffix == ".parquet":
             return pa_parquet.read_table(path)
-        options = pa_csv.ConvertOptions(null_values=["", "NA", "null"], strings_can_be_null=True)
-        return pa_csv.read_csv(path, convert_options=options)
+        table, skipped = read_csv(path.read_bytes(), ["", "NA", "null"])
+        if skipped:
+            raise InputError(path, "line 1", "comments before the header", "a header line first")
+        return table
     except (pa.ArrowException, OSError) as error:
         raise InputError(
             path,
