@@ -35,7 +35,7 @@ RESTS = 0.05
 BLOCKS, COLOURED_BLOCKS = 120, 40
 """About so many blocks of all drives together give the spread of the scores. Coloured residuals are
 remembered longer, so the blocks of a plain fit are longer."""
-WORSE = 1.5
+WORSE = 1.3
 """A whitened fit may leave so many times what the plain one leaves."""
 SHORTEST_S = 2.0
 """Shorter stretches of judged speed are left out."""
@@ -46,7 +46,8 @@ HOPELESS = 1e3
 @dataclass(frozen=True)
 class Estimate:
     """The unknowns' values and covariance: theta (p,), covariance (p, p), trims (n_drives, n_u) less the
-    common input_offset, trim_errors of the same shape; both have no columns where the trim is common."""
+    common input_offset, trim_errors of the same shape; both have no columns where the trim is common, and are
+    NaN where nothing is judged."""
 
     unknowns: Unknowns
     theta: np.ndarray
@@ -202,19 +203,23 @@ class Fit:
             return errors
         trims, _ = self._trims(theta)
         responses = self._trim_responses(theta)
-        return [e + t @ d for e, t, d in zip(errors, responses, trims, strict=True)]
+        return [e + t @ np.nan_to_num(d) for e, t, d in zip(errors, responses, trims, strict=True)]
 
     def _trims(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Trim of every drive beside the common input_offset, and its standard error: (n_drives, n_u); no
-        columns where the trim is common."""
+        """Trim of every drive beside the common input_offset, and its standard error: (n_drives, n_u), NaN
+        where nothing is judged; no columns where the trim is common."""
         if not self.own_trim:
             return np.zeros((len(self.drives), 0)), np.zeros((len(self.drives), 0))
         errors, responses = self._whitened(self.errors(theta)), self._whitened(self._trim_responses(theta))
         trims, errors_of = [], []
         for e, t in zip(errors, responses, strict=True):
+            if not len(e):
+                trims.append(np.full(self.n_u, np.nan))
+                errors_of.append(np.full(self.n_u, np.nan))
+                continue
             d = -_regressed(t, e)[:, 0]
             trims.append(d)
-            left = np.mean((e[:, 0] + t @ d) ** 2) if len(e) else np.nan
+            left = np.mean((e[:, 0] + t @ d) ** 2)
             errors_of.append(np.sqrt(left * np.diag(np.linalg.pinv(t.T @ t))))
         return np.array(trims), np.array(errors_of)
 
@@ -249,7 +254,7 @@ class Fit:
 
     def _mean_trim_written(self, theta: np.ndarray, trims: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The unknowns as they were; their project gets the mean trim as input_offset."""
-        mean = trims.mean(axis=0)
+        mean = np.nanmean(trims, axis=0)
         model = self.unknowns.base.model
         offset = [float(a + b) for a, b in zip(model.input_offset or [], mean, strict=True)]
         base = self.unknowns.base.model_copy(

@@ -99,7 +99,7 @@ def by_drive(
     """Of each drive; ``trims`` (n_drives, n_u) beside the common input_offset, or None."""
     found = []
     for i, d in enumerate(drives):
-        u = d.u - trims[i] if trims is not None and trims.shape[1] else d.u
+        u = d.u - np.nan_to_num(trims[i]) if trims is not None and trims.shape[1] else d.u
         found.append(of_drive(model, d, model.simulate(d.v, u, d.y[0]), whitening))
     return found
 

@@ -16,6 +16,8 @@ SAME_ROWS = 0.5
 """Share of a drive's rows that stand in another one, from which it counts as the same."""
 ROUGH = 1.0
 """Mean square of a signal's step over its variance: 2 in random order, far below 1 for a sampled motion."""
+UNLIKE_NOISE = 0.05
+"""Spread of a speed that is no noise, as a share of the speed."""
 STANDS_S = 5.0
 """A signal that stands at one value for so long, and moves elsewhere, is frozen."""
 MOVES = 0.5
@@ -34,8 +36,8 @@ def spoiled(project: Project, drives: list[Drive]) -> Iterator[InputError]:
     """What is wrong, as errors."""
     yield from _doubled(drives)
     for drive in drives:
+        yield from _shuffled(project, drive)
         for signal, x in _columns(project, drive):
-            yield from _shuffled(drive, signal, x)
             yield from _at_half_rate(drive, signal, x)
             yield from _frozen(drive, signal, x, drive.v >= project.model.speed_min_mps)
 
@@ -64,12 +66,15 @@ def _doubled(drives: list[Drive]) -> Iterator[InputError]:
                 )
 
 
-def _shuffled(drive: Drive, signal: Signal, x: np.ndarray) -> Iterator[InputError]:
-    """Only the speed is judged: a vehicle's cannot jump, and rows that are out of order take it along."""
-    if signal.role == "scheduling" and np.var(x) > 0 and np.mean(np.diff(x) ** 2) > ROUGH * np.var(x):
+def _shuffled(project: Project, drive: Drive) -> Iterator[InputError]:
+    """Every column jumps when rows are out of order. A speed that is held wears noise that jumps as well, so
+    it has to differ by more than noise does."""
+    columns = [x for _, x in _columns(project, drive) if np.var(x) > 0]
+    rough = all(np.mean(np.diff(x) ** 2) > ROUGH * np.var(x) for x in columns)
+    if rough and np.std(drive.v) > UNLIKE_NOISE * np.mean(np.abs(drive.v)):
         yield InputError(
             drive.name,
-            f"column {signal.column}",
+            f"column {project.speed.column}",
             "jumps from sample to sample as in random order: the rows are shuffled",
             "rows in the order of time",
         )
@@ -96,7 +101,7 @@ def _frozen(drive: Drive, signal: Signal, x: np.ndarray, driving: np.ndarray) ->
     elsewhere = np.ones(len(x), bool)
     for s in long:
         elsewhere[s] = False
-    if long and elsewhere.any() and np.mean(np.diff(x[elsewhere]) != 0) > MOVES:
+    if long and elsewhere.sum() > STANDS_S / Ts and np.mean(np.diff(x[elsewhere]) != 0) > MOVES:
         worst = max(long, key=lambda s: s.stop - s.start)
         yield InputError(
             drive.name,
