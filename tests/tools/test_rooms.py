@@ -24,6 +24,7 @@ ORDER = (
     "can",
     "drives",
     "fit",
+    "start",
     "core",
     "identify",
     "control",
