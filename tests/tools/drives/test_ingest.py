@@ -401,3 +401,32 @@ def test_csv_is_read_as_people_have_it(tmp_path, text):
     assert isinstance(log, Table)
     assert log.series["v"].value.tolist() == [1.5, 2.5, 3.5]
     assert log.series["v"].t_ns.tolist() == [0, 10**8, 2 * 10**8]
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_candumps_screen_with_time_stamps_is_read_as_its_log(tmp_path, monkeypatch, compiled):
+    if not compiled:
+        monkeypatch.setattr(native, "kernels", lambda _: None)
+    screen = (
+        " (1345212884.318850)  can0  18F0093E   [8]  FF FF 00 FF 00 FF 00 12\n"
+        " (1345212884.319850)  can0  123   [2]  0A 0B   '..'\r\n"
+        " (1345212884.320850)  can1  RX - -  124   [0] \n"
+        " (1345212884.321850)  can0  123  [12]  00 01 02 03 04 05 06 07 08 09 0A 0B\n"
+        " (1345212884.322850)  can0  123   [4]  remote request\n"
+    )
+    logged = (
+        "(1345212884.318850) can0 18F0093E#FFFF00FF00FF0012\n"
+        "(1345212884.319850) can0 123#0A0B\n"
+        "(1345212884.320850) can1 124#\n"
+        "(1345212884.321850) can0 123##0000102030405060708090A0B\n"
+        "(1345212884.322850) can0 123#R4\n"
+    )
+    read = []
+    for name, text in (("screen.log", screen), ("log.log", logged)):
+        (tmp_path / name).write_bytes(text.encode())
+        read.append(read_log(tmp_path / name))
+    one, other = read
+    assert isinstance(one, Frames) and isinstance(other, Frames)
+    assert len(one) == 4 and one.left_out == other.left_out and one.channels == other.channels
+    for key in ("t_ns", "id", "channel", "length", "data"):
+        assert np.array_equal(getattr(one, key), getattr(other, key)), key

@@ -105,6 +105,18 @@ def test_the_database_of_another_bus_is_named(tmp_path):
         new("mine", [log], tmp_path / "out")
 
 
+def test_a_folder_is_its_logs_without_the_index(tmp_path, lpvguard):
+    (tmp_path / "logs").mkdir()
+    write_logs(tmp_path / "logs")
+    (tmp_path / "logs" / "experiments.csv").write_text("experiment,split\nlog_0,train\n")
+    (tmp_path / "logs" / "notes.pdf").write_text("no log")
+    done = lpvguard("new", "mine", tmp_path / "logs", "--wheelbase", 2.8, "-o", tmp_path / "out")
+    assert done.returncode == 0 and "left out" not in done.stderr
+    (tmp_path / "empty").mkdir()
+    refused = lpvguard("new", "mine", tmp_path / "empty", "-o", tmp_path / "other")
+    assert refused.returncode == 2 and "holds no log" in refused.stderr
+
+
 def test_the_command_says_what_to_do_next(tmp_path, lpvguard):
     logs = write_logs(tmp_path)
     done = lpvguard("new", "mine", *logs, "-o", tmp_path / "out")

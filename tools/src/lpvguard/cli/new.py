@@ -13,7 +13,7 @@ from .shared import Out, app, console, progress_bar
 @app.command(epilog="Example: lpvguard new mycar LOGS/*.csv --wheelbase 2.9 -o mycar")
 def new(
     name: Annotated[str, typer.Argument(help="Name of the vehicle: lower case, digits, underscores.")],
-    logs: Annotated[list[Path], typer.Argument(help="Logs as of ingest, one a recording.")],
+    logs: Annotated[list[Path], typer.Argument(help="Logs as of ingest, one a recording, or folders.")],
     out: Out,
     dbc: Annotated[Path | None, typer.Option(help="CAN database of raw logs.")] = None,
     model: Annotated[str, typer.Option(help="yaw-first-order, bicycle or own.")] = "yaw-first-order",
@@ -25,12 +25,13 @@ def new(
     output: Annotated[str | None, typer.Option(help="Signal that is the yaw rate.")] = None,
 ) -> None:
     """Look at logs, propose signals, units, signs, rate and frames; write a project file and its drives."""
+    from ..can.logs import logs_among
     from ..start.run import new as run
 
     with progress_bar("new"):
         made = run(
             name,
-            logs,
+            logs_among(logs),
             out,
             dbc=dbc,
             model=model,

@@ -18,10 +18,11 @@ import pyarrow.parquet as pa_parquet
 
 from ..base.errors import InputError
 from ..can.delimited import read_csv
+from ..can.logs import INDEX
 from ..vehicle.project import Project, Signal
 
 TABLE_SUFFIXES = (".csv", ".parquet")
-EXPERIMENTS = "experiments.csv"
+EXPERIMENTS = INDEX
 
 
 @dataclass(frozen=True)
