@@ -24,6 +24,8 @@ ORDER = (
     "engine",
     "can",
     "drives",
+    "fit",
+    "start",
     "core",
     "identify",
     "control",

@@ -14,7 +14,7 @@ import pytest
 from lpvguard.base import native
 from lpvguard.base.errors import InputError
 from lpvguard.can.decode import decode_all, load_database
-from lpvguard.can.logs import EXTENDED, Frames, read_log
+from lpvguard.can.logs import EXTENDED, Frames, Table, read_log
 from lpvguard.drives.ingest import ingest
 from lpvguard.drives.units import unit_factor
 from made import ROOT
@@ -383,3 +383,50 @@ def test_any_database_decodes_as_cantools_does(seed):
         theirs |= {(message.name, signal, at): float(x) for signal, x in values.items() if np.isfinite(x)}
     assert ours.keys() == theirs.keys() and (len(ours) >= 50 or not any(m.signals for m in database.messages))
     assert all(np.isclose(ours[key], x, rtol=1e-12, atol=0) for key, x in theirs.items())
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "\ufefft,v\n0.0,1.5\n0.1,2.5\n0.2,3.5\n",
+        "# a comment, with commas\n\nt, v\n0.0,1.5\n0.1,2.5\n0.2,3.5\n",
+        "t;v\n0,0;1,5\n0,1;2,5\n0,2;3,5\n",
+        "t;v\r\n0.0;1.5\r\n0.1;2.5\r\n0.2;3.5\r\n",
+    ],
+    ids=["byte-order mark", "comments", "decimal commas", "semicolons"],
+)
+def test_csv_is_read_as_people_have_it(tmp_path, text):
+    (tmp_path / "log.csv").write_bytes(text.encode())
+    log = read_log(tmp_path / "log.csv")
+    assert isinstance(log, Table)
+    assert log.series["v"].value.tolist() == [1.5, 2.5, 3.5]
+    assert log.series["v"].t_ns.tolist() == [0, 10**8, 2 * 10**8]
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_candumps_screen_with_time_stamps_is_read_as_its_log(tmp_path, monkeypatch, compiled):
+    if not compiled:
+        monkeypatch.setattr(native, "kernels", lambda _: None)
+    screen = (
+        " (1345212884.318850)  can0  18F0093E   [8]  FF FF 00 FF 00 FF 00 12\n"
+        " (1345212884.319850)  can0  123   [2]  0A 0B   '..'\r\n"
+        " (1345212884.320850)  can1  RX - -  124   [0] \n"
+        " (1345212884.321850)  can0  123  [12]  00 01 02 03 04 05 06 07 08 09 0A 0B\n"
+        " (1345212884.322850)  can0  123   [4]  remote request\n"
+    )
+    logged = (
+        "(1345212884.318850) can0 18F0093E#FFFF00FF00FF0012\n"
+        "(1345212884.319850) can0 123#0A0B\n"
+        "(1345212884.320850) can1 124#\n"
+        "(1345212884.321850) can0 123##0000102030405060708090A0B\n"
+        "(1345212884.322850) can0 123#R4\n"
+    )
+    read = []
+    for name, text in (("screen.log", screen), ("log.log", logged)):
+        (tmp_path / name).write_bytes(text.encode())
+        read.append(read_log(tmp_path / name))
+    one, other = read
+    assert isinstance(one, Frames) and isinstance(other, Frames)
+    assert len(one) == 4 and one.left_out == other.left_out and one.channels == other.channels
+    for key in ("t_ns", "id", "channel", "length", "data"):
+        assert np.array_equal(getattr(one, key), getattr(other, key)), key

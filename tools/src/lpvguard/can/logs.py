@@ -1,7 +1,8 @@
 """Reads logs as users have them: raw CAN frames, or tables of signals that are decoded already.
 
-raw      candump (-l, -L), ASC, BLF, MF4 with bus logging, CSV and Parquet with the columns of python-can
-         (timestamp, arbitration_id, extended, dlc, data); each also with .gz where it is text
+raw      candump (-l, -L, and the screen with -t), ASC, BLF, MF4 with bus logging, CSV and Parquet with the
+         columns of python-can (timestamp, arbitration_id, extended, dlc, data);
+         each also with .gz where it is text
 decoded  CSV and Parquet with one column a signal, MF4 with one channel a signal
 
 candump goes through a compiled parser, or through a slow one in Python when there is no compiler; the result
@@ -26,6 +27,9 @@ EXTENDED = 0x80000000
 """Flag in ``Frames.id``: 29-bit identifier."""
 ERROR_REPORT = 0x20000000
 """Flag in the identifier of a report of a bus error, as candump logs it."""
+
+INDEX = "experiments.csv"
+"""The file of a drive folder that lists its drives."""
 
 _NAME_BYTES, _CHANNELS, _COUNTS, _FD_BYTES = 16, 64, 6, 64
 _CANDUMP_SUFFIXES = {".log", ".candump", ".txt"}
@@ -132,6 +136,24 @@ def read_log(path: Path, *, time_column: str | None = None) -> Frames | Table:
     return log
 
 
+def logs_among(paths: list[Path]) -> list[Path]:
+    """The logs that paths name: of a folder all in it, in the order of their names.
+
+    What is no log is passed over: a drive folder's index and, in folders, files of other kinds. InputError
+    where a folder holds none.
+    """
+    found: list[Path] = []
+    for path in paths:
+        inside = [p for p in sorted(path.iterdir()) if p.is_file()] if path.is_dir() else []
+        logs = [p for p in inside if p.name != INDEX and p.suffix.lower() in _SUFFIXES]
+        if path.is_dir() and not logs:
+            raise InputError(path, "", "holds no log", "a folder of logs, or the logs themselves")
+        found += logs if path.is_dir() else [path] if path.name != INDEX else []
+    if not found:
+        raise InputError(", ".join(map(str, paths)), "", "is the index of a folder and no drive", "a drive")
+    return found
+
+
 def stem(path: Path) -> str:
     """File name without the suffixes of logs: drive.log.gz is drive."""
     name = path.name
@@ -177,6 +199,8 @@ def _read_candump(path: Path) -> Frames:
     library = native.kernels("candump")
     compressed = path.suffix.lower() == ".gz" or path.stat().st_size == 0  # an empty file cannot be mapped
     text = np.frombuffer(_bytes(path), np.uint8) if compressed else np.memmap(path, np.uint8, "r")
+    if _SCREEN.search(text[:_HEAD].tobytes()):
+        text = np.frombuffer(_SCREEN.sub(_as_logged, text.tobytes()), np.uint8)
     frames = parse_candump(text, library) if library else parse_candump_slowly(text)
     if len(frames) == 0:
         line = frames.left_out.get("first line that is no frame", 1)
@@ -184,9 +208,29 @@ def _read_candump(path: Path) -> Frames:
             path,
             f"line {line}",
             "no frame in the file",
-            "(seconds) interface identifier#data, as candump -l writes",
+            "(seconds) interface identifier#data, as candump -l writes, or the screen of candump -t a",
         )
     return frames
+
+
+_HEAD = 1 << 16
+"""Bytes at the start of a log that show its form."""
+_SCREEN = re.compile(
+    rb"^ *(\([0-9]{1,10}\.[0-9]{1,9}\)) +(\S{1,15}) +(?:[RT]X [-B] [-E] +)?"
+    rb"([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8}) +\[([0-9]{1,2})\] *"
+    rb"(?:(remote request)|((?:[0-9A-Fa-f]{2} ?)*))[^\r\n]*",
+    re.MULTILINE,
+)
+"""A line of candump's screen with time stamps: (seconds) interface identifier [length] bytes."""
+
+
+def _as_logged(match: re.Match[bytes]) -> bytes:
+    """The same line as candump -l writes it; a length of two digits is that of a CAN FD frame."""
+    stamp, interface, identifier, length, remote, data = match.groups()
+    if remote:
+        return b"%b %b %b#R%b" % (stamp, interface, identifier, length)
+    mark = b"##0" if len(length) == 2 else b"#"
+    return b"%b %b %b%b%b" % (stamp, interface, identifier, mark, data.replace(b" ", b""))
 
 
 def parse_candump(text: np.ndarray, library: ctypes.CDLL) -> Frames:
@@ -322,14 +366,15 @@ def _from_rows(rows: list[tuple[int, int, str, bytes]], left_out: dict[str, int]
 
 def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Table:
     import pyarrow as pa
-    import pyarrow.csv as pa_csv
     import pyarrow.parquet as pa_parquet
+
+    from .delimited import read_csv
 
     try:
         if suffix == ".parquet":
-            table = pa_parquet.read_table(path)
+            table, skipped = pa_parquet.read_table(path), 0
         else:
-            table = pa_csv.read_csv(pa.BufferReader(_bytes(path)))
+            table, skipped = read_csv(_bytes(path))
     except (pa.ArrowException, OSError) as error:
         raise InputError(
             path,
@@ -353,7 +398,8 @@ def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Ta
     t_ns = np.rint(_numbers(path, table, time) * 1e9)
     bad = np.flatnonzero(~np.isfinite(t_ns))
     if len(bad):
-        raise InputError(path, f"line {bad[0] + 2}, column {time}", "no time", "a time in s in every line")
+        line = f"line {bad[0] + 2 + skipped}, column {time}"
+        raise InputError(path, line, "no time", "a time in s in every line")
     t_ns = t_ns.astype(np.int64)
     return Table(
         {

@@ -23,6 +23,7 @@ def identify(
     """Find the unfalsified bounds, fit the weights, calibrate the frame test (paper, steps 1-7)."""
     from ..base.parallel import workers
     from ..identify import run as stage
+    from ..identify.model_fit import sentences
 
     project = project_of(vehicle)
     with progress_bar("identify") as tell, workers(jobs, scheduler) as run:
@@ -37,6 +38,7 @@ def identify(
             **result.calibration.to_dict(),
             "inflation": result.weights.inflation,
             "energy": result.energy.to_dict() if result.energy else None,
+            "model_fit": [q.to_dict() for q in result.model_fit],
         },
     )
     c = result.calibration
@@ -44,6 +46,8 @@ def identify(
     console.print(
         f"{len(result.calibration_drives)} others calibrate: {', '.join(result.calibration_drives) or 'none'}"
     )
+    for line in sentences(project, result.model_fit):
+        console.print(line)
     for name, reason in result.left_out.items():
         console.print(f"left out: {name}: {reason}")
     if result.energy is not None:

@@ -15,7 +15,8 @@ from .shared import JsonOut, Out, app, console, emit, progress_bar, project_of
 @app.command(epilog="Example: lpvguard ingest drive.log --dbc car.dbc --signals map.toml -o out/drives")
 def ingest(
     logs: Annotated[
-        list[Path], typer.Argument(help="candump (-l, -L, .gz), ASC, BLF, TRC, MF4, CSV or Parquet.")
+        list[Path],
+        typer.Argument(help="candump (-l, -L, -t, .gz), ASC, BLF, TRC, MF4, CSV, Parquet; folders."),
     ],
     out: Out,
     dbc: Annotated[Path | None, typer.Option(help="CAN database (default: our own J1939 one).")] = None,
@@ -26,9 +27,11 @@ def ingest(
     json_out: JsonOut = None,
 ) -> None:
     """Turn logs into uniform drive tables, with a report of what was left out and why. Needs no model."""
+    from ..can.logs import logs_among
     from ..drives.ingest import ingest as run
     from ..drives.signal_map import map_of_project
 
+    logs = logs_among(logs)
     with progress_bar("ingest"):
         if signals is not None and vehicle is None:
             report = run(logs, dbc=dbc, signals_map=signals, out=out)

@@ -40,7 +40,7 @@ def replay(
     vehicle: Vehicle,
     logs: Annotated[
         list[Path],
-        typer.Argument(help="Drive tables (CSV or Parquet), or raw CAN logs of the vehicle's bus."),
+        typer.Argument(help="Drive tables (CSV or Parquet), raw CAN logs of the vehicle's bus, or folders."),
     ],
     coefficients: Coefficients = None,
     json_out: JsonOut = None,
@@ -61,6 +61,9 @@ def replay(
     Raw logs go through the CAN receiver of the core; "can" in the JSON says what became of the frames, and
     where samples lack.
     """
+    from ..can.logs import logs_among
+
+    logs = logs_among(logs)
     if to is not None:
         _play(project_of(vehicle), logs, to, 1.0 if speed is None else speed, channel)
         return

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from ..engine.synthesis.cases import TableRow
     from ..engine.synthesis.table import Cell
     from ..evaluate.comparison import DetectorColumn
+    from ..fit.run import FittedModel
     from ..loop.sim import Simulator
     from ..replay.run import Replayer
 
@@ -142,6 +143,35 @@ def print_runs(runs: list[dict[str, Any]], bus: str, simulator: Simulator) -> No
                 f"of {counted['ticks']} ticks the worst took {counted['worst']} instructions, "
                 f"the mean {counted['total'] / counted['ticks']:.0f} (not cycles)"
             )
+
+
+def print_fit(result: FittedModel) -> None:
+    """Values with their standard errors, what each drive says of them, and the findings."""
+    e, u = result.estimate, result.estimate.unknowns
+    values = Table("", "value", "standard error", "from", "to", "start", box=None)
+    for row in zip(u.names, e.theta, e.standard_error, u.low, u.high, u.start, strict=True):
+        values.add_row(row[0], f"{row[1]:.5g}", f"{row[2]:.2g}", *(f"{x:.4g}" for x in row[3:]))
+    console.print(values)
+    outputs = [s.name for s in result.project.outputs]
+    columns = [f"{kind} {name}" for name in outputs for kind in ("VAF %", "gain", "own past", "input's past")]
+    fits = Table("", "judged s", *columns, box=None)
+    groups = (("", result.by_drive), (", not fitted", result.of_unseen), ("", result.by_speed))
+    for mark, found in groups:
+        for q in found:
+            cells = [
+                cell
+                for j in range(len(outputs))
+                for cell in (
+                    f"{100 * q.vaf[j]:.2f}",
+                    f"{q.gain[j]:.3f}",
+                    f"{q.whiteness[j]:.1f}",
+                    f"{q.left_by_input[j]:.1f}",
+                )
+            ]
+            fits.add_row(q.name + mark, f"{q.judged_s:.0f}", *cells)
+    console.print(fits)
+    for text in result.findings:
+        console.print(f"finding: {text}")
 
 
 def print_evaluation(result: dict[str, Any]) -> None:

@@ -51,6 +51,14 @@ def require_core(project: Project) -> None:
         raise not_for_the_core(project)
 
 
+def settled(v: np.ndarray, speed_range: tuple[float, float], settle: int) -> np.ndarray:
+    """(N,) True where the speed v (N,) has been in the range [m/s] for more than ``settle`` samples."""
+    in_range = (v >= speed_range[0]) & (v <= speed_range[1])
+    index = np.arange(1, len(v) + 1)
+    last_outside = np.maximum.accumulate(np.where(in_range, 0, index))
+    return index - last_outside > settle
+
+
 @dataclass(frozen=True)
 class Estimator:
     """The frame grid of a vehicle; everything a bound must have been made with to be comparable.
@@ -171,10 +179,7 @@ class Estimator:
 
     def settled(self, v: np.ndarray) -> np.ndarray:
         """(N,) True where the speed has been in range for more than ``settle`` samples."""
-        in_range = (v >= self.speed_range[0]) & (v <= self.speed_range[1])
-        index = np.arange(1, len(v) + 1)
-        last_outside = np.maximum.accumulate(np.where(in_range, 0, index))
-        return index - last_outside > self.settle
+        return settled(v, self.speed_range, self.settle)
 
     def counted(self, v: np.ndarray, k: int) -> np.ndarray:
         """(N - N_k + 1,) True for the start samples whose frame of bin k counts."""

@@ -65,7 +65,7 @@ def _unknown(where: Path | str, field_: str, name: str, what: str, names: Iterab
     )
 
 
-def _of_several(messages: list[Message], frames: Frames, given: _Inputs, where: str) -> Message:
+def _of_several(messages: list[Message], frames: Frames, given: Inputs, where: str) -> Message:
     """The message of a name; where a database gives the name to several, the one whose identifier is in the
     log."""
     if len(messages) > 1:
@@ -82,7 +82,7 @@ def _of_several(messages: list[Message], frames: Frames, given: _Inputs, where: 
     return messages[0]
 
 
-def _from_frames(frames: Frames, given: _Inputs, column: str, term: Term) -> Source:
+def _from_frames(frames: Frames, given: Inputs, column: str, term: Term) -> Source:
     map_path, where = given.map_path, f"columns.{column}"
     if term.message is None:
         raise InputError(
@@ -133,7 +133,7 @@ def _from_frames(frames: Frames, given: _Inputs, column: str, term: Term) -> Sou
     return Source(frames.t_ns[samples.frame], _unwrap(samples.value, term, report) * scale, report)
 
 
-def _from_table(table: Table, log: Path, given: _Inputs, column: str, term: Term) -> Source:
+def _from_table(table: Table, log: Path, given: Inputs, column: str, term: Term) -> Source:
     name = next((n for n in (term.name, term.signal) if n in table.series), None)
     if name is None:
         raise _unknown(log, f"columns.{column} of {given.map_path}", term.signal, "column", table.series)
@@ -185,7 +185,7 @@ def _stretch(log: Frames | Table, clock: LogClock, first: int, end: int) -> Fram
 
 
 @dataclass(frozen=True)
-class _Inputs:
+class Inputs:
     """What is the same for all logs: the CAN database and the signal map, each with where it is from."""
 
     database: Database
@@ -194,7 +194,7 @@ class _Inputs:
     map_path: Path
 
 
-def _sources(log: Frames | Table, path: Path, given: _Inputs) -> dict[str, list[Source]]:
+def _sources(log: Frames | Table, path: Path, given: Inputs) -> dict[str, list[Source]]:
     sources = {}
     for name, column in given.map.columns.items():
         if isinstance(log, Frames):
@@ -206,7 +206,7 @@ def _sources(log: Frames | Table, path: Path, given: _Inputs) -> dict[str, list[
     return sources
 
 
-def _ingest_one(path: Path, given: _Inputs) -> tuple[list[Piece], dict]:
+def _ingest_one(path: Path, given: Inputs) -> tuple[list[Piece], dict]:
     """Pieces and report of one log; InputError when nothing of it remains."""
     log = read_log(path, time_column=given.map.time)
     t_ns = _log_time(log)
@@ -270,6 +270,29 @@ def _write_piece(piece: Piece, path: Path) -> None:
         pa_csv.write_csv(table, path, pa_csv.WriteOptions(quoting_style="none"))
 
 
+def write_tables(path: Path, given: Inputs, folder: Path) -> dict:
+    """Write the drive tables and the report of one log into an existing folder; returns the report.
+
+    Raises InputError when nothing of the log remains.
+    """
+    pieces, report = _ingest_one(path, given)
+    report["drives"] = []
+    for k, piece in enumerate(pieces, start=1):
+        file = stem(path) + (f"_{k}" if len(pieces) > 1 else "") + f".{given.map.format}"
+        _write_piece(piece, folder / file)
+        report["drives"].append(
+            {
+                "file": file,
+                "rows": len(piece.t),
+                "t_first_s": float(piece.t[0]),
+                "t_last_s": float(piece.t[-1]),
+                "log_time_of_first_row_s": piece.log_start_s,
+            }
+        )
+    artefacts.write_files(folder, {f"{stem(path)}.report.json": artefacts.to_json(report)})
+    return report
+
+
 def ingest(logs: Iterable[Path], *, dbc: Path | None, signals_map: Path | SignalMap, out: Path) -> dict:
     """Turn ``logs`` into uniform drive tables in the folder ``out``; returns what the reports say, log by
     log.
@@ -287,7 +310,7 @@ def ingest(logs: Iterable[Path], *, dbc: Path | None, signals_map: Path | Signal
             raise InputError(
                 path, "", f"two logs would both become the drive {stem(path)}", "logs with different names"
             )
-    given = _Inputs(
+    given = Inputs(
         load_database(dbc) if dbc else own_database(),
         dbc or "lpvguard's own DBC (no --dbc given)",
         *(
@@ -300,24 +323,8 @@ def ingest(logs: Iterable[Path], *, dbc: Path | None, signals_map: Path | Signal
     with artefacts.new_folder(out, "ingest") as folder:
         drives = []
         for path in paths:
-            pieces, report = _ingest_one(path, given)
-            report["drives"] = []
-            for k, piece in enumerate(pieces, start=1):
-                name = stem(path) + (f"_{k}" if len(pieces) > 1 else "")
-                file = f"{name}.{given.map.format}"
-                _write_piece(piece, folder / file)
-                drives.append(name)
-                report["drives"].append(
-                    {
-                        "file": file,
-                        "rows": len(piece.t),
-                        "t_first_s": float(piece.t[0]),
-                        "t_last_s": float(piece.t[-1]),
-                        "log_time_of_first_row_s": piece.log_start_s,
-                    }
-                )
-            artefacts.write_files(folder, {f"{stem(path)}.report.json": artefacts.to_json(report)})
-            reports[stem(path)] = report
+            reports[stem(path)] = report = write_tables(path, given, folder)
+            drives += [Path(d["file"]).stem for d in report["drives"]]
         inputs = {p.name: artefacts.file_hash(p) for p in [*paths, *([Path(dbc)] if dbc else [])]}
         artefacts.write_files(
             folder,

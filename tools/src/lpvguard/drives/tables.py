@@ -14,14 +14,15 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.csv as pa_csv
 import pyarrow.parquet as pa_parquet
 
 from ..base.errors import InputError
+from ..can.delimited import read_csv
+from ..can.logs import INDEX
 from ..vehicle.project import Project, Signal
 
 TABLE_SUFFIXES = (".csv", ".parquet")
-EXPERIMENTS = "experiments.csv"
+EXPERIMENTS = INDEX
 
 
 @dataclass(frozen=True)
@@ -87,8 +88,21 @@ def list_experiments(folder: Path) -> list[Experiment]:
     return experiments
 
 
-def read_drive(path: Path, project: Project) -> Drive:
-    """Read and check one drive table."""
+def bound_setting(project: Project, experiments: list[Experiment], folder: Path) -> list[Experiment]:
+    """The drives whose split sets the bounds; InputError when there is none."""
+    setting = [e for e in experiments if e.split in project.data.bound_split]
+    if not setting:
+        raise InputError(
+            folder / EXPERIMENTS,
+            "column split",
+            f"no drive has split {' or '.join(project.data.bound_split)}",
+            "at least one drive that sets the bounds",
+        )
+    return setting
+
+
+def read_drive(path: Path, project: Project, *, any_values: bool = False) -> Drive:
+    """Read and check one drive table; with ``any_values`` values may lie outside the signals' ranges."""
     table = _read_table(path)
     signals = [project.speed, *project.inputs, *project.outputs]
     for column in ["t", *(s.column for s in signals)]:
@@ -103,7 +117,9 @@ def read_drive(path: Path, project: Project) -> Drive:
     if len(t) < 2:
         raise InputError(path, "", f"{len(t)} sample(s)", "at least 2 samples")
     _require_uniform(path, t, project.Ts_s)
-    values = {s.name: _within(path, s, _column(path, table, s.column, s.unit)) for s in signals}
+    values = {s.name: _column(path, table, s.column, s.unit) for s in signals}
+    for s in signals if not any_values else []:
+        _require_within(path, s, values[s.name])
 
     def stack(group: list[Signal]) -> np.ndarray:
         return np.column_stack([values[s.name] for s in group])
@@ -119,8 +135,10 @@ def _read_table(path: Path) -> pa.Table:
     try:
         if path.suffix == ".parquet":
             return pa_parquet.read_table(path)
-        options = pa_csv.ConvertOptions(null_values=["", "NA", "null"], strings_can_be_null=True)
-        return pa_csv.read_csv(path, convert_options=options)
+        table, skipped = read_csv(path.read_bytes(), ["", "NA", "null"])
+        if skipped:
+            raise InputError(path, "line 1", "comments before the header", "a header line first")
+        return table
     except (pa.ArrowException, OSError) as error:
         raise InputError(
             path,
@@ -164,12 +182,14 @@ def _require_uniform(path: Path, t: np.ndarray, Ts: float) -> None:
     backwards = np.flatnonzero(step <= 0)
     if len(backwards):
         k = backwards[0] + 1
+        shuffled = ", and back so often that the rows are shuffled" if len(backwards) > 0.2 * len(t) else ""
         raise InputError(
             path,
             f"{_line(k)}, column t",
-            f"time goes from {t[k - 1]:g} to {t[k]:g} s",
+            f"time goes from {t[k - 1]:g} to {t[k]:g} s{shuffled}",
             "strictly increasing time",
         )
+    typical = float(np.median(step))
     # Half a sample of drift against the grid is the most that a rounded time column can explain.
     off = np.flatnonzero(
         (np.abs(step - Ts) > 0.25 * Ts) | (np.abs(t[1:] - t[0] - Ts * np.arange(1, len(t))) > 0.5 * Ts)
@@ -179,12 +199,19 @@ def _require_uniform(path: Path, t: np.ndarray, Ts: float) -> None:
         raise InputError(
             path,
             f"{_line(k)}, column t",
-            f"step of {step[k - 1]:g} s to t = {t[k]:g} s",
+            f"step of {step[k - 1]:g} s to t = {t[k]:g} s{_other_rate(typical, Ts)}",
             f"a uniform grid of {Ts:g} s (lpvguard ingest resamples)",
         )
 
 
-def _within(path: Path, signal: Signal, values: np.ndarray) -> np.ndarray:
+def _other_rate(typical: float, Ts: float) -> str:
+    """What the table's typical step [s] says beside the sample time Ts [s]."""
+    if abs(typical - Ts) <= 0.25 * Ts:
+        return ""
+    return f"; the table has {Ts / typical:.3g} times the rate of the project file"
+
+
+def _require_within(path: Path, signal: Signal, values: np.ndarray) -> None:
     outside = np.flatnonzero((values < signal.min) | (values > signal.max))
     if len(outside):
         k = outside[0]
@@ -195,7 +222,6 @@ def _within(path: Path, signal: Signal, values: np.ndarray) -> np.ndarray:
             f"{values[k]:g}{hint}",
             f"{signal.min:g} to {signal.max:g} {signal.unit} ({len(outside)} such values in the file)",
         )
-    return values
 
 
 def require_units(path: Path | str, drive: Drive, nominal_output: np.ndarray, settled: np.ndarray) -> None:

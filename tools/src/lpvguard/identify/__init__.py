@@ -2,4 +2,4 @@
 fitted weights, calibrated tests, visibility; `run.save` writes them, `run.load` proves them anew, `export`
 turns them into a generated folder. Which rooms it may import: MAY_IMPORT."""
 
-MAY_IMPORT = ("base", "vehicle", "engine", "drives", "core")
+MAY_IMPORT = ("base", "vehicle", "engine", "drives", "fit", "core")

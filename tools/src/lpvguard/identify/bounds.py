@@ -256,7 +256,8 @@ def reduce_uncertainty(
     }
     for s in sets:
         nu, w = explain(s, estimator, gamma_w, structure)
-        out["nu"][s.bin], out["B_w"][s.bin] = _maximum(nu.reshape(len(nu), -1)), _maximum(np.abs(w))
+        out["nu"][s.bin] = _maximum(nu.reshape(len(nu), out["nu"].shape[1]))
+        out["B_w"][s.bin] = _maximum(np.abs(w))
         out["front"][s.bin] = front(s.E, s.Z, grid[s.bin])
     return out
 

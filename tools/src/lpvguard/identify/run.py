@@ -40,12 +40,14 @@ from ..base.sampling import Rows, stacked
 from ..core.coefficients import Coefficients, vehicle_files
 from ..core.compiled import Core
 from ..drives.frames import Estimator, not_for_the_core
-from ..drives.tables import EXPERIMENTS, Drive, Experiment, list_experiments
+from ..drives.tables import Drive, Experiment, bound_setting, list_experiments
+from ..fit.quality import Quality
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, parse_project
 from .bounds import FRONT_POINTS, Bounds, Part, fold, front_grid
 from .calibration import Calibration, calibrate
 from .energy import EnergyTest
+from .model_fit import drive_fit, require_better_than_none
 from .passes import (
     DriveReader,
     Judged,
@@ -100,6 +102,7 @@ class Identification:
     noise_drives: list[str]
     left_out: dict[str, str]
     sha256: dict[str, str]
+    model_fit: list[Quality]
 
 
 class DriveSet:
@@ -136,15 +139,8 @@ class _Chosen:
     @classmethod
     def by_split(cls, project: Project, experiments: list[Experiment], folder: Path) -> _Chosen:
         """By the column split of the index; InputError when no drive sets the bounds."""
-        setting = [e for e in experiments if e.split in project.data.bound_split]
+        setting = bound_setting(project, experiments, folder)
         noise = [e for e in experiments if e.split in project.data.noise_split]
-        if not setting:
-            raise InputError(
-                folder / EXPERIMENTS,
-                "column split",
-                f"no drive has split {' or '.join(project.data.bound_split)}",
-                "at least one drive that sets the bounds",
-            )
         return cls(setting, noise, [e for e in experiments if e not in setting and e not in noise])
 
 
@@ -304,6 +300,8 @@ def identify(
     drives = DriveSet(project, model, experiments)
     estimator, run = drives.reader.estimator, _Run(drives.reader, workers, progress)
     chosen = _Chosen.by_split(project, experiments, Path(folder))
+    model_fit = list(run.over("model", partial(drive_fit, drives.reader), chosen.setting))
+    require_better_than_none(project, model_fit, Path(folder))
     first = fold(run.first_parts(chosen.setting, keep=True))
     chosen = replace(chosen, setting=run.setting_with_frames(chosen.setting, folder))
     progress("weights")
@@ -335,6 +333,7 @@ def identify(
         noise_drives=[e.name for e in chosen.noise],
         left_out=run.left_out,
         sha256=dict(zip(drives.experiments, hashes, strict=False)),
+        model_fit=model_fit,
     )
     return result, drives
 

@@ -110,9 +110,14 @@ class SpeedTable:
         return out
 
 
-def _tabulate(entries: Callable[[np.ndarray], np.ndarray], low: float, high: float) -> SpeedTable:
-    """Cubic interpolation of ``entries`` at four Chebyshev points a cell, as many cells as needed."""
-    samples = entries(np.linspace(low, high, 101))
+def tabulate(
+    entries: Callable[[np.ndarray], np.ndarray], low: float, high: float, cells: int | None = None
+) -> SpeedTable:
+    """Cubic interpolation of ``entries``, speeds (m,) -> (m, n), at four Chebyshev points a cell.
+
+    ``cells`` None: as many as needed. A number: so many, and the error is not computed (NaN).
+    """
+    samples = entries(np.linspace(low, high, 101 if cells is None else 2 * cells + 1))
     size = np.abs(samples).max(axis=0)
     varying = np.flatnonzero(np.ptp(samples, axis=0) > TABLE_TOLERANCE * size)
     # The core's arrays must not be empty; an entry that does not vary is harmless in the table.
@@ -120,12 +125,15 @@ def _tabulate(entries: Callable[[np.ndarray], np.ndarray], low: float, high: flo
     nodes = 0.5 - 0.5 * np.cos(np.pi * (np.arange(4) + 0.5) / 4)
     to_cubic = np.linalg.inv(np.vander(nodes, 4, increasing=True))
     check = np.linspace(0.0, 1.0, 33)
-    for cells in (2, 4, 8, 16, 32, 64):
-        width = (high - low) / cells
-        left = low + width * np.arange(cells)
-        at_nodes = entries((left[:, None] + width * nodes).ravel())[:, varying].reshape(cells, 4, -1)
+    error = np.nan
+    for count in (2, 4, 8, 16, 32, 64) if cells is None else (cells,):
+        width = (high - low) / count
+        left = low + width * np.arange(count)
+        at_nodes = entries((left[:, None] + width * nodes).ravel())[:, varying].reshape(count, 4, -1)
         cell = np.einsum("ij,cjv->cvi", to_cubic, at_nodes)
-        exact = entries((left[:, None] + width * check).ravel())[:, varying].reshape(cells, len(check), -1)
+        if cells is not None:
+            break
+        exact = entries((left[:, None] + width * check).ravel())[:, varying].reshape(count, len(check), -1)
         table = np.einsum("cvi,pi->cpv", cell, np.vander(check, 4, increasing=True))
         error = float(np.max(np.abs(table - exact) / np.maximum(size[varying], np.finfo(float).tiny)))
         if error <= TABLE_TOLERANCE:
@@ -297,7 +305,7 @@ class NominalModel:
         augmented[:, :n, :n], augmented[:, :n, n:] = A, B
 
         def hold(duration: float) -> tuple[np.ndarray, np.ndarray]:
-            e = expm(augmented * duration)
+            e = self.exponential(augmented * duration)
             return e[:, :n, :n], e[:, :n, n:]
 
         old = self.delay_fraction * self.Ts
@@ -342,11 +350,17 @@ class NominalModel:
     def table(self) -> SpeedTable:
         """The entries over speed that identification and the core run on."""
 
-        def entries(v: np.ndarray) -> np.ndarray:
-            d = self.discretise(v)
-            return np.concatenate([m.reshape(len(v), -1) for m in (d.Ad, d.B_old, d.B_new)], axis=1)
+        return tabulate(self.discrete_entries, *self.speed_range)
 
-        return _tabulate(entries, *self.speed_range)
+    def discrete_entries(self, v: np.ndarray) -> np.ndarray:
+        """Ad, B_old, B_new row by row at speeds v (m,): (m, n_entries)."""
+        d = self.discretise(v)
+        return np.concatenate([m.reshape(len(v), -1) for m in (d.Ad, d.B_old, d.B_new)], axis=1)
+
+    @staticmethod
+    def exponential(a: np.ndarray) -> np.ndarray:
+        """Matrix exponentials of a (m, n, n), in the same shape."""
+        return expm(a)
 
     def _split(self, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         m, n, n_u = len(entries), self.n, self.n_u

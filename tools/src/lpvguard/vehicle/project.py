@@ -169,6 +169,34 @@ class DataSettings(StrictModel):
         return self
 
 
+Range = Annotated[list[float], Field(min_length=2, max_length=2)]
+"""Lower and upper end."""
+
+
+class FitSettings(StrictModel):
+    """What `fit` looks for, and where. Of these settings nothing but the fit is computed: they are no part of
+    what an identification was made with.
+
+    ``parameters``: range of each fitted entry of model.parameters; by default all entries, from a fifth to
+    five times their value. ``input_delay_s``: range of the delay [s], by default from 0 to ten samples or
+    three times its value, at most 1 s; equal ends keep it. Offsets are fitted where the model gives them.
+    ``trim``: one input_offset for all drives, or one a drive, of which the mean is written.
+    """
+
+    parameters: dict[str, Range] | None = None
+    input_delay_s: Range | None = None
+    trim: Literal["common", "drive"] = "common"
+
+    @model_validator(mode="after")
+    def _ordered(self) -> FitSettings:
+        for name, (low, high) in (self.parameters or {}).items():
+            if not low < high:
+                raise ValueError(f"fit.parameters.{name}: {low:g} must be below {high:g}")
+        if self.input_delay_s is not None and not 0 <= self.input_delay_s[0] <= self.input_delay_s[1]:
+            raise ValueError("fit.input_delay_s: 0 <= lower <= upper end must hold")
+        return self
+
+
 class DesignSettings(StrictModel):
     """Step 8: objectives of Fig. 1 and the scheduled controller. W_t, W_u: gain A_t, A_u and the paper's
     break frequencies.
@@ -228,6 +256,7 @@ class Project(StrictModel):
     energy_test: EnergyTestSettings = EnergyTestSettings()
     data: DataSettings
     design: DesignSettings | None = None
+    fit: FitSettings = Field(default=FitSettings(), exclude=True)
 
     @model_validator(mode="after")
     def _consistent(self) -> Project:
@@ -253,6 +282,10 @@ class Project(StrictModel):
                 raise ValueError(f"model.{key}: must have {size} entries")
         if self.design is not None:
             self._require_vehicle_of_fig1(self.design)
+        if unknown := set(self.fit.parameters or {}) - set(self.model.parameters):
+            raise ValueError(f"fit.parameters: {', '.join(sorted(unknown))} not among model.parameters")
+        if self.fit.trim == "drive" and self.model.input_offset is None:
+            raise ValueError("fit.trim: a trim a drive needs model.input_offset, where its mean is written")
         if not self.model.speed_min_mps < self.model.speed_max_mps:
             raise ValueError("model: speed_min_mps must be below speed_max_mps")
         if not self.frames.f_min_hz < self.frames.f_max_hz < 0.5 / self.Ts_s:

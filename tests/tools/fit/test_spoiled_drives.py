@@ -1,0 +1,117 @@
+"""Every way to spoil drives is named for what it is, in all drives or in one among good ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from known_car import KnownCar, guessed
+from lpvguard.base.errors import InputError
+from lpvguard.drives.tables import Drive
+from lpvguard.fit.spoiled import require_unspoiled
+from lpvguard.fit.suspicions import screened
+from lpvguard.vehicle.project import FitSettings
+
+RANGES = {"L": [1.8, 4.0], "K": [0.0, 0.01], "T1": [5e-4, 0.03]}
+
+
+@pytest.fixture(scope="module")
+def project(g80):
+    settings = FitSettings(parameters=RANGES, input_delay_s=[0.0, 0.3])
+    return guessed(g80).model_copy(update={"fit": settings})
+
+
+@pytest.fixture(scope="module")
+def drives() -> list[Drive]:
+    random = np.random.default_rng(3)
+    car = KnownCar.drawn(random)
+    return [car.drive(random, v, 60.0, f"at_{v:g}") for v in (6.0, 10.0, 15.0)]
+
+
+def late(d: Drive, samples: int) -> Drive:
+    return Drive(d.name, d.t[:-samples], d.v[samples:], d.u[samples:], d.y[:-samples])
+
+
+def frozen(d: Drive) -> Drive:
+    y = d.y.copy()
+    y[1000:1500] = y[1000]
+    return replace(d, y=y)
+
+
+def held(d: Drive) -> Drive:
+    v, u, y = (np.repeat(x[::2], 2, axis=0)[: len(d.t)] for x in (d.v, d.u, d.y))
+    return Drive(d.name, d.t, v, u, y)
+
+
+def shuffled(d: Drive) -> Drive:
+    order = np.random.default_rng(1).permutation(len(d.t))
+    return Drive(d.name, d.t, d.v[order], d.u[order], d.y[order])
+
+
+SPOILED = {
+    "flipped sign": (lambda d: replace(d, y=-d.y), "column delta: has the other sign (or that of r)"),
+    "km/h": (lambda d: replace(d, v=3.6 * d.v), "column v: is in km/h"),
+    "mph": (lambda d: replace(d, v=d.v / 0.44704), "column v: is in mph"),
+    "degrees": (lambda d: replace(d, u=np.degrees(d.u)), "column delta: is in deg"),
+    "degrees a second": (lambda d: replace(d, y=np.degrees(d.y)), "column r: is in deg/s"),
+    "steering wheel": (lambda d: replace(d, u=16.0 * d.u), "times too large, as the angle of the steering"),
+    "swapped": (lambda d: replace(d, u=d.y, y=d.u), "columns delta and r: are swapped"),
+    "delay": (lambda d: late(d, 500), "column r: comes 10 s later than the inputs say"),
+    "frozen": (frozen, "the sensor is frozen"),
+    "half the rate": (held, "it was recorded at half the rate"),
+    "shuffled": (shuffled, "the rows are shuffled"),
+}
+
+
+@pytest.mark.slow("5 s a case where all drives are fitted in every reading")
+@pytest.mark.parametrize("name", SPOILED)
+def test_drives_spoiled_alike_are_named(project, drives, name):
+    spoil, said = SPOILED[name]
+    with pytest.raises(InputError) as error:
+        spoiled = [spoil(d) for d in drives]
+        require_unspoiled(project, spoiled)
+        screened(project, spoiled)
+    assert said in str(error.value)
+
+
+@pytest.mark.parametrize("name", SPOILED)
+def test_one_spoiled_drive_among_good_ones_is_named(project, drives, name):
+    spoil, said = SPOILED[name]
+    spoiled = [drives[0], spoil(drives[1]), drives[2]]
+    try:
+        require_unspoiled(project, spoiled)
+        found = screened(project, spoiled)
+        assert found.certain == {"at_10"} and [d.name for d in found.explained] == ["at_6", "at_15"]
+        text = str(found.faults["at_10"])
+    except InputError as error:
+        text = str(error)
+    assert text.startswith("at_10") and said in text
+
+
+def test_good_drives_pass(project, drives):
+    require_unspoiled(project, drives)
+    found = screened(project, drives)
+    assert found.explained == drives and found.faults == {}
+
+
+def test_a_drive_twice_is_named_also_when_it_was_cut(project, drives):
+    twin = replace(drives[0].from_sample(700), name="twin")
+    with pytest.raises(InputError, match="twin: is the same recording as at_6"):
+        require_unspoiled(project, [*drives, twin])
+
+
+def test_another_cars_drive_is_named_and_left_out(project, drives):
+    random = np.random.default_rng(8)
+    other = KnownCar(3.9, 0.004, 0.009, 0.1, 0.0, 0.0).drive(random, 11.0, 60.0, "other")
+    found = screened(project, [*drives, other])
+    assert "other: needs other parameters than the other drives (L = " in str(found.faults["other"])
+    assert found.certain == set() and found.explained == drives
+
+
+def test_noise_without_a_car_is_refused(project, drives):
+    random = np.random.default_rng(9)
+    noise = [replace(d, y=0.05 * random.standard_normal(d.y.shape)) for d in drives]
+    with pytest.raises(InputError, match="no parameters within the ranges"):
+        screened(project, noise)

@@ -1,0 +1,125 @@
+"""A stranger's logs become a project and drives: names, units and signs are found; what is wrong is said."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from known_car import KnownCar
+from lpvguard.base.errors import InputError
+from lpvguard.drives.tables import list_experiments, read_drive
+from lpvguard.start.run import new
+from lpvguard.start.signals import ranked
+from lpvguard.start.templates import TEMPLATES
+from lpvguard.vehicle.project import load_project
+from made import ROOT
+
+CAR = KnownCar(2.8, 0.003, 0.006, 0.04, 0.0, 0.0)
+
+
+def write_logs(folder, names=("time", "speed", "steering_angle", "yaw_rate"), scale=(1.0, 1.0, 1.0), n=2):
+    """Logs of a known car, with columns of these names, in other units."""
+    random, logs = np.random.default_rng(4), []
+    for k in range(n):
+        d = CAR.drive(random, 6.0 + 4.0 * k, 60.0, f"log_{k}")
+        table = np.column_stack([d.t + 100, scale[0] * d.v, scale[1] * d.u, scale[2] * d.y, 0 * d.t + 7])
+        path = folder / f"log_{k}.csv"
+        np.savetxt(path, table, "%.9g", ",", header=",".join([*names, "counter"]), comments="")
+        path.write_text("# written by a logger\n" + path.read_text())
+        logs.append(path)
+    return logs
+
+
+UNITS = {
+    "SI": ((1.0, 1.0, 1.0), ("m/s", "rad", "rad/s"), 1.0),
+    "km/h": ((3.6, 1.0, 1.0), ("km/h", "rad", "rad/s"), 1.0),
+    "mph": ((1 / 0.44704, 1.0, 1.0), ("mph", "rad", "rad/s"), 1.0),
+    "degrees": ((1.0, 180 / np.pi, 1.0), ("m/s", "deg", "rad/s"), 1.0),
+    "turned round": ((1.0, -1.0, 1.0), ("m/s", "rad", "rad/s"), -1.0),
+    "steering wheel": ((1.0, 16.0, 1.0), ("m/s", "rad", "rad/s"), 1 / 16),
+}
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_units_and_signs_follow_from_the_wheelbase(tmp_path, name):
+    scale, units, factor = UNITS[name]
+    logs = write_logs(tmp_path, scale=scale)
+    made = new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
+    assert tuple(p.unit for p in made.proposals.values()) == units
+    assert abs(made.proposals["input"].factor / factor - 1) < 0.25
+    project = load_project(tmp_path / "out" / "mine.toml")
+    drive = read_drive(tmp_path / "out" / "drives" / "log_0.csv", project)
+    assert abs(drive.v.mean() - 6.0) < 0.3 and project.Ts_s == 0.02
+    assert [e.split for e in list_experiments(tmp_path / "out" / "drives")] == ["train", "valid"]
+
+
+@pytest.mark.parametrize("model", TEMPLATES)
+def test_every_template_is_a_project_that_can_be_fitted(tmp_path, model, lpvguard):
+    logs = write_logs(tmp_path, n=3)
+    done = lpvguard("new", "mine", *logs, "--model", model, "--wheelbase", 2.8, "-o", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    vehicle = tmp_path / "out" / "mine.toml"
+    fitted = lpvguard("fit", "--vehicle", vehicle, tmp_path / "out" / "drives", "-o", tmp_path / "fit")
+    assert fitted.returncode in (0, 1), fitted.stderr
+    project = load_project(tmp_path / "fit" / "mine.toml")
+    if model == "yaw-first-order":
+        assert abs(project.model.parameters["L"] - 2.8) < 0.25
+        assert abs(project.model.input_delay_s - 0.04) < 0.01
+
+
+def test_names_are_ranked_by_what_they_say():
+    names = ["wheel_speed_fl", "vehicle_speed", "steer_rate", "steering_angle", "cmd_steer", "yaw_rate", "ay"]
+    assert ranked("speed", names)[0] == "vehicle_speed"
+    assert ranked("input", names)[0] == "steering_angle"
+    assert ranked("output", names) == ["yaw_rate"]
+
+
+def test_a_spike_is_a_missing_sample_and_not_a_refused_table(tmp_path):
+    logs = write_logs(tmp_path)
+    lines = logs[0].read_text().splitlines()
+    cells = lines[500].split(",")
+    cells[1] = "-80.0"
+    lines[500] = ",".join(cells)
+    logs[0].write_text("\n".join(lines) + "\n")
+    made = new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
+    drive = read_drive(tmp_path / "out" / "drives" / "log_0.csv", made.project)
+    assert drive.v.min() > 4.0 and len(drive.t) == 3000
+
+
+def test_what_cannot_be_is_refused_by_name(tmp_path):
+    logs = write_logs(tmp_path, names=("time", "speed", "a", "yaw_rate"))
+    with pytest.raises(InputError, match="no name looks like the input; expected --input NAME, one of"):
+        new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
+    made = new("mine", logs, tmp_path / "out", wheelbase_m=2.8, chosen={"input": "a"})
+    assert made.proposals["input"].why[0] == "chosen by you"
+    with pytest.raises(InputError, match=r"in no units 0.5 m"):
+        new("mine", logs, tmp_path / "other", wheelbase_m=0.5, chosen={"input": "a"})
+    with pytest.raises(InputError, match="--model: truck"):
+        new("mine", logs, tmp_path / "other", model="truck")
+
+
+def test_the_database_of_another_bus_is_named(tmp_path):
+    log = tmp_path / "log.log"
+    log.write_text("".join(f"({k / 100:.6f}) can0 123#0011223344556677\n" for k in range(100)))
+    with pytest.raises(InputError, match="it is the database of another bus"):
+        new("mine", [log], tmp_path / "out")
+
+
+def test_a_folder_is_its_logs_without_the_index(tmp_path, lpvguard):
+    (tmp_path / "logs").mkdir()
+    write_logs(tmp_path / "logs")
+    (tmp_path / "logs" / "experiments.csv").write_text("experiment,split\nlog_0,train\n")
+    (tmp_path / "logs" / "notes.pdf").write_text("no log")
+    done = lpvguard("new", "mine", tmp_path / "logs", "--wheelbase", 2.8, "-o", tmp_path / "out")
+    assert done.returncode == 0 and "left out" not in done.stderr
+    (tmp_path / "empty").mkdir()
+    refused = lpvguard("new", "mine", tmp_path / "empty", "-o", tmp_path / "other")
+    assert refused.returncode == 2 and "holds no log" in refused.stderr
+
+
+def test_the_command_says_what_to_do_next(tmp_path, lpvguard):
+    logs = write_logs(tmp_path)
+    done = lpvguard("new", "mine", *logs, "-o", tmp_path / "out")
+    assert done.returncode == 0 and "no wheelbase given" in done.stderr
+    assert f"lpvguard fit --vehicle {tmp_path}/out/mine.toml" in done.stderr
+    assert not (ROOT / "mine.toml").exists()

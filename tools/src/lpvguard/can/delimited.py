@@ -1,0 +1,44 @@
+"""CSV as people have it: a byte-order mark, comment lines before the header, `;` with decimal commas."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable
+
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+
+
+def read_csv(data: bytes, null_values: Iterable[str] | None = None) -> tuple[pa.Table, int]:
+    """The table, and how many lines stand before its header.
+
+    Lines that are empty or begin with # are skipped before the header. Where the header has more `;` than
+    commas, `;` divides, and the decimal point may be a comma. Raises pyarrow's errors.
+    """
+    text = data.removeprefix(b"\xef\xbb\xbf")
+    skipped, position = 0, 0
+    while position < len(text):
+        end = text.find(b"\n", position)
+        line = text[position : end if end >= 0 else len(text)].strip()
+        if line and not line.startswith(b"#"):
+            break
+        position = end + 1 if end >= 0 else len(text)
+        skipped += 1
+    end = text.find(b"\n", position)
+    header = text[position : end if end >= 0 else len(text)]
+    delimiter = ";" if header.count(b";") > header.count(b",") else ","
+    convert = pa_csv.ConvertOptions(decimal_point="," if _decimal_commas(text[position:], delimiter) else ".")
+    if null_values is not None:
+        convert.null_values, convert.strings_can_be_null = list(null_values), True
+    table = pa_csv.read_csv(
+        io.BytesIO(text[position:]),
+        parse_options=pa_csv.ParseOptions(delimiter=delimiter),
+        convert_options=convert,
+    )
+    return table.rename_columns([name.strip() for name in table.column_names]), skipped
+
+
+def _decimal_commas(text: bytes, delimiter: str) -> bool:
+    """Whether numbers are written with a comma: only where `;` divides, by the lines after the header."""
+    lines = text.split(b"\n", 20)[1:20]
+    return delimiter == ";" and any(b"," in line for line in lines) and not any(b"." in x for x in lines)

@@ -1,0 +1,290 @@
+"""The fit: parameters, delay and offsets that leave the least whitened error of prediction.
+
+    e(theta) = y - yhat(theta),   V(theta) = sum over drives and outputs |A(q) e(theta)|^2 / sigma^2
+
+A and sigma are the noise model of the residuals (noise.py). Fit and noise model alternate until theta rests:
+generalised least squares, which is efficient for a coloured disturbance (Ljung, System Identification, 2nd
+ed., 7.5 and 10.2). Where that leaves much more of the outputs than plain least squares do, the residuals are
+the model's own error and no noise. Then the plain fit is taken. A trim a drive enters linearly and is
+projected out.
+
+Standard errors are those of a sandwich H^-1 S H^-1. H is of the whitened derivatives, S the spread of the
+scores over blocks of the drives. They hold where the noise differs by speed or drive, and allow for what the
+noise model leaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from ..base.errors import InputError
+from ..drives.tables import Drive
+from . import noise
+from .noise import Whitening
+from .stretches import judged_samples, stretches_of
+from .unknowns import DELAY, Unknowns
+
+PASSES = 5
+"""Most alternations of fit and noise model."""
+RESTS = 0.05
+"""The fit rests when no unknown moves by more than this share of its standard error."""
+BLOCKS, COLOURED_BLOCKS = 120, 40
+"""About so many blocks of all drives together give the spread of the scores. Coloured residuals are
+remembered longer, so the blocks of a plain fit are longer."""
+WORSE = 1.3
+"""A whitened fit may leave so many times what the plain one leaves."""
+SHORTEST_S = 2.0
+"""Shorter stretches of judged speed are left out."""
+HOPELESS = 1e3
+"""Residual, in sigma, of parameters with which the model is unstable."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The unknowns' values and covariance: theta (p,), covariance (p, p), trims (n_drives, n_u) less the
+    common input_offset, trim_errors of the same shape; both have no columns where the trim is common, and are
+    NaN where nothing is judged."""
+
+    unknowns: Unknowns
+    theta: np.ndarray
+    covariance: np.ndarray
+    whitening: list[Whitening]
+    trims: np.ndarray
+    trim_errors: np.ndarray
+    plain: bool
+    """Whether plain least squares were taken."""
+
+    @property
+    def standard_error(self) -> np.ndarray:
+        """(p,) in the units of the unknowns."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """(p, p), of the estimates' errors."""
+        s = np.where(self.standard_error > 0, self.standard_error, 1.0)
+        return self.covariance / np.outer(s, s)
+
+
+class Fit:
+    """Drives of one project, and the residuals of any values of its unknowns."""
+
+    def __init__(self, unknowns: Unknowns, drives: Sequence[Drive]):
+        self.unknowns, self.drives = unknowns, list(drives)
+        project = unknowns.base
+        self.Ts, self.n_u, self.n_y = project.Ts_s, project.n_u, project.n_y
+        self.own_trim = project.fit.trim == "drive"
+        self.whitening: list[Whitening] = []
+        self.pieces = self._pieces(unknowns.start)
+
+    def _pieces(self, theta: np.ndarray) -> list[list[slice]]:
+        """Judged stretches of each drive: in the speed range, and the start at the measured output
+        forgotten. InputError when there is none at all."""
+        model = self.unknowns.model(theta)
+        shortest = max(round(SHORTEST_S / self.Ts), 3 * noise.LARGEST_ORDER)
+        found = [stretches_of(judged_samples(model, d.v), shortest) for d in self.drives]
+        if not any(found):
+            low, high = model.speed_range
+            raise InputError(
+                ", ".join(d.name for d in self.drives),
+                "speed",
+                f"nowhere {shortest * self.Ts:g} s within {low:g} to {high:g} m/s",
+                "drives within speed_min_mps and speed_max_mps, and the speed in m/s",
+            )
+        return found
+
+    def errors(self, theta: np.ndarray) -> list[np.ndarray]:
+        """e = y - yhat of every drive, (N, n_y) each; theta (p,)."""
+        model = self.unknowns.model(theta)
+        return [d.y - model.simulate(d.v, d.u, d.y[0]) for d in self.drives]
+
+    def _trim_responses(self, theta: np.ndarray) -> list[np.ndarray]:
+        """What a unit of trim adds to e, of every drive: (N, n_y, n_u)."""
+        model, found = self.unknowns.model(theta), []
+        for d in self.drives:
+            at_rest = model.simulate(d.v, d.u, d.y[0])
+            found.append(
+                np.stack(
+                    [at_rest - model.simulate(d.v, d.u - unit, d.y[0]) for unit in np.eye(self.n_u)], axis=2
+                )
+            )
+        return found
+
+    def _whitened(self, signal: list[np.ndarray]) -> list[np.ndarray]:
+        """Whitened, scaled columns of every drive, outputs and stretches below one another; of arrays
+        (N, n_y) or (N, n_y, n)."""
+        found = []
+        for i, (x, pieces) in enumerate(zip(signal, self.pieces, strict=True)):
+            x = x.reshape(*x.shape[:2], -1)
+            parts = [w.filtered(x[s, j]) / w.sigma[i] for j, w in enumerate(self.whitening) for s in pieces]
+            found.append(np.concatenate(parts) if parts else np.zeros((0, x.shape[2])))
+        return found
+
+    def residuals(self, theta: np.ndarray) -> list[np.ndarray]:
+        """Whitened residuals of every drive (n,), its trim projected out; theta (p,)."""
+        try:
+            errors = self._whitened(self.errors(theta))
+        except InputError:
+            return [np.full(len(r), HOPELESS) for r in self._whitened([d.y for d in self.drives])]
+        if not self.own_trim:
+            return [e[:, 0] for e in errors]
+        trims = self._whitened(self._trim_responses(theta))
+        return [e[:, 0] - t @ _regressed(t, e)[:, 0] for e, t in zip(errors, trims, strict=True)]
+
+    def derivatives(self, theta: np.ndarray) -> list[np.ndarray]:
+        """Derivatives of the residuals of every drive, (n, p), by central differences inside the ranges."""
+        columns: list[list[np.ndarray]] = []
+        for j, step in enumerate(self.unknowns.step):
+            ends = np.clip(theta[j] + np.array([-step, step]), self.unknowns.low[j], self.unknowns.high[j])
+            low, high = (self.residuals(np.r_[theta[:j], end, theta[j + 1 :]]) for end in ends)
+            columns.append([(b - a) / (ends[1] - ends[0]) for a, b in zip(low, high, strict=True)])
+        return [np.column_stack([column[i] for column in columns]) for i in range(len(self.drives))]
+
+    def minimised(self, theta: np.ndarray, evaluations: int = 40) -> np.ndarray:
+        """The unknowns (p,) of least V near theta (p,), with the noise model as it is."""
+        span = self.unknowns.high - self.unknowns.low
+        inset = np.where(np.isfinite(span), 1e-6 * np.where(np.isfinite(span), span, 1.0), 0.0)
+        start = np.clip(theta, self.unknowns.low + inset, self.unknowns.high - inset)
+        return least_squares(
+            lambda x: np.concatenate(self.residuals(x)),
+            start,
+            lambda x: np.concatenate(self.derivatives(x)),
+            bounds=(self.unknowns.low, self.unknowns.high),
+            x_scale="jac",
+            ftol=1e-7,
+            xtol=1e-6,
+            max_nfev=evaluations,
+        ).x
+
+    def plain(self, theta: np.ndarray) -> np.ndarray:
+        """The unknowns (p,) of least plain squares, from theta (p,) and from the delay that fits best."""
+        self.pieces = self._pieces(theta)
+        stretches = self._stretches(self.errors(theta))
+        self.whitening = [noise.white([[np.ones(1)] for _ in drives]) for drives in stretches]
+        return self.minimised(self._with_delay(theta))
+
+    def _with_delay(self, theta: np.ndarray) -> np.ndarray:
+        """theta with the delay, of those a sample apart, that leaves the least when a gain is free."""
+        if DELAY not in self.unknowns.names:
+            return theta
+        j, best = self.unknowns.names.index(DELAY), (np.inf, theta)
+        low, high = self.unknowns.low[j], self.unknowns.high[j]
+        for delay in np.linspace(low, high, min(60, max(3, round((high - low) / self.Ts) + 1))):
+            trial = np.r_[theta[:j], delay, theta[j + 1 :]]
+            left = 0.0
+            for d, e, pieces in zip(self.drives, self.errors(trial), self.pieces, strict=True):
+                for s in pieces:
+                    y, yhat = (x - x.mean(0) for x in (d.y[s], d.y[s] - e[s]))
+                    gain = np.sum(y * yhat, 0) / np.maximum(np.sum(yhat * yhat, 0), 1e-300)
+                    left += float(np.sum((y - gain * yhat) ** 2 / self._scale**2))
+            if left < best[0]:
+                best = (left, trial)
+        return best[1]
+
+    @property
+    def _scale(self) -> np.ndarray:
+        """Standard deviations (n_y,) of the outputs over all drives."""
+        return np.maximum(np.std(np.concatenate([d.y for d in self.drives]), axis=0), 1e-12)
+
+    def _stretches(self, errors: list[np.ndarray]) -> list[list[list[np.ndarray]]]:
+        """Of each output, of each drive: its judged stretches of the errors."""
+        return [
+            [[e[s, j] for s in pieces] for e, pieces in zip(errors, self.pieces, strict=True)]
+            for j in range(self.n_y)
+        ]
+
+    def _trimmed_errors(self, theta: np.ndarray) -> list[np.ndarray]:
+        errors = self.errors(theta)
+        if not self.own_trim:
+            return errors
+        trims, _ = self._trims(theta)
+        responses = self._trim_responses(theta)
+        return [e + t @ np.nan_to_num(d) for e, t, d in zip(errors, responses, trims, strict=True)]
+
+    def _trims(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Trim of every drive beside the common input_offset, and its standard error: (n_drives, n_u), NaN
+        where nothing is judged; no columns where the trim is common."""
+        if not self.own_trim:
+            return np.zeros((len(self.drives), 0)), np.zeros((len(self.drives), 0))
+        errors, responses = self._whitened(self.errors(theta)), self._whitened(self._trim_responses(theta))
+        trims, errors_of = [], []
+        for e, t in zip(errors, responses, strict=True):
+            if not len(e):
+                trims.append(np.full(self.n_u, np.nan))
+                errors_of.append(np.full(self.n_u, np.nan))
+                continue
+            d = -_regressed(t, e)[:, 0]
+            trims.append(d)
+            left = np.mean((e[:, 0] + t @ d) ** 2)
+            errors_of.append(np.sqrt(left * np.diag(np.linalg.pinv(t.T @ t))))
+        return np.array(trims), np.array(errors_of)
+
+    def estimated(self, theta: np.ndarray) -> Estimate:
+        """Fit and noise model in turn, from theta (p,), until the fit rests."""
+        plain = theta = self.plain(theta)
+        white, pieces, least = self.whitening, self.pieces, self._left(plain)
+        for _ in range(PASSES):
+            self.pieces = self._pieces(theta)
+            self.whitening = [noise.fitted(drives) for drives in self._stretches(self._trimmed_errors(theta))]
+            before, theta = theta, self.minimised(theta)
+            covariance = self._covariance(theta, BLOCKS)
+            if np.all(np.abs(theta - before) <= RESTS * np.sqrt(np.diag(covariance))):
+                break
+        taken = self._left(theta) > WORSE * least
+        if taken:
+            theta, self.whitening, self.pieces = plain, white, pieces
+            covariance = self._covariance(theta, COLOURED_BLOCKS)
+        trims, trim_errors = self._trims(theta)
+        if self.own_trim:
+            theta, trims = self._mean_trim_written(theta, trims)
+        return Estimate(self.unknowns, theta, covariance, list(self.whitening), trims, trim_errors, taken)
+
+    def _left(self, theta: np.ndarray) -> float:
+        """Sum of what is left of the outputs, each over its variance, about the mean of each stretch."""
+        errors = self._trimmed_errors(theta)
+        return sum(
+            float(np.sum((e[s] - e[s].mean(0)) ** 2 / self._scale**2))
+            for e, pieces in zip(errors, self.pieces, strict=True)
+            for s in pieces
+        )
+
+    def _mean_trim_written(self, theta: np.ndarray, trims: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The unknowns as they were; their project gets the mean trim as input_offset."""
+        mean = np.nanmean(trims, axis=0)
+        model = self.unknowns.base.model
+        offset = [float(a + b) for a, b in zip(model.input_offset or [], mean, strict=True)]
+        base = self.unknowns.base.model_copy(
+            update={"model": model.model_copy(update={"input_offset": offset})}
+        )
+        self.unknowns = Unknowns(
+            base, *(getattr(self.unknowns, key) for key in ("names", "start", "low", "high", "step"))
+        )
+        return theta, trims - mean
+
+    def _covariance(self, theta: np.ndarray, blocks: int) -> np.ndarray:
+        """Covariance (p, p) of the unknowns by the sandwich of so many blocks. Unknowns at an end of their
+        range are taken as known."""
+        residuals, derivatives = self.residuals(theta), self.derivatives(theta)
+        free = np.array([name not in self.unknowns.at_end(theta) for name in self.unknowns.names])
+        H = sum((J[:, free].T @ J[:, free] for J in derivatives), np.zeros((free.sum(),) * 2))
+        length = max(1, sum(len(r) for r in residuals) // blocks)
+        scores = []
+        for r, J in zip(residuals, derivatives, strict=True):
+            count = max(1, round(len(r) / length))
+            whole = J[:, free] * r[:, None]
+            scores += [part.sum(axis=0) for part in np.array_split(whole, count)]
+        s = np.array(scores)
+        spread = s.T @ s * len(s) / max(1, len(s) - free.sum())
+        inverse = np.linalg.pinv(H, hermitian=True)
+        covariance = np.zeros((len(theta),) * 2)
+        covariance[np.ix_(free, free)] = inverse @ spread @ inverse
+        return covariance
+
+
+def _regressed(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Least-squares coefficients (n, 1) of target (N, 1) on columns (N, n)."""
+    return np.linalg.lstsq(columns, target, rcond=None)[0]

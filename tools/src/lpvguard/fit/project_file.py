@@ -1,0 +1,55 @@
+"""The project file with other numbers in it: everything else, comments too, stays as it was."""
+
+from __future__ import annotations
+
+import re
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+
+from .. import vehicle as vehicles
+from ..base.errors import InputError
+from .unknowns import Unknowns
+
+DIGITS = 10
+"""Significant digits of a fitted number."""
+_ENTRY = re.compile(r"(\w+)\[(\d+)\]")
+
+
+def text_of(vehicle: str) -> str:
+    """The text of a project file, of a path or of a shipped vehicle's name."""
+    path = Path(vehicle)
+    if path.suffix == ".toml" or path.is_file():
+        return path.read_text(encoding="utf-8")
+    return (resources.files(vehicles) / "shipped" / f"{vehicle}.toml").read_text(encoding="utf-8")
+
+
+def with_numbers(text: str, where: str, values: dict[str, float]) -> str:
+    """The text with these values of the unknowns, by the names of `Unknowns`. InputError where the text
+    cannot be edited."""
+    try:
+        document = tomlkit.parse(text)
+        model = document["model"]
+        for name, value in values.items():
+            number = float(f"{value:.{DIGITS}g}")
+            if match := _ENTRY.fullmatch(name):
+                model[match[1]][int(match[2])] = number
+            elif name in model["parameters"]:
+                model["parameters"][name] = number
+            else:
+                model[name] = number
+    except (TOMLKitError, KeyError) as error:
+        raise InputError(where, "model", f"cannot be edited ({error})", "a project file") from None
+    return tomlkit.dumps(document)
+
+
+def values_of(unknowns: Unknowns, theta: np.ndarray) -> dict[str, float]:
+    """Fitted numbers by name, and the input_offset that a trim a drive leads to; theta (p,)."""
+    values = dict(zip(unknowns.names, (float(x) for x in theta), strict=True))
+    if unknowns.base.fit.trim == "drive":
+        offsets = unknowns.base.model.input_offset or []
+        values |= {f"input_offset[{i}]": float(x) for i, x in enumerate(offsets)}
+    return values

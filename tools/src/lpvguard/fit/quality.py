@@ -1,0 +1,138 @@
+"""How well a model explains drives: variance accounted for, gain and residual tests, by drive and by speed.
+
+    VAF_j = 1 - var(y_j - yhat_j) / var(y_j)
+
+over the judged samples. A VAF below 0 is worse than no model. Residual tests are those of Ljung, System
+Identification, 2nd ed., 16.6, on whitened residuals. They correlate them with their own past, and with the
+past of the model's output. Both are given in standard deviations of white residuals, the largest over the
+lags.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.signal import lfilter
+
+from ..drives.tables import Drive
+from ..vehicle.nominal import NominalModel
+from .noise import Whitening
+from .stretches import judged_samples
+
+LAGS_S = 1.0
+"""Residuals are tested at lags up to this."""
+PASSED = 4.0
+"""A test is passed below this many standard deviations, the largest of some fifty lags."""
+POOR_VAF = 0.9
+"""Below it a model is called poor."""
+CELLS = 4
+"""Speed cells, each with the same number of judged samples."""
+
+
+@dataclass(frozen=True)
+class Quality:
+    """What a model explains of some samples: vaf, gain and the outputs' variance (n_y,); whiteness and
+    left_by_input (n_y,) in standard deviations, NaN without a noise model; speed_mps: least and largest."""
+
+    name: str
+    judged_s: float
+    speed_mps: tuple[float, float]
+    vaf: np.ndarray
+    gain: np.ndarray
+    variance: np.ndarray
+    whiteness: np.ndarray
+    left_by_input: np.ndarray
+
+    def to_dict(self) -> dict:
+        """Plain values, as in fit.json."""
+        return {
+            "name": self.name,
+            "judged_s": self.judged_s,
+            "speed_mps": self.speed_mps,
+            "vaf": self.vaf,
+            "gain": self.gain,
+            "variance": self.variance,
+            "whiteness": self.whiteness,
+            "left_by_input": self.left_by_input,
+        }
+
+
+def quality(
+    name: str, v: np.ndarray, y: np.ndarray, yhat: np.ndarray, Ts: float, whitening: list[Whitening]
+) -> Quality:
+    """Of judged samples: v (N,) [m/s], y and yhat (N, n_y); Ts [s]. NaN where nothing can be said."""
+    n_y = y.shape[1]
+    vaf, gain, white, left = (np.full(n_y, np.nan) for _ in range(4))
+    variance = y.var(axis=0) if len(y) else np.zeros(n_y)
+    for j in range(n_y):
+        if len(v) < 3 or not np.var(y[:, j]) > 0:
+            continue
+        e = y[:, j] - yhat[:, j]
+        vaf[j] = 1.0 - np.var(e) / np.var(y[:, j])
+        if np.var(yhat[:, j]) > 0:
+            gain[j] = np.cov(y[:, j], yhat[:, j])[0, 1] / np.var(yhat[:, j], ddof=1)
+        if whitening:
+            white[j], left[j] = _residual_tests(e, yhat[:, j], whitening[j].a, round(LAGS_S / Ts))
+    speeds = (float(v.min()), float(v.max())) if len(v) else (np.nan, np.nan)
+    return Quality(name, len(v) * Ts, speeds, vaf, gain, variance, white, left)
+
+
+def _residual_tests(e: np.ndarray, yhat: np.ndarray, a: np.ndarray, lags: int) -> tuple[float, float]:
+    """Largest correlation of the whitened residual with its past and with that of the model's output, in
+    standard deviations."""
+    n = lfilter(a, [1.0], e)[len(a) - 1 :]
+    z = lfilter(a, [1.0], yhat)[len(a) - 1 :]
+    n, z = (x - x.mean() for x in (n, z))
+    if len(n) < 4 * lags or not (n.any() and z.any()):
+        return np.nan, np.nan
+    own = [np.dot(n[k:], n[:-k]) for k in range(1, lags + 1)] / np.dot(n, n)
+    scale = np.sqrt(np.dot(n, n) * np.dot(z, z))
+    cross = [np.dot(n[k:], z[: len(z) - k]) for k in range(lags + 1)] / scale
+    return float(np.abs(own).max() * np.sqrt(len(n))), float(np.abs(cross).max() * np.sqrt(len(n)))
+
+
+def by_drive(
+    model: NominalModel, drives: list[Drive], whitening: list[Whitening], trims: np.ndarray | None = None
+) -> list[Quality]:
+    """Of each drive; ``trims`` (n_drives, n_u) beside the common input_offset, or None."""
+    found = []
+    for i, d in enumerate(drives):
+        u = d.u - np.nan_to_num(trims[i]) if trims is not None and trims.shape[1] else d.u
+        found.append(of_drive(model, d, model.simulate(d.v, u, d.y[0]), whitening))
+    return found
+
+
+def of_drive(model: NominalModel, drive: Drive, yhat: np.ndarray, whitening: list[Whitening]) -> Quality:
+    """Of one drive, whose nominal output is yhat (N, n_y); without a noise model residuals are not tested."""
+    judged = judged_samples(model, drive.v)
+    return quality(drive.name, drive.v[judged], drive.y[judged], yhat[judged], model.Ts, whitening)
+
+
+def by_speed(model: NominalModel, drives: list[Drive]) -> list[Quality]:
+    """Of all drives together, in CELLS of speed; residuals are not tested, for cells break the time axis."""
+    parts = [
+        (d.v[j], d.y[j], model.simulate(d.v, d.u, d.y[0])[j])
+        for d in drives
+        if (j := judged_samples(model, d.v)).any()
+    ]
+    if not parts:
+        return []
+    v, y, yhat = (np.concatenate(column) for column in zip(*parts, strict=True))
+    edges = np.quantile(v, np.linspace(0, 1, CELLS + 1))
+    cells = [(a, b) for a, b in pairwise(edges) if b > a]
+    found = []
+    for a, b in cells:
+        at = (v >= a) & ((v < b) | (b == edges[-1]))
+        found.append(quality(f"{a:.3g} to {b:.3g} m/s", v[at], y[at], yhat[at], model.Ts, []))
+    return found
+
+
+def pooled_vaf(found: list[Quality]) -> np.ndarray:
+    """VAF of all that ``found`` judges together, (n_y,): a drive counts by its length and its variance."""
+    seconds = np.array([q.judged_s for q in found])[:, None]
+    there = seconds * np.array([q.variance for q in found])
+    left = there * (1 - np.nan_to_num(np.array([q.vaf for q in found])))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return 1 - left.sum(axis=0) / there.sum(axis=0)

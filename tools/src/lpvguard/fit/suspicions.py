@@ -1,0 +1,358 @@
+"""Why drives do not fit: signs, units, columns and delays that are not what the project file says.
+
+A *reading* is a drive with one thing turned round: a sign, a unit, two columns, a shift in time. Where the
+drives as they are leave much unexplained, every reading is tried within the ranges of [fit]. A reading that
+leaves a quarter or less, and little, names the fault. Ranges decide what can be told: speed in km/h is a
+wheelbase of 3.6 times the size, so a wide range for the wheelbase hides it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from ..base.errors import InputError
+from ..drives.tables import Drive
+from ..drives.units import unit_factor
+from ..vehicle.project import Project
+from .estimate import Fit
+from .stretches import judged_samples
+from .unknowns import LONGEST_DELAY_S, Unknowns
+
+LITTLE, SURE = 0.1, 0.02
+"""Shares of the output's variance. A drive that leaves no more than LITTLE is explained; with an unknown at
+the end of its range, no more than SURE."""
+BETTER = 0.25
+"""A reading that leaves no more than this share of what the drive as it is leaves is the better one."""
+AS_GOOD = 1.5
+"""A reading that leaves more than this many times what parameters of the drive's own leave is not the reason:
+it is another car's drive."""
+TRIED_ALONE = 6
+"""So many drives are fitted alone to find parameters that most drives share, where not all agree."""
+OTHER_UNITS = {"m/s": ("km/h", "mph"), "rad": ("deg",), "rad/s": ("deg/s",), "deg": ("rad",)}
+WHEEL_RATIOS = (12.0, 16.0, 20.0)
+"""Angle of the steering wheel over that of the road wheels, as cars have it."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A drive read otherwise: where the fault would be, what it would be, and the drive without it."""
+
+    where: str
+    what: str
+    expected: str
+    read: Callable[[Drive], Drive]
+
+
+def readings(project: Project) -> Iterator[Reading]:
+    """Every reading of drives of a project, but for shifts in time."""
+    yield from _signs(project)
+    yield from _units(project)
+    yield from _swapped(project)
+
+
+def _signs(project: Project) -> Iterator[Reading]:
+    """An input and all outputs together are turned by either; so one alone is named with the other."""
+    several = project.n_u * project.n_y > 1
+    for i, s in enumerate(project.inputs):
+        turned = np.where(np.arange(project.n_u) == i, -1.0, 1.0)
+        other = "" if several else f" (or that of {project.outputs[0].column})"
+        yield Reading(
+            f"column {s.column}",
+            f"has the other sign{other}",
+            f"{s.name} positive: {s.positive}",
+            partial(_turned, u=turned),
+        )
+    for j, s in enumerate(project.outputs if several else []):
+        turned = np.where(np.arange(project.n_y) == j, -1.0, 1.0)
+        yield Reading(
+            f"column {s.column}",
+            "has the other sign",
+            f"{s.name} positive: {s.positive}",
+            partial(_turned, y=turned),
+        )
+
+
+def _turned(drive: Drive, u: np.ndarray | float = 1.0, y: np.ndarray | float = 1.0) -> Drive:
+    return replace(drive, u=drive.u * u, y=drive.y * y)
+
+
+def _units(project: Project) -> Iterator[Reading]:
+    for s in [project.speed, *project.inputs, *project.outputs]:
+        for unit in OTHER_UNITS.get(s.unit, ()):
+            factor = unit_factor(unit, s.unit) or 1.0
+            yield Reading(
+                f"column {s.column}",
+                f"is in {unit}",
+                f"{s.name} in {s.unit}",
+                partial(_scaled, project, s.name, factor),
+            )
+        if s.role == "input" and s.unit in ("rad", "deg"):
+            for ratio in WHEEL_RATIOS:
+                yield Reading(
+                    f"column {s.column}",
+                    f"is about {ratio:g} times too large, as the angle of the steering wheel is",
+                    f"{s.name}: divide by the steering ratio",
+                    partial(_scaled, project, s.name, 1 / ratio),
+                )
+
+
+def _scaled(project: Project, name: str, factor: float, drive: Drive) -> Drive:
+    def scale(signals: list) -> np.ndarray:
+        return np.array([factor if s.name == name else 1.0 for s in signals])
+
+    v = drive.v * (factor if name == project.speed.name else 1.0)
+    return replace(drive, v=v, u=drive.u * scale(project.inputs), y=drive.y * scale(project.outputs))
+
+
+def _swapped(project: Project) -> Iterator[Reading]:
+    signals = [project.speed, *project.inputs, *project.outputs]
+    for a in range(len(signals)):
+        for b in range(a + 1, len(signals)):
+            order = list(range(len(signals)))
+            order[a], order[b] = b, a
+
+            yield Reading(
+                f"columns {signals[a].column} and {signals[b].column}",
+                "are swapped",
+                f"{signals[a].name} in {signals[a].column}, {signals[b].name} in {signals[b].column}",
+                partial(_ordered, project, order),
+            )
+
+
+def _ordered(project: Project, order: list[int], drive: Drive) -> Drive:
+    """The drive with its columns speed, inputs, outputs in another order."""
+    values = np.column_stack([drive.v, drive.u, drive.y])[:, order]
+    return replace(drive, v=values[:, 0], u=values[:, 1 : 1 + project.n_u], y=values[:, 1 + project.n_u :])
+
+
+def shifted(project: Project, theta: np.ndarray, drive: Drive) -> Reading | None:
+    """The reading with the outputs moved to where they follow the inputs best; None where that is within the
+    range of the delay. ``theta`` (p,): unknowns."""
+    model = Unknowns.of(project).model(theta)
+    yhat, judged = model.simulate(drive.v, drive.u, drive.y[0]), judged_samples(model, drive.v)
+    if judged.sum() < 100 or not yhat[judged].std(axis=0).any():
+        return None
+    n, total = len(drive.t), np.zeros(2 * len(drive.t) - 1)
+    for j in range(project.n_y):
+        a, b = (np.where(judged, x - x[judged].mean(), 0.0) for x in (drive.y[:, j], yhat[:, j]))
+        size = 1 << (2 * n - 1).bit_length()
+        product = np.fft.irfft(np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size)), size)
+        both = np.r_[product[-(n - 1) :], product[:n]]
+        total += both / max(float(np.sqrt(np.dot(a, a) * np.dot(b, b))), 1e-300)
+    lag = int(np.argmax(total)) - (n - 1)
+    high = project.fit.input_delay_s[1] if project.fit.input_delay_s else LONGEST_DELAY_S
+    if -3 <= lag <= 3 + high / project.Ts_s or abs(lag) > 0.9 * n:
+        return None
+    k, word = abs(lag), "later" if lag > 0 else "earlier"
+
+    def read(d: Drive) -> Drive:
+        if lag > 0:
+            return Drive(d.name, d.t[:-k], d.v[:-k], d.u[:-k], d.y[k:])
+        return Drive(d.name, d.t[:-k], d.v[k:], d.u[k:], d.y[:-k])
+
+    columns = ", ".join(s.column for s in project.outputs)
+    return Reading(
+        f"column {columns}",
+        f"comes {k * project.Ts_s:.4g} s {word} than the inputs say",
+        f"a delay of at most {high:g} s (fit.input_delay_s), and columns of one recording and one clock",
+        read,
+    )
+
+
+# ---------------------------------------------------------------------------------------------------- judging
+
+
+@dataclass(frozen=True)
+class Screened:
+    """Which drives the model can explain, start values (p,) from them, and what is wrong with the others:
+    an error each. ``certain``: names of drives of which the fault is known."""
+
+    explained: list[Drive]
+    theta: np.ndarray
+    faults: dict[str, InputError]
+    certain: set[str]
+
+
+def screened(project: Project, drives: list[Drive]) -> Screened:
+    """Sort drives into those that one set of parameters explains and those that it does not, with a reason
+    each. Raises InputError when all are wrong in the same way."""
+    unknowns = Unknowns.of(project)
+    theta, left = _common(unknowns, drives)
+    bad_end = bool(unknowns.at_end(theta))
+    if all(x <= (SURE if bad_end else LITTLE) for x in left):
+        return Screened(drives, theta, {}, set())
+    explained = [d for d, x in zip(drives, left, strict=True) if x <= LITTLE]
+    if 2 * len(explained) < len(drives) or bad_end:
+        _require_no_common_fault(unknowns, drives, left)
+    if not explained and float(np.median(left)) >= 1:
+        raise InputError(
+            ", ".join(d.name for d in drives),
+            "",
+            "no parameters within the ranges of [fit] explain the drives better than none, and no sign, "
+            "unit, swap or delay does",
+            "drives of this vehicle, and a model of it",
+        )
+    if not explained:
+        return Screened(drives, theta, {}, set())
+    faults, certain = judged_beside(unknowns, theta, drives)
+    return Screened([d for d in drives if d.name not in faults], theta, faults, certain)
+
+
+def judged_beside(
+    unknowns: Unknowns, theta: np.ndarray, drives: list[Drive]
+) -> tuple[dict[str, InputError], set[str]]:
+    """What is wrong with each drive that theta (p,) does not explain, and the names of those of which it is
+    certain."""
+    left = [_left(unknowns, theta, d) for d in drives]
+    faults: dict[str, InputError] = {}
+    certain: set[str] = set()
+    for d, x in zip(drives, left, strict=True):
+        if x > LITTLE and (found := _fault_of(unknowns, theta, d, x)) is not None:
+            faults[d.name] = found[0]
+            certain |= {d.name} if found[1] else set()
+    return faults, certain
+
+
+def _left(unknowns: Unknowns, theta: np.ndarray, drive: Drive) -> float:
+    """Share of the outputs' variance that the model leaves, the mean of the outputs; inf where nothing is
+    judged."""
+    try:
+        model = unknowns.model(theta)
+    except InputError:
+        return np.inf
+    judged = judged_samples(model, drive.v)
+    y = drive.y[judged]
+    if len(y) < 2.0 / model.Ts or not np.all(y.std(axis=0) > 0):
+        return np.inf
+    e = y - model.simulate(drive.v, drive.u, drive.y[0])[judged]
+    return float(np.mean(e.var(axis=0) / y.var(axis=0)))
+
+
+def _fitted(unknowns: Unknowns, drives: list[Drive]) -> np.ndarray | None:
+    try:
+        return Fit(unknowns, drives).plain(unknowns.start)
+    except InputError:
+        return None
+
+
+def _common(unknowns: Unknowns, drives: list[Drive]) -> tuple[np.ndarray, list[float]]:
+    """Parameters (p,) that explain as many drives as possible, and what they leave of each."""
+
+    def left(theta: np.ndarray) -> list[float]:
+        return [_left(unknowns, theta, d) for d in drives]
+
+    together = _fitted(unknowns, drives)
+    theta = unknowns.start if together is None else together
+    best = left(theta)
+    if all(x <= LITTLE for x in best):
+        return theta, best
+    longest = sorted(drives, key=lambda d: (-len(d.t), d.name))[:TRIED_ALONE]
+    for d in longest if len(drives) > 1 else []:
+        alone = _fitted(unknowns, [d])
+        if alone is not None:
+            rest = left(alone)
+            if (_agreeing(rest), -np.median(rest)) > (_agreeing(best), -np.median(best)):
+                theta, best = alone, rest
+    agreeing = [d for d, x in zip(drives, best, strict=True) if x <= LITTLE]
+    again = _fitted(unknowns, agreeing) if len(agreeing) > 1 else None
+    if again is not None and _agreeing(rest := left(again)) >= _agreeing(best):
+        return again, rest
+    return theta, best
+
+
+def _together(left: list[float]) -> float:
+    """Mean of what is left of the drives, where a drive counts 1 at most: more, or nothing judged, is no
+    worse."""
+    return float(np.mean(np.minimum(left, 1.0)))
+
+
+def _agreeing(left: list[float]) -> int:
+    return sum(x <= LITTLE for x in left)
+
+
+def _require_no_common_fault(unknowns: Unknowns, drives: list[Drive], left: list[float]) -> None:
+    """InputError when one reading explains the drives together, and they as they are do not."""
+    now, best = _together(left), None
+    for reading in readings(unknowns.base):
+        read = [reading.read(d) for d in drives]
+        theta = _fitted(unknowns, read)
+        if theta is None:
+            continue
+        then = _together([_left(unknowns, theta, d) for d in read])
+        rank = (bool(unknowns.at_end(theta)), then)
+        if then <= LITTLE and then <= BETTER * now and (best is None or rank < best[0]):
+            best = (rank, reading)
+    if best is not None:
+        raise _error(", ".join(d.name for d in drives), best[1], best[0][1], now)
+    for d, x in zip(drives, left, strict=True):
+        found = _shift_of(unknowns, unknowns.start, d, x)
+        if found is not None:
+            raise found
+
+
+def _shift_of(unknowns: Unknowns, theta: np.ndarray, drive: Drive, left: float) -> InputError | None:
+    reading = shifted(unknowns.base, theta, drive)
+    if reading is None:
+        return None
+    read = reading.read(drive)
+    own = _fitted(unknowns, [read])
+    then = np.inf if own is None else _left(unknowns, own, read)
+    return _error(drive.name, reading, then, left) if then <= LITTLE and then <= BETTER * left else None
+
+
+def _fault_of(
+    unknowns: Unknowns, theta: np.ndarray, drive: Drive, left: float
+) -> tuple[InputError, bool] | None:
+    """What is wrong with one drive beside others that theta (p,) explains, and whether it is certain; None
+    where the drive is only explained poorly."""
+    tried = [(_left(unknowns, theta, r.read(drive)), i, r) for i, r in enumerate(readings(unknowns.base))]
+    then, _, reading = min(tried)
+    own = _fitted(unknowns, [drive])
+    alone = np.inf if own is None else _left(unknowns, own, drive)
+    if then <= LITTLE and then <= BETTER * left and then <= AS_GOOD * alone:
+        return _error(drive.name, reading, then, left), True
+    late = _shift_of(unknowns, theta, drive, left)
+    if late is not None:
+        return late, True
+    if own is not None and alone <= LITTLE and alone <= BETTER * left:
+        names = [n for n in unknowns.base.model.parameters if n in unknowns.names]
+        values = ", ".join(
+            f"{n} = {own[unknowns.names.index(n)]:.4g} instead of {theta[unknowns.names.index(n)]:.4g}"
+            for n in names
+        )
+        return (
+            InputError(
+                drive.name,
+                "",
+                f"needs other parameters than the other drives ({values}): it leaves {alone:.1%} with its "
+                f"own, {left:.1%} with theirs",
+                "drives of one car: same vehicle, tyres and load, and within its grip",
+            ),
+            False,
+        )
+    if left < 1:
+        return None
+    share = "nothing is judged" if not np.isfinite(left) else f"the model leaves {left:.0%} of the output"
+    return (
+        InputError(
+            drive.name,
+            "",
+            f"{share}, and no sign, unit, swap or delay explains it",
+            "drives in the range where the model holds, with steering that moves the car",
+        ),
+        False,
+    )
+
+
+def _error(name: str, reading: Reading, then: float, now: float) -> InputError:
+    as_it_is = "nothing can be judged" if not np.isfinite(now) else f"{now:.0%} is left"
+    return InputError(
+        name,
+        reading.where,
+        f"{reading.what}: read so, the model leaves {then:.1%} of the output; as it is, {as_it_is}",
+        reading.expected,
+    )
