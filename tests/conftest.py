@@ -110,6 +110,15 @@ def measured_folder() -> Path:
 
 
 @pytest.fixture(scope="session")
+def race_car() -> Path:
+    """Raw recordings of a 1:10 race car, which no project file here is about."""
+    folder = measured_folder() / "f1tenth_ini" / "raw"
+    if not folder.is_dir():
+        pytest.skip("the race car's recordings are absent: set LPVGUARD_DATA (data/README.md)")
+    return folder
+
+
+@pytest.fixture(scope="session")
 def measured() -> Path:
     return measured_folder() / "genesis_g80"
 

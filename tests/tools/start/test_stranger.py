@@ -7,19 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from conftest import measured_folder
-
-
-@pytest.fixture(scope="module")
-def raw():
-    folder = measured_folder() / "f1tenth_ini" / "raw"
-    if not folder.is_dir():
-        pytest.skip("the race car's recordings are absent: set LPVGUARD_DATA (data/README.md)")
-    return sorted(folder.glob("*.csv"))
-
 
 @pytest.mark.slow("40 s: fit, identification and evaluation of 22 recordings")
-def test_a_race_car_goes_from_raw_logs_to_its_page(raw, lpvguard, tmp_path):
+def test_a_race_car_goes_from_raw_logs_to_its_page(race_car, lpvguard, tmp_path):
+    raw = sorted(race_car.glob("*.csv"))
     car, fit, found, code = (tmp_path / n for n in ("car", "fit", "found", "code"))
     drives = car / "drives"
 
