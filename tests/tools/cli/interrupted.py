@@ -143,6 +143,7 @@ def replace_computing(variant: str) -> None:
             calibration_drives=[],
             left_out={},
             energy=None,
+            model_fit=[],
             weights=SimpleNamespace(inflation=1.0),
             calibration=SimpleNamespace(to_dict=dict, threshold=1.0, claim=lambda: ""),
         ),
