@@ -38,6 +38,7 @@ import lpvguard.drives.fixture
 import lpvguard.drives.ingest
 import lpvguard.engine.synthesis.cases
 import lpvguard.evaluate.run
+import lpvguard.fit.run
 import lpvguard.identify.export
 import lpvguard.identify.run
 import lpvguard.loop.campaign.run
@@ -47,6 +48,7 @@ import lpvguard.loop.sim
 import lpvguard.problems.solve
 import lpvguard.report.design_pictures
 import lpvguard.report.page
+import lpvguard.start.run
 from lpvguard import cli, schemas
 from lpvguard.base import artefacts, system
 
@@ -71,6 +73,8 @@ def commands(variant: str) -> dict[str, tuple[list[str], str]]:
             "out/i.json",
         ),
         "dbc": (["dbc", "-o", "out/our.dbc"], "out/our.dbc"),
+        "new": (["new", "car", f"{variant}/log.csv", "-o", "out/car"], "out/car"),
+        "fit": (["fit", "--vehicle", "g80", "drives", "-o", "out/fit"], "out/fit"),
         "identify": (["identify", "--vehicle", "g80", "drives", "-o", "out/identify"], "out/identify"),
         "design": (["design", "--vehicle", "g80", "idn", "--no-table", "-o", "out/design"], "out/design"),
         "design --case": (["design", "--case", "case.toml", "-o", "out/case"], "out/case"),
@@ -104,11 +108,13 @@ RESUMED, NEVER_REPLACED = ("campaign",), ("lcm bus", "plant")
 """Whose folder only grows; whose file has no mark, so that it is only ever new."""
 
 
-def folder_of(kind: str, files: dict[str, str]):
+def folder_of(kind: str, files: dict[str, str], vehicle: str = "g80"):
     def write(target: Path) -> None:
-        with artefacts.new_folder(target, kind, "g80") as folder:
+        with artefacts.new_folder(target, kind, vehicle) as folder:
+            for name in files:
+                (folder / name).parent.mkdir(exist_ok=True)
             artefacts.write_files(
-                folder, files | {artefacts.MANIFEST: artefacts.manifest(kind, vehicle="g80")}
+                folder, files | {artefacts.MANIFEST: artefacts.manifest(kind, vehicle=vehicle)}
             )
 
     return write
@@ -137,6 +143,16 @@ def replace_computing(variant: str) -> None:
     lpvguard.drives.fixture.PLAN[:] = [("train", "human", 5.0, 1.0), ("valid", "human", 9.0, 1.0)]
     plain = lpvguard.can.dbc.dbc_text
     lpvguard.can.dbc.dbc_text = lambda: plain() + f'CM_ "{variant}";\n'
+    lpvguard.start.run.new = lambda name, logs, out, **_: (
+        folder_of("new", {"car.toml": text, "drives/a.csv": text}, name)(out)
+        or SimpleNamespace(proposals={}, notes=[], left_out={})
+    )
+    lpvguard.fit.run.fit = lambda *_: SimpleNamespace(
+        project=SimpleNamespace(name="g80"), findings=[], to_dict=dict
+    )
+    lpvguard.fit.run.save = lambda result, plain, where, out, files: folder_of("fit", {"fit.json": text})(out)
+    replace_in_cli("_picture", lambda _: "")
+    replace_in_cli("print_fit", lambda _: None)
     lpvguard.identify.run.identify = lambda *_, **__: (
         SimpleNamespace(
             bound_drives=[],

@@ -350,27 +350,37 @@ def claimed(target: Path) -> Iterator[Path]:
         return
     work = _work_of(place)
     made = [p for p in (place.parent, *place.parent.parents) if not p.exists()]
-    handle = None
+    locks: list[int] = []
     try:
         with _written(target), system.undisturbed():
             place.parent.mkdir(parents=True, exist_ok=True)
-            handle = _lock(target, work)
+            locks.append(_lock(target, work))
             _recover(place, work)
             (work / _SCRATCH).touch()
         _held[place] = work
         yield work
     finally:
-        with system.undisturbed():
-            _held.pop(place, None)
-            if handle is not None:
-                with suppress(OSError, InputError):
-                    _recover(place, work)
-                    (work / _SCRATCH).unlink(missing_ok=True)
-                with suppress(OSError):
-                    system.unlock_folder(handle, work, _LOCK)
-            for folder in made:
-                with suppress(OSError):
-                    folder.rmdir()  # stays when anything is in it
+        try:
+            _release(place, work, locks, made)
+        except (SystemExit, KeyboardInterrupt):  # a signal before its handler could be put off, or after
+            _release(place, work, locks, made)
+            raise
+
+
+def _release(place: Path, work: Path, locks: list[int], made: list[Path]) -> None:
+    """Undo a claim: clear the work folder, give its lock back, and remove folders ``made`` for it that are
+    empty. ``locks``: the lock that is held, if any; it is taken out, so that a second call does nothing."""
+    with system.undisturbed():
+        _held.pop(place, None)
+        while locks:
+            with suppress(OSError, InputError):
+                _recover(place, work)
+                (work / _SCRATCH).unlink(missing_ok=True)
+            with suppress(OSError):
+                system.unlock_folder(locks.pop(), work, _LOCK)
+        for folder in made:
+            with suppress(OSError):
+                folder.rmdir()  # stays when anything is in it
 
 
 def _lock(target: Path, work: Path) -> int:

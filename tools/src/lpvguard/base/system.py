@@ -17,6 +17,7 @@ import errno
 import os
 import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -99,15 +100,26 @@ def locked_file(path: Path) -> Iterator[IO[str]]:
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Put off the signals that end a program until the block is through."""
-    if sys.platform == "win32":
+    """Put off the signals that end a program until the block is through.
+
+    A blocked signal goes to another thread, and Python then calls its handler in the main thread all the
+    same. So the handlers themselves wait. Elsewhere than in the main thread nothing need be done.
+    """
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {*ENDING_SIGNALS, signal.SIGINT})
+    came: list[int] = []
+    before = {number: signal.getsignal(number) for number in (*ENDING_SIGNALS, signal.SIGINT)}
+    before = {number: handler for number, handler in before.items() if handler is not None}
     try:
+        for number in before:
+            signal.signal(number, lambda number, _: came.append(number))
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for late in came:
+            signal.raise_signal(late)
 
 
 def sync(path: Path) -> None:
