@@ -176,6 +176,12 @@ extern "C" lpvg_status_t lpvg_control_init(lpvg_control_t* self, const lpvg_cont
 }
 
 extern "C" lpvg_status_t lpvg_control_step(lpvg_control_t* self, lpvg_real_t speed, const lpvg_real_t* m, bool engaged) {
+    const bool ready = self != nullptr && self->coeff != nullptr;
+    return lpvg_control_step_after(self, speed, m, engaged, ready ? self->coeff->words.sample_period_us : 0U);
+}
+
+extern "C" lpvg_status_t lpvg_control_step_after(lpvg_control_t* self, lpvg_real_t speed, const lpvg_real_t* m, bool engaged,
+                                                 uint32_t elapsed_us) {
     if (self == nullptr || m == nullptr) {
         return lpvg_status_bad_argument;
     }
@@ -199,12 +205,13 @@ extern "C" lpvg_status_t lpvg_control_step(lpvg_control_t* self, lpvg_real_t spe
         wanted(self->x, v);
     }
     const bool active = engaged && good;
-    const Real period = static_cast<Real>(self->coeff->words.sample_period_us) * Real(1e-6);
+    const uint32_t longest_us = self->coeff->words.sample_period_us + self->coeff->words.sample_period_us / 2U;
+    const Real elapsed = static_cast<Real>(elapsed_us < longest_us ? elapsed_us : longest_us) * Real(1e-6);
     Real excess[nu];
     bool limited = false;
     for (std::size_t i = 0; i < nu; ++i) {
         const Real target = !active ? Real(0) : towards(Real(0), v[i], limit_at(r, at, i));
-        self->u[i] = towards(self->u[i], target, r.rate_max[i] * period);
+        self->u[i] = towards(self->u[i], target, r.rate_max[i] * elapsed);
         excess[i] = self->u[i] - v[i];
         limited = limited || excess[i] < Real(0) || excess[i] > Real(0);
     }

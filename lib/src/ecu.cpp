@@ -9,6 +9,7 @@
 namespace {
 
 constexpr int64_t dm1_period_us = 1'000'000;
+constexpr uint32_t period_longest_us = LPVG_ECU_WINDOW_US / 4U;  // two steps make a half window
 constexpr uint8_t occurrence_max = 126U;  // 127 says "unknown"
 
 bool reaction_good(uint8_t reaction) { return reaction == lpvg_ecu_reaction_report || reaction == lpvg_ecu_reaction_release; }
@@ -19,11 +20,84 @@ bool limits_good(const lpvg_can_plausibility_limits_t& limits) {
     return lpvg_can_plausibility(&scratch, &limits, NAN, NAN, NAN, NAN) == lpvg_status_ok;
 }
 
+void count(uint32_t& counter) { counter += counter < UINT32_MAX ? 1U : 0U; }
+
+// Between any two times, in any order.
+uint64_t elapsed_us(int64_t now, int64_t before) { return now > before ? static_cast<uint64_t>(now) - static_cast<uint64_t>(before) : 0U; }
+
+bool follows(uint64_t step, uint64_t period) { return 2U * step >= period && 2U * step <= 3U * period; }
+
+// How far the ECU's own time moves in a call at now_us; 0: the call is refused.
+uint32_t step_us(lpvg_ecu_t& self, int64_t now_us) {
+    lpvg_ecu_clock_t& clock = self.clock;
+    if (!clock.started) {
+        return now_us >= self.now_us && now_us <= INT64_MAX / 2 ? self.period_us : 0U;
+    }
+    const uint64_t step = elapsed_us(now_us, self.now_us);
+    if (step <= LPVG_ECU_JUMP_US && 2U * step >= self.period_us) {
+        return static_cast<uint32_t>(step);
+    }
+    const uint64_t since = elapsed_us(now_us, clock.jump_us);
+    clock.in_step = static_cast<uint8_t>(since <= LPVG_ECU_JUMP_US && follows(since, self.period_us) ? clock.in_step + 1U : 1U);
+    clock.jump_us = now_us;
+    if (clock.in_step >= LPVG_ECU_RESYNC_CALLS) {
+        return LPVG_ECU_JUMP_US;
+    }
+    count(clock.refused);
+    return 0U;
+}
+
+// Whether `us` for so many steps is the exported period.
+bool in_pace(uint64_t us, uint64_t steps, uint64_t period_us) {
+    const uint64_t wanted = steps * period_us;
+    const uint64_t off = us > wanted ? us - wanted : wanted - us;
+    return 100U * off <= LPVG_ECU_PERIOD_PERCENT * wanted;
+}
+
+// Measures the mean period over two half windows, over one where there is no more.
+void pace(lpvg_ecu_t& self, uint32_t step) {
+    lpvg_ecu_clock_t& clock = self.clock;
+    if (!follows(step, self.period_us)) {
+        clock.pace = lpvg_ecu_pace_unknown;
+        clock.before_us = 0U;
+        clock.steps = 0U;
+        clock.half_us = self.core_us;
+        count(clock.gaps);
+        return;
+    }
+    const uint32_t half = LPVG_ECU_WINDOW_US / 2U / self.period_us;
+    if (++clock.steps < half) {
+        return;
+    }
+    const auto newest = static_cast<uint32_t>(self.core_us - clock.half_us);
+    const uint64_t steps = clock.before_us > 0U ? 2U * half : half;
+    const bool good = in_pace(static_cast<uint64_t>(newest) + clock.before_us, steps, self.period_us);
+    clock.pace = good ? lpvg_ecu_pace_good : lpvg_ecu_pace_bad;
+    clock.before_us = newest;
+    clock.steps = 0U;
+    clock.half_us = self.core_us;
+}
+
+// Takes a step at now_us, `step` after the newest one on the ECU's own time.
+void tick(lpvg_ecu_t& self, int64_t now_us, uint32_t step) {
+    lpvg_ecu_clock_t& clock = self.clock;
+    self.now_us = now_us;
+    if (clock.started) {
+        self.core_us += step;
+        pace(self, step);
+    } else {
+        self.core_us = clock.half_us = now_us;
+        clock.started = true;
+    }
+    clock.in_step = 0U;
+}
+
 void receive(lpvg_ecu_t& self, const lpvg_can_frame_t* frames, std::size_t n) {
     for (std::size_t i = 0; i < n; ++i) {
         lpvg_can_frame_t frame = frames[i];
         // Nothing arrives later than now: a driver's wrong time stamp must not carry the supervisor's clock away.
-        frame.t_us = frame.t_us < self.now_us ? frame.t_us : self.now_us;
+        const uint64_t age_us = elapsed_us(self.now_us, frame.t_us);
+        frame.t_us = age_us < static_cast<uint64_t>(self.core_us) ? self.core_us - static_cast<int64_t>(age_us) : 0;
         uint8_t index = LPVG_CAN_NO_INDEX;
         if (lpvg_can_receive(&self.supervisor, &frame, &index) == lpvg_can_event_accepted) {
             lpvg_bus_take(&self.signals, index, &frame);
@@ -59,6 +133,9 @@ lpvg_ecu_fault_t gravest(const lpvg_ecu_t& self, lpvg_can_state_t supervision) {
     if (self.refused) {
         return lpvg_ecu_fault_refused;
     }
+    if (self.clock.pace == lpvg_ecu_pace_bad) {
+        return lpvg_ecu_fault_time;
+    }
     // Before the bus has come up for the first time nothing is wrong yet.
     if (supervision != lpvg_can_state_live && self.seen_live) {
         return lpvg_ecu_fault_message;
@@ -72,6 +149,7 @@ lpvg_ecu_fault_t gravest(const lpvg_ecu_t& self, lpvg_can_state_t supervision) {
 lpvg_can_dtc_t trouble_code(const lpvg_ecu_t& self, const lpvg_bus_need_t& need) {
     switch (self.fault) {
         case lpvg_ecu_fault_message: return {need.spn, lpvg_can_fmi(main_reason(self.supervisor.watch[need.index])), self.occurrence};
+        case lpvg_ecu_fault_time: return {LPVG_ECU_SPN_TIME, LPVG_CAN_FMI_UPDATE_RATE, self.occurrence};
         case lpvg_ecu_fault_invalid: return {LPVG_ECU_SPN_INVALID, LPVG_CAN_FMI_CONDITION, self.occurrence};
         case lpvg_ecu_fault_implausible: return {LPVG_ECU_SPN_IMPLAUSIBLE, LPVG_CAN_FMI_ERRATIC, self.occurrence};
         default: return {LPVG_ECU_SPN_REFUSED, LPVG_CAN_FMI_ERRATIC, self.occurrence};
@@ -80,24 +158,34 @@ lpvg_can_dtc_t trouble_code(const lpvg_ecu_t& self, const lpvg_bus_need_t& need)
 
 bool allowed(const lpvg_ecu_t& self) {
     const bool invalid = self.report.verdict == static_cast<uint8_t>(lpvg_verdict_invalid);
-    return self.engage && !self.refused && !(invalid && self.config.on_invalid == lpvg_ecu_reaction_release) &&
+    return self.engage && !self.refused && self.clock.pace == lpvg_ecu_pace_good &&
+           !(invalid && self.config.on_invalid == lpvg_ecu_reaction_release) &&
            !(self.plausibility.flags != 0U && self.config.on_implausible == lpvg_ecu_reaction_release);
 }
 
-void run_controller(lpvg_ecu_t& self, bool live) {
+void run_controller(lpvg_ecu_t& self, bool live, uint32_t step) {
     lpvg_real_t m[LPVG_NM];
     m[0] = self.signals.reference;
     std::memcpy(&m[1], self.signals.y, sizeof self.signals.y);
-    const lpvg_status_t status = lpvg_control_step(&self.control, self.signals.speed, m, live && allowed(self));
+    const lpvg_status_t status = lpvg_control_step_after(&self.control, self.signals.speed, m, live && allowed(self), step);
     // Before the first good frame there is nothing to measure, which is not a fault.
     self.refused = live && status != lpvg_status_ok;
 }
 
-// A gap is what the monitor expects where measurements are old: it restarts behind it.
+// The monitor's verdict is about samples of the exported period: none is valid while that is not measured.
+uint8_t verdict(const lpvg_ecu_t& self) {
+    const lpvg_verdict_t said = lpvg_monitor_verdict(&self.monitor, self.core_us);
+    if (self.clock.pace == lpvg_ecu_pace_bad) {
+        return lpvg_verdict_fault;
+    }
+    return self.clock.pace == lpvg_ecu_pace_unknown && said == lpvg_verdict_valid ? lpvg_verdict_unknown : said;
+}
+
+// A gap is what the monitor expects where measurements are old, or of another period: it restarts behind it.
 void run_monitor(lpvg_ecu_t& self, bool live) {
-    if (live) {
+    if (live && self.clock.pace != lpvg_ecu_pace_bad) {
         lpvg_sample_t sample{};
-        sample.t_us = self.now_us;
+        sample.t_us = self.core_us;
         sample.speed = self.signals.speed;
         std::memcpy(sample.u, self.control.u, sizeof sample.u);
         std::memcpy(sample.y, self.signals.y, sizeof sample.y);
@@ -105,7 +193,7 @@ void run_monitor(lpvg_ecu_t& self, bool live) {
             self.refused = true;
         }
     }
-    self.report.verdict = static_cast<uint8_t>(lpvg_monitor_verdict(&self.monitor, self.now_us));
+    self.report.verdict = verdict(self);
     self.report.statistic = static_cast<float>(lpvg_monitor_frame(&self.monitor)->statistic);
 }
 
@@ -113,7 +201,7 @@ void run_monitor(lpvg_ecu_t& self, bool live) {
 
 extern "C" lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t* coeff, const lpvg_control_coeff_t* control,
                                        const lpvg_ecu_config_t* config, int64_t now_us) {
-    if (self == nullptr || config == nullptr || now_us < 0 || !reaction_good(config->on_invalid) ||
+    if (self == nullptr || config == nullptr || now_us < 0 || now_us > INT64_MAX / 2 || !reaction_good(config->on_invalid) ||
         !reaction_good(config->on_implausible) || !limits_good(config->plausibility)) {
         return lpvg_status_bad_argument;
     }
@@ -121,7 +209,8 @@ extern "C" lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t* coe
     if (status == lpvg_status_ok) {
         status = lpvg_control_coeff_check(control);
     }
-    if (status == lpvg_status_ok && coeff->words.sample_period_us != control->words.sample_period_us) {
+    if (status == lpvg_status_ok &&
+        (coeff->words.sample_period_us != control->words.sample_period_us || coeff->words.sample_period_us > period_longest_us)) {
         status = lpvg_status_bad_value;
     }
     if (status != lpvg_status_ok) {
@@ -131,7 +220,7 @@ extern "C" lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t* coe
     self->config = *config;
     self->engage = config->engage;
     self->period_us = coeff->words.sample_period_us;
-    self->now_us = now_us - 1;  // the first step may come at once
+    self->now_us = self->core_us = now_us;
     self->dm1_us = now_us - dm1_period_us;
     self->signals.speed = self->signals.reference = static_cast<lpvg_real_t>(NAN);
     for (lpvg_real_t& y : self->signals.y) {
@@ -164,12 +253,13 @@ extern "C" lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const l
     if (self->monitor.coeff == nullptr) {
         return lpvg_status_not_ready;
     }
-    if (now_us <= self->now_us) {
+    const uint32_t step = step_us(*self, now_us);
+    if (step == 0U) {
         return lpvg_status_out_of_order;
     }
-    self->now_us = now_us;
+    tick(*self, now_us, step);
     receive(*self, frames_in, n_in);
-    lpvg_can_advance(&self->supervisor, now_us);
+    lpvg_can_advance(&self->supervisor, self->core_us);
     const lpvg_bus_need_t& need = worst_need(*self);
     const lpvg_can_state_t supervision = lpvg_can_state(&self->supervisor, need.index);
     const bool live = supervision == lpvg_can_state_live;
@@ -180,7 +270,7 @@ extern "C" lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const l
         (void)!lpvg_can_plausibility(&self->plausibility, &self->config.plausibility, self->signals.yaw_rate, self->signals.lateral,
                                      static_cast<float>(self->signals.speed), self->signals.wheel_difference);
     }
-    run_controller(*self, live);
+    run_controller(*self, live, step);
     run_monitor(*self, live);
     self->report.demand = static_cast<float>(self->control.u[0]);
     self->report.supervision = static_cast<uint8_t>(self->refused ? lpvg_can_state_off : supervision);
@@ -195,7 +285,7 @@ extern "C" lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const l
     if (lpvg_bus_pack_report(&self->report, out, &self->counter) == lpvg_status_ok) {
         ++out;
     }
-    if (now_us - self->dm1_us >= dm1_period_us) {
+    if (self->core_us - self->dm1_us >= dm1_period_us) {
         const lpvg_can_dtc_t dtc = trouble_code(*self, need);
         const bool active = self->fault != lpvg_ecu_fault_none;
         out->t_us = now_us;
@@ -203,7 +293,7 @@ extern "C" lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const l
         if (lpvg_can_dm1_pack(out, lpvg_bus.own_address, lamps, active ? &dtc : nullptr) == lpvg_status_ok) {
             ++out;
         }
-        self->dm1_us = now_us;
+        self->dm1_us = self->core_us;
     }
     *n_out = static_cast<std::size_t>(out - frames_out);
     return lpvg_status_ok;

@@ -1,127 +1,9 @@
 // The ECU step as a black box on its bus: engagement, every supervision state, reactions, reports, documented failures.
-#include "../catch.hpp"
-
-#include <cmath>
-#include <cstring>
-#include <limits>
-#include <vector>
-
-#include "heap_counter.hpp"
-#include "lpvg_can_codec.h"
-#include "lpvguard/ecu.h"
+#include "ecu_bench.hpp"
 
 namespace {
 
-constexpr int64_t tick_us = 10'000;
-
-const lpvg_ecu_config_t config = {true, lpvg_ecu_reaction_report, lpvg_ecu_reaction_report, {2.07F, 5.0F, 1.5F, 0.15F, 100U}};
-
-struct Report {
-    float demand = NAN, statistic = NAN, verdict = NAN, supervision = NAN;
-};
-
-// An ECU and the frames of a truck that drives straight on at 12 m/s while a yaw rate is asked for.
-class Bench {
-public:
-    explicit Bench(const lpvg_ecu_config_t& with = config) {
-        REQUIRE(lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &with, 0) == lpvg_status_ok);
-    }
-
-    // One step with this tick's frames; a test may spoil them through the members below.
-    void step() {
-        const int64_t now_us = k * tick_us;
-        std::vector<lpvg_can_frame_t> in;
-        lpvg_can_frame_t frame{};
-        frame.t_us = now_us;
-        lpvg_can_vdc2_t vdc2{};
-        vdc2.steering_wheel_angle = lpvg_can_vdc2_steering_wheel_angle_encode(0.0F);
-        vdc2.yaw_rate = lpvg_can_vdc2_yaw_rate_encode(yaw_rate);
-        vdc2.lateral_acceleration = lpvg_can_vdc2_lateral_acceleration_encode(lateral);
-        vdc2.longitudinal_acceleration = lpvg_can_vdc2_longitudinal_acceleration_encode(0.0F);
-        REQUIRE(lpvg_can_vdc2_pack(&vdc2, &frame) == lpvg_status_ok);
-        newest_vdc2 = vdc2;
-        if (send_vdc2) {
-            in.push_back(frame);
-        }
-        lpvg_can_guard_in_t guard{};
-        guard.dp_measured = lpvg_can_guard_in_dp_measured_encode(0.0F);
-        guard.yaw_rate_command = lpvg_can_guard_in_yaw_rate_command_encode(command);
-        REQUIRE(lpvg_can_guard_in_pack(&guard, &frame) == lpvg_status_ok);
-        REQUIRE(lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &counter_) == lpvg_status_ok);
-        frame.data[4] ^= spoil_guard_in ? 1U : 0U;
-        if (send_guard_in) {
-            in.push_back(frame);
-        }
-        if (k % 10 == 0) {
-            lpvg_can_ebc2_t ebc2;
-            std::memset(&ebc2, 0xFF, sizeof ebc2);
-            ebc2.front_axle_speed = lpvg_can_ebc2_front_axle_speed_encode(12.0F * 3.6F);
-            REQUIRE(lpvg_can_ebc2_pack(&ebc2, &frame) == lpvg_status_ok);
-            if (send_ebc2) {
-                in.push_back(frame);
-            }
-        }
-        const size_t n_in = in.size();
-        lpvg_can_frame_t behind{};  // what lies behind the frames handed over is not looked at
-        behind.id = LPVG_CAN_ERROR | LPVG_CAN_BUS_OFF;
-        behind.t_us = now_us;
-        in.push_back(behind);
-        const long allocations = heap_allocations();
-        lpvg_can_frame_t out[LPVG_ECU_FRAMES_OUT];
-        size_t n_out = 99U;
-        REQUIRE(lpvg_ecu_step(&ecu, now_us, in.data(), n_in, out, LPVG_ECU_FRAMES_OUT, &n_out) == lpvg_status_ok);
-        CHECK(heap_allocations() == allocations);
-        take(out, n_out, now_us);
-        ++k;
-    }
-
-    void run(int steps) {
-        for (int i = 0; i < steps; ++i) {
-            step();
-        }
-    }
-
-    bool live() const { return report.supervision == static_cast<float>(lpvg_can_state_live); }
-
-    lpvg_ecu_t ecu;
-    lpvg_can_vdc2_t newest_vdc2{};
-    int64_t k = 0;
-    float yaw_rate = 0.0F, lateral = 0.0F, command = 0.05F;
-    bool send_vdc2 = true, send_guard_in = true, send_ebc2 = true, spoil_guard_in = false;
-    Report report;
-    int reports = 0, dm1s = 0;
-    uint32_t spn = 0;
-    uint8_t fmi = 0, lamps = 0;
-
-private:
-    void take(const lpvg_can_frame_t* out, size_t n, int64_t now_us) {
-        REQUIRE(n >= 1U);
-        for (size_t i = 0; i < n; ++i) {
-            CHECK(out[i].t_us == now_us);
-            if (out[i].id != LPVG_CAN_GUARD_OUT_ID) {
-                CHECK(out[i].id == (LPVG_CAN_EXTENDED | 0x18FECAFCU));
-                ++dm1s;
-                lamps = out[i].data[0];
-                spn = out[i].data[2] + 256U * out[i].data[3] + 65536U * (out[i].data[4] >> 5U);
-                fmi = out[i].data[4] & 0x1FU;
-                continue;
-            }
-            uint8_t received = 0xFF;
-            CHECK(lpvg_can_e2e_check(&out[i], LPVG_CAN_GUARD_OUT_E2E_DATA_ID, &received) == lpvg_status_ok);
-            CHECK(received == reports++ % 15);
-            lpvg_can_guard_out_t message{};
-            REQUIRE(lpvg_can_guard_out_unpack(&message, &out[i]) == lpvg_status_ok);
-            lpvg_can_guard_out_dp_demand_decode(message.dp_demand, &report.demand);
-            lpvg_can_guard_out_monitor_margin_decode(message.monitor_margin, &report.statistic);
-            lpvg_can_guard_out_monitor_verdict_decode(message.monitor_verdict, &report.verdict);
-            lpvg_can_guard_out_supervision_state_decode(message.supervision_state, &report.supervision);
-        }
-    }
-
-    uint8_t counter_ = 0;
-};
-
-constexpr int to_live = 41;  // EBC2's fifth frame is the 41st tick's
+const lpvg_ecu_config_t& config = bench_config;
 
 }  // namespace
 
@@ -135,8 +17,11 @@ TEST_CASE("nothing is demanded before every needed message is live, then the loo
     CHECK(bench.lamps == 0U);
     bench.run(1);
     CHECK(bench.live());
-    CHECK(bench.ecu.control.engaged);
-    bench.run(200);
+    bench.run(to_engage - to_live - 1);
+    CHECK_FALSE(bench.engaged());
+    bench.run(1);
+    CHECK(bench.engaged());
+    bench.run(190);
     CHECK(std::fabs(bench.report.demand) > 0.1F);
     CHECK(bench.report.demand == Approx(static_cast<float>(bench.ecu.control.u[0])).margin(0.5 / 2048.0 + 1e-6));
     CHECK(bench.dm1s == 3);  // at 0, 1 and 2 s
@@ -342,8 +227,11 @@ TEST_CASE("arguments and times that are wrong change and send nothing", "[unit][
     CHECK(lpvg_ecu_step(&bench.ecu, now_us, nullptr, 0, nullptr, 2, &n) == lpvg_status_bad_argument);
     CHECK(lpvg_ecu_step(&bench.ecu, now_us, nullptr, 0, out, LPVG_ECU_FRAMES_OUT - 1U, &n) == lpvg_status_bad_argument);
     CHECK(lpvg_ecu_step(&bench.ecu, now_us, nullptr, 0, out, 2, nullptr) == lpvg_status_bad_argument);
+    CHECK(std::memcmp(&before, &bench.ecu, sizeof before) == 0);
     CHECK(lpvg_ecu_step(&bench.ecu, now_us - tick_us, nullptr, 0, out, 2, &n) == lpvg_status_out_of_order);
     CHECK(lpvg_ecu_step(&bench.ecu, std::numeric_limits<int64_t>::min(), nullptr, 0, out, 2, &n) == lpvg_status_out_of_order);
+    CHECK(bench.ecu.clock.refused == 2U);
+    bench.ecu.clock = before.clock;
     CHECK(std::memcmp(&before, &bench.ecu, sizeof before) == 0);
     lpvg_ecu_t cleared{};
     CHECK(lpvg_ecu_step(&cleared, now_us, nullptr, 0, out, 2, &n) == lpvg_status_not_ready);

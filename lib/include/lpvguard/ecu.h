@@ -15,6 +15,12 @@
 /// live again. A message that went off must first deliver LPVG_CAN_RECOVER_FRAMES good frames. A lost message shows as hold in the
 /// report of the first step later than LPVG_CAN_HOLD_MISSED + 1/2 of its periods after its newest good frame.
 ///
+/// Time: a step is taken half to one and a half sample periods after the newest one. Sooner it is refused. Up to LPVG_ECU_JUMP_US later
+/// it is taken as a gap. Anything else is a jump of the clock: refused, until LPVG_ECU_RESYNC_CALLS refused calls have followed
+/// each other by half to one and a half periods. The last of them is taken as a gap of LPVG_ECU_JUMP_US. A gap releases. The demand is
+/// engaged while the mean period over the newest second, half a second after a gap, is the exported one to LPVG_ECU_PERIOD_PERCENT.
+/// Monitor and supervision live on the ECU's own time `core_us`. It is the caller's clock up to the first jump, and never jumps.
+///
 /// Use:     init once -> step every sample period with all frames received since the last step, in order of arrival ->
 ///          send what it returns. Ask for engagement with the configuration or lpvg_ecu_engage.
 /// Cost:    constant apart from n_in times lpvg_can_receive; one controller step, one monitor push.
@@ -31,10 +37,15 @@
 
 LPVG_EXTERN_C_BEGIN
 
-#define LPVG_ECU_FRAMES_OUT 2U  ///< Most frames that one step returns.
+#define LPVG_ECU_FRAMES_OUT 2U        ///< Most frames that one step returns.
+#define LPVG_ECU_JUMP_US 1000000U     ///< Longest gap that is taken at once                          [us]
+#define LPVG_ECU_RESYNC_CALLS 3U      ///< Refused calls in step with each other that end a jump.
+#define LPVG_ECU_WINDOW_US 1000000U   ///< The mean sample period is measured over this time          [us]
+#define LPVG_ECU_PERIOD_PERCENT 2U    ///< Allowed deviation of the mean sample period                [%]
 
 #define lpvg_ecu_config_t LPVG_SYM(ecu_config_t)
 #define lpvg_ecu_t LPVG_SYM(ecu_t)
+#define lpvg_ecu_clock_t LPVG_SYM(ecu_clock_t)
 #define lpvg_ecu_init LPVG_SYM(ecu_init)
 #define lpvg_ecu_engage LPVG_SYM(ecu_engage)
 #define lpvg_ecu_step LPVG_SYM(ecu_step)
@@ -52,18 +63,40 @@ typedef struct lpvg_ecu_config_t {
     lpvg_can_plausibility_limits_t plausibility;  ///< limits of the cross-checks
 } lpvg_ecu_config_t;
 
-/// Findings that DM1 tells, gravest first; the first that is active is the one sent.
+/// Findings that DM1 tells. Of those that are active it sends the gravest: refused, time, message, invalid, implausible.
 typedef enum lpvg_ecu_fault_t {
     lpvg_ecu_fault_none = 0,
     lpvg_ecu_fault_refused = 1,      ///< Speed or a measurement was refused, or the controller's numbers broke down.
     lpvg_ecu_fault_message = 2,      ///< A needed message is not live.
     lpvg_ecu_fault_invalid = 3,      ///< The model is falsified.
-    lpvg_ecu_fault_implausible = 4   ///< Sensors contradict each other.
+    lpvg_ecu_fault_implausible = 4,  ///< Sensors contradict each other.
+    lpvg_ecu_fault_time = 5          ///< The mean sample period is not the exported one.
 } lpvg_ecu_fault_t;
 
 #define LPVG_ECU_SPN_REFUSED 520200U  ///< Trouble codes without a standard number (J1939-73 leaves these to makers).
 #define LPVG_ECU_SPN_INVALID 520201U
 #define LPVG_ECU_SPN_IMPLAUSIBLE 520202U
+#define LPVG_ECU_SPN_TIME 520203U
+
+/// What is known of the sample period.
+typedef enum lpvg_ecu_pace_t {
+    lpvg_ecu_pace_unknown = 0,  ///< Not measured since init or the newest gap.
+    lpvg_ecu_pace_good = 1,     ///< The exported one.
+    lpvg_ecu_pace_bad = 2       ///< Another one.
+} lpvg_ecu_pace_t;
+
+/// The clock of the steps.
+typedef struct lpvg_ecu_clock_t {
+    int64_t jump_us;       ///< newest refused call                                         [us]
+    int64_t half_us;       ///< core_us when the current half window began                  [us]
+    uint32_t before_us;    ///< length of the half window before; 0: none                   [us]
+    uint32_t steps;        ///< in the current half window
+    uint32_t refused;      ///< calls refused for their time, saturating
+    uint32_t gaps;         ///< gaps and jumps taken, saturating
+    uint8_t in_step;       ///< refused calls that followed each other in step
+    uint8_t pace;          ///< lpvg_ecu_pace_t
+    bool started;          ///< a step has been taken
+} lpvg_ecu_clock_t;
 
 typedef struct lpvg_ecu_t {
     lpvg_ecu_config_t config;
@@ -75,8 +108,10 @@ typedef struct lpvg_ecu_t {
     lpvg_bus_report_t report;          ///< as sent by the newest step
     lpvg_ecu_fault_t fault;            ///< gravest active
     uint32_t period_us;
-    int64_t now_us;                    ///< of the newest step; one less than init's before the first   [us]
-    int64_t dm1_us;                    ///< when DM1 was sent                                           [us]
+    int64_t now_us;                    ///< of the newest step, the caller's clock; init's before the first [us]
+    int64_t core_us;                   ///< of the newest step, the ECU's own time                      [us]
+    lpvg_ecu_clock_t clock;
+    int64_t dm1_us;                    ///< core_us when DM1 was sent                                   [us]
     bool engage;                       ///< asked for
     bool refused;                      ///< speed or a measurement of the newest step was refused: the next is not engaged
     bool seen_live;                    ///< supervision has been live since init
@@ -84,9 +119,10 @@ typedef struct lpvg_ecu_t {
     uint8_t occurrence;                ///< times a trouble code became active, 126 at most
 } lpvg_ecu_t;
 
-/// Makes *self ready at time now_us >= 0. Coefficients stay referenced and must outlive it.
-/// Returns bad_argument (NULL, now_us < 0, a reaction or a plausibility limit outside its range).
-/// Returns what lpvg_coeff_check or lpvg_control_coeff_check say, or bad_value when the two sample periods differ.
+/// Makes *self ready at time now_us, 0 .. INT64_MAX / 2. Coefficients stay referenced and must outlive it.
+/// Returns bad_argument (NULL, now_us outside, a reaction or a plausibility limit outside its range).
+/// Returns what lpvg_coeff_check or lpvg_control_coeff_check say, or bad_value when the two sample periods differ or are above a
+/// quarter of LPVG_ECU_WINDOW_US.
 /// *self is untouched unless ok is returned.
 LPVG_NODISCARD lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t* coeff, const lpvg_control_coeff_t* control,
                                            const lpvg_ecu_config_t* config, int64_t now_us);
@@ -96,8 +132,8 @@ void lpvg_ecu_engage(lpvg_ecu_t* self, bool engage);
 
 /// One sample period. frames_in [n_in] may be NULL when n_in is 0; a time stamp after now_us counts as now_us.
 /// *n_out frames are written to frames_out, with time now_us. Returns ok; bad_argument (NULL, or max_out < LPVG_ECU_FRAMES_OUT),
-/// not_ready (no init), out_of_order (now_us not after the newest step). Unless it is ok, nothing is received, changed or sent,
-/// and *n_out, where given, is 0.
+/// not_ready (no init), out_of_order (a time that is refused, see above; the first step: before init or beyond INT64_MAX / 2).
+/// Unless it is ok, nothing is received or sent, nothing but `clock` is changed, and *n_out, where given, is 0.
 LPVG_NODISCARD lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const lpvg_can_frame_t* frames_in, size_t n_in,
                                            lpvg_can_frame_t* frames_out, size_t max_out, size_t* n_out);
 
