@@ -12,8 +12,6 @@ constexpr int64_t dm1_period_us = 1'000'000;
 constexpr uint32_t period_longest_us = LPVG_ECU_WINDOW_US / 4U;  // two steps make a half window
 constexpr uint8_t occurrence_max = 126U;  // 127 says "unknown"
 
-bool reaction_good(uint8_t reaction) { return reaction == lpvg_ecu_reaction_report || reaction == lpvg_ecu_reaction_release; }
-
 // The limits are what lpvg_can_plausibility accepts: asked of it, on a sample that it leaves out.
 bool limits_good(const lpvg_can_plausibility_limits_t& limits) {
     lpvg_can_plausibility_t scratch{};
@@ -143,31 +141,78 @@ lpvg_ecu_fault_t gravest(const lpvg_ecu_t& self, lpvg_can_state_t supervision) {
     if (self.report.verdict == static_cast<uint8_t>(lpvg_verdict_invalid)) {
         return lpvg_ecu_fault_invalid;
     }
-    return self.plausibility.flags != 0U ? lpvg_ecu_fault_implausible : lpvg_ecu_fault_none;
+    if (self.plausibility.flags != 0U) {
+        return lpvg_ecu_fault_implausible;
+    }
+    return self.locked ? lpvg_ecu_fault_locked : lpvg_ecu_fault_none;
 }
 
 lpvg_can_dtc_t trouble_code(const lpvg_ecu_t& self, const lpvg_bus_need_t& need) {
     switch (self.fault) {
         case lpvg_ecu_fault_message: return {need.spn, lpvg_can_fmi(main_reason(self.supervisor.watch[need.index])), self.occurrence};
         case lpvg_ecu_fault_time: return {LPVG_ECU_SPN_TIME, LPVG_CAN_FMI_UPDATE_RATE, self.occurrence};
+        case lpvg_ecu_fault_locked: return {LPVG_ECU_SPN_LOCKED, LPVG_CAN_FMI_CONDITION, self.occurrence};
         case lpvg_ecu_fault_invalid: return {LPVG_ECU_SPN_INVALID, LPVG_CAN_FMI_CONDITION, self.occurrence};
         case lpvg_ecu_fault_implausible: return {LPVG_ECU_SPN_IMPLAUSIBLE, LPVG_CAN_FMI_ERRATIC, self.occurrence};
         default: return {LPVG_ECU_SPN_REFUSED, LPVG_CAN_FMI_ERRATIC, self.occurrence};
     }
 }
 
-bool allowed(const lpvg_ecu_t& self) {
-    const bool invalid = self.report.verdict == static_cast<uint8_t>(lpvg_verdict_invalid);
-    return self.engage && !self.refused && self.clock.pace == lpvg_ecu_pace_good &&
-           !(invalid && self.config.on_invalid == lpvg_ecu_reaction_release) &&
-           !(self.plausibility.flags != 0U && self.config.on_implausible == lpvg_ecu_reaction_release);
+// Whether the controller's speed is one that it was designed for.
+void judge_speed(lpvg_ecu_t& self) {
+    const lpvg_control_reals_t& r = self.control.coeff->reals;
+    const lpvg_real_t within = self.in_range ? lpvg_real_t(0) : static_cast<lpvg_real_t>(LPVG_ECU_SPEED_HYSTERESIS_MPS);
+    self.in_range = self.signals.speed >= r.speed_min + within && self.signals.speed <= r.speed_max - within;
+}
+
+uint16_t causes_of(const lpvg_ecu_t& self, bool live) {
+    const auto verdict = static_cast<lpvg_verdict_t>(self.report.verdict);
+    const bool judged = verdict == lpvg_verdict_valid || verdict == lpvg_verdict_invalid || verdict == lpvg_verdict_not_judged;
+    uint32_t causes = 0U;
+    causes |= self.engage ? 0U : LPVG_ECU_CAUSE_NOT_ASKED;
+    causes |= live ? 0U : LPVG_ECU_CAUSE_MESSAGE;
+    causes |= self.refused ? LPVG_ECU_CAUSE_REFUSED : 0U;
+    causes |= self.clock.pace == lpvg_ecu_pace_good ? 0U : LPVG_ECU_CAUSE_TIME;
+    causes |= self.in_range ? 0U : LPVG_ECU_CAUSE_RANGE;
+    causes |= judged ? 0U : LPVG_ECU_CAUSE_UNJUDGED;
+    causes |= verdict == lpvg_verdict_invalid ? LPVG_ECU_CAUSE_INVALID : 0U;
+    causes |= self.plausibility.flags != 0U ? LPVG_ECU_CAUSE_IMPLAUSIBLE : 0U;
+    return static_cast<uint16_t>(causes);
+}
+
+// What ends an engagement locks, if it must not come back by itself.
+void note_release(lpvg_ecu_t& self, uint32_t causes) {
+    if ((causes & ~LPVG_ECU_CAUSES_ORDINARY) != 0U) {
+        const bool recent = self.releases > 0U && self.core_us - self.released_us < LPVG_ECU_RELEASES_US;
+        self.releases = static_cast<uint8_t>(recent ? self.releases + 1U : 1U);
+        self.released_us = self.core_us;
+    }
+    self.locked = self.locked || (causes & LPVG_ECU_CAUSES_LATCHING) != 0U || self.releases > LPVG_ECU_RELEASES_MAX;
+}
+
+// Whether this step is engaged.
+bool allowed(lpvg_ecu_t& self, bool live) {
+    self.causes = causes_of(self, live);
+    const uint32_t releasing = self.causes & ~static_cast<uint32_t>(self.config.report_only);
+    if (releasing != 0U && self.permitted) {
+        note_release(self, releasing);
+    }
+    if ((releasing & ~LPVG_ECU_CAUSE_NOT_ASKED) != 0U && self.was_engaged) {
+        self.caused_us = self.core_us;
+    }
+    const bool wait = self.core_us - self.caused_us < LPVG_ECU_WAIT_US;
+    const uint32_t more = (wait ? LPVG_ECU_CAUSE_WAIT : 0U) | (self.locked ? LPVG_ECU_CAUSE_LOCKED : 0U);
+    self.causes = static_cast<uint16_t>(self.causes | more);
+    self.permitted = (releasing | more) == 0U;
+    self.was_engaged = self.was_engaged || self.permitted;
+    return self.permitted;
 }
 
 void run_controller(lpvg_ecu_t& self, bool live, uint32_t step) {
     lpvg_real_t m[LPVG_NM];
     m[0] = self.signals.reference;
     std::memcpy(&m[1], self.signals.y, sizeof self.signals.y);
-    const lpvg_status_t status = lpvg_control_step_after(&self.control, self.signals.speed, m, live && allowed(self), step);
+    const lpvg_status_t status = lpvg_control_step_after(&self.control, self.signals.speed, m, allowed(self, live), step);
     // Before the first good frame there is nothing to measure, which is not a fault.
     self.refused = live && status != lpvg_status_ok;
 }
@@ -178,7 +223,13 @@ uint8_t verdict(const lpvg_ecu_t& self) {
     if (self.clock.pace == lpvg_ecu_pace_bad) {
         return lpvg_verdict_fault;
     }
-    return self.clock.pace == lpvg_ecu_pace_unknown && said == lpvg_verdict_valid ? lpvg_verdict_unknown : said;
+    if (said != lpvg_verdict_valid) {
+        return static_cast<uint8_t>(said);
+    }
+    if (self.clock.pace == lpvg_ecu_pace_unknown) {
+        return lpvg_verdict_unknown;
+    }
+    return self.in_range ? lpvg_verdict_valid : lpvg_verdict_not_judged;
 }
 
 // A gap is what the monitor expects where measurements are old, or of another period: it restarts behind it.
@@ -201,8 +252,8 @@ void run_monitor(lpvg_ecu_t& self, bool live) {
 
 extern "C" lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t* coeff, const lpvg_control_coeff_t* control,
                                        const lpvg_ecu_config_t* config, int64_t now_us) {
-    if (self == nullptr || config == nullptr || now_us < 0 || now_us > INT64_MAX / 2 || !reaction_good(config->on_invalid) ||
-        !reaction_good(config->on_implausible) || !limits_good(config->plausibility)) {
+    if (self == nullptr || config == nullptr || now_us < 0 || now_us > INT64_MAX / 2 ||
+        (config->report_only & ~LPVG_ECU_CAUSES_OPTIONAL) != 0U || !limits_good(config->plausibility)) {
         return lpvg_status_bad_argument;
     }
     lpvg_status_t status = lpvg_coeff_check(coeff);
@@ -222,6 +273,7 @@ extern "C" lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t* coe
     self->period_us = coeff->words.sample_period_us;
     self->now_us = self->core_us = now_us;
     self->dm1_us = now_us - dm1_period_us;
+    self->caused_us = now_us - LPVG_ECU_WAIT_US;
     self->signals.speed = self->signals.reference = static_cast<lpvg_real_t>(NAN);
     for (lpvg_real_t& y : self->signals.y) {
         y = static_cast<lpvg_real_t>(NAN);
@@ -239,6 +291,18 @@ extern "C" void lpvg_ecu_engage(lpvg_ecu_t* self, bool engage) {
     if (self != nullptr) {
         self->engage = engage;
     }
+}
+
+extern "C" bool lpvg_ecu_acknowledge(lpvg_ecu_t* self) {
+    if (self == nullptr) {
+        return false;
+    }
+    const uint32_t releasing = self->causes & ~static_cast<uint32_t>(self->config.report_only);
+    if ((releasing & LPVG_ECU_CAUSES_LATCHING) == 0U) {
+        self->locked = false;
+        self->releases = 0U;
+    }
+    return !self->locked;
 }
 
 extern "C" lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const lpvg_can_frame_t* frames_in, size_t n_in,
@@ -266,6 +330,7 @@ extern "C" lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const l
     self->seen_live = self->seen_live || live;
 
     if (live) {
+        judge_speed(*self);
         // The limits have been checked by init.
         (void)!lpvg_can_plausibility(&self->plausibility, &self->config.plausibility, self->signals.yaw_rate, self->signals.lateral,
                                      static_cast<float>(self->signals.speed), self->signals.wheel_difference);

@@ -15,7 +15,7 @@
 
 constexpr int64_t tick_us = 10'000;
 
-const lpvg_ecu_config_t bench_config = {true, lpvg_ecu_reaction_report, lpvg_ecu_reaction_report, {2.07F, 5.0F, 1.5F, 0.15F, 100U}};
+const lpvg_ecu_config_t bench_config = {true, 0U, {2.07F, 5.0F, 1.5F, 0.15F, 100U}};
 
 struct BenchReport {
     float demand = NAN, statistic = NAN, verdict = NAN, supervision = NAN;
@@ -66,6 +66,16 @@ public:
         now_us = t_us;
         in.clear();
         take(out, n_out, t_us + clock_off_us);
+    }
+
+    // Returns the steps that it took.
+    int run_until_engaged() {
+        int steps = 0;
+        for (; !engaged() && steps < 2000; ++steps) {
+            step();
+        }
+        REQUIRE(engaged());
+        return steps;
     }
 
     bool live() const { return report.supervision == static_cast<float>(lpvg_can_state_live); }
@@ -147,4 +157,4 @@ private:
 };
 
 constexpr int to_live = 41;     // EBC2's fifth frame is the 41st tick's
-constexpr int to_engage = 51;   // the period has been measured over half a second
+constexpr int wait_steps = LPVG_ECU_WAIT_US / tick_us;

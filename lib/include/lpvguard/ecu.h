@@ -6,14 +6,21 @@
 ///
 /// Supervision is the worst state (can.h) among the messages that the loop needs:
 ///
-///     live -- engaged when asked to be and no reaction forbids it; the monitor is fed
+///     live -- engaged when asked to be and no cause forbids it; the monitor is fed
 ///     hold -- a needed message is late: not engaged, the demand runs to zero within the rate limit; the monitor has a gap
 ///     off  -- a needed message is unusable, or a number was refused: the same, and a trouble code
 ///
 /// Not engaged is the safe state: the demand reaches zero after at most the largest u_max / rate_max. The controller's state
-/// follows the demand, so engaging again does not jump (controller.h). The loop recovers by itself when every needed message is
-/// live again. A message that went off must first deliver LPVG_CAN_RECOVER_FRAMES good frames. A lost message shows as hold in the
-/// report of the first step later than LPVG_CAN_HOLD_MISSED + 1/2 of its periods after its newest good frame.
+/// follows the demand, so engaging again does not jump (controller.h). A message that went off must first deliver LPVG_CAN_RECOVER_FRAMES
+/// good frames. A lost message shows as hold in the report of the first step later than LPVG_CAN_HOLD_MISSED + 1/2 of its periods after its
+/// newest good frame.
+///
+/// Engagement: the causes LPVG_ECU_CAUSE_* release while they last, but for those that `report_only` of the configuration names.
+/// After a release by anything but the asker the loop engages again LPVG_ECU_WAIT_US after its causes have gone. A cause of
+/// LPVG_ECU_CAUSES_LATCHING that ends an engagement locks it. So does the release by a fault after LPVG_ECU_RELEASES_MAX others, none of
+/// them a LPVG_ECU_RELEASES_US after the one before. A lock ends by lpvg_ecu_acknowledge only. The speed is in range again
+/// LPVG_ECU_SPEED_HYSTERESIS_MPS within the ends of the controller's range. What "no excitation" means for the monitor, verdict
+/// not_judged, permits engagement. Outside the range a valid verdict is reported as not_judged: it is about other speeds.
 ///
 /// Time: a step is taken half to one and a half sample periods after the newest one. Sooner it is refused. Up to LPVG_ECU_JUMP_US later
 /// it is taken as a gap. Anything else is a jump of the clock: refused, until LPVG_ECU_RESYNC_CALLS refused calls have followed
@@ -49,34 +56,55 @@ LPVG_EXTERN_C_BEGIN
 #define lpvg_ecu_init LPVG_SYM(ecu_init)
 #define lpvg_ecu_engage LPVG_SYM(ecu_engage)
 #define lpvg_ecu_step LPVG_SYM(ecu_step)
+#define lpvg_ecu_acknowledge LPVG_SYM(ecu_acknowledge)
 
-/// What follows from a finding that is not a fault of the bus.
-typedef enum lpvg_ecu_reaction_t {
-    lpvg_ecu_reaction_report = 0,   ///< Report and trouble code only.
-    lpvg_ecu_reaction_release = 1   ///< And not engaged while it lasts.
-} lpvg_ecu_reaction_t;
+#define LPVG_ECU_SPEED_HYSTERESIS_MPS 0.25F  ///< Within the range by so much, the speed is in range again [m/s]
+#define LPVG_ECU_WAIT_US 500000U             ///< From the end of a cause to engagement                    [us]
+#define LPVG_ECU_RELEASES_MAX 3U             ///< Releases by faults after which the next one locks.
+#define LPVG_ECU_RELEASES_US 60000000U       ///< Time without one that forgets them                       [us]
 
+#define LPVG_ECU_CAUSE_NOT_ASKED 0x0001U    ///< Nobody asks for engagement.
+#define LPVG_ECU_CAUSE_MESSAGE 0x0002U      ///< A needed message is not live.
+#define LPVG_ECU_CAUSE_REFUSED 0x0004U      ///< The controller or the monitor refused its sample of the newest step.
+#define LPVG_ECU_CAUSE_TIME 0x0008U         ///< The sample period is not measured yet, or is another one.
+#define LPVG_ECU_CAUSE_RANGE 0x0010U        ///< The speed is outside the controller's scheduling range.
+#define LPVG_ECU_CAUSE_UNJUDGED 0x0020U     ///< The newest verdict is unknown, stale or fault.
+#define LPVG_ECU_CAUSE_INVALID 0x0040U      ///< The newest verdict is invalid.
+#define LPVG_ECU_CAUSE_IMPLAUSIBLE 0x0080U  ///< Sensors contradict each other.
+#define LPVG_ECU_CAUSE_WAIT 0x0100U         ///< The other causes have gone less than LPVG_ECU_WAIT_US ago.
+#define LPVG_ECU_CAUSE_LOCKED 0x0200U       ///< Waiting for lpvg_ecu_acknowledge.
+
+/// What `report_only` may name.
+#define LPVG_ECU_CAUSES_OPTIONAL (LPVG_ECU_CAUSE_UNJUDGED | LPVG_ECU_CAUSE_INVALID | LPVG_ECU_CAUSE_IMPLAUSIBLE)
+/// What locks when it ends an engagement.
+#define LPVG_ECU_CAUSES_LATCHING (LPVG_ECU_CAUSE_INVALID | LPVG_ECU_CAUSE_IMPLAUSIBLE)
+/// Releases that are no fault and are not counted.
+#define LPVG_ECU_CAUSES_ORDINARY (LPVG_ECU_CAUSE_NOT_ASKED | LPVG_ECU_CAUSE_RANGE)
+
+/// Zero is safe: not asked, and every cause releases.
 typedef struct lpvg_ecu_config_t {
-    bool engage;                                  ///< engage as soon as supervision is live
-    uint8_t on_invalid;                           ///< lpvg_ecu_reaction_t: the monitor's verdict is invalid
-    uint8_t on_implausible;                       ///< lpvg_ecu_reaction_t: a cross-check of the sensors fails
+    bool engage;                                  ///< asked for engagement from the start
+    uint16_t report_only;                         ///< causes of LPVG_ECU_CAUSES_OPTIONAL that are reported and do not release
     lpvg_can_plausibility_limits_t plausibility;  ///< limits of the cross-checks
 } lpvg_ecu_config_t;
 
-/// Findings that DM1 tells. Of those that are active it sends the gravest: refused, time, message, invalid, implausible.
+/// Findings that DM1 tells. Of those that are active it sends the gravest: refused, time, message, invalid, implausible,
+/// locked.
 typedef enum lpvg_ecu_fault_t {
     lpvg_ecu_fault_none = 0,
     lpvg_ecu_fault_refused = 1,      ///< Speed or a measurement was refused, or the controller's numbers broke down.
     lpvg_ecu_fault_message = 2,      ///< A needed message is not live.
     lpvg_ecu_fault_invalid = 3,      ///< The model is falsified.
     lpvg_ecu_fault_implausible = 4,  ///< Sensors contradict each other.
-    lpvg_ecu_fault_time = 5          ///< The mean sample period is not the exported one.
+    lpvg_ecu_fault_time = 5,         ///< The mean sample period is not the exported one.
+    lpvg_ecu_fault_locked = 6        ///< The loop waits for an acknowledgement.
 } lpvg_ecu_fault_t;
 
 #define LPVG_ECU_SPN_REFUSED 520200U  ///< Trouble codes without a standard number (J1939-73 leaves these to makers).
 #define LPVG_ECU_SPN_INVALID 520201U
 #define LPVG_ECU_SPN_IMPLAUSIBLE 520202U
 #define LPVG_ECU_SPN_TIME 520203U
+#define LPVG_ECU_SPN_LOCKED 520204U
 
 /// What is known of the sample period.
 typedef enum lpvg_ecu_pace_t {
@@ -112,6 +140,14 @@ typedef struct lpvg_ecu_t {
     int64_t core_us;                   ///< of the newest step, the ECU's own time                      [us]
     lpvg_ecu_clock_t clock;
     int64_t dm1_us;                    ///< core_us when DM1 was sent                                   [us]
+    int64_t caused_us;                 ///< core_us when waiting began, the newest time             [us]
+    int64_t released_us;               ///< core_us of the newest release by a fault                    [us]
+    uint16_t causes;                   ///< LPVG_ECU_CAUSE_* of the newest step, report_only ones included
+    uint8_t releases;                  ///< by faults, as LPVG_ECU_RELEASES_MAX counts them
+    bool in_range;                     ///< the speed, with hysteresis
+    bool locked;                       ///< until acknowledged
+    bool permitted;                    ///< no cause released the newest step
+    bool was_engaged;                  ///< since init
     bool engage;                       ///< asked for
     bool refused;                      ///< speed or a measurement of the newest step was refused: the next is not engaged
     bool seen_live;                    ///< supervision has been live since init
@@ -120,7 +156,7 @@ typedef struct lpvg_ecu_t {
 } lpvg_ecu_t;
 
 /// Makes *self ready at time now_us, 0 .. INT64_MAX / 2. Coefficients stay referenced and must outlive it.
-/// Returns bad_argument (NULL, now_us outside, a reaction or a plausibility limit outside its range).
+/// Returns bad_argument (NULL, now_us outside, report_only with another bit, a plausibility limit outside its range).
 /// Returns what lpvg_coeff_check or lpvg_control_coeff_check say, or bad_value when the two sample periods differ or are above a
 /// quarter of LPVG_ECU_WINDOW_US.
 /// *self is untouched unless ok is returned.
@@ -129,6 +165,10 @@ LPVG_NODISCARD lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t*
 
 /// Asks for engagement or release from the next step on. Nothing for NULL.
 void lpvg_ecu_engage(lpvg_ecu_t* self, bool engage);
+
+/// Ends a lock from the next step on, unless a cause of LPVG_ECU_CAUSES_LATCHING that releases is still there. Returns whether the
+/// loop is not locked any more; false for NULL.
+bool lpvg_ecu_acknowledge(lpvg_ecu_t* self);
 
 /// One sample period. frames_in [n_in] may be NULL when n_in is 0; a time stamp after now_us counts as now_us.
 /// *n_out frames are written to frames_out, with time now_us. Returns ok; bad_argument (NULL, or max_out < LPVG_ECU_FRAMES_OUT),

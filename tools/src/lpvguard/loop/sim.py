@@ -353,11 +353,12 @@ class Simulator:
 
         What happened is as the simulator prints it. The drive is what its monitor saw; (N,) is True where it
         was given a sample. Elsewhere the drive stands still, so that nothing is judged until the model has
-        settled. ``log``: where every frame of the bus goes as candump -L writes it.
+        settled. ``log``: where every frame of the bus goes as candump -L writes it. Findings are
+        only reported, so that the loop, and what its monitor sees, goes on behind the first one.
         """
         with tempfile.TemporaryDirectory() as scratch:
             table = Path(scratch) / f"{path.stem}.csv"
-            command: list[Any] = ["--drive", table]
+            command: list[Any] = ["--drive", table, "--reactions", "report"]
             command += [*(() if seed is None else ("--seed", seed)), *(() if log is None else ("--log", log))]
             facts = self._execute(path, command)
             return facts, *self._without_gaps(path.stem, pa_csv.read_csv(table))
