@@ -210,19 +210,10 @@ void advance(lpvg_can_watch_t& watch, const lpvg_can_rule_t& rule, int64_t now_u
 
 // Steps one check by one sample: `deviation` beyond `limit` is a violation.
 void plausibility_step(lpvg_can_plausibility_t& self, uint8_t check, float deviation, float limit, uint16_t confirm) {
-    uint16_t& score = self.score[check];
     const auto flag = static_cast<uint8_t>(1U << check);
     const bool violation = deviation > limit || deviation < -limit;
-    if (violation && score < confirm) {
-        ++score;
-    } else if (!violation && score > 0U) {
-        --score;
-    }
-    if (score >= confirm) {
-        self.flags = static_cast<uint8_t>(self.flags | flag);
-    } else if (score == 0U) {
-        self.flags = static_cast<uint8_t>(self.flags & ~flag);
-    }
+    const bool failed = lpvg_can_confirm(&self.score[check], (self.flags & flag) != 0U, violation, confirm);
+    self.flags = static_cast<uint8_t>(failed ? self.flags | flag : self.flags & ~flag);
 }
 
 bool finite(float x) { return x - x == 0.0F; }
@@ -348,6 +339,18 @@ lpvg_status_t lpvg_can_plausibility(lpvg_can_plausibility_t* self, const lpvg_ca
         plausibility_step(*self, 1U, yaw_rate - wheel_difference / limits->track_m, limits->yaw_rps, limits->confirm);
     }
     return lpvg_status_ok;
+}
+
+bool lpvg_can_confirm(uint16_t* score, bool failed, bool violation, uint16_t confirm) {
+    if (score == nullptr) {
+        return false;
+    }
+    if (violation && *score < confirm) {
+        ++*score;
+    } else if (!violation && *score > 0U) {
+        --*score;
+    }
+    return *score >= confirm || (failed && *score > 0U);
 }
 
 uint8_t lpvg_can_fmi(lpvg_can_event_t event) {

@@ -10,6 +10,7 @@ namespace {
 
 constexpr int64_t dm1_period_us = 1'000'000;
 constexpr uint32_t period_longest_us = LPVG_ECU_WINDOW_US / 4U;  // two steps make a half window
+constexpr uint8_t priority_max = 3U;
 constexpr uint8_t occurrence_max = 126U;  // 127 says "unknown"
 
 // The limits are what lpvg_can_plausibility accepts: asked of it, on a sample that it leaves out.
@@ -90,6 +91,10 @@ void tick(lpvg_ecu_t& self, int64_t now_us, uint32_t step) {
     clock.in_step = 0U;
 }
 
+bool actuator_limits_good(const lpvg_ecu_actuator_limits_t& limits) {
+    return limits.lag_s > 0.0F && limits.tolerance > 0.0F && limits.confirm > 0U;
+}
+
 void receive(lpvg_ecu_t& self, const lpvg_can_frame_t* frames, std::size_t n) {
     for (std::size_t i = 0; i < n; ++i) {
         lpvg_can_frame_t frame = frames[i];
@@ -141,6 +146,9 @@ lpvg_ecu_fault_t gravest(const lpvg_ecu_t& self, lpvg_can_state_t supervision) {
     if (self.report.verdict == static_cast<uint8_t>(lpvg_verdict_invalid)) {
         return lpvg_ecu_fault_invalid;
     }
+    if (self.actuator_failed) {
+        return lpvg_ecu_fault_actuator;
+    }
     if (self.plausibility.flags != 0U) {
         return lpvg_ecu_fault_implausible;
     }
@@ -151,6 +159,7 @@ lpvg_can_dtc_t trouble_code(const lpvg_ecu_t& self, const lpvg_bus_need_t& need)
     switch (self.fault) {
         case lpvg_ecu_fault_message: return {need.spn, lpvg_can_fmi(main_reason(self.supervisor.watch[need.index])), self.occurrence};
         case lpvg_ecu_fault_time: return {LPVG_ECU_SPN_TIME, LPVG_CAN_FMI_UPDATE_RATE, self.occurrence};
+        case lpvg_ecu_fault_actuator: return {LPVG_ECU_SPN_ACTUATOR, LPVG_CAN_FMI_RESPONSE, self.occurrence};
         case lpvg_ecu_fault_locked: return {LPVG_ECU_SPN_LOCKED, LPVG_CAN_FMI_CONDITION, self.occurrence};
         case lpvg_ecu_fault_invalid: return {LPVG_ECU_SPN_INVALID, LPVG_CAN_FMI_CONDITION, self.occurrence};
         case lpvg_ecu_fault_implausible: return {LPVG_ECU_SPN_IMPLAUSIBLE, LPVG_CAN_FMI_ERRATIC, self.occurrence};
@@ -165,6 +174,35 @@ void judge_speed(lpvg_ecu_t& self) {
     self.in_range = self.signals.speed >= r.speed_min + within && self.signals.speed <= r.speed_max - within;
 }
 
+// Whether the actuator does what was demanded up to the newest step.
+void judge_actuator(lpvg_ecu_t& self) {
+    const lpvg_ecu_actuator_limits_t& limits = self.config.actuator;
+    const float period = static_cast<float>(self.period_us) * 1e-6F;
+    self.expected += (static_cast<float>(self.control.u[0]) - self.expected) * period / (limits.lag_s + period);
+    const float deviation = self.signals.measured - self.expected;
+    const bool agrees = deviation <= limits.tolerance && deviation >= -limits.tolerance;
+    self.actuator_failed = lpvg_can_confirm(&self.deviations, self.actuator_failed, !agrees, limits.confirm);
+}
+
+void take_request(lpvg_ecu_t& self) {
+    const bool acknowledge = self.signals.request == static_cast<float>(LPVG_BUS_REQUEST_ACKNOWLEDGE);
+    self.standby = self.standby || acknowledge || self.signals.request == static_cast<float>(LPVG_BUS_REQUEST_RELEASE);
+    if (acknowledge && !self.acknowledging) {
+        (void)lpvg_ecu_acknowledge(&self);
+    }
+    self.acknowledging = acknowledge;
+}
+
+// What the newest messages say of the driver and of the vehicle; a number that is not there permits nothing.
+bool overridden(const lpvg_bus_signals_t& signals) {
+    return !(signals.brake_pedal <= LPVG_ECU_PEDAL_PERCENT) || !(signals.abs_active <= 0.0F);
+}
+
+bool wanted(const lpvg_ecu_t& self) {
+    return self.standby && self.signals.request == static_cast<float>(LPVG_BUS_REQUEST_CONTROL) &&
+           self.signals.other_priority <= static_cast<float>(self.config.priority);
+}
+
 uint16_t causes_of(const lpvg_ecu_t& self, bool live) {
     const auto verdict = static_cast<lpvg_verdict_t>(self.report.verdict);
     const bool judged = verdict == lpvg_verdict_valid || verdict == lpvg_verdict_invalid || verdict == lpvg_verdict_not_judged;
@@ -174,6 +212,9 @@ uint16_t causes_of(const lpvg_ecu_t& self, bool live) {
     causes |= self.refused ? LPVG_ECU_CAUSE_REFUSED : 0U;
     causes |= self.clock.pace == lpvg_ecu_pace_good ? 0U : LPVG_ECU_CAUSE_TIME;
     causes |= self.in_range ? 0U : LPVG_ECU_CAUSE_RANGE;
+    causes |= overridden(self.signals) ? LPVG_ECU_CAUSE_OVERRIDE : 0U;
+    causes |= wanted(self) ? 0U : LPVG_ECU_CAUSE_PERMISSION;
+    causes |= self.actuator_failed ? LPVG_ECU_CAUSE_ACTUATOR : 0U;
     causes |= judged ? 0U : LPVG_ECU_CAUSE_UNJUDGED;
     causes |= verdict == lpvg_verdict_invalid ? LPVG_ECU_CAUSE_INVALID : 0U;
     causes |= self.plausibility.flags != 0U ? LPVG_ECU_CAUSE_IMPLAUSIBLE : 0U;
@@ -187,7 +228,10 @@ void note_release(lpvg_ecu_t& self, uint32_t causes) {
         self.releases = static_cast<uint8_t>(recent ? self.releases + 1U : 1U);
         self.released_us = self.core_us;
     }
-    self.locked = self.locked || (causes & LPVG_ECU_CAUSES_LATCHING) != 0U || self.releases > LPVG_ECU_RELEASES_MAX;
+    if ((causes & LPVG_ECU_CAUSES_LATCHING) != 0U || self.releases > LPVG_ECU_RELEASES_MAX) {
+        self.locked = true;
+        self.lock_causes = static_cast<uint16_t>(causes);
+    }
 }
 
 // Whether this step is engaged.
@@ -197,7 +241,7 @@ bool allowed(lpvg_ecu_t& self, bool live) {
     if (releasing != 0U && self.permitted) {
         note_release(self, releasing);
     }
-    if ((releasing & ~LPVG_ECU_CAUSE_NOT_ASKED) != 0U && self.was_engaged) {
+    if ((releasing & ~(LPVG_ECU_CAUSE_NOT_ASKED | LPVG_ECU_CAUSE_PERMISSION)) != 0U && self.was_engaged) {
         self.caused_us = self.core_us;
     }
     const bool wait = self.core_us - self.caused_us < LPVG_ECU_WAIT_US;
@@ -253,7 +297,8 @@ void run_monitor(lpvg_ecu_t& self, bool live) {
 extern "C" lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t* coeff, const lpvg_control_coeff_t* control,
                                        const lpvg_ecu_config_t* config, int64_t now_us) {
     if (self == nullptr || config == nullptr || now_us < 0 || now_us > INT64_MAX / 2 ||
-        (config->report_only & ~LPVG_ECU_CAUSES_OPTIONAL) != 0U || !limits_good(config->plausibility)) {
+        (config->report_only & ~LPVG_ECU_CAUSES_OPTIONAL) != 0U || config->priority > priority_max || !limits_good(config->plausibility) ||
+        !actuator_limits_good(config->actuator)) {
         return lpvg_status_bad_argument;
     }
     lpvg_status_t status = lpvg_coeff_check(coeff);
@@ -279,6 +324,8 @@ extern "C" lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t* coe
         y = static_cast<lpvg_real_t>(NAN);
     }
     self->signals.yaw_rate = self->signals.lateral = self->signals.wheel_difference = NAN;
+    self->signals.brake_pedal = self->signals.abs_active = self->signals.measured = NAN;
+    self->signals.request = self->signals.other_priority = NAN;
     // The arguments of these three have been checked above or are generated.
     status = lpvg_monitor_init(&self->monitor, coeff);
     if (status == lpvg_status_ok) {
@@ -331,13 +378,17 @@ extern "C" lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const l
 
     if (live) {
         judge_speed(*self);
+        judge_actuator(*self);
         // The limits have been checked by init.
         (void)!lpvg_can_plausibility(&self->plausibility, &self->config.plausibility, self->signals.yaw_rate, self->signals.lateral,
                                      static_cast<float>(self->signals.speed), self->signals.wheel_difference);
     }
+    take_request(*self);
     run_controller(*self, live, step);
     run_monitor(*self, live);
     self->report.demand = static_cast<float>(self->control.u[0]);
+    const lpvg_ecu_engagement_t released = self->locked ? lpvg_ecu_locked : lpvg_ecu_released;
+    self->report.engagement = static_cast<uint8_t>(self->control.engaged ? lpvg_ecu_engaged : released);
     self->report.supervision = static_cast<uint8_t>(self->refused ? lpvg_can_state_off : supervision);
 
     const lpvg_ecu_fault_t before = self->fault;

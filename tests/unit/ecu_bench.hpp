@@ -15,10 +15,10 @@
 
 constexpr int64_t tick_us = 10'000;
 
-const lpvg_ecu_config_t bench_config = {true, 0U, {2.07F, 5.0F, 1.5F, 0.15F, 100U}};
+const lpvg_ecu_config_t bench_config = {true, 0U, 0U, {2.07F, 5.0F, 1.5F, 0.15F, 100U}, {0.14F, 1.0F, 30U}};
 
 struct BenchReport {
-    float demand = NAN, statistic = NAN, verdict = NAN, supervision = NAN;
+    float demand = NAN, statistic = NAN, verdict = NAN, supervision = NAN, engagement = NAN;
 };
 
 class Bench {
@@ -88,7 +88,9 @@ public:
     int64_t now_us = 0, next_frame_us = 0;  // true time of the newest step, and of the next frames
     int64_t clock_off_us = 0;               // the steps' clock less true time
     float speed = 12.0F, yaw_rate = 0.0F, lateral = 0.0F, command = 0.05F;
-    bool send_vdc2 = true, send_guard_in = true, send_ebc2 = true, spoil_guard_in = false;
+    float pressure = 0.0F, pedal_percent = 0.0F;
+    uint8_t early_request = LPVG_BUS_REQUEST_RELEASE, request = LPVG_BUS_REQUEST_CONTROL, other_priority = 0U, abs_active = 0U;
+    bool send_vdc2 = true, send_guard_in = true, send_ebc2 = true, send_ebc1 = true, spoil_guard_in = false, brakes_work = true;
     BenchReport report;
     int reports = 0, dm1s = 0;
     uint32_t spn = 0;
@@ -109,7 +111,11 @@ private:
             in.push_back(frame);
         }
         lpvg_can_guard_in_t guard{};
-        guard.dp_measured = lpvg_can_guard_in_dp_measured_encode(0.0F);
+        // The brakes: what was demanded a period ago, through a lag of 0.14 s.
+        pressure += brakes_work ? (static_cast<float>(ecu.control.u[0]) - pressure) * 0.01F / 0.15F : 0.0F;
+        guard.dp_measured = lpvg_can_guard_in_dp_measured_encode(pressure);
+        guard.control_request = t_us < 200'000 ? early_request : request;
+        guard.other_priority = other_priority;
         guard.yaw_rate_command = lpvg_can_guard_in_yaw_rate_command_encode(command);
         REQUIRE(lpvg_can_guard_in_pack(&guard, &frame) == lpvg_status_ok);
         REQUIRE(lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &counter_) == lpvg_status_ok);
@@ -123,6 +129,13 @@ private:
             ebc2.front_axle_speed = lpvg_can_ebc2_front_axle_speed_encode(speed * 3.6F);
             REQUIRE(lpvg_can_ebc2_pack(&ebc2, &frame) == lpvg_status_ok);
             if (send_ebc2) {
+                in.push_back(frame);
+            }
+            lpvg_can_ebc1_t ebc1{};
+            ebc1.abs_active = abs_active;
+            ebc1.brake_pedal_position = lpvg_can_ebc1_brake_pedal_position_encode(pedal_percent);
+            REQUIRE(lpvg_can_ebc1_pack(&ebc1, &frame) == lpvg_status_ok);
+            if (send_ebc1) {
                 in.push_back(frame);
             }
         }
@@ -149,6 +162,9 @@ private:
             lpvg_can_guard_out_monitor_margin_decode(message.monitor_margin, &report.statistic);
             lpvg_can_guard_out_monitor_verdict_decode(message.monitor_verdict, &report.verdict);
             lpvg_can_guard_out_supervision_state_decode(message.supervision_state, &report.supervision);
+            lpvg_can_guard_out_engagement_decode(message.engagement, &report.engagement);
+            CHECK(report.engagement ==
+                  static_cast<float>(engaged() ? lpvg_ecu_engaged : (ecu.locked ? lpvg_ecu_locked : lpvg_ecu_released)));
         }
     }
 

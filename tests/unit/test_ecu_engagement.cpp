@@ -104,6 +104,7 @@ TEST_CASE("a falsified model and contradicting sensors lock until they are ackno
     bench.run(2);
     CHECK(has(bench, cause));
     CHECK(has(bench, LPVG_ECU_CAUSE_LOCKED));
+    CHECK((bench.ecu.lock_causes & cause) != 0U);
     CHECK_FALSE(bench.engaged());
     CHECK_FALSE(lpvg_ecu_acknowledge(&bench.ecu));
     bench.ecu.monitor.has_falsified = false;
@@ -148,6 +149,7 @@ TEST_CASE("messages lost for 60 ms of every 200 lock within the fourth release",
     }
     CHECK(engagements == static_cast<int>(LPVG_ECU_RELEASES_MAX));
     CHECK(bench.ecu.locked);
+    CHECK(bench.ecu.lock_causes == LPVG_ECU_CAUSE_MESSAGE);
     bench.send_vdc2 = true;
     CHECK(lpvg_ecu_acknowledge(&bench.ecu));
     bench.run(LPVG_CAN_RECOVER_FRAMES + wait_steps + 2);

@@ -29,6 +29,7 @@
 #ifndef LPVGUARD_CAN_H
 #define LPVGUARD_CAN_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -198,6 +199,11 @@ typedef struct lpvg_can_plausibility_t {
 LPVG_NODISCARD lpvg_status_t lpvg_can_plausibility(lpvg_can_plausibility_t* self, const lpvg_can_plausibility_limits_t* limits,
                                                    float yaw_rate, float lateral, float speed, float wheel_difference);
 
+/// One sample of a check that takes more than one: `*score` counts violations minus agreements, 0 .. confirm. Returns whether the
+/// check has failed: from the score `confirm` on, and until it is back at 0 while `failed`, what the call before returned.
+/// False for NULL.
+bool lpvg_can_confirm(uint16_t* score, bool failed, bool violation, uint16_t confirm);
+
 /// A J1939 trouble code.
 typedef struct lpvg_can_dtc_t {
     uint32_t spn;         ///< Suspect parameter number                 0 .. 0x7FFFF
@@ -211,6 +217,7 @@ typedef struct lpvg_can_dtc_t {
 #define LPVG_CAN_LAMP_MIL 0x40u
 
 #define LPVG_CAN_FMI_ERRATIC 2u  ///< Failure mode identifiers (J1939-73): data erratic.
+#define LPVG_CAN_FMI_RESPONSE 7u  ///< Mechanical system not responding.
 #define LPVG_CAN_FMI_FREQUENCY 8u  ///< Abnormal frequency.
 #define LPVG_CAN_FMI_UPDATE_RATE 9u  ///< Abnormal update rate.
 #define LPVG_CAN_FMI_RATE_OF_CHANGE 10u  ///< Abnormal rate of change.

@@ -22,6 +22,11 @@
 /// LPVG_ECU_SPEED_HYSTERESIS_MPS within the ends of the controller's range. What "no excitation" means for the monitor, verdict
 /// not_judged, permits engagement. Outside the range a valid verdict is reported as not_judged: it is about other speeds.
 ///
+/// Permission: the vehicle asks for control by its message (bus.h). Control counts after any other request has been seen since init.
+/// While another command on the actuator has a higher priority than `priority`, while the brake pedal is beyond
+/// LPVG_ECU_PEDAL_PERCENT, and while ABS acts, nothing is engaged. The request to acknowledge acts as lpvg_ecu_acknowledge where it
+/// begins. The actuator is checked against the demand through a lag: LPVG_ECU_CAUSE_ACTUATOR.
+///
 /// Time: a step is taken half to one and a half sample periods after the newest one. Sooner it is refused. Up to LPVG_ECU_JUMP_US later
 /// it is taken as a gap. Anything else is a jump of the clock: refused, until LPVG_ECU_RESYNC_CALLS refused calls have followed
 /// each other by half to one and a half periods. The last of them is taken as a gap of LPVG_ECU_JUMP_US. A gap releases. The demand is
@@ -44,11 +49,11 @@
 
 LPVG_EXTERN_C_BEGIN
 
-#define LPVG_ECU_FRAMES_OUT 2U        ///< Most frames that one step returns.
-#define LPVG_ECU_JUMP_US 1000000U     ///< Longest gap that is taken at once                          [us]
-#define LPVG_ECU_RESYNC_CALLS 3U      ///< Refused calls in step with each other that end a jump.
-#define LPVG_ECU_WINDOW_US 1000000U   ///< The mean sample period is measured over this time          [us]
-#define LPVG_ECU_PERIOD_PERCENT 2U    ///< Allowed deviation of the mean sample period                [%]
+#define LPVG_ECU_FRAMES_OUT 2U  ///< Most frames that one step returns.
+#define LPVG_ECU_JUMP_US 1000000U  ///< Longest gap that is taken at once                          [us]
+#define LPVG_ECU_RESYNC_CALLS 3U  ///< Refused calls in step with each other that end a jump.
+#define LPVG_ECU_WINDOW_US 1000000U  ///< The mean sample period is measured over this time          [us]
+#define LPVG_ECU_PERIOD_PERCENT 2U  ///< Allowed deviation of the mean sample period                [%]
 
 #define lpvg_ecu_config_t LPVG_SYM(ecu_config_t)
 #define lpvg_ecu_t LPVG_SYM(ecu_t)
@@ -59,45 +64,67 @@ LPVG_EXTERN_C_BEGIN
 #define lpvg_ecu_acknowledge LPVG_SYM(ecu_acknowledge)
 
 #define LPVG_ECU_SPEED_HYSTERESIS_MPS 0.25F  ///< Within the range by so much, the speed is in range again [m/s]
-#define LPVG_ECU_WAIT_US 500000U             ///< From the end of a cause to engagement                    [us]
-#define LPVG_ECU_RELEASES_MAX 3U             ///< Releases by faults after which the next one locks.
-#define LPVG_ECU_RELEASES_US 60000000U       ///< Time without one that forgets them                       [us]
+#define LPVG_ECU_WAIT_US 500000U  ///< From the end of a cause to engagement                    [us]
+#define LPVG_ECU_RELEASES_MAX 3U  ///< Releases by faults after which the next one locks.
+#define LPVG_ECU_RELEASES_US 60000000U  ///< Time without one that forgets them                       [us]
 
-#define LPVG_ECU_CAUSE_NOT_ASKED 0x0001U    ///< Nobody asks for engagement.
-#define LPVG_ECU_CAUSE_MESSAGE 0x0002U      ///< A needed message is not live.
-#define LPVG_ECU_CAUSE_REFUSED 0x0004U      ///< The controller or the monitor refused its sample of the newest step.
-#define LPVG_ECU_CAUSE_TIME 0x0008U         ///< The sample period is not measured yet, or is another one.
-#define LPVG_ECU_CAUSE_RANGE 0x0010U        ///< The speed is outside the controller's scheduling range.
-#define LPVG_ECU_CAUSE_UNJUDGED 0x0020U     ///< The newest verdict is unknown, stale or fault.
-#define LPVG_ECU_CAUSE_INVALID 0x0040U      ///< The newest verdict is invalid.
+#define LPVG_ECU_CAUSE_NOT_ASKED 0x0001U  ///< Nobody asks for engagement.
+#define LPVG_ECU_CAUSE_MESSAGE 0x0002U  ///< A needed message is not live.
+#define LPVG_ECU_CAUSE_REFUSED 0x0004U  ///< The controller or the monitor refused its sample of the newest step.
+#define LPVG_ECU_CAUSE_TIME 0x0008U  ///< The sample period is not measured yet, or is another one.
+#define LPVG_ECU_CAUSE_RANGE 0x0010U  ///< The speed is outside the controller's scheduling range.
+#define LPVG_ECU_CAUSE_UNJUDGED 0x0020U  ///< The newest verdict is unknown, stale or fault.
+#define LPVG_ECU_CAUSE_INVALID 0x0040U  ///< The newest verdict is invalid.
 #define LPVG_ECU_CAUSE_IMPLAUSIBLE 0x0080U  ///< Sensors contradict each other.
-#define LPVG_ECU_CAUSE_WAIT 0x0100U         ///< The other causes have gone less than LPVG_ECU_WAIT_US ago.
-#define LPVG_ECU_CAUSE_LOCKED 0x0200U       ///< Waiting for lpvg_ecu_acknowledge.
+#define LPVG_ECU_CAUSE_OVERRIDE 0x0400U  ///< The driver brakes, or ABS acts.
+#define LPVG_ECU_CAUSE_PERMISSION 0x0800U  ///< The vehicle does not ask for control, or another command goes first.
+#define LPVG_ECU_CAUSE_ACTUATOR 0x1000U  ///< The actuator does not do what is demanded.
+#define LPVG_ECU_CAUSE_WAIT 0x0100U  ///< The other causes have gone less than LPVG_ECU_WAIT_US ago.
+#define LPVG_ECU_CAUSE_LOCKED 0x0200U  ///< Waiting for lpvg_ecu_acknowledge.
 
 /// What `report_only` may name.
-#define LPVG_ECU_CAUSES_OPTIONAL (LPVG_ECU_CAUSE_UNJUDGED | LPVG_ECU_CAUSE_INVALID | LPVG_ECU_CAUSE_IMPLAUSIBLE)
+#define LPVG_ECU_CAUSES_OPTIONAL (LPVG_ECU_CAUSE_UNJUDGED | LPVG_ECU_CAUSE_INVALID | LPVG_ECU_CAUSE_IMPLAUSIBLE | LPVG_ECU_CAUSE_ACTUATOR)
 /// What locks when it ends an engagement.
-#define LPVG_ECU_CAUSES_LATCHING (LPVG_ECU_CAUSE_INVALID | LPVG_ECU_CAUSE_IMPLAUSIBLE)
+#define LPVG_ECU_CAUSES_LATCHING (LPVG_ECU_CAUSE_INVALID | LPVG_ECU_CAUSE_IMPLAUSIBLE | LPVG_ECU_CAUSE_ACTUATOR)
 /// Releases that are no fault and are not counted.
-#define LPVG_ECU_CAUSES_ORDINARY (LPVG_ECU_CAUSE_NOT_ASKED | LPVG_ECU_CAUSE_RANGE)
+#define LPVG_ECU_CAUSES_ORDINARY (LPVG_ECU_CAUSE_NOT_ASKED | LPVG_ECU_CAUSE_RANGE | LPVG_ECU_CAUSE_OVERRIDE | LPVG_ECU_CAUSE_PERMISSION)
+
+#define LPVG_ECU_PEDAL_PERCENT 2.0F  ///< The driver brakes beyond this pedal position                    [%]
+
+/// What the newest step says of itself on the bus.
+typedef enum lpvg_ecu_engagement_t {
+    lpvg_ecu_released = 0,
+    lpvg_ecu_engaged = 1,
+    lpvg_ecu_locked = 2  ///< Released, until it is acknowledged.
+} lpvg_ecu_engagement_t;
+
+/// Limits of the check of the actuator against the demand. All > 0.
+typedef struct lpvg_ecu_actuator_limits_t {
+    float lag_s;  ///< from demand to measured value, as a first-order lag                [s]
+    float tolerance;  ///< allowed |measured value - lagged demand|                            [input unit]
+    uint16_t confirm;  ///< samples by which violations must outnumber agreements
+} lpvg_ecu_actuator_limits_t;
 
 /// Zero is safe: not asked, and every cause releases.
 typedef struct lpvg_ecu_config_t {
-    bool engage;                                  ///< asked for engagement from the start
-    uint16_t report_only;                         ///< causes of LPVG_ECU_CAUSES_OPTIONAL that are reported and do not release
+    bool engage;  ///< asked for engagement from the start
+    uint16_t report_only;  ///< causes of LPVG_ECU_CAUSES_OPTIONAL that are reported and do not release
+    uint8_t priority;  ///< other_priority (bus.h) up to which control is permitted, 0 .. 3
     lpvg_can_plausibility_limits_t plausibility;  ///< limits of the cross-checks
+    lpvg_ecu_actuator_limits_t actuator;  ///< limits of the check of the actuator
 } lpvg_ecu_config_t;
 
-/// Findings that DM1 tells. Of those that are active it sends the gravest: refused, time, message, invalid, implausible,
-/// locked.
+/// Findings that DM1 tells. Of those that are active it sends the gravest: refused, time, message, invalid, actuator,
+/// implausible, locked.
 typedef enum lpvg_ecu_fault_t {
     lpvg_ecu_fault_none = 0,
-    lpvg_ecu_fault_refused = 1,      ///< Speed or a measurement was refused, or the controller's numbers broke down.
-    lpvg_ecu_fault_message = 2,      ///< A needed message is not live.
-    lpvg_ecu_fault_invalid = 3,      ///< The model is falsified.
+    lpvg_ecu_fault_refused = 1,  ///< Speed or a measurement was refused, or the controller's numbers broke down.
+    lpvg_ecu_fault_message = 2,  ///< A needed message is not live.
+    lpvg_ecu_fault_invalid = 3,  ///< The model is falsified.
     lpvg_ecu_fault_implausible = 4,  ///< Sensors contradict each other.
-    lpvg_ecu_fault_time = 5,         ///< The mean sample period is not the exported one.
-    lpvg_ecu_fault_locked = 6        ///< The loop waits for an acknowledgement.
+    lpvg_ecu_fault_time = 5,  ///< The mean sample period is not the exported one.
+    lpvg_ecu_fault_locked = 6,  ///< The loop waits for an acknowledgement.
+    lpvg_ecu_fault_actuator = 7  ///< The actuator does not do what is demanded.
 } lpvg_ecu_fault_t;
 
 #define LPVG_ECU_SPN_REFUSED 520200U  ///< Trouble codes without a standard number (J1939-73 leaves these to makers).
@@ -105,25 +132,26 @@ typedef enum lpvg_ecu_fault_t {
 #define LPVG_ECU_SPN_IMPLAUSIBLE 520202U
 #define LPVG_ECU_SPN_TIME 520203U
 #define LPVG_ECU_SPN_LOCKED 520204U
+#define LPVG_ECU_SPN_ACTUATOR 520205U
 
 /// What is known of the sample period.
 typedef enum lpvg_ecu_pace_t {
     lpvg_ecu_pace_unknown = 0,  ///< Not measured since init or the newest gap.
-    lpvg_ecu_pace_good = 1,     ///< The exported one.
-    lpvg_ecu_pace_bad = 2       ///< Another one.
+    lpvg_ecu_pace_good = 1,  ///< The exported one.
+    lpvg_ecu_pace_bad = 2  ///< Another one.
 } lpvg_ecu_pace_t;
 
 /// The clock of the steps.
 typedef struct lpvg_ecu_clock_t {
-    int64_t jump_us;       ///< newest refused call                                         [us]
-    int64_t half_us;       ///< core_us when the current half window began                  [us]
-    uint32_t before_us;    ///< length of the half window before; 0: none                   [us]
-    uint32_t steps;        ///< in the current half window
-    uint32_t refused;      ///< calls refused for their time, saturating
-    uint32_t gaps;         ///< gaps and jumps taken, saturating
-    uint8_t in_step;       ///< refused calls that followed each other in step
-    uint8_t pace;          ///< lpvg_ecu_pace_t
-    bool started;          ///< a step has been taken
+    int64_t jump_us;  ///< newest refused call                                         [us]
+    int64_t half_us;  ///< core_us when the current half window began                  [us]
+    uint32_t before_us;  ///< length of the half window before; 0: none                   [us]
+    uint32_t steps;  ///< in the current half window
+    uint32_t refused;  ///< calls refused for their time, saturating
+    uint32_t gaps;  ///< gaps and jumps taken, saturating
+    uint8_t in_step;  ///< refused calls that followed each other in step
+    uint8_t pace;  ///< lpvg_ecu_pace_t
+    bool started;  ///< a step has been taken
 } lpvg_ecu_clock_t;
 
 typedef struct lpvg_ecu_t {
@@ -131,32 +159,38 @@ typedef struct lpvg_ecu_t {
     lpvg_can_supervisor_t supervisor;
     lpvg_can_plausibility_t plausibility;
     lpvg_bus_signals_t signals;
+    float expected;  ///< demand through the actuator's lag                           [input unit]
+    uint16_t deviations;  ///< score of the check of the actuator
+    bool actuator_failed;
     lpvg_control_t control;
     lpvg_monitor_t monitor;
-    lpvg_bus_report_t report;          ///< as sent by the newest step
-    lpvg_ecu_fault_t fault;            ///< gravest active
+    lpvg_bus_report_t report;  ///< as sent by the newest step
+    lpvg_ecu_fault_t fault;  ///< gravest active
     uint32_t period_us;
-    int64_t now_us;                    ///< of the newest step, the caller's clock; init's before the first [us]
-    int64_t core_us;                   ///< of the newest step, the ECU's own time                      [us]
+    int64_t now_us;  ///< of the newest step, the caller's clock; init's before the first [us]
+    int64_t core_us;  ///< of the newest step, the ECU's own time                      [us]
     lpvg_ecu_clock_t clock;
-    int64_t dm1_us;                    ///< core_us when DM1 was sent                                   [us]
-    int64_t caused_us;                 ///< core_us when waiting began, the newest time             [us]
-    int64_t released_us;               ///< core_us of the newest release by a fault                    [us]
-    uint16_t causes;                   ///< LPVG_ECU_CAUSE_* of the newest step, report_only ones included
-    uint8_t releases;                  ///< by faults, as LPVG_ECU_RELEASES_MAX counts them
-    bool in_range;                     ///< the speed, with hysteresis
-    bool locked;                       ///< until acknowledged
-    bool permitted;                    ///< no cause released the newest step
-    bool was_engaged;                  ///< since init
-    bool engage;                       ///< asked for
-    bool refused;                      ///< speed or a measurement of the newest step was refused: the next is not engaged
-    bool seen_live;                    ///< supervision has been live since init
-    uint8_t counter;                   ///< of the report message's protection
-    uint8_t occurrence;                ///< times a trouble code became active, 126 at most
+    int64_t dm1_us;  ///< core_us when DM1 was sent                                   [us]
+    int64_t caused_us;  ///< core_us when waiting began, the newest time             [us]
+    int64_t released_us;  ///< core_us of the newest release by a fault                    [us]
+    uint16_t causes;  ///< LPVG_ECU_CAUSE_* of the newest step, report_only ones included
+    uint16_t lock_causes;  ///< what locked, 0 where nothing has since init
+    uint8_t releases;  ///< by faults, as LPVG_ECU_RELEASES_MAX counts them
+    bool in_range;  ///< the speed, with hysteresis
+    bool locked;  ///< until acknowledged
+    bool standby;  ///< a request other than control has been seen since init
+    bool acknowledging;  ///< the newest request was to acknowledge
+    bool permitted;  ///< no cause released the newest step
+    bool was_engaged;  ///< since init
+    bool engage;  ///< asked for
+    bool refused;  ///< speed or a measurement of the newest step was refused: the next is not engaged
+    bool seen_live;  ///< supervision has been live since init
+    uint8_t counter;  ///< of the report message's protection
+    uint8_t occurrence;  ///< times a trouble code became active, 126 at most
 } lpvg_ecu_t;
 
 /// Makes *self ready at time now_us, 0 .. INT64_MAX / 2. Coefficients stay referenced and must outlive it.
-/// Returns bad_argument (NULL, now_us outside, report_only with another bit, a plausibility limit outside its range).
+/// Returns bad_argument (NULL, now_us outside, report_only with another bit, a priority or limit outside its range).
 /// Returns what lpvg_coeff_check or lpvg_control_coeff_check say, or bad_value when the two sample periods differ or are above a
 /// quarter of LPVG_ECU_WINDOW_US.
 /// *self is untouched unless ok is returned.

@@ -30,7 +30,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ..can.bus import REFERENCE
+from ..can.bus import OVERRIDE, REFERENCE
 from ..can.catalogue import BusSignal, Message, load_catalogue
 from ..can.codegen import ANY_PRIORITY, GAP_FRACTION
 from ..can.logs import EXTENDED, Frames
@@ -45,10 +45,10 @@ SCORE_OFF, RECOVER_FRAMES, COUNTER_STEP = 5, 5, 5
 
 
 def needed_messages(project: Project) -> list[Message]:
-    """The messages without which the ECU of a vehicle cannot work: those that carry speed, outputs and the
-    command."""
+    """The messages without which the ECU of a vehicle cannot work: those that carry speed, outputs, the
+    command, and what the driver's brakes do."""
     catalogue = load_catalogue()
-    places = [project.speed.can, REFERENCE, *(s.can for s in project.outputs)]
+    places = [project.speed.can, REFERENCE, OVERRIDE, *(s.can for s in project.outputs)]
     return [catalogue.message(name) for name in sorted({p.message for p in places if p is not None})]
 
 
