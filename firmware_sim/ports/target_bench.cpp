@@ -247,7 +247,7 @@ std::size_t bus_frames(std::size_t k, lpvg_can_frame_t* frames, uint8_t* counter
     lpvg_can_guard_in_t guard{};
     guard.dp_measured = lpvg_can_guard_in_dp_measured_encode(sample.u[0]);
     guard.yaw_rate_command = lpvg_can_guard_in_yaw_rate_command_encode(sample.y[0]);
-    guard.control_request = k == 0U ? LPVG_BUS_REQUEST_RELEASE : LPVG_BUS_REQUEST_CONTROL;
+    guard.control_request = k < 20U ? LPVG_BUS_REQUEST_RELEASE : LPVG_BUS_REQUEST_CONTROL;
     guard.other_priority = 0U;
     packed = packed && lpvg_can_guard_in_pack(&guard, &frames[n]) == lpvg_status_ok &&
              lpvg_can_e2e_protect(&frames[n++], LPVG_CAN_GUARD_IN_E2E_DATA_ID, counter) == lpvg_status_ok;

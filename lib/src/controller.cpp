@@ -32,9 +32,11 @@ struct Place {
 Place place(const lpvg_control_reals_t& r, Real speed) {
     const Real inside = speed < r.speed_min ? r.speed_min : (speed > r.speed_max ? r.speed_max : speed);
     const Real position = (inside - r.speed_min) / (r.speed_max - r.speed_min) * Real(LPVG_NG - 1);
-    auto node = static_cast<std::size_t>(position);
+    // Damaged coefficients make any number of it.
+    const Real bounded = position > Real(0) ? (position < Real(LPVG_NG - 1) ? position : Real(LPVG_NG - 1)) : Real(0);
+    auto node = static_cast<std::size_t>(bounded);
     node = node < LPVG_NG - 1U ? node : LPVG_NG - 2U;
-    return {node, position - static_cast<Real>(node)};
+    return {node, bounded - static_cast<Real>(node)};
 }
 
 // Largest |demand i| at a place between the nodes.

@@ -23,8 +23,21 @@ struct BenchReport {
 
 class Bench {
 public:
-    explicit Bench(const lpvg_ecu_config_t& with = bench_config) {
-        REQUIRE(lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &with, 0) == lpvg_status_ok);
+    explicit Bench(const lpvg_ecu_config_t& with = bench_config, const lpvg_coeff_t& coeff = lpvg_coeff,
+                   const lpvg_control_coeff_t& control = lpvg_control_coeff) {
+        REQUIRE(lpvg_ecu_init(&ecu, &coeff, &control, &with, 0) == lpvg_status_ok);
+    }
+
+    // Writes what is kept as the ECU does, its second copy included.
+    void lock() {
+        ecu.kept.locked = true;
+        uint32_t words[sizeof ecu.inverted / sizeof(uint32_t)];
+        std::memcpy(words, &ecu.kept, sizeof words);
+        ecu.sum = 0U;
+        for (std::size_t i = 0; i < sizeof words / sizeof words[0]; ++i) {
+            ecu.inverted[i] = ~words[i];
+            ecu.sum += words[i];
+        }
     }
 
     // One step a sample period after the newest one; it must be taken. A test may spoil its frames through the members below.
@@ -164,7 +177,7 @@ private:
             lpvg_can_guard_out_supervision_state_decode(message.supervision_state, &report.supervision);
             lpvg_can_guard_out_engagement_decode(message.engagement, &report.engagement);
             CHECK(report.engagement ==
-                  static_cast<float>(engaged() ? lpvg_ecu_engaged : (ecu.locked ? lpvg_ecu_locked : lpvg_ecu_released)));
+                  static_cast<float>(engaged() ? lpvg_ecu_engaged : (ecu.kept.locked ? lpvg_ecu_locked : lpvg_ecu_released)));
         }
     }
 

@@ -59,7 +59,7 @@ TEST_CASE("at every speed outside the scheduling range the loop is released, wit
     bench.run(10);
     CHECK(wrong == 0U);
     CHECK(has(bench, LPVG_ECU_CAUSE_RANGE));
-    CHECK_FALSE(bench.ecu.locked);
+    CHECK_FALSE(bench.ecu.kept.locked);
     CHECK(bench.ecu.releases == 0U);
     bench.ecu.monitor.has_evidence = false;
     drive_to(bench, edge + (low ? 0.8F : -0.8F) * hysteresis);
@@ -148,7 +148,7 @@ TEST_CASE("messages lost for 60 ms of every 200 lock within the fourth release",
         before = bench.engaged();
     }
     CHECK(engagements == static_cast<int>(LPVG_ECU_RELEASES_MAX));
-    CHECK(bench.ecu.locked);
+    CHECK(bench.ecu.kept.locked);
     CHECK(bench.ecu.lock_causes == LPVG_ECU_CAUSE_MESSAGE);
     bench.send_vdc2 = true;
     CHECK(lpvg_ecu_acknowledge(&bench.ecu));
@@ -170,7 +170,7 @@ TEST_CASE("a minute without a release by a fault forgets those before", "[unit][
     }
     CHECK(bench.ecu.releases == (in_time ? 1U : LPVG_ECU_RELEASES_MAX + 1U));
     CHECK(bench.engaged() == in_time);
-    CHECK(bench.ecu.locked != in_time);
+    CHECK(bench.ecu.kept.locked != in_time);
 }
 
 TEST_CASE("asking and the speed's range release without being counted", "[unit][ecu][REQ-ECU-12]") {

@@ -89,16 +89,16 @@ TEST_CASE("nothing is engaged unless the vehicle asks for control, after it has 
 
 TEST_CASE("the request to acknowledge ends a lock where it begins", "[unit][ecu][REQ-ECU-12][REQ-ECU-13]") {
     Bench bench = engaged_bench();
-    bench.ecu.locked = true;
+    bench.lock();
     bench.run(1);
     CHECK_FALSE(bench.engaged());
     bench.request = LPVG_BUS_REQUEST_ACKNOWLEDGE;
     bench.run(1);
-    CHECK_FALSE(bench.ecu.locked);
+    CHECK_FALSE(bench.ecu.kept.locked);
     CHECK_FALSE(bench.engaged());
-    bench.ecu.locked = true;  // the same request is no second one
+    bench.lock();  // the same request is no second one
     bench.run(3);
-    CHECK(bench.ecu.locked);
+    CHECK(bench.ecu.kept.locked);
     bench.request = LPVG_BUS_REQUEST_CONTROL;
     bench.run(1);
     CHECK_FALSE(bench.engaged());
@@ -125,7 +125,7 @@ TEST_CASE("brakes that do not do what is demanded release and lock, unless it is
     bench.run(1);
     CHECK(has(bench, LPVG_ECU_CAUSE_ACTUATOR));
     CHECK(bench.engaged() == only_reported);
-    CHECK(bench.ecu.locked != only_reported);
+    CHECK(bench.ecu.kept.locked != only_reported);
     bench.run(101);
     CHECK(bench.spn == (only_reported ? LPVG_ECU_SPN_ACTUATOR : bench.spn));
     if (only_reported) {

@@ -221,6 +221,7 @@ typedef struct lpvg_can_dtc_t {
 #define LPVG_CAN_FMI_FREQUENCY 8u  ///< Abnormal frequency.
 #define LPVG_CAN_FMI_UPDATE_RATE 9u  ///< Abnormal update rate.
 #define LPVG_CAN_FMI_RATE_OF_CHANGE 10u  ///< Abnormal rate of change.
+#define LPVG_CAN_FMI_BAD_DEVICE 12u  ///< Bad intelligent device or component.
 #define LPVG_CAN_FMI_NETWORK 19u  ///< Received network data in error.
 #define LPVG_CAN_FMI_CONDITION 31u  ///< Condition exists.
 

@@ -33,6 +33,12 @@
 /// engaged while the mean period over the newest second, half a second after a gap, is the exported one to LPVG_ECU_PERIOD_PERCENT.
 /// Monitor and supervision live on the ECU's own time `core_us`. It is the caller's clock up to the first jump, and never jumps.
 ///
+/// Integrity: what the reactions need is kept twice, once with every bit inverted, and compared in every step. The coefficients' CRCs run
+/// through in turn, a few words a step, at most LPVG_ECU_ROUND_US a round: damage is found within two. The demand that leaves a step is
+/// within the kept limits, whatever the controller made of it. Anything found sets LPVG_ECU_CAUSE_CORRUPT until the next init: verdict
+/// fault, neither controller nor monitor runs, and the demand goes to zero by the kept rate, at once where no copy of the kept values has
+/// their sum. The monitor checks its own state in turn.
+///
 /// Use:     init once -> step every sample period with all frames received since the last step, in order of arrival ->
 ///          send what it returns. Ask for engagement with the configuration or lpvg_ecu_engage.
 /// Cost:    constant apart from n_in times lpvg_can_receive; one controller step, one monitor push.
@@ -58,6 +64,7 @@ LPVG_EXTERN_C_BEGIN
 #define lpvg_ecu_config_t LPVG_SYM(ecu_config_t)
 #define lpvg_ecu_t LPVG_SYM(ecu_t)
 #define lpvg_ecu_clock_t LPVG_SYM(ecu_clock_t)
+#define lpvg_ecu_kept_t LPVG_SYM(ecu_kept_t)
 #define lpvg_ecu_init LPVG_SYM(ecu_init)
 #define lpvg_ecu_engage LPVG_SYM(ecu_engage)
 #define lpvg_ecu_step LPVG_SYM(ecu_step)
@@ -79,6 +86,7 @@ LPVG_EXTERN_C_BEGIN
 #define LPVG_ECU_CAUSE_OVERRIDE 0x0400U  ///< The driver brakes, or ABS acts.
 #define LPVG_ECU_CAUSE_PERMISSION 0x0800U  ///< The vehicle does not ask for control, or another command goes first.
 #define LPVG_ECU_CAUSE_ACTUATOR 0x1000U  ///< The actuator does not do what is demanded.
+#define LPVG_ECU_CAUSE_CORRUPT 0x2000U  ///< Coefficients, kept values or state are damaged; until init.
 #define LPVG_ECU_CAUSE_WAIT 0x0100U  ///< The other causes have gone less than LPVG_ECU_WAIT_US ago.
 #define LPVG_ECU_CAUSE_LOCKED 0x0200U  ///< Waiting for lpvg_ecu_acknowledge.
 
@@ -89,6 +97,7 @@ LPVG_EXTERN_C_BEGIN
 /// Releases that are no fault and are not counted.
 #define LPVG_ECU_CAUSES_ORDINARY (LPVG_ECU_CAUSE_NOT_ASKED | LPVG_ECU_CAUSE_RANGE | LPVG_ECU_CAUSE_OVERRIDE | LPVG_ECU_CAUSE_PERMISSION)
 
+#define LPVG_ECU_ROUND_US 5000000U  ///< Longest round of the coefficients; damage is found within two       [us]
 #define LPVG_ECU_PEDAL_PERCENT 2.0F  ///< The driver brakes beyond this pedal position                    [%]
 
 /// What the newest step says of itself on the bus.
@@ -114,7 +123,7 @@ typedef struct lpvg_ecu_config_t {
     lpvg_ecu_actuator_limits_t actuator;  ///< limits of the check of the actuator
 } lpvg_ecu_config_t;
 
-/// Findings that DM1 tells. Of those that are active it sends the gravest: refused, time, message, invalid, actuator,
+/// Findings that DM1 tells. Of those that are active it sends the gravest: corrupt, refused, time, message, invalid, actuator,
 /// implausible, locked.
 typedef enum lpvg_ecu_fault_t {
     lpvg_ecu_fault_none = 0,
@@ -124,7 +133,8 @@ typedef enum lpvg_ecu_fault_t {
     lpvg_ecu_fault_implausible = 4,  ///< Sensors contradict each other.
     lpvg_ecu_fault_time = 5,  ///< The mean sample period is not the exported one.
     lpvg_ecu_fault_locked = 6,  ///< The loop waits for an acknowledgement.
-    lpvg_ecu_fault_actuator = 7  ///< The actuator does not do what is demanded.
+    lpvg_ecu_fault_actuator = 7,  ///< The actuator does not do what is demanded.
+    lpvg_ecu_fault_corrupt = 8  ///< Coefficients, kept values or state are damaged.
 } lpvg_ecu_fault_t;
 
 #define LPVG_ECU_SPN_REFUSED 520200U  ///< Trouble codes without a standard number (J1939-73 leaves these to makers).
@@ -133,6 +143,7 @@ typedef enum lpvg_ecu_fault_t {
 #define LPVG_ECU_SPN_TIME 520203U
 #define LPVG_ECU_SPN_LOCKED 520204U
 #define LPVG_ECU_SPN_ACTUATOR 520205U
+#define LPVG_ECU_SPN_CORRUPT 520206U
 
 /// What is known of the sample period.
 typedef enum lpvg_ecu_pace_t {
@@ -154,8 +165,30 @@ typedef struct lpvg_ecu_clock_t {
     bool started;  ///< a step has been taken
 } lpvg_ecu_clock_t;
 
-typedef struct lpvg_ecu_t {
+/// What the reactions need, kept twice.
+typedef struct lpvg_ecu_kept_t {
+    const lpvg_coeff_t* coeff;
+    const lpvg_control_coeff_t* control;
     lpvg_ecu_config_t config;
+    lpvg_real_t u_max;  ///< largest of all nodes                                       [input unit]
+    lpvg_real_t rate_max;  ///<                                                            [input unit/s]
+    lpvg_real_t speed_min;  ///< controller's scheduling range                              [m/s]
+    lpvg_real_t speed_max;
+    lpvg_real_t demand;  ///< newest                                                     [input unit]
+    uint32_t period_us;
+    bool engage;  ///< asked for
+    bool locked;  ///< until acknowledged
+    bool standby;  ///< a request other than control has been seen since init
+    bool corrupt;  ///< until init
+} lpvg_ecu_kept_t;
+
+typedef struct lpvg_ecu_t {
+    lpvg_ecu_kept_t kept;
+    uint32_t inverted[sizeof(lpvg_ecu_kept_t) / sizeof(uint32_t)];  ///< its words with every bit inverted
+    uint32_t sum;  ///< of its words
+    uint32_t crc;  ///< of the coefficients in this round, so far
+    uint32_t next_item;  ///< of the model's coefficients, then of the controller's
+    uint32_t rounds;  ///< complete, saturating
     lpvg_can_supervisor_t supervisor;
     lpvg_can_plausibility_t plausibility;
     lpvg_bus_signals_t signals;
@@ -166,7 +199,6 @@ typedef struct lpvg_ecu_t {
     lpvg_monitor_t monitor;
     lpvg_bus_report_t report;  ///< as sent by the newest step
     lpvg_ecu_fault_t fault;  ///< gravest active
-    uint32_t period_us;
     int64_t now_us;  ///< of the newest step, the caller's clock; init's before the first [us]
     int64_t core_us;  ///< of the newest step, the ECU's own time                      [us]
     lpvg_ecu_clock_t clock;
@@ -177,12 +209,9 @@ typedef struct lpvg_ecu_t {
     uint16_t lock_causes;  ///< what locked, 0 where nothing has since init
     uint8_t releases;  ///< by faults, as LPVG_ECU_RELEASES_MAX counts them
     bool in_range;  ///< the speed, with hysteresis
-    bool locked;  ///< until acknowledged
-    bool standby;  ///< a request other than control has been seen since init
     bool acknowledging;  ///< the newest request was to acknowledge
     bool permitted;  ///< no cause released the newest step
     bool was_engaged;  ///< since init
-    bool engage;  ///< asked for
     bool refused;  ///< speed or a measurement of the newest step was refused: the next is not engaged
     bool seen_live;  ///< supervision has been live since init
     uint8_t counter;  ///< of the report message's protection
