@@ -5,6 +5,7 @@
 
 #include <utility>
 
+#include "begin.hpp"
 #include "coefficient_checks.hpp"
 
 namespace {
@@ -171,10 +172,14 @@ extern "C" lpvg_status_t lpvg_control_init(lpvg_control_t* self, const lpvg_cont
     }
     const lpvg_status_t status = lpvg_control_coeff_check(coeff);
     if (status == lpvg_status_ok) {
-        *self = lpvg_control_t{};
-        self->coeff = coeff;
+        lpvg_control_begin(self, coeff);
     }
     return status;
+}
+
+extern "C" void lpvg_control_begin(lpvg_control_t* self, const lpvg_control_coeff_t* coeff) {
+    *self = lpvg_control_t{};
+    self->coeff = coeff;
 }
 
 extern "C" lpvg_status_t lpvg_control_step(lpvg_control_t* self, lpvg_real_t speed, const lpvg_real_t* m, bool engaged) {

@@ -7,6 +7,7 @@
 #include <cstring>
 
 #include "acceptance.hpp"
+#include "begin.hpp"
 
 namespace {
 
@@ -182,7 +183,10 @@ bool actuator_limits_good(const lpvg_ecu_actuator_limits_t& limits) {
 }
 
 void receive(lpvg_ecu_t& self, const lpvg_can_frame_t* frames, std::size_t n) {
-    for (std::size_t i = 0; i < n; ++i) {
+    const std::size_t taken = n < LPVG_ECU_FRAMES_IN ? n : LPVG_ECU_FRAMES_IN;
+    const std::size_t dropped = n - taken;
+    self.dropped += dropped < UINT32_MAX - self.dropped ? static_cast<uint32_t>(dropped) : UINT32_MAX - self.dropped;
+    for (std::size_t i = dropped; i < n; ++i) {  // the newest
         lpvg_can_frame_t frame = frames[i];
         // Nothing arrives later than now: a driver's wrong time stamp must not carry the supervisor's clock away.
         const uint64_t age_us = elapsed_us(self.now_us, frame.t_us);
@@ -206,9 +210,9 @@ const lpvg_bus_need_t& worst_need(const lpvg_ecu_t& self) {
     return *worst;
 }
 
-// Why a message is not live: silence, unless it came and was rejected lately; then the rejection seen most of.
+// Why a message is not live: silence, unless frames came and were rejected lately; then the rejection seen most of.
 lpvg_can_event_t main_reason(const lpvg_can_watch_t& watch) {
-    if (watch.score == 0U) {
+    if (watch.window_bad == 0U) {
         return lpvg_can_event_missed;
     }
     uint8_t reason = lpvg_can_event_early;
@@ -466,14 +470,9 @@ extern "C" lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t* coe
     self->signals.yaw_rate = self->signals.lateral = self->signals.wheel_difference = NAN;
     self->signals.brake_pedal = self->signals.abs_active = self->signals.measured = NAN;
     self->signals.request = self->signals.other_priority = NAN;
-    // The arguments of these three have been checked above or are generated.
-    status = lpvg_monitor_init(&self->monitor, coeff);
-    if (status == lpvg_status_ok) {
-        status = lpvg_control_init(&self->control, control);
-    }
-    if (status == lpvg_status_ok) {
-        status = lpvg_can_init(&self->supervisor, lpvg_bus.rules, lpvg_bus.n_rules, now_us);
-    }
+    lpvg_monitor_begin(&self->monitor, coeff);
+    lpvg_control_begin(&self->control, control);
+    status = lpvg_can_init(&self->supervisor, lpvg_bus.rules, lpvg_bus.n_rules, now_us);  // generated rules
     keep(*self);
     return status;
 }

@@ -15,6 +15,7 @@
 #include <cmath>
 #include <limits>
 
+#include "begin.hpp"
 #include "margin.hpp"
 
 namespace {
@@ -379,9 +380,7 @@ bool state_well(lpvg_monitor_t& self) {
 void repair(lpvg_monitor_t& self, int64_t t_us) {
     const lpvg_coeff_t* const coeff = self.coeff;
     const uint32_t repairs = self.repairs + (self.repairs < UINT32_MAX ? 1U : 0U);
-    self = lpvg_monitor_t{};
-    self.coeff = coeff;
-    self.energy_quiet = coeff->words.energy_rearm;
+    lpvg_monitor_begin(&self, coeff);
     self.repairs = repairs;
     self.refused = true;
     self.t_us = t_us;
@@ -401,11 +400,15 @@ extern "C" lpvg_status_t lpvg_monitor_init(lpvg_monitor_t* self, const lpvg_coef
     }
     const lpvg_status_t status = lpvg_coeff_check(coeff);
     if (status == lpvg_status_ok) {
-        *self = lpvg_monitor_t{};
-        self->coeff = coeff;
-        self->energy_quiet = coeff->words.energy_rearm;
+        lpvg_monitor_begin(self, coeff);
     }
     return status;
+}
+
+extern "C" void lpvg_monitor_begin(lpvg_monitor_t* self, const lpvg_coeff_t* coeff) {
+    *self = lpvg_monitor_t{};
+    self->coeff = coeff;
+    self->energy_quiet = coeff->words.energy_rearm;
 }
 
 // Length: the path of one sample in its order; every branch of it ends or restarts the steps that follow.

@@ -56,6 +56,8 @@ public:
     // A step at a time of the bus, with the frames since the newest one that was taken.
     void step_at(int64_t t_us) {
         std::vector<lpvg_can_frame_t>& in = kept_;
+        in.insert(in.end(), late_.begin(), late_.end());
+        late_.clear();
         for (; next_frame_us <= t_us; next_frame_us += tick_us) {
             send(in, next_frame_us);
         }
@@ -103,7 +105,8 @@ public:
     float speed = 12.0F, yaw_rate = 0.0F, lateral = 0.0F, command = 0.05F;
     float pressure = 0.0F, pedal_percent = 0.0F;
     uint8_t early_request = LPVG_BUS_REQUEST_RELEASE, request = LPVG_BUS_REQUEST_CONTROL, other_priority = 0U, abs_active = 0U;
-    bool send_vdc2 = true, send_guard_in = true, send_ebc2 = true, send_ebc1 = true, spoil_guard_in = false, brakes_work = true;
+    bool send_vdc2 = true, send_guard_in = true, send_ebc2 = true, send_ebc1 = true, spoil_guard_in = false, brakes_work = true,
+         second_sender = false;
     BenchReport report;
     int reports = 0, dm1s = 0;
     uint32_t spn = 0;
@@ -135,6 +138,13 @@ private:
         frame.data[4] ^= spoil_guard_in ? 1U : 0U;
         if (send_guard_in) {
             in.push_back(frame);
+        }
+        if (second_sender) {  // half a period later, with the counter that the genuine sender uses next
+            lpvg_can_frame_t other = frame;
+            uint8_t next = counter_;
+            REQUIRE(lpvg_can_e2e_protect(&other, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &next) == lpvg_status_ok);
+            other.t_us += tick_us / 2;
+            late_.push_back(other);
         }
         if (t_us / tick_us % 10 == 0) {
             lpvg_can_ebc2_t ebc2;
@@ -181,7 +191,7 @@ private:
         }
     }
 
-    std::vector<lpvg_can_frame_t> kept_;
+    std::vector<lpvg_can_frame_t> kept_, late_;
     uint8_t counter_ = 0;
 };
 

@@ -100,7 +100,7 @@ TEST_CASE("a late step releases at once; the loop comes back when the period has
     bench.step_at(begin_us);
     CHECK(bench.status == lpvg_status_ok);
     CHECK_FALSE(bench.engaged());
-    CHECK(bench.report.verdict == static_cast<float>(lpvg_verdict_unknown));
+    CHECK(bench.report.verdict != static_cast<float>(lpvg_verdict_valid));
     CHECK(bench.ecu.clock.gaps == 1U);
     int64_t t_us = begin_us + tick_us;
     for (; !bench.engaged() && t_us < begin_us + 2 * window_us; t_us += tick_us) {

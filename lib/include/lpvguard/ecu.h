@@ -56,6 +56,7 @@
 LPVG_EXTERN_C_BEGIN
 
 #define LPVG_ECU_FRAMES_OUT 2U  ///< Most frames that one step returns.
+#define LPVG_ECU_FRAMES_IN 20U  ///< Most frames that one step takes: what 250 kbit/s carry in 10 ms. Older ones are counted.
 #define LPVG_ECU_JUMP_US 1000000U  ///< Longest gap that is taken at once                          [us]
 #define LPVG_ECU_RESYNC_CALLS 3U  ///< Refused calls in step with each other that end a jump.
 #define LPVG_ECU_WINDOW_US 1000000U  ///< The mean sample period is measured over this time          [us]
@@ -214,6 +215,7 @@ typedef struct lpvg_ecu_t {
     bool was_engaged;  ///< since init
     bool refused;  ///< speed or a measurement of the newest step was refused: the next is not engaged
     bool seen_live;  ///< supervision has been live since init
+    uint32_t dropped;  ///< older frames beyond LPVG_ECU_FRAMES_IN of a step, saturating
     uint8_t counter;  ///< of the report message's protection
     uint8_t occurrence;  ///< times a trouble code became active, 126 at most
 } lpvg_ecu_t;
