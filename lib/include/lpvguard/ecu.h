@@ -41,7 +41,7 @@
 ///
 /// Use:     init once -> step every sample period with all frames received since the last step, in order of arrival ->
 ///          send what it returns. Ask for engagement with the configuration or lpvg_ecu_engage.
-/// Cost:    constant apart from n_in times lpvg_can_receive; one controller step, one monitor push.
+/// Cost:    constant apart from lpvg_can_receive for LPVG_ECU_FRAMES_IN frames at most; one controller step, one monitor push.
 /// RAM:     sizeof(lpvg_ecu_t). No heap, no locks, no I/O, no clock of its own.
 /// Threads: one instance per thread; interrupts may fill the queue of frames, not call in. Fields are for reading only.
 #ifndef LPVGUARD_ECU_H
