@@ -299,6 +299,7 @@ class Simulator:
         pace: float | None = None,
         lcm: str | None = None,
         paused: bool = False,
+        report_only: bool = False,
     ) -> dict[str, Any]:
         """One run: the object of `lpvguard sim --json`.
 
@@ -313,6 +314,7 @@ class Simulator:
         lcm          URL where the run is published and commands are taken (of a simulator made with ``lcm``);
                      with ``out``, NAME-SEED.applied.toml is then the scenario with what clients changed
         paused       wait until a client says resume
+        report_only  findings do not release, as in ``drive``; not on an emulated processor
 
         Same scenario, seed and vehicle: the same bytes but for real_time_factor. That is simulated time over
         one core's processor time; over elapsed time where the firmware is not in this process. InputError
@@ -321,6 +323,7 @@ class Simulator:
         seed = scenario.seed if seed is None else seed
         emulated = None if target == "host" else self.emulated(target)
         command: list[Any] = ["--seed", seed, "--bus", bus]
+        command += ["--reactions", "report"] if report_only else []
         if ecu_process or emulated is not None:
             if not bus.startswith("socketcan:"):
                 raise InputError(bus, "bus", "joins nothing outside the simulator", "socketcan:INTERFACE")
