@@ -1,7 +1,7 @@
 // Single bit flips in coefficients and state of a running ECU. The vehicle is the nominal model; where a flip could hide a fault, its
 // actuator loses most of its gain at the time of the flip. What must hold, whatever bit it is:
 //
-//     no access outside of an object (run with sanitizers: gate.sanitize), no step refused
+//     no crash, no step refused
 //     every demand within the largest limit, and its change within the rate limit, but for the jump to zero
 //     a flip in the coefficients is found within two rounds of LPVG_ECU_ROUND_US; then the verdict is fault and the demand zero
 //     while the vehicle's gain is at 0.3, none is valid and engaged 30 s after the flip, and none is valid a hold time after that
