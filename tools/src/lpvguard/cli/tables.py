@@ -3,6 +3,7 @@ read."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -164,8 +165,8 @@ def print_fit(result: FittedModel) -> None:
                 for cell in (
                     f"{100 * q.vaf[j]:.2f}",
                     f"{q.gain[j]:.3f}",
-                    f"{q.whiteness[j]:.1f}",
-                    f"{q.left_by_input[j]:.1f}",
+                    # Tests of residuals are per drive, not per speed.
+                    *("–" if math.isnan(x[j]) else f"{x[j]:.1f}" for x in (q.whiteness, q.left_by_input)),
                 )
             ]
             fits.add_row(q.name + mark, f"{q.judged_s:.0f}", *cells)
