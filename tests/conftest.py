@@ -35,6 +35,7 @@ FEW_DRIVES = {
 
 SLOW_FIXTURES = {
     "few_truck_identified": "45 s: a truck identified on few drives",
+    "few_truck_common_identified": "45 s: a truck identified on few drives",
     "truck_identified": "over 60 s: the truck identified as shipped",
     "measured_identified": "10 s: the measured drives identified",
 }
@@ -210,6 +211,25 @@ def few_truck_drives(truck, made) -> Path:
 def few_truck_identified(truck, few_truck_drives, made) -> Path:
     """Identification folder of the few drives."""
     return made.folder("few_truck_identified", lambda folder: identify_into(folder, truck, few_truck_drives))
+
+
+@pytest.fixture(scope="session")
+def common_truck(truck) -> Project:
+    """The truck with one Delta for both outputs, for Table II, the trade-off and K_is."""
+    return truck.model_copy(
+        update={
+            "bounds": truck.bounds.model_copy(update={"structure": "S1"}),
+            "design": truck.design.model_copy(update={"structure": "K_i"}),
+        }
+    )
+
+
+@pytest.fixture(scope="session")
+def few_truck_common_identified(common_truck, few_truck_drives, made) -> Path:
+    """Identification folder of the few drives with one Delta."""
+    return made.folder(
+        "few_truck_common_identified", lambda folder: identify_into(folder, common_truck, few_truck_drives)
+    )
 
 
 @pytest.fixture

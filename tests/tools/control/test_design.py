@@ -32,6 +32,12 @@ def stored(few_truck_identified):
 
 
 @pytest.fixture(scope="module")
+def common(few_truck_common_identified):
+    """The same drives with one Delta for both outputs."""
+    return identification.load(few_truck_common_identified)
+
+
+@pytest.fixture(scope="module")
 def designed(stored, tmp_path_factory):
     result, folder = stage.design(stored), tmp_path_factory.mktemp("design") / "design"
     stage.save(result, stored, folder)
@@ -135,9 +141,9 @@ def test_the_largest_A_t_comes_near_the_dc_floor(stored, monkeypatch):
     )
 
 
-def test_K_is_is_refused_where_frames_cannot_tell_the_states_uncertainty(stored):
+def test_K_is_is_refused_where_frames_cannot_tell_the_states_uncertainty(common):
     with pytest.raises(InputError, match=r"median error of \d+% at .*plain DFT"):
-        stage.design(with_settings(stored, structure="K_is"))
+        stage.design(with_settings(common, structure="K_is"))
 
 
 def with_exact_frames(stored):
@@ -147,8 +153,8 @@ def with_exact_frames(stored):
     )
 
 
-def test_K_is_takes_the_states_own_bound_in_1_per_s(stored):
-    one = with_settings(with_exact_frames(stored), structure="K_is")
+def test_K_is_takes_the_states_own_bound_in_1_per_s(common):
+    one = with_settings(with_exact_frames(common), structure="K_is")
     weights, frames = fig1_weights(one, one.project.design), StoredFrames(one)
     split = frames.explain_with_state(one.bounds["gamma_w"], one.project.design.lambda_s)
     omega = frames.estimator.omega
@@ -159,17 +165,18 @@ def test_K_is_takes_the_states_own_bound_in_1_per_s(stored):
 
 
 @pytest.mark.parametrize("factor", [0.1, 60.0])
-def test_another_unit_of_time_leaves_the_loop_of_K_is_as_it_was(stored, factor):
+def test_another_unit_of_time_leaves_the_loop_of_K_is_as_it_was(common, factor):
     """x' = A x + B u + xi_s: in a unit of time `factor` times longer A, B and W_delta_s grow by that
     factor."""
-    model, settings = NominalModel(stored.project), stored.project.design
+    model, settings = NominalModel(common.project), common.project.design
     A, B = (m[0] for m in model.matrices(np.array([15.0])))
-    weights = fig1_weights(stored, settings)
+    weights = fig1_weights(common, settings)
     slower = fig1.PlantWeights(
         **{
             f.name: replace(w, A=factor * w.A, B=factor * w.B)
             for f in fields(weights)
             for w in [getattr(weights, f.name)]
+            if w is not None
         }
     )
     rate = replace(slower.W_delta_s, C=factor * slower.W_delta_s.C, D=factor * slower.W_delta_s.D)
@@ -186,8 +193,8 @@ def test_another_unit_of_time_leaves_the_loop_of_K_is_as_it_was(stored, factor):
 
 
 @pytest.mark.parametrize("structure", ["K_inf", "K_is"])
-def test_the_other_structures_go_from_design_to_the_closed_loop(stored, tmp_path, monkeypatch, structure):
-    stored = with_exact_frames(stored)
+def test_the_other_structures_go_from_design_to_the_closed_loop(common, tmp_path, monkeypatch, structure):
+    stored = with_exact_frames(common)
     monkeypatch.setattr(
         stage, "find", lambda *_: None
     )  # the certificate at a moving speed has tests of its own

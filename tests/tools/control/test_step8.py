@@ -27,13 +27,15 @@ from lpvguard.vehicle.project import parse_project
 
 
 @pytest.fixture(scope="module")
-def drives(truck, few_truck_drives):
-    return identification.DriveSet(truck, NominalModel(truck), list_experiments(few_truck_drives))
+def drives(common_truck, few_truck_drives):
+    return identification.DriveSet(
+        common_truck, NominalModel(common_truck), list_experiments(few_truck_drives)
+    )
 
 
 @pytest.fixture(scope="module")
-def problem(few_truck_identified, drives):
-    stored = identification.load(few_truck_identified)
+def problem(few_truck_common_identified, drives):
+    stored = identification.load(few_truck_common_identified)
     return FrozenProblem(stored, StoredFrames(stored, drives))
 
 
@@ -207,7 +209,7 @@ def test_the_sentence_is_honest_when_nothing_reaches_one(problem, monkeypatch):
     )
 
 
-def test_commands_name_what_is_missing(lpvguard, few_truck_identified, tmp_path):
+def test_commands_name_what_is_missing(lpvguard, few_truck_common_identified, tmp_path):
     for arguments, word in (
         (("design", "-o", tmp_path / "x"), "--case"),
         (("design", "--case", "a.toml", "--tradeoff", "-o", tmp_path / "x"), "a case file alone"),
@@ -217,8 +219,8 @@ def test_commands_name_what_is_missing(lpvguard, few_truck_identified, tmp_path)
         assert done.returncode == 2 and word in done.stderr and not (tmp_path / "x").exists()
     old = tmp_path / "old"
     old.mkdir()
-    with np.load(few_truck_identified / "spectra.npz") as spectra:
+    with np.load(few_truck_common_identified / "spectra.npz") as spectra:
         np.savez(old / "spectra.npz", **{k: spectra[k] for k in spectra if k != "speed"})
-    stored = identification.load(few_truck_identified)
+    stored = identification.load(few_truck_common_identified)
     with pytest.raises(InputError, match="identify` again"):
         StoredFrames(identification.StoredIdentification(**{**vars(stored), "folder": old}))

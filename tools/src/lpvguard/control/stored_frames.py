@@ -25,12 +25,11 @@ from ..engine.validation import s1, s2
 from ..identify.bounds import FrameSet, counted_frames, explain, reduce_disturbance
 from ..identify.run import DriveSet, Progress, StoredIdentification
 from ..identify.weights import (
-    SMALLEST_NU,
     FittedWeight,
     disturbance_weights,
     fit_bound,
+    fit_uncertainty,
     smallest_disturbance,
-    uncertainty_samples,
 )
 from ..vehicle.nominal import NominalModel
 
@@ -166,8 +165,10 @@ class StoredFrames:
             for j, s in enumerate(project.outputs)
         ]
 
+        error = self.stored.model_error
+
         def delta(nu: np.ndarray) -> FittedWeight:
-            return fit_bound(project, estimator, uncertainty_samples(estimator, nu), "nu", SMALLEST_NU)
+            return fit_uncertainty(project, estimator, nu, error.grid.omega, error.bound[:, 0], "W_delta")
 
         return SplitWeights(
             disturbance_weights(project, estimator, B_w, fitted.W_n, floor)[0],
