@@ -60,8 +60,8 @@ FOLDS = 64
 """Groups of drives whose sums are kept apart for leave-one-out; with at most as many drives each is one."""
 LEAST_SPREAD = 0.01
 """Of half the speed range: the least standard deviation of speeds that takes a line."""
-LACK_OF_FIT = 4.0
-"""Standard errors by which a cell's own estimate may miss the line of a wider pool."""
+LACK_OF_FIT = 1e-3
+"""Level at which a cell's own line refutes that of a wider pool. To refute in vain costs standard error alone."""
 ENDS = np.sqrt(3)
 """Standard deviations from the mean to the ends of speeds that are spread evenly: where the line is read."""
 TINY = 1e-300
@@ -315,32 +315,28 @@ class ErrorEstimate:
 
     @classmethod
     def of(cls, sums: Sums, grid: ErrorGrid) -> ErrorEstimate:
-        """From sums: cells pooled, and of the frames' lengths that whose estimate has converged.
+        """From sums: of the lengths of frames that with the narrowest pool, converged, that knows best.
 
-        Of several that have, the one with the least |delta_c| + k se; where none has, that which doubling
-        moves the least, in standard errors.
+        Of the lengths with the narrowest pool: that with the least standard error of those that have
+        converged; where none has, that which doubling moves the least, in standard errors.
         """
-        fit = _widest(sums)
-        ends = np.clip(fit.mean[..., None] + ENDS * fit.spread[..., None] * np.array([-1, 1]), -1, 1)
-        both = fit.at(ends)
-        size = np.abs(both[0]) + 3 * both[1]
-        end = np.argmax(np.where(np.isfinite(size), size, -1.0), axis=-1)
-        s = np.take_along_axis(ends, end[..., None], -1)[..., 0]
+        pools = _pools(sums)
+        pool = _chosen(pools)
+        fit = pools[-1]
+        for k in range(len(pools) - 2, -1, -1):
+            fit = fit.replaced(pool <= k, pools[k])
+        s = fit.worst_end()
         delta, se = (x[..., 0] for x in fit.at(s[..., None]))
         se = se * _few(fit.n)
         enough = np.isfinite(se) & (fit.n >= LEAST_FRAMES)
-        # The doubled frames' line at the same speed.
-        twice = [x[..., 0] for x in fit.doubled().at(s[:, :-1, ..., None])]
         moved = np.full(se.shape, np.inf)
-        moved[:, :-1] = np.where(
-            enough[:, :-1] & enough[:, 1:],
-            np.abs(delta[:, :-1] - twice[0]) / np.maximum(twice[1], TINY),
-            np.inf,
-        )
-        converged = moved < 1
-        # First those that converged, by size; then those that doubling moves, by how much; then alone.
-        rank = np.where(converged, np.abs(delta) + 3 * se - 1e9, np.where(np.isfinite(moved), moved, 1e8))
-        best = np.argmin(np.where(enough, rank, 1e9), axis=1)[:, None]
+        for k, lines in enumerate(pools):
+            # The line of doubled frames over the same pool, at the same speed.
+            twice, spread = (x[..., 0] for x in lines.doubled().at(s[:, :-1, ..., None]))
+            here = enough[:, :-1] & (pool[:, :-1] == k) & np.isfinite(spread)
+            moved[:, :-1][here] = np.abs(delta[:, :-1] - twice)[here] / np.maximum(spread[here], TINY)
+        rank = np.where(moved < 1, se / (1 + se), 2 + np.minimum(moved, 1e6)) + 1e7 * pool
+        best = np.argmin(np.where(enough, rank, np.inf), axis=1)[:, None]
 
         def taken(x: np.ndarray) -> np.ndarray:
             return np.take_along_axis(x, best, 1)[:, 0]
@@ -375,6 +371,19 @@ class _Lines:
         square = np.einsum("...mi,...ij,...mj->...m", row, self.covariance, row).real
         return np.einsum("...mi,...i->...m", row, self.theta), np.sqrt(np.maximum(square, 0.0))
 
+    def ends(self, deviations: float) -> np.ndarray:
+        """s (..., 2) so many standard deviations of the frames' s below and above their mean."""
+        away = deviations * self.spread[..., None] * np.array([-1, 1])
+        return np.clip(self.mean[..., None] + away, -1, 1)
+
+    def worst_end(self) -> np.ndarray:
+        """s at that end of each cell's speeds where |delta_c| + 3 se is larger."""
+        ends = self.ends(ENDS)
+        delta, se = self.at(ends)
+        size = np.abs(delta) + 3 * se
+        end = np.argmax(np.where(np.isfinite(size), size, -1.0), axis=-1)
+        return np.take_along_axis(ends, end[..., None], -1)[..., 0]
+
     def replaced(self, where: np.ndarray, other: _Lines) -> _Lines:
         """These lines, the ``other`` ones ``where`` (G, P, n_y, C, A) says so."""
 
@@ -388,24 +397,26 @@ class _Lines:
         return _Lines(*(getattr(self, f.name)[:, 1:] for f in fields(self)))
 
 
-def _few(n: np.ndarray) -> np.ndarray:
-    """Factor on standard errors from n < FEWEST_FRAMES frames, 1 elsewhere.
+def _quantile(n: np.ndarray, level: float) -> np.ndarray:
+    """Standard errors that |delta - delta_c| exceeds with probability ``level``; n: independent frames.
 
-    |delta - delta_c|^2 / se^2 then follows F(2, 2 nu), nu = n - 2, whose quantile is nu (p^(-1/nu) - 1) where
-    that of many frames is ln(1/p).
+    |delta - delta_c|^2 / se^2 follows F(2, 2 nu), nu = n - 2.
     """
     freedom = np.maximum(n - 2, 1.0)
-    square = freedom * (FEW_LEVEL ** (-1 / freedom) - 1) / np.log(1 / FEW_LEVEL)
-    return np.where(n < FEWEST_FRAMES, np.sqrt(square), 1.0)
+    return np.sqrt(freedom * np.expm1(-np.log(level) / freedom))
 
 
-def _fitted(s: Sums, *, line: bool = True) -> _Lines:
-    """(Instrumental) least squares of every cell. Frames of one speed, or too few for a line, give b = 0, as
-    ``line`` = False does."""
+def _few(n: np.ndarray) -> np.ndarray:
+    """Factor on standard errors from n < FEWEST_FRAMES frames, 1 elsewhere: to the quantile of many frames."""
+    return np.where(n < FEWEST_FRAMES, _quantile(n, FEW_LEVEL) / np.sqrt(-np.log(FEW_LEVEL)), 1.0)
+
+
+def _fitted(s: Sums) -> _Lines:
+    """(Instrumental) least squares of every cell. Frames of one speed, or too few for a line, give b = 0."""
     n, weight = s.independent, np.maximum(s.rr[..., 0], TINY)
     mean = s.rr[..., 1] / weight
     spread = np.sqrt(np.maximum(s.rr[..., 2] / weight - mean**2, 0.0))
-    sloped = (spread > LEAST_SPREAD) & (n >= FEWEST_FRAMES) & line
+    sloped = (spread > LEAST_SPREAD) & (n >= FEWEST_FRAMES)
     empty = (n < 2) | ~(np.abs(s.rz[..., 0]) > 0)
 
     def matrix(sums: np.ndarray) -> np.ndarray:
@@ -441,7 +452,9 @@ def _scatter(s: Sums, theta: np.ndarray) -> np.ndarray:
         + 2 * (a.conj() * b).real * s.rzz[..., 1:4]
         + np.abs(b) ** 2 * s.rzz[..., 2:]
     )
-    return np.maximum(moments, 0.0)[..., np.add.outer(np.arange(2), np.arange(2))]
+    # Rounding may leave an even moment below 0; that of s has either sign.
+    moments[..., ::2] = np.maximum(moments[..., ::2], 0.0)
+    return moments[..., np.add.outer(np.arange(2), np.arange(2))]
 
 
 def _joined(second: np.ndarray, fourth: np.ndarray) -> list[tuple[int, int]]:
@@ -485,37 +498,37 @@ def _classes_joined(s: Sums) -> Sums:
     return out
 
 
-def _widest(sums: Sums) -> _Lines:
-    """In every cell the line over the widest pool of speed cells that it fits.
+def _pools(sums: Sums) -> list[_Lines]:
+    """Lines over single speed cells, over pools of two, of four and so on up to all; each cell has that of
+    its pool."""
+    joined, cells = _classes_joined(sums), sums.ee.shape[3]
+    return [_fitted(_shared(joined, 2**k)) for k in range(cells.bit_length())]
 
-    Pools are all cells, halves, and so on down to single cells. A line fits a pool when no cell in it with
-    FEWEST_FRAMES has an estimate of its own that is LACK_OF_FIT standard errors away. Below a pool that a
-    line does not fit, a smaller one is taken only where it has FEWEST_FRAMES.
+
+def _chosen(pools: list[_Lines]) -> np.ndarray:
+    """Of every cell the index of its pool (G, P, n_y, C, A): the widest that fits, or wider where that has
+    fewer than FEWEST_FRAMES.
+
+    A pool fits when no cell in it with FEWEST_FRAMES has a line of its own that refutes it at LACK_OF_FIT, one
+    standard deviation of speed either side of the mean. Refuted with frames of one length, a pool is refuted
+    for all.
     """
-    joined = _classes_joined(sums)
-    own = _fitted(joined, line=False)
-    at_own = own.mean[..., None]
-    delta, se = (x[..., 0] for x in own.at(at_own))
-    count = sums.ee.shape[3]
-    best, undecided = None, None
-    width = count
-    while width >= 1:
-        lines = _fitted(_shared(joined, width))
-        wanted, spread = (x[..., 0] for x in lines.at(at_own))
+    own, cells = pools[0], pools[0].n.shape[3]
+    ends = own.ends(1.0)
+    delta, se = own.at(ends)
+    allowed = _quantile(own.n, LACK_OF_FIT)[..., None]
+    chosen, undecided = np.zeros(own.n.shape, int), np.ones(own.n.shape, bool)
+    for k in range(len(pools) - 1, 0, -1):
         with np.errstate(invalid="ignore"):
-            away = np.abs(delta - wanted) > LACK_OF_FIT * np.hypot(se, spread)
-        bad = away & (own.n >= FEWEST_FRAMES)
-        if best is None or undecided is None:
-            best, undecided = lines, np.ones(bad.shape, bool)
-        else:
-            best = best.replaced(undecided & (lines.n >= FEWEST_FRAMES), lines)
-        shape = bad.shape
-        parts = bad.reshape(*shape[:3], count // width, width, *shape[4:])
-        lacking = np.broadcast_to(parts.any(axis=4, keepdims=True), parts.shape).reshape(shape)
-        undecided = undecided & lacking
-        width //= 2
-    assert best is not None
-    return best
+            away = (np.abs(delta - pools[k].at(ends)[0]) > allowed * se).any(axis=-1)
+        refuted = (away & (own.n >= FEWEST_FRAMES)).any(axis=1)
+        parts = refuted.reshape(*refuted.shape[:2], cells >> k, 1 << k, -1).any(axis=3)
+        refuted = np.repeat(parts, 1 << k, axis=2)[:, None]
+        chosen[undecided & ~refuted] = k
+        undecided = undecided & refuted
+    for k, lines in enumerate(pools[:-1]):
+        chosen[(chosen == k) & (lines.n < FEWEST_FRAMES)] = k + 1
+    return chosen
 
 
 def claim(project: Project) -> str:

@@ -23,6 +23,8 @@ DC_STAND_IN = 0.1
 """DC has no place on a logarithmic axis: its bound stands at this fraction of the lowest bin's frequency."""
 SMALLEST_NU = 1e-3
 """Floor of the uncertainty bound where the data ask for none; a weight must be positive."""
+RISE, FALL = 3.0, 2.0
+"""Steepest rise and fall of the uncertainty bound, in powers of the frequency."""
 LEAST_SHARE = 0.1
 """Floor of step 7, as a part of B_w.
 
@@ -169,13 +171,18 @@ def uncertainty_samples(
     ``asked`` (G,) at ``omega`` (G,) is what the model error model asks for (THEORY 7.6), log-log between its
     frequencies; nu (K,) what the frames of step 5 ask for at the bins. nu(0) = 0 by definition; below the
     lowest bin any small value will do (paper, step 6).
+
+    Dips that a weight of low order cannot follow are filled: the bound rises at most as omega^RISE and falls at
+    most as omega^-FALL. One deep dip would else cost the least worst ratio, and with it every frequency.
     """
     bins = fitting_grid(estimator)
     samples = np.union1d(bins, omega)
     bound = np.exp(np.interp(np.log(samples), np.log(omega), np.log(np.maximum(asked, SMALLEST_NU))))
     at = np.searchsorted(samples, bins)
     bound[at] = np.fmax(bound[at], nu)
-    return samples, np.where(samples == bins[0], np.nan, bound)
+    apart = np.log(samples[:, None] / samples)
+    filled = (bound * np.exp(-np.where(apart > 0, FALL, -RISE) * apart))[:, samples > bins[0]].max(axis=1)
+    return samples, np.where(samples == bins[0], np.nan, filled)
 
 
 def fit_uncertainty(

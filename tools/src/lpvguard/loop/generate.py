@@ -30,6 +30,9 @@ SWEEPS_BAR = (0.24, 0.24, 0.24, 0.24, 0.8, 2.1, 2.1, 2.1)
 """Amplitudes of the swept sines: from where kingpin friction rules to the edge of use, 4 m/s2 of lateral
 acceleration (2.06 bar). The small one is driven four times, because road and wind are as large
 there; the large one three times, because tyres make the error depend on the speed there."""
+EDGE_SWEEPS_BAR = (2.1, 2.1, 2.1)
+"""More of them at the least and the largest speed, where the error is largest and a line over all speeds can
+be wrong by most."""
 ZERO_INPUT_DURATION_S = 240.0
 # Just inside 8 to 22 m/s: the speed sensor's noise must not put samples out of range.
 BOUND_SPEEDS = (8.1, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0, 21.9)
@@ -71,9 +74,9 @@ class _Planned:
 def _truck_plan() -> list[_Planned]:
     """Bound-setting sweeps have every amplitude at every speed; those that calibrate take turns."""
     plan = [_Planned("train", p, v, DURATION_S) for v in BOUND_SPEEDS for p in PROGRAMMES]
-    plan += [
-        _Planned("sweep", "sweep", v, SWEEP_DURATION_S, (u, u)) for v in BOUND_SPEEDS for u in SWEEPS_BAR
-    ]
+    sweeps = [(v, u) for v in BOUND_SPEEDS for u in SWEEPS_BAR]
+    sweeps += [(v, u) for v in (BOUND_SPEEDS[0], BOUND_SPEEDS[-1]) for u in EDGE_SWEEPS_BAR]
+    plan += [_Planned("sweep", "sweep", v, SWEEP_DURATION_S, (u, u)) for v, u in sweeps]
     plan += [_Planned("valid", p, v, DURATION_S) for v in CALIBRATION_SPEEDS for p in PROGRAMMES]
     for k, v in enumerate(CALIBRATION_SPEEDS):
         u = SWEEPS_BAR[k % len(SWEEPS_BAR)]
