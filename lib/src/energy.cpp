@@ -7,9 +7,9 @@
 // first, once for all bands. With one Delta an output the directions are single outputs, and each has its own W_delta.
 #include "lpvguard/energy.h"
 
-#include <Eigen/Core>
-
 #include <cmath>
+
+#include "eigen.hpp"
 
 namespace {
 

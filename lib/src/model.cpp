@@ -1,9 +1,9 @@
 // model.cpp -- see model.h.
 #include "lpvguard/model.h"
 
-#include <Eigen/Core>
-
 #include <limits>
+
+#include "eigen.hpp"
 
 namespace {
 

@@ -10,10 +10,9 @@
 // half frame in one push.
 #include "lpvguard/monitor.h"
 
-#include <Eigen/Core>
-
 #include <cmath>
 
+#include "eigen.hpp"
 #include "margin.hpp"
 
 namespace {
