@@ -189,8 +189,8 @@ class StoredFrames:
         return B_w
 
     def _behind(self, Z, v, omega):
-        """u (F,), x_nom (F, n), h_i (F, n) and h_s (F, n, n) of frames at speeds v (F,) in a bin at ``omega``
-        [rad/s]."""
+        """u (F,) behind the input delay, x_nom (F, n), h_i (F, n) and h_s (F, n, n) of frames at speeds v
+        (F,) in a bin at ``omega`` [rad/s]."""
         speeds, index = np.unique(
             np.round(v, 2), return_inverse=True
         )  # 1 cm/s moves no entry by more than 1e-3
