@@ -100,16 +100,18 @@ def test_state_uncertainty_takes_over_what_lambda_leaves_to_it(problem):
 
 
 def test_state_of_a_frame_is_that_of_the_frozen_model(problem):
-    """u and x_nom read from Z reproduce Z where Z is the model's own response."""
+    """u, as late as it reaches the vehicle, and x_nom read from Z reproduce Z where Z is the model's own
+    response."""
     v, omega, u = np.array([9.0, 20.0]), 1.3, np.array([0.3 + 1j, -2.0])
     Z = (
         problem.model.frequency_response([omega], 9.0)[0, :, 0] * u[0],
         problem.model.frequency_response([omega], 20.0)[0, :, 0] * u[1],
     )
     found, x_nom, _, h_s = problem.frames._behind(np.array(Z), v, omega)
-    np.testing.assert_allclose(found, u, rtol=1e-9)
+    late = np.exp(-1j * omega * problem.stored.project.model.input_delay_s)
+    np.testing.assert_allclose(found, late * u, rtol=1e-9)
     np.testing.assert_allclose(x_nom @ problem.model.C.T, Z, rtol=1e-9)
-    assert h_s.shape == (2, 3, 3)
+    assert h_s.shape == (2, 4, 4)
 
 
 def test_table_ii_is_certified_from_both_sides_and_above_its_floor(cells):
