@@ -132,13 +132,15 @@ def test_what_is_claimed_of_a_moving_speed_is_what_was_proved(stored, designed, 
         stage.verify(tmp_path / "controller.json", stored)
 
 
-def test_the_largest_A_t_comes_near_the_dc_floor(stored, monkeypatch):
+def test_the_largest_A_t_is_bracketed_below_the_dc_floors_limit(stored, monkeypatch):
+    """The project's own A_t is reached; what fails is no more than the tolerance above, and below the limit
+    of any controller: these drives' bounds take between 0.67 and 0.90 of that."""
     monkeypatch.setattr(stage, "A_T_RTOL", 0.4)
-    found = stage.largest_A_t(stored)
-    assert found.worst < 1 and found.product >= 0.8
-    assert found.product == pytest.approx(
-        found.A_t * stage.dc_floor(fig1_weights(stored, stored.project.design))
-    )
+    found, settings = stage.largest_A_t(stored), stored.project.design
+    assert found.worst < 1 and settings.A_t <= found.A_t < found.failed <= 1.4 * found.A_t
+    floor = stage.dc_floor(fig1_weights(stored, settings))
+    assert found.product == pytest.approx(found.A_t * floor)
+    assert found.product > 0.5 and found.failed * floor < 1 - 1e-9
 
 
 def test_K_is_is_refused_where_frames_cannot_tell_the_states_uncertainty(common):
@@ -192,13 +194,22 @@ def test_another_unit_of_time_leaves_the_loop_of_K_is_as_it_was(common, factor):
     assert np.abs(as_if_dimensionless - want).max() > 1e-2 * np.abs(want).max()
 
 
-@pytest.mark.parametrize("structure", ["K_inf", "K_is"])
+def test_a_controller_for_no_uncertainty_is_refused_because_the_vehicle_errs(common):
+    """K_inf presupposes the nominal model itself, which the drives that judge refute."""
+    with pytest.raises(InputError, match=r"W_delta is 0 beside \|delta_c\| - k se = .* do not refute"):
+        stage.design(with_settings(common, structure="K_inf"))
+
+
+@pytest.mark.parametrize("structure", ["K_inf", "K_i", "K_is"])
 def test_the_other_structures_go_from_design_to_the_closed_loop(common, tmp_path, monkeypatch, structure):
+    """K_inf below the gate, which refuses it."""
     stored = with_exact_frames(common)
     monkeypatch.setattr(
         stage, "find", lambda *_: None
     )  # the certificate at a moving speed has tests of its own
     monkeypatch.setattr(stage, "OFF_GRID", 4)
+    if structure == "K_inf":
+        monkeypatch.setattr(stage, "require_premise", stage.premise)
     one = with_settings(stored, structure=structure, nodes=3, A_t=40.0, order_loss=0.05)
     result = stage.design(one)
     stage.save(result, one, tmp_path / "design")
@@ -234,7 +245,9 @@ def test_the_certified_controller_is_the_one_the_core_is_given(designed):
         if j % 2 == 0 and j + 1 < n:
             A1[j, j + 1] = 1.0
     np.testing.assert_array_equal(schedule.at(v).A, np.eye(n) + A1)
-    np.testing.assert_array_equal(schedule.at(v).B, reals["BL"][2, 0, :, :3].astype(np.float32).astype(float))
+    # At a node too B is interpolated, in double: nodes that are no binary fractions cost a rounding.
+    given = reals["BL"][2, 0, :, :3].astype(np.float32).astype(float)
+    np.testing.assert_allclose(schedule.at(v).B, given, rtol=1e-13)
     np.testing.assert_array_equal(schedule.at(v).C, [np.arange(n) % 2 == 0])
 
 
@@ -247,7 +260,7 @@ def test_a_controller_that_has_common_poles_is_met(stored, designed):
         FrozenLoop(
             schedule.at(v),
             frozen_plant(stored, v),
-            stage.vehicle_at(model, v, schedule.Ts),
+            stage.vehicle_at(model, v),
         )
         for v in schedule.speeds
     ]
@@ -266,15 +279,16 @@ def test_random_deltas_within_the_bound_keep_the_certified_performance(stored, d
     plant = frozen_plant(stored, v)
     loop = lft(plant.system, result.schedule.at(v))
     level, random = proved.upper, np.random.default_rng(5)
+    assert [(b.rows, b.cols) for b in plant.blocks] == [(1, 1)] * 2
     omega = np.concatenate([[0.0], np.logspace(-3, np.log10(np.pi / plant.system.dt), 400)])
+    M = loop.response(omega)
     for _ in range(50):
-        pole, sign = random.uniform(-0.99, 0.99), random.choice([-1.0, 1.0])
-        size = sign * (1 - abs(pole)) / level / max(1.0, level)
-        delta = StateSpace(
-            np.array([[pole]]), np.eye(1), np.array([[size]]), np.zeros((1, 1)), plant.system.dt
-        )
-        M, D = loop.response(omega), delta.response(omega)
-        closed = M[:, 1:, 1:] + M[:, 1:, :1] @ (D / (1 - M[:, :1, :1] * D)) @ M[:, :1, 1:]
+        pole, sign = random.uniform(-0.99, 0.99, 2), random.choice([-1.0, 1.0], 2)
+        size = sign * (1 - np.abs(pole)) / level / max(1.0, level)
+        delta = StateSpace(np.diag(pole), np.eye(2), np.diag(size), np.zeros((2, 2)), plant.system.dt)
+        D = delta.response(omega)
+        fed_back = np.linalg.solve(np.eye(2) - M[:, :2, :2] @ D, M[:, :2, 2:])
+        closed = M[:, 2:, 2:] + M[:, 2:, :2] @ D @ fed_back
         assert np.linalg.norm(closed, 2, axis=(1, 2)).max() <= level * (1 + 1e-9)
 
 
@@ -288,7 +302,7 @@ class SaturatedLoop:
 
     def __init__(self, result, model, v, settings):
         schedule = result.schedule
-        self.vehicle, self.K = stage.vehicle_at(model, v, schedule.Ts), schedule.at(v)
+        self.vehicle, self.K = stage.vehicle_at(model, v), schedule.at(v)
         self.L, self.Ts = schedule._rows(schedule.L, v)[:, 0], schedule.Ts
         self.u_max, self.rate = schedule.limit(v)[0], settings.input_rate_max_per_s[0] * schedule.Ts
         self.top = (

@@ -89,9 +89,9 @@ def test_bounds_of_the_deciding_frames_are_near_those_identified(problem):
 
 def test_state_uncertainty_takes_over_what_lambda_leaves_to_it(problem):
     """Each frame's pair explains it: nu_i falls and nu_s grows with a dearer input uncertainty; without room
-    nothing is needed."""
+    nothing is needed. The lag's state, u times 1/T_b = 10/s, makes nu_s cheap: the trade is at large lambda."""
     gamma_w = problem.stored.bounds["gamma_w"]
-    cheap, dear = (problem.frames.explain_with_state(gamma_w, x) for x in (0.1, 10.0))
+    cheap, dear = (problem.frames.explain_with_state(gamma_w, x) for x in (10.0, 1000.0))
     alone = problem.frames.explain(gamma_w)
     assert np.nanmax(cheap.nu_i) < np.nanmax(dear.nu_i) <= np.nanmax(alone.nu_i) * (1 + 1e-6)
     assert np.nanmax(cheap.nu_s) > np.nanmax(dear.nu_s) > 0
@@ -100,16 +100,18 @@ def test_state_uncertainty_takes_over_what_lambda_leaves_to_it(problem):
 
 
 def test_state_of_a_frame_is_that_of_the_frozen_model(problem):
-    """u and x_nom read from Z reproduce Z where Z is the model's own response."""
+    """u, as late as it reaches the vehicle, and x_nom read from Z reproduce Z where Z is the model's own
+    response."""
     v, omega, u = np.array([9.0, 20.0]), 1.3, np.array([0.3 + 1j, -2.0])
     Z = (
         problem.model.frequency_response([omega], 9.0)[0, :, 0] * u[0],
         problem.model.frequency_response([omega], 20.0)[0, :, 0] * u[1],
     )
     found, x_nom, _, h_s = problem.frames._behind(np.array(Z), v, omega)
-    np.testing.assert_allclose(found, u, rtol=1e-9)
+    late = np.exp(-1j * omega * problem.stored.project.model.input_delay_s)
+    np.testing.assert_allclose(found, late * u, rtol=1e-9)
     np.testing.assert_allclose(x_nom @ problem.model.C.T, Z, rtol=1e-9)
-    assert h_s.shape == (2, 3, 3)
+    assert h_s.shape == (2, 4, 4)
 
 
 def test_table_ii_is_certified_from_both_sides_and_above_its_floor(cells):

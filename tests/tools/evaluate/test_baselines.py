@@ -80,7 +80,7 @@ def test_the_innovations_of_the_process_that_the_filter_assumes_are_chi_square(t
     d = truck.model.discretise(np.array([SPEED]))
     A, B = d.Ad[0], (d.B_old + d.B_new)[0]
     size = q * np.sqrt(np.diag(solve_discrete_lyapunov(A, B @ B.T)))
-    x, e = np.zeros(3), np.empty((N, 2))
+    x, e = np.zeros(len(A)), np.empty((N, 2))
     for k in range(N):
         e[k] = truck.model.C @ x + random.standard_normal(2) * [0.02, 0.01]
         x = A @ x + random.standard_normal(3) * size

@@ -5,7 +5,8 @@ At every frequency, output, speed cell and amplitude class of the judging drives
 
     refuted where W_delta < |delta_c| - k se,   doubtful where W_delta < |delta_c| + k se                (T33)
 
-W_delta is the weight as the certificate has it: inflation included, Tustin's map of the frequency.
+W_delta is the weight as the certificate has it: inflation included, Tustin's map of the frequency; 0 for
+K_inf, which is certified without uncertainty.
 """
 
 from __future__ import annotations
@@ -107,6 +108,9 @@ def premise(stored: StoredIdentification) -> Premise:
         )
     omega, names = error.grid.omega, [s.name for s in stored.project.outputs]
     W = np.broadcast_to(weight_met(stored, omega), (len(omega), len(names)))
+    settings = stored.project.design
+    if settings is not None and settings.structure == "K_inf":
+        W = np.zeros_like(W)
     judging = error.judging
     # What a frame cannot tell is no objection: beyond 1 + rho nothing was claimed from it.
     told = np.isfinite(judging.se) & (judging.k * judging.se < 1)

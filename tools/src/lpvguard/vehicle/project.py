@@ -248,8 +248,8 @@ class DesignSettings(StrictModel):
     K_is. ``input_max`` [input unit] and ``input_rate_max_per_s`` limit the demand;
     ``lateral_acceleration_max_mps2``, where given, limits it further over speed: the nominal model's steady
     yaw rate, the first output, times the speed stays within it (control/input_limit.py).
-    K_is. ``amplitudes``: edges of the classes of the demand's amplitude [unit of the input], at which
-    `bench robust` measures; None: its own.
+    ``amplitudes``: edges of the classes of the demand's amplitude [unit of the input], at which `bench
+    robust` measures; None: its own.
     """
 
     structure: Literal["K_inf", "K_i", "K_is", "K_o"] = "K_i"
