@@ -89,7 +89,7 @@ def test_bounds_of_the_deciding_frames_are_near_those_identified(problem):
 
 def test_state_uncertainty_takes_over_what_lambda_leaves_to_it(problem):
     """Each frame's pair explains it: nu_i falls and nu_s grows with a dearer input uncertainty; without room
-    nothing is needed. The lag's state, u times 1/T_b = 10/s, makes nu_s cheap: the trade is at large lambda."""
+    nothing is needed. The lag's state, u times 1/T_b = 10/s, makes nu_s cheap: large lambdas trade."""
     gamma_w = problem.stored.bounds["gamma_w"]
     cheap, dear = (problem.frames.explain_with_state(gamma_w, x) for x in (10.0, 1000.0))
     alone = problem.frames.explain(gamma_w)

@@ -61,7 +61,7 @@ FOLDS = 64
 LEAST_SPREAD = 0.01
 """Of half the speed range: the least standard deviation of speeds that takes a line."""
 LACK_OF_FIT = 1e-3
-"""Level at which a cell's own line refutes that of a wider pool. To refute in vain costs standard error alone."""
+"""Level at which a cell's own line refutes that of a wider pool. Refuting in vain costs precision alone."""
 ENDS = np.sqrt(3)
 """Standard deviations from the mean to the ends of speeds that are spread evenly: where the line is read."""
 TINY = 1e-300
@@ -407,7 +407,7 @@ def _quantile(n: np.ndarray, level: float) -> np.ndarray:
 
 
 def _few(n: np.ndarray) -> np.ndarray:
-    """Factor on standard errors from n < FEWEST_FRAMES frames, 1 elsewhere: to the quantile of many frames."""
+    """Factor on standard errors from n < FEWEST_FRAMES frames, to the quantile of many; 1 elsewhere."""
     return np.where(n < FEWEST_FRAMES, _quantile(n, FEW_LEVEL) / np.sqrt(-np.log(FEW_LEVEL)), 1.0)
 
 
@@ -509,9 +509,9 @@ def _chosen(pools: list[_Lines]) -> np.ndarray:
     """Of every cell the index of its pool (G, P, n_y, C, A): the widest that fits, or wider where that has
     fewer than FEWEST_FRAMES.
 
-    A pool fits when no cell in it with FEWEST_FRAMES has a line of its own that refutes it at LACK_OF_FIT, one
-    standard deviation of speed either side of the mean. Refuted with frames of one length, a pool is refuted
-    for all.
+    A pool fits when no cell in it with FEWEST_FRAMES has a line of its own that refutes it at LACK_OF_FIT,
+    one standard deviation of speed either side of the mean. Refuted with frames of one length, a pool is
+    refuted for all.
     """
     own, cells = pools[0], pools[0].n.shape[3]
     ends = own.ends(1.0)

@@ -172,8 +172,8 @@ def uncertainty_samples(
     frequencies; nu (K,) what the frames of step 5 ask for at the bins. nu(0) = 0 by definition; below the
     lowest bin any small value will do (paper, step 6).
 
-    Dips that a weight of low order cannot follow are filled: the bound rises at most as omega^RISE and falls at
-    most as omega^-FALL. One deep dip would else cost the least worst ratio, and with it every frequency.
+    Dips that a weight of low order cannot follow are filled: the bound rises at most as omega^RISE and falls
+    at most as omega^-FALL. One deep dip would else cost the least worst ratio, and with it every frequency.
     """
     bins = fitting_grid(estimator)
     samples = np.union1d(bins, omega)
