@@ -89,9 +89,10 @@ def test_bounds_of_the_deciding_frames_are_near_those_identified(problem):
 
 def test_state_uncertainty_takes_over_what_lambda_leaves_to_it(problem):
     """Each frame's pair explains it: nu_i falls and nu_s grows with a dearer input uncertainty; without room
-    nothing is needed."""
+    nothing is needed. The lag's state, u times 1/T_b = 10/s, makes nu_s cheap: the trade is at large
+    lambda."""
     gamma_w = problem.stored.bounds["gamma_w"]
-    cheap, dear = (problem.frames.explain_with_state(gamma_w, x) for x in (0.1, 10.0))
+    cheap, dear = (problem.frames.explain_with_state(gamma_w, x) for x in (10.0, 1000.0))
     alone = problem.frames.explain(gamma_w)
     assert np.nanmax(cheap.nu_i) < np.nanmax(dear.nu_i) <= np.nanmax(alone.nu_i) * (1 + 1e-6)
     assert np.nanmax(cheap.nu_s) > np.nanmax(dear.nu_s) > 0
