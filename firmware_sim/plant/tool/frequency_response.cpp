@@ -175,14 +175,15 @@ int frequency_response(Arguments arguments) {
     arguments.done();
 
     const bool judged = amplitude_bar == judged_bar;
-    std::printf("relative difference of the response from the pressure to Table I (l = 4.5 m), %.3g to %.3g rad/s, %d points, sine of "
-                "%.3g bar\n",
-                lowest_radps, highest_radps, points, amplitude_bar);
+    std::printf(
+        "relative difference of the response from the pressure to Table I (l = 4.5 m), %.3g to %.3g rad/s, %d points, sine of "
+        "%.3g bar\n",
+        lowest_radps, highest_radps, points, amplitude_bar);
     std::printf("columns: median, worst, its frequency [rad/s]\n");
     std::printf("limits (%.3g bar, to %.3g rad/s): median in %.0f .. %.0f %%, worst at most %.0f %%\n\n", judged_bar, judged_radps,
                 100.0 * least_median_ratio, 100.0 * largest_median_ratio, 100.0 * largest_worst_ratio);
-    std::printf("  v   | yaw rate to %-2.0f rad/s     | wheel angle to %-2.0f rad/s  | yaw rate, all           | wheel angle, all\n", judged_radps,
-                judged_radps);
+    std::printf("  v   | yaw rate to %-2.0f rad/s     | wheel angle to %-2.0f rad/s  | yaw rate, all           | wheel angle, all\n",
+                judged_radps, judged_radps);
     bool all_within = true;
     for (const double speed_mps : speeds_mps) {
         Differences yaw, wheel, yaw_all, wheel_all;
