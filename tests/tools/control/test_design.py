@@ -134,13 +134,13 @@ def test_what_is_claimed_of_a_moving_speed_is_what_was_proved(stored, designed, 
 
 def test_the_largest_A_t_is_bracketed_below_the_dc_floors_limit(stored, monkeypatch):
     """The project's own A_t is reached; what fails is no more than the tolerance above, and below the limit
-    of any controller: these drives' bounds take between 0.67 and 0.90 of that."""
+    of any controller: with six nodes these drives' bounds take between 0.50 and 0.67 of that."""
     monkeypatch.setattr(stage, "A_T_RTOL", 0.4)
     found, settings = stage.largest_A_t(stored), stored.project.design
     assert found.worst < 1 and settings.A_t <= found.A_t < found.failed <= 1.4 * found.A_t
     floor = stage.dc_floor(fig1_weights(stored, settings))
     assert found.product == pytest.approx(found.A_t * floor)
-    assert found.product > 0.5 and found.failed * floor < 1 - 1e-9
+    assert found.product > 0.45 and found.failed * floor < 1 - 1e-9
 
 
 def test_K_is_is_refused_where_frames_cannot_tell_the_states_uncertainty(common):
@@ -210,7 +210,7 @@ def test_the_other_structures_go_from_design_to_the_closed_loop(common, tmp_path
     monkeypatch.setattr(stage, "OFF_GRID", 4)
     if structure == "K_inf":
         monkeypatch.setattr(stage, "require_premise", stage.premise)
-    one = with_settings(stored, structure=structure, nodes=3, A_t=40.0, order_loss=0.05)
+    one = with_settings(stored, structure=structure, nodes=3, A_t=15.0, order_loss=0.05)
     result = stage.design(one)
     stage.save(result, one, tmp_path / "design")
     stage.verify(tmp_path / "design" / "controller.json", one)
@@ -247,7 +247,7 @@ def test_the_certified_controller_is_the_one_the_core_is_given(designed):
     np.testing.assert_array_equal(schedule.at(v).A, np.eye(n) + A1)
     # At a node too B is interpolated, in double: nodes that are no binary fractions cost a rounding.
     given = reals["BL"][2, 0, :, :3].astype(np.float32).astype(float)
-    np.testing.assert_allclose(schedule.at(v).B, given, rtol=1e-13)
+    np.testing.assert_allclose(schedule.at(v).B, given, rtol=0, atol=1e-12 * np.abs(given).max())
     np.testing.assert_array_equal(schedule.at(v).C, [np.arange(n) % 2 == 0])
 
 
