@@ -175,11 +175,11 @@ def test_float_does_not_drift_in_1e7_samples_and_forgets_a_burst(pair):
 def test_the_demand_is_nowhere_above_the_rule_of_the_input_limit(double, tmp_path):
     """A demand that follows its limit at once, at 1000 random speeds. From 15 m/s on it falls as 1/v."""
     project = load_project("truck")
-    B = [
+    A = [
         [entry.replace("p6", "p6*v/15") if isinstance(entry, str) else entry for entry in row]
-        for row in project.model.B
+        for row in project.model.A
     ]
-    model = NominalModel(project.model_copy(update={"model": project.model.model_copy(update={"B": B})}))
+    model = NominalModel(project.model_copy(update={"model": project.model.model_copy(update={"A": A})}))
     speeds = np.linspace(*model.speed_range, 8)
     settings = project.design.model_copy(update={"input_max": [2.0]})
     u_max = input_limit(model, settings, speeds)

@@ -114,7 +114,10 @@ def test_feedforward_has_the_limits_of_the_controller_that_it_is_compared_with()
 def test_feedforward_runs_on_the_same_seeds(truck_folder, simulator):
     nominal = load_scenario("nominal")
     compared = Simulator(truck_folder, controller="feedforward").run(nominal)
-    assert compared["missed"] == [] and compared["command_rms"] == simulator.run(nominal)["command_rms"]
+    closed = simulator.run(nominal)
+    assert compared["command_rms"] == closed["command_rms"] and closed["missed"] == []
+    assert [text.split()[0] for text in compared["missed"]] == ["tracking"], "the scenario asks for feedback"
+    assert closed["tracking_rms"] < compared["tracking_rms"]
 
 
 def test_a_profile_is_followed_and_its_faults_are_named(simulator, tmp_path):

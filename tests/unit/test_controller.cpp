@@ -171,7 +171,8 @@ TEST_CASE("overdriven, the demand stands at the limit of the speed: at nodes, be
         CHECK(std::fabs(static_cast<double>(std::fabs(control.u[0])) - want) <= 1e-6 * want);
         const auto node = static_cast<std::size_t>(place < 0 ? 0 : std::min(place / 4, LPVG_NG - 1));
         if (place < 0 || place % 4 == 0 || place > 4 * (LPVG_NG - 1)) {
-            CHECK(std::fabs(static_cast<double>(std::fabs(control.u[0]) - r.u_max[node][0])) <= 1e-6 * want);
+            // A node's speed is rounded, and its neighbours' limits differ by as much as its own.
+            CHECK(std::fabs(static_cast<double>(std::fabs(control.u[0]) - r.u_max[node][0])) <= 4e-6 * want);
         }
         const auto settled = static_cast<double>(std::fabs(control.u[0]));
         CHECK((control.limited >= 1U && settled > 0.0));
@@ -257,7 +258,8 @@ TEST_CASE("engaging moves neither this demand nor the next by a step of its numb
 
 namespace {
 
-// Seconds from the end of a minute of overdriving until the demand has left its limit by a tenth.
+// Seconds in the minute after a minute of overdriving in which the demand is within a tenth of its limit, at either sign: a wound-up
+// state may pass 0 and swing to the other limit.
 double seconds_at_the_limit(const lpvg_control_coeff_t& coeff) {
     lpvg_control_t control = ready(coeff);
     std::vector<Real> m(nm, Real(0));
@@ -269,9 +271,9 @@ double seconds_at_the_limit(const lpvg_control_coeff_t& coeff) {
     REQUIRE(static_cast<double>(std::fabs(control.u[0])) * rounding >= top);
     m[0] = Real(0);
     int steps = 0;
-    while (static_cast<double>(std::fabs(control.u[0])) > 0.9 * top && steps < 6000) {
+    for (int k = 0; k < 6000; ++k) {
+        steps += static_cast<double>(std::fabs(control.u[0])) > 0.9 * top ? 1 : 0;
         REQUIRE(lpvg_control_step(&control, mid_speed(), m.data(), true) == lpvg_status_ok);
-        ++steps;
     }
     return steps * period_s;
 }

@@ -29,10 +29,10 @@ double sine(double x) {
 /// The brake demand over time: one call per 10 ms.
 class Program {
 public:
-    Program(const std::string& kind, double low_bar, double high_bar, std::uint64_t seed)
-        : kind_(kind), low_bar_(low_bar), high_bar_(high_bar), random_(seed, 100) {
-        if (kind_ != "pulses" && kind_ != "telegraph" && kind_ != "multisine" && kind_ != "zero") {
-            throw UsageError("--program '" + kind_ + "': expected pulses, telegraph, multisine or zero");
+    Program(const std::string& kind, double low_bar, double high_bar, double duration_s, std::uint64_t seed)
+        : kind_(kind), low_bar_(low_bar), high_bar_(high_bar), duration_s_(duration_s), random_(seed, 100) {
+        if (kind_ != "pulses" && kind_ != "telegraph" && kind_ != "multisine" && kind_ != "sweep" && kind_ != "zero") {
+            throw UsageError("--program '" + kind_ + "': expected pulses, telegraph, multisine, sweep or zero");
         }
         for (double& phase : phases_) {
             phase = random_.uniform(0.0, two_pi);
@@ -46,6 +46,9 @@ public:
         }
         if (kind_ == "multisine") {
             return multisine(time_s);
+        }
+        if (kind_ == "sweep") {
+            return sweep(time_s);
         }
         if (time_s >= switch_s_) {
             kind_ == "pulses" ? switch_pulse(time_s) : switch_telegraph(time_s);
@@ -81,8 +84,18 @@ private:
         return std::fmax(-high_bar_, std::fmin(high_bar_, scaled));
     }
 
+    /// A sine of amplitude_high from 0.1 to 30 rad/s, its frequency exponential in time, after one second without.
+    double sweep(double time_s) const {
+        constexpr double first_s = 1.0, lowest_radps = 0.1, span = 5.703782474656201;  // ln(30 / 0.1)
+        if (time_s < first_s) {
+            return 0.0;
+        }
+        const double rate_ps = span / (duration_s_ - first_s);
+        return high_bar_ * sine(lowest_radps / rate_ps * std::expm1(rate_ps * (time_s - first_s)));
+    }
+
     std::string kind_;
-    double low_bar_, high_bar_;
+    double low_bar_, high_bar_, duration_s_;
     Random random_;
     std::array<double, 24> phases_{};
     std::int64_t samples_ = 0;
@@ -130,6 +143,7 @@ struct Experiment {
     PlantParameters parameters;
     Scenario scenario;
     std::uint64_t seed;
+    double duration_s;
     Program program;
     std::int64_t samples;
 
@@ -137,8 +151,9 @@ struct Experiment {
         : parameters(load_parameters(arguments.text("--parameters", LPVGUARD_TRUCK_TOML))),
           scenario(read_scenario(arguments)),
           seed(arguments.seed("--seed", 1)),
-          program(read_program(arguments, seed)),
-          samples(std::llround(arguments.number("--duration", default_duration_s, sample_s, 1e6) / sample_s)) {
+          duration_s(arguments.number("--duration", default_duration_s, sample_s, 1e6)),
+          program(read_program(arguments, duration_s, seed)),
+          samples(std::llround(duration_s / sample_s)) {
         parameters = varied(parameters, scenario.variation);
     }
 
@@ -152,10 +167,10 @@ private:
         return scenario;
     }
 
-    static Program read_program(Arguments& arguments, std::uint64_t seed) {
+    static Program read_program(Arguments& arguments, double duration_s, std::uint64_t seed) {
         const double low_bar = arguments.number("--amplitude-low", 0.5, 0.0, 10.0);
         const double high_bar = arguments.number("--amplitude-high", std::fmax(low_bar, 2.0), low_bar, 10.0);
-        return Program(arguments.text("--program", "pulses"), low_bar, high_bar, seed);
+        return Program(arguments.text("--program", "pulses"), low_bar, high_bar, duration_s, seed);
     }
 };
 

@@ -1,8 +1,8 @@
 /// @file frequency_response.cpp -- how far the simulated truck is from the nominal model, measured as on a test track.
 ///
 /// For each speed and frequency the truck is driven with a sine demand on a flat road without wind. After the transient its
-/// true yaw rate and road-wheel angle are correlated with the sine over whole periods. Table I is copied here as the target of
-/// the comparison only; the plant does not know it.
+/// true yaw rate and road-wheel angle are correlated over whole periods with the difference of the pressures at the wheels, from
+/// which Table I is. Table I is copied here as the target of the comparison only; the plant does not know it.
 ///
 /// `response` prints what a controller meets: the response of a scenario's truck, as numbers, from a demand that is held over each
 /// sample of 10 ms to the true outputs at the sample instants, before the demand changes. Hold, brake delay and brake lag are in
@@ -23,11 +23,13 @@ namespace lpvguard_plant {
 namespace {
 
 constexpr double two_pi = 6.283185307179586477;
-constexpr double lowest_radps = 0.2, highest_radps = 6.0;
-// Limits of truck.toml's fit against Table I for each speed and output, from the demand.
+constexpr double lowest_radps = 0.2, judged_radps = 6.0, highest_radps = 30.0;
+// Limits of truck.toml's values against Table I, at each speed and for each output, up to judged_radps: above, Table I rolls off
+// and the direct yaw moment of the brakes does not. Friction of the kingpins makes the response depend on the amplitude.
+constexpr double judged_bar = 1.0;
 constexpr double largest_worst_ratio = 0.40;
 constexpr double least_median_ratio = 0.03;      ///< A plant equal to the model would prove nothing.
-constexpr double largest_median_ratio = 0.12;
+constexpr double largest_median_ratio = 0.13;
 constexpr std::array<double, 8> speeds_mps{8.0, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0, 22.0};
 
 using Complex = std::complex<double>;
@@ -46,11 +48,6 @@ Response nominal(double speed_mps, double omega_radps) {
     const Complex wheel = p6 / (s * s - p5 * s + p3 - (p3 * l / speed_mps + p4 * speed_mps) * yaw_per_wheel);
     return {yaw_per_wheel * wheel, wheel};
 }
-
-struct Measurement {
-    Response from_demand;
-    Response from_pressure;  ///< From the pressure difference at the wheels: without brake delay and lag.
-};
 
 constexpr long transient_steps = 25000;  // 10 time constants of the slowest pole (8 m/s).
 
@@ -87,28 +84,28 @@ Response steady(const PlantParameters& parameters, double speed_mps, double dema
     return {plant->truth().yaw_rate_radps / demand_bar, plant->truth().road_wheel_rad / demand_bar};
 }
 
-Measurement measure(const PlantParameters& parameters, double speed_mps, double omega_radps, double amplitude_bar) {
+/// From the pressure difference at the wheels: without brake delay and lag.
+Response measure(const PlantParameters& parameters, double speed_mps, double omega_radps, double amplitude_bar) {
     const auto plant = at_speed(parameters, speed_mps, {});
     const auto period_steps = std::lround(two_pi / omega_radps / Plant::step_s);
     const double phase_per_step = two_pi / static_cast<double>(period_steps);
     const long settle_periods = transient_steps / period_steps + 1;
     const long measured_periods = std::max(2L, 10000 / period_steps);
     const long first = settle_periods * period_steps;
-    Complex demand, pressure, yaw_rate, road_wheel;
+    Complex pressure, yaw_rate, road_wheel;
     for (long k = 0; k < first + measured_periods * period_steps; ++k) {
         const double phase = phase_per_step * static_cast<double>(k);
         const double demand_bar = amplitude_bar * std::sin(phase);
         if (k >= first) {
             const Complex carrier(std::cos(phase), -std::sin(phase));
             const Truth& truth = plant->truth();
-            demand += carrier * demand_bar;
             pressure += carrier * (truth.pressure_right_bar - truth.pressure_left_bar);
             yaw_rate += carrier * truth.yaw_rate_radps;
             road_wheel += carrier * truth.road_wheel_rad;
         }
         plant->step(demand_bar);
     }
-    return {{yaw_rate / demand, road_wheel / demand}, {yaw_rate / pressure, road_wheel / pressure}};
+    return {yaw_rate / pressure, road_wheel / pressure};
 }
 
 HeldMeasurement measure_held(const PlantParameters& parameters, double speed_mps, double omega_radps, double amplitude_bar,
@@ -173,35 +170,45 @@ private:
 
 int frequency_response(Arguments arguments) {
     const PlantParameters parameters = undisturbed(load_parameters(arguments.text("--parameters", LPVGUARD_TRUCK_TOML)));
-    const double amplitude_bar = arguments.number("--amplitude", 0.5, 0.01, 10.0);
+    const double amplitude_bar = arguments.number("--amplitude", 1.0, 0.01, 10.0);
     const int points = static_cast<int>(arguments.number("--points", 24.0, 2.0, 1000.0));
     arguments.done();
 
-    std::printf("relative difference from Table I (l = 4.5 m), %.3g to %.3g rad/s, %d points, sine of %.3g bar\n", lowest_radps,
-                highest_radps, points, amplitude_bar);
+    const bool judged = amplitude_bar == judged_bar;
+    std::printf(
+        "relative difference of the response from the pressure to Table I (l = 4.5 m), %.3g to %.3g rad/s, %d points, sine of "
+        "%.3g bar\n",
+        lowest_radps, highest_radps, points, amplitude_bar);
     std::printf("columns: median, worst, its frequency [rad/s]\n");
-    std::printf("limits (demand): median in %.0f .. %.0f %%, worst at most %.0f %%\n\n", 100.0 * least_median_ratio,
-                100.0 * largest_median_ratio, 100.0 * largest_worst_ratio);
-    std::printf("  v   | yaw rate / demand       | wheel angle / demand    | yaw rate / pressure     | wheel angle / pressure\n");
+    std::printf("limits (%.3g bar, to %.3g rad/s): median in %.0f .. %.0f %%, worst at most %.0f %%\n\n", judged_bar, judged_radps,
+                100.0 * least_median_ratio, 100.0 * largest_median_ratio, 100.0 * largest_worst_ratio);
+    std::printf("  v   | yaw rate to %-2.0f rad/s     | wheel angle to %-2.0f rad/s  | yaw rate, all           | wheel angle, all\n",
+                judged_radps, judged_radps);
     bool all_within = true;
     for (const double speed_mps : speeds_mps) {
-        Differences yaw_demand, wheel_demand, yaw_pressure, wheel_pressure;
+        Differences yaw, wheel, yaw_all, wheel_all;
         for (int i = 0; i < points; ++i) {
             const double omega = lowest_radps * std::pow(highest_radps / lowest_radps, static_cast<double>(i) / (points - 1));
             const Response model = nominal(speed_mps, omega);
-            const Measurement truth = measure(parameters, speed_mps, omega, amplitude_bar);
-            yaw_demand.add(omega, truth.from_demand.yaw_rate, model.yaw_rate);
-            wheel_demand.add(omega, truth.from_demand.road_wheel, model.road_wheel);
-            yaw_pressure.add(omega, truth.from_pressure.yaw_rate, model.yaw_rate);
-            wheel_pressure.add(omega, truth.from_pressure.road_wheel, model.road_wheel);
+            const Response truth = measure(parameters, speed_mps, omega, amplitude_bar);
+            if (omega <= judged_radps) {
+                yaw.add(omega, truth.yaw_rate, model.yaw_rate);
+                wheel.add(omega, truth.road_wheel, model.road_wheel);
+            }
+            yaw_all.add(omega, truth.yaw_rate, model.yaw_rate);
+            wheel_all.add(omega, truth.road_wheel, model.road_wheel);
         }
         std::printf("%5.1f", speed_mps);
-        for (const Differences* column : {&yaw_demand, &wheel_demand, &yaw_pressure, &wheel_pressure}) {
+        for (const Differences* column : {&yaw, &wheel, &yaw_all, &wheel_all}) {
             column->print();
         }
-        const bool within = yaw_demand.within() && wheel_demand.within();
-        std::printf("%s\n", within ? "" : "  OUTSIDE");
+        const bool within = yaw.within() && wheel.within();
+        std::printf("%s\n", within || !judged ? "" : "  OUTSIDE");
         all_within = all_within && within;
+    }
+    if (!judged) {
+        std::printf("\nnot judged: the limits are for %.3g bar\n", judged_bar);
+        return 0;
     }
     std::printf("\n%s\n", all_within ? "within the limits" : "OUTSIDE the limits");
     return all_within ? 0 : 1;

@@ -9,10 +9,10 @@ namespace {
 
 constexpr const char usage[] = R"(usage: lpvguard_plant_tool COMMAND [OPTION VALUE]...
 
-frequency-response   compare yaw rate and road-wheel angle per brake demand with the paper's Table I
-    --amplitude 0.5      of the sine [bar]
-    --points 24          frequencies in 0.2 .. 6 rad/s
-    exit status 1 unless at each speed both differ by 3 .. 12 % in the median over the frequencies and by 40 % at most
+frequency-response   compare yaw rate and road-wheel angle per brake pressure with the paper's Table I
+    --amplitude 1        of the demand's sine [bar]
+    --points 24          frequencies in 0.2 .. 30 rad/s
+    exit status 1 unless at 1 bar and each speed both differ by 3 .. 13 % in the median to 6 rad/s and by 40 % at most
 
 response             print the frequency response per bar of a scenario's truck (its variation, actuator and surroundings
                      faults from the start on; flat road, no wind; demand held over each sample of 10 ms): the omega
@@ -25,7 +25,7 @@ response             print the frequency response per bar of a scenario's truck 
 generate             write one experiment: t,v,dp,r,delta every 10 ms, as the sensors see it
     -o FILE              CSV, written whole or not at all
     --speed 12           [m/s], held; or --scenario FILE, whose [plant] table says it, with variations and faults
-    --program pulses     pulses | telegraph | multisine | zero
+    --program pulses     pulses | telegraph | multisine | sweep | zero
     --amplitude-low 0.5 --amplitude-high 2   [bar]; high is at least low
     --duration 60        [s]
     --seed 1

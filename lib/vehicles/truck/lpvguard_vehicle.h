@@ -3,20 +3,20 @@
 #define LPVGUARD_VEHICLE_TRUCK_H
 
 #define LPVG_VEHICLE truck
-#define LPVG_NX 3
+#define LPVG_NX 4
 #define LPVG_NU 1
 #define LPVG_NY 2
-#define LPVG_DELAY 0
+#define LPVG_DELAY 4
 #define LPVG_NBINS 11
 #define LPVG_NCELLS 16
-#define LPVG_NVARYING 12
-#define LPVG_NWEIGHT 2
-#define LPVG_NDIRECTIONS 16
+#define LPVG_NVARYING 15
+#define LPVG_NWEIGHT 3
+#define LPVG_NDIRECTIONS 2
 #define LPVG_NBANDS 3
-#define LPVG_NDELTA 1
-#define LPVG_NK 13
+#define LPVG_NDELTA 2
+#define LPVG_NK 25
 #define LPVG_NM 3
-#define LPVG_NG 8
+#define LPVG_NG 12
 #define LPVG_ESTIMATOR_ID 2781031112U
 
 #endif

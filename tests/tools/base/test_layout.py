@@ -47,9 +47,9 @@ def test_the_fields_of_the_compiled_core_have_the_shapes_of_the_table(truck):
     assert list(fields) == [f.name for f in COEFF.reals]
     assert truck.sizes["NBANDS"] == 3 and fields["energy_corner"].shape == (2,)
     assert fields["cell"].shape == (truck.sizes["NCELLS"], truck.sizes["NVARYING"], 4)
-    assert fields["energy_direction"].shape == (16, 2) and np.allclose(
-        np.abs(fields["energy_direction"]).sum(axis=1), 1
-    )
+    directions = fields["energy_direction"]
+    assert directions.shape == (truck.sizes["NDIRECTIONS"], 2)
+    assert np.allclose(np.abs(directions).sum(axis=1), 1)
     with pytest.raises(AssertionError, match="items by the layout"):
         truck.fields(truck.compiled[1][:-1])
 
@@ -76,7 +76,7 @@ def test_what_the_core_holds_is_accepted_in_any_order(truck, part):
 @pytest.mark.parametrize(
     ("part", "name", "value", "says"),
     [
-        ("reals", "base", np.zeros(3), r"here: base: shape \(3,\); expected \(15,\), NENTRIES of coeff.h"),
+        ("reals", "base", np.zeros(3), r"here: base: shape \(3,\); expected \(24,\), NENTRIES of coeff.h"),
         ("reals", "speed_max", np.zeros(1), r"speed_max: shape \(1,\); expected \(\), scalar"),
         ("reals", "threshold", np.nan, "threshold: not finite"),
         ("reals", "threshold", 0.0, r"threshold: 0.0; expected every item within \(0, inf\)"),
@@ -84,7 +84,7 @@ def test_what_the_core_holds_is_accepted_in_any_order(truck, part):
         ("reals", "energy_corner", np.array([0.1, 1.0]), r"energy_corner: .* \(0, 1\)"),
         ("words", "confirm", 2, r"confirm: 2; expected every item within \[1, of_last\]"),
         ("words", "of_last", 9, r"of_last: 9; .*NHISTORY"),
-        ("words", "varying_entry", np.full(12, 15), r"varying_entry: .* \[0, NENTRIES\)"),
+        ("words", "varying_entry", np.full(15, 24), r"varying_entry: .* \[0, NENTRIES\)"),
         ("reals", "tread", 1.0, "tread: missing or unknown"),
     ],
 )

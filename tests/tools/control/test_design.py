@@ -27,8 +27,14 @@ from lpvguard.vehicle.nominal import NominalModel
 
 @pytest.fixture(scope="module")
 def stored(few_truck_identified):
-    """The truck identified on few drives."""
-    return identification.load(few_truck_identified)
+    """The truck identified on few drives, with as few nodes as leave mu near 1 between them."""
+    return with_settings(identification.load(few_truck_identified), nodes=6)
+
+
+@pytest.fixture(scope="module")
+def common(few_truck_common_identified):
+    """The same drives with one Delta for both outputs."""
+    return identification.load(few_truck_common_identified)
 
 
 @pytest.fixture(scope="module")
@@ -126,18 +132,20 @@ def test_what_is_claimed_of_a_moving_speed_is_what_was_proved(stored, designed, 
         stage.verify(tmp_path / "controller.json", stored)
 
 
-def test_the_largest_A_t_comes_near_the_dc_floor(stored, monkeypatch):
+def test_the_largest_A_t_is_bracketed_below_the_dc_floors_limit(stored, monkeypatch):
+    """The project's own A_t is reached; what fails is no more than the tolerance above, and below the limit
+    of any controller: with six nodes these drives' bounds take between 0.50 and 0.67 of that."""
     monkeypatch.setattr(stage, "A_T_RTOL", 0.4)
-    found = stage.largest_A_t(stored)
-    assert found.worst < 1 and found.product >= 0.8
-    assert found.product == pytest.approx(
-        found.A_t * stage.dc_floor(fig1_weights(stored, stored.project.design))
-    )
+    found, settings = stage.largest_A_t(stored), stored.project.design
+    assert found.worst < 1 and settings.A_t <= found.A_t < found.failed <= 1.4 * found.A_t
+    floor = stage.dc_floor(fig1_weights(stored, settings))
+    assert found.product == pytest.approx(found.A_t * floor)
+    assert found.product > 0.45 and found.failed * floor < 1 - 1e-9
 
 
-def test_K_is_is_refused_where_frames_cannot_tell_the_states_uncertainty(stored):
+def test_K_is_is_refused_where_frames_cannot_tell_the_states_uncertainty(common):
     with pytest.raises(InputError, match=r"median error of \d+% at .*plain DFT"):
-        stage.design(with_settings(stored, structure="K_is"))
+        stage.design(with_settings(common, structure="K_is"))
 
 
 def with_exact_frames(stored):
@@ -147,8 +155,8 @@ def with_exact_frames(stored):
     )
 
 
-def test_K_is_takes_the_states_own_bound_in_1_per_s(stored):
-    one = with_settings(with_exact_frames(stored), structure="K_is")
+def test_K_is_takes_the_states_own_bound_in_1_per_s(common):
+    one = with_settings(with_exact_frames(common), structure="K_is")
     weights, frames = fig1_weights(one, one.project.design), StoredFrames(one)
     split = frames.explain_with_state(one.bounds["gamma_w"], one.project.design.lambda_s)
     omega = frames.estimator.omega
@@ -159,17 +167,18 @@ def test_K_is_takes_the_states_own_bound_in_1_per_s(stored):
 
 
 @pytest.mark.parametrize("factor", [0.1, 60.0])
-def test_another_unit_of_time_leaves_the_loop_of_K_is_as_it_was(stored, factor):
+def test_another_unit_of_time_leaves_the_loop_of_K_is_as_it_was(common, factor):
     """x' = A x + B u + xi_s: in a unit of time `factor` times longer A, B and W_delta_s grow by that
     factor."""
-    model, settings = NominalModel(stored.project), stored.project.design
+    model, settings = NominalModel(common.project), common.project.design
     A, B = (m[0] for m in model.matrices(np.array([15.0])))
-    weights = fig1_weights(stored, settings)
+    weights = fig1_weights(common, settings)
     slower = fig1.PlantWeights(
         **{
             f.name: replace(w, A=factor * w.A, B=factor * w.B)
             for f in fields(weights)
             for w in [getattr(weights, f.name)]
+            if w is not None
         }
     )
     rate = replace(slower.W_delta_s, C=factor * slower.W_delta_s.C, D=factor * slower.W_delta_s.D)
@@ -185,14 +194,23 @@ def test_another_unit_of_time_leaves_the_loop_of_K_is_as_it_was(stored, factor):
     assert np.abs(as_if_dimensionless - want).max() > 1e-2 * np.abs(want).max()
 
 
-@pytest.mark.parametrize("structure", ["K_inf", "K_is"])
-def test_the_other_structures_go_from_design_to_the_closed_loop(stored, tmp_path, monkeypatch, structure):
-    stored = with_exact_frames(stored)
+def test_a_controller_for_no_uncertainty_is_refused_because_the_vehicle_errs(common):
+    """K_inf presupposes the nominal model itself, which the drives that judge refute."""
+    with pytest.raises(InputError, match=r"W_delta is 0 beside \|delta_c\| - k se = .* do not refute"):
+        stage.design(with_settings(common, structure="K_inf"))
+
+
+@pytest.mark.parametrize("structure", ["K_inf", "K_i", "K_is"])
+def test_the_other_structures_go_from_design_to_the_closed_loop(common, tmp_path, monkeypatch, structure):
+    """K_inf below the gate, which refuses it."""
+    stored = with_exact_frames(common)
     monkeypatch.setattr(
         stage, "find", lambda *_: None
     )  # the certificate at a moving speed has tests of its own
     monkeypatch.setattr(stage, "OFF_GRID", 4)
-    one = with_settings(stored, structure=structure, nodes=3, A_t=40.0, order_loss=0.05)
+    if structure == "K_inf":
+        monkeypatch.setattr(stage, "require_premise", stage.premise)
+    one = with_settings(stored, structure=structure, nodes=3, A_t=15.0, order_loss=0.05)
     result = stage.design(one)
     stage.save(result, one, tmp_path / "design")
     stage.verify(tmp_path / "design" / "controller.json", one)
@@ -227,7 +245,9 @@ def test_the_certified_controller_is_the_one_the_core_is_given(designed):
         if j % 2 == 0 and j + 1 < n:
             A1[j, j + 1] = 1.0
     np.testing.assert_array_equal(schedule.at(v).A, np.eye(n) + A1)
-    np.testing.assert_array_equal(schedule.at(v).B, reals["BL"][2, 0, :, :3].astype(np.float32).astype(float))
+    # At a node too B is interpolated, in double: nodes that are no binary fractions cost a rounding.
+    given = reals["BL"][2, 0, :, :3].astype(np.float32).astype(float)
+    np.testing.assert_allclose(schedule.at(v).B, given, rtol=0, atol=1e-12 * np.abs(given).max())
     np.testing.assert_array_equal(schedule.at(v).C, [np.arange(n) % 2 == 0])
 
 
@@ -240,7 +260,7 @@ def test_a_controller_that_has_common_poles_is_met(stored, designed):
         FrozenLoop(
             schedule.at(v),
             frozen_plant(stored, v),
-            stage.vehicle_at(model, v, schedule.Ts),
+            stage.vehicle_at(model, v),
         )
         for v in schedule.speeds
     ]
@@ -259,15 +279,16 @@ def test_random_deltas_within_the_bound_keep_the_certified_performance(stored, d
     plant = frozen_plant(stored, v)
     loop = lft(plant.system, result.schedule.at(v))
     level, random = proved.upper, np.random.default_rng(5)
+    assert [(b.rows, b.cols) for b in plant.blocks] == [(1, 1)] * 2
     omega = np.concatenate([[0.0], np.logspace(-3, np.log10(np.pi / plant.system.dt), 400)])
+    M = loop.response(omega)
     for _ in range(50):
-        pole, sign = random.uniform(-0.99, 0.99), random.choice([-1.0, 1.0])
-        size = sign * (1 - abs(pole)) / level / max(1.0, level)
-        delta = StateSpace(
-            np.array([[pole]]), np.eye(1), np.array([[size]]), np.zeros((1, 1)), plant.system.dt
-        )
-        M, D = loop.response(omega), delta.response(omega)
-        closed = M[:, 1:, 1:] + M[:, 1:, :1] @ (D / (1 - M[:, :1, :1] * D)) @ M[:, :1, 1:]
+        pole, sign = random.uniform(-0.99, 0.99, 2), random.choice([-1.0, 1.0], 2)
+        size = sign * (1 - np.abs(pole)) / level / max(1.0, level)
+        delta = StateSpace(np.diag(pole), np.eye(2), np.diag(size), np.zeros((2, 2)), plant.system.dt)
+        D = delta.response(omega)
+        fed_back = np.linalg.solve(np.eye(2) - M[:, :2, :2] @ D, M[:, :2, 2:])
+        closed = M[:, 2:, 2:] + M[:, 2:, :2] @ D @ fed_back
         assert np.linalg.norm(closed, 2, axis=(1, 2)).max() <= level * (1 + 1e-9)
 
 
@@ -281,7 +302,7 @@ class SaturatedLoop:
 
     def __init__(self, result, model, v, settings):
         schedule = result.schedule
-        self.vehicle, self.K = stage.vehicle_at(model, v, schedule.Ts), schedule.at(v)
+        self.vehicle, self.K = stage.vehicle_at(model, v), schedule.at(v)
         self.L, self.Ts = schedule._rows(schedule.L, v)[:, 0], schedule.Ts
         self.u_max, self.rate = schedule.limit(v)[0], settings.input_rate_max_per_s[0] * schedule.Ts
         self.top = (

@@ -29,8 +29,8 @@ GAINS = {
 def vehicle(tmp_path: Path, gain: str, **settings) -> tuple[NominalModel, object]:
     """The truck with another gain over speed and other settings of its design."""
     path = tmp_path / "truck.toml"
-    assert TRUCK.count('["p6"]') == 1
-    path.write_text(TRUCK.replace('["p6"]', f'["{gain}"]'))
+    assert TRUCK.count('"p6"') == 1
+    path.write_text(TRUCK.replace('"p6"', f'"{gain}"'))
     project = load_project(path)
     return NominalModel(project), project.design.model_copy(update=settings)
 

@@ -80,10 +80,10 @@ def test_the_innovations_of_the_process_that_the_filter_assumes_are_chi_square(t
     d = truck.model.discretise(np.array([SPEED]))
     A, B = d.Ad[0], (d.B_old + d.B_new)[0]
     size = q * np.sqrt(np.diag(solve_discrete_lyapunov(A, B @ B.T)))
-    x, e = np.zeros(3), np.empty((N, 2))
+    x, e = np.zeros(len(A)), np.empty((N, 2))
     for k in range(N):
         e[k] = truck.model.C @ x + random.standard_normal(2) * [0.02, 0.01]
-        x = A @ x + random.standard_normal(3) * size
+        x = A @ x + random.standard_normal(len(A)) * size
     nis = statistic(truck, Baseline("nis", window_s=0.01, process_ratio=q), e, np.full(N, SPEED))
     assert nis[2000:].mean() == pytest.approx(2.0, rel=0.03)
     assert nis[2000:].var() == pytest.approx(4.0, rel=0.1)

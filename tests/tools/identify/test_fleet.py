@@ -35,7 +35,6 @@ from lpvguard.identify.bounds import (
     explain,
     front,
     front_grid,
-    reduce_covering,
     reduce_disturbance,
     reduce_uncertainty,
 )
@@ -107,13 +106,9 @@ def test_a_disturbance_bound_that_is_missing_or_below_b1_names_experiment_bin_an
         f"lap_7: bin 2 ({estimator.omega[2]:.6g} rad/s), frame from sample 400: "
         f"B1 = {size:.6g} and gamma_w = "
     )
-    for run in (
-        lambda g: reduce_uncertainty([s], estimator, g, grid, n_y, "S1"),
-        lambda g: reduce_covering([s], estimator, g, np.ones((K, n_y)), "S1"),
-    ):
-        with pytest.raises(InputError, match=place + ".*expected finite spectra and gamma_w >= B1"):
-            run(below)
-        run(np.where(np.arange(K) == 2, size, below))
+    with pytest.raises(InputError, match=place + ".*expected finite spectra and gamma_w >= B1"):
+        reduce_uncertainty([s], estimator, below, grid, n_y, "S1")
+    reduce_uncertainty([s], estimator, np.where(np.arange(K) == 2, size, below), grid, n_y, "S1")
     none = below.copy()
     none[2] = np.nan  # a bin that set no bound, met by a drive that has frames there
     with pytest.raises(InputError, match=r"lap_7: bin 2 .*gamma_w = nan"):
@@ -137,7 +132,7 @@ def test_workers_and_order_do_not_change_a_byte(drives, tmp_path):
         "\n".join([head, *np.random.default_rng(1).permutation(rows)]) + "\n"
     )
     other = files(shuffled)
-    for name in ("bounds.json", "front.json", "weights.json", "visibility.json"):
+    for name in ("bounds.json", "front.json", "model_error.json", "weights.json", "visibility.json"):
         assert other[name] == alone[name], name
     a, b = (json.loads(f["calibration.json"]) for f in (alone, other))
     assert a == b  # scores are listed in the order of the drives

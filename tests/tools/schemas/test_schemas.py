@@ -73,7 +73,7 @@ def test_an_example_is_accepted_and_an_unknown_or_missing_field_is_not(name):
 
 
 @pytest.mark.parametrize(
-    "file", ["bounds", "front", "weights", "calibration", "energy", "visibility", "MANIFEST"]
+    "file", ["bounds", "front", "model_error", "weights", "calibration", "energy", "visibility", "MANIFEST"]
 )
 def test_an_identification_is_as_described(identified, vehicle, file):
     assert errors(file.lower(), json.loads((identified / f"{file}.json").read_text())) == []

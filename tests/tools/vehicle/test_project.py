@@ -53,7 +53,7 @@ def test_a_bad_project_file_is_refused_by_field(tmp_path, old, new, says):
             "[design]\nA_t = 9.0\nA_u = 0.1\ninput_max = [1.0]\ninput_rate_max_per_s = [1.0]\n\n[frames]",
             "two outputs",
         ),
-        ("truck", "C = [[1.0, 0.0, 0.0]", "C = [[1.0, 0.0, 1.0]", r"model\.C = \[I 0\]"),
+        ("truck", "C = [[1.0, 0.0, 0.0, 0.0]", "C = [[1.0, 0.0, 1.0, 0.0]", r"model\.C = \[I 0\]"),
         ("truck", "input_max = [6.0]", "input_max = [6.0, 6.0]", r"design\.input_max: must have 1"),
         (
             "truck",

@@ -83,15 +83,17 @@ def write_budget_vehicle(folder: Path) -> Project:
     project = budget_project()
     model = NominalModel(project)
     estimator = Estimator.of(project, model)
-    W_delta = np.linspace(0.1, 0.4, estimator.n_bins)[:, None]
+    W_delta = np.outer(np.linspace(0.1, 0.4, estimator.n_bins), np.ones(project.n_delta))
     B_w = np.outer(np.linspace(0.02, 0.01, estimator.n_bins), np.ones(project.n_y))
-    # W_delta of third order, as the truck's own, fits this weight: two sections.
+    # Sixth order, the truck project's highest: three sections a Delta.
+    corners = np.geomspace(0.5, 20.0, 6)
+    weight = Weight(0.4 * np.poly(-1.2 * corners), np.poly(-corners))
     energy = EnergyTest.design(
         project,
         estimator,
-        [Weight(np.array([0.4, 0.2, 0.07, 0.02]), np.array([1.0, 0.7, 0.3, 0.1]))],
+        [weight] * project.n_delta,
         estimator.omega[1:],
-        np.full((estimator.n_bins - 1, 1), 0.1),
+        np.full((estimator.n_bins - 1, project.n_delta), 0.1),
         1.0,
     )
     sigma = np.tile([0.1, 0.05], (len(energy.F), 1))

@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from lpvguard.bench import parser, show
 from lpvguard.bench._peers import Peers
-from lpvguard.engine.synthesis.cases import case_plant, read_case
+from lpvguard.engine.synthesis.cases import PAPER_WEIGHTS, case_plant, read_case
 from lpvguard.engine.synthesis.dk import certify, dk_synthesis
 from lpvguard.engine.synthesis.hinf import hinf_synthesis
 from lpvguard.engine.synthesis.interconnection import (
@@ -92,8 +92,8 @@ def order_23_plant(case: dict) -> GeneralisedPlant:
     """
     objective = case["objective"][0]
     weights = {
-        f.name: weight_from_table(case[f.name], A_t=objective["A_t"], A_u=objective["A_u"])
-        for f in fields(PlantWeights)
+        name: weight_from_table(case[name], A_t=objective["A_t"], A_u=objective["A_u"])
+        for name in PAPER_WEIGHTS
     }
     ripple = {1: zeros_poles(1.0, [0.4], [0.5]), 2: zeros_poles(1.0, [0.4, 9.0], [0.5, 11.0])}
     for name in ("W_C", "W_nr", "W_ndelta", "W_wr", "W_wdelta"):

@@ -1,5 +1,5 @@
 """`lpvguard campaign`: score the monitor and the baselines over many simulated runs; stopped half-way, the
-same command goes on. Exit 1: a claim missed."""
+same command goes on. Exit 1: a falsified certificate, or another claim missed."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def campaign(
     scheduler: Scheduler = None,
 ) -> None:
     """Score the monitor and the baselines over many simulated runs; stopped half-way, the same command goes
-    on. Exit 1: a claim missed."""
+    on. Exit 1: a falsified certificate, or another claim missed."""
     from ..base.parallel import workers
     from ..core.compiled import shipped_vehicle
     from ..loop.campaign.run import campaign as stage

@@ -28,6 +28,7 @@ from .tables import (
     print_design,
     print_largest_A_t,
     print_moving_speed,
+    print_premise,
     print_tradeoff,
 )
 
@@ -65,17 +66,21 @@ def design(
         typer.Option(
             "--tradeoff",
             help="Search the ceiling on nu, gamma_w and Lambda_nu for the "
-            "least worst mu over speed, instead of designing.",
+            "least worst mu over speed, instead of designing. For one Delta (S0, S1) only.",
         ),
     ] = False,
     largest_A_t: Annotated[
         bool, typer.Option("--largest-A-t", help="Search the largest A_t with mu < 1 at every speed too.")
     ] = False,
-    table: Annotated[bool, typer.Option(help="Table II, Figs. 5 and 6 beside the controller.")] = True,
+    table: Annotated[
+        bool, typer.Option(help="Table II, Figs. 5 and 6 beside the controller, where there is one Delta.")
+    ] = True,
     json_out: JsonOut = None,
 ) -> None:
     """Synthesise the scheduled controller, certify it as the core runs it, and compare structures (paper,
     step 8).
+
+    Bounds that drives which did not set them refute are refused; the premise is printed beside mu.
 
     Exit 1 when robust performance (mu below 1) is not certified: at a speed, in a row of the case's table, or
     by any trade-off."""
@@ -121,12 +126,13 @@ def _design_vehicle(
     exit status: 1 when mu is not certified below 1."""
     from ..control import design as stage
     from ..control.plants import design_settings
+    from ..identify.premise import premise
 
     cells: list[Cell] = []
     more: dict[str, str] = {}
     with progress_bar("design") as tell:
         result = stage.design(stored, tell)
-        if table:
+        if table and stored.project.n_delta == 1:
             cells, more = _table_and_figures(stored, drive_set, tell)
         largest = stage.largest_A_t(stored, tell) if largest_A_t else None
         stage.save(result, stored, out, more, largest)
@@ -140,7 +146,12 @@ def _design_vehicle(
         print_cells(cells)
         if drive_set is None:
             console.print("Fig. 6 needs the drives: --drives")
+    elif table:
+        console.print(
+            "Table II compares structures with one Delta: left out, for this vehicle has one an output"
+        )
     print_design(result, design_settings(stored).structure, out)
+    print_premise(premise(stored))
     if largest_A_t:
         print_largest_A_t(largest)
     print_moving_speed(result)

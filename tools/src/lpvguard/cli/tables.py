@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from ..engine.synthesis.table import Cell
     from ..evaluate.comparison import DetectorColumn
     from ..fit.run import FittedModel
+    from ..identify.premise import Premise
     from ..loop.sim import Simulator
     from ..replay.run import Replayer
 
@@ -278,6 +279,13 @@ def print_design(result: Design, structure: str, out: Path) -> None:
     console.print(f"worst of {OFF_GRID} speeds off the grid: mu {worst.upper:.4f} at {speed:.4g} m/s")
 
 
+def print_premise(found: Premise) -> None:
+    """The premise of a certificate with its evidence, and a warning where the evidence leaves room."""
+    console.print(found.sentence())
+    if found.doubtful:
+        console.print(f"warning: {found.doubting.sentence('+')}", style="yellow")
+
+
 def print_largest_A_t(largest: LargestA_t | None) -> None:
     """The largest A_t with mu below 1 at every speed; None: there is none in the range of the search."""
     console.print(
@@ -372,14 +380,26 @@ def print_case(rows: list[TableRow], table: list[dict[str, Any]]) -> None:
 
 
 def print_campaign(summary: dict[str, Any]) -> None:
-    """The summary of a campaign: false alarms, detection beside the baselines, supervision of the bus, and
-    the claims that it contradicts."""
+    """The summary of a campaign: falsified certificates, false alarms, detection beside the baselines,
+    supervision of the bus, and the claims that it contradicts."""
+    _print_falsified(summary)
     _print_within(summary)
     _print_detection(summary)
     _print_invisible(summary)
     _print_bus(summary)
     for text in summary["missed"]:
         console.print(f"missed: {text}")
+
+
+def _print_falsified(summary: dict[str, Any]) -> None:
+    """Every run of a truck within the bounds that did what the certificate rules out."""
+    falsified = summary["falsified"]
+    console.print(f"runs within the bounds that falsify the certificate: {_rate(falsified['rate'])}")
+    for run in falsified["runs"]:
+        console.print(
+            f"FALSIFIED CERTIFICATE: run {run['number']}, seed {run['seed']}, truck {run['plant']}, "
+            f"{run['speed_mps']:.2f} m/s: {'; '.join(run['did'])}"
+        )
 
 
 def _print_within(summary: dict[str, Any]) -> None:
@@ -404,7 +424,6 @@ def _print_within(summary: dict[str, Any]) -> None:
         )
         rates.add_row(test, _rate(seen), stated[0], interval, stated[1])
     console.print(rates)
-    console.print(f"apart, with more demand than was checked: {_rate(within['beyond_checked_amplitude'])}")
 
 
 def _print_detection(summary: dict[str, Any]) -> None:

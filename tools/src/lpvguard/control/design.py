@@ -40,12 +40,14 @@ from ..engine.synthesis.lpv_certificate import (
 )
 from ..engine.synthesis.norms import hinf_norm
 from ..engine.synthesis.scheduling import closed_scaled, common_family, common_scaling
-from ..engine.synthesis.statespace import StateSpace, series, zero_order_hold
+from ..engine.synthesis.statespace import StateSpace, series
+from ..identify.model_error import last_telling
+from ..identify.premise import premise, require_premise
 from ..identify.run import Progress, StoredIdentification
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import DesignSettings
 from .input_limit import input_limit
-from .plants import design_settings, fig1_weights, frozen_plant, plant_at
+from .plants import design_settings, fig1_weights, frozen_plant, plant_at, vehicle_at
 from .schedule import FrozenLoop, fit
 
 FEWEST_PAIRS, MOST_PAIRS = 2, 19
@@ -62,6 +64,11 @@ OFF_GRID = 24
 A_T_RTOL = 0.01
 LARGER_STEP = 0.8
 """Of the way to the limit, while no A_t has failed: the answer lies near it."""
+FAMILY_RTOL = 0.01
+"""By which a truncated controller may exceed the level that the family was made for."""
+REACH = 3
+"""Crossovers that the model error model must reach."""
+CROSSOVER_FROM, CROSSOVER_POINTS = 1e-3, 2000
 SCALING_SPEEDS = 4
 """Nodes, ends included, for which the common scaling is searched: the optimum moves slowly with speed."""
 
@@ -96,18 +103,49 @@ def stated_scaling(document: dict) -> Scaling:
     return Scaling(np.array(stated["scaling_log_parameters"], float).reshape(-1, stated["scaling_columns"]))
 
 
-def vehicle_at(model: NominalModel, v: float, Ts: float) -> StateSpace:
-    """The nominal vehicle from u to y at speed v [m/s], sampled every Ts [s] with its input held."""
-    A, B = (m[0] for m in model.matrices(np.array([v])))
-    return zero_order_hold(StateSpace(A, B, model.C, np.zeros((model.n_y, B.shape[1]))), Ts)
-
-
 def design(stored: StoredIdentification, progress: Progress = lambda _: None) -> Design:
     """Synthesise, schedule over common poles and certify. InputError when the project file has no [design] or
     no order certifies."""
     settings = design_settings(stored)
+    require_premise(stored)
     result = _designed(stored, settings, None, progress)
+    _require_reach(stored, result.schedule)
     return replace(result, lpv=find(_family(stored, settings, result.schedule, result.scaling), progress))
+
+
+def crossover(schedule: Scheduled, model: NominalModel) -> float:
+    """Highest frequency [rad/s] at which the loop gain |sum_j K_j P_j| is 1, over the nodes; 0 where it is
+    nowhere."""
+    omega = np.geomspace(CROSSOVER_FROM, np.pi / schedule.Ts * (1 - 1e-9), CROSSOVER_POINTS)
+    highest = 0.0
+    for v in map(float, schedule.speeds):
+        K = schedule.at(v).response(omega)[:, :, 1:]
+        P = model.frequency_response(omega, v)
+        above = np.flatnonzero(np.linalg.norm(K @ P, 2, axis=(1, 2)) >= 1)
+        highest = max(highest, float(omega[above[-1]]) if len(above) else 0.0)
+    return highest
+
+
+def _require_reach(stored: StoredIdentification, schedule: Scheduled) -> None:
+    """InputError unless the model error model reaches three times the crossover and two of its frequencies
+    past the last that tells."""
+    omega = stored.model_error.grid.omega
+    wanted = REACH * crossover(schedule, NominalModel(stored.project))
+    if omega[-1] < wanted:
+        raise InputError(
+            stored.folder,
+            "model_error",
+            f"reaches {omega[-1]:.3g} rad/s",
+            f"at least {wanted:.3g} rad/s, {REACH} times the crossover",
+        )
+    last = int(last_telling(stored.model_error.setting).max())
+    if last > len(omega) - 3:
+        raise InputError(
+            stored.folder,
+            "model_error",
+            f"ends {len(omega) - 1 - last} frequencies past the last that tells, {omega[last]:.3g} rad/s",
+            "two",
+        )
 
 
 def _family(
@@ -164,7 +202,8 @@ def _designed(
         if level < 1
         else level * (1 + settings.backoff)
     )
-    at_order, full_order = common_family(plants, scaling, level)
+    at_order, rank = common_family(plants, scaling, level)
+    full_order = _sound_order(at_order, rank, plants, scaling, level)
     check = np.linspace(speeds[0], speeds[-1], 2 * len(speeds) - 1)
 
     def loop_at(v: float) -> fig1.GeneralisedPlant:
@@ -173,7 +212,7 @@ def _designed(
     loops = {float(v): loop_at(v) for v in check}
     u_max = input_limit(model, settings, speeds)
     frozen = [
-        FrozenLoop(_with_delay(K), loops[float(v)], vehicle_at(model, v, stored.project.Ts_s))
+        FrozenLoop(_with_delay(K), loops[float(v)], vehicle_at(model, v))
         for v, K in zip(speeds, at_order(full_order), strict=False)
     ]
     best, found, found_pairs = None, None, 0
@@ -201,6 +240,31 @@ def _designed(
         _certificates(found, loops, scaling),
         full_order,
         _off_grid(found, scaling, loop_at, stored.project.seed),
+    )
+
+
+def _sound_order(
+    at_order: Callable[[int], list[StateSpace]],
+    rank: int,
+    plants: list[fig1.GeneralisedPlant],
+    scaling: Scaling,
+    level: float,
+) -> int:
+    """The largest order at which every controller of the family keeps ``level``.
+
+    The last states of ``rank`` can be rounding alone, with which a loop is not even stable. InputError where
+    no order keeps it.
+    """
+    for order in range(rank, 0, -1):
+        controllers = at_order(order)
+        loops = (closed_scaled(p, K, scaling) for p, K in zip(plants, controllers, strict=True))
+        if all(
+            G.stability_margin() > 0 and hinf_norm(G, rtol=1e-3).upper <= level * (1 + FAMILY_RTOL)
+            for G in loops
+        ):
+            return order
+    raise InputError(
+        "design", "controllers", f"none of up to {rank} states keeps the level {level:.4g}", "a lower A_t"
     )
 
 
@@ -317,6 +381,7 @@ def verify(path: Path, stored: StoredIdentification) -> None:
             "not that of speeds, a, B, L and u_max",
             "the coefficients that were certified",
         )
+    require_premise(stored)
     model, weights = NominalModel(stored.project), fig1_weights(stored, settings)
     _require_settings(path, stated, schedule, settings, model)
     rows = [*stated["speeds"], stated["off_grid"]]
@@ -488,9 +553,11 @@ def save(
         "rate_max": settings.input_rate_max_per_s,
         "certificates": {
             "claim": "frozen speeds, float32 coefficients, interpolated, closed with the nominal model and "
-            "the weights: mu <= mu_upper < 1 means robust performance for every LTI Delta within W_delta",
+            "the weights: mu <= mu_upper < 1 means robust performance for every LTI Delta within W_delta, on "
+            "the premise that the vehicle is within W_delta",
             "test": "bracket of the scaled closed loop's H-infinity norm by level-set tests of its "
             "Hamiltonian",
+            "premise": premise(stored).to_dict(),
             "structure": settings.structure,
             "A_t": settings.A_t,
             "A_u": settings.A_u,

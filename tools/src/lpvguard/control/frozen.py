@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cached_property
 
 from ..base import artefacts
+from ..base.errors import InputError
 from ..engine.synthesis.interconnection import STRUCTURES, GeneralisedPlant, PlantWeights
 from ..engine.synthesis.statespace import StateSpace
 from ..engine.synthesis.table import Cell, cell, to_csv
@@ -18,9 +19,20 @@ from .stored_frames import SplitWeights, StoredFrames
 
 
 class FrozenProblem:
-    """The control problem of an identification at frozen speeds. InputError without a [design] table."""
+    """The control problem of an identification at frozen speeds, for structures with one Delta.
+
+    InputError without a [design] table, and for an identification with a Delta an output: Table II, the
+    trade-off and the worst runs compare what class S1 identifies.
+    """
 
     def __init__(self, stored: StoredIdentification, frames: StoredFrames):
+        if len(stored.fitted.W_delta) > 1:
+            raise InputError(
+                stored.folder,
+                "bounds.structure",
+                f"{stored.project.bounds.structure}: {len(stored.fitted.W_delta)} Deltas, one an output",
+                "S0 or S1: Table II and the trade-off compare structures with one Delta",
+            )
         self.stored, self.frames, self.settings = stored, frames, design_settings(stored)
         self.model = NominalModel(stored.project)
 

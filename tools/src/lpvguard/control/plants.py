@@ -1,7 +1,8 @@
 """Fig. 1 of an identified vehicle: its settings, its weights and the generalised plant at a frozen speed.
 
-Everything is discrete from the start: the vehicle sampled exactly at Ts, the weights by Tustin's map. A delay
-in the plant holds the control input back by one sample.
+Everything is discrete from the start: the vehicle sampled exactly at Ts, the weights by Tustin's map. The
+model's input delay is whole samples in front of the vehicle; the performance weight W_u sees the demand at
+once.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..engine.synthesis import interconnection as fig1
-from ..engine.synthesis.statespace import StateSpace, append, gain, series
+from ..engine.synthesis.statespace import StateSpace, append, gain, series, zero_order_hold
 from ..identify.run import StoredIdentification
 from ..identify.weights import FittedWeight
 from ..vehicle.nominal import NominalModel
@@ -60,18 +61,19 @@ def state_uncertainty(stored: StoredIdentification, settings: DesignSettings) ->
 
 
 def fig1_weights(stored: StoredIdentification, settings: DesignSettings) -> fig1.PlantWeights:
-    """The ten weights of Fig. 1 for ``settings``: structure, A_t, A_u and shapes; the others as identified.
+    """The weights of Fig. 1 for ``settings``: structure, A_t, A_u and shapes; the others as identified.
 
-    InputError without drives of the noise split, and where every output has a Delta of its own: Fig. 1 has
-    one.
+    InputError without drives of the noise split, and unless the identification and the design have the same
+    uncertainty: S1_diagonal goes with K_o, S1 with K_i and K_is, and K_inf with each.
     """
     fitted = stored.fitted
-    if len(fitted.W_delta) > 1:
+    outputwise = settings.structure == fig1.OUTPUTWISE
+    if settings.structure != "K_inf" and outputwise != (len(fitted.W_delta) > 1):
         raise InputError(
             stored.folder,
             "bounds.structure",
-            f"{len(fitted.W_delta)} blocks Delta, one an output",
-            "S0 or S1: Fig. 1 has one Delta",
+            f"{stored.project.bounds.structure} with design.structure = {settings.structure}",
+            "S1_diagonal with K_o, S1 with K_i or K_is: one uncertainty for bounds and design",
         )
     if not fitted.W_n or not fitted.W_C:
         raise InputError(
@@ -100,15 +102,40 @@ def fig1_weights(stored: StoredIdentification, settings: DesignSettings) -> fig1
         W_wdelta=weight_system(W_w[1], g),
         W_delta_i=weight_system(W_delta_i, g),
         W_delta_s=weight_system(W_delta_s, g),
+        W_delta_r=weight_system(fitted.W_delta[0], g) if outputwise else None,
+        W_delta_delta=weight_system(fitted.W_delta[1], g) if outputwise else None,
     )
 
 
-def _delayed(plant: fig1.GeneralisedPlant) -> fig1.GeneralisedPlant:
-    """The plant with one sample of delay in front of its control input."""
-    n_w, n_u, dt = plant.system.n_inputs - plant.n_control, plant.n_control, plant.system.dt
-    shift = StateSpace(np.zeros((n_u, n_u)), np.eye(n_u), np.eye(n_u), np.zeros((n_u, n_u)), dt)
-    late = series(plant.system, append(gain(np.eye(n_w), dt), shift))
-    return replace(plant, system=replace(late, inputs=plant.system.inputs))
+def whole_delay(model: NominalModel) -> int:
+    """The model's input delay [samples]; InputError where it is not a whole number of them."""
+    if model.delay_fraction:
+        raise InputError(
+            "model",
+            "input_delay_s",
+            f"{model.delay + model.delay_fraction:.6g} samples",
+            f"a whole number of samples of {model.Ts:g} s for a design",
+        )
+    return model.delay
+
+
+def vehicle_at(model: NominalModel, v: float) -> StateSpace:
+    """The nominal vehicle from u to y at speed v [m/s], sampled with its input held, delay included."""
+    A, B = (m[0] for m in model.matrices(np.array([v])))
+    free = StateSpace(A, B, model.C, np.zeros((model.n_y, B.shape[1])))
+    held = zero_order_hold(free, model.Ts)
+    return series(held, append(*[delay_line(whole_delay(model), model.Ts)] * model.n_u))
+
+
+def delay_line(samples: int, dt: float) -> StateSpace:
+    """One signal, ``samples`` late."""
+    return StateSpace(
+        np.eye(samples, k=1),
+        np.eye(samples)[:, -1:],
+        np.eye(samples)[:1],
+        np.full((1, 1), float(not samples)),
+        dt,
+    )
 
 
 def plant_at(
@@ -120,13 +147,19 @@ def plant_at(
     structure: str,
     probes: bool = False,
 ) -> fig1.GeneralisedPlant:
-    """The discrete generalised plant at speed v [m/s].
+    """The discrete generalised plant at speed v [m/s], the model's input delay included.
 
-    delayed: with one sample of delay in front of the control input. probes: as in ``generalised_plant``.
+    delayed: with one more sample of delay in front of the control input, that of the controller's
+    computation. probes: as in ``generalised_plant``.
     """
     A, B = (m[0] for m in model.matrices(np.array([v])))
-    plant = fig1.generalised_plant(A, B, weights, structure, stored.project.Ts_s, probes=probes)
-    return _delayed(plant) if delayed else plant
+    late = whole_delay(model)
+    plant = fig1.generalised_plant(A, B, weights, structure, stored.project.Ts_s, late, probes)
+    if not delayed:
+        return plant
+    n_w, n_u, dt = plant.system.n_inputs - plant.n_control, plant.n_control, plant.system.dt
+    computed = series(plant.system, append(gain(np.eye(n_w), dt), *[delay_line(1, dt)] * n_u))
+    return replace(plant, system=replace(computed, inputs=plant.system.inputs))
 
 
 def frozen_plant(stored: StoredIdentification, v: float) -> fig1.GeneralisedPlant:

@@ -34,8 +34,8 @@ FIT_POINTS = 100
 FIT_STEPS = 40
 """Steps of the search for poles."""
 RIDGE = 1e-6
-"""Of the largest column, added to each fit: keeps states that contribute little from cancelling each
-other."""
+"""Of a measurement's largest column, added to each fit: keeps states that contribute little from cancelling
+each other."""
 RECOVERY_RIDGE = 1e-4
 RECOVERY_EFFORT = 0.03
 """Weight of the recovery's input, in the node's u_max, against the output, in what u_max makes of it in the
@@ -130,7 +130,9 @@ class _RowFit:
         size = np.sqrt(np.mean(np.abs(seen) ** 2, axis=0))
         K = np.einsum("k,kj,kmc->kcjm", self.left, seen / size, self.right).reshape(self.response.size, -1)
         wanted = np.einsum("k,km,kmc->kc", self.left, self.response, self.right).ravel()
-        ridge = RIDGE * np.linalg.norm(K, axis=0).max() * np.eye(K.shape[1])
+        # By measurement: one that the loop must hardly use weighs its columns up by orders of magnitude.
+        largest = np.linalg.norm(K, axis=0).reshape(len(a), -1).max(axis=0)
+        ridge = RIDGE * np.diag(np.tile(largest, len(a)))
         return np.vstack([_stacked(K), ridge]), np.append(_stacked(wanted), np.zeros(len(ridge))), size
 
     def miss(self, a: np.ndarray, z: np.ndarray) -> np.ndarray:

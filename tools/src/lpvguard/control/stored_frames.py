@@ -29,8 +29,8 @@ from ..identify.weights import (
     FittedWeight,
     disturbance_weights,
     fit_bound,
+    fit_uncertainty,
     smallest_disturbance,
-    uncertainty_samples,
 )
 from ..vehicle.nominal import NominalModel
 
@@ -166,13 +166,17 @@ class StoredFrames:
             for j, s in enumerate(project.outputs)
         ]
 
-        def delta(nu: np.ndarray) -> FittedWeight:
-            return fit_bound(project, estimator, uncertainty_samples(estimator, nu), "nu", SMALLEST_NU)
-
+        error, nu_s = self.stored.model_error, split.nu_s
+        state = None
+        if nu_s is not None:
+            # In 1/s, and beside W_delta_i, which covers the model error: what the frames ask for, and no dip
+            # where none happened to need it.
+            known = np.where(estimator.cycles > 0, np.fmax.accumulate(np.nan_to_num(nu_s)), np.nan)
+            state = fit_bound(project, estimator, known, "W_delta_s", SMALLEST_NU)
         return SplitWeights(
             disturbance_weights(project, estimator, B_w, fitted.W_n, floor)[0],
-            delta(split.nu_i),
-            None if split.nu_s is None else delta(split.nu_s),
+            fit_uncertainty(project, estimator, split.nu_i, error.grid.omega, error.bound[:, 0], "W_delta_i"),
+            state,
         )
 
     def _disturbance(self, w) -> np.ndarray:
@@ -188,8 +192,8 @@ class StoredFrames:
         return B_w
 
     def _behind(self, Z, v, omega):
-        """u (F,), x_nom (F, n), h_i (F, n) and h_s (F, n, n) of frames at speeds v (F,) in a bin at ``omega``
-        [rad/s]."""
+        """u (F,) behind the input delay, x_nom (F, n), h_i (F, n) and h_s (F, n, n) of frames at speeds v
+        (F,) in a bin at ``omega`` [rad/s]."""
         speeds, index = np.unique(
             np.round(v, 2), return_inverse=True
         )  # 1 cm/s moves no entry by more than 1e-3

@@ -28,6 +28,7 @@ from ..engine.synthesis.margins import (
 )
 from ..engine.synthesis.statespace import StateSpace
 from ..identify.run import StoredIdentification
+from ..identify.weights import Weights
 from ..vehicle.nominal import NominalModel
 from .input_limit import turning_limit
 from .plants import design_settings
@@ -81,37 +82,71 @@ class TrueLoop:
     deviations: tuple[Deviation, ...]
 
 
+def require_certified_by_W_delta(stored: StoredIdentification) -> None:
+    """InputError unless the design's structure is K_i or K_o, whose certificate is about W_delta alone."""
+    structure = design_settings(stored).structure
+    if structure not in ("K_i", "K_o"):
+        raise InputError(
+            f"vehicle {stored.project.name}",
+            "design.structure",
+            f"{structure}, whose certificate is not about W_delta alone",
+            "K_i or K_o",
+        )
+
+
+def certified_weight(fitted: Weights, Ts: float, omega: np.ndarray) -> np.ndarray:
+    """W_delta (K, n_delta) as the certificate of a loop sampled at ``Ts`` [s] has it, at ``omega`` (K,)
+    [rad/s]."""
+    return fitted.at(2 / Ts * np.tan(omega * Ts / 2))[0]
+
+
+def within_use(model: NominalModel, v: float, asked: Sequence[float]) -> list[float]:
+    """Each amplitude of the demand ``asked``, reduced to the edge of use at speed ``v`` [m/s].
+
+    There the predicted steady lateral acceleration v |G_r(0)| u is LATERAL_ACCELERATION_MAX; the yaw rate r
+    is the first output.
+    """
+    edge = float(turning_limit(model, LATERAL_ACCELERATION_MAX, np.array([v]))[0, 0])
+    return [min(u, edge) for u in asked]
+
+
+def deviations(
+    outputs: Sequence[str], omega: np.ndarray, delta: np.ndarray, W_delta: np.ndarray
+) -> tuple[Deviation, ...]:
+    """Of each output the deviation with the largest ratio.
+
+    ``outputs``: their names; ``omega`` (K,) [rad/s]; ``delta`` (K, n_y): |G_j/P_j - 1|; ``W_delta``
+    (K, n_delta).
+    """
+    W = np.broadcast_to(W_delta, delta.shape)
+    worst = np.argmax(delta / W, axis=0)
+    return tuple(
+        Deviation(name, float(omega[k]), float(delta[k, j]), float(W[k, j]))
+        for j, (name, k) in enumerate(zip(outputs, worst, strict=True))
+    )
+
+
 class CertifiedLoop:
     """The nominal loop of a design with its uncertainty weight.
 
     Negative feedback: L_j = -K_j P_j for output j, L their sum, broken at the vehicle's input. InputError
-    unless the vehicle has one input and the structure is K_i, whose certificate is about W_delta alone.
+    unless the structure is K_i or K_o, whose certificate is about W_delta alone.
     """
 
     def __init__(self, stored: StoredIdentification, schedule: Scheduled):
-        structure = design_settings(stored).structure
-        if structure != "K_i":
-            raise InputError(
-                f"vehicle {stored.project.name}",
-                "design.structure",
-                f"{structure}, whose certificate is not about W_delta alone",
-                "K_i",
-            )
+        require_certified_by_W_delta(stored)
         self.stored, self.schedule = stored, schedule
         self.model = NominalModel(stored.project)
         self.outputs = [signal.name for signal in stored.project.outputs]
 
     def amplitudes(self, v: float, asked: Sequence[float]) -> list[float]:
-        """Each of ``asked``, reduced to where the predicted steady lateral acceleration v |G_r(0)| u is
-        LATERAL_ACCELERATION_MAX; the yaw rate r is the first output."""
-        edge = float(turning_limit(self.model, LATERAL_ACCELERATION_MAX, np.array([v]))[0, 0])
-        return [min(u, edge) for u in asked]
+        """Each of ``asked``, reduced to the edge of use."""
+        return within_use(self.model, v, asked)
 
     def W_delta(self, omega: np.ndarray) -> np.ndarray:
         """The certified weight (K, n_delta) at ``omega`` (K,) [rad/s] of the sampled loop; n_delta is 1 (one
         delta for all outputs) or n_y."""
-        warped = 2 / self.model.Ts * np.tan(omega * self.model.Ts / 2)
-        return self.stored.fitted.at(warped)[0]
+        return certified_weight(self.stored.fitted, self.model.Ts, omega)
 
     def promised(self, v: float) -> LoopMargins | None:
         """The least margins over every vehicle within W_delta at speed ``v`` [m/s]; None where one of them is
@@ -141,18 +176,12 @@ class CertifiedLoop:
             G = self._nominal(at, v) * np.column_stack([part(at) for part in true_over_nominal])
             return -(_feedback(K, at) * G).sum(axis=1)
 
-        delta = np.abs(ratio - 1)
-        W = np.broadcast_to(self.W_delta(omega), delta.shape)
-        worst = np.argmax(delta / W, axis=0)
         return TrueLoop(
             v,
             measured.asked,
             measured.amplitude,
             margins(loop, np.concatenate([[0.0], omega])),
-            tuple(
-                Deviation(name, float(omega[k]), float(delta[k, j]), float(W[k, j]))
-                for j, (name, k) in enumerate(zip(self.outputs, worst, strict=True))
-            ),
+            deviations(self.outputs, omega, np.abs(ratio - 1), self.W_delta(omega)),
         )
 
     def _nominal(self, omega: np.ndarray, v: float) -> np.ndarray:

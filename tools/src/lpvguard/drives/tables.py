@@ -28,13 +28,14 @@ EXPERIMENTS = INDEX
 @dataclass(frozen=True)
 class Drive:
     """One drive on a uniform grid: t (N,) [s], v (N,) [m/s], u (N, n_u), y (N, n_y) in the units of the
-    signal table."""
+    signal table; ``instrument`` (N,) in its own, where the project names one."""
 
     name: str
     t: np.ndarray
     v: np.ndarray
     u: np.ndarray
     y: np.ndarray
+    instrument: np.ndarray | None = None
 
     @property
     def duration_s(self) -> float:
@@ -43,11 +44,15 @@ class Drive:
 
     def from_sample(self, k: int) -> Drive:
         """The same drive with its first k samples cut."""
-        return Drive(self.name, self.t[k:], self.v[k:], self.u[k:], self.y[k:])
+        return self._piece(slice(k, None))
 
     def before_sample(self, k: int) -> Drive:
         """The first k samples of the drive."""
-        return Drive(self.name, self.t[:k], self.v[:k], self.u[:k], self.y[:k])
+        return self._piece(slice(None, k))
+
+    def _piece(self, piece: slice) -> Drive:
+        instrument = None if self.instrument is None else self.instrument[piece]
+        return Drive(self.name, self.t[piece], self.v[piece], self.u[piece], self.y[piece], instrument)
 
 
 @dataclass(frozen=True)
@@ -105,14 +110,12 @@ def read_drive(path: Path, project: Project, *, any_values: bool = False) -> Dri
     """Read and check one drive table; with ``any_values`` values may lie outside the signals' ranges."""
     table = _read_table(path)
     signals = [project.speed, *project.inputs, *project.outputs]
-    for column in ["t", *(s.column for s in signals)]:
+    columns = ["t", *(s.column for s in signals)]
+    if project.model_error.instrument is not None:
+        columns.append(project.model_error.instrument)
+    for column in columns:
         if column not in table.column_names:
-            raise InputError(
-                path,
-                "header",
-                f"column {column} is missing",
-                f"columns t, {', '.join(s.column for s in signals)}",
-            )
+            raise InputError(path, "header", f"column {column} is missing", f"columns {', '.join(columns)}")
     t = _column(path, table, "t", "s")
     if len(t) < 2:
         raise InputError(path, "", f"{len(t)} sample(s)", "at least 2 samples")
@@ -124,7 +127,15 @@ def read_drive(path: Path, project: Project, *, any_values: bool = False) -> Dri
     def stack(group: list[Signal]) -> np.ndarray:
         return np.column_stack([values[s.name] for s in group])
 
-    return Drive(path.stem, t, values[project.speed.name], stack(project.inputs), stack(project.outputs))
+    outside = project.model_error.instrument
+    return Drive(
+        path.stem,
+        t,
+        values[project.speed.name],
+        stack(project.inputs),
+        stack(project.outputs),
+        None if outside is None else _column(path, table, outside, "its own unit"),
+    )
 
 
 def _read_table(path: Path) -> pa.Table:

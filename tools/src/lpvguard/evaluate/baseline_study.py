@@ -86,16 +86,19 @@ class BaselineStudy:
         workers: Map = map,
         progress: Callable[[str], None] = lambda _: None,
     ):
-        """``left_out``: the drives that will be asked about, None for "all calibration drives count"."""
+        """``left_out``: the drives that will be asked about, None for "all calibration drives count".
+
+        Of the bound-setting drives those count whose input is a command as in use (``data.command_split``).
+        """
         groups, reader = stored.manifest["drives"], drives.reader
+        used = stored.project.data.command_splits
+        setting = [n for n in groups["bounds"] if drives.experiments[n].split in used]
         self.alpha, self.calibration_drives = stored.project.frame_test.alpha, list(stored.calibration.scores)
-        chosen = [drives.experiments[n] for n in (*groups["bounds"], *self.calibration_drives)]
+        chosen = [drives.experiments[n] for n in (*setting, *self.calibration_drives)]
         self.bank = Bank(
             reader.model,
             reader.estimator,
-            Scales.of(
-                workers(partial(_usable_errors, reader), [drives.experiments[n] for n in groups["bounds"]])
-            ),
+            Scales.of(workers(partial(_usable_errors, reader), [drives.experiments[n] for n in setting])),
         )
 
         def over(task: Callable, what: str) -> dict:

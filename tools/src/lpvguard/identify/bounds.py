@@ -11,6 +11,8 @@ what the frames need beyond it,
     gamma_w(omega_k) = max over frames of sqrt(B1^2 + |Z|^2 max(0, |delta0| - nu_bar)^2),   gamma_w(0) = B2(0)
 
 smoothed upward by an overbounding weight; then nu = min |delta| subject to |E - delta Z| <= gamma_w (step 5).
+W_delta lies above nu and above what the model error model asks for (model_error.py). B_w then is what no
+|delta| <= W_delta explains, frame by frame.
 A bin without a counted frame is NaN: "no information", never 0.
 """
 
@@ -92,7 +94,7 @@ def counted_frames(
 @dataclass(frozen=True)
 class Bounds:
     """Bounds per bin (K,), nu (K, n_delta), B_w (K, n_y); ``frames`` counts counted frames,
-    ``excitation`` is max |Z|.
+    ``excitation`` is max |Z|. B_w is what no |delta| <= W_delta explains (``remainder``).
 
     front_gamma_w, front_nu (K, FRONT_POINTS): the least nu that explains every frame, over gamma_w; NaN at DC
     and without frames.
@@ -247,29 +249,53 @@ def reduce_uncertainty(
     n_y: int,
     structure: str,
 ) -> Part:
-    """Steps 5-6 given ``gamma_w`` (K,): nu (K, n_delta), |w_j| (K, n_y), and the front over
-    ``grid`` (K, FRONT_POINTS)."""
+    """Step 5 given ``gamma_w`` (K,): nu (K, n_delta), and the front over ``grid`` (K, FRONT_POINTS)."""
     out = {
         "nu": np.full((estimator.n_bins, n_y if structure == "S1_diagonal" else 1), np.nan),
-        "B_w": np.full((estimator.n_bins, n_y), np.nan),
         "front": np.full(grid.shape, np.nan),
     }
     for s in sets:
-        nu, w = explain(s, estimator, gamma_w, structure)
+        nu, _ = explain(s, estimator, gamma_w, structure)
         out["nu"][s.bin] = _maximum(nu.reshape(len(nu), out["nu"].shape[1]))
-        out["B_w"][s.bin] = _maximum(np.abs(w))
         out["front"][s.bin] = front(s.E, s.Z, grid[s.bin])
     return out
 
 
+def remainder(s: FrameSet, estimator: Estimator, W_delta: np.ndarray, structure: str) -> np.ndarray:
+    """w (F, n_y) of least norm that no |delta| <= W_delta (K, n_delta) explains: delta_0 is shortened to it.
+
+    At DC and in class S0 delta is 0.
+    """
+    if structure == "S0" or estimator.cycles[s.bin] == 0:
+        return s.E
+    if structure == "S1_diagonal":
+        gain = np.abs(s.Z) ** 2
+        delta = np.divide(s.Z.conj() * s.E, gain, out=np.zeros(s.E.shape, complex), where=gain > 0)
+    else:
+        delta = s1.least_squares_delta(s.E, s.Z)[:, None]
+    size = np.abs(delta)
+    share = np.minimum(1.0, W_delta[s.bin] / np.maximum(size, np.finfo(float).tiny))
+    return s.E - share * delta * s.Z
+
+
+def reduce_remainder(
+    sets: Iterable[FrameSet], estimator: Estimator, W_delta: np.ndarray, n_y: int, structure: str
+) -> Part:
+    """Step 6: largest |w_j| (K, n_y) that no |delta| <= W_delta (K, n_delta) explains."""
+    B_w = np.full((estimator.n_bins, n_y), np.nan)
+    for s in sets:
+        B_w[s.bin] = _maximum(np.abs(remainder(s, estimator, W_delta, structure)))
+    return {"B_w": B_w}
+
+
 def reduce_covering(
-    sets: Iterable[FrameSet], estimator: Estimator, gamma_w: np.ndarray, B_w: np.ndarray, structure: str
+    sets: Iterable[FrameSet], estimator: Estimator, W_delta: np.ndarray, B_w: np.ndarray, structure: str
 ) -> Part:
     """Largest sqrt(sum_j |w_j / B_w,j|^2): the factor with which B_w (K, n_y) covers every frame's w
     jointly."""
     scale = np.full(estimator.n_bins, np.nan)
     for s in sets:
-        w = explain(s, estimator, gamma_w, structure)[1]
+        w = remainder(s, estimator, W_delta, structure)
         relative = np.divide(np.abs(w), B_w[s.bin], out=np.zeros(w.shape), where=B_w[s.bin] > 0)
         scale[s.bin] = _maximum(np.linalg.norm(relative, axis=1))
     return {"scale": scale}

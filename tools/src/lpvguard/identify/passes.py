@@ -23,6 +23,7 @@ from .bounds import (
     nominal_error,
     reduce_covering,
     reduce_disturbance,
+    reduce_remainder,
     reduce_uncertainty,
 )
 from .calibration import energy_score, score
@@ -112,7 +113,7 @@ def first_pass(reader: DriveReader, nu_ceiling: np.ndarray, experiment: Experime
 def uncertainty_pass(
     reader: DriveReader, gamma_w: np.ndarray, grid: np.ndarray, experiment: Experiment
 ) -> Part:
-    """Step 5: nu and B_w that the drive asks for under gamma_w (K,), and its front over ``grid``."""
+    """Step 5: nu that the drive asks for under gamma_w (K,), and its front over ``grid``."""
     return reduce_uncertainty(
         reader.frames(experiment),
         reader.estimator,
@@ -123,10 +124,21 @@ def uncertainty_pass(
     )
 
 
-def covering_pass(reader: DriveReader, gamma_w: np.ndarray, B_w: np.ndarray, experiment: Experiment) -> Part:
+def remainder_pass(reader: DriveReader, W_delta: np.ndarray, experiment: Experiment) -> Part:
+    """Step 6: |w_j| of the drive that no |delta| <= W_delta (K, n_delta) explains."""
+    return reduce_remainder(
+        reader.frames(experiment),
+        reader.estimator,
+        W_delta,
+        reader.project.n_y,
+        reader.project.bounds.structure,
+    )
+
+
+def covering_pass(reader: DriveReader, W_delta: np.ndarray, B_w: np.ndarray, experiment: Experiment) -> Part:
     """The factor on B_w (K, n_y) with which the drive's disturbances lie in a covering set."""
     return reduce_covering(
-        reader.frames(experiment), reader.estimator, gamma_w, B_w, reader.project.bounds.structure
+        reader.frames(experiment), reader.estimator, W_delta, B_w, reader.project.bounds.structure
     )
 
 

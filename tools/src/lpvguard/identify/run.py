@@ -5,6 +5,8 @@ Writes a folder with
     bounds.json       bounds per bin (bounds.py), by the drives that set them, and the estimator's window
                       error
     front.json        Pareto front nu(gamma_w) per bin, and the point on it that was taken
+    model_error.json  the part of the error that follows the input, with its standard error, of the drives
+                      that set the bounds and of those that judge them (model_error.py)
     weights.json      W_w per output and W_delta with their certificates, and the final inflation
     calibration.json  scores, threshold, alpha
     energy.json       energy test: filters, certificate, sigma, scores, threshold (energy.py); with Hann
@@ -40,13 +42,14 @@ from ..base.sampling import Rows, stacked
 from ..core.coefficients import Coefficients, vehicle_files
 from ..core.compiled import Core
 from ..drives.frames import Estimator, not_for_the_core
-from ..drives.tables import Drive, Experiment, bound_setting, list_experiments
+from ..drives.tables import EXPERIMENTS, Drive, Experiment, bound_setting, list_experiments
 from ..fit.quality import Quality
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, parse_project
 from .bounds import FRONT_POINTS, Bounds, Part, fold, front_grid
 from .calibration import Calibration, calibrate
 from .energy import EnergyTest
+from .model_error import FOLDS, ErrorGrid, ModelError, Sums, model_error_pass
 from .model_fit import drive_fit, require_better_than_none
 from .passes import (
     DriveReader,
@@ -55,15 +58,18 @@ from .passes import (
     energy_pass,
     first_pass,
     judge,
+    remainder_pass,
     thinned,
     uncertainty_pass,
 )
 from .visibility import Excitation, visibility
 from .weights import (
+    FittedWeight,
     Weights,
     coefficients_of,
     energy_filters,
     fit_bound,
+    fit_uncertainty,
     fit_weights,
     smallest_disturbance,
 )
@@ -92,6 +98,7 @@ class Identification:
     model: NominalModel
     estimator: Estimator
     bounds: Bounds
+    model_error: ModelError
     weights: Weights
     calibration: Calibration
     energy: EnergyTest | None
@@ -196,15 +203,56 @@ class _Run:
             )
         return left
 
-    def bounds(self, first: Part, gamma_w: np.ndarray, setting: list[Experiment]) -> Bounds:
-        """Steps 5-6. ``covering``: B_w is scaled until sum_j |w_j / B_w,j|^2 <= 1 on every frame; ``paper``:
-        |w_j| <= B_w,j."""
+    def model_error(self, drives: _Chosen) -> ModelError:
+        """The model error model of the bound-setting drives, and that of the drives that judge it."""
+        reader = self.reader
+        grid = ErrorGrid.of(reader.project, reader.estimator)
+        task = partial(model_error_pass, reader, grid)
+
+        def folds(chosen: list[Experiment]) -> list[Sums]:
+            # By name: sums of floats depend on the order.
+            chosen = sorted(chosen, key=lambda e: e.name)
+            found: list[Sums] = []
+            for k, sums in enumerate(self.over("model error", task, chosen)):
+                if k < FOLDS:
+                    found.append(sums)
+                else:
+                    found[k % FOLDS] = found[k % FOLDS].plus(sums)
+            return found
+
+        return ModelError.of(reader.project, grid, folds(drives.setting), folds(drives.others))
+
+    def uncertainty(
+        self, first: Part, gamma_w: np.ndarray, error: ModelError, setting: list[Experiment]
+    ) -> tuple[Part, list[FittedWeight]]:
+        """Step 5, and W_delta above it and above the model error."""
         project, estimator = self.reader.project, self.reader.estimator
         grid = front_grid(first["B1"], first["B2"], estimator, project.bounds.structure)
         second = fold(self.over("bounds", partial(uncertainty_pass, self.reader, gamma_w, grid), setting))
-        B_w = second["B_w"]
+        names = [f"W_delta of {s.name}" for s in project.outputs] if project.n_delta > 1 else ["W_delta"]
+        # Class S0 has no uncertainty: all error is disturbance.
+        needed = error.bound * (project.bounds.structure != "S0")
+        W_delta = [
+            fit_uncertainty(project, estimator, nu, error.grid.omega, asked, name)
+            for nu, asked, name in zip(second["nu"].T, needed.T, names, strict=True)
+        ]
+        return second | {"grid": grid}, W_delta
+
+    def bounds(
+        self,
+        first: Part,
+        gamma_w: np.ndarray,
+        second: Part,
+        W_delta: list[FittedWeight],
+        setting: list[Experiment],
+    ) -> Bounds:
+        """Step 6: B_w is what no |delta| <= W_delta explains. ``covering``: B_w is scaled until sum_j |w_j /
+        B_w,j|^2 <= 1 on every frame; ``paper``: |w_j| <= B_w,j."""
+        project, estimator = self.reader.project, self.reader.estimator
+        size = np.column_stack([w.magnitude(estimator.omega) for w in W_delta])
+        B_w = fold(self.over("bounds", partial(remainder_pass, self.reader, size), setting))["B_w"]
         if project.bounds.disturbance_set == "covering" and project.n_y > 1:
-            task = partial(covering_pass, self.reader, gamma_w, B_w)
+            task = partial(covering_pass, self.reader, size, B_w)
             B_w = B_w * np.fmax(1.0, fold(self.over("bounds", task, setting))["scale"])[:, None]
         return Bounds(
             omega=estimator.omega,
@@ -212,7 +260,7 @@ class _Run:
             gamma_w=gamma_w,
             nu=second["nu"],
             B_w=B_w,
-            front_gamma_w=grid,
+            front_gamma_w=second["grid"],
             front_nu=second["front"],
         )
 
@@ -288,6 +336,20 @@ class _Run:
         return scores, energy_scores
 
 
+def _of_commands(project: Project, setting: list[Experiment], parts: list[Part], folder: Path) -> Part:
+    """The parts of the bound-setting drives that W_C is from, joined; InputError when there is none."""
+    splits = project.data.command_splits
+    chosen = [p for e, p in zip(setting, parts, strict=True) if e.split in splits]
+    if not chosen:
+        raise InputError(
+            folder / EXPERIMENTS,
+            "column split",
+            f"no drive has split {' or '.join(splits)}, of data.command_split",
+            "at least one drive whose input is a command as in use",
+        )
+    return fold(chosen)
+
+
 def identify(
     project: Project, folder: Path, *, workers: Map = map, progress: Progress = _quiet
 ) -> tuple[Identification, DriveSet]:
@@ -302,30 +364,37 @@ def identify(
     chosen = _Chosen.by_split(project, experiments, Path(folder))
     model_fit = list(run.over("model", partial(drive_fit, drives.reader), chosen.setting))
     require_better_than_none(project, model_fit, Path(folder))
-    first = fold(run.first_parts(chosen.setting, keep=True))
+    parts = list(run.first_parts(chosen.setting, keep=True))
+    first = fold(parts)
+    command = _of_commands(project, chosen.setting, parts, Path(folder))
     chosen = replace(chosen, setting=run.setting_with_frames(chosen.setting, folder))
     progress("weights")
     noise_peak = np.full(first["E"].shape, np.nan)
     if chosen.noise:
         noise_peak = fold(run.first_parts(chosen.noise, keep=False))["E"]
     gamma_w = fit_bound(project, estimator, first["gamma_rule"], "gamma_w", smallest_disturbance(first["B2"]))
-    bounds = run.bounds(first, gamma_w.magnitude(estimator.omega), chosen.setting)
-    weights = fit_weights(project, estimator, bounds, gamma_w, noise_peak, first["E"], first["Y"][:, 0])
+    error, smooth = run.model_error(chosen), gamma_w.magnitude(estimator.omega)
+    second, W_delta = run.uncertainty(first, smooth, error, chosen.setting)
+    bounds = run.bounds(first, smooth, second, W_delta, chosen.setting)
+    weights = fit_weights(
+        project, estimator, bounds, gamma_w, W_delta, noise_peak, first["E"], command["Y"][:, 0]
+    )
     weights, calibration, energy = run.calibrated(weights, chosen)
     met = run.met
     progress("window error")
-    W_delta = weights.at(estimator.omega)[0] / weights.inflation
+    found = weights.at(estimator.omega)[0] / weights.inflation
     hashes = workers(artefacts.file_hash, [e.path for e in experiments])
     result = Identification(
         project=project,
         model=model,
         estimator=estimator,
         bounds=bounds,
+        model_error=error,
         weights=weights,
         calibration=calibration,
         energy=energy,
         visibility=visibility(
-            estimator.omega, estimator.speed_range, met, W_delta, calibration.threshold, weights.inflation
+            estimator.omega, estimator.speed_range, met, found, calibration.threshold, weights.inflation
         ),
         spectra=run.spectra,
         bound_drives=[e.name for e in chosen.setting],
@@ -370,6 +439,7 @@ def save(result: Identification, drives: DriveSet, target: Path) -> None:
             {
                 "bounds.json": artefacts.to_json(table),
                 "front.json": artefacts.to_json(front),
+                "model_error.json": artefacts.to_json(result.model_error.to_dict(result.project)),
                 "weights.json": artefacts.to_json(weights.to_dict()),
                 "calibration.json": artefacts.to_json(result.calibration.to_dict()),
                 **({"energy.json": artefacts.to_json(result.energy.to_dict())} if result.energy else {}),
@@ -424,6 +494,7 @@ class StoredIdentification:
     energy: EnergyTest | None
     front: dict[str, np.ndarray]
     visibility: dict
+    model_error: ModelError
 
     @cached_property
     def coefficients(self) -> Coefficients:
@@ -483,4 +554,5 @@ def load(folder: Path) -> StoredIdentification:
         energy,
         front,
         artefacts.read_json(folder / "visibility.json"),
+        ModelError.from_dict(project, estimator, artefacts.read_json(folder / "model_error.json")),
     )

@@ -23,6 +23,8 @@ DC_STAND_IN = 0.1
 """DC has no place on a logarithmic axis: its bound stands at this fraction of the lowest bin's frequency."""
 SMALLEST_NU = 1e-3
 """Floor of the uncertainty bound where the data ask for none; a weight must be positive."""
+RISE, FALL = 3.0, 2.0
+"""Steepest rise and fall of the uncertainty bound, in powers of the frequency."""
 LEAST_SHARE = 0.1
 """Floor of step 7, as a part of B_w.
 
@@ -161,14 +163,36 @@ def smallest_disturbance(B2: np.ndarray) -> float:
     return 1e-6 * float(np.nanmax(B2))
 
 
-def uncertainty_samples(estimator: Estimator, nu: np.ndarray) -> np.ndarray:
-    """What W_delta must cover: the running maximum of nu from the lowest bin up, nothing at DC.
+def uncertainty_samples(
+    estimator: Estimator, nu: np.ndarray, omega: np.ndarray, asked: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What W_delta must cover: frequencies (S,) [rad/s] and bound (S,), NaN at the stand-in of DC.
 
-    Neglected dynamics grow with frequency, and a dip in nu only tells that no frame happened to need
-    uncertainty there. nu(0) = 0 by definition; below the lowest bin any small value will do (paper, step 6).
+    ``asked`` (G,) at ``omega`` (G,) is what the model error model asks for (THEORY 7.6), log-log between its
+    frequencies; nu (K,) what the frames of step 5 ask for at the bins. nu(0) = 0 by definition; below the
+    lowest bin any small value will do (paper, step 6).
+
+    Dips that a weight of low order cannot follow are filled: the bound rises at most as omega^RISE and falls
+    at most as omega^-FALL. One deep dip would else cost the least worst ratio, and with it every frequency.
     """
-    running = np.fmax.accumulate(np.where(estimator.cycles > 0, np.fmax(nu, SMALLEST_NU), SMALLEST_NU))
-    return np.where((estimator.cycles > 0) & np.isfinite(nu), running, np.nan)
+    bins = fitting_grid(estimator)
+    samples = np.union1d(bins, omega)
+    bound = np.exp(np.interp(np.log(samples), np.log(omega), np.log(np.maximum(asked, SMALLEST_NU))))
+    at = np.searchsorted(samples, bins)
+    bound[at] = np.fmax(bound[at], nu)
+    apart = np.log(samples[:, None] / samples)
+    filled = (bound * np.exp(-np.where(apart > 0, FALL, -RISE) * apart))[:, samples > bins[0]].max(axis=1)
+    return samples, np.where(samples == bins[0], np.nan, filled)
+
+
+def fit_uncertainty(
+    project: Project, estimator: Estimator, nu: np.ndarray, omega: np.ndarray, asked: np.ndarray, name: str
+) -> FittedWeight:
+    """W_delta above ``uncertainty_samples`` of nu (K,) and of ``asked`` (G,) at ``omega`` (G,) [rad/s].
+
+    InputError when no weight of the project's order fits."""
+    samples, bound = uncertainty_samples(estimator, nu, omega, asked)
+    return _fitted(project, samples, bound, name)
 
 
 def fit_bound(
@@ -177,17 +201,17 @@ def fit_bound(
     """Weight above ``bound`` (K,) and ``floor``, in the bound's unit; NaN: no data. ``name``: for errors.
 
     Raises InputError when no weight of the project's order fits."""
-    omega = fitting_grid(estimator)
     # What the weight is proved against: the floor applied.
-    raised = np.where(np.isnan(bound), np.nan, np.fmax(bound, floor))
-    fit = fit_overbound(
-        omega,
-        raised,
-        name=name,
-        max_order=project.weights.max_order,
-        tol_db=project.weights.tolerance_db,
+    return _fitted(
+        project, fitting_grid(estimator), np.where(np.isnan(bound), np.nan, np.fmax(bound, floor)), name
     )
-    return FittedWeight(fit, omega, raised)
+
+
+def _fitted(project: Project, omega: np.ndarray, bound: np.ndarray, name: str) -> FittedWeight:
+    fit = fit_overbound(
+        omega, bound, name=name, max_order=project.weights.max_order, tol_db=project.weights.tolerance_db
+    )
+    return FittedWeight(fit, omega, bound)
 
 
 def fit_weights(
@@ -195,15 +219,15 @@ def fit_weights(
     estimator: Estimator,
     bounds: Bounds,
     gamma_w: FittedWeight,
+    W_delta: list[FittedWeight],
     noise: np.ndarray,
     error: np.ndarray,
     command: np.ndarray,
 ) -> Weights:
-    """Steps 6 and 7. ``noise``, ``error`` (K, n_y): peaks of E without and with input; ``command`` (K,): of
-    the first output.
+    """Steps 6 and 7 around the fitted ``W_delta``. ``noise``, ``error`` (K, n_y): peaks of E without and with
+    input; ``command`` (K,): of the first output.
 
-    Bounds.nu is (K, n_delta): every Delta gets a weight of its own. Without zero-input drives (``noise`` all
-    NaN) B_w itself is W_w.
+    Without zero-input drives (``noise`` all NaN) B_w itself is W_w.
     """
     floor = smallest_disturbance(bounds.B2)
     names = [s.name for s in project.outputs]
@@ -213,11 +237,6 @@ def fit_weights(
             fit_bound(project, estimator, bound[:, j], f"{what} of {n}", floor) for j, n in enumerate(names)
         ]
 
-    of_delta = [f"nu of {n}" for n in names] if project.n_delta > 1 else ["nu"]
-    W_delta = [
-        fit_bound(project, estimator, uncertainty_samples(estimator, nu), what, SMALLEST_NU)
-        for nu, what in zip(bounds.nu.T, of_delta, strict=True)
-    ]
     disturbance_set = project.bounds.disturbance_set
     B_w = fit_all(bounds.B_w, "B_w")
     if np.isnan(noise).all():

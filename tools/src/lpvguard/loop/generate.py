@@ -1,8 +1,9 @@
 """`lpvguard generate`: seeded synthetic drives of a vehicle, as a drive folder.
 
 `car` is the stand-in for the measured car (drives/fixture.py). `truck` runs the simulated truck of
-firmware_sim/plant, which shares nothing with the nominal model: held speeds over the model's range, several
-brake programmes, and zero-input runs.
+firmware_sim/plant, which shares nothing with the nominal model, at held speeds over the model's range: sines
+swept from 0.1 to 30 rad/s at the edges of the amplitudes of use, brake manoeuvres between them, and
+zero-input runs.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import csv
 import io
 import subprocess
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from ..base import artefacts, native
@@ -21,11 +23,21 @@ from ..drives.tables import EXPERIMENTS
 from ..vehicle.project import Project
 
 DURATION_S = 180.0
+SWEEP_DURATION_S = 599.0
+MANOEUVRE_BAR = (0.25, 1.0)
+"""Least and largest amplitude of a manoeuvre's demand."""
+SWEEPS_BAR = (0.24, 0.24, 0.24, 0.24, 0.8, 2.1, 2.1, 2.1)
+"""Amplitudes of the swept sines: from where kingpin friction rules to the edge of use, 4 m/s2 of lateral
+acceleration (2.06 bar). The small one is driven four times, because road and wind are as large
+there; the large one three times, because tyres make the error depend on the speed there."""
+EDGE_SWEEPS_BAR = (2.1, 2.1, 2.1)
+"""More of them at the least and the largest speed, where the error is largest and a line over all speeds can
+be wrong by most."""
 ZERO_INPUT_DURATION_S = 240.0
 # Just inside 8 to 22 m/s: the speed sensor's noise must not put samples out of range.
-BOUND_SPEEDS = (8.3, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0, 21.7)
+BOUND_SPEEDS = (8.1, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0, 21.9)
 CALIBRATION_SPEEDS = (8.5, 9.5, 11.0, 13.0, 15.0, 17.0, 19.0, 21.0, 21.5)
-ZERO_INPUT_SPEEDS = (8.3, 12.0, 17.0, 21.7)
+ZERO_INPUT_SPEEDS = (8.1, 12.0, 17.0, 21.9)
 PROGRAMMES = ("pulses", "telegraph", "multisine")
 
 
@@ -48,17 +60,34 @@ def plant_tool() -> Path:
         ) from None
 
 
-def _truck_plan() -> list[tuple[str, str, float, float]]:
-    """(split, programme, speed, duration) of every drive."""
-    plan = [("train", programme, v, DURATION_S) for v in BOUND_SPEEDS for programme in PROGRAMMES]
-    plan += [("valid", programme, v, DURATION_S) for v in CALIBRATION_SPEEDS for programme in PROGRAMMES]
-    return plan + [("noise", "zero", v, ZERO_INPUT_DURATION_S) for v in ZERO_INPUT_SPEEDS]
+@dataclass(frozen=True)
+class _Planned:
+    """One drive of the truck: its split, programme, held speed [m/s], duration [s] and amplitudes [bar]."""
+
+    split: str
+    programme: str
+    speed: float
+    duration: float
+    amplitudes: tuple[float, float] = MANOEUVRE_BAR
+
+
+def _truck_plan() -> list[_Planned]:
+    """Bound-setting sweeps have every amplitude at every speed; those that calibrate take turns."""
+    plan = [_Planned("train", p, v, DURATION_S) for v in BOUND_SPEEDS for p in PROGRAMMES]
+    sweeps = [(v, u) for v in BOUND_SPEEDS for u in SWEEPS_BAR]
+    sweeps += [(v, u) for v in (BOUND_SPEEDS[0], BOUND_SPEEDS[-1]) for u in EDGE_SWEEPS_BAR]
+    plan += [_Planned("sweep", "sweep", v, SWEEP_DURATION_S, (u, u)) for v, u in sweeps]
+    plan += [_Planned("valid", p, v, DURATION_S) for v in CALIBRATION_SPEEDS for p in PROGRAMMES]
+    for k, v in enumerate(CALIBRATION_SPEEDS):
+        u = SWEEPS_BAR[k % len(SWEEPS_BAR)]
+        plan.append(_Planned("valid", "sweep", v, SWEEP_DURATION_S, (u, u)))
+    return plan + [_Planned("noise", "zero", v, ZERO_INPUT_DURATION_S) for v in ZERO_INPUT_SPEEDS]
 
 
 def _truck(project: Project, folder: Path, seed: int, tell: Callable[[str], None]) -> list[fixture.Row]:
     tool, rows = plant_tool(), []
-    for index, (split, programme, speed, duration) in enumerate(_truck_plan()):
-        name = f"{programme}_{index:02d}_{speed:g}mps".replace(".", "p")
+    for index, d in enumerate(_truck_plan()):
+        name = f"{d.programme}_{index:02d}_{d.speed:g}mps".replace(".", "p")
         tell(name)
         command = [
             tool,
@@ -66,18 +95,22 @@ def _truck(project: Project, folder: Path, seed: int, tell: Callable[[str], None
             "-o",
             folder / f"{name}.csv",
             "--speed",
-            speed,
+            d.speed,
             "--program",
-            programme,
+            d.programme,
+            "--amplitude-low",
+            d.amplitudes[0],
+            "--amplitude-high",
+            d.amplitudes[1],
             "--duration",
-            duration,
+            d.duration,
             "--seed",
             seed * 1000 + index,
         ]
         done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False)
         if done.returncode != 0:
             raise InputError(tool, name, done.stderr.strip(), "a drive of the simulated truck")
-        rows.append((name, split, programme))
+        rows.append((name, d.split, d.programme))
     return rows
 
 

@@ -202,8 +202,12 @@ class Simulator:
                 folder, "controller", "the vehicle has none", "a folder exported with a controller"
             )
         self.project = parse_project(manifest["project"], str(self.folder / artefacts.MANIFEST))
+        self.nodes = np.array(manifest["controller"]["speeds"])
+        """(G,) speeds [m/s] between which the limit of the demand is interpolated."""
+        self.u_max = np.array(manifest["controller"]["u_max"])
+        """(G, n_u) limit of the demand there [input unit]."""
         if controller == "feedforward":
-            limits = (np.array(manifest["controller"][key]) for key in ("speeds", "u_max", "rate_max"))
+            limits = (self.nodes, self.u_max, np.array(manifest["controller"]["rate_max"]))
             with tempfile.TemporaryDirectory() as scratch:
                 variant = Path(scratch) / self.folder.name
                 _replace_controller(self.folder, feedforward(self.project, *limits), variant)
@@ -347,18 +351,25 @@ class Simulator:
         return result
 
     def drive(
-        self, path: Path, *, seed: int | None = None, log: Path | None = None
+        self,
+        path: Path,
+        *,
+        seed: int | None = None,
+        log: Path | None = None,
+        telemetry: Path | None = None,
     ) -> tuple[dict[str, Any], Drive, np.ndarray]:
         """One run of the scenario file ``path``: what happened, the drive, and where it has samples.
 
         What happened is as the simulator prints it. The drive is what its monitor saw; (N,) is True where it
         was given a sample. Elsewhere the drive stands still, so that nothing is judged until the model has
-        settled. ``log``: where every frame of the bus goes as candump -L writes it.
+        settled. ``log``: where every frame of the bus goes as candump -L writes it; ``telemetry``: where the
+        loop goes every 100 ms, CSV.
         """
         with tempfile.TemporaryDirectory() as scratch:
             table = Path(scratch) / f"{path.stem}.csv"
             command: list[Any] = ["--drive", table]
-            command += [*(() if seed is None else ("--seed", seed)), *(() if log is None else ("--log", log))]
+            for option, value in (("--seed", seed), ("--log", log), ("--telemetry", telemetry)):
+                command += () if value is None else (option, value)
             facts = self._execute(path, command)
             return facts, *self._without_gaps(path.stem, pa_csv.read_csv(table))
 

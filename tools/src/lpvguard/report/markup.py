@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from html import escape
 
 import numpy as np
 
@@ -61,6 +62,22 @@ def yes_or_no(value: bool | None, yes: str, no: str) -> str:
     if value is None:
         return "–"
     return f'<span class="yes">{yes}</span>' if value else f'<span class="no">{no}</span>'
+
+
+def premise_words(found: dict) -> str:
+    """The premise of certificates, as controller.json has it, in words: evidence, and what it comes to."""
+    refuting, doubting = found["refuting"], found["doubting"]
+    not_refuted = refuting is None or refuting["ratio"] >= 1
+    words = yes_or_no(not_refuted, "Premise, not refuted:", "Premise, refuted:")
+    doubt = ""
+    if doubting["ratio"] < 1:
+        doubt = (
+            f" Room for doubt: W<sub>Δ</sub> is {number(doubting['W_delta'])} beside |δ<sub>c</sub>| + k se "
+            f"= {number(doubting['delta'])} + {number(doubting['spread'])} of "
+            f"{escape(doubting['output'])} at {number(doubting['omega'])} rad/s and "
+            f"{number(doubting['v'])} m/s."
+        )
+    return f"{words} {escape(found['sentence'])}.{doubt}"
 
 
 def unit_of_norm(outputs: Iterable[Signal]) -> str:

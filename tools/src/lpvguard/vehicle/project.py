@@ -118,6 +118,38 @@ class BoundSettings(StrictModel):
     nu_ceiling: NuCeiling
 
 
+class Beyond(StrictModel):
+    """What is assumed of an output where no drive tells (THEORY 7.6).
+
+    ``ratio``: bound on |G/P|, true over nominal response, a number or an expression in omega [rad/s]; at
+    least 1. ``reason``: why, in words."""
+
+    output: str
+    ratio: float | str
+    reason: str
+
+
+class ModelErrorSettings(StrictModel):
+    """The model error model (THEORY 7.6).
+
+    ``amplitude_edges``: between the classes of a frame's amplitude, sqrt(2) times the first input's rms
+    [input unit]. ``speed_cells``: of equal width over the model's speed range, pooled where a line in speed
+    fits. ``instrument``: a column of the drives that excites from outside the loop, as a command does; None:
+    the nominal output stands for it.
+    """
+
+    amplitude_edges: list[Positive] = Field(default=[])
+    speed_cells: Literal[1, 2, 4, 8, 16] = 4
+    instrument: str | None = None
+    beyond: list[Beyond] = Field(default=[])
+
+    @model_validator(mode="after")
+    def _rising(self) -> ModelErrorSettings:
+        if any(b <= a for a, b in pairwise(self.amplitude_edges)):
+            raise ValueError("model_error.amplitude_edges must rise")
+        return self
+
+
 class WeightSettings(StrictModel):
     """Fits of the weights: largest order, and tolerance above the least worst ratio [dB]."""
 
@@ -156,16 +188,25 @@ class EnergyTestSettings(StrictModel):
 
 class DataSettings(StrictModel):
     """Which splits set the bounds, which are zero-input runs (W_n), and what `generate` makes; all other
-    splits calibrate."""
+    splits calibrate. ``command_split``: the bound-setting splits whose input is a command as in use, from
+    which W_C is (None: all of them)."""
 
     bound_split: list[str]
+    command_split: list[str] | None = None
     noise_split: list[str] = Field(default=[])
     generator: Literal["car", "truck"] | None = None
+
+    @property
+    def command_splits(self) -> list[str]:
+        """The splits that W_C is from."""
+        return self.bound_split if self.command_split is None else self.command_split
 
     @model_validator(mode="after")
     def _disjoint(self) -> DataSettings:
         if set(self.bound_split) & set(self.noise_split):
             raise ValueError("data: bound_split and noise_split must be disjoint")
+        if self.command_split is not None and not set(self.command_split) <= set(self.bound_split):
+            raise ValueError("data: command_split must be among bound_split")
         return self
 
 
@@ -207,11 +248,11 @@ class DesignSettings(StrictModel):
     K_is. ``input_max`` [input unit] and ``input_rate_max_per_s`` limit the demand;
     ``lateral_acceleration_max_mps2``, where given, limits it further over speed: the nominal model's steady
     yaw rate, the first output, times the speed stays within it (control/input_limit.py).
-    K_is. ``amplitudes``: edges of the classes of the demand's amplitude [unit of the input], at which
-    `bench robust` measures; None: its own.
+    ``amplitudes``: edges of the classes of the demand's amplitude [unit of the input], at which `bench
+    robust` measures; None: its own.
     """
 
-    structure: Literal["K_inf", "K_i", "K_is"] = "K_i"
+    structure: Literal["K_inf", "K_i", "K_is", "K_o"] = "K_i"
     A_t: Positive
     A_u: Positive
     W_t_zeros: list[Positive] = Field(default=[10.0])
@@ -251,6 +292,7 @@ class Project(StrictModel):
     model: ModelSettings
     frames: FrameSettings
     bounds: BoundSettings
+    model_error: ModelErrorSettings = ModelErrorSettings()
     weights: WeightSettings
     frame_test: FrameTestSettings
     energy_test: EnergyTestSettings = EnergyTestSettings()
@@ -280,6 +322,9 @@ class Project(StrictModel):
             value = getattr(self.model, key)
             if value is not None and len(value) != size:
                 raise ValueError(f"model.{key}: must have {size} entries")
+        unknown = {b.output for b in self.model_error.beyond} - {s.name for s in self.outputs}
+        if unknown:
+            raise ValueError(f"model_error.beyond: no output is named {', '.join(sorted(unknown))}")
         if self.design is not None:
             self._require_vehicle_of_fig1(self.design)
         if unknown := set(self.fit.parameters or {}) - set(self.model.parameters):

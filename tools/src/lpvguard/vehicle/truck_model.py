@@ -1,5 +1,6 @@
 """The paper's nominal truck at one frozen speed, any speed and wheelbase: continuous, exact zero-order hold,
-frequency response. Equations and Table I stand in vehicle/shipped/truck.toml.
+frequency response. Equations and Table I stand in vehicle/shipped/truck.toml, with the brakes' lag as a last
+state; here the input is the brake pressure itself, as in the paper.
 
 The state is ``[r, delta, delta_dot]``: yaw rate [rad/s], road-wheel angle [rad], its rate [rad/s]. The input
 is the brake pressure difference [bar], right minus left. The outputs are ``[r, delta]``; left is positive.
@@ -20,7 +21,7 @@ from lpvguard.vehicle.project import load_project
 
 _MODEL = load_project("truck").model
 
-C = np.array(_MODEL.C)
+C = np.array(_MODEL.C)[:, :3]
 """Output matrix (2, 3): yaw rate and steering angle are measured."""
 
 
@@ -40,7 +41,8 @@ def continuous(speed_mps: float, wheelbase_m: float) -> tuple[np.ndarray, np.nda
     v = _positive(speed_mps, "v", "m/s")
     length = _positive(wheelbase_m, "wheelbase", "m")
     parameters = _MODEL.parameters | {"l": length}
-    a, b = (m[0] for m in state_space(_MODEL.model_copy(update={"parameters": parameters}), v, "truck model"))
+    whole = state_space(_MODEL.model_copy(update={"parameters": parameters}), v, "truck model")[0][0]
+    a, b = whole[:3, :3], whole[:3, 3:]
     pole = float(np.max(np.linalg.eigvals(a).real))
     if pole >= 0.0:
         raise InputError(

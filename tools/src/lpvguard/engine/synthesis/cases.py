@@ -5,7 +5,7 @@ paper's.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -42,10 +42,14 @@ class TableRow(Cell):
         return super().to_dict() | {name: getattr(self, name) for name in names}
 
 
+PAPER_WEIGHTS = tuple(f.name for f in fields(PlantWeights) if f.default is MISSING)
+"""The ten weights of the paper; those of K_o, which a case file does not have, may be missing."""
+
+
 def read_case(path) -> dict:
     """The case file as a dict; InputError when it cannot be read or a weight is missing."""
     case = read_toml(Path(path), "a case file")
-    for name in ("v", "wheelbase", "objective", *(f.name for f in fields(PlantWeights))):
+    for name in ("v", "wheelbase", "objective", *PAPER_WEIGHTS):
         if name not in case:
             raise SynthesisError(path, name, "missing", "a case file as tests/data/paper_case.toml")
     return case
@@ -54,7 +58,7 @@ def read_case(path) -> dict:
 def case_weights(case: dict, objective: dict) -> PlantWeights:
     """The ten weights of a case with one objective's A_t and A_u."""
     gains = {"A_t": objective["A_t"], "A_u": objective["A_u"]}
-    return PlantWeights(**{f.name: weight_from_table(case[f.name], **gains) for f in fields(PlantWeights)})
+    return PlantWeights(**{name: weight_from_table(case[name], **gains) for name in PAPER_WEIGHTS})
 
 
 def case_plant(

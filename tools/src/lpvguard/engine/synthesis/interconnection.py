@@ -11,6 +11,10 @@ rad):
 
 Inputs are [Δ outputs, w_r, w_δ, n_r, n_δ, r_c, u], outputs [Δ inputs, z_t, z_u, y_c, y_r, y_δ], with
 η_i = u and η_s = x where present. W_u weighs u, not ũ. Every external signal is normalised.
+
+K_o has one Δ an output in place of Δ_i, as class S1_diagonal of the identification (THEORY 4.1):
+
+    r_m = r + W_Δr ξ_r + W_wr w_r,  η_r = r            δ_m = δ + W_Δδ ξ_δ + W_wδ w_δ,  η_δ = δ
 """
 
 from __future__ import annotations
@@ -24,14 +28,17 @@ from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.statespace import StateSpace, append, balanced, to_discrete, zero_order_hold
 
 STRUCTURES = ("K_inf", "K_i", "K_is")
-"""Uncertainty structures: none, input-multiplicative, input-multiplicative and state."""
+"""The paper's uncertainty structures: none, input-multiplicative, input-multiplicative and state."""
+OUTPUTWISE = "K_o"
+"""One Δ an output, output-multiplicative."""
 Terms = dict[str | tuple[str, int], int]
 """A sum: sign of each external input, by name, and of each part's output, as (part, output)."""
 
 
 @dataclass(frozen=True)
 class PlantWeights:
-    """The ten weights of Fig. 1 as single-input single-output continuous systems, s in rad/s."""
+    """The ten weights of Fig. 1 as single-input single-output continuous systems, s in rad/s; W_delta_r and
+    W_delta_delta for K_o only."""
 
     W_R: StateSpace
     W_C: StateSpace
@@ -43,11 +50,13 @@ class PlantWeights:
     W_wdelta: StateSpace
     W_delta_i: StateSpace
     W_delta_s: StateSpace
+    W_delta_r: StateSpace | None = None
+    W_delta_delta: StateSpace | None = None
 
     def __post_init__(self):
         for f in fields(self):
             W = getattr(self, f.name)
-            if W.D.shape != (1, 1) or W.dt != 0:
+            if W is not None and (W.D.shape != (1, 1) or W.dt != 0):
                 raise SynthesisError(
                     "interconnection",
                     f.name,
@@ -145,18 +154,21 @@ def generalised_plant(
         raise SynthesisError(
             "interconnection", "delay", f"{delay} samples at dt {dt:g}", "a whole number ≥ 0, and dt > 0"
         )
-    if structure not in STRUCTURES:
+    if structure not in (*STRUCTURES, OUTPUTWISE):
         raise SynthesisError(
-            "interconnection", "structure", repr(structure), f"one of {', '.join(STRUCTURES)}"
+            "interconnection", "structure", repr(structure), f"one of {', '.join((*STRUCTURES, OUTPUTWISE))}"
         )
-    A, B = np.asarray(A, dtype=float), np.asarray(B, dtype=float)
-    n = len(A)
-    with_input, n_state = structure != "K_inf", n if structure == "K_is" else 0
+    outputwise = structure == OUTPUTWISE
+    if outputwise and (weights.W_delta_r is None or weights.W_delta_delta is None):
+        raise SynthesisError("interconnection", "weights", "no W_delta_r, W_delta_delta", "both, for K_o")
+    A, B, n = np.asarray(A, dtype=float), np.asarray(B, dtype=float), len(A)
+    with_input, n_state = structure in ("K_i", "K_is"), n if structure == "K_is" else 0
     net = _Network(
-        _parts(A, B, weights, int(with_input), n_state, dt, delay),
+        _parts(A, B, weights, structure, dt, delay),
         [
             *(["xi_i"] * with_input),
             *(f"xi_s{k}" for k in range(n_state)),
+            *(["xi_r", "xi_delta"] * outputwise),
             *("w_r", "w_delta", "n_r", "n_delta", "r_c", "u"),
         ],
     )
@@ -165,9 +177,13 @@ def generalised_plant(
         u_tilde[("W_delta_i", 0)] = 1
     r_m: Terms = {("vehicle", 0): 1, ("W_wr", 0): 1}
     delta_m: Terms = {("vehicle", 1): 1, ("W_wdelta", 0): 1}
+    if outputwise:
+        r_m[("W_delta_r", 0)] = delta_m[("W_delta_delta", 0)] = 1
     _join(net, u_tilde, r_m, n_state)
     rows: dict[str, Terms] = {"eta_i": {"u": 1}} if with_input else {}
     rows |= {f"eta_s{k}": {("vehicle", 2 + k): 1} for k in range(n_state)}
+    if outputwise:
+        rows |= {"eta_r": {("vehicle", 0): 1}, "eta_delta": {("vehicle", 1): 1}}
     rows |= {"z_t": {("W_t", 0): 1}, "z_u": {("W_u", 0): 1}}
     if probes:
         rows |= {f"x_{k}": {("vehicle", 2 + k): 1} for k in range(n)}
@@ -178,33 +194,37 @@ def generalised_plant(
         "y_r": {**r_m, ("W_nr", 0): 1},
         "y_delta": {**delta_m, ("W_ndelta", 0): 1},
     }
-    blocks = (*[Block("full", 1, 1)] * with_input, *[Block("full", n, n)] * (n_state > 0))
+    scalars = int(with_input) + 2 * outputwise
+    blocks = (*[Block("full", 1, 1)] * scalars, *[Block("full", n, n)] * (n_state > 0))
     return GeneralisedPlant(
         net.close(rows), blocks, sum(b.rows for b in blocks), sum(b.cols for b in blocks), 1, 3
     )
 
 
 def _parts(
-    A: np.ndarray, B: np.ndarray, weights: PlantWeights, n_input: int, n_state: int, dt: float, delay: int
+    A: np.ndarray, B: np.ndarray, weights: PlantWeights, structure: str, dt: float, delay: int
 ) -> dict[str, StateSpace]:
     """The systems of Fig. 1 by name, sampled where ``dt`` > 0.
 
-    The vehicle goes from [ũ; an input on every state] to [r; δ; x]. W_delta_i and W_delta_s act on
-    ``n_input`` and ``n_state`` channels and are left out where these are 0, as the delay is.
+    The vehicle goes from [ũ; an input on every state] to [r; δ; x]. W_delta_s acts on every state. The
+    weights of Δ that the structure does not have are left out, as the delay is where it is 0.
     """
     n = len(A)
+    channels = {
+        "W_delta_i": int(structure in ("K_i", "K_is")),
+        "W_delta_s": n if structure == "K_is" else 0,
+        "W_delta_r": int(structure == OUTPUTWISE),
+        "W_delta_delta": int(structure == OUTPUTWISE),
+    }
     vehicle = StateSpace(
         A, np.hstack([B, np.eye(n)]), np.vstack([np.eye(2, n), np.eye(n)]), np.zeros((2 + n, 1 + n))
     )
-    W = {f.name: getattr(weights, f.name) for f in fields(weights)}
+    W = {f.name: getattr(weights, f.name) for f in fields(weights) if channels.get(f.name, 1)}
     if dt:
         vehicle = zero_order_hold(vehicle, dt)
         W = {name: to_discrete(w, dt) for name, w in W.items()}
     parts = {"vehicle": vehicle, **W}
-    for name, count in (("W_delta_i", n_input), ("W_delta_s", n_state)):
-        one = parts.pop(name)
-        if count:
-            parts[name] = append(*[one] * count)
+    parts |= {name: append(*[parts[name]] * count) for name, count in channels.items() if count}
     if delay:
         parts["delay"] = StateSpace(
             np.eye(delay, k=1), np.eye(delay)[:, -1:], np.eye(delay)[:1], np.zeros((1, 1)), dt
@@ -218,6 +238,9 @@ def _join(net: _Network, u_tilde: Terms, r_m: Terms, n_state: int) -> None:
         net.feed("delay", 0, {"u": 1})
     if "W_delta_i" in net.first_in:
         net.feed("W_delta_i", 0, {"xi_i": 1})
+    for name, source in (("W_delta_r", "xi_r"), ("W_delta_delta", "xi_delta")):
+        if name in net.first_in:
+            net.feed(name, 0, {source: 1})
     for k in range(n_state):
         net.feed("W_delta_s", k, {f"xi_s{k}": 1})
         net.feed("vehicle", 1 + k, {("W_delta_s", k): 1})

@@ -60,6 +60,8 @@ KNOTS = 16
 order."""
 NEWTON_STEPS = 25
 """Steps for one rate before it counts as not found."""
+HIDDEN = 1e-12
+"""Of the largest Gramian entry, added to the Gramians that make the coordinates."""
 SLACKS = (3e-4, 1e-4, 3e-5, 1e-5, 1e-6)
 """Extra input and output on every state with which the frozen Riccati equations are made strict, relative to
 the coordinates."""
@@ -355,12 +357,21 @@ def _next_rate(found: float | None, failed: float | None) -> float | None:
 
 
 def _coordinates(loops: list[StateSpace]) -> np.ndarray:
-    """Basis in which the sums over the loops of both Gramians are equal and diagonal."""
+    """Basis in which the sums over the loops of both Gramians are nearly equal and diagonal.
+
+    States are scaled to like Gramians first, and each Gramian has HIDDEN of its largest entry added: what is
+    hardly reached or seen must not make the basis singular.
+    """
     reach = sum(sl.solve_discrete_lyapunov(G.A, G.B @ G.B.T) for G in loops) / len(loops)
     seen = sum(sl.solve_discrete_lyapunov(G.A.T, G.C.T @ G.C) for G in loops) / len(loops)
-    R, S = gramian_factor(reach), gramian_factor(seen)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = (np.diag(reach) / np.diag(seen)) ** 0.25
+    t = np.where(np.isfinite(t) & (t > 0), t, 1.0)
+    reach, seen = reach / np.outer(t, t), seen * np.outer(t, t)
+    added = HIDDEN * np.eye(len(t))
+    R, S = (gramian_factor(X + np.diag(X).max() * added) for X in (reach, seen))
     _, sigma, Vt = np.linalg.svd(S.T @ R)
-    return R @ Vt.T / np.sqrt(np.maximum(sigma, EPS * sigma[0]))
+    return t[:, None] * (R @ Vt.T / np.sqrt(sigma))
 
 
 def _frozen(parts: list[tuple[np.ndarray, np.ndarray]], Ts: float) -> np.ndarray | None:
@@ -379,7 +390,10 @@ def _frozen(parts: list[tuple[np.ndarray, np.ndarray]], Ts: float) -> np.ndarray
                 P = sl.solve_discrete_are(
                     M[:, :n], B, C.T @ C, D.T @ D - np.eye(m + n), s=C.T @ D, balanced=False
                 )
-            except np.linalg.LinAlgError:
+            except (
+                np.linalg.LinAlgError,
+                ValueError,
+            ):  # ValueError: the pencil is too ill-conditioned to order
                 break
             out.append(0.5 * (P + P.T))
         else:

@@ -3,6 +3,7 @@ the baselines.
 
     faults.py      the kinds of faults and variations, at several severities
     scenarios.py   the plan: every run's number, truck, fault, speed and command, drawn from the seed
+    conduct.py     what the loop did in a run, and what of it falsifies the certificate
     trucks.py      which trucks lie within the bounds by their own frequency response; mu of faulted loops
     one_run.py     one run: simulated, replayed through the core, judged by every detector and off line
     summary.py     the tables from the rows of the runs, and the claims that the campaign contradicts
@@ -12,8 +13,8 @@ A campaign has two groups of runs of DURATION_S each. Every run is a scenario of
 campaign's seed and the number of the run:
 
     within   trucks that vary in load, CG, tyres, brakes and friction, and whose own frequency response lies
-             within the bounds; any alarm is false while the demand stays within the amplitude that the
-             response was checked for
+             within the bounds at every frequency; any alarm is false, and a run that oscillates, saturates or
+             loses track is a falsified certificate. Speeds and demands lie in what was checked
     faults   KINDS: one fault or variation, of the truck, of the bus, or of both at once, at several
              severities
 
@@ -29,7 +30,7 @@ Files in the campaign's folder (each whole or absent):
                        files so far
     baselines.json     parameters and thresholds of the baselines (evaluate.BaselineStudy, all calibration
                        drives)
-    plants.json        candidates for "within" with their t*, and t* of the faulted trucks
+    plants.json        candidates for "within" with their |delta|/W_delta, and that of the faulted trucks
     loops.json         mu of the faulted loops, where a controller was given
     chunks/NNNNN.parquet   rows of CHUNK runs
     runs.parquet       all rows

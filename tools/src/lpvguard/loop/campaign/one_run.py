@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.csv as pa_csv
 
 from ...base.documents import read_toml
 from ...core.compiled import SUPERVISION, TESTS, Core
@@ -28,11 +29,14 @@ from ...identify.bounds import nominal_error
 from ...replay.run import Replay, Replayer, read_raw_log
 from ..sim import RECOVERY_S, Simulator
 from ..supervision import LIVE, Reactions, limits, needed_messages, required
-from .scenarios import PlannedRun, scenario_text
+from .conduct import AT_LIMIT, STEERING_RADPS, longest_stretch, rms_up_to, steady_line
+from .scenarios import UNIT, Drawn, PlannedRun
 
 FOUND_WITHIN_S = 60.0
 STRIDE = 10
 """Samples between the starts of the frames that are measured off line."""
+TELEMETRY_S = 0.1
+"""Between rows of the simulator's telemetry."""
 VISIBLE_RATIO = 1.5
 """A frame shows a fault when its t* is at least so many times the threshold."""
 
@@ -120,8 +124,9 @@ class Context:
     baselines: tuple[tuple[Baseline, float], ...]
 
     @cached_property
-    def tools(self) -> tuple[Simulator, Replayer, Bank]:
-        """Simulator, replayer and baseline detectors, built once in every process and not pickled."""
+    def tools(self) -> tuple[Simulator, Simulator, Replayer, Bank]:
+        """Simulator, the same without controller, replayer and baseline detectors, built once in every
+        process and not pickled."""
         return _tools(self.folder, self.scales)
 
     def __getstate__(self) -> dict:
@@ -131,11 +136,12 @@ class Context:
 @lru_cache(maxsize=2)
 def _tools(
     folder: Path, scales: tuple[tuple[float, ...], tuple[float, ...]]
-) -> tuple[Simulator, Replayer, Bank]:
+) -> tuple[Simulator, Simulator, Replayer, Bank]:
     simulator = Simulator(folder)
     replayer = Replayer(simulator.project, Core(folder))
     return (
         simulator,
+        Simulator(folder, controller="off"),
         replayer,
         Bank(replayer.model, replayer.estimator, Scales(*(np.array(s) for s in scales))),
     )
@@ -144,13 +150,22 @@ def _tools(
 def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
     """One run: simulated, replayed through the core, judged by every detector and off line. A row of the
     Parquet files."""
-    simulator, replayer, bank = context.tools
+    simulator, free_truck, replayer, bank = context.tools
+    drawn = Drawn.of(float(simulator.u_max.min()), context.seed, planned)
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "scenario.toml"
-        path.write_text(scenario_text(context.seed, planned), encoding="utf-8")
+        telemetry = path.with_suffix(".csv")
+        # Left alone, the truck does not know of the command: this run tells its free motion and the demand.
+        path.write_text(drawn.text(planned.tables, UNIT), encoding="utf-8")
+        free_truck.drive(path, telemetry=telemetry)
+        free = read_telemetry(telemetry)
+        size = drawn.size(replayer.model, free["wanted_radps"], TELEMETRY_S)
+        path.write_text(drawn.text(planned.tables, size), encoding="utf-8")
         log = path.with_suffix(".log") if "can_fault" in planned.tables else None
-        facts, drive, present = simulator.drive(path, log=log)
-        reactions = supervision(simulator, facts, read_toml(path, "a scenario file"), log, planned.fault_s)
+        facts, drive, present = simulator.drive(path, log=log, telemetry=telemetry)
+        scenario = read_toml(path, "a scenario file")
+        reactions = supervision(simulator, facts, scenario, log, planned.fault_s)
+        did = conduct(simulator, drawn, drive, free, read_telemetry(telemetry))
     replay = replayer.replay(drive, present)
     clock = JudgedClock.of(replay, first_sample(drive, planned.fault_s, replay.Ts))
     offline = Offline.of(replayer, drive, planned.fault_s)
@@ -164,8 +179,9 @@ def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
         "duration_s": facts["duration_s"],
         "speed_mps": float(drive.v.mean()),
         "frames_hash": facts["frames_hash"],
+        "brake_gain": float(scenario["plant"].get("variation", {}).get("brake_gain_ratio", 1.0)),
         "demand_max_bar": facts["demand_max_bar"],
-        "frame_demand_max_bar": float(largest_input(replayer, drive).max()),
+        **did,
         "tracking_ratio": facts["tracking_rms"] / facts["command_rms"] if facts["command_rms"] else None,
         "judged_s": replay.judged_s,
         "excited_after_s": float(clock.seconds[-1]),
@@ -189,6 +205,35 @@ def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
     for b, values in bank.statistics(thresholds, e, drive.v):
         row |= _judged(b.kind, values, thresholds[b], clock)
     return row
+
+
+def conduct(
+    simulator: Simulator,
+    drawn: Drawn,
+    drive: Drive,
+    free: dict[str, np.ndarray],
+    loop: dict[str, np.ndarray],
+) -> dict[str, float]:
+    """The columns of a row that say what the closed loop did (conduct.py). ``free``, ``loop``: telemetry,
+    columns (N,), of the truck left alone and of the loop."""
+    u, Ts = drive.u[:, 0], simulator.project.Ts_s
+    line = steady_line(u, Ts, drawn.command.highest)
+    limit = np.interp(drive.v, simulator.nodes, simulator.u_max[:, 0])
+    error = loop["wanted_radps"] - loop["yaw_rate_radps"]
+    return {
+        "line_bar": line.bar,
+        "line_radps": line.radps,
+        "limited_stretch_s": longest_stretch(np.abs(u) >= AT_LIMIT * limit, Ts),
+        "wanted_rms_radps": rms_up_to(loop["wanted_radps"], TELEMETRY_S, STEERING_RADPS),
+        "error_rms_radps": rms_up_to(error, TELEMETRY_S, STEERING_RADPS),
+        "free_rms_radps": rms_up_to(free["yaw_rate_radps"], TELEMETRY_S, STEERING_RADPS),
+    }
+
+
+def read_telemetry(path: Path) -> dict[str, np.ndarray]:
+    """Columns (N,) of the simulator's telemetry, every TELEMETRY_S."""
+    table = pa_csv.read_csv(path)
+    return {name: table[name].to_numpy() for name in table.column_names}
 
 
 def supervision(
@@ -238,14 +283,3 @@ def _judged(name: str, statistic: np.ndarray, threshold: float, clock: JudgedClo
         f"{name}_score_within": float(statistic[within].max(initial=-np.inf)),
         f"{name}_score": float(statistic.max(initial=-np.inf)),
     }
-
-
-def largest_input(replayer: Replayer, drive: Drive) -> np.ndarray:
-    """(K,) largest |U| of the first input in the counted frames of each bin [input unit]; 0 where there are
-    none."""
-    estimator = replayer.estimator
-    largest = np.zeros(estimator.n_bins)
-    for k in range(estimator.n_bins):
-        starts = STRIDE * np.flatnonzero(estimator.counted(drive.v, k)[::STRIDE])
-        largest[k] = np.abs(estimator.transform(drive.u[:, :1], k, starts)).max(initial=0.0)
-    return largest

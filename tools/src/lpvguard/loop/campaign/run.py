@@ -56,6 +56,7 @@ def campaign(
     _require_same(stored, replayer)
     if controller is not None:
         require_designed_for(stored, controller)
+    certified = trucks.CertifiedSet.of(stored)
     with artefacts.kept_folder(
         out,
         "campaign",
@@ -66,16 +67,12 @@ def campaign(
         duration_s=DURATION_S,
     ) as kept_in:
         tuned = _kept(kept_in, "baselines.json", lambda: _tune(stored, drives, core, workers, progress))
-        weights = trucks.WeightMagnitudes.of(stored, replayer.estimator)
-        found = _kept(
-            kept_in,
-            "plants.json",
-            lambda: trucks.plants(replayer.model, weights, seed, workers, progress),
-        )
+        found = _kept(kept_in, "plants.json", lambda: trucks.plants(certified, seed, workers, progress))
         levels = []
         if controller is not None:
             levels = _kept(kept_in, "loops.json", lambda: trucks.loop_levels(stored, controller, progress))
-        within = [c["tables"] for c in found["candidates"] if c["margin"] <= 1][: trucks.PLANTS]
+        chosen = [c for c in found["candidates"] if c["ratio"] <= 1][: trucks.PLANTS]
+        within = [(c["tables"], c["least_gain"]) for c in chosen]
         table = _run_all(kept_in, _context(folder, seed, tuned), plan(size, within), workers, progress)
         kept_in.write("runs.parquet", _parquet(table))
         summary = summarise(table, stored, found, levels, tuned)

@@ -7,19 +7,34 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...vehicle.nominal import NominalModel
 from . import faults
+from .conduct import LEAST_BAR, STEERING_RADPS
 from .faults import VARIATION
 
 DURATION_S = 180.0
 """As long as the calibration drives of `generate`: a rate per drive means the same."""
 FIRST_FAULT = 1_000_000
 """Number of the first run with a fault: what is drawn for it does not depend on the hours within."""
+SPEEDS = (8.1, 21.9)
+"""[m/s] Of the runs: noise of the wheel speeds must not leave the controller's 8 to 22."""
+STEERING_RMS = 0.05
+"""[rad/s] Of the steering task's command, less where a truck cannot give it within the limit."""
+HIGHEST_COMMAND_RADPS = 4.0
+FAULT_BAR = 0.9
+"""Least of the largest demand of runs with a fault: enough to see one."""
+ROOM = 0.85
+"""Of the controller's limit that a command asks for; the rest is for road, wind and noise."""
+UNIT = 0.05
+"""[rad/s] Size of a command with which its demand is found."""
+REFERENCE_RADPS = 3.0
+"""Of the simulator's reference model 9 / (s^2 + 5.4 s + 9) (firmware_sim/sim/command.hpp)."""
 
 
 @dataclass(frozen=True)
 class PlannedRun:
     """One run. ``plant``: index of the truck of group "within", -1 elsewhere; ``tables``: its fault or
-    variation."""
+    variation; ``gain``: least gain of a truck within the bounds, of the nominal one's."""
 
     number: int
     kind: str
@@ -27,6 +42,7 @@ class PlannedRun:
     plant: int
     fault_s: float
     tables: str
+    gain: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -37,12 +53,11 @@ class Size:
     repeats: int
 
 
-def plan(size: Size, variations: list[str]) -> list[PlannedRun]:
-    """All runs, in the order of their numbers."""
+def plan(size: Size, trucks: list[tuple[str, float]]) -> list[PlannedRun]:
+    """All runs, in the order of their numbers. ``trucks``: within the bounds, tables and least gain."""
     runs = int(np.ceil(size.hours * 3600 / DURATION_S))
     within = [
-        PlannedRun(n, "within", 0.0, n % len(variations), 0.0, variations[n % len(variations)])
-        for n in range(runs)
+        PlannedRun(n, "within", 0.0, n % len(trucks), 0.0, *trucks[n % len(trucks)]) for n in range(runs)
     ]
     chosen = [(kind, x) for kind in faults.KINDS for x in kind.values for _ in range(size.repeats)]
     return within + [
@@ -62,9 +77,9 @@ def draw_variation(seed: int, candidate: int) -> str:
         "friction_left_ratio": 0.15,
         "cornering_stiffness_front_ratio": 0.1,
         "cornering_stiffness_rear_ratio": 0.1,
-        "brake_gain_ratio": 0.15,
+        "brake_gain_ratio": 0.25,
         "brake_lag_ratio": 0.3,
-        "extra_brake_delay_s": 0.02,
+        "extra_brake_delay_s": 0.03,
     }
     size = random.uniform(0.2, 1.0)
     drawn = {key: size * random.uniform(-most, most) for key, most in reach.items()}
@@ -74,26 +89,99 @@ def draw_variation(seed: int, candidate: int) -> str:
     return VARIATION + "".join(f"{key} = {value:.6g}\n" for key, value in drawn.items())
 
 
-def scenario_text(seed: int, planned: PlannedRun) -> str:
-    """The scenario file of a run: speed and command drawn, so that the demand stays within what the bounds
-    were made from."""
-    random = np.random.default_rng([seed, 2, planned.number])
-    profile = speed_profile(random)
-    demand_bar = random.uniform(0.1, 0.3) if planned.plant >= 0 else random.uniform(0.3, 0.7)
-    yaw_rate = 1.94 / max(v for _, v in profile) * demand_bar  # Table I's gain at DC
-    command = (
-        'kind = "multisine"\nspacing = "log"\nlow_radps = 0.5\nhigh_radps = 4.0\nrms_radps = {r:.6g}',
-        'kind = "multisine"\nspacing = "linear"\nlow_radps = 0.05\nhigh_radps = 2.0\nrms_radps = {r:.6g}',
-        'kind = "steps"\namplitude_radps = {r:.6g}\nperiod_s = {p:.6g}',
-    )[random.integers(3)]
-    return (
-        f"duration_s = {DURATION_S:g}\nseed = {random.integers(1 << 31)}\n[command]\n"
-        + command.format(r=yaw_rate, p=random.uniform(5.0, 12.0))
-        + "\n[plant]\nspeed_profile = ["
-        + ", ".join(f"[{t:.6g}, {v:.6g}]" for t, v in profile)
-        + "]\n"
-        + planned.tables
+@dataclass(frozen=True)
+class Command:
+    """A yaw-rate command but for its size, the rms of a multisine or the amplitude of steps.
+
+    ``keys``: of a scenario file. ``highest``: upper end of the commanded band [rad/s], of steps that of the
+    reference model. ``size``: its own where it has one [rad/s].
+    """
+
+    keys: str
+    highest: float
+    size: float | None = None
+
+    @classmethod
+    def multisine(cls, spacing: str, low: float, high: float, size: float | None = None) -> Command:
+        """A multisine between two frequencies [rad/s], its lines "linear" or "log" spaced."""
+        keys = f'kind = "multisine"\nspacing = "{spacing}"\nlow_radps = {low:g}\nhigh_radps = {high:g}\n'
+        return cls(keys + "rms_radps", high, size)
+
+    @classmethod
+    def steps(cls, period_s: float) -> Command:
+        """Steps from side to side, two a period."""
+        return cls(f'kind = "steps"\nperiod_s = {period_s:.6g}\namplitude_radps', REFERENCE_RADPS)
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What is drawn for a run: speed knots (time [s], speed [m/s]), command, largest demand of the nominal
+    truck [bar], and the seed of noise, road and wind."""
+
+    profile: list[tuple[float, float]]
+    command: Command
+    demand_bar: float
+    seed: int
+
+    @classmethod
+    def of(cls, limit_bar: float, seed: int, planned: PlannedRun) -> Drawn:
+        """Drawn from the campaign's seed and the run's number.
+
+        The truck's largest demand lies between LEAST_BAR, of runs with a fault FAULT_BAR, and ROOM of the
+        controller's limit ``limit_bar``. So the amplitudes that were checked are covered, and no truck is
+        asked for more than it can give.
+        """
+        random = np.random.default_rng([seed, 2, planned.number])
+        profile = speed_profile(random)
+        command = _command(random, planned.plant >= 0)
+        least, most = LEAST_BAR if planned.plant >= 0 else FAULT_BAR, ROOM * limit_bar
+        demand = float(np.exp(random.uniform(np.log(least), np.log(most))))
+        if command.size is not None:
+            demand = most
+        return cls(profile, command, planned.gain * demand, int(random.integers(1 << 31)))
+
+    def size(self, model: NominalModel, unit: np.ndarray, Ts: float) -> float:
+        """Size of the command [rad/s] with which the nominal truck needs ``demand_bar``, or the command's own
+        where that is less.
+
+        ``unit`` (N,): what the reference model makes of this command at size UNIT [rad/s], every ``Ts`` [s].
+        It is followed up to HIGHEST_COMMAND_RADPS at every speed of the run; above, no loop does.
+        """
+        wanted = np.fft.rfft(unit)
+        omega = 2 * np.pi * np.arange(len(wanted)) / (len(unit) * Ts)
+        followed = omega[omega <= HIGHEST_COMMAND_RADPS]
+        speeds = [v for _, v in self.profile]
+        needed = 0.0
+        for v in np.linspace(min(speeds), max(speeds), 5):
+            P = model.frequency_response(followed, float(v))[:, 0, 0]
+            demand = np.fft.irfft(wanted[: len(followed)] / P, len(unit))
+            needed = max(needed, float(np.abs(demand).max()))
+        size = self.demand_bar / needed * UNIT
+        return size if self.command.size is None else min(size, self.command.size)
+
+    def text(self, tables: str, size: float) -> str:
+        """The scenario file; ``tables``: faults and variation, ``size``: of the command [rad/s]."""
+        knots = ", ".join(f"[{t:.6g}, {v:.6g}]" for t, v in self.profile)
+        return (
+            f"duration_s = {DURATION_S:g}\nseed = {self.seed}\n[command]\n{self.command.keys} = {size:.6g}\n"
+            f"[plant]\nspeed_profile = [{knots}]\n{tables}"
+        )
+
+
+def _command(random: np.random.Generator, within: bool) -> Command:
+    """The command of a run; those of trucks ``within`` the bounds also hold the steering task's. Their steps
+    are slow enough to be tracked, those of faulted trucks keep the monitor's frames excited."""
+    wide = (
+        Command.multisine("linear", 0.05, 2.0),
+        Command.multisine("log", 0.5, HIGHEST_COMMAND_RADPS),
+        Command.steps(random.uniform(*(12.0, 40.0) if within else (5.0, 12.0))),
     )
+    steering = (
+        Command.multisine("linear", 0.02, STEERING_RADPS, size=STEERING_RMS),
+        Command.multisine("linear", 0.02, STEERING_RADPS),
+    )
+    chosen = (*steering, *wide) if within else wide
+    return chosen[random.integers(len(chosen))]
 
 
 def speed_profile(random: np.random.Generator) -> list[tuple[float, float]]:
@@ -102,7 +190,8 @@ def speed_profile(random: np.random.Generator) -> list[tuple[float, float]]:
     The speed is constant, drifts by at most 3 m/s, or is swept to the farther end of the range and back at
     0.05 to 0.3 m/s2.
     """
-    first = random.uniform(9.0, 21.0)
+    slowest, fastest = SPEEDS
+    first = random.uniform(slowest, fastest)
     manner = random.integers(5)
     if manner < 2:
         return [(0.0, first)]
@@ -110,8 +199,8 @@ def speed_profile(random: np.random.Generator) -> list[tuple[float, float]]:
         return [
             (0.0, first),
             (40.0, first),
-            (150.0, float(np.clip(first + random.uniform(-3.0, 3.0), 8.5, 21.5))),
+            (150.0, float(np.clip(first + random.uniform(-3.0, 3.0), slowest, fastest))),
         ]
-    end = 21.0 if first < 15.0 else 9.0
+    end = fastest if first < 0.5 * (slowest + fastest) else slowest
     takes_s = abs(end - first) / random.uniform(0.05, 0.3)
     return [(0.0, first), (20.0, first), (20.0 + takes_s, end), (20.0 + 2.0 * takes_s, first)]

@@ -23,9 +23,9 @@ from ...evaluate.run import energy_test_of
 from ...identify.calibration import Calibration, calibrate
 from ...identify.run import StoredIdentification
 from . import faults
+from .conduct import ruled_out
 from .one_run import FOUND_WITHIN_S
 from .scenarios import DURATION_S
-from .trucks import CHECKED_AMPLITUDE_BAR
 
 VISIBLE_SHARE, VISIBLE_FOUND = 0.1, 0.95
 LATENCY_S = 1.0
@@ -64,9 +64,7 @@ def summarise(
     """
     rows = table.to_pylist()
     kinds = {k.name: k for k in faults.KINDS}
-    drawn = [r for r in rows if r["kind"] == "within"]
-    within = [r for r in drawn if r["frame_demand_max_bar"] <= CHECKED_AMPLITUDE_BAR]
-    beyond = [r for r in drawn if r["frame_demand_max_bar"] > CHECKED_AMPLITUDE_BAR]
+    within = [r for r in rows if r["kind"] == "within"]
     faulty = [r for r in rows if r["kind"] in kinds and kinds[r["kind"]].of_truck]
     on_bus = [r for r in rows if r["kind"] in kinds and kinds[r["kind"]].of_bus]
     matched, stated = _matched(within, faulty, stored.project.frame_test.alpha)
@@ -79,12 +77,13 @@ def summarise(
         "calibrated": _calibrated(stored),
         "within": _within(within)
         | {
-            "beyond_checked_amplitude": rate(sum(_alarms(r, MONITOR) for r in beyond), len(beyond)),
             "plants": len({r["plant"] for r in within}),
             "candidates": len(found["candidates"]),
-            "nominal_margin": found["nominal"],
-            "largest_margin": max(c["margin"] for c in found["candidates"] if c["margin"] <= 1),
+            "nominal_ratio": found["nominal"]["ratio"],
+            "largest_ratio": max(c["ratio"] for c in found["candidates"] if c["ratio"] <= 1),
+            "checked": found["checked"],
         },
+        "falsified": _falsified(within, [c["tables"] for c in found["candidates"] if c["ratio"] <= 1]),
         "severities": severities,
         "due": _due(rows),
         "visible": _visible(faulty),
@@ -98,7 +97,7 @@ def summarise(
             kind_row(name, [s for s in severities if s["kind"] == name])
             for name in dict.fromkeys(s["kind"] for s in severities)
         ],
-        "supervision": {"faulty": _supervision(on_bus), "healthy": _supervision(drawn)},
+        "supervision": {"faulty": _supervision(on_bus), "healthy": _supervision(within)},
         "bus": [_bus_severity(*key, members) for key, members in _by_severity(on_bus).items()],
         "invisible": [s for s in severities if _is_invisible(s)],
     }
@@ -133,10 +132,10 @@ def _matched(
 def _severities(
     faulty: list[dict], matched: dict[str, float], levels: list[dict], found: dict
 ) -> list[dict[str, Any]]:
-    """A row per kind and severity of a fault of the truck, with mu of the faulted loop and t* of its response
-    where they were computed."""
+    """A row per kind and severity of a fault of the truck, with mu of the faulted loop and the distance of
+    its response from the nominal one where they were computed."""
     loops = {(row["kind"], row["severity"]): row for row in levels}
-    response = {(row["kind"], row["severity"]): row["margin"] for row in found["faulted"]}
+    response = {(row["kind"], row["severity"]): row["ratio"] for row in found["faulted"]}
     severities = []
     for key, members in _by_severity(faulty).items():
         loop = loops.get(key, {"stable": True, "mu_upper": None})
@@ -145,7 +144,7 @@ def _severities(
             | {
                 "loop_stable": loop["stable"],
                 "mu_upper": loop["mu_upper"],
-                "response_margin": response.get(key),
+                "response_ratio": response.get(key),
             }
         )
     return severities
@@ -211,6 +210,12 @@ def _by_severity(rows: list[dict]) -> dict[tuple[str, float], list[dict]]:
 
 def _missed(summary: dict[str, Any]) -> Iterator[str]:
     """Claims that the campaign contradicts, a sentence each."""
+    falsified = summary["falsified"]["rate"]
+    if falsified["count"]:
+        yield (
+            f"{falsified['count']} of {falsified['of']} runs of trucks within the bounds falsify "
+            "the certificate"
+        )
     for test, seen in summary["within"]["tests"].items():
         calibrated = summary["calibrated"][test]["alpha"]
         if calibrated is not None and seen["interval"] is not None and seen["interval"][1] > calibrated:
@@ -258,6 +263,18 @@ def _found(row: dict, detector: str) -> bool:
 
 def _alarms(row: dict, detector: str) -> bool:
     return row[f"{detector}_before"] or row[f"{detector}_found_s"] is not None
+
+
+def _falsified(within: list[dict], tables: list[str]) -> dict[str, Any]:
+    """The runs of trucks within the bounds that did what the certificate rules out (conduct.py), each by
+    name, and their rate. ``tables``: of these trucks."""
+    runs = [
+        {key: r[key] for key in ("number", "seed", "plant", "speed_mps")}
+        | {"tables": tables[r["plant"]], "did": did}
+        for r, did in ((r, list(ruled_out(r))) for r in within)
+        if did
+    ]
+    return {"rate": rate(len(runs), len(within)), "runs": runs}
 
 
 def _within(rows: list[dict]) -> dict[str, Any]:

@@ -1,18 +1,19 @@
 """Which trucks lie within the bounds by their own frequency response, and mu of the loops with a fault.
 
-G is the truck's measured response to sines of RESPONSE_AMPLITUDES_BAR, at the bins and at RESPONSE_SPEEDS,
-on a flat road without wind (`plant response`). P is the nominal response, and U is CHECKED_AMPLITUDE_BAR in
-every bin. A truck is within the bounds when t* of E = (G - P)U, Z = PU is at most 1.
+G is the truck's measured response to sines on a flat road without wind (`plant response`), w = 0, at OMEGA,
+at RESPONSE_SPEEDS and with amplitudes of RESPONSE_BAR, the last of which is reduced to the edge of use (the
+lateral-acceleration limit). P is the nominal response. A truck is within the bounds when each output has
 
-The disturbance bound used here leaves out the share W_n that zero-input driving needs. Then a frame whose
-input stays below U in its bin is explained by some |delta| <= W_delta, road, wind and sensors included. Runs
-with a frame of larger input are counted apart. Nothing here uses what the monitor says.
+    |delta_j| = |G_j / P_j - 1| <= W_delta,j
+
+everywhere there, W_delta as the certificate has it. Speeds and demands of the runs lie in what is checked
+(scenarios.py). Nothing here uses what the monitor says or what a run did.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,86 +22,105 @@ import numpy as np
 from ...base.errors import InputError
 from ...base.parallel import Map
 from ...control.design import faulted_performance
-from ...drives.frames import Estimator
-from ...engine.validation import s1
+from ...control.true_loop import (
+    certified_weight,
+    deviations,
+    require_certified_by_W_delta,
+    within_use,
+)
 from ...identify.run import Progress, StoredIdentification
+from ...identify.weights import Weights
 from ...vehicle.nominal import NominalModel
+from ...vehicle.project import Project
 from ..response import frequency_response
 from . import faults
-from .scenarios import draw_variation
+from .conduct import LEAST_BAR
+from .scenarios import HIGHEST_COMMAND_RADPS, draw_variation
 
 PLANTS = 24
 """Trucks within the bounds that share the runs "within"."""
-RESPONSE_SPEEDS = (8.3, 12.0, 17.0, 21.7)
-RESPONSE_AMPLITUDES_BAR = (0.5, 1.5)
-CHECKED_AMPLITUDE_BAR = 0.75
-"""More than the frames of nearly all runs within hold; the others are counted apart. Bounds found from drives
-say nothing of a demand that the drives did not hold: at 1.5 bar, of one frequency, the nominal truck itself
-leaves them by a third, at 0.5 to 0.7 rad/s."""
+RESPONSE_SPEEDS = (8.0, 12.0, 17.0, 22.0)
+RESPONSE_BAR = (LEAST_BAR, 0.7, np.inf)
+OMEGA = (np.geomspace(1.0, 60.0, 28), np.geomspace(0.02, 1.0, 12, endpoint=False))
+"""[rad/s] The slow ones last: their periods take most of the time, and most trucks beyond the bounds are so
+above 1 rad/s."""
 LOOP_SPEEDS = (8.5, 15.0, 21.5)
 """Where mu of a faulted loop is computed; the largest is stated."""
 
 
 @dataclass(frozen=True)
-class WeightMagnitudes:
-    """Magnitudes of an identification's weights, which a truck's frequency response is held against.
+class Distance:
+    """How far a truck is from the nominal model.
 
-    omega (K,): the bins [rad/s]. W_delta (K, n_delta). B_w (K, n_y): the share W_n (K, n_y) included.
+    ratio: largest |delta_j| / W_delta,j; where it exceeds 1, of what was measured until then, so at least
+    that. output, omega_radps, speed_mps, amplitude_bar: where. least_gain: of a truck within the bounds,
+    least |G_1/P_1| at the edge of use up to the highest frequency of a command.
     """
 
-    omega: np.ndarray
-    W_delta: np.ndarray
-    B_w: np.ndarray
-    W_n: np.ndarray
+    ratio: float
+    output: str
+    omega_radps: float
+    speed_mps: float
+    amplitude_bar: float
+    least_gain: float | None
+
+
+@dataclass(frozen=True)
+class CertifiedSet:
+    """The set of trucks that a certificate is about: a project's nominal model and its fitted weights."""
+
+    project: Project
+    fitted: Weights
 
     @classmethod
-    def of(cls, stored: StoredIdentification, estimator: Estimator) -> WeightMagnitudes:
-        """The weights at the bins, inflation included. InputError where it has no zero-input drives."""
-        fitted = stored.fitted
-        if not fitted.W_n:
-            raise InputError(
-                stored.folder,
-                "W_n",
-                "missing: no drive of the noise split",
-                "an identification with zero-input drives",
-            )
-        return cls(
-            estimator.omega,
-            *fitted.at(estimator.omega),
-            fitted.inflation * np.column_stack([w.magnitude(estimator.omega) for w in fitted.W_n]),
-        )
+    def of(cls, stored: StoredIdentification) -> CertifiedSet:
+        """Those of an identification. InputError where the certificate is not about W_delta alone."""
+        require_certified_by_W_delta(stored)
+        return cls(stored.project, stored.fitted)
+
+    def distance(self, tables: str) -> Distance:
+        """Of the truck with these variations and faults, given as scenario tables; measured until it exceeds
+        the bounds."""
+        model, outputs = NominalModel(self.project), [signal.name for signal in self.project.outputs]
+        worst, least_gain = Distance(0.0, outputs[0], 0.0, 0.0, 0.0, None), np.inf
+        for v, amplitude, wanted in self._points(model):
+            omega, G = frequency_response(tables, v, amplitude, wanted)
+            ratio = G / model.frequency_response(omega, v)[..., 0]
+            if amplitude == within_use(model, v, RESPONSE_BAR)[-1]:
+                gain = np.abs(ratio[omega <= HIGHEST_COMMAND_RADPS, 0])
+                least_gain = min(least_gain, float(gain.min()))
+            W = certified_weight(self.fitted, model.Ts, omega)
+            for d in deviations(outputs, omega, np.abs(ratio - 1), W):
+                if d.ratio > worst.ratio:
+                    worst = Distance(d.ratio, d.output, d.omega, v, amplitude, None)
+            if worst.ratio > 1:
+                return worst
+        return replace(worst, least_gain=least_gain)
+
+    def checked(self) -> dict[str, Any]:
+        """What ``distance`` measures, JSON-able: speeds (S,) [m/s], amplitudes (S, A) [bar], frequencies (K,)
+        [rad/s]."""
+        model = NominalModel(self.project)
+        return {
+            "speeds_mps": list(RESPONSE_SPEEDS),
+            "amplitudes_bar": [within_use(model, v, RESPONSE_BAR) for v in RESPONSE_SPEEDS],
+            "omega_rad_s": sorted(np.concatenate(OMEGA).tolist()),
+        }
+
+    @staticmethod
+    def _points(model: NominalModel) -> Iterator[tuple[float, float, np.ndarray]]:
+        """(speed, amplitude, frequencies) of every measurement."""
+        for omega in OMEGA:
+            for v in RESPONSE_SPEEDS:
+                for amplitude in within_use(model, v, RESPONSE_BAR):
+                    yield v, amplitude, omega
 
 
-def response_margin(
-    model: NominalModel,
-    weights: WeightMagnitudes,
-    tables: str,
-    demand_bar: float | np.ndarray = CHECKED_AMPLITUDE_BAR,
-) -> float:
-    """Largest t* of a truck's own frequency response over speeds, amplitudes and bins; see the module's
-    docstring.
-
-    ``tables``: its variation and faults, as scenario tables. ``demand_bar``: |U| that the frames may hold,
-    for all bins or (K,). 1 or less: within the bounds.
-    """
-    U = np.broadcast_to(demand_bar, weights.omega.shape)[:, None]
-    left, worst = np.maximum(weights.B_w - weights.W_n, 1e-12), 0.0
-    for v in RESPONSE_SPEEDS:
-        for amplitude in RESPONSE_AMPLITUDES_BAR:
-            omega, G = frequency_response(tables, v, amplitude, weights.omega)
-            P = model.frequency_response(omega, v)[..., 0]
-            worst = max(worst, float(s1.margin((G - P) * U, P * U, weights.W_delta, left).max()))
-    return worst
-
-
-def plants(
-    model: NominalModel, weights: WeightMagnitudes, seed: int, workers: Map, progress: Progress
-) -> dict[str, Any]:
-    """Trucks within the bounds, in the order drawn until there are PLANTS, and t* of every faulted truck that
-    has a response."""
-    margin = partial(response_margin, model, weights)
+def plants(certified: CertifiedSet, seed: int, workers: Map, progress: Progress) -> dict[str, Any]:
+    """Trucks within the bounds, in the order drawn until there are PLANTS, and the distance of every faulted
+    truck that has a response."""
     candidates: list[dict[str, Any]] = []
-    while sum(c["margin"] <= 1 for c in candidates) < PLANTS:
+    while sum(c["ratio"] <= 1 for c in candidates) < PLANTS:
         tables = [draw_variation(seed, len(candidates) + i) for i in range(8)]
         if len(candidates) >= 20 * PLANTS:
             raise InputError(
@@ -109,17 +129,22 @@ def plants(
                 f"{len(candidates)} trucks drawn, too few within the bounds",
                 f"{PLANTS} that are",
             )
-        for t, value in zip(tables, workers(margin, tables), strict=False):
+        for t, found in zip(tables, workers(certified.distance, tables), strict=False):
             progress(f"frequency response of truck {len(candidates)}")
-            candidates.append({"tables": t, "margin": value})
+            candidates.append({"tables": t, **vars(found)})
     chosen = [(kind, x) for kind in faults.KINDS if kind.response for x in kind.values]
     faulted = []
-    for (kind, x), value in zip(
-        chosen, workers(margin, [k.text(x, start_s=0.0) for k, x in chosen]), strict=False
-    ):
+    texts = [k.text(x, start_s=0.0) for k, x in chosen]
+    for (kind, x), found in zip(chosen, workers(certified.distance, texts), strict=False):
         progress(f"frequency response, {kind.name} {x:g}")
-        faulted.append({"kind": kind.name, "severity": x, "margin": value})
-    return {"nominal": margin(""), "candidates": candidates, "faulted": faulted}
+        faulted.append({"kind": kind.name, "severity": x, **vars(found)})
+    nominal = vars(certified.distance(""))
+    return {
+        "checked": certified.checked(),
+        "nominal": nominal,
+        "candidates": candidates,
+        "faulted": faulted,
+    }
 
 
 def loop_levels(stored: StoredIdentification, controller: Path, progress: Progress) -> list[dict[str, Any]]:

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter
 
+from ...identify.weights import FittedWeight
 from ...vehicle.project import Signal
 from .drawing import BLUE, GREEN, INK, ORANGE, PINK, POINTS, RED, SKY, legend_above, new_figure, picture
 
@@ -180,14 +181,15 @@ def weights_over_bounds(
     W_w: np.ndarray,
     W_n: np.ndarray | None,
     fine: np.ndarray,
-    samples: np.ndarray,
-    W_delta: np.ndarray,
+    uncertainty: Sequence[FittedWeight],
+    inflation: float,
     outputs: Sequence[Signal],
 ) -> Figure:
     """Fig. 3: left, per output, points |w_j|, the bound B_w and the weights; right, points nu and W_delta.
 
-    ``W_w`` (N, n_y), ``W_n`` (N, n_y) or None where there is no noise weight, and ``W_delta`` (N, n_delta)
-    are magnitudes at ``fine`` (N,) [rad/s]. ``samples`` (K, n_delta): the bound on nu that W_delta covers.
+    ``W_w`` (N, n_y) and ``W_n`` (N, n_y), or None where there is no noise weight, are magnitudes at ``fine``
+    (N,) [rad/s]. ``uncertainty``: W_delta with the samples above which it was fitted, one a Delta; drawn
+    times ``inflation`` over all of them.
     """
     figure = new_figure(8.2, 3.6 if len(outputs) == 1 else 2.9 * len(outputs))
     left, beside = figure.subfigures(1, 2, width_ratios=[1, 1], squeeze=False).flat
@@ -208,15 +210,26 @@ def weights_over_bounds(
     right = beside.subplots()
     points = [nu.ravel() for nu in clouds.nu]
     _cloud(right, grid, points, POINTS, r"$\nu$ of a frame")
-    for d, (of_bound, of_weight) in zip(range(W_delta.shape[1]), DELTA_COLOURS, strict=False):
-        name = f", {outputs[d].name.replace('_', ' ')}" if W_delta.shape[1] > 1 else ""
-        _bound(right, grid, samples[:, d], "--s", f"running bound{name}", ms=4, color=of_bound)
-        right.plot(fine, W_delta[:, d], "-", color=of_weight, label=rf"$|W_\Delta|${name}")
+    asked = np.concatenate([w.bound for w in uncertainty])
+    top, last = np.nanmax(asked), max(grid[-1], *(w.omega[-1] for w in uncertainty))
+    wide = np.geomspace(grid[0], last, 400)
+    for d, (weight, (of_bound, of_weight)) in enumerate(zip(uncertainty, DELTA_COLOURS, strict=False)):
+        name = f", {outputs[d].name.replace('_', ' ')}" if len(uncertainty) > 1 else ""
+        size = inflation * weight.magnitude(wide)
+        right.plot(weight.omega, weight.bound, "--s", ms=3, color=of_bound, label=f"asked for{name}")
+        right.plot(wide, size, "-", color=of_weight, label=rf"$|W_\Delta|${name}")
+        top = max(top, size.max())
     right.set_yscale("log")
-    right.set_ylim(_decent_bottom(points, samples), 2 * max(W_delta.max(), np.nanmax(samples)))
+    right.set_ylim(_decent_bottom(points, asked), 2 * top)
     right.set_ylabel(r"uncertainty size $|\delta|$, –")
-    legend_above(right, 3 if W_delta.shape[1] == 1 else 1)
+    legend_above(right, 3 if len(uncertainty) == 1 else 1)
     _bins(right, grid, without)
+    if last > grid[-1]:
+        decades = 10.0 ** np.arange(np.ceil(np.log10(grid[1])), np.log10(last))
+        right.set_xticks([grid[0], *decades], ["DC", *(f"{w:g}" for w in decades)])
+        right.xaxis.set_minor_locator(FixedLocator(uncertainty[0].omega[1:].tolist()))
+        right.set_xlim(right=1.5 * last)
+        right.set_xlabel("frequency, rad/s")
     return figure
 
 

@@ -1,26 +1,34 @@
-"""Sections on the bounds: Fig. 2 (disturbance), Fig. 3 (weights), and the Pareto fronts between the two."""
+"""Sections on the bounds: Fig. 2 (disturbance), Fig. 3 (weights), the model error model, and the Pareto
+fronts between disturbance and uncertainty."""
 
 from __future__ import annotations
+
+from html import escape
 
 import numpy as np
 
 from ...drives.frames import Estimator
 from ...engine.overbound.weight import Weight
 from ...engine.validation import s1
-from ...identify.bounds import FrameSet, explain
+from ...identify.bounds import FrameSet, explain, remainder
+from ...identify.model_error import ASSUMED, beyond, claim, last_telling
+from ...identify.premise import weight_met
 from ...identify.run import StoredIdentification
-from ...identify.weights import DC_STAND_IN, SMALLEST_NU, fitting_grid, uncertainty_samples
+from ...identify.weights import DC_STAND_IN, SMALLEST_NU, fitting_grid
 from ..markup import captioned, unit_of_norm
+from ..pictures.model_error import model_error
 from ..pictures.over_bins import POINTS_PER_BIN, Clouds, disturbance_design, pareto, weights_over_bounds
+from .summary import premise_of
 
 
 def bound_sections(stored: StoredIdentification, estimator: Estimator) -> list[str]:
-    """The three sections; each begins with its h2."""
+    """The four sections; each begins with its h2."""
     clouds, grid = _clouds(stored, estimator), fitting_grid(estimator)
     fine = np.geomspace(grid[0], 2 * grid[-1], 400)
     return [
         f"<h2>Disturbance bound</h2>{_disturbance(stored, estimator, clouds, grid, fine)}",
         f"<h2>Weights over the bounds</h2>{_weights(stored, estimator, clouds, grid, fine)}",
+        f"<h2>Model error</h2>{_model_error(stored)}",
         f"<h2>Trade-off between disturbance and uncertainty</h2>{_front(stored, estimator)}",
     ]
 
@@ -31,7 +39,8 @@ def _clouds(stored: StoredIdentification, estimator: Estimator) -> Clouds:
         names = spectra["names"].tolist()
         setting = np.isin(spectra["drive"], [names.index(n) for n in stored.manifest["drives"]["bounds"]])
         columns = {key: spectra[key][setting] for key in ("bin", "start", "E", "Z")}
-    clouds = Clouds([], [], [], [])
+    clouds, structure = Clouds([], [], [], []), stored.project.bounds.structure
+    W_delta = stored.fitted.at(estimator.omega)[0] / stored.fitted.inflation
     for k in range(estimator.n_bins):
         of_bin = columns["bin"] == k
         frames = FrameSet(
@@ -42,7 +51,8 @@ def _clouds(stored: StoredIdentification, estimator: Estimator) -> Clouds:
             str(stored.folder / "spectra.npz"),
         )
         size = np.linalg.norm(frames.E, axis=1)
-        nu, w = explain(frames, estimator, stored.bounds["gamma_w"], stored.project.bounds.structure)
+        nu, _ = explain(frames, estimator, stored.bounds["gamma_w"], structure)
+        w = remainder(frames, estimator, W_delta, structure)
         clouds.E.append(size)
         clouds.B1.append(s1.solve(frames.E, frames.Z, size).b1)
         clouds.nu.append(nu.reshape(len(nu), stored.project.n_delta))
@@ -129,7 +139,6 @@ def _weights(
         if weights["W_n"]
         else "Without zero-input drives there is no noise weight: W<sub>w</sub> covers B<sub>w</sub>."
     )
-    samples = np.column_stack([uncertainty_samples(estimator, nu) for nu in bounds["nu"].T])
     of_structure = {
         "S0": " Structure S0 allows no uncertainty: all error is disturbance.",
         "S1_diagonal": " Structure S1_diagonal: one Δ<sub>j</sub>, and one line, an output.",
@@ -145,20 +154,56 @@ def _weights(
             if weights["W_n"]
             else None,
             fine,
-            samples,
-            inflation * np.column_stack([_magnitude(w, fine) for w in weights["W_delta"]]),
+            stored.fitted.W_delta,
+            inflation,
             outputs,
         ),
-        "<b>Counterpart of Fig. 3.</b> Left: the disturbance |w<sub>j</sub>| that is left of each frame once "
-        "δ has taken its part, its bound B<sub>w</sub> over every start (dashed) and the weight "
-        f"|W<sub>w</sub>| (line, inflation {inflation:.6g} included), per output. {noise} Right: the "
+        "<b>Counterpart of Fig. 3.</b> Left, per output: the disturbance |w<sub>j</sub>| that no |δ| ≤ "
+        "W<sub>Δ</sub> explains, frame by frame, and its bound B<sub>w</sub> over every start (dashed). "
+        f"Line: the weight |W<sub>w</sub>|, inflation {inflation:.6g} included. {noise} Right: the "
         f"uncertainty ν = min |δ| with |E − δZ| ≤ γ<sub>w</sub>; {needing} of {points} frames need any, the "
-        "others (ν = 0) have no place on the axis. Dashed: the running maximum of ν from the lowest bin up, "
-        "which W<sub>Δ</sub> must cover (a dip only says that no frame there happened to need it), at least "
-        f"{SMALLEST_NU:g} as a weight must be positive; bounds and ν are over every start, so they can lie "
-        f"above the points of the monitor's grid. ν(0) = 0 by definition.{of_structure} How to read it: a "
-        "line far above its dashed bound is conservatism of the fit, the worst is in the summary.",
+        "others (ν = 0) have no place on the axis. Dashed: what W<sub>Δ</sub> must cover, the larger of ν at "
+        "the bins and of what the model error model asks for over its whole range (next section), at least "
+        f"{SMALLEST_NU:g} as a weight must be positive; B<sub>w</sub> and ν are over every start, so they "
+        f"can lie above the points of the monitor's grid. ν(0) = 0 by definition.{of_structure} How to read "
+        "it: a line far above its dashed bound is conservatism of the fit, the worst is in the summary.",
     )
+
+
+def _model_error(stored: StoredIdentification) -> str:
+    """The model error model beside W_delta, and the premise of every certificate in a sentence."""
+    project, error = stored.project, stored.model_error
+    grid, names = error.grid.omega, [s.name for s in project.outputs]
+    wide = np.geomspace(grid[0], grid[-1], 400)
+    said = {b.output: b.reason for b in project.model_error.beyond}
+    last = [None if k < 0 else float(grid[k]) for k in last_telling(error.setting)]
+    W_delta = np.broadcast_to(weight_met(stored, wide), (len(wide), len(names)))
+    svg = model_error(
+        "model-error",
+        error,
+        wide,
+        W_delta,
+        last,
+        beyond(project, error.grid),
+        [said.get(name, ASSUMED) for name in names],
+        names,
+    )
+    told = ", ".join(
+        f"{escape(name)} {'nowhere' if w is None else f'to {w:.3g} rad/s'}"
+        for name, w in zip(names, last, strict=True)
+    )
+    moved = error.setting.moved[np.isfinite(error.setting.se)]
+    caption = (
+        f"<b>Model error.</b> |δ<sub>c</sub>|, the part of the error that follows the input, in "
+        f"{error.grid.cells[0]} speed cells and {error.grid.cells[1]} amplitude classes. "
+        f"{escape(claim(project))}. Bars: k = {error.setting.k:.2f} standard errors, a simultaneous level of "
+        "95 %; pale: k se is 1 or more, so a vehicle that does not respond would not have been refuted. "
+        f"Doubling the frames moves {np.mean(moved < 1):.0%} of the estimates by less than their standard "
+        f"error. Drives tell: {told}. Beyond, shaded, 1 + ρ is assumed for the reason that stands there. How "
+        "to read it: the line must lie above the bars of the drives that set the bounds, and above the lower "
+        "end of the others' bars."
+    )
+    return f"<p>{premise_of(stored)}</p>{captioned(svg, caption)}"
 
 
 def _front(stored: StoredIdentification, estimator: Estimator) -> str:

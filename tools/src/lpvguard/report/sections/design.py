@@ -10,7 +10,7 @@ from ...base import artefacts
 from ...base.errors import InputError
 from ...engine.synthesis.margins import SHOWN, shown
 from ..design_pictures import draw
-from ..markup import captioned, html_table, number, yes_or_no
+from ..markup import captioned, html_table, number, premise_words, yes_or_no
 
 ROBUST = "robust.json"
 """Written by `lpvguard bench robust --json`, beside the design's folder."""
@@ -40,9 +40,11 @@ def design_section(folder: Path) -> str:
         ],
         "tight",
     )
+    highest = max(r["mu_upper"] for r in [*controller["speeds"], controller["off_grid"]])
     text = f"""<h2>Controller and its certificates</h2>
 <p>{escape(controller["structure"])} scheduled over speed, {controller["order"]} states: \
-{escape(controller["claim"])}.</p>{speeds}"""
+{escape(controller["claim"])}. Largest μ proved: {highest:.4f}.</p>
+<p>{premise_words(controller["premise"])}</p>{speeds}"""
     beside = folder.absolute().parent / ROBUST
     if beside.is_file():
         text += _true_loop(beside, controller["coefficients_sha256"])

@@ -7,14 +7,16 @@ from html import escape
 
 import numpy as np
 
+from ...base.errors import InputError
 from ...drives.frames import Estimator
 from ...identify.energy import EnergyTest
+from ...identify.premise import premise
 from ...identify.run import DriveSet, StoredIdentification
 from ...identify.weights import DC_STAND_IN
 from ...identify.window_error import PERCENTILE, SPEEDS
 from ...replay.run import Replayer
 from ...vehicle.project import Project, Signal
-from ..markup import html_table, number, yes_or_no
+from ..markup import html_table, number, premise_words, yes_or_no
 
 
 def _estimator_words(stored: StoredIdentification, estimator: Estimator) -> str:
@@ -89,6 +91,14 @@ def _drive_rows(stored: StoredIdentification) -> list[tuple[str, str]]:
     ]
 
 
+def premise_of(stored: StoredIdentification) -> str:
+    """The premise's sentence, and what it comes to; the reason where nothing judges it."""
+    try:
+        return premise_words(premise(stored).to_dict())
+    except InputError as error:
+        return f'<span class="no">Premise not judged:</span> {escape(str(error))}'
+
+
 def _rows(
     stored: StoredIdentification, replayer: Replayer | None, estimator: Estimator
 ) -> list[tuple[str, str]]:
@@ -122,6 +132,7 @@ def _rows(
         ("alpha", _claim(stored)),
         ("conditional bound", _conditional_claim(stored)),
         *([("energy test", _energy_words(stored.energy, project))] if stored.energy else []),
+        ("premise of every certificate", premise_of(stored)),
         (
             "final inflation of the weights",
             f"{stored.weights['inflation']:.6g}, the least factor with which {judge}",

@@ -1,0 +1,651 @@
+"""Model error model: the part of the nominal error that follows the input, with its standard error (THEORY
+7.6; Ljung, the paper's reference [1]).
+
+At a frequency, in a cell of speed and amplitude, frames obey
+
+    E_j = (a_j + b_j s) Z_j + residue,   s = (v - v_0)/h,   delta_c,j(v) = a_j + b_j s                (T30)
+
+v_0 and h are centre and half width of the speed range. The estimate is least squares, or with an instrument
+R the instrumental one. It is coherent: a disturbance that is not proportional to the input does not bias it,
+unless somebody steers against that disturbance and no instrument is named.
+
+Frames of this module are not the monitor's. They hold 4, 8, 16 or 32 periods of *whitened* signals: e, yhat
+and R pass one prediction-error filter of yhat, which commutes with Delta and makes yhat flat over a frame's
+main lobe. They start every half frame; so many Hann frames are worth 1/1.056 of as many independent ones. A
+frame counts by its excitation: those in which a swept sine was elsewhere hardly count.
+
+Length: sums over frames, lines over pools of cells and the bound are one estimator, read together.
+
+Sums over frames are all that is kept of a drive. Drives are added in the order of their names, so the result
+does not depend on the order in which a folder lists them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.linalg import solve_toeplitz
+from scipy.signal import lfilter
+
+from ..base.errors import InputError
+from ..drives.frames import Estimator
+from ..drives.tables import Drive, Experiment
+from ..vehicle.nominal import NominalModel, evaluate
+from ..vehicle.project import Project
+from .bounds import nominal_error
+from .passes import DriveReader
+
+PERIODS = (4, 8, 16, 32)
+"""Lengths of frames; each doubles the one before."""
+AR_ORDER, AR_FLOOR = 8, 1e-6
+"""Order of the whitening filter, and the white share that keeps it from amplifying what is 60 dB below."""
+STEP = 10 ** (1 / 12)
+"""From one frequency of the grid to the next, about."""
+HIGHEST = 0.2
+"""Of the sampling rate: how far the grid goes."""
+FEWEST_FRAMES = 8
+"""A cell with fewer independent frames is pooled with its neighbour."""
+LEAST_FRAMES, FEW_LEVEL = 3.0, 1e-4
+"""What the pool of all cells must have to say anything, and the level at which fewer than FEWEST_FRAMES are
+judged by the F distribution."""
+INDEPENDENT = 1 / 1.056
+"""Of Hann frames that overlap by half."""
+LEVEL = 0.05
+"""1 - simultaneous confidence of all estimates."""
+FOLDS = 64
+"""Groups of drives whose sums are kept apart for leave-one-out; with at most as many drives each is one."""
+LEAST_SPREAD = 0.01
+"""Of half the speed range: the least standard deviation of speeds that takes a line."""
+LACK_OF_FIT = 1e-3
+"""Level at which a cell's own line refutes that of a wider pool. Refuting in vain costs precision alone."""
+ENDS = np.sqrt(3)
+"""Standard deviations from the mean to the ends of speeds that are spread evenly: where the line is read."""
+TINY = 1e-300
+BIASED = (
+    "delta_c is the least-squares estimate from the nominal output; a driver who steers against disturbances "
+    "biases it, and no column was named that excites from outside"
+)
+INSTRUMENTAL = "delta_c is the instrumental estimate from the named column, which excites from outside"
+"""``claim`` of model_error.json, without and with an instrument."""
+ASSUMED = "no reason stated: the vehicle is taken to respond no more than the model"
+"""``reason`` of an output of which the project says nothing: rho is 1."""
+
+
+@dataclass(frozen=True)
+class ErrorGrid:
+    """Where the error is estimated: ``omega`` (G,) [rad/s]; ``speed_edges`` (C + 1,) [m/s];
+    ``amplitude_edges`` (A - 1,) [input unit]."""
+
+    Ts: float
+    omega: np.ndarray
+    speed_edges: np.ndarray
+    amplitude_edges: np.ndarray
+
+    @classmethod
+    def of(cls, project: Project, estimator: Estimator) -> ErrorGrid:
+        """The bins, points between them where they are wide apart, and STEP by STEP beyond them up to
+        HIGHEST."""
+        bins = estimator.omega[estimator.cycles > 0]
+        kept = [bins[0]]
+        for omega in bins[1:]:  # lines of the plain DFT lie denser than needed
+            if omega >= kept[-1] * STEP * (1 - 1e-3):
+                kept.append(omega)
+        points = [
+            np.geomspace(a, b, 1 + round(np.log(b / a) / np.log(STEP)), endpoint=False)
+            for a, b in pairwise(kept)
+        ]
+        beyond = kept[-1] * STEP ** np.arange(
+            1 + np.log(2 * np.pi * HIGHEST / estimator.Ts / kept[-1]) // np.log(STEP)
+        )
+        omega = np.concatenate([*points, beyond])
+        return cls(
+            estimator.Ts,
+            omega,
+            np.linspace(*estimator.speed_range, project.model_error.speed_cells + 1),
+            np.array(project.model_error.amplitude_edges, float),
+        )
+
+    @property
+    def cells(self) -> tuple[int, int]:
+        """Numbers of speed cells and of amplitude classes."""
+        return len(self.speed_edges) - 1, len(self.amplitude_edges) + 1
+
+    def relative(self, v: np.ndarray) -> np.ndarray:
+        """s, in the shape of the speeds v [m/s]."""
+        low, high = self.speed_edges[[0, -1]]
+        return (v - 0.5 * (low + high)) / (0.5 * (high - low))
+
+    def speed(self, s: np.ndarray) -> np.ndarray:
+        """The speeds [m/s] of s."""
+        low, high = self.speed_edges[[0, -1]]
+        return 0.5 * (low + high) + 0.5 * (high - low) * s
+
+
+class Sums(NamedTuple):
+    """Sums over frames, (G, P, n_y, C, A, ...): ``ee`` of |E|^2; ``fourth`` of |R|^4; ``ze``, ``re`` (..., 2)
+    of s^k conj(Z) E and s^k conj(R) E; ``zz``, ``rr``, ``rz`` (..., 3) of s^k |Z|^2, s^k |R|^2 and
+    s^k conj(R) Z; ``ree`` (..., 3), ``rze`` (..., 4), ``rzz`` (..., 5) of s^k |R|^2 times |E|^2, conj(Z) E
+    and |Z|^2."""
+
+    fourth: np.ndarray
+    ee: np.ndarray
+    ze: np.ndarray
+    re: np.ndarray
+    zz: np.ndarray
+    rr: np.ndarray
+    rz: np.ndarray
+    ree: np.ndarray
+    rze: np.ndarray
+    rzz: np.ndarray
+
+    @classmethod
+    def none(cls, grid: ErrorGrid, n_y: int) -> Sums:
+        """Of no frame."""
+        shape = (len(grid.omega), len(PERIODS), n_y, *grid.cells)
+        return cls(
+            fourth=np.zeros(shape),
+            ee=np.zeros(shape),
+            ze=np.zeros((*shape, 2), complex),
+            re=np.zeros((*shape, 2), complex),
+            zz=np.zeros((*shape, 3)),
+            rr=np.zeros((*shape, 3)),
+            rz=np.zeros((*shape, 3), complex),
+            ree=np.zeros((*shape, 3)),
+            rze=np.zeros((*shape, 4), complex),
+            rzz=np.zeros((*shape, 5)),
+        )
+
+    @property
+    def independent(self) -> np.ndarray:
+        """Independent frames that the estimate rests on, (sum |R|^2)^2 / sum |R|^4 of those that overlap."""
+        return INDEPENDENT * self.rr[..., 0] ** 2 / np.maximum(self.fourth, TINY)
+
+    def plus(self, other: Sums) -> Sums:
+        """Of the frames of both."""
+        return Sums(*(a + b for a, b in zip(self, other, strict=True)))
+
+
+def prediction_error_filter(x: np.ndarray) -> np.ndarray:
+    """1 + a_1 z^-1 + ... (AR_ORDER + 1,) that whitens x (N,): Yule and Walker's, with AR_FLOOR added at lag
+    0."""
+    x = x - x.mean()
+    lags = np.array([x[: len(x) - k] @ x[k:] for k in range(AR_ORDER + 1)])
+    if not lags[0] > 0:
+        return np.eye(1, AR_ORDER + 1)[0]
+    lags[0] *= 1 + AR_FLOOR
+    return np.r_[1.0, -solve_toeplitz(lags[:-1], lags[1:])]
+
+
+def drive_sums(
+    grid: ErrorGrid, model: NominalModel, estimator: Estimator, excited_std: float, drive: Drive
+) -> Sums:
+    """The sums of one drive, over frames in which the first input's rms is above ``excited_std`` [its
+    unit]."""
+    e, yhat = nominal_error(drive, model)
+    out = Sums.none(grid, model.n_y)
+    settled = estimator.settled(drive.v)
+    if settled.sum() < 2 * AR_ORDER:
+        return out
+    signals, filters, lags = [], [], np.arange(AR_ORDER + 1)
+    for j in range(model.n_y):
+        whiten = prediction_error_filter(yhat[settled, j])
+        filters.append(whiten)
+        outside = yhat[:, j] if drive.instrument is None else drive.instrument
+        signals.append([lfilter(whiten, [1.0], x) for x in (e[:, j], yhat[:, j], outside)])
+    stacked = np.array(signals).reshape(3 * model.n_y, -1)
+    power = np.r_[0.0, np.cumsum((drive.u[:, 0] - model.input_offset[0]) ** 2)]
+    total, whole = (np.r_[0.0, np.cumsum(x)] for x in (drive.v, settled))
+    for g, omega in enumerate(grid.omega):
+        for p, periods in enumerate(PERIODS):
+            length = 2 * round(periods * np.pi / omega / grid.Ts)
+            if length > len(drive.t):
+                break
+            starts = np.arange(0, len(drive.t) - length + 1, length // 2)
+            starts = starts[whole[starts + length] - whole[starts] == length]
+            speed = (total[starts + length] - total[starts]) / length
+            windows = sliding_window_view(drive.v, length)[starts]
+            tolerance = estimator.speed_tolerance * speed
+            good = (windows.max(axis=1, initial=0) - speed <= tolerance) & (
+                speed - windows.min(axis=1, initial=np.inf) <= tolerance
+            )
+            amplitude = np.sqrt(2 * (power[starts + length] - power[starts]) / length)
+            good &= amplitude > np.sqrt(2) * excited_std
+            starts, speed, amplitude = starts[good], speed[good], amplitude[good]
+            if not len(starts):
+                continue
+            n = np.arange(length)
+            kernel = (0.5 - 0.5 * np.cos(2 * np.pi * n / length)) * np.exp(-1j * omega * grid.Ts * n)
+            frames = sliding_window_view(stacked, length, axis=1)[:, starts] @ kernel
+            frames /= np.repeat(np.abs(np.array(filters) @ np.exp(-1j * omega * grid.Ts * lags)), 3)[:, None]
+            _add(out, grid, (g, p), frames.reshape(model.n_y, 3, -1), speed, amplitude)
+    return out
+
+
+def _add(
+    out: Sums,
+    grid: ErrorGrid,
+    at: tuple[int, int],
+    frames: np.ndarray,
+    speed: np.ndarray,
+    amplitude: np.ndarray,
+) -> None:
+    """Add frames (n_y, 3, F) of E, Z, R at speeds (F,) and amplitudes (F,) to the cells of ``out``."""
+    cell = np.clip(np.searchsorted(grid.speed_edges, speed, "right") - 1, 0, grid.cells[0] - 1)
+    kind = np.searchsorted(grid.amplitude_edges, amplitude, "right")
+    for c, a in sorted(set(zip(cell.tolist(), kind.tolist(), strict=True))):
+        inside = (cell == c) & (kind == a)
+        E, Z, R = np.moveaxis(frames[:, :, inside], 1, 0)
+        power = (grid.relative(speed[inside])[None] ** np.arange(5)[:, None]).T
+        place = (*at, slice(None), c, a)
+        EE, ZZ, RR, ZE = np.abs(E) ** 2, np.abs(Z) ** 2, np.abs(R) ** 2, Z.conj() * E
+        out.fourth[place] += (RR**2).sum(axis=1)
+        out.ee[place] += EE.sum(axis=1)
+        moments = (
+            (out.ze, ZE), (out.re, R.conj() * E), (out.zz, ZZ), (out.rr, RR), (out.rz, R.conj() * Z),
+            (out.ree, RR * EE), (out.rze, RR * ZE), (out.rzz, RR * ZZ),
+        )  # fmt: skip
+        for field, product in moments:
+            field[place] += product @ power[:, : field.shape[-1]]
+
+
+def model_error_pass(reader: DriveReader, grid: ErrorGrid, experiment: Experiment) -> Sums:
+    """The sums of one drive, read by a worker."""
+    drive, _, _ = reader.read(experiment)
+    excited_std = reader.project.frame_test.excited_std
+    return drive_sums(grid, reader.model, reader.estimator, excited_std, drive)
+
+
+@dataclass(frozen=True)
+class ErrorEstimate:
+    """Estimates by (G, n_y, C, A), at that end of each cell's speeds where |delta_c| + k se is largest; NaN
+    without frames. Cells that were pooled hold the same.
+
+    delta (complex), se: of delta_c; v [m/s]; n: independent frames; periods: of a frame; moved: by how many
+    standard errors doubling the frames moves the estimate (inf: not known); coherent: share of sum |E|^2 that
+    delta_c Z explains.
+    """
+
+    delta: np.ndarray
+    se: np.ndarray
+    v: np.ndarray
+    n: np.ndarray
+    periods: np.ndarray
+    moved: np.ndarray
+    coherent: np.ndarray
+
+    @property
+    def k(self) -> float:
+        """Of the simultaneous level: sqrt(ln(N/LEVEL)) for N complex estimates (T31); cells of one pool share
+        theirs."""
+        estimates = self.se.reshape(-1, np.prod(self.se.shape[2:], dtype=int))
+        N = sum(len(np.unique(row[np.isfinite(row)])) for row in estimates)
+        return float(np.sqrt(np.log(max(1, N) / LEVEL)))
+
+    @property
+    def upper(self) -> np.ndarray:
+        """|delta_c| + k se; inf where nothing was estimated."""
+        return np.where(np.isfinite(self.se), np.abs(self.delta) + self.k * self.se, np.inf)
+
+    @property
+    def lower(self) -> np.ndarray:
+        """|delta_c| - k se, at least 0; 0 where nothing was estimated."""
+        return np.where(np.isfinite(self.se), np.maximum(np.abs(self.delta) - self.k * self.se, 0.0), 0.0)
+
+    @property
+    def tells(self) -> np.ndarray:
+        """(G, n_y): in every cell a vehicle that does not respond would have been refuted, k se < 1."""
+        return np.all(np.where(np.isfinite(self.se), self.k * self.se, np.inf) < 1, axis=(2, 3))
+
+    def to_dict(self) -> dict:
+        """JSON-able, for `from_dict`; also k."""
+        columns = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "delta"}
+        return {"k": self.k, "delta_re": self.delta.real, "delta_im": self.delta.imag, **columns}
+
+    @classmethod
+    def from_dict(cls, data: dict) -> ErrorEstimate:
+        """Read back."""
+        columns = {f.name: np.array(data[f.name], float) for f in fields(cls) if f.name != "delta"}
+        columns["moved"] = np.where(np.isnan(columns["moved"]), np.inf, columns["moved"])
+        re, im = (np.array(data[key], float) for key in ("delta_re", "delta_im"))
+        return cls(delta=re + 1j * im, **columns)
+
+    @classmethod
+    def of(cls, sums: Sums, grid: ErrorGrid) -> ErrorEstimate:
+        """From sums: of the lengths of frames that with the narrowest pool, converged, that knows best.
+
+        Of the lengths with the narrowest pool: that with the least standard error of those that have
+        converged; where none has, that which doubling moves the least, in standard errors.
+        """
+        pools = _pools(sums)
+        pool = _chosen(pools)
+        fit = pools[-1]
+        for k in range(len(pools) - 2, -1, -1):
+            fit = fit.replaced(pool <= k, pools[k])
+        s = fit.worst_end()
+        delta, se = (x[..., 0] for x in fit.at(s[..., None]))
+        se = se * _few(fit.n)
+        enough = np.isfinite(se) & (fit.n >= LEAST_FRAMES)
+        moved = np.full(se.shape, np.inf)
+        for k, lines in enumerate(pools):
+            # The line of doubled frames over the same pool, at the same speed.
+            twice, spread = (x[..., 0] for x in lines.doubled().at(s[:, :-1, ..., None]))
+            here = enough[:, :-1] & (pool[:, :-1] == k) & np.isfinite(spread)
+            moved[:, :-1][here] = np.abs(delta[:, :-1] - twice)[here] / np.maximum(spread[here], TINY)
+        rank = np.where(moved < 1, se / (1 + se), 2 + np.minimum(moved, 1e6)) + 1e7 * pool
+        best = np.argmin(np.where(enough, rank, np.inf), axis=1)[:, None]
+
+        def taken(x: np.ndarray) -> np.ndarray:
+            return np.take_along_axis(x, best, 1)[:, 0]
+
+        known = taken(enough)
+        return cls(
+            np.where(known, taken(delta), np.nan),
+            np.where(known, taken(se), np.nan),
+            np.where(known, grid.speed(taken(s)), np.nan),
+            taken(fit.n),
+            np.array(PERIODS)[best[:, 0]],
+            taken(moved),
+            1.0 - taken(fit.residue),
+        )
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """a + b s of every cell, (G, P, n_y, C, A): theta (..., 2), its covariance (..., 2, 2), mean and standard
+    deviation of the frames' s, independent frames n, and the residue's share of sum |E|^2."""
+
+    theta: np.ndarray
+    covariance: np.ndarray
+    mean: np.ndarray
+    spread: np.ndarray
+    n: np.ndarray
+    residue: np.ndarray
+
+    def at(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """delta_c and its standard error at s (..., m), in that shape."""
+        row = np.stack([np.ones_like(s), s], axis=-1)
+        square = np.einsum("...mi,...ij,...mj->...m", row, self.covariance, row).real
+        return np.einsum("...mi,...i->...m", row, self.theta), np.sqrt(np.maximum(square, 0.0))
+
+    def ends(self, deviations: float) -> np.ndarray:
+        """s (..., 2) so many standard deviations of the frames' s below and above their mean."""
+        away = deviations * self.spread[..., None] * np.array([-1, 1])
+        return np.clip(self.mean[..., None] + away, -1, 1)
+
+    def worst_end(self) -> np.ndarray:
+        """s at that end of each cell's speeds where |delta_c| + 3 se is larger."""
+        ends = self.ends(ENDS)
+        delta, se = self.at(ends)
+        size = np.abs(delta) + 3 * se
+        end = np.argmax(np.where(np.isfinite(size), size, -1.0), axis=-1)
+        return np.take_along_axis(ends, end[..., None], -1)[..., 0]
+
+    def replaced(self, where: np.ndarray, other: _Lines) -> _Lines:
+        """These lines, the ``other`` ones ``where`` (G, P, n_y, C, A) says so."""
+
+        def one(mine: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+            return np.where(where.reshape(*where.shape, *[1] * (mine.ndim - where.ndim)), theirs, mine)
+
+        return _Lines(*(one(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)))
+
+    def doubled(self) -> _Lines:
+        """Those of the frames twice as long as in each but the last of P."""
+        return _Lines(*(getattr(self, f.name)[:, 1:] for f in fields(self)))
+
+
+def _quantile(n: np.ndarray, level: float) -> np.ndarray:
+    """Standard errors that |delta - delta_c| exceeds with probability ``level``; n: independent frames.
+
+    |delta - delta_c|^2 / se^2 follows F(2, 2 nu), nu = n - 2.
+    """
+    freedom = np.maximum(n - 2, 1.0)
+    return np.sqrt(freedom * np.expm1(-np.log(level) / freedom))
+
+
+def _few(n: np.ndarray) -> np.ndarray:
+    """Factor on standard errors from n < FEWEST_FRAMES frames, to the quantile of many; 1 elsewhere."""
+    return np.where(n < FEWEST_FRAMES, _quantile(n, FEW_LEVEL) / np.sqrt(-np.log(FEW_LEVEL)), 1.0)
+
+
+def _fitted(s: Sums) -> _Lines:
+    """(Instrumental) least squares of every cell. Frames of one speed, or too few for a line, give b = 0."""
+    n, weight = s.independent, np.maximum(s.rr[..., 0], TINY)
+    mean = s.rr[..., 1] / weight
+    spread = np.sqrt(np.maximum(s.rr[..., 2] / weight - mean**2, 0.0))
+    sloped = (spread > LEAST_SPREAD) & (n >= FEWEST_FRAMES)
+    empty = (n < 2) | ~(np.abs(s.rz[..., 0]) > 0)
+
+    def matrix(sums: np.ndarray) -> np.ndarray:
+        M = sums[..., np.add.outer(np.arange(2), np.arange(2))].astype(complex)
+        M[..., 0, 1] *= sloped
+        M[..., 1, 0] *= sloped
+        M[..., 1, 1] = np.where(sloped, M[..., 1, 1], M[..., 0, 0])
+        return M
+
+    RZ, ZZ = matrix(s.rz), matrix(s.zz)
+    RZ[empty] = np.eye(2)
+    scale = np.abs(RZ[..., 0, 0])[..., None, None]
+    inverse = np.linalg.pinv(RZ / scale, rcond=1e-12) / scale
+    keep = np.stack([np.ones_like(sloped), sloped], axis=-1)
+    theta = (inverse @ (s.re * keep)[..., None])[..., 0] * keep
+    explained = np.einsum("...i,...ij,...j->...", theta.conj(), ZZ, theta).real
+    residue = np.maximum(s.ee - 2 * (theta.conj() * s.ze).sum(axis=-1).real + explained, 0.0)
+    # White's covariance: the residue need not be as large in every frame. Overlapping frames count as fewer.
+    few = n / np.maximum(n - 1 - sloped, 1e-9) / INDEPENDENT
+    covariance = inverse @ _scatter(s, theta) @ np.conj(np.swapaxes(inverse, -1, -2)) * few[..., None, None]
+    covariance = covariance * keep[..., None] * keep[..., None, :]
+    theta[empty], covariance[empty] = np.nan, np.nan
+    return _Lines(theta, covariance, mean, spread, n, residue / np.maximum(s.ee, TINY))
+
+
+def _scatter(s: Sums, theta: np.ndarray) -> np.ndarray:
+    """(..., 2, 2): sum of |R|^2 |E - (a + b s) Z|^2 [1 s; s s^2] over frames, theta = (a, b)."""
+    a, b = theta[..., 0, None], theta[..., 1, None]
+    moments = (
+        s.ree
+        - 2 * (a.conj() * s.rze[..., :3] + b.conj() * s.rze[..., 1:]).real
+        + np.abs(a) ** 2 * s.rzz[..., :3]
+        + 2 * (a.conj() * b).real * s.rzz[..., 1:4]
+        + np.abs(b) ** 2 * s.rzz[..., 2:]
+    )
+    # Rounding may leave an even moment below 0; that of s has either sign.
+    moments[..., ::2] = np.maximum(moments[..., ::2], 0.0)
+    return moments[..., np.add.outer(np.arange(2), np.arange(2))]
+
+
+def _joined(second: np.ndarray, fourth: np.ndarray) -> list[tuple[int, int]]:
+    """Neighbours (first, last + 1) joined until each has FEWEST_FRAMES, or one is left; ``second`` and
+    ``fourth`` (K,): their sums of |R|^2 and |R|^4.
+
+    The one with the fewest frames is joined first, with that of its neighbours that has fewer."""
+    parts = [(k, k + 1) for k in range(len(second))]
+    while len(parts) > 1:
+        n = [INDEPENDENT * second[a:b].sum() ** 2 / max(fourth[a:b].sum(), TINY) for a, b in parts]
+        k = int(np.argmin(n))
+        if n[k] >= FEWEST_FRAMES:
+            break
+        left = k > 0 and (k == len(parts) - 1 or n[k - 1] <= n[k + 1])
+        i = k - 1 if left else k
+        parts[i : i + 2] = [(parts[i][0], parts[i + 1][1])]
+    return parts
+
+
+def _shared(s: Sums, cells: int) -> Sums:
+    """The sums with those of every ``cells`` neighbouring speed cells made one and given to each."""
+
+    def one(field: np.ndarray) -> np.ndarray:
+        shape = field.shape
+        parts = field.reshape(*shape[:3], shape[3] // cells, cells, *shape[4:])
+        return np.broadcast_to(parts.sum(axis=4, keepdims=True), parts.shape).reshape(shape)
+
+    return Sums(*map(one, s))
+
+
+def _classes_joined(s: Sums) -> Sums:
+    """The sums with every amplitude class's replaced by those of the classes that it is joined with, where
+    its drives alone have fewer than FEWEST_FRAMES."""
+    out = Sums(*(f.copy() for f in s))
+    for at in np.ndindex(*s.ee.shape[:3]):
+        for first, last in _joined(s.rr[(*at, ..., 0)].sum(axis=0), s.fourth[at].sum(axis=0)):
+            if last - first > 1:
+                inside = (*at, slice(None), slice(first, last))
+                for field in out:
+                    field[inside] = field[inside].sum(axis=1, keepdims=True)
+    return out
+
+
+def _pools(sums: Sums) -> list[_Lines]:
+    """Lines over single speed cells, over pools of two, of four and so on up to all; each cell has that of
+    its pool."""
+    joined, cells = _classes_joined(sums), sums.ee.shape[3]
+    return [_fitted(_shared(joined, 2**k)) for k in range(cells.bit_length())]
+
+
+def _chosen(pools: list[_Lines]) -> np.ndarray:
+    """Of every cell the index of its pool (G, P, n_y, C, A): the widest that fits, or wider where that has
+    fewer than FEWEST_FRAMES.
+
+    A pool fits when no cell in it with FEWEST_FRAMES has a line of its own that refutes it at LACK_OF_FIT,
+    one standard deviation of speed either side of the mean. Refuted with frames of one length, a pool is
+    refuted for all.
+    """
+    own, cells = pools[0], pools[0].n.shape[3]
+    ends = own.ends(1.0)
+    delta, se = own.at(ends)
+    allowed = _quantile(own.n, LACK_OF_FIT)[..., None]
+    chosen, undecided = np.zeros(own.n.shape, int), np.ones(own.n.shape, bool)
+    for k in range(len(pools) - 1, 0, -1):
+        with np.errstate(invalid="ignore"):
+            away = (np.abs(delta - pools[k].at(ends)[0]) > allowed * se).any(axis=-1)
+        refuted = (away & (own.n >= FEWEST_FRAMES)).any(axis=1)
+        parts = refuted.reshape(*refuted.shape[:2], cells >> k, 1 << k, -1).any(axis=3)
+        refuted = np.repeat(parts, 1 << k, axis=2)[:, None]
+        chosen[undecided & ~refuted] = k
+        undecided = undecided & refuted
+    for k, lines in enumerate(pools[:-1]):
+        chosen[(chosen == k) & (lines.n < FEWEST_FRAMES)] = k + 1
+    return chosen
+
+
+def claim(project: Project) -> str:
+    """What delta_c is, and what may bias it, in words."""
+    return BIASED if project.model_error.instrument is None else INSTRUMENTAL
+
+
+def beyond(project: Project, grid: ErrorGrid) -> np.ndarray:
+    """(G, n_y): 1 + rho, what |delta| may be where no drive tells; rho >= 1 bounds |G/P| there (T32)."""
+    said = {b.output: b for b in project.model_error.beyond}
+    columns = []
+    for signal in project.outputs:
+        if signal.name not in said:
+            columns.append(np.full(len(grid.omega), 2.0))
+            continue
+        where = f"vehicle {project.name}, model_error.beyond of {signal.name}"
+        rho = np.broadcast_to(
+            evaluate(said[signal.name].ratio, {"omega": grid.omega}, where), grid.omega.shape
+        )
+        if not (np.isfinite(rho) & (rho >= 1)).all():
+            raise InputError(where, "ratio", f"{rho.min():.6g} at its least", "at least 1 at every frequency")
+        columns.append(1 + rho)
+    return np.column_stack(columns)
+
+
+def last_telling(estimate: ErrorEstimate) -> np.ndarray:
+    """(n_y,) index of the last grid frequency at which every cell tells; -1 where none does."""
+    return np.array([np.flatnonzero(tells)[-1] if tells.any() else -1 for tells in estimate.tells.T])
+
+
+def uncertainty_bound(project: Project, grid: ErrorGrid, estimate: ErrorEstimate) -> np.ndarray:
+    """(G, n_delta): what W_delta must cover (T31, T32).
+
+    Up to the last frequency that tells, the largest |delta_c| + k se of all cells. Where a cell would not
+    have refuted a vehicle that does not respond, no more than 1 + rho is asked unless |delta_c| - k se is
+    larger; beyond the last frequency that tells, at least 1 + rho.
+    """
+    upper, lower = (x.max(axis=(2, 3)) for x in (estimate.upper, estimate.lower))
+    dead = beyond(project, grid)
+    out = np.where(estimate.tells, upper, np.maximum(np.minimum(upper, dead), lower))
+    after = np.arange(len(grid.omega))[:, None] > last_telling(estimate)
+    out = np.where(after, np.maximum(dead, lower), out)
+    return out if project.n_delta == project.n_y else out.max(axis=1, keepdims=True)
+
+
+@dataclass(frozen=True)
+class ModelError:
+    """What identify finds: the grid; the estimate of the drives that set the bounds, with its bound (G,
+    n_delta); the estimate of the drives that judge it (None without any); and, for each fold of bound-setting
+    drives, the least ratio of what the others ask for to its own |delta_c| - k se (inf: it asks for
+    nothing)."""
+
+    grid: ErrorGrid
+    setting: ErrorEstimate
+    bound: np.ndarray
+    judging: ErrorEstimate | None
+    left_out: list[float]
+
+    @classmethod
+    def of(cls, project: Project, grid: ErrorGrid, setting: list[Sums], judging: list[Sums]) -> ModelError:
+        """From the sums of folds of drives, at least one that sets the bounds."""
+        estimate = ErrorEstimate.of(_total(setting), grid)
+        left_out = []
+        for k, own in enumerate(setting if len(setting) > 1 else []):
+            others = ErrorEstimate.of(_total(setting[:k] + setting[k + 1 :]), grid)
+            asked = uncertainty_bound(project, grid, others)
+            lower = ErrorEstimate.of(own, grid).lower.max(axis=(2, 3))
+            left_out.append(float((asked / np.maximum(lower, TINY)).min(where=lower > 0, initial=np.inf)))
+        return cls(
+            grid,
+            estimate,
+            uncertainty_bound(project, grid, estimate),
+            ErrorEstimate.of(_total(judging), grid) if judging else None,
+            left_out,
+        )
+
+    @property
+    def coverage(self) -> float:
+        """Share of the folds that what the others ask for covers."""
+        return float(np.mean([ratio >= 1 for ratio in self.left_out])) if self.left_out else float("nan")
+
+    def to_dict(self, project: Project) -> dict:
+        """JSON-able, for `from_dict`, with what is assumed beyond the data and why."""
+        last = last_telling(self.setting)
+        reasons = {b.output: b.reason for b in project.model_error.beyond}
+        return {
+            "claim": claim(project),
+            "instrument": project.model_error.instrument,
+            "omega_rad_s": self.grid.omega,
+            "speed_edges_mps": self.grid.speed_edges,
+            "amplitude_edges": self.grid.amplitude_edges,
+            "bound": self.bound,
+            "beyond": {
+                s.name: {
+                    "last_rad_s": None if k < 0 else self.grid.omega[k],
+                    "bound": column,
+                    "reason": reasons.get(s.name, ASSUMED),
+                }
+                for s, k, column in zip(project.outputs, last, beyond(project, self.grid).T, strict=True)
+            },
+            "setting": self.setting.to_dict(),
+            "judging": None if self.judging is None else self.judging.to_dict(),
+            "left_out": {"folds": len(self.left_out), "coverage": self.coverage, "ratios": self.left_out},
+        }
+
+    @classmethod
+    def from_dict(cls, project: Project, estimator: Estimator, data: dict) -> ModelError:
+        """Read back; the bound is found anew from the estimates."""
+        grid = ErrorGrid.of(project, estimator)
+        setting = ErrorEstimate.from_dict(data["setting"])
+        judging = None if data["judging"] is None else ErrorEstimate.from_dict(data["judging"])
+        ratios = [np.inf if r is None else r for r in data["left_out"]["ratios"]]
+        return cls(grid, setting, uncertainty_bound(project, grid, setting), judging, ratios)
+
+
+def _total(folds: list[Sums]) -> Sums:
+    total = folds[0]
+    for sums in folds[1:]:
+        total = total.plus(sums)
+    return total

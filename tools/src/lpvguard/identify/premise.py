@@ -1,0 +1,156 @@
+"""The premise of a certificate, |delta| <= W_delta, held against drives that did not set the bounds (THEORY
+7.6).
+
+At every frequency, output, speed cell and amplitude class of the judging drives,
+
+    refuted where W_delta < |delta_c| - k se,   doubtful where W_delta < |delta_c| + k se                (T33)
+
+W_delta is the weight as the certificate has it: inflation included, Tustin's map of the frequency; 0 for
+K_inf, which is certified without uncertainty.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..base.errors import InputError
+from .run import StoredIdentification
+
+
+@dataclass(frozen=True)
+class Least:
+    """Where the ratio of W_delta to what the judging drives say is least.
+
+    ``omega`` [rad/s], ``v`` [m/s]: where; ``delta``: |delta_c|, ``spread``: k se, and W_delta there."""
+
+    ratio: float
+    output: str
+    omega: float
+    v: float
+    delta: float
+    spread: float
+    W_delta: float
+
+    def sentence(self, sign: str) -> str:
+        """In words; ``sign``: of k se."""
+        return (
+            f"W_delta is {self.W_delta:.3g} beside |delta_c| {sign} k se = {self.delta:.3g} {sign} "
+            f"{self.spread:.3g} of {self.output} at {self.omega:.3g} rad/s and {self.v:.3g} m/s, "
+            f"{self.ratio:.3g} times"
+        )
+
+
+@dataclass(frozen=True)
+class Premise:
+    """What the judging drives say of W_delta.
+
+    ``refuting``: against |delta_c| - k se (None: no drive objects to anything); ``doubting``: against
+    |delta_c| + k se. ``coverage``: share of bound-setting drives that the others cover, of ``folds``."""
+
+    refuting: Least | None
+    doubting: Least
+    coverage: float
+    folds: int
+
+    @property
+    def refuted(self) -> bool:
+        """Whether a drive that did not set the bounds refutes W_delta."""
+        return self.refuting is not None and self.refuting.ratio < 1
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether such a drive leaves room for a larger error."""
+        return self.doubting.ratio < 1
+
+    def sentence(self) -> str:
+        """The evidence in words."""
+        least = "the drives that did not set the bounds ask for nothing"
+        if self.refuting is not None:
+            least = f"of the drives that did not set the bounds, {self.refuting.sentence('-')}"
+        left_out = (
+            f"{self.coverage:.0%} of {self.folds} left out"
+            if self.folds
+            else "one drive alone, none left out"
+        )
+        return (
+            f"premise |delta| <= W_delta at every frequency: {least}; drives left out and covered: {left_out}"
+        )
+
+    def to_dict(self) -> dict:
+        """JSON-able."""
+        return {
+            "sentence": self.sentence(),
+            "refuting": None if self.refuting is None else vars(self.refuting),
+            "doubting": vars(self.doubting),
+            "left_out_covered": self.coverage,
+            "folds": self.folds,
+        }
+
+
+def weight_met(stored: StoredIdentification, omega: np.ndarray) -> np.ndarray:
+    """|W_delta| (K, n_delta) at ``omega`` (K,) [rad/s], below half the sampling rate, as certificates have
+    it: inflation included, Tustin's map of the frequency."""
+    Ts = stored.project.Ts_s
+    return stored.fitted.at(2 / Ts * np.tan(omega * Ts / 2))[0]
+
+
+def premise(stored: StoredIdentification) -> Premise:
+    """What the judging drives say of the fitted W_delta. InputError without such drives."""
+    error = stored.model_error
+    if error.judging is None or not np.isfinite(error.judging.se).any():
+        raise InputError(
+            stored.folder,
+            "premise",
+            "no drive judges W_delta: every one set the bounds, or none is excited long enough",
+            "drives of another split with excitation",
+        )
+    omega, names = error.grid.omega, [s.name for s in stored.project.outputs]
+    W = np.broadcast_to(weight_met(stored, omega), (len(omega), len(names)))
+    settings = stored.project.design
+    if settings is not None and settings.structure == "K_inf":
+        W = np.zeros_like(W)
+    judging = error.judging
+    # What a frame cannot tell is no objection: beyond 1 + rho nothing was claimed from it.
+    told = np.isfinite(judging.se) & (judging.k * judging.se < 1)
+
+    def least(against: np.ndarray) -> Least | None:
+        asked = np.where(told & (against > 0), against, 0.0)
+        if not asked.any():
+            return None
+        ratio = W[:, :, None, None] / np.maximum(asked, 1e-300)
+        at = np.unravel_index(np.argmin(ratio), ratio.shape)
+        g, j = int(at[0]), int(at[1])
+        return Least(
+            float(ratio[at]),
+            names[j],
+            float(omega[g]),
+            float(judging.v[at]),
+            float(np.abs(judging.delta[at])),
+            float(judging.k * judging.se[at]),
+            float(W[g, j]),
+        )
+
+    doubting = least(judging.upper)
+    if doubting is None:
+        raise InputError(
+            stored.folder,
+            "premise",
+            "no drive that did not set the bounds tells anything of the model error",
+            "more excitation",
+        )
+    return Premise(least(judging.lower), doubting, error.coverage, len(error.left_out))
+
+
+def require_premise(stored: StoredIdentification) -> Premise:
+    """The premise; InputError where drives that did not set the bounds refute it."""
+    found = premise(stored)
+    if found.refuted and found.refuting is not None:
+        raise InputError(
+            stored.folder,
+            "W_delta",
+            found.refuting.sentence("-"),
+            "a W_delta that drives which did not set the bounds do not refute",
+        )
+    return found
