@@ -106,7 +106,7 @@ class StoredFrames:
             total = np.concatenate([[0.0], np.cumsum(drive.v)])
             for s in counted_frames(drive, e, yhat, self.model, self.estimator):
                 N, (old, speed) = self.estimator.length[s.bin], found[s.bin]
-                keep = deciding(s.E, s.Z) if len(s.E) else np.zeros(0, int)
+                keep = deciding(s.E, s.Z)
                 E, Z, starts = (
                     np.concatenate([getattr(old, key), getattr(s, key)[keep]]) for key in ("E", "Z", "starts")
                 )
@@ -215,19 +215,17 @@ def deciding(E: np.ndarray, Z: np.ndarray, near: float = NEAR) -> np.ndarray:
     """Indices of frames of E, Z (F, n_y): every frame has B1, |Z| and |delta0| at most 1 + ``near`` times
     those of one of them."""
     size = np.linalg.norm(E, axis=1)
-    values = np.column_stack(
-        [s1.solve(E, Z, size).b1, np.linalg.norm(Z, axis=1), np.abs(s1.least_squares_delta(E, Z))]
-    )
-    left = np.arange(len(values))
-    kept = []
-    scale = np.maximum(values.max(axis=0, initial=0.0), 1e-300)
-    while len(left):
-        best = left[
-            np.argmax((values[left] / scale).sum(axis=1))
-        ]  # the largest sum cannot be exceeded by any that is left
-        kept.append(best)
-        left = left[(values[left] > (1 + near) * values[best]).any(axis=1)]
-    return np.sort(np.array(kept, int))
+    values = (s1.solve(E, Z, size).b1, np.linalg.norm(Z, axis=1), np.abs(s1.least_squares_delta(E, Z)))
+    with np.errstate(divide="ignore"):
+        # Steps of a factor 1 + near: a frame with no smaller step in all three is large enough for another.
+        steps = [np.unique(np.floor(np.log(x) / np.log1p(near)), return_inverse=True)[1] for x in values]
+    i, j, k = steps
+    highest = np.full((i.max(initial=0) + 2, j.max(initial=0) + 2), -1)
+    np.maximum.at(highest, (i, j), k)
+    beyond = np.maximum.accumulate(np.maximum.accumulate(highest[::-1, ::-1], axis=0), axis=1)[::-1, ::-1]
+    largest = np.flatnonzero((k == highest[i, j]) & (k > beyond[i + 1, j]) & (k > beyond[i, j + 1]))
+    _, first = np.unique(np.column_stack([i, j])[largest], axis=0, return_index=True)
+    return np.sort(largest[first])
 
 
 def _largest(values: np.ndarray) -> np.ndarray | float:

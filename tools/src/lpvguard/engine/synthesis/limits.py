@@ -89,45 +89,42 @@ class _Frequency:
     def infimum(self, rtol: float, enough: float) -> tuple[float, float]:
         """Bracket of the infimum over D; the search ends as soon as it is known to lie below ``enough``."""
         low, high = np.full((1, self.dim), -WIDEST), np.full((1, self.dim), WIDEST)
-        values, best, least = self.bound(low, high), np.inf, np.inf
+        values, best, least, new = self.bound(low, high), np.inf, np.inf, 1
         for _ in range(MOST_ROUNDS):
-            middle = 0.5 * (low + high)
-            met = self.bound(middle, middle)
-            best = min(best, met.min())
+            middle = 0.5 * (low[:new] + high[:new])
+            best = min(best, self.bound(middle, middle).min())
             if self.dim == 0 or best <= enough:
-                return min(best, values.min()), best
+                return min(best, least, values.min()), best
             open_ = values < best * (1 - rtol)
             least = min(least, values[~open_].min(initial=np.inf))
             low, high, values = low[open_], high[open_], values[open_]
             if not len(values):
                 break
-            low, high, values = self._divided(low, high, values)
+            low, high, values, new = self._divided(low, high, values)
         return min(least, values.min(initial=np.inf), best), best
 
     def exceeds(self, level: float) -> bool:
         """Whether the infimum over D is known to lie above ``level``."""
         low, high = np.full((1, self.dim), -WIDEST), np.full((1, self.dim), WIDEST)
-        values = self.bound(low, high)
+        values, new = self.bound(low, high), 1
         for _ in range(MOST_ROUNDS):
+            middle = 0.5 * (low[:new] + high[:new])
+            if self.dim == 0 or self.bound(middle, middle).min() <= level:
+                return bool(values.min() > level)
             open_ = values <= level
             low, high, values = low[open_], high[open_], values[open_]
             if not len(values):
                 return True
-            middle = 0.5 * (low + high)
-            if self.dim == 0 or self.bound(middle, middle).min() <= level:
-                return False
-            low, high, values = self._divided(low, high, values)
+            low, high, values, new = self._divided(low, high, values)
         return False
 
     def _divided(self, low, high, values):
-        """The boxes of least bound cut in two, the others as they are."""
+        """The boxes of least bound cut in two, the others behind them as they are, and how many are new."""
         order = np.argsort(values, kind="stable")
         first, rest = order[:BOXES_AT_ONCE], order[BOXES_AT_ONCE:]
         children = _halves(low[first], high[first])
-        return tuple(
-            np.concatenate([new, old[rest]])
-            for new, old in zip((*children, self.bound(*children)), (low, high, values), strict=True)
-        )
+        boxes = zip((*children, self.bound(*children)), (low, high, values), strict=True)
+        return *(np.concatenate([new, old[rest]]) for new, old in boxes), 2 * len(first)
 
 
 def _halves(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
