@@ -193,7 +193,7 @@ def true_lines(table: dict[str, Any]) -> Iterator[str]:
             numbers = (d["ratio"], d["delta"], d["W_delta"], d["omega_rad_s"])
             yield (
                 f"{row['v_mps']:6.2f}{row['amplitude']:9.3g}"
-                + "".join(f"{x:9.3f}" for x in numbers)
+                + "".join(f" {x:8.3f}" for x in numbers)
                 + f"  {d['output']}{'  BEYOND W_delta' if d['ratio'] > 1 else ''}"
             )
 
@@ -203,4 +203,4 @@ def _numbers(margins: dict[str, Any] | None, otherwise: str) -> str:
         return "  " + otherwise
     values = {name: margins[name]["value"] for name in NAMES}
     texts = ["-" if x is None or np.isinf(x) else f"{shown(name, x):.3f}" for name, x in values.items()]
-    return "".join(f"{text:>9}" for text in texts)
+    return "".join(f" {text:>8}" for text in texts)
