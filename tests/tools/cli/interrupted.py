@@ -40,6 +40,7 @@ import lpvguard.engine.synthesis.cases
 import lpvguard.evaluate.run
 import lpvguard.fit.run
 import lpvguard.identify.export
+import lpvguard.identify.premise
 import lpvguard.identify.run
 import lpvguard.loop.campaign.run
 import lpvguard.loop.generate
@@ -140,6 +141,8 @@ def replace_computing(variant: str) -> None:
     replace_in_cli("stored_for", lambda *_: stored)
     replace_in_cli("stored_with_drives", lambda *_: (stored, None))
     replace_in_cli("require_settings", lambda *_: None)
+    replace_in_cli("print_premise", lambda _: None)
+    lpvguard.identify.premise.premise = lambda _: None
     lpvguard.drives.fixture.PLAN[:] = [("train", "human", 5.0, 1.0), ("valid", "human", 9.0, 1.0)]
     plain = lpvguard.can.dbc.dbc_text
     lpvguard.can.dbc.dbc_text = lambda: plain() + f'CM_ "{variant}";\n'
