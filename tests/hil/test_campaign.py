@@ -370,7 +370,7 @@ def test_a_falsified_certificate_fails_the_command_and_is_named(
     assert refuting and [r["number"] for r in falsified["runs"]] == [row["number"] for row in refuting]
     assert falsified["rate"] == summary.rate(len(refuting), 2)
     assert told["missed"][0].startswith(f"{len(refuting)} of 2 runs")
-    said = " ".join(done.stdout.split())
+    said = " ".join(done.stderr.split())
     for named, row in zip(falsified["runs"], refuting, strict=True):
         assert named["seed"] == row["seed"] and named["tables"] == FIVEFOLD and named["plant"] == 0
         assert any(text.startswith("oscillates") for text in named["did"])
