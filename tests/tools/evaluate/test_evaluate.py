@@ -3,20 +3,22 @@ the measured ones."""
 
 from __future__ import annotations
 
+import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from lpvguard.base.errors import InputError
 from lpvguard.drives.faults import Fault, inject
-from lpvguard.drives.tables import list_experiments, read_drive
+from lpvguard.drives.tables import index_text, list_experiments, read_drive
 from lpvguard.evaluate import run as stage
 from lpvguard.evaluate.comparison import equal_rates
 from lpvguard.evaluate.detection import FOUND_WITHIN_S, STARTS, FaultOutcome, JudgedClock, fault_clocks
 from lpvguard.evaluate.false_alarms import Pieces, alarmed_pieces, alarming, piece_starts
 from lpvguard.identify import run as identify
-from lpvguard.identify.calibration import calibrate, joint_scores
+from lpvguard.identify.calibration import Calibration, Recordings, calibrate, joint_scores
 from lpvguard.replay.run import Replay, Replayer
 from lpvguard.vehicle.nominal import NominalModel
 
@@ -207,6 +209,58 @@ def test_a_claim_comes_with_its_conditional_bound_or_is_refused(drives, alpha, s
     assert says in calibrate({str(i): 1.0 + i for i in range(drives)}, alpha).claim()
 
 
+# ------------------------------------------------------------------------------------------------- recordings
+
+
+def pieces(recordings: int, each: int) -> tuple[dict[str, float], Recordings]:
+    """Scores that grow from piece to piece, and the recording of each."""
+    of = {f"r{r}_{k}": f"r{r}" for r in range(recordings) for k in range(each)}
+    return {n: 1.0 + i for i, n in enumerate(of)}, Recordings(of)
+
+
+def test_pieces_of_two_recordings_buy_no_alpha():
+    scores, recordings = pieces(2, 11)
+    scores.pop("r1_10")
+    found = calibrate(scores, 0.05, recordings=recordings)
+    assert found.alpha is None and found.conditional_bound is None
+    assert found.threshold == max(scores.values())
+    assert found.claim() == (
+        "alpha is not stated: 21 drives calibrate, of 2 recordings that did not set the bounds; "
+        "pieces of one recording are no draws of their own"
+    )
+    assert calibrate(scores, 0.05).alpha == 0.05, "as they would as drives of their own"
+
+
+def test_a_recordings_score_is_its_largest_and_one_that_sets_the_bounds_does_not_count():
+    scores, recordings = pieces(10, 3)
+    found = calibrate(scores, 0.1, recordings=recordings)
+    assert found.threshold == max(scores.values()) and found.alpha == 0.1
+    assert found.claim().startswith("alpha 0.1 from 10 recordings, with 95 % confidence below")
+    one_sets = replace(recordings, setting=("r9",))
+    found = calibrate(scores, 0.1, recordings=one_sets)
+    assert found.threshold == scores["r8_2"] and "from 9 recordings" in found.claim()
+    two_set = calibrate(scores, 0.1, recordings=replace(recordings, setting=("r8", "r9")))
+    assert two_set.alpha is None and two_set.threshold == max(scores.values())
+    assert two_set.claim().endswith("and 6 are of recordings that set the bounds")
+    assert recordings.others(scores, "r3_1") == [n for n in scores if not n.startswith("r3_")]
+    for c in (found, two_set, calibrate(scores, 0.1)):
+        assert Calibration.from_dict(json.loads(json.dumps(c.to_dict()))) == c
+
+
+def test_thresholds_by_recordings_keep_alpha_where_those_by_pieces_do_not():
+    """19 recordings of 10 pieces that share a level, alpha 0.05: the next recording alarms in 1 of 20."""
+    random, trials = np.random.default_rng(4), 2000
+    by_piece = by_recording = 0
+    for _ in range(trials):
+        x = random.normal(size=(20, 1)) + 0.3 * random.normal(size=(20, 10))
+        scores = {f"r{r}_{k}": float(np.exp(x[r, k])) for r in range(19) for k in range(10)}
+        recordings = Recordings({n: n.split("_")[0] for n in scores})
+        further = np.exp(x[19]).max()
+        by_recording += further > calibrate(scores, 0.05, floor=0.0, recordings=recordings).threshold
+        by_piece += further > calibrate(scores, 0.05, floor=0.0).threshold
+    assert by_recording / trials == pytest.approx(0.05, abs=0.015) and by_piece / trials > 0.1
+
+
 # ----------------------------------------------------------------------------------------------- fewer drives
 
 
@@ -256,6 +310,29 @@ def test_a_single_drive_to_evaluate_has_no_baselines_and_no_alpha(folder, g80, c
         and 0 < drive["last_piece_s"] <= 60
     )
     assert table["false_alarms"]["all"]["judged_h"] == pytest.approx(drive["judged_s"] / 3600)
+
+
+@pytest.mark.slow("10 s: an identification and its evaluation")
+def test_recordings_of_the_index_reach_the_claims_and_whole_ones_are_left_out(folder, g80, core):
+    splits = dict.fromkeys(("synthetic_01", "synthetic_02"), "train") | dict.fromkeys(
+        ("synthetic_06", "synthetic_07", "synthetic_08"), "valid"
+    )
+    made = folder(splits)
+    day = {"synthetic_06": "monday", "synthetic_07": "monday", "synthetic_02": "tuesday"}
+    (made / "experiments.csv").write_text(index_text((n, s, day.get(n, n)) for n, s in splits.items()))
+    table = evaluated(g80, core, made)
+    said = "alpha is not stated: 3 drives calibrate, of 2 recordings that did not set the bounds"
+    assert table["claims"]["identified"]["frame"].startswith(said)
+    left = {r["run"]: r["calibration"]["monitor"]["drives"] for r in table["drives"]}
+    assert left == {"synthetic_06": 1, "synthetic_07": 1, "synthetic_08": 2}
+    stored = identify.load(made.parent / "identified")
+    assert stored.calibration.recordings == Recordings(day)
+    assert stored.energy.calibration.recordings == stored.calibration.recordings
+    shutil.copy(made / "synthetic_06.csv", made / "again.csv")
+    with (made / "experiments.csv").open("a") as index:
+        index.write("again,valid,\n")
+    with pytest.raises(InputError, match=r"again is the same table as synthetic_06, byte for byte"):
+        identify.identify(g80, made)
 
 
 @pytest.mark.slow("5 s: an identification and its evaluation")

@@ -94,6 +94,7 @@ class BaselineStudy:
         used = stored.project.data.command_splits
         setting = [n for n in groups["bounds"] if drives.experiments[n].split in used]
         self.alpha, self.calibration_drives = stored.project.frame_test.alpha, list(stored.calibration.scores)
+        self.recordings = stored.calibration.recordings
         chosen = [drives.experiments[n] for n in (*setting, *self.calibration_drives)]
         self.bank = Bank(
             reader.model,
@@ -117,22 +118,24 @@ class BaselineStudy:
         )
 
     def calibration(self, b: Baseline, without: str | None = None) -> Calibration:
-        """Conformal threshold from the calibration drives but ``without``; drives on which it never spoke
-        give no score, and without any score it never alarms."""
-        scores = {n: float(self.largest[n][b].max()) for n in self.calibration_drives if n != without}
+        """Conformal threshold from the calibration drives but the recording of ``without``; drives on which
+        it never spoke give no score, and without any score it never alarms."""
+        others = self.recordings.others(self.calibration_drives, without)
+        scores = {n: float(self.largest[n][b].max()) for n in others}
         spoken = {n: s for n, s in scores.items() if np.isfinite(s)}
-        return calibrate(spoken, self.alpha, floor=0.0 if spoken else np.inf)
+        floor = 0.0 if spoken else np.inf
+        return calibrate(spoken, self.alpha, floor=floor, recordings=self.recordings)
 
     def best(self, kind: str, without: str | None = None) -> tuple[Baseline, float]:
-        """The parameters of ``kind`` that find most faults, then soonest, on all drives but ``without``; with
-        their threshold."""
+        """The parameters of ``kind`` that find most faults, then soonest, on all drives but the recording of
+        ``without``; with their threshold."""
 
         def merit(b: Baseline) -> tuple[int, float]:
             key = b, self.calibration(b, without).threshold
             cases = [
                 c
-                for name, table in self.cases.items()
-                if name != without and table
+                for name in self.recordings.others(self.cases, without)
+                if (table := self.cases[name])
                 for of in table[key].values()
                 for c in of
             ]

@@ -21,7 +21,7 @@ from ..base.errors import InputError
 from ..base.parallel import Map
 from ..core.compiled import TESTS, Core
 from ..drives.tables import Experiment
-from ..identify.calibration import Calibration, calibrate, joint_scores
+from ..identify.calibration import Calibration, Recordings, calibrate, joint_scores
 from ..identify.energy import ROUNDING, EnergyTest
 from ..identify.passes import DriveReader
 from ..identify.run import DriveSet, StoredIdentification
@@ -153,12 +153,19 @@ def _scores(stored: StoredIdentification) -> dict[str, dict[str, float]]:
     return {MONITOR: joint_scores(frame, energy), "frame": frame, "energy": energy}
 
 
-def _left_one_out(scores: dict[str, dict[str, float]], alpha: float) -> dict[str, dict[str, Calibration]]:
-    """Per drive the calibrations by all others, of MONITOR and each test."""
+def _left_one_out(
+    scores: dict[str, dict[str, float]], alpha: float, recordings: Recordings
+) -> dict[str, dict[str, Calibration]]:
+    """Per drive the calibrations by all drives of other recordings, of MONITOR and each test."""
     floors = {MONITOR: 1.0 + ROUNDING, "frame": 1.0, "energy": 1.0 + ROUNDING}
     return {
         name: {
-            what: calibrate({k: v for k, v in of.items() if k != name}, alpha, floor=floors[what])
+            what: calibrate(
+                {k: of[k] for k in recordings.others(of, name)},
+                alpha,
+                floor=floors[what],
+                recordings=recordings,
+            )
             for what, of in scores.items()
         }
         for name in scores["frame"]
@@ -194,7 +201,7 @@ def evaluate(
     InputError without any judged drive beside those that set the bounds.
     """
     seed, scores = stored.project.seed, _scores(stored)
-    calibrations = _left_one_out(scores, stored.project.frame_test.alpha)
+    calibrations = _left_one_out(scores, stored.project.frame_test.alpha, stored.calibration.recordings)
     items = [(drives.experiments[name], of) for name, of in calibrations.items()]
     rows: list[dict] = []
     cases: Found = {d: {f.label: [] for f in FAULTS} for d in (MONITOR, EXPORTED, *TESTS)}

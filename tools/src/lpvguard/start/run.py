@@ -23,7 +23,7 @@ from ..can.logs import Frames, Series, Table, read_log, stem
 from ..drives.frames import Estimator
 from ..drives.ingest import Inputs, write_tables
 from ..drives.signal_map import SignalMap
-from ..drives.tables import Drive, read_drive
+from ..drives.tables import Drive, index_text, read_drive
 from ..drives.units import unit_factor
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, parse_project
@@ -83,26 +83,25 @@ def new(
             SignalMap.model_validate(tomllib.loads(signals)),
             Path("signals.toml"),
         )
-        names: list[str] = []
+        names: dict[str, str] = {}
         for path in logs:
             if stem(path) not in kept:
                 continue
             try:
                 report = write_tables(path, given, folder / "drives")
-                names += [Path(d["file"]).stem for d in report["drives"]]
+                names |= {Path(d["file"]).stem: stem(path) for d in report["drives"]}
             except InputError as error:
                 left_out[stem(path)] = str(error)
         project, text, notes = _project(
-            name, model, (proposals, limits), folder / "drives", names, Ts, wheelbase_m
+            name, model, (proposals, limits), folder / "drives", list(names), Ts, wheelbase_m
         )
         splits = _splits(project, folder / "drives", names)
-        index = "experiment,split\n" + "".join(f"{n},{s}\n" for n, s in splits.items())
         artefacts.write_files(
             folder,
             {
                 f"{name}.toml": text,
                 "signals.toml": signals,
-                "drives/experiments.csv": index,
+                "drives/experiments.csv": index_text((n, s, names[n]) for n, s in splits.items()),
                 artefacts.MANIFEST: artefacts.manifest(
                     "new", vehicle=name, inputs={p.name: artefacts.file_hash(p) for p in logs}
                 ),
@@ -380,9 +379,12 @@ def _text(
     return "\n".join(lines) + "\n"
 
 
-def _splits(project: Project, folder: Path, names: list[str]) -> dict[str, str]:
-    """Every second drive in the order of mean speed sets the bounds, so that both halves see all speeds; a
-    single one does."""
-    mean = {n: float(read_drive(folder / f"{n}.csv", project).v.mean()) for n in names}
-    order = sorted(names, key=lambda n: (mean[n], n))
-    return {n: "train" if order.index(n) % 2 == 0 else "valid" for n in names}
+def _splits(project: Project, folder: Path, names: dict[str, str]) -> dict[str, str]:
+    """Every second recording in the order of mean speed sets the bounds, so that both halves see all speeds;
+    of a single one every second drive. ``names``: drive -> recording."""
+    by = names if len(set(names.values())) > 1 else {n: n for n in names}
+    speeds: dict[str, list[np.ndarray]] = {}
+    for n in names:
+        speeds.setdefault(by[n], []).append(read_drive(folder / f"{n}.csv", project).v)
+    order = sorted(speeds, key=lambda r: (float(np.concatenate(speeds[r]).mean()), r))
+    return {n: "train" if order.index(by[n]) % 2 == 0 else "valid" for n in names}
