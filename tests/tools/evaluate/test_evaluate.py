@@ -12,17 +12,20 @@ import pytest
 
 from lpvguard.base.errors import InputError
 from lpvguard.drives.faults import Fault, inject
-from lpvguard.drives.tables import index_text, list_experiments, read_drive
+from lpvguard.drives.tables import Drive, index_text, list_experiments, read_drive
 from lpvguard.evaluate import run as stage
 from lpvguard.evaluate.comparison import equal_rates
-from lpvguard.evaluate.detection import FOUND_WITHIN_S, STARTS, FaultOutcome, JudgedClock, fault_clocks
+from lpvguard.evaluate.detection import FaultOutcome, Injection, JudgedClock
 from lpvguard.evaluate.false_alarms import Pieces, alarmed_pieces, alarming, piece_starts
 from lpvguard.identify import run as identify
 from lpvguard.identify.calibration import Calibration, Recordings, calibrate, joint_scores
 from lpvguard.replay.run import Replay, Replayer
 from lpvguard.vehicle.nominal import NominalModel
+from lpvguard.vehicle.project import EvaluationSettings
 
 TS = 0.02
+USUAL = Injection.usual()
+FOUND_WITHIN_S = USUAL.within_s
 
 
 def hits(n: int, *at: int) -> np.ndarray:
@@ -54,13 +57,13 @@ def replay(seconds: float, relevant=slice(None), *, name: str = "made up", falsi
 
 
 def test_the_clock_runs_in_judged_driving_from_the_first_faulty_sample_on():
-    clock = JudgedClock.of(replay(100.0, slice(0, 3500)), 3000)
+    clock = JudgedClock.of(replay(100.0, slice(0, 3500)), 3000, FOUND_WITHIN_S)
     assert clock.read(hits(5001, 2999)) is None
     assert clock.read(hits(5001, 2999, 3000)) == pytest.approx(TS), "the first faulty sample counts"
     assert clock.read(hits(5001, 3499)) == clock.read(hits(5001, 4500)) == pytest.approx(10.0), (
         "it stands where nothing is judged"
     )
-    whole = JudgedClock.of(replay(100.0), 3000)
+    whole = JudgedClock.of(replay(100.0), 3000, FOUND_WITHIN_S)
     assert whole.end == 3000 + round(FOUND_WITHIN_S / TS)
 
 
@@ -76,7 +79,7 @@ def test_the_clock_runs_in_judged_driving_from_the_first_faulty_sample_on():
     ],
 )  # in time, and one sample too late
 def test_found_means_before_the_untouched_drive_and_in_time(faulty, untouched, s):
-    clock = JudgedClock.of(replay(120.0), 3000)
+    clock = JudgedClock.of(replay(120.0), 3000, FOUND_WITHIN_S)
     other = None if untouched is None else clock.read(hits(6001, untouched))
     case = FaultOutcome.of("made up", TS, clock, hits(6001, faulty), other)
     assert case.untouched_s == other
@@ -88,34 +91,34 @@ def test_found_means_before_the_untouched_drive_and_in_time(faulty, untouched, s
 
 
 def test_what_the_untouched_drive_says_later_does_not_matter():
-    clock = JudgedClock.of(replay(120.0), 3000)
+    clock = JudgedClock.of(replay(120.0), 3000, FOUND_WITHIN_S)
     case = FaultOutcome.of("made up", TS, clock, hits(6001, 3009), clock.read(hits(6001, 4501)))
     assert case.found and case.untouched_s is None
 
 
 def test_an_alarm_that_stands_when_the_fault_starts_is_none_of_it():
-    clock = JudgedClock.of(replay(120.0), 3000)
+    clock = JudgedClock.of(replay(120.0), 3000, FOUND_WITHIN_S)
     standing = hits(6001, *range(2900, 3100))
     assert not FaultOutcome.of("made up", TS, clock, standing | hits(6001, 3200), clock.read(standing)).found
 
 
 def test_starts_leave_time_to_find_and_do_not_depend_on_other_drives():
     long = replay(300.0, name="a")
-    clocks = fault_clocks(long, seed=1)
-    assert len(clocks) == STARTS
+    clocks = USUAL.clocks(long, seed=1)
+    assert len(clocks) == USUAL.starts
     firsts = [c.first for c in clocks]
     assert firsts == sorted(firsts) and firsts[0] >= 3000 and firsts[-1] < 13501
     assert (
-        [c.first for c in fault_clocks(long, seed=1)]
+        [c.first for c in USUAL.clocks(long, seed=1)]
         == firsts
-        != [c.first for c in fault_clocks(replay(300.0, name="b"), seed=1)]
+        != [c.first for c in USUAL.clocks(replay(300.0, name="b"), seed=1)]
     )
     # Judged until 100 s alone: every start leaves 30 s of that.
-    for clock in fault_clocks(replay(300.0, slice(0, 5000)), seed=1):
+    for clock in USUAL.clocks(replay(300.0, slice(0, 5000)), seed=1):
         assert clock.first >= 3000 and clock.seconds[-1] >= FOUND_WITHIN_S - 1e-9
-    assert fault_clocks(replay(300.0, slice(0, 4400)), seed=1) == [], "28 s are not enough"
-    assert fault_clocks(replay(300.0, slice(0, 0)), seed=1) == [], "never excited"
-    assert fault_clocks(replay(120.0), seed=1) == [], "no longer than 120 s"
+    assert USUAL.clocks(replay(300.0, slice(0, 4400)), seed=1) == [], "28 s are not enough"
+    assert USUAL.clocks(replay(300.0, slice(0, 0)), seed=1) == [], "never excited"
+    assert USUAL.clocks(replay(120.0), seed=1) == [], "no longer than 120 s"
 
 
 def test_every_second_counts_in_pieces_of_which_the_last_may_be_shorter():
@@ -207,6 +210,36 @@ def test_one_threshold_for_both_tests_keeps_alpha_and_two_do_not():
 def test_a_claim_comes_with_its_conditional_bound_or_is_refused(drives, alpha, says):
     """n < 1/alpha - 1, or fewer than 9 drives: alpha is not stated."""
     assert says in calibrate({str(i): 1.0 + i for i in range(drives)}, alpha).claim()
+
+
+def test_settings_say_when_and_how_large_faults_are():
+    settings = EvaluationSettings(
+        fault_from_s=5.0,
+        shortest_drive_s=20.0,
+        found_within_s=10.0,
+        starts=2,
+        gains=(0.5,),
+        delays_s=(0.1, 0.2),
+    )
+    injection = Injection.of(settings, np.array([2.0, 0.4]))
+    assert injection.to_dict() == {"from_s": 5.0, "shortest_s": 20.0, "within_s": 10.0, "starts": 2}
+    assert [f.label for f in injection.faults] == [
+        "output × 0.5",
+        "output frozen",
+        "input delayed by 0.1 s",
+        "output delayed by 0.1 s",
+        "output + 0.5 of its spread",
+        "input delayed by 0.2 s",
+        "output delayed by 0.2 s",
+    ]
+    assert injection.clocks(replay(20.0), seed=1) == []
+    clocks = injection.clocks(replay(20.1), seed=1)
+    assert len(clocks) == 2 and all(c.first >= 250 and c.end - c.first == 500 for c in clocks)
+    still = Drive("d", np.arange(3) * TS, np.ones(3), np.zeros((3, 1)), np.zeros((3, 2)))
+    biased = inject(still, injection.faults[4], TS, TS)
+    np.testing.assert_allclose(biased.y, [[0, 0], [1.0, 0.2], [1.0, 0.2]])
+    with pytest.raises(ValueError, match="at least fault_from_s"):
+        EvaluationSettings(fault_from_s=100.0)
 
 
 # ------------------------------------------------------------------------------------------------- recordings
@@ -302,7 +335,7 @@ def test_a_single_drive_to_evaluate_has_no_baselines_and_no_alpha(folder, g80, c
     assert table["claims"]["left_one_out"]["monitor"] == [
         "alpha is not stated: too few calibration drives (0)"
     ]
-    assert all(row["drives"] == 1 and row["counted"] == STARTS for row in table["faults"])
+    assert all(row["drives"] == 1 and row["counted"] == USUAL.starts for row in table["faults"])
     assert table["stated_rates"] == {"monitor": None, "frame": None, "energy": None, "exported": None}
     (drive,) = table["drives"]
     assert (

@@ -26,7 +26,7 @@ from ..drives.signal_map import SignalMap
 from ..drives.tables import Drive, index_text, read_drive
 from ..drives.units import unit_factor
 from ..vehicle.nominal import NominalModel
-from ..vehicle.project import Project, parse_project
+from ..vehicle.project import EvaluationSettings, Project, parse_project
 from .signals import ROLES, SI, Proposal, Recording, proposed, rolled_length
 from .templates import TEMPLATES, Scale
 
@@ -265,6 +265,7 @@ def _project(
     if best is None:
         raise InputError("new", "", f"a sample time of {Ts:g} s leaves no frames", "a faster log")
     project, text, (f_min, tolerance), judged = best
+    text += _evaluation(float(np.median([d.duration_s for d in drives])))
     notes = [
         f"{len(drives)} drives, {sum(d.duration_s for d in drives):.0f} s, at {1 / Ts:g} Hz",
         f"frames from {f_min:g} to {project.frames.f_max_hz:g} Hz, speed within {tolerance:.0%} of a frame's "
@@ -377,6 +378,24 @@ def _text(
         'bound_split = ["train"]      # in drives/experiments.csv; the others calibrate',
     ]
     return "\n".join(lines) + "\n"
+
+
+def _evaluation(median_s: float) -> str:
+    """The section of a project file for `evaluate`, for drives of which half last ``median_s`` or longer."""
+    usual = EvaluationSettings()
+    quarter = min(median_s / 4, usual.found_within_s)
+    begin, shortest = (
+        min(most, share * median_s)
+        for most, share in ((usual.fault_from_s, 0.25), (usual.shortest_drive_s, 0.6))
+    )
+    return f"""
+# Faults that evaluate injects: from a quarter of the median drive on, where time is left to find them.
+[evaluation]
+fault_from_s = {begin:.3g}
+shortest_drive_s = {shortest:.3g}
+found_within_s = {quarter:.3g}      # of judged, excited driving
+bias_of_spread = {usual.bias_of_spread:g}      # of the output's standard deviation within a drive
+"""
 
 
 def _splits(project: Project, folder: Path, names: dict[str, str]) -> dict[str, str]:
