@@ -22,6 +22,7 @@ from lpvguard.core.compiled import Core
 from lpvguard.drives.tables import list_experiments
 from lpvguard.evaluate import baseline_study
 from lpvguard.evaluate.baselines import Baseline
+from lpvguard.evaluate.detection import Injection
 from lpvguard.identify import run as identify
 from lpvguard.loop.campaign import conduct, faults, one_run, run, scenarios, summary, trucks
 from lpvguard.loop.campaign.run import campaign
@@ -241,7 +242,8 @@ def small(monkeypatch):
         "KINDS",
         tuple(faults.Kind(k.name, k.unit, k.values[:1], k.table, k.loop, k.response) for k in kinds),
     )
-    monkeypatch.setattr(baseline_study, "FAULTS", baseline_study.FAULTS[:1])
+    usual = Injection.usual()
+    monkeypatch.setattr(Injection, "usual", lambda: replace(usual, faults=usual.faults[:1]))
     monkeypatch.setattr(trucks, "PLANTS", 1)
     monkeypatch.setattr(run, "CHUNK", 3)
     monkeypatch.setattr(trucks, "RESPONSE_SPEEDS", (15.0,))

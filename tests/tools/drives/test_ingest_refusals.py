@@ -73,9 +73,9 @@ def test_a_gap_cuts_the_drive_and_is_reported(car, tmp_path):
     for file in ("drive_1.csv", "drive_2.csv"):
         agrees(tmp_path / "out" / file)
     assert (tmp_path / "out/experiments.csv").read_text().splitlines() == [
-        "experiment,split",
-        "drive_1,unassigned",
-        "drive_2,unassigned",
+        "experiment,split,recording",
+        "drive_1,unassigned,drive",
+        "drive_2,unassigned,drive",
     ]
 
 

@@ -10,7 +10,7 @@ from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import list_experiments
 from lpvguard.evaluate.baseline_study import BaselineStudy
 from lpvguard.evaluate.baselines import GRID, KINDS, Bank, Baseline, Scales
-from lpvguard.evaluate.detection import FaultOutcome, median_time, ranking
+from lpvguard.evaluate.detection import FaultOutcome, Injection, median_time, ranking
 from lpvguard.identify import run as identify
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project
@@ -105,7 +105,7 @@ def study(g80, synthetic, identified, core):
     stored = identify.load(identified)
     drives = identify.DriveSet(g80, NominalModel(g80), list_experiments(synthetic))
     names = tuple(stored.calibration.scores)
-    return BaselineStudy(stored, drives, core, left_out=names), names
+    return BaselineStudy(stored, drives, core, left_out=names, injection=Injection.usual()), names
 
 
 @pytest.mark.parametrize("kind", KINDS)

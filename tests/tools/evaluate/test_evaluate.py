@@ -3,24 +3,29 @@ the measured ones."""
 
 from __future__ import annotations
 
+import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from lpvguard.base.errors import InputError
 from lpvguard.drives.faults import Fault, inject
-from lpvguard.drives.tables import list_experiments, read_drive
+from lpvguard.drives.tables import Drive, index_text, list_experiments, read_drive
 from lpvguard.evaluate import run as stage
 from lpvguard.evaluate.comparison import equal_rates
-from lpvguard.evaluate.detection import FOUND_WITHIN_S, STARTS, FaultOutcome, JudgedClock, fault_clocks
+from lpvguard.evaluate.detection import FaultOutcome, Injection, JudgedClock
 from lpvguard.evaluate.false_alarms import Pieces, alarmed_pieces, alarming, piece_starts
 from lpvguard.identify import run as identify
-from lpvguard.identify.calibration import calibrate, joint_scores
+from lpvguard.identify.calibration import Calibration, Recordings, calibrate, joint_scores
 from lpvguard.replay.run import Replay, Replayer
 from lpvguard.vehicle.nominal import NominalModel
+from lpvguard.vehicle.project import EvaluationSettings
 
 TS = 0.02
+USUAL = Injection.usual()
+FOUND_WITHIN_S = USUAL.within_s
 
 
 def hits(n: int, *at: int) -> np.ndarray:
@@ -52,13 +57,13 @@ def replay(seconds: float, relevant=slice(None), *, name: str = "made up", falsi
 
 
 def test_the_clock_runs_in_judged_driving_from_the_first_faulty_sample_on():
-    clock = JudgedClock.of(replay(100.0, slice(0, 3500)), 3000)
+    clock = JudgedClock.of(replay(100.0, slice(0, 3500)), 3000, FOUND_WITHIN_S)
     assert clock.read(hits(5001, 2999)) is None
     assert clock.read(hits(5001, 2999, 3000)) == pytest.approx(TS), "the first faulty sample counts"
     assert clock.read(hits(5001, 3499)) == clock.read(hits(5001, 4500)) == pytest.approx(10.0), (
         "it stands where nothing is judged"
     )
-    whole = JudgedClock.of(replay(100.0), 3000)
+    whole = JudgedClock.of(replay(100.0), 3000, FOUND_WITHIN_S)
     assert whole.end == 3000 + round(FOUND_WITHIN_S / TS)
 
 
@@ -74,7 +79,7 @@ def test_the_clock_runs_in_judged_driving_from_the_first_faulty_sample_on():
     ],
 )  # in time, and one sample too late
 def test_found_means_before_the_untouched_drive_and_in_time(faulty, untouched, s):
-    clock = JudgedClock.of(replay(120.0), 3000)
+    clock = JudgedClock.of(replay(120.0), 3000, FOUND_WITHIN_S)
     other = None if untouched is None else clock.read(hits(6001, untouched))
     case = FaultOutcome.of("made up", TS, clock, hits(6001, faulty), other)
     assert case.untouched_s == other
@@ -86,34 +91,34 @@ def test_found_means_before_the_untouched_drive_and_in_time(faulty, untouched, s
 
 
 def test_what_the_untouched_drive_says_later_does_not_matter():
-    clock = JudgedClock.of(replay(120.0), 3000)
+    clock = JudgedClock.of(replay(120.0), 3000, FOUND_WITHIN_S)
     case = FaultOutcome.of("made up", TS, clock, hits(6001, 3009), clock.read(hits(6001, 4501)))
     assert case.found and case.untouched_s is None
 
 
 def test_an_alarm_that_stands_when_the_fault_starts_is_none_of_it():
-    clock = JudgedClock.of(replay(120.0), 3000)
+    clock = JudgedClock.of(replay(120.0), 3000, FOUND_WITHIN_S)
     standing = hits(6001, *range(2900, 3100))
     assert not FaultOutcome.of("made up", TS, clock, standing | hits(6001, 3200), clock.read(standing)).found
 
 
 def test_starts_leave_time_to_find_and_do_not_depend_on_other_drives():
     long = replay(300.0, name="a")
-    clocks = fault_clocks(long, seed=1)
-    assert len(clocks) == STARTS
+    clocks = USUAL.clocks(long, seed=1)
+    assert len(clocks) == USUAL.starts
     firsts = [c.first for c in clocks]
     assert firsts == sorted(firsts) and firsts[0] >= 3000 and firsts[-1] < 13501
     assert (
-        [c.first for c in fault_clocks(long, seed=1)]
+        [c.first for c in USUAL.clocks(long, seed=1)]
         == firsts
-        != [c.first for c in fault_clocks(replay(300.0, name="b"), seed=1)]
+        != [c.first for c in USUAL.clocks(replay(300.0, name="b"), seed=1)]
     )
     # Judged until 100 s alone: every start leaves 30 s of that.
-    for clock in fault_clocks(replay(300.0, slice(0, 5000)), seed=1):
+    for clock in USUAL.clocks(replay(300.0, slice(0, 5000)), seed=1):
         assert clock.first >= 3000 and clock.seconds[-1] >= FOUND_WITHIN_S - 1e-9
-    assert fault_clocks(replay(300.0, slice(0, 4400)), seed=1) == [], "28 s are not enough"
-    assert fault_clocks(replay(300.0, slice(0, 0)), seed=1) == [], "never excited"
-    assert fault_clocks(replay(120.0), seed=1) == [], "no longer than 120 s"
+    assert USUAL.clocks(replay(300.0, slice(0, 4400)), seed=1) == [], "28 s are not enough"
+    assert USUAL.clocks(replay(300.0, slice(0, 0)), seed=1) == [], "never excited"
+    assert USUAL.clocks(replay(120.0), seed=1) == [], "no longer than 120 s"
 
 
 def test_every_second_counts_in_pieces_of_which_the_last_may_be_shorter():
@@ -207,6 +212,88 @@ def test_a_claim_comes_with_its_conditional_bound_or_is_refused(drives, alpha, s
     assert says in calibrate({str(i): 1.0 + i for i in range(drives)}, alpha).claim()
 
 
+def test_settings_say_when_and_how_large_faults_are():
+    settings = EvaluationSettings(
+        fault_from_s=5.0,
+        shortest_drive_s=20.0,
+        found_within_s=10.0,
+        starts=2,
+        gains=(0.5,),
+        delays_s=(0.1, 0.2),
+    )
+    injection = Injection.of(settings, np.array([2.0, 0.4]))
+    assert injection.to_dict() == {"from_s": 5.0, "shortest_s": 20.0, "within_s": 10.0, "starts": 2}
+    assert [f.label for f in injection.faults] == [
+        "output × 0.5",
+        "output frozen",
+        "input delayed by 0.1 s",
+        "output delayed by 0.1 s",
+        "output + 0.5 of its spread",
+        "input delayed by 0.2 s",
+        "output delayed by 0.2 s",
+    ]
+    assert injection.clocks(replay(20.0), seed=1) == []
+    clocks = injection.clocks(replay(20.1), seed=1)
+    assert len(clocks) == 2 and all(c.first >= 250 and c.end - c.first == 500 for c in clocks)
+    still = Drive("d", np.arange(3) * TS, np.ones(3), np.zeros((3, 1)), np.zeros((3, 2)))
+    biased = inject(still, injection.faults[4], TS, TS)
+    np.testing.assert_allclose(biased.y, [[0, 0], [1.0, 0.2], [1.0, 0.2]])
+    with pytest.raises(ValueError, match="at least fault_from_s"):
+        EvaluationSettings(fault_from_s=100.0)
+
+
+# ------------------------------------------------------------------------------------------------- recordings
+
+
+def pieces(recordings: int, each: int) -> tuple[dict[str, float], Recordings]:
+    """Scores that grow from piece to piece, and the recording of each."""
+    of = {f"r{r}_{k}": f"r{r}" for r in range(recordings) for k in range(each)}
+    return {n: 1.0 + i for i, n in enumerate(of)}, Recordings(of)
+
+
+def test_pieces_of_two_recordings_buy_no_alpha():
+    scores, recordings = pieces(2, 11)
+    scores.pop("r1_10")
+    found = calibrate(scores, 0.05, recordings=recordings)
+    assert found.alpha is None and found.conditional_bound is None
+    assert found.threshold == max(scores.values())
+    assert found.claim() == (
+        "alpha is not stated: 21 drives calibrate, of 2 recordings that did not set the bounds; "
+        "pieces of one recording are no draws of their own"
+    )
+    assert calibrate(scores, 0.05).alpha == 0.05, "as they would as drives of their own"
+
+
+def test_a_recordings_score_is_its_largest_and_one_that_sets_the_bounds_does_not_count():
+    scores, recordings = pieces(10, 3)
+    found = calibrate(scores, 0.1, recordings=recordings)
+    assert found.threshold == max(scores.values()) and found.alpha == 0.1
+    assert found.claim().startswith("alpha 0.1 from 10 recordings, with 95 % confidence below")
+    one_sets = replace(recordings, setting=("r9",))
+    found = calibrate(scores, 0.1, recordings=one_sets)
+    assert found.threshold == scores["r8_2"] and "from 9 recordings" in found.claim()
+    two_set = calibrate(scores, 0.1, recordings=replace(recordings, setting=("r8", "r9")))
+    assert two_set.alpha is None and two_set.threshold == max(scores.values())
+    assert two_set.claim().endswith("and 6 are of recordings that set the bounds")
+    assert recordings.others(scores, "r3_1") == [n for n in scores if not n.startswith("r3_")]
+    for c in (found, two_set, calibrate(scores, 0.1)):
+        assert Calibration.from_dict(json.loads(json.dumps(c.to_dict()))) == c
+
+
+def test_thresholds_by_recordings_keep_alpha_where_those_by_pieces_do_not():
+    """19 recordings of 10 pieces that share a level, alpha 0.05: the next recording alarms in 1 of 20."""
+    random, trials = np.random.default_rng(4), 2000
+    by_piece = by_recording = 0
+    for _ in range(trials):
+        x = random.normal(size=(20, 1)) + 0.3 * random.normal(size=(20, 10))
+        scores = {f"r{r}_{k}": float(np.exp(x[r, k])) for r in range(19) for k in range(10)}
+        recordings = Recordings({n: n.split("_")[0] for n in scores})
+        further = np.exp(x[19]).max()
+        by_recording += further > calibrate(scores, 0.05, floor=0.0, recordings=recordings).threshold
+        by_piece += further > calibrate(scores, 0.05, floor=0.0).threshold
+    assert by_recording / trials == pytest.approx(0.05, abs=0.015) and by_piece / trials > 0.1
+
+
 # ----------------------------------------------------------------------------------------------- fewer drives
 
 
@@ -248,7 +335,7 @@ def test_a_single_drive_to_evaluate_has_no_baselines_and_no_alpha(folder, g80, c
     assert table["claims"]["left_one_out"]["monitor"] == [
         "alpha is not stated: too few calibration drives (0)"
     ]
-    assert all(row["drives"] == 1 and row["counted"] == STARTS for row in table["faults"])
+    assert all(row["drives"] == 1 and row["counted"] == USUAL.starts for row in table["faults"])
     assert table["stated_rates"] == {"monitor": None, "frame": None, "energy": None, "exported": None}
     (drive,) = table["drives"]
     assert (
@@ -256,6 +343,29 @@ def test_a_single_drive_to_evaluate_has_no_baselines_and_no_alpha(folder, g80, c
         and 0 < drive["last_piece_s"] <= 60
     )
     assert table["false_alarms"]["all"]["judged_h"] == pytest.approx(drive["judged_s"] / 3600)
+
+
+@pytest.mark.slow("10 s: an identification and its evaluation")
+def test_recordings_of_the_index_reach_the_claims_and_whole_ones_are_left_out(folder, g80, core):
+    splits = dict.fromkeys(("synthetic_01", "synthetic_02"), "train") | dict.fromkeys(
+        ("synthetic_06", "synthetic_07", "synthetic_08"), "valid"
+    )
+    made = folder(splits)
+    day = {"synthetic_06": "monday", "synthetic_07": "monday", "synthetic_02": "tuesday"}
+    (made / "experiments.csv").write_text(index_text((n, s, day.get(n, n)) for n, s in splits.items()))
+    table = evaluated(g80, core, made)
+    said = "alpha is not stated: 3 drives calibrate, of 2 recordings that did not set the bounds"
+    assert table["claims"]["identified"]["frame"].startswith(said)
+    left = {r["run"]: r["calibration"]["monitor"]["drives"] for r in table["drives"]}
+    assert left == {"synthetic_06": 1, "synthetic_07": 1, "synthetic_08": 2}
+    stored = identify.load(made.parent / "identified")
+    assert stored.calibration.recordings == Recordings(day)
+    assert stored.energy.calibration.recordings == stored.calibration.recordings
+    shutil.copy(made / "synthetic_06.csv", made / "again.csv")
+    with (made / "experiments.csv").open("a") as index:
+        index.write("again,valid,\n")
+    with pytest.raises(InputError, match=r"again is the same table as synthetic_06, byte for byte"):
+        identify.identify(g80, made)
 
 
 @pytest.mark.slow("5 s: an identification and its evaluation")

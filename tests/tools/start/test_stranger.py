@@ -33,6 +33,10 @@ def test_a_race_car_goes_from_raw_logs_to_its_page(race_car, lpvguard, tmp_path)
     assert "poor: try lpvguard fit" in said and 1.0 < calibrated["threshold"] < 3.0
     run("export", "--vehicle", vehicle, found, "-o", code)
     run("replay", "--vehicle", vehicle, "--coefficients", code, drives / f"{raw[-1].stem}.csv", status=(0, 1))
-    run("evaluate", "--vehicle", vehicle, "--coefficients", code, found, drives)
+    table = tmp_path / "evaluation.json"
+    run("evaluate", "--vehicle", vehicle, "--coefficients", code, found, drives, "--json", table)
+    evaluated = json.loads(table.read_text())
+    assert len(evaluated["drives"]) - len(evaluated["without_faults"]) >= 4
+    assert any(row["fault"] == "output + 0.5 of its spread" for row in evaluated["faults"])
     run("report", found, drives, "--vehicle", vehicle, "--coefficients", code, "-o", tmp_path / "page.html")
     assert (tmp_path / "page.html").stat().st_size > 100_000

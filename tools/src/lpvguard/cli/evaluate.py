@@ -36,10 +36,12 @@ def evaluate(
     """False alarms and detection of injected faults, leave-one-drive-out, through the compiled core."""
     from ..base.parallel import workers
     from ..evaluate.run import evaluate as stage
+    from ..vehicle.project import load_project
 
+    settings = load_project(vehicle).evaluation
     stored, drive_set = stored_with_drives(identification, drives, vehicle)
     replayer = replayer_of(vehicle, coefficients)
     with progress_bar("evaluate") as tell, workers(jobs, scheduler) as run:
-        result = stage(stored, drive_set, replayer.core, workers=run, progress=tell)
+        result = stage(stored, drive_set, replayer.core, settings=settings, workers=run, progress=tell)
     emit(json_out, result)
     print_evaluation(result)

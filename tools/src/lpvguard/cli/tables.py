@@ -180,7 +180,6 @@ def print_evaluation(result: dict[str, Any]) -> None:
     """The object of `lpvguard evaluate --json`: false alarms, claims, faults found, beside the baselines."""
     from ..core.compiled import TESTS
     from ..evaluate.comparison import MONITOR, columns
-    from ..evaluate.detection import FOUND_WITHIN_S
     from ..evaluate.false_alarms import PIECE_S
 
     alarms = Table(
@@ -217,8 +216,8 @@ def print_evaluation(result: dict[str, Any]) -> None:
         console.print(f"no fault injected: {name}: {reason}")
     console.print(
         f"faults injected into {len(result['drives']) - len(result['without_faults'])} of "
-        f"{len(result['drives'])} drives; found within {FOUND_WITHIN_S:g} s of judged, excited driving, "
-        "of all starts (drives: from every start), and the median time:"
+        f"{len(result['drives'])} drives; found within {result['injection']['within_s']:g} s of judged, "
+        "excited driving, of all starts (drives: from every start), and the median time:"
     )
     detectors, others = columns(result), [b["kind"] for b in result["baselines"]]
     console.print(_detector_table({name: d for name, d in detectors.items() if name not in others}))

@@ -18,10 +18,12 @@ KINDS = ("gain", "freeze", "bias", "input_delay", "output_delay")
 
 @dataclass(frozen=True)
 class Fault:
-    """``value``: factor (gain), output units (bias), seconds (delays); unused for freeze."""
+    """``value``: factor (gain), output units (bias), seconds (delays); unused for freeze. ``spread`` (n_y):
+    of the outputs; a bias is then ``value`` of it."""
 
     kind: str
     value: float = 0.0
+    spread: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -35,7 +37,7 @@ class Fault:
         texts = {
             "gain": "output × {:g}",
             "freeze": "output frozen",
-            "bias": "output + {:g}",
+            "bias": "output + {:g}" + (" of its spread" if self.spread else ""),
             "input_delay": "input delayed by {:g} s",
             "output_delay": "output delayed by {:g} s",
         }
@@ -58,7 +60,7 @@ def inject(drive: Drive, fault: Fault, start_s: float, Ts: float) -> Drive:
     elif fault.kind == "freeze":
         y[first:] = y[min(first, len(y) - 1)]
     elif fault.kind == "bias":
-        y[first:] += fault.value
+        y[first:] += fault.value * np.array(fault.spread or 1.0)
     elif fault.kind == "input_delay":
         u = delayed(u)
     else:

@@ -28,6 +28,7 @@ from ..can.decode import decode_signal, find_frames, is_j1939, load_database, ow
 from ..can.logs import Frames, Series, Table, read_log, stem
 from .resample import NS, LogClock, Piece, Source, TableMaker, clock_of, describe, in_order, within_limits
 from .signal_map import SignalMap, Term, load_signal_map
+from .tables import index_text
 from .units import unit_factor
 
 if TYPE_CHECKING:  # cantools takes long to import
@@ -321,15 +322,15 @@ def ingest(logs: Iterable[Path], *, dbc: Path | None, signals_map: Path | Signal
     )
     reports = {}
     with artefacts.new_folder(out, "ingest") as folder:
-        drives = []
+        drives: list[tuple[str, str, str]] = []
         for path in paths:
             reports[stem(path)] = report = write_tables(path, given, folder)
-            drives += [Path(d["file"]).stem for d in report["drives"]]
+            drives += [(Path(d["file"]).stem, "unassigned", stem(path)) for d in report["drives"]]
         inputs = {p.name: artefacts.file_hash(p) for p in [*paths, *([Path(dbc)] if dbc else [])]}
         artefacts.write_files(
             folder,
             {
-                "experiments.csv": "experiment,split\n" + "".join(f"{d},unassigned\n" for d in drives),
+                "experiments.csv": index_text(drives),
                 artefacts.MANIFEST: artefacts.manifest(
                     "ingest", inputs=inputs, signal_map=given.map.model_dump(by_alias=True)
                 ),

@@ -1,7 +1,8 @@
 """Stage 0, drives: uniform drive tables (CSV or Parquet) checked against the signal table of the vehicle.
 
 A drive folder holds one table a drive and ``experiments.csv``. That index has at least the columns
-``experiment`` (file stem) and ``split``; ``driver`` is carried along when present. Nothing is repaired here:
+``experiment`` (file stem) and ``split``; ``driver`` is carried along when present. Drives that are pieces of
+one recording say so in ``recording``. Nothing is repaired here:
 what does not fit is an InputError that names file, line and column. Raw logs are turned into such tables by
 ``lpvguard ingest``.
 """
@@ -9,6 +10,7 @@ what does not fit is an InputError that names file, line and column. Raw logs ar
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -57,12 +59,13 @@ class Drive:
 
 @dataclass(frozen=True)
 class Experiment:
-    """An entry of ``experiments.csv``."""
+    """An entry of ``experiments.csv``; ``recording``: its own name where none is given."""
 
     name: str
     path: Path
     split: str
     driver: str
+    recording: str
 
 
 def list_experiments(folder: Path) -> list[Experiment]:
@@ -87,10 +90,17 @@ def list_experiments(folder: Path) -> list[Experiment]:
             raise InputError(
                 index, f"line {line}", f"no table {stem}.csv or {stem}.parquet", "the file beside it"
             )
-        experiments.append(Experiment(stem, path.absolute(), row["split"], row.get("driver") or "unknown"))
+        driver, recording = row.get("driver") or "unknown", row.get("recording") or stem
+        experiments.append(Experiment(stem, path.absolute(), row["split"], driver, recording))
     if not experiments:
         raise InputError(index, "", "lists no drive", "at least one line")
     return experiments
+
+
+def index_text(rows: Iterable[tuple[str, str, str]]) -> str:
+    """An experiments.csv of drives: name, split and the recording that each is a piece of."""
+    lines = ["experiment,split,recording", *(",".join(row) for row in rows)]
+    return "\n".join(lines) + "\n"
 
 
 def bound_setting(project: Project, experiments: list[Experiment], folder: Path) -> list[Experiment]:

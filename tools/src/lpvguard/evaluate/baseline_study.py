@@ -21,7 +21,7 @@ from ..identify.passes import DriveReader
 from ..identify.run import DriveSet, StoredIdentification
 from ..replay.run import Replayer
 from .baselines import GRID, KINDS, TITLES, Bank, Baseline, Scales
-from .detection import FAULTS, FOUND_WITHIN_S, FaultOutcome, fault_clocks, fault_rows, faulty_drive
+from .detection import FaultOutcome, Injection, fault_rows, faulty_drive
 from .false_alarms import Pieces, piece_starts
 
 
@@ -47,14 +47,13 @@ def _cases(
     core: Core,
     bank: Bank,
     thresholds: dict[Baseline, tuple[float, ...]],
+    injection: Injection,
     experiment: Experiment,
 ) -> Cases:
     """Every baseline at each of its thresholds on one drive; empty where the drive does not qualify."""
     drive, e, _ = reader.read(experiment)
-    clocks, Ts = (
-        fault_clocks(Replayer(reader.project, core).replay(drive), reader.project.seed),
-        reader.project.Ts_s,
-    )
+    Ts = reader.project.Ts_s
+    clocks = injection.clocks(Replayer(reader.project, core).replay(drive), reader.project.seed)
     if not clocks:
         return {}
 
@@ -62,9 +61,9 @@ def _cases(
         return (((b, h), s > h) for b, s in bank.statistics(thresholds, error, v) for h in thresholds[b])
 
     first = {key: [clock.read(hits) for clock in clocks] for key, hits in alarms(e, drive.v)}
-    cases: Cases = {key: {f.label: [] for f in FAULTS} for key in first}
+    cases: Cases = {key: {f.label: [] for f in injection.faults} for key in first}
     for i, clock in enumerate(clocks):
-        for fault in FAULTS:
+        for fault in injection.faults:
             faulty = faulty_drive(drive, fault, clock, Ts)
             for key, hits in alarms(nominal_error(faulty, reader.model)[0], faulty.v):
                 cases[key][fault.label].append(
@@ -83,10 +82,12 @@ class BaselineStudy:
         core: Core,
         *,
         left_out: tuple[str | None, ...],
+        injection: Injection,
         workers: Map = map,
         progress: Callable[[str], None] = lambda _: None,
     ):
         """``left_out``: the drives that will be asked about, None for "all calibration drives count".
+        ``injection``: the faults to choose parameters by.
 
         Of the bound-setting drives those count whose input is a command as in use (``data.command_split``).
         """
@@ -94,6 +95,7 @@ class BaselineStudy:
         used = stored.project.data.command_splits
         setting = [n for n in groups["bounds"] if drives.experiments[n].split in used]
         self.alpha, self.calibration_drives = stored.project.frame_test.alpha, list(stored.calibration.scores)
+        self.recordings, self.injection = stored.calibration.recordings, injection
         chosen = [drives.experiments[n] for n in (*setting, *self.calibration_drives)]
         self.bank = Bank(
             reader.model,
@@ -113,30 +115,33 @@ class BaselineStudy:
             b: tuple(sorted({self.calibration(b, name).threshold for name in left_out})) for b in GRID
         }
         self.cases: dict[str, Cases] = over(
-            partial(_cases, reader, core, self.bank, thresholds), "baselines on faults"
+            partial(_cases, reader, core, self.bank, thresholds, injection), "baselines on faults"
         )
 
     def calibration(self, b: Baseline, without: str | None = None) -> Calibration:
-        """Conformal threshold from the calibration drives but ``without``; drives on which it never spoke
-        give no score, and without any score it never alarms."""
-        scores = {n: float(self.largest[n][b].max()) for n in self.calibration_drives if n != without}
+        """Conformal threshold from the calibration drives but the recording of ``without``; drives on which
+        it never spoke give no score, and without any score it never alarms."""
+        others = self.recordings.others(self.calibration_drives, without)
+        scores = {n: float(self.largest[n][b].max()) for n in others}
         spoken = {n: s for n, s in scores.items() if np.isfinite(s)}
-        return calibrate(spoken, self.alpha, floor=0.0 if spoken else np.inf)
+        floor = 0.0 if spoken else np.inf
+        return calibrate(spoken, self.alpha, floor=floor, recordings=self.recordings)
 
     def best(self, kind: str, without: str | None = None) -> tuple[Baseline, float]:
-        """The parameters of ``kind`` that find most faults, then soonest, on all drives but ``without``; with
-        their threshold."""
+        """The parameters of ``kind`` that find most faults, then soonest, on all drives but the recording of
+        ``without``; with their threshold."""
 
         def merit(b: Baseline) -> tuple[int, float]:
             key = b, self.calibration(b, without).threshold
             cases = [
                 c
-                for name, table in self.cases.items()
-                if name != without and table
+                for name in self.recordings.others(self.cases, without)
+                if (table := self.cases[name])
                 for of in table[key].values()
                 for c in of
             ]
-            return sum(c.found for c in cases), -sum(FOUND_WITHIN_S if c.s is None else c.s for c in cases)
+            late = self.injection.within_s
+            return sum(c.found for c in cases), -sum(late if c.s is None else c.s for c in cases)
 
         b = max((b for b in GRID if b.kind == kind), key=merit)
         return b, self.calibration(b, without).threshold
@@ -158,7 +163,7 @@ def evaluate_baselines(study: BaselineStudy, rows: list[dict], seed: int) -> lis
             f.label: [
                 c for run, key in tuned.items() if study.cases[run] for c in study.cases[run][key][f.label]
             ]
-            for f in FAULTS
+            for f in study.injection.faults
         }
         table.append(
             {

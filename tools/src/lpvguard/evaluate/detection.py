@@ -1,17 +1,18 @@
 """Faults put into drives: from which instants, how time runs after them, and whether a detector found them.
 
-**Faults** are injected into drives longer than 120 s, from STARTS instants of each. The span from 60 s to the
-last instant that leaves 30 s of judged, excited driving is divided into STARTS equal parts. One instant is
-drawn in each (why several: tools/DESIGN_LOG.md).
+**Faults** are those of an Injection. They are injected into drives longer than ``shortest_s``, from
+``starts`` instants of each. The span from ``from_s`` to the last instant that leaves ``within_s`` of judged,
+excited driving is divided into so many equal parts. One instant is drawn in each (why several:
+tools/DESIGN_LOG.md).
 
 **Time** runs in judged, excited, in-range driving since the first faulty sample, which counts. Judged is the
 monitor's for all detectors, though a baseline may alarm outside of it. An alarm stands at the sample with
 which the core said so, not at the end of its frame.
 
-**Found**: the first alarm from the fault's start on comes within 30 s. It also comes before any alarm of the
-same detector on the untouched drive since that instant. An alarm that the untouched drive raises too does not
-count, nor does one that stands when the fault starts. The table also states how often the untouched drive
-alarms in the time allowed.
+**Found**: the first alarm from the fault's start on comes within ``within_s``. It also comes before any alarm
+of the same detector on the untouched drive since that instant. An alarm that the untouched drive raises too
+does not count, nor does one that stands when the fault starts. The table also states how often the untouched
+drive alarms in the time allowed.
 """
 
 from __future__ import annotations
@@ -24,44 +25,29 @@ import numpy as np
 from ..drives.faults import Fault, inject
 from ..drives.tables import Drive
 from ..replay.run import Replay
-
-FAULT_FROM_S = 60.0
-SHORTEST_FOR_FAULTS_S = 120.0
-FOUND_WITHIN_S = 30.0
-STARTS = 5
-FAULTS = (
-    Fault("gain", 0.6),
-    Fault("gain", -1.0),
-    Fault("freeze"),
-    Fault("input_delay", 0.3),
-    Fault("output_delay", 0.3),
-    Fault("gain", 0.7),
-    Fault("gain", 1.3),
-    Fault("bias", 0.05),
-    Fault("input_delay", 0.15),
-    Fault("output_delay", 0.15),
-)
+from ..vehicle.project import EvaluationSettings
 
 
 @dataclass(frozen=True)
 class JudgedClock:
     """Judged, excited, in-range seconds of a drive from its sample ``first`` on, that one included, (N,) at
-    every sample."""
+    every sample. ``within_s``: of them, until when a fault counts as found."""
 
     seconds: np.ndarray
     first: int
+    within_s: float
 
     @classmethod
-    def of(cls, replay: Replay, first: int) -> JudgedClock:
+    def of(cls, replay: Replay, first: int, within_s: float) -> JudgedClock:
         """The clock of a replayed drive, from its sample ``first`` on."""
         relevant = replay.judged & replay.in_range & replay.excited
         relevant[:first] = False
-        return cls(np.cumsum(relevant) * replay.Ts, first)
+        return cls(np.cumsum(relevant) * replay.Ts, first, within_s)
 
     @property
     def end(self) -> int:
         """Samples up to the last with which a fault is still found in time."""
-        return int(np.searchsorted(self.seconds, FOUND_WITHIN_S * (1 + 1e-9), side="right"))
+        return int(np.searchsorted(self.seconds, self.within_s * (1 + 1e-9), side="right"))
 
     def read(self, hits: np.ndarray) -> float | None:
         """The reading [s] at the first True of ``hits`` (N or fewer samples) from ``first`` on; None:
@@ -70,20 +56,57 @@ class JudgedClock:
         return float(self.seconds[self.first + found[0]]) if len(found) else None
 
 
-def fault_clocks(untouched: Replay, seed: int) -> list[JudgedClock]:
-    """One clock for each instant from which faults are injected into a drive; none where the drive does not
-    qualify."""
-    if untouched.duration_s <= SHORTEST_FOR_FAULTS_S:
-        return []
-    earliest = round(FAULT_FROM_S / untouched.Ts)
-    seconds = JudgedClock.of(untouched, earliest).seconds
-    latest = int(np.searchsorted(seconds, seconds[-1] - FOUND_WITHIN_S, side="right"))
-    if seconds[-1] < FOUND_WITHIN_S:
-        return []
-    # A stream of random numbers for each drive: the other drives make no difference.
-    random = np.random.default_rng([seed, zlib.crc32(untouched.name.encode())])
-    spans = (np.arange(STARTS) + random.uniform(size=STARTS)) / STARTS
-    return [JudgedClock.of(untouched, int(first)) for first in earliest + spans * max(0, latest - earliest)]
+@dataclass(frozen=True)
+class Injection:
+    """Which faults are put into drives, and when: the module's docstring. Times in seconds."""
+
+    from_s: float
+    shortest_s: float
+    within_s: float
+    starts: int
+    faults: tuple[Fault, ...]
+
+    @classmethod
+    def usual(cls) -> Injection:
+        """Of the settings' defaults, with a bias of 0.05."""
+        return cls.of(EvaluationSettings(bias=0.05), np.zeros(0))
+
+    @classmethod
+    def of(cls, settings: EvaluationSettings, spread: np.ndarray) -> Injection:
+        """That of a project file's settings; ``spread`` (n_y,): of the outputs."""
+        gains, delays = settings.gains, settings.delays_s
+        bias = (
+            Fault("bias", settings.bias_of_spread, tuple(map(float, spread)))
+            if settings.bias is None
+            else Fault("bias", settings.bias)
+        )
+        # The coarse ones first.
+        faults = [*(Fault("gain", g) for g in gains[:2]), Fault("freeze")]
+        faults += [Fault(kind, delays[0]) for kind in ("input_delay", "output_delay")]
+        faults += [*(Fault("gain", g) for g in gains[2:]), bias]
+        faults += [Fault(kind, d) for d in delays[1:] for kind in ("input_delay", "output_delay")]
+        times = (settings.fault_from_s, settings.shortest_drive_s, settings.found_within_s)
+        return cls(*times, settings.starts, tuple(faults))
+
+    def to_dict(self) -> dict:
+        """The times and the number of starts, JSON-able."""
+        return {k: v for k, v in vars(self).items() if k != "faults"}
+
+    def clocks(self, untouched: Replay, seed: int) -> list[JudgedClock]:
+        """One clock for each instant from which faults are injected into a drive; none where the drive does
+        not qualify."""
+        if untouched.duration_s <= self.shortest_s:
+            return []
+        earliest = round(self.from_s / untouched.Ts)
+        seconds = JudgedClock.of(untouched, earliest, self.within_s).seconds
+        latest = int(np.searchsorted(seconds, seconds[-1] - self.within_s, side="right"))
+        if seconds[-1] < self.within_s:
+            return []
+        # A stream of random numbers for each drive: the other drives make no difference.
+        random = np.random.default_rng([seed, zlib.crc32(untouched.name.encode())])
+        spans = (np.arange(self.starts) + random.uniform(size=self.starts)) / self.starts
+        firsts = earliest + spans * max(0, latest - earliest)
+        return [JudgedClock.of(untouched, int(first), self.within_s) for first in firsts]
 
 
 @dataclass(frozen=True)

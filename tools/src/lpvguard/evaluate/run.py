@@ -17,24 +17,23 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 
+import numpy as np
+
 from ..base.errors import InputError
 from ..base.parallel import Map
 from ..core.compiled import TESTS, Core
 from ..drives.tables import Experiment
-from ..identify.calibration import Calibration, calibrate, joint_scores
+from ..identify.calibration import Calibration, Recordings, calibrate, joint_scores
 from ..identify.energy import ROUNDING, EnergyTest
 from ..identify.passes import DriveReader
 from ..identify.run import DriveSet, StoredIdentification
 from ..replay.run import Replayer
+from ..vehicle.project import EvaluationSettings
 from .baseline_study import BaselineStudy, evaluate_baselines
 from .comparison import EXPORTED, MONITOR
 from .detection import (
-    FAULT_FROM_S,
-    FAULTS,
-    FOUND_WITHIN_S,
-    SHORTEST_FOR_FAULTS_S,
     FaultOutcome,
-    fault_clocks,
+    Injection,
     fault_rows,
     faulty_drive,
     ranking,
@@ -50,7 +49,7 @@ Found = dict[str, dict[str, list[FaultOutcome]]]
 
 
 def _evaluate_drive(
-    reader: DriveReader, core: Core, item: tuple[Experiment, dict[str, Calibration]]
+    reader: DriveReader, core: Core, injection: Injection, item: tuple[Experiment, dict[str, Calibration]]
 ) -> tuple[dict, Found]:
     """One drive with calibrations of its own for MONITOR, "frame" and "energy": its row, and per detector and
     fault what became of it from every start.
@@ -70,7 +69,7 @@ def _evaluate_drive(
     untouched = {replayer: replayer.replay(drive) for replayer in (together, apart)}
     replay = untouched[together]
     relevant, starts = replay.in_range & replay.excited, piece_starts(len(replay.judged), Ts)
-    clocks = fault_clocks(replay, project.seed)
+    clocks = injection.clocks(replay, project.seed)
     row = {
         "run": experiment.name,
         "driver": experiment.driver,
@@ -87,13 +86,13 @@ def _evaluate_drive(
         ),
         "fault_starts_s": [c.first * Ts for c in clocks],
     }
-    found: Found = {name: {f.label: [] for f in FAULTS} for name in detectors}
+    found: Found = {name: {f.label: [] for f in injection.faults} for name in detectors}
     for clock in clocks:
         first = {
             name: clock.read(alarming(untouched[replayer], test))
             for name, (replayer, test) in detectors.items()
         }
-        for fault in FAULTS:
+        for fault in injection.faults:
             faulty = {
                 replayer: replayer.replay(faulty_drive(drive, fault, clock, Ts)) for replayer in untouched
             }
@@ -115,11 +114,27 @@ def _stated(c: Calibration) -> dict:
     }
 
 
-def _without_faults(row: dict) -> str:
+def _without_faults(row: dict, injection: Injection) -> str:
     """Why no fault is injected into a drive."""
-    if row["duration_s"] <= SHORTEST_FOR_FAULTS_S:
-        return f"{row['duration_s']:.1f} s long, no more than {SHORTEST_FOR_FAULTS_S:g} s"
-    return f"less than {FOUND_WITHIN_S:g} s of judged, excited driving after {FAULT_FROM_S:g} s"
+    if row["duration_s"] <= injection.shortest_s:
+        return f"{row['duration_s']:.1f} s long, no more than {injection.shortest_s:g} s"
+    return f"less than {injection.within_s:g} s of judged, excited driving after {injection.from_s:g} s"
+
+
+def _variance(reader: DriveReader, experiment: Experiment) -> np.ndarray:
+    """Of the outputs of a drive, (n_y,)."""
+    return reader.read(experiment)[0].y.var(axis=0)
+
+
+def _injection(
+    stored: StoredIdentification, drives: DriveSet, settings: EvaluationSettings | None, workers: Map
+) -> Injection:
+    """That of the settings, with the outputs' spread within the bound-setting drives; None: the usual."""
+    if settings is None:
+        return Injection.usual()
+    setting = [drives.experiments[n] for n in stored.manifest["drives"]["bounds"]]
+    within = np.mean(list(workers(partial(_variance, drives.reader), setting)), axis=0)
+    return Injection.of(settings, np.sqrt(within))
 
 
 def one_rate(alphas: Iterable[float | None]) -> float | None:
@@ -153,12 +168,19 @@ def _scores(stored: StoredIdentification) -> dict[str, dict[str, float]]:
     return {MONITOR: joint_scores(frame, energy), "frame": frame, "energy": energy}
 
 
-def _left_one_out(scores: dict[str, dict[str, float]], alpha: float) -> dict[str, dict[str, Calibration]]:
-    """Per drive the calibrations by all others, of MONITOR and each test."""
+def _left_one_out(
+    scores: dict[str, dict[str, float]], alpha: float, recordings: Recordings
+) -> dict[str, dict[str, Calibration]]:
+    """Per drive the calibrations by all drives of other recordings, of MONITOR and each test."""
     floors = {MONITOR: 1.0 + ROUNDING, "frame": 1.0, "energy": 1.0 + ROUNDING}
     return {
         name: {
-            what: calibrate({k: v for k, v in of.items() if k != name}, alpha, floor=floors[what])
+            what: calibrate(
+                {k: of[k] for k in recordings.others(of, name)},
+                alpha,
+                floor=floors[what],
+                recordings=recordings,
+            )
             for what, of in scores.items()
         }
         for name in scores["frame"]
@@ -185,20 +207,24 @@ def evaluate(
     drives: DriveSet,
     core: Core,
     *,
+    settings: EvaluationSettings | None = None,
     workers: Map = map,
     progress: Callable[[str], None] = lambda _: None,
 ) -> dict:
     """Leave-one-drive-out evaluation, the drives mapped by ``workers`` (base/parallel.py); returns the
-    JSON-able table.
+    JSON-able table. ``settings``: of the faults; None: the usual ones.
 
     InputError without any judged drive beside those that set the bounds.
     """
     seed, scores = stored.project.seed, _scores(stored)
-    calibrations = _left_one_out(scores, stored.project.frame_test.alpha)
+    calibrations = _left_one_out(scores, stored.project.frame_test.alpha, stored.calibration.recordings)
+    injection = _injection(stored, drives, settings, workers)
     items = [(drives.experiments[name], of) for name, of in calibrations.items()]
     rows: list[dict] = []
-    cases: Found = {d: {f.label: [] for f in FAULTS} for d in (MONITOR, EXPORTED, *TESTS)}
-    evaluated: Iterator[tuple[dict, Found]] = workers(partial(_evaluate_drive, drives.reader, core), items)
+    cases: Found = {d: {f.label: [] for f in injection.faults} for d in (MONITOR, EXPORTED, *TESTS)}
+    evaluated: Iterator[tuple[dict, Found]] = workers(
+        partial(_evaluate_drive, drives.reader, core, injection), items
+    )
     for row, found in evaluated:
         progress(row["run"])
         rows.append(row | {"scores": {what: of.get(row["run"]) for what, of in scores.items()}})
@@ -208,17 +234,19 @@ def evaluate(
     baselines = []
     if len(rows) >= FEWEST_FOR_BASELINES:
         left_out = tuple(calibrations)
-        study = BaselineStudy(stored, drives, core, left_out=left_out, workers=workers, progress=progress)
+        study = BaselineStudy(
+            stored, drives, core, left_out=left_out, injection=injection, workers=workers, progress=progress
+        )
         baselines = evaluate_baselines(study, rows, seed)
-    return _table(stored, rows, cases, baselines, seed)
+    return _table(stored, rows, cases, baselines, injection)
 
 
 def _table(
-    stored: StoredIdentification, rows: list[dict], cases: Found, baselines: list[dict], seed: int
+    stored: StoredIdentification, rows: list[dict], cases: Found, baselines: list[dict], injection: Injection
 ) -> dict:
     """The object of `lpvguard evaluate --json`, from the drives' rows, the monitor's cases and the
     baselines'."""
-    scored = (MONITOR, *TESTS)
+    scored, seed = (MONITOR, *TESTS), stored.project.seed
     groups = {"all": rows} | {
         d: [r for r in rows if r["driver"] == d] for d in sorted({r["driver"] for r in rows})
     }
@@ -240,7 +268,8 @@ def _table(
         },
         "stated_rates": _stated_rates(rows, baselines, scored),
         "drives": rows,
-        "without_faults": {r["run"]: _without_faults(r) for r in rows if not r["fault_starts_s"]},
+        "injection": injection.to_dict(),
+        "without_faults": {r["run"]: _without_faults(r, injection) for r in rows if not r["fault_starts_s"]},
         "left_out": stored.manifest["drives"]["left_out"],
         "false_alarms": {g: _pieces(MONITOR, members, seed) for g, members in groups.items()},
         "faults": [row | {"best": names} for row, names in zip(faults, best, strict=True)],

@@ -40,7 +40,7 @@ from ..drives.frames import Estimator
 from ..engine.overbound.certificate import verify_overbound
 from ..engine.overbound.weight import Weight
 from ..vehicle.project import Project
-from .calibration import Calibration, calibrate
+from .calibration import NO_RECORDINGS, Calibration, Recordings, calibrate
 
 FAN_BITS = 4
 """2^4 directions for two outputs, evenly over the half circle in units of sigma."""
@@ -328,9 +328,16 @@ class EnergyTest:
         joint = np.maximum(1.0, needs["joint"])
         return replace(self, sigma=self.sigma * joint[:, None], joint=joint)
 
-    def calibrated(self, scores: dict[str, float], alpha: float) -> EnergyTest:
+    def calibrated(
+        self,
+        scores: dict[str, float],
+        alpha: float,
+        recordings: Recordings = NO_RECORDINGS,
+    ) -> EnergyTest:
         """With the threshold from the scores of calibration drives."""
-        return replace(self, calibration=calibrate(scores, alpha, floor=1.0 + ROUNDING))
+        return replace(
+            self, calibration=calibrate(scores, alpha, floor=1.0 + ROUNDING, recordings=recordings)
+        )
 
     def coefficients(self) -> tuple[dict[str, int], dict[str, int], dict[str, np.ndarray]]:
         """Sizes, words and numbers of coeff.h."""
@@ -384,5 +391,5 @@ class EnergyTest:
             sigma=np.array(data["sigma"]),
             start=np.array(data["start"]),
             joint=np.array(data["joint"]),
-            calibration=Calibration(**data["calibration"]),
+            calibration=Calibration.from_dict(data["calibration"]),
         )

@@ -47,7 +47,7 @@ from ..fit.quality import Quality
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, parse_project
 from .bounds import FRONT_POINTS, Bounds, Part, fold, front_grid
-from .calibration import Calibration, calibrate
+from .calibration import Calibration, Recordings, calibrate
 from .energy import EnergyTest
 from .model_error import FOLDS, ErrorGrid, ModelError, Sums, model_error_pass
 from .model_fit import drive_fit, require_better_than_none
@@ -268,11 +268,12 @@ class _Run:
         """Weights with their final inflation, and both tests with their thresholds; the plain DFT has no
         energy test."""
         project, model, estimator = self.reader.project, self.reader.model, self.reader.estimator
-        alpha = project.frame_test.alpha
+        alpha, recordings = project.frame_test.alpha, Recordings.listed(drives.setting, drives.others)
         if estimator.window != "hann":
             inflated = self._inflated(weights, None, drives)
             scores, _ = self._scores(weights, None, None, drives)
-            return inflated, calibrate({n: s / inflated.inflation for n, s in scores.items()}, alpha), None
+            scores = {n: s / inflated.inflation for n, s in scores.items()}
+            return inflated, calibrate(scores, alpha, recordings=recordings), None
         filters = energy_filters(project, estimator, weights)
         with _scratch_core(
             project, coefficients_of(project, model, estimator, weights, 1.0, filters)
@@ -281,7 +282,11 @@ class _Run:
             test = self._energy_test(inflated, drives)
             reals = coefficients_of(project, model, estimator, inflated, 1.0, test).flat_reals()
             scores, energy_scores = self._scores(weights, core, reals, drives)
-            return inflated, calibrate(scores, alpha), test.calibrated(energy_scores, alpha)
+            return (
+                inflated,
+                calibrate(scores, alpha, recordings=recordings),
+                test.calibrated(energy_scores, alpha, recordings),
+            )
 
     @property
     def met(self) -> Excitation:
@@ -336,6 +341,24 @@ class _Run:
         return scores, energy_scores
 
 
+def _hashes(experiments: list[Experiment], workers: Map, folder: Path) -> dict[str, str]:
+    """SHA-256 of every drive's table; InputError where two are the same: one drive would count twice."""
+    found: dict[str, str] = {}
+    first: dict[str, str] = {}
+    for e, digest in zip(
+        experiments, workers(artefacts.file_hash, [e.path for e in experiments]), strict=False
+    ):
+        if digest in first:
+            raise InputError(
+                folder / EXPERIMENTS,
+                "column experiment",
+                f"{e.name} is the same table as {first[digest]}, byte for byte",
+                "every drive once",
+            )
+        found[e.name], first[digest] = digest, e.name
+    return found
+
+
 def _of_commands(project: Project, setting: list[Experiment], parts: list[Part], folder: Path) -> Part:
     """The parts of the bound-setting drives that W_C is from, joined; InputError when there is none."""
     splits = project.data.command_splits
@@ -361,6 +384,7 @@ def identify(
     experiments = list_experiments(Path(folder))
     drives = DriveSet(project, model, experiments)
     estimator, run = drives.reader.estimator, _Run(drives.reader, workers, progress)
+    hashes = _hashes(experiments, workers, Path(folder))
     chosen = _Chosen.by_split(project, experiments, Path(folder))
     model_fit = list(run.over("model", partial(drive_fit, drives.reader), chosen.setting))
     require_better_than_none(project, model_fit, Path(folder))
@@ -383,7 +407,6 @@ def identify(
     met = run.met
     progress("window error")
     found = weights.at(estimator.omega)[0] / weights.inflation
-    hashes = workers(artefacts.file_hash, [e.path for e in experiments])
     result = Identification(
         project=project,
         model=model,
@@ -401,7 +424,7 @@ def identify(
         calibration_drives=list(calibration.scores),
         noise_drives=[e.name for e in chosen.noise],
         left_out=run.left_out,
-        sha256=dict(zip(drives.experiments, hashes, strict=False)),
+        sha256=hashes,
         model_fit=model_fit,
     )
     return result, drives
@@ -525,7 +548,7 @@ def load(folder: Path) -> StoredIdentification:
     project = parse_project(artefacts.read_json(folder / "project.json"), str(folder / "project.json"))
     bounds = {k: np.array(v, float) for k, v in artefacts.read_json(folder / "bounds.json").items()}
     weights = artefacts.read_json(folder / "weights.json")
-    calibration = Calibration(**artefacts.read_json(folder / "calibration.json"))
+    calibration = Calibration.from_dict(artefacts.read_json(folder / "calibration.json"))
     model = NominalModel(project)
     estimator = Estimator.of(project, model)
     if manifest["estimator_id"] != estimator.identifier():

@@ -23,10 +23,10 @@ from ..can.logs import Frames, Series, Table, read_log, stem
 from ..drives.frames import Estimator
 from ..drives.ingest import Inputs, write_tables
 from ..drives.signal_map import SignalMap
-from ..drives.tables import Drive, read_drive
+from ..drives.tables import Drive, index_text, read_drive
 from ..drives.units import unit_factor
 from ..vehicle.nominal import NominalModel
-from ..vehicle.project import Project, parse_project
+from ..vehicle.project import EvaluationSettings, Project, parse_project
 from .signals import ROLES, SI, Proposal, Recording, proposed, rolled_length
 from .templates import TEMPLATES, Scale
 
@@ -83,26 +83,25 @@ def new(
             SignalMap.model_validate(tomllib.loads(signals)),
             Path("signals.toml"),
         )
-        names: list[str] = []
+        names: dict[str, str] = {}
         for path in logs:
             if stem(path) not in kept:
                 continue
             try:
                 report = write_tables(path, given, folder / "drives")
-                names += [Path(d["file"]).stem for d in report["drives"]]
+                names |= {Path(d["file"]).stem: stem(path) for d in report["drives"]}
             except InputError as error:
                 left_out[stem(path)] = str(error)
         project, text, notes = _project(
-            name, model, (proposals, limits), folder / "drives", names, Ts, wheelbase_m
+            name, model, (proposals, limits), folder / "drives", list(names), Ts, wheelbase_m
         )
         splits = _splits(project, folder / "drives", names)
-        index = "experiment,split\n" + "".join(f"{n},{s}\n" for n, s in splits.items())
         artefacts.write_files(
             folder,
             {
                 f"{name}.toml": text,
                 "signals.toml": signals,
-                "drives/experiments.csv": index,
+                "drives/experiments.csv": index_text((n, s, names[n]) for n, s in splits.items()),
                 artefacts.MANIFEST: artefacts.manifest(
                     "new", vehicle=name, inputs={p.name: artefacts.file_hash(p) for p in logs}
                 ),
@@ -266,6 +265,7 @@ def _project(
     if best is None:
         raise InputError("new", "", f"a sample time of {Ts:g} s leaves no frames", "a faster log")
     project, text, (f_min, tolerance), judged = best
+    text += _evaluation(float(np.median([d.duration_s for d in drives])))
     notes = [
         f"{len(drives)} drives, {sum(d.duration_s for d in drives):.0f} s, at {1 / Ts:g} Hz",
         f"frames from {f_min:g} to {project.frames.f_max_hz:g} Hz, speed within {tolerance:.0%} of a frame's "
@@ -380,9 +380,30 @@ def _text(
     return "\n".join(lines) + "\n"
 
 
-def _splits(project: Project, folder: Path, names: list[str]) -> dict[str, str]:
-    """Every second drive in the order of mean speed sets the bounds, so that both halves see all speeds; a
-    single one does."""
-    mean = {n: float(read_drive(folder / f"{n}.csv", project).v.mean()) for n in names}
-    order = sorted(names, key=lambda n: (mean[n], n))
-    return {n: "train" if order.index(n) % 2 == 0 else "valid" for n in names}
+def _evaluation(median_s: float) -> str:
+    """The section of a project file for `evaluate`, for drives of which half last ``median_s`` or longer."""
+    usual = EvaluationSettings()
+    quarter = min(median_s / 4, usual.found_within_s)
+    begin, shortest = (
+        min(most, share * median_s)
+        for most, share in ((usual.fault_from_s, 0.25), (usual.shortest_drive_s, 0.6))
+    )
+    return f"""
+# Faults that evaluate injects: from a quarter of the median drive on, where time is left to find them.
+[evaluation]
+fault_from_s = {begin:.3g}
+shortest_drive_s = {shortest:.3g}
+found_within_s = {quarter:.3g}      # of judged, excited driving
+bias_of_spread = {usual.bias_of_spread:g}      # of the output's standard deviation within a drive
+"""
+
+
+def _splits(project: Project, folder: Path, names: dict[str, str]) -> dict[str, str]:
+    """Every second recording in the order of mean speed sets the bounds, so that both halves see all speeds;
+    of a single one every second drive. ``names``: drive -> recording."""
+    by = names if len(set(names.values())) > 1 else {n: n for n in names}
+    speeds: dict[str, list[np.ndarray]] = {}
+    for n in names:
+        speeds.setdefault(by[n], []).append(read_drive(folder / f"{n}.csv", project).v)
+    order = sorted(speeds, key=lambda r: (float(np.concatenate(speeds[r]).mean()), r))
+    return {n: "train" if order.index(by[n]) % 2 == 0 else "valid" for n in names}

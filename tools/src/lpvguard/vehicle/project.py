@@ -238,6 +238,32 @@ class FitSettings(StrictModel):
         return self
 
 
+class EvaluationSettings(StrictModel):
+    """Which faults `evaluate` injects, and when; no part of what an identification was made with.
+
+    Faults begin ``fault_from_s`` after a drive's start or later, at ``starts`` instants of each drive that is
+    longer than ``shortest_drive_s``, and count as found within ``found_within_s`` of judged, excited driving.
+    ``gains``: factors on the outputs; ``delays_s``: of the input and of the outputs; ``bias``: on every
+    output, in its unit, or ``bias_of_spread`` of the output's own spread, the standard deviation within the
+    bound-setting drives.
+    """
+
+    fault_from_s: Annotated[float, Field(ge=0)] = 60.0
+    shortest_drive_s: Positive = 120.0
+    found_within_s: Positive = 30.0
+    starts: Annotated[int, Field(ge=1, le=100)] = 5
+    gains: Annotated[tuple[float, ...], Field(min_length=1)] = (0.6, -1.0, 0.7, 1.3)
+    delays_s: Annotated[tuple[Positive, ...], Field(min_length=1)] = (0.3, 0.15)
+    bias: Positive | None = None
+    bias_of_spread: Positive = 0.5
+
+    @model_validator(mode="after")
+    def _long_enough(self) -> EvaluationSettings:
+        if self.shortest_drive_s < self.fault_from_s + self.found_within_s:
+            raise ValueError("evaluation.shortest_drive_s: at least fault_from_s + found_within_s")
+        return self
+
+
 class DesignSettings(StrictModel):
     """Step 8: objectives of Fig. 1 and the scheduled controller. W_t, W_u: gain A_t, A_u and the paper's
     break frequencies.
@@ -299,6 +325,7 @@ class Project(StrictModel):
     data: DataSettings
     design: DesignSettings | None = None
     fit: FitSettings = Field(default=FitSettings(), exclude=True)
+    evaluation: EvaluationSettings = Field(default=EvaluationSettings(), exclude=True)
 
     @model_validator(mode="after")
     def _consistent(self) -> Project:

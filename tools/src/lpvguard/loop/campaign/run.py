@@ -22,6 +22,7 @@ from ...core.compiled import Core
 from ...evaluate.baseline_study import BaselineStudy
 from ...evaluate.baselines import KINDS as BASELINE_KINDS
 from ...evaluate.baselines import Baseline
+from ...evaluate.detection import Injection
 from ...identify.run import DriveSet, Progress, StoredIdentification
 from ...replay.run import Replayer
 from ..sim import Simulator
@@ -132,7 +133,15 @@ def _tune(
     stored: StoredIdentification, drives: DriveSet, core: Core, workers: Map, progress: Progress
 ) -> dict[str, Any]:
     """The content of baselines.json: scales, alpha, and per kind the best parameters with their threshold."""
-    study = BaselineStudy(stored, drives, core, left_out=(None,), workers=workers, progress=progress)
+    study = BaselineStudy(
+        stored,
+        drives,
+        core,
+        left_out=(None,),
+        injection=Injection.usual(),
+        workers=workers,
+        progress=progress,
+    )
     chosen = [study.best(kind) for kind in BASELINE_KINDS]
     return {
         "scales": asdict(study.bank.scales),

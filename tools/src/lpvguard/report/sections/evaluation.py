@@ -6,7 +6,6 @@ from html import escape
 
 from ...core.compiled import TESTS
 from ...evaluate.comparison import EXPORTED, MONITOR, DetectorColumn, columns, detector_rows, equal_rates
-from ...evaluate.detection import FAULT_FROM_S, FOUND_WITHIN_S, SHORTEST_FOR_FAULTS_S, STARTS
 from ...evaluate.false_alarms import PIECE_S
 from ..markup import captioned, html_table, number
 from ..pictures.detectors import SOONEST_S, time_to_find
@@ -110,14 +109,14 @@ def _drive_table(evaluation: dict) -> str:
     )
 
 
-def _time_to_find(faults: list[dict]) -> str:
+def _time_to_find(faults: list[dict], within_s: float) -> str:
     """Picture of the times to find injected faults; empty when no fault was injected."""
     if not any(row["cases"] for row in faults):
         return ""
     return captioned(
-        time_to_find("f7", faults, FOUND_WITHIN_S),
+        time_to_find("f7", faults, within_s),
         "<b>Time to find.</b> A mark per start in a drive: judged, excited driving from the fault's start to "
-        f"the alarm that it caused. Crosses: not within {FOUND_WITHIN_S:g} s (dashed). Times below "
+        f"the alarm that it caused. Crosses: not within {within_s:g} s (dashed). Times below "
         f"{SOONEST_S:g} s stand there. Right: found of all.",
     )
 
@@ -129,6 +128,8 @@ def _injected_faults(evaluation: dict) -> str:
         t: f"{t} test alone" for t in TESTS
     }
     detectors, rates = columns(evaluation), evaluation["stated_rates"]
+    injected = evaluation["injection"]
+    times = _time_to_find(evaluation["faults"], injected["within_s"])
     exported = (
         f"as exported the two thresholds together allow at most {rates[EXPORTED]:g}"
         if rates[EXPORTED] is not None
@@ -138,15 +139,15 @@ def _injected_faults(evaluation: dict) -> str:
     compared = equal_rates({titles[name]: rates[name] for name in (MONITOR, *TESTS)})
     table = _detectors({title: detectors[name] for name, title in titles.items()})
     return f"""<h3>Injected faults</h3>
-<p>Injected into {tried} of {len(evaluation["drives"])} drives, those longer than {SHORTEST_FOR_FAULTS_S:g} \
-s, from {STARTS} instants of each after {FAULT_FROM_S:g} s, drawn so that
-{FOUND_WITHIN_S:g} s of judged, excited driving follow. Found: the first alarm from then on comes within \
-{FOUND_WITHIN_S:g} s of such driving and
+<p>Injected into {tried} of {len(evaluation["drives"])} drives, those longer than {injected["shortest_s"]:g} \
+s, from {injected["starts"]} instants of each after {injected["from_s"]:g} s, drawn so that
+{injected["within_s"]:g} s of judged, excited driving follow. Found: the first alarm from then on comes \
+within {injected["within_s"]:g} s of such driving and
 before any that the same detector raises on the untouched drive; an alarm counts when the core says so, \
 which for a frame is after its
 end. A cell: starts from which the fault was found, of all (drives in which from every start), and the \
 median time, a miss counting as
-later than all. Not into {without or "none left"}.</p>{_time_to_find(evaluation["faults"])}{table}
+later than all. Not into {without or "none left"}.</p>{times}{table}
 <p>Both tests at one threshold (an alarm by either counts) and each test alone are compared
 {escape(compared)}; {exported}.</p>"""
 

@@ -59,10 +59,11 @@ def _claim(stored: StoredIdentification) -> str:
     """What the threshold of the frame test promises."""
     calibration = stored.calibration
     if calibration.alpha is None:
-        return "not stated: too few calibration drives; the threshold is the largest score"
+        return f"{calibration.claim()}; the threshold is the largest score"
+    one = "recording" if calibration.recordings.of else "drive"
     return (
-        f"{calibration.alpha:g}: a further drive, exchangeable with the {len(calibration.scores)} "
-        f"calibration drives, alarms with probability at most {calibration.alpha:g} (on average over "
+        f"{calibration.alpha:g}: a further {one}, exchangeable with the {calibration.units()} that "
+        f"calibrate, alarms with probability at most {calibration.alpha:g} (on average over "
         "calibration sets)" + (", by each test; by either, at most twice that" if stored.energy else "")
     )
 
