@@ -218,16 +218,21 @@ def conduct(
     columns (N,), of the truck left alone and of the loop."""
     u, Ts = drive.u[:, 0], simulator.project.Ts_s
     line = steady_line(u, Ts, drawn.command.highest)
-    limit = np.interp(drive.v, simulator.nodes, simulator.u_max[:, 0])
     error = loop["wanted_radps"] - loop["yaw_rate_radps"]
     return {
         "line_bar": line.bar,
         "line_radps": line.radps,
-        "limited_stretch_s": longest_stretch(np.abs(u) >= AT_LIMIT * limit, Ts),
+        "limited_stretch_s": limited_stretch(simulator, drive),
         "wanted_rms_radps": rms_up_to(loop["wanted_radps"], TELEMETRY_S, STEERING_RADPS),
         "error_rms_radps": rms_up_to(error, TELEMETRY_S, STEERING_RADPS),
         "free_rms_radps": rms_up_to(free["yaw_rate_radps"], TELEMETRY_S, STEERING_RADPS),
     }
+
+
+def limited_stretch(simulator: Simulator, drive: Drive) -> float:
+    """Longest time [s] that the demand of ``drive`` is at the controller's limit."""
+    limit = np.interp(drive.v, simulator.nodes, simulator.u_max[:, 0])
+    return longest_stretch(np.abs(drive.u[:, 0]) >= AT_LIMIT * limit, simulator.project.Ts_s)
 
 
 def read_telemetry(path: Path) -> dict[str, np.ndarray]:
