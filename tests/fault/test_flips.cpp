@@ -6,12 +6,12 @@
 //     a flip in the coefficients is found within two rounds of LPVG_ECU_ROUND_US; then the verdict is fault and the demand zero
 //     while the vehicle's gain is at 0.3, none is valid and engaged 30 s after the flip, and none is valid a hold time after that
 //
-// Every STRIDE-th bit, a different one at each time; all of them with LPVGUARD_FULL in the environment.
+// Every STRIDE-th bit, a different one at each time; all of them with LPVGUARD_FULL=1.
 #include "../catch.hpp"
+#include "../long_form.hpp"
 
 #include <cmath>
 #include <cstdio>
-#include <cstdlib>
 #include <cstring>
 #include <memory>
 
@@ -28,8 +28,6 @@ const lpvg_ecu_config_t config = {true, 0U, 0U, {2.07F, 5.0F, 1.5F, 0.15F, 100U}
 
 lpvg_coeff_t model_coeff;
 lpvg_control_coeff_t control_coeff;
-
-bool full() { return std::getenv("LPVGUARD_FULL") != nullptr; }
 
 // The ECU in the loop with its nominal model. Copies run on from where they were made.
 class Loop {
@@ -123,7 +121,7 @@ void flip(void* object, std::size_t bit) { static_cast<unsigned char*>(object)[b
 // Runs that differ in one bit from a good one.
 class Campaign {
 public:
-    Campaign(std::size_t time, std::size_t stride) : stride_(full() ? 1U : stride), first_(time % stride_) { start_.run(time); }
+    Campaign(std::size_t time, std::size_t stride) : stride_(long_form() ? 1U : stride), first_(time % stride_) { start_.run(time); }
 
     // For each bit of n_bytes of an object, `object` of a copy of the loop: `flipped` looks at the copy.
     template <class Object, class Look>

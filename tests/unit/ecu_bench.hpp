@@ -55,12 +55,13 @@ public:
 
     // A step at a time of the bus, with the frames since the newest one that was taken.
     void step_at(int64_t t_us) {
-        std::vector<lpvg_can_frame_t>& in = kept_;
+        std::vector<lpvg_can_frame_t>& in = frames;
         in.insert(in.end(), late_.begin(), late_.end());
         late_.clear();
         for (; next_frame_us <= t_us; next_frame_us += tick_us) {
             send(in, next_frame_us);
         }
+        handed = in;
         const size_t n_in = in.size();
         lpvg_can_frame_t behind{};  // what lies behind the frames handed over is not looked at
         behind.id = LPVG_CAN_ERROR | LPVG_CAN_BUS_OFF;
@@ -97,12 +98,13 @@ public:
     bool engaged() const { return ecu.control.engaged; }
 
     lpvg_ecu_t ecu;
+    std::vector<lpvg_can_frame_t> frames, handed;  // since the newest step that was taken; of the newest call
     lpvg_can_vdc2_t newest_vdc2{};
     lpvg_status_t status = lpvg_status_ok;
     int64_t k = 0;
     int64_t now_us = 0, next_frame_us = 0;  // true time of the newest step, and of the next frames
     int64_t clock_off_us = 0;               // the steps' clock less true time
-    float speed = 12.0F, yaw_rate = 0.0F, lateral = 0.0F, command = 0.05F;
+    float speed = 12.0F, yaw_rate = 0.0F, lateral = 0.0F, wheel_angle = 0.0F, command = 0.05F;
     float pressure = 0.0F, pedal_percent = 0.0F;
     uint8_t early_request = LPVG_BUS_REQUEST_RELEASE, request = LPVG_BUS_REQUEST_CONTROL, other_priority = 0U, abs_active = 0U;
     bool send_vdc2 = true, send_guard_in = true, send_ebc2 = true, send_ebc1 = true, spoil_guard_in = false, brakes_work = true,
@@ -117,7 +119,7 @@ private:
         lpvg_can_frame_t frame{};
         frame.t_us = t_us + clock_off_us;
         lpvg_can_vdc2_t vdc2{};
-        vdc2.steering_wheel_angle = lpvg_can_vdc2_steering_wheel_angle_encode(0.0F);
+        vdc2.steering_wheel_angle = lpvg_can_vdc2_steering_wheel_angle_encode(20.0F * wheel_angle);
         vdc2.yaw_rate = lpvg_can_vdc2_yaw_rate_encode(yaw_rate);
         vdc2.lateral_acceleration = lpvg_can_vdc2_lateral_acceleration_encode(lateral);
         vdc2.longitudinal_acceleration = lpvg_can_vdc2_longitudinal_acceleration_encode(0.0F);
@@ -191,7 +193,7 @@ private:
         }
     }
 
-    std::vector<lpvg_can_frame_t> kept_, late_;
+    std::vector<lpvg_can_frame_t> late_;
     uint8_t counter_ = 0;
 };
 
