@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
@@ -56,6 +57,20 @@ def parser(name: str, description: str | None) -> argparse.ArgumentParser:
         help="write the numbers as JSON; - is standard output",
     )
     return made
+
+
+def numbers_of(
+    bench: str, option: str, given: str, good: Callable[[float], bool], expected: str
+) -> list[float]:
+    """The numbers of an option, comma between; InputError with what is ``expected`` unless all are
+    ``good``."""
+    try:
+        found = [float(word) for word in given.split(",")]
+    except ValueError:
+        found = []
+    if not found or not all(map(good, found)):
+        raise InputError(f"bench {bench}", option, repr(given), f"{expected}, comma between")
+    return found
 
 
 def show(text: str, value: Any, json_out: tuple[str, str] | None) -> None:

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from ..base.errors import InputError
 from ..base.parallel import Map, workers
 from ..control import design
 from ..control.plants import design_settings, frozen_plant
@@ -27,7 +26,7 @@ from ..identify import run as identify
 from ..identify.run import StoredIdentification
 from ..loop.response import frequency_response
 from ..loop.sim import Simulator, load_scenario
-from . import parser, show
+from . import numbers_of, parser, show
 
 DRAWS = 500
 SPEEDS = 12
@@ -80,13 +79,7 @@ def amplitudes(given: str | None, of_project: Sequence[float] | None) -> list[fl
     all are positive numbers."""
     if given is None:
         return list(of_project or AMPLITUDES_BAR)
-    try:
-        asked = [float(word) for word in given.split(",")]
-    except ValueError:
-        asked = []
-    if not asked or not all(0 < u < np.inf for u in asked):
-        raise InputError("bench robust", "--amplitudes", repr(given), "positive numbers, comma between")
-    return asked
+    return numbers_of("robust", "--amplitudes", given, lambda u: 0 < u < np.inf, "positive numbers")
 
 
 def certified_runs(

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from ..base.errors import InputError
 from ..base.parallel import Map, workers
 from ..loop.campaign.conduct import (
     LEAST_BAR,
@@ -31,7 +30,7 @@ from ..loop.campaign.faults import VARIATION
 from ..loop.campaign.one_run import limited_stretch
 from ..loop.campaign.scenarios import STEERING_RMS, Command, Drawn
 from ..loop.sim import Simulator
-from . import parser, show
+from . import numbers_of, parser, show
 
 TRUCKS = (
     *(("brake_gain_ratio", x) for x in (0.75, 0.85, 0.95, 1.0, 1.05, 1.15, 1.25)),
@@ -62,13 +61,7 @@ def numbers(option: str, given: str | None, otherwise: Sequence[float]) -> list[
     """The numbers of an ``option``; InputError unless all are finite and not negative."""
     if given is None:
         return list(otherwise)
-    try:
-        found = [float(word) for word in given.split(",")]
-    except ValueError:
-        found = []
-    if not found or not all(0 <= x < np.inf for x in found):
-        raise InputError("bench steer", option, repr(given), "numbers from 0 on, comma between")
-    return found
+    return numbers_of("steer", option, given, lambda x: 0 <= x < np.inf, "numbers from 0 on")
 
 
 def steered(
