@@ -132,6 +132,8 @@ def _injection(
     """That of the settings, with the outputs' spread within the bound-setting drives; None: the usual."""
     if settings is None:
         return Injection.usual()
+    if settings.bias is not None:
+        return Injection.of(settings, np.zeros(0))
     setting = [drives.experiments[n] for n in stored.manifest["drives"]["bounds"]]
     within = np.mean(list(workers(partial(_variance, drives.reader), setting)), axis=0)
     return Injection.of(settings, np.sqrt(within))

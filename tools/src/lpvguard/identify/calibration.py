@@ -106,7 +106,7 @@ class Calibration:
                 f"alpha {self.alpha:g} from {self.units()}, with 95 % confidence below "
                 f"{self.conditional_bound:.3f}"
             )
-        if not self.recordings.of and not self.recordings.setting:
+        if self.recordings == NO_RECORDINGS:
             return f"alpha is not stated: too few calibration drives ({len(self.scores)})"
         beside = sum(self.recordings.named(d) in self.recordings.setting for d in self.scores)
         return (

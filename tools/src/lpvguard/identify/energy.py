@@ -40,7 +40,7 @@ from ..drives.frames import Estimator
 from ..engine.overbound.certificate import verify_overbound
 from ..engine.overbound.weight import Weight
 from ..vehicle.project import Project
-from .calibration import NO_RECORDINGS, Calibration, Recordings, calibrate
+from .calibration import Calibration, Recordings, calibrate
 
 FAN_BITS = 4
 """2^4 directions for two outputs, evenly over the half circle in units of sigma."""
@@ -328,12 +328,7 @@ class EnergyTest:
         joint = np.maximum(1.0, needs["joint"])
         return replace(self, sigma=self.sigma * joint[:, None], joint=joint)
 
-    def calibrated(
-        self,
-        scores: dict[str, float],
-        alpha: float,
-        recordings: Recordings = NO_RECORDINGS,
-    ) -> EnergyTest:
+    def calibrated(self, scores: dict[str, float], alpha: float, recordings: Recordings) -> EnergyTest:
         """With the threshold from the scores of calibration drives."""
         return replace(
             self, calibration=calibrate(scores, alpha, floor=1.0 + ROUNDING, recordings=recordings)
