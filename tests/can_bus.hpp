@@ -23,6 +23,7 @@ public:
         lpvg_can_guard_in_t in{};
         in.dp_measured = lpvg_can_guard_in_dp_measured_encode(0.5F);
         in.yaw_rate_command = lpvg_can_guard_in_yaw_rate_command_encode(0.05F);
+        in.control_request = 1U;
         packed_ = packed_ && lpvg_can_guard_in_pack(&in, &guard_in_) == lpvg_status_ok;
     }
 

@@ -19,7 +19,7 @@ typedef struct firmware_t {
     uint32_t send_failures; /* saturating */
 } firmware_t;
 
-/* The configuration that the simulator and the targets run: engaged when the bus is live, findings are reported only. */
+/* The configuration that the simulator and the targets run: engagement is asked for, and every cause releases. */
 extern const lpvg_ecu_config_t firmware_config;
 
 /* Starts with the vehicle that is linked in. Returns what lpvg_ecu_init says, bad_argument for NULL. */

@@ -29,9 +29,10 @@ using lpvguard_plant::UsageError;
 
 class LocalEcu final : public EcuNode {
 public:
-    LocalEcu(const bus_t* bus, bool engage) {
+    LocalEcu(const bus_t* bus, const EcuOptions& options) {
         lpvg_ecu_config_t config = firmware_config;
-        config.engage = engage;
+        config.engage = options.engage;
+        config.report_only = options.report_only ? LPVG_ECU_CAUSES_OPTIONAL : config.report_only;
         if (firmware_init(&firmware_, bus, &config, 0) != lpvg_status_ok) {
             throw UsageError("the core refused its coefficients");
         }
@@ -107,7 +108,7 @@ private:
 
 class RemoteEcu final : public EcuNode {
 public:
-    RemoteEcu(const std::string& program, const std::string& interface, bool engage, CountedBus& bus) : bus_(bus) {
+    RemoteEcu(const std::string& program, const std::string& interface, const EcuOptions& options, CountedBus& bus) : bus_(bus) {
         int pair[2];
         if (::socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, pair) != 0) {
             throw std::runtime_error(std::string("socketpair: ") + std::strerror(errno));
@@ -118,7 +119,10 @@ public:
         posix_spawn_file_actions_init(&actions);
         posix_spawn_file_actions_adddup2(&actions, pair[1], line_of_child);  // also without close-on-exec when they are the same
         std::vector<std::string> words = {
-            program, interface, "--engage", engage ? "yes" : "no", "--time-line", std::to_string(line_of_child)};
+            program, interface, "--engage", options.engage ? "yes" : "no", "--time-line", std::to_string(line_of_child)};
+        if (options.report_only) {
+            words.insert(words.end(), {"--reactions", "report"});
+        }
         std::vector<char*> argv;
         for (std::string& word : words) {
             argv.push_back(word.data());
@@ -189,12 +193,12 @@ private:
 
 }  // namespace
 
-Nodes open_nodes(const std::string& bus, const std::string& program, bool engage) {
+Nodes open_nodes(const std::string& bus, const std::string& program, const EcuOptions& options) {
     Nodes nodes;
     if (!program.empty()) {
         const std::string interface = socketcan_interface(bus);
         auto remote = std::make_unique<RemoteBus>(interface);
-        nodes.ecu = std::make_unique<RemoteEcu>(program, interface, engage, remote->counted());
+        nodes.ecu = std::make_unique<RemoteEcu>(program, interface, options, remote->counted());
         nodes.bus = std::move(remote);
         return nodes;
     }
@@ -203,7 +207,7 @@ Nodes open_nodes(const std::string& bus, const std::string& program, bool engage
     } else {
         nodes.bus = std::make_unique<SocketCanBus>(socketcan_interface(bus));
     }
-    nodes.ecu = std::make_unique<LocalEcu>(nodes.bus->end(LoopBus::ecu), engage);
+    nodes.ecu = std::make_unique<LocalEcu>(nodes.bus->end(LoopBus::ecu), options);
     return nodes;
 }
 

@@ -38,8 +38,13 @@ struct Nodes {
     std::unique_ptr<EcuNode> ecu;
 };
 
+struct EcuOptions {
+    bool engage = true;
+    bool report_only = false;  ///< What the configuration may only report does not release.
+};
+
 /// `bus`: memory or socketcan:INTERFACE. `program`: empty, or the executable lpvguard_ecu, for a process of its own (SocketCAN).
 /// Throws lpvguard_plant::UsageError for anything else, what cannot be opened, and coefficients that the core refuses.
-Nodes open_nodes(const std::string& bus, const std::string& program, bool engage);
+Nodes open_nodes(const std::string& bus, const std::string& program, const EcuOptions& options);
 
 }  // namespace lpvguard_sim

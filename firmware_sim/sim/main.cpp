@@ -1,9 +1,11 @@
 // main.cpp -- lpvguard_sim: one scenario of the closed loop over CAN frames; what happened goes to standard output as JSON.
 //
 //   lpvguard_sim SCENARIO --parameters TRUCK.toml [--seed N] [--bus memory|socketcan:INTERFACE] [--engage yes|no]
-//                [--ecu PROGRAM] [--pace X] [--log F] [--frames F] [--drive F] [--telemetry F]
+//                [--reactions release|report] [--ecu PROGRAM] [--pace X] [--log F] [--frames F] [--drive F] [--telemetry F]
 //                [--lcm URL [--start running|paused] [--applied F]]
 //
+//   --reactions  report: what the configuration may only report (LPVG_ECU_CAUSES_OPTIONAL) does not release, so that the loop goes on
+//                behind a finding (default: release, as the firmware is configured)
 //   --ecu        the ECU's firmware is this program (lpvguard_ecu), a process of its own on the same CAN interface, in lock-step by
 //                simulated time. What it says is then read off the bus and the time line, and --drive stays empty.
 //   --pace       at most X times real time (default: as fast as it goes)
@@ -54,7 +56,8 @@ void require_written(const OutputFile& file) {
 int run(int argc, char** argv) {
     if (argc < 2 || std::strncmp(argv[1], "--", 2) == 0) {
         throw UsageError(
-            "usage: lpvguard_sim SCENARIO --parameters TRUCK.toml [--seed N] [--engage yes|no] [--ecu PROGRAM] [--pace X] [--log F] "
+            "usage: lpvguard_sim SCENARIO --parameters TRUCK.toml [--seed N] [--engage yes|no] [--reactions release|report] [--ecu "
+            "PROGRAM] [--pace X] [--log F] "
             "[--frames F] [--drive F] [--telemetry F] [--lcm URL [--start running|paused] [--applied F]] "
             "[--bus memory|socketcan:INTERFACE]");
     }
@@ -66,8 +69,12 @@ int run(int argc, char** argv) {
     if (engage != "yes" && engage != "no") {
         throw UsageError("--engage '" + engage + "': expected yes or no");
     }
+    const std::string reactions = arguments.text("--reactions", "release");
+    if (reactions != "release" && reactions != "report") {
+        throw UsageError("--reactions '" + reactions + "': expected release or report");
+    }
     const lpvguard_sim::Nodes nodes =
-        lpvguard_sim::open_nodes(arguments.text("--bus", "memory"), arguments.text("--ecu", ""), engage == "yes");
+        lpvguard_sim::open_nodes(arguments.text("--bus", "memory"), arguments.text("--ecu", ""), {engage == "yes", reactions == "report"});
     const double pace = arguments.number("--pace", 0.0, 1e-3, 1e3);
     const OutputFile log = output_file(arguments.text("--log", "")), frames = output_file(arguments.text("--frames", "")),
                      drive = output_file(arguments.text("--drive", "")), telemetry = output_file(arguments.text("--telemetry", ""));

@@ -9,6 +9,7 @@ namespace {
 
 constexpr std::uint64_t bus_fault_stream = 200;
 constexpr std::int64_t slow_period_us = 100'000;
+constexpr std::int64_t standby_us = 200'000;  // control is asked for after this
 constexpr double kmh_per_mps = 3.6;
 constexpr double kpa_per_bar = 100.0;
 
@@ -62,6 +63,8 @@ void VehicleNode::send(std::int64_t now_us, const lpvguard_plant::Sensors& senso
     lpvg_can_guard_in_t in{};
     in.dp_measured = lpvg_can_guard_in_dp_measured_encode(single(sensors.brake_pressure_right_bar - sensors.brake_pressure_left_bar));
     in.yaw_rate_command = lpvg_can_guard_in_yaw_rate_command_encode(single(command_radps));
+    in.control_request = now_us < standby_us ? LPVG_BUS_REQUEST_RELEASE : LPVG_BUS_REQUEST_CONTROL;
+    in.other_priority = 0U;
     require(lpvg_can_guard_in_pack(&in, &frame));
     require(lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &counter_));
     put(frame);
@@ -232,7 +235,7 @@ void VehicleNode::receive(std::int64_t now_us) {
             const float demand_bar = decoded(lpvg_can_guard_out_dp_demand_decode, out.dp_demand);
             demand_bar_ = static_cast<double>(demand_bar);
             report_ = {demand_bar, decoded(lpvg_can_guard_out_monitor_margin_decode, out.monitor_margin), out.monitor_verdict,
-                       out.supervision_state};
+                       out.supervision_state, out.engagement};
         } else if ((frame.id & 0x00FFFF00U) == 0x00FECA00U) {  // DM1: one frame, one code (lpvg_can_dm1_pack)
             trouble_.spn = frame.data[2] + 256U * frame.data[3] + 65536U * (frame.data[4] >> 5U);
             trouble_.fmi = frame.data[4] & 0x1FU;

@@ -13,19 +13,30 @@ namespace lpvguard {
 
 static_assert(sizeof(lpvg_real_t) == 4U || sizeof(lpvg_real_t) == 8U, "float or double");
 
-inline uint32_t crc32_byte(uint32_t crc, uint32_t byte) {
-    crc ^= byte;
-    for (int bit = 0; bit < 8; ++bit) {
-        crc = (crc >> 1U) ^ ((crc & 1U) != 0U ? 0xEDB88320U : 0U);
+// Entry n is the remainder of n * x^4: half a byte at a time, for a table of 64 bytes.
+struct Crc32Table {
+    uint32_t entry[16];
+    constexpr Crc32Table() : entry() {
+        for (uint32_t n = 0U; n < 16U; ++n) {
+            uint32_t crc = n;
+            for (int bit = 0; bit < 4; ++bit) {
+                crc = (crc >> 1U) ^ ((crc & 1U) != 0U ? 0xEDB88320U : 0U);
+            }
+            entry[n] = crc;
+        }
     }
-    return crc;
-}
+};
+inline constexpr Crc32Table crc32_table;
 
-// Least significant byte first whatever the target's byte order.
+// Least significant byte first whatever the target's byte order, which is the order in which 32 bits are taken in at once.
 template <class Word>
 uint32_t crc32_word(uint32_t crc, Word word) {
-    for (std::size_t i = 0; i < sizeof(Word); ++i) {
-        crc = crc32_byte(crc, static_cast<uint32_t>((word >> (8U * i)) & 0xFFU));
+    for (std::size_t taken = 0; taken < 8U * sizeof(Word); taken += 32U) {
+        crc ^= static_cast<uint32_t>(word >> taken);
+        for (int byte = 0; byte < 4; ++byte) {
+            crc = (crc >> 4U) ^ crc32_table.entry[crc & 0xFU];
+            crc = (crc >> 4U) ^ crc32_table.entry[crc & 0xFU];
+        }
     }
     return crc;
 }
@@ -39,19 +50,31 @@ Item item_at(const Struct& all, std::size_t i) {
     return value;
 }
 
-// CRC-32 (ISO-HDLC) over coeff.words, its crc32 read as zero, and coeff.reals.
+constexpr uint32_t crc32_start = 0xFFFFFFFFU;
+
+// Words and numbers of a struct of coefficients.
+template <class Coeff>
+constexpr std::size_t n_items = sizeof(Coeff::words) / sizeof(uint32_t) + sizeof(Coeff::reals) / sizeof(lpvg_real_t);
+
+// Goes on with a CRC-32 (ISO-HDLC) over coeff.words, its crc32 read as zero, and coeff.reals, from item `first` up to `end`.
+template <class Coeff>
+uint32_t crc32_items(uint32_t crc, const Coeff& coeff, std::size_t first, std::size_t end) {
+    using Bits = std::conditional_t<sizeof(lpvg_real_t) == 4U, uint32_t, uint64_t>;
+    constexpr std::size_t n_words = sizeof coeff.words / sizeof(uint32_t);
+    constexpr std::size_t crc_word = offsetof(decltype(coeff.words), crc32) / sizeof(uint32_t);
+    for (std::size_t i = first; i < end; ++i) {
+        if (i < n_words) {
+            crc = crc32_word(crc, i == crc_word ? 0U : item_at<uint32_t>(coeff.words, i));
+        } else {
+            crc = crc32_word(crc, item_at<Bits>(coeff.reals, i - n_words));
+        }
+    }
+    return crc;
+}
+
 template <class Coeff>
 uint32_t coefficients_crc32(const Coeff& coeff) {
-    using Bits = std::conditional_t<sizeof(lpvg_real_t) == 4U, uint32_t, uint64_t>;
-    constexpr std::size_t crc_word = offsetof(decltype(coeff.words), crc32) / sizeof(uint32_t);
-    uint32_t crc = 0xFFFFFFFFU;
-    for (std::size_t i = 0; i < sizeof coeff.words / sizeof(uint32_t); ++i) {
-        crc = crc32_word(crc, i == crc_word ? 0U : item_at<uint32_t>(coeff.words, i));
-    }
-    for (std::size_t i = 0; i < sizeof coeff.reals / sizeof(Bits); ++i) {
-        crc = crc32_word(crc, item_at<Bits>(coeff.reals, i));
-    }
-    return ~crc;
+    return ~crc32_items(crc32_start, coeff, 0U, n_items<Coeff>);
 }
 
 // Whether a condition holds for a number, or for every number of an array of any rank.

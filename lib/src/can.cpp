@@ -132,12 +132,28 @@ lpvg_can_event_t judge_protection(const lpvg_can_rule_t& rule, lpvg_can_watch_t&
     return lpvg_can_event_accepted;
 }
 
+// Whether the newest arrivals came faster than one sender sends.
+void count_arrival(const lpvg_can_rule_t& rule, lpvg_can_watch_t& watch, int64_t t_us) {
+    if (watch.has_arrival == 0U) {
+        watch.t_window_us = t_us;
+        return;
+    }
+    ++watch.arrivals;
+    if (watch.arrivals >= LPVG_CAN_ARRIVALS) {
+        const int64_t least_us = static_cast<int64_t>(LPVG_CAN_ARRIVALS_PERIODS) * rule.period_us;
+        watch.fast = t_us - watch.t_window_us < least_us ? 1U : 0U;
+        watch.t_window_us = t_us;
+        watch.arrivals = 0U;
+    }
+}
+
 lpvg_can_event_t judge(const lpvg_can_rule_t& rule, lpvg_can_watch_t& watch, const lpvg_can_frame_t& frame,
                        uint16_t (&raw)[LPVG_CAN_SIGNALS_MAX]) {
     const bool early = watch.has_arrival != 0U && frame.t_us - watch.t_arrival_us < rule.gap_min_us;
+    count_arrival(rule, watch, frame.t_us);
     watch.t_arrival_us = frame.t_us;
     watch.has_arrival = 1U;
-    if (early) {
+    if (early || watch.fast != 0U) {
         return lpvg_can_event_early;
     }
     if (frame.dlc != rule.dlc) {
@@ -157,6 +173,15 @@ void switch_off(lpvg_can_watch_t& watch) {
     watch.good_in_row = 0U;
     watch.has_raw = 0U;
     watch.has_counter = 0U;
+    watch.window = 0U;
+    watch.window_bad = 0U;
+}
+
+// The newest frame of the window.
+void note(lpvg_can_watch_t& watch, bool bad) {
+    const bool oldest_bad = (watch.window >> (LPVG_CAN_WINDOW - 1U)) != 0U;
+    watch.window = static_cast<uint16_t>((static_cast<uint32_t>(watch.window) << 1U) | (bad ? 1U : 0U));
+    watch.window_bad = static_cast<uint8_t>(watch.window_bad + (bad ? 1U : 0U) - (oldest_bad ? 1U : 0U));
 }
 
 void take_bad(lpvg_can_watch_t& watch) {
@@ -166,8 +191,13 @@ void take_bad(lpvg_can_watch_t& watch) {
     if (watch.state == lpvg_can_state_off) {
         watch.good_in_row = 0U;
         watch.has_raw = 0U;
-    } else if (watch.score >= LPVG_CAN_SCORE_OFF) {
+    } else if (watch.score >= LPVG_CAN_SCORE_OFF || watch.fast != 0U) {
         switch_off(watch);
+    }
+    note(watch, true);
+    if (watch.window_bad >= LPVG_CAN_WINDOW_BAD && watch.state != lpvg_can_state_off) {
+        switch_off(watch);
+        note(watch, true);
     }
 }
 
@@ -184,8 +214,11 @@ lpvg_can_event_t take_good(lpvg_can_watch_t& watch, int64_t t_us, const uint16_t
         }
         watch.score = 0U;
         watch.good_in_row = 0U;
-    } else if (watch.score > 0U) {
-        --watch.score;
+        watch.window = 0U;
+        watch.window_bad = 0U;
+    } else {
+        watch.score = static_cast<uint8_t>(watch.score - (watch.score > 0U ? 1U : 0U));
+        note(watch, false);
     }
     watch.state = lpvg_can_state_live;
     return lpvg_can_event_accepted;
@@ -210,19 +243,10 @@ void advance(lpvg_can_watch_t& watch, const lpvg_can_rule_t& rule, int64_t now_u
 
 // Steps one check by one sample: `deviation` beyond `limit` is a violation.
 void plausibility_step(lpvg_can_plausibility_t& self, uint8_t check, float deviation, float limit, uint16_t confirm) {
-    uint16_t& score = self.score[check];
     const auto flag = static_cast<uint8_t>(1U << check);
     const bool violation = deviation > limit || deviation < -limit;
-    if (violation && score < confirm) {
-        ++score;
-    } else if (!violation && score > 0U) {
-        --score;
-    }
-    if (score >= confirm) {
-        self.flags = static_cast<uint8_t>(self.flags | flag);
-    } else if (score == 0U) {
-        self.flags = static_cast<uint8_t>(self.flags & ~flag);
-    }
+    const bool failed = lpvg_can_confirm(&self.score[check], (self.flags & flag) != 0U, violation, confirm);
+    self.flags = static_cast<uint8_t>(failed ? self.flags | flag : self.flags & ~flag);
 }
 
 bool finite(float x) { return x - x == 0.0F; }
@@ -348,6 +372,18 @@ lpvg_status_t lpvg_can_plausibility(lpvg_can_plausibility_t* self, const lpvg_ca
         plausibility_step(*self, 1U, yaw_rate - wheel_difference / limits->track_m, limits->yaw_rps, limits->confirm);
     }
     return lpvg_status_ok;
+}
+
+bool lpvg_can_confirm(uint16_t* score, bool failed, bool violation, uint16_t confirm) {
+    if (score == nullptr) {
+        return false;
+    }
+    if (violation && *score < confirm) {
+        ++*score;
+    } else if (!violation && *score > 0U) {
+        --*score;
+    }
+    return *score >= confirm || (failed && *score > 0U);
 }
 
 uint8_t lpvg_can_fmi(lpvg_can_event_t event) {

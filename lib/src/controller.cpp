@@ -5,6 +5,7 @@
 
 #include <utility>
 
+#include "begin.hpp"
 #include "coefficient_checks.hpp"
 
 namespace {
@@ -32,9 +33,11 @@ struct Place {
 Place place(const lpvg_control_reals_t& r, Real speed) {
     const Real inside = speed < r.speed_min ? r.speed_min : (speed > r.speed_max ? r.speed_max : speed);
     const Real position = (inside - r.speed_min) / (r.speed_max - r.speed_min) * Real(LPVG_NG - 1);
-    auto node = static_cast<std::size_t>(position);
+    // Damaged coefficients make any number of it.
+    const Real bounded = position > Real(0) ? (position < Real(LPVG_NG - 1) ? position : Real(LPVG_NG - 1)) : Real(0);
+    auto node = static_cast<std::size_t>(bounded);
     node = node < LPVG_NG - 1U ? node : LPVG_NG - 2U;
-    return {node, position - static_cast<Real>(node)};
+    return {node, bounded - static_cast<Real>(node)};
 }
 
 // Largest |demand i| at a place between the nodes.
@@ -169,13 +172,23 @@ extern "C" lpvg_status_t lpvg_control_init(lpvg_control_t* self, const lpvg_cont
     }
     const lpvg_status_t status = lpvg_control_coeff_check(coeff);
     if (status == lpvg_status_ok) {
-        *self = lpvg_control_t{};
-        self->coeff = coeff;
+        lpvg_control_begin(self, coeff);
     }
     return status;
 }
 
+extern "C" void lpvg_control_begin(lpvg_control_t* self, const lpvg_control_coeff_t* coeff) {
+    *self = lpvg_control_t{};
+    self->coeff = coeff;
+}
+
 extern "C" lpvg_status_t lpvg_control_step(lpvg_control_t* self, lpvg_real_t speed, const lpvg_real_t* m, bool engaged) {
+    const bool ready = self != nullptr && self->coeff != nullptr;
+    return lpvg_control_step_after(self, speed, m, engaged, ready ? self->coeff->words.sample_period_us : 0U);
+}
+
+extern "C" lpvg_status_t lpvg_control_step_after(lpvg_control_t* self, lpvg_real_t speed, const lpvg_real_t* m, bool engaged,
+                                                 uint32_t elapsed_us) {
     if (self == nullptr || m == nullptr) {
         return lpvg_status_bad_argument;
     }
@@ -199,12 +212,13 @@ extern "C" lpvg_status_t lpvg_control_step(lpvg_control_t* self, lpvg_real_t spe
         wanted(self->x, v);
     }
     const bool active = engaged && good;
-    const Real period = static_cast<Real>(self->coeff->words.sample_period_us) * Real(1e-6);
+    const uint32_t longest_us = self->coeff->words.sample_period_us + self->coeff->words.sample_period_us / 2U;
+    const Real elapsed = static_cast<Real>(elapsed_us < longest_us ? elapsed_us : longest_us) * Real(1e-6);
     Real excess[nu];
     bool limited = false;
     for (std::size_t i = 0; i < nu; ++i) {
         const Real target = !active ? Real(0) : towards(Real(0), v[i], limit_at(r, at, i));
-        self->u[i] = towards(self->u[i], target, r.rate_max[i] * period);
+        self->u[i] = towards(self->u[i], target, r.rate_max[i] * elapsed);
         excess[i] = self->u[i] - v[i];
         limited = limited || excess[i] < Real(0) || excess[i] > Real(0);
     }

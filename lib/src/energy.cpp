@@ -8,6 +8,7 @@
 #include "lpvguard/energy.h"
 
 #include <cmath>
+#include <limits>
 
 #include "eigen.hpp"
 
@@ -17,6 +18,7 @@ using Real = lpvg_real_t;
 constexpr int ny = LPVG_NY;
 constexpr int group = LPVG_NY / LPVG_NDELTA;  // outputs that one Delta is common to
 constexpr std::size_t last = LPVG_NBANDS - 1;
+constexpr Real beyond = std::numeric_limits<Real>::infinity();
 template <int N>
 using Row = Eigen::Array<Real, N, 1>;
 
@@ -53,7 +55,7 @@ Row<ny> direction(const lpvg_coeff_reals_t& r, std::size_t index, std::size_t ba
     return Eigen::Map<const Row<ny>>(r.energy_direction[index]) * Eigen::Map<const Row<ny>>(r.energy_scale[band]);
 }
 
-// sqrt(a' G a); rounding may leave a small negative number where a direction carries nothing.
+// sqrt(a' G a); rounding may leave a small negative number where a direction carries nothing. What is not finite stays so.
 Real norm(const Real* gram, const Row<ny>& along) {
     const Real* const a = along.data();
     Real sum = Real(0);
@@ -65,7 +67,7 @@ Real norm(const Real* gram, const Row<ny>& along) {
         }
         sum += a[i] * row;
     }
-    return sum > Real(0) ? std::sqrt(Real(2) * sum) : Real(0);
+    return sum <= Real(0) ? Real(0) : std::sqrt(Real(2) * sum);
 }
 
 }  // namespace
@@ -121,7 +123,9 @@ extern "C" lpvg_real_t lpvg_energy_judge(lpvg_energy_t* self, const lpvg_coeff_t
     self->strongest = 0U;
     for (uint32_t b = 0; b < LPVG_NBANDS; ++b) {
         const Row<ny> a = direction(coeff->reals, self->direction, b);
-        const Real ratio = norm(self->band[b].left, a) / (norm(self->band[b].right, a) + Real(1));
+        const Real right = norm(self->band[b].right, a);
+        const Real quotient = norm(self->band[b].left, a) / (right + Real(1));
+        const Real ratio = quotient < beyond && right < beyond ? quotient : beyond;
         if (ratio > self->ratio) {
             self->ratio = ratio;
             self->strongest = b;

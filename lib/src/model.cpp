@@ -24,12 +24,19 @@ void set_speed(lpvg_model_t* self, const lpvg_coeff_t* coeff, Real speed) {
     const lpvg_coeff_reals_t& r = coeff->reals;
     const Real inside = speed < r.speed_min ? r.speed_min : (speed > r.speed_max ? r.speed_max : speed);
     const Real position = (inside - r.speed_min) / (r.speed_max - r.speed_min) * Real(LPVG_NCELLS);
-    auto cell = static_cast<std::size_t>(position);
+    // Damaged coefficients make any number of it.
+    const Real bounded = position > Real(0) ? (position < Real(LPVG_NCELLS) ? position : Real(LPVG_NCELLS)) : Real(0);
+    auto cell = static_cast<std::size_t>(bounded);
     cell = cell < LPVG_NCELLS ? cell : LPVG_NCELLS - 1U;
-    const Real x = position - static_cast<Real>(cell);
+    const Real x = bounded - static_cast<Real>(cell);
+    // One of the constant entries as well, so that damage does not stay. Where it is one that varies, its polynomial follows.
+    const std::size_t next = self->next + 1U < LPVG_NENTRIES ? self->next + 1U : 0U;
+    self->next = static_cast<uint32_t>(next);
+    self->entry[next] = r.base[next];
     for (std::size_t i = 0; i < LPVG_NVARYING; ++i) {
         const Real* p = r.cell[cell][i];
-        self->entry[coeff->words.varying_entry[i]] = p[0] + x * (p[1] + x * (p[2] + x * p[3]));
+        const uint32_t index = coeff->words.varying_entry[i];
+        self->entry[index < LPVG_NENTRIES ? index : 0U] = p[0] + x * (p[1] + x * (p[2] + x * p[3]));
     }
     self->speed = speed;
 }

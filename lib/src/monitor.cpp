@@ -11,7 +11,9 @@
 #include "lpvguard/monitor.h"
 
 #include <cmath>
+#include <limits>
 
+#include "begin.hpp"
 #include "eigen.hpp"
 #include "margin.hpp"
 
@@ -126,7 +128,7 @@ void accumulate(lpvg_bin_t& bin, const Real* turn, const Real* taper, const Real
 void end_half(lpvg_monitor_t& self, std::size_t b, int64_t t_us) {
     lpvg_bin_t& bin = self.bin[b];
     const lpvg_coeff_t& coeff = *self.coeff;
-    if (bin.has_before) {
+    if (bin.has_before && self.n_queue < LPVG_NBINS) {  // damaged coefficients may close more frames than can be judged
         const Real scale = coeff.reals.scale[b];
         const Real falling = coeff.words.cycles[b] % 2U != 0U ? -scale : scale;
         for (std::size_t i = 0; i < n_signals; ++i) {
@@ -180,9 +182,10 @@ bool catch_up(lpvg_monitor_t& self, std::size_t b, const lpvg_span_t& whole) {
 // k-th largest of the newest margins; 0 while there are fewer than k.
 Real statistic(const lpvg_bin_t& bin, uint32_t confirm) {
     Real kth = Real(0);
-    for (uint32_t i = 0; i < bin.n_history; ++i) {
+    const uint32_t n = bin.n_history < LPVG_NHISTORY ? bin.n_history : LPVG_NHISTORY;
+    for (uint32_t i = 0; i < n; ++i) {
         uint32_t larger_or_equal = 0U;
-        for (uint32_t j = 0; j < bin.n_history; ++j) {
+        for (uint32_t j = 0; j < n; ++j) {
             larger_or_equal += bin.history[j] >= bin.history[i] ? 1U : 0U;
         }
         if (larger_or_equal >= confirm && bin.history[i] > kth) {
@@ -279,9 +282,10 @@ bool judge(lpvg_monitor_t& self, std::size_t b) {
         frame.speed = mean;
         frame.margin = finished(self, margin);
         frame.evidence = margin.dead();
-        bin.history[bin.next_history] = frame.margin;
-        bin.next_history = bin.next_history + 1U < coeff.words.of_last ? bin.next_history + 1U : 0U;
-        bin.n_history += bin.n_history < coeff.words.of_last ? 1U : 0U;
+        const uint32_t of_last = coeff.words.of_last < LPVG_NHISTORY ? coeff.words.of_last : LPVG_NHISTORY;
+        bin.history[bin.next_history < LPVG_NHISTORY ? bin.next_history : 0U] = frame.margin;
+        bin.next_history = bin.next_history + 1U < of_last ? bin.next_history + 1U : 0U;
+        bin.n_history += bin.n_history < of_last ? 1U : 0U;
         frame.statistic = statistic(bin, coeff.words.confirm);
         frame.falsified = !(frame.statistic <= r.threshold);
         if (frame.falsified) {
@@ -300,7 +304,8 @@ bool judge(lpvg_monitor_t& self, std::size_t b) {
 
 // Goes on judging the frame that has waited longest.
 void judge_next(lpvg_monitor_t& self) {
-    if (judge(self, self.queue[self.queue_first])) {
+    const uint32_t b = self.queue[self.queue_first];
+    if (judge(self, b < LPVG_NBINS ? b : 0U)) {
         self.queue_first = self.queue_first + 1U < LPVG_NBINS ? self.queue_first + 1U : 0U;
         --self.n_queue;
     }
@@ -340,6 +345,10 @@ void judge_energy(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
     }
     self.energy_quiet = 0U;
     falsified_at(self, sample.t_us);
+    if (!(self.energy.ratio < std::numeric_limits<Real>::infinity())) {
+        lpvg_energy_start(&self.energy, &coeff);
+        self.settled = 0U;
+    }
 }
 
 void start(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
@@ -353,6 +362,27 @@ void start(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
     self.settled = 0U;
     self.running = true;
     ++self.restarts;
+}
+
+// Whether what indexes the state is within it, and one bin in turn.
+bool state_well(lpvg_monitor_t& self) {
+    self.turn = self.turn + 1U < LPVG_NBINS ? self.turn + 1U : 0U;
+    const lpvg_bin_t& bin = self.bin[self.turn];
+    return self.newest < n_block && self.n_block <= n_block && self.queue_first < LPVG_NBINS && self.n_queue <= LPVG_NBINS &&
+           self.queue[self.turn] < LPVG_NBINS && self.parts < LPVG_NPARTS && self.n_records <= LPVG_NRECORDS &&
+           self.energy.next_direction < LPVG_NDIRECTIONS && self.energy.strongest < LPVG_NBANDS &&
+           bin.n < self.coeff->words.frame_length[self.turn] / 2U && bin.n_history <= LPVG_NHISTORY && bin.next_history < LPVG_NHISTORY &&
+           (!self.has_evidence || self.t_evidence_us <= self.t_us) && (!self.has_falsified || self.t_falsified_us <= self.t_us);
+}
+
+// After damage: as init left it, and the sample counts as refused.
+void repair(lpvg_monitor_t& self, int64_t t_us) {
+    const lpvg_coeff_t* const coeff = self.coeff;
+    const uint32_t repairs = self.repairs + (self.repairs < UINT32_MAX ? 1U : 0U);
+    lpvg_monitor_begin(&self, coeff);
+    self.repairs = repairs;
+    self.refused = true;
+    self.t_us = t_us;
 }
 
 bool in_step(const lpvg_monitor_t& self, int64_t t_us) {
@@ -369,11 +399,15 @@ extern "C" lpvg_status_t lpvg_monitor_init(lpvg_monitor_t* self, const lpvg_coef
     }
     const lpvg_status_t status = lpvg_coeff_check(coeff);
     if (status == lpvg_status_ok) {
-        *self = lpvg_monitor_t{};
-        self->coeff = coeff;
-        self->energy_quiet = coeff->words.energy_rearm;
+        lpvg_monitor_begin(self, coeff);
     }
     return status;
+}
+
+extern "C" void lpvg_monitor_begin(lpvg_monitor_t* self, const lpvg_coeff_t* coeff) {
+    *self = lpvg_monitor_t{};
+    self->coeff = coeff;
+    self->energy_quiet = coeff->words.energy_rearm;
 }
 
 // Length: the path of one sample in its order; every branch of it ends or restarts the steps that follow.
@@ -389,6 +423,10 @@ extern "C" lpvg_status_t lpvg_monitor_push(lpvg_monitor_t* self, const lpvg_samp
     if (any_before && sample->t_us <= self->t_us) {
         ++self->out_of_order;
         return lpvg_status_out_of_order;
+    }
+    if (!state_well(*self)) {
+        repair(*self, sample->t_us);
+        return lpvg_status_bad_sample;
     }
     if (!sample_good(coeff.reals, *sample)) {
         ++self->bad_samples;

@@ -219,7 +219,7 @@ TEST_CASE("unknown ids at full speed change no state and no value", "[fault][can
     CHECK(bus.supervisor.count[lpvg_can_event_unknown_id] == 100'000U);
 }
 
-TEST_CASE("babbling with random data: off within one period, no frame of it used, live 5 periods after", "[fault][can][REQ-CAN-4]") {
+TEST_CASE("babbling with random data: off within one period, no frame of it used, live 21 periods after", "[fault][can][REQ-CAN-4]") {
     CanBus bus;
     bus.run(1, kWarm);
     uint32_t noise = 12345U;
@@ -242,8 +242,68 @@ TEST_CASE("babbling with random data: off within one period, no frame of it used
     REQUIRE(off_at > 0);
     CHECK(off_at - due(kWarm) <= kPeriod);
     const int64_t next = (t - CanBus::kStart) / kPeriod + 1;
-    bus.run(next, next + 4);
+    bus.run(next, next + 20);  // twice eight arrivals in time, and five good frames
     CHECK(bus.state(kVdc2) == lpvg_can_state_live);
+}
+
+TEST_CASE("half of the checksums wrong: off with the eighth bad frame of sixteen, and never back", "[fault][can][REQ-CAN-9]") {
+    const bool alternating = GENERATE(true, false);
+    CanBus bus;
+    bus.run(1, kWarm);
+    uint32_t noise = 1U;
+    int64_t off_at = -1;
+    int64_t live = 0;
+    for (int64_t k = 1; k <= 60'000; ++k) {  // ten minutes
+        noise = noise * 1664525U + 1013904223U;
+        auto frame = bus.guard_in(kWarm + k);
+        frame.data[5] = static_cast<uint8_t>(frame.data[5] ^ ((alternating ? k % 2 : noise >> 31U) != 0 ? 1U : 0U));
+        bus.send(frame);
+        off_at = off_at < 0 && bus.state(kGuard) == lpvg_can_state_off ? k : off_at;
+        live += off_at >= 0 && bus.state(kGuard) == lpvg_can_state_live ? 1 : 0;
+    }
+    CHECK(off_at > 0);
+    CHECK(off_at <= (alternating ? 15 : 100));
+    CHECK(live <= (alternating ? 0 : 60'000 / 4));  // a random half brings five good ones in a row now and then
+}
+
+TEST_CASE("a second sender is found by the rate, whatever it sends and whenever", "[fault][can][REQ-CAN-9]") {
+    const int64_t after_us = GENERATE(0, 100, 2'400, 2'600, 5'000, 7'400, 7'600, 9'900);
+    const bool guarded = GENERATE(false, true);
+    const uint8_t index = guarded ? kGuard : kVdc2;
+    CanBus bus;
+    bus.run(1, kWarm);
+    int64_t off_at = -1, live = 0;
+    for (int64_t k = kWarm + 1; k <= kWarm + 1'000; ++k) {
+        auto genuine = guarded ? bus.guard_in(k) : bus.vdc2(k);
+        auto other = guarded ? bus.guard_in(k + 1) : bus.vdc2(k);  // counter + 1 with a right checksum
+        other.t_us = genuine.t_us + after_us;
+        bus.send(genuine);
+        bus.send(other);
+        off_at = off_at < 0 && bus.state(index) == lpvg_can_state_off ? k - kWarm : off_at;
+        live += off_at >= 0 && bus.state(index) == lpvg_can_state_live ? 1 : 0;
+    }
+    CAPTURE(after_us, guarded);
+    CHECK(off_at > 0);
+    CHECK(off_at <= 8);
+    CHECK(live == 0);
+}
+
+TEST_CASE("jitter of a period, and a frame lost now and then, are no second sender", "[fault][can][REQ-CAN-9]") {
+    CanBus bus;
+    bus.run(1, kWarm);
+    uint32_t noise = 7U;
+    int64_t off = 0, t_us = due(kWarm);
+    for (int64_t k = kWarm + 1; k <= kWarm + 10'000; ++k) {
+        noise = noise * 1664525U + 1013904223U;
+        auto frame = bus.vdc2(k);
+        const int64_t jittered = frame.t_us + static_cast<int64_t>(noise >> 20U);  // up to 4.1 ms
+        frame.t_us = t_us = jittered > t_us + kPeriod / 4 ? jittered : t_us + kPeriod / 4;
+        if (k % 7 != 0) {
+            bus.send(frame);
+        }
+        off += bus.state(kVdc2) == lpvg_can_state_off ? 1 : 0;
+    }
+    CHECK(off == 0);
 }
 
 TEST_CASE("bus-off: everything off at once, back after 5 good frames; other error reports change nothing", "[fault][can][REQ-CAN-5]") {

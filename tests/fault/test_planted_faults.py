@@ -64,7 +64,7 @@ def test_a_planted_fault_changes_the_margins(name, drive, core, vehicle, tmp_pat
 
 ENERGY_MUTANTS = {
     "forgetting left out": "gram[k] += x[i] * x[j] - forget * gram[k];|gram[k] += x[i] * x[j];",
-    "sigma left out": "(norm(self->band[b].right, a) + Real(1));|(norm(self->band[b].right, a) + Real(0.5));",
+    "sigma left out": "/ (right + Real(1));|/ (right + Real(0.5));",
     "bands of yhat forgotten": "add(band.right, x + (2 * ny), forget);"
     "|add(band.right, whole.data() + (2 * ny), forget);",
     "weight forgotten": "section(r.energy_W[d][s], whole.data() + (2 * ny) + j, self->W[s][0] + j, "

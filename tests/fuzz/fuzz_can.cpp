@@ -93,7 +93,7 @@ lpvg_can_frame_t good_frame(uint8_t index, uint8_t& counter, uint8_t low) {
         const lpvg_can_vdc2_t m = {static_cast<uint16_t>(32000U + low), static_cast<uint16_t>(32000U + low), 32000U, 125U};
         promise(lpvg_can_vdc2_pack(&m, &frame) == lpvg_status_ok, "pack");
     } else if (index == LPVG_CAN_GUARD_IN_INDEX) {
-        const lpvg_can_guard_in_t m = {static_cast<uint16_t>(32000U + low), 32000U};
+        const lpvg_can_guard_in_t m = {static_cast<uint16_t>(32000U + low), 32000U, 1U, 0U};
         promise(lpvg_can_guard_in_pack(&m, &frame) == lpvg_status_ok, "pack");
         promise(lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &counter) == lpvg_status_ok, "protect");
     } else {

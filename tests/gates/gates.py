@@ -527,7 +527,7 @@ def coverage_of(tree: Path, build: Path) -> dict[str, dict[str, dict]]:
     return out
 
 
-NO_CODE = {"eigen.hpp"}
+NO_CODE = {"begin.hpp", "eigen.hpp"}
 """Headers of lib/src in which nothing is executed."""
 
 
@@ -791,8 +791,8 @@ PLANTS: dict[str, list[Plant]] = {
         ),
         Plant(
             "lib/src/acceptance.hpp",
-            "    return ~crc;",
-            "    return ~crc ^ static_cast<uint32_t>(std::exp(item_at<lpvg_real_t>(coeff.reals, 0)));",
+            "    return ~crc32_items(",
+            "    return static_cast<uint32_t>(std::exp(item_at<lpvg_real_t>(coeff.reals, 0))) ^ ~crc32_items(",
             r"imports expf?",
             FLOAT,
         ),
@@ -994,8 +994,9 @@ PLANTS: dict[str, list[Plant]] = {
     "big_endian": [
         Plant(
             "lib/src/acceptance.hpp",
-            "static_cast<uint32_t>((word >> (8U * i)) & 0xFFU)",
-            "reinterpret_cast<const unsigned char*>(&word)[i]",
+            "        crc ^= static_cast<uint32_t>(word >> taken);",
+            "        for (std::size_t i = 0; i < 4U; ++i) {"
+            " crc ^= uint32_t{reinterpret_cast<const unsigned char*>(&word)[taken / 8U + i]} << (8U * i); }",
             r"tests:(.|\n)*the exported coefficients are accepted",
             "coeff.toy",
         ),
@@ -1010,18 +1011,10 @@ PLANTS: dict[str, list[Plant]] = {
     "sanitize": [
         Plant(
             "lib/src/monitor.cpp",
-            "self.n_records < LPVG_NRECORDS",
-            "self.n_records <= LPVG_NRECORDS",
-            r"tests:(.|\n)*(out of bounds|not a valid value for type 'lpvg_reason_t')",
-            "monitor.toy",
-        ),
-        Plant(
-            "lib/src/monitor.cpp",
             "return static_cast<uint64_t>(later) - static_cast<uint64_t>(earlier);",
             "return static_cast<uint64_t>(later - earlier);",
             r"tests:(.|\n)*signed integer overflow",
             "monitor.toy",
-            full=True,
         ),
     ],
     "mutation": [

@@ -190,7 +190,7 @@ struct Session {
         : file(scenario_text), scenario(file.path()), control(*publisher, scenario, paused), client(lcm) {}
 
     Session& run() {
-        const Nodes nodes = open_nodes("memory", "", true);
+        const Nodes nodes = open_nodes("memory", "", {});
         Loop loop(scenario.now(), lpvguard_plant::load_parameters(LPVGUARD_TRUCK_TOML), *nodes.bus, *nodes.ecu,
                   LoopEnds{log.file(), frames.file(), nullptr, nullptr, publisher.get(), &control});
         loop.run(0.0);
@@ -214,7 +214,7 @@ struct Session {
 std::pair<std::uint64_t, std::uint64_t> alone(const std::string& text) {
     const Scratch file(text);
     const LiveScenario scenario(file.path());
-    const Nodes nodes = open_nodes("memory", "", true);
+    const Nodes nodes = open_nodes("memory", "", {});
     Loop loop(scenario.now(), lpvguard_plant::load_parameters(LPVGUARD_TRUCK_TOML), *nodes.bus, *nodes.ecu, LoopEnds{});
     loop.run(0.0);
     return {loop.watcher().count(), loop.watcher().hash()};

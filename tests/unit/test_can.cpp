@@ -212,6 +212,7 @@ TEST_CASE("only the supervised bits count: the others may hold anything", "[unit
     frame.dlc = 8U;
     std::memset(frame.data, 0xFF, 8U);
     frame.data[0] = 0xDFU;  // ABS active: 01
+    frame.data[1] = 0x00U;
     frame.t_us = CanBus::kStart + LPVG_CAN_EBC1_PERIOD_US;
     CHECK(bus.send(frame) == lpvg_can_event_recovering);
     CHECK(bus.supervisor.watch[LPVG_CAN_EBC1_INDEX].raw[0] == 1U);
@@ -553,4 +554,16 @@ TEST_CASE("every event has a failure mode of J1939", "[unit][can][REQ-CAN-7]") {
     for (int event = 0; event < lpvg_can_event_count; ++event) {
         CHECK(lpvg_can_fmi(static_cast<lpvg_can_event_t>(event)) <= 31U);
     }
+}
+
+TEST_CASE("a check that takes several samples fails at its score and holds until the score is back at nothing", "[unit][can][REQ-CAN-6]") {
+    uint16_t score = 0U;
+    bool failed = false;
+    const bool violations[] = {true, true, false, true, true, false, false, false, true};
+    const bool wanted[] = {false, false, false, false, true, true, true, false, false};
+    for (std::size_t i = 0; i < sizeof violations; ++i) {
+        failed = lpvg_can_confirm(&score, failed, violations[i], 3U);
+        CHECK(failed == wanted[i]);
+    }
+    CHECK_FALSE(lpvg_can_confirm(nullptr, true, true, 1U));
 }

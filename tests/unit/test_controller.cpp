@@ -395,3 +395,19 @@ TEST_CASE("foreign, damaged and impossible controller coefficients are refused b
     altered.reals.BL[0][0][0][0] += Real(1);
     check_refused(&altered, lpvg_status_bad_crc);
 }
+
+TEST_CASE("the rate limit goes by the time since the sample before, up to one and a half periods", "[unit][controller][REQ-CTL-2]") {
+    const uint32_t period_us = lpvg_control_coeff.words.sample_period_us;
+    const uint32_t elapsed_us = GENERATE_COPY(0U, period_us / 4U, period_us, period_us + period_us / 2U, 10U * period_us, UINT32_MAX);
+    lpvg_control_t control;
+    REQUIRE(lpvg_control_init(&control, &lpvg_control_coeff) == lpvg_status_ok);
+    const auto start = static_cast<double>(lpvg_control_coeff.reals.u_max[0][0]);
+    control.u[0] = static_cast<lpvg_real_t>(start);
+    const lpvg_real_t m[LPVG_NM] = {};
+    REQUIRE(lpvg_control_step_after(&control, lpvg_control_coeff.reals.speed_min, m, false, elapsed_us) == lpvg_status_ok);
+    const double allowed_us = std::fmin(elapsed_us, 1.5 * period_us);
+    const double moved = static_cast<double>(lpvg_control_coeff.reals.rate_max[0]) * 1e-6 * allowed_us;
+    CHECK(static_cast<double>(control.u[0]) == Approx(std::fmax(start - moved, 0.0)).margin(1e-6 * start));
+    CHECK(lpvg_control_step_after(nullptr, lpvg_real_t(1), m, false, elapsed_us) == lpvg_status_bad_argument);
+    CHECK(lpvg_control_step(nullptr, lpvg_real_t(1), m, false) == lpvg_status_bad_argument);
+}

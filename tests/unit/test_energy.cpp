@@ -356,3 +356,22 @@ TEST_CASE("within the bound it never speaks, and a verdict on frames stands by i
     CHECK(drive.monitor.energy.ratio > Real(0.5));
     CHECK(drive.verdict() != lpvg_verdict_invalid);
 }
+
+TEST_CASE("a sum that is not finite falsifies, and the test starts anew", "[unit][energy][REQ-MON-15][REQ-MON-4]") {
+    const Real what = GENERATE(std::numeric_limits<Real>::quiet_NaN(), std::numeric_limits<Real>::infinity());
+    const bool left = GENERATE(false, true);
+    Drive drive;
+    drive.run(words().energy_settle + 10U);
+    REQUIRE(drive.verdict() != lpvg_verdict_invalid);
+    auto& band = drive.monitor.energy.band[LPVG_NBANDS - 1];
+    std::fill(std::begin(left ? band.left : band.right), std::end(left ? band.left : band.right), what);
+    drive.run(2U * LPVG_NBINS);
+    CHECK(drive.verdict() == lpvg_verdict_invalid);
+    for (const auto& each : drive.monitor.energy.band) {
+        CHECK(std::isfinite(each.left[0] + each.right[0] + each.nominal[0]));
+    }
+    lpvg_frame_t alarm{};
+    REQUIRE(lpvg_monitor_take_record(&drive.monitor, &alarm));
+    CHECK(alarm.test == lpvg_test_energy);
+    CHECK_FALSE(std::isfinite(alarm.margin));
+}

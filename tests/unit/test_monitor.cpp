@@ -574,3 +574,44 @@ TEST_CASE("an output that is stuck or turned over is falsified, within the physi
     CHECK(drive.verdict() == lpvg_verdict_invalid);
     CHECK(drive.monitor.bad_samples == 0U);
 }
+
+TEST_CASE("state that cannot be is as a refused sample, and everything starts anew", "[unit][monitor][REQ-MON-15]") {
+    using Damage = std::function<void(lpvg_monitor_t&)>;
+    const auto damage = GENERATE(values<Damage>({
+        [](lpvg_monitor_t& m) { m.newest = LPVG_NBLOCK; },
+        [](lpvg_monitor_t& m) { m.n_block = LPVG_NBLOCK + 1U; },
+        [](lpvg_monitor_t& m) { m.queue_first = LPVG_NBINS; },
+        [](lpvg_monitor_t& m) { m.n_queue = LPVG_NBINS + 1U; },
+        [](lpvg_monitor_t& m) { m.queue[LPVG_NBINS - 1] = LPVG_NBINS; },
+        [](lpvg_monitor_t& m) { m.parts = LPVG_NPARTS; },
+        [](lpvg_monitor_t& m) { m.n_records = LPVG_NRECORDS + 1U; },
+        [](lpvg_monitor_t& m) { m.energy.next_direction = LPVG_NDIRECTIONS; },
+        [](lpvg_monitor_t& m) { m.energy.strongest = LPVG_NBANDS; },
+        [](lpvg_monitor_t& m) { m.bin[1].n = words().frame_length[1]; },
+        [](lpvg_monitor_t& m) { m.bin[1].n_history = LPVG_NHISTORY + 1U; },
+        [](lpvg_monitor_t& m) { m.bin[1].next_history = LPVG_NHISTORY; },
+        [](lpvg_monitor_t& m) { m.t_evidence_us = m.t_us + 1; },
+        [](lpvg_monitor_t& m) {
+            m.has_falsified = true;
+            m.t_falsified_us = m.t_us + 1;
+        },
+    }));
+    Drive drive;
+    drive.settle();
+    REQUIRE(drive.verdict() == lpvg_verdict_valid);
+    drive.monitor.repairs = UINT32_MAX - 1U;
+    damage(drive.monitor);
+    uint32_t pushes = 1U;
+    lpvg_status_t status = drive.step();
+    for (; status == lpvg_status_ok && pushes < 2U * LPVG_NBINS; ++pushes) {
+        status = drive.step();
+    }
+    CHECK(pushes <= LPVG_NBINS);  // a bin, or a place of the queue, comes in turn
+    CHECK(status == lpvg_status_bad_sample);
+    CHECK(drive.verdict() == lpvg_verdict_fault);
+    CHECK(drive.monitor.repairs == UINT32_MAX);
+    CHECK(drive.step() == lpvg_status_ok);
+    CHECK(drive.verdict() == lpvg_verdict_unknown);
+    drive.settle();
+    CHECK(drive.verdict() == lpvg_verdict_valid);
+}

@@ -1,6 +1,6 @@
 // main.cpp -- lpvguard_ecu: the ECU's firmware as a Linux process on a CAN interface, real or vcan.
 //
-//   lpvguard_ecu INTERFACE [--engage yes|no] [--time-line FD | --seconds S]
+//   lpvguard_ecu INTERFACE [--engage yes|no] [--reactions release|report] [--time-line FD | --seconds S]
 //
 // Without --time-line it runs in real time, a tick every sample period of CLOCK_MONOTONIC, until SIGINT, SIGTERM or S seconds.
 // With it, in simulated time: FD is one end of a socket pair (stream), the other is the simulator's (time_line.h).
@@ -28,7 +28,7 @@ volatile std::sig_atomic_t g_stop = 0;
 
 struct Options {
     const char* interface = nullptr;
-    bool engage = true;
+    bool engage = true, report_only = false;
     int time_line = -1;
     double seconds = 0.0;  // 0: until a signal
 };
@@ -43,6 +43,8 @@ bool parse(int argc, char** argv, Options& options) {
         char* end = nullptr;
         if (name == "--engage" && (value == "yes" || value == "no")) {
             options.engage = value == "yes";
+        } else if (name == "--reactions" && (value == "release" || value == "report")) {
+            options.report_only = value == "report";
         } else if (name == "--time-line") {
             options.time_line = static_cast<int>(std::strtol(value.c_str(), &end, 10));
         } else if (name == "--seconds") {
@@ -158,11 +160,12 @@ int run_in_real_time(const Options& options, const lpvg_ecu_config_t& config) {
 int main(int argc, char** argv) {
     Options options;
     if (!parse(argc, argv, options)) {
-        return complain("usage: lpvguard_ecu INTERFACE [--engage yes|no] [--time-line FD | --seconds S]");
+        return complain("usage: lpvguard_ecu INTERFACE [--engage yes|no] [--reactions release|report] [--time-line FD | --seconds S]");
     }
     std::signal(SIGINT, [](int) { g_stop = 1; });
     std::signal(SIGTERM, [](int) { g_stop = 1; });
     lpvg_ecu_config_t config = firmware_config;
     config.engage = options.engage;
+    config.report_only = options.report_only ? LPVG_ECU_CAUSES_OPTIONAL : config.report_only;
     return options.time_line >= 0 ? run_on_time_line(options, config) : run_in_real_time(options, config);
 }

@@ -20,6 +20,10 @@ LPVG_EXTERN_C_BEGIN
 
 #define LPVG_BUS_NEEDED_MAX LPVG_CAN_RULES_MAX
 
+#define LPVG_BUS_REQUEST_RELEASE 0U      ///< What the vehicle asks of the guarded controller: nothing.
+#define LPVG_BUS_REQUEST_CONTROL 1U      ///< The demand is wanted.
+#define LPVG_BUS_REQUEST_ACKNOWLEDGE 2U  ///< Nothing, and a lock ends (ecu.h).
+
 /// Newest values received. NaN: absent in the newest frame.
 typedef struct lpvg_bus_signals_t {
     lpvg_real_t speed;         ///< longitudinal                                              [m/s]
@@ -28,6 +32,11 @@ typedef struct lpvg_bus_signals_t {
     float yaw_rate;            ///< of the stability system, left > 0: cross-checks           [rad/s]
     float lateral;             ///< lateral acceleration, left > 0: cross-checks              [m/s2]
     float wheel_difference;    ///< right less left wheel of the unbraked axle: cross-checks  [m/s]
+    float brake_pedal;         ///< position, 0 released: override                            [%]
+    float abs_active;          ///< 0 not, 1 active: override                                 [-]
+    float measured;            ///< what the actuator does: against the demand                [input unit]
+    float request;             ///< LPVG_BUS_REQUEST_*                                         [-]
+    float other_priority;      ///< of the strongest other command on the actuator: 0 none, 1 low, 2 medium, 3 high
 } lpvg_bus_signals_t;
 
 /// What the guarded controller tells the vehicle every step.
@@ -36,6 +45,7 @@ typedef struct lpvg_bus_report_t {
     float statistic;     ///< of the newest judged frame (monitor.h)                          [-]
     uint8_t verdict;       ///< lpvg_verdict_t
     uint8_t supervision;   ///< lpvg_can_state_t
+    uint8_t engagement;    ///< lpvg_ecu_engagement_t
 } lpvg_bus_report_t;
 
 /// A message without which the loop cannot run.

@@ -20,15 +20,22 @@
 ///     hold -- one good frame ---------------------------------------> live
 ///     live, hold -- LPVG_CAN_OFF_MISSED periods missed -------------> off
 ///     live, hold -- score of bad frames reaches LPVG_CAN_SCORE_OFF -> off      (+1 each bad, -1 each good, 0 at least)
+///     live, hold -- LPVG_CAN_WINDOW_BAD of the newest LPVG_CAN_WINDOW frames were bad -> off
+///     any  -- LPVG_CAN_ARRIVALS frames within LPVG_CAN_ARRIVALS_PERIODS periods -> off, until as many have taken longer
 ///     any  -- bus-off, seen as an error frame ----------------------> off
 ///
 /// Period number k counts as missed when the newest accepted frame is older than k + 1/2 periods.
+///
+/// The window is the one of AUTOSAR's E2E state machine: its size is LPVG_CAN_WINDOW in every state, the largest number of errors is
+/// LPVG_CAN_WINDOW_BAD - 1 in VALID, and INIT and INVALID end with LPVG_CAN_RECOVER_FRAMES good frames in a row. The limit on
+/// arrivals finds a second sender: a frame inserted between the genuine ones doubles the rate, whatever it holds.
 ///
 /// Limits: standard J1939 messages have neither counter nor checksum. Of them loss, babbling, absent or erroneous values, range
 /// and gradient are found. A repeated or swapped frame of such a message looks valid.
 #ifndef LPVGUARD_CAN_H
 #define LPVGUARD_CAN_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -49,6 +56,10 @@ extern "C" {
 #define LPVG_CAN_OFF_MISSED 5u
 #define LPVG_CAN_SCORE_OFF 5u
 #define LPVG_CAN_RECOVER_FRAMES 5u
+#define LPVG_CAN_WINDOW 16u  ///< Newest frames of a message whose errors are counted.
+#define LPVG_CAN_WINDOW_BAD 8u  ///< So many bad ones of them switch off.
+#define LPVG_CAN_ARRIVALS 8u  ///< Arrivals whose time is measured.
+#define LPVG_CAN_ARRIVALS_PERIODS 6u  ///< They must take at least so many periods.
 #define LPVG_CAN_COUNTER_STEP 5u  ///< Largest step of a counter that is read as loss and not as a wrong sequence.
 #define LPVG_CAN_REORDER_US 5000   ///< A frame may carry a time this much before the newest time seen (it waited in a queue).
 #define LPVG_CAN_NO_INDEX 0xFFu
@@ -102,7 +113,7 @@ typedef enum lpvg_can_event_t {
     lpvg_can_event_error = 4,   ///< Error report other than bus-off; ignored.
     lpvg_can_event_bus_off = 5,   ///< Every message is off now.
     lpvg_can_event_backwards = 6,   ///< More than LPVG_CAN_REORDER_US before the newest time seen; ignored.
-    lpvg_can_event_early = 7,   ///< Babbling: sooner than gap_min_us after the frame before.
+    lpvg_can_event_early = 7,   ///< Babbling: sooner than gap_min_us after the frame before, or too many in a window.
     lpvg_can_event_length = 8,   ///< Wrong number of bytes.
     lpvg_can_event_checksum = 9,
     lpvg_can_event_repeated = 10,  ///< Counter as in the frame before: repeated or stuck.
@@ -130,6 +141,11 @@ typedef struct lpvg_can_watch_t {
     uint32_t missed;         ///< Periods missed since the newest good frame
     uint16_t raw[LPVG_CAN_SIGNALS_MAX];    ///< Supervised signals of the newest good frame, raw
     uint8_t state;          ///< lpvg_can_state_t
+    int64_t t_window_us;    ///< Arrival before those that are counted                                  [us]
+    uint16_t window;        ///< Newest frames, 1: bad; the newest is bit 0
+    uint8_t window_bad;     ///< Bad ones of them                                                       0 .. 16
+    uint8_t arrivals;       ///< Since t_window_us                                                      0 .. 7
+    uint8_t fast;           ///< The newest LPVG_CAN_ARRIVALS came too fast
     uint8_t score;          ///< Of bad frames                                                          0 .. 5
     uint8_t good_in_row;    ///< While off                                                              0 .. 5
     uint8_t counter;        ///< Of the newest frame with a right checksum                              0 .. 14
@@ -198,6 +214,11 @@ typedef struct lpvg_can_plausibility_t {
 LPVG_NODISCARD lpvg_status_t lpvg_can_plausibility(lpvg_can_plausibility_t* self, const lpvg_can_plausibility_limits_t* limits,
                                                    float yaw_rate, float lateral, float speed, float wheel_difference);
 
+/// One sample of a check that takes more than one: `*score` counts violations minus agreements, 0 .. confirm. Returns whether the
+/// check has failed: from the score `confirm` on, and until it is back at 0 while `failed`, what the call before returned.
+/// False for NULL.
+bool lpvg_can_confirm(uint16_t* score, bool failed, bool violation, uint16_t confirm);
+
 /// A J1939 trouble code.
 typedef struct lpvg_can_dtc_t {
     uint32_t spn;         ///< Suspect parameter number                 0 .. 0x7FFFF
@@ -211,9 +232,11 @@ typedef struct lpvg_can_dtc_t {
 #define LPVG_CAN_LAMP_MIL 0x40u
 
 #define LPVG_CAN_FMI_ERRATIC 2u  ///< Failure mode identifiers (J1939-73): data erratic.
+#define LPVG_CAN_FMI_RESPONSE 7u  ///< Mechanical system not responding.
 #define LPVG_CAN_FMI_FREQUENCY 8u  ///< Abnormal frequency.
 #define LPVG_CAN_FMI_UPDATE_RATE 9u  ///< Abnormal update rate.
 #define LPVG_CAN_FMI_RATE_OF_CHANGE 10u  ///< Abnormal rate of change.
+#define LPVG_CAN_FMI_BAD_DEVICE 12u  ///< Bad intelligent device or component.
 #define LPVG_CAN_FMI_NETWORK 19u  ///< Received network data in error.
 #define LPVG_CAN_FMI_CONDITION 31u  ///< Condition exists.
 

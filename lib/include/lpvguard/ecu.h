@@ -6,18 +6,42 @@
 ///
 /// Supervision is the worst state (can.h) among the messages that the loop needs:
 ///
-///     live -- engaged when asked to be and no reaction forbids it; the monitor is fed
+///     live -- engaged when asked to be and no cause forbids it; the monitor is fed
 ///     hold -- a needed message is late: not engaged, the demand runs to zero within the rate limit; the monitor has a gap
 ///     off  -- a needed message is unusable, or a number was refused: the same, and a trouble code
 ///
 /// Not engaged is the safe state: the demand reaches zero after at most the largest u_max / rate_max. The controller's state
-/// follows the demand, so engaging again does not jump (controller.h). The loop recovers by itself when every needed message is
-/// live again. A message that went off must first deliver LPVG_CAN_RECOVER_FRAMES good frames. A lost message shows as hold in the
-/// report of the first step later than LPVG_CAN_HOLD_MISSED + 1/2 of its periods after its newest good frame.
+/// follows the demand, so engaging again does not jump (controller.h). A message that went off must first deliver LPVG_CAN_RECOVER_FRAMES
+/// good frames. A lost message shows as hold in the report of the first step later than LPVG_CAN_HOLD_MISSED + 1/2 of its periods after its
+/// newest good frame.
+///
+/// Engagement: the causes LPVG_ECU_CAUSE_* release while they last, but for those that `report_only` of the configuration names.
+/// After a release by anything but the asker the loop engages again LPVG_ECU_WAIT_US after its causes have gone. A cause of
+/// LPVG_ECU_CAUSES_LATCHING that ends an engagement locks it. So does the release by a fault after LPVG_ECU_RELEASES_MAX others, none of
+/// them a LPVG_ECU_RELEASES_US after the one before. A lock ends by lpvg_ecu_acknowledge only. The speed is in range again
+/// LPVG_ECU_SPEED_HYSTERESIS_MPS within the ends of the controller's range. What "no excitation" means for the monitor, verdict
+/// not_judged, permits engagement. Outside the range a valid verdict is reported as not_judged: it is about other speeds.
+///
+/// Permission: the vehicle asks for control by its message (bus.h). Control counts after any other request has been seen since init.
+/// While another command on the actuator has a higher priority than `priority`, while the brake pedal is beyond
+/// LPVG_ECU_PEDAL_PERCENT, and while ABS acts, nothing is engaged. The request to acknowledge acts as lpvg_ecu_acknowledge where it
+/// begins. The actuator is checked against the demand through a lag: LPVG_ECU_CAUSE_ACTUATOR.
+///
+/// Time: a step is taken half to one and a half sample periods after the newest one. Sooner it is refused. Up to LPVG_ECU_JUMP_US later
+/// it is taken as a gap. Anything else is a jump of the clock: refused, until LPVG_ECU_RESYNC_CALLS refused calls have followed
+/// each other by half to one and a half periods. The last of them is taken as a gap of LPVG_ECU_JUMP_US. A gap releases. The demand is
+/// engaged while the mean period over the newest second, half a second after a gap, is the exported one to LPVG_ECU_PERIOD_PERCENT.
+/// Monitor and supervision live on the ECU's own time `core_us`. It is the caller's clock up to the first jump, and never jumps.
+///
+/// Integrity: what the reactions need is kept twice, once with every bit inverted, and compared in every step. The coefficients' CRCs run
+/// through in turn, a few words a step, at most LPVG_ECU_ROUND_US a round: damage is found within two. The demand that leaves a step is
+/// within the kept limits, whatever the controller made of it. Anything found sets LPVG_ECU_CAUSE_CORRUPT until the next init: verdict
+/// fault, neither controller nor monitor runs, and the demand goes to zero by the kept rate, at once where no copy of the kept values has
+/// their sum. The monitor checks its own state in turn.
 ///
 /// Use:     init once -> step every sample period with all frames received since the last step, in order of arrival ->
 ///          send what it returns. Ask for engagement with the configuration or lpvg_ecu_engage.
-/// Cost:    constant apart from n_in times lpvg_can_receive; one controller step, one monitor push.
+/// Cost:    constant apart from lpvg_can_receive for LPVG_ECU_FRAMES_IN frames at most; one controller step, one monitor push.
 /// RAM:     sizeof(lpvg_ecu_t). No heap, no locks, no I/O, no clock of its own.
 /// Threads: one instance per thread; interrupts may fill the queue of frames, not call in. Fields are for reading only.
 #ifndef LPVGUARD_ECU_H
@@ -32,61 +56,174 @@
 LPVG_EXTERN_C_BEGIN
 
 #define LPVG_ECU_FRAMES_OUT 2U  ///< Most frames that one step returns.
+#define LPVG_ECU_FRAMES_IN 20U  ///< Most frames that one step takes: what 250 kbit/s carry in 10 ms. Older ones are counted.
+#define LPVG_ECU_JUMP_US 1000000U  ///< Longest gap that is taken at once                          [us]
+#define LPVG_ECU_RESYNC_CALLS 3U  ///< Refused calls in step with each other that end a jump.
+#define LPVG_ECU_WINDOW_US 1000000U  ///< The mean sample period is measured over this time          [us]
+#define LPVG_ECU_PERIOD_PERCENT 2U  ///< Allowed deviation of the mean sample period                [%]
 
 #define lpvg_ecu_config_t LPVG_SYM(ecu_config_t)
 #define lpvg_ecu_t LPVG_SYM(ecu_t)
+#define lpvg_ecu_clock_t LPVG_SYM(ecu_clock_t)
+#define lpvg_ecu_kept_t LPVG_SYM(ecu_kept_t)
 #define lpvg_ecu_init LPVG_SYM(ecu_init)
 #define lpvg_ecu_engage LPVG_SYM(ecu_engage)
 #define lpvg_ecu_step LPVG_SYM(ecu_step)
+#define lpvg_ecu_acknowledge LPVG_SYM(ecu_acknowledge)
 
-/// What follows from a finding that is not a fault of the bus.
-typedef enum lpvg_ecu_reaction_t {
-    lpvg_ecu_reaction_report = 0,   ///< Report and trouble code only.
-    lpvg_ecu_reaction_release = 1   ///< And not engaged while it lasts.
-} lpvg_ecu_reaction_t;
+#define LPVG_ECU_SPEED_HYSTERESIS_MPS 0.25F  ///< Within the range by so much, the speed is in range again [m/s]
+#define LPVG_ECU_WAIT_US 500000U  ///< From the end of a cause to engagement                    [us]
+#define LPVG_ECU_RELEASES_MAX 3U  ///< Releases by faults after which the next one locks.
+#define LPVG_ECU_RELEASES_US 60000000U  ///< Time without one that forgets them                       [us]
 
+#define LPVG_ECU_CAUSE_NOT_ASKED 0x0001U  ///< Nobody asks for engagement.
+#define LPVG_ECU_CAUSE_MESSAGE 0x0002U  ///< A needed message is not live.
+#define LPVG_ECU_CAUSE_REFUSED 0x0004U  ///< The controller or the monitor refused its sample of the newest step.
+#define LPVG_ECU_CAUSE_TIME 0x0008U  ///< The sample period is not measured yet, or is another one.
+#define LPVG_ECU_CAUSE_RANGE 0x0010U  ///< The speed is outside the controller's scheduling range.
+#define LPVG_ECU_CAUSE_UNJUDGED 0x0020U  ///< The newest verdict is unknown, stale or fault.
+#define LPVG_ECU_CAUSE_INVALID 0x0040U  ///< The newest verdict is invalid.
+#define LPVG_ECU_CAUSE_IMPLAUSIBLE 0x0080U  ///< Sensors contradict each other.
+#define LPVG_ECU_CAUSE_OVERRIDE 0x0400U  ///< The driver brakes, or ABS acts.
+#define LPVG_ECU_CAUSE_PERMISSION 0x0800U  ///< The vehicle does not ask for control, or another command goes first.
+#define LPVG_ECU_CAUSE_ACTUATOR 0x1000U  ///< The actuator does not do what is demanded.
+#define LPVG_ECU_CAUSE_CORRUPT 0x2000U  ///< Coefficients, kept values or state are damaged; until init.
+#define LPVG_ECU_CAUSE_WAIT 0x0100U  ///< The other causes have gone less than LPVG_ECU_WAIT_US ago.
+#define LPVG_ECU_CAUSE_LOCKED 0x0200U  ///< Waiting for lpvg_ecu_acknowledge.
+
+/// What `report_only` may name.
+#define LPVG_ECU_CAUSES_OPTIONAL (LPVG_ECU_CAUSE_UNJUDGED | LPVG_ECU_CAUSE_INVALID | LPVG_ECU_CAUSE_IMPLAUSIBLE | LPVG_ECU_CAUSE_ACTUATOR)
+/// What locks when it ends an engagement.
+#define LPVG_ECU_CAUSES_LATCHING (LPVG_ECU_CAUSE_INVALID | LPVG_ECU_CAUSE_IMPLAUSIBLE | LPVG_ECU_CAUSE_ACTUATOR)
+/// Releases that are no fault and are not counted.
+#define LPVG_ECU_CAUSES_ORDINARY (LPVG_ECU_CAUSE_NOT_ASKED | LPVG_ECU_CAUSE_RANGE | LPVG_ECU_CAUSE_OVERRIDE | LPVG_ECU_CAUSE_PERMISSION)
+
+#define LPVG_ECU_ROUND_US 5000000U  ///< Longest round of the coefficients; damage is found within two       [us]
+#define LPVG_ECU_PEDAL_PERCENT 2.0F  ///< The driver brakes beyond this pedal position                    [%]
+
+/// What the newest step says of itself on the bus.
+typedef enum lpvg_ecu_engagement_t {
+    lpvg_ecu_released = 0,
+    lpvg_ecu_engaged = 1,
+    lpvg_ecu_locked = 2  ///< Released, until it is acknowledged.
+} lpvg_ecu_engagement_t;
+
+/// Limits of the check of the actuator against the demand. All > 0.
+typedef struct lpvg_ecu_actuator_limits_t {
+    float lag_s;  ///< from demand to measured value, as a first-order lag                [s]
+    float tolerance;  ///< allowed |measured value - lagged demand|                            [input unit]
+    uint16_t confirm;  ///< samples by which violations must outnumber agreements
+} lpvg_ecu_actuator_limits_t;
+
+/// Zero is safe: not asked, and every cause releases.
 typedef struct lpvg_ecu_config_t {
-    bool engage;                                  ///< engage as soon as supervision is live
-    uint8_t on_invalid;                           ///< lpvg_ecu_reaction_t: the monitor's verdict is invalid
-    uint8_t on_implausible;                       ///< lpvg_ecu_reaction_t: a cross-check of the sensors fails
+    bool engage;  ///< asked for engagement from the start
+    uint16_t report_only;  ///< causes of LPVG_ECU_CAUSES_OPTIONAL that are reported and do not release
+    uint8_t priority;  ///< other_priority (bus.h) up to which control is permitted, 0 .. 3
     lpvg_can_plausibility_limits_t plausibility;  ///< limits of the cross-checks
+    lpvg_ecu_actuator_limits_t actuator;  ///< limits of the check of the actuator
 } lpvg_ecu_config_t;
 
-/// Findings that DM1 tells, gravest first; the first that is active is the one sent.
+/// Findings that DM1 tells. Of those that are active it sends the gravest: corrupt, refused, time, message, invalid, actuator,
+/// implausible, locked.
 typedef enum lpvg_ecu_fault_t {
     lpvg_ecu_fault_none = 0,
-    lpvg_ecu_fault_refused = 1,      ///< Speed or a measurement was refused, or the controller's numbers broke down.
-    lpvg_ecu_fault_message = 2,      ///< A needed message is not live.
-    lpvg_ecu_fault_invalid = 3,      ///< The model is falsified.
-    lpvg_ecu_fault_implausible = 4   ///< Sensors contradict each other.
+    lpvg_ecu_fault_refused = 1,  ///< Speed or a measurement was refused, or the controller's numbers broke down.
+    lpvg_ecu_fault_message = 2,  ///< A needed message is not live.
+    lpvg_ecu_fault_invalid = 3,  ///< The model is falsified.
+    lpvg_ecu_fault_implausible = 4,  ///< Sensors contradict each other.
+    lpvg_ecu_fault_time = 5,  ///< The mean sample period is not the exported one.
+    lpvg_ecu_fault_locked = 6,  ///< The loop waits for an acknowledgement.
+    lpvg_ecu_fault_actuator = 7,  ///< The actuator does not do what is demanded.
+    lpvg_ecu_fault_corrupt = 8  ///< Coefficients, kept values or state are damaged.
 } lpvg_ecu_fault_t;
 
 #define LPVG_ECU_SPN_REFUSED 520200U  ///< Trouble codes without a standard number (J1939-73 leaves these to makers).
 #define LPVG_ECU_SPN_INVALID 520201U
 #define LPVG_ECU_SPN_IMPLAUSIBLE 520202U
+#define LPVG_ECU_SPN_TIME 520203U
+#define LPVG_ECU_SPN_LOCKED 520204U
+#define LPVG_ECU_SPN_ACTUATOR 520205U
+#define LPVG_ECU_SPN_CORRUPT 520206U
+
+/// What is known of the sample period.
+typedef enum lpvg_ecu_pace_t {
+    lpvg_ecu_pace_unknown = 0,  ///< Not measured since init or the newest gap.
+    lpvg_ecu_pace_good = 1,  ///< The exported one.
+    lpvg_ecu_pace_bad = 2  ///< Another one.
+} lpvg_ecu_pace_t;
+
+/// The clock of the steps.
+typedef struct lpvg_ecu_clock_t {
+    int64_t jump_us;  ///< newest refused call                                         [us]
+    int64_t half_us;  ///< core_us when the current half window began                  [us]
+    uint32_t before_us;  ///< length of the half window before; 0: none                   [us]
+    uint32_t steps;  ///< in the current half window
+    uint32_t refused;  ///< calls refused for their time, saturating
+    uint32_t gaps;  ///< gaps and jumps taken, saturating
+    uint8_t in_step;  ///< refused calls that followed each other in step
+    uint8_t pace;  ///< lpvg_ecu_pace_t
+    bool started;  ///< a step has been taken
+} lpvg_ecu_clock_t;
+
+/// What the reactions need, kept twice.
+typedef struct lpvg_ecu_kept_t {
+    const lpvg_coeff_t* coeff;
+    const lpvg_control_coeff_t* control;
+    lpvg_ecu_config_t config;
+    lpvg_real_t u_max;  ///< largest of all nodes                                       [input unit]
+    lpvg_real_t rate_max;  ///<                                                            [input unit/s]
+    lpvg_real_t speed_min;  ///< controller's scheduling range                              [m/s]
+    lpvg_real_t speed_max;
+    lpvg_real_t demand;  ///< newest                                                     [input unit]
+    uint32_t period_us;
+    bool engage;  ///< asked for
+    bool locked;  ///< until acknowledged
+    bool standby;  ///< a request other than control has been seen since init
+    bool corrupt;  ///< until init
+} lpvg_ecu_kept_t;
 
 typedef struct lpvg_ecu_t {
-    lpvg_ecu_config_t config;
+    lpvg_ecu_kept_t kept;
+    uint32_t inverted[sizeof(lpvg_ecu_kept_t) / sizeof(uint32_t)];  ///< its words with every bit inverted
+    uint32_t sum;  ///< of its words
+    uint32_t crc;  ///< of the coefficients in this round, so far
+    uint32_t next_item;  ///< of the model's coefficients, then of the controller's
+    uint32_t rounds;  ///< complete, saturating
     lpvg_can_supervisor_t supervisor;
     lpvg_can_plausibility_t plausibility;
     lpvg_bus_signals_t signals;
+    float expected;  ///< demand through the actuator's lag                           [input unit]
+    uint16_t deviations;  ///< score of the check of the actuator
+    bool actuator_failed;
     lpvg_control_t control;
     lpvg_monitor_t monitor;
-    lpvg_bus_report_t report;          ///< as sent by the newest step
-    lpvg_ecu_fault_t fault;            ///< gravest active
-    uint32_t period_us;
-    int64_t now_us;                    ///< of the newest step; one less than init's before the first   [us]
-    int64_t dm1_us;                    ///< when DM1 was sent                                           [us]
-    bool engage;                       ///< asked for
-    bool refused;                      ///< speed or a measurement of the newest step was refused: the next is not engaged
-    bool seen_live;                    ///< supervision has been live since init
-    uint8_t counter;                   ///< of the report message's protection
-    uint8_t occurrence;                ///< times a trouble code became active, 126 at most
+    lpvg_bus_report_t report;  ///< as sent by the newest step
+    lpvg_ecu_fault_t fault;  ///< gravest active
+    int64_t now_us;  ///< of the newest step, the caller's clock; init's before the first [us]
+    int64_t core_us;  ///< of the newest step, the ECU's own time                      [us]
+    lpvg_ecu_clock_t clock;
+    int64_t dm1_us;  ///< core_us when DM1 was sent                                   [us]
+    int64_t caused_us;  ///< core_us when waiting began, the newest time             [us]
+    int64_t released_us;  ///< core_us of the newest release by a fault                    [us]
+    uint16_t causes;  ///< LPVG_ECU_CAUSE_* of the newest step, report_only ones included
+    uint16_t lock_causes;  ///< what locked, 0 where nothing has since init
+    uint8_t releases;  ///< by faults, as LPVG_ECU_RELEASES_MAX counts them
+    bool in_range;  ///< the speed, with hysteresis
+    bool acknowledging;  ///< the newest request was to acknowledge
+    bool permitted;  ///< no cause released the newest step
+    bool was_engaged;  ///< since init
+    bool refused;  ///< speed or a measurement of the newest step was refused: the next is not engaged
+    bool seen_live;  ///< supervision has been live since init
+    uint32_t dropped;  ///< older frames beyond LPVG_ECU_FRAMES_IN of a step, saturating
+    uint8_t counter;  ///< of the report message's protection
+    uint8_t occurrence;  ///< times a trouble code became active, 126 at most
 } lpvg_ecu_t;
 
-/// Makes *self ready at time now_us >= 0. Coefficients stay referenced and must outlive it.
-/// Returns bad_argument (NULL, now_us < 0, a reaction or a plausibility limit outside its range).
-/// Returns what lpvg_coeff_check or lpvg_control_coeff_check say, or bad_value when the two sample periods differ.
+/// Makes *self ready at time now_us, 0 .. INT64_MAX / 2. Coefficients stay referenced and must outlive it.
+/// Returns bad_argument (NULL, now_us outside, report_only with another bit, a priority or limit outside its range).
+/// Returns what lpvg_coeff_check or lpvg_control_coeff_check say, or bad_value when the two sample periods differ or are above a
+/// quarter of LPVG_ECU_WINDOW_US.
 /// *self is untouched unless ok is returned.
 LPVG_NODISCARD lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t* coeff, const lpvg_control_coeff_t* control,
                                            const lpvg_ecu_config_t* config, int64_t now_us);
@@ -94,10 +231,14 @@ LPVG_NODISCARD lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t*
 /// Asks for engagement or release from the next step on. Nothing for NULL.
 void lpvg_ecu_engage(lpvg_ecu_t* self, bool engage);
 
+/// Ends a lock from the next step on, unless a cause of LPVG_ECU_CAUSES_LATCHING that releases is still there. Returns whether the
+/// loop is not locked any more; false for NULL.
+bool lpvg_ecu_acknowledge(lpvg_ecu_t* self);
+
 /// One sample period. frames_in [n_in] may be NULL when n_in is 0; a time stamp after now_us counts as now_us.
 /// *n_out frames are written to frames_out, with time now_us. Returns ok; bad_argument (NULL, or max_out < LPVG_ECU_FRAMES_OUT),
-/// not_ready (no init), out_of_order (now_us not after the newest step). Unless it is ok, nothing is received, changed or sent,
-/// and *n_out, where given, is 0.
+/// not_ready (no init), out_of_order (a time that is refused, see above; the first step: before init or beyond INT64_MAX / 2).
+/// Unless it is ok, nothing is received or sent, nothing but `clock` is changed, and *n_out, where given, is 0.
 LPVG_NODISCARD lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const lpvg_can_frame_t* frames_in, size_t n_in,
                                            lpvg_can_frame_t* frames_out, size_t max_out, size_t* n_out);
 

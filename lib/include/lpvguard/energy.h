@@ -66,7 +66,7 @@ void lpvg_energy_start(lpvg_energy_t* self, const lpvg_coeff_t* coeff);
 /// NULL is not checked.
 void lpvg_energy_advance(lpvg_energy_t* self, const lpvg_coeff_t* coeff, const lpvg_real_t* signal, bool settled);
 
-/// Writes and returns `ratio`, in the next direction. NULL is not checked.
+/// Writes and returns `ratio`, in the next direction: infinity where a sum is not finite. NULL is not checked.
 lpvg_real_t lpvg_energy_judge(lpvg_energy_t* self, const lpvg_coeff_t* coeff);
 
 /// The ratio that a vehicle which did not respond at all (e = -yhat) would have shown in the newest direction and strongest

@@ -24,6 +24,10 @@
 /// alarm. A sample out of the scheduling range, a gap and a refused sample restart the test from rest. It is not judged until the
 /// model and F have settled.
 ///
+/// Integrity: every push checks what indexes its state, one bin in turn. State that cannot be is as a refused sample, after which
+/// everything starts anew. A sum of the energy test that is not finite falsifies, and that test starts anew. Damaged coefficients make
+/// wrong verdicts, but no access outside of the objects: ecu.h checks them in turn.
+///
 /// Use:     init once -> push one sample per period -> verdict, frame and records at any time.
 /// Cost:    even over pushes. A bin takes up LPVG_NBLOCK samples at once, a quarter of the bins each push. At most one frame
 ///          is judged per push, over LPVG_NPARTS pushes, and none in a push that closes several. A frame is therefore judged at the
@@ -159,6 +163,8 @@ typedef struct lpvg_monitor_t {
     int64_t t_evidence_us, t_falsified_us;    ///< ends of the newest frames with evidence / that falsified
     bool running, has_evidence, has_falsified, refused;
     uint32_t bad_samples, out_of_order, restarts;
+    uint32_t repairs;                         ///< times that its state could not be, saturating
+    uint32_t turn;                ///< bin that was checked last
 } lpvg_monitor_t;
 
 /// Makes *self ready; coefficients stay referenced and must outlive it.
@@ -166,9 +172,9 @@ typedef struct lpvg_monitor_t {
 LPVG_NODISCARD lpvg_status_t lpvg_monitor_init(lpvg_monitor_t* self, const lpvg_coeff_t* coeff);
 
 /// Takes the sample of one period. Returns ok; bad_argument (NULL); not_ready (no init).
-/// Returns bad_sample when a number is NaN, Inf or outside its physical range. It is counted, the verdict is fault, and frames and
-/// model restart with the next good sample. Returns out_of_order for a sample not newer than the last: counted, ignored.
-/// A step in time of less than half or more than one and a half periods restarts frames and model; nothing is bridged.
+/// Returns bad_sample when a number is NaN, Inf or outside its physical range, or when its state cannot be. It is counted, the verdict is
+/// fault, and frames and model restart with the next good sample. Returns out_of_order for a sample not newer than the last: counted,
+/// ignored. A step in time of less than half or more than one and a half periods restarts frames and model; nothing is bridged.
 LPVG_NODISCARD lpvg_status_t lpvg_monitor_push(lpvg_monitor_t* self, const lpvg_sample_t* sample);
 
 /// Verdict at time now_us on the clock of the samples. Pure function; NULL, no init or now_us before the newest sample

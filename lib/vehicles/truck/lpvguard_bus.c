@@ -7,13 +7,25 @@ const lpvg_bus_t lpvg_bus = {
     .rules = lpvg_can_rules,
     .n_rules = LPVG_CAN_RECEIVED,
     .own_address = 0xFCu,
-    .n_needed = 3u,
-    .needed = {[0] = {LPVG_CAN_EBC2_INDEX, 904u}, [1] = {LPVG_CAN_GUARD_IN_INDEX, 520192u}, [2] = {LPVG_CAN_VDC2_INDEX, 1808u}},
+    .n_needed = 4u,
+    .needed = {[0] = {LPVG_CAN_EBC2_INDEX, 904u}, [1] = {LPVG_CAN_GUARD_IN_INDEX, 520192u}, [2] = {LPVG_CAN_VDC2_INDEX, 1808u}, [3] = {LPVG_CAN_EBC1_INDEX, 563u}},
 };
 
 void lpvg_bus_take(lpvg_bus_signals_t* signals, uint8_t index, const lpvg_can_frame_t* frame)
 {
     switch (index) {
+    case LPVG_CAN_EBC1_INDEX: {
+        lpvg_can_ebc1_t message;
+        float brake_pedal_position;
+        float abs_active;
+        if (lpvg_can_ebc1_unpack(&message, frame) == lpvg_status_ok) {
+            (void)lpvg_can_ebc1_brake_pedal_position_decode(message.brake_pedal_position, &brake_pedal_position);
+            (void)lpvg_can_ebc1_abs_active_decode(message.abs_active, &abs_active);
+            signals->brake_pedal = brake_pedal_position;
+            signals->abs_active = abs_active;
+        }
+        break;
+    }
     case LPVG_CAN_EBC2_INDEX: {
         lpvg_can_ebc2_t message;
         float front_axle_speed;
@@ -31,9 +43,18 @@ void lpvg_bus_take(lpvg_bus_signals_t* signals, uint8_t index, const lpvg_can_fr
     case LPVG_CAN_GUARD_IN_INDEX: {
         lpvg_can_guard_in_t message;
         float yaw_rate_command;
+        float dp_measured;
+        float control_request;
+        float other_priority;
         if (lpvg_can_guard_in_unpack(&message, frame) == lpvg_status_ok) {
             (void)lpvg_can_guard_in_yaw_rate_command_decode(message.yaw_rate_command, &yaw_rate_command);
+            (void)lpvg_can_guard_in_dp_measured_decode(message.dp_measured, &dp_measured);
+            (void)lpvg_can_guard_in_control_request_decode(message.control_request, &control_request);
+            (void)lpvg_can_guard_in_other_priority_decode(message.other_priority, &other_priority);
             signals->reference = (lpvg_real_t)yaw_rate_command;
+            signals->measured = dp_measured;
+            signals->request = control_request;
+            signals->other_priority = other_priority;
         }
         break;
     }
@@ -69,6 +90,7 @@ lpvg_status_t lpvg_bus_pack_report(const lpvg_bus_report_t* report, lpvg_can_fra
     message.monitor_margin = lpvg_can_guard_out_monitor_margin_encode((float)report->statistic);
     message.monitor_verdict = lpvg_can_guard_out_monitor_verdict_encode((float)report->verdict);
     message.supervision_state = lpvg_can_guard_out_supervision_state_encode((float)report->supervision);
+    message.engagement = lpvg_can_guard_out_engagement_encode((float)report->engagement);
     status = lpvg_can_guard_out_pack(&message, frame);
     return (status == lpvg_status_ok) ? lpvg_can_e2e_protect(frame, LPVG_CAN_GUARD_OUT_E2E_DATA_ID, counter) : status;
 }

@@ -154,7 +154,7 @@ def test_every_raw_value_decodes_as_cantools_says_and_comes_back(m, s, codec, da
 def test_codes_above_the_data_decode_as_absent_error_or_reserved(m, s, codec):
     raw = np.arange(1 << s.length)
     _, q = _decode(codec, m, s, raw)
-    top = {2: (1, 2, 3), 8: (0xFA, 0xFE, 0xFF), 16: (0xFAFF, 0xFE00, 0xFF00)}[s.length]
+    top = {2: (1, 2, 3), 4: (0xD, 0xE, 0xF), 8: (0xFA, 0xFE, 0xFF), 16: (0xFAFF, 0xFE00, 0xFF00)}[s.length]
     want = np.select([raw <= top[0], raw >= top[2], raw >= top[1]], [1, 0, 2], 3)
     assert np.array_equal(q, want)
 

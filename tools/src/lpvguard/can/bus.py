@@ -13,14 +13,23 @@ REPORT = {
     "monitor_margin": "statistic",
     "monitor_verdict": "verdict",
     "supervision_state": "supervision",
+    "engagement": "engagement",
 }
 """Signals of the report message and the members of lpvg_bus_report_t that they carry."""
 CHECKS = {
     "yaw_rate": ("VDC2", "{yaw_rate}"),
     "lateral": ("VDC2", "{lateral_acceleration}"),
     "wheel_difference": ("EBC2", "({relative_speed_rear1_right} - {relative_speed_rear1_left}) / 3.6f"),
+    "brake_pedal": ("EBC1", "{brake_pedal_position}"),
+    "abs_active": ("EBC1", "{abs_active}"),
+    "measured": ("GUARD_IN", "{dp_measured}"),
+    "request": ("GUARD_IN", "{control_request}"),
+    "other_priority": ("GUARD_IN", "{other_priority}"),
 }
-"""Cross-checks: member of lpvg_bus_signals_t, message, and the value from its decoded signals."""
+"""Cross-checks and permission: member of lpvg_bus_signals_t, message, and the value from its decoded
+signals."""
+OVERRIDE = CanPlace(message="EBC1", signal="abs_active")
+"""The message without which nobody knows whether the driver brakes or ABS acts."""
 PROPRIETARY_SPN = 520192
 """First of the numbers that J1939-73 leaves to manufacturers, for signals without a number of their own."""
 
@@ -37,7 +46,9 @@ def bus_source(project: Project, catalogue: Catalogue | None = None) -> str:
         used.setdefault(message.name, []).append(signal)
         scale = "" if place.factor == 1.0 else f" * (lpvg_real_t){1.0 / place.factor:.17g}"
         values.setdefault(message.name, []).append(f"signals->{member} = (lpvg_real_t){signal.name}{scale};")
+    _, override = _received(catalogue, OVERRIDE, where)
     needed = {name: signals[0].spn or PROPRIETARY_SPN for name, signals in used.items()}
+    needed[OVERRIDE.message] = override.spn or PROPRIETARY_SPN
     for member, (name, expression) in CHECKS.items():
         for signal in catalogue.message(name).signals:
             if "{" + signal.name + "}" in expression:

@@ -59,7 +59,7 @@ BUS_FAULTS = [
     BusFault("repeated", "GUARD_IN", "repeated", 100, "repeated", 0, "off", 5),
     BusFault("repeated once", "GUARD_IN", "repeated", 1, "repeated", 0, "live", 0),
     BusFault("repeated once", "VDC2", "repeated", 1, "", 0, "live", 0),
-    BusFault("swapped in pairs", "GUARD_IN", "swapped", 100, "early", 1, "live", 0),
+    BusFault("swapped in pairs", "GUARD_IN", "swapped", 100, "early", 1, "off", 17),
     BusFault("delayed by 10 ms", "GUARD_IN", "delayed", 1, "early", 1, "live", 0, 0.01),
     BusFault("delayed by 50 ms", "GUARD_IN", "delayed", 100, "missed", 1, "off", 5, 0.05),
     BusFault("delayed by 1 s", "VDC2", "delayed", 100, "missed", 1, "off", 5, 1.0),

@@ -303,6 +303,7 @@ class Simulator:
         pace: float | None = None,
         lcm: str | None = None,
         paused: bool = False,
+        report_only: bool = False,
     ) -> dict[str, Any]:
         """One run: the object of `lpvguard sim --json`.
 
@@ -317,6 +318,7 @@ class Simulator:
         lcm          URL where the run is published and commands are taken (of a simulator made with ``lcm``).
                      With ``out``, NAME-SEED.applied.toml is the scenario with what clients changed
         paused       wait until a client says resume
+        report_only  findings do not release, as in ``drive``; not on an emulated processor
 
         The same scenario, seed and vehicle give the same bytes but for real_time_factor. That is simulated
         time over one core's processor time. Where the firmware is not in this process, it is over elapsed
@@ -325,6 +327,7 @@ class Simulator:
         seed = scenario.seed if seed is None else seed
         emulated = None if target == "host" else self.emulated(target)
         command: list[Any] = ["--seed", seed, "--bus", bus]
+        command += ["--reactions", "report"] if report_only else []
         if ecu_process or emulated is not None:
             if not bus.startswith("socketcan:"):
                 raise InputError(bus, "bus", "joins nothing outside the simulator", "socketcan:INTERFACE")
@@ -363,11 +366,12 @@ class Simulator:
         What happened is as the simulator prints it. The drive is what its monitor saw; (N,) is True where it
         was given a sample. Elsewhere the drive stands still, so that nothing is judged until the model has
         settled. ``log``: where every frame of the bus goes as candump -L writes it; ``telemetry``: where the
-        loop goes every 100 ms, CSV.
+        loop goes every 100 ms, CSV. Findings are only reported, so that the loop, and what its monitor sees,
+        goes on behind the first one.
         """
         with tempfile.TemporaryDirectory() as scratch:
             table = Path(scratch) / f"{path.stem}.csv"
-            command: list[Any] = ["--drive", table]
+            command: list[Any] = ["--drive", table, "--reactions", "report"]
             for option, value in (("--seed", seed), ("--log", log), ("--telemetry", telemetry)):
                 command += () if value is None else (option, value)
             facts = self._execute(path, command)

@@ -9,6 +9,9 @@ its period from the table, starting off:
                         good frame ends "hold"
     live, hold -> off   the score reaches SCORE_OFF: +1 for a bad frame, -1 for a good one, at least 0; 0
                         after recovery
+    live, hold -> off   WINDOW_BAD of the newest WINDOW frames were bad
+    any -> off          ARRIVALS frames came within ARRIVALS_PERIODS periods; all are bad until as many took
+                        longer
     any -> off          a bus-off report
 
 A frame is bad when one of these holds:
@@ -36,7 +39,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ..can.bus import REFERENCE
+from ..can.bus import OVERRIDE, REFERENCE
 from ..can.catalogue import BusSignal, Message, load_catalogue
 from ..can.codegen import ANY_PRIORITY, GAP_FRACTION
 from ..can.logs import EXTENDED, Frames
@@ -48,13 +51,15 @@ OFF, HOLD, LIVE = (SUPERVISION.index(state) for state in ("off", "hold", "live")
 """lpvg_can_state_t, the worse the smaller."""
 HOLD_MISSED, OFF_MISSED = 3, 5
 SCORE_OFF, RECOVER_FRAMES, COUNTER_STEP = 5, 5, 5
+WINDOW, WINDOW_BAD = 16, 8
+ARRIVALS, ARRIVALS_PERIODS = 8, 6
 
 
 def needed_messages(project: Project) -> list[Message]:
-    """The messages without which the ECU of a vehicle cannot work: those that carry speed, outputs and the
-    command."""
+    """The messages without which the ECU of a vehicle cannot work: those that carry speed, outputs, the
+    command, and what the driver's brakes do."""
     catalogue = load_catalogue()
-    places = [project.speed.can, REFERENCE, *(s.can for s in project.outputs)]
+    places = [project.speed.can, REFERENCE, OVERRIDE, *(s.can for s in project.outputs)]
     return [catalogue.message(name) for name in sorted({p.message for p in places if p is not None})]
 
 
@@ -116,14 +121,18 @@ class _Watch:
     in_row: int = 0
     counter: int | None = None
     values: list[int] | None = None
+    arrived: int | None = None
+    arrivals: int = 0
+    fast: bool = False
 
     def __post_init__(self) -> None:
         self.changes = [(-1, OFF)]
         self.taken: list[tuple[int, list[int]]] = []
+        self.window: list[bool] = []
 
     def go(self, t: int, state: int) -> None:
         if state == OFF:
-            self.in_row, self.counter, self.values = 0, None, None
+            self.in_row, self.counter, self.values, self.window = 0, None, None, []
         if state != self.state:
             self.state = state
             self.changes.append((t, state))
@@ -137,11 +146,23 @@ class _Watch:
         if t >= off:
             self.go(off, OFF)
 
+    def arrive(self, t: int) -> None:
+        if self.arrived is None:
+            self.arrived = t
+            return
+        self.arrivals += 1
+        if self.arrivals == ARRIVALS:
+            self.fast = t - self.arrived < ARRIVALS_PERIODS * self.period
+            self.arrived, self.arrivals = t, 0
+
     def bad(self, t: int) -> None:
         self.score = min(self.score + 1, SCORE_OFF)
         if self.state == OFF:
             self.in_row, self.values = 0, None
-        elif self.score == SCORE_OFF:
+        elif self.score == SCORE_OFF or self.fast:
+            self.go(t, OFF)
+        self.window = [*self.window, True][-WINDOW:]
+        if self.state != OFF and sum(self.window) >= WINDOW_BAD:
             self.go(t, OFF)
 
     def good(self, t: int, values: list[int]) -> None:
@@ -149,11 +170,12 @@ class _Watch:
         self.taken.append((t, values))
         if self.state != OFF:
             self.score = max(0, self.score - 1)
+            self.window = [*self.window, False][-WINDOW:]
             self.go(t, LIVE)
             return
         self.in_row += 1
         if self.in_row == RECOVER_FRAMES:
-            self.score, self.in_row = 0, 0
+            self.score, self.in_row, self.window = 0, 0, []
             self.go(t, LIVE)
 
 
@@ -190,6 +212,8 @@ def _watched(
             watch.pass_time(reports[0])
             watch.go(reports.pop(0), OFF)
         watch.pass_time(t)
+        watch.arrive(t)
+        wrong = wrong or watch.fast
         if not wrong and message.e2e:
             wrong = (
                 watch.counter is not None and not 1 <= (counter - watch.counter) % COUNTERS <= COUNTER_STEP

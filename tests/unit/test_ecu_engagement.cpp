@@ -1,0 +1,187 @@
+// When the ECU may act: speed range, verdicts, waiting, and locks.
+#include "ecu_bench.hpp"
+
+namespace {
+
+constexpr float hysteresis = LPVG_ECU_SPEED_HYSTERESIS_MPS;
+
+Bench engaged_bench(const lpvg_ecu_config_t& config = bench_config) {
+    Bench bench(config);
+    bench.run_until_engaged();
+    return bench;
+}
+
+// Speed ramps at 2 m/s2, as slowly as the message table allows and a truck can.
+void drive_to(Bench& bench, float speed) {
+    while (std::fabs(bench.speed - speed) > 0.02F) {
+        bench.speed += bench.speed < speed ? 0.02F : -0.02F;
+        bench.step();
+    }
+    bench.run(11);  // the axle speed comes every tenth step
+}
+
+bool has(const Bench& bench, uint32_t cause) { return (bench.ecu.causes & cause) != 0U; }
+
+}  // namespace
+
+TEST_CASE("before a frame has ended nothing is known of the vehicle, then lack of excitation permits",
+          "[unit][ecu][REQ-ECU-1][REQ-ECU-11]") {
+    Bench bench;
+    while (bench.ecu.report.verdict == lpvg_verdict_unknown && bench.k < 2000) {
+        bench.step();
+        CHECK_FALSE(bench.engaged());
+    }
+    CHECK(bench.ecu.report.verdict == lpvg_verdict_not_judged);
+    bench.step();
+    CHECK(bench.ecu.causes == 0U);  // no wait where nothing was released
+    CHECK(bench.engaged());
+}
+
+TEST_CASE("at every speed outside the scheduling range the loop is released, with hysteresis at its ends", "[unit][ecu][REQ-ECU-10]") {
+    const lpvg_control_reals_t& r = lpvg_control_coeff.reals;
+    Bench bench = engaged_bench();
+    const float beyond = GENERATE(0.0F, 3.0F, 7.9F, 22.1F, 30.0F, 38.0F);
+    CAPTURE(beyond);
+    const bool low = beyond < static_cast<float>(r.speed_min);
+    const auto edge = static_cast<float>(low ? r.speed_min : r.speed_max);
+    std::size_t wrong = 0;
+    drive_to(bench, edge + (low ? 0.05F : -0.05F));
+    CHECK(bench.engaged());
+    bench.ecu.monitor.has_evidence = true;
+    while (std::fabs(bench.speed - beyond) > 0.02F) {
+        bench.ecu.monitor.t_evidence_us = bench.ecu.core_us;
+        bench.speed += low ? -0.02F : 0.02F;
+        bench.step();
+        const auto now = bench.ecu.signals.speed;  // the newest that has come
+        const bool outside = now < r.speed_min || now > r.speed_max;
+        wrong += outside && (bench.engaged() || bench.report.verdict == static_cast<float>(lpvg_verdict_valid)) ? 1U : 0U;
+    }
+    bench.run(10);
+    CHECK(wrong == 0U);
+    CHECK(has(bench, LPVG_ECU_CAUSE_RANGE));
+    CHECK_FALSE(bench.ecu.kept.locked);
+    CHECK(bench.ecu.releases == 0U);
+    bench.ecu.monitor.has_evidence = false;
+    drive_to(bench, edge + (low ? 0.8F : -0.8F) * hysteresis);
+    CHECK_FALSE(bench.engaged());
+    drive_to(bench, edge + (low ? 1.5F : -1.5F) * hysteresis);
+    bench.run(wait_steps);
+    CHECK(bench.engaged());
+}
+
+TEST_CASE("an unknown, stale or faulty verdict releases, unless it is only to be reported", "[unit][ecu][REQ-ECU-11]") {
+    const bool only_reported = GENERATE(false, true);
+    lpvg_ecu_config_t with = bench_config;
+    with.report_only = only_reported ? LPVG_ECU_CAUSE_UNJUDGED : 0U;
+    Bench bench = engaged_bench(with);
+    bench.run(400);
+    const auto verdict = GENERATE(lpvg_verdict_unknown, lpvg_verdict_stale, lpvg_verdict_fault);
+    bench.ecu.report.verdict = static_cast<uint8_t>(verdict);
+    bench.step();
+    CHECK(has(bench, LPVG_ECU_CAUSE_UNJUDGED));
+    CHECK(bench.engaged() == only_reported);
+    bench.step();
+    CHECK_FALSE(has(bench, LPVG_ECU_CAUSE_UNJUDGED));
+    bench.run(wait_steps - 2);
+    CHECK(has(bench, LPVG_ECU_CAUSE_WAIT) == !only_reported);
+    CHECK(bench.engaged() == only_reported);
+    bench.step();
+    CHECK(bench.engaged());
+    CHECK(bench.ecu.releases == (only_reported ? 0U : 1U));
+}
+
+TEST_CASE("a falsified model and contradicting sensors lock until they are acknowledged", "[unit][ecu][REQ-ECU-12]") {
+    const bool invalid = GENERATE(false, true);
+    const uint32_t cause = invalid ? LPVG_ECU_CAUSE_INVALID : LPVG_ECU_CAUSE_IMPLAUSIBLE;
+    Bench bench = engaged_bench();
+    if (invalid) {
+        bench.ecu.monitor.has_falsified = true;
+        bench.ecu.monitor.t_falsified_us = bench.ecu.core_us;
+    } else {
+        bench.ecu.plausibility.flags = LPVG_CAN_IMPLAUSIBLE_WHEELS;
+        bench.ecu.plausibility.score[1] = 20U;
+    }
+    bench.run(2);
+    CHECK(has(bench, cause));
+    CHECK(has(bench, LPVG_ECU_CAUSE_LOCKED));
+    CHECK((bench.ecu.lock_causes & cause) != 0U);
+    CHECK_FALSE(bench.engaged());
+    CHECK_FALSE(lpvg_ecu_acknowledge(&bench.ecu));
+    bench.ecu.monitor.has_falsified = false;
+    bench.ecu.plausibility = {};
+    bench.run(300);
+    CHECK(bench.ecu.causes == LPVG_ECU_CAUSE_LOCKED);
+    CHECK(bench.spn == LPVG_ECU_SPN_LOCKED);
+    CHECK(bench.fmi == LPVG_CAN_FMI_CONDITION);
+    CHECK_FALSE(bench.engaged());
+    CHECK(lpvg_ecu_acknowledge(&bench.ecu));
+    bench.step();
+    CHECK(bench.engaged());
+    CHECK_FALSE(lpvg_ecu_acknowledge(nullptr));
+}
+
+TEST_CASE("what is found while nothing is engaged does not lock", "[unit][ecu][REQ-ECU-12]") {
+    lpvg_ecu_config_t waiting = bench_config;
+    waiting.engage = false;
+    Bench bench(waiting);
+    bench.run(300);
+    bench.ecu.monitor.has_falsified = true;
+    bench.ecu.monitor.t_falsified_us = bench.ecu.core_us;
+    bench.run(2);
+    CHECK(bench.ecu.causes == (LPVG_ECU_CAUSE_NOT_ASKED | LPVG_ECU_CAUSE_INVALID));
+    bench.ecu.monitor.has_falsified = false;
+    lpvg_ecu_engage(&bench.ecu, true);
+    bench.run(2);
+    CHECK(bench.engaged());
+}
+
+TEST_CASE("messages lost for 60 ms of every 200 lock within the fourth release", "[unit][ecu][REQ-ECU-12]") {
+    Bench bench = engaged_bench();
+    bench.ecu.released_us = bench.ecu.core_us;
+    int engagements = 0;
+    bool before = true;
+    for (int i = 0; i < 360'000; ++i) {  // an hour
+        // 60 ms of every 2 s too: there is time to engage again in between.
+        bench.send_vdc2 = i % (i < 3'000 ? 200 : 20) >= 6;
+        bench.step();
+        engagements += bench.engaged() && !before ? 1 : 0;
+        before = bench.engaged();
+    }
+    CHECK(engagements == static_cast<int>(LPVG_ECU_RELEASES_MAX));
+    CHECK(bench.ecu.kept.locked);
+    CHECK(bench.ecu.lock_causes == LPVG_ECU_CAUSE_MESSAGE);
+    bench.send_vdc2 = true;
+    CHECK(lpvg_ecu_acknowledge(&bench.ecu));
+    bench.run(LPVG_CAN_RECOVER_FRAMES + wait_steps + 2);
+    CHECK(bench.engaged());
+}
+
+TEST_CASE("a minute without a release by a fault forgets those before", "[unit][ecu][REQ-ECU-12]") {
+    const bool in_time = GENERATE(false, true);
+    lpvg_ecu_config_t with = bench_config;
+    with.report_only = LPVG_ECU_CAUSE_INVALID;  // this truck does not answer
+    Bench bench = engaged_bench(with);
+    for (unsigned i = 0; i <= LPVG_ECU_RELEASES_MAX; ++i) {
+        bench.ecu.report.verdict = lpvg_verdict_fault;
+        bench.step();
+        REQUIRE_FALSE(bench.engaged());
+        const int64_t steps = static_cast<int64_t>(LPVG_ECU_RELEASES_US) / tick_us - (in_time ? 0 : 1);
+        bench.run(static_cast<int>(steps) - 1);
+    }
+    CHECK(bench.ecu.releases == (in_time ? 1U : LPVG_ECU_RELEASES_MAX + 1U));
+    CHECK(bench.engaged() == in_time);
+    CHECK(bench.ecu.kept.locked != in_time);
+}
+
+TEST_CASE("asking and the speed's range release without being counted", "[unit][ecu][REQ-ECU-12]") {
+    Bench bench = engaged_bench();
+    for (unsigned i = 0; i < 2U * LPVG_ECU_RELEASES_MAX; ++i) {
+        lpvg_ecu_engage(&bench.ecu, false);
+        bench.step();
+        CHECK(bench.ecu.causes == LPVG_ECU_CAUSE_NOT_ASKED);
+        lpvg_ecu_engage(&bench.ecu, true);
+        bench.step();
+        CHECK(bench.engaged());
+    }
+    CHECK(bench.ecu.releases == 0U);
+}
