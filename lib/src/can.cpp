@@ -6,7 +6,6 @@ namespace {
 
 constexpr uint32_t kPeriodMinUs = 4U;
 constexpr uint32_t kPeriodMaxUs = 10'000'000U;
-constexpr uint8_t kCounters = 15U;  // profile 11 counts 0 .. 14
 constexpr uint8_t kFrameBytes = 8U;
 
 // CRC-8 with polynomial 0x1D, a byte at a time: entry n is the remainder of n * x^8.
@@ -113,10 +112,10 @@ lpvg_can_event_t judge_protection(const lpvg_can_rule_t& rule, lpvg_can_watch_t&
         return lpvg_can_event_checksum;
     }
     const auto counter = static_cast<uint8_t>(frame.data[1] & 0x0FU);
-    if (counter >= kCounters) {
+    if (counter >= LPVG_CAN_COUNTERS) {
         return lpvg_can_event_sequence;
     }
-    const auto step = static_cast<uint8_t>((counter + kCounters - watch.counter) % kCounters);
+    const auto step = static_cast<uint8_t>((counter + LPVG_CAN_COUNTERS - watch.counter) % LPVG_CAN_COUNTERS);
     const bool had_one = watch.has_counter != 0U;
     watch.counter = counter;
     watch.has_counter = 1U;
@@ -335,12 +334,12 @@ lpvg_can_state_t lpvg_can_state(const lpvg_can_supervisor_t* self, uint8_t index
 }
 
 lpvg_status_t lpvg_can_e2e_protect(lpvg_can_frame_t* frame, uint16_t data_id, uint8_t* counter) {
-    if (frame == nullptr || counter == nullptr || !e2e_length(*frame) || *counter >= kCounters) {
+    if (frame == nullptr || counter == nullptr || !e2e_length(*frame) || *counter >= LPVG_CAN_COUNTERS) {
         return lpvg_status_bad_argument;
     }
     frame->data[1] = static_cast<uint8_t>((frame->data[1] & 0xF0U) | *counter);
     frame->data[0] = e2e_crc(*frame, data_id);
-    *counter = static_cast<uint8_t>((*counter + 1U) % kCounters);
+    *counter = static_cast<uint8_t>((*counter + 1U) % LPVG_CAN_COUNTERS);
     return lpvg_status_ok;
 }
 
@@ -349,7 +348,7 @@ lpvg_status_t lpvg_can_e2e_check(const lpvg_can_frame_t* frame, uint16_t data_id
         return lpvg_status_bad_argument;
     }
     const auto received = static_cast<uint8_t>(frame->data[1] & 0x0FU);
-    if (received >= kCounters || e2e_crc(*frame, data_id) != frame->data[0]) {
+    if (received >= LPVG_CAN_COUNTERS || e2e_crc(*frame, data_id) != frame->data[0]) {
         return lpvg_status_bad_sample;
     }
     *counter = received;

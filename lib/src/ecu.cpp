@@ -120,7 +120,7 @@ bool state_well(const lpvg_ecu_t& self) {
     return self.monitor.coeff == self.kept.coeff && self.control.coeff == self.kept.control && self.supervisor.rules == lpvg_bus.rules &&
            self.supervisor.n_rules == lpvg_bus.n_rules && self.supervisor.now_us == self.core_us && self.dm1_us <= self.core_us &&
            self.core_us - self.dm1_us <= 2 * dm1_period_us && self.control.u[0] >= self.kept.demand &&
-           self.control.u[0] <= self.kept.demand;
+           self.control.u[0] <= self.kept.demand && self.counter < LPVG_CAN_COUNTERS && self.occurrence <= occurrence_max;
 }
 
 // After damage: nothing is used that may have been hit, and the step that follows only reports.
@@ -135,6 +135,9 @@ void restore(lpvg_ecu_t& self, bool kept) {
     self.supervisor.n_rules = lpvg_bus.n_rules;
     self.supervisor.now_us = self.core_us;
     self.dm1_us = self.core_us - dm1_period_us;  // told at once
+    // Beyond their ranges these would silence the messages.
+    self.counter = static_cast<uint8_t>(self.counter % LPVG_CAN_COUNTERS);
+    self.occurrence = self.occurrence < occurrence_max ? self.occurrence : occurrence_max;
     keep(self);
 }
 
@@ -553,17 +556,13 @@ extern "C" lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const l
     }
     lpvg_can_frame_t* out = frames_out;
     out->t_us = now_us;
-    if (lpvg_bus_pack_report(&self->report, out, &self->counter) == lpvg_status_ok) {
-        ++out;
-    }
+    out += lpvg_bus_pack_report(&self->report, out, &self->counter) == lpvg_status_ok ? 1 : 0;
     if (self->core_us - self->dm1_us >= dm1_period_us) {
         const lpvg_can_dtc_t dtc = trouble_code(*self, need);
         const bool active = self->fault != lpvg_ecu_fault_none;
         out->t_us = now_us;
         const auto lamps = static_cast<uint8_t>(active ? LPVG_CAN_LAMP_AMBER : 0U);
-        if (lpvg_can_dm1_pack(out, lpvg_bus.own_address, lamps, active ? &dtc : nullptr) == lpvg_status_ok) {
-            ++out;
-        }
+        out += lpvg_can_dm1_pack(out, lpvg_bus.own_address, lamps, active ? &dtc : nullptr) == lpvg_status_ok ? 1 : 0;
         self->dm1_us = self->core_us;
     }
     keep(*self);

@@ -792,7 +792,8 @@ PLANTS: dict[str, list[Plant]] = {
         Plant(
             "lib/src/acceptance.hpp",
             "    return ~crc32_items(",
-            "    return static_cast<uint32_t>(std::exp(item_at<lpvg_real_t>(coeff.reals, 0))) ^ ~crc32_items(",
+            "    return static_cast<uint32_t>(std::exp(item_at<lpvg_real_t>(coeff.reals, 0))) "
+            "^ ~crc32_items(",
             r"imports expf?",
             FLOAT,
         ),

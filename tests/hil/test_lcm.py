@@ -114,7 +114,10 @@ def test_the_bus_of_an_lcm_log_is_the_candump_log_and_replays_to_the_same_verdic
     lcm_simulator, lpvguard, truck_folder, tmp_path
 ):
     run = lcm_simulator.run(
-        load_scenario("brake_gain_40"), lcm=f"file://{tmp_path / 'run.lcm'}?mode=w", out=tmp_path
+        load_scenario("brake_gain_40"),
+        lcm=f"file://{tmp_path / 'run.lcm'}?mode=w",
+        out=tmp_path,
+        report_only=True,  # or what the loop does after its release decides the last verdict
     )
     done = lpvguard("lcm", "bus", tmp_path / "run.lcm", "-o", tmp_path / "mirror.log")
     assert done.returncode == 0, done.stderr

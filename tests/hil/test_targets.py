@@ -130,7 +130,8 @@ def test_the_controller_takes_a_fifth_of_what_full_matrices_take(counted):
     assert bench.dense_to_controller(counted) >= bench.DENSE_TO_CONTROLLER
     # What the demand is worth is compared on the target itself: both ask for the same (target_bench.cpp).
     assert counted["parts"]["dense_step"]["calls"] == counted["parts"]["control_step"]["calls"]
-    assert counted["parts"]["control_step"]["worst"] <= 1_750  # the step that engages; a ratchet
+    # The step that engages; a ratchet. The rate limit by elapsed time costs it eight.
+    assert counted["parts"]["control_step"]["worst"] <= 1_760
 
 
 @pytest.mark.slow("an image for every processor, counted in its emulator")

@@ -205,6 +205,32 @@ TEST_CASE("five good frames means in a row: a bad one starts the count anew, and
     CHECK(bus.supervisor.watch[LPVG_CAN_VDC2_INDEX].good_in_row == 0U);
 }
 
+TEST_CASE("eight bad frames of the newest sixteen switch off, counted from the recovery on", "[unit][can][REQ-CAN-9]") {
+    CanBus bus;
+    bus.run(1, 5);
+    int64_t k = 6;
+    // Good and bad in turn never reach the score. Returns how many bad ones it takes.
+    const auto bad_until_off = [&] {
+        int bad = 0;
+        while (bad < 20 && bus.state(LPVG_CAN_VDC2_INDEX) == lpvg_can_state_live) {
+            auto frame = bus.vdc2(k++);
+            frame.dlc = 7U;
+            CHECK(bus.send(frame) == lpvg_can_event_length);
+            ++bad;
+            if (bus.state(LPVG_CAN_VDC2_INDEX) == lpvg_can_state_live) {
+                CHECK(bus.send(bus.vdc2(k++)) == lpvg_can_event_accepted);
+            }
+        }
+        return bad;
+    };
+    CHECK(bad_until_off() == static_cast<int>(LPVG_CAN_WINDOW_BAD));
+    for (int i = 0; i < static_cast<int>(LPVG_CAN_RECOVER_FRAMES); ++i) {
+        (void)bus.send(bus.vdc2(k++));
+    }
+    CHECK(bus.state(LPVG_CAN_VDC2_INDEX) == lpvg_can_state_live);
+    CHECK(bad_until_off() == static_cast<int>(LPVG_CAN_WINDOW_BAD));
+}
+
 TEST_CASE("only the supervised bits count: the others may hold anything", "[unit][can]") {
     CanBus bus;
     lpvg_can_frame_t frame{};

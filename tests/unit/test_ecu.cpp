@@ -253,6 +253,7 @@ TEST_CASE("init refuses what it documents and leaves the object alone", "[unit][
     CHECK(refused(&lpvg_coeff, nullptr, &config, 0) == lpvg_status_bad_argument);
     CHECK(refused(&lpvg_coeff, &lpvg_control_coeff, nullptr, 0) == lpvg_status_bad_argument);
     CHECK(refused(&lpvg_coeff, &lpvg_control_coeff, &config, -1) == lpvg_status_bad_argument);
+    CHECK(refused(&lpvg_coeff, &lpvg_control_coeff, &config, std::numeric_limits<int64_t>::max() / 2 + 1) == lpvg_status_bad_argument);
     lpvg_ecu_config_t wrong = config;
     wrong.report_only = LPVG_ECU_CAUSE_RANGE;
     CHECK(refused(&lpvg_coeff, &lpvg_control_coeff, &wrong, 0) == lpvg_status_bad_argument);
@@ -269,4 +270,10 @@ TEST_CASE("init refuses what it documents and leaves the object alone", "[unit][
     control.words.sample_period_us *= 2U;
     control.words.crc32 = lpvg_control_coeff_crc32(&control);
     CHECK(refused(&lpvg_coeff, &control, &config, 0) == lpvg_status_bad_value);
+    model = lpvg_coeff;
+    model.words.sample_period_us = control.words.sample_period_us = LPVG_ECU_WINDOW_US / 4U + 1U;
+    model.words.crc32 = lpvg_coeff_crc32(&model);
+    control.words.crc32 = lpvg_control_coeff_crc32(&control);
+    REQUIRE(lpvg_coeff_check(&model) == lpvg_status_ok);
+    CHECK(refused(&model, &control, &config, 0) == lpvg_status_bad_value);
 }

@@ -75,13 +75,15 @@ TEST_CASE("one damaged copy of what is kept still gives the rate to release by, 
 }
 
 TEST_CASE("a demand beyond the kept limits does not leave the ECU", "[unit][ecu][REQ-ECU-15][REQ-CTL-2]") {
+    const int sign = GENERATE(-1, 1);
+    const bool only_rate = GENERATE(false, true);
     lpvg_control_coeff_t control = lpvg_control_coeff;
     Bench bench = engaged_bench(lpvg_coeff, control);
     for (auto& node : control.reals.u_max) {
-        node[0] = lpvg_real_t(1e9);
+        node[0] = only_rate ? node[0] : lpvg_real_t(1e9);
     }
     control.reals.rate_max[0] = lpvg_real_t(1e12);
-    bench.ecu.control.x[0][0] = lpvg_real_t(121);
+    bench.ecu.control.x[0][0] = static_cast<lpvg_real_t>(sign * 121);
     const auto before = static_cast<double>(bench.ecu.kept.demand);
     bench.step();
     CHECK(std::fabs(static_cast<double>(bench.ecu.kept.demand)) <= std::fabs(before));
@@ -89,8 +91,33 @@ TEST_CASE("a demand beyond the kept limits does not leave the ECU", "[unit][ecu]
     check_dead(bench);
 }
 
+TEST_CASE("a sample period of zero in one copy is taken from the other", "[unit][ecu][REQ-ECU-15]") {
+    Bench bench = engaged_bench();
+    bench.ecu.kept.period_us = 0U;
+    bench.step();
+    CHECK(bench.ecu.kept.period_us == lpvg_coeff.words.sample_period_us);
+    CHECK(bench.ecu.kept.corrupt);
+    check_dead(bench);
+}
+
+TEST_CASE("a place in the coefficients behind their end begins the round anew", "[unit][ecu][REQ-ECU-15]") {
+    Bench bench = engaged_bench();
+    bench.ecu.next_item = UINT32_MAX;
+    bench.run(2 * static_cast<int>(LPVG_ECU_ROUND_US) / static_cast<int>(tick_us));
+    CHECK(bench.ecu.rounds >= 1U);
+    CHECK_FALSE(bench.ecu.kept.corrupt);
+}
+
+TEST_CASE("the count of frames that are too many does not wrap", "[unit][ecu][REQ-ECU-6]") {
+    Bench bench;
+    bench.ecu.dropped = UINT32_MAX - 1U;
+    bench.frames.resize(LPVG_ECU_FRAMES_IN);
+    bench.step();
+    CHECK(bench.ecu.dropped == UINT32_MAX);
+}
+
 TEST_CASE("state of the ECU that cannot be is damage", "[unit][ecu][REQ-ECU-15]") {
-    const int which = GENERATE(0, 1, 2, 3, 4, 5, 6, 7);
+    const int which = GENERATE(range(0, 11));
     Bench bench = engaged_bench();
     const lpvg_coeff_t other = lpvg_coeff;
     const lpvg_control_coeff_t other_control = lpvg_control_coeff;
@@ -103,7 +130,13 @@ TEST_CASE("state of the ECU that cannot be is damage", "[unit][ecu][REQ-ECU-15]"
         case 4: ecu.supervisor.now_us += int64_t{1} << 40; break;
         case 5: ecu.dm1_us += int64_t{1} << 40; break;
         case 6: ecu.dm1_us -= int64_t{1} << 40; break;
-        default: ecu.control.u[0] = lpvg_real_t(-121); break;
+        case 7: ecu.control.u[0] = lpvg_real_t(-121); break;
+        case 8: ecu.control.u[0] = lpvg_real_t(121); break;
+        case 9:
+            ecu.counter = 2U * LPVG_CAN_COUNTERS;
+            bench.reports = 0;
+            break;
+        default: ecu.occurrence = 127U; break;
     }
     bench.step();
     CHECK(ecu.kept.corrupt);

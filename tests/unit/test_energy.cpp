@@ -357,6 +357,15 @@ TEST_CASE("within the bound it never speaks, and a verdict on frames stands by i
     CHECK(drive.verdict() != lpvg_verdict_invalid);
 }
 
+TEST_CASE("a bound that is not finite excuses nothing, in no direction that it is of", "[unit][energy][REQ-MON-15]") {
+    Fed fed(lpvg_coeff);
+    fed.energy.band[0].right[0] = std::numeric_limits<Real>::infinity();
+    for (const auto& a : lpvg_coeff.reals.energy_direction) {
+        const Real ratio = lpvg_energy_judge(&fed.energy, &fed.coeff);
+        CHECK((a[0] == Real(0) || ratio == std::numeric_limits<Real>::infinity()));
+    }
+}
+
 TEST_CASE("a sum that is not finite falsifies, and the test starts anew", "[unit][energy][REQ-MON-15][REQ-MON-4]") {
     const Real what = GENERATE(std::numeric_limits<Real>::quiet_NaN(), std::numeric_limits<Real>::infinity());
     const bool left = GENERATE(false, true);

@@ -136,6 +136,21 @@ TEST_CASE("entries join at the cell borders", "[unit][model][REQ-MOD-1]") {
     CHECK(worst <= 2e-5);
 }
 
+TEST_CASE("a damaged index of an entry is used as the first: nothing behind the entries is written", "[unit][model][REQ-MON-15]") {
+    lpvg_coeff_t damaged = lpvg_coeff;
+    damaged.words.varying_entry[0] = LPVG_NENTRIES;
+    const lpvg_coeff_reals_t& r = lpvg_coeff.reals;
+    lpvg_model_t model = advanced_at(r.speed_min), good = model;
+    lpvg_model_advance(&model, &damaged, r.speed_max, Inputs(0).u);
+    lpvg_model_advance(&good, &lpvg_coeff, r.speed_max, Inputs(0).u);
+    const std::size_t hit = lpvg_coeff.words.varying_entry[0];
+    CHECK(model.entry[0] == good.entry[hit]);
+    for (std::size_t i = 1; i < LPVG_NENTRIES; ++i) {
+        CHECK((i == hit || model.entry[i] == good.entry[i]));
+    }
+    CHECK(model.next == good.next);
+}
+
 TEST_CASE("entries are recomputed when the speed moves, and only then", "[unit][model]") {
     const lpvg_coeff_reals_t& r = lpvg_coeff.reals;
     const Real speed = Real(0.5) * (r.speed_min + r.speed_max);

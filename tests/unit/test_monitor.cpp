@@ -610,8 +610,52 @@ TEST_CASE("state that cannot be is as a refused sample, and everything starts an
     CHECK(status == lpvg_status_bad_sample);
     CHECK(drive.verdict() == lpvg_verdict_fault);
     CHECK(drive.monitor.repairs == UINT32_MAX);
+    drive.monitor.n_queue = LPVG_NBINS + 1U;
+    CHECK(drive.step() == lpvg_status_bad_sample);
+    CHECK(drive.monitor.repairs == UINT32_MAX);
     CHECK(drive.step() == lpvg_status_ok);
     CHECK(drive.verdict() == lpvg_verdict_unknown);
     drive.settle();
     CHECK(drive.verdict() == lpvg_verdict_valid);
+}
+
+TEST_CASE("damage between two turns of the check indexes nothing outside", "[unit][monitor][REQ-MON-15]") {
+    const int which = GENERATE(0, 1, 2);
+    Drive drive;
+    drive.settle();
+    std::size_t wrong = 0;
+    for (uint32_t k = 0; k < 2U * longest(); ++k) {
+        lpvg_monitor_t& m = drive.monitor;
+        for (std::size_t b = 0; b < LPVG_NBINS; ++b) {
+            const bool checked = b == (m.turn + 1U) % LPVG_NBINS;  // by this step: it must be good
+            m.bin[b].next_history = which == 0 && !checked ? LPVG_NHISTORY : m.bin[b].next_history % LPVG_NHISTORY;
+            m.queue[b] = which == 1 && !checked ? LPVG_NBINS : m.queue[b] % LPVG_NBINS;
+        }
+        m.n_queue = which == 2 ? LPVG_NBINS : m.n_queue;
+        wrong += drive.step() == lpvg_status_ok && m.frame.bin < LPVG_NBINS && m.n_queue <= LPVG_NBINS ? 0U : 1U;
+    }
+    CHECK(wrong == 0U);
+    CHECK(drive.monitor.repairs == 0U);
+}
+
+TEST_CASE("a statistic of exactly the threshold does not falsify", "[unit][monitor][REQ-MON-5]") {
+    Real largest = Real(0);
+    const auto falsified = [&](Real threshold) {
+        Drive drive(frames_only([&](lpvg_coeff_t& c) {
+            c.words.confirm = c.words.of_last = 1U;
+            c.reals.threshold = threshold;
+        }));
+        drive.gain = 1.5;
+        std::size_t count = 0;
+        drive.run(6U * longest(), [&](const lpvg_frame_t& frame) {
+            largest = std::max(largest, frame.statistic);
+            count += frame.falsified ? 1U : 0U;
+        });
+        return count;
+    };
+    (void)falsified(Real(1000));
+    const Real seen = largest;
+    REQUIRE(seen > Real(1));
+    CHECK(falsified(seen) == 0U);
+    CHECK(falsified(std::nextafter(seen, Real(0))) > 0U);
 }

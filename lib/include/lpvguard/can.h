@@ -56,6 +56,7 @@ extern "C" {
 #define LPVG_CAN_OFF_MISSED 5u
 #define LPVG_CAN_SCORE_OFF 5u
 #define LPVG_CAN_RECOVER_FRAMES 5u
+#define LPVG_CAN_COUNTERS 15u  ///< The end-to-end counter runs from 0 to 14.
 #define LPVG_CAN_WINDOW 16u  ///< Newest frames of a message whose errors are counted.
 #define LPVG_CAN_WINDOW_BAD 8u  ///< So many bad ones of them switch off.
 #define LPVG_CAN_ARRIVALS 8u  ///< Arrivals whose time is measured.

@@ -49,6 +49,8 @@ RECOVERY_S = 1.0
 """Time after a bus fault within which supervision must be live again: five frames of the slowest message, and
 a reserve."""
 
+REPORT_ONLY = ("--reactions", "report")
+"""Findings are reported and do not release."""
 LCM_LINK = ("-Wl,--no-as-needed", "-llcm")
 FLAGS = ("-std=c++17", "-O2", "-ffp-contract=off", "-fno-math-errno")
 Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -327,11 +329,9 @@ class Simulator:
         seed = scenario.seed if seed is None else seed
         emulated = None if target == "host" else self.emulated(target)
         command: list[Any] = ["--seed", seed, "--bus", bus]
-        command += ["--reactions", "report"] if report_only else []
+        command += REPORT_ONLY if report_only else ()
         if ecu_process or emulated is not None:
-            if not bus.startswith("socketcan:"):
-                raise InputError(bus, "bus", "joins nothing outside the simulator", "socketcan:INTERFACE")
-            command += ["--ecu", self.ecu_program if emulated is None else emulated.program]
+            command += ["--ecu", _joining(bus, self.ecu_program if emulated is None else emulated.program)]
         if lcm is not None:
             command += ["--lcm", lcm, "--start", "paused" if paused else "running"]
         if pace is not None:
@@ -371,7 +371,7 @@ class Simulator:
         """
         with tempfile.TemporaryDirectory() as scratch:
             table = Path(scratch) / f"{path.stem}.csv"
-            command: list[Any] = ["--drive", table, "--reactions", "report"]
+            command: list[Any] = ["--drive", table, *REPORT_ONLY]
             for option, value in (("--seed", seed), ("--log", log), ("--telemetry", telemetry)):
                 command += () if value is None else (option, value)
             facts = self._execute(path, command)
@@ -432,6 +432,13 @@ class Simulator:
             "reception": _reception(facts["reception"]),
         }
         return result | {"missed": list(missed(expect, result, self.project.Ts_s))}
+
+
+def _joining(bus: str, program: Path) -> Path:
+    """The firmware that is a process of its own. InputError where it cannot join ``bus``."""
+    if not bus.startswith("socketcan:"):
+        raise InputError(bus, "bus", "joins nothing outside the simulator", "socketcan:INTERFACE")
+    return program
 
 
 def _ports(root: Path) -> list[Path]:
