@@ -576,6 +576,7 @@ SEES = {
     "acceptance.hpp": ["coeff.toy", "controller.hand_truck"],
     "coefficient_checks.hpp": ["coeff.toy", "controller.hand_truck"],
     "can.cpp": ["can", "can_faults"],
+    "authentication.cpp": ["authentication"],
     "margin.hpp": ["margin"],
     "coeff.cpp": ["coeff.toy", "coeff.separate_toy"],
     "model.cpp": ["model.toy", "model.g80"],

@@ -6,6 +6,7 @@
 
 #include <cmath>
 #include <cstring>
+#include <functional>
 #include <limits>
 #include <vector>
 
@@ -61,6 +62,9 @@ public:
         for (; next_frame_us <= t_us; next_frame_us += tick_us) {
             send(in, next_frame_us);
         }
+        if (filter) {
+            in = filter(in);
+        }
         handed = in;
         const size_t n_in = in.size();
         lpvg_can_frame_t behind{};  // what lies behind the frames handed over is not looked at
@@ -99,6 +103,7 @@ public:
 
     lpvg_ecu_t ecu;
     std::vector<lpvg_can_frame_t> frames, handed;  // since the newest step that was taken; of the newest call
+    std::function<std::vector<lpvg_can_frame_t>(const std::vector<lpvg_can_frame_t>&)> filter;  // what the ECU gets of a step's frames
     lpvg_can_vdc2_t newest_vdc2{};
     lpvg_status_t status = lpvg_status_ok;
     int64_t k = 0;

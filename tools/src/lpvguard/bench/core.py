@@ -236,6 +236,7 @@ def budget_rows(report: dict[str, Any]) -> list[list[str]]:
             "",
             "",
             "",
+            "",
         ]
     ]
     for run in report["targets"]:
@@ -255,6 +256,7 @@ def budget_rows(report: dict[str, Any]) -> list[list[str]]:
                         stack,
                         run["parts"]["ecu_init"]["worst"],
                         run["parts"]["ecu_step_full"]["worst"],
+                        run["parts"]["auth_pair"]["worst"],
                         f"{run['load_percent']:.2f} %",
                     )
                 ),
@@ -281,6 +283,7 @@ def write_guide(path: Path, report: dict[str, Any]) -> None:
         "stack [B]",
         "init [instr]",
         "step, full bus [instr]",
+        "authenticated message [instr]",
         f"of {report['clock_mhz']:g} MHz",
         "ELF",
     ]
