@@ -118,8 +118,8 @@ bool rescue(lpvg_ecu_t& self) {
 // What other software, or a fault of the memory, may have changed since the newest step. The kept values are good.
 bool state_well(const lpvg_ecu_t& self) {
     return self.monitor.coeff == self.kept.coeff && self.control.coeff == self.kept.control && self.supervisor.rules == lpvg_bus.rules &&
-           self.supervisor.n_rules == lpvg_bus.n_rules && self.supervisor.now_us == self.core_us && self.dm1_us <= self.core_us &&
-           self.core_us - self.dm1_us <= 2 * dm1_period_us && self.control.u[0] >= self.kept.demand &&
+           self.supervisor.n_rules == lpvg_bus.n_rules && self.supervisor.now_us == self.core_us && self.monitor.t_us <= self.core_us &&
+           self.dm1_us <= self.core_us && self.core_us - self.dm1_us <= 2 * dm1_period_us && self.control.u[0] >= self.kept.demand &&
            self.control.u[0] <= self.kept.demand && self.counter < LPVG_CAN_COUNTERS && self.occurrence <= occurrence_max;
 }
 

@@ -18,7 +18,9 @@ constexpr Real no_speed = std::numeric_limits<Real>::lowest();  // a small negat
 
 // Entries at the speed: the constant ones, and the cubic of the speed's cell for those that vary.
 void set_speed(lpvg_model_t* self, const lpvg_coeff_t* coeff, Real speed) {
-    if (speed == self->speed) {
+    // From time to time at the same speed as well, so that damage does not stay.
+    self->held = speed == self->speed && self->held + 1U < LPVG_NENTRIES ? self->held + 1U : 0U;
+    if (self->held > 0U) {
         return;
     }
     const lpvg_coeff_reals_t& r = coeff->reals;
@@ -29,7 +31,7 @@ void set_speed(lpvg_model_t* self, const lpvg_coeff_t* coeff, Real speed) {
     auto cell = static_cast<std::size_t>(bounded);
     cell = cell < LPVG_NCELLS ? cell : LPVG_NCELLS - 1U;
     const Real x = bounded - static_cast<Real>(cell);
-    // One of the constant entries as well, so that damage does not stay. Where it is one that varies, its polynomial follows.
+    // One of the constant entries as well. Where it is one that varies, its polynomial follows.
     const std::size_t next = self->next + 1U < LPVG_NENTRIES ? self->next + 1U : 0U;
     self->next = static_cast<uint32_t>(next);
     self->entry[next] = r.base[next];
@@ -49,6 +51,7 @@ extern "C" void lpvg_model_start(lpvg_model_t* self, const lpvg_coeff_t* coeff, 
         self->entry[i] = r.base[i];
     }
     self->speed = no_speed;
+    self->next = self->held = 0U;
     for (auto& past : self->past) {
         for (std::size_t i = 0; i < LPVG_NU; ++i) {
             past[i] = u[i] - r.input_offset[i];

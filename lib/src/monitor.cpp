@@ -11,8 +11,10 @@
 #include "lpvguard/monitor.h"
 
 #include <cmath>
+#include <cstddef>
 #include <limits>
 
+#include "acceptance.hpp"
 #include "begin.hpp"
 #include "eigen.hpp"
 #include "margin.hpp"
@@ -364,7 +366,16 @@ void start(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
     ++self.restarts;
 }
 
-// Whether what indexes the state is within it, and one bin in turn.
+// Of the energy test's filters and sums. A flip in them could blind it for many times its memory: a large bound decays slowly.
+uint32_t sum_of(const lpvg_energy_t& energy) {
+    uint32_t sum = 0U;
+    for (std::size_t i = 0; i < offsetof(lpvg_energy_t, ratio) / sizeof(uint32_t); ++i) {
+        sum += lpvguard::item_at<uint32_t>(energy, i);
+    }
+    return sum;
+}
+
+// Whether what indexes the state is within it, one bin in turn, and the energy test as the newest sample left it.
 bool state_well(lpvg_monitor_t& self) {
     self.turn = self.turn + 1U < LPVG_NBINS ? self.turn + 1U : 0U;
     const lpvg_bin_t& bin = self.bin[self.turn];
@@ -372,7 +383,8 @@ bool state_well(lpvg_monitor_t& self) {
            self.queue[self.turn] < LPVG_NBINS && self.parts < LPVG_NPARTS && self.n_records <= LPVG_NRECORDS &&
            self.energy.next_direction < LPVG_NDIRECTIONS && self.energy.strongest < LPVG_NBANDS &&
            bin.n < self.coeff->words.frame_length[self.turn] / 2U && bin.n_history <= LPVG_NHISTORY && bin.next_history < LPVG_NHISTORY &&
-           (!self.has_evidence || self.t_evidence_us <= self.t_us) && (!self.has_falsified || self.t_falsified_us <= self.t_us);
+           (!self.has_evidence || self.t_evidence_us <= self.t_us) && (!self.has_falsified || self.t_falsified_us <= self.t_us) &&
+           sum_of(self.energy) == self.energy_sum;
 }
 
 // After damage: as init left it, and the sample counts as refused.
@@ -477,6 +489,7 @@ extern "C" lpvg_status_t lpvg_monitor_push(lpvg_monitor_t* self, const lpvg_samp
     } else {
         judge_energy(*self, *sample);
     }
+    self->energy_sum = sum_of(self->energy);
     return lpvg_status_ok;
 }
 

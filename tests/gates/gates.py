@@ -25,6 +25,8 @@ each found.
     sanitize     the unit tests run clean under the address and undefined-behaviour sanitizers
     coverage     lines and branches that the unit tests miss in a file of lib/src are as many as coverage.json
                  says (a file that it does not name: none), no more, no less
+    mcdc         in the unit tests every condition of a decision of ecu, can and monitor shows its independent
+                 effect (MC/DC, by clang)
     mutation     unit tests notice small changes of lib/src (mutation.py): a seeded sample of them, all with
                  LPVGUARD_FULL=1; survivors are printed; those that no test can notice stand in mutants.json
                  with the reason
@@ -442,8 +444,16 @@ def options(tree: Path, scratch: Path, only: str = "") -> list[str]:
     return findings
 
 
-def unit_tests(tree: Path, folder: Path, preset: str, only: str = "") -> list[str]:
-    """All unit tests, or the one named ``only`` (a self-test need not build the others)."""
+def unit_tests(
+    tree: Path,
+    folder: Path,
+    preset: str,
+    only: str = "",
+    settings: tuple[str, ...] = (),
+    env: dict[str, str] | None = None,
+) -> list[str]:
+    """All unit tests, or the one named ``only`` (a self-test need not build the others), with further
+    ``settings`` of the configuration, in the environment ``env``."""
     return (
         failed(
             "configure",
@@ -453,6 +463,7 @@ def unit_tests(tree: Path, folder: Path, preset: str, only: str = "") -> list[st
             "-B",
             folder,
             f"-DPython3_EXECUTABLE={sys.executable}",
+            *settings,
             cwd=tree,
         )
         or failed(
@@ -475,6 +486,7 @@ def unit_tests(tree: Path, folder: Path, preset: str, only: str = "") -> list[st
             "-j2",
             "--no-tests=error",
             "--output-on-failure",
+            env=env,
         )
     )
 
@@ -567,6 +579,60 @@ def coverage(tree: Path, scratch: Path, only: str = "") -> list[str]:
         print(f"{kind}: {total - missed_in_all} of {total} executed")
         if missed_in_all > (1 - LEAST_COVERAGE[kind]) * total:
             findings.append(f"only {total - missed_in_all} of {total} {kind} executed")
+    return findings
+
+
+MCDC_CLANG = "19"
+"""Version of the compiler that measures MC/DC. The first that does is 18."""
+MCDC_FLAGS = "-O1 -fprofile-instr-generate -fcoverage-mapping -fcoverage-mcdc"
+MCDC_TESTS = {"can.cpp": "can", "ecu.cpp": "ecu.hand_truck", "monitor.cpp": "monitor.toy"}
+"""File -> unit test that has to show the effect of every condition in it."""
+
+
+def mcdc_of(program: Path, raw: Path, file: Path) -> list[list]:
+    """Decisions of ``file`` in the run of a unit test that left ``raw``: line, and for each condition whether
+    it showed its independent effect on the outcome."""
+    merged = raw.with_suffix(".profdata")
+    subprocess.run([f"llvm-profdata-{MCDC_CLANG}", "merge", "-sparse", raw, "-o", merged], check=True)
+    report = subprocess.run(
+        [f"llvm-cov-{MCDC_CLANG}", "export", program, f"-instr-profile={merged}"],
+        stdout=subprocess.PIPE,
+        check=True,
+    ).stdout
+    files = json.loads(report)["data"][0]["files"]
+    records = next(f["mcdc_records"] for f in files if Path(f["filename"]) == file)
+    return [[record[0], record[-1]] for record in records]
+
+
+def mcdc(tree: Path, scratch: Path, only: str = "") -> list[str]:
+    """``only``: of one file."""
+    build, findings = scratch / "build", []
+    settings = (
+        f"-DCMAKE_C_COMPILER=clang-{MCDC_CLANG}",
+        f"-DCMAKE_CXX_COMPILER=clang++-{MCDC_CLANG}",
+        f"-DCMAKE_C_FLAGS_DEBUG={MCDC_FLAGS}",
+        f"-DCMAKE_CXX_FLAGS_DEBUG={MCDC_FLAGS}",
+        "-DLPVG_BUILD_SIM=OFF",
+    )
+    for name in [only] if only else list(MCDC_TESTS):
+        test = MCDC_TESTS[name]
+        raw = build / f"{name}.profraw"
+        broken = unit_tests(tree, build, "debug", test, settings, {"LLVM_PROFILE_FILE": str(raw)})
+        if broken:
+            return broken
+        file = tree / "lib" / "src" / name
+        program = next(p for p in build.rglob(f"test_{test.replace('.', '_')}") if p.is_file())
+        decisions = mcdc_of(program, raw, file)
+        shown = sum(sum(conditions) for _, conditions in decisions)
+        total = sum(len(conditions) for _, conditions in decisions)
+        print(f"{name}: {shown} of {total} conditions in {len(decisions)} decisions")
+        source = file.read_text().splitlines()
+        findings += [
+            f"{name}:{line}: condition {i + 1} shows no effect of its own: {source[line - 1].strip()}"
+            for line, conditions in decisions
+            for i, seen in enumerate(conditions)
+            if not seen
+        ]
     return findings
 
 
@@ -700,6 +766,7 @@ GATES: dict[str, Callable[..., list[str]]] = {
         big_endian,
         sanitize,
         coverage,
+        mcdc,
         mutation,
     )
 }
@@ -1027,6 +1094,15 @@ PLANTS: dict[str, list[Plant]] = {
             r"mutants survive: coeff\.cpp",
             "coeff.cpp",
             full=True,
+        ),
+    ],
+    "mcdc": [
+        Plant(
+            "lib/src/can.cpp",
+            "if (early || watch.fast != 0U) {",
+            "if (early || (watch.fast != 0U && watch.has_arrival != 2U)) {",
+            r"can\.cpp:\d+: condition 3 shows no effect of its own",
+            "can.cpp",
         ),
     ],
     "coverage": [

@@ -231,6 +231,46 @@ TEST_CASE("eight bad frames of the newest sixteen switch off, counted from the r
     CHECK(bad_until_off() == static_cast<int>(LPVG_CAN_WINDOW_BAD));
 }
 
+TEST_CASE("twice the rate switches off at once, whatever the score, until eight arrivals have taken their time", "[unit][can][REQ-CAN-9]") {
+    CanBus bus;
+    bus.run(1, 5);
+    int sent = 0;
+    int64_t t_us = bus.vdc2(5).t_us;
+    const auto send = [&](int64_t after_us) {
+        auto frame = bus.vdc2(6);
+        t_us += after_us;
+        frame.t_us = t_us;
+        return bus.send(frame);
+    };
+    for (; bus.state(LPVG_CAN_VDC2_INDEX) == lpvg_can_state_live && sent < 30; ++sent) {
+        (void)send(LPVG_CAN_VDC2_PERIOD_US / 2);
+    }
+    CHECK(sent <= 2 * static_cast<int>(LPVG_CAN_ARRIVALS));
+    CHECK(bus.supervisor.watch[LPVG_CAN_VDC2_INDEX].score < LPVG_CAN_SCORE_OFF);
+    CHECK(bus.count(LPVG_CAN_VDC2_INDEX, lpvg_can_event_early) == 1U);
+    int back = 0;
+    for (; bus.state(LPVG_CAN_VDC2_INDEX) != lpvg_can_state_live && back < 60; ++back) {
+        (void)send(LPVG_CAN_VDC2_PERIOD_US);
+    }
+    CHECK(back <= static_cast<int>(LPVG_CAN_ARRIVALS + LPVG_CAN_RECOVER_FRAMES));
+    CHECK(back > static_cast<int>(LPVG_CAN_RECOVER_FRAMES));
+}
+
+TEST_CASE("any number of bad frames while off is forgotten with the recovery", "[unit][can][REQ-CAN-9]") {
+    CanBus bus;
+    for (int64_t k = 1; k <= 20; ++k) {  // good ones between, or silence would begin the count anew
+        auto frame = bus.vdc2(k);
+        frame.dlc = k % 2 == 0 ? frame.dlc : uint8_t{7};
+        CHECK(bus.send(frame) == (k % 2 == 0 ? lpvg_can_event_recovering : lpvg_can_event_length));
+    }
+    CHECK(bus.supervisor.watch[LPVG_CAN_VDC2_INDEX].window_bad == 10U);
+    for (int64_t k = 21; k <= 24; ++k) {
+        CHECK(bus.state(LPVG_CAN_VDC2_INDEX) == lpvg_can_state_off);
+        (void)bus.send(bus.vdc2(k));
+    }
+    CHECK(bus.state(LPVG_CAN_VDC2_INDEX) == lpvg_can_state_live);
+}
+
 TEST_CASE("only the supervised bits count: the others may hold anything", "[unit][can]") {
     CanBus bus;
     lpvg_can_frame_t frame{};

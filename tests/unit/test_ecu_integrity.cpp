@@ -117,7 +117,7 @@ TEST_CASE("the count of frames that are too many does not wrap", "[unit][ecu][RE
 }
 
 TEST_CASE("state of the ECU that cannot be is damage", "[unit][ecu][REQ-ECU-15]") {
-    const int which = GENERATE(range(0, 11));
+    const int which = GENERATE(range(0, 12));
     Bench bench = engaged_bench();
     const lpvg_coeff_t other = lpvg_coeff;
     const lpvg_control_coeff_t other_control = lpvg_control_coeff;
@@ -136,6 +136,7 @@ TEST_CASE("state of the ECU that cannot be is damage", "[unit][ecu][REQ-ECU-15]"
             ecu.counter = 2U * LPVG_CAN_COUNTERS;
             bench.reports = 0;
             break;
+        case 10: ecu.monitor.t_us += int64_t{1} << 24; break;
         default: ecu.occurrence = 127U; break;
     }
     bench.step();

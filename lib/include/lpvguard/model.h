@@ -5,7 +5,8 @@
 /// exact zero-order hold of the continuous model (paper, section IV; THEORY 3.1), its entries tabulated over speed as
 /// cubics whose error the vehicle's MANIFEST.json states. Outside the scheduling range the nearest speed is used.
 ///
-/// Cost: constant; entries are recomputed only when the speed has changed, and one of the constant ones is renewed then. RAM:
+/// Cost: constant; entries are recomputed when the speed has changed and every LPVG_NENTRIES steps at one speed, and one of the
+/// constant ones is renewed then. RAM:
 /// sizeof(lpvg_model_t). Threads: one instance per thread; no function blocks.
 #ifndef LPVGUARD_MODEL_H
 #define LPVGUARD_MODEL_H
@@ -25,6 +26,7 @@ typedef struct lpvg_model_t {
     lpvg_real_t past[LPVG_DELAY + 1][LPVG_NU];      ///< inputs u_{k-1}, ... u_{k-d-1} less the offset, newest first
     lpvg_real_t entry[LPVG_NENTRIES];               ///< Ad, B_old, B_new at `speed`
     uint32_t next;                                  ///< constant entry that was renewed last
+    uint32_t held;                                  ///< steps at this speed since the entries were recomputed
     lpvg_real_t speed;                              ///< speed of `entry` [m/s]; the lowest number: none yet
 } lpvg_model_t;
 
