@@ -532,8 +532,8 @@ extern "C" lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const l
         judge_speed(*self);
         judge_actuator(*self);
         // The limits have been checked by init.
-        (void)!lpvg_can_plausibility(&self->plausibility, &self->kept.config.plausibility, self->signals.yaw_rate, self->signals.lateral,
-                                     static_cast<float>(self->signals.speed), self->signals.wheel_difference);
+        (void)(lpvg_can_plausibility(&self->plausibility, &self->kept.config.plausibility, self->signals.yaw_rate, self->signals.lateral,
+                                     static_cast<float>(self->signals.speed), self->signals.wheel_difference) == lpvg_status_ok);
     }
     take_request(*self);
     if (self->kept.corrupt) {

@@ -16,6 +16,8 @@ using ConstMap = Eigen::Map<const Matrix<Rows, Cols>>;
 constexpr int nx = LPVG_NX, nu = LPVG_NU, ny = LPVG_NY;
 constexpr Real no_speed = std::numeric_limits<Real>::lowest();  // a small negative one is a reading that sensors give
 
+constexpr uint32_t n_renewed = (LPVG_NENTRIES + 7U) / 8U;  // entries a time: all within eight
+
 // Entries at the speed: the constant ones, and the cubic of the speed's cell for those that vary.
 void set_speed(lpvg_model_t* self, const lpvg_coeff_t* coeff, Real speed) {
     // From time to time at the same speed as well, so that damage does not stay.
@@ -31,10 +33,11 @@ void set_speed(lpvg_model_t* self, const lpvg_coeff_t* coeff, Real speed) {
     auto cell = static_cast<std::size_t>(bounded);
     cell = cell < LPVG_NCELLS ? cell : LPVG_NCELLS - 1U;
     const Real x = bounded - static_cast<Real>(cell);
-    // One of the constant entries as well. Where it is one that varies, its polynomial follows.
-    const std::size_t next = self->next + 1U < LPVG_NENTRIES ? self->next + 1U : 0U;
-    self->next = static_cast<uint32_t>(next);
-    self->entry[next] = r.base[next];
+    // Some of the constant entries as well. Where it is one that varies, its polynomial follows.
+    for (uint32_t i = 0U; i < n_renewed; ++i) {
+        self->next = self->next + 1U < LPVG_NENTRIES ? self->next + 1U : 0U;
+        self->entry[self->next] = r.base[self->next];
+    }
     for (std::size_t i = 0; i < LPVG_NVARYING; ++i) {
         const Real* p = r.cell[cell][i];
         const uint32_t index = coeff->words.varying_entry[i];

@@ -13,6 +13,7 @@ each found.
                  double
     misra        public headers and exported C keep MISRA C:2012, as far as cppcheck's add-on sees, but for
                  lib/MISRA.md
+    misra_cpp    lib/src keeps of MISRA C++:2023 what lib/MISRA_CPP.md says a tool checks (misra_cpp.py)
     manual       every public function says what it does, when it fails and, in the head of its header, what
                  it costs, which thread may call it and what memory it takes requirements every requirement of
                  lib/REQUIREMENTS.md is named by a test, and every one that a test names stands there
@@ -52,6 +53,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from misra_cpp import misra_cpp_findings
 from mutation import Mutant, applied, mutants
 from references import references
 
@@ -335,6 +337,11 @@ def misra(tree: Path, scratch: Path) -> list[str]:
         for rule, files in rows
         if (rule, files) not in used
     ]
+
+
+def misra_cpp(tree: Path, scratch: Path) -> list[str]:
+    folder, findings = export(tree, scratch, "hand_truck")
+    return findings or misra_cpp_findings(tree, folder)
 
 
 FUNCTION = re.compile(r"^(?:LPVG_NODISCARD )?(?:const )?(\w+)\*? (lpvg_\w+)\(", re.MULTILINE)
@@ -758,6 +765,7 @@ GATES: dict[str, Callable[..., list[str]]] = {
         headers,
         generated_c,
         misra,
+        misra_cpp,
         manual,
         requirements,
         references,
@@ -1094,6 +1102,26 @@ PLANTS: dict[str, list[Plant]] = {
             r"mutants survive: coeff\.cpp",
             "coeff.cpp",
             full=True,
+        ),
+    ],
+    "misra_cpp": [
+        Plant(
+            "lib/src/can.cpp",
+            "constexpr CrcTable kCrc;",
+            "constexpr CrcTable kCrc;\nunion Either {\n    int a;\n    float b;\n};",
+            r"can\.cpp: 'union', which MISRA_CPP\.md 12\.3\.1 says is absent",
+        ),
+        Plant(
+            "lib/src/can.cpp",
+            "uint8_t crc_step(uint8_t crc, uint8_t byte) { return",
+            "uint8_t crc_step(uint8_t crc, uint8_t byte) { if (crc == byte) return 0U; return",
+            r"can\.cpp:\d+: statement should be inside braces",
+        ),
+        Plant(
+            "lib/MISRA_CPP.md",
+            "`misc-no-recursion`",
+            "`misc-no-recursions`",
+            r"knows no misc-no-recursions",
         ),
     ],
     "mcdc": [

@@ -165,7 +165,7 @@ TEST_CASE("entries are recomputed when the speed moves, and now and then when it
     CHECK(same_entries(model, fresh));
     for (std::size_t hit = 0; hit < LPVG_NENTRIES; ++hit) {  // those that do not vary included
         model.entry[hit] = Real(123);
-        const std::size_t longest = static_cast<std::size_t>(LPVG_NENTRIES) * LPVG_NENTRIES;
+        const std::size_t longest = 8U * static_cast<std::size_t>(LPVG_NENTRIES);
         std::size_t steps = 0;
         for (; !same_entries(model, fresh) && steps < 2U * longest; ++steps) {
             lpvg_model_advance(&model, &lpvg_coeff, speed, Inputs(0).u);

@@ -5,8 +5,8 @@
 /// exact zero-order hold of the continuous model (paper, section IV; THEORY 3.1), its entries tabulated over speed as
 /// cubics whose error the vehicle's MANIFEST.json states. Outside the scheduling range the nearest speed is used.
 ///
-/// Cost: constant; entries are recomputed when the speed has changed and every LPVG_NENTRIES steps at one speed, and one of the
-/// constant ones is renewed then. RAM:
+/// Cost: constant; entries are recomputed when the speed has changed and every LPVG_NENTRIES steps at one speed, and an eighth of
+/// the constant ones is renewed then. RAM:
 /// sizeof(lpvg_model_t). Threads: one instance per thread; no function blocks.
 #ifndef LPVGUARD_MODEL_H
 #define LPVGUARD_MODEL_H
