@@ -22,7 +22,7 @@ from ..identify.run import DriveSet, StoredIdentification
 from ..replay.run import Replayer
 from .baselines import GRID, KINDS, TITLES, Bank, Baseline, Scales
 from .detection import FaultOutcome, Injection, fault_rows, faulty_drive
-from .false_alarms import Pieces, piece_starts
+from .false_alarms import false_alarms, piece_starts
 
 
 def _usable_errors(reader: DriveReader, experiment: Experiment) -> tuple[np.ndarray, np.ndarray]:
@@ -152,7 +152,7 @@ class BaselineStudy:
         return int((pieces > threshold).sum()), len(pieces)
 
 
-def evaluate_baselines(study: BaselineStudy, rows: list[dict], seed: int) -> list[dict]:
+def evaluate_baselines(study: BaselineStudy, rows: list[dict]) -> list[dict]:
     """Per kind: false alarms, parameters chosen, and per fault its cases; each drive with what was tuned
     without it."""
     table = []
@@ -180,7 +180,7 @@ def evaluate_baselines(study: BaselineStudy, rows: list[dict], seed: int) -> lis
                     for run, (b, h) in tuned.items()
                 },
                 "alarmed": {r["run"]: n for r, (n, _) in zip(rows, counts, strict=False)},
-                "false_alarms": vars(Pieces.of(counts, [r["judged_s"] for r in rows], seed)),
+                "false_alarms": false_alarms(counts, rows),
                 "faults": fault_rows(cases),
             }
         )

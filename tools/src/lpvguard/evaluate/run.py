@@ -38,7 +38,7 @@ from .detection import (
     faulty_drive,
     ranking,
 )
-from .false_alarms import Pieces, alarmed_pieces, alarming, piece_starts
+from .false_alarms import alarmed_pieces, alarming, false_alarms, piece_starts
 
 FEWEST_FOR_BASELINES = 2
 """Calibration drives: a baseline has no natural threshold, so one must be left when a drive is left out."""
@@ -189,10 +189,9 @@ def _left_one_out(
     }
 
 
-def _pieces(detector: str, rows: list[dict], seed: int) -> dict:
-    """The object of Pieces of a detector over ``rows`` of drives."""
-    counts = [(r["alarmed"][detector], r["pieces"]) for r in rows]
-    return vars(Pieces.of(counts, [r["judged_s"] for r in rows], seed))
+def _false_alarms(detector: str, rows: list[dict]) -> dict:
+    """The object of FalseAlarms of a detector over ``rows`` of drives."""
+    return false_alarms([(r["alarmed"][detector], r["pieces"]) for r in rows], rows)
 
 
 def _stated_rates(rows: list[dict], baselines: list[dict], scored: Iterable[str]) -> dict[str, float | None]:
@@ -218,8 +217,8 @@ def evaluate(
 
     InputError without any judged drive beside those that set the bounds.
     """
-    seed, scores = stored.project.seed, _scores(stored)
-    calibrations = _left_one_out(scores, stored.project.frame_test.alpha, stored.calibration.recordings)
+    scores, recordings = _scores(stored), stored.calibration.recordings
+    calibrations = _left_one_out(scores, stored.project.frame_test.alpha, recordings)
     injection = _injection(stored, drives, settings, workers)
     items = [(drives.experiments[name], of) for name, of in calibrations.items()]
     rows: list[dict] = []
@@ -229,7 +228,9 @@ def evaluate(
     )
     for row, found in evaluated:
         progress(row["run"])
-        rows.append(row | {"scores": {what: of.get(row["run"]) for what, of in scores.items()}})
+        name = row["run"]
+        row |= {"recording": recordings.named(name)}
+        rows.append(row | {"scores": {what: of.get(name) for what, of in scores.items()}})
         for detector, by_fault in found.items():
             for label, members in by_fault.items():
                 cases[detector][label] += members
@@ -239,7 +240,7 @@ def evaluate(
         study = BaselineStudy(
             stored, drives, core, left_out=left_out, injection=injection, workers=workers, progress=progress
         )
-        baselines = evaluate_baselines(study, rows, seed)
+        baselines = evaluate_baselines(study, rows)
     return _table(stored, rows, cases, baselines, injection)
 
 
@@ -248,7 +249,7 @@ def _table(
 ) -> dict:
     """The object of `lpvguard evaluate --json`, from the drives' rows, the monitor's cases and the
     baselines'."""
-    scored, seed = (MONITOR, *TESTS), stored.project.seed
+    scored = (MONITOR, *TESTS)
     groups = {"all": rows} | {
         d: [r for r in rows if r["driver"] == d] for d in sorted({r["driver"] for r in rows})
     }
@@ -273,10 +274,10 @@ def _table(
         "injection": injection.to_dict(),
         "without_faults": {r["run"]: _without_faults(r, injection) for r in rows if not r["fault_starts_s"]},
         "left_out": stored.manifest["drives"]["left_out"],
-        "false_alarms": {g: _pieces(MONITOR, members, seed) for g, members in groups.items()},
+        "false_alarms": {g: _false_alarms(MONITOR, members) for g, members in groups.items()},
         "faults": [row | {"best": names} for row, names in zip(faults, best, strict=True)],
         "tests": {
-            d: {"false_alarms": _pieces(d, rows, seed), "faults": fault_rows(cases[d])}
+            d: {"false_alarms": _false_alarms(d, rows), "faults": fault_rows(cases[d])}
             for d in (EXPORTED, *TESTS)
         },
         "baselines": baselines,

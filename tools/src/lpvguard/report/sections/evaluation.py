@@ -5,7 +5,16 @@ from __future__ import annotations
 from html import escape
 
 from ...core.compiled import TESTS
-from ...evaluate.comparison import EXPORTED, MONITOR, DetectorColumn, columns, detector_rows, equal_rates
+from ...evaluate.comparison import (
+    ALARM_HEAD,
+    EXPORTED,
+    MONITOR,
+    DetectorColumn,
+    alarm_rows,
+    columns,
+    detector_rows,
+    equal_rates,
+)
 from ...evaluate.false_alarms import PIECE_S
 from ..markup import captioned, html_table, number
 from ..pictures.detectors import SOONEST_S, time_to_find
@@ -21,9 +30,9 @@ def evaluation_section(evaluation: dict) -> str:
 <p>Every drive that did not set the bounds runs through the compiled core with thresholds from
 {escape(evaluation["threshold_rule"])}. Every second of a drive counts, judged or not: in pieces of \
 {PIECE_S:g} s, of which the last
-is as long as its column says, and in drives. The rate is alarmed pieces an hour of judged driving. The \
-interval
-resamples drives, not pieces: pieces of one drive are not exchangeable. Drives that the identification left \
+is as long as its column says, in drives, and in recordings. Rates are per recording and an hour of judged \
+driving. Their intervals are exact (Clopper and Pearson; an hour: Poisson) and over recordings, since \
+alarms of one recording come together. Drives that the identification left \
 out: {left_out or "none"}.</p>
 {_claim_table(evaluation)}\
 <h3>False alarms</h3>{_alarm_table(evaluation)}{_drive_table(evaluation)}\
@@ -32,27 +41,7 @@ out: {left_out or "none"}.</p>
 
 def _alarm_table(evaluation: dict) -> str:
     """False alarms of the monitor per group of drivers."""
-    return html_table(
-        [
-            "drivers",
-            "alarmed drives",
-            f"alarmed {PIECE_S:g} s pieces",
-            "95 % interval of the ratio",
-            "alarmed pieces an hour judged",
-            "judged, h",
-        ],
-        [
-            [
-                escape(group),
-                f"{row['alarmed_drives']} of {row['drives']}",
-                f"{row['alarmed']} of {row['pieces']}",
-                "–" if row["interval"] is None else f"{row['interval'][0]:.3f} to {row['interval'][1]:.3f}",
-                "–" if row["per_judged_h"] is None else f"{row['per_judged_h']:.2f}",
-                f"{row['judged_h']:.3f}",
-            ]
-            for group, row in evaluation["false_alarms"].items()
-        ],
-    )
+    return html_table(ALARM_HEAD, [[escape(cell) for cell in row] for row in alarm_rows(evaluation)])
 
 
 def _claim_table(evaluation: dict) -> str:
