@@ -179,7 +179,7 @@ def print_fit(result: FittedModel) -> None:
 def print_evaluation(result: dict[str, Any]) -> None:
     """The object of `lpvguard evaluate --json`: false alarms, claims, faults found, beside the baselines."""
     from ..core.compiled import TESTS
-    from ..evaluate.comparison import ALARM_HEAD, MONITOR, alarm_rows, columns
+    from ..evaluate.comparison import ALARM_HEAD, CALIBRATED, MONITOR, alarm_rows, columns
     from ..evaluate.false_alarms import PIECE_S
 
     alarms = Table(*ALARM_HEAD, box=None)
@@ -190,9 +190,9 @@ def print_evaluation(result: dict[str, Any]) -> None:
     console.print(f"last pieces that are shorter: {', '.join(short) or 'none'}")
     for test, claim in result["claims"]["identified"].items():
         console.print(f"{test} test as identified: {claim}")
-    for what, claims in result["claims"]["left_one_out"].items():
-        tests = "both tests at one threshold" if what == "monitor" else what + " test"
-        console.print(f"{tests}, each drive without itself: {'; or '.join(claims)}")
+    for what, claims in result["claims"][result["mode"]].items():
+        tests = "both tests at one threshold" if what == MONITOR else what + " test"
+        console.print(f"{tests}, {CALIBRATED[result['mode']]}: {'; or '.join(claims)}")
     for name, reason in result["left_out"].items():
         console.print(f"left out: {name}: {reason}")
     for name, reason in result["without_faults"].items():
@@ -215,7 +215,7 @@ def print_evaluation(result: dict[str, Any]) -> None:
         )
         _print_rates(detectors, beside)
     else:
-        console.print("no baselines: they need another calibration drive when one is left out")
+        console.print("no baselines: too few drives calibrate them")
 
 
 def _detector_table(detectors: dict[str, DetectorColumn], best: list[str] | None = None) -> Table:

@@ -18,8 +18,8 @@ from ...evaluate.baselines import KINDS as BASELINE_KINDS
 from ...evaluate.baselines import TITLES
 from ...evaluate.comparison import COUNTS_ONLY, MONITOR
 from ...evaluate.detection import median_time
+from ...evaluate.judged import energy_test_of
 from ...evaluate.rates import per_hour, rate
-from ...evaluate.run import energy_test_of
 from ...identify.calibration import Calibration, calibrate
 from ...identify.run import StoredIdentification
 from . import faults
