@@ -42,8 +42,8 @@ def held_out(folder: Path, synthetic: Path, drives: dict[str, str]) -> Path:
         lines = [f"{t},{values}" for t, values in zip(times, shifted, strict=True)]
         kept = lines[:SHORT] if name == "short" else lines
         (folder / f"{name}.csv").write_text("\n".join([header, *kept]) + "\n")
-    index = "".join(f"{n},new,human,{r}\n" for n, r in drives.items())
-    (folder / "experiments.csv").write_text("experiment,split,driver,recording\n" + index)
+    index = "".join(f"{n},new,human,{r},dry\n" for n, r in drives.items())
+    (folder / "experiments.csv").write_text("experiment,split,driver,recording,group\n" + index)
     return folder
 
 
@@ -120,6 +120,8 @@ def test_held_out_drives_are_judged_with_the_thresholds_as_stored(
     assert counted["recordings_per_judged_h"] == per_hour(
         counted["recordings"]["count"], sum(r["judged_s"] for r in table["drives"]) / 3600
     )
+    assert {r["group"] for r in table["drives"]} == {"dry"}
+    assert table["false_alarms"]["group dry"] == table["false_alarms"]["all"]
     for b in table["baselines"]:
         assert b["chosen"].keys() == {"first", "second"} and b["chosen"]["first"] == b["chosen"]["second"]
         assert "from 11 drives" in b["chosen"]["first"]["claim"]

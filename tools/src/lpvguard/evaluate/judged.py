@@ -1,7 +1,8 @@
 """Which drives are judged, and by which calibrations.
 
 Judged is each drive of the identification without itself, or drives that the identification never saw. Those
-are judged by its calibration as stored.
+are judged by its calibration as stored. A drive of a group is judged with the threshold of that group, where
+it has one.
 
 Held-out drives calibrate nothing. A table that set bounds or noise, or that calibrated, is refused by its
 bytes. So is a piece of a recording of which the identification saw another piece.
@@ -55,7 +56,7 @@ class JudgedDrives:
             LEFT_ONE_OUT,
             "all other drives that did not set the bounds",
             {name: drives.experiments[name] for name in names},
-            {name: _calibrations(stored, name) for name in names},
+            {name: _of_group(_calibrations(stored, name), recordings.groups.get(name)) for name in names},
             recordings,
         )
 
@@ -72,9 +73,14 @@ class JudgedDrives:
             HELD_OUT,
             "the identification as stored, in which none of them took part",
             {e.name: e for e in experiments},
-            {e.name: as_stored for e in experiments},
+            {e.name: _of_group(as_stored, e.group) for e in experiments},
             Recordings.listed((), experiments),
         )
+
+
+def _of_group(calibrations: dict[str, Calibration], group: str | None) -> dict[str, Calibration]:
+    """With the thresholds for drives of the group."""
+    return {what: c.of_group(group) for what, c in calibrations.items()}
 
 
 def _calibrations(stored: StoredIdentification, without: str | None) -> dict[str, Calibration]:

@@ -26,7 +26,7 @@ from ..base.errors import InputError
 from ..base.parallel import Map
 from ..core.compiled import TESTS, Core
 from ..drives.tables import Experiment
-from ..identify.calibration import Calibration, energy_score, score
+from ..identify.calibration import Calibration, Recordings, energy_score, score
 from ..identify.passes import DriveReader
 from ..identify.run import DriveSet, StoredIdentification
 from ..replay.run import Replay, Replayer
@@ -55,14 +55,15 @@ def _evaluate_drive(
     reader: DriveReader,
     core: Core,
     injection: Injection,
-    item: tuple[Experiment, str, dict[str, Calibration]],
+    item: tuple[Experiment, Recordings, dict[str, Calibration]],
 ) -> tuple[dict, Found]:
-    """One drive, its recording and calibrations of its own for MONITOR, "frame" and "energy": its row, and
+    """One drive, the recordings and calibrations of its own for MONITOR, "frame" and "energy": its row, and
     per detector and fault what became of it from every start.
 
     No case where the drive does not qualify for faults.
     """
-    experiment, recording, calibrations = item
+    experiment, recordings, calibrations = item
+    group = recordings.groups.get(experiment.name)
     project, thresholds = reader.project, {what: c.threshold for what, c in calibrations.items()}
     together = Replayer(project, core, threshold=thresholds[MONITOR], energy_threshold=thresholds[MONITOR])
     apart = Replayer(project, core, threshold=thresholds["frame"], energy_threshold=thresholds["energy"])
@@ -79,7 +80,8 @@ def _evaluate_drive(
     row = {
         "run": experiment.name,
         "driver": experiment.driver,
-        "recording": recording,
+        "recording": recordings.named(experiment.name),
+        **({} if group is None else {"group": group}),
         "calibration": {what: _stated(c) for what, c in calibrations.items()},
         "alarmed": {
             name: alarmed_pieces(untouched[replayer], test)[0] for name, (replayer, test) in detectors.items()
@@ -196,7 +198,7 @@ def evaluate(
         else JudgedDrives.held_out(stored, held_out)
     )
     injection = _injection(stored, drives, settings, workers)
-    items = [(e, judged.recordings.named(n), judged.calibrations[n]) for n, e in judged.experiments.items()]
+    items = [(e, judged.recordings, judged.calibrations[n]) for n, e in judged.experiments.items()]
     rows: list[dict] = []
     cases: Found = {d: {f.label: [] for f in injection.faults} for d in (MONITOR, EXPORTED, *TESTS)}
     left_out: dict[str, str] = dict(stored.manifest["drives"]["left_out"]) if held_out is None else {}
@@ -262,6 +264,8 @@ def _table(
     groups = {"all": rows} | {
         d: [r for r in rows if r["driver"] == d] for d in sorted({r["driver"] for r in rows})
     }
+    for name in sorted({r["group"] for r in rows if "group" in r}):
+        groups[f"group {name}"] = [r for r in rows if r.get("group") == name]
     faults = fault_rows(cases[MONITOR])
     best = [
         ranking({MONITOR: row} | {b["kind"]: b["faults"][i] for b in baselines})

@@ -417,7 +417,7 @@ def identify(
         calibration=calibration,
         energy=energy,
         visibility=visibility(
-            estimator.omega, estimator.speed_range, met, found, calibration.threshold, weights.inflation
+            estimator.omega, estimator.speed_range, met, found, calibration.carried, weights.inflation
         ),
         spectra=run.spectra,
         bound_drives=[e.name for e in chosen.setting],
@@ -528,8 +528,22 @@ class StoredIdentification:
             model,
             Estimator.of(self.project, model),
             self.fitted,
-            self.calibration.threshold,
+            self.calibration.carried,
             self.energy_of_core,
+        )
+
+    def of_group(self, group: str) -> StoredIdentification:
+        """With the thresholds of both tests for drives of a group; InputError where no drive is of it."""
+        known = sorted(self.calibration.groups)
+        if group not in known:
+            raise InputError(
+                self.folder, "group", group, ", ".join(known) or f"groups, a column of {EXPERIMENTS}"
+            )
+        energy = self.energy_of_core
+        return replace(
+            self,
+            calibration=self.calibration.of_group(group),
+            energy=replace(energy, calibration=energy.calibration.of_group(group)),
         )
 
     @property

@@ -139,7 +139,7 @@ def _calibrated(stored: StoredIdentification) -> dict[str, dict[str, Any]]:
             "claim": c.claim(),
             "alpha": c.alpha,
             "conditional_bound": c.conditional_bound,
-            "threshold": c.threshold,
+            "threshold": c.carried,
             "per_hour": c.alpha and c.alpha * 3600 / DURATION_S,
         }
         for test, c in (("frame", stored.calibration), ("energy", energy_test_of(stored).calibration))
