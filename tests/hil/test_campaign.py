@@ -23,6 +23,7 @@ from lpvguard.drives.tables import list_experiments
 from lpvguard.evaluate import baseline_study
 from lpvguard.evaluate.baselines import Baseline
 from lpvguard.evaluate.detection import Injection
+from lpvguard.evaluate.rates import rate
 from lpvguard.identify import run as identify
 from lpvguard.loop.campaign import conduct, faults, one_run, run, scenarios, summary, trucks
 from lpvguard.loop.campaign.run import campaign
@@ -141,13 +142,6 @@ def test_a_frame_that_an_alarm_is_due_for_is_judged_whatever_the_phase(replayer)
     assert one_run.first_stretch(starts[:0], above[:0], 0) is None
 
 
-def test_rates_have_exact_intervals():
-    # Clopper and Pearson: 0 of n ends at 1 - 0.025^(1/n); 5 of 10 is 18.71 to 81.29 %.
-    assert summary.rate(0, 2000)["interval"] == pytest.approx([0.0, 1 - 0.025 ** (1 / 2000)])
-    assert summary.rate(5, 10)["interval"] == pytest.approx([0.1871, 0.8129], abs=1e-4)
-    assert summary.rate(3, 3)["interval"][1] == 1.0 and summary.rate(0, 0)["interval"] is None
-
-
 def test_nobody_is_best_at_a_kind_where_nobody_found_a_fault():
     def row(**found: int) -> dict:
         found = dict.fromkeys(summary.DETECTORS, 0) | found
@@ -157,13 +151,6 @@ def test_nobody_is_best_at_a_kind_where_nobody_found_a_fault():
         summary.kind_row("k", [row(), row()])["best"] == summary.kind_row("k", [row()])["best_matched"] == []
     )
     assert summary.kind_row("k", [row(nis=1, rms=1), row()])["best_matched"] == ["rms", "nis"]
-
-
-def test_alarms_an_hour_have_exact_intervals():
-    # Poisson: none in h hours ends at -ln(0.025)/h; 10 events are 4.795 to 18.391 (Garwood).
-    assert summary.per_hour(0, 100.0)["interval"] == pytest.approx([0.0, -np.log(0.025) / 100])
-    assert summary.per_hour(10, 2.0)["interval"] == pytest.approx([4.7954 / 2, 18.3904 / 2], rel=1e-4)
-    assert summary.per_hour(10, 2.0)["rate"] == 5.0 and summary.per_hour(0, 0.0)["interval"] is None
 
 
 def test_speeds_are_constant_drift_or_sweep_the_range():
@@ -330,7 +317,7 @@ def test_a_campaign_that_was_stopped_goes_on_and_ends_the_same(small, stored, tr
     )
 
     assert told["within"]["runs"] == 5 and told["within"]["hours"] == pytest.approx(0.25)
-    assert told["falsified"] == {"rate": summary.rate(0, 5), "runs": []}
+    assert told["falsified"] == {"rate": rate(0, 5), "runs": []}
     assert 0 < told["within"]["largest_ratio"] <= 1
     assert told["within"]["tests"].keys() == {"frame", "energy"}
     assert set(told["matched_stated"].values()) == {None} and told["matched_claim"].startswith(
@@ -382,7 +369,7 @@ def test_a_falsified_certificate_fails_the_command_and_is_named(
     falsified = told["falsified"]
     refuting = [row for row in rows[:2] if list(conduct.ruled_out(row))]
     assert refuting and [r["number"] for r in falsified["runs"]] == [row["number"] for row in refuting]
-    assert falsified["rate"] == summary.rate(len(refuting), 2)
+    assert falsified["rate"] == rate(len(refuting), 2)
     assert told["missed"][0].startswith(f"{len(refuting)} of 2 runs")
     said = " ".join(done.stderr.split())
     for named, row in zip(falsified["runs"], refuting, strict=True):

@@ -154,12 +154,12 @@ def test_an_alarm_in_the_last_seconds_is_counted(study):
     found, names = study
     b, name = GRID[0], names[0]
     pieces = found.largest[name][b]
-    assert found.alarmed_pieces(b, np.inf, name) == (0, len(pieces))
+    assert found.own.alarmed_pieces(b, np.inf, name) == (0, len(pieces))
     last = {b: np.r_[np.full(len(pieces) - 1, -np.inf), 2.0]}
     largest = dict(found.largest)
     try:
         found.largest[name] = last
-        assert found.alarmed_pieces(b, 1.0, name) == (1, len(pieces))
+        assert found.own.alarmed_pieces(b, 1.0, name) == (1, len(pieces))
     finally:
         found.largest = largest
 

@@ -16,7 +16,7 @@ from lpvguard.drives.tables import Drive, index_text, list_experiments, read_dri
 from lpvguard.evaluate import run as stage
 from lpvguard.evaluate.comparison import equal_rates
 from lpvguard.evaluate.detection import FaultOutcome, Injection, JudgedClock
-from lpvguard.evaluate.false_alarms import Pieces, alarmed_pieces, alarming, piece_starts
+from lpvguard.evaluate.false_alarms import alarmed_pieces, alarming, piece_starts
 from lpvguard.identify import run as identify
 from lpvguard.identify.calibration import Calibration, Recordings, calibrate, joint_scores
 from lpvguard.replay.run import Replay, Replayer
@@ -135,21 +135,6 @@ def test_every_second_counts_in_pieces_of_which_the_last_may_be_shorter():
     )
     assert alarmed_pieces(replay(120.0, over=(6000,))) == (1, 2), "the closing sample is no piece of its own"
     assert piece_starts(1, TS).tolist() == [0]
-
-
-def test_false_alarms_are_counted_in_pieces_drives_and_by_the_hour_judged():
-    counted = Pieces.of([(2, 3), (0, 1), (1, 2)], [100.0, 0.0, 260.0], seed=1)
-    assert (counted.drives, counted.alarmed_drives, counted.alarmed, counted.pieces) == (3, 2, 3, 6)
-    assert counted.judged_h == pytest.approx(0.1) and counted.per_judged_h == pytest.approx(30.0)
-    assert Pieces.of([(1, 1)], [0.0], seed=1).per_judged_h is None
-    none = Pieces.of([], [], seed=1)
-    assert (none.drives, none.alarmed_drives, none.pieces, none.interval, none.per_judged_h) == (
-        0,
-        0,
-        0,
-        None,
-        None,
-    )
 
 
 def test_equal_rates_are_claimed_only_where_all_are_stated():
@@ -358,6 +343,9 @@ def test_recordings_of_the_index_reach_the_claims_and_whole_ones_are_left_out(fo
     assert table["claims"]["identified"]["frame"].startswith(said)
     left = {r["run"]: r["calibration"]["monitor"]["drives"] for r in table["drives"]}
     assert left == {"synthetic_06": 1, "synthetic_07": 1, "synthetic_08": 2}
+    counted = table["false_alarms"]["all"]
+    assert counted["drives"] == 3 and counted["recordings"]["of"] == 2
+    assert {r["run"]: r["recording"] for r in table["drives"]} == {n: day.get(n, n) for n in left}
     stored = identify.load(made.parent / "identified")
     assert stored.calibration.recordings == Recordings(day)
     assert stored.energy.calibration.recordings == stored.calibration.recordings

@@ -16,7 +16,6 @@ from lpvguard.core.compiled import Core, shipped_vehicle
 from lpvguard.drives.faults import Fault, inject
 from lpvguard.drives.tables import list_experiments, read_drive
 from lpvguard.evaluate.detection import Injection
-from lpvguard.evaluate.false_alarms import Pieces
 from lpvguard.evaluate.run import evaluate
 from lpvguard.identify import run as stage
 from lpvguard.replay.run import Replayer, excited_samples
@@ -116,12 +115,6 @@ def test_faults_are_found_and_the_untouched_drive_is_not(fault, drive, core, g80
     assert abs(alarm.E[0]) == pytest.approx(
         alarm.margin * (alarm.B_w[0] + alarm.W_delta[0] * abs(alarm.Z[0])), rel=1e-4
     )
-
-
-def test_bootstrap_interval_needs_pieces_and_brackets_the_ratio():
-    assert Pieces.of([(0, 0)], [0.0], 1).interval is None
-    p = Pieces.of([(1, 5), (0, 4), (0, 5), (2, 6)], [300.0] * 4, 1)
-    assert p.interval[0] <= p.alarmed / p.pieces <= p.interval[1]
 
 
 def test_excited_samples_follow_the_definition():

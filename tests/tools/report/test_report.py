@@ -265,7 +265,12 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
             },
             "alarmed": dict.fromkeys(detectors, seen),
             "tests": {
-                t: seen | {"per_hour": {"rate": 0.4, "interval": [0.01, 2.23]}, "alarms": 3}
+                t: seen
+                | {
+                    "per_hour": {"rate": 0.4, "interval": [0.01, 2.23]},
+                    "per_judged_hour": {"rate": 0.5, "interval": [0.0127, 2.79]},
+                    "alarms": 3,
+                }
                 for t in ("frame", "energy")
             },
         },
@@ -351,7 +356,12 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
         section.index("Falsified certificates: 1 of 50") < section.index("oscillates") < section.index("h of")
     ), "first in its section"
     assert "<td>7</td><td>99</td><td>3</td><td>21.40</td><td>oscillates at 9.11 rad/s</td>" in section
-    assert "NIS on brake gain, 50% against 25%" in text and "0.40, 0.01 to 2.23" in text and "10.50 %" in text
+    assert (
+        "NIS on brake gain, 50% against 25%" in text
+        and "0.40, 0.01 to 2.23" in text
+        and "0.50, 0.01 to 2.79" in text
+        and "10.50 %" in text
+    )
     assert (
         "<td>GUARD_IN lost</td><td>0.5 of the frames</td><td>3 of 4</td><td>77, 76</td><td>12.5%</td>" in text
     )

@@ -19,6 +19,12 @@ def export(
     controller: Annotated[
         Path | None, typer.Option(help="controller.json, or the folder written by design.")
     ] = None,
+    group: Annotated[
+        str | None,
+        typer.Option(
+            help="Group of experiments.csv whose thresholds the core carries (default: the largest of all)."
+        ),
+    ] = None,
 ) -> None:
     """Generate the C folder of a vehicle: coefficients, controller, signal table, CAN codec, manifest."""
     from ..control.design import verify
@@ -26,9 +32,14 @@ def export(
     from ..identify.export import export_vehicle
 
     stored = stored_for(identification, vehicle)
+    if group is not None:
+        stored = stored.of_group(group)
     if controller is not None and controller.is_dir():
         controller = controller / "controller.json"
     if controller is not None:
         verify(controller, stored)
     export_vehicle(stored, out, load_controller(controller) if controller else None)
+    if stored.calibration.groups:
+        console.print(f"frame test: {stored.calibration.claim()}")
+        console.print(f"energy test: {stored.energy_of_core.calibration.claim()}")
     console.print(f"{stored.project.name}: written to {out}")

@@ -52,10 +52,10 @@ def identify(
         console.print(f"left out: {name}: {reason}")
     if result.energy is not None:
         console.print(
-            f"energy test: threshold {result.energy.calibration.threshold:.4g} "
+            f"energy test: threshold {result.energy.calibration.carried:.4g} "
             f"({result.energy.calibration.claim()}), sigma {result.energy.sigma_text(project)}"
         )
     console.print(
-        f"threshold {c.threshold:.4g} ({c.claim()}); "
+        f"threshold {c.carried:.4g} ({c.claim()}); "
         f"final inflation {result.weights.inflation:.6g}; written to {out}"
     )

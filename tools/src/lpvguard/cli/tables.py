@@ -179,37 +179,20 @@ def print_fit(result: FittedModel) -> None:
 def print_evaluation(result: dict[str, Any]) -> None:
     """The object of `lpvguard evaluate --json`: false alarms, claims, faults found, beside the baselines."""
     from ..core.compiled import TESTS
-    from ..evaluate.comparison import MONITOR, columns
+    from ..evaluate.comparison import ALARM_HEAD, CALIBRATED, MONITOR, alarm_rows, columns
     from ..evaluate.false_alarms import PIECE_S
 
-    alarms = Table(
-        "drivers",
-        "alarmed drives",
-        f"alarmed {PIECE_S:g} s pieces",
-        "95 % interval of the ratio",
-        "an hour judged",
-        "judged, h",
-        box=None,
-    )
-    for group, row in result["false_alarms"].items():
-        interval = "–" if row["interval"] is None else f"{row['interval'][0]:.3f} .. {row['interval'][1]:.3f}"
-        hourly = "–" if row["per_judged_h"] is None else f"{row['per_judged_h']:.2f}"
-        alarms.add_row(
-            group,
-            f"{row['alarmed_drives']} of {row['drives']}",
-            f"{row['alarmed']} of {row['pieces']}",
-            interval,
-            hourly,
-            f"{row['judged_h']:.3f}",
-        )
+    alarms = Table(*ALARM_HEAD, box=None)
+    for cells in alarm_rows(result):
+        alarms.add_row(*cells)
     console.print(alarms)
     short = [f"{r['run']} {r['last_piece_s']:.1f} s" for r in result["drives"] if r["last_piece_s"] < PIECE_S]
     console.print(f"last pieces that are shorter: {', '.join(short) or 'none'}")
     for test, claim in result["claims"]["identified"].items():
         console.print(f"{test} test as identified: {claim}")
-    for what, claims in result["claims"]["left_one_out"].items():
-        tests = "both tests at one threshold" if what == "monitor" else what + " test"
-        console.print(f"{tests}, each drive without itself: {'; or '.join(claims)}")
+    for what, claims in result["claims"][result["mode"]].items():
+        tests = "both tests at one threshold" if what == MONITOR else what + " test"
+        console.print(f"{tests}, {CALIBRATED[result['mode']]}: {'; or '.join(claims)}")
     for name, reason in result["left_out"].items():
         console.print(f"left out: {name}: {reason}")
     for name, reason in result["without_faults"].items():
@@ -232,7 +215,7 @@ def print_evaluation(result: dict[str, Any]) -> None:
         )
         _print_rates(detectors, beside)
     else:
-        console.print("no baselines: they need another calibration drive when one is left out")
+        console.print("no baselines: too few drives calibrate them")
 
 
 def _detector_table(detectors: dict[str, DetectorColumn], best: list[str] | None = None) -> Table:
@@ -392,8 +375,10 @@ def print_campaign(summary: dict[str, Any]) -> None:
 
 def _print_falsified(summary: dict[str, Any]) -> None:
     """Every run of a truck within the bounds that did what the certificate rules out."""
+    from ..evaluate.rates import share_words
+
     falsified = summary["falsified"]
-    console.print(f"runs within the bounds that falsify the certificate: {_rate(falsified['rate'])}")
+    console.print(f"runs within the bounds that falsify the certificate: {share_words(falsified['rate'])}")
     for run in falsified["runs"]:
         console.print(
             f"FALSIFIED CERTIFICATE: run {run['number']}, seed {run['seed']}, truck {run['plant']}, "
@@ -403,31 +388,31 @@ def _print_falsified(summary: dict[str, Any]) -> None:
 
 def _print_within(summary: dict[str, Any]) -> None:
     """False alarms of trucks within the bounds, beside the rates that were calibrated."""
+    from ..evaluate.rates import hourly_words, share_words
+
     within = summary["within"]
     console.print(
         f"{within['hours']:.1f} h of {within['plants']} trucks within the bounds by their own frequency "
         f"response (of {within['candidates']} drawn)"
     )
-    rates = Table("test", "runs that alarm", "calibrated", "such runs an hour", "calibrated", box=None)
+    head = ("test", "runs that alarm, 95 %", "calibrated", "such runs an hour, 95 %", "calibrated")
+    rates = Table(*head, "such runs an hour judged, 95 %", box=None)
     for test, seen in within["tests"].items():
-        calibrated, hourly = summary["calibrated"][test], seen["per_hour"]
-        interval = (
-            ""
-            if hourly["interval"] is None
-            else f"{hourly['rate']:.2f} ({hourly['interval'][0]:.2f} .. {hourly['interval'][1]:.2f})"
-        )
+        calibrated = summary["calibrated"][test]
         stated = (
             ("not stated", "")
             if calibrated["alpha"] is None
             else (f"{calibrated['alpha']:.2%}", f"{calibrated['per_hour']:.2f}")
         )
-        rates.add_row(test, _rate(seen), stated[0], interval, stated[1])
+        hourly = [hourly_words(seen[key]) for key in ("per_hour", "per_judged_hour")]
+        rates.add_row(test, share_words(seen), stated[0], hourly[0], stated[1], hourly[1])
     console.print(rates)
 
 
 def _print_detection(summary: dict[str, Any]) -> None:
     """The detectors beside one another: over all faults, by kind, and where a baseline wins."""
     from ..evaluate.comparison import COUNTS_ONLY
+    from ..evaluate.rates import share_words
 
     detectors, matched, stated = summary["detectors"], summary["matched_claim"], summary["matched_stated"]
     table = Table("", *detectors.values(), box=None)
@@ -435,7 +420,7 @@ def _print_detection(summary: dict[str, Any]) -> None:
         ("runs within the bounds that alarm", summary["within"]["alarmed"]),
         ("visible faults found in time", summary["visible"]),
     ):
-        table.add_row(title, *(_rate(of[d]) for d in detectors))
+        table.add_row(title, *(share_words(of[d]) for d in detectors))
     for title, key in (("average found", "calibrated"), (f"average found, {matched}", "matched")):
         table.add_row(title, *(f"{summary['average'][d][key]:.1%}" for d in detectors))
     table.add_row(
@@ -471,6 +456,8 @@ def _print_invisible(summary: dict[str, Any]) -> None:
 
 def _print_bus(summary: dict[str, Any]) -> None:
     """What the supervision made of faults of the bus, and of buses without a fault."""
+    from ..evaluate.rates import share_words
+
     bus = Table(
         "fault of the bus, by severity",
         "runs as required",
@@ -493,16 +480,10 @@ def _print_bus(summary: dict[str, Any]) -> None:
     console.print(bus)
     for which, said in summary["supervision"].items():
         console.print(
-            f"supervision of a {which} bus as its frames require: {_rate(said['as_required'])} runs; "
+            f"supervision of a {which} bus as its frames require: {share_words(said['as_required'])} runs; "
             f"of {said['due']} reactions due {said['met']} at the very tick"
         )
 
 
 def _of(rows: list[dict], count: str, of: str) -> str:
     return f"{sum(r[count] for r in rows)} of {sum(r[of] for r in rows)}"
-
-
-def _rate(rate: dict) -> str:
-    return f"{rate['count']} of {rate['of']}" + (
-        "" if rate["interval"] is None else f" ({rate['interval'][0]:.2%} .. {rate['interval'][1]:.2%})"
-    )

@@ -2,9 +2,9 @@
 
 A drive folder holds one table a drive and ``experiments.csv``. That index has at least the columns
 ``experiment`` (file stem) and ``split``; ``driver`` is carried along when present. Drives that are pieces of
-one recording say so in ``recording``. Nothing is repaired here:
-what does not fit is an InputError that names file, line and column. Raw logs are turned into such tables by
-``lpvguard ingest``.
+one recording say so in ``recording``, and drives with something in common in ``group``. Nothing is repaired
+here: what does not fit is an InputError that names file, line and column. Raw logs are turned into such
+tables by ``lpvguard ingest``.
 """
 
 from __future__ import annotations
@@ -59,13 +59,15 @@ class Drive:
 
 @dataclass(frozen=True)
 class Experiment:
-    """An entry of ``experiments.csv``; ``recording``: its own name where none is given."""
+    """An entry of ``experiments.csv``; ``recording``: its own name where none is given; ``group``: driver,
+    road, day or whatever else drives have in common, None where none is given."""
 
     name: str
     path: Path
     split: str
     driver: str
     recording: str
+    group: str | None = None
 
 
 def list_experiments(folder: Path) -> list[Experiment]:
@@ -91,7 +93,8 @@ def list_experiments(folder: Path) -> list[Experiment]:
                 index, f"line {line}", f"no table {stem}.csv or {stem}.parquet", "the file beside it"
             )
         driver, recording = row.get("driver") or "unknown", row.get("recording") or stem
-        experiments.append(Experiment(stem, path.absolute(), row["split"], driver, recording))
+        group = row.get("group") or None
+        experiments.append(Experiment(stem, path.absolute(), row["split"], driver, recording, group))
     if not experiments:
         raise InputError(index, "", "lists no drive", "at least one line")
     return experiments

@@ -2,12 +2,13 @@
 
 A baseline gets the same drives, residuals, calibration drives and alpha as the monitor. Its parameters are
 those that find most injected faults (then soonest) on the bound-setting and the other calibration drives. The
-drive under test takes part in nothing.
+drive under test takes part in nothing, whether it was left out or never seen by the identification.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -22,7 +23,7 @@ from ..identify.run import DriveSet, StoredIdentification
 from ..replay.run import Replayer
 from .baselines import GRID, KINDS, TITLES, Bank, Baseline, Scales
 from .detection import FaultOutcome, Injection, fault_rows, faulty_drive
-from .false_alarms import Pieces, piece_starts
+from .false_alarms import false_alarms, piece_starts
 
 
 def _usable_errors(reader: DriveReader, experiment: Experiment) -> tuple[np.ndarray, np.ndarray]:
@@ -31,11 +32,13 @@ def _usable_errors(reader: DriveReader, experiment: Experiment) -> tuple[np.ndar
     return e[usable], drive.u[usable]
 
 
-def _largest(reader: DriveReader, bank: Bank, experiment: Experiment) -> dict[Baseline, np.ndarray]:
-    """Largest statistic of each baseline in each 60 s piece (piece_starts)."""
+def _largest(
+    reader: DriveReader, bank: Bank, baselines: Iterable[Baseline], experiment: Experiment
+) -> dict[Baseline, np.ndarray]:
+    """Largest statistic of each of the ``baselines`` in each 60 s piece (piece_starts)."""
     drive, e, _ = reader.read(experiment)
     starts = piece_starts(len(drive.v), reader.project.Ts_s)
-    return {b: np.maximum.reduceat(s, starts) for b, s in bank.statistics(GRID, e, drive.v)}
+    return {b: np.maximum.reduceat(s, starts) for b, s in bank.statistics(baselines, e, drive.v)}
 
 
 Cases = dict[tuple[Baseline, float], dict[str, list[FaultOutcome]]]
@@ -72,6 +75,20 @@ def _cases(
     return cases
 
 
+@dataclass(frozen=True)
+class OnDrives:
+    """What baselines make of drives, by drive: their largest statistic in each 60 s piece, and what became of
+    faults."""
+
+    largest: dict[str, dict[Baseline, np.ndarray]]
+    cases: dict[str, Cases]
+
+    def alarmed_pieces(self, b: Baseline, threshold: float, name: str) -> tuple[int, int]:
+        """(alarmed, all) 60 s pieces of an untouched drive."""
+        pieces = self.largest[name][b]
+        return int((pieces > threshold).sum()), len(pieces)
+
+
 class BaselineStudy:
     """The baselines on the drives of an identification: scores, thresholds, searched parameters."""
 
@@ -96,27 +113,44 @@ class BaselineStudy:
         setting = [n for n in groups["bounds"] if drives.experiments[n].split in used]
         self.alpha, self.calibration_drives = stored.project.frame_test.alpha, list(stored.calibration.scores)
         self.recordings, self.injection = stored.calibration.recordings, injection
+        self.reader, self.core, self.workers, self.progress = reader, core, workers, progress
         chosen = [drives.experiments[n] for n in (*setting, *self.calibration_drives)]
         self.bank = Bank(
             reader.model,
             reader.estimator,
             Scales.of(workers(partial(_usable_errors, reader), [drives.experiments[n] for n in setting])),
         )
-
-        def over(task: Callable, what: str) -> dict:
-            results = {}
-            for e, result in zip(chosen, workers(task, chosen), strict=False):
-                progress(f"{what} of {e.name}")
-                results[e.name] = result
-            return results
-
-        self.largest = over(partial(_largest, reader, self.bank), "baselines")
+        self.largest = self._over(partial(_largest, reader, self.bank, GRID), chosen, "baselines")
         thresholds = {
             b: tuple(sorted({self.calibration(b, name).threshold for name in left_out})) for b in GRID
         }
-        self.cases: dict[str, Cases] = over(
-            partial(_cases, reader, core, self.bank, thresholds, injection), "baselines on faults"
-        )
+        self.cases = self._cases(chosen, thresholds)
+
+    def _over(self, task: Callable, chosen: list[Experiment], what: str) -> dict:
+        """``task`` of every chosen drive, by name."""
+        results = {}
+        for e, result in zip(chosen, self.workers(task, chosen), strict=False):
+            self.progress(f"{what} of {e.name}")
+            results[e.name] = result
+        return results
+
+    @property
+    def own(self) -> OnDrives:
+        """The baselines on the study's own drives."""
+        return OnDrives(self.largest, self.cases)
+
+    def on(self, further: list[Experiment]) -> OnDrives:
+        """The best of each kind, tuned and calibrated on all own drives, on ``further`` ones."""
+        tuned = {b: (threshold,) for b, threshold in map(self.best, KINDS)}
+        largest = self._over(partial(_largest, self.reader, self.bank, tuple(tuned)), further, "baselines")
+        return OnDrives(largest, self._cases(further, tuned))
+
+    def _cases(
+        self, chosen: list[Experiment], thresholds: dict[Baseline, tuple[float, ...]]
+    ) -> dict[str, Cases]:
+        """What becomes of faults in the chosen drives, at each of the thresholds."""
+        task = partial(_cases, self.reader, self.core, self.bank, thresholds, self.injection)
+        return self._over(task, chosen, "baselines on faults")
 
     def calibration(self, b: Baseline, without: str | None = None) -> Calibration:
         """Conformal threshold from the calibration drives but the recording of ``without``; drives on which
@@ -146,23 +180,18 @@ class BaselineStudy:
         b = max((b for b in GRID if b.kind == kind), key=merit)
         return b, self.calibration(b, without).threshold
 
-    def alarmed_pieces(self, b: Baseline, threshold: float, name: str) -> tuple[int, int]:
-        """(alarmed, all) 60 s pieces of an untouched drive."""
-        pieces = self.largest[name][b]
-        return int((pieces > threshold).sum()), len(pieces)
 
-
-def evaluate_baselines(study: BaselineStudy, rows: list[dict], seed: int) -> list[dict]:
-    """Per kind: false alarms, parameters chosen, and per fault its cases; each drive with what was tuned
-    without it."""
-    table = []
+def evaluate_baselines(study: BaselineStudy, rows: list[dict], further: OnDrives | None = None) -> list[dict]:
+    """Per kind: false alarms, parameters chosen, and per fault its cases, on the drives of ``rows``; each
+    drive with what was tuned without it. ``further``: on drives that are none of the study's."""
+    table: list[dict] = []
+    on = further or study.own
     for kind in KINDS:
-        tuned = {r["run"]: study.best(kind, r["run"]) for r in rows}
-        counts = [study.alarmed_pieces(*tuned[r["run"]], r["run"]) for r in rows]
+        without = {r["run"]: None if further else r["run"] for r in rows}
+        tuned = {run: study.best(kind, name) for run, name in without.items()}
+        counts = [on.alarmed_pieces(*key, run) for run, key in tuned.items()]
         cases = {
-            f.label: [
-                c for run, key in tuned.items() if study.cases[run] for c in study.cases[run][key][f.label]
-            ]
+            f.label: [c for run, key in tuned.items() if on.cases[run] for c in on.cases[run][key][f.label]]
             for f in study.injection.faults
         }
         table.append(
@@ -174,13 +203,13 @@ def evaluate_baselines(study: BaselineStudy, rows: list[dict], seed: int) -> lis
                     run: {
                         "parameters": b.label,
                         "threshold": h,
-                        "alpha": study.calibration(b, run).alpha,
-                        "claim": study.calibration(b, run).claim(),
+                        "alpha": study.calibration(b, without[run]).alpha,
+                        "claim": study.calibration(b, without[run]).claim(),
                     }
                     for run, (b, h) in tuned.items()
                 },
                 "alarmed": {r["run"]: n for r, (n, _) in zip(rows, counts, strict=False)},
-                "false_alarms": vars(Pieces.of(counts, [r["judged_s"] for r in rows], seed)),
+                "false_alarms": false_alarms(counts, rows),
                 "faults": fault_rows(cases),
             }
         )

@@ -9,9 +9,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from .false_alarms import PIECE_S
+from .rates import hourly_words, share_words
 
 MONITOR = "monitor"
 """Name of our own detector beside the kinds of baselines.KINDS: both tests together, at one threshold."""
+LEFT_ONE_OUT, HELD_OUT = "left_one_out", "held_out"
+"""Which drives are judged: those of the identification, each without itself, or drives that it never saw."""
+CALIBRATED = {LEFT_ONE_OUT: "each drive without itself", HELD_OUT: "drives that it never saw"}
+"""What the thresholds judge, in words."""
 EXPORTED = "exported"
 """Both tests, each at its own threshold, as `lpvguard export` writes them."""
 COUNTS_ONLY = "counts only"
@@ -36,7 +41,7 @@ def equal_rates(stated: Mapping[str, float | None]) -> str:
 
 @dataclass(frozen=True)
 class DetectorColumn:
-    """A detector in the table of detector_rows: its object of Pieces, its rows of fault_rows, its stated
+    """A detector in the table of detector_rows: its object of FalseAlarms, its rows of fault_rows, its stated
     rate or None."""
 
     alarms: dict
@@ -53,6 +58,39 @@ def columns(evaluation: dict) -> dict[str, DetectorColumn]:
     return {name: DetectorColumn(*of, evaluation["stated_rates"][name]) for name, of in found.items()}
 
 
+def pieces_an_hour(alarms: dict) -> str:
+    """Alarmed pieces an hour of judged driving, of an object of FalseAlarms; a dash without any."""
+    return "–" if alarms["per_judged_h"] is None else f"{alarms['per_judged_h']:.2f}"
+
+
+ALARM_HEAD = (
+    "drivers",
+    "alarmed drives",
+    f"alarmed {PIECE_S:g} s pieces",
+    "an hour judged",
+    "alarmed recordings, 95 %",
+    "an hour judged, 95 %",
+    "judged, h",
+)
+"""Columns of alarm_rows."""
+
+
+def alarm_rows(evaluation: dict) -> list[list[str]]:
+    """False alarms of the monitor, a row per group of drivers."""
+    return [
+        [
+            group,
+            f"{row['alarmed_drives']} of {row['drives']}",
+            f"{row['alarmed']} of {row['pieces']}",
+            pieces_an_hour(row),
+            share_words(row["recordings"]),
+            hourly_words(row["recordings_per_judged_h"]),
+            f"{row['judged_h']:.3f}",
+        ]
+        for group, row in evaluation["false_alarms"].items()
+    ]
+
+
 def detector_rows(detectors: list[DetectorColumn], best: list[str] | None = None) -> list[list[str]]:
     """Table rows of false alarms and found faults, a column per detector; ``best``: who leads, per fault, in
     a last column."""
@@ -64,9 +102,6 @@ def detector_rows(detectors: list[DetectorColumn], best: list[str] | None = None
             "" if row["median_s"] is None else f", {row['median_s']:.2f} s"
         )
 
-    def rate(per_judged_h: float | None) -> str:
-        return "–" if per_judged_h is None else f"{per_judged_h:.2f}"
-
     alarms, faults = [d.alarms for d in detectors], [d.faults for d in detectors]
     rows = [
         [
@@ -75,7 +110,12 @@ def detector_rows(detectors: list[DetectorColumn], best: list[str] | None = None
         ],
         [f"alarmed {PIECE_S:g} s pieces, no fault", *(f"{a['alarmed']} of {a['pieces']}" for a in alarms)],
         ["alarmed drives, no fault", *(f"{a['alarmed_drives']} of {a['drives']}" for a in alarms)],
-        ["alarmed pieces an hour judged", *(rate(a["per_judged_h"]) for a in alarms)],
+        ["alarmed pieces an hour judged", *(pieces_an_hour(a) for a in alarms)],
+        ["alarmed recordings, no fault, 95 %", *(share_words(a["recordings"]) for a in alarms)],
+        [
+            "alarmed recordings an hour judged, 95 %",
+            *(hourly_words(a["recordings_per_judged_h"]) for a in alarms),
+        ],
         [
             "starts, untouched drive alarms",
             *(f"{of[0]['untouched_alarms']} of {of[0]['counted']}" for of in faults),

@@ -1,7 +1,10 @@
-"""False alarms of a detector on drives without a fault, in pieces of 60 s and in drives.
+"""False alarms of a detector on drives without a fault: in pieces of 60 s, in drives and in recordings.
 
-Every second of a drive counts, judged or not. A drive's last piece may be shorter. The rate is alarmed pieces
-an hour of judged driving; judged is the monitor's for all detectors.
+Every second of a drive counts, judged or not. A drive's last piece may be shorter. Rates are stated per
+recording and per hour of judged driving; judged is the monitor's for all detectors. Exact intervals
+(rates.py) are over recordings, for alarms of one recording come together. They hold for drives that are
+judged by one calibration. Where each drive is judged by the others, the drives share what calibrates:
+at a stated alpha no more than a share alpha of them can alarm, whatever the test (THEORY 7.3).
 """
 
 from __future__ import annotations
@@ -11,41 +14,51 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..replay.run import Replay
+from .rates import per_hour, rate
 
 PIECE_S = 60.0
-BOOTSTRAP_DRAWS = 10_000
 
 
 @dataclass(frozen=True)
-class Pieces:
-    """Alarmed and all 60 s pieces, a drive's shorter last one included, with a 95 % interval of their ratio
-    from resampling drives.
+class FalseAlarms:
+    """Alarmed and all 60 s pieces, a drive's shorter last one included; and drives, and recordings.
 
     drives, alarmed_drives: all, and those with an alarmed piece; judged_h: hours of judged driving;
-    per_judged_h: alarmed pieces an hour of it, None without any.
+    per_judged_h: alarmed pieces an hour of it, None without any. recordings: those that alarm, of all, as
+    rates.rate has it; recordings_per_judged_h: those an hour of judged driving, as rates.per_hour has it.
     """
 
     drives: int
-    alarmed: int
-    pieces: int
-    interval: tuple[float, float] | None
     alarmed_drives: int
+    pieces: int
+    alarmed: int
     judged_h: float
     per_judged_h: float | None
+    recordings: dict
+    recordings_per_judged_h: dict
 
     @classmethod
-    def of(cls, counts: list[tuple[int, int]], judged_s: list[float], seed: int) -> Pieces:
-        """``counts``: (alarmed, all) pieces of each drive; ``judged_s``: the judged seconds of each."""
+    def of(cls, counts: list[tuple[int, int]], judged_s: list[float], recordings: list[str]) -> FalseAlarms:
+        """``counts``: (alarmed, all) pieces of each drive; ``judged_s``: the judged seconds of each;
+        ``recordings``: what each is a piece of."""
         alarmed, pieces = (int(sum(c[i] for c in counts)) for i in (0, 1))
         judged_h = sum(judged_s) / 3600
-        rest = sum(c[0] > 0 for c in counts), judged_h, alarmed / judged_h if judged_h else None
-        if not pieces:
-            return cls(len(counts), 0, 0, None, *rest)
-        draws = np.random.default_rng(seed).integers(0, len(counts), (BOOTSTRAP_DRAWS, len(counts)))
-        table = np.array(counts, float)[draws].sum(axis=1)
-        ratio = table[:, 0] / np.maximum(table[:, 1], 1.0)
-        low, high = np.percentile(ratio[table[:, 1] > 0], [2.5, 97.5])
-        return cls(len(counts), alarmed, pieces, (float(low), float(high)), *rest)
+        alarming = {r for r, c in zip(recordings, counts, strict=True) if c[0]}
+        return cls(
+            drives=len(counts),
+            alarmed_drives=sum(c[0] > 0 for c in counts),
+            pieces=pieces,
+            alarmed=alarmed,
+            judged_h=judged_h,
+            per_judged_h=alarmed / judged_h if judged_h else None,
+            recordings=rate(len(alarming), len(set(recordings))),
+            recordings_per_judged_h=per_hour(len(alarming), judged_h),
+        )
+
+
+def false_alarms(counts: list[tuple[int, int]], rows: list[dict]) -> dict:
+    """The object of FalseAlarms from (alarmed, all) pieces of every one of the drives' ``rows``."""
+    return vars(FalseAlarms.of(counts, [r["judged_s"] for r in rows], [r["recording"] for r in rows]))
 
 
 def alarming(replay: Replay, test: str | None = None) -> np.ndarray:

@@ -1,12 +1,15 @@
 """`lpvguard evaluate`: what the monitor, and each of its two tests alone, does on drives that did not set the
-bounds. One drive is left out at a time (THEORY 7.3). Three baselines run on the same drives.
+bounds. Three baselines run on the same drives.
 
-Every drive runs through the compiled core with thresholds calibrated on all *other* drives that did not set
-the bounds. The monitor is compared with both tests at one threshold, calibrated jointly
-(calibration.joint_scores). By either test it alarms on a further drive with probability at most alpha, as a
-baseline does. Beside it stand each test alone at alpha, and both as exported: each at its own threshold,
-together at most twice alpha. Where fewer drives calibrate than alpha needs, no rate is stated, and the
-detectors are compared by counts only (`stated_rates`).
+Every drive runs through the compiled core. One drive of the identification is left out at a time (THEORY
+7.3), with thresholds calibrated on all *other* drives that did not set the bounds. Drives that the
+identification never saw are judged with its thresholds as stored (judged.py).
+
+The monitor is compared with both tests at one threshold, calibrated jointly (calibration.joint_scores). By
+either test it alarms on a further drive with probability at most alpha, as a baseline does. Beside it stand
+each test alone at alpha, and both as exported: each at its own threshold, together at most twice alpha. Where
+fewer drives calibrate than alpha needs, no rate is stated, and the detectors are compared by counts only
+(`stated_rates`).
 
 How false alarms are counted: false_alarms.py. What counts as found: detection.py. How the baselines get their
 parameters: baseline_study.py.
@@ -23,14 +26,13 @@ from ..base.errors import InputError
 from ..base.parallel import Map
 from ..core.compiled import TESTS, Core
 from ..drives.tables import Experiment
-from ..identify.calibration import Calibration, Recordings, calibrate, joint_scores
-from ..identify.energy import ROUNDING, EnergyTest
+from ..identify.calibration import Calibration, Recordings, energy_score, score
 from ..identify.passes import DriveReader
 from ..identify.run import DriveSet, StoredIdentification
-from ..replay.run import Replayer
+from ..replay.run import Replay, Replayer
 from ..vehicle.project import EvaluationSettings
 from .baseline_study import BaselineStudy, evaluate_baselines
-from .comparison import EXPORTED, MONITOR
+from .comparison import EXPORTED, LEFT_ONE_OUT, MONITOR
 from .detection import (
     FaultOutcome,
     Injection,
@@ -38,7 +40,8 @@ from .detection import (
     faulty_drive,
     ranking,
 )
-from .false_alarms import Pieces, alarmed_pieces, alarming, piece_starts
+from .false_alarms import alarmed_pieces, alarming, false_alarms, piece_starts
+from .judged import JudgedDrives, energy_test_of
 
 FEWEST_FOR_BASELINES = 2
 """Calibration drives: a baseline has no natural threshold, so one must be left when a drive is left out."""
@@ -49,14 +52,18 @@ Found = dict[str, dict[str, list[FaultOutcome]]]
 
 
 def _evaluate_drive(
-    reader: DriveReader, core: Core, injection: Injection, item: tuple[Experiment, dict[str, Calibration]]
+    reader: DriveReader,
+    core: Core,
+    injection: Injection,
+    item: tuple[Experiment, Recordings, dict[str, Calibration]],
 ) -> tuple[dict, Found]:
-    """One drive with calibrations of its own for MONITOR, "frame" and "energy": its row, and per detector and
-    fault what became of it from every start.
+    """One drive, the recordings and calibrations of its own for MONITOR, "frame" and "energy": its row, and
+    per detector and fault what became of it from every start.
 
     No case where the drive does not qualify for faults.
     """
-    experiment, calibrations = item
+    experiment, recordings, calibrations = item
+    group = recordings.groups.get(experiment.name)
     project, thresholds = reader.project, {what: c.threshold for what, c in calibrations.items()}
     together = Replayer(project, core, threshold=thresholds[MONITOR], energy_threshold=thresholds[MONITOR])
     apart = Replayer(project, core, threshold=thresholds["frame"], energy_threshold=thresholds["energy"])
@@ -73,6 +80,8 @@ def _evaluate_drive(
     row = {
         "run": experiment.name,
         "driver": experiment.driver,
+        "recording": recordings.named(experiment.name),
+        **({} if group is None else {"group": group}),
         "calibration": {what: _stated(c) for what, c in calibrations.items()},
         "alarmed": {
             name: alarmed_pieces(untouched[replayer], test)[0] for name, (replayer, test) in detectors.items()
@@ -85,6 +94,7 @@ def _evaluate_drive(
             float((replay.judged & relevant).sum() / relevant.sum()) if relevant.any() else None
         ),
         "fault_starts_s": [c.first * Ts for c in clocks],
+        "scores": _drive_scores(replay),
     }
     found: Found = {name: {f.label: [] for f in injection.faults} for name in detectors}
     for clock in clocks:
@@ -101,6 +111,12 @@ def _evaluate_drive(
                     FaultOutcome.of(experiment.name, Ts, clock, alarming(faulty[replayer], test), first[name])
                 )
     return row, found
+
+
+def _drive_scores(replay: Replay) -> dict[str, float | None]:
+    """The scores of a drive, of which a detector alarms above its threshold; None where it did not judge."""
+    tests = {"frame": score(replay.run), "energy": energy_score(replay.run)}
+    return {MONITOR: max((s for s in tests.values() if s is not None), default=None)} | tests
 
 
 def _stated(c: Calibration) -> dict:
@@ -146,53 +162,9 @@ def one_rate(alphas: Iterable[float | None]) -> float | None:
     return None if None in found else found.pop()
 
 
-def energy_test_of(stored: StoredIdentification) -> EnergyTest:
-    """The energy test of an identification. InputError where there is none: with frames by the plain DFT."""
-    if stored.energy is None:
-        raise InputError(
-            stored.folder, "energy", "no energy test was identified", "an identification with Hann frames"
-        )
-    return stored.energy
-
-
-def _scores(stored: StoredIdentification) -> dict[str, dict[str, float]]:
-    """Scores of the calibration drives by name: of both tests jointly (MONITOR) and of each. InputError where
-    every judged drive set the bounds."""
-    frame, energy = stored.calibration.scores, energy_test_of(stored).calibration.scores
-    if not frame:
-        raise InputError(
-            stored.folder,
-            "drives",
-            "every judged drive set the bounds: none is left to evaluate",
-            "at least one drive whose "
-            f"split is not {' or '.join(stored.project.data.bound_split)} and in which a frame counts",
-        )
-    return {MONITOR: joint_scores(frame, energy), "frame": frame, "energy": energy}
-
-
-def _left_one_out(
-    scores: dict[str, dict[str, float]], alpha: float, recordings: Recordings
-) -> dict[str, dict[str, Calibration]]:
-    """Per drive the calibrations by all drives of other recordings, of MONITOR and each test."""
-    floors = {MONITOR: 1.0 + ROUNDING, "frame": 1.0, "energy": 1.0 + ROUNDING}
-    return {
-        name: {
-            what: calibrate(
-                {k: of[k] for k in recordings.others(of, name)},
-                alpha,
-                floor=floors[what],
-                recordings=recordings,
-            )
-            for what, of in scores.items()
-        }
-        for name in scores["frame"]
-    }
-
-
-def _pieces(detector: str, rows: list[dict], seed: int) -> dict:
-    """The object of Pieces of a detector over ``rows`` of drives."""
-    counts = [(r["alarmed"][detector], r["pieces"]) for r in rows]
-    return vars(Pieces.of(counts, [r["judged_s"] for r in rows], seed))
+def _false_alarms(detector: str, rows: list[dict]) -> dict:
+    """The object of FalseAlarms of a detector over ``rows`` of drives."""
+    return false_alarms([(r["alarmed"][detector], r["pieces"]) for r in rows], rows)
 
 
 def _stated_rates(rows: list[dict], baselines: list[dict], scored: Iterable[str]) -> dict[str, float | None]:
@@ -209,74 +181,114 @@ def evaluate(
     drives: DriveSet,
     core: Core,
     *,
+    held_out: list[Experiment] | None = None,
     settings: EvaluationSettings | None = None,
     workers: Map = map,
     progress: Callable[[str], None] = lambda _: None,
 ) -> dict:
-    """Leave-one-drive-out evaluation, the drives mapped by ``workers`` (base/parallel.py); returns the
-    JSON-able table. ``settings``: of the faults; None: the usual ones.
+    """Evaluation of each drive of the identification without itself, or of the ``held_out`` drives
+    (judged.drives_to_judge), mapped by ``workers`` (base/parallel.py); returns the JSON-able table.
+    ``drives``: those of the identification. ``settings``: of the faults; None: the usual ones.
 
     InputError without any judged drive beside those that set the bounds.
     """
-    seed, scores = stored.project.seed, _scores(stored)
-    calibrations = _left_one_out(scores, stored.project.frame_test.alpha, stored.calibration.recordings)
+    judged = (
+        JudgedDrives.left_one_out(stored, drives)
+        if held_out is None
+        else JudgedDrives.held_out(stored, held_out)
+    )
     injection = _injection(stored, drives, settings, workers)
-    items = [(drives.experiments[name], of) for name, of in calibrations.items()]
+    items = [(e, judged.recordings, judged.calibrations[n]) for n, e in judged.experiments.items()]
     rows: list[dict] = []
     cases: Found = {d: {f.label: [] for f in injection.faults} for d in (MONITOR, EXPORTED, *TESTS)}
+    left_out: dict[str, str] = dict(stored.manifest["drives"]["left_out"]) if held_out is None else {}
     evaluated: Iterator[tuple[dict, Found]] = workers(
         partial(_evaluate_drive, drives.reader, core, injection), items
     )
     for row, found in evaluated:
         progress(row["run"])
-        rows.append(row | {"scores": {what: of.get(row["run"]) for what, of in scores.items()}})
+        if row["scores"]["frame"] is None:
+            left_out[row["run"]] = drives.reader.why_without_frames()
+            continue
+        rows.append(row)
         for detector, by_fault in found.items():
             for label, members in by_fault.items():
                 cases[detector][label] += members
-    baselines = []
-    if len(rows) >= FEWEST_FOR_BASELINES:
-        left_out = tuple(calibrations)
-        study = BaselineStudy(
-            stored, drives, core, left_out=left_out, injection=injection, workers=workers, progress=progress
+    if not rows:
+        name, why = next(iter(left_out.items()))
+        raise InputError(
+            judged.experiments[name].path, "", f"{why}, and so for every drive to judge", "a judged drive"
         )
-        baselines = evaluate_baselines(study, rows, seed)
-    return _table(stored, rows, cases, baselines, injection)
+    baselines = _baselines(stored, drives, core, judged, rows, injection, workers, progress)
+    return _table(stored, judged, rows, cases, baselines, injection) | {"left_out": left_out}
+
+
+def _baselines(
+    stored: StoredIdentification,
+    drives: DriveSet,
+    core: Core,
+    judged: JudgedDrives,
+    rows: list[dict],
+    injection: Injection,
+    workers: Map,
+    progress: Callable[[str], None],
+) -> list[dict]:
+    """The baselines on the judged drives of ``rows``; none where too few drives calibrate."""
+    alone = judged.mode == LEFT_ONE_OUT
+    if len(stored.calibration.scores) < FEWEST_FOR_BASELINES - (not alone):
+        return []
+    study = BaselineStudy(
+        stored,
+        drives,
+        core,
+        left_out=tuple(judged.experiments) if alone else (None,),
+        injection=injection,
+        workers=workers,
+        progress=progress,
+    )
+    further = None if alone else study.on([judged.experiments[r["run"]] for r in rows])
+    return evaluate_baselines(study, rows, further)
 
 
 def _table(
-    stored: StoredIdentification, rows: list[dict], cases: Found, baselines: list[dict], injection: Injection
+    stored: StoredIdentification,
+    judged: JudgedDrives,
+    rows: list[dict],
+    cases: Found,
+    baselines: list[dict],
+    injection: Injection,
 ) -> dict:
     """The object of `lpvguard evaluate --json`, from the drives' rows, the monitor's cases and the
     baselines'."""
-    scored, seed = (MONITOR, *TESTS), stored.project.seed
+    scored = (MONITOR, *TESTS)
     groups = {"all": rows} | {
         d: [r for r in rows if r["driver"] == d] for d in sorted({r["driver"] for r in rows})
     }
+    for name in sorted({r["group"] for r in rows if "group" in r}):
+        groups[f"group {name}"] = [r for r in rows if r.get("group") == name]
     faults = fault_rows(cases[MONITOR])
     best = [
         ranking({MONITOR: row} | {b["kind"]: b["faults"][i] for b in baselines})
         for i, row in enumerate(faults)
     ]
     return {
-        "threshold_rule": "all other drives that did not set the bounds",
+        "mode": judged.mode,
+        "threshold_rule": judged.rule,
         "claims": {
             "identified": {
                 "frame": stored.calibration.claim(),
                 "energy": energy_test_of(stored).calibration.claim(),
             },
-            "left_one_out": {
-                what: sorted({r["calibration"][what]["claim"] for r in rows}) for what in scored
-            },
+            judged.mode: {what: sorted({r["calibration"][what]["claim"] for r in rows}) for what in scored},
         },
         "stated_rates": _stated_rates(rows, baselines, scored),
         "drives": rows,
         "injection": injection.to_dict(),
         "without_faults": {r["run"]: _without_faults(r, injection) for r in rows if not r["fault_starts_s"]},
-        "left_out": stored.manifest["drives"]["left_out"],
-        "false_alarms": {g: _pieces(MONITOR, members, seed) for g, members in groups.items()},
+        "false_alarms": {g: _false_alarms(MONITOR, members) for g, members in groups.items()},
         "faults": [row | {"best": names} for row, names in zip(faults, best, strict=True)],
         "tests": {
-            d: {"false_alarms": _pieces(d, rows, seed), "faults": fault_rows(cases[d])}
+            d: {"false_alarms": _false_alarms(d, rows), "faults": fault_rows(cases[d])}
             for d in (EXPORTED, *TESTS)
         },
         "baselines": baselines,

@@ -8,19 +8,28 @@ test, read from the compiled core. A recording's score is the largest of its dri
 ceil((n + 1)(1 - alpha))-th smallest score of n recordings of which no drive set the bounds. A further,
 exchangeable recording then alarms with probability at most alpha. With n < 1/alpha - 1 no finite threshold
 has that property, and alpha is not stated.
+
+Where experiments.csv names groups, a group with recordings enough for alpha has a threshold of its own, from
+its recordings alone (Mondrian conformal prediction). A further recording of that group then alarms with
+probability at most alpha. Any other group has the pooled threshold. Its alpha holds for a further recording
+of whatever group where all are judged by it, and not for that group by itself.
+
+The core carries one threshold: the largest of all, with which every one of these claims holds, or the one of
+a group that is named.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.stats import beta
 
+from ..base.errors import InputError
 from ..core.compiled import Run
-from ..drives.tables import Experiment
+from ..drives.tables import EXPERIMENTS, Experiment
 
 FEWEST_FOR_ALPHA = 9
 """Below this many recordings no alpha is stated at all (THEORY 7.3)."""
@@ -31,19 +40,41 @@ class Recordings:
     """Which drives are pieces of one recording: their scores are no draws of their own.
 
     of: drive -> recording, where experiments.csv says so; any other is a recording of its own. setting:
-    recordings of calibration drives that also set the bounds.
+    recordings of calibration drives that also set the bounds. groups: drive -> group, where it has one.
     """
 
     of: dict[str, str] = field(default_factory=dict)
     setting: tuple[str, ...] = ()
+    groups: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def listed(cls, setting: Iterable[Experiment], others: Iterable[Experiment]) -> Recordings:
-        """Those of the drives that set the bounds and of the ``others``, as experiments.csv has them."""
+        """Those of the drives that set the bounds and of the ``others``, as experiments.csv has them.
+        InputError where pieces of one recording are of several groups, or only some of the others have a
+        group."""
         setting, others = list(setting), list(others)
         both = {e.recording for e in setting} & {e.recording for e in others}
         of = {e.name: e.recording for e in (*setting, *others) if e.recording != e.name}
-        return cls(of, tuple(sorted(both)))
+        first: dict[str, Experiment] = {}
+        for e in (*setting, *others):
+            other = first.setdefault(e.recording, e)
+            if other.group != e.group:
+                raise InputError(
+                    e.path.parent / EXPERIMENTS,
+                    "column group",
+                    f"{other.name} ({other.group or 'none'}) and {e.name} ({e.group or 'none'}) are pieces "
+                    f"of recording {e.recording}",
+                    "one group a recording",
+                )
+        if len({e.group is None for e in others}) > 1:
+            without = next(e for e in others if e.group is None)
+            raise InputError(
+                without.path.parent / EXPERIMENTS,
+                "column group",
+                f"{without.name} has none, others have one",
+                "a group for every drive that calibrates or is judged, or for none",
+            )
+        return cls(of, tuple(sorted(both)), {e.name: e.group for e in others if e.group is not None})
 
     def named(self, drive: str) -> str:
         """The recording that ``drive`` is a piece of."""
@@ -52,6 +83,10 @@ class Recordings:
     def others(self, drives: Iterable[str], without: str | None) -> list[str]:
         """The ``drives`` that are no pieces of the recording of drive ``without``; None: all."""
         return [d for d in drives if without is None or self.named(d) != self.named(without)]
+
+    def in_group(self, scores: Mapping[str, float], group: str) -> dict[str, float]:
+        """The ``scores`` of the drives of a group."""
+        return {d: s for d, s in scores.items() if self.groups.get(d) == group}
 
     def largest(self, scores: Mapping[str, float]) -> dict[str, float]:
         """Score of every recording that did not set the bounds, from the ``scores`` of its drives."""
@@ -67,12 +102,35 @@ NO_RECORDINGS = Recordings()
 
 
 @dataclass(frozen=True)
+class GroupThreshold:
+    """What so many ``recordings`` calibrate; the rest is None where they are too few for alpha."""
+
+    recordings: int
+    threshold: float | None = None
+    alpha: float | None = None
+    conditional_bound: float | None = None
+
+    def words(self, group: str) -> str:
+        """What may be said of a further recording of the ``group``."""
+        if self.alpha is None:
+            return (
+                f"group {group}: {self.recordings} recordings are too few for a threshold of its own, so it "
+                "has the pooled one, and alpha is not stated for it"
+            )
+        return (
+            f"group {group}: threshold {self.threshold:.4g}, alpha {self.alpha:g} from {self.recordings} "
+            f"recordings, with 95 % confidence below {self.conditional_bound:.3f}"
+        )
+
+
+@dataclass(frozen=True)
 class Calibration:
     """``scores``: by drive. ``alpha`` and ``conditional_bound`` are None where no claim can be made; then the
     threshold is the largest score.
 
     conditional_bound: with 95 % confidence over the calibration recordings, the false-alarm probability of a
-    further one is below this number.
+    further one is below this number. groups: of each group that experiments.csv names; ``threshold`` is then
+    the pooled one. group: the one whose threshold this is (``of_group``), None: pooled.
     """
 
     threshold: float
@@ -80,19 +138,56 @@ class Calibration:
     alpha: float | None
     conditional_bound: float | None
     recordings: Recordings = NO_RECORDINGS
+    groups: dict[str, GroupThreshold] = field(default_factory=dict)
+    group: str | None = None
+
+    @property
+    def carried(self) -> float:
+        """The threshold that the core carries: the largest of the pooled one and the groups', or that of
+        ``group``."""
+        own = [] if self.group else [g.threshold for g in self.groups.values() if g.threshold is not None]
+        return max([self.threshold, *own])
+
+    def of_group(self, group: str | None) -> Calibration:
+        """With the threshold for drives of a group: its own, or the pooled one, without alpha, where it has
+        none. For drives of no group: the one that the core carries."""
+        if group is None:
+            return replace(self, threshold=self.carried)
+        if not self.groups:
+            return self
+        own = self.groups.get(group, GroupThreshold(0))
+        return replace(
+            self,
+            threshold=self.threshold if own.threshold is None else own.threshold,
+            scores=self.recordings.in_group(self.scores, group),
+            alpha=own.alpha,
+            conditional_bound=own.conditional_bound,
+            groups={group: own},
+            group=group,
+        )
 
     def to_dict(self) -> dict:
-        """JSON-able, for `from_dict`; ``recordings`` where experiments.csv names any."""
-        own = {k: v for k, v in vars(self).items() if k != "recordings"}
-        if self.recordings == NO_RECORDINGS:
-            return own
-        return own | {"recordings": {"of": self.recordings.of, "setting": list(self.recordings.setting)}}
+        """JSON-able, for `from_dict`; ``recordings`` and ``groups`` where experiments.csv names any."""
+        named = self.recordings
+        out: dict = {k: getattr(self, k) for k in ("threshold", "scores", "alpha", "conditional_bound")}
+        if named.of:
+            out["recordings"] = {"of": named.of, "setting": list(named.setting)}
+        if self.groups:
+            thresholds = {name: vars(g) for name, g in self.groups.items()}
+            out["groups"] = {"of": named.groups, "thresholds": thresholds, "carried": self.carried}
+        return out if self.group is None else out | {"group": self.group}
 
     @classmethod
     def from_dict(cls, data: dict) -> Calibration:
         """From what `to_dict` gave."""
-        named = data.get("recordings", {"of": {}, "setting": ()})
-        return cls(**data | {"recordings": Recordings(named["of"], tuple(named["setting"]))})
+        pieces = data.get("recordings", {"of": {}, "setting": ()})
+        grouped = data.get("groups", {"of": {}, "thresholds": {}})
+        own = {k: v for k, v in data.items() if k not in ("recordings", "groups")}
+        return cls(
+            **own,
+            recordings=Recordings(pieces["of"], tuple(pieces["setting"]), grouped["of"]),
+            groups={name: GroupThreshold(**g) for name, g in grouped["thresholds"].items()},
+        )
 
     def units(self) -> str:
         """How many drives or recordings calibrate, in words."""
@@ -101,12 +196,20 @@ class Calibration:
 
     def claim(self) -> str:
         """What may be said of the threshold's false alarms, in words; never a threshold without it."""
+        if not self.groups:
+            return self._pooled_claim()
+        told = "; ".join(g.words(name) for name, g in self.groups.items())
+        if self.group is not None:
+            return told
+        return f"pooled: {self._pooled_claim()}; {told}; the core carries the largest, {self.carried:.4g}"
+
+    def _pooled_claim(self) -> str:
         if self.alpha is not None:
             return (
                 f"alpha {self.alpha:g} from {self.units()}, with 95 % confidence below "
                 f"{self.conditional_bound:.3f}"
             )
-        if self.recordings == NO_RECORDINGS:
+        if not self.recordings.of:
             return f"alpha is not stated: too few calibration drives ({len(self.scores)})"
         beside = sum(self.recordings.named(d) in self.recordings.setting for d in self.scores)
         return (
@@ -146,16 +249,19 @@ def calibrate(
     recordings: Recordings = NO_RECORDINGS,
 ) -> Calibration:
     """Threshold from the scores of the calibration drives, at least ``floor``: a margin of 1 falsifies
-    nothing."""
-    values = np.sort(np.array(list(recordings.largest(scores).values()), float))
-    n = len(values)
+    nothing; and that of every group of drives."""
+    names = sorted({recordings.groups[d] for d in scores if d in recordings.groups})
+    groups = {g: _conformal(recordings.largest(recordings.in_group(scores, g)), alpha, floor) for g in names}
+    pooled = _conformal(recordings.largest(scores), alpha, floor)
+    threshold = max([floor, *scores.values()]) if pooled.threshold is None else pooled.threshold
+    return Calibration(threshold, dict(scores), pooled.alpha, pooled.conditional_bound, recordings, groups)
+
+
+def _conformal(largest: Mapping[str, float], alpha: float, floor: float) -> GroupThreshold:
+    """What recordings with these scores calibrate; no threshold where they are too few for alpha."""
+    n = len(largest)
     rank = math.ceil((n + 1) * (1 - alpha) - 1e-12)
     if n < FEWEST_FOR_ALPHA or rank > n:
-        return Calibration(max([floor, *scores.values()]), dict(scores), None, None, recordings)
-    return Calibration(
-        threshold=max(floor, float(values[rank - 1])),
-        scores=dict(scores),
-        alpha=alpha,
-        conditional_bound=float(1 - beta.ppf(0.05, rank, n + 1 - rank)),
-        recordings=recordings,
-    )
+        return GroupThreshold(n)
+    threshold = float(np.sort(np.array(list(largest.values()), float))[rank - 1])
+    return GroupThreshold(n, max(floor, threshold), alpha, float(1 - beta.ppf(0.05, rank, n + 1 - rank)))

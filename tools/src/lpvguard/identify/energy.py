@@ -346,7 +346,7 @@ class EnergyTest:
             "energy_forget": -np.expm1(-2 * self.Ts / self.memories_s),
             "energy_start": self.start,
             "energy_direction": self.directions,
-            "energy_threshold": self.calibration.threshold,
+            "energy_threshold": self.calibration.carried,
         }
         return (
             {"NWEIGHT": self.W.shape[1], "NDIRECTIONS": len(self.directions), "NBANDS": len(self.F)},

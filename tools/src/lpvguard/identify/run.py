@@ -341,7 +341,7 @@ class _Run:
         return scores, energy_scores
 
 
-def _hashes(experiments: list[Experiment], workers: Map, folder: Path) -> dict[str, str]:
+def table_hashes(experiments: list[Experiment], workers: Map = map) -> dict[str, str]:
     """SHA-256 of every drive's table; InputError where two are the same: one drive would count twice."""
     found: dict[str, str] = {}
     first: dict[str, str] = {}
@@ -350,7 +350,7 @@ def _hashes(experiments: list[Experiment], workers: Map, folder: Path) -> dict[s
     ):
         if digest in first:
             raise InputError(
-                folder / EXPERIMENTS,
+                e.path.parent / EXPERIMENTS,
                 "column experiment",
                 f"{e.name} is the same table as {first[digest]}, byte for byte",
                 "every drive once",
@@ -384,7 +384,7 @@ def identify(
     experiments = list_experiments(Path(folder))
     drives = DriveSet(project, model, experiments)
     estimator, run = drives.reader.estimator, _Run(drives.reader, workers, progress)
-    hashes = _hashes(experiments, workers, Path(folder))
+    hashes = table_hashes(experiments, workers)
     chosen = _Chosen.by_split(project, experiments, Path(folder))
     model_fit = list(run.over("model", partial(drive_fit, drives.reader), chosen.setting))
     require_better_than_none(project, model_fit, Path(folder))
@@ -417,7 +417,7 @@ def identify(
         calibration=calibration,
         energy=energy,
         visibility=visibility(
-            estimator.omega, estimator.speed_range, met, found, calibration.threshold, weights.inflation
+            estimator.omega, estimator.speed_range, met, found, calibration.carried, weights.inflation
         ),
         spectra=run.spectra,
         bound_drives=[e.name for e in chosen.setting],
@@ -528,8 +528,22 @@ class StoredIdentification:
             model,
             Estimator.of(self.project, model),
             self.fitted,
-            self.calibration.threshold,
+            self.calibration.carried,
             self.energy_of_core,
+        )
+
+    def of_group(self, group: str) -> StoredIdentification:
+        """With the thresholds of both tests for drives of a group; InputError where no drive is of it."""
+        known = sorted(self.calibration.groups)
+        if group not in known:
+            raise InputError(
+                self.folder, "group", group, ", ".join(known) or f"groups, a column of {EXPERIMENTS}"
+            )
+        energy = self.energy_of_core
+        return replace(
+            self,
+            calibration=self.calibration.of_group(group),
+            energy=replace(energy, calibration=energy.calibration.of_group(group)),
         )
 
     @property

@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from scipy.stats import beta, chi2
 
 from ...core.compiled import TESTS
 from ...evaluate.baselines import KINDS as BASELINE_KINDS
 from ...evaluate.baselines import TITLES
 from ...evaluate.comparison import COUNTS_ONLY, MONITOR
 from ...evaluate.detection import median_time
-from ...evaluate.run import energy_test_of
+from ...evaluate.judged import energy_test_of
+from ...evaluate.rates import per_hour, rate
 from ...identify.calibration import Calibration, calibrate
 from ...identify.run import StoredIdentification
 from . import faults
@@ -31,24 +31,6 @@ VISIBLE_SHARE, VISIBLE_FOUND = 0.1, 0.95
 LATENCY_S = 1.0
 """From the end of a frame to the verdict that says so: a reserve."""
 DETECTORS = (MONITOR, *BASELINE_KINDS)
-
-
-def rate(count: int, of: int) -> dict[str, Any]:
-    """A ratio of runs with its exact 95 % interval (Clopper and Pearson)."""
-    low = float(beta.ppf(0.025, count, of - count + 1)) if count else 0.0
-    high = float(beta.ppf(0.975, count + 1, of - count)) if count < of else 1.0
-    return {"count": count, "of": of, "interval": [low, high] if of else None}
-
-
-def per_hour(count: int, hours: float) -> dict[str, Any]:
-    """Events an hour with their exact 95 % interval (Poisson). The events must be independent: runs that
-    alarm, not their alarms."""
-    low = float(chi2.ppf(0.025, 2 * count)) / 2 if count else 0.0
-    high = float(chi2.ppf(0.975, 2 * count + 2)) / 2
-    return {
-        "rate": count / hours if hours else None,
-        "interval": [low / hours, high / hours] if hours else None,
-    }
 
 
 def summarise(
@@ -157,7 +139,7 @@ def _calibrated(stored: StoredIdentification) -> dict[str, dict[str, Any]]:
             "claim": c.claim(),
             "alpha": c.alpha,
             "conditional_bound": c.conditional_bound,
-            "threshold": c.threshold,
+            "threshold": c.carried,
             "per_hour": c.alpha and c.alpha * 3600 / DURATION_S,
         }
         for test, c in (("frame", stored.calibration), ("energy", energy_test_of(stored).calibration))
@@ -280,7 +262,7 @@ def _falsified(within: list[dict], tables: list[str]) -> dict[str, Any]:
 def _within(rows: list[dict]) -> dict[str, Any]:
     """Alarm rates of trucks within the bounds, per run of DURATION_S (the exchangeable unit), by detector and
     test."""
-    hours = sum(r["duration_s"] for r in rows) / 3600
+    hours, judged = (sum(r[key] for r in rows) / 3600 for key in ("duration_s", "judged_s"))
     alarmed = {d: sum(_alarms(r, d) for r in rows) for d in DETECTORS}
     trucks: dict[int, bool] = {}
     for r in rows:
@@ -288,12 +270,16 @@ def _within(rows: list[dict]) -> dict[str, Any]:
     return {
         "runs": len(rows),
         "hours": hours,
-        "judged_hours": sum(r["judged_s"] for r in rows) / 3600,
+        "judged_hours": judged,
         "alarmed": {d: rate(n, len(rows)) for d, n in alarmed.items()},
         "alarmed_trucks": rate(sum(trucks.values()), len(trucks)),
         "tests": {
             t: rate(n, len(rows))
-            | {"per_hour": per_hour(n, hours), "alarms": sum(r[f"alarms_{t}"] for r in rows)}
+            | {
+                "per_hour": per_hour(n, hours),
+                "per_judged_hour": per_hour(n, judged),
+                "alarms": sum(r[f"alarms_{t}"] for r in rows),
+            }
             for t, n in ((t, sum(r[f"alarmed_{t}"] for r in rows)) for t in TESTS)
         },
     }

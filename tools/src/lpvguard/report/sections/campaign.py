@@ -5,6 +5,7 @@ from __future__ import annotations
 from html import escape
 
 from ...evaluate.comparison import COUNTS_ONLY
+from ...evaluate.rates import hourly_words, share_words
 from ..markup import captioned, html_table, number
 from ..pictures.detectors import detection, detection_time
 
@@ -24,23 +25,8 @@ def campaign_section(c: dict) -> str:
 {_bus(c)}"""
 
 
-def _share(rate: dict) -> str:
-    """Count of all and its interval [%]; a dash when nothing was counted."""
-    if not rate["of"]:
-        return "–"
-    low, high = rate["interval"]
-    return f"{rate['count']} of {rate['of']}, {100 * low:.2f} to {100 * high:.2f} %"
-
-
 def _percent(value: float | None) -> str:
     return "–" if value is None else f"{100 * value:.2f} %"
-
-
-def _hourly(rate: dict) -> str:
-    """Rate [1/h] and its interval; a dash when there is no interval."""
-    if rate["interval"] is None:
-        return "–"
-    return f"{rate['rate']:.2f}, {rate['interval'][0]:.2f} to {rate['interval'][1]:.2f}"
 
 
 def _severity(c: dict, row: dict) -> str:
@@ -56,8 +42,8 @@ def _level(severity: dict) -> str:
 def _falsified(c: dict) -> str:
     """Runs of trucks within the bounds that did what the certificate rules out, each by name."""
     falsified = c["falsified"]
-    text = f"""<p><b>Falsified certificates: {_share(falsified["rate"])}</b> of the runs within the bounds. \
-There a run that oscillates,
+    text = f"""<p><b>Falsified certificates: {share_words(falsified["rate"])}</b> of the runs within the \
+bounds. There a run that oscillates,
 saturates for a second or leaves the tracking bound contradicts the certificate. None is left out.</p>"""
     if not falsified["runs"]:
         return text
@@ -104,7 +90,7 @@ Calibrated per drive: {claims}. A fault is <i>visible</i> in a run when off-line
 is at least 1.5 times the threshold in a
 tenth of the excited frames after it; that uses nothing the monitor says. Of the alarms that were due by the \
 bounds,
-{_share(c["due"])} came in time.</p>"""
+{share_words(c["due"])} came in time.</p>"""
 
 
 def _overall(c: dict) -> str:
@@ -116,9 +102,9 @@ def _overall(c: dict) -> str:
         [
             [
                 "runs within the bounds that alarm, 95 % interval",
-                *(_share(within["alarmed"][d]) for d in names),
+                *(share_words(within["alarmed"][d]) for d in names),
             ],
-            ["visible faults found in time, 95 % interval", *(_share(c["visible"][d]) for d in names)],
+            ["visible faults found in time, 95 % interval", *(share_words(c["visible"][d]) for d in names)],
             [
                 "average found, calibrated thresholds",
                 *(f"{c['average'][d]['calibrated']:.1%}" for d in names),
@@ -143,16 +129,18 @@ def _alarm_table(c: dict) -> str:
             "with 95 % confidence below",
             "such runs an hour, 95 % interval",
             "calibrated to at most",
+            "such runs an hour judged, 95 % interval",
             "alarms in all",
         ],
         [
             [
                 t,
-                _share(r),
+                share_words(r),
                 _percent(limit["alpha"]),
                 _percent(limit["conditional_bound"]),
-                _hourly(r["per_hour"]),
+                hourly_words(r["per_hour"]),
                 number(limit["per_hour"]),
+                hourly_words(r["per_judged_hour"]),
                 str(r["alarms"]),
             ]
             for t, r, limit in ((t, r, c["calibrated"][t]) for t, r in tests.items())
@@ -280,12 +268,12 @@ def _bus(c: dict) -> str:
 frames that were on the bus and the message table:
 three missed periods hold, five switch off, so does a score of five bad frames, and five good ones bring \
 back. That is worked out
-apart from the core. As required were {_share(faulty["as_required"])} of the runs with a faulty bus, where \
-of {faulty["due"]} reactions due
-{faulty["met"]} came at the very tick, and {_share(healthy["as_required"])} of those within the bounds, with \
-none due. <i>Judged</i> is excited driving that the monitor judged, of the time since the fault: after every
-gap its model has to settle. Alarms of model error stand beside the runs in which the samples themselves \
-show one: a late or corrupted
+apart from the core. As required were {share_words(faulty["as_required"])} of the runs with a faulty bus, \
+where of {faulty["due"]} reactions due
+{faulty["met"]} came at the very tick, and {share_words(healthy["as_required"])} of those within the bounds, \
+with none due. <i>Judged</i> is excited driving that the monitor judged, of the time since the fault: after
+every gap its model has to settle. Alarms of model error stand beside the runs in which the samples \
+themselves show one: a late or corrupted
 value that passes for a good one.</p>{_bus_table(c)}"""
 
 

@@ -1,29 +1,48 @@
-"""Section "Evaluation, leave one drive out": false alarms, injected faults, and the baselines."""
+"""Section "Evaluation": false alarms, injected faults, and the baselines, leave-one-drive-out or on held-out
+drives."""
 
 from __future__ import annotations
 
 from html import escape
 
 from ...core.compiled import TESTS
-from ...evaluate.comparison import EXPORTED, MONITOR, DetectorColumn, columns, detector_rows, equal_rates
+from ...evaluate.comparison import (
+    ALARM_HEAD,
+    CALIBRATED,
+    EXPORTED,
+    HELD_OUT,
+    LEFT_ONE_OUT,
+    MONITOR,
+    DetectorColumn,
+    alarm_rows,
+    columns,
+    detector_rows,
+    equal_rates,
+)
 from ...evaluate.false_alarms import PIECE_S
 from ..markup import captioned, html_table, number
 from ..pictures.detectors import SOONEST_S, time_to_find
 
 OURS = "lpvguard, both tests at one threshold"
+JUDGED = {
+    LEFT_ONE_OUT: ("Evaluation, leave one drive out", "Every drive that did not set the bounds"),
+    HELD_OUT: ("Evaluation, held-out drives", "Every drive"),
+}
+"""Title of the section, and which drives are judged."""
 TEST_TITLES = {MONITOR: "both tests", "frame": "frame test", "energy": "energy test"}
 
 
 def evaluation_section(evaluation: dict) -> str:
     """The section. ``evaluation``: JSON of `lpvguard evaluate`."""
     left_out = "; ".join(f"{escape(n)}: {escape(why)}" for n, why in evaluation["left_out"].items())
-    return f"""<h2>Evaluation, leave one drive out</h2>
-<p>Every drive that did not set the bounds runs through the compiled core with thresholds from
+    title, judged = JUDGED[evaluation["mode"]]
+    return f"""<h2>{title}</h2>
+<p>{judged} runs through the compiled core with thresholds from
 {escape(evaluation["threshold_rule"])}. Every second of a drive counts, judged or not: in pieces of \
 {PIECE_S:g} s, of which the last
-is as long as its column says, and in drives. The rate is alarmed pieces an hour of judged driving. The \
-interval
-resamples drives, not pieces: pieces of one drive are not exchangeable. Drives that the identification left \
+is as long as its column says, in drives, and in recordings. Rates are per recording and an hour of judged \
+driving. Their intervals are exact (Clopper and Pearson; an hour: Poisson) and over recordings, since \
+alarms of one recording come together. Drives left \
 out: {left_out or "none"}.</p>
 {_claim_table(evaluation)}\
 <h3>False alarms</h3>{_alarm_table(evaluation)}{_drive_table(evaluation)}\
@@ -32,27 +51,7 @@ out: {left_out or "none"}.</p>
 
 def _alarm_table(evaluation: dict) -> str:
     """False alarms of the monitor per group of drivers."""
-    return html_table(
-        [
-            "drivers",
-            "alarmed drives",
-            f"alarmed {PIECE_S:g} s pieces",
-            "95 % interval of the ratio",
-            "alarmed pieces an hour judged",
-            "judged, h",
-        ],
-        [
-            [
-                escape(group),
-                f"{row['alarmed_drives']} of {row['drives']}",
-                f"{row['alarmed']} of {row['pieces']}",
-                "–" if row["interval"] is None else f"{row['interval'][0]:.3f} to {row['interval'][1]:.3f}",
-                "–" if row["per_judged_h"] is None else f"{row['per_judged_h']:.2f}",
-                f"{row['judged_h']:.3f}",
-            ]
-            for group, row in evaluation["false_alarms"].items()
-        ],
-    )
+    return html_table(ALARM_HEAD, [[escape(cell) for cell in row] for row in alarm_rows(evaluation)])
 
 
 def _claim_table(evaluation: dict) -> str:
@@ -67,10 +66,10 @@ def _claim_table(evaluation: dict) -> str:
             *(
                 [
                     f"{TEST_TITLES[t]}{' at one threshold' if t == MONITOR else ''}, "
-                    "each drive without itself",
+                    f"{CALIBRATED[evaluation['mode']]}",
                     escape("; or ".join(several)),
                 ]
-                for t, several in evaluation["claims"]["left_one_out"].items()
+                for t, several in evaluation["claims"][evaluation["mode"]].items()
             ),
         ],
         "words",
@@ -78,12 +77,13 @@ def _claim_table(evaluation: dict) -> str:
 
 
 def _drive_table(evaluation: dict) -> str:
-    """A row per drive: thresholds without it, scores, alarms, judged time, where faults were injected."""
+    """A row per drive: thresholds, scores, alarms, judged time, where faults were injected."""
+    without = " without it" if evaluation["mode"] == LEFT_ONE_OUT else ""
     return html_table(
         [
             "drive",
             "driver",
-            *(f"{title}: threshold without it, score" for title in TEST_TITLES.values()),
+            *(f"{title}: threshold{without}, score" for title in TEST_TITLES.values()),
             "alarmed pieces",
             "last piece, s",
             "judged, s",
@@ -167,10 +167,7 @@ def _baselines(evaluation: dict) -> str:
     """The baselines beside the monitor: settings, claims, and who leads."""
     others, detectors, rates = evaluation["baselines"], columns(evaluation), evaluation["stated_rates"]
     if not others:
-        return (
-            "<h3>Beside what is used today</h3><p>Not compared: a baseline needs another calibration drive "
-            "when one is left out.</p>"
-        )
+        return "<h3>Beside what is used today</h3><p>Not compared: too few drives calibrate a baseline.</p>"
     titles = {MONITOR: "lpvguard"} | {b["kind"]: b["title"] for b in others}
     searched = "; ".join(
         f"{escape(b['title'])}: {len(b['searched'])} settings, chosen "

@@ -58,6 +58,8 @@ def _core_words(stored: StoredIdentification, replayer: Replayer | None) -> str:
 def _claim(stored: StoredIdentification) -> str:
     """What the threshold of the frame test promises."""
     calibration = stored.calibration
+    if calibration.groups:
+        return escape(calibration.claim())
     if calibration.alpha is None:
         return f"{calibration.claim()}; the threshold is the largest score"
     one = "recording" if calibration.recordings.of else "drive"
@@ -105,7 +107,7 @@ def _rows(
 ) -> list[tuple[str, str]]:
     """Label and text of every line of the summary."""
     project = stored.project
-    threshold = stored.calibration.threshold if replayer is None else replayer.threshold
+    threshold = stored.calibration.carried if replayer is None else replayer.threshold
     if replayer is None:
         judge = "the exact margin finds none above 1 on the bound-setting drives"
     else:
@@ -262,5 +264,5 @@ def _energy_words(test: EnergyTest, project: Project) -> str:
         f"{test.settle * test.Ts:.3g} s after entering the range; σ: {escape(test.sigma_text(project))}; "
         f"{len(test.directions)} direction(s); W<sub>Δ</sub> as a filter proved above its bound on the "
         f"circle |z| = {test.rho:.6g} (least ratio {least:.9g}); threshold "
-        f"{c.threshold:.4g}: {c.claim()}"
+        f"{c.carried:.4g}: {c.claim()}"
     )

@@ -1,0 +1,148 @@
+"""Which drives are judged, and by which calibrations.
+
+Judged is each drive of the identification without itself, or drives that the identification never saw. Those
+are judged by its calibration as stored. A drive of a group is judged with the threshold of that group, where
+it has one.
+
+Held-out drives calibrate nothing. A table that set bounds or noise, or that calibrated, is refused by its
+bytes. So is a piece of a recording of which the identification saw another piece.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..base.errors import InputError
+from ..core.compiled import TESTS
+from ..drives.tables import Experiment, list_experiments
+from ..identify.calibration import Calibration, Recordings, calibrate, joint_scores
+from ..identify.energy import ROUNDING, EnergyTest
+from ..identify.run import DriveSet, StoredIdentification, table_hashes
+from .comparison import HELD_OUT, LEFT_ONE_OUT, MONITOR
+
+SAW = {"bounds": "set the bounds", "calibration": "calibrated", "noise": "set the noise"}
+"""What the identification did with a group of its drives."""
+
+
+@dataclass(frozen=True)
+class JudgedDrives:
+    """Drives by name, the calibrations of MONITOR and each test that judge them, and their recordings.
+
+    ``mode``: LEFT_ONE_OUT or HELD_OUT. ``rule``: what calibrates, in words.
+    """
+
+    mode: str
+    rule: str
+    experiments: dict[str, Experiment]
+    calibrations: dict[str, dict[str, Calibration]]
+    recordings: Recordings
+
+    @classmethod
+    def left_one_out(cls, stored: StoredIdentification, drives: DriveSet) -> JudgedDrives:
+        """Every drive that calibrates, by all drives of other recordings. InputError where every judged drive
+        set the bounds."""
+        if not stored.calibration.scores:
+            raise InputError(
+                stored.folder,
+                "drives",
+                "every judged drive set the bounds: none is left to evaluate",
+                "at least one drive whose "
+                f"split is not {' or '.join(stored.project.data.bound_split)} and in which a frame counts",
+            )
+        names, recordings = list(stored.calibration.scores), stored.calibration.recordings
+        return cls(
+            LEFT_ONE_OUT,
+            "all other drives that did not set the bounds",
+            {name: drives.experiments[name] for name in names},
+            {name: _of_group(_calibrations(stored, name), recordings.groups.get(name)) for name in names},
+            recordings,
+        )
+
+    @classmethod
+    def held_out(cls, stored: StoredIdentification, experiments: list[Experiment]) -> JudgedDrives:
+        """Drives that the identification never saw, by its calibration as stored."""
+        together = _calibrations(stored, None)[MONITOR]
+        as_stored = {
+            MONITOR: together,
+            "frame": stored.calibration,
+            "energy": energy_test_of(stored).calibration,
+        }
+        return cls(
+            HELD_OUT,
+            "the identification as stored, in which none of them took part",
+            {e.name: e for e in experiments},
+            {e.name: _of_group(as_stored, e.group) for e in experiments},
+            Recordings.listed((), experiments),
+        )
+
+
+def _of_group(calibrations: dict[str, Calibration], group: str | None) -> dict[str, Calibration]:
+    """With the thresholds for drives of the group."""
+    return {what: c.of_group(group) for what, c in calibrations.items()}
+
+
+def _calibrations(stored: StoredIdentification, without: str | None) -> dict[str, Calibration]:
+    """Of MONITOR and each test by all calibration drives but the recording of ``without``; None: by all."""
+    frame, energy = stored.calibration.scores, energy_test_of(stored).calibration.scores
+    scores = {MONITOR: joint_scores(frame, energy), "frame": frame, "energy": energy}
+    floors = {MONITOR: 1.0 + ROUNDING, "frame": 1.0, "energy": 1.0 + ROUNDING}
+    recordings = stored.calibration.recordings
+    return {
+        what: calibrate(
+            {k: scores[what][k] for k in recordings.others(scores[what], without)},
+            stored.project.frame_test.alpha,
+            floor=floors[what],
+            recordings=recordings,
+        )
+        for what in (MONITOR, *TESTS)
+    }
+
+
+def energy_test_of(stored: StoredIdentification) -> EnergyTest:
+    """The energy test of an identification. InputError where there is none: with frames by the plain DFT."""
+    if stored.energy is None:
+        raise InputError(
+            stored.folder, "energy", "no energy test was identified", "an identification with Hann frames"
+        )
+    return stored.energy
+
+
+def drives_to_judge(stored: StoredIdentification, folders: Iterable[Path]) -> list[Experiment]:
+    """The drives of the folders, of which the identification saw none.
+
+    InputError where it saw one, or a piece of the same recording; where a name or a table occurs twice.
+    """
+    experiments: dict[str, Experiment] = {}
+    for e in (e for folder in folders for e in list_experiments(folder)):
+        if (other := experiments.setdefault(e.name, e)) is not e:
+            raise InputError(e.path, "", f"is named as {other.path}", "drives of different names")
+    chosen = list(experiments.values())
+    seen = {stored.manifest["sha256"][n]: (n, SAW[k]) for k in SAW for n in stored.manifest["drives"][k]}
+    for name, digest in table_hashes(chosen).items():
+        if digest in seen:
+            raise InputError(
+                experiments[name].path,
+                "",
+                f"is {seen[digest][0]}, byte for byte, which {seen[digest][1]} in {stored.folder}",
+                "drives that the identification did not see",
+            )
+    for e in chosen:
+        _require_new_recording(stored, e)
+    return chosen
+
+
+def _require_new_recording(stored: StoredIdentification, e: Experiment) -> None:
+    """InputError where a drive is a piece of a recording that the identification knows a piece of."""
+    if e.recording == e.name:
+        return
+    for what, did in SAW.items():
+        for name in stored.manifest["drives"][what]:
+            if stored.calibration.recordings.named(name) == e.recording:
+                raise InputError(
+                    e.path,
+                    "",
+                    f"is of recording {e.recording}, and so is {name}, which {did} in {stored.folder}",
+                    "recordings that the identification did not see",
+                )
