@@ -122,6 +122,15 @@ def race_car() -> Path:
 
 
 @pytest.fixture(scope="session")
+def rav4() -> Path:
+    """A minute of raw CAN frames of a car with a bus of its own, and the table decoded from them."""
+    folder = measured_folder() / "comma2k19_rav4"
+    if not folder.is_dir():
+        pytest.skip("the RAV4's log is absent: set LPVGUARD_DATA (data/README.md)")
+    return folder
+
+
+@pytest.fixture(scope="session")
 def measured() -> Path:
     return measured_folder() / "genesis_g80"
 

@@ -32,11 +32,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from hand_controller import hand_controller
 
 
-def vehicle(project, model):
+def vehicle(project, model, size=1.0):
+    """Files of a generated folder with bounds by hand; ``size``: factor on what the disturbance may be."""
     estimator = Estimator.of(project, model)
     each = 1.0 + 0.5 * np.arange(project.n_delta)
     W_delta = np.outer(np.linspace(0.1, 0.4, estimator.n_bins), each)
-    B_w = np.outer(np.linspace(0.02, 0.01, estimator.n_bins), 1.0 + np.arange(project.n_y))
+    B_w = size * np.outer(np.linspace(0.02, 0.01, estimator.n_bins), 1.0 + np.arange(project.n_y))
     energy = EnergyTest.design(
         project,
         estimator,
@@ -45,7 +46,7 @@ def vehicle(project, model):
         np.full((estimator.n_bins - 1, project.n_delta), 0.1),
         1.0,
     )
-    sigma = 0.02 * np.add.outer(np.arange(len(energy.F)), 1.0 + np.arange(project.n_y))
+    sigma = size * 0.02 * np.add.outer(np.arange(len(energy.F)), 1.0 + np.arange(project.n_y))
     energy = replace(energy, sigma=sigma, start=(4.0 + np.arange(project.n_y)) * sigma**2)
     return vehicle_files(
         project, build_coefficients(project, model, estimator, W_delta, B_w, 1.5, energy), {"kind": "test"}
@@ -135,4 +136,5 @@ def main():
     )
 
 
-main()
+if __name__ == "__main__":
+    main()

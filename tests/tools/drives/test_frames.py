@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
+from lpvguard.base.errors import InputError
 from lpvguard.drives.frames import Estimator
+from lpvguard.vehicle.nominal import NominalModel
 
 
 @pytest.fixture(scope="module")
@@ -75,3 +79,19 @@ def test_the_identifier_moves_with_every_part_of_the_definition(estimator):
     ]
     identifiers = {e.identifier() for e in [estimator, *changed]}
     assert len(identifiers) == len(changed) + 1
+
+
+def test_bins_too_high_for_the_core_name_the_highest_frequency(g80):
+    """At 25 Hz a fifth of the rate is beyond what the core can spread over samples; the message says how far
+    it goes, and that far it goes."""
+    frames = g80.frames.model_copy(update={"f_min_hz": 0.5, "f_max_hz": 5.0, "periods": 3})
+    slow = g80.model_copy(update={"Ts_s": 0.04, "frames": frames})
+    with pytest.raises(
+        InputError, match=r"lower f_max_hz to [0-9.]+ or less, or take more periods"
+    ) as refused:
+        Estimator.of(slow, NominalModel(slow))
+    highest = float(re.search(r"f_max_hz to ([0-9.]+)", str(refused.value))[1])
+    fits = slow.model_copy(update={"frames": frames.model_copy(update={"f_max_hz": highest})})
+    assert Estimator.of(fits, NominalModel(fits)).n_bins > 4
+    longer = slow.model_copy(update={"frames": frames.model_copy(update={"periods": 8})})
+    assert Estimator.of(longer, NominalModel(longer)).omega[-1] > 0.9 * 2 * np.pi * 4.0

@@ -15,7 +15,7 @@ from lpvguard.core.coefficients import build_coefficients
 from lpvguard.drives.frames import Estimator
 from lpvguard.engine.overbound.weight import Weight
 from lpvguard.identify.energy import EnergyTest
-from lpvguard.vehicle.nominal import NominalModel
+from lpvguard.vehicle.nominal import NominalModel, evaluate
 from lpvguard.vehicle.project import load_project
 
 
@@ -95,3 +95,28 @@ def test_coefficients_follow_the_signal_table(g80, g80_model):
     ones = np.ones((estimator.n_bins, 1))
     c = build_coefficients(g80, g80_model, estimator, ones, ones, 1.0, energy)
     assert c.reals["input_valid"].tolist() == [[-0.8, 0.8]] and c.sizes["DELAY"] == 1
+
+
+@pytest.mark.parametrize(
+    ("expression", "value"),
+    [("abs(v - 9)", [4.0, 1.0]), ("sqrt(v - 1) + 1", [3.0, 4.0]), ("max(min(v, 8), 6, 2*k)", [6.0, 8.0])],
+)
+def test_expressions_know_abs_min_max_and_sqrt(expression, value):
+    v = np.array([5.0, 10.0])
+    assert evaluate(expression, {"v": v, "k": 2.5}, "test").tolist() == value
+    assert evaluate(expression, {"v": 10.0, "k": 2.5}, "test") == value[1]
+
+
+@pytest.mark.parametrize(
+    ("expression", "says"),
+    [
+        ("sqrt(v - 6)", "'sqrt\\(v - 6\\)' of a negative number"),
+        ("sqrt(v, 2)", "expected one value"),
+        ("min(v)", "expected two values or more"),
+        ("exp(v)", "cannot use 'exp\\(v\\)'.*abs, min, max, sqrt"),
+        ("max(v, 1, key=v)", "cannot use"),
+    ],
+)
+def test_a_wrong_function_is_refused_by_name(expression, says):
+    with pytest.raises(InputError, match=says):
+        evaluate(expression, {"v": np.array([5.0, 10.0])}, "test")

@@ -6,7 +6,7 @@ import pytest
 
 from lpvguard.base.errors import InputError
 from lpvguard.engine.synthesis.statespace import StateSpace, zero_order_hold
-from lpvguard.vehicle.nominal import NominalModel
+from lpvguard.vehicle.nominal import NominalModel, evaluate
 from lpvguard.vehicle.project import load_project
 from lpvguard.vehicle.taylor import Taylor
 
@@ -14,7 +14,13 @@ FUNCTIONS = [
     (lambda v: 3 / v + 2 * v, lambda v: -3 / v**2 + 2, lambda v: 3 / v**3),
     (lambda v: (v - 1) ** 3 / (v**2 + 1), None, None),
     (lambda v: -(v**-2) * (4 - v) / 7, None, None),
+    (lambda v: root(3 * v**2 - v), None, None),
+    (lambda v: abs(-v) * 2, lambda v: 2 + 0 * v, lambda v: 0 * v),
 ]
+
+
+def root(x):
+    return evaluate("sqrt(x)", {"x": x}, "test")
 
 
 @pytest.mark.parametrize("case", range(len(FUNCTIONS)))
@@ -35,6 +41,11 @@ def test_what_cannot_be_enclosed_is_refused():
         1 / Taylor.variable(-1.0, 1.0)
     with pytest.raises(TypeError):
         Taylor.variable(1.0, 2.0) ** 0.5
+    with pytest.raises(ZeroDivisionError):
+        Taylor.variable(-1.0, 1.0).sqrt()
+    for kinked in ("abs(v - 1.5)", "min(v, 1.5)", "max(1.5, v, 1)"):
+        with pytest.raises(TypeError, match="kink"):
+            evaluate(kinked, {"v": Taylor.variable(1.0, 2.0)}, "test")
 
 
 @pytest.mark.parametrize("low, high", [(8.0, 8.1), (12.0, 14.0), (21.0, 22.0)])
@@ -66,3 +77,10 @@ def test_a_model_that_cannot_be_bounded_is_named():
     model = NominalModel(truck.model_copy(update={"model": truck.model.model_copy(update={"A": rows})}))
     with pytest.raises(InputError, match="whole exponents"):
         model.hold_bounds(10.0, 11.0)
+
+
+@pytest.mark.parametrize("low, high, slope", [(1.0, 1.4, 0.0), (1.6, 2.0, 2.0)])
+def test_min_and_max_are_bounded_on_either_side_of_their_kink(low, high, slope):
+    found = evaluate("max(min(v, 9), 1.5) * 2", {"v": Taylor.variable(low, high)}, "test")
+    assert found.low[1] == found.high[1] == slope
+    assert (found.low[0], found.high[0]) == ((3.0, 3.0) if slope == 0 else (2 * low, 2 * high))

@@ -21,6 +21,8 @@ from .logs import EXTENDED, Frames
 if TYPE_CHECKING:  # cantools takes long to import
     from cantools.database.can import Database, Message, Signal
 
+    from .protection import Place
+
 _PRIORITY = 0x1C000000
 _PDU2 = 0xF0
 
@@ -137,7 +139,7 @@ def decode_signal(
     """
     left_out: dict[str, int] = {}
     rows = frames.data[positions]
-    keep = frames.length[positions] > max(byte for byte, _, _ in _pieces(signal))
+    keep = frames.length[positions] > max(byte for byte, _, _ in signal_pieces(signal))
     if not keep.all():
         left_out["frame too short"] = int((~keep).sum())
     keep &= _multiplexed(rows, message, signal)
@@ -183,7 +185,7 @@ def _multiplexed(rows: np.ndarray, message, signal) -> np.ndarray:
     return present
 
 
-def _pieces(signal) -> list[tuple[int, int, int]]:
+def signal_pieces(signal: Signal | Place) -> list[tuple[int, int, int]]:
     """(byte, lowest bit in it, number of bits) of each byte that the signal touches, most significant
     first."""
     pieces, left = [], signal.length
@@ -206,7 +208,7 @@ def _raw(rows: np.ndarray, signal) -> np.ndarray:
     """Unsigned raw values (K,); bytes beyond the log's frames read as 0 (such frames are left out as too
     short)."""
     raw = np.zeros(len(rows), np.uint64)
-    for byte, low, bits in _pieces(signal):
+    for byte, low, bits in signal_pieces(signal):
         raw <<= np.uint64(bits)
         if byte < rows.shape[1]:
             raw |= (rows[:, byte] >> np.uint8(low) & np.uint8((1 << bits) - 1)).astype(np.uint64)

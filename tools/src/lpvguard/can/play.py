@@ -111,6 +111,13 @@ def values_of_drive(project, drive, catalogue: Catalogue | None = None) -> dict[
     * yaw rate (steady cornering), anything else with 0. InputError names the signals without a place.
     """
     catalogue = catalogue or load_catalogue()
+    if project.can is not None:
+        raise InputError(
+            f"vehicle {project.name}",
+            "can",
+            "the car's own bus, which is only read",
+            "a raw log of it to play, or a vehicle on the bus of the CAN catalogue",
+        )
     columns = [
         (project.speed, drive.v),
         *((s, drive.u[:, j]) for j, s in enumerate(project.inputs)),

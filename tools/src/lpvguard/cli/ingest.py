@@ -19,7 +19,9 @@ def ingest(
         typer.Argument(help="candump (-l, -L, -t, .gz), ASC, BLF, TRC, MF4, CSV, Parquet; folders."),
     ],
     out: Out,
-    dbc: Annotated[Path | None, typer.Option(help="CAN database (default: our own J1939 one).")] = None,
+    dbc: Annotated[
+        Path | None, typer.Option(help="CAN database (default: the vehicle's, or our own J1939 one).")
+    ] = None,
     signals: Annotated[Path | None, typer.Option(help="Signal map (TOML).")] = None,
     vehicle: Annotated[
         str | None, typer.Option("--vehicle", help="Take the signal map from this vehicle.")
@@ -36,7 +38,10 @@ def ingest(
         if signals is not None and vehicle is None:
             report = run(logs, dbc=dbc, signals_map=signals, out=out)
         elif signals is None and vehicle is not None:
-            report = run(logs, dbc=dbc, signals_map=map_of_project(project_of(vehicle)), out=out)
+            project = project_of(vehicle)
+            if dbc is None and project.can is not None:
+                dbc = Path(project.can.dbc)
+            report = run(logs, dbc=dbc, signals_map=map_of_project(project), out=out)
         else:
             raise InputError("ingest", "--signals, --vehicle", "both or neither given", "exactly one of them")
     emit(json_out, report, each=True)

@@ -25,7 +25,7 @@ from ..base import artefacts
 from ..base.layout import COEFF, DIMENSIONS
 from ..drives.frames import Estimator, require_core
 from ..vehicle.nominal import NominalModel
-from ..vehicle.project import Project
+from ..vehicle.project import CanPlace, Project
 from .control_coefficients import CONTROL_SIZES, ControllerCoefficients, control_files
 from .seal import Sealed, coefficient_source
 
@@ -160,11 +160,15 @@ def _signals_header(project: Project) -> str:
     return "\n".join([*lines, "", "#endif", ""])
 
 
+def _bus_value(place: CanPlace) -> str:
+    return " + ".join(f"{place.message}.{name}" for name in (place.signal, *place.plus))
+
+
 def signal_table_markdown(project: Project) -> str:
     """The signal table for people."""
     rows = [
         f"| {s.name} | {s.role} | {s.column} | {s.unit} | {s.positive} | {s.min:g} .. {s.max:g} | "
-        + (f"{s.can.message}.{s.can.signal} = {s.can.factor:g} × value" if s.can else "–")
+        + (f"{_bus_value(s.can)} = {s.can.factor:g} × value" if s.can else "–")
         + " |"
         for s in project.signals
     ]

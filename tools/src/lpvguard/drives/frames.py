@@ -97,11 +97,13 @@ class Estimator:
             "NLATENCY", {"NBINS": n_bins + 1, "NY": project.n_y, "NDELTA": project.n_delta}
         )  # DC included
         if length[-1] // 2 <= latency:
+            highest = settings.periods / (2 * (latency + 1) * project.Ts_s)
             raise InputError(
                 f"vehicle {project.name}",
                 "frames",
                 f"{n_bins + 1} bins and half frames of {length[-1] // 2}",
-                f"half frames longer than {latency} samples, as the core spreads its work over samples",
+                f"half frames longer than {latency} samples, as the core spreads its work over samples: "
+                f"lower f_max_hz to {highest:.3g} or less, or take more periods a frame",
             )
         return cls(
             project.Ts_s,

@@ -125,7 +125,8 @@ def load_signal_map(path: Path) -> SignalMap:
 
 
 def map_of_project(project: Project) -> SignalMap:
-    """The signal map of a vehicle whose signals have a CAN place: bus value = factor * value."""
+    """The signal map of a vehicle whose signals have a CAN place: bus value = factor * value. A sum of
+    signals has no ``min`` and ``max``: a drive table is judged by the vehicle's."""
     without = [s.name for s in project.signals if s.can is None]
     if without:
         raise InputError(
@@ -137,9 +138,12 @@ def map_of_project(project: Project) -> SignalMap:
     columns = {
         s.column: Column(
             unit=s.unit,
-            min=s.min,
-            max=s.max,
-            terms=[Term(message=place.message, signal=place.signal, scale=1.0 / place.factor)],
+            min=None if place.plus else s.min,
+            max=None if place.plus else s.max,
+            terms=[
+                Term(message=place.message, signal=name, scale=1.0 / place.factor)
+                for name in (place.signal, *place.plus)
+            ],
         )
         for s in project.signals
         if (place := s.can) is not None

@@ -28,8 +28,8 @@ def text_of(vehicle: str) -> str:
 
 
 def with_numbers(text: str, where: str, values: dict[str, float]) -> str:
-    """The text with these values of the unknowns, by the names of `Unknowns`. InputError where the text
-    cannot be edited."""
+    """The text with these values of the unknowns, by the names of `Unknowns`, and with its CAN database
+    beside it. InputError where the text cannot be edited."""
     try:
         document = tomlkit.parse(text)
         model = document["model"]
@@ -41,6 +41,8 @@ def with_numbers(text: str, where: str, values: dict[str, float]) -> str:
                 model["parameters"][name] = number
             else:
                 model[name] = number
+        if "can" in document:
+            document["can"]["dbc"] = Path(document["can"]["dbc"]).name
     except (TOMLKitError, KeyError) as error:
         raise InputError(where, "model", f"cannot be edited ({error})", "a project file") from None
     return tomlkit.dumps(document)

@@ -176,6 +176,11 @@ def _findings(estimate: Estimate, found: list[Quality]) -> list[str]:
     return says
 
 
+def _database(project: Project) -> dict[str, bytes]:
+    """The CAN database of the car's own bus, as it stands beside a project file."""
+    return {} if project.can is None else {Path(project.can.dbc).name: Path(project.can.dbc).read_bytes()}
+
+
 def save(
     result: FittedModel, text: str, where: str, out: Path, files: Mapping[str, str] | None = None
 ) -> None:
@@ -186,6 +191,7 @@ def save(
             folder,
             {
                 f"{result.project.name}.toml": with_numbers(text, where, values),
+                **_database(result.project),
                 "fit.json": artefacts.to_json(result.to_dict()),
                 **(files or {}),
                 artefacts.MANIFEST: artefacts.manifest(

@@ -9,6 +9,9 @@ vehicle is live (can.h), and a gap elsewhere. A tick lies half a period after th
 fastest of these messages. Jitter below half a period then moves no frame to another tick. A log of our own
 simulator gives the samples that its ECU had. The demand alone has the resolution of the bus.
 
+Frames of a car's own bus (``[can]`` of the project file) become frames of a catalogue first (can/own.py).
+From there on they go the same way.
+
 A clock that goes back by more than REORDER_S, or forward by more than CLOCK_JUMP_S, is a jump. It is
 replayed as a pause of PAUSE_S.
 """
@@ -30,6 +33,9 @@ from ..can.bus import take_case
 from ..can.catalogue import BusSignal, Catalogue, Message, load_catalogue
 from ..can.codegen import ANY_PRIORITY, SOURCE, codec_files, messages_in_order
 from ..can.logs import EXTENDED, Frames
+from ..can.own import CarBus, own_bus
+from ..can.own_code import SOURCE as OWN_SOURCE
+from ..can.own_code import own_files
 from ..core.compiled import EVENTS, SUPERVISION, library_root
 from ..drives.resample import clock_of
 from ..vehicle.project import Project, Signal
@@ -50,21 +56,45 @@ class Received:
     report: dict[str, Any]
 
 
+@dataclass(frozen=True)
+class _Place:
+    """Where the bus carries a signal of the vehicle: the sum of the bus's signals = factor * value."""
+
+    message: Message
+    signals: tuple[BusSignal, ...]
+    factor: float
+
+
+@dataclass(frozen=True)
+class _Bus:
+    """The bus of a vehicle. Of each message of the catalogue ``sent`` says how it is called on the bus, its
+    identifier with its flags, and the bits of that which tell it. ``files``: the generated C."""
+
+    catalogue: Catalogue
+    places: list[_Place]
+    sent: dict[str, tuple[str, int, int]]
+    files: dict[str, str]
+
+
 class Receiver:
-    """The compiled receiver of a vehicle: speed, inputs and outputs of its signal table, in this order, out
-    of frames of the catalogue.
+    """The compiled receiver of a vehicle: speed, inputs and outputs of its signal table, in this order.
+
+    They come out of frames of the catalogue, or of the car's own bus.
 
     Raises InputError when a signal has no place on the bus, or nothing compiles here.
     """
 
     def __init__(self, project: Project, catalogue: Catalogue | None = None):
-        self.project, catalogue = project, catalogue or load_catalogue()
-        self._rules = messages_in_order(catalogue)
+        self.project = project
         self.signals = [project.speed, *project.inputs, *project.outputs]
-        self._places = [_place(s, catalogue) for s in self.signals]
+        if project.can is None:
+            bus = _our_bus(self.signals, catalogue or load_catalogue())
+        else:
+            bus = _car_bus(self.signals, own_bus(project))
+        self._rules = messages_in_order(bus.catalogue)
+        self._places, self._sent = bus.places, bus.sent
         self.needed = [m for m in self._rules if any(m is p.message for p in self._places)]
-        self._ids = np.array([m.id | EXTENDED for m in self.needed], np.uint32) & np.uint32(ANY_PRIORITY)
-        library = _library(project.name, _take_source(self._places), *sorted(codec_files(catalogue).items()))
+        library = _library(project.name, _take_source(self._places), *sorted(bus.files.items()))
         self._lib = ctypes.CDLL(str(library))
         sizes = (ctypes.c_uint32 * 2)()
         self._lib.lpvgb_receiver_sizes(sizes)
@@ -122,7 +152,7 @@ class Receiver:
             raise InputError(
                 where,
                 "",
-                "holds no frame of " + ", ".join(f"{m.name} ({m.id:08X})" for m in self.needed),
+                "holds no frame of " + ", ".join(map(self._called, self.needed)),
                 f"a log of the bus of vehicle {self.project.name}; `lpvguard ingest --dbc` takes other buses",
             )
         channels = [frames.channels[c] for c in np.unique(frames.channel[ours])]
@@ -136,15 +166,24 @@ class Receiver:
         frames = frames.of_channel(channels[0], where)
         return frames, self._ours(frames)
 
+    def _called(self, message: Message) -> str:
+        """Name and identifier of a needed message on the bus."""
+        name, identifier, _ = self._sent[message.name]
+        return f"{name} ({identifier & ~EXTENDED:0{8 if identifier & EXTENDED else 3}X})"
+
     def _ours(self, frames: Frames) -> np.ndarray:
-        """(N,) True for the frames of needed messages, whatever their priority."""
-        return np.isin(frames.id & np.uint32(ANY_PRIORITY), self._ids)
+        """(N,) True for the frames of needed messages; of J1939 groups whatever their priority."""
+        ours = np.zeros(len(frames.id), bool)
+        for m in self.needed:
+            _, identifier, mask = self._sent[m.name]
+            ours |= (frames.id & np.uint32(mask)) == np.uint32(identifier & mask)
+        return ours
 
     def _counted(self, counts: np.ndarray) -> dict[str, dict[str, int]]:
         """Frames and periods by kind, of the needed messages and of those that were seen."""
         missed = EVENTS.index("missed")
         return {
-            m.name: _named(row)
+            self._sent[m.name][0]: _named(row)
             for m, row in zip(self._rules, counts, strict=False)
             if m in self.needed or row[:missed].any()
         }
@@ -157,38 +196,58 @@ class Receiver:
             {
                 "from_s": round(float(t[a]), 6),
                 "to_s": round(float(t[min(b, len(t) - 1)]), 6),
-                "messages": [m.name for m, row in zip(self.needed, live, strict=False) if not row[a:b].all()],
+                "messages": [
+                    self._sent[m.name][0]
+                    for m, row in zip(self.needed, live, strict=False)
+                    if not row[a:b].all()
+                ],
             }
             for a, b in edges
         ]
 
 
-@dataclass(frozen=True)
-class _Place:
-    """Where the bus carries a signal of the vehicle: bus value = factor * value."""
+def _our_bus(signals: list[Signal], catalogue: Catalogue) -> _Bus:
+    """The bus of the catalogue, on which identifiers tell messages by all but their priority."""
+    return _Bus(
+        catalogue,
+        [_place(s, catalogue) for s in signals],
+        {m.name: (m.name, m.id | EXTENDED, ANY_PRIORITY) for m in catalogue.messages},
+        codec_files(catalogue),
+    )
 
-    message: Message
-    signal: BusSignal
-    factor: float
+
+def _car_bus(signals: list[Signal], bus: CarBus) -> _Bus:
+    """The car's own bus, carried by messages of a catalogue of its own."""
+    places = [bus.places[s.name] for s in signals]
+    return _Bus(
+        bus.catalogue,
+        [_Place(message, tuple(carried), factor) for message, carried, factor in places],
+        {m.ours.name: (m.car.name, m.identifier, m.mask) for m in bus.messages},
+        {**codec_files(bus.catalogue), **own_files(bus)},
+    )
 
 
 def _place(signal: Signal, catalogue: Catalogue) -> _Place:
-    """Where the bus carries a signal of the vehicle. InputError where it does not."""
+    """Where the bus of the catalogue carries a signal of the vehicle. InputError where it does not."""
     where = f"vehicle signal {signal.name}"
     if signal.can is None:
         raise InputError(
             where, "can", "no place on the bus", "can = { message, signal, factor } in the project file"
         )
     message = catalogue.message(signal.can.message)
-    found = next((s for s in message.signals if s.name == signal.can.signal), None)
-    if found is None or message.codec != "generated":
-        raise InputError(
-            where,
-            "can",
-            f"{message.name}.{signal.can.signal} is not in the CAN catalogue",
-            f"one of {', '.join(s.name for s in message.signals)}",
-        )
-    return _Place(message, found, signal.can.factor)
+    if message.codec != "generated":
+        raise InputError(where, "can", f"{message.name} is packed by the core", "another message")
+    by_name = {s.name: s for s in message.signals}
+    names = (signal.can.signal, *signal.can.plus)
+    for name in names:
+        if name not in by_name:
+            raise InputError(
+                where,
+                "can",
+                f"{message.name}.{name} is not in the CAN catalogue",
+                f"one of {', '.join(by_name)}",
+            )
+    return _Place(message, tuple(by_name[name] for name in names), signal.can.factor)
 
 
 def _take_source(places: list[_Place]) -> str:
@@ -196,10 +255,8 @@ def _take_source(places: list[_Place]) -> str:
     cases = ""
     for name in dict.fromkeys(p.message.name for p in places):
         of = [(i, p) for i, p in enumerate(places) if p.message.name == name]
-        statements = [
-            f"values[{i}] = (double)({p.signal.name} * (float){1.0 / p.factor:.17g});" for i, p in of
-        ]
-        cases += take_case(of[0][1].message, [p.signal for _, p in of], statements)
+        statements = [f"values[{i}] = (double)({_sum(p)} * (float){1.0 / p.factor:.17g});" for i, p in of]
+        cases += take_case(of[0][1].message, [s for _, p in of for s in p.signals], statements)
     return (
         '#include "lpvg_can_codec.h"\n\n'
         'extern "C" void lpvgb_take(double* values, uint8_t index, const lpvg_can_frame_t* frame)\n'
@@ -207,15 +264,22 @@ def _take_source(places: list[_Place]) -> str:
     )
 
 
+def _sum(place: _Place) -> str:
+    names = " + ".join(s.name for s in place.signals)
+    return names if len(place.signals) == 1 else f"({names})"
+
+
 @cache
-def _library(name: str, take: str, *codec: tuple[str, str]) -> Path:
+def _library(name: str, take: str, *generated: tuple[str, str]) -> Path:
     root = library_root()
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
-        for file, text in (*codec, ("take.cpp", take)):
+        for file, text in (*generated, ("take.cpp", take)):
             (folder / file).write_text(text, encoding="utf-8")
+        own = [folder / OWN_SOURCE] if (folder / OWN_SOURCE).is_file() else []
         sources = [
             folder / SOURCE,
+            *own,
             folder / "take.cpp",
             root / "src" / "can.cpp",
             Path(__file__).with_name("receiver.cpp"),
@@ -223,7 +287,7 @@ def _library(name: str, take: str, *codec: tuple[str, str]) -> Path:
         try:
             return native.compile_shared(
                 sources,
-                flags=("-std=c++17", "-O2", "-ffp-contract=off"),
+                flags=("-std=c++17", "-O2", "-ffp-contract=off", *(["-DLPVGB_OWN_BUS"] if own else [])),
                 include_dirs=[root / "include", folder],
                 name=f"receiver_{name}",
             )

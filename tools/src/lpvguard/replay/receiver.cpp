@@ -5,6 +5,9 @@
 #include <cstring>
 
 #include "lpvg_can_codec.h"
+#ifdef LPVGB_OWN_BUS  // the car's frames become the codec's first (can/own_code.py)
+#include "lpvg_can_own.h"
+#endif
 
 extern "C" {
 
@@ -26,6 +29,9 @@ int lpvgb_receive(int64_t n, const int64_t* t_us, const uint32_t* id, const uint
     if (lpvg_can_init(&supervisor, lpvg_can_rules, LPVG_CAN_RULES, n > 0 && t_us[0] < first_us ? t_us[0] : first_us) != lpvg_status_ok) {
         return -1;
     }
+#ifdef LPVGB_OWN_BUS
+    lpvg_can_own_t own{};
+#endif
     int64_t i = 0;
     for (int64_t k = 0; k < n_ticks; ++k) {
         double* row = values + k * n_values;
@@ -35,10 +41,16 @@ int lpvgb_receive(int64_t n, const int64_t* t_us, const uint32_t* id, const uint
         const int64_t now_us = first_us + k * period_us;
         for (; i < n && t_us[i] <= now_us; ++i) {
             lpvg_can_frame_t frame{};
+#ifdef LPVGB_OWN_BUS
+            if (lpvg_can_own_take(&own, id[i], data + i * width, length[i], t_us[i], &frame) != lpvg_status_ok) {
+                return -1;
+            }
+#else
             frame.id = id[i];
             frame.dlc = length[i];
             frame.t_us = t_us[i];
             std::memcpy(frame.data, data + i * width, sizeof frame.data);
+#endif
             uint8_t index = LPVG_CAN_NO_INDEX;
             if (lpvg_can_receive(&supervisor, &frame, &index) == lpvg_can_event_accepted) {
                 lpvgb_take(row, index, &frame);

@@ -16,7 +16,7 @@ import ctypes
 import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any, TypeVar
 
 import numpy as np
@@ -25,7 +25,7 @@ from scipy.linalg import expm
 from ..base import native
 from ..base.errors import InputError
 from .project import ModelSettings, Project
-from .taylor import COEFFICIENTS, Taylor
+from .taylor import COEFFICIENTS, Taylor, greatest, least
 
 Speed = TypeVar("Speed", np.ndarray, Taylor)
 """What stands for the speed in an expression of a project file: speeds (m,) or an interval of speeds."""
@@ -40,9 +40,34 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
 }
 
 
+def _sqrt(x: Any) -> Any:
+    return x.sqrt() if isinstance(x, Taylor) else np.sqrt(x)
+
+
+def _of_several(choose: Callable[..., Any], choose_bounds: Callable[..., Taylor]) -> Callable[..., Any]:
+    """``choose`` over several values, ``choose_bounds`` where one of two is an interval."""
+
+    def function(*values: Any) -> Any:
+        return reduce(
+            lambda a, b: (choose_bounds if isinstance(a, Taylor) or isinstance(b, Taylor) else choose)(a, b),
+            values,
+        )
+
+    return function
+
+
+_FUNCTIONS: dict[str, tuple[Callable[..., Any], int, int]] = {
+    "abs": (abs, 1, 1),
+    "sqrt": (_sqrt, 1, 1),
+    "min": (_of_several(np.minimum, least), 2, 99),
+    "max": (_of_several(np.maximum, greatest), 2, 99),
+}
+"""Functions of an expression: what each does, and how many values it takes at least and at most."""
+
+
 def evaluate(expression: float | str, names: Mapping[str, Speed | float], where: str) -> Speed | float:
-    """Value of an arithmetic expression of + - * / ** over ``names``; InputError names ``where`` and the
-    culprit."""
+    """Value of an arithmetic expression of + - * / **, abs, min, max and sqrt over ``names``; InputError
+    names ``where`` and the culprit."""
     if not isinstance(expression, str):
         return expression
 
@@ -55,18 +80,32 @@ def evaluate(expression: float | str, names: Mapping[str, Speed | float], where:
             return _OPERATORS[type(node.op)](walk(node.left), walk(node.right))
         if isinstance(node, ast.UnaryOp) and type(node.op) in _OPERATORS:
             return _OPERATORS[type(node.op)](walk(node.operand))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in _FUNCTIONS:
+            return called(node, *_FUNCTIONS[node.func.id])
         raise InputError(
             where,
             expression,
             f"cannot use {ast.unparse(node)!r}",
-            f"+ - * / ** over numbers and {', '.join(sorted(names))}",
+            f"+ - * / ** and abs, min, max, sqrt over numbers and {', '.join(sorted(names))}",
         )
+
+    def called(node: ast.Call, function: Callable[..., Any], fewest: int, most: int) -> Speed | float:
+        if node.keywords or not fewest <= len(node.args) <= most:
+            wanted = "one value" if most == 1 else "two values or more"
+            raise InputError(where, expression, f"cannot use {ast.unparse(node)!r}", wanted)
+        values = [walk(argument) for argument in node.args]
+        if function is _sqrt and not isinstance(values[0], Taylor) and np.any(np.asarray(values[0]) < 0):
+            raise InputError(where, expression, f"{ast.unparse(node)!r} of a negative number", "0 or more")
+        return function(*values)
 
     try:
         return walk(ast.parse(expression, mode="eval").body)
     except SyntaxError:
         raise InputError(
-            where, expression, "not an arithmetic expression", "+ - * / ** over v and parameters"
+            where,
+            expression,
+            "not an arithmetic expression",
+            "+ - * / ** and abs, min, max, sqrt over v and parameters",
         ) from None
 
 
@@ -232,8 +271,9 @@ class NominalModel:
 
         Ad, Bd, Gd are the zero-order hold of A, B and of an input on every state. The bounds are rigorous up
         to rounding. The exponential's power series has positive coefficients. Bounds of A, B and their Taylor
-        coefficients in v therefore bound those of the hold. InputError when an entry is not rational in v,
-        has a fractional exponent, or has a denominator whose bounds contain 0.
+        coefficients in v therefore bound those of the hold. InputError when an entry has a fractional
+        exponent, a kink of abs, min or max between low and high, or a denominator or root whose bounds
+        contain 0.
         """
         n, width = self.n, 2 * self.n + self.n_u
         bounds = np.zeros((COEFFICIENTS, width, width))
@@ -244,7 +284,7 @@ class NominalModel:
                 self._where,
                 "model",
                 f"cannot be bounded between {low:g} and {high:g} m/s: {error}",
-                "entries rational in v with whole exponents",
+                "entries of + - * /, whole exponents and roots in v, without a kink there",
             ) from None
         for first, matrix in zip((0, n), entries, strict=False):
             for i, row in enumerate(matrix):

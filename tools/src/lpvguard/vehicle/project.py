@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from ..base.documents import Positive, StrictModel, checked, read_toml
 from ..base.errors import InputError
@@ -21,11 +21,69 @@ Fraction = Annotated[float, Field(gt=0, lt=1)]
 
 
 class CanPlace(StrictModel):
-    """Message and signal of the CAN catalogue that carry a signal: bus value = factor * value."""
+    """Message and signal of the bus that carry a signal: bus value = factor * value, in the bus signal's
+    unit.
+
+    The bus is ours, of the CAN catalogue, or the car's own (``[can]``). The bus value is the sum of
+    ``signal`` and of the signals in ``plus``, of the same message."""
 
     message: str
     signal: str
-    factor: float = 1.0
+    factor: Annotated[float, Field(allow_inf_nan=False)] = 1.0
+    plus: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _invertible(self) -> CanPlace:
+        if self.factor == 0.0:
+            raise ValueError(f"signal {self.signal}: factor must not be 0")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _brief(self, plain: SerializerFunctionWrapHandler) -> dict[str, object]:
+        """Without ``plus`` where there is nothing in it, as settings were stored before there was one."""
+        return {key: value for key, value in plain(self).items() if key != "plus" or value}
+
+
+Checksum = Literal[
+    "toyota",
+    "hyundai_sum",
+    "hyundai_sum_before",
+    "hyundai_nibbles",
+    "hyundai_crc8",
+    "hyundai_canfd",
+    "autosar_p01",
+    "autosar_p02",
+    "autosar_p05",
+    "autosar_p11",
+    "autosar_p22",
+]
+"""Checksums of a car's own bus by name; can/protection.py defines them."""
+
+
+class OwnMessage(StrictModel):
+    """How a message of the car's own bus is watched.
+
+    ``period_ms``: by default the database's cycle time. ``checksum``: its name. ``data_id``: of an AUTOSAR
+    profile; profiles 2 and 22 have a list of 16. ``checksum_signal``, ``counter``: the signals that hold
+    them, by default the ones called CHECKSUM and COUNTER, and where there are none the profile's place.
+    """
+
+    period_ms: Annotated[int, Field(ge=1, le=10_000)] | None = None
+    checksum: Checksum | None = None
+    data_id: Annotated[int, Field(ge=0, le=0xFFFF)] | list[Annotated[int, Field(ge=0, le=0xFF)]] | None = None
+    checksum_signal: str | None = None
+    counter: str | None = None
+
+
+class OwnBus(StrictModel):
+    """The car's own bus: where its messages are described, and how they are watched; no part of what an
+    identification was made with.
+
+    ``dbc``: CAN database, beside the project file. The messages of the signals' ``can`` are taken from it.
+    """
+
+    dbc: str
+    messages: dict[str, OwnMessage] = Field(default={})
 
 
 class Signal(StrictModel):
@@ -49,7 +107,7 @@ class Signal(StrictModel):
 
 class ModelSettings(StrictModel):
     """Continuous-time nominal model; entries of A and B are numbers or expressions in v, the parameters and
-    ``let``."""
+    ``let``, of + - * / ** and abs, min, max, sqrt."""
 
     input_delay_s: Annotated[float, Field(ge=0)] = 0.0
     speed_min_mps: Positive
@@ -324,6 +382,7 @@ class Project(StrictModel):
     energy_test: EnergyTestSettings = EnergyTestSettings()
     data: DataSettings
     design: DesignSettings | None = None
+    can: OwnBus | None = Field(default=None, exclude=True)
     fit: FitSettings = Field(default=FitSettings(), exclude=True)
     evaluation: EvaluationSettings = Field(default=EvaluationSettings(), exclude=True)
 
@@ -335,6 +394,8 @@ class Project(StrictModel):
             raise ValueError("signals: names and columns must be unique, and column 't' is time")
         if len(self.of_role("scheduling")) != 1:
             raise ValueError("signals: exactly one signal must have role 'scheduling'")
+        if self.can is not None:
+            self._require_own_bus(self.can)
         if not 1 <= self.n_u <= 2 or not 1 <= self.n_y <= 4:
             raise ValueError(
                 f"signals: 1 to 2 inputs and 1 to 4 outputs are supported, got {self.n_u} and {self.n_y}"
@@ -366,6 +427,12 @@ class Project(StrictModel):
         if not all(low < high for low, high in pairwise(corners)):
             raise ValueError("energy_test.band_hz: corners must rise and stay below half the sampling rate")
         return self
+
+    def _require_own_bus(self, bus: OwnBus) -> None:
+        """Every message that ``[can]`` watches carries a signal of the table."""
+        used = {s.can.message for s in self.signals if s.can is not None}
+        if unknown := sorted(set(bus.messages) - used):
+            raise ValueError(f"can.messages: {', '.join(unknown)} in no signal's can.message")
 
     def _require_vehicle_of_fig1(self, design: DesignSettings) -> None:
         """Identification and monitor take any sizes; what Fig. 1 draws, and design makes a controller for, is
@@ -436,16 +503,26 @@ def load_project(vehicle: str | Path) -> Project:
     """
     path = Path(vehicle)
     if path.suffix == ".toml" or path.is_file():
-        return parse_project(read_toml(path, "a project file", str(vehicle)), str(vehicle))
+        return _parsed(read_toml(path, "a project file", str(vehicle)), path.parent, str(vehicle))
     if str(vehicle) in shipped_vehicles():
-        shipped, where = resources.files(__package__) / "shipped" / f"{vehicle}.toml", f"vehicle {vehicle}"
-        return parse_project(read_toml(shipped, "a project file", where), where)
+        folder, where = resources.files(__package__) / "shipped", f"vehicle {vehicle}"
+        shipped = read_toml(folder / f"{vehicle}.toml", "a project file", where)
+        return _parsed(shipped, Path(str(folder)), where)
     raise InputError(
         str(vehicle),
         "--vehicle",
         "unknown vehicle",
         f"one of {', '.join(shipped_vehicles())}, or a path to a project file (*.toml)",
     )
+
+
+def _parsed(document: dict, folder: Path, where: str) -> Project:
+    """The project of a file in ``folder``, from where it names its CAN database."""
+    project = parse_project(document, where)
+    if project.can is None:
+        return project
+    bus = project.can.model_copy(update={"dbc": str(folder / project.can.dbc)})
+    return project.model_copy(update={"can": bus})
 
 
 def parse_project(document: object, where: str) -> Project:

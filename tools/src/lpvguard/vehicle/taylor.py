@@ -1,8 +1,8 @@
 """Bounds of a function of one variable and of its first two Taylor coefficients over an interval.
 
-It is interval arithmetic on truncated power series. An expression over + - * / ** is evaluated with
-``Taylor.variable(low, high)`` in place of its variable. The result encloses f, f' and f''/2 at every point of
-[low, high], up to rounding.
+It is interval arithmetic on truncated power series. An expression over + - * / **, sqrt, abs, min and max is
+evaluated with ``Taylor.variable(low, high)`` in place of its variable. The result encloses f, f' and f''/2 at
+every point of [low, high], up to rounding.
 
 >>> f = 1 / Taylor.variable(2.0, 4.0)
 >>> [float(x) for x in f.low], [float(x) for x in f.high]
@@ -84,6 +84,20 @@ class Taylor:
             out = out * self
         return out if exponent >= 0 else 1 / out
 
+    def sqrt(self) -> Taylor:
+        """Square root. ZeroDivisionError unless the interval lies above zero."""
+        if self.low[0] <= 0:
+            raise ZeroDivisionError("the root's interval contains zero or less")
+        # sqrt(g) = h + g1/(2 h) s + (g2/(2 h) - g1^2/(8 h^3)) s^2 with h = sqrt(g0)
+        root = _interval(float(np.sqrt(self.low[0])), float(np.sqrt(self.high[0])))
+        inverse = 1 / root
+        g1, g2 = (_interval(self.low[k], self.high[k]) for k in (1, 2))
+        parts = [root, 0.5 * g1 * inverse, 0.5 * g2 * inverse - 0.125 * g1 * g1 * inverse**3]
+        return Taylor(np.array([p.low[0] for p in parts]), np.array([p.high[0] for p in parts]))
+
+    def __abs__(self) -> Taylor:
+        return greatest(self, -self)
+
     def __radd__(self, other: Taylor | float) -> Taylor:
         return self + other
 
@@ -95,6 +109,21 @@ class Taylor:
 
     def __rtruediv__(self, other: Taylor | float) -> Taylor:
         return Taylor.of(other) / self
+
+
+def greatest(one: Taylor | float, other: Taylor | float) -> Taylor:
+    """The larger of two. TypeError where the interval may hold the kink at which they change places."""
+    one, other = Taylor.of(one), Taylor.of(other)
+    if one.low[0] >= other.high[0]:
+        return one
+    if other.low[0] >= one.high[0]:
+        return other
+    raise TypeError("abs, min or max has a kink there")
+
+
+def least(one: Taylor | float, other: Taylor | float) -> Taylor:
+    """The smaller of two. TypeError as of ``greatest``."""
+    return -greatest(-Taylor.of(one), -Taylor.of(other))
 
 
 def _interval(low: float, high: float) -> Taylor:

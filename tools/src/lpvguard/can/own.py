@@ -1,0 +1,314 @@
+"""A car's own bus: the messages of its CAN database that carry a vehicle's signals, as a catalogue of ours.
+
+Every such message becomes a message of a catalogue that the core's receiver supervises (can.h). Each of its
+needed signals keeps its bits there, as an unsigned number in Intel order. own_code.py generates the C that
+turns a frame of the car into a frame of that message. A checksum or counter of the car's frame becomes the
+counter and CRC of E2E profile 11: wrong where it was wrong, repeated where it was repeated.
+
+Limits: signals of at most 16 bits that are in every frame of their message; at most 52 bits of a message
+where it has a checksum or a counter, 64 elsewhere; 8 messages.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..base.errors import InputError
+from ..vehicle.project import CanPlace, Checksum, OwnMessage, Project
+from .catalogue import E2E_BITS, OWN_NODE, BusSignal, Catalogue, Message
+from .codegen import ANY_PRIORITY
+from .decode import is_j1939, load_database, signal_pieces
+from .logs import EXTENDED
+from .protection import CANFD_LENGTHS, PROTECTIONS, Place, Protection
+
+if TYPE_CHECKING:  # cantools takes long to import
+    from cantools.database.can import Database
+    from cantools.database.can import Message as CarMessage
+    from cantools.database.can import Signal as CarSignal
+
+    Bits = CarSignal | Place
+
+OWN_ADDRESS, CAR_ADDRESS = 0xFC, 0x00
+_PROPRIETARY_B = 0xFF00
+"""First of the 256 parameter groups that J1939 leaves to manufacturers; the catalogue's messages are of
+these."""
+_SIGNAL_BITS, _FRAME_BITS = 16, 64
+_ROUNDING = 0.5
+"""Of a signal's step: a raw value lies within a stated end when it does so rounded."""
+
+
+@dataclass(frozen=True)
+class Carried:
+    """A signal of the car and the one of the catalogue that carries its bits. ``flip``: bits of the raw value
+    that are turned over, so that it is unsigned and rises with the physical value."""
+
+    car: CarSignal
+    ours: BusSignal
+    flip: int
+
+
+@dataclass(frozen=True)
+class CarriedMessage:
+    """A message of the car, ours that carries it, and where its checksum and its counter are.
+
+    ``checksum_name``: None without one. ``counters``: how many values the counter has. ``any_priority``: it
+    is a J1939 group.
+    """
+
+    car: CarMessage
+    ours: Message
+    signals: list[Carried]
+    any_priority: bool
+    checksum_name: Checksum | None
+    checksum: Bits | None
+    counter: Bits | None
+    counters: int
+    data_ids: list[int]
+
+    @property
+    def identifier(self) -> int:
+        """Identifier of the car's message, with EXTENDED."""
+        return self.car.frame_id | (EXTENDED if self.car.is_extended_frame else 0)
+
+    @property
+    def mask(self) -> int:
+        """Bits of an identifier that tell the message: of a J1939 group all but the priority."""
+        return ANY_PRIORITY if self.any_priority and self.car.is_extended_frame else 0xFFFFFFFF
+
+
+@dataclass(frozen=True)
+class CarBus:
+    """What the receiver needs of a car's own bus. ``places``: vehicle signal -> message and signals of the
+    catalogue, whose sum is factor * value."""
+
+    catalogue: Catalogue
+    messages: list[CarriedMessage]
+    places: dict[str, tuple[Message, list[BusSignal], float]]
+
+
+def own_bus(project: Project) -> CarBus:
+    """The own bus of a vehicle with ``[can]``. InputError names what the database lacks, or what cannot be
+    carried."""
+    where = f"vehicle {project.name}"
+    if project.can is None:
+        raise InputError(where, "can", "no own bus", "a [can] table with dbc")
+    used: dict[str, list[str]] = {}
+    for s in project.signals:
+        place = _place(s.name, s.can, where)
+        used.setdefault(place.message, []).extend((place.signal, *place.plus))
+    database, path = _database(project.can.dbc), project.can.dbc
+    messages = []
+    for number, (name, signals) in enumerate(used.items()):
+        settings = project.can.messages.get(name, OwnMessage())
+        car = _car_message(database, name, path, where)
+        messages.append(_carried(car, list(dict.fromkeys(signals)), settings, number, f"{where}, {path}"))
+    catalogue = Catalogue.model_validate(
+        {
+            "schema": 1,
+            "nodes": [
+                {"name": OWN_NODE, "address": OWN_ADDRESS, "comment": "the receiver"},
+                {"name": "CAR", "address": CAR_ADDRESS, "comment": "every sender of the car"},
+            ],
+            "messages": [m.ours.model_dump() for m in messages],
+        }
+    )
+    ours = {m.car.name: (catalogue.message(m.ours.name), m.signals) for m in messages}
+    places = {}
+    for s in project.signals:
+        if s.can is not None:
+            message, carried = ours[s.can.message]
+            by_name = {c.car.name: c.ours for c in carried}
+            names = (s.can.signal, *s.can.plus)
+            places[s.name] = (message, [by_name[n] for n in names], s.can.factor)
+    return CarBus(catalogue, messages, places)
+
+
+def _place(name: str, place: CanPlace | None, where: str) -> CanPlace:
+    if place is None:
+        raise InputError(where, f"signal {name}", "no place on the bus", "can = { message, signal, factor }")
+    return place
+
+
+@cache
+def _database(path: str) -> Database:
+    return load_database(Path(path))
+
+
+def _car_message(database: Database, name: str, path: str, where: str) -> CarMessage:
+    found = [m for m in database.messages if m.name == name]
+    if len(found) != 1:
+        near = difflib.get_close_matches(name, [m.name for m in database.messages], n=3, cutoff=0.4)
+        raise InputError(
+            f"{where}, {path}",
+            f"message {name}",
+            f"{len(found) or 'no'} message(s) of this name",
+            f"one{', such as ' + ', '.join(near) if near else ''}",
+        )
+    return found[0]
+
+
+def _car_signal(car: CarMessage, name: str, where: str) -> CarSignal:
+    signal = next((s for s in car.signals if s.name == name), None)
+    if signal is None:
+        raise InputError(
+            where,
+            f"message {car.name}",
+            f"no signal {name}",
+            f"one of {', '.join(s.name for s in car.signals)}",
+        )
+    return signal
+
+
+def _carried(
+    car: CarMessage, names: list[str], settings: OwnMessage, number: int, where: str
+) -> CarriedMessage:
+    """The catalogue's message number ``number``, with the signals ``names`` of ``car`` one by one."""
+    place = f"message {car.name}"
+    period_ms = settings.period_ms or car.cycle_time
+    if not period_ms:
+        raise InputError(where, place, "the database has no cycle time", f"can.messages.{car.name}.period_ms")
+    checksum, counter, counters = _protection(car, settings, where)
+    protected = checksum is not None or counter is not None
+    start, signals = E2E_BITS if protected else 0, []
+    for k, name in enumerate(names):
+        signal = _car_signal(car, name, where)
+        signals.append(_carry(signal, f"s{k}_" + _word(name).lower(), start, f"{where}, {place}"))
+        start += signal.length
+    if start > _FRAME_BITS:
+        raise InputError(
+            where,
+            place,
+            f"{', '.join(names)} have {sum(c.ours.length for c in signals)} bits",
+            f"at most {_FRAME_BITS - (E2E_BITS if protected else 0)} bits of one message",
+        )
+    group = _PROPRIETARY_B + number
+    ours = Message(
+        name=f"M{number}_" + _word(car.name).upper(),
+        title=f"{car.name} of the car's own bus",
+        pgn=group,
+        id=0x18 << 24 | group << 8 | CAR_ADDRESS,
+        period_ms=int(period_ms),
+        e2e={"profile": 11, "data_id": number} if protected else None,
+        signals=[c.ours for c in signals],
+    )
+    given = settings.data_id
+    data_ids = given if isinstance(given, list) else [] if given is None else [given]
+    return CarriedMessage(
+        car, ours, signals, is_j1939(car), settings.checksum, checksum, counter, counters, data_ids
+    )
+
+
+def _word(name: str) -> str:
+    return re.sub(r"[^A-Za-z0-9]", "_", name)
+
+
+def _carry(signal: CarSignal, name: str, start: int, where: str) -> Carried:
+    """A signal of the car as an unsigned one of ours from bit ``start`` on."""
+    if signal.is_float or signal.length > _SIGNAL_BITS or signal.multiplexer_ids:
+        raise InputError(
+            where,
+            f"signal {signal.name}",
+            "is multiplexed"
+            if signal.multiplexer_ids
+            else f"has {signal.length} bits{' of a float' if signal.is_float else ''}",
+            f"an integer of at most {_SIGNAL_BITS} bits in every frame",
+        )
+    top, whole = 1 << (signal.length - 1), (1 << signal.length) - 1
+    scale, offset = float(signal.scale), float(signal.offset)
+    flip = top if signal.is_signed else 0
+    if signal.is_signed:
+        offset -= scale * top
+    if scale < 0:
+        flip, offset, scale = flip ^ whole, offset + scale * whole, -scale
+    accepted = _accepted(signal, offset, offset + scale * whole)
+    ours = BusSignal(
+        name=name,
+        start=start,
+        length=signal.length,
+        scale=scale,
+        offset=offset,
+        unit=signal.unit or "",
+        positive="",
+        coding="plain",
+        supervise=accepted,
+    )
+    return Carried(signal, ours, flip)
+
+
+def _accepted(signal: CarSignal, low: float, high: float) -> dict[str, float] | None:
+    """The database's range, whose ends are rounded, within what the raw values reach, ``low`` to ``high``;
+    None where it states none."""
+    if signal.minimum is None or signal.maximum is None or not signal.minimum < signal.maximum:
+        return None
+    rounding = _ROUNDING * abs(float(signal.scale))
+    least, most = max(low, float(signal.minimum) - rounding), min(high, float(signal.maximum) + rounding)
+    return {"min": least, "max": most} if least < most else None
+
+
+def _protection(car: CarMessage, settings: OwnMessage, where: str) -> tuple[Bits | None, Bits | None, int]:
+    """Places of checksum and counter, None without one, and how many values the counter has. InputError where
+    the settings do not fit the message."""
+    place = f"can.messages.{car.name}"
+    named = _named(car, settings.counter, "COUNTER", f"{place}.counter", where)
+    if settings.checksum is None:
+        for key, value in (("checksum_signal", settings.checksum_signal), ("data_id", settings.data_id)):
+            if value is not None:
+                raise InputError(where, f"{place}.{key}", "given without checksum", "checksum = its name")
+        return None, named, 0 if named is None else 1 << named.length
+    kind = PROTECTIONS[settings.checksum]
+    checksum = _named(car, settings.checksum_signal, "CHECKSUM", f"{place}.checksum_signal", where)
+    checksum = checksum or _at(kind.checksum, car)
+    if checksum is None:
+        raise InputError(where, place, f"{settings.checksum} has no place of its own", "checksum_signal")
+    _require_fit(kind, checksum, car, settings, where)
+    counter = named or kind.counter
+    if kind.data_ids > 1 and counter != kind.counter and (counter is None or counter.length != 4):
+        raise InputError(where, place, "the counter chooses the data id", "a counter of 4 bits")
+    return checksum, counter, 0 if counter is None else kind.counters or 1 << counter.length
+
+
+def _named(car: CarMessage, given: str | None, usual: str, field: str, where: str) -> Any:
+    """The signal that is called so, or as is usual; None where nothing is given, and nothing called as
+    usual."""
+    name = given or usual
+    signal = next((s for s in car.signals if s.name == name), None)
+    if signal is None and given is not None:
+        raise InputError(
+            where, field, f"no signal {given}", f"one of {', '.join(s.name for s in car.signals)}"
+        )
+    if signal is not None and (signal.length < 2 or signal.length > _SIGNAL_BITS):
+        raise InputError(where, field, f"{name} has {signal.length} bit(s)", f"2 to {_SIGNAL_BITS} bits")
+    return signal
+
+
+def _at(place: Place | None, car: CarMessage) -> Place | None:
+    if place is None or place.start >= 0:
+        return place
+    return Place(8 * car.length + place.start, place.length, place.byte_order)
+
+
+def _require_fit(kind: Protection, checksum: Bits, car: CarMessage, settings: OwnMessage, where: str) -> None:
+    """InputError unless width, bytes, length and data ids are those of the checksum's definition."""
+    place = f"can.messages.{car.name}"
+    pieces = signal_pieces(checksum)
+    if checksum.length != kind.bits or len(pieces) != max(kind.bits // 8, 1) or pieces[0][0] >= car.length:
+        raise InputError(
+            where,
+            place,
+            f"the checksum has {checksum.length} bits from bit {checksum.start} on",
+            f"{kind.bits} bits within {max(kind.bits // 8, 1)} byte(s) of the frame for {settings.checksum}",
+        )
+    if settings.checksum == "hyundai_canfd" and car.length not in CANFD_LENGTHS:
+        raise InputError(
+            where, place, f"{car.length} bytes", f"a frame of {', '.join(map(str, CANFD_LENGTHS))} bytes"
+        )
+    given = settings.data_id
+    count = len(given) if isinstance(given, list) else 0 if given is None else 1
+    if count != kind.data_ids or isinstance(given, list) != (kind.data_ids > 1):
+        wanted = {0: "none", 1: "one number"}.get(kind.data_ids, f"a list of {kind.data_ids}")
+        raise InputError(where, f"{place}.data_id", f"{count} given", f"{wanted} for {settings.checksum}")

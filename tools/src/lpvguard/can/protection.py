@@ -1,0 +1,190 @@
+"""Checksums of cars' own buses, by name: what they are computed from, where they stand, and their C text.
+
+Of a frame of identifier I with L bytes, "others" are the bytes that do not hold the checksum. Sources: the
+public databases and packers of commaai/opendbc; AUTOSAR_PRS_E2EProtocol.
+
+    toyota               bytes of I + L + others, modulo 256; the last byte
+    hyundai_sum          others, modulo 256
+    hyundai_sum_before   bytes before the checksum, modulo 256
+    hyundai_nibbles      -(all half bytes but the checksum), modulo 16
+    hyundai_crc8         CRC-8, polynomial 0x1D, over the others; register starts at 0x22, xor-out 0xDF
+    hyundai_canfd        CRC-16, polynomial 0x1021, over bytes 2 on, I low, I high; xor-out by length; bytes 0
+                         and 1, low byte first
+    autosar_p01, _p11    CRC-8, polynomial 0x1D, over data id low, data id high (mode BOTH), others; byte 0,
+                         counter 0 to 14 in the low half of byte 1
+    autosar_p02, _p22    CRC-8, polynomial 0x2F, over others and the list's data id at the counter; register
+                         starts at 0xFF, xor-out 0xFF; byte 0, counter 0 to 15 in the low half of byte 1
+    autosar_p05          CRC-16, polynomial 0x1021, over others, data id low, data id high; register starts at
+                         0xFFFF; bytes 0 and 1, low byte first; counter 0 to 255 in byte 2
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Place:
+    """Bits of a frame, as a signal of a cantools database says it: ``start``, ``length``, ``byte_order``."""
+
+    start: int
+    length: int
+    byte_order: str = "little_endian"
+
+
+@dataclass(frozen=True)
+class Protection:
+    """A checksum by name.
+
+    ``bits``: its width. ``checksum``, ``counter``: the places that the definition gives, a negative start
+    counted from the frame's end; None: the database must name it, or there is none. ``counters``: how many
+    values the counter has; None: all that its bits hold. ``data_ids``: how many data ids it takes.
+    """
+
+    function: str
+    bits: int
+    checksum: Place | None = None
+    counter: Place | None = None
+    counters: int | None = None
+    data_ids: int = 0
+
+
+_COUNTER = Place(8, 4)
+_WORD = Place(0, 16)
+_E2E_1 = Protection("check_p11", 8, Place(0, 8), _COUNTER, 15, 1)
+_E2E_2 = Protection("check_p22", 8, Place(0, 8), _COUNTER, 16, 16)
+PROTECTIONS = {
+    "toyota": Protection("check_toyota", 8, Place(-8, 8)),
+    "hyundai_sum": Protection("check_sum", 8),
+    "hyundai_sum_before": Protection("check_sum_before", 8),
+    "hyundai_nibbles": Protection("check_nibbles", 4),
+    "hyundai_crc8": Protection("check_crc8", 8),
+    "hyundai_canfd": Protection("check_canfd", 16, _WORD),
+    "autosar_p01": _E2E_1,
+    "autosar_p11": _E2E_1,
+    "autosar_p02": _E2E_2,
+    "autosar_p22": _E2E_2,
+    "autosar_p05": Protection("check_p05", 16, _WORD, Place(16, 8), 256, 1),
+}
+"""Name in a project file -> what it is."""
+
+_CRC8 = """\
+static uint32_t crc8(uint32_t crc, uint32_t polynomial, uint32_t byte)
+{
+    uint32_t bit;
+    crc ^= byte;
+    for (bit = 0u; bit < 8u; ++bit) {
+        crc = ((crc << 1) ^ (((crc & 0x80u) != 0u) ? polynomial : 0u)) & 0xFFu;
+    }
+    return crc;
+}
+"""
+_CRC16 = """\
+static uint32_t crc16(uint32_t crc, uint32_t byte)
+{
+    uint32_t bit;
+    crc ^= byte << 8;
+    for (bit = 0u; bit < 8u; ++bit) {
+        crc = ((crc << 1) ^ (((crc & 0x8000u) != 0u) ? 0x1021u : 0u)) & 0xFFFFu;
+    }
+    return crc;
+}
+"""
+_OTHERS = "for (i = 0u; i < frame->length; ++i) {\n        if (i != frame->at) {\n"
+_BODIES = {
+    "check_toyota": (
+        "",
+        "uint32_t value = frame->length;\n    uint32_t left = frame->id;",
+        "while (left != 0u) {\n        value += left & 0xFFu;\n        left >>= 8;\n    }\n    "
+        + _OTHERS
+        + "            value += frame->data[i];\n        }\n    }\n    return value & 0xFFu;",
+    ),
+    "check_sum": (
+        "",
+        "uint32_t value = 0u;",
+        _OTHERS + "            value += frame->data[i];\n        }\n    }\n    return value & 0xFFu;",
+    ),
+    "check_sum_before": (
+        "",
+        "uint32_t value = 0u;",
+        "for (i = 0u; i < frame->at; ++i) {\n        value += frame->data[i];\n    }\n"
+        "    return value & 0xFFu;",
+    ),
+    "check_nibbles": (
+        "",
+        "uint32_t value = 0u;",
+        "for (i = 0u; i < frame->length; ++i) {\n"
+        "        const uint32_t byte = frame->data[i] & ((i == frame->at) ? frame->keep : 0xFFu);\n"
+        "        value += (byte >> 4) + (byte & 0xFu);\n    }\n    return (0u - value) & 0xFu;",
+    ),
+    "check_crc8": (
+        _CRC8,
+        "uint32_t value = 0x22u;",
+        _OTHERS
+        + "            value = crc8(value, 0x1Du, frame->data[i]);\n        }\n    }\n"
+        + "    return value ^ 0xDFu;",
+    ),
+    "check_canfd": (
+        _CRC16,
+        "uint32_t value = 0u;",
+        "for (i = 2u; i < frame->length; ++i) {\n        value = crc16(value, frame->data[i]);\n    }\n"
+        "    value = crc16(crc16(value, frame->id & 0xFFu), (frame->id >> 8) & 0xFFu);\n"
+        "    switch (frame->length) {\n    case 8u:\n        return value ^ 0x5F29u;\n"
+        "    case 16u:\n        return value ^ 0x041Du;\n    case 24u:\n        return value ^ 0x819Du;\n"
+        "    default:\n        return value ^ 0x9F5Bu;\n    }",
+    ),
+    "check_p11": (
+        _CRC8,
+        "uint32_t value = crc8(crc8(0u, 0x1Du, frame->data_id & 0xFFu), 0x1Du, frame->data_id >> 8);",
+        _OTHERS
+        + "            value = crc8(value, 0x1Du, frame->data[i]);\n        }\n    }\n    return value;",
+    ),
+    "check_p22": (
+        _CRC8,
+        "uint32_t value = 0xFFu;",
+        _OTHERS
+        + "            value = crc8(value, 0x2Fu, frame->data[i]);\n        }\n    }\n"
+        + "    return crc8(value, 0x2Fu, frame->data_id) ^ 0xFFu;",
+    ),
+    "check_p05": (
+        _CRC16,
+        "uint32_t value = 0xFFFFu;",
+        "for (i = 0u; i < frame->length; ++i) {\n        if ((i != frame->at) && (i != (frame->at + 1u))) {\n"
+        "            value = crc16(value, frame->data[i]);\n        }\n    }\n"
+        "    return crc16(crc16(value, frame->data_id & 0xFFu), frame->data_id >> 8);",
+    ),
+}
+"""C function -> what it calls, its variables, and its statements."""
+CANFD_LENGTHS = (8, 16, 24, 32)
+"""Lengths of frames for which hyundai_canfd has a xor-out."""
+
+
+def check_source(names: set[str]) -> str:
+    """C text of the checksums ``names`` (keys of PROTECTIONS): what each must be of a frame. Empty for
+    none."""
+    functions = sorted({PROTECTIONS[name].function for name in names})
+    if not functions:
+        return ""
+    called = sorted({_BODIES[function][0] for function in functions} - {""})
+    parts = [
+        """
+/* A frame, the byte at which its checksum begins, the bits of that byte that are not its, and the data id. */
+typedef struct checked_frame_t {
+    uint32_t id;
+    const uint8_t* data;
+    uint32_t length;
+    uint32_t at;
+    uint32_t keep;
+    uint32_t data_id;
+} checked_frame_t;
+
+""",
+        "\n".join(called),
+    ]
+    for function in functions:
+        _, variables, statements = _BODIES[function]
+        parts.append(
+            f"\nstatic uint32_t {function}(const checked_frame_t* frame)\n{{\n"
+            f"    {variables}\n    uint32_t i;\n    {statements}\n}}\n"
+        )
+    return "".join(parts)
