@@ -574,6 +574,7 @@ MUTATION_SAMPLE = 12
 LEAST_KILLED = 0.75, 0.9  # of the sample, of all
 SEES = {
     "acceptance.hpp": ["coeff.toy", "controller.hand_truck"],
+    "crc32.hpp": ["coeff.toy"],
     "coefficient_checks.hpp": ["coeff.toy", "controller.hand_truck"],
     "can.cpp": ["can", "can_faults"],
     "margin.hpp": ["margin"],
@@ -994,7 +995,7 @@ PLANTS: dict[str, list[Plant]] = {
     ],
     "big_endian": [
         Plant(
-            "lib/src/acceptance.hpp",
+            "lib/src/crc32.hpp",
             "        crc ^= static_cast<uint32_t>(word >> taken);",
             "        for (std::size_t i = 0; i < 4U; ++i) {"
             " crc ^= uint32_t{reinterpret_cast<const unsigned char*>(&word)[taken / 8U + i]} << (8U * i); }",
