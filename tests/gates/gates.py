@@ -574,7 +574,7 @@ MUTATION_SAMPLE = 12
 LEAST_KILLED = 0.75, 0.9  # of the sample, of all
 SEES = {
     "acceptance.hpp": ["coeff.toy", "controller.hand_truck"],
-    "crc32.hpp": ["coeff.toy"],
+    "crc32.hpp": ["coeff.toy", "j1939"],
     "coefficient_checks.hpp": ["coeff.toy", "controller.hand_truck"],
     "can.cpp": ["can", "can_faults"],
     "margin.hpp": ["margin"],
@@ -584,6 +584,7 @@ SEES = {
     "controller.cpp": ["controller.hand_toy", "controller.hand_truck"],
     "ecu.cpp": ["ecu.hand_truck"],
     "energy.cpp": ["energy.toy", "energy.g80", "energy.separate_toy"],
+    "j1939.cpp": ["j1939"],
 }
 """Source -> unit tests that look at it; in the sample only the first."""
 
