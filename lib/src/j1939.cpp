@@ -4,6 +4,7 @@
 #include <cstring>
 
 #include "crc32.hpp"
+#include "freeze_bytes.hpp"
 
 namespace {
 
@@ -25,7 +26,6 @@ constexpr uint32_t pgn_dm1 = 0xFECAU, pgn_dm3 = 0xFECCU, pgn_dm11 = 0xFED3U;
 constexpr uint8_t priority_management = 6U, priority_transport = 7U;
 constexpr uint8_t control_bam = 32U, acknowledged = 0U, refused = 1U;
 constexpr uint8_t packet_bytes = 7U, frame_bytes = 8U, none = 0xFFU;
-constexpr uint32_t not_available = 0xFFFFFFFFU;
 
 // What is sent of its own accord or on request, in the order in which they wait.
 enum Message : uint8_t {
@@ -50,10 +50,9 @@ constexpr Held held[] = {{84U, 2U},
                          {LPVG_J1939_SPN_CAUSES, 2U},
                          {LPVG_J1939_SPN_TIME, 4U},
                          {LPVG_J1939_SPN_RUN, 1U}};
-constexpr std::size_t held_bytes = 12U, code_bytes = 4U;
-constexpr std::size_t dm25_bytes = 1U + code_bytes + held_bytes, dm4_bytes = dm25_bytes + dm4_before;
+constexpr std::size_t dm25_bytes = 1U + lpvguard::code_bytes + lpvguard::held_bytes, dm4_bytes = dm25_bytes + dm4_before;
 static_assert(LPVG_J1939_FREEZE_MAX * dm4_bytes <= LPVG_J1939_MESSAGE_MAX &&
-                  2U + LPVG_J1939_CODES_MAX * code_bytes <= LPVG_J1939_MESSAGE_MAX,
+                  2U + LPVG_J1939_CODES_MAX * lpvguard::code_bytes <= LPVG_J1939_MESSAGE_MAX,
               "every message has room");
 
 void count(uint32_t& counter) { counter += counter < UINT32_MAX ? 1U : 0U; }
@@ -69,13 +68,11 @@ uint32_t crc_of(const Memory& memory) {
     return ~crc;
 }
 
-bool remembered(const Entry& entry) { return entry.occurrence > 0U; }
-
 // Place of a code, `none` where it is not remembered.
 uint8_t find(const Memory& memory, const lpvg_can_dtc_t& code) {
     uint8_t i = 0U;
     while (i < LPVG_J1939_CODES_MAX &&
-           !(remembered(memory.entry[i]) && memory.entry[i].spn == code.spn && memory.entry[i].fmi == code.fmi)) {
+           !(lpvguard::remembered(memory.entry[i]) && memory.entry[i].spn == code.spn && memory.entry[i].fmi == code.fmi)) {
         ++i;
     }
     return i < LPVG_J1939_CODES_MAX ? i : none;
@@ -309,65 +306,19 @@ private:
     int64_t now_us_;
 };
 
-// The low byte first; returns where the next ones go.
-uint8_t* put(uint8_t* at, uint64_t value, std::size_t bytes) {
-    for (std::size_t i = 0U; i < bytes; ++i) {
-        at[i] = static_cast<uint8_t>(value >> (8U * i));
-    }
-    return at + bytes;
-}
-
-uint8_t* put_code(uint8_t* at, const Entry& entry) {
-    const lpvg_can_dtc_t code{entry.spn, entry.fmi, entry.occurrence};
-    lpvg_can_frame_t frame{};
-    (void)!lpvg_can_dm1_pack(&frame, 0U, 0U, &code);  // findings and counts are within their ranges
-    std::memcpy(at, &frame.data[2], code_bytes);
-    return at + code_bytes;
-}
-
-// As J1939 holds numbers: up to 0xFAFF, and 0xFFFF says "not available".
-uint32_t scaled(float value, float per_bit) {
-    const float raw = value / per_bit;
-    if (raw != raw) {
-        return 0xFFFFU;
-    }
-    return raw < 64255.0F ? static_cast<uint32_t>(raw > 0.0F ? raw + 0.5F : 0.0F) : 0xFAFFU;
-}
-
-uint8_t* put_held(uint8_t* at, const Entry& entry) {
-    const lpvg_j1939_freeze_t& freeze = entry.freeze;
-    const int64_t ms = freeze.t_us / 1000;
-    at = put(at, scaled(freeze.speed, 1.0F / (256.0F * 3.6F)), 2U);
-    at = put(at, freeze.bin, 1U);
-    at = put(at, scaled(freeze.statistic, 1.0F / 1024.0F), 2U);
-    at = put(at, freeze.causes, 2U);
-    at = put(at, ms < 0xFAFFFFFFLL ? static_cast<uint32_t>(ms) : 0xFAFFFFFFU, 4U);
-    return put(at, entry.run, 1U);
-}
-
 uint8_t* put_lamps(uint8_t* at, const lpvg_j1939_t& self) {
     *at = static_cast<uint8_t>(self.n_listed > 0U ? LPVG_CAN_LAMP_AMBER : 0U);
     at[1] = 0xFFU;  // no lamp flashes
     return at + 2U;
 }
 
-// Newest remembered activation before number `before`; nullptr where there is none.
-const Entry* newest(const Memory& memory, uint32_t before) {
-    const Entry* found = nullptr;
-    for (const Entry& entry : memory.entry) {
-        const bool newer = found == nullptr || entry.freeze.sequence > found->freeze.sequence;
-        found = remembered(entry) && entry.freeze.sequence < before && newer ? &entry : found;
-    }
-    return found;
-}
-
 uint8_t* put_frozen(uint8_t* at, const Memory& memory, bool dm25) {
-    const Entry* entry = newest(memory, not_available);
+    const Entry* entry = lpvguard::newest(memory, UINT32_MAX);
     for (uint8_t n = 0U; entry != nullptr && n < LPVG_J1939_FREEZE_MAX; ++n) {
         *at = static_cast<uint8_t>((dm25 ? dm25_bytes : dm4_bytes) - 1U);
-        at = put_code(at + 1U, *entry);
-        at = put_held(dm25 ? at : put(at, ~0ULL, dm4_before), *entry);
-        entry = newest(memory, entry->freeze.sequence);
+        at = lpvguard::put_code(at + 1U, *entry);
+        at = lpvguard::put_held(dm25 ? at : lpvguard::put(at, ~0ULL, dm4_before), *entry);
+        entry = lpvguard::newest(memory, entry->freeze.sequence);
     }
     return at;
 }
@@ -375,9 +326,9 @@ uint8_t* put_frozen(uint8_t* at, const Memory& memory, bool dm25) {
 uint8_t* put_known(uint8_t* at) {
     for (const Held& item : held) {
         // In the expanded freeze frame: bit 0 is zero. In the data stream, in scaled tests: ones say no.
-        at = put(at, item.spn & 0xFFFFU, 2U);
-        at = put(at, ((item.spn >> 11U) & 0xE0U) | 0x1EU, 1U);
-        at = put(at, item.bytes, 1U);
+        at = lpvguard::put(at, item.spn & 0xFFFFU, 2U);
+        at = lpvguard::put(at, ((item.spn >> 11U) & 0xE0U) | 0x1EU, 1U);
+        at = lpvguard::put(at, item.bytes, 1U);
     }
     return at;
 }
@@ -393,14 +344,16 @@ uint8_t* put_message(uint8_t* at, const lpvg_j1939_t& self, uint8_t message) {
             uint8_t* const first = end;
             for (uint8_t i = 0U; i < (message == message_dm1 ? self.n_listed : LPVG_J1939_CODES_MAX); ++i) {
                 const Entry& entry = memory.entry[message == message_dm1 ? self.listed[i] : i];
-                if (message == message_dm1 || (remembered(entry) && entry.active == 0U)) {
-                    end = put_code(end, entry);
+                if (message == message_dm1 || (lpvguard::remembered(entry) && entry.active == 0U)) {
+                    end = lpvguard::put_code(end, entry);
                 }
             }
-            return end == first ? put(end, 0U, code_bytes) : end;
+            return end == first ? lpvguard::put(end, 0U, lpvguard::code_bytes) : end;
         }
         case message_dm24: return put_known(at);
-        default: end = put_frozen(at, memory, message == message_dm25); return end == at ? put(end, 0U, 1U + code_bytes) : end;
+        default:
+            end = put_frozen(at, memory, message == message_dm25);
+            return end == at ? lpvguard::put(end, 0U, 1U + lpvguard::code_bytes) : end;
     }
 }
 
@@ -434,9 +387,9 @@ void send_message(lpvg_j1939_t& self, Out& out) {
         }
         uint8_t* const data = out.add(priority_transport, pgn_connection | LPVG_J1939_ADDRESS_ALL, self.address);
         data[0] = control_bam;
-        (void)put(&data[1], size, 2U);
+        (void)lpvguard::put(&data[1], size, 2U);
         data[3] = static_cast<uint8_t>((size + packet_bytes - 1U) / packet_bytes);
-        (void)put(&data[5], pgn_of[message], 3U);
+        (void)lpvguard::put(&data[5], pgn_of[message], 3U);
         std::memcpy(self.broadcast.data, buffer, size);
         self.broadcast.size = static_cast<uint16_t>(size);
         self.broadcast.next = 1U;
@@ -450,13 +403,13 @@ void send_answers(lpvg_j1939_t& self, Out& out) {
         uint8_t* const data = out.add(priority_management, pgn_acknowledge | LPVG_J1939_ADDRESS_ALL, self.address);
         data[0] = self.answer[i].control;
         data[4] = self.answer[i].to;
-        (void)put(&data[5], self.answer[i].pgn, 3U);
+        (void)lpvguard::put(&data[5], self.answer[i].pgn, 3U);
     }
 }
 
 void send(lpvg_j1939_t& self, Out& out) {
     if (self.claim && self.now_us >= self.claim_us) {
-        (void)put(out.add(priority_management, pgn_claim | LPVG_J1939_ADDRESS_ALL, self.address), self.config.name, frame_bytes);
+        (void)lpvguard::put(out.add(priority_management, pgn_claim | LPVG_J1939_ADDRESS_ALL, self.address), self.config.name, frame_bytes);
         self.claim = false;
         self.claim_us = self.now_us;
     }
@@ -571,7 +524,7 @@ uint8_t lpvg_j1939_address(const lpvg_j1939_t* self) {
 }
 
 const lpvg_j1939_entry_t* lpvg_j1939_entry(const lpvg_j1939_t* self, uint8_t index) {
-    if (self == nullptr || self->memory == nullptr || index >= LPVG_J1939_CODES_MAX || !remembered(self->memory->entry[index])) {
+    if (self == nullptr || self->memory == nullptr || index >= LPVG_J1939_CODES_MAX || !lpvguard::remembered(self->memory->entry[index])) {
         return nullptr;
     }
     return &self->memory->entry[index];

@@ -585,6 +585,8 @@ SEES = {
     "ecu.cpp": ["ecu.hand_truck"],
     "energy.cpp": ["energy.toy", "energy.g80", "energy.separate_toy"],
     "j1939.cpp": ["j1939"],
+    "uds.cpp": ["uds"],
+    "freeze_bytes.hpp": ["j1939", "uds"],
 }
 """Source -> unit tests that look at it; in the sample only the first."""
 
