@@ -2,6 +2,7 @@
 #include <cstring>
 
 #include "lpvguard/j1939.h"
+#include "lpvguard/uds.h"
 
 namespace {
 
@@ -58,6 +59,10 @@ int node_step(int64_t now_us, const uint32_t* id, const uint8_t* dlc, const uint
         std::memcpy(&data_out[8U * i], out[i].data, 8U);
     }
     return status == lpvg_status_ok ? static_cast<int>(n_out) : -static_cast<int>(status);
+}
+
+size_t node_uds(const uint8_t* request, size_t n, uint8_t* answer) {
+    return lpvg_uds_answer(&node, request, n, answer, LPVG_UDS_ANSWER_MAX);
 }
 
 int node_address(void) { return lpvg_j1939_address(&node); }

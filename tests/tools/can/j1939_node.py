@@ -12,18 +12,25 @@ HERE = Path(__file__).resolve().parent
 LIB = HERE.parents[2] / "lib"
 STEP_US = 10_000
 FRAMES_OUT = 8  # LPVG_J1939_FRAMES_OUT
+ANSWER_MAX = 67  # LPVG_UDS_ANSWER_MAX
 
 
 def library() -> ctypes.CDLL:
     """The module and its plain arguments (j1939_node.cpp); one node a process."""
     path = native.compile_shared(
-        [LIB / "src" / "can.cpp", LIB / "src" / "j1939.cpp", HERE / "j1939_node.cpp"],
+        [
+            LIB / "src" / "can.cpp",
+            LIB / "src" / "j1939.cpp",
+            LIB / "src" / "uds.cpp",
+            HERE / "j1939_node.cpp",
+        ],
         flags=("-O1", "-std=c++17", "-ffp-contract=off"),
         include_dirs=[LIB / "include", LIB / "src"],
         name="j1939_node",
     )
     lib = ctypes.CDLL(str(path))
     lib.node_name.restype = ctypes.c_uint64
+    lib.node_uds.restype = ctypes.c_size_t
     return lib
 
 
@@ -67,6 +74,12 @@ class Node:
         assert sent >= 0
         for i in range(sent):
             self._send(ids_out[i], bytes(data_out[8 * i : 8 * i + 8]))
+
+    def uds(self, request: bytes) -> bytes:
+        """What the node answers to a request that ISO-TP has put together; empty: nothing."""
+        answer = (ctypes.c_uint8 * ANSWER_MAX)()
+        n = self.lib.node_uds(request, ctypes.c_size_t(len(request)), answer)
+        return bytes(answer[:n])
 
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds * 1e6 / STEP_US)):
