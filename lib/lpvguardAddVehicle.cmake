@@ -5,7 +5,7 @@
 #
 #   NAME  as in DIR/lpvguard_vehicle.h (LPVG_VEHICLE)
 #   DIR   written by `lpvguard export`: lpvguard_vehicle.h, lpvguard_coeff.c; with a controller also lpvguard_control.c,
-#         lpvguard_bus.c and the CAN codec, and then the target has ecu.h, controller.h and can.h too
+#         lpvguard_bus.c and the CAN codec, and then the target has ecu.h, controller.h, can.h, j1939.h and uds.h too
 #
 # LPVG_DOUBLE, when set, makes lpvg_real_t double; set it before the first vehicle, for the whole image.
 # Warnings are errors here; `cmake --compile-no-warning-as-error` lifts that for a compiler that knows new ones.
@@ -38,8 +38,10 @@ function(lpvguard_add_vehicle NAME DIR)
     target_sources(${target} PRIVATE "${root}/src/controller.cpp" "${folder}/lpvguard_control.c")
   endif()
   if(EXISTS "${folder}/lpvguard_bus.c")
-    # can.cpp, authentication.cpp and the codec depend on no vehicle: in an image of several vehicles the linker takes the first one's.
+    # can.cpp, authentication.cpp, j1939.cpp, uds.cpp and the codec depend on no vehicle: in an image of several vehicles the linker
+    # takes the first one's.
     target_sources(${target} PRIVATE "${root}/src/ecu.cpp" "${root}/src/can.cpp" "${root}/src/authentication.cpp"
+      "${root}/src/j1939.cpp" "${root}/src/uds.cpp"
       "${folder}/lpvguard_bus.c" "${folder}/lpvg_can_codec.c")
   endif()
   target_include_directories(${target} PUBLIC "${root}/include" "${folder}")

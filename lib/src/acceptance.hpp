@@ -4,53 +4,14 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
-#include <cstring>
 #include <type_traits>
 
+#include "crc32.hpp"
 #include "lpvguard/config.h"
 
 namespace lpvguard {
 
 static_assert(sizeof(lpvg_real_t) == 4U || sizeof(lpvg_real_t) == 8U, "float or double");
-
-// Entry n is the remainder of n * x^4: half a byte at a time, for a table of 64 bytes.
-struct Crc32Table {
-    uint32_t entry[16];
-    constexpr Crc32Table() : entry() {
-        for (uint32_t n = 0U; n < 16U; ++n) {
-            uint32_t crc = n;
-            for (int bit = 0; bit < 4; ++bit) {
-                crc = (crc >> 1U) ^ ((crc & 1U) != 0U ? 0xEDB88320U : 0U);
-            }
-            entry[n] = crc;
-        }
-    }
-};
-inline constexpr Crc32Table crc32_table;
-
-// Least significant byte first whatever the target's byte order, which is the order in which 32 bits are taken in at once.
-template <class Word>
-uint32_t crc32_word(uint32_t crc, Word word) {
-    for (std::size_t taken = 0; taken < 8U * sizeof(Word); taken += 32U) {
-        crc ^= static_cast<uint32_t>(word >> taken);
-        for (int byte = 0; byte < 4; ++byte) {
-            crc = (crc >> 4U) ^ crc32_table.entry[crc & 0xFU];
-            crc = (crc >> 4U) ^ crc32_table.entry[crc & 0xFU];
-        }
-    }
-    return crc;
-}
-
-// Item i of a struct that consists of Items only.
-template <class Item, class Struct>
-Item item_at(const Struct& all, std::size_t i) {
-    static_assert(std::is_standard_layout<Struct>::value && sizeof(Struct) % sizeof(Item) == 0U, "walked as items");
-    Item value;
-    std::memcpy(&value, reinterpret_cast<const unsigned char*>(&all) + i * sizeof value, sizeof value);
-    return value;
-}
-
-constexpr uint32_t crc32_start = 0xFFFFFFFFU;
 
 // Words and numbers of a struct of coefficients.
 template <class Coeff>

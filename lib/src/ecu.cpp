@@ -19,6 +19,7 @@ constexpr int64_t dm1_period_us = 1'000'000;
 constexpr uint32_t period_longest_us = LPVG_ECU_WINDOW_US / 4U;  // two steps make a half window
 constexpr uint8_t priority_max = 3U;
 constexpr uint8_t occurrence_max = 126U;  // 127 says "unknown"
+static_assert(LPVG_J1939_CODES_MAX >= 7U + LPVG_BUS_NEEDED_MAX, "every finding and every message has a code");
 
 // The limits are what lpvg_can_plausibility accepts: asked of it, on a sample that it leaves out.
 bool limits_good(const lpvg_can_plausibility_limits_t& limits) {
@@ -225,34 +226,36 @@ lpvg_can_event_t main_reason(const lpvg_can_watch_t& watch) {
     return static_cast<lpvg_can_event_t>(reason);
 }
 
-lpvg_ecu_fault_t gravest(const lpvg_ecu_t& self, lpvg_can_state_t supervision) {
-    if (self.kept.corrupt) {
-        return lpvg_ecu_fault_corrupt;
+// The gravest first.
+constexpr lpvg_ecu_fault_t by_gravity[] = {lpvg_ecu_fault_corrupt,     lpvg_ecu_fault_refused, lpvg_ecu_fault_time,
+                                           lpvg_ecu_fault_message,     lpvg_ecu_fault_invalid, lpvg_ecu_fault_actuator,
+                                           lpvg_ecu_fault_implausible, lpvg_ecu_fault_locked};
+
+bool has(const lpvg_ecu_t& self, lpvg_ecu_fault_t fault, lpvg_can_state_t supervision) {
+    switch (fault) {
+        case lpvg_ecu_fault_corrupt: return self.kept.corrupt;
+        case lpvg_ecu_fault_refused: return self.refused;
+        case lpvg_ecu_fault_time: return self.clock.pace == lpvg_ecu_pace_bad;
+        // Before the bus has come up for the first time nothing is wrong yet.
+        case lpvg_ecu_fault_message: return supervision != lpvg_can_state_live && self.seen_live;
+        case lpvg_ecu_fault_invalid: return self.report.verdict == static_cast<uint8_t>(lpvg_verdict_invalid);
+        case lpvg_ecu_fault_actuator: return self.actuator_failed;
+        case lpvg_ecu_fault_implausible: return self.plausibility.flags != 0U;
+        default: return self.kept.locked;
     }
-    if (self.refused) {
-        return lpvg_ecu_fault_refused;
-    }
-    if (self.clock.pace == lpvg_ecu_pace_bad) {
-        return lpvg_ecu_fault_time;
-    }
-    // Before the bus has come up for the first time nothing is wrong yet.
-    if (supervision != lpvg_can_state_live && self.seen_live) {
-        return lpvg_ecu_fault_message;
-    }
-    if (self.report.verdict == static_cast<uint8_t>(lpvg_verdict_invalid)) {
-        return lpvg_ecu_fault_invalid;
-    }
-    if (self.actuator_failed) {
-        return lpvg_ecu_fault_actuator;
-    }
-    if (self.plausibility.flags != 0U) {
-        return lpvg_ecu_fault_implausible;
-    }
-    return self.kept.locked ? lpvg_ecu_fault_locked : lpvg_ecu_fault_none;
 }
 
-lpvg_can_dtc_t trouble_code(const lpvg_ecu_t& self, const lpvg_bus_need_t& need) {
-    switch (self.fault) {
+lpvg_ecu_fault_t gravest(const lpvg_ecu_t& self, lpvg_can_state_t supervision) {
+    for (const lpvg_ecu_fault_t fault : by_gravity) {
+        if (has(self, fault, supervision)) {
+            return fault;
+        }
+    }
+    return lpvg_ecu_fault_none;
+}
+
+lpvg_can_dtc_t trouble_code(const lpvg_ecu_t& self, lpvg_ecu_fault_t fault, const lpvg_bus_need_t& need) {
+    switch (fault) {
         case lpvg_ecu_fault_message: return {need.spn, lpvg_can_fmi(main_reason(self.supervisor.watch[need.index])), self.occurrence};
         case lpvg_ecu_fault_time: return {LPVG_ECU_SPN_TIME, LPVG_CAN_FMI_UPDATE_RATE, self.occurrence};
         case lpvg_ecu_fault_corrupt: return {LPVG_ECU_SPN_CORRUPT, LPVG_CAN_FMI_BAD_DEVICE, self.occurrence};
@@ -558,7 +561,7 @@ extern "C" lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const l
     out->t_us = now_us;
     out += lpvg_bus_pack_report(&self->report, out, &self->counter) == lpvg_status_ok ? 1 : 0;
     if (self->core_us - self->dm1_us >= dm1_period_us) {
-        const lpvg_can_dtc_t dtc = trouble_code(*self, need);
+        const lpvg_can_dtc_t dtc = trouble_code(*self, self->fault, need);
         const bool active = self->fault != lpvg_ecu_fault_none;
         out->t_us = now_us;
         const auto lamps = static_cast<uint8_t>(active ? LPVG_CAN_LAMP_AMBER : 0U);
@@ -567,6 +570,36 @@ extern "C" lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const l
     }
     keep(*self);
     *n_out = static_cast<std::size_t>(out - frames_out);
+    return lpvg_status_ok;
+}
+
+extern "C" lpvg_status_t lpvg_ecu_findings(const lpvg_ecu_t* self, lpvg_j1939_findings_t* findings) {
+    if (self == nullptr || findings == nullptr) {
+        return lpvg_status_bad_argument;
+    }
+    if (self->kept.period_us == 0U) {
+        return lpvg_status_not_ready;
+    }
+    std::memset(findings, 0, sizeof *findings);
+    const uint32_t newest = self->monitor.n_records - 1U;
+    const bool recorded = self->report.verdict == static_cast<uint8_t>(lpvg_verdict_invalid) && newest < LPVG_NRECORDS;
+    const lpvg_frame_t& frame = recorded ? self->monitor.record[newest] : self->monitor.frame;
+    findings->freeze.t_us = self->now_us;
+    findings->freeze.statistic = static_cast<float>(frame.statistic);
+    findings->freeze.speed = static_cast<float>(self->signals.speed);
+    findings->freeze.causes = self->causes;
+    findings->freeze.bin = static_cast<uint8_t>(frame.bin);
+    findings->freeze.test = static_cast<uint8_t>(frame.test);
+    for (const lpvg_ecu_fault_t fault : by_gravity) {
+        const uint8_t n_needs = fault == lpvg_ecu_fault_message ? lpvg_bus.n_needed : 1U;
+        for (uint8_t i = 0U; i < n_needs; ++i) {
+            const lpvg_bus_need_t& need = lpvg_bus.needed[i];
+            if (has(*self, fault, lpvg_can_state(&self->supervisor, need.index))) {
+                findings->code[findings->n_codes] = trouble_code(*self, fault, need);
+                ++findings->n_codes;
+            }
+        }
+    }
     return lpvg_status_ok;
 }
 

@@ -647,6 +647,7 @@ MUTATION_SAMPLE = 12
 LEAST_KILLED = 0.75, 0.9  # of the sample, of all
 SEES = {
     "acceptance.hpp": ["coeff.toy", "controller.hand_truck"],
+    "crc32.hpp": ["coeff.toy", "j1939"],
     "coefficient_checks.hpp": ["coeff.toy", "controller.hand_truck"],
     "can.cpp": ["can", "can_faults"],
     "authentication.cpp": ["authentication"],
@@ -657,6 +658,9 @@ SEES = {
     "controller.cpp": ["controller.hand_toy", "controller.hand_truck"],
     "ecu.cpp": ["ecu.hand_truck"],
     "energy.cpp": ["energy.toy", "energy.g80", "energy.separate_toy"],
+    "j1939.cpp": ["j1939"],
+    "uds.cpp": ["uds"],
+    "freeze_bytes.hpp": ["j1939", "uds"],
 }
 """Source -> unit tests that look at it; in the sample only the first."""
 
@@ -1070,7 +1074,7 @@ PLANTS: dict[str, list[Plant]] = {
     ],
     "big_endian": [
         Plant(
-            "lib/src/acceptance.hpp",
+            "lib/src/crc32.hpp",
             "        crc ^= static_cast<uint32_t>(word >> taken);",
             "        for (std::size_t i = 0; i < 4U; ++i) {"
             " crc ^= uint32_t{reinterpret_cast<const unsigned char*>(&word)[taken / 8U + i]} << (8U * i); }",

@@ -25,7 +25,7 @@ from lpvguard.replay.run import Replayer
 from lpvguard.vehicle.project import load_project
 from vcan import with_vcan
 
-VDC2, GUARD_OUT = 0x18F0093E | EXTENDED, 0x18FF01FC | EXTENDED
+VDC2, GUARD_OUT = 0x18F0093E | EXTENDED, 0x0CFF01FC | EXTENDED
 WARM_S = 0.4
 """Five frames of the slowest message."""
 

@@ -86,7 +86,7 @@ def test_the_log_is_candump_with_simulated_time(simulator, scenario, tmp_path):
     assert {i: ids.count(i) for i in ids} == {
         "18F0093E": 100,
         "18FF000B": 100,
-        "18FF01FC": 100,
+        "0CFF01FC": 100,
         "18FEBF0B": 10,
         "18FEF100": 10,
         "18FEAD0B": 10,

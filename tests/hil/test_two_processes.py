@@ -106,7 +106,7 @@ def test_a_flood_of_foreign_identifiers_changes_nothing(loop):
     assert beside["sent"] > 500 * for_s, "a flood"
     assert got["frames_hash"] == want["frames_hash"] and all_good(got)
     assert got["verdicts"] == want["verdicts"] and got["supervision"] == want["supervision"]
-    assert {"18F0093E", "18FF01FC"} <= {line.split()[2].split("#")[0] for line in beside["tail"].splitlines()}
+    assert {"18F0093E", "0CFF01FC"} <= {line.split()[2].split("#")[0] for line in beside["tail"].splitlines()}
 
 
 @pytest.mark.serial
@@ -171,7 +171,7 @@ def test_after_bus_off_the_driver_restarts_and_the_loop_is_live_within_1_s(loop)
 REAL_TIME = """
 import subprocess, sys
 ecu = subprocess.Popen([sys.argv[1], "vcan0", "--seconds", "30"], stdout=subprocess.PIPE)
-heard = subprocess.Popen(["candump", "-L", "-T", "30000", "vcan0,18FF01FC:1FFFFFFF"], stdout=subprocess.PIPE)
+heard = subprocess.Popen(["candump", "-L", "-T", "30000", "vcan0,0CFF01FC:1FFFFFFF"], stdout=subprocess.PIPE)
 replay = [sys.executable, "-m", "lpvguard.cli", "replay", sys.argv[2], "--vehicle", "truck"]
 subprocess.run([*replay, "--to", "socketcan:vcan0"], check=True)
 ecu.terminate()

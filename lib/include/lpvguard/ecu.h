@@ -49,6 +49,7 @@
 
 #include "lpvguard/bus.h"
 #include "lpvguard/controller.h"
+#include "lpvguard/j1939.h"
 #include "lpvguard/monitor.h"
 
 #if LPVG_NK > 0
@@ -70,6 +71,7 @@ LPVG_EXTERN_C_BEGIN
 #define lpvg_ecu_engage LPVG_SYM(ecu_engage)
 #define lpvg_ecu_step LPVG_SYM(ecu_step)
 #define lpvg_ecu_acknowledge LPVG_SYM(ecu_acknowledge)
+#define lpvg_ecu_findings LPVG_SYM(ecu_findings)
 
 #define LPVG_ECU_SPEED_HYSTERESIS_MPS 0.25F  ///< Within the range by so much, the speed is in range again [m/s]
 #define LPVG_ECU_WAIT_US 500000U  ///< From the end of a cause to engagement                    [us]
@@ -241,6 +243,12 @@ bool lpvg_ecu_acknowledge(lpvg_ecu_t* self);
 /// Unless it is ok, nothing is received or sent, nothing but `clock` is changed, and *n_out, where given, is 0.
 LPVG_NODISCARD lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const lpvg_can_frame_t* frames_in, size_t n_in,
                                            lpvg_can_frame_t* frames_out, size_t max_out, size_t* n_out);
+
+/// What is wrong after the newest step, for lpvg_j1939_step: every finding that is active, in the order of lpvg_ecu_fault_t's gravity, each
+/// message that is not live by itself. The freeze frame holds the causes, the speed, the time of the step on the caller's clock, and of
+/// the newest judged frame bin and statistic. While the verdict is invalid these are of the newest recorded alarm, where one waits.
+/// Returns ok; bad_argument (NULL), not_ready (no init), *findings is untouched then.
+LPVG_NODISCARD lpvg_status_t lpvg_ecu_findings(const lpvg_ecu_t* self, lpvg_j1939_findings_t* findings);
 
 LPVG_EXTERN_C_END
 

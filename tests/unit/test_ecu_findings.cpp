@@ -1,0 +1,128 @@
+// What the ECU tells of its findings to the module that reports them over J1939.
+#include "ecu_bench.hpp"
+
+namespace {
+
+lpvg_j1939_findings_t findings_of(const lpvg_ecu_t& ecu) {
+    lpvg_j1939_findings_t findings;
+    REQUIRE(lpvg_ecu_findings(&ecu, &findings) == lpvg_status_ok);
+    return findings;
+}
+
+std::vector<uint32_t> spns(const lpvg_j1939_findings_t& findings) {
+    std::vector<uint32_t> all;
+    for (uint8_t i = 0U; i < findings.n_codes; ++i) {
+        all.push_back(findings.code[i].spn);
+    }
+    return all;
+}
+
+}  // namespace
+
+TEST_CASE("nothing is found of a vehicle without fault", "[unit][ecu][REQ-J1939-10]") {
+    Bench bench;
+    bench.clock_off_us = 5'000;
+    bench.run_until_engaged();
+    const lpvg_j1939_findings_t findings = findings_of(bench.ecu);
+    CHECK(findings.n_codes == 0U);
+    CHECK(findings.freeze.causes == 0U);
+    CHECK(findings.freeze.t_us == bench.now_us + 5'000);
+    CHECK(findings.freeze.speed == Approx(12.0F).margin(0.01));
+    CHECK(findings.freeze.statistic == static_cast<float>(bench.ecu.monitor.frame.statistic));
+}
+
+TEST_CASE("every message that is not live has a code of its own", "[unit][ecu][REQ-J1939-10]") {
+    Bench bench;
+    bench.run_until_engaged();
+    bench.send_vdc2 = false;
+    bench.spoil_guard_in = true;
+    bench.run(20);
+    const lpvg_j1939_findings_t findings = findings_of(bench.ecu);
+    REQUIRE(spns(findings) == std::vector<uint32_t>{520192U, 1808U});
+    CHECK(findings.code[0].fmi == LPVG_CAN_FMI_NETWORK);
+    CHECK(findings.code[1].fmi == LPVG_CAN_FMI_UPDATE_RATE);
+    CHECK((findings.freeze.causes & LPVG_ECU_CAUSE_MESSAGE) != 0U);
+}
+
+TEST_CASE("all findings are named, the gravest first", "[unit][ecu][REQ-J1939-10]") {
+    Bench bench;
+    bench.run_until_engaged();
+    lpvg_ecu_t& ecu = bench.ecu;
+    ecu.kept.corrupt = ecu.refused = ecu.actuator_failed = ecu.kept.locked = true;
+    ecu.clock.pace = lpvg_ecu_pace_bad;
+    ecu.report.verdict = lpvg_verdict_invalid;
+    ecu.plausibility.flags = LPVG_CAN_IMPLAUSIBLE_WHEELS;
+    std::vector<uint32_t> all = {LPVG_ECU_SPN_CORRUPT,  LPVG_ECU_SPN_REFUSED,     LPVG_ECU_SPN_TIME,  LPVG_ECU_SPN_INVALID,
+                                 LPVG_ECU_SPN_ACTUATOR, LPVG_ECU_SPN_IMPLAUSIBLE, LPVG_ECU_SPN_LOCKED};
+    CHECK(spns(findings_of(ecu)) == all);
+    for (lpvg_can_watch_t& watch : ecu.supervisor.watch) {
+        watch.state = lpvg_can_state_off;
+    }
+    all.insert(all.begin() + 3, {904U, 520192U, 1808U, 563U});
+    CHECK(spns(findings_of(ecu)) == all);
+    ecu.seen_live = false;  // the bus has not come up yet
+    all.erase(all.begin() + 3, all.begin() + 7);
+    CHECK(spns(findings_of(ecu)) == all);
+}
+
+TEST_CASE("the freeze frame of an alarm is its record's", "[unit][ecu][REQ-J1939-10]") {
+    Bench bench;
+    bench.run_until_engaged();
+    lpvg_ecu_t& ecu = bench.ecu;
+    ecu.monitor.frame.bin = 2U;
+    ecu.monitor.frame.statistic = 0.25F;
+    ecu.monitor.record[0].bin = 4U;
+    ecu.monitor.record[1].bin = 5U;
+    ecu.monitor.record[1].statistic = 1.75F;
+    ecu.monitor.record[1].test = lpvg_test_energy;
+    ecu.monitor.n_records = 2U;
+    CHECK(findings_of(ecu).freeze.bin == 2U);  // nothing is falsified now
+    ecu.report.verdict = lpvg_verdict_invalid;
+    CHECK(findings_of(ecu).freeze.bin == 5U);
+    CHECK(findings_of(ecu).freeze.test == lpvg_test_energy);
+    CHECK(findings_of(ecu).freeze.statistic == 1.75F);
+    for (const uint32_t n : {0U, static_cast<uint32_t>(LPVG_NRECORDS) + 1U}) {  // read out; damaged
+        ecu.monitor.n_records = n;
+        CHECK(findings_of(ecu).freeze.bin == 2U);
+        CHECK(findings_of(ecu).freeze.test == lpvg_test_frame);
+        CHECK(findings_of(ecu).freeze.statistic == 0.25F);
+    }
+}
+
+TEST_CASE("a lost message reaches the bus as a code with its freeze frame", "[unit][ecu][REQ-J1939-10]") {
+    Bench bench;
+    bench.run_until_engaged();
+    lpvg_j1939_memory_t memory{};
+    lpvg_j1939_t j1939;
+    const lpvg_j1939_config_t config = {1U, lpvg_bus.own_address};
+    REQUIRE(lpvg_j1939_init(&j1939, &config, &memory, bench.now_us, nullptr) == lpvg_status_ok);
+    bench.send_vdc2 = false;
+    int dm1_steps = -1;
+    for (int i = 0; i < 10; ++i) {
+        bench.step();
+        const lpvg_j1939_findings_t findings = findings_of(bench.ecu);
+        lpvg_can_frame_t out[LPVG_J1939_FRAMES_OUT];
+        size_t n = 0U;
+        REQUIRE(lpvg_j1939_step(&j1939, bench.now_us, bench.handed.data(), bench.handed.size(), &findings, out, LPVG_J1939_FRAMES_OUT,
+                                &n) == lpvg_status_ok);
+        const bool told = n > 0U && out[n - 1U].id == (LPVG_CAN_EXTENDED | 0x18FECAFCU) && out[n - 1U].data[2] == 0x10U;
+        dm1_steps = told && dm1_steps < 0 ? i : dm1_steps;
+    }
+    CHECK(dm1_steps == 3);  // in the step in which the message is on hold
+    const lpvg_j1939_entry_t* entry = lpvg_j1939_entry(&j1939, 0U);
+    REQUIRE(entry != nullptr);
+    CHECK(entry->spn == 1808U);
+    CHECK((entry->freeze.causes & LPVG_ECU_CAUSE_MESSAGE) != 0U);
+    CHECK(entry->freeze.t_us == bench.now_us - 6 * tick_us);
+}
+
+TEST_CASE("findings need an ECU that was made ready", "[unit][ecu][REQ-J1939-10]") {
+    lpvg_ecu_t ecu;
+    std::memset(&ecu, 0, sizeof ecu);
+    lpvg_j1939_findings_t findings{};
+    findings.n_codes = 9U;
+    CHECK(lpvg_ecu_findings(&ecu, &findings) == lpvg_status_not_ready);
+    CHECK(lpvg_ecu_findings(nullptr, &findings) == lpvg_status_bad_argument);
+    CHECK(lpvg_ecu_findings(&ecu, nullptr) == lpvg_status_bad_argument);
+    CHECK(findings.n_codes == 9U);
+}

@@ -1,0 +1,124 @@
+#include "../catch.hpp"
+
+#include <cstring>
+#include <vector>
+
+#include "lpvguard/uds.h"
+
+namespace {
+
+using Bytes = std::vector<uint8_t>;
+
+// 520201 = 0x7F009 with FMI 31, 904 = 0x00388 with FMI 9.
+const Bytes code_a = {0x09U, 0xF0U, 0xFFU}, code_b = {0x88U, 0x03U, 0x09U};
+// 12.5 m/s, bin 9, statistic 1.5, causes 0x1240, 7654 ms, run 1: as DM25 has them.
+const Bytes held = {0x00U, 0x2DU, 9U, 0x00U, 0x06U, 0x40U, 0x12U, 0xE6U, 0x1DU, 0U, 0U, 1U};
+
+Bytes operator+(Bytes a, const Bytes& b) {
+    a.insert(a.end(), b.begin(), b.end());
+    return a;
+}
+
+class Node {
+public:
+    Node() {
+        std::memset(&memory, 0, sizeof memory);
+        const lpvg_j1939_config_t config = {0x0102030405060708U, 0xFCU};
+        REQUIRE(lpvg_j1939_init(&self, &config, &memory, 0, nullptr) == lpvg_status_ok);
+        step({});
+    }
+
+    void step(const std::vector<lpvg_can_dtc_t>& codes) {
+        lpvg_j1939_findings_t findings{};
+        findings.freeze = {7'654'321, 1.5F, 12.5F, 0U, 0x1240U, 9U, 0U};
+        findings.n_codes = static_cast<uint8_t>(codes.size());
+        for (size_t i = 0; i < codes.size(); ++i) {
+            findings.code[i] = codes[i];
+        }
+        lpvg_can_frame_t out[LPVG_J1939_FRAMES_OUT];
+        size_t n = 0;
+        REQUIRE(lpvg_j1939_step(&self, self.now_us, nullptr, 0U, &findings, out, LPVG_J1939_FRAMES_OUT, &n) == lpvg_status_ok);
+    }
+
+    // What lies behind the answer stays as it was.
+    Bytes ask(const Bytes& request, size_t max = LPVG_UDS_ANSWER_MAX) const {
+        Bytes answer(LPVG_UDS_ANSWER_MAX + 4U, 0xA5U);
+        const size_t n = lpvg_uds_answer(&self, request.data(), request.size(), answer.data(), max);
+        REQUIRE(n <= max);
+        for (size_t i = n; i < answer.size(); ++i) {
+            CHECK(answer[i] == 0xA5U);
+        }
+        answer.resize(n);
+        return answer;
+    }
+
+    lpvg_j1939_t self;
+    lpvg_j1939_memory_t memory;
+};
+
+}  // namespace
+
+TEST_CASE("codes are read by status, with their freeze frame and their count", "[unit][uds][REQ-J1939-12]") {
+    Node node;
+    CHECK(node.ask({0x19U, 2U, 0xFFU}) == Bytes{0x59U, 2U, 9U});
+    node.step({{520201U, 31U, 0U}, {904U, 9U, 0U}});
+    node.step({{904U, 9U, 0U}});
+    const Bytes head = {0x59U, 2U, 9U};
+    CHECK(node.ask({0x19U, 2U, 0xFFU}) == head + code_a + Bytes{8U} + code_b + Bytes{9U});
+    CHECK(node.ask({0x19U, 2U, 0x01U}) == head + code_b + Bytes{9U});
+    CHECK(node.ask({0x19U, 2U, 0x02U}) == head);
+    for (const uint8_t record : {0x01U, 0xFFU}) {
+        CHECK(node.ask(Bytes{0x19U, 4U} + code_a + Bytes{record}) == Bytes{0x59U, 4U} + code_a + Bytes{8U, 1U, 1U, 0x4CU, 0x01U} + held);
+        CHECK(node.ask(Bytes{0x19U, 6U} + code_b + Bytes{record}) == Bytes{0x59U, 6U} + code_b + Bytes{9U, 1U, 1U});
+    }
+    CHECK(node.ask({0x19U, 4U, 0U, 0U, 0U, 1U}) == Bytes{0x7FU, 0x19U, 0x31U});  // free places hold no code
+    CHECK(node.ask(Bytes{0x19U, 0x86U} + code_b + Bytes{1U}).empty());  // the positive answer is suppressed
+    CHECK(node.ask(Bytes{0x19U, 0x86U} + code_b + Bytes{2U}) == Bytes{0x7FU, 0x19U, 0x31U});
+}
+
+TEST_CASE("state, newest freeze frame and NAME are read by identifier", "[unit][uds][REQ-J1939-12]") {
+    Node node;
+    CHECK(node.ask({0x22U, 0x4CU, 1U}) == Bytes{0x7FU, 0x22U, 0x31U});
+    node.step({{904U, 9U, 0U}});
+    node.step({{520201U, 31U, 0U}});
+    CHECK(node.ask({0x22U, 0x4CU, 0U}) == Bytes{0x62U, 0x4CU, 0U, lpvg_j1939_state_claimed, 0xFCU, 1U, 2U});
+    CHECK(node.ask({0x22U, 0x4CU, 1U}) == Bytes{0x62U, 0x4CU, 1U} + code_a + Bytes{1U} + held);
+    CHECK(node.ask({0x22U, 0x4CU, 2U}) == Bytes{0x62U, 0x4CU, 2U, 8U, 7U, 6U, 5U, 4U, 3U, 2U, 1U});
+}
+
+TEST_CASE("what is not offered is refused by the code that says why", "[unit][uds][REQ-J1939-12]") {
+    Node node;
+    std::vector<lpvg_can_dtc_t> all;
+    for (uint32_t i = 0; i < LPVG_J1939_CODES_MAX; ++i) {
+        all.push_back({1000U + i, 2U, 0U});
+    }
+    node.step(all);
+    const auto refused = [](uint8_t service, uint8_t why) { return Bytes{0x7FU, service, why}; };
+    CHECK(node.ask({0x10U, 1U}) == refused(0x10U, 0x11U));
+    CHECK(node.ask({0xFFU}) == refused(0xFFU, 0x11U));
+    CHECK(node.ask({0x19U, 1U, 0xFFU}) == refused(0x19U, 0x12U));
+    CHECK(node.ask({0x19U}) == refused(0x19U, 0x13U));
+    CHECK(node.ask({0x19U, 2U}) == refused(0x19U, 0x13U));
+    CHECK(node.ask({0x19U, 2U, 1U, 1U}) == refused(0x19U, 0x13U));
+    CHECK(node.ask({0x19U, 4U, 0U, 0U, 0U}) == refused(0x19U, 0x13U));
+    CHECK(node.ask({0x22U, 0x4CU}) == refused(0x22U, 0x13U));
+    CHECK(node.ask({0x22U, 0x4CU, 0U, 0U}) == refused(0x22U, 0x13U));
+    CHECK(node.ask({0x22U, 0x4CU, 3U}) == refused(0x22U, 0x31U));
+    CHECK(node.ask({0x19U, 4U, 0U, 0U, 0U, 1U}) == refused(0x19U, 0x31U));
+    CHECK(node.ask({0x19U, 4U, 0xE8U, 3U, 3U, 1U}) == refused(0x19U, 0x31U));  // another FMI
+    CHECK(node.ask({0x19U, 4U, 0xE8U, 4U, 2U, 1U}) == refused(0x19U, 0x31U));
+    CHECK(node.ask({0x19U, 4U, 0xE8U, 3U, 2U, 2U}) == refused(0x19U, 0x31U));
+    CHECK(node.ask({0x19U, 4U, 0xE8U, 3U, 2U, 1U})[0] == 0x59U);
+    CHECK(node.ask({0x19U, 2U, 1U}).size() == LPVG_UDS_ANSWER_MAX);
+    CHECK(node.ask({0x19U, 2U, 1U}, LPVG_UDS_ANSWER_MAX - 1U) == refused(0x19U, 0x14U));
+    CHECK(node.ask({0x10U}, 2U).empty());
+
+    uint8_t answer[LPVG_UDS_ANSWER_MAX];
+    const uint8_t request[] = {0x10U};
+    CHECK(lpvg_uds_answer(nullptr, request, 1U, answer, sizeof answer) == 0U);
+    CHECK(lpvg_uds_answer(&node.self, nullptr, 1U, answer, sizeof answer) == 0U);
+    CHECK(lpvg_uds_answer(&node.self, request, 0U, answer, sizeof answer) == 0U);
+    CHECK(lpvg_uds_answer(&node.self, request, 1U, nullptr, sizeof answer) == 0U);
+    const lpvg_j1939_t fresh{};
+    CHECK(lpvg_uds_answer(&fresh, request, 1U, answer, sizeof answer) == 0U);
+}
