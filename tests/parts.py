@@ -13,6 +13,7 @@ import pytest
 from lpvguard.core import targets
 
 PROGRAMS = {
+    "chromium": ("chromium",),
     "powerpc": ("powerpc-linux-gnu-gcc", "qemu-ppc"),
     "lcm": ("pkg-config", "lcm-gen", "lcm-logger", "lcm-logplayer"),
     "qemu": (),

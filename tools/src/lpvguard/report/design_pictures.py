@@ -8,11 +8,11 @@ import json
 import numpy as np
 
 from .pictures.design import performance_weights, tradeoff_front, worst_case_runs
-from .pictures.drawing import standalone
+from .pictures.drawing import Picture, standalone
 
 
-def draw(figures: dict) -> dict[str, str]:
-    """Inline SVG by name, "fig5" and "fig6", of what ``figures`` holds: figures.json."""
+def draw(figures: dict) -> dict[str, Picture]:
+    """Pictures by name, "fig5" and "fig6", of what ``figures`` holds: figures.json."""
     out = {}
     if "fig5" in figures:
         f = figures["fig5"]
@@ -34,7 +34,7 @@ def drawn(files: dict[str, str]) -> dict[str, str]:
 
     ``files``: text by file name; a missing file has no pictures.
     """
-    svg = draw(json.loads(files["figures.json"])) if "figures.json" in files else {}
+    found = draw(json.loads(files["figures.json"])) if "figures.json" in files else {}
     if "tradeoff.json" in files:
-        svg["tradeoff"] = tradeoff_front("t", json.loads(files["tradeoff.json"]))
-    return {f"{name}.svg": standalone(text) for name, text in svg.items()}
+        found["tradeoff"] = tradeoff_front("t", json.loads(files["tradeoff.json"]))
+    return {f"{name}.svg": standalone(of) for name, of in found.items()}

@@ -1,4 +1,4 @@
-"""Pieces of HTML that the sections of the page share, and the style of the page."""
+"""Pieces of HTML that the sections of the page share."""
 
 from __future__ import annotations
 
@@ -8,35 +8,8 @@ from html import escape
 import numpy as np
 
 from ..vehicle.project import Signal
-
-CSS = """
-:root{--ink:#1b1e23;--soft:#565d68;--rule:#c9ced6;--paper:#fff;--card:#f6f7f9;--good:#00694d;--bad:#a63f00}
-@media screen and \
-(prefers-color-scheme:dark){:root{--ink:#e6e8ec;--soft:#a3abb8;--rule:#474e59;--paper:#14171b;
---card:#1d2127;--good:#4cc9a0;--bad:#ff9a5c}}
-*{box-sizing:border-box}
-body{margin:0 auto;padding:2rem 1.2rem 4rem;max-width:62rem;background:var(--paper);color:var(--ink);
-font:15px/1.5 system-ui,"Segoe UI",Helvetica,Arial,sans-serif}
-h1{font-size:1.6rem;line-height:1.2;margin:0 0 .3rem}
-h2{font-size:1.2rem;margin:2.6rem 0 .5rem;padding-top:.6rem;border-top:1px solid var(--rule)}
-h3{font-size:1rem;margin:1.6rem 0 .2rem}
-p{max-width:48rem}.lead,figcaption,.note{color:var(--soft)}
-figure{margin:1rem 0;break-inside:avoid}
-figure svg{width:100%;height:auto;display:block}
-figcaption{font-size:.87rem;max-width:50rem;margin-top:.3rem}
-.scroll{overflow-x:auto;margin:.6rem 0}
-table{border-collapse:collapse;font-size:.85rem;font-variant-numeric:tabular-nums}
-th,td{padding:.22rem .6rem;text-align:right;border-bottom:1px solid var(--rule);vertical-align:top}
-th{font-weight:600;text-align:right;background:var(--card)}
-td:first-child,th:first-child,.words td{text-align:left}
-.facts{display:flex;flex-wrap:wrap;gap:0 1.6rem}.tight th,.tight td{white-space:nowrap}
-.tight td:first-child,.tight th:first-child{text-align:right}
-.words td:first-child{white-space:nowrap}
-.yes{color:var(--good);font-weight:600}.no{color:var(--bad);font-weight:600}
-nav{font-size:.87rem}nav a{color:inherit;margin-right:1rem}
-@media print{body{max-width:none;padding:0;font-size:10pt}nav{display:none}.scroll{overflow:visible}
-section{break-inside:auto}*{-webkit-print-color-adjust:exact;print-color-adjust:exact}}
-"""
+from .pictures.drawing import Picture
+from .pictures.numbers import to_json
 
 
 def html_table(head: Iterable[str], rows: Iterable[Iterable[str]], kind: str = "") -> str:
@@ -47,9 +20,16 @@ def html_table(head: Iterable[str], rows: Iterable[Iterable[str]], kind: str = "
     return f'<div class="scroll"><table class="{kind}">{top}<tbody>\n{body}</tbody></table></div>'
 
 
-def captioned(svg: str, caption: str) -> str:
-    """A picture with its caption, both HTML already."""
-    return f"<figure>{svg}<figcaption>{caption}</figcaption></figure>"
+def captioned(picture: Picture | None, caption: str) -> str:
+    """A picture, or none where there is nothing to draw, with its caption, which is HTML already.
+
+    Its numbers stand beside it: page.js makes them zoom.
+    """
+    below = f"<figcaption>{caption}</figcaption>" if caption else ""
+    if picture is None:
+        return f"<figure>{below}</figure>"
+    numbers = f'<script type="application/json">{to_json(picture.panels)}</script>' if picture.panels else ""
+    return f'<figure id="picture-{picture.name}">{picture.svg}{numbers}{below}</figure>'
 
 
 def number(value: float | np.floating | None, digits: int = 3) -> str:

@@ -1,14 +1,15 @@
 """`lpvguard report`: one self-contained HTML page with every picture and table of an identification.
 
 Every number is read from the identification folder or computed here. Computing uses the folder's frames and
-a replay of the drives through the compiled core. The page has no script, nothing from outside and no clock
-time: the same input gives the same bytes.
+a replay of the drives through the compiled core. The page asks for nothing from outside
+and holds no clock time: the same input gives the same bytes. Without its script everything can be read.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from html import escape
+from importlib import resources
 from pathlib import Path
 
 from .. import __version__
@@ -16,7 +17,7 @@ from ..base import artefacts
 from ..identify.run import DriveSet, StoredIdentification
 from ..replay.run import Replayer
 from ..vehicle.project import Project
-from .markup import CSS
+from .pictures.drawing import shared
 from .sections.bounds import bound_sections
 from .sections.campaign import campaign_section
 from .sections.closed_loop import loop_section
@@ -24,10 +25,19 @@ from .sections.design import design_section
 from .sections.drives import drive_section, plain_section, visit, visit_plain
 from .sections.evaluation import evaluation_section
 from .sections.model_in_time import time_section
+from .sections.overview import overview_section
 from .sections.summary import summary_section
 from .sections.tradeoff import tradeoff_section
 from .sections.visibility import visibility_section
+from .told import Told
 from .visits import Visits
+
+LIBRARIES = ("bokeh", "bokeh-api")
+"""Parts of BokehJS that the pictures need, in the order of loading."""
+SCRIPTS = ("page.js", "zoom.js")
+"""What the page does beyond being read."""
+POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data: blob:"
+"""What a browser may load for the page: only what stands in it."""
 
 
 def write_report(
@@ -49,7 +59,7 @@ def write_report(
     -o`, with its results.json; ``design``, ``tradeoff``: folders written by `lpvguard design`, without and
     with --tradeoff; ``campaign``: summary.json of `lpvguard campaign`.
     """
-    sections = list(_identification_sections(stored, drives, replayer, progress))
+    sections = list(_identification_sections(stored, drives, replayer, progress, design, evaluation))
     if evaluation is not None:
         sections.append(evaluation_section(evaluation))
     if design is not None:
@@ -60,7 +70,8 @@ def write_report(
         sections.append(loop_section(loops))
     if campaign is not None:
         sections.append(campaign_section(campaign))
-    artefacts.write_file(out, _page(stored.project, sections), "report")
+    page, scripts = shared(_page(stored.project, sections)), _scripts()
+    artefacts.write_file(out, page.replace("</body>", f"{scripts}</body>"), "report")
 
 
 def _identification_sections(
@@ -68,43 +79,60 @@ def _identification_sections(
     drives: DriveSet,
     replayer: Replayer | None,
     progress: Callable[[str], None],
+    design: Path | None,
+    evaluation: dict | None,
 ) -> Iterator[str]:
     """The sections that every page has. The drives are read first: some sections show what they hold."""
     visits = Visits()
-    drive_pages: list[str] = []
+    told: list[Told] = []
     rows: list[list[str]] = []
     for name in drives.experiments:
         progress(name)
         drive = drives.load(name)[0]
         if replayer is not None:
-            drive_pages.append(visit(visits, stored, replayer, drive, f"d{len(drive_pages)}"))
+            told.append(visit(visits, stored, replayer, drive, f"d{len(told)}"))
         else:
             rows.append(visit_plain(visits, stored, drives, drive))
     progress("pictures")
     estimator = drives.reader.estimator
+    yield overview_section(stored, told, replayer is not None, design, evaluation)
     yield summary_section(stored, replayer, drives)
     yield from bound_sections(stored, estimator)
     yield time_section(visits, stored, drives)
     yield visibility_section(visits, stored, estimator)
-    yield drive_section(drive_pages, replayer.threshold) if replayer is not None else plain_section(rows)
+    yield drive_section(told, replayer.threshold) if replayer is not None else plain_section(rows)
+
+
+def _own(name: str) -> str:
+    """Text of a file of this room."""
+    return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
+
+
+def _scripts() -> str:
+    """BokehJS as the package bokeh carries it, as text that zoom.js runs when the first picture zooms; then
+    the scripts of this room."""
+    folder = resources.files("bokeh").joinpath("server", "static", "js")
+    found = [folder.joinpath(f"{name}.min.js").read_text(encoding="utf-8") for name in LIBRARIES]
+    own = [_own(name) for name in SCRIPTS]
+    return "".join(f'<script type="text/plain" data-library>{text}</script>\n' for text in found) + "".join(
+        f"<script>{text}</script>\n" for text in own
+    )
 
 
 def _page(project: Project, sections: list[str]) -> str:
     """The whole page. Each section begins with its title as an h2; the line of links is made from these."""
     titles = [s[s.index("<h2>") + 4 : s.index("</h2>")] for s in sections]
-    nav = "".join(f'<a href="#s{i}">{title}</a>' for i, title in enumerate(titles, start=1))
+    nav = " ".join(f'<a href="#s{i}">{title}</a>' for i, title in enumerate(titles, start=1))
     body = "".join(f'<section id="s{i}">{s}</section>\n' for i, s in enumerate(sections, start=1))
     return f"""<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="generator" content="{artefacts.mark("report")}">\
 <meta name="viewport" content="width=device-width,initial-scale=1">
-<title>lpvguard report: {escape(project.name)}</title><style>{CSS}</style></head><body>
+<meta http-equiv="Content-Security-Policy" content="{POLICY}">
+<title>lpvguard report: {escape(project.name)}</title><style>{_own("page.css")}</style></head><body>
 <h1>{escape(project.title)}</h1>
-<p class="lead">How wrong the nominal model can be, according to the drives; what the monitor tolerates for \
-it, and what it said
-on every drive. Words and equation numbers are those of Rödönyi and Bokor, <i>Uncertainty identification for \
-a nominal LPV
-vehicle model based on experimental data</i>. Made by lpvguard {escape(__version__)}; the same drives give \
-the same page.</p>
 <nav>{nav}</nav>
-{body}</body></html>
+{body}<p class="lead">Words and equation numbers are those of Rödönyi and Bokor, <i>Uncertainty \
+identification for a nominal LPV vehicle model based on experimental data</i>. Made by lpvguard \
+{escape(__version__)}; the same drives give the same page.</p>
+</body></html>
 """

@@ -10,13 +10,17 @@ from __future__ import annotations
 
 import io
 import re
+from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Concatenate, Literal, ParamSpec
 
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+
+from .numbers import Panel, panels
 
 if TYPE_CHECKING:
     from matplotlib.typing import RcKeyType
@@ -62,6 +66,15 @@ STYLE: dict[RcKeyType, object] = {
 }
 
 
+@dataclass(frozen=True)
+class Picture:
+    """A drawn picture: its name, its own on a page; inline SVG; the numbers that it shows."""
+
+    name: str
+    svg: str
+    panels: list[Panel]
+
+
 def new_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
     """An empty figure of this width and height [inch]; ``layout`` None: the caller places the axes."""
     figure = Figure(figsize=(width, height), layout=layout)
@@ -79,22 +92,92 @@ def _svg(figure: Figure, name: str) -> str:
     text = stream.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r' (xmlns(:\w+)?|version)="[^"]*"', "", text)
+    text = _compact(text)
     text = re.sub(r'( id="|xlink:href="#|url\(#)', rf"\g<1>{name}-", text)
     for stand_in, variable in ((INK, "--ink"), (RULE, "--rule"), (PAPER, "--paper")):
         text = text.replace(stand_in, f"var({variable})")
     return text
 
 
-def picture(draw: Callable[Arguments, Figure]) -> Callable[Concatenate[str, Arguments], str]:
+def _compact(svg: str) -> str:
+    """The same picture in fewer bytes: coordinates to a hundredth of a point, ids only where something refers
+    to them, no comments and no line breaks."""
+
+    def rounded(match: re.Match[str]) -> str:
+        return re.sub(r"-?\d+\.\d{3,}", lambda n: f"{float(n.group()):.2f}", match.group())
+
+    svg = re.sub(r"<!--.*?-->", "", svg, flags=re.DOTALL)
+    svg = re.sub(r'\b(?:d|x|y)="[^"]*"|translate\([^)]*\)', rounded, svg)
+    used = set(re.findall(r'(?:xlink:href="|url\()#([^")]+)', svg))
+    svg = re.sub(r' id="([^"]*)"', lambda m: m.group() if m.group(1) in used else "", svg)
+    svg = re.sub(r">\s+<", "><", re.sub(r"\s+", " ", svg))
+    before = ""
+    while before != svg:
+        before, svg = svg, re.sub(r"<g>((?:<(?:use|path|image) [^>]*/>)*)</g>", r"\1", svg)
+    return svg
+
+
+def shared(page: str) -> str:
+    """The page with what its pictures have in common said once: outlines of letters, and styles."""
+    return _share_styles(_share_glyphs(page))
+
+
+def _share_glyphs(page: str) -> str:
+    """The page with every letter of its pictures drawn once, at the start of its body."""
+    outlines: dict[str, str] = {}
+
+    def taken(match: re.Match[str]) -> str:
+        return "" if outlines.setdefault(match.group(2), match.group(3)) == match.group(3) else match.group()
+
+    page = re.sub(rf'<path id="([\w-]+?)-({GLYPH})"([^>]*?)/>', taken, page)
+    kept = set(re.findall(rf'<path id="([\w-]+?-{GLYPH})"', page))
+    page = re.sub(
+        rf'xlink:href="#([\w-]+?)-({GLYPH})"',
+        lambda m: m.group() if f"{m.group(1)}-{m.group(2)}" in kept else f'href="#{m.group(2)}"',
+        page,
+    ).replace("<defs></defs>", "")
+    drawn = "".join(f'<path id="{name}"{rest}/>' for name, rest in sorted(outlines.items()))
+    letters = f'<svg class="glyphs" aria-hidden="true" width="0" height="0"><defs>{drawn}</defs></svg>'
+    return page.replace("<body>", f"<body>{letters}", 1)
+
+
+def _share_styles(page: str) -> str:
+    """The page with each style that its pictures repeat as a class, in a style sheet at the end of its
+    head."""
+    pictures = re.compile(r"<svg.*?</svg>", re.DOTALL)
+    style = re.compile(r' style="([^"]*)"')
+    page = page.replace(f'<defs><style type="text/css">{EVERYWHERE}</style></defs>', "")
+    counted = Counter(style.findall("".join(pictures.findall(page))))
+    often = sorted(text for text, times in counted.items() if times >= OFTEN)
+    names = {text: f"m{n}" for n, text in enumerate(often)}
+
+    def named(match: re.Match[str]) -> str:
+        return f' class="{names[match.group(1)]}"' if match.group(1) in names else match.group()
+
+    sheet = f"svg {EVERYWHERE}" + "".join(f".{name}{{{text}}}" for text, name in names.items())
+    page = pictures.sub(lambda m: style.sub(named, m.group()), page)
+    return page.replace("</head>", f"<style>{sheet}</style></head>", 1)
+
+
+EVERYWHERE = "*{stroke-linejoin: round; stroke-linecap: butt}"
+"""Style that matplotlib gives everything in a picture."""
+OFTEN = 3
+"""A style that stands so often gets a name."""
+GLYPH = r"DejaVu\w+(?:-\w+)*-[0-9a-f]+"
+"""Name that matplotlib gives the outline of a letter: its font and its number in hexadecimal."""
+
+
+def picture(draw: Callable[Arguments, Figure]) -> Callable[Concatenate[str, Arguments], Picture]:
     """Decorator of a function that draws a figure in the style of the report.
 
-    The decorated function takes a name before its arguments and returns the inline SVG. The name must be its
+    The decorated function takes a name before its arguments and returns the picture. The name must be its
     own on a page: it keeps the ids of the pictures apart.
     """
 
-    def wrapped(name: str, *arguments: Arguments.args, **named: Arguments.kwargs) -> str:
+    def wrapped(name: str, *arguments: Arguments.args, **named: Arguments.kwargs) -> Picture:
         with matplotlib.rc_context(STYLE):
-            return _svg(draw(*arguments, **named), name)
+            figure = draw(*arguments, **named)
+            return Picture(name, _svg(figure, name), panels(figure))
 
     wrapped.__doc__ = draw.__doc__
     return wrapped
@@ -113,8 +196,9 @@ def legend_above(axes: Axes, columns: int) -> None:
     )
 
 
-def standalone(svg: str) -> str:
-    """An inline picture as an SVG file of its own, dark on white."""
+def standalone(picture: Picture) -> str:
+    """A picture as an SVG file of its own, dark on white."""
+    svg = picture.svg
     for variable, colour in (("--ink", "#1b1e23"), ("--rule", "#c9ced6"), ("--paper", "#ffffff")):
         svg = svg.replace(f"var({variable})", colour)
     return (

@@ -15,6 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from ...core.compiled import REASONS, VERDICTS
 from ...replay.run import Replay
 from .drawing import GREEN, INK, ORANGE, PINK, POINTS, RED, new_figure, picture
+from .numbers import Cells, attach
 
 REASON_WORDS = dict(
     zip(
@@ -78,6 +79,23 @@ def _cells(replay: Replay, t0: float, lengths: np.ndarray) -> tuple[np.ndarray, 
             continue
         kind[k, a:b], value[k, a:b] = reason, margin
     return kind, value
+
+
+def _frames(replay: Replay, t0: float, lengths: np.ndarray, threshold: float) -> Cells:
+    """Every frame with its numbers. ``t0``: start of the drive [s]; else as of ``margin_map``."""
+    frames = replay.run.frames
+    end = np.round((frames.t_end_s - t0) / replay.Ts).astype(int) + 1
+    order = np.lexsort((end, frames.bin))
+    return Cells(
+        frames.bin[order],
+        end[order],
+        frames.margin[order],
+        frames.reason[order],
+        [REASON_WORDS[r] for r in REASONS],
+        lengths,
+        replay.Ts,
+        threshold,
+    )
 
 
 def _bin_labels(omega: np.ndarray) -> list[str]:
@@ -151,6 +169,7 @@ def margin_map(
     kind, margin = _cells(replay, t[0], lengths)
     extent = (0.0, replay.duration_s, -0.5, K - 0.5)
     top.imshow(_paint(kind, margin / threshold)[::-1], aspect="auto", extent=extent, interpolation="none")
+    attach(top, _frames(replay, t[0], lengths, threshold))
     _mark_alarms(top, replay, omega)
     top.set_facecolor(MAP_PAPER)
     top.set_yticks(range(K), _bin_labels(omega), fontsize=7)

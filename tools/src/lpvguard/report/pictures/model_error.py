@@ -48,7 +48,7 @@ def model_error(
         _estimates(axes, error.setting, grid, j, "o", "above")
         if error.judging is not None:
             _estimates(axes, error.judging, grid, j, "x", "both")
-        axes.plot(omega, W_delta[:, j], "-", lw=1.8, color=RED)
+        axes.plot(omega, W_delta[:, j], "-", lw=1.8, color=RED, label=r"$|W_\Delta|$")
         top = 4 * max(W_delta[:, j].max(), beyond[:, j].max())
         axes.set_xscale("log")
         axes.set_yscale("log")
@@ -83,6 +83,9 @@ def _estimates(axes: Axes, estimate: ErrorEstimate, grid: np.ndarray, j: int, ma
                 lw=0.7,
                 color=CLASS_COLOURS[a % len(CLASS_COLOURS)],
                 alpha=alpha,
+                label=("setting the bounds" if marker == "o" else "judging")
+                + (f", amplitude class {a + 1}" if classes > 1 else "")
+                + ("" if alpha > 0.5 else ", cannot tell"),
             )
 
 
@@ -95,7 +98,7 @@ def _assumed(axes: Axes, grid: np.ndarray, beyond: np.ndarray, last: float | Non
         return
     after = grid > start if last is not None else grid >= start
     axes.axvspan(start, grid[-1] * 1.2, color=POINTS, alpha=0.15, lw=0)
-    axes.plot(grid[after], beyond[after], "--", lw=1.2, color=INK)
+    axes.plot(grid[after], beyond[after], "--", lw=1.2, color=INK, label=r"assumed: $1 + \rho$")
     axes.text(
         np.sqrt(start * grid[-1]),
         1.5 * LEAST,

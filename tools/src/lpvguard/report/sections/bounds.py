@@ -166,7 +166,8 @@ def _weights(
         "the bins and of what the model error model asks for over its whole range (next section), at least "
         f"{SMALLEST_NU:g} as a weight must be positive; B<sub>w</sub> and ν are over every start, so they "
         f"can lie above the points of the monitor's grid. ν(0) = 0 by definition.{of_structure} How to read "
-        "it: a line far above its dashed bound is conservatism of the fit, the worst is in the summary.",
+        "it: a line far above its dashed bound is conservatism of the fit, the worst stands among settings "
+        "and proofs.",
     )
 
 

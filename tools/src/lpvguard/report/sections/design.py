@@ -11,6 +11,7 @@ from ...base.errors import InputError
 from ...engine.synthesis.margins import SHOWN, shown
 from ..design_pictures import draw
 from ..markup import captioned, html_table, number, premise_words, yes_or_no
+from ..pictures.drawing import Picture
 
 ROBUST = "robust.json"
 """Written by `lpvguard bench robust --json`, beside the design's folder."""
@@ -103,7 +104,7 @@ def _farthest(deviations: list[dict]) -> str:
     )
 
 
-def _table_2(table: dict, fig5: str) -> str:
+def _table_2(table: dict, fig5: Picture) -> str:
     """Table II, ``table``: table2.json, and the picture of its weights."""
     rows = html_table(
         [
@@ -147,7 +148,7 @@ any order with these
 weights.</p>{rows}{weights}"""
 
 
-def _worst_case(run: dict, fig6: str) -> str:
+def _worst_case(run: dict, fig6: Picture) -> str:
     """Runs with the worst uncertainty, ``run``: the object fig6 of figures.json, and their picture."""
     measured = html_table(
         [

@@ -14,15 +14,17 @@ from ...identify.run import DriveSet, StoredIdentification
 from ...replay.run import Alarm, Replay, Replayer, excited_samples
 from ..markup import captioned, html_table, number
 from ..pictures.margin_map import REASON_WORDS, map_key, margin_map
+from ..told import Told, course, nearest
 from ..visits import Visits, longest_run
+from .drive_index import drive_index
 
 ALARMS_LISTED = 10
 
 
-def visit(visits: Visits, stored: StoredIdentification, replayer: Replayer, drive: Drive, key: str) -> str:
-    """Replay a drive, keep its counted frames and longest stretches in ``visits``, and return its page.
+def visit(visits: Visits, stored: StoredIdentification, replayer: Replayer, drive: Drive, key: str) -> Told:
+    """Replay a drive, keep its counted frames and longest stretches in ``visits``, and return what to tell.
 
-    ``key``: name of its picture, its own on the page.
+    ``key``: id of its section and name of its picture, its own on the page.
     """
     replay = replayer.replay(drive)
     frames = replay.run.frames
@@ -30,11 +32,27 @@ def visit(visits: Visits, stored: StoredIdentification, replayer: Replayer, driv
     visits.bin.append(frames.bin[counted])
     visits.Z.append(frames.Z[counted])
     low, high = replayer.model.speed_range
-    usable = replay.judged & replay.in_range & replay.excited
+    relevant = replay.in_range & replay.excited
+    usable = replay.judged & relevant
     third = (high - low) / 3
     visits.slow = visits.slow.or_longer(drive.name, longest_run(usable & (drive.v <= low + third)))
     visits.fast = visits.fast.or_longer(drive.name, longest_run(usable & (drive.v >= high - third)))
-    return _drive_page(stored, replayer, drive, replay, key)
+    return Told(
+        key,
+        drive.name,
+        stored.manifest["drivers"][drive.name],
+        _role(stored, drive.name),
+        (float(drive.v.min()), float(drive.v.max())),
+        replay.duration_s,
+        replay.judged_s,
+        float(relevant.sum() * replay.Ts),
+        float(usable.sum() * replay.Ts),
+        replay.verdict_final.replace("_", " "),
+        nearest(replay, replayer, drive),
+        replay.alarms,
+        *course(replay, replayer, drive.t[0]),
+        _drive_page(stored, replayer, drive, replay, key),
+    )
 
 
 def visit_plain(visits: Visits, stored: StoredIdentification, drives: DriveSet, drive: Drive) -> list[str]:
@@ -173,7 +191,7 @@ def _drive_page(
     stored: StoredIdentification, replayer: Replayer, drive: Drive, replay: Replay, key: str
 ) -> str:
     """Map of the drive's margins, its facts and its alarms."""
-    svg = margin_map(
+    drawn = margin_map(
         key,
         replay,
         drive.t,
@@ -185,12 +203,14 @@ def _drive_page(
     )
     driver = escape(stored.manifest["drivers"][drive.name])
     role = _role(stored, drive.name)
-    return f"""<h3>{escape(drive.name)} <span class="note">({driver} driver; {role})</span></h3>
-<figure>{svg}</figure><div class="facts">{_facts(replay)}</div>{_alarm_table(replay.alarms)}"""
+    return f"""<div class="drive" id="{key}"><h3>{escape(drive.name)} <span class="note">({driver} driver; \
+{role})</span> <a class="back" href="#drive-index">all drives</a></h3>
+{captioned(drawn, "")}<div class="facts">{_facts(replay)}</div>{_alarm_table(replay.alarms)}</div>"""
 
 
-def drive_section(pages: list[str], threshold: float) -> str:
-    """The section: how to read the maps, then the ``pages`` that ``visit`` returned."""
+def drive_section(told: list[Told], threshold: float) -> str:
+    """The section: the index of drives, how to read the maps, then the drives one by one, as ``visit`` told
+    them."""
     key = captioned(
         map_key("key"),
         "<b>How to read the maps.</b> Time runs to the right, a line per bin, DC at the bottom. Each cell is "
@@ -207,4 +227,5 @@ def drive_section(pages: list[str], threshold: float) -> str:
         "not; the verdict “valid” asks for evidence within the longest frame, so a drive can be judged all "
         "along and its verdict still be “not judged”.",
     )
-    return f"<h2>Margin over time and frequency, drive by drive</h2>{key}{''.join(pages)}"
+    sections = "".join(d.section for d in told)
+    return f"<h2>Margin over time and frequency, drive by drive</h2>{drive_index(told)}{key}{sections}"

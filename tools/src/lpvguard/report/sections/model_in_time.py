@@ -39,9 +39,9 @@ def time_section(visits: Visits, stored: StoredIdentification, drives: DriveSet)
             f"{label.capitalize()} third: {escape(name)} ({role}), {longest.samples * project.Ts_s:.1f} s "
             f"long, {(shown.stop - shown.start) * project.Ts_s:.1f} s shown; {rms}."
         )
-    svg = model_in_time("f4", stretches, project.outputs) if stretches else ""
+    drawn = model_in_time("f4", stretches, project.outputs) if stretches else None
     return "<h2>The nominal model in time</h2>" + captioned(
-        svg,
+        drawn,
         "<b>Counterpart of Fig. 4.</b> Measured output (solid) and nominal model along the measured speed "
         "(dashed), below it the nominal error e = y − ŷ on its own scale. Chosen without looking: the "
         "longest judged, in-range, excited stretch in the lower and in the upper third of the "

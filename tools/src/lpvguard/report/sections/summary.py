@@ -1,7 +1,8 @@
-"""Section "Summary": which drives, which estimator, what is claimed, and how tight the weights are."""
+"""Section "Settings and proofs": which drives and estimator, what is claimed, how tight the weights are."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from html import escape
 
@@ -83,7 +84,9 @@ def _drive_rows(stored: StoredIdentification) -> list[tuple[str, str]]:
     groups, drivers = stored.manifest["drives"], stored.manifest["drivers"]
 
     def listed(names: list[str]) -> str:
-        return f"{len(names)}: " + (", ".join(f"{escape(n)} ({escape(drivers[n])})" for n in names) or "none")
+        """How many drives of which drivers; the index of drives names them."""
+        of = Counter(drivers[n] for n in names)
+        return f"{len(names)}" + (f" ({', '.join(f'{n} {escape(d)}' for d, n in of.items())})" if of else "")
 
     left_out = "".join(f"<br>{escape(n)}: {escape(why)}" for n, why in groups["left_out"].items())
     return [
@@ -200,7 +203,7 @@ def summary_section(stored: StoredIdentification, replayer: Replayer | None, dri
     """The section. ``replayer``: None when the core does not compute these frames."""
     estimator = drives.reader.estimator
     table = html_table([], _rows(stored, replayer, estimator), "words")
-    return f"""<h2>Summary</h2>{table}
+    return f"""<h2>Settings and proofs</h2>{table}
 <p>Each weight lies above its bound at every frequency, proved piece by piece by exact Routh arrays and \
 Bernstein coefficients,
 not on a grid, and proved anew when this page was made (for W<sub>w</sub> and W<sub>Δ</sub>); between bins a \

@@ -1,0 +1,281 @@
+"""The numbers of a picture: what its axes show, read back from the drawn figure, for zooming.
+
+A picture is drawn once. Its lines, markers, bars and cells are the one source of its interactive form, which
+therefore cannot say anything else.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass, field
+from itertools import groupby
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_hex
+from matplotlib.container import BarContainer, ErrorbarContainer
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FixedFormatter, FuncFormatter
+
+MOST_POINTS, MOST_BESIDE_CELLS = 1500, 300
+"""Points of a line in the page; of a longer one the extremes of each stretch."""
+SYMBOLS = {
+    r"\bar\nu": "ν̄",
+    r"\infty": "∞",
+    r"\gamma": "γ",
+    r"\delta": "δ",
+    r"\Delta": "Δ",
+    r"\nu": "ν",
+    r"\mu": "μ",
+    r"\rho": "ρ",
+    r"\omega": "ω",
+}
+"""What mathematical text of the pictures holds, as characters."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What one artist shows. ``kind``: "line" (with or without markers), "bar", "area", "level" (all x at
+    y[0]) or "instant" (all y at x[0]). ``x``, ``y`` (N,): NaN breaks a line. ``look``: colour, dash, marker,
+    size, width, alpha."""
+
+    kind: str
+    label: str
+    x: np.ndarray
+    y: np.ndarray
+    look: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Frames of a drive, sorted by bin, then by time: ``bin`` (F,); ``end`` (F,) [samples after the drive's
+    first], the sample after the frame's last; ``margin`` (F,); ``reason`` (F,) index into ``reasons``.
+    ``lengths`` (K,) [samples] of the bins; ``Ts`` [s]; ``threshold`` of the margin."""
+
+    bin: np.ndarray
+    end: np.ndarray
+    margin: np.ndarray
+    reason: np.ndarray
+    reasons: list[str]
+    lengths: np.ndarray
+    Ts: float
+    threshold: float
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Axes of a picture: labels, limits, whether logarithmic, named ticks, and what stands in them.
+
+    ``row``: counted from above; panels of one ``shared`` number move together in x."""
+
+    title: str
+    labels: tuple[str, str]
+    log: tuple[bool, bool]
+    limits: tuple[tuple[float, float], tuple[float, float]]
+    ticks: tuple[dict[float, str], dict[float, str]]
+    row: int
+    height: float
+    shared: int
+    series: list[Trace] = field(default_factory=list)
+    cells: Cells | None = None
+
+
+_CELLS: WeakKeyDictionary[Axes, Cells] = WeakKeyDictionary()
+
+
+def attach(axes: Axes, cells: Cells) -> None:
+    """Say which cells the image in ``axes`` shows."""
+    _CELLS[axes] = cells
+
+
+def plain(text: str) -> str:
+    """Text of matplotlib without its mathematical mark-up."""
+    for command, symbol in SYMBOLS.items():
+        text = text.replace(command, symbol)
+    return re.sub(r"[${}\\]", "", text).replace("\n", " ").strip()
+
+
+# -------------------------------------------------------------------------------------------- from the figure
+
+
+def panels(figure: Figure) -> list[Panel]:
+    """The panels of a drawn figure that hold numbers, in the order of its axes."""
+    shown = [a for a in figure.axes if a.axison and a.get_visible()]
+    boxes = [a.get_window_extent() for a in shown]
+    rows = sorted({round(b.y1) for b in boxes}, reverse=True)
+    over = plain(figure.get_supxlabel()), plain(figure.get_supylabel())
+    shared: list[Axes] = []
+    found = []
+    for axes, box in zip(shown, boxes, strict=True):
+        first = axes.get_shared_x_axes().get_siblings(axes)[0]
+        if first not in shared:
+            shared.append(first)
+        series, cells = _series(axes), _CELLS.get(axes)
+        if not series and cells is None:
+            continue
+        found.append(
+            Panel(
+                plain(axes.get_title()),
+                (plain(_label(axes)) or over[0], plain(axes.get_ylabel()) or over[1]),
+                (axes.get_xscale() == "log", axes.get_yscale() == "log"),
+                (axes.get_xlim(), axes.get_ylim()),
+                (_ticks(axes.xaxis), _ticks(axes.yaxis)),
+                rows.index(round(box.y1)),
+                float(box.height / figure.bbox.height),
+                shared.index(first),
+                series,
+                cells,
+            )
+        )
+    return found
+
+
+def _label(axes: Axes) -> str:
+    """Label of the horizontal axis, of the axes that share it where this one has none."""
+    labels = (a.get_xlabel() for a in axes.get_shared_x_axes().get_siblings(axes))
+    return axes.get_xlabel() or next((label for label in labels if label), "")
+
+
+def _ticks(axis: Axis) -> dict[float, str]:
+    """Ticks that have a name of their own; empty where the axis counts."""
+    formatter = axis.get_major_formatter()
+    if not isinstance(formatter, (FixedFormatter, FuncFormatter)):
+        return {}
+    places = np.asarray(axis.get_majorticklocs(), float).tolist()
+    return {p: plain(t) for p, t in zip(places, formatter.format_ticks(places), strict=True)}
+
+
+def _series(axes: Axes) -> list[Trace]:
+    """What stands in the axes, in the order of drawing."""
+    named = {c.lines[0]: c.get_label() for c in axes.containers if isinstance(c, ErrorbarContainer)}
+    found = [
+        s for line in axes.lines if (s := _of_line(line, axes, named.get(line, line.get_label()))) is not None
+    ]
+    for collection in axes.collections:
+        look = {"colour": _colour(collection.get_edgecolor()), "alpha": collection.get_alpha()}
+        if isinstance(collection, LineCollection):
+            ends = [np.asarray(s, float) for s in collection.get_segments()]
+            if ends:
+                x, y = (np.concatenate([np.r_[s[:, i], np.nan] for s in ends]) for i in (0, 1))
+                found.append(Trace("line", _name(collection.get_label()), x, y, look | {"width": 1.0}))
+        elif isinstance(collection, PolyCollection):
+            look["colour"] = _colour(collection.get_facecolor())
+            for path in collection.get_paths():
+                x, y = np.asarray(path.vertices, float).T
+                found.append(Trace("area", _name(collection.get_label()), x, y, look))
+    for bars in axes.containers:
+        if isinstance(bars, BarContainer):
+            x, y, width = (
+                np.array([getattr(p, f"get_{of}")() for p in bars.patches], float)
+                for of in ("x", "height", "width")
+            )
+            look = {"colour": _colour(bars.patches[0].get_facecolor()), "widths": width.tolist()}
+            found.append(Trace("bar", _name(bars.get_label()), x + width / 2, y, look))
+    return found
+
+
+def _of_line(line: Line2D, axes: Axes, label: object) -> Trace | None:
+    """A line called ``label``; None where it is not placed by data."""
+    in_x, in_y = line.get_transform().contains_branch_seperately(axes.transData)
+    x, y = (np.asarray(v, float).ravel() for v in line.get_data(orig=False))
+    if not (in_x or in_y) or not len(x):
+        return None
+    kind = "line" if in_x and in_y else "level" if in_y else "instant"
+    marker = str(line.get_marker())
+    drawn = line.get_linestyle() not in ("None", "none", " ", "")
+    look = {
+        "colour": _colour(line.get_color()),
+        "dash": line.get_linestyle() if drawn else None,
+        "width": line.get_linewidth(),
+        "marker": None if marker in ("None", "none", " ", "") else marker,
+        "size": line.get_markersize(),
+        "hollow": line.get_markerfacecolor() == "none",
+        "alpha": line.get_alpha(),
+    }
+    return Trace(kind, _name(label), x, y, look)
+
+
+def _name(label: object) -> str:
+    """A label as text; matplotlib's own names of what is not in a legend are none."""
+    return "" if str(label).startswith("_") else plain(str(label))
+
+
+def _colour(colour: Any) -> str:
+    """Hexadecimal colour of one colour or of the first of several."""
+    rgba = np.atleast_2d(colour)[0] if not isinstance(colour, str) else colour
+    return to_hex(tuple(rgba) if not isinstance(rgba, str) else rgba)
+
+
+# ---------------------------------------------------------------------------------------------------- to page
+
+
+def to_json(found: list[Panel]) -> str:
+    """Compact JSON of the panels, for page.js: numbers with five digits, long lines thinned."""
+    most = MOST_BESIDE_CELLS if any(p.cells for p in found) else MOST_POINTS
+    told = []
+    for p in found:
+        panel: dict[str, Any] = {
+            "title": p.title,
+            "labels": p.labels,
+            "log": p.log,
+            "limits": [_short(limits) for limits in p.limits],
+            "ticks": [[[_digits(at), name] for at, name in ticks.items()] for ticks in p.ticks],
+            "row": p.row,
+            "height": round(p.height, 3),
+            "shared": p.shared,
+            "series": [_told(s, most) for s in p.series],
+        }
+        if p.cells is not None:
+            panel["cells"] = _told_cells(p.cells)
+        told.append(panel)
+    return json.dumps(told, ensure_ascii=False, separators=(",", ":")).replace("</", "<\\/")
+
+
+def _told_cells(cells: Cells) -> dict[str, Any]:
+    """Cells in few bytes: how many frames each bin has; as steps from frame to frame, with how often a step
+    repeats, the ends [samples]; reasons as one digit each."""
+    steps: list[int] = []
+    for k in range(len(cells.lengths)):
+        for step, same in groupby(np.diff(cells.end[cells.bin == k], prepend=0).tolist()):
+            steps += [int(step), len(list(same))]
+    return {
+        "count": np.bincount(cells.bin, minlength=len(cells.lengths)).tolist(),
+        "steps": steps,
+        "margin": _short(cells.margin, 3),
+        "reason": "".join(map(str, cells.reason.tolist())),
+        "reasons": cells.reasons,
+        "lengths": cells.lengths.tolist(),
+        "Ts": cells.Ts,
+        "threshold": _digits(cells.threshold),
+    }
+
+
+def _told(series: Trace, most: int) -> dict[str, Any]:
+    x, y = (series.x, series.y) if series.kind != "line" else _thinned(series.x, series.y, most)
+    look = {k: v for k, v in series.look.items() if v is not None}
+    return {"kind": series.kind, "label": series.label, "x": _short(x), "y": _short(y), **look}
+
+
+def _thinned(x: np.ndarray, y: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """At most about ``most`` points: the least and the largest of each of most / 2 stretches."""
+    if len(x) <= most:
+        return x, y
+    kept = []
+    for part in np.array_split(np.arange(len(x)), most // 2):
+        values = np.nan_to_num(y[part])
+        kept += sorted({int(part[np.argmin(values)]), int(part[np.argmax(values)])})
+    return x[kept], y[kept]
+
+
+def _digits(value: float, digits: int = 5) -> float | None:
+    return float(f"{value:.{digits}g}") if np.isfinite(value) else None
+
+
+def _short(values: Any, digits: int = 5) -> list[float | None]:
+    return [_digits(float(v), digits) for v in values]

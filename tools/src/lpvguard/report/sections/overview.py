@@ -1,0 +1,333 @@
+"""Section "At a glance", the first screen: what the model is good for and blind to, alarms, and what a
+controller promises."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+
+from ...base import artefacts
+from ...base.errors import InputError
+from ...identify.premise import premise
+from ...identify.run import StoredIdentification
+from ...replay.run import Alarm
+from ..blindness import BLIND, EMPTY, LEVEL, PROVED, VIOLATED, MapCell, Region, cells, regions, speed_row
+from ..markup import number, yes_or_no
+from ..told import Nearest, Told
+
+ALARMS_SHOWN = 4
+SIGNS = {PROVED: "●", BLIND: "○", EMPTY: "–", VIOLATED: "▲"}
+"""What says a cell's state without its colour."""
+NEVER = 2.0
+"""A gain error above this is none: the vehicle would answer with more than the opposite."""
+
+
+def overview_section(
+    stored: StoredIdentification,
+    told: list[Told],
+    replayed: bool,
+    design: Path | None,
+    evaluation: dict | None,
+) -> str:
+    """The section. ``told``: the replayed drives, none unless ``replayed``; ``design``: folder written by
+    `lpvguard design`; ``evaluation``: JSON of `lpvguard evaluate`."""
+    alarms = [(d, a) for d in told for a in d.alarms]
+    grid = cells(stored.visibility, (a for _, a in alarms))
+    return f"""<h2>At a glance</h2>{_headline(grid, told, alarms, replayed)}
+<div class="glance" id="glance"><div class="wide">{_good_for(grid)}{_map(stored, grid, told)}</div>
+<div class="cards">{_alarms(told, alarms, _independence(stored, told, evaluation))}\
+{_promise(stored, design)}{_to_do(grid)}</div></div>"""
+
+
+def _headline(
+    grid: list[list[MapCell]], told: list[Told], alarms: list[tuple[Told, Alarm]], replayed: bool
+) -> str:
+    """Whether the model held, and how much of its range that says anything about, in a sentence."""
+    flat = [c for row in grid for c in row]
+    proved = sum(c.state == PROVED for c in flat)
+    sees = (
+        f"A gain error of {_percent(LEVEL)} would be seen in {proved} of {len(flat)} cells of speed and "
+        "frequency."
+    )
+    if not replayed:
+        return f'<p id="headline"><b>Not replayed.</b> {sees}</p>'
+    hours, of = sum(d.judged_s for d in told) / 3600, len({d.name for d, _ in alarms})
+    held = yes_or_no(
+        not alarms,
+        f"Not falsified: no alarm on {len(told)} drives",
+        f"Falsified: {len(alarms)} alarms on {of} of {len(told)} drives",
+    )
+    return f'<p id="headline" data-proved="{proved}">{held}, {hours:.2f} h judged. {sees}</p>'
+
+
+# ------------------------------------------------------------------------------------ good for, and blind to
+
+
+def _percent(error: float) -> str:
+    """A gain error as text, HTML; above NEVER no number means anything."""
+    return f"{100 * error:.0f} %" if error <= NEVER else f"&gt;{100 * NEVER:.0f} %"
+
+
+def _short(error: float) -> str:
+    """A gain error [%] as a cell shows it, HTML; with a decimal where rounding would hide on which side of
+    LEVEL it lies."""
+    if error > NEVER:
+        return f"&gt;{100 * NEVER:.0f}"
+    return f"{100 * error:.{1 if 0 < abs(error - LEVEL) < 5e-3 else 0}f}"
+
+
+def _frequency(cell: MapCell) -> str:
+    return "DC" if cell.omega == 0 else f"{cell.omega:.3g}"
+
+
+def _run_words(first: MapCell, last: MapCell) -> str:
+    """A run of bins in words."""
+    if first.bin == last.bin:
+        return _frequency(first) + ("" if first.omega == 0 else " rad/s")
+    return f"{_frequency(first)} to {_frequency(last)} rad/s"
+
+
+def _listed(name: str, found: list[Region]) -> str:
+    """A list of regions whose elements carry their speeds and frequencies."""
+    items = "".join(
+        f'<li data-speed-low="{r.speed_mps[0]:.4g}" data-speed-high="{r.speed_mps[1]:.4g}" data-omega="'
+        + " ".join(f"{a.omega:.4g}:{b.omega:.4g}" for a, b in r.runs)
+        + f'">{r.speed_mps[0]:.3g} to {r.speed_mps[1]:.3g} m/s: '
+        + ", ".join(_run_words(a, b) for a, b in r.runs)
+        + "</li>"
+        for r in found
+    )
+    return f'<ul id="{name}">{items or "<li>nowhere</li>"}</ul>'
+
+
+def _good_for(grid: list[list[MapCell]]) -> str:
+    """Where a gain error of LEVEL is seen, and where it could stay unseen, in words."""
+    seen = regions(grid, lambda c: c.state == PROVED)
+    unseen = regions(grid, lambda c: c.state in (BLIND, EMPTY))
+    broken = regions(grid, lambda c: c.state == VIOLATED)
+    error = f"a gain error of {_percent(LEVEL)}"
+    violated = (
+        f'<p><b class="no">{SIGNS[VIOLATED]} Violated:</b> the frame test alarmed at</p>'
+        f"{_listed('violated', broken)}"
+        if broken
+        else ""
+    )
+    return f"""<div class="words2" data-level="{LEVEL:g}"><div><p><b class="yes">{SIGNS[PROVED]} Good for:\
+</b> {error}, driven as here, is seen at</p>{_listed("seen", seen)}</div>
+<div><p><b>{SIGNS[BLIND]} Blind to:</b> {error} could stay unseen at</p>{_listed("unseen", unseen)}</div>
+{f"<div>{violated}</div>" if violated else ""}</div>"""
+
+
+def _cell_words(cell: MapCell) -> str:
+    """All numbers of a cell, as text."""
+    low, high = cell.speed_mps
+    where = f"{low:.3g} to {high:.3g} m/s, {'DC' if cell.omega == 0 else f'{cell.omega:.3g} rad/s'}"
+    if cell.gain_error is None:
+        return f"{where}: no frame counted, nothing is known"
+    alarms = f"; alarms of the frame test: {cell.alarms}" if cell.alarms else ""
+    return (
+        f"{where}: smallest visible gain error {number(cell.gain_error)} in one frame of ten, "
+        f"{number(cell.strongest)} in the strongest of {cell.frames}, {number(cell.floor)} at any "
+        f"excitation{alarms}"
+    )
+
+
+def _map_cell(row: int, cell: MapCell) -> str:
+    """A cell of the map with its numbers."""
+    data = {
+        "speed-low": f"{cell.speed_mps[0]:.4g}",
+        "speed-high": f"{cell.speed_mps[1]:.4g}",
+        "omega": f"{cell.omega:.4g}",
+        "gain-error": "" if cell.gain_error is None else f"{cell.gain_error:.4g}",
+        "strongest": "" if cell.strongest is None else f"{cell.strongest:.4g}",
+        "floor": f"{cell.floor:.4g}",
+        "frames": str(cell.frames),
+        "alarms": str(cell.alarms),
+        "state": cell.state,
+    }
+    shown = f"{cell.alarms}×" if cell.alarms else "" if cell.gain_error is None else _short(cell.gain_error)
+    attributes = "".join(f' data-{key}="{value}"' for key, value in data.items())
+    words = _cell_words(cell)
+    return (
+        f'<td id="cell-{row}-{cell.bin}" class="{cell.state}"{attributes} title="{words}">'
+        f"<span>{SIGNS[cell.state]}</span> {shown}</td>"
+    )
+
+
+def _map(stored: StoredIdentification, grid: list[list[MapCell]], told: list[Told]) -> str:
+    """The one picture: speed over frequency, the fastest cell on top, with the energy test's alarms."""
+    energy = [0] * len(grid)
+    for a in (a for d in told for a in d.alarms if a.bin_rad_s is None):
+        energy[speed_row(stored.visibility, a.speed_mps)] += 1
+    head = "".join(f'<th scope="col">{_frequency(c)}</th>' for c in grid[0])
+    rows = "".join(
+        f'<tr><th scope="row">{grid[r][0].speed_mps[0]:.3g}–\N{WORD JOINER}{grid[r][0].speed_mps[1]:.3g}</th>'
+        + "".join(_map_cell(r, c) for c in grid[r])
+        + f'<td class="{VIOLATED if energy[r] else "none"}" data-energy-alarms="{energy[r]}">'
+        + (f"<span>{SIGNS[VIOLATED]}</span> {energy[r]}×" if energy[r] else "none")
+        + "</td></tr>"
+        for r in reversed(range(len(grid)))
+    )
+    level = _percent(LEVEL)
+    return f"""<figure class="map"><div class="scroll"><table id="blind-map">
+<thead><tr><th>m/s \\ rad/s</th>{head}<th scope="col">energy test</th></tr></thead>\
+<tbody>{rows}</tbody></table></div>
+<p id="map-reading" class="note" aria-live="polite">Point at a cell, or move with the arrow keys, for \
+all its numbers.</p>
+<figcaption><b>What the drives prove, by speed and frequency.</b> Number: the smallest gain error [%] that \
+the frame test sees in one frame of ten (threshold {stored.visibility["threshold"]:.4g}).
+<span class="key {PROVED}">{SIGNS[PROVED]} proved</span> judged, no alarm, and {level} would have been one;
+<span class="key {BLIND}">{SIGNS[BLIND]} blind</span> {level} could stay unseen;
+<span class="key {EMPTY}">{SIGNS[EMPTY]} no data</span>;
+<span class="key {VIOLATED}">{SIGNS[VIOLATED]} violated</span> alarms, how many. The error stands alone \
+here: the vehicle's ordinary error can hide or add to it.</figcaption></figure>"""
+
+
+# ---------------------------------------------------------------------------------------------------- alarms
+
+
+def place(test: str, omega: float | None, band: str | None = None) -> str:
+    """Test and frequency [rad/s] of an alarm or of what came near one, as text."""
+    if omega is None:
+        return f"{test} test" + (f", {band.replace('_', ' ')} the corners" if band else "")
+    return f"{test} test, {'DC' if omega == 0 else f'{omega:.3g} rad/s'}"
+
+
+def _alarm_row(drive: Told, alarm: Alarm) -> str:
+    ratio = alarm.statistic / alarm.threshold
+    return (
+        f'<tr data-drive="{escape(drive.name)}" data-t="{alarm.t_s:.2f}" data-ratio="{ratio:.4g}">'
+        f'<td><a href="#{drive.key}">{escape(drive.name)}</a></td>'
+        f"<td>{place(alarm.test, alarm.bin_rad_s, alarm.band)}</td><td>{ratio:.3g} ×</td>"
+        f"<td>{alarm.t_s:.1f} s</td><td>{alarm.speed_mps:.3g} m/s</td></tr>"
+    )
+
+
+def _nearest_words(drive: Told, near: Nearest) -> str:
+    """The drive without an alarm that came nearest to one."""
+    data = {
+        "drive": escape(drive.name),
+        "ratio": f"{near.ratio:.4g}",
+        "test": near.test,
+        "omega": "" if near.omega is None else f"{near.omega:.4g}",
+        "t": f"{near.t_s:.2f}",
+        "speed": f"{near.speed_mps:.4g}",
+    }
+    attributes = "".join(f' data-{key}="{value}"' for key, value in data.items())
+    itself = " Its score is the threshold." if abs(near.ratio - 1) < 1e-5 else ""
+    return (
+        f'<p id="nearest"{attributes}><b>Nearest to an alarm without one:</b> <a href="#{drive.key}">'
+        f"{escape(drive.name)}</a>, {near.ratio:.3f} of the threshold: {place(near.test, near.omega)}, "
+        f"{near.t_s:.1f} s after its start, {near.speed_mps:.3g} m/s ({drive.role}).{itself}</p>"
+    )
+
+
+def _independence(stored: StoredIdentification, told: list[Told], evaluation: dict | None) -> str:
+    """What the alarms, or their absence, are worth: whether drives set what they are judged by."""
+    groups = stored.manifest["drives"]
+    others = len({d.name for d in told} - set(groups["bounds"]) - set(groups["calibration"]))
+    words = (
+        f"{others} of the drives set neither bounds nor threshold."
+        if others
+        else "Every drive set the bounds or the threshold: no alarm on them proves little."
+    )
+    if evaluation is None:
+        return words
+    of = evaluation["false_alarms"]["all"]
+    return (
+        f'{words} <span id="left-out" data-alarmed="{of["alarmed_drives"]}" data-drives="{of["drives"]}">'
+        f"Each left out of its own threshold: {of['alarmed_drives']} of {of['drives']} alarm.</span>"
+    )
+
+
+def _alarms(told: list[Told], alarms: list[tuple[Told, Alarm]], worth: str) -> str:
+    """Card: what alarmed and why, what that is ``worth``, HTML, and the drive that came nearest."""
+    if not told:
+        return (
+            '<div class="card" id="alarms"><h3>Alarms</h3><p>Not replayed: the core computes Hann frames '
+            "only. The exact margins stand drive by drive below.</p></div>"
+        )
+    worst = sorted(alarms, key=lambda one: -one[1].statistic / one[1].threshold)
+    first: dict[str, tuple[Told, Alarm]] = {}
+    for drive, alarm in worst:
+        first.setdefault(drive.name, (drive, alarm))
+    shown = list(first.values())[:ALARMS_SHOWN]
+    head = f"{len(alarms)} on {len(first)} of {len(told)} drives" if alarms else "None"
+    table = (
+        '<div class="scroll"><table><thead><tr><th>drive</th><th>worst alarm</th><th>threshold</th>'
+        "<th>at</th><th>speed</th></tr></thead>"
+        f"<tbody>{''.join(_alarm_row(*one) for one in shown)}</tbody></table></div>"
+        if shown
+        else ""
+    )
+    more = f"<p>{len(first) - len(shown)} more drives with alarms.</p>" if len(first) > len(shown) else ""
+    quiet = [(d, d.nearest) for d in told if not d.alarms and d.nearest is not None]
+    nearest = max(quiet, key=lambda one: one[1].ratio, default=None)
+    words = _nearest_words(*nearest) if nearest else '<p id="nearest">No drive was judged without alarm.</p>'
+    return f"""<div class="card" id="alarms" data-alarms="{len(alarms)}" data-drives="{len(first)}">
+<h3>Alarms</h3><p>{head}. {worth} <a href="#drive-index">All drives in one table</a>.</p>{table}{more}{words}\
+</div>"""
+
+
+# ------------------------------------------------------------------------------------- controller, and to do
+
+
+def _promise(stored: StoredIdentification, design: Path | None) -> str:
+    """Card: what the controller promises, and the premise of every promise."""
+    try:
+        found = premise(stored)
+        least = found.refuting
+        words = yes_or_no(not found.refuted, "Premise not refuted", "Premise refuted")
+        said = (
+            "drives that did not set the bounds ask for nothing"
+            if least is None
+            else f"W<sub>Δ</sub> is {number(least.ratio)} times what drives that did not set the bounds ask "
+            f"for, at least ({escape(least.output.replace('_', ' '))}, {number(least.omega)} rad/s, "
+            f"{number(least.v)} m/s)"
+        )
+        doubt = (
+            ' <b class="no">Room for doubt:</b> within their standard errors a larger error is possible.'
+            if found.doubtful
+            else ""
+        )
+        held = f"{words}: {said}.{doubt}"
+    except InputError as error:
+        held = f'<span class="no">Premise not judged:</span> {escape(error.what)}.'
+    if design is None:
+        return (
+            '<div class="card" id="promise"><h3>Controller</h3><p>None on this page: it promises nothing '
+            f"about a closed loop. For any certificate: {held}</p></div>"
+        )
+    said_of = artefacts.read_json(design / "controller.json")["certificates"]
+    mu = max(r["mu_upper"] for r in [*said_of["speeds"], said_of["off_grid"]])
+    speeds = [r["v_mps"] for r in said_of["speeds"]]
+    moving = said_of["moving_speed"]["rate_mps2"]
+    return f"""<div class="card" id="promise" data-mu="{mu:.6g}"><h3>Controller</h3>
+<p>{yes_or_no(mu < 1, "Robust performance proved", "Robust performance not proved")}: μ ≤ {mu:.4f} at \
+{len(speeds)} frozen speeds from {min(speeds):.3g} to {max(speeds):.3g} m/s and one between, for every \
+vehicle within |δ| ≤ W<sub>Δ</sub>. {
+        "Nothing is claimed of a moving speed."
+        if moving is None
+        else f"The speed may move by {number(moving)} m/s²."
+    }</p><p>{held}</p></div>"""
+
+
+def _to_do(grid: list[list[MapCell]]) -> str:
+    """Card: what would make blind cells see."""
+    level = _percent(LEVEL)
+    flat = [c for row in grid for c in row]
+    louder = regions(grid, lambda c: c.state == BLIND and c.floor <= LEVEL)
+    empty = regions(grid, lambda c: c.state == EMPTY)
+    never = sum(c.state == BLIND and c.floor > LEVEL for c in flat)
+    lines = []
+    if empty:
+        lines.append(f"Drive there, nothing was counted:{_listed('to-drive', empty)}")
+    if louder:
+        lines.append(f"Excite more; {level} can be seen there:{_listed('to-excite', louder)}")
+    if never:
+        lines.append(
+            f"{never} of {len(flat)} cells stay blind to {level} at any excitation: only a better nominal "
+            "model, hence smaller W<sub>Δ</sub>, helps."
+        )
+    items = "".join(f"<li>{line}</li>" for line in lines)
+    return f'<div class="card" id="to-do"><h3>To see more</h3><ul>{items or "<li>nothing</li>"}</ul></div>'

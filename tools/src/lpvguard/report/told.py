@@ -1,0 +1,100 @@
+"""What the page keeps of every replayed drive: how near it came to an alarm, and its course in small."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..drives.tables import Drive
+from ..replay.run import Alarm, Replay, Replayer
+
+COLUMNS = 60
+"""Columns of a drive's course in small."""
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """Where a drive came nearest to an alarm, or farthest beyond.
+
+    ``ratio``: statistic over threshold, an alarm above 1. ``test``: "frame" or "energy". ``bin``: its place
+    in the bins and ``omega`` [rad/s]; None for the energy test. ``t_s``: end of what was judged [s after
+    the drive's start]; ``speed_mps`` [m/s].
+    """
+
+    ratio: float
+    test: str
+    bin: int | None
+    omega: float | None
+    t_s: float
+    speed_mps: float
+
+
+@dataclass(frozen=True)
+class Told:
+    """A replayed drive as overview, index and its own section need it.
+
+    ``key``: id of its section. ``role``: what the identification did with it, HTML. ``relevant_s`` and
+    ``judged_relevant_s`` [s]: in range and excited, and judged of that. ``course`` (COLUMNS,): largest
+    statistic over threshold of what ended in a column of time, NaN where nothing did. ``verdict`` (COLUMNS,):
+    code of the verdict at a column's end. ``section``: HTML.
+    """
+
+    key: str
+    name: str
+    driver: str
+    role: str
+    speed_mps: tuple[float, float]
+    duration_s: float
+    judged_s: float
+    relevant_s: float
+    judged_relevant_s: float
+    verdict_final: str
+    nearest: Nearest | None
+    alarms: list[Alarm]
+    course: np.ndarray
+    verdict: np.ndarray
+    section: str
+
+
+def nearest(replay: Replay, replayer: Replayer, drive: Drive) -> Nearest | None:
+    """Where the statistic of either test was largest in units of its threshold; None where nothing was
+    judged."""
+    frames, found = replay.run.frames, []
+    counted = np.flatnonzero(frames.counted)
+    if len(counted):
+        i = counted[np.argmax(frames.statistic[counted])]
+        k = int(frames.bin[i])
+        found.append(
+            Nearest(
+                float(frames.statistic[i]) / replayer.threshold,
+                "frame",
+                k,
+                float(replayer.estimator.omega[k]),
+                float(frames.t_end_s[i] - drive.t[0]),
+                float(frames.speed[i]),
+            )
+        )
+    if (replay.run.energy > 0).any():
+        n = int(np.argmax(replay.run.energy))
+        ratio = float(replay.run.energy[n]) / replayer.energy_threshold
+        found.append(Nearest(ratio, "energy", None, None, n * replay.Ts, float(drive.v[n])))
+    return max(found, key=lambda near: near.ratio, default=None)
+
+
+def course(replay: Replay, replayer: Replayer, t0: float) -> tuple[np.ndarray, np.ndarray]:
+    """Course and verdict of ``Told``, each (COLUMNS,); ``t0``: time of the drive's first sample [s]."""
+    frames, samples = replay.run.frames, len(replay.run.verdict)
+    ratio = np.full(COLUMNS, -np.inf)
+    counted = frames.counted
+    end = np.round((frames.t_end_s[counted] - t0) / replay.Ts)
+    np.maximum.at(ratio, _column(end, samples), frames.statistic[counted] / replayer.threshold)
+    judged = np.flatnonzero(replay.run.energy > 0)
+    np.maximum.at(ratio, _column(judged, samples), replay.run.energy[judged] / replayer.energy_threshold)
+    last = np.minimum(np.arange(1, COLUMNS + 1) * samples // COLUMNS, samples) - 1
+    return np.where(np.isfinite(ratio), ratio, np.nan), replay.run.verdict[np.maximum(last, 0)]
+
+
+def _column(sample: np.ndarray, samples: int) -> np.ndarray:
+    """Column of each sample number of a drive of so many samples."""
+    return np.clip(sample * COLUMNS // samples, 0, COLUMNS - 1).astype(int)
