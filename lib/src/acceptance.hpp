@@ -38,6 +38,22 @@ uint32_t coefficients_crc32(const Coeff& coeff) {
     return ~crc32_items(crc32_start, coeff, 0U, n_items<Coeff>);
 }
 
+// Of the words of anything plain: another one where a single bit has flipped. Four words a turn, for a sample has no time for more turns.
+template <class Items>
+uint32_t sum_of_words(const Items& items) {
+    constexpr std::size_t n_bytes = sizeof(Items), n = n_bytes / sizeof(uint32_t), n_fours = n / 4U;
+    uint32_t sum = 0U;
+    for (std::size_t k = 0; k < n_fours; ++k) {
+        const std::size_t i = 4U * k;
+        sum += item_at<uint32_t>(items, i) + item_at<uint32_t>(items, i + 1U) + item_at<uint32_t>(items, i + 2U) +
+               item_at<uint32_t>(items, i + 3U);
+    }
+    for (std::size_t i = 4U * n_fours; i < n; ++i) {
+        sum += item_at<uint32_t>(items, i);
+    }
+    return sum;
+}
+
 // Whether a condition holds for a number, or for every number of an array of any rank.
 template <class Items, class Condition>
 bool every(const Items& items, Condition holds) {

@@ -5,6 +5,7 @@
 
 #include <cmath>
 #include <cstring>
+#include <utility>
 
 #include "acceptance.hpp"
 #include "begin.hpp"
@@ -85,22 +86,22 @@ void pace(lpvg_ecu_t& self, uint32_t step) {
     clock.half_us = self.core_us;
 }
 
-void keep(lpvg_ecu_t& self) {
-    self.sum = 0U;
-    for (std::size_t i = 0; i < n_kept; ++i) {
-        const uint32_t word = lpvguard::item_at<uint32_t>(self.kept, i);
-        self.inverted[i] = ~word;
-        self.sum += word;
-    }
+// Written out word by word: both run in every step.
+template <std::size_t... i>
+void invert(lpvg_ecu_t& self, std::index_sequence<i...>) {
+    ((self.inverted[i] = ~lpvguard::item_at<uint32_t>(self.kept, i)), ...);
+}
+template <std::size_t... i>
+uint32_t differences(const lpvg_ecu_t& self, std::index_sequence<i...>) {
+    return (0U | ... | (~lpvguard::item_at<uint32_t>(self.kept, i) ^ self.inverted[i]));
 }
 
-bool kept_well(const lpvg_ecu_t& self) {
-    uint32_t wrong = 0U;
-    for (std::size_t i = 0; i < n_kept; ++i) {
-        wrong |= ~lpvguard::item_at<uint32_t>(self.kept, i) ^ self.inverted[i];
-    }
-    return wrong == 0U;
+void keep(lpvg_ecu_t& self) {
+    invert(self, std::make_index_sequence<n_kept>{});
+    self.sum = lpvguard::sum_of_words(self.kept);
 }
+
+bool kept_well(const lpvg_ecu_t& self) { return differences(self, std::make_index_sequence<n_kept>{}) == 0U; }
 
 // Takes the kept values from whichever copy still has their sum; false where none has.
 bool rescue(lpvg_ecu_t& self) {

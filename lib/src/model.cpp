@@ -3,6 +3,7 @@
 
 #include <limits>
 
+#include "acceptance.hpp"
 #include "eigen.hpp"
 
 namespace {
@@ -16,13 +17,9 @@ using ConstMap = Eigen::Map<const Matrix<Rows, Cols>>;
 constexpr int nx = LPVG_NX, nu = LPVG_NU, ny = LPVG_NY;
 constexpr Real no_speed = std::numeric_limits<Real>::lowest();  // a small negative one is a reading that sensors give
 
-constexpr uint32_t n_renewed = (LPVG_NENTRIES + 7U) / 8U;  // entries a time: all within eight
-
 // Entries at the speed: the constant ones, and the cubic of the speed's cell for those that vary.
 void set_speed(lpvg_model_t* self, const lpvg_coeff_t* coeff, Real speed) {
-    // From time to time at the same speed as well, so that damage does not stay.
-    self->held = speed == self->speed && self->held + 1U < LPVG_NENTRIES ? self->held + 1U : 0U;
-    if (self->held > 0U) {
+    if (speed == self->speed) {
         return;
     }
     const lpvg_coeff_reals_t& r = coeff->reals;
@@ -33,17 +30,13 @@ void set_speed(lpvg_model_t* self, const lpvg_coeff_t* coeff, Real speed) {
     auto cell = static_cast<std::size_t>(bounded);
     cell = cell < LPVG_NCELLS ? cell : LPVG_NCELLS - 1U;
     const Real x = bounded - static_cast<Real>(cell);
-    // Some of the constant entries as well. Where it is one that varies, its polynomial follows.
-    for (uint32_t i = 0U; i < n_renewed; ++i) {
-        self->next = self->next + 1U < LPVG_NENTRIES ? self->next + 1U : 0U;
-        self->entry[self->next] = r.base[self->next];
-    }
     for (std::size_t i = 0; i < LPVG_NVARYING; ++i) {
         const Real* p = r.cell[cell][i];
         const uint32_t index = coeff->words.varying_entry[i];
         self->entry[index < LPVG_NENTRIES ? index : 0U] = p[0] + x * (p[1] + x * (p[2] + x * p[3]));
     }
     self->speed = speed;
+    self->sum = lpvguard::sum_of_words(self->entry);
 }
 
 }  // namespace
@@ -54,7 +47,7 @@ extern "C" void lpvg_model_start(lpvg_model_t* self, const lpvg_coeff_t* coeff, 
         self->entry[i] = r.base[i];
     }
     self->speed = no_speed;
-    self->next = self->held = 0U;
+    self->sum = lpvguard::sum_of_words(self->entry);
     for (auto& past : self->past) {
         for (std::size_t i = 0; i < LPVG_NU; ++i) {
             past[i] = u[i] - r.input_offset[i];

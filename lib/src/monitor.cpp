@@ -11,7 +11,6 @@
 #include "lpvguard/monitor.h"
 
 #include <cmath>
-#include <cstddef>
 #include <limits>
 
 #include "acceptance.hpp"
@@ -366,16 +365,17 @@ void start(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
     ++self.restarts;
 }
 
-// Of the energy test's filters and sums. A flip in them could blind it for many times its memory: a large bound decays slowly.
+// Of the energy test's filters and right sums. A flip in them could blind it for many times its memory: a large bound decays slowly. One in
+// a left sum falsifies, or is forgotten with the memory.
 uint32_t sum_of(const lpvg_energy_t& energy) {
-    uint32_t sum = 0U;
-    for (std::size_t i = 0; i < offsetof(lpvg_energy_t, ratio) / sizeof(uint32_t); ++i) {
-        sum += lpvguard::item_at<uint32_t>(energy, i);
+    uint32_t sum = lpvguard::sum_of_words(energy.F) + lpvguard::sum_of_words(energy.W);
+    for (const lpvg_energy_band_t& band : energy.band) {
+        sum += lpvguard::sum_of_words(band.right);
     }
     return sum;
 }
 
-// Whether what indexes the state is within it, one bin in turn, and the energy test as the newest sample left it.
+// Whether what indexes the state is within it, one bin in turn, and energy test and model entries as the newest sample left them.
 bool state_well(lpvg_monitor_t& self) {
     self.turn = self.turn + 1U < LPVG_NBINS ? self.turn + 1U : 0U;
     const lpvg_bin_t& bin = self.bin[self.turn];
@@ -384,7 +384,7 @@ bool state_well(lpvg_monitor_t& self) {
            self.energy.next_direction < LPVG_NDIRECTIONS && self.energy.strongest < LPVG_NBANDS &&
            bin.n < self.coeff->words.frame_length[self.turn] / 2U && bin.n_history <= LPVG_NHISTORY && bin.next_history < LPVG_NHISTORY &&
            (!self.has_evidence || self.t_evidence_us <= self.t_us) && (!self.has_falsified || self.t_falsified_us <= self.t_us) &&
-           sum_of(self.energy) == self.energy_sum;
+           sum_of(self.energy) == self.energy_sum && lpvguard::sum_of_words(self.model.entry) == self.model.sum;
 }
 
 // After damage: as init left it, and the sample counts as refused.

@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstddef>
 #include <complex>
 #include <cstring>
 #include <deque>
@@ -367,13 +366,15 @@ TEST_CASE("a bound that is not finite excuses nothing, in no direction that it i
     }
 }
 
-// Makes what was written to the energy test what the newest sample left, as far as the monitor can tell.
-static void take_as_computed(lpvg_monitor_t& monitor) {
-    uint32_t words[offsetof(lpvg_energy_t, ratio) / sizeof(uint32_t)];
-    std::memcpy(words, &monitor.energy, sizeof words);
-    monitor.energy_sum = 0U;
-    for (const uint32_t word : words) {
-        monitor.energy_sum += word;
+// Makes what was written to the right sums what the newest sample left, as far as the monitor can tell.
+static void take_as_computed(lpvg_monitor_t& monitor, const lpvg_energy_t& before) {
+    for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
+        uint32_t now[sizeof before.band[b].right / sizeof(uint32_t)], then[sizeof now / sizeof now[0]];
+        std::memcpy(now, monitor.energy.band[b].right, sizeof now);
+        std::memcpy(then, before.band[b].right, sizeof then);
+        for (std::size_t i = 0; i < sizeof now / sizeof now[0]; ++i) {
+            monitor.energy_sum += now[i] - then[i];
+        }
     }
 }
 
@@ -383,9 +384,10 @@ TEST_CASE("a sum that is not finite falsifies, and the test starts anew", "[unit
     Drive drive;
     drive.run(words().energy_settle + 10U);
     REQUIRE(drive.verdict() != lpvg_verdict_invalid);
+    const lpvg_energy_t before = drive.monitor.energy;
     auto& band = drive.monitor.energy.band[LPVG_NBANDS - 1];
     std::fill(std::begin(left ? band.left : band.right), std::end(left ? band.left : band.right), what);
-    take_as_computed(drive.monitor);
+    take_as_computed(drive.monitor, before);
     drive.run(2U * LPVG_NBINS);
     CHECK(drive.verdict() == lpvg_verdict_invalid);
     for (const auto& each : drive.monitor.energy.band) {

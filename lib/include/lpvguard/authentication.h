@@ -69,7 +69,8 @@ typedef struct lpvg_can_auth_t {
 /// Returns bad_argument (NULL, no hook, two equal identifiers under the mask, pair_us of 0); *self is untouched then.
 LPVG_NODISCARD lpvg_status_t lpvg_can_auth_init(lpvg_can_auth_t* self, const lpvg_can_auth_config_t* config, uint64_t freshness);
 
-/// Judges one frame. *out is written with `passed` and `other` only: the authentic message with the time at which it came, or the frame.
+/// Judges one frame; `none`, and nothing happens, for NULL or without init. *out is written with `passed` and `other` only: the authentic
+/// message with the time at which it came, or the frame.
 lpvg_can_auth_event_t lpvg_can_auth_receive(lpvg_can_auth_t* self, const lpvg_can_frame_t* frame, lpvg_can_frame_t* out);
 
 /// Makes the authenticator of a message that is sent next, after end-to-end protection, and steps the freshness.

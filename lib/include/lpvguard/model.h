@@ -5,8 +5,7 @@
 /// exact zero-order hold of the continuous model (paper, section IV; THEORY 3.1), its entries tabulated over speed as
 /// cubics whose error the vehicle's MANIFEST.json states. Outside the scheduling range the nearest speed is used.
 ///
-/// Cost: constant; entries are recomputed when the speed has changed and every LPVG_NENTRIES steps at one speed, and an eighth of
-/// the constant ones is renewed then. RAM:
+/// Cost: constant; entries are recomputed when the speed has changed. RAM:
 /// sizeof(lpvg_model_t). Threads: one instance per thread; no function blocks.
 #ifndef LPVGUARD_MODEL_H
 #define LPVGUARD_MODEL_H
@@ -25,8 +24,7 @@ typedef struct lpvg_model_t {
     // cppcheck-suppress misra-c2012-2.2 ; a delay of no sample makes the sum look idle
     lpvg_real_t past[LPVG_DELAY + 1][LPVG_NU];      ///< inputs u_{k-1}, ... u_{k-d-1} less the offset, newest first
     lpvg_real_t entry[LPVG_NENTRIES];               ///< Ad, B_old, B_new at `speed`
-    uint32_t next;                                  ///< constant entry that was renewed last
-    uint32_t held;                                  ///< steps at this speed since the entries were recomputed
+    uint32_t sum;                                   ///< of the words of `entry`
     lpvg_real_t speed;                              ///< speed of `entry` [m/s]; the lowest number: none yet
 } lpvg_model_t;
 

@@ -145,7 +145,7 @@ typedef struct lpvg_monitor_t {
     const lpvg_coeff_t* coeff;
     lpvg_model_t model;
     lpvg_energy_t energy;                     ///< `energy.ratio` may be read
-    uint32_t energy_sum;                      ///< of the words of its filters and sums, after the newest sample
+    uint32_t energy_sum;                      ///< of the words of its filters and right sums, after the newest sample
     uint32_t energy_quiet;                    ///< judgements since the energy test's last exceedance, energy_rearm at most
     lpvg_bin_t bin[LPVG_NBINS];
     lpvg_frame_t frame;                       ///< newest judged frame
