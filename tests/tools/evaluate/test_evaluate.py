@@ -356,6 +356,34 @@ def test_recordings_of_the_index_reach_the_claims_and_whole_ones_are_left_out(fo
         identify.identify(g80, made)
 
 
+@pytest.mark.slow("10 s: an identification of 21 pieces")
+def test_21_pieces_of_two_recordings_buy_no_alpha_and_the_sentence_says_why(folder, synthetic, lpvguard):
+    """From the drive folder to console and JSON: 11 drives of two days, each but one cut in two."""
+    names = [f"synthetic_{k:02d}" for k in range(5, 16)]
+    made = folder(dict.fromkeys(("synthetic_01", "synthetic_02"), "train"))
+    rows = [("synthetic_01", "train", ""), ("synthetic_02", "train", "")]
+    for k, name in enumerate(names):
+        header, *lines = (synthetic / f"{name}.csv").read_text().splitlines()
+        cuts = [lines] if k == 0 else [lines[: len(lines) // 2], lines[len(lines) // 2 :]]
+        for i, piece in enumerate(cuts):
+            (made / f"{name}_{i}.csv").write_text("\n".join([header, *piece]) + "\n")
+            rows.append((f"{name}_{i}", "valid", "monday" if k < 6 else "tuesday"))
+    (made / "experiments.csv").write_text(index_text(rows))
+    out = made.parent / "identified"
+    done = lpvguard("identify", "--vehicle", "g80", made, "-o", out, "--json", made.parent / "told.json")
+    assert done.returncode == 0, done.stderr
+    why = (
+        "alpha is not stated: 21 drives calibrate, of 2 recordings that did not set the bounds; "
+        "pieces of one recording are no draws of their own"
+    )
+    assert " ".join(done.stderr.split()).count(why) == 2, "of both tests"
+    told = json.loads((made.parent / "told.json").read_text())
+    for calibration in (told, told["energy"]["calibration"]):
+        assert calibration["alpha"] is None is calibration["conditional_bound"]
+        assert len(calibration["scores"]) == 21
+        assert calibration["threshold"] == max(calibration["scores"].values())
+
+
 @pytest.mark.slow("5 s: an identification and its evaluation")
 def test_short_and_unexcited_drives_are_counted_and_named(folder, g80, core):
     def change(name: str, lines: list[str]) -> list[str]:

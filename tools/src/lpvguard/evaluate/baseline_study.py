@@ -141,7 +141,7 @@ class BaselineStudy:
 
     def on(self, further: list[Experiment]) -> OnDrives:
         """The best of each kind, tuned and calibrated on all own drives, on ``further`` ones."""
-        tuned = {b: (threshold,) for b, threshold in map(self.best, KINDS)}
+        tuned: dict[Baseline, tuple[float, ...]] = {b: (h,) for b, h in map(self.best, KINDS)}
         largest = self._over(partial(_largest, self.reader, self.bank, tuple(tuned)), further, "baselines")
         return OnDrives(largest, self._cases(further, tuned))
 
