@@ -15,10 +15,13 @@ import pytest
 from lpvguard.base.artefacts import write_files
 from lpvguard.base.errors import InputError
 from lpvguard.can.logs import EXTENDED, Frames, read_log
-from lpvguard.can.play import write_candump
+from lpvguard.can.play import values_of_drive, write_candump
+from lpvguard.core.coefficients import signal_table_markdown
 from lpvguard.core.compiled import VERDICTS, Core
 from lpvguard.drives.ingest import ingest
 from lpvguard.drives.signal_map import map_of_project
+from lpvguard.drives.tables import Drive
+from lpvguard.fit.project_file import with_numbers
 from lpvguard.replay.receive import Receiver
 from lpvguard.replay.run import Replayer
 from lpvguard.vehicle.nominal import NominalModel
@@ -380,6 +383,21 @@ def test_a_message_without_a_cycle_time_asks_for_one(tmp_path):
 def test_a_missing_database_is_named(tmp_path):
     with pytest.raises(InputError, match=r"nowhere.dbc.*no such file"):
         Receiver(load_project(other(tmp_path, dbc="nowhere.dbc")))
+
+
+def test_sums_stand_in_the_signal_table_and_a_fitted_project_file_keeps_its_database(tmp_path):
+    path = other(tmp_path)
+    table_of_signals = signal_table_markdown(load_project(path))
+    assert "STEER.ANGLE + STEER.FINE = -57.2958 × value" in table_of_signals
+    text = path.read_text().replace("other.dbc", "databases/other.dbc")
+    assert 'dbc = "other.dbc"' in with_numbers(text, "test", {"L": 2.7})
+
+
+def test_a_table_is_not_played_onto_a_bus_that_is_only_read(tmp_path):
+    t = PERIOD_S * np.arange(20)
+    drive = Drive("drive", t, 9.0 + 0 * t, np.zeros((20, 1)), np.zeros((20, 1)))
+    with pytest.raises(InputError, match="the car's own bus, which is only read"):
+        values_of_drive(load_project(other(tmp_path)), drive)
 
 
 # ------------------------------------------------------------------------------------------------- a real car

@@ -1,9 +1,11 @@
-"""Seeded synthetic drives of a g80-like car, for machines without the measured data.
+"""Seeded synthetic drives of a passenger car, for machines without the measured data.
 
 The truth is not the nominal model. It is a two-state bicycle model (side-slip and yaw rate, tyre cornering
 stiffness) with its own delay. A lateral disturbance, a sensor bias of each drive, noise and the sensors'
 quantisation come on top. The drives stand in for measured ones in tests and the demo. Numbers that are stated
-for the car come from measured drives only.
+for a measured car come from measured drives only.
+
+A vehicle with a second input, in kN m, has torque vectoring: a yaw moment that acts without delay.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import numpy as np
 from scipy.signal import butter, sosfilt
 
 from ..base.artefacts import write_files
+from ..base.errors import InputError
 from ..vehicle.project import Project
 
 Row = tuple[str, str, str]
@@ -54,9 +57,15 @@ def _coloured(random: np.random.Generator, n: int, band_hz: tuple[float, float],
     return x / x.std()
 
 
+def _yaw_moment(random: np.random.Generator, n: int, mean_speed: float, Ts: float) -> np.ndarray:
+    """(n,) [kN m]: of such a size that it turns the car about three quarters as much as the steering does."""
+    return 12.0 / (1.0 + 0.02 * mean_speed**2) * _coloured(random, n, (0.05, 1.0), Ts)
+
+
 def _drive(
-    random: np.random.Generator, mean_speed: float, duration: float, Ts: float
-) -> dict[str, np.ndarray]:
+    random: np.random.Generator, mean_speed: float, duration: float, Ts: float, seed: list[int] | None
+) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
+    """Columns of a drive, and the yaw moment (n,) [kN m] from ``seed`` (None: the car has none)."""
     n = round(duration / Ts) + 1
     t = np.arange(n) * Ts
     # Starts and ends at standstill; in between the speed wanders by some ten per cent.
@@ -78,6 +87,8 @@ def _drive(
     )
     side_force = 250.0 * _coloured(random, n, (0.05, 1.0), Ts)  # N: bank and wind
     acted = np.r_[np.zeros(DELAY_SAMPLES), delta[: n - DELAY_SAMPLES]]
+    moment = None if seed is None else _yaw_moment(np.random.default_rng(seed), n, mean_speed, Ts)
+    turning = np.zeros(n) if moment is None else 1e3 * moment  # N m
 
     h = Ts / STEPS
     slip, rate, r = 0.0, 0.0, np.empty(n)
@@ -88,15 +99,16 @@ def _drive(
             front = FRONT_STIFFNESS * (acted[k] - slip - FRONT_M * rate / speed)
             rear = REAR_STIFFNESS * (-slip + REAR_M * rate / speed)
             slip += h * ((front + rear + side_force[k]) / (MASS_KG * speed) - rate)
-            rate += h * (FRONT_M * front - REAR_M * rear) / YAW_INERTIA
+            rate += h * (FRONT_M * front - REAR_M * rear + turning[k]) / YAW_INERTIA
     moving = np.clip(v / 2.0, 0.0, 1.0)
     r = r * moving + 1.5e-3 * random.standard_normal() + 9e-4 + 6.5e-4 * random.standard_normal(n)
-    return {
+    columns = {
         "t": t,
         "v": v,
         "delta": np.round(delta / ANGLE_GRID_RAD) * ANGLE_GRID_RAD,
         "r": np.round(r / RATE_GRID_RPS) * RATE_GRID_RPS,
     }
+    return columns, moment
 
 
 def _csv(columns: dict[str, np.ndarray]) -> str:
@@ -112,13 +124,27 @@ def _csv(columns: dict[str, np.ndarray]) -> str:
 
 
 def write_drives(project: Project, folder: Path, seed: int, tell: Callable[[str], None]) -> list[Row]:
-    """Write the car's drive tables into an existing folder; returns the rows of experiments.csv."""
+    """Write the car's drive tables into an existing folder; returns the rows of experiments.csv.
+
+    InputError where a second input is no yaw moment in kN m."""
+    vectored = project.inputs[1] if project.n_u == 2 else None
+    if vectored is not None and vectored.unit != "kN m":
+        raise InputError(
+            f"vehicle {project.name}",
+            f"signal {vectored.name}",
+            f"in {vectored.unit}",
+            "a yaw moment in kN m",
+        )
     rows = []
     for index, (split, driver, speed, duration) in enumerate(PLAN):
         name = f"synthetic_{index:02d}"
         tell(name)
         # One stream a drive: a drive does not change when others are added.
         random = np.random.default_rng([seed, index])
-        write_files(folder, {f"{name}.csv": _csv(_drive(random, speed, duration, project.Ts_s))})
+        own = None if vectored is None else [seed, index, 1]
+        columns, moment = _drive(random, speed, duration, project.Ts_s, own)
+        if vectored is not None and moment is not None:
+            columns[vectored.column] = moment
+        write_files(folder, {f"{name}.csv": _csv(columns)})
         rows.append((name, split, driver))
     return rows

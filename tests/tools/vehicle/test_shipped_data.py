@@ -1,0 +1,36 @@
+"""Shipped project files beside the data that they are about."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lpvguard.drives.ingest import ingest
+from lpvguard.drives.signal_map import Column, SignalMap, Term
+from lpvguard.drives.tables import read_drive
+from lpvguard.vehicle.nominal import NominalModel
+from lpvguard.vehicle.project import load_project
+
+RAW = {"v": ("linear_vel_x", "m/s"), "delta": ("steering_angle", "rad"), "r": ("angular_vel_z", "rad/s")}
+
+
+def test_the_race_cars_model_explains_its_laps(race_car, tmp_path):
+    """Each lap with a trim of its own, for the steering's differs by day."""
+    car = load_project("f1tenth")
+    columns = {name: Column(unit=unit, terms=[Term(signal=signal)]) for name, (signal, unit) in RAW.items()}
+    laps = sorted(race_car.glob("rl_*.csv"))
+    ingest(
+        laps, dbc=None, signals_map=SignalMap(schema=1, Ts_s=car.Ts_s, columns=columns), out=tmp_path / "d"
+    )
+    assert len(laps) == 6
+    explained = []
+    for lap in laps:
+        drive = read_drive(tmp_path / "d" / f"{lap.stem}.csv", car, any_values=True)
+        explained.append(max(_explained(car, drive, trim) for trim in np.arange(-0.3, 0.31, 0.02)))
+    assert min(explained) > 0.7 and np.mean(explained) > 0.85
+
+
+def _explained(car, drive, trim: float) -> float:
+    model = NominalModel(car)
+    inside = (drive.v > car.model.speed_min_mps) & (drive.v < car.model.speed_max_mps)
+    error = drive.y - model.simulate(drive.v, drive.u - trim, drive.y[0])
+    return float(1 - error[inside].var() / drive.y[inside].var())
