@@ -236,6 +236,8 @@ def budget_rows(report: dict[str, Any]) -> list[list[str]]:
             "",
             "",
             "",
+            "",
+            "",
         ]
     ]
     for run in report["targets"]:
@@ -255,6 +257,8 @@ def budget_rows(report: dict[str, Any]) -> list[list[str]]:
                         stack,
                         run["parts"]["ecu_init"]["worst"],
                         run["parts"]["ecu_step_full"]["worst"],
+                        run["parts"]["j1939_step"]["worst"],
+                        run["structs"]["j1939"],
                         f"{run['load_percent']:.2f} %",
                     )
                 ),
@@ -281,6 +285,8 @@ def write_guide(path: Path, report: dict[str, Any]) -> None:
         "stack [B]",
         "init [instr]",
         "step, full bus [instr]",
+        "J1939 step, beside [instr]",
+        "J1939 RAM [B]",
         f"of {report['clock_mhz']:g} MHz",
         "ELF",
     ]
