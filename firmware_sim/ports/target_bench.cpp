@@ -312,6 +312,41 @@ void run_authentication() {
     part.write();
 }
 
+// The J1939 module beside the step, at its worst: every place taken, one code that comes and goes in each step, a full bus of requests
+// and claims, and a broadcast on its way.
+void run_j1939() {
+    static lpvg_j1939_memory_t memory;
+    static lpvg_j1939_t j1939;
+    const lpvg_j1939_config_t config = {1U, lpvg_bus.own_address};
+    constexpr uint32_t requests[] = {65226U, 65227U, 65229U, 64951U, 65262U};
+    require(lpvg_j1939_init(&j1939, &config, &memory, 0, nullptr) == lpvg_status_ok, "the J1939 module refused its set-up\n");
+    Part part("j1939_step");
+    for (uint32_t k = 0; k < 1000U; ++k) {
+        lpvg_can_frame_t in[LPVG_ECU_FRAMES_IN] = {}, out[LPVG_J1939_FRAMES_OUT];
+        for (std::size_t i = 0; i < LPVG_ECU_FRAMES_IN; ++i) {
+            const uint32_t pgn = requests[i % 5U];
+            in[i].id = LPVG_CAN_EXTENDED | 0x18EA00F9U | (static_cast<uint32_t>(lpvg_bus.own_address) << 8U);
+            in[i].dlc = 3U;
+            in[i].data[0] = static_cast<uint8_t>(pgn);
+            in[i].data[1] = static_cast<uint8_t>(pgn >> 8U);
+            in[i].data[2] = static_cast<uint8_t>(pgn >> 16U);
+        }
+        lpvg_j1939_findings_t findings = {};
+        findings.n_codes = LPVG_J1939_CODES_MAX - 1U;
+        for (uint8_t i = 0U; i < findings.n_codes; ++i) {
+            findings.code[i] = {520200U + i, 2U, 0U};
+        }
+        findings.code[0].spn += k % 2U == 0U ? 100U : 0U;
+        std::size_t n_out = 0;
+        part.run([&] {
+            require(lpvg_j1939_step(&j1939, 10'000 * static_cast<int64_t>(k), in, LPVG_ECU_FRAMES_IN, &findings, out, LPVG_J1939_FRAMES_OUT,
+                                    &n_out) == lpvg_status_ok,
+                    "no J1939 step\n");
+        });
+    }
+    part.write();
+}
+
 // Everything at once: frames in, supervision, cross-checks, controller, monitor, frames out.
 void run_ecu() {
     // The drive is no answer to the demands of this controller: what is found of it must not end the measurement.
@@ -354,8 +389,10 @@ int main() {
     Line().word("size").word("ecu").number(sizeof(lpvg_ecu_t)).write();
     run_controller();
     run_dense_controller();
+    Line().word("size").word("j1939").number(sizeof(lpvg_j1939_t) + sizeof(lpvg_j1939_memory_t)).write();
     run_ecu();
     run_authentication();
+    run_j1939();
 #endif
     port_write("end\n");
     return 0;

@@ -135,7 +135,7 @@ uint8_t activate(lpvg_j1939_t& self, const lpvg_can_dtc_t& code, const lpvg_j193
         entry.occurrence = static_cast<uint8_t>(entry.occurrence + (entry.occurrence < occurrence_max ? 1U : 0U));
         entry.active = 1U;
         entry.run = static_cast<uint8_t>(memory.runs % run_modulo);
-        memory.crc32 = crc_of(memory);
+        self.changed = true;
         tell(self, i);
     }
     return i;
@@ -146,7 +146,7 @@ void take_findings(lpvg_j1939_t& self, const lpvg_j1939_findings_t& findings) {
     for (uint8_t i = 0U; i < LPVG_J1939_CODES_MAX; ++i) {
         if (memory.entry[i].active != 0U && !names(findings, memory.entry[i])) {
             memory.entry[i].active = 0U;
-            memory.crc32 = crc_of(memory);
+            self.changed = true;
             tell(self, i);
         }
     }
@@ -163,7 +163,7 @@ void forget(lpvg_j1939_t& self, uint8_t active) {
             std::memset(&entry, 0, sizeof entry);
         }
     }
-    self.memory->crc32 = crc_of(*self.memory);
+    self.changed = true;
 }
 
 // --- what is received ---
@@ -505,6 +505,10 @@ lpvg_status_t lpvg_j1939_step(lpvg_j1939_t* self, int64_t now_us, const lpvg_can
         take_frame(*self, frames_in[i]);
     }
     take_findings(*self, *findings);
+    if (self->changed) {
+        self->memory->crc32 = crc_of(*self->memory);
+        self->changed = false;
+    }
     Out out(frames_out, now_us);
     send(*self, out);
     *n_out = out.size();

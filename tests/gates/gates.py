@@ -381,7 +381,7 @@ def manual(tree: Path, scratch: Path) -> list[str]:
 
 def requirements(tree: Path, scratch: Path) -> list[str]:
     stated = re.findall(
-        r"^\| (REQ-[A-Z]+-\d+) \|", (tree / "lib" / "REQUIREMENTS.md").read_text(), re.MULTILINE
+        r"^\| (REQ-[A-Z][A-Z0-9]*-\d+) \|", (tree / "lib" / "REQUIREMENTS.md").read_text(), re.MULTILINE
     )
     tests = tree / "tests"
     tagged = [
@@ -398,7 +398,7 @@ def requirements(tree: Path, scratch: Path) -> list[str]:
     tagged += [
         (path, name)
         for path in sorted(tests.rglob("CMakeLists.txt"))
-        for name in re.findall(r"REQ-[A-Z]+-\d+", path.read_text())
+        for name in re.findall(r"REQ-[A-Z][A-Z0-9]*-\d+", path.read_text())
     ]
     named = {name for _, name in tagged}
     print(f"{len(stated)} requirements, named {len(tagged)} times")

@@ -236,7 +236,9 @@ def references(tree: Path, scratch: Path) -> list[str]:
     theory.check(files[THEORY].read_text(encoding="utf-8"), found)
     stated = set(
         re.findall(
-            r"^\| (REQ-[A-Z]+-\d+) \|", files["lib/REQUIREMENTS.md"].read_text(encoding="utf-8"), re.MULTILINE
+            r"^\| (REQ-[A-Z][A-Z0-9]*-\d+) \|",
+            files["lib/REQUIREMENTS.md"].read_text(encoding="utf-8"),
+            re.MULTILINE,
         )
     )
     endings = {"/".join(f.split("/")[i:]) for f in files for i in range(f.count("/") + 1)}
@@ -322,7 +324,7 @@ def _citations(line: str, where, name: str, theory: Theory, stated: set[str], fo
         for m in pattern.finditer(line):
             for number in filter(None, m.groups()):
                 found.see(number in known, where(m.start()), f"the paper has no {what} {number}")
-    for m in re.finditer(r"\bREQ-[A-Z]+-\d+\b", line):
+    for m in re.finditer(r"\bREQ-[A-Z][A-Z0-9]*-\d+\b", line):
         found.see(m[0] in stated, where(m.start()), f"{m[0]} is no requirement")
     for m in re.finditer(r"\b[Ss]ection (\d+(?:\.\d+)*)", line):
         own = name == THEORY and m[1] in theory.sections

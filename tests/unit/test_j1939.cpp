@@ -552,6 +552,17 @@ TEST_CASE("the memory survives a reset, its active codes as previously active on
     CHECK(lpvg_j1939_entry(&fresh, 0U) == nullptr);
 }
 
+TEST_CASE("the number of the run stays a number of the bus", "[unit][j1939][REQ-J1939-7]") {
+    Node node;
+    const uint8_t last = GENERATE(as<uint8_t>{}, 250, 251);
+    while (node.memory.runs < last) {
+        node.start();
+    }
+    node.find({dtc_a});
+    node.step();
+    CHECK(node.memory.entry[0].run == (last == 250U ? 250U : 0U));
+}
+
 TEST_CASE("every single bit that flips in the memory clears it", "[unit][j1939][REQ-J1939-7]") {
     Node node;
     node.find({dtc_a, dtc_b});

@@ -164,6 +164,7 @@ typedef struct lpvg_j1939_t {
     uint8_t state;                          ///< lpvg_j1939_state_t
     uint8_t address;                        ///< claimed or being claimed; LPVG_J1939_ADDRESS_NULL: none
     bool claim;                             ///< a claim is to be sent at claim_us
+    bool changed;                           ///< the memory, since its CRC was made
 } lpvg_j1939_t;
 
 /// Packs a NAME. Returns ok; bad_argument for NULL and for a field that is too large, *packed is untouched then.

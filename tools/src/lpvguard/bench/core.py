@@ -237,6 +237,7 @@ def budget_rows(report: dict[str, Any]) -> list[list[str]]:
             "",
             "",
             "",
+            "",
         ]
     ]
     for run in report["targets"]:
@@ -257,6 +258,8 @@ def budget_rows(report: dict[str, Any]) -> list[list[str]]:
                         run["parts"]["ecu_init"]["worst"],
                         run["parts"]["ecu_step_full"]["worst"],
                         run["parts"]["auth_pair"]["worst"],
+                        run["parts"]["j1939_step"]["worst"],
+                        run["structs"]["j1939"],
                         f"{run['load_percent']:.2f} %",
                     )
                 ),
@@ -284,6 +287,8 @@ def write_guide(path: Path, report: dict[str, Any]) -> None:
         "init [instr]",
         "step, full bus [instr]",
         "authenticated message [instr]",
+        "J1939 step, beside [instr]",
+        "J1939 RAM [B]",
         f"of {report['clock_mhz']:g} MHz",
         "ELF",
     ]
