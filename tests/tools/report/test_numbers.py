@@ -107,7 +107,7 @@ def test_every_picture_of_the_page_is_written_as_svg_and_csv(case, page, tmp_pat
     frames = replay.run.frames
     assert len(rows) == len(frames.bin)
     assert max(float(r["value"]) for r in rows) == pytest.approx(float(frames.margin.max()), rel=1e-6)
-    assert max(float(r["x_end"]) for r in rows) <= replay.duration_s + 1e-6
+    assert max(float(r["x_end"]) for r in rows) <= replay.duration_s + replay.Ts + 1e-6, "the sample after"
     (folder / "d3.csv").write_text("mine")
     with pytest.raises(InputError, match=r"d3\.csv"):
         write()
