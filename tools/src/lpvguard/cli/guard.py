@@ -37,7 +37,9 @@ def _named(name: str, given: dict[str, Any]) -> tuple[list[Path], list[Path], li
     files: list[Path] = []
     inputs: list[Path] = []
     for key, value in given.items():
-        if key in ("out", "json_out"):
+        if key == "pictures":
+            folders += [] if value is None else [Path(value)]
+        elif key in ("out", "json_out"):
             if value is not None and str(value) != "-":
                 (files if key == "json_out" or name in _FILES else folders).append(Path(value))
         elif key == "lcm":

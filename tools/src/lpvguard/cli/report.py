@@ -23,6 +23,9 @@ def report(
     campaign: Annotated[Path | None, typer.Option(help="Folder written by campaign.")] = None,
     design: Annotated[Path | None, typer.Option(help="Folder written by design.")] = None,
     tradeoff: Annotated[Path | None, typer.Option(help="Folder written by design --tradeoff.")] = None,
+    pictures: Annotated[
+        Path | None, typer.Option(help="Also write every picture as SVG and CSV into this folder.")
+    ] = None,
 ) -> None:
     """One self-contained HTML page with every picture and table."""
     from ..report.page import write_report
@@ -49,5 +52,6 @@ def report(
             design,
             tradeoff,
             artefacts.read_json(campaign / "summary.json") if campaign else None,
+            pictures,
         )
     console.print(f"written to {out}")

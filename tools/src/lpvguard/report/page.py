@@ -17,7 +17,7 @@ from ..base import artefacts
 from ..identify.run import DriveSet, StoredIdentification
 from ..replay.run import Replayer
 from ..vehicle.project import Project
-from .pictures.drawing import shared
+from .pictures.drawing import files, kept, shared
 from .sections.bounds import bound_sections
 from .sections.campaign import campaign_section
 from .sections.closed_loop import loop_section
@@ -36,6 +36,8 @@ LIBRARIES = ("bokeh", "bokeh-api")
 """Parts of BokehJS that the pictures need, in the order of loading."""
 SCRIPTS = ("page.js", "zoom.js")
 """What the page does beyond being read."""
+PICTURES = "report"
+"""Kind of the folder of pictures."""
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data: blob:"
 """What a browser may load for the page: only what stands in it."""
 
@@ -51,27 +53,51 @@ def write_report(
     design: Path | None = None,
     tradeoff: Path | None = None,
     campaign: dict | None = None,
+    pictures: Path | None = None,
 ) -> None:
     """Write the page; InputError when a drive cannot be read or ``out`` cannot be written.
 
     ``replayer``: None for bounds of the plain DFT, which the core does not compute; drives are then judged by
     the exact margin. ``evaluation``: JSON of `lpvguard evaluate`; ``loops``: folder written by `lpvguard sim
     -o`, with its results.json; ``design``, ``tradeoff``: folders written by `lpvguard design`, without and
-    with --tradeoff; ``campaign``: summary.json of `lpvguard campaign`.
+    with --tradeoff; ``campaign``: summary.json of `lpvguard campaign`; ``pictures``: folder to write, every
+    picture as SVG and CSV.
     """
-    sections = list(_identification_sections(stored, drives, replayer, progress, design, evaluation))
-    if evaluation is not None:
-        sections.append(evaluation_section(evaluation))
-    if design is not None:
-        sections.append(design_section(design))
-    if tradeoff is not None:
-        sections.append(tradeoff_section(tradeoff))
-    if loops is not None:
-        sections.append(loop_section(loops))
-    if campaign is not None:
-        sections.append(campaign_section(campaign))
+    with kept() as drawn:
+        sections = list(
+            _sections(stored, drives, replayer, evaluation, progress, loops, design, tradeoff, campaign)
+        )
     page, scripts = shared(_page(stored.project, sections)), _scripts()
     artefacts.write_file(out, page.replace("</body>", f"{scripts}</body>"), "report")
+    if pictures is not None:
+        with artefacts.new_folder(pictures, PICTURES, stored.project.name) as folder:
+            text = artefacts.manifest(PICTURES, vehicle=stored.project.name, identification=stored.manifest)
+            artefacts.write_files(folder, files(drawn) | {artefacts.MANIFEST: text})
+
+
+def _sections(
+    stored: StoredIdentification,
+    drives: DriveSet,
+    replayer: Replayer | None,
+    evaluation: dict | None,
+    progress: Callable[[str], None],
+    loops: Path | None,
+    design: Path | None,
+    tradeoff: Path | None,
+    campaign: dict | None,
+) -> Iterator[str]:
+    """All sections. Arguments: as of ``write_report``."""
+    yield from _identification_sections(stored, drives, replayer, progress, design, evaluation)
+    if evaluation is not None:
+        yield evaluation_section(evaluation)
+    if design is not None:
+        yield design_section(design)
+    if tradeoff is not None:
+        yield tradeoff_section(tradeoff)
+    if loops is not None:
+        yield loop_section(loops)
+    if campaign is not None:
+        yield campaign_section(campaign)
 
 
 def _identification_sections(

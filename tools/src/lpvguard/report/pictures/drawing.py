@@ -11,7 +11,9 @@ from __future__ import annotations
 import io
 import re
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Concatenate, Literal, ParamSpec
 
@@ -20,7 +22,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from .numbers import Panel, panels
+from .numbers import Panel, panels, to_csv
 
 if TYPE_CHECKING:
     from matplotlib.typing import RcKeyType
@@ -64,6 +66,19 @@ STYLE: dict[RcKeyType, object] = {
     "axes.linewidth": 0.7,
     "lines.linewidth": 1.4,
 }
+
+
+_kept: ContextVar[list[Picture]] = ContextVar("kept")
+
+
+@contextmanager
+def kept() -> Iterator[list[Picture]]:
+    """Every picture drawn within the block, in the order of drawing."""
+    token = _kept.set([])
+    try:
+        yield _kept.get()
+    finally:
+        _kept.reset(token)
 
 
 @dataclass(frozen=True)
@@ -177,7 +192,10 @@ def picture(draw: Callable[Arguments, Figure]) -> Callable[Concatenate[str, Argu
     def wrapped(name: str, *arguments: Arguments.args, **named: Arguments.kwargs) -> Picture:
         with matplotlib.rc_context(STYLE):
             figure = draw(*arguments, **named)
-            return Picture(name, _svg(figure, name), panels(figure))
+            drawn = Picture(name, _svg(figure, name), panels(figure))
+        if (found := _kept.get(None)) is not None:
+            found.append(drawn)
+        return drawn
 
     wrapped.__doc__ = draw.__doc__
     return wrapped
@@ -194,6 +212,12 @@ def legend_above(axes: Axes, columns: int) -> None:
         handletextpad=0.5,
         columnspacing=1.2,
     )
+
+
+def files(pictures: list[Picture]) -> dict[str, str]:
+    """Files by name: every picture as SVG, and where it has numbers as CSV."""
+    found = {f"{p.name}.svg": standalone(p) for p in pictures}
+    return found | {f"{p.name}.csv": to_csv(p.panels) for p in pictures if p.panels}
 
 
 def standalone(picture: Picture) -> str:

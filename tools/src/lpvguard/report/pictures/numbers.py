@@ -1,11 +1,13 @@
-"""The numbers of a picture: what its axes show, read back from the drawn figure, for zooming.
+"""The numbers of a picture: what its axes show, read back from the drawn figure, for zooming and for CSV.
 
-A picture is drawn once. Its lines, markers, bars and cells are the one source of its interactive form, which
-therefore cannot say anything else.
+A picture is drawn once. Its lines, markers, bars and cells are the one source of its interactive form and of
+its table, which therefore cannot say anything else.
 """
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import re
 from dataclasses import dataclass, field
@@ -24,7 +26,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedFormatter, FuncFormatter
 
 MOST_POINTS, MOST_BESIDE_CELLS = 1500, 300
-"""Points of a line in the page; of a longer one the extremes of each stretch."""
+"""Points of a line in the page; of a longer one the extremes of each stretch. CSV has all."""
 SYMBOLS = {
     r"\bar\nu": "ν̄",
     r"\infty": "∞",
@@ -82,7 +84,7 @@ class Panel:
     row: int
     height: float
     shared: int
-    series: list[Trace] = field(default_factory=list)
+    traces: list[Trace] = field(default_factory=list)
     cells: Cells | None = None
 
 
@@ -116,8 +118,8 @@ def panels(figure: Figure) -> list[Panel]:
         first = axes.get_shared_x_axes().get_siblings(axes)[0]
         if first not in shared:
             shared.append(first)
-        series, cells = _series(axes), _CELLS.get(axes)
-        if not series and cells is None:
+        traces, cells = _traces(axes), _CELLS.get(axes)
+        if not traces and cells is None:
             continue
         found.append(
             Panel(
@@ -129,7 +131,7 @@ def panels(figure: Figure) -> list[Panel]:
                 rows.index(round(box.y1)),
                 float(box.height / figure.bbox.height),
                 shared.index(first),
-                series,
+                traces,
                 cells,
             )
         )
@@ -151,7 +153,7 @@ def _ticks(axis: Axis) -> dict[float, str]:
     return {p: plain(t) for p, t in zip(places, formatter.format_ticks(places), strict=True)}
 
 
-def _series(axes: Axes) -> list[Trace]:
+def _traces(axes: Axes) -> list[Trace]:
     """What stands in the axes, in the order of drawing."""
     named = {c.lines[0]: c.get_label() for c in axes.containers if isinstance(c, ErrorbarContainer)}
     found = [
@@ -212,7 +214,27 @@ def _colour(colour: Any) -> str:
     return to_hex(tuple(rgba) if not isinstance(rgba, str) else rgba)
 
 
-# ---------------------------------------------------------------------------------------------------- to page
+# ------------------------------------------------------------------------------------------ to page and table
+
+
+def to_csv(found: list[Panel]) -> str:
+    """Table of all numbers: a row a point or a frame. A frame has start and end [s], bin and margin."""
+    out = io.StringIO()
+    table = csv.writer(out, lineterminator="\n")
+    table.writerow(["panel", "series", "x_label", "y_label", "x", "y", "x_end", "value", "reason"])
+    for number, p in enumerate(found, start=1):
+        head = [p.title or str(number)]
+        for s in p.traces:
+            for x, y in zip(s.x, s.y, strict=True):
+                if np.isfinite(x) and np.isfinite(y):
+                    table.writerow([*head, s.label, *p.labels, f"{x:.9g}", f"{y:.9g}", "", "", ""])
+        if p.cells is not None:
+            c = p.cells
+            for k, end, m, r in zip(c.bin, c.end, c.margin, c.reason, strict=True):
+                times = [f"{c.Ts * n:.9g}" for n in (end - c.lengths[k], end)]
+                cell = [times[0], p.ticks[1].get(float(k), str(k)), times[1], f"{m:.9g}", c.reasons[r]]
+                table.writerow([*head, "margin of a frame", *p.labels, *cell])
+    return out.getvalue()
 
 
 def to_json(found: list[Panel]) -> str:
@@ -229,7 +251,7 @@ def to_json(found: list[Panel]) -> str:
             "row": p.row,
             "height": round(p.height, 3),
             "shared": p.shared,
-            "series": [_told(s, most) for s in p.series],
+            "series": [_told(t, most) for t in p.traces],
         }
         if p.cells is not None:
             panel["cells"] = _told_cells(p.cells)
@@ -256,10 +278,10 @@ def _told_cells(cells: Cells) -> dict[str, Any]:
     }
 
 
-def _told(series: Trace, most: int) -> dict[str, Any]:
-    x, y = (series.x, series.y) if series.kind != "line" else _thinned(series.x, series.y, most)
-    look = {k: v for k, v in series.look.items() if v is not None}
-    return {"kind": series.kind, "label": series.label, "x": _short(x), "y": _short(y), **look}
+def _told(trace: Trace, most: int) -> dict[str, Any]:
+    x, y = (trace.x, trace.y) if trace.kind != "line" else _thinned(trace.x, trace.y, most)
+    look = {k: v for k, v in trace.look.items() if v is not None}
+    return {"kind": trace.kind, "label": trace.label, "x": _short(x), "y": _short(y), **look}
 
 
 def _thinned(x: np.ndarray, y: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:

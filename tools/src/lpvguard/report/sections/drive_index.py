@@ -9,7 +9,6 @@ from itertools import groupby
 import numpy as np
 
 from ...core.compiled import VERDICTS
-from ..markup import number
 from ..pictures.margin_map import VERDICT_COLOURS
 from ..told import COLUMNS, Told
 from .overview import place
@@ -77,12 +76,12 @@ def _row(drive: Told) -> str:
     share = drive.judged_relevant_s / drive.relevant_s if drive.relevant_s else None
     low, high = drive.speed_mps
     cells: list[tuple[str, float | None]] = [
-        (f"{low:.3g}–\N{WORD JOINER}{high:.3g}", low),
+        (f"{low:.1f}–\N{WORD JOINER}{high:.1f}", low),
         (f"{drive.duration_s:.1f}", drive.duration_s),
         (f"{drive.judged_s:.1f}", drive.judged_s),
         ("–" if share is None else f"{share:.0%}", share),
         (_small(drive), None),
-        ("–" if near is None else number(near.ratio), None if near is None else near.ratio),
+        ("–" if near is None else f"{near.ratio:.3f}", None if near is None else near.ratio),
         ("–" if near is None else place(near.test, near.omega), None),
         ("–" if near is None else f"{near.t_s:.1f}", None if near is None else near.t_s),
         (
@@ -115,4 +114,4 @@ def drive_index(told: list[Told]) -> str:
 <tbody>{"".join(_row(d) for d in told)}</tbody></table></div>
 <p class="note">Course: the statistic of both tests over time, as a part of its threshold (dashed); \
 triangles: beyond. Strip: the verdict: {key}. Largest: where the drive came nearest to an alarm, or went \
-farthest beyond. Beyond 1 without alarm: the statistic was not confirmed or held no evidence.</p>"""
+farthest beyond.</p>"""

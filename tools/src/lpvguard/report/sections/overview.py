@@ -18,6 +18,8 @@ from ..told import Nearest, Told
 ALARMS_SHOWN = 4
 SIGNS = {PROVED: "●", BLIND: "○", EMPTY: "–", VIOLATED: "▲"}
 """What says a cell's state without its colour."""
+AS_NEAR = 5e-4
+"""Ratios to the threshold that differ by less are shown as the same number."""
 NEVER = 2.0
 """A gain error above this is none: the vehicle would answer with more than the opposite."""
 
@@ -45,10 +47,8 @@ def _headline(
     """Whether the model held, and how much of its range that says anything about, in a sentence."""
     flat = [c for row in grid for c in row]
     proved = sum(c.state == PROVED for c in flat)
-    sees = (
-        f"A gain error of {_percent(LEVEL)} would be seen in {proved} of {len(flat)} cells of speed and "
-        "frequency."
-    )
+    sees = f"A gain error of {_percent(LEVEL)} would be seen in {proved} of {len(flat)} cells of speed and "
+    sees = f'<span class="{"" if proved else "no"}">{sees}frequency.</span>'
     if not replayed:
         return f'<p id="headline"><b>Not replayed.</b> {sees}</p>'
     hours, of = sum(d.judged_s for d in told) / 3600, len({d.name for d, _ in alarms})
@@ -203,8 +203,8 @@ def _alarm_row(drive: Told, alarm: Alarm) -> str:
     )
 
 
-def _nearest_words(drive: Told, near: Nearest) -> str:
-    """The drive without an alarm that came nearest to one."""
+def _nearest_words(drive: Told, near: Nearest, quiet: list[tuple[Told, Nearest]]) -> str:
+    """The drive that came nearest to an alarm of all ``quiet`` ones, and those that came as near."""
     data = {
         "drive": escape(drive.name),
         "ratio": f"{near.ratio:.4g}",
@@ -214,11 +214,14 @@ def _nearest_words(drive: Told, near: Nearest) -> str:
         "speed": f"{near.speed_mps:.4g}",
     }
     attributes = "".join(f' data-{key}="{value}"' for key, value in data.items())
+    as_near = [d for d, other in quiet if d is not drive and near.ratio - other.ratio < AS_NEAR]
+    tied = ", ".join(f'<a href="#{d.key}">{escape(d.name)}</a>' for d in as_near)
+    tied = f" As near: {tied}." if tied else ""
     itself = " Its score is the threshold." if abs(near.ratio - 1) < 1e-5 else ""
     return (
         f'<p id="nearest"{attributes}><b>Nearest to an alarm without one:</b> <a href="#{drive.key}">'
         f"{escape(drive.name)}</a>, {near.ratio:.3f} of the threshold: {place(near.test, near.omega)}, "
-        f"{near.t_s:.1f} s after its start, {near.speed_mps:.3g} m/s ({drive.role}).{itself}</p>"
+        f"{near.t_s:.1f} s after its start, {near.speed_mps:.3g} m/s ({drive.role}).{itself}{tied}</p>"
     )
 
 
@@ -263,10 +266,14 @@ def _alarms(told: list[Told], alarms: list[tuple[Told, Alarm]], worth: str) -> s
     more = f"<p>{len(first) - len(shown)} more drives with alarms.</p>" if len(first) > len(shown) else ""
     quiet = [(d, d.nearest) for d in told if not d.alarms and d.nearest is not None]
     nearest = max(quiet, key=lambda one: one[1].ratio, default=None)
-    words = _nearest_words(*nearest) if nearest else '<p id="nearest">No drive was judged without alarm.</p>'
+    words = (
+        _nearest_words(*nearest, quiet)
+        if nearest
+        else '<p id="nearest">No drive was judged without alarm.</p>'
+    )
     return f"""<div class="card" id="alarms" data-alarms="{len(alarms)}" data-drives="{len(first)}">
-<h3>Alarms</h3><p>{head}. {worth} <a href="#drive-index">All drives in one table</a>.</p>{table}{more}{words}\
-</div>"""
+<h3>Alarms</h3><p>{head}. {worth} <a href="#drive-index">All drives in one table</a>.</p>
+{table}{more}{words}</div>"""
 
 
 # ------------------------------------------------------------------------------------- controller, and to do
