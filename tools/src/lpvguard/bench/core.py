@@ -233,11 +233,7 @@ def budget_rows(report: dict[str, Any]) -> list[list[str]]:
             f"{ROM_BYTES}",
             f"{STACK_BYTES}",
             f"{INIT}",
-            "",
-            "",
-            "",
-            "",
-            "",
+            *[""] * 6,
         ]
     ]
     for run in report["targets"]:
