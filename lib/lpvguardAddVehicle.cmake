@@ -38,10 +38,10 @@ function(lpvguard_add_vehicle NAME DIR)
     target_sources(${target} PRIVATE "${root}/src/controller.cpp" "${folder}/lpvguard_control.c")
   endif()
   if(EXISTS "${folder}/lpvguard_bus.c")
-    # can.cpp, authentication.cpp, j1939.cpp, uds.cpp and the codec depend on no vehicle: in an image of several vehicles the linker
+    # can.cpp, authentication.cpp, j1939.cpp, uds.cpp, xcp.cpp and the codec depend on no vehicle: in an image of several vehicles the linker
     # takes the first one's.
     target_sources(${target} PRIVATE "${root}/src/ecu.cpp" "${root}/src/can.cpp" "${root}/src/authentication.cpp"
-      "${root}/src/j1939.cpp" "${root}/src/uds.cpp"
+      "${root}/src/j1939.cpp" "${root}/src/uds.cpp" "${root}/src/xcp.cpp"
       "${folder}/lpvguard_bus.c" "${folder}/lpvg_can_codec.c")
   endif()
   target_include_directories(${target} PUBLIC "${root}/include" "${folder}")

@@ -26,6 +26,7 @@
 #include "dense_controller.hpp"
 #include "lpvg_can_codec.h"
 #include "lpvguard/authentication.h"
+#include "lpvguard/xcp.h"
 #endif
 
 namespace {
@@ -347,6 +348,38 @@ void run_j1939() {
     part.write();
 }
 
+// The XCP slave: a frame that is not for it, and the longest command, in the last of its ranges. Not in the step.
+void run_xcp() {
+    static lpvg_xcp_range_t ranges[LPVG_XCP_RANGES_MAX];
+    for (uint32_t i = 0U; i < LPVG_XCP_RANGES_MAX; ++i) {
+        ranges[i] = {i * 0x01000000U, sizeof ecu, &ecu};
+    }
+    const lpvg_xcp_config_t config = {0x98EF27F9U, 0x98EFF927U, "bench", ranges, LPVG_XCP_RANGES_MAX};
+    static lpvg_xcp_t slave;
+    require(lpvg_xcp_init(&slave, &config) == lpvg_status_ok, "no XCP slave\n");
+    lpvg_can_frame_t foreign{}, command{}, answer{};
+    foreign.id = LPVG_CAN_GUARD_IN_ID;
+    foreign.dlc = 8U;
+    command.id = config.receive_id;
+    command.dlc = 8U;
+    command.data[0] = 0xFFU;
+    require(lpvg_xcp_receive(&slave, &command, &answer), "XCP does not connect\n");
+    const uint32_t address = (LPVG_XCP_RANGES_MAX - 1U) * 0x01000000U;
+    command.data[0] = 0xF4U;
+    command.data[1] = 7U;
+    std::memcpy(&command.data[4], &address, sizeof address);
+    Part idle("xcp_idle");
+    for (std::size_t k = 0; k < 100U; ++k) {
+        idle.run([&] { require(!lpvg_xcp_receive(&slave, &foreign, &answer), "XCP answers a foreign frame\n"); });
+    }
+    idle.write();
+    Part upload("xcp_upload");
+    for (std::size_t k = 0; k < 100U; ++k) {
+        upload.run([&] { require(lpvg_xcp_receive(&slave, &command, &answer) && answer.dlc == 8U, "XCP reads nothing\n"); });
+    }
+    upload.write();
+}
+
 // Everything at once: frames in, supervision, cross-checks, controller, monitor, frames out.
 void run_ecu() {
     // The drive is no answer to the demands of this controller: what is found of it must not end the measurement.
@@ -393,6 +426,7 @@ int main() {
     run_ecu();
     run_authentication();
     run_j1939();
+    run_xcp();
 #endif
     port_write("end\n");
     return 0;

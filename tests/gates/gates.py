@@ -651,6 +651,7 @@ SEES = {
     "coefficient_checks.hpp": ["coeff.toy", "controller.hand_truck"],
     "can.cpp": ["can", "can_faults"],
     "authentication.cpp": ["authentication"],
+    "xcp.cpp": ["xcp"],
     "margin.hpp": ["margin"],
     "coeff.cpp": ["coeff.toy", "coeff.separate_toy"],
     "model.cpp": ["model.toy", "model.g80"],

@@ -27,6 +27,7 @@ ORDER = (
     "fit",
     "start",
     "core",
+    "measure",
     "identify",
     "control",
     "replay",

@@ -28,7 +28,7 @@ LPVG_EXTERN_C_BEGIN
 typedef struct lpvg_bus_signals_t {
     lpvg_real_t speed;         ///< longitudinal                                              [m/s]
     lpvg_real_t reference;     ///< yaw-rate command, left > 0                                [rad/s]
-    lpvg_real_t y[LPVG_NY];    ///< outputs of the signal table
+    lpvg_real_t y[LPVG_NY];    ///< outputs of the signal table                               [output unit]
     float yaw_rate;            ///< of the stability system, left > 0: cross-checks           [rad/s]
     float lateral;             ///< lateral acceleration, left > 0: cross-checks              [m/s2]
     float wheel_difference;    ///< right less left wheel of the unbraked axle: cross-checks  [m/s]
@@ -36,7 +36,7 @@ typedef struct lpvg_bus_signals_t {
     float abs_active;          ///< 0 not, 1 active: override                                 [-]
     float measured;            ///< what the actuator does: against the demand                [input unit]
     float request;             ///< LPVG_BUS_REQUEST_*                                         [-]
-    float other_priority;      ///< of the strongest other command on the actuator: 0 none, 1 low, 2 medium, 3 high
+    float other_priority;      ///< of the strongest other command on the actuator: 0 none, 1 low, 2 medium, 3 high [-]
 } lpvg_bus_signals_t;
 
 /// What the guarded controller tells the vehicle every step.

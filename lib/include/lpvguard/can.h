@@ -160,7 +160,7 @@ typedef struct lpvg_can_supervisor_t {
     int64_t now_us;                     ///< Newest time seen                                   [us]
     uint32_t count[lpvg_can_event_count];///< Frames that belong to no rule, by kind, saturating
     lpvg_can_watch_t watch[LPVG_CAN_RULES_MAX];
-    uint8_t n_rules;
+    uint8_t n_rules;                    ///< Messages that are watched                          0 .. 8
     uint8_t bus_off;                    ///< 1 from a bus-off report to the next ordinary frame
 } lpvg_can_supervisor_t;
 

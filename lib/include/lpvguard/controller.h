@@ -96,8 +96,8 @@ extern const lpvg_control_coeff_t lpvg_control_coeff;
 
 typedef struct lpvg_control_t {
     const lpvg_control_coeff_t* coeff;
-    lpvg_real_t x[LPVG_NU][LPVG_NK];      ///< states of every demand
-    lpvg_real_t carry[LPVG_NU][LPVG_NK];  ///< what rounding took from the newest change of each state; added to the next
+    lpvg_real_t x[LPVG_NU][LPVG_NK];      ///< states of every demand                                 [input unit]
+    lpvg_real_t carry[LPVG_NU][LPVG_NK];  ///< what rounding took from the newest change of each state; added to the next [input unit]
     lpvg_real_t u[LPVG_NU];               ///< newest applied demand                                  [input unit]
     bool engaged;                         ///< of the newest step
     uint32_t limited;                     ///< engaged steps in which a limit changed the demand, saturating

@@ -174,11 +174,11 @@ typedef struct lpvg_ecu_kept_t {
     const lpvg_control_coeff_t* control;
     lpvg_ecu_config_t config;
     lpvg_real_t u_max;  ///< largest of all nodes                                       [input unit]
-    lpvg_real_t rate_max;  ///<                                                            [input unit/s]
-    lpvg_real_t speed_min;  ///< controller's scheduling range                              [m/s]
-    lpvg_real_t speed_max;
+    lpvg_real_t rate_max;  ///< largest |change of demand|                              [input unit/s]
+    lpvg_real_t speed_min;  ///< lowest of the controller's scheduling range                [m/s]
+    lpvg_real_t speed_max;  ///< highest of it                                              [m/s]
     lpvg_real_t demand;  ///< newest                                                     [input unit]
-    uint32_t period_us;
+    uint32_t period_us;  ///< sample period                                                [us]
     bool engage;  ///< asked for
     bool locked;  ///< until acknowledged
     bool standby;  ///< a request other than control has been seen since init
@@ -197,7 +197,7 @@ typedef struct lpvg_ecu_t {
     lpvg_bus_signals_t signals;
     float expected;  ///< demand through the actuator's lag                           [input unit]
     uint16_t deviations;  ///< score of the check of the actuator
-    bool actuator_failed;
+    bool actuator_failed;  ///< as that check stands
     lpvg_control_t control;
     lpvg_monitor_t monitor;
     lpvg_bus_report_t report;  ///< as sent by the newest step

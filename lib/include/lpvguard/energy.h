@@ -43,19 +43,19 @@ LPVG_EXTERN_C_BEGIN
 
 /// Forgetting sums of products in one band.                                               [output unit squared]
 typedef struct lpvg_energy_band_t {
-    lpvg_real_t left[LPVG_NGRAM];               ///< of F e_j
-    lpvg_real_t right[LPVG_NGRAM];              ///< of F W_delta yhat_j
-    lpvg_real_t nominal[LPVG_NGRAM];            ///< of F yhat_j
+    lpvg_real_t left[LPVG_NGRAM];               ///< of F e_j [output unit squared]
+    lpvg_real_t right[LPVG_NGRAM];              ///< of F W_delta yhat_j [output unit squared]
+    lpvg_real_t nominal[LPVG_NGRAM];            ///< of F yhat_j [output unit squared]
 } lpvg_energy_band_t;
 
 typedef struct lpvg_energy_t {
-    lpvg_real_t F[LPVG_NBANDS - 1][3 * LPVG_NY];  ///< states of the low-passes for e, yhat and W_delta yhat
-    lpvg_real_t W[LPVG_NWEIGHT][2][LPVG_NY];    ///< states of the sections of W_delta
+    lpvg_real_t F[LPVG_NBANDS - 1][3 * LPVG_NY];  ///< states of the low-passes for e, yhat and W_delta yhat [output unit]
+    lpvg_real_t W[LPVG_NWEIGHT][2][LPVG_NY];    ///< states of the sections of W_delta [output unit]
     lpvg_energy_band_t band[LPVG_NBANDS];
-    lpvg_real_t ratio;                          ///< left side over right in the newest direction, largest of all bands; 0 at first
+    lpvg_real_t ratio;                          ///< left side over right in the newest direction, largest of all bands; 0 at first [-]
     uint32_t strongest;                         ///< the band it is of
     uint32_t direction;                         ///< index of the newest direction
-    uint32_t next_direction;
+    uint32_t next_direction;                    ///< index of the one that is judged next
 } lpvg_energy_t;
 
 /// From rest: filters and sums at zero, the right sums at `energy_start`, the energy that Delta may remember.

@@ -20,10 +20,10 @@ LPVG_EXTERN_C_BEGIN
 #define lpvg_model_advance LPVG_SYM(model_advance)
 
 typedef struct lpvg_model_t {
-    lpvg_real_t x[LPVG_NX];                         ///< state
+    lpvg_real_t x[LPVG_NX];                         ///< state [mixed]
     // cppcheck-suppress misra-c2012-2.2 ; a delay of no sample makes the sum look idle
-    lpvg_real_t past[LPVG_DELAY + 1][LPVG_NU];      ///< inputs u_{k-1}, ... u_{k-d-1} less the offset, newest first
-    lpvg_real_t entry[LPVG_NENTRIES];               ///< Ad, B_old, B_new at `speed`
+    lpvg_real_t past[LPVG_DELAY + 1][LPVG_NU];      ///< inputs u_{k-1}, ... u_{k-d-1} less the offset, newest first [input unit]
+    lpvg_real_t entry[LPVG_NENTRIES];               ///< Ad, B_old, B_new at `speed` [mixed]
     uint32_t sum;                                   ///< of the words of `entry`
     lpvg_real_t speed;                              ///< speed of `entry` [m/s]; the lowest number: none yet
 } lpvg_model_t;

@@ -96,7 +96,7 @@ typedef struct lpvg_sample_t {
 /// F W_delta yhat_j; the imaginary parts are 0.
 typedef struct lpvg_frame_t {
     uint32_t sequence;             ///< number of frames closed so far, this one included; 0: none yet
-    lpvg_test_t test;
+    lpvg_test_t test;              ///< what the record tells of
     uint32_t bin;                  ///< 0 is DC
     int64_t t_end_us;              ///< time of the frame's last sample                    [us]
     lpvg_reason_t reason;          ///< none or not_excited: it counted; else why not, and the rest is zero
@@ -111,34 +111,36 @@ typedef struct lpvg_frame_t {
 
 /// Sums over half a frame of e and yhat times the exponential: plain, and with the rising half of the window.
 typedef struct lpvg_sum_t {
-    lpvg_real_t plain_re[2 * LPVG_NY], plain_im[2 * LPVG_NY];
-    lpvg_real_t rising_re[2 * LPVG_NY], rising_im[2 * LPVG_NY];
+    lpvg_real_t plain_re[2 * LPVG_NY], plain_im[2 * LPVG_NY];    ///< plain, of e then yhat                    [output unit]
+    lpvg_real_t rising_re[2 * LPVG_NY], rising_im[2 * LPVG_NY];  ///< with the rising half of the window, likewise [output unit]
 } lpvg_sum_t;
 
 /// What the speed did over half a frame.
 typedef struct lpvg_span_t {
-    lpvg_real_t speed_low, speed_high, speed_sum;
-    lpvg_reason_t reason;
+    lpvg_real_t speed_low;                    ///< lowest speed                                       [m/s]
+    lpvg_real_t speed_high;                   ///< highest speed                                      [m/s]
+    lpvg_real_t speed_sum;                    ///< sum over the samples                               [m/s]
+    lpvg_reason_t reason;                     ///< why it is no evidence
 } lpvg_span_t;
 
 /// What the bins keep of a sample besides its signals.
 typedef struct lpvg_taken_t {
-    int64_t t_us;
+    int64_t t_us;                             ///< time of the sample                                 [us]
     lpvg_span_t span;                         ///< of this one sample
 } lpvg_taken_t;
 
 typedef struct lpvg_bin_t {
     uint32_t n;                               ///< samples in the current half frame
-    lpvg_real_t phasor[2], window[2];         ///< exp(j phase) and exp(j window phase) / 2 of the next sample
+    lpvg_real_t phasor[2], window[2];         ///< exp(j phase) and exp(j window phase) / 2 of the next sample [-]
     lpvg_sum_t sum;                           ///< current half
     lpvg_span_t span, span_before;            ///< current and previous half
-    lpvg_real_t rising_re[2 * LPVG_NY], rising_im[2 * LPVG_NY];  ///< rising sums of the previous half
+    lpvg_real_t rising_re[2 * LPVG_NY], rising_im[2 * LPVG_NY];  ///< rising sums of the previous half [output unit]
     bool has_before;                          ///< previous half complete
-    lpvg_real_t frame_re[2 * LPVG_NY], frame_im[2 * LPVG_NY];    ///< frame that waits to be judged: E then Z
+    lpvg_real_t frame_re[2 * LPVG_NY], frame_im[2 * LPVG_NY];    ///< frame that waits to be judged: E then Z [output unit]
     lpvg_span_t frame_span;
-    int64_t frame_end_us;
-    lpvg_real_t history[LPVG_NHISTORY];       ///< margins of the last counted frames
-    uint32_t n_history, next_history;
+    int64_t frame_end_us;                     ///< time of its last sample                            [us]
+    lpvg_real_t history[LPVG_NHISTORY];       ///< margins of the last counted frames, a ring [-]
+    uint32_t n_history, next_history;         ///< margins in the ring; where the next one goes
 } lpvg_bin_t;
 
 typedef struct lpvg_monitor_t {
@@ -150,20 +152,20 @@ typedef struct lpvg_monitor_t {
     lpvg_bin_t bin[LPVG_NBINS];
     lpvg_frame_t frame;                       ///< newest judged frame
     lpvg_frame_t record[LPVG_NRECORDS];
-    uint32_t n_records, records_lost;
+    uint32_t n_records, records_lost;         ///< records that wait; those that found no place
     uint32_t settled;                         ///< samples since the speed entered the range, saturating
     lpvg_taken_t block[LPVG_NBLOCK];          ///< newest samples, a ring
-    /// e, then yhat of the newest samples: the ring twice, so that a block is in one piece.
+    /// e, then yhat of the newest samples: the ring twice, so that a block is in one piece. [output unit]
     lpvg_real_t signal[2 * LPVG_NBLOCK][2 * LPVG_NY];
     uint32_t newest, n_block;                 ///< its newest entry; entries since the start, LPVG_NBLOCK at most
     uint32_t queue[LPVG_NBINS];               ///< bins whose frames wait to be judged, a ring
-    uint32_t queue_first, n_queue;
+    uint32_t queue_first, n_queue;            ///< first of the queue; how many wait
     uint32_t parts;                           ///< parts done of the judgement of the first in the queue
-    lpvg_real_t by_pairs;                     ///< what they found (margin.hpp)
-    int64_t t_us;                             ///< time of the newest accepted sample
-    int64_t t_evidence_us, t_falsified_us;    ///< ends of the newest frames with evidence / that falsified
-    bool running, has_evidence, has_falsified, refused;
-    uint32_t bad_samples, out_of_order, restarts;
+    lpvg_real_t by_pairs;                     ///< what they found (margin.hpp)                       [-]
+    int64_t t_us;                             ///< time of the newest accepted sample                 [us]
+    int64_t t_evidence_us, t_falsified_us;    ///< ends of the newest frames with evidence / that falsified [us]
+    bool running, has_evidence, has_falsified, refused;  ///< started; either time is known; the newest sample was refused
+    uint32_t bad_samples, out_of_order, restarts;        ///< samples refused; samples ignored; starts anew
     uint32_t repairs;                         ///< times that its state could not be, saturating
     uint32_t turn;                ///< bin that was checked last
 } lpvg_monitor_t;

@@ -24,6 +24,13 @@ def test_names_come_in_the_order_of_their_values_without_the_count(tmp_path):
     assert enum_names(tmp_path / "gear.h", "lpvg_gear_t") == ("park", "drive")
 
 
+def test_members_may_share_a_part_of_the_types_name_only(tmp_path):
+    (tmp_path / "gear.h").write_text(
+        HEADER.replace("gear_t", "gear_lever_t").replace("gear_count", "gear_held")
+    )
+    assert enum_names(tmp_path / "gear.h", "lpvg_gear_lever_t") == ("park", "drive", "held")
+
+
 @pytest.mark.parametrize(
     ("old", "new"),
     [("drive  = 1", "drive = 3"), ("lpvg_gear_t {", "lpvg_gears_t {"), ("lpvg_gear_park", "park")],

@@ -15,6 +15,7 @@ from typing import Any
 from ..base.errors import InputError
 from ..base.system import ENDING_SIGNALS
 from . import (  # noqa: F401 - each adds its verb, in the order of --help
+    a2l,
     bench,
     campaign,
     dbc,
@@ -44,6 +45,7 @@ MAY_IMPORT = (
     "fit",
     "start",
     "core",
+    "measure",
     "identify",
     "control",
     "replay",

@@ -14,7 +14,7 @@ import typer
 from ..base import artefacts
 from ..base.errors import InputError
 
-_FILES = ("report", "solve", "dbc", "lcm bus", "plant")
+_FILES = ("report", "solve", "dbc", "a2l", "lcm bus", "plant")
 """Commands whose -o is a file."""
 _KINDS = {"export": "vehicle", "design": None}
 """Kinds of folders that are not named as their command; design writes several."""

@@ -15,14 +15,16 @@ _MEMBER = re.compile(r"\s*(?P<name>\w+)\s*=\s*(?P<value>\d+)\s*")
 def enum_names(header: Path, name: str) -> tuple[str, ...]:
     """Names of the members of ``typedef enum name`` in the order of their values 0, 1, ...
 
-    They are without the type's prefix. A member that only counts is left out. Raises InputError when the
-    header has no such type, or its values have gaps.
+    They are without as much of the type's name as all of them begin with. A member that only counts is left
+    out. Raises InputError when the header has no such type, or its values have gaps.
     """
     found = re.search(_TYPE.format(name=name), header.read_text(encoding="utf-8"), re.DOTALL)
     items = [] if found is None else [m for m in _COMMENT.sub("", found["body"]).split(",") if m.strip()]
     parsed = [_MEMBER.fullmatch(item) for item in items]
     members = [(m["name"], int(m["value"])) for m in parsed if m is not None]
-    prefix = name.removesuffix("_t") + "_"
+    prefix = name.removesuffix("t")
+    while prefix.count("_") > 1 and any(not m.startswith(prefix) for m, _ in members):
+        prefix = prefix[:-1].rpartition("_")[0] + "_"
     if (
         not members
         or None in parsed
@@ -30,7 +32,10 @@ def enum_names(header: Path, name: str) -> tuple[str, ...]:
         or any(not m.startswith(prefix) for m, _ in members)
     ):
         raise InputError(
-            header, name, "not found, or not numbered from 0 without gaps", f"members {prefix}* = 0, 1, ..."
+            header,
+            name,
+            "not found, or not numbered from 0 without gaps",
+            f"members {name.removesuffix('t')}* = 0, 1, ...",
         )
     names = [member.removeprefix(prefix) for member, _ in members]
     return tuple(names[:-1] if names[-1] == "count" else names)

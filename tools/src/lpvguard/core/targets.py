@@ -238,20 +238,15 @@ def emulated_ecu(name: str, vehicle: Path) -> EmulatedEcu:
     return EmulatedEcu(name, start, hashlib.sha256(elf.read_bytes()).hexdigest())
 
 
-def run_target(name: str, vehicle: Path, drive: Input, *, same_bits: bool) -> dict[str, Any]:
-    """Build for a target and run in QEMU; ``vehicle`` is a generated folder. ``same_bits``: results as on
-    every other target; else multiply and add may be fused, which is what to count.
+def image_with_debug_information(name: str, vehicle: Path, program: Program) -> Path:
+    """The ELF of a program with the core, as an ECU project builds it, with -g. Raises InputError as
+    `run_target`."""
+    return _build(_target(name), vehicle, program, (*LANGUAGE, "-g"))[0]
 
-    Returns target, elf_sha256, rom {code, coefficients, libraries} and structs {name: bytes}, map {section:
-    {address, bytes}}, parts {name: {calls, worst, median, stack}} (instructions of one call, by the program's
-    own counter; bytes), imports (symbols that the core's objects take from libraries) and results (lines).
-    Raises InputError when tools are missing, or the program does not build or fails.
-    """
+
+def run_image(name: str, elf: Path) -> list[str]:
+    """Run an image in the target's emulator; the lines that it wrote. Raises InputError when it fails."""
     target = _target(name)
-    program = Program(
-        "target_bench", (firmware_root() / "ports" / "target_bench.cpp",), {"target_input.h": drive.header()}
-    )
-    elf, imports = _build(target, vehicle, program, (*LANGUAGE, SAME_BITS) if same_bits else LANGUAGE)
     command = [
         *target.emulator,
         "-display",
@@ -275,13 +270,34 @@ def run_target(name: str, vehicle: Path, drive: Input, *, same_bits: bool) -> di
         )
     except subprocess.TimeoutExpired:
         raise InputError(f"target {name}", "run", f"no end after {TIMEOUT_S} s", "a run that ends") from None
-    report = _parse(done.stderr.splitlines())
-    if done.returncode != 0 or not report["ended"]:
+    if done.returncode != 0:
         raise InputError(
             f"target {name}",
             f"run of {elf.name}",
             f"status {done.returncode}: {done.stderr.strip()[-300:]}",
             "a run that ends with status 0",
+        )
+    return done.stderr.splitlines()
+
+
+def run_target(name: str, vehicle: Path, drive: Input, *, same_bits: bool) -> dict[str, Any]:
+    """Build for a target and run in QEMU; ``vehicle`` is a generated folder. ``same_bits``: results as on
+    every other target; else multiply and add may be fused, which is what to count.
+
+    Returns target, elf_sha256, rom {code, coefficients, libraries} and structs {name: bytes}, map {section:
+    {address, bytes}}, parts {name: {calls, worst, median, stack}} (instructions of one call, by the program's
+    own counter; bytes), imports (symbols that the core's objects take from libraries) and results (lines).
+    Raises InputError when tools are missing, or the program does not build or fails.
+    """
+    target = _target(name)
+    program = Program(
+        "target_bench", (firmware_root() / "ports" / "target_bench.cpp",), {"target_input.h": drive.header()}
+    )
+    elf, imports = _build(target, vehicle, program, (*LANGUAGE, SAME_BITS) if same_bits else LANGUAGE)
+    report = _parse(run_image(name, elf))
+    if not report["ended"]:
+        raise InputError(
+            f"target {name}", f"run of {elf.name}", "it did not come to its end", "a last line `end`"
         )
     return {
         "target": name,

@@ -1,0 +1,33 @@
+"""`lpvguard a2l`: describe a vehicle's object in the image of its ECU (A2L), for any measurement tool."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..base import artefacts
+from .shared import Coefficients, Vehicle, app, console, project_of, require_settings
+
+
+@app.command(
+    epilog="Example: lpvguard a2l --vehicle truck --elf firmware.elf --instance ecu -o truck.a2l",
+)
+def a2l(
+    vehicle: Vehicle,
+    elf: Annotated[Path, typer.Option("--elf", help="The ECU's image, compiled with -g.")],
+    instance: Annotated[str, typer.Option("--instance", help="Name of the vehicle's object in it.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="File to write.")],
+    coefficients: Coefficients = None,
+) -> None:
+    """Describe a vehicle's object in the image of its ECU (A2L), for any measurement tool."""
+    from ..core.compiled import library_root, shipped_vehicle
+    from ..measure.a2l import a2l_text
+
+    project = project_of(vehicle)
+    folder = coefficients or shipped_vehicle(project.name)
+    require_settings(artefacts.read_manifest(folder, "vehicle")["project"], folder, project, vehicle)
+    text, n = a2l_text(project, elf, instance, library_root() / "include" / "lpvguard")
+    artefacts.write_file(out, text, "a2l")
+    console.print(f"{project.name}: {n} measurements of {instance} written to {out}")
