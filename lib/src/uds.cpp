@@ -111,10 +111,10 @@ void answer_data(Answer& answer, const lpvg_j1939_t& self, const uint8_t* reques
     const lpvg_j1939_entry_t* newest = lpvguard::newest(*self.memory, UINT32_MAX);
     add_identifier(answer, identifier);
     if (identifier == LPVG_UDS_STATE) {
-        uint8_t n_active = 0U, n_all = 0U;
+        uint32_t n_active = 0U, n_all = 0U;  // words: gcc 12 at -O3 counts bytes of such a condition the wrong way round
         for (const lpvg_j1939_entry_t& entry : self.memory->entry) {
-            n_active = static_cast<uint8_t>(n_active + entry.active);
-            n_all = static_cast<uint8_t>(n_all + (lpvguard::remembered(entry) ? 1U : 0U));
+            n_active += entry.active;
+            n_all += lpvguard::remembered(entry) ? 1U : 0U;
         }
         add(answer, self.state, 1U);
         add(answer, self.address, 1U);

@@ -1,5 +1,5 @@
 // The XCP slave that only reads: answers byte by byte, then every command of every length against memory that it must not touch.
-#include "catch.hpp"
+#include "../catch.hpp"
 #include "heap_counter.hpp"
 #include "lpvguard/xcp.h"
 
