@@ -233,7 +233,7 @@ def budget_rows(report: dict[str, Any]) -> list[list[str]]:
             f"{ROM_BYTES}",
             f"{STACK_BYTES}",
             f"{INIT}",
-            *[""] * 6,
+            *[""] * 8,
         ]
     ]
     for run in report["targets"]:
@@ -256,6 +256,8 @@ def budget_rows(report: dict[str, Any]) -> list[list[str]]:
                         run["parts"]["auth_pair"]["worst"],
                         run["parts"]["j1939_step"]["worst"],
                         run["structs"]["j1939"],
+                        run["parts"]["xcp_idle"]["worst"],
+                        run["parts"]["xcp_upload"]["worst"],
                         f"{run['load_percent']:.2f} %",
                     )
                 ),
@@ -285,6 +287,8 @@ def write_guide(path: Path, report: dict[str, Any]) -> None:
         "authenticated message [instr]",
         "J1939 step, beside [instr]",
         "J1939 RAM [B]",
+        "XCP idle, a frame [instr]",
+        "XCP upload [instr]",
         f"of {report['clock_mhz']:g} MHz",
         "ELF",
     ]
