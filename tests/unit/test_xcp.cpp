@@ -3,6 +3,7 @@
 #include "heap_counter.hpp"
 #include "lpvguard/xcp.h"
 
+#include <algorithm>
 #include <cstring>
 #include <string>
 #include <vector>
@@ -32,7 +33,7 @@ struct Slave {
         lpvg_can_frame_t frame{};
         frame.id = id;
         frame.dlc = static_cast<uint8_t>(bytes.size());
-        std::memcpy(frame.data, bytes.data(), bytes.size() < 8U ? bytes.size() : 8U);
+        std::copy_n(bytes.begin(), std::min<size_t>(bytes.size(), 8U), frame.data);
         frame.t_us = 77;
         return lpvg_xcp_receive(&xcp, &frame, &out);
     }
