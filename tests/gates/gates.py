@@ -1143,7 +1143,7 @@ PLANTS: dict[str, list[Plant]] = {
             "lib/src/model.cpp",
             "namespace {\n",
             "uint32_t lpvg_unused(uint32_t n) {\n    return n;\n}\n\nnamespace {\n",
-            r"model\.cpp: \d+ lines missed, 0 allowed: \[8, 9\b",
+            r"model\.cpp: \d+ lines missed, 0 allowed: \[9, 10\b",
             "model.toy",
         ),
         Plant(
