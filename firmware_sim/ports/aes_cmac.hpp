@@ -80,7 +80,7 @@ public:
     }
 
 private:
-    static constexpr uint8_t twice(uint8_t x) { return static_cast<uint8_t>((x << 1U) ^ ((x & 0x80U) != 0U ? 0x1BU : 0U)); }
+    static constexpr uint8_t twice(uint8_t x) { return static_cast<uint8_t>((uint32_t{x} << 1U) ^ ((x & 0x80U) != 0U ? 0x1BU : 0U)); }
 
     // The inverse in GF(2^8), then the affine map: 3 generates the field, and 1/3 runs through the inverses.
     struct Box {
@@ -119,7 +119,7 @@ private:
         for (std::size_t i = 0U; i < 15U; ++i) {
             block[i] = static_cast<uint8_t>((block[i] << 1U) | (block[i + 1U] >> 7U));
         }
-        block[15] = static_cast<uint8_t>((block[15] << 1U) ^ (carry ? 0x87U : 0U));
+        block[15] = static_cast<uint8_t>((uint32_t{block[15]} << 1U) ^ (carry ? 0x87U : 0U));
     }
 
     uint8_t round_key_[176];

@@ -86,7 +86,7 @@ void answer_code(Answer& answer, const lpvg_j1939_memory_t& memory, const uint8_
 }
 
 void answer_codes(Answer& answer, const lpvg_j1939_memory_t& memory, const uint8_t* request, std::size_t n) {
-    const auto kind = static_cast<uint8_t>(n > 1U ? request[1] & ~suppressed : 0U);
+    const auto kind = static_cast<uint8_t>(n > 1U ? uint32_t{request[1]} & ~uint32_t{suppressed} : 0U);
     const std::size_t want = kind == by_mask ? 3U : 3U + dtc_bytes;
     add(answer, kind, 1U);
     if (n < 2U) {
