@@ -339,9 +339,10 @@ def misra(tree: Path, scratch: Path) -> list[str]:
     ]
 
 
-def misra_cpp(tree: Path, scratch: Path) -> list[str]:
+def misra_cpp(tree: Path, scratch: Path, only: str = "") -> list[str]:
+    """``only``: of one file."""
     folder, findings = export(tree, scratch, "hand_truck")
-    return findings or misra_cpp_findings(tree, folder)
+    return findings or misra_cpp_findings(tree, folder, only)
 
 
 FUNCTION = re.compile(r"^(?:LPVG_NODISCARD )?(?:const )?(\w+)\*? (lpvg_\w+)\(", re.MULTILINE)
@@ -1115,18 +1116,21 @@ PLANTS: dict[str, list[Plant]] = {
             "constexpr CrcTable kCrc;",
             "constexpr CrcTable kCrc;\nunion Either {\n    int a;\n    float b;\n};",
             r"can\.cpp: 'union', which MISRA_CPP\.md 12\.3\.1 says is absent",
+            "can.cpp",
         ),
         Plant(
             "lib/src/can.cpp",
             "uint8_t crc_step(uint8_t crc, uint8_t byte) { return",
             "uint8_t crc_step(uint8_t crc, uint8_t byte) { if (crc == byte) return 0U; return",
             r"can\.cpp:\d+: statement should be inside braces",
+            "can.cpp",
         ),
         Plant(
             "lib/MISRA_CPP.md",
             "`misc-no-recursion`",
             "`misc-no-recursions`",
             r"knows no misc-no-recursions",
+            "can.cpp",
         ),
     ],
     "mcdc": [

@@ -44,8 +44,9 @@ def rows_of(table: Path) -> list[Row]:
     return [Row(*groups) for groups in ROW.findall(table.read_text())]
 
 
-def misra_cpp_findings(tree: Path, vehicle: Path) -> list[str]:
-    """Findings on lib/src of ``tree``, compiled for the generated folder ``vehicle``, one sentence each."""
+def misra_cpp_findings(tree: Path, vehicle: Path, only: str = "") -> list[str]:
+    """Findings on lib/src of ``tree``, or on its file ``only``, compiled for the generated folder ``vehicle``,
+    one sentence each."""
     rows = rows_of(tree / "lib" / "MISRA_CPP.md")
     by = Counter(row.by for row in rows)
     print(", ".join(f"{by[kind]} {kind}" for kind in (*BY_TOOL, *BY_WORD)))
@@ -58,7 +59,7 @@ def misra_cpp_findings(tree: Path, vehicle: Path) -> list[str]:
         for row in rows
         if row.by not in (*BY_TOOL, *BY_WORD)
     ]
-    sources = sorted((tree / "lib" / "src").glob("*.[ch]pp"))
+    sources = sorted((tree / "lib" / "src").glob(only or "*.[ch]pp"))
     findings += absent([row for row in rows if row.by == "absent"], sources)
     units = [path for path in sources if path.suffix == ".cpp"]
     eigen = subprocess.run(

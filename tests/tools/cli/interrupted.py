@@ -134,6 +134,7 @@ def replace_computing(variant: str) -> None:
     text = f"variant {variant}\n" * 400
     stored = SimpleNamespace(
         manifest={"variant": variant},
+        calibration=SimpleNamespace(groups={}),
         project=SimpleNamespace(
             name="g80", frames=SimpleNamespace(estimator="hann"), design=SimpleNamespace(structure="K_i")
         ),
@@ -164,7 +165,7 @@ def replace_computing(variant: str) -> None:
             energy=None,
             model_fit=[],
             weights=SimpleNamespace(inflation=1.0),
-            calibration=SimpleNamespace(to_dict=dict, threshold=1.0, claim=lambda: ""),
+            calibration=SimpleNamespace(to_dict=dict, carried=1.0, claim=lambda: ""),
         ),
         None,
     )

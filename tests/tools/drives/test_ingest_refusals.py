@@ -252,8 +252,8 @@ def test_a_vehicle_with_can_places_needs_no_map_and_no_dbc(tmp_path):
         name="truck",
         Ts_s=0.01,
         signals=[
-            signal("v", "m/s", -1, 60, message="CCVS1", signal="wheel_based_speed", factor=3.6),
-            signal("r", "rad/s", -2, 2, message="VDC2", signal="yaw_rate", factor=1.0),
+            signal("v", "m/s", -1, 60, message="CCVS1", signal="wheel_based_speed", factor=3.6, plus=()),
+            signal("r", "rad/s", -2, 2, message="VDC2", signal="yaw_rate", factor=1.0, plus=()),
         ],
     )
     ingest([tmp_path / "drive.log"], dbc=None, signals_map=map_of_project(project), out=tmp_path / "out")
