@@ -45,8 +45,10 @@ def rows_of(table: Path) -> list[Row]:
 
 
 def misra_cpp_findings(tree: Path, vehicle: Path, only: str = "") -> list[str]:
-    """Findings on lib/src of ``tree``, or on its file ``only``, one sentence each; ``vehicle`` is the generated
-    folder that it is compiled for."""
+    """Findings on lib/src of ``tree``, or on its file ``only``, one sentence each.
+
+    ``vehicle``: the generated folder that it is compiled for.
+    """
     rows = rows_of(tree / "lib" / "MISRA_CPP.md")
     by = Counter(row.by for row in rows)
     print(", ".join(f"{by[kind]} {kind}" for kind in (*BY_TOOL, *BY_WORD)))
