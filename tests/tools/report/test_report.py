@@ -13,6 +13,7 @@ from report_case import DRIVES, LEFT_OUT, Case, vehicle, write_drives
 from lpvguard import schemas
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
+from lpvguard.evaluate.comparison import HELD_OUT, LEFT_ONE_OUT
 from lpvguard.evaluate.run import evaluate
 from lpvguard.identify import run as stage
 from lpvguard.report.page import write_report
@@ -340,6 +341,12 @@ def test_evaluation_and_a_core_of_another_identification_are_told(case, page, tm
     assert "lead alone: output × 0.6 (residual RMS);" in text
     for row in evaluation["faults"]:
         assert row["fault"] in text
+    assert "Each left out of its own threshold: " in text
+    claims = evaluation["claims"] | {HELD_OUT: evaluation["claims"][LEFT_ONE_OUT]}
+    evaluation |= {"mode": HELD_OUT, "claims": claims}
+    held_out = case.page(tmp_path / "held_out.html", evaluation).decode()
+    assert "Of drives that the identification never saw: " in held_out
+    assert "Each left out of its own threshold: " not in held_out
 
 
 @pytest.mark.slow("4 s: another page")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ...base import artefacts
 from ...base.errors import InputError
+from ...evaluate.comparison import HELD_OUT
 from ...identify.premise import premise
 from ...identify.run import StoredIdentification
 from ...replay.run import Alarm
@@ -76,15 +77,21 @@ def _short(error: float) -> str:
     return f"{100 * error:.{1 if 0 < abs(error - LEVEL) < 5e-3 else 0}f}"
 
 
-def _frequency(cell: MapCell) -> str:
-    return "DC" if cell.omega == 0 else f"{cell.omega:.3g}"
+def _frequency(omega: float, unit: str = "") -> str:
+    """A frequency [rad/s] as text, with ``unit`` unless it is none."""
+    return "DC" if omega == 0 else f"{omega:.3g}{unit}"
+
+
+def _data(values: dict[str, str]) -> str:
+    """Attributes data-* of an element."""
+    return "".join(f' data-{key}="{value}"' for key, value in values.items())
 
 
 def _run_words(first: MapCell, last: MapCell) -> str:
     """A run of bins in words."""
     if first.bin == last.bin:
-        return _frequency(first) + ("" if first.omega == 0 else " rad/s")
-    return f"{_frequency(first)} to {_frequency(last)} rad/s"
+        return _frequency(first.omega, " rad/s")
+    return f"{_frequency(first.omega)} to {_frequency(last.omega)} rad/s"
 
 
 def _listed(name: str, found: list[Region]) -> str:
@@ -121,7 +128,7 @@ def _good_for(grid: list[list[MapCell]]) -> str:
 def _cell_words(cell: MapCell) -> str:
     """All numbers of a cell, as text."""
     low, high = cell.speed_mps
-    where = f"{low:.3g} to {high:.3g} m/s, {'DC' if cell.omega == 0 else f'{cell.omega:.3g} rad/s'}"
+    where = f"{low:.3g} to {high:.3g} m/s, {_frequency(cell.omega, ' rad/s')}"
     if cell.gain_error is None:
         return f"{where}: no frame counted, nothing is known"
     alarms = f"; alarms of the frame test: {cell.alarms}" if cell.alarms else ""
@@ -146,10 +153,9 @@ def _map_cell(row: int, cell: MapCell) -> str:
         "state": cell.state,
     }
     shown = f"{cell.alarms}×" if cell.alarms else "" if cell.gain_error is None else _short(cell.gain_error)
-    attributes = "".join(f' data-{key}="{value}"' for key, value in data.items())
     words = _cell_words(cell)
     return (
-        f'<td id="cell-{row}-{cell.bin}" class="{cell.state}"{attributes} title="{words}">'
+        f'<td id="cell-{row}-{cell.bin}" class="{cell.state}"{_data(data)} title="{words}">'
         f"<span>{SIGNS[cell.state]}</span> {shown}</td>"
     )
 
@@ -159,7 +165,7 @@ def _map(stored: StoredIdentification, grid: list[list[MapCell]], told: list[Tol
     energy = [0] * len(grid)
     for a in (a for d in told for a in d.alarms if a.bin_rad_s is None):
         energy[speed_row(stored.visibility, a.speed_mps)] += 1
-    head = "".join(f'<th scope="col">{_frequency(c)}</th>' for c in grid[0])
+    head = "".join(f'<th scope="col">{_frequency(c.omega)}</th>' for c in grid[0])
     rows = "".join(
         f'<tr><th scope="row">{grid[r][0].speed_mps[0]:.3g}–\N{WORD JOINER}{grid[r][0].speed_mps[1]:.3g}</th>'
         + "".join(_map_cell(r, c) for c in grid[r])
@@ -190,7 +196,7 @@ def place(test: str, omega: float | None, band: str | None = None) -> str:
     """Test and frequency [rad/s] of an alarm or of what came near one, as text."""
     if omega is None:
         return f"{test} test" + (f", {band.replace('_', ' ')} the corners" if band else "")
-    return f"{test} test, {'DC' if omega == 0 else f'{omega:.3g} rad/s'}"
+    return f"{test} test, {_frequency(omega, ' rad/s')}"
 
 
 def _alarm_row(drive: Told, alarm: Alarm) -> str:
@@ -213,13 +219,12 @@ def _nearest_words(drive: Told, near: Nearest, quiet: list[tuple[Told, Nearest]]
         "t": f"{near.t_s:.2f}",
         "speed": f"{near.speed_mps:.4g}",
     }
-    attributes = "".join(f' data-{key}="{value}"' for key, value in data.items())
     as_near = [d for d, other in quiet if d is not drive and near.ratio - other.ratio < AS_NEAR]
     tied = ", ".join(f'<a href="#{d.key}">{escape(d.name)}</a>' for d in as_near)
     tied = f" As near: {tied}." if tied else ""
     itself = " Its score is the threshold." if abs(near.ratio - 1) < 1e-5 else ""
     return (
-        f'<p id="nearest"{attributes}><b>Nearest to an alarm without one:</b> <a href="#{drive.key}">'
+        f'<p id="nearest"{_data(data)}><b>Nearest to an alarm without one:</b> <a href="#{drive.key}">'
         f"{escape(drive.name)}</a>, {near.ratio:.3f} of the threshold: {place(near.test, near.omega)}, "
         f"{near.t_s:.1f} s after its start, {near.speed_mps:.3g} m/s ({drive.role}).{itself}{tied}</p>"
     )
@@ -237,9 +242,14 @@ def _independence(stored: StoredIdentification, told: list[Told], evaluation: di
     if evaluation is None:
         return words
     of = evaluation["false_alarms"]["all"]
+    which = (
+        "Of drives that the identification never saw"
+        if evaluation["mode"] == HELD_OUT
+        else "Each left out of its own threshold"
+    )
     return (
         f'{words} <span id="left-out" data-alarmed="{of["alarmed_drives"]}" data-drives="{of["drives"]}">'
-        f"Each left out of its own threshold: {of['alarmed_drives']} of {of['drives']} alarm.</span>"
+        f"{which}: {of['alarmed_drives']} of {of['drives']} alarm.</span>"
     )
 
 
