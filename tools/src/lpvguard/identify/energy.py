@@ -132,7 +132,9 @@ def _raised(
 
 def _norm_in(sums: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """sqrt(a' G a) (n, D) of matrices (n, n_y, n_y) in directions (D, n_y)."""
-    return np.sqrt(np.maximum(np.einsum("di,nij,dj->nd", directions, sums, directions), 0.0))
+    products = directions[:, :, None] * directions[:, None, :]
+    found = sums.reshape(len(sums), -1) @ products.reshape(len(directions), -1).T
+    return np.sqrt(np.maximum(found, 0.0))
 
 
 @dataclass(frozen=True)
