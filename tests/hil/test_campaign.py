@@ -28,7 +28,7 @@ from lpvguard.identify import run as identify
 from lpvguard.loop.campaign import conduct, faults, one_run, run, scenarios, summary, trucks
 from lpvguard.loop.campaign.run import campaign
 from lpvguard.loop.campaign.scenarios import Drawn, PlannedRun, Size
-from lpvguard.loop.sim import Scenario, load_scenario, shipped_scenarios
+from lpvguard.loop.sim import Scenario, Simulator, load_scenario, shipped_scenarios
 from lpvguard.replay.run import Replayer
 from lpvguard.vehicle.nominal import NominalModel
 
@@ -172,6 +172,22 @@ def test_a_fault_found_with_its_first_sample_is_not_taken_for_an_alarm_before_it
     )
     assert not row["monitor_before"] and row["monitor_score_before"] < 1.0
     assert row["monitor_found_s"] < 0.1 and row["ecu_invalid_s"] == pytest.approx(60.0, abs=0.1)
+
+
+def test_a_quantity_that_happens_to_be_whole_is_a_real_number_in_every_chunk(truck_folder, monkeypatch):
+    """JSON has 60 for 60.0. One chunk of 66 had a column of integers so, and the campaign could not end."""
+    drive = Simulator.drive
+
+    def whole(self: Simulator, path: Path, **options):
+        facts, *rest = drive(self, path, **options)
+        return facts | {"verdicts": [[60, "invalid"]], "demand_max_bar": 2, "duration_s": 180}, *rest
+
+    monkeypatch.setattr(Simulator, "drive", whole)
+    context = one_run.Context(truck_folder, 1, ((0.01, 0.01), (1.0,)), ())
+    row = one_run.run_planned(context, PlannedRun(0, "within", 0.0, 0, 0.0, ""))
+    quantities = {k: v for k, v in row.items() if k.endswith(("_s", "_bar", "_mps", "_radps"))}
+    assert len(quantities) > 15 and row["ecu_invalid_s"] == 60.0
+    assert {type(v) for v in quantities.values()} <= {float, type(None)}, quantities
 
 
 def test_what_is_drawn_depends_on_seed_and_number_alone():

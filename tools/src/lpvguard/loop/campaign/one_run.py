@@ -176,11 +176,11 @@ def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
         "plant": planned.plant,
         "seed": facts["seed"],
         "fault_s": planned.fault_s,
-        "duration_s": facts["duration_s"],
+        "duration_s": float(facts["duration_s"]),
         "speed_mps": float(drive.v.mean()),
         "frames_hash": facts["frames_hash"],
         "brake_gain": float(scenario["plant"].get("variation", {}).get("brake_gain_ratio", 1.0)),
-        "demand_max_bar": facts["demand_max_bar"],
+        "demand_max_bar": float(facts["demand_max_bar"]),
         **did,
         "tracking_ratio": facts["tracking_rms"] / facts["command_rms"] if facts["command_rms"] else None,
         "judged_s": replay.judged_s,
@@ -189,7 +189,7 @@ def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
         "due_s": offline.due_s,
         "offline_median": offline.median,
         "offline_max": offline.largest,
-        "ecu_invalid_s": next((t for t, verdict in facts["verdicts"] if verdict == "invalid"), None),
+        "ecu_invalid_s": next((float(t) for t, verdict in facts["verdicts"] if verdict == "invalid"), None),
         **{f"supervision_{key}": value for key, value in asdict(reactions).items()},
     }
     for test in TESTS:
