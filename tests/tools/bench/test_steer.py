@@ -45,5 +45,10 @@ class NoWorkers:
 @pytest.mark.parametrize("given", ["", "fast", "10,", "-1", "nan", "inf"])
 def test_speeds_that_are_none_are_refused(given):
     with pytest.raises(InputError, match=r"--speeds.*numbers from 0 on"):
-        steer.numbers("--speeds", given, ())
-    assert steer.numbers("--speeds", None, (8.0,)) == [8.0]
+        steer.main(["vehicle", f"--speeds={given}"])
+
+
+@pytest.mark.parametrize("given", ["1.5", "1,inf", "one"])
+def test_seeds_that_are_no_whole_numbers_are_refused(given):
+    with pytest.raises(InputError, match=r"--seeds.*whole numbers from 0 on"):
+        steer.main(["vehicle", "--seeds", given])

@@ -50,18 +50,28 @@ def main(argv: list[str]) -> None:
     options.add_argument("--speeds", help="m/s, comma between; default: 8 to 22 in steps of 1")
     options.add_argument("--seeds", help="of noise, road and wind, comma between; default: 1,2,3")
     given = options.parse_args(argv)
-    speeds = numbers("--speeds", given.speeds, SPEEDS)
-    seeds = [int(x) for x in numbers("--seeds", given.seeds, SEEDS)]
+    speeds = _numbers("--speeds", given.speeds, SPEEDS)
+    seeds = [int(x) for x in _numbers("--seeds", given.seeds, SEEDS, whole=True)]
     with workers(PROCESSES) as run_all:
         rows = list(steered(given.vehicle, TRUCKS, speeds, seeds, run_all))
     show("\n".join(lines(rows)), {"runs": rows}, given.json_out)
 
 
-def numbers(option: str, given: str | None, otherwise: Sequence[float]) -> list[float]:
-    """The numbers of an ``option``; InputError unless all are finite and not negative."""
+def _numbers(
+    option: str, given: str | None, otherwise: Sequence[float], *, whole: bool = False
+) -> list[float]:
+    """The numbers of an ``option``; InputError unless all are finite, not negative and, where asked,
+    ``whole``."""
     if given is None:
         return list(otherwise)
-    return numbers_of("steer", option, given, lambda x: 0 <= x < np.inf, "numbers from 0 on")
+    kind = "whole numbers" if whole else "numbers"
+    return numbers_of(
+        "steer",
+        option,
+        given,
+        lambda x: 0 <= x < np.inf and (x.is_integer() or not whole),
+        f"{kind} from 0 on",
+    )
 
 
 def steered(

@@ -100,9 +100,10 @@ def list_experiments(folder: Path) -> list[Experiment]:
     return experiments
 
 
-def index_text(rows: Iterable[tuple[str, str, str]]) -> str:
-    """An experiments.csv of drives: name, split and the recording that each is a piece of."""
-    lines = ["experiment,split,recording", *(",".join(row) for row in rows)]
+def index_text(rows: Iterable[tuple[str, str, str]], third: str = "recording") -> str:
+    """An experiments.csv of drives: name, split and ``third``, by default the recording that each is a piece
+    of."""
+    lines = [f"experiment,split,{third}", *(",".join(row) for row in rows)]
     return "\n".join(lines) + "\n"
 
 

@@ -8,8 +8,6 @@ zero-input runs.
 
 from __future__ import annotations
 
-import csv
-import io
 import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,7 +17,7 @@ from ..base import artefacts, native
 from ..base.errors import InputError
 from ..core.compiled import firmware_root
 from ..drives import fixture
-from ..drives.tables import EXPERIMENTS
+from ..drives.tables import EXPERIMENTS, index_text
 from ..vehicle.project import Project
 
 DURATION_S = 180.0
@@ -121,12 +119,10 @@ def generate(project: Project, target: Path, seed: int, tell: Callable[[str], No
         raise InputError(f"vehicle {project.name}", "data.generator", "not set", " or ".join(makers))
     with artefacts.new_folder(target, "generate", project.name) as folder:
         rows = makers[project.data.generator](project, folder, seed, tell)
-        stream = io.StringIO()
-        csv.writer(stream, lineterminator="\n").writerows([("experiment", "split", "driver"), *rows])
         artefacts.write_files(
             folder,
             {
-                EXPERIMENTS: stream.getvalue(),
+                EXPERIMENTS: index_text(rows, "driver"),
                 artefacts.MANIFEST: artefacts.manifest(
                     "generate", vehicle=project.name, seed=seed, drives=[r[0] for r in rows]
                 ),
