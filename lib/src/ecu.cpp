@@ -271,8 +271,8 @@ lpvg_can_dtc_t trouble_code(const lpvg_ecu_t& self, lpvg_ecu_fault_t fault, cons
 // Whether the controller's speed is one that it was designed for.
 void judge_speed(lpvg_ecu_t& self) {
     const lpvg_ecu_kept_t& r = self.kept;
-    const lpvg_real_t within = self.in_range ? lpvg_real_t(0) : static_cast<lpvg_real_t>(LPVG_ECU_SPEED_HYSTERESIS_MPS);
-    self.in_range = self.signals.speed >= r.speed_min + within && self.signals.speed <= r.speed_max - within;
+    const lpvg_real_t beyond = self.in_range ? static_cast<lpvg_real_t>(LPVG_ECU_SPEED_HYSTERESIS_MPS) : lpvg_real_t(0);
+    self.in_range = self.signals.speed >= r.speed_min - beyond && self.signals.speed <= r.speed_max + beyond;
 }
 
 // Whether the actuator does what was demanded up to the newest step.

@@ -255,8 +255,8 @@ private:
 
     void judge(float demand) {
         const lpvg_control_reals_t& r = lpvg_control_coeff.reals;
-        const auto within = static_cast<lpvg_real_t>(in_range_ ? 0.0F : LPVG_ECU_SPEED_HYSTERESIS_MPS);
-        in_range_ = speed_ >= r.speed_min + within && speed_ <= r.speed_max - within;
+        const auto beyond = static_cast<lpvg_real_t>(in_range_ ? LPVG_ECU_SPEED_HYSTERESIS_MPS : 0.0F);
+        in_range_ = speed_ >= r.speed_min - beyond && speed_ <= r.speed_max + beyond;
         // In the numbers of the core: where a violation begins, rounding decides.
         const lpvg_ecu_actuator_limits_t& actuator = bench_config.actuator;
         lagged_ += (demand - lagged_) * 0.01F / (actuator.lag_s + 0.01F);

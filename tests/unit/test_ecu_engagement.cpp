@@ -40,12 +40,12 @@ TEST_CASE("before a frame has ended nothing is known of the vehicle, then lack o
 TEST_CASE("at every speed outside the scheduling range the loop is released, with hysteresis at its ends", "[unit][ecu][REQ-ECU-10]") {
     const lpvg_control_reals_t& r = lpvg_control_coeff.reals;
     Bench bench = engaged_bench();
-    const float beyond = GENERATE(0.0F, 3.0F, 7.9F, 22.1F, 30.0F, 38.0F);
+    const float beyond = GENERATE(0.0F, 3.0F, 7.7F, 22.3F, 30.0F, 38.0F);
     CAPTURE(beyond);
     const bool low = beyond < static_cast<float>(r.speed_min);
     const auto edge = static_cast<float>(low ? r.speed_min : r.speed_max);
     std::size_t wrong = 0;
-    drive_to(bench, edge + (low ? 0.05F : -0.05F));
+    drive_to(bench, edge + (low ? -0.8F : 0.8F) * hysteresis);
     CHECK(bench.engaged());
     bench.ecu.monitor.has_evidence = true;
     while (std::fabs(bench.speed - beyond) > 0.02F) {
@@ -53,7 +53,7 @@ TEST_CASE("at every speed outside the scheduling range the loop is released, wit
         bench.speed += low ? -0.02F : 0.02F;
         bench.step();
         const auto now = bench.ecu.signals.speed;  // the newest that has come
-        const bool outside = now < r.speed_min || now > r.speed_max;
+        const bool outside = now < r.speed_min - hysteresis || now > r.speed_max + hysteresis;
         wrong += outside && (bench.engaged() || bench.report.verdict == static_cast<float>(lpvg_verdict_valid)) ? 1U : 0U;
     }
     bench.run(10);
@@ -62,9 +62,10 @@ TEST_CASE("at every speed outside the scheduling range the loop is released, wit
     CHECK_FALSE(bench.ecu.kept.locked);
     CHECK(bench.ecu.releases == 0U);
     bench.ecu.monitor.has_evidence = false;
-    drive_to(bench, edge + (low ? 0.8F : -0.8F) * hysteresis);
+    drive_to(bench, edge + (low ? -0.2F : 0.2F) * hysteresis);
+    bench.run(wait_steps);
     CHECK_FALSE(bench.engaged());
-    drive_to(bench, edge + (low ? 1.5F : -1.5F) * hysteresis);
+    drive_to(bench, edge + (low ? 0.2F : -0.2F) * hysteresis);
     bench.run(wait_steps);
     CHECK(bench.engaged());
 }

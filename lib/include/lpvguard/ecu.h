@@ -18,9 +18,9 @@
 /// Engagement: the causes LPVG_ECU_CAUSE_* release while they last, but for those that `report_only` of the configuration names.
 /// After a release by anything but the asker the loop engages again LPVG_ECU_WAIT_US after its causes have gone. A cause of
 /// LPVG_ECU_CAUSES_LATCHING that ends an engagement locks it. So does the release by a fault after LPVG_ECU_RELEASES_MAX others, none of
-/// them a LPVG_ECU_RELEASES_US after the one before. A lock ends by lpvg_ecu_acknowledge only. The speed is in range again
-/// LPVG_ECU_SPEED_HYSTERESIS_MPS within the ends of the controller's range. What "no excitation" means for the monitor, verdict
-/// not_judged, permits engagement. Outside the range a valid verdict is reported as not_judged: it is about other speeds.
+/// them a LPVG_ECU_RELEASES_US after the one before. A lock ends by lpvg_ecu_acknowledge only. The speed leaves the controller's
+/// range LPVG_ECU_SPEED_HYSTERESIS_MPS beyond its ends, so that noise at an end does not release, and is back within them.
+/// What "no excitation" means for the monitor, verdict not_judged, permits engagement. Outside the range a valid verdict is reported as not_judged: it is about other speeds.
 ///
 /// Permission: the vehicle asks for control by its message (bus.h). Control counts after any other request has been seen since init.
 /// While another command on the actuator has a higher priority than `priority`, while the brake pedal is beyond
@@ -73,7 +73,7 @@ LPVG_EXTERN_C_BEGIN
 #define lpvg_ecu_acknowledge LPVG_SYM(ecu_acknowledge)
 #define lpvg_ecu_findings LPVG_SYM(ecu_findings)
 
-#define LPVG_ECU_SPEED_HYSTERESIS_MPS 0.25F  ///< Within the range by so much, the speed is in range again [m/s]
+#define LPVG_ECU_SPEED_HYSTERESIS_MPS 0.25F  ///< Beyond an end of the range by more, the speed has left it [m/s]
 #define LPVG_ECU_WAIT_US 500000U  ///< From the end of a cause to engagement                    [us]
 #define LPVG_ECU_RELEASES_MAX 3U  ///< Releases by faults after which the next one locks.
 #define LPVG_ECU_RELEASES_US 60000000U  ///< Time without one that forgets them                       [us]
