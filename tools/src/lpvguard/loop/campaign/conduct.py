@@ -9,8 +9,9 @@ Three things falsify the certificate when the truck of the run is within the bou
 
 The error is that to the reference model's answer to the command. Allowed is the share TRACKED of the wanted
 yaw rate, TRACKED_WEAK where the truck's brakes have less than WEAK_BRAKES of the nominal gain. Road and wind
-leave an error however small the command is. So as much is allowed as they make of the same truck left alone,
-without command and controller, on the same road in the same wind: the free motion.
+leave an error however small the command is. So what they make of the same truck is allowed besides: left
+alone, without command and controller, on the same road in the same wind, its free motion. The two are
+independent, and their powers add.
 """
 
 from __future__ import annotations
@@ -119,7 +120,7 @@ def allowed_error(wanted: float, free: float, brake_gain: float) -> float:
     ``wanted``, ``free``: rms of the wanted yaw rate and of the free motion [rad/s]; ``brake_gain``: of the
     nominal truck's.
     """
-    return max((TRACKED_WEAK if brake_gain < WEAK_BRAKES else TRACKED) * wanted, free)
+    return float(np.hypot((TRACKED_WEAK if brake_gain < WEAK_BRAKES else TRACKED) * wanted, free))
 
 
 def ruled_out(row: dict[str, Any]) -> Iterator[str]:

@@ -30,7 +30,7 @@ from ...replay.run import Replay, Replayer, read_raw_log
 from ..sim import RECOVERY_S, Simulator
 from ..supervision import LIVE, Reactions, limits, needed_messages, required
 from .conduct import AT_LIMIT, STEERING_RADPS, longest_stretch, rms_up_to, steady_line
-from .scenarios import UNIT, Drawn, PlannedRun
+from .scenarios import ROOM, UNIT, Drawn, PlannedRun
 
 FOUND_WITHIN_S = 60.0
 STRIDE = 10
@@ -156,10 +156,15 @@ def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
         path = Path(scratch) / "scenario.toml"
         telemetry = path.with_suffix(".csv")
         # Left alone, the truck does not know of the command: this run tells its free motion and the demand.
+        # Steps ask the controller for more than their tracking does: a run at half the size tells how much.
         path.write_text(drawn.text(planned.tables, UNIT), encoding="utf-8")
         free_truck.drive(path, telemetry=telemetry)
         free = read_telemetry(telemetry)
         size = drawn.size(replayer.model, free["wanted_radps"], TELEMETRY_S)
+        if planned.plant >= 0:
+            path.write_text(drawn.text(planned.tables, size / 2), encoding="utf-8")
+            half, _, _ = simulator.drive(path)
+            size *= min(1.0, 0.5 * ROOM * float(simulator.u_max.min()) / half["demand_max_bar"])
         path.write_text(drawn.text(planned.tables, size), encoding="utf-8")
         log = path.with_suffix(".log") if "can_fault" in planned.tables else None
         facts, drive, present = simulator.drive(path, log=log, telemetry=telemetry)

@@ -24,7 +24,8 @@ HIGHEST_COMMAND_RADPS = 4.0
 FAULT_BAR = 0.9
 """Least of the largest demand of runs with a fault: enough to see one."""
 ROOM = 0.85
-"""Of the controller's limit that a command asks for; the rest is for road, wind and noise."""
+"""Of the controller's limit that a command asks for; the rest is for road, wind and noise. A certificate is
+about the loop within its limits."""
 UNIT = 0.05
 """[rad/s] Size of a command with which its demand is found."""
 REFERENCE_RADPS = 3.0
@@ -142,7 +143,8 @@ class Drawn:
 
     def size(self, model: NominalModel, unit: np.ndarray, Ts: float) -> float:
         """Size of the command [rad/s] with which the nominal truck needs ``demand_bar``, or the command's own
-        where that is less.
+        where that is less. Its amplitude, as the bounds count it (sqrt 2 times the demand's rms), is at least
+        LEAST_BAR.
 
         ``unit`` (N,): what the reference model makes of this command at size UNIT [rad/s], every ``Ts`` [s].
         It is followed up to HIGHEST_COMMAND_RADPS at every speed of the run; above, no loop does.
@@ -151,12 +153,13 @@ class Drawn:
         omega = 2 * np.pi * np.arange(len(wanted)) / (len(unit) * Ts)
         followed = omega[omega <= HIGHEST_COMMAND_RADPS]
         speeds = [v for _, v in self.profile]
-        needed = 0.0
+        needed, amplitude = 0.0, np.inf
         for v in np.linspace(min(speeds), max(speeds), 5):
             P = model.frequency_response(followed, float(v))[:, 0, 0]
             demand = np.fft.irfft(wanted[: len(followed)] / P, len(unit))
             needed = max(needed, float(np.abs(demand).max()))
-        size = self.demand_bar / needed * UNIT
+            amplitude = min(amplitude, float(np.sqrt(2 * np.mean(demand**2))))
+        size = max(self.demand_bar / needed, LEAST_BAR / amplitude) * UNIT
         return size if self.command.size is None else min(size, self.command.size)
 
     def text(self, tables: str, size: float) -> str:
