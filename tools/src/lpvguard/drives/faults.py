@@ -1,7 +1,12 @@
 """Faults injected into recorded drives, from a given time on, to see what the monitor finds.
 
 Gain, sign, freeze and bias act on every output. A delay acts on the input (the recorded input lags) or on the
-outputs.
+outputs. A fault comes at once, or its share s grows from 0 to 1 over a ramp:
+
+    gain    y becomes (1 + s (value - 1)) y
+    freeze  y becomes (1 - s) y + s y_0, with y_0 at the fault's first sample
+    bias    y becomes y + s value
+    delay   x(t) becomes x(t - s value), linear between samples; before the drive x stands at its first
 """
 
 from __future__ import annotations
@@ -44,23 +49,28 @@ class Fault:
         return texts[self.kind].format(self.value)
 
 
-def inject(drive: Drive, fault: Fault, start_s: float, Ts: float) -> Drive:
-    """The drive with ``fault`` from ``start_s`` seconds after its first sample on. Delays are whole
-    samples."""
+def inject(drive: Drive, fault: Fault, start_s: float, Ts: float, ramp_s: float = 0.0) -> Drive:
+    """The drive with ``fault`` from ``start_s`` seconds after its first sample on.
+
+    It has its full size ``ramp_s`` [s] later. ``Ts`` [s]: between samples. A full delay is whole samples.
+    """
     first = round(start_s / Ts)
+    after = np.arange(len(drive.t)) - first
+    share = np.where(after < 0, 0.0, np.minimum(1.0, after * Ts / ramp_s) if ramp_s else 1.0)
     u, y = drive.u.copy(), drive.y.copy()
 
     def delayed(x: np.ndarray) -> np.ndarray:
         index = np.arange(len(x))
-        shift = round(fault.value / Ts)
-        return x[np.where(index >= first, np.maximum(index - shift, 0), index)]
+        at = np.maximum(index - share * round(fault.value / Ts), 0.0)
+        return np.stack([np.interp(at, index, column) for column in x.T], axis=1)
 
+    s = share[first:, None]
     if fault.kind == "gain":
-        y[first:] *= fault.value
+        y[first:] *= 1.0 + s * (fault.value - 1.0)
     elif fault.kind == "freeze":
-        y[first:] = y[min(first, len(y) - 1)]
+        y[first:] += s * (y[min(first, len(y) - 1)] - y[first:])
     elif fault.kind == "bias":
-        y[first:] += fault.value * np.array(fault.spread or 1.0)
+        y[first:] += s * fault.value * np.array(fault.spread or 1.0)
     elif fault.kind == "input_delay":
         u = delayed(u)
     else:
