@@ -108,6 +108,93 @@ TEST_CASE("sensor faults act on the sensor, in their window, and nowhere else", 
     CHECK(measured_at(25.0) != 0.0);
 }
 
+TEST_CASE("a fault with a ramp has its share of the size, and all of it afterwards", "[unit][plant]") {
+    Window window{10.0, 60.0, 20.0};
+    CHECK(window.share(9.9) == 0.0);
+    CHECK(window.share(15.0) == Approx(0.25));
+    CHECK(window.share(30.0) == 1.0);
+    CHECK(window.share(60.0) == 0.0);
+    CHECK(shared_ratio(0.4, window.share(20.0)) == Approx(0.7));
+    CHECK(shared_ratio(0.4, 1.0) == 0.4);
+
+    const PlantParameters p = quiet();
+    SensorFault sensor;
+    sensor.signal = Signal::yaw_rate;
+    ActuatorFault actuator;
+    SurroundingsFault surroundings;
+    sensor.window = actuator.window = surroundings.window = window;
+    const auto after_20_s = [&](const Faults& faults) {
+        Plant plant(p, at(12.0), 4, faults);
+        run(plant, 20.0, -1.0);
+        return plant.sensors().yaw_rate_radps;
+    };
+    Faults faults;
+    const double healthy_radps = after_20_s(faults);
+    SECTION("gain, bias and drift") {
+        sensor.gain = 0.6;
+        sensor.bias = 0.1;
+        sensor.drift_ps = 0.01;
+        faults.sensors = {sensor};
+        CHECK(after_20_s(faults) == Approx(0.8 * healthy_radps + 0.5 * (0.1 + 0.1)).epsilon(1e-3));
+    }
+    SECTION("frozen") {
+        Plant before(p, at(12.0), 4);
+        run(before, 10.0, -1.0);
+        sensor.frozen = true;
+        faults.sensors = {sensor};
+        CHECK(after_20_s(faults) == Approx(0.5 * (healthy_radps + before.sensors().yaw_rate_radps)).epsilon(1e-3));
+    }
+    SECTION("noise") {
+        sensor.extra_noise_rms = 0.1;
+        faults.sensors = {sensor};
+        const double ramped_radps = after_20_s(faults) - healthy_radps;
+        faults.sensors[0].window = {};
+        faults.sensors[0].extra_noise_rms = 0.05;
+        CHECK(ramped_radps == Approx(after_20_s(faults) - healthy_radps).epsilon(1e-3));
+        CHECK(std::fabs(ramped_radps) > 1e-4);
+    }
+    SECTION("brakes") {
+        actuator.brake_gain_ratio = 0.2;
+        faults.actuators = {actuator};
+        const double ramped_radps = after_20_s(faults);
+        faults.actuators[0].window.ramp_s = 0.0;
+        CHECK(std::fabs(ramped_radps) < 0.8 * std::fabs(healthy_radps));
+        CHECK(std::fabs(ramped_radps) > 1.5 * std::fabs(after_20_s(faults)));
+    }
+    SECTION("tyres") {
+        surroundings.cornering_stiffness_front_ratio = 0.5;
+        faults.surroundings = {surroundings};
+        const double ramped_radps = after_20_s(faults);
+        faults.surroundings[0].window = {};
+        const double whole_radps = after_20_s(faults);
+        faults.surroundings[0].cornering_stiffness_front_ratio = 0.75;
+        CHECK(ramped_radps == Approx(after_20_s(faults)).epsilon(0.1));
+        CHECK(std::fabs(ramped_radps - whole_radps) > 0.01 * std::fabs(whole_radps));
+    }
+    SECTION("a ramp is no negative time") {
+        sensor.window.ramp_s = -1.0;
+        faults.sensors = {sensor};
+        CHECK_THROWS_AS(after_20_s(faults), ParameterError);
+    }
+}
+
+TEST_CASE("a growing delay and lag reach their size", "[unit][plant]") {
+    const PlantParameters p = quiet();
+    const auto pressure = [&](double seconds, double ramp_s, double delay_s, double lag_s) {
+        Faults faults;
+        faults.actuators.push_back({{0.0, 100.0, ramp_s}, 1.0, lag_s, delay_s});
+        Plant plant(p, at(12.0), 1, faults);
+        run(plant, 10.0, 0.0);
+        run(plant, seconds, 1.0);
+        return plant.truth().pressure_right_bar;
+    };
+    CHECK(pressure(0.5, 20.0, 0.4, 0.0) == Approx(pressure(0.5, 0.0, 0.2, 0.0)).margin(0.05));
+    CHECK(pressure(0.3, 20.0, 0.4, 0.0) > pressure(0.3, 0.0, 0.4, 0.0) + 0.05);
+    CHECK(pressure(0.5, 5.0, 0.4, 0.0) == pressure(0.5, 0.0, 0.4, 0.0));
+    CHECK(pressure(0.5, 20.0, 0.0, 0.4) == Approx(pressure(0.5, 0.0, 0.0, 0.2)).margin(0.05));
+    CHECK(pressure(0.5, 5.0, 0.0, 0.4) == pressure(0.5, 0.0, 0.0, 0.4));
+}
+
 TEST_CASE("a fault's noise leaves every other signal's noise alone", "[unit][plant]") {
     Faults faults;
     faults.sensors.resize(1);

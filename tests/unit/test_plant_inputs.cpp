@@ -216,6 +216,7 @@ bank_rms_rad = 0.008
 signal = "yaw_rate"
 start_s = 30.0
 end_s = 60.0
+ramp_s = 20.0
 gain = -1.0
 [[plant.sensor_fault]]
 signal = "steering_wheel"
@@ -236,6 +237,8 @@ speed_mps = 10.0
     REQUIRE(scenario.faults.sensors.size() == 2);
     CHECK(scenario.faults.sensors[0].gain == -1.0);
     CHECK(scenario.faults.sensors[0].window.end_s == 60.0);
+    CHECK(scenario.faults.sensors[0].window.ramp_s == 20.0);
+    CHECK(scenario.faults.sensors[1].window.ramp_s == 0.0);
     CHECK(scenario.faults.sensors[1].signal == Signal::steering_wheel);
     CHECK(scenario.faults.sensors[1].frozen);
     CHECK(scenario.faults.sensors[1].window.contains(1e6));
@@ -257,6 +260,7 @@ speed_mps = 10.0
     fails(replaced(good, "load_ratio = 1.4", "load_ratio = 14"), "plant.variation.load_ratio = 14: expected");
     fails(replaced(good, "\"yaw_rate\"", "\"yaw\""), "expected one of: yaw_rate");
     fails(replaced(good, "end_s = 60.0", "end_s = 20.0"), "expected later than start_s");
+    fails(replaced(good, "ramp_s = 20.0", "ramp_s = -1.0"), "plant.sensor_fault.ramp_s = -1: expected");
     fails(replaced(good, "frozen = true", "frozen = 1"), "expected true or false");
     fails(replaced(good, "[[plant.actuator_fault]]", "[plant.actuator_fault]"), "expected an array of tables");
     fails(replaced(good, "gain = -1.0", "gain = \"x\""), "expected a number");

@@ -59,7 +59,10 @@ void check_drive(const Drive& drive) {
     require(drive.substeps >= 1 && drive.substeps <= 100, "1 .. 100 substeps");
 }
 
-void check_window(const Window& window) { require(window.end_s > window.start_s, "fault windows that end after they start"); }
+void check_window(const Window& window) {
+    require(window.end_s > window.start_s, "fault windows that end after they start");
+    require(std::isfinite(window.ramp_s) && window.ramp_s >= 0.0, "fault ramp_s >= 0 s");
+}
 
 void check_faults(const Faults& faults, const PlantParameters& p) {
     for (const SensorFault& fault : faults.sensors) {
@@ -159,11 +162,10 @@ Plant::Held Plant::hold(double demand_bar, double driver_torque_nm) {
     double lag_s = p_.brake_lag_s;
     double delay_s = p_.brake_delay_s;
     for (const ActuatorFault& fault : faults_.actuators) {
-        if (fault.window.contains(time_s)) {
-            gain *= fault.brake_gain_ratio;
-            lag_s += fault.extra_lag_s;
-            delay_s += fault.extra_delay_s;
-        }
+        const double share = fault.window.share(time_s);
+        gain *= shared_ratio(fault.brake_gain_ratio, share);
+        lag_s += share * fault.extra_lag_s;
+        delay_s += share * fault.extra_delay_s;
     }
     double friction_left = p_.friction_left_ratio;
     double friction_right = p_.friction_right_ratio;
@@ -171,13 +173,12 @@ Plant::Held Plant::hold(double demand_bar, double driver_torque_nm) {
     double stiffness_rear_n = 0.5 * p_.cornering_stiffness_rear_nprad;
     double crosswind_mps = p_.crosswind_mean_mps + gust_mps_;
     for (const SurroundingsFault& fault : faults_.surroundings) {
-        if (fault.window.contains(time_s)) {
-            friction_left *= fault.friction_left_ratio;
-            friction_right *= fault.friction_right_ratio;
-            stiffness_front_n *= fault.cornering_stiffness_front_ratio;
-            stiffness_rear_n *= fault.cornering_stiffness_rear_ratio;
-            crosswind_mps += fault.crosswind_mps;
-        }
+        const double share = fault.window.share(time_s);
+        friction_left *= shared_ratio(fault.friction_left_ratio, share);
+        friction_right *= shared_ratio(fault.friction_right_ratio, share);
+        stiffness_front_n *= shared_ratio(fault.cornering_stiffness_front_ratio, share);
+        stiffness_rear_n *= shared_ratio(fault.cornering_stiffness_rear_ratio, share);
+        crosswind_mps += share * fault.crosswind_mps;
     }
 
     constexpr std::size_t wrap = delay_line_size - 1;
@@ -363,38 +364,43 @@ void Plant::publish_truth(const Held& in) {
     truth_.brake_force_n = forces_.brake_force_n;
 }
 
-double Plant::measured(Signal signal, double true_value, const SensorParameters& sensor, double previous) {
+double Plant::measured(Signal signal, double true_value, const SensorParameters& sensor) {
     double gain = 1.0;
     double offset = 0.0;
     double variance = square(sensor.noise_rms);
-    bool frozen = false;
+    double frozen = 0.0;
     for (const SensorFault& fault : faults_.sensors) {
-        if (fault.signal == signal && fault.window.contains(truth_.time_s)) {
-            gain *= fault.gain;
-            offset += fault.bias + fault.drift_ps * (truth_.time_s - fault.window.start_s);
-            variance += square(fault.extra_noise_rms);
-            frozen = frozen || fault.frozen;
+        if (fault.signal == signal) {
+            const double share = fault.window.share(truth_.time_s);
+            gain *= shared_ratio(fault.gain, share);
+            offset += share * (fault.bias + fault.drift_ps * (truth_.time_s - fault.window.start_s));
+            variance += square(share * fault.extra_noise_rms);
+            frozen = fault.frozen ? std::max(frozen, share) : frozen;
         }
     }
     // Drawn even when frozen: a fault on one signal must not shift the noise of the others.
     const double noise = std::sqrt(variance) * sensor_random_.normal();
-    if (frozen) {
-        return previous;
+    double& held = held_[static_cast<std::size_t>(signal)];
+    if (frozen >= 1.0) {
+        return held;
     }
-    const double raw = std::floor((gain * true_value + offset + noise - sensor.offset) / sensor.lsb + 0.5);
-    return sensor.offset + sensor.lsb * raw;
+    const double moving = gain * true_value + offset + noise;
+    const double raw = std::floor((moving + frozen * (held - moving) - sensor.offset) / sensor.lsb + 0.5);
+    const double value = sensor.offset + sensor.lsb * raw;
+    if (frozen == 0.0) {
+        held = value;
+    }
+    return value;
 }
 
 void Plant::sample_sensors() {
-    const Sensors old = sensors_;
     sensors_.time_s = truth_.time_s;
-    sensors_.yaw_rate_radps = measured(Signal::yaw_rate, truth_.yaw_rate_radps, p_.yaw_rate_sensor, old.yaw_rate_radps);
-    sensors_.steering_wheel_rad =
-        measured(Signal::steering_wheel, truth_.road_wheel_rad * p_.steering_ratio, p_.steering_wheel_sensor, old.steering_wheel_rad);
+    sensors_.yaw_rate_radps = measured(Signal::yaw_rate, truth_.yaw_rate_radps, p_.yaw_rate_sensor);
+    sensors_.steering_wheel_rad = measured(Signal::steering_wheel, truth_.road_wheel_rad * p_.steering_ratio, p_.steering_wheel_sensor);
     sensors_.lateral_acceleration_mps2 =
         measured(Signal::lateral_acceleration, truth_.lateral_acceleration_mps2 + gravity_mps2 * (truth_.roll_rad + truth_.bank_rad),
-                 p_.lateral_acceleration_sensor, old.lateral_acceleration_mps2);
-    sensors_.speed_mps = measured(Signal::speed, truth_.speed_mps, p_.speed_sensor, old.speed_mps);
+                 p_.lateral_acceleration_sensor);
+    sensors_.speed_mps = measured(Signal::speed, truth_.speed_mps, p_.speed_sensor);
 
     const double half_track_speed = 0.5 * p_.track_m * truth_.yaw_rate_radps;
     const double front_vy = truth_.lateral_velocity_mps + p_.cg_to_front_axle_m * truth_.yaw_rate_radps;
@@ -410,13 +416,11 @@ void Plant::sample_sensors() {
                                                  Signal::wheel_speed_rear_left, Signal::wheel_speed_rear_right};
     for (std::size_t i = 0; i < 4; ++i) {
         const double slip_ratio = forces_.brake_force_n[i] / p_.brake_slip_stiffness_n;
-        sensors_.wheel_speed_mps[i] = measured(wheel_signal[i], std::max(wheel_speed_mps[i] * (1.0 - slip_ratio), 0.0),
-                                               p_.wheel_speed_sensor, old.wheel_speed_mps[i]);
+        sensors_.wheel_speed_mps[i] =
+            measured(wheel_signal[i], std::max(wheel_speed_mps[i] * (1.0 - slip_ratio), 0.0), p_.wheel_speed_sensor);
     }
-    sensors_.brake_pressure_left_bar =
-        measured(Signal::brake_pressure_left, truth_.pressure_left_bar, p_.brake_pressure_sensor, old.brake_pressure_left_bar);
-    sensors_.brake_pressure_right_bar =
-        measured(Signal::brake_pressure_right, truth_.pressure_right_bar, p_.brake_pressure_sensor, old.brake_pressure_right_bar);
+    sensors_.brake_pressure_left_bar = measured(Signal::brake_pressure_left, truth_.pressure_left_bar, p_.brake_pressure_sensor);
+    sensors_.brake_pressure_right_bar = measured(Signal::brake_pressure_right, truth_.pressure_right_bar, p_.brake_pressure_sensor);
 }
 
 }  // namespace lpvguard_plant

@@ -21,6 +21,7 @@ struct Key {
 constexpr Key<Window> window_keys[] = {
     {"start_s", &Window::start_s, 0.0, 1e9},
     {"end_s", &Window::end_s, 0.0, 1e9},
+    {"ramp_s", &Window::ramp_s, 0.0, 1e9},
 };
 
 constexpr Key<Variation> variation_keys[] = {

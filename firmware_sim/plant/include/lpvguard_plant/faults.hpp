@@ -4,8 +4,12 @@
 /// truth and before the number grid, an actuator's between the demand and the brake force. Surroundings act in the tyre contact
 /// and the air.
 /// Windows of one kind may overlap: gains multiply, offsets add. The default of every member is "healthy".
+/// A fault with a ramp grows: its share is 0 at the window's start and 1 from ramp_s later on. A ratio or gain g acts as 1 + share (g - 1);
+/// an offset, a delay, a lag, a drift and the rms of a noise act as share times their size; a frozen sensor reads
+/// (1 - share) measured + share held.
 #pragma once
 
+#include <algorithm>
 #include <limits>
 #include <vector>
 
@@ -15,9 +19,21 @@ namespace lpvguard_plant {
 struct Window {
     double start_s = 0.0;
     double end_s = std::numeric_limits<double>::infinity();
+    double ramp_s = 0.0;  ///< Until a fault of the plant is whole; 0: at once.
 
     bool contains(double time_s) const { return time_s >= start_s && time_s < end_s; }
+
+    /// Of a fault's size at this time: 0 outside of the window, 0 to 1 on the ramp, 1 after it.
+    double share(double time_s) const {
+        if (!contains(time_s)) {
+            return 0.0;
+        }
+        return ramp_s > 0.0 ? std::min(1.0, (time_s - start_s) / ramp_s) : 1.0;
+    }
 };
+
+/// What a gain or ratio is while it has a share of its effect.
+inline double shared_ratio(double ratio, double share) { return share < 1.0 ? 1.0 + share * (ratio - 1.0) : ratio; }
 
 enum class Signal {
     yaw_rate,
@@ -37,18 +53,18 @@ inline constexpr int signal_count = 10;
 struct SensorFault {
     Signal signal = Signal::yaw_rate;
     Window window;
-    double gain = 1.0;           ///< -1: sign flipped.
+    double gain = 1.0;  ///< -1: sign flipped.
     double bias = 0.0;
-    double drift_ps = 0.0;       ///< Per second.
+    double drift_ps = 0.0;  ///< Per second.
     double extra_noise_rms = 0.0;
-    bool frozen = false;         ///< Repeats the last value sampled before the window.
+    bool frozen = false;  ///< Repeats the last value sampled before the window; of several the largest share counts.
 };
 
 struct ActuatorFault {
     Window window;
-    double brake_gain_ratio = 1.0;   ///< Brake force per pressure; 0: actuator lost.
+    double brake_gain_ratio = 1.0;  ///< Brake force per pressure; 0: actuator lost.
     double extra_lag_s = 0.0;
-    double extra_delay_s = 0.0;      ///< At most Plant::longest_delay_s with the truck's own delay.
+    double extra_delay_s = 0.0;  ///< At most Plant::longest_delay_s with the truck's own delay.
 };
 
 struct SurroundingsFault {
@@ -57,7 +73,7 @@ struct SurroundingsFault {
     double friction_right_ratio = 1.0;
     double cornering_stiffness_front_ratio = 1.0;
     double cornering_stiffness_rear_ratio = 1.0;
-    double crosswind_mps = 0.0;      ///< Added; blowing towards the left.
+    double crosswind_mps = 0.0;  ///< Added; blowing towards the left.
 };
 
 struct Faults {

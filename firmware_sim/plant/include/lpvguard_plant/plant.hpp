@@ -175,7 +175,7 @@ private:
     double next_speed();
     void publish_truth(const Held& in);
     void sample_sensors();
-    double measured(Signal signal, double true_value, const SensorParameters& sensor, double previous);
+    double measured(Signal signal, double true_value, const SensorParameters& sensor);
 
     PlantParameters p_;
     Drive drive_;
@@ -203,6 +203,7 @@ private:
     Random bank_random_, gust_random_, sensor_random_;
     Truth truth_;
     Sensors sensors_;
+    std::array<double, signal_count> held_{};  ///< Per Signal the last value sampled while it was not freezing.
 };
 
 }  // namespace lpvguard_plant

@@ -11,6 +11,7 @@
 ///     signal = "yaw_rate"
 ///     start_s = 30.0
 ///     end_s = 60.0                                     # optional: until the end
+///     ramp_s = 20.0                                    # optional: it grows for so long; of every kind of fault here
 ///     gain = -1.0
 ///     [[plant.actuator_fault]]
 ///     extra_delay_s = 0.4
