@@ -15,6 +15,8 @@ import pytest
 
 from lpvguard import cli
 from lpvguard.core.compiled import Core
+from lpvguard.evaluate import baseline_study
+from lpvguard.evaluate.baselines import Baseline
 from lpvguard.identify import run as stage
 from lpvguard.identify.export import export_vehicle
 from lpvguard.loop import generate as drive_maker
@@ -272,3 +274,18 @@ def lpvguard(monkeypatch):
         return subprocess.CompletedProcess(words, status, *said)
 
     return run
+
+
+@pytest.fixture
+def few_baselines(monkeypatch) -> tuple[Baseline, ...]:
+    """One or two settings of each baseline to choose from, so that the search of `evaluate` is short."""
+    few = (
+        Baseline("rms", window_s=20.0),
+        Baseline("cusum", drift=8.0),
+        Baseline("nis", window_s=20.0, process_ratio=0.001),
+        Baseline("tracker", window_s=2.0, prior=0.2),
+        Baseline("glr", window_s=10.0),
+        Baseline("glr", window_s=20.0),
+    )
+    monkeypatch.setattr(baseline_study, "GRID", few)
+    return few

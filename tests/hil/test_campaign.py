@@ -33,6 +33,7 @@ from lpvguard.replay.run import Replayer
 from lpvguard.vehicle.nominal import NominalModel
 
 SEEDS = (1, 2, 3)
+NO_DETECTORS = one_run.Detectors(((0.01, 0.01), (1.0,), ((1.0,),)), ())
 NO_VERDICT_FOLLOWS = {"bank_15mrad", "coarse_sensors", "crosswind_5", "jitter", "lossy_bus"}
 """Disturbances beyond those of the bounds: neither a frequency response nor the frames of a run oblige
 anyone."""
@@ -166,7 +167,7 @@ def test_a_fault_found_with_its_first_sample_is_not_taken_for_an_alarm_before_it
     """A steering-wheel angle that jumps by 1 rad: seen as soon as the receiver takes it, some samples after
     the fault's time. The drive's 6000th sample is later, since a drive begins after its run."""
     jump = '[[plant.sensor_fault]]\nsignal = "steering_wheel"\nstart_s = 60.0\nbias = 1.0\n'
-    context = one_run.Context(truck_folder, 1, ((0.01, 0.01), (1.0,)), ())
+    context = one_run.Context(truck_folder, 1, NO_DETECTORS)
     row = one_run.run_planned(
         context, PlannedRun(scenarios.FIRST_FAULT, "steering-wheel bias", 1.0, -1, 60.0, jump)
     )
@@ -213,6 +214,41 @@ def test_what_is_drawn_depends_on_seed_and_number_alone():
     )
 
 
+def test_faults_of_the_truck_alone_come_in_three_ways_and_keep_their_numbers(monkeypatch):
+    runs = scenarios.plan(Size(0.05, 2), [("", 1.0)])[1:]
+    kinds = {k.name: k for k in faults.KINDS}
+    first = [r for r in runs if r.way == kinds[r.kind].ways[0]]
+    monkeypatch.setattr(faults, "WAYS", ("step",))
+    assert scenarios.plan(Size(0.05, 2), [("", 1.0)])[1:] == first == runs[: len(first)]
+    ways = {name: {r.way for r in runs if r.kind == name} for name in kinds}
+    assert ways["load"] == {"start"} and ways["VDC2 lost"] == {"step"}
+    assert ways["brake gain, 5 % of VDC2 lost"] == {"step"}
+    assert ways["brake gain"] == ways["yaw-rate bias"] == ways["crosswind"] == {"step", "ramp", "start"}
+    for r in runs:
+        if len(ways[r.kind]) == 3:
+            starts, ramps = (
+                {"step": "60", "ramp": "60", "start": "0"},
+                {"step": "0", "ramp": "20", "start": "0"},
+            )
+            assert f"start_s = {starts[r.way]}\nramp_s = {ramps[r.way]}\n" in r.tables
+            assert r.fault_s == float(starts[r.way])
+
+
+def test_the_ways_are_told_apart():
+    def row(way: str, found_s: float | None) -> dict:
+        of = {"found_s": found_s, "before": False, "score_before": 0.0, "score_within": 2.0}
+        detected = {f"{d}_{key}": value for d in summary.DETECTORS for key, value in of.items()}
+        shown = {"visible_share": 1.0, "excited_after_s": 60.0}
+        return {"kind": "brake gain", "severity": 0.5, "way": way} | shown | detected
+
+    rows = [row("step", 1.0), row("step", 3.0), row("ramp", 9.0), row("ramp", None), row("ramp", None)]
+    ways = summary.by_way(rows, dict.fromkeys(summary.DETECTORS, 1.0))
+    assert {way: of["runs"] for way, of in ways.items()} == {"step": 2, "ramp": 3}
+    assert ways["step"]["average"]["monitor"] == {"calibrated": 1.0, "matched": 1.0}
+    assert ways["ramp"]["average"]["monitor"]["calibrated"] == pytest.approx(1 / 3)
+    assert ways["step"]["median_s"]["glr"] == 2.0 and ways["ramp"]["median_s"]["glr"] is None
+
+
 FIVEFOLD = "[plant.variation]\nbrake_gain_ratio = 5.0\n"
 """Brakes beyond any gain margin: the loop ends in a limit cycle."""
 
@@ -231,7 +267,7 @@ def steering_runs(count: int) -> list[PlannedRun]:
 
 
 def test_a_loop_that_limit_cycles_falsifies_and_ordinary_noisy_runs_do_not(truck_folder):
-    context = one_run.Context(truck_folder, 1, ((0.01, 0.01), (1.0,)), ())
+    context = one_run.Context(truck_folder, 1, NO_DETECTORS)
     for planned in steering_runs(2):
         good = one_run.run_planned(context, planned)
         assert good["line_bar"] == 0.0 and good["limited_stretch_s"] < conduct.SATURATED_S
@@ -259,6 +295,7 @@ def small(monkeypatch):
     )
     usual = Injection.usual()
     monkeypatch.setattr(Injection, "usual", lambda: replace(usual, faults=usual.faults[:1]))
+    monkeypatch.setattr(faults, "WAYS", ("step",))
     monkeypatch.setattr(trucks, "PLANTS", 1)
     monkeypatch.setattr(run, "CHUNK", 3)
     monkeypatch.setattr(trucks, "RESPONSE_SPEEDS", (15.0,))
@@ -269,6 +306,8 @@ def small(monkeypatch):
             Baseline("rms", window_s=0.2),
             Baseline("cusum", drift=4.0),
             Baseline("nis", window_s=0.5, process_ratio=0.03),
+            Baseline("tracker", window_s=2.0, prior=0.2),
+            Baseline("glr", window_s=5.0),
         ),
     )
 

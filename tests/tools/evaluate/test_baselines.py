@@ -3,29 +3,37 @@ honestly."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import list_experiments
-from lpvguard.evaluate.baseline_study import BaselineStudy
-from lpvguard.evaluate.baselines import GRID, KINDS, Bank, Baseline, Scales
-from lpvguard.evaluate.detection import FaultOutcome, Injection, median_time, ranking
+from lpvguard.evaluate.baseline_study import BaselineStudy, Merit, alarmed
+from lpvguard.evaluate.baselines import GRID, KINDS, Bank, Baseline, Scales, Sizes, regressors
+from lpvguard.evaluate.comparison import duels
+from lpvguard.evaluate.detection import Injection, median_time, ranking
 from lpvguard.identify import run as identify
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project
 
 SPEED = 12.0
+SHORT = Baseline("glr", window_s=0.4)
 
 
 def bank(name: str, error, input_rms) -> Bank:
     project = load_project(name)
     model = NominalModel(project)
-    return Bank(model, Estimator.of(project, model), Scales(np.array(error), np.array(input_rms)))
+    moments = np.broadcast_to(np.diag([0.04, 0.01, 1.0]), (model.n_y, 3, 3))
+    sizes = {b: np.ones(3 * model.n_y) for b in (*GRID, SHORT)}
+    scales = Scales(np.array(error), np.array(input_rms), moments)
+    return Bank(model, Estimator.of(project, model), scales, sizes)
 
 
-def statistic(bank: Bank, baseline: Baseline, e: np.ndarray, v: np.ndarray) -> np.ndarray:
-    return dict(bank.statistics([baseline], e, v))[baseline]
+def statistic(bank: Bank, baseline: Baseline, e: np.ndarray, v: np.ndarray, yhat=None, first=0) -> np.ndarray:
+    yhat = np.zeros_like(e) if yhat is None else yhat
+    return dict(bank.statistics([baseline], e, yhat, v, first))[baseline]
 
 
 @pytest.fixture(scope="module")
@@ -100,12 +108,89 @@ def test_with_little_process_noise_nis_becomes_the_mean_square(truck, error):
     np.testing.assert_allclose(nis[said], rms[said] ** 2, rtol=1e-3)
 
 
+@pytest.fixture
+def nominal(error):
+    """A nominal output that moves beside the errors."""
+    e, _ = error
+    return np.cumsum(np.random.default_rng(5).standard_normal(e.shape), axis=0) * 0.01
+
+
+def test_the_tracker_is_the_regularised_fit_with_forgetting(truck, error, nominal):
+    e, v = error
+    b, Ts, usable = (
+        Baseline("tracker", window_s=0.5, prior=0.2),
+        truck.estimator.Ts,
+        truck.estimator.settled(v),
+    )
+    (found,) = (c for _, c in truck.components([b], e, nominal, v))
+    for k in (2900, 5999):
+        first = k - int(np.argmin(usable[k::-1])) + 1 if not usable[: k + 1].all() else 0
+        age = np.arange(k - first, -1, -1) * Ts
+        for j in range(2):
+            slope = np.r_[0.0, np.diff(nominal[:, j])] / Ts
+            phi = np.stack([nominal[:, j], -slope, np.ones(len(v))], axis=1)[first : k + 1]
+            weighted = phi * np.exp(-age / 0.5)[:, None]
+            R = weighted.T @ phi + 0.2 * 0.5 / Ts * truck.scales.moments[j]
+            theta = np.linalg.solve(R, weighted.T @ e[first : k + 1, j])
+            np.testing.assert_allclose(found[3 * j : 3 * j + 3, k], np.abs(theta), rtol=1e-6)
+    assert (found[:, ~usable] == -np.inf).all()
+
+
+def test_the_ratio_is_that_of_the_best_onset_and_direction(truck, error, nominal):
+    e, v = error
+    Ts, usable = truck.estimator.Ts, truck.estimator.settled(v)
+    s = statistic(truck, SHORT, e, v, nominal)
+    for k in range(200, 6000, 97):
+        best = []
+        for n in (40, 20):
+            if not usable[k + 1 - n : k + 1].all():
+                continue
+            newest = slice(k + 1 - n, k + 1)
+            for j, size in enumerate((0.02, 0.01)):
+                slope = np.r_[0.0, np.diff(nominal[:, j])] / Ts
+                for phi in (nominal[newest, j], slope[newest], np.ones(n)):
+                    best.append(abs(e[newest, j] @ phi) / np.sqrt(phi @ phi) / size)
+        assert s[k] == (pytest.approx(max(best), rel=1e-6) if best else -np.inf)
+
+
+@pytest.mark.parametrize("q", [0.0, 0.03])
+def test_a_fault_along_a_direction_is_recovered(truck, q):
+    """Without noise the ratio of the fault's own direction is the whole energy of the filtered error."""
+    random, v = np.random.default_rng(6), np.full(4000, SPEED)
+    nominal = np.cumsum(random.standard_normal((4000, 2)), axis=0) * 0.01
+    e = 0.3 * nominal * [1.0, 0.0]
+    b = Baseline("glr", window_s=5.0, process_ratio=q)
+    (found,) = (c for _, c in truck.components([b], e, nominal, v))
+    n = round(5.0 / truck.estimator.Ts)
+    white = truck.innovations(q, e, v)[-n:]
+    assert found[0, -1] == pytest.approx(np.sqrt(np.sum(white**2)), rel=1e-6) == found[:, -1].max()
+
+
+def test_statistics_from_a_sample_on_are_those_of_the_whole_drive(truck, error, nominal):
+    e, v = error
+    for b in (*(next(b for b in GRID if b.kind == kind) for kind in KINDS), SHORT):
+        whole = statistic(truck, b, e, v, nominal)
+        for first in (1, 3050, 5990):
+            np.testing.assert_array_equal(statistic(truck, b, e, v, nominal, first), whole[first:])
+
+
+def test_scales_are_means_over_all_usable_samples(error):
+    e, v = error
+    usable, u = v > 5.0, np.ones((len(v), 1))
+    found = Scales.of([Sizes.of(e, e, u, usable, 0.01), Sizes.of(2 * e, e, u, usable, 0.01)])
+    np.testing.assert_allclose(found.error, np.sqrt(2.5 * np.mean(e[usable] ** 2, axis=0)))
+    phi = regressors(e, 0.01)[1][:, usable]
+    np.testing.assert_allclose(found.moments[1], phi @ phi.T / usable.sum())
+
+
 @pytest.fixture(scope="module")
 def study(g80, synthetic, identified, core):
     stored = identify.load(identified)
     drives = identify.DriveSet(g80, NominalModel(g80), list_experiments(synthetic))
     names = tuple(stored.calibration.scores)
-    return BaselineStudy(stored, drives, core, left_out=names, injection=Injection.usual()), names
+    usual = Injection.usual()
+    few = replace(usual, starts=2, ways=("step", "start"), faults=usual.faults[::3])
+    return BaselineStudy(stored, drives, core, left_out=names, injection=few), names
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -114,20 +199,20 @@ def test_the_drive_under_test_takes_part_in_nothing(study, kind):
     found, names = study
     for name in names[:3]:
         before = found.best(kind, name)
-        largest, cases = dict(found.largest), dict(found.cases)
+        largest, merits = dict(found.largest), dict(found.merits)
         try:
             found.largest[name] = {b: np.full(3, 1e9) for b in GRID}
-            found.cases[name] = {
-                key: {label: [FaultOutcome(name, 60.0, 0.02, None)] * 9 for label in table}
-                for key, table in next(c for c in cases.values() if c).items()
+            found.merits[name] = {
+                key: Merit(1000 + i, 0.0) for i, key in enumerate(next(iter(merits.values())))
             }
             assert found.best(kind, name) == before
             without = {n: found.largest[n][before[0]].max() for n in names if n != name}
-            assert before[1] <= max(without.values()) and any(
-                np.isclose(before[1], s) for s in without.values()
+            threshold = before[1].threshold
+            assert threshold <= max(without.values()) and any(
+                np.isclose(threshold, s) for s in without.values()
             )
         finally:
-            found.largest, found.cases = largest, cases
+            found.largest, found.merits = largest, merits
 
 
 def test_no_setting_of_the_grid_finds_more_on_the_drives_of_the_search(study):
@@ -135,44 +220,45 @@ def test_no_setting_of_the_grid_finds_more_on_the_drives_of_the_search(study):
 
     def finds(b: Baseline) -> int:
         h = found.calibration(b, names[0]).threshold
-        return sum(
-            c.found
-            for n, table in found.cases.items()
-            if n != names[0] and table
-            for of in table[b, h].values()
-            for c in of
-        )
+        return sum(m[b, h].found for n, m in found.merits.items() if n != names[0])
 
     for kind in KINDS:
         best, _ = found.best(kind, names[0])
-        assert finds(best) == max(finds(b) for b in GRID if b.kind == kind)
+        assert finds(best) == max(finds(b) for b in GRID if b.kind == kind) > 0
 
 
 def test_an_alarm_in_the_last_seconds_is_counted(study):
     """Every sample from ``piece_starts`` on belongs to a piece, the drive's remainder after whole minutes
     too."""
     found, names = study
-    b, name = GRID[0], names[0]
-    pieces = found.largest[name][b]
-    assert found.own.alarmed_pieces(b, np.inf, name) == (0, len(pieces))
-    last = {b: np.r_[np.full(len(pieces) - 1, -np.inf), 2.0]}
-    largest = dict(found.largest)
-    try:
-        found.largest[name] = last
-        assert found.own.alarmed_pieces(b, 1.0, name) == (1, len(pieces))
-    finally:
-        found.largest = largest
+    pieces = found.largest[names[0]][GRID[0]]
+    assert alarmed(pieces, np.inf) == (0, len(pieces))
+    assert alarmed(np.r_[np.full(len(pieces) - 1, -np.inf), 2.0], 1.0) == (1, len(pieces))
 
 
 def test_the_largest_statistic_is_that_of_each_piece_and_none_is_left_out(study, g80, synthetic):
     found, names = study
-    drive, e, _ = identify.DriveSet(g80, NominalModel(g80), list_experiments(synthetic)).load(names[0])
-    statistics = dict(found.bank.statistics(GRID[:1], e, drive.v))[GRID[0]]
+    drive, e, yhat = identify.DriveSet(g80, NominalModel(g80), list_experiments(synthetic)).load(names[0])
+    statistics = dict(found.bank.statistics(GRID[:1], e, yhat, drive.v))[GRID[0]]
     largest, length = found.largest[names[0]][GRID[0]], round(60.0 / g80.Ts_s)
     assert len(largest) == -(-(len(drive.v) - 1) // length)
     for i, value in enumerate(largest):
         end = None if i == len(largest) - 1 else (i + 1) * length
         assert value == statistics[i * length : end].max()
+
+
+def test_components_have_the_size_of_1_on_the_bound_setting_drives(study, g80, synthetic, identified):
+    found, _ = study
+    drives = identify.DriveSet(g80, NominalModel(g80), list_experiments(synthetic))
+    setting = identify.load(identified).manifest["drives"]["bounds"]
+    b = next(b for b in GRID if b.kind == "tracker")
+    squares, count = 0.0, 0
+    for name in setting:
+        drive, e, yhat = drives.load(name)
+        (components,) = (c for _, c in found.bank.components([b], e, yhat, drive.v))
+        said = components[:, np.isfinite(components[0])]
+        squares, count = squares + np.sum(said**2, axis=1), count + said.shape[1]
+    np.testing.assert_allclose(found.bank.sizes[b], np.sqrt(squares / count))
 
 
 def test_without_scores_a_baseline_never_alarms(study):
@@ -189,6 +275,21 @@ def test_without_scores_a_baseline_never_alarms(study):
         )
     finally:
         found.largest = largest
+
+
+def test_a_duel_counts_rows_and_names_where_the_monitor_is_behind():
+    def rows(*of: tuple[int, float | None]) -> list[dict]:
+        return [
+            {"way": "ramp", "fault": f, "found": n, "counted": 7, "median_s": s}
+            for f, (n, s) in zip("abcde", of, strict=True)
+        ]
+
+    ours = rows((7, 2.0), (7, 3.0), (6, 1.0), (0, None), (5, 2.0))
+    other = rows((6, 1.0), (7, 3.0), (7, 2.0), (0, None), (5, 1.0))
+    (duel,) = duels(ours, [{"kind": "rms", "faults": other}])
+    assert [r["leads"] for r in duel["rows"]] == ["monitor", "tie", "rms", "nobody", "rms"]
+    assert duel["behind"] == ["c", "e"] and duel["found"] == [25, 25] and duel["counted"] == 35
+    assert (duel["as_often"], duel["sooner"], duel["later"]) == (4, 1, 2)
 
 
 def test_ranking_is_by_share_then_time_and_names_all_that_tie():

@@ -15,7 +15,7 @@ from lpvguard.drives.faults import Fault, inject
 from lpvguard.drives.tables import Drive, index_text, list_experiments, read_drive
 from lpvguard.evaluate import run as stage
 from lpvguard.evaluate.comparison import equal_rates
-from lpvguard.evaluate.detection import FaultOutcome, Injection, JudgedClock
+from lpvguard.evaluate.detection import FaultOutcome, Injection, JudgedClock, margins, refutable
 from lpvguard.evaluate.false_alarms import alarmed_pieces, alarming, piece_starts
 from lpvguard.identify import run as identify
 from lpvguard.identify.calibration import Calibration, Recordings, calibrate, joint_scores
@@ -81,7 +81,7 @@ def test_the_clock_runs_in_judged_driving_from_the_first_faulty_sample_on():
 def test_found_means_before_the_untouched_drive_and_in_time(faulty, untouched, s):
     clock = JudgedClock.of(replay(120.0), 3000, FOUND_WITHIN_S)
     other = None if untouched is None else clock.read(hits(6001, untouched))
-    case = FaultOutcome.of("made up", TS, clock, hits(6001, faulty), other)
+    case = FaultOutcome.of("made up", TS, clock, clock.read(hits(6001, faulty)), other)
     assert case.untouched_s == other
     assert (
         case.s == (None if s is None else pytest.approx(s))
@@ -92,14 +92,15 @@ def test_found_means_before_the_untouched_drive_and_in_time(faulty, untouched, s
 
 def test_what_the_untouched_drive_says_later_does_not_matter():
     clock = JudgedClock.of(replay(120.0), 3000, FOUND_WITHIN_S)
-    case = FaultOutcome.of("made up", TS, clock, hits(6001, 3009), clock.read(hits(6001, 4501)))
+    case = FaultOutcome.of("made up", TS, clock, *(clock.read(hits(6001, k)) for k in (3009, 4501)))
     assert case.found and case.untouched_s is None
 
 
 def test_an_alarm_that_stands_when_the_fault_starts_is_none_of_it():
     clock = JudgedClock.of(replay(120.0), 3000, FOUND_WITHIN_S)
     standing = hits(6001, *range(2900, 3100))
-    assert not FaultOutcome.of("made up", TS, clock, standing | hits(6001, 3200), clock.read(standing)).found
+    faulty = standing | hits(6001, 3200)
+    assert not FaultOutcome.of("made up", TS, clock, clock.read(faulty), clock.read(standing)).found
 
 
 def test_starts_leave_time_to_find_and_do_not_depend_on_other_drives():
@@ -207,7 +208,8 @@ def test_settings_say_when_and_how_large_faults_are():
         delays_s=(0.1, 0.2),
     )
     injection = Injection.of(settings, np.array([2.0, 0.4]))
-    assert injection.to_dict() == {"from_s": 5.0, "shortest_s": 20.0, "within_s": 10.0, "starts": 2}
+    times = {"from_s": 5.0, "shortest_s": 20.0, "within_s": 10.0, "starts": 2, "ramp_s": 20.0}
+    assert injection.to_dict() == times | {"ways": ["step", "ramp", "start"]}
     assert [f.label for f in injection.faults] == [
         "output × 0.5",
         "output frozen",
@@ -220,11 +222,37 @@ def test_settings_say_when_and_how_large_faults_are():
     assert injection.clocks(replay(20.0), seed=1) == []
     clocks = injection.clocks(replay(20.1), seed=1)
     assert len(clocks) == 2 and all(c.first >= 250 and c.end - c.first == 500 for c in clocks)
+    into = [(case.way, clock.first) for case, clock in injection.into(replay(20.1), seed=1)]
+    firsts = [c.first for c in clocks]
+    assert into[:2] == [("step", first) for first in firsts] and into[14:16] == [("ramp", f) for f in firsts]
+    assert into[28:] == [("start", 0)] * 7
+    assert {case.way: case.ramp_s for case in injection.cases} == {"step": 0.0, "ramp": 20.0, "start": 0.0}
     still = Drive("d", np.arange(3) * TS, np.ones(3), np.zeros((3, 1)), np.zeros((3, 2)))
     biased = inject(still, injection.faults[4], TS, TS)
     np.testing.assert_allclose(biased.y, [[0, 0], [1.0, 0.2], [1.0, 0.2]])
     with pytest.raises(ValueError, match="at least fault_from_s"):
         EvaluationSettings(fault_from_s=100.0)
+    with pytest.raises(ValueError, match="each at most once"):
+        EvaluationSettings(ways=("step", "step"))
+
+
+def test_refutable_is_when_the_faulty_margin_exceeds_1_and_the_untouched_one_does_not(core, g80, synthetic):
+    clock = JudgedClock.of(replay(120.0), 3000, FOUND_WITHIN_S)
+    faulty, untouched = np.zeros(6001), np.zeros(6001)
+    faulty[[2000, 3100, 3200, 3300]] = [9.0, 1.0, 1.5, 1.5]
+    untouched[3200] = 1.2
+    assert refutable(clock, faulty, untouched) == pytest.approx(301 * TS)
+    assert refutable(clock, faulty[:3250], untouched) is None
+    late = np.zeros(6001)
+    late[4600] = 2.0
+    assert refutable(clock, late, untouched) is None
+    # Of a replay: the t* of a frame where it ends, and the energy test's ratio, whatever is larger.
+    drive = read_drive(synthetic / "synthetic_06.csv", g80)
+    seen = Replayer(g80, core).replay(inject(drive, Fault("gain", 0.3), 60.0, g80.Ts_s))
+    found, frames = margins(seen, drive.t[0]), seen.run.frames
+    assert found.max() == max(seen.max_margin, seen.run.energy.max()) and (found >= seen.run.energy).all()
+    worst = np.flatnonzero(frames.counted)[np.argmax(frames.margin[frames.counted])]
+    assert found[round((frames.t_end_s[worst] - drive.t[0]) / g80.Ts_s)] >= seen.max_margin
 
 
 # ------------------------------------------------------------------------------------------------- recordings
@@ -301,11 +329,14 @@ def folder(synthetic, tmp_path):
     return make
 
 
+ONE_WAY = EvaluationSettings(bias=0.05, ways=("step",))
+
+
 def evaluated(g80, core, drives):
     result, drive_set = identify.identify(g80, drives)
     folder = drives.parent / "identified"
     identify.save(result, drive_set, folder)
-    return stage.evaluate(identify.load(folder), drive_set, core)
+    return stage.evaluate(identify.load(folder), drive_set, core, settings=ONE_WAY)
 
 
 @pytest.mark.slow("10 s: an identification and its evaluation")
@@ -414,7 +445,7 @@ def test_short_and_unexcited_drives_are_counted_and_named(folder, g80, core):
         row["drives"] == row["counted"] == 0 and row["best"] == [] and row["median_s"] is None
         for row in table["faults"]
     )
-    assert len(table["baselines"]) == 3 and all(
+    assert len(table["baselines"]) == 5 and all(
         r["counted"] == 0 for b in table["baselines"] for r in b["faults"]
     )
 

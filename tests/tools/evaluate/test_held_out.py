@@ -13,9 +13,8 @@ import pytest
 from lpvguard import schemas
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
+from lpvguard.cli.tables import print_evaluation
 from lpvguard.drives.tables import list_experiments
-from lpvguard.evaluate import baseline_study
-from lpvguard.evaluate.baselines import Baseline
 from lpvguard.evaluate.judged import drives_to_judge
 from lpvguard.evaluate.rates import per_hour, rate
 from lpvguard.evaluate.run import evaluate
@@ -25,7 +24,6 @@ from lpvguard.replay.run import Replayer
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import EvaluationSettings
 
-FEW = (Baseline("rms", window_s=2.0), Baseline("cusum", drift=1.0), Baseline("nis", 2.0, 0.0, 0.1))
 SHORT = 20
 """Lines of a table that are too few for any frame."""
 
@@ -88,9 +86,8 @@ def test_the_command_refuses_before_it_judges(lpvguard, identified, synthetic, t
 
 @pytest.mark.slow("10 s: baselines are tuned, and judge")
 def test_held_out_drives_are_judged_with_the_thresholds_as_stored(
-    stored, synthetic, core, g80, tmp_path, monkeypatch
+    stored, synthetic, core, g80, tmp_path, few_baselines, capsys
 ):
-    monkeypatch.setattr(baseline_study, "GRID", FEW)
     chosen = {"first": "day", "second": "day", "short": ""}
     folder = held_out(tmp_path / "new", synthetic, chosen)
     drives = identify.DriveSet(g80, NominalModel(g80), list_experiments(synthetic))
@@ -125,7 +122,24 @@ def test_held_out_drives_are_judged_with_the_thresholds_as_stored(
     for b in table["baselines"]:
         assert b["chosen"].keys() == {"first", "second"} and b["chosen"]["first"] == b["chosen"]["second"]
         assert "from 11 drives" in b["chosen"]["first"]["claim"]
+    assert [row["way"] for row in table["faults"]] == [
+        w for w in ("step", "ramp", "start") for _ in range(10)
+    ]
     assert all(row["counted"] == 2 for row in table["faults"])
+    for of in (table["faults"], *(b["faults"] for b in table["baselines"])):
+        for row, ours in zip(of, table["faults"], strict=True):
+            cases = row["cases"]
+            assert [c["refutable_s"] for c in cases] == [c["refutable_s"] for c in ours["cases"]]
+            assert row["refutable"] == sum(c["refutable_s"] is not None for c in cases)
+            assert row["refutable_found"] == sum(
+                c["refutable_s"] is not None and c["s"] is not None for c in cases
+            )
+    assert {(d["way"], d["kind"]) for d in table["duels"]} == {
+        (way, b.kind) for way in ("step", "ramp", "start") for b in few_baselines
+    }
+    print_evaluation(table)
+    shown = capsys.readouterr()
+    assert "from the start: output × 0.6" in shown.out + shown.err and "behind on" in shown.out + shown.err
 
 
 def test_when_nothing_is_judged_the_reason_is_named(stored, synthetic, core, g80, tmp_path):

@@ -236,7 +236,7 @@ def test_bad_worker_settings_are_named(given, says, monkeypatch):
 
 
 @pytest.mark.slow("25 s: evaluate of the synthetic drives, twice")
-def test_replay_and_evaluate_share_drives(lpvguard, vehicle, identified, synthetic, tmp_path):
+def test_replay_and_evaluate_share_drives(lpvguard, vehicle, identified, synthetic, few_baselines):
     logs = [synthetic / f"synthetic_{i:02d}.csv" for i in (5, 6, 8)]
     replay = ("replay", "--vehicle", "g80", "--coefficients", vehicle, *logs, "--json", "-")
     alone, shared = lpvguard(*replay), lpvguard(*replay, "--jobs", 2)

@@ -14,6 +14,7 @@ from lpvguard import schemas
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
 from lpvguard.evaluate.comparison import HELD_OUT, LEFT_ONE_OUT
+from lpvguard.evaluate.detection import WAY_WORDS
 from lpvguard.evaluate.run import evaluate
 from lpvguard.identify import run as stage
 from lpvguard.report.page import write_report
@@ -292,7 +293,7 @@ def test_evaluation_and_a_core_of_another_identification_are_told(case, page, tm
     evaluation = evaluate(case.stored, case.drives, case.replayer.core)
     plain = without_scripts(case.page(tmp_path / "plain.html", evaluation).decode())
     assert (
-        plain.count("no drive qualifies") == (4 + 4) * len(evaluation["faults"])
+        plain.count("no drive qualifies") == (4 + 6) * len(evaluation["faults"])
         and "Time to find" not in plain
     )
     assert "30.0 s long, no more than 120 s" in plain and LEFT_OUT + ": no frame counts" in plain
@@ -338,9 +339,10 @@ def test_evaluation_and_a_core_of_another_identification_are_told(case, page, tm
     assert "carries other numbers than this identification" in text
     assert re.findall("<h2>(.*?)</h2>", text) == [*TITLES, "Evaluation, leave one drive out"]
     assert "<td>1 of 2</td>" in text and "Time to find" in text and "1 of 2 (1 of 2), 2.00 s" in text
-    assert "lead alone: output × 0.6 (residual RMS);" in text
+    assert "lead alone: step: output × 0.6 (residual RMS);" in text
+    assert "behind on" in text and "<th>refutable</th>" in text
     for row in evaluation["faults"]:
-        assert row["fault"] in text
+        assert f"{WAY_WORDS[row['way']]}: {row['fault']}" in text
     assert "Each left out of its own threshold: " in text
     claims = evaluation["claims"] | {HELD_OUT: evaluation["claims"][LEFT_ONE_OUT]}
     evaluation |= {"mode": HELD_OUT, "claims": claims}

@@ -82,7 +82,9 @@ def test_an_identification_is_as_described(identified, vehicle, file):
 
 
 @pytest.mark.slow("7 s: an identification and its evaluation")
-def test_a_replay_with_alarms_and_an_evaluation_are_as_described(g80, synthetic, identified, core):
+def test_a_replay_with_alarms_and_an_evaluation_are_as_described(
+    g80, synthetic, identified, core, few_baselines
+):
     drives = identify.DriveSet(g80, NominalModel(g80), list_experiments(synthetic))
     faulty = inject(drives.load("synthetic_06")[0], Fault("gain", 0.3), 60.0, g80.Ts_s)
     replayed = Replayer(g80, core).replay(faulty).to_dict()

@@ -9,7 +9,7 @@ import pytest
 
 
 @pytest.mark.slow("40 s: fit, identification and evaluation of 22 recordings")
-def test_a_race_car_goes_from_raw_logs_to_its_page(race_car, lpvguard, tmp_path):
+def test_a_race_car_goes_from_raw_logs_to_its_page(race_car, lpvguard, few_baselines, tmp_path):
     raw = sorted(race_car.glob("*.csv"))
     car, fit, found, code = (tmp_path / n for n in ("car", "fit", "found", "code"))
     drives = car / "drives"

@@ -179,7 +179,13 @@ def print_fit(result: FittedModel) -> None:
 def print_evaluation(result: dict[str, Any]) -> None:
     """The object of `lpvguard evaluate --json`: false alarms, claims, faults found, beside the baselines."""
     from ..core.compiled import TESTS
-    from ..evaluate.comparison import ALARM_HEAD, CALIBRATED, MONITOR, alarm_rows, columns
+    from ..evaluate.comparison import (
+        ALARM_HEAD,
+        CALIBRATED,
+        MONITOR,
+        alarm_rows,
+        columns,
+    )
     from ..evaluate.false_alarms import PIECE_S
 
     alarms = Table(*ALARM_HEAD, box=None)
@@ -200,22 +206,37 @@ def print_evaluation(result: dict[str, Any]) -> None:
     console.print(
         f"faults injected into {len(result['drives']) - len(result['without_faults'])} of "
         f"{len(result['drives'])} drives; found within {result['injection']['within_s']:g} s of judged, "
-        "excited driving, of all starts (drives: from every start), and the median time:"
+        "excited driving, of all starts (drives: from every start), and the median time; a ramp lasts "
+        f"{result['injection']['ramp_s']:g} s:"
     )
     detectors, others = columns(result), [b["kind"] for b in result["baselines"]]
     console.print(_detector_table({name: d for name, d in detectors.items() if name not in others}))
     _print_rates(detectors, [MONITOR, *TESTS])
     if others:
-        beside = [MONITOR, *others]
-        console.print(
-            _detector_table(
-                {name: detectors[name] for name in beside},
-                [", ".join(row["best"]) for row in result["faults"]],
-            )
-        )
-        _print_rates(detectors, beside)
+        _print_baselines(result, {name: detectors[name] for name in (MONITOR, *others)})
     else:
         console.print("no baselines: too few drives calibrate them")
+
+
+def _print_baselines(result: dict[str, Any], detectors: dict[str, DetectorColumn]) -> None:
+    """The monitor beside the baselines: together, from when a fault is refutable, and against each alone."""
+    from ..evaluate.comparison import DUEL_HEAD, MONITOR, duel_rows
+
+    console.print(_detector_table(detectors, [", ".join(row["best"]) for row in result["faults"]]))
+    _print_rates(detectors, list(detectors))
+    console.print(
+        "from when a fault is refutable (the faulty record's off-line margin exceeds 1, the untouched one's "
+        "does not), found of those starts and the median time, negative where an alarm is sooner:"
+    )
+    console.print(_refutable_table(detectors))
+    console.print(
+        f"{MONITOR} against each baseline alone, over the rows of faults; behind: fewer found, or as many "
+        "and later:"
+    )
+    against = Table(*DUEL_HEAD, box=None)
+    for row in duel_rows(result):
+        against.add_row(*row)
+    console.print(against)
 
 
 def _detector_table(detectors: dict[str, DetectorColumn], best: list[str] | None = None) -> Table:
@@ -224,6 +245,16 @@ def _detector_table(detectors: dict[str, DetectorColumn], best: list[str] | None
 
     table = Table("", *detectors, *(["best"] if best else []), box=None)
     for row in detector_rows(list(detectors.values()), best):
+        table.add_row(*row)
+    return table
+
+
+def _refutable_table(detectors: dict[str, DetectorColumn]) -> Table:
+    """Found faults and times from when they are refutable on, a column per detector."""
+    from ..evaluate.comparison import REFUTABLE_HEAD, refutable_rows
+
+    table = Table("", REFUTABLE_HEAD, *detectors, box=None)
+    for row in refutable_rows(list(detectors.values())):
         table.add_row(*row)
     return table
 
@@ -411,7 +442,7 @@ def _print_within(summary: dict[str, Any]) -> None:
 
 def _print_detection(summary: dict[str, Any]) -> None:
     """The detectors beside one another: over all faults, by kind, and where a baseline wins."""
-    from ..evaluate.comparison import COUNTS_ONLY
+    from ..evaluate.comparison import COUNTS_ONLY, WAYS_HEAD, way_rows
     from ..evaluate.rates import share_words
 
     detectors, matched, stated = summary["detectors"], summary["matched_claim"], summary["matched_stated"]
@@ -428,6 +459,11 @@ def _print_detection(summary: dict[str, Any]) -> None:
         *(COUNTS_ONLY if stated[d] is None else f"at most {stated[d]:.3g}" for d in detectors),
     )
     console.print(table)
+    ways = Table(*WAYS_HEAD, *detectors.values(), box=None)
+    for row in way_rows(summary):
+        ways.add_row(*row)
+    console.print(f"faults that come in several ways: average found calibrated; {matched}; median time:")
+    console.print(ways)
     title = f"average over severities: calibrated; {matched}"
     kinds = Table(title, *detectors.values(), f"best, {matched}", box=None)
     for k in summary["kinds"]:

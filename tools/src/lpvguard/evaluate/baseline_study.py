@@ -1,13 +1,14 @@
 """The baselines (baselines.py) tuned, calibrated and evaluated on the drives of an identification.
 
 A baseline gets the same drives, residuals, calibration drives and alpha as the monitor. Its parameters are
-those that find most injected faults (then soonest) on the bound-setting and the other calibration drives. The
-drive under test takes part in nothing, whether it was left out or never seen by the identification.
+those that find most injected faults (then soonest), all ways and rows together, on the bound-setting and the
+other calibration drives. The drive under test takes part in nothing, whether it was left out or never seen by
+the identification.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -21,72 +22,119 @@ from ..identify.calibration import Calibration, calibrate
 from ..identify.passes import DriveReader
 from ..identify.run import DriveSet, StoredIdentification
 from ..replay.run import Replayer
-from .baselines import GRID, KINDS, TITLES, Bank, Baseline, Scales
-from .detection import FaultOutcome, Injection, fault_rows, faulty_drive
+from .baselines import GRID, KINDS, TITLES, WITH_COMPONENTS, Bank, Baseline, Scales, Sizes
+from .detection import Case, FaultOutcome, Injection, Outcomes, fault_rows, with_refutable
 from .false_alarms import false_alarms, piece_starts
 
 
-def _usable_errors(reader: DriveReader, experiment: Experiment) -> tuple[np.ndarray, np.ndarray]:
-    drive, e, _ = reader.read(experiment)
-    usable = reader.estimator.settled(drive.v)
-    return e[usable], drive.u[usable]
+def _sizes(reader: DriveReader, experiment: Experiment) -> Sizes:
+    drive, e, yhat = reader.read(experiment)
+    return Sizes.of(e, yhat, drive.u, reader.estimator.settled(drive.v), reader.estimator.Ts)
 
 
 def _largest(
-    reader: DriveReader, bank: Bank, baselines: Iterable[Baseline], experiment: Experiment
+    reader: DriveReader, bank: Bank, item: tuple[Experiment, tuple[Baseline, ...]]
 ) -> dict[Baseline, np.ndarray]:
-    """Largest statistic of each of the ``baselines`` in each 60 s piece (piece_starts)."""
-    drive, e, _ = reader.read(experiment)
+    """Largest statistic of each of the item's baselines in each 60 s piece of its drive (piece_starts)."""
+    experiment, baselines = item
+    drive, e, yhat = reader.read(experiment)
     starts = piece_starts(len(drive.v), reader.project.Ts_s)
-    return {b: np.maximum.reduceat(s, starts) for b, s in bank.statistics(baselines, e, drive.v)}
+    return {b: np.maximum.reduceat(s, starts) for b, s in bank.statistics(baselines, e, yhat, drive.v)}
 
 
-Cases = dict[tuple[Baseline, float], dict[str, list[FaultOutcome]]]
-"""Of one drive: per baseline and threshold, and fault, what became of it from every start."""
+def _component_squares(
+    reader: DriveReader, bank: Bank, item: tuple[Experiment, tuple[Baseline, ...]]
+) -> dict[Baseline, tuple[np.ndarray, int]]:
+    """Sums of the squared components of the item's baselines over its drive, and of how many samples."""
+    experiment, baselines = item
+    drive, e, yhat = reader.read(experiment)
+    found = {}
+    for b, components in bank.components(baselines, e, yhat, drive.v):
+        said = components[:, components[0] >= 0]
+        found[b] = np.sum(said**2, axis=1), said.shape[1]
+    return found
 
 
-def _cases(
-    reader: DriveReader,
+Key = tuple[Baseline, float]
+"""A baseline at a threshold."""
+
+
+def _outcomes(
     core: Core,
-    bank: Bank,
-    thresholds: dict[Baseline, tuple[float, ...]],
     injection: Injection,
-    experiment: Experiment,
-) -> Cases:
-    """Every baseline at each of its thresholds on one drive; empty where the drive does not qualify."""
-    drive, e, _ = reader.read(experiment)
-    Ts = reader.project.Ts_s
-    clocks = injection.clocks(Replayer(reader.project, core).replay(drive), reader.project.seed)
-    if not clocks:
-        return {}
+    reader: DriveReader,
+    bank: Bank,
+    item: tuple[Experiment, tuple[Key, ...]],
+) -> Iterator[tuple[Key, Case, FaultOutcome]]:
+    """What becomes of every fault injected into a drive, by each of the keys; nothing where the drive does
+    not qualify."""
+    experiment, keys = item
+    drive, e, yhat = reader.read(experiment)
+    Ts, thresholds = reader.project.Ts_s, dict[Baseline, list[float]]()
+    for b, h in keys:
+        thresholds.setdefault(b, []).append(h)
+    injected = list(injection.into(Replayer(reader.project, core).replay(drive), reader.project.seed))
+    if not injected:
+        return
+    untouched = dict(bank.statistics(thresholds, e, yhat, drive.v))
+    for case, clock in injected:
+        faulty = case.into(drive, clock, Ts)
+        found = bank.statistics(thresholds, *nominal_error(faulty, reader.model), faulty.v, clock.first)
+        for b, statistic in found:
+            for h in thresholds[b]:
+                first = clock.read_after(statistic > h)
+                without = clock.read_after(untouched[b][clock.first :] > h)
+                outcome = FaultOutcome.of(experiment.name, Ts, clock, first, without)
+                yield (b, h), case, outcome
 
-    def alarms(error: np.ndarray, v: np.ndarray):
-        return (((b, h), s > h) for b, s in bank.statistics(thresholds, error, v) for h in thresholds[b])
 
-    first = {key: [clock.read(hits) for clock in clocks] for key, hits in alarms(e, drive.v)}
-    cases: Cases = {key: {f.label: [] for f in injection.faults} for key in first}
-    for i, clock in enumerate(clocks):
-        for fault in injection.faults:
-            faulty = faulty_drive(drive, fault, clock, Ts)
-            for key, hits in alarms(nominal_error(faulty, reader.model)[0], faulty.v):
-                cases[key][fault.label].append(
-                    FaultOutcome.of(experiment.name, Ts, clock, hits, first[key][i])
-                )
-    return cases
+@dataclass(frozen=True)
+class Merit:
+    """How many injected faults were found, and the seconds until then; the time allowed where one was not."""
+
+    found: int = 0
+    seconds: float = 0.0
+
+
+def _merits(
+    core: Core,
+    injection: Injection,
+    reader: DriveReader,
+    bank: Bank,
+    item: tuple[Experiment, tuple[Key, ...]],
+) -> dict[Key, Merit]:
+    """The merit of each of the keys on a drive."""
+    merits = dict.fromkeys(item[1], Merit())
+    for key, _, outcome in _outcomes(core, injection, reader, bank, item):
+        s = injection.within_s if outcome.s is None else outcome.s
+        merits[key] = Merit(merits[key].found + outcome.found, merits[key].seconds + s)
+    return merits
+
+
+def _judged(
+    core: Core,
+    injection: Injection,
+    reader: DriveReader,
+    bank: Bank,
+    item: tuple[Experiment, tuple[Key, ...]],
+) -> dict[Key, Outcomes]:
+    """The outcomes of each of the keys on a drive."""
+    found: dict[Key, Outcomes] = {key: {case: [] for case in injection.cases} for key in item[1]}
+    for key, case, outcome in _outcomes(core, injection, reader, bank, item):
+        found[key][case].append(outcome)
+    return found
 
 
 @dataclass(frozen=True)
 class OnDrives:
-    """What baselines make of drives, by drive: their largest statistic in each 60 s piece, and what became of
-    faults."""
+    """What the best baseline of each kind makes of drives, by drive.
 
-    largest: dict[str, dict[Baseline, np.ndarray]]
-    cases: dict[str, Cases]
+    Its calibration; its alarmed and all 60 s pieces; what became of faults.
+    """
 
-    def alarmed_pieces(self, b: Baseline, threshold: float, name: str) -> tuple[int, int]:
-        """(alarmed, all) 60 s pieces of an untouched drive."""
-        pieces = self.largest[name][b]
-        return int((pieces > threshold).sum()), len(pieces)
+    chosen: dict[str, dict[str, tuple[Baseline, Calibration]]]
+    pieces: dict[str, dict[str, tuple[int, int]]]
+    outcomes: dict[str, dict[str, Outcomes]]
 
 
 class BaselineStudy:
@@ -108,49 +156,44 @@ class BaselineStudy:
 
         Of the bound-setting drives those count whose input is a command as in use (``data.command_split``).
         """
-        groups, reader = stored.manifest["drives"], drives.reader
         used = stored.project.data.command_splits
-        setting = [n for n in groups["bounds"] if drives.experiments[n].split in used]
+        setting = [n for n in stored.manifest["drives"]["bounds"] if drives.experiments[n].split in used]
         self.alpha, self.calibration_drives = stored.project.frame_test.alpha, list(stored.calibration.scores)
         self.recordings, self.injection = stored.calibration.recordings, injection
-        self.reader, self.core, self.workers, self.progress = reader, core, workers, progress
+        self.reader, self.core, self.workers, self.progress = drives.reader, core, workers, progress
         chosen = [drives.experiments[n] for n in (*setting, *self.calibration_drives)]
-        self.bank = Bank(
-            reader.model,
-            reader.estimator,
-            Scales.of(workers(partial(_usable_errors, reader), [drives.experiments[n] for n in setting])),
+        self.bank = self._bank([drives.experiments[n] for n in setting])
+        self.largest = self._over(_largest, [(e, GRID) for e in chosen], "baselines")
+        keys = tuple(
+            (b, h) for b in GRID for h in sorted({self.calibration(b, n).threshold for n in left_out})
         )
-        self.largest = self._over(partial(_largest, reader, self.bank, GRID), chosen, "baselines")
-        thresholds = {
-            b: tuple(sorted({self.calibration(b, name).threshold for name in left_out})) for b in GRID
-        }
-        self.cases = self._cases(chosen, thresholds)
+        self.merits: dict[str, dict[Key, Merit]] = self._inject(_merits, [(e, keys) for e in chosen])
 
-    def _over(self, task: Callable, chosen: list[Experiment], what: str) -> dict:
-        """``task`` of every chosen drive, by name."""
+    def _bank(self, setting: list[Experiment]) -> Bank:
+        """The detectors, with their sizes on the ``setting`` drives."""
+        model, estimator = self.reader.model, self.reader.estimator
+        scales = Scales.of(self.workers(partial(_sizes, self.reader), setting))
+        self.bank = Bank(model, estimator, scales).prepared(GRID)
+        found = self._over(_component_squares, [(e, GRID) for e in setting], "sizes of baselines").values()
+        sums = {b: [of[b] for of in found] for b in GRID if b.kind in WITH_COMPONENTS}
+        sizes = {
+            b: np.sqrt(sum(squares for squares, _ in of) / max(1, sum(n for _, n in of)))
+            for b, of in sums.items()
+        }
+        return Bank(model, estimator, scales, sizes).prepared(GRID)
+
+    def _over(self, task: Callable, items: list[tuple], what: str) -> dict:
+        """``task`` of every item, a tuple that begins with an experiment, by the experiment's name."""
         results = {}
-        for e, result in zip(chosen, self.workers(task, chosen), strict=False):
-            self.progress(f"{what} of {e.name}")
-            results[e.name] = result
+        mapped = self.workers(partial(task, self.reader, self.bank), items)
+        for (experiment, *_), result in zip(items, mapped, strict=False):
+            self.progress(f"{what} of {experiment.name}")
+            results[experiment.name] = result
         return results
 
-    @property
-    def own(self) -> OnDrives:
-        """The baselines on the study's own drives."""
-        return OnDrives(self.largest, self.cases)
-
-    def on(self, further: list[Experiment]) -> OnDrives:
-        """The best of each kind, tuned and calibrated on all own drives, on ``further`` ones."""
-        tuned: dict[Baseline, tuple[float, ...]] = {b: (h,) for b, h in map(self.best, KINDS)}
-        largest = self._over(partial(_largest, self.reader, self.bank, tuple(tuned)), further, "baselines")
-        return OnDrives(largest, self._cases(further, tuned))
-
-    def _cases(
-        self, chosen: list[Experiment], thresholds: dict[Baseline, tuple[float, ...]]
-    ) -> dict[str, Cases]:
-        """What becomes of faults in the chosen drives, at each of the thresholds."""
-        task = partial(_cases, self.reader, self.core, self.bank, thresholds, self.injection)
-        return self._over(task, chosen, "baselines on faults")
+    def _inject(self, task: Callable, items: list[tuple]) -> dict:
+        """``task`` of faults injected into every item."""
+        return self._over(partial(task, self.core, self.injection), items, "baselines on faults")
 
     def calibration(self, b: Baseline, without: str | None = None) -> Calibration:
         """Conformal threshold from the calibration drives but the recording of ``without``; drives on which
@@ -161,38 +204,49 @@ class BaselineStudy:
         floor = 0.0 if spoken else np.inf
         return calibrate(spoken, self.alpha, floor=floor, recordings=self.recordings)
 
-    def best(self, kind: str, without: str | None = None) -> tuple[Baseline, float]:
+    def best(self, kind: str, without: str | None = None) -> tuple[Baseline, Calibration]:
         """The parameters of ``kind`` that find most faults, then soonest, on all drives but the recording of
-        ``without``; with their threshold."""
+        ``without``; with their calibration."""
+        others = self.recordings.others(self.merits, without)
 
         def merit(b: Baseline) -> tuple[int, float]:
             key = b, self.calibration(b, without).threshold
-            cases = [
-                c
-                for name in self.recordings.others(self.cases, without)
-                if (table := self.cases[name])
-                for of in table[key].values()
-                for c in of
-            ]
-            late = self.injection.within_s
-            return sum(c.found for c in cases), -sum(late if c.s is None else c.s for c in cases)
+            of = [self.merits[name][key] for name in others]
+            return sum(m.found for m in of), -sum(m.seconds for m in of)
 
         b = max((b for b in GRID if b.kind == kind), key=merit)
-        return b, self.calibration(b, without).threshold
+        return b, self.calibration(b, without)
+
+    def on(self, judged: list[Experiment], *, left_out: bool) -> OnDrives:
+        """The best of each kind on the ``judged`` drives; ``left_out``: each tuned and calibrated without it,
+        otherwise on all of the study's drives."""
+        chosen = {
+            e.name: {kind: self.best(kind, e.name if left_out else None) for kind in KINDS} for e in judged
+        }
+        keys = {n: tuple((b, c.threshold) for b, c in of.values()) for n, of in chosen.items()}
+        further = [(e, tuple(b for b, _ in keys[e.name])) for e in judged if e.name not in self.largest]
+        largest = self.largest | self._over(_largest, further, "baselines")
+        outcomes = self._inject(_judged, [(e, keys[e.name]) for e in judged])
+        return OnDrives(
+            chosen,
+            {n: {b.kind: alarmed(largest[n][b], h) for b, h in of} for n, of in keys.items()},
+            {n: {b.kind: outcomes[n][b, h] for b, h in of} for n, of in keys.items()},
+        )
 
 
-def evaluate_baselines(study: BaselineStudy, rows: list[dict], further: OnDrives | None = None) -> list[dict]:
-    """Per kind: false alarms, parameters chosen, and per fault its cases, on the drives of ``rows``; each
-    drive with what was tuned without it. ``further``: on drives that are none of the study's."""
+def alarmed(largest: np.ndarray, threshold: float) -> tuple[int, int]:
+    """(alarmed, all) pieces of a drive, from the ``largest`` statistic (P,) in each."""
+    return int((largest > threshold).sum()), len(largest)
+
+
+def evaluate_baselines(rows: list[dict], on: OnDrives, known: Outcomes) -> list[dict]:
+    """Per kind: false alarms, parameters chosen, and per case its outcomes, on the drives of ``rows``.
+    ``known``: outcomes of the monitor, which say when a fault was refutable."""
     table: list[dict] = []
-    on = further or study.own
     for kind in KINDS:
-        without = {r["run"]: None if further else r["run"] for r in rows}
-        tuned = {run: study.best(kind, name) for run, name in without.items()}
-        counts = [on.alarmed_pieces(*key, run) for run, key in tuned.items()]
-        cases = {
-            f.label: [c for run, key in tuned.items() if on.cases[run] for c in on.cases[run][key][f.label]]
-            for f in study.injection.faults
+        counts = [on.pieces[r["run"]][kind] for r in rows]
+        outcomes: Outcomes = {
+            case: [c for r in rows for c in on.outcomes[r["run"]][kind][case]] for case in known
         }
         table.append(
             {
@@ -200,17 +254,18 @@ def evaluate_baselines(study: BaselineStudy, rows: list[dict], further: OnDrives
                 "title": TITLES[kind],
                 "searched": [b.label for b in GRID if b.kind == kind],
                 "chosen": {
-                    run: {
+                    r["run"]: {
                         "parameters": b.label,
-                        "threshold": h,
-                        "alpha": study.calibration(b, without[run]).alpha,
-                        "claim": study.calibration(b, without[run]).claim(),
+                        "threshold": c.threshold,
+                        "alpha": c.alpha,
+                        "claim": c.claim(),
                     }
-                    for run, (b, h) in tuned.items()
+                    for r in rows
+                    for b, c in [on.chosen[r["run"]][kind]]
                 },
-                "alarmed": {r["run"]: n for r, (n, _) in zip(rows, counts, strict=False)},
+                "alarmed": {r["run"]: n for r, (n, _) in zip(rows, counts, strict=True)},
                 "false_alarms": false_alarms(counts, rows),
-                "faults": fault_rows(cases),
+                "faults": fault_rows(with_refutable(outcomes, known)),
             }
         )
     return table

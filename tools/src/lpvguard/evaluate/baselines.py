@@ -1,10 +1,13 @@
-"""What is used today in the monitor's place: three detectors on the same residual e = y - yhat.
+"""What is used in the monitor's place: five detectors on the same residual e = y - yhat.
 
 They are tuned and calibrated alike.
 
-    rms     root of the mean over a window of sum_j (e_j / s_j)^2
-    cusum   two-sided cumulative sums of e_j / s_j less a drift, largest over sides and outputs (Page's test)
-    nis     mean over a window of the normalised innovation squared of a Kalman filter (chi-square test)
+    rms      root of the mean over a window of sum_j (e_j / s_j)^2
+    cusum    two-sided cumulative sums of e_j / s_j less a drift, largest over sides and outputs (Page's test)
+    nis      mean over a window of the normalised innovation squared of a Kalman filter (chi-square test)
+    tracker  recursive least squares with forgetting of e_j = a yhat_j - b dyhat_j/dt + c: gain, delay, bias
+    glr      generalised likelihood ratio of a fault in gain, delay or bias, of unknown size, that began
+             within a window (Willsky and Jones)
 
 s_j is the rms of e_j on the drives that set the bounds. The filter runs on e. With the input known,
 the error of the nominal model obeys x+ = A(v) x + w, e = C x + n. Its innovations are therefore those of a
@@ -12,49 +15,71 @@ filter on y. n has covariance diag(s_j^2), w has q^2 diag(X). X is the state cov
 under white input of the rms met. Gains are stationary at each of SPEED_NODES speeds; the nearest one acts.
 Only samples in range and settled are used (drives/frames.py); the sums restart after others.
 
+The tracker estimates theta = (a, b, c) of each output. A prior keeps it near 0 where nothing excites it: its
+weight is ``prior`` times the memory in such driving as the bound-setting drives hold. The ratio's directions
+are yhat_j, -dyhat_j/dt and 1, each in one output, filtered as e is; with q = 0 the filter ignores e. Over the
+newest n samples it is (sum nu' S^-1 phi)^2 / sum phi' S^-1 phi. Its onset is searched: n is the window, half
+of it, a quarter and so on, down to SHORTEST_ONSET_S. Both have a component a direction, |theta_i| or the
+ratio's root. The statistic is the largest, each over its own rms on the bound-setting drives.
+
 A detector alarms where its statistic exceeds a threshold. That is the conformal one of
 identify/calibration.py from the same calibration drives, one score a drive. Where enough drives calibrate,
 all detectors have the same guaranteed rate of false alarms. Parameters are searched over GRID, on
 bound-setting and calibration drives alone. The best find the most injected faults in time there; of those
-that tie, the fastest is taken. The search knows the faults that are to be found; the monitor has no such
-search.
+that tie, the fastest is taken. The search knows the faults that are to be found. So did who chose the
+monitor's tests, frames and memories, with all measured drives in view (tools/DESIGN_LOG.md). That search
+leaves out no drive, while the baselines' leaves out the one under test.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, reduce
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
+from scipy.signal import lfilter
 
 from ..drives.frames import Estimator
 from ..vehicle.nominal import NominalModel, recursion
 
 SPEED_NODES = 65
-KINDS = ("rms", "cusum", "nis")
-TITLES = {"rms": "residual RMS", "cusum": "CUSUM", "nis": "Kalman innovation χ² (NIS)"}
+KINDS = ("rms", "cusum", "nis", "tracker", "glr")
+TITLES = {
+    "rms": "residual RMS",
+    "cusum": "CUSUM",
+    "nis": "Kalman innovation χ² (NIS)",
+    "tracker": "tracker of gain, delay, bias (RLS)",
+    "glr": "GLR bank for gain, delay, bias",
+}
+WITH_COMPONENTS = ("tracker", "glr")
+SHORTEST_ONSET_S = 0.2
+"""The latest onset that the likelihood ratio tries, before the newest sample."""
 
 
 @dataclass(frozen=True)
 class Baseline:
-    """One detector with its parameters; those that its kind does not have are 0."""
+    """One detector with its parameters; those that its kind does not have are 0. ``window_s`` is the
+    tracker's memory, the time constant of its forgetting."""
 
     kind: str
     window_s: float = 0.0
     drift: float = 0.0
     process_ratio: float = 0.0
+    prior: float = 0.0
 
     @property
     def label(self) -> str:
-        """The detector and its parameters in words, for tables: the window in seconds, drift and process
-        ratio bare numbers."""
+        """The detector and its parameters in words, for tables: the window in seconds, drift, process ratio
+        and prior bare numbers."""
         if self.kind == "cusum":
             return f"cusum, drift {self.drift:g}"
-        return f"{self.kind}, {self.window_s:g} s" + (
-            f", q {self.process_ratio:g}" if self.kind == "nis" else ""
-        )
+        own = {"nis": f", q {self.process_ratio:g}", "glr": f", q {self.process_ratio:g}"}
+        own["tracker"] = f", prior {self.prior:g}"
+        return f"{self.kind}, {self.window_s:g} s" + own.get(self.kind, "")
 
 
 WINDOWS_S = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
@@ -66,76 +91,112 @@ GRID = (
         for q in (1e-4, 1e-3, 0.01, 0.03, 0.1, 0.3)
         for w in WINDOWS_S
     ),
+    *(Baseline("tracker", window_s=w, prior=p) for w in WINDOWS_S[2:7] for p in (0.05, 0.1, 0.2, 0.5)),
+    *(
+        Baseline("glr", window_s=w, process_ratio=q)
+        for q in (0.0, 0.03)
+        for w in (1.25, 2.5, 5.0, 10.0, 20.0)
+    ),
 )
 """What is searched. Windows up to the 30 s within which a fault is wanted; as q falls the filter follows e
-less, until nis is rms."""
+less, until nis is rms. The ratio's windows share their onsets."""
 
 
 @dataclass(frozen=True)
 class Scales:
     """Sizes on the bound-setting drives: error (n_y,) rms of e [output units], input (n_u,) rms of u [input
-    units]."""
+    units]. moments (n_y, 3, 3): mean products of the ``regressors`` of each output."""
 
     error: np.ndarray
     input: np.ndarray
+    moments: np.ndarray
 
     @classmethod
-    def of(cls, drives: Iterable[tuple[np.ndarray, np.ndarray]]) -> Scales:
-        """From (e, u) of each drive at its usable samples; all samples count alike."""
-        sizes = [(np.sum(e**2, axis=0), np.sum(u**2, axis=0), len(e)) for e, u in drives]
-        count = sum(samples for *_, samples in sizes)
-        error, given = (reduce(np.add, [of[i] for of in sizes]) for i in (0, 1))
-        return cls(np.sqrt(error / count), np.sqrt(given / count))
+    def of(cls, drives: Iterable[Sizes]) -> Scales:
+        """From the sums of each drive; all samples count alike."""
+        sums = reduce(lambda a, b: a + b, drives)
+        return cls(
+            np.sqrt(sums.error / sums.count), np.sqrt(sums.input / sums.count), sums.moments / sums.count
+        )
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Sums over ``count`` usable samples of a drive, of what Scales holds the means of."""
+
+    error: np.ndarray
+    input: np.ndarray
+    moments: np.ndarray
+    count: int
+
+    @classmethod
+    def of(cls, e: np.ndarray, yhat: np.ndarray, u: np.ndarray, usable: np.ndarray, Ts: float) -> Sizes:
+        """Of a drive: e, yhat (N, n_y), u (N, n_u), usable (N,)."""
+        phi = regressors(yhat, Ts)[:, :, usable]
+        error, given = (np.sum(x[usable] ** 2, axis=0) for x in (e, u))
+        return cls(error, given, np.einsum("jik,jlk->jil", phi, phi), int(usable.sum()))
+
+    def __add__(self, other: Sizes) -> Sizes:
+        return Sizes(*(getattr(self, k) + getattr(other, k) for k in vars(self)))
+
+
+def regressors(yhat: np.ndarray, Ts: float) -> np.ndarray:
+    """(n_y, 3, N): yhat_j, -dyhat_j/dt [1/s] and 1 for every output of yhat (N, n_y). A fault in gain, delay
+    [s] or bias [output unit] makes an error along them."""
+    slope = np.diff(yhat, axis=0, prepend=yhat[:1]) / Ts
+    return np.stack([yhat.T, -slope.T, np.ones_like(yhat.T)], axis=1)
 
 
 class Bank:
-    """The detectors of one vehicle."""
+    """The detectors of one vehicle. ``sizes``: per baseline of WITH_COMPONENTS the rms (3 n_y,) of its
+    components on the bound-setting drives."""
 
-    def __init__(self, model: NominalModel, estimator: Estimator, scales: Scales):
-        self.model, self.estimator, self.scales = model, estimator, scales
+    def __init__(
+        self,
+        model: NominalModel,
+        estimator: Estimator,
+        scales: Scales,
+        sizes: Mapping[Baseline, np.ndarray] = MappingProxyType({}),
+    ):
+        self.model, self.estimator, self.scales, self.sizes = model, estimator, scales, dict(sizes)
 
     def statistics(
-        self, baselines: Iterable[Baseline], e: np.ndarray, v: np.ndarray
+        self, baselines: Iterable[Baseline], e: np.ndarray, yhat: np.ndarray, v: np.ndarray, first: int = 0
     ) -> Iterator[tuple[Baseline, np.ndarray]]:
-        """Each baseline with its statistic (N,) along a drive: e (N, n_y), v (N,); -inf where it says
-        nothing."""
-        usable = self.estimator.settled(v)
-        scaled = e / self.scales.error
-        index = np.arange(1, len(v) + 1)
-        run = index - np.maximum.accumulate(np.where(usable, 0, index))
-        totals: dict[
-            float, np.ndarray
-        ] = {}  # running sums of squares: of e for rms, of the innovations of each filter
+        """Each baseline with its statistic (N - first,) along a drive from its sample ``first`` on: e, yhat
+        (N, n_y), v (N,); -inf where it says nothing."""
+        along = _Along(self, e, yhat, v, first)
         for b in baselines:
-            if b.kind == "cusum":
-                yield b, _cusum(scaled, b.drift, usable)
-                continue
-            if b.process_ratio not in totals:
-                squares = (
-                    np.sum(scaled**2, axis=1) if b.kind == "rms" else self._innovations(b.process_ratio, e, v)
-                )
-                totals[b.process_ratio] = np.concatenate([[0.0], np.cumsum(np.where(usable, squares, 0.0))])
-            mean = self._mean(totals[b.process_ratio], b.window_s, run)
-            yield b, np.where(mean >= 0, np.sqrt(np.maximum(mean, 0.0)), -np.inf) if b.kind == "rms" else mean
+            found = getattr(along, b.kind)(b)
+            if b.kind in WITH_COMPONENTS:
+                found = (found / np.maximum(self.sizes[b], np.finfo(float).tiny)[:, None]).max(axis=0)
+            yield b, found
 
-    def _mean(self, total: np.ndarray, window_s: float, run: np.ndarray) -> np.ndarray:
-        """Mean over the last window_s of what ``total`` (N + 1,) sums, none of it negative; -inf where the
-        window is not within the ``run`` (N,) of usable samples that ends there."""
-        n = max(1, round(window_s / self.estimator.Ts))
-        mean = np.full(len(run), -np.inf)
-        # A difference of sums may round below zero, whose root would be NaN.
-        mean[n - 1 :] = np.where(run[n - 1 :] >= n, np.maximum((total[n:] - total[:-n]) / n, 0.0), -np.inf)
-        return mean
+    def components(
+        self, baselines: Iterable[Baseline], e: np.ndarray, yhat: np.ndarray, v: np.ndarray
+    ) -> Iterator[tuple[Baseline, np.ndarray]]:
+        """Each of the ``baselines`` WITH_COMPONENTS with its components (3 n_y, N) along a drive."""
+        along = _Along(self, e, yhat, v, 0)
+        yield from ((b, getattr(along, b.kind)(b)) for b in baselines if b.kind in WITH_COMPONENTS)
 
-    def _innovations(self, process_ratio: float, e: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """(N,) nu' S^-1 nu along a drive."""
-        closed, injected, S_inverse = self._filters(process_ratio)
+    def prepared(self, baselines: Iterable[Baseline]) -> Bank:
+        """This bank with the filters of ``baselines`` made, so that no worker makes them."""
+        for ratio in {b.process_ratio for b in baselines} - {0.0}:
+            self._filters(ratio)
+        return self
+
+    def innovations(self, process_ratio: float, e: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """White innovations (N, n_y) of errors e (N, n_y) along a drive: L' nu with S^-1 = L L'. They are
+        linear in e. With a ratio of 0 the filter ignores e."""
+        if process_ratio == 0.0:
+            return e / self.scales.error
+        closed, injected, root = self._filters(process_ratio)
         node = np.rint(
             (np.clip(v, *self.model.speed_range) - self._nodes[0]) / (self._nodes[1] - self._nodes[0])
         ).astype(int)
         forced = np.einsum("kij,kj->ki", injected[node], e)
         nu = e - recursion(closed[node], forced, np.zeros(self.model.n)) @ self.model.C.T
-        return np.einsum("ki,kij,kj->k", nu, S_inverse[node], nu)
+        return np.einsum("kji,kj->ki", root[node], nu)
 
     @cached_property
     def _nodes(self) -> np.ndarray:
@@ -152,9 +213,9 @@ class Bank:
         return {}
 
     def _stationary(self, process_ratio: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """A (I - K C), A K and S^-1 of the stationary filter at each node."""
+        """A (I - K C), A K and L, S^-1 = L L', of the stationary filter at each node."""
         d, C, R = self.model.discretise(self._nodes), self.model.C, np.diag(self.scales.error**2)
-        closed, injected, inverses = [], [], []
+        closed, injected, roots = [], [], []
         for A, B in zip(d.Ad, d.B_old + d.B_new, strict=True):
             X = solve_discrete_lyapunov(A, B @ np.diag(self.scales.input**2) @ B.T)
             P = solve_discrete_are(A.T, C.T, process_ratio**2 * np.diag(np.diag(X)), R)
@@ -162,17 +223,153 @@ class Bank:
             AK = A @ P @ C.T @ S_inverse
             closed.append(A - AK @ C)
             injected.append(AK)
-            inverses.append(S_inverse)
-        return np.array(closed), np.array(injected), np.array(inverses)
+            roots.append(np.linalg.cholesky(S_inverse))
+        return np.array(closed), np.array(injected), np.array(roots)
 
 
-def _cusum(scaled: np.ndarray, drift: float, usable: np.ndarray) -> np.ndarray:
-    """max over outputs and signs of g_k = max(0, g_{k-1} +- x_k - drift), from 0 at each first usable
-    sample."""
-    out = np.full(len(scaled), -np.inf)
-    edges = np.flatnonzero(np.diff(np.r_[0, usable.astype(np.int8), 0])).reshape(-1, 2)
-    for a, b in edges:
-        x = np.ascontiguousarray(scaled[a:b].T)
-        S = np.cumsum(np.vstack([x, -x]) - drift, axis=1)
-        out[a:b] = (S - np.minimum(np.minimum.accumulate(S, axis=1), 0.0)).max(axis=0)
-    return out
+class _Along:
+    """The statistics along one drive from its sample ``first`` on, (M,) each; what several settings of a kind
+    share is computed once."""
+
+    def __init__(self, bank: Bank, e: np.ndarray, yhat: np.ndarray, v: np.ndarray, first: int):
+        self.bank, self.e, self.yhat, self.v, self.first = bank, e, yhat, v, first
+        self.usable = bank.estimator.settled(v)
+        index = np.arange(1, len(v) + 1)
+        self.run = (index - np.maximum.accumulate(np.where(self.usable, 0, index)))[first:]
+        self.edges = np.flatnonzero(np.diff(np.r_[0, self.usable.astype(np.int8), 0])).reshape(-1, 2)
+        self._shared: dict[tuple, Any] = {}
+
+    def rms(self, b: Baseline) -> np.ndarray:
+        """Root of the mean square of the scaled error; -inf: window not full."""
+        mean = self._mean_square(0.0, b.window_s)
+        return np.where(mean >= 0, np.sqrt(np.maximum(mean, 0.0)), -np.inf)
+
+    def nis(self, b: Baseline) -> np.ndarray:
+        """Mean of nu' S^-1 nu; -inf: window not full."""
+        return self._mean_square(b.process_ratio, b.window_s)
+
+    def cusum(self, b: Baseline) -> np.ndarray:
+        """max over outputs and signs of g_k = max(0, g_{k-1} +- x_k - drift), from 0 at each first usable
+        sample."""
+        scaled = self.e / self.bank.scales.error
+        out = np.full(len(scaled), -np.inf)
+        for begin, end in self.edges:
+            x = np.ascontiguousarray(scaled[begin:end].T)
+            S = np.cumsum(np.vstack([x, -x]) - b.drift, axis=1)
+            out[begin:end] = (S - np.minimum(np.minimum.accumulate(S, axis=1), 0.0)).max(axis=0)
+        return out[self.first :]
+
+    def tracker(self, b: Baseline) -> np.ndarray:
+        """(3 n_y, M) Sizes of the estimated gain, delay and bias of each output; -inf at unusable samples."""
+        weight, found = b.prior * b.window_s / self.bank.estimator.Ts, []
+        moments = self.bank.scales.moments[..., None]
+        for (R, r), M in zip(self._once(self._forgetting, b.window_s), moments, strict=True):
+            found.append(np.abs(_solved(R + weight * M, r)))
+        return np.where(self.run > 0, np.concatenate(found), -np.inf)
+
+    def glr(self, b: Baseline) -> np.ndarray:
+        """(3 n_y, M) Root of the largest ratio over onsets, per direction; -inf where even the latest onset
+        is not usable."""
+        n, shortest = self._samples(b.window_s), self._samples(SHORTEST_ONSET_S)
+        out = self._once(self._ratio, b.process_ratio, n)
+        while n // 2 >= shortest:
+            n //= 2
+            out = np.maximum(out, self._once(self._ratio, b.process_ratio, n))
+        return np.sqrt(out, where=out >= 0, out=np.full_like(out, -np.inf))
+
+    def _once(self, make: Callable, *of: float) -> Any:
+        """What ``make`` makes of these parameters, made once."""
+        key = (make.__name__, *of)
+        if key not in self._shared:
+            self._shared[key] = make(*of)
+        return self._shared[key]
+
+    def _samples(self, seconds: float) -> int:
+        return max(1, round(seconds / self.bank.estimator.Ts))
+
+    def _summed(self, x: np.ndarray) -> np.ndarray:
+        """Running sums (m, N + 1) of x (m, N) at usable samples."""
+        return np.pad(np.cumsum(np.where(self.usable, x, 0.0), axis=1), ((0, 0), (1, 0)))
+
+    def _over(self, total: np.ndarray, n: int) -> np.ndarray:
+        """Of running sums (..., N + 1) those over the newest n samples (..., M); of fewer where there are not
+        as many."""
+        begin = self.first + 1 - n
+        before = total[..., max(0, begin) : max(0, total.shape[-1] - n)]
+        missing = [(0, 0)] * (total.ndim - 1) + [(len(self.run) - before.shape[-1], 0)]
+        return total[..., self.first + 1 :] - np.pad(before, missing)
+
+    def _mean_square(self, process_ratio: float, window_s: float) -> np.ndarray:
+        """Mean square of the innovations over the last window_s; -inf where the window is not within the run
+        of usable samples that ends there."""
+        total, n = self._once(self._squares, process_ratio), self._samples(window_s)
+        # A difference of sums may round below zero, whose root would be NaN.
+        return np.where(self.run >= n, np.maximum(self._over(total, n) / n, 0.0), -np.inf)
+
+    def _squares(self, process_ratio: float) -> np.ndarray:
+        """Running sums (N + 1,) of the squared innovations."""
+        nu = self._once(self._white_error, process_ratio)
+        return self._summed(np.sum(nu**2, axis=1)[None])[0]
+
+    def _white_error(self, process_ratio: float) -> np.ndarray:
+        return self.bank.innovations(process_ratio, self.e, self.v)
+
+    def _phi(self) -> np.ndarray:
+        return regressors(self.yhat, self.bank.estimator.Ts)
+
+    def _forgetting(self, memory_s: float) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Per output the forgetting sums of phi phi' (3, 3, M) and phi e_j (3, M), from 0 at each first
+        usable sample."""
+        keep, found = float(np.exp(-self.bank.estimator.Ts / memory_s)), []
+        for j, phi in enumerate(self._once(self._phi)):
+            products = np.concatenate([phi[list(UPPER[0])] * phi[list(UPPER[1])], phi * self.e[:, j]])
+            sums = np.zeros_like(products)
+            for begin, end in self.edges:
+                sums[:, begin:end] = lfilter([1.0], [1.0, -keep], products[:, begin:end], axis=1)
+            newest = sums[:, self.first :]
+            found.append((newest[list(SYMMETRIC)].reshape(3, 3, -1), newest[len(UPPER[0]) :]))
+        return found
+
+    def _onsets(self, process_ratio: float) -> tuple[np.ndarray, np.ndarray]:
+        """Running sums (3 n_y, N + 1) of nu' phi and phi' phi, white, per direction."""
+        nu = self._once(self._white_error, process_ratio)
+        pairs = []
+        for j, kinds in enumerate(self._once(self._phi)):
+            for along in kinds:
+                direction = np.zeros_like(self.e)
+                direction[:, j] = along
+                white = self.bank.innovations(process_ratio, direction, self.v)
+                pairs.append((np.sum(nu * white, axis=1), np.sum(white**2, axis=1)))
+        cross, power = (self._summed(np.array(x)) for x in zip(*pairs, strict=True))
+        return cross, power
+
+    def _ratio(self, process_ratio: float, n: int) -> np.ndarray:
+        """(3 n_y, M) Ratios with an onset n samples ago; -inf where these are not usable."""
+        cross, power = self._once(self._onsets, process_ratio)
+        fits, of = self._over(cross, n), self._over(power, n)
+        # Differences of sums round; a direction that nothing excites says nothing.
+        least = 1e-9 * power[:, -1:] + np.finfo(float).tiny
+        ratio = np.where(of > least, fits**2 / np.maximum(of, least), 0.0)
+        return np.where(self.run >= n, ratio, -np.inf)
+
+
+UPPER = ((0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2))
+"""Rows and columns of the upper triangle of a symmetric matrix of three."""
+SYMMETRIC = (0, 1, 2, 1, 3, 4, 2, 4, 5)
+"""Where the entries of the whole matrix, row by row, stand in UPPER."""
+
+
+def _solved(A: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """x (3, N) with A x = b, for symmetric positive definite A (3, 3, N) and b (3, N), by Cramer's rule on A
+    with a diagonal of 1."""
+    scale = 1.0 / np.sqrt(np.maximum(A[[0, 1, 2], [0, 1, 2]], np.finfo(float).tiny))
+    p, q, r = (A[i, k] * scale[i] * scale[k] for i, k in ((0, 1), (0, 2), (1, 2)))
+    c = b * scale
+    cofactors = (
+        (1 - r * r, q * r - p, p * r - q),
+        (q * r - p, 1 - q * q, p * q - r),
+        (p * r - q, p * q - r, 1 - p * p),
+    )
+    determinant = cofactors[0][0] + p * cofactors[0][1] + q * cofactors[0][2]
+    x = np.stack([sum(f * of for f, of in zip(row, c, strict=True)) for row in cofactors])
+    return x / determinant * scale

@@ -1,6 +1,7 @@
 """What terminal and page show of an evaluation.
 
-The table has a column per detector. The words say at which rate of false alarms the detectors are compared.
+The tables have a column per detector and a row per fault and way. The words say at which rate of false alarms
+the detectors are compared. Beside each baseline alone stands the monitor, way by way (`duels`).
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from .detection import WAY_WORDS, ranking
 from .false_alarms import PIECE_S
 from .rates import hourly_words, share_words
 
@@ -121,15 +123,140 @@ def detector_rows(detectors: list[DetectorColumn], best: list[str] | None = None
             *(f"{of[0]['untouched_alarms']} of {of[0]['counted']}" for of in faults),
         ],
     ]
-    named = [[same[0]["fault"], *map(found, same)] for same in zip(*faults, strict=False)]
-    rows += [
-        *named,
-        [
-            "all faults",
-            *(f"{sum(r['found'] for r in of)} of {sum(r['counted'] for r in of)}" for of in faults),
-        ],
-    ]
+    named = [[row_name(same[0]), *map(found, same)] for same in zip(*faults, strict=True)]
+    rows += named
+    ways = list(dict.fromkeys(row["way"] for row in faults[0]))
+    for way in ways:
+        mine = [[r for r in of if r["way"] == way] for of in faults]
+        totals = (f"{sum(r['found'] for r in of)} of {sum(r['counted'] for r in of)}" for of in mine)
+        rows.append([f"{WAY_WORDS[way]}: all faults", *totals])
     if best is None:
         return rows
-    before = [""] * (len(rows) - 1 - len(named))
-    return [[*row, name] for row, name in zip(rows, [*before, *best, ""], strict=True)]
+    before = [""] * (len(rows) - len(ways) - len(named))
+    return [[*row, name] for row, name in zip(rows, [*before, *best, *[""] * len(ways)], strict=True)]
+
+
+def row_name(row: dict) -> str:
+    """The way and the fault of a row of fault_rows, in words."""
+    return f"{WAY_WORDS[row['way']]}: {row['fault']}"
+
+
+REFUTABLE_HEAD = "refutable"
+"""Heading of the column that says how many starts were refutable in time."""
+
+
+def refutable_rows(detectors: list[DetectorColumn]) -> list[list[str]]:
+    """Table rows of the faults from when they are refutable on: of how many starts. Per detector how many of
+    these were found, and the median time from then on; negative where an alarm is sooner."""
+
+    def found(row: dict) -> str:
+        return f"{row['refutable_found']}" + (
+            "" if row["median_after_s"] is None else f", {row['median_after_s']:.2f} s"
+        )
+
+    return [
+        [row_name(same[0]), f"{same[0]['refutable']} of {same[0]['counted']}", *map(found, same)]
+        for same in zip(*(d.faults for d in detectors), strict=True)
+    ]
+
+
+def duels(monitor: list[dict], baselines: list[dict]) -> list[dict]:
+    """The monitor beside each baseline alone, way by way: per row who leads (`ranking`), and over the rows of
+    a way how often.
+
+    ``monitor``: rows of fault_rows; ``baselines``: objects of the JSON. ``leads``: "monitor", the kind,
+    "tie", or "nobody", where neither found one. ``as_often``: rows on which the monitor found as many or
+    more. ``sooner``, ``later``: rows on which its median is less, more; no median counts as later than any.
+    ``behind``: faults on which it found fewer, or found as many and later.
+    """
+    return [
+        _duel(way, b["kind"], [(m, o) for m, o in zip(monitor, b["faults"], strict=True) if m["way"] == way])
+        for b in baselines
+        for way in dict.fromkeys(m["way"] for m in monitor)
+    ]
+
+
+def _duel(way: str, kind: str, pairs: list[tuple[dict, dict]]) -> dict:
+    """One baseline in one way; ``pairs``: the monitor's row and its, fault by fault."""
+
+    def leads(monitor: dict, other: dict) -> str:
+        first = ranking({MONITOR: monitor, kind: other})
+        return "tie" if len(first) > 1 else first[0] if first else "nobody"
+
+    def median(row: dict) -> float:
+        return float("inf") if row["median_s"] is None else row["median_s"]
+
+    rows = [
+        {
+            "fault": m["fault"],
+            "counted": m["counted"],
+            "found": [m["found"], o["found"]],
+            "median_s": [m["median_s"], o["median_s"]],
+            "leads": leads(m, o),
+        }
+        for m, o in pairs
+    ]
+    return {
+        "way": way,
+        "kind": kind,
+        "found": [sum(r["found"][i] for r in rows) for i in (0, 1)],
+        "counted": sum(r["counted"] for r in rows),
+        "as_often": sum(m["found"] >= o["found"] for m, o in pairs),
+        "sooner": sum(median(m) < median(o) for m, o in pairs),
+        "later": sum(median(m) > median(o) for m, o in pairs),
+        "behind": [r["fault"] for r in rows if r["leads"] == kind],
+        "rows": rows,
+    }
+
+
+DUEL_HEAD = (
+    "way",
+    "against",
+    "found",
+    "it found",
+    "as many or more",
+    "sooner",
+    "later",
+    "leads",
+    "behind on",
+)
+"""Columns of duel_rows."""
+
+
+def duel_rows(evaluation: dict) -> list[list[str]]:
+    """The monitor beside each baseline alone, a row a way. Counted are rows of faults: where it found as many
+    or more, where its median is less or more, where it leads, where it ties. Named is where it is behind."""
+    rows = []
+    for duel in evaluation["duels"]:
+        of, leads = len(duel["rows"]), [r["leads"] for r in duel["rows"]]
+        ties = leads.count("tie")
+        rows.append(
+            [
+                WAY_WORDS[duel["way"]],
+                duel["kind"],
+                *(f"{n} of {duel['counted']}" for n in duel["found"]),
+                *(f"{duel[key]} of {of}" for key in ("as_often", "sooner", "later")),
+                f"{leads.count(MONITOR)} of {of}" + (f", {ties} tied" if ties else ""),
+                "; ".join(duel["behind"]) or "none",
+            ]
+        )
+    return rows
+
+
+WAYS_HEAD = ("way", "runs")
+"""First columns of way_rows; a column per detector follows."""
+
+
+def way_rows(summary: dict) -> list[list[str]]:
+    """Of a campaign's summary, table rows of the faults that come in several ways. Per detector the average
+    found at calibrated and at matched thresholds, and the median time."""
+
+    def found(of: dict, d: str) -> str:
+        s = of["median_s"][d]
+        shares = f"{of['average'][d]['calibrated']:.1%}, {of['average'][d]['matched']:.1%}"
+        return shares + ("" if s is None else f", {s:.2f} s")
+
+    return [
+        [WAY_WORDS[way], str(of["runs"]), *(found(of, d) for d in summary["detectors"])]
+        for way, of in summary["ways"].items()
+    ]

@@ -1,9 +1,13 @@
 """Faults put into drives: from which instants, how time runs after them, and whether a detector found them.
 
-**Faults** are those of an Injection. They are injected into drives longer than ``shortest_s``, from
-``starts`` instants of each. The span from ``from_s`` to the last instant that leaves ``within_s`` of judged,
-excited driving is divided into so many equal parts. One instant is drawn in each (why several:
-tools/DESIGN_LOG.md).
+**Faults** are those of an Injection, in three ways:
+
+    step    whole at once, from ``starts`` instants of each drive longer than ``shortest_s``
+    ramp    growing for ``ramp_s`` from the same instants, then whole
+    start   whole from the first sample of such a drive
+
+The span from ``from_s`` to the last instant that leaves ``within_s`` of judged, excited driving is divided
+into so many equal parts. One instant is drawn in each (why several: tools/DESIGN_LOG.md).
 
 **Time** runs in judged, excited, in-range driving since the first faulty sample, which counts. Judged is the
 monitor's for all detectors, though a baseline may alarm outside of it. An alarm stands at the sample with
@@ -13,19 +17,41 @@ which the core said so, not at the end of its frame.
 of the same detector on the untouched drive since that instant. An alarm that the untouched drive raises too
 does not count, nor does one that stands when the fault starts. The table also states how often the untouched
 drive alarms in the time allowed.
+
+**Refutable** is what was injected from the first judged instant at which the off-line margin of the faulty
+record exceeds 1 and that of the untouched one does not (`margins`). No detector that allows all that the
+bounds allow can know of the fault before. Times are counted from there, too: negative where an alarm was
+sooner.
 """
 
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..drives.faults import Fault, inject
 from ..drives.tables import Drive
 from ..replay.run import Replay
-from ..vehicle.project import EvaluationSettings
+from ..vehicle.project import EvaluationSettings, Way
+
+WAY_WORDS: dict[Way, str] = {"step": "step", "ramp": "ramp", "start": "from the start"}
+"""How a fault comes, in words."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is injected: ``fault``, in which ``way``; its ramp lasts ``ramp_s`` [s]."""
+
+    way: Way
+    fault: Fault
+    ramp_s: float
+
+    def into(self, drive: Drive, clock: JudgedClock, Ts: float) -> Drive:
+        """The drive with the fault, cut where it can no longer be found in time."""
+        return inject(drive.before_sample(clock.end), self.fault, clock.first * Ts, Ts, self.ramp_s)
 
 
 @dataclass(frozen=True)
@@ -52,7 +78,11 @@ class JudgedClock:
     def read(self, hits: np.ndarray) -> float | None:
         """The reading [s] at the first True of ``hits`` (N or fewer samples) from ``first`` on; None:
         nowhere."""
-        found = np.flatnonzero(hits[self.first :])
+        return self.read_after(hits[self.first :])
+
+    def read_after(self, hits: np.ndarray) -> float | None:
+        """The reading [s] at the first True of ``hits``, which begin at ``first``; None: nowhere."""
+        found = np.flatnonzero(hits)
         return float(self.seconds[self.first + found[0]]) if len(found) else None
 
 
@@ -65,6 +95,8 @@ class Injection:
     within_s: float
     starts: int
     faults: tuple[Fault, ...]
+    ways: tuple[Way, ...] = ("step", "ramp", "start")
+    ramp_s: float = 20.0
 
     @classmethod
     def usual(cls) -> Injection:
@@ -86,15 +118,29 @@ class Injection:
         faults += [*(Fault("gain", g) for g in gains[2:]), bias]
         faults += [Fault(kind, d) for d in delays[1:] for kind in ("input_delay", "output_delay")]
         times = (settings.fault_from_s, settings.shortest_drive_s, settings.found_within_s)
-        return cls(*times, settings.starts, tuple(faults))
+        return cls(*times, settings.starts, tuple(faults), settings.ways, settings.ramp_s)
 
     def to_dict(self) -> dict:
-        """The times and the number of starts, JSON-able."""
-        return {k: v for k, v in vars(self).items() if k != "faults"}
+        """The times, the number of starts and the ways, JSON-able."""
+        return {k: v for k, v in vars(self).items() if k != "faults"} | {"ways": list(self.ways)}
+
+    @property
+    def cases(self) -> list[Case]:
+        """Every fault in every way, way by way."""
+        ramps = {"ramp": self.ramp_s}
+        return [Case(way, fault, ramps.get(way, 0.0)) for way in self.ways for fault in self.faults]
+
+    def into(self, untouched: Replay, seed: int) -> Iterator[tuple[Case, JudgedClock]]:
+        """Every case with the clock of each instant from which it is injected into a drive; none where the
+        drive does not qualify."""
+        clocks = self.clocks(untouched, seed)
+        whole = [JudgedClock.of(untouched, 0, self.within_s)] if clocks else []
+        for case in self.cases:
+            yield from ((case, clock) for clock in (whole if case.way == "start" else clocks))
 
     def clocks(self, untouched: Replay, seed: int) -> list[JudgedClock]:
-        """One clock for each instant from which faults are injected into a drive; none where the drive does
-        not qualify."""
+        """One clock for each instant from which faults are injected into a drive, but for those that are
+        there from the start; none where the drive does not qualify."""
         if untouched.duration_s <= self.shortest_s:
             return []
         earliest = round(self.from_s / untouched.Ts)
@@ -114,30 +160,39 @@ class FaultOutcome:
     """A fault in the drive ``run`` from ``start_s`` [s] on.
 
     ``s``: judged, excited seconds until it was found; None: it was not. ``untouched_s``: those until the
-    detector would have alarmed without the fault; None: not within the time allowed.
+    detector would have alarmed without the fault; None: not within the time allowed. ``refutable_s``: those
+    until it was refutable; None: not within the time allowed.
     """
 
     run: str
     start_s: float
     s: float | None
     untouched_s: float | None
+    refutable_s: float | None = None
 
     @classmethod
     def of(
-        cls, run: str, Ts: float, clock: JudgedClock, faulty: np.ndarray, untouched: float | None
+        cls,
+        run: str,
+        Ts: float,
+        clock: JudgedClock,
+        s: float | None,
+        untouched: float | None,
+        refutable_s: float | None = None,
     ) -> FaultOutcome:
-        """The outcome of a fault from the start of ``clock`` on, in a drive of N samples at ``Ts`` [s].
+        """The outcome of a fault from the start of ``clock`` on, in a drive of samples at ``Ts`` [s].
 
-        ``faulty`` (N,): samples at which the detector alarms with the fault. ``untouched``: the clock [s] at
-        its first alarm without the fault, None without any.
+        ``s``, ``untouched``: the clock [s] at the detector's first alarm with and without the fault, None
+        without any. ``refutable_s``: what `refutable` says.
         """
-        s = clock.read(faulty[: clock.end])
-        caused = s is not None and (untouched is None or s < untouched)
+        in_time = clock.seconds[clock.end - 1]
+        caused = s is not None and s <= in_time and (untouched is None or s < untouched)
         return cls(
             run,
             clock.first * Ts,
             s if caused else None,
-            untouched if untouched is not None and untouched <= clock.seconds[clock.end - 1] else None,
+            untouched if untouched is not None and untouched <= in_time else None,
+            refutable_s,
         )
 
     @property
@@ -146,26 +201,58 @@ class FaultOutcome:
         return self.s is not None
 
 
-def faulty_drive(drive: Drive, fault: Fault, clock: JudgedClock, Ts: float) -> Drive:
-    """The drive with the fault, cut where it can no longer be found in time."""
-    return inject(drive.before_sample(clock.end), fault, clock.first * Ts, Ts)
+def margins(replay: Replay, first_s: float) -> np.ndarray:
+    """(N,) Off-line margin at each sample: the largest t* of the counted frames that end there, or the energy
+    test's ratio where that is larger; 0 where nothing is judged. ``first_s``: time of the drive's first
+    sample [s]."""
+    frames, found = replay.run.frames, replay.run.energy.copy()
+    ends = np.round((frames.t_end_s[frames.counted] - first_s) / replay.Ts).astype(int)
+    np.maximum.at(found, ends, frames.margin[frames.counted])
+    return found
 
 
-def fault_rows(cases: dict[str, list[FaultOutcome]]) -> list[dict]:
-    """Per fault, in the order of ``cases``: cases found and all cases; drives and those in which it was found
-    from every start; cases whose untouched drive alarms in the time allowed; median time [s]."""
+def refutable(clock: JudgedClock, faulty: np.ndarray, untouched: np.ndarray) -> float | None:
+    """The clock [s] when an injected fault is first refutable, None: not in the time allowed.
+
+    ``faulty`` (N or fewer samples), ``untouched`` (N,): `margins` of the records with and without it.
+    """
+    n = min(clock.end, len(faulty))
+    return clock.read((faulty[:n] > 1.0) & (untouched[:n] <= 1.0))
+
+
+Outcomes = dict[Case, list[FaultOutcome]]
+"""Per case, what became of it from every instant of every drive."""
+
+
+def with_refutable(cases: Outcomes, known: Outcomes) -> Outcomes:
+    """The ``cases`` of a detector, with what `refutable` said in the ``known`` ones of another."""
+    at = {(case, c.run, c.start_s): c.refutable_s for case, of in known.items() for c in of}
+    return {
+        case: [replace(c, refutable_s=at[case, c.run, c.start_s]) for c in of] for case, of in cases.items()
+    }
+
+
+def fault_rows(cases: Outcomes) -> list[dict]:
+    """Per case, in the order of ``cases``: outcomes found and all of them; drives and those in which it was
+    found from every start; those whose untouched drive alarms in the time allowed; median time [s]. Of those
+    that were refutable: how many, found, and the median time from then on [s]."""
     rows = []
-    for label, members in cases.items():
-        runs = {c.run for c in members}
+    for case, members in cases.items():
+        runs, refuted = {c.run for c in members}, [c for c in members if c.refutable_s is not None]
+        after = [None if c.s is None else c.s - c.refutable_s for c in refuted if c.refutable_s is not None]
         rows.append(
             {
-                "fault": label,
+                "way": case.way,
+                "fault": case.fault.label,
                 "found": sum(c.found for c in members),
                 "counted": len(members),
                 "drives": len(runs),
                 "drives_found": len(runs - {c.run for c in members if not c.found}),
                 "untouched_alarms": sum(c.untouched_s is not None for c in members),
                 "median_s": median_time([c.s for c in members]),
+                "refutable": len(refuted),
+                "refutable_found": sum(c.found for c in refuted),
+                "median_after_s": median_time(after),
                 "cases": [vars(c) for c in members],
             }
         )

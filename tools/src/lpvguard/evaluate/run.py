@@ -1,5 +1,5 @@
 """`lpvguard evaluate`: what the monitor, and each of its two tests alone, does on drives that did not set the
-bounds. Three baselines run on the same drives.
+bounds. Five baselines run on the same drives.
 
 Every drive runs through the compiled core. One drive of the identification is left out at a time (THEORY
 7.3), with thresholds calibrated on all *other* drives that did not set the bounds. Drives that the
@@ -32,13 +32,15 @@ from ..identify.run import DriveSet, StoredIdentification
 from ..replay.run import Replay, Replayer
 from ..vehicle.project import EvaluationSettings
 from .baseline_study import BaselineStudy, evaluate_baselines
-from .comparison import EXPORTED, LEFT_ONE_OUT, MONITOR
+from .comparison import EXPORTED, LEFT_ONE_OUT, MONITOR, duels
 from .detection import (
     FaultOutcome,
     Injection,
+    Outcomes,
     fault_rows,
-    faulty_drive,
+    margins,
     ranking,
+    refutable,
 )
 from .false_alarms import alarmed_pieces, alarming, false_alarms, piece_starts
 from .judged import JudgedDrives, energy_test_of
@@ -47,8 +49,8 @@ FEWEST_FOR_BASELINES = 2
 """Calibration drives: a baseline has no natural threshold, so one must be left when a drive is left out."""
 
 
-Found = dict[str, dict[str, list[FaultOutcome]]]
-"""Per detector, and per fault, what became of it."""
+Found = dict[str, Outcomes]
+"""Per detector, and per case, what became of it."""
 
 
 def _evaluate_drive(
@@ -58,9 +60,9 @@ def _evaluate_drive(
     item: tuple[Experiment, Recordings, dict[str, Calibration]],
 ) -> tuple[dict, Found]:
     """One drive, the recordings and calibrations of its own for MONITOR, "frame" and "energy": its row, and
-    per detector and fault what became of it from every start.
+    per detector and case what became of it from every start.
 
-    No case where the drive does not qualify for faults.
+    No outcome where the drive does not qualify for faults.
     """
     experiment, recordings, calibrations = item
     group = recordings.groups.get(experiment.name)
@@ -76,7 +78,7 @@ def _evaluate_drive(
     untouched = {replayer: replayer.replay(drive) for replayer in (together, apart)}
     replay = untouched[together]
     relevant, starts = replay.in_range & replay.excited, piece_starts(len(replay.judged), Ts)
-    clocks = injection.clocks(replay, project.seed)
+    injected = list(injection.into(replay, project.seed))
     row = {
         "run": experiment.name,
         "driver": experiment.driver,
@@ -93,23 +95,19 @@ def _evaluate_drive(
         "judged_of_in_range_excited": (
             float((replay.judged & relevant).sum() / relevant.sum()) if relevant.any() else None
         ),
-        "fault_starts_s": [c.first * Ts for c in clocks],
+        "fault_starts_s": sorted({clock.first * Ts for _, clock in injected}),
         "scores": _drive_scores(replay),
     }
-    found: Found = {name: {f.label: [] for f in injection.faults} for name in detectors}
-    for clock in clocks:
-        first = {
-            name: clock.read(alarming(untouched[replayer], test))
-            for name, (replayer, test) in detectors.items()
-        }
-        for fault in injection.faults:
-            faulty = {
-                replayer: replayer.replay(faulty_drive(drive, fault, clock, Ts)) for replayer in untouched
-            }
-            for name, (replayer, test) in detectors.items():
-                found[name][fault.label].append(
-                    FaultOutcome.of(experiment.name, Ts, clock, alarming(faulty[replayer], test), first[name])
-                )
+    found: Found = {name: {case: [] for case in injection.cases} for name in detectors}
+    own = margins(replay, drive.t[0])
+    for case, clock in injected:
+        faulty_drive = case.into(drive, clock, Ts)
+        faulty = {replayer: replayer.replay(faulty_drive) for replayer in untouched}
+        known = refutable(clock, margins(faulty[together], drive.t[0]), own)
+        for name, (replayer, test) in detectors.items():
+            first, without = (clock.read(alarming(r[replayer], test)) for r in (faulty, untouched))
+            outcome = FaultOutcome.of(experiment.name, Ts, clock, first, without, known)
+            found[name][case].append(outcome)
     return row, found
 
 
@@ -200,7 +198,7 @@ def evaluate(
     injection = _injection(stored, drives, settings, workers)
     items = [(e, judged.recordings, judged.calibrations[n]) for n, e in judged.experiments.items()]
     rows: list[dict] = []
-    cases: Found = {d: {f.label: [] for f in injection.faults} for d in (MONITOR, EXPORTED, *TESTS)}
+    cases: Found = {d: {case: [] for case in injection.cases} for d in (MONITOR, EXPORTED, *TESTS)}
     left_out: dict[str, str] = dict(stored.manifest["drives"]["left_out"]) if held_out is None else {}
     evaluated: Iterator[tuple[dict, Found]] = workers(
         partial(_evaluate_drive, drives.reader, core, injection), items
@@ -211,15 +209,16 @@ def evaluate(
             left_out[row["run"]] = drives.reader.why_without_frames()
             continue
         rows.append(row)
-        for detector, by_fault in found.items():
-            for label, members in by_fault.items():
-                cases[detector][label] += members
+        for detector, by_case in found.items():
+            for case, members in by_case.items():
+                cases[detector][case] += members
     if not rows:
         name, why = next(iter(left_out.items()))
         raise InputError(
             judged.experiments[name].path, "", f"{why}, and so for every drive to judge", "a judged drive"
         )
-    baselines = _baselines(stored, drives, core, judged, rows, injection, workers, progress)
+    known = cases[MONITOR]
+    baselines = _baselines(stored, drives, core, judged, rows, known, injection, workers, progress)
     return _table(stored, judged, rows, cases, baselines, injection) | {"left_out": left_out}
 
 
@@ -229,6 +228,7 @@ def _baselines(
     core: Core,
     judged: JudgedDrives,
     rows: list[dict],
+    known: Outcomes,
     injection: Injection,
     workers: Map,
     progress: Callable[[str], None],
@@ -246,8 +246,8 @@ def _baselines(
         workers=workers,
         progress=progress,
     )
-    further = None if alone else study.on([judged.experiments[r["run"]] for r in rows])
-    return evaluate_baselines(study, rows, further)
+    on = study.on([judged.experiments[r["run"]] for r in rows], left_out=alone)
+    return evaluate_baselines(rows, on, known)
 
 
 def _table(
@@ -292,4 +292,5 @@ def _table(
             for d in (EXPORTED, *TESTS)
         },
         "baselines": baselines,
+        "duels": duels(faults, baselines),
     }

@@ -394,6 +394,7 @@ def _evaluation(median_s: float) -> str:
 fault_from_s = {begin:.3g}
 shortest_drive_s = {shortest:.3g}
 found_within_s = {quarter:.3g}      # of judged, excited driving
+ramp_s = {usual.ramp_s / usual.found_within_s * quarter:.3g}      # until a growing fault is whole
 bias_of_spread = {usual.bias_of_spread:g}      # of the output's standard deviation within a drive
 """
 

@@ -296,6 +296,10 @@ class FitSettings(StrictModel):
         return self
 
 
+Way = Literal["step", "ramp", "start"]
+"""How `evaluate` lets a fault come (evaluate/detection.py)."""
+
+
 class EvaluationSettings(StrictModel):
     """Which faults `evaluate` injects, and when; no part of what an identification was made with.
 
@@ -303,7 +307,8 @@ class EvaluationSettings(StrictModel):
     longer than ``shortest_drive_s``, and count as found within ``found_within_s`` of judged, excited driving.
     ``gains``: factors on the outputs; ``delays_s``: of the input and of the outputs; ``bias``: on every
     output, in its unit, or ``bias_of_spread`` of the output's own spread, the standard deviation within the
-    bound-setting drives.
+    bound-setting drives. ``ways``: in which they come: at once, growing for ``ramp_s``, or there from the
+    drive's first sample.
     """
 
     fault_from_s: Annotated[float, Field(ge=0)] = 60.0
@@ -314,9 +319,13 @@ class EvaluationSettings(StrictModel):
     delays_s: Annotated[tuple[Positive, ...], Field(min_length=1)] = (0.3, 0.15)
     bias: Positive | None = None
     bias_of_spread: Positive = 0.5
+    ways: Annotated[tuple[Way, ...], Field(min_length=1)] = ("step", "ramp", "start")
+    ramp_s: Positive = 20.0
 
     @model_validator(mode="after")
     def _long_enough(self) -> EvaluationSettings:
+        if len(set(self.ways)) < len(self.ways):
+            raise ValueError("evaluation.ways: each at most once")
         if self.shortest_drive_s < self.fault_from_s + self.found_within_s:
             raise ValueError("evaluation.shortest_drive_s: at least fault_from_s + found_within_s")
         return self

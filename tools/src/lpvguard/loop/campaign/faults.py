@@ -9,8 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...engine.synthesis.statespace import StateSpace, gain
+from ...vehicle.project import Way
 
 FAULT_FROM_S = 60.0
+RAMP_S = 20.0
+"""Until a growing fault is whole."""
+WAYS: tuple[Way, ...] = ("step", "ramp", "start")
+"""How a fault of the truck alone comes: at once, growing for RAMP_S, or there from the start of the run."""
 BUS_FAULT_UNTIL_S = 150.0
 
 
@@ -33,9 +38,15 @@ class Kind:
     response: bool = False
 
     @property
-    def from_s(self) -> float:
-        """When the fault starts [s]; a variation is there from the beginning."""
-        return FAULT_FROM_S if "{start}" in self.table else 0.0
+    def ways(self) -> tuple[Way, ...]:
+        """How it comes. A variation is there from the beginning; a fault of the bus comes at once."""
+        if "{start}" not in self.table:
+            return ("start",)
+        return WAYS[:1] if self.of_bus else WAYS
+
+    def from_s(self, way: Way) -> float:
+        """When the fault starts [s]."""
+        return 0.0 if way == "start" else FAULT_FROM_S
 
     @property
     def of_truck(self) -> bool:
@@ -47,10 +58,15 @@ class Kind:
         """Whether the bus is at fault."""
         return "can_fault" in self.table
 
-    def text(self, x: float, start_s: float = FAULT_FROM_S) -> str:
-        """The scenario tables of the fault with severity ``x``, from ``start_s`` [s] on."""
+    def text(self, x: float, way: Way = "step") -> str:
+        """The scenario tables of the fault with severity ``x``, as it comes in this way."""
+        start_s = self.from_s(way)
         return self.table.format(
-            x=f"{x:.9g}", start=f"{start_s:g}", end=f"{BUS_FAULT_UNTIL_S:g}", until=f"{start_s + x:.9g}"
+            x=f"{x:.9g}",
+            start=f"{start_s:g}",
+            ramp=f"{RAMP_S if way == 'ramp' else 0.0:g}",
+            end=f"{BUS_FAULT_UNTIL_S:g}",
+            until=f"{start_s + x:.9g}",
         )
 
 
@@ -79,12 +95,13 @@ def _applied(
     return lambda x, Ts: (system(x, Ts), _measured(1.0, 1.0, Ts))
 
 
-_ACTUATOR = "[[plant.actuator_fault]]\nstart_s = {start}\n"
-_SURROUNDINGS = "[[plant.surroundings_fault]]\nstart_s = {start}\n"
-_YAW = '[[plant.sensor_fault]]\nsignal = "yaw_rate"\nstart_s = {start}\n'
-_WHEEL = '[[plant.sensor_fault]]\nsignal = "steering_wheel"\nstart_s = {start}\n'
+_ACTUATOR = "[[plant.actuator_fault]]\nstart_s = {start}\nramp_s = {ramp}\n"
+_SURROUNDINGS = "[[plant.surroundings_fault]]\nstart_s = {start}\nramp_s = {ramp}\n"
+_YAW = '[[plant.sensor_fault]]\nsignal = "yaw_rate"\nstart_s = {start}\nramp_s = {ramp}\n'
+_WHEEL = '[[plant.sensor_fault]]\nsignal = "steering_wheel"\nstart_s = {start}\nramp_s = {ramp}\n'
 _FRONT_WHEELS = "".join(
-    f'[[plant.sensor_fault]]\nsignal = "wheel_speed_front_{side}"\nstart_s = {{start}}\ngain = {{x}}\n'
+    f'[[plant.sensor_fault]]\nsignal = "wheel_speed_front_{side}"\n'
+    "start_s = {start}\nramp_s = {ramp}\ngain = {x}\n"
     for side in ("left", "right")
 )
 VARIATION = "[plant.variation]\n"

@@ -9,7 +9,7 @@ Offline derives. Runs in which a detector alarms before the fault do not count f
 from __future__ import annotations
 
 import tempfile
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -113,6 +113,31 @@ def first_sample(drive: Drive, run_s: float, Ts: float) -> int:
     return max(0, round((run_s - float(drive.t[0])) / Ts))
 
 
+Numbers = tuple[Any, ...]
+"""Numbers of an array, nested as its axes are."""
+
+
+@dataclass(frozen=True)
+class Detectors:
+    """The baselines: scales of Scales, in its order, and each baseline with its threshold and the sizes of
+    its components, none where it has none."""
+
+    scales: tuple[Numbers, ...]
+    baselines: tuple[tuple[Baseline, float, Numbers], ...]
+
+    @classmethod
+    def of(cls, tuned: dict[str, Any]) -> Detectors:
+        """From the content of baselines.json."""
+
+        def frozen(x: Any) -> Any:
+            return tuple(map(frozen, x)) if isinstance(x, list) else x
+
+        return cls(
+            tuple(frozen(tuned["scales"][f.name]) for f in fields(Scales)),
+            tuple((Baseline(**b["parameters"]), b["threshold"], frozen(b["sizes"])) for b in tuned["chosen"]),
+        )
+
+
 @dataclass(frozen=True)
 class Context:
     """What every worker needs; it builds simulator and core from ``folder`` (same path on every machine) and
@@ -120,30 +145,32 @@ class Context:
 
     folder: Path
     seed: int
-    scales: tuple[tuple[float, ...], tuple[float, ...]]
-    baselines: tuple[tuple[Baseline, float], ...]
+    detectors: Detectors
 
     @cached_property
     def tools(self) -> tuple[Simulator, Simulator, Replayer, Bank]:
         """Simulator, the same without controller, replayer and baseline detectors, built once in every
         process and not pickled."""
-        return _tools(self.folder, self.scales)
+        return _tools(self.folder, self.detectors)
 
     def __getstate__(self) -> dict:
         return {k: v for k, v in self.__dict__.items() if k != "tools"}
 
 
 @lru_cache(maxsize=2)
-def _tools(
-    folder: Path, scales: tuple[tuple[float, ...], tuple[float, ...]]
-) -> tuple[Simulator, Simulator, Replayer, Bank]:
+def _tools(folder: Path, detectors: Detectors) -> tuple[Simulator, Simulator, Replayer, Bank]:
     simulator = Simulator(folder)
     replayer = Replayer(simulator.project, Core(folder))
     return (
         simulator,
         Simulator(folder, controller="off"),
         replayer,
-        Bank(replayer.model, replayer.estimator, Scales(*(np.array(s) for s in scales))),
+        Bank(
+            replayer.model,
+            replayer.estimator,
+            Scales(*map(np.array, detectors.scales)),
+            {b: np.array(sizes) for b, _, sizes in detectors.baselines},
+        ),
     )
 
 
@@ -178,6 +205,7 @@ def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
         "number": planned.number,
         "kind": planned.kind,
         "severity": planned.severity,
+        "way": planned.way,
         "plant": planned.plant,
         "seed": facts["seed"],
         "fault_s": planned.fault_s,
@@ -205,9 +233,8 @@ def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
             f"{test}_found_s": clock.read(hits),
         }
     row |= _judged(MONITOR, _statistic(replayer, replay, drive), 1.0, clock)
-    e = nominal_error(drive, replayer.model)[0]
-    thresholds = dict(context.baselines)
-    for b, values in bank.statistics(thresholds, e, drive.v):
+    thresholds = {b: h for b, h, _ in context.detectors.baselines}
+    for b, values in bank.statistics(thresholds, *nominal_error(drive, replayer.model), drive.v):
         row |= _judged(b.kind, values, thresholds[b], clock)
     return row
 

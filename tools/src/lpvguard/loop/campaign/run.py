@@ -21,13 +21,12 @@ from ...control.design import require_designed_for
 from ...core.compiled import Core
 from ...evaluate.baseline_study import BaselineStudy
 from ...evaluate.baselines import KINDS as BASELINE_KINDS
-from ...evaluate.baselines import Baseline
 from ...evaluate.detection import Injection
 from ...identify.run import DriveSet, Progress, StoredIdentification
 from ...replay.run import Replayer
 from ..sim import Simulator
 from . import faults, trucks
-from .one_run import Context, run_planned
+from .one_run import Context, Detectors, run_planned
 from .scenarios import DURATION_S, PlannedRun, Size, plan
 from .summary import summarise
 
@@ -74,7 +73,8 @@ def campaign(
             levels = _kept(kept_in, "loops.json", lambda: trucks.loop_levels(stored, controller, progress))
         chosen = [c for c in found["candidates"] if c["ratio"] <= 1][: trucks.PLANTS]
         within = [(c["tables"], c["least_gain"]) for c in chosen]
-        table = _run_all(kept_in, _context(folder, seed, tuned), plan(size, within), workers, progress)
+        context = Context(Path(folder).absolute(), seed, Detectors.of(tuned))
+        table = _run_all(kept_in, context, plan(size, within), workers, progress)
         kept_in.write("runs.parquet", _parquet(table))
         summary = summarise(table, stored, found, levels, tuned)
         kept_in.write("summary.json", artefacts.to_json(summary).encode())
@@ -86,16 +86,6 @@ def _kept(out: artefacts.KeptFolder, name: str, make: Callable[[], Any]) -> Any:
     if not out.has(name):
         out.write(name, artefacts.to_json(make()).encode())
     return artefacts.read_json(out.folder / name)
-
-
-def _context(folder: Path, seed: int, tuned: dict[str, Any]) -> Context:
-    """What every run needs, from baselines.json."""
-    return Context(
-        Path(folder).absolute(),
-        seed,
-        (tuple(tuned["scales"]["error"]), tuple(tuned["scales"]["input"])),
-        tuple((Baseline(**b["parameters"]), b["threshold"]) for b in tuned["chosen"]),
-    )
 
 
 def _run_all(
@@ -132,7 +122,8 @@ def _require_same(stored: StoredIdentification, replayer: Replayer) -> None:
 def _tune(
     stored: StoredIdentification, drives: DriveSet, core: Core, workers: Map, progress: Progress
 ) -> dict[str, Any]:
-    """The content of baselines.json: scales, alpha, and per kind the best parameters with their threshold."""
+    """The content of baselines.json: scales, alpha, and per kind the best parameters with their threshold and
+    the sizes of their components."""
     study = BaselineStudy(
         stored,
         drives,
@@ -145,8 +136,16 @@ def _tune(
     chosen = [study.best(kind) for kind in BASELINE_KINDS]
     return {
         "scales": asdict(study.bank.scales),
-        "alpha": study.calibration(chosen[0][0]).alpha,
-        "chosen": [{"label": b.label, "parameters": asdict(b), "threshold": h} for b, h in chosen],
+        "alpha": chosen[0][1].alpha,
+        "chosen": [
+            {
+                "label": b.label,
+                "parameters": asdict(b),
+                "threshold": c.threshold,
+                "sizes": study.bank.sizes.get(b, ()),
+            }
+            for b, c in chosen
+        ],
     }
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...vehicle.nominal import NominalModel
+from ...vehicle.project import Way
 from . import faults
 from .conduct import LEAST_BAR, STEERING_RADPS
 from .faults import VARIATION
@@ -35,7 +36,8 @@ REFERENCE_RADPS = 3.0
 @dataclass(frozen=True)
 class PlannedRun:
     """One run. ``plant``: index of the truck of group "within", -1 elsewhere; ``tables``: its fault or
-    variation; ``gain``: least gain of a truck within the bounds, of the nominal one's."""
+    variation; ``gain``: least gain of a truck within the bounds, of the nominal one's; ``way``: how the fault
+    comes."""
 
     number: int
     kind: str
@@ -44,6 +46,7 @@ class PlannedRun:
     fault_s: float
     tables: str
     gain: float = 1.0
+    way: Way = "start"
 
 
 @dataclass(frozen=True)
@@ -61,9 +64,12 @@ def plan(size: Size, trucks: list[tuple[str, float]]) -> list[PlannedRun]:
         PlannedRun(n, "within", 0.0, n % len(trucks), 0.0, *trucks[n % len(trucks)]) for n in range(runs)
     ]
     chosen = [(kind, x) for kind in faults.KINDS for x in kind.values for _ in range(size.repeats)]
+    # First every fault as it comes first, so that a number means the same whatever further ways there are.
+    ordered = [(kind, x, kind.ways[0]) for kind, x in chosen]
+    ordered += [(kind, x, way) for n in (1, 2) for kind, x in chosen for way in kind.ways[n : n + 1]]
     return within + [
-        PlannedRun(FIRST_FAULT + n, kind.name, x, -1, kind.from_s, kind.text(x))
-        for n, (kind, x) in enumerate(chosen)
+        PlannedRun(FIRST_FAULT + n, kind.name, x, -1, kind.from_s(way), kind.text(x, way), way=way)
+        for n, (kind, x, way) in enumerate(ordered)
     ]
 
 

@@ -37,7 +37,7 @@ def summarise(
     table: pa.Table, stored: StoredIdentification, found: dict, levels: list[dict], tuned: dict
 ) -> dict[str, Any]:
     """The campaign's tables from its rows; JSON-able. ``severities``, ``kinds``, ``average``, ``visible``:
-    faults of the truck; ``bus``: of the bus.
+    faults of the truck, as they come first; ``bus``: of the bus. ``ways``: the faults that come in several.
 
     ``matched``: with every detector's threshold such that by the rule of identify/calibration.py at most
     alpha of the runs within the bounds alarm, and at most alpha of the faulty runs before their fault. Only
@@ -47,14 +47,15 @@ def summarise(
     rows = table.to_pylist()
     kinds = {k.name: k for k in faults.KINDS}
     within = [r for r in rows if r["kind"] == "within"]
-    faulty = [r for r in rows if r["kind"] in kinds and kinds[r["kind"]].of_truck]
+    of_truck = [r for r in rows if r["kind"] in kinds and kinds[r["kind"]].of_truck]
+    faulty = [r for r in of_truck if r["way"] == kinds[r["kind"]].ways[0]]
     on_bus = [r for r in rows if r["kind"] in kinds and kinds[r["kind"]].of_bus]
     matched, stated = _matched(within, faulty, stored.project.frame_test.alpha)
     severities = _severities(faulty, matched, levels, found)
     summary = {
         "detectors": {MONITOR: "lpvguard", **TITLES},
         "units": {name: k.unit for name, k in kinds.items()},
-        "baselines": tuned["chosen"],
+        "baselines": [{k: b[k] for k in ("label", "parameters", "threshold")} for b in tuned["chosen"]],
         "alpha": tuned["alpha"],
         "calibrated": _calibrated(stored),
         "within": _within(within)
@@ -70,6 +71,7 @@ def summarise(
         "due": _due(rows),
         "visible": _visible(faulty),
         "average": _average(severities),
+        "ways": by_way([r for r in of_truck if len(kinds[r["kind"]].ways) > 1], matched),
         "matched_thresholds": matched,
         "matched_stated": stated,
         "matched_claim": f"{COUNTS_ONLY}: too few runs for equal false alarms"
@@ -156,6 +158,25 @@ def _due(rows: list[dict]) -> dict[str, Any]:
         for r in due
     ]
     return rate(sum(came), len(due))
+
+
+def by_way(rows: list[dict], matched: dict[str, float]) -> dict[str, dict[str, Any]]:
+    """Per way, of the ``rows`` of faults that come in several: runs; per detector the share of runs in which
+    the fault was found, averaged over kinds and severities, and the median time [s] over all runs. A time is
+    judged, excited driving since the fault's start."""
+    found = {}
+    for way in dict.fromkeys(r["way"] for r in rows):
+        mine = [r for r in rows if r["way"] == way]
+        severities = [_severity(*key, members, matched) for key, members in _by_severity(mine).items()]
+        found[way] = {
+            "runs": len(mine),
+            "average": _average(severities),
+            "median_s": {
+                d: median_time([None if r[f"{d}_before"] else r[f"{d}_found_s"] for r in mine])
+                for d in DETECTORS
+            },
+        }
+    return found
 
 
 def _visible(faulty: list[dict]) -> dict[str, dict[str, Any]]:

@@ -134,7 +134,7 @@ def plants(certified: CertifiedSet, seed: int, workers: Map, progress: Progress)
             candidates.append({"tables": t, **vars(found)})
     chosen = [(kind, x) for kind in faults.KINDS if kind.response for x in kind.values]
     faulted = []
-    texts = [k.text(x, start_s=0.0) for k, x in chosen]
+    texts = [k.text(x, "start") for k, x in chosen]
     for (kind, x), found in zip(chosen, workers(certified.distance, texts), strict=False):
         progress(f"frequency response, {kind.name} {x:g}")
         faulted.append({"kind": kind.name, "severity": x, **vars(found)})

@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from .drawing import BLUE, GREEN, ORANGE, PINK, POINTS, RED, new_figure, picture
+from ...evaluate.comparison import row_name
+from .drawing import BLUE, GREEN, ORANGE, PINK, POINTS, RED, SKY, new_figure, picture
 
 SOONEST_S = 0.01
 """Where times below stand in `time_to_find`: its axis is logarithmic."""
@@ -20,6 +21,8 @@ DETECTOR_STYLES = (
     (ORANGE, "--", "s", 1.1),
     (GREEN, "-.", "^", 1.1),
     (PINK, ":", "D", 1.1),
+    (RED, (0, (5, 1)), "v", 1.1),
+    (SKY, (0, (3, 1, 1, 1)), "P", 1.1),
 )
 
 
@@ -56,7 +59,7 @@ def time_to_find(faults: list[dict], allowed_s: float) -> Figure:
     ticks = [t for t in (SOONEST_S, 0.03, 0.1, 0.3, 1, 3, 10, 30) if t <= allowed_s]
     axes.set_xticks([*ticks, never], [*(f"{t:g}" for t in ticks), "not"])
     axes.xaxis.set_minor_locator(NullLocator())
-    axes.set_yticks(range(len(faults)), [row["fault"] for row in faults])
+    axes.set_yticks(range(len(faults)), [row_name(row) for row in faults])
     axes.invert_yaxis()
     axes.set_xlabel("judged, excited seconds from the fault to the first alarm")
     return figure

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from html import escape
 
-from ...evaluate.comparison import COUNTS_ONLY
+from ...evaluate.comparison import COUNTS_ONLY, WAYS_HEAD, way_rows
 from ...evaluate.rates import hourly_words, share_words
 from ..markup import captioned, html_table, number
 from ..pictures.detectors import detection, detection_time
@@ -17,6 +17,7 @@ def campaign_section(c: dict) -> str:
 {_runs(c)}
 {_overall(c)}{_alarm_table(c)}
 {_baselines(c)}
+{_ways(c)}
 {_pictures(c)}
 <h3>Kinds of fault</h3>{_kind_table(c)}\
 <p>Where a baseline wins, {escape(c["matched_claim"])}: {_beaten(c)}.</p>\
@@ -157,6 +158,16 @@ truck, so on trucks that differ from it within the bounds their rate is not the 
 “{escape(c["matched_claim"])}” takes for
 every detector the least threshold with which the same rule allows its alarms both in the runs within the \
 bounds and before the faults.</p>"""
+
+
+def _ways(c: dict) -> str:
+    """Faults that come in several ways: at once, growing, from the start of the run."""
+    names = [escape(title) for title in c["detectors"].values()]
+    rows = [[escape(cell) for cell in row] for row in way_rows(c)]
+    return f"""<p>Faults of the truck alone come in several ways. Everything else here is of the first, at \
+once. A cell: found on average at
+calibrated thresholds, found {escape(c["matched_claim"])}, and the median time from the fault's start.</p>
+{html_table([*WAYS_HEAD, *names], rows)}"""
 
 
 def _pictures(c: dict) -> str:

@@ -9,15 +9,20 @@ from ...core.compiled import TESTS
 from ...evaluate.comparison import (
     ALARM_HEAD,
     CALIBRATED,
+    DUEL_HEAD,
     EXPORTED,
     HELD_OUT,
     LEFT_ONE_OUT,
     MONITOR,
+    REFUTABLE_HEAD,
     DetectorColumn,
     alarm_rows,
     columns,
     detector_rows,
+    duel_rows,
     equal_rates,
+    refutable_rows,
+    row_name,
 )
 from ...evaluate.false_alarms import PIECE_S
 from ..markup import captioned, html_table, number
@@ -141,7 +146,8 @@ def _injected_faults(evaluation: dict) -> str:
     return f"""<h3>Injected faults</h3>
 <p>Injected into {tried} of {len(evaluation["drives"])} drives, those longer than {injected["shortest_s"]:g} \
 s, from {injected["starts"]} instants of each after {injected["from_s"]:g} s, drawn so that
-{injected["within_s"]:g} s of judged, excited driving follow. Found: the first alarm from then on comes \
+{injected["within_s"]:g} s of judged, excited driving follow. A ramp grows for {injected["ramp_s"]:g} s. \
+From the start: once a drive, from its first sample on. Found: the first alarm from then on comes \
 within {injected["within_s"]:g} s of such driving and
 before any that the same detector raises on the untouched drive; an alarm counts when the core says so, \
 which for a frame is after its
@@ -177,20 +183,35 @@ def _baselines(evaluation: dict) -> str:
     )
     best = [", ".join(titles[n] for n in row["best"]) for row in evaluation["faults"]]
     lost = [
-        f"{escape(row['fault'])} ({escape(who)})"
+        f"{escape(row_name(row))} ({escape(who)})"
         for row, who in zip(evaluation["faults"], best, strict=False)
         if row["best"] and row["best"] != [MONITOR]
     ]
     compared = equal_rates({title: rates[name] for name, title in titles.items()})
     table = _detectors({OURS: detectors[MONITOR]} | {b["title"]: detectors[b["kind"]] for b in others}, best)
+    named = list(titles)
+    refutable = html_table(
+        ["", REFUTABLE_HEAD, *(escape(titles[name]) for name in named)],
+        [[escape(cell) for cell in row] for row in refutable_rows([detectors[name] for name in named])],
+    )
+    against = html_table(
+        DUEL_HEAD, [[escape(cell) for cell in row] for row in duel_rows(evaluation)], "words"
+    )
     return f"""<h3>Beside what is used today</h3>
-<p>Three detectors on the same residual e = y − ŷ, the same drives, and thresholds from the same calibration \
+<p>Five detectors on the same residual e = y − ŷ, the same drives, and thresholds from the same calibration \
 drives by the same
 rule as the monitor with both tests at one threshold. They are compared {escape(compared)}. Their parameters \
 are those
-that find most injected faults, then soonest, on the bound-setting and the other calibration drives; the \
-drive under test takes part in
+that find most injected faults, all ways together, then soonest, on the bound-setting and the other \
+calibration drives; the drive under test takes part in
 nothing ({searched}). Best: largest share of starts, then least median; detectors that tie are all named, \
 and nobody where nobody
 found a fault. Where the monitor does not lead alone: {"; ".join(lost) or "nowhere"}.</p>
-{table}"""
+{table}
+<p>Against each of them alone, over the rows of faults: where the monitor found as many or more, where its \
+median is less or more, where it leads by found and then by median, and on which it is behind.</p>
+{against}
+<p>Times from when a fault is refutable: from the first judged instant at which the off-line margin of the \
+faulty record exceeds 1 and that of the untouched record does not. A cell: found of these starts, and the \
+median time, negative where an alarm is sooner.</p>
+{refutable}"""
