@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import lpvguard as lpvguard_package
 from lpvguard.base import native
 from lpvguard.base.errors import InputError
 from lpvguard.base.parallel import UNDER_WAY_PER_WORKER, workers
@@ -236,7 +237,10 @@ def test_bad_worker_settings_are_named(given, says, monkeypatch):
 
 
 @pytest.mark.slow("25 s: evaluate of the synthetic drives, twice")
-def test_replay_and_evaluate_share_drives(lpvguard, vehicle, identified, synthetic, few_baselines):
+def test_replay_and_evaluate_share_drives(lpvguard, vehicle, identified, synthetic, few_baselines, tmp_path):
+    shipped = Path(lpvguard_package.__file__).parent / "vehicle/shipped/g80.toml"
+    once = tmp_path / "g80.toml"
+    once.write_text(shipped.read_text().replace("[evaluation]\n", "[evaluation]\nstarts = 1\n"))
     logs = [synthetic / f"synthetic_{i:02d}.csv" for i in (5, 6, 8)]
     replay = ("replay", "--vehicle", "g80", "--coefficients", vehicle, *logs, "--json", "-")
     alone, shared = lpvguard(*replay), lpvguard(*replay, "--jobs", 2)
@@ -245,7 +249,7 @@ def test_replay_and_evaluate_share_drives(lpvguard, vehicle, identified, synthet
     evaluate = (
         "evaluate",
         "--vehicle",
-        "g80",
+        once,
         identified,
         synthetic,
         "--coefficients",
