@@ -16,6 +16,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <initializer_list>
 
 #include "lpvguard/ecu.h"
 #include "margin.hpp"
@@ -348,13 +349,46 @@ void run_j1939() {
     part.write();
 }
 
-// The XCP slave: a frame that is not for it, and the longest command, in the last of its ranges. Not in the step.
+// A command that the slave must take.
+void order(lpvg_xcp_t* slave, std::initializer_list<uint8_t> bytes, uint32_t address = 0U) {
+    lpvg_can_frame_t command{}, answer{};
+    command.id = slave->config.receive_id;
+    command.dlc = 8U;
+    std::memcpy(&command.data[4], &address, sizeof address);
+    std::copy(bytes.begin(), bytes.end(), command.data);
+    require(lpvg_xcp_receive(slave, &command, &answer) && answer.data[0] == 0xFFU, "XCP refuses a command\n");
+}
+
+// The largest list, a byte an entry, at every event.
+void run_xcp_list(lpvg_xcp_t* slave, uint32_t address) {
+    order(slave, {0xD6U});
+    order(slave, {0xD5U, 0U, 1U, 0U});
+    order(slave, {0xD4U, 0U, 0U, 0U, LPVG_XCP_ODTS_MAX});
+    for (uint8_t odt = 0U; odt < LPVG_XCP_ODTS_MAX; ++odt) {
+        order(slave, {0xD3U, 0U, 0U, 0U, odt, LPVG_XCP_ODT_ENTRIES_MAX});
+        order(slave, {0xE2U, 0U, 0U, 0U, odt, 0U});
+        for (uint32_t entry = 0U; entry < LPVG_XCP_ODT_ENTRIES_MAX; ++entry) {
+            order(slave, {0xE1U, 0xFFU, 1U, 0U}, address + entry);
+        }
+    }
+    order(slave, {0xE0U, 0U, 0U, 0U, 0U, 0U, 1U, 0U});
+    order(slave, {0xDEU, 1U, 0U, 0U});
+    lpvg_can_frame_t out[LPVG_XCP_ODTS_MAX];
+    Part part("xcp_list");
+    for (std::size_t k = 0; k < 100U; ++k) {
+        part.run([&] { require(lpvg_xcp_event(slave, time_us(k), out, LPVG_XCP_ODTS_MAX) == LPVG_XCP_ODTS_MAX, "XCP sends nothing\n"); });
+    }
+    part.write();
+}
+
+// The XCP slave: a frame that is not for it, an event without a list, the longest command, in the last of its ranges, and an event with the
+// largest list. Not in the step.
 void run_xcp() {
     static lpvg_xcp_range_t ranges[LPVG_XCP_RANGES_MAX];
     for (uint32_t i = 0U; i < LPVG_XCP_RANGES_MAX; ++i) {
         ranges[i] = {i * 0x01000000U, sizeof ecu, &ecu};
     }
-    const lpvg_xcp_config_t config = {0x98EF27F9U, 0x98EFF927U, "bench", ranges, LPVG_XCP_RANGES_MAX};
+    const lpvg_xcp_config_t config = {0x98EF27F9U, 0x98EFF927U, "bench", ranges, LPVG_XCP_RANGES_MAX, 10'000U};
     static lpvg_xcp_t slave;
     require(lpvg_xcp_init(&slave, &config) == lpvg_status_ok, "no XCP slave\n");
     lpvg_can_frame_t foreign{}, command{}, answer{};
@@ -373,11 +407,17 @@ void run_xcp() {
         idle.run([&] { require(!lpvg_xcp_receive(&slave, &foreign, &answer), "XCP answers a foreign frame\n"); });
     }
     idle.write();
+    Part event("xcp_event");
+    for (std::size_t k = 0; k < 100U; ++k) {
+        event.run([&] { require(lpvg_xcp_event(&slave, time_us(k), &answer, 1U) == 0U, "XCP sends without a list\n"); });
+    }
+    event.write();
     Part upload("xcp_upload");
     for (std::size_t k = 0; k < 100U; ++k) {
         upload.run([&] { require(lpvg_xcp_receive(&slave, &command, &answer) && answer.dlc == 8U, "XCP reads nothing\n"); });
     }
     upload.write();
+    run_xcp_list(&slave, address);
 }
 
 // Everything at once: frames in, supervision, cross-checks, controller, monitor, frames out.

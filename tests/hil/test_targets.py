@@ -87,6 +87,9 @@ def test_counts_are_within_the_budget(counted):
     assert int(re.search(r"^#define LPVG_NRECORDS (\d+)", monitor, re.MULTILINE)[1]) >= bench.RECORDED_FRAMES
     assert sum(counted["rom"].values()) <= bench.ROM_BYTES
     assert max(part["stack"] for part in counted["parts"].values()) <= bench.STACK_BYTES
+    # A step in which XCP has nothing to do, with the truck's own frames.
+    idle = counted["parts"]["xcp_event"]["worst"] + bench.TRUCK_FRAMES * counted["parts"]["xcp_idle"]["worst"]
+    assert 0 < idle <= bench.XCP_IDLE * step["worst"]
 
 
 @pytest.mark.slow("an image for every processor, counted in its emulator")
@@ -109,7 +112,9 @@ def test_the_guides_table_is_what_is_measured(counted):
         counted["parts"]["j1939_step"]["worst"],
         counted["structs"]["j1939"],
         counted["parts"]["xcp_idle"]["worst"],
+        counted["parts"]["xcp_event"]["worst"],
         counted["parts"]["xcp_upload"]["worst"],
+        counted["parts"]["xcp_list"]["worst"],
     ]
     # Compilers of other minor versions count a little differently.
     assert [float(cell) for cell in row[: len(measured)]] == pytest.approx(measured, rel=0.03), (

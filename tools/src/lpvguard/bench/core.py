@@ -36,6 +36,8 @@ RAM_BYTES = 10_240
 RECORDED_FRAMES = 4  # in that RAM, at least
 ROM_BYTES = 49_152
 STACK_BYTES = 2048
+XCP_IDLE = 0.02  # of the step, where the XCP slave has nothing to do
+TRUCK_FRAMES = 4  # of its own that the truck sends in a step, at most
 DENSE_TO_CONTROLLER = 5.0
 """A step with full matrices takes at least this factor more instructions, under the same scheduling
 (firmware_sim/ports/dense_controller.hpp)."""
@@ -233,7 +235,7 @@ def budget_rows(report: dict[str, Any]) -> list[list[str]]:
             f"{ROM_BYTES}",
             f"{STACK_BYTES}",
             f"{INIT}",
-            *[""] * 8,
+            *[""] * 10,
         ]
     ]
     for run in report["targets"]:
@@ -257,7 +259,9 @@ def budget_rows(report: dict[str, Any]) -> list[list[str]]:
                         run["parts"]["j1939_step"]["worst"],
                         run["structs"]["j1939"],
                         run["parts"]["xcp_idle"]["worst"],
+                        run["parts"]["xcp_event"]["worst"],
                         run["parts"]["xcp_upload"]["worst"],
+                        run["parts"]["xcp_list"]["worst"],
                         f"{run['load_percent']:.2f} %",
                     )
                 ),
@@ -288,7 +292,9 @@ def write_guide(path: Path, report: dict[str, Any]) -> None:
         "J1939 step, beside [instr]",
         "J1939 RAM [B]",
         "XCP idle, a frame [instr]",
+        "XCP idle, a step [instr]",
         "XCP upload [instr]",
+        "XCP list of 56 entries, a step [instr]",
         f"of {report['clock_mhz']:g} MHz",
         "ELF",
     ]
