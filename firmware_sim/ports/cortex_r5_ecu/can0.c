@@ -86,6 +86,7 @@ static bool receive_frame(void* driver, int64_t now_us, lpvg_can_frame_t* frame)
 }
 
 void can0_open(can0_t* self, bus_t* bus) {
+    self->also = 0u;
     self->head = self->tail = 0u;
     self->sent = 0u;
     self->bus_off = false;
@@ -105,7 +106,7 @@ void can0_await(can0_t* self, uint64_t frames) {
     while (frames > 0u) {
         if (!take_frame(&frame)) {
             leave_the_lock();
-        } else if (filter_passes(&frame)) {
+        } else if (filter_passes(&frame) || (self->also != 0u && frame.id == self->also)) {
             --frames;
             if (self->head - self->tail < CAN0_QUEUE) {
                 self->queue[self->head++ % CAN0_QUEUE] = frame;

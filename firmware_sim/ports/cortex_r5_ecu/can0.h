@@ -23,6 +23,7 @@ enum {
 };
 
 typedef struct can0_t {
+    uint32_t also; /* identifier and flags that pass the filter beside the rules; 0: none */
     lpvg_can_frame_t queue[CAN0_QUEUE]; /* taken from the controller, not yet received */
     size_t head, tail;                  /* counted up without end; the index is the remainder */
     uint64_t sent;
@@ -30,7 +31,7 @@ typedef struct can0_t {
     int64_t bus_off_us;
 } can0_t;
 
-/* Resets the controller, lets it take every frame, and fills *bus, which refers to *self from then on. */
+/* Resets the controller, lets it take every frame, and fills *bus, which refers to *self from then on. `also` is 0. */
 void can0_open(can0_t* self, bus_t* bus);
 
 /* Takes frames from the controller into the queue until `frames` that pass the filter have come. Ones beyond the queue are lost. */

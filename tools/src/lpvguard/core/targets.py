@@ -46,6 +46,7 @@ WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow"
 CXX = ("-std=c++17", "-fno-exceptions", "-fno-rtti", "-fno-threadsafe-statics")
 SECTIONS = {".core_code": "code", ".core_coefficients": "coefficients", ".core_libraries": "libraries"}
 """Sections of the linker scripts that are the core's, and what the report calls them."""
+SEMIHOSTING = ("-semihosting-config", "enable=on,target=native")
 TIMEOUT_S = 300
 R5_START = "qom-set /machine/soc/rpu-cluster/rpu-cpu[0] start-powered-off false\nsystem_reset\ncont\n"
 """QEMU 7.2 leaves the RPU core off even as boot processor: paused at first, switched on by its monitor."""
@@ -179,13 +180,29 @@ class EmulatedEcu:
     elf_sha256: str
 
 
-def emulated_ecu(name: str, vehicle: Path) -> EmulatedEcu:
-    """Build the firmware (firmware_sim/ports/cortex_r5_ecu) of a generated folder, results bit for bit those
-    of the host.
+def _emulator(target: Target, elf: Path) -> list[str]:
+    """The emulator's command for an image, without a console."""
+    return [
+        *target.emulator,
+        "-display",
+        "none",
+        "-serial",
+        "none",
+        *target.elf_option.format(elf=elf).split("=", 1),
+    ]
 
-    Raises InputError when tools are missing, it does not build, or the emulated machine has no CAN
-    controller.
-    """
+
+def on_can(name: str, elf: Path, interface: str) -> tuple[list[str], str]:
+    """The command that runs an image with its CAN controller on a SocketCAN interface, and what its standard
+    input must be. Raises InputError as `emulated_ecu`."""
+    target = _with_can(name)
+    host = f"can-host-socketcan,id=can,if={interface},canbus=canbus0"
+    command = [*_emulator(target, elf), *target.can, "-object", host, *SEMIHOSTING]
+    return command, target.monitor_input or ""
+
+
+def _with_can(name: str) -> Target:
+    """A target whose emulated machine has a CAN controller."""
     if name in TARGETS and not TARGETS[name].can:
         raise InputError(
             name,
@@ -193,7 +210,17 @@ def emulated_ecu(name: str, vehicle: Path) -> EmulatedEcu:
             "QEMU's board has no CAN controller",
             ", ".join(["host", *(t.name for t in TARGETS.values() if t.can)]),
         )
-    target = _target(name)
+    return _target(name)
+
+
+def emulated_ecu(name: str, vehicle: Path) -> EmulatedEcu:
+    """Build the firmware (firmware_sim/ports/cortex_r5_ecu) of a generated folder, results bit for bit those
+    of the host.
+
+    Raises InputError when tools are missing, it does not build, or the emulated machine has no CAN
+    controller.
+    """
+    target = _with_can(name)
     ports, ecu = firmware_root() / "ports", firmware_root() / "ecu"
     here = ports / "cortex_r5_ecu"
     program = Program(
@@ -211,13 +238,8 @@ def emulated_ecu(name: str, vehicle: Path) -> EmulatedEcu:
         map(
             shlex.quote,
             [
-                *target.emulator,
-                "-display",
-                "none",
-                "-serial",
-                "none",
+                *_emulator(target, elf),
                 *target.can,
-                *target.elf_option.format(elf=elf).split("=", 1),
             ],
         )
     )
@@ -247,16 +269,7 @@ def image_with_debug_information(name: str, vehicle: Path, program: Program) -> 
 def run_image(name: str, elf: Path) -> list[str]:
     """Run an image in the target's emulator; the lines that it wrote. Raises InputError when it fails."""
     target = _target(name)
-    command = [
-        *target.emulator,
-        "-display",
-        "none",
-        "-serial",
-        "none",
-        "-semihosting-config",
-        "enable=on,target=native",
-        *target.elf_option.format(elf=elf).split("=", 1),
-    ]
+    command = [*_emulator(target, elf), *SEMIHOSTING]
     # Semihosting writes to standard error; standard output is the monitor's.
     try:
         done = subprocess.run(
