@@ -11,10 +11,11 @@ import can
 import pytest
 
 from lpvguard.base import native
+from lpvguard.measure.xcp_access import OPTIONAL_COMMANDS, XcpAccess, if_data
 
 pytest.importorskip("pyxcp", reason="pip install pyxcp")
 from pyxcp.transport.can import CanInterfaceBase
-from pyxcp.types import XcpResponseError
+from pyxcp.types import Command, XcpResponseError
 
 from xcp_master import TO_MASTER, TO_SLAVE, Rows, master
 
@@ -147,3 +148,61 @@ def test_a_master_asks_for_every_third_step(slave):
         assert [row["k"] for row in rows.wait_for(10)] == list(range(0, 30, 3))
         rows.stop()
         tool.disconnect()
+
+
+@pytest.mark.requirement("REQ-XCP-6")
+def test_the_a2l_says_what_the_slave_says(slave):
+    lines = if_data(XcpAccess(TO_SLAVE, TO_MASTER), 10_000, False, LIB / "include" / "lpvguard")
+    words = " ".join(lines).replace('"', "").split()
+    daq = words[words.index("DAQ") + 1 : words.index("PRESCALER_SUPPORTED") + 1]
+    event = words[words.index("EVENT") + 1 : words.index("/end", words.index("EVENT"))]
+    with master(bus=slave) as tool:
+        said = tool.connect()
+        assert words[words.index("PROTOCOL_LAYER") + 9 :][:2] == [str(said.maxCto), str(said.maxDto)]
+        tool.freeDaq()
+        tool.allocDaq(1)
+        info = tool.getDaqInfo()
+        processor, resolution = info["processor"], info["resolution"]
+        properties, channel = processor["properties"], info["channels"][0]
+        assert daq == [
+            properties["configType"],
+            str(processor["maxDaq"]),
+            str(len(info["channels"])),
+            str(processor["minDaq"]),
+            "OPTIMISATION_TYPE_DEFAULT",
+            "ADDRESS_EXTENSION_FREE",
+            "IDENTIFICATION_FIELD_TYPE_ABSOLUTE",
+            "GRANULARITY_ODT_ENTRY_SIZE_DAQ_BYTE",
+            str(resolution["maxOdtEntrySizeDaq"]),
+            "NO_OVERLOAD_INDICATION",
+            "PRESCALER_SUPPORTED",
+        ]
+        assert processor["keyByte"] == {
+            "identificationField": "IDF_ABS_ODT_NUMBER",
+            "addressExtension": "AE_DIFFERENT_WITHIN_ODT",
+            "optimisationType": "OM_DEFAULT",
+        }
+        assert properties["prescalerSupported"] and not properties["overloadMsb"]
+        raw = tool.getDaqEventInfo(0)
+        assert event == ["step", "step", "0", "DAQ", "1", str(raw.eventChannelTimeCycle), "5", "0"]
+        assert (channel["name"], channel["unit"]) == ("step", "EVENT_CHANNEL_TIME_UNIT_100US")
+        tool.disconnect()
+
+
+@pytest.mark.requirement("REQ-XCP-6")
+def test_the_commands_of_the_a2l_are_those_that_the_slave_knows(slave):
+    """Of wrong length, so that nothing but what a command is called decides."""
+    always = {"CONNECT", "DISCONNECT", "GET_STATUS", "SYNCH"}
+    known = set()
+    for command in Command:
+        if command.name in always or not 0xC0 <= command.value <= 0xFF:
+            continue
+        slave.send(can.Message(arbitration_id=TO_SLAVE ^ EXTENDED, is_extended_id=True, data=b"\xff\x00"))
+        slave.send(
+            can.Message(arbitration_id=TO_SLAVE ^ EXTENDED, is_extended_id=True, data=bytes([command.value]))
+        )
+        connected, answer = slave.recv(1.0), slave.recv(1.0)
+        assert connected and answer and connected.data[0] == 0xFF
+        if bytes(answer.data[:2]) not in (b"\xfe\x20", b"\xfe\x24"):
+            known.add(command.name)
+    assert known == set(OPTIONAL_COMMANDS)

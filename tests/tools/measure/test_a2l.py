@@ -18,6 +18,7 @@ from lpvguard.core.compiled import library_root, shipped_vehicle
 from lpvguard.measure.a2l import a2l_text
 from lpvguard.measure.header_fields import described_fields
 from lpvguard.measure.image import read_instance
+from lpvguard.measure.xcp_access import XcpAccess, if_data
 from lpvguard.vehicle.project import load_project
 from parts import require
 
@@ -61,7 +62,9 @@ def parsed(text: str):
     """The module of an A2L as pya2l reads it,."""
     with A2lParser() as parser:
         tree = parser.tree_from_a2l(text.encode())
-        assert parser.warnings == []
+        # It keeps what no grammar of its own names, and says so.
+        assert all("may be used at most once here" in w for w in parser.warnings)
+        assert not parser.warnings or "/begin IF_DATA" in text
     (module,) = tree.PROJECT.MODULE
     return module
 
@@ -218,6 +221,42 @@ def test_a_field_without_description_or_unit_is_refused(truck_elf, tmp_path):
         described_fields(tmp_path / "none")
 
 
+def test_the_access_of_the_slave_stands_beside_the_measurements(truck_elf, truck_text):
+    access = XcpAccess.parse("0x98EF27F9:0x7FF")
+    text, n = a2l_text(load_project("truck"), truck_elf, "ecu", INCLUDE, access)
+    lines = if_data(access, 10_000, False, INCLUDE)
+    before, _, rest = text.partition("\n".join(lines) + "\n")
+    assert before + rest == truck_text
+    (block,) = parsed(text).IF_DATA
+    names = [blob.Generic.Name.Value for blob in block.Blob][1:]
+    assert (block.Name.Value, names) == ("XCPplus", ["PROTOCOL_LAYER", "DAQ", "XCP_ON_CAN"])
+    assert n == text.count("/begin MEASUREMENT")
+    assert "CAN_ID_MASTER 0x98EF27F9\nCAN_ID_SLAVE 0x000007FF\n" in text
+    assert "BYTE_ORDER_MSB_FIRST" in if_data(access, 10_000, True, INCLUDE)
+
+
+@pytest.mark.parametrize(
+    "text, said",
+    [
+        ("", "expected COMMANDS:ANSWERS"),
+        ("0x1", "'0x1'"),
+        ("1:2:3", "'1:2:3'"),
+        ("0x18EF27F9:0x98EFF927", "0x18ef27f9 is no identifier"),
+        ("0x1:0xC0000000", "0xc0000000 is no identifier"),
+        ("-1:2", "no identifier"),
+        ("5:5", "equal"),
+    ],
+)
+def test_identifiers_that_are_none_are_refused(text, said):
+    with pytest.raises(InputError, match=said):
+        XcpAccess.parse(text)
+
+
+def test_headers_without_a_slave_are_refused(tmp_path):
+    with pytest.raises(InputError, match="LPVG_XCP_ODT_ENTRIES_MAX: not there"):
+        if_data(XcpAccess(1, 2), 10_000, False, tmp_path)
+
+
 def test_the_command_writes_it_and_renews_its_own(image, truck_elf, truck_text, lpvguard, tmp_path):
     out = tmp_path / "truck.a2l"
     done = lpvguard("a2l", "--vehicle", "truck", "--elf", truck_elf, "--instance", "ecu", "-o", out)
@@ -230,3 +269,7 @@ def test_the_command_writes_it_and_renews_its_own(image, truck_elf, truck_text, 
             "its own file, and no other"
         )
     assert 'SYMBOL_LINK "other"' in out.read_text()
+    given = ("--elf", truck_elf, "--instance", "ecu", "-o", out, "--xcp")
+    assert lpvguard("a2l", "--vehicle", "truck", *given, "0x1").returncode == 2
+    assert lpvguard("a2l", "--vehicle", "truck", *given, "0x98EF27F9:0x98EFF927").returncode == 0
+    assert "CAN_ID_MASTER 0x98EF27F9\n" in out.read_text()

@@ -19,15 +19,21 @@ def a2l(
     elf: Annotated[Path, typer.Option("--elf", help="The ECU's image, compiled with -g.")],
     instance: Annotated[str, typer.Option("--instance", help="Name of the vehicle's object in it.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="File to write.")],
+    xcp: Annotated[
+        str | None,
+        typer.Option("--xcp", metavar="COMMANDS:ANSWERS", help="Identifiers of the image's XCP slave."),
+    ] = None,
     coefficients: Coefficients = None,
 ) -> None:
     """Describe a vehicle's object in the image of its ECU (A2L), for any measurement tool."""
     from ..core.compiled import library_root, shipped_vehicle
     from ..measure.a2l import a2l_text
+    from ..measure.xcp_access import XcpAccess
 
     project = project_of(vehicle)
     folder = coefficients or shipped_vehicle(project.name)
     require_settings(artefacts.read_manifest(folder, "vehicle")["project"], folder, project, vehicle)
-    text, n = a2l_text(project, elf, instance, library_root() / "include" / "lpvguard")
+    access = XcpAccess.parse(xcp) if xcp else None
+    text, n = a2l_text(project, elf, instance, library_root() / "include" / "lpvguard", access)
     artefacts.write_file(out, text, "a2l")
     console.print(f"{project.name}: {n} measurements of {instance} written to {out}")

@@ -3,7 +3,8 @@
 Place, type and size of a field come from the image's debug information. Text and unit come from the comment
 in the core's header. Ranges come from there, from the signal table where the field is one of its signals,
 from the enumeration, else from the number's type. Names of values come from the enumerations of the headers.
-Pointers are left out. The text depends on these alone; no time of day is in it.
+Pointers are left out. Where the image has an XCP slave, its access may be described as well. The text depends
+on these alone; no time of day is in it.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from ..core.c_enums import enum_names
 from ..vehicle.project import Project, Signal
 from .header_fields import Described, described_fields
 from .image import Instance, PlacedField, read_instance
+from .xcp_access import XcpAccess, if_data
 
 _TYPES = {
     ("unsigned", 1): ("UBYTE", 0.0, 255.0),
@@ -61,12 +63,15 @@ class Measurement:
     dims: tuple[int, ...]
 
 
-def a2l_text(project: Project, elf: Path, symbol: str, include: Path) -> tuple[str, int]:
+def a2l_text(
+    project: Project, elf: Path, symbol: str, include: Path, xcp: XcpAccess | None = None
+) -> tuple[str, int]:
     """The A2L of the object ``symbol`` in the image ``elf``, and the number of its measurements.
 
     The object is the vehicle's lpvg_ecu_t, or the lpvg_monitor_t of a vehicle whose image has no controller.
-    ``include``: folder of the core's headers that the image was built with. Raises InputError where image or
-    object are not as needed, and where a field of the image has no description in the headers.
+    ``include``: folder of the core's headers that the image was built with. ``xcp``: the slave's identifiers,
+    None: nothing is said of how to reach the image. Raises InputError where image or object are not as
+    needed, and where a field of the image has no description in the headers.
     """
     prefix = f"lpvg_{project.name}_"
     instance = read_instance(elf, symbol, (f"{prefix}ecu_t", f"{prefix}monitor_t"))
@@ -77,7 +82,9 @@ def a2l_text(project: Project, elf: Path, symbol: str, include: Path) -> tuple[s
         for field in instance.fields
         for m in _measurements(project, symbol, field, _description(described, field, prefix, include), enums)
     ]
-    return _document(project, instance, measurements), len(measurements)
+    period_us = round(project.Ts_s * 1e6)
+    access = if_data(xcp, period_us, instance.big_endian, include) if xcp else []
+    return _document(project, instance, measurements, access), len(measurements)
 
 
 class _Enums:
@@ -182,7 +189,9 @@ def _text(text: str) -> str:
     return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
-def _document(project: Project, instance: Instance, measurements: list[Measurement]) -> str:
+def _document(
+    project: Project, instance: Instance, measurements: list[Measurement], access: list[str]
+) -> str:
     order = "MSB_FIRST" if instance.big_endian else "MSB_LAST"
     what = f"{instance.struct} {instance.symbol}, {instance.bytes} bytes"
     lines = [
@@ -193,6 +202,7 @@ def _document(project: Project, instance: Instance, measurements: list[Measureme
         f"BYTE_ORDER {order}",
         "ALIGNMENT_BYTE 1",
         "/end MOD_COMMON",
+        *access,
     ]
     methods: dict[str, list[str]] = {}
     for m in measurements:
