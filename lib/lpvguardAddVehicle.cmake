@@ -13,14 +13,44 @@ include_guard(GLOBAL)
 
 set_property(GLOBAL PROPERTY LPVG_CORE_ROOT "${CMAKE_CURRENT_LIST_DIR}")
 
+# lpvguard_compile(TARGET): what the sources are compiled with, whatever builds them. -fno-math-errno: a square root is one instruction
+# and no global state is written. Sizes are fixed, so that Eigen's assertions prove nothing, and would import abort and stdio into an
+# unoptimised build.
+function(lpvguard_compile TARGET)
+  target_compile_features(${TARGET} PRIVATE cxx_std_17)
+  target_compile_options(${TARGET} PRIVATE -fno-math-errno $<$<COMPILE_LANGUAGE:CXX>:-fno-exceptions;-fno-rtti>)
+  target_compile_definitions(${TARGET} PRIVATE EIGEN_NO_DEBUG)
+endfunction()
+
+# lpvguard_sources(DIR OUT): the core's sources that the vehicle of DIR needs, and its own.
+function(lpvguard_sources DIR OUT)
+  get_property(root GLOBAL PROPERTY LPVG_CORE_ROOT)
+  foreach(file IN ITEMS lpvguard_vehicle.h lpvguard_coeff.c)
+    if(NOT EXISTS "${DIR}/${file}")
+      message(FATAL_ERROR "lpvguard: ${DIR}/${file} is missing; `lpvguard export` writes it")
+    endif()
+  endforeach()
+  set(parts coeff energy model monitor)
+  set(own lpvguard_coeff.c)
+  if(EXISTS "${DIR}/lpvguard_control.c")
+    list(APPEND parts controller)
+    list(APPEND own lpvguard_control.c)
+  endif()
+  if(EXISTS "${DIR}/lpvguard_bus.c")
+    # can, authentication, j1939, uds, xcp and the codec depend on no vehicle: in an image of several vehicles the linker takes the first
+    # one's.
+    list(APPEND parts ecu can authentication j1939 uds xcp)
+    list(APPEND own lpvguard_bus.c lpvg_can_codec.c)
+  endif()
+  list(TRANSFORM parts REPLACE "(.+)" "${root}/src/\\1.cpp")
+  list(TRANSFORM own PREPEND "${DIR}/")
+  set(${OUT} ${parts} ${own} PARENT_SCOPE)
+endfunction()
+
 function(lpvguard_add_vehicle NAME DIR)
   get_property(root GLOBAL PROPERTY LPVG_CORE_ROOT)
   cmake_path(ABSOLUTE_PATH DIR NORMALIZE OUTPUT_VARIABLE folder)
-  foreach(file IN ITEMS lpvguard_vehicle.h lpvguard_coeff.c)
-    if(NOT EXISTS "${folder}/${file}")
-      message(FATAL_ERROR "lpvguard_add_vehicle(${NAME}): ${folder}/${file} is missing; `lpvguard export` writes it")
-    endif()
-  endforeach()
+  lpvguard_sources("${folder}" sources)
   # A library whose symbols do not carry its name would collide with another one only at the user's link step.
   file(STRINGS "${folder}/lpvguard_vehicle.h" named REGEX "^#define LPVG_VEHICLE ${NAME}$")
   if(NOT named)
@@ -31,29 +61,15 @@ function(lpvguard_add_vehicle NAME DIR)
   get_target_property(eigen Eigen3::Eigen INTERFACE_INCLUDE_DIRECTORIES)
 
   set(target lpvguard_${NAME})
-  add_library(${target} STATIC
-    "${root}/src/coeff.cpp" "${root}/src/energy.cpp" "${root}/src/model.cpp" "${root}/src/monitor.cpp" "${folder}/lpvguard_coeff.c")
+  add_library(${target} STATIC ${sources})
   add_library(lpvguard::${NAME} ALIAS ${target})
-  if(EXISTS "${folder}/lpvguard_control.c")
-    target_sources(${target} PRIVATE "${root}/src/controller.cpp" "${folder}/lpvguard_control.c")
-  endif()
-  if(EXISTS "${folder}/lpvguard_bus.c")
-    # can.cpp, authentication.cpp, j1939.cpp, uds.cpp, xcp.cpp and the codec depend on no vehicle: in an image of several vehicles the linker
-    # takes the first one's.
-    target_sources(${target} PRIVATE "${root}/src/ecu.cpp" "${root}/src/can.cpp" "${root}/src/authentication.cpp"
-      "${root}/src/j1939.cpp" "${root}/src/uds.cpp" "${root}/src/xcp.cpp"
-      "${folder}/lpvguard_bus.c" "${folder}/lpvg_can_codec.c")
-  endif()
   target_include_directories(${target} PUBLIC "${root}/include" "${folder}")
   target_include_directories(${target} SYSTEM PRIVATE ${eigen})
   set_target_properties(${target} PROPERTIES
     C_STANDARD 99 C_EXTENSIONS OFF CXX_STANDARD 17 CXX_STANDARD_REQUIRED ON CXX_EXTENSIONS OFF
     COMPILE_WARNING_AS_ERROR ON)
-  # -fno-math-errno: a square root is one instruction and no global state is written.
-  target_compile_options(${target} PRIVATE -Wall -Wextra -Wconversion -Wdouble-promotion -Wshadow -fno-math-errno
-    $<$<COMPILE_LANGUAGE:CXX>:-fno-exceptions;-fno-rtti>)
-  # Sizes are fixed, so that Eigen's assertions prove nothing, and would import abort and stdio into an unoptimised build.
-  target_compile_definitions(${target} PRIVATE EIGEN_NO_DEBUG)
+  target_compile_options(${target} PRIVATE -Wall -Wextra -Wconversion -Wdouble-promotion -Wshadow)
+  lpvguard_compile(${target})
   if(LPVG_DOUBLE)
     target_compile_definitions(${target} PUBLIC LPVG_DOUBLE)
   endif()

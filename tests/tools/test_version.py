@@ -22,6 +22,15 @@ def test_every_place_names_the_same_version():
         "CITATION.cff": first("CITATION.cff", r"^version: (\S+)"),
         "CHANGELOG.md": first("CHANGELOG.md", r"^## (\d+\.\d+\.\d+)"),
     }
+    stated |= {
+        "lib/conanfile.py": first("lib/conanfile.py", r'^    version = "(\S+)"'),
+        "lib/INTEGRATION.md": first("lib/INTEGRATION.md", r"require `lpvguard/(\d+\.\d+\.\d+)`"),
+        "lib/idf_component.yml": first("lib/idf_component.yml", r'^version: "(\S+)"'),
+        **{
+            name: json.loads((ROOT / name).read_text())["version"]
+            for name in ("lib/library.json", "lib/vcpkg.json")
+        },
+    }
     manifests = sorted((ROOT / "lib/vehicles").glob("*/MANIFEST.json"))
     assert len(manifests) > 1
     stated |= {str(m): json.loads(m.read_text())["tool"].removeprefix("lpvguard ") for m in manifests}
