@@ -9,7 +9,7 @@ file(GLOB can_package "${PROJECT_SOURCE_DIR}/tools/src/lpvguard/can/*.py" "${PRO
 set_property(DIRECTORY APPEND PROPERTY CMAKE_CONFIGURE_DEPENDS ${can_package})
 
 set(can_sources "${PROJECT_SOURCE_DIR}/lib/src/can.cpp" "${PROJECT_SOURCE_DIR}/lib/src/j1939.cpp" "${PROJECT_SOURCE_DIR}/lib/src/uds.cpp"
-  "${can_codec}/lpvg_can_codec.c")
+  "${PROJECT_SOURCE_DIR}/lib/src/xcp.cpp" "${can_codec}/lpvg_can_codec.c")
 set(can_includes "${PROJECT_SOURCE_DIR}/lib/include" "${can_codec}")
 
 # With sanitizers in every build: these tests look for undefined behaviour, not for speed.
@@ -24,7 +24,7 @@ target_compile_options(can_under_test PRIVATE -Wall -Wextra -Wconversion -Wdoubl
   $<$<COMPILE_LANGUAGE:CXX>:-fno-exceptions;-fno-rtti> PUBLIC ${can_sanitize})
 target_link_options(can_under_test PUBLIC ${can_sanitize})
 
-foreach(test IN ITEMS unit/test_can unit/test_j1939 unit/test_uds fault/test_can_faults)
+foreach(test IN ITEMS unit/test_can unit/test_j1939 unit/test_uds unit/test_hostile_bus fault/test_can_faults)
   cmake_path(GET test FILENAME program)
   cmake_path(GET test PARENT_PATH kind)
   string(REPLACE "test_" "" name ${program})
@@ -33,7 +33,7 @@ foreach(test IN ITEMS unit/test_can unit/test_j1939 unit/test_uds fault/test_can
   add_test(NAME ${kind}.${name} COMMAND ${program})
   set_tests_properties(${kind}.${name} PROPERTIES LABELS ${kind} TIMEOUT 120)
 endforeach()
-add_dependencies(unit_tests test_can test_j1939 test_uds)
+add_dependencies(unit_tests test_can test_j1939 test_uds test_hostile_bus)
 
 # The committed corpus, then three million random frames. With clang there is `fuzz_can` too, for a campaign:
 #     fuzz_can -runs=10200000 -max_len=160 -seed=7 CORPUS_OF_YOUR_OWN tests/fuzz/corpus/can

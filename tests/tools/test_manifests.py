@@ -210,7 +210,8 @@ def test_the_build_files_of_a_module_compile_a_vehicle(kind, vehicle, tmp_path):
     """What it would compile; with LPVGUARD_FULL=1 it does, and the program runs."""
     folder = shipped_vehicle(vehicle)
     (tmp_path / "CMakeLists.txt").write_text(
-        "cmake_minimum_required(VERSION 3.20)\nproject(firmware LANGUAGES C CXX)\nset(CMAKE_CXX_STANDARD 11)\n"
+        "cmake_minimum_required(VERSION 3.20)\nproject(firmware LANGUAGES C CXX)\n"
+        "set(CMAKE_CXX_STANDARD 11)\n"
         f"{STAND_INS[kind]}"
         f'set(CONFIG_LPVGUARD_VEHICLE_DIR "{folder}")\nset(CONFIG_LPVGUARD_EIGEN_DIR "{eigen_include()}")\n'
         f'add_subdirectory("{FOLDERS[kind]}" lpvguard)\n'
