@@ -230,8 +230,8 @@ def replace_computing(variant: str) -> None:
     lpvguard.loop.generate.plant_tool = lambda: Path("plant_tool").absolute()
 
 
-def summarise(log, channel):
-    return {**REPLAYED, "text": summarise.text}
+def summarise(log, channel, with_series):
+    return {**REPLAYED, "text": summarise.text}, None
 
 
 def run_sim(scenario, *, out, seed, **_):

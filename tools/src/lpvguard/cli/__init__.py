@@ -12,12 +12,15 @@ import signal
 import sys
 from typing import Any
 
+from typer.completion import completion_init
+
 from ..base.errors import InputError
 from ..base.system import ENDING_SIGNALS
 from . import (  # noqa: F401 - each adds its verb, in the order of --help
     a2l,
     bench,
     campaign,
+    completion,
     dbc,
     design,
     evaluate,
@@ -34,7 +37,7 @@ from . import (  # noqa: F401 - each adds its verb, in the order of --help
     sim,
     solve,
 )
-from .shared import app, complain
+from .shared import COMPLETE, PROGRAM, app, complain
 
 MAY_IMPORT = (
     "base",
@@ -70,7 +73,10 @@ def main() -> None:
             signal.signal(number, _end)
     try:
         try:
-            app()
+            asked = COMPLETE in os.environ
+            if asked:
+                completion_init()  # adds the shells that Typer knows
+            app(prog_name=PROGRAM if asked else None)
         finally:
             sys.stdout.flush()
     except InputError as error:

@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from ..base import artefacts
-from .shared import Coefficients, Vehicle, app, console, project_of, require_settings
+from ..vehicle.stated import require_settings
+from .shared import Coefficients, Vehicle, app, console, project_of
 
 
 @app.command(

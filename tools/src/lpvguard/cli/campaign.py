@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from ..base import artefacts
+from ..vehicle.stated import require_settings
 from .shared import (
     Coefficients,
     Jobs,
@@ -18,7 +19,6 @@ from .shared import (
     app,
     emit,
     progress_bar,
-    require_settings,
     stored_with_drives,
 )
 from .tables import print_campaign

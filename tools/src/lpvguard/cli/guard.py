@@ -37,7 +37,7 @@ def _named(name: str, given: dict[str, Any]) -> tuple[list[Path], list[Path], li
     files: list[Path] = []
     inputs: list[Path] = []
     for key, value in given.items():
-        if key == "pictures":
+        if key in ("pictures", "series"):
             folders += [] if value is None else [Path(value)]
         elif key in ("out", "json_out"):
             if value is not None and str(value) != "-":

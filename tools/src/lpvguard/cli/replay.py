@@ -4,12 +4,14 @@ any was unreadable."""
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..base import artefacts
 from ..base.errors import InputError
 from .shared import (
     Coefficients,
@@ -51,6 +53,10 @@ def replay(
         str | None,
         typer.Option("--to", metavar="socketcan:INTERFACE", help="Play onto this bus and judge nothing."),
     ] = None,
+    series: Annotated[
+        Path | None,
+        typer.Option("--table", help="Folder for the time series: a Parquet file a drive, a row a sample."),
+    ] = None,
     speed: Annotated[
         float | None, typer.Option(help="With --to: times the recorded pace; inf does not wait (default 1).")
     ] = None,
@@ -65,35 +71,67 @@ def replay(
 
     logs = logs_among(logs)
     if to is not None:
+        if series is not None:
+            raise InputError("replay", "--table", "given with --to, which judges nothing", "one of them")
         _play(project_of(vehicle), logs, to, 1.0 if speed is None else speed, channel)
         return
     if speed is not None:
         raise InputError("replay", "--speed", "given without --to", "a bus to play onto")
     replayer = replayer_of(vehicle, coefficients)
-    done, failed = _replayed(replayer, logs, channel, jobs, scheduler)
+    with _series_folder(series, logs, replayer) as folder:
+        done, failed = _replayed(replayer, logs, channel, folder, jobs, scheduler)
     emit(json_out, done)
     print_replays(done, replayer)
     raise typer.Exit(2 if failed else 1 if any(r["alarms"] for r in done) else 0)
 
 
+@contextmanager
+def _series_folder(table: Path | None, logs: list[Path], replayer: Replayer) -> Iterator[Path | None]:
+    """The folder that takes the place of ``table`` when all series are in it; None without --table."""
+    if table is None:
+        yield None
+        return
+    from ..can.logs import stem
+
+    names = [stem(log) for log in logs]
+    twice = next((n for n in names if names.count(n) > 1), None)
+    if twice is not None:
+        raise InputError("replay", "--table", f"two logs are called {twice}", "names of their own")
+    vehicle = replayer.project.name
+    with artefacts.new_folder(table, "replay", vehicle) as folder:
+        yield folder
+        artefacts.write_files(folder, {artefacts.MANIFEST: artefacts.manifest("replay", vehicle=vehicle)})
+
+
 def _replayed(
-    replayer: Replayer, logs: list[Path], channel: str | None, jobs: int, scheduler: str | None
+    replayer: Replayer,
+    logs: list[Path],
+    channel: str | None,
+    folder: Path | None,
+    jobs: int,
+    scheduler: str | None,
 ) -> tuple[list[dict[str, Any]], bool]:
-    """The object of every drive that could be read, and whether anything was complained about."""
+    """The object of every drive that could be read, and whether anything was complained about. The drives'
+    time series go into ``folder``."""
+    from pyarrow.parquet import write_table
+
     from ..base.parallel import workers
 
     done: list[dict[str, Any]] = []
     failed = False
     with progress_bar("replay") as tell, workers(jobs, scheduler) as run:
-        task = partial(replayer.summarise_file, channel=channel)
-        results: Iterator[dict[str, Any] | InputError] = run(task, [log.absolute() for log in logs])
+        task = partial(replayer.summarise_file, channel=channel, with_series=folder is not None)
+        results = run(task, [log.absolute() for log in logs])
         for log, result in zip(logs, results, strict=True):
             tell(log.name)
             if isinstance(result, InputError):
                 failed = True
                 complain(result)
             else:
-                done.append(result)
+                summary, series = result
+                done.append(summary)
+                if folder is not None:
+                    write_table(series, folder / f"{summary['run']}.parquet")
     if done and not any(r["judged_s"] for r in done):
         failed = True
         low, high = replayer.model.speed_range

@@ -3,7 +3,6 @@ is read."""
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,6 +16,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from .. import __version__
 from ..base import artefacts
 from ..base.errors import InputError
+from ..vehicle.stated import require_settings
 from .guard import Application, running
 
 if TYPE_CHECKING:
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from ..replay.run import Replayer
     from ..vehicle.project import Project
 
+PROGRAM = "lpvguard"
+COMPLETE = f"_{PROGRAM.upper()}_COMPLETE"
+"""The variable with which a shell's completion script asks for what may come next."""
 app = Application(
     add_completion=False,
     no_args_is_help=True,
@@ -89,30 +92,9 @@ def _root(version: Annotated[bool, typer.Option("--version", help="Print the ver
 def replayer_of(vehicle: str, coefficients: Path | None) -> Replayer:
     """The compiled core of a vehicle, of its shipped folder or of ``coefficients``. InputError where the
     folder was made with other settings than the project file's."""
-    from ..core.compiled import Core, shipped_vehicle
-    from ..drives.frames import require_core
-    from ..replay.run import Replayer
+    from ..replay.opened import replayer_for
 
-    project = project_of(vehicle)
-    require_core(project)
-    folder = coefficients or shipped_vehicle(project.name)
-    require_settings(artefacts.read_manifest(folder, "vehicle")["project"], folder, project, vehicle)
-    return Replayer(project, Core(folder))
-
-
-def require_settings(stored: dict[str, Any], where: Path, project: Project, vehicle: object) -> None:
-    """InputError naming the first setting in which the project file is not the one that ``where`` was made
-    with. All count but the title, of which nothing is computed."""
-    given = json.loads(artefacts.to_json(project.model_dump(by_alias=True)))
-    differs = artefacts.first_difference({**stored, "title": None}, {**given, "title": None})
-    if differs is not None:
-        setting, old, new = differs
-        raise InputError(
-            setting,
-            "",
-            f"{json.dumps(old)} in {where}, {json.dumps(new)} in {vehicle}",
-            "the settings that it was made with, or made anew with these",
-        )
+    return replayer_for(project_of(vehicle), coefficients, vehicle)
 
 
 def stored_for(identification: Path, vehicle: str) -> StoredIdentification:

@@ -244,7 +244,7 @@ class Core:
 
     def monitor(
         self, *, words: np.ndarray | None = None, reals: np.ndarray | None = None, seal: bool = False
-    ) -> Monitor:
+    ) -> RunningMonitor:
         """A fresh monitor with the compiled-in coefficients, or with the given ones.
 
         ``words`` (W,) and ``reals`` (R,): flat, as in ``compiled``; None: the compiled-in ones. ``seal``
@@ -266,7 +266,7 @@ class Core:
                 f"the core's init refused them ({STATUSES[status.value]})",
                 "coefficients written for this core, estimator and number type",
             )
-        return Monitor(self, handle)
+        return RunningMonitor(self, handle)
 
 
 @lru_cache(maxsize=4)
@@ -283,7 +283,7 @@ def _pointer(array: np.ndarray) -> ctypes.c_void_p:
     return array.ctypes.data_as(ctypes.c_void_p)
 
 
-class Monitor:
+class RunningMonitor:
     """One running instance of the core's monitor; feed it a drive in one or several pieces."""
 
     def __init__(self, core: Core, handle: int):

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from ..base.errors import InputError
 from ..can.logs import Frames, is_raw_table, read_log, stem
@@ -19,6 +20,7 @@ from ..drives.tables import TABLE_SUFFIXES, Drive, read_drive, require_units
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
 from .receive import Receiver
+from .series import table_of
 
 EXCITED_WINDOW_S = 10.0
 
@@ -125,6 +127,16 @@ class Replay:
             },
             **({} if self.can is None else {"can": self.can}),
         }
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What a file holds. ``present`` (N,): False where there was no sample (None: everywhere one). ``can``:
+    what became of a raw log's frames."""
+
+    drive: Drive
+    present: np.ndarray | None = None
+    can: dict[str, Any] | None = None
 
 
 def excited_samples(u: np.ndarray, Ts: float, threshold: float) -> np.ndarray:
@@ -264,27 +276,50 @@ class Replayer:
         """(N,) True where the drive is excited (THEORY 11)."""
         return excited_samples(drive.u, self.project.Ts_s, self.project.frame_test.excited_std)
 
-    def summarise_file(self, path: Path, channel: str | None = None) -> dict[str, Any] | InputError:
-        """The object of `lpvguard replay --json` for one drive table or raw CAN log, or why it could not be
-        read."""
+    def summarise_file(
+        self, path: Path, channel: str | None = None, with_series: bool = False
+    ) -> tuple[dict[str, Any], pa.Table | None] | InputError:
+        """The object of `lpvguard replay --json` for one drive table or raw CAN log, and ``with_series`` its
+        time series (series.py); or why it could not be read."""
         try:
-            return self.replay_file(path, channel).to_dict()
+            recorded = self.read_file(path, channel)
+            replay = self.replay_recorded(recorded)
+            return replay.to_dict(), self.series(recorded, replay) if with_series else None
         except InputError as error:
             return error
 
     def replay_file(self, path: Path, channel: str | None = None) -> Replay:
         """Read, check and run one drive table or raw CAN log; of a log with several channels, ``channel``."""
+        return self.replay_recorded(self.read_file(path, channel))
+
+    def read_file(self, path: Path, channel: str | None = None) -> Recorded:
+        """Read and check one drive table or raw CAN log; of a log with several channels, ``channel``."""
         log = read_raw_log(path)
         if log is not None:
-            return self.replay_frames(log, path, channel)
+            return self.received(log, path, channel)
         drive = read_drive(path, self.project)
         nominal_output = self.model.simulate(drive.v, drive.u, drive.y[0])
         require_units(path, drive, nominal_output, self.estimator.settled(drive.v))
-        return self.replay(drive)
+        return Recorded(drive)
+
+    def replay_recorded(self, recorded: Recorded) -> Replay:
+        """Run what was read from a file."""
+        return replace(self.replay(recorded.drive, recorded.present), can=recorded.can)
+
+    def series(self, recorded: Recorded, replay: Replay) -> pa.Table:
+        """What was recorded and what the core said of it, a row a sample (series.py)."""
+        return table_of(
+            self.project, self.model, self.estimator.omega, recorded.drive, recorded.present, replay.run
+        )
 
     def replay_frames(self, log: Frames, path: Path, channel: str | None = None) -> Replay:
         """Run the frames of a raw CAN log through the compiled receiver and the monitor, as the ECU on that
         bus would have."""
+        return self.replay_recorded(self.received(log, path, channel))
+
+    def received(self, log: Frames, path: Path, channel: str | None = None) -> Recorded:
+        """The frames of a raw CAN log through the compiled receiver, as the ECU on that bus would have had
+        them."""
         received = self._receiver.receive(log, path, channel=channel)
         if not received.present.any():
             raise InputError(
@@ -298,7 +333,7 @@ class Replayer:
         values = np.nan_to_num(received.values)
         n_u = self.project.n_u
         drive = Drive(stem(path), received.t, values[:, 0], values[:, 1 : 1 + n_u], values[:, 1 + n_u :])
-        return replace(self.replay(drive, received.present), can=received.report)
+        return Recorded(drive, received.present, received.report)
 
     @cached_property
     def _receiver(self) -> Receiver:

@@ -1,0 +1,53 @@
+"""What a shell's completion script offers: verbs, options, and nothing while a command runs as usual."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+
+@pytest.fixture
+def on_path(tmp_path):
+    """Environment in which `lpvguard` is this package."""
+    program = tmp_path / "lpvguard"
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m lpvguard.cli "$@"\n')
+    program.chmod(0o755)
+    return {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}"}
+
+
+def test_bash_completes_verbs_and_options_with_the_printed_script(lpvguard, on_path):
+    script = lpvguard("completion", "bash")
+    assert script.returncode == 0
+
+    def offered(*words: str) -> list[str]:
+        line = f"{script.stdout}\nCOMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}\n"
+        line += "_lpvguard_completion lpvguard; printf '%s\\n' \"${COMPREPLY[@]}\""
+        done = subprocess.run(
+            ["bash", "-c", line],
+            env=on_path,
+            capture_output=True,
+            text=True,
+            check=True,
+            stdin=subprocess.DEVNULL,
+        )
+        return done.stdout.split()
+
+    assert offered("lpvguard", "id") == ["identify"]
+    assert offered("lpvguard", "replay", "--coef") == ["--coefficients"]
+    assert "complete -o default -F _lpvguard_completion lpvguard" in script.stdout
+
+
+def test_zsh_is_offered_verbs_with_what_they_do(lpvguard, on_path):
+    script = lpvguard("completion", "zsh").stdout
+    assert script.startswith("#compdef lpvguard\n") and "_LPVGUARD_COMPLETE=complete_zsh" in script
+    asked = {"_TYPER_COMPLETE_ARGS": "lpvguard ident", "_LPVGUARD_COMPLETE": "complete_zsh"}
+    done = subprocess.run(["lpvguard"], env=on_path | asked, capture_output=True, text=True, check=True)
+    assert '"identify":"Find the unfalsified bounds' in done.stdout
+
+
+def test_another_shell_is_refused(lpvguard):
+    done = lpvguard("completion", "tcsh")
+    assert done.returncode == 2 and "tcsh" in done.stderr

@@ -1,0 +1,28 @@
+"""`lpvguard completion`: the script with which a shell completes verbs and options."""
+
+from __future__ import annotations
+
+import sys
+from enum import StrEnum
+from typing import Annotated
+
+import typer
+from typer.completion import get_completion_script
+
+from .shared import COMPLETE, PROGRAM, app
+
+
+class Shell(StrEnum):
+    """Shells whose completion is tested."""
+
+    bash = "bash"
+    zsh = "zsh"
+
+
+@app.command(epilog='Example: eval "$(lpvguard completion bash)"')
+def completion(shell: Annotated[Shell, typer.Argument(help="Shell that will read the script.")]) -> None:
+    """Print the script with which a shell completes verbs and options; read it from the shell's start file.
+
+    bash: eval "$(lpvguard completion bash)" in ~/.bashrc. zsh: the same with zsh in ~/.zshrc, after compinit.
+    """
+    sys.stdout.write(get_completion_script(prog_name=PROGRAM, complete_var=COMPLETE, shell=shell) + "\n")
