@@ -184,7 +184,7 @@ def test_a_quantity_that_happens_to_be_whole_is_a_real_number_in_every_chunk(tru
         return facts | {"verdicts": [[60, "invalid"]], "demand_max_bar": 2, "duration_s": 180}, *rest
 
     monkeypatch.setattr(Simulator, "drive", whole)
-    context = one_run.Context(truck_folder, 1, ((0.01, 0.01), (1.0,)), ())
+    context = one_run.Context(truck_folder, 1, NO_DETECTORS)
     row = one_run.run_planned(context, PlannedRun(0, "within", 0.0, 0, 0.0, ""))
     quantities = {k: v for k, v in row.items() if k.endswith(("_s", "_bar", "_mps", "_radps"))}
     assert len(quantities) > 15 and row["ecu_invalid_s"] == 60.0

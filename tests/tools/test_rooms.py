@@ -37,6 +37,7 @@ ORDER = (
     "problems",
     "schemas",
     "bench",
+    "api",
     "cli",
 )
 """Lowest first: a room imports only from rooms before it, and of those only what its MAY_IMPORT names."""

@@ -35,7 +35,7 @@ _NAME_BYTES, _CHANNELS, _COUNTS, _FD_BYTES = 16, 64, 6, 64
 _CANDUMP_SUFFIXES = {".log", ".candump", ".txt"}
 _PYTHON_CAN_SUFFIXES = {".asc", ".blf", ".trc"}
 _MDF_SUFFIXES = {".mf4", ".mdf", ".dat"}
-_SUFFIXES = {".gz", *_CANDUMP_SUFFIXES, *_PYTHON_CAN_SUFFIXES, *_MDF_SUFFIXES, ".csv", ".parquet"}
+_SUFFIXES = {".gz", *_CANDUMP_SUFFIXES, *_PYTHON_CAN_SUFFIXES, *_MDF_SUFFIXES, ".csv", ".parquet", ".mat"}
 _RAW_COLUMNS = {"timestamp", "arbitration_id", "data"}
 
 
@@ -167,6 +167,8 @@ def is_raw_table(path: Path) -> bool:
     """Whether a CSV or Parquet file holds raw frames; False also where it cannot be read."""
     import pyarrow.parquet as pa_parquet
 
+    if path.suffix.lower() == ".mat":
+        return False
     try:
         if path.suffix.lower() == ".parquet":
             return set(pa_parquet.read_schema(path).names) >= _RAW_COLUMNS

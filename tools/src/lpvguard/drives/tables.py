@@ -1,4 +1,5 @@
-"""Stage 0, drives: uniform drive tables (CSV or Parquet) checked against the signal table of the vehicle.
+"""Stage 0, drives: uniform drive tables (CSV, Parquet or MATLAB) checked against the signal table of the
+vehicle.
 
 A drive folder holds one table a drive and ``experiments.csv``. That index has at least the columns
 ``experiment`` (file stem) and ``split``; ``driver`` is carried along when present. Drives that are pieces of
@@ -17,13 +18,15 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pa_parquet
+from scipy.io import loadmat
+from scipy.io.matlab import MatReadError
 
 from ..base.errors import InputError
 from ..can.delimited import read_csv
 from ..can.logs import INDEX
 from ..vehicle.project import Project, Signal
 
-TABLE_SUFFIXES = (".csv", ".parquet")
+TABLE_SUFFIXES = (".csv", ".parquet", ".mat")
 EXPERIMENTS = INDEX
 
 
@@ -90,7 +93,7 @@ def list_experiments(folder: Path) -> list[Experiment]:
         path = next((p for s in TABLE_SUFFIXES if (p := folder / f"{stem}{s}").is_file()), None)
         if path is None:
             raise InputError(
-                index, f"line {line}", f"no table {stem}.csv or {stem}.parquet", "the file beside it"
+                index, f"line {line}", f"no table {stem} ({', '.join(TABLE_SUFFIXES)})", "the file beside it"
             )
         driver, recording = row.get("driver") or "unknown", row.get("recording") or stem
         group = row.get("group") or None
@@ -154,12 +157,14 @@ def read_drive(path: Path, project: Project, *, any_values: bool = False) -> Dri
 
 def _read_table(path: Path) -> pa.Table:
     if not path.is_file():
-        raise InputError(path, "", "no such file", "a drive table, CSV or Parquet")
+        raise InputError(path, "", "no such file", "a drive table: CSV, Parquet or MATLAB")
     if path.stat().st_size == 0:
         raise InputError(path, "", "the file is empty", "a header line and samples")
     try:
         if path.suffix == ".parquet":
             return pa_parquet.read_table(path)
+        if path.suffix == ".mat":
+            return _of_matlab(path)
         table, skipped = read_csv(path.read_bytes(), ["", "NA", "null"])
         if skipped:
             raise InputError(path, "line 1", "comments before the header", "a header line first")
@@ -169,8 +174,24 @@ def _read_table(path: Path) -> pa.Table:
             path,
             "",
             f"cannot be parsed ({str(error).splitlines()[0]})",
-            "a CSV with one header line, or Parquet",
+            "a CSV with one header line, Parquet, or MATLAB variables",
         ) from None
+
+
+def _of_matlab(path: Path) -> pa.Table:
+    """The vectors of numbers among MATLAB's variables; InputError where their lengths differ, and for files
+    of version 7.3, which are HDF5."""
+    expected = "vectors of one length, a variable a column (save -v7)"
+    try:
+        found = loadmat(path, squeeze_me=True)
+    except (ValueError, NotImplementedError, MatReadError) as error:
+        raise InputError(path, "", f"cannot be parsed ({error})", expected) from None
+    columns = {n: v for n, v in found.items() if getattr(v, "ndim", 0) == 1 and v.dtype.kind in "fiu"}
+    if len({len(v) for v in columns.values()}) > 1:
+        lengths = ", ".join(f"{n} {len(v)}" for n, v in columns.items())
+        raise InputError(path, "", f"variables of different lengths ({lengths})", expected)
+    # MATLAB's file keeps the machine's byte order; Arrow takes the native one.
+    return pa.table({n: v.astype(v.dtype.newbyteorder("=")) for n, v in columns.items()})
 
 
 def _line(index: int) -> str:

@@ -68,6 +68,7 @@ class Replay:
     alarms: list[Alarm]  # of both tests, in the order of time
     Ts: float
     can: dict[str, Any] | None = None  # of a raw log: what became of its frames, gaps (receive.py)
+    start_s: float = 0.0  # the drive's own time at its first sample; ``run`` has that time
 
     @property
     def judged_intervals(self) -> list[list[float]]:
@@ -225,6 +226,7 @@ class Replayer:
             run.energy > self.energy_threshold,
             sorted([*self._frame_alarms(run, t0), *self._energy_alarms(run, t0)], key=lambda a: a.t_s),
             Ts,
+            start_s=float(t0),
         )
 
     def _frame_alarms(self, run: Run, t0: float) -> list[Alarm]:

@@ -1,0 +1,44 @@
+"""The example scripts run as their first lines say, and print what they promise."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+from made import ROOT
+
+EXAMPLES = ROOT / "tools" / "examples"
+
+
+def run(name: str, *words: object) -> str:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "tools" / "src")}
+    command = [sys.executable, EXAMPLES / name, *map(str, words)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.slow("12 s: an identification")
+def test_from_drives_to_bounds_and_their_picture(synthetic, tmp_path):
+    said = run("bounds_and_margins.py", "g80", synthetic, tmp_path)
+    threshold = float(re.search(r"^threshold ([\d.]+): ", said, re.MULTILINE)[1])
+    assert 0 < threshold < 5 and "omega_rad_s" in said
+    assert "<svg" in (tmp_path / "bounds.svg").read_text()
+    assert (tmp_path / "code" / "lpvguard_coeff.c").is_file()
+
+
+def test_the_monitor_in_a_loop_finds_the_fault_and_not_before_it_is_there(vehicle, synthetic):
+    said = run("monitor_in_a_loop.py", "g80", vehicle, synthetic / "synthetic_01.csv")
+    alarm, fault = map(float, re.search(r"([\d.]+) s  alarm: .* fault at ([\d.]+) s", said).groups())
+    assert fault < alarm < fault + 60
+    healthy, faulty = (float(x) for x in re.findall(r"rms error \[([\d.e-]+)\]", said))
+    assert faulty > 3 * healthy
+
+
+def test_no_example_goes_untested():
+    tested = set(re.findall(r'run\("(\w+\.py)"', (ROOT / "tests/tools/api/test_examples.py").read_text()))
+    assert tested == {path.name for path in EXAMPLES.glob("*.py")}
