@@ -12,7 +12,7 @@ import signal
 import sys
 from typing import Any
 
-from typer.completion import completion_init
+from typer.completion import completion_init  # type: ignore[attr-defined]  # Typer states no exports
 
 from ..base.errors import InputError
 from ..base.system import ENDING_SIGNALS
