@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 
 def nominal(vehicle: str | Path | Project, speed_mps: float) -> control.StateSpace:
-    """The nominal model at a constant speed [m/s], in discrete time with its delay, from inputs to outputs in
-    the units of the signal table, less offsets. InputError outside the model's speed range. Needs
+    """The nominal model at a constant speed [m/s], in discrete time with its delay. It leads from inputs to
+    outputs in the units of the signal table, less offsets. InputError outside the model's speed range. Needs
     python-control."""
     project = project_of(vehicle)
     model = NominalModel(project)
@@ -54,8 +54,8 @@ def weights(identified: Identified) -> dict[str, list[control.TransferFunction]]
 
 
 def controller(path: str | Path, speed_mps: float) -> control.StateSpace:
-    """The controller of a controller.json as the core runs it at a constant speed [m/s]: in discrete time,
-    from reference and outputs to the demands. Needs python-control."""
+    """The controller of a controller.json as the core runs it at a constant speed [m/s], in discrete
+    time. It leads from reference and outputs to the demands. Needs python-control."""
     at = Scheduled.read(read_controller(Path(path))).at(speed_mps)
     return _control().ss(at.A, at.B, at.C, at.D, at.dt)
 

@@ -15,8 +15,10 @@ from .replayed import opened
 
 @dataclass(frozen=True)
 class JudgedFrame:
-    """A frame that the core looked at: its bin's frequency [rad/s], mean speed [m/s], t* (``margin``), the
-    reason why it did not count (none: it did), and whether it falsifies the model."""
+    """A frame that the core looked at, with its bin's frequency [rad/s], mean speed [m/s] and t* (``margin``).
+
+    ``t_end_s``: its last sample [s]. ``reason``: why it did not count (none: it did). ``falsified``: it
+    falsifies the model."""
 
     t_end_s: float
     omega_rad_s: float

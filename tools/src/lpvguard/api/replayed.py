@@ -45,9 +45,11 @@ class Replayed:
 
     @cached_property
     def frames(self) -> pandas.DataFrame:
-        """A row a frame that the core looked at, in the order of judgement: t_end_s (of the frame) and
-        t_judged_s [s after the first sample], omega_rad_s, speed_mps, margin (t*), evidence (t* of a vehicle
-        that does not respond), reason (none: judged), falsified. Needs pandas."""
+        """A row a frame that the core looked at, in the order of judgement.
+
+        t_end_s (of the frame) and t_judged_s are seconds after the first sample. margin is t*, evidence that
+        of a vehicle that does not respond. reason "none": it counted. The other columns are omega_rad_s,
+        speed_mps and falsified. Needs pandas."""
         f, t0 = self.summary.run.frames, self.summary.start_s
         return optional("pandas", "pandas").DataFrame(
             {

@@ -1,5 +1,4 @@
-"""Time series of a replay, a row a sample, for plots: what was recorded, what the nominal model says, and
-what the core said with each sample.
+"""Time series of a replay, a row a sample, for plots.
 
 t             s after the first sample
 NAME          speed, inputs and outputs by the names of the signal table, in its units; null without a sample
