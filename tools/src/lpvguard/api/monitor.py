@@ -15,7 +15,7 @@ from .replayed import opened
 
 @dataclass(frozen=True)
 class JudgedFrame:
-    """A frame that the core looked at, with its bin's frequency [rad/s], mean speed [m/s] and t* (``margin``).
+    """A frame that the core looked at, with its bin's frequency [rad/s], mean speed [m/s] and t* (margin).
 
     ``t_end_s``: its last sample [s]. ``reason``: why it did not count (none: it did). ``falsified``: it
     falsifies the model."""
