@@ -65,6 +65,11 @@ def test_every_template_is_a_project_that_can_be_fitted(tmp_path, model, lpvguar
     if model == "yaw-first-order":
         assert abs(project.model.parameters["L"] - 2.8) < 0.25
         assert abs(project.model.input_delay_s - 0.04) < 0.01
+    if model == "table-1":
+        p = project.model.parameters
+        assert abs(p["l"] - 2.8) < 0.25 and abs(-p["p2"] / p["p1"] - 0.003) < 0.001
+        truck = load_project("truck").model
+        assert (project.model.A[0][0], project.model.B[0][0]) == tuple(truck.A[0][:2])
 
 
 def test_names_are_ranked_by_what_they_say():

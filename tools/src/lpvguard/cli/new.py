@@ -16,7 +16,7 @@ def new(
     logs: Annotated[list[Path], typer.Argument(help="Logs as of ingest, one a recording, or folders.")],
     out: Out,
     dbc: Annotated[Path | None, typer.Option(help="CAN database of raw logs.")] = None,
-    model: Annotated[str, typer.Option(help="yaw-first-order, bicycle or own.")] = "yaw-first-order",
+    model: Annotated[str, typer.Option(help="yaw-first-order, bicycle, table-1 or own.")] = "yaw-first-order",
     wheelbase: Annotated[
         float | None, typer.Option(help="Wheelbase [m]; with it units are checked.", min=0.05, max=20)
     ] = None,

@@ -69,6 +69,31 @@ cr = [{c / 20:.3g}, {c * 20:.3g}]
 """
 
 
+def table_1(scale: Scale) -> str:
+    """One state, the yaw rate: the first row of the paper's Table I, in its parameters."""
+    length, k = scale.wheelbase_m, scale.wheelbase_m / scale.largest_mps**2
+    p1 = 10.0 * scale.typical_mps / length
+    return f"""\
+# Table I of Roedoenyi and Bokor, first row: r' = p1 (delta - l r/v) + p2 v r, with the steering measured.
+# p1: yaw acceleration per angle; p2 < 0: understeer. It is yaw-first-order with L = l,
+# K = -p2/p1, T1 = 1/(p1 l). The other rows, brakes that steer, need a pressure: start from truck.toml.
+A = [["-p1*l/v + p2*v"]]
+B = [["p1"]]
+C = [[1.0]]
+
+[model.parameters]
+l = {length:.4g}      # m, wheelbase
+p1 = {p1:.3g}      # 1/s^2
+p2 = {-0.1 * k * p1:.3g}      # 1/m
+
+# Where fit looks; the model is stable in all of it.
+[fit.parameters]
+l = [{scale.range_m[0]:.4g}, {scale.range_m[1]:.4g}]
+p1 = [{0.1 * p1:.3g}, {20 * p1:.3g}]
+p2 = [{-3 * k * p1:.3g}, {0.05 * k * p1:.3g}]
+"""
+
+
 def own(scale: Scale) -> str:
     """A first-order lag of constant gain per speed, to be replaced."""
     return f"""\
@@ -89,4 +114,4 @@ T = [0.01, 1.0]
 """
 
 
-TEMPLATES = {"yaw-first-order": yaw_first_order, "bicycle": bicycle, "own": own}
+TEMPLATES = {"yaw-first-order": yaw_first_order, "bicycle": bicycle, "table-1": table_1, "own": own}
