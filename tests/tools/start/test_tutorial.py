@@ -1,0 +1,107 @@
+"""The stranger, by the tutorial alone: every command that tools/TUTORIAL.md shows runs in its order on a race
+car's raw logs, ends as shown, and says what is shown."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from made import ROOT
+
+TUTORIAL = ROOT / "tools" / "TUTORIAL.md"
+BLOCK = re.compile(r"^```console\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+DECIMAL = re.compile(r"-?\d+\.\d+")
+TOKEN = re.compile(rf"{DECIMAL.pattern}|\w+|[^\w\s]")
+STATUS = re.compile(r"# exit (\d)")
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A command as shown: words after the program's name, exit status, and the lines of its output."""
+
+    words: list[str]
+    status: int
+    lines: list[str]
+
+
+def shown(text: str) -> list[Shown]:
+    """Commands of a document's console blocks, in order; "..." stands for lines that are not shown."""
+    found = []
+    for block in BLOCK.findall(text):
+        for piece in re.split(r"^\$ ", block.replace("\\\n", " "), flags=re.MULTILINE)[1:]:
+            command, *lines = piece.splitlines()
+            program, *words = shlex.split(command, comments=True)
+            assert program == "lpvguard", f"no command of this package: {command}"
+            status = STATUS.search(command)
+            shown_lines = [line for line in lines if line != "..."]
+            found.append(Shown(words, int(status[1]) if status else 0, shown_lines))
+    return found
+
+
+def missing(said: str, lines: list[str]) -> list[str]:
+    """Shown lines that were not said. The console's width does not count, nor do the last digits of decimals:
+    another processor may round otherwise."""
+    words = TOKEN.findall(said)
+
+    def was_said(line: str) -> bool:
+        wanted = TOKEN.findall(line)
+        places = range(len(words) - len(wanted) + 1)
+        return any(all(map(_same, wanted, words[k : k + len(wanted)])) for k in places)
+
+    return [line for line in lines if not was_said(line)]
+
+
+def _same(wanted: str, word: str) -> bool:
+    if not (DECIMAL.fullmatch(wanted) and DECIMAL.fullmatch(word)):
+        return wanted == word
+    return float(word) == pytest.approx(float(wanted), rel=0.01)
+
+
+def test_commands_statuses_and_output_are_read_from_a_document():
+    block = "$ lpvguard a \\\n    'b c'   # exit 1: why\nsaid\n...\n$ lpvguard d\n"
+    assert shown(f"Words.\n```console\n{block}```\n") == [
+        Shown(["a", "b c"], 1, ["said"]),
+        Shown(["d"], 0, []),
+    ]
+    with pytest.raises(AssertionError, match="no command of this package: rm x"):
+        shown("```console\n$ rm x\n```\n")
+
+
+def test_a_line_that_was_not_said_is_found():
+    lines = ["was said", "was never said", "L 0.3057 m", "L 0.33 m", "drive_4-2 0.3"]
+    said = "as it was\nsaid by it; L   0.3056 m; drive_4-1 0.3"
+    assert missing(said, lines) == ["was never said", "L 0.33 m", "drive_4-2 0.3"]
+
+
+@pytest.mark.slow("40 s: fit, identification and evaluation of 22 recordings")
+def test_a_race_car_goes_from_raw_logs_to_its_page(race_car, lpvguard, few_baselines, tmp_path):
+    (tmp_path / "logs").symlink_to(race_car)
+    commands = shown(TUTORIAL.read_text(encoding="utf-8"))
+    verbs = [c.words[0] for c in commands]
+    chain = ["new", "fit", "identify", "export", "replay", "evaluate", "report"]
+    assert [v for v in verbs if v in chain] == chain
+    for command in commands:
+        done = lpvguard(*command.words, cwd=tmp_path)
+        assert done.returncode == command.status, (command.words, done.stderr)
+        assert missing(done.stdout + done.stderr, command.lines) == [], command.words
+    _of_use(tmp_path)
+
+
+def _of_use(folder: Path) -> None:
+    """What the chain found is what is known of this car, and all drives are judged."""
+    fitted = json.loads((folder / "fitted" / "fit.json").read_text())
+    values = {u["name"]: u["value"] for u in fitted["unknowns"]}
+    assert 0.25 < values["L"] < 0.42 and 0.08 < values["input_delay_s"] < 0.2
+    laps = [q["vaf"][0] for q in fitted["unseen"] if q["name"].startswith("rl_")]
+    assert len(laps) == 4 and min(laps) > 0.8 and np.mean(laps) > 0.87
+    assert 1.0 < json.loads((folder / "found" / "calibration.json").read_text())["threshold"] < 3.0
+    evaluated = json.loads((folder / "evaluated.json").read_text())
+    assert len(evaluated["drives"]) - len(evaluated["without_faults"]) >= 4
+    assert any(row["fault"] == "output + 0.5 of its spread" for row in evaluated["faults"])
+    assert (folder / "page.html").stat().st_size > 100_000
