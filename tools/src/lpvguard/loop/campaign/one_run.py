@@ -183,15 +183,12 @@ def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
         path = Path(scratch) / "scenario.toml"
         telemetry = path.with_suffix(".csv")
         # Left alone, the truck does not know of the command: this run tells its free motion and the demand.
-        # Steps ask the controller for more than their tracking does: a run at half the size tells how much.
         path.write_text(drawn.text(planned.tables, UNIT), encoding="utf-8")
         free_truck.drive(path, telemetry=telemetry)
         free = read_telemetry(telemetry)
         size = drawn.size(replayer.model, free["wanted_radps"], TELEMETRY_S)
         if planned.plant >= 0:
-            path.write_text(drawn.text(planned.tables, size / 2), encoding="utf-8")
-            half, _, _ = simulator.drive(path)
-            size *= min(1.0, 0.5 * ROOM * float(simulator.u_max.min()) / half["demand_max_bar"])
+            size = _within_limit(simulator, drawn, planned.tables, size, path)
         path.write_text(drawn.text(planned.tables, size), encoding="utf-8")
         log = path.with_suffix(".log") if "can_fault" in planned.tables else None
         facts, drive, present = simulator.drive(path, log=log, telemetry=telemetry)
@@ -237,6 +234,15 @@ def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
     for b, values in bank.statistics(thresholds, *nominal_error(drive, replayer.model), drive.v):
         row |= _judged(b.kind, values, thresholds[b], clock)
     return row
+
+
+def _within_limit(simulator: Simulator, drawn: Drawn, tables: str, size: float, path: Path) -> float:
+    """``size`` of the command [rad/s], less where the loop would ask for more than ROOM of its limit: steps
+    take more than their tracking does. A run at half the size tells; ``path`` holds its scenario."""
+    path.write_text(drawn.text(tables, size / 2), encoding="utf-8")
+    facts, _, _ = simulator.drive(path)
+    most = 0.5 * ROOM * float(simulator.u_max.min())
+    return size * most / max(most, facts["demand_max_bar"])
 
 
 def conduct(
