@@ -374,7 +374,7 @@ TEST_CASE("foreign, damaged and impossible controller coefficients are refused b
         {"first limit", lpvg_status_bad_value, [](lpvg_control_coeff_t& c) { c.reals.u_max[0][0] = Real(0); }},
         {"last limit", lpvg_status_bad_value, [](lpvg_control_coeff_t& c) { c.reals.u_max[LPVG_NG - 1][nu - 1] = Real(-1); }},
         {"least limit", lpvg_status_ok,
-         [](lpvg_control_coeff_t& c) { c.reals.u_max[LPVG_NG - 1][nu - 1] = std::numeric_limits<Real>::denorm_min(); }},
+         [](lpvg_control_coeff_t& c) { c.reals.u_max[LPVG_NG - 1][nu - 1] = std::numeric_limits<Real>::min(); }},
         {"largest limits", lpvg_status_ok,
          [](lpvg_control_coeff_t& c) { c.reals.u_max[0][0] = c.reals.u_max[1][0] = std::numeric_limits<Real>::max(); }},
         {"rate", lpvg_status_bad_value, [](lpvg_control_coeff_t& c) { c.reals.rate_max[LPVG_NU - 1] = Real(-1); }},

@@ -457,7 +457,7 @@ TEST_CASE("|E| / B and W |Z| / B may reach the stated range", "[unit][margin]") 
     CHECK(error.below <= float_below);
 }
 
-TEST_CASE("beyond the range the margin errs high only", "[unit][margin][REQ-MON-4]") {
+TEST_CASE("beyond the range the margin errs high only", "[unit][margin][subnormal][REQ-MON-4]") {
     Random random(19U);
     Error error;
     std::size_t not_a_number = 0;
