@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -44,7 +45,8 @@ def test_zsh_is_offered_verbs_with_what_they_do(lpvguard, on_path):
     script = lpvguard("completion", "zsh").stdout
     assert script.startswith("#compdef lpvguard\n") and "_LPVGUARD_COMPLETE=complete_zsh" in script
     asked = {"_TYPER_COMPLETE_ARGS": "lpvguard ident", "_LPVGUARD_COMPLETE": "complete_zsh"}
-    done = subprocess.run(["lpvguard"], env=on_path | asked, capture_output=True, text=True, check=True)
+    program = Path(on_path["PATH"].partition(os.pathsep)[0]) / "lpvguard"
+    done = subprocess.run([program], env=on_path | asked, capture_output=True, text=True, check=True)
     assert '"identify":"Find the unfalsified bounds' in done.stdout
 
 

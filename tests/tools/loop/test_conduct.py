@@ -111,12 +111,14 @@ def row(**other) -> dict:
         ({"line_bar": 0.24, "line_radps": 9.0}, []),
         ({"limited_stretch_s": 1.0}, ["saturates for 1 s"]),
         ({"limited_stretch_s": 0.99}, []),
-        ({"error_rms_radps": 0.0051}, ["loses track by 5.1 mrad/s rms"]),
-        ({"error_rms_radps": 0.0051, "brake_gain": 0.79}, []),
-        ({"error_rms_radps": 0.0051, "brake_gain": 0.8}, ["loses track"]),
-        ({"error_rms_radps": 0.0076, "brake_gain": 0.75}, ["loses track"]),
-        ({"error_rms_radps": 0.0029, "wanted_rms_radps": 0.01}, []),
-        ({"error_rms_radps": 0.0031, "wanted_rms_radps": 0.01}, ["loses track"]),
+        # 5 and 3 mrad/s add to 5.83, 7.5 and 3 to 8.08, 1 and 3 to 3.16.
+        ({"error_rms_radps": 0.0058}, []),
+        ({"error_rms_radps": 0.0059}, ["loses track by 5.9 mrad/s rms"]),
+        ({"error_rms_radps": 0.0059, "brake_gain": 0.79}, []),
+        ({"error_rms_radps": 0.0059, "brake_gain": 0.8}, ["loses track"]),
+        ({"error_rms_radps": 0.0081, "brake_gain": 0.75}, ["loses track"]),
+        ({"error_rms_radps": 0.0031, "wanted_rms_radps": 0.01}, []),
+        ({"error_rms_radps": 0.0032, "wanted_rms_radps": 0.01}, ["loses track"]),
     ],
 )
 def test_what_a_certificate_rules_out(other, said):

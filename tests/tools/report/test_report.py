@@ -164,7 +164,8 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
         },
         "due": seen,
         "visible": dict.fromkeys(detectors, seen),
-        "average": {d: {"calibrated": 0.5, "matched": 0.25} for d in detectors},
+        "average": (average := {d: {"calibrated": 0.5, "matched": 0.25} for d in detectors}),
+        "ways": {"ramp": {"runs": 4, "average": average, "median_s": dict.fromkeys(detectors, 2.5)}},
         "matched_stated": dict.fromkeys(detectors, 0.05),
         "matched_claim": "equal false alarms in the loop",
         "within": {
@@ -243,6 +244,7 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
     assert "frame test: alpha 0.05 from 25 drives; energy test: alpha is not stated." in text
     assert "brake gain 0.7 × (mu unstable, found 1 of 4)" in text and "2.34" in text and "rms, 2 s" in text
     assert text.count("Detection against severity") == 2
+    assert "50.0%, 25.0%, 2.50 s" in text
     assert text.count("equal false alarms in the loop") >= 4 and "counts only" not in text
     summary |= {
         "matched_stated": {**summary["matched_stated"], "nis": None},
