@@ -155,7 +155,7 @@ def finds_the_package(prefix: Path, folder: Path) -> None:
             p.relative_to(LIB / kind): p.read_bytes() for p in (LIB / kind).rglob("*") if p.is_file()
         }
     consumer = ROOT / "tests" / "consumer"
-    run("cmake", "-S", consumer, "-B", folder / "consumer", f"-DCMAKE_PREFIX_PATH={prefix}")
+    run("cmake", "-G", "Ninja", "-S", consumer, "-B", folder / "consumer", f"-DCMAKE_PREFIX_PATH={prefix}")
 
 
 @pytest.mark.slow("Conan makes the package, and a consumer of it is configured")
@@ -219,7 +219,7 @@ def test_the_build_files_of_a_module_compile_a_vehicle(kind, vehicle, tmp_path):
         "target_link_libraries(firmware PRIVATE lpvguard m)\n"
     )
     build = tmp_path / "build"
-    run("cmake", "-S", tmp_path, "-B", build, "-DCMAKE_EXPORT_COMPILE_COMMANDS=ON")
+    run("cmake", "-G", "Ninja", "-S", tmp_path, "-B", build, "-DCMAKE_EXPORT_COMPILE_COMMANDS=ON")
     compiled = {
         Path(c["file"]): c["command"] for c in json.loads((build / "compile_commands.json").read_text())
     }
@@ -253,4 +253,4 @@ def test_other_projects_get_the_function_and_nothing_else(tmp_path):
         f'get_property(made DIRECTORY "{LIB}" PROPERTY BUILDSYSTEM_TARGETS)\n'
         'if(made)\n  message(FATAL_ERROR "${made}")\nendif()\n'
     )
-    run("cmake", "-S", tmp_path, "-B", tmp_path / "build")
+    run("cmake", "-G", "Ninja", "-S", tmp_path, "-B", tmp_path / "build")
