@@ -28,6 +28,7 @@ from lpvguard.identify import run as identify
 from lpvguard.loop.campaign import conduct, faults, one_run, run, scenarios, summary, trucks
 from lpvguard.loop.campaign.run import campaign
 from lpvguard.loop.campaign.scenarios import Drawn, PlannedRun, Size
+from lpvguard.loop.campaign.tracking import TrackingBound
 from lpvguard.loop.sim import Scenario, Simulator, load_scenario, shipped_scenarios
 from lpvguard.replay.run import Replayer
 from lpvguard.vehicle.nominal import NominalModel
@@ -47,6 +48,11 @@ def stored(truck, truck_drives, truck_identified):
     return identify.load(truck_identified), identify.DriveSet(
         truck, NominalModel(truck), list_experiments(truck_drives)
     )
+
+
+@pytest.fixture(scope="module")
+def context(truck_folder, stored) -> one_run.Context:
+    return one_run.Context(truck_folder, 1, NO_DETECTORS, TrackingBound.of(stored[0]))
 
 
 @pytest.fixture(scope="module")
@@ -163,11 +169,10 @@ def test_speeds_are_constant_drift_or_sweep_the_range():
     assert min(slopes) >= 0.05 - 1e-9 and max(slopes) <= 0.3 + 1e-9
 
 
-def test_a_fault_found_with_its_first_sample_is_not_taken_for_an_alarm_before_it(truck_folder):
+def test_a_fault_found_with_its_first_sample_is_not_taken_for_an_alarm_before_it(context):
     """A steering-wheel angle that jumps by 1 rad: seen as soon as the receiver takes it, some samples after
     the fault's time. The drive's 6000th sample is later, since a drive begins after its run."""
     jump = '[[plant.sensor_fault]]\nsignal = "steering_wheel"\nstart_s = 60.0\nbias = 1.0\n'
-    context = one_run.Context(truck_folder, 1, NO_DETECTORS)
     row = one_run.run_planned(
         context, PlannedRun(scenarios.FIRST_FAULT, "steering-wheel bias", 1.0, -1, 60.0, jump)
     )
@@ -175,7 +180,7 @@ def test_a_fault_found_with_its_first_sample_is_not_taken_for_an_alarm_before_it
     assert row["monitor_found_s"] < 0.1 and row["ecu_invalid_s"] == pytest.approx(60.0, abs=0.1)
 
 
-def test_a_quantity_that_happens_to_be_whole_is_a_real_number_in_every_chunk(truck_folder, monkeypatch):
+def test_a_quantity_that_happens_to_be_whole_is_a_real_number_in_every_chunk(context, monkeypatch):
     """JSON has 60 for 60.0. One chunk of 66 had a column of integers so, and the campaign could not end."""
     drive = Simulator.drive
 
@@ -184,7 +189,6 @@ def test_a_quantity_that_happens_to_be_whole_is_a_real_number_in_every_chunk(tru
         return facts | {"verdicts": [[60, "invalid"]], "demand_max_bar": 2, "duration_s": 180}, *rest
 
     monkeypatch.setattr(Simulator, "drive", whole)
-    context = one_run.Context(truck_folder, 1, NO_DETECTORS)
     row = one_run.run_planned(context, PlannedRun(0, "within", 0.0, 0, 0.0, ""))
     quantities = {k: v for k, v in row.items() if k.endswith(("_s", "_bar", "_mps", "_radps"))}
     assert len(quantities) > 15 and row["ecu_invalid_s"] == 60.0
@@ -266,17 +270,50 @@ def steering_runs(count: int) -> list[PlannedRun]:
     return found
 
 
-def test_a_loop_that_limit_cycles_falsifies_and_ordinary_noisy_runs_do_not(truck_folder):
-    context = one_run.Context(truck_folder, 1, NO_DETECTORS)
+def test_a_loop_that_limit_cycles_falsifies_and_ordinary_noisy_runs_do_not(context):
     for planned in steering_runs(2):
         good = one_run.run_planned(context, planned)
         assert good["line_bar"] == 0.0 and good["limited_stretch_s"] < conduct.SATURATED_S
         assert 0 < good["free_rms_radps"] < good["wanted_rms_radps"] and good["brake_gain"] == 1.0
-        assert list(conduct.ruled_out(good)) == []
+        assert list(conduct.ruled_out(good)) == [] and not conduct.beyond_wish(good)
+        assert 0.1 < good["allowed_rms_radps"] / good["wanted_rms_radps"] < 0.5, "a bound that can be broken"
         assert 0.045 < good["wanted_rms_radps"] < 0.06 and good["demand_max_bar"] > 0.5
         bad = one_run.run_planned(context, replace(planned, tables=FIVEFOLD))
         assert bad["brake_gain"] == 5.0 and bad["line_bar"] > 1.0 and 3.0 < bad["line_radps"] < 20.0
         assert next(conduct.ruled_out(bad)).startswith("oscillates at ")
+
+
+WEAK = "[plant.variation]\nbrake_gain_ratio = 0.3\n"
+
+
+def test_a_loop_too_weak_to_follow_falsifies(context):
+    """Brakes of a third of the gain saturate nothing where little is commanded; the track alone tells."""
+    row = one_run.run_planned(context, replace(steering_runs(1)[0], tables=WEAK))
+    assert any(text.startswith("loses track") for text in conduct.ruled_out(row))
+
+
+def test_the_tracking_bound_is_the_sum_of_the_inputs_over_their_weights(context):
+    bound, t = context.tracking, np.arange(1800) * 0.1
+    omega = 2 * np.pi * 20 / 180
+    line = 0.02 * np.sin(omega * t)
+    W, none = bound.weights, np.zeros((1800, 2))
+
+    def gain(name: str) -> float:
+        return abs((getattr(W, name).response([omega]) * W.W_t.response([omega]))[0, 0, 0])
+
+    alone = {
+        "W_C": bound.rms(line, none, none, 0.1, 0.1),
+        "W_wr": bound.rms(0 * t, np.column_stack([line, 0 * t]), none, 0.1, 0.1),
+        "W_wdelta": bound.rms(0 * t, np.column_stack([0 * t, line]), none, 0.1, 0.1),
+        "W_nr": bound.rms(0 * t, none, np.column_stack([line, 0 * t]), 0.1, 0.1),
+        "W_ndelta": bound.rms(0 * t, none, np.column_stack([0 * t, line]), 0.1, 0.1),
+    }
+    for name, rms in alone.items():
+        assert rms == pytest.approx(0.02 / np.sqrt(2) / gain(name)), name
+    both = np.column_stack([line, line])
+    assert bound.rms(line, both, both, 0.1, 0.1) == pytest.approx(np.linalg.norm(list(alone.values())))
+    above = np.sin(2 * np.pi * 40 / 180 * t)
+    assert bound.rms(above, none, none, 0.1, 0.1) < 1e-9, "nothing above the steering task"
 
 
 @pytest.fixture

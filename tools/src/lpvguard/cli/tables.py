@@ -415,6 +415,8 @@ def _print_falsified(summary: dict[str, Any]) -> None:
             f"FALSIFIED CERTIFICATE: run {run['number']}, seed {run['seed']}, truck {run['plant']}, "
             f"{run['speed_mps']:.2f} m/s: {'; '.join(run['did'])}"
         )
+    wish = share_words(summary["within"]["beyond_wish"])
+    console.print(f"runs within the bounds with a larger error than asked for, a tenth of the motion: {wish}")
 
 
 def _print_within(summary: dict[str, Any]) -> None:

@@ -29,8 +29,9 @@ from ...identify.bounds import nominal_error
 from ...replay.run import Replay, Replayer, read_raw_log
 from ..sim import RECOVERY_S, Simulator
 from ..supervision import LIVE, Reactions, limits, needed_messages, required
-from .conduct import AT_LIMIT, STEERING_RADPS, longest_stretch, rms_up_to, steady_line
+from .conduct import AT_LIMIT, STEERING_RADPS, band_rms, longest_stretch, steady_line
 from .scenarios import ROOM, UNIT, Drawn, PlannedRun
+from .tracking import TrackingBound
 
 FOUND_WITHIN_S = 60.0
 STRIDE = 10
@@ -146,6 +147,7 @@ class Context:
     folder: Path
     seed: int
     detectors: Detectors
+    tracking: TrackingBound
 
     @cached_property
     def tools(self) -> tuple[Simulator, Simulator, Replayer, Bank]:
@@ -184,7 +186,7 @@ def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
         telemetry = path.with_suffix(".csv")
         # Left alone, the truck does not know of the command: this run tells its free motion and the demand.
         path.write_text(drawn.text(planned.tables, UNIT), encoding="utf-8")
-        free_truck.drive(path, telemetry=telemetry)
+        _, left_alone, _ = free_truck.drive(path, telemetry=telemetry)
         free = read_telemetry(telemetry)
         size = drawn.size(replayer.model, free["wanted_radps"], TELEMETRY_S)
         if planned.plant >= 0:
@@ -194,7 +196,10 @@ def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
         facts, drive, present = simulator.drive(path, log=log, telemetry=telemetry)
         scenario = read_toml(path, "a scenario file")
         reactions = supervision(simulator, facts, scenario, log, planned.fault_s)
-        did = conduct(simulator, drawn, drive, free, read_telemetry(telemetry))
+        loop = read_telemetry(telemetry)
+        did = conduct(simulator, drawn, drive, free, loop)
+    w, n = disturbed(free, left_alone)
+    allowed = context.tracking.rms(loop["command_radps"], w, n, TELEMETRY_S, simulator.project.Ts_s)
     replay = replayer.replay(drive, present)
     clock = JudgedClock.of(replay, first_sample(drive, planned.fault_s, replay.Ts), FOUND_WITHIN_S)
     offline = Offline.of(replayer, drive, planned.fault_s)
@@ -212,6 +217,7 @@ def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
         "brake_gain": float(scenario["plant"].get("variation", {}).get("brake_gain_ratio", 1.0)),
         "demand_max_bar": float(facts["demand_max_bar"]),
         **did,
+        "allowed_rms_radps": allowed,
         "tracking_ratio": facts["tracking_rms"] / facts["command_rms"] if facts["command_rms"] else None,
         "judged_s": replay.judged_s,
         "excited_after_s": float(clock.seconds[-1]),
@@ -261,10 +267,18 @@ def conduct(
         "line_bar": line.bar,
         "line_radps": line.radps,
         "limited_stretch_s": limited_stretch(simulator, drive),
-        "wanted_rms_radps": rms_up_to(loop["wanted_radps"], TELEMETRY_S, STEERING_RADPS),
-        "error_rms_radps": rms_up_to(error, TELEMETRY_S, STEERING_RADPS),
-        "free_rms_radps": rms_up_to(free["yaw_rate_radps"], TELEMETRY_S, STEERING_RADPS),
+        "wanted_rms_radps": band_rms(loop["wanted_radps"], TELEMETRY_S, STEERING_RADPS),
+        "error_rms_radps": band_rms(error, TELEMETRY_S, STEERING_RADPS),
+        "free_rms_radps": band_rms(free["yaw_rate_radps"], TELEMETRY_S, STEERING_RADPS),
     }
+
+
+def disturbed(free: dict[str, np.ndarray], measured: Drive) -> tuple[np.ndarray, np.ndarray]:
+    """What road and wind do to yaw rate and road-wheel angle of a truck left alone, (N, 2) [rad/s, rad] every
+    TELEMETRY_S, and what its sensors add, (M, 2) at the samples of ``measured``."""
+    w = np.column_stack([free["yaw_rate_radps"], free["road_wheel_rad"]])
+    true = np.column_stack([np.interp(measured.t, free["t_s"], x) for x in w.T])
+    return w, measured.y - true
 
 
 def limited_stretch(simulator: Simulator, drive: Drive) -> float:

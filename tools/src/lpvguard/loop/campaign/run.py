@@ -29,6 +29,7 @@ from . import faults, trucks
 from .one_run import Context, Detectors, run_planned
 from .scenarios import DURATION_S, PlannedRun, Size, plan
 from .summary import summarise
+from .tracking import TrackingBound
 
 CHUNK = 40
 
@@ -73,7 +74,7 @@ def campaign(
             levels = _kept(kept_in, "loops.json", lambda: trucks.loop_levels(stored, controller, progress))
         chosen = [c for c in found["candidates"] if c["ratio"] <= 1][: trucks.PLANTS]
         within = [(c["tables"], c["least_gain"]) for c in chosen]
-        context = Context(Path(folder).absolute(), seed, Detectors.of(tuned))
+        context = Context(Path(folder).absolute(), seed, Detectors.of(tuned), TrackingBound.of(stored))
         table = _run_all(kept_in, context, plan(size, within), workers, progress)
         kept_in.write("runs.parquet", _parquet(table))
         summary = summarise(table, stored, found, levels, tuned)

@@ -23,7 +23,7 @@ from ...evaluate.rates import per_hour, rate
 from ...identify.calibration import Calibration, calibrate
 from ...identify.run import StoredIdentification
 from . import faults
-from .conduct import ruled_out
+from .conduct import beyond_wish, ruled_out
 from .one_run import FOUND_WITHIN_S
 from .scenarios import DURATION_S
 
@@ -293,6 +293,7 @@ def _within(rows: list[dict]) -> dict[str, Any]:
         "hours": hours,
         "judged_hours": judged,
         "alarmed": {d: rate(n, len(rows)) for d, n in alarmed.items()},
+        "beyond_wish": rate(sum(map(beyond_wish, rows)), len(rows)),
         "alarmed_trucks": rate(sum(trucks.values()), len(trucks)),
         "tests": {
             t: rate(n, len(rows))
