@@ -196,10 +196,7 @@ def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
         facts, drive, present = simulator.drive(path, log=log, telemetry=telemetry)
         scenario = read_toml(path, "a scenario file")
         reactions = supervision(simulator, facts, scenario, log, planned.fault_s)
-        loop = read_telemetry(telemetry)
-        did = conduct(simulator, drawn, drive, free, loop)
-    w, n = disturbed(free, left_alone)
-    allowed = context.tracking.rms(loop["command_radps"], w, n, TELEMETRY_S, simulator.project.Ts_s)
+        did = conduct(context.tracking, simulator, drawn, drive, free, left_alone, read_telemetry(telemetry))
     replay = replayer.replay(drive, present)
     clock = JudgedClock.of(replay, first_sample(drive, planned.fault_s, replay.Ts), FOUND_WITHIN_S)
     offline = Offline.of(replayer, drive, planned.fault_s)
@@ -217,7 +214,6 @@ def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
         "brake_gain": float(scenario["plant"].get("variation", {}).get("brake_gain_ratio", 1.0)),
         "demand_max_bar": float(facts["demand_max_bar"]),
         **did,
-        "allowed_rms_radps": allowed,
         "tracking_ratio": facts["tracking_rms"] / facts["command_rms"] if facts["command_rms"] else None,
         "judged_s": replay.judged_s,
         "excited_after_s": float(clock.seconds[-1]),
@@ -252,17 +248,20 @@ def _within_limit(simulator: Simulator, drawn: Drawn, tables: str, size: float, 
 
 
 def conduct(
+    tracking: TrackingBound,
     simulator: Simulator,
     drawn: Drawn,
     drive: Drive,
     free: dict[str, np.ndarray],
+    left_alone: Drive,
     loop: dict[str, np.ndarray],
 ) -> dict[str, float]:
-    """The columns of a row that say what the closed loop did (conduct.py). ``free``, ``loop``: telemetry,
-    columns (N,), of the truck left alone and of the loop."""
+    """The columns of a row that say what the closed loop did (conduct.py), and what ``tracking`` allows it.
+    ``free``, ``loop``: telemetry, columns (N,), of the truck ``left_alone`` and of the loop."""
     u, Ts = drive.u[:, 0], simulator.project.Ts_s
     line = steady_line(u, Ts, drawn.command.highest)
     error = loop["wanted_radps"] - loop["yaw_rate_radps"]
+    w, n = disturbed(free, left_alone)
     return {
         "line_bar": line.bar,
         "line_radps": line.radps,
@@ -270,6 +269,7 @@ def conduct(
         "wanted_rms_radps": band_rms(loop["wanted_radps"], TELEMETRY_S, STEERING_RADPS),
         "error_rms_radps": band_rms(error, TELEMETRY_S, STEERING_RADPS),
         "free_rms_radps": band_rms(free["yaw_rate_radps"], TELEMETRY_S, STEERING_RADPS),
+        "allowed_rms_radps": tracking.rms(loop["command_radps"], w, n, TELEMETRY_S, Ts),
     }
 
 
