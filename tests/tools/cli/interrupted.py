@@ -164,6 +164,7 @@ def replace_computing(variant: str) -> None:
             left_out={},
             energy=None,
             model_fit=[],
+            others_fit=[],
             weights=SimpleNamespace(inflation=1.0),
             calibration=SimpleNamespace(to_dict=dict, carried=1.0, claim=lambda: ""),
         ),

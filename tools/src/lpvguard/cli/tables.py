@@ -174,6 +174,9 @@ def print_fit(result: FittedModel) -> None:
     console.print(fits)
     for text in result.findings:
         console.print(f"finding: {text}")
+    for name, why in result.left_out.items():
+        if why not in result.findings:
+            console.print(f"left out: {name}: {why}", markup=False)
 
 
 def print_evaluation(result: dict[str, Any]) -> None:
@@ -200,7 +203,7 @@ def print_evaluation(result: dict[str, Any]) -> None:
         tests = "both tests at one threshold" if what == MONITOR else what + " test"
         console.print(f"{tests}, {CALIBRATED[result['mode']]}: {'; or '.join(claims)}")
     for name, reason in result["left_out"].items():
-        console.print(f"left out: {name}: {reason}")
+        console.print(f"left out: {name}: {reason}", markup=False)
     for name, reason in result["without_faults"].items():
         console.print(f"no fault injected: {name}: {reason}")
     console.print(

@@ -3,7 +3,8 @@ vehicle.
 
 A drive folder holds one table a drive and ``experiments.csv``. That index has at least the columns
 ``experiment`` (file stem) and ``split``; ``driver`` is carried along when present. Drives that are pieces of
-one recording say so in ``recording``, and drives with something in common in ``group``. Nothing is repaired
+one recording say so in ``recording``, and drives with something in common in ``group``. A drive that shall
+not count stays listed, with ``use`` = no and the ``reason``. Nothing is repaired
 here: what does not fit is an InputError that names file, line and column. Raw logs are turned into such
 tables by ``lpvguard ingest``.
 """
@@ -74,7 +75,17 @@ class Experiment:
 
 
 def list_experiments(folder: Path) -> list[Experiment]:
-    """The drives of a folder, in the order of its experiments.csv."""
+    """The drives of a folder that are in use, in the order of its experiments.csv."""
+    return _listed(folder)[0]
+
+
+def set_aside(folder: Path) -> dict[str, str]:
+    """The drives whose ``use`` in experiments.csv is no, with the reason that stands there."""
+    return {name: f"set aside in {EXPERIMENTS}: {why}" for name, why in _listed(folder)[1].items()}
+
+
+def _listed(folder: Path) -> tuple[list[Experiment], dict[str, str]]:
+    """The drives in use, and the reasons of those that are not."""
     index = folder / EXPERIMENTS
     if not folder.is_dir():
         raise InputError(folder, "", "no such folder", f"a folder of drives with {EXPERIMENTS}")
@@ -83,13 +94,17 @@ def list_experiments(folder: Path) -> list[Experiment]:
     with index.open(newline="", encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     experiments: list[Experiment] = []
+    aside: dict[str, str] = {}
     for line, row in enumerate(rows, start=2):
         for column in ("experiment", "split"):
             if not row.get(column):
                 raise InputError(index, f"line {line}, column {column}", "missing or empty", "a value")
         stem = row["experiment"]
-        if any(e.name == stem for e in experiments):
+        if stem in aside or any(e.name == stem for e in experiments):
             raise InputError(index, f"line {line}, column experiment", f"{stem} occurs twice", "unique names")
+        if not _in_use(row, index, line):
+            aside[stem] = row["reason"]
+            continue
         path = next((p for s in TABLE_SUFFIXES if (p := folder / f"{stem}{s}").is_file()), None)
         if path is None:
             raise InputError(
@@ -99,8 +114,21 @@ def list_experiments(folder: Path) -> list[Experiment]:
         group = row.get("group") or None
         experiments.append(Experiment(stem, path.absolute(), row["split"], driver, recording, group))
     if not experiments:
-        raise InputError(index, "", "lists no drive", "at least one line")
-    return experiments
+        raise InputError(index, "", "lists no drive in use", "at least one line")
+    return experiments, aside
+
+
+def _in_use(row: dict[str, str], index: Path, line: int) -> bool:
+    """Whether a line of the index says that its drive counts. InputError where it says it otherwise than with
+    yes or no, or no without a reason."""
+    use = row.get("use") or "yes"
+    if use not in ("yes", "no"):
+        raise InputError(index, f"line {line}, column use", repr(use), "yes or no")
+    if use == "no" and not row.get("reason"):
+        raise InputError(
+            index, f"line {line}, column reason", "missing or empty", "why the drive is not used"
+        )
+    return use == "yes"
 
 
 def index_text(rows: Iterable[tuple[str, str, str]], third: str = "recording") -> str:
