@@ -164,6 +164,8 @@ def replace_computing(variant: str) -> None:
             left_out={},
             energy=None,
             model_fit=[],
+            bounds=SimpleNamespace(omega=[], frames=[]),
+            estimator=SimpleNamespace(length=[], Ts=0.1),
             others_fit=[],
             weights=SimpleNamespace(inflation=1.0),
             calibration=SimpleNamespace(to_dict=dict, carried=1.0, claim=lambda: ""),

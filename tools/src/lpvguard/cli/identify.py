@@ -23,7 +23,7 @@ def identify(
     """Find the unfalsified bounds, fit the weights, calibrate the frame test (paper, steps 1-7)."""
     from ..base.parallel import workers
     from ..identify import run as stage
-    from ..identify.model_fit import sentences
+    from ..identify.model_fit import evidence, sentences
     from ..identify.unexplained import cost, unexplained
 
     project = project_of(vehicle)
@@ -52,6 +52,9 @@ def identify(
         f"{len(result.calibration_drives)} others calibrate: {', '.join(result.calibration_drives) or 'none'}"
     )
     for line in sentences(project, result.model_fit):
+        console.print(line)
+    bounds, estimator = result.bounds, result.estimator
+    for line in evidence(bounds.omega, bounds.frames, estimator.length, estimator.Ts, result.model_fit):
         console.print(line)
     for u in named:
         console.print(f"unexplained: {u.sentence()}")
