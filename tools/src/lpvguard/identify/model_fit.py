@@ -36,9 +36,11 @@ def require_better_than_none(project: Project, found: list[Quality], folder: Pat
 def evidence(
     omega: np.ndarray, frames: np.ndarray, length: np.ndarray, Ts: float, found: list[Quality]
 ) -> list[str]:
-    """A line a bin above DC: its frequency, how much of the bound-setting drives' time in range its counted
-    frames start in, and how many frames that is one after another. omega (K,) [rad/s], ``frames`` (K,) that
-    count, ``length`` (K,) [samples], Ts [s]."""
+    """A line a bin above DC: how much of the bound-setting drives' time in range its counted frames start in.
+
+    It also says how many frames that is one after another. omega (K,) [rad/s]; ``frames`` (K,) that count;
+    ``length`` (K,) [samples]; Ts [s].
+    """
     in_range_s = sum(q.judged_s for q in found)
     return [
         f"{w / (2 * np.pi):.3g} Hz: {n * Ts:.0f} of {in_range_s:.0f} s in range count, {n / m:.0f} frames of "
