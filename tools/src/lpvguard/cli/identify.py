@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from .shared import Jobs, JsonOut, Out, Scheduler, Vehicle, app, console, emit, progress_bar, project_of
+from .tables import print_evidence
 
 
 @app.command(epilog="Example: lpvguard identify --vehicle g80 DRIVES -o out/identify")
@@ -23,7 +24,6 @@ def identify(
     """Find the unfalsified bounds, fit the weights, calibrate the frame test (paper, steps 1-7)."""
     from ..base.parallel import workers
     from ..identify import run as stage
-    from ..identify.model_fit import evidence, sentences
     from ..identify.unexplained import cost, unexplained
 
     project = project_of(vehicle)
@@ -51,11 +51,7 @@ def identify(
     console.print(
         f"{len(result.calibration_drives)} others calibrate: {', '.join(result.calibration_drives) or 'none'}"
     )
-    for line in sentences(project, result.model_fit):
-        console.print(line)
-    bounds, estimator = result.bounds, result.estimator
-    for line in evidence(bounds.omega, bounds.frames, estimator.length, estimator.Ts, result.model_fit):
-        console.print(line)
+    print_evidence(result)
     for u in named:
         console.print(f"unexplained: {u.sentence()}")
     for line in [] if price is None else price.sentences():
