@@ -242,7 +242,7 @@ def _project(
     top = float(np.quantile(v, 0.99))
     driving = v > 0.1 * top
     low, high = (
-        float(f"{x:.2g}") for x in (max(float(np.quantile(v[driving], 0.05)), 0.15 * top), 1.02 * top)
+        float(f"{x:.2g}") for x in (max(0.98 * float(np.quantile(v[driving], 0.05)), 0.15 * top), 1.02 * top)
     )
     steering = np.concatenate([_spreads(d, Ts) for d in drives])
     excited = float(f"{np.quantile(steering[steering > 0], 0.25):.1g}")
@@ -272,7 +272,7 @@ def _project(
         f"mean: {judged[0]:.0%} of the frames' starts count in the lowest bin",
         "by bin: " + ", ".join(f"{f:.3g} Hz {s:.0%}" for f, s in _above_dc(project, judged)),
         f"excited from {excited:g} rad over 10 s: {np.mean(steering >= excited):.0%} of the pieces of 10 s",
-        f"speed range {low:g} to {high:g} m/s: from the 5th to the 99th percentile of driving",
+        f"speed range {low:g} to {high:g} m/s: from the 5th to the 99th percentile of driving, and 2% beyond",
     ]
     return project, text, notes
 
