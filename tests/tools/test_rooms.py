@@ -20,6 +20,7 @@ README = ROOT / "tools/README.md"
 TESTS = ROOT / "tests"
 ORDER = (
     "base",
+    "sources",
     "vehicle",
     "engine",
     "can",

@@ -63,6 +63,18 @@ def test_identify_and_export_write_what_the_commands_write(g80, synthetic, ident
         stored.save(tmp_path / "again")
 
 
+def test_export_takes_the_controller_and_the_group_as_the_command_does(found, tmp_path):
+    controller = tmp_path / "controller.json"
+    controller.write_text("{}")
+    with pytest.raises(lpvguard.InputError, match=r"controller.json: certificates: missing"):
+        found.export(tmp_path / "code", controller=tmp_path)
+    with pytest.raises(lpvguard.InputError, match=r"controller.json: certificates: missing"):
+        found.export(tmp_path / "code", controller=controller)
+    with pytest.raises(lpvguard.InputError, match="group: fog"):
+        found.export(tmp_path / "code", group="fog")
+    assert not (tmp_path / "code").exists()
+
+
 def test_bounds_and_weights_are_tables_by_frequency(found, identified):
     stored = artefacts.read_json(identified / "bounds.json")
     assert found.bounds.index.name == "omega_rad_s"

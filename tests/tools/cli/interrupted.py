@@ -157,6 +157,7 @@ def replace_computing(variant: str) -> None:
     lpvguard.fit.run.save = lambda result, plain, where, out, files: folder_of("fit", {"fit.json": text})(out)
     replace_in_cli("_picture", lambda _: "")
     replace_in_cli("print_fit", lambda _: None)
+    replace_in_cli("print_evidence", lambda _: None)
     lpvguard.identify.run.identify = lambda *_, **__: (
         SimpleNamespace(
             bound_drives=[],
@@ -164,6 +165,7 @@ def replace_computing(variant: str) -> None:
             left_out={},
             energy=None,
             model_fit=[],
+            others_fit=[],
             weights=SimpleNamespace(inflation=1.0),
             calibration=SimpleNamespace(to_dict=dict, carried=1.0, claim=lambda: ""),
         ),

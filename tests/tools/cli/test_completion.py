@@ -50,6 +50,21 @@ def test_zsh_is_offered_verbs_with_what_they_do(lpvguard, on_path):
     assert '"identify":"Find the unfalsified bounds' in done.stdout
 
 
+def test_fish_asks_the_program_that_answers_it(lpvguard, on_path):
+    script = lpvguard("completion", "fish").stdout
+    assert script.startswith("complete --command lpvguard ") and "_LPVGUARD_COMPLETE=complete_fish" in script
+    program = Path(on_path["PATH"].partition(os.pathsep)[0]) / "lpvguard"
+
+    def asked(action: str, words: str) -> subprocess.CompletedProcess[str]:
+        words_of_fish = {"_TYPER_COMPLETE_FISH_ACTION": action, "_TYPER_COMPLETE_ARGS": words}
+        environment = on_path | words_of_fish | {"_LPVGUARD_COMPLETE": "complete_fish"}
+        return subprocess.run([program], env=environment, capture_output=True, text=True, check=False)
+
+    assert asked("get-args", "lpvguard ident").stdout.startswith("identify\tFind the unfalsified bounds")
+    assert asked("is-args", "lpvguard ident").returncode == 0
+    assert asked("is-args", "lpvguard fit ").returncode == 1, "files are the shell's own to complete"
+
+
 def test_another_shell_is_refused(lpvguard):
     done = lpvguard("completion", "tcsh")
     assert done.returncode == 2 and "tcsh" in done.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,8 @@ from known_car import KnownCar, guessed
 from lpvguard.base.errors import InputError
 from lpvguard.drives.tables import Drive
 from lpvguard.fit.spoiled import require_unspoiled
-from lpvguard.fit.suspicions import screened
+from lpvguard.fit.suspicions import judged_beside, screened
+from lpvguard.fit.unknowns import Unknowns
 from lpvguard.vehicle.project import FitSettings
 
 RANGES = {"L": [1.8, 4.0], "K": [0.0, 0.01], "T1": [5e-4, 0.03]}
@@ -115,3 +117,16 @@ def test_noise_without_a_car_is_refused(project, drives):
     noise = [replace(d, y=0.05 * random.standard_normal(d.y.shape)) for d in drives]
     with pytest.raises(InputError, match="no parameters within the ranges"):
         screened(project, noise)
+
+
+def test_a_drive_beside_the_models_speeds_is_said_to_be_there(project):
+    """Nothing of it is judged: that is no fault of its signals."""
+    random = np.random.default_rng(3)
+    car = KnownCar.drawn(random)
+    slow = car.drive(random, 1.5, 30.0, "slow")
+    unknowns = Unknowns.of(project)
+    faults, certain = judged_beside(unknowns, unknowns.start, [slow])
+    text = (
+        rf"slow: nothing is judged: at {slow.v.min():.3g} to {slow.v.max():.3g} m/s.*expected 3.5 to 19 m/s"
+    )
+    assert re.search(text, str(faults["slow"])) and not certain

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..base.parallel import workers
+from ..control.exported import export_chosen
 from ..drives.frames import Estimator
 from ..identify import run as stage
 from ..identify.calibration import Calibration
-from ..identify.export import export_vehicle
 from ..identify.weights import Weights
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, load_project
@@ -73,13 +73,22 @@ class Identified:
         stage.save(*self._found, Path(folder))
         return load(folder)
 
-    def export(self, folder: str | Path) -> Path:
-        """Write the generated C folder of `lpvguard export`, without a controller, and return its path."""
+    def export(
+        self, folder: str | Path, *, controller: str | Path | None = None, group: str | None = None
+    ) -> Path:
+        """Write the generated C folder of `lpvguard export`, and return its path.
+
+        ``controller``: controller.json or the folder of `design`, None for none; its certificates are proved
+        anew. ``group``: whose thresholds the core carries, None for the largest of all. InputError where
+        either does not fit.
+        """
         if self.folder is not None:
-            export_vehicle(stage.load(self.folder), Path(folder))
+            chosen = None if controller is None else Path(controller)
+            export_chosen(stage.load(self.folder), Path(folder), chosen, group)
             return Path(folder)
         with tempfile.TemporaryDirectory() as scratch:
-            return self.save(Path(scratch) / "identify").export(folder)
+            stored = self.save(Path(scratch) / "identify")
+            return stored.export(folder, controller=controller, group=group)
 
     def _table(self, columns: dict[str, np.ndarray]) -> pandas.DataFrame:
         pandas = optional("pandas", "pandas")
@@ -95,15 +104,17 @@ class Identified:
         return pandas.DataFrame(flat, index=pandas.Index(self.omega, name="omega_rad_s"))
 
 
-def identify(vehicle: str | Path | Project, drives: str | Path, *, jobs: int = 1) -> Identified:
+def identify(
+    vehicle: str | Path | Project, drives: str | Path, *, jobs: int = 1, scheduler: str | None = None
+) -> Identified:
     """Find bounds, weights and thresholds, as `lpvguard identify` does; ``jobs``: processes that share the
-    drives.
+    drives; ``scheduler``: address of a Dask scheduler whose workers share them.
 
     ``vehicle``: a shipped vehicle's name, the path of a project file, or a Project. ``drives``: folder with
     experiments.csv. Raises InputError that names file, place and what was expected.
     """
     project = project_of(vehicle)
-    with workers(jobs, None) as run:
+    with workers(jobs, scheduler) as run:
         found = stage.identify(project, Path(drives), workers=run)
     result, b = found[0], found[0].bounds
     return Identified(project, None, b.omega, result.weights, result.calibration, vars(b), found)

@@ -21,6 +21,7 @@ from . import (  # noqa: F401 - each adds its verb, in the order of --help
     bench,
     campaign,
     completion,
+    data,
     dbc,
     design,
     evaluate,
@@ -41,6 +42,7 @@ from .shared import COMPLETE, PROGRAM, app, complain
 
 MAY_IMPORT = (
     "base",
+    "sources",
     "vehicle",
     "engine",
     "can",

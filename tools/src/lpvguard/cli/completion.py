@@ -17,6 +17,7 @@ class Shell(StrEnum):
 
     bash = "bash"
     zsh = "zsh"
+    fish = "fish"
 
 
 @app.command(epilog='Example: eval "$(lpvguard completion bash)"')
@@ -24,5 +25,6 @@ def completion(shell: Annotated[Shell, typer.Argument(help="Shell that will read
     """Print the script with which a shell completes verbs and options; read it from the shell's start file.
 
     bash: eval "$(lpvguard completion bash)" in ~/.bashrc. zsh: the same with zsh in ~/.zshrc, after compinit.
+    fish: lpvguard completion fish | source, in ~/.config/fish/config.fish.
     """
     sys.stdout.write(get_completion_script(prog_name=PROGRAM, complete_var=COMPLETE, shell=shell) + "\n")

@@ -43,6 +43,7 @@ def evaluate(
     """False alarms and detection of injected faults through the compiled core: of each drive without itself,
     or of drives that the identification never saw."""
     from ..base.parallel import workers
+    from ..drives.tables import set_aside
     from ..evaluate.judged import drives_to_judge as held_out_drives
     from ..evaluate.run import evaluate as stage
     from ..vehicle.project import load_project
@@ -61,5 +62,7 @@ def evaluate(
             workers=run,
             progress=tell,
         )
+    for folder in drives_to_judge or []:
+        result["left_out"] |= set_aside(folder)
     emit(json_out, result)
     print_evaluation(result)

@@ -27,18 +27,9 @@ def export(
     ] = None,
 ) -> None:
     """Generate the C folder of a vehicle: coefficients, controller, signal table, CAN codec, manifest."""
-    from ..control.design import verify
-    from ..core.control_coefficients import load_controller
-    from ..identify.export import export_vehicle
+    from ..control.exported import export_chosen
 
-    stored = stored_for(identification, vehicle)
-    if group is not None:
-        stored = stored.of_group(group)
-    if controller is not None and controller.is_dir():
-        controller = controller / "controller.json"
-    if controller is not None:
-        verify(controller, stored)
-    export_vehicle(stored, out, load_controller(controller) if controller else None)
+    stored = export_chosen(stored_for(identification, vehicle), out, controller, group)
     if stored.calibration.groups:
         console.print(f"frame test: {stored.calibration.claim()}")
         console.print(f"energy test: {stored.energy_of_core.calibration.claim()}")

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from .shared import Jobs, JsonOut, Out, Scheduler, Vehicle, app, console, emit, progress_bar, project_of
+from .tables import print_evidence
 
 
 @app.command(epilog="Example: lpvguard identify --vehicle g80 DRIVES -o out/identify")
@@ -23,12 +24,14 @@ def identify(
     """Find the unfalsified bounds, fit the weights, calibrate the frame test (paper, steps 1-7)."""
     from ..base.parallel import workers
     from ..identify import run as stage
-    from ..identify.model_fit import sentences
+    from ..identify.unexplained import cost, unexplained
 
     project = project_of(vehicle)
     with progress_bar("identify") as tell, workers(jobs, scheduler) as run:
         result, drive_set = stage.identify(project, drives, workers=run, progress=tell)
         stage.save(result, drive_set, out)
+        named = unexplained(result)
+        price = cost(result, drives, named, workers=run, progress=tell) if named else None
     emit(
         json_out,
         {
@@ -39,6 +42,8 @@ def identify(
             "inflation": result.weights.inflation,
             "energy": result.energy.to_dict() if result.energy else None,
             "model_fit": [q.to_dict() for q in result.model_fit],
+            "unexplained": [vars(u) for u in named],
+            "unexplained_cost": None if price is None else vars(price),
         },
     )
     c = result.calibration
@@ -46,10 +51,13 @@ def identify(
     console.print(
         f"{len(result.calibration_drives)} others calibrate: {', '.join(result.calibration_drives) or 'none'}"
     )
-    for line in sentences(project, result.model_fit):
-        console.print(line)
+    print_evidence(result)
+    for u in named:
+        console.print(f"unexplained: {u.sentence()}")
+    for line in [] if price is None else price.sentences():
+        console.print(f"unexplained: {line}")
     for name, reason in result.left_out.items():
-        console.print(f"left out: {name}: {reason}")
+        console.print(f"left out: {name}: {reason}", markup=False)
     if result.energy is not None:
         console.print(
             f"energy test: threshold {result.energy.calibration.carried:.4g} "

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from ..evaluate.comparison import DetectorColumn
     from ..fit.run import FittedModel
     from ..identify.premise import Premise
+    from ..identify.run import Identification
     from ..loop.sim import Simulator
     from ..replay.run import Replayer
 
@@ -149,6 +150,8 @@ def print_runs(runs: list[dict[str, Any]], bus: str, simulator: Simulator) -> No
 
 def print_fit(result: FittedModel) -> None:
     """Values with their standard errors, what each drive says of them, and the findings."""
+    from ..fit.quality import gaps
+
     e, u = result.estimate, result.estimate.unknowns
     values = Table("", "value", "standard error", "from", "to", "start", box=None)
     for row in zip(u.names, e.theta, e.standard_error, u.low, u.high, u.start, strict=True):
@@ -172,8 +175,28 @@ def print_fit(result: FittedModel) -> None:
             ]
             fits.add_row(q.name + mark, f"{q.judged_s:.0f}", *cells)
     console.print(fits)
+    for line in gaps([*result.by_drive, *result.of_unseen]):
+        console.print(line)
     for text in result.findings:
         console.print(f"finding: {text}")
+    for name, why in result.left_out.items():
+        if why not in result.findings:
+            console.print(f"left out: {name}: {why}", markup=False)
+
+
+def print_evidence(result: Identification) -> None:
+    """What the model explains of the bound-setting drives, where samples are missing, and what counts by
+    bin."""
+    from ..fit.quality import gaps
+    from ..identify.model_fit import evidence, sentences
+
+    bounds, estimator = result.bounds, result.estimator
+    for line in (
+        *sentences(result.project, result.model_fit),
+        *gaps([*result.model_fit, *result.others_fit]),
+        *evidence(bounds.omega, bounds.frames, estimator.length, estimator.Ts, result.model_fit),
+    ):
+        console.print(line)
 
 
 def print_evaluation(result: dict[str, Any]) -> None:
@@ -200,7 +223,7 @@ def print_evaluation(result: dict[str, Any]) -> None:
         tests = "both tests at one threshold" if what == MONITOR else what + " test"
         console.print(f"{tests}, {CALIBRATED[result['mode']]}: {'; or '.join(claims)}")
     for name, reason in result["left_out"].items():
-        console.print(f"left out: {name}: {reason}")
+        console.print(f"left out: {name}: {reason}", markup=False)
     for name, reason in result["without_faults"].items():
         console.print(f"no fault injected: {name}: {reason}")
     console.print(

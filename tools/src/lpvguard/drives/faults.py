@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..base.errors import InputError
+from ..vehicle.project import EvaluationSettings
 from .tables import Drive
 
 KINDS = ("gain", "freeze", "bias", "input_delay", "output_delay")
@@ -47,6 +48,21 @@ class Fault:
             "output_delay": "output delayed by {:g} s",
         }
         return texts[self.kind].format(self.value)
+
+
+def stated(settings: EvaluationSettings, spread: np.ndarray) -> tuple[Fault, ...]:
+    """The faults of a project file's settings, the coarse ones first; ``spread`` (n_y,): of the outputs."""
+    gains, delays = settings.gains, settings.delays_s
+    bias = (
+        Fault("bias", settings.bias_of_spread, tuple(map(float, spread)))
+        if settings.bias is None
+        else Fault("bias", settings.bias)
+    )
+    faults = [*(Fault("gain", g) for g in gains[:2]), Fault("freeze")]
+    faults += [Fault(kind, delays[0]) for kind in ("input_delay", "output_delay")]
+    faults += [*(Fault("gain", g) for g in gains[2:]), bias]
+    faults += [Fault(kind, d) for d in delays[1:] for kind in ("input_delay", "output_delay")]
+    return tuple(faults)
 
 
 def inject(drive: Drive, fault: Fault, start_s: float, Ts: float, ramp_s: float = 0.0) -> Drive:

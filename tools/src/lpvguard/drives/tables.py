@@ -3,7 +3,8 @@ vehicle.
 
 A drive folder holds one table a drive and ``experiments.csv``. That index has at least the columns
 ``experiment`` (file stem) and ``split``; ``driver`` is carried along when present. Drives that are pieces of
-one recording say so in ``recording``, and drives with something in common in ``group``. Nothing is repaired
+one recording say so in ``recording``, and drives with something in common in ``group``. A drive that shall
+not count stays listed, with ``use`` = no and the ``reason``. Nothing is repaired
 here: what does not fit is an InputError that names file, line and column. Raw logs are turned into such
 tables by ``lpvguard ingest``.
 """
@@ -28,12 +29,18 @@ from ..vehicle.project import Project, Signal
 
 TABLE_SUFFIXES = (".csv", ".parquet", ".mat")
 EXPERIMENTS = INDEX
+MOST_MISSING = 0.1
+"""Share of a table's samples that may hold impossible values. A wrong unit makes more of them."""
 
 
 @dataclass(frozen=True)
 class Drive:
     """One drive on a uniform grid: t (N,) [s], v (N,) [m/s], u (N, n_u), y (N, n_y) in the units of the
-    signal table; ``instrument`` (N,) in its own, where the project names one."""
+    signal table; ``instrument`` (N,) in its own, where the project names one.
+
+    ``missing`` (N,) bool, None for nowhere: a value of the table was outside its signal's range. Inputs and
+    outputs are interpolated there, and v is outside the model's range, so that nothing is judged.
+    """
 
     name: str
     t: np.ndarray
@@ -41,6 +48,17 @@ class Drive:
     u: np.ndarray
     y: np.ndarray
     instrument: np.ndarray | None = None
+    missing: np.ndarray | None = None
+
+    @property
+    def missing_samples(self) -> int:
+        """How many samples are missing."""
+        return 0 if self.missing is None else int(self.missing.sum())
+
+    @property
+    def present(self) -> Drive:
+        """The samples that are not missing; its time has gaps."""
+        return self if self.missing is None else self._piece(~self.missing)
 
     @property
     def duration_s(self) -> float:
@@ -55,9 +73,11 @@ class Drive:
         """The first k samples of the drive."""
         return self._piece(slice(None, k))
 
-    def _piece(self, piece: slice) -> Drive:
-        instrument = None if self.instrument is None else self.instrument[piece]
-        return Drive(self.name, self.t[piece], self.v[piece], self.u[piece], self.y[piece], instrument)
+    def _piece(self, piece: slice | np.ndarray) -> Drive:
+        instrument, missing = (None if x is None else x[piece] for x in (self.instrument, self.missing))
+        return Drive(
+            self.name, self.t[piece], self.v[piece], self.u[piece], self.y[piece], instrument, missing
+        )
 
 
 @dataclass(frozen=True)
@@ -74,7 +94,17 @@ class Experiment:
 
 
 def list_experiments(folder: Path) -> list[Experiment]:
-    """The drives of a folder, in the order of its experiments.csv."""
+    """The drives of a folder that are in use, in the order of its experiments.csv."""
+    return _listed(folder)[0]
+
+
+def set_aside(folder: Path) -> dict[str, str]:
+    """The drives whose ``use`` in experiments.csv is no, with the reason that stands there."""
+    return {name: f"set aside in {EXPERIMENTS}: {why}" for name, why in _listed(folder)[1].items()}
+
+
+def _listed(folder: Path) -> tuple[list[Experiment], dict[str, str]]:
+    """The drives in use, and the reasons of those that are not."""
     index = folder / EXPERIMENTS
     if not folder.is_dir():
         raise InputError(folder, "", "no such folder", f"a folder of drives with {EXPERIMENTS}")
@@ -83,13 +113,17 @@ def list_experiments(folder: Path) -> list[Experiment]:
     with index.open(newline="", encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     experiments: list[Experiment] = []
+    aside: dict[str, str] = {}
     for line, row in enumerate(rows, start=2):
         for column in ("experiment", "split"):
             if not row.get(column):
                 raise InputError(index, f"line {line}, column {column}", "missing or empty", "a value")
         stem = row["experiment"]
-        if any(e.name == stem for e in experiments):
+        if stem in aside or any(e.name == stem for e in experiments):
             raise InputError(index, f"line {line}, column experiment", f"{stem} occurs twice", "unique names")
+        if not _in_use(row, index, line):
+            aside[stem] = row["reason"]
+            continue
         path = next((p for s in TABLE_SUFFIXES if (p := folder / f"{stem}{s}").is_file()), None)
         if path is None:
             raise InputError(
@@ -99,8 +133,21 @@ def list_experiments(folder: Path) -> list[Experiment]:
         group = row.get("group") or None
         experiments.append(Experiment(stem, path.absolute(), row["split"], driver, recording, group))
     if not experiments:
-        raise InputError(index, "", "lists no drive", "at least one line")
-    return experiments
+        raise InputError(index, "", "lists no drive in use", "at least one line")
+    return experiments, aside
+
+
+def _in_use(row: dict[str, str], index: Path, line: int) -> bool:
+    """Whether a line of the index says that its drive counts. InputError where it says it otherwise than with
+    yes or no, or no without a reason."""
+    use = row.get("use") or "yes"
+    if use not in ("yes", "no"):
+        raise InputError(index, f"line {line}, column use", repr(use), "yes or no")
+    if use == "no" and not row.get("reason"):
+        raise InputError(
+            index, f"line {line}, column reason", "missing or empty", "why the drive is not used"
+        )
+    return use == "yes"
 
 
 def index_text(rows: Iterable[tuple[str, str, str]], third: str = "recording") -> str:
@@ -124,7 +171,11 @@ def bound_setting(project: Project, experiments: list[Experiment], folder: Path)
 
 
 def read_drive(path: Path, project: Project, *, any_values: bool = False) -> Drive:
-    """Read and check one drive table; with ``any_values`` values may lie outside the signals' ranges."""
+    """Read and check one drive table.
+
+    Samples with a value outside its signal's range (a spike, a reverse piece) are missing, up to MOST_MISSING
+    of the table; more are an InputError. With ``any_values`` all values are taken as they are.
+    """
     table = _read_table(path)
     signals = [project.speed, *project.inputs, *project.outputs]
     columns = ["t", *(s.column for s in signals)]
@@ -138,8 +189,7 @@ def read_drive(path: Path, project: Project, *, any_values: bool = False) -> Dri
         raise InputError(path, "", f"{len(t)} sample(s)", "at least 2 samples")
     _require_uniform(path, t, project.Ts_s)
     values = {s.name: _column(path, table, s.column, s.unit) for s in signals}
-    for s in signals if not any_values else []:
-        _require_within(path, s, values[s.name])
+    missing = None if any_values else _missing(path, project, values)
 
     def stack(group: list[Signal]) -> np.ndarray:
         return np.column_stack([values[s.name] for s in group])
@@ -152,6 +202,7 @@ def read_drive(path: Path, project: Project, *, any_values: bool = False) -> Dri
         stack(project.inputs),
         stack(project.outputs),
         None if outside is None else _column(path, table, outside, "its own unit"),
+        missing,
     )
 
 
@@ -257,7 +308,27 @@ def _other_rate(typical: float, Ts: float) -> str:
     return f"; the table has {Ts / typical:.3g} times the rate of the project file"
 
 
-def _require_within(path: Path, signal: Signal, values: np.ndarray) -> None:
+def _missing(path: Path, project: Project, values: dict[str, np.ndarray]) -> np.ndarray | None:
+    """Where a sample holds an impossible value, (N,) bool; ``values`` are filled there in place. None where
+    none does."""
+    signals = [project.speed, *project.inputs, *project.outputs]
+    outside = {s.name: (values[s.name] < s.min) | (values[s.name] > s.max) for s in signals}
+    missing = np.logical_or.reduce(list(outside.values()))
+    if not missing.any():
+        return None
+    if missing.mean() > MOST_MISSING:
+        for s in sorted(signals, key=lambda s: -outside[s.name].sum()):
+            _refuse_outside(path, s, values[s.name])
+    index = np.arange(len(missing))
+    for s in signals:
+        values[s.name] = np.interp(index, index[~missing], values[s.name][~missing])
+    low, high = project.model.speed_min_mps, project.model.speed_max_mps
+    values[project.speed.name][missing] = 0.0 if low > 0 else 2.0 * high
+    return missing
+
+
+def _refuse_outside(path: Path, signal: Signal, values: np.ndarray) -> None:
+    """InputError that names the first value outside the signal's range, if there is one."""
     outside = np.flatnonzero((values < signal.min) | (values > signal.max))
     if len(outside):
         k = outside[0]

@@ -32,7 +32,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..drives.faults import Fault, inject
+from ..drives.faults import Fault, inject, stated
 from ..drives.tables import Drive
 from ..replay.run import Replay
 from ..vehicle.project import EvaluationSettings, Way
@@ -106,19 +106,8 @@ class Injection:
     @classmethod
     def of(cls, settings: EvaluationSettings, spread: np.ndarray) -> Injection:
         """That of a project file's settings; ``spread`` (n_y,): of the outputs."""
-        gains, delays = settings.gains, settings.delays_s
-        bias = (
-            Fault("bias", settings.bias_of_spread, tuple(map(float, spread)))
-            if settings.bias is None
-            else Fault("bias", settings.bias)
-        )
-        # The coarse ones first.
-        faults = [*(Fault("gain", g) for g in gains[:2]), Fault("freeze")]
-        faults += [Fault(kind, delays[0]) for kind in ("input_delay", "output_delay")]
-        faults += [*(Fault("gain", g) for g in gains[2:]), bias]
-        faults += [Fault(kind, d) for d in delays[1:] for kind in ("input_delay", "output_delay")]
         times = (settings.fault_from_s, settings.shortest_drive_s, settings.found_within_s)
-        return cls(*times, settings.starts, tuple(faults), settings.ways, settings.ramp_s)
+        return cls(*times, settings.starts, stated(settings, spread), settings.ways, settings.ramp_s)
 
     def to_dict(self) -> dict:
         """The times, the number of starts and the ways, JSON-able."""

@@ -10,7 +10,7 @@ lags.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -34,7 +34,8 @@ CELLS = 4
 @dataclass(frozen=True)
 class Quality:
     """What a model explains of some samples: vaf, gain and the outputs' variance (n_y,); whiteness and
-    left_by_input (n_y,) in standard deviations, NaN without a noise model; speed_mps: least and largest."""
+    left_by_input (n_y,) in standard deviations, NaN without a noise model; speed_mps: least and largest;
+    ``missing``: samples of the drive that are."""
 
     name: str
     judged_s: float
@@ -44,6 +45,7 @@ class Quality:
     variance: np.ndarray
     whiteness: np.ndarray
     left_by_input: np.ndarray
+    missing: int = 0
 
     def to_dict(self) -> dict:
         """Plain values, as in fit.json."""
@@ -107,7 +109,8 @@ def by_drive(
 def of_drive(model: NominalModel, drive: Drive, yhat: np.ndarray, whitening: list[Whitening]) -> Quality:
     """Of one drive, whose nominal output is yhat (N, n_y); without a noise model residuals are not tested."""
     judged = judged_samples(model, drive.v)
-    return quality(drive.name, drive.v[judged], drive.y[judged], yhat[judged], model.Ts, whitening)
+    found = quality(drive.name, drive.v[judged], drive.y[judged], yhat[judged], model.Ts, whitening)
+    return replace(found, missing=drive.missing_samples)
 
 
 def by_speed(model: NominalModel, drives: list[Drive]) -> list[Quality]:
@@ -127,6 +130,15 @@ def by_speed(model: NominalModel, drives: list[Drive]) -> list[Quality]:
         at = (v >= a) & ((v < b) | (b == edges[-1]))
         found.append(quality(f"{a:.3g} to {b:.3g} m/s", v[at], y[at], yhat[at], model.Ts, []))
     return found
+
+
+def gaps(found: list[Quality]) -> list[str]:
+    """A line a drive with missing samples."""
+    return [
+        f"{q.name}: {q.missing} samples with a value outside its signal's range count as missing"
+        for q in found
+        if q.missing
+    ]
 
 
 def pooled_vaf(found: list[Quality]) -> np.ndarray:

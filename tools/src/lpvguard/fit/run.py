@@ -22,7 +22,7 @@ import numpy as np
 
 from ..base import artefacts
 from ..base.errors import InputError
-from ..drives.tables import Drive, Experiment, bound_setting, list_experiments, read_drive
+from ..drives.tables import Drive, Experiment, bound_setting, list_experiments, read_drive, set_aside
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
 from .estimate import Estimate, Fit
@@ -124,7 +124,7 @@ def fit(project: Project, folder: Path, progress: Callable[[str], None] = lambda
         of_fitted,
         of_unseen,
         by_speed(model, screen.explained),
-        {name: str(error) for name, error in screen.faults.items()},
+        set_aside(Path(folder)) | {name: str(error) for name, error in screen.faults.items()},
         [*map(str, [*screen.faults.values(), *beside.values()]), *_findings(estimate, of_fitted)],
         {e.name: artefacts.file_hash(e.path) for e in experiments},
     )

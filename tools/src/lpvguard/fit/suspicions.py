@@ -336,12 +336,16 @@ def _fault_of(
         )
     if left < 1:
         return None
-    share = "nothing is judged" if not np.isfinite(left) else f"the model leaves {left:.0%} of the output"
+    if not np.isfinite(left):
+        low, high = unknowns.base.model.speed_min_mps, unknowns.base.model.speed_max_mps
+        speeds = f"{drive.v.min():.3g} to {drive.v.max():.3g} m/s"
+        what = f"nothing is judged: at {speeds} it is nowhere long enough in the model's range"
+        return InputError(drive.name, "", what, f"{low:g} to {high:g} m/s"), False
     return (
         InputError(
             drive.name,
             "",
-            f"{share}, and no sign, unit, swap or delay explains it",
+            f"the model leaves {left:.0%} of the output, and no sign, unit, swap or delay explains it",
             "drives in the range where the model holds, with steering that moves the car",
         ),
         False,

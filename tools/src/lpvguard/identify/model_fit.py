@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from ..base.errors import InputError
 from ..drives.tables import Experiment
 from ..fit.quality import POOR_VAF, Quality, of_drive, pooled_vaf
@@ -29,6 +31,23 @@ def require_better_than_none(project: Project, found: list[Quality], folder: Pat
                 "drives",
                 "a model of these drives; `lpvguard fit` fits it, and names wrong signs, units or delays",
             )
+
+
+def evidence(
+    omega: np.ndarray, frames: np.ndarray, length: np.ndarray, Ts: float, found: list[Quality]
+) -> list[str]:
+    """A line a bin above DC: how much of the bound-setting drives' time in range its counted frames start in.
+
+    It also says how many frames that is one after another. omega (K,) [rad/s]; ``frames`` (K,) that count;
+    ``length`` (K,) [samples]; Ts [s].
+    """
+    in_range_s = sum(q.judged_s for q in found)
+    return [
+        f"{w / (2 * np.pi):.3g} Hz: {n * Ts:.0f} of {in_range_s:.0f} s in range count, {n / m:.0f} frames of "
+        f"{m * Ts:.3g} s one after another"
+        for w, n, m in zip(omega, frames, length, strict=True)
+        if w > 0
+    ]
 
 
 def sentences(project: Project, found: list[Quality]) -> list[str]:

@@ -25,9 +25,7 @@ bit of the bounds.
 from __future__ import annotations
 
 import io
-import tempfile
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -39,10 +37,10 @@ from ..base import artefacts
 from ..base.errors import InputError
 from ..base.parallel import Map
 from ..base.sampling import Rows, stacked
-from ..core.coefficients import Coefficients, vehicle_files
+from ..core.coefficients import Coefficients
 from ..core.compiled import Core
 from ..drives.frames import Estimator, not_for_the_core
-from ..drives.tables import EXPERIMENTS, Drive, Experiment, bound_setting, list_experiments
+from ..drives.tables import EXPERIMENTS, Drive, Experiment, bound_setting, list_experiments, set_aside
 from ..fit.quality import Quality
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, parse_project
@@ -62,6 +60,7 @@ from .passes import (
     thinned,
     uncertainty_pass,
 )
+from .scratch import scratch_core
 from .visibility import Excitation, visibility
 from .weights import (
     FittedWeight,
@@ -92,7 +91,8 @@ def _quiet(_: str) -> None:
 
 @dataclass(frozen=True)
 class Identification:
-    """Everything that identify finds; see the module's docstring for the files."""
+    """Everything that identify finds; see the module's docstring for the files. ``model_fit``: of the drives
+    that set the bounds; ``others_fit``: of those that do not."""
 
     project: Project
     model: NominalModel
@@ -110,6 +110,7 @@ class Identification:
     left_out: dict[str, str]
     sha256: dict[str, str]
     model_fit: list[Quality]
+    others_fit: list[Quality]
 
 
 class DriveSet:
@@ -122,16 +123,6 @@ class DriveSet:
     def load(self, name: str) -> tuple[Drive, np.ndarray, np.ndarray]:
         """The drive, its nominal error e and nominal output yhat (N, n_y)."""
         return self.reader.read(self.experiments[name])
-
-
-@contextmanager
-def _scratch_core(project: Project, coefficients: Coefficients) -> Iterator[Core]:
-    """A core compiled from coefficients in a temporary folder."""
-    with tempfile.TemporaryDirectory() as folder:
-        target = Path(folder) / project.name
-        target.mkdir()
-        artefacts.write_files(target, vehicle_files(project, coefficients, {}))
-        yield Core(target)
 
 
 @dataclass(frozen=True)
@@ -275,9 +266,7 @@ class _Run:
             scores = {n: s / inflated.inflation for n, s in scores.items()}
             return inflated, calibrate(scores, alpha, recordings=recordings), None
         filters = energy_filters(project, estimator, weights)
-        with _scratch_core(
-            project, coefficients_of(project, model, estimator, weights, 1.0, filters)
-        ) as core:
+        with scratch_core(project, coefficients_of(project, model, estimator, weights, 1.0, filters)) as core:
             inflated = self._inflated(weights, core, drives)
             test = self._energy_test(inflated, drives)
             reals = coefficients_of(project, model, estimator, inflated, 1.0, test).flat_reals()
@@ -374,19 +363,24 @@ def _of_commands(project: Project, setting: list[Experiment], parts: list[Part],
 
 
 def identify(
-    project: Project, folder: Path, *, workers: Map = map, progress: Progress = _quiet
+    project: Project,
+    folder: Path,
+    *,
+    workers: Map = map,
+    progress: Progress = _quiet,
+    without: Collection[str] = (),
 ) -> tuple[Identification, DriveSet]:
-    """Run steps 1-7 on a drive folder, with the drives mapped by ``workers`` (base/parallel.py).
+    """Run steps 1-7 on a drive folder but for the drives ``without``; ``workers``: base/parallel.py.
 
     Raises InputError for bad input and when no frame of a bound-setting drive counts.
     """
-    model = NominalModel(project)
-    experiments = list_experiments(Path(folder))
-    drives = DriveSet(project, model, experiments)
+    experiments = [e for e in list_experiments(Path(folder)) if e.name not in without]
+    drives = DriveSet(project, NominalModel(project), experiments)
     estimator, run = drives.reader.estimator, _Run(drives.reader, workers, progress)
     hashes = table_hashes(experiments, workers)
     chosen = _Chosen.by_split(project, experiments, Path(folder))
-    model_fit = list(run.over("model", partial(drive_fit, drives.reader), chosen.setting))
+    fit_of = partial(drive_fit, drives.reader)
+    model_fit, others_fit = (list(run.over("model", fit_of, of)) for of in (chosen.setting, chosen.others))
     require_better_than_none(project, model_fit, Path(folder))
     parts = list(run.first_parts(chosen.setting, keep=True))
     first = fold(parts)
@@ -404,12 +398,11 @@ def identify(
         project, estimator, bounds, gamma_w, W_delta, noise_peak, first["E"], command["Y"][:, 0]
     )
     weights, calibration, energy = run.calibrated(weights, chosen)
-    met = run.met
     progress("window error")
     found = weights.at(estimator.omega)[0] / weights.inflation
     result = Identification(
         project=project,
-        model=model,
+        model=drives.reader.model,
         estimator=estimator,
         bounds=bounds,
         model_error=error,
@@ -417,15 +410,16 @@ def identify(
         calibration=calibration,
         energy=energy,
         visibility=visibility(
-            estimator.omega, estimator.speed_range, met, found, calibration.carried, weights.inflation
+            estimator.omega, estimator.speed_range, run.met, found, calibration.carried, weights.inflation
         ),
         spectra=run.spectra,
         bound_drives=[e.name for e in chosen.setting],
         calibration_drives=list(calibration.scores),
         noise_drives=[e.name for e in chosen.noise],
-        left_out=run.left_out,
+        left_out=set_aside(Path(folder)) | run.left_out,
         sha256=hashes,
         model_fit=model_fit,
+        others_fit=others_fit,
     )
     return result, drives
 

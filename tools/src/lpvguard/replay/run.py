@@ -302,7 +302,7 @@ class Replayer:
         drive = read_drive(path, self.project)
         nominal_output = self.model.simulate(drive.v, drive.u, drive.y[0])
         require_units(path, drive, nominal_output, self.estimator.settled(drive.v))
-        return Recorded(drive)
+        return Recorded(drive, None if drive.missing is None else ~drive.missing)
 
     def replay_recorded(self, recorded: Recorded) -> Replay:
         """Run what was read from a file."""
@@ -360,7 +360,7 @@ def bus_frames(path: Path, project: Project) -> Frames:
     log = read_raw_log(path)
     if log is not None:
         return log
-    drive = read_drive(path, project)
+    drive = read_drive(path, project).present
     return frames_of_drive(drive.t, values_of_drive(project, drive))
 
 

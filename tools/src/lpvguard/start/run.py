@@ -242,7 +242,7 @@ def _project(
     top = float(np.quantile(v, 0.99))
     driving = v > 0.1 * top
     low, high = (
-        float(f"{x:.2g}") for x in (max(float(np.quantile(v[driving], 0.05)), 0.15 * top), 1.02 * top)
+        float(f"{x:.2g}") for x in (max(0.98 * float(np.quantile(v[driving], 0.05)), 0.15 * top), 1.02 * top)
     )
     steering = np.concatenate([_spreads(d, Ts) for d in drives])
     excited = float(f"{np.quantile(steering[steering > 0], 0.25):.1g}")
@@ -257,10 +257,10 @@ def _project(
         project, text = found
         nominal = NominalModel(project)
         estimator = Estimator.of(project, nominal)
-        judged = sum(int(estimator.counted(d.v, 0).sum()) for d in drives) / sum(len(d.v) for d in drives)
-        if best is None or judged > best[3]:
+        judged = _judged_shares(estimator, drives)
+        if best is None or judged[0] > best[3][0]:
             best = (project, text, (f_min, tolerance), judged)
-        if judged >= JUDGED:
+        if judged[0] >= JUDGED:
             break
     if best is None:
         raise InputError("new", "", f"a sample time of {Ts:g} s leaves no frames", "a faster log")
@@ -269,10 +269,26 @@ def _project(
     notes = [
         f"{len(drives)} drives, {sum(d.duration_s for d in drives):.0f} s, at {1 / Ts:g} Hz",
         f"frames from {f_min:g} to {project.frames.f_max_hz:g} Hz, speed within {tolerance:.0%} of a frame's "
-        f"mean: {judged:.0%} of the frames' starts count in the lowest bin",
-        f"speed range {low:g} to {high:g} m/s: from the 5th to the 99th percentile of driving",
+        f"mean: {judged[0]:.0%} of the frames' starts count in the lowest bin",
+        "by bin: " + ", ".join(f"{f:.3g} Hz {s:.0%}" for f, s in _above_dc(project, judged)),
+        f"excited from {excited:g} rad over 10 s: {np.mean(steering >= excited):.0%} of the pieces of 10 s",
+        f"speed range {low:g} to {high:g} m/s: from the 5th to the 99th percentile of driving, and 2% beyond",
     ]
     return project, text, notes
+
+
+def _judged_shares(estimator: Estimator, drives: list[Drive]) -> list[float]:
+    """Of all samples, the share at which a counted frame of each bin starts."""
+    samples = sum(len(d.v) for d in drives)
+    return [
+        sum(int(estimator.counted(d.v, k).sum()) for d in drives) / samples for k in range(estimator.n_bins)
+    ]
+
+
+def _above_dc(project: Project, shares: list[float]) -> list[tuple[float, float]]:
+    """Frequency [Hz] and share of every bin but DC."""
+    omega = Estimator.of(project, NominalModel(project)).omega
+    return [(w / (2 * np.pi), share) for w, share in zip(omega.tolist(), shares, strict=True) if w > 0]
 
 
 def _spreads(drive: Drive, Ts: float) -> np.ndarray:

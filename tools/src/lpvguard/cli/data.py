@@ -1,0 +1,39 @@
+"""`lpvguard data`: a public data set, made anew from where it was published."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .shared import app, console, progress_bar
+
+
+@app.command(epilog="Example: lpvguard data genesis_g80 --from genesis_path_follower -o data/genesis_g80")
+def data(
+    name: Annotated[str, typer.Argument(help="Data set of the table.")],
+    source: Annotated[
+        Path | None,
+        typer.Option(
+            "--from", help="Clone of its repository, or folder with its files (default: git fetches it)."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Folder to write (default: the data set's name).")
+    ] = None,
+    table: Annotated[
+        Path | None, typer.Option(help="Table of data sets of your own (default: the shipped one).")
+    ] = None,
+) -> None:
+    """Rebuild measured data from their public source at the stated commits, and check every file's hash."""
+    from ..sources.rebuild import rebuild
+    from ..sources.table import load_data_set
+
+    found, target = load_data_set(name, table), Path(name) if out is None else out
+    with progress_bar("data") as tell:
+        files = rebuild(name, found, target, source, tell)
+    console.print(
+        f"{found.title}: {len(files)} files written to {target}, each with the hash that the table states; "
+        f"{found.licence}, {found.repository}"
+    )

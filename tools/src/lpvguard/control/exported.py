@@ -1,0 +1,27 @@
+"""The generated folder of an identification with its controller, or with a group's thresholds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..core.control_coefficients import load_controller
+from ..identify import export
+from ..identify.run import StoredIdentification
+from .design import verify
+
+
+def export_chosen(
+    stored: StoredIdentification, target: Path, controller: Path | None = None, group: str | None = None
+) -> StoredIdentification:
+    """Write the generated folder, whole or not at all; returns the identification as exported.
+
+    ``controller``: controller.json or the folder of `design`, whose certificates are proved anew; None: no
+    controller. ``group``: whose thresholds the core carries; None: the largest of all. InputError where a
+    certificate fails, or no drive is of the group.
+    """
+    chosen = stored if group is None else stored.of_group(group)
+    path = controller / "controller.json" if controller is not None and controller.is_dir() else controller
+    if path is not None:
+        verify(path, chosen)
+    export.export_vehicle(chosen, target, None if path is None else load_controller(path))
+    return chosen

@@ -1,0 +1,144 @@
+"""Drives that the nominal model does not explain at all, and what they cost.
+
+Such a drive (a slide, a crash, the wrong day or car) is bounded as every other: the bounds hold on it, and
+grow. Nothing is left out in silence. Who looks at the drive and finds that the model is not meant for it sets
+it aside in experiments.csv, with the reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from ..base.errors import InputError
+from ..base.parallel import Map
+from ..core.compiled import VERDICTS, Core
+from ..drives.faults import inject, stated
+from ..drives.frames import not_for_the_core
+from ..drives.tables import EXPERIMENTS, Experiment
+from ..vehicle.project import EvaluationSettings
+from .passes import DriveReader
+from .run import Identification, identify
+from .scratch import scratch_core
+from .weights import coefficients_of
+
+UNEXPLAINED_VAF = 0.5
+"""A drive of which the model leaves more than the rest is called unexplained."""
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """A drive of which the model explains less than UNEXPLAINED_VAF of an output. ``sets_bounds``: or it
+    calibrates."""
+
+    name: str
+    sets_bounds: bool
+    output: str
+    vaf: float
+    gain: float
+
+    def sentence(self) -> str:
+        """The drive, what it does, and why it is named."""
+        left = f"the model leaves {1 - self.vaf:.0%} of {self.output}"
+        gain = f", gain {self.gain:.3f}" if np.isfinite(self.gain) else ""
+        return f"{self.name} {'sets the bounds' if self.sets_bounds else 'calibrates'}, and {left}{gain}"
+
+
+def unexplained(result: Identification) -> list[Unexplained]:
+    """The unexplained drives among those that set the bounds or calibrate, each with its worst output."""
+    found = []
+    judged = {*result.bound_drives, *result.calibration_drives}
+    for sets_bounds, qualities in ((True, result.model_fit), (False, result.others_fit)):
+        for q in qualities:
+            if q.name not in judged or np.isnan(q.vaf).all():
+                continue
+            j = int(np.nanargmin(q.vaf))
+            if q.vaf[j] < UNEXPLAINED_VAF:
+                signal = result.project.outputs[j].name
+                found.append(Unexplained(q.name, sets_bounds, signal, float(q.vaf[j]), float(q.gain[j])))
+    return found
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Faults that alarm in the drives that are left: ``found`` with the bounds as they are,
+    ``found_without`` with those of the other drives alone. ``of``: how many are put in."""
+
+    names: tuple[str, ...]
+    found: int
+    found_without: int
+    of: int
+
+    def sentences(self) -> list[str]:
+        """What the drives cost, and the lines of experiments.csv that set them aside."""
+        these = "it" if len(self.names) == 1 else "them"
+        return [
+            f"with {these}, {self.found} of {self.of} faults as evaluate injects them alarm in the drives "
+            f"that calibrate; without {these}, {self.found_without}",
+            f"where the model is not meant for {these}: write no and why into the columns use and reason of "
+            f"{EXPERIMENTS}, then fit and identify again",
+        ]
+
+
+def cost(
+    result: Identification,
+    folder: Path,
+    named: list[Unexplained],
+    *,
+    workers: Map = map,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Cost | None:
+    """What the ``named`` drives cost; None where too little remains to identify from, or without a core.
+
+    The drives are identified once more without them. Every fault of the project's settings is put into each
+    drive that then calibrates, from its first sample (a frozen output: from a third of the drive on).
+    """
+    names = tuple(u.name for u in named)
+    settings = result.project.evaluation
+    try:
+        other, drives = identify(
+            result.project,
+            folder,
+            workers=workers,
+            progress=lambda text: progress(f"again, {text}"),
+            without=names,
+        )
+        known = [drives.experiments[n] for n in other.calibration_drives]
+        counts = [_alarms(r, known, settings, workers) for r in (result, other)]
+    except InputError:
+        return None
+    faults = len(stated(settings, np.zeros(result.project.n_y)))
+    return Cost(names, counts[0], counts[1], faults * len(known)) if known else None
+
+
+def _alarms(
+    result: Identification, known: list[Experiment], settings: EvaluationSettings, workers: Map
+) -> int:
+    if result.energy is None:
+        raise not_for_the_core(result.project)
+    reader, carried = DriveReader(result.project, result.model), result.calibration.carried
+    coefficients = coefficients_of(
+        result.project, result.model, result.estimator, result.weights, carried, result.energy
+    )
+    with scratch_core(result.project, coefficients) as core:
+        return sum(workers(partial(_alarms_of_drive, reader, core, settings), known))
+
+
+def _alarms_of_drive(
+    reader: DriveReader, core: Core, settings: EvaluationSettings, experiment: Experiment
+) -> int:
+    """How many of the faults alarm in a drive; none counts where it alarms untouched."""
+    drive, Ts = reader.read(experiment)[0], reader.estimator.Ts
+    invalid = VERDICTS.index("invalid")
+    if np.any(core.monitor().run_drive(drive).verdict == invalid):
+        return 0
+    faults = stated(settings, drive.y.std(axis=0))
+    starts = [drive.duration_s / 3 if f.kind == "freeze" else 0.0 for f in faults]
+    return sum(
+        bool(np.any(core.monitor().run_drive(inject(drive, f, start, Ts)).verdict == invalid))
+        for f, start in zip(faults, starts, strict=True)
+    )
