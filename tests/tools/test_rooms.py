@@ -34,6 +34,7 @@ ORDER = (
     "evaluate",
     "loop",
     "report",
+    "live",
     "problems",
     "schemas",
     "bench",

@@ -52,19 +52,33 @@
       if (lines.length > 1) legend(plot, lines);
     });
 
+  /** Where bins stand on a logarithmic axis; one at 0 rad/s stands below the lowest other. */
+  const placesOf = (omega) => {
+    const lowest = Math.min(...omega.filter((w) => w > 0));
+    return omega.map((w) => (w > 0 ? w : lowest / 2));
+  };
+
   const makeAll = async (what) => {
     const found = {};
-    const [low, high] = [what.omega[0] / 1.3, what.omega[what.omega.length - 1] * 1.3];
-    const log = () => ({ x_axis_type: "log", x_range: new B.Range1d({ start: low, end: high }) });
-    const bins = ["omega", "statistic", "largest", "margin", "evidence", "t"];
+    const log = () => ({ x_axis_type: "log", x_range: new B.DataRange1d() });
+    const places = placesOf(what.omega);
+    const ticks = [-3, -2, -1, 0, 1, 2, 3].flatMap((power) => [1, 2, 5].map((n) => n * 10 ** power))
+      .filter((tick) => tick > 1.3 * places[0]);
+    const axis = (plot) => {
+      plot.xaxis.ticker = new B.FixedTicker({ ticks: [...places.slice(0, 1), ...ticks] });
+      plot.xaxis.major_label_overrides = new Map([[places[0], String(+what.omega[0].toPrecision(2))]]);
+      plot.xaxis.formatter = new B.BasicTickFormatter({ use_scientific: false });
+    };
+    const bins = ["place", "omega", "statistic", "largest", "margin", "evidence", "t"];
     found.margins = await picture("margins",
       `Margins over frequency: the newest frame of each bin, the largest of the window; dashed: the threshold ${
         what.threshold.toPrecision(3)} above which the model is refuted.`,
       ["frequency [rad/s]", "statistic"], bins, (plot, source) => {
         level(plot, what.threshold);
-        const large = plot.scatter(field("omega"), field("largest"), { source, marker: "dash", size: 16,
+        axis(plot);
+        const large = plot.scatter(field("place"), field("largest"), { source, marker: "dash", size: 16,
           line_color: COLOURS[1], line_width: 2 });
-        const dots = plot.scatter(field("omega"), field("statistic"), { source, marker: "circle", size: 8,
+        const dots = plot.scatter(field("place"), field("statistic"), { source, marker: "circle", size: 8,
           fill_color: COLOURS[0], line_color: null });
         hover(plot, [["frequency", "@omega{0.000} rad/s"], ["statistic", "@statistic{0.000}"],
           ["t*", "@margin{0.000}"], ["largest", "@largest{0.000}"], ["judged at", "@t{0.00} s"]], [dots, large]);
@@ -74,7 +88,8 @@
       "Evidence: t* that a vehicle which did not respond at all would have read. Below 1 the frame could not object.",
       ["frequency [rad/s]", "evidence"], bins, (plot, source) => {
         level(plot, 1);
-        const marks = plot.scatter(field("omega"), field("evidence"), { source, marker: "triangle", size: 9,
+        axis(plot);
+        const marks = plot.scatter(field("place"), field("evidence"), { source, marker: "triangle", size: 9,
           fill_color: COLOURS[2], line_color: null });
         hover(plot, [["frequency", "@omega{0.000} rad/s"], ["evidence", "@evidence{0.000}"],
           ["judged at", "@t{0.00} s"]], [marks]);
@@ -108,8 +123,9 @@
     const series = Object.fromEntries(Object.entries(view.series).map(([k, v]) => [k, numbers(v)]));
     const omega = what.omega;
     const bins = Object.fromEntries(Object.entries(view.bins).map(([k, v]) => [k, numbers(v)]));
-    pictures.margins.source.data = { omega, ...bins };
-    pictures.evidence.source.data = { omega, ...bins };
+    const place = placesOf(omega);
+    pictures.margins.source.data = { place, omega, ...bins };
+    pictures.evidence.source.data = { place, omega, ...bins };
     pictures.energy.source.data = { t: series.t, ...Object.fromEntries(what.bands.map((band, i) =>
       [band, series.energy.map((v, k) => (series.band[k] === i ? v : NaN))])) };
     for (const [name, { source, time }] of Object.entries(pictures)) {
