@@ -2,4 +2,4 @@
 simulation, a CAN interface or a growing log. Out: a read-only page for browsers of this machine, and drive
 tables. Which rooms it may import: MAY_IMPORT."""
 
-MAY_IMPORT = ("base", "vehicle", "can", "drives", "core", "replay", "loop")
+MAY_IMPORT = ("base", "vehicle", "can", "core", "replay", "loop")

@@ -29,7 +29,7 @@ BLOCK = 1 << 18
 EXPECTED = "an LCM URL (udpm://...), socketcan:INTERFACE, or the path of a candump log that grows"
 
 
-class Source(Protocol):
+class FrameSource(Protocol):
     """Frames as they come. ``lost``: frames that the source knows it lost on the way; ``trouble``: why there
     are none at the moment, empty when nothing is known."""
 
@@ -42,7 +42,7 @@ class Source(Protocol):
         ...
 
 
-def open_source(where: str) -> Source:
+def open_source(where: str) -> FrameSource:
     """The source that ``where`` names. InputError where it is none, or cannot be opened."""
     if where.startswith("socketcan:"):
         return CanSource(where.removeprefix("socketcan:"))

@@ -22,7 +22,7 @@ from ..replay.run import Replayer
 from ..replay.told import alarm_sentence
 from ..vehicle.nominal import RunningModel
 from .sampling import Sampler
-from .sources import Source
+from .sources import FrameSource
 
 ALARMS = 1000
 """Alarms that are kept, the newest."""
@@ -72,7 +72,7 @@ class Watch:
     def __init__(
         self,
         replayer: Replayer,
-        source: Source,
+        source: FrameSource,
         window_s: float,
         channel: str | None = None,
         clock: Callable[[], float] = time.monotonic,
