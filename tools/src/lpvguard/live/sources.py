@@ -61,6 +61,7 @@ class LcmSource:
         self._client = Client(url, ["LPVGUARD_BUS"], QUEUE)
 
     def pieces(self) -> Iterator[Frames | None]:
+        """Frames of the bus as LCM brings them; None where none came for WAIT_S."""
         newest = -1
         while True:
             heard = [m for _, m in self._client.waiting(WAIT_S, MOST)]
@@ -93,6 +94,7 @@ class CanSource:
             ) from None
 
     def pieces(self) -> Iterator[Frames | None]:
+        """Frames that the interface hears; None where none came within WAIT_S, or while it is away."""
         while True:
             try:
                 self._bus = self._bus or self._open()
@@ -132,6 +134,7 @@ class LogSource:
         self._path = path
 
     def pieces(self) -> Iterator[Frames | None]:
+        """Frames of the lines that were added; None where none was, or while the log is away."""
         while True:
             try:
                 yield from self._until_replaced()

@@ -49,7 +49,8 @@ class Ring:
         self.count += len(new)
 
     def rows(self, first: int, end: int, step: int = 1) -> np.ndarray:
-        """A copy of the rows numbered ``first`` to before ``end``, those that are kept, every ``step``-th."""
+        """A copy (N, columns) of the rows numbered ``first`` to before ``end``, those that are kept, every
+        ``step``-th."""
         first = max(first, self.count - len(self._rows), 0)
         numbers = np.arange(first + -first % step, min(end, self.count), step)
         return self._rows[numbers % len(self._rows)]
@@ -105,6 +106,7 @@ class Watch:
         self._heard_at: float | None = None
         self._monitor = replayer.core.monitor()
         self._model: RunningModel | None = None
+        self._restarts = 0
         self._stop = threading.Event()
         self.failed = ""
 
@@ -135,6 +137,8 @@ class Watch:
         clean = np.nan_to_num(values)
         v, u, y = clean[:, 0], clean[:, 1 : 1 + n_u], clean[:, 1 + n_u : 1 + n_u + n_y]
         run = self._monitor.run(t, v, u, y, present)
+        if self._restarts != self._sampler.jumps:
+            self._restarts, self._model = self._sampler.jumps, None
         if self._model is None and present.any():
             self._model = RunningModel(self.replayer.model, y[np.argmax(present)])
         yhat = np.full_like(y, np.nan) if self._model is None else self._model.run(v, u)

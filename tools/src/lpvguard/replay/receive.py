@@ -141,7 +141,8 @@ class Receiver:
         return live, np.logical_and(live.all(axis=0), np.isfinite(values[:, : len(self.signals)]).all(axis=1))
 
     def counted(self, counts: np.ndarray) -> dict[str, Any]:
-        """What became of the frames: by needed or seen message ("messages"), and of all others ("other")."""
+        """What became of the frames, from ``counts`` (rules + 1, events): by needed or seen message
+        ("messages"), and of all others ("other")."""
         return {"messages": self._counted(counts), "other": _named(counts[-1])}
 
     def _one_channel(self, frames: Frames, where: str | Path) -> tuple[Frames, np.ndarray]:
