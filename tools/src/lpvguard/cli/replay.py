@@ -13,6 +13,7 @@ import typer
 
 from ..base import artefacts
 from ..base.errors import InputError
+from ..base.progress import Counted
 from .shared import (
     Coefficients,
     Jobs,
@@ -129,8 +130,8 @@ def _replayed(
     with progress_bar("replay") as tell, workers(jobs, scheduler) as run:
         task = partial(replayer.summarise_file, channel=channel, with_series=folder is not None)
         results = run(task, [log.absolute() for log in logs])
-        for log, result in zip(logs, results, strict=True):
-            tell(log.name)
+        for i, (log, result) in enumerate(zip(logs, results, strict=True), start=1):
+            tell(Counted(log.name, i, len(logs)))
             if isinstance(result, InputError):
                 failed = True
                 complain(result)
