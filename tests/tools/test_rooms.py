@@ -35,6 +35,7 @@ ORDER = (
     "evaluate",
     "loop",
     "report",
+    "live",
     "problems",
     "schemas",
     "bench",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pyarrow.parquet as parquet
 import pytest
@@ -58,3 +60,64 @@ def test_a_series_is_refused_where_two_would_have_one_name_and_where_nothing_is_
     played = lpvguard(*words, "--to", "socketcan:nowhere0", "--table", out)
     assert played.returncode == 2 and "judges nothing" in played.stderr
     assert not out.exists()
+
+
+@pytest.fixture(scope="module")
+def alarmed(replayer, synthetic, tmp_path_factory):
+    """Folder of a drive whose sensor reads 1.6 times the yaw rate, and what the core says of it."""
+    import pandas
+
+    path = tmp_path_factory.mktemp("alarmed") / "weak.csv"
+    table = pandas.read_csv(synthetic / "synthetic_01.csv")
+    table.assign(r=1.6 * table.r).to_csv(path, index=False)
+    return path, replayer.replay_file(path)
+
+
+def test_an_mcap_recording_is_read_back_with_the_same_verdicts_margins_and_alarms(
+    lpvguard, replayer, vehicle, alarmed, tmp_path
+):
+    reader = pytest.importorskip("mcap.reader", reason="the package mcap (lpvguard[mcap])")
+    path, said = alarmed
+    out = tmp_path / "out"
+    words = ("replay", "--vehicle", "g80", "--coefficients", vehicle, path, "--table", out, "--as", "mcap")
+    assert lpvguard(*words).returncode == 1
+    found = {topic: [] for topic in ("/lpvguard/sample", "/lpvguard/margin", "/lpvguard/alarm")}
+    with (out / "weak.mcap").open("rb") as stream:
+        for schema, channel, message in reader.make_reader(stream, validate_crcs=True).iter_messages():
+            assert schema.encoding == "jsonschema" and channel.message_encoding == "json"
+            found[channel.topic].append((message.log_time, json.loads(message.data)))
+    samples, margins, alarms = found.values()
+    assert [m["verdict"] for _, m in samples] == [VERDICTS[code] for code in said.run.verdict]
+    assert [t for t, _ in samples] == [round(k * 0.02 * 1e9) for k in range(len(samples))]
+    frames = said.run.frames
+    assert sorted(m["margin"] for _, m in margins) == sorted(frames.margin[frames.counted])
+    assert len(alarms) == len(said.alarms) > 0
+    assert [t for t, _ in alarms] == [round(a.t_s * 1e9) for a in said.alarms]
+    assert alarms[0][1]["message"].startswith(f"{said.alarms[0].test} test")
+
+
+def test_an_mf4_has_margins_as_channels_with_units_and_no_time_of_day(
+    lpvguard, replayer, vehicle, alarmed, tmp_path
+):
+    from asammdf import MDF
+
+    path, said = alarmed
+    words = ("replay", "--vehicle", "g80", "--coefficients", vehicle, path, "--as", "mf4", "--table")
+    assert lpvguard(*words, tmp_path / "one").returncode == 1
+    assert lpvguard(*words, tmp_path / "two").returncode == 1
+    one = tmp_path / "one" / "weak.mf4"
+    assert one.read_bytes() == (tmp_path / "two" / "weak.mf4").read_bytes()
+    frames = said.run.frames
+    with MDF(one) as mdf:
+        assert mdf.get("yaw_rate").unit == "rad/s" == mdf.get("e/yaw_rate").unit
+        assert np.array_equal(mdf.get("verdict_code").samples, said.run.verdict)
+        for k, w in enumerate(replayer.estimator.omega):
+            counted = frames.counted & (frames.bin == k)
+            signal = mdf.get(margin_column(w))
+            assert np.array_equal(signal.samples, frames.margin[counted])
+            assert signal.timestamps == pytest.approx(frames.t_judged_s[counted] - said.start_s)
+
+
+def test_a_form_without_a_folder_is_refused(lpvguard, vehicle, alarmed):
+    done = lpvguard("replay", "--vehicle", "g80", "--coefficients", vehicle, alarmed[0], "--as", "mf4")
+    assert done.returncode == 2 and "--as mf4: given without --table" in done.stderr

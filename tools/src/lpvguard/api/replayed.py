@@ -14,6 +14,7 @@ from scipy.io import savemat
 from ..base.errors import InputError
 from ..core.compiled import REASONS
 from ..replay.opened import replayer_for
+from ..replay.recordings import KINDS, write_series
 from ..replay.run import Alarm, Recorded, Replay, Replayer
 from ..vehicle.project import Project
 from .identified import project_of
@@ -63,6 +64,13 @@ class Replayed:
                 "falsified": f.falsified,
             }
         )
+
+    def save(self, path: str | Path) -> None:
+        """Write the time series as the suffix says: .parquet, .mcap or .mf4 (replay/recordings.py)."""
+        kind = next((k for k in KINDS if Path(path).suffix.lower() == f".{k}"), None)
+        if kind is None:
+            raise InputError(path, "suffix", Path(path).suffix or "none", ", ".join(f".{k}" for k in KINDS))
+        write_series(Path(path), kind, self.arrow, self.summary.to_dict()["alarms"])
 
     def save_mat(self, path: str | Path) -> None:
         """Write the time series as MATLAB variables; slashes and points of names become underscores, and NaN

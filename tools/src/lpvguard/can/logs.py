@@ -198,12 +198,9 @@ def _bytes(path: Path) -> bytes:
 
 
 def _read_candump(path: Path) -> Frames:
-    library = native.kernels("candump")
     compressed = path.suffix.lower() == ".gz" or path.stat().st_size == 0  # an empty file cannot be mapped
     text = np.frombuffer(_bytes(path), np.uint8) if compressed else np.memmap(path, np.uint8, "r")
-    if _SCREEN.search(text[:_HEAD].tobytes()):
-        text = np.frombuffer(_SCREEN.sub(_as_logged, text.tobytes()), np.uint8)
-    frames = parse_candump(text, library) if library else parse_candump_slowly(text)
+    frames = candump_frames(text)
     if len(frames) == 0:
         line = frames.left_out.get("first line that is no frame", 1)
         raise InputError(
@@ -213,6 +210,15 @@ def _read_candump(path: Path) -> Frames:
             "(seconds) interface identifier#data, as candump -l writes, or the screen of candump -t a",
         )
     return frames
+
+
+def candump_frames(text: np.ndarray) -> Frames:
+    """Frames of whole lines ``text`` (bytes,) of candump, as a log or as its screen; compiled where
+    possible."""
+    if _SCREEN.search(text[:_HEAD].tobytes()):
+        text = np.frombuffer(_SCREEN.sub(_as_logged, text.tobytes()), np.uint8)
+    library = native.kernels("candump")
+    return parse_candump(text, library) if library else parse_candump_slowly(text)
 
 
 _HEAD = 1 << 16

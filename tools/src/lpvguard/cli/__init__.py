@@ -31,6 +31,7 @@ from . import (  # noqa: F401 - each adds its verb, in the order of --help
     identify,
     ingest,
     lcm,
+    live,
     new,
     plant,
     replay,
@@ -57,6 +58,7 @@ MAY_IMPORT = (
     "evaluate",
     "loop",
     "report",
+    "live",
     "problems",
     "bench",
 )

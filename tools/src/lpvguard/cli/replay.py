@@ -7,12 +7,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from ..base import artefacts
 from ..base.errors import InputError
+from ..base.progress import Counted
 from .shared import (
     Coefficients,
     Jobs,
@@ -30,6 +31,7 @@ from .shared import (
 from .tables import print_replays
 
 if TYPE_CHECKING:
+    from ..replay.recordings import Kind
     from ..replay.run import Replayer
     from ..vehicle.project import Project
 
@@ -55,8 +57,12 @@ def replay(
     ] = None,
     series: Annotated[
         Path | None,
-        typer.Option("--table", help="Folder for the time series: a Parquet file a drive, a row a sample."),
+        typer.Option("--table", help="Folder for the time series: a file a drive, a row a sample."),
     ] = None,
+    kind: Annotated[
+        Literal["parquet", "mcap", "mf4"],
+        typer.Option("--as", help="With --table: Parquet, MCAP (Foxglove, PlotJuggler) or MF4."),
+    ] = "parquet",
     speed: Annotated[
         float | None, typer.Option(help="With --to: times the recorded pace; inf does not wait (default 1).")
     ] = None,
@@ -75,11 +81,13 @@ def replay(
             raise InputError("replay", "--table", "given with --to, which judges nothing", "one of them")
         _play(project_of(vehicle), logs, to, 1.0 if speed is None else speed, channel)
         return
+    if series is None and kind != "parquet":
+        raise InputError("replay", f"--as {kind}", "given without --table", "a folder to write to")
     if speed is not None:
         raise InputError("replay", "--speed", "given without --to", "a bus to play onto")
     replayer = replayer_of(vehicle, coefficients)
     with _series_folder(series, logs, replayer) as folder:
-        done, failed = _replayed(replayer, logs, channel, folder, jobs, scheduler)
+        done, failed = _replayed(replayer, logs, channel, folder, kind, jobs, scheduler)
     emit(json_out, done)
     print_replays(done, replayer)
     raise typer.Exit(2 if failed else 1 if any(r["alarms"] for r in done) else 0)
@@ -108,22 +116,22 @@ def _replayed(
     logs: list[Path],
     channel: str | None,
     folder: Path | None,
+    kind: Kind,
     jobs: int,
     scheduler: str | None,
 ) -> tuple[list[dict[str, Any]], bool]:
     """The object of every drive that could be read, and whether anything was complained about. The drives'
     time series go into ``folder``."""
-    from pyarrow.parquet import write_table
-
     from ..base.parallel import workers
+    from ..replay.recordings import write_series
 
     done: list[dict[str, Any]] = []
     failed = False
     with progress_bar("replay") as tell, workers(jobs, scheduler) as run:
         task = partial(replayer.summarise_file, channel=channel, with_series=folder is not None)
         results = run(task, [log.absolute() for log in logs])
-        for log, result in zip(logs, results, strict=True):
-            tell(log.name)
+        for i, (log, result) in enumerate(zip(logs, results, strict=True), start=1):
+            tell(Counted(log.name, i, len(logs)))
             if isinstance(result, InputError):
                 failed = True
                 complain(result)
@@ -131,7 +139,7 @@ def _replayed(
                 summary, series = result
                 done.append(summary)
                 if folder is not None:
-                    write_table(series, folder / f"{summary['run']}.parquet")
+                    write_series(folder / f"{summary['run']}.{kind}", kind, series, summary["alarms"])
     if done and not any(r["judged_s"] for r in done):
         failed = True
         low, high = replayer.model.speed_range

@@ -11,11 +11,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    SpinnerColumn,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
 
 from .. import __version__
 from ..base import artefacts
 from ..base.errors import InputError
+from ..base.progress import Counted
 from ..vehicle.stated import require_settings
 from .guard import Application, running
 
@@ -54,6 +64,15 @@ Coefficients = Annotated[
 ]
 
 
+class Remaining(TimeRemainingColumn):
+    """An estimate of what remains, where the steps are counted."""
+
+    def render(self, task: Task) -> Text:
+        """The estimate, or nothing."""
+        left = "" if task.total is None else super().render(task).plain
+        return Text(f"{left} left" if left else "")
+
+
 @contextmanager
 def progress_bar(title: str) -> Iterator[Callable[[str], None]]:
     """A bar on standard error while the command works; yields what tells it the step that runs."""
@@ -62,10 +81,17 @@ def progress_bar(title: str) -> Iterator[Callable[[str], None]]:
         TextColumn("{task.description}"),
         BarColumn(bar_width=20),
         TimeElapsedColumn(),
+        Remaining(),
     )
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(title, total=None)
-        yield lambda text: bar.update(task, description=f"{title}: {text}")
+
+        def tell(text: str) -> None:
+            bar.update(task, description=f"{title}: {text}")
+            if isinstance(text, Counted):
+                bar.update(task, completed=text.done, total=text.of)
+
+        yield tell
 
 
 def emit(json_out: str | None, value: Any, *, each: bool = False) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
+from ..replay.told import alarm_sentence
 from .shared import console
 
 if TYPE_CHECKING:
@@ -57,36 +58,13 @@ def print_replays(done: list[dict[str, Any]], replayer: Replayer) -> None:
     for r in done:
         for a in r["alarms"][:3]:
             console.print(
-                f"{r['run']}: t = {a['t_s']:.2f} s, {_alarm(a)}; "
+                f"{r['run']}: t = {a['t_s']:.2f} s, {alarm_sentence(a)}; "
                 f"a dead vehicle would read {a['evidence']:.2f}"
             )
         if len(r["alarms"]) > 3:
             console.print(f"{r['run']}: {len(r['alarms']) - 3} more alarms (--json lists all)")
         if "can" in r:
             _print_reception(r["run"], r["can"])
-
-
-def _listed(values: list[float]) -> str:
-    return ", ".join(f"{x:.3g}" for x in values)
-
-
-def _alarm(a: dict[str, Any]) -> str:
-    if a["test"] == "energy":
-        return (
-            f"energy test, v = {a['speed_mps']:.1f} m/s: ratio {a['margin']:.2f} > {a['threshold']:.2f} "
-            f"{a['band']} the corners, in direction ({_listed(a['direction'])}); ||F e|| = {_listed(a['E'])} "
-            f"against ||F W_delta yhat|| {_listed(a['Z'])} + sigma {_listed(a['B_w'])}"
-        )
-    return (
-        f"frame test, {a['bin_rad_s']:.3g} rad/s, v = {a['speed_mps']:.1f} m/s: "
-        f"margin {a['margin']:.2f} (statistic {a['statistic']:.2f} > {a['threshold']:.2f}); |E| = "
-        f"{_norm(a['E']):.3g} against W_delta {_listed(a['W_delta'])} x |Z| {_norm(a['Z']):.3g} + B_w "
-        f"{', '.join(f'{b:.3g}' for b in a['B_w'])}"
-    )
-
-
-def _norm(values: list[complex]) -> float:
-    return sum(abs(x) ** 2 for x in values) ** 0.5
 
 
 def _print_reception(run: str, can: dict[str, Any]) -> None:

@@ -144,14 +144,15 @@ class Run:
     """What the core said along a drive of N samples.
 
     ``verdict`` (N,): codes of monitor.h. ``status`` (N,): codes of status.h. ``energy`` (N,): the energy
-    test's ratio, 0 where it is not judged. ``frames``: the judged frames. ``energy_alarms``: the energy
-    test's alarms.
+    test's ratio, 0 where it is not judged. ``energy_band`` (N,): the band that ratio is of. ``frames``: the
+    judged frames. ``energy_alarms``: the energy test's alarms.
     """
 
     frames: FrameLog
     verdict: np.ndarray
     status: np.ndarray
     energy: np.ndarray
+    energy_band: np.ndarray
     energy_alarms: FrameLog
 
 
@@ -304,7 +305,8 @@ class RunningMonitor:
             for a, dtype in ((np.round(np.asarray(t) * 1e6), np.int64), (v, float), (u, float), (y, float))
         ]
         rows = np.empty((2 * n, columns))  # at most a frame and an alarm a sample
-        verdict, status, energy = np.empty(n, np.uint8), np.empty(n, np.uint8), np.empty(n)
+        verdict, status, band = (np.empty(n, np.uint8) for _ in range(3))
+        energy = np.empty(n)
         pushed = None if present is None else np.ascontiguousarray(present, np.uint8)
         count = self._core._lib.lpvgb_run(
             self._handle,
@@ -316,12 +318,13 @@ class RunningMonitor:
             _pointer(verdict),
             _pointer(status),
             _pointer(energy),
+            _pointer(band),
         )
         of_energy = rows[:count, 9] > 0
         frames, alarms = (
             FrameLog.from_rows(rows[:count][chosen], self._core.n_y) for chosen in (~of_energy, of_energy)
         )
-        return Run(frames, verdict, status, energy, alarms)
+        return Run(frames, verdict, status, energy, band, alarms)
 
     def run_drive(self, drive: Drive, present: np.ndarray | None = None) -> Run:
         """`run` over a whole drive of N samples; where ``present`` (N,) is False time passes without a

@@ -171,11 +171,12 @@ def watch(messages: Iterable[tuple[str, Any]]) -> Iterator[str]:
 
 
 class Client:
-    """Hears every channel of a simulation, and leads it. One thread; nothing is dropped here, however late it
-    is read."""
+    """Hears channels of a simulation, and leads it. One thread; nothing is dropped here, however late it is
+    read, unless ``queue`` limits what waits."""
 
-    def __init__(self, url: str):
-        """``url`` as LCM reads it. InputError when it cannot be opened."""
+    def __init__(self, url: str, channels: Iterable[str] = CHANNELS, queue: int = 0):
+        """``url`` as LCM reads it; ``queue``: messages of a channel that may wait (0: any number). InputError
+        when it cannot be opened."""
         try:
             self._lcm = _lcm().LCM(url)
         except RuntimeError as error:
@@ -183,14 +184,21 @@ class Client:
                 url, "LCM", str(error), "a URL as LCM reads it, such as udpm://239.255.76.67:7667?ttl=0"
             ) from None
         self._heard: deque[tuple[str, Any]] = deque()
-        for channel in CHANNELS:
-            self._lcm.subscribe(channel, self._hear).set_queue_capacity(0)  # 0: without end
+        for channel in channels:
+            self._lcm.subscribe(channel, self._hear).set_queue_capacity(queue)
 
     def messages(self, timeout_s: float) -> Iterator[tuple[str, Any]]:
         """(channel, message) as they come, until ``timeout_s`` [s] have passed without one."""
         while self._heard or self._lcm.handle_timeout(round(timeout_s * 1e3)) > 0:
             while self._heard:
                 yield self._heard.popleft()
+
+    def waiting(self, timeout_s: float, most: int) -> list[tuple[str, Any]]:
+        """Up to ``most`` (channel, message) that wait; where none does, waits ``timeout_s`` [s] for one."""
+        left_ms = round(timeout_s * 1e3)
+        while len(self._heard) < most and self._lcm.handle_timeout(left_ms) > 0:
+            left_ms = 0
+        return [self._heard.popleft() for _ in range(min(most, len(self._heard)))]
 
     def command(self, action: Action, entry: str = "", *, ticks: int = 1, timeout_s: float = 5.0) -> Any:
         """Sends a control_t (firmware_sim/lcm/lpvguard_control.lcm) and returns the status_t that answers it.

@@ -23,13 +23,13 @@ import tempfile
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
 from ..base import native
 from ..base.errors import InputError
-from ..can.bus import take_case
+from ..can.bus import REFERENCE, take_case
 from ..can.catalogue import BusSignal, Catalogue, Message, load_catalogue
 from ..can.codegen import ANY_PRIORITY, SOURCE, codec_files, messages_in_order
 from ..can.logs import EXTENDED, Frames
@@ -84,7 +84,9 @@ class Receiver:
     Raises InputError when a signal has no place on the bus, or nothing compiles here.
     """
 
-    def __init__(self, project: Project, catalogue: Catalogue | None = None):
+    def __init__(self, project: Project, catalogue: Catalogue | None = None, command: bool = False):
+        """``command``: values have one more column, the driver's yaw-rate command where the bus has it (it
+        needs none)."""
         self.project = project
         self.signals = [project.speed, *project.inputs, *project.outputs]
         if project.can is None:
@@ -92,13 +94,15 @@ class Receiver:
         else:
             bus = _car_bus(self.signals, own_bus(project))
         self._rules = messages_in_order(bus.catalogue)
-        self._places, self._sent = bus.places, bus.sent
-        self.needed = [m for m in self._rules if any(m is p.message for p in self._places)]
+        self._sent = bus.sent
+        self.needed = [m for m in self._rules if any(m is p.message for p in bus.places)]
+        self._places = [*bus.places, *([_command_place(bus.catalogue)] if command else [])]
+        self.n_rules = len(self._rules)
         library = _library(project.name, _take_source(self._places), *sorted(bus.files.items()))
-        self._lib = ctypes.CDLL(str(library))
+        self.library = ctypes.CDLL(str(library))
         sizes = (ctypes.c_uint32 * 2)()
-        self._lib.lpvgb_receiver_sizes(sizes)
-        if tuple(sizes) != (len(self._rules), len(EVENTS)):
+        self.library.lpvgb_receiver_sizes(sizes)
+        if tuple(sizes) != (self.n_rules, len(EVENTS)):
             raise AssertionError("the events of can.h and of this module differ")
 
     def receive(self, frames: Frames, where: str | Path, *, channel: str | None = None) -> Received:
@@ -111,48 +115,45 @@ class Receiver:
         # The first sample waits for the first frame of a message that counts; silence before it is no gap.
         first = round(int(t_us[np.flatnonzero(ours[order])[0]]) / fastest) * fastest + fastest // 2
         ticks = max(int(t_us[-1] - first) // period + 1, 1)
-        values = np.empty((ticks, len(self._places)))
-        states = np.empty((ticks, len(self._rules)), np.uint8)
-        counts = np.zeros((len(self._rules) + 1, len(EVENTS)), np.uint32)
-        log = (t_us, frames.id[order], frames.length[order], frames.data[order])
-        arrays: list[np.ndarray] = [np.ascontiguousarray(a) for a in log]
-        results: list[np.ndarray] = [values, states, counts]
-        status = self._lib.lpvgb_receive(
-            ctypes.c_int64(len(order)),
-            *map(_pointer, arrays),
-            ctypes.c_int64(arrays[3].shape[1]),
-            ctypes.c_int64(first),
-            ctypes.c_int64(period),
-            ctypes.c_int64(ticks),
-            ctypes.c_int64(len(self._places)),
-            *map(_pointer, results),
-        )
-        if status != 0:
-            raise InputError(
-                where, "", "the receiver refused the log's times", "times from 0 to 292000 years"
-            )
-        live = np.array([states[:, self._rules.index(m)] == LIVE for m in self.needed])
-        present: np.ndarray = np.logical_and(live.all(axis=0), np.isfinite(values).all(axis=1))
+        running = self.running(min(int(t_us[0]), first), where)
+        values, states = running.take(t_us, frames.at(order), first, ticks)
+        counts = running.counts
+        live, present = self.presence(values, states)
         t = np.arange(ticks) * self.project.Ts_s
         report = {
             "channel": frames.channels[int(frames.channel[0])],
-            "messages": self._counted(counts),
-            "other": _named(counts[-1]),
+            **self.counted(counts),
             "not_frames": frames.left_out,
             "gaps": self._gaps(t, live, present),
             "clock_jumps": jumps,
         }
         return Received(t, values, present, report)
 
+    def running(self, start_us: int, where: str | Path) -> RunningReceiver:
+        """A receiver whose clock begins at ``start_us`` [us], which takes frames in pieces. InputError when
+        the supervision refuses that time."""
+        return RunningReceiver(self, start_us, where)
+
+    def presence(self, values: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(needed, N) where each needed message is live, and (N,) where there is a sample; ``values`` and
+        ``states`` of ``RunningReceiver.take``."""
+        live = np.array([states[:, self._rules.index(m)] == LIVE for m in self.needed])
+        return live, np.logical_and(live.all(axis=0), np.isfinite(values[:, : len(self.signals)]).all(axis=1))
+
+    def counted(self, counts: np.ndarray) -> dict[str, Any]:
+        """What became of the frames, from ``counts`` (rules + 1, events): by needed or seen message
+        ("messages"), and of all others ("other")."""
+        return {"messages": self._counted(counts), "other": _named(counts[-1])}
+
     def _one_channel(self, frames: Frames, where: str | Path) -> tuple[Frames, np.ndarray]:
         """The frames of the one channel that carries needed messages, and (N,) which of them these are.
         InputError when no channel does, or several."""
-        ours = self._ours(frames)
+        ours = self.ours(frames)
         if not ours.any():
             raise InputError(
                 where,
                 "",
-                "holds no frame of " + ", ".join(map(self._called, self.needed)),
+                "holds no frame of " + ", ".join(map(self.called, self.needed)),
                 f"a log of the bus of vehicle {self.project.name}; `lpvguard ingest --dbc` takes other buses",
             )
         channels = [frames.channels[c] for c in np.unique(frames.channel[ours])]
@@ -164,14 +165,23 @@ class Receiver:
                 "--channel, to say which",
             )
         frames = frames.of_channel(channels[0], where)
-        return frames, self._ours(frames)
+        return frames, self.ours(frames)
 
-    def _called(self, message: Message) -> str:
+    def on_bus(self, message: Message) -> str:
+        """Name of a message on the bus."""
+        return self._sent[message.name][0]
+
+    def called(self, message: Message) -> str:
         """Name and identifier of a needed message on the bus."""
         name, identifier, _ = self._sent[message.name]
         return f"{name} ({identifier & ~EXTENDED:0{8 if identifier & EXTENDED else 3}X})"
 
-    def _ours(self, frames: Frames) -> np.ndarray:
+    @property
+    def columns(self) -> int:
+        """Columns of the values that ``RunningReceiver.take`` returns."""
+        return len(self._places)
+
+    def ours(self, frames: Frames) -> np.ndarray:
         """(N,) True for the frames of needed messages; of J1939 groups whatever their priority."""
         ours = np.zeros(len(frames.id), bool)
         for m in self.needed:
@@ -206,6 +216,59 @@ class Receiver:
         ]
 
 
+class RunningReceiver:
+    """One running instance of a vehicle's receiver; feed it frames in one or several pieces."""
+
+    def __init__(self, receiver: Receiver, start_us: int, where: str | Path):
+        self._receiver, self._lib, self._where = receiver, receiver.library, where
+        self._period_us = round(receiver.project.Ts_s * 1e6)
+        self._lib.lpvgb_receiver_create.restype = ctypes.c_void_p
+        self._lib.lpvgb_receive.restype = ctypes.c_int64
+        n_values = ctypes.c_int64(receiver.columns)
+        handle = self._lib.lpvgb_receiver_create(ctypes.c_int64(start_us), n_values)
+        self._handle = ctypes.c_void_p(handle)
+        if not handle:
+            self._refused()
+        self.counts = np.zeros((receiver.n_rules + 1, len(EVENTS)), np.uint32)
+        """(rules + 1, events) what became of the frames so far."""
+
+    def __del__(self) -> None:
+        self._lib.lpvgb_receiver_destroy(self._handle)
+
+    def take(
+        self, t_us: np.ndarray, frames: Frames, first_us: int, ticks: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Frames with times t_us (N,) [us] in increasing order. Those after the last of ``ticks`` ticks
+        are not looked at; the ticks are a sample period apart from ``first_us`` on.
+
+        Returns values (ticks, columns), NaN before the first, and the supervision's states (ticks, rules).
+        InputError when the supervision refuses a time.
+        """
+        values = np.empty((ticks, self._receiver.columns))
+        states = np.empty((ticks, self._receiver.n_rules), np.uint8)
+        log = (t_us, frames.id, frames.length, frames.data)
+        arrays: list[np.ndarray] = [np.ascontiguousarray(a) for a in log]
+        results: list[np.ndarray] = [values, states, self.counts]
+        done = self._lib.lpvgb_receive(
+            self._handle,
+            ctypes.c_int64(len(t_us)),
+            *map(_pointer, arrays),
+            ctypes.c_int64(arrays[3].shape[1]),
+            ctypes.c_int64(first_us),
+            ctypes.c_int64(self._period_us),
+            ctypes.c_int64(ticks),
+            *map(_pointer, results),
+        )
+        if done < 0:
+            self._refused()
+        return values, states
+
+    def _refused(self) -> NoReturn:
+        raise InputError(
+            self._where, "", "the receiver refused the log's times", "times from 0 to 292000 years"
+        )
+
+
 def _our_bus(signals: list[Signal], catalogue: Catalogue) -> _Bus:
     """The bus of the catalogue, on which identifiers tell messages by all but their priority."""
     return _Bus(
@@ -214,6 +277,13 @@ def _our_bus(signals: list[Signal], catalogue: Catalogue) -> _Bus:
         {m.name: (m.name, m.id | EXTENDED, ANY_PRIORITY) for m in catalogue.messages},
         codec_files(catalogue),
     )
+
+
+def _command_place(catalogue: Catalogue) -> _Place:
+    """Where the bus of the catalogue carries the driver's command."""
+    message = catalogue.message(REFERENCE.message)
+    signal = next(s for s in message.signals if s.name == REFERENCE.signal)
+    return _Place(message, (signal,), REFERENCE.factor)
 
 
 def _car_bus(signals: list[Signal], bus: CarBus) -> _Bus:
@@ -312,13 +382,17 @@ def _one_clock(
     for a, b in zip(clock.cuts, clock.cuts[1:], strict=False):
         at = a + np.argsort(t_ns[a:b], kind="stable")
         t = (t_ns[at] - t_ns[at[0]]) // 1000
-        angle = 2j * np.pi / period_us * (t[ours[at]] if ours[at].any() else t)
-        phase = np.angle(np.exp(angle).mean()) / (2 * np.pi) * period_us
+        phase = phase_us(t[ours[at]] if ours[at].any() else t, period_us)
         start = -(-end // period_us) * period_us + (PAUSE_S * 1e6 if times else period_us)
         times.append(t + round(start - phase))
         order.append(at)
         end = int(times[-1][-1])
     return np.concatenate(times), np.concatenate(order), clock.jumps
+
+
+def phase_us(t_us: np.ndarray, period_us: int) -> float:
+    """Where in a period times t_us (N,) [us] lie, in the circular mean [us]."""
+    return float(np.angle(np.exp(2j * np.pi / period_us * t_us).mean()) / (2 * np.pi) * period_us)
 
 
 def _named(row: np.ndarray) -> dict[str, int]:

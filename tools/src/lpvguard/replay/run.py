@@ -224,10 +224,14 @@ class Replayer:
             self.excited(drive),
             falsified,
             run.energy > self.energy_threshold,
-            sorted([*self._frame_alarms(run, t0), *self._energy_alarms(run, t0)], key=lambda a: a.t_s),
+            self.alarms(run, t0),
             Ts,
             start_s=float(t0),
         )
+
+    def alarms(self, run: Run, t0: float) -> list[Alarm]:
+        """What falsified the model in a run, in the order of time; ``t0``: what counts as time 0 [s]."""
+        return sorted([*self._frame_alarms(run, t0), *self._energy_alarms(run, t0)], key=lambda a: a.t_s)
 
     def _frame_alarms(self, run: Run, t0: float) -> list[Alarm]:
         """An alarm for each frame that falsifies the model; ``t0``: time of the drive's first sample [s]."""
@@ -322,7 +326,7 @@ class Replayer:
     def received(self, log: Frames, path: Path, channel: str | None = None) -> Recorded:
         """The frames of a raw CAN log through the compiled receiver, as the ECU on that bus would have had
         them."""
-        received = self._receiver.receive(log, path, channel=channel)
+        received = self.receiver.receive(log, path, channel=channel)
         if not received.present.any():
             raise InputError(
                 path,
@@ -338,7 +342,8 @@ class Replayer:
         return Recorded(drive, received.present, received.report)
 
     @cached_property
-    def _receiver(self) -> Receiver:
+    def receiver(self) -> Receiver:
+        """The compiled receiver of the vehicle's bus."""
         return Receiver(self.project)
 
 

@@ -7,6 +7,8 @@ e/NAME        NAME less yhat/NAME
 margin/RAD_S  t* of the bin with that frequency [rad/s]; null but where the core judged a counted frame of it
 energy_ratio  the energy test's ratio; null where it does not judge
 verdict       text, and verdict_code: its number in monitor.h
+
+A column with a unit says it in its metadata, as "unit".
 """
 
 from __future__ import annotations
@@ -19,10 +21,13 @@ from ..drives.tables import Drive
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
 
+MARGIN = "margin/"
+"""How the names of columns of margins begin."""
+
 
 def margin_column(omega: float) -> str:
     """Name of the column of the bin with frequency ``omega`` [rad/s]."""
-    return f"margin/{omega:.4g}"
+    return f"{MARGIN}{omega:.4g}"
 
 
 def table_of(
@@ -55,4 +60,9 @@ def table_of(
     columns["energy_ratio"] = pa.array(run.energy, mask=run.energy == 0)
     columns["verdict"] = pa.array([VERDICTS[code] for code in run.verdict])
     columns["verdict_code"] = pa.array(run.verdict)
-    return pa.table(columns)
+    units = {s.name: s.unit for s in (project.speed, *project.inputs, *project.outputs)} | {"t": "s"}
+    fields = []
+    for name, values in columns.items():
+        unit = units.get(name.rpartition("/")[2] if not name.startswith(MARGIN) else "", "")
+        fields.append(pa.field(name, values.type, metadata={"unit": unit} if unit else None))
+    return pa.table(list(columns.values()), schema=pa.schema(fields))

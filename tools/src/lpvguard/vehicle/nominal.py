@@ -366,11 +366,13 @@ class NominalModel:
         A, B = self.matrices(v)
         return -(self.C @ np.linalg.solve(A, B))
 
-    def acting_inputs(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def acting_inputs(self, u: np.ndarray, before: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """The inputs u_{k-d-1} and u_{k-d} that act during step k, offset removed: (N, n_u) each, from u (N,
-        n_u)."""
-        du = np.asarray(u, float) - self.input_offset
-        past = np.vstack([np.repeat(du[:1], self.delay + 1, axis=0), du])
+        n_u). ``before`` (delay + 1, n_u): the inputs before u[0] (None: all equal to it)."""
+        u = np.asarray(u, float)
+        du = u - self.input_offset
+        earlier = np.repeat(u[:1], self.delay + 1, axis=0) if before is None else before
+        past = np.vstack([earlier - self.input_offset, du])
         return past[: len(du)], past[1 : len(du) + 1]
 
     def simulate(self, v: np.ndarray, u: np.ndarray, y_first: np.ndarray) -> np.ndarray:
@@ -380,11 +382,7 @@ class NominalModel:
         Before the first sample the input is taken as constant. The initial state is the least one with that
         output. Runs on the speed table, so that identification sees the model that the core runs.
         """
-        Ad, B_old, B_new = self._split(self.table.at(v))
-        older, newer = self.acting_inputs(u)
-        forced = np.einsum("kij,kj->ki", B_old, older) + np.einsum("kij,kj->ki", B_new, newer)
-        x_first = np.linalg.pinv(self.C) @ (np.asarray(y_first, float) - self.output_offset)
-        return recursion(Ad, forced, x_first) @ self.C.T + self.output_offset
+        return RunningModel(self, y_first).run(v, u)
 
     @cached_property
     def table(self) -> SpeedTable:
@@ -402,7 +400,8 @@ class NominalModel:
         """Matrix exponentials of a (m, n, n), in the same shape."""
         return expm(a)
 
-    def _split(self, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def split(self, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Ad (m, n, n), B_old and B_new (m, n, n_u) of the rows of ``discrete_entries``."""
         m, n, n_u = len(entries), self.n, self.n_u
         a, b = n * n, n * (n + n_u)
         return (
@@ -410,3 +409,27 @@ class NominalModel:
             entries[:, a:b].reshape(m, n, n_u),
             entries[:, b:].reshape(m, n, n_u),
         )
+
+
+class RunningModel:
+    """The nominal model along a drive that comes in one or several pieces."""
+
+    def __init__(self, model: NominalModel, y_first: np.ndarray):
+        """Started at the measured ``y_first`` (n_y,), with the least state that has that output."""
+        self._model = model
+        self._x = np.linalg.pinv(model.C) @ (np.asarray(y_first, float) - model.output_offset)
+        self._before: np.ndarray | None = None
+
+    def run(self, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Nominal output (N, n_y) of the next N samples: v (N,) [m/s], u (N, n_u)."""
+        model, u = self._model, np.asarray(u, float)
+        if not len(u):
+            return np.empty((0, len(model.C)))
+        Ad, B_old, B_new = model.split(model.table.at(v))
+        older, newer = model.acting_inputs(u, self._before)
+        forced = np.einsum("kij,kj->ki", B_old, older) + np.einsum("kij,kj->ki", B_new, newer)
+        x = recursion(Ad, forced, self._x)
+        self._x = Ad[-1] @ x[-1] + forced[-1]
+        earlier = np.repeat(u[:1], model.delay + 1, axis=0) if self._before is None else self._before
+        self._before = np.vstack([earlier, u])[-(model.delay + 1) :]
+        return x @ model.C.T + model.output_offset

@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 from ...base import artefacts
 from ...base.errors import InputError
 from ...base.parallel import Map
+from ...base.progress import Counted
 from ...control.design import require_designed_for
 from ...core.compiled import Core
 from ...evaluate.baseline_study import BaselineStudy
@@ -103,7 +104,7 @@ def _run_all(
         for planned in chunk:
             table.append(next(rows))
             done += 1
-            progress(f"run {done} of {len(runs)}, {planned.kind}")
+            progress(Counted(f"run {done} of {len(runs)}, {planned.kind}", done, len(runs)))
         out.write(name, _parquet(pa.Table.from_pylist(table, schema=_schema(table[0]))))
     return pa.concat_tables([pq.read_table(out.folder / n) for n in names])
 

@@ -1,0 +1,295 @@
+"""The live page: what it shows is what replay says of the same frames, it keeps no more than its window, and
+a source or a browser that goes away stops nothing."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import re
+import subprocess
+import threading
+import urllib.error
+import urllib.request
+from contextlib import contextmanager
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from lpvguard.can.logs import Frames
+from lpvguard.can.play import write_candump
+from lpvguard.drives.tables import read_drive
+from lpvguard.live.server import LOOPBACK, MOST_ROWS, serve
+from lpvguard.live.sources import LogSource
+from lpvguard.live.watch import ALARMS, Ring, Watch
+from lpvguard.replay.run import Replayer, bus_frames
+from lpvguard.vehicle.nominal import RunningModel
+from parts import require
+
+
+class Given:
+    """Pieces of frames, then silence for ever; ``taken`` is set when the last was taken."""
+
+    name, lost, trouble = "given", 0, ""
+
+    def __init__(self, pieces=()):
+        self._pieces, self.taken = pieces, threading.Event()
+
+    def pieces(self):
+        yield from self._pieces
+        self.taken.set()
+        while not threading.Event().wait(0.01):
+            yield None
+
+
+@pytest.fixture(scope="module")
+def replayer(g80, core):
+    return Replayer(g80, core)
+
+
+@pytest.fixture(scope="module")
+def faulty(synthetic, g80, tmp_path_factory):
+    """The frames of a drive of which the last third has 1.6 times its yaw rate, and the drive's table."""
+    import pandas
+
+    table = pandas.read_csv(synthetic / "synthetic_01.csv")
+    table.loc[len(table) * 2 // 3 :, "r"] *= 1.6
+    path = tmp_path_factory.mktemp("live") / "faulty.csv"
+    table.to_csv(path, index=False)
+    return bus_frames(path, g80), path
+
+
+def cut(frames: Frames, size: int) -> list[Frames]:
+    return [frames.at(slice(a, a + size)) for a in range(0, len(frames), size)]
+
+
+def column(watch: Watch, name: str) -> np.ndarray:
+    return watch._ring.rows(0, 10**9)[:, watch.columns.index(name)]
+
+
+@contextmanager
+def served(watch: Watch):
+    """The URL of the page of ``watch`` while it is served."""
+    found, ready = [], threading.Event()
+
+    async def main():
+        ends = asyncio.Event()
+        found.extend([asyncio.get_running_loop(), ends])
+        await serve(watch, 0, lambda url: (found.append(url), ready.set()), ends)
+
+    thread = threading.Thread(target=lambda: asyncio.run(main()))
+    thread.start()
+    assert ready.wait(60)
+    try:
+        yield found[2]
+    finally:
+        found[0].call_soon_threadsafe(found[1].set)
+        thread.join(60)
+    assert not thread.is_alive()
+
+
+def asked(url: str, **headers: str) -> bytes:
+    with urllib.request.urlopen(urllib.request.Request(url, headers=headers)) as answer:
+        return answer.read()
+
+
+@pytest.mark.parametrize("size", [37, 5000])
+def test_what_is_shown_is_what_replay_says_of_the_same_frames(replayer, faulty, size):
+    frames, path = faulty
+    said, watch = replayer.replay_frames(frames, path), Watch(replayer, Given(), 3600)
+    for piece in cut(frames, size):
+        watch.take(piece)
+    n = watch._ring.count
+    assert n >= len(said.run.verdict) - 1  # the last tick waits for a frame after it
+    assert np.array_equal(column(watch, "verdict"), said.run.verdict[:n])
+    assert np.array_equal(np.nan_to_num(column(watch, "energy")), said.run.energy[:n])
+    view = watch.view(3600, None, MOST_ROWS)
+    assert view["n_alarms"] == len(said.alarms) > 0
+    assert view["frames"] == said.left_out()
+    assert view["can"]["messages"] == {k: pytest.approx(v, abs=2) for k, v in said.can["messages"].items()}
+    largest = max(x for x in view["bins"]["largest"] if x is not None)
+    assert largest == pytest.approx(said.run.frames.statistic[said.run.frames.counted].max(), abs=1e-5)
+
+
+def test_the_nominal_model_in_pieces_is_the_model_in_one(replayer, synthetic):
+    drive, model = replayer.read_file(synthetic / "synthetic_01.csv").drive, replayer.model
+    running = RunningModel(model, drive.y[0])
+    edges = [0, 1, 2, 9, 9, 1000, len(drive.t)]
+    pieces = [running.run(drive.v[a:b], drive.u[a:b]) for a, b in pairwise(edges)]
+    assert np.concatenate(pieces) == pytest.approx(model.simulate(drive.v, drive.u, drive.y[0]), abs=1e-12)
+
+
+def test_a_ring_keeps_the_newest_rows_in_their_order():
+    ring, told = Ring(10, 2), []
+    for size in (3, 4, 0, 25, 1, 9):
+        new = np.column_stack([len(told) + np.arange(size), np.arange(size)])
+        told += new.tolist()
+        ring.put(new)
+        assert ring.rows(0, 10**9).tolist() == told[-10:]
+    assert ring.count == 42 and ring.find(35.5) == 36 and ring.find(-1) == 32 and ring.find(99) == 42
+    assert ring.rows(0, 42, 4)[:, 0].tolist() == [32, 36, 40]
+
+
+def test_memory_and_answers_are_bounded(replayer, faulty):
+    watch = Watch(replayer, Given(), 20)
+    for piece in cut(faulty[0], 1000):
+        watch.take(piece)
+    rows = column(watch, "t")
+    assert len(rows) == 1000 and rows[-1] - rows[0] < 20 < rows[0]
+    view = watch.view(86_400, None, 100)
+    assert 50 < len(view["series"]["t"]) <= 101 and watch._alarms.maxlen == ALARMS
+    # Rows that are drawn stay drawn while time goes on.
+    step = np.diff(view["series"]["t"])
+    assert step == pytest.approx(np.full(len(step), step[0]))
+
+
+def test_a_source_that_begins_again_goes_on_and_one_that_is_silent_is_said_to_be(replayer, faulty):
+    now = [100.0]
+    watch = Watch(replayer, Given(), 3600, clock=lambda: now[0])
+    assert watch.view(60, None, 100)["now"]["silent_s"] is None
+    half = faulty[0].at(slice(0, len(faulty[0]) // 2))
+    watch.take(half)
+    before = watch.view(60, None, 100)["now"]
+    now[0] += 30
+    silent = watch.view(60, None, 100)["now"]
+    assert not before["silent"] and silent["silent"] and silent["silent_s"] == 30
+    watch.take(half)
+    after = watch.view(60, None, 100)["now"]
+    assert not after["silent"] and after["restarts"] == 1 and after["t"] > 1.9 * before["t"]
+    t = column(watch, "t")
+    assert (np.diff(t) > 0).all() and watch._ring.count == pytest.approx(2 * before["t"] / 0.02, abs=120)
+    assert after["verdict"] == before["verdict"]
+
+
+def test_a_growing_log_is_read_by_whole_lines_and_anew_when_it_is_replaced(faulty, tmp_path):
+    whole, path = tmp_path / "whole.log", tmp_path / "grows.log"
+    frames = faulty[0].at(slice(0, 40))
+    write_candump(frames, whole)
+    text = whole.read_bytes()
+    path.write_bytes(b"")
+    pieces = LogSource(path).pieces()
+
+    def came():
+        piece, found = next(pieces), 0
+        while piece is not None:
+            found += len(piece)
+            piece = next(pieces)
+        return found
+
+    assert came() == 0
+    with path.open("ab", buffering=0) as stream:
+        stream.write(text[:1000])
+        assert came() == text[:1000].count(b"\n")
+        stream.write(text[1000:])
+        assert came() == 40 - text[:1000].count(b"\n")
+    path.write_bytes(text[: text.index(b"\n") + 1])
+    assert came() + came() == 1  # shorter than it was: begun anew
+    whole.replace(path)
+    assert came() + came() == 40
+
+
+def test_the_page_is_for_browsers_of_this_machine_and_only_reads(replayer, faulty, g80, tmp_path):
+    source = Given(cut(faulty[0], 500))
+    with served(Watch(replayer, source, 3600)) as url:
+        assert url.startswith(f"http://{LOOPBACK}:") and source.taken.wait(60)
+        page, what = asked(url).decode(), json.loads(asked(url + "what"))
+        assert "https:" not in page and what["omega"] == replayer.estimator.omega.tolist()
+        view = json.loads(asked(url + "view?span=30&until=60"))
+        assert 29 < max(view["series"]["t"]) - min(view["series"]["t"]) <= 30 > 60 - max(view["series"]["t"])
+        saved = tmp_path / "saved.csv"
+        saved.write_bytes(asked(url + "drive.csv?from=20&to=50"))
+        drive, whole = read_drive(saved, g80), read_drive(faulty[1], g80)
+        # The page's clock begins a message's period before the first frame; a tick lies half of one later.
+        sent = np.interp(drive.t - 0.015, whole.t, whole.y[:, 0])
+        assert len(drive.t) == 1500 and drive.y[:, 0] == pytest.approx(sent, abs=5e-4)
+        for path, headers, data, status in (
+            ("", {"Host": "elsewhere.example"}, None, 403),
+            ("view", {}, b"x", 405),
+            ("../server.py", {}, None, 404),
+            ("view?span=nan", {}, None, 400),
+            ("drive.csv?from=9e9", {}, None, 404),
+        ):
+            with pytest.raises(urllib.error.HTTPError) as refused:
+                urllib.request.urlopen(urllib.request.Request(url + path, data, headers))
+            assert refused.value.code in (status, 400 if data else status), path
+        policy = urllib.request.urlopen(url).headers["Content-Security-Policy"]
+        assert policy.startswith("default-src 'none'") and "http" not in policy
+
+
+def test_a_source_that_is_none_is_refused(lpvguard, vehicle, tmp_path):
+    words = ("live", "--vehicle", "g80", "--coefficients", vehicle)
+    lost = lpvguard(*words, tmp_path / "lost.log")
+    assert lost.returncode == 2 and "a candump log that grows" in lost.stderr
+    interface = lpvguard(*words, "socketcan:nowhere0")
+    assert interface.returncode == 2 and "a SocketCAN interface that is up" in interface.stderr
+
+
+@pytest.mark.slow("10 s: a browser opens the page")
+@pytest.mark.parametrize("width", [1280, 800])
+def test_a_browser_draws_every_picture_and_complains_of_nothing(replayer, faulty, tmp_path, width):
+    require("chromium")
+    source = Given(cut(faulty[0], 500))
+    with served(Watch(replayer, source, 3600)) as url:
+        assert source.taken.wait(60)
+        done = subprocess.run(
+            [
+                "chromium",
+                "--headless=new",
+                "--no-sandbox",
+                "--disable-gpu",
+                "--disable-dev-shm-usage",
+                f"--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE {LOOPBACK}",
+                f"--user-data-dir={tmp_path / 'profile'}",
+                f"--window-size={width},1000",
+                "--virtual-time-budget=6000",
+                "--enable-logging=stderr",
+                "--dump-dom",
+                url,
+            ],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    complaints = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+    # The browser's own notice that a picture fitted itself in two steps.
+    harmless = ("setting log level", "ResizeObserver loop completed")
+    assert [c for c in complaints if not any(h in c for h in harmless)] == []
+    pictures = re.findall(r'<figure id="([^"]+)"', done.stdout)
+    assert pictures == [
+        "margins",
+        "evidence",
+        "energy",
+        "input-road_wheel_angle",
+        "output-yaw_rate",
+        "speed",
+    ]
+    assert re.search(r'data-drawn="1[45]\d', done.stdout) and "frame test" in done.stdout
+
+
+@pytest.mark.skipif(not os.environ.get("LPVGUARD_FULL"), reason="LPVGUARD_FULL: 8 simulated hours")
+def test_eight_hours_that_flood_leave_memory_flat(replayer, faulty):
+    """Frames of 8 h as fast as they are taken, while a browser asks: resident memory after every hour but the
+    last; the window is full after the first."""
+    frames, hours = faulty[0], 8
+    drive_ns = int(frames.t_ns[-1] - frames.t_ns[0]) + 10**7
+    each = round(3600e9 / drive_ns)
+    resident: list[float] = []
+
+    def pieces():
+        for k in range(hours * each):
+            if k % each == 0 and k:
+                with open("/proc/self/statm", encoding="ascii") as stream:
+                    resident.append(int(stream.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20)
+            yield from cut(replace(frames, t_ns=frames.t_ns + k * drive_ns), 400)
+
+    source = Given(pieces())
+    with served(Watch(replayer, source, 3600)) as url:
+        answers = 0
+        while not source.taken.wait(0.2):
+            answers += len(json.loads(asked(url + "view?span=600"))["series"]["t"]) > 0
+        view = json.loads(asked(url + "view?span=3600"))
+    print(f"resident MiB by hour {[round(x, 1) for x in resident]}, {answers} views answered")
+    assert view["now"]["t"] > hours * 3600 * 0.99 and view["now"]["restarts"] == 0 and answers > 10
+    assert max(resident[1:]) < 1.1 * resident[0]

@@ -1,0 +1,51 @@
+"""`lpvguard live`: a page for browsers of this machine that shows what the core says as frames come."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Annotated
+
+import typer
+
+from ..base.errors import InputError
+from .shared import Coefficients, Vehicle, app, console, replayer_of
+
+
+@app.command(
+    epilog="Examples: lpvguard live --vehicle truck udpm://239.255.76.67:7667?ttl=0; "
+    "lpvguard live --vehicle truck socketcan:vcan0; lpvguard live --vehicle truck RUN.log"
+)
+def live(
+    vehicle: Vehicle,
+    source: Annotated[
+        str,
+        typer.Argument(
+            help="LCM URL of a simulation, socketcan:INTERFACE with the vehicle's bus, or a candump log "
+            "that grows."
+        ),
+    ],
+    coefficients: Coefficients = None,
+    channel: Annotated[str | None, typer.Option(help="Interface of a log with several.")] = None,
+    window: Annotated[
+        float, typer.Option(min=10.0, max=86_400.0, help="Seconds that are kept for scrolling back.")
+    ] = 3600.0,
+    port: Annotated[int, typer.Option(min=0, max=65_535, help="Port on 127.0.0.1 (0: any free one).")] = 0,
+) -> None:
+    """Show verdict, margins, evidence, energy bands, CAN health and alarms on a page while frames come.
+
+    The page is for browsers of this machine and only reads. An interrupt ends the command with status 0."""
+    try:
+        from ..live.server import serve
+    except ImportError as error:
+        raise InputError(
+            "live", "", f"the Python package {error.name} is not installed", "pip install 'lpvguard[live]'"
+        ) from None
+    from ..live.sources import open_source
+    from ..live.watch import Watch
+
+    watch = Watch(replayer_of(vehicle, coefficients), open_source(source), window, channel)
+
+    def ready(url: str) -> None:
+        console.print(f"live: {source} at {url} (interrupt ends it)")
+
+    asyncio.run(serve(watch, port, ready))

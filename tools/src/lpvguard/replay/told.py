@@ -1,0 +1,32 @@
+"""What an alarm says, in a sentence."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .run import Alarm
+
+
+def alarm_sentence(alarm: Alarm | dict[str, Any]) -> str:
+    """Test, place, margin and the bound that broke, of an alarm or of its object in the JSON of `replay`."""
+    a = vars(alarm) if isinstance(alarm, Alarm) else alarm
+    if a["test"] == "energy":
+        return (
+            f"energy test, v = {a['speed_mps']:.1f} m/s: ratio {a['margin']:.2f} > {a['threshold']:.2f} "
+            f"{a['band']} the corners, in direction ({_listed(a['direction'])}); ||F e|| = {_listed(a['E'])} "
+            f"against ||F W_delta yhat|| {_listed(a['Z'])} + sigma {_listed(a['B_w'])}"
+        )
+    return (
+        f"frame test, {a['bin_rad_s']:.3g} rad/s, v = {a['speed_mps']:.1f} m/s: "
+        f"margin {a['margin']:.2f} (statistic {a['statistic']:.2f} > {a['threshold']:.2f}); |E| = "
+        f"{_norm(a['E']):.3g} against W_delta {_listed(a['W_delta'])} x |Z| {_norm(a['Z']):.3g} + B_w "
+        f"{_listed(a['B_w'])}"
+    )
+
+
+def _listed(values: list[float]) -> str:
+    return ", ".join(f"{x:.3g}" for x in values)
+
+
+def _norm(values: list[complex]) -> float:
+    return sum(abs(x) ** 2 for x in values) ** 0.5
