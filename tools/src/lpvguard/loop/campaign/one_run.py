@@ -274,8 +274,8 @@ def conduct(
 
 
 def disturbed(free: dict[str, np.ndarray], measured: Drive) -> tuple[np.ndarray, np.ndarray]:
-    """What road and wind do to yaw rate and road-wheel angle of a truck left alone, (N, 2) [rad/s, rad] every
-    TELEMETRY_S, and what its sensors add, (M, 2) at the samples of ``measured``."""
+    """Yaw rate and road-wheel angle that road and wind make of a truck left alone, (N, 2) [rad/s, rad] every
+    TELEMETRY_S. Then what its sensors add, (M, 2) at the samples of ``measured``."""
     w = np.column_stack([free["yaw_rate_radps"], free["road_wheel_rad"]])
     true = np.column_stack([np.interp(measured.t, free["t_s"], x) for x in w.T])
     return w, measured.y - true
