@@ -52,6 +52,17 @@ bool energy_fits(const lpvg_coeff_reals_t& r) {
     return good;
 }
 
+// The normal equations have one solution however little is excited.
+bool change_fits(const lpvg_coeff_reals_t& r) {
+    bool good = true;
+    for (const auto& A : r.change_prior) {
+        const lpvg_real_t first = A[0] * A[3] - A[1] * A[1], cross = A[0] * A[4] - A[1] * A[2];
+        const lpvg_real_t last = A[0] * A[5] - A[2] * A[2];
+        good = good && A[0] > lpvg_real_t(0) && first > lpvg_real_t(0) && first * last - cross * cross > lpvg_real_t(0);
+    }
+    return good;
+}
+
 }  // namespace
 
 extern "C" uint32_t lpvg_coeff_crc32(const lpvg_coeff_t* coeff) { return coeff == nullptr ? 0U : lpvguard::coefficients_crc32(*coeff); }
@@ -79,7 +90,7 @@ extern "C" lpvg_status_t lpvg_coeff_check(const lpvg_coeff_t* coeff) {
     if (!lpvguard::all_finite(coeff->reals)) {
         return lpvg_status_not_finite;
     }
-    const bool in_range =
-        lpvguard::items_in_range(w) && lpvguard::items_in_range(coeff->reals) && frames_fit(w) && energy_fits(coeff->reals);
+    const bool in_range = lpvguard::items_in_range(w) && lpvguard::items_in_range(coeff->reals) && frames_fit(w) &&
+                          energy_fits(coeff->reals) && change_fits(coeff->reals);
     return in_range ? lpvg_status_ok : lpvg_status_bad_value;
 }

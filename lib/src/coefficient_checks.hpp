@@ -29,6 +29,7 @@ inline bool items_in_range(const lpvg_coeff_words_t& f) {
            every(f.of_last, [](uint32_t x) { return x <= LPVG_NHISTORY; }) &&
            every(f.energy_settle, [&f](uint32_t x) { return x >= f.settle_samples; }) &&
            every(f.energy_rearm, [](uint32_t x) { return x >= 1U; }) &&
+           every(f.change_rearm, [](uint32_t x) { return x >= 1U; }) &&
            every(f.varying_entry, [](uint32_t x) { return x < LPVG_NENTRIES; });
 }
 
@@ -42,6 +43,11 @@ inline bool items_in_range(const lpvg_coeff_reals_t& f) {
            every(f.energy_forget, [](lpvg_real_t x) { return x > lpvg_real_t(0) && x < lpvg_real_t(1); }) &&
            every(f.energy_start, [](lpvg_real_t x) { return x >= lpvg_real_t(0); }) &&
            every(f.energy_threshold, [](lpvg_real_t x) { return x >= lpvg_real_t(1); }) &&
+           every(f.change_block_s, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
+           every(f.change_unit, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
+           every(f.change_scale, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
+           every(f.change_forget, [](lpvg_real_t x) { return x > lpvg_real_t(0) && x < lpvg_real_t(1); }) &&
+           every(f.change_threshold, [](lpvg_real_t x) { return x >= lpvg_real_t(1); }) &&
            every(f.W_delta, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
            every(f.B_w, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
            every(f.threshold, [](lpvg_real_t x) { return x > lpvg_real_t(0); });

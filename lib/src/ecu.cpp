@@ -314,7 +314,8 @@ bool wanted(const lpvg_ecu_t& self) {
 
 uint16_t causes_of(const lpvg_ecu_t& self, bool live) {
     const auto verdict = static_cast<lpvg_verdict_t>(self.report.verdict);
-    const bool judged = verdict == lpvg_verdict_valid || verdict == lpvg_verdict_invalid || verdict == lpvg_verdict_not_judged;
+    const bool judged = verdict == lpvg_verdict_valid || verdict == lpvg_verdict_invalid || verdict == lpvg_verdict_not_judged ||
+                        verdict == lpvg_verdict_degraded;
     uint32_t causes = 0U;
     causes |= self.kept.engage ? 0U : LPVG_ECU_CAUSE_NOT_ASKED;
     causes |= live ? 0U : LPVG_ECU_CAUSE_MESSAGE;
@@ -410,13 +411,13 @@ uint8_t verdict(const lpvg_ecu_t& self) {
     if (self.clock.pace == lpvg_ecu_pace_bad) {
         return lpvg_verdict_fault;
     }
-    if (said != lpvg_verdict_valid) {
+    if (said != lpvg_verdict_valid && said != lpvg_verdict_degraded) {
         return static_cast<uint8_t>(said);
     }
     if (self.clock.pace == lpvg_ecu_pace_unknown) {
         return lpvg_verdict_unknown;
     }
-    return self.in_range ? lpvg_verdict_valid : lpvg_verdict_not_judged;
+    return static_cast<uint8_t>(self.in_range ? said : lpvg_verdict_not_judged);
 }
 
 // A gap is what the monitor expects where measurements are old, or of another period: it restarts behind it.

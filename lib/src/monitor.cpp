@@ -352,9 +352,55 @@ void judge_energy(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
     }
 }
 
+void record_change(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
+    const lpvg_coeff_reals_t& r = self.coeff->reals;
+    const std::size_t j = self.change.strongest / 3U;
+    lpvg_frame_t alarm{};
+    alarm.test = lpvg_test_change;
+    alarm.sequence = self.frame.sequence;
+    alarm.bin = self.change.strongest;
+    alarm.t_end_us = sample.t_us;
+    alarm.falsified = true;
+    alarm.speed = sample.speed;
+    alarm.margin = alarm.statistic = self.change.ratio;
+    alarm.evidence = r.change_scale[j][0] / r.change_unit[j][0];
+    alarm.E[0][0] = self.change.estimate[0];
+    alarm.E[0][1] = self.change.estimate[1];
+    alarm.Z[0][0] = self.change.estimate[2];
+    record(self, alarm);
+}
+
+// Judges the next output that waits for the newest block.
+void judge_change(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
+    const lpvg_coeff_t& coeff = *self.coeff;
+    if (lpvg_change_judge(&self.change, &coeff) <= coeff.reals.change_threshold) {
+        self.change_quiet += self.change_quiet < coeff.words.change_rearm ? 1U : 0U;
+        return;
+    }
+    if (self.change_quiet == coeff.words.change_rearm) {
+        record_change(self, sample);
+    }
+    self.change_quiet = 0U;
+    self.t_changed_us = sample.t_us;
+    self.has_changed = true;
+    if (!(self.change.ratio < std::numeric_limits<Real>::infinity())) {
+        lpvg_change_start(&self.change);
+    }
+}
+
+// The newest sample ends a block of its own.
+void take_block(lpvg_monitor_t& self, lpvg_reason_t reason) {
+    if (self.n_block == n_block && reason == lpvg_reason_none) {
+        lpvg_change_take(&self.change, taken_signal(self, 0U));
+    } else {
+        lpvg_change_start(&self.change);
+    }
+}
+
 void start(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
     lpvg_model_start(&self.model, self.coeff, sample.u, sample.y);
     lpvg_energy_start(&self.energy, self.coeff);
+    lpvg_change_start(&self.change);
     for (lpvg_bin_t& bin : self.bin) {
         bin.n = 0U;
         bin.has_before = false;
@@ -384,6 +430,7 @@ bool state_well(lpvg_monitor_t& self) {
            self.energy.next_direction < LPVG_NDIRECTIONS && self.energy.strongest < LPVG_NBANDS &&
            bin.n < self.coeff->words.frame_length[self.turn] / 2U && bin.n_history <= LPVG_NHISTORY && bin.next_history < LPVG_NHISTORY &&
            (!self.has_evidence || self.t_evidence_us <= self.t_us) && (!self.has_falsified || self.t_falsified_us <= self.t_us) &&
+           (!self.has_changed || self.t_changed_us <= self.t_us) &&
            sum_of(self.energy) == self.energy_sum && lpvguard::sum_of_words(self.model.entry) == self.model.sum;
 }
 
@@ -420,6 +467,8 @@ extern "C" void lpvg_monitor_begin(lpvg_monitor_t* self, const lpvg_coeff_t* coe
     *self = lpvg_monitor_t{};
     self->coeff = coeff;
     self->energy_quiet = coeff->words.energy_rearm;
+    self->change_quiet = coeff->words.change_rearm;
+    lpvg_change_start(&self->change);
 }
 
 // Length: the path of one sample in its order; every branch of it ends or restarts the steps that follow.
@@ -484,10 +533,16 @@ extern "C" lpvg_status_t lpvg_monitor_push(lpvg_monitor_t* self, const lpvg_samp
     for (std::size_t b = self->newest; b < LPVG_NBINS; b += n_block) {
         ended += catch_up(*self, b, whole) ? 1U : 0U;
     }
-    if (self->n_queue > 0U && ended < 2U) {
+    const bool judges = self->n_queue > 0U && ended < 2U;
+    if (judges) {
         judge_next(*self);
     } else {
         judge_energy(*self, *sample);
+    }
+    if (self->newest == n_block - 1U) {
+        take_block(*self, whole.reason);
+    } else if (self->change.pending > 0U && !judges && ended == 0U) {
+        judge_change(*self, *sample);
     }
     self->energy_sum = sum_of(self->energy);
     return lpvg_status_ok;
@@ -509,6 +564,9 @@ extern "C" lpvg_verdict_t lpvg_monitor_verdict(const lpvg_monitor_t* self, int64
     const uint64_t hold = hold_us(*self->coeff);
     if (self->has_falsified && elapsed_us(now_us, self->t_falsified_us) <= hold) {
         return lpvg_verdict_invalid;
+    }
+    if (self->has_changed && elapsed_us(now_us, self->t_changed_us) <= hold) {
+        return lpvg_verdict_degraded;
     }
     if (self->has_evidence && elapsed_us(now_us, self->t_evidence_us) <= hold) {
         return lpvg_verdict_valid;

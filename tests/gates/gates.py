@@ -659,6 +659,7 @@ SEES = {
     "monitor.cpp": ["monitor.toy", "energy.toy", "monitor.g80", "monitor.separate_toy"],
     "controller.cpp": ["controller.hand_toy", "controller.hand_truck"],
     "ecu.cpp": ["ecu.hand_truck"],
+    "change.cpp": ["change.toy", "change.g80", "change.separate_toy"],
     "energy.cpp": ["energy.toy", "energy.g80", "energy.separate_toy"],
     "j1939.cpp": ["j1939"],
     "uds.cpp": ["uds"],

@@ -26,6 +26,7 @@ from lpvguard.core.control_coefficients import replaced_controller
 from lpvguard.drives.frames import Estimator
 from lpvguard.engine.overbound.weight import Weight
 from lpvguard.engine.validation import s1
+from lpvguard.identify.change import ChangeTest
 from lpvguard.identify.energy import EnergyTest
 from lpvguard.vehicle.nominal import NominalModel
 from synthetic_vehicle import SPEEDS, TS, Sizes, synthetic_controller, synthetic_project
@@ -84,7 +85,9 @@ def case(request, tmp_path_factory):
         folder,
         vehicle_files(
             project,
-            build_coefficients(project, model, estimator, W_delta, B_w, 1.5, energy),
+            build_coefficients(
+                project, model, estimator, W_delta, B_w, 1.5, energy, ChangeTest.design(project)
+            ),
             {"kind": "test"},
         ),
     )

@@ -411,7 +411,7 @@ def test_a_campaign_that_was_stopped_goes_on_and_ends_the_same(small, stored, tr
     assert told["within"]["runs"] == 5 and told["within"]["hours"] == pytest.approx(0.25)
     assert told["falsified"] == {"rate": rate(0, 5), "runs": []}
     assert 0 < told["within"]["largest_ratio"] <= 1
-    assert told["within"]["tests"].keys() == {"frame", "energy"}
+    assert told["within"]["tests"].keys() == {"frame", "energy", "change"}
     assert set(told["matched_stated"].values()) == {None} and told["matched_claim"].startswith(
         "counts only"
     ), "five runs are too few"

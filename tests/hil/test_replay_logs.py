@@ -111,6 +111,7 @@ def test_a_table_on_the_bus_replays_as_the_table(g80, g80_replayer, synthetic):
         core,
         threshold=1.01 * g80_replayer.threshold,
         energy_threshold=1.01 * g80_replayer.energy_threshold,
+        change_threshold=1.01 * g80_replayer.change_threshold,
     )
     for experiment in list_experiments(synthetic):
         table = read_drive(experiment.path, g80)

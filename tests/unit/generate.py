@@ -24,6 +24,7 @@ from lpvguard.core.coefficients import build_coefficients, vehicle_files
 from lpvguard.core.control_coefficients import ARRAYS, build_controller, control_files, replaced_controller
 from lpvguard.drives.frames import Estimator
 from lpvguard.engine.overbound.weight import Weight
+from lpvguard.identify.change import ChangeTest
 from lpvguard.identify.energy import EnergyTest
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project
@@ -48,9 +49,10 @@ def vehicle(project, model, size=1.0):
     )
     sigma = size * 0.02 * np.add.outer(np.arange(len(energy.F)), 1.0 + np.arange(project.n_y))
     energy = replace(energy, sigma=sigma, start=(4.0 + np.arange(project.n_y)) * sigma**2)
-    return vehicle_files(
-        project, build_coefficients(project, model, estimator, W_delta, B_w, 1.5, energy), {"kind": "test"}
-    )
+    quiet = ChangeTest.design(project)
+    quiet = replace(quiet, largest=1e3 * quiet.largest)  # a test that wants to hear it says so
+    coefficients = build_coefficients(project, model, estimator, W_delta, B_w, 1.5, energy, quiet)
+    return vehicle_files(project, coefficients, {"kind": "test"})
 
 
 def separate(project, model, name):

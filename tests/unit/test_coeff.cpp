@@ -161,6 +161,25 @@ TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]
                [](lpvg_coeff_reals_t& r) { r.energy_direction[0][0] = r.energy_direction[0][1] = Real(0.5); });
     }
     spoilt("a direction too long", [](lpvg_coeff_reals_t& r) { r.energy_direction[0][0] = Real(-1.5); });
+    // The change test.
+    cases.push_back({"change rearm 0", [](lpvg_coeff_t& c) { c.words.change_rearm = 0U; }});
+    spoilt("a block of no time", [](lpvg_coeff_reals_t& r) { r.change_block_s = Real(0); });
+    spoilt("an output that never moves", [](lpvg_coeff_reals_t& r) { r.change_unit[LPVG_NY - 1][1] = Real(0); });
+    spoilt("sizes infinite", [](lpvg_coeff_reals_t& r) { r.change_scale[LPVG_NY - 1][2] = Real(0); });
+    spoilt("nothing forgotten", [](lpvg_coeff_reals_t& r) { r.change_forget = Real(0); });
+    spoilt("all forgotten", [](lpvg_coeff_reals_t& r) { r.change_forget = Real(1); });
+    spoilt("change threshold below 1", [](lpvg_coeff_reals_t& r) { r.change_threshold = Real(0.999); });
+    const auto prior = [&](const char* what, Real p, Real q, Real s, Real t, Real u, Real w) {
+        spoilt(what, [=](lpvg_coeff_reals_t& r) {
+            const Real A[6] = {p, q, s, t, u, w};
+            std::copy(std::begin(A), std::end(A), std::begin(r.change_prior[LPVG_NY - 1]));
+        });
+    };
+    prior("a prior without gain", Real(0), Real(0), Real(0), Real(1), Real(0), Real(1));
+    prior("gain and delay as one", Real(1), Real(1), Real(0), Real(1), Real(0), Real(1));
+    prior("gain and bias as one", Real(1), Real(0), Real(1), Real(1), Real(0), Real(1));
+    prior("delay and bias as one", Real(1), Real(0), Real(0), Real(1), Real(1), Real(1));
+    prior("a prior that is negative", Real(-1), Real(0), Real(0), Real(-1), Real(0), Real(-1));
     for (std::size_t b : {std::size_t{0}, std::size_t{LPVG_NBINS - 1}}) {
         cases.push_back({"odd frame", [b](lpvg_coeff_t& c) { c.words.frame_length[b] -= 1U; }});
         cases.push_back({"half a frame within the latency", [b](lpvg_coeff_t& c) { c.words.frame_length[b] = 2U * LPVG_NLATENCY; }});

@@ -24,6 +24,16 @@ bool has(const Bench& bench, uint32_t cause) { return (bench.ecu.causes & cause)
 
 }  // namespace
 
+TEST_CASE("a vehicle that changed within its bounds is reported, and stays engaged", "[unit][ecu][REQ-ECU-11]") {
+    Bench bench;
+    bench.run_until_engaged();
+    bench.ecu.monitor.has_changed = true;
+    bench.ecu.monitor.t_changed_us = bench.ecu.monitor.t_us;
+    bench.run(20);
+    CHECK(bench.ecu.report.verdict == lpvg_verdict_degraded);
+    CHECK(bench.ecu.causes == 0U);
+}
+
 TEST_CASE("before a frame has ended nothing is known of the vehicle, then lack of excitation permits",
           "[unit][ecu][REQ-ECU-1][REQ-ECU-11]") {
     Bench bench;

@@ -14,10 +14,11 @@
 
 namespace {
 
-// This program is about frames: the energy test (test_energy.cpp) never speaks.
+// This program is about frames: energy test (test_energy.cpp) and change test (test_change.cpp) never speak.
 lpvg_coeff_t frames_only(const std::function<void(lpvg_coeff_t&)>& change) {
     return sealed([&](lpvg_coeff_t& c) {
         c.reals.energy_threshold = Real(1e9);
+        c.reals.change_threshold = Real(1e9);
         change(c);
     });
 }

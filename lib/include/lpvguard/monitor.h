@@ -24,6 +24,11 @@
 /// alarm. A sample out of the scheduling range, a gap and a refused sample restart the test from rest. It is not judged until the
 /// model and F have settled.
 ///
+/// The change test (change.h) takes every settled block of LPVG_NBLOCK samples. In the pushes after it each output is judged once, in one
+/// that closes no frame; where the next block ends before, this one is lost. Its *ratio* above `change_threshold` says that the vehicle is
+/// not the one that was identified. It refutes no bound, so the verdict is "degraded", not "invalid". The first such ratio after
+/// `change_rearm` judgements without one is recorded as an alarm.
+///
 /// Integrity: every push checks what indexes its state, one bin in turn. State that cannot be is as a refused sample, after which
 /// everything starts anew. A sum of the energy test that is not finite falsifies, and that test starts anew. Damaged coefficients make
 /// wrong verdicts, but no access outside of the objects: ecu.h checks them in turn.
@@ -38,6 +43,7 @@
 #ifndef LPVGUARD_MONITOR_H
 #define LPVGUARD_MONITOR_H
 
+#include "lpvguard/change.h"
 #include "lpvguard/energy.h"
 #include "lpvguard/model.h"
 
@@ -61,11 +67,12 @@ LPVG_EXTERN_C_BEGIN
 
 typedef enum lpvg_verdict_t {
     lpvg_verdict_unknown = 0,     ///< No frame has ended yet. Zero: cleared memory never reads "valid".
-    lpvg_verdict_valid = 1,       ///< Within the last hold time a frame with evidence counted, and none falsified.
+    lpvg_verdict_valid = 1,       ///< Within the last hold time a frame with evidence counted, none falsified, nothing changed.
     lpvg_verdict_invalid = 2,     ///< A frame or the energy test falsified the model within the last hold time.
     lpvg_verdict_not_judged = 3,  ///< Frames ended, but none within the hold time is evidence: see lpvg_reason_t.
     lpvg_verdict_stale = 4,       ///< The newest sample is older than five sample periods.
-    lpvg_verdict_fault = 5        ///< The newest sample was refused, or the arguments are wrong.
+    lpvg_verdict_fault = 5,       ///< The newest sample was refused, or the arguments are wrong.
+    lpvg_verdict_degraded = 6     ///< Not invalid, but the change test spoke within the last hold time: within the bounds, if they hold, and changed.
 } lpvg_verdict_t;
 
 /// Why the newest frame did not count as evidence.
@@ -80,7 +87,8 @@ typedef enum lpvg_reason_t {
 /// What a record tells of.
 typedef enum lpvg_test_t {
     lpvg_test_frame = 0,
-    lpvg_test_energy = 1
+    lpvg_test_energy = 1,
+    lpvg_test_change = 2
 } lpvg_test_t;
 
 typedef struct lpvg_sample_t {
@@ -94,6 +102,8 @@ typedef struct lpvg_sample_t {
 /// band * LPVG_NDIRECTIONS + direction (energy.h). Both `margin` and `statistic` are the ratio, and `evidence` is the ratio that a
 /// vehicle which did not respond would have shown. `speed` is the sample's. E[j][0] is the norm of F e_j and Z[j][0] that of
 /// F W_delta yhat_j; the imaginary parts are 0.
+/// Of an alarm of the change test `bin` is the output times 3 plus the part of the estimate (0 gain, 1 delay, 2 bias). `evidence` is the
+/// ratio of a lost output, a gain of -1. E[0] holds gain and delay of that output, Z[0][0] its bias; the rest is 0.
 typedef struct lpvg_frame_t {
     uint32_t sequence;             ///< number of frames closed so far, this one included; 0: none yet
     lpvg_test_t test;              ///< what the record tells of
@@ -149,6 +159,8 @@ typedef struct lpvg_monitor_t {
     lpvg_energy_t energy;                     ///< `energy.ratio` may be read
     uint32_t energy_sum;                      ///< of the words of its filters and right sums, after the newest sample
     uint32_t energy_quiet;                    ///< judgements since the energy test's last exceedance, energy_rearm at most
+    lpvg_change_t change;                     ///< `change.ratio` and `change.estimate` may be read
+    uint32_t change_quiet;                    ///< judgements since the change test's last exceedance, change_rearm at most
     lpvg_bin_t bin[LPVG_NBINS];
     lpvg_frame_t frame;                       ///< newest judged frame
     lpvg_frame_t record[LPVG_NRECORDS];
@@ -163,8 +175,8 @@ typedef struct lpvg_monitor_t {
     uint32_t parts;                           ///< parts done of the judgement of the first in the queue
     lpvg_real_t by_pairs;                     ///< what they found (margin.hpp)                       [-]
     int64_t t_us;                             ///< time of the newest accepted sample                 [us]
-    int64_t t_evidence_us, t_falsified_us;    ///< ends of the newest frames with evidence / that falsified [us]
-    bool running, has_evidence, has_falsified, refused;  ///< started; either time is known; the newest sample was refused
+    int64_t t_evidence_us, t_falsified_us, t_changed_us;  ///< ends of the newest frames with evidence / that falsified; newest change [us]
+    bool running, has_evidence, has_falsified, has_changed, refused;  ///< started; which times are known; the newest sample was refused
     uint32_t bad_samples, out_of_order, restarts;        ///< samples refused; samples ignored; starts anew
     uint32_t repairs;                         ///< times that its state could not be, saturating
     uint32_t turn;                ///< bin that was checked last

@@ -164,6 +164,7 @@ def replace_computing(variant: str) -> None:
             calibration_drives=[],
             left_out={},
             energy=None,
+            change=None,
             model_fit=[],
             others_fit=[],
             weights=SimpleNamespace(inflation=1.0),
@@ -207,6 +208,7 @@ def replace_computing(variant: str) -> None:
         summarise_file=summarise,
         threshold=1.0,
         energy_threshold=1.0,
+        change_threshold=1.0,
         core=SimpleNamespace(folder="core"),
         model=None,
     )

@@ -42,9 +42,9 @@ def test_a_header_that_does_not_say_so_is_refused(tmp_path, old, new):
 
 
 def test_the_documented_words_of_the_replay_are_those_of_the_headers():
-    assert core.VERDICTS == ("unknown", "valid", "invalid", "not_judged", "stale", "fault")
+    assert core.VERDICTS == ("unknown", "valid", "invalid", "not_judged", "stale", "fault", "degraded")
     assert core.REASONS == ("none", "not_excited", "speed_moved", "out_of_range", "settling")
-    assert core.TESTS == ("frame", "energy") and core.SUPERVISION == ("off", "hold", "live")
+    assert core.TESTS == ("frame", "energy", "change") and core.SUPERVISION == ("off", "hold", "live")
     assert len(core.STATUSES) == 12 and core.STATUSES[-1] == "not_ready"
     assert len(core.EVENTS) == 18 and core.EVENTS[-1] == "lost"
 

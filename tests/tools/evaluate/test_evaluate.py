@@ -48,6 +48,7 @@ def replay(seconds: float, relevant=slice(None), *, name: str = "made up", falsi
         np.ones(n, bool),
         hits(n, *falsified),
         hits(n, *over),
+        hits(n),
         [],
         TS,
     )
@@ -151,13 +152,13 @@ def test_an_alarm_stands_where_the_core_says_so(core, g80, synthetic):
     """The verdict turns invalid with the very samples that are counted; a frame waits for its turn after its
     end."""
     drive = inject(read_drive(synthetic / "synthetic_06.csv", g80), Fault("gain", 0.3), 60.0, g80.Ts_s)
-    found = Replayer(g80, core, threshold=1.5, energy_threshold=1e6).replay(drive)
+    found = Replayer(g80, core, threshold=1.5, energy_threshold=1e6, change_threshold=1e6).replay(drive)
     assert not found.over.any() and found.falsified.any()
     assert found.first_invalid_s == pytest.approx(np.flatnonzero(alarming(found))[0] * found.Ts)
     frames = found.run.frames
     wait = np.round((frames.t_judged_s - frames.t_end_s) / found.Ts)
     assert (wait >= 0).all() and wait.max() > 0
-    of_energy = Replayer(g80, core, threshold=1e6, energy_threshold=1.5).replay(drive)
+    of_energy = Replayer(g80, core, threshold=1e6, energy_threshold=1.5, change_threshold=1e6).replay(drive)
     assert of_energy.first_invalid_s == pytest.approx(np.flatnonzero(alarming(of_energy))[0] * found.Ts)
 
 
@@ -352,7 +353,7 @@ def test_a_single_drive_to_evaluate_has_no_baselines_and_no_alpha(folder, g80, c
         "alpha is not stated: too few calibration drives (0)"
     ]
     assert all(row["drives"] == 1 and row["counted"] == USUAL.starts for row in table["faults"])
-    assert table["stated_rates"] == {"monitor": None, "frame": None, "energy": None, "exported": None}
+    assert table["stated_rates"] == dict.fromkeys(("monitor", "frame", "energy", "change", "exported"))
     (drive,) = table["drives"]
     assert (
         drive["last_piece_s"] == pytest.approx(drive["duration_s"] - 60 * (drive["pieces"] - 1))
@@ -407,9 +408,9 @@ def test_21_pieces_of_two_recordings_buy_no_alpha_and_the_sentence_says_why(fold
         "alpha is not stated: 21 drives calibrate, of 2 recordings that did not set the bounds; "
         "pieces of one recording are no draws of their own"
     )
-    assert " ".join(done.stderr.split()).count(why) == 2, "of both tests"
+    assert " ".join(done.stderr.split()).count(why) == 3, "of every test"
     told = json.loads((made.parent / "told.json").read_text())
-    for calibration in (told, told["energy"]["calibration"]):
+    for calibration in (told, told["energy"]["calibration"], told["change"]["calibration"]):
         assert calibration["alpha"] is None is calibration["conditional_bound"]
         assert len(calibration["scores"]) == 21
         assert calibration["threshold"] == max(calibration["scores"].values())

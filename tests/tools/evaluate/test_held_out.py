@@ -15,7 +15,7 @@ from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
 from lpvguard.cli.tables import print_evaluation
 from lpvguard.drives.tables import list_experiments
-from lpvguard.evaluate.judged import drives_to_judge
+from lpvguard.evaluate.judged import calibrations_of, drives_to_judge
 from lpvguard.evaluate.rates import per_hour, rate
 from lpvguard.evaluate.run import evaluate
 from lpvguard.identify import run as identify
@@ -97,12 +97,13 @@ def test_held_out_drives_are_judged_with_the_thresholds_as_stored(
     assert [e.message for e in described.iter_errors(json.loads(artefacts.to_json(table)))] == []
     assert table["mode"] == "held_out" and table["left_out"].keys() == {"short"}
     assert [r["run"] for r in table["drives"]] == ["first", "second"]
-    kept = {"frame": stored.calibration, "energy": stored.energy.calibration}
+    kept = calibrations_of(stored)
     replayer = Replayer(
         g80,
         core,
         threshold=kept["frame"].threshold,
         energy_threshold=kept["energy"].threshold,
+        change_threshold=kept["change"].threshold,
     )
     for row in table["drives"]:
         for test, calibration in kept.items():

@@ -23,6 +23,7 @@ from lpvguard.drives.tables import read_drive
 from lpvguard.engine.overbound.weight import Weight
 from lpvguard.identify import run as stage
 from lpvguard.identify.bounds import nominal_error
+from lpvguard.identify.change import ChangeTest
 from lpvguard.identify.energy import ROUNDING, EnergyTest, fan, in_delta
 from lpvguard.loop.generate import PROGRAMMES, plant_tool
 from lpvguard.loop.sim import steady_scenario
@@ -328,7 +329,11 @@ def test_opposite_errors_under_one_nominal_output_are_caught_by_the_joint_form_o
         artefacts.write_files(
             folder,
             vehicle_files(
-                project, build_coefficients(project, model, estimator, wide[:, :1], wide, 1.5, chosen), {}
+                project,
+                build_coefficients(
+                    project, model, estimator, wide[:, :1], wide, 1.5, chosen, ChangeTest.design(project)
+                ),
+                {},
             ),
         )
         core = Core(folder)
@@ -357,7 +362,9 @@ def separate(tmp_path_factory):
     wide = np.ones((estimator.n_bins, 2)) * 1e3
     folder = tmp_path_factory.mktemp("separate") / "separate"
     folder.mkdir()
-    coefficients = build_coefficients(project, model, estimator, wide, wide, 1.5, test)
+    coefficients = build_coefficients(
+        project, model, estimator, wide, wide, 1.5, test, ChangeTest.design(project)
+    )
     artefacts.write_files(folder, vehicle_files(project, coefficients, {}))
     return project, model, estimator, Core(folder), test
 
@@ -433,9 +440,11 @@ def test_identification_coefficients_and_core_of_different_structures_are_refuse
             common, estimator, [Weight([1.0], [1.0])] * 2, [1.0, 2.0], np.full((2, 2), 0.5), 1.0
         )
     with pytest.raises(InputError, match=r"energy_W: shape \(2, .* expected \(1, "):
-        build_coefficients(common, model, estimator, wide[:, :1], wide, 1.5, test)
+        build_coefficients(common, model, estimator, wide[:, :1], wide, 1.5, test, ChangeTest.design(common))
     with pytest.raises(InputError, match=r"W_delta: shape \(11, 1\); expected \(11, 2\), NBINS × NDELTA"):
-        build_coefficients(project, model, estimator, wide[:, :1], wide, 1.5, test)
+        build_coefficients(
+            project, model, estimator, wide[:, :1], wide, 1.5, test, ChangeTest.design(project)
+        )
     with pytest.raises(InputError, match="2 blocks Delta; expected those of vehicle separate: 1, 2, 11, 1"):
         Replayer(common, core)
     Replayer(project, core)
@@ -519,7 +528,7 @@ def test_alarms_of_the_energy_test_stand_in_the_replay_beside_those_of_frames(co
     replayer = Replayer(g80, core)
     assert not replayer.replay(drive).over.any()
     replay = replayer.replay(inject(drive, Fault("gain", 0.5), 60.0, g80.Ts_s))
-    assert {a.test for a in replay.alarms} == {"frame", "energy"}
+    assert {a.test for a in replay.alarms} == {"frame", "energy", "change"}
     assert [a.t_s for a in replay.alarms] == sorted(a.t_s for a in replay.alarms)
     alarm = next(a for a in replay.alarms if a.test == "energy")
     assert alarm.t_s > 60.0 and replay.over[round(alarm.t_s / g80.Ts_s)]
@@ -529,7 +538,7 @@ def test_alarms_of_the_energy_test_stand_in_the_replay_beside_those_of_frames(co
     assert (
         alarm.band == "above" and alarm.evidence < 1
     )  # the gain jumps; that nothing responds there is allowed
-    only_frames = Replayer(g80, core, energy_threshold=1e6).replay(
+    only_frames = Replayer(g80, core, energy_threshold=1e6, change_threshold=1e6).replay(
         inject(drive, Fault("gain", 0.5), 60.0, g80.Ts_s)
     )
     assert {a.test for a in only_frames.alarms} == {"frame"} and not only_frames.over.any()
@@ -538,7 +547,7 @@ def test_alarms_of_the_energy_test_stand_in_the_replay_beside_those_of_frames(co
 def test_brakes_at_four_tenths_are_found_by_the_energy_test_alone_in_a_minute(truck, tmp_path):
     """Excited 60 s drives of the simulated truck, at random speeds; 24 seeds in full."""
     project, _, core, _ = truck
-    replayer = Replayer(project, core, threshold=1e9)
+    replayer = Replayer(project, core, threshold=1e9, change_threshold=1e9)
     rng, runs = np.random.default_rng(6), 24 if FULL else 6
     found = 0
     for k in range(runs):

@@ -115,9 +115,11 @@ def test_the_column_is_read_and_each_drive_is_judged_by_the_threshold_of_its_gro
         stored,
         calibration=calibrate({d: 2.0 if d in dry else 3.0 for d in scores}, 0.1, recordings=recordings),
         energy=stored.energy.calibrated({d: 4.0 if d in dry else 5.0 for d in scores}, 0.1, recordings),
+        change=stored.change.calibrated({d: 6.0 if d in dry else 7.0 for d in scores}, 0.1, recordings),
     )
     reals = [grouped.coefficients.reals, grouped.of_group("dry").coefficients.reals]
     assert [float(r["energy_threshold"]) for r in reals] == [5.0, 4.0]
+    assert [float(r["change_threshold"]) for r in reals] == [7.0, 6.0]
     assert [float(r["threshold"]) for r in reals] == [3.0, 2.0]
     with pytest.raises(InputError, match="expected dry, wet"):
         grouped.of_group("fog")

@@ -438,7 +438,7 @@ def rav4_replayer(tmp_path_factory) -> Replayer:
     car, folder = load_project("rav4"), tmp_path_factory.mktemp("core") / "rav4"
     folder.mkdir()
     write_files(folder, vehicle(car, NominalModel(car), size=0.5))
-    return Replayer(car, Core(folder), energy_threshold=1.5)
+    return Replayer(car, Core(folder), energy_threshold=1.5, change_threshold=1e6)
 
 
 def as_table(log: Frames, rav4: Path, folder: Path) -> Path:

@@ -111,6 +111,7 @@ def answers(case: Case, page: str) -> Reader:
         ratios[name] = max(
             float(statistic.max(initial=0.0)) / case.replayer.threshold,
             float(replay.run.energy.max()) / case.replayer.energy_threshold,
+            float(replay.run.change.max()) / case.replayer.change_threshold,
         )
         alarms[name] = replay.alarms
     quiet = {n: r for n, r in ratios.items() if not alarms[n]}

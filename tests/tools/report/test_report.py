@@ -161,6 +161,13 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
                 "threshold": 1.1,
                 "per_hour": None,
             },
+            "change": {
+                "claim": "alpha 0.05 from 24 drives",
+                "alpha": 0.05,
+                "conditional_bound": 0.11,
+                "threshold": 1.2,
+                "per_hour": 1.0,
+            },
         },
         "due": seen,
         "visible": dict.fromkeys(detectors, seen),
@@ -189,7 +196,7 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
                     "per_judged_hour": {"rate": 0.5, "interval": [0.0127, 2.79]},
                     "alarms": 3,
                 }
-                for t in ("frame", "energy")
+                for t in ("frame", "energy", "change")
             },
         },
         "falsified": {
@@ -241,7 +248,10 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
         and "1 of 50, 0.05 to 10.65 %" in text
         and "lpvguard, NIS" in text
     )
-    assert "frame test: alpha 0.05 from 25 drives; energy test: alpha is not stated." in text
+    assert (
+        "frame test: alpha 0.05 from 25 drives; energy test: alpha is not stated; change test: alpha 0.05 from 24 drives."
+        in text
+    )
     assert "brake gain 0.7 × (mu unstable, found 1 of 4)" in text and "2.34" in text and "rms, 2 s" in text
     assert text.count("Detection against severity") == 2
     assert "50.0%, 25.0%, 2.50 s" in text

@@ -74,7 +74,18 @@ def test_an_example_is_accepted_and_an_unknown_or_missing_field_is_not(name):
 
 
 @pytest.mark.parametrize(
-    "file", ["bounds", "front", "model_error", "weights", "calibration", "energy", "visibility", "MANIFEST"]
+    "file",
+    [
+        "bounds",
+        "front",
+        "model_error",
+        "weights",
+        "calibration",
+        "energy",
+        "change",
+        "visibility",
+        "MANIFEST",
+    ],
 )
 def test_an_identification_is_as_described(identified, vehicle, file):
     assert errors(file.lower(), json.loads((identified / f"{file}.json").read_text())) == []
@@ -89,7 +100,7 @@ def test_a_replay_with_alarms_and_an_evaluation_are_as_described(
     drives = identify.DriveSet(g80, NominalModel(g80), list_experiments(synthetic))
     faulty = inject(drives.load("synthetic_06")[0], Fault("gain", 0.3), 60.0, g80.Ts_s)
     replayed = Replayer(g80, core).replay(faulty).to_dict()
-    assert {a["test"] for a in replayed["alarms"]} == {"frame", "energy"}
+    assert {a["test"] for a in replayed["alarms"]} == {"frame", "energy", "change"}
     assert errors("replay", [replayed]) == []
     once = EvaluationSettings(bias=0.05, starts=1)
     assert errors("evaluate", evaluate(identify.load(identified), drives, core, settings=once)) == []

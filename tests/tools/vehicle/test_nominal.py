@@ -14,6 +14,7 @@ from lpvguard.base.errors import InputError
 from lpvguard.core.coefficients import build_coefficients
 from lpvguard.drives.frames import Estimator
 from lpvguard.engine.overbound.weight import Weight
+from lpvguard.identify.change import ChangeTest
 from lpvguard.identify.energy import EnergyTest
 from lpvguard.vehicle.nominal import NominalModel, evaluate
 from lpvguard.vehicle.project import load_project
@@ -93,7 +94,7 @@ def test_coefficients_follow_the_signal_table(g80, g80_model):
     estimator = Estimator.of(g80, g80_model)
     energy = EnergyTest.design(g80, estimator, [Weight([1.0], [1.0])], [1.0, 2.0], [[0.5], [0.5]], 1.0)
     ones = np.ones((estimator.n_bins, 1))
-    c = build_coefficients(g80, g80_model, estimator, ones, ones, 1.0, energy)
+    c = build_coefficients(g80, g80_model, estimator, ones, ones, 1.0, energy, ChangeTest.design(g80))
     assert c.reals["input_valid"].tolist() == [[-0.8, 0.8]] and c.sizes["DELAY"] == 1
 
 

@@ -31,14 +31,17 @@ class JudgedFrame:
 @dataclass(frozen=True)
 class Said:
     """What the core says after a sample. ``verdict`` and ``status``: names of monitor.h and status.h.
-    ``energy_ratio``: None where the energy test does not judge. ``frame``: judged with this sample, if one
-    was. ``energy_alarm``: the energy test alarmed with this sample."""
+    ``energy_ratio``: None where the energy test does not judge; ``change_ratio``: None before the change test
+    does. ``frame``: judged with this sample, if one was. ``energy_alarm``, ``change_alarm``: these tests
+    alarmed with this sample."""
 
     verdict: str
     status: str
     energy_ratio: float | None
     frame: JudgedFrame | None
     energy_alarm: bool
+    change_ratio: float | None
+    change_alarm: bool
 
 
 class Monitor:
@@ -90,4 +93,6 @@ class Monitor:
             float(run.energy[0]) or None,
             frame,
             bool(len(run.energy_alarms.bin)),
+            float(run.change[0]) or None,
+            bool(len(run.change_alarms.bin)),
         )

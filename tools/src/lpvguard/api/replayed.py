@@ -35,7 +35,7 @@ class Replayed:
 
     @property
     def alarms(self) -> list[Alarm]:
-        """The alarms of both tests, in the order of time."""
+        """The alarms of all tests, in the order of time."""
         return self.summary.alarms
 
     @cached_property

@@ -25,6 +25,7 @@ from ..core.control_coefficients import ControllerCoefficients, build_controller
 from ..core.targets import TARGETS, Input, run_host, run_target
 from ..drives.frames import Estimator
 from ..engine.overbound.weight import Weight
+from ..identify.change import ChangeTest
 from ..identify.energy import EnergyTest
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, load_project, parse_project
@@ -101,7 +102,9 @@ def write_budget_vehicle(folder: Path) -> Project:
     )
     sigma = np.tile([0.1, 0.05], (len(energy.F), 1))
     energy = replace(energy, sigma=sigma, start=50.0 * sigma**2)
-    coefficients = build_coefficients(project, model, estimator, W_delta, B_w, 1.5, energy)
+    coefficients = build_coefficients(
+        project, model, estimator, W_delta, B_w, 1.5, energy, ChangeTest.design(project)
+    )
     folder.mkdir(parents=True, exist_ok=True)
     write_files(
         folder,
@@ -232,7 +235,7 @@ def budget_rows(report: dict[str, Any]) -> list[list[str]]:
             "",
             f"{WORST_TO_MEDIAN:g}",
             f"{RAM_BYTES}",
-            f"{ROM_BYTES}",
+            f"{ROM_BYTES} (Cortex-M4F)",
             f"{STACK_BYTES}",
             f"{INIT}",
             *[""] * 10,

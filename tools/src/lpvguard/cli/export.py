@@ -33,4 +33,5 @@ def export(
     if stored.calibration.groups:
         console.print(f"frame test: {stored.calibration.claim()}")
         console.print(f"energy test: {stored.energy_of_core.calibration.claim()}")
+        console.print(f"change test: {stored.change_of_core.calibration.claim()}")
     console.print(f"{stored.project.name}: written to {out}")

@@ -41,6 +41,7 @@ def identify(
             **result.calibration.to_dict(),
             "inflation": result.weights.inflation,
             "energy": result.energy.to_dict() if result.energy else None,
+            "change": result.change.to_dict() if result.change else None,
             "model_fit": [q.to_dict() for q in result.model_fit],
             "unexplained": [vars(u) for u in named],
             "unexplained_cost": None if price is None else vars(price),
@@ -62,6 +63,11 @@ def identify(
         console.print(
             f"energy test: threshold {result.energy.calibration.carried:.4g} "
             f"({result.energy.calibration.claim()}), sigma {result.energy.sigma_text(project)}"
+        )
+    if result.change is not None:
+        console.print(
+            f"change test: threshold {result.change.calibration.carried:.4g} "
+            f"({result.change.calibration.claim()}), largest {result.change.sizes_text(project)}"
         )
     console.print(
         f"threshold {c.carried:.4g} ({c.claim()}); "

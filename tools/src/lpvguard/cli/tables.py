@@ -36,6 +36,7 @@ def print_replays(done: list[dict[str, Any]], replayer: Replayer) -> None:
         "first invalid s",
         "max margin",
         "max energy ratio",
+        "max change ratio",
         "alarms",
         box=None,
     )
@@ -48,11 +49,13 @@ def print_replays(done: list[dict[str, Any]], replayer: Replayer) -> None:
             "–" if r["first_invalid_s"] is None else f"{r['first_invalid_s']:.2f}",
             "–" if r["max_margin"] is None else f"{r['max_margin']:.3f}",
             "–" if r["max_energy_ratio"] is None else f"{r['max_energy_ratio']:.3f}",
+            "–" if r["max_change_ratio"] is None else f"{r['max_change_ratio']:.3f}",
             str(len(r["alarms"])),
         )
     console.print(table)
     console.print(
-        f"thresholds: frame test {replayer.threshold:.4g}, energy test {replayer.energy_threshold:.4g}; "
+        f"thresholds: frame test {replayer.threshold:.4g}, energy test {replayer.energy_threshold:.4g}, "
+        f"change test {replayer.change_threshold:.4g}; "
         f"core {replayer.core.folder}"
     )
     for r in done:
@@ -198,7 +201,7 @@ def print_evaluation(result: dict[str, Any]) -> None:
     for test, claim in result["claims"]["identified"].items():
         console.print(f"{test} test as identified: {claim}")
     for what, claims in result["claims"][result["mode"]].items():
-        tests = "both tests at one threshold" if what == MONITOR else what + " test"
+        tests = "all tests at one threshold" if what == MONITOR else what + " test"
         console.print(f"{tests}, {CALIBRATED[result['mode']]}: {'; or '.join(claims)}")
     for name, reason in result["left_out"].items():
         console.print(f"left out: {name}: {reason}", markup=False)

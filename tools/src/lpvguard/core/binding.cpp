@@ -85,11 +85,11 @@ void* lpvgb_create(const uint32_t* words, const double* reals, int seal, int* st
 
 void lpvgb_destroy(void* handle) { delete static_cast<Handle*>(handle); }
 
-// Pushes n samples (those with present[k] != 0; NULL: all); per sample a verdict, a status, the energy test's ratio (0: not
-// judged) and its strongest band, per judged frame and per alarm of the energy test a row of frame_columns numbers. Returns the rows. Takes
-// the monitor's records out.
+// Pushes n samples (those with present[k] != 0; NULL: all); per sample a verdict, a status, the energy test's ratio (0: not judged) with
+// its strongest band, and the change test's ratio (0: none yet), per judged frame and per alarm of these tests a row of frame_columns
+// numbers. Returns the rows. Takes the monitor's records out.
 int64_t lpvgb_run(void* opaque, int64_t n, const int64_t* t_us, const double* v, const double* u, const double* y, const uint8_t* present,
-                  double* rows, int64_t max_rows, uint8_t* verdict, uint8_t* status, double* energy, uint8_t* band) {
+                  double* rows, int64_t max_rows, uint8_t* verdict, uint8_t* status, double* energy, uint8_t* band, double* change) {
     lpvg_monitor_t* monitor = &static_cast<Handle*>(opaque)->monitor;
     int64_t count = 0;
     uint32_t last = lpvg_monitor_frame(monitor)->sequence;
@@ -112,11 +112,12 @@ int64_t lpvgb_run(void* opaque, int64_t n, const int64_t* t_us, const double* v,
             ++count;
         }
         last = frame->sequence;
+        change[k] = push && status[k] == 0U ? static_cast<double>(monitor->change.ratio) : 0.0;
         energy[k] = push && status[k] == 0U ? static_cast<double>(monitor->energy.ratio) : 0.0;
         band[k] = static_cast<uint8_t>(monitor->energy.strongest);
         lpvg_frame_t record;
         while (lpvg_monitor_take_record(monitor, &record)) {
-            if (record.test == lpvg_test_energy && count < max_rows) {
+            if (record.test != lpvg_test_frame && count < max_rows) {
                 write_frame(record, t_us[k], rows + count * static_cast<int64_t>(frame_columns));
                 ++count;
             }

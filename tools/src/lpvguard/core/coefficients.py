@@ -42,8 +42,8 @@ class Coefficients(Sealed):
     table_error: float
 
 
-class EnergyPart(Protocol):
-    """The energy test's part of the coefficients (identify/energy.py finds it)."""
+class TestPart(Protocol):
+    """A test's part of the coefficients (identify/energy.py and identify/change.py find them)."""
 
     def coefficients(self) -> tuple[dict[str, int], dict[str, int], dict[str, np.ndarray]]:
         """Sizes by dimension; words and numbers by field of coeff.h, in the shape of the field."""
@@ -56,17 +56,18 @@ def build_coefficients(
     W_delta: np.ndarray,
     B_w: np.ndarray,
     threshold: float,
-    energy: EnergyPart,
+    energy: TestPart,
+    change: TestPart,
 ) -> Coefficients:
     """Coefficients from the model, the estimator, the fitted weights at the bins, W_delta (K, n_delta), B_w
-    (K, n_y), and the two tests.
+    (K, n_y), the frame test's threshold, ``energy`` and ``change`` test.
 
     Raises InputError for bounds of the plain DFT: the core computes Hann frames only. Weights or an energy
     test of another structure than the project's are an InputError too, which names the field.
     """
     require_core(project)
     table = model.table
-    energy_sizes, energy_words, energy_reals = energy.coefficients()
+    (sizes_e, words_e, reals_e), (sizes_c, words_c, reals_c) = (t.coefficients() for t in (energy, change))
     sizes = {
         "NX": model.n,
         "NU": model.n_u,
@@ -76,7 +77,8 @@ def build_coefficients(
         "NCELLS": len(table.cell),
         "NVARYING": len(table.varying),
         "NDELTA": project.n_delta,
-        **energy_sizes,
+        **sizes_e,
+        **sizes_c,
     }
     words = {
         **COEFF.head(sizes),
@@ -85,7 +87,8 @@ def build_coefficients(
         "settle_samples": estimator.settle,
         "confirm": project.frame_test.confirm,
         "of_last": project.frame_test.of_last,
-        **energy_words,
+        **words_e,
+        **words_c,
         "frame_length": estimator.length,
         "cycles": estimator.cycles,
         "varying_entry": table.varying,
@@ -93,7 +96,8 @@ def build_coefficients(
     reals: dict[str, ArrayLike] = {
         **_model_reals(project, model),
         **_estimator_reals(estimator),
-        **energy_reals,
+        **reals_e,
+        **reals_c,
         "W_delta": W_delta,
         "B_w": B_w,
         "threshold": threshold,

@@ -32,6 +32,10 @@ def band_names(n: int) -> tuple[str, ...]:
     return ("below", *between, "above")
 
 
+CHANGE_PARTS = ("gain", "delay", "bias")
+"""Parts of the change test's estimate, in its order (change.h)."""
+
+
 def library_root() -> Path:
     """The folder lib/ of the C core: of the source tree when run from it, else the copy that the wheel
     carries."""
@@ -48,6 +52,8 @@ def _enum(header: str, name: str) -> tuple[str, ...]:
 
 
 VERDICTS = _enum("monitor.h", "lpvg_verdict_t")
+ALARMING = ("invalid", "degraded")
+"""Verdicts that a test's alarm makes."""
 REASONS = _enum("monitor.h", "lpvg_reason_t")
 TESTS = _enum("monitor.h", "lpvg_test_t")
 STATUSES = _enum("status.h", "lpvg_status_t")
@@ -98,8 +104,9 @@ class FrameLog:
     n_y).
 
     t_judged_s is the time of the sample with which the core said so: frames that end together are judged one
-    after the other. Alarms of the energy test come in the same form (lpvg_frame_t in monitor.h): bin is band
-    and direction, E and Z hold norms.
+    after the other. Alarms of the other tests come in the same form (lpvg_frame_t in monitor.h). Of the
+    energy test bin is band and direction, E and Z hold norms; of the change test bin is output and part, E
+    and Z hold the estimate.
     """
 
     t_judged_s: np.ndarray
@@ -144,8 +151,9 @@ class Run:
     """What the core said along a drive of N samples.
 
     ``verdict`` (N,): codes of monitor.h. ``status`` (N,): codes of status.h. ``energy`` (N,): the energy
-    test's ratio, 0 where it is not judged. ``energy_band`` (N,): the band that ratio is of. ``frames``: the
-    judged frames. ``energy_alarms``: the energy test's alarms.
+    test's ratio, 0 where it is not judged. ``energy_band`` (N,): the band that ratio is of. ``change`` (N,):
+    the change test's newest ratio, 0 before the first. ``frames``: the judged frames. ``energy_alarms``,
+    ``change_alarms``: the alarms of these tests.
     """
 
     frames: FrameLog
@@ -154,6 +162,8 @@ class Run:
     energy: np.ndarray
     energy_band: np.ndarray
     energy_alarms: FrameLog
+    change: np.ndarray
+    change_alarms: FrameLog
 
 
 class Core:
@@ -304,9 +314,9 @@ class RunningMonitor:
             np.ascontiguousarray(a, dtype)
             for a, dtype in ((np.round(np.asarray(t) * 1e6), np.int64), (v, float), (u, float), (y, float))
         ]
-        rows = np.empty((2 * n, columns))  # at most a frame and an alarm a sample
+        rows = np.empty((3 * n, columns))  # at most a frame and two alarms a sample
         verdict, status, band = (np.empty(n, np.uint8) for _ in range(3))
-        energy = np.empty(n)
+        energy, change = np.empty(n), np.empty(n)
         pushed = None if present is None else np.ascontiguousarray(present, np.uint8)
         count = self._core._lib.lpvgb_run(
             self._handle,
@@ -314,17 +324,18 @@ class RunningMonitor:
             *map(_pointer, arrays),
             None if pushed is None else _pointer(pushed),
             _pointer(rows),
-            ctypes.c_int64(2 * n),
+            ctypes.c_int64(3 * n),
             _pointer(verdict),
             _pointer(status),
             _pointer(energy),
             _pointer(band),
+            _pointer(change),
         )
-        of_energy = rows[:count, 9] > 0
-        frames, alarms = (
-            FrameLog.from_rows(rows[:count][chosen], self._core.n_y) for chosen in (~of_energy, of_energy)
+        frames, energy_alarms, change_alarms = (
+            FrameLog.from_rows(rows[:count][rows[:count, 9] == test], self._core.n_y)
+            for test in range(len(TESTS))
         )
-        return Run(frames, verdict, status, energy, band, alarms)
+        return Run(frames, verdict, status, energy, band, energy_alarms, change, change_alarms)
 
     def run_drive(self, drive: Drive, present: np.ndarray | None = None) -> Run:
         """`run` over a whole drive of N samples; where ``present`` (N,) is False time passes without a

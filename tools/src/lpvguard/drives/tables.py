@@ -22,7 +22,9 @@ import pyarrow.parquet as pa_parquet
 from scipy.io import loadmat
 from scipy.io.matlab import MatReadError
 
+from ..base import artefacts
 from ..base.errors import InputError
+from ..base.parallel import Map
 from ..can.delimited import read_csv
 from ..can.logs import INDEX
 from ..vehicle.project import Project, Signal
@@ -360,3 +362,21 @@ def require_units(path: Path | str, drive: Drive, nominal_output: np.ndarray, se
                 f"is {ratio:.3g} times the nominal model's",
                 "radians (a factor near 57.3 means that one column is in degrees)",
             )
+
+
+def table_hashes(experiments: list[Experiment], workers: Map = map) -> dict[str, str]:
+    """SHA-256 of every drive's table; InputError where two are the same: one drive would count twice."""
+    found: dict[str, str] = {}
+    first: dict[str, str] = {}
+    for e, digest in zip(
+        experiments, workers(artefacts.file_hash, [e.path for e in experiments]), strict=False
+    ):
+        if digest in first:
+            raise InputError(
+                e.path.parent / EXPERIMENTS,
+                "column experiment",
+                f"{e.name} is the same table as {first[digest]}, byte for byte",
+                "every drive once",
+            )
+        found[e.name], first[digest] = digest, e.name
+    return found

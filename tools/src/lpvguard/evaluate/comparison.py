@@ -14,7 +14,7 @@ from .false_alarms import PIECE_S
 from .rates import hourly_words, share_words
 
 MONITOR = "monitor"
-"""Name of our own detector beside the kinds of baselines.KINDS: both tests together, at one threshold."""
+"""Name of our own detector beside the kinds of baselines.KINDS: all tests together, at one threshold."""
 LEFT_ONE_OUT, HELD_OUT = "left_one_out", "held_out"
 """Which drives are judged: those of the identification, each without itself, or drives that it never saw."""
 CALIBRATED = {LEFT_ONE_OUT: "each drive without itself", HELD_OUT: "drives that it never saw"}

@@ -62,12 +62,14 @@ def false_alarms(counts: list[tuple[int, int]], rows: list[dict]) -> dict:
 
 
 def alarming(replay: Replay, test: str | None = None) -> np.ndarray:
-    """(N,) True at samples where a test (None: either) falsifies the model.
+    """(N,) True at samples where a test (None: any) speaks against the model.
 
-    For "frame" these are the samples with which a falsifying frame was judged. For "energy" they are all
-    samples above the threshold, because this test's value persists. A frame is judged once.
+    For "frame" these are the samples with which a falsifying frame was judged. For "energy" and
+    "change" they are all samples above the threshold, because these tests' values persist. A frame is judged
+    once.
     """
-    return {"frame": replay.falsified, "energy": replay.over, None: replay.falsified | replay.over}[test]
+    found = {"frame": replay.falsified, "energy": replay.over, "change": replay.changed}
+    return np.logical_or.reduce(list(found.values())) if test is None else found[test]
 
 
 def piece_starts(samples: int, Ts: float) -> np.ndarray:
@@ -79,6 +81,6 @@ def piece_starts(samples: int, Ts: float) -> np.ndarray:
 
 
 def alarmed_pieces(replay: Replay, test: str | None = None) -> tuple[int, int]:
-    """(alarmed, all) 60 s pieces of a drive, by a test (None: either)."""
+    """(alarmed, all) 60 s pieces of a drive, by a test (None: any)."""
     starts = piece_starts(len(replay.judged), replay.Ts)
     return int(np.logical_or.reduceat(alarming(replay, test), starts).sum()), len(starts)

@@ -16,10 +16,11 @@ from pathlib import Path
 
 from ..base.errors import InputError
 from ..core.compiled import TESTS
-from ..drives.tables import Experiment, list_experiments
+from ..drives.tables import Experiment, list_experiments, table_hashes
 from ..identify.calibration import Calibration, Recordings, calibrate, joint_scores
-from ..identify.energy import ROUNDING, EnergyTest
-from ..identify.run import DriveSet, StoredIdentification, table_hashes
+from ..identify.change import FLOOR
+from ..identify.energy import ROUNDING
+from ..identify.run import DriveSet, StoredIdentification
 from .comparison import HELD_OUT, LEFT_ONE_OUT, MONITOR
 
 SAW = {"bounds": "set the bounds", "calibration": "calibrated", "noise": "set the noise"}
@@ -64,11 +65,7 @@ class JudgedDrives:
     def held_out(cls, stored: StoredIdentification, experiments: list[Experiment]) -> JudgedDrives:
         """Drives that the identification never saw, by its calibration as stored."""
         together = _calibrations(stored, None)[MONITOR]
-        as_stored = {
-            MONITOR: together,
-            "frame": stored.calibration,
-            "energy": energy_test_of(stored).calibration,
-        }
+        as_stored = {MONITOR: together, **calibrations_of(stored)}
         return cls(
             HELD_OUT,
             "the identification as stored, in which none of them took part",
@@ -85,9 +82,9 @@ def _of_group(calibrations: dict[str, Calibration], group: str | None) -> dict[s
 
 def _calibrations(stored: StoredIdentification, without: str | None) -> dict[str, Calibration]:
     """Of MONITOR and each test by all calibration drives but the recording of ``without``; None: by all."""
-    frame, energy = stored.calibration.scores, energy_test_of(stored).calibration.scores
-    scores = {MONITOR: joint_scores(frame, energy), "frame": frame, "energy": energy}
-    floors = {MONITOR: 1.0 + ROUNDING, "frame": 1.0, "energy": 1.0 + ROUNDING}
+    scores = {test: c.scores for test, c in calibrations_of(stored).items()}
+    scores[MONITOR] = joint_scores(*scores.values())
+    floors = {MONITOR: FLOOR, "frame": 1.0, "energy": 1.0 + ROUNDING, "change": FLOOR}
     recordings = stored.calibration.recordings
     return {
         what: calibrate(
@@ -100,13 +97,18 @@ def _calibrations(stored: StoredIdentification, without: str | None) -> dict[str
     }
 
 
-def energy_test_of(stored: StoredIdentification) -> EnergyTest:
-    """The energy test of an identification. InputError where there is none: with frames by the plain DFT."""
-    if stored.energy is None:
+def calibrations_of(stored: StoredIdentification) -> dict[str, Calibration]:
+    """Of each test, as identified. InputError where there is the frame test only: with frames by the plain
+    DFT."""
+    if stored.energy is None or stored.change is None:
         raise InputError(
             stored.folder, "energy", "no energy test was identified", "an identification with Hann frames"
         )
-    return stored.energy
+    return {
+        "frame": stored.calibration,
+        "energy": stored.energy.calibration,
+        "change": stored.change.calibration,
+    }
 
 
 def drives_to_judge(stored: StoredIdentification, folders: Iterable[Path]) -> list[Experiment]:

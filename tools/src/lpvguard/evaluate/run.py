@@ -1,13 +1,14 @@
-"""`lpvguard evaluate`: what the monitor, and each of its two tests alone, does on drives that did not set the
+"""`lpvguard evaluate`: what the monitor, and each of its tests alone, does on drives that did not set the
 bounds. Five baselines run on the same drives.
 
 Every drive runs through the compiled core. One drive of the identification is left out at a time (THEORY
 7.3), with thresholds calibrated on all *other* drives that did not set the bounds. Drives that the
 identification never saw are judged with its thresholds as stored (judged.py).
 
-The monitor is compared with both tests at one threshold, calibrated jointly (calibration.joint_scores). By
-either test it alarms on a further drive with probability at most alpha, as a baseline does. Beside it stand
-each test alone at alpha, and both as exported: each at its own threshold, together at most twice alpha. Where
+The monitor is compared with all tests at one threshold, calibrated jointly (calibration.joint_scores). By
+any test it alarms on a further drive with probability at most alpha, as a baseline does. Beside it stand
+each test alone at alpha, and both as exported: each at its own threshold, together at most three times
+alpha. Where
 fewer drives calibrate than alpha needs, no rate is stated, and the detectors are compared by counts only
 (`stated_rates`).
 
@@ -26,7 +27,7 @@ from ..base.errors import InputError
 from ..base.parallel import Map
 from ..core.compiled import TESTS, Core
 from ..drives.tables import Experiment
-from ..identify.calibration import Calibration, Recordings, energy_score, score
+from ..identify.calibration import Calibration, Recordings, change_score, energy_score, score
 from ..identify.passes import DriveReader
 from ..identify.run import DriveSet, StoredIdentification
 from ..replay.run import Replay, Replayer
@@ -43,7 +44,7 @@ from .detection import (
     refutable,
 )
 from .false_alarms import alarmed_pieces, alarming, false_alarms, piece_starts
-from .judged import JudgedDrives, energy_test_of
+from .judged import JudgedDrives, calibrations_of
 
 FEWEST_FOR_BASELINES = 2
 """Calibration drives: a baseline has no natural threshold, so one must be left when a drive is left out."""
@@ -59,16 +60,18 @@ def _evaluate_drive(
     injection: Injection,
     item: tuple[Experiment, Recordings, dict[str, Calibration]],
 ) -> tuple[dict, Found]:
-    """One drive, the recordings and calibrations of its own for MONITOR, "frame" and "energy": its row, and
-    per detector and case what became of it from every start.
+    """One drive, the recordings and calibrations of its own for MONITOR and each test: its row, and per
+    detector and case what became of it from every start.
 
     No outcome where the drive does not qualify for faults.
     """
     experiment, recordings, calibrations = item
     group = recordings.groups.get(experiment.name)
     project, thresholds = reader.project, {what: c.threshold for what, c in calibrations.items()}
-    together = Replayer(project, core, threshold=thresholds[MONITOR], energy_threshold=thresholds[MONITOR])
-    apart = Replayer(project, core, threshold=thresholds["frame"], energy_threshold=thresholds["energy"])
+    together, apart = (
+        Replayer(project, core, threshold=frame, energy_threshold=energy, change_threshold=change)
+        for frame, energy, change in ([thresholds[MONITOR]] * 3, [thresholds[test] for test in TESTS])
+    )
     detectors = {
         MONITOR: (together, None),
         EXPORTED: (apart, None),
@@ -113,7 +116,11 @@ def _evaluate_drive(
 
 def _drive_scores(replay: Replay) -> dict[str, float | None]:
     """The scores of a drive, of which a detector alarms above its threshold; None where it did not judge."""
-    tests = {"frame": score(replay.run), "energy": energy_score(replay.run)}
+    tests = {
+        "frame": score(replay.run),
+        "energy": energy_score(replay.run),
+        "change": change_score(replay.run),
+    }
     return {MONITOR: max((s for s in tests.values() if s is not None), default=None)} | tests
 
 
@@ -275,10 +282,7 @@ def _table(
         "mode": judged.mode,
         "threshold_rule": judged.rule,
         "claims": {
-            "identified": {
-                "frame": stored.calibration.claim(),
-                "energy": energy_test_of(stored).calibration.claim(),
-            },
+            "identified": {test: c.claim() for test, c in calibrations_of(stored).items()},
             judged.mode: {what: sorted({r["calibration"][what]["claim"] for r in rows}) for what in scored},
         },
         "stated_rates": _stated_rates(rows, baselines, scored),

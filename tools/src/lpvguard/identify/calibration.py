@@ -230,15 +230,21 @@ def energy_score(run: Run) -> float | None:
     return float(run.energy.max()) if (run.energy > 0).any() else None
 
 
-def joint_scores(frame: dict[str, float], energy: dict[str, float]) -> dict[str, float]:
-    """Scores of both tests together, per drive the larger of ``frame`` and ``energy``.
+def change_score(run: Run) -> float | None:
+    """Score of a drive in the change test: its largest ratio; None when it was never judged."""
+    return float(run.change.max()) if (run.change > 0).any() else None
 
-    A margin and a ratio are both the least inflation of the bounds with which the data agree. The bounds are
-    W_delta and B_w, or W_delta and sigma. One threshold therefore serves for the larger. A monitor of both
-    tests with it alarms on a further drive, by either, with probability at most alpha. With each test at its
-    own threshold that probability is at most twice alpha.
+
+def joint_scores(*tests: Mapping[str, float]) -> dict[str, float]:
+    """Scores of all ``tests`` together, per drive the largest.
+
+    Every score is in units of what the bound-setting drives showed. A margin and a ratio of the energy test
+    are the least inflation of the bounds with which the data agree, a ratio of the change test is over the
+    largest met. One threshold therefore serves for the largest. A monitor of all tests with it alarms on a
+    further drive, by any, with probability at most alpha. With each test at its own threshold that
+    probability is at most alpha times the number of tests.
     """
-    return {n: max(s[n] for s in (frame, energy) if n in s) for n in {**frame, **energy}}
+    return {n: max(s[n] for s in tests if n in s) for n in sorted({n for s in tests for n in s})}
 
 
 def calibrate(

@@ -21,6 +21,7 @@ def export_vehicle(
         "identification": stored.manifest,
         "threshold": stored.calibration.to_dict(),
         "energy_test": stored.energy_of_core.to_dict(),
+        "change_test": stored.change_of_core.to_dict(),
         "final_inflation": stored.weights["inflation"],
         "weights": {k: stored.weights[k] for k in ("W_w", "W_delta")},
         "project": stored.project.model_dump(by_alias=True),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import zlib
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -26,7 +27,8 @@ from .bounds import (
     reduce_remainder,
     reduce_uncertainty,
 )
-from .calibration import energy_score, score
+from .calibration import change_score, energy_score, score
+from .change import ChangeTest, largest_estimates, regressor_products
 from .energy import EnergyTest
 from .visibility import Excitation
 
@@ -93,6 +95,24 @@ def thinned(rows: Rows) -> Rows:
     return {k: v[new] for k, v in both.items()}
 
 
+def spectra_file(rows: Rows, bound_drives: list[str]) -> bytes:
+    """The thinned spectra as npz: drive (index into names), bin, start, speed (mean over the frame, m/s), E,
+    Z."""
+    index = {name: i for i, name in enumerate(bound_drives)}
+    stream = io.BytesIO()
+    np.savez(
+        stream,
+        names=np.array(bound_drives),
+        drive=np.array([index[n] for n in rows["drive"]], int),
+        bin=rows["group"],
+        start=rows["start"],
+        speed=rows["speed"],
+        E=rows["E"],
+        Z=rows["Z"],
+    )
+    return stream.getvalue()
+
+
 def first_pass(reader: DriveReader, nu_ceiling: np.ndarray, experiment: Experiment) -> tuple[Part, Rows]:
     """Bounds before smoothing, peaks, and a sample of the spectra of one drive.
 
@@ -149,6 +169,7 @@ class Judged(NamedTuple):
     worst: float
     score: float | None
     energy_score: float | None
+    change_score: float | None
     met: Excitation
 
 
@@ -180,6 +201,7 @@ def judge(
             worst,
             float(worst) if len(E) else None,
             None,
+            None,
             Excitation.of(name, speed_range, bin_of, speed, Z, W_delta, B_w, start),
         )
     worst = 0.0
@@ -200,7 +222,7 @@ def judge(
         B_w,
         np.round(f.t_end_s[of_whole] * 1e6).astype(np.int64),
     )
-    return Judged(worst, score(whole), energy_score(whole), met)
+    return Judged(worst, score(whole), energy_score(whole), change_score(whole), met)
 
 
 def _first_samples(reader: DriveReader, name: str, samples: int, cuts: int) -> list[int]:
@@ -221,3 +243,15 @@ def energy_pass(reader: DriveReader, test: EnergyTest, cuts: int, experiment: Ex
             yield (test if cut else test.at_rest()).needs(*nominal_error(rest, reader.model), rest.v)
 
     return fold(parts())
+
+
+def change_products_pass(reader: DriveReader, experiment: Experiment) -> np.ndarray:
+    """Sums of products of the change test's regressors over a drive."""
+    drive, e, yhat = reader.read(experiment)
+    return regressor_products(e, yhat, drive.v, reader.estimator)
+
+
+def change_largest_pass(reader: DriveReader, test: ChangeTest, experiment: Experiment) -> np.ndarray:
+    """The largest estimates of the change test on a drive."""
+    drive, e, yhat = reader.read(experiment)
+    return largest_estimates(test, e, yhat, drive.v, reader.estimator)

@@ -11,6 +11,7 @@ Writes a folder with
     calibration.json  scores, threshold, alpha
     energy.json       energy test: filters, certificate, sigma, scores, threshold (energy.py); with Hann
                       frames only
+    change.json       change test: sizes, scores, threshold (change.py); likewise
     visibility.json   smallest visible gain and delay errors, at typical and at the strongest excitation met
     spectra.npz       E, Z and mean speed of frames of the bound-setting drives, thinned, for the pictures and
                       step 8's trade-offs
@@ -24,7 +25,6 @@ bit of the bounds.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -40,23 +40,35 @@ from ..base.sampling import Rows, stacked
 from ..core.coefficients import Coefficients
 from ..core.compiled import Core
 from ..drives.frames import Estimator, not_for_the_core
-from ..drives.tables import EXPERIMENTS, Drive, Experiment, bound_setting, list_experiments, set_aside
+from ..drives.tables import (
+    EXPERIMENTS,
+    Drive,
+    Experiment,
+    bound_setting,
+    list_experiments,
+    set_aside,
+    table_hashes,
+)
 from ..fit.quality import Quality
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, parse_project
 from .bounds import FRONT_POINTS, Bounds, Part, fold, front_grid
 from .calibration import Calibration, Recordings, calibrate
+from .change import ChangeTest
 from .energy import EnergyTest
 from .model_error import FOLDS, ErrorGrid, ModelError, Sums, model_error_pass
 from .model_fit import drive_fit, require_better_than_none
 from .passes import (
     DriveReader,
     Judged,
+    change_largest_pass,
+    change_products_pass,
     covering_pass,
     energy_pass,
     first_pass,
     judge,
     remainder_pass,
+    spectra_file,
     thinned,
     uncertainty_pass,
 )
@@ -102,6 +114,7 @@ class Identification:
     weights: Weights
     calibration: Calibration
     energy: EnergyTest | None
+    change: ChangeTest | None
     visibility: dict
     spectra: Rows
     bound_drives: list[str]
@@ -255,26 +268,31 @@ class _Run:
             front_nu=second["front"],
         )
 
-    def calibrated(self, weights: Weights, drives: _Chosen) -> tuple[Weights, Calibration, EnergyTest | None]:
-        """Weights with their final inflation, and both tests with their thresholds; the plain DFT has no
-        energy test."""
+    def calibrated(
+        self, weights: Weights, drives: _Chosen
+    ) -> tuple[Weights, Calibration, EnergyTest | None, ChangeTest | None]:
+        """Weights with their final inflation, and the tests with their thresholds; the plain DFT has the
+        frame test only."""
         project, model, estimator = self.reader.project, self.reader.model, self.reader.estimator
         alpha, recordings = project.frame_test.alpha, Recordings.listed(drives.setting, drives.others)
         if estimator.window != "hann":
             inflated = self._inflated(weights, None, drives)
-            scores, _ = self._scores(weights, None, None, drives)
+            scores, _, _ = self._scores(weights, None, None, drives)
             scores = {n: s / inflated.inflation for n, s in scores.items()}
-            return inflated, calibrate(scores, alpha, recordings=recordings), None
-        filters = energy_filters(project, estimator, weights)
-        with scratch_core(project, coefficients_of(project, model, estimator, weights, 1.0, filters)) as core:
+            return inflated, calibrate(scores, alpha, recordings=recordings), None, None
+        filters, change = energy_filters(project, estimator, weights), self._change_test(drives)
+        with scratch_core(
+            project, coefficients_of(project, model, estimator, weights, 1.0, filters, change)
+        ) as core:
             inflated = self._inflated(weights, core, drives)
             test = self._energy_test(inflated, drives)
-            reals = coefficients_of(project, model, estimator, inflated, 1.0, test).flat_reals()
-            scores, energy_scores = self._scores(weights, core, reals, drives)
+            reals = coefficients_of(project, model, estimator, inflated, 1.0, test, change).flat_reals()
+            scores, energy_scores, change_scores = self._scores(weights, core, reals, drives)
             return (
                 inflated,
                 calibrate(scores, alpha, recordings=recordings),
                 test.calibrated(energy_scores, alpha, recordings),
+                change.calibrated(change_scores, alpha, recordings),
             )
 
     @property
@@ -313,12 +331,18 @@ class _Run:
         task = partial(energy_pass, self.reader, test, CUTS)
         return test.with_joint(fold(self.over("joint sigma", task, chosen)))
 
+    def _change_test(self, drives: _Chosen) -> ChangeTest:
+        """The change test with the sizes that the bound-setting drives show."""
+        sums = self.over("change", partial(change_products_pass, self.reader), drives.setting)
+        test = ChangeTest.design(self.reader.project).with_moments(np.sum(list(sums), axis=0))
+        task = partial(change_largest_pass, self.reader, test)
+        return test.with_largest(np.max(list(self.over("change", task, drives.setting)), axis=0))
+
     def _scores(
         self, weights: Weights, core: Core | None, reals: np.ndarray | None, drives: _Chosen
-    ) -> tuple[dict[str, float], dict[str, float]]:
-        """Scores of the calibration drives in the frame test and in the energy test; adds to
-        ``left_out``."""
-        scores, energy_scores = {}, {}
+    ) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+        """Scores of the calibration drives in frame, energy and change test; adds to ``left_out``."""
+        scores, energy_scores, change_scores = {}, {}, {}
         judged = self._judged("score", weights, core, reals, 0, drives.others)
         for e, j in zip(drives.others, judged, strict=False):
             if j.score is None:
@@ -327,25 +351,9 @@ class _Run:
                 scores[e.name] = j.score
             if j.energy_score is not None:
                 energy_scores[e.name] = j.energy_score
-        return scores, energy_scores
-
-
-def table_hashes(experiments: list[Experiment], workers: Map = map) -> dict[str, str]:
-    """SHA-256 of every drive's table; InputError where two are the same: one drive would count twice."""
-    found: dict[str, str] = {}
-    first: dict[str, str] = {}
-    for e, digest in zip(
-        experiments, workers(artefacts.file_hash, [e.path for e in experiments]), strict=False
-    ):
-        if digest in first:
-            raise InputError(
-                e.path.parent / EXPERIMENTS,
-                "column experiment",
-                f"{e.name} is the same table as {first[digest]}, byte for byte",
-                "every drive once",
-            )
-        found[e.name], first[digest] = digest, e.name
-    return found
+            if j.change_score is not None:
+                change_scores[e.name] = j.change_score
+        return scores, energy_scores, change_scores
 
 
 def _of_commands(project: Project, setting: list[Experiment], parts: list[Part], folder: Path) -> Part:
@@ -397,7 +405,7 @@ def identify(
     weights = fit_weights(
         project, estimator, bounds, gamma_w, W_delta, noise_peak, first["E"], command["Y"][:, 0]
     )
-    weights, calibration, energy = run.calibrated(weights, chosen)
+    weights, calibration, energy, change = run.calibrated(weights, chosen)
     progress("window error")
     found = weights.at(estimator.omega)[0] / weights.inflation
     result = Identification(
@@ -409,6 +417,7 @@ def identify(
         weights=weights,
         calibration=calibration,
         energy=energy,
+        change=change,
         visibility=visibility(
             estimator.omega, estimator.speed_range, run.met, found, calibration.carried, weights.inflation
         ),
@@ -460,9 +469,10 @@ def save(result: Identification, drives: DriveSet, target: Path) -> None:
                 "weights.json": artefacts.to_json(weights.to_dict()),
                 "calibration.json": artefacts.to_json(result.calibration.to_dict()),
                 **({"energy.json": artefacts.to_json(result.energy.to_dict())} if result.energy else {}),
+                **({"change.json": artefacts.to_json(result.change.to_dict())} if result.change else {}),
                 "visibility.json": artefacts.to_json(result.visibility),
                 "project.json": artefacts.to_json(result.project.model_dump(by_alias=True)),
-                "spectra.npz": _spectra_file(result.spectra, result.bound_drives),
+                "spectra.npz": spectra_file(result.spectra, result.bound_drives),
                 artefacts.MANIFEST: artefacts.manifest(
                     "identify",
                     vehicle=result.project.name,
@@ -480,23 +490,6 @@ def save(result: Identification, drives: DriveSet, target: Path) -> None:
         )
 
 
-def _spectra_file(rows: Rows, bound_drives: list[str]) -> bytes:
-    """Columns drive (index into names), bin, start, speed (mean over the frame, m/s), E, Z."""
-    index = {name: i for i, name in enumerate(bound_drives)}
-    stream = io.BytesIO()
-    np.savez(
-        stream,
-        names=np.array(bound_drives),
-        drive=np.array([index[n] for n in rows["drive"]], int),
-        bin=rows["group"],
-        start=rows["start"],
-        speed=rows["speed"],
-        E=rows["E"],
-        Z=rows["Z"],
-    )
-    return stream.getvalue()
-
-
 @dataclass(frozen=True)
 class StoredIdentification:
     """An identification folder read back: what export, evaluate and report need."""
@@ -509,6 +502,7 @@ class StoredIdentification:
     fitted: Weights
     calibration: Calibration
     energy: EnergyTest | None
+    change: ChangeTest | None
     front: dict[str, np.ndarray]
     visibility: dict
     model_error: ModelError
@@ -524,20 +518,22 @@ class StoredIdentification:
             self.fitted,
             self.calibration.carried,
             self.energy_of_core,
+            self.change_of_core,
         )
 
     def of_group(self, group: str) -> StoredIdentification:
-        """With the thresholds of both tests for drives of a group; InputError where no drive is of it."""
+        """With the thresholds of all tests for drives of a group; InputError where no drive is of it."""
         known = sorted(self.calibration.groups)
         if group not in known:
             raise InputError(
                 self.folder, "group", group, ", ".join(known) or f"groups, a column of {EXPERIMENTS}"
             )
-        energy = self.energy_of_core
+        energy, change = self.energy_of_core, self.change_of_core
         return replace(
             self,
             calibration=self.calibration.of_group(group),
             energy=replace(energy, calibration=energy.calibration.of_group(group)),
+            change=replace(change, calibration=change.calibration.of_group(group)),
         )
 
     @property
@@ -546,6 +542,13 @@ class StoredIdentification:
         if self.energy is None:
             raise not_for_the_core(self.project)
         return self.energy
+
+    @property
+    def change_of_core(self) -> ChangeTest:
+        """The change test; InputError for bounds of an estimator that the core does not compute."""
+        if self.change is None:
+            raise not_for_the_core(self.project)
+        return self.change
 
 
 def load(folder: Path) -> StoredIdentification:
@@ -567,10 +570,13 @@ def load(folder: Path) -> StoredIdentification:
             f"{estimator.identifier():#010x}, the estimator that project.json describes",
         )
     fitted = Weights.from_dict(weights, str(folder / "weights.json"))
-    energy = None
+    energy = change = None
     if estimator.window == "hann":
         energy = energy_filters(project, estimator, fitted).restored(
             artefacts.read_json(folder / "energy.json"), str(folder / "energy.json")
+        )
+        change = ChangeTest.design(project).restored(
+            artefacts.read_json(folder / "change.json"), str(folder / "change.json")
         )
     stored_front = artefacts.read_json(folder / "front.json")
     front = {k: np.array(stored_front[k], float) for k in ("gamma_w", "nu")}
@@ -583,6 +589,7 @@ def load(folder: Path) -> StoredIdentification:
         fitted,
         calibration,
         energy,
+        change,
         front,
         artefacts.read_json(folder / "visibility.json"),
         ModelError.from_dict(project, estimator, artefacts.read_json(folder / "model_error.json")),

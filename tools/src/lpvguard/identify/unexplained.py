@@ -16,7 +16,7 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..base.parallel import Map
-from ..core.compiled import VERDICTS, Core
+from ..core.compiled import ALARMING, VERDICTS, Core
 from ..drives.faults import inject, stated
 from ..drives.frames import not_for_the_core
 from ..drives.tables import EXPERIMENTS, Experiment
@@ -118,11 +118,17 @@ def cost(
 def _alarms(
     result: Identification, known: list[Experiment], settings: EvaluationSettings, workers: Map
 ) -> int:
-    if result.energy is None:
+    if result.energy is None or result.change is None:
         raise not_for_the_core(result.project)
     reader, carried = DriveReader(result.project, result.model), result.calibration.carried
     coefficients = coefficients_of(
-        result.project, result.model, result.estimator, result.weights, carried, result.energy
+        result.project,
+        result.model,
+        result.estimator,
+        result.weights,
+        carried,
+        result.energy,
+        result.change,
     )
     with scratch_core(result.project, coefficients) as core:
         return sum(workers(partial(_alarms_of_drive, reader, core, settings), known))
@@ -133,12 +139,12 @@ def _alarms_of_drive(
 ) -> int:
     """How many of the faults alarm in a drive; none counts where it alarms untouched."""
     drive, Ts = reader.read(experiment)[0], reader.estimator.Ts
-    invalid = VERDICTS.index("invalid")
-    if np.any(core.monitor().run_drive(drive).verdict == invalid):
+    alarming = [VERDICTS.index(verdict) for verdict in ALARMING]
+    if np.isin(core.monitor().run_drive(drive).verdict, alarming).any():
         return 0
     faults = stated(settings, drive.y.std(axis=0))
     starts = [drive.duration_s / 3 if f.kind == "freeze" else 0.0 for f in faults]
     return sum(
-        bool(np.any(core.monitor().run_drive(inject(drive, f, start, Ts)).verdict == invalid))
+        bool(np.isin(core.monitor().run_drive(inject(drive, f, start, Ts)).verdict, alarming).any())
         for f, start in zip(faults, starts, strict=True)
     )

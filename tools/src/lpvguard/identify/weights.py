@@ -17,6 +17,7 @@ from ..engine.overbound.weight import Weight
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
 from .bounds import Bounds
+from .change import ChangeTest
 from .energy import EnergyTest
 
 DC_STAND_IN = 0.1
@@ -294,9 +295,12 @@ def coefficients_of(
     weights: Weights,
     threshold: float,
     energy: EnergyTest,
+    change: ChangeTest,
 ) -> Coefficients:
     """The core's coefficients for these weights."""
-    return build_coefficients(project, model, estimator, *weights.at(estimator.omega), threshold, energy)
+    return build_coefficients(
+        project, model, estimator, *weights.at(estimator.omega), threshold, energy, change
+    )
 
 
 def energy_filters(project: Project, estimator: Estimator, weights: Weights) -> EnergyTest:

@@ -3,7 +3,7 @@ written in a form that people and machines can read."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import pyarrow as pa
 from ..base.errors import InputError
 from ..can.logs import Frames, is_raw_table, read_log, stem
 from ..can.play import frames_of_drive, values_of_drive
-from ..core.compiled import REASONS, STATUSES, VERDICTS, Core, Run, band_names
+from ..core.compiled import CHANGE_PARTS, REASONS, STATUSES, VERDICTS, Core, Run, band_names
 from ..drives.frames import Estimator
 from ..drives.tables import TABLE_SUFFIXES, Drive, read_drive, require_units
 from ..vehicle.nominal import NominalModel
@@ -26,15 +26,26 @@ EXCITED_WINDOW_S = 10.0
 
 
 @dataclass(frozen=True)
+class ChangeEstimate:
+    """What the change test says of an output: e = gain yhat - delay_s dyhat/dt + bias [output unit]."""
+
+    gain: float
+    delay_s: float
+    bias: float
+
+
+@dataclass(frozen=True)
 class Alarm:
     """What falsified the model, with what a person needs to believe it. ``t_s`` [s] is the end of what was
     judged.
 
-    ``test`` is "frame" or "energy". "frame": a frame of the bin ``bin_rad_s`` [rad/s]; E and Z are its DFT of
-    error and nominal output. "energy": the energy test's ratio (``margin``) exceeded its threshold, after a
-    memory without that. Then bin_rad_s and W_delta, of a frame (n_delta,), are None. ``band`` is one of
-    core.band_names; ``direction`` (n_y,) says which sum of outputs, in units of sigma. B_w holds the
-    band's sigma, E the norms of F e_j and Z those of F W_delta yhat_j.
+    ``test`` is "frame", "energy" or "change". "frame": a frame of the bin ``bin_rad_s`` [rad/s]; E and Z
+    are its DFT of error and nominal output. "energy": the energy test's ratio (``margin``) exceeded its
+    threshold, after a memory without that. Then bin_rad_s and W_delta, of a frame (n_delta,), are None.
+    ``band`` is one of core.band_names; ``direction`` (n_y,) says which sum of outputs, in units of sigma.
+    B_w holds the band's sigma, E the norms of F e_j and Z those of F W_delta yhat_j. "change": the change
+    test's ratio did, of one ``part`` (core.CHANGE_PARTS) of the ``estimate`` of ``output``; B_w, E and Z are
+    empty.
     """
 
     t_s: float
@@ -51,6 +62,9 @@ class Alarm:
     Z: list[complex]
     direction: list[float] | None = None
     band: str | None = None
+    output: str | None = None
+    part: str | None = None
+    estimate: ChangeEstimate | None = None
 
 
 @dataclass(frozen=True)
@@ -65,7 +79,8 @@ class Replay:
     excited: np.ndarray  # (N,) bool
     falsified: np.ndarray  # (N,) bool: with this sample the core judged a frame that falsifies
     over: np.ndarray  # (N,) bool: the energy test's ratio is above its threshold
-    alarms: list[Alarm]  # of both tests, in the order of time
+    changed: np.ndarray  # (N,) bool: the change test's is
+    alarms: list[Alarm]  # of all tests, in the order of time
     Ts: float
     can: dict[str, Any] | None = None  # of a raw log: what became of its frames, gaps (receive.py)
     start_s: float = 0.0  # the drive's own time at its first sample; ``run`` has that time
@@ -114,7 +129,8 @@ class Replay:
             "first_invalid_s": self.first_invalid_s,
             "max_margin": self.max_margin,
             "max_energy_ratio": float(self.run.energy.max()) if self.run.energy.any() else None,
-            "alarms": [vars(a) for a in self.alarms],
+            "max_change_ratio": float(self.run.change.max()) if self.run.change.any() else None,
+            "alarms": [asdict(a) for a in self.alarms],
             "in_range_excited_s": round(float(relevant.sum() * self.Ts), 6),
             "judged_in_range_excited_s": round(float((relevant & self.judged).sum() * self.Ts), 6),
             "frames": self.left_out(),
@@ -164,6 +180,7 @@ class Replayer:
         *,
         threshold: float | None = None,
         energy_threshold: float | None = None,
+        change_threshold: float | None = None,
     ):
         self.project, self.core = project, core
         self.model = NominalModel(project)
@@ -187,16 +204,22 @@ class Replayer:
         core.monitor()  # refuses coefficients that the core refuses, before they are read by field
         reals = core.compiled[1].copy()
         fields = core.fields(reals)
-        for name, value in (("threshold", threshold), ("energy_threshold", energy_threshold)):
+        given = {
+            "threshold": threshold,
+            "energy_threshold": energy_threshold,
+            "change_threshold": change_threshold,
+        }
+        for name, value in given.items():
             if value is not None:
                 fields[name][0] = value
-        self._reals = reals if threshold is not None or energy_threshold is not None else None
-        self.threshold, self.energy_threshold = (
-            float(fields[name][0]) for name in ("threshold", "energy_threshold")
+        self._reals = None if set(given.values()) == {None} else reals
+        self.threshold, self.energy_threshold, self.change_threshold = (
+            float(fields[name][0]) for name in given
         )
         self.W_delta, self.B_w = fields["W_delta"], fields["B_w"]
         self.sigma, self.directions = 1.0 / fields["energy_scale"], fields["energy_direction"]
         self.bands = band_names(len(self.sigma))
+        self.change_unit, self.change_largest = 1.0 / fields["change_unit"], 1.0 / fields["change_scale"]
 
     def replay(self, drive: Drive, present: np.ndarray | None = None) -> Replay:
         """Run one drive; where ``present`` (N,) is False there was no sample and the drive's values mean
@@ -224,14 +247,16 @@ class Replayer:
             self.excited(drive),
             falsified,
             run.energy > self.energy_threshold,
+            run.change > self.change_threshold,
             self.alarms(run, t0),
             Ts,
             start_s=float(t0),
         )
 
     def alarms(self, run: Run, t0: float) -> list[Alarm]:
-        """What falsified the model in a run, in the order of time; ``t0``: what counts as time 0 [s]."""
-        return sorted([*self._frame_alarms(run, t0), *self._energy_alarms(run, t0)], key=lambda a: a.t_s)
+        """What spoke against the model in a run, in the order of time; ``t0``: what counts as time 0 [s]."""
+        found = [*self._frame_alarms(run, t0), *self._energy_alarms(run, t0), *self._change_alarms(run, t0)]
+        return sorted(found, key=lambda a: a.t_s)
 
     def _frame_alarms(self, run: Run, t0: float) -> list[Alarm]:
         """An alarm for each frame that falsifies the model; ``t0``: time of the drive's first sample [s]."""
@@ -276,6 +301,32 @@ class Replayer:
                 self.bands[band],
             )
             for i, (band, direction) in enumerate(places)
+        ]
+
+    def _change_alarms(self, run: Run, t0: float) -> list[Alarm]:
+        """The alarms of the change test; ``t0``: time of the drive's first sample [s]."""
+        found = run.change_alarms
+        return [
+            Alarm(
+                float(found.t_end_s[i] - t0),
+                "change",
+                None,
+                float(found.speed[i]),
+                float(found.margin[i]),
+                float(found.evidence[i]),
+                float(found.statistic[i]),
+                self.change_threshold,
+                None,
+                [],
+                [],
+                [],
+                output=self.project.outputs[output].name,
+                part=CHANGE_PARTS[part],
+                estimate=ChangeEstimate(
+                    float(found.E[i, 0].real), float(found.E[i, 0].imag), float(found.Z[i, 0].real)
+                ),
+            )
+            for i, (output, part) in enumerate(zip(*divmod(found.bin, len(CHANGE_PARTS)), strict=True))
         ]
 
     def excited(self, drive: Drive) -> np.ndarray:

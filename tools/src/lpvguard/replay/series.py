@@ -6,6 +6,7 @@ yhat/NAME     nominal output, started at the first measured one and never again
 e/NAME        NAME less yhat/NAME
 margin/RAD_S  t* of the bin with that frequency [rad/s]; null but where the core judged a counted frame of it
 energy_ratio  the energy test's ratio; null where it does not judge
+change_ratio  the change test's newest; null before its first
 verdict       text, and verdict_code: its number in monitor.h
 
 A column with a unit says it in its metadata, as "unit".
@@ -58,6 +59,7 @@ def table_of(
     for k, values in enumerate(margins):
         columns[margin_column(omega[k])] = pa.array(values, mask=np.isnan(values))
     columns["energy_ratio"] = pa.array(run.energy, mask=run.energy == 0)
+    columns["change_ratio"] = pa.array(run.change, mask=run.change == 0)
     columns["verdict"] = pa.array([VERDICTS[code] for code in run.verdict])
     columns["verdict_code"] = pa.array(run.verdict)
     units = {s.name: s.unit for s in (project.speed, *project.inputs, *project.outputs)} | {"t": "s"}

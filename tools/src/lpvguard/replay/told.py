@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 from .run import Alarm
@@ -9,12 +10,19 @@ from .run import Alarm
 
 def alarm_sentence(alarm: Alarm | dict[str, Any]) -> str:
     """Test, place, margin and the bound that broke, of an alarm or of its object in the JSON of `replay`."""
-    a = vars(alarm) if isinstance(alarm, Alarm) else alarm
+    a = asdict(alarm) if isinstance(alarm, Alarm) else alarm
     if a["test"] == "energy":
         return (
             f"energy test, v = {a['speed_mps']:.1f} m/s: ratio {a['margin']:.2f} > {a['threshold']:.2f} "
             f"{a['band']} the corners, in direction ({_listed(a['direction'])}); ||F e|| = {_listed(a['E'])} "
             f"against ||F W_delta yhat|| {_listed(a['Z'])} + sigma {_listed(a['B_w'])}"
+        )
+    if a["test"] == "change":
+        return (
+            f"change test, v = {a['speed_mps']:.1f} m/s: {a['part']} of {a['output']} at {a['margin']:.2f} > "
+            f"{a['threshold']:.2f} of the largest on the bound-setting drives; gain "
+            f"{1 + a['estimate']['gain']:.3g} of the model's, {a['estimate']['delay_s']:.3g} s later, bias "
+            f"{a['estimate']['bias']:.3g}"
         )
     return (
         f"frame test, {a['bin_rad_s']:.3g} rad/s, v = {a['speed_mps']:.1f} m/s: "

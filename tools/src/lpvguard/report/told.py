@@ -17,9 +17,9 @@ COLUMNS = 60
 class Nearest:
     """Where a drive came nearest to an alarm, or farthest beyond.
 
-    ``ratio``: statistic over threshold, an alarm above 1. ``test``: "frame" or "energy". ``bin``: its place
-    in the bins and ``omega`` [rad/s]; None for the energy test. ``t_s``: end of what was judged [s after
-    the drive's start]; ``speed_mps`` [m/s].
+    ``ratio``: statistic over threshold, an alarm above 1. ``test``: "frame", "energy" or "change". ``bin``:
+    its place in the bins and ``omega`` [rad/s]; None but for the frame test. ``t_s``: end of what was judged
+    [s after the drive's start]; ``speed_mps`` [m/s].
     """
 
     ratio: float
@@ -58,7 +58,7 @@ class Told:
 
 
 def nearest(replay: Replay, replayer: Replayer, drive: Drive) -> Nearest | None:
-    """Where the statistic of either test was largest in units of its threshold; None where nothing was
+    """Where the statistic of any test was largest in units of its threshold; None where nothing was
     judged."""
     frames, found = replay.run.frames, []
     counted = np.flatnonzero(frames.counted)
@@ -75,11 +75,19 @@ def nearest(replay: Replay, replayer: Replayer, drive: Drive) -> Nearest | None:
                 float(frames.speed[i]),
             )
         )
-    if (replay.run.energy > 0).any():
-        n = int(np.argmax(replay.run.energy))
-        ratio = float(replay.run.energy[n]) / replayer.energy_threshold
-        found.append(Nearest(ratio, "energy", None, None, n * replay.Ts, float(drive.v[n])))
+    for test, values in _ratios(replay, replayer):
+        if (values > 0).any():
+            n = int(np.argmax(values))
+            found.append(Nearest(float(values[n]), test, None, None, n * replay.Ts, float(drive.v[n])))
     return max(found, key=lambda near: near.ratio, default=None)
+
+
+def _ratios(replay: Replay, replayer: Replayer) -> tuple[tuple[str, np.ndarray], ...]:
+    """Ratios (N,) of the tests that have one a sample, over their thresholds; 0: not judged."""
+    return (
+        ("energy", replay.run.energy / replayer.energy_threshold),
+        ("change", replay.run.change / replayer.change_threshold),
+    )
 
 
 def course(replay: Replay, replayer: Replayer, t0: float) -> tuple[np.ndarray, np.ndarray]:
@@ -89,8 +97,9 @@ def course(replay: Replay, replayer: Replayer, t0: float) -> tuple[np.ndarray, n
     counted = frames.counted
     end = np.round((frames.t_end_s[counted] - t0) / replay.Ts)
     np.maximum.at(ratio, _column(end, samples), frames.statistic[counted] / replayer.threshold)
-    judged = np.flatnonzero(replay.run.energy > 0)
-    np.maximum.at(ratio, _column(judged, samples), replay.run.energy[judged] / replayer.energy_threshold)
+    for _, values in _ratios(replay, replayer):
+        judged = np.flatnonzero(values > 0)
+        np.maximum.at(ratio, _column(judged, samples), values[judged])
     last = np.minimum(np.arange(1, COLUMNS + 1) * samples // COLUMNS, samples) - 1
     return np.where(np.isfinite(ratio), ratio, np.nan), replay.run.verdict[np.maximum(last, 0)]
 

@@ -244,6 +244,13 @@ class EnergyTestSettings(StrictModel):
     memory_s: Positive | None = None
 
 
+class ChangeTestSettings(StrictModel):
+    """The change test (THEORY 7.7). ``memory_s``: time constant of the forgetting, by default a quarter of a
+    period of f_min_hz, two blocks at least."""
+
+    memory_s: Positive | None = None
+
+
 class DataSettings(StrictModel):
     """Which splits set the bounds, which are zero-input runs (W_n), and what `generate` makes; all other
     splits calibrate. ``command_split``: the bound-setting splits whose input is a command as in use, from
@@ -389,6 +396,7 @@ class Project(StrictModel):
     weights: WeightSettings
     frame_test: FrameTestSettings
     energy_test: EnergyTestSettings = EnergyTestSettings()
+    change_test: ChangeTestSettings = ChangeTestSettings()
     data: DataSettings
     design: DesignSettings | None = None
     can: OwnBus | None = Field(default=None, exclude=True)

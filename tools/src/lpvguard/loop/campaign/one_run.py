@@ -319,10 +319,16 @@ def supervision(
 
 
 def _statistic(replayer: Replayer, replay: Replay, drive: Drive) -> np.ndarray:
-    """(N,) of the monitor: the larger of the frame test's statistic (where frames were judged) and the energy
-    test's ratio, each over its threshold; -inf where neither judged. Above 1: an alarm."""
-    frames = replay.run.frames
-    statistic = np.where(replay.run.energy > 0, replay.run.energy / replayer.energy_threshold, -np.inf)
+    """(N,) of the monitor: the largest of the frame test's statistic (where frames were judged) and the
+    ratios of the other tests, each over its threshold; -inf where none judged. Above 1: an alarm."""
+    frames, ratios = (
+        replay.run.frames,
+        (
+            (replay.run.energy, replayer.energy_threshold),
+            (replay.run.change, replayer.change_threshold),
+        ),
+    )
+    statistic = np.max([np.where(x > 0, x / threshold, -np.inf) for x, threshold in ratios], axis=0)
     at = np.round((frames.t_judged_s - drive.t[0]) / replay.Ts).astype(int)
     np.maximum.at(statistic, at[frames.counted], frames.statistic[frames.counted] / replayer.threshold)
     return statistic

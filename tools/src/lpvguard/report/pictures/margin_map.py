@@ -103,10 +103,10 @@ def _bin_labels(omega: np.ndarray) -> list[str]:
 
 
 def _mark_alarms(axes: Axes, replay: Replay, omega: np.ndarray) -> None:
-    """A triangle per alarm: of the frame test in the row of its bin, of the energy test above the map."""
+    """A triangle per alarm: of the frame test in the row of its bin, of the others above the map."""
     at = {w: k for k, w in enumerate(omega)}
     above = len(omega) - 0.4
-    for test, marker in (("frame", "<"), ("energy", "v")):
+    for test, marker in (("frame", "<"), ("energy", "v"), ("change", "d")):
         alarms = [a for a in replay.alarms if a.test == test]
         if alarms:
             axes.plot(

@@ -27,7 +27,7 @@ def _run(folder: Path, name: str, r: dict) -> str:
         "demands. Bottom: the margin of every counted frame as the ECU's monitor judged it; above the dashed "
         "line no one complex number within W<sub>Δ</sub> and no disturbance within B<sub>w</sub>, both times "
         "the threshold, explain the frame in its bin. Dotted: the fault begins. Solid: the verdict first "
-        "turns invalid, by either test; the energy test has no frames and is not drawn.",
+        "turns invalid, by any test; energy and change test have no frames and are not drawn.",
     )
 
 

@@ -112,6 +112,6 @@ def drive_index(told: list[Told]) -> str:
     return f"""<h3>All drives</h3><div id="drive-tools"></div>
 <div class="scroll"><table id="drive-index"><thead><tr>{head}</tr></thead>
 <tbody>{"".join(_row(d) for d in told)}</tbody></table></div>
-<p class="note">Course: the statistic of both tests over time, as a part of its threshold (dashed); \
+<p class="note">Course: the largest statistic of all tests over time, as a part of its threshold (dashed); \
 triangles: beyond. Strip: the verdict: {key}. Largest: where the drive came nearest to an alarm, or went \
 farthest beyond.</p>"""

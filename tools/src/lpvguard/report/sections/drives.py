@@ -168,16 +168,16 @@ def _alarm_table(alarms: list[Alarm]) -> str:
     rows = [
         [
             f"{a.t_s:.2f}",
-            a.test if a.band is None else f"{a.test}, {a.band}",
+            ", ".join(filter(None, [a.test, a.band, a.output, a.part])),
             number(a.bin_rad_s),
             f"{a.speed_mps:.1f}",
             number(a.margin),
             number(a.statistic),
             number(a.threshold),
-            number(np.linalg.norm(a.E)),
-            number(np.linalg.norm(a.Z)),
+            number(np.linalg.norm(a.E)) if a.E else "–",
+            number(np.linalg.norm(a.Z)) if a.Z else "–",
             "–" if a.W_delta is None else ", ".join(number(w) for w in a.W_delta),
-            ", ".join(number(b) for b in a.B_w),
+            ", ".join(number(b) for b in a.B_w) or "–",
             number(a.evidence),
         ]
         for a in listed
@@ -219,11 +219,13 @@ def drive_section(told: list[Told], threshold: float) -> str:
         "bounds just explain the frame). Screened cells counted, but held so little excitation that even a "
         "vehicle that does not respond would have passed: they are no evidence for the model. Patterned "
         "cells were not judged, for the reason in the key; blank: no frame. Triangles: alarms, at the end of "
-        "the falsifying frame, pointing back to its cell; from above: alarms of the energy test. Below: "
+        "the falsifying frame, pointing back to its cell; from above: alarms of the energy test; "
+        "diamonds above: of the change test. Below: "
         "speed, with the model's range dashed, and the monitor's verdict. In the alarm tables |E| and |Z| "
         "are Euclidean norms in output units (energy test, below, between or above its corners: |E| of F e, "
-        "|Z| of F W<sub>Δ</sub> ŷ with forgetting, B<sub>w</sub> is σ), and evidence is the margin of a "
-        "vehicle that does not respond. Judged seconds lie in a counted frame of any bin, with evidence or "
+        "|Z| of F W<sub>Δ</sub> ŷ with forgetting, B<sub>w</sub> is σ; the change test has none), and "
+        "evidence is the margin of a vehicle that does not respond. "
+        "Judged seconds lie in a counted frame of any bin, with evidence or "
         "not; the verdict “valid” asks for evidence within the longest frame, so a drive can be judged all "
         "along and its verdict still be “not judged”.",
     )

@@ -28,13 +28,18 @@ from ...evaluate.false_alarms import PIECE_S
 from ..markup import captioned, html_table, number
 from ..pictures.detectors import SOONEST_S, time_to_find
 
-OURS = "lpvguard, both tests at one threshold"
+OURS = "lpvguard, all tests at one threshold"
 JUDGED = {
     LEFT_ONE_OUT: ("Evaluation, leave one drive out", "Every drive that did not set the bounds"),
     HELD_OUT: ("Evaluation, held-out drives", "Every drive"),
 }
 """Title of the section, and which drives are judged."""
-TEST_TITLES = {MONITOR: "both tests", "frame": "frame test", "energy": "energy test"}
+TEST_TITLES = {
+    MONITOR: "all tests",
+    "frame": "frame test",
+    "energy": "energy test",
+    "change": "change test",
+}
 
 
 def evaluation_section(evaluation: dict) -> str:
@@ -127,7 +132,7 @@ def _time_to_find(faults: list[dict], within_s: float) -> str:
 
 
 def _injected_faults(evaluation: dict) -> str:
-    """Which injected faults were found: by both tests at one threshold, as exported, by each test alone."""
+    """Which injected faults were found: by all tests at one threshold, as exported, by each test alone."""
     without = "; ".join(f"{escape(n)}: {escape(why)}" for n, why in evaluation["without_faults"].items())
     titles = {MONITOR: OURS, EXPORTED: "as exported, each test at its threshold"} | {
         t: f"{t} test alone" for t in TESTS
@@ -200,7 +205,7 @@ def _baselines(evaluation: dict) -> str:
     return f"""<h3>Beside what is used today</h3>
 <p>Five detectors on the same residual e = y − ŷ, the same drives, and thresholds from the same calibration \
 drives by the same
-rule as the monitor with both tests at one threshold. They are compared {escape(compared)}. Their parameters \
+rule as the monitor with all tests at one threshold. They are compared {escape(compared)}. Their parameters \
 are those
 that find most injected faults, all ways together, then soonest, on the bound-setting and the other \
 calibration drives; the drive under test takes part in

@@ -161,22 +161,22 @@ def _map_cell(row: int, cell: MapCell) -> str:
 
 
 def _map(stored: StoredIdentification, grid: list[list[MapCell]], told: list[Told]) -> str:
-    """The one picture: speed over frequency, the fastest cell on top, with the energy test's alarms."""
-    energy = [0] * len(grid)
+    """The one picture: speed over frequency, the fastest cell on top, with the other tests' alarms."""
+    others = [0] * len(grid)
     for a in (a for d in told for a in d.alarms if a.bin_rad_s is None):
-        energy[speed_row(stored.visibility, a.speed_mps)] += 1
+        others[speed_row(stored.visibility, a.speed_mps)] += 1
     head = "".join(f'<th scope="col">{_frequency(c.omega)}</th>' for c in grid[0])
     rows = "".join(
         f'<tr><th scope="row">{grid[r][0].speed_mps[0]:.3g}–\N{WORD JOINER}{grid[r][0].speed_mps[1]:.3g}</th>'
         + "".join(_map_cell(r, c) for c in grid[r])
-        + f'<td class="{VIOLATED if energy[r] else "none"}" data-energy-alarms="{energy[r]}">'
-        + (f"<span>{SIGNS[VIOLATED]}</span> {energy[r]}×" if energy[r] else "none")
+        + f'<td class="{VIOLATED if others[r] else "none"}" data-other-alarms="{others[r]}">'
+        + (f"<span>{SIGNS[VIOLATED]}</span> {others[r]}×" if others[r] else "none")
         + "</td></tr>"
         for r in reversed(range(len(grid)))
     )
     level = _percent(LEVEL)
     return f"""<figure class="map"><div class="scroll"><table id="blind-map">
-<thead><tr><th>m/s \\ rad/s</th>{head}<th scope="col">energy test</th></tr></thead>\
+<thead><tr><th>m/s \\ rad/s</th>{head}<th scope="col">energy, change</th></tr></thead>\
 <tbody>{rows}</tbody></table></div>
 <p id="map-reading" class="note" aria-live="polite">Point at a cell, or move with the arrow keys, for \
 all its numbers.</p>

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...base.errors import InputError
 from ...drives.frames import Estimator
+from ...identify.change import ChangeTest
 from ...identify.energy import EnergyTest
 from ...identify.premise import premise
 from ...identify.run import DriveSet, StoredIdentification
@@ -67,7 +68,7 @@ def _claim(stored: StoredIdentification) -> str:
     return (
         f"{calibration.alpha:g}: a further {one}, exchangeable with the {calibration.units()} that "
         f"calibrate, alarms with probability at most {calibration.alpha:g} (on average over "
-        "calibration sets)" + (", by each test; by either, at most twice that" if stored.energy else "")
+        "calibration sets)" + (", by each test; by any, at most three times that" if stored.energy else "")
     )
 
 
@@ -138,6 +139,7 @@ def _rows(
         ("alpha", _claim(stored)),
         ("conditional bound", _conditional_claim(stored)),
         *([("energy test", _energy_words(stored.energy, project))] if stored.energy else []),
+        *([("change test", _change_words(stored.change, project))] if stored.change else []),
         ("premise of every certificate", premise_of(stored)),
         (
             "final inflation of the weights",
@@ -253,6 +255,15 @@ def _same_numbers(stored: StoredIdentification, replayer: Replayer) -> float:
         return float("inf")
     scale = np.maximum(np.abs(ours), np.finfo(np.float32).tiny)
     return float(np.max(np.abs(ours - theirs) / scale))
+
+
+def _change_words(test: ChangeTest, project: Project) -> str:
+    """Settings and numbers of the change test in a sentence."""
+    c = test.calibration
+    return (
+        f"memory {test.memory_s:g} s; largest on the bound-setting drives: "
+        f"{escape(test.sizes_text(project))}; threshold {c.carried:.4g}: {c.claim()}"
+    )
 
 
 def _energy_words(test: EnergyTest, project: Project) -> str:

@@ -1,0 +1,205 @@
+"""Stage 5, the change test: are gain, delay and bias still those of the drives that set the bounds? (THEORY
+7.7; lib/include/lpvguard/change.h)
+
+    e_j = theta_1 yhat_j - theta_2 dyhat_j/dt + theta_3                                              (T34)
+
+by least squares over the means of blocks of NBLOCK samples, with forgetting. The regressors are divided by
+their rms on the bound-setting drives. The prior adds PRIOR memories of the products met there, which keeps an
+estimate near 0 where nothing excites it.
+
+The ratio of a part is |theta_i| over the largest on any bound-setting drive: 1 is as large as was met. It is
+no bound on what Delta or the disturbance may be, so an exceedance refutes none. The threshold is conformal,
+as that of the other tests: a further drive like those that calibrate exceeds it with probability at most
+alpha. Above it the vehicle is another than the one identified, and theta estimates how.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.signal import lfilter
+
+from ..base.errors import InputError
+from ..base.layout import CONSTANTS
+from ..drives.frames import Estimator
+from ..vehicle.project import Project
+from .calibration import Calibration, Recordings, calibrate
+
+BLOCK = int(CONSTANTS["NBLOCK"][0])
+FIRST_BLOCK_END = 2
+"""Sample, counted from 0, with which the core's first block ends, not a whole one."""
+PRIOR = 0.2
+"""Weight of the prior, in memories of such driving as set the bounds."""
+SMALLEST = 1e-2
+"""Floor of the largest part over the rms of yhat_j: an error of 1 % is none."""
+FLOOR = 1.05
+"""Of the threshold. The core drops a block beside which it has no time (change.h), the definition here drops
+none: on the largest estimates of three vehicles' drives that made 2 %."""
+UPPER = ((0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2))
+"""Rows and columns of the upper triangle of a symmetric matrix of three."""
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """The settled blocks of a drive in which the core knows the block before, in stretches: index of the last
+    sample of each (M,); means of e_j (M, n_y); regressors (M, n_y, 3), in output units, the second per
+    block."""
+
+    ends: np.ndarray
+    e: np.ndarray
+    phi: np.ndarray
+
+    @classmethod
+    def of(cls, e: np.ndarray, yhat: np.ndarray, usable: np.ndarray) -> Iterator[Blocks]:
+        """One for each stretch of blocks of ``usable`` (N,) samples; e, yhat (N, n_y)."""
+        ends = np.arange(FIRST_BLOCK_END + BLOCK, len(e), BLOCK)
+        at = ends[:, None] + np.arange(1 - BLOCK, 1)
+        whole = usable[at].all(axis=1)
+        for first, end in np.flatnonzero(np.diff(np.r_[0, whole.astype(np.int8), 0])).reshape(-1, 2):
+            mean_e, mean = (x[at[first:end]].mean(axis=1) for x in (e, yhat))
+            phi = np.stack([mean[1:], -np.diff(mean, axis=0), np.ones_like(mean[1:])], axis=-1)
+            yield cls(ends[first:end][1:], mean_e[1:], phi)
+
+
+@dataclass(frozen=True)
+class ChangeTest:
+    """Memory, sizes and calibration. ``unit`` (n_y, 2): rms of yhat_j and of its change over a block [output
+    units]. ``moments`` (n_y, 3, 3): mean products of the regressors over their sizes. ``largest`` (n_y, 3):
+    of |theta_i| [output units]."""
+
+    Ts: float
+    memory_s: float
+    unit: np.ndarray
+    moments: np.ndarray
+    largest: np.ndarray
+    calibration: Calibration = field(default_factory=lambda: Calibration(FLOOR, {}, None, None))
+
+    @classmethod
+    def design(cls, project: Project) -> ChangeTest:
+        """With its memory; sizes are yet to be found. InputError for a memory of less than two blocks."""
+        memory = project.change_test.memory_s or 0.25 / project.frames.f_min_hz
+        shortest = 2 * BLOCK * project.Ts_s
+        if project.change_test.memory_s is not None and memory < shortest:
+            raise InputError(
+                f"vehicle {project.name}",
+                "change_test.memory_s",
+                f"{memory:g} s",
+                f"{shortest:g} s at least, two blocks of {BLOCK} samples",
+            )
+        n_y = project.n_y
+        return cls(
+            project.Ts_s,
+            max(memory, shortest),
+            np.ones((n_y, 2)),
+            np.tile(np.eye(3), (n_y, 1, 1)),
+            np.ones((n_y, 3)),
+        )
+
+    @property
+    def keep(self) -> float:
+        """Share of the sums that a block leaves."""
+        return float(np.exp(-BLOCK * self.Ts / self.memory_s))
+
+    @property
+    def prior(self) -> np.ndarray:
+        """What is added to the sums of products (n_y, 3, 3). A thousandth of the identity keeps it positive
+        definite."""
+        met = 0.999 * self.moments + 0.001 * np.eye(3)
+        return PRIOR / (1 - self.keep) * met
+
+    def estimates(self, blocks: Blocks) -> np.ndarray:
+        """theta (M, n_y, 3) [output units] along a stretch, from rest."""
+        phi = blocks.phi / np.concatenate([self.unit, np.ones((len(self.unit), 1))], axis=1)
+        products = np.concatenate(
+            [phi[..., list(UPPER[0])] * phi[..., list(UPPER[1])], phi * blocks.e[..., None]], axis=-1
+        )
+        sums = lfilter([1.0], [1.0, -self.keep], products, axis=0)
+        gram = np.empty((*phi.shape, 3))
+        gram[..., UPPER[0], UPPER[1]] = gram[..., UPPER[1], UPPER[0]] = sums[..., : len(UPPER[0])]
+        return np.linalg.solve(gram + self.prior, sums[..., len(UPPER[0]) :, None])[..., 0]
+
+    def with_moments(self, sums: np.ndarray) -> ChangeTest:
+        """With sizes and prior from the ``products`` of all bound-setting drives. InputError where there are
+        no blocks."""
+        count = sums[0, 2, 2]
+        if count == 0:
+            raise InputError(
+                "change test", "", "no block of a drive that sets the bounds", "settled driving in range"
+            )
+        mean = sums / count
+        rms = np.sqrt(np.maximum(np.diagonal(mean, axis1=1, axis2=2), np.finfo(np.float32).tiny ** 0.5))
+        return replace(self, unit=rms[:, :2], moments=mean / (rms[:, :, None] * rms[:, None, :]))
+
+    def with_largest(self, largest: np.ndarray) -> ChangeTest:
+        """With the ``largest`` (n_y, 3) estimates of all bound-setting drives."""
+        return replace(self, largest=np.maximum(largest, SMALLEST * self.unit[:, :1]))
+
+    def calibrated(self, scores: dict[str, float], alpha: float, recordings: Recordings) -> ChangeTest:
+        """With the threshold from the scores of calibration drives."""
+        return replace(self, calibration=calibrate(scores, alpha, floor=FLOOR, recordings=recordings))
+
+    def coefficients(self) -> tuple[dict[str, int], dict[str, int], dict[str, np.ndarray]]:
+        """Sizes, words and numbers of coeff.h."""
+        reals = {
+            "change_block_s": BLOCK * self.Ts,
+            "change_unit": 1 / self.unit,
+            "change_prior": self.prior[:, UPPER[0], UPPER[1]],
+            "change_scale": 1 / self.largest,
+            "change_forget": 1 - self.keep,
+            "change_threshold": self.calibration.carried,
+        }
+        words = {"change_rearm": len(self.unit) * int(np.ceil(self.memory_s / (BLOCK * self.Ts)))}
+        return {}, words, {name: np.array(value) for name, value in reals.items()}
+
+    def sizes_text(self, project: Project) -> str:
+        """The largest gain, delay and bias of the bound-setting drives, per output."""
+        block_s = BLOCK * self.Ts
+        return "; ".join(
+            f"{signal.name} {largest[0] / unit[0]:.3g}, {largest[1] / unit[1] * block_s:.3g} s, "
+            f"{largest[2]:.3g} {signal.unit} (gain, delay, bias)"
+            for signal, largest, unit in zip(project.outputs, self.largest, self.unit, strict=True)
+        )
+
+    def to_dict(self) -> dict:
+        """JSON-able, for `restored`."""
+        return {
+            "memory_s": self.memory_s,
+            "unit": self.unit,
+            "moments": self.moments,
+            "largest": self.largest,
+            "calibration": self.calibration.to_dict(),
+        }
+
+    def restored(self, data: dict, where: str) -> ChangeTest:
+        """With the stored sizes and calibration; InputError when ``data`` is of another memory."""
+        if data["memory_s"] != self.memory_s:
+            raise InputError(
+                where, "memory_s", f"{data['memory_s']:g}", f"{self.memory_s:g}, which project.json describes"
+            )
+        return replace(
+            self,
+            unit=np.array(data["unit"], float),
+            moments=np.array(data["moments"], float),
+            largest=np.array(data["largest"], float),
+            calibration=Calibration.from_dict(data["calibration"]),
+        )
+
+
+def regressor_products(e: np.ndarray, yhat: np.ndarray, v: np.ndarray, estimator: Estimator) -> np.ndarray:
+    """Sums (n_y, 3, 3) of products of the regressors over a drive; e, yhat (N, n_y), v (N,)."""
+    total = np.zeros((e.shape[1], 3, 3))
+    for blocks in Blocks.of(e, yhat, estimator.settled(v)):
+        total += np.einsum("mji,mjk->jik", blocks.phi, blocks.phi)
+    return total
+
+
+def largest_estimates(
+    test: ChangeTest, e: np.ndarray, yhat: np.ndarray, v: np.ndarray, estimator: Estimator
+) -> np.ndarray:
+    """Largest estimates (n_y, 3) [output units] of a drive; 0 where nothing is settled."""
+    found = np.zeros((e.shape[1], 3))
+    for blocks in Blocks.of(e, yhat, estimator.settled(v)):
+        found = np.maximum(found, np.abs(test.estimates(blocks)).max(axis=0, initial=0.0))
+    return found
