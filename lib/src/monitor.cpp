@@ -430,8 +430,8 @@ bool state_well(lpvg_monitor_t& self) {
            self.energy.next_direction < LPVG_NDIRECTIONS && self.energy.strongest < LPVG_NBANDS &&
            bin.n < self.coeff->words.frame_length[self.turn] / 2U && bin.n_history <= LPVG_NHISTORY && bin.next_history < LPVG_NHISTORY &&
            (!self.has_evidence || self.t_evidence_us <= self.t_us) && (!self.has_falsified || self.t_falsified_us <= self.t_us) &&
-           (!self.has_changed || self.t_changed_us <= self.t_us) &&
-           sum_of(self.energy) == self.energy_sum && lpvguard::sum_of_words(self.model.entry) == self.model.sum;
+           (!self.has_changed || self.t_changed_us <= self.t_us) && sum_of(self.energy) == self.energy_sum &&
+           lpvguard::sum_of_words(self.model.entry) == self.model.sum;
 }
 
 // After damage: as init left it, and the sample counts as refused.

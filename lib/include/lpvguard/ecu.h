@@ -20,8 +20,8 @@
 /// LPVG_ECU_CAUSES_LATCHING that ends an engagement locks it. So does the release by a fault after LPVG_ECU_RELEASES_MAX others, none of
 /// them a LPVG_ECU_RELEASES_US after the one before. A lock ends by lpvg_ecu_acknowledge only. The speed leaves the controller's
 /// range LPVG_ECU_SPEED_HYSTERESIS_MPS beyond its ends, so that noise at an end does not release, and is back within them.
-/// What "no excitation" means for the monitor, verdict not_judged, permits engagement, and so does degraded. Outside the range a valid verdict is reported as
-/// not_judged: it is about other speeds.
+/// What "no excitation" means for the monitor, verdict not_judged, permits engagement, and so does degraded. Outside the range a valid
+/// verdict is reported as not_judged: it is about other speeds.
 ///
 /// Permission: the vehicle asks for control by its message (bus.h). Control counts after any other request has been seen since init.
 /// While another command on the actuator has a higher priority than `priority`, while the brake pedal is beyond

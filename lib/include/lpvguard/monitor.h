@@ -72,7 +72,8 @@ typedef enum lpvg_verdict_t {
     lpvg_verdict_not_judged = 3,  ///< Frames ended, but none within the hold time is evidence: see lpvg_reason_t.
     lpvg_verdict_stale = 4,       ///< The newest sample is older than five sample periods.
     lpvg_verdict_fault = 5,       ///< The newest sample was refused, or the arguments are wrong.
-    lpvg_verdict_degraded = 6     ///< Not invalid, but the change test spoke within the last hold time: within the bounds, if they hold, and changed.
+    lpvg_verdict_degraded =
+        6     ///< Not invalid, but the change test spoke within the last hold time: within the bounds, if they hold, and changed.
 } lpvg_verdict_t;
 
 /// Why the newest frame did not count as evidence.
@@ -177,9 +178,9 @@ typedef struct lpvg_monitor_t {
     int64_t t_us;                             ///< time of the newest accepted sample                 [us]
     int64_t t_evidence_us, t_falsified_us, t_changed_us;  ///< ends of the newest frames with evidence / that falsified; newest change [us]
     bool running, has_evidence, has_falsified, has_changed, refused;  ///< started; which times are known; the newest sample was refused
-    uint32_t bad_samples, out_of_order, restarts;        ///< samples refused; samples ignored; starts anew
-    uint32_t repairs;                         ///< times that its state could not be, saturating
-    uint32_t turn;                ///< bin that was checked last
+    uint32_t bad_samples, out_of_order, restarts;  ///< samples refused; samples ignored; starts anew
+    uint32_t repairs;  ///< times that its state could not be, saturating
+    uint32_t turn;  ///< bin that was checked last
 } lpvg_monitor_t;
 
 /// Makes *self ready; coefficients stay referenced and must outlive it.

@@ -249,8 +249,8 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
         and "lpvguard, NIS" in text
     )
     assert (
-        "frame test: alpha 0.05 from 25 drives; energy test: alpha is not stated; change test: alpha 0.05 from 24 drives."
-        in text
+        "frame test: alpha 0.05 from 25 drives; energy test: alpha is not stated; "
+        "change test: alpha 0.05 from 24 drives." in text
     )
     assert "brake gain 0.7 × (mu unstable, found 1 of 4)" in text and "2.34" in text and "rms, 2 s" in text
     assert text.count("Detection against severity") == 2
@@ -305,7 +305,7 @@ def test_evaluation_and_a_core_of_another_identification_are_told(case, page, tm
     evaluation = evaluate(case.stored, case.drives, case.replayer.core)
     plain = without_scripts(case.page(tmp_path / "plain.html", evaluation).decode())
     assert (
-        plain.count("no drive qualifies") == (4 + 6) * len(evaluation["faults"])
+        plain.count("no drive qualifies") == (5 + 6) * len(evaluation["faults"])
         and "Time to find" not in plain
     )
     assert "30.0 s long, no more than 120 s" in plain and LEFT_OUT + ": no frame counts" in plain

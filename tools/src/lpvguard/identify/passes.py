@@ -246,12 +246,12 @@ def energy_pass(reader: DriveReader, test: EnergyTest, cuts: int, experiment: Ex
 
 
 def change_products_pass(reader: DriveReader, experiment: Experiment) -> np.ndarray:
-    """Sums of products of the change test's regressors over a drive."""
+    """Sums (n_y, 3, 3) of products of the change test's regressors over a drive."""
     drive, e, yhat = reader.read(experiment)
     return regressor_products(e, yhat, drive.v, reader.estimator)
 
 
 def change_largest_pass(reader: DriveReader, test: ChangeTest, experiment: Experiment) -> np.ndarray:
-    """The largest estimates of the change test on a drive."""
+    """The largest estimates (n_y, 3) of the change test on a drive [output units]."""
     drive, e, yhat = reader.read(experiment)
     return largest_estimates(test, e, yhat, drive.v, reader.estimator)

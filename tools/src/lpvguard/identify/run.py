@@ -295,6 +295,12 @@ class _Run:
                 change.calibrated(change_scores, alpha, recordings),
             )
 
+    def visibility(self, weights: Weights, calibration: Calibration) -> dict:
+        """What the judged drives could have refuted, by bin: visibility.json."""
+        of, factor = self.reader.estimator, weights.inflation
+        W_delta = weights.at(of.omega)[0] / factor
+        return visibility(of.omega, of.speed_range, self.met, W_delta, calibration.carried, factor)
+
     @property
     def met(self) -> Excitation:
         """Excitation of all judged drives so far."""
@@ -407,7 +413,6 @@ def identify(
     )
     weights, calibration, energy, change = run.calibrated(weights, chosen)
     progress("window error")
-    found = weights.at(estimator.omega)[0] / weights.inflation
     result = Identification(
         project=project,
         model=drives.reader.model,
@@ -418,9 +423,7 @@ def identify(
         calibration=calibration,
         energy=energy,
         change=change,
-        visibility=visibility(
-            estimator.omega, estimator.speed_range, run.met, found, calibration.carried, weights.inflation
-        ),
+        visibility=run.visibility(weights, calibration),
         spectra=run.spectra,
         bound_drives=[e.name for e in chosen.setting],
         calibration_drives=list(calibration.scores),

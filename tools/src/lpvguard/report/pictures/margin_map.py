@@ -24,7 +24,7 @@ REASON_WORDS = dict(
         strict=True,
     )
 )
-VERDICT_COLOURS = dict(zip(VERDICTS, (POINTS, GREEN, RED, "#b9d3e6", PINK, ORANGE), strict=True))
+VERDICT_COLOURS = dict(zip(VERDICTS, (POINTS, GREEN, RED, "#b9d3e6", PINK, ORANGE, "#f0e442"), strict=True))
 MAP_WIDTH, ROW_PIXELS = 1200, 9
 """Pixels of the map over margin: along time, and of one bin."""
 MAP_PAPER = "#ffffff"
