@@ -118,6 +118,8 @@ public:
         m.threshold = static_cast<double>(lpvg_coeff.reals.threshold);
         m.energy_ratio = frame.judged.energy_ratio;
         m.energy_threshold = static_cast<double>(lpvg_coeff.reals.energy_threshold);
+        m.change_ratio = frame.judged.change_ratio;
+        m.change_threshold = static_cast<double>(lpvg_coeff.reals.change_threshold);
         m.verdict = static_cast<std::int8_t>(frame.verdict);
         lcm_->publish("LPVGUARD_MARGINS", &m);
     }

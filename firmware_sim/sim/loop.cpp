@@ -71,7 +71,7 @@ Loop::Loop(const Scenario& scenario, const lpvguard_plant::PlantParameters& para
       watcher_(ends.log, ends.publisher) {
     bus.watch(&FrameWatcher::watch, &watcher_);
     if (ends_.frames != nullptr) {
-        std::fputs("t_end_s,t_begin_s,bin,reason,falsified,speed_mps,margin,statistic,evidence,energy_ratio\n", ends_.frames);
+        std::fputs("t_end_s,t_begin_s,bin,reason,falsified,speed_mps,margin,statistic,evidence,energy_ratio,change_ratio\n", ends_.frames);
     }
     if (ends_.drive != nullptr) {
         std::fputs("t,v,dp,r,delta\n", ends_.drive);
@@ -194,9 +194,9 @@ void Loop::note_frame(const Judged& judged, std::int64_t now_us, std::uint8_t ve
     const JudgedFrame frame{now_us, judged, judged.t_end_us - std::llround(length_us),
                             two_pi * 1e6 * lpvg_coeff.words.cycles[judged.bin] / length_us, verdict};
     if (ends_.frames != nullptr) {
-        std::fprintf(ends_.frames, "%.9g,%.9g,%u,%u,%u,%.9g,%.9g,%.9g,%.9g,%.9g\n", static_cast<double>(judged.t_end_us) * 1e-6,
+        std::fprintf(ends_.frames, "%.9g,%.9g,%u,%u,%u,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g\n", static_cast<double>(judged.t_end_us) * 1e-6,
                      static_cast<double>(frame.begin_us) * 1e-6, judged.bin, judged.reason, judged.falsified, judged.speed_mps,
-                     judged.margin, judged.statistic, judged.evidence, judged.energy_ratio);
+                     judged.margin, judged.statistic, judged.evidence, judged.energy_ratio, judged.change_ratio);
     }
     if (ends_.publisher != nullptr) {
         ends_.publisher->publish(frame);

@@ -20,7 +20,7 @@ constexpr int64_t dm1_period_us = 1'000'000;
 constexpr uint32_t period_longest_us = LPVG_ECU_WINDOW_US / 4U;  // two steps make a half window
 constexpr uint8_t priority_max = 3U;
 constexpr uint8_t occurrence_max = 126U;  // 127 says "unknown"
-static_assert(LPVG_J1939_CODES_MAX >= 7U + LPVG_BUS_NEEDED_MAX, "every finding and every message has a code");
+static_assert(LPVG_J1939_CODES_MAX >= 7U + LPVG_BUS_NEEDED_MAX, "every finding and every message has a code; a verdict is one");
 
 // The limits are what lpvg_can_plausibility accepts: asked of it, on a sample that it leaves out.
 bool limits_good(const lpvg_can_plausibility_limits_t& limits) {
@@ -230,7 +230,7 @@ lpvg_can_event_t main_reason(const lpvg_can_watch_t& watch) {
 // The gravest first.
 constexpr lpvg_ecu_fault_t by_gravity[] = {lpvg_ecu_fault_corrupt,     lpvg_ecu_fault_refused, lpvg_ecu_fault_time,
                                            lpvg_ecu_fault_message,     lpvg_ecu_fault_invalid, lpvg_ecu_fault_actuator,
-                                           lpvg_ecu_fault_implausible, lpvg_ecu_fault_locked};
+                                           lpvg_ecu_fault_implausible, lpvg_ecu_fault_locked,  lpvg_ecu_fault_degraded};
 
 bool has(const lpvg_ecu_t& self, lpvg_ecu_fault_t fault, lpvg_can_state_t supervision) {
     switch (fault) {
@@ -240,6 +240,7 @@ bool has(const lpvg_ecu_t& self, lpvg_ecu_fault_t fault, lpvg_can_state_t superv
         // Before the bus has come up for the first time nothing is wrong yet.
         case lpvg_ecu_fault_message: return supervision != lpvg_can_state_live && self.seen_live;
         case lpvg_ecu_fault_invalid: return self.report.verdict == static_cast<uint8_t>(lpvg_verdict_invalid);
+        case lpvg_ecu_fault_degraded: return self.report.verdict == static_cast<uint8_t>(lpvg_verdict_degraded);
         case lpvg_ecu_fault_actuator: return self.actuator_failed;
         case lpvg_ecu_fault_implausible: return self.plausibility.flags != 0U;
         default: return self.kept.locked;
@@ -262,6 +263,7 @@ lpvg_can_dtc_t trouble_code(const lpvg_ecu_t& self, lpvg_ecu_fault_t fault, cons
         case lpvg_ecu_fault_corrupt: return {LPVG_ECU_SPN_CORRUPT, LPVG_CAN_FMI_BAD_DEVICE, self.occurrence};
         case lpvg_ecu_fault_actuator: return {LPVG_ECU_SPN_ACTUATOR, LPVG_CAN_FMI_RESPONSE, self.occurrence};
         case lpvg_ecu_fault_locked: return {LPVG_ECU_SPN_LOCKED, LPVG_CAN_FMI_CONDITION, self.occurrence};
+        case lpvg_ecu_fault_degraded: return {LPVG_ECU_SPN_DEGRADED, LPVG_CAN_FMI_CONDITION, self.occurrence};
         case lpvg_ecu_fault_invalid: return {LPVG_ECU_SPN_INVALID, LPVG_CAN_FMI_CONDITION, self.occurrence};
         case lpvg_ecu_fault_implausible: return {LPVG_ECU_SPN_IMPLAUSIBLE, LPVG_CAN_FMI_ERRATIC, self.occurrence};
         default: return {LPVG_ECU_SPN_REFUSED, LPVG_CAN_FMI_ERRATIC, self.occurrence};
@@ -584,7 +586,9 @@ extern "C" lpvg_status_t lpvg_ecu_findings(const lpvg_ecu_t* self, lpvg_j1939_fi
     }
     std::memset(findings, 0, sizeof *findings);
     const uint32_t newest = self->monitor.n_records - 1U;
-    const bool recorded = self->report.verdict == static_cast<uint8_t>(lpvg_verdict_invalid) && newest < LPVG_NRECORDS;
+    const auto said = static_cast<lpvg_verdict_t>(self->report.verdict);
+    const bool alarming = said == lpvg_verdict_invalid || said == lpvg_verdict_degraded;
+    const bool recorded = alarming && newest < LPVG_NRECORDS;
     const lpvg_frame_t& frame = recorded ? self->monitor.record[newest] : self->monitor.frame;
     findings->freeze.t_us = self->now_us;
     findings->freeze.statistic = static_cast<float>(frame.statistic);

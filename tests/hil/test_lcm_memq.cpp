@@ -263,9 +263,9 @@ TEST_CASE("every channel carries what the run writes to its files", "[hil][lcm]"
     std::size_t counted = 0;
     for (std::size_t i = 0; i < heard.margins.size(); ++i) {
         const lpvguard_lcm::margin_t& m = heard.margins[i];
-        double row[10];
-        REQUIRE(std::sscanf(frames[i + 1].c_str(), "%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf", row, row + 1, row + 2, row + 3, row + 4,
-                            row + 5, row + 6, row + 7, row + 8, row + 9) == 10);
+        double row[11];
+        REQUIRE(std::sscanf(frames[i + 1].c_str(), "%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf", row, row + 1, row + 2, row + 3, row + 4,
+                            row + 5, row + 6, row + 7, row + 8, row + 9, row + 10) == 11);
         const double said[] = {static_cast<double>(m.end_utime) * 1e-6,
                                static_cast<double>(m.begin_utime) * 1e-6,
                                static_cast<double>(m.bin),
@@ -275,8 +275,9 @@ TEST_CASE("every channel carries what the run writes to its files", "[hil][lcm]"
                                m.margin,
                                m.statistic,
                                m.evidence,
-                               m.energy_ratio};
-        for (std::size_t j = 0; j < 10; ++j) {
+                               m.energy_ratio,
+                               m.change_ratio};
+        for (std::size_t j = 0; j < 11; ++j) {
             REQUIRE(said[j] == Approx(row[j]).epsilon(1e-8));
         }
         REQUIRE((m.utime >= m.end_utime && m.utime <= m.end_utime + LPVG_NLATENCY * kTick));
@@ -285,6 +286,7 @@ TEST_CASE("every channel carries what the run writes to its files", "[hil][lcm]"
         REQUIRE(cycles == Approx(std::round(cycles)).margin(1e-9));
         REQUIRE(m.threshold > 0.0);
         REQUIRE(m.energy_threshold >= 1.0);
+        REQUIRE(m.change_threshold >= 1.0);
         counted += m.reason <= 1 ? 1U : 0U;
     }
     CHECK(counted > 5);

@@ -32,6 +32,8 @@ TEST_CASE("a vehicle that changed within its bounds is reported, and stays engag
     bench.run(20);
     CHECK(bench.ecu.report.verdict == lpvg_verdict_degraded);
     CHECK(bench.ecu.causes == 0U);
+    CHECK(bench.ecu.fault == lpvg_ecu_fault_degraded);
+    CHECK(bench.engaged());
 }
 
 TEST_CASE("before a frame has ended nothing is known of the vehicle, then lack of excitation permits",

@@ -55,6 +55,13 @@ TEST_CASE("all findings are named, the gravest first", "[unit][ecu][REQ-J1939-10
     std::vector<uint32_t> all = {LPVG_ECU_SPN_CORRUPT,  LPVG_ECU_SPN_REFUSED,     LPVG_ECU_SPN_TIME,  LPVG_ECU_SPN_INVALID,
                                  LPVG_ECU_SPN_ACTUATOR, LPVG_ECU_SPN_IMPLAUSIBLE, LPVG_ECU_SPN_LOCKED};
     CHECK(spns(findings_of(ecu)) == all);
+    ecu.report.verdict = lpvg_verdict_degraded;  // instead of invalid, and the least grave
+    std::vector<uint32_t> changed = all;
+    changed.erase(changed.begin() + 3);
+    changed.push_back(LPVG_ECU_SPN_DEGRADED);
+    CHECK(spns(findings_of(ecu)) == changed);
+    CHECK(findings_of(ecu).code[changed.size() - 1U].fmi == LPVG_CAN_FMI_CONDITION);
+    ecu.report.verdict = lpvg_verdict_invalid;
     for (lpvg_can_watch_t& watch : ecu.supervisor.watch) {
         watch.state = lpvg_can_state_off;
     }
@@ -76,8 +83,8 @@ TEST_CASE("the freeze frame of an alarm is its record's", "[unit][ecu][REQ-J1939
     ecu.monitor.record[1].statistic = 1.75F;
     ecu.monitor.record[1].test = lpvg_test_energy;
     ecu.monitor.n_records = 2U;
-    CHECK(findings_of(ecu).freeze.bin == 2U);  // nothing is falsified now
-    ecu.report.verdict = lpvg_verdict_invalid;
+    CHECK(findings_of(ecu).freeze.bin == 2U);  // no test alarms now
+    ecu.report.verdict = GENERATE(lpvg_verdict_invalid, lpvg_verdict_degraded);
     CHECK(findings_of(ecu).freeze.bin == 5U);
     CHECK(findings_of(ecu).freeze.test == lpvg_test_energy);
     CHECK(findings_of(ecu).freeze.statistic == 1.75F);

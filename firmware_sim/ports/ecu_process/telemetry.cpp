@@ -1,5 +1,7 @@
 #include "telemetry.hpp"
 
+#include <algorithm>
+
 namespace {
 
 template <std::size_t n>
@@ -14,8 +16,8 @@ void copy(const std::uint32_t (&from)[n], std::uint32_t (&to)[n]) {
 bool Judgements::note(const firmware_t& firmware) {
     const lpvg_monitor_t& monitor = firmware.ecu.monitor;
     const lpvg_frame_t& frame = *lpvg_monitor_frame(&monitor);
-    const auto ratio = static_cast<double>(monitor.energy.ratio);
-    energy_ratio_ = ratio > energy_ratio_ ? ratio : energy_ratio_;
+    energy_ratio_ = std::max(energy_ratio_, static_cast<double>(monitor.energy.ratio));
+    change_ratio_ = std::max(change_ratio_, static_cast<double>(monitor.change.ratio));
     if (frame.sequence == newest_.sequence) {
         return false;
     }
@@ -28,8 +30,9 @@ bool Judgements::note(const firmware_t& firmware) {
                static_cast<double>(frame.margin),
                static_cast<double>(frame.statistic),
                static_cast<double>(frame.evidence),
-               energy_ratio_};
-    energy_ratio_ = 0.0;
+               energy_ratio_,
+               change_ratio_};
+    energy_ratio_ = change_ratio_ = 0.0;
     return true;
 }
 

@@ -7,12 +7,12 @@
 
 #include "firmware.h"
 
-/// A frame that the monitor has judged, and what its energy test said meanwhile.
+/// A frame that the monitor has judged, and what the other tests said meanwhile.
 struct Judged {
     std::int64_t t_end_us;  ///< of the frame's last sample
     std::uint32_t sequence, bin, reason, falsified;  ///< as in lpvg_frame_t
     double speed_mps, margin, statistic, evidence;   ///< likewise
-    double energy_ratio;    ///< largest ratio of the energy test since the frame before
+    double energy_ratio, change_ratio;  ///< largest ratios of the energy test and of the change test since the frame before
 };
 
 /// What the supervision of the ECU's bus has counted: saturating, kinds in the order of lpvg_can_event_t.
@@ -27,7 +27,7 @@ struct Supervision {
     Watch watch[LPVG_CAN_RULES_MAX];            ///< [messages]
 };
 
-static_assert(sizeof(Judged) == 64 && sizeof(Supervision) == 4 * (2 + 18 + 8 * 22), "no padding: the same on every processor");
+static_assert(sizeof(Judged) == 72 && sizeof(Supervision) == 4 * (2 + 18 + 8 * 22), "no padding: the same on every processor");
 
 /// Notices what the monitor judges.
 class Judgements {
@@ -38,7 +38,7 @@ public:
 
 private:
     Judged newest_{};
-    double energy_ratio_ = 0.0;
+    double energy_ratio_ = 0.0, change_ratio_ = 0.0;
 };
 
 Supervision supervision_of(const firmware_t& firmware);

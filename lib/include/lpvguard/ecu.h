@@ -128,7 +128,7 @@ typedef struct lpvg_ecu_config_t {
 } lpvg_ecu_config_t;
 
 /// Findings that DM1 tells. Of those that are active it sends the gravest: corrupt, refused, time, message, invalid, actuator,
-/// implausible, locked.
+/// implausible, locked, degraded.
 typedef enum lpvg_ecu_fault_t {
     lpvg_ecu_fault_none = 0,
     lpvg_ecu_fault_refused = 1,  ///< Speed or a measurement was refused, or the controller's numbers broke down.
@@ -138,7 +138,8 @@ typedef enum lpvg_ecu_fault_t {
     lpvg_ecu_fault_time = 5,  ///< The mean sample period is not the exported one.
     lpvg_ecu_fault_locked = 6,  ///< The loop waits for an acknowledgement.
     lpvg_ecu_fault_actuator = 7,  ///< The actuator does not do what is demanded.
-    lpvg_ecu_fault_corrupt = 8  ///< Coefficients, kept values or state are damaged.
+    lpvg_ecu_fault_corrupt = 8,  ///< Coefficients, kept values or state are damaged.
+    lpvg_ecu_fault_degraded = 9  ///< The change test spoke: the vehicle is another than the one identified. It releases nothing.
 } lpvg_ecu_fault_t;
 
 #define LPVG_ECU_SPN_REFUSED 520200U  ///< Trouble codes without a standard number (J1939-73 leaves these to makers).
@@ -148,6 +149,7 @@ typedef enum lpvg_ecu_fault_t {
 #define LPVG_ECU_SPN_LOCKED 520204U
 #define LPVG_ECU_SPN_ACTUATOR 520205U
 #define LPVG_ECU_SPN_CORRUPT 520206U
+#define LPVG_ECU_SPN_DEGRADED 520207U
 
 /// What is known of the sample period.
 typedef enum lpvg_ecu_pace_t {

@@ -105,6 +105,7 @@ def test_what_is_shown_is_what_replay_says_of_the_same_frames(replayer, faulty, 
     assert n >= len(said.run.verdict) - 1  # the last tick waits for a frame after it
     assert np.array_equal(column(watch, "verdict"), said.run.verdict[:n])
     assert np.array_equal(np.nan_to_num(column(watch, "energy")), said.run.energy[:n])
+    assert np.array_equal(np.nan_to_num(column(watch, "change")), said.run.change[:n])
     view = watch.view(3600, None, MOST_ROWS)
     assert view["n_alarms"] == len(said.alarms) > 0
     assert view["frames"] == said.left_out()
@@ -261,6 +262,7 @@ def test_a_browser_draws_every_picture_and_complains_of_nothing(replayer, faulty
         "margins",
         "evidence",
         "energy",
+        "change",
         "input-road_wheel_angle",
         "output-yaw_rate",
         "speed",

@@ -41,7 +41,7 @@
   const field = (name) => ({ field: name });
 
   /** Lines over time: names of the series and their labels. */
-  const overTime = (id, caption, unit, names) => picture(id, caption, ["t [s]", unit], ["t", ...names],
+  const overTime = (id, caption, unit, names, threshold) => picture(id, caption, ["t [s]", unit], ["t", ...names],
     (plot, source) => {
       const lines = names.map((name, i) => {
         const line = plot.line(field("t"), field(name), { source, line_color: COLOURS[i], line_width: 1.5,
@@ -50,6 +50,7 @@
         return [name, line];
       });
       if (lines.length > 1) legend(plot, lines);
+      if (threshold) level(plot, threshold);
     });
 
   /** Where bins stand on a logarithmic axis; one at 0 rad/s stands below the lowest other. */
@@ -106,6 +107,10 @@
           return [band, marks];
         }));
       });
+    found.change = await overTime("change",
+      `Change test: gain, delay or bias over the largest of the drives that set the bounds; dashed: the threshold ${
+        what.change_threshold.toPrecision(3)} above which the vehicle has changed.`,
+      "ratio", ["change"], what.change_threshold);
     for (const name of what.inputs) {
       found[`input/${name}`] = await overTime(`input-${name}`, `Input ${name}.`, what.units[name], [name]);
     }

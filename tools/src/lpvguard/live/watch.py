@@ -95,6 +95,7 @@ class Watch:
             "present",
             "energy",
             "band",
+            "change",
         ]
         self._ring = Ring(max(round(window_s / project.Ts_s), 1), len(self.columns))
         n_bins = replayer.estimator.n_bins
@@ -145,8 +146,8 @@ class Watch:
         more = values.shape[1] > len(self.signals)
         command = values[:, -1:] if more else np.full((len(t), 1), np.nan)
         shown = np.where(present[:, None], np.hstack([clean[:, : len(self.signals)], yhat, command]), np.nan)
-        energy = np.where(run.energy > 0, run.energy, np.nan)
-        said = np.column_stack([run.verdict, present, energy, run.energy_band])
+        energy, change = (np.where(ratio > 0, ratio, np.nan) for ratio in (run.energy, run.change))
+        said = np.column_stack([run.verdict, present, energy, run.energy_band, change])
         frames = run.frames
         counted = frames.counted
         judged = np.column_stack(
@@ -181,6 +182,7 @@ class Watch:
             "omega": replayer.estimator.omega.tolist(),
             "threshold": replayer.threshold,
             "energy_threshold": replayer.energy_threshold,
+            "change_threshold": replayer.change_threshold,
             "bands": list(replayer.bands),
             "command_of": self._command_of(),
         }

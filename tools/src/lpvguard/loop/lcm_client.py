@@ -159,7 +159,8 @@ def watch(messages: Iterable[tuple[str, Any]]) -> Iterator[str]:
                 f"bin {m.bin} at {m.frequency:.3g} rad/s: t* {m.margin:.3f}, "
                 f"statistic {m.statistic:.3f} of {m.threshold:.3f}"
                 f"{', too little excitation' if m.reason else ''}; "
-                f"energy ratio {m.energy_ratio:.3f} of {m.energy_threshold:.3f}"
+                f"energy ratio {m.energy_ratio:.3f} of {m.energy_threshold:.3f}; "
+                f"change ratio {m.change_ratio:.3f} of {m.change_threshold:.3f}"
             )
         elif channel == "LPVGUARD_STATUS" and (m.id or changed("state", m.state)):
             said.append(
