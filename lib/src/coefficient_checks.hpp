@@ -47,7 +47,7 @@ inline bool items_in_range(const lpvg_coeff_reals_t& f) {
            every(f.change_unit, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
            every(f.change_scale, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
            every(f.change_forget, [](lpvg_real_t x) { return x > lpvg_real_t(0) && x < lpvg_real_t(1); }) &&
-           every(f.change_threshold, [](lpvg_real_t x) { return x >= lpvg_real_t(1); }) &&
+           every(f.change_threshold, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
            every(f.W_delta, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
            every(f.B_w, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
            every(f.threshold, [](lpvg_real_t x) { return x > lpvg_real_t(0); });

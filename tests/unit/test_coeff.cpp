@@ -168,7 +168,7 @@ TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]
     spoilt("sizes infinite", [](lpvg_coeff_reals_t& r) { r.change_scale[LPVG_NY - 1][2] = Real(0); });
     spoilt("nothing forgotten", [](lpvg_coeff_reals_t& r) { r.change_forget = Real(0); });
     spoilt("all forgotten", [](lpvg_coeff_reals_t& r) { r.change_forget = Real(1); });
-    spoilt("change threshold below 1", [](lpvg_coeff_reals_t& r) { r.change_threshold = Real(0.999); });
+    spoilt("change threshold zero", [](lpvg_coeff_reals_t& r) { r.change_threshold = Real(0); });
     const auto prior = [&](const char* what, Real p, Real q, Real s, Real t, Real u, Real w) {
         spoilt(what, [=](lpvg_coeff_reals_t& r) {
             const Real A[6] = {p, q, s, t, u, w};

@@ -17,12 +17,14 @@ from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import read_drive
 from lpvguard.identify import run as stage
 from lpvguard.identify.bounds import nominal_error
-from lpvguard.identify.calibration import joint_scores
+from lpvguard.identify.calibration import NO_RECORDINGS, joint_scores
 from lpvguard.identify.change import (
     BLOCK,
     FLOOR,
+    UNSTATED_FLOOR,
     Blocks,
     ChangeTest,
+    calibrated_change,
     largest_estimates,
     regressor_products,
 )
@@ -102,9 +104,18 @@ def test_the_core_says_what_the_definition_says(identified, synthetic, g80, core
                 assert later[:30] == pytest.approx(ratio[:30], rel=ROUNDING, abs=ROUNDING)
                 # A block beside which the core has no time is lost; that fades with the memory.
                 assert np.abs(later - ratio[:-1]).max() < 0.05 * max(1.0, ratio.max())
-                assert later.max() == pytest.approx(ratio.max(), rel=FLOOR - 1)
+                assert later.max() == pytest.approx(ratio.max(), rel=UNSTATED_FLOOR - 1)
                 judged += len(later)
     assert judged > 1000
+
+
+def test_alpha_alone_decides_the_threshold_and_without_it_the_bound_setting_drives_stay_below():
+    scores = {f"drive_{k}": 0.1 * k for k in range(10)}
+    few = dict(list(scores.items())[:3])
+    stated, unstated = (calibrated_change(s, 0.2, NO_RECORDINGS) for s in (scores, few))
+    assert (stated.threshold, stated.alpha) == (pytest.approx(0.8), 0.2)
+    assert (unstated.threshold, unstated.alpha) == (UNSTATED_FLOOR, None)
+    assert calibrated_change(dict.fromkeys(scores, 0.0), 0.2, NO_RECORDINGS).threshold == FLOOR
 
 
 def test_sizes_are_the_largest_of_the_bound_setting_drives_and_scores_the_cores(
@@ -121,7 +132,7 @@ def test_sizes_are_the_largest_of_the_bound_setting_drives_and_scores_the_cores(
         axis=0,
     )
     assert test.largest == pytest.approx(np.maximum(found, 0.01 * test.unit[:, :1]))
-    assert test.calibration.threshold >= FLOOR
+    assert test.calibration.threshold == max(test.calibration.scores.values())  # 9 to 18 drives, alpha 0.1
     assert set(test.calibration.scores) <= set(stored.manifest["drives"]["calibration"])
     for name, score in test.calibration.scores.items():
         said = core.monitor().run_drive(read_drive(synthetic / f"{name}.csv", g80)).change.max()

@@ -303,7 +303,7 @@ COEFF = Layout(
             "(0, inf)",
         ),
         Field("change_forget", (), "-", "share of the sums forgotten with a block", "(0, 1)"),
-        Field("change_threshold", (), "-", "calibrated threshold of the change test's ratio", "[1, inf)"),
+        Field("change_threshold", (), "-", "calibrated threshold of the change test's ratio", "(0, inf)"),
         Field("W_delta", ("NBINS", "NDELTA"), "-", "|W_delta| at the bin", "(0, inf)"),
         Field("B_w", ("NBINS", "NY"), "output unit", "disturbance bound at the bin", "(0, inf)"),
         Field("threshold", (), "-", "calibrated threshold of the frame test's statistic", "(0, inf)"),

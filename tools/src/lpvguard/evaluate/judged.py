@@ -10,15 +10,16 @@ bytes. So is a piece of a recording of which the identification saw another piec
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from ..base.errors import InputError
 from ..core.compiled import TESTS
 from ..drives.tables import Experiment, list_experiments, table_hashes
 from ..identify.calibration import Calibration, Recordings, calibrate, joint_scores
-from ..identify.change import FLOOR
+from ..identify.change import calibrated_change
 from ..identify.energy import ROUNDING
 from ..identify.run import DriveSet, StoredIdentification
 from .comparison import HELD_OUT, LEFT_ONE_OUT, MONITOR
@@ -84,13 +85,18 @@ def _calibrations(stored: StoredIdentification, without: str | None) -> dict[str
     """Of MONITOR and each test by all calibration drives but the recording of ``without``; None: by all."""
     scores = {test: c.scores for test, c in calibrations_of(stored).items()}
     scores[MONITOR] = joint_scores(*scores.values())
-    floors = {MONITOR: FLOOR, "frame": 1.0, "energy": 1.0 + ROUNDING, "change": FLOOR}
-    recordings = stored.calibration.recordings
+    energy = partial(calibrate, floor=1.0 + ROUNDING)
+    rules: dict[str, Callable[..., Calibration]] = {
+        MONITOR: energy,
+        "frame": calibrate,
+        "energy": energy,
+        "change": calibrated_change,
+    }
+    alpha, recordings = stored.project.frame_test.alpha, stored.calibration.recordings
     return {
-        what: calibrate(
+        what: rules[what](
             {k: scores[what][k] for k in recordings.others(scores[what], without)},
-            stored.project.frame_test.alpha,
-            floor=floors[what],
+            alpha,
             recordings=recordings,
         )
         for what in (MONITOR, *TESTS)

@@ -252,14 +252,17 @@ def calibrate(
     alpha: float,
     *,
     floor: float = 1.0,
+    unstated_floor: float | None = None,
     recordings: Recordings = NO_RECORDINGS,
 ) -> Calibration:
     """Threshold from the scores of the calibration drives, at least ``floor``: a margin of 1 falsifies
-    nothing; and that of every group of drives."""
+    nothing; and that of every group of drives. Drives too few for alpha give the largest score, at least
+    ``unstated_floor`` (None: ``floor``)."""
     names = sorted({recordings.groups[d] for d in scores if d in recordings.groups})
     groups = {g: _conformal(recordings.largest(recordings.in_group(scores, g)), alpha, floor) for g in names}
     pooled = _conformal(recordings.largest(scores), alpha, floor)
-    threshold = max([floor, *scores.values()]) if pooled.threshold is None else pooled.threshold
+    least = floor if unstated_floor is None else unstated_floor
+    threshold = max([least, *scores.values()]) if pooled.threshold is None else pooled.threshold
     return Calibration(threshold, dict(scores), pooled.alpha, pooled.conditional_bound, recordings, groups)
 
 

@@ -9,13 +9,13 @@ estimate near 0 where nothing excites it.
 
 The ratio of a part is |theta_i| over the largest on any bound-setting drive: 1 is as large as was met. It is
 no bound on what Delta or the disturbance may be, so an exceedance refutes none. The threshold is conformal,
-as that of the other tests: a further drive like those that calibrate exceeds it with probability at most
-alpha. Above it the vehicle is another than the one identified, and theta estimates how.
+as that of the other tests, and may be below 1: a further drive like those that calibrate exceeds it with
+probability at most alpha. Above it the vehicle is another than the one identified, and theta estimates how.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -34,9 +34,10 @@ PRIOR = 0.2
 """Weight of the prior, in memories of such driving as set the bounds."""
 SMALLEST = 1e-2
 """Floor of the largest part over the rms of yhat_j: an error of 1 % is none."""
-FLOOR = 1.05
-"""Of the threshold. The core drops a block beside which it has no time (change.h), the definition here drops
-none: on the largest estimates of three vehicles' drives that made 2 %."""
+FLOOR, UNSTATED_FLOOR = 0.05, 1.05
+"""Of the threshold, and of one that no alpha is stated for: that stays above the largest on the drives that
+set the bounds. The core drops a block beside which it has no time (change.h), the definition here none: on
+the largest estimates of three vehicles' drives that made 2 %."""
 UPPER = ((0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2))
 """Rows and columns of the upper triangle of a symmetric matrix of three."""
 
@@ -74,7 +75,7 @@ class ChangeTest:
     unit: np.ndarray
     moments: np.ndarray
     largest: np.ndarray
-    calibration: Calibration = field(default_factory=lambda: Calibration(FLOOR, {}, None, None))
+    calibration: Calibration = field(default_factory=lambda: Calibration(UNSTATED_FLOOR, {}, None, None))
 
     @classmethod
     def design(cls, project: Project) -> ChangeTest:
@@ -138,7 +139,7 @@ class ChangeTest:
 
     def calibrated(self, scores: dict[str, float], alpha: float, recordings: Recordings) -> ChangeTest:
         """With the threshold from the scores of calibration drives."""
-        return replace(self, calibration=calibrate(scores, alpha, floor=FLOOR, recordings=recordings))
+        return replace(self, calibration=calibrated_change(scores, alpha, recordings))
 
     def coefficients(self) -> tuple[dict[str, int], dict[str, int], dict[str, np.ndarray]]:
         """Sizes, words and numbers of coeff.h."""
@@ -185,6 +186,11 @@ class ChangeTest:
             largest=np.array(data["largest"], float),
             calibration=Calibration.from_dict(data["calibration"]),
         )
+
+
+def calibrated_change(scores: Mapping[str, float], alpha: float, recordings: Recordings) -> Calibration:
+    """The change test's threshold from the scores of calibration drives."""
+    return calibrate(scores, alpha, floor=FLOOR, unstated_floor=UNSTATED_FLOOR, recordings=recordings)
 
 
 def regressor_products(e: np.ndarray, yhat: np.ndarray, v: np.ndarray, estimator: Estimator) -> np.ndarray:
