@@ -180,8 +180,8 @@ def test_two_vehicles_share_an_image(tmp_path):
         (root / "consumer" / "two_vehicles.c", None),
     ]
     for folder in (shipped_vehicle("g80"), tmp_path / "toy"):
-        jobs += [(core / "src" / f"{part}.cpp", folder) for part in ("coeff", "model", "monitor")]
-        jobs += [(core / "src" / "energy.cpp", folder)] if (core / "src" / "energy.cpp").is_file() else []
+        parts = ("coeff", "model", "energy", "change", "monitor")
+        jobs += [(core / "src" / f"{part}.cpp", folder) for part in parts]
         jobs += [(folder / "lpvguard_coeff.c", folder), (root / "consumer" / "task.c", folder)]
     objects = []
     for source, folder in jobs:

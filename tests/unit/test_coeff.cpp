@@ -170,10 +170,12 @@ TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]
     spoilt("all forgotten", [](lpvg_coeff_reals_t& r) { r.change_forget = Real(1); });
     spoilt("change threshold zero", [](lpvg_coeff_reals_t& r) { r.change_threshold = Real(0); });
     const auto prior = [&](const char* what, Real p, Real q, Real s, Real t, Real u, Real w) {
-        spoilt(what, [=](lpvg_coeff_reals_t& r) {
-            const Real A[6] = {p, q, s, t, u, w};
-            std::copy(std::begin(A), std::end(A), std::begin(r.change_prior[LPVG_NY - 1]));
-        });
+        for (const std::size_t j : {std::size_t{0}, std::size_t{LPVG_NY - 1}}) {
+            spoilt(what, [=](lpvg_coeff_reals_t& r) {
+                const Real A[6] = {p, q, s, t, u, w};
+                std::copy(std::begin(A), std::end(A), std::begin(r.change_prior[j]));
+            });
+        }
     };
     prior("a prior without gain", Real(0), Real(0), Real(0), Real(1), Real(0), Real(1));
     prior("gain and delay as one", Real(1), Real(1), Real(0), Real(1), Real(0), Real(1));

@@ -576,6 +576,25 @@ TEST_CASE("an output that is stuck or turned over is falsified, within the physi
     CHECK(drive.monitor.bad_samples == 0U);
 }
 
+TEST_CASE("a change degrades for the hold time, unless a test falsifies", "[unit][monitor][REQ-MON-16]") {
+    Drive drive;
+    drive.settle();
+    REQUIRE(drive.verdict() == lpvg_verdict_valid);
+    lpvg_monitor_t& m = drive.monitor;
+    const int64_t hold = static_cast<int64_t>(longest()) * words().sample_period_us;
+    m.has_changed = true;
+    m.t_changed_us = m.t_us - hold;
+    CHECK(drive.verdict() == lpvg_verdict_degraded);
+    --m.t_changed_us;
+    CHECK(drive.verdict() == lpvg_verdict_valid);
+    m.t_changed_us = m.t_us;
+    REQUIRE(drive.step() == lpvg_status_ok);
+    CHECK(drive.verdict() == lpvg_verdict_degraded);
+    m.has_falsified = true;
+    m.t_falsified_us = m.t_us;
+    CHECK(drive.verdict() == lpvg_verdict_invalid);
+}
+
 TEST_CASE("state that cannot be is as a refused sample, and everything starts anew", "[unit][monitor][REQ-MON-15]") {
     using Damage = std::function<void(lpvg_monitor_t&)>;
     const auto damage = GENERATE(values<Damage>({
@@ -601,6 +620,10 @@ TEST_CASE("state that cannot be is as a refused sample, and everything starts an
         [](lpvg_monitor_t& m) {
             m.has_falsified = true;
             m.t_falsified_us = m.t_us + 1;
+        },
+        [](lpvg_monitor_t& m) {
+            m.has_changed = true;
+            m.t_changed_us = m.t_us + 1;
         },
     }));
     Drive drive;

@@ -14,7 +14,7 @@ from pya2l.parser import A2lParser
 
 from lpvguard.base.errors import InputError
 from lpvguard.core import targets
-from lpvguard.core.compiled import library_root, shipped_vehicle
+from lpvguard.core.compiled import VERDICTS, library_root, shipped_vehicle
 from lpvguard.measure.a2l import a2l_text
 from lpvguard.measure.header_fields import described_fields
 from lpvguard.measure.image import read_instance
@@ -103,7 +103,7 @@ def test_every_measurement_has_text_unit_range_and_conversion(truck):
         assert m.LowerLimit.Value < m.UpperLimit.Value
         if method.COMPU_TAB_REF.ConversionTable.Value:
             assert m.UpperLimit.Value == len(tables[method.COMPU_TAB_REF.ConversionTable.Value]) - 1
-    assert tables["VT.lpvg_verdict_t"] == ["unknown", "valid", "invalid", "not_judged", "stale", "fault"]
+    assert tables["VT.lpvg_verdict_t"] == list(VERDICTS)
     assert tables["VT.lpvg_ecu_engagement_t"] == ["released", "engaged", "locked"]
 
 
