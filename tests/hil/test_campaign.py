@@ -91,7 +91,7 @@ def test_scenarios_expect_what_follows_from_the_bounds(name, simulator, replayer
     scenario, due, largest = load_scenario(name), [], 0.0
     expect = scenario.expect
     for seed in SEEDS:
-        _, drive, _ = simulator.drive(scenario.path, seed=seed)
+        _, drive = simulator.drive(scenario.path, seed=seed)
         offline = one_run.Offline.of(replayer, drive, expect.fault_start_s or 0.0)
         due.append(offline.due_s)
         largest = max(largest, offline.largest)
@@ -114,9 +114,9 @@ def test_the_core_sees_in_the_written_drive_what_the_ecu_saw(simulator, replayer
     scenario = load_scenario("brake_gain_40")
     run = simulator.run(scenario, out=tmp_path, report_only=True)
     seen = np.genfromtxt(tmp_path / "brake_gain_40-1.frames.csv", delimiter=",", names=True)
-    facts, drive, present = simulator.drive(scenario.path)
-    replay = replayer.replay(drive, present)
-    assert present.all() and facts["frames_hash"] == run["frames_hash"]
+    facts, drive = simulator.drive(scenario.path)
+    replay = replayer.replay(drive)
+    assert drive.missing is None and facts["frames_hash"] == run["frames_hash"]
     np.testing.assert_allclose(replay.run.frames.margin, seen["margin"], rtol=1e-6, atol=1e-9)
     np.testing.assert_array_equal(replay.run.frames.bin, seen["bin"])
     assert replay.first_invalid_s + drive.t[0] == pytest.approx(run["first_invalid_s"], abs=0.011)
@@ -130,10 +130,12 @@ def test_where_the_ecu_withheld_samples_the_drive_has_none(simulator, replayer, 
     path = tmp_path / "lost.toml"
     text = load_scenario("dead_yaw_sensor").path.read_text()
     path.write_text(text)
-    _, drive, present = simulator.drive(path)
-    gap = np.flatnonzero(~present) * 0.01 + drive.t[0]
+    _, drive = simulator.drive(path)
+    gap = np.flatnonzero(drive.missing) * 0.01 + drive.t[0]
     assert 4.5 < len(gap) * 0.01 < 5.2 and 30.0 <= gap.min() < 30.1 and gap.max() < 35.2
-    assert np.allclose(np.diff(drive.t), 0.01) and not replayer.estimator.settled(drive.v)[~present].any()
+    assert (
+        np.allclose(np.diff(drive.t), 0.01) and not replayer.estimator.settled(drive.v)[drive.missing].any()
+    )
 
 
 def test_a_frame_that_an_alarm_is_due_for_is_judged_whatever_the_phase(replayer):

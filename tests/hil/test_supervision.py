@@ -142,7 +142,7 @@ def test_reactions_tell_late_missing_and_unwarranted():
 
 
 def reactions(simulator, path, log, from_s: float = 0.0, **options) -> Reactions:
-    facts, _, _ = simulator.drive(path, log=log, **options)
+    facts, _ = simulator.drive(path, log=log, **options)
     return supervision(simulator, facts, tomllib.loads(path.read_text()), log, from_s)
 
 
@@ -162,7 +162,7 @@ def test_the_firmware_says_what_the_frames_require(fault, simulator, tmp_path):
 def test_a_firmware_that_held_too_long_would_be_found(simulator, tmp_path):
     path, log = tmp_path / "lost.toml", tmp_path / "lost.log"
     path.write_text(steady_scenario(20.0, can_fault_table("VDC2", "lost", 5.0, 10.0)))
-    facts, _, _ = simulator.drive(path, log=log)
+    facts, _ = simulator.drive(path, log=log)
     scenario = tomllib.loads(path.read_text())
     assert supervision(simulator, facts, scenario, log, 0.0).met == 1
     slow = facts | {
@@ -210,7 +210,7 @@ def test_scenarios_expect_of_the_supervision_what_the_frames_require(name, simul
         if f["kind"] == "bus_off"
     ]
     for seed in SEEDS:
-        facts, _, _ = simulator.drive(scenario.path, seed=seed, log=log)
+        facts, _ = simulator.drive(scenario.path, seed=seed, log=log)
         ticks = np.arange(round(RECOVERY_S / Ts), round(facts["duration_s"] / Ts))
         must = required(
             read_log(log),

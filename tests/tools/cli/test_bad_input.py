@@ -48,9 +48,9 @@ BAD_TABLES = {
     "time repeated": (with_value(100, "t", "1.94"), ["column t", "increasing"]),
     "a gap": (lambda f: table(f, t=t + np.where(t > 5, 1.0, 0.0)), ["column t", "uniform grid of 0.02 s"]),
     "wrong rate": (lambda f: table(f, t=t / 2), ["uniform grid of 0.02 s"]),
-    "NaN": (with_value(50, "r", "nan"), ["line 51", "column r", "finite"]),
-    "blank": (with_value(50, "delta", ""), ["line 51", "column delta", "finite"]),
-    "infinite": (with_value(50, "v", "inf"), ["line 51", "column v", "finite"]),
+    "time NaN": (with_value(50, "t", "nan"), ["line 51", "column t", "finite"]),
+    "time blank": (with_value(50, "t", ""), ["line 51", "column t", "finite"]),
+    "all NaN": (lambda f: table(f, r=np.full_like(t, np.nan)), ["line 2", "column r", "1500 such values"]),
     "text": (with_value(50, "v", "fast"), ["line 51", "column v", "fast"]),
     "degrees out of range": (
         lambda f: table(f, delta=np.degrees(0.05 * np.sin(2 * t))),
@@ -112,7 +112,7 @@ def test_identify_leaves_nothing_behind_when_a_drive_is_bad(lpvguard, synthetic,
     drives = tmp_path / "drives"
     shutil.copytree(synthetic, drives)
     lines = (drives / "synthetic_03.csv").read_text().splitlines()
-    lines[200] = lines[200].replace(",", ",nan,", 1).rsplit(",", 1)[0]
+    lines[200] = lines[200].replace(",", ",fast,", 1).rsplit(",", 1)[0]
     (drives / "synthetic_03.csv").write_text("\n".join(lines) + "\n")
     done = lpvguard("identify", "--vehicle", "g80", drives, "-o", tmp_path / "out" / "id")
     assert done.returncode == 2 and "synthetic_03.csv: line 201" in done.stderr

@@ -49,12 +49,29 @@ def test_frames_over_missing_samples_do_not_count_and_the_others_are_as_before(g
         assert np.allclose(b.E[before], a.E[same], rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("value", ["", "nan", "inf", "null", "NA"])
+def test_a_sample_without_a_value_is_missing(g80, drives, tmp_path, value):
+    lines = (drives / "plain.csv").read_text().splitlines()
+    for k in range(SPIKE.start, SPIKE.stop):
+        cells = lines[k + 1].split(",")
+        lines[k + 1] = ",".join([*cells[:3], value])
+    path = tmp_path / "holes.csv"
+    path.write_text("\n".join(lines) + "\n")
+    assert lines[0].endswith(",r")
+    holes, plain = read_drive(path, g80), read_drive(drives / "plain.csv", g80)
+    assert np.flatnonzero(holes.missing).tolist() == [*range(SPIKE.start, SPIKE.stop)]
+    assert np.array_equal(holes.present.y, plain.y[~holes.missing]) and np.isfinite(holes.y).all()
+    with pytest.raises(InputError, match=r"column r: (nan|inf); expected a finite number"):
+        read_drive(path, g80, any_values=True)
+
+
 def test_replay_judges_the_rest_and_does_not_alarm(lpvguard, drives, vehicle):
     words = ("replay", "--vehicle", "g80", "--coefficients", vehicle, "--json", "-")
     done = lpvguard(*words, drives / "plain.csv", drives / "spoiled.csv")
     assert done.returncode == 0, done.stderr
     plain, spoiled = json.loads(done.stdout)
     assert 0 < spoiled["judged_s"] < plain["judged_s"] and spoiled["alarms"] == []
+    assert (plain["missing_samples"], spoiled["missing_samples"]) == (0, 203)
 
 
 def test_more_than_a_tenth_of_impossible_values_is_refused_by_place(g80, drives, tmp_path):

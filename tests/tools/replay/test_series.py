@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pyarrow.parquet as parquet
@@ -42,10 +43,12 @@ def test_the_table_of_the_command_is_what_the_core_said(lpvguard, replayer, vehi
 
 def test_samples_that_were_not_there_are_null(replayer, synthetic):
     drive = replayer.read_file(synthetic / "synthetic_01.csv").drive
-    present = np.ones(len(drive.t), bool)
-    present[100:110] = False
-    recorded = Recorded(drive, present)
-    table = replayer.series(recorded, replayer.replay_recorded(recorded))
+    missing = np.zeros(len(drive.t), bool)
+    missing[100:110] = True
+    recorded = Recorded(replace(drive, missing=missing))
+    said = replayer.replay_recorded(recorded)
+    assert said.missing_samples == 10
+    table = replayer.series(recorded, said)
     for column in ("speed", "yaw_rate", "yhat/yaw_rate", "e/yaw_rate"):
         assert np.flatnonzero(table[column].is_null().to_numpy()).tolist() == list(range(100, 110))
 

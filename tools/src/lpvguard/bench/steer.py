@@ -101,7 +101,7 @@ def _row(vehicle: Path, point: tuple[str, float, float, int]) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "scenario.toml"
         path.write_text(text, encoding="utf-8")
-        facts, drive, _ = simulator.drive(path)
+        facts, drive = simulator.drive(path)
     tracking = facts["tracking_rms"] / facts["command_rms"]
     limited = limited_stretch(simulator, drive)
     line = steady_line(drive.u[:, 0], simulator.project.Ts_s, command.highest)

@@ -58,6 +58,7 @@ def print_replays(done: list[dict[str, Any]], replayer: Replayer) -> None:
         f"change test {replayer.change_threshold:.4g}; "
         f"core {replayer.core.folder}"
     )
+    _print_missing(done)
     for r in done:
         for a in r["alarms"][:3]:
             console.print(
@@ -68,6 +69,15 @@ def print_replays(done: list[dict[str, Any]], replayer: Replayer) -> None:
             console.print(f"{r['run']}: {len(r['alarms']) - 3} more alarms (--json lists all)")
         if "can" in r:
             _print_reception(r["run"], r["can"])
+
+
+def _print_missing(rows: list[dict[str, Any]]) -> None:
+    """A line a drive with missing samples; what a raw log lacks is told with its frames."""
+    from ..drives.tables import missing_words
+
+    for r in rows:
+        if r["missing_samples"] and "can" not in r:
+            console.print(missing_words(r["run"], r["missing_samples"]))
 
 
 def _print_reception(run: str, can: dict[str, Any]) -> None:
@@ -198,6 +208,7 @@ def print_evaluation(result: dict[str, Any]) -> None:
     console.print(alarms)
     short = [f"{r['run']} {r['last_piece_s']:.1f} s" for r in result["drives"] if r["last_piece_s"] < PIECE_S]
     console.print(f"last pieces that are shorter: {', '.join(short) or 'none'}")
+    _print_missing(result["drives"])
     for test, claim in result["claims"]["identified"].items():
         console.print(f"{test} test as identified: {claim}")
     for what, claims in result["claims"][result["mode"]].items():

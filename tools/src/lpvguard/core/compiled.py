@@ -337,7 +337,7 @@ class RunningMonitor:
         )
         return Run(frames, verdict, status, energy, band, energy_alarms, change, change_alarms)
 
-    def run_drive(self, drive: Drive, present: np.ndarray | None = None) -> Run:
-        """`run` over a whole drive of N samples; where ``present`` (N,) is False time passes without a
-        sample."""
+    def run_drive(self, drive: Drive) -> Run:
+        """`run` over a whole drive; where its samples are missing, time passes without one."""
+        present = None if drive.missing is None else ~drive.missing
         return self.run(drive.t, drive.v, drive.u, drive.y, present)

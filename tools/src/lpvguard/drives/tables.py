@@ -32,7 +32,7 @@ from ..vehicle.project import Project, Signal
 TABLE_SUFFIXES = (".csv", ".parquet", ".mat")
 EXPERIMENTS = INDEX
 MOST_MISSING = 0.1
-"""Share of a table's samples that may hold impossible values. A wrong unit makes more of them."""
+"""Share of a table's samples that may have no value or an impossible one. A wrong unit makes more of them."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class Drive:
     """One drive on a uniform grid: t (N,) [s], v (N,) [m/s], u (N, n_u), y (N, n_y) in the units of the
     signal table; ``instrument`` (N,) in its own, where the project names one.
 
-    ``missing`` (N,) bool, None for nowhere: a value of the table was outside its signal's range. Inputs and
-    outputs are interpolated there, and v is outside the model's range, so that nothing is judged.
+    ``missing`` (N,) bool, None for nowhere: there was no sample, no value, or one outside its signal's range.
+    Inputs and outputs are filled there, and v is outside the model's range, so that nothing is judged.
     """
 
     name: str
@@ -175,8 +175,9 @@ def bound_setting(project: Project, experiments: list[Experiment], folder: Path)
 def read_drive(path: Path, project: Project, *, any_values: bool = False) -> Drive:
     """Read and check one drive table.
 
-    Samples with a value outside its signal's range (a spike, a reverse piece) are missing, up to MOST_MISSING
-    of the table; more are an InputError. With ``any_values`` all values are taken as they are.
+    Samples without a value (an empty cell, NaN) or with one outside its signal's range (a spike, a reverse
+    piece) are missing, up to MOST_MISSING of the table; more are an InputError. With ``any_values`` all
+    numbers are taken as they are, and none may be absent.
     """
     table = _read_table(path)
     signals = [project.speed, *project.inputs, *project.outputs]
@@ -186,24 +187,33 @@ def read_drive(path: Path, project: Project, *, any_values: bool = False) -> Dri
     for column in columns:
         if column not in table.column_names:
             raise InputError(path, "header", f"column {column} is missing", f"columns {', '.join(columns)}")
-    t = _column(path, table, "t", "s")
+    t = _column(path, table, "t")
+    _require_finite(path, "t", "s", t)
     if len(t) < 2:
         raise InputError(path, "", f"{len(t)} sample(s)", "at least 2 samples")
     _require_uniform(path, t, project.Ts_s)
-    values = {s.name: _column(path, table, s.column, s.unit) for s in signals}
-    missing = None if any_values else _missing(path, project, values)
+    values = {s.name: _column(path, table, s.column) for s in signals}
+    instrument = project.model_error.instrument
+    outside = None if instrument is None else _column(path, table, instrument)
+    if any_values:
+        missing = None
+        for s in signals:
+            _require_finite(path, s.column, s.unit, values[s.name])
+    else:
+        missing = _missing(path, project, values)
+    if outside is not None:
+        _require_finite(path, str(instrument), "its own unit", outside)
 
     def stack(group: list[Signal]) -> np.ndarray:
         return np.column_stack([values[s.name] for s in group])
 
-    outside = project.model_error.instrument
     return Drive(
         path.stem,
         t,
         values[project.speed.name],
         stack(project.inputs),
         stack(project.outputs),
-        None if outside is None else _column(path, table, outside, "its own unit"),
+        outside,
         missing,
     )
 
@@ -251,20 +261,24 @@ def _line(index: int) -> str:
     return f"line {index + 2}"
 
 
-def _column(path: Path, table: pa.Table, column: str, unit: str) -> np.ndarray:
+def _column(path: Path, table: pa.Table, column: str) -> np.ndarray:
+    """The numbers of a column, (N,); NaN where a cell is empty. InputError for text that is no number."""
     chunked = table.column(column)
-    if not (pa.types.is_floating(chunked.type) or pa.types.is_integer(chunked.type)):
-        text = chunked.to_pylist()
-        for i, item in enumerate(text):
-            try:
-                float(item)
-            except (TypeError, ValueError):
-                raise InputError(
-                    path, f"{_line(i)}, column {column}", f"{item!r} is no number", f"a number in {unit}"
-                ) from None
-        values = np.array([float(item) for item in text])
-    else:
+    if pa.types.is_floating(chunked.type) or pa.types.is_integer(chunked.type):
         values = chunked.cast(pa.float64()).to_numpy(zero_copy_only=False)
+        return np.ascontiguousarray(values, float)
+    values = np.full(len(chunked), np.nan)
+    for i, item in enumerate(chunked.to_pylist()):
+        try:
+            values[i] = np.nan if item is None else float(item)
+        except (TypeError, ValueError):
+            raise InputError(
+                path, f"{_line(i)}, column {column}", f"{item!r} is no number", "a number, or nothing"
+            ) from None
+    return values
+
+
+def _require_finite(path: Path, column: str, unit: str, values: np.ndarray) -> None:
     bad = np.flatnonzero(~np.isfinite(values))
     if len(bad):
         raise InputError(
@@ -273,7 +287,6 @@ def _column(path: Path, table: pa.Table, column: str, unit: str) -> np.ndarray:
             f"{values[bad[0]]}",
             f"a finite number in {unit} ({len(bad)} such values in the file)",
         )
-    return np.ascontiguousarray(values, float)
 
 
 def _require_uniform(path: Path, t: np.ndarray, Ts: float) -> None:
@@ -311,10 +324,10 @@ def _other_rate(typical: float, Ts: float) -> str:
 
 
 def _missing(path: Path, project: Project, values: dict[str, np.ndarray]) -> np.ndarray | None:
-    """Where a sample holds an impossible value, (N,) bool; ``values`` are filled there in place. None where
-    none does."""
+    """Where a sample has no value or an impossible one, (N,) bool; ``values`` are filled there in place. None
+    where none has."""
     signals = [project.speed, *project.inputs, *project.outputs]
-    outside = {s.name: (values[s.name] < s.min) | (values[s.name] > s.max) for s in signals}
+    outside = {s.name: _outside(s, values[s.name]) for s in signals}
     missing = np.logical_or.reduce(list(outside.values()))
     if not missing.any():
         return None
@@ -324,17 +337,31 @@ def _missing(path: Path, project: Project, values: dict[str, np.ndarray]) -> np.
     index = np.arange(len(missing))
     for s in signals:
         values[s.name] = np.interp(index, index[~missing], values[s.name][~missing])
-    low, high = project.model.speed_min_mps, project.model.speed_max_mps
-    values[project.speed.name][missing] = 0.0 if low > 0 else 2.0 * high
+    values[project.speed.name][missing] = speed_of_missing(project)
     return missing
+
+
+def speed_of_missing(project: Project) -> float:
+    """A speed outside the model's range [m/s], as missing samples have."""
+    return 0.0 if project.model.speed_min_mps > 0 else 2.0 * project.model.speed_max_mps
+
+
+def missing_words(name: str, samples: int) -> str:
+    """What is said of a drive of which ``samples`` are missing."""
+    return f"{name}: {samples} samples without a value, or with one outside its signal's range, are missing"
+
+
+def _outside(signal: Signal, values: np.ndarray) -> np.ndarray:
+    """(N,) bool: where there is no value within the signal's range."""
+    return ~((values >= signal.min) & (values <= signal.max))
 
 
 def _refuse_outside(path: Path, signal: Signal, values: np.ndarray) -> None:
     """InputError that names the first value outside the signal's range, if there is one."""
-    outside = np.flatnonzero((values < signal.min) | (values > signal.max))
+    outside = np.flatnonzero(_outside(signal, values))
     if len(outside):
         k = outside[0]
-        hint = "; is it in degrees?" if signal.unit.startswith("rad") else ""
+        hint = "; is it in degrees?" if signal.unit.startswith("rad") and np.isfinite(values[k]) else ""
         raise InputError(
             path,
             f"{_line(k)}, column {signal.column}",

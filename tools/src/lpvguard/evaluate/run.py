@@ -95,6 +95,7 @@ def _evaluate_drive(
         "last_piece_s": round((len(replay.judged) - 1 - int(starts[-1])) * Ts, 6),
         "duration_s": replay.duration_s,
         "judged_s": replay.judged_s,
+        "missing_samples": replay.missing_samples,
         "judged_of_in_range_excited": (
             float((replay.judged & relevant).sum() / relevant.sum()) if relevant.any() else None
         ),

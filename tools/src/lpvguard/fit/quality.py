@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.signal import lfilter
 
-from ..drives.tables import Drive
+from ..drives.tables import Drive, missing_words
 from ..vehicle.nominal import NominalModel
 from .noise import Whitening
 from .stretches import judged_samples
@@ -134,11 +134,7 @@ def by_speed(model: NominalModel, drives: list[Drive]) -> list[Quality]:
 
 def gaps(found: list[Quality]) -> list[str]:
     """A line a drive with missing samples."""
-    return [
-        f"{q.name}: {q.missing} samples with a value outside its signal's range count as missing"
-        for q in found
-        if q.missing
-    ]
+    return [missing_words(q.name, q.missing) for q in found if q.missing]
 
 
 def pooled_vaf(found: list[Quality]) -> np.ndarray:

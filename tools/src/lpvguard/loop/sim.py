@@ -40,7 +40,7 @@ from ..can.catalogue import load_catalogue
 from ..core.compiled import EVENTS, SUPERVISION, VERDICTS, eigen_include, firmware_root, library_root
 from ..core.control_coefficients import ControllerCoefficients, build_controller, replaced_controller
 from ..core.targets import EmulatedEcu, emulated_ecu
-from ..drives.tables import Drive
+from ..drives.tables import Drive, speed_of_missing
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, Signal, parse_project
 
@@ -360,14 +360,13 @@ class Simulator:
         seed: int | None = None,
         log: Path | None = None,
         telemetry: Path | None = None,
-    ) -> tuple[dict[str, Any], Drive, np.ndarray]:
-        """One run of the scenario file ``path``: what happened, the drive, and where it has samples.
+    ) -> tuple[dict[str, Any], Drive]:
+        """One run of the scenario file ``path``: what happened, and the drive.
 
-        What happened is as the simulator prints it. The drive is what its monitor saw; (N,) is True where it
-        was given a sample. Elsewhere the drive stands still, so that nothing is judged until the model has
-        settled. ``log``: where every frame of the bus goes as candump -L writes it; ``telemetry``: where the
-        loop goes every 100 ms, CSV. Findings are only reported, so that the loop, and what its monitor sees,
-        goes on behind the first one.
+        What happened is as the simulator prints it. The drive is what its monitor saw; samples that it was
+        not given are missing. ``log``: where every frame of the bus goes as candump -L writes it;
+        ``telemetry``: where the loop goes every 100 ms, CSV. Findings are only reported, so that the loop,
+        and what its monitor sees, goes on behind the first one.
         """
         with tempfile.TemporaryDirectory() as scratch:
             table = Path(scratch) / f"{path.stem}.csv"
@@ -375,7 +374,7 @@ class Simulator:
             for option, value in (("--seed", seed), ("--log", log), ("--telemetry", telemetry)):
                 command += () if value is None else (option, value)
             facts = self._execute(path, command)
-            return facts, *self._without_gaps(path.stem, pa_csv.read_csv(table))
+            return facts, self._without_gaps(path.stem, pa_csv.read_csv(table))
 
     def _execute(self, scenario: Path, options: list[Any]) -> dict[str, Any]:
         """What the simulator prints of a run of the scenario file with further options. InputError where it
@@ -394,12 +393,12 @@ class Simulator:
         }
         return facts | changes | {"verdict_final": VERDICTS[facts["verdict_final"]]}
 
-    def _without_gaps(self, name: str, table: pa.Table) -> tuple[Drive, np.ndarray]:
+    def _without_gaps(self, name: str, table: pa.Table) -> Drive:
         p = self.project
         t = table["t"].to_numpy()
         row = np.round((t - t[0]) / p.Ts_s).astype(int)
         newest = np.searchsorted(row, np.arange(row[-1] + 1), side="right") - 1
-        present = row[newest] == np.arange(row[-1] + 1)
+        missing = row[newest] != np.arange(row[-1] + 1)
 
         def stack(signals: list[Signal]) -> np.ndarray:
             return np.column_stack([table[s.column].to_numpy().astype(float) for s in signals])[newest]
@@ -408,10 +407,11 @@ class Simulator:
         return Drive(
             name,
             t[0] + np.arange(len(v)) * p.Ts_s,
-            np.where(present, v, 0.0),
+            np.where(missing, speed_of_missing(p), v),
             stack(p.inputs),
             stack(p.outputs),
-        ), present
+            missing=missing if missing.any() else None,
+        )
 
     def _result(self, scenario: Scenario, facts: dict[str, Any], rows: np.ndarray) -> dict[str, Any]:
         expect = scenario.expect

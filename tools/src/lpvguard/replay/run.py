@@ -16,7 +16,7 @@ from ..can.logs import Frames, is_raw_table, read_log, stem
 from ..can.play import frames_of_drive, values_of_drive
 from ..core.compiled import CHANGE_PARTS, REASONS, STATUSES, VERDICTS, Core, Run, band_names
 from ..drives.frames import Estimator
-from ..drives.tables import TABLE_SUFFIXES, Drive, read_drive, require_units
+from ..drives.tables import TABLE_SUFFIXES, Drive, read_drive, require_units, speed_of_missing
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
 from .receive import Receiver
@@ -82,6 +82,7 @@ class Replay:
     changed: np.ndarray  # (N,) bool: the change test's is
     alarms: list[Alarm]  # of all tests, in the order of time
     Ts: float
+    missing_samples: int = 0
     can: dict[str, Any] | None = None  # of a raw log: what became of its frames, gaps (receive.py)
     start_s: float = 0.0  # the drive's own time at its first sample; ``run`` has that time
 
@@ -125,6 +126,7 @@ class Replay:
             "duration_s": round(self.duration_s, 6),
             "judged": [[round(a, 6), round(b, 6)] for a, b in self.judged_intervals],
             "judged_s": round(self.judged_s, 6),
+            "missing_samples": self.missing_samples,
             "verdict_final": self.verdict_final,
             "first_invalid_s": self.first_invalid_s,
             "max_margin": self.max_margin,
@@ -148,11 +150,9 @@ class Replay:
 
 @dataclass(frozen=True)
 class Recorded:
-    """What a file holds. ``present`` (N,): False where there was no sample (None: everywhere one). ``can``:
-    what became of a raw log's frames."""
+    """What a file holds. ``can``: what became of a raw log's frames."""
 
     drive: Drive
-    present: np.ndarray | None = None
     can: dict[str, Any] | None = None
 
 
@@ -221,13 +221,12 @@ class Replayer:
         self.bands = band_names(len(self.sigma))
         self.change_unit, self.change_largest = 1.0 / fields["change_unit"], 1.0 / fields["change_scale"]
 
-    def replay(self, drive: Drive, present: np.ndarray | None = None) -> Replay:
-        """Run one drive; where ``present`` (N,) is False there was no sample and the drive's values mean
-        nothing."""
+    def replay(self, drive: Drive) -> Replay:
+        """Run one drive."""
         monitor = (
             self.core.monitor() if self._reals is None else self.core.monitor(reals=self._reals, seal=True)
         )
-        run = monitor.run_drive(drive, present)
+        run = monitor.run_drive(drive)
         frames, Ts, t0 = run.frames, self.project.Ts_s, drive.t[0]
         after = np.round((frames.t_end_s[frames.counted] - t0) / Ts).astype(int) + 1
         frames_open = np.zeros(len(drive.t) + 1, int)
@@ -238,18 +237,21 @@ class Replayer:
         falsified = np.zeros(len(drive.t), bool)
         falsified[np.round((frames.t_judged_s[frames.falsified] - t0) / Ts).astype(int)] = True
         in_range = (drive.v >= low) & (drive.v <= high)
+        if drive.missing is not None:
+            in_range &= ~drive.missing
         return Replay(
             drive.name,
             drive.duration_s,
             run,
             judged,
-            in_range if present is None else in_range & present,
+            in_range,
             self.excited(drive),
             falsified,
             run.energy > self.energy_threshold,
             run.change > self.change_threshold,
             self.alarms(run, t0),
             Ts,
+            drive.missing_samples,
             start_s=float(t0),
         )
 
@@ -357,17 +359,15 @@ class Replayer:
         drive = read_drive(path, self.project)
         nominal_output = self.model.simulate(drive.v, drive.u, drive.y[0])
         require_units(path, drive, nominal_output, self.estimator.settled(drive.v))
-        return Recorded(drive, None if drive.missing is None else ~drive.missing)
+        return Recorded(drive)
 
     def replay_recorded(self, recorded: Recorded) -> Replay:
         """Run what was read from a file."""
-        return replace(self.replay(recorded.drive, recorded.present), can=recorded.can)
+        return replace(self.replay(recorded.drive), can=recorded.can)
 
     def series(self, recorded: Recorded, replay: Replay) -> pa.Table:
         """What was recorded and what the core said of it, a row a sample (series.py)."""
-        return table_of(
-            self.project, self.model, self.estimator.omega, recorded.drive, recorded.present, replay.run
-        )
+        return table_of(self.project, self.model, self.estimator.omega, recorded.drive, replay.run)
 
     def replay_frames(self, log: Frames, path: Path, channel: str | None = None) -> Replay:
         """Run the frames of a raw CAN log through the compiled receiver and the monitor, as the ECU on that
@@ -388,9 +388,16 @@ class Replayer:
         # Ticks without a sample keep the newest values (zero before the first), so that statistics of the
         # input stay finite.
         values = np.nan_to_num(received.values)
-        n_u = self.project.n_u
-        drive = Drive(stem(path), received.t, values[:, 0], values[:, 1 : 1 + n_u], values[:, 1 + n_u :])
-        return Recorded(drive, received.present, received.report)
+        n_u, missing = self.project.n_u, ~received.present
+        drive = Drive(
+            stem(path),
+            received.t,
+            np.where(missing, speed_of_missing(self.project), values[:, 0]),
+            values[:, 1 : 1 + n_u],
+            values[:, 1 + n_u :],
+            missing=missing if missing.any() else None,
+        )
+        return Recorded(drive, received.report)
 
     @cached_property
     def receiver(self) -> Receiver:

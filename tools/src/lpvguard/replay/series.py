@@ -31,19 +31,12 @@ def margin_column(omega: float) -> str:
     return f"{MARGIN}{omega:.4g}"
 
 
-def table_of(
-    project: Project,
-    model: NominalModel,
-    omega: np.ndarray,
-    drive: Drive,
-    present: np.ndarray | None,
-    run: Run,
-) -> pa.Table:
+def table_of(project: Project, model: NominalModel, omega: np.ndarray, drive: Drive, run: Run) -> pa.Table:
     """The series of a drive of N samples as a table of N rows; see the module's docstring for the columns.
 
-    ``omega`` (K,) [rad/s]: frequencies of the bins. ``present`` (N,): False where there was no sample.
+    ``omega`` (K,) [rad/s]: frequencies of the bins.
     """
-    absent = np.zeros(len(drive.t), bool) if present is None else ~present
+    absent = np.zeros(len(drive.t), bool) if drive.missing is None else drive.missing
     yhat = model.simulate(drive.v, drive.u, drive.y[0])
     columns: dict[str, pa.Array] = {"t": pa.array(drive.t - drive.t[0])}
     names = [s.name for s in (project.speed, *project.inputs, *project.outputs)]

@@ -186,18 +186,18 @@ def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
         telemetry = path.with_suffix(".csv")
         # Left alone, the truck does not know of the command: this run tells its free motion and the demand.
         path.write_text(drawn.text(planned.tables, UNIT), encoding="utf-8")
-        _, left_alone, _ = free_truck.drive(path, telemetry=telemetry)
+        _, left_alone = free_truck.drive(path, telemetry=telemetry)
         free = read_telemetry(telemetry)
         size = drawn.size(replayer.model, free["wanted_radps"], TELEMETRY_S)
         if planned.plant >= 0:
             size = _within_limit(simulator, drawn, planned.tables, size, path)
         path.write_text(drawn.text(planned.tables, size), encoding="utf-8")
         log = path.with_suffix(".log") if "can_fault" in planned.tables else None
-        facts, drive, present = simulator.drive(path, log=log, telemetry=telemetry)
+        facts, drive = simulator.drive(path, log=log, telemetry=telemetry)
         scenario = read_toml(path, "a scenario file")
         reactions = supervision(simulator, facts, scenario, log, planned.fault_s)
         did = conduct(context.tracking, simulator, drawn, drive, free, left_alone, read_telemetry(telemetry))
-    replay = replayer.replay(drive, present)
+    replay = replayer.replay(drive)
     clock = JudgedClock.of(replay, first_sample(drive, planned.fault_s, replay.Ts), FOUND_WITHIN_S)
     offline = Offline.of(replayer, drive, planned.fault_s)
     row: dict[str, Any] = {
@@ -242,7 +242,7 @@ def _within_limit(simulator: Simulator, drawn: Drawn, tables: str, size: float, 
     """``size`` of the command [rad/s], less where the loop would ask for more than ROOM of its limit: steps
     take more than their tracking does. A run at half the size tells; ``path`` holds its scenario."""
     path.write_text(drawn.text(tables, size / 2), encoding="utf-8")
-    facts, _, _ = simulator.drive(path)
+    facts, _ = simulator.drive(path)
     most = 0.5 * ROOM * float(simulator.u_max.min())
     return size * most / max(most, facts["demand_max_bar"])
 

@@ -42,7 +42,7 @@ def visit(visits: Visits, stored: StoredIdentification, replayer: Replayer, driv
         drive.name,
         stored.manifest["drivers"][drive.name],
         _role(stored, drive.name),
-        (float(drive.v.min()), float(drive.v.max())),
+        (float(drive.present.v.min()), float(drive.present.v.max())),
         replay.duration_s,
         replay.judged_s,
         float(relevant.sum() * replay.Ts),

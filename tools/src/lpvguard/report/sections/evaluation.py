@@ -97,6 +97,7 @@ def _drive_table(evaluation: dict) -> str:
             "alarmed pieces",
             "last piece, s",
             "judged, s",
+            "missing samples",
             "of in-range, excited time",
             "faults from, s",
         ],
@@ -111,6 +112,7 @@ def _drive_table(evaluation: dict) -> str:
                 f"{r['alarmed'][MONITOR]} of {r['pieces']}",
                 f"{r['last_piece_s']:.1f}",
                 f"{r['judged_s']:.1f}",
+                str(r["missing_samples"]),
                 "–" if r["judged_of_in_range_excited"] is None else f"{r['judged_of_in_range_excited']:.0%}",
                 ", ".join(f"{s:.0f}" for s in r["fault_starts_s"]) or "–",
             ]
