@@ -155,7 +155,7 @@ def _signals_header(project: Project) -> str:
         f"#define LPVGUARD_SIGNALS_{project.name.upper()}_H",
         "",
     ]
-    for role, group in (("INPUT", project.inputs), ("OUTPUT", project.outputs)):
+    for role, group in (("INPUT", project.inputs), ("OUTPUT", project.outputs), ("GATE", project.gates)):
         lines += [
             f"#define LPVG_{role}_{s.name.upper()} {i} "
             f"/* [{s.unit}] {s.min:g}..{s.max:g}, {s.positive} > 0 */"

@@ -125,8 +125,10 @@ def load_signal_map(path: Path) -> SignalMap:
 
 
 def map_of_project(project: Project) -> SignalMap:
-    """The signal map of a vehicle whose signals have a CAN place: bus value = factor * value. A sum of
-    signals has no ``min`` and ``max``: a drive table is judged by the vehicle's."""
+    """The signal map of a vehicle whose signals have a CAN place: bus value = factor * value.
+
+    A sum of signals has no ``min`` and ``max``, for a drive table is judged by the vehicle's. Nor has a gate:
+    what it shuts out stays in the table."""
     without = [s.name for s in project.signals if s.can is None]
     if without:
         raise InputError(
@@ -138,8 +140,8 @@ def map_of_project(project: Project) -> SignalMap:
     columns = {
         s.column: Column(
             unit=s.unit,
-            min=None if place.plus else s.min,
-            max=None if place.plus else s.max,
+            min=None if place.plus or s.role == "gate" else s.min,
+            max=None if place.plus or s.role == "gate" else s.max,
             terms=[
                 Term(message=place.message, signal=name, scale=1.0 / place.factor)
                 for name in (place.signal, *place.plus)

@@ -176,11 +176,12 @@ def read_drive(path: Path, project: Project, *, any_values: bool = False) -> Dri
     """Read and check one drive table.
 
     Samples without a value (an empty cell, NaN) or with one outside its signal's range (a spike, a reverse
-    piece) are missing, up to MOST_MISSING of the table; more are an InputError. With ``any_values`` all
-    numbers are taken as they are, and none may be absent.
+    piece) are missing, up to MOST_MISSING of the table; more are an InputError. Those that a gate shuts out
+    are missing too, however many. With ``any_values`` all numbers are taken as they are, and none may be
+    absent.
     """
     table = _read_table(path)
-    signals = [project.speed, *project.inputs, *project.outputs]
+    signals = project.recorded
     columns = ["t", *(s.column for s in signals)]
     if project.model_error.instrument is not None:
         columns.append(project.model_error.instrument)
@@ -324,15 +325,19 @@ def _other_rate(typical: float, Ts: float) -> str:
 
 
 def _missing(path: Path, project: Project, values: dict[str, np.ndarray]) -> np.ndarray | None:
-    """Where a sample has no value or an impossible one, (N,) bool; ``values`` are filled there in place. None
-    where none has."""
+    """Where a sample has no value or an impossible one, or a gate is shut, (N,) bool; ``values`` are filled
+    there in place. None where all are."""
     signals = [project.speed, *project.inputs, *project.outputs]
-    outside = {s.name: _outside(s, values[s.name]) for s in signals}
-    missing = np.logical_or.reduce(list(outside.values()))
-    if not missing.any():
-        return None
+    outside = {s.name: _outside(s, values[s.name]) for s in project.recorded}
+    missing = np.logical_or.reduce([outside[s.name] for s in signals])
     if missing.mean() > MOST_MISSING:
         for s in sorted(signals, key=lambda s: -outside[s.name].sum()):
+            _refuse_outside(path, s, values[s.name])
+    missing = np.logical_or.reduce([missing, *(outside[s.name] for s in project.gates)])
+    if not missing.any():
+        return None
+    if missing.all():
+        for s in sorted(project.gates, key=lambda s: -outside[s.name].sum()):
             _refuse_outside(path, s, values[s.name])
     index = np.arange(len(missing))
     for s in signals:

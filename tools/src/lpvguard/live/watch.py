@@ -170,12 +170,11 @@ class Watch:
     def what(self) -> dict[str, Any]:
         """What does not change: names, units, bins, thresholds."""
         project, replayer = self.replayer.project, self.replayer
-        signals = [project.speed, *project.inputs, *project.outputs]
         return {
             "title": project.title,
             "vehicle": project.name,
             "source": self.source.name,
-            "units": {s.name: s.unit for s in signals},
+            "units": {s.name: s.unit for s in self._receiver.signals},
             "speed": project.speed.name,
             "inputs": [s.name for s in project.inputs],
             "outputs": [s.name for s in project.outputs],
@@ -274,7 +273,7 @@ class Watch:
             stop = int(a) + int(np.argmin(np.r_[present[a:stop], False]))
             if stop - int(a) > longest.stop - longest.start:
                 longest = slice(int(a), stop)
-        signals = [project.speed, *project.inputs, *project.outputs]
+        signals = self._receiver.signals
         return ["t", *(s.column for s in signals)], rows[longest, : 1 + len(signals)]
 
 

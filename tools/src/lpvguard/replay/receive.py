@@ -77,7 +77,7 @@ class _Bus:
 
 
 class Receiver:
-    """The compiled receiver of a vehicle: speed, inputs and outputs of its signal table, in this order.
+    """The compiled receiver of a vehicle: speed, inputs, outputs, gates of its signal table, in this order.
 
     They come out of frames of the catalogue, or of the car's own bus.
 
@@ -88,7 +88,7 @@ class Receiver:
         """``command``: values have one more column, the driver's yaw-rate command where the bus has it (it
         needs none)."""
         self.project = project
-        self.signals = [project.speed, *project.inputs, *project.outputs]
+        self.signals = project.recorded
         if project.can is None:
             bus = _our_bus(self.signals, catalogue or load_catalogue())
         else:
@@ -135,10 +135,14 @@ class Receiver:
         return RunningReceiver(self, start_us, where)
 
     def presence(self, values: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(needed, N) where each needed message is live, and (N,) where there is a sample; ``values`` and
-        ``states`` of ``RunningReceiver.take``."""
+        """(needed, N) where each needed message is live, and (N,) where there is a sample that no gate shuts
+        out; ``values`` and ``states`` of ``RunningReceiver.take``."""
         live = np.array([states[:, self._rules.index(m)] == LIVE for m in self.needed])
-        return live, np.logical_and(live.all(axis=0), np.isfinite(values[:, : len(self.signals)]).all(axis=1))
+        present = live.all(axis=0) & np.isfinite(values[:, : len(self.signals)]).all(axis=1)
+        for i, s in enumerate(self.signals):
+            if s.role == "gate":
+                present &= (values[:, i] >= s.min) & (values[:, i] <= s.max)
+        return live, present
 
     def counted(self, counts: np.ndarray) -> dict[str, Any]:
         """What became of the frames, from ``counts`` (rules + 1, events): by needed or seen message

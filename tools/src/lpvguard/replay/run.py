@@ -394,7 +394,7 @@ class Replayer:
             received.t,
             np.where(missing, speed_of_missing(self.project), values[:, 0]),
             values[:, 1 : 1 + n_u],
-            values[:, 1 + n_u :],
+            values[:, 1 + n_u : 1 + n_u + self.project.n_y],
             missing=missing if missing.any() else None,
         )
         return Recorded(drive, received.report)
@@ -423,6 +423,13 @@ def bus_frames(path: Path, project: Project) -> Frames:
     log = read_raw_log(path)
     if log is not None:
         return log
+    if project.gates:
+        raise InputError(
+            path,
+            "",
+            "a drive table does not say what a gate is on the bus",
+            "a raw log, for a vehicle with gates",
+        )
     drive = read_drive(path, project).present
     return frames_of_drive(drive.t, values_of_drive(project, drive))
 

@@ -1,7 +1,7 @@
 """Project files: one vehicle = one TOML file, validated on load.
 
 The signal table of the project file is the only place where names, units, signs, ranges and CAN places of
-signals stand; ``SignalTable`` order is: scheduling, inputs, outputs.
+signals stand; ``SignalTable`` order is: scheduling, inputs, outputs, gates.
 """
 
 from __future__ import annotations
@@ -87,10 +87,13 @@ class OwnBus(StrictModel):
 
 
 class Signal(StrictModel):
-    """One measured signal; ``min`` and ``max`` bound what is physically possible, in ``unit``."""
+    """One measured signal; ``min`` and ``max`` bound what is physically possible, in ``unit``.
+
+    Those of a gate (a gear, a lateral acceleration) bound what the model is meant for. A sample outside is
+    missing."""
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
-    role: Literal["scheduling", "input", "output"]
+    role: Literal["scheduling", "input", "output", "gate"]
     column: str
     unit: str
     positive: str
@@ -455,6 +458,9 @@ class Project(StrictModel):
         """Identification and monitor take any sizes; what Fig. 1 draws, and design makes a controller for, is
         one vehicle."""
         first_two = [[float(i == j) for j in range(len(self.model.A))] for i in range(2)]
+        if self.gates:
+            names = ", ".join(s.name for s in self.gates)
+            raise ValueError(f"design: the ECU does not read gates, and {names} would not hold")
         if self.n_u != 1 or self.n_y != 2 or first_two != self.model.C:
             raise ValueError(
                 "design: Fig. 1 has one input and two outputs, the first two states (model.C = [I 0]); got "
@@ -487,6 +493,16 @@ class Project(StrictModel):
     def outputs(self) -> list[Signal]:
         """Outputs y, in the order of the file."""
         return self.of_role("output")
+
+    @property
+    def gates(self) -> list[Signal]:
+        """Signals within whose range the model is meant, in the order of the file."""
+        return self.of_role("gate")
+
+    @property
+    def recorded(self) -> list[Signal]:
+        """Speed, inputs, outputs and gates."""
+        return [self.speed, *self.inputs, *self.outputs, *self.gates]
 
     @property
     def n_u(self) -> int:
