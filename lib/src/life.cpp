@@ -37,7 +37,10 @@ uint32_t crc_of(const lpvg_life_table_t& table) {
 }
 
 Saved saved_of(const lpvg_life_t& life) {
-    Saved saved{{life.table->crc32, life.recordings, 0U, 0U, 0U, life.changed_at, 0U}};
+    Saved saved{};
+    saved.word[0] = life.table->crc32;
+    saved.word[1] = life.recordings;
+    saved.word[n_saved - 2U] = life.changed_at;
     static_assert(n_saved == LPVG_LIFE_BETS + 4U, "table, recordings, bets, changed, CRC");
     std::memcpy(&saved.word[2], life.bet, sizeof life.bet);
     saved.word[n_saved - 1U] = crc_of(saved);
@@ -63,10 +66,10 @@ bool allowed(const lpvg_life_table_t& table) {
     return good;
 }
 
-// Share of the money that is not on the bets after so many recordings.
+// Share of the money that is not on the bets after so many recordings, LPVG_LIFE_MOST at most.
 float put_aside(uint32_t recordings) {
     constexpr float start = static_cast<float>(LPVG_LIFE_START);
-    return start / (start + static_cast<float>(recordings < LPVG_LIFE_MOST ? recordings : LPVG_LIFE_MOST));
+    return start / (start + static_cast<float>(recordings));
 }
 
 float wealth_of(const lpvg_life_t& life) {

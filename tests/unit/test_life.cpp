@@ -111,7 +111,7 @@ TEST_CASE("a table that cannot be is refused by what is wrong", "[unit][REQ-LIFE
         table = golden_table_100;
     }
     const float inf = std::numeric_limits<float>::infinity();
-    for (float* number : {&table.judged_s, &table.alarm, &table.level[7], &table.factor[8][2]}) {
+    for (float* number : {&table.judged_s, &table.alarm, &table.level[7], &table.factor[0][0], &table.factor[8][2]}) {
         *number = inf;
         table = sealed(table);
         refused(lpvg_status_not_finite);
@@ -128,12 +128,36 @@ TEST_CASE("a table that cannot be is refused by what is wrong", "[unit][REQ-LIFE
     not_allowed();
     table.level[1] = table.level[0] - 0.01f;
     not_allowed();
-    table.factor[2][1] = -0.01f;
-    not_allowed();
+    for (float* factor : {&table.factor[0][0], &table.factor[2][1], &table.factor[8][2]}) {
+        *factor = -0.01f;
+        not_allowed();
+    }
     table.level[1] = table.level[0];  // the last that is allowed
     table.factor[0][0] = 0.0f;
     table = sealed(table);
     CHECK(lpvg_life_table_check(&table) == lpvg_status_ok);
+    table.n_levels = 1U;
+    table = sealed(table);
+    CHECK(lpvg_life_table_check(&table) == lpvg_status_ok);
+}
+
+TEST_CASE("a life alarms with the wealth that is stated, with the first recording too", "[unit][REQ-LIFE-1]") {
+    lpvg_life_table_t table = golden_table_100;
+    lpvg_life_t life = begun(golden_table_100);
+    REQUIRE(lpvg_life_update(&life, 1e6f) == lpvg_status_ok);
+    table.alarm = lpvg_life_wealth(&life);
+    REQUIRE(table.alarm > 1.0f);
+    table = sealed(table);
+    std::memset(static_cast<void*>(&life), 0xA5, sizeof life);
+    REQUIRE(lpvg_life_init(&life, &table) == lpvg_status_ok);
+    REQUIRE(lpvg_life_update(&life, 1e6f) == lpvg_status_ok);
+    CHECK(life.changed_at == 1U);
+    CHECK(lpvg_life_changed(&life));
+    table.alarm = std::nextafter(table.alarm, 2.0f * table.alarm);
+    table = sealed(table);
+    life = begun(table);
+    REQUIRE(lpvg_life_update(&life, 1e6f) == lpvg_status_ok);
+    CHECK_FALSE(lpvg_life_changed(&life));
 }
 
 TEST_CASE("a flipped bit of what is saved, or of the life, is refused", "[unit][REQ-LIFE-3]") {
@@ -219,6 +243,8 @@ TEST_CASE("counts saturate and no wealth is infinite", "[unit][REQ-LIFE-4]") {
     REQUIRE(lpvg_life_update(&life, 0.0f) == lpvg_status_ok);
     CHECK(life.recordings == LPVG_LIFE_MOST);
     const float wealth = lpvg_life_wealth(&life);
+    const Bytes last = saved(life);
+    REQUIRE(lpvg_life_load(&life, &golden_table_400, last.of) == lpvg_status_ok);
     REQUIRE(lpvg_life_update(&life, 0.0f) == lpvg_status_ok);
     CHECK(life.recordings == LPVG_LIFE_MOST);
     CHECK(lpvg_life_wealth(&life) <= wealth);
