@@ -189,7 +189,13 @@ def test_bad_input_is_one_error_and_leaves_the_state(lpvguard, synthetic, tables
     assert "column day" in refused(*with_state, "--order", "day")
     assert "judged_s: 0" in refused("--judged-s", "0", *calibrated)
     assert "no recording calibrates" in refused("--judged-s", "500", *calibrated)
+    assert "lies inside" in refused(*calibrated, "--state", str(folder / "state.json"))
     table = folder / "synthetic_05.csv"
+    assert "lies inside" in refused(*calibrated, "--export", str(table))
+    for mine in (tmp_path / "mine.json", tmp_path / "mine.h"):
+        mine.write_text('{"mine": 1}')
+        option = "--state" if mine.suffix == ".json" else "--export"
+        assert "was not written by `lpvguard fleet`" in refused(*calibrated, option, str(mine))
     shutil.copy(synthetic / table.name, table)
     assert "synthetic_05: is a table that calibrated" in refused(*calibrated)
     assert lpvguard("fleet", "--vehicle", "g80", str(folder), *with_state).returncode == 0

@@ -64,8 +64,8 @@ def fleet(
         after, result = follow(replayer, before, listed, left_out, run, tell)
     if export is not None:
         artefacts.write_file(export, header(after), KIND)
-    if state is not None:
-        after.write(state)
     emit(json_out, result)
+    if state is not None:  # last: a call that fails before has counted nothing
+        after.write(state)
     print_fleet(result)
     raise typer.Exit(1 if changed(result) else 0)
