@@ -30,6 +30,9 @@ def test_healthy_lives_keep_their_rate(normal, n):
     assert found["outside"]["interval"][0] <= 0.05 <= found["outside"]["interval"][1] + 0.03
     assert found["worst_sets"]["of"] == 20 * lives.AGAIN
     assert 0.0 <= found["worst_set"] <= 1.0
+    hourly, hours = found["ever_per_1000_judged_h"], 400 * 500 / 60
+    assert hourly["rate"] == pytest.approx(1000 * found["ever"]["count"] / hours, rel=0.1)
+    assert hourly["interval"][0] <= hourly["rate"] <= hourly["interval"][1]
 
 
 def test_a_life_beyond_its_set_is_found_and_the_false_are_told_apart(normal):

@@ -19,7 +19,7 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..base.parallel import Map, workers
-from ..base.rates import rate, share_words
+from ..base.rates import hourly_words, per_hour, rate, share_words
 from ..drives.faults import Fault, inject
 from ..drives.fixture import drive_columns
 from ..drives.tables import Drive
@@ -108,6 +108,7 @@ def healthy_lives(pool: Pool, n: int, lives: int, recordings: int, seed: int) ->
     levels, tails = drawn_levels(pool, n, lives, random), simultaneous_tails(n, ETA)
     bets, healthy = factors(tails), pool.scores[:, 0]
     first = first_alarms(levels, bets, lambda _: random.choice(healthy, lives), recordings)
+    hours = float(np.where(first > 0, first, recordings).sum()) * JUDGED_S / 3600
     true_tails = (healthy[None, None, :] > levels[:, :, None]).mean(axis=2)
     beyond = (true_tails / tails).max(axis=1)
     worst = np.argsort(-beyond, kind="stable")[: max(1, round(WORST * lives))]
@@ -118,6 +119,7 @@ def healthy_lives(pool: Pool, n: int, lives: int, recordings: int, seed: int) ->
     return {
         "n": n,
         "ever": rate(int((first > 0).sum()), lives),
+        "ever_per_1000_judged_h": per_hour(int((first > 0).sum()), hours / 1000),
         "outside": rate(int((beyond > 1).sum()), lives),
         "worst_sets": {"count": int((repeated > 0).sum()), "of": len(repeated)},
         "worst_set": float(of_set.max()),
@@ -183,7 +185,8 @@ def words(r: dict) -> str:
     ]
     for h in r["healthy"]:
         lines.append(
-            f"n = {h['n']}: healthy lives that ever alarm {share_words(h['ever'])}; sets outside the bounds "
+            f"n = {h['n']}: healthy lives that ever alarm {share_words(h['ever'])}, in 1000 judged "
+            f"hours {hourly_words(h['ever_per_1000_judged_h'])}; sets outside the bounds "
             f"{share_words(h['outside'])}; lives of the worst 5 % of sets {_share(h['worst_sets'])}, of "
             f"the worst set {100 * h['worst_set']:.0f} %; a factor of {h['largest_factor']:.3g} at most, so "
             f"an alarm after {h['earliest']} recordings above all at the earliest"
