@@ -30,14 +30,14 @@ function(lpvguard_sources DIR OUT)
       message(FATAL_ERROR "lpvguard: ${DIR}/${file} is missing; `lpvguard export` writes it")
     endif()
   endforeach()
-  set(parts change coeff energy model monitor)
+  set(parts change coeff energy life model monitor)
   set(own lpvguard_coeff.c)
   if(EXISTS "${DIR}/lpvguard_control.c")
     list(APPEND parts controller)
     list(APPEND own lpvguard_control.c)
   endif()
   if(EXISTS "${DIR}/lpvguard_bus.c")
-    # can, authentication, j1939, uds, xcp and the codec depend on no vehicle: in an image of several vehicles the linker takes the first
+    # life, can, authentication, j1939, uds, xcp and the codec depend on no vehicle: in an image of several vehicles the linker takes the first
     # one's.
     list(APPEND parts ecu can authentication j1939 uds xcp)
     list(APPEND own lpvguard_bus.c lpvg_can_codec.c)

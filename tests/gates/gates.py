@@ -662,6 +662,7 @@ SEES = {
     "change.cpp": ["change.toy", "change.g80", "change.separate_toy"],
     "energy.cpp": ["energy.toy", "energy.g80", "energy.separate_toy"],
     "j1939.cpp": ["j1939"],
+    "life.cpp": ["life"],
     "uds.cpp": ["uds"],
     "freeze_bytes.hpp": ["j1939", "uds"],
 }

@@ -18,12 +18,12 @@ import pytest
 from lpvguard import schemas
 from lpvguard.base.errors import InputError
 from lpvguard.base.parallel import workers
+from lpvguard.base.rates import rate
 from lpvguard.core.compiled import Core
 from lpvguard.drives.tables import list_experiments
 from lpvguard.evaluate import baseline_study
 from lpvguard.evaluate.baselines import Baseline
 from lpvguard.evaluate.detection import Injection
-from lpvguard.evaluate.rates import rate
 from lpvguard.identify import run as identify
 from lpvguard.loop.campaign import conduct, faults, one_run, run, scenarios, summary, trucks
 from lpvguard.loop.campaign.run import campaign

@@ -32,6 +32,7 @@ ORDER = (
     "identify",
     "control",
     "replay",
+    "fleet",
     "evaluate",
     "loop",
     "report",

@@ -13,10 +13,10 @@ import pytest
 from lpvguard import schemas
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
+from lpvguard.base.rates import per_hour, rate
 from lpvguard.cli.tables import print_evaluation
 from lpvguard.drives.tables import list_experiments
 from lpvguard.evaluate.judged import calibrations_of, drives_to_judge
-from lpvguard.evaluate.rates import per_hour, rate
 from lpvguard.evaluate.run import evaluate
 from lpvguard.identify import run as identify
 from lpvguard.identify.calibration import Recordings

@@ -201,13 +201,15 @@ def marked(value: Any, kind: str, *, each: bool = False) -> Any:
 
 
 def _carries_mark(text: str, kind: str) -> bool:
-    """Whether the text is JSON, HTML, a CAN database or an A2L with the mark of ``kind``."""
+    """Whether the text is JSON, HTML, C, a CAN database or an A2L with the mark of ``kind``."""
     head = text[:2000]
     if re.search(rf'<meta name="generator" content="{re.escape(mark(kind))}">', head):
         return True
     if kind == "dbc" and head.startswith('VERSION "lpvguard"\n\nNS_ :\n'):
         return True
     if kind == "a2l" and head.startswith("ASAP2_VERSION 1 60\n/begin PROJECT lpvguard "):
+        return True
+    if head.startswith(f"/* {mark(kind)}: generated, do not edit."):
         return True
     try:
         value = json.loads(text)

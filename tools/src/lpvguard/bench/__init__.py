@@ -17,7 +17,19 @@ from typing import Any
 from ..base import artefacts
 from ..base.errors import InputError
 
-MAY_IMPORT = ("base", "vehicle", "engine", "can", "drives", "core", "identify", "control", "loop")
+MAY_IMPORT = (
+    "base",
+    "vehicle",
+    "engine",
+    "can",
+    "drives",
+    "core",
+    "identify",
+    "control",
+    "replay",
+    "fleet",
+    "loop",
+)
 
 
 def names() -> list[str]:

@@ -18,7 +18,8 @@ def bench(
     name: Annotated[
         str,
         typer.Argument(
-            help="can, core, fleet, robust, synthesis, validation or weights; NAME -- --help for options."
+            help="can, core, fleet, lives, robust, synthesis, validation or weights; "
+            "NAME -- --help for options."
         ),
     ],
 ) -> None:

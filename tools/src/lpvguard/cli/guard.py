@@ -16,6 +16,8 @@ from ..base.errors import InputError
 
 _FILES = ("report", "solve", "dbc", "a2l", "lcm bus", "plant")
 """Commands whose -o is a file."""
+_WRITTEN = ("json_out", "state", "export")
+"""Options that name a file to write, whatever the command."""
 _KINDS = {"export": "vehicle", "design": None}
 """Kinds of folders that are not named as their command; design writes several."""
 _running: list[str] = []
@@ -39,9 +41,9 @@ def _named(name: str, given: dict[str, Any]) -> tuple[list[Path], list[Path], li
     for key, value in given.items():
         if key in ("pictures", "series"):
             folders += [] if value is None else [Path(value)]
-        elif key in ("out", "json_out"):
+        elif key in ("out", *_WRITTEN):
             if value is not None and str(value) != "-":
-                (files if key == "json_out" or name in _FILES else folders).append(Path(value))
+                (files if key in _WRITTEN or name in _FILES else folders).append(Path(value))
         elif key == "lcm":
             files += _lcm_log(value)
         elif isinstance(value, typer.Context):  # bench and plant read their options themselves

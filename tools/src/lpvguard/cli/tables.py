@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
+from ..base.rates import hourly_words, share_words
 from ..replay.told import alarm_sentence
 from .shared import console
 
@@ -94,6 +95,49 @@ def _print_reception(run: str, can: dict[str, Any]) -> None:
         )
     if len(can["gaps"]) > 3:
         console.print(f"{run}: {len(can['gaps']) - 3} more gaps (--json lists all)")
+
+
+def print_fleet(result: dict[str, Any]) -> None:
+    """The object of `lpvguard fleet --json`: what calibrates, a row per vehicle, and what changed."""
+    terms, calibration = result["terms"], result["calibration"]
+    console.print(
+        f"{calibration['recordings']} recordings ({calibration['drives']} drives) of {terms['judged_s']:g} s "
+        f"judged driving calibrate; a bet grows by {calibration['largest_factor']:.3g} at most in a recording"
+    )
+    console.print(
+        f"P(ever in a life) <= {terms['alpha']:g} for all calibration sets but a share {terms['eta']:g}, "
+        f"<= {terms['alpha'] + terms['eta']:g} over all; null: recordings like those that calibrate"
+    )
+    head = ("vehicle", "recordings", "new", "left out", "wealth", "alarms at", "at the earliest after")
+    table = Table(*head, box=None)
+    for name, v in result["vehicles"].items():
+        counts = (v["recordings"], len(v["new"]), len(v["left_out"]))
+        after = "–" if v["earliest"] is None else f"{v['earliest']} above all"
+        table.add_row(name, *map(str, counts), f"{v['wealth']:.3g}", f"{1 / terms['alpha']:.3g}", after)
+    console.print(table)
+    for name, v in result["vehicles"].items():
+        rate, hourly = share_words(v["alarmed"]), hourly_words(v["alarmed_per_judged_h"])
+        console.print(f"{name}: new recordings with an alarm of their own: {rate}; a judged hour: {hourly}")
+        if v["changed_at"] is not None:
+            console.print(
+                f"{name}: changed, says recording {v['changed_at']}, {v['changed_by']}{_estimated(v)}"
+            )
+    left_out = {**calibration["left_out"], **result["left_out"]}
+    for v in result["vehicles"].values():
+        left_out |= v["left_out"]
+    for name, why in left_out.items():
+        console.print(f"left out: {name}: {why}")
+
+
+def _estimated(vehicle: dict[str, Any]) -> str:
+    """What a vehicle's alarming recording estimates, where it is among the new ones."""
+    rows = [r for r in vehicle["new"] if r["recording"] == vehicle["changed_by"]]
+    return "".join(
+        f"; {e['output']}: gain {1 + e['gain']:.3f} of the model's, delay {1e3 * e['delay_s']:+.0f} ms, "
+        f"bias {e['bias']:+.3g}"
+        for row in rows
+        for e in row["estimates"]
+    )
 
 
 def print_runs(runs: list[dict[str, Any]], bus: str, simulator: Simulator) -> None:
@@ -421,7 +465,7 @@ def print_campaign(summary: dict[str, Any]) -> None:
 
 def _print_falsified(summary: dict[str, Any]) -> None:
     """Every run of a truck within the bounds that did what the certificate rules out."""
-    from ..evaluate.rates import share_words
+    from ..base.rates import share_words
 
     falsified = summary["falsified"]
     console.print(f"runs within the bounds that falsify the certificate: {share_words(falsified['rate'])}")
@@ -436,7 +480,7 @@ def _print_falsified(summary: dict[str, Any]) -> None:
 
 def _print_within(summary: dict[str, Any]) -> None:
     """False alarms of trucks within the bounds, beside the rates that were calibrated."""
-    from ..evaluate.rates import hourly_words, share_words
+    from ..base.rates import hourly_words, share_words
 
     within = summary["within"]
     console.print(
@@ -459,8 +503,8 @@ def _print_within(summary: dict[str, Any]) -> None:
 
 def _print_detection(summary: dict[str, Any]) -> None:
     """The detectors beside one another: over all faults, by kind, and where a baseline wins."""
+    from ..base.rates import share_words
     from ..evaluate.comparison import COUNTS_ONLY, WAYS_HEAD, way_rows
-    from ..evaluate.rates import share_words
 
     detectors, matched, stated = summary["detectors"], summary["matched_claim"], summary["matched_stated"]
     table = Table("", *detectors.values(), box=None)
@@ -509,7 +553,7 @@ def _print_invisible(summary: dict[str, Any]) -> None:
 
 def _print_bus(summary: dict[str, Any]) -> None:
     """What the supervision made of faults of the bus, and of buses without a fault."""
-    from ..evaluate.rates import share_words
+    from ..base.rates import share_words
 
     bus = Table(
         "fault of the bus, by severity",

@@ -62,10 +62,10 @@ def _yaw_moment(random: np.random.Generator, n: int, mean_speed: float, Ts: floa
     return 12.0 / (1.0 + 0.02 * mean_speed**2) * _coloured(random, n, (0.05, 1.0), Ts)
 
 
-def _drive(
+def drive_columns(
     random: np.random.Generator, mean_speed: float, duration: float, Ts: float, seed: list[int] | None
 ) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
-    """Columns of a drive, and the yaw moment (n,) [kN m] from ``seed`` (None: the car has none)."""
+    """Columns (n,) of a drive, and the yaw moment (n,) [kN m] from ``seed`` (None: the car has none)."""
     n = round(duration / Ts) + 1
     t = np.arange(n) * Ts
     # Starts and ends at standstill; in between the speed wanders by some ten per cent.
@@ -142,7 +142,7 @@ def write_drives(project: Project, folder: Path, seed: int, tell: Callable[[str]
         # One stream a drive: a drive does not change when others are added.
         random = np.random.default_rng([seed, index])
         own = None if vectored is None else [seed, index, 1]
-        columns, moment = _drive(random, speed, duration, project.Ts_s, own)
+        columns, moment = drive_columns(random, speed, duration, project.Ts_s, own)
         if vectored is not None and moment is not None:
             columns[vectored.column] = moment
         write_files(folder, {f"{name}.csv": _csv(columns)})

@@ -105,6 +105,17 @@ def set_aside(folder: Path) -> dict[str, str]:
     return {name: f"set aside in {EXPERIMENTS}: {why}" for name, why in _listed(folder)[1].items()}
 
 
+def index_column(folder: Path, column: str) -> dict[str, str]:
+    """The text of a column of experiments.csv, by drive. InputError where a drive has none."""
+    index = folder / EXPERIMENTS
+    with index.open(newline="", encoding="utf-8") as stream:
+        found = {row["experiment"]: row.get(column) or "" for row in csv.DictReader(stream)}
+    lacking = next((name for name, text in found.items() if not text), None)
+    if lacking is not None:
+        raise InputError(index, f"column {column}", f"{lacking} has none", "a value for every drive")
+    return found
+
+
 def _listed(folder: Path) -> tuple[list[Experiment], dict[str, str]]:
     """The drives in use, and the reasons of those that are not."""
     index = folder / EXPERIMENTS

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from ..base.rates import hourly_words, share_words
 from .detection import WAY_WORDS, ranking
 from .false_alarms import PIECE_S
-from .rates import hourly_words, share_words
 
 MONITOR = "monitor"
 """Name of our own detector beside the kinds of baselines.KINDS: all tests together, at one threshold."""

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..base.rates import per_hour, rate
 from ..replay.run import Replay
-from .rates import per_hour, rate
 
 PIECE_S = 60.0
 

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from ...base.rates import per_hour, rate
 from ...core.compiled import TESTS
 from ...evaluate.baselines import KINDS as BASELINE_KINDS
 from ...evaluate.baselines import TITLES
 from ...evaluate.comparison import COUNTS_ONLY, MONITOR
 from ...evaluate.detection import median_time
 from ...evaluate.judged import calibrations_of
-from ...evaluate.rates import per_hour, rate
 from ...identify.calibration import Calibration, calibrate
 from ...identify.run import StoredIdentification
 from . import faults

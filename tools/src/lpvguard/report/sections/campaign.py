@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from html import escape
 
+from ...base.rates import hourly_words, share_words
 from ...evaluate.comparison import COUNTS_ONLY, WAYS_HEAD, way_rows
-from ...evaluate.rates import hourly_words, share_words
 from ..markup import captioned, html_table, number
 from ..pictures.detectors import detection, detection_time
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lpvguard.base.rates import hourly_words, per_hour, rate, share_words
 from lpvguard.evaluate.false_alarms import FalseAlarms
-from lpvguard.evaluate.rates import hourly_words, per_hour, rate, share_words
 
 
 def test_rates_have_exact_intervals():
