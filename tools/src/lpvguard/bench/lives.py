@@ -27,7 +27,7 @@ from ..fleet.run import ALPHA, ETA, JUDGED_S
 from ..fleet.scores import ScoredDrive
 from ..fleet.wealth import POWERS, Life, LifeTable, alarm_wealth, factors, ranks, simultaneous_tails, stepped
 from ..replay.opened import replayer_for
-from ..replay.run import Recorded, Replayer
+from ..replay.run import Replayer
 from ..vehicle.project import load_project
 from . import parser, show
 
@@ -64,7 +64,7 @@ def _drive_scores(replayer: Replayer, spread: float, seed: int, index: int) -> l
     found = []
     for gain in GAINS:
         faulty = inject(drive, Fault("gain", own * gain), 0.0, Ts)
-        piece = ScoredDrive.of(replayer, faulty, Recorded(faulty), round(JUDGED_S / Ts))
+        piece = ScoredDrive.of(replayer, faulty, round(JUDGED_S / Ts))
         if len(piece.ratios) * Ts < JUDGED_S - Ts / 2:
             raise InputError("bench lives", drive.name, f"less than {JUDGED_S:g} s judged", "a longer drive")
         found.append((float(piece.ratios.mean()), piece.alarmed))

@@ -25,7 +25,7 @@ from ..core.compiled import ALARMING, CHANGE_PARTS, VERDICTS
 from ..drives.tables import Drive, Experiment
 from ..identify.bounds import nominal_error
 from ..identify.change import Blocks
-from ..replay.run import Recorded, Replayer
+from ..replay.run import Replayer
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,9 @@ class ScoredDrive:
     alarmed: bool
 
     @classmethod
-    def of(cls, replayer: Replayer, drive: Drive, recorded: Recorded, most: int) -> ScoredDrive:
+    def of(cls, replayer: Replayer, drive: Drive, most: int) -> ScoredDrive:
         """Of a drive that was read, ``most`` judged samples at most; its recording and table have no name."""
-        run = replayer.replay(drive, recorded.present).run
+        run = replayer.replay(drive).run
         judged = np.flatnonzero(replayer.estimator.settled(drive.v) & (run.change > 0))[:most]
         usable = np.zeros(len(drive.t), bool)
         usable[judged] = True
@@ -94,7 +94,7 @@ def _piece(replayer: Replayer, most: int, experiment: Experiment) -> ScoredDrive
         recorded = replayer.read_file(experiment.path)
     except InputError as error:
         return error
-    found = vars(ScoredDrive.of(replayer, recorded.drive, recorded, most))
+    found = vars(ScoredDrive.of(replayer, recorded.drive, most))
     named = {"recording": experiment.recording, "sha256": artefacts.file_hash(experiment.path)}
     return ScoredDrive(**{**found, "drive": experiment.name, **named})
 
