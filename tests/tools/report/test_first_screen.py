@@ -197,3 +197,27 @@ def test_neighbouring_speeds_with_the_same_bins_are_said_together():
     gap = regions(cells(SEEN, []), lambda c: c.bin != 1)
     assert [len(r.runs) for r in gap] == [2] and gap[0].speed_mps == (5.0, 20.0)
     assert regions(cells(SEEN, []), lambda c: False) == []
+
+
+def test_drives_that_the_model_leaves_unexplained_stand_on_the_first_screen(
+    case, page, tmp_path, monkeypatch
+):
+    assert "unexplained" not in Reader(page).found
+    monkeypatch.setattr("lpvguard.identify.unexplained.UNEXPLAINED_VAF", 0.7)
+    page = case.page(tmp_path / "strict.html").decode()
+    groups = case.stored.manifest["drives"]
+    left = {}
+    for name in [*groups["bounds"], *groups["calibration"]]:
+        drive, e, _ = case.drives.load(name)
+        left[name] = float((e.var(axis=0) / drive.y.var(axis=0)).max())
+    assert [name for name in left if left[name] > 0.3] == ["weak"] and "weak" in groups["calibration"]
+    told = Reader(page).found["unexplained"]
+    assert told.data["drives"] == "1" and "weak (calibrates, " in told.text
+    assert float(re.search(r"([\d.]+)% of", told.text).group(1)) == pytest.approx(100 * left["weak"], abs=3)
+    rows = dict(re.findall(r'<tr data-drive="(\w+)" data-ratio(.*?)</tr>', page, re.S))
+    for name, part in left.items():
+        value, bad = re.search(
+            r'data-value="([^"]*)">(<span class="no">)?[\d.]+%<[^%]*<svg', rows[name]
+        ).groups()
+        assert float(value) == pytest.approx(1 - part, abs=0.03)
+        assert (bad is not None) == (name == "weak")

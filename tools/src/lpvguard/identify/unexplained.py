@@ -20,7 +20,8 @@ from ..core.compiled import ALARMING, VERDICTS, Core
 from ..drives.faults import inject, stated
 from ..drives.frames import not_for_the_core
 from ..drives.tables import EXPERIMENTS, Experiment
-from ..vehicle.project import EvaluationSettings
+from ..fit.quality import Quality
+from ..vehicle.project import EvaluationSettings, Project
 from .passes import DriveReader
 from .run import Identification, identify
 from .scratch import scratch_core
@@ -54,13 +55,21 @@ def unexplained(result: Identification) -> list[Unexplained]:
     judged = {*result.bound_drives, *result.calibration_drives}
     for sets_bounds, qualities in ((True, result.model_fit), (False, result.others_fit)):
         for q in qualities:
-            if q.name not in judged or np.isnan(q.vaf).all():
-                continue
-            j = int(np.nanargmin(q.vaf))
-            if q.vaf[j] < UNEXPLAINED_VAF:
-                signal = result.project.outputs[j].name
-                found.append(Unexplained(q.name, sets_bounds, signal, float(q.vaf[j]), float(q.gain[j])))
+            one = left_unexplained(result.project, q, sets_bounds) if q.name in judged else None
+            if one is not None:
+                found.append(one)
     return found
+
+
+def left_unexplained(project: Project, found: Quality, sets_bounds: bool) -> Unexplained | None:
+    """The drive whose quality was ``found``, by its worst output; None where the model explains it."""
+    if np.isnan(found.vaf).all():
+        return None
+    j = int(np.nanargmin(found.vaf))
+    if found.vaf[j] >= UNEXPLAINED_VAF:
+        return None
+    signal = project.outputs[j].name
+    return Unexplained(found.name, sets_bounds, signal, float(found.vaf[j]), float(found.gain[j]))
 
 
 @dataclass(frozen=True)

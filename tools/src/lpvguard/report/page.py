@@ -114,9 +114,9 @@ def _identification_sections(
     rows: list[list[str]] = []
     for name in drives.experiments:
         progress(name)
-        drive = drives.load(name)[0]
+        drive, _, yhat = drives.load(name)
         if replayer is not None:
-            told.append(visit(visits, stored, replayer, drive, f"d{len(told)}"))
+            told.append(visit(visits, stored, replayer, drive, yhat, f"d{len(told)}"))
         else:
             rows.append(visit_plain(visits, stored, drives, drive))
     progress("pictures")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..drives.tables import Drive
+from ..identify.unexplained import Unexplained
 from ..replay.run import Alarm, Replay, Replayer
 
 COLUMNS = 60
@@ -37,7 +38,9 @@ class Told:
     ``key``: id of its section. ``role``: what the identification did with it, HTML. ``relevant_s`` and
     ``judged_relevant_s`` [s]: in range and excited, and judged of that. ``course`` (COLUMNS,): largest
     statistic over threshold of what ended in a column of time, NaN where nothing did. ``verdict`` (COLUMNS,):
-    code of the verdict at a column's end. ``section``: HTML.
+    code of the verdict at a column's end. ``vaf``: least over the outputs, NaN where nothing can be said [-].
+    ``unexplained``: what the model leaves, of a drive that sets the bounds or calibrates; else None.
+    ``section``: HTML.
     """
 
     key: str
@@ -54,6 +57,8 @@ class Told:
     alarms: list[Alarm]
     course: np.ndarray
     verdict: np.ndarray
+    vaf: float
+    unexplained: Unexplained | None
     section: str
 
 

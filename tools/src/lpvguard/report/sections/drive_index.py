@@ -21,6 +21,7 @@ HEAD = (
     ("duration, s", "number"),
     ("judged, s", "number"),
     ("of in-range, excited", "number"),
+    ("explained", "number"),
     ("course of the margin, and verdict", ""),
     ("largest, of the threshold", "number"),
     ("where", "text"),
@@ -71,6 +72,14 @@ def _colour(code: int) -> str:
     return VERDICT_COLOURS[VERDICTS[code]]
 
 
+def _explained(drive: Told) -> tuple[str, float | None]:
+    """Text and value of what the nominal model explains of the drive."""
+    if np.isnan(drive.vaf):
+        return "–", None
+    text = f"{drive.vaf:.1%}"
+    return (f'<span class="no">{text}</span>' if drive.unexplained else text), drive.vaf
+
+
 def _row(drive: Told) -> str:
     near = drive.nearest
     share = drive.judged_relevant_s / drive.relevant_s if drive.relevant_s else None
@@ -80,6 +89,7 @@ def _row(drive: Told) -> str:
         (f"{drive.duration_s:.1f}", drive.duration_s),
         (f"{drive.judged_s:.1f}", drive.judged_s),
         ("–" if share is None else f"{share:.0%}", share),
+        _explained(drive),
         (_small(drive), None),
         ("–" if near is None else f"{near.ratio:.3f}", None if near is None else near.ratio),
         ("–" if near is None else place(near.test, near.omega), None),
@@ -114,4 +124,5 @@ def drive_index(told: list[Told]) -> str:
 <tbody>{"".join(_row(d) for d in told)}</tbody></table></div>
 <p class="note">Course: the largest statistic of all tests over time, as a part of its threshold (dashed); \
 triangles: beyond. Strip: the verdict: {key}. Largest: where the drive came nearest to an alarm, or went \
-farthest beyond.</p>"""
+farthest beyond. Explained: 1 − var(y − ŷ) / var(y) of the output that the nominal model explains \
+least.</p>"""

@@ -9,8 +9,10 @@ import numpy as np
 from ...core.compiled import REASONS, VERDICTS
 from ...drives.tables import Drive
 from ...engine.validation import s1
+from ...fit.quality import of_drive
 from ...identify.bounds import counted_frames
 from ...identify.run import DriveSet, StoredIdentification
+from ...identify.unexplained import left_unexplained
 from ...replay.run import Alarm, Replay, Replayer, excited_samples
 from ..markup import captioned, html_table, number
 from ..pictures.margin_map import REASON_WORDS, map_key, margin_map
@@ -21,10 +23,17 @@ from .drive_index import drive_index
 ALARMS_LISTED = 10
 
 
-def visit(visits: Visits, stored: StoredIdentification, replayer: Replayer, drive: Drive, key: str) -> Told:
+def visit(
+    visits: Visits,
+    stored: StoredIdentification,
+    replayer: Replayer,
+    drive: Drive,
+    yhat: np.ndarray,
+    key: str,
+) -> Told:
     """Replay a drive, keep its counted frames and longest stretches in ``visits``, and return what to tell.
 
-    ``key``: id of its section and name of its picture, its own on the page.
+    yhat (N, n_y): nominal output. ``key``: id of its section and name of its picture, its own on the page.
     """
     replay = replayer.replay(drive)
     frames = replay.run.frames
@@ -37,6 +46,10 @@ def visit(visits: Visits, stored: StoredIdentification, replayer: Replayer, driv
     third = (high - low) / 3
     visits.slow = visits.slow.or_longer(drive.name, longest_run(usable & (drive.v <= low + third)))
     visits.fast = visits.fast.or_longer(drive.name, longest_run(usable & (drive.v >= high - third)))
+    explained = of_drive(replayer.model, drive, yhat, [])
+    groups = stored.manifest["drives"]
+    sets_bounds = drive.name in groups["bounds"]
+    used = sets_bounds or drive.name in groups["calibration"]
     return Told(
         key,
         drive.name,
@@ -51,6 +64,8 @@ def visit(visits: Visits, stored: StoredIdentification, replayer: Replayer, driv
         nearest(replay, replayer, drive),
         replay.alarms,
         *course(replay, replayer, drive.t[0]),
+        float(np.min(explained.vaf)),
+        left_unexplained(stored.project, explained, sets_bounds) if used else None,
         _drive_page(stored, replayer, drive, replay, key),
     )
 

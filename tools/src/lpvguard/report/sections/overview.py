@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ...base import artefacts
 from ...base.errors import InputError
+from ...drives.tables import EXPERIMENTS
 from ...evaluate.comparison import HELD_OUT
 from ...identify.premise import premise
 from ...identify.run import StoredIdentification
@@ -17,6 +18,7 @@ from ..markup import number, yes_or_no
 from ..told import Nearest, Told
 
 ALARMS_SHOWN = 4
+UNEXPLAINED_SHOWN = 3
 SIGNS = {PROVED: "●", BLIND: "○", EMPTY: "–", VIOLATED: "▲"}
 """What says a cell's state without its colour."""
 AS_NEAR = 5e-4
@@ -39,7 +41,7 @@ def overview_section(
     return f"""<h2>At a glance</h2>{_headline(grid, told, alarms, replayed)}
 <div class="glance" id="glance"><div class="wide">{_good_for(grid)}{_map(stored, grid, told)}</div>
 <div class="cards">{_alarms(told, alarms, _independence(stored, told, evaluation))}\
-{_promise(stored, design)}{_to_do(grid)}</div></div>"""
+{_promise(stored, design)}{_to_do(grid, told)}</div></div>"""
 
 
 def _headline(
@@ -329,14 +331,34 @@ vehicle within |δ| ≤ W<sub>Δ</sub>. {
     }</p><p>{held}</p></div>"""
 
 
-def _to_do(grid: list[list[MapCell]]) -> str:
-    """Card: what would make blind cells see."""
+def _unexplained(told: list[Told]) -> str:
+    """The drives that the model does not explain, the worst first, and what to do with them; "" without."""
+    found = sorted(
+        ((d, d.unexplained) for d in told if d.unexplained is not None), key=lambda one: one[1].vaf
+    )
+    if not found:
+        return ""
+    named = ", ".join(
+        f'<a href="#{d.key}">{escape(d.name)}</a> ({"sets bounds" if u.sets_bounds else "calibrates"}, '
+        f"{1 - u.vaf:.0%} of {escape(u.output.replace('_', ' '))} left)"
+        for d, u in found[:UNEXPLAINED_SHOWN]
+    )
+    more = f" and {len(found) - UNEXPLAINED_SHOWN} more" if len(found) > UNEXPLAINED_SHOWN else ""
+    return (
+        f'<span id="unexplained" data-drives="{len(found)}"><b class="no">Look at these drives:</b> the '
+        f"model leaves more than half of {named}{more}. Bounds and thresholds hold on them, and grow. Where "
+        f"the model is not meant for them, write no and why into {EXPERIMENTS}.</span>"
+    )
+
+
+def _to_do(grid: list[list[MapCell]], told: list[Told]) -> str:
+    """Card: what would make blind cells see, and drives that cost sight."""
     level = _percent(LEVEL)
     flat = [c for row in grid for c in row]
     louder = regions(grid, lambda c: c.state == BLIND and c.floor <= LEVEL)
     empty = regions(grid, lambda c: c.state == EMPTY)
     never = sum(c.state == BLIND and c.floor > LEVEL for c in flat)
-    lines = []
+    lines = [line for line in [_unexplained(told)] if line]
     if empty:
         lines.append(f"Drive there, nothing was counted:{_listed('to-drive', empty)}")
     if louder:
