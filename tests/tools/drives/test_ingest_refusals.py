@@ -243,17 +243,25 @@ def test_j1939_several_senders_are_told_apart_or_refused(tmp_path):
 def test_a_vehicle_with_can_places_needs_no_map_and_no_dbc(tmp_path):
     (tmp_path / "drive.log").write_text(j1939_log())
 
-    def signal(column, unit, low, high, **can_place):
+    def signal(column, unit, low, high, role, **can_place):
         return SimpleNamespace(
-            name=column, column=column, unit=unit, min=low, max=high, can=SimpleNamespace(**can_place)
+            name=column,
+            column=column,
+            unit=unit,
+            min=low,
+            max=high,
+            role=role,
+            can=SimpleNamespace(**can_place),
         )
 
     project = SimpleNamespace(
         name="truck",
         Ts_s=0.01,
         signals=[
-            signal("v", "m/s", -1, 60, message="CCVS1", signal="wheel_based_speed", factor=3.6, plus=()),
-            signal("r", "rad/s", -2, 2, message="VDC2", signal="yaw_rate", factor=1.0, plus=()),
+            signal(
+                "v", "m/s", -1, 60, "speed", message="CCVS1", signal="wheel_based_speed", factor=3.6, plus=()
+            ),
+            signal("r", "rad/s", -2, 2, "output", message="VDC2", signal="yaw_rate", factor=1.0, plus=()),
         ],
     )
     ingest([tmp_path / "drive.log"], dbc=None, signals_map=map_of_project(project), out=tmp_path / "out")
