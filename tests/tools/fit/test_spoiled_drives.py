@@ -36,6 +36,12 @@ def late(d: Drive, samples: int) -> Drive:
     return Drive(d.name, d.t[:-samples], d.v[samples:], d.u[samples:], d.y[:-samples])
 
 
+def padded(d: Drive) -> Drive:
+    """The output 200 s later, noise before: a fifth of the drive overlaps."""
+    pad = np.random.default_rng(2).normal(0.0, 1e-3, (round(200 / (d.t[1] - d.t[0])), 1))
+    return replace(d, y=np.r_[pad, d.y[: -len(pad)]])
+
+
 def frozen(d: Drive) -> Drive:
     y = d.y.copy()
     y[1000:1500] = y[1000]
@@ -90,6 +96,20 @@ def test_one_spoiled_drive_among_good_ones_is_named(project, drives, name):
     except InputError as error:
         text = str(error)
     assert text.startswith("at_10") and said in text
+
+
+def test_a_long_delay_is_found_where_a_fifth_of_the_drive_is_left(project, drives):
+    random = np.random.default_rng(3)
+    late = padded(KnownCar.drawn(random).drive(random, 12.0, 250.0, "late"))
+    faults = screened(project, [*drives, late]).faults
+    assert "column r: comes 200 s later than the inputs say" in str(faults["late"])
+
+
+def test_a_column_that_begins_late_is_said_to_stand_or_to_be_late(project, drives):
+    y = drives[1].y.copy()
+    y[: round(20 / project.Ts_s)] = y[0]
+    with pytest.raises(InputError, match=r"the sensor is frozen, or the column begins 19\.98 s late"):
+        require_unspoiled(project, [drives[0], replace(drives[1], y=y)])
 
 
 def test_good_drives_pass(project, drives):

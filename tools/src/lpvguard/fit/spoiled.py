@@ -103,10 +103,12 @@ def _frozen(drive: Drive, signal: Signal, x: np.ndarray, driving: np.ndarray) ->
         elsewhere[s] = False
     if long and elsewhere.sum() > STANDS_S / Ts and np.mean(np.diff(x[elsewhere]) != 0) > MOVES:
         worst = max(long, key=lambda s: s.stop - s.start)
+        late = worst.start <= 1  # the first sample has no step
+        begins = f", or the column begins {drive.t[worst.stop - 1] - drive.t[0]:.4g} s late" if late else ""
         yield InputError(
             drive.name,
             f"column {signal.column}, {drive.t[worst.start]:g} to {drive.t[worst.stop - 1]:g} s",
             f"stands at {x[worst.start]:g} {signal.unit}, elsewhere it moves at most samples: the sensor is "
-            "frozen",
+            f"frozen{begins}",
             "the drive without this stretch",
         )

@@ -33,6 +33,8 @@ it is another car's drive."""
 TRIED_ALONE = 6
 """So many drives are fitted alone to find parameters that most drives share, where not all agree."""
 OTHER_UNITS = {"m/s": ("km/h", "mph"), "rad": ("deg",), "rad/s": ("deg/s",), "deg": ("rad",)}
+LONGEST_SHIFT = 0.9
+"""Share of a drive by which columns may be shifted and still be compared."""
 WHEEL_RATIOS = (12.0, 16.0, 20.0)
 """Angle of the steering wheel over that of the road wheels, as cars have it."""
 
@@ -129,24 +131,41 @@ def _ordered(project: Project, order: list[int], drive: Drive) -> Drive:
     return replace(drive, v=values[:, 0], u=values[:, 1 : 1 + project.n_u], y=values[:, 1 + project.n_u :])
 
 
-def shifted(project: Project, theta: np.ndarray, drive: Drive) -> Reading | None:
-    """The reading with the outputs moved to where they follow the inputs best; None where that is within the
-    range of the delay. ``theta`` (p,): unknowns."""
+def shifts(project: Project, theta: np.ndarray, drive: Drive) -> Iterator[Reading]:
+    """Readings with the outputs moved to where they follow the inputs best.
+
+    Best is the largest product over what overlaps, and the largest correlation, which a short overlap after a
+    long shift does not hide. Nothing within the range of the delay. ``theta`` (p,): unknowns.
+    """
     model = Unknowns.of(project).model(theta)
     yhat, judged = model.simulate(drive.v, drive.u, drive.y[0]), judged_samples(model, drive.v)
     if judged.sum() < 100 or not yhat[judged].std(axis=0).any():
-        return None
-    n, total = len(drive.t), np.zeros(2 * len(drive.t) - 1)
+        return
+    n = len(drive.t)
+    total, alike = np.zeros(2 * n - 1), np.zeros(2 * n - 1)
     for j in range(project.n_y):
         a, b = (np.where(judged, x - x[judged].mean(), 0.0) for x in (drive.y[:, j], yhat[:, j]))
         size = 1 << (2 * n - 1).bit_length()
         product = np.fft.irfft(np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size)), size)
         both = np.r_[product[-(n - 1) :], product[:n]]
         total += both / max(float(np.sqrt(np.dot(a, a) * np.dot(b, b))), 1e-300)
-    lag = int(np.argmax(total)) - (n - 1)
+        alike += both / np.sqrt(np.maximum(_overlap_energy(a) * _overlap_energy(b)[::-1], 1e-300))
+    shift = np.arange(2 * n - 1) - (n - 1)
+    alike[np.abs(shift) > LONGEST_SHIFT * n] = 0.0
     high = project.fit.input_delay_s[1] if project.fit.input_delay_s else LONGEST_DELAY_S
-    if -3 <= lag <= 3 + high / project.Ts_s or abs(lag) > 0.9 * n:
-        return None
+    for lag in dict.fromkeys(int(shift[np.argmax(x)]) for x in (total, alike)):
+        if not -3 <= lag <= 3 + high / project.Ts_s and abs(lag) <= LONGEST_SHIFT * n:
+            yield _moved(project, lag, high)
+
+
+def _overlap_energy(x: np.ndarray) -> np.ndarray:
+    """Sums (2 n - 1,) of x² over what overlaps when x (n,) is moved back by -(n - 1) to n - 1 samples."""
+    squares = x**2
+    return np.r_[np.cumsum(squares), np.cumsum(squares[::-1])[-2::-1]]
+
+
+def _moved(project: Project, lag: int, high: float) -> Reading:
+    """The reading with the outputs ``lag`` samples sooner; ``high``: the longest delay expected [s]."""
     k, word = abs(lag), "later" if lag > 0 else "earlier"
 
     def read(d: Drive) -> Drive:
@@ -295,13 +314,13 @@ def _require_no_common_fault(unknowns: Unknowns, drives: list[Drive], left: list
 
 
 def _shift_of(unknowns: Unknowns, theta: np.ndarray, drive: Drive, left: float) -> InputError | None:
-    reading = shifted(unknowns.base, theta, drive)
-    if reading is None:
-        return None
-    read = reading.read(drive)
-    own = _fitted(unknowns, [read])
-    then = np.inf if own is None else _left(unknowns, own, read)
-    return _error(drive.name, reading, then, left) if then <= LITTLE and then <= BETTER * left else None
+    for reading in shifts(unknowns.base, theta, drive):
+        read = reading.read(drive)
+        own = _fitted(unknowns, [read])
+        then = np.inf if own is None else _left(unknowns, own, read)
+        if then <= LITTLE and then <= BETTER * left:
+            return _error(drive.name, reading, then, left)
+    return None
 
 
 def _fault_of(
