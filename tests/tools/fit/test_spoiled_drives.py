@@ -98,6 +98,17 @@ def test_one_spoiled_drive_among_good_ones_is_named(project, drives, name):
     assert text.startswith("at_10") and said in text
 
 
+@pytest.mark.slow("12 s: every reading of five drives fitted")
+@pytest.mark.parametrize("name", ["flipped sign", "degrees a second"])
+def test_what_is_wrong_with_all_is_named_where_two_of_five_are_beyond_any_model(project, drives, name):
+    random = np.random.default_rng(5)
+    slides = [replace(d, name=f"slide_{d.name}", y=0.1 * random.standard_normal(d.y.shape)) for d in drives[:2]]
+    spoil, said = SPOILED[name]
+    with pytest.raises(InputError) as error:
+        screened(project, [spoil(d) for d in [*drives, *slides]])
+    assert said in str(error.value)
+
+
 def test_a_long_delay_is_found_where_a_fifth_of_the_drive_is_left(project, drives):
     random = np.random.default_rng(3)
     late = padded(KnownCar.drawn(random).drive(random, 12.0, 250.0, "late"))

@@ -3,96 +3,30 @@ a source or a browser that goes away stops nothing."""
 
 from __future__ import annotations
 
-import asyncio
 import json
 import os
 import re
 import subprocess
-import threading
 import urllib.error
 import urllib.request
-from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from live_case import Given, asked, cut, served
 
-from lpvguard.can.logs import Frames
 from lpvguard.can.play import write_candump
 from lpvguard.drives.tables import read_drive
-from lpvguard.live.server import LOOPBACK, MOST_ROWS, serve
+from lpvguard.live.server import LOOPBACK, MOST_ROWS
 from lpvguard.live.sources import LogSource
 from lpvguard.live.watch import ALARMS, Ring, Watch
-from lpvguard.replay.run import Replayer, bus_frames
 from lpvguard.vehicle.nominal import RunningModel
 from parts import require
 
 
-class Given:
-    """Pieces of frames, then silence for ever; ``taken`` is set when the last was taken."""
-
-    name, lost, trouble = "given", 0, ""
-
-    def __init__(self, pieces=()):
-        self._pieces, self.taken = pieces, threading.Event()
-
-    def pieces(self):
-        yield from self._pieces
-        self.taken.set()
-        while not threading.Event().wait(0.01):
-            yield None
-
-
-@pytest.fixture(scope="module")
-def replayer(g80, core):
-    return Replayer(g80, core)
-
-
-@pytest.fixture(scope="module")
-def faulty(synthetic, g80, tmp_path_factory):
-    """The frames of a drive of which the last third has 1.6 times its yaw rate, and the drive's table."""
-    import pandas
-
-    table = pandas.read_csv(synthetic / "synthetic_01.csv")
-    table.loc[len(table) * 2 // 3 :, "r"] *= 1.6
-    path = tmp_path_factory.mktemp("live") / "faulty.csv"
-    table.to_csv(path, index=False)
-    return bus_frames(path, g80), path
-
-
-def cut(frames: Frames, size: int) -> list[Frames]:
-    return [frames.at(slice(a, a + size)) for a in range(0, len(frames), size)]
-
-
 def column(watch: Watch, name: str) -> np.ndarray:
     return watch._ring.rows(0, 10**9)[:, watch.columns.index(name)]
-
-
-@contextmanager
-def served(watch: Watch):
-    """The URL of the page of ``watch`` while it is served."""
-    found, ready = [], threading.Event()
-
-    async def main():
-        ends = asyncio.Event()
-        found.extend([asyncio.get_running_loop(), ends])
-        await serve(watch, 0, lambda url: (found.append(url), ready.set()), ends)
-
-    thread = threading.Thread(target=lambda: asyncio.run(main()))
-    thread.start()
-    assert ready.wait(60)
-    try:
-        yield found[2]
-    finally:
-        found[0].call_soon_threadsafe(found[1].set)
-        thread.join(60)
-    assert not thread.is_alive()
-
-
-def asked(url: str, **headers: str) -> bytes:
-    with urllib.request.urlopen(urllib.request.Request(url, headers=headers)) as answer:
-        return answer.read()
 
 
 @pytest.mark.parametrize("size", [37, 5000])

@@ -10,13 +10,8 @@ import pyarrow.parquet as parquet
 import pytest
 
 from lpvguard.core.compiled import VERDICTS
-from lpvguard.replay.run import Recorded, Replayer
+from lpvguard.replay.run import Recorded
 from lpvguard.replay.series import margin_column
-
-
-@pytest.fixture(scope="module")
-def replayer(g80, core):
-    return Replayer(g80, core)
 
 
 def test_the_table_of_the_command_is_what_the_core_said(lpvguard, replayer, vehicle, synthetic, tmp_path):
@@ -63,17 +58,6 @@ def test_a_series_is_refused_where_two_would_have_one_name_and_where_nothing_is_
     played = lpvguard(*words, "--to", "socketcan:nowhere0", "--table", out)
     assert played.returncode == 2 and "judges nothing" in played.stderr
     assert not out.exists()
-
-
-@pytest.fixture(scope="module")
-def alarmed(replayer, synthetic, tmp_path_factory):
-    """Folder of a drive whose sensor reads 1.6 times the yaw rate, and what the core says of it."""
-    import pandas
-
-    path = tmp_path_factory.mktemp("alarmed") / "weak.csv"
-    table = pandas.read_csv(synthetic / "synthetic_01.csv")
-    table.assign(r=1.6 * table.r).to_csv(path, index=False)
-    return path, replayer.replay_file(path)
 
 
 def test_an_mcap_recording_is_read_back_with_the_same_verdicts_margins_and_alarms(

@@ -9,6 +9,7 @@ The Python interface is the room ``api``; its names are here as well:
     code = found.export("code")
     run = lpvguard.replay("mycar.toml", "drive.csv", coefficients=code)   run.series, run.frames
     said = lpvguard.Monitor("mycar.toml", code).push(t, v, u, y)          said.verdict
+    lpvguard.plots.weights(found), lpvguard.plots.margins(run)            in a notebook
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 __version__ = "0.2.0"
 
 if TYPE_CHECKING:
+    from .api import plots as plots
     from .api.identified import Identified as Identified
     from .api.identified import identify as identify
     from .api.identified import load as load
@@ -57,6 +59,8 @@ else:
     identify.__class__ = replay.__class__ = _Verb
 
     def __getattr__(name: str) -> Any:
+        if name == "plots":
+            return import_module(".api.plots", __name__)
         if name not in _PLACES:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         return getattr(import_module(_PLACES[name], __name__), name)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -82,13 +84,23 @@ class Identified:
         anew. ``group``: whose thresholds the core carries, None for the largest of all. InputError where
         either does not fit.
         """
+        chosen = None if controller is None else Path(controller)
+        with self.opened() as stored:
+            export_chosen(stored, Path(folder), chosen, group)
+        return Path(folder)
+
+    @contextmanager
+    def opened(self) -> Iterator[stage.StoredIdentification]:
+        """The folder read back, every weight proved above its bound anew; one of its own while it is not
+        stored."""
         if self.folder is not None:
-            chosen = None if controller is None else Path(controller)
-            export_chosen(stage.load(self.folder), Path(folder), chosen, group)
-            return Path(folder)
-        with tempfile.TemporaryDirectory() as scratch:
-            stored = self.save(Path(scratch) / "identify")
-            return stored.export(folder, controller=controller, group=group)
+            yield stage.load(self.folder)
+            return
+        with (
+            tempfile.TemporaryDirectory() as scratch,
+            self.save(Path(scratch) / "identify").opened() as stored,
+        ):
+            yield stored
 
     def _table(self, columns: dict[str, np.ndarray]) -> pandas.DataFrame:
         pandas = optional("pandas", "pandas")

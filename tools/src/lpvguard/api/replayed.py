@@ -13,6 +13,7 @@ from scipy.io import savemat
 
 from ..base.errors import InputError
 from ..core.compiled import REASONS
+from ..drives.tables import Drive
 from ..replay.opened import replayer_for
 from ..replay.recordings import KINDS, write_series
 from ..replay.run import Alarm, Recorded, Replay, Replayer
@@ -27,11 +28,14 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class Replayed:
     """What the core said of a drive. ``arrow``: the time series as a pyarrow table, for polars
-    (`polars.from_arrow`) and Parquet; its columns stand in replay/series.py."""
+    (`polars.from_arrow`) and Parquet; its columns stand in replay/series.py. ``drive``: what was judged, by
+    the core of ``replayer``."""
 
     summary: Replay
     arrow: pa.Table
     omega: np.ndarray
+    drive: Drive
+    replayer: Replayer
 
     @property
     def alarms(self) -> list[Alarm]:
@@ -104,7 +108,9 @@ def replay(
 def replayed(replayer: Replayer, recorded: Recorded) -> Replayed:
     """A recorded drive through an opened core."""
     summary = replayer.replay_recorded(recorded)
-    return Replayed(summary, replayer.series(recorded, summary), replayer.estimator.omega)
+    return Replayed(
+        summary, replayer.series(recorded, summary), replayer.estimator.omega, recorded.drive, replayer
+    )
 
 
 def opened(vehicle: str | Path | Project, coefficients: str | Path | None) -> Replayer:

@@ -3,7 +3,6 @@ structures (paper, step 8)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +10,7 @@ import typer
 
 from ..base import artefacts
 from ..base.errors import InputError
+from ..base.progress import Progress, parts
 from .shared import (
     JsonOut,
     Out,
@@ -29,8 +29,12 @@ from .tables import (
     print_largest_A_t,
     print_moving_speed,
     print_premise,
+    print_summary,
     print_tradeoff,
 )
+
+SHARES, TABLE_SHARES = (10, 3, 60), (1, 9)
+"""Rough shares of the work: design, comparison of structures, largest A_t; reading, all else."""
 
 if TYPE_CHECKING:
     from ..engine.synthesis.table import Cell
@@ -130,11 +134,14 @@ def _design_vehicle(
 
     cells: list[Cell] = []
     more: dict[str, str] = {}
+    with_table = table and stored.project.n_delta == 1
     with progress_bar("design") as tell:
-        result = stage.design(stored, tell)
-        if table and stored.project.n_delta == 1:
-            cells, more = _table_and_figures(stored, drive_set, tell)
-        largest = stage.largest_A_t(stored, tell) if largest_A_t else None
+        weights = (*SHARES[:1], SHARES[1] if with_table else 0, SHARES[2] if largest_A_t else 0)
+        designing, comparing, searching = parts(tell, *weights)
+        result = stage.design(stored, designing)
+        if with_table:
+            cells, more = _table_and_figures(stored, drive_set, comparing)
+        largest = stage.largest_A_t(stored, searching) if largest_A_t else None
         stage.save(result, stored, out, more, largest)
     rows = [
         {"v_mps": v, "mu_upper": p.upper, "mu_lower": p.lower, "peak_rad_s": p.bracket.peak_frequency}
@@ -150,16 +157,17 @@ def _design_vehicle(
         console.print(
             "Table II compares structures with one Delta: left out, for this vehicle has one an output"
         )
-    print_design(result, design_settings(stored).structure, out)
+    print_design(result, design_settings(stored).structure)
     print_premise(premise(stored))
     if largest_A_t:
         print_largest_A_t(largest)
     print_moving_speed(result)
+    print_summary(stored.project.name, result, out)
     return 0 if result.worst < 1 else 1
 
 
 def _table_and_figures(
-    stored: StoredIdentification, drive_set: DriveSet | None, tell: Callable[[str], None]
+    stored: StoredIdentification, drive_set: DriveSet | None, tell: Progress
 ) -> tuple[list[Cell], dict[str, str]]:
     """Table II of a vehicle, and the files of table and figures; Fig. 6 needs the drives."""
     from ..control.design_files import design_files
@@ -168,8 +176,9 @@ def _table_and_figures(
     from ..control.worst_run import worst_runs
     from ..report.design_pictures import drawn
 
-    problem = FrozenProblem(stored, StoredFrames(stored, drive_set, tell))
-    cells = problem.table(tell)
+    reading, comparing = parts(tell, *TABLE_SHARES)
+    problem = FrozenProblem(stored, StoredFrames(stored, drive_set, reading))
+    cells = problem.table(comparing)
     tell("worst-case runs")
     runs = None if drive_set is None else worst_runs(problem, cells, drive_set)
     files = design_files(problem, cells, runs)
@@ -186,7 +195,8 @@ def _design_tradeoff(
     from ..report.design_pictures import drawn
 
     with progress_bar("trade-off") as tell:
-        found = search(FrozenProblem(stored, StoredFrames(stored, drive_set, tell)), tell)
+        reading, searching = parts(tell, *TABLE_SHARES)
+        found = search(FrozenProblem(stored, StoredFrames(stored, drive_set, reading)), searching)
         files = found.files()
         with artefacts.new_folder(out, "design-tradeoff", stored.project.name) as folder:
             artefacts.write_files(

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from .shared import Out, Vehicle, app, console, stored_for
+from .shared import Out, Vehicle, app, console, progress_bar, stored_for
 
 
 @app.command(epilog="Example: lpvguard export --vehicle g80 out/identify -o lib/vehicles/g80")
@@ -29,9 +29,13 @@ def export(
     """Generate the C folder of a vehicle: coefficients, controller, signal table, CAN codec, manifest."""
     from ..control.exported import export_chosen
 
-    stored = export_chosen(stored_for(identification, vehicle), out, controller, group)
+    with progress_bar("export") as tell:
+        tell("reading and proving the weights")
+        stored = export_chosen(stored_for(identification, vehicle), out, controller, group, tell)
     if stored.calibration.groups:
         console.print(f"frame test: {stored.calibration.claim()}")
         console.print(f"energy test: {stored.energy_of_core.calibration.claim()}")
         console.print(f"change test: {stored.change_of_core.calibration.claim()}")
-    console.print(f"{stored.project.name}: written to {out}")
+    proved = "" if controller is None else ", the controller's certificates proved anew"
+    files = sum(path.is_file() for path in out.iterdir())
+    console.print(f"{stored.project.name}: {files} files written to {out}{proved}")

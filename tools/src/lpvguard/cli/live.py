@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import ExitStack
 from typing import Annotated
 
 import typer
@@ -30,6 +31,15 @@ def live(
         float, typer.Option(min=10.0, max=86_400.0, help="Seconds that are kept for scrolling back.")
     ] = 3600.0,
     port: Annotated[int, typer.Option(min=0, max=65_535, help="Port on 127.0.0.1 (0: any free one).")] = 0,
+    foxglove: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            max=65_535,
+            help="Also a Foxglove WebSocket on this port of 127.0.0.1 (0: any free one), for Foxglove and "
+            "PlotJuggler.",
+        ),
+    ] = None,
 ) -> None:
     """Show verdict, margins, evidence, energy bands, CAN health and alarms on a page while frames come.
 
@@ -37,15 +47,31 @@ def live(
     try:
         from ..live.server import serve
     except ImportError as error:
-        raise InputError(
-            "live", "", f"the Python package {error.name} is not installed", "pip install 'lpvguard[live]'"
-        ) from None
+        raise _not_installed(error, "live") from None
     from ..live.sources import open_source
     from ..live.watch import Watch
 
-    watch = Watch(replayer_of(vehicle, coefficients), open_source(source), window, channel)
+    replayer, also = replayer_of(vehicle, coefficients), ""
+    with ExitStack() as ends:
+        opened = open_source(source)
+        listener = None
+        if foxglove is not None:
+            try:
+                from ..live.foxglove_server import FoxgloveServer
+            except ImportError as error:
+                raise _not_installed(error, "foxglove") from None
+            listener = FoxgloveServer(replayer, foxglove)
+            ends.callback(listener.stop)
+            also = f", Foxglove at {listener.url}"
+        watch = Watch(replayer, opened, window, channel, listener=listener)
 
-    def ready(url: str) -> None:
-        console.print(f"live: {source} at {url} (interrupt ends it)")
+        def ready(url: str) -> None:
+            console.print(f"live: {source} at {url}{also} (interrupt ends it)")
 
-    asyncio.run(serve(watch, port, ready))
+        asyncio.run(serve(watch, port, ready))
+
+
+def _not_installed(error: ImportError, extra: str) -> InputError:
+    return InputError(
+        "live", "", f"the Python package {error.name} is not installed", f"pip install 'lpvguard[{extra}]'"
+    )

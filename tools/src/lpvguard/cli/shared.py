@@ -4,7 +4,7 @@ is read."""
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,19 +13,19 @@ import typer
 from rich.console import Console
 from rich.progress import (
     BarColumn,
-    Progress,
     SpinnerColumn,
     Task,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.progress import Progress as Bar
 from rich.text import Text
 
 from .. import __version__
 from ..base import artefacts
 from ..base.errors import InputError
-from ..base.progress import Counted
+from ..base.progress import Counted, Progress
 from ..vehicle.stated import require_settings
 from .guard import Application, running
 
@@ -64,6 +64,10 @@ Coefficients = Annotated[
 ]
 
 
+WHOLE_S = 1e6
+"""What remains is estimated from all that was done, for steps are equal only on the whole [s]."""
+
+
 class Remaining(TimeRemainingColumn):
     """An estimate of what remains, where the steps are counted."""
 
@@ -74,7 +78,7 @@ class Remaining(TimeRemainingColumn):
 
 
 @contextmanager
-def progress_bar(title: str) -> Iterator[Callable[[str], None]]:
+def progress_bar(title: str) -> Iterator[Progress]:
     """A bar on standard error while the command works; yields what tells it the step that runs."""
     columns = (
         SpinnerColumn(),
@@ -83,7 +87,7 @@ def progress_bar(title: str) -> Iterator[Callable[[str], None]]:
         TimeElapsedColumn(),
         Remaining(),
     )
-    with Progress(*columns, console=console, transient=True) as bar:
+    with Bar(*columns, console=console, transient=True, speed_estimate_period=WHOLE_S) as bar:
         task = bar.add_task(title, total=None)
 
         def tell(text: str) -> None:

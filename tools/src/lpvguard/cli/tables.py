@@ -339,13 +339,13 @@ def print_certificates(rows: list[dict[str, Any]]) -> None:
     console.print(speeds)
 
 
-def print_design(result: Design, structure: str, out: Path) -> None:
+def print_design(result: Design, structure: str) -> None:
     """Order and worst mu of a designed controller, on the grid of speeds and off it."""
     from ..control.design import OFF_GRID
 
     console.print(
         f"{structure}: {result.schedule.order} states (of {result.full_order} per speed before), "
-        f"{len(result.schedule.speeds)} nodes; worst mu {result.worst:.4f}; written to {out}"
+        f"{len(result.schedule.speeds)} nodes; worst mu {result.worst:.4f}"
     )
     speed, worst = result.off_grid
     console.print(f"worst of {OFF_GRID} speeds off the grid: mu {worst.upper:.4f} at {speed:.4g} m/s")
@@ -376,6 +376,17 @@ def print_moving_speed(result: Design) -> None:
         if result.lpv is None
         else f"moving speed: gain below 1 proved for |dv/dt| up to {result.lpv.rate:.3g} m/s2, "
         f"{result.lpv.proof.cells} cells"
+    )
+
+
+def print_summary(name: str, result: Design, out: Path) -> None:
+    """What a design came to, in a line."""
+    low, high = result.schedule.speeds[[0, -1]]
+    held = "certified" if result.worst < 1 else "NOT certified"
+    moving = "nothing" if result.lpv is None else f"|dv/dt| up to {result.lpv.rate:.3g} m/s2"
+    console.print(
+        f"{name}: robust performance {held}, worst mu {result.worst:.4f} from {low:.4g} to {high:.4g} m/s; "
+        f"of a moving speed {moving}; written to {out}"
     )
 
 

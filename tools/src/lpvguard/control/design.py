@@ -25,6 +25,7 @@ from scipy.optimize import minimize_scalar
 
 from ..base import artefacts
 from ..base.errors import InputError
+from ..base.progress import Counted, Progress, parts
 from ..core.control_coefficients import read_controller
 from ..core.scheduled import Scheduled
 from ..engine.synthesis import interconnection as fig1
@@ -43,7 +44,7 @@ from ..engine.synthesis.scheduling import closed_scaled, common_family, common_s
 from ..engine.synthesis.statespace import StateSpace, series
 from ..identify.model_error import last_telling
 from ..identify.premise import premise, require_premise
-from ..identify.run import Progress, StoredIdentification
+from ..identify.run import StoredIdentification
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import DesignSettings
 from .input_limit import input_limit
@@ -61,7 +62,9 @@ LOWER_RTOL, PEAK_RTOL = 1e-3, 1e-3
 """The same for the lower bound, which a search finds, and for the gain at the stated peak, which is flat."""
 OFF_GRID = 24
 """Seeded speeds between the nodes at which the design is looked at besides nodes and midpoints."""
-A_T_RTOL = 0.01
+DESIGN_SHARES, FROZEN_SHARES, VERIFY_SHARES = (9, 1), (2, 4, 4), (4, 1)
+"""Rough shares of the work: frozen and moving speed; up to the poles, poles, proofs; frozen and moving."""
+A_T_RTOL, STEPS = 0.01, 8
 LARGER_STEP = 0.8
 """Of the way to the limit, while no A_t has failed: the answer lies near it."""
 FAMILY_RTOL = 0.01
@@ -108,9 +111,10 @@ def design(stored: StoredIdentification, progress: Progress = lambda _: None) ->
     no order certifies."""
     settings = design_settings(stored)
     require_premise(stored)
-    result = _designed(stored, settings, None, progress)
+    frozen, moving = parts(progress, *DESIGN_SHARES)
+    result = _designed(stored, settings, None, frozen)
     _require_reach(stored, result.schedule)
-    return replace(result, lpv=find(_family(stored, settings, result.schedule, result.scaling), progress))
+    return replace(result, lpv=find(_family(stored, settings, result.schedule, result.scaling), moving))
 
 
 def crossover(schedule: Scheduled, model: NominalModel) -> float:
@@ -188,14 +192,15 @@ def _designed(
     model, weights = NominalModel(stored.project), fig1_weights(stored, settings)
     speeds = np.linspace(*model.speed_range, settings.nodes)
     plants = [plant_at(stored, model, weights, v, True, settings.structure) for v in speeds]
+    before, fitting, proving = parts(progress, *FROZEN_SHARES)
     if scaling is None:
-        progress("D-K iteration at the design speed")
+        before(Counted("D-K iteration at the design speed", 0, 4))
         start = int(np.argmin(np.abs(speeds - settings.design_speed_mps)))
         scaling = dk_synthesis(plants[start]).performance.scaling
-    progress("one scaling for all speeds")
+    before(Counted("one scaling for all speeds", 1, 4))
     some = np.unique(np.linspace(0, len(plants) - 1, SCALING_SPEEDS).round().astype(int))
     scaling, level = common_scaling([plants[k] for k in some], scaling)
-    progress("controllers over speed")
+    before(Counted("controllers over speed", 2, 4))
     # Never more than half of what is left below 1.
     level = (
         min(level * (1 + settings.backoff), 0.5 * (1 + level))
@@ -217,7 +222,7 @@ def _designed(
     ]
     best, found, found_pairs = None, None, 0
     for pairs in range(FEWEST_PAIRS, MOST_PAIRS // model.n_u + 1):
-        progress(f"{pairs} pairs of poles")
+        fitting(Counted(f"{pairs} pairs of poles", pairs**2, (MOST_PAIRS // model.n_u + 1) ** 2))
         schedule = fit(frozen, speeds, scaling, pairs, u_max)
         if not all(schedule.injection_radius(v) < 1 for v in loops):
             continue
@@ -233,11 +238,10 @@ def _designed(
             "no set of common poles stabilises every speed",
             "more nodes, or a lower A_t",
         )
-    progress("certificates")
     return Design(
         found,
         scaling,
-        _certificates(found, loops, scaling),
+        _certificates(found, loops, scaling, proving),
         full_order,
         _off_grid(found, scaling, loop_at, stored.project.seed),
     )
@@ -329,10 +333,13 @@ def largest_A_t(stored: StoredIdentification, progress: Progress = lambda _: Non
     low, high = 0.5 / floor, 1 / floor
     reached: float | None = None
     scaling, trial = None, low
+    steps = 0
     while high > low * (1 + A_T_RTOL):
 
-        def tell(text: str, trial: float = trial) -> None:
-            progress(f"A_t {trial:.4g}: {text}")
+        def tell(text: str, trial: float = trial, step: int = steps) -> None:
+            progress(Counted(f"A_t {trial:.4g}: {text}", step, max(STEPS, step + 1)))
+
+        steps += 1
 
         try:
             one = _designed(stored, settings.model_copy(update={"A_t": trial}), scaling, tell)
@@ -350,14 +357,19 @@ def largest_A_t(stored: StoredIdentification, progress: Progress = lambda _: Non
 
 
 def _certificates(
-    schedule: Scheduled, loops: dict[float, fig1.GeneralisedPlant], scaling: Scaling | None
+    schedule: Scheduled,
+    loops: dict[float, fig1.GeneralisedPlant],
+    scaling: Scaling | None,
+    progress: Progress = lambda _: None,
 ) -> list[tuple[float, RobustPerformance]]:
-    return [
-        (v, certify(plant, schedule.at(v), scaling if plant.blocks else None)) for v, plant in loops.items()
-    ]
+    found = []
+    for i, (v, plant) in enumerate(loops.items()):
+        progress(Counted(f"certificate at {v:.3g} m/s", i, len(loops)))
+        found.append((v, certify(plant, schedule.at(v), scaling if plant.blocks else None)))
+    return found
 
 
-def verify(path: Path, stored: StoredIdentification) -> None:
+def verify(path: Path, stored: StoredIdentification, progress: Progress = lambda _: None) -> None:
     """Prove the certificates of a controller.json anew, for its coefficients as they stand and these weights.
 
     InputError names the speed at which the loop is unstable or a stated number is not the one proved, or the
@@ -390,11 +402,13 @@ def verify(path: Path, stored: StoredIdentification) -> None:
         for row in rows
     }
     scaling = stated_scaling(document)
-    proved_rows = dict(_certificates(schedule, loops, scaling))
+    frozen, moving = parts(progress, *VERIFY_SHARES)
+    proved_rows = dict(_certificates(schedule, loops, scaling, frozen))
     for row in rows:
         _compare(path, row, proved_rows[row["v_mps"]], loops[row["v_mps"]], schedule)
     lpv = stated["moving_speed"]
     if lpv["rate_mps2"] is not None:
+        moving("proof between the speeds")
         family = _family(stored, settings, schedule, scaling)
         if lpv["P"] is None:
             storage = riccati_storage(family)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ..base.progress import Progress
 from ..core.control_coefficients import load_controller
 from ..identify import export
 from ..identify.run import StoredIdentification
@@ -11,7 +12,11 @@ from .design import verify
 
 
 def export_chosen(
-    stored: StoredIdentification, target: Path, controller: Path | None = None, group: str | None = None
+    stored: StoredIdentification,
+    target: Path,
+    controller: Path | None = None,
+    group: str | None = None,
+    progress: Progress = lambda _: None,
 ) -> StoredIdentification:
     """Write the generated folder, whole or not at all; returns the identification as exported.
 
@@ -22,6 +27,7 @@ def export_chosen(
     chosen = stored if group is None else stored.of_group(group)
     path = controller / "controller.json" if controller is not None and controller.is_dir() else controller
     if path is not None:
-        verify(path, chosen)
+        verify(path, chosen, progress)
+    progress("writing")
     export.export_vehicle(chosen, target, None if path is None else load_controller(path))
     return chosen

@@ -8,10 +8,11 @@ from functools import cached_property
 
 from ..base import artefacts
 from ..base.errors import InputError
+from ..base.progress import Counted, Progress
 from ..engine.synthesis.interconnection import STRUCTURES, GeneralisedPlant, PlantWeights
 from ..engine.synthesis.statespace import StateSpace
 from ..engine.synthesis.table import Cell, cell, to_csv
-from ..identify.run import Progress, StoredIdentification
+from ..identify.run import StoredIdentification
 from ..identify.weights import FittedWeight
 from ..vehicle.nominal import NominalModel
 from .plants import design_settings, fig1_weights, plant_at, weight_system
@@ -75,10 +76,11 @@ class FrozenProblem:
 
     def table(self, progress: Progress = lambda _: None) -> list[Cell]:
         """Table II at the design speed: the three structures for each objective."""
-        cells = []
+        cells: list[Cell] = []
+        most = len(self.settings.objectives) * len(STRUCTURES)
         for A_t, A_u in self.settings.objectives:
             for structure in STRUCTURES:
-                progress(f"Table II: {structure}, A_t {A_t:g}, A_u {A_u:g}")
+                progress(Counted(f"Table II: {structure}, A_t {A_t:g}, A_u {A_u:g}", len(cells), most))
                 plant = self.plant(
                     structure, self.weights(structure, A_t, A_u), self.settings.design_speed_mps
                 )

@@ -20,10 +20,11 @@ import numpy as np
 from scipy.linalg import expm
 
 from ..base.errors import InputError
+from ..base.progress import Counted, Progress
 from ..drives.frames import Estimator
 from ..engine.validation import s1, s2
 from ..identify.bounds import FrameSet, counted_frames, explain, reduce_disturbance
-from ..identify.run import DriveSet, Progress, StoredIdentification
+from ..identify.run import DriveSet, StoredIdentification
 from ..identify.weights import (
     SMALLEST_NU,
     FittedWeight,
@@ -100,8 +101,9 @@ class StoredFrames:
 
     def _add_deciding(self, drives: DriveSet, progress: Progress) -> None:
         found = [(s, v) for s, v in zip(self.sets, self.speeds, strict=True)]
-        for name in self.stored.manifest["drives"]["bounds"]:
-            progress(f"deciding frames of {name}")
+        names = self.stored.manifest["drives"]["bounds"]
+        for i, name in enumerate(names):
+            progress(Counted(f"deciding frames of {name}", i, len(names)))
             drive, e, yhat = drives.load(name)
             total = np.concatenate([[0.0], np.cumsum(drive.v)])
             for s in counted_frames(drive, e, yhat, self.model, self.estimator):

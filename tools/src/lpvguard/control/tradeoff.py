@@ -21,13 +21,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..base import artefacts
+from ..base.progress import Counted, Progress
 from ..engine.synthesis.dk import Scaling, dk_synthesis
 from ..engine.synthesis.interconnection import GeneralisedPlant
 from ..engine.synthesis.limits import Floor, mu_floor
 from ..engine.synthesis.scheduling import common_scaling
 from ..engine.synthesis.statespace import lft
 from ..engine.synthesis.table import to_csv
-from ..identify.run import Progress
 from ..vehicle.project import NuCeiling
 from .frozen import FrozenProblem
 from .stored_frames import Split, SplitWeights
@@ -40,6 +40,7 @@ LEVEL_STEP, LAMBDA_STEP = 1.6, 4.0
 AS_GOOD = 1e-3
 """Relative difference of levels that counts as none; the floor within ten times that counts as reached."""
 ROUNDS = 2
+MOST_CANDIDATES = 2 * (1 + len(LEVELS)) + ROUNDS * 6
 """Sweeps over the candidate's numbers after the front."""
 
 
@@ -221,10 +222,10 @@ class _Search:
 
     def posed(self, c: Candidate) -> tuple[Outcome, list[GeneralisedPlant]]:
         """The candidate's split and floor, and its plants over speed; nothing is synthesised."""
-        self.progress(
-            f"candidate {len(self.outcomes) + 1}: {c.structure}, ceiling {c.low:.3g} to {c.high:.3g}"
-            + ("" if c.lambda_s is None else f", lambda_s {c.lambda_s:.3g}")
-        )
+        n = len(self.outcomes)
+        text = f"candidate {n + 1}: {c.structure}, ceiling {c.low:.3g} to {c.high:.3g}"
+        text += "" if c.lambda_s is None else f", lambda_s {c.lambda_s:.3g}"
+        self.progress(Counted(text, n, MOST_CANDIDATES))
         ceiling, split = self.split(c)
         plants = self.plants(c, self.frames.weights(split))
         floor = max((mu_floor(p, rtol=1e-3) for p in plants), key=lambda f: f.value)

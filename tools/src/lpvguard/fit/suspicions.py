@@ -25,6 +25,9 @@ from .unknowns import LONGEST_DELAY_S, Unknowns
 LITTLE, SURE = 0.1, 0.02
 """Shares of the output's variance. A drive that leaves no more than LITTLE is explained; with an unknown at
 the end of its range, no more than SURE."""
+MUCH, NOTHING = 0.6, 0.9
+"""Shares of the same, in the mean over drives: where one reading alone leaves no more than MUCH, and the
+drives as they are and every other reading NOTHING and more, that reading is named."""
 BETTER = 0.25
 """A reading that leaves no more than this share of what the drive as it is leaves is the better one."""
 AS_GOOD = 1.5
@@ -294,19 +297,27 @@ def _agreeing(left: list[float]) -> int:
 
 
 def _require_no_common_fault(unknowns: Unknowns, drives: list[Drive], left: list[float]) -> None:
-    """InputError when one reading explains the drives together, and they as they are do not."""
-    now, best = _together(left), None
-    for reading in readings(unknowns.base):
+    """InputError when one reading explains the drives together, and they as they are do not.
+
+    Where many of them are beyond any model, a reading may leave up to MUCH, if the drives as they are and
+    every other reading leave all but nothing explained.
+    """
+    now = _together(left)
+    tried: list[tuple[bool, float, int, Reading]] = []
+    for i, reading in enumerate(readings(unknowns.base)):
         read = [reading.read(d) for d in drives]
         theta = _fitted(unknowns, read)
-        if theta is None:
-            continue
-        then = _together([_left(unknowns, theta, d) for d in read])
-        rank = (bool(unknowns.at_end(theta)), then)
-        if then <= LITTLE and then <= BETTER * now and (best is None or rank < best[0]):
-            best = (rank, reading)
-    if best is not None:
-        raise _error(", ".join(d.name for d in drives), best[1], best[0][1], now)
+        if theta is not None:
+            then = _together([_left(unknowns, theta, d) for d in read])
+            tried.append((bool(unknowns.at_end(theta)), then, i, reading))
+    explaining = [t for t in tried if t[1] <= LITTLE and t[1] <= BETTER * now]
+    partly = [t for t in tried if t[1] <= MUCH and not t[0]]
+    others = [t[1] for t in tried if not partly or t is not partly[0]]
+    if not explaining and len(partly) == 1 and min([now, *others]) >= NOTHING:
+        explaining = partly
+    if explaining:
+        _, then, _, reading = min(explaining)
+        raise _error(", ".join(d.name for d in drives), reading, then, now)
     for d, x in zip(drives, left, strict=True):
         found = _shift_of(unknowns, unknowns.start, d, x)
         if found is not None:

@@ -36,6 +36,7 @@ import numpy as np
 from ..base import artefacts
 from ..base.errors import InputError
 from ..base.parallel import Map
+from ..base.progress import Progress
 from ..base.sampling import Rows, stacked
 from ..core.coefficients import Coefficients
 from ..core.compiled import Core
@@ -92,7 +93,6 @@ JOINED_AT_ONCE = 32
 """Samples of so many drives wait to be joined: sorting them together costs the process that joins less
 time."""
 
-Progress = Callable[[str], None]
 """Takes what a run does next, in words."""
 Result = TypeVar("Result")
 

@@ -10,15 +10,17 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+import pyarrow as pa
 
 from ..can.bus import REFERENCE
 from ..can.logs import Frames
 from ..core.compiled import REASONS, VERDICTS
+from ..drives.tables import Drive
 from ..replay.receive import Receiver
-from ..replay.run import Replayer
+from ..replay.run import Alarm, Replayer
 from ..replay.told import alarm_sentence
 from ..vehicle.nominal import RunningModel
 from .sampling import Sampler
@@ -67,6 +69,18 @@ class Ring:
         return low
 
 
+class Listener(Protocol):
+    """Who hears every judged piece at once, beside those that ask for a view."""
+
+    def listens(self) -> bool:
+        """Whether anybody hears at the moment."""
+        ...
+
+    def hear(self, series: pa.Table, alarms: list[Alarm]) -> None:
+        """A piece of the time series (replay/series.py) and its alarms, on the clock of the page."""
+        ...
+
+
 class Watch:
     """A source, judged by the compiled core of a vehicle, and the newest ``window_s`` [s] of what it said."""
 
@@ -77,11 +91,12 @@ class Watch:
         window_s: float,
         channel: str | None = None,
         clock: Callable[[], float] = time.monotonic,
+        listener: Listener | None = None,
     ):
         """``channel``: the interface of a log with several. ``clock`` [s] tells how long the source is
-        silent."""
+        silent. ``listener``: hears what is judged."""
         project = replayer.project
-        self.replayer, self.source, self._clock = replayer, source, clock
+        self.replayer, self.source, self._clock, self._listener = replayer, source, clock, listener
         self._receiver = Receiver(project, command=project.can is None)
         self._sampler = Sampler(self._receiver, channel)
         self.signals = [s.name for s in self._receiver.signals]
@@ -153,7 +168,8 @@ class Watch:
         judged = np.column_stack(
             [frames.t_judged_s, frames.bin, frames.statistic, frames.margin, frames.evidence]
         )[counted]
-        alarms = [{"t_s": a.t_s, "says": alarm_sentence(a)} for a in self.replayer.alarms(run, 0.0)]
+        found = self.replayer.alarms(run, 0.0)
+        alarms = [{"t_s": a.t_s, "says": alarm_sentence(a)} for a in found]
         with self._lock:
             self._ring.put(np.column_stack([t, shown, said]))
             self._judged.put(judged)
@@ -162,6 +178,9 @@ class Watch:
             self._n_alarms += len(alarms)
             for reason, n in zip(*np.unique(frames.reason, return_counts=True), strict=True):
                 self._reasons[REASONS[reason]] += int(n)
+        if self._listener is not None and self._listener.listens():
+            piece = Drive("live", t, v, u, y, missing=~present.astype(bool))
+            self._listener.hear(self.replayer.series_of(piece, yhat, run, 0.0), found)
 
     def silent_s(self) -> float | None:
         """Time since the newest frame [s]; None: none ever came."""

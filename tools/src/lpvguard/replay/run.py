@@ -367,7 +367,20 @@ class Replayer:
 
     def series(self, recorded: Recorded, replay: Replay) -> pa.Table:
         """What was recorded and what the core said of it, a row a sample (series.py)."""
-        return table_of(self.project, self.model, self.estimator.omega, recorded.drive, replay.run)
+        drive = recorded.drive
+        yhat = self.model.simulate(drive.v, drive.u, drive.y[0])
+        return self.series_of(drive, yhat, replay.run, float(drive.t[0]))
+
+    def series_of(self, drive: Drive, yhat: np.ndarray, run: Run, t0: float) -> pa.Table:
+        """A piece of a series: ``yhat`` (N, n_y) are its nominal outputs; t counts from ``t0`` [s]."""
+        return table_of(self.project, yhat, self.estimator.omega, drive, run, t0)
+
+    def series_columns(self) -> list[str]:
+        """Names of the columns of every series of this vehicle."""
+        n_u, n_y, none = self.project.n_u, self.project.n_y, np.zeros(0)
+        drive = Drive("", none, none, np.zeros((0, n_u)), np.zeros((0, n_y)))
+        run = self.core.monitor().run(drive.t, drive.v, drive.u, drive.y)
+        return self.series_of(drive, drive.y, run, 0.0).column_names
 
     def replay_frames(self, log: Frames, path: Path, channel: str | None = None) -> Replay:
         """Run the frames of a raw CAN log through the compiled receiver and the monitor, as the ECU on that

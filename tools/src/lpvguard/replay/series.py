@@ -1,6 +1,6 @@
 """Time series of a replay, a row a sample, for plots.
 
-t             s after the first sample
+t             s after the first sample; of a series in pieces, the time of the source
 NAME          speed, inputs and outputs by the names of the signal table, in its units; null without a sample
 yhat/NAME     nominal output, started at the first measured one and never again
 e/NAME        NAME less yhat/NAME
@@ -19,7 +19,6 @@ import pyarrow as pa
 
 from ..core.compiled import VERDICTS, Run
 from ..drives.tables import Drive
-from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
 
 MARGIN = "margin/"
@@ -31,14 +30,21 @@ def margin_column(omega: float) -> str:
     return f"{MARGIN}{omega:.4g}"
 
 
-def table_of(project: Project, model: NominalModel, omega: np.ndarray, drive: Drive, run: Run) -> pa.Table:
+def numbers(column: pa.ChunkedArray) -> np.ndarray:
+    """A column's numbers (N,), NaN where it is null."""
+    return column.cast(pa.float64()).to_numpy(zero_copy_only=False)
+
+
+def table_of(
+    project: Project, yhat: np.ndarray, omega: np.ndarray, drive: Drive, run: Run, t0: float
+) -> pa.Table:
     """The series of a drive of N samples as a table of N rows; see the module's docstring for the columns.
 
-    ``omega`` (K,) [rad/s]: frequencies of the bins.
+    ``yhat`` (N, n_y): nominal outputs. ``omega`` (K,) [rad/s]: frequencies of the bins. ``t0`` [s]: where
+    the column t counts from.
     """
     absent = np.zeros(len(drive.t), bool) if drive.missing is None else drive.missing
-    yhat = model.simulate(drive.v, drive.u, drive.y[0])
-    columns: dict[str, pa.Array] = {"t": pa.array(drive.t - drive.t[0])}
+    columns: dict[str, pa.Array] = {"t": pa.array(drive.t - t0)}
     names = [s.name for s in (project.speed, *project.inputs, *project.outputs)]
     for name, values in zip(names, np.column_stack([drive.v, drive.u, drive.y]).T, strict=True):
         columns[name] = pa.array(values, mask=absent)
@@ -47,7 +53,8 @@ def table_of(project: Project, model: NominalModel, omega: np.ndarray, drive: Dr
         columns[f"e/{output.name}"] = pa.array(drive.y[:, j] - yhat[:, j], mask=absent)
     margins = np.full((len(omega), len(drive.t)), np.nan)
     counted = run.frames.counted
-    row = np.round((run.frames.t_judged_s[counted] - drive.t[0]) / project.Ts_s).astype(int)
+    begin = drive.t[0] if len(drive.t) else t0
+    row = np.round((run.frames.t_judged_s[counted] - begin) / project.Ts_s).astype(int)
     margins[run.frames.bin[counted], row] = run.frames.margin[counted]
     for k, values in enumerate(margins):
         columns[margin_column(omega[k])] = pa.array(values, mask=np.isnan(values))

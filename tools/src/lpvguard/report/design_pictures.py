@@ -29,12 +29,17 @@ def draw(figures: dict) -> dict[str, Picture]:
     return out
 
 
-def drawn(files: dict[str, str]) -> dict[str, str]:
-    """SVG files by name of the pictures in figures.json and tradeoff.json.
+def pictures(files: dict[str, str]) -> dict[str, Picture]:
+    """Pictures by name of what figures.json and tradeoff.json hold.
 
     ``files``: text by file name; a missing file has no pictures.
     """
     found = draw(json.loads(files["figures.json"])) if "figures.json" in files else {}
     if "tradeoff.json" in files:
         found["tradeoff"] = tradeoff_front("t", json.loads(files["tradeoff.json"]))
-    return {f"{name}.svg": standalone(of) for name, of in found.items()}
+    return found
+
+
+def drawn(files: dict[str, str]) -> dict[str, str]:
+    """SVG files by name of these pictures."""
+    return {f"{name}.svg": standalone(of) for name, of in pictures(files).items()}

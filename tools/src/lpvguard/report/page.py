@@ -15,8 +15,10 @@ from pathlib import Path
 from .. import __version__
 from ..base import artefacts
 from ..identify.run import DriveSet, StoredIdentification
-from ..replay.run import Replayer
+from ..replay.run import Alarm, Replayer
 from ..vehicle.project import Project
+from .blindness import cells
+from .drawn import OfIdentification
 from .pictures.drawing import files, kept, shared
 from .sections.bounds import bound_sections
 from .sections.campaign import campaign_section
@@ -25,7 +27,7 @@ from .sections.design import design_section
 from .sections.drives import drive_section, plain_section, visit, visit_plain
 from .sections.evaluation import evaluation_section
 from .sections.model_in_time import time_section
-from .sections.overview import overview_section
+from .sections.overview import blind_map, overview_section
 from .sections.summary import summary_section
 from .sections.tradeoff import tradeoff_section
 from .sections.visibility import visibility_section
@@ -120,13 +122,23 @@ def _identification_sections(
         else:
             rows.append(visit_plain(visits, stored, drives, drive))
     progress("pictures")
-    estimator = drives.reader.estimator
+    drawn = OfIdentification(stored, drives.reader.estimator)
     yield overview_section(stored, told, replayer is not None, design, evaluation)
     yield summary_section(stored, replayer, drives)
-    yield from bound_sections(stored, estimator)
+    yield from bound_sections(drawn)
     yield time_section(visits, stored, drives)
-    yield visibility_section(visits, stored, estimator)
+    yield visibility_section(visits, drawn)
     yield drive_section(told, replayer.threshold) if replayer is not None else plain_section(rows)
+
+
+def map_page(stored: StoredIdentification, alarms: list[Alarm]) -> str:
+    """The one picture of the first screen as a page of its own. ``alarms``: of all drives."""
+    shown = blind_map(stored, cells(stored.visibility, alarms), alarms)
+    return f"""<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{POLICY}">
+<title>{escape(stored.project.name)}</title><style>{_own("page.css")}</style></head><body>{shown}
+<script>{_own("page.js")}</script></body></html>
+"""
 
 
 def _own(name: str) -> str:

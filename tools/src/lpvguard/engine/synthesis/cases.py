@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from lpvguard.base.documents import read_toml
+from lpvguard.base.progress import Counted
 from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.interconnection import (
     STRUCTURES,
@@ -83,13 +84,15 @@ def paper_case(
 
     ``dt`` > 0 designs in discrete time. ``options`` go to dk_synthesis.
     """
-    case, rows = read_case(path), []
+    case = read_case(path)
+    rows: list[TableRow] = []
+    most = len(case["objective"]) * len(STRUCTURES)
     for objective in case["objective"]:
         A_t, A_u, paper = objective["A_t"], objective["A_u"], objective.get("paper", {})
         for structure, paper_order in zip(
             STRUCTURES, paper.get("orders", [None] * len(STRUCTURES)), strict=True
         ):
-            progress(f"{structure}, A_t {A_t:g}, A_u {A_u:g}")
+            progress(Counted(f"{structure}, A_t {A_t:g}, A_u {A_u:g}", len(rows), most))
             known = (
                 {"mu": objective.get("gamma_K_inf")}
                 if structure == "K_inf"

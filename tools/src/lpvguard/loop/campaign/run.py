@@ -17,13 +17,13 @@ import pyarrow.parquet as pq
 from ...base import artefacts
 from ...base.errors import InputError
 from ...base.parallel import Map
-from ...base.progress import Counted
+from ...base.progress import Counted, Progress
 from ...control.design import require_designed_for
 from ...core.compiled import Core
 from ...evaluate.baseline_study import BaselineStudy
 from ...evaluate.baselines import KINDS as BASELINE_KINDS
 from ...evaluate.detection import Injection
-from ...identify.run import DriveSet, Progress, StoredIdentification
+from ...identify.run import DriveSet, StoredIdentification
 from ...replay.run import Replayer
 from ..sim import Simulator
 from . import faults, trucks

@@ -21,6 +21,7 @@ import numpy as np
 
 from ...base.errors import InputError
 from ...base.parallel import Map
+from ...base.progress import Progress
 from ...control.design import faulted_performance
 from ...control.true_loop import (
     certified_weight,
@@ -28,7 +29,7 @@ from ...control.true_loop import (
     require_certified_by_W_delta,
     within_use,
 )
-from ...identify.run import Progress, StoredIdentification
+from ...identify.run import StoredIdentification
 from ...identify.weights import Weights
 from ...vehicle.nominal import NominalModel
 from ...vehicle.project import Project

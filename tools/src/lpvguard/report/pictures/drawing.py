@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Concatenate, Literal, ParamSpec
 
 import matplotlib
@@ -22,6 +23,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from ...base.errors import InputError
 from .numbers import Panel, panels, to_csv
 
 if TYPE_CHECKING:
@@ -88,6 +90,24 @@ class Picture:
     name: str
     svg: str
     panels: list[Panel]
+
+    def _repr_svg_(self) -> str:
+        """What a notebook shows."""
+        return standalone(self)
+
+    @property
+    def csv(self) -> str:
+        """The numbers as a table of text; InputError where the picture has none."""
+        if not self.panels:
+            raise InputError(self.name, "", "a picture without numbers", "one with axes")
+        return to_csv(self.panels)
+
+    def save(self, path: str | Path) -> None:
+        """Write the picture as the suffix says: .svg, or .csv for its numbers."""
+        suffix = Path(path).suffix.lower()
+        if suffix not in (".svg", ".csv"):
+            raise InputError(path, "suffix", suffix or "none", ".svg or .csv")
+        Path(path).write_text(standalone(self) if suffix == ".svg" else self.csv, encoding="utf-8")
 
 
 def new_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
@@ -217,7 +237,7 @@ def legend_above(axes: Axes, columns: int) -> None:
 def files(pictures: list[Picture]) -> dict[str, str]:
     """Files by name: every picture as SVG, and where it has numbers as CSV."""
     found = {f"{p.name}.svg": standalone(p) for p in pictures}
-    return found | {f"{p.name}.csv": to_csv(p.panels) for p in pictures if p.panels}
+    return found | {f"{p.name}.csv": p.csv for p in pictures if p.panels}
 
 
 def standalone(picture: Picture) -> str:

@@ -8,6 +8,7 @@ from ...base.rates import hourly_words, share_words
 from ...evaluate.comparison import COUNTS_ONLY, WAYS_HEAD, way_rows
 from ..markup import captioned, html_table, number
 from ..pictures.detectors import detection, detection_time
+from ..pictures.drawing import Picture
 
 
 def campaign_section(c: dict) -> str:
@@ -170,22 +171,32 @@ calibrated thresholds, found {escape(c["matched_claim"])}, and the median time f
 {html_table([*WAYS_HEAD, *names], rows)}"""
 
 
-def _pictures(c: dict) -> str:
-    """Detection and time to the first alarm against severity."""
+def drawn_campaign(c: dict) -> dict[str, Picture]:
+    """Detection and time to the first alarm against severity; ``c``: summary.json of `lpvguard campaign`."""
     severities, units, names = c["severities"], c["units"], c["detectors"]
+    return {
+        "matched": detection("c0", severities, units, names, "matched"),
+        "found": detection("c1", severities, units, names, "found"),
+        "time": detection_time("c2", severities, units, names),
+    }
+
+
+def _pictures(c: dict) -> str:
+    """These pictures with their captions."""
+    drawn = drawn_campaign(c)
     matched = captioned(
-        detection("c0", severities, units, names, "matched"),
+        drawn["matched"],
         f"<b>Detection against severity</b>, {escape(c['matched_claim'])}: share of runs in which the first "
         "alarm came within 60 s of judged, excited driving after the fault, and none before it. Grey: share "
         "of runs in which the fault is visible.",
     )
     calibrated = captioned(
-        detection("c1", severities, units, names, "found"),
+        drawn["found"],
         "<b>Detection against severity</b>, at the thresholds calibrated on the drives of the "
         "identification.",
     )
     time = captioned(
-        detection_time("c2", severities, units, names),
+        drawn["time"],
         "<b>Time to the first alarm against severity</b>, at these thresholds: median judged, excited time "
         "over the runs without an alarm before the fault; no point where half of them never alarmed.",
     )

@@ -9,19 +9,25 @@ import numpy as np
 
 from ...base import artefacts
 from ..markup import captioned, html_table, number, yes_or_no
+from ..pictures.drawing import Picture
 from ..pictures.over_time import closed_loop
 
 
-def _run(folder: Path, name: str, r: dict) -> str:
-    """Picture and caption of the run ``r`` of results.json; ``name`` is the picture's, unique in the page."""
+def drawn_run(folder: Path, name: str, r: dict) -> Picture:
+    """Picture of the run ``r`` of results.json; ``name`` is the picture's, its own on a page."""
     rows, frames = (
         np.genfromtxt(folder / f"{r['scenario']}-{r['seed']}.{kind}.csv", delimiter=",", names=True, ndmin=1)
         for kind in ("telemetry", "frames")
     )
+    return closed_loop(
+        name, rows, frames, r["threshold"], r["expected"].get("fault_start_s"), r["first_invalid_s"]
+    )
+
+
+def _run(folder: Path, name: str, r: dict) -> str:
+    """Picture and caption of the run ``r``."""
     return captioned(
-        closed_loop(
-            name, rows, frames, r["threshold"], r["expected"].get("fault_start_s"), r["first_invalid_s"]
-        ),
+        drawn_run(folder, name, r),
         f"<b>{escape(r['title'])}</b> (seed {r['seed']}). Top: what the command filtered by the reference "
         "model asks for, and the simulated truck's true yaw rate. Middle: the pressure difference the ECU "
         "demands. Bottom: the margin of every counted frame as the ECU's monitor judged it; above the dashed "

@@ -14,8 +14,9 @@ from ...identify.bounds import counted_frames
 from ...identify.run import DriveSet, StoredIdentification
 from ...identify.unexplained import left_unexplained
 from ...replay.run import Alarm, Replay, Replayer, excited_samples
+from ..drawn import drive_map
 from ..markup import captioned, html_table, number
-from ..pictures.margin_map import REASON_WORDS, map_key, margin_map
+from ..pictures.margin_map import REASON_WORDS, map_key
 from ..told import Told, course, nearest
 from ..visits import Visits, longest_run
 from .drive_index import drive_index
@@ -206,16 +207,7 @@ def _drive_page(
     stored: StoredIdentification, replayer: Replayer, drive: Drive, replay: Replay, key: str
 ) -> str:
     """Map of the drive's margins, its facts and its alarms."""
-    drawn = margin_map(
-        key,
-        replay,
-        drive.t,
-        drive.v,
-        replayer.estimator.omega,
-        replayer.estimator.length,
-        replayer.threshold,
-        replayer.model.speed_range,
-    )
+    drawn = drive_map(key, replayer, drive, replay)
     driver = escape(stored.manifest["drivers"][drive.name])
     role = _role(stored, drive.name)
     return f"""<div class="drive" id="{key}"><h3>{escape(drive.name)} <span class="note">({driver} driver; \

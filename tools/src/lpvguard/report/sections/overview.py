@@ -3,6 +3,7 @@ controller promises."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from html import escape
 from pathlib import Path
 
@@ -38,8 +39,9 @@ def overview_section(
     `lpvguard design`; ``evaluation``: JSON of `lpvguard evaluate`."""
     alarms = [(d, a) for d in told for a in d.alarms]
     grid = cells(stored.visibility, (a for _, a in alarms))
+    shown = blind_map(stored, grid, (a for _, a in alarms))
     return f"""<h2>At a glance</h2>{_headline(grid, told, alarms, replayed)}
-<div class="glance" id="glance"><div class="wide">{_good_for(grid)}{_map(stored, grid, told)}</div>
+<div class="glance" id="glance"><div class="wide">{_good_for(grid)}{shown}</div>
 <div class="cards">{_alarms(told, alarms, _independence(stored, told, evaluation))}\
 {_promise(stored, design)}{_to_do(grid, told)}</div></div>"""
 
@@ -162,10 +164,11 @@ def _map_cell(row: int, cell: MapCell) -> str:
     )
 
 
-def _map(stored: StoredIdentification, grid: list[list[MapCell]], told: list[Told]) -> str:
-    """The one picture: speed over frequency, the fastest cell on top, with the other tests' alarms."""
+def blind_map(stored: StoredIdentification, grid: list[list[MapCell]], alarms: Iterable[Alarm]) -> str:
+    """The one picture, HTML: speed over frequency, the fastest cell on top. ``alarms``: of all drives; those
+    of other tests than the frame test have a column of their own."""
     others = [0] * len(grid)
-    for a in (a for d in told for a in d.alarms if a.bin_rad_s is None):
+    for a in (a for a in alarms if a.bin_rad_s is None):
         others[speed_row(stored.visibility, a.speed_mps)] += 1
     head = "".join(f'<th scope="col">{_frequency(c.omega)}</th>' for c in grid[0])
     rows = "".join(

@@ -2,48 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from html import escape
 
 import numpy as np
 
 from ...drives.frames import Estimator
-from ...identify.run import StoredIdentification
 from ...identify.visibility import STATED_GAINS
-from ...identify.weights import fitting_grid
+from ..drawn import OfIdentification
 from ..markup import captioned, html_table, number, unit_of_norm, yes_or_no
-from ..pictures.over_bins import excitation
 from ..visits import Visits
 
 
-def visibility_section(visits: Visits, stored: StoredIdentification, estimator: Estimator) -> str:
+def visibility_section(visits: Visits, drawn: OfIdentification) -> str:
     """The section: excitation in the counted frames of ``visits``, and the tables of visibility.json."""
-    return f"""<h2>Excitation and what stays invisible</h2>{_excitation(visits, stored, estimator)}
+    stored, estimator = drawn.stored, drawn.estimator
+    return f"""<h2>Excitation and what stays invisible</h2>{_excitation(visits, drawn)}
 {_smallest_visible(stored.visibility, estimator, unit_of_norm(stored.project.outputs))}"""
 
 
-def _excitation(visits: Visits, stored: StoredIdentification, estimator: Estimator) -> str:
+def _excitation(visits: Visits, drawn: OfIdentification) -> str:
     """Picture of |Z| per bin over the counted frames."""
-    unit = unit_of_norm(stored.project.outputs)
+    unit = unit_of_norm(drawn.stored.project.outputs)
     bin_of, Z = np.concatenate(visits.bin), np.concatenate(visits.Z)
-    size = np.linalg.norm(Z, axis=1)
-    K = estimator.n_bins
-
-    def per_bin(statistic: Callable[[np.ndarray], float]) -> np.ndarray:
-        return np.array([statistic(size[bin_of == k]) if (bin_of == k).any() else np.nan for k in range(K)])
-
-    overlap = " (half overlapping, so they are not independent)" if estimator.window == "hann" else ""
+    half = " (half overlapping, so they are not independent)"
+    overlap = half if drawn.estimator.window == "hann" else ""
     return captioned(
-        excitation(
-            "f5",
-            fitting_grid(estimator),
-            np.bincount(bin_of, minlength=K),
-            per_bin(np.max),
-            per_bin(np.median),
-            stored.bounds["excitation"],
-            stored.bounds["gamma_w"],
-            unit,
-        ),
+        drawn.excitation("f5", bin_of, Z),
         f"<b>Excitation.</b> Largest and median |Z|, the nominal output in a frame, over the {len(bin_of)} "
         "counted frames of all drives, with the disturbance bound to compare: where the median lies below "
         f"it, most frames say little about the model. Lower panel: counted frames a bin{overlap}. Left-most: "

@@ -1,0 +1,186 @@
+"""The pictures of the report page, from Python: a notebook shows what these functions return.
+
+    from lpvguard import plots
+    plots.weights(found)                     # of lpvguard.identify or lpvguard.load
+    plots.margins(run).save("margins.csv")   # of lpvguard.replay; .svg or .csv
+
+Every picture is drawn by the functions that draw the page.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import astuple, dataclass, fields
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from ..base import artefacts
+from ..base.errors import InputError
+from ..drives.frames import Estimator
+from ..report import design_pictures
+from ..report.blindness import MapCell, cells
+from ..report.drawn import OfIdentification, drive_map
+from ..report.page import map_page
+from ..report.pictures.detectors import time_to_find
+from ..report.pictures.drawing import Picture
+from ..report.pictures.over_time import Stretch, model_in_time
+from ..report.sections.campaign import drawn_campaign
+from ..report.sections.closed_loop import drawn_run
+from ..vehicle.nominal import NominalModel
+from .identified import Identified
+from .replayed import Replayed
+
+ROW_PX, AROUND_PX = 31, 250
+"""Height of a row of the map, and of what stands around them [px]."""
+
+
+@dataclass(frozen=True)
+class BlindMap:
+    """Cells of speed and frequency, slowest speed first, and their picture as a page of its own."""
+
+    cells: list[list[MapCell]]
+    page: str
+
+    def _repr_html_(self) -> str:
+        height = ROW_PX * len(self.cells) + AROUND_PX
+        return (
+            f'<iframe title="proved, blind, violated" sandbox="allow-scripts" srcdoc="{escape(self.page)}" '
+            f'style="width:100%;height:{height}px;border:0"></iframe>'
+        )
+
+    @property
+    def csv(self) -> str:
+        """A row a cell: speeds [m/s], frequency [rad/s], state, counted frames, smallest visible gain errors
+        (typical, at the strongest frame, at any excitation), alarms."""
+        text = io.StringIO()
+        table = csv.writer(text, lineterminator="\n")
+        names = [f.name for f in fields(MapCell)]
+        table.writerow(["speed_from_mps", "speed_to_mps", *names[1:], "state"])
+        for cell in (cell for row in self.cells for cell in row):
+            speeds, *rest = astuple(cell)
+            table.writerow([*speeds, *rest, cell.state])
+        return text.getvalue()
+
+    def save(self, path: str | Path) -> None:
+        """Write the map as the suffix says: .html, or .csv for its cells."""
+        suffix = Path(path).suffix.lower()
+        if suffix not in (".html", ".csv"):
+            raise InputError(path, "suffix", suffix or "none", ".html or .csv")
+        Path(path).write_text(self.page if suffix == ".html" else self.csv, encoding="utf-8")
+
+
+@contextmanager
+def _opened(found: Identified) -> Iterator[OfIdentification]:
+    """What is drawn of an identification; it reads the folder while it draws."""
+    with found.opened() as stored:
+        yield OfIdentification(stored, Estimator.of(stored.project, NominalModel(stored.project)))
+
+
+def _id(name: str) -> str:
+    """The name as ids of a page may be."""
+    return re.sub(r"[^\w-]", "_", name)
+
+
+def disturbance(found: Identified) -> Picture:
+    """Fig. 2 of the paper: the disturbance bound, and the frames that it was made of."""
+    with _opened(found) as drawn:
+        return drawn.disturbance(f"disturbance-{found.project.name}")
+
+
+def weights(found: Identified) -> Picture:
+    """Fig. 3 of the paper: the weights over the bounds."""
+    with _opened(found) as drawn:
+        return drawn.weights(f"weights-{found.project.name}")
+
+
+def model_error(found: Identified) -> Picture:
+    """The model error model beside W_delta."""
+    with _opened(found) as drawn:
+        return drawn.model_error(f"model-error-{found.project.name}")
+
+
+def front(found: Identified) -> Picture:
+    """The Pareto fronts between disturbance and uncertainty. InputError for structure S0, which has none."""
+    with _opened(found) as drawn:
+        shown = drawn.front(f"front-{found.project.name}")
+    if shown is None:
+        raise InputError("front", "bounds.structure", "S0", "a structure that trades uncertainty")
+    return shown
+
+
+def excitation(found: Identified, *runs: Replayed) -> Picture:
+    """The nominal output in the counted frames of ``runs``, beside the disturbance bound."""
+    if not runs:
+        raise InputError("excitation", "runs", "none", "what lpvguard.replay returned")
+    frames = [run.summary.run.frames for run in runs]
+    bin_of = np.concatenate([f.bin[f.counted] for f in frames])
+    Z = np.concatenate([f.Z[f.counted] for f in frames])
+    with _opened(found) as drawn:
+        return drawn.excitation(f"excitation-{found.project.name}", bin_of, Z)
+
+
+def blind(found: Identified, *runs: Replayed) -> BlindMap:
+    """Speed over frequency: where the model is proved, blind, without data, or violated in ``runs``."""
+    alarms = [alarm for run in runs for alarm in run.alarms]
+    with found.opened() as stored:
+        return BlindMap(cells(stored.visibility, alarms), map_page(stored, alarms))
+
+
+def margins(run: Replayed) -> Picture:
+    """A drive's margin over time and frequency, with its speed, verdict and alarms."""
+    return drive_map(f"margins-{_id(run.summary.name)}", run.replayer, run.drive, run.summary)
+
+
+def in_time(run: Replayed, begin_s: float = 0.0, end_s: float = np.inf) -> Picture:
+    """Fig. 4 of the paper: measurement and nominal model from ``begin_s`` to ``end_s`` after the drive's
+    start. InputError where no two samples lie between them."""
+    series, outputs = run.arrow, run.replayer.project.outputs
+    t = series["t"].to_numpy()
+    shown = (t >= begin_s) & (t <= end_s)
+    if shown.sum() < 2:
+        raise InputError(
+            run.summary.name, f"{begin_s:g} to {end_s:g} s", "no two samples", "a longer stretch"
+        )
+    y, yhat = (
+        np.column_stack([series[f"{kind}{s.name}"].to_numpy()[shown] for s in outputs])
+        for kind in ("", "yhat/")
+    )
+    stretch = Stretch(run.summary.name, t[shown], run.drive.v[shown], y, yhat)
+    return model_in_time(f"model-{_id(run.summary.name)}", [stretch], outputs)
+
+
+def design(folder: str | Path) -> dict[str, Picture]:
+    """The pictures of a folder of `lpvguard design`, by name: fig5, fig6, tradeoff, those that it has."""
+    files = {
+        name: (Path(folder) / name).read_text(encoding="utf-8")
+        for name in ("figures.json", "tradeoff.json")
+        if (Path(folder) / name).is_file()
+    }
+    if not files:
+        raise InputError(folder, "", "no figures.json and no tradeoff.json", "a folder of `lpvguard design`")
+    return design_pictures.pictures(files)
+
+
+def evaluation(path: str | Path) -> Picture:
+    """Times to find injected faults; ``path``: JSON of `lpvguard evaluate`."""
+    found = artefacts.read_json(Path(path))
+    return time_to_find("time-to-find", found["faults"], found["injection"]["within_s"])
+
+
+def campaign(path: str | Path) -> dict[str, Picture]:
+    """Detection against severity at matched and at calibrated thresholds (matched, found), and time to the
+    first alarm (time); ``path``: summary.json of `lpvguard campaign`."""
+    return drawn_campaign(artefacts.read_json(Path(path)))
+
+
+def simulated(folder: str | Path) -> dict[str, Picture]:
+    """A picture a run of a folder of `lpvguard sim -o`, by scenario and seed."""
+    runs = artefacts.read_json(Path(folder) / "results.json")
+    names = {f"{r['scenario']}-{r['seed']}": r for r in runs}
+    return {name: drawn_run(Path(folder), _id(name), r) for name, r in names.items()}
