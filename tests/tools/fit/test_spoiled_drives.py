@@ -102,7 +102,9 @@ def test_one_spoiled_drive_among_good_ones_is_named(project, drives, name):
 @pytest.mark.parametrize("name", ["flipped sign", "degrees a second"])
 def test_what_is_wrong_with_all_is_named_where_two_of_five_are_beyond_any_model(project, drives, name):
     random = np.random.default_rng(5)
-    slides = [replace(d, name=f"slide_{d.name}", y=0.1 * random.standard_normal(d.y.shape)) for d in drives[:2]]
+    slides = [
+        replace(d, name=f"slide_{d.name}", y=0.1 * random.standard_normal(d.y.shape)) for d in drives[:2]
+    ]
     spoil, said = SPOILED[name]
     with pytest.raises(InputError) as error:
         screened(project, [spoil(d) for d in [*drives, *slides]])

@@ -62,7 +62,7 @@ LOWER_RTOL, PEAK_RTOL = 1e-3, 1e-3
 """The same for the lower bound, which a search finds, and for the gain at the stated peak, which is flat."""
 OFF_GRID = 24
 """Seeded speeds between the nodes at which the design is looked at besides nodes and midpoints."""
-DESIGN_SHARES, FROZEN_SHARES, VERIFY_SHARES = (9, 1), (2, 4, 4), (4, 1)
+DESIGN_SHARES, FROZEN_SHARES, VERIFY_SHARES = (9, 1), (1, 15, 1), (4, 1)
 """Rough shares of the work: frozen and moving speed; up to the poles, poles, proofs; frozen and moving."""
 A_T_RTOL, STEPS = 0.01, 8
 LARGER_STEP = 0.8
@@ -222,7 +222,7 @@ def _designed(
     ]
     best, found, found_pairs = None, None, 0
     for pairs in range(FEWEST_PAIRS, MOST_PAIRS // model.n_u + 1):
-        fitting(Counted(f"{pairs} pairs of poles", pairs**2, (MOST_PAIRS // model.n_u + 1) ** 2))
+        fitting(Counted(f"{pairs} pairs of poles", pairs**3, (MOST_PAIRS // model.n_u + 1) ** 3))
         schedule = fit(frozen, speeds, scaling, pairs, u_max)
         if not all(schedule.injection_radius(v) < 1 for v in loops):
             continue

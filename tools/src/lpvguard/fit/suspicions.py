@@ -311,7 +311,7 @@ def _require_no_common_fault(unknowns: Unknowns, drives: list[Drive], left: list
             then = _together([_left(unknowns, theta, d) for d in read])
             tried.append((bool(unknowns.at_end(theta)), then, i, reading))
     explaining = [t for t in tried if t[1] <= LITTLE and t[1] <= BETTER * now]
-    partly = [t for t in tried if t[1] <= MUCH and not t[0]]
+    partly = [t for t in tried if t[1] <= MUCH]
     others = [t[1] for t in tried if not partly or t is not partly[0]]
     if not explaining and len(partly) == 1 and min([now, *others]) >= NOTHING:
         explaining = partly
