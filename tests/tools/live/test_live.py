@@ -209,17 +209,56 @@ def test_a_browser_draws_every_picture_and_complains_of_nothing(replayer, faulty
     assert re.search(r'data-drawn="1[45]\d', done.stdout) and "frame test" in done.stdout
 
 
-@pytest.mark.skipif(os.environ.get("LPVGUARD_FULL") != "1", reason="LPVGUARD_FULL: 8 simulated hours")
-def test_eight_hours_that_flood_leave_memory_flat(tmp_path):
-    """Frames of 8 h at 100 Hz as fast as they are taken, while a browser asks: resident memory after every
-    hour but the last; the window is full after the first."""
-    folder, hours = shipped_vehicle("truck"), 8
+@pytest.fixture(scope="module")
+def at_100_hz(tmp_path_factory):
+    """The truck's monitor, frames of a drive of 6 min, and from its first to that of the next [ns]."""
+    folder, out = shipped_vehicle("truck"), tmp_path_factory.mktemp("truck")
     replayer = Replayer(load_project("truck"), Core(folder))
     assert replayer.project.Ts_s == 0.01
-    (tmp_path / "steady.toml").write_text(steady_scenario(360.0))
-    Simulator(folder).run(load_scenario(str(tmp_path / "steady.toml")), out=tmp_path)
-    frames = bus_frames(next(tmp_path.glob("*.log")), replayer.project)
-    drive_ns = int(frames.t_ns[-1] - frames.t_ns[0]) + 10**7
+    (out / "steady.toml").write_text(steady_scenario(360.0))
+    Simulator(folder).run(load_scenario(str(out / "steady.toml")), out=out)
+    frames = bus_frames(next(out.glob("*.log")), replayer.project)
+    return replayer, frames, int(frames.t_ns[-1] - frames.t_ns[0]) + 10**7
+
+
+@pytest.mark.skipif(os.environ.get("LPVGUARD_FULL") != "1", reason="LPVGUARD_FULL: a minute in real time")
+@pytest.mark.parametrize("pace", [1, 20])
+def test_the_page_is_less_than_half_a_second_behind(at_100_hz, pace):
+    """Frames come at ``pace`` times real time for 30 s. Behind is what a browser that asks ten times a second
+    has not been shown of what has come, its own waiting included."""
+    replayer, frames, drive_ns = at_100_hz
+    began: list[float] = []
+
+    def pieces():
+        began.append(time.monotonic())
+        for k in range(30 * pace * 10**9 // drive_ns + 1):
+            since_ns = frames.t_ns - frames.t_ns[0] + k * drive_ns
+            step_ns = 5 * 10**7 * pace
+            for n in range(drive_ns // step_ns + 1):
+                time.sleep(
+                    max(0.0, began[0] + (k * drive_ns + (n + 1) * step_ns) / 1e9 / pace - time.monotonic())
+                )
+                here = (since_ns - k * drive_ns) // step_ns == n
+                if here.any():
+                    yield replace(frames.at(here), t_ns=frames.t_ns[0] + since_ns[here])
+
+    behind = []
+    with served(Watch(replayer, Given(pieces()), 3600)) as url:
+        while not began or time.monotonic() < began[0] + 30.0:
+            now = json.loads(asked(url + "view?span=60"))["now"]
+            if began and now["t"] is not None:
+                behind.append(time.monotonic() - began[0] - now["t"] / pace)
+            time.sleep(0.1)
+    print(f"{pace} x real time: behind {np.median(behind):.3f} s in the median, {max(behind):.3f} s at most")
+    assert len(behind) > 50 and max(behind) < 0.5
+
+
+@pytest.mark.skipif(os.environ.get("LPVGUARD_FULL") != "1", reason="LPVGUARD_FULL: 8 simulated hours")
+def test_eight_hours_that_flood_leave_memory_flat(at_100_hz):
+    """Frames of 8 h at 100 Hz as fast as they are taken, while a browser asks: resident memory after every
+    hour but the last; the window is full after the first."""
+    replayer, frames, drive_ns = at_100_hz
+    hours = 8
     each = round(3600e9 / drive_ns)
     resident: list[float] = []
     began = time.process_time()
