@@ -6,6 +6,7 @@
 #include "acceptance.hpp"
 #include "lpvguard/coeff.h"
 #include "lpvguard/controller.h"
+#include "lpvguard/diagnosis.h"
 
 namespace lpvguard {
 
@@ -51,6 +52,30 @@ inline bool items_in_range(const lpvg_coeff_reals_t& f) {
            every(f.W_delta, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
            every(f.B_w, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
            every(f.threshold, [](lpvg_real_t x) { return x > lpvg_real_t(0); });
+}
+
+inline bool sizes_match(const lpvg_diagnosis_words_t& f) {
+    return f.sizes[0] == LPVG_NY;
+}
+
+inline bool items_in_range(const lpvg_diagnosis_words_t& f) {
+    return every(f.sample_period_us, [](uint32_t x) { return x >= 1U; }) &&
+           every(f.blocks, [](uint32_t x) { return x >= 8U && x <= 65536U; }) &&
+           every(f.stride, [](uint32_t x) { return x >= 1U && x <= 4U; }) &&
+           every(f.cell_blocks, [](uint32_t x) { return x >= 1U && x <= 65536U; });
+}
+
+inline bool items_in_range(const lpvg_diagnosis_reals_t& f) {
+    return every(f.block_s, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
+           every(f.unit, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
+           every(f.correlated, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
+           every(f.residue, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
+           every(f.rough, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
+           every(f.still, [](lpvg_real_t x) { return x > lpvg_real_t(0) && x < lpvg_real_t(1); }) &&
+           every(f.excited, [](lpvg_real_t x) { return x > lpvg_real_t(0) && x < lpvg_real_t(1); }) &&
+           every(f.fits, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
+           every(f.margin, [](lpvg_real_t x) { return x >= lpvg_real_t(0); }) &&
+           every(f.interval, [](lpvg_real_t x) { return x > lpvg_real_t(0); });
 }
 
 #if LPVG_NK > 0

@@ -660,6 +660,7 @@ SEES = {
     "controller.cpp": ["controller.hand_toy", "controller.hand_truck"],
     "ecu.cpp": ["ecu.hand_truck"],
     "change.cpp": ["change.toy", "change.g80", "change.separate_toy"],
+    "diagnosis.cpp": ["diagnosis.toy", "diagnosis.g80", "diagnosis.separate_toy"],
     "energy.cpp": ["energy.toy", "energy.g80", "energy.separate_toy"],
     "j1939.cpp": ["j1939"],
     "life.cpp": ["life"],

@@ -1,9 +1,9 @@
 """The layout of the coefficients: what a vehicle's generated structs hold, stated here and nowhere else.
 
 A coefficient struct of the core is 32-bit words, then numbers, under one CRC-32. From the tables COEFF
-(model, estimator, monitor) and CONTROL (controller) come
+(model, estimator, monitor), CONTROL (controller) and DIAGNOSIS (causes of alarms) come
 
-    lib/include/lpvguard/coeff.h, controller.h   the structs, between the marks ``layout``
+    lib/include/lpvguard/coeff.h, controller.h, diagnosis.h   the structs, between the marks ``layout``
     lib/src/coefficient_checks.hpp               sizes and ranges that the core checks in ``lpvg_coeff_check``
     lib/COEFFICIENTS.md                          the tables for people
     core/seal.py, core/coefficients.py, core/control_coefficients.py
@@ -18,174 +18,15 @@ and every vehicle exported again.
 
 from __future__ import annotations
 
-import math
-import re
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from .errors import InputError
-
-DIMENSIONS = {
-    "NX": "states of the model",
-    "NU": "inputs",
-    "NY": "outputs",
-    "DELAY": "whole samples of input delay",
-    "NBINS": "frequency bins, DC first",
-    "NCELLS": "speed cells of the model's table",
-    "NVARYING": "entries of the model that vary with speed",
-    "NWEIGHT": "sections of the filter W_delta",
-    "NDIRECTIONS": "directions of the energy test's fan",
-    "NBANDS": "bands of the energy test, one more than its corners",
-    "NDELTA": "blocks Delta of the uncertainty: 1, common to all outputs, or NY, one an output",
-    "NK": "states of one demand of the controller",
-    "NM": "measurements: the reference, then the outputs",
-    "NG": "nodes of the controller's speed grid",
-}
-"""Dimension -> meaning. LPVG_<name> in lpvguard_vehicle.h, in this order; the controller's are 0 without
-one."""
-
-CONSTANTS = {
-    "NENTRIES": (
-        "(NX * (NX + (2 * NU)))",
-        "Entries of Ad (n x n), B_old (n x n_u) and B_new (n x n_u), row after row, one matrix after the "
-        "other.",
-    ),
-    "NHISTORY": ("8", "Largest m of the k-of-m confirmation."),
-    "NBLOCK": ("4", "Samples that a bin takes up at once, a power of two."),
-    "NPARTS": (
-        "(2 - (NDELTA / NY))",
-        "Pushes over which the judgement of a frame is spread: 1 where every output has a Delta of its own, "
-        "else 2.",
-    ),
-    "NLATENCY": (
-        "(NBLOCK - 1 + (NBINS / 2) + (NPARTS * NBINS))",
-        "Samples from the end of a frame to its judgement, at most: the block, the pushes that close several "
-        "frames, and the queue.",
-    ),
-}
-"""Sizes made of dimensions, and fixed ones: C macro LPVG_<name> of coeff.h, with its comment. Division is
-that of whole numbers."""
-
-
-@dataclass(frozen=True)
-class Field:
-    """A member of a coefficient struct.
-
-    ``shape``: sizes, as expressions of the dimensions; () is a scalar. ``within``: the interval in which
-    every item must lie, as "(0, 1]"; its ends are numbers, expressions of dimensions, or scalar fields of the
-    same struct; "" allows any finite number.
-    """
-
-    name: str
-    shape: tuple[str, ...]
-    unit: str
-    meaning: str
-    within: str = ""
-
-    @property
-    def declarator(self) -> str:
-        """C declarator: the name with its sizes."""
-        return self.name + "".join(f"[{_macros(size)}]" for size in self.shape)
-
-
-@dataclass(frozen=True)
-class Layout:
-    """A coefficient struct: C names ``lpvg_<stem>_words_t``, ``lpvg_<stem>_reals_t`` and ``lpvg_<struct>_t``;
-    ``dimensions`` in the order of words.sizes."""
-
-    stem: str
-    struct: str
-    header: str
-    magic: int
-    schema: int
-    dimensions: tuple[str, ...]
-    words: tuple[Field, ...]
-    reals: tuple[Field, ...]
-
-    def head(self, sizes: dict[str, int]) -> dict[str, Any]:
-        """The words that every struct begins with, for ``sizes`` by dimension."""
-        return {
-            "magic": self.magic,
-            "schema": self.schema,
-            "real_bytes": 4,
-            "sizes": [sizes[name] for name in self.dimensions],
-            "crc32": 0,
-        }
-
-    def packed(
-        self, part: str, values: dict[str, Any], sizes: dict[str, int], where: object
-    ) -> dict[str, np.ndarray]:
-        """``values`` of "words" or "reals" by field, each as an array in the shape of its field.
-
-        The result is in the order of the struct. ``sizes``: by dimension. InputError names ``where`` and the
-        field that is missing, unknown, of the wrong shape, not finite or out of its range.
-        """
-        fields: tuple[Field, ...] = getattr(self, part)
-        names = [field.name for field in fields]
-        if set(values) != set(names):
-            odd = ", ".join(sorted(set(values) ^ set(names)))
-            raise InputError(
-                where, odd, "missing or unknown", f"the fields of {self.header}: {', '.join(names)}"
-            )
-        packed = {
-            name: np.array(values[name]) if part == "words" else np.array(values[name], float)
-            for name in names
-        }
-        for field in fields:
-            value, shape = packed[field.name], tuple(_evaluated(size, sizes) for size in field.shape)
-            if value.shape != shape:
-                raise InputError(
-                    where,
-                    field.name,
-                    f"shape {value.shape}",
-                    f"{shape}, {_text_of_shape(field)} of {self.header}",
-                )
-            if not np.isfinite(value).all():
-                raise InputError(where, field.name, "not finite", "finite numbers")
-        for field in fields:
-            value = packed[field.name]
-            if field.within and not _within(value, field.within, sizes, packed):
-                raise InputError(where, field.name, f"{value.tolist()}", f"every item within {field.within}")
-        return packed
-
-    def sizes_in(self, words: np.ndarray) -> dict[str, int]:
-        """Sizes by dimension out of flat words (W,)."""
-        at = next(
-            i for i, field in enumerate(self.words) if field.name == "sizes"
-        )  # what stands before it is scalar
-        return dict(zip(self.dimensions, map(int, words[at : at + len(self.dimensions)]), strict=False))
-
-    def split(self, part: str, flat: np.ndarray, sizes: dict[str, int]) -> dict[str, np.ndarray]:
-        """Views of flat "words" or "reals" by field, each in its shape; a scalar as (1,)."""
-        shapes = {
-            field.name: tuple(_evaluated(size, sizes) for size in field.shape) or (1,)
-            for field in getattr(self, part)
-        }
-        ends = np.cumsum([math.prod(shape) for shape in shapes.values()])
-        assert ends[-1] == len(flat), f"{self.header}: {ends[-1]} items by the layout, {len(flat)} given"
-        return {
-            name: items.reshape(shape)
-            for (name, shape), items in zip(shapes.items(), np.split(flat, ends[:-1]), strict=False)
-        }
-
-    @cached_property
-    def macro(self) -> str:
-        """Beginning of the names of the struct's C macros."""
-        return f"LPVG_{self.stem.upper()}"
-
-
-def _head(macro: str, dimensions: tuple[str, ...]) -> tuple[Field, ...]:
-    return (
-        Field("magic", (), "", f"{macro}_MAGIC"),
-        Field("schema", (), "", f"{macro}_SCHEMA"),
-        Field("real_bytes", (), "", "sizeof(lpvg_real_t)"),
-        Field("sizes", (str(len(dimensions)),), "", "LPVG_" + ", ".join(dimensions)),
-    )
-
+from .layout_parts import CONSTANTS as CONSTANTS
+from .layout_parts import DIMENSIONS as DIMENSIONS
+from .layout_parts import Field as Field
+from .layout_parts import Layout as Layout
+from .layout_parts import constant as constant
+from .layout_parts import ends_of, head_fields, macros, text_of_shape
 
 _COEFF_DIMENSIONS = tuple(DIMENSIONS)[:11]
 COEFF = Layout(
@@ -196,7 +37,7 @@ COEFF = Layout(
     schema=5,
     dimensions=_COEFF_DIMENSIONS,
     words=(
-        *_head("LPVG_COEFF", _COEFF_DIMENSIONS),
+        *head_fields("LPVG_COEFF", _COEFF_DIMENSIONS),
         Field(
             "estimator_id", (), "", "LPVG_ESTIMATOR_ID: definition of the frames the bounds were made with"
         ),
@@ -319,7 +160,7 @@ CONTROL = Layout(
     schema=3,
     dimensions=_CONTROL_DIMENSIONS,
     words=(
-        *_head("LPVG_CONTROL", _CONTROL_DIMENSIONS),
+        *head_fields("LPVG_CONTROL", _CONTROL_DIMENSIONS),
         Field("crc32", (), "", "over all words and numbers, as in coeff.h"),
         Field("sample_period_us", (), "us", "Ts", "[1, inf)"),
     ),
@@ -338,45 +179,77 @@ CONTROL = Layout(
 # --- expressions and intervals ---
 
 
-def _macros(expression: str) -> str:
-    """An expression of dimensions in C."""
-    return re.sub(r"\b([A-Z]+)\b", r"LPVG_\1", expression)
+DIAGNOSIS = Layout(
+    stem="diagnosis",
+    struct="diagnosis_table",
+    header="diagnosis.h",
+    magic=0x4C505644,
+    schema=1,
+    dimensions=("NY",),
+    words=(
+        *head_fields("LPVG_DIAGNOSIS", ("NY",)),
+        Field("crc32", (), "", "over all words and numbers, as in coeff.h"),
+        Field("sample_period_us", (), "us", "Ts", "[1, inf)"),
+        Field(
+            "blocks",
+            (),
+            "blocks",
+            "of settled driving since an alarm, least to judge causes",
+            "[8, 65536]",
+        ),
+        Field("stride", (), "blocks", "from one delay that is tried to the next", "[1, 4]"),
+        Field("cell_blocks", (), "blocks", "of a cell of the ring before the alarm", "[1, 65536]"),
+    ),
+    reals=(
+        Field("block_s", (), "s", "a block of LPVG_NBLOCK samples", "(0, inf)"),
+        Field(
+            "unit",
+            ("NY", "2"),
+            "1/output unit",
+            "1 / rms of yhat_j, and of its change over a block, on the bound-setting drives",
+            "(0, inf)",
+        ),
+        Field(
+            "spread",
+            ("NY", "10"),
+            "output unit squared",
+            "covariance of a healthy theta, by regressors over their sizes, the upper triangle row by row, "
+            "positive definite",
+        ),
+        Field(
+            "correlated", ("NY",), "-", "variance of an estimate over one with a white residue", "(0, inf)"
+        ),
+        Field(
+            "residue",
+            ("NY", "2"),
+            "output unit squared; -",
+            "largest mean square of a healthy residue: a constant, and a share of that of yhat_j",
+            "(0, inf)",
+        ),
+        Field(
+            "rough",
+            ("NY",),
+            "output unit squared",
+            "largest mean square of healthy noise",
+            "(0, inf)",
+        ),
+        Field(
+            "still",
+            ("NY",),
+            "-",
+            "mean square of dy_j over that of dyhat_j, below which the output is frozen",
+            "(0, 1)",
+        ),
+        Field("excited", (), "-", "mean square of yhat_j over its size, least to judge causes", "(0, 1)"),
+        Field("fits", (), "-", "largest misfit of a cause that explains, a chi-squared of 3", "(0, inf)"),
+        Field("margin", (), "-", "by which the next cause must be worse", "[0, inf)"),
+        Field("interval", (), "-", "half width of an interval in standard deviations", "(0, inf)"),
+    ),
+)
 
 
-def constant(name: str, sizes: dict[str, int]) -> int:
-    """Value of one of CONSTANTS for the dimensions that it depends on."""
-    return _evaluated(CONSTANTS[name][0], sizes)
+LAYOUTS = (COEFF, CONTROL, DIAGNOSIS)
 
-
-def _evaluated(expression: str, sizes: dict[str, int]) -> int:
-    known = dict(sizes)
-    for name in CONSTANTS:
-        if name in expression:
-            known[name] = constant(name, sizes)
-    return eval(expression.replace("/", "//"), {"__builtins__": {}}, known)
-
-
-def _ends(interval: str) -> tuple[str, bool, str, bool]:
-    """Lower end, whether it belongs to the interval, upper end, likewise."""
-    low, high = (end.strip() for end in interval[1:-1].split(","))
-    return low, interval[0] == "[", high, interval[-1] == "]"
-
-
-def _within(value: np.ndarray, interval: str, sizes: dict[str, int], packed: dict[str, np.ndarray]) -> bool:
-    def number(end: str) -> float:
-        return float(packed[end]) if end in packed else math.inf if end == "inf" else _evaluated(end, sizes)
-
-    low, low_in, high, high_in = _ends(interval)
-    above = value >= number(low) if low_in else value > number(low)
-    below = value <= number(high) if high_in else value < number(high)
-    return bool((above & below).all())
-
-
-def _text_of_shape(field: Field) -> str:
-    return " × ".join(field.shape) or "scalar"
-
-
-# --- what is generated ---
 
 BEGIN = "/* layout: generated by `python -m lpvguard.base.layout`, do not edit */\n/* clang-format off */"
 END = "/* clang-format on */\n/* layout: end */"
@@ -404,7 +277,7 @@ def header_block(layout: Layout) -> str:
     ]
     for name, (expression, comment) in CONSTANTS.items():
         if layout is COEFF:
-            lines += [f"/// {comment}", f"#define LPVG_{name} {_macros(expression)}"]
+            lines += [f"/// {comment}", f"#define LPVG_{name} {macros(expression)}"]
     stem = f"lpvg_{layout.stem}"
     names = [f"{stem}_words_t", f"{stem}_reals_t", f"lpvg_{layout.struct}_t"]
     lines += ["", *(f"#define {name} LPVG_SYM({name.removeprefix('lpvg_')})" for name in names), ""]
@@ -425,10 +298,10 @@ def _condition(field: Field, fields: tuple[Field, ...], kind: str) -> str:
     def literal(end: str) -> str:
         if end in names:
             return f"f.{end}"
-        text = _macros(end)
+        text = macros(end)
         return f"lpvg_real_t({text})" if kind == "lpvg_real_t" else f"{text}U" if text.isdigit() else text
 
-    low, low_in, high, high_in = _ends(field.within)
+    low, low_in, high, high_in = ends_of(field.within)
     tests = [f"x {'>=' if low_in else '>'} {literal(low)}"] if kind == "lpvg_real_t" or low != "0" else []
     tests += [f"x {'<=' if high_in else '<'} {literal(high)}"] if high != "inf" else []
     capture = "&f" if {low, high} & names else ""
@@ -465,10 +338,12 @@ def checks_source() -> str:
             '#include "acceptance.hpp"',
             '#include "lpvguard/coeff.h"',
             '#include "lpvguard/controller.h"',
+            '#include "lpvguard/diagnosis.h"',
             "",
             "namespace lpvguard {",
             "",
             *_checks(COEFF),
+            *_checks(DIAGNOSIS),
             "#if LPVG_NK > 0",
             *_checks(CONTROL)[:-1],
             "#endif",
@@ -496,7 +371,8 @@ def manual() -> str:
         "of these tables, arrays row by row. The CRC-32",
         "(ISO-HDLC) runs over the words, `crc32` read as zero, then the numbers, each least significant "
         "byte first.",
-        "`lpvg_coeff_check` and `lpvg_control_coeff_check` refuse sizes other than those compiled in, "
+        "`lpvg_coeff_check`, `lpvg_control_coeff_check` and `lpvg_diagnosis_table_check` refuse sizes other "
+        "than those compiled in, "
         "numbers that are not finite, and items",
         "out of the range stated.",
         "",
@@ -511,7 +387,7 @@ def manual() -> str:
     lines += [
         f"| {name} | {comment[:-1]}: `{expression}` |" for name, (expression, comment) in CONSTANTS.items()
     ]
-    for layout in (COEFF, CONTROL):
+    for layout in LAYOUTS:
         lines += ["", f"## `lpvg_{layout.struct}_t` ({layout.header}), schema {layout.schema}"]
         for part in ("words", "reals"):
             lines += [
@@ -522,7 +398,7 @@ def manual() -> str:
                 "| --- | --- | --- | --- | --- |",
             ]
             lines += [
-                f"| {f.name} | {_text_of_shape(f)} | {f.unit} | {f.within} | {_escaped(f.meaning)} |"
+                f"| {f.name} | {text_of_shape(f)} | {f.unit} | {f.within} | {_escaped(f.meaning)} |"
                 for f in getattr(layout, part)
             ]
     return "\n".join([*lines, ""])
@@ -535,7 +411,7 @@ def generated(library: Path) -> dict[Path, str]:
         library / "src" / "coefficient_checks.hpp": checks_source(),
         library / "COEFFICIENTS.md": manual(),
     }
-    for layout in (COEFF, CONTROL):
+    for layout in LAYOUTS:
         path = library / "include" / "lpvguard" / layout.header
         text = path.read_text(encoding="utf-8")
         before, begin, rest = text.partition(BEGIN)

@@ -1,0 +1,589 @@
+// diagnosis.cpp -- see diagnosis.h.
+//
+// Regressors are divided by their sizes on the bound-setting drives, so that float is enough for the normal equations.
+#include "lpvguard/diagnosis.h"
+
+#include <cmath>
+
+#include "coefficient_checks.hpp"
+#include "eigen.hpp"
+
+namespace {
+
+using Real = lpvg_real_t;
+constexpr std::size_t ny = LPVG_NY, parts = LPVG_DIAGNOSIS_PARTS, delays = LPVG_DIAGNOSIS_DELAYS, shifts = 2U * delays,
+                      cells = LPVG_DIAGNOSIS_CELLS;
+constexpr uint32_t n_block = LPVG_NBLOCK, done = LPVG_DIAGNOSIS_DONE;
+constexpr Real weakest = Real(1e-5);  // of the normal equations: what is not excited at all has no estimate but 0
+constexpr Real floor_share = Real(0.01);  // of the largest healthy residue: below it rounding speaks
+constexpr Real growing = Real(0.1);  // of e's mean square: a cause that grows to three times its size leaves 8 % of itself
+using Row = Eigen::Array<Real, LPVG_DIAGNOSIS_PARTS, 1>;
+using Triangle = Eigen::Array<Real, LPVG_DIAGNOSIS_TRIANGLE, 1>;
+
+Real dot(const Row& a, const Row& b) { return (a * b).sum(); }
+
+// x x' of a symmetric positive definite matrix, by Cholesky without roots. Out of line: it is called from many places, and nobody waits.
+class Factor {
+public:
+    explicit Factor(const Triangle& A);
+    bool well() const { return well_; }
+    // The solution of A x = b.
+    Row solved(const Row& b) const;
+    // b' A^-1 b
+    Real square(const Row& b) const { return dot(b, solved(b)); }
+
+private:
+    Real unit_[parts][parts]{}, pivot_[parts]{};
+    bool well_ = true;
+};
+
+Factor::Factor(const Triangle& A) {
+    std::size_t at = 0U;
+    for (std::size_t i = 0; i < parts; ++i) {
+        for (std::size_t k = i; k < parts; ++k) {
+            Real x = A[static_cast<Eigen::Index>(at)];
+            ++at;
+            for (std::size_t m = 0; m < i; ++m) {
+                x -= unit_[i][m] * unit_[k][m] * pivot_[m];
+            }
+            if (k == i) {
+                pivot_[i] = x;
+                well_ = well_ && x > Real(0);
+            }
+            unit_[k][i] = x / pivot_[i];
+        }
+    }
+}
+
+Row Factor::solved(const Row& b) const {
+    Real x[parts];
+    for (std::size_t i = 0; i < parts; ++i) {
+        x[i] = b[static_cast<Eigen::Index>(i)];
+        for (std::size_t m = 0; m < i; ++m) {
+            x[i] -= unit_[i][m] * x[m];
+        }
+    }
+    Row solution;
+    for (std::size_t i = parts; i-- > 0U;) {
+        Real y = x[i] / pivot_[i];
+        for (std::size_t m = i + 1U; m < parts; ++m) {
+            y -= unit_[m][i] * solution[static_cast<Eigen::Index>(m)];
+        }
+        solution[static_cast<Eigen::Index>(i)] = y;
+    }
+    return solution;
+}
+
+Row basis(std::size_t i) {
+    Row e = Row::Zero();
+    e[static_cast<Eigen::Index>(i)] = Real(1);
+    return e;
+}
+
+Triangle inverse(const Factor& A) {
+    Triangle found;
+    Eigen::Index at = 0;
+    for (std::size_t i = 0; i < parts; ++i) {
+        const Row column = A.solved(basis(i));
+        for (std::size_t k = i; k < parts; ++k) {
+            found[at] = column[static_cast<Eigen::Index>(k)];
+            ++at;
+        }
+    }
+    return found;
+}
+
+// The diagonal of a triangle: where its items are.
+constexpr Eigen::Index diagonal[parts] = {0, 4, 7, 9};
+
+// Regressors from yhat, its change over a block, and their sizes.
+Row regressors(Real yhat, Real change, const Real* unit) {
+    const Real p = yhat * unit[0];
+    return {p, -change * unit[1], Real(1), p * std::abs(p)};
+}
+
+// A cause that may explain theta and the residue.
+struct Hypothesis {
+    lpvg_cause_t cause;
+    Real value, deviation;
+    Real strange;  // how far what it leaves of theta is from a healthy vehicle's, a chi-squared
+    Real left;     // sum of squares of the residue that it leaves
+    Real scale;        // on what a healthy residue may be
+    bool outside;      // the interval leaves out "no change"
+};
+
+// What the sums of one output say.
+class Judgement {
+public:
+    Judgement(const lpvg_diagnosis_output_t& of, const lpvg_diagnosis_reals_t& r, std::size_t j, Real n)
+        : of_(of),
+          r_(r),
+          j_(j),
+          n_(n),
+          gram_(regular(of, n)),
+          theta_(gram_.solved(row(of.along))),
+          square_(larger(of.error_square - dot(row(of.along), theta_), Real(0))) {}
+
+    // Whether theta can be had at all.
+    bool well() const { return gram_.well() && theta_.isFinite().all() && std::isfinite(square_); }
+    const Row& theta() const { return theta_; }
+
+    // The cause by the estimate; `other` where none explains, or several do.
+    lpvg_found_t found(Real block_s, uint32_t stride) {
+        const Real largest = r_.residue[j_][0] + r_.residue[j_][1] * yhat_square();
+        const Real step_s = block_s * static_cast<Real>(stride);
+        const Real floor = floor_share * r_.residue[j_][0] * n_;
+        least_ = square_;
+        for (int m = -static_cast<int>(delays); m <= static_cast<int>(delays); ++m) {
+            const Real tried = remains(gram_, m, m).left;
+            least_ = tried < least_ ? tried : least_;
+        }
+        least_ = larger(least_, floor);
+        white_ = r_.correlated[j_] * least_ / n_;
+        const Triangle of_noise = inverse(gram_) * white_;
+        const Triangle spread = Eigen::Map<const Triangle>(r_.spread[j_]);
+        const Factor healthy(spread + of_noise);
+        const Hypothesis first = along(healthy, lpvg_cause_gain, 0U);
+        const Real g = Real(1) + first.value * r_.unit[j_][0];
+        const Real g2 = g * g;
+        const Factor scaled(spread * g2 + of_noise);
+        Hypothesis all[3] = {along(scaled, lpvg_cause_gain, 0U), delayed(healthy, step_s), along(healthy, lpvg_cause_bias, 2U)};
+        all[0].value = Real(1) + all[0].value * r_.unit[j_][0];
+        all[0].deviation *= r_.unit[j_][0];
+        all[0].scale = larger(Real(1), g2);
+        if (of_.rough > r_.rough[j_] * n_ * all[0].scale) {
+            // Noise explains no estimate; it is another cause beside what else there is.
+            const bool alone = healthy.square(theta_) <= r_.fits;
+            return alone ? lpvg_found_t{lpvg_cause_noise, std::sqrt(of_.rough / n_), Real(0), Real(0), 0U, false} : other();
+        }
+        return best(all, largest);
+    }
+
+    static lpvg_found_t other() { return {lpvg_cause_other, Real(0), Real(0), Real(0), 0U, false}; }
+
+private:
+    const lpvg_diagnosis_output_t& of_;
+    const lpvg_diagnosis_reals_t& r_;
+    std::size_t j_;
+    Real n_;
+    Factor gram_;
+    Row theta_;
+    Real square_;               // sum of squares that theta leaves
+    Real least_ = Real(0), white_ = Real(1);
+
+    static Real larger(Real a, Real b) { return a > b ? a : b; }
+    static Row row(const Real* items) { return Eigen::Map<const Row>(items); }
+    static Triangle regular(const lpvg_diagnosis_output_t& of, Real n) {
+        Triangle A = Eigen::Map<const Triangle>(of.gram);
+        for (const Eigen::Index i : diagonal) {
+            A[i] += weakest * n;
+        }
+        return A;
+    }
+    Real yhat_square() const { return of_.gram[0] / (n_ * r_.unit[j_][0] * r_.unit[j_][0]); }
+    Real extra(Real sum) const { return (larger(sum, least_) - least_) / white_; }
+
+    // Part i of theta is free, the others are as a healthy vehicle's: generalised least squares. The value is theta's.
+    Hypothesis along(const Factor& C, lpvg_cause_t cause, std::size_t i) const {
+        const Row direction = C.solved(basis(i));
+        const Real information = direction[static_cast<Eigen::Index>(i)];
+        const Real value = dot(direction, theta_) / information;
+        const Real deviation = std::sqrt(Real(1) / information);
+        const Real strange = C.square(theta_) - value * value * information;
+        return {cause, value, deviation, strange, square_, Real(1), std::abs(value) > r_.interval * deviation};
+    }
+
+    // Where a shift by m steps is kept, m > 0 later, m < 0 sooner.
+    static std::size_t kept_at(int m) { return static_cast<std::size_t>(m > 0 ? m - 1 : static_cast<int>(delays) - m - 1); }
+    Row moved(int m) const { return m == 0 ? Row(Row::Zero()) : row(of_.moved_to[kept_at(m)]); }
+    Real moved_error(int m) const { return m == 0 ? Real(0) : of_.moved_error[kept_at(m)]; }
+
+    // What a shift leaves: how strange theta is beside a healthy one, and the sum of squares. Or of two shifts, what stands for both in
+    // that of a mixture of them.
+    struct Remains {
+        Real strange, left;
+    };
+
+    // Of the shifts by a and by b steps, neighbours or one and the same.
+    Remains remains(const Factor& C, int a, int b) const {
+        const int outer = (a > 0 ? a : -a) > (b > 0 ? b : -b) ? a : b;
+        const Real square = outer == 0 ? Real(0) : a == b ? of_.moved_square[kept_at(outer)] : of_.moved_cross[kept_at(outer)];
+        const Row first = theta_ + gram_.solved(moved(a)), second = theta_ + gram_.solved(moved(b));
+        const Real left = of_.error_square + moved_error(a) + moved_error(b) + square - dot(row(of_.along) + moved(a), second);
+        return {dot(first, C.solved(second)), left};
+    }
+
+    // The square of a mixture with the share f of the second.
+    static Real mixed(Real first, Real both, Real second, Real f) {
+        const Real g = Real(1) - f;
+        return g * g * first + Real(2) * g * f * both + f * f * second;
+    }
+
+    // Between two that were tried, yhat is taken as linear: the misfit is a parabola there, and the delay its least over all of them.
+    Hypothesis delayed(const Factor& C, Real step_s) const {
+        constexpr int longest = static_cast<int>(delays);
+        Remains last = remains(C, -longest, -longest);
+        Hypothesis found{lpvg_cause_delay, Real(0), Real(0), last.strange, last.left, Real(1), false};
+        for (int m = -longest; m < longest; ++m) {
+            const Remains first = last, both = remains(C, m, m + 1);
+            last = remains(C, m + 1, m + 1);
+            const Real falls = sum(first) - sum(both);
+            const Real curved = larger(falls - sum(both) + sum(last), Real(1e-6));
+            const Real vertex = falls / curved;
+            const Real f = larger(Real(0), vertex < Real(1) ? vertex : Real(1));
+            const Remains here{mixed(first.strange, both.strange, last.strange, f), mixed(first.left, both.left, last.left, f)};
+            if (sum(here) < sum({found.strange, found.left})) {
+                found.strange = here.strange;
+                found.left = here.left;
+                found.value = step_s * (static_cast<Real>(m) + f);
+                found.deviation = step_s / std::sqrt(curved);
+            }
+        }
+        // As long as any that was tried, or longer, is no estimate.
+        const Real end = Real(0.999) * step_s * static_cast<Real>(longest);
+        found.outside = std::abs(found.value) > r_.interval * found.deviation && std::abs(found.value) < end;
+        return found;
+    }
+    Real sum(const Remains& r) const { return r.strange + r.left / white_; }
+    Real misfit(const Hypothesis& h) const { return larger(h.strange, Real(0)) + (larger(h.left, least_) - least_) / white_; }
+
+    lpvg_found_t best(const Hypothesis (&all)[3], Real largest) const {
+        const Hypothesis* first = &all[0];
+        for (const Hypothesis& h : all) {
+            first = misfit(h) < misfit(*first) ? &h : first;
+        }
+        // A cause that grows leaves a share of itself.
+        const Real allowed = larger(largest * first->scale, growing * of_.error_square / n_);
+        bool alone = first->outside && first->strange <= r_.fits && first->left <= allowed * n_;
+        for (const Hypothesis& h : all) {
+            alone = alone && (&h == first || misfit(h) >= misfit(*first) + r_.margin);
+        }
+        if (!alone) {
+            return other();
+        }
+        const Real half = r_.interval * first->deviation;
+        const bool turned = first->cause == lpvg_cause_gain && first->value + half < Real(0);
+        return {turned ? lpvg_cause_sign : first->cause, first->value, first->value - half, first->value + half, 0U, false};
+    }
+};
+
+// Of output j, from the sums since the alarm.
+lpvg_found_t judged(const lpvg_diagnosis_t& self, std::size_t j, Row* theta) {
+    const lpvg_diagnosis_reals_t& r = self.table->reals;
+    const lpvg_diagnosis_output_t& of = self.output[j];
+    const Real n = static_cast<Real>(self.blocks);
+    *theta = Row::Zero();
+    Judgement judgement(of, r, j, n);
+    if (!judgement.well()) {
+        return Judgement::other();
+    }
+    *theta = judgement.theta();
+    if (of.still < r.still[j] * of.changed) {
+        const Real mean = (of.along[2] + of.gram[2] / r.unit[j][0]) / n;
+        return {lpvg_cause_frozen, mean, Real(0), Real(0), 0U, false};
+    }
+    return judgement.found(r.block_s, self.table->words.stride);
+}
+
+// Cell `back` before the newest, 0 is the newest.
+std::size_t cell_at(const lpvg_diagnosis_t& self, uint32_t back) { return (self.cell_newest + cells - back) % cells; }
+
+// The cells before the alarm that theta explains, at most those before the first that is not whole.
+void find_onset(const lpvg_diagnosis_t& self, std::size_t j, const Row& theta, lpvg_found_t* found) {
+    const lpvg_diagnosis_output_t& of = self.output[j];
+    const Real* const unit = self.table->reals.unit[j];
+    const uint32_t length = self.table->words.cell_blocks;
+    Real sum = Real(0), largest = Real(0);
+    uint32_t best = 0U, kept = 0U;
+    while (kept < self.cells && ((self.good_cells >> cell_at(self, kept)) & 1U) != 0U) {
+        const Real* const cell = of.cell[cell_at(self, kept)];
+        const bool has_before = kept + 1U < self.cells && ((self.good_cells >> cell_at(self, kept + 1U)) & 1U) != 0U;
+        const Real change = has_before ? (cell[1] - of.cell[cell_at(self, kept + 1U)][1]) / static_cast<Real>(length) : Real(0);
+        const Real explained = dot(theta, regressors(cell[1], change, unit));
+        sum += explained * (Real(2) * cell[0] - explained);
+        ++kept;
+        if (sum > largest) {
+            largest = sum;
+            best = kept;
+        }
+    }
+    found->onset_blocks = best > 0U ? self.partial + best * length : 0U;
+    found->before = best > 0U && best == kept;
+}
+
+void clear_sums(lpvg_diagnosis_output_t& of) {
+    lpvg_diagnosis_output_t fresh{};
+    for (std::size_t i = 0; i < LPVG_DIAGNOSIS_HISTORY; ++i) {
+        fresh.history[i][0] = of.history[i][0];
+        fresh.history[i][1] = of.history[i][1];
+    }
+    for (std::size_t i = 0; i < cells; ++i) {
+        fresh.cell[i][0] = of.cell[i][0];
+        fresh.cell[i][1] = of.cell[i][1];
+    }
+    of = fresh;
+}
+
+bool diagnosing(const lpvg_diagnosis_t& self) { return self.alarms > 0U && self.blocks != done; }
+
+// How many blocks delays, and leads, reach from the one that is added.
+uint32_t reach(const lpvg_diagnosis_t& self) { return static_cast<uint32_t>(delays) * self.table->words.stride; }
+
+// Where the newest block goes in the history.
+uint32_t next(const lpvg_diagnosis_t& self) { return (self.newest + 1U) % LPVG_DIAGNOSIS_HISTORY; }
+
+// Output j adds to its sums the block that is as far back as leads reach.
+void add(lpvg_diagnosis_t& self, std::size_t j) {
+    lpvg_diagnosis_output_t& of = self.output[j];
+    const Real* const unit = self.table->reals.unit[j];
+    const uint32_t far = reach(self), stride = self.table->words.stride;
+    const auto back = [&](uint32_t blocks) { return of.history[(next(self) + LPVG_DIAGNOSIS_HISTORY - blocks) % LPVG_DIAGNOSIS_HISTORY]; };
+    const Real e = back(far)[0], yhat = back(far)[1];
+    const Real change = yhat - back(far + 1U)[1];
+    if (self.blocks == 0U) {
+        clear_sums(of);
+    }
+    const Row phi = regressors(yhat, change, unit);
+    std::size_t at = 0U;
+    for (Eigen::Index i = 0; i < phi.size(); ++i) {
+        for (Eigen::Index k = i; k < phi.size(); ++k) {
+            of.gram[at] += phi[i] * phi[k];
+            ++at;
+        }
+    }
+    Eigen::Map<Row>(of.along) += phi * e;
+    of.error_square += e * e;
+    of.rough += self.rough[j] * self.rough[j];
+    of.changed += change * change;
+    const Real whole = change + e - back(far + 1U)[0];
+    of.still += whole * whole;
+    Real nearer = Real(0);
+    for (std::size_t m = 0; m < shifts; ++m) {
+        const bool later = m < delays;
+        const uint32_t steps = stride * static_cast<uint32_t>(later ? m + 1U : m - delays + 1U);
+        const Real moved = yhat - back(later ? far + steps : far - steps)[1];
+        Eigen::Map<Row>(of.moved_to[m]) += phi * moved;
+        of.moved_error[m] += moved * e;
+        of.moved_square[m] += moved * moved;
+        of.moved_cross[m] += m == delays ? Real(0) : moved * nearer;
+        nearer = moved;
+    }
+    const Real n = static_cast<Real>(self.blocks + 1U);
+    self.excited = (self.excited && j > 0U) || of.gram[0] >= self.table->reals.excited * n;
+}
+
+// Output j keeps the newest block: in its history, and before an alarm in its cell.
+void keep(lpvg_diagnosis_t& self, std::size_t j) {
+    lpvg_diagnosis_output_t& of = self.output[j];
+    const Real e = self.mean[j], yhat = self.mean[ny + j];
+    of.history[next(self)][0] = e;
+    of.history[next(self)][1] = yhat;
+    if (!diagnosing(self)) {
+        of.cell_sum[0] += self.settled ? e : Real(0);
+        of.cell_sum[1] += self.settled ? yhat : Real(0);
+        if (self.cell_blocks + 1U >= self.table->words.cell_blocks) {
+            Real* const cell = of.cell[(self.cell_newest + 1U) % cells];
+            const Real share = Real(1) / static_cast<Real>(self.table->words.cell_blocks);
+            cell[0] = of.cell_sum[0] * share;
+            cell[1] = of.cell_sum[1] * share;
+            of.cell_sum[0] = of.cell_sum[1] = Real(0);
+        }
+    }
+}
+
+// All outputs have taken the newest block.
+void advance_cells(lpvg_diagnosis_t& self) {
+    self.cell_good += self.settled ? 1U : 0U;
+    ++self.cell_blocks;
+    if (self.cell_blocks >= self.table->words.cell_blocks) {
+        self.cell_newest = (self.cell_newest + 1U) % cells;
+        const uint32_t bit = 1U << self.cell_newest;
+        self.good_cells = self.cell_good == self.cell_blocks ? (self.good_cells | bit) : (self.good_cells & ~bit);
+        self.cells += self.cells < cells ? 1U : 0U;
+        self.cell_blocks = self.cell_good = 0U;
+    }
+}
+
+void all_taken(lpvg_diagnosis_t& self, bool added) {
+    if (!diagnosing(self)) {
+        advance_cells(self);
+    }
+    self.newest = next(self);
+    self.blocks += added ? 1U : 0U;
+    if (added && self.blocks >= self.table->words.blocks && self.excited) {
+        self.judging = true;
+        self.pending = ny;
+    }
+}
+
+// What was kept is of no use any more; the next blocks are kept anew.
+void forget(lpvg_diagnosis_t& self) {
+    self.cells = self.cell_blocks = self.cell_good = self.good_cells = 0U;
+    for (lpvg_diagnosis_output_t& of : self.output) {
+        of.cell_sum[0] = of.cell_sum[1] = Real(0);
+    }
+    for (std::size_t j = 0; j < ny; ++j) {
+        self.sum[j] = lpvguard::sum_of_words(self.output[j]);
+    }
+}
+
+void end_with(lpvg_diagnosis_t& self) {
+    self.blocks = done;
+    self.t_found_us = self.t_us;
+    self.pending = 0U;
+    self.judging = false;
+    forget(self);
+}
+
+// The state cannot be: nothing in it is known any more.
+void give_up(lpvg_diagnosis_t& self) {
+    for (std::size_t j = 0; j < ny; ++j) {
+        self.output[j] = lpvg_diagnosis_output_t{};
+        self.found[j] = diagnosing(self) ? Judgement::other() : self.found[j];
+    }
+    self.known = self.newest = 0U;
+    end_with(self);
+}
+
+void begin(lpvg_diagnosis_t& self) {
+    for (lpvg_found_t& found : self.found) {
+        found = lpvg_found_t{};
+    }
+    ++self.alarms;
+    self.blocks = 0U;
+    self.excited = false;
+    self.t_alarm_us = self.t_us;
+    self.partial = self.cell_blocks;
+    // No block from before the alarm is added.
+    self.known = self.known < reach(self) ? self.known : reach(self);
+}
+
+// The means of a block, and what is neither its mean nor its slope.
+void take_block(lpvg_diagnosis_t& self, const lpvg_monitor_t& monitor) {
+    bool settled = monitor.n_block == n_block;
+    for (const lpvg_taken_t& taken : monitor.block) {
+        settled = settled && taken.span.reason == lpvg_reason_none;
+    }
+    static_assert(LPVG_NBLOCK == 4, "two halves of two samples");
+    const auto& s = monitor.signal;
+    bool finite = true;
+    for (std::size_t i = 0; i < 2U * ny; ++i) {
+        self.mean[i] = Real(0.25) * (s[0][i] + s[1][i] + s[2][i] + s[3][i]);
+        finite = finite && std::isfinite(self.mean[i]);
+    }
+    for (std::size_t j = 0; j < ny; ++j) {
+        const std::size_t k = ny + j;
+        self.rough[j] = Real(0.5) * (s[0][j] + s[0][k] - s[1][j] - s[1][k] - s[2][j] - s[2][k] + s[3][j] + s[3][k]);
+    }
+    self.settled = settled && finite;
+    self.known = self.settled ? (self.known < LPVG_DIAGNOSIS_HISTORY ? self.known + 1U : self.known) : 0U;
+    self.pending = ny;
+}
+
+}  // namespace
+
+extern "C" uint32_t lpvg_diagnosis_table_crc32(const lpvg_diagnosis_table_t* table) {
+    return table == nullptr ? 0U : lpvguard::coefficients_crc32(*table);
+}
+
+extern "C" lpvg_status_t lpvg_diagnosis_table_check(const lpvg_diagnosis_table_t* table) {
+    if (table == nullptr) {
+        return lpvg_status_bad_argument;
+    }
+    const lpvg_diagnosis_words_t& w = table->words;
+    if (w.magic != LPVG_DIAGNOSIS_MAGIC) {
+        return lpvg_status_bad_magic;
+    }
+    if (w.schema != LPVG_DIAGNOSIS_SCHEMA) {
+        return lpvg_status_bad_schema;
+    }
+    if (w.real_bytes != sizeof(Real) || !lpvguard::sizes_match(w)) {
+        return lpvg_status_bad_size;
+    }
+    if (w.crc32 != lpvg_diagnosis_table_crc32(table)) {
+        return lpvg_status_bad_crc;
+    }
+    if (!lpvguard::all_finite(table->reals)) {
+        return lpvg_status_not_finite;
+    }
+    bool good = lpvguard::items_in_range(w) && lpvguard::items_in_range(table->reals);
+    for (const auto& spread : table->reals.spread) {
+        good = good && Factor(Eigen::Map<const Triangle>(spread)).well();
+    }
+    return good ? lpvg_status_ok : lpvg_status_bad_value;
+}
+
+extern "C" lpvg_status_t lpvg_diagnosis_init(lpvg_diagnosis_t* self, const lpvg_diagnosis_table_t* table) {
+    const lpvg_status_t status = lpvg_diagnosis_table_check(table);
+    if (self == nullptr || status != lpvg_status_ok) {
+        return self == nullptr ? lpvg_status_bad_argument : status;
+    }
+    *self = lpvg_diagnosis_t{};
+    self->table = table;
+    return lpvg_status_ok;
+}
+
+extern "C" lpvg_status_t lpvg_diagnosis_take(lpvg_diagnosis_t* self, const lpvg_monitor_t* monitor) {
+    if (self == nullptr || monitor == nullptr) {
+        return lpvg_status_bad_argument;
+    }
+    if (self->table == nullptr || monitor->coeff == nullptr) {
+        return lpvg_status_not_ready;
+    }
+    if (monitor->newest != n_block - 1U || monitor->refused || monitor->t_us == self->t_us) {
+        return lpvg_status_ok;
+    }
+    const bool late = self->pending > 0U;
+    const int64_t block_us = static_cast<int64_t>(n_block) * self->table->words.sample_period_us;
+    // A block that is missing, or that has not been worked on, breaks what was kept.
+    const bool gap = self->t_us != 0 && (monitor->t_us - self->t_us) * 2 > 3 * block_us;
+    self->t_us = monitor->t_us;
+    const lpvg_verdict_t verdict = lpvg_monitor_verdict(monitor, monitor->t_us);
+    const bool alarming = verdict == lpvg_verdict_invalid || verdict == lpvg_verdict_degraded;
+    const bool begins = alarming && !self->alarming && !diagnosing(*self);
+    self->alarming = alarming;
+    if (late || gap) {
+        self->known = 0U;
+        self->cell_good = 0U;
+        self->good_cells = diagnosing(*self) ? self->good_cells : 0U;
+    }
+    if (begins) {
+        begin(*self);
+    }
+    if (self->pending == 0U) {
+        take_block(*self, *monitor);
+    }
+    return lpvg_status_ok;
+}
+
+extern "C" bool lpvg_diagnosis_work(lpvg_diagnosis_t* self) {
+    if (self == nullptr || self->table == nullptr || self->pending == 0U) {
+        return false;
+    }
+    const std::size_t j = ny - (self->pending <= ny ? self->pending : ny);
+    if (self->sum[j] != lpvguard::sum_of_words(self->output[j]) || self->newest >= LPVG_DIAGNOSIS_HISTORY) {
+        give_up(*self);
+        return false;
+    }
+    if (self->judging) {
+        Row theta;
+        self->found[j] = judged(*self, j, &theta);
+        find_onset(*self, j, theta, &self->found[j]);
+        --self->pending;
+        if (self->pending == 0U) {
+            end_with(*self);
+        }
+        return self->pending > 0U;
+    }
+    const bool added = diagnosing(*self) && self->known > 2U * reach(*self);
+    keep(*self, j);
+    if (added) {
+        add(*self, j);
+    }
+    self->sum[j] = lpvguard::sum_of_words(self->output[j]);
+    --self->pending;
+    if (self->pending == 0U) {
+        all_taken(*self, added);
+    }
+    return self->pending > 0U;
+}

@@ -1,0 +1,410 @@
+// The diagnosis of an alarm, fed with e and yhat as the monitor leaves them. Compiled for every test vehicle.
+#include "../catch.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <functional>
+#include <limits>
+#include <random>
+
+#include "acceptance.hpp"
+#include "lpvguard/diagnosis.h"
+
+namespace {
+
+using Real = lpvg_real_t;
+constexpr std::size_t ny = LPVG_NY;
+constexpr uint32_t n_block = LPVG_NBLOCK;
+constexpr double period_s = 0.02, block_s = n_block * period_s;
+constexpr std::size_t diagonal[4] = {0, 4, 7, 9};
+
+// Sizes of 1; a healthy vehicle's gain varies by 2 %, its delay by 4 ms, its bias by 0.01.
+lpvg_diagnosis_table_t table_with(const std::function<void(lpvg_diagnosis_table_t&)>& change = [](lpvg_diagnosis_table_t&) {}) {
+    lpvg_diagnosis_table_t t{};
+    t.words.magic = LPVG_DIAGNOSIS_MAGIC;
+    t.words.schema = LPVG_DIAGNOSIS_SCHEMA;
+    t.words.real_bytes = sizeof(Real);
+    t.words.sizes[0] = LPVG_NY;
+    t.words.sample_period_us = 20000U;
+    t.words.blocks = 125U;
+    t.words.stride = 1U;
+    t.words.cell_blocks = 8U;
+    t.reals.block_s = static_cast<Real>(block_s);
+    for (std::size_t j = 0; j < ny; ++j) {
+        t.reals.unit[j][0] = Real(1);
+        t.reals.unit[j][1] = Real(10);
+        const double deviation[4] = {0.02, 0.05 * 0.1, 0.01, 0.01};
+        for (std::size_t i = 0; i < 4U; ++i) {
+            t.reals.spread[j][diagonal[i]] = static_cast<Real>(deviation[i] * deviation[i]);
+        }
+        t.reals.correlated[j] = Real(4);
+        t.reals.residue[j][0] = Real(4e-4);
+        t.reals.residue[j][1] = Real(1e-4);
+        t.reals.rough[j] = Real(1e-3);
+        t.reals.still[j] = Real(0.01);
+    }
+    t.reals.excited = Real(0.05);
+    t.reals.fits = Real(11.3);
+    t.reals.margin = Real(4);
+    t.reals.interval = Real(1.96);
+    change(t);
+    t.words.crc32 = lpvg_diagnosis_table_crc32(&t);
+    return t;
+}
+
+// Nominal output of output j, t seconds on.
+double nominal(double t, std::size_t j) {
+    const double p = 0.6 * static_cast<double>(j);
+    return std::sin(0.9 * t + p) + 0.7 * std::sin(2.3 * t + 1.0 + p) + 0.4 * std::sin(4.1 * t + p) + 0.2;
+}
+
+using Plant = std::function<double(double t, std::size_t j)>;  // what the vehicle does
+
+double healthy(double t, std::size_t j) { return nominal(t, j); }
+
+// A monitor that is no more than what the diagnosis reads of it, and the diagnosis that follows it.
+class Followed {
+public:
+    explicit Followed(const lpvg_diagnosis_table_t& table) : table_(table) {
+        monitor.coeff = &lpvg_coeff;
+        monitor.restarts = 1U;
+        monitor.newest = n_block - 1U;
+        REQUIRE(lpvg_diagnosis_init(&diagnosis, &table_) == lpvg_status_ok);
+    }
+    Followed(const Followed&) = delete;
+    Followed& operator=(const Followed&) = delete;
+
+    lpvg_monitor_t monitor{};
+    lpvg_diagnosis_t diagnosis{};
+    bool alarms = false;
+    bool works = true;  // whether work goes on until it has come to its end
+    lpvg_reason_t reason = lpvg_reason_none;
+    double noise = 0.005;
+    double t = 0.0;
+
+    void sample(const Plant& y) {
+        monitor.t_us += 20000;
+        monitor.newest = (monitor.newest + 1U) % n_block;
+        monitor.n_block = std::min(monitor.n_block + 1U, n_block);
+        for (std::size_t j = 0; j < ny; ++j) {
+            const double yhat = nominal(t, j);
+            monitor.signal[monitor.newest][j] = static_cast<Real>(y(t, j) - yhat + noise * normal_(random_));
+            monitor.signal[monitor.newest][ny + j] = static_cast<Real>(yhat);
+        }
+        monitor.block[monitor.newest].span.reason = reason;
+        monitor.has_changed = alarms;
+        monitor.t_changed_us = monitor.t_us;
+        t += period_s;
+        REQUIRE(lpvg_diagnosis_take(&diagnosis, &monitor) == lpvg_status_ok);
+        if (works) {
+            while (lpvg_diagnosis_work(&diagnosis)) {
+            }
+        }
+    }
+    void run(double seconds, const Plant& y) {
+        for (int k = 0; k < static_cast<int>(seconds / period_s + 0.5); ++k) {
+            sample(y);
+        }
+    }
+    bool done() const { return diagnosis.alarms > 0U && diagnosis.blocks == LPVG_DIAGNOSIS_DONE; }
+
+private:
+    lpvg_diagnosis_table_t table_;
+    std::mt19937 random_{7};
+    std::normal_distribution<double> normal_;
+};
+
+// What is found of each output after 20 s of a healthy vehicle, `until` seconds of the fault, and an alarm.
+struct Outcome {
+    lpvg_found_t found[ny];
+    lpvg_diagnosis_t diagnosis;
+};
+Outcome diagnosed(const Plant& y, const lpvg_diagnosis_table_t& table, double until = 3.0, double noise = 0.005) {
+    Followed f(table);
+    f.run(20.0, healthy);
+    f.noise = noise;
+    f.run(until, y);
+    f.alarms = true;
+    f.run(14.0, y);
+    REQUIRE(f.done());
+    Outcome outcome{};
+    std::copy(std::begin(f.diagnosis.found), std::end(f.diagnosis.found), std::begin(outcome.found));
+    outcome.diagnosis = f.diagnosis;
+    return outcome;
+}
+
+void holds(const lpvg_found_t& found, lpvg_cause_t cause, double value) {
+    CAPTURE(found.cause, found.value, found.low, found.high);
+    CHECK(found.cause == cause);
+    CHECK(static_cast<double>(found.low) <= value);
+    CHECK(static_cast<double>(found.high) >= value);
+    CHECK(found.low < found.value);
+    CHECK(found.value < found.high);
+}
+
+}  // namespace
+
+TEST_CASE("each cause is found with an interval that holds it", "[unit][REQ-DIAG-1]") {
+    const lpvg_diagnosis_table_t table = table_with();
+    const Plant gain = [](double t, std::size_t j) { return 0.7 * nominal(t, j); };
+    const Plant more = [](double t, std::size_t j) { return 1.3 * nominal(t, j); };
+    const Plant late = [](double t, std::size_t j) { return nominal(t - 0.2, j); };
+    const Plant soon = [](double t, std::size_t j) { return nominal(t + 0.13, j); };
+    const Plant bias = [](double t, std::size_t j) { return nominal(t, j) + 0.15; };
+    const Plant sign = [](double t, std::size_t j) { return -nominal(t, j); };
+    const Plant frozen = [](double, std::size_t) { return 0.37; };
+    for (const lpvg_found_t& found : diagnosed(gain, table).found) {
+        holds(found, lpvg_cause_gain, 0.7);
+    }
+    for (const lpvg_found_t& found : diagnosed(more, table).found) {
+        holds(found, lpvg_cause_gain, 1.3);
+    }
+    for (const lpvg_found_t& found : diagnosed(late, table).found) {
+        holds(found, lpvg_cause_delay, 0.2);
+    }
+    for (const lpvg_found_t& found : diagnosed(soon, table).found) {
+        holds(found, lpvg_cause_delay, -0.13);
+    }
+    for (const lpvg_found_t& found : diagnosed(bias, table).found) {
+        holds(found, lpvg_cause_bias, 0.15);
+    }
+    for (const lpvg_found_t& found : diagnosed(sign, table).found) {
+        holds(found, lpvg_cause_sign, -1.0);
+    }
+    for (const lpvg_found_t& found : diagnosed(frozen, table).found) {
+        CHECK(found.cause == lpvg_cause_frozen);
+        CHECK(std::abs(static_cast<double>(found.value) - 0.37) < 0.01);
+    }
+    for (const lpvg_found_t& found : diagnosed(healthy, table, 3.0, 0.1).found) {
+        CHECK(found.cause == lpvg_cause_noise);
+        CHECK(std::abs(static_cast<double>(found.value) - 0.1) < 0.02);
+    }
+}
+
+TEST_CASE("one output's cause is not the other's", "[unit][REQ-DIAG-1]") {
+    const Outcome of = diagnosed([](double t, std::size_t j) { return (j == 0 ? 0.7 : 1.0) * nominal(t, j); }, table_with());
+    holds(of.found[0], lpvg_cause_gain, 0.7);
+    for (std::size_t j = 1; j < ny; ++j) {
+        CHECK(of.found[j].cause == lpvg_cause_other);
+    }
+}
+
+TEST_CASE("what no single cause explains is other", "[unit][REQ-DIAG-2]") {
+    const lpvg_diagnosis_table_t table = table_with();
+    const Plant none[] = {
+        healthy,
+        [](double t, std::size_t j) { return 0.7 * nominal(t - 0.2, j); },
+        [](double t, std::size_t j) { return 0.7 * nominal(t, j) + 0.2; },
+        [](double t, std::size_t j) { return nominal(t - 0.2, j) + 0.2; },
+        [](double t, std::size_t j) { return nominal(t - 0.8, j); },  // longer than any that is tried
+        [](double t, std::size_t j) { return nominal(t, j) + 0.5 * std::sin(7.0 * t); },
+    };
+    for (const Plant& y : none) {
+        for (const lpvg_found_t& found : diagnosed(y, table).found) {
+            CAPTURE(found.cause, found.value);
+            CHECK(found.cause == lpvg_cause_other);
+            CHECK(found.value == Real(0));
+        }
+    }
+    for (const lpvg_found_t& found : diagnosed([](double t, std::size_t j) { return 0.6 * nominal(t, j); }, table, 3.0, 0.1).found) {
+        CHECK(found.cause == lpvg_cause_other);  // noise beside a gain
+    }
+}
+
+TEST_CASE("a dead zone and a tyre that saturates have no one gain", "[unit][REQ-DIAG-2]") {
+    const lpvg_diagnosis_table_t table = table_with();
+    const double dead = 0.4, most = 0.8;
+    const Plant zone = [=](double t, std::size_t j) {
+        const double y = nominal(t, j);
+        return y - std::max(-dead, std::min(dead, y));
+    };
+    const Plant tyre = [=](double t, std::size_t j) { return most * std::tanh(nominal(t, j) / most); };
+    for (const Plant& y : {zone, tyre}) {
+        for (const lpvg_found_t& found : diagnosed(y, table).found) {
+            CAPTURE(found.cause, found.value, found.low, found.high);
+            CHECK(found.cause == lpvg_cause_other);
+        }
+    }
+}
+
+TEST_CASE("the onset is within two cells, and before what was kept where it was there from the start", "[unit][REQ-DIAG-3]") {
+    const Plant y = [](double t, std::size_t j) { return 0.6 * nominal(t, j); };
+    const lpvg_diagnosis_table_t table = table_with();
+    const double cell_s = 8.0 * block_s;
+    for (const double until : {0.5, 3.0, 6.0, 10.0}) {
+        for (const lpvg_found_t& found : diagnosed(y, table, until).found) {
+            CAPTURE(until, found.onset_blocks);
+            CHECK(std::abs(block_s * found.onset_blocks - until) <= 2.0 * cell_s);
+            CHECK_FALSE(found.before);
+        }
+    }
+    for (const lpvg_found_t& found : diagnosed(y, table, 40.0).found) {
+        CHECK(found.before);
+        CHECK(block_s * found.onset_blocks >= (LPVG_DIAGNOSIS_CELLS - 1) * cell_s);
+    }
+}
+
+TEST_CASE("blocks that are not settled, not whole, lost or not finite are not taken", "[unit][REQ-DIAG-4]") {
+    const lpvg_diagnosis_table_t table = table_with();
+    const Plant y = [](double t, std::size_t j) { return 0.7 * nominal(t, j); };
+    const Plant wrong = [](double, std::size_t) { return 50.0; };
+    const Plant no_number = [](double, std::size_t) { return std::numeric_limits<double>::quiet_NaN(); };
+    for (int way = 0; way < 4; ++way) {
+        Followed f(table);
+        f.run(20.0, healthy);
+        f.alarms = true;
+        f.run(4.0, y);
+        const uint32_t before = f.diagnosis.blocks;
+        REQUIRE(before > 20U);
+        f.reason = way == 0 ? lpvg_reason_out_of_range : lpvg_reason_none;
+        f.monitor.n_block = way == 1 ? 0U : n_block;
+        f.works = way != 2;
+        f.run(way == 1 ? 0.06 : 2.0, way == 3 ? no_number : wrong);
+        if (way == 1) {
+            f.sample(wrong);
+            f.monitor.n_block = 3U;
+        }
+        CHECK(f.diagnosis.blocks <= before + (way == 1 ? 1U : 0U));
+        f.reason = lpvg_reason_none;
+        f.works = true;
+        if (way != 1) {
+            f.run(12.0, y);
+            REQUIRE(f.done());
+            for (const lpvg_found_t& found : f.diagnosis.found) {
+                holds(found, lpvg_cause_gain, 0.7);
+            }
+        }
+    }
+}
+
+TEST_CASE("a gap in time is not bridged", "[unit][REQ-DIAG-4]") {
+    Followed f(table_with());
+    f.run(20.0, healthy);
+    CHECK(f.diagnosis.good_cells != 0U);
+    f.monitor.t_us += 1000000;
+    f.run(block_s, healthy);
+    CHECK(f.diagnosis.good_cells == 0U);
+    CHECK(f.diagnosis.known == 1U);
+    f.alarms = true;
+    f.run(5.0, healthy);
+    const uint32_t known = f.diagnosis.known;
+    REQUIRE(known > 20U);
+    f.monitor.refused = true;  // verdict fault: no block is taken
+    f.run(1.0, healthy);
+    CHECK(f.diagnosis.known == known);
+}
+
+TEST_CASE("without excitation there is no cause yet", "[unit][REQ-DIAG-4]") {
+    Followed f(table_with([](lpvg_diagnosis_table_t& t) { t.reals.excited = Real(0.99); }));
+    f.run(5.0, healthy);
+    f.alarms = true;
+    f.run(60.0, [](double t, std::size_t j) { return 0.7 * nominal(t, j); });
+    CHECK_FALSE(f.done());
+    CHECK(f.diagnosis.found[0].cause == lpvg_cause_unknown);
+}
+
+TEST_CASE("an alarm while it is diagnosed is no further one; one after it is", "[unit][REQ-DIAG-4]") {
+    const Plant y = [](double t, std::size_t j) { return 0.7 * nominal(t, j); };
+    Followed f(table_with());
+    f.run(20.0, healthy);
+    f.alarms = true;
+    f.run(4.0, y);
+    f.alarms = false;
+    f.run(1.0, y);
+    f.alarms = true;
+    f.run(10.0, y);
+    REQUIRE(f.done());
+    CHECK(f.diagnosis.alarms == 1U);
+    f.run(2.0, y);
+    CHECK(f.diagnosis.alarms == 1U);
+    f.alarms = false;
+    f.run(10.0, healthy);
+    CHECK(f.diagnosis.found[0].cause == lpvg_cause_gain);
+    f.alarms = true;
+    f.run(1.0, healthy);
+    CHECK(f.diagnosis.alarms == 2U);
+    CHECK(f.diagnosis.found[0].cause == lpvg_cause_unknown);
+}
+
+TEST_CASE("state that cannot be ends the diagnosis", "[unit][REQ-DIAG-5]") {
+    const Plant y = [](double t, std::size_t j) { return 0.7 * nominal(t, j); };
+    for (int way = 0; way < 4; ++way) {
+        Followed f(table_with());
+        f.run(20.0, healthy);
+        if (way == 3) {  // without an alarm nothing was found, and nothing is
+            f.diagnosis.output[ny - 1U].gram[0] += Real(1);
+            f.run(block_s, healthy);
+            CHECK(f.diagnosis.found[0].cause == lpvg_cause_unknown);
+            CHECK(f.diagnosis.known == 0U);
+            continue;
+        }
+        f.alarms = true;
+        f.run(5.0, y);
+        REQUIRE_FALSE(f.done());
+        if (way == 0) {
+            f.diagnosis.output[ny - 1U].gram[4] += Real(1);
+        } else if (way == 1) {
+            f.diagnosis.newest = LPVG_DIAGNOSIS_HISTORY;
+        } else {
+            f.diagnosis.output[0].along[1] = std::numeric_limits<Real>::infinity();
+            f.diagnosis.sum[0] = lpvguard::sum_of_words(f.diagnosis.output[0]);
+        }
+        f.run(10.0, y);
+        REQUIRE(f.done());
+        CHECK(f.diagnosis.found[way == 0 ? ny - 1U : 0U].cause == lpvg_cause_other);
+    }
+}
+
+TEST_CASE("a signal that overflows is other", "[unit][REQ-DIAG-5]") {
+    const double huge = 100.0 * std::sqrt(static_cast<double>(std::numeric_limits<Real>::max()));
+    for (const lpvg_found_t& found :
+         diagnosed([=](double t, std::size_t) { return std::sin(t) > 0.0 ? huge : -huge; }, table_with()).found) {
+        CHECK(found.cause == lpvg_cause_other);
+    }
+}
+
+TEST_CASE("a table that cannot be is refused by what is wrong", "[unit][REQ-DIAG-6]") {
+    lpvg_diagnosis_t diagnosis{};
+    const auto status = [&](const std::function<void(lpvg_diagnosis_table_t&)>& change) {
+        const lpvg_diagnosis_table_t t = table_with(change);
+        CHECK(lpvg_diagnosis_table_check(&t) == lpvg_diagnosis_init(&diagnosis, &t));
+        return lpvg_diagnosis_table_check(&t);
+    };
+    using Table = lpvg_diagnosis_table_t;
+    CHECK(status([](Table&) {}) == lpvg_status_ok);
+    diagnosis = lpvg_diagnosis_t{};
+    CHECK(status([](Table& t) { t.words.magic ^= 1U; }) == lpvg_status_bad_magic);
+    CHECK(status([](Table& t) { t.words.schema += 1U; }) == lpvg_status_bad_schema);
+    CHECK(status([](Table& t) { t.words.real_bytes += 1U; }) == lpvg_status_bad_size);
+    CHECK(status([](Table& t) { t.words.sizes[0] += 1U; }) == lpvg_status_bad_size);
+    CHECK(status([](Table& t) { t.reals.margin = std::numeric_limits<Real>::infinity(); }) == lpvg_status_not_finite);
+    CHECK(status([](Table& t) { t.words.stride = 5U; }) == lpvg_status_bad_value);
+    CHECK(status([](Table& t) { t.reals.still[0] = Real(1); }) == lpvg_status_bad_value);
+    CHECK(status([](Table& t) { t.reals.spread[ny - 1U][1] = Real(1); }) == lpvg_status_bad_value);
+    CHECK(diagnosis.table == nullptr);
+    const Table good = table_with();
+    for (std::size_t bit = 8U * offsetof(Table, words.sample_period_us); bit < 8U * sizeof good; bit += 7U) {
+        Table flipped = good;
+        reinterpret_cast<unsigned char*>(&flipped)[bit / 8U] ^= static_cast<unsigned char>(1U << (bit % 8U));
+        CHECK(lpvg_diagnosis_table_check(&flipped) == lpvg_status_bad_crc);
+    }
+}
+
+TEST_CASE("NULL and missing init have defined answers", "[unit][REQ-DIAG-6]") {
+    lpvg_diagnosis_t diagnosis{};
+    lpvg_monitor_t monitor{};
+    const lpvg_diagnosis_table_t good = table_with();
+    CHECK(lpvg_diagnosis_table_check(nullptr) == lpvg_status_bad_argument);
+    CHECK(lpvg_diagnosis_table_crc32(nullptr) == 0U);
+    CHECK(lpvg_diagnosis_init(nullptr, &good) == lpvg_status_bad_argument);
+    CHECK(lpvg_diagnosis_init(&diagnosis, nullptr) == lpvg_status_bad_argument);
+    CHECK(lpvg_diagnosis_take(nullptr, &monitor) == lpvg_status_bad_argument);
+    CHECK(lpvg_diagnosis_take(&diagnosis, nullptr) == lpvg_status_bad_argument);
+    CHECK(lpvg_diagnosis_take(&diagnosis, &monitor) == lpvg_status_not_ready);
+    CHECK_FALSE(lpvg_diagnosis_work(nullptr));
+    diagnosis.pending = 1U;
+    CHECK_FALSE(lpvg_diagnosis_work(&diagnosis));
+    REQUIRE(lpvg_diagnosis_init(&diagnosis, &good) == lpvg_status_ok);
+    CHECK(lpvg_diagnosis_take(&diagnosis, &monitor) == lpvg_status_not_ready);  // a monitor without init
+}
