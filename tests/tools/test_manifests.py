@@ -20,7 +20,7 @@ from made import ROOT
 
 LIB = ROOT / "lib"
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
-MONITOR = ("change", "coeff", "energy", "life", "model", "monitor")
+MONITOR = ("change", "coeff", "diagnosis", "energy", "life", "model", "monitor")
 """Sources that a vehicle without controller needs."""
 VERSION = {"type": "string", "pattern": r"^\d+\.\d+\.\d+$"}
 TEXT = {"type": "string", "minLength": 10}

@@ -16,6 +16,7 @@ from lpvguard.drives.tables import Drive, list_experiments
 from lpvguard.engine.validation import s1
 from lpvguard.identify import model_error
 from lpvguard.identify.bounds import FrameSet, fold, remainder
+from lpvguard.identify.chosen import Chosen
 from lpvguard.identify.model_error import (
     BIASED,
     INSTRUMENTAL,
@@ -33,7 +34,7 @@ from lpvguard.identify.model_error import (
     uncertainty_bound,
 )
 from lpvguard.identify.passes import DriveReader
-from lpvguard.identify.run import _Chosen, _quiet, _Run, identify
+from lpvguard.identify.run import _quiet, _Run, identify
 from lpvguard.identify.weights import SMALLEST_NU
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import Project, parse_project
@@ -338,7 +339,7 @@ def test_the_same_bytes_for_any_order_of_the_drives(tmp_path):
     def written(order: list[int]) -> str:
         chosen = [list_experiments(tmp_path)[k] for k in order]
         run = _Run(DriveReader(vehicle.project, vehicle.model), map, _quiet)
-        found = run.model_error(_Chosen.by_split(vehicle.project, chosen, tmp_path))
+        found = run.model_error(Chosen.by_split(vehicle.project, chosen, tmp_path))
         return artefacts.to_json(found.to_dict(vehicle.project))
 
     text = written([0, 1, 2, 3, 4])
@@ -401,7 +402,7 @@ def test_class_S0_is_given_no_uncertainty_and_drives_of_commands_must_be_there(t
         identify(parse_project(document, "toy"), tmp_path)
     with pytest.raises(InputError, match="command_split must be among bound_split"):
         parse_project({**document, "data": {"bound_split": ["train"], "command_split": ["town"]}}, "toy")
-    chosen = _Chosen.by_split(vehicle.project, list_experiments(tmp_path), tmp_path).setting
+    chosen = Chosen.by_split(vehicle.project, list_experiments(tmp_path), tmp_path).setting
     error = ModelError.of(vehicle.project, vehicle.grid, [vehicle.sums(d) for d in rows], [])
     for structure, least in (("S0", 0.0), ("S1", 0.2)):
         bounds = vehicle.project.bounds.model_copy(update={"structure": structure})

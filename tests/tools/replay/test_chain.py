@@ -212,6 +212,9 @@ def test_measured_drives_are_judged_and_seldom_alarm_and_faults_are_found(
         b["kind"]: sum(r["found"] for r in b["faults"] if r["way"] == "step") for b in table["baselines"]
     }
     assert totals["tracker"] > totals["glr"] > totals["rms"], "the field is no weaker than it was"
+    named = table["causes"]["known"]
+    assert named["right"] >= 0.8 * named["found"] and named["wrong"] <= 0.05 * named["found"]
+    assert named["held"] >= 0.9 * named["intervals"] > 0
 
 
 def test_shipped_coefficients_are_those_of_the_measured_drives(measured_identified, tmp_path):
@@ -221,6 +224,7 @@ def test_shipped_coefficients_are_those_of_the_measured_drives(measured_identifi
     export_vehicle(stage.load(measured_identified), tmp_path / "g80")
     core = Core(shipped_vehicle("g80"))
     made = Core(tmp_path / "g80")
+    assert core.diagnoses and made.diagnoses
     for name in core.words.keys() - {"crc32"}:  # of the numbers, which may differ in their last digits
         np.testing.assert_array_equal(core.words[name], made.words[name], err_msg=name)
     shipped, made = core.compiled, made.compiled

@@ -4,18 +4,20 @@
 #include <cstring>
 #include <new>
 
-#include "lpvguard/monitor.h"
+#include "lpvguard/diagnosis.h"
 
 namespace {
 
 struct Handle {
     lpvg_coeff_t coeff;
     lpvg_monitor_t monitor;
+    lpvg_diagnosis_t diagnosis;
 };
 
 constexpr std::size_t n_words = sizeof(lpvg_coeff_words_t) / sizeof(uint32_t);
 constexpr std::size_t n_reals = sizeof(lpvg_coeff_reals_t) / sizeof(lpvg_real_t);
 constexpr std::size_t frame_columns = 10U + 4U * LPVG_NY;
+constexpr int64_t cause_columns = 9;
 
 // t_us: time of the sample with which the core said so; a frame waits for its turn after its end.
 void write_frame(const lpvg_frame_t& f, int64_t t_us, double* row) {
@@ -32,9 +34,28 @@ void write_frame(const lpvg_frame_t& f, int64_t t_us, double* row) {
     }
 }
 
+// An output's cause, as the newest diagnosis found it.
+void write_cause(const lpvg_diagnosis_t& d, std::size_t j, double* row) {
+    const lpvg_found_t& f = d.found[j];
+    const double numbers[cause_columns] = {
+        static_cast<double>(d.t_found_us), static_cast<double>(d.t_alarm_us),   static_cast<double>(j),
+        static_cast<double>(f.cause),      static_cast<double>(f.value),        static_cast<double>(f.low),
+        static_cast<double>(f.high),       static_cast<double>(f.onset_blocks), f.before ? 1.0 : 0.0};
+    std::memcpy(row, numbers, sizeof numbers);
+}
+
 }  // namespace
 
 extern "C" {
+
+// Whether the vehicle's folder has a table of the diagnosis.
+int lpvgb_diagnoses() {
+#ifdef LPVGB_DIAGNOSIS
+    return 1;
+#else
+    return 0;
+#endif
+}
 
 void lpvgb_sizes(uint32_t* sizes) {
     const uint32_t values[7] = {LPVG_NU,
@@ -76,6 +97,11 @@ void* lpvgb_create(const uint32_t* words, const double* reals, int seal, int* st
         }
     }
     *status = static_cast<int>(lpvg_monitor_init(&handle->monitor, &handle->coeff));
+#ifdef LPVGB_DIAGNOSIS
+    if (*status == 0) {
+        *status = static_cast<int>(lpvg_diagnosis_init(&handle->diagnosis, &lpvg_diagnosis_table));
+    }
+#endif
     if (*status != 0) {
         delete handle;
         return nullptr;
@@ -87,9 +113,14 @@ void lpvgb_destroy(void* handle) { delete static_cast<Handle*>(handle); }
 
 // Pushes n samples (those with present[k] != 0; NULL: all); per sample a verdict, a status, the energy test's ratio (0: not judged) with
 // its strongest band, and the change test's ratio (0: none yet), per judged frame and per alarm of these tests a row of frame_columns
-// numbers. Returns the rows. Takes the monitor's records out.
+// numbers. Returns the rows. Takes the monitor's records out. An output's cause that was found is a row of cause_columns in `causes`, of
+// *n_causes at most, which becomes their number.
 int64_t lpvgb_run(void* opaque, int64_t n, const int64_t* t_us, const double* v, const double* u, const double* y, const uint8_t* present,
-                  double* rows, int64_t max_rows, uint8_t* verdict, uint8_t* status, double* energy, uint8_t* band, double* change) {
+                  double* rows, int64_t max_rows, uint8_t* verdict, uint8_t* status, double* energy, uint8_t* band, double* change,
+                  double* causes, int64_t* n_causes) {
+    lpvg_diagnosis_t* diagnosis = &static_cast<Handle*>(opaque)->diagnosis;
+    const int64_t max_causes = *n_causes;
+    *n_causes = 0;
     lpvg_monitor_t* monitor = &static_cast<Handle*>(opaque)->monitor;
     int64_t count = 0;
     uint32_t last = lpvg_monitor_frame(monitor)->sequence;
@@ -115,6 +146,15 @@ int64_t lpvgb_run(void* opaque, int64_t n, const int64_t* t_us, const double* v,
         change[k] = push && status[k] == 0U ? static_cast<double>(monitor->change.ratio) : 0.0;
         energy[k] = push && status[k] == 0U ? static_cast<double>(monitor->energy.ratio) : 0.0;
         band[k] = static_cast<uint8_t>(monitor->energy.strongest);
+        if (push && lpvg_diagnosis_take(diagnosis, monitor) == lpvg_status_ok) {
+            const bool open = diagnosis->alarms > 0U && diagnosis->blocks != LPVG_DIAGNOSIS_DONE;
+            while (lpvg_diagnosis_work(diagnosis)) {
+            }
+            for (std::size_t j = 0; open && diagnosis->blocks == LPVG_DIAGNOSIS_DONE && j < LPVG_NY && *n_causes < max_causes; ++j) {
+                write_cause(*diagnosis, j, causes + cause_columns * *n_causes);
+                ++*n_causes;
+            }
+        }
         lpvg_frame_t record;
         while (lpvg_monitor_take_record(monitor, &record)) {
             if (record.test != lpvg_test_frame && count < max_rows) {

@@ -2,6 +2,7 @@
 
     lpvguard_vehicle.h   name and sizes
     lpvguard_coeff.c     the coefficients (lib/include/lpvguard/coeff.h describes every field)
+    lpvguard_diagnosis.c the table of the diagnosis (diagnosis.h), where the identification has one
     lpvguard_control.c, lpvguard_bus.c, lpvg_can_codec.h/.c   with a controller only: control_coefficients.py
     lpvguard_signals.h   the signal table: order, units, signs, ranges
     SIGNALS.md           the same for people
@@ -195,8 +196,11 @@ def vehicle_files(
     coefficients: Coefficients,
     provenance: dict,
     controller: ControllerCoefficients | None = None,
+    diagnosis: Sealed | None = None,
 ) -> dict[str, str]:
-    """File name -> text of the generated folder; ``provenance`` goes into the manifest as it is."""
+    """File name -> text of the generated folder; ``provenance`` goes into the manifest as it is.
+
+    ``diagnosis``: the table of diagnosis.h, where there is one."""
     files = {
         "lpvguard_vehicle.h": _vehicle_header(coefficients, controller),
         "lpvguard_coeff.c": coefficient_source(coefficients),
@@ -212,6 +216,9 @@ def vehicle_files(
         "speed_table_relative_error": coefficients.table_error,
         "crc32": coefficients.crc32_by_type(),
     }
+    if diagnosis is not None:
+        files["lpvguard_diagnosis.c"] = coefficient_source(diagnosis)
+        manifest["diagnosis"] = {"crc32": diagnosis.crc32_by_type()}
     if controller is not None:
         files |= control_files(project, controller)
         manifest["controller"] = controller.manifest()

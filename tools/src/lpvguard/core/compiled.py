@@ -18,7 +18,7 @@ import numpy as np
 
 from ..base import artefacts, native
 from ..base.errors import InputError
-from ..base.layout import COEFF
+from ..base.layout import COEFF, constant
 from ..drives.tables import Drive
 from .c_enums import enum_names
 
@@ -32,6 +32,8 @@ def band_names(n: int) -> tuple[str, ...]:
     return ("below", *between, "above")
 
 
+DIAGNOSIS_SOURCE = "lpvguard_diagnosis.c"
+"""Of a generated folder: its table of the diagnosis, where it has one."""
 CHANGE_PARTS = ("gain", "delay", "bias")
 """Parts of the change test's estimate, in its order (change.h)."""
 
@@ -56,6 +58,7 @@ ALARMING = ("invalid", "degraded")
 """Verdicts that a test's alarm makes."""
 REASONS = _enum("monitor.h", "lpvg_reason_t")
 TESTS = _enum("monitor.h", "lpvg_test_t")
+CAUSES = _enum("diagnosis.h", "lpvg_cause_t")
 STATUSES = _enum("status.h", "lpvg_status_t")
 SUPERVISION = _enum("can.h", "lpvg_can_state_t")
 EVENTS = _enum("can.h", "lpvg_can_event_t")
@@ -126,6 +129,15 @@ class FrameLog:
         """(F,) True where the frame counted (its reason is none or not_excited)."""
         return self.reason <= REASONS.index("not_excited")
 
+    def judged(self, samples: int, t0: float, Ts: float, length: np.ndarray) -> np.ndarray:
+        """(N,) True at the ``samples`` from time t0 [s] on that lie in a counted frame; length (K,): samples
+        of a frame, by bin."""
+        after = np.round((self.t_end_s[self.counted] - t0) / Ts).astype(int) + 1
+        frames_open = np.zeros(samples + 1, int)
+        np.add.at(frames_open, after - length[self.bin[self.counted]], 1)
+        np.add.at(frames_open, after, -1)
+        return np.cumsum(frames_open)[:-1] > 0
+
     @classmethod
     def from_rows(cls, rows: np.ndarray, n_y: int) -> FrameLog:
         """From rows as the C wrapper writes them, (F, 10 + 4 n_y); times in microseconds."""
@@ -147,13 +159,49 @@ class FrameLog:
 
 
 @dataclass(frozen=True)
+class CauseLog:
+    """Causes that the core found during a run, in the order of time; arrays over outputs of alarms (C,).
+
+    t_found_s, t_alarm_s: when it said so, and the alarm's block. output: index. cause: code of CAUSES. value,
+    low, high: in the cause's unit (diagnosis.h). onset_s: from the onset to the alarm [s]; ``before``: or
+    longer, all that was kept.
+    """
+
+    t_found_s: np.ndarray
+    t_alarm_s: np.ndarray
+    output: np.ndarray
+    cause: np.ndarray
+    value: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    onset_s: np.ndarray
+    before: np.ndarray
+
+    @classmethod
+    def from_rows(cls, rows: np.ndarray, block_s: float) -> CauseLog:
+        """From rows as the C wrapper writes them, (C, 9); ``block_s``: of a block [s]."""
+        found, alarm, output, cause, value, low, high, onset, before = rows.T
+        return cls(
+            found * 1e-6,
+            alarm * 1e-6,
+            output.astype(int),
+            cause.astype(int),
+            value,
+            low,
+            high,
+            onset * block_s,
+            before > 0,
+        )
+
+
+@dataclass(frozen=True)
 class Run:
     """What the core said along a drive of N samples.
 
     ``verdict`` (N,): codes of monitor.h. ``status`` (N,): codes of status.h. ``energy`` (N,): the energy
     test's ratio, 0 where it is not judged. ``energy_band`` (N,): the band that ratio is of. ``change`` (N,):
     the change test's newest ratio, 0 before the first. ``frames``: the judged frames. ``energy_alarms``,
-    ``change_alarms``: the alarms of these tests.
+    ``change_alarms``: the alarms of these tests. ``causes``: of alarms, where the folder has a diagnosis.
     """
 
     frames: FrameLog
@@ -164,10 +212,11 @@ class Run:
     energy_alarms: FrameLog
     change: np.ndarray
     change_alarms: FrameLog
+    causes: CauseLog
 
 
 class Core:
-    """A vehicle's compiled core.
+    """A vehicle's compiled core; ``diagnoses``: it names the causes of alarms.
 
     ``folder`` is a generated folder. Raises InputError when the folder is incomplete or does not compile.
     """
@@ -185,6 +234,7 @@ class Core:
             for p in sorted(self.folder.iterdir())
             if p.suffix in (".h", ".c")
         )
+        self.diagnoses = (self.folder / DIAGNOSIS_SOURCE).is_file()
         root = source_root or library_root()
         sources = [
             *sorted((root / "src").glob("*.cpp")),
@@ -216,6 +266,7 @@ class Core:
             "-fno-math-errno",
             "-isystem",
             eigen_include(),
+            *(["-DLPVGB_DIAGNOSIS"] if self.diagnoses else []),
             *(["-DLPVG_DOUBLE"] if double else []),
         ]
         try:
@@ -317,6 +368,7 @@ class RunningMonitor:
         rows = np.empty((3 * n, columns))  # at most a frame and two alarms a sample
         verdict, status, band = (np.empty(n, np.uint8) for _ in range(3))
         energy, change = np.empty(n), np.empty(n)
+        causes, n_causes = np.empty((n + self._core.n_y, 9)), ctypes.c_int64(n)
         pushed = None if present is None else np.ascontiguousarray(present, np.uint8)
         count = self._core._lib.lpvgb_run(
             self._handle,
@@ -330,12 +382,16 @@ class RunningMonitor:
             _pointer(energy),
             _pointer(band),
             _pointer(change),
+            _pointer(causes),
+            ctypes.byref(n_causes),
         )
         frames, energy_alarms, change_alarms = (
             FrameLog.from_rows(rows[:count][rows[:count, 9] == test], self._core.n_y)
             for test in range(len(TESTS))
         )
-        return Run(frames, verdict, status, energy, band, energy_alarms, change, change_alarms)
+        period_s = float(self._core.words["sample_period_us"][0]) * 1e-6
+        found = CauseLog.from_rows(causes[: n_causes.value], constant("NBLOCK", {}) * period_s)
+        return Run(frames, verdict, status, energy, band, energy_alarms, change, change_alarms, found)
 
     def run_drive(self, drive: Drive) -> Run:
         """`run` over a whole drive; where its samples are missing, time passes without one."""

@@ -22,9 +22,12 @@ def export_vehicle(
         "threshold": stored.calibration.to_dict(),
         "energy_test": stored.energy_of_core.to_dict(),
         "change_test": stored.change_of_core.to_dict(),
+        **({} if stored.diagnosis is None else {"diagnosis_scales": stored.diagnosis.to_dict()}),
         "final_inflation": stored.weights["inflation"],
         "weights": {k: stored.weights[k] for k in ("W_w", "W_delta")},
         "project": stored.project.model_dump(by_alias=True),
     }
+    table = None if stored.diagnosis is None else stored.diagnosis.table
     with artefacts.new_folder(target, "vehicle", stored.project.name) as folder:
-        artefacts.write_files(folder, vehicle_files(stored.project, coefficients, provenance, controller))
+        files = vehicle_files(stored.project, coefficients, provenance, controller, table)
+        artefacts.write_files(folder, files)

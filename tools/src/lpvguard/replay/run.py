@@ -3,6 +3,7 @@ written in a form that people and machines can read."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,11 +15,12 @@ import pyarrow as pa
 from ..base.errors import InputError
 from ..can.logs import Frames, is_raw_table, read_log, stem
 from ..can.play import frames_of_drive, values_of_drive
-from ..core.compiled import CHANGE_PARTS, REASONS, STATUSES, VERDICTS, Core, Run, band_names
+from ..core.compiled import CAUSES, CHANGE_PARTS, REASONS, STATUSES, VERDICTS, Core, Run, band_names
 from ..drives.frames import Estimator
 from ..drives.tables import TABLE_SUFFIXES, Drive, read_drive, require_units, speed_of_missing
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
+from .causes import WITH_INTERVAL, cause_sentence
 from .receive import Receiver
 from .series import table_of
 
@@ -68,6 +70,28 @@ class Alarm:
 
 
 @dataclass(frozen=True)
+class Diagnosis:
+    """The cause that the core found of an alarm in one output (diagnosis.h); times from the drive's start
+    [s].
+
+    ``value`` with its 95 % interval: the factor of a gain or sign, a delay [s], a bias, the mean of a frozen
+    output or the noise's standard deviation [output unit]. The interval is None where there is none, and
+    ``value`` too for "other". ``since_s``: the onset; ``at_least``: or sooner. ``says``: all of it in words.
+    """
+
+    t_s: float
+    alarm_s: float
+    output: str
+    cause: str
+    value: float | None
+    low: float | None
+    high: float | None
+    since_s: float
+    at_least: bool
+    says: str
+
+
+@dataclass(frozen=True)
 class Replay:
     """One drive through the core. Times are seconds after the drive's first sample."""
 
@@ -85,6 +109,7 @@ class Replay:
     missing_samples: int = 0
     can: dict[str, Any] | None = None  # of a raw log: what became of its frames, gaps (receive.py)
     start_s: float = 0.0  # the drive's own time at its first sample; ``run`` has that time
+    diagnoses: tuple[Diagnosis, ...] = ()  # of alarms, an output each, in the order of time
 
     @property
     def judged_intervals(self) -> list[list[float]]:
@@ -133,6 +158,7 @@ class Replay:
             "max_energy_ratio": float(self.run.energy.max()) if self.run.energy.any() else None,
             "max_change_ratio": float(self.run.change.max()) if self.run.change.any() else None,
             "alarms": [asdict(a) for a in self.alarms],
+            "diagnoses": [asdict(d) for d in self.diagnoses],
             "in_range_excited_s": round(float(relevant.sum() * self.Ts), 6),
             "judged_in_range_excited_s": round(float((relevant & self.judged).sum() * self.Ts), 6),
             "frames": self.left_out(),
@@ -228,11 +254,7 @@ class Replayer:
         )
         run = monitor.run_drive(drive)
         frames, Ts, t0 = run.frames, self.project.Ts_s, drive.t[0]
-        after = np.round((frames.t_end_s[frames.counted] - t0) / Ts).astype(int) + 1
-        frames_open = np.zeros(len(drive.t) + 1, int)
-        np.add.at(frames_open, after - self.estimator.length[frames.bin[frames.counted]], 1)
-        np.add.at(frames_open, after, -1)
-        judged = np.cumsum(frames_open)[:-1] > 0
+        judged = frames.judged(len(drive.t), t0, Ts, self.estimator.length)
         low, high = self.model.speed_range
         falsified = np.zeros(len(drive.t), bool)
         falsified[np.round((frames.t_judged_s[frames.falsified] - t0) / Ts).astype(int)] = True
@@ -253,7 +275,32 @@ class Replayer:
             Ts,
             drive.missing_samples,
             start_s=float(t0),
+            diagnoses=tuple(self.diagnoses(run, t0)),
         )
+
+    def diagnoses(self, run: Run, t0: float) -> Iterator[Diagnosis]:
+        """The causes found in a run, an output each; ``t0``: what counts as time 0 [s]."""
+        found = run.causes
+        for i in range(len(found.cause)):
+            cause, output = CAUSES[found.cause[i]], self.project.outputs[found.output[i]]
+            numbers = [float(x[i]) for x in (found.value, found.low, found.high)]
+            shown = 3 if cause in WITH_INTERVAL else 0 if cause == "other" else 1
+            value, low, high = (x if k < shown else None for k, x in enumerate(numbers))
+            alarm_s = float(found.t_alarm_s[i] - t0)
+            since_s, at_least = alarm_s - float(found.onset_s[i]), bool(found.before[i])
+            advice = self.project.advice.of(cause, output.name)
+            yield Diagnosis(
+                float(found.t_found_s[i] - t0),
+                alarm_s,
+                output.name,
+                cause,
+                value,
+                low,
+                high,
+                since_s,
+                at_least,
+                cause_sentence(output, cause, numbers[:shown], since_s, at_least, advice),
+            )
 
     def alarms(self, run: Run, t0: float) -> list[Alarm]:
         """What spoke against the model in a run, in the order of time; ``t0``: what counts as time 0 [s]."""

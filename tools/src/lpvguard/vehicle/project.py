@@ -341,6 +341,23 @@ class EvaluationSettings(StrictModel):
         return self
 
 
+class AdviceSettings(StrictModel):
+    """What to check where a cause of alarms is found, in words; one text, or one an output. No part of what
+    an identification was made with."""
+
+    gain: str | dict[str, str] | None = None
+    delay: str | dict[str, str] | None = None
+    bias: str | dict[str, str] | None = None
+    sign: str | dict[str, str] | None = None
+    frozen: str | dict[str, str] | None = None
+    noise: str | dict[str, str] | None = None
+
+    def of(self, cause: str, output: str) -> str | None:
+        """The advice on a cause that an output has; None without any."""
+        text = getattr(self, cause, None)
+        return text.get(output) if isinstance(text, dict) else text
+
+
 class DesignSettings(StrictModel):
     """Step 8: objectives of Fig. 1 and the scheduled controller. W_t, W_u: gain A_t, A_u and the paper's
     break frequencies.
@@ -405,6 +422,7 @@ class Project(StrictModel):
     can: OwnBus | None = Field(default=None, exclude=True)
     fit: FitSettings = Field(default=FitSettings(), exclude=True)
     evaluation: EvaluationSettings = Field(default=EvaluationSettings(), exclude=True)
+    advice: AdviceSettings = Field(default=AdviceSettings(), exclude=True)
 
     @model_validator(mode="after")
     def _consistent(self) -> Project:
@@ -433,6 +451,9 @@ class Project(StrictModel):
         unknown = {b.output for b in self.model_error.beyond} - {s.name for s in self.outputs}
         if unknown:
             raise ValueError(f"model_error.beyond: no output is named {', '.join(sorted(unknown))}")
+        advised = {o for text in vars(self.advice).values() if isinstance(text, dict) for o in text}
+        if unknown := advised - {s.name for s in self.outputs}:
+            raise ValueError(f"advice: no output is named {', '.join(sorted(unknown))}")
         if self.design is not None:
             self._require_vehicle_of_fig1(self.design)
         if unknown := set(self.fit.parameters or {}) - set(self.model.parameters):

@@ -203,6 +203,12 @@ def _alarm_table(alarms: list[Alarm]) -> str:
     return html_table(head, rows) + more
 
 
+def _causes(replay: Replay) -> str:
+    """What causes the core found of a drive's alarms."""
+    rows = [[f"{d.t_s:.2f}", f"{d.alarm_s:.2f}", escape(d.says)] for d in replay.diagnoses]
+    return html_table(["found at, s", "alarm at, s", "cause"], rows, "words") if rows else ""
+
+
 def _drive_page(
     stored: StoredIdentification, replayer: Replayer, drive: Drive, replay: Replay, key: str
 ) -> str:
@@ -212,7 +218,8 @@ def _drive_page(
     role = _role(stored, drive.name)
     return f"""<div class="drive" id="{key}"><h3>{escape(drive.name)} <span class="note">({driver} driver; \
 {role})</span> <a class="back" href="#drive-index">all drives</a></h3>
-{captioned(drawn, "")}<div class="facts">{_facts(replay)}</div>{_alarm_table(replay.alarms)}</div>"""
+{captioned(drawn, "")}<div class="facts">{_facts(replay)}</div>{_alarm_table(replay.alarms)}\
+{_causes(replay)}</div>"""
 
 
 def drive_section(told: list[Told], threshold: float) -> str:

@@ -1,0 +1,134 @@
+"""The scales of the diagnosis, their file, and what the compiled core finds with them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from jsonschema import Draft202012Validator
+
+from lpvguard import schemas
+from lpvguard.base import artefacts
+from lpvguard.base.errors import InputError
+from lpvguard.core.compiled import CAUSES, Core, shipped_vehicle
+from lpvguard.core.seal import coefficient_source
+from lpvguard.drives.faults import Fault, inject
+from lpvguard.drives.frames import Estimator
+from lpvguard.drives.tables import Drive
+from lpvguard.identify.diagnosis import PARTS, DiagnosisScales, windows_of
+from lpvguard.vehicle.nominal import NominalModel
+
+UNIT = np.array([[4.0, 40.0]])
+"""1 / sizes."""
+
+
+def rich(estimator: Estimator, n: int, phase: float):
+    """Nominal output (n, 1) of a rich drive, and its speed."""
+    t = np.arange(n) * estimator.Ts
+    yhat = 0.3 + np.sin(1.1 * t + phase) + 0.6 * np.sin(0.31 * t + 1.0) + 0.3 * np.sin(2.7 * t + phase)
+    return 0.12 * yhat[:, None], np.full(n, float(np.mean(estimator.speed_range)))
+
+
+def error_of(theta: np.ndarray, yhat: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """e (n, 1) that a theta of regressors over their sizes makes, without its delay, and a little noise."""
+    p = yhat * UNIT[0, 0]
+    return theta[0] * p + theta[2] + theta[3] * p * np.abs(p) + 1e-3 * random.standard_normal(yhat.shape)
+
+
+def test_windows_estimate_what_made_them(g80):
+    estimator = Estimator.of(g80, NominalModel(g80))
+    yhat, v = rich(estimator, 20_000, 0.0)
+    theta = np.array([0.2, 0.0, -0.05, 0.1])
+    found = windows_of(error_of(theta, yhat, np.random.default_rng(1)), yhat, v, estimator, UNIT)
+    assert len(found.n) > 20 and (found.n == 125).all()
+    assert found.theta[:, 0] == pytest.approx(np.tile(theta, (len(found.n), 1)), abs=3e-3)
+    assert (found.residue < 1e-6).all() and (found.still > 0).all()
+    short = windows_of(0 * yhat[:240], yhat[:240], v[:240], estimator, UNIT)
+    assert short.n.tolist() == [], "less than half a window is settled"
+    outside = windows_of(0 * yhat, yhat, 0 * v, estimator, UNIT)
+    assert outside.n.tolist() == []
+
+
+def scaled(g80, deviation: np.ndarray, drives: int = 40) -> DiagnosisScales:
+    """Scales of drives whose theta is drawn with these standard deviations (4,)."""
+    estimator, random = Estimator.of(g80, NominalModel(g80)), np.random.default_rng(2)
+    found = []
+    for k in range(drives):
+        yhat, v = rich(estimator, 4000, 0.7 * k)
+        theta = deviation * random.standard_normal(PARTS)
+        found.append(windows_of(error_of(theta, yhat, random), yhat, v, estimator, UNIT))
+    return DiagnosisScales.of(g80, 1 / UNIT, found)
+
+
+def test_the_spread_is_that_of_healthy_drives(g80):
+    deviation = np.array([0.1, 0.0, 0.03, 0.02])
+    scales = scaled(g80, deviation)
+    spread = np.sqrt(np.diagonal(scales.spread[0]) / scales.enlarged[0])
+    assert spread[[0, 2, 3]] == pytest.approx(deviation[[0, 2, 3]], rel=0.35)
+    assert spread[1] < 0.005
+    assert 1.0 <= scales.enlarged[0] < 2.5
+    with pytest.raises(InputError, match="window"):
+        DiagnosisScales.of(g80, 1 / UNIT, [])
+
+
+def test_the_file_is_as_its_schema_says_and_comes_back(g80):
+    scales = scaled(g80, np.array([0.05, 0.0, 0.02, 0.02]), 10)
+    data = json.loads(artefacts.to_json(scales.to_dict()))
+    Draft202012Validator(schemas.schema("diagnosis")).validate(data)
+    back = DiagnosisScales.restored(g80, data)
+    assert back.table.crc32_by_type() == scales.table.crc32_by_type()
+    assert json.loads(artefacts.to_json(back.to_dict())) == data
+
+
+@pytest.fixture(scope="module")
+def core(g80, tmp_path_factory):
+    """The shipped core with a table of a healthy vehicle's small spread."""
+    scales = scaled(g80, np.array([0.01, 0.0, 0.002, 0.004]))
+    folder = tmp_path_factory.mktemp("diagnosed") / g80.name
+    folder.mkdir()
+    shipped = shipped_vehicle(g80.name)
+    artefacts.write_files(
+        folder,
+        {name: (shipped / name).read_text() for name in ("lpvguard_vehicle.h", "lpvguard_coeff.c")}
+        | {"lpvguard_diagnosis.c": coefficient_source(scales.table)},
+    )
+    return Core(folder)
+
+
+@pytest.mark.parametrize(
+    ("fault", "cause", "value"),
+    [
+        (Fault("gain", 0.6), "gain", 0.6),
+        (Fault("gain", -1.0), "sign", -1.0),
+        (Fault("output_delay", 0.3), "delay", 0.3),
+        (Fault("input_delay", 0.3), "delay", -0.3),
+        (Fault("bias", 0.2), "bias", 0.2),
+        (Fault("freeze"), "frozen", None),
+    ],
+    ids=lambda x: x.label if isinstance(x, Fault) else "",
+)
+def test_the_compiled_core_names_an_injected_fault(g80, core, fault, cause, value):
+    model = NominalModel(g80)
+    n = 4500
+    t = np.arange(n) * g80.Ts_s
+    v = np.full(n, float(np.mean(model.speed_range)))
+    u = 0.05 * (np.sin(1.1 * t) + 0.6 * np.sin(0.31 * t + 1.0) + 0.3 * np.sin(2.7 * t))[:, None]
+    u = u + model.input_offset
+    drive = Drive("made", t, v, u, model.simulate(v, u, np.zeros(1)))
+    start_s = 40.0
+    run = core.monitor().run_drive(inject(drive, fault, start_s, g80.Ts_s))
+    assert len(run.causes.cause), "an alarm was diagnosed"
+    assert CAUSES[run.causes.cause[0]] == cause
+    assert run.causes.t_found_s[0] - run.causes.t_alarm_s[0] > 10.0
+    if value is not None:
+        assert run.causes.low[0] <= value <= run.causes.high[0]
+    onset = run.causes.t_alarm_s[0] - run.causes.onset_s[0]
+    assert abs(onset - start_s) < 4.0
+
+
+def test_a_folder_without_a_table_finds_no_cause(g80):
+    core = Core(shipped_vehicle(g80.name))
+    n = 200
+    run = core.monitor().run(np.arange(n) * g80.Ts_s, np.full(n, 10.0), np.zeros((n, 1)), np.zeros((n, 1)))
+    assert len(run.causes.cause) == 0

@@ -1,0 +1,74 @@
+"""What is said of the cause of an alarm, and the project file's advice."""
+
+from __future__ import annotations
+
+import pytest
+
+from lpvguard.base.errors import InputError
+from lpvguard.replay.causes import cause_sentence
+from lpvguard.vehicle.project import parse_project
+
+
+@pytest.mark.parametrize(
+    ("cause", "numbers", "at_least", "advice", "said"),
+    [
+        (
+            "gain",
+            (0.71, 0.66, 0.76),
+            False,
+            "check tyre circumference",
+            "yaw_rate 0.71 of what the model says (0.66 to 0.76), since about 41 s; check tyre circumference",
+        ),
+        (
+            "sign",
+            (-1.0, -1.1, -0.9),
+            False,
+            None,
+            "yaw_rate turned round: -1.00 of what the model says (-1.10 to -0.90), since about 41 s",
+        ),
+        (
+            "delay",
+            (0.3, 0.25, 0.35),
+            True,
+            None,
+            "yaw_rate 0.30 s later than the model says (0.25 to 0.35), since before 41 s",
+        ),
+        (
+            "delay",
+            (-0.3, -0.35, -0.25),
+            False,
+            None,
+            "yaw_rate 0.30 s sooner than the model says (0.25 to 0.35), since about 41 s",
+        ),
+        (
+            "bias",
+            (0.05, 0.04, 0.06),
+            False,
+            None,
+            "yaw_rate +0.05 rad/s beside what the model says (+0.04 to +0.06), since about 41 s",
+        ),
+        ("frozen", (0.1,), False, None, "yaw_rate is frozen at 0.1 rad/s, since about 41 s"),
+        (
+            "noise",
+            (0.1,),
+            False,
+            None,
+            "yaw_rate is noisy, with a standard deviation of 0.1 rad/s, since about 41 s",
+        ),
+        ("other", (), False, None, "yaw_rate: no single cause explains what it does"),
+    ],
+)
+def test_a_cause_in_words(g80, cause, numbers, at_least, advice, said):
+    assert cause_sentence(g80.outputs[0], cause, numbers, 41.2, at_least, advice) == said
+
+
+def test_advice_is_a_text_or_one_an_output(g80):
+    document = g80.model_dump(by_alias=True)
+    output = g80.outputs[0].name
+    advised = parse_project({**document, "advice": {"gain": "a", "bias": {output: "b"}}}, "x")
+    assert advised.advice.of("gain", output) == "a"
+    assert advised.advice.of("bias", output) == "b"
+    assert advised.advice.of("delay", output) is None and advised.advice.of("other", output) is None
+    assert "advice" not in advised.model_dump(by_alias=True), "no part of an identification"
+    with pytest.raises(InputError, match="no output is named"):
+        parse_project({**document, "advice": {"gain": {"speedo": "a"}}}, "x")
