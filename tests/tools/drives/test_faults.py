@@ -19,6 +19,9 @@ BY_HAND = [
     (Fault("input_delay", 0.2), [0.0, 10.0, 20.0, 10.0, 20.0, 30.0, 40.0, 50.0], Y),
     (Fault("output_delay", 0.2), U, [0.0, 1.0, 2.0, 1.0, 2.0, 3.0, 4.0, 5.0]),
     (Fault("output_delay", 0.5), U, [0.0, 1.0, 2.0, 0.0, 0.0, 0.0, 1.0, 2.0]),
+    (Fault("dead_zone", 3.5), U, [0.0, 1.0, 2.0, 0.0, 0.5, 1.5, 2.5, 3.5]),
+    (Fault("saturation", 4.0), U, [0.0, 1.0, 2.0, 12 / 7, 2.0, 20 / 9, 2.4, 28 / 11]),
+    (Fault("gain", 0.5, also=Fault("bias", 0.5)), U, [0.0, 1.0, 2.0, 2.0, 2.5, 3.0, 3.5, 4.0]),
 ]
 """Fault, and inputs and outputs with it."""
 RAMP_S = 0.4
@@ -28,6 +31,9 @@ RAMPED = [
     (Fault("bias", 0.8), U, [0.0, 1.0, 2.0, 3.0, 4.2, 5.4, 6.6, 7.8]),
     (Fault("input_delay", 0.2), [0.0, 10.0, 20.0, 30.0, 35.0, 40.0, 45.0, 50.0], Y),
     (Fault("output_delay", 0.2), U, [0.0, 1.0, 2.0, 3.0, 3.5, 4.0, 4.5, 5.0]),
+    (Fault("dead_zone", 2.0), U, [0.0, 1.0, 2.0, 3.0, 3.5, 4.0, 4.5, 5.0]),
+    (Fault("saturation", 3.0), U, [0.0, 1.0, 2.0, 3.0, 3.0, 30 / 11, 2.4, 2.1]),
+    (Fault("gain", 0.5, also=Fault("bias", 0.8)), U, [0.0, 1.0, 2.0, 3.0, 3.7, 4.15, 4.35, 4.3]),
 ]
 """The same with a ramp: from FROM_S on the share of the fault is 0, 1/4, 1/2, 3/4, 1."""
 

@@ -14,7 +14,7 @@ from lpvguard import schemas
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
 from lpvguard.base.rates import per_hour, rate
-from lpvguard.cli.tables import print_evaluation
+from lpvguard.cli.evaluation_tables import print_evaluation
 from lpvguard.drives.tables import list_experiments
 from lpvguard.evaluate.judged import calibrations_of, drives_to_judge
 from lpvguard.evaluate.run import evaluate

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from .evaluation_tables import print_evaluation
 from .shared import (
     Coefficients,
     Jobs,
@@ -20,7 +21,6 @@ from .shared import (
     replayer_of,
     stored_with_drives,
 )
-from .tables import print_evaluation
 
 
 @app.command(epilog="Example: lpvguard evaluate --vehicle g80 out/identify DRIVES --json out/evaluation.json")

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from ..control.tradeoff import TradeOff
     from ..engine.synthesis.cases import TableRow
     from ..engine.synthesis.table import Cell
-    from ..evaluate.comparison import DetectorColumn
     from ..fit.run import FittedModel
     from ..identify.premise import Premise
     from ..identify.run import Identification
@@ -59,7 +58,7 @@ def print_replays(done: list[dict[str, Any]], replayer: Replayer) -> None:
         f"change test {replayer.change_threshold:.4g}; "
         f"core {replayer.core.folder}"
     )
-    _print_missing(done)
+    print_missing(done)
     for r in done:
         for a in r["alarms"][:3]:
             console.print(
@@ -68,11 +67,13 @@ def print_replays(done: list[dict[str, Any]], replayer: Replayer) -> None:
             )
         if len(r["alarms"]) > 3:
             console.print(f"{r['run']}: {len(r['alarms']) - 3} more alarms (--json lists all)")
+        for d in r["diagnoses"]:
+            console.print(f"{r['run']}: t = {d['t_s']:.2f} s, cause: {d['says']}", markup=False)
         if "can" in r:
             _print_reception(r["run"], r["can"])
 
 
-def _print_missing(rows: list[dict[str, Any]]) -> None:
+def print_missing(rows: list[dict[str, Any]]) -> None:
     """A line a drive with missing samples; what a raw log lacks is told with its frames."""
     from ..drives.tables import missing_words
 
@@ -232,98 +233,6 @@ def print_evidence(result: Identification) -> None:
         *evidence(bounds.omega, bounds.frames, estimator.length, estimator.Ts, result.model_fit),
     ):
         console.print(line)
-
-
-def print_evaluation(result: dict[str, Any]) -> None:
-    """The object of `lpvguard evaluate --json`: false alarms, claims, faults found, beside the baselines."""
-    from ..core.compiled import TESTS
-    from ..evaluate.comparison import (
-        ALARM_HEAD,
-        CALIBRATED,
-        MONITOR,
-        alarm_rows,
-        columns,
-    )
-    from ..evaluate.false_alarms import PIECE_S
-
-    alarms = Table(*ALARM_HEAD, box=None)
-    for cells in alarm_rows(result):
-        alarms.add_row(*cells)
-    console.print(alarms)
-    short = [f"{r['run']} {r['last_piece_s']:.1f} s" for r in result["drives"] if r["last_piece_s"] < PIECE_S]
-    console.print(f"last pieces that are shorter: {', '.join(short) or 'none'}")
-    _print_missing(result["drives"])
-    for test, claim in result["claims"]["identified"].items():
-        console.print(f"{test} test as identified: {claim}")
-    for what, claims in result["claims"][result["mode"]].items():
-        tests = "all tests at one threshold" if what == MONITOR else what + " test"
-        console.print(f"{tests}, {CALIBRATED[result['mode']]}: {'; or '.join(claims)}")
-    for name, reason in result["left_out"].items():
-        console.print(f"left out: {name}: {reason}", markup=False)
-    for name, reason in result["without_faults"].items():
-        console.print(f"no fault injected: {name}: {reason}")
-    console.print(
-        f"faults injected into {len(result['drives']) - len(result['without_faults'])} of "
-        f"{len(result['drives'])} drives; found within {result['injection']['within_s']:g} s of judged, "
-        "excited driving, of all starts (drives: from every start), and the median time; a ramp lasts "
-        f"{result['injection']['ramp_s']:g} s:"
-    )
-    detectors, others = columns(result), [b["kind"] for b in result["baselines"]]
-    console.print(_detector_table({name: d for name, d in detectors.items() if name not in others}))
-    _print_rates(detectors, [MONITOR, *TESTS])
-    if others:
-        _print_baselines(result, {name: detectors[name] for name in (MONITOR, *others)})
-    else:
-        console.print("no baselines: too few drives calibrate them")
-
-
-def _print_baselines(result: dict[str, Any], detectors: dict[str, DetectorColumn]) -> None:
-    """The monitor beside the baselines: together, from when a fault is refutable, and against each alone."""
-    from ..evaluate.comparison import DUEL_HEAD, MONITOR, duel_rows
-
-    console.print(_detector_table(detectors, [", ".join(row["best"]) for row in result["faults"]]))
-    _print_rates(detectors, list(detectors))
-    console.print(
-        "from when a fault is refutable (the faulty record's off-line margin exceeds 1, the untouched one's "
-        "does not), found of those starts and the median time, negative where an alarm is sooner:"
-    )
-    console.print(_refutable_table(detectors))
-    console.print(
-        f"{MONITOR} against each baseline alone, over the rows of faults; behind: fewer found, or as many "
-        "and later:"
-    )
-    against = Table(*DUEL_HEAD, box=None)
-    for row in duel_rows(result):
-        against.add_row(*row)
-    console.print(against)
-
-
-def _detector_table(detectors: dict[str, DetectorColumn], best: list[str] | None = None) -> Table:
-    """False alarms and found faults, a column per detector; ``best``: who leads, per fault."""
-    from ..evaluate.comparison import detector_rows
-
-    table = Table("", *detectors, *(["best"] if best else []), box=None)
-    for row in detector_rows(list(detectors.values()), best):
-        table.add_row(*row)
-    return table
-
-
-def _refutable_table(detectors: dict[str, DetectorColumn]) -> Table:
-    """Found faults and times from when they are refutable on, a column per detector."""
-    from ..evaluate.comparison import REFUTABLE_HEAD, refutable_rows
-
-    table = Table("", REFUTABLE_HEAD, *detectors, box=None)
-    for row in refutable_rows(list(detectors.values())):
-        table.add_row(*row)
-    return table
-
-
-def _print_rates(detectors: dict[str, DetectorColumn], names: list[str]) -> None:
-    from ..evaluate.comparison import equal_rates
-
-    console.print(
-        f"{', '.join(names)} are compared {equal_rates({name: detectors[name].stated for name in names})}"
-    )
 
 
 def print_certificates(rows: list[dict[str, Any]]) -> None:

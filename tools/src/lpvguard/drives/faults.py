@@ -3,10 +3,14 @@
 Gain, sign, freeze and bias act on every output. A delay acts on the input (the recorded input lags) or on the
 outputs. A fault comes at once, or its share s grows from 0 to 1 over a ramp:
 
-    gain    y becomes (1 + s (value - 1)) y
-    freeze  y becomes (1 - s) y + s y_0, with y_0 at the fault's first sample
-    bias    y becomes y + s value
-    delay   x(t) becomes x(t - s value), linear between samples; before the drive x stands at its first
+    gain        y becomes (1 + s (value - 1)) y
+    freeze      y becomes (1 - s) y + s y_0, with y_0 at the fault's first sample
+    bias        y becomes y + s value
+    delay       x(t) becomes x(t - s value), linear between samples; before the drive x stands at its first
+    dead zone   y becomes sign(y) max(|y| - s value, 0)
+    saturation  y becomes y / (1 + s |y| / value)
+
+Two faults may come together.
 """
 
 from __future__ import annotations
@@ -19,17 +23,19 @@ from ..base.errors import InputError
 from ..vehicle.project import EvaluationSettings
 from .tables import Drive
 
-KINDS = ("gain", "freeze", "bias", "input_delay", "output_delay")
+KINDS = ("gain", "freeze", "bias", "input_delay", "output_delay", "dead_zone", "saturation")
 
 
 @dataclass(frozen=True)
 class Fault:
-    """``value``: factor (gain), output units (bias), seconds (delays); unused for freeze. ``spread`` (n_y):
-    of the outputs; a bias is then ``value`` of it."""
+    """``value``: factor (gain), output units (bias, dead zone, saturation), seconds (delays); unused for
+    freeze. ``spread`` (n_y): of the outputs; what is in output units is then ``value`` of it. ``also``: a
+    fault that comes with it."""
 
     kind: str
     value: float = 0.0
     spread: tuple[float, ...] = ()
+    also: Fault | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -46,8 +52,11 @@ class Fault:
             "bias": "output + {:g}" + (" of its spread" if self.spread else ""),
             "input_delay": "input delayed by {:g} s",
             "output_delay": "output delayed by {:g} s",
+            "dead_zone": "output's dead zone {:g}" + (" of its spread" if self.spread else ""),
+            "saturation": "output saturates at {:g}" + (" of its spread" if self.spread else ""),
         }
-        return texts[self.kind].format(self.value)
+        own = texts[self.kind].format(self.value)
+        return own if self.also is None else f"{own}, {self.also.label}"
 
 
 def stated(settings: EvaluationSettings, spread: np.ndarray) -> tuple[Fault, ...]:
@@ -65,6 +74,24 @@ def stated(settings: EvaluationSettings, spread: np.ndarray) -> tuple[Fault, ...
     return tuple(faults)
 
 
+def no_single_cause(spread: np.ndarray) -> tuple[Fault, ...]:
+    """Faults that are two at once, or that no gain, delay or bias is; ``spread`` (n_y,): of the outputs."""
+    own = tuple(map(float, spread))
+    bias, delay = Fault("bias", 0.5, own), Fault("output_delay", 0.3)
+    return (
+        Fault("gain", 0.6, also=bias),
+        Fault("gain", 0.6, also=delay),
+        Fault("output_delay", 0.3, also=bias),
+        Fault("dead_zone", 0.5, own),
+        Fault("saturation", 1.0, own),
+    )
+
+
+def share_of(after: np.ndarray, Ts: float, ramp_s: float) -> np.ndarray:
+    """Share (N,) of a fault that is there, by the samples (N,) since its first, below 0 before it."""
+    return np.where(after < 0, 0.0, np.minimum(1.0, after * Ts / ramp_s) if ramp_s else 1.0)
+
+
 def inject(drive: Drive, fault: Fault, start_s: float, Ts: float, ramp_s: float = 0.0) -> Drive:
     """The drive with ``fault`` from ``start_s`` seconds after its first sample on.
 
@@ -72,7 +99,7 @@ def inject(drive: Drive, fault: Fault, start_s: float, Ts: float, ramp_s: float 
     """
     first = round(start_s / Ts)
     after = np.arange(len(drive.t)) - first
-    share = np.where(after < 0, 0.0, np.minimum(1.0, after * Ts / ramp_s) if ramp_s else 1.0)
+    share = share_of(after, Ts, ramp_s)
     u, y = drive.u.copy(), drive.y.copy()
 
     def delayed(x: np.ndarray) -> np.ndarray:
@@ -80,15 +107,20 @@ def inject(drive: Drive, fault: Fault, start_s: float, Ts: float, ramp_s: float 
         at = np.maximum(index - share * round(fault.value / Ts), 0.0)
         return np.stack([np.interp(at, index, column) for column in x.T], axis=1)
 
-    s = share[first:, None]
+    s, size = share[first:, None], fault.value * np.array(fault.spread or 1.0)
     if fault.kind == "gain":
         y[first:] *= 1.0 + s * (fault.value - 1.0)
     elif fault.kind == "freeze":
         y[first:] += s * (y[min(first, len(y) - 1)] - y[first:])
     elif fault.kind == "bias":
-        y[first:] += s * fault.value * np.array(fault.spread or 1.0)
+        y[first:] += s * size
+    elif fault.kind == "dead_zone":
+        y[first:] -= np.clip(y[first:], -s * size, s * size)
+    elif fault.kind == "saturation":
+        y[first:] /= 1.0 + s * np.abs(y[first:]) / size
     elif fault.kind == "input_delay":
         u = delayed(u)
     else:
         y = delayed(y)
-    return replace(drive, u=u, y=y)
+    faulty = replace(drive, u=u, y=y)
+    return faulty if fault.also is None else inject(faulty, fault.also, start_s, Ts, ramp_s)

@@ -32,7 +32,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..drives.faults import Fault, inject, stated
+from ..drives.faults import Fault, inject, no_single_cause, stated
 from ..drives.tables import Drive
 from ..replay.run import Replay
 from ..vehicle.project import EvaluationSettings, Way
@@ -49,9 +49,10 @@ class Case:
     fault: Fault
     ramp_s: float
 
-    def into(self, drive: Drive, clock: JudgedClock, Ts: float) -> Drive:
-        """The drive with the fault, cut where it can no longer be found in time."""
-        return inject(drive.before_sample(clock.end), self.fault, clock.first * Ts, Ts, self.ramp_s)
+    def into(self, drive: Drive, clock: JudgedClock, Ts: float, after_s: float = 0.0) -> Drive:
+        """The drive with the fault, cut ``after_s`` [s] after it can no longer be found in time."""
+        end = min(clock.end + round(after_s / Ts), len(drive.t))
+        return inject(drive.before_sample(end), self.fault, clock.first * Ts, Ts, self.ramp_s)
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,8 @@ class JudgedClock:
 
 @dataclass(frozen=True)
 class Injection:
-    """Which faults are put into drives, and when: the module's docstring. Times in seconds."""
+    """Which faults are put into drives, and when: the module's docstring. Times in seconds. ``further``: at
+    once, for their causes only (causes.py)."""
 
     from_s: float
     shortest_s: float
@@ -97,6 +99,7 @@ class Injection:
     faults: tuple[Fault, ...]
     ways: tuple[Way, ...] = ("step", "ramp", "start")
     ramp_s: float = 20.0
+    further: tuple[Fault, ...] = ()
 
     @classmethod
     def usual(cls) -> Injection:
@@ -105,19 +108,29 @@ class Injection:
 
     @classmethod
     def of(cls, settings: EvaluationSettings, spread: np.ndarray) -> Injection:
-        """That of a project file's settings; ``spread`` (n_y,): of the outputs."""
+        """That of a project file's settings; ``spread`` (n_y,): of the outputs; none: without
+        further faults."""
         times = (settings.fault_from_s, settings.shortest_drive_s, settings.found_within_s)
-        return cls(*times, settings.starts, stated(settings, spread), settings.ways, settings.ramp_s)
+        faults = stated(settings, spread)
+        further = no_single_cause(spread) if len(spread) else ()
+        return cls(*times, settings.starts, faults, settings.ways, settings.ramp_s, further)
 
     def to_dict(self) -> dict:
         """The times, the number of starts and the ways, JSON-able."""
-        return {k: v for k, v in vars(self).items() if k != "faults"} | {"ways": list(self.ways)}
+        return {k: v for k, v in vars(self).items() if k not in ("faults", "further")} | {
+            "ways": list(self.ways)
+        }
 
     @property
     def cases(self) -> list[Case]:
         """Every fault in every way, way by way."""
         ramps = {"ramp": self.ramp_s}
         return [Case(way, fault, ramps.get(way, 0.0)) for way in self.ways for fault in self.faults]
+
+    @property
+    def further_cases(self) -> list[Case]:
+        """Those of the further faults."""
+        return [Case("step", fault, 0.0) for fault in self.further]
 
     def into(self, untouched: Replay, seed: int) -> Iterator[tuple[Case, JudgedClock]]:
         """Every case with the clock of each instant from which it is injected into a drive; none where the

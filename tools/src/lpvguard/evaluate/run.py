@@ -20,19 +20,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
+from itertools import product
 
 import numpy as np
 
 from ..base.errors import InputError
 from ..base.parallel import Map
 from ..core.compiled import TESTS, Core
-from ..drives.tables import Experiment
+from ..drives.tables import Drive, Experiment
 from ..identify.calibration import Calibration, Recordings, change_score, energy_score, score
 from ..identify.passes import DriveReader
 from ..identify.run import DriveSet, StoredIdentification
 from ..replay.run import Replay, Replayer
 from ..vehicle.project import EvaluationSettings
 from .baseline_study import BaselineStudy, evaluate_baselines
+from .causes import DIAGNOSED_S, CauseOutcome, CauseOutcomes, cause_table
 from .comparison import EXPORTED, LEFT_ONE_OUT, MONITOR, duels
 from .detection import (
     FaultOutcome,
@@ -59,14 +61,13 @@ def _evaluate_drive(
     core: Core,
     injection: Injection,
     item: tuple[Experiment, Recordings, dict[str, Calibration]],
-) -> tuple[dict, Found]:
-    """One drive, the recordings and calibrations of its own for MONITOR and each test: its row, and per
-    detector and case what became of it from every start.
+) -> tuple[dict, Found, CauseOutcomes]:
+    """One drive, the recordings and calibrations of its own for MONITOR and each test: its row, per detector
+    and case what became of it from every start, and the causes that were named where EXPORTED found it.
 
     No outcome where the drive does not qualify for faults.
     """
     experiment, recordings, calibrations = item
-    group = recordings.groups.get(experiment.name)
     project, thresholds = reader.project, {what: c.threshold for what, c in calibrations.items()}
     together, apart = (
         Replayer(project, core, threshold=frame, energy_threshold=energy, change_threshold=change)
@@ -79,14 +80,10 @@ def _evaluate_drive(
     }
     drive, Ts = reader.read(experiment)[0], project.Ts_s
     untouched = {replayer: replayer.replay(drive) for replayer in (together, apart)}
-    replay = untouched[together]
+    replay, injected = untouched[together], list(injection.into(untouched[together], project.seed))
     relevant, starts = replay.in_range & replay.excited, piece_starts(len(replay.judged), Ts)
-    injected = list(injection.into(replay, project.seed))
     row = {
-        "run": experiment.name,
-        "driver": experiment.driver,
-        "recording": recordings.named(experiment.name),
-        **({} if group is None else {"group": group}),
+        **_identity(experiment, recordings),
         "calibration": {what: _stated(c) for what, c in calibrations.items()},
         "alarmed": {
             name: alarmed_pieces(untouched[replayer], test)[0] for name, (replayer, test) in detectors.items()
@@ -104,15 +101,48 @@ def _evaluate_drive(
     }
     found: Found = {name: {case: [] for case in injection.cases} for name in detectors}
     own = margins(replay, drive.t[0])
+    causes: CauseOutcomes = {case: [] for case in injection.cases}
+
     for case, clock in injected:
-        faulty_drive = case.into(drive, clock, Ts)
+        faulty_drive = case.into(drive, clock, Ts, DIAGNOSED_S)
         faulty = {replayer: replayer.replay(faulty_drive) for replayer in untouched}
         known = refutable(clock, margins(faulty[together], drive.t[0]), own)
         for name, (replayer, test) in detectors.items():
             first, without = (clock.read(alarming(r[replayer], test)) for r in (faulty, untouched))
             outcome = FaultOutcome.of(experiment.name, Ts, clock, first, without, known)
             found[name][case].append(outcome)
-    return row, found
+        if found[EXPORTED][case][-1].found:
+            causes[case].append(CauseOutcome.of(case, project, clock, drive, faulty_drive, faulty[apart]))
+    if core.diagnoses:
+        causes |= _further_causes(apart, injection, drive, untouched[apart])
+    return row, found, causes
+
+
+def _identity(experiment: Experiment, recordings: Recordings) -> dict[str, str]:
+    """Whose drive it is, of which recording and group."""
+    group = recordings.groups.get(experiment.name)
+    named = {
+        "run": experiment.name,
+        "driver": experiment.driver,
+        "recording": recordings.named(experiment.name),
+    }
+    return named if group is None else named | {"group": group}
+
+
+def _further_causes(
+    replayer: Replayer, injection: Injection, drive: Drive, untouched: Replay
+) -> CauseOutcomes:
+    """The causes named of the further faults, where the monitor of ``replayer`` found them."""
+    project, Ts = replayer.project, replayer.project.Ts_s
+    causes: CauseOutcomes = {case: [] for case in injection.further_cases}
+    hits = alarming(untouched)
+    for case, clock in product(causes, injection.clocks(untouched, project.seed)):
+        faulty = case.into(drive, clock, Ts, DIAGNOSED_S)
+        replay = replayer.replay(faulty)
+        first, without = clock.read(alarming(replay)), clock.read(hits)
+        if FaultOutcome.of(drive.name, Ts, clock, first, without).found:
+            causes[case].append(CauseOutcome.of(case, project, clock, drive, faulty, replay))
+    return causes
 
 
 def _drive_scores(replay: Replay) -> dict[str, float | None]:
@@ -154,8 +184,6 @@ def _injection(
     """That of the settings, with the outputs' spread within the bound-setting drives; None: the usual."""
     if settings is None:
         return Injection.usual()
-    if settings.bias is not None:
-        return Injection.of(settings, np.zeros(0))
     setting = [drives.experiments[n] for n in stored.manifest["drives"]["bounds"]]
     within = np.mean(list(workers(partial(_variance, drives.reader), setting)), axis=0)
     return Injection.of(settings, np.sqrt(within))
@@ -207,11 +235,12 @@ def evaluate(
     items = [(e, judged.recordings, judged.calibrations[n]) for n, e in judged.experiments.items()]
     rows: list[dict] = []
     cases: Found = {d: {case: [] for case in injection.cases} for d in (MONITOR, EXPORTED, *TESTS)}
+    causes: CauseOutcomes = {case: [] for case in (*injection.cases, *injection.further_cases)}
     left_out: dict[str, str] = dict(stored.manifest["drives"]["left_out"]) if held_out is None else {}
-    evaluated: Iterator[tuple[dict, Found]] = workers(
+    evaluated: Iterator[tuple[dict, Found, CauseOutcomes]] = workers(
         partial(_evaluate_drive, drives.reader, core, injection), items
     )
-    for row, found in evaluated:
+    for row, found, named in evaluated:
         progress(row["run"])
         if row["scores"]["frame"] is None:
             left_out[row["run"]] = drives.reader.why_without_frames()
@@ -220,6 +249,8 @@ def evaluate(
         for detector, by_case in found.items():
             for case, members in by_case.items():
                 cases[detector][case] += members
+        for case, of in named.items():
+            causes[case] += of
     if not rows:
         name, why = next(iter(left_out.items()))
         raise InputError(
@@ -227,7 +258,8 @@ def evaluate(
         )
     known = cases[MONITOR]
     baselines = _baselines(stored, drives, core, judged, rows, known, injection, workers, progress)
-    return _table(stored, judged, rows, cases, baselines, injection) | {"left_out": left_out}
+    table = _table(stored, judged, rows, cases, baselines, injection)
+    return table | {"causes": cause_table(causes) if core.diagnoses else None, "left_out": left_out}
 
 
 def _baselines(

@@ -6,6 +6,7 @@ from __future__ import annotations
 from html import escape
 
 from ...core.compiled import TESTS
+from ...evaluate.causes import CAUSE_HEAD, cause_rows, cause_sentences
 from ...evaluate.comparison import (
     ALARM_HEAD,
     CALIBRATED,
@@ -56,7 +57,7 @@ alarms of one recording come together. Drives left \
 out: {left_out or "none"}.</p>
 {_claim_table(evaluation)}\
 <h3>False alarms</h3>{_alarm_table(evaluation)}{_drive_table(evaluation)}\
-{_injected_faults(evaluation)}{_baselines(evaluation)}"""
+{_injected_faults(evaluation)}{_causes(evaluation)}{_baselines(evaluation)}"""
 
 
 def _alarm_table(evaluation: dict) -> str:
@@ -163,6 +164,21 @@ median time, a miss counting as
 later than all. Not into {without or "none left"}.</p>{times}{table}
 <p>Both tests at one threshold (an alarm by either counts) and each test alone are compared
 {escape(compared)}; {exported}.</p>"""
+
+
+def _causes(evaluation: dict) -> str:
+    """Which causes the core names; empty where it names none."""
+    causes = evaluation["causes"]
+    if causes is None:
+        return ""
+    table = html_table(CAUSE_HEAD, [[escape(cell) for cell in row] for row in cause_rows(causes)], "words")
+    said = ". ".join(escape(line[0].upper() + line[1:]) for line in cause_sentences(causes))
+    return f"""<h3>Causes named</h3>
+<p>Of every fault found with the thresholds as exported: the cause that the core names 10 s of settled,
+excited driving after the alarm. Not yet: an alarm stood already, or too little such driving followed. An
+interval should hold the fault's mean size from alarm to diagnosis. Two faults at once, a dead zone and an
+output that saturates are no single cause: "other" is right there, and so is a gain whose interval holds the
+equivalent gain. {said}.</p>{table}"""
 
 
 def _detectors(detectors: dict[str, DetectorColumn], best: list[str] | None = None) -> str:

@@ -68,7 +68,8 @@ def _claim(stored: StoredIdentification) -> str:
     return (
         f"{calibration.alpha:g}: a further {one}, exchangeable with the {calibration.units()} that "
         f"calibrate, alarms with probability at most {calibration.alpha:g} (on average over "
-        "calibration sets)" + (", by each test; by any, at most three times that" if stored.energy else "")
+        f"calibration sets){calibration.hourly}"
+        + (", by each test; by any, at most three times that" if stored.energy else "")
     )
 
 

@@ -1,0 +1,129 @@
+"""Whether a named cause is right, on replays made up for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from lpvguard.drives.faults import Fault, inject, no_single_cause, share_of
+from lpvguard.drives.tables import Drive
+from lpvguard.evaluate.causes import CauseOutcome, cause_rows, cause_sentences, cause_table, true_cause
+from lpvguard.evaluate.detection import Case, JudgedClock
+from lpvguard.replay.run import Diagnosis
+
+START_S, ALARM_S, FOUND_S = 10.0, 15.0, 25.0
+
+
+def made_drive(project, seconds: float = 60.0, amplitude=lambda t: 0.2) -> Drive:
+    """A sine of 0.4 Hz and a speed in range."""
+    t = np.arange(round(seconds / project.Ts_s)) * project.Ts_s
+    y = (amplitude(t) * np.sin(2 * np.pi * 0.4 * t))[:, None]
+    return Drive("made", t, np.full(len(t), 10.0), 0 * y, y)
+
+
+def diagnosis(project, cause: str, *numbers: float, alarm_s: float = ALARM_S) -> Diagnosis:
+    value, low, high = (*numbers, None, None, None)[:3]
+    name = project.outputs[0].name
+    return Diagnosis(alarm_s + FOUND_S - ALARM_S, alarm_s, name, cause, value, low, high, alarm_s, False, "")
+
+
+def outcome(project, fault: Fault, *found: Diagnosis, ramp_s: float = 0.0, drive: Drive | None = None):
+    drive = drive or made_drive(project)
+    clock = JudgedClock(drive.t, round(START_S / project.Ts_s), 50.0)
+    case = Case("ramp" if ramp_s else "step", fault, ramp_s)
+    replay = SimpleNamespace(Ts=project.Ts_s, diagnoses=found)
+    faulty = inject(drive, fault, START_S, project.Ts_s, ramp_s)
+    return CauseOutcome.of(case, project, clock, drive, faulty, replay)
+
+
+@pytest.mark.parametrize(
+    ("fault", "cause", "truth"),
+    [
+        (Fault("gain", 0.6), "gain", 0.6),
+        (Fault("gain", -1.0), "sign", -1.0),
+        (Fault("bias", 0.5, (0.1,)), "bias", 0.05),
+        (Fault("input_delay", 0.3), "delay", -0.3),
+        (Fault("output_delay", 0.3), "delay", 0.3),
+    ],
+    ids=lambda x: x.label if isinstance(x, Fault) else "",
+)
+def test_a_known_fault_has_one_cause_and_a_size(g80, fault, cause, truth):
+    assert true_cause(fault) == cause
+    right = outcome(g80, fault, diagnosis(g80, cause, truth, truth - 0.02, truth + 0.02))
+    assert (right.judgement, right.outputs[0].held, right.after_s) == ("right", True, 10.0)
+    assert right.outputs[0].truth == pytest.approx(truth)
+    beside = outcome(g80, fault, diagnosis(g80, cause, truth + 0.1, truth + 0.08, truth + 0.12))
+    assert (beside.judgement, beside.outputs[0].held) == ("right", False)
+    assert outcome(g80, fault, diagnosis(g80, "other")).judgement == "other"
+    assert outcome(g80, fault, diagnosis(g80, "noise", 0.1)).judgement == "wrong"
+    assert outcome(g80, fault).judgement == "not yet"
+    before = diagnosis(g80, cause, truth, truth - 0.02, truth + 0.02, alarm_s=START_S - 1)
+    assert outcome(g80, fault, before).judgement == "not yet", "the alarm stood when the fault came"
+
+
+def test_a_frozen_output_has_a_value_and_no_interval(g80):
+    found = outcome(g80, Fault("freeze"), diagnosis(g80, "frozen", 0.1))
+    assert found.judgement == "right" and found.outputs[0].held is None
+
+
+def test_the_size_of_a_fault_that_grows_is_its_mean_from_alarm_to_diagnosis(g80):
+    after = np.arange(round(ALARM_S / g80.Ts_s), round(FOUND_S / g80.Ts_s)) - round(START_S / g80.Ts_s)
+    share = share_of(after, g80.Ts_s, 20.0).mean()
+    assert share == pytest.approx(0.5, abs=1e-3)
+    found = outcome(g80, Fault("gain", 0.6), diagnosis(g80, "gain", 0.8, 0.75, 0.85), ramp_s=20.0)
+    assert found.outputs[0].truth == pytest.approx(1 + share * -0.4)
+    assert found.outputs[0].held
+
+
+@pytest.mark.parametrize("fault", no_single_cause(np.array([0.15])), ids=lambda f: f.label)
+def test_without_a_single_cause_other_is_right_and_a_gain_that_holds_the_equivalent_one(g80, fault):
+    assert true_cause(fault) is None
+    assert outcome(g80, fault, diagnosis(g80, "other")).judgement == "right"
+    y, faulty = made_drive(g80), inject(made_drive(g80), fault, START_S, g80.Ts_s)
+    span = slice(round(ALARM_S / g80.Ts_s), round(FOUND_S / g80.Ts_s))
+    (equivalent,) = np.linalg.lstsq(y.y[span], faulty.y[span, 0], rcond=None)[0]
+    near = diagnosis(g80, "gain", equivalent, equivalent - 0.01, equivalent + 0.01)
+    assert outcome(g80, fault, near).judgement == "right"
+    far = diagnosis(g80, "gain", equivalent + 0.1, equivalent + 0.09, equivalent + 0.11)
+    assert outcome(g80, fault, far).judgement == "wrong"
+    assert outcome(g80, fault, diagnosis(g80, "bias", 0.1, 0.0, 0.2)).judgement == "wrong"
+
+
+def test_uneven_is_an_amplitude_that_differs_by_two(g80):
+    dead = Fault("dead_zone", 0.05)
+    growing = made_drive(g80, amplitude=lambda t: np.where(t < (ALARM_S + FOUND_S) / 2, 0.1, 0.25))
+    assert outcome(g80, dead, diagnosis(g80, "other"), drive=growing).uneven
+    assert not outcome(g80, dead, diagnosis(g80, "other")).uneven
+
+
+def test_an_output_with_a_wrong_cause_outweighs_one_with_the_right_one(g80):
+    right = diagnosis(g80, "gain", 0.6, 0.5, 0.7)
+    wrong = replace(right, cause="bias")
+    assert outcome(g80, Fault("gain", 0.6), right, wrong).judgement == "wrong"
+    assert outcome(g80, Fault("gain", 0.6), right, replace(right, cause="other")).judgement == "right"
+
+
+def test_the_table_counts_what_was_found(g80):
+    gain, dead = Fault("gain", 0.6), Fault("dead_zone", 0.05)
+    found = {
+        Case("step", gain, 0.0): [
+            outcome(g80, gain, diagnosis(g80, "gain", 0.6, 0.5, 0.7)),
+            outcome(g80, gain, diagnosis(g80, "gain", 0.9, 0.8, 1.0)),
+            outcome(g80, gain, diagnosis(g80, "other")),
+            outcome(g80, gain, diagnosis(g80, "bias", 0.1, 0.0, 0.2)),
+            outcome(g80, gain),
+        ],
+        Case("step", dead, 0.0): [outcome(g80, dead, diagnosis(g80, "other"))],
+    }
+    table = cause_table(found)
+    counts = {"found": 5, "right": 2, "other": 1, "wrong": 1, "not_yet": 1, "intervals": 2, "held": 1}
+    assert table["known"] == counts
+    assert table["no_single_cause"]["right"] == table["no_single_cause"]["said_other"] == 1
+    assert table["rows"][0]["named"] == {"bias": 1, "gain": 2, "other": 1}
+    first, *_, known, single = cause_rows(table)
+    assert first[:7] == ["step: output × 0.6", "gain", "5", "2", "1", "1", "1"]
+    assert known[2] == "5" and single[2] == "1"
+    assert cause_sentences(table)[0].startswith("right cause: 2 of 5, 5.27 to 85.34 %")

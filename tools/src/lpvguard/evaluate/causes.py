@@ -1,0 +1,254 @@
+"""Which cause the core names of injected faults, and whether it is right (THEORY 7.9).
+
+A fault counts that was found in time (detection.py), with the thresholds as exported. Its drive goes on for
+DIAGNOSED_S beyond that time, so that late alarms are diagnosed, too. The diagnosis is that of the first alarm
+from the fault's start on.
+
+**Known** faults have one cause: gain, sign, frozen, bias, delay. An output is right when the cause is that,
+"other" when it is other, wrong in all other cases. Truth of an interval is the size that the fault has in the
+mean from the alarm to the diagnosis: all of it, or the share of a ramp. A delayed input is a negative delay:
+the output is sooner than the model says.
+
+**No single cause** has a fault of `no_single_cause`: two at once, a dead zone, an output that saturates.
+There "other" is right. A gain is, too, when its interval holds the equivalent gain. That is by least squares
+of the faulty output on the untouched one over the same samples. Uneven is a record in which the root mean
+square of the untouched output differs by UNEVEN or more between the halves of these samples.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ..base.rates import rate, share_words
+from ..drives.faults import Fault, share_of
+from ..drives.tables import Drive
+from ..replay.causes import WITH_INTERVAL
+from ..replay.run import Diagnosis, Replay
+from ..vehicle.project import Project
+from .detection import WAY_WORDS, Case, JudgedClock
+
+DIAGNOSED_S = 30.0
+"""Driving after the time in which a fault may be found, for the diagnosis of its alarm."""
+UNEVEN = 2.0
+TRUE_CAUSE = {"freeze": "frozen", "bias": "bias", "input_delay": "delay", "output_delay": "delay"}
+"""By the kind of a fault; a gain below 0 is a sign."""
+RIGHT, OTHER, WRONG, NOT_YET = "right", "other", "wrong", "not yet"
+JUDGEMENTS = (RIGHT, OTHER, WRONG, NOT_YET)
+
+
+def true_cause(fault: Fault) -> str | None:
+    """The one cause of a fault; None where it has no single one."""
+    if fault.also is not None:
+        return None
+    if fault.kind == "gain":
+        return "sign" if fault.value < 0 else "gain"
+    return TRUE_CAUSE.get(fault.kind)
+
+
+@dataclass(frozen=True)
+class OutputCause:
+    """What was named of an output. ``truth``: the size that its interval should hold, None without one."""
+
+    output: str
+    cause: str
+    value: float | None
+    low: float | None
+    high: float | None
+    truth: float | None
+    judgement: str
+
+    @property
+    def held(self) -> bool | None:
+        """Whether the interval holds the truth; None where there is none, or the cause is not right."""
+        if self.judgement != RIGHT or self.truth is None or self.low is None or self.high is None:
+            return None
+        return self.low <= self.truth <= self.high
+
+
+@dataclass(frozen=True)
+class CauseOutcome:
+    """Of a found fault in the drive ``run`` from ``start_s`` [s] on: the judgement, the seconds from alarm to
+    diagnosis, None without one. ``uneven``: the module's docstring."""
+
+    run: str
+    start_s: float
+    judgement: str
+    after_s: float | None
+    uneven: bool
+    outputs: tuple[OutputCause, ...]
+
+    @classmethod
+    def of(
+        cls, case: Case, project: Project, clock: JudgedClock, drive: Drive, faulty: Drive, replay: Replay
+    ) -> CauseOutcome:
+        """The outcome of a ``case`` from the start of ``clock`` on; ``replay``: of the ``faulty`` drive."""
+        start_s = clock.first * replay.Ts
+        since = [d for d in replay.diagnoses if d.alarm_s >= start_s - replay.Ts / 2]
+        if not since:
+            return cls(drive.name, start_s, NOT_YET, None, False, ())
+        first = [d for d in since if d.alarm_s == since[0].alarm_s]
+        span = slice(*(round(t / replay.Ts) for t in (first[0].alarm_s, first[0].t_s)))
+        outputs = tuple(_output(case, project, d, clock.first, span, drive, faulty) for d in first)
+        found = {o.judgement for o in outputs}
+        judgement = next(j for j in (WRONG, RIGHT, OTHER) if j in found)
+        return cls(
+            drive.name, start_s, judgement, first[0].t_s - first[0].alarm_s, _uneven(drive.y[span]), outputs
+        )
+
+
+def _output(
+    case: Case, project: Project, d: Diagnosis, first: int, span: slice, drive: Drive, faulty: Drive
+) -> OutputCause:
+    fault, cause = case.fault, true_cause(case.fault)
+    j = [s.name for s in project.outputs].index(d.output)
+    if cause is None:
+        y, y_faulty = drive.y[span, j], faulty.y[span, j]
+        square = float(y @ y)
+        truth = float(y @ y_faulty) / square if square > 0 else None
+        holds = None not in (d.low, d.high, truth) and d.low <= truth <= d.high  # type: ignore[operator]
+        right = d.cause == "other" or (d.cause in ("gain", "sign") and holds)
+        judgement = RIGHT if right else WRONG
+        truth = None if d.cause == "other" else truth
+    else:
+        judgement = RIGHT if d.cause == cause else OTHER if d.cause == "other" else WRONG
+        share = float(share_of(np.arange(span.start, span.stop) - first, project.Ts_s, case.ramp_s).mean())
+        truth = _size(fault, j, share) if d.cause in WITH_INTERVAL else None
+    return OutputCause(d.output, d.cause, d.value, d.low, d.high, truth, judgement)
+
+
+def _size(fault: Fault, j: int, share: float) -> float:
+    """Of output j, where ``share`` of the fault is there."""
+    if fault.kind == "gain":
+        return 1.0 + share * (fault.value - 1.0)
+    if fault.kind == "bias":
+        return share * fault.value * (fault.spread[j] if fault.spread else 1.0)
+    return share * fault.value * (-1.0 if fault.kind == "input_delay" else 1.0)
+
+
+def _uneven(y: np.ndarray) -> bool:
+    """Whether the halves (N, n_y) of an output's record differ by UNEVEN, in any output."""
+    edges = (0, len(y) // 2, len(y))
+    sizes = np.array([np.sqrt(np.mean(y[a:b] ** 2, axis=0)) for a, b in pairwise(edges)])
+    return bool((sizes.max(axis=0) >= UNEVEN * sizes.min(axis=0)).any())
+
+
+CauseOutcomes = dict[Case, list[CauseOutcome]]
+"""Per case, what was named where it was found."""
+
+
+def cause_table(found: CauseOutcomes) -> dict:
+    """JSON-able: per case a row, and the sums over known faults, and over those without a single cause."""
+    rows = [_row(case, members) for case, members in found.items()]
+    known = [m for case, of in found.items() if true_cause(case.fault) is not None for m in of]
+    single = [m for case, of in found.items() if true_cause(case.fault) is None for m in of]
+    uneven = [m for m in single if m.uneven]
+    return {
+        "diagnosed_s": DIAGNOSED_S,
+        "rows": rows,
+        "known": _counts(known),
+        "no_single_cause": _counts(single)
+        | {
+            "said_other": sum(_said_other(m) for m in single),
+            "uneven": len(uneven),
+            "uneven_said_other": sum(_said_other(m) for m in uneven),
+        },
+    }
+
+
+def _said_other(m: CauseOutcome) -> bool:
+    return bool(m.outputs) and all(o.cause == "other" for o in m.outputs)
+
+
+def _counts(members: Iterable[CauseOutcome]) -> dict:
+    """Faults found, judgements of them, and intervals of right causes, with how many hold the truth."""
+    members = list(members)
+    judged = Counter(m.judgement for m in members)
+    held = [o.held for m in members for o in m.outputs if o.held is not None]
+    return {
+        "found": len(members),
+        **{j.replace(" ", "_"): judged[j] for j in JUDGEMENTS},
+        "intervals": len(held),
+        "held": sum(held),
+    }
+
+
+def _row(case: Case, members: list[CauseOutcome]) -> dict:
+    named = Counter(o.cause for m in members for o in m.outputs)
+    waits = [m.after_s for m in members if m.after_s is not None]
+    return {
+        "way": case.way,
+        "fault": case.fault.label,
+        "cause": true_cause(case.fault),
+        **_counts(members),
+        "named": dict(sorted(named.items())),
+        "median_after_s": float(np.median(waits)) if waits else None,
+        "cases": [
+            {
+                "run": m.run,
+                "start_s": m.start_s,
+                "judgement": m.judgement,
+                "after_s": m.after_s,
+                "uneven": m.uneven,
+                "outputs": [vars(o) for o in m.outputs],
+            }
+            for m in members
+        ],
+    }
+
+
+CAUSE_HEAD = (
+    "fault",
+    "its cause",
+    "found",
+    "right",
+    "other",
+    "wrong",
+    "not yet",
+    "named",
+    "95 % intervals hold",
+)
+"""Columns of cause_rows."""
+
+
+def cause_rows(table: dict) -> list[list[str]]:
+    """Cells of the table, a row per case and one per sum."""
+    rows = []
+    for row in table["rows"]:
+        named = ", ".join(f"{cause} {n}" for cause, n in row["named"].items()) or "–"
+        name = f"{WAY_WORDS[row['way']]}: {row['fault']}"
+        rows.append([name, row["cause"] or "no single one", *_cells(row), named, _held(row)])
+    for what, key in (("all with one cause", "known"), ("all without a single one", "no_single_cause")):
+        rows.append([what, "", *_cells(table[key]), "", _held(table[key])])
+    return rows
+
+
+def _cells(of: dict) -> list[str]:
+    return [str(of["found"]), *(str(of[j.replace(" ", "_")]) for j in JUDGEMENTS)]
+
+
+def _held(of: dict) -> str:
+    return f"{of['held']} of {of['intervals']}" if of["intervals"] else "–"
+
+
+def cause_sentences(table: dict) -> list[str]:
+    """What the table comes to, in words, with exact 95 % intervals of the shares."""
+    known, single = table["known"], table["no_single_cause"]
+    return [
+        f"right cause: {_share(known[RIGHT], known['found'])} of the faults found",
+        f"wrong cause: {_share(known[WRONG], known['found'])} of the faults found",
+        "95 % intervals of right causes that hold the fault's size: "
+        f"{_share(known['held'], known['intervals'])}",
+        'without a single cause, "other" or the equivalent gain: '
+        f"{_share(single[RIGHT], single['found'])} of the faults found",
+        f'of these, "other" where amplitudes differ by {UNEVEN:g} or more: '
+        f"{_share(single['uneven_said_other'], single['uneven'])}",
+    ]
+
+
+def _share(n: int, of: int) -> str:
+    return share_words(rate(n, of))
