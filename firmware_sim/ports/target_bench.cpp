@@ -22,6 +22,10 @@
 #include "margin.hpp"
 #include "target_input.h"
 #include "text.hpp"
+#if __has_include("lpvguard_diagnosis.c")
+#define TARGET_DIAGNOSES
+#include "lpvguard/diagnosis.h"
+#endif
 #if LPVG_NK > 0
 #include "aes_cmac.hpp"
 #include "dense_controller.hpp"
@@ -153,6 +157,39 @@ void run_monitor() {
     }
     part.write();
 }
+
+#ifdef TARGET_DIAGNOSES
+
+// The cause of an alarm: taking a sample after its push, an output's share of a block, and an output's judgement. Not in the step.
+void run_diagnosis() {
+    static lpvg_diagnosis_t diagnosis;
+    require(lpvg_monitor_init(&monitor, &lpvg_coeff) == lpvg_status_ok, "monitor refused the coefficients\n");
+    require(lpvg_diagnosis_init(&diagnosis, &lpvg_diagnosis_table) == lpvg_status_ok, "the diagnosis refused its table\n");
+    Part take("diagnosis_take");
+    for (std::size_t k = 0; k < TARGET_INPUT_SAMPLES; ++k) {
+        const lpvg_sample_t sample = sample_at(k);
+        require(lpvg_monitor_push(&monitor, &sample) == lpvg_status_ok, "a sample was refused\n");
+        take.run([&] { require(lpvg_diagnosis_take(&diagnosis, &monitor) == lpvg_status_ok, "a block was refused\n"); });
+        while (lpvg_diagnosis_work(&diagnosis)) {
+        }
+    }
+    take.write();
+    require(diagnosis.alarms > 0U && diagnosis.found[0].cause != lpvg_cause_unknown, "no alarm was diagnosed\n");
+    require(lpvg_monitor_init(&monitor, &lpvg_coeff) == lpvg_status_ok, "monitor refused the coefficients\n");
+    require(lpvg_diagnosis_init(&diagnosis, &lpvg_diagnosis_table) == lpvg_status_ok, "the diagnosis refused its table\n");
+    Part work("diagnosis_work");
+    for (std::size_t k = 0; k < TARGET_INPUT_SAMPLES; ++k) {
+        const lpvg_sample_t sample = sample_at(k);
+        require(lpvg_monitor_push(&monitor, &sample) == lpvg_status_ok, "a sample was refused\n");
+        require(lpvg_diagnosis_take(&diagnosis, &monitor) == lpvg_status_ok, "a block was refused\n");
+        for (bool more = diagnosis.pending > 0U; more;) {
+            work.run([&] { more = lpvg_diagnosis_work(&diagnosis); });
+        }
+    }
+    work.write();
+}
+
+#endif
 
 void run_model() {
     Part part("model_step");
@@ -455,6 +492,10 @@ int main() {
     Line().word("size").word("monitor").number(sizeof(lpvg_monitor_t)).write();
     run_init();
     run_monitor();
+#ifdef TARGET_DIAGNOSES
+    Line().word("size").word("diagnosis").number(sizeof(lpvg_diagnosis_t)).write();
+    run_diagnosis();
+#endif
     run_model();
     run_margin();
 #if LPVG_NK > 0

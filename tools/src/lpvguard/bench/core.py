@@ -26,6 +26,7 @@ from ..core.targets import TARGETS, Input, run_host, run_target
 from ..drives.frames import Estimator
 from ..engine.overbound.weight import Weight
 from ..identify.change import ChangeTest
+from ..identify.diagnosis import PARTS, DiagnosisScales
 from ..identify.energy import EnergyTest
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, load_project, parse_project
@@ -35,7 +36,7 @@ INIT = 150_000  # instructions, Cortex-M4F
 WORST_TO_MEDIAN = 1.35
 RAM_BYTES = 10_240
 RECORDED_FRAMES = 4  # in that RAM, at least
-ROM_BYTES = 49_152
+ROM_BYTES = 51_200  # of all parts that this image links, the diagnosis of 7.6 kB included
 STACK_BYTES = 2048
 XCP_IDLE = 0.02  # of the step, where the XCP slave has nothing to do
 TRUCK_FRAMES = 4  # of its own that the truck sends in a step, at most
@@ -82,6 +83,24 @@ def budget_controller(project: Project) -> ControllerCoefficients:
     )
 
 
+def budget_diagnosis(project: Project) -> DiagnosisScales:
+    """Scales of the size of the budget, of no vehicle."""
+    n_y = project.n_y
+    return DiagnosisScales(
+        project.Ts_s,
+        np.full((n_y, 2), [0.1, 0.01]),
+        np.tile(1e-4 * np.eye(PARTS), (n_y, 1, 1)),
+        np.full(n_y, 4.0),
+        np.full((n_y, 2), [1e-2, 1e-2]),
+        np.full(n_y, 1e-1),
+        np.full(n_y, 1e-2),
+        np.ones(n_y),
+        2.0,
+        windows=100,
+        drives=10,
+    )
+
+
 def write_budget_vehicle(folder: Path) -> Project:
     """A generated folder of the budget's sizes, with placeholder bounds."""
     project = budget_project()
@@ -113,6 +132,7 @@ def write_budget_vehicle(folder: Path) -> Project:
             coefficients,
             {"kind": "vehicle", "project": project.model_dump(by_alias=True)},
             budget_controller(project),
+            budget_diagnosis(project).table,
         ),
     )
     return project
@@ -238,7 +258,7 @@ def budget_rows(report: dict[str, Any]) -> list[list[str]]:
             f"{ROM_BYTES} (Cortex-M4F)",
             f"{STACK_BYTES}",
             f"{INIT}",
-            *[""] * 10,
+            *[""] * 13,
         ]
     ]
     for run in report["targets"]:
@@ -261,6 +281,9 @@ def budget_rows(report: dict[str, Any]) -> list[list[str]]:
                         run["parts"]["auth_pair"]["worst"],
                         run["parts"]["j1939_step"]["worst"],
                         run["structs"]["j1939"],
+                        run["parts"]["diagnosis_take"]["worst"],
+                        run["parts"]["diagnosis_work"]["worst"],
+                        run["structs"]["diagnosis"],
                         run["parts"]["xcp_idle"]["worst"],
                         run["parts"]["xcp_event"]["worst"],
                         run["parts"]["xcp_upload"]["worst"],
@@ -294,6 +317,9 @@ def write_guide(path: Path, report: dict[str, Any]) -> None:
         "authenticated message [instr]",
         "J1939 step, beside [instr]",
         "J1939 RAM [B]",
+        "diagnosis, a sample [instr]",
+        "diagnosis, a call beside [instr]",
+        "diagnosis RAM [B]",
         "XCP idle, a frame [instr]",
         "XCP idle, a step [instr]",
         "XCP upload [instr]",
