@@ -466,3 +466,23 @@ def test_a_missing_column_is_named_with_its_file(synthetic, identified, core, g8
     with pytest.raises(InputError, match="column delta is missing") as caught:
         stage.evaluate(identify.load(identified), drive_set, core)
     assert caught.value.source.endswith("synthetic_07.csv")
+
+
+def test_a_claim_is_stated_an_hour_judged_too():
+    scores = {f"d{i}": 1.0 + 0.1 * i for i in range(10)} | {"piece": 3.0, "bound": 2.0}
+    recordings = Recordings({"piece": "d9", "bound": "b"}, ("b",))
+    plain = calibrate(scores, 0.1, recordings=recordings)
+    assert "hour" not in plain.claim()
+    timed = plain.over(dict.fromkeys((*scores, "another"), 360.0))
+    assert timed.claim() == f"{plain.claim()}; {timed.hourly[2:]}"
+    bound = plain.conditional_bound * 10 / 1.1
+    assert timed.hourly == f"; 0.909 and {bound:.3g} an hour judged, of 1.1 h", (
+        "eleven drives, ten recordings"
+    )
+    assert Calibration.from_dict(timed.to_dict()) == timed
+    few = calibrate({"a": 1.0}, 0.1).over({"a": 360.0})
+    assert few.hourly == "", "without alpha there is no claim"
+    grouped = Recordings(groups=dict.fromkeys((f"d{i}" for i in range(10)), "wet"))
+    ten = {k: v for k, v in scores.items() if k.startswith("d")}
+    said = calibrate(ten, 0.1, recordings=grouped).over(dict.fromkeys(ten, 720.0)).claim()
+    assert said.count("an hour judged, of 2 h") == 2

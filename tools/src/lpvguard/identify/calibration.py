@@ -130,7 +130,8 @@ class Calibration:
 
     conditional_bound: with 95 % confidence over the calibration recordings, the false-alarm probability of a
     further one is below this number. groups: of each group that experiments.csv names; ``threshold`` is then
-    the pooled one. group: the one whose threshold this is (``of_group``), None: pooled.
+    the pooled one. group: the one whose threshold this is (``of_group``), None: pooled. judged_s: by drive,
+    in counted frames; empty where no claim an hour is made.
     """
 
     threshold: float
@@ -140,6 +141,11 @@ class Calibration:
     recordings: Recordings = NO_RECORDINGS
     groups: dict[str, GroupThreshold] = field(default_factory=dict)
     group: str | None = None
+    judged_s: dict[str, float] = field(default_factory=dict)
+
+    def over(self, judged_s: Mapping[str, float]) -> Calibration:
+        """With the time that was judged of every drive [s], so that claims are stated an hour, too."""
+        return replace(self, judged_s={d: judged_s[d] for d in self.scores})
 
     @property
     def carried(self) -> float:
@@ -172,6 +178,8 @@ class Calibration:
         out: dict = {k: getattr(self, k) for k in ("threshold", "scores", "alpha", "conditional_bound")}
         if named.of:
             out["recordings"] = {"of": named.of, "setting": list(named.setting)}
+        if self.judged_s:
+            out["judged_s"] = self.judged_s
         if self.groups:
             thresholds = {name: vars(g) for name, g in self.groups.items()}
             out["groups"] = {"of": named.groups, "thresholds": thresholds, "carried": self.carried}
@@ -198,7 +206,10 @@ class Calibration:
         """What may be said of the threshold's false alarms, in words; never a threshold without it."""
         if not self.groups:
             return self._pooled_claim()
-        told = "; ".join(g.words(name) for name, g in self.groups.items())
+        told = "; ".join(
+            g.words(name) + self._hourly(self.recordings.in_group(self.scores, name), g)
+            for name, g in self.groups.items()
+        )
         if self.group is not None:
             return told
         return f"pooled: {self._pooled_claim()}; {told}; the core carries the largest, {self.carried:.4g}"
@@ -207,7 +218,7 @@ class Calibration:
         if self.alpha is not None:
             return (
                 f"alpha {self.alpha:g} from {self.units()}, with 95 % confidence below "
-                f"{self.conditional_bound:.3f}"
+                f"{self.conditional_bound:.3f}{self.hourly}"
             )
         if not self.recordings.of:
             return f"alpha is not stated: too few calibration drives ({len(self.scores)})"
@@ -217,6 +228,22 @@ class Calibration:
             "set the bounds; pieces of one recording are no draws of their own"
             + (f", and {beside} are of recordings that set the bounds" if beside else "")
         )
+
+    @property
+    def hourly(self) -> str:
+        """The pooled claim an hour judged, in words that go on from it; empty where none is made."""
+        return self._hourly(self.scores, self)
+
+    def _hourly(self, scores: Mapping[str, float], of: GroupThreshold | Calibration) -> str:
+        """The claim of recordings with these ``scores``, an hour judged: of a further one that is judged for
+        as long as they are in the mean."""
+        counted = self.recordings.largest(scores)
+        drives = [d for d in scores if self.recordings.named(d) in counted]
+        hours = sum(self.judged_s.get(d, 0.0) for d in drives) / 3600
+        if of.alpha is None or of.conditional_bound is None or not hours:
+            return ""
+        rate, bound = (x * len(counted) / hours for x in (of.alpha, of.conditional_bound))
+        return f"; {rate:.3g} and {bound:.3g} an hour judged, of {hours:.3g} h"
 
 
 def score(run: Run) -> float | None:

@@ -29,6 +29,7 @@ from .bounds import (
 )
 from .calibration import change_score, energy_score, score
 from .change import ChangeTest, largest_estimates, regressor_products
+from .diagnosis import Windows, windows_of
 from .energy import EnergyTest
 from .visibility import Excitation
 
@@ -163,14 +164,15 @@ def covering_pass(reader: DriveReader, W_delta: np.ndarray, B_w: np.ndarray, exp
 
 
 class Judged(NamedTuple):
-    """What the tests say of a drive: its largest margin, its scores (None: nothing judged), and its
-    excitation."""
+    """What the tests say of a drive: its largest margin, its scores (None: nothing judged), its excitation,
+    and the time in counted frames [s]."""
 
     worst: float
     score: float | None
     energy_score: float | None
     change_score: float | None
     met: Excitation
+    judged_s: float
 
 
 def judge(
@@ -203,6 +205,7 @@ def judge(
             None,
             None,
             Excitation.of(name, speed_range, bin_of, speed, Z, W_delta, B_w, start),
+            _covered_s(start, reader.estimator.length[bin_of], reader.project.Ts_s),
         )
     worst = 0.0
     for cut in _first_samples(reader, name, len(drive.t), cuts):
@@ -222,7 +225,17 @@ def judge(
         B_w,
         np.round(f.t_end_s[of_whole] * 1e6).astype(np.int64),
     )
-    return Judged(worst, score(whole), energy_score(whole), change_score(whole), met)
+    Ts = reader.project.Ts_s
+    judged_s = float(f.judged(len(drive.t), drive.t[0], Ts, reader.estimator.length).sum() * Ts)
+    return Judged(worst, score(whole), energy_score(whole), change_score(whole), met, judged_s)
+
+
+def _covered_s(start: np.ndarray, length: np.ndarray, Ts: float) -> float:
+    """Time [s] that frames of ``length`` (F,) samples from ``start`` (F,) on cover."""
+    frames_open = np.zeros(int((start + length).max(initial=0)) + 1, int)
+    np.add.at(frames_open, start, 1)
+    np.add.at(frames_open, start + length, -1)
+    return float((np.cumsum(frames_open) > 0).sum() * Ts)
 
 
 def _first_samples(reader: DriveReader, name: str, samples: int, cuts: int) -> list[int]:
@@ -255,3 +268,9 @@ def change_largest_pass(reader: DriveReader, test: ChangeTest, experiment: Exper
     """The largest estimates (n_y, 3) of the change test on a drive [output units]."""
     drive, e, yhat = reader.read(experiment)
     return largest_estimates(test, e, yhat, drive.v, reader.estimator)
+
+
+def diagnosis_pass(reader: DriveReader, unit: np.ndarray, experiment: Experiment) -> Windows:
+    """The windows of a drive, from which the diagnosis has its scales; ``unit`` (n_y, 2): 1 / sizes."""
+    drive, e, yhat = reader.read(experiment)
+    return windows_of(e, yhat, drive.v, reader.estimator, unit)

@@ -12,6 +12,7 @@ Writes a folder with
     energy.json       energy test: filters, certificate, sigma, scores, threshold (energy.py); with Hann
                       frames only
     change.json       change test: sizes, scores, threshold (change.py); likewise
+    diagnosis.json    scales of the diagnosis of alarms (diagnosis.py); likewise
     visibility.json   smallest visible gain and delay errors, at typical and at the strongest excitation met
     spectra.npz       E, Z and mean speed of frames of the bound-setting drives, thinned, for the pictures and
                       step 8's trade-offs
@@ -43,9 +44,7 @@ from ..core.compiled import Core
 from ..drives.frames import Estimator, not_for_the_core
 from ..drives.tables import (
     EXPERIMENTS,
-    Drive,
     Experiment,
-    bound_setting,
     list_experiments,
     set_aside,
     table_hashes,
@@ -56,6 +55,9 @@ from ..vehicle.project import Project, parse_project
 from .bounds import FRONT_POINTS, Bounds, Part, fold, front_grid
 from .calibration import Calibration, Recordings, calibrate
 from .change import ChangeTest
+from .chosen import Chosen
+from .chosen import DriveSet as DriveSet
+from .diagnosis import DiagnosisScales
 from .energy import EnergyTest
 from .model_error import FOLDS, ErrorGrid, ModelError, Sums, model_error_pass
 from .model_fit import drive_fit, require_better_than_none
@@ -65,6 +67,7 @@ from .passes import (
     change_largest_pass,
     change_products_pass,
     covering_pass,
+    diagnosis_pass,
     energy_pass,
     first_pass,
     judge,
@@ -115,6 +118,7 @@ class Identification:
     calibration: Calibration
     energy: EnergyTest | None
     change: ChangeTest | None
+    diagnosis: DiagnosisScales | None
     visibility: dict
     spectra: Rows
     bound_drives: list[str]
@@ -124,35 +128,6 @@ class Identification:
     sha256: dict[str, str]
     model_fit: list[Quality]
     others_fit: list[Quality]
-
-
-class DriveSet:
-    """The drives of a folder, read when asked for and not kept."""
-
-    def __init__(self, project: Project, model: NominalModel, experiments: list[Experiment]):
-        self.reader = DriveReader(project, model)
-        self.experiments = {e.name: e for e in experiments}
-
-    def load(self, name: str) -> tuple[Drive, np.ndarray, np.ndarray]:
-        """The drive, its nominal error e and nominal output yhat (N, n_y)."""
-        return self.reader.read(self.experiments[name])
-
-
-@dataclass(frozen=True)
-class _Chosen:
-    """Drives by what they are for: those that set the bounds, those without input, and all others, which
-    calibrate."""
-
-    setting: list[Experiment]
-    noise: list[Experiment]
-    others: list[Experiment]
-
-    @classmethod
-    def by_split(cls, project: Project, experiments: list[Experiment], folder: Path) -> _Chosen:
-        """By the column split of the index; InputError when no drive sets the bounds."""
-        setting = bound_setting(project, experiments, folder)
-        noise = [e for e in experiments if e.split in project.data.noise_split]
-        return cls(setting, noise, [e for e in experiments if e not in setting and e not in noise])
 
 
 class _Run:
@@ -166,6 +141,7 @@ class _Run:
         self.left_out: dict[str, str] = {}
         self._spectra: list[Rows] = []
         self._met: list[Excitation] = []
+        self._judged_s: dict[str, float] = {}
 
     def over(
         self, what: str, task: Callable[[Experiment], Result], chosen: Iterable[Experiment]
@@ -207,7 +183,7 @@ class _Run:
             )
         return left
 
-    def model_error(self, drives: _Chosen) -> ModelError:
+    def model_error(self, drives: Chosen) -> ModelError:
         """The model error model of the bound-setting drives, and that of the drives that judge it."""
         reader = self.reader
         grid = ErrorGrid.of(reader.project, reader.estimator)
@@ -269,7 +245,7 @@ class _Run:
         )
 
     def calibrated(
-        self, weights: Weights, drives: _Chosen
+        self, weights: Weights, drives: Chosen
     ) -> tuple[Weights, Calibration, EnergyTest | None, ChangeTest | None]:
         """Weights with their final inflation, and the tests with their thresholds; the plain DFT has the
         frame test only."""
@@ -279,7 +255,8 @@ class _Run:
             inflated = self._inflated(weights, None, drives)
             scores, _, _ = self._scores(weights, None, None, drives)
             scores = {n: s / inflated.inflation for n, s in scores.items()}
-            return inflated, calibrate(scores, alpha, recordings=recordings), None, None
+            by_frames = calibrate(scores, alpha, recordings=recordings).over(self._judged_s)
+            return inflated, by_frames, None, None
         filters, change = energy_filters(project, estimator, weights), self._change_test(drives)
         with scratch_core(
             project, coefficients_of(project, model, estimator, weights, 1.0, filters, change)
@@ -288,11 +265,13 @@ class _Run:
             test = self._energy_test(inflated, drives)
             reals = coefficients_of(project, model, estimator, inflated, 1.0, test, change).flat_reals()
             scores, energy_scores, change_scores = self._scores(weights, core, reals, drives)
+            test = test.calibrated(energy_scores, alpha, recordings)
+            change = change.calibrated(change_scores, alpha, recordings)
             return (
                 inflated,
-                calibrate(scores, alpha, recordings=recordings),
-                test.calibrated(energy_scores, alpha, recordings),
-                change.calibrated(change_scores, alpha, recordings),
+                calibrate(scores, alpha, recordings=recordings).over(self._judged_s),
+                replace(test, calibration=test.calibration.over(self._judged_s)),
+                replace(change, calibration=change.calibration.over(self._judged_s)),
             )
 
     def visibility(self, weights: Weights, calibration: Calibration) -> dict:
@@ -322,14 +301,14 @@ class _Run:
                 self._met = [self.met]
             yield j
 
-    def _inflated(self, weights: Weights, core: Core | None, drives: _Chosen) -> Weights:
+    def _inflated(self, weights: Weights, core: Core | None, drives: Chosen) -> Weights:
         """The final inflation: the least factor >= 1 on the weights with which no margin is above 1 on a
         bound-setting drive, whole or with its first samples cut; rounded up by 1e-4 when it is above 1."""
         judged = self._judged("inflation", weights, core, None, CUTS, drives.setting)
         worst = max([1.0, *(j.worst for j in judged)])
         return replace(weights, inflation=worst if worst == 1.0 else worst * (1 + 1e-4))
 
-    def _energy_test(self, inflated: Weights, drives: _Chosen) -> EnergyTest:
+    def _energy_test(self, inflated: Weights, drives: Chosen) -> EnergyTest:
         """The energy test with the sigma that the drives with and without input ask for."""
         test = energy_filters(self.reader.project, self.reader.estimator, inflated)
         chosen = drives.setting + drives.noise
@@ -337,20 +316,30 @@ class _Run:
         task = partial(energy_pass, self.reader, test, CUTS)
         return test.with_joint(fold(self.over("joint sigma", task, chosen)))
 
-    def _change_test(self, drives: _Chosen) -> ChangeTest:
+    def _change_test(self, drives: Chosen) -> ChangeTest:
         """The change test with the sizes that the bound-setting drives show."""
         sums = self.over("change", partial(change_products_pass, self.reader), drives.setting)
         test = ChangeTest.design(self.reader.project).with_moments(np.sum(list(sums), axis=0))
         task = partial(change_largest_pass, self.reader, test)
         return test.with_largest(np.max(list(self.over("change", task, drives.setting)), axis=0))
 
+    def diagnosis(self, change: ChangeTest | None, drives: Chosen) -> DiagnosisScales | None:
+        """Scales of the diagnosis, by the sizes of the change test; None without that."""
+        if change is None:
+            return None
+        task = partial(diagnosis_pass, self.reader, 1 / change.unit)
+        windows = list(self.over("diagnosis", task, drives.setting))
+        return DiagnosisScales.of(self.reader.project, change.unit, windows)
+
     def _scores(
-        self, weights: Weights, core: Core | None, reals: np.ndarray | None, drives: _Chosen
+        self, weights: Weights, core: Core | None, reals: np.ndarray | None, drives: Chosen
     ) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
-        """Scores of the calibration drives in frame, energy and change test; adds to ``left_out``."""
+        """Scores of the calibration drives in frame, energy and change test; adds to ``left_out`` and to the
+        times judged."""
         scores, energy_scores, change_scores = {}, {}, {}
         judged = self._judged("score", weights, core, reals, 0, drives.others)
         for e, j in zip(drives.others, judged, strict=False):
+            self._judged_s[e.name] = j.judged_s
             if j.score is None:
                 self.left_out[e.name] = self.reader.why_without_frames()
             else:
@@ -392,7 +381,7 @@ def identify(
     drives = DriveSet(project, NominalModel(project), experiments)
     estimator, run = drives.reader.estimator, _Run(drives.reader, workers, progress)
     hashes = table_hashes(experiments, workers)
-    chosen = _Chosen.by_split(project, experiments, Path(folder))
+    chosen = Chosen.by_split(project, experiments, Path(folder))
     fit_of = partial(drive_fit, drives.reader)
     model_fit, others_fit = (list(run.over("model", fit_of, of)) for of in (chosen.setting, chosen.others))
     require_better_than_none(project, model_fit, Path(folder))
@@ -423,6 +412,7 @@ def identify(
         calibration=calibration,
         energy=energy,
         change=change,
+        diagnosis=run.diagnosis(change, chosen),
         visibility=run.visibility(weights, calibration),
         spectra=run.spectra,
         bound_drives=[e.name for e in chosen.setting],
@@ -473,6 +463,11 @@ def save(result: Identification, drives: DriveSet, target: Path) -> None:
                 "calibration.json": artefacts.to_json(result.calibration.to_dict()),
                 **({"energy.json": artefacts.to_json(result.energy.to_dict())} if result.energy else {}),
                 **({"change.json": artefacts.to_json(result.change.to_dict())} if result.change else {}),
+                **(
+                    {"diagnosis.json": artefacts.to_json(result.diagnosis.to_dict())}
+                    if result.diagnosis
+                    else {}
+                ),
                 "visibility.json": artefacts.to_json(result.visibility),
                 "project.json": artefacts.to_json(result.project.model_dump(by_alias=True)),
                 "spectra.npz": spectra_file(result.spectra, result.bound_drives),
@@ -506,6 +501,7 @@ class StoredIdentification:
     calibration: Calibration
     energy: EnergyTest | None
     change: ChangeTest | None
+    diagnosis: DiagnosisScales | None
     front: dict[str, np.ndarray]
     visibility: dict
     model_error: ModelError
@@ -573,7 +569,7 @@ def load(folder: Path) -> StoredIdentification:
             f"{estimator.identifier():#010x}, the estimator that project.json describes",
         )
     fitted = Weights.from_dict(weights, str(folder / "weights.json"))
-    energy = change = None
+    energy = change = diagnosis = None
     if estimator.window == "hann":
         energy = energy_filters(project, estimator, fitted).restored(
             artefacts.read_json(folder / "energy.json"), str(folder / "energy.json")
@@ -581,6 +577,8 @@ def load(folder: Path) -> StoredIdentification:
         change = ChangeTest.design(project).restored(
             artefacts.read_json(folder / "change.json"), str(folder / "change.json")
         )
+        if (folder / "diagnosis.json").is_file():  # an identification of before has none
+            diagnosis = DiagnosisScales.restored(project, artefacts.read_json(folder / "diagnosis.json"))
     stored_front = artefacts.read_json(folder / "front.json")
     front = {k: np.array(stored_front[k], float) for k in ("gamma_w", "nu")}
     return StoredIdentification(
@@ -593,6 +591,7 @@ def load(folder: Path) -> StoredIdentification:
         calibration,
         energy,
         change,
+        diagnosis,
         front,
         artefacts.read_json(folder / "visibility.json"),
         ModelError.from_dict(project, estimator, artefacts.read_json(folder / "model_error.json")),
