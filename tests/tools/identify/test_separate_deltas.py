@@ -10,6 +10,7 @@ from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import list_experiments, read_drive
 from lpvguard.identify.export import export_vehicle
 from lpvguard.identify.run import load
+from lpvguard.report.drawn import OfIdentification
 from lpvguard.report.sections.bounds import bound_sections
 from lpvguard.vehicle.nominal import NominalModel
 
@@ -50,5 +51,5 @@ def test_the_core_holds_the_weights_and_finds_no_bound_drive_outside(stored, cor
 
 def test_the_page_draws_one_line_an_output(stored):
     estimator = Estimator.of(stored.project, NominalModel(stored.project))
-    page = "".join(bound_sections(stored, estimator))
+    page = "".join(bound_sections(OfIdentification(stored, estimator)))
     assert "one line, an output" in page and page.count("<svg") == 4

@@ -7,6 +7,7 @@ import json
 import os
 import re
 import subprocess
+import time
 import urllib.error
 import urllib.request
 from dataclasses import replace
@@ -17,11 +18,15 @@ import pytest
 from live_case import Given, asked, cut, served
 
 from lpvguard.can.play import write_candump
+from lpvguard.core.compiled import Core, shipped_vehicle
 from lpvguard.drives.tables import read_drive
 from lpvguard.live.server import LOOPBACK, MOST_ROWS
 from lpvguard.live.sources import LogSource
 from lpvguard.live.watch import ALARMS, Ring, Watch
+from lpvguard.loop.sim import Simulator, load_scenario, steady_scenario
+from lpvguard.replay.run import Replayer, bus_frames
 from lpvguard.vehicle.nominal import RunningModel
+from lpvguard.vehicle.project import load_project
 from parts import require
 
 
@@ -204,21 +209,62 @@ def test_a_browser_draws_every_picture_and_complains_of_nothing(replayer, faulty
     assert re.search(r'data-drawn="1[45]\d', done.stdout) and "frame test" in done.stdout
 
 
-@pytest.mark.skipif(not os.environ.get("LPVGUARD_FULL"), reason="LPVGUARD_FULL: 8 simulated hours")
-def test_eight_hours_that_flood_leave_memory_flat(replayer, faulty):
-    """Frames of 8 h as fast as they are taken, while a browser asks: resident memory after every hour but the
-    last; the window is full after the first."""
-    frames, hours = faulty[0], 8
-    drive_ns = int(frames.t_ns[-1] - frames.t_ns[0]) + 10**7
+@pytest.fixture(scope="module")
+def at_100_hz(tmp_path_factory):
+    """The truck's monitor, frames of a drive of 6 min, and from its first to that of the next [ns]."""
+    folder, out = shipped_vehicle("truck"), tmp_path_factory.mktemp("truck")
+    replayer = Replayer(load_project("truck"), Core(folder))
+    assert replayer.project.Ts_s == 0.01
+    (out / "steady.toml").write_text(steady_scenario(360.0))
+    Simulator(folder).run(load_scenario(str(out / "steady.toml")), out=out)
+    frames = bus_frames(next(out.glob("*.log")), replayer.project)
+    return replayer, frames, int(frames.t_ns[-1] - frames.t_ns[0]) + 10**7
+
+
+@pytest.mark.skipif(os.environ.get("LPVGUARD_FULL") != "1", reason="LPVGUARD_FULL: a minute in real time")
+@pytest.mark.parametrize("pace", [1, 20])
+def test_the_page_is_less_than_ten_pieces_behind(at_100_hz, pace):
+    """Every 50 ms comes a piece of 50 ms times ``pace`` of driving, 600 in all. Behind are the pieces that
+    have come and that a browser has not been shown when its answer is there: 10 are half a second."""
+    replayer, frames, drive_ns = at_100_hz
+    step_ns = 5 * 10**7 * pace
+    come: list[int] = []
+
+    def pieces():
+        for n in range(600):
+            k, first = divmod(n * step_ns, drive_ns)
+            since_ns = frames.t_ns - frames.t_ns[0]
+            here = (since_ns >= first) & (since_ns < first + step_ns)
+            time.sleep(0.05)
+            come.append(n)
+            yield replace(frames.at(here), t_ns=frames.t_ns[here] + k * drive_ns)
+
+    behind, source = [], Given(pieces())
+    with served(Watch(replayer, source, 3600)) as url:
+        while not source.taken.wait(0.1):
+            shown_s = json.loads(asked(url + "view?span=60"))["now"]["t"]
+            if shown_s is not None:
+                behind.append(len(come) - round(shown_s * 1e9 / step_ns))
+    print(f"{pace} x real time: {np.median(behind):.0f} pieces behind in the median, {max(behind)} at most")
+    assert len(behind) > 100 and max(behind) < 10
+
+
+@pytest.mark.skipif(os.environ.get("LPVGUARD_FULL") != "1", reason="LPVGUARD_FULL: 8 simulated hours")
+def test_eight_hours_that_flood_leave_memory_flat(at_100_hz):
+    """Frames of 8 h at 100 Hz as fast as they are taken, while a browser asks: resident memory after every
+    hour but the last; the window is full after the first."""
+    replayer, frames, drive_ns = at_100_hz
+    hours = 8
     each = round(3600e9 / drive_ns)
     resident: list[float] = []
+    began = time.process_time()
 
     def pieces():
         for k in range(hours * each):
             if k % each == 0 and k:
                 with open("/proc/self/statm", encoding="ascii") as stream:
                     resident.append(int(stream.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20)
-            yield from cut(replace(frames, t_ns=frames.t_ns + k * drive_ns), 400)
+            yield from cut(replace(frames, t_ns=frames.t_ns + k * drive_ns), 2000)
 
     source = Given(pieces())
     with served(Watch(replayer, source, 3600)) as url:
@@ -226,6 +272,10 @@ def test_eight_hours_that_flood_leave_memory_flat(replayer, faulty):
         while not source.taken.wait(0.2):
             answers += len(json.loads(asked(url + "view?span=600"))["series"]["t"]) > 0
         view = json.loads(asked(url + "view?span=3600"))
-    print(f"resident MiB by hour {[round(x, 1) for x in resident]}, {answers} views answered")
+    quick = hours * 3600 / (time.process_time() - began)
+    print(
+        f"resident MiB by hour {[round(x, 1) for x in resident]}, {answers} views answered, "
+        f"{quick:.0f} s of driving a second of processor time"
+    )
     assert view["now"]["t"] > hours * 3600 * 0.99 and view["now"]["restarts"] == 0 and answers > 10
     assert max(resident[1:]) < 1.1 * resident[0]

@@ -29,9 +29,9 @@ def export(
     """Generate the C folder of a vehicle: coefficients, controller, signal table, CAN codec, manifest."""
     from ..control.exported import export_chosen
 
+    identified = stored_for(identification, vehicle)
     with progress_bar("export") as tell:
-        tell("reading and proving the weights")
-        stored = export_chosen(stored_for(identification, vehicle), out, controller, group, tell)
+        stored = export_chosen(identified, out, controller, group, tell)
     if stored.calibration.groups:
         console.print(f"frame test: {stored.calibration.claim()}")
         console.print(f"energy test: {stored.energy_of_core.calibration.claim()}")

@@ -381,7 +381,7 @@ def print_moving_speed(result: Design) -> None:
 
 def print_summary(name: str, result: Design, out: Path) -> None:
     """What a design came to, in a line."""
-    low, high = result.schedule.speeds[[0, -1]]
+    low, high = result.schedule.speeds[0], result.schedule.speeds[-1]
     held = "certified" if result.worst < 1 else "NOT certified"
     moving = "nothing" if result.lpv is None else f"|dv/dt| up to {result.lpv.rate:.3g} m/s2"
     console.print(
