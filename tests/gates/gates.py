@@ -30,7 +30,8 @@ each found.
                  effect (MC/DC, by clang)
     mutation     the tests notice every small change of lib/src (mutation.py, mutation_run.py): of the files
                  that a change touches, or a seeded sample where none is known; all with LPVGUARD_FULL=1;
-                 changes that no test can notice stand in equivalent_mutants.json with the reason
+                 those that no test can notice stand in equivalent_mutants.json with the reason, those that
+                 none notices yet in open_mutants.json
 
 Builds stay in the scratch folder, so that a second run compiles only what changed; gates may share one, but
 not at once. A planted bug is looked for in the one variant of the build, or with the one unit test, that has

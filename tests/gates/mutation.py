@@ -1,8 +1,8 @@
 """Mutants of C and C++ sources, all of them compiled in at once, each behind a number (mutant_switch.h).
 
-Reads the syntax tree of clang (``-ast-dump=json``), so that an operator is one that the compiler saw, with the
-types that it has. Every place where a source can be changed is a `Site`; it has one mutant or more. `switched`
-writes the source again with all of them: unchanged in what it does until the switch names a mutant.
+Reads the syntax tree of clang (``-ast-dump=json``), so that an operator is one that the compiler saw, with
+the types that it has. Every place where a source can be changed is a `Site`; it has one mutant or more.
+`switched` writes the source again with all of them: it does the same until the switch names a mutant.
 
 Operators: arithmetic (another operator, one operand alone), bits and shifts, relations (border, opposite),
 conditions (true, false), `&&` and `||` (the other one, one side alone), constants (one up, one down, zero),
@@ -79,7 +79,7 @@ STATEMENT, RETURN, CONDITION, EXPRESSION = range(4)
 
 @dataclass(frozen=True)
 class Change:
-    """What a mutant does to the lines that hold its site; white space is one space each, comments are gone."""
+    """What a mutant does to the lines that hold its site; white space is one space, comments are gone."""
 
     was: str
     becomes: str
@@ -336,7 +336,12 @@ class Finder:
         kind = node.get("kind", "")
         inside = core(node)
         value = inside.get("kind", "").endswith(("Expr", "Operator"))
-        if value or (kind == "ReturnStmt" and not node.get("inner")) or kind == "ContinueStmt" or (kind == "BreakStmt" and not self.is_last(node)):
+        if (
+            value
+            or (kind == "ReturnStmt" and not node.get("inner"))
+            or kind == "ContinueStmt"
+            or (kind == "BreakStmt" and not self.is_last(node))
+        ):
             place = self.span(node)
             if place:
                 _, start, end = place
@@ -484,9 +489,7 @@ class Finder:
                 edits.append((*at, text.split()[1]))
         exprs = [f"a {sign} b", *new]
         written = ", ".join(re.sub(r"\b[ab]\b", lambda m: A if m[0] == "a" else B, e) for e in exprs)
-        self.add(
-            node, EXPRESSION, f"LPVG_TWO{len(new)}({{n}}, {written}, (", "))", edits, (*at, "), (")
-        )
+        self.add(node, EXPRESSION, f"LPVG_TWO{len(new)}({{n}}, {written}, (", "))", edits, (*at, "), ("))
 
     def logical(self, node: Node, left: Node, right: Node, sign: str, at: tuple[int, int]) -> None:
         place = self.span(node)
@@ -546,7 +549,11 @@ class Finder:
         if node.get("isPostfix"):
             before, token, new = f"LPVG_POSTFIX({{n}}, {sign}, {other}, (", (end - 2, end, ""), rest + other
         else:
-            before, token, new = f"LPVG_PREFIX({{n}}, {sign}, {other}, (", (start, start + 2, ""), other + rest
+            before, token, new = (
+                f"LPVG_PREFIX({{n}}, {sign}, {other}, (",
+                (start, start + 2, ""),
+                other + rest,
+            )
         self.add(node, EXPRESSION, before, "))", [(start, end, new)], token)
 
     def constant(self, node: Node, new: list[tuple[str, str]]) -> None:
@@ -627,7 +634,7 @@ def switched(text: str, sites: Sites, first: int) -> str:
     """The source with all mutants behind the switch."""
     pieces: list[tuple[int, int, tuple[int, int], int, str]] = []
     for number, site in numbered(sites, first):
-        # At one place what ends comes before what begins; the inner one ends first, the outer one begins first.
+        # At one place what ends comes before what begins; the inner one ends first, the outer begins first.
         pieces.append((site.start, 1, (-site.end, site.rank), 0, site.before.replace("{n}", str(number))))
         pieces.append((site.end, 0, (-site.start, -site.rank), 0, site.behind))
         if site.token:
