@@ -140,6 +140,30 @@ TEST_CASE("the law equals a dense recursion in double, within 1e-4 of its range,
     CHECK((scale < 0.1 || control.limited > 1000U));
 }
 
+TEST_CASE("changes of a state that rounding would swallow one by one add up", "[unit][controller][REQ-CTL-1]") {
+    // Every state by itself: at 1, moved by 1e-8 a sample, which float cannot add to it.
+    constexpr int steps = 10000;
+    const std::size_t i = GENERATE(range(std::size_t{0}, nu));
+    for (std::size_t j = 0; j < nk; ++j) {
+        const lpvg_control_coeff_t coeff = sealed([&](lpvg_control_coeff_t& c) {
+            std::memset(c.reals.A1, 0, sizeof c.reals.A1);
+            std::memset(c.reals.BL, 0, sizeof c.reals.BL);
+            for (auto& node : c.reals.BL) {
+                node[i][j][0] = Real(1e-8);
+            }
+        });
+        lpvg_control_t control = ready(coeff);
+        control.x[i][j] = Real(1);
+        std::vector<Real> m(nm, Real(0));
+        m[0] = Real(1);
+        for (int k = 0; k < steps; ++k) {
+            REQUIRE(lpvg_control_step(&control, mid_speed(), m.data(), false) == lpvg_status_ok);
+        }
+        CAPTURE(i, j);
+        CHECK(static_cast<double>(control.x[i][j]) == Approx(1.0 + 1e-8 * steps).margin(2e-7));
+    }
+}
+
 TEST_CASE("demand and its change never exceed their limits, engaged or not", "[unit][controller][REQ-CTL-2]") {
     lpvg_control_t control = ready();
     std::vector<Real> before(nu, Real(0));

@@ -8,6 +8,8 @@
 #include <cstring>
 #include <functional>
 #include <limits>
+#include <map>
+#include <utility>
 #include <vector>
 
 #include "monitor_drive.hpp"
@@ -451,6 +453,63 @@ TEST_CASE("a step of half to one and a half periods goes on, anything else resta
     CHECK(drive.monitor.restarts == 1U + step.restarts);
     // The DC frame would have ended with this sample.
     CHECK((drive.monitor.bin[0].n == 0U) == (step.restarts == 0U));
+}
+
+TEST_CASE("behind a gap in mid-frame every frame is the one of a monitor that starts there", "[unit][monitor][REQ-MON-9]") {
+    Drive drive;
+    drive.gain = 0.8;
+    // Whole blocks, so that both sum in the same order.
+    drive.run(LPVG_NBLOCK * ((words().settle_samples + 2U * longest()) / LPVG_NBLOCK + 1U));
+    for (const lpvg_bin_t& bin : drive.monitor.bin) {
+        REQUIRE((bin.n > 0U || bin.has_before));
+    }
+    REQUIRE(drive.monitor.bin[0].n > 0U);
+    drive.skip(10 * period_us());
+    const int64_t restart = drive.now() + 11 * period_us();
+    lpvg_monitor_t fresh;
+    REQUIRE(lpvg_monitor_init(&fresh, &lpvg_coeff) == lpvg_status_ok);
+    using Frames = std::map<std::pair<uint32_t, int64_t>, lpvg_frame_t>;
+    Frames of_drive, of_fresh;
+    const auto note = [&](const lpvg_monitor_t& monitor, Frames& frames) {
+        const lpvg_frame_t& frame = monitor.frame;
+        if (frame.sequence > 0U && frame.t_end_us >= restart) {
+            frames[{frame.bin, frame.t_end_us}] = frame;
+        }
+    };
+    for (uint32_t k = 0; k < words().settle_samples + 4U * longest(); ++k) {
+        REQUIRE(drive.step() == lpvg_status_ok);
+        REQUIRE(lpvg_monitor_push(&fresh, &drive.sample) == lpvg_status_ok);
+        note(drive.monitor, of_drive);
+        note(fresh, of_fresh);
+    }
+    std::size_t counted = 0, different = 0;
+    for (const auto& [where, frame] : of_fresh) {
+        const auto same = of_drive.find(where);
+        REQUIRE(same != of_drive.end());
+        counted += frame.reason == lpvg_reason_none ? 1U : 0U;
+        different += same->second.reason != frame.reason || same->second.margin != frame.margin || same->second.speed != frame.speed ||
+                             std::memcmp(same->second.E, frame.E, sizeof frame.E) != 0 ||
+                             std::memcmp(same->second.Z, frame.Z, sizeof frame.Z) != 0
+                         ? 1U
+                         : 0U;
+    }
+    CHECK(counted > 10U);
+    CHECK(different == 0U);
+}
+
+TEST_CASE("a frame counts that begins with the first settled sample, and none before", "[unit][monitor][REQ-MON-7]") {
+    const uint32_t bin = LPVG_NBINS - 1U, half = words().frame_length[bin] / 2U;
+    const uint32_t later = GENERATE(0U, 1U);
+    Drive drive(sealed([&](lpvg_coeff_t& c) { c.words.settle_samples = half + later; }));
+    std::size_t seen = 0;
+    drive.run(4U * half + LPVG_NLATENCY, [&](const lpvg_frame_t& frame) {
+        const int64_t first = frame.t_end_us / period_us() + 1 - words().frame_length[frame.bin];
+        if (frame.bin == bin && first == static_cast<int64_t>(half)) {
+            ++seen;
+            CHECK((frame.reason == lpvg_reason_settling) == (later == 1U));
+        }
+    });
+    CHECK(seen == 1U);
 }
 
 TEST_CASE("stale after five periods, fault when the clock runs backwards", "[unit][monitor][REQ-MON-10]") {
