@@ -260,10 +260,24 @@ TEST_CASE("a changed gain is an alarm with its estimate, and again only after a 
     CHECK(records(drive, settle + 4U * longest()).empty());
     CHECK(lpvg_monitor_verdict(&drive.monitor, drive.sample.t_us) != lpvg_verdict_degraded);
     drive.gain = 0.5;
+    while (drive.monitor.n_records == 0U) {
+        drive.run(1U);
+        REQUIRE(drive.now() < 20 * static_cast<int64_t>(longest()) * period_us());
+    }
+    const lpvg_change_t said = drive.monitor.change;  // of the sample that the alarm came with
+    const int64_t alarmed_us = drive.now();
+    const uint32_t sequence = drive.monitor.frame.sequence;
     const std::vector<lpvg_frame_t> found = records(drive, 4U * longest());
     REQUIRE(found.size() == 1U);
     const lpvg_frame_t& alarm = found[0];
     CHECK(alarm.test == lpvg_test_change);
+    CHECK(alarm.bin == said.strongest);
+    CHECK(alarm.t_end_us == alarmed_us);
+    CHECK(alarm.sequence == sequence);
+    CHECK(alarm.E[0][0] == said.estimate[0]);
+    CHECK(alarm.E[0][1] == said.estimate[1]);
+    CHECK(alarm.Z[0][0] == said.estimate[2]);
+    CHECK(alarm.Z[0][1] == Real(0));
     CHECK(alarm.falsified);
     CHECK(alarm.bin % parts == 0U);
     CHECK(alarm.margin > Real(1));

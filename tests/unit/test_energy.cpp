@@ -492,6 +492,13 @@ TEST_CASE("the monitor judges after the settling time, and alarms once a memory"
     CHECK(record.statistic == record.margin);
     // e = -0.5 yhat, so that a dead vehicle would read twice as much.
     CHECK(record.evidence == Approx(static_cast<double>(record.margin) * 2.0).epsilon(1e-3));
+    CHECK(record.sequence == drive.monitor.frame.sequence);
+    CHECK(drive.monitor.frame.sequence > 0U);
+    const lpvg_energy_band_t& loudest = drive.monitor.energy.band[drive.monitor.energy.strongest];
+    CHECK(record.E[0][0] == std::sqrt(loudest.left[0]));
+    CHECK(record.Z[0][0] == std::sqrt(loudest.right[0]));
+    CHECK(record.E[LPVG_NY - 1][0] == std::sqrt(loudest.left[LPVG_NGRAM - 1]));
+    CHECK(record.Z[LPVG_NY - 1][0] == std::sqrt(loudest.right[LPVG_NGRAM - 1]));
     for (std::size_t j = 0; j < LPVG_NY; ++j) {
         CHECK(record.E[j][0] > Real(0));
         CHECK(record.Z[j][0] > Real(0));
