@@ -168,6 +168,12 @@ TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]
         }
     });
     spoilt("a direction too long", [](lpvg_coeff_reals_t& r) { r.energy_direction[0][0] = Real(-1.5); });
+    for (const Real end : {Real(0.9999), Real(1.0001)}) {
+        spoilt("a direction at the end of what rounding excuses", [end](lpvg_coeff_reals_t& r) {
+            std::fill(std::begin(r.energy_direction[0]), std::end(r.energy_direction[0]), Real(0));
+            r.energy_direction[0][0] = end;
+        });
+    }
     // The change test.
     cases.push_back({"change rearm 0", [](lpvg_coeff_t& c) { c.words.change_rearm = 0U; }});
     spoilt("a block of no time", [](lpvg_coeff_reals_t& r) { r.change_block_s = Real(0); });

@@ -100,6 +100,14 @@ TEST_CASE("the directions are turned through, and single outputs are among them"
     CHECK(singles == LPVG_NY);
 }
 
+TEST_CASE("without any error no band is the strongest but the lowest", "[unit][energy][REQ-MON-14]") {
+    Fed fed(lpvg_coeff);
+    fed.energy.strongest = LPVG_NBANDS - 1U;  // of the direction before
+    CHECK(lpvg_energy_judge(&fed.energy, &fed.coeff) == Real(0));
+    CHECK(fed.energy.strongest == 0U);
+    CHECK(lpvg_energy_evidence(&fed.energy, &fed.coeff) == Real(0));
+}
+
 TEST_CASE("a constant error gain reads gain over weight, where sigma is small", "[unit][energy][REQ-MON-14]") {
     Fed fed(sealed([](lpvg_coeff_t& c) { with_constant_weight(c, 0.5, 1e-4); }));
     const double all[4] = {1.0, 1.0, 1.0, 1.0}, error[4] = {0.6, 0.6, 0.6, 0.6};
