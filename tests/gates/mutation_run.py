@@ -42,16 +42,18 @@ PARTS = ("lib", "firmware_sim", "tests", "tools/src", "data")
 GENEROUS = 10
 FIRST_SITES, LONG_SITES = 10_000_000, 20_000_000
 """Cases that reach fewer than the first are asked first; those that reach more than the second are long."""
-ABOUT = {
-    "ecu.cpp": ("test_ecu_", "test_reactions"),
+ABOUT: dict[str, tuple[str, ...]] = {
+    "ecu.cpp": (),  # its long cases are minutes of driving
     "crc32.hpp": ("test_coeff_",),
     "coefficient_checks.hpp": ("test_coeff_",),
 }
-"""File -> how the names of its own test programs begin; of the others test_ and the file's name."""
+"""File -> how the names of the programs begin whose long cases are asked; else test_ and the file's name."""
 SAMPLE_FILES, SAMPLE, TOUCHED = 2, 200, 600
 """Without LPVGUARD_FULL: that many mutants of that many files where no change is known; of the files that a
 change touches at most so many in all."""
 MOST_EQUIVALENT = 0.05
+UNMEASURED = {"ecu.cpp", "margin.hpp"}
+"""Files whose mutants have never all run: left out unless one is asked for by its name, and printed."""
 SHORT_FORM = {k: v for k, v in os.environ.items() if k != "LPVGUARD_FULL"}
 
 
@@ -288,9 +290,14 @@ def reached_by(programs: list[Path], scratch: Path) -> dict[int, list[Case]]:
 
 
 def asked(file: str, cases: list[Case]) -> list[Case]:
-    """The cases that are asked about a file: not the long ones of programs about others."""
+    """The cases that are asked about a file: of the long ones only those of its own programs, each with one
+    vehicle."""
     own = ABOUT.get(file, (f"test_{Path(file).stem}",))
-    return [c for c in cases if c.reached <= LONG_SITES or c.program.name.startswith(own)]
+    long: dict[str, Case] = {}
+    for case in sorted(cases, key=lambda c: (c.reached, c.program.name)):
+        if case.reached > LONG_SITES and case.program.name.startswith(own):
+            long.setdefault(case.name, case)
+    return [c for c in cases if c.reached <= LONG_SITES] + list(long.values())
 
 
 def turns(cases: list[Case]) -> list[list[Case]]:
@@ -370,24 +377,29 @@ def table(mutants: list[Mutant], survived: list[Mutant], equivalent: Noted, know
     ]
 
 
+def no_longer(mutants: list[Mutant], survived: list[Mutant], notes: Noted, all_of: set[str]) -> list[str]:
+    """What notes name and does not survive; ``all_of``: files of which every mutant ran."""
+    alive = {(m.file, m.site.function, m.key) for m in survived}
+    ran = {(m.file, m.site.function, m.key) for m in mutants}
+    found = []
+    for file, functions in notes.items():
+        for function, reasons in functions.items():
+            for key in reasons:
+                place = (file, function, key)
+                if place not in alive and (place in ran or file in all_of):
+                    why = "is killed" if place in ran else "is no mutant"
+                    found.append(f"{file}: {function}: {key}: {why}: take it out")
+    return found
+
+
 def judged(
     mutants: list[Mutant], survived: list[Mutant], equivalent: Noted, known: Noted, all_of: set[str]
 ) -> list[str]:
-    """Findings: survivors that neither file names, and what a file names that does not survive; ``all_of``:
-    files of which every mutant ran."""
+    """Findings: survivors that neither file names, and arguments that a test refutes."""
     findings = [
         f"survived: {m}" for m in survived if not stands_in(m, equivalent) and not stands_in(m, known)
     ]
-    alive = {(m.file, m.site.function, m.key) for m in survived}
-    ran = {(m.file, m.site.function, m.key) for m in mutants}
-    for source, notes in ((EQUIVALENT, equivalent), (OPEN, known)):
-        for file, functions in notes.items():
-            for function, reasons in functions.items():
-                for key in reasons:
-                    place = (file, function, key)
-                    if place not in alive and (place in ran or file in all_of):
-                        why = "is killed" if place in ran else "is no mutant"
-                        findings.append(f"{source}: {file}: {function}: {key}: {why}: take it out")
+    findings += [f"{EQUIVALENT}: {what}" for what in no_longer(mutants, survived, equivalent, all_of)]
     equal = sum(stands_in(m, equivalent) for m in survived)
     if all_of and equal > MOST_EQUIVALENT * len(mutants):
         findings.append(f"{equal} of {len(mutants)} mutants are argued equivalent: more than 5 %")
@@ -398,7 +410,8 @@ def mutation_findings(tree: Path, scratch: Path, names: list[str], full: bool, o
     """Findings on the mutants of the files ``names`` of lib/src: of all of them where ``full``, of ``only``
     one, or of those that a change touches."""
     work, build = scratch / "mutated", scratch / "build"
-    files, sample = chosen(tree, names, full, only)
+    left_out = sorted(set(names) & UNMEASURED - {only})
+    files, sample = chosen(tree, [name for name in names if name not in left_out], full, only)
     main = with_switch(tree)
     try:
         mirror(tree, work, main)
@@ -419,9 +432,14 @@ def mutation_findings(tree: Path, scratch: Path, names: list[str], full: bool, o
         mutants = sorted(random.Random(6).sample(mutants, sample), key=lambda m: m.number)
     survived = surviving(mutants, found, scratch)
     equivalent, known = noted(tree, EQUIVALENT), noted(tree, OPEN)
+    all_of = set() if sample else set(files)
     for mutant in survived:
         if stands_in(mutant, known):
             print(f"open: {mutant}")
+    for what in no_longer(mutants, survived, known, all_of):
+        print(f"{OPEN}: {what}")
     print("\n".join(table(mutants, survived, equivalent, known)))
     print(f"{sum(stands_in(m, known) for m in survived)} open survivors, which no test notices yet")
-    return judged(mutants, survived, equivalent, known, set() if sample else set(files))
+    if left_out:
+        print(f"not measured: {', '.join(left_out)}")
+    return judged(mutants, survived, equivalent, known, all_of)

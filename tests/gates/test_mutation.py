@@ -15,6 +15,7 @@ from mutation_run import (
     dumped,
     judged,
     mutants_of,
+    no_longer,
     reached_by,
     surviving,
     table,
@@ -98,14 +99,16 @@ def test_the_table_and_the_findings_count_every_survivor_once(ran):
     assert sorted(f.split(": ")[0] for f in findings) == ["survived", "survived"]
 
 
-def test_a_note_that_is_no_longer_true_is_a_finding(ran):
+def test_what_no_longer_survives_is_told_and_refutes_an_argument(ran):
     mutants, survived = ran
     killed = next(m for m in mutants if m not in survived)
     for stale, why in ((killed.key, "is killed"), ("x  ->  y", "is no mutant")):
-        note = {"small.cpp": {killed.site.function: {stale: ""}}}
-        for notes in ((note, {}), ({}, note)):
-            findings = judged(mutants, survived, *notes, {"small.cpp"})
-            assert [f for f in findings if f.endswith(f"{stale}: {why}: take it out")]
+        notes = {"small.cpp": {killed.site.function: {stale: ""}}}
+        told = no_longer(mutants, survived, notes, {"small.cpp"})
+        assert told == [f"small.cpp: {killed.site.function}: {stale}: {why}: take it out"]
+        findings = judged(mutants, survived, notes, {}, {"small.cpp"})
+        assert f"equivalent_mutants.json: {told[0]}" in findings
+        assert not any("take it out" in f for f in judged(mutants, survived, {}, notes, {"small.cpp"}))
 
 
 def test_more_than_a_twentieth_cannot_be_argued_away(ran):
