@@ -1,8 +1,9 @@
 // mutant_switch.cpp -- the switch of mutant_switch.h in a test program, and what each test case reaches.
 //
 // In the environment: LPVGUARD_MUTANT, number of the mutant that runs; LPVGUARD_SITES_MAX, sites that may be reached in all, then the
-// program ends with status 86; LPVGUARD_CPU_S, seconds of processor time after which the system ends it; LPVGUARD_REACHED, a file that receives a line for each test case: its seconds, the sites it reached in
-// all, its name, and the number of every site that it reached, tabs between.
+// program ends with status 86; LPVGUARD_CPU_S, seconds of processor time after which the system ends it; LPVGUARD_REACHED, a file that
+// receives a line for each test case: its seconds, the sites it reached in all, its name, and the number of every site that it reached,
+// tabs between.
 #include "mutant_switch.h"
 
 #include <sys/resource.h>

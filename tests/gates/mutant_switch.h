@@ -36,31 +36,34 @@ static inline __attribute__((unused)) int lpvg_site(int n) {
 #define LPVG_IS(n, k) (lpvg_site(n) == (k))
 
 // Of two operands lpvg_a and lpvg_b: e0 as it stands, e1 ... the mutants.
-#define LPVG_TWO(n, choice, l, r) \
-    __extension__({               \
-        LPVG_LET lpvg_a = l;      \
-        LPVG_LET lpvg_b = r;      \
+#define LPVG_TWO(n, choice, l, r)        \
+    __extension__({                      \
+        LPVG_LET lpvg_a = l;             \
+        LPVG_LET lpvg_b = r;             \
         const int lpvg_k = lpvg_site(n); \
-        choice;                   \
+        choice;                          \
     })
 #define LPVG_TWO1(n, e0, e1, l, r) LPVG_TWO(n, lpvg_k == 0 ? (e1) : (e0), l, r)
 #define LPVG_TWO2(n, e0, e1, e2, l, r) LPVG_TWO(n, lpvg_k == 0 ? (e1) : lpvg_k == 1 ? (e2) : (e0), l, r)
-#define LPVG_TWO3(n, e0, e1, e2, e3, l, r) \
-    LPVG_TWO(n, lpvg_k == 0 ? (e1) : lpvg_k == 1 ? (e2) : lpvg_k == 2 ? (e3) : (e0), l, r)
+#define LPVG_TWO3(n, e0, e1, e2, e3, l, r) LPVG_TWO(n, lpvg_k == 0 ? (e1) : lpvg_k == 1 ? (e2) : lpvg_k == 2 ? (e3) : (e0), l, r)
 
 // Of one operand lpvg_a.
-#define LPVG_ONE(n, choice, x)    \
-    __extension__({               \
-        LPVG_LET lpvg_a = x;      \
+#define LPVG_ONE(n, choice, x)           \
+    __extension__({                      \
+        LPVG_LET lpvg_a = x;             \
         const int lpvg_k = lpvg_site(n); \
-        choice;                   \
+        choice;                          \
     })
 #define LPVG_ONE1(n, e0, e1, x) LPVG_ONE(n, lpvg_k == 0 ? (e1) : (e0), x)
 #define LPVG_ONE2(n, e0, e1, e2, x) LPVG_ONE(n, lpvg_k == 0 ? (e1) : lpvg_k == 1 ? (e2) : (e0), x)
 #define LPVG_ONE3(n, e0, e1, e2, e3, x) LPVG_ONE(n, lpvg_k == 0 ? (e1) : lpvg_k == 1 ? (e2) : lpvg_k == 2 ? (e3) : (e0), x)
 
 // The same outside of functions.
-#define LPVG_MADE(n, choice, x) [](auto lpvg_a) { const int lpvg_k = lpvg_site(n); return choice; }(x)
+#define LPVG_MADE(n, choice, x)          \
+    [](auto lpvg_a) {                    \
+        const int lpvg_k = lpvg_site(n); \
+        return choice;                   \
+    }(x)
 #define LPVG_MADE1(n, e0, e1, x) LPVG_MADE(n, lpvg_k == 0 ? (e1) : (e0), x)
 #define LPVG_MADE2(n, e0, e1, e2, x) LPVG_MADE(n, lpvg_k == 0 ? (e1) : lpvg_k == 1 ? (e2) : (e0), x)
 #define LPVG_MADE3(n, e0, e1, e2, e3, x) LPVG_MADE(n, lpvg_k == 0 ? (e1) : lpvg_k == 1 ? (e2) : lpvg_k == 2 ? (e3) : (e0), x)
@@ -77,7 +80,6 @@ static inline __attribute__((unused)) int lpvg_site(int n) {
 #define LPVG_POSTFIX(n, sign, other, x) (LPVG_IS(n, 0) ? x other : x sign)
 #define LPVG_EIGEN(n, sign, other, l, r) (LPVG_IS(n, 0) ? (l other r).eval() : (l sign r).eval())
 #define LPVG_ASSIGN1(n, sign, other, l, r) (LPVG_IS(n, 0) ? (void)(l other r) : (void)(l sign r))
-#define LPVG_ASSIGN2(n, sign, other, plain, l, r) \
-    (LPVG_IS(n, 0) ? (void)(l other r) : LPVG_IS(n, 1) ? (void)(l plain r) : (void)(l sign r))
+#define LPVG_ASSIGN2(n, sign, other, plain, l, r) (LPVG_IS(n, 0) ? (void)(l other r) : LPVG_IS(n, 1) ? (void)(l plain r) : (void)(l sign r))
 
 #endif

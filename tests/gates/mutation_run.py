@@ -400,10 +400,15 @@ def judged(
         f"survived: {m}" for m in survived if not stands_in(m, equivalent) and not stands_in(m, known)
     ]
     findings += [f"{EQUIVALENT}: {what}" for what in no_longer(mutants, survived, equivalent, all_of)]
-    equal = sum(stands_in(m, equivalent) for m in survived)
-    if all_of and equal > MOST_EQUIVALENT * len(mutants):
-        findings.append(f"{equal} of {len(mutants)} mutants are argued equivalent: more than 5 %")
     return findings
+
+
+def too_many(mutants: list[Mutant], survived: list[Mutant], equivalent: Noted) -> list[str]:
+    """A finding where more than a twentieth is argued away."""
+    equal = sum(stands_in(m, equivalent) for m in survived)
+    return [f"{equal} of {len(mutants)} mutants are argued equivalent: more than 5 %"] * (
+        equal > MOST_EQUIVALENT * len(mutants)
+    )
 
 
 def mutation_findings(tree: Path, scratch: Path, names: list[str], full: bool, only: str) -> list[str]:
@@ -442,4 +447,5 @@ def mutation_findings(tree: Path, scratch: Path, names: list[str], full: bool, o
     print(f"{sum(stands_in(m, known) for m in survived)} open survivors, which no test notices yet")
     if left_out:
         print(f"not measured: {', '.join(left_out)}")
-    return judged(mutants, survived, equivalent, known, all_of)
+    findings = judged(mutants, survived, equivalent, known, all_of)
+    return findings + (too_many(mutants, survived, equivalent) if full and not only else [])

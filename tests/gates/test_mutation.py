@@ -19,6 +19,7 @@ from mutation_run import (
     reached_by,
     surviving,
     table,
+    too_many,
 )
 
 TESTS = Path(__file__).resolve().parents[1]
@@ -116,6 +117,6 @@ def test_more_than_a_twentieth_cannot_be_argued_away(ran):
     notes: dict[str, dict[str, str]] = {}
     for mutant in survived:
         notes.setdefault(mutant.site.function, {})[mutant.key] = ""
-    all_equivalent = {"small.cpp": notes}
-    findings = judged(mutants, survived, all_equivalent, {}, {"small.cpp"})
-    assert findings == [f"{len(survived)} of {len(mutants)} mutants are argued equivalent: more than 5 %"]
+    found = too_many(mutants, survived, {"small.cpp": notes})
+    assert found == [f"{len(survived)} of {len(mutants)} mutants are argued equivalent: more than 5 %"]
+    assert too_many(mutants, survived, {}) == []
