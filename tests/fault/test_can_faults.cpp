@@ -2,6 +2,9 @@
 // GUARD_IN for those with E2E profile 11; both have a period of 10 ms.
 #include "../catch.hpp"
 
+#include <algorithm>
+#include <deque>
+
 #include "../can_bus.hpp"
 
 namespace {
@@ -264,6 +267,44 @@ TEST_CASE("half of the checksums wrong: off with the eighth bad frame of sixteen
     CHECK(off_at > 0);
     CHECK(off_at <= (alternating ? 15 : 100));
     CHECK(live <= (alternating ? 0 : 60'000 / 4));  // a random half brings five good ones in a row now and then
+}
+
+TEST_CASE("whatever the order of good and bad frames, off and live are those of the rule written out", "[fault][can][REQ-CAN-9]") {
+    const uint32_t bad_of_256 = GENERATE(60U, 90U, 110U, 128U);
+    CanBus bus;
+    bus.run(1, kWarm);
+    std::deque<bool> newest(LPVG_CAN_WINDOW, false);
+    bool off = false;
+    int score = 0, good_in_row = 0, switched = 0;
+    std::size_t wrong = 0, by_window = 0;
+    uint32_t noise = 7U;
+    for (int64_t k = kWarm + 1; k <= kWarm + 4'000; ++k) {
+        noise = noise * 1664525U + 1013904223U;
+        const bool bad = (noise >> 24U) < bad_of_256;
+        auto frame = bus.guard_in(k);
+        frame.data[5] = static_cast<uint8_t>(frame.data[5] ^ (bad ? 1U : 0U));
+        bus.send(frame);
+        if (off) {
+            good_in_row = bad ? 0 : good_in_row + 1;
+            if (good_in_row == LPVG_CAN_RECOVER_FRAMES) {
+                off = false;
+                score = 0;
+                newest.assign(LPVG_CAN_WINDOW, false);
+            }
+        } else {
+            score = bad ? score + 1 : std::max(score - 1, 0);
+            newest.push_back(bad);
+            newest.pop_front();
+            const auto many = std::count(newest.begin(), newest.end(), true) >= LPVG_CAN_WINDOW_BAD;
+            by_window += many && score < LPVG_CAN_SCORE_OFF ? 1U : 0U;
+            off = many || score >= LPVG_CAN_SCORE_OFF;
+            switched += off ? 1 : 0;
+            good_in_row = 0;
+        }
+        wrong += (bus.state(kGuard) == lpvg_can_state_off) != off ? 1U : 0U;
+    }
+    CHECK(wrong == 0U);
+    CHECK((bad_of_256 < 110U || (switched > 10 && by_window > 0U)));
 }
 
 TEST_CASE("a second sender is found by the rate, whatever it sends and whenever", "[fault][can][REQ-CAN-9]") {

@@ -28,9 +28,10 @@ each found.
                  says (a file that it does not name: none), no more, no less
     mcdc         in the unit tests every condition of a decision of ecu, can and monitor shows its independent
                  effect (MC/DC, by clang)
-    mutation     unit tests notice small changes of lib/src (mutation.py): a seeded sample of them, all with
-                 LPVGUARD_FULL=1; survivors are printed; those that no test can notice stand in mutants.json
-                 with the reason
+    mutation     the tests notice every small change of lib/src (mutation.py, mutation_run.py): of the files
+                 that a change touches, or a seeded sample where none is known; all with LPVGUARD_FULL=1;
+                 those that no test can notice stand in equivalent_mutants.json with the reason, those that
+                 none notices yet in open_mutants.json
 
 Builds stay in the scratch folder, so that a second run compiles only what changed; gates may share one, but
 not at once. A planted bug is looked for in the one variant of the build, or with the one unit test, that has
@@ -44,7 +45,6 @@ import argparse
 import gzip
 import json
 import os
-import random
 import re
 import shutil
 import subprocess
@@ -54,7 +54,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from misra_cpp import misra_cpp_findings
-from mutation import Mutant, applied, mutants
+from mutation_run import mutation_findings
 from references import references
 
 COMPILERS = {"gcc": ("gcc", "g++"), "clang": ("clang", "clang++")}
@@ -644,126 +644,9 @@ def mcdc(tree: Path, scratch: Path, only: str = "") -> list[str]:
     return findings
 
 
-MUTATION_SAMPLE = 12
-LEAST_KILLED = 0.75, 0.9  # of the sample, of all
-SEES = {
-    "acceptance.hpp": ["coeff.toy", "controller.hand_truck"],
-    "crc32.hpp": ["coeff.toy", "j1939"],
-    "coefficient_checks.hpp": ["coeff.toy", "controller.hand_truck"],
-    "can.cpp": ["can", "can_faults"],
-    "authentication.cpp": ["authentication"],
-    "xcp.cpp": ["xcp"],
-    "margin.hpp": ["margin"],
-    "coeff.cpp": ["coeff.toy", "coeff.separate_toy"],
-    "model.cpp": ["model.toy", "model.g80"],
-    "monitor.cpp": ["monitor.toy", "energy.toy", "monitor.g80", "monitor.separate_toy"],
-    "controller.cpp": ["controller.hand_toy", "controller.hand_truck"],
-    "ecu.cpp": ["ecu.hand_truck"],
-    "change.cpp": ["change.toy", "change.g80", "change.separate_toy"],
-    "diagnosis.cpp": ["diagnosis.toy", "diagnosis.g80", "diagnosis.separate_toy"],
-    "energy.cpp": ["energy.toy", "energy.g80", "energy.separate_toy"],
-    "j1939.cpp": ["j1939"],
-    "life.cpp": ["life"],
-    "uds.cpp": ["uds"],
-    "freeze_bytes.hpp": ["j1939", "uds"],
-}
-"""Source -> unit tests that look at it; in the sample only the first."""
-
-
 def mutation(tree: Path, scratch: Path, only: str = "") -> list[str]:
     """``only``: the mutants of one file."""
-    work = copy_of(tree, scratch / "mutated")
-    source = work / "lib" / "src"
-    for path in source.iterdir():
-        path.touch()  # objects of a run that was broken off hold a mutant
-    files = [only] if only else sorted(with_code(work))
-    unknown = [name for name in files if name not in SEES]
-    if unknown:
-        return [f"no unit test is named that looks at {', '.join(unknown)}: name it in SEES"]
-    candidates = [m for name in files for m in mutants(name, (source / name).read_text())]
-    if not FULL:
-        candidates = random.Random(6).sample(candidates, MUTATION_SAMPLE)
-    build = scratch / "build"
-    broken = failed(
-        "configure",
-        "cmake",
-        "-S",
-        work,
-        "-B",
-        build,
-        "-G",
-        "Ninja",
-        "-DCMAKE_BUILD_TYPE=Debug",
-        "-DCMAKE_CXX_FLAGS_DEBUG=-O1",
-        "-DLPVG_BUILD_SIM=OFF",
-        f"-DPython3_EXECUTABLE={sys.executable}",
-    )
-    fate: dict[str, list[Mutant]] = {
-        "killed": [],
-        "survived": [],
-        "refused by the compiler": [],
-        "the same code": [],
-    }
-    tolerated = json.loads((tree / "tests" / "gates" / "mutants.json").read_text())
-    for name in sorted({m.file for m in candidates}):
-        tests = SEES[name] if FULL else SEES[name][:1]
-        programs = [f"test_{test.replace('.', '_')}" for test in tests]
-        broken = broken or failed(
-            "build", "cmake", "--build", build, "--parallel", "2", "--target", *programs
-        )
-        if broken:
-            return broken
-        paths = [path for path in build.rglob("test_*") if path.name in programs and path.is_file()]
-        sound, good = [path.read_bytes() for path in paths], (source / name).read_text()
-        if any(fails(path) for path in paths):
-            return [f"{', '.join(tests)}: fails before anything is changed"]
-        for mutant in (m for m in candidates if m.file == name):
-            (source / name).write_text(applied(good, mutant))
-            if run("cmake", "--build", build, "--parallel", "2", "--target", *programs)[0]:
-                fate["refused by the compiler"].append(mutant)
-            elif [path.read_bytes() for path in paths] == sound:
-                fate["the same code"].append(mutant)
-            else:
-                fate["killed" if any(fails(path) for path in paths) else "survived"].append(mutant)
-        (source / name).write_text(good)
-    survived = [m for m in fate["survived"] if m.key not in tolerated]
-    killed, least = len(fate["killed"]), LEAST_KILLED[FULL]
-    score = killed / max(killed + len(survived), 1)
-    print(
-        f"{len(candidates)} mutants: "
-        + ", ".join(f"{len(group)} {what}" for what, group in fate.items())
-        + f" ({len(fate['survived']) - len(survived)} of them in mutants.json); "
-        f"{100 * score:.1f} % of the noticeable killed"
-    )
-    for mutant in survived:
-        print(f"survived: {mutant}")
-    findings = (
-        [f"{len(survived)} of {killed + len(survived)} mutants survive: {'; '.join(map(str, survived))}"]
-        if score < least
-        else []
-    )
-    stale = set(tolerated) - {m.key for m in candidates} if FULL and not only else set()
-    return findings + [
-        f"mutants.json: {key}: no such mutant survives"
-        for key in sorted(stale | (set(tolerated) & {m.key for m in fate["killed"]}))
-    ]
-
-
-def fails(program: Path) -> bool:
-    """Whether the test program finds something, or runs for ever."""
-    try:
-        return (
-            subprocess.run(
-                [program, "--abort"],
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                timeout=60,
-                check=False,
-            ).returncode
-            != 0
-        )
-    except subprocess.TimeoutExpired:
-        return True
+    return mutation_findings(tree, scratch, sorted(with_code(tree)), FULL, only)
 
 
 GATES: dict[str, Callable[..., list[str]]] = {
@@ -1108,7 +991,7 @@ PLANTS: dict[str, list[Plant]] = {
             "tests/unit/test_coeff.cpp",
             "CHECK(lpvg_coeff_check(coeff) == want);\n",
             "want = lpvg_coeff_check(coeff);\n",
-            r"mutants survive: coeff\.cpp",
+            r"survived: coeff\.cpp:\d+: frames_fit",
             "coeff.cpp",
             full=True,
         ),

@@ -3,10 +3,12 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <cstring>
 #include <limits>
 #include <vector>
 
+#include "acceptance.hpp"
 #include "monitor_drive.hpp"
 
 namespace {
@@ -253,6 +255,81 @@ TEST_CASE("what is not finite reads as infinite", "[unit][change][REQ-MON-17]") 
     }
 }
 
+TEST_CASE("the estimate solves the normal equations, as elimination in double does", "[unit][change][REQ-MON-16]") {
+    Fed fed(free_estimates());
+    const lpvg_coeff_reals_t& r = fed.coeff.reals;
+    constexpr std::size_t j = LPVG_NY - 1;
+    std::uint32_t random = 1U;
+    const auto noise = [&random] {
+        random = random * 1664525U + 1013904223U;
+        return static_cast<double>(random >> 8U) / 8388608.0 - 1.0;
+    };
+    for (int k = 0; k < 50; ++k) {
+        // A = M M' + 0.2, and A theta = b.
+        double M[parts][parts], system[parts][parts + 1] = {};
+        for (auto& row : M) {
+            std::generate(std::begin(row), std::end(row), noise);
+        }
+        for (std::size_t a = 0; a < parts; ++a) {
+            for (std::size_t b = 0; b < parts; ++b) {
+                for (std::size_t c = 0; c < parts; ++c) {
+                    system[a][b] += M[a][c] * M[b][c];
+                }
+            }
+            system[a][a] += 0.2;
+            system[a][parts] = k == 0 ? 0.0 : noise();
+        }
+        lpvg_change_output_t& of = fed.change.output[j];
+        const double prior = static_cast<double>(r.change_prior[j][0]);
+        const double gram[6] = {system[0][0] - prior, system[0][1], system[0][2], system[1][1] - prior, system[1][2], system[2][2] - prior};
+        std::transform(std::begin(gram), std::end(gram), std::begin(of.gram), [](double g) { return static_cast<Real>(g); });
+        for (std::size_t a = 0; a < parts; ++a) {
+            of.along[a] = static_cast<Real>(system[a][parts]);
+        }
+        fed.change.sum[j] = lpvguard::sum_of_words(of);
+        fed.change.begun = 0U;  // this block adds nothing
+        fed.change.pending = 1U;
+        const Real ratio = lpvg_change_judge(&fed.change, &fed.coeff);
+        double theta[parts];
+        for (std::size_t a = 0; a < parts; ++a) {
+            for (std::size_t b = a + 1U; b < parts; ++b) {
+                const double share = system[b][a] / system[a][a];
+                for (std::size_t c = a; c <= parts; ++c) {
+                    system[b][c] -= share * system[a][c];
+                }
+            }
+        }
+        for (std::size_t a = parts; a-- > 0U;) {
+            theta[a] = system[a][parts];
+            for (std::size_t b = a + 1U; b < parts; ++b) {
+                theta[a] -= system[a][b] * theta[b];
+            }
+            theta[a] /= system[a][a];
+        }
+        const double sizes[parts] = {static_cast<double>(r.change_unit[j][0]),
+                                     static_cast<double>(r.change_unit[j][1]) * static_cast<double>(r.change_block_s), 1.0};
+        std::size_t largest = 0;
+        CAPTURE(k);
+        for (std::size_t a = 0; a < parts; ++a) {
+            largest = std::abs(theta[a]) > std::abs(theta[largest]) ? a : largest;
+            CHECK(static_cast<double>(fed.change.estimate[a]) == Approx(theta[a] * sizes[a]).epsilon(1e-3).margin(1e-4));
+        }
+        CHECK(static_cast<double>(ratio) == Approx(std::abs(theta[largest])).epsilon(1e-3));  // all sizes are 1
+        CHECK(fed.change.strongest == parts * j + largest);
+    }
+}
+
+TEST_CASE("a block that comes before every output has judged the last one starts the sums behind it", "[unit][change][REQ-MON-16]") {
+    Fed fed(free_estimates());
+    fed.run(3U, Fault{});
+    REQUIRE(fed.change.begun == 1U);
+    const Real quiet[n_block][2U * LPVG_NY] = {};
+    lpvg_change_take(&fed.change, quiet[0]);
+    CHECK(fed.change.begun == 1U);
+    lpvg_change_take(&fed.change, quiet[0]);  // none has judged
+    CHECK(fed.change.begun == 0U);
+}
+
 TEST_CASE("a changed gain is an alarm with its estimate, and again only after a pause", "[unit][change][REQ-MON-16]") {
     const uint32_t rearm = 20U;
     Drive drive(heard(0.1, rearm));
@@ -260,10 +337,24 @@ TEST_CASE("a changed gain is an alarm with its estimate, and again only after a 
     CHECK(records(drive, settle + 4U * longest()).empty());
     CHECK(lpvg_monitor_verdict(&drive.monitor, drive.sample.t_us) != lpvg_verdict_degraded);
     drive.gain = 0.5;
+    while (drive.monitor.n_records == 0U) {
+        drive.run(1U);
+        REQUIRE(drive.now() < 20 * static_cast<int64_t>(longest()) * period_us());
+    }
+    const lpvg_change_t said = drive.monitor.change;  // of the sample that the alarm came with
+    const int64_t alarmed_us = drive.now();
+    const uint32_t sequence = drive.monitor.frame.sequence;
     const std::vector<lpvg_frame_t> found = records(drive, 4U * longest());
     REQUIRE(found.size() == 1U);
     const lpvg_frame_t& alarm = found[0];
     CHECK(alarm.test == lpvg_test_change);
+    CHECK(alarm.bin == said.strongest);
+    CHECK(alarm.t_end_us == alarmed_us);
+    CHECK(alarm.sequence == sequence);
+    CHECK(alarm.E[0][0] == said.estimate[0]);
+    CHECK(alarm.E[0][1] == said.estimate[1]);
+    CHECK(alarm.Z[0][0] == said.estimate[2]);
+    CHECK(alarm.Z[0][1] == Real(0));
     CHECK(alarm.falsified);
     CHECK(alarm.bin % parts == 0U);
     CHECK(alarm.margin > Real(1));

@@ -2,6 +2,8 @@
 #include "../catch.hpp"
 
 #include <algorithm>
+#include <cmath>
+#include <cstdint>
 #include <cstring>
 #include <functional>
 #include <iterator>
@@ -160,7 +162,18 @@ TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]
         spoilt("a sum of outputs that have no common Delta",
                [](lpvg_coeff_reals_t& r) { r.energy_direction[0][0] = r.energy_direction[0][1] = Real(0.5); });
     }
+    spoilt("a direction too short", [](lpvg_coeff_reals_t& r) {
+        for (Real& a : r.energy_direction[LPVG_NDIRECTIONS - 1]) {
+            a *= Real(0.99);
+        }
+    });
     spoilt("a direction too long", [](lpvg_coeff_reals_t& r) { r.energy_direction[0][0] = Real(-1.5); });
+    for (const Real end : {Real(0.9999), Real(1.0001)}) {
+        spoilt("a direction at the end of what rounding excuses", [end](lpvg_coeff_reals_t& r) {
+            std::fill(std::begin(r.energy_direction[0]), std::end(r.energy_direction[0]), Real(0));
+            r.energy_direction[0][0] = end;
+        });
+    }
     // The change test.
     cases.push_back({"change rearm 0", [](lpvg_coeff_t& c) { c.words.change_rearm = 0U; }});
     spoilt("a block of no time", [](lpvg_coeff_reals_t& r) { r.change_block_s = Real(0); });
@@ -197,6 +210,36 @@ TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]
         const lpvg_coeff_t coeff = sealed(test.change);
         check_refused(&coeff, lpvg_status_bad_value);
     }
+}
+
+TEST_CASE("a prior is accepted exactly where a decomposition in double finds it positive definite", "[unit][coeff][REQ-COEF-4]") {
+    std::uint32_t random = 1U;
+    const auto entry = [&random](double low, double high) {
+        random = random * 1664525U + 1013904223U;
+        return low + (high - low) * static_cast<double>(random >> 8U) / 16777216.0;
+    };
+    std::size_t definite = 0, other = 0, wrong = 0;
+    for (int k = 0; k < 300; ++k) {
+        const double mixed = k % 3 == 0 ? 0.5 : 2.0;
+        double A[6] = {entry(0.5, 3.0), entry(-mixed, mixed), entry(-mixed, mixed), entry(0.5, 3.0), entry(-mixed, mixed), entry(0.5, 3.0)};
+        A[k / 3 % 3 == 0 ? 3 : 5] *= k % 5 == 0 ? -1.0 : 1.0;
+        // Cholesky's, of [A0 A1 A2; A1 A3 A4; A2 A4 A5].
+        const double second = A[3] - A[1] * A[1] / A[0], below = A[4] - A[1] * A[2] / A[0];
+        const double third = A[5] - A[2] * A[2] / A[0] - below * below / second;
+        if (std::abs(second) < 1e-3 || std::abs(third) < 1e-3) {
+            continue;
+        }
+        const bool good = second > 0.0 && third > 0.0;
+        (good ? definite : other) += 1U;
+        const lpvg_coeff_t coeff = sealed([&](lpvg_coeff_t& c) {
+            std::transform(std::begin(A), std::end(A), std::begin(c.reals.change_prior[LPVG_NY - 1]),
+                           [](double a) { return static_cast<Real>(a); });
+        });
+        wrong += lpvg_coeff_check(&coeff) != (good ? lpvg_status_ok : lpvg_status_bad_value) ? 1U : 0U;
+    }
+    CHECK(wrong == 0U);
+    CHECK(definite > 50U);
+    CHECK(other > 50U);
 }
 
 TEST_CASE("values at the edge of what is allowed are accepted", "[unit][coeff][REQ-COEF-4]") {

@@ -140,6 +140,30 @@ TEST_CASE("the law equals a dense recursion in double, within 1e-4 of its range,
     CHECK((scale < 0.1 || control.limited > 1000U));
 }
 
+TEST_CASE("changes of a state that rounding would swallow one by one add up", "[unit][controller][REQ-CTL-1]") {
+    // Every state by itself: at 1, moved by 1e-8 a sample, which float cannot add to it.
+    constexpr int steps = 10000;
+    const std::size_t i = GENERATE(range(std::size_t{0}, nu));
+    for (std::size_t j = 0; j < nk; ++j) {
+        const lpvg_control_coeff_t coeff = sealed([&](lpvg_control_coeff_t& c) {
+            std::memset(c.reals.A1, 0, sizeof c.reals.A1);
+            std::memset(c.reals.BL, 0, sizeof c.reals.BL);
+            for (auto& node : c.reals.BL) {
+                node[i][j][0] = Real(1e-8);
+            }
+        });
+        lpvg_control_t control = ready(coeff);
+        control.x[i][j] = Real(1);
+        std::vector<Real> m(nm, Real(0));
+        m[0] = Real(1);
+        for (int k = 0; k < steps; ++k) {
+            REQUIRE(lpvg_control_step(&control, mid_speed(), m.data(), false) == lpvg_status_ok);
+        }
+        CAPTURE(i, j);
+        CHECK(static_cast<double>(control.x[i][j]) == Approx(1.0 + 1e-8 * steps).margin(2e-7));
+    }
+}
+
 TEST_CASE("demand and its change never exceed their limits, engaged or not", "[unit][controller][REQ-CTL-2]") {
     lpvg_control_t control = ready();
     std::vector<Real> before(nu, Real(0));
@@ -335,12 +359,45 @@ TEST_CASE("a state that grew beyond the numbers is cleared", "[unit][controller]
     }
 }
 
+TEST_CASE("a state that is cleared forgets what rounding had taken, too", "[unit][controller][REQ-CTL-6]") {
+    const std::vector<Real> m(nm, Real(0));
+    lpvg_control_t control = ready(), rested = ready();
+    control.x[0][0] = std::numeric_limits<Real>::infinity();
+    for (auto& carries : control.carry) {
+        std::fill(std::begin(carries), std::end(carries), Real(0.5));
+    }
+    CHECK(lpvg_control_step(&control, mid_speed(), m.data(), false) == lpvg_status_bad_sample);
+    CHECK(lpvg_control_step(&rested, mid_speed(), m.data(), false) == lpvg_status_ok);
+    CHECK(std::memcmp(control.x, rested.x, sizeof control.x) == 0);
+    CHECK(std::memcmp(control.carry, rested.carry, sizeof control.carry) == 0);
+}
+
+TEST_CASE("what is limited is counted while engaged, and only then", "[unit][controller][REQ-CTL-2]") {
+    lpvg_control_t control = ready();
+    const std::vector<Real> still(nm, Real(0)), hard(nm, Real(50));
+    for (int k = 0; k < 10; ++k) {
+        REQUIRE(lpvg_control_step(&control, mid_speed(), still.data(), true) == lpvg_status_ok);
+    }
+    CHECK(control.limited == 0U);  // at rest nothing is
+    for (int k = 0; k < 300; ++k) {
+        REQUIRE(lpvg_control_step(&control, mid_speed(), hard.data(), true) == lpvg_status_ok);
+    }
+    const uint32_t counted = control.limited;
+    CHECK(counted > 200U);
+    for (int k = 0; k < 50; ++k) {  // the states still ask for more than the released demand is
+        REQUIRE(lpvg_control_step(&control, mid_speed(), hard.data(), false) == lpvg_status_ok);
+    }
+    CHECK(control.limited == counted);
+}
+
 TEST_CASE("counters of the controller saturate", "[unit][controller]") {
     lpvg_control_t control = ready();
-    control.bad_samples = UINT32_MAX;
+    control.bad_samples = UINT32_MAX - 1U;
     const std::vector<Real> m(nm, std::numeric_limits<Real>::quiet_NaN());
-    CHECK(lpvg_control_step(&control, mid_speed(), m.data(), true) == lpvg_status_bad_sample);
-    CHECK(control.bad_samples == UINT32_MAX);
+    for (int k = 0; k < 2; ++k) {
+        CHECK(lpvg_control_step(&control, mid_speed(), m.data(), true) == lpvg_status_bad_sample);
+        CHECK(control.bad_samples == UINT32_MAX);
+    }
 }
 
 TEST_CASE("NULL and missing init are refused, nothing happens", "[unit][controller][REQ-CTL-7]") {

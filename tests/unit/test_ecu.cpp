@@ -192,6 +192,27 @@ TEST_CASE("sensors that contradict each other are told, and released if so confi
     CHECK(bench.ecu.control.engaged == only_reported);
 }
 
+TEST_CASE("sensors are not held against each other while a message is missing", "[unit][ecu][REQ-ECU-4]") {
+    Bench bench;
+    bench.run_until_engaged();
+    bench.lateral = 3.0F;  // a contradiction, for less than it takes to be told
+    bench.run(60);
+    REQUIRE(bench.live());
+    bench.send_vdc2 = false;
+    bench.run(200);
+    CHECK_FALSE(bench.live());
+    CHECK(bench.ecu.plausibility.flags == 0U);
+}
+
+TEST_CASE("the report holds the statistic of the newest frame", "[unit][ecu][REQ-ECU-4]") {
+    Bench bench;
+    bench.run_until_engaged();
+    bench.ecu.monitor.frame.statistic = lpvg_real_t(0.75);
+    bench.step();
+    REQUIRE(bench.ecu.monitor.frame.statistic > lpvg_real_t(0));
+    CHECK(bench.report.statistic == Approx(static_cast<float>(bench.ecu.monitor.frame.statistic)).margin(0.01));
+}
+
 TEST_CASE("a controller or monitor that refuses its sample releases the demand and is told", "[unit][ecu][REQ-ECU-3]") {
     const bool of_monitor = GENERATE(false, true);
     Bench bench;

@@ -148,7 +148,7 @@ TEST_CASE("what is found while nothing is engaged does not lock", "[unit][ecu][R
     CHECK(bench.engaged());
 }
 
-TEST_CASE("messages lost for 60 ms of every 200 lock within the fourth release", "[unit][ecu][REQ-ECU-12]") {
+TEST_CASE("messages lost for 60 ms of every 200 lock within the fourth release", "[unit][ecu][hour][REQ-ECU-12]") {
     Bench bench = engaged_bench();
     bench.ecu.released_us = bench.ecu.core_us;
     int engagements = 0;

@@ -72,6 +72,26 @@ TEST_CASE("all findings are named, the gravest first", "[unit][ecu][REQ-J1939-10
     CHECK(spns(findings_of(ecu)) == all);
 }
 
+TEST_CASE("every finding has the failure mode of its cause, and the count of occurrences", "[unit][ecu][REQ-J1939-10]") {
+    Bench bench;
+    bench.run_until_engaged();
+    lpvg_ecu_t& ecu = bench.ecu;
+    ecu.kept.corrupt = ecu.refused = ecu.actuator_failed = ecu.kept.locked = true;
+    ecu.clock.pace = lpvg_ecu_pace_bad;
+    ecu.report.verdict = lpvg_verdict_invalid;
+    ecu.plausibility.flags = LPVG_CAN_IMPLAUSIBLE_WHEELS;
+    ecu.occurrence = 17U;
+    const lpvg_j1939_findings_t findings = findings_of(ecu);
+    const std::vector<uint8_t> modes = {LPVG_CAN_FMI_BAD_DEVICE, LPVG_CAN_FMI_ERRATIC, LPVG_CAN_FMI_UPDATE_RATE, LPVG_CAN_FMI_CONDITION,
+                                        LPVG_CAN_FMI_RESPONSE,   LPVG_CAN_FMI_ERRATIC, LPVG_CAN_FMI_CONDITION};
+    REQUIRE(findings.n_codes == modes.size());
+    for (std::size_t i = 0; i < modes.size(); ++i) {
+        CAPTURE(i);
+        CHECK(findings.code[i].fmi == modes[i]);
+        CHECK(findings.code[i].occurrence == 17U);
+    }
+}
+
 TEST_CASE("the freeze frame of an alarm is its record's", "[unit][ecu][REQ-J1939-10]") {
     Bench bench;
     bench.run_until_engaged();

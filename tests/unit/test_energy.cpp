@@ -4,8 +4,10 @@
 #include <algorithm>
 #include <cmath>
 #include <complex>
+#include <cstdint>
 #include <cstring>
 #include <deque>
+#include <utility>
 #include <vector>
 
 #include "monitor_drive.hpp"
@@ -96,6 +98,14 @@ TEST_CASE("the directions are turned through, and single outputs are among them"
         singles += single(a) ? 1U : 0U;
     }
     CHECK(singles == LPVG_NY);
+}
+
+TEST_CASE("without any error no band is the strongest but the lowest", "[unit][energy][REQ-MON-14]") {
+    Fed fed(lpvg_coeff);
+    fed.energy.strongest = LPVG_NBANDS - 1U;  // of the direction before
+    CHECK(lpvg_energy_judge(&fed.energy, &fed.coeff) == Real(0));
+    CHECK(fed.energy.strongest == 0U);
+    CHECK(lpvg_energy_evidence(&fed.energy, &fed.coeff) == Real(0));
 }
 
 TEST_CASE("a constant error gain reads gain over weight, where sigma is small", "[unit][energy][REQ-MON-14]") {
@@ -216,6 +226,198 @@ TEST_CASE("every output is held against its own weight where it has its own Delt
     }
 }
 
+namespace {
+
+// Sums, sections and bands as energy.h and coeff.h define them, in double and by z instead of d = z - 1.
+class Definition {
+public:
+    explicit Definition(const lpvg_coeff_t& c) : r_(c.reals) {
+        for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
+            for (std::size_t j = 0; j < LPVG_NY; ++j) {
+                right_[b][j][j] = static_cast<double>(r_.energy_start[b][j]);
+            }
+        }
+    }
+
+    void take(const Real* signal, bool settled) {
+        double whole[3][LPVG_NY];
+        for (std::size_t j = 0; j < LPVG_NY; ++j) {
+            whole[0][j] = static_cast<double>(signal[j]);
+            whole[1][j] = whole[2][j] = static_cast<double>(signal[LPVG_NY + j]);
+            for (std::size_t s = 0; s < LPVG_NWEIGHT; ++s) {
+                whole[2][j] = weighted(r_.energy_W[delta_of(j)][s], whole[2][j], past_[s][j]);
+            }
+        }
+        double band[LPVG_NBANDS][3][LPVG_NY];
+        for (std::size_t what = 0; what < 3U; ++what) {
+            for (std::size_t j = 0; j < LPVG_NY; ++j) {
+                double rest = whole[what][j];
+                for (std::size_t b = LPVG_NBANDS - 1U; b > 0U; --b) {
+                    auto& [x, y] = low_[b - 1U][what][j];
+                    const auto g = static_cast<double>(r_.energy_corner[b - 1U]);
+                    y = (1.0 - 2.0 * g) * y + g * (rest + x);
+                    x = rest;
+                    band[b][what][j] = rest - y;
+                    rest = y;
+                }
+                band[0][what][j] = rest;
+            }
+        }
+        for (std::size_t j = 0; j < LPVG_NY; ++j) {
+            band[LPVG_NBANDS - 1U][2][j] = static_cast<double>(r_.energy_above[delta_of(j)]) * band[LPVG_NBANDS - 1U][1][j];
+        }
+        for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
+            const double keep = 1.0 - static_cast<double>(r_.energy_forget[b]);
+            add(right_[b], band[b][2], keep);
+            if (settled) {
+                add(left_[b], band[b][0], keep);
+                add(nominal_[b], band[b][1], keep);
+            }
+        }
+    }
+
+    // Of direction a: the largest of the bands' ratios, and what it would be of a vehicle that does not answer.
+    std::pair<double, double> judged(const Real* a) const {
+        double largest = 0.0, dead = 0.0;
+        for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
+            const double allowed = norm(right_[b], a, b) + 1.0, ratio = norm(left_[b], a, b) / allowed;
+            if (ratio > largest) {
+                largest = ratio;
+                dead = norm(nominal_[b], a, b) / allowed;
+            }
+        }
+        return {largest, dead};
+    }
+
+private:
+    using Gram = double[LPVG_NY][LPVG_NY];
+
+    static std::size_t delta_of(std::size_t j) { return LPVG_NDELTA == 1 ? 0U : j; }
+
+    // (b0 d^2 + b1 d + b2) / (d^2 + a1 d + a2); past: the newest two values in and out.
+    static double weighted(const Real* c, double x, double (&past)[4]) {
+        const double b0 = c[0], b1 = c[1], b2 = c[2], a1 = c[3], a2 = c[4];
+        const double y = b0 * x + (b1 - 2.0 * b0) * past[0] + (b0 - b1 + b2) * past[1] - (a1 - 2.0) * past[2] - (1.0 - a1 + a2) * past[3];
+        past[1] = past[0];
+        past[0] = x;
+        past[3] = past[2];
+        past[2] = y;
+        return y;
+    }
+
+    static void add(Gram& gram, const double* x, double keep) {
+        for (std::size_t i = 0; i < LPVG_NY; ++i) {
+            for (std::size_t j = 0; j < LPVG_NY; ++j) {
+                gram[i][j] = keep * gram[i][j] + x[i] * x[j];
+            }
+        }
+    }
+
+    double norm(const Gram& gram, const Real* a, std::size_t b) const {
+        double sum = 0.0;
+        for (std::size_t i = 0; i < LPVG_NY; ++i) {
+            for (std::size_t j = 0; j < LPVG_NY; ++j) {
+                sum += static_cast<double>(a[i] * r_.energy_scale[b][i]) * gram[i][j] * static_cast<double>(a[j] * r_.energy_scale[b][j]);
+            }
+        }
+        return std::sqrt(std::max(sum, 0.0));
+    }
+
+    const lpvg_coeff_reals_t& r_;
+    double past_[LPVG_NWEIGHT][LPVG_NY][4] = {};
+    std::pair<double, double> low_[LPVG_NBANDS - 1][3][LPVG_NY] = {};  // the newest value in, and out
+    Gram left_[LPVG_NBANDS] = {}, right_[LPVG_NBANDS] = {}, nominal_[LPVG_NBANDS] = {};
+};
+
+// Every section, output, band and direction differs from every other.
+lpvg_coeff_t with_all_different() {
+    return sealed([](lpvg_coeff_t& c) {
+        lpvg_coeff_reals_t& r = c.reals;
+        for (std::size_t d = 0; d < LPVG_NDELTA; ++d) {
+            for (std::size_t s = 0; s < LPVG_NWEIGHT; ++s) {
+                const Real at = Real(0.03) * static_cast<Real>(d * LPVG_NWEIGHT + s);
+                const Real chain[5] = {Real(0.7) - at, Real(0.31) + at, Real(0.11) - at / Real(2), Real(0.6) + at, Real(0.15) + at};
+                std::memcpy(r.energy_W[d][s], chain, sizeof chain);
+            }
+            r.energy_above[d] = Real(0.4) + Real(0.2) * static_cast<Real>(d);
+        }
+        for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
+            r.energy_forget[b] = Real(0.02) * static_cast<Real>(b + 1U);
+            for (std::size_t j = 0; j < LPVG_NY; ++j) {
+                r.energy_scale[b][j] = Real(3) + static_cast<Real>(b) - Real(0.8) * static_cast<Real>(j);
+                r.energy_start[b][j] = Real(0.5) + Real(0.3) * static_cast<Real>(b) + Real(0.4) * static_cast<Real>(j);
+            }
+        }
+        for (std::size_t b = 0; b + 1U < LPVG_NBANDS; ++b) {
+            r.energy_corner[b] = Real(0.05) + Real(0.2) * static_cast<Real>(b);
+        }
+        if (LPVG_NDELTA == 1 && LPVG_NY == 2) {
+            const Real joint[2] = {Real(0.7), Real(-0.3)};
+            std::copy(joint, joint + LPVG_NY, r.energy_direction[LPVG_NDIRECTIONS - 1]);
+        }
+    });
+}
+
+}  // namespace
+
+TEST_CASE("ratio and evidence are what their definition says in double, of every direction", "[unit][energy][REQ-MON-14]") {
+    const std::size_t loud = GENERATE(range(std::size_t{0}, std::size_t{LPVG_NBANDS}));
+    lpvg_coeff_t coeff = with_all_different();
+    hear_only(coeff, loud);
+    Fed fed(coeff);
+    Definition definition(fed.coeff);
+    std::uint32_t random = 1U;
+    const auto noise = [&random] {
+        random = random * 1664525U + 1013904223U;
+        return static_cast<Real>(random >> 8U) / Real(1U << 23U) - Real(1);
+    };
+    double off_ratio = 0.0, off_evidence = 0.0, strongest = 0.0;
+    for (uint32_t k = 0; k < 400U; ++k) {
+        Real signal[2 * LPVG_NY], common = noise();
+        for (Real& x : signal) {  // the outputs go together in part, so that their cross sums count
+            x = common + noise();
+        }
+        const bool settled = k >= 30U && k < 380U;
+        lpvg_energy_advance(&fed.energy, &fed.coeff, signal, settled);
+        definition.take(signal, settled);
+        for (const auto& a : fed.coeff.reals.energy_direction) {
+            const auto ratio = static_cast<double>(lpvg_energy_judge(&fed.energy, &fed.coeff));
+            const auto [want, dead] = definition.judged(a);
+            off_ratio = std::max(off_ratio, std::abs(ratio - want));
+            strongest = std::max(strongest, want);
+            if (want > 0.0) {
+                const auto evidence = static_cast<double>(lpvg_energy_evidence(&fed.energy, &fed.coeff));
+                off_evidence = std::max(off_evidence, std::abs(evidence - dead));
+            }
+        }
+    }
+    CHECK(strongest > 0.5);
+    CHECK(off_ratio <= 1e-4);
+    CHECK(off_evidence <= 1e-4);
+}
+
+TEST_CASE("a sum that rounding made negative counts as none", "[unit][energy][REQ-MON-14]") {
+    // Outputs that cancel in a direction: its sum is zero but for rounding, which must neither alarm nor excuse.
+    if (LPVG_NY != 2 || LPVG_NDELTA > 1) {
+        return;
+    }
+    Fed fed(with_all_different());
+    const auto& reals = fed.coeff.reals;
+    const auto& a = reals.energy_direction[LPVG_NDIRECTIONS - 1];
+    for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
+        const Real first = a[0] * reals.energy_scale[b][0], second = a[1] * reals.energy_scale[b][1];
+        const Real cancelling[3] = {second * second, -first * second * Real(1.00001), first * first};
+        std::copy(std::begin(cancelling), std::end(cancelling), std::begin(fed.energy.band[b].left));
+        std::copy(std::begin(cancelling), std::end(cancelling), std::begin(fed.energy.band[b].right));
+    }
+    fed.energy.next_direction = LPVG_NDIRECTIONS - 1U;
+    CHECK(lpvg_energy_judge(&fed.energy, &fed.coeff) == Real(0));
+    const Real alone[3] = {Real(1) / (a[0] * a[0] * reals.energy_scale[0][0] * reals.energy_scale[0][0]), Real(0), Real(0)};
+    std::copy(std::begin(alone), std::end(alone), std::begin(fed.energy.band[0].left));  // a norm of one, over sigma alone
+    fed.energy.next_direction = LPVG_NDIRECTIONS - 1U;
+    CHECK(lpvg_energy_judge(&fed.energy, &fed.coeff) == Approx(1.0).epsilon(1e-5));
+}
+
 TEST_CASE("a restart stays sound because the right sum starts with what Delta may remember", "[unit][energy][REQ-MON-14]") {
     // Delta of gain 1 on |z| = rho: (rho / z)^delay. At the restart it still holds what came before.
     const double all[4] = {1.0, 1.0, 1.0, 1.0}, weight = 0.8, step = 2.0 * pi * 3.0 / words().frame_length[LPVG_NBINS / 2];
@@ -298,6 +500,13 @@ TEST_CASE("the monitor judges after the settling time, and alarms once a memory"
     CHECK(record.statistic == record.margin);
     // e = -0.5 yhat, so that a dead vehicle would read twice as much.
     CHECK(record.evidence == Approx(static_cast<double>(record.margin) * 2.0).epsilon(1e-3));
+    CHECK(record.sequence == drive.monitor.frame.sequence);
+    CHECK(drive.monitor.frame.sequence > 0U);
+    const lpvg_energy_band_t& loudest = drive.monitor.energy.band[drive.monitor.energy.strongest];
+    CHECK(record.E[0][0] == std::sqrt(loudest.left[0]));
+    CHECK(record.Z[0][0] == std::sqrt(loudest.right[0]));
+    CHECK(record.E[LPVG_NY - 1][0] == std::sqrt(loudest.left[LPVG_NGRAM - 1]));
+    CHECK(record.Z[LPVG_NY - 1][0] == std::sqrt(loudest.right[LPVG_NGRAM - 1]));
     for (std::size_t j = 0; j < LPVG_NY; ++j) {
         CHECK(record.E[j][0] > Real(0));
         CHECK(record.Z[j][0] > Real(0));
@@ -320,6 +529,19 @@ TEST_CASE("the monitor judges after the settling time, and alarms once a memory"
     drive.run(8U * memory());
     CHECK(drive.monitor.n_records == 1U);
     CHECK(drive.monitor.records_lost == 0U);
+}
+
+TEST_CASE("the left sums begin with the sample behind the settling time", "[unit][energy][REQ-MON-14]") {
+    Drive drive(energy_only(0.3));
+    drive.gain = 0.5;
+    const auto begun = [&] {
+        return std::any_of(std::begin(drive.monitor.energy.band), std::end(drive.monitor.energy.band),
+                           [](const lpvg_energy_band_t& band) { return band.left[0] > Real(0) || band.nominal[0] > Real(0); });
+    };
+    drive.run(words().energy_settle);
+    CHECK_FALSE(begun());
+    drive.run(1U);
+    CHECK(begun());
 }
 
 TEST_CASE("leaving the speed range, a gap and a refused sample start it from rest", "[unit][energy][REQ-MON-14]") {

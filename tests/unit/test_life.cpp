@@ -89,6 +89,27 @@ TEST_CASE("a life has the bits of the Python package's, also across power-off", 
     CHECK(golden_life_400[399].changed_at == 0U);
 }
 
+TEST_CASE("one level or recording more than there can be is refused, and so is every bet that is no number",
+          "[unit][REQ-LIFE-2][REQ-LIFE-3]") {
+    lpvg_life_table_t table = golden_table_100;
+    table.n_levels = LPVG_LIFE_LEVELS + 1U;
+    table = sealed(table);
+    CHECK(lpvg_life_table_check(&table) == lpvg_status_bad_value);
+    lpvg_life_t life = begun(golden_table_100);
+    const auto loaded = [&](std::size_t word, uint32_t value) {
+        Bytes bytes = saved(begun(golden_table_100));
+        for (std::size_t k = 0; k < 4U; ++k) {
+            bytes.of[4U * word + k] = static_cast<uint8_t>(value >> (8U * k));
+        }
+        return lpvg_life_load(&life, &golden_table_100, sealed(bytes).of);
+    };
+    CHECK(loaded(1U, LPVG_LIFE_MOST) == lpvg_status_ok);
+    CHECK(loaded(1U, LPVG_LIFE_MOST + 1U) == lpvg_status_bad_value);
+    for (std::size_t i = 0; i < LPVG_LIFE_BETS; ++i) {
+        CHECK(loaded(2U + i, bits(std::numeric_limits<float>::quiet_NaN())) == lpvg_status_bad_value);
+    }
+}
+
 TEST_CASE("a table that cannot be is refused by what is wrong", "[unit][REQ-LIFE-2]") {
     lpvg_life_table_t table = golden_table_100;
     lpvg_life_t life = begun(golden_table_11);

@@ -8,6 +8,8 @@
 #include <cstring>
 #include <functional>
 #include <limits>
+#include <map>
+#include <utility>
 #include <vector>
 
 #include "monitor_drive.hpp"
@@ -357,6 +359,28 @@ TEST_CASE("a speed exactly on the tolerance counts", "[unit][monitor][REQ-MON-7]
     CHECK((shift < Real(0) || shift > Real(0) ? counted : moved) == 0U);
 }
 
+TEST_CASE("one sample beyond the speed tolerance spoils every frame that holds it, wherever it stands", "[unit][monitor][REQ-MON-7]") {
+    const uint32_t later = GENERATE(range(0U, uint32_t{LPVG_NBLOCK} + 1U));
+    const double side = GENERATE(1.6, -1.6);
+    Drive drive;
+    drive.settle();
+    drive.run(longest() + LPVG_NLATENCY + later);
+    drive.speed = cruise() * static_cast<Real>(1.0 + side * static_cast<double>(lpvg_coeff.reals.speed_tolerance));
+    REQUIRE((drive.speed > lpvg_coeff.reals.speed_min && drive.speed < lpvg_coeff.reals.speed_max));
+    drive.run(1U);
+    const int64_t moved = drive.now();
+    drive.speed = cruise();
+    std::size_t holding = 0, wrong = 0;
+    drive.run(2U * longest(), [&](const lpvg_frame_t& frame) {
+        const int64_t first = frame.t_end_us - period_us() * (words().frame_length[frame.bin] - 1);
+        const bool holds = first <= moved && moved <= frame.t_end_us;
+        holding += holds ? 1U : 0U;
+        wrong += (frame.reason == lpvg_reason_speed_moved) != holds ? 1U : 0U;
+    });
+    CHECK(holding >= LPVG_NBINS);
+    CHECK(wrong == 0U);
+}
+
 TEST_CASE("a sample that cannot be is a fault until the next good one, and restarts everything", "[unit][monitor][REQ-MON-8]") {
     const lpvg_coeff_reals_t& r = lpvg_coeff.reals;
     const Real nan = std::numeric_limits<Real>::quiet_NaN(), inf = std::numeric_limits<Real>::infinity();
@@ -451,6 +475,63 @@ TEST_CASE("a step of half to one and a half periods goes on, anything else resta
     CHECK(drive.monitor.restarts == 1U + step.restarts);
     // The DC frame would have ended with this sample.
     CHECK((drive.monitor.bin[0].n == 0U) == (step.restarts == 0U));
+}
+
+TEST_CASE("behind a gap in mid-frame every frame is the one of a monitor that starts there", "[unit][monitor][REQ-MON-9]") {
+    Drive drive;
+    drive.gain = 0.8;
+    // Whole blocks, so that both sum in the same order.
+    drive.run(LPVG_NBLOCK * ((words().settle_samples + 2U * longest()) / LPVG_NBLOCK + 1U));
+    for (const lpvg_bin_t& bin : drive.monitor.bin) {
+        REQUIRE((bin.n > 0U || bin.has_before));
+    }
+    REQUIRE(drive.monitor.bin[0].n > 0U);
+    drive.skip(10 * period_us());
+    const int64_t restart = drive.now() + 11 * period_us();
+    lpvg_monitor_t fresh;
+    REQUIRE(lpvg_monitor_init(&fresh, &lpvg_coeff) == lpvg_status_ok);
+    using Frames = std::map<std::pair<uint32_t, int64_t>, lpvg_frame_t>;
+    Frames of_drive, of_fresh;
+    const auto note = [&](const lpvg_monitor_t& monitor, Frames& frames) {
+        const lpvg_frame_t& frame = monitor.frame;
+        if (frame.sequence > 0U && frame.t_end_us >= restart) {
+            frames[{frame.bin, frame.t_end_us}] = frame;
+        }
+    };
+    for (uint32_t k = 0; k < words().settle_samples + 4U * longest(); ++k) {
+        REQUIRE(drive.step() == lpvg_status_ok);
+        REQUIRE(lpvg_monitor_push(&fresh, &drive.sample) == lpvg_status_ok);
+        note(drive.monitor, of_drive);
+        note(fresh, of_fresh);
+    }
+    std::size_t counted = 0, different = 0;
+    for (const auto& [where, frame] : of_fresh) {
+        const auto same = of_drive.find(where);
+        REQUIRE(same != of_drive.end());
+        counted += frame.reason == lpvg_reason_none ? 1U : 0U;
+        different += same->second.reason != frame.reason || same->second.margin != frame.margin || same->second.speed != frame.speed ||
+                             std::memcmp(same->second.E, frame.E, sizeof frame.E) != 0 ||
+                             std::memcmp(same->second.Z, frame.Z, sizeof frame.Z) != 0
+                         ? 1U
+                         : 0U;
+    }
+    CHECK(counted > 10U);
+    CHECK(different == 0U);
+}
+
+TEST_CASE("a frame counts that begins with the first settled sample, and none before", "[unit][monitor][REQ-MON-7]") {
+    const uint32_t bin = LPVG_NBINS - 1U, half = words().frame_length[bin] / 2U;
+    const uint32_t later = GENERATE(0U, 1U);
+    Drive drive(sealed([&](lpvg_coeff_t& c) { c.words.settle_samples = half + later; }));
+    std::size_t seen = 0;
+    drive.run(4U * half + LPVG_NLATENCY, [&](const lpvg_frame_t& frame) {
+        const int64_t first = frame.t_end_us / period_us() + 1 - words().frame_length[frame.bin];
+        if (frame.bin == bin && first == static_cast<int64_t>(half)) {
+            ++seen;
+            CHECK((frame.reason == lpvg_reason_settling) == (later == 1U));
+        }
+    });
+    CHECK(seen == 1U);
 }
 
 TEST_CASE("stale after five periods, fault when the clock runs backwards", "[unit][monitor][REQ-MON-10]") {
@@ -577,7 +658,8 @@ TEST_CASE("an output that is stuck or turned over is falsified, within the physi
 }
 
 TEST_CASE("a change degrades for the hold time, unless a test falsifies", "[unit][monitor][REQ-MON-16]") {
-    Drive drive;
+    // DC's frame is what the hold time goes by: the next one is shorter here.
+    Drive drive(sealed([](lpvg_coeff_t& c) { c.words.frame_length[1] = c.words.frame_length[0] - 2U; }));
     drive.settle();
     REQUIRE(drive.verdict() == lpvg_verdict_valid);
     lpvg_monitor_t& m = drive.monitor;
@@ -593,6 +675,32 @@ TEST_CASE("a change degrades for the hold time, unless a test falsifies", "[unit
     m.has_falsified = true;
     m.t_falsified_us = m.t_us;
     CHECK(drive.verdict() == lpvg_verdict_invalid);
+}
+
+TEST_CASE("evidence counts up to the hold time, to the microsecond", "[unit][monitor][REQ-MON-6]") {
+    Drive drive;
+    drive.settle();
+    REQUIRE(drive.verdict() == lpvg_verdict_valid);
+    lpvg_monitor_t& m = drive.monitor;
+    m.t_evidence_us = m.t_us - static_cast<int64_t>(longest()) * words().sample_period_us;
+    CHECK(drive.verdict() == lpvg_verdict_valid);
+    --m.t_evidence_us;
+    CHECK(drive.verdict() == lpvg_verdict_not_judged);
+}
+
+TEST_CASE("a record is taken once, into memory that is there", "[unit][monitor][REQ-MON-11][REQ-MON-13]") {
+    Drive drive(only_bin(LPVG_NBINS - 1));
+    drive.bin = LPVG_NBINS - 1;
+    drive.gain = 0.3;
+    while (drive.monitor.n_records == 0U) {
+        drive.run(1U);
+    }
+    const uint32_t sequence = drive.monitor.record[0].sequence;
+    CHECK_FALSE(lpvg_monitor_take_record(&drive.monitor, nullptr));
+    lpvg_frame_t record{};
+    REQUIRE(lpvg_monitor_take_record(&drive.monitor, &record));
+    CHECK(record.sequence == sequence);
+    CHECK_FALSE(lpvg_monitor_take_record(&drive.monitor, &record));
 }
 
 TEST_CASE("state that cannot be is as a refused sample, and everything starts anew", "[unit][monitor][REQ-MON-15]") {

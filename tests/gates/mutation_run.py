@@ -1,0 +1,451 @@
+"""Runs all mutants of lib/src against the unit tests, in one build (mutation.py makes them).
+
+The build is a copy of the tree whose sources are switched. Each test program runs once without a mutant and
+notes for every test case which sites it reaches. A mutant then costs the test cases that reach its site, the
+cheapest first, up to the first that fails. Cases that reach very many sites are asked about those files only
+that their program is about. Cases tagged ``[hour]``, which simulate one, are not asked. So a mutant costs
+seconds at most, and one that survives has escaped every test that looks at its file.
+
+A mutant counts as killed when a program fails, when the compiler's checks of undefined behaviour end it (the
+gate ``sanitize`` runs the same programs under them), or when it reaches ten times as many sites as it should:
+a loop that does not end.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import pickle
+import random
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from mutation import Change, Site, Sites, merged, numbered, read, sites_of, switched
+
+CLANG = "19"
+SEEN_BY = {"hand_truck", "hand_toy", "separate_toy"}
+"""Vehicles whose compilations show every line of lib/src."""
+CHECKS = "bounds,shift,integer-divide-by-zero,null,signed-integer-overflow,float-cast-overflow,bool,alignment"
+FLAGS = f"-w -O1 -Wno-c++11-narrowing -Wno-invalid-constexpr -fsanitize={CHECKS} -fsanitize-trap={CHECKS}"
+PER_FILE = 8192
+"""Numbers of a file, so that a change of one file leaves the others' objects as they are."""
+PROGRAMS = ("unit_tests", "test_can_faults")
+PARTS = ("lib", "firmware_sim", "tests", "tools/src", "data")
+GENEROUS = 10
+FIRST_SITES, LONG_SITES = 10_000_000, 20_000_000
+"""Cases that reach fewer than the first are asked first; those that reach more than the second are long."""
+ABOUT: dict[str, tuple[str, ...]] = {
+    "ecu.cpp": (),  # its long cases are minutes of driving
+    "crc32.hpp": ("test_coeff_",),
+    "coefficient_checks.hpp": ("test_coeff_",),
+}
+"""File -> how the names of the programs begin whose long cases are asked; else test_ and the file's name."""
+SAMPLE_FILES, SAMPLE, TOUCHED = 2, 200, 600
+"""Without LPVGUARD_FULL: that many mutants of that many files where no change is known; of the files that a
+change touches at most so many in all."""
+MOST_EQUIVALENT = 0.05
+UNMEASURED = {"diagnosis.cpp", "ecu.cpp", "margin.hpp"}
+"""Files whose mutants have never all run: left out unless one is asked for by its name, and printed."""
+SHORT_FORM = {k: v for k, v in os.environ.items() if k != "LPVGUARD_FULL"}
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """Number ``number`` of the switch: change ``index`` of a site."""
+
+    number: int
+    file: str
+    site: Site
+    index: int
+    ordinal: int  # of those in the function that read the same, from 1
+
+    @property
+    def change(self) -> Change:
+        return self.site.changes[self.index]
+
+    @property
+    def key(self) -> str:
+        return f"{self.change}" + (f"  #{self.ordinal}" if self.ordinal > 1 else "")
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.site.line}: {self.site.function}: {self.key}"
+
+
+@dataclass(frozen=True)
+class Case:
+    """A test case of a program without a mutant."""
+
+    program: Path
+    name: str
+    seconds: float
+    reached: int
+
+
+def command(*words: object, cwd: Path | None = None) -> str:
+    """Output of a command; RuntimeError with it where the command fails."""
+    done = subprocess.run(
+        [str(w) for w in words],
+        cwd=cwd,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        check=False,
+    )
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(str(w) for w in words)}:\n{done.stdout[-8000:]}")
+    return done.stdout
+
+
+# --- which files ---
+
+
+def changed_files(tree: Path) -> set[str]:
+    """Paths that differ from the merge base with the main branch, or from the newest commit where that is it;
+    none where git cannot say."""
+    try:
+        base = command("git", "merge-base", "HEAD", "main", cwd=tree).strip()
+        names = command("git", "diff", "--name-only", base, cwd=tree)
+    except (RuntimeError, FileNotFoundError):
+        return set()
+    return set(names.split())
+
+
+def chosen(tree: Path, names: list[str], full: bool, only: str) -> tuple[list[str], int]:
+    """Files to mutate, and how many of their mutants (0: all)."""
+    if only or full:
+        return ([only] if only else names), 0
+    touched = sorted(set(names) & {Path(p).name for p in changed_files(tree) if p.startswith("lib/src/")})
+    if touched:
+        return touched, TOUCHED
+    seed = hashlib.sha256(b"".join((tree / "lib" / "src" / name).read_bytes() for name in names)).hexdigest()
+    return sorted(random.Random(seed).sample(names, SAMPLE_FILES)), SAMPLE
+
+
+# --- the build ---
+
+
+def mirror(tree: Path, work: Path, texts: dict[Path, str]) -> None:
+    """Makes ``work`` a copy of the tree in which ``texts`` stand for some files; what is right stays as it
+    is, so that nothing is compiled twice."""
+    wanted: set[Path] = set()
+    files = [
+        p for part in PARTS for p in (tree / part).rglob("*") if p.is_file() and "__pycache__" not in p.parts
+    ]
+    files += [p for p in tree.iterdir() if p.is_file() and not p.name.startswith(".")]
+    for file in files:
+        name = file.relative_to(tree)
+        target = work / name
+        wanted.add(name)
+        new = texts[name].encode("latin-1") if name in texts else file.read_bytes()
+        if not target.exists() or target.read_bytes() != new:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(new)
+            shutil.copymode(file, target)
+    for stale in [p for p in work.rglob("*") if p.is_file() and p.relative_to(work) not in wanted]:
+        if "__pycache__" not in stale.parts:
+            stale.unlink()
+
+
+def configure(work: Path, build: Path) -> None:
+    flags = f"{FLAGS} -include {work / 'tests' / 'gates' / 'mutant_switch.h'}"
+    command(
+        "cmake",
+        "-S",
+        work,
+        "-B",
+        build,
+        "-G",
+        "Ninja",
+        "-DCMAKE_BUILD_TYPE=Debug",
+        "-DCMAKE_EXPORT_COMPILE_COMMANDS=ON",
+        "-DLPVG_BUILD_SIM=OFF",
+        f"-DCMAKE_C_COMPILER=clang-{CLANG}",
+        f"-DCMAKE_CXX_COMPILER=clang++-{CLANG}",
+        f"-DCMAKE_C_FLAGS_DEBUG={flags}",
+        f"-DCMAKE_CXX_FLAGS_DEBUG={flags}",
+        f"-DPython3_EXECUTABLE={sys.executable}",
+    )
+
+
+def with_switch(tree: Path) -> dict[Path, str]:
+    """main() of the test programs, with the switch."""
+    main = Path("tests", "unit", "catch_main.cpp")
+    return {main: read(tree / main) + '\n#include "../gates/mutant_switch.cpp"\n'}
+
+
+def includers(tree: Path, name: str) -> set[str]:
+    """Sources of lib/src that see a file of it."""
+    texts = {p.name: read(p) for p in (tree / "lib" / "src").iterdir()}
+    seen = {name}
+    while more := {n for n, t in texts.items() if any(f'"{s}"' in t for s in seen)} - seen:
+        seen |= more
+    return {n for n in seen if n.endswith(".cpp")}
+
+
+def find_sites(tree: Path, work: Path, build: Path, files: Iterable[str]) -> dict[str, Sites]:
+    """Sites by file, of all compilations that see it; those of an unchanged source are kept in ``build``."""
+    source = tree / "lib" / "src"
+    paths = {str(p): p.name for p in source.iterdir()}
+    texts = {path: read(Path(path)) for path in paths}
+    wanted = set().union(*(includers(tree, name) for name in files))
+    several: dict[str, list[Sites]] = {name: [] for name in files}
+    for entry in json.loads((build / "compile_commands.json").read_text()):
+        words = shlex.split(entry["command"].replace(str(work), str(tree)))
+        library = re.search(r"lpvguard_(\w+)\.dir", words[words.index("-o") + 1])
+        if Path(words[-1]).name not in wanted or library is None or library[1] not in SEEN_BY:
+            continue
+        words = [*words[: words.index("-o")], words[-1]]
+        for path, sites in dumped(words, build, texts).items():
+            if paths[path] in several:
+                several[paths[path]].append(sites)
+    return {name: merged(found) for name, found in several.items()}
+
+
+def dumped(words: list[str], build: Path, texts: dict[str, str]) -> dict[str, Sites]:
+    """Sites that one compilation shows."""
+    seen = command(*words, "-E", cwd=build)
+    here = Path(__file__).parent
+    code = (here / "mutation.py").read_bytes()
+    kept = build / "sites" / hashlib.sha256(seen.encode() + code).hexdigest()
+    if not kept.exists():
+        filters = ("lpvg", "(anonymous namespace)")
+        dump_json = ("-fsyntax-only", "-Xclang", "-ast-dump=json")
+        dump = "".join(
+            command(*words, *dump_json, "-Xclang", f"-ast-dump-filter={what}", cwd=build) for what in filters
+        )
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        kept.write_bytes(pickle.dumps(sites_of(dump, texts)))
+    found: dict[str, Sites] = pickle.loads(kept.read_bytes())
+    return found
+
+
+def mutants_of(file: str, sites: Sites, first: int) -> list[Mutant]:
+    found: list[Mutant] = []
+    seen: dict[tuple[str, str], int] = {}
+    for number, site in numbered(sites, first):
+        for index, change in enumerate(site.changes):
+            same = (site.function, str(change))
+            seen[same] = seen.get(same, 0) + 1
+            found.append(Mutant(number + index, file, site, index, seen[same]))
+    return found
+
+
+# --- running ---
+
+
+def run_program(program: Path, *which: str, **settings: object) -> int:
+    """Exit status of a program without LPVGUARD_FULL, up to the first case that fails."""
+    words = [str(program), "--abort", *which]
+    return subprocess.run(
+        words,
+        env={**SHORT_FORM, **{k: str(v) for k, v in settings.items()}},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        check=False,
+    ).returncode
+
+
+def listed(cases: Iterable[Case]) -> str:
+    """Names of cases as Catch2's --input-file takes them: a comma would end one."""
+    return "".join(re.sub(r"([\\,\[])", r"\\\1", case.name) + "\n" for case in cases)
+
+
+def reached_by(programs: list[Path], scratch: Path) -> dict[int, list[Case]]:
+    """Number of a site -> test cases that reach it; RuntimeError where a program fails without a mutant."""
+    found: dict[int, list[Case]] = {}
+
+    def run(program: Path) -> Path:
+        note = scratch / f"{program.name}.reached"
+        note.unlink(missing_ok=True)
+        if run_program(program, "~[hour]", LPVGUARD_REACHED=note):
+            raise RuntimeError(f"{program.name}: fails before anything is changed")
+        return note
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for program, note in zip(programs, pool.map(run, programs), strict=True):
+            cases: list[Case] = []
+            for line in note.read_text().splitlines():
+                seconds, reached, name, *numbers = line.split("\t")
+                case = Case(program, name, float(seconds), int(reached))
+                cases.append(case)
+                for number in numbers:
+                    found.setdefault(int(number), []).append(case)
+            note.write_text(listed(cases))
+            words = [str(program), "--list-test-names-only", "--input-file", str(note)]
+            chosen = subprocess.run(
+                words, text=True, stdout=subprocess.PIPE, check=False
+            ).stdout  # exits with their number
+            if set(chosen.splitlines()) != {case.name for case in cases}:
+                raise RuntimeError(f"{program.name}: its test cases cannot be chosen by their names")
+    return found
+
+
+def asked(file: str, cases: list[Case]) -> list[Case]:
+    """The cases that are asked about a file: of the long ones only those of its own programs, each with one
+    vehicle."""
+    own = ABOUT.get(file, (f"test_{Path(file).stem}",))
+    long: dict[str, Case] = {}
+    for case in sorted(cases, key=lambda c: (c.reached, c.program.name)):
+        if case.reached > LONG_SITES and case.program.name.startswith(own):
+            long.setdefault(case.name, case)
+    return [c for c in cases if c.reached <= LONG_SITES] + list(long.values())
+
+
+def turns(cases: list[Case]) -> list[list[Case]]:
+    """Cases in the order in which they run, one program each: the cheap ones of every program first."""
+    by_program: dict[Path, list[Case]] = {}
+    for case in sorted(cases, key=lambda c: c.reached):
+        by_program.setdefault(case.program, []).append(case)
+    out = []
+    for cheap in (True, False):
+        some = [[c for c in group if (c.reached <= FIRST_SITES) == cheap] for group in by_program.values()]
+        out += sorted((g for g in some if g), key=lambda g: sum(c.reached for c in g))
+    return out
+
+
+def survives(mutant: Mutant, groups: list[list[Case]], scratch: Path) -> bool:
+    """Whether no group of test cases notices the mutant."""
+    note = scratch / f"{mutant.number}.cases"
+    for group in groups:
+        note.write_text(listed(group))
+        status = run_program(
+            group[0].program,
+            "--input-file",
+            str(note),
+            LPVGUARD_MUTANT=mutant.number,
+            LPVGUARD_SITES_MAX=GENEROUS * sum(c.reached for c in group) + 1_000_000,
+            LPVGUARD_CPU_S=int(GENEROUS * sum(c.seconds for c in group)) + 20,
+        )
+        if status:
+            break
+    else:
+        status = 0
+    note.unlink(missing_ok=True)
+    return status == 0
+
+
+def surviving(mutants: list[Mutant], found: dict[int, list[Case]], scratch: Path) -> list[Mutant]:
+    def run(mutant: Mutant) -> bool:
+        cases = asked(mutant.file, found.get(mutant.number - mutant.index, []))
+        return survives(mutant, turns(cases), scratch)
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        fates = list(pool.map(run, mutants))
+    return [m for m, alive in zip(mutants, fates, strict=True) if alive]
+
+
+# --- the verdict ---
+
+Noted = dict[str, dict[str, dict[str, str]]]
+"""File -> function -> mutant -> why no test notices it."""
+EQUIVALENT, OPEN = "equivalent_mutants.json", "open_mutants.json"
+"""Mutants that no test can notice, and those that none notices yet."""
+
+
+def noted(tree: Path, name: str) -> Noted:
+    found: Noted = json.loads((tree / "tests" / "gates" / name).read_text())
+    return found
+
+
+def stands_in(mutant: Mutant, notes: Noted) -> bool:
+    return mutant.key in notes.get(mutant.file, {}).get(mutant.site.function, {})
+
+
+def table(mutants: list[Mutant], survived: list[Mutant], equivalent: Noted, known: Noted) -> list[str]:
+    """Lines of the table by file, and its sum; ``open``: survived, and ``known`` to do so."""
+    rows: list[tuple[str, ...]] = [("file", "mutants", "killed", "equivalent", "open", "survived")]
+    for name in [*dict.fromkeys(m.file for m in mutants), ""]:
+        mine = [m for m in mutants if not name or m.file == name]
+        alive = [m for m in survived if not name or m.file == name]
+        equal = sum(stands_in(m, equivalent) for m in alive)
+        still = sum(stands_in(m, known) for m in alive)
+        counts = (len(mine), len(mine) - len(alive), equal, still, len(alive) - equal - still)
+        rows.append((name or "all", *map(str, counts)))
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return [
+        "  ".join(c.rjust(w) if i else c.ljust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True)))
+        for row in rows
+    ]
+
+
+def no_longer(mutants: list[Mutant], survived: list[Mutant], notes: Noted, all_of: set[str]) -> list[str]:
+    """What notes name and does not survive; ``all_of``: files of which every mutant ran."""
+    alive = {(m.file, m.site.function, m.key) for m in survived}
+    ran = {(m.file, m.site.function, m.key) for m in mutants}
+    found = []
+    for file, functions in notes.items():
+        for function, reasons in functions.items():
+            for key in reasons:
+                place = (file, function, key)
+                if place not in alive and (place in ran or file in all_of):
+                    why = "is killed" if place in ran else "is no mutant"
+                    found.append(f"{file}: {function}: {key}: {why}: take it out")
+    return found
+
+
+def judged(
+    mutants: list[Mutant], survived: list[Mutant], equivalent: Noted, known: Noted, all_of: set[str]
+) -> list[str]:
+    """Findings: survivors that neither file names, and arguments that a test refutes."""
+    findings = [
+        f"survived: {m}" for m in survived if not stands_in(m, equivalent) and not stands_in(m, known)
+    ]
+    findings += [f"{EQUIVALENT}: {what}" for what in no_longer(mutants, survived, equivalent, all_of)]
+    return findings
+
+
+def too_many(mutants: list[Mutant], survived: list[Mutant], equivalent: Noted) -> list[str]:
+    """A finding where more than a twentieth is argued away."""
+    equal = sum(stands_in(m, equivalent) for m in survived)
+    return [f"{equal} of {len(mutants)} mutants are argued equivalent: more than 5 %"] * (
+        equal > MOST_EQUIVALENT * len(mutants)
+    )
+
+
+def mutation_findings(tree: Path, scratch: Path, names: list[str], full: bool, only: str) -> list[str]:
+    """Findings on the mutants of the files ``names`` of lib/src: of all of them where ``full``, of ``only``
+    one, or of those that a change touches."""
+    work, build = scratch / "mutated", scratch / "build"
+    left_out = sorted(set(names) & UNMEASURED - {only})
+    files, sample = chosen(tree, [name for name in names if name not in left_out], full, only)
+    main = with_switch(tree)
+    try:
+        mirror(tree, work, main)
+        configure(work, build)
+        sites = find_sites(tree, work, build, files)
+        first = {name: PER_FILE * i for i, name in enumerate(names)}
+        source = Path("lib", "src")
+        texts = {source / n: switched(read(tree / source / n), sites[n], first[n]) for n in files}
+        mirror(tree, work, main | texts)
+        command("cmake", "--build", build, "--target", *PROGRAMS)
+        programs = sorted(p for p in build.rglob("test_*") if p.is_file() and os.access(p, os.X_OK))
+        found = reached_by(programs, scratch)
+    except RuntimeError as error:
+        return [str(error)]
+    mutants = [m for n in files for m in mutants_of(n, sites[n], first[n])]
+    sample = sample if sample < len(mutants) else 0
+    if sample:
+        mutants = sorted(random.Random(6).sample(mutants, sample), key=lambda m: m.number)
+    survived = surviving(mutants, found, scratch)
+    equivalent, known = noted(tree, EQUIVALENT), noted(tree, OPEN)
+    all_of = set() if sample else set(files)
+    for mutant in survived:
+        if stands_in(mutant, known):
+            print(f"open: {mutant}")
+    for what in no_longer(mutants, survived, known, all_of):
+        print(f"{OPEN}: {what}")
+    print("\n".join(table(mutants, survived, equivalent, known)))
+    print(f"{sum(stands_in(m, known) for m in survived)} open survivors, which no test notices yet")
+    if left_out:
+        print(f"not measured: {', '.join(left_out)}")
+    findings = judged(mutants, survived, equivalent, known, all_of)
+    return findings + (too_many(mutants, survived, equivalent) if full and not only else [])
