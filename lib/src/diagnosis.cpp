@@ -112,6 +112,8 @@ struct Hypothesis {
     bool outside;      // the interval leaves out "no change"
 };
 
+lpvg_found_t other() { return {lpvg_cause_other, Real(0), Real(0), Real(0), 0U, false}; }
+
 // What the sums of one output say.
 class Judgement {
 public:
@@ -158,8 +160,6 @@ public:
         }
         return best(all, largest);
     }
-
-    static lpvg_found_t other() { return {lpvg_cause_other, Real(0), Real(0), Real(0), 0U, false}; }
 
 private:
     const lpvg_diagnosis_output_t& of_;
@@ -275,7 +275,7 @@ lpvg_found_t judged(const lpvg_diagnosis_t& self, std::size_t j, Row* theta) {
     *theta = Row::Zero();
     Judgement judgement(of, r, j, n);
     if (!judgement.well()) {
-        return Judgement::other();
+        return other();
     }
     *theta = judgement.theta();
     if (of.still < r.still[j] * of.changed) {
@@ -396,7 +396,7 @@ void advance_cells(lpvg_diagnosis_t& self) {
     self.cell_good += self.settled ? 1U : 0U;
     ++self.cell_blocks;
     if (self.cell_blocks >= self.table->words.cell_blocks) {
-        self.cell_newest = (self.cell_newest + 1U) % cells;
+        self.cell_newest = (self.cell_newest + 1U) % static_cast<uint32_t>(cells);
         const uint32_t bit = 1U << self.cell_newest;
         self.good_cells = self.cell_good == self.cell_blocks ? (self.good_cells | bit) : (self.good_cells & ~bit);
         self.cells += self.cells < cells ? 1U : 0U;
@@ -439,7 +439,7 @@ void end_with(lpvg_diagnosis_t& self) {
 void give_up(lpvg_diagnosis_t& self) {
     for (std::size_t j = 0; j < ny; ++j) {
         self.output[j] = lpvg_diagnosis_output_t{};
-        self.found[j] = diagnosing(self) ? Judgement::other() : self.found[j];
+        self.found[j] = diagnosing(self) ? other() : self.found[j];
     }
     self.known = self.newest = 0U;
     end_with(self);
