@@ -108,11 +108,33 @@ struct Hypothesis {
     Real value, deviation;
     Real strange;  // how far what it leaves of theta is from a healthy vehicle's, a chi-squared
     Real left;     // sum of squares of the residue that it leaves
-    Real scale;        // on what a healthy residue may be
-    bool outside;      // the interval leaves out "no change"
+    Real scale;    // on what a healthy residue may be
+    bool outside;  // the interval leaves out "no change"
 };
 
 lpvg_found_t other() { return {lpvg_cause_other, Real(0), Real(0), Real(0), 0U, false}; }
+
+Real larger(Real a, Real b) { return a > b ? a : b; }
+
+Row row(const Real* items) { return Eigen::Map<const Row>(items); }
+
+// The normal equations of n blocks.
+Triangle regular(const lpvg_diagnosis_output_t& of, Real n) {
+    Triangle A = Eigen::Map<const Triangle>(of.gram);
+    for (const Eigen::Index i : diagonal) {
+        A[i] += weakest * n;
+    }
+    return A;
+}
+
+// Where a shift by m steps is kept, m > 0 later, m < 0 sooner.
+std::size_t kept_at(int m) { return static_cast<std::size_t>(m > 0 ? m - 1 : static_cast<int>(delays) - m - 1); }
+
+// The square of a mixture with the share f of the second.
+Real mixed(Real first, Real both, Real second, Real f) {
+    const Real g = Real(1) - f;
+    return g * g * first + Real(2) * g * f * both + f * f * second;
+}
 
 // What the sums of one output say.
 class Judgement {
@@ -168,20 +190,10 @@ private:
     Real n_;
     Factor gram_;
     Row theta_;
-    Real square_;               // sum of squares that theta leaves
+    Real square_;  // sum of squares that theta leaves
     Real least_ = Real(0), white_ = Real(1);
 
-    static Real larger(Real a, Real b) { return a > b ? a : b; }
-    static Row row(const Real* items) { return Eigen::Map<const Row>(items); }
-    static Triangle regular(const lpvg_diagnosis_output_t& of, Real n) {
-        Triangle A = Eigen::Map<const Triangle>(of.gram);
-        for (const Eigen::Index i : diagonal) {
-            A[i] += weakest * n;
-        }
-        return A;
-    }
     Real yhat_square() const { return of_.gram[0] / (n_ * r_.unit[j_][0] * r_.unit[j_][0]); }
-    Real extra(Real sum) const { return (larger(sum, least_) - least_) / white_; }
 
     // Part i of theta is free, the others are as a healthy vehicle's: generalised least squares. The value is theta's.
     Hypothesis along(const Factor& C, lpvg_cause_t cause, std::size_t i) const {
@@ -193,8 +205,6 @@ private:
         return {cause, value, deviation, strange, square_, Real(1), std::abs(value) > r_.interval * deviation};
     }
 
-    // Where a shift by m steps is kept, m > 0 later, m < 0 sooner.
-    static std::size_t kept_at(int m) { return static_cast<std::size_t>(m > 0 ? m - 1 : static_cast<int>(delays) - m - 1); }
     Row moved(int m) const { return m == 0 ? Row(Row::Zero()) : row(of_.moved_to[kept_at(m)]); }
     Real moved_error(int m) const { return m == 0 ? Real(0) : of_.moved_error[kept_at(m)]; }
 
@@ -211,12 +221,6 @@ private:
         const Row first = theta_ + gram_.solved(moved(a)), second = theta_ + gram_.solved(moved(b));
         const Real left = of_.error_square + moved_error(a) + moved_error(b) + square - dot(row(of_.along) + moved(a), second);
         return {dot(first, C.solved(second)), left};
-    }
-
-    // The square of a mixture with the share f of the second.
-    static Real mixed(Real first, Real both, Real second, Real f) {
-        const Real g = Real(1) - f;
-        return g * g * first + Real(2) * g * f * both + f * f * second;
     }
 
     // Between two that were tried, yhat is taken as linear: the misfit is a parabola there, and the delay its least over all of them.

@@ -7,6 +7,7 @@
 #include <functional>
 #include <limits>
 #include <random>
+#include <utility>
 
 #include "acceptance.hpp"
 #include "lpvguard/diagnosis.h"
@@ -77,7 +78,7 @@ public:
 
     lpvg_monitor_t monitor{};
     lpvg_diagnosis_t diagnosis{};
-    bool alarms = false;
+    bool alarms = false, falsified = false;
     bool works = true;  // whether work goes on until it has come to its end
     lpvg_reason_t reason = lpvg_reason_none;
     double noise = 0.005;
@@ -95,6 +96,8 @@ public:
         monitor.block[monitor.newest].span.reason = reason;
         monitor.has_changed = alarms;
         monitor.t_changed_us = monitor.t_us;
+        monitor.has_falsified = falsified;
+        monitor.t_falsified_us = monitor.t_us;
         t += period_s;
         REQUIRE(lpvg_diagnosis_take(&diagnosis, &monitor) == lpvg_status_ok);
         if (works) {
@@ -295,6 +298,48 @@ TEST_CASE("a gap in time is not bridged", "[unit][REQ-DIAG-4]") {
     CHECK(f.diagnosis.known == known);
 }
 
+TEST_CASE("cells that are not settled end the search for the onset", "[unit][REQ-DIAG-3][REQ-DIAG-4]") {
+    const Plant y = [](double t, std::size_t j) { return 0.7 * nominal(t, j); };
+    Followed f(table_with());
+    f.run(10.0, healthy);
+    f.reason = lpvg_reason_out_of_range;
+    f.run(1.0, y);
+    f.reason = lpvg_reason_none;
+    f.run(4.0, y);
+    f.alarms = true;
+    f.run(14.0, y);
+    REQUIRE(f.done());
+    for (const lpvg_found_t& found : f.diagnosis.found) {
+        holds(found, lpvg_cause_gain, 0.7);
+        CHECK(found.before);  // as far back as whole cells go, it was there
+        CHECK(block_s * found.onset_blocks > 2.0);
+        CHECK(block_s * found.onset_blocks < 4.0);
+    }
+}
+
+TEST_CASE("one monitor's state is taken once", "[unit][REQ-DIAG-4]") {
+    Followed f(table_with());
+    f.run(20.0, healthy);
+    const uint32_t known = f.diagnosis.known;
+    const uint32_t newest = f.diagnosis.newest;
+    REQUIRE(lpvg_diagnosis_take(&f.diagnosis, &f.monitor) == lpvg_status_ok);
+    CHECK_FALSE(lpvg_diagnosis_work(&f.diagnosis));
+    CHECK(f.diagnosis.known == known);
+    CHECK(f.diagnosis.newest == newest);
+}
+
+TEST_CASE("what falsifies is diagnosed as what only changed is", "[unit][REQ-DIAG-1]") {
+    const Plant y = [](double t, std::size_t j) { return 0.7 * nominal(t, j); };
+    Followed f(table_with());
+    f.run(20.0, healthy);
+    f.falsified = true;
+    f.run(14.0, y);
+    REQUIRE(f.done());
+    for (const lpvg_found_t& found : f.diagnosis.found) {
+        holds(found, lpvg_cause_gain, 0.7);
+    }
+}
+
 TEST_CASE("without excitation there is no cause yet", "[unit][REQ-DIAG-4]") {
     Followed f(table_with([](lpvg_diagnosis_table_t& t) { t.reals.excited = Real(0.99); }));
     f.run(5.0, healthy);
@@ -329,7 +374,7 @@ TEST_CASE("an alarm while it is diagnosed is no further one; one after it is", "
 
 TEST_CASE("state that cannot be ends the diagnosis", "[unit][REQ-DIAG-5]") {
     const Plant y = [](double t, std::size_t j) { return 0.7 * nominal(t, j); };
-    for (int way = 0; way < 4; ++way) {
+    for (int way = 0; way < 6; ++way) {
         Followed f(table_with());
         f.run(20.0, healthy);
         if (way == 3) {  // without an alarm nothing was found, and nothing is
@@ -342,13 +387,17 @@ TEST_CASE("state that cannot be ends the diagnosis", "[unit][REQ-DIAG-5]") {
         f.alarms = true;
         f.run(5.0, y);
         REQUIRE_FALSE(f.done());
+        lpvg_diagnosis_output_t& of = f.diagnosis.output[0];
+        const Real inf = std::numeric_limits<Real>::infinity();
         if (way == 0) {
             f.diagnosis.output[ny - 1U].gram[4] += Real(1);
         } else if (way == 1) {
             f.diagnosis.newest = LPVG_DIAGNOSIS_HISTORY;
-        } else {
-            f.diagnosis.output[0].along[1] = std::numeric_limits<Real>::infinity();
-            f.diagnosis.sum[0] = lpvguard::sum_of_words(f.diagnosis.output[0]);
+        } else {  // the sums agree, and are none of any drive
+            of.along[1] = way == 2 ? inf : of.along[1];
+            of.error_square = way == 4 ? inf : of.error_square;
+            of.gram[4] = way == 5 ? Real(-1e6) : of.gram[4];
+            f.diagnosis.sum[0] = lpvguard::sum_of_words(of);
         }
         f.run(10.0, y);
         REQUIRE(f.done());
@@ -379,8 +428,44 @@ TEST_CASE("a table that cannot be is refused by what is wrong", "[unit][REQ-DIAG
     CHECK(status([](Table& t) { t.words.real_bytes += 1U; }) == lpvg_status_bad_size);
     CHECK(status([](Table& t) { t.words.sizes[0] += 1U; }) == lpvg_status_bad_size);
     CHECK(status([](Table& t) { t.reals.margin = std::numeric_limits<Real>::infinity(); }) == lpvg_status_not_finite);
-    CHECK(status([](Table& t) { t.words.stride = 5U; }) == lpvg_status_bad_value);
-    CHECK(status([](Table& t) { t.reals.still[0] = Real(1); }) == lpvg_status_bad_value);
+    // The borders of what is allowed, and what lies just beyond them.
+    CHECK(status([](Table& t) {
+              t.words.blocks = 8U;
+              t.words.stride = 4U;
+              t.words.cell_blocks = 65536U;
+              t.reals.margin = Real(0);
+          }) == lpvg_status_ok);
+    CHECK(status([](Table& t) {
+              t.words.blocks = 65536U;
+              t.words.cell_blocks = 1U;
+          }) == lpvg_status_ok);
+    diagnosis = lpvg_diagnosis_t{};
+    const std::pair<uint32_t lpvg_diagnosis_words_t::*, uint32_t> words[] = {
+        {&lpvg_diagnosis_words_t::sample_period_us, 0U}, {&lpvg_diagnosis_words_t::blocks, 7U}, {&lpvg_diagnosis_words_t::blocks, 65537U},
+        {&lpvg_diagnosis_words_t::stride, 0U},           {&lpvg_diagnosis_words_t::stride, 5U}, {&lpvg_diagnosis_words_t::cell_blocks, 0U},
+        {&lpvg_diagnosis_words_t::cell_blocks, 65537U},
+    };
+    for (const auto& [item, value] : words) {
+        CHECK(status([item = item, value = value](Table& t) { t.words.*item = value; }) == lpvg_status_bad_value);
+    }
+    const std::pair<std::function<Real*(Table&)>, Real> reals[] = {
+        {[](Table& t) { return &t.reals.block_s; }, Real(0)},        {[](Table& t) { return &t.reals.unit[ny - 1U][0]; }, Real(0)},
+        {[](Table& t) { return &t.reals.unit[0][1]; }, Real(-1)},    {[](Table& t) { return &t.reals.correlated[ny - 1U]; }, Real(0)},
+        {[](Table& t) { return &t.reals.residue[0][0]; }, Real(0)},  {[](Table& t) { return &t.reals.residue[ny - 1U][1]; }, Real(0)},
+        {[](Table& t) { return &t.reals.rough[ny - 1U]; }, Real(0)}, {[](Table& t) { return &t.reals.still[ny - 1U]; }, Real(0)},
+        {[](Table& t) { return &t.reals.still[0]; }, Real(1)},       {[](Table& t) { return &t.reals.excited; }, Real(0)},
+        {[](Table& t) { return &t.reals.excited; }, Real(1)},        {[](Table& t) { return &t.reals.fits; }, Real(0)},
+        {[](Table& t) { return &t.reals.margin; }, Real(-0.001)},    {[](Table& t) { return &t.reals.interval; }, Real(0)},
+    };
+    for (const auto& [item, value] : reals) {
+        CHECK(status([&item = item, value = value](Table& t) { *item(t) = value; }) == lpvg_status_bad_value);
+    }
+    for (std::size_t i = 0; i < sizeof(lpvg_diagnosis_reals_t) / sizeof(Real); ++i) {
+        const Real no_number = std::numeric_limits<Real>::quiet_NaN();
+        CHECK(status([&](Table& t) {
+                  std::memcpy(reinterpret_cast<unsigned char*>(&t.reals) + i * sizeof(Real), &no_number, sizeof no_number);
+              }) == lpvg_status_not_finite);
+    }
     CHECK(status([](Table& t) { t.reals.spread[ny - 1U][1] = Real(1); }) == lpvg_status_bad_value);
     CHECK(diagnosis.table == nullptr);
     const Table good = table_with();
