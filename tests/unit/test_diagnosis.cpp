@@ -202,6 +202,7 @@ TEST_CASE("what no single cause explains is other", "[unit][REQ-DIAG-2]") {
         [](double t, std::size_t j) { return nominal(t - 0.2, j) + 0.2; },
         [](double t, std::size_t j) { return nominal(t - 0.8, j); },  // longer than any that is tried
         [](double t, std::size_t j) { return nominal(t, j) + 0.5 * std::sin(7.0 * t); },
+        [](double t, std::size_t j) { return 0.5 * nominal(t, j) + 0.5 * std::sin(9.0 * t); },  // a gain that leaves too much
     };
     for (const Plant& y : none) {
         for (const lpvg_found_t& found : diagnosed(y, table).found) {
@@ -212,6 +213,13 @@ TEST_CASE("what no single cause explains is other", "[unit][REQ-DIAG-2]") {
     }
     for (const lpvg_found_t& found : diagnosed([](double t, std::size_t j) { return 0.6 * nominal(t, j); }, table, 3.0, 0.1).found) {
         CHECK(found.cause == lpvg_cause_other);  // noise beside a gain
+    }
+}
+
+TEST_CASE("a cause that another explains nearly as well is other", "[unit][REQ-DIAG-2]") {
+    const Plant y = [](double t, std::size_t j) { return 0.7 * nominal(t, j); };
+    for (const lpvg_found_t& found : diagnosed(y, table_with([](lpvg_diagnosis_table_t& t) { t.reals.margin = Real(1e9); })).found) {
+        CHECK(found.cause == lpvg_cause_other);
     }
 }
 
