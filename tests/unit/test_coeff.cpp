@@ -212,6 +212,18 @@ TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]
     }
 }
 
+TEST_CASE("the least value that the algorithm allows is accepted", "[unit][coeff][REQ-COEF-4]") {
+    const std::function<void(lpvg_coeff_t&)> least[] = {
+        [](lpvg_coeff_t& c) { c.words.sample_period_us = 1U; },
+        [](lpvg_coeff_t& c) { c.words.energy_rearm = 1U; },
+        [](lpvg_coeff_t& c) { c.words.change_rearm = 1U; },
+    };
+    for (const auto& change : least) {
+        const lpvg_coeff_t coeff = sealed(change);
+        CHECK(lpvg_coeff_check(&coeff) == lpvg_status_ok);
+    }
+}
+
 TEST_CASE("a prior is accepted exactly where a decomposition in double finds it positive definite", "[unit][coeff][REQ-COEF-4]") {
     std::uint32_t random = 1U;
     const auto entry = [&random](double low, double high) {

@@ -435,6 +435,12 @@ TEST_CASE("foreign, damaged and impossible controller coefficients are refused b
         {"largest limits", lpvg_status_ok,
          [](lpvg_control_coeff_t& c) { c.reals.u_max[0][0] = c.reals.u_max[1][0] = std::numeric_limits<Real>::max(); }},
         {"rate", lpvg_status_bad_value, [](lpvg_control_coeff_t& c) { c.reals.rate_max[LPVG_NU - 1] = Real(-1); }},
+        {"no rate", lpvg_status_bad_value, [](lpvg_control_coeff_t& c) { c.reals.rate_max[LPVG_NU - 1] = Real(0); }},
+        {"least rate, period and speed", lpvg_status_ok,
+         [](lpvg_control_coeff_t& c) {
+             c.reals.rate_max[LPVG_NU - 1] = c.reals.speed_min = std::numeric_limits<Real>::min();
+             c.words.sample_period_us = 1U;
+         }},
     };
     for (std::size_t i = 0; i < 4U; ++i) {
         cases.push_back({"size", lpvg_status_bad_size, [i](lpvg_control_coeff_t& c) { ++c.words.sizes[i]; }});

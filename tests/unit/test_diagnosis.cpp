@@ -445,7 +445,8 @@ TEST_CASE("a table that cannot be is refused by what is wrong", "[unit][REQ-DIAG
           }) == lpvg_status_ok);
     CHECK(status([](Table& t) {
               t.words.blocks = 65536U;
-              t.words.cell_blocks = 1U;
+              t.words.cell_blocks = t.words.sample_period_us = 1U;
+              t.reals.correlated[0] = t.reals.fits = t.reals.interval = Real(0.5);
           }) == lpvg_status_ok);
     diagnosis = lpvg_diagnosis_t{};
     const std::pair<uint32_t lpvg_diagnosis_words_t::*, uint32_t> words[] = {
