@@ -16,6 +16,14 @@ lpvg_status_t firmware_init(firmware_t* self, const bus_t* bus, const lpvg_ecu_c
     }
     self->bus = bus;
     self->send_failures = 0u;
+#if FIRMWARE_DIAGNOSES
+    {
+        const lpvg_status_t status = lpvg_diagnosis_init(&self->diagnosis, &lpvg_diagnosis_table);
+        if (status != lpvg_status_ok) {
+            return status;
+        }
+    }
+#endif
     return lpvg_ecu_init(&self->ecu, &lpvg_coeff, &lpvg_control_coeff, config, now_us);
 }
 
@@ -35,4 +43,16 @@ lpvg_status_t firmware_tick(firmware_t* self, int64_t now_us) {
         }
     }
     return status;
+}
+
+void firmware_idle(firmware_t* self) {
+#if FIRMWARE_DIAGNOSES
+    if (lpvg_diagnosis_take(&self->diagnosis, &self->ecu.monitor) == lpvg_status_ok) {
+        while (lpvg_diagnosis_work(&self->diagnosis)) {
+        }
+        lpvg_ecu_explain(&self->ecu, lpvg_diagnosis_named(&self->diagnosis));
+    }
+#else
+    (void)self;
+#endif
 }

@@ -1,11 +1,19 @@
 /* firmware.h -- the guarded controller's firmware, the same on every target: bus -> lpvg_ecu_step -> bus.
  *
- * Ports supply a clock, a bus driver and a call of firmware_tick every sample period of the vehicle. */
+ * Ports supply a clock, a bus driver, a call of firmware_tick every sample period of the vehicle, and one of firmware_idle in the time that
+ * is left of it. */
 #ifndef LPVGUARD_FIRMWARE_H
 #define LPVGUARD_FIRMWARE_H
 
 #include "bus.h"
 #include "lpvguard/ecu.h"
+
+/* A vehicle without the table of causes is monitored all the same. */
+#if __has_include("lpvguard_diagnosis.c")
+#define FIRMWARE_DIAGNOSES 1
+#else
+#define FIRMWARE_DIAGNOSES 0
+#endif
 
 LPVG_EXTERN_C_BEGIN
 
@@ -17,16 +25,22 @@ typedef struct firmware_t {
     const bus_t* bus;
     lpvg_can_frame_t in[FIRMWARE_FRAMES_IN];
     uint32_t send_failures; /* saturating */
+#if FIRMWARE_DIAGNOSES
+    lpvg_diagnosis_t diagnosis;
+#endif
 } firmware_t;
 
 /* The configuration that the simulator and the targets run: engagement is asked for, and every cause releases. */
 extern const lpvg_ecu_config_t firmware_config;
 
-/* Starts with the vehicle that is linked in. Returns what lpvg_ecu_init says, bad_argument for NULL. */
+/* Starts with the vehicle that is linked in. Returns what lpvg_ecu_init and lpvg_diagnosis_init say, bad_argument for NULL. */
 LPVG_NODISCARD lpvg_status_t firmware_init(firmware_t* self, const bus_t* bus, const lpvg_ecu_config_t* config, int64_t now_us);
 
 /* One sample period. Returns what lpvg_ecu_step says. */
 LPVG_NODISCARD lpvg_status_t firmware_tick(firmware_t* self, int64_t now_us);
+
+/* After a tick, before the next, where nothing waits for it: an alarm's cause is looked for, and DM1 tells it. */
+void firmware_idle(firmware_t* self);
 
 LPVG_EXTERN_C_END
 

@@ -9,6 +9,7 @@
 #include "arguments.hpp"
 #include "lpvguard/coeff.h"
 #include "lpvguard_lcm/bus_t.hpp"
+#include "lpvguard_lcm/cause_t.hpp"
 #include "lpvguard_lcm/control_t.hpp"
 #include "lpvguard_lcm/guard_t.hpp"
 #include "lpvguard_lcm/margin_t.hpp"
@@ -122,6 +123,20 @@ public:
         m.change_threshold = static_cast<double>(lpvg_coeff.reals.change_threshold);
         m.verdict = static_cast<std::int8_t>(frame.verdict);
         lcm_->publish("LPVGUARD_MARGINS", &m);
+    }
+
+    void publish(std::int64_t now_us, const Found& found) override {
+        lpvguard_lcm::cause_t c;
+        c.utime = now_us;
+        c.alarm_utime = found.t_alarm_us;
+        c.onset_utime = found.t_onset_us;
+        c.before = found.before != 0U;
+        c.output = static_cast<std::int32_t>(found.output);
+        c.cause = static_cast<std::int8_t>(found.cause);
+        c.value = found.value;
+        c.low = found.low;
+        c.high = found.high;
+        lcm_->publish("LPVGUARD_CAUSES", &c);
     }
 
     void publish(const Status& status) override {

@@ -42,10 +42,15 @@ public:
         if (firmware_tick(&firmware_, now_us) != lpvg_status_ok) {
             throw std::logic_error("the firmware refused a tick");
         }
+        firmware_idle(&firmware_);
         reception_.note(firmware_.ecu.supervisor, now_us);
         has_judged_ = judgements_.note(firmware_);
         if (has_judged_) {
             judged_ = judgements_.newest();
+        }
+        has_found_ = findings_.note(firmware_);
+        if (has_found_) {
+            std::copy(std::begin(findings_.newest()), std::end(findings_.newest()), found_);
         }
         if (supervision) {
             supervision_ = supervision_of(firmware_);
@@ -64,6 +69,7 @@ private:
     firmware_t firmware_{};
     Reception reception_;
     Judgements judgements_;
+    Findings findings_;
 };
 
 /// The vehicle's end of a CAN interface whose other end is another process.
@@ -152,6 +158,10 @@ public:
         has_judged_ = got.judged != 0U;
         if (has_judged_) {
             receive(&judged_, sizeof judged_);
+        }
+        has_found_ = got.found != 0U;
+        if (has_found_) {
+            receive(found_, sizeof found_);
         }
         if (supervision) {
             receive(&supervision_, sizeof supervision_);

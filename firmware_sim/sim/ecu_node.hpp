@@ -19,6 +19,8 @@ public:
     /// counted is to be known then. Throws std::runtime_error.
     virtual void tick(std::int64_t now_us, bool supervision) = 0;
     const Judged* judged() const { return has_judged_ ? &judged_ : nullptr; }  ///< The frame that the newest tick judged, or null.
+    /// What each output's cause is, where the newest tick found causes, or null.
+    const Found (*found() const)[LPVG_NY] { return has_found_ ? &found_ : nullptr; }
     const Supervision& supervision() const { return supervision_; }            ///< After the newest tick that was asked for it.
 
     /// Its state, where it runs in this process; else null.
@@ -30,6 +32,8 @@ public:
 protected:
     bool has_judged_ = false;
     Judged judged_{};
+    bool has_found_ = false;
+    Found found_[LPVG_NY]{};
     Supervision supervision_{};
 };
 

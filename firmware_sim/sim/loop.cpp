@@ -132,6 +132,15 @@ void Loop::print(std::FILE* out, std::uint64_t seed) {
     print_changes(out, "implausible", implausible_, print_number);
     print_changes(out, "trouble_codes", troubles_,
                   [out](const TroubleCode& t) { std::fprintf(out, "{\"spn\": %" PRIu32 ", \"fmi\": %d}", t.spn, t.fmi); });
+    std::fprintf(out, " \"causes\": [");
+    const char* separator = "";
+    for (const auto& [time_s, of] : causes_) {
+        std::fprintf(out, "%s[%.9g, %.9g, %.9g, %u, %u, %u, %.9g, %.9g, %.9g]", separator, time_s,
+                     static_cast<double>(of.t_alarm_us) * 1e-6, static_cast<double>(of.t_onset_us) * 1e-6, of.before, of.output, of.cause,
+                     of.value, of.low, of.high);
+        separator = ", ";
+    }
+    std::fprintf(out, "],\n");
     std::fprintf(out, " \"reception\": %s,\n", ecu_.finish().c_str());
     std::fprintf(out, " \"schema\": 1}\n");
 }
@@ -172,6 +181,14 @@ void Loop::note(std::int64_t k, double time_s, double command_radps, double want
     }
     if (const Judged* const judged = ecu_.judged()) {
         note_frame(*judged, now_us, report.verdict);
+    }
+    if (ecu_.found() != nullptr) {
+        for (const Found& found : *ecu_.found()) {
+            causes_.emplace_back(time_s, found);
+            if (ends_.publisher != nullptr) {
+                ends_.publisher->publish(now_us, found);
+            }
+        }
     }
     if (ends_.publisher != nullptr) {
         ends_.publisher->publish(now_us, plant_.truth());

@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <cstdio>
+#include <utility>
 #include <vector>
 
 #include "command.hpp"
@@ -93,6 +94,7 @@ private:
     FrameWatcher watcher_;
     Changes<std::uint8_t> verdicts_, supervision_, implausible_;
     Changes<TroubleCode> troubles_;
+    std::vector<std::pair<double, Found>> causes_;  ///< with the time when each was found
     double error_squares_ = 0.0, wanted_squares_ = 0.0, demand_max_bar_ = 0.0, real_time_factor_ = 0.0;
 };
 

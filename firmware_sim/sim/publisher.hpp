@@ -68,6 +68,7 @@ public:
     virtual void publish(std::int64_t now_us, const Supervision& supervision, const TroubleCode& trouble) = 0;
     virtual void publish(const lpvg_can_frame_t& frame) = 0;  ///< Of the bus, in the order of sending.
     virtual void publish(const JudgedFrame& frame) = 0;
+    virtual void publish(std::int64_t now_us, const Found& found) = 0;  ///< Of an output, in the tick that found it.
     virtual void publish(const Status& status) = 0;
 
     /// What has come from clients since, in order of arrival; waits for the first at most so long. Throws std::runtime_error.

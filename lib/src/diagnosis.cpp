@@ -560,6 +560,17 @@ extern "C" lpvg_status_t lpvg_diagnosis_take(lpvg_diagnosis_t* self, const lpvg_
     return lpvg_status_ok;
 }
 
+extern "C" const lpvg_found_t* lpvg_diagnosis_named(const lpvg_diagnosis_t* self) {
+    if (self == nullptr || self->blocks != done) {
+        return nullptr;
+    }
+    const lpvg_found_t* named = &self->found[0];
+    for (std::size_t j = 1U; j < ny; ++j) {
+        named = named->cause == lpvg_cause_other ? &self->found[j] : named;
+    }
+    return named->cause == lpvg_cause_other ? &self->found[0] : named;
+}
+
 extern "C" bool lpvg_diagnosis_work(lpvg_diagnosis_t* self) {
     if (self == nullptr || self->table == nullptr || self->pending == 0U) {
         return false;

@@ -256,6 +256,19 @@ lpvg_ecu_fault_t gravest(const lpvg_ecu_t& self, lpvg_can_state_t supervision) {
     return lpvg_ecu_fault_none;
 }
 
+uint8_t mode_of(const lpvg_found_t* found) {
+    switch (found == nullptr ? lpvg_cause_unknown : found->cause) {
+        case lpvg_cause_other: return LPVG_CAN_FMI_ROOT_UNKNOWN;
+        case lpvg_cause_gain:
+        case lpvg_cause_sign: return LPVG_CAN_FMI_CALIBRATION;
+        case lpvg_cause_delay: return LPVG_CAN_FMI_UPDATE_RATE;
+        case lpvg_cause_bias: return found->value > Real(0) ? LPVG_CAN_FMI_DRIFTED_HIGH : LPVG_CAN_FMI_DRIFTED_LOW;
+        case lpvg_cause_frozen: return LPVG_CAN_FMI_RATE_OF_CHANGE;
+        case lpvg_cause_noise: return LPVG_CAN_FMI_ERRATIC;
+        default: return LPVG_CAN_FMI_CONDITION;
+    }
+}
+
 lpvg_can_dtc_t trouble_code(const lpvg_ecu_t& self, lpvg_ecu_fault_t fault, const lpvg_bus_need_t& need) {
     switch (fault) {
         case lpvg_ecu_fault_message: return {need.spn, lpvg_can_fmi(main_reason(self.supervisor.watch[need.index])), self.occurrence};
@@ -263,8 +276,8 @@ lpvg_can_dtc_t trouble_code(const lpvg_ecu_t& self, lpvg_ecu_fault_t fault, cons
         case lpvg_ecu_fault_corrupt: return {LPVG_ECU_SPN_CORRUPT, LPVG_CAN_FMI_BAD_DEVICE, self.occurrence};
         case lpvg_ecu_fault_actuator: return {LPVG_ECU_SPN_ACTUATOR, LPVG_CAN_FMI_RESPONSE, self.occurrence};
         case lpvg_ecu_fault_locked: return {LPVG_ECU_SPN_LOCKED, LPVG_CAN_FMI_CONDITION, self.occurrence};
-        case lpvg_ecu_fault_degraded: return {LPVG_ECU_SPN_DEGRADED, LPVG_CAN_FMI_CONDITION, self.occurrence};
-        case lpvg_ecu_fault_invalid: return {LPVG_ECU_SPN_INVALID, LPVG_CAN_FMI_CONDITION, self.occurrence};
+        case lpvg_ecu_fault_degraded: return {LPVG_ECU_SPN_DEGRADED, self.explained, self.occurrence};
+        case lpvg_ecu_fault_invalid: return {LPVG_ECU_SPN_INVALID, self.explained, self.occurrence};
         case lpvg_ecu_fault_implausible: return {LPVG_ECU_SPN_IMPLAUSIBLE, LPVG_CAN_FMI_ERRATIC, self.occurrence};
         default: return {LPVG_ECU_SPN_REFUSED, LPVG_CAN_FMI_ERRATIC, self.occurrence};
     }
@@ -473,6 +486,7 @@ extern "C" lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t* coe
     }
     self->dm1_us = now_us - dm1_period_us;
     self->caused_us = now_us - LPVG_ECU_WAIT_US;
+    self->explained = LPVG_CAN_FMI_CONDITION;
     self->signals.speed = self->signals.reference = static_cast<lpvg_real_t>(NAN);
     for (lpvg_real_t& y : self->signals.y) {
         y = static_cast<lpvg_real_t>(NAN);
@@ -491,6 +505,12 @@ extern "C" void lpvg_ecu_engage(lpvg_ecu_t* self, bool engage) {
     if (self != nullptr && kept_well(*self)) {
         self->kept.engage = engage;
         keep(*self);
+    }
+}
+
+extern "C" void lpvg_ecu_explain(lpvg_ecu_t* self, const lpvg_found_t* found) {
+    if (self != nullptr) {
+        self->explained = mode_of(found);
     }
 }
 

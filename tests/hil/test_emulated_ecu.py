@@ -69,7 +69,7 @@ def compare(emulated, host):
     assert emulated["verdicts"] == host["verdicts"] and emulated["supervision"] == host["supervision"]
     assert (emulated["frames"], emulated["frames_hash"]) == (host["frames"], host["frames_hash"])
     assert emulated["reception"] == host["reception"] and emulated["trouble_codes"] == host["trouble_codes"]
-    assert emulated["missed"] == host["missed"]
+    assert emulated["missed"] == host["missed"] and emulated["diagnoses"] == host["diagnoses"]
     for key in ("judged_s", "judged_to_invalid_s", "max_margin"):
         assert emulated[key] == host[key]
 

@@ -15,7 +15,7 @@ import pytest
 from lpvguard.base.errors import InputError
 from lpvguard.can.catalogue import load_catalogue
 from lpvguard.cli.lcm import lcm_send
-from lpvguard.core.compiled import EVENTS, SUPERVISION, VERDICTS
+from lpvguard.core.compiled import CAUSES, EVENTS, SUPERVISION, VERDICTS
 from lpvguard.loop.lcm_client import CHANNELS, Action, Client, constants, message_types, read_log, watch
 from lpvguard.loop.sim import Simulator, can_fault_table, load_scenario, steady_scenario
 from parts import missing, require
@@ -130,6 +130,24 @@ def test_the_bus_of_an_lcm_log_is_the_candump_log_and_replays_to_the_same_verdic
         run["first_invalid_s"], abs=0.011
     )
     assert replayed["verdict_final"] == run["verdict_final"] == "invalid"
+
+
+def test_the_causes_of_an_alarm_are_in_the_result_on_the_bus_and_over_lcm(lcm_simulator, tmp_path):
+    url = f"file://{tmp_path / 'run.lcm'}?mode=w"
+    run = lcm_simulator.run(load_scenario("brake_gain_40"), lcm=url, report_only=True)
+    said = heard(tmp_path / "run.lcm")["LPVGUARD_CAUSES"]
+    assert [d["cause"] for d in run["diagnoses"]] == ["gain", "gain"]
+    for m, d in zip(said, run["diagnoses"], strict=True):
+        assert (m.utime * 1e-6, m.alarm_utime * 1e-6) == pytest.approx((d["t_s"], d["alarm_s"]))
+        assert d["low"] < 0.4 < d["high"] and abs(d["since_s"] - 60.0) < 3.0
+        numbers = (m.value, m.low, m.high, m.onset_utime * 1e-6)
+        assert numbers == pytest.approx([d[k] for k in ("value", "low", "high", "since_s")])
+        assert (CAUSES[m.cause], m.before) == (d["cause"], d["at_least"])
+    assert [m.output for m in said] == [0, 1]
+    told = [t for t, code in run["trouble_codes"] if code["fmi"] == 13]
+    assert len(told) == 1 and 0 <= told[0] - run["diagnoses"][0]["t_s"] <= 1.0
+    lines = [line for line in watch(read_log(tmp_path / "run.lcm")) if "what the model says" in line]
+    assert len(lines) == 2 and "output 0 0." in lines[0]
 
 
 # $1: folder, the rest: the loop. A logger hears nothing from before it was up. The Python package has

@@ -193,6 +193,28 @@ TEST_CASE("one output's cause is not the other's", "[unit][REQ-DIAG-1]") {
     }
 }
 
+TEST_CASE("the named cause is that of the first output that has one, once an alarm's causes are found", "[unit][REQ-DIAG-1]") {
+    const lpvg_diagnosis_table_t table = table_with();
+    CHECK(lpvg_diagnosis_named(nullptr) == nullptr);
+    Followed f(table);
+    CHECK(lpvg_diagnosis_named(&f.diagnosis) == nullptr);
+    f.run(20.0, healthy);
+    const Plant last = [](double t, std::size_t j) { return (j == ny - 1U ? 0.7 : 1.0) * nominal(t, j); };
+    f.run(3.0, last);
+    f.alarms = true;
+    f.run(1.0, last);
+    CHECK(lpvg_diagnosis_named(&f.diagnosis) == nullptr);
+    f.run(13.0, last);
+    REQUIRE(f.done());
+    CHECK(lpvg_diagnosis_named(&f.diagnosis) == &f.diagnosis.found[ny - 1U]);
+    f.diagnosis.found[0].cause = lpvg_cause_bias;
+    CHECK(lpvg_diagnosis_named(&f.diagnosis) == &f.diagnosis.found[0]);
+    for (lpvg_found_t& found : f.diagnosis.found) {
+        found.cause = lpvg_cause_other;
+    }
+    CHECK(lpvg_diagnosis_named(&f.diagnosis) == &f.diagnosis.found[0]);
+}
+
 TEST_CASE("what no single cause explains is other", "[unit][REQ-DIAG-2]") {
     const lpvg_diagnosis_table_t table = table_with();
     const Plant none[] = {

@@ -92,6 +92,37 @@ TEST_CASE("every finding has the failure mode of its cause, and the count of occ
     }
 }
 
+TEST_CASE("an alarm's code has the failure mode of the cause that was found", "[unit][ecu][REQ-J1939-11]") {
+    struct Case {
+        lpvg_cause_t cause;
+        float value;
+        uint8_t fmi;
+    };
+    const Case cases[] = {
+        {lpvg_cause_unknown, 0.0F, 31U}, {lpvg_cause_other, 0.0F, 11U},  {lpvg_cause_gain, 0.7F, 13U},
+        {lpvg_cause_sign, -1.0F, 13U},   {lpvg_cause_delay, 0.2F, 9U},   {lpvg_cause_bias, 0.1F, 20U},
+        {lpvg_cause_bias, -0.1F, 21U},   {lpvg_cause_frozen, 0.1F, 10U}, {lpvg_cause_noise, 0.1F, 2U},
+    };
+    Bench bench;
+    bench.run_until_engaged();
+    lpvg_ecu_t& ecu = bench.ecu;
+    lpvg_ecu_explain(nullptr, nullptr);
+    for (const lpvg_verdict_t verdict : {lpvg_verdict_invalid, lpvg_verdict_degraded}) {
+        for (const Case& test : cases) {
+            CAPTURE(test.cause, test.value);
+            lpvg_found_t found{};
+            found.cause = test.cause;
+            found.value = test.value;
+            ecu.report.verdict = static_cast<uint8_t>(verdict);
+            lpvg_ecu_explain(&ecu, &found);
+            REQUIRE(findings_of(ecu).n_codes == 1U);
+            CHECK(findings_of(ecu).code[0].fmi == test.fmi);
+            lpvg_ecu_explain(&ecu, nullptr);
+            CHECK(findings_of(ecu).code[0].fmi == 31U);
+        }
+    }
+}
+
 TEST_CASE("the freeze frame of an alarm is its record's", "[unit][ecu][REQ-J1939-10]") {
     Bench bench;
     bench.run_until_engaged();

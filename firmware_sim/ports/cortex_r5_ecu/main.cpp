@@ -28,8 +28,8 @@ struct Instructions {
     }
 };
 
-void answer(std::uint64_t status, std::uint64_t frames, bool judged = false) {
-    const time_answer_t out = {status, frames, judged ? 1U : 0U};
+void answer(std::uint64_t status, std::uint64_t frames, bool judged = false, bool found = false) {
+    const time_answer_t out = {status, frames, judged ? 1U : 0U, found ? 1U : 0U};
     port_console_send(&out, sizeof out);
 }
 
@@ -46,6 +46,7 @@ int main() {
     port_counter_start();
     Reception reception;
     Judgements judgements;
+    Findings findings;
     Instructions instructions;
     answer(status, 0U);
     time_request_t request;
@@ -55,10 +56,14 @@ int main() {
         const std::uint32_t begin = port_counter();
         status = firmware_tick(&firmware, request.now_us);
         instructions.take(port_instructions(begin, port_counter()));
-        const bool judged = judgements.note(firmware);
-        answer(status, can.sent - sent, judged);
+        firmware_idle(&firmware);
+        const bool judged = judgements.note(firmware), found = findings.note(firmware);
+        answer(status, can.sent - sent, judged, found);
         if (judged) {
             port_console_send(&judgements.newest(), sizeof judgements.newest());
+        }
+        if (found) {
+            port_console_send(&findings.newest(), sizeof findings.newest());
         }
         if (request.supervision != 0U) {
             const Supervision supervision = supervision_of(firmware);

@@ -36,6 +36,33 @@ bool Judgements::note(const firmware_t& firmware) {
     return true;
 }
 
+bool Findings::note(const firmware_t& firmware) {
+#if FIRMWARE_DIAGNOSES
+    const lpvg_diagnosis_t& from = firmware.diagnosis;
+    if (lpvg_diagnosis_named(&from) == nullptr || from.alarms == alarms_) {
+        return false;
+    }
+    alarms_ = from.alarms;
+    const std::int64_t block_us = static_cast<std::int64_t>(LPVG_NBLOCK) * lpvg_coeff.words.sample_period_us;
+    for (std::uint32_t j = 0U; j < LPVG_NY; ++j) {
+        const lpvg_found_t& of = from.found[j];
+        newest_[j] = {from.t_alarm_us,
+                      from.t_alarm_us - block_us * of.onset_blocks,
+                      from.alarms,
+                      j,
+                      static_cast<std::uint32_t>(of.cause),
+                      of.before ? 1U : 0U,
+                      static_cast<double>(of.value),
+                      static_cast<double>(of.low),
+                      static_cast<double>(of.high)};
+    }
+    return true;
+#else
+    static_cast<void>(firmware);
+    return false;
+#endif
+}
+
 Supervision supervision_of(const firmware_t& firmware) {
     const lpvg_can_supervisor_t& from = firmware.ecu.supervisor;
     Supervision to{};

@@ -92,6 +92,7 @@ int run_on_time_line(const Options& options, const lpvg_ecu_config_t& config) {
     firmware_t firmware{};
     Reception reception;
     Judgements judgements;
+    Findings findings;
     if (!bus.open(options.interface, Filters().list(), Filters().size())) {
         return complain(std::string(options.interface) + ": " + std::strerror(bus.driver().error));
     }
@@ -110,16 +111,19 @@ int run_on_time_line(const Options& options, const lpvg_ecu_config_t& config) {
         bus.expect(request.frames);
         answer.status = static_cast<std::uint64_t>(firmware_tick(&firmware, request.now_us));
         answer.frames = bus.take_sent();
+        firmware_idle(&firmware);
         answer.judged = judgements.note(firmware) ? 1U : 0U;
+        answer.found = findings.note(firmware) ? 1U : 0U;
         reception.note(firmware.ecu.supervisor, request.now_us);
-        sent = send(&answer, sizeof answer) && (answer.judged == 0U || send(&judgements.newest(), sizeof judgements.newest()));
+        sent = send(&answer, sizeof answer) && (answer.judged == 0U || send(&judgements.newest(), sizeof judgements.newest())) &&
+               (answer.found == 0U || send(&findings.newest(), sizeof findings.newest()));
         if (request.supervision != 0U) {
             const Supervision supervision = supervision_of(firmware);
             sent = sent && send(&supervision, sizeof supervision);
         }
     }
     const std::string text = counters(reception, firmware);
-    answer = {lpvg_status_ok, text.size(), 0U};
+    answer = {lpvg_status_ok, text.size(), 0U, 0U};
     return send(&answer, sizeof answer) && send(text.data(), text.size()) ? 0 : complain(std::strerror(errno));
 }
 
@@ -148,6 +152,7 @@ int run_in_real_time(const Options& options, const lpvg_ecu_config_t& config) {
         timespec now{};
         clock_gettime(CLOCK_MONOTONIC, &now);
         (void)!firmware_tick(&firmware, micros(now));  // a tick that comes at once after a late one is refused: time must move
+        firmware_idle(&firmware);
         reception.note(firmware.ecu.supervisor, micros(now) - start_us);
     }
     socketcan_close(&driver);

@@ -237,8 +237,12 @@ typedef struct lpvg_can_dtc_t {
 #define LPVG_CAN_FMI_FREQUENCY 8u  ///< Abnormal frequency.
 #define LPVG_CAN_FMI_UPDATE_RATE 9u  ///< Abnormal update rate.
 #define LPVG_CAN_FMI_RATE_OF_CHANGE 10u  ///< Abnormal rate of change.
+#define LPVG_CAN_FMI_ROOT_UNKNOWN 11u  ///< Root cause not known.
 #define LPVG_CAN_FMI_BAD_DEVICE 12u  ///< Bad intelligent device or component.
+#define LPVG_CAN_FMI_CALIBRATION 13u  ///< Out of calibration.
 #define LPVG_CAN_FMI_NETWORK 19u  ///< Received network data in error.
+#define LPVG_CAN_FMI_DRIFTED_HIGH 20u  ///< Data drifted high.
+#define LPVG_CAN_FMI_DRIFTED_LOW 21u  ///< Data drifted low.
 #define LPVG_CAN_FMI_CONDITION 31u  ///< Condition exists.
 
 /// Failure mode identifier LPVG_CAN_FMI_* of an event.

@@ -50,6 +50,7 @@
 
 #include "lpvguard/bus.h"
 #include "lpvguard/controller.h"
+#include "lpvguard/diagnosis.h"
 #include "lpvguard/j1939.h"
 #include "lpvguard/monitor.h"
 
@@ -73,6 +74,7 @@ LPVG_EXTERN_C_BEGIN
 #define lpvg_ecu_step LPVG_SYM(ecu_step)
 #define lpvg_ecu_acknowledge LPVG_SYM(ecu_acknowledge)
 #define lpvg_ecu_findings LPVG_SYM(ecu_findings)
+#define lpvg_ecu_explain LPVG_SYM(ecu_explain)
 
 #define LPVG_ECU_SPEED_HYSTERESIS_MPS 0.25F  ///< Beyond an end of the range by more, the speed has left it [m/s]
 #define LPVG_ECU_WAIT_US 500000U  ///< From the end of a cause to engagement                    [us]
@@ -223,6 +225,7 @@ typedef struct lpvg_ecu_t {
     uint32_t dropped;  ///< older frames beyond LPVG_ECU_FRAMES_IN of a step, saturating
     uint8_t counter;  ///< of the report message's protection
     uint8_t occurrence;  ///< times a trouble code became active, 126 at most
+    uint8_t explained;  ///< failure mode of the codes invalid and degraded, LPVG_CAN_FMI_*
 } lpvg_ecu_t;
 
 /// Makes *self ready at time now_us, 0 .. INT64_MAX / 2. Coefficients stay referenced and must outlive it.
@@ -252,6 +255,12 @@ LPVG_NODISCARD lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, con
 /// the newest judged frame bin and statistic. While the verdict is invalid these are of the newest recorded alarm, where one waits.
 /// Returns ok; bad_argument (NULL), not_ready (no init), *findings is untouched then.
 LPVG_NODISCARD lpvg_status_t lpvg_ecu_findings(const lpvg_ecu_t* self, lpvg_j1939_findings_t* findings);
+
+/// What the newest alarm's cause is: from the next step on the codes invalid and degraded carry its failure mode. Gain and sign: out of
+/// calibration. Delay: abnormal update rate. Bias: data drifted high, or low. Frozen: abnormal rate of change. Noise: data erratic. Other:
+/// root cause not known. NULL and unknown: condition exists, as after init. Call it with what lpvg_diagnosis_named says whenever that may
+/// have changed. Nothing for NULL self.
+void lpvg_ecu_explain(lpvg_ecu_t* self, const lpvg_found_t* found);
 
 LPVG_EXTERN_C_END
 

@@ -12,7 +12,7 @@ from lpvguard.drives.faults import Fault, inject, no_single_cause, share_of
 from lpvguard.drives.tables import Drive
 from lpvguard.evaluate.causes import CauseOutcome, cause_rows, cause_sentences, cause_table, true_cause
 from lpvguard.evaluate.detection import Case, JudgedClock
-from lpvguard.replay.run import Diagnosis
+from lpvguard.replay.causes import Diagnosis
 
 START_S, ALARM_S, FOUND_S = 10.0, 15.0, 25.0
 

@@ -175,6 +175,8 @@ def print_runs(runs: list[dict[str, Any]], bus: str, simulator: Simulator) -> No
     console.print(table)
     console.print(f"{bus} bus, controller {simulator.controller}, coefficients {simulator.folder}")
     for r in runs:
+        for found in r["diagnoses"]:
+            console.print(f"{r['scenario']}, seed {r['seed']}, {found['t_s']:.1f} s: {found['says']}")
         if "ecu" in r:
             ecu, counted = r["ecu"], r["ecu"]["instructions"]
             console.print(

@@ -32,7 +32,8 @@ from typing import Any, Literal
 from ..base import native
 from ..base.errors import InputError
 from ..can.logs import ERROR_REPORT, EXTENDED, candump_line
-from ..core.compiled import REASONS, SUPERVISION, VERDICTS, firmware_root
+from ..core.compiled import CAUSES, REASONS, SUPERVISION, VERDICTS, firmware_root
+from ..replay.causes import cause_sentence
 
 CHANNELS = {
     "LPVGUARD_TRUTH": "truth_t",
@@ -40,6 +41,7 @@ CHANNELS = {
     "LPVGUARD_SUPERVISION": "supervision_t",
     "LPVGUARD_BUS": "bus_t",
     "LPVGUARD_MARGINS": "margin_t",
+    "LPVGUARD_CAUSES": "cause_t",
     "LPVGUARD_STATUS": "status_t",
     "LPVGUARD_CONTROL": "control_t",
 }
@@ -162,6 +164,9 @@ def watch(messages: Iterable[tuple[str, Any]]) -> Iterator[str]:
                 f"energy ratio {m.energy_ratio:.3f} of {m.energy_threshold:.3f}; "
                 f"change ratio {m.change_ratio:.3f} of {m.change_threshold:.3f}"
             )
+        elif channel == "LPVGUARD_CAUSES":
+            named, numbers, onset_s = f"output {m.output}", (m.value, m.low, m.high), m.onset_utime * 1e-6
+            said.append(cause_sentence(named, "", CAUSES[m.cause], numbers, onset_s, m.before))
         elif channel == "LPVGUARD_STATUS" and (m.id or changed("state", m.state)):
             said.append(
                 f"refused: {m.reason}" if m.reason else f"{state_name(m)}{' ' if m.entry else ''}{m.entry}"

@@ -23,7 +23,7 @@ import subprocess
 import tempfile
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -37,10 +37,11 @@ from ..base import artefacts, native
 from ..base.documents import StrictModel, checked, read_toml
 from ..base.errors import InputError
 from ..can.catalogue import load_catalogue
-from ..core.compiled import EVENTS, SUPERVISION, VERDICTS, eigen_include, firmware_root, library_root
+from ..core.compiled import CAUSES, EVENTS, SUPERVISION, VERDICTS, eigen_include, firmware_root, library_root
 from ..core.control_coefficients import ControllerCoefficients, build_controller, replaced_controller
 from ..core.targets import EmulatedEcu, emulated_ecu
 from ..drives.tables import Drive, speed_of_missing
+from ..replay.causes import diagnosed
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, Signal, parse_project
 
@@ -387,11 +388,27 @@ class Simulator:
                 scenario, "", done.stderr.strip(), "a scenario and a bus that the simulator accepts"
             )
         facts = json.loads(done.stdout)
+        found = [
+            asdict(
+                diagnosed(
+                    self.project,
+                    CAUSES[cause],
+                    output,
+                    numbers,
+                    found_s=found_s,
+                    alarm_s=alarm_s,
+                    since_s=onset_s,
+                    at_least=bool(before),
+                )
+            )
+            for found_s, alarm_s, onset_s, before, output, cause, *numbers in facts["causes"]
+        ]
         changes = {
             key: [[t, names[value]] for t, value in facts[key]]
             for key, names in (("verdicts", VERDICTS), ("supervision", SUPERVISION))
         }
-        return facts | changes | {"verdict_final": VERDICTS[facts["verdict_final"]]}
+        del facts["causes"]
+        return facts | changes | {"verdict_final": VERDICTS[facts["verdict_final"]], "diagnoses": found}
 
     def _without_gaps(self, name: str, table: pa.Table) -> Drive:
         p = self.project

@@ -20,7 +20,7 @@ from ..drives.frames import Estimator
 from ..drives.tables import TABLE_SUFFIXES, Drive, read_drive, require_units, speed_of_missing
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
-from .causes import WITH_INTERVAL, cause_sentence
+from .causes import Diagnosis, diagnosed
 from .receive import Receiver
 from .series import table_of
 
@@ -67,28 +67,6 @@ class Alarm:
     output: str | None = None
     part: str | None = None
     estimate: ChangeEstimate | None = None
-
-
-@dataclass(frozen=True)
-class Diagnosis:
-    """The cause that the core found of an alarm in one output (diagnosis.h); times from the drive's start
-    [s].
-
-    ``value`` with its 95 % interval: the factor of a gain or sign, a delay [s], a bias, the mean of a frozen
-    output or the noise's standard deviation [output unit]. The interval is None where there is none, and
-    ``value`` too for "other". ``since_s``: the onset; ``at_least``: or sooner. ``says``: all of it in words.
-    """
-
-    t_s: float
-    alarm_s: float
-    output: str
-    cause: str
-    value: float | None
-    low: float | None
-    high: float | None
-    since_s: float
-    at_least: bool
-    says: str
 
 
 @dataclass(frozen=True)
@@ -282,24 +260,16 @@ class Replayer:
         """The causes found in a run, an output each; ``t0``: what counts as time 0 [s]."""
         found = run.causes
         for i in range(len(found.cause)):
-            cause, output = CAUSES[found.cause[i]], self.project.outputs[found.output[i]]
-            numbers = [float(x[i]) for x in (found.value, found.low, found.high)]
-            shown = 3 if cause in WITH_INTERVAL else 0 if cause == "other" else 1
-            value, low, high = (x if k < shown else None for k, x in enumerate(numbers))
             alarm_s = float(found.t_alarm_s[i] - t0)
-            since_s, at_least = alarm_s - float(found.onset_s[i]), bool(found.before[i])
-            advice = self.project.advice.of(cause, output.name)
-            yield Diagnosis(
-                float(found.t_found_s[i] - t0),
-                alarm_s,
-                output.name,
-                cause,
-                value,
-                low,
-                high,
-                since_s,
-                at_least,
-                cause_sentence(output, cause, numbers[:shown], since_s, at_least, advice),
+            yield diagnosed(
+                self.project,
+                CAUSES[found.cause[i]],
+                int(found.output[i]),
+                (float(found.value[i]), float(found.low[i]), float(found.high[i])),
+                found_s=float(found.t_found_s[i] - t0),
+                alarm_s=alarm_s,
+                since_s=alarm_s - float(found.onset_s[i]),
+                at_least=bool(found.before[i]),
             )
 
     def alarms(self, run: Run, t0: float) -> list[Alarm]:
