@@ -156,8 +156,10 @@ def mirror(tree: Path, work: Path, texts: dict[Path, str]) -> None:
 
 
 def configure(work: Path, build: Path) -> None:
+    """A folder that was configured with other settings is made anew: CMake forgets settings there where the
+    compiler is another."""
     flags = f"{FLAGS} -include {work / 'tests' / 'gates' / 'mutant_switch.h'}"
-    command(
+    words = [
         "cmake",
         "-S",
         work,
@@ -173,7 +175,13 @@ def configure(work: Path, build: Path) -> None:
         f"-DCMAKE_C_FLAGS_DEBUG={flags}",
         f"-DCMAKE_CXX_FLAGS_DEBUG={flags}",
         f"-DPython3_EXECUTABLE={sys.executable}",
-    )
+    ]
+    settings = build / "settings"
+    said = " ".join(map(str, words))
+    if not settings.is_file() or settings.read_text() != said:
+        shutil.rmtree(build, ignore_errors=True)
+    command(*words)
+    settings.write_text(said)
 
 
 def with_switch(tree: Path) -> dict[Path, str]:

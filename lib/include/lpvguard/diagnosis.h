@@ -14,7 +14,7 @@
 /// The onset is the end of that ring cell before the alarm from which on theta explains best what was kept.
 ///
 /// Use:     `lpvguard export` writes lpvguard_diagnosis.c. init once; after every lpvg_monitor_push lpvg_diagnosis_take; where there is
-///          time, lpvg_diagnosis_work until it returns false. It is no part of the monitor's step, and nothing of the monitor depends on it.
+///          time, lpvg_diagnosis_work until it returns false. It is no part of the monitor's step, and the monitor does not depend on it.
 /// Cost:    take copies a block with every LPVG_NBLOCK-th sample; work is constant, an output a call. No heap, no locks, no I/O.
 /// Threads: one object per thread. Where take and work have contexts of their own, keep one from interrupting the other.
 ///          RAM: sizeof(lpvg_diagnosis_t). Fields are private but for `found`.

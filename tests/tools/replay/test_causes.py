@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lpvguard.base.errors import InputError
-from lpvguard.replay.causes import cause_sentence
+from lpvguard.replay.causes import diagnosed
 from lpvguard.vehicle.project import parse_project
 
 
@@ -47,19 +47,25 @@ from lpvguard.vehicle.project import parse_project
             None,
             "yaw_rate +0.05 rad/s beside what the model says (+0.04 to +0.06), since about 41 s",
         ),
-        ("frozen", (0.1,), False, None, "yaw_rate is frozen at 0.1 rad/s, since about 41 s"),
+        ("frozen", (0.1, 0.0, 0.0), False, None, "yaw_rate is frozen at 0.1 rad/s, since about 41 s"),
         (
             "noise",
-            (0.1,),
+            (0.1, 0.0, 0.0),
             False,
             None,
             "yaw_rate is noisy, with a standard deviation of 0.1 rad/s, since about 41 s",
         ),
-        ("other", (), False, None, "yaw_rate: no single cause explains what it does"),
+        ("other", (0.0, 0.0, 0.0), False, None, "yaw_rate: no single cause explains what it does"),
     ],
 )
 def test_a_cause_in_words(g80, cause, numbers, at_least, advice, said):
-    assert cause_sentence(g80.outputs[0], cause, numbers, 41.2, at_least, advice) == said
+    document = {**g80.model_dump(by_alias=True), "advice": {} if advice is None else {cause: advice}}
+    project = parse_project(document, "x")
+    found = diagnosed(project, cause, 0, numbers, found_s=60.0, alarm_s=50.0, since_s=41.2, at_least=at_least)
+    assert found.says == said
+    assert (found.t_s, found.alarm_s, found.since_s, found.at_least) == (60.0, 50.0, 41.2, at_least)
+    shown = [x for x in (found.value, found.low, found.high) if x is not None]
+    assert shown == list(numbers[: {"other": 0, "frozen": 1, "noise": 1}.get(cause, 3)])
 
 
 def test_advice_is_a_text_or_one_an_output(g80):

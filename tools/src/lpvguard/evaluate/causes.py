@@ -27,8 +27,7 @@ import numpy as np
 from ..base.rates import rate, share_words
 from ..drives.faults import Fault, share_of
 from ..drives.tables import Drive
-from ..replay.causes import WITH_INTERVAL
-from ..replay.causes import Diagnosis
+from ..replay.causes import WITH_INTERVAL, Diagnosis
 from ..replay.run import Replay
 from ..vehicle.project import Project
 from .detection import WAY_WORDS, Case, JudgedClock

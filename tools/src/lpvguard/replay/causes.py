@@ -44,8 +44,8 @@ def diagnosed(
     since_s: float,
     at_least: bool,
 ) -> Diagnosis:
-    """What the core says of an output by its index: a cause of core.compiled.CAUSES, ``numbers`` value, low
-    and high of lpvg_found_t, and times of the drive [s]. The advice is the project file's."""
+    """What the core says of an output, by its index. ``cause``: of core.compiled.CAUSES. ``numbers``: value,
+    low and high of lpvg_found_t. Times are the drive's [s]; the advice is the project file's."""
     signal = project.outputs[output]
     shown = 3 if cause in WITH_INTERVAL else 0 if cause == "other" else 1
     value, low, high = (x if k < shown else None for k, x in enumerate(numbers))
