@@ -109,7 +109,8 @@ typedef struct lpvg_found_t {
 typedef struct lpvg_diagnosis_output_t {
     lpvg_real_t gram[LPVG_DIAGNOSIS_TRIANGLE];  ///< of phi phi' [-]
     lpvg_real_t along[LPVG_DIAGNOSIS_PARTS];  ///< of phi e [output unit]
-    lpvg_real_t moved_to[2 * LPVG_DIAGNOSIS_DELAYS][LPVG_DIAGNOSIS_PARTS];  ///< of phi D_m, D_m = yhat - yhat m strides before; then after [output unit]
+    lpvg_real_t moved_to[2 * LPVG_DIAGNOSIS_DELAYS]
+                        [LPVG_DIAGNOSIS_PARTS];  ///< of phi D_m, D_m = yhat less that m strides before, then after
     lpvg_real_t moved_error[2 * LPVG_DIAGNOSIS_DELAYS];  ///< of D_m e [output unit^2]
     lpvg_real_t moved_square[2 * LPVG_DIAGNOSIS_DELAYS];  ///< of D_m^2 [output unit^2]
     lpvg_real_t moved_cross[2 * LPVG_DIAGNOSIS_DELAYS];  ///< of D_m and the one of a stride less [output unit^2]
