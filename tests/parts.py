@@ -15,6 +15,7 @@ from lpvguard.core import targets
 PROGRAMS = {
     "chromium": ("chromium",),
     "powerpc": ("powerpc-linux-gnu-gcc", "qemu-ppc"),
+    "llvm19": ("clang-19", "clang++-19"),
     "lcm": ("pkg-config", "lcm-gen", "lcm-logger", "lcm-logplayer"),
     "qemu": (),
     "uml": ("candump", "cangen", "cansend", "ip"),

@@ -266,8 +266,18 @@ def image_with_debug_information(name: str, vehicle: Path, program: Program) -> 
     return _build(_target(name), vehicle, program, (*LANGUAGE, "-g"))[0]
 
 
-def run_image(name: str, elf: Path) -> list[str]:
-    """Run an image in the target's emulator; the lines that it wrote. Raises InputError when it fails."""
+def run_program(name: str, vehicle: Path, program: Program, *, timeout_s: float = TIMEOUT_S) -> list[str]:
+    """The lines that a program with the core writes on a target, or on this PC as ``host``; results bit for
+    bit the same on all. Raises InputError as `run_target`; ``timeout_s``: of the emulator [s]."""
+    if name == "host":
+        return _host_lines(vehicle, program)
+    elf, _ = _build(_target(name), vehicle, program, (*LANGUAGE, SAME_BITS))
+    return run_image(name, elf, timeout_s)
+
+
+def run_image(name: str, elf: Path, timeout_s: float = TIMEOUT_S) -> list[str]:
+    """Run an image in the target's emulator, ``timeout_s`` [s] at most; the lines that it wrote. Raises
+    InputError when it fails."""
     target = _target(name)
     command = [*_emulator(target, elf), *SEMIHOSTING]
     # Semihosting writes to standard error; standard output is the monitor's.
@@ -278,11 +288,13 @@ def run_image(name: str, elf: Path) -> list[str]:
             capture_output=True,
             text=True,
             check=False,
-            timeout=TIMEOUT_S,
+            timeout=timeout_s,
             env={**os.environ, "QEMU_AUDIO_DRV": "none"},
         )
     except subprocess.TimeoutExpired:
-        raise InputError(f"target {name}", "run", f"no end after {TIMEOUT_S} s", "a run that ends") from None
+        raise InputError(
+            f"target {name}", "run", f"no end after {timeout_s:g} s", "a run that ends"
+        ) from None
     if done.returncode != 0:
         raise InputError(
             f"target {name}",
@@ -303,9 +315,7 @@ def run_target(name: str, vehicle: Path, drive: Input, *, same_bits: bool) -> di
     Raises InputError when tools are missing, or the program does not build or fails.
     """
     target = _target(name)
-    program = Program(
-        "target_bench", (firmware_root() / "ports" / "target_bench.cpp",), {"target_input.h": drive.header()}
-    )
+    program = _bench_of(drive)
     elf, imports = _build(target, vehicle, program, (*LANGUAGE, SAME_BITS) if same_bits else LANGUAGE)
     report = _parse(run_image(name, elf))
     if not report["ended"]:
@@ -325,29 +335,41 @@ def run_target(name: str, vehicle: Path, drive: Input, *, same_bits: bool) -> di
 def run_host(vehicle: Path, drive: Input) -> dict[str, Any]:
     """The same program on this PC: results and structs; its counts are zero. Raises InputError when it does
     not build."""
+    return {"target": "host", **_parse(_host_lines(vehicle, _bench_of(drive)))}
+
+
+def _bench_of(drive: Input) -> Program:
+    return Program(
+        "target_bench", (firmware_root() / "ports" / "target_bench.cpp",), {"target_input.h": drive.header()}
+    )
+
+
+def _host_lines(vehicle: Path, program: Program) -> list[str]:
+    """What a program writes on this PC, up to its last line ``end``."""
     core, ports = library_root(), firmware_root() / "ports"
     with tempfile.TemporaryDirectory() as scratch:
-        write_files(Path(scratch), {"target_input.h": drive.header()})
+        write_files(Path(scratch), program.headers)
         core_sources, vehicle_sources = _sources(vehicle)
-        sources = [*core_sources, *vehicle_sources, ports / "target_bench.cpp", ports / "host" / "port.c"]
+        sources = [*core_sources, *vehicle_sources, *program.sources, ports / "host" / "port.c"]
+        folders = [core / "include", core / "src", vehicle, ports, *program.folders, Path(scratch)]
         try:
-            program = native.compile_executable(
+            executable = native.compile_executable(
                 sources,
-                name="target_bench",
+                name=program.name,
                 flags=(*CXX[:3], *LANGUAGE, SAME_BITS, "-isystem", eigen_include()),
-                include_dirs=[core / "include", core / "src", vehicle, ports, Path(scratch)],
+                include_dirs=folders,
             )
         except native.NativeError as error:
             raise InputError(
                 vehicle, "compiling the target program for the host", str(error), "a C++17 compiler"
             ) from None
-    done = subprocess.run([program], capture_output=True, text=True, check=False)
-    report = _parse(done.stdout.splitlines())
-    if not report["ended"]:
+    done = subprocess.run([executable], capture_output=True, text=True, check=False)
+    lines = done.stdout.splitlines()
+    if done.returncode != 0 or lines[-1:] != ["end"]:
         raise InputError(
             vehicle, "running the target program on the host", done.stdout.strip()[-300:], "a run that ends"
         )
-    return {"target": "host", **report}
+    return lines
 
 
 def _sources(vehicle: Path) -> tuple[list[Path], list[Path]]:
