@@ -26,7 +26,9 @@ bool authenticator_of(const lpvg_can_auth_t& self, const lpvg_can_frame_t& messa
     }
     bytes[0] = static_cast<uint8_t>(freshness & 0xFFU);
     bytes[1] = static_cast<uint8_t>((freshness >> 8U) & 0xFFU);
-    std::memcpy(&bytes[n_short], mac, n_mac);
+    for (uint8_t i = 0U; i < n_mac; ++i) {
+        bytes[n_short + i] = mac[i];
+    }
     return true;
 }
 
@@ -47,10 +49,9 @@ bool same_bytes(const uint8_t* a, const uint8_t* b) {
 }
 
 void remove_first(lpvg_can_auth_t& self) {
+    static_assert(LPVG_CAN_AUTH_WAITING == 2U, "the second is the only one that moves up");
     --self.n_waiting;
-    for (uint8_t i = 0U; i < self.n_waiting; ++i) {
-        self.waiting[i] = self.waiting[i + 1U];
-    }
+    self.waiting[0] = self.waiting[1];
 }
 
 // Those that wait longer than a pair may take, and those of another clock. Damage may have made their number any.
@@ -139,7 +140,6 @@ lpvg_status_t lpvg_can_auth_protect(lpvg_can_auth_t* self, const lpvg_can_frame_
         return lpvg_status_bad_sample;
     }
     ++self->freshness;
-    *authenticator = lpvg_can_frame_t{};
     authenticator->id = self->config.auth_id;
     authenticator->dlc = n_data;
     authenticator->t_us = message->t_us;

@@ -3,6 +3,7 @@
 
 #if LPVG_NK > 0
 
+#include <cmath>
 #include <utility>
 
 #include "begin.hpp"
@@ -33,8 +34,8 @@ struct Place {
 Place place(const lpvg_control_reals_t& r, Real speed) {
     const Real inside = speed < r.speed_min ? r.speed_min : (speed > r.speed_max ? r.speed_max : speed);
     const Real position = (inside - r.speed_min) / (r.speed_max - r.speed_min) * Real(LPVG_NG - 1);
-    // Damaged coefficients make any number of it.
-    const Real bounded = position > Real(0) ? (position < Real(LPVG_NG - 1) ? position : Real(LPVG_NG - 1)) : Real(0);
+    // Damaged coefficients may make no number of it; it is never above LPVG_NG - 1.
+    const Real bounded = position > Real(0) ? position : Real(0);
     auto node = static_cast<std::size_t>(bounded);
     node = node < LPVG_NG - 1U ? node : LPVG_NG - 2U;
     return {node, bounded - static_cast<Real>(node)};
@@ -75,7 +76,7 @@ private:
     }
 };
 
-void wanted(const Real (*x)[nk], Real* v) {
+void wanted(const Real (&x)[nu][nk], Real (&v)[nu]) {
     for (std::size_t i = 0; i < nu; ++i) {
         v[i] = Real(0);
         for (std::size_t j = 0; j < nk; j += 2U) {
@@ -197,7 +198,7 @@ extern "C" lpvg_status_t lpvg_control_step_after(lpvg_control_t* self, lpvg_real
     }
     const lpvg_control_reals_t& r = self->coeff->reals;
     const Real nothing[nm] = {};
-    bool good = all_finite_at(&speed, 1U) && all_finite_at(m, nm);
+    bool good = std::isfinite(speed) && all_finite_at(m, nm);
     const Place at = place(r, good ? speed : r.speed_min);
 
     Real v[nu];
@@ -206,7 +207,7 @@ extern "C" lpvg_status_t lpvg_control_step_after(lpvg_control_t* self, lpvg_real
         align(r, at, m, self->u, v, self->x);
         wanted(self->x, v);
     }
-    if (!all_finite_at(v, nu)) {  // the states have grown beyond the numbers
+    if (!lpvguard::every(v, [](Real each) { return std::isfinite(each); })) {  // the states have grown beyond the numbers
         good = false;
         clear(*self);
         wanted(self->x, v);

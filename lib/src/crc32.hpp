@@ -12,12 +12,13 @@ namespace lpvguard {
 struct Crc32Table {
     uint32_t entry[16];
     constexpr Crc32Table() : entry() {
-        for (uint32_t n = 0U; n < 16U; ++n) {
-            uint32_t crc = n;
+        uint32_t n = 0U;
+        for (uint32_t& remainder : entry) {
+            remainder = n;
             for (int bit = 0; bit < 4; ++bit) {
-                crc = (crc >> 1U) ^ ((crc & 1U) != 0U ? 0xEDB88320U : 0U);
+                remainder = (remainder >> 1U) ^ ((remainder & 1U) != 0U ? 0xEDB88320U : 0U);
             }
-            entry[n] = crc;
+            ++n;
         }
     }
 };

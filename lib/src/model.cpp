@@ -25,8 +25,8 @@ void set_speed(lpvg_model_t* self, const lpvg_coeff_t* coeff, Real speed) {
     const lpvg_coeff_reals_t& r = coeff->reals;
     const Real inside = speed < r.speed_min ? r.speed_min : (speed > r.speed_max ? r.speed_max : speed);
     const Real position = (inside - r.speed_min) / (r.speed_max - r.speed_min) * Real(LPVG_NCELLS);
-    // Damaged coefficients make any number of it.
-    const Real bounded = position > Real(0) ? (position < Real(LPVG_NCELLS) ? position : Real(LPVG_NCELLS)) : Real(0);
+    // Damaged coefficients may make no number of it; it is never above LPVG_NCELLS.
+    const Real bounded = position > Real(0) ? position : Real(0);
     auto cell = static_cast<std::size_t>(bounded);
     cell = cell < LPVG_NCELLS ? cell : LPVG_NCELLS - 1U;
     const Real x = bounded - static_cast<Real>(cell);
@@ -63,24 +63,14 @@ extern "C" void lpvg_model_output(const lpvg_model_t* self, const lpvg_coeff_t* 
 
 extern "C" void lpvg_model_advance(lpvg_model_t* self, const lpvg_coeff_t* coeff, lpvg_real_t speed, const lpvg_real_t* u) {
     set_speed(self, coeff, speed);
-    Real newest[LPVG_NU];
-    for (std::size_t i = 0; i < LPVG_NU; ++i) {
-        newest[i] = u[i] - coeff->reals.input_offset[i];
-    }
-    // With a delay of d samples u_{k-d} is past[d - 1], and u_k itself for d = 0.
-    const Real* u_old = self->past[LPVG_DELAY];
-    const Real* u_new = LPVG_DELAY == 0 ? newest : self->past[LPVG_DELAY == 0 ? 0 : LPVG_DELAY - 1];
-    const Real* entry = self->entry;
-    const Matrix<nx, 1> next = ConstMap<nx, nx>(entry) * ConstMap<nx, 1>(self->x) +
-                               ConstMap<nx, nu>(entry + nx * nx) * ConstMap<nu, 1>(u_old) +
-                               ConstMap<nx, nu>(entry + nx * (nx + nu)) * ConstMap<nu, 1>(u_new);
-    Eigen::Map<Matrix<nx, 1>>(self->x) = next;
+    // With a delay of d samples u_{k-d} is past[d] with this input as the newest, and u_{k-d-1} is past[d] before.
+    const Matrix<nu, 1> u_old = ConstMap<nu, 1>(self->past[LPVG_DELAY]);
     for (std::size_t d = LPVG_DELAY; d > 0; --d) {
-        for (std::size_t i = 0; i < LPVG_NU; ++i) {
-            self->past[d][i] = self->past[d - 1][i];
-        }
+        Eigen::Map<Matrix<nu, 1>>(self->past[d]) = ConstMap<nu, 1>(self->past[d - 1]);
     }
-    for (std::size_t i = 0; i < LPVG_NU; ++i) {
-        self->past[0][i] = newest[i];
-    }
+    Eigen::Map<Matrix<nu, 1>>(self->past[0]) = ConstMap<nu, 1>(u) - ConstMap<nu, 1>(coeff->reals.input_offset);
+    const Real* entry = self->entry;
+    const Matrix<nx, 1> next = ConstMap<nx, nx>(entry) * ConstMap<nx, 1>(self->x) + ConstMap<nx, nu>(entry + nx * nx) * u_old +
+                               ConstMap<nx, nu>(entry + nx * (nx + nu)) * ConstMap<nu, 1>(self->past[LPVG_DELAY]);
+    Eigen::Map<Matrix<nx, 1>>(self->x) = next;
 }

@@ -165,25 +165,22 @@ void take_up(lpvg_monitor_t& self, std::size_t b, uint32_t first, uint32_t end, 
 // (lpvg_coeff_check), so it ends at most once in it. Returns whether it ended.
 bool catch_up(lpvg_monitor_t& self, std::size_t b, const lpvg_span_t& whole) {
     const lpvg_bin_t& bin = self.bin[b];
-    const uint32_t first = n_block - self.n_block;
     const uint32_t left = self.coeff->words.frame_length[b] / 2U - bin.n;
     if (left > self.n_block) {
-        take_up(self, b, first, n_block, whole);
+        take_up(self, b, n_block - self.n_block, n_block, whole);
         return false;
     }
-    const uint32_t until = first + left;
-    take_up(self, b, first, until, span_of(self, first, until));
-    end_half(self, b, taken(self, until - 1U).t_us);
-    if (until < n_block) {
-        take_up(self, b, until, n_block, span_of(self, until, n_block));
+    take_up(self, b, 0U, left, span_of(self, 0U, left));  // the first half of a start is longer than a block: this one is whole
+    end_half(self, b, taken(self, left - 1U).t_us);
+    if (left < n_block) {
+        take_up(self, b, left, n_block, span_of(self, left, n_block));
     }
     return true;
 }
 
-// k-th largest of the newest margins; 0 while there are fewer than k.
-Real statistic(const lpvg_bin_t& bin, uint32_t confirm) {
+// k-th largest of the n newest margins; 0 while there are fewer than k, for those to come are 0.
+Real statistic(const lpvg_bin_t& bin, uint32_t confirm, uint32_t n) {
     Real kth = Real(0);
-    const uint32_t n = bin.n_history < LPVG_NHISTORY ? bin.n_history : LPVG_NHISTORY;
     for (uint32_t i = 0; i < n; ++i) {
         uint32_t larger_or_equal = 0U;
         for (uint32_t j = 0; j < n; ++j) {
@@ -284,20 +281,19 @@ bool judge(lpvg_monitor_t& self, std::size_t b) {
         frame.margin = finished(self, margin);
         frame.evidence = margin.dead();
         const uint32_t of_last = coeff.words.of_last < LPVG_NHISTORY ? coeff.words.of_last : LPVG_NHISTORY;
-        bin.history[bin.next_history < LPVG_NHISTORY ? bin.next_history : 0U] = frame.margin;
+        bin.history[bin.next_history % LPVG_NHISTORY] = frame.margin;
         bin.next_history = bin.next_history + 1U < of_last ? bin.next_history + 1U : 0U;
-        bin.n_history += bin.n_history < of_last ? 1U : 0U;
-        frame.statistic = statistic(bin, coeff.words.confirm);
+        frame.statistic = statistic(bin, coeff.words.confirm, of_last);
         frame.falsified = !(frame.statistic <= r.threshold);
-        if (frame.falsified) {
-            falsified_at(self, frame.t_end_us);
-            record(self, frame);
-        }
         if (frame.evidence > r.threshold) {
             self.has_evidence = true;
             self.t_evidence_us = frame.t_end_us;
         } else {
             frame.reason = lpvg_reason_not_excited;
+        }
+        if (frame.falsified) {
+            falsified_at(self, frame.t_end_us);
+            record(self, frame);
         }
     }
     return true;
@@ -428,7 +424,7 @@ bool state_well(lpvg_monitor_t& self) {
     return self.newest < n_block && self.n_block <= n_block && self.queue_first < LPVG_NBINS && self.n_queue <= LPVG_NBINS &&
            self.queue[self.turn] < LPVG_NBINS && self.parts < LPVG_NPARTS && self.n_records <= LPVG_NRECORDS &&
            self.energy.next_direction < LPVG_NDIRECTIONS && self.energy.strongest < LPVG_NBANDS &&
-           bin.n < self.coeff->words.frame_length[self.turn] / 2U && bin.n_history <= LPVG_NHISTORY && bin.next_history < LPVG_NHISTORY &&
+           bin.n < self.coeff->words.frame_length[self.turn] / 2U && bin.next_history < LPVG_NHISTORY &&
            (!self.has_evidence || self.t_evidence_us <= self.t_us) && (!self.has_falsified || self.t_falsified_us <= self.t_us) &&
            (!self.has_changed || self.t_changed_us <= self.t_us) && sum_of(self.energy) == self.energy_sum &&
            lpvguard::sum_of_words(self.model.entry) == self.model.sum;
@@ -468,7 +464,6 @@ extern "C" void lpvg_monitor_begin(lpvg_monitor_t* self, const lpvg_coeff_t* coe
     self->coeff = coeff;
     self->energy_quiet = coeff->words.energy_rearm;
     self->change_quiet = coeff->words.change_rearm;
-    lpvg_change_start(&self->change);
 }
 
 // Length: the path of one sample in its order; every branch of it ends or restarts the steps that follow.

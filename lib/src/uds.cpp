@@ -146,7 +146,7 @@ extern "C" size_t lpvg_uds_answer(const lpvg_j1939_t* self, const uint8_t* reque
     } else {
         made.refusal = no_service;
     }
-    if (made.refusal == 0U && made.size > max) {
+    if (made.size > max) {  // what is refused is no longer than a refusal
         made.refusal = too_long;
     }
     if (made.refusal != 0U) {

@@ -149,6 +149,48 @@ TEST_CASE("a message that an attacker puts before the authenticator does not pus
     CHECK((injected == 2 || pair.out.data[0] == 1U));
 }
 
+TEST_CASE("two messages wait, the newest ones, and an authenticator finds either of them", "[unit][auth][REQ-AUTH-1][REQ-AUTH-2]") {
+    const std::size_t genuine = GENERATE(0U, 1U, 2U), sent = GENERATE(1U, 2U, 3U);
+    if (genuine >= sent) {
+        return;
+    }
+    Pair pair;
+    const auto made = pair.authenticator(message(static_cast<uint8_t>(genuine), static_cast<int64_t>(genuine)));
+    for (std::size_t i = 0; i < sent; ++i) {
+        CHECK(pair.take(message(static_cast<uint8_t>(i), static_cast<int64_t>(i))) == lpvg_can_auth_waiting);
+    }
+    CHECK(pair.take(made) == (genuine + 2U >= sent ? lpvg_can_auth_passed : lpvg_can_auth_forged));
+}
+
+TEST_CASE("a message that no longer waits does not pass", "[unit][auth][REQ-AUTH-2]") {
+    Pair pair;
+    const auto first = message(1U, 0), second = message(2U, 1), third = message(3U, 2);
+    const auto of_first = pair.authenticator(first), of_second = pair.authenticator(second);
+    CHECK(pair.take(first) == lpvg_can_auth_waiting);
+    CHECK(pair.take(second) == lpvg_can_auth_waiting);
+    CHECK(pair.take(of_first) == lpvg_can_auth_passed);
+    CHECK(pair.take(of_second) == lpvg_can_auth_alone);
+    CHECK(pair.take(third) == lpvg_can_auth_waiting);
+    CHECK(pair.take(of_second) == lpvg_can_auth_forged);
+}
+
+TEST_CASE("each next freshness is known by its low bits, odd and even, and none comes again behind the last", "[unit][auth][REQ-AUTH-2]") {
+    Pair pair;
+    std::vector<lpvg_can_frame_t> recorded;
+    for (int64_t k = 0; k < 4; ++k) {
+        const auto frame = message(static_cast<uint8_t>(k), k, 1U);  // one byte is a message, too
+        recorded.push_back(pair.authenticator(frame));
+        CHECK(pair.take(frame) == lpvg_can_auth_waiting);
+        CHECK(pair.take(recorded.back()) == lpvg_can_auth_passed);
+        CHECK(pair.receiver.freshness == static_cast<uint64_t>(k) + 1U);
+    }
+    Pair last(UINT64_MAX);  // a recording from the beginning of the count
+    for (int64_t k = 0; k < 4; ++k) {
+        CHECK(last.take(message(static_cast<uint8_t>(k), k, 1U)) == lpvg_can_auth_waiting);
+        CHECK(last.take(recorded[static_cast<std::size_t>(k)]) == lpvg_can_auth_forged);
+    }
+}
+
 TEST_CASE("a message waits for its authenticator as long as it may, on a clock that may be any", "[unit][auth][REQ-AUTH-2]") {
     struct Times {
         int64_t message_us, authenticator_us;
@@ -204,8 +246,11 @@ TEST_CASE("wrong lengths, missing arguments, a hook that fails and the last fres
     CHECK(pair.take(frame) == lpvg_can_auth_waiting);
     CHECK(pair.take(made) == lpvg_can_auth_length);
     made.dlc = 8U;
-    pair.receiver.n_waiting = 200U;  // damaged
-    CHECK(pair.take(made) == lpvg_can_auth_alone);
+    for (const uint8_t damaged : {uint8_t{LPVG_CAN_AUTH_WAITING + 1U}, uint8_t{200}}) {
+        CHECK(pair.take(frame) == lpvg_can_auth_waiting);
+        pair.receiver.n_waiting = damaged;
+        CHECK(pair.take(made) == lpvg_can_auth_alone);
+    }
 
     pair.receiver.config.cmac = pair.sender.config.cmac = [](void*, const uint8_t*, size_t, uint8_t*) { return false; };
     const uint64_t before = pair.sender.freshness;
@@ -222,9 +267,11 @@ TEST_CASE("wrong lengths, missing arguments, a hook that fails and the last fres
     made.data[0] = made.data[1] = 0U;  // nothing is above the newest
     CHECK(last.take(frame) == lpvg_can_auth_waiting);
     CHECK(last.take(made) == lpvg_can_auth_forged);
-    last.receiver.count[lpvg_can_auth_forged] = UINT32_MAX;
-    CHECK(last.take(made) == lpvg_can_auth_forged);
-    CHECK(last.receiver.count[lpvg_can_auth_forged] == UINT32_MAX);
+    last.receiver.count[lpvg_can_auth_forged] = UINT32_MAX - 1U;
+    for (int i = 0; i < 2; ++i) {
+        CHECK(last.take(made) == lpvg_can_auth_forged);
+        CHECK(last.receiver.count[lpvg_can_auth_forged] == UINT32_MAX);
+    }
 }
 
 TEST_CASE("an attacker who knows counter, checksum and every frame sent gets no step of the ECU", "[unit][auth][ecu][REQ-AUTH-2]") {

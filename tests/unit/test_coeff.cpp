@@ -9,8 +9,10 @@
 #include <iterator>
 #include <limits>
 #include <string>
+#include <type_traits>
 #include <vector>
 
+#include "acceptance.hpp"
 #include "lpvguard/monitor.h"
 
 namespace {
@@ -277,4 +279,34 @@ TEST_CASE("values at the edge of what is allowed are accepted", "[unit][coeff][R
         }
     });
     CHECK(lpvg_coeff_check(&coeff) == lpvg_status_ok);
+}
+
+TEST_CASE("words and numbers are walked by themselves, whatever lies between and behind them", "[unit][coeff][REQ-COEF-2][REQ-COEF-3]") {
+    struct Words {
+        uint32_t magic, crc32;
+    };
+    struct Reals {
+        Real first, second;
+    };
+    struct Holed {
+        Words words;
+        alignas(32) Reals reals;
+    };
+    using Bits = std::conditional_t<sizeof(Real) == 4U, uint32_t, uint64_t>;
+    const Reals reals = {Real(1.5), Real(-2.25)};
+    uint32_t crc = lpvguard::crc32_word(lpvguard::crc32_word(lpvguard::crc32_start, uint32_t{0x4C505647U}), uint32_t{0});
+    crc = lpvguard::crc32_word(crc, lpvguard::item_at<Bits>(reals, 0U));
+    crc = lpvguard::crc32_word(crc, lpvguard::item_at<Bits>(reals, 1U));
+    for (const int between : {0x00, 0xA5, 0xFF}) {
+        Holed holed;
+        std::memset(static_cast<void*>(&holed), between, sizeof holed);
+        holed.words.magic = 0x4C505647U;
+        holed.words.crc32 = 0x12345678U;  // is read as zero
+        std::memcpy(&holed.reals, &reals, sizeof reals);
+        CHECK(lpvguard::coefficients_crc32(holed) == ~crc);
+    }
+
+    Real numbers[2][2] = {{Real(1), Real(2)}, {std::numeric_limits<Real>::quiet_NaN(), Real(4)}};
+    CHECK(lpvguard::all_finite(numbers[0]));
+    CHECK_FALSE(lpvguard::all_finite(numbers[1]));
 }

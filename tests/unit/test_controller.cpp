@@ -474,3 +474,69 @@ TEST_CASE("the rate limit goes by the time since the sample before, up to one an
     CHECK(lpvg_control_step_after(nullptr, lpvg_real_t(1), m, false, elapsed_us) == lpvg_status_bad_argument);
     CHECK(lpvg_control_step(nullptr, lpvg_real_t(1), m, false) == lpvg_status_bad_argument);
 }
+
+TEST_CASE("nothing behind the measurements is read", "[unit][controller][REQ-CTL-6]") {
+    lpvg_control_t control = ready();
+    std::vector<Real> m(nm + 1U, Real(0.01));
+    m[nm] = std::numeric_limits<Real>::quiet_NaN();
+    CHECK(lpvg_control_step(&control, mid_speed(), m.data(), true) == lpvg_status_ok);
+}
+
+TEST_CASE("a refused sample moves the states the same way whatever is not finite, engaging or not", "[unit][controller][REQ-CTL-6]") {
+    const Real inf = std::numeric_limits<Real>::infinity(), nan = std::numeric_limits<Real>::quiet_NaN();
+    const bool engaged = GENERATE(false, true);
+    const std::vector<Real> m = measurement(0.05, 7), bad(nm, nan);
+    lpvg_control_t driven = ready();
+    for (int k = 0; k < 100; ++k) {
+        REQUIRE(lpvg_control_step(&driven, mid_speed(), measurement(0.05, k).data(), true) == lpvg_status_ok);
+    }
+    REQUIRE(lpvg_control_step(&driven, mid_speed(), m.data(), false) == lpvg_status_ok);
+    lpvg_control_t reference = driven;
+    const std::vector<Real> nothing(nm, Real(0));
+    REQUIRE(lpvg_control_step(&reference, reals.speed_min, nothing.data(), false) == lpvg_status_ok);
+    struct Sample {
+        Real speed;
+        const std::vector<Real>& m;
+    };
+    for (const Sample& sample : {Sample{mid_speed(), bad}, {reals.speed_max, bad}, {inf, m}, {-inf, m}, {nan, m}}) {
+        lpvg_control_t control = driven;
+        CHECK(lpvg_control_step(&control, sample.speed, sample.m.data(), engaged) == lpvg_status_bad_sample);
+        CHECK(std::memcmp(control.x, reference.x, sizeof control.x) == 0);
+        CHECK(std::memcmp(control.u, reference.u, sizeof control.u) == 0);
+    }
+}
+
+TEST_CASE("every step in which a limit changed the demand is counted, however little and in either direction",
+          "[unit][controller][REQ-CTL-2]") {
+    const Real scale = GENERATE(Real(0.02), Real(-0.02), Real(1), Real(-1));
+    lpvg_control_t control = ready();
+    uint32_t expected = 0;
+    for (int k = 0; k < 600; ++k) {
+        Real v[nu] = {};
+        for (std::size_t i = 0; i < nu; ++i) {
+            for (std::size_t j = 0; j < nk; j += 2U) {
+                v[i] += control.x[i][j];
+            }
+        }
+        const std::vector<Real> m(nm, k == 0 ? Real(0) : scale);  // engages at rest: no state is moved
+        REQUIRE(lpvg_control_step(&control, mid_speed(), m.data(), true) == lpvg_status_ok);
+        expected += std::equal(std::begin(v), std::end(v), std::begin(control.u)) ? 0U : 1U;
+    }
+    CHECK(control.limited == expected);
+    CHECK((std::fabs(scale) < Real(1) || expected > 0U));
+}
+
+TEST_CASE("damaged speeds of the nodes are as the lowest speed: nothing beside the nodes is read", "[unit][controller][REQ-CTL-6]") {
+    lpvg_control_coeff_t damaged = with_scheduled_limits();
+    const lpvg_control_coeff_t whole = damaged;
+    (GENERATE(false, true) ? damaged.reals.speed_max : damaged.reals.speed_min) = std::numeric_limits<Real>::quiet_NaN();
+    lpvg_control_t control = ready(whole), reference = ready(whole);
+    control.coeff = &damaged;
+    for (int k = 0; k < 50; ++k) {
+        const std::vector<Real> m = measurement(0.5, k);
+        CHECK(lpvg_control_step(&control, mid_speed(), m.data(), true) == lpvg_status_ok);
+        CHECK(lpvg_control_step(&reference, whole.reals.speed_min, m.data(), true) == lpvg_status_ok);
+    }
+    CHECK(std::memcmp(control.x, reference.x, sizeof control.x) == 0);
+    CHECK(std::memcmp(control.u, reference.u, sizeof control.u) == 0);
+}

@@ -620,3 +620,76 @@ TEST_CASE("a sum that is not finite falsifies, and the test starts anew", "[unit
     CHECK(alarm.test == lpvg_test_energy);
     CHECK_FALSE(std::isfinite(alarm.margin));
 }
+
+TEST_CASE("a ratio of exactly the energy test's threshold does not falsify", "[unit][energy][REQ-MON-14]") {
+    Real largest = Real(0);
+    const auto falsified = [&](Real threshold) {
+        lpvg_coeff_t coeff = energy_only(0.3);
+        coeff.reals.energy_threshold = threshold;
+        coeff.words.crc32 = lpvg_coeff_crc32(&coeff);
+        Drive drive(coeff);
+        drive.gain = 0.5;
+        for (uint32_t k = 0; k < words().energy_settle + 6U * memory(); ++k) {
+            drive.run(1U);
+            largest = std::max(largest, drive.monitor.energy.ratio);
+        }
+        return drive.monitor.has_falsified;
+    };
+    (void)falsified(Real(1e9));
+    const Real seen = largest;
+    REQUIRE(seen > Real(1));
+    CHECK_FALSE(falsified(seen));
+    CHECK(falsified(std::nextafter(seen, Real(1))));
+}
+
+TEST_CASE("the energy test alarms anew after as many quiet judgements as are stated, and not before", "[unit][energy][REQ-MON-14]") {
+    const uint32_t rearm = 7U, quiet = GENERATE(6U, 7U);
+    lpvg_coeff_t loud = energy_only(0.3);
+    loud.words.energy_rearm = rearm;
+    loud.words.crc32 = lpvg_coeff_crc32(&loud);
+    lpvg_coeff_t still = loud;
+    still.reals.energy_threshold = Real(1e9);
+    Drive drive(loud);
+    drive.gain = 0.5;
+    // Well above in every direction.
+    drive.run(words().energy_settle + 6U * memory());
+    REQUIRE(drive.verdict() == lpvg_verdict_invalid);
+    const auto judged = [&] {
+        do {
+            drive.monitor.energy.ratio = Real(-1);
+            drive.run(1U);
+        } while (drive.monitor.energy.ratio < Real(0));
+        return drive.monitor.energy.ratio;
+    };
+    REQUIRE(judged() > Real(1.001));
+    drive.monitor.n_records = 0U;
+    drive.monitor.coeff = &still;
+    for (uint32_t k = 0; k < quiet; ++k) {
+        CHECK(judged() > Real(1.001));
+    }
+    CHECK(drive.monitor.energy_quiet == quiet);
+    drive.monitor.coeff = &loud;
+    CHECK(judged() > Real(1.001));
+    CHECK(drive.monitor.n_records == (quiet == rearm ? 1U : 0U));
+}
+
+TEST_CASE("anew means that the settling time runs again", "[unit][energy][REQ-MON-15]") {
+    Drive drive;
+    const auto begun = [&] {
+        return std::any_of(std::begin(drive.monitor.energy.band), std::end(drive.monitor.energy.band),
+                           [](const lpvg_energy_band_t& band) { return band.nominal[0] > Real(0); });
+    };
+    drive.run(words().energy_settle + 10U);
+    REQUIRE(begun());
+    auto& left = drive.monitor.energy.band[0].left;
+    std::fill(std::begin(left), std::end(left), std::numeric_limits<Real>::infinity());
+    while (!drive.monitor.has_falsified) {
+        drive.run(1U);
+    }
+    CHECK(drive.monitor.t_falsified_us == drive.now());
+    CHECK_FALSE(begun());
+    drive.run(words().energy_settle);
+    CHECK_FALSE(begun());
+    drive.run(1U);
+    CHECK(begun());
+}

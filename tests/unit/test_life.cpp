@@ -1,6 +1,7 @@
 // The wealth of a life, against the Python package's (golden_life.hpp).
 #include "../catch.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <limits>
@@ -269,4 +270,32 @@ TEST_CASE("counts saturate and no wealth is infinite", "[unit][REQ-LIFE-4]") {
     REQUIRE(lpvg_life_update(&life, 0.0f) == lpvg_status_ok);
     CHECK(life.recordings == LPVG_LIFE_MOST);
     CHECK(lpvg_life_wealth(&life) <= wealth);
+}
+
+TEST_CASE("the CRC is that of ISO-HDLC, low byte first, of words of either size", "[unit][REQ-LIFE-2]") {
+    // "12345678" has 9AE0DAAF.
+    const uint32_t halves = lpvguard::crc32_word(lpvguard::crc32_word(lpvguard::crc32_start, uint32_t{0x34333231U}), uint32_t{0x38373635U});
+    CHECK(~halves == 0x9AE0DAAFU);
+    CHECK(~lpvguard::crc32_word(lpvguard::crc32_start, uint64_t{0x3837363534333231U}) == 0x9AE0DAAFU);
+}
+
+TEST_CASE("a table with more levels than there is room for is refused, whatever stands behind them", "[unit][REQ-LIFE-2]") {
+    lpvg_life_table_t table = golden_table_100;
+    std::fill(std::begin(table.level), std::end(table.level), 0.0f);
+    table.n_levels = LPVG_LIFE_LEVELS;
+    table = sealed(table);
+    CHECK(lpvg_life_table_check(&table) == lpvg_status_ok);
+    table.n_levels = LPVG_LIFE_LEVELS + 1U;
+    table = sealed(table);
+    CHECK(lpvg_life_table_check(&table) == lpvg_status_bad_value);
+}
+
+TEST_CASE("a table is good though its CRC, read as a float, is no number", "[unit][REQ-LIFE-2]") {
+    lpvg_life_table_t table = golden_table_100;
+    for (uint32_t calibrated = 0U; (table.crc32 & 0x7F800000U) != 0x7F800000U; ++calibrated) {
+        REQUIRE(calibrated < 100'000U);
+        table.calibrated = calibrated;
+        table = sealed(table);
+    }
+    CHECK(lpvg_life_table_check(&table) == lpvg_status_ok);
 }

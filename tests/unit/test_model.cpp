@@ -5,7 +5,9 @@
 #include <cmath>
 #include <cstddef>
 #include <cstring>
+#include <limits>
 
+#include "acceptance.hpp"
 #include "golden_model.hpp"
 #include "lpvguard/model.h"
 
@@ -53,6 +55,7 @@ bool same_entries(const lpvg_model_t& a, const lpvg_model_t& b) {
 TEST_CASE("a start leaves nothing of what the memory held", "[unit][model][REQ-MOD-1]") {
     const lpvg_model_t model = started();
     CHECK(std::equal(std::begin(model.entry), std::end(model.entry), std::begin(lpvg_coeff.reals.base)));
+    CHECK(model.sum == lpvguard::sum_of_words(model.entry));
     for (const auto& past : model.past) {
         for (const Real u : past) {
             CHECK(std::isfinite(u));
@@ -111,6 +114,12 @@ TEST_CASE("outside the scheduling range the nearest speed is used", "[unit][mode
     const lpvg_model_t slowest = advanced_at(r.speed_min);
     const lpvg_model_t fastest = advanced_at(r.speed_max);
     CHECK_FALSE(same_entries(slowest, fastest));
+    for (std::size_t i = 0; i < LPVG_NVARYING; ++i) {  // the table's own ends: the first cell at 0, the last one at 1
+        const Real *low = r.cell[0][i], *high = r.cell[LPVG_NCELLS - 1][i];
+        const uint32_t entry = lpvg_coeff.words.varying_entry[i];
+        CHECK(slowest.entry[entry] == low[0]);
+        CHECK(fastest.entry[entry] == high[0] + (high[1] + (high[2] + high[3])));
+    }
     for (const Real speed : {Real(-100), Real(-1), Real(0), r.speed_min / Real(2)}) {
         CAPTURE(speed);
         CHECK(same_entries(advanced_at(speed), slowest));
@@ -162,4 +171,13 @@ TEST_CASE("entries are recomputed when the speed moves, and only then", "[unit][
     lpvg_model_advance(&model, &lpvg_coeff, r.speed_min, Inputs(0).u);
     lpvg_model_advance(&model, &lpvg_coeff, speed, Inputs(0).u);
     CHECK(same_entries(model, fresh));
+}
+
+TEST_CASE("damaged ends of the scheduling range are as its lowest speed: nothing beside the cells is read", "[unit][model][REQ-MON-15]") {
+    lpvg_coeff_t damaged = lpvg_coeff;
+    (GENERATE(false, true) ? damaged.reals.speed_max : damaged.reals.speed_min) = std::numeric_limits<Real>::quiet_NaN();
+    const lpvg_coeff_reals_t& r = lpvg_coeff.reals;
+    lpvg_model_t model = started();
+    lpvg_model_advance(&model, &damaged, Real(0.5) * (r.speed_min + r.speed_max), Inputs(0).u);
+    CHECK(same_entries(model, advanced_at(r.speed_min)));
 }

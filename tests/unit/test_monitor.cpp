@@ -12,6 +12,7 @@
 #include <utility>
 #include <vector>
 
+#include "acceptance.hpp"
 #include "monitor_drive.hpp"
 
 namespace {
@@ -100,7 +101,14 @@ TEST_CASE("a healthy, excited vehicle: unknown until the first frame ends, then 
 
 TEST_CASE("frames hold the Hann spectra of e and yhat, in amplitude", "[unit][monitor][REQ-MON-2]") {
     const auto bin = GENERATE(0U, 1U, uint32_t{LPVG_NBINS - 1});
-    Drive drive;
+    // Odd and even numbers of periods a frame.
+    const uint32_t cycles = words().cycles[bin] + (bin == 0U ? 0U : GENERATE(0U, 1U));
+    Drive drive(sealed([=](lpvg_coeff_t& c) {
+        const double turn = 6.283185307179586 * cycles / c.words.frame_length[bin];
+        c.words.cycles[bin] = cycles;
+        c.reals.turn[bin][0] = static_cast<Real>(-2.0 * std::sin(0.5 * turn) * std::sin(0.5 * turn));
+        c.reals.turn[bin][1] = static_cast<Real>(std::sin(turn));
+    }));
     // Also off the bin: a sinusoid in the bin has the same spectrum under other windows of the same sum.
     drive.bin = GENERATE(false, true) ? LPVG_NBINS / 2 : std::max(bin, 1U);
     drive.gain = 0.8;
@@ -138,9 +146,9 @@ TEST_CASE("frames hold the Hann spectra of e and yhat, in amplitude", "[unit][mo
                 const double turn = 6.283185307179586 * static_cast<double>(n) / static_cast<double>(N);
                 const double w = 0.5 - 0.5 * std::cos(turn);
                 weight += w;
-                Y += w * output[static_cast<std::size_t>(first + n)][j] * std::polar(1.0, -turn * words().cycles[bin]);
+                Y += w * output[static_cast<std::size_t>(first + n)][j] * std::polar(1.0, -turn * cycles);
             }
-            Y *= (words().cycles[bin] == 0U ? 1.0 : 2.0) / weight;
+            Y *= (cycles == 0U ? 1.0 : 2.0) / weight;
             const std::complex<double> Z(static_cast<double>(frame.Z[j][0]), static_cast<double>(frame.Z[j][1]));
             const std::complex<double> E(static_cast<double>(frame.E[j][0]), static_cast<double>(frame.E[j][1]));
             worst = std::max({worst, std::abs(Y - 0.8 * Z), std::abs(E + 0.2 * Z)});
@@ -620,7 +628,8 @@ TEST_CASE("the statistic is the k-th largest of the last m margins of the bin", 
     struct KofM {
         uint32_t k, m;
     };
-    const KofM want = GENERATE(KofM{1, 1}, KofM{1, 3}, KofM{2, 3}, KofM{3, 3}, KofM{5, LPVG_NHISTORY}, KofM{LPVG_NHISTORY, LPVG_NHISTORY});
+    const KofM want = GENERATE(KofM{1, 1}, KofM{1, 3}, KofM{2, 3}, KofM{3, 3}, KofM{1, LPVG_NHISTORY - 1}, KofM{5, LPVG_NHISTORY},
+                               KofM{LPVG_NHISTORY, LPVG_NHISTORY});
     Drive drive(sealed([&](lpvg_coeff_t& c) {
         c.words.confirm = want.k;
         c.words.of_last = want.m;
@@ -721,8 +730,10 @@ TEST_CASE("state that cannot be is as a refused sample, and everything starts an
         [](lpvg_monitor_t& m) { m.energy.W[LPVG_NWEIGHT - 1][1][LPVG_NY - 1] += Real(1); },
         [](lpvg_monitor_t& m) { m.energy.band[0].right[0] = Real(1e30); },
         [](lpvg_monitor_t& m) { m.energy.band[LPVG_NBANDS - 1].right[LPVG_NGRAM - 1] += Real(1); },
-        [](lpvg_monitor_t& m) { m.bin[1].n = words().frame_length[1]; },
-        [](lpvg_monitor_t& m) { m.bin[1].n_history = LPVG_NHISTORY + 1U; },
+        [](lpvg_monitor_t& m) {
+            m.bin[1].n = words().frame_length[1] / 2U;  // the least that cannot be, seen before the bin takes up more
+            m.turn = 0U;
+        },
         [](lpvg_monitor_t& m) { m.bin[1].next_history = LPVG_NHISTORY; },
         [](lpvg_monitor_t& m) { m.t_evidence_us = m.t_us + 1; },
         [](lpvg_monitor_t& m) {
@@ -748,6 +759,7 @@ TEST_CASE("state that cannot be is as a refused sample, and everything starts an
     CHECK(status == lpvg_status_bad_sample);
     CHECK(drive.verdict() == lpvg_verdict_fault);
     CHECK(drive.monitor.repairs == UINT32_MAX);
+    CHECK(lpvg_monitor_push(&drive.monitor, &drive.sample) == lpvg_status_out_of_order);  // its time is the newest, as after any refusal
     drive.monitor.n_queue = LPVG_NBINS + 1U;
     CHECK(drive.step() == lpvg_status_bad_sample);
     CHECK(drive.monitor.repairs == UINT32_MAX);
@@ -770,10 +782,29 @@ TEST_CASE("damage between two turns of the check indexes nothing outside", "[uni
             m.queue[b] = which == 1 && !checked ? LPVG_NBINS : m.queue[b] % LPVG_NBINS;
         }
         m.n_queue = which == 2 ? LPVG_NBINS : m.n_queue;
+        const bool damaged = m.n_queue > 0U && m.queue[m.queue_first] == LPVG_NBINS;  // what cannot be reads as DC
+        const uint32_t sequence = m.frame.sequence;
         wrong += drive.step() == lpvg_status_ok && m.frame.bin < LPVG_NBINS && m.n_queue <= LPVG_NBINS ? 0U : 1U;
+        wrong += damaged && m.frame.sequence != sequence && m.frame.bin != 0U ? 1U : 0U;
     }
     CHECK(wrong == 0U);
     CHECK(drive.monitor.repairs == 0U);
+}
+
+TEST_CASE("a damaged number of margins is the largest that there can be: the ring is not left", "[unit][monitor][REQ-MON-15]") {
+    lpvg_coeff_t damaged = frames_only([](lpvg_coeff_t& c) { c.words.confirm = 1U; });
+    Drive drive(damaged);
+    drive.gain = 0.9;
+    drive.settle();
+    damaged.words.of_last = UINT32_MAX;
+    drive.monitor.coeff = &damaged;
+    std::array<uint32_t, LPVG_NBINS> counted{};
+    drive.run(6U * longest(), [&](const lpvg_frame_t& frame) { ++counted[frame.bin]; });
+    CHECK(counted[0] > LPVG_NHISTORY);
+    CHECK(drive.monitor.repairs == 0U);
+    for (const lpvg_bin_t& bin : drive.monitor.bin) {
+        CHECK(std::all_of(std::begin(bin.history), std::end(bin.history), [](Real margin) { return margin > Real(0); }));
+    }
 }
 
 TEST_CASE("a statistic of exactly the threshold does not falsify", "[unit][monitor][REQ-MON-5]") {
@@ -796,4 +827,394 @@ TEST_CASE("a statistic of exactly the threshold does not falsify", "[unit][monit
     REQUIRE(seen > Real(1));
     CHECK(falsified(seen) == 0U);
     CHECK(falsified(std::nextafter(seen, Real(0))) > 0U);
+}
+
+TEST_CASE("evidence of exactly the threshold is none", "[unit][monitor][REQ-MON-6]") {
+    Real largest = Real(0);
+    const auto excited = [&](Real threshold) {
+        Drive drive(frames_only([&](lpvg_coeff_t& c) { c.reals.threshold = threshold; }));
+        std::size_t count = 0;
+        drive.run(6U * longest(), [&](const lpvg_frame_t& frame) {
+            largest = std::max(largest, frame.evidence);
+            count += frame.reason == lpvg_reason_none ? 1U : 0U;
+        });
+        return count;
+    };
+    (void)excited(Real(1000));
+    const Real seen = largest;
+    REQUIRE(seen > Real(1));
+    CHECK(excited(seen) == 0U);
+    CHECK(excited(std::nextafter(seen, Real(0))) > 0U);
+}
+
+TEST_CASE("a record is the frame as it was judged, its reason too", "[unit][monitor][REQ-MON-11]") {
+    // A disturbance without any excitation: it falsifies, though a dead vehicle would have passed.
+    Drive drive(frames_only([](lpvg_coeff_t& c) {
+        c.words.confirm = c.words.of_last = 1U;
+        c.reals.threshold = Real(1);
+        for (std::size_t b = 0; b < LPVG_NBINS; ++b) {
+            std::fill(std::begin(c.reals.B_w[b]), std::end(c.reals.B_w[b]), Real(0.01) * c.reals.output_valid[0][1]);
+        }
+    }));
+    drive.amplitude = 0.0;
+    std::size_t compared = 0;
+    for (uint32_t k = 0; k < words().settle_samples + 4U * longest(); ++k) {
+        lpvg_sample_t sample = drive.next();
+        for (std::size_t j = 0; j < LPVG_NY; ++j) {
+            sample.y[j] += Real(0.1) * lpvg_coeff.reals.output_valid[j][1];
+        }
+        REQUIRE(lpvg_monitor_push(&drive.monitor, &sample) == lpvg_status_ok);
+        lpvg_frame_t record{};
+        if (lpvg_monitor_take_record(&drive.monitor, &record)) {
+            const lpvg_frame_t& frame = *lpvg_monitor_frame(&drive.monitor);
+            ++compared;
+            CHECK(record.sequence == frame.sequence);
+            CHECK(record.reason == frame.reason);
+            CHECK(record.reason == lpvg_reason_not_excited);
+        }
+    }
+    CHECK(compared > 0U);
+}
+
+TEST_CASE("taking a record moves up those that wait, and nothing else", "[unit][monitor][REQ-MON-11]") {
+    Drive drive(only_bin(LPVG_NBINS - 1));
+    drive.bin = LPVG_NBINS - 1;
+    drive.gain = 0.3;
+    while (drive.monitor.n_records < LPVG_NRECORDS) {
+        drive.run(1U);
+    }
+    lpvg_monitor_t& m = drive.monitor;
+    lpvg_frame_t before[LPVG_NRECORDS], record{};
+    std::memcpy(before, m.record, sizeof before);
+    REQUIRE(lpvg_monitor_take_record(&m, &record));
+    CHECK(m.n_records == LPVG_NRECORDS - 1U);
+    CHECK(std::memcmp(&record, &before[0], sizeof record) == 0);
+    CHECK(std::memcmp(&m.record[0], &before[1], (LPVG_NRECORDS - 1U) * sizeof record) == 0);
+    CHECK(std::memcmp(&m.record[LPVG_NRECORDS - 1U], &before[LPVG_NRECORDS - 1U], sizeof record) == 0);
+}
+
+namespace {
+
+// What one push did, told by marks that it writes over.
+struct Pushed {
+    uint32_t closed;  // frames and first halves
+    bool judged, energy, change, taken;
+};
+
+Pushed push_marked(Drive& drive) {
+    lpvg_monitor_t& m = drive.monitor;
+    uint32_t n[LPVG_NBINS];
+    for (std::size_t b = 0; b < LPVG_NBINS; ++b) {
+        n[b] = m.bin[b].n;
+    }
+    const uint32_t sequence = m.frame.sequence, parts = m.parts, pending = m.change.pending;
+    const Real mark = Real(-1);
+    m.energy.ratio = m.change.ratio = mark;
+    REQUIRE(drive.step() == lpvg_status_ok);
+    Pushed did{0U, m.frame.sequence != sequence || m.parts != parts, m.energy.ratio > mark, m.change.ratio > mark,
+               m.change.pending > pending};
+    for (std::size_t b = 0; b < LPVG_NBINS; ++b) {
+        did.closed += m.bin[b].n < n[b] ? 1U : 0U;
+    }
+    return did;
+}
+
+}  // namespace
+
+TEST_CASE("pushes share the work: several frames close, or a part of one is judged, or the energy test; the change test comes last",
+          "[unit][monitor][REQ-MON-12][REQ-MON-14][REQ-MON-16]") {
+    const bool together = GENERATE(false, true);  // all frames of one length, so that all close within a block
+    Drive drive(frames_only([&](lpvg_coeff_t& c) {
+        if (together) {
+            std::fill(std::begin(c.words.frame_length), std::end(c.words.frame_length), c.words.frame_length[0]);
+        }
+    }));
+    drive.run(1U);  // starts everything
+    std::array<uint32_t, LPVG_NBINS> closed_frames{}, judged_frames{};
+    uint32_t parts = 0, several = 0, changes = 0;
+    std::size_t wrong = 0;
+    for (uint32_t k = 0; k < words().settle_samples + 6U * longest(); ++k) {
+        const lpvg_monitor_t& m = drive.monitor;
+        const uint32_t before = m.frame.sequence, waiting = m.n_queue, pending = m.change.pending;
+        std::array<bool, LPVG_NBINS> had{};
+        std::transform(std::begin(m.bin), std::end(m.bin), had.begin(), [](const lpvg_bin_t& bin) { return bin.has_before; });
+        std::array<int64_t, LPVG_NBINS> ends{};
+        std::transform(std::begin(m.bin), std::end(m.bin), ends.begin(), [](const lpvg_bin_t& bin) { return bin.frame_end_us; });
+        const Pushed did = push_marked(drive);
+        uint32_t queued = 0;
+        for (std::size_t b = 0; b < LPVG_NBINS; ++b) {
+            queued += m.bin[b].frame_end_us != ends[b] ? 1U : 0U;
+            closed_frames[b] += m.bin[b].frame_end_us != ends[b] ? 1U : 0U;
+        }
+        judged_frames[m.frame.bin] += m.frame.sequence != before ? 1U : 0U;
+        parts += did.judged ? 1U : 0U;
+        several += did.closed > 1U ? 1U : 0U;
+        changes += did.change ? 1U : 0U;
+        wrong += did.judged != (waiting + queued > 0U && did.closed < 2U) ? 1U : 0U;
+        wrong += did.energy == did.judged ? 1U : 0U;
+        const bool last = m.newest == LPVG_NBLOCK - 1U;
+        wrong += !last && did.change != (pending > 0U && !did.judged && did.closed == 0U) ? 1U : 0U;
+        wrong += did.taken && !last ? 1U : 0U;
+    }
+    CHECK(wrong == 0U);
+    CHECK((!together || several >= 6U));
+    CHECK(changes > 0U);
+    const uint32_t judged = drive.monitor.frame.sequence;
+    CHECK(parts == judged * LPVG_NPARTS + drive.monitor.parts);
+    for (std::size_t b = 0; b < LPVG_NBINS; ++b) {
+        CHECK(closed_frames[b] - judged_frames[b] <= 1U);  // none is lost
+        CHECK(judged_frames[b] > 4U);
+    }
+}
+
+TEST_CASE("the sum over the energy test is of its filters and right sums as the newest sample left them", "[unit][monitor][REQ-MON-15]") {
+    Drive drive;
+    for (uint32_t k = 0; k < 3U * longest(); ++k) {
+        REQUIRE(drive.step() == lpvg_status_ok);
+        const lpvg_energy_t& energy = drive.monitor.energy;
+        uint32_t sum = lpvguard::sum_of_words(energy.F) + lpvguard::sum_of_words(energy.W);
+        for (const lpvg_energy_band_t& band : energy.band) {
+            sum += lpvguard::sum_of_words(band.right);
+        }
+        REQUIRE(drive.monitor.energy_sum == sum);
+    }
+}
+
+TEST_CASE("samples in range are counted from the first, up to what a word holds", "[unit][monitor][REQ-MON-7][REQ-MON-10]") {
+    Drive drive;
+    for (uint32_t k = 1; k <= 10U; ++k) {
+        REQUIRE(drive.step() == lpvg_status_ok);
+        CHECK(drive.monitor.settled == k);
+    }
+    drive.speed = lpvg_coeff.reals.speed_max * Real(1.01);
+    for (int k = 0; k < 2; ++k) {
+        REQUIRE(drive.step() == lpvg_status_ok);
+        CHECK(drive.monitor.settled == 0U);
+    }
+    drive.speed = cruise();
+    REQUIRE(drive.step() == lpvg_status_ok);
+    CHECK(drive.monitor.settled == 1U);
+    drive.monitor.settled = std::numeric_limits<uint32_t>::max() - 1U;
+    for (int k = 0; k < 3; ++k) {
+        REQUIRE(drive.step() == lpvg_status_ok);
+        CHECK(drive.monitor.settled == std::numeric_limits<uint32_t>::max());
+    }
+}
+
+TEST_CASE("out of range the energy test rests, after a single sample in range too", "[unit][monitor][REQ-MON-14]") {
+    const uint32_t in_range = GENERATE(1U, 2U, 300U);
+    lpvg_energy_t rest{};
+    lpvg_energy_start(&rest, &lpvg_coeff);
+    const auto rests = [&](const lpvg_energy_t& energy) {
+        return std::memcmp(energy.F, rest.F, sizeof rest.F) == 0 && std::memcmp(energy.W, rest.W, sizeof rest.W) == 0 &&
+               std::memcmp(energy.band, rest.band, sizeof rest.band) == 0;
+    };
+    Drive drive;
+    drive.run(in_range);
+    CHECK_FALSE(rests(drive.monitor.energy));
+    drive.speed = lpvg_coeff.reals.speed_max * Real(1.01);
+    for (int k = 0; k < 5; ++k) {
+        drive.run(1U);
+        CHECK(rests(drive.monitor.energy));
+    }
+}
+
+TEST_CASE("a refused sample has its time: it is not taken again", "[unit][monitor][REQ-MON-8][REQ-MON-9]") {
+    Drive drive;
+    drive.run(5U);
+    lpvg_sample_t sample = drive.next();
+    sample.speed = std::numeric_limits<Real>::quiet_NaN();
+    REQUIRE(lpvg_monitor_push(&drive.monitor, &sample) == lpvg_status_bad_sample);
+    sample.speed = cruise();
+    CHECK(lpvg_monitor_push(&drive.monitor, &sample) == lpvg_status_out_of_order);
+    CHECK(drive.monitor.out_of_order == 1U);
+    CHECK(drive.step() == lpvg_status_ok);
+}
+
+TEST_CASE("a step of half the clock's range and a period is no period", "[unit][monitor][REQ-MON-9][REQ-MON-10]") {
+    Drive drive(lpvg_coeff, std::numeric_limits<int64_t>::min());
+    drive.run(3U);
+    lpvg_sample_t sample = drive.sample;
+    sample.t_us = drive.now() + std::numeric_limits<int64_t>::max() + 1 + period_us();  // twice that step is two periods, modulo 2^64
+    REQUIRE(lpvg_monitor_push(&drive.monitor, &sample) == lpvg_status_ok);
+    CHECK(drive.monitor.restarts == 2U);
+}
+
+TEST_CASE("the newest falsification counts, whichever test it is of and whenever it is judged", "[unit][monitor][REQ-MON-5][REQ-MON-14]") {
+    const int64_t start = GENERATE(int64_t{0}, int64_t{-1000000000000});
+    Drive drive(sealed([](lpvg_coeff_t& c) {
+                    c.words.confirm = c.words.of_last = 1U;
+                    c.reals.threshold = c.reals.energy_threshold = Real(1);
+                    c.reals.change_threshold = Real(1e9);
+                }),
+                start);
+    drive.gain = -1.0;
+    int64_t newest = std::numeric_limits<int64_t>::min();
+    std::size_t behind = 0;
+    for (uint32_t k = 0; k < words().energy_settle + 4U * longest(); ++k) {
+        lpvg_monitor_t& m = drive.monitor;
+        const uint32_t sequence = m.frame.sequence;
+        m.energy.ratio = Real(0);
+        REQUIRE(drive.step() == lpvg_status_ok);
+        const bool frame = m.frame.sequence != sequence && m.frame.falsified;
+        behind += frame && m.frame.t_end_us < newest ? 1U : 0U;
+        newest = std::max({newest, frame ? m.frame.t_end_us : newest, m.energy.ratio > Real(1) ? drive.now() : newest});
+        REQUIRE(m.has_falsified == (newest > std::numeric_limits<int64_t>::min()));
+        REQUIRE((!m.has_falsified || m.t_falsified_us == newest));
+        REQUIRE((drive.verdict() == lpvg_verdict_invalid) ==
+                (m.has_falsified && drive.now() - newest <= static_cast<int64_t>(longest()) * period_us()));
+    }
+    CHECK(behind > 0U);
+    CHECK(drive.monitor.repairs == 0U);
+}
+
+namespace {
+
+// Only one part of one output's estimate is heard, above 1; sizes of gain and delay differ.
+lpvg_coeff_t change_only(std::size_t output, std::size_t part, Real scale, uint32_t rearm) {
+    return sealed([=](lpvg_coeff_t& c) {
+        c.reals.threshold = c.reals.energy_threshold = Real(1e9);
+        c.reals.change_threshold = Real(1);
+        c.reals.change_forget = Real(0.05);
+        c.words.change_rearm = rearm;
+        for (std::size_t j = 0; j < LPVG_NY; ++j) {
+            const Real prior[6] = {Real(1e-6), Real(0), Real(0), Real(1e-6), Real(0), Real(1e-6)};
+            std::memcpy(c.reals.change_prior[j], prior, sizeof prior);
+            c.reals.change_unit[j][0] = Real(1 + j) / lpvg_coeff.reals.output_valid[j][1];
+            c.reals.change_unit[j][1] = Real(5 + j) / lpvg_coeff.reals.output_valid[j][1];
+            std::fill(std::begin(c.reals.change_scale[j]), std::end(c.reals.change_scale[j]), Real(1e-9) * Real(1 + j));
+        }
+        c.reals.change_scale[output][part] = scale;
+    });
+}
+
+// Until the change test has judged so many times.
+void judge_change(Drive& drive, uint32_t times) {
+    for (uint32_t k = 0; times > 0U; ++k) {
+        REQUIRE(k < 100U * LPVG_NBLOCK + 10U * longest());
+        times -= push_marked(drive).change ? 1U : 0U;
+    }
+}
+
+}  // namespace
+
+TEST_CASE("an alarm of the change test names output and part, and holds estimate, time and what a lost output would read",
+          "[unit][monitor][REQ-MON-16]") {
+    const std::size_t output = GENERATE(range(std::size_t{0}, std::size_t{LPVG_NY})), part = GENERATE(range(0U, 3U));
+    const lpvg_coeff_t coeff = change_only(output, part, Real(1e9), 5U);
+    lpvg_coeff_t still = coeff;
+    still.reals.change_threshold = Real(1e30);
+    Drive drive(coeff);
+    drive.gain = 0.7;
+    drive.monitor.coeff = &still;
+    drive.settle();  // frames have been judged by then
+    drive.monitor.coeff = &coeff;
+    for (uint32_t k = 0; drive.monitor.n_records == 0U; ++k) {
+        REQUIRE(k < words().settle_samples + 4U * longest());
+        REQUIRE(drive.step() == lpvg_status_ok);
+    }
+    const lpvg_change_t& said = drive.monitor.change;
+    lpvg_frame_t alarm{};
+    REQUIRE(lpvg_monitor_take_record(&drive.monitor, &alarm));
+    CHECK(alarm.test == lpvg_test_change);
+    CHECK(alarm.bin == 3U * output + part);
+    CHECK(alarm.bin == said.strongest);
+    CHECK(alarm.sequence == drive.monitor.frame.sequence);
+    CHECK(alarm.sequence > 0U);
+    CHECK(alarm.t_end_us == drive.now());
+    CHECK(alarm.t_end_us > 0);
+    CHECK(alarm.reason == lpvg_reason_none);
+    CHECK(alarm.falsified);
+    CHECK(alarm.speed == drive.speed);
+    CHECK((alarm.margin == said.ratio && alarm.statistic == said.ratio));
+    CHECK(alarm.evidence == coeff.reals.change_scale[output][0] / coeff.reals.change_unit[output][0]);
+    CHECK((alarm.E[0][0] == said.estimate[0] && alarm.E[0][1] == said.estimate[1] && alarm.Z[0][0] == said.estimate[2]));
+    CHECK((said.estimate[0] != said.estimate[1] && said.estimate[1] != said.estimate[2] && said.estimate[2] != Real(0)));
+    CHECK(alarm.Z[0][1] == Real(0));
+    for (std::size_t j = 1; j < LPVG_NY; ++j) {
+        CHECK((alarm.E[j][0] == Real(0) && alarm.E[j][1] == Real(0) && alarm.Z[j][0] == Real(0) && alarm.Z[j][1] == Real(0)));
+    }
+    CHECK(drive.monitor.t_changed_us == drive.now());
+}
+
+TEST_CASE("a ratio of exactly the change test's threshold says nothing", "[unit][monitor][REQ-MON-16]") {
+    Real largest = Real(0);
+    const auto changed = [&](Real threshold) {
+        lpvg_coeff_t coeff = change_only(LPVG_NY - 1, 0U, Real(10), 5U);
+        coeff.reals.change_threshold = threshold;
+        Drive drive(sealed([&](lpvg_coeff_t& c) { c.reals = coeff.reals; }));
+        drive.gain = 0.7;
+        drive.run(words().settle_samples + 2U * longest());
+        for (uint32_t k = 0; k < 4U * longest(); ++k) {
+            drive.run(1U);
+            largest = std::max(largest, drive.monitor.change.ratio);
+        }
+        return drive.monitor.has_changed;
+    };
+    // From the beginning, as the monitor judges it.
+    (void)changed(Real(1e9));
+    Real highest = largest;
+    {
+        lpvg_coeff_t coeff = change_only(LPVG_NY - 1, 0U, Real(10), 5U);
+        coeff.reals.change_threshold = Real(1e9);
+        Drive drive(sealed([&](lpvg_coeff_t& c) { c.reals = coeff.reals; }));
+        drive.gain = 0.7;
+        for (uint32_t k = 0; k < words().settle_samples + 6U * longest(); ++k) {
+            drive.run(1U);
+            highest = std::max(highest, drive.monitor.change.ratio);
+        }
+    }
+    REQUIRE(highest > Real(0));
+    CHECK_FALSE(changed(highest));
+    CHECK(changed(std::nextafter(highest, Real(0))));
+}
+
+TEST_CASE("the change test alarms anew after as many quiet judgements as are stated, and not before", "[unit][monitor][REQ-MON-16]") {
+    const uint32_t rearm = GENERATE(6U, 7U), quiet = rearm - GENERATE(1U, 0U);
+    const lpvg_coeff_t loud = change_only(0U, 0U, Real(1e9), rearm);
+    lpvg_coeff_t still = loud;
+    still.reals.change_threshold = Real(1e30);
+    Drive drive(loud);
+    drive.gain = 0.7;
+    drive.run(words().settle_samples + 2U * longest());
+    REQUIRE(drive.monitor.n_records == 1U);
+    // The outputs that are not heard are quiet: those judgements count as well.
+    while (drive.monitor.change_quiet != 0U) {
+        judge_change(drive, 1U);
+    }
+    drive.monitor.n_records = 0U;
+    drive.monitor.coeff = &still;
+    judge_change(drive, quiet);
+    CHECK(drive.monitor.change_quiet == quiet);
+    const uint32_t of_output = drive.monitor.change.pending % LPVG_NY;  // 0: the first output is next
+    if (of_output == 0U) {
+        drive.monitor.coeff = &loud;
+        judge_change(drive, 1U);
+        CHECK(drive.monitor.n_records == (quiet == rearm ? 1U : 0U));
+        CHECK(drive.monitor.change_quiet == 0U);
+    }
+}
+
+TEST_CASE("the change test takes whole blocks of settled samples, and their mean, the oldest first", "[unit][monitor][REQ-MON-16]") {
+    Drive drive(frames_only([](lpvg_coeff_t& c) { c.words.settle_samples = 0U; }));  // settled from the first sample
+    drive.gain = 0.9;
+    const lpvg_monitor_t& m = drive.monitor;
+    std::size_t blocks = 0, wrong = 0;
+    for (uint32_t k = 1; k <= 2U * longest(); ++k) {
+        const Pushed did = push_marked(drive);
+        if (!did.taken) {
+            continue;
+        }
+        ++blocks;
+        CHECK(k >= LPVG_NBLOCK);
+        for (std::size_t i = 0; i < 2U * LPVG_NY; ++i) {
+            Real sum = m.signal[0][i];
+            for (std::size_t row = 1; row < LPVG_NBLOCK; ++row) {
+                sum += m.signal[row][i];
+            }
+            wrong += m.change.mean[i] != sum * (Real(1) / Real(LPVG_NBLOCK)) ? 1U : 0U;
+        }
+    }
+    CHECK(blocks > 10U);
+    CHECK(wrong == 0U);
 }

@@ -1,6 +1,7 @@
 #include "../catch.hpp"
 
 #include <cstring>
+#include <limits>
 #include <vector>
 
 #include "lpvguard/uds.h"
@@ -84,6 +85,49 @@ TEST_CASE("state, newest freeze frame and NAME are read by identifier", "[unit][
     CHECK(node.ask({0x22U, 0x4CU, 0U}) == Bytes{0x62U, 0x4CU, 0U, lpvg_j1939_state_claimed, 0xFCU, 1U, 2U});
     CHECK(node.ask({0x22U, 0x4CU, 1U}) == Bytes{0x62U, 0x4CU, 1U} + code_a + Bytes{1U} + held);
     CHECK(node.ask({0x22U, 0x4CU, 2U}) == Bytes{0x62U, 0x4CU, 2U, 8U, 7U, 6U, 5U, 4U, 3U, 2U, 1U});
+    node.memory.entry[0].freeze.sequence = UINT32_MAX - 1U;  // activations are counted this far
+    CHECK(node.ask({0x22U, 0x4CU, 1U}) == Bytes{0x62U, 0x4CU, 1U} + code_b + Bytes{1U} + held);
+}
+
+TEST_CASE("numbers of a freeze frame are rounded, up to the last that is none of the special ones", "[unit][uds][REQ-J1939-12]") {
+    Node node;
+    node.step({{904U, 9U, 0U}});
+    lpvg_j1939_freeze_t& freeze = node.memory.entry[0].freeze;
+    const size_t statistic = 3U + 3U + 1U + 3U, time = statistic + 4U;  // behind head, code and count, speed and bin
+    const auto read = [&](size_t at, size_t bytes) {
+        const Bytes answer = node.ask({0x22U, 0x4CU, 1U});
+        uint32_t value = 0U;
+        for (size_t i = 0; i < bytes; ++i) {
+            value |= static_cast<uint32_t>(answer.at(at + i)) << (8U * i);
+        }
+        return value;
+    };
+    struct Number {
+        float steps;  // of 1/1024
+        uint32_t raw;
+    };
+    for (const Number& number : {Number{0.0F, 0U},
+                                 {0.25F, 0U},
+                                 {0.75F, 1U},
+                                 {1.25F, 1U},
+                                 {-3.0F, 0U},
+                                 {64254.25F, 64254U},
+                                 {64254.75F, 64255U},
+                                 {64255.0F, 64255U},
+                                 {64255.75F, 64255U},
+                                 {1e9F, 64255U}}) {
+        CAPTURE(number.steps);
+        freeze.statistic = number.steps / 1024.0F;
+        CHECK(read(statistic, 2U) == number.raw);
+    }
+    freeze.statistic = std::numeric_limits<float>::quiet_NaN();
+    CHECK(read(statistic, 2U) == 0xFFFFU);
+    for (const uint32_t ms : {0U, 0xFAFFFFFEU, 0xFAFFFFFFU}) {
+        freeze.t_us = int64_t{ms} * 1000 + 999;
+        CHECK(read(time, 4U) == ms);
+    }
+    freeze.t_us = (int64_t{0xFAFFFFFFU} + 1) * 1000;
+    CHECK(read(time, 4U) == 0xFAFFFFFFU);
 }
 
 TEST_CASE("what is not offered is refused by the code that says why", "[unit][uds][REQ-J1939-12]") {
@@ -97,6 +141,10 @@ TEST_CASE("what is not offered is refused by the code that says why", "[unit][ud
     CHECK(node.ask({0x10U, 1U}) == refused(0x10U, 0x11U));
     CHECK(node.ask({0xFFU}) == refused(0xFFU, 0x11U));
     CHECK(node.ask({0x19U, 1U, 0xFFU}) == refused(0x19U, 0x12U));
+    CHECK(node.ask({0x19U, 1U}) == refused(0x19U, 0x12U));
+    for (const uint8_t kind : {uint8_t{3}, uint8_t{5}, uint8_t{7}}) {
+        CHECK(node.ask({0x19U, kind, 0xFFU}) == refused(0x19U, 0x12U));
+    }
     CHECK(node.ask({0x19U}) == refused(0x19U, 0x13U));
     CHECK(node.ask({0x19U, 2U}) == refused(0x19U, 0x13U));
     CHECK(node.ask({0x19U, 2U, 1U, 1U}) == refused(0x19U, 0x13U));
@@ -106,12 +154,15 @@ TEST_CASE("what is not offered is refused by the code that says why", "[unit][ud
     CHECK(node.ask({0x22U, 0x4CU, 3U}) == refused(0x22U, 0x31U));
     CHECK(node.ask({0x19U, 4U, 0U, 0U, 0U, 1U}) == refused(0x19U, 0x31U));
     CHECK(node.ask({0x19U, 4U, 0xE8U, 3U, 3U, 1U}) == refused(0x19U, 0x31U));  // another FMI
+    CHECK(node.ask({0x19U, 4U, 0x08U, 3U, 2U, 1U}) == refused(0x19U, 0x31U));
     CHECK(node.ask({0x19U, 4U, 0xE8U, 4U, 2U, 1U}) == refused(0x19U, 0x31U));
     CHECK(node.ask({0x19U, 4U, 0xE8U, 3U, 2U, 2U}) == refused(0x19U, 0x31U));
     CHECK(node.ask({0x19U, 4U, 0xE8U, 3U, 2U, 1U})[0] == 0x59U);
     CHECK(node.ask({0x19U, 2U, 1U}).size() == LPVG_UDS_ANSWER_MAX);
     CHECK(node.ask({0x19U, 2U, 1U}, LPVG_UDS_ANSWER_MAX - 1U) == refused(0x19U, 0x14U));
     CHECK(node.ask({0x10U}, 2U).empty());
+    CHECK(node.ask({0x10U}, 3U) == refused(0x10U, 0x11U));
+    CHECK(node.ask({0x22U, 0x4CU, 3U}, 3U) == refused(0x22U, 0x31U));
 
     uint8_t answer[LPVG_UDS_ANSWER_MAX];
     const uint8_t request[] = {0x10U};

@@ -284,6 +284,8 @@ TEST_CASE("what is not for the slave is not answered, and wrong arguments are re
     slave.connect();
     CHECK(slave.ask({0xF5, 1}) == Bytes{0xFF, 0x40});  // the last range counts, and a session begins at address 0
     CHECK(slave.ask_at(0xF4, 1, 0U) == Bytes{0xFF, 0x40});
+    CHECK(slave.ask({0xFA, 1}) == joined({0xFF, 0, 0, 0}, native(0U)));
+    CHECK(slave.ask({0xF5, 1}) == Bytes{0xFF, 0x40});  // what is not offered is no text: the address is 0
     many[0] = {low, 16U, nullptr};
     CHECK(refused(config));
     many[0] = {low, 1U, slave.memory};
@@ -357,9 +359,11 @@ TEST_CASE("a list sends what memory holds at each event", "[unit][xcp][REQ-XCP-4
 
     CHECK(lpvg_xcp_event(&slave.xcp, 0, slave.made, 1U) == 0U);  // all of it or nothing
     CHECK(slave.xcp.missed == 1U);
-    slave.xcp.missed = UINT32_MAX;
-    CHECK(lpvg_xcp_event(&slave.xcp, 0, slave.made, 0U) == 0U);
-    CHECK(slave.xcp.missed == UINT32_MAX);
+    slave.xcp.missed = UINT32_MAX - 1U;
+    for (int k = 0; k < 2; ++k) {
+        CHECK(lpvg_xcp_event(&slave.xcp, 0, slave.made, 0U) == 0U);
+        CHECK(slave.xcp.missed == UINT32_MAX);
+    }
     CHECK(lpvg_xcp_event(&slave.xcp, 0, slave.made, 2U) == 2U);
     CHECK(lpvg_xcp_event(nullptr, 0, slave.made, 2U) == 0U);
     CHECK(lpvg_xcp_event(&slave.xcp, 0, nullptr, 2U) == 0U);
@@ -472,6 +476,7 @@ TEST_CASE("a list without a mode is not started", "[unit][xcp][REQ-XCP-5]") {
     CHECK(slave.on(0xDE, {}, 1U) == incomplete);
     CHECK(slave.mode(0U) == out_of_range);
     CHECK(slave.mode(1U, 0U, 1U) == out_of_range);
+    CHECK(slave.mode(1U, 0U, 256U) == out_of_range);
     CHECK(slave.mode(1U, 0U, 0U, 1U) == out_of_range);
     for (unsigned bit = 0U; bit < 8U; ++bit) {
         CHECK(slave.mode(1U, static_cast<uint8_t>(1U << bit)) == wrong_mode);
@@ -552,4 +557,68 @@ TEST_CASE("nothing of a session is on the heap", "[unit][xcp][REQ-XCP-1]") {
     }
     const long after = heap_allocations();
     CHECK(after == before);
+}
+
+TEST_CASE("a frame of the list holds nothing but its number and its entries", "[unit][xcp][REQ-XCP-4]") {
+    List slave;
+    slave.configure();
+    REQUIRE(slave.on(0xDE, {}, 1U) == Bytes{0xFF, 0});
+    std::memset(slave.made, 0xEE, sizeof slave.made);
+    REQUIRE(slave.event() == 2U);
+    for (std::size_t i = 0; i < 2U; ++i) {
+        CHECK(std::all_of(slave.made[i].data + slave.made[i].dlc, std::end(slave.made[i].data), [](uint8_t byte) { return byte == 0U; }));
+    }
+}
+
+TEST_CASE("a list is told from its allocation on, and what is told of its event does not end it", "[unit][xcp][REQ-XCP-4]") {
+    List slave;
+    const auto lists = [&] { return slave.ask({0xDA}).at(2) + slave.ask({0xDA}).at(3); };
+    REQUIRE(slave.ask({0xD6}) == done);
+    CHECK(lists() == 0);
+    REQUIRE(slave.on(0xD5, {}, 0U, 1U) == done);
+    CHECK(lists() == 1);
+    REQUIRE(slave.ask({0xD7, 0, 0, 0})[0] == 0xFF);
+    CHECK(lists() == 1);
+    slave.configure();
+    CHECK(slave.on(0xDF) == Bytes{0xFF, 0, 0, 0, 0, 0, 1, 0});  // neither selected nor running
+    REQUIRE(slave.on(0xDE, {}, 2U) == Bytes{0xFF, 0});
+    CHECK(slave.ask({0xDD, 3}) == wrong_mode);
+    CHECK(slave.on(0xDF) == Bytes{0xFF, 0x01, 0, 0, 0, 0, 1, 0});  // still selected
+}
+
+TEST_CASE("entries that are allocated or cleared are empty, and none stands behind the last", "[unit][xcp][REQ-XCP-5]") {
+    List slave;
+    slave.allocate({7U});
+    REQUIRE(slave.mode(1U) == done);
+    REQUIRE(slave.on(0xE2, {0U, 6U}) == done);
+    REQUIRE(slave.write(2U, low) == done);  // the last entry alone is enough
+    REQUIRE(slave.on(0xDE, {}, 1U) == Bytes{0xFF, 0});
+    REQUIRE(slave.event() == 1U);
+    CHECK(slave.frame(0) == Bytes{0, 0x40, 0x41});
+    REQUIRE(slave.on(0xDE, {}, 0U) == Bytes{0xFF, 0});
+    REQUIRE(slave.on(0xD3, {0U, 7U}) == done);
+    CHECK(slave.on(0xDE, {}, 1U) == incomplete);
+
+    slave.allocate(Bytes(8U, 1U));
+    REQUIRE(slave.mode(1U) == done);
+    const auto write = [&](uint8_t odt) {
+        REQUIRE(slave.on(0xE2, {odt, 0U}) == done);
+        REQUIRE(slave.write(1U, low + odt) == done);
+    };
+    for (const uint8_t odt : {uint8_t{8}, uint8_t{9}, uint8_t{255}}) {
+        CHECK(slave.on(0xE2, {odt, 0U}) == out_of_range);
+    }
+    for (uint8_t odt = 0U; odt < 8U; ++odt) {
+        write(odt);
+    }
+    REQUIRE(slave.on(0xDE, {}, 1U) == Bytes{0xFF, 0});
+    REQUIRE(slave.on(0xDE, {}, 0U) == Bytes{0xFF, 0});
+    REQUIRE(slave.on(0xE2, {0U, 0U}) == done);
+    REQUIRE(slave.on(0xE3) == done);
+    CHECK(slave.write(1U, low) == sequence);  // clearing forgets where the next entry goes
+    for (uint8_t odt = 0U; odt < 8U; ++odt) {
+        CHECK(slave.on(0xDE, {}, 1U) == incomplete);
+        write(odt);
+    }
+    CHECK(slave.on(0xDE, {}, 1U) == Bytes{0xFF, 0});
 }

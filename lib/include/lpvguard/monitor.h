@@ -150,8 +150,8 @@ typedef struct lpvg_bin_t {
     lpvg_real_t frame_re[2 * LPVG_NY], frame_im[2 * LPVG_NY];    ///< frame that waits to be judged: E then Z [output unit]
     lpvg_span_t frame_span;
     int64_t frame_end_us;                     ///< time of its last sample                            [us]
-    lpvg_real_t history[LPVG_NHISTORY];       ///< margins of the last counted frames, a ring [-]
-    uint32_t n_history, next_history;         ///< margins in the ring; where the next one goes
+    lpvg_real_t history[LPVG_NHISTORY];       ///< margins of the last counted frames, a ring; 0: none yet [-]
+    uint32_t next_history;                    ///< where the next margin goes
 } lpvg_bin_t;
 
 typedef struct lpvg_monitor_t {
