@@ -12,7 +12,8 @@
  *   missed    a fault of the vehicle during FOUND_MS of engaged driving, without another fault, ends with an alarm
  *
  * Writes a line an hour: what was driven, said and counted, a digest of every frame sent, the instructions of the worst tick and the
- * depth of the stack. The lines of one length and seed are the same on every target but for these two. soak_input.h states SOAK_HOURS, SOAK_HOUR_MS (shorter in a short form) and SOAK_SEED. */
+ * depth of the stack. The lines of one length and seed are the same on every target but for these two. soak_input.h
+ * states SOAK_HOURS, SOAK_HOUR_MS (shorter in a short form) and SOAK_SEED. */
 #include <string.h>
 
 #include "firmware.h"
