@@ -92,7 +92,7 @@ TEST_CASE("every finding has the failure mode of its cause, and the count of occ
     }
 }
 
-TEST_CASE("an alarm's code has the failure mode of the cause that was found", "[unit][ecu][REQ-J1939-14]") {
+TEST_CASE("an alarm's code has the failure mode of the cause that was found", "[unit][ecu][REQ-J1939-13]") {
     struct Case {
         lpvg_cause_t cause;
         float value;
