@@ -7,6 +7,9 @@ import importlib.util
 import os
 import shutil
 import subprocess
+from functools import cache
+from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -44,3 +47,14 @@ def require(part: str) -> None:
     """Skips the test that asks when the part is missing."""
     if why := missing(part):
         pytest.skip(why)
+
+
+@cache
+def release() -> ModuleType:
+    """tools/release.py as a module."""
+    path = Path(__file__).resolve().parents[1] / "tools" / "release.py"
+    spec = importlib.util.spec_from_file_location("release", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
