@@ -4,6 +4,7 @@ OUT receives, all or nothing:
 
     lpvguard-VERSION.tar.gz              what git archives: sources, the shipped vehicles' C, tests
     lpvguard-VERSION-py3-none-any.whl    the Python package, built from that archive
+    requirements.txt                     what the wheel needs, pinned with hashes
     core/liblpvguard_VEHICLE.a           the core of each shipped vehicle, built from it in two folders
     sbom.cdx.json                        CycloneDX 1.5: what package, core and simulator need
     LICENCES.txt                         the licence of each
@@ -131,7 +132,7 @@ def unpacked(archive: Path, folder: Path) -> Path:
 
 def wheel(sources: Path, target: Path, epoch: str) -> Path:
     """The wheel of unpacked sources, in ``target``; ``epoch``: the time of its files."""
-    pip = (sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check", "--no-deps")
+    pip = (sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check", "--no-deps", "--no-build-isolation")
     run(*pip, "--wheel-dir", target, sources / "tools", cwd=sources, SOURCE_DATE_EPOCH=epoch)
     (made,) = target.glob("*.whl")
     return made
@@ -302,6 +303,7 @@ def release(tree: Path, out: Path, draft: bool) -> str:
         require_same([wheels[0], *cores[0]], [wheels[1], *cores[1]])
         shutil.copy2(wheels[0], made)
         shutil.copytree(twice[0] / "core", made / "core")
+        shutil.copy2(tree / "tools" / "locks" / "run.txt", made / "requirements.txt")
         parts = components(tree)
         (made / "sbom.cdx.json").write_text(bill_of_materials(version, commit, parts))
         (made / "LICENCES.txt").write_text(licences(parts))

@@ -160,7 +160,7 @@ find_python() {
 
 # made_here: what the environment of this checkout and its interpreter says of itself. A copied or moved one would run the original's code.
 made_here() { printf '%s\n' "$root" "$("$venv/bin/python" -V 2>&1)"; }
-wanted_packages() { cat "$root/tools/pyproject.toml" "$root/tools/constraints.txt" | sha256sum | cut -d' ' -f1; }
+wanted_packages() { cat "$root/tools/pyproject.toml" "$root"/tools/locks/*.txt | sha256sum | cut -d' ' -f1; }
 
 # venv_is_current EXTRA: made here, by the interpreter that still runs it, with the packages that are wanted.
 venv_is_current() {
@@ -172,7 +172,7 @@ venv_is_current() {
 pip_install() {
   local log line count=0 status=0
   log=$(mktemp)
-  "$venv/bin/python" -m pip install --disable-pip-version-check --progress-bar off -c "$root/tools/constraints.txt" "$@" </dev/null 2>&1 |
+  "$venv/bin/python" -m pip install --disable-pip-version-check --progress-bar off "$@" </dev/null 2>&1 |
     while IFS= read -r line; do
       printf '%s\n' "$line" >>"$log"
       case $line in
@@ -187,9 +187,12 @@ pip_install() {
   return "$status"
 }
 
+# pip_install_locked NAME: what tools/locks/NAME.txt pins, where the files have the hashes that stand there.
+pip_install_locked() { pip_install --require-hashes --only-binary :all: -r "$root/tools/locks/$1.txt"; }
+
 # ensure_venv EXTRA: the private environment with the package (and its extra: run or test), made anew when it is not current.
 ensure_venv() {
-  local extra=$1 target=$root/tools
+  local extra=$1
   ! venv_is_current "$extra" || return 0
   if [ "$(cat "$venv/.lpvguard-made" 2>/dev/null)" != "$(made_here 2>/dev/null)" ]; then
     if [ -e "$venv" ] && [ ! -e "$venv/.lpvguard-made" ] && [ ! -e "$venv/.lpvguard-run" ]; then
@@ -203,10 +206,10 @@ ensure_venv() {
     made_here >"$venv/.lpvguard-made"
   fi
   say "installing the Python package ($extra)"
-  [ "$extra" = run ] || target+="[$extra]"
-  pip_install -e "$target" || { say "lpvguard: the private environment could not be set up (pip failed, see above)"; exit 2; }
+  { pip_install_locked "$extra" && pip_install --no-deps --no-build-isolation -e "$root/tools"; } ||
+    { say "lpvguard: the private environment could not be set up (pip failed, see above)"; exit 2; }
   if [ "$extra" = test ] && [[ " ${LPVGUARD_WITHOUT:-} " != *" lcm "* ]]; then
-    pip_install -e "$root/tools[lcm]" || say "without the Python package lcm: its tests are counted as skipped"
+    pip_install_locked lcm || say "without the Python package lcm: its tests are counted as skipped"
   fi
   wanted_packages | tee "$venv/.lpvguard-$extra" >"$venv/.lpvguard-run"   # every extra includes what running needs
 }

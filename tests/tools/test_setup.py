@@ -4,12 +4,16 @@ checkout; the closing line counts what broke off."""
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from made import ROOT
 
@@ -28,8 +32,9 @@ esac
 def checkout(tmp_path):
     folder = tmp_path / "one"
     (folder / "tools").mkdir(parents=True)
-    for name in ("setup.sh", "pyproject.toml", "constraints.txt"):
+    for name in ("setup.sh", "pyproject.toml"):
         shutil.copy(ROOT / "tools" / name, folder / "tools")
+    shutil.copytree(ROOT / "tools" / "locks", folder / "tools" / "locks")
     (tmp_path / "python").write_text(PYTHON)
     (tmp_path / "python").chmod(0o755)
     return folder
@@ -51,8 +56,9 @@ def shell(root: Path, commands: str, **environment: str) -> subprocess.Completed
 
 
 def calls(checkout: Path) -> int:
+    """How often the package itself was installed."""
     log = checkout.parent / "calls"
-    return len(log.read_text().splitlines()) if log.exists() else 0
+    return log.read_text().count(" -e ") if log.exists() else 0
 
 
 def test_the_environment_is_made_once_and_anew_for_another_path_or_interpreter(checkout):
@@ -74,10 +80,43 @@ def test_the_environment_is_made_once_and_anew_for_another_path_or_interpreter(c
 
 def test_a_changed_list_of_packages_is_installed_into_the_same_environment(checkout):
     shell(checkout, "ensure_venv run")
-    with (checkout / "tools" / "constraints.txt").open("a") as file:
+    with (checkout / "tools" / "locks" / "run.txt").open("a") as file:
         file.write("other==1\n")
     done = shell(checkout, "ensure_venv run")
     assert "anew" not in done.stderr and calls(checkout) == 2
+
+
+def test_nothing_is_installed_whose_hash_is_not_pinned(checkout):
+    assert shell(checkout, "ensure_venv test").returncode == 0
+    for line in (checkout.parent / "calls").read_text().splitlines():
+        own = f"--no-deps --no-build-isolation -e {checkout}/tools"
+        assert line.endswith(own) or "--require-hashes --only-binary :all: -r" in line, line
+
+
+def test_the_pins_are_what_the_package_asks_for():
+    project = tomllib.loads((ROOT / "tools" / "pyproject.toml").read_text())
+    extras = project["project"]["optional-dependencies"]
+    joined = Requirement(extras["test"][0])
+    asked = {
+        "run": [*project["project"]["dependencies"], *project["build-system"]["requires"]],
+        "test": [
+            *project["project"]["dependencies"],
+            *extras["test"][1:],
+            *(r for e in joined.extras for r in extras[e]),
+        ],
+        "lcm": extras["lcm"],
+    }
+    for name, wanted in asked.items():
+        text = (ROOT / "tools" / "locks" / f"{name}.txt").read_text()
+        blocks = re.split(r"\n(?=\S)", text.partition("\n")[2].rstrip())
+        assert all(re.search(r"==\S+(.|\n)*--hash=sha256:[0-9a-f]{64}", block) for block in blocks)
+        pinned: dict[str, list[str]] = {}
+        for block in blocks:
+            one, version = re.match(r"(\S+?)==(\S+)", block).groups()
+            pinned.setdefault(canonicalize_name(one), []).append(version)
+        for said in map(Requirement, wanted):
+            versions = pinned[canonicalize_name(said.name)]
+            assert all(said.specifier.contains(version) for version in versions), f"{name}: {said}"
 
 
 def test_an_environment_of_somebody_else_is_refused_and_kept(checkout):
@@ -88,14 +127,14 @@ def test_an_environment_of_somebody_else_is_refused_and_kept(checkout):
 
 
 def test_an_optional_python_package_may_fail_a_needed_one_not(checkout):
-    done = shell(checkout, "ensure_venv test", PIP_FAILS="[lcm]")
+    done = shell(checkout, "ensure_venv test", PIP_FAILS="locks/lcm.txt")
     assert (
         done.returncode == 0
         and "without the Python package lcm" in done.stderr
         and "no wheel of it" in done.stderr
     )
     shutil.rmtree(checkout / ".venv")
-    done = shell(checkout, "ensure_venv test", PIP_FAILS="[test]")
+    done = shell(checkout, "ensure_venv test", PIP_FAILS="locks/test.txt")
     assert done.returncode == 2 and "no wheel of it" in done.stderr
 
 
