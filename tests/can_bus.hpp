@@ -1,8 +1,10 @@
 // A bus of the catalogue's messages for tests: sends good frames on their periods, and lets a test spoil them.
 #pragma once
 
+#include <bitset>
 #include <cstring>
 
+#include "catch.hpp"
 #include "lpvg_can_codec.h"
 #include "lpvguard/can.h"
 
@@ -35,9 +37,31 @@ public:
         return lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &counter) == lpvg_status_ok ? frame : lpvg_can_frame_t{};
     }
 
+    // Receives a frame, and holds what became of its watch against what can.h says of every frame.
     lpvg_can_event_t send(const lpvg_can_frame_t& frame) {
+        lpvg_can_supervisor_t before = supervisor;
+        lpvg_can_advance(&before, frame.t_us);
         uint8_t index = 0U;
-        return lpvg_can_receive(&supervisor, &frame, &index);
+        const auto event = lpvg_can_receive(&supervisor, &frame, &index);
+        if (index == LPVG_CAN_NO_INDEX) {
+            return event;
+        }
+        const lpvg_can_watch_t &was = before.watch[index], &is = supervisor.watch[index];
+        const bool bad = event != lpvg_can_event_accepted && event != lpvg_can_event_recovering;
+        CHECK(is.window_bad == std::bitset<LPVG_CAN_WINDOW>(is.window).count());
+        if (bad) {
+            const bool switched_off = was.state != lpvg_can_state_off && is.state == lpvg_can_state_off;
+            CHECK(is.window == (switched_off ? 1U : static_cast<uint16_t>(was.window << 1U) + 1U));
+            CHECK(is.score == was.score + (was.score < LPVG_CAN_SCORE_OFF ? 1 : 0));
+            CHECK(is.good_in_row == 0U);
+        } else if (event == lpvg_can_event_accepted) {
+            const bool recovered = was.state == lpvg_can_state_off;
+            CHECK(is.window == (recovered ? 0U : static_cast<uint16_t>(was.window << 1U)));
+            CHECK(is.score == (recovered || was.score == 0U ? 0 : was.score - 1));
+        } else {
+            CHECK(is.good_in_row == was.good_in_row + 1U);
+        }
+        return event;
     }
 
     // Good frames first .. last of both fast messages.

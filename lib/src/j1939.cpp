@@ -173,7 +173,6 @@ void claim(lpvg_j1939_t& self, uint8_t address) {
     self.address = address;
     self.state = static_cast<uint8_t>(arbitrary ? lpvg_j1939_state_waiting : lpvg_j1939_state_claimed);
     self.claim = true;
-    self.claim_us = self.now_us;
 }
 
 // Says that there is no address, a time from the NAME later.
@@ -216,7 +215,6 @@ void take_claim(lpvg_j1939_t& self, const lpvg_can_frame_t& frame, uint8_t sourc
     }
     if (source == self.address && name > self.config.name) {
         self.claim = true;
-        self.claim_us = self.now_us;
         return;
     }
     self.taken[source / 32U] |= 1U << (source % 32U);
@@ -251,7 +249,6 @@ void take_request(lpvg_j1939_t& self, const lpvg_can_frame_t& frame, uint8_t sou
             say_lost(self);
         } else {
             self.claim = true;
-            self.claim_us = self.now_us;
         }
     } else if (self.state != lpvg_j1939_state_claimed || source > address_max) {
         // Nothing else is said without an address, or to somebody without one.

@@ -3,10 +3,13 @@
 #include <climits>
 #include <cmath>
 #include <limits>
+#include <vector>
 
 #include "../can_bus.hpp"
 
 namespace {
+
+using Bytes = std::vector<uint8_t>;
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr float kInf = std::numeric_limits<float>::infinity();
@@ -49,6 +52,27 @@ TEST_CASE("E2E profile 11: every single-bit error and every other data id is fou
     for (unsigned flip = 1U; flip < 256U; ++flip) {  // data ids that differ in one byte
         CHECK(lpvg_can_e2e_check(&good, static_cast<uint16_t>(0x4C01U ^ flip), &counter) == lpvg_status_bad_sample);
         CHECK(lpvg_can_e2e_check(&good, static_cast<uint16_t>(0x4C01U ^ (flip << 8U)), &counter) == lpvg_status_bad_sample);
+    }
+}
+
+TEST_CASE("E2E profile 11: the checksum of every byte is the one of a division bit by bit", "[unit][can][REQ-CAN-1]") {
+    const auto divided = [](const Bytes& bytes) {
+        unsigned rest = 0U;
+        for (const uint8_t byte : bytes) {
+            rest ^= byte;
+            for (int bit = 0; bit < 8; ++bit) {
+                rest = (rest << 1U) ^ ((rest & 0x80U) != 0U ? 0x11DU : 0U);
+            }
+        }
+        return static_cast<uint8_t>(rest);
+    };
+    for (unsigned byte = 0U; byte < 256U; ++byte) {
+        lpvg_can_frame_t frame{};
+        frame.dlc = 3U;
+        frame.data[2] = static_cast<uint8_t>(byte);
+        uint8_t counter = 3U;
+        REQUIRE(lpvg_can_e2e_protect(&frame, 0x0123U, &counter) == lpvg_status_ok);
+        CHECK(frame.data[0] == divided({0x23U, 0x01U, 3U, frame.data[2]}));
     }
 }
 
@@ -147,6 +171,17 @@ TEST_CASE("init refuses rules that make no sense and leaves the struct alone", "
         signal.raw_min = 101U;
         CHECK(refused());
     }
+    SECTION("a signal behind the first") {
+        const lpvg_can_signal_rule_t two[] = {signal, {49U, 16U, 0U, 100U, 0U, 0U, 0U}};
+        rule.n_signals = 2U;
+        rule.signals = two;
+        CHECK(refused());
+    }
+    SECTION("a rule behind the first") {
+        lpvg_can_rule_t two[] = {rule, rule};
+        two[1].period_us = 3U;
+        CHECK(lpvg_can_init(&self, two, 2U, 0) == lpvg_status_bad_argument);
+    }
     SECTION("and takes the rest") { CHECK(lpvg_can_init(&self, &rule, 1U, 0) == lpvg_status_ok); }
     SECTION("and takes the ends of every range") {
         const lpvg_can_signal_rule_t one_bit[LPVG_CAN_SIGNALS_MAX] = {
@@ -169,10 +204,120 @@ TEST_CASE("cleared memory and NULL read as off and do nothing", "[unit][can][REQ
     CHECK(lpvg_can_state(&self, 0U) == lpvg_can_state_off);
     CHECK(lpvg_can_state(nullptr, 0U) == lpvg_can_state_off);
     CHECK(lpvg_can_receive(&self, &frame, &index) == lpvg_can_event_unknown_id);
+    CHECK(index == LPVG_CAN_NO_INDEX);
     CHECK(lpvg_can_receive(nullptr, &frame, &index) == lpvg_can_event_none);
     CHECK(lpvg_can_receive(&self, nullptr, &index) == lpvg_can_event_none);
     CHECK(lpvg_can_receive(&self, &frame, nullptr) == lpvg_can_event_none);
     lpvg_can_advance(nullptr, 1);
+}
+
+TEST_CASE("what stood in the memory before init is forgotten", "[unit][can][REQ-CAN-8]") {
+    CanBus bus;
+    std::memset(&bus.supervisor, 0xA5, sizeof bus.supervisor);
+    REQUIRE(lpvg_can_init(&bus.supervisor, lpvg_can_rules, LPVG_CAN_RECEIVED, CanBus::kStart) == lpvg_status_ok);
+    CanBus cleared;
+    bus.run(1, 6);
+    cleared.run(1, 6);
+    CHECK(bus.supervisor.now_us == cleared.supervisor.now_us);
+    CHECK(std::memcmp(bus.supervisor.count, cleared.supervisor.count, sizeof cleared.supervisor.count) == 0);
+    for (uint8_t i = 0U; i < LPVG_CAN_RECEIVED; ++i) {
+        CHECK(bus.state(i) == cleared.state(i));
+        CHECK(std::memcmp(bus.supervisor.watch[i].count, cleared.supervisor.watch[i].count, sizeof cleared.supervisor.watch[i].count) == 0);
+    }
+}
+
+TEST_CASE("the time of init is the newest seen", "[unit][can][REQ-CAN-8]") {
+    CanBus bus;
+    lpvg_can_frame_t frame = bus.vdc2(1);
+    frame.t_us = CanBus::kStart - LPVG_CAN_REORDER_US - 1;
+    CHECK(bus.send(frame) == lpvg_can_event_backwards);
+    frame.t_us += 1;
+    CHECK(bus.send(frame) == lpvg_can_event_recovering);
+}
+
+TEST_CASE("as many messages as there is room for", "[unit][can][REQ-CAN-8]") {
+    lpvg_can_rule_t rules[LPVG_CAN_RULES_MAX];
+    for (uint8_t i = 0U; i < LPVG_CAN_RULES_MAX; ++i) {
+        rules[i] = {i, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 0U, 0U, nullptr};
+    }
+    lpvg_can_supervisor_t self;
+    REQUIRE(lpvg_can_init(&self, rules, LPVG_CAN_RULES_MAX, 0) == lpvg_status_ok);
+    lpvg_can_frame_t frame{};
+    uint8_t index = 0U;
+    for (int64_t k = 1; k <= 5; ++k) {
+        for (uint8_t i = 0U; i < LPVG_CAN_RULES_MAX; ++i) {
+            frame.id = i;
+            frame.t_us = 10'000 * k;
+            (void)lpvg_can_receive(&self, &frame, &index);
+            CHECK(index == i);
+        }
+    }
+    for (uint8_t i = 0U; i < LPVG_CAN_RULES_MAX; ++i) {
+        CHECK(lpvg_can_state(&self, i) == lpvg_can_state_live);
+    }
+    CHECK(lpvg_can_state(&self, LPVG_CAN_RULES_MAX) == lpvg_can_state_off);
+    CHECK(lpvg_can_state(&self, LPVG_CAN_NO_INDEX) == lpvg_can_state_off);
+    frame.id = LPVG_CAN_ERROR | 1U;  // an error, and another bit than that of bus-off
+    CHECK(lpvg_can_receive(&self, &frame, &index) == lpvg_can_event_error);
+    CHECK(index == LPVG_CAN_NO_INDEX);
+    frame.id = LPVG_CAN_ERROR | LPVG_CAN_BUS_OFF;
+    CHECK(lpvg_can_receive(&self, &frame, &index) == lpvg_can_event_bus_off);
+    for (uint8_t i = 0U; i < LPVG_CAN_RULES_MAX; ++i) {
+        CHECK(lpvg_can_state(&self, i) == lpvg_can_state_off);
+    }
+}
+
+TEST_CASE("silence while recovering begins the count anew", "[unit][can][REQ-CAN-3]") {
+    CanBus bus;
+    bus.run(1, 3);
+    for (int64_t k = 10; k <= 13; ++k) {
+        CHECK(bus.send(bus.vdc2(k)) == lpvg_can_event_recovering);
+    }
+    CHECK(bus.send(bus.vdc2(14)) == lpvg_can_event_accepted);
+}
+
+TEST_CASE("a good frame ends a pause: the next one is counted from it", "[unit][can][REQ-CAN-3]") {
+    CanBus bus;
+    bus.run(1, 5);
+    REQUIRE(bus.count(LPVG_CAN_VDC2_INDEX, lpvg_can_event_missed) == 0U);
+    for (const int64_t k : {8, 11}) {
+        CHECK(bus.send(bus.vdc2(k)) == lpvg_can_event_accepted);
+    }
+    CHECK(bus.count(LPVG_CAN_VDC2_INDEX, lpvg_can_event_missed) == 4U);
+}
+
+TEST_CASE("half a period after a missed one nothing more is missed", "[unit][can][REQ-CAN-3]") {
+    CanBus bus;
+    bus.run(1, 5);
+    const int64_t last_us = bus.vdc2(5).t_us, period = LPVG_CAN_VDC2_PERIOD_US;
+    lpvg_can_advance(&bus.supervisor, last_us + 6 * period);
+    REQUIRE(bus.count(LPVG_CAN_VDC2_INDEX, lpvg_can_event_missed) == 5U);
+    REQUIRE(bus.state(LPVG_CAN_VDC2_INDEX) == lpvg_can_state_off);
+    auto bad = bus.vdc2(11);
+    bad.dlc = 7U;
+    CHECK(bus.send(bad) == lpvg_can_event_length);
+    lpvg_can_advance(&bus.supervisor, last_us + 6 * period + period / 2);
+    CHECK(bus.count(LPVG_CAN_VDC2_INDEX, lpvg_can_event_missed) == 5U);
+    CHECK(bus.supervisor.watch[LPVG_CAN_VDC2_INDEX].window == 1U);
+    lpvg_can_advance(&bus.supervisor, last_us + 6 * period + period / 2 + 1);
+    CHECK(bus.count(LPVG_CAN_VDC2_INDEX, lpvg_can_event_missed) == 6U);
+}
+
+TEST_CASE("arrivals are counted by eights: six periods are enough, a microsecond less is not", "[unit][can][REQ-CAN-9]") {
+    const auto window = GENERATE(1, 2);
+    const lpvg_can_rule_t rule = {1U, 0xFFFFFFFFU, 8'000U, 0U, 0U, 0U, 0U, 0U, nullptr};
+    lpvg_can_supervisor_t self;
+    REQUIRE(lpvg_can_init(&self, &rule, 1U, 0) == lpvg_status_ok);
+    lpvg_can_frame_t frame{};
+    frame.id = 1U;
+    frame.t_us = 1'000'000;
+    uint8_t index = 0U;
+    const int last = 8 * window;
+    for (int k = 0; k <= last; ++k) {
+        frame.t_us += k == last ? 5'999 : 6'000;
+        CAPTURE(k);
+        CHECK((lpvg_can_receive(&self, &frame, &index) == lpvg_can_event_early) == (k == last));
+    }
 }
 
 TEST_CASE("a message becomes live with the fifth good frame and not before", "[unit][can][REQ-CAN-3]") {
@@ -336,6 +481,21 @@ TEST_CASE("any priority of the same group and source is the same message; anothe
     CHECK(bus.send(frame) == lpvg_can_event_unknown_id);
 }
 
+TEST_CASE("the first counter may be any, and a protected frame's signals are judged too", "[unit][can][REQ-CAN-4]") {
+    CanBus bus;
+    CHECK(bus.send(bus.guard_in(15)) == lpvg_can_event_recovering);  // counter 0
+    auto frame = bus.guard_in(16);
+    lpvg_can_guard_in_t in{};
+    in.dp_measured = lpvg_can_guard_in_dp_measured_encode(0.5F);
+    in.yaw_rate_command = 0xFFFFU;
+    in.control_request = 1U;
+    REQUIRE(lpvg_can_guard_in_pack(&in, &frame) == lpvg_status_ok);
+    frame.t_us = bus.guard_in(16).t_us;
+    uint8_t counter = 1U;
+    REQUIRE(lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &counter) == lpvg_status_ok);
+    CHECK(bus.send(frame) == lpvg_can_event_absent);
+}
+
 TEST_CASE("the counter of a message: 15, a repetition and a jump are refused, a small step counts what was lost",
           "[unit][can][REQ-CAN-4]") {
     CanBus bus;
@@ -425,6 +585,11 @@ TEST_CASE("gradient: the largest allowed step passes, one more is rejected, a pa
             CHECK(fresh.send(frame) == (step == 3073U ? lpvg_can_event_accepted : lpvg_can_event_gradient));
         }
     }
+    SECTION("a frame that comes early: as after one period") {
+        auto frame = with(6, base + limit);
+        frame.t_us -= LPVG_CAN_VDC2_PERIOD_US / 4;
+        CHECK(bus.send(frame) == lpvg_can_event_accepted);
+    }
     SECTION("two periods, too much") { CHECK(bus.send(with(7, base + 2U * limit)) == lpvg_can_event_gradient); }
 }
 
@@ -451,6 +616,50 @@ TEST_CASE("a signal without codes and without a rate takes any change and every 
         CHECK(index == 1U);
     }
     CHECK(lpvg_can_state(&self, 1U) == lpvg_can_state_live);
+}
+
+TEST_CASE("the smallest codes and rates count", "[unit][can][REQ-CAN-4]") {
+    const lpvg_can_signal_rule_t signals[] = {
+        {0U, 8U, 0U, 255U, 0U, 1U, 0U}, {8U, 8U, 0U, 255U, 1U, 0U, 0U}, {16U, 8U, 0U, 255U, 0U, 0U, 1U}};
+    const lpvg_can_rule_t rule = {1U, 0xFFFFFFFFU, 999'999U, 0U, 0U, 0U, 3U, 3U, signals};
+    lpvg_can_supervisor_t self;
+    REQUIRE(lpvg_can_init(&self, &rule, 1U, 0) == lpvg_status_ok);
+    const auto event = [&](uint8_t absent, uint8_t error, uint8_t value) {
+        lpvg_can_frame_t frame{};
+        frame.id = 1U;
+        frame.dlc = 3U;
+        frame.t_us = self.now_us + 999'999;
+        frame.data[0] = absent;
+        frame.data[1] = error;
+        frame.data[2] = value;
+        uint8_t index = 0U;
+        return lpvg_can_receive(&self, &frame, &index);
+    };
+    CHECK(event(0U, 0U, 7U) == lpvg_can_event_recovering);
+    CHECK(event(0U, 0U, 8U) == lpvg_can_event_recovering);
+    CHECK(event(0U, 0U, 10U) == lpvg_can_event_gradient);  // 1 a second and one of rounding, in a microsecond less than a second
+    CHECK(event(1U, 0U, 10U) == lpvg_can_event_absent);
+    CHECK(event(0U, 1U, 10U) == lpvg_can_event_invalid);
+}
+
+TEST_CASE("a signal is read wherever it begins", "[unit][can]") {
+    for (uint8_t start = 0U; start <= 48U; ++start) {
+        const lpvg_can_signal_rule_t signal = {start, 16U, 0U, 0xFFFFU, 0U, 0U, 0U};
+        const lpvg_can_rule_t rule = {1U, 0xFFFFFFFFU, 10'000U, 0U, 0U, 0U, 8U, 1U, &signal};
+        lpvg_can_supervisor_t self;
+        REQUIRE(lpvg_can_init(&self, &rule, 1U, 0) == lpvg_status_ok);
+        const uint64_t bits = ~(uint64_t{0xFFFFU} << start) | (uint64_t{0xA5C3U} << start);
+        lpvg_can_frame_t frame{};
+        frame.id = 1U;
+        frame.dlc = 8U;
+        for (unsigned i = 0U; i < 8U; ++i) {
+            frame.data[i] = static_cast<uint8_t>(bits >> (8U * i));
+        }
+        uint8_t index = 0U;
+        CHECK(lpvg_can_receive(&self, &frame, &index) == lpvg_can_event_recovering);
+        CAPTURE(start);
+        CHECK(self.watch[0].raw[0] == 0xA5C3U);
+    }
 }
 
 TEST_CASE("signals in the last bytes of a frame", "[unit][can]") {
@@ -519,8 +728,10 @@ TEST_CASE("cross-checks: agreement, each disagreement alone, confirmation and re
     CHECK(self.flags == 0U);
     for (int i = 0; i < 4; ++i) {
         step(r, ay + 1.6F, v, dv);
+        CHECK(self.flags == 0U);
     }
-    CHECK(self.flags == 0U);
+    step(r, kNan, v, dv);
+    CHECK(self.score[0] == 4U);  // what cannot be judged is no agreement
     step(r, ay + 1.6F, v, dv);
     CHECK(self.flags == LPVG_CAN_IMPLAUSIBLE_LATERAL);
     for (int i = 0; i < 4; ++i) {
@@ -530,6 +741,7 @@ TEST_CASE("cross-checks: agreement, each disagreement alone, confirmation and re
     step(r, ay, v, dv);
     CHECK(self.flags == 0U);
     for (int i = 0; i < 5; ++i) {
+        CHECK(self.flags == 0U);
         step(r, ay, v, dv - 0.06F * kLimits.track_m);
     }
     CHECK(self.flags == LPVG_CAN_IMPLAUSIBLE_WHEELS);
@@ -573,6 +785,8 @@ TEST_CASE("cross-checks refuse limits that are not positive", "[unit][can][REQ-C
     lpvg_can_plausibility_limits_t limits = kLimits;
     CHECK(lpvg_can_plausibility(nullptr, &limits, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_status_bad_argument);
     CHECK(lpvg_can_plausibility(&self, nullptr, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_status_bad_argument);
+    const lpvg_can_plausibility_limits_t small = {0.5F, 0.5F, 0.5F, 0.5F, 1U};
+    CHECK(lpvg_can_plausibility(&self, &small, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_status_ok);
     SECTION("track") { limits.track_m = 0.0F; }
     SECTION("speed") { limits.speed_min_mps = kNan; }
     SECTION("speed 0") { limits.speed_min_mps = 0.0F; }
@@ -592,6 +806,13 @@ TEST_CASE("DM1: one code, none, and what does not fit", "[unit][can][REQ-CAN-7]"
     const uint8_t want[8] = {0x04, 0xFF, 0x10, 0x07, 0x09, 0x03, 0xFF, 0xFF};
     CHECK(std::memcmp(frame.data, want, 8U) == 0);
     CHECK(frame.t_us == 42);
+    CHECK(frame.dlc == 8U);
+    for (unsigned bit = 0U; bit < 19U; ++bit) {  // the number's bits lie in order, its three highest above the failure mode
+        const lpvg_can_dtc_t one = {uint32_t{1U} << bit, 0U, 0U};
+        REQUIRE(lpvg_can_dm1_pack(&frame, 0xFCU, 0U, &one) == lpvg_status_ok);
+        const uint32_t place = bit < 16U ? bit : bit + 5U;
+        CHECK((frame.data[2] | (frame.data[3] << 8U) | (static_cast<uint32_t>(frame.data[4]) << 16U)) == uint32_t{1U} << place);
+    }
 
     const lpvg_can_dtc_t largest = {0x7FFFFU, 31U, 127U};
     REQUIRE(lpvg_can_dm1_pack(&frame, 0xFCU, 0x55U, &largest) == lpvg_status_ok);
@@ -617,6 +838,7 @@ TEST_CASE("every event has a failure mode of J1939", "[unit][can][REQ-CAN-7]") {
     CHECK(lpvg_can_fmi(lpvg_can_event_gradient) == 10U);
     CHECK(lpvg_can_fmi(lpvg_can_event_early) == 8U);
     CHECK(lpvg_can_fmi(lpvg_can_event_range) == 2U);
+    CHECK(lpvg_can_fmi(lpvg_can_event_accepted) == 31U);
     for (int event = 0; event < lpvg_can_event_count; ++event) {
         CHECK(lpvg_can_fmi(static_cast<lpvg_can_event_t>(event)) <= 31U);
     }

@@ -1,6 +1,7 @@
 #include "../catch.hpp"
 
 #include <cmath>
+#include <cstddef>
 #include <cstring>
 #include <limits>
 #include <map>
@@ -49,6 +50,23 @@ lpvg_can_frame_t request_of(uint32_t pgn, uint8_t to, uint8_t source = tool) {
     return frame;
 }
 
+// CRC-32 as ISO-HDLC defines it, bit by bit.
+uint32_t divided(const void* bytes, size_t n) {
+    uint32_t rest = 0xFFFFFFFFU;
+    for (size_t i = 0; i < n; ++i) {
+        rest ^= static_cast<const uint8_t*>(bytes)[i];
+        for (int bit = 0; bit < 8; ++bit) {
+            rest = (rest >> 1U) ^ ((rest & 1U) != 0U ? 0xEDB88320U : 0U);
+        }
+    }
+    return ~rest;
+}
+
+uint32_t sum_of(lpvg_j1939_memory_t memory) {
+    memory.crc32 = 0U;
+    return divided(&memory, sizeof memory);
+}
+
 // A node on its bus, and whoever puts its packets together.
 class Node {
 public:
@@ -63,14 +81,16 @@ public:
         REQUIRE(lpvg_j1939_init(&self, &config, &memory, now_us, &kept) == lpvg_status_ok);
     }
 
-    // One step, and what it sent; whole messages are added to `messages`.
-    std::vector<lpvg_can_frame_t> step(const std::vector<lpvg_can_frame_t>& in = {}) {
+    // One step after a time, and what it sent; whole messages are added to `messages`.
+    std::vector<lpvg_can_frame_t> step(const std::vector<lpvg_can_frame_t>& in = {}, int64_t us = step_us) {
         lpvg_can_frame_t out[LPVG_J1939_FRAMES_OUT];
+        std::memset(out, 0xA5, sizeof out);
         size_t n = 99U;
-        now_us += step_us;
+        now_us += us;
         REQUIRE(lpvg_j1939_step(&self, now_us, in.data(), in.size(), &findings, out, LPVG_J1939_FRAMES_OUT, &n) == lpvg_status_ok);
         REQUIRE(n <= LPVG_J1939_FRAMES_OUT);
         for (size_t i = 0; i < n; ++i) {
+            CHECK(reinterpret_cast<const uint8_t*>(&out[i])[offsetof(lpvg_can_frame_t, data) + 8U] == 0xA5U);  // nothing behind the data
             take(out[i]);
         }
         return {out, out + n};
@@ -139,6 +159,7 @@ private:
             received_.clear();
         } else if (pgn == 0xEB00U) {
             CHECK(priority == 7U);
+            CHECK(to == 255U);
             REQUIRE(left_ > 0U);
             CHECK(now_us - packet_us_ >= 50'000);
             CHECK(now_us - packet_us_ <= 200'000);
@@ -219,8 +240,9 @@ TEST_CASE("an address outside the arbitrary range is used with its claim, one in
     const auto address = GENERATE(as<uint8_t>{}, 0, 127, 128, 247, 248, 253);
     Node node(address);
     CHECK(lpvg_j1939_address(&node.self) == LPVG_J1939_ADDRESS_NULL);
+    CHECK(node.self.address == LPVG_J1939_ADDRESS_NULL);
     lpvg_can_frame_t frame{};
-    frame.id = LPVG_CAN_EXTENDED | 0x0CFF01FCU;
+    frame.id = LPVG_CAN_EXTENDED | 0x0CFF01FDU;
     CHECK_FALSE(lpvg_j1939_pass(&node.self, &frame));
     node.step();
     REQUIRE(node.messages.size() >= 1U);
@@ -228,6 +250,7 @@ TEST_CASE("an address outside the arbitrary range is used with its claim, one in
     CHECK(node.messages[0].to == 255U);
     CHECK(node.messages[0].source == address);
     CHECK(node.messages[0].data == Bytes{0x00, 0x01, 0, 0, 0, 0, 0x0A, 0});
+    CHECK(node.messages[0].priority == 6U);
     const bool waits = address >= 128U && address <= 247U;
     const int64_t claimed_us = node.now_us;
     while (lpvg_j1939_address(&node.self) == LPVG_J1939_ADDRESS_NULL) {
@@ -242,9 +265,51 @@ TEST_CASE("an address outside the arbitrary range is used with its claim, one in
     CHECK(frame.id == (LPVG_CAN_EXTENDED | 0x0CFF0100U | address));
     frame.id = LPVG_CAN_EXTENDED | 0x18FECAFCU;
     CHECK_FALSE(lpvg_j1939_pass(&node.self, &frame));  // this module sends it
+    frame.id = LPVG_CAN_EXTENDED | 0x18FECBFCU;
+    CHECK(lpvg_j1939_pass(&node.self, &frame));
     CHECK_FALSE(lpvg_j1939_pass(&node.self, nullptr));
     CHECK_FALSE(lpvg_j1939_pass(nullptr, &frame));
     CHECK(lpvg_j1939_address(nullptr) == LPVG_J1939_ADDRESS_NULL);
+}
+
+TEST_CASE("an address of the arbitrary range waits the whole 250 ms", "[unit][j1939][REQ-J1939-1]") {
+    Node node(0x80U);
+    node.step();
+    node.step({}, static_cast<int64_t>(LPVG_J1939_CLAIM_US) - 1);
+    CHECK(lpvg_j1939_address(&node.self) == LPVG_J1939_ADDRESS_NULL);
+    node.step({}, 1);
+    CHECK(lpvg_j1939_address(&node.self) == 0x80U);
+    // A claim that is repeated begins the wait anew.
+    Node again(0x80U);
+    again.step();
+    again.step({request_of(claim_pgn, 255U)}, 0);
+    CHECK(again.messages.size() == 2U);
+    again.run(240'000);
+    again.step({request_of(claim_pgn, 255U)}, 0);
+    CHECK(again.messages.size() == 3U);
+    again.step({}, static_cast<int64_t>(LPVG_J1939_CLAIM_US) - 1);
+    CHECK(lpvg_j1939_address(&again.self) == LPVG_J1939_ADDRESS_NULL);
+    again.step({}, 1);
+    CHECK(lpvg_j1939_address(&again.self) == 0x80U);
+}
+
+TEST_CASE("no time before that of init is taken, and DM1 goes out with the first address even at time 0", "[unit][j1939][REQ-J1939-4]") {
+    Node node;
+    lpvg_can_frame_t out[LPVG_J1939_FRAMES_OUT];
+    size_t n = 0U;
+    CHECK(lpvg_j1939_step(&node.self, node.now_us - 1, nullptr, 0U, &node.findings, out, LPVG_J1939_FRAMES_OUT, &n) ==
+          lpvg_status_out_of_order);
+    node.find({dtc_a});
+    node.step();
+    node.find({});
+    node.now_us = 0;
+    node.start();
+    node.messages.clear();
+    node.step({}, 0);
+    CHECK(node.of(65226U).size() == 1U);
+    node.find({dtc_a});  // remembered; never told in this run
+    node.step({}, 500'000);
+    CHECK(node.of(65226U).size() == 2U);
 }
 
 TEST_CASE("the lower NAME keeps the address", "[unit][j1939][REQ-J1939-2]") {
@@ -257,9 +322,18 @@ TEST_CASE("the lower NAME keeps the address", "[unit][j1939][REQ-J1939-2]") {
     CHECK(node.messages[0].source == 0xFCU);
     node.messages.clear();
     node.step({claim_of(0xFCU, name_own)});  // handed back by the driver
-    node.step({claim_of(0x30U, name_low), claim_of(254U, name_low)});  // about others
+    node.step({claim_of(0x30U, name_low), claim_of(0x31U, name_high), claim_of(254U, name_low)});  // about others
+    lpvg_can_frame_t other = claim_of(0xFCU, name_low);
+    other.id = id_of(0xEC00U, 255U, 0xFCU);  // another group to all
+    node.step({other});
     CHECK(node.messages.empty());
     CHECK(lpvg_j1939_address(&node.self) == 0xFCU);
+    node.step({claim_of(0xFCU, name_low | arbitrary)});  // higher by its highest bit alone
+    CHECK(lpvg_j1939_address(&node.self) == 0xFCU);
+    Node last(253U);
+    last.step();
+    last.step({claim_of(253U, name_low)});
+    CHECK(last.self.state == lpvg_j1939_state_lost);
 }
 
 TEST_CASE("who cannot take another address says so from 254, and nothing more", "[unit][j1939][REQ-J1939-2]") {
@@ -269,6 +343,7 @@ TEST_CASE("who cannot take another address says so from 254, and nothing more", 
     node.find({dtc_a});
     node.step({claim_of(0xFCU, name_low)});
     const int64_t lost_us = node.now_us;
+    CHECK(node.self.claim_us - lost_us == 38'000);
     CHECK(lpvg_j1939_address(&node.self) == LPVG_J1939_ADDRESS_NULL);
     node.run(2'000'000);
     REQUIRE(node.messages.size() == 1U);
@@ -277,9 +352,13 @@ TEST_CASE("who cannot take another address says so from 254, and nothing more", 
     CHECK(node.messages[0].t_us - lost_us == 40'000);
     CHECK(node.messages[0].data == Bytes{0x00, 0x01, 0, 0, 0, 0, 0x0A, 0});
     node.messages.clear();
-    node.step({request_of(claim_pgn, 254U), request_of(65226U, 255U)});
+    node.step({request_of(claim_pgn, 254U), request_of(65226U, 255U), claim_of(254U, name_low)});  // and another who cannot
     node.run(1'000'000);
     CHECK(node.messages.empty());
+    Node odd(0xFCU, name_own | 1U);  // of the NAME the highest bit alone says that it can
+    odd.step();
+    odd.step({claim_of(0xFCU, name_low)});
+    CHECK(odd.self.state == lpvg_j1939_state_lost);
     node.step({request_of(claim_pgn, 255U)});
     CHECK(node.messages.empty());
     node.run(200'000);
@@ -317,6 +396,22 @@ TEST_CASE("who can takes the next free address, and gives up when none is left",
     REQUIRE(node.messages.size() == 1U);
     CHECK(node.messages[0].source == 254U);
     CHECK(node.self.state == lpvg_j1939_state_lost);
+}
+
+TEST_CASE("the search begins at the own address, outside of the range at its begin, and leaves none out", "[unit][j1939][REQ-J1939-2]") {
+    const auto outside = GENERATE(as<uint8_t>{}, 0x20, 127, 248, 250, 253);
+    Node node(outside, name_own | arbitrary);
+    node.step();
+    node.step({claim_of(outside, name_low)});
+    CHECK(node.self.address == 128U);
+    std::vector<lpvg_can_frame_t> others;
+    for (uint32_t address = 129U; address < 247U; ++address) {
+        others.push_back(claim_of(static_cast<uint8_t>(address), address % 2U == 0U ? name_low : name_high | arbitrary));
+    }
+    node.step(others);
+    CHECK(node.self.address == 128U);
+    node.step({claim_of(128U, name_low)});
+    CHECK(node.self.address == 247U);
 }
 
 TEST_CASE("an address that is lost ends the broadcast, which begins anew from the next one", "[unit][j1939][REQ-J1939-2]") {
@@ -367,10 +462,34 @@ TEST_CASE("requests: claim, refusal, and what is not looked at", "[unit][j1939][
     CHECK(node.messages.empty());
     CHECK(lpvg_j1939_address(&node.self) == 0xFCU);
 
-    // Before the address may be used nothing is answered but claims.
+    // Before the address may be used nothing is answered but claims, then or later.
     Node waiting(0x80U);
-    waiting.step({request_of(65262U, 0x80U)});
+    waiting.step({request_of(65262U, 0x80U), request_of(64950U, 0x80U)});
     CHECK(waiting.messages.size() == 1U);
+    waiting.run(500'000);
+    CHECK(waiting.of(64950U).empty());
+}
+
+TEST_CASE("requests of and by the highest address, of DM1, and of a group of another data page", "[unit][j1939][REQ-J1939-3]") {
+    Node node(253U);
+    node.step();
+    node.messages.clear();
+    node.step({request_of(65226U, 253U, 253U)});
+    REQUIRE(node.messages.size() == 1U);
+    CHECK(node.messages[0].pgn == 65226U);
+    node.step({request_of(0x1FECAU, 253U, 253U)});
+    REQUIRE(node.messages.size() == 2U);
+    CHECK(node.messages[1].data == Bytes{1U, 0xFFU, 0xFFU, 0xFFU, 253U, 0xCAU, 0xFEU, 0x01U});
+}
+
+TEST_CASE("a refused request forgets nothing", "[unit][j1939][REQ-J1939-3]") {
+    Node node;
+    node.find({dtc_a});
+    node.step();
+    node.find({});
+    node.step();
+    node.step({request_of(65262U, 0xFCU)});
+    CHECK(lpvg_j1939_entry(&node.self, 0U) != nullptr);
 }
 
 TEST_CASE("refusals beyond the places of a step are counted", "[unit][j1939][REQ-J1939-3]") {
@@ -381,7 +500,7 @@ TEST_CASE("refusals beyond the places of a step are counted", "[unit][j1939][REQ
     node.step(many);
     CHECK(node.messages.size() == LPVG_J1939_REFUSALS_MAX);
     CHECK(node.self.unanswered == 2U);
-    node.self.unanswered = UINT32_MAX;
+    node.self.unanswered = UINT32_MAX - 1U;
     node.step(many);
     CHECK(node.self.unanswered == UINT32_MAX);
     CHECK(node.messages.size() == 2U * LPVG_J1939_REFUSALS_MAX);
@@ -422,6 +541,82 @@ TEST_CASE("DM1: one code in a frame, every second, and at once when a code comes
     CHECK(node.of(65226U).size() == 1U);
 }
 
+TEST_CASE("DM1: a microsecond before its second nothing is told, and other messages do not move it", "[unit][j1939][REQ-J1939-4]") {
+    Node node;
+    node.step();
+    node.run(990'000);
+    REQUIRE(node.of(65226U).size() == 1U);
+    node.find({dtc_a});
+    node.step();  // a second after the first, and at once
+    REQUIRE(node.of(65226U).size() == 2U);
+    node.find({});
+    const auto early = node.step({}, 999'999);
+    CHECK(early.empty());
+    node.step({}, 1);
+    CHECK(node.of(65226U).size() == 3U);
+    node.step({request_of(65227U, 255U)}, 500'000);
+    CHECK(node.of(65227U).size() == 1U);
+    node.step({}, 499'999);
+    CHECK(node.of(65226U).size() == 3U);
+    node.step({}, 1);
+    CHECK(node.of(65226U).size() == 4U);
+}
+
+TEST_CASE("DM1: a code in the place of a forgotten one is told at once", "[unit][j1939][REQ-J1939-4]") {
+    const lpvg_can_dtc_t zero = {0U, 0U, 0U}, other = {7U, 0U, 0U};
+    for (const lpvg_can_dtc_t& code : {zero, other}) {
+        Node node;
+        node.run(500'000);
+        node.find({dtc_a});
+        node.step();
+        node.find({});
+        node.step({request_of(65228U, 255U), request_of(65235U, 255U)});
+        CHECK(lpvg_j1939_entry(&node.self, 0U) == nullptr);
+        node.messages.clear();
+        node.find({code});
+        node.step();
+        CHECK(node.of(65226U).size() == 1U);
+    }
+}
+
+TEST_CASE("the occurrence of what is found is not read", "[unit][j1939][REQ-J1939-6]") {
+    Node node;
+    std::vector<lpvg_can_dtc_t> all;
+    std::vector<Bytes> bytes;
+    for (uint8_t i = 0U; i < LPVG_J1939_CODES_MAX; ++i) {
+        all.push_back({520200U + i, 2U, 99U});
+        bytes.push_back(code(520200U + i, 2U, 1U));
+    }
+    node.find(all);
+    node.run(1'500'000);
+    CHECK(node.of(65226U).back().data == codes_message(LPVG_CAN_LAMP_AMBER, bytes));
+    CHECK(lpvg_j1939_entry(&node.self, LPVG_J1939_CODES_MAX - 1U) != nullptr);
+    CHECK(lpvg_j1939_entry(&node.self, LPVG_J1939_CODES_MAX) == nullptr);
+    node.findings.n_codes = 0U;
+    node.step();
+    for (uint8_t i = 0U; i < LPVG_J1939_CODES_MAX; ++i) {
+        CHECK(lpvg_j1939_entry(&node.self, i)->active == 0U);
+    }
+    CHECK(node.ask(65227U).at(0).data == codes_message(0U, bytes));
+}
+
+TEST_CASE("a code takes the place of none that is active", "[unit][j1939][REQ-J1939-6]") {
+    Node node;
+    std::vector<lpvg_can_dtc_t> all;
+    for (uint8_t i = 0U; i < LPVG_J1939_CODES_MAX; ++i) {
+        all.push_back({1000U + i, 2U, 0U});
+    }
+    node.find(all);
+    node.step();
+    const auto gone = GENERATE(as<size_t>{}, 0, 5, 15);
+    all[gone] = {600U, 9U, 0U};
+    node.find(all);
+    node.step();
+    node.step();
+    CHECK(node.memory.activations == LPVG_J1939_CODES_MAX + 1U);
+    CHECK(node.memory.entry[gone].spn == 600U);
+}
+
 TEST_CASE("DM1: several codes are broadcast, the gravest first", "[unit][j1939][REQ-J1939-5]") {
     Node node;
     node.run(500'000);
@@ -454,6 +649,21 @@ TEST_CASE("DM1: several codes are broadcast, the gravest first", "[unit][j1939][
     node.find(all);
     node.run(3'000'000);
     CHECK(node.of(65226U).back().data == codes_message(LPVG_CAN_LAMP_AMBER, bytes));
+}
+
+TEST_CASE("a broadcast whose last packet holds one byte, and the shortest time between packets", "[unit][j1939][REQ-J1939-5]") {
+    Node node;
+    node.run(500'000);
+    node.messages.clear();
+    node.find({{1U, 2U, 0U}, {2U, 2U, 0U}, {3U, 2U, 0U}, {4U, 2U, 0U}, {5U, 2U, 0U}});
+    REQUIRE(node.step({request_of(65227U, 255U)}).size() == 1U);  // a step begins one message
+    CHECK(node.of(65227U).empty());
+    REQUIRE(node.step({}, 49'999).size() == 1U);
+    CHECK(node.of(65227U).size() == 1U);
+    CHECK(node.step({}, 1).size() == 1U);
+    node.run(400'000);
+    REQUIRE(node.of(65226U).size() == 1U);
+    CHECK(node.of(65226U)[0].data.size() == 22U);
 }
 
 TEST_CASE("a broadcast waits for the one that runs, a single frame does not", "[unit][j1939][REQ-J1939-5]") {
@@ -513,10 +723,16 @@ TEST_CASE("the occurrence count and the counters stop at their ends", "[unit][j1
     }
     CHECK(node.memory.entry[0].occurrence == 126U);
     CHECK(node.memory.activations == 130U);
-    node.memory.activations = UINT32_MAX;
-    node.find({dtc_a});
-    node.step();
-    CHECK(node.memory.activations == UINT32_MAX);
+    node.memory.activations = UINT32_MAX - 2U;
+    for (const uint32_t number : {UINT32_MAX - 1U, UINT32_MAX, UINT32_MAX}) {
+        node.find({dtc_a});
+        node.step();
+        CHECK(node.memory.activations == number);
+        const bool shown = node.ask(64951U).at(0).data.size() > 8U;
+        CHECK(shown == (number < UINT32_MAX));  // the last number is none
+        node.find({});
+        node.step();
+    }
 }
 
 TEST_CASE("the memory survives a reset, its active codes as previously active ones", "[unit][j1939][REQ-J1939-7]") {
@@ -550,6 +766,40 @@ TEST_CASE("the memory survives a reset, its active codes as previously active on
     CHECK(lpvg_j1939_entry(nullptr, 0U) == nullptr);
     lpvg_j1939_t fresh{};
     CHECK(lpvg_j1939_entry(&fresh, 0U) == nullptr);
+}
+
+TEST_CASE("a code that stays over a reset becomes active anew", "[unit][j1939][REQ-J1939-7]") {
+    Node node;
+    node.find({dtc_a});
+    node.step();
+    node.start();
+    node.step();
+    CHECK(node.memory.entry[0].occurrence == 2U);
+}
+
+TEST_CASE("DM3 leaves what is active as it is", "[unit][j1939][REQ-J1939-6]") {
+    Node node;
+    node.find({dtc_a});
+    node.step();
+    node.step({request_of(65228U, 0xFCU)});
+    CHECK(node.memory.activations == 1U);
+}
+
+TEST_CASE("the memory's sum is the CRC-32 of its bytes after every change", "[unit][j1939][REQ-J1939-7]") {
+    Node node;
+    CHECK(node.memory.crc32 == sum_of(node.memory));
+    node.find({dtc_a, dtc_b});
+    node.step();
+    CHECK(node.memory.crc32 == sum_of(node.memory));
+    node.find({dtc_b});
+    node.step();
+    CHECK(node.memory.crc32 == sum_of(node.memory));
+    node.step({request_of(65228U, 0xFCU)});
+    CHECK(node.memory.crc32 == sum_of(node.memory));
+    ++node.memory.version;  // of another build, whole
+    node.memory.crc32 = sum_of(node.memory);
+    node.start();
+    CHECK_FALSE(node.kept);
 }
 
 TEST_CASE("the number of the run stays a number of the bus", "[unit][j1939][REQ-J1939-7]") {
@@ -668,6 +918,10 @@ TEST_CASE("arguments and times that make no sense change nothing", "[unit][j1939
     wrong = node.findings;
     wrong.code[0].fmi = 32U;
     refused(bad, &node.self, t, &in, 1U, &wrong, out, LPVG_J1939_FRAMES_OUT);
+    wrong = node.findings;
+    wrong.n_codes = 2U;
+    wrong.code[1].fmi = 32U;
+    refused(bad, &node.self, t, &in, 1U, &wrong, out, LPVG_J1939_FRAMES_OUT);
     refused(lpvg_status_out_of_order, &node.self, t - 1, &in, 1U, &node.findings, out, LPVG_J1939_FRAMES_OUT);
     refused(lpvg_status_out_of_order, &node.self, INT64_MAX / 2 + 1, &in, 1U, &node.findings, out, LPVG_J1939_FRAMES_OUT);
     lpvg_j1939_t fresh{};
@@ -683,6 +937,7 @@ TEST_CASE("arguments and times that make no sense change nothing", "[unit][j1939
     CHECK(std::memcmp(&before, &node.self, sizeof before) == 0);
     CHECK(std::memcmp(&memory, &node.memory, sizeof memory) == 0);
     CHECK(lpvg_j1939_init(&node.self, &config, &node.memory, INT64_MAX / 2, nullptr) == lpvg_status_ok);
+    node.find({{0x7FFFFU, 31U, 0U}});  // the largest numbers there are
     CHECK(lpvg_j1939_step(&node.self, INT64_MAX / 2, nullptr, 0U, &node.findings, out, LPVG_J1939_FRAMES_OUT, &n) == lpvg_status_ok);
     CHECK(n == 2U);
 }
