@@ -34,8 +34,8 @@ MUTANTS = {
     ),
     "input one sample late": (
         "model.cpp",
-        "const Real* u_old = self->past[LPVG_DELAY];",
-        "const Real* u_old = self->past[0];",
+        "const Matrix<nu, 1> u_old = ConstMap<nu, 1>(self->past[LPVG_DELAY]);",
+        "const Matrix<nu, 1> u_old = ConstMap<nu, 1>(self->past[0]);",
     ),
     "model offset forgotten": ("model.cpp", "+ ConstMap<ny, 1>(r.output_offset);", ";"),
 }

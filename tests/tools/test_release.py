@@ -90,7 +90,9 @@ def test_a_release_is_whole_and_its_wheel_replays_a_drive(checkout, tmp_path):
     names = sorted(str(p.relative_to(out)) for p in out.rglob("*") if p.is_file())
     archive, wheel = f"lpvguard-{version}.tar.gz", f"lpvguard-{version}-py3-none-any.whl"
     cores = [f"core/liblpvguard_{name}.a" for name in ("g80", "truck")]
-    assert names == sorted(["LICENCES.txt", "SHA256SUMS", *cores, archive, wheel, "requirements.txt", "sbom.cdx.json"])
+    assert names == sorted(
+        ["LICENCES.txt", "SHA256SUMS", *cores, archive, wheel, "requirements.txt", "sbom.cdx.json"]
+    )
     sums = dict(reversed(line.split("  ")) for line in (out / "SHA256SUMS").read_text().splitlines())
     assert sums.keys() == set(names) - {"SHA256SUMS"}
     assert all(hashlib.sha256((out / n).read_bytes()).hexdigest() == digest for n, digest in sums.items())

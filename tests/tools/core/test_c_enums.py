@@ -68,7 +68,9 @@ def stated_otherwise(text: str) -> list[str]:
 def test_the_lcm_types_state_the_members_of_the_headers():
     assert [p.name for p in LCM if stated_otherwise(p.read_text())] == []
     named = [name for p in LCM for name, _ in STATED.findall(p.read_text())]
-    assert sorted(named) == ["lpvg_can_state_t", "lpvg_can_state_t", "lpvg_reason_t", "lpvg_verdict_t"]
+    assert sorted(named) == [
+        *("lpvg_can_state_t", "lpvg_can_state_t", "lpvg_cause_t", "lpvg_reason_t", "lpvg_verdict_t")
+    ]
     guard = next(p for p in LCM if p.name == "lpvguard_guard.lcm").read_text()
     assert stated_otherwise(guard.replace("3 not_judged", "3 not_known")) == ["lpvg_verdict_t"]
     assert stated_otherwise(guard.replace(", 2 live", "")) == ["lpvg_can_state_t"]

@@ -278,7 +278,7 @@ def test_bench_names_what_there_is(lpvguard):
     done = lpvguard("bench", "nothing")
     assert (
         done.returncode == 2
-        and "can or core or fleet or lives or robust or steer or synthesis or validation or weights"
+        and "can or core or fleet or lives or robust or soak or steer or synthesis or validation or weights"
         in done.stderr
     )
     done = lpvguard("bench", "fleet", "--drives", 3, "--memory", "--json", "-")
