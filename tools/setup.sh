@@ -187,7 +187,7 @@ pip_install() {
   return "$status"
 }
 
-# pip_install_locked NAME: what tools/locks/NAME.txt pins, where the files have the hashes that stand there.
+# pip_install_locked NAME: the pins of that name in tools/locks, where the files have the hashes that stand there.
 pip_install_locked() { pip_install --require-hashes --only-binary :all: -r "$root/tools/locks/$1.txt"; }
 
 # ensure_venv EXTRA: the private environment with the package (and its extra: run or test), made anew when it is not current.
