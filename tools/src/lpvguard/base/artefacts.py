@@ -79,6 +79,20 @@ def read_json(path: Path) -> Any:
         raise InputError(path, "", f"not valid JSON ({error})", "a file written by lpvguard") from None
 
 
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Around code that takes apart what was read from ``path``: where the content is of another shape than
+    expected, an InputError says so."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        said = str(error).splitlines()[0] if str(error) else ""
+        what = f"does not hold what it should ({type(error).__name__}: {said})"
+        raise InputError(path, "", what, "the file as lpvguard writes it") from None
+
+
 def file_hash(path: Path) -> str:
     """SHA-256 of a file's bytes."""
     with path.open("rb") as stream:
@@ -160,7 +174,8 @@ def read_manifest(folder: Path, kind: str) -> dict[str, Any]:
             f"{kind!r}, 1",
         )
     require_seal(folder / MANIFEST, found, command)
-    differs = _difference(folder, found["files"])
+    with reading(folder / MANIFEST):
+        differs = _difference(folder, found["files"])
     if differs:
         raise InputError(
             folder / differs[0], "", differs[1], f"the folder as {command} wrote it, or a new one"

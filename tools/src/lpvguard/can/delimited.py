@@ -26,6 +26,10 @@ def read_csv(data: bytes, null_values: Iterable[str] | None = None) -> tuple[pa.
         skipped += 1
     end = text.find(b"\n", position)
     header = text[position : end if end >= 0 else len(text)]
+    try:
+        header.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise pa.ArrowInvalid(f"the header is no UTF-8: {error}") from None
     delimiter = ";" if header.count(b";") > header.count(b",") else ","
     convert = pa_csv.ConvertOptions(decimal_point="," if _decimal_commas(text[position:], delimiter) else ".")
     if null_values is not None:

@@ -15,13 +15,18 @@ from __future__ import annotations
 import ctypes
 import gzip
 import re
+import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..base import native
 from ..base.errors import InputError
+
+if TYPE_CHECKING:
+    import can
 
 EXTENDED = 0x80000000
 """Flag in ``Frames.id``: 29-bit identifier."""
@@ -188,7 +193,7 @@ def _bytes(path: Path) -> bytes:
             with gzip.open(path, "rb") as stream:
                 return stream.read()
         return path.read_bytes()
-    except (OSError, EOFError) as error:
+    except (OSError, EOFError, zlib.error) as error:
         raise InputError(
             path, "", f"cannot be read ({error})", "a readable file, whole if it is compressed"
         ) from None
@@ -280,8 +285,10 @@ def parse_candump(text: np.ndarray, library: ctypes.CDLL) -> Frames:
     )
 
 
+_LATEST_S = 9_000_000_000
+"""The latest second that 64 bits of nanoseconds hold, rounded down."""
 _LINE = re.compile(
-    rb" *\((\d{1,10})\.(\d{1,9})\) +(\S{1,15}) +([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
+    rb" *\((\d{1,10})\.(\d{1,9})\) +([!-\xff]{1,15}) +([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
     rb"(?:([Rr].*)|(?:#[0-9A-Fa-f])?((?:[0-9A-Fa-f]{2}){0,64})(?:[ _].*)?)\r?"
 )
 
@@ -290,30 +297,34 @@ def parse_candump_slowly(text: np.ndarray) -> Frames:
     """The same as ``parse_candump`` for ``text`` (bytes,) without a compiler, 20 times slower."""
     rows: list[tuple[int, int, str, bytes]] = []
     left_out: dict[str, int] = {}
+    interfaces: set[bytes] = set()
+
+    def leave_out(kind: str) -> None:
+        left_out[kind] = left_out.get(kind, 0) + 1
+
     for number, line in enumerate(text.tobytes().split(b"\n"), start=1):
-        if not line.strip(b"\r"):
+        if line in (b"", b"\r"):
             continue
         match = _LINE.fullmatch(line)
-        if match is None:
-            left_out["lines that are no frame"] = left_out.get("lines that are no frame", 0) + 1
+        kind = "" if match is not None and int(match[1]) <= _LATEST_S else "lines that are no frame"
+        if match is not None and not kind:
+            seconds, fraction, interface, identifier, remote, data = match.groups()
+            value = int(identifier, 16)
+            if len(identifier) == 8 and value & ERROR_REPORT:
+                kind = "error reports"
+            elif remote:
+                kind = "remote frames"
+            elif interface not in interfaces and len(interfaces) == _CHANNELS:
+                kind = "lines that are no frame"
+            else:
+                interfaces.add(interface)
+                flagged = value & 0x1FFFFFFF | EXTENDED if len(identifier) == 8 else value
+                t_ns = int(seconds) * 10**9 + int(fraction.ljust(9, b"0"))
+                rows.append((t_ns, flagged, interface.decode(errors="replace"), bytes.fromhex(data.decode())))
+        if kind:
+            leave_out(kind)
+        if kind == "lines that are no frame":
             left_out.setdefault("first line that is no frame", number)
-            continue
-        seconds, fraction, interface, identifier, remote, data = match.groups()
-        value = int(identifier, 16)
-        if len(identifier) == 8 and value & ERROR_REPORT:
-            left_out["error reports"] = left_out.get("error reports", 0) + 1
-        elif remote:
-            left_out["remote frames"] = left_out.get("remote frames", 0) + 1
-        else:
-            flagged = value & 0x1FFFFFFF | EXTENDED if len(identifier) == 8 else value
-            rows.append(
-                (
-                    int(seconds) * 10**9 + int(fraction.ljust(9, b"0")),
-                    flagged,
-                    interface.decode(errors="replace"),
-                    bytes.fromhex(data.decode()),
-                )
-            )
     return _from_rows(rows, left_out)
 
 
@@ -333,15 +344,7 @@ def _read_python_can(path: Path) -> Frames:
                 elif message.is_remote_frame:
                     left_out["remote frames"] += 1
                 else:
-                    flag = EXTENDED if message.is_extended_id else 0
-                    rows.append(
-                        (
-                            round(message.timestamp * 1e9),
-                            message.arbitration_id | flag,
-                            str(message.channel),
-                            bytes(message.data),
-                        )
-                    )
+                    rows.append(_row(message))
     except Exception as error:  # each reader of python-can has exceptions of its own
         raise InputError(
             path,
@@ -350,6 +353,19 @@ def _read_python_can(path: Path) -> Frames:
             f"a {path.suffix} log that python-can reads",
         ) from None
     return _from_rows(rows, {kind: n for kind, n in left_out.items() if n})
+
+
+def _row(message: can.Message) -> tuple[int, int, str, bytes]:
+    """Time [ns], identifier with its flag, channel and data; ValueError for what no frame has."""
+    if not 0 <= message.arbitration_id < (1 << 29 if message.is_extended_id else 1 << 11):
+        raise ValueError(f"identifier {message.arbitration_id:#x} has too many bits")
+    if not abs(message.timestamp) <= _LATEST_S:
+        raise ValueError(f"time {message.timestamp} s")
+    if len(message.data) > _FD_BYTES:
+        raise ValueError(f"{len(message.data)} bytes of data")
+    flag = EXTENDED if message.is_extended_id else 0
+    t_ns = round(message.timestamp * 1e9)
+    return t_ns, message.arbitration_id | flag, str(message.channel), bytes(message.data)
 
 
 def _from_rows(rows: list[tuple[int, int, str, bytes]], left_out: dict[str, int]) -> Frames:

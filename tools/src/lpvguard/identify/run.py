@@ -30,7 +30,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -555,32 +555,33 @@ def load(folder: Path) -> StoredIdentification:
     InputError."""
     folder = Path(folder)
     manifest = artefacts.read_manifest(folder, "identify")
-    project = parse_project(artefacts.read_json(folder / "project.json"), str(folder / "project.json"))
-    bounds = {k: np.array(v, float) for k, v in artefacts.read_json(folder / "bounds.json").items()}
-    weights = artefacts.read_json(folder / "weights.json")
-    calibration = Calibration.from_dict(artefacts.read_json(folder / "calibration.json"))
-    model = NominalModel(project)
-    estimator = Estimator.of(project, model)
-    if manifest["estimator_id"] != estimator.identifier():
+
+    def read(name: str, use: Callable[[Any, str], Result]) -> Result:
+        path = folder / f"{name}.json"
+        with artefacts.reading(path):
+            return use(artefacts.read_json(path), str(path))
+
+    project = read("project", parse_project)
+    bounds = read("bounds", lambda document, _: {k: np.array(v, float) for k, v in document.items()})
+    calibration = read("calibration", lambda document, _: Calibration.from_dict(document))
+    with artefacts.reading(folder / "project.json"):
+        model = NominalModel(project)
+        estimator = Estimator.of(project, model)
+    if manifest.get("estimator_id") != estimator.identifier():
         raise InputError(
             folder / artefacts.MANIFEST,
             "estimator_id",
-            f"{manifest['estimator_id']:#010x}",
-            f"{estimator.identifier():#010x}, the estimator that project.json describes",
+            f"{manifest.get('estimator_id')}",
+            f"{estimator.identifier()}, the estimator that project.json describes",
         )
-    fitted = Weights.from_dict(weights, str(folder / "weights.json"))
+    weights, fitted = read("weights", lambda document, where: (document, Weights.from_dict(document, where)))
     energy = change = diagnosis = None
     if estimator.window == "hann":
-        energy = energy_filters(project, estimator, fitted).restored(
-            artefacts.read_json(folder / "energy.json"), str(folder / "energy.json")
-        )
-        change = ChangeTest.design(project).restored(
-            artefacts.read_json(folder / "change.json"), str(folder / "change.json")
-        )
+        energy = read("energy", energy_filters(project, estimator, fitted).restored)
+        change = read("change", ChangeTest.design(project).restored)
         if (folder / "diagnosis.json").is_file():  # an identification of before has none
-            diagnosis = DiagnosisScales.restored(project, artefacts.read_json(folder / "diagnosis.json"))
-    stored_front = artefacts.read_json(folder / "front.json")
-    front = {k: np.array(stored_front[k], float) for k in ("gamma_w", "nu")}
+            diagnosis = read("diagnosis", lambda document, _: DiagnosisScales.restored(project, document))
+    front = read("front", lambda document, _: {k: np.array(document[k], float) for k in ("gamma_w", "nu")})
     return StoredIdentification(
         folder,
         manifest,
@@ -593,6 +594,6 @@ def load(folder: Path) -> StoredIdentification:
         change,
         diagnosis,
         front,
-        artefacts.read_json(folder / "visibility.json"),
-        ModelError.from_dict(project, estimator, artefacts.read_json(folder / "model_error.json")),
+        read("visibility", lambda document, _: dict(document)),
+        read("model_error", lambda document, _: ModelError.from_dict(project, estimator, document)),
     )

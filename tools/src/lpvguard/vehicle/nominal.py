@@ -73,7 +73,7 @@ def evaluate(expression: float | str, names: Mapping[str, Speed | float], where:
 
     def walk(node: ast.expr) -> Speed | float:
         if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)):
-            return node.value
+            return float(node.value)  # a power of integers could fill the memory
         if isinstance(node, ast.Name) and node.id in names:
             return names[node.id]
         if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
@@ -99,14 +99,18 @@ def evaluate(expression: float | str, names: Mapping[str, Speed | float], where:
         return function(*values)
 
     try:
-        return walk(ast.parse(expression, mode="eval").body)
-    except SyntaxError:
+        tree = ast.parse(expression, mode="eval")
+    except (SyntaxError, ValueError, RecursionError, MemoryError):  # a NUL; brackets in brackets
         raise InputError(
             where,
             expression,
             "not an arithmetic expression",
             "+ - * / ** and abs, min, max, sqrt over v and parameters",
         ) from None
+    try:
+        return walk(tree.body)
+    except (ArithmeticError, RecursionError) as error:
+        raise InputError(where, expression, f"has no value ({error})", "a finite number") from None
 
 
 @dataclass(frozen=True)

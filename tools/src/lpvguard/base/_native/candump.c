@@ -7,6 +7,7 @@
  * A suffix after the data (direction, raw length) is ignored. Error reports (identifier flag 0x20000000) and remote frames
  * are counted and left out. A line that fits none of these is counted, and the first one's number kept.
  */
+#include <stddef.h>
 #include <stdint.h>
 #include <string.h>
 
@@ -44,8 +45,9 @@ static int64_t decimal(const char** p, const char* end) {
 static int64_t stamp(const char** p, const char* end) {
     if (*p == end || **p != '(') return -1;
     ++*p;
+    const char* first = *p;
     const int64_t seconds = decimal(p, end);
-    if (seconds < 0 || seconds > 9000000000LL || *p == end || **p != '.') return -1;
+    if (seconds < 0 || *p - first > 10 || seconds > 9000000000LL || *p == end || **p != '.') return -1;
     ++*p;
     const char* start = *p;
     int64_t fraction = decimal(p, end);
@@ -56,7 +58,6 @@ static int64_t stamp(const char** p, const char* end) {
 }
 
 static int channel_of(const char* name, size_t length, char* names, int64_t* counts) {
-    if (length == 0 || length >= NAME) return -1;
     for (int64_t i = 0; i < counts[N_CHANNELS]; ++i)
         if (memcmp(names + NAME * i, name, length) == 0 && names[NAME * i + (int64_t)length] == 0) return (int)i;
     if (counts[N_CHANNELS] == CHANNELS) return -1;
@@ -64,29 +65,32 @@ static int channel_of(const char* name, size_t length, char* names, int64_t* cou
     return (int)counts[N_CHANNELS]++;
 }
 
+/* Moves *p over spaces; returns how many. */
+static ptrdiff_t spaces(const char** p, const char* end) {
+    const char* start = *p;
+    while (*p < end && **p == ' ') ++*p;
+    return *p - start;
+}
+
 /* One line, begin <= p < end. Returns 1: frame n written, 0: left out on purpose, -1: not a frame. */
 static int line(const char* p, const char* end, int64_t n, int width, int64_t* t_ns, uint32_t* id, uint8_t* channel, uint8_t* length,
                 uint8_t* data, char* names, int64_t* counts) {
-    while (p < end && *p == ' ') ++p;
+    spaces(&p, end);
     const int64_t t = stamp(&p, end);
-    if (t < 0) return -1;
-    while (p < end && *p == ' ') ++p;
+    if (t < 0 || spaces(&p, end) == 0) return -1;
     const char* name = p;
-    while (p < end && *p != ' ') ++p;
+    while (p < end && (unsigned char)*p > ' ') ++p;
     const size_t name_length = (size_t)(p - name);
-    while (p < end && *p == ' ') ++p;
+    if (name_length == 0 || name_length >= NAME || spaces(&p, end) == 0) return -1;
     const char* start = p;
     uint32_t identifier = 0;
     for (int digit; p < end && p - start < 9 && (digit = hex(*p)) >= 0; ++p) identifier = identifier << 4 | (uint32_t)digit;
     const int64_t digits = p - start;
     if ((digits != 3 && digits != 8) || p == end || *p != '#') return -1;
     ++p;
-    if (digits == 8 && (identifier & 0x20000000u)) {
-        ++counts[ERROR_FRAMES];
-        return 0;
-    }
+    const int report = digits == 8 && (identifier & 0x20000000u);
     if (p < end && (*p == 'R' || *p == 'r')) {
-        ++counts[REMOTE_FRAMES];
+        ++counts[report ? ERROR_FRAMES : REMOTE_FRAMES];
         return 0;
     }
     if (p < end && *p == '#') {
@@ -100,7 +104,11 @@ static int line(const char* p, const char* end, int64_t n, int width, int64_t* t
         if (high < 0 || low < 0) break;
         bytes[count] = (uint8_t)(high << 4 | low);
     }
-    if (p < end && *p != ' ' && *p != '_' && *p != '\r') return -1;
+    if (p < end && *p != ' ' && *p != '_' && !(*p == '\r' && p + 1 == end)) return -1;
+    if (report) {
+        ++counts[ERROR_FRAMES];
+        return 0;
+    }
     if (count > counts[LONGEST]) counts[LONGEST] = count;
     const int index = channel_of(name, name_length, names, counts);
     if (index < 0) return -1;
