@@ -2,8 +2,9 @@
 
 Schema ``lpvguard.problems/1``: complex numbers are ``[re, im]``, matrices row-major nested lists. Kinds:
 ``zoh``, ``frequency_response``, ``multiplicative``, ``multiplicative_tradeoff``, ``margin``, ``lft``,
-``lft_margin``, ``mu``, ``hinf``. A bad problem gets ``{"id", "status": "error", "error": "<where, what;
-expected>"}`` and never stops the others. A problem that carries an ``answer`` is compared with it.
+``lft_margin``, ``mu``, ``mu_interval``, ``hinf``. A bad problem gets ``{"id", "status": "error", "error":
+"<where, what; expected>"}`` and never stops the others. A problem that carries an ``answer`` is compared with
+it.
 """
 
 from __future__ import annotations
@@ -106,6 +107,7 @@ _SOLVERS: dict[str, Callable[[Fields, dict], dict]] = {
     "lft": lambda f, _: _part("lpvguard.problems.lft", f).solve_lft(f),
     "lft_margin": lambda f, _: _part("lpvguard.problems.lft", f).solve_lft_margin(f),
     "mu": lambda f, problem: _part("lpvguard.problems.synthesis", f).solve_mu(problem),
+    "mu_interval": lambda f, problem: _part("lpvguard.problems.synthesis", f).solve_mu_interval(problem),
     "hinf": lambda f, problem: _part("lpvguard.problems.synthesis", f).solve_hinf(problem),
 }
 

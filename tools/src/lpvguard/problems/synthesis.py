@@ -1,4 +1,4 @@
-"""The kinds ``hinf`` and ``mu`` of the problem interface: a problem as a dict in, answer fields out.
+"""The kinds ``hinf``, ``mu`` and ``mu_interval`` of the problem interface: a problem in, answer fields out.
 
 Fields as in lpvguard/problems/solve.py: complex numbers are [re, im], matrices row-major nested lists. A
 problem that cannot be answered raises InputError (what, where, expected), which the caller turns into an
@@ -14,6 +14,7 @@ from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.hinf import hinf_synthesis
 from lpvguard.engine.synthesis.mu import mu_bounds
+from lpvguard.engine.synthesis.mu_interval import mu_interval
 from lpvguard.engine.synthesis.statespace import StateSpace
 
 
@@ -24,13 +25,7 @@ def solve_hinf(problem: dict) -> dict:
     what cannot be answered.
     """
     name = str(problem.get("id", "hinf"))
-    D = _matrix(problem, "D", name)
-    n = len(problem["A"]) if isinstance(problem.get("A"), list) else 0
-    A, B, C = (
-        _matrix(problem, key, name, shape)
-        for key, shape in (("A", (n, n)), ("B", (n, D.shape[1])), ("C", (D.shape[0], n)))
-    )
-    plant = StateSpace(A, B, C, D, _number(problem, "dt", name, 0.0))
+    plant = _system(problem, name)
     counts = _count(problem, "n_control", name), _count(problem, "n_measurement", name)
     try:
         result = hinf_synthesis(plant, *counts)
@@ -66,6 +61,44 @@ def solve_mu(problem: dict) -> dict:
     """
     name = str(problem.get("id", "mu"))
     M = _complex_matrix(problem, "M", name)
+    blocks = _blocks(problem, name)
+    bounds = mu_bounds(M, blocks)
+    delta = (
+        None if bounds.delta is None else np.stack([bounds.delta.real, bounds.delta.imag], axis=-1).tolist()
+    )
+    return {"mu_upper": bounds.upper, "mu_lower": bounds.lower, "delta": delta}
+
+
+def solve_mu_interval(problem: dict) -> dict:
+    """Answer to kind ``mu_interval``: a bound of mu at every frequency between ``low`` and ``high`` [rad/s].
+
+    Fields: A, B, C, D, dt (default 0), blocks, low (default 0), high (default or null: infinite, of a
+    discrete system pi / dt). Raises SynthesisError, naming the field, on what cannot be answered.
+    """
+    name = str(problem.get("id", "mu_interval"))
+    loop, blocks = _system(problem, name), _blocks(problem, name)
+    last = np.pi / loop.dt if loop.dt else np.inf
+    high = last if problem.get("high") is None else _number(problem, "high", name, last)
+    found = mu_interval(loop, blocks, _number(problem, "low", name, 0.0), high)
+    return {
+        "mu_upper": found.upper,
+        "largest_at_one_frequency": found.largest,
+        "omega": _finite(found.omega),
+        "cells": found.cells,
+    }
+
+
+def _system(problem: dict, name: str) -> StateSpace:
+    D = _matrix(problem, "D", name)
+    n = len(problem["A"]) if isinstance(problem.get("A"), list) else 0
+    A, B, C = (
+        _matrix(problem, key, name, shape)
+        for key, shape in (("A", (n, n)), ("B", (n, D.shape[1])), ("C", (D.shape[0], n)))
+    )
+    return StateSpace(A, B, C, D, _number(problem, "dt", name, 0.0))
+
+
+def _blocks(problem: dict, name: str) -> list[Block]:
     listed = problem.get("blocks")
     if not isinstance(listed, list) or not listed:
         raise SynthesisError(name, "blocks", "missing or empty", "a list of {type, rows, cols}")
@@ -81,11 +114,7 @@ def solve_mu(problem: dict) -> dict:
         except InputError as error:
             what = error.what if error.where == "type" else f"{rows_of_M} x {cols_of_M}"
             raise SynthesisError(where, error.where, what, error.expected) from None
-    bounds = mu_bounds(M, blocks)
-    delta = (
-        None if bounds.delta is None else np.stack([bounds.delta.real, bounds.delta.imag], axis=-1).tolist()
-    )
-    return {"mu_upper": bounds.upper, "mu_lower": bounds.lower, "delta": delta}
+    return blocks
 
 
 def _matrix(problem: dict, key: str, name: str, shape: tuple[int, int] | None = None) -> np.ndarray:
