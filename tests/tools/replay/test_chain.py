@@ -228,5 +228,6 @@ def test_shipped_coefficients_are_those_of_the_measured_drives(measured_identifi
     for name in core.words.keys() - {"crc32"}:  # of the numbers, which may differ in their last digits
         np.testing.assert_array_equal(core.words[name], made.words[name], err_msg=name)
     shipped, made = core.compiled, made.compiled
-    # The fits end at other digits on another processor's linear algebra: by 1.4e-6 where that was seen.
-    np.testing.assert_allclose(shipped[1], made[1], rtol=1e-4, atol=1e-12)
+    # A fit of a weight stops at one of two ends that differ by 1.3e-3: which one, the last digits of the
+    # linear algebra decide (OPENBLAS_CORETYPE=SkylakeX and Zen, on one machine). Both are certified.
+    np.testing.assert_allclose(shipped[1], made[1], rtol=3e-3, atol=1e-12)
