@@ -406,18 +406,21 @@ def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Ta
             f"cannot be parsed ({str(error).splitlines()[0]})",
             "a table with one header line" if suffix == ".csv" else "a Parquet table",
         ) from None
-    if set(table.column_names) >= _RAW_COLUMNS:
+    names = table.column_names
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise InputError(path, "header", f"two columns are named {twice[0]!r}", "a name of its own for each")
+    if set(names) >= _RAW_COLUMNS:
         if suffix == ".csv" and path.suffix.lower() == ".csv":
             return _read_python_can(path)
         return _raw_table(path, table)
-    time = time_column or next((c for c in ("t", "time", "timestamp") if c in table.column_names), None)
-    if time is None or time not in table.column_names:
+    time = time_column or next((c for c in ("t", "time", "timestamp") if c in names), None)
+    if time is None or time not in names:
         raise InputError(
             path,
             "header",
             f"no time column{f' {time}' if time else ''}",
             "one of t, time, timestamp in s (or `time` in the signal map); "
-            f"there are {', '.join(table.column_names)}",
+            f"there are {', '.join(names)}",
         )
     t_ns = np.rint(_numbers(path, table, time) * 1e9)
     bad = np.flatnonzero(~np.isfinite(t_ns))
@@ -428,7 +431,7 @@ def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Ta
     return Table(
         {
             c: Series(t_ns, _numbers(path, table, c))
-            for c in table.column_names
+            for c in names
             if c != time and _numeric(table, c)
         }
     )
