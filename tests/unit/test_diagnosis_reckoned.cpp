@@ -1,0 +1,525 @@
+// The diagnosis against a second reckoning: it keeps every block of a random drive and works out in double, at once, what the core sums up
+// block by block in lpvg_real_t (T38 and diagnosis.h). Compiled for every test vehicle.
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <random>
+#include <vector>
+
+#include "diagnosis_table.hpp"
+#include <Eigen/Cholesky>
+
+namespace {
+
+using Vector = Eigen::Matrix<double, 4, 1>;
+using Matrix = Eigen::Matrix<double, 4, 4>;
+constexpr int delays = LPVG_DIAGNOSIS_DELAYS, ring = LPVG_DIAGNOSIS_CELLS;
+
+// Eigen's own for four by four, by cofactors, loses what is left of a record without excitation.
+Matrix inverse(const Matrix& A) { return A.ldlt().solve(Matrix::Identity()); }
+
+struct Block {
+    double e[ny], yhat[ny], rough[ny];
+    bool settled;
+};
+
+// Comparisons that decide, and how close the closest was: rounding may turn what is closer than the core's digits.
+struct Decisions {
+    double closest = std::numeric_limits<double>::infinity();
+    bool less(double a, double b) {
+        closest = std::min(closest, std::abs(a - b) / std::max({std::abs(a), std::abs(b), 1e-30}));
+        return a < b;
+    }
+};
+
+struct Expected {
+    lpvg_cause_t cause = lpvg_cause_other;
+    double value = 0.0, half = 0.0, deviation = 0.0;
+    double closest = 0.0, onset_closest = 0.0;
+    uint32_t onset_blocks = 0U;
+    bool before = false;
+};
+
+// What the blocks `counted` of a drive say of output j.
+class Reckoning {
+public:
+    Reckoning(const std::vector<Block>& drive, const std::vector<std::size_t>& counted, std::size_t j, const lpvg_diagnosis_table_t& table)
+        : drive_(drive), counted_(counted), j_(j), words_(table.words), r_(table.reals), n_(static_cast<double>(counted.size())) {
+        for (const std::size_t k : counted_) {
+            gram_ += phi(k) * phi(k).transpose();
+        }
+        excited = gram_(0, 0) / n_;
+        gram_ += 1e-5 * n_ * Matrix::Identity();
+        inverse_ = inverse(gram_);
+        theta_ = fitted(0.0);
+    }
+
+    double excited = 0.0;  // mean square of yhat over its size
+
+    Expected found() {
+        Expected expected = cause();
+        expected.closest = decisions_.closest;
+        return expected;
+    }
+
+    // Of cells before the alarm, sums of e and yhat, the newest first.
+    void onset(const std::vector<std::pair<double, double>>& cells, uint32_t partial, Expected* expected) const {
+        double sum = 0.0, largest = 0.0;
+        std::size_t best = 0U;
+        Decisions decisions;
+        for (std::size_t i = 0; i < cells.size(); ++i) {
+            const double length = words_.cell_blocks, e = cells[i].first / length, yhat = cells[i].second / length;
+            const double change = i + 1U < cells.size() ? (yhat - cells[i + 1U].second / length) / length : 0.0;
+            const double explained = theta_.dot(regressors(yhat, change));
+            sum += e * e - (e - explained) * (e - explained);
+            if (decisions.less(largest, sum)) {
+                largest = sum;
+                best = i + 1U;
+            }
+        }
+        expected->onset_closest = decisions.closest;
+        expected->onset_blocks = best > 0U ? partial + static_cast<uint32_t>(best) * words_.cell_blocks : 0U;
+        expected->before = best > 0U && best == cells.size();
+    }
+
+private:
+    const std::vector<Block>& drive_;
+    const std::vector<std::size_t>& counted_;
+    std::size_t j_;
+    const lpvg_diagnosis_words_t& words_;
+    const lpvg_diagnosis_reals_t& r_;
+    double n_;
+    Matrix gram_ = Matrix::Zero(), inverse_;
+    Vector theta_;
+    Decisions decisions_;
+
+    double e(std::size_t k) const { return drive_[k].e[j_]; }
+    double yhat(std::size_t k) const { return drive_[k].yhat[j_]; }
+    Vector regressors(double y, double change) const {
+        const double p = y * r_.unit[j_][0];
+        return {p, -change * r_.unit[j_][1], 1.0, p * std::abs(p)};
+    }
+    Vector phi(std::size_t k) const { return regressors(yhat(k), yhat(k) - yhat(k - 1U)); }
+    // yhat less that of `late` strides before; between two strides it is a straight line.
+    double moved(std::size_t k, double late) const {
+        const double whole = std::floor(late), share = late - whole;
+        const auto at = [&](double strides) {
+            return yhat(k - static_cast<std::size_t>(static_cast<int>(strides) * static_cast<int>(words_.stride)));
+        };
+        return yhat(k) - (1.0 - share) * at(whole) - (share > 0.0 ? share * at(whole + 1.0) : 0.0);
+    }
+    Vector fitted(double late) const {
+        Vector b = Vector::Zero();
+        for (const std::size_t k : counted_) {
+            b += phi(k) * (e(k) + moved(k, late));
+        }
+        return inverse_ * b;
+    }
+    // Sum of squares that the fit to a record leaves of which the delay is taken out.
+    double left(double late) const {
+        Vector b = Vector::Zero();
+        double square = 0.0;
+        for (const std::size_t k : counted_) {
+            const double x = e(k) + moved(k, late);
+            b += phi(k) * x;
+            square += x * x;
+        }
+        return square - b.dot(inverse_ * b);
+    }
+    template <class F>
+    double mean(F f) const {
+        double sum = 0.0;
+        for (const std::size_t k : counted_) {
+            sum += f(k);
+        }
+        return sum / n_;
+    }
+
+    struct Hypothesis {
+        lpvg_cause_t cause;
+        double value, deviation, strange, left, scale;
+        bool outside;
+    };
+
+    Hypothesis along(const Matrix& C, lpvg_cause_t what, int i) {
+        const Matrix weight = inverse(C);
+        const double information = weight(i, i), value = weight.row(i).dot(theta_) / information;
+        const Vector rest = theta_ - value * Vector::Unit(i);
+        const double deviation = 1.0 / std::sqrt(information);
+        const bool outside = decisions_.less(static_cast<double>(r_.interval) * deviation, std::abs(value));
+        return {what, value, deviation, rest.dot(weight * rest), std::max(left(0.0), 0.0), 1.0, outside};
+    }
+
+    Hypothesis delayed(const Matrix& C, double white) {
+        const Matrix weight = inverse(C);
+        const auto strange = [&](double late) { return fitted(late).dot(weight * fitted(late)); };
+        const auto misfit = [&](double late) { return strange(late) + left(late) / white; };
+        double best = -delays, smallest = misfit(-delays), deviation = 0.0;
+        const double step_s = static_cast<double>(r_.block_s) * words_.stride;
+        for (int m = -delays; m < delays; ++m) {
+            // Three values of a parabola.
+            const double a = misfit(m), b = misfit(m + 0.5), c = misfit(m + 1);
+            const double curved = std::max(2.0 * (a - 2.0 * b + c), 1e-6), slope = c - a - curved;
+            const double late = m + std::min(1.0, std::max(0.0, -0.5 * slope / curved));
+            if (misfit(late) < smallest) {
+                smallest = misfit(late);
+                best = late;
+                deviation = step_s / std::sqrt(curved);
+            }
+        }
+        const double value = step_s * best;
+        const bool outside = decisions_.less(static_cast<double>(r_.interval) * deviation, std::abs(value));
+        const bool inside = decisions_.less(std::abs(best), 0.999 * delays);
+        return {lpvg_cause_delay, value, deviation, strange(best), left(best), 1.0, outside && inside};
+    }
+
+    Expected cause() {
+        const double unit = r_.unit[j_][0];
+        const auto square = [&](auto f) { return mean([&](std::size_t k) { return f(k) * f(k); }); };
+        const auto change = [&](std::size_t k) { return yhat(k) - yhat(k - 1U); };
+        const double moves = square(change), stays = square([&](std::size_t k) { return change(k) + e(k) - e(k - 1U); });
+        Expected expected;
+        if (decisions_.less(stays, static_cast<double>(r_.still[j_]) * moves)) {
+            expected.cause = lpvg_cause_frozen;
+            expected.value = mean([&](std::size_t k) { return e(k) + yhat(k); });
+            expected.deviation = 1e-3;
+            return expected;
+        }
+        double least = std::max(left(0.0), 0.0);
+        for (int m = -delays; m <= delays; ++m) {
+            least = std::min(least, left(m));
+        }
+        least = std::max(least, 0.01 * static_cast<double>(r_.residue[j_][0]) * n_);
+        const double white = static_cast<double>(r_.correlated[j_]) * least / n_;
+        Matrix spread;
+        for (int i = 0, at = 0; i < 4; ++i) {
+            for (int k = i; k < 4; ++k, ++at) {
+                spread(i, k) = spread(k, i) = r_.spread[j_][at];
+            }
+        }
+        const Matrix noise = white * inverse_, healthy = spread + noise;
+        const double g = 1.0 + unit * along(healthy, lpvg_cause_gain, 0).value;
+        Hypothesis all[3] = {along(g * g * spread + noise, lpvg_cause_gain, 0), delayed(healthy, white),
+                             along(healthy, lpvg_cause_bias, 2)};
+        all[0].value = 1.0 + unit * all[0].value;
+        all[0].deviation *= unit;
+        all[0].scale = std::max(1.0, g * g);
+        const double rough = square([&](std::size_t k) { return drive_[k + static_cast<std::size_t>(delays) * words_.stride].rough[j_]; });
+        if (decisions_.less(static_cast<double>(r_.rough[j_]) * all[0].scale, rough)) {
+            if (!decisions_.less(r_.fits, theta_.dot(inverse(healthy) * theta_))) {
+                expected.cause = lpvg_cause_noise;
+                expected.value = std::sqrt(rough);
+                expected.deviation = 1e-2 * expected.value;
+            }
+            return expected;
+        }
+        const auto misfit = [&](const Hypothesis& h) { return std::max(h.strange, 0.0) + std::max(h.left - least, 0.0) / white; };
+        const Hypothesis* first = std::min_element(all, all + 3, [&](const auto& a, const auto& b) { return misfit(a) < misfit(b); });
+        const double energy = square([&](std::size_t k) { return e(k); });
+        const double largest = static_cast<double>(r_.residue[j_][0]) +
+                               static_cast<double>(r_.residue[j_][1]) * square([&](std::size_t k) { return yhat(k); });
+        bool alone = first->outside && !decisions_.less(r_.fits, first->strange) &&
+                     !decisions_.less(std::max(largest * first->scale, 0.1 * energy), first->left / n_);
+        for (const Hypothesis& h : all) {
+            alone = alone && (&h == first || !decisions_.less(misfit(h), misfit(*first) + static_cast<double>(r_.margin)));
+        }
+        if (alone) {
+            expected.half = static_cast<double>(r_.interval) * first->deviation;
+            const bool turned = first->cause == lpvg_cause_gain && decisions_.less(first->value + expected.half, 0.0);
+            expected.cause = turned ? lpvg_cause_sign : first->cause;
+            expected.value = first->value;
+            expected.deviation = first->deviation;
+        }
+        return expected;
+    }
+};
+
+double between(std::mt19937& random, double low, double high) { return std::uniform_real_distribution<double>(low, high)(random); }
+uint32_t one_of(std::mt19937& random, uint32_t n) { return static_cast<uint32_t>(random() % n); }
+Real real(double x) { return static_cast<Real>(x); }
+
+// A table in which no size is 1, no covariance is diagonal and no two outputs are alike.
+lpvg_diagnosis_table_t random_table(std::mt19937& random) {
+    return table_with([&](lpvg_diagnosis_table_t& t) {
+        t.words.blocks = 8U + one_of(random, 60U);
+        t.words.stride = 1U + one_of(random, LPVG_DIAGNOSIS_STRIDE);
+        t.words.cell_blocks = 1U + one_of(random, 7U);
+        for (std::size_t j = 0; j < ny; ++j) {
+            const double unit[2] = {between(random, 0.3, 3.0), between(random, 1.0, 20.0)};
+            Matrix half = Matrix::Zero();
+            for (int i = 0; i < 4; ++i) {
+                half(i, i) = between(random, 0.005, 0.03);
+                for (int k = 0; k < i; ++k) {
+                    half(i, k) = between(random, -0.01, 0.01);
+                }
+            }
+            const Matrix spread = half * half.transpose();
+            for (int i = 0, at = 0; i < 4; ++i) {
+                for (int k = i; k < 4; ++k, ++at) {
+                    t.reals.spread[j][at] = real(spread(i, k));
+                }
+            }
+            t.reals.unit[j][0] = real(unit[0]);
+            t.reals.unit[j][1] = real(unit[1]);
+            t.reals.correlated[j] = real(between(random, 0.5, 6.0));
+            t.reals.residue[j][0] = real(std::pow(10.0, between(random, -5.0, -2.5)));
+            t.reals.residue[j][1] = real(std::pow(10.0, between(random, -5.0, -1.5)));
+            t.reals.rough[j] = real(std::pow(10.0, between(random, -4.0, -2.0)));
+            t.reals.still[j] = real(between(random, 0.005, 0.05));
+        }
+        t.reals.excited = real(between(random, 0.01, 0.2));
+        t.reals.fits = real(between(random, 6.0, 40.0));
+        t.reals.margin = real(between(random, 0.0, 6.0));
+        t.reals.interval = real(between(random, 1.0, 3.0));
+    });
+}
+
+// What the vehicle does with an output: yhat at a time, and y at a time, from a moment on.
+struct Fault {
+    double gain = 1.0, late = 0.0, bias = 0.0, noise = 0.004, hold = 0.0;
+    bool frozen = false;
+};
+
+Fault random_fault(std::mt19937& random, double stride_s) {
+    Fault f;
+    const uint32_t kind = one_of(random, 10U);
+    f.gain = kind == 0U || kind >= 8U ? between(random, 0.3, 1.6) : kind == 1U ? between(random, -1.2, -0.5) : 1.0;
+    f.late = kind == 2U || kind == 3U || kind == 8U ? between(random, -1.05, 1.05) * delays * stride_s : 0.0;
+    f.bias = kind == 4U || kind == 5U || kind == 9U ? between(random, -0.4, 0.4) : 0.0;
+    f.noise = kind == 6U ? between(random, 0.02, 0.3) : std::pow(10.0, between(random, -4.0, -1.8));
+    f.frozen = kind == 7U;
+    f.hold = f.frozen ? between(random, -0.5, 0.5) : 0.0;
+    return f;
+}
+
+// A drive sample by sample: the core by its monitor, and beside it what the second reckoning says must become of it.
+class Drive {
+public:
+    explicit Drive(unsigned seed) : random_(seed), table_(random_table(random_)) {
+        monitor_.coeff = &lpvg_coeff;
+        monitor_.restarts = 1U;
+        monitor_.newest = n_block - 1U;
+        monitor_.t_us = seed % 2U == 0U ? 0 : -9000000;
+        REQUIRE(lpvg_diagnosis_init(&diagnosis_, &table_) == lpvg_status_ok);
+        for (std::size_t j = 0; j < ny; ++j) {
+            fault_[j] = random_fault(random_, block_s * table_.words.stride);
+            for (double& p : phase_[j]) {
+                p = between(random_, 0.0, 6.28);
+            }
+        }
+        square_ = one_of(random_, 8U) == 0U;
+        amplitude_ = one_of(random_, 6U) == 0U ? 0.05 : between(random_, 0.4, 1.5);
+    }
+
+    int judged = 0, close = 0, onset_close = 0, causes[lpvg_cause_noise + 1] = {};
+
+    // Two alarms, with short breaks of the first.
+    void run() {
+        const uint32_t first = 20U + one_of(random_, 260U), second = first + 180U + one_of(random_, 120U), onset = one_of(random_, first);
+        const bool disturbed = one_of(random_, 3U) == 0U;
+        for (uint32_t k = 0; k < second + 180U; ++k) {
+            faulty_ = k >= onset;
+            alarms_ = (k >= first && k < first + 15U) || (k >= first + 22U && k < second - 40U) || k >= second;
+            block(disturbed && one_of(random_, 50U) == 0U ? 1U + one_of(random_, 6U) : 0U);
+        }
+    }
+
+private:
+    std::mt19937 random_;
+    std::normal_distribution<double> normal_;
+    lpvg_diagnosis_table_t table_;
+    lpvg_monitor_t monitor_{};
+    lpvg_diagnosis_t diagnosis_{};
+    Fault fault_[ny];
+    double phase_[ny][3], amplitude_ = 1.0;
+    bool square_ = false, faulty_ = false, alarms_ = false;
+    double t_ = 0.0;
+
+    // Of the second reckoning. Numbers of blocks, in the order in which they were taken.
+    std::vector<Block> drive_;
+    std::vector<std::size_t> counted_;  // since the alarm
+    int run_from_ = 0;                  // the settled blocks without a gap that the newest ends
+    int fill_from_ = 0;                 // the first in a cell
+    int break_ = 0;                     // a cell that begins before it does not count
+    int alarm_at_ = 0;                  // the first that came with the alarm
+    uint32_t alarms_seen_ = 0U;
+    bool diagnosing_ = false, alarming_ = false, waiting_ = false;
+    int64_t taken_us_ = 0, alarm_us_ = 0;
+
+    int blocks() const { return static_cast<int>(drive_.size()); }
+
+    double yhat(double t, std::size_t j) const {
+        const double s = std::sin(1.1 * t + phase_[j][0]) + 0.6 * std::sin(2.9 * t + phase_[j][1]) + 0.3 * std::sin(5.2 * t + phase_[j][2]);
+        return amplitude_ * (square_ ? (s > 0.0 ? 1.0 : -1.0) : s + 0.1);
+    }
+    double y(double t, std::size_t j) {
+        const Fault healthy, &f = faulty_ ? fault_[j] : healthy;
+        return (f.frozen ? f.hold : f.gain * yhat(t - f.late, j) + f.bias) + f.noise * normal_(random_) * (f.frozen ? 0.01 : 1.0);
+    }
+
+    // Four samples. `way`: 1 not settled, 2 the ring is not whole, 3 a gap that breaks, 4 one that does not, 5 no work, 6 no number.
+    void block(uint32_t way) {
+        const uint32_t place = one_of(random_, n_block), output = one_of(random_, 2U * ny);
+        Block b{};
+        b.settled = way != 1U && way != 2U && way != 6U;
+        monitor_.t_us += way == 3U ? 60000 : way == 4U ? 30000 : 0;
+        for (uint32_t i = 0; i < n_block; ++i) {
+            monitor_.t_us += 20000;
+            monitor_.newest = i;
+            monitor_.n_block = way == 2U ? i : n_block;
+            monitor_.block[i].span.reason = way == 1U && i == place ? lpvg_reason_out_of_range : lpvg_reason_none;
+            for (std::size_t j = 0; j < ny; ++j) {
+                const Real e = real(y(t_, j) - yhat(t_, j)), nominal = real(yhat(t_, j));
+                monitor_.signal[i][j] = e;
+                monitor_.signal[i][ny + j] = nominal;
+                b.e[j] += 0.25 * static_cast<double>(e);
+                b.yhat[j] += 0.25 * static_cast<double>(nominal);
+                b.rough[j] += (i == 0U || i == 3U ? 0.5 : -0.5) * (static_cast<double>(e) + static_cast<double>(nominal));
+            }
+            if (way == 6U && i == place) {
+                monitor_.signal[i][output] = std::numeric_limits<Real>::quiet_NaN();
+            }
+            t_ += period_s;
+            monitor_.has_changed = alarms_;
+            monitor_.t_changed_us = monitor_.t_us;
+            REQUIRE(lpvg_diagnosis_take(&diagnosis_, &monitor_) == lpvg_status_ok);
+            if (i + 1U < n_block && !waiting_) {
+                CHECK_FALSE(lpvg_diagnosis_work(&diagnosis_));
+            }
+        }
+        take(b);
+        if (way != 5U) {
+            work();
+        }
+    }
+
+    void take(const Block& b) {
+        const bool gap = taken_us_ != 0 && 2 * (monitor_.t_us - taken_us_) > 3 * static_cast<int64_t>(n_block) * 20000;
+        const int newest = waiting_ ? blocks() - 1 : blocks();  // that work will take; where one waits, this one is lost
+        if (waiting_ || gap) {
+            run_from_ = blocks();
+            break_ = diagnosing_ ? break_ : newest;
+        }
+        taken_us_ = monitor_.t_us;
+        if (alarms_ && !alarming_ && !diagnosing_) {
+            ++alarms_seen_;
+            diagnosing_ = true;
+            alarm_at_ = newest;
+            alarm_us_ = monitor_.t_us;
+            counted_.clear();
+        }
+        alarming_ = alarms_;
+        if (!waiting_) {
+            drive_.push_back(b);
+            run_from_ = b.settled ? run_from_ : blocks();
+            waiting_ = true;
+        }
+    }
+
+    void work() {
+        const int reach = delays * static_cast<int>(table_.words.stride);
+        const int newest = blocks() - 1;
+        bool judges = false;
+        if (diagnosing_ && newest + 1 - std::max(run_from_, alarm_at_ - reach) > 2 * reach) {
+            counted_.push_back(static_cast<std::size_t>(newest - reach));
+            for (std::size_t j = 0; j < ny && counted_.size() >= table_.words.blocks; ++j) {
+                judges = judges || Reckoning(drive_, counted_, j, table_).excited >= static_cast<double>(table_.reals.excited);
+            }
+        }
+        int calls = 1;
+        while (lpvg_diagnosis_work(&diagnosis_)) {
+            ++calls;
+        }
+        waiting_ = false;
+        REQUIRE(calls == static_cast<int>(judges ? 2U * ny : ny));
+        CHECK(diagnosis_.alarms == alarms_seen_);
+        CHECK((lpvg_diagnosis_named(&diagnosis_) != nullptr) == (alarms_seen_ > 0U && (judges || !diagnosing_)));
+        if (diagnosing_) {
+            CHECK(diagnosis_.t_alarm_us == alarm_us_);
+            CHECK((judges || diagnosis_.found[0].cause == lpvg_cause_unknown));
+        }
+        if (judges) {
+            judge();
+            diagnosing_ = false;
+            fill_from_ = break_ = blocks();
+        }
+    }
+
+    void judge() {
+        const int length = static_cast<int>(table_.words.cell_blocks), whole = (alarm_at_ - fill_from_) / length;
+        CHECK(diagnosis_.t_found_us == taken_us_);
+        for (std::size_t j = 0; j < ny; ++j) {
+            std::vector<std::pair<double, double>> cells;
+            for (int i = whole; i-- > std::max(0, whole - ring);) {
+                std::pair<double, double> sums{0.0, 0.0};
+                const int begins = fill_from_ + i * length;
+                bool good = begins >= break_;
+                for (int k = begins; k < begins + length; ++k) {
+                    const Block& b = drive_[static_cast<std::size_t>(k)];
+                    good = good && b.settled;
+                    sums.first += b.e[j];
+                    sums.second += b.yhat[j];
+                }
+                if (!good) {
+                    break;
+                }
+                cells.push_back(sums);
+            }
+            Reckoning reckoning(drive_, counted_, j, table_);
+            Expected expected = reckoning.found();
+            reckoning.onset(cells, static_cast<uint32_t>(alarm_at_ - fill_from_ - whole * length), &expected);
+            compare(diagnosis_.found[j], expected);
+        }
+    }
+
+    void compare(const lpvg_found_t& found, const Expected& expected) {
+        CAPTURE(expected.cause, expected.value, expected.half, expected.closest, expected.deviation, found.value, found.low, found.high);
+        ++judged;
+        if (expected.onset_closest > 1e-4) {
+            CHECK(found.onset_blocks == expected.onset_blocks);
+            CHECK(found.before == expected.before);
+        } else {
+            ++onset_close;
+        }
+        if (expected.closest < 2e-3) {
+            ++close;
+            return;
+        }
+        ++causes[expected.cause];
+        CHECK(found.cause == expected.cause);
+        const double allowed = 0.01 * expected.deviation + 2e-4 * std::abs(expected.value);
+        CHECK(std::abs(static_cast<double>(found.value) - expected.value) <= allowed);
+        if (expected.half > 0.0) {
+            CHECK(std::abs(static_cast<double>(found.value - found.low) - expected.half) <= 0.01 * expected.half + allowed);
+            CHECK(std::abs(static_cast<double>(found.high - found.value) - expected.half) <= 0.01 * expected.half + allowed);
+        } else {
+            CHECK(found.low == Real(0));
+            CHECK(found.high == Real(0));
+        }
+    }
+};
+
+}  // namespace
+
+TEST_CASE("the diagnosis of random drives is what a second reckoning in double says",
+          "[unit][REQ-DIAG-1][REQ-DIAG-2][REQ-DIAG-3][REQ-DIAG-4]") {
+    int judged = 0, close = 0, onset_close = 0, causes[lpvg_cause_noise + 1] = {};
+    for (unsigned seed = 1U; seed <= 60U; ++seed) {
+        CAPTURE(seed);
+        Drive drive(seed);
+        drive.run();
+        judged += drive.judged;
+        close += drive.close;
+        onset_close += drive.onset_close;
+        for (int c = 0; c <= lpvg_cause_noise; ++c) {
+            causes[c] += drive.causes[c];
+        }
+    }
+    CAPTURE(judged, close, onset_close, causes[1], causes[2], causes[3], causes[4], causes[5], causes[6], causes[7]);
+    CHECK(judged >= 60 * static_cast<int>(ny));
+    CHECK(close * 10 <= judged);
+    CHECK(onset_close * 5 <= judged);
+    for (int c = lpvg_cause_other; c <= lpvg_cause_noise; ++c) {
+        CHECK(causes[c] > 0);
+    }
+}
