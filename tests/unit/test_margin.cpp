@@ -9,6 +9,11 @@
 #include <random>
 #include <vector>
 
+#if defined(__linux__)
+#include <sys/mman.h>
+#include <unistd.h>
+#endif
+
 #include "margin.hpp"
 
 namespace {
@@ -152,8 +157,12 @@ private:
 
 double reference(const Problem& p) { return static_cast<double>(Reference(p)().high); }
 
+struct Answer {
+    double margin, dead;
+};
+
 template <class Real, std::size_t NY>
-double margin(const Problem& p) {
+Answer answer(const Problem& p) {
     lpvg::Complex2<Real> E[NY], Z[NY];
     Real B[NY];
     for (std::size_t j = 0; j < NY; ++j) {
@@ -162,17 +171,28 @@ double margin(const Problem& p) {
         B[j] = static_cast<Real>(p.B[j]);
     }
     const auto W = static_cast<Real>(p.W);
-    return static_cast<double>(lpvg::Margin<Real, NY, 1>(E, Z, &W, B)());
+    lpvg::CommonMargin<Real, NY> of(E, Z, &W, B);
+    const auto dead = static_cast<double>(of.dead());
+    return {static_cast<double>(of()), dead};
+}
+
+template <class Real>
+Answer answer(const Problem& p) {
+    switch (p.E.size()) {
+        case 1: return answer<Real, 1>(p);
+        case 2: return answer<Real, 2>(p);
+        case 3: return answer<Real, 3>(p);
+        default: return answer<Real, 4>(p);
+    }
 }
 
 template <class Real>
 double margin(const Problem& p) {
-    switch (p.E.size()) {
-        case 1: return margin<Real, 1>(p);
-        case 2: return margin<Real, 2>(p);
-        case 3: return margin<Real, 3>(p);
-        default: return margin<Real, 4>(p);
-    }
+    return answer<Real>(p).margin;
+}
+template <class Real>
+double dead(const Problem& p) {
+    return answer<Real>(p).dead;
 }
 
 class Random {
@@ -376,6 +396,92 @@ TEST_CASE("with a Delta an output nothing is lost of a frame beyond the range or
         CHECK(std::isinf(t({1.0F, 0.0F}, {0.0F, bad})));
     }
 }
+
+TEST_CASE("with a Delta an output two numbers beyond the range do not cancel to a small one", "[unit][margin][REQ-MON-4]") {
+    using C = lpvg::Complex2<float>;
+    const float W = 0.3F, B = 0.1F;
+    const C huge{1e30F, 0.0F};
+    const float t = lpvg::Margin<float, 1, 1>(&huge, &huge, &W, &B)();
+    CHECK(t == std::numeric_limits<float>::infinity());
+}
+
+TEST_CASE("the evidence is the margin of a vehicle that does not respond", "[unit][margin][REQ-MON-3]") {
+    const auto n_y = GENERATE(std::size_t{1}, std::size_t{2}, std::size_t{3}, std::size_t{4});
+    Random random(31U);
+    for (int i = 0; i < 200; ++i) {
+        Problem p = random_problem(random, n_y);
+        for (std::size_t j = 0; j < n_y; ++j) {
+            p.E[j] = -p.Z[j];
+        }
+        CHECK(dead<double>(p) == Approx(reference(p)).epsilon(1e-12));
+        CHECK(dead<float>(p) == Approx(reference(p)).epsilon(1e-6));
+        std::fill(p.Z.begin(), p.Z.end(), 0.0);
+        CHECK(dead<float>(p) == 0.0);
+    }
+}
+
+TEST_CASE("where candidates overflow the margin is still no more than that of d = 0", "[unit][margin][REQ-MON-4]") {
+    const auto n_y = GENERATE(std::size_t{1}, std::size_t{2}, std::size_t{3}, std::size_t{4});
+    Random random(37U);
+    Problem p = random_problem(random, n_y);
+    for (std::complex<double>& z : p.Z) {
+        z *= 1e30;
+    }
+    CHECK(margin<float>(p) <= worst_term(p, 0.0) * (1.0 + 1e-6));
+}
+
+TEST_CASE("a margin that rounding swallows is zero, never below", "[unit][margin][REQ-MON-3]") {
+    Random random(39U);
+    for (int i = 0; i < 50; ++i) {
+        const std::complex<double> Z = random.complex(1e9);
+        CHECK(margin<float>({{Z * 1e-9}, {Z}, 1.0, {1.0}}) == 0.0);
+    }
+}
+
+#if defined(__linux__)
+namespace {
+
+// The numbers of a frame, with nothing behind them that may be read.
+template <class T>
+class AtTheEnd {
+public:
+    explicit AtTheEnd(const std::vector<T>& items) : page_(static_cast<std::size_t>(sysconf(_SC_PAGESIZE))) {
+        begin_ = mmap(nullptr, 2U * page_, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+        REQUIRE(begin_ != MAP_FAILED);
+        REQUIRE(mprotect(static_cast<char*>(begin_) + page_, page_, PROT_NONE) == 0);
+        std::copy(items.begin(), items.end(), reinterpret_cast<T*>(static_cast<char*>(begin_) + page_) - items.size());
+        items_ = reinterpret_cast<T*>(static_cast<char*>(begin_) + page_) - items.size();
+    }
+    ~AtTheEnd() { munmap(begin_, 2U * page_); }
+    AtTheEnd(const AtTheEnd&) = delete;
+    AtTheEnd& operator=(const AtTheEnd&) = delete;
+    const T* get() const { return items_; }
+
+private:
+    std::size_t page_;
+    void* begin_ = nullptr;
+    T* items_ = nullptr;
+};
+
+template <std::size_t NY, std::size_t ND>
+void check_reads() {
+    using C = lpvg::Complex2<float>;
+    const AtTheEnd<C> E(std::vector<C>(NY, C{0.3F, 0.4F})), Z(std::vector<C>(NY, C{1.0F, 0.0F}));
+    const AtTheEnd<float> W(std::vector<float>(ND, 0.2F)), B(std::vector<float>(NY, 0.05F));
+    lpvg::Margin<float, NY, ND> margin(E.get(), Z.get(), W.get(), B.get());
+    CHECK(margin() == Approx(2.0).epsilon(1e-5));
+}
+
+}  // namespace
+
+TEST_CASE("nothing is read behind a frame", "[unit][margin][REQ-MON-3]") {
+    check_reads<1, 1>();
+    check_reads<2, 1>();
+    check_reads<4, 1>();
+    check_reads<2, 2>();
+    check_reads<4, 4>();
+}
+#endif
 
 TEST_CASE("outputs with Z = 0 bound from below and add no candidate", "[unit][margin][REQ-MON-3]") {
     const auto n_y = GENERATE(std::size_t{2}, std::size_t{3}, std::size_t{4});
