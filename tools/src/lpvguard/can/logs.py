@@ -419,8 +419,7 @@ def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Ta
             path,
             "header",
             f"no time column{f' {time}' if time else ''}",
-            "one of t, time, timestamp in s (or `time` in the signal map); "
-            f"there are {', '.join(names)}",
+            f"one of t, time, timestamp in s (or `time` in the signal map); there are {', '.join(names)}",
         )
     t_ns = np.rint(_numbers(path, table, time) * 1e9)
     bad = np.flatnonzero(~np.isfinite(t_ns))
@@ -429,11 +428,7 @@ def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Ta
         raise InputError(path, line, "no time", "a time in s in every line")
     t_ns = t_ns.astype(np.int64)
     return Table(
-        {
-            c: Series(t_ns, _numbers(path, table, c))
-            for c in names
-            if c != time and _numeric(table, c)
-        }
+        {c: Series(t_ns, _numbers(path, table, c)) for c in names if c != time and _numeric(table, c)}
     )
 
 
