@@ -92,11 +92,12 @@ def _digest(
         sha.update(text.encode() + b"\0")
     if "-march=native" in flags:
         sha.update(_processor().encode())
-    headers: set[Path] = set()
-    for folder in {*include_dirs, *(s.parent for s in sources)}:
-        headers.update(p for p in folder.rglob("*") if p.suffix in _HEADER_SUFFIXES and p.is_file())
-    for path in (*sources, *sorted(headers)):
+    for path in sources:
         sha.update(path.name.encode() + b"\0" + path.read_bytes())
+    beside = (s.parent for s in sources if s.suffix != ".o")  # an object needs no header any more
+    for folder in dict.fromkeys((*include_dirs, *beside)):
+        for path in sorted(p for p in folder.rglob("*") if p.suffix in _HEADER_SUFFIXES and p.is_file()):
+            sha.update(str(path.relative_to(folder)).encode() + b"\0" + path.read_bytes())
     return sha.hexdigest()[:24]
 
 

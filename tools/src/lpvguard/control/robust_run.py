@@ -17,7 +17,7 @@ import numpy as np
 
 from ..base import native
 from ..base.errors import InputError
-from ..core.compiled import eigen_include, library_root
+from ..core.compiled import core_objects
 from ..engine.synthesis.dk import RobustPerformance
 from ..engine.synthesis.interconnection import GeneralisedPlant
 from ..engine.synthesis.norms import hinf_norm
@@ -56,20 +56,9 @@ class CompiledController:
     """The controller of a generated folder, compiled from the ECU's sources."""
 
     def __init__(self, folder: Path):
-        root = library_root()
-        sources = [
-            *sorted((root / "src").glob("*.cpp")),
-            *sorted(Path(folder).glob("*.c")),
-            Path(__file__).with_name("loop.cpp"),
-        ]
-        flags = ("-std=c++17", "-O2", "-ffp-contract=off", "-fno-math-errno", "-isystem", eigen_include())
         try:
-            library = native.compile_shared(
-                sources,
-                flags=flags,
-                include_dirs=[root / "include", root / "src", Path(folder)],
-                name=f"loop_{Path(folder).name}",
-            )
+            objects = core_objects(Path(folder), [Path(__file__).with_name("loop.cpp")])
+            library = native.compile_shared(objects, flags=(), name=f"loop_{Path(folder).name}")
         except native.NativeError as error:
             raise InputError(
                 folder, "compiling the C core", str(error).strip(), "a C++17 compiler and Eigen 3.4"

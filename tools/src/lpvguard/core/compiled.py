@@ -7,9 +7,12 @@ and the vehicle's generated folder. There is no other monitor in this package.
 from __future__ import annotations
 
 import ctypes
+import os
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -99,6 +102,50 @@ def eigen_include() -> str:
         if Path(usual).is_dir():
             return usual
     raise native.NativeError("Eigen 3.4 not found; install libeigen3-dev")
+
+
+CORE_FLAGS = (
+    "-std=c++17",
+    "-O2",
+    "-fno-exceptions",
+    "-fno-rtti",
+    "-ffp-contract=off",
+    "-fno-math-errno",
+    "-fPIC",
+)
+OF_NO_VEHICLE = {"authentication", "can", "j1939", "life", "uds", "xcp"}
+"""Sources of the core that include no vehicle's sizes: compiled once for all vehicles."""
+
+
+def core_objects(
+    folder: Path,
+    more: Sequence[Path] = (),
+    *,
+    flags: Sequence[str] = (),
+    double: bool = False,
+    source_root: Path | None = None,
+) -> list[Path]:
+    """Objects of the core and of a generated folder, for a shared library or a program, and of ``more``
+    sources, whose own ``flags`` come on top.
+
+    An object depends on its source and on the headers, of the vehicle on its sizes: vehicles that differ in
+    numbers alone share all but the tables of those numbers. ``source_root``: a lib/ other than the
+    package's. NativeError as of ``compile_object``.
+    """
+    root, folder = source_root or library_root(), Path(folder)
+    common = (*CORE_FLAGS, "-isystem", eigen_include(), *(["-DLPVG_DOUBLE"] if double else []))
+    of_no_vehicle = [root / "include", root / "src"]
+    of_vehicle = [*of_no_vehicle, folder]
+    jobs = [
+        (source, common, of_no_vehicle if source.stem in OF_NO_VEHICLE else of_vehicle)
+        for source in sorted((root / "src").glob("*.cpp"))
+    ]
+    jobs += [(source, common, of_vehicle) for source in sorted(folder.glob("*.c"))]
+    jobs += [(source, (*common, *flags), of_vehicle) for source in more]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return list(
+            pool.map(lambda job: native.compile_object(job[0], flags=job[1], include_dirs=job[2]), jobs)
+        )
 
 
 @dataclass(frozen=True)
@@ -235,13 +282,7 @@ class Core:
             if p.suffix in (".h", ".c")
         )
         self.diagnoses = (self.folder / DIAGNOSIS_SOURCE).is_file()
-        root = source_root or library_root()
-        sources = [
-            *sorted((root / "src").glob("*.cpp")),
-            *sorted(self.folder.glob("*.c")),
-            Path(__file__).with_name("binding.cpp"),
-        ]
-        self.library = self._compile(sources, [root / "include", root / "src", self.folder], double)
+        self.library = self._compile()
         self._lib = ctypes.CDLL(str(self.library))
         self._lib.lpvgb_create.restype = ctypes.c_void_p
         self._lib.lpvgb_run.restype = ctypes.c_int64
@@ -256,23 +297,16 @@ class Core:
         cache or anew."""
         return _rebuilt, (self.folder.name, self._files, self._double, self._source_root)
 
-    def _compile(self, sources: list[Path], includes: list[Path], double: bool) -> Path:
-        flags = [
-            "-std=c++17",
-            "-O2",
-            "-fno-exceptions",
-            "-fno-rtti",
-            "-ffp-contract=off",
-            "-fno-math-errno",
-            "-isystem",
-            eigen_include(),
-            *(["-DLPVGB_DIAGNOSIS"] if self.diagnoses else []),
-            *(["-DLPVG_DOUBLE"] if double else []),
-        ]
+    def _compile(self) -> Path:
         try:
-            return native.compile_shared(
-                sources, flags=flags, include_dirs=includes, name=f"core_{self.folder.name}"
+            objects = core_objects(
+                self.folder,
+                [Path(__file__).with_name("binding.cpp")],
+                flags=["-DLPVGB_DIAGNOSIS"] if self.diagnoses else [],
+                double=self._double,
+                source_root=self._source_root,
             )
+            return native.compile_shared(objects, flags=(), name=f"core_{self.folder.name}")
         except native.NativeError as error:
             raise InputError(
                 self.folder, "compiling the C core", str(error).strip(), "a C++17 compiler and Eigen 3.4"

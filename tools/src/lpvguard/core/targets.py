@@ -35,7 +35,7 @@ import numpy as np
 from ..base import native
 from ..base.artefacts import write_files
 from ..base.errors import InputError
-from .compiled import eigen_include, firmware_root, library_root
+from .compiled import core_objects, eigen_include, firmware_root, library_root
 
 PACKAGES = "qemu-system-arm gcc-arm-none-eabi libnewlib-arm-none-eabi libstdc++-arm-none-eabi-newlib"
 """Debian packages that hold the cross compiler, its libraries and the emulator."""
@@ -346,19 +346,25 @@ def _bench_of(drive: Input) -> Program:
 
 def _host_lines(vehicle: Path, program: Program) -> list[str]:
     """What a program writes on this PC, up to its last line ``end``."""
-    core, ports = library_root(), firmware_root() / "ports"
+    ports = firmware_root() / "ports"
     with tempfile.TemporaryDirectory() as scratch:
         write_files(Path(scratch), program.headers)
-        core_sources, vehicle_sources = _sources(vehicle)
-        sources = [*core_sources, *vehicle_sources, *program.sources, ports / "host" / "port.c"]
-        folders = [core / "include", core / "src", vehicle, ports, *program.folders, Path(scratch)]
+        includes = [
+            *program.folders,
+            ports,
+            Path(scratch),
+            library_root() / "include",
+            library_root() / "src",
+            vehicle,
+        ]
+        flags = (*CXX[:3], *LANGUAGE, SAME_BITS)
         try:
-            executable = native.compile_executable(
-                sources,
-                name=program.name,
-                flags=(*CXX[:3], *LANGUAGE, SAME_BITS, "-isystem", eigen_include()),
-                include_dirs=folders,
-            )
+            objects = core_objects(vehicle)
+            objects += [
+                native.compile_object(source, flags=flags, include_dirs=includes)
+                for source in (*program.sources, ports / "host" / "port.c")
+            ]
+            executable = native.compile_executable(objects, flags=(), name=program.name)
         except native.NativeError as error:
             raise InputError(
                 vehicle, "compiling the target program for the host", str(error), "a C++17 compiler"

@@ -18,6 +18,7 @@ that `replay` uses too. A scenario file says how the truck is driven and what br
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import tempfile
@@ -37,7 +38,15 @@ from ..base import artefacts, native
 from ..base.documents import StrictModel, checked, read_toml
 from ..base.errors import InputError
 from ..can.catalogue import load_catalogue
-from ..core.compiled import CAUSES, EVENTS, SUPERVISION, VERDICTS, eigen_include, firmware_root, library_root
+from ..core.compiled import (
+    CAUSES,
+    EVENTS,
+    SUPERVISION,
+    VERDICTS,
+    core_objects,
+    firmware_root,
+    library_root,
+)
 from ..core.control_coefficients import ControllerCoefficients, build_controller, replaced_controller
 from ..core.targets import EmulatedEcu, emulated_ecu
 from ..drives.tables import Drive, speed_of_missing
@@ -54,6 +63,8 @@ REPORT_ONLY = ("--reactions", "report")
 """Findings are reported and do not release."""
 LCM_LINK = ("-Wl,--no-as-needed", "-llcm")
 FLAGS = ("-std=c++17", "-O2", "-ffp-contract=off", "-fno-math-errno")
+OF_NO_VEHICLE = {"command", "live_scenario", "memory_bus", "scenario", "socketcan_bus"}
+"""Sources of firmware_sim/sim that know the bus, one for all vehicles, and no sizes: compiled once."""
 Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
@@ -221,21 +232,12 @@ class Simulator:
     @cached_property
     def ecu_program(self) -> Path:
         """lpvguard_ecu: the firmware alone, as a process on a CAN interface."""
-        root, core = firmware_root(), library_root()
-        includes = [root / "ecu", root / "ports", *_ports(root), core / "include", core / "src", self.folder]
-        sources = [
-            *sorted((core / "src").glob("*.cpp")),
-            *sorted(self.folder.glob("*.c")),
-            *sorted((root / "ecu").glob("*.c")),
-            *(s for p in _ports(root) for s in sorted(p.glob("*.cpp"))),
-            root / "ports" / "linux_ecu" / "main.cpp",
-        ]
+        root = firmware_root()
+        own = [*_ecu_sources(root), root / "ports" / "linux_ecu" / "main.cpp"]
         try:
-            with ThreadPoolExecutor() as pool:
-                flags = (*FLAGS, "-isystem", eigen_include())
-                objects = list(
-                    pool.map(lambda s: native.compile_object(s, flags=flags, include_dirs=includes), sources)
-                )
+            objects = core_objects(self.folder) + _objects(
+                own, [*_ecu_folders(root), *_core_folders(self.folder)]
+            )
             return native.compile_executable(objects, flags=(), name=f"ecu_{self.folder.name}")
         except native.NativeError as error:
             raise InputError(
@@ -252,37 +254,25 @@ class Simulator:
         return self._emulated[target]
 
     def _build(self, folder: Path) -> Path:
-        root, core = firmware_root(), library_root()
+        root = firmware_root()
         plant = [root / "plant" / "include", root / "plant" / "src", root / "plant" / "tool"]
-        here = [
-            root / "sim",
-            root / "ecu",
-            root / "ports",
-            *_ports(root),
-            core / "include",
-            core / "src",
-            folder,
-        ]
-        vehicle = [
-            *sorted((core / "src").glob("*.cpp")),
-            *sorted(folder.glob("*.c")),
-            *sorted((root / "ecu").glob("*.c")),
-            *(s for p in _ports(root) for s in sorted(p.glob("*.cpp"))),
-            *(s for s in sorted((root / "sim").glob("*.cpp")) if s.stem != "publisher_none" or not self._lcm),
-        ]
+        of_no_vehicle = [root / "sim", *_ecu_folders(root), *plant, library_root() / "include"]
+        of_vehicle = [*of_no_vehicle, *_core_folders(folder)]
+        sim = [s for s in sorted((root / "sim").glob("*.cpp")) if s.stem != "publisher_none" or not self._lcm]
         truth = [*sorted((root / "plant" / "src").glob("*.cpp")), root / "plant" / "tool" / "arguments.cpp"]
-        flags = (*FLAGS, "-isystem", eigen_include())
         try:
-            with ThreadPoolExecutor() as pool:
-                # The plant knows no vehicle: its objects serve every folder.
-                jobs = [pool.submit(native.compile_object, s, flags=FLAGS, include_dirs=plant) for s in truth]
-                jobs += [
-                    pool.submit(native.compile_object, s, flags=flags, include_dirs=[*here, *plant])
-                    for s in vehicle
-                ]
-                objects = [job.result() for job in jobs]
+            objects = core_objects(folder)
+            objects += _objects(truth, plant)
+            with tempfile.TemporaryDirectory() as codec:
+                shutil.copy(folder / "lpvg_can_codec.h", codec)
+                objects += _objects(
+                    [s for s in sim if s.stem in OF_NO_VEHICLE], [*of_no_vehicle, Path(codec)]
+                )
+            objects += _objects(
+                [s for s in sim if s.stem not in OF_NO_VEHICLE] + _ecu_sources(root), of_vehicle
+            )
             if self._lcm:
-                objects.append(_lcm_publisher(root, flags, [*here, *plant]))
+                objects.append(_lcm_publisher(root, FLAGS, of_vehicle))
             return native.compile_executable(
                 objects, flags=LCM_LINK if self._lcm else (), name=f"sim_{folder.name}"
             )
@@ -456,6 +446,27 @@ def _joining(bus: str, program: Path) -> Path:
     if not bus.startswith("socketcan:"):
         raise InputError(bus, "bus", "joins nothing outside the simulator", "socketcan:INTERFACE")
     return program
+
+
+def _objects(sources: list[Path], includes: list[Path]) -> list[Path]:
+    """Objects of sources of firmware_sim/. NativeError where one does not compile."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return list(pool.map(lambda s: native.compile_object(s, flags=FLAGS, include_dirs=includes), sources))
+
+
+def _core_folders(folder: Path) -> list[Path]:
+    """Folders of the core's headers, for a generated folder."""
+    return [library_root() / "include", library_root() / "src", folder]
+
+
+def _ecu_folders(root: Path) -> list[Path]:
+    """Folders of the headers of the firmware and its ports."""
+    return [root / "ecu", root / "ports", *_ports(root)]
+
+
+def _ecu_sources(root: Path) -> list[Path]:
+    """Sources of the firmware that the simulator and the process on a CAN interface share."""
+    return [*sorted((root / "ecu").glob("*.c")), *(s for p in _ports(root) for s in sorted(p.glob("*.cpp")))]
 
 
 def _ports(root: Path) -> list[Path]:
