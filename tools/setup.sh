@@ -21,6 +21,19 @@ packages_uml="can-utils iproute2 user-mode-linux"
 
 say() { printf '%s\n' "$*" >&2; }
 
+# usage_of SCRIPT: the comment at its head.
+usage_of() { sed -n '2,/^[^#]/s/^#\( \|$\)//p' "$1"; }
+
+# help_or_refuse SCRIPT ARGUMENT...: for arguments that the script does not take: its usage and exit 0 for --help, exit 2 for others.
+help_or_refuse() {
+  local script=$1
+  shift
+  if [ "$*" = --help ] || [ "$*" = -h ]; then usage_of "$script"; exit 0; fi
+  say "$(basename "$script"): unknown arguments: $*"
+  usage_of "$script" >&2
+  exit 2
+}
+
 # clang_runtime: the package of the sanitizers of the release's clang, whose name holds the version.
 clang_runtime() {
   local depends

@@ -164,6 +164,27 @@ def test_only_cmakes_builds_of_another_checkout_are_removed(checkout):
     )
 
 
+@pytest.mark.parametrize("script", ["demo", "test"])
+def test_help_and_unknown_arguments_run_nothing(checkout, script):
+    shutil.copy(ROOT / "tools" / script, checkout / "tools")
+    with (checkout / "tools" / "setup.sh").open("a") as setup:
+        setup.write('ensure_packages() { say "it runs"; exit 9; }\n')
+
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = [checkout / "tools" / script, *arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+
+    for arguments in (["--help"], ["-h"]):
+        done = run(*arguments)
+        assert done.returncode == 0 and done.stderr == "" and f"tools/{script} --help" in done.stdout
+        assert "#" not in done.stdout and "set -" not in done.stdout
+    for arguments in (["--hepl"], ["out"], ["--help", "--fast"], [""], ["--fast", "--fast"]):
+        done = run(*arguments)
+        assert done.returncode == 2 and done.stdout == "", arguments
+        assert "unknown arguments" in done.stderr and f"tools/{script} --help" in done.stderr
+    assert run().returncode == 9
+
+
 FAKE_APT = r"""
 dpkg-query() { for name in "$@"; do [[ " $INSTALLED " != *" $name "* ]] || echo "installed $name"; done; }
 apt-cache() { [[ "$*" != *user-mode-linux* ]]; }
