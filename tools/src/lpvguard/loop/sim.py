@@ -254,25 +254,9 @@ class Simulator:
         return self._emulated[target]
 
     def _build(self, folder: Path) -> Path:
-        root = firmware_root()
-        plant = [root / "plant" / "include", root / "plant" / "src", root / "plant" / "tool"]
-        of_no_vehicle = [root / "sim", *_ecu_folders(root), *plant, library_root() / "include"]
-        of_vehicle = [*of_no_vehicle, *_core_folders(folder)]
-        sim = [s for s in sorted((root / "sim").glob("*.cpp")) if s.stem != "publisher_none" or not self._lcm]
-        truth = [*sorted((root / "plant" / "src").glob("*.cpp")), root / "plant" / "tool" / "arguments.cpp"]
+        main = firmware_root() / "sim" / "main.cpp"
         try:
-            objects = core_objects(folder)
-            objects += _objects(truth, plant)
-            with tempfile.TemporaryDirectory() as codec:
-                shutil.copy(folder / "lpvg_can_codec.h", codec)
-                objects += _objects(
-                    [s for s in sim if s.stem in OF_NO_VEHICLE], [*of_no_vehicle, Path(codec)]
-                )
-            objects += _objects(
-                [s for s in sim if s.stem not in OF_NO_VEHICLE] + _ecu_sources(root), of_vehicle
-            )
-            if self._lcm:
-                objects.append(_lcm_publisher(root, FLAGS, of_vehicle))
+            objects = loop_objects(folder, main, lcm=self._lcm)
             return native.compile_executable(
                 objects, flags=LCM_LINK if self._lcm else (), name=f"sim_{folder.name}"
             )
@@ -446,6 +430,26 @@ def _joining(bus: str, program: Path) -> Path:
     if not bus.startswith("socketcan:"):
         raise InputError(bus, "bus", "joins nothing outside the simulator", "socketcan:INTERFACE")
     return program
+
+
+def loop_objects(folder: Path, main: Path, *, lcm: bool = False) -> list[Path]:
+    """Objects of a program ``main`` around the simulated loop of a generated folder with a controller.
+    NativeError where one does not compile."""
+    root = firmware_root()
+    plant = [root / "plant" / "include", root / "plant" / "src", root / "plant" / "tool"]
+    of_no_vehicle = [root / "sim", *_ecu_folders(root), *plant, library_root() / "include"]
+    of_vehicle = [*of_no_vehicle, *_core_folders(folder)]
+    without = {"main", "publisher_none"} if lcm else {"main"}
+    sim = [s for s in sorted((root / "sim").glob("*.cpp")) if s.stem not in without]
+    truth = [*sorted((root / "plant" / "src").glob("*.cpp")), root / "plant" / "tool" / "arguments.cpp"]
+    objects = core_objects(folder)
+    objects += _objects(truth, plant)
+    with tempfile.TemporaryDirectory() as codec:
+        shutil.copy(folder / "lpvg_can_codec.h", codec)
+        objects += _objects([s for s in sim if s.stem in OF_NO_VEHICLE], [*of_no_vehicle, Path(codec)])
+    own = [s for s in sim if s.stem not in OF_NO_VEHICLE]
+    objects += _objects([*own, *_ecu_sources(root), main], of_vehicle)
+    return objects + ([_lcm_publisher(root, FLAGS, of_vehicle)] if lcm else [])
 
 
 def _objects(sources: list[Path], includes: list[Path]) -> list[Path]:
