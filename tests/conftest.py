@@ -23,6 +23,7 @@ from lpvguard.loop import generate as drive_maker
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import Project, load_project
 from made import ROOT, Store, digest_of, store
+from order import dearest_file_first
 
 COLLECTED = pytest.StashKey[int]()
 BEGAN = pytest.StashKey[float]()
@@ -70,6 +71,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         item.add_marker(kind)
         for name in SLOW_FIXTURES.keys() & set(item.fixturenames):
             item.add_marker(pytest.mark.slow(SLOW_FIXTURES[name]))
+    items[:] = dearest_file_first(items, SLOW_FIXTURES.values())
 
 
 def cpu_seconds() -> float:

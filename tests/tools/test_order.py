@@ -1,0 +1,55 @@
+"""The order of the files (tests/order.py): the dearest first, by what the slow marks state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from order import UNSTATED_S, dearest_file_first, stated_seconds
+
+FIXTURE = "60 s: a truck identified"
+
+
+@dataclass
+class Item:
+    path: Path
+    name: str
+    reasons: tuple[str, ...] = ()
+
+    def iter_markers(self, name):
+        return [getattr(pytest.mark, name)(reason).mark for reason in self.reasons]
+
+
+def names(*files):
+    """Names in their order; ``files``: (file, reasons of each of its tests)."""
+    items = [
+        Item(Path(file), f"{file}{i}", reasons) for file, tests in files for i, reasons in enumerate(tests)
+    ]
+    return " ".join(item.name for item in dearest_file_first(items, [FIXTURE]))
+
+
+def test_a_file_costs_the_sum_of_its_tests():
+    a, b = ("a", [()] * 3), ("b", [(), ("6.5 s: a core",)])
+    assert names(a, b) == names(b, a) == "b0 b1 a0 a1 a2"
+    assert names(b, ("c", [("3 s: x",), ("4 s: y",)])) == "c0 c1 b0 b1"
+
+
+def test_a_shared_fixture_counts_once_a_file():
+    of_fixture, own = ("f", [(FIXTURE,)] * 3), ("o", [("61 s: its own",)])
+    assert names(of_fixture, own) == "o0 f0 f1 f2"
+    assert names(of_fixture, ("p", [("59 s: its own",)])) == "f0 f1 f2 p0"
+
+
+@pytest.mark.parametrize(
+    ("reason", "seconds"),
+    [
+        ("12 s: x", 12.0),
+        ("4.5 s a case", 4.5),
+        ("in real time on vcan0", UNSTATED_S),
+        ("2 steps", UNSTATED_S),
+    ],
+)
+def test_seconds_are_read_from_the_reason(reason, seconds):
+    assert stated_seconds(reason) == seconds
