@@ -33,10 +33,10 @@ each found.
                  those that no test can notice stand in equivalent_mutants.json with the reason, those that
                  none notices yet in open_mutants.json
 
-Builds stay in the scratch folder, so that a second run compiles only what changed; gates may share one, but
-not at once. A planted bug is looked for in the one variant of the build, or with the one unit test, that has
-to find it. Bugs that take builds of everything are planted only with LPVGUARD_FULL=1 in the environment
-(tools/test --full sets it).
+Builds stay in the scratch folder, so that a second run compiles only what changed. Gates may share one, and a
+gate that builds and its self-test do, but not at once. A planted bug is looked for in the one variant of the
+build, in the one file, or with the one unit test, that has to find it. Bugs that take builds of everything
+are planted only with LPVGUARD_FULL=1 in the environment (tools/test --full sets it).
 """
 
 from __future__ import annotations
@@ -123,8 +123,8 @@ def build_core(tree: Path, scratch: Path, variant: str) -> tuple[Path, list[str]
 
 
 def warnings(tree: Path, scratch: Path, only: str = "") -> list[str]:
-    if only == "firmware":
-        return firmware_warnings(tree, scratch)
+    if only.endswith(".c"):
+        return firmware_warnings(tree, scratch, only)
     variants = (
         [only]
         if only
@@ -134,9 +134,9 @@ def warnings(tree: Path, scratch: Path, only: str = "") -> list[str]:
     return findings if only else findings + firmware_warnings(tree, scratch)
 
 
-def firmware_warnings(tree: Path, scratch: Path) -> list[str]:
-    """Of firmware_sim/ecu and firmware_sim/ports. The bare-metal ports by clang only: gcc builds them as
-    errors in lpvguard.core.targets, with the same options."""
+def firmware_warnings(tree: Path, scratch: Path, only: str = "") -> list[str]:
+    """Of firmware_sim/ecu and firmware_sim/ports, or of files named ``only``. The bare-metal ports by clang
+    only: gcc builds them as errors in lpvguard.core.targets, with the same options."""
     sim = tree / "firmware_sim"
     cortex_m = ["--target=arm-none-eabi", "-mcpu=cortex-m4", "-mfloat-abi=hard", "-ffreestanding"]
     cortex_r = ["--target=arm-none-eabi", "-mcpu=cortex-r5", "-mfloat-abi=hard", "-ffreestanding"]
@@ -184,6 +184,8 @@ def firmware_warnings(tree: Path, scratch: Path) -> list[str]:
     ]
     findings = []
     for path, compiler, target in jobs:
+        if only not in ("", path.name):
+            continue
         c, cxx = COMPILERS[compiler]
         # gnu99: registers and the bus are reached by what the standard does not have.
         language = (
@@ -230,13 +232,16 @@ def imports(tree: Path, scratch: Path, only: str = "") -> list[str]:
     return findings
 
 
-def headers(tree: Path, scratch: Path) -> list[str]:
+def headers(tree: Path, scratch: Path, only: str = "") -> list[str]:
+    """``only``: one header of lib/include."""
     findings = []
     scratch.mkdir(parents=True, exist_ok=True)
     include = tree / "lib" / "include"
     public = [str(h.relative_to(include)) for h in sorted(include.rglob("*.h"))]
     for folder in vehicle_folders(tree):
         for header in public + [h.name for h in sorted(folder.glob("*.h"))]:
+            if only not in ("", header):
+                continue
             for language, standard, suffix in (("c", "c99", "c"), ("c++", "c++17", "cpp")):
                 unit = scratch / f"unit.{suffix}"
                 unit.write_text(f'#include "{header}"\n#include "{header}"\nextern int not_empty;\n')
@@ -265,16 +270,19 @@ def export(tree: Path, scratch: Path, name: str) -> tuple[Path, list[str]]:
     )
 
 
-def generated_c(tree: Path, scratch: Path) -> list[str]:
+def generated_c(tree: Path, scratch: Path, only: str = "") -> list[str]:
+    """``only``: one vehicle's."""
     made = []
     for name in ("toy", "hand_truck"):
+        if only not in ("", name):
+            continue
         folder, broken = export(tree, scratch, name)
         if broken:
             return broken
         made.append(folder)
     findings = []
     for folder in [*vehicle_folders(tree), *made]:
-        for source in sorted(folder.glob("*.c")):
+        for source in sorted(folder.glob("*.c")) if only in ("", folder.name) else ():
             for compiler, _ in COMPILERS.values():
                 for real in ([], ["-DLPVG_DOUBLE"]):
                     findings += failed(
@@ -452,66 +460,37 @@ def options(tree: Path, scratch: Path, only: str = "") -> list[str]:
     return findings
 
 
-def unit_tests(
-    tree: Path,
-    folder: Path,
-    preset: str,
-    only: str = "",
-    settings: tuple[str, ...] = (),
-    env: dict[str, str] | None = None,
-) -> list[str]:
-    """All unit tests, or the one named ``only`` (a self-test need not build the others), with further
-    ``settings`` of the configuration, in the environment ``env``."""
-    return (
-        failed(
-            "configure",
-            "cmake",
-            "--preset",
-            preset,
-            "-B",
-            folder,
-            f"-DPython3_EXECUTABLE={sys.executable}",
-            *settings,
-            cwd=tree,
-        )
-        or failed(
-            "build",
-            "cmake",
-            "--build",
-            folder,
-            "--target",
-            f"test_{only.replace('.', '_')}" if only else "unit_tests",
-        )
-        or failed(
-            "tests",
-            "ctest",
-            "--test-dir",
-            folder,
-            "-L",
-            "unit",
-            "-R",
-            f"^unit.{only}$" if only else ".",
-            "-j2",
-            "--no-tests=error",
-            "--output-on-failure",
-            env=env,
-        )
+def configure(tree: Path, folder: Path, preset: str, *settings: str) -> list[str]:
+    """With further ``settings``."""
+    python = f"-DPython3_EXECUTABLE={sys.executable}"
+    return failed("configure", "cmake", "--preset", preset, "-B", folder, python, *settings, cwd=tree)
+
+
+def built_and_run(folder: Path, *only: str, env: dict[str, str] | None = None) -> list[str]:
+    """All unit tests, or those named ``only`` (a self-test need not build the others), in the environment
+    ``env``."""
+    targets = [f"test_{name.replace('.', '_')}" for name in only] or ["unit_tests"]
+    which = f"^unit\\.({'|'.join(map(re.escape, only))})$" if only else "."
+    run_them = ("ctest", "--test-dir", folder, "-L", "unit", "-R", which)
+    return failed("build", "cmake", "--build", folder, "--target", *targets) or failed(
+        "tests", *run_them, "-j2", "--no-tests=error", "--output-on-failure", env=env
     )
 
 
+def unit_tests(tree: Path, folder: Path, preset: str, *only: str) -> list[str]:
+    return configure(tree, folder, preset) or built_and_run(folder, *filter(None, only))
+
+
 def double(tree: Path, scratch: Path, only: str = "") -> list[str]:
-    wanted = [only] if only else [""] if FULL else ["model.toy", "monitor.toy", "controller.hand_toy"]
-    return [finding for name in wanted for finding in unit_tests(tree, scratch / "build", "double", name)]
+    wanted = [only] if only else [] if FULL else ["model.toy", "monitor.toy", "controller.hand_toy"]
+    return unit_tests(tree, scratch / "build", "double", *wanted)
 
 
 def big_endian(tree: Path, scratch: Path, only: str = "") -> list[str]:
     # What looks at bytes. Tests that call the library's sine cannot run: its code asks for more than this
     # emulator has.
-    return [
-        finding
-        for name in ([only] if only else ["coeff.toy", "can"])
-        for finding in unit_tests(tree, scratch / "build", "big-endian", name)
-    ]
+    wanted = [only] if only else ["coeff.toy", "can"]
+    return unit_tests(tree, scratch / "build", "big-endian", *wanted)
 
 
 def sanitize(tree: Path, scratch: Path, only: str = "") -> list[str]:
@@ -622,10 +601,11 @@ def mcdc(tree: Path, scratch: Path, only: str = "") -> list[str]:
         f"-DCMAKE_CXX_FLAGS_DEBUG={MCDC_FLAGS}",
         "-DLPVG_BUILD_SIM=OFF",
     )
+    broken = configure(tree, build, "debug", *settings)
     for name in [only] if only else list(MCDC_TESTS):
         test = MCDC_TESTS[name]
         raw = build / f"{name}.profraw"
-        broken = unit_tests(tree, build, "debug", test, settings, {"LLVM_PROFILE_FILE": str(raw)})
+        broken = broken or built_and_run(build, test, env={"LLVM_PROFILE_FILE": str(raw)})
         if broken:
             return broken
         file = tree / "lib" / "src" / name
@@ -724,14 +704,14 @@ PLANTS: dict[str, list[Plant]] = {
             "    size_t i;\n",
             "    size_t i;\n    int n = n_in;\n",
             r"firmware\.c by gcc(.|\n)*firmware\.c by clang",
-            "firmware",
+            "firmware.c",
         ),
         Plant(
             "firmware_sim/ports/cortex_m/startup.c",
             "return 0xFFFFFFu - SYST_CVR;",
             "return 0xFFFFFFu - SYST_CVR * 1.0;",
             r"startup\.c by clang(.|\n)*conversion",
-            "firmware",
+            "startup.c",
         ),
     ],
     "imports": [
@@ -772,14 +752,22 @@ PLANTS: dict[str, list[Plant]] = {
             "bool lpvg_monitor_take_record(",
             "[[nodiscard]] bool lpvg_monitor_take_record(",
             r"monitor\.h as c99 by gcc",
+            "lpvguard/monitor.h",
         ),
         Plant(
             MONITOR_H,
             '#include "lpvguard/model.h"',
             '#include "lpvguard/model.h"\n#ifdef __cplusplus\n#include <eigen3/Eigen/Core>\n#endif',
             r"monitor\.h as c\+\+17 by clang\+\+: Eigen is visible",
+            "lpvguard/monitor.h",
         ),
-        Plant("lib/include/lpvguard/model.h", '#include "lpvguard/coeff.h"', "", r"model\.h as c99 by clang"),
+        Plant(
+            "lib/include/lpvguard/model.h",
+            '#include "lpvguard/coeff.h"',
+            "",
+            r"model\.h as c99 by clang",
+            "lpvguard/model.h",
+        ),
     ],
     "generated_c": [
         Plant(
@@ -787,22 +775,31 @@ PLANTS: dict[str, list[Plant]] = {
             'return f"{int(value)}U"',
             'return f"-{int(value)}"',
             r"toy by gcc",
+            "toy",
         ),
         Plant(
             "tools/src/lpvguard/core/seal.py",
             'lines += ["    },", "};", ""]',
             'lines += ["    },", "};;", ""]',
             r"toy by clang",
+            "toy",
         ),
-        Plant("tools/src/lpvguard/core/coefficients.py", "#define", "#  defined", r"toy by gcc"),
+        Plant("tools/src/lpvguard/core/coefficients.py", "#define", "#  defined", r"toy by gcc", "toy"),
         Plant(
             "tools/src/lpvguard/base/layout.py",
             'struct="control_coeff"',
             'struct="control"',
             r"hand_truck by gcc",
+            "hand_truck",
         ),
-        Plant("tools/src/lpvguard/can/bus.py", "= (lpvg_real_t){", "= (lpvg_real){", r"hand_truck by clang"),
-        Plant("lib/vehicles/g80/lpvguard_coeff.c", ".schema = ", ".schema = 0b0U + ", r"g80 by gcc"),
+        Plant(
+            "tools/src/lpvguard/can/bus.py",
+            "= (lpvg_real_t){",
+            "= (lpvg_real){",
+            r"hand_truck by clang",
+            "hand_truck",
+        ),
+        Plant("lib/vehicles/g80/lpvguard_coeff.c", ".schema = ", ".schema = 0b0U + ", r"g80 by gcc", "g80"),
     ],
     "misra": [
         Plant(
@@ -1054,16 +1051,29 @@ PLANTS: dict[str, list[Plant]] = {
 }
 
 
+BUILDS = ("warnings", "imports", "double", "big_endian", "sanitize", "coverage", "mcdc")
+"""Gates that build: on a copy, in which the self-test then plants its bugs, so that it compiles no more than
+what they touch."""
+
+
 def copy_of(source: Path, target: Path) -> Path:
-    if target.exists():
-        shutil.rmtree(target)
-    ignore = shutil.ignore_patterns("__pycache__", ".*", "build")
+    """Makes ``target`` a copy of the tree. What is right there stays as it is, so that its objects hold; what
+    is not, such as a bug that an interrupted self-test left, is written anew."""
+    left_out = {"__pycache__", "build", "node_modules"}
+    files = [p for p in source.iterdir() if p.is_file() and not p.name.startswith(".")]
     for part in ("lib", "firmware_sim", "tests", "tools", "data"):
-        shutil.copytree(source / part, target / part, ignore=ignore)
-    for file in (p for p in source.iterdir() if p.is_file() and not p.name.startswith(".")):
-        shutil.copy2(file, target / file.name)
-    for plant in [p for of_gate in PLANTS.values() for p in of_gate]:
-        (target / plant.file).touch()  # the objects of an earlier self-test hold its planted bugs
+        for folder, folders, names in os.walk(source / part):
+            folders[:] = [f for f in folders if f not in left_out and not f.startswith(".")]
+            files += [Path(folder) / name for name in names if not name.startswith(".")]
+    wanted = {target / file.relative_to(source): file for file in files}
+    for old in [p for p in target.rglob("*") if p.is_file() and "__pycache__" not in p.parts]:
+        if old not in wanted:
+            old.unlink()
+    for new, file in wanted.items():
+        if not new.is_file() or new.read_bytes() != file.read_bytes():
+            new.parent.mkdir(parents=True, exist_ok=True)
+            new.write_bytes(file.read_bytes())
+            shutil.copymode(file, new)
     return target
 
 
@@ -1101,7 +1111,12 @@ def main() -> int:
     parser.add_argument("--self-test", action="store_true")
     a = parser.parse_args()
     source, scratch = a.source.resolve(), a.scratch.resolve()
-    findings = self_test(a.gate, source, scratch) if a.self_test else GATES[a.gate](source, scratch)
+    if a.self_test:
+        findings = self_test(a.gate, source, scratch)
+    elif a.gate in BUILDS:
+        findings = GATES[a.gate](copy_of(source, scratch / "tree"), scratch / "work")
+    else:
+        findings = GATES[a.gate](source, scratch)
     for finding in findings:
         print(finding)
     print(f"{a.gate}: {len(findings)} finding(s)")

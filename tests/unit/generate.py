@@ -11,7 +11,8 @@
     generate.py life    PROJECT DIR   golden_life.hpp: tables of two calibration sets, scores, and the wealth
                         after each by the Python package
 
-PROJECT is a shipped vehicle's name or a project file.
+PROJECT is a shipped vehicle's name or a project file. One call may make several: KIND PROJECT DIR again and
+again.
 """
 
 import sys
@@ -140,8 +141,7 @@ def life(project, model):
     return {"golden_life.hpp": text}
 
 
-def main():
-    kind, project_name, folder = sys.argv[1:]
+def make(kind, project_name, folder):
     project = load_project(project_name)
     target = Path(folder)
     makers = {
@@ -162,6 +162,14 @@ def main():
             if not (target / name).is_file() or (target / name).read_text() != text
         },
     )
+
+
+def main():
+    words = sys.argv[1:]
+    if not words or len(words) % 3:
+        sys.exit(__doc__)
+    for i in range(0, len(words), 3):
+        make(*words[i : i + 3])
 
 
 if __name__ == "__main__":
