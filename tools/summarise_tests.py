@@ -20,9 +20,11 @@ COLLECTED = "collected"
 
 
 def suite_of(runner: str, case: ElementTree.Element) -> str:
-    """Suite of a test case: the kind in front of a ctest name, the file of a pytest case."""
+    """Suite of a test case: the kind in front of a ctest name, of a gate its name too; the file of a pytest
+    case."""
     if runner == "ctest":
-        return f"ctest {case.get('name', '').split('.')[0]}"
+        kind, *rest = case.get("name", "").split(".")
+        return f"ctest {kind}.{rest[0]}" if kind == "gate" and rest else f"ctest {kind}"
     return f"pytest {case.get('classname', '').replace('tests.', '')}"
 
 
@@ -37,8 +39,11 @@ def reason_of(case: ElementTree.Element, skipped: ElementTree.Element | None) ->
 
 
 def processor_seconds(case: ElementTree.Element, name: str) -> float:
-    """What tests/conftest.py noted: ``cpu`` in all, ``cpu_call`` without fixtures; 0 of a test of ctest."""
-    return sum(float(p.get("value") or 0.0) for p in case.iter("property") if p.get("name") == name)
+    """What tests/conftest.py noted: ``cpu`` in all, ``cpu_call`` without fixtures. Of a test of ctest what it
+    printed itself, as the gates do; 0 where it did not."""
+    noted = sum(float(p.get("value") or 0.0) for p in case.iter("property") if p.get("name") == name)
+    said = re.findall(r"^processor: ([0-9.]+) s$", case.findtext("system-out") or "", re.MULTILINE)
+    return noted + (float(said[-1]) if said and name == "cpu" else 0.0)
 
 
 def main() -> int:
@@ -111,8 +116,12 @@ def main() -> int:
     width = max(map(len, seconds), default=10)
     print(f"\n{'suite':{width}}  tests  seconds  processor")
     for suite in sorted(seconds):
-        spent = "" if suite.startswith("ctest") else f"{processor[suite]:9.1f}"
+        spent = f"{processor[suite]:9.1f}" if processor[suite] or suite.startswith("pytest") else ""
         print(f"{suite:{width}}  {number[suite]:5d}  {seconds[suite]:7.1f}  {spent}".rstrip())
+    # A test program has one thread: on idle cores its seconds are its processor time.
+    unsaid = sum(seconds[suite] for suite in seconds if not processor[suite])
+    rows = sum(number.values()), sum(seconds.values()), sum(processor.values()) + unsaid
+    print(f"{'all':{width}}  {rows[0]:5d}  {rows[1]:7.1f}  {rows[2]:9.1f}")
     if arguments.fast is not None and dear:
         print(f"\nover {SLOW_FROM_S:g} processor seconds, in the fast tier all the same:", *dear, sep="\n  ")
     print("\n".join(["", *notes]) if notes else "")

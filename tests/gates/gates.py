@@ -46,6 +46,7 @@ import gzip
 import json
 import os
 import re
+import resource
 import shutil
 import subprocess
 import sys
@@ -1119,6 +1120,8 @@ def main() -> int:
         findings = GATES[a.gate](source, scratch)
     for finding in findings:
         print(finding)
+    spent = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    print(f"processor: {sum(r.ru_utime + r.ru_stime for r in spent):.1f} s")  # for tools/summarise_tests.py
     print(f"{a.gate}: {len(findings)} finding(s)")
     return 1 if findings else 0
 

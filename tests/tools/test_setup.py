@@ -238,6 +238,37 @@ def test_progress_is_a_line_a_quarter_and_a_line_a_package(checkout, tmp_path):
     assert (tmp_path / "log").read_text() == "Reading\nE: broken\n"
 
 
+def test_the_table_has_what_each_suite_cost(tmp_path):
+    """Of a gate and its self-test what they printed, of a file of pytest what was noted, else the seconds."""
+    gates = "".join(
+        f'<testcase name="gate.{name}" time="{seconds}"><system-out>processor: {spent} s\n{name}: 0 findings'
+        "</system-out></testcase>"
+        for name, seconds, spent in (("mcdc", 10, 15.5), ("mcdc.self_test", 1, 2.5), ("misra", 4, 4.5))
+    )
+    noted = '<properties><property name="cpu" value="7.25"/></properties>'
+    texts = {
+        "ctest": f'<testsuite>{gates}<testcase name="unit.x" time="3"/></testsuite>',
+        "pytest": '<testsuite><testcase classname="tests.a.test_b" name="t" time="2">'
+        f"{noted}</testcase></testsuite>",
+        "pytest_serial": GOOD,
+    }
+    for runner, text in texts.items():
+        (tmp_path / f"{runner}.xml").write_text(text)
+    done = subprocess.run(
+        [sys.executable, ROOT / "tools" / "summarise_tests.py", tmp_path],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    rows = {" ".join(w[:-3]): w[-3:] for w in map(str.split, done.stdout.splitlines()) if len(w) > 3}
+    assert rows["ctest gate.mcdc"] == ["2", "11.0", "18.0"] and rows["ctest gate.misra"] == [
+        "1",
+        "4.0",
+        "4.5",
+    ]
+    assert rows["pytest a.test_b"] == ["1", "2.0", "7.2"] and rows["all"] == ["6", "21.0", "33.8"]
+
+
 GOOD = '<testsuite><testcase name="a.b" time="1"/></testsuite>'
 
 
