@@ -1,10 +1,12 @@
 """Every writing command, killed, or with a full disk, at chosen steps or instants: what it leaves must be the
 old result or the new one.
 
-    interrupted.py steps              SIGKILL, SIGTERM and a full disk before each step that touches the disk,
-                                      with and without the system call that exchanges two names interrupted.py
-                                      kills SEED COUNT   COUNT kills at random instants of the time in which
-                                      the commands write, SIGTERM and SIGKILL in turn
+    interrupted.py steps EVERY [COMMAND...]
+        SIGKILL, SIGTERM and a full disk before each step that touches the disk, with and without the system
+        call that exchanges two names. EVERY 1: each of them at every step; N: at every Nth, each at others,
+        so that up to 3 no step is left out
+    interrupted.py kills SEED COUNT
+        COUNT kills at random instants of the time in which the commands write, SIGTERM and SIGKILL in turn
 
 The commands run in forked copies of one process that has all imports. What they compute is replaced here by
 small results of one of two variants; what they write goes the way it always goes. Prints JSON: runs, those
@@ -464,8 +466,8 @@ class Trial:
         return all(self.new.get(n) == h for n, h in found.items() if n != artefacts.MANIFEST)
 
 
-def at_every_step(base: Path, names: list[str]) -> dict:
-    runs, torn = 0, []
+def at_every_step(base: Path, every: int, names: list[str]) -> dict:
+    runs, torn, reached = 0, [], {}
     acts = {
         "SIGKILL": lambda: os.kill(os.getpid(), signal.SIGKILL),
         "SIGTERM": lambda: os.kill(os.getpid(), signal.SIGTERM),
@@ -474,8 +476,10 @@ def at_every_step(base: Path, names: list[str]) -> dict:
     for name in names:
         trial = Trial(base, name)
         for exchange in (True, False):
-            for how, act in acts.items():
-                for at in range(1, trial.steps + (0 if exchange else 1)):
+            for first, (how, act) in enumerate(acts.items()):
+                last = trial.steps - (1 if exchange else 0)
+                for at in range(1 + first % every, last + 1, every):
+                    reached.setdefault(name, set()).add(at)
                     trial.reset()
                     status, _ = finish(*start(trial.root, name, "b", at=at, act=act, exchange=exchange))
                     runs += 1
@@ -488,7 +492,8 @@ def at_every_step(base: Path, names: list[str]) -> dict:
                     torn += [why] if why else []
             if trial.root.joinpath(trial.target).is_file():
                 break  # a file is renamed, never exchanged
-    return {"runs": runs, "torn": torn}
+    missed = [f"{n}: {at}" for n, steps in reached.items() for at in set(range(1, max(steps))) - steps]
+    return {"runs": runs, "torn": torn, "missed": missed}
 
 
 def at_random_instants(base: Path, seed: int, count: int) -> dict:
@@ -518,7 +523,7 @@ if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as scratch:
         base = Path(scratch).resolve()
         result = (
-            at_every_step(base, rest or list(commands("a")))
+            at_every_step(base, int(rest[0]), rest[1:] or list(commands("a")))
             if what == "steps"
             else at_random_instants(base, *map(int, rest))
         )
