@@ -185,6 +185,57 @@ def test_help_and_unknown_arguments_run_nothing(checkout, script):
     assert run().returncode == 9
 
 
+RUNNER = r"""#!/bin/bash
+# cmake, ctest or python: notes that it was called; ctest and the serial tests wait for each other.
+meet() {
+  touch "$MEET/$1"
+  for _ in $(seq 600); do [ ! -e "$MEET/$2" ] || return 0; sleep 0.05; done
+  return 1
+}
+xml() { echo "<testsuite><testcase name='a'/></testsuite>" >"$1"; }
+case "${0##*/} $*" in
+  "cmake --build"*) exit "$BUILD" ;;
+  cmake*) ;;
+  "ctest"*" -N") echo "Total Tests: 9" ;;
+  ctest*)
+    meet ctest serial && echo "ctest $*" >>"$CALLS"
+    while [ "$1" != --output-junit ]; do shift; done
+    xml "$2"
+    exit 7 ;;
+  *"-m serial"*) [ "$BUILD" != 0 ] || meet serial ctest; echo "serial" >>"$CALLS"; xml "$4" ;;
+  *"-m not serial"*) echo "parallel" >>"$CALLS"; xml "$4" ;;
+  *summarise_tests.py*) echo "$*" >>"$CALLS" ;;
+esac
+"""
+
+
+@pytest.mark.parametrize("build", [0, 1])
+def test_what_waits_for_clocks_runs_beside_ctest_and_the_rest_behind_both(checkout, tmp_path, build):
+    shutil.copy(ROOT / "tools" / "test", checkout / "tools")
+    with (checkout / "tools" / "setup.sh").open("a") as setup:
+        setup.write("ensure_packages() { :; }; ensure_venv() { :; }\n")
+    programs = checkout / ".venv" / "bin"
+    programs.mkdir(parents=True)
+    for name in ("cmake", "ctest", "python"):
+        (programs / name).write_text(RUNNER)
+        (programs / name).chmod(0o755)
+    environment = {**os.environ, "CALLS": str(tmp_path / "calls"), "MEET": str(tmp_path), "BUILD": str(build)}
+    done = subprocess.run(
+        [checkout / "tools" / "test"],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    *tests, summary = (tmp_path / "calls").read_text().splitlines()
+    assert tests[-1] == "parallel" and f"--build-failed {build}" in summary
+    assert sorted(t.split()[0] for t in tests[:-1]) == (["serial"] if build else ["ctest", "serial"])
+    status = checkout / "build" / "results" / "ctest.status"
+    assert status.read_text() == "7\n" if build == 0 else not status.exists()
+
+
 FAKE_APT = r"""
 dpkg-query() { for name in "$@"; do [[ " $INSTALLED " != *" $name "* ]] || echo "installed $name"; done; }
 apt-cache() { [[ "$*" != *user-mode-linux* ]]; }
