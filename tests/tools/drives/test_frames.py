@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from lpvguard.base.errors import InputError
-from lpvguard.drives.frames import Estimator
+from lpvguard.drives.frames import Estimator, require_core, settled
 from lpvguard.vehicle.nominal import NominalModel
 
 
@@ -68,8 +69,6 @@ def test_a_drive_shorter_than_the_frame_has_none(estimator):
 
 
 def test_the_identifier_moves_with_every_part_of_the_definition(estimator):
-    from dataclasses import replace
-
     changed = [
         replace(estimator, Ts=0.01),
         replace(estimator, settle=estimator.settle + 1),
@@ -95,3 +94,128 @@ def test_bins_too_high_for_the_core_name_the_highest_frequency(g80):
     assert Estimator.of(fits, NominalModel(fits)).n_bins > 4
     longer = slow.model_copy(update={"frames": frames.model_copy(update={"periods": 8})})
     assert Estimator.of(longer, NominalModel(longer)).omega[-1] > 0.9 * 2 * np.pi * 4.0
+
+
+def test_bins_lie_where_the_settings_put_them_within_the_rounding_of_an_even_frame(g80, g80_model):
+    frames = g80.frames
+    found = Estimator.of(g80, g80_model)
+    decades = np.log10(frames.f_max_hz / frames.f_min_hz)
+    assert found.n_bins == int(decades * frames.bins_per_decade + 1e-6) + 2, "DC besides"
+    assert found.cycles.tolist() == [0, *[frames.periods] * (found.n_bins - 1)]
+    assert found.length[0] == found.length[1] and not (found.length % 2).any()
+    for k in range(1, found.n_bins):
+        wanted = frames.f_min_hz * 10 ** ((k - 1) / frames.bins_per_decade)
+        exact = frames.periods / wanted / g80.Ts_s
+        assert abs(found.length[k] - exact) <= 1.0 + 1e-9
+        assert found.omega[k] == pytest.approx(2 * np.pi * frames.periods / (found.length[k] * g80.Ts_s))
+    assert found.omega[0] == 0.0
+    assert (found.Ts, found.settle, found.speed_range) == (
+        g80.Ts_s,
+        g80_model.settle_samples,
+        g80_model.speed_range,
+    )
+
+
+def test_a_last_bin_exactly_at_the_upper_frequency_is_kept(g80):
+    """Three bins a decade, from 0.34 to 3.4 Hz: 3.4 / 0.34 in floating point is below 10."""
+    assert 3.4 / 0.34 < 10
+    frames = g80.frames.model_copy(
+        update={"f_min_hz": 0.34, "f_max_hz": 3.4, "bins_per_decade": 3, "periods": 3}
+    )
+    found = Estimator.of(g80.model_copy(update={"frames": frames}), NominalModel(g80))
+    assert found.n_bins == 5 and found.omega[-1] / 2 / np.pi == pytest.approx(3.4, rel=0.02)
+    less = frames.model_copy(update={"f_max_hz": 3.39})
+    assert Estimator.of(g80.model_copy(update={"frames": less}), NominalModel(g80)).n_bins == 4
+
+
+def test_frames_that_share_a_length_are_refused_with_the_bins_that_do(g80):
+    frames = g80.frames.model_copy(update={"bins_per_decade": 400})
+    with pytest.raises(InputError, match="at least .* and different lengths"):
+        Estimator.of(g80.model_copy(update={"frames": frames}), NominalModel(g80))
+
+
+def plain(g80, **settings):
+    frames = g80.frames.model_copy(update={"estimator": "dft", "length_s": 10.0, **settings})
+    return g80.model_copy(update={"frames": frames})
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.2, 2.5), (0.25, 2.49), (0.1, 24.0), (0.3, 0.7)])
+def test_lines_of_the_plain_dft_are_those_between_the_limits_and_both_limits_count(g80, low, high):
+    project = plain(g80, f_min_hz=low, f_max_hz=high)
+    found = Estimator.of(project, NominalModel(project))
+    n = round(10.0 / g80.Ts_s)
+    tenths = [k for k in range(1, (n + 1) // 2) if low * 10 - 1e-6 <= k <= high * 10 + 1e-6]
+    assert found.cycles.tolist() == [0, *tenths]
+    assert set(found.length.tolist()) == {n} and found.window == "rectangular" and found.settle == 0
+    np.testing.assert_allclose(found.omega, 2 * np.pi * np.r_[0, tenths] / 10.0, rtol=1e-12)
+    assert found.hop.tolist() == found.length.tolist()
+    np.testing.assert_allclose(np.abs(found.kernel(1)), 2.0 / n, rtol=1e-12)
+
+
+def test_lines_of_the_plain_dft_outnumber_the_unknowns_of_the_transient(g80):
+    """Two real numbers a line and output against the states, DC aside."""
+    model = NominalModel(g80)
+    fewest = model.n // (2 * g80.n_y) + 1
+    for n_lines in (fewest - 1, fewest):
+        project = plain(g80, f_min_hz=0.5, f_max_hz=0.5 + 0.1 * (n_lines - 1) + 0.01)
+        if n_lines == fewest:
+            assert Estimator.of(project, NominalModel(project)).n_bins == fewest + 1
+        else:
+            with pytest.raises(InputError, match=f"{n_lines} lines.*{model.n} unknowns of the transient"):
+                Estimator.of(project, NominalModel(project))
+
+
+def test_the_core_takes_hann_frames_only(g80):
+    require_core(g80)
+    with pytest.raises(InputError, match="plain DFT, which the core does not compute"):
+        require_core(plain(g80))
+
+
+@pytest.fixture
+def short(estimator):
+    """Frames of two and four samples, half the mean allowed, from 2 to 6 m/s: numbers that are exact."""
+    return replace(
+        estimator,
+        length=np.array([4, 2]),
+        cycles=np.array([0, 1]),
+        settle=1,
+        speed_tolerance=0.5,
+        speed_range=(2.0, 6.0),
+    )
+
+
+@pytest.mark.parametrize(
+    ("v", "counts"),
+    [
+        ([2.0, 2.0, 6.0], [False, True]),  # the mean is 4, and both may be half of it away; settled after one
+        ([2.0, 2.0, 6.5], [False, False]),  # out of range
+        ([4.0, 4.0, 4.0], [False, True]),
+        ([4.0, 4.0], [False]),
+        ([4.0], []),
+        ([7.0, 4.0, 4.0, 4.0], [False, False, True]),
+        ([1.9, 2.0, 2.0, 6.0, 6.0], [False, False, True, True]),
+    ],
+)
+def test_the_borders_of_speed_and_tolerance_belong_to_a_frame(short, v, counts):
+    assert short.counted(np.array(v), 1).tolist() == counts
+
+
+def test_one_speed_too_low_or_too_high_of_its_frame_alone_stops_it(short):
+    base = replace(short, speed_range=(0.1, 100.0), settle=0)
+    assert base.counted(np.array([2.0, 6.0]), 1).tolist() == [True]
+    for v in ([1.0, 7.0, 4.0, 4.0], [7.0, 1.0, 4.0, 4.0]):
+        assert base.counted(np.array(v), 0).tolist() == [False]
+    assert base.counted(np.array([2.0, 4.0, 4.0, 6.0]), 0).tolist() == [True]
+    assert base.counted(np.array([4.0, 4.0, 4.0, 12.1]), 0).tolist() == [False]
+    assert base.counted(np.array([12.0, 12.0, 12.0, 4.9]), 0).tolist() == [False]
+
+
+def test_settled_counts_from_the_last_sample_out_of_range():
+    v = np.array([5.0, 5.0, 5.0, 9.0, 5.0, 5.0, 5.0, 1.0, 5.0])
+    assert settled(v, (2.0, 8.0), 2).tolist() == [False, False, True, False, False, False, True, False, False]
+    assert settled(np.array([2.0, 8.0, 8.1, 1.9]), (2.0, 8.0), 0).tolist() == [True, True, False, False]
+
+
+def test_no_starts_have_no_transform_and_a_hann_frame_moves_by_half(estimator):
+    assert estimator.transform(np.zeros((500, 3)), 1, np.array([], int)).shape == (0, 3)
+    assert estimator.hop.tolist() == [n // 2 for n in estimator.length.tolist()]
