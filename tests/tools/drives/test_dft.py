@@ -12,7 +12,6 @@ import pytest
 from lpvguard.drives.dft import lines, resolvent, spectra
 from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import Drive
-from lpvguard.vehicle.nominal import NominalModel
 
 N, TS, START = 60, 0.02, 7
 A = np.array([[0.9, 0.15, 0.0], [-0.2, 0.85, 0.1], [0.05, 0.0, 0.6]])
@@ -98,7 +97,7 @@ def test_data_of_the_model_leave_nothing_and_their_transient_is_no_error(drive, 
 
 
 def test_what_is_added_is_left_but_for_what_a_transient_could_be(drive, estimator):
-    """The error is the residual of real least squares over the lines but DC; DC has the same transient out."""
+    """The error is the residual of real least squares over the lines but DC; the same transient leaves DC."""
     n = np.arange(len(drive.v)) - START
     added = np.column_stack(
         [0.05 + 0.02 * np.cos(2 * np.pi * 5 * n / N), 0.03 * np.sin(2 * np.pi * 3 * n / N)]
@@ -113,10 +112,3 @@ def test_what_is_added_is_left_but_for_what_a_transient_could_be(drive, estimato
     np.testing.assert_allclose(E, D - T @ gap, atol=1e-12)
     np.testing.assert_allclose(Z, spectra(drive, START, HandModel(), estimator)[1], atol=1e-13)
     assert np.abs(gap).max() > 1e-3
-
-
-def test_the_shipped_model_has_the_members_that_are_read(g80_model):
-    assert all(
-        hasattr(g80_model, name) for name in ("discretise", "acting_inputs", "output_offset", "C", "n")
-    )
-    assert isinstance(g80_model, NominalModel)

@@ -130,7 +130,7 @@ def test_a_last_bin_exactly_at_the_upper_frequency_is_kept(g80):
 
 def test_frames_that_share_a_length_are_refused_with_the_bins_that_do(g80):
     frames = g80.frames.model_copy(update={"bins_per_decade": 400})
-    with pytest.raises(InputError, match="at least .* and different lengths"):
+    with pytest.raises(InputError, match=r"at least .* and different lengths"):
         Estimator.of(g80.model_copy(update={"frames": frames}), NominalModel(g80))
 
 
