@@ -70,10 +70,11 @@ def drawn(tree: Path, names: list[str]) -> list[str]:
     return sorted(random_of.sample(there, min(SAMPLE_FILES, len(there))))
 
 
-def asked_worker(tree: Path, scratch: Path, task: dict[str, Any]) -> Any:
-    """Answer of python_mutation_worker.py; RuntimeError with what it says where it fails."""
+def asked_worker(tree: Path, scratch: Path, task: dict[str, Any]) -> list[list[Any]]:
+    """Lines that python_mutation_worker.py answers; RuntimeError with what it says where it fails."""
     scratch.mkdir(parents=True, exist_ok=True)
-    out = scratch / "answer.json"
+    out = scratch / "answer.txt"
+    out.unlink(missing_ok=True)
     words = {
         "package": str(tree / PACKAGE),
         "out": str(out),
@@ -93,7 +94,7 @@ def asked_worker(tree: Path, scratch: Path, task: dict[str, Any]) -> Any:
     )
     if done.returncode:
         raise RuntimeError(f"{worker.name}: {done.stdout[-4000:]}")
-    return json.loads(out.read_text())
+    return [json.loads(line) for line in out.read_text().splitlines()] if out.exists() else []
 
 
 def mutants_of(
@@ -102,17 +103,17 @@ def mutants_of(
     """Mutants of files in the order of their text, and which (site, change) each is."""
     found: list[Mutant] = []
     places = {}
-    for name, sites in asked_worker(tree, scratch, {"files": names}).items():
-        seen: dict[tuple[str, str], int] = {}
-        for at, site in enumerate(sites):
-            changes = tuple(Change(*c) for c in site["changes"])
-            for index, change in enumerate(changes):
-                same = (site["function"], str(change))
-                seen[same] = seen.get(same, 0) + 1
-                listed = ListedSite(site["function"], site["line"], changes)
-                mutant = Mutant(len(found), name, listed, index, seen[same])
-                found.append(mutant)
-                places[mutant] = (at, index)
+    seen: dict[tuple[str, str, str], int] = {}
+    sites: dict[str, int] = {}
+    for name, function, line, texts in asked_worker(tree, scratch, {"files": names}):
+        site = ListedSite(function, line, tuple(Change(*c) for c in texts))
+        at = sites[name] = sites.get(name, -1) + 1
+        for index, change in enumerate(site.changes):
+            same = (name, function, str(change))
+            seen[same] = seen.get(same, 0) + 1
+            mutant = Mutant(len(found), name, site, index, seen[same])
+            found.append(mutant)
+            places[mutant] = (at, index)
     return found, places
 
 

@@ -42,7 +42,7 @@ from python_mutation import Mutants, Site
 
 LONGEST_S = 2.0
 """Processor time of a test that is asked, with its fixtures, while its lines are noted."""
-MOST_S = 10.0
+MOST_S = 5.0
 """Processor time of the tests that one mutant meets; those left are the dearest."""
 GENEROUS = 10
 MEMORY = 2 << 30
@@ -53,8 +53,8 @@ NOT_ASKED = {"made"}
 
 @dataclass(frozen=True)
 class Task:
-    """``files``: path below ``package`` -> its mutants (site, change). Written to ``out``: file, site,
-    change, whether it survives, and how many tests were asked."""
+    """``files``: path below ``package`` -> its mutants (site, change). Written to ``out``, a line
+    each: file, site, change, whether it survives, and how many tests were asked."""
 
     package: Path  # folder of the imported package
     tests: list[Path]
@@ -397,33 +397,28 @@ class Loop:
                 work.append((name, site, index, asked_about(mutants[name].sites[site].lines, name, known)))
         gc.freeze()
         jobs = (functools.partial(fate, mutants[n], s, i, asked, living) for n, s, i, asked in work)
-        fates = []
         for k, status, said in in_children(jobs, task.scratch):
             name, site, index, asked = work[k]
             alive = pickle.loads(said) if not status else False
             if isinstance(alive, str):
                 raise pytest.UsageError(f"{name}:{mutants[name].sites[site].line}: mutant {index}: {alive}")
-            fates.append((name, site, index, alive, len(asked)))
-        task.out.write_text(json.dumps(sorted(fates)))
+            with task.out.open("a") as out:  # a line each, so that a long run can be watched
+                out.write(json.dumps([name, site, index, alive, len(asked)]) + "\n")
         return True
 
 
-def listing(package: Path, names: Iterable[str]) -> dict[str, list[dict[str, Any]]]:
-    """File -> its sites: function, line, and (was, becomes) of its mutants."""
-    return {
-        name: [
-            {"function": s.function, "line": s.line, "changes": [(c.was, c.becomes) for c in s.changes]}
-            for s in loaded(package, name).sites
-        ]
-        for name in names
-    }
+def listing(package: Path, names: Iterable[str]) -> Iterator[list[Any]]:
+    """Of every site: file, function, line, and (was, becomes) of its mutants."""
+    for name in names:
+        for site in loaded(package, name).sites:
+            yield [name, site.function, site.line, [(c.was, c.becomes) for c in site.changes]]
 
 
 def main() -> int:
     words = json.loads(Path(sys.argv[1]).read_text())
     package, out = Path(words["package"]), Path(words["out"])
     if "tests" not in words:
-        out.write_text(json.dumps(listing(package, words["files"])))
+        out.write_text("".join(json.dumps(line) + "\n" for line in listing(package, words["files"])))
         return 0
     tests = [Path(t) for t in words["tests"]]
     task = Task(

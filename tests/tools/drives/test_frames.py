@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from lpvguard.base.errors import InputError
+from lpvguard.base.layout import constant
 from lpvguard.drives.frames import Estimator, require_core, settled
 from lpvguard.vehicle.nominal import NominalModel
+from made import ROOT
 
 
 @pytest.fixture(scope="module")
@@ -134,12 +137,70 @@ def test_frames_that_share_a_length_are_refused_with_the_bins_that_do(g80):
         Estimator.of(g80.model_copy(update={"frames": frames}), NominalModel(g80))
 
 
+@pytest.mark.parametrize(("f_max_hz", "length"), [(12.5, 160), (12.6, None)])
+def test_a_period_takes_four_samples_and_no_fewer(g80, f_max_hz, length):
+    """At 50 Hz four samples are a period of 12.5 Hz."""
+    frames = g80.frames.model_copy(
+        update={"f_min_hz": f_max_hz / 10, "f_max_hz": f_max_hz, "bins_per_decade": 1, "periods": 40}
+    )
+    project = g80.model_copy(update={"frames": frames})
+    if length is not None:
+        assert Estimator.of(project, NominalModel(project)).length.tolist() == [
+            10 * length,
+            10 * length,
+            length,
+        ]
+    else:
+        with pytest.raises(InputError, match=r"hold 158 samples a frame; expected at least 160"):
+            Estimator.of(project, NominalModel(project))
+
+
+def test_half_a_frame_is_longer_than_the_cores_latency_and_just_longer_is_enough(g80):
+    """The latency is of all bins, DC among them; the message names the highest frequency that fits."""
+    seen = set()
+    for f_max_hz in np.geomspace(2.0, 11.0, 60):
+        frames = g80.frames.model_copy(
+            update={"f_min_hz": 1.0, "f_max_hz": float(f_max_hz), "bins_per_decade": 4, "periods": 4}
+        )
+        project = g80.model_copy(update={"frames": frames})
+        n_bins = int(np.log10(f_max_hz) * 4) + 2
+        latency = constant("NLATENCY", {"NBINS": n_bins, "NY": 1, "NDELTA": 1})
+        half = round(4 / 10 ** ((n_bins - 2) / 4) / g80.Ts_s / 2)
+        seen.add(half - latency)
+        if half > latency:
+            assert Estimator.of(project, NominalModel(project)).length[-1] == 2 * half
+        else:
+            with pytest.raises(InputError) as refused:
+                Estimator.of(project, NominalModel(project))
+            assert f"{n_bins} bins and half frames of {half};" in str(refused.value)
+            assert f"longer than {latency} samples" in str(refused.value)
+            highest = 4 / (2 * (latency + 1) * g80.Ts_s)
+            assert f"lower f_max_hz to {highest:.3g} or less" in str(refused.value)
+    assert min(seen) <= 0 < max(seen)
+
+
+def test_the_border_of_the_latency(g80, monkeypatch):
+    """Of frames of 24 samples."""
+    frames = g80.frames.model_copy(
+        update={"f_min_hz": 1.0, "f_max_hz": 8.4, "bins_per_decade": 1, "periods": 4}
+    )
+    project = g80.model_copy(update={"frames": frames})
+    half = Estimator.of(project, NominalModel(project)).length[-1] // 2
+    for latency, fits in ((half - 1, True), (half, False), (half + 1, False)):
+        monkeypatch.setattr("lpvguard.drives.frames.constant", lambda *_, said=latency: said)
+        if fits:
+            assert Estimator.of(project, NominalModel(project)).length[-1] == 2 * half
+        else:
+            with pytest.raises(InputError, match=f"half frames longer than {latency} samples"):
+                Estimator.of(project, NominalModel(project))
+
+
 def plain(g80, **settings):
     frames = g80.frames.model_copy(update={"estimator": "dft", "length_s": 10.0, **settings})
     return g80.model_copy(update={"frames": frames})
 
 
-@pytest.mark.parametrize(("low", "high"), [(0.2, 2.5), (0.25, 2.49), (0.1, 24.0), (0.3, 0.7)])
+@pytest.mark.parametrize(("low", "high"), [(0.2, 2.5), (0.25, 2.49), (0.1, 60.0), (0.3, 0.7)])
 def test_lines_of_the_plain_dft_are_those_between_the_limits_and_both_limits_count(g80, low, high):
     project = plain(g80, f_min_hz=low, f_max_hz=high)
     found = Estimator.of(project, NominalModel(project))
@@ -152,17 +213,28 @@ def test_lines_of_the_plain_dft_are_those_between_the_limits_and_both_limits_cou
     np.testing.assert_allclose(np.abs(found.kernel(1)), 2.0 / n, rtol=1e-12)
 
 
-def test_lines_of_the_plain_dft_outnumber_the_unknowns_of_the_transient(g80):
-    """Two real numbers a line and output against the states, DC aside."""
-    model = NominalModel(g80)
-    fewest = model.n // (2 * g80.n_y) + 1
-    for n_lines in (fewest - 1, fewest):
-        project = plain(g80, f_min_hz=0.5, f_max_hz=0.5 + 0.1 * (n_lines - 1) + 0.01)
-        if n_lines == fewest:
-            assert Estimator.of(project, NominalModel(project)).n_bins == fewest + 1
+def test_lines_of_the_plain_dft_outnumber_the_unknowns_of_the_transient(truck):
+    """Two real numbers a line and output against eight states, DC aside: with two outputs three lines do."""
+    model = SimpleNamespace(n=8, speed_range=(1.0, 2.0))
+    for n_lines in (2, 3):
+        project = plain(truck, f_min_hz=0.5, f_max_hz=0.5 + 0.1 * (n_lines - 1) + 0.01)
+        if n_lines == 3:
+            assert Estimator.of(project, model).cycles.tolist() == [0, 5, 6, 7]
         else:
-            with pytest.raises(InputError, match=f"{n_lines} lines.*{model.n} unknowns of the transient"):
-                Estimator.of(project, NominalModel(project))
+            with pytest.raises(InputError, match=r"2 lines.*the 8 unknowns of the transient"):
+                Estimator.of(project, model)
+
+
+@pytest.mark.parametrize(
+    ("length_s", "low", "high", "cycles"),
+    [(0.7, 10.0, 15.0, [7, 8, 9, 10]), (1.4, 5.0, 6.0, [7, 8])],
+)
+def test_a_line_exactly_at_a_decimal_limit_counts_however_its_frequency_rounds(
+    g80, length_s, low, high, cycles
+):
+    """35 samples of 0.02 s are a little more than 0.7 s in floating point: line 7 is a little below 10 Hz."""
+    project = plain(g80, length_s=length_s, f_min_hz=low, f_max_hz=high)
+    assert Estimator.of(project, NominalModel(project)).cycles.tolist() == [0, *cycles]
 
 
 def test_the_core_takes_hann_frames_only(g80):
@@ -219,3 +291,15 @@ def test_settled_counts_from_the_last_sample_out_of_range():
 def test_no_starts_have_no_transform_and_a_hann_frame_moves_by_half(estimator):
     assert estimator.transform(np.zeros((500, 3)), 1, np.array([], int)).shape == (0, 3)
     assert estimator.hop.tolist() == [n // 2 for n in estimator.length.tolist()]
+
+
+def test_a_frame_longer_than_the_drive_reads_and_counts_nothing(estimator):
+    for missing in (1, 2, 3, 40):
+        assert estimator.counted(np.full(int(estimator.length[0]) - missing, 10.0), 0).shape == (0,)
+    assert estimator.transform(np.zeros((3, 2)), 0, np.array([], int)).shape == (0, 2)
+
+
+def test_the_identifier_is_the_one_in_the_shipped_vehicles_code(g80, estimator):
+    """Code that was exported before must agree with the estimator of today."""
+    code = (ROOT / "lib" / "vehicles" / "g80" / "lpvguard_coeff.c").read_text()
+    assert int(re.search(r"\.estimator_id = (\d+)U", code)[1]) == estimator.identifier()

@@ -303,7 +303,7 @@ def roomy() -> tuple[lpv.Family, lpv.Storage]:
 
 
 @pytest.mark.parametrize(
-    ("low", "high", "rate"), [(1.2, 1.5, 0.4), (2.2, 3.0, 0.1), (1.9, 2.1, 1.0), (1.6, 2.4, 0.0)]
+    ("low", "high", "rate"), [(1.7, 2.0, 0.4), (2.2, 3.0, 0.1), (1.9, 2.1, 1.0), (1.6, 2.4, 0.0)]
 )
 def test_what_a_cell_proves_holds_at_every_speed_in_it(low, high, rate):
     one, storage = roomy()
