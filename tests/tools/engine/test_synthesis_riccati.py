@@ -1,4 +1,4 @@
-"""The Riccati equation of a side, its Hamiltonian and its balancing: residuals, stability, hand-made cases."""
+"""The Riccati equation of a side, its Hamiltonian and its balancing: residuals, stability and cases by hand."""
 
 from __future__ import annotations
 
