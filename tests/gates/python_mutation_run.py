@@ -40,8 +40,8 @@ ASKED = {
         "identify/test_groups.py",
     ),
 }
-"""Room of a file -> the tests below tests/tools that are asked: all of the engine; elsewhere those about these
-files, because to note what a whole room of costly tests reaches takes minutes."""
+"""Room of a file -> the tests below tests/tools that are asked: all of the engine, elsewhere those about
+them, because to note what a whole room of costly tests reaches takes minutes."""
 SAMPLE_FILES, SAMPLE = 2, 20
 """Without LPVGUARD_FULL, of those that neither list names: so many mutants, of the files that a change
 touches, or else of so many files of one room."""

@@ -1,4 +1,4 @@
-"""The Riccati equation of a side, its Hamiltonian and its balancing: residuals, stability and cases by hand."""
+"""The Riccati equation of a side, its Hamiltonian and its balancing: residuals, stability, and by hand."""
 
 from __future__ import annotations
 
