@@ -32,6 +32,9 @@ each found.
                  that a change touches, or a seeded sample where none is known; all with LPVGUARD_FULL=1;
                  those that no test can notice stand in equivalent_mutants.json with the reason, those that
                  none notices yet in open_mutants.json
+    python_mutation
+                 the same of the Python numerics (python_mutation.py, python_mutation_run.py), with
+                 python_equivalent_mutants.json and python_open_mutants.json
 
 Builds stay in the scratch folder, so that a second run compiles only what changed. Gates may share one, and a
 gate that builds and its self-test do, but not at once. A planted bug is looked for in the one variant of the
@@ -56,6 +59,7 @@ from pathlib import Path
 
 from misra_cpp import misra_cpp_findings
 from mutation_run import mutation_findings
+from python_mutation_run import python_mutation_findings
 from references import references
 
 COMPILERS = {"gcc": ("gcc", "g++"), "clang": ("clang", "clang++")}
@@ -630,6 +634,11 @@ def mutation(tree: Path, scratch: Path, only: str = "") -> list[str]:
     return mutation_findings(tree, scratch, sorted(with_code(tree)), FULL, only)
 
 
+def python_mutation(tree: Path, scratch: Path, only: str = "") -> list[str]:
+    """``only``: the mutants of one file."""
+    return python_mutation_findings(tree, scratch, FULL, only)
+
+
 GATES: dict[str, Callable[..., list[str]]] = {
     f.__name__: f
     for f in (
@@ -649,6 +658,7 @@ GATES: dict[str, Callable[..., list[str]]] = {
         coverage,
         mcdc,
         mutation,
+        python_mutation,
     )
 }
 

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from lpvguard.base.errors import InputError
-from lpvguard.drives.frames import Estimator
+from lpvguard.base.layout import constant
+from lpvguard.drives.frames import Estimator, require_core, settled
 from lpvguard.vehicle.nominal import NominalModel
+from made import ROOT
 
 
 @pytest.fixture(scope="module")
@@ -68,8 +72,6 @@ def test_a_drive_shorter_than_the_frame_has_none(estimator):
 
 
 def test_the_identifier_moves_with_every_part_of_the_definition(estimator):
-    from dataclasses import replace
-
     changed = [
         replace(estimator, Ts=0.01),
         replace(estimator, settle=estimator.settle + 1),
@@ -95,3 +97,209 @@ def test_bins_too_high_for_the_core_name_the_highest_frequency(g80):
     assert Estimator.of(fits, NominalModel(fits)).n_bins > 4
     longer = slow.model_copy(update={"frames": frames.model_copy(update={"periods": 8})})
     assert Estimator.of(longer, NominalModel(longer)).omega[-1] > 0.9 * 2 * np.pi * 4.0
+
+
+def test_bins_lie_where_the_settings_put_them_within_the_rounding_of_an_even_frame(g80, g80_model):
+    frames = g80.frames
+    found = Estimator.of(g80, g80_model)
+    decades = np.log10(frames.f_max_hz / frames.f_min_hz)
+    assert found.n_bins == int(decades * frames.bins_per_decade + 1e-6) + 2, "DC besides"
+    assert found.cycles.tolist() == [0, *[frames.periods] * (found.n_bins - 1)]
+    assert found.length[0] == found.length[1] and not (found.length % 2).any()
+    for k in range(1, found.n_bins):
+        wanted = frames.f_min_hz * 10 ** ((k - 1) / frames.bins_per_decade)
+        exact = frames.periods / wanted / g80.Ts_s
+        assert abs(found.length[k] - exact) <= 1.0 + 1e-9
+        assert found.omega[k] == pytest.approx(2 * np.pi * frames.periods / (found.length[k] * g80.Ts_s))
+    assert found.omega[0] == 0.0
+    assert (found.Ts, found.settle, found.speed_range) == (
+        g80.Ts_s,
+        g80_model.settle_samples,
+        g80_model.speed_range,
+    )
+
+
+def test_a_last_bin_exactly_at_the_upper_frequency_is_kept(g80):
+    """Three bins a decade, from 0.34 to 3.4 Hz: 3.4 / 0.34 in floating point is below 10."""
+    assert 3.4 / 0.34 < 10
+    frames = g80.frames.model_copy(
+        update={"f_min_hz": 0.34, "f_max_hz": 3.4, "bins_per_decade": 3, "periods": 3}
+    )
+    found = Estimator.of(g80.model_copy(update={"frames": frames}), NominalModel(g80))
+    assert found.n_bins == 5 and found.omega[-1] / 2 / np.pi == pytest.approx(3.4, rel=0.02)
+    less = frames.model_copy(update={"f_max_hz": 3.39})
+    assert Estimator.of(g80.model_copy(update={"frames": less}), NominalModel(g80)).n_bins == 4
+
+
+def test_frames_that_share_a_length_are_refused_with_the_bins_that_do(g80):
+    frames = g80.frames.model_copy(update={"bins_per_decade": 400})
+    with pytest.raises(InputError, match=r"at least .* and different lengths"):
+        Estimator.of(g80.model_copy(update={"frames": frames}), NominalModel(g80))
+
+
+@pytest.mark.parametrize(("f_max_hz", "length"), [(12.5, 160), (12.6, None)])
+def test_a_period_takes_four_samples_and_no_fewer(g80, f_max_hz, length):
+    """At 50 Hz four samples are a period of 12.5 Hz."""
+    frames = g80.frames.model_copy(
+        update={"f_min_hz": f_max_hz / 10, "f_max_hz": f_max_hz, "bins_per_decade": 1, "periods": 40}
+    )
+    project = g80.model_copy(update={"frames": frames})
+    if length is not None:
+        assert Estimator.of(project, NominalModel(project)).length.tolist() == [
+            10 * length,
+            10 * length,
+            length,
+        ]
+    else:
+        with pytest.raises(InputError, match=r"hold 158 samples a frame; expected at least 160"):
+            Estimator.of(project, NominalModel(project))
+
+
+def test_half_a_frame_is_longer_than_the_cores_latency_and_just_longer_is_enough(g80):
+    """The latency is of all bins, DC among them; the message names the highest frequency that fits."""
+    seen = set()
+    for f_max_hz in np.geomspace(2.0, 11.0, 60):
+        frames = g80.frames.model_copy(
+            update={"f_min_hz": 1.0, "f_max_hz": float(f_max_hz), "bins_per_decade": 4, "periods": 4}
+        )
+        project = g80.model_copy(update={"frames": frames})
+        n_bins = int(np.log10(f_max_hz) * 4) + 2
+        latency = constant("NLATENCY", {"NBINS": n_bins, "NY": 1, "NDELTA": 1})
+        half = round(4 / 10 ** ((n_bins - 2) / 4) / g80.Ts_s / 2)
+        seen.add(half - latency)
+        if half > latency:
+            assert Estimator.of(project, NominalModel(project)).length[-1] == 2 * half
+        else:
+            with pytest.raises(InputError) as refused:
+                Estimator.of(project, NominalModel(project))
+            assert f"{n_bins} bins and half frames of {half};" in str(refused.value)
+            assert f"longer than {latency} samples" in str(refused.value)
+            highest = 4 / (2 * (latency + 1) * g80.Ts_s)
+            assert f"lower f_max_hz to {highest:.3g} or less" in str(refused.value)
+    assert min(seen) <= 0 < max(seen)
+
+
+def test_the_border_of_the_latency(g80, monkeypatch):
+    """Of frames of 24 samples."""
+    frames = g80.frames.model_copy(
+        update={"f_min_hz": 1.0, "f_max_hz": 8.4, "bins_per_decade": 1, "periods": 4}
+    )
+    project = g80.model_copy(update={"frames": frames})
+    half = Estimator.of(project, NominalModel(project)).length[-1] // 2
+    for latency, fits in ((half - 1, True), (half, False), (half + 1, False)):
+        monkeypatch.setattr("lpvguard.drives.frames.constant", lambda *_, said=latency: said)
+        if fits:
+            assert Estimator.of(project, NominalModel(project)).length[-1] == 2 * half
+        else:
+            with pytest.raises(InputError, match=f"half frames longer than {latency} samples"):
+                Estimator.of(project, NominalModel(project))
+
+
+def plain(g80, **settings):
+    frames = g80.frames.model_copy(update={"estimator": "dft", "length_s": 10.0, **settings})
+    return g80.model_copy(update={"frames": frames})
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.2, 2.5), (0.25, 2.49), (0.1, 60.0), (0.3, 0.7)])
+def test_lines_of_the_plain_dft_are_those_between_the_limits_and_both_limits_count(g80, low, high):
+    project = plain(g80, f_min_hz=low, f_max_hz=high)
+    found = Estimator.of(project, NominalModel(project))
+    n = round(10.0 / g80.Ts_s)
+    tenths = [k for k in range(1, (n + 1) // 2) if low * 10 - 1e-6 <= k <= high * 10 + 1e-6]
+    assert found.cycles.tolist() == [0, *tenths]
+    assert set(found.length.tolist()) == {n} and found.window == "rectangular" and found.settle == 0
+    np.testing.assert_allclose(found.omega, 2 * np.pi * np.r_[0, tenths] / 10.0, rtol=1e-12)
+    assert found.hop.tolist() == found.length.tolist()
+    np.testing.assert_allclose(np.abs(found.kernel(1)), 2.0 / n, rtol=1e-12)
+
+
+def test_lines_of_the_plain_dft_outnumber_the_unknowns_of_the_transient(truck):
+    """Two real numbers a line and output against eight states, DC aside: with two outputs three lines do."""
+    model = SimpleNamespace(n=8, speed_range=(1.0, 2.0))
+    for n_lines in (2, 3):
+        project = plain(truck, f_min_hz=0.5, f_max_hz=0.5 + 0.1 * (n_lines - 1) + 0.01)
+        if n_lines == 3:
+            assert Estimator.of(project, model).cycles.tolist() == [0, 5, 6, 7]
+        else:
+            with pytest.raises(InputError, match=r"2 lines.*the 8 unknowns of the transient"):
+                Estimator.of(project, model)
+
+
+@pytest.mark.parametrize(
+    ("length_s", "low", "high", "cycles"),
+    [(0.7, 10.0, 15.0, [7, 8, 9, 10]), (1.4, 5.0, 6.0, [7, 8])],
+)
+def test_a_line_exactly_at_a_decimal_limit_counts_however_its_frequency_rounds(
+    g80, length_s, low, high, cycles
+):
+    """35 samples of 0.02 s are a little more than 0.7 s in floating point: line 7 is a little below 10 Hz."""
+    project = plain(g80, length_s=length_s, f_min_hz=low, f_max_hz=high)
+    assert Estimator.of(project, NominalModel(project)).cycles.tolist() == [0, *cycles]
+
+
+def test_the_core_takes_hann_frames_only(g80):
+    require_core(g80)
+    with pytest.raises(InputError, match="plain DFT, which the core does not compute"):
+        require_core(plain(g80))
+
+
+@pytest.fixture
+def short(estimator):
+    """Frames of two and four samples, half the mean allowed, from 2 to 6 m/s: numbers that are exact."""
+    return replace(
+        estimator,
+        length=np.array([4, 2]),
+        cycles=np.array([0, 1]),
+        settle=1,
+        speed_tolerance=0.5,
+        speed_range=(2.0, 6.0),
+    )
+
+
+@pytest.mark.parametrize(
+    ("v", "counts"),
+    [
+        ([2.0, 2.0, 6.0], [False, True]),  # the mean is 4, and both may be half of it away; settled after one
+        ([2.0, 2.0, 6.5], [False, False]),  # out of range
+        ([4.0, 4.0, 4.0], [False, True]),
+        ([4.0, 4.0], [False]),
+        ([4.0], []),
+        ([7.0, 4.0, 4.0, 4.0], [False, False, True]),
+        ([1.9, 2.0, 2.0, 6.0, 6.0], [False, False, True, True]),
+    ],
+)
+def test_the_borders_of_speed_and_tolerance_belong_to_a_frame(short, v, counts):
+    assert short.counted(np.array(v), 1).tolist() == counts
+
+
+def test_one_speed_too_low_or_too_high_of_its_frame_alone_stops_it(short):
+    base = replace(short, speed_range=(0.1, 100.0), settle=0)
+    assert base.counted(np.array([2.0, 6.0]), 1).tolist() == [True]
+    for v in ([1.0, 7.0, 4.0, 4.0], [7.0, 1.0, 4.0, 4.0]):
+        assert base.counted(np.array(v), 0).tolist() == [False]
+    assert base.counted(np.array([2.0, 4.0, 4.0, 6.0]), 0).tolist() == [True]
+    assert base.counted(np.array([4.0, 4.0, 4.0, 12.1]), 0).tolist() == [False]
+    assert base.counted(np.array([12.0, 12.0, 12.0, 4.9]), 0).tolist() == [False]
+
+
+def test_settled_counts_from_the_last_sample_out_of_range():
+    v = np.array([5.0, 5.0, 5.0, 9.0, 5.0, 5.0, 5.0, 1.0, 5.0])
+    assert settled(v, (2.0, 8.0), 2).tolist() == [False, False, True, False, False, False, True, False, False]
+    assert settled(np.array([2.0, 8.0, 8.1, 1.9]), (2.0, 8.0), 0).tolist() == [True, True, False, False]
+
+
+def test_no_starts_have_no_transform_and_a_hann_frame_moves_by_half(estimator):
+    assert estimator.transform(np.zeros((500, 3)), 1, np.array([], int)).shape == (0, 3)
+    assert estimator.hop.tolist() == [n // 2 for n in estimator.length.tolist()]
+
+
+def test_a_frame_longer_than_the_drive_reads_and_counts_nothing(estimator):
+    for missing in (1, 2, 3, 40):
+        assert estimator.counted(np.full(int(estimator.length[0]) - missing, 10.0), 0).shape == (0,)
+    assert estimator.transform(np.zeros((3, 2)), 0, np.array([], int)).shape == (0, 2)
+
+
+def test_the_identifier_is_the_one_in_the_shipped_vehicles_code(g80, estimator):
+    """Code that was exported before must agree with the estimator of today."""
+    code = (ROOT / "lib" / "vehicles" / "g80" / "lpvguard_coeff.c").read_text()
+    assert int(re.search(r"\.estimator_id = (\d+)U", code)[1]) == estimator.identifier()

@@ -1,0 +1,181 @@
+"""Runs the mutants of the Python numerics (python_mutation.py) against the tests of their rooms, and judges.
+
+A kept library was considered. mutmut 3 writes the package again into a folder of its own and knows functions
+only, not lines; cosmic-ray starts pytest anew for every mutant, which here is seconds of imports. Both change
+files. Here a process that has collected the tests forks for each mutant (python_mutation_worker.py).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import random
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mutation import Change
+from mutation_run import Mutant, Noted, changed_files, no_longer, noted, stands_in, table, too_many
+
+PACKAGE = Path("tools", "src", "lpvguard")
+TARGETS = (
+    "drives/dft.py",
+    "drives/frames.py",
+    "engine/overbound/*.py",
+    "engine/synthesis/*.py",
+    "engine/validation/*.py",
+    "identify/calibration.py",
+    "identify/energy.py",
+)
+ASKED = {
+    "drives": ("drives/test_dft.py", "drives/test_frames.py"),
+    "engine": ("engine",),
+    "identify": (
+        "identify/test_calibration.py",
+        "identify/test_energy.py",
+        "identify/test_energy_definition.py",
+        "identify/test_groups.py",
+    ),
+}
+"""Room of a file -> the tests below tests/tools that are asked: all of the engine, elsewhere those about
+them, because to note what a whole room of costly tests reaches takes minutes."""
+SAMPLE_FILES, SAMPLE = 2, 20
+"""Without LPVGUARD_FULL, of those that neither list names: so many mutants, of the files that a change
+touches, or else of so many files of one room."""
+EQUIVALENT, OPEN = "python_equivalent_mutants.json", "python_open_mutants.json"
+
+
+@dataclass(frozen=True)
+class ListedSite:
+    """What mutation_run.py reads of a site."""
+
+    function: str
+    line: int
+    changes: tuple[Change, ...]
+
+
+def target_files(tree: Path) -> list[str]:
+    """Mutated files below the package, those with code."""
+    package = tree / PACKAGE
+    found = {p.relative_to(package).as_posix() for pattern in TARGETS for p in package.glob(pattern)}
+    return sorted(name for name in found if not name.endswith("__init__.py"))
+
+
+def room_of(name: str) -> str:
+    return name.split("/")[0]
+
+
+def drawn(tree: Path, names: list[str]) -> list[str]:
+    """The files that a change touches, or some of one room, by the hash of all."""
+    begin = f"{PACKAGE.as_posix()}/"
+    if touched := sorted(set(names) & {p.removeprefix(begin) for p in changed_files(tree)}):
+        return touched
+    seed = hashlib.sha256(b"".join((tree / PACKAGE / name).read_bytes() for name in names)).hexdigest()
+    random_of = random.Random(seed)
+    room = random_of.choice(sorted({room_of(name) for name in names}))
+    there = [name for name in names if room_of(name) == room]
+    return sorted(random_of.sample(there, min(SAMPLE_FILES, len(there))))
+
+
+def asked_worker(tree: Path, scratch: Path, task: dict[str, Any]) -> list[list[Any]]:
+    """Lines that python_mutation_worker.py answers; RuntimeError with what it says where it fails."""
+    scratch.mkdir(parents=True, exist_ok=True)
+    out = scratch / "answer.txt"
+    out.unlink(missing_ok=True)
+    words = {
+        "package": str(tree / PACKAGE),
+        "out": str(out),
+        "scratch": str(scratch),
+        "rootdir": str(tree / "tests"),
+    }
+    (scratch / "task.json").write_text(json.dumps(words | task))
+    worker = Path(__file__).with_name("python_mutation_worker.py")
+    done = subprocess.run(
+        [sys.executable, str(worker), str(scratch / "task.json")],
+        cwd=tree / "tools",
+        env={**os.environ, "PYTHONPATH": str(tree / "tools" / "src")},
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        check=False,
+    )
+    if done.returncode:
+        raise RuntimeError(f"{worker.name}: {done.stdout[-4000:]}")
+    return [json.loads(line) for line in out.read_text().splitlines()] if out.exists() else []
+
+
+def mutants_of(
+    tree: Path, scratch: Path, names: list[str]
+) -> tuple[list[Mutant], dict[Mutant, tuple[int, int]]]:
+    """Mutants of files in the order of their text, and which (site, change) each is."""
+    found: list[Mutant] = []
+    places = {}
+    seen: dict[tuple[str, str, str], int] = {}
+    sites: dict[str, int] = {}
+    for name, function, line, texts in asked_worker(tree, scratch, {"files": names}):
+        site = ListedSite(function, line, tuple(Change(*c) for c in texts))
+        at = sites[name] = sites.get(name, -1) + 1
+        for index, change in enumerate(site.changes):
+            same = (name, function, str(change))
+            seen[same] = seen.get(same, 0) + 1
+            mutant = Mutant(len(found), name, site, index, seen[same])
+            found.append(mutant)
+            places[mutant] = (at, index)
+    return found, places
+
+
+def surviving(
+    tree: Path, scratch: Path, mutants: list[Mutant], places: dict[Mutant, tuple[int, int]]
+) -> list[Mutant]:
+    alive: set[tuple[str, int, int]] = set()
+    for room in sorted({room_of(m.file) for m in mutants}):
+        files: dict[str, list[tuple[int, int]]] = {}
+        for mutant in mutants:
+            if room_of(mutant.file) == room:
+                files.setdefault(mutant.file, []).append(places[mutant])
+        tests = [str(tree / "tests" / "tools" / asked) for asked in ASKED[room]]
+        fates = asked_worker(tree, scratch, {"files": files, "tests": tests, "traced": target_files(tree)})
+        alive |= {(name, site, index) for name, site, index, survives, _ in fates if survives}
+    return [m for m in mutants if (m.file, *places[m]) in alive]
+
+
+def judged(
+    mutants: list[Mutant], survived: list[Mutant], equivalent: Noted, known: Noted, all_of: set[str]
+) -> list[str]:
+    """Findings: survivors that neither file names, and arguments that a test refutes."""
+    findings = [
+        f"survived: {m}" for m in survived if not stands_in(m, equivalent) and not stands_in(m, known)
+    ]
+    return findings + [f"{EQUIVALENT}: {what}" for what in no_longer(mutants, survived, equivalent, all_of)]
+
+
+def python_mutation_findings(
+    tree: Path, scratch: Path, full: bool, only: str, sample: int = SAMPLE
+) -> list[str]:
+    """Findings on the mutants of the Python numerics: of all of them where ``full``, of ``only`` one file, or
+    of ``sample`` drawn ones."""
+    names = target_files(tree)
+    files = [only] if only else names if full else drawn(tree, names)
+    equivalent, known = noted(tree, EQUIVALENT), noted(tree, OPEN)
+    all_of = set(files) if full or only else set()
+    try:
+        mutants, places = mutants_of(tree, scratch, files)
+        if not all_of:
+            listed = [m for m in mutants if stands_in(m, equivalent) or stands_in(m, known)]
+            print(f"{', '.join(files)}: {len(mutants)} mutants, {len(listed)} of them listed, {sample} drawn")
+            rest = [m for m in mutants if m not in set(listed)]
+            mutants = sorted(random.Random(6).sample(rest, min(sample, len(rest))), key=lambda m: m.number)
+        survived = surviving(tree, scratch, mutants, places)
+    except RuntimeError as error:
+        return [str(error)]
+    for mutant in survived:
+        if stands_in(mutant, known):
+            print(f"open: {mutant}")
+    for what in no_longer(mutants, survived, known, all_of):
+        print(f"{OPEN}: {what}")
+    print("\n".join(table(mutants, survived, equivalent, known)))
+    findings = judged(mutants, survived, equivalent, known, all_of)
+    return findings + (too_many(mutants, survived, equivalent) if full and not only else [])

@@ -1,0 +1,240 @@
+"""The gate on Python mutants, on a program so small that the fate of each of its mutants is known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from mutation_run import Mutant
+from python_mutation import Mutants
+from python_mutation_run import (
+    ASKED,
+    EQUIVALENT,
+    OPEN,
+    PACKAGE,
+    drawn,
+    judged,
+    mutants_of,
+    noted,
+    python_mutation_findings,
+    surviving,
+    target_files,
+)
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCE = """from functools import cache
+
+LIMIT = 30
+
+
+def limited(x, times=3):
+    y = 0
+    while times > 0:
+        y += x
+        times -= 1
+    if y > LIMIT:
+        y = LIMIT
+    return y
+
+
+@cache
+def doubled(x):
+    return 2 * x
+
+
+class Line:
+    def __init__(self, *, slope=4):
+        self.slope = slope
+
+    @property
+    def rise(self):
+        return [self.slope - k for k in range(2)]
+
+
+def unused(x):
+    return x + 1
+"""
+TESTS = """import pytest
+from lpvguard_small.engine.validation.small import Line, doubled, limited
+
+KEPT = doubled(4)
+
+
+def test_within_the_limit():
+    assert limited(2) == 6
+
+
+def test_beyond_it():
+    assert limited(20) == 30
+
+
+def test_a_kept_value():
+    assert doubled(4) == KEPT == 8
+
+
+def test_a_default_and_a_property():
+    assert Line().rise == [4, 3]
+
+
+@pytest.mark.slow("would kill all")
+def test_that_is_not_asked():
+    assert limited(10) == 30 and limited(-11) == -33 and unused(1) == 2
+
+
+@pytest.fixture
+def made():
+    return doubled(4)
+
+
+def test_that_reads_what_was_made_before(made):
+    assert limited(10) == 30 and limited(-11) == -33
+"""
+AT_THE_BORDER = {
+    "if y > LIMIT:  ->  if y >= LIMIT:",
+    "if y > LIMIT:  ->  if y > LIMIT + 1:",
+    "if y > LIMIT:  ->  if y > LIMIT - 1:",
+}
+"""What no test that is asked looks at; the first is no change at all."""
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory) -> Path:
+    """A tree with one file to mutate, its tests, and a configuration that knows their markers."""
+    tree = tmp_path_factory.mktemp("tree")
+    module = tree / PACKAGE / "engine" / "validation" / "small.py"
+    module.parent.mkdir(parents=True)
+    for folder in (module.parent, module.parent.parent, tree / PACKAGE):
+        (folder / "__init__.py").touch()
+    module.write_text(SOURCE)
+    tests = tree / "tests" / "tools" / "engine" / "test_small.py"
+    tests.parent.mkdir(parents=True)
+    tests.write_text(TESTS.replace("lpvguard_small", "lpvguard"))
+    (tests.parent / "pytest.ini").write_text("[pytest]\nmarkers =\n    slow: slow\n    serial: serial\n")
+    (tree / "tests" / "gates").mkdir()
+    for name in (EQUIVALENT, OPEN):
+        (tree / "tests" / "gates" / name).write_text("{}")
+    return tree
+
+
+@pytest.fixture(scope="module")
+def ran(tree, tmp_path_factory) -> tuple[list[Mutant], list[Mutant]]:
+    """All mutants of the small program, and those that survive its tests."""
+    scratch = tmp_path_factory.mktemp("scratch")
+    mutants, places = mutants_of(tree, scratch, target_files(tree))
+    return mutants, surviving(tree, scratch, mutants, places)
+
+
+def of(mutants: list[Mutant], function: str) -> set[str]:
+    return {m.key for m in mutants if m.site.function == function}
+
+
+def test_what_a_test_asks_about_is_killed_and_the_rest_survives(ran):
+    mutants, survived = ran
+    assert of(survived, "limited") == AT_THE_BORDER
+    assert of(survived, "unused") == of(mutants, "unused") != set()
+    assert of(survived, "doubled") == of(survived, "Line.rise") == of(survived, "Line.__init__") == set()
+    assert len({(m.site.function, m.key) for m in mutants}) == len(mutants) > 30
+
+
+def test_a_loop_that_does_not_end_is_killed(ran):
+    mutants, survived = ran
+    assert "times -= 1  ->  times += 1" in of(mutants, "limited") - of(survived, "limited")
+
+
+def test_defaults_properties_and_what_is_kept_are_changed(ran):
+    mutants, _ = ran
+    assert "def __init__(self, *, slope=4):  ->  def __init__(self, *, slope=5):" in of(
+        mutants, "Line.__init__"
+    )
+    assert "def limited(x, times=3):  ->  def limited(x, times=2):" in of(mutants, "limited")
+    assert "return 2 * x  ->  return 2 / x" in of(mutants, "doubled")
+    assert "return [self.slope - k for k in range(2)]  ->  return [self.slope for k in range(2)]" in of(
+        mutants, "Line.rise"
+    )
+
+
+def test_findings_name_every_survivor_once_and_what_is_noted_in_vain(ran):
+    mutants, survived = ran
+    file = survived[0].file
+    argued = {file: {"limited": {"if y > LIMIT:  ->  if y >= LIMIT:": "the same number"}}}
+    killed = next(m for m in mutants if m not in survived)
+    stale = {file: {killed.site.function: {killed.key: ""}}}
+    assert len(judged(mutants, survived, {}, {}, set())) == len(survived)
+    assert len(judged(mutants, survived, argued, {}, {file})) == len(survived) - 1
+    assert judged(mutants, [], stale, {}, {file}) == [
+        f"{EQUIVALENT}: {file}: {killed.site.function}: {killed.key}: is killed: take it out"
+    ]
+
+
+def test_the_gate_draws_where_it_is_not_asked_for_all(tree, tmp_path, capsys):
+    findings = python_mutation_findings(tree, tmp_path, full=False, only="", sample=5)
+    said = capsys.readouterr().out
+    assert "5 drawn" in said and said.splitlines()[-1].split()[:2] == ["all", "5"]
+    assert all(f.startswith("survived: engine/validation/small.py:") for f in findings)
+
+
+def test_a_test_that_fails_without_a_mutant_is_told(tree, tmp_path):
+    tests = tree / "tests" / "tools" / "engine" / "test_wrong.py"
+    tests.write_text("def test_wrong():\n    assert 1 == 2\n")
+    try:
+        [finding] = python_mutation_findings(tree, tmp_path, full=True, only="")
+    finally:
+        tests.unlink()
+    assert "fail before anything is changed: " in finding and "test_wrong" in finding
+
+
+def changes(source: str) -> list[str]:
+    return [str(c) for site in Mutants(source, "x.py").sites for c in site.changes]
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes"),
+    [
+        ("a + b", ["a - b", "a", "b"]),
+        ("a @ b.T", ["a * b.T", "a @ b"]),
+        ("a <= b", ["a < b", "a > b"]),
+        ("a and b", ["a or b", "b", "a"]),
+        ("-a", ["a"]),
+        ("max(a, 2.5)", ["min(a, 2.5)", "max(a, 3.5)", "max(a, 1.5)", "max(a, 0.0)"]),
+        ("np.sqrt(a)", ["a"]),
+        ("a.conj()", ["a"]),
+        ("a if b else c", ["a if True else c", "a if False else c"]),
+        ("f(a, 'text', axis=0)", ["f(a, 'text', axis=1)", "f(a, 'text', axis=-1)"]),
+    ],
+)
+def test_operators(was, becomes):
+    source = f"def g(a, b, c):\n    return {was}\n"
+    assert changes(source) == [f"return {was}  ->  return {new}" for new in becomes]
+
+
+def test_statements():
+    lines = ("b = 0", "a.x = b", "b = a", "for c in a:", "    if c:", "        return b", "h(b)")
+    source = "def g(a):\n" + "".join(f"    {line}\n" for line in lines)
+    left_out = [c.removesuffix("  ->  (left out)") for c in changes(source) if c.endswith("(left out)")]
+    assert left_out == ["a.x = b", "b = a", "return b", "h(b)"]
+
+
+def test_texts_annotations_decorators_and_what_is_raised_stay():
+    source = "@f(1)\ndef g(a: 'x | y') -> 'p + q':\n    'text'\n    raise E(1 + 2, f'{a - 1}')\n"
+    assert changes(source) == ["raise E(1 + 2, f'{a - 1}')  ->  (left out)"]
+
+
+def test_every_target_is_a_file_whose_room_has_tests_and_a_drawn_one_is_among_them():
+    names = target_files(ROOT)
+    assert len(names) > 30 and set(drawn(ROOT, names)) <= set(names)
+    assert {name.split("/")[0] for name in names} == ASKED.keys()
+    for asked in ASKED.values():
+        assert all((ROOT / "tests" / "tools" / name).exists() for name in asked)
+
+
+def test_what_the_lists_name_are_mutants(tmp_path):
+    """A changed line makes its entries void: LPVGUARD_FULL=1 would tell it late."""
+    lists = [noted(ROOT, name) for name in (EQUIVALENT, OPEN)]
+    files = sorted({file for notes in lists for file in notes})
+    there = {(m.file, m.site.function, m.key) for m in mutants_of(ROOT, tmp_path, files)[0]}
+    for notes in lists:
+        for file, functions in notes.items():
+            for function, reasons in functions.items():
+                assert {(file, function, key) for key in reasons} <= there
+                assert all(reasons.values())

@@ -1,0 +1,224 @@
+"""Which controllers H-infinity synthesis tries and keeps, on a problem made up so that the level is the norm;
+the coordinates that lead back to the plant; and the levels asked for alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lpvguard.engine.synthesis import hinf
+from lpvguard.engine.synthesis.coordinates import schur_coordinates
+from lpvguard.engine.synthesis.errors import SynthesisError
+from lpvguard.engine.synthesis.gamma_search import GAMMA_RTOL
+from lpvguard.engine.synthesis.hinf import hinf_synthesis, improved_level, optimal_level
+from lpvguard.engine.synthesis.norms import hinf_norm
+from lpvguard.engine.synthesis.statespace import StateSpace, gain, lft
+
+PLANT = gain([[0.0, 1.0], [1.0, 0.0]])
+"""z = u, y = w: the closed loop is the controller."""
+
+
+class MadeUp:
+    """A problem whose controller at a level is a constant; ``norm(level, epsilon)`` is its size, None: no
+    controller."""
+
+    def __init__(self, norm, attempts=(), singular=False):
+        self.norm, self.tried, self.notes = norm, [], ["made up"]
+        self.listed, self.singular, self.certain = attempts, singular, 0.25
+
+    def attempts(self):
+        yield from self.listed
+
+    def controller(self, level, epsilon):
+        self.tried.append((level, epsilon))
+        size = self.norm(level, epsilon)
+        if size == "fails":
+            raise np.linalg.LinAlgError("made up")
+        return None if size is None else gain([[size]])
+
+
+def trials(problem, gamma=1.0, backoff=0.1) -> hinf._Trials:
+    posed = hinf._Posed(PLANT, problem, np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((0, 0)))
+    return hinf._Trials(posed, gamma, backoff)
+
+
+def test_the_best_certified_controller_is_kept_and_of_equal_ones_the_first():
+    sizes = iter([3.0, None, 2.0, "fails", 2.0, 5.0])
+    one = trials(MadeUp(lambda *_: next(sizes)))
+    assert one.reached == np.inf and not one.good
+    for k, reached in enumerate([3.0, 3.0, 2.0, 2.0, 2.0, 2.0]):
+        one.attempt(7.0, 10.0**-k)
+        assert one.reached == pytest.approx(reached, rel=2e-5) and one.reached >= reached
+    best = one.best
+    assert best.regularisation == 1e-2 and best.gamma == 1.0 and best.notes == ("made up",)
+    assert best.gamma_lower == 1.0 - GAMMA_RTOL and best.gamma_achieved == best.certificate.upper
+    below = trials(MadeUp(lambda *_: 0.5))
+    below.attempt(1.0, 0.0)
+    assert below.best.gamma == below.best.certificate.lower == pytest.approx(0.5), (
+        "a claim is never above a norm"
+    )
+    assert below.best.gamma_lower == below.best.gamma * (1 - GAMMA_RTOL)
+
+
+@pytest.mark.parametrize(("size", "good"), [(1.0999, True), (1.1001, False)])
+def test_good_is_within_the_backoff_of_the_optimum(size, good):
+    one = trials(MadeUp(lambda *_: size))
+    one.attempt(1.0, 0.0)
+    assert one.good is good
+
+
+@pytest.mark.parametrize(("order", "budget"), [(0, 100), (5, 100), (20, 50), (400, 25)])
+def test_no_more_controllers_are_tried_than_the_order_allows(order, budget):
+    problem = MadeUp(lambda *_: 9.0)
+    posed = trials(problem).posed
+    plant = StateSpace(-np.eye(order), np.zeros((order, 2)), np.zeros((2, order)), PLANT.D)
+    one = hinf._Trials(hinf._Posed(plant, problem, posed.D22, posed.shift, posed.basis), 1.0, 0.1)
+    assert one.budget == budget
+    one.budget = 2
+    for _ in range(4):
+        one.attempt(1.0, 0.0)
+    assert len(problem.tried) == 2 and one.budget == 0
+
+
+def test_levels_near_the_optimum_are_tried_in_order_until_one_is_good():
+    listed = [(1e-1, 0.5), (1e-2, 0.5), (1e-3, 0.25), (1e-4, 0.5)]
+    problem = MadeUp(lambda level, epsilon: level + epsilon, listed)
+    one = trials(problem)
+    one.near_optimum()
+    assert [e for _, e in problem.tried] == [1e-1, 1e-2]
+    assert [x for x, _ in problem.tried] == pytest.approx([1.05, 1.05])
+    assert one.good and one.best.regularisation == 1e-2
+    nothing = MadeUp(lambda level, epsilon: level, listed)
+    trials(nothing, gamma=0.0).near_optimum()
+    assert nothing.tried == []
+    far = MadeUp(lambda level, epsilon: 4.0, listed)
+    trials(far).near_optimum()
+    assert [x for x, _ in far.tried] == pytest.approx([1.05, 1.05, 1.025, 1.05])
+
+
+def test_from_any_level_that_can_be_reached_it_goes_down_step_by_step():
+    """Of a regular problem: levels rise by tens to the first controller, then shares of what was reached."""
+    problem = MadeUp(lambda level, _: level * 1.01 if level >= 40.0 else None)
+    one = trials(problem)
+    one.descend()
+    levels = [x for x, _ in problem.tried]
+    assert levels[:3] == [1.0, 10.0, 100.0] and {e for _, e in problem.tried} == {0.0}
+    assert levels[3:] == pytest.approx([3.03, 30.3, 60.6, 0.9 * 61.206, 55.6363], rel=1e-3)
+    assert one.reached == pytest.approx(1.01 * 0.9 * 61.206, rel=1e-3)
+    floor = MadeUp(lambda level, _: 1.5)
+    trials(floor).descend()
+    assert [x for x, _ in floor.tried] == pytest.approx([1.0, 1.005, 1.005, 1.005, 1.35, 1.5], rel=1e-4)
+    hopeless = MadeUp(lambda *_: None)
+    trials(hopeless).descend()
+    assert [x for x, _ in hopeless.tried] == pytest.approx([10.0**k for k in range(12)])
+    tiny = MadeUp(lambda *_: None)
+    trials(tiny, gamma=0.0).descend()
+    assert tiny.tried[0][0] == 1e-6
+
+
+def test_of_a_singular_problem_the_regularisation_falls_too():
+    problem = MadeUp(
+        lambda level, epsilon: max(level, 3.0 * epsilon) if epsilon <= 1e-3 else None, singular=True
+    )
+    one = trials(problem, gamma=2.0, backoff=0.01)
+    one.descend()
+    assert [e for _, e in problem.tried[:3]] == [1e-1, 1e-2, 1e-3]
+    assert one.good, "the first is at the optimum itself"
+    stuck = MadeUp(lambda level, epsilon: 5.0, singular=True)
+    trials(stuck, gamma=2.0, backoff=0.01).descend()
+    seen = [e for _, e in stuck.tried]
+    assert seen[:5] == [1e-1, 1e-2, 1e-3, 1e-4, 1e-6], "at the first level"
+    assert seen[5:] == pytest.approx([10.0**-k for k in range(1, 13) for _ in range(5)], rel=1e-9)
+    deep = MadeUp(lambda level, epsilon: 0.9e-3 * level if epsilon < 1 else None, singular=True)
+    end = trials(deep, gamma=1e-13, backoff=0.01)
+    end.descend()
+    assert end.reached <= 1e-7 * 1e-6 or end.good
+
+
+def test_what_is_not_resolved_says_between_which_levels_the_optimum_lies():
+    one = trials(MadeUp(lambda *_: 4.0))
+    one.attempt(1.0, 0.0)
+    told = hinf._unresolved(one.best, one.posed, 1.0)
+    assert not told.resolved and told.gamma_lower == 0.25 and told.gamma_achieved == one.best.gamma_achieved
+    assert told.notes[0] == "made up" and len(told.notes) == 2
+    assert told.notes[1] == (
+        "not resolved: the optimum lies between 0.25 and 4; the Riccati equations claim 1, and the best "
+        "controller has poles up to 0"
+    )
+
+
+# ---------------------------------------------------------------- problems of a plant
+
+
+def mixed(seed: int = 1) -> StateSpace:
+    """Two disturbances, a control with a cost, a measurement with noise."""
+    random = np.random.default_rng(seed)
+    A = random.standard_normal((3, 3))
+    B = np.hstack([random.standard_normal((3, 1)), np.zeros((3, 1)), random.standard_normal((3, 1))])
+    C = np.vstack([random.standard_normal((1, 3)), np.zeros((1, 3)), random.standard_normal((1, 3))])
+    D = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.5, 0.0]])
+    return StateSpace(A, B, C, D)
+
+
+def test_the_basis_leads_from_the_problems_state_to_the_plants():
+    plant = mixed().transformed(np.diag([1e4, 1.0, 1e-3]))
+    posed = hinf._posed(plant, 1, 1, schur_coordinates)
+    seen = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(hinf, "GammaProblem", lambda blocks: seen.append(blocks))
+        hinf._posed(plant, 1, 1, schur_coordinates)
+    [blocks] = seen
+    T = posed.basis
+    np.testing.assert_allclose(np.linalg.solve(T, plant.A @ T), blocks.A, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        np.linalg.solve(T, plant.B), np.hstack([blocks.B1, blocks.B2]), rtol=1e-9, atol=1e-12
+    )
+    assert not np.allclose(T, np.eye(3))
+
+
+def test_in_the_plants_coordinates_controllers_do_not_depend_on_the_plants_units():
+    S = np.diag([1e3, 1.0, 1e-2])
+    found = []
+    for plant in (mixed(), mixed().transformed(S)):
+        one = hinf_synthesis(plant, 1, 1)
+        K = one.controller.transformed(np.linalg.inv(one.basis))
+        assert one.resolved and hinf_norm(lft(plant, one.controller)).upper <= one.gamma * 1.008
+        found.append(K)
+    back = found[1].transformed(np.linalg.inv(S))
+    np.testing.assert_allclose(back.A, found[0].A, rtol=1e-4, atol=1e-4 * np.abs(found[0].A).max())
+    np.testing.assert_allclose(back.C, found[0].C, rtol=1e-4, atol=1e-4 * np.abs(found[0].C).max())
+
+
+def test_a_level_is_improved_only_where_the_optimum_is_below_it():
+    plant = mixed()
+    best = optimal_level(plant, 1, 1, 1e-6)
+    assert best == pytest.approx(hinf_synthesis(plant, 1, 1).gamma, rel=1e-3)
+    assert improved_level(plant, 1, 1, 1.01 * best, 1e-6) == pytest.approx(best, rel=1e-5)
+    assert improved_level(plant, 1, 1, 0.99 * best, 1e-6) is None
+
+
+def test_a_problem_without_a_controller_that_passes_says_so(monkeypatch):
+    monkeypatch.setattr(hinf._Trials, "attempt", lambda self, level, epsilon: None)
+    with pytest.raises(
+        SynthesisError, match=r"no controller passed its certificate.*double precision can show"
+    ):
+        hinf_synthesis(mixed(), 1, 1)
+
+
+def test_the_first_coordinates_that_resolve_are_enough_and_else_the_better_result_counts(monkeypatch):
+    plain = hinf_synthesis(mixed(), 1, 1)
+    answers: list = []
+    monkeypatch.setattr(hinf, "_synthesis", lambda *_: answers.pop(0))
+
+    def result(achieved: float, resolved: bool):
+        return replace(plain, gamma_achieved=achieved, resolved=resolved)
+
+    answers[:] = [result(3.0, True), result(2.0, True)]
+    assert hinf_synthesis(mixed(), 1, 1).gamma_achieved == 3.0 and len(answers) == 1
+    for pair in ([3.0, 2.0], [2.0, 3.0]):
+        answers[:] = [result(x, False) for x in pair]
+        assert hinf_synthesis(mixed(), 1, 1).gamma_achieved == 2.0 and not answers
+    answers[:] = [result(3.0, False), result(2.5, True)]
+    assert hinf_synthesis(mixed(), 1, 1).resolved

@@ -1,0 +1,193 @@
+"""Split conformal calibration against its definition: ranks counted out, bounds worked out from the binomial
+distribution, and words that state those numbers."""
+
+from __future__ import annotations
+
+import json
+from fractions import Fraction
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.stats import binom
+
+from lpvguard.identify.calibration import (
+    NO_RECORDINGS,
+    Calibration,
+    GroupThreshold,
+    Recordings,
+    calibrate,
+    change_score,
+    energy_score,
+    joint_scores,
+    score,
+)
+
+
+def scores_of(n: int, seed: int = 0) -> dict[str, float]:
+    """Distinct scores above 1 in no order."""
+    values = 1.0 + 0.1 * np.random.default_rng(seed).permutation(np.arange(1, n + 1))
+    return {f"d{k}": float(v) for k, v in enumerate(values)}
+
+
+@pytest.mark.parametrize("alpha", ["0.05", "0.1", "0.2", "0.3", "0.9"])
+@pytest.mark.parametrize("n", [8, 9, 10, 19, 20, 29, 40])
+def test_the_threshold_is_the_rank_of_the_theorem_and_the_bound_that_of_the_binomial(n, alpha):
+    scores = scores_of(n)
+    found = calibrate(scores, float(alpha))
+    exact = (n + 1) * (1 - Fraction(alpha))
+    rank = -(-exact.numerator // exact.denominator)
+    if n < 9 or rank > n:
+        assert found.alpha is None is found.conditional_bound
+        assert found.threshold == max(scores.values())
+        assert found.claim() == f"alpha is not stated: too few calibration drives ({n})"
+        return
+    assert found.threshold == sorted(scores.values())[rank - 1]
+    assert found.alpha == float(alpha)
+    # A false-alarm probability above p would put rank scores or more below the threshold too rarely.
+    p = brentq(lambda p: binom.sf(rank - 1, n, 1 - p) - 0.05, 1e-9, 1 - 1e-9, xtol=1e-12)
+    assert found.conditional_bound == pytest.approx(p, abs=1e-9)
+    assert found.claim() == (
+        f"alpha {float(alpha):g} from {n} drives, with 95 % confidence below {found.conditional_bound:.3f}"
+    )
+
+
+def test_the_bound_holds_over_calibrations_with_its_confidence():
+    """Uniform scores: a further one is above the threshold t with probability 1 - t."""
+    random = np.random.default_rng(3)
+    held = 0
+    for _ in range(2000):
+        scores = dict(enumerate(random.uniform(size=19).tolist()))
+        found = calibrate(scores, 0.1, floor=0.0)
+        held += 1 - found.threshold <= found.conditional_bound
+    assert held / 2000 == pytest.approx(0.95, abs=0.012)
+
+
+def test_no_threshold_is_below_the_floor():
+    low = {d: s / 100 for d, s in scores_of(20).items()}
+    assert calibrate(low, 0.1).threshold == 1.0
+    assert calibrate(low, 0.1, floor=0.02).threshold == sorted(low.values())[18]
+    few = {"a": 0.2, "b": 0.4}
+    assert calibrate(few, 0.1).threshold == 1.0
+    assert calibrate(few, 0.1, floor=0.3).threshold == 0.4
+    assert calibrate(few, 0.1, floor=0.3, unstated_floor=0.7).threshold == 0.7
+    assert calibrate(low, 0.1, floor=0.02, unstated_floor=9.0).threshold == sorted(low.values())[18]
+    assert calibrate({}, 0.1).threshold == 1.0
+
+
+PIECES = Recordings(of={"a1": "a", "a2": "a", "b1": "b", "c1": "c", "c2": "c"}, setting=("c",))
+
+
+def test_a_recording_scores_its_worst_piece_and_one_that_set_the_bounds_none():
+    scores = {"a1": 1.5, "a2": 1.2, "b1": 1.1, "c1": 9.0, "c2": 8.0, "d": 1.3}
+    assert PIECES.largest(scores) == {"a": 1.5, "b": 1.1, "d": 1.3}
+    assert PIECES.largest(dict(reversed(scores.items()))) == {"a": 1.5, "b": 1.1, "d": 1.3}
+    assert PIECES.named("a2") == "a" and PIECES.named("d") == "d"
+    assert PIECES.others(scores, None) == list(scores)
+    assert PIECES.others(scores, "a1") == ["b1", "c1", "c2", "d"]
+    assert PIECES.others(scores, "d") == ["a1", "a2", "b1", "c1", "c2"]
+    assert NO_RECORDINGS.largest(scores) == scores
+    found = calibrate(scores, 0.1, recordings=PIECES)
+    assert found.alpha is None and found.threshold == 9.0
+    assert found.claim() == (
+        "alpha is not stated: 6 drives calibrate, of 3 recordings that did not set the bounds; pieces of one "
+        "recording are no draws of their own, and 2 are of recordings that set the bounds"
+    )
+    without = calibrate({"a1": 1.5, "b1": 1.1}, 0.1, recordings=PIECES)
+    assert without.claim().endswith("pieces of one recording are no draws of their own")
+    assert without.units() == "2 recordings" and calibrate({"x": 1.0}, 0.1).units() == "1 drives"
+
+
+def test_pieces_of_one_recording_are_one_draw():
+    scores = scores_of(20)
+    halves = {f"{d}{part}": s - 0.01 * part for d, s in scores.items() for part in (0, 1)}
+    recordings = Recordings(of={piece: piece[:-1] for piece in halves})
+    found, plain = calibrate(halves, 0.1, recordings=recordings), calibrate(scores, 0.1)
+    assert (found.threshold, found.conditional_bound) == (plain.threshold, plain.conditional_bound)
+    assert found.claim().startswith("alpha 0.1 from 20 recordings, ")
+
+
+def test_the_claim_an_hour_is_the_rate_of_recordings_of_the_mean_length():
+    """19 recordings of 90 s are judged: 0.475 h. alpha 0.1 a recording is 0.1 * 19 / 0.475 = 4 an hour."""
+    scores = scores_of(19)
+    judged = dict.fromkeys(scores, 90.0)
+    found = calibrate(scores, 0.1).over(judged | {"another": 1e9})
+    assert found.judged_s == judged
+    bound = found.conditional_bound * 19 / 0.475
+    assert found.hourly == f"; 4 and {bound:.3g} an hour judged, of 0.475 h"
+    assert found.claim().endswith(found.hourly)
+    assert calibrate(scores, 0.1).hourly == ""
+    assert calibrate(scores, 0.01).over(judged).hourly == "", "no alpha, no rate"
+
+
+def test_the_claim_an_hour_leaves_out_recordings_that_set_the_bounds_and_counts_pieces_once():
+    scores = scores_of(20)
+    recordings = Recordings(of={"d0": "r", "d1": "r", "d2": "s"}, setting=("s",))
+    found = calibrate(scores, 0.2, recordings=recordings).over(dict.fromkeys(scores, 360.0))
+    # 18 recordings: r of two drives, 17 of one. 19 drives are judged for 0.1 h each.
+    assert found.alpha == 0.2 and found.hourly.startswith(f"; {0.2 * 18 / 1.9:.3g} and ")
+    assert found.hourly.endswith("an hour judged, of 1.9 h")
+
+
+def test_each_group_states_its_own_hours():
+    scores = scores_of(30)
+    groups = {d: ("wet" if k < 11 else "dry") for k, d in enumerate(scores)}
+    judged = {d: (720.0 if g == "wet" else 36.0) for d, g in groups.items()}
+    found = calibrate(scores, 0.2, recordings=Recordings(groups=groups)).over(judged)
+    dry, wet = (found.of_group(g) for g in ("dry", "wet"))
+    assert set(dry.scores) == {d for d, g in groups.items() if g == "dry"} and len(wet.scores) == 11
+    assert wet.claim().endswith("an hour judged, of 2.2 h") and f"; {0.2 * 11 / 2.2:.3g} and " in wet.claim()
+    assert (
+        dry.claim().endswith("an hour judged, of 0.19 h") and f"; {0.2 * 19 / 0.19:.3g} and " in dry.claim()
+    )
+    assert f"of {2.2 + 0.19:.3g} h" in found.claim()
+    assert dry.groups == {"dry": found.groups["dry"]} and dry.group == "dry"
+    assert dry.carried == dry.threshold == found.groups["dry"].threshold
+    assert found.carried == max(found.threshold, dry.threshold, wet.threshold)
+    assert found.of_group(None).threshold == found.carried
+    unknown = found.of_group("ice")
+    assert unknown.threshold == found.threshold and unknown.alpha is None and unknown.scores == {}
+
+
+def test_a_group_without_a_threshold_of_its_own_does_not_raise_what_is_carried():
+    found = Calibration(
+        2.0, {}, 0.1, 0.2, groups={"a": GroupThreshold(3), "b": GroupThreshold(20, 2.5, 0.1, 0.2)}
+    )
+    assert found.carried == 2.5
+    assert Calibration(3.0, {}, 0.1, 0.2, groups={"b": GroupThreshold(20, 2.5, 0.1, 0.2)}).carried == 3.0
+    assert found.of_group("a").carried == 2.0
+
+
+@pytest.mark.parametrize("recordings", [NO_RECORDINGS, PIECES, Recordings(groups={"d0": "x", "d1": "y"})])
+def test_what_is_stored_comes_back(recordings):
+    found = calibrate(scores_of(12) | {"a1": 1.0}, 0.2, recordings=recordings)
+    for one in (found, found.over(dict.fromkeys(found.scores, 60.0))):
+        stored = json.loads(json.dumps(one.to_dict()))
+        assert Calibration.from_dict(stored) == one
+        assert ("recordings" in stored) == bool(recordings.of)
+        assert ("groups" in stored) == bool(recordings.groups)
+        assert ("judged_s" in stored) == bool(one.judged_s)
+
+
+def run(*, counted, statistic, energy=(0.0,), change=(0.0,)) -> SimpleNamespace:
+    frames = SimpleNamespace(counted=np.array(counted), statistic=np.array(statistic))
+    return SimpleNamespace(frames=frames, energy=np.array(energy), change=np.array(change))
+
+
+def test_a_drive_scores_the_largest_counted_frame_and_the_largest_ratios_or_nothing():
+    judged = run(
+        counted=[True, False, True], statistic=[0.5, 9.0, 0.7], energy=[0.0, 0.4, 0.3], change=[0.2, 0.0, 0.1]
+    )
+    assert (score(judged), energy_score(judged), change_score(judged)) == (0.7, 0.4, 0.2)
+    silent = run(counted=[False], statistic=[9.0])
+    assert (score(silent), energy_score(silent), change_score(silent)) == (None, None, None)
+
+
+def test_joint_scores_are_the_largest_of_the_tests_that_judged_the_drive():
+    assert joint_scores({"a": 1.0, "b": 3.0}, {"b": 2.0, "c": 0.5}, {"a": 1.5}) == {
+        "a": 1.5,
+        "b": 3.0,
+        "c": 0.5,
+    }
+    assert joint_scores() == {}
