@@ -111,7 +111,7 @@ bool rescue(lpvg_ecu_t& self) {
         plain += lpvguard::item_at<uint32_t>(self.kept, i);
         inverted += words[i];
     }
-    if (plain != self.sum && inverted == self.sum) {
+    if (plain != self.sum) {
         std::memcpy(&self.kept, words, sizeof self.kept);
     }
     return plain == self.sum || inverted == self.sum;
@@ -350,7 +350,7 @@ uint16_t causes_of(const lpvg_ecu_t& self, bool live) {
 // What ends an engagement locks, if it must not come back by itself.
 void note_release(lpvg_ecu_t& self, uint32_t causes) {
     if ((causes & ~LPVG_ECU_CAUSES_ORDINARY) != 0U) {
-        const bool recent = self.releases > 0U && self.core_us - self.released_us < LPVG_ECU_RELEASES_US;
+        const bool recent = self.core_us - self.released_us < LPVG_ECU_RELEASES_US;
         self.releases = static_cast<uint8_t>(recent ? self.releases + 1U : 1U);
         self.released_us = self.core_us;
     }

@@ -6,12 +6,14 @@
     generate.py guarded PROJECT DIR   the same as vehicle with the hand-made controller, called like DIR;
                                       without the bus's glue where the project gives its signals no place on
                                       the bus
+    generate.py three   -       DIR   a synthetic vehicle of three outputs whose demands have four states each,
+                                      called like DIR
     generate.py golden  PROJECT DIR   golden_model.hpp: a drive, and the nominal output by exact zero-order
                         hold in double
     generate.py life    PROJECT DIR   golden_life.hpp: tables of two calibration sets, scores, and the wealth
                         after each by the Python package
 
-PROJECT is a shipped vehicle's name or a project file.
+PROJECT is a shipped vehicle's name or a project file; three makes its own.
 """
 
 import sys
@@ -35,6 +37,7 @@ from lpvguard.vehicle.project import load_project
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from hand_controller import hand_controller
+from synthetic_vehicle import Sizes, synthetic_controller, synthetic_project
 
 
 def vehicle(project, model, size=1.0):
@@ -71,6 +74,14 @@ def guarded(project, model, name):
     files = vehicle(project, model)
     glue = control_files(project, controller) if all(s.can for s in project.signals) else {}
     return {**files, **glue, **replaced_controller(files["lpvguard_vehicle.h"], controller)}
+
+
+def three(name):
+    sizes = Sizes(n_x=3, n_u=2, n_y=3, bins=6, delay=1, n_k=4)
+    project = synthetic_project(sizes, name)
+    files = vehicle(project, NominalModel(project))
+    header = replaced_controller(files["lpvguard_vehicle.h"], synthetic_controller(sizes))
+    return {**files, **header}
 
 
 def exact_outputs(model, v, u, y_first):
@@ -142,7 +153,6 @@ def life(project, model):
 
 def main():
     kind, project_name, folder = sys.argv[1:]
-    project = load_project(project_name)
     target = Path(folder)
     makers = {
         "vehicle": vehicle,
@@ -151,7 +161,11 @@ def main():
         "golden": golden,
         "life": life,
     }
-    files = makers[kind](project, NominalModel(project))
+    if kind == "three":
+        files = three(target.name)
+    else:
+        project = load_project(project_name)
+        files = makers[kind](project, NominalModel(project))
     target.mkdir(parents=True, exist_ok=True)
     # Unchanged files keep their time, so that configuring again rebuilds nothing.
     write_files(

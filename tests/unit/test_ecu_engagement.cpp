@@ -82,6 +82,30 @@ TEST_CASE("at every speed outside the scheduling range the loop is released, wit
     CHECK(bench.engaged());
 }
 
+TEST_CASE("the ends of the range belong to it, and so do the ends of its hysteresis", "[unit][ecu][REQ-ECU-10]") {
+    const bool low = GENERATE(false, true);
+    const bool was_in = GENERATE(false, true);
+    const bool beyond = GENERATE(false, true);
+    const auto speed = [] {
+        Bench bench;
+        bench.run(100);
+        return bench.ecu.signals.speed;
+    }();
+    // A range of which the bench's speed is an end, exactly.
+    lpvg_control_coeff_t control = lpvg_control_coeff;
+    const lpvg_real_t wide = was_in ? static_cast<lpvg_real_t>(hysteresis) : lpvg_real_t(0), outwards = lpvg_real_t(low ? 1000 : -1000);
+    const lpvg_real_t end = low ? speed + wide : speed - wide;
+    (low ? control.reals.speed_min : control.reals.speed_max) = beyond ? std::nextafter(end, outwards) : end;
+    control.words.crc32 = lpvg_control_coeff_crc32(&control);
+    Bench bench(bench_config, lpvg_coeff, control);
+    bench.ecu.in_range = was_in;
+    bench.run(100);
+    REQUIRE(bench.live());
+    REQUIRE(bench.ecu.signals.speed == speed);
+    CHECK(bench.ecu.in_range != beyond);
+    CHECK(has(bench, LPVG_ECU_CAUSE_RANGE) == beyond);
+}
+
 TEST_CASE("an unknown, stale or faulty verdict releases, unless it is only to be reported", "[unit][ecu][REQ-ECU-11]") {
     const bool only_reported = GENERATE(false, true);
     lpvg_ecu_config_t with = bench_config;

@@ -133,6 +133,28 @@ TEST_CASE("brakes that do not do what is demanded release and lock, unless it is
     }
 }
 
+TEST_CASE("the actuator may be off by its tolerance, and by no more", "[unit][ecu][REQ-ECU-14]") {
+    const float sign = GENERATE(-1.0F, 1.0F);
+    lpvg_ecu_config_t with = bench_config;
+    with.engage = false;  // the demand is 0
+    const auto waiting = [&] {
+        Bench bench(with);
+        bench.brakes_work = false;
+        bench.pressure = sign;
+        bench.run(100);
+        REQUIRE(bench.live());
+        return bench;
+    };
+    with.actuator.tolerance = std::fabs(waiting().ecu.signals.measured);  // as the bus has it
+    Bench bench = waiting();
+    REQUIRE(bench.ecu.signals.measured == sign * with.actuator.tolerance);
+    CHECK(bench.ecu.expected == 0.0F);
+    CHECK(bench.ecu.deviations == 0U);
+    bench.pressure *= 1.01F;
+    bench.run(2);
+    CHECK(bench.ecu.deviations == 2U);
+}
+
 TEST_CASE("limits and priorities that make no sense are refused", "[unit][ecu][REQ-ECU-6]") {
     const int which = GENERATE(0, 1, 2, 3, 4);
     lpvg_ecu_config_t with = bench_config;
