@@ -6,17 +6,18 @@
     generate.py guarded PROJECT DIR   the same as vehicle with the hand-made controller, called like DIR;
                                       without the bus's glue where the project gives its signals no place on
                                       the bus
-    generate.py three   -       DIR   a synthetic vehicle of three outputs whose demands have four states each,
-                                      called like DIR
+    generate.py three   PROJECT DIR   the same as guarded with a third output, and an even number of states of
+                                      each demand; PROJECT is a file
     generate.py golden  PROJECT DIR   golden_model.hpp: a drive, and the nominal output by exact zero-order
                         hold in double
     generate.py life    PROJECT DIR   golden_life.hpp: tables of two calibration sets, scores, and the wealth
                         after each by the Python package
 
-PROJECT is a shipped vehicle's name or a project file; three makes its own.
+PROJECT is a shipped vehicle's name or a project file.
 """
 
 import sys
+import tomllib
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -33,11 +34,10 @@ from lpvguard.fleet.wealth import Life, LifeTable
 from lpvguard.identify.change import ChangeTest
 from lpvguard.identify.energy import EnergyTest
 from lpvguard.vehicle.nominal import NominalModel
-from lpvguard.vehicle.project import load_project
+from lpvguard.vehicle.project import load_project, parse_project
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from hand_controller import hand_controller
-from synthetic_vehicle import Sizes, synthetic_controller, synthetic_project
 
 
 def vehicle(project, model, size=1.0):
@@ -67,21 +67,23 @@ def separate(project, model, name):
     return vehicle(project.model_copy(update={"name": name, "bounds": bounds}), model)
 
 
-def guarded(project, model, name):
+def guarded(project, model, name, single=True):
     project = project.model_copy(update={"name": name})
-    document = hand_controller(project)
+    document = hand_controller(project, single=single)
     controller = build_controller(document["Ts_s"], *(document[key] for key in ARRAYS))
     files = vehicle(project, model)
     glue = control_files(project, controller) if all(s.can for s in project.signals) else {}
     return {**files, **glue, **replaced_controller(files["lpvguard_vehicle.h"], controller)}
 
 
-def three(name):
-    sizes = Sizes(n_x=3, n_u=2, n_y=3, bins=6, delay=1, n_k=4)
-    project = synthetic_project(sizes, name)
-    files = vehicle(project, NominalModel(project))
-    header = replaced_controller(files["lpvguard_vehicle.h"], synthetic_controller(sizes))
-    return {**files, **header}
+def with_third_output(path):
+    """The project of a file with two outputs and two states, and a third output that is a mixture of them."""
+    document = tomllib.loads(path.read_text())
+    last = document["signals"][-1]
+    document["signals"].append({**last, "name": "third_output", "column": "y3"})
+    document["model"]["output_offset"].append(0.02)
+    document["model"]["C"].append([0.6, -0.4])
+    return parse_project(document, path.name)
 
 
 def exact_outputs(model, v, u, y_first):
@@ -158,14 +160,12 @@ def main():
         "vehicle": vehicle,
         "separate": partial(separate, name=target.name),
         "guarded": partial(guarded, name=target.name),
+        "three": partial(guarded, name=target.name, single=False),
         "golden": golden,
         "life": life,
     }
-    if kind == "three":
-        files = three(target.name)
-    else:
-        project = load_project(project_name)
-        files = makers[kind](project, NominalModel(project))
+    project = with_third_output(Path(project_name)) if kind == "three" else load_project(project_name)
+    files = makers[kind](project, NominalModel(project))
     target.mkdir(parents=True, exist_ok=True)
     # Unchanged files keep their time, so that configuring again rebuilds nothing.
     write_files(
