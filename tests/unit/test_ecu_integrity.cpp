@@ -1,9 +1,10 @@
 // What the ECU finds of damage to its own memory, and what it does then. Every single bit: tests/fault/test_flips.cpp.
 #include "ecu_bench.hpp"
 
+#include <algorithm>
 #include <cstddef>
 #include <limits>
-#include <numeric>
+#include <utility>
 
 #include "acceptance.hpp"
 
@@ -153,6 +154,7 @@ TEST_CASE("state of the ECU that cannot be is damage", "[unit][ecu][REQ-ECU-15]"
     }
     bench.step();
     CHECK(ecu.kept.corrupt);
+    CHECK(ecu.supervisor.now_us == ecu.core_us);
     CHECK(std::fabs(ecu.expected) < 3.0F);  // the actuator is not held against a demand that never was
     check_dead(bench);
 }
@@ -185,15 +187,16 @@ TEST_CASE("state at the ends of what can be is none, and just beyond them is dam
         case 10: ecu.supervisor.n_rules = static_cast<uint8_t>(lpvg_bus.n_rules - (beyond ? 1U : 0U)); break;
         default: ecu.supervisor.rules = lpvg_bus.rules + (beyond ? 1 : 0); break;
     }
+    const unsigned occurrence = ecu.occurrence;
     bench.step();
     CHECK(ecu.kept.corrupt == beyond);
     if (beyond) {
+        CHECK(ecu.occurrence == std::min(occurrence + 1U, 126U));
         CHECK(ecu.supervisor.rules == lpvg_bus.rules);
         CHECK(ecu.supervisor.n_rules == lpvg_bus.n_rules);
         CHECK(ecu.supervisor.now_us == ecu.core_us);
         CHECK(bench.spn == LPVG_ECU_SPN_CORRUPT);  // told at once
         CHECK(ecu.control.u[0] == ecu.kept.demand);
-        CHECK(ecu.occurrence <= 126U);
     }
 }
 
@@ -205,11 +208,18 @@ constexpr auto n_all = static_cast<uint32_t>(n_model + lpvguard::n_items<lpvg_co
 }  // namespace
 
 TEST_CASE("a step checks as few coefficients as make a round shorter than its longest", "[unit][ecu][REQ-ECU-15]") {
-    const uint32_t slow_us = (LPVG_ECU_ROUND_US + n_all - 1U) / n_all, even_us = LPVG_ECU_ROUND_US / std::gcd(n_all, LPVG_ECU_ROUND_US);
-    for (const uint32_t period_us : {uint32_t{10'000}, slow_us - 1U, slow_us, LPVG_ECU_WINDOW_US / 4U, even_us}) {
-        if (period_us > LPVG_ECU_WINDOW_US / 4U) {
-            continue;
+    // Periods beside those at which one more item is due.
+    constexpr uint64_t longest_us = LPVG_ECU_WINDOW_US / 4U, round_us = LPVG_ECU_ROUND_US;
+    std::vector<uint32_t> periods = {10'000U, static_cast<uint32_t>(longest_us)};
+    for (const auto& other : {std::pair<uint64_t, uint64_t>{n_all + 1U, round_us}, {n_all - 1U, round_us}, {n_all, round_us + 1U},
+                              {n_all, round_us - 1U}}) {
+        uint64_t us = 1'000U;
+        while (us < longest_us && n_all * us / round_us == other.first * us / other.second) {
+            ++us;
         }
+        periods.push_back(static_cast<uint32_t>(us));
+    }
+    for (const uint32_t period_us : periods) {
         CAPTURE(n_all, period_us);
         lpvg_coeff_t model = lpvg_coeff;
         lpvg_control_coeff_t control = lpvg_control_coeff;
@@ -311,4 +321,28 @@ TEST_CASE("without any copy of the kept values calls are judged by 10 ms", "[uni
     CHECK(bench.status == lpvg_status_out_of_order);
     bench.step_at(now_us + 5'000);
     CHECK(bench.status == lpvg_status_ok);
+}
+
+TEST_CASE("damage soon after init is told at once", "[unit][ecu][REQ-ECU-15]") {
+    Bench bench;
+    bench.run(150);
+    const int told = bench.dm1s;
+    bench.ecu.occurrence = 127U;
+    bench.step();
+    CHECK(bench.dm1s == told + 1);
+    CHECK(bench.spn == LPVG_ECU_SPN_CORRUPT);
+    CHECK(bench.ecu.occurrence == 126U);
+}
+
+TEST_CASE("a damaged copy is made good in a call that is refused, too", "[unit][ecu][REQ-ECU-15]") {
+    Bench bench = engaged_bench();
+    const double before = std::fabs(static_cast<double>(bench.ecu.kept.demand));
+    bench.ecu.inverted[offsetof(lpvg_ecu_kept_t, rate_max) / sizeof(uint32_t)] ^= 0x80000000U;
+    bench.step_at(bench.now_us + 1'000);
+    CHECK(bench.status == lpvg_status_out_of_order);
+    bench.ecu.kept.rate_max *= lpvg_real_t(-3);  // the other copy: the first one has the rate again
+    bench.step();
+    const double left = std::fmax(before - static_cast<double>(lpvg_control_coeff.reals.rate_max[0]) * 0.01, 0.0);
+    CHECK(std::fabs(static_cast<double>(bench.ecu.kept.demand)) == Approx(left).margin(1e-6));
+    CHECK(bench.ecu.kept.corrupt);
 }
