@@ -20,7 +20,9 @@ Bench engaged_bench(const lpvg_coeff_t& coeff = lpvg_coeff, const lpvg_control_c
 
 // Released for good, told, and neither asking nor acknowledging helps.
 void check_dead(Bench& bench) {
+    const int told = bench.dm1s;
     bench.run(120);
+    CHECK(bench.dm1s - told <= 2);  // once a second, as ever
     CHECK_FALSE(bench.engaged());
     CHECK(bench.report.demand == Approx(0.0F).margin(0.0003));
     CHECK(bench.report.verdict == static_cast<float>(lpvg_verdict_fault));
@@ -345,4 +347,18 @@ TEST_CASE("a damaged copy is made good in a call that is refused, too", "[unit][
     const double left = std::fmax(before - static_cast<double>(lpvg_control_coeff.reals.rate_max[0]) * 0.01, 0.0);
     CHECK(std::fabs(static_cast<double>(bench.ecu.kept.demand)) == Approx(left).margin(1e-6));
     CHECK(bench.ecu.kept.corrupt);
+}
+
+TEST_CASE("after damage neither controller nor monitor runs, and nothing is refused", "[unit][ecu][REQ-ECU-15]") {
+    Bench bench = engaged_bench();
+    bench.ecu.refused = true;
+    bench.ecu.occurrence = 127U;
+    const lpvg_monitor_t monitor = bench.ecu.monitor;
+    const lpvg_control_t control = bench.ecu.control;
+    bench.step();
+    CHECK(bench.live());  // what is said of the bus is of the bus
+    bench.run(10);
+    CHECK(bench.ecu.monitor.t_us == monitor.t_us);
+    CHECK(std::memcmp(bench.ecu.control.x, control.x, sizeof control.x) == 0);
+    CHECK((bench.ecu.causes & LPVG_ECU_CAUSE_CORRUPT) != 0U);
 }

@@ -80,6 +80,47 @@ TEST_CASE("a mean period off by more than 2 % releases within a second and a hal
     CHECK(bench.ecu.clock.gaps == 0U);
 }
 
+TEST_CASE("the monitor gets samples of live messages at the exported period only", "[unit][ecu][REQ-ECU-8][REQ-ECU-4]") {
+    Bench bench = engaged_bench();
+    CHECK(bench.ecu.monitor.t_us == bench.ecu.core_us);
+    int64_t t_us = bench.now_us;
+    for (int64_t i = 0; bench.ecu.clock.pace != lpvg_ecu_pace_bad && i < 2 * window_us / tick_us; ++i) {
+        CHECK(bench.ecu.monitor.t_us == bench.ecu.core_us);
+        t_us += 10'500;
+        bench.step_at(t_us);
+    }
+    REQUIRE(bench.ecu.clock.pace == lpvg_ecu_pace_bad);
+    REQUIRE(bench.live());
+    const int64_t newest_us = bench.ecu.monitor.t_us;
+    bench.step_at(t_us + 10'500);
+    CHECK(bench.ecu.monitor.t_us == newest_us);
+    CHECK(newest_us < bench.ecu.core_us - 10'500);
+}
+
+TEST_CASE("a verdict that speaks for the vehicle is said of speeds in the range, and once the period is measured",
+          "[unit][ecu][REQ-ECU-8][REQ-ECU-10]") {
+    const bool degraded = GENERATE(false, true);
+    Bench bench = engaged_bench();
+    const auto says = [&] {
+        bench.ecu.monitor.has_evidence = true;
+        bench.ecu.monitor.has_changed = degraded;
+        bench.ecu.monitor.t_evidence_us = bench.ecu.monitor.t_changed_us = bench.ecu.core_us;
+        bench.step();
+        return bench.ecu.report.verdict;
+    };
+    CHECK(says() == (degraded ? lpvg_verdict_degraded : lpvg_verdict_valid));
+    bench.ecu.clock.pace = lpvg_ecu_pace_unknown;
+    CHECK(says() == lpvg_verdict_unknown);
+    bench.ecu.clock.pace = lpvg_ecu_pace_good;
+    bench.speed = 7.0F;
+    while (bench.ecu.in_range) {
+        bench.step();
+    }
+    CHECK(says() == lpvg_verdict_not_judged);
+    bench.ecu.clock.pace = lpvg_ecu_pace_bad;
+    CHECK(says() == lpvg_verdict_fault);
+}
+
 TEST_CASE("jitter within half a period is no change of period", "[unit][ecu][REQ-ECU-8]") {
     Bench bench = engaged_bench();
     std::size_t released = 0;
