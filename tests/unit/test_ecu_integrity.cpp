@@ -124,11 +124,12 @@ TEST_CASE("a place in the coefficients behind their end begins the round anew", 
 }
 
 TEST_CASE("the count of frames that are too many does not wrap", "[unit][ecu][REQ-ECU-6]") {
+    const uint32_t room = GENERATE(1U, 4U, 5U);
     Bench bench;
-    bench.ecu.dropped = UINT32_MAX - 1U;
-    bench.frames.resize(LPVG_ECU_FRAMES_IN);
+    bench.ecu.dropped = UINT32_MAX - room;
+    bench.frames.resize(LPVG_ECU_FRAMES_IN);  // and the bench's own four
     bench.step();
-    CHECK(bench.ecu.dropped == UINT32_MAX);
+    CHECK(bench.ecu.dropped == UINT32_MAX - (room > 4U ? room - 4U : 0U));
 }
 
 TEST_CASE("state of the ECU that cannot be is damage", "[unit][ecu][REQ-ECU-15]") {

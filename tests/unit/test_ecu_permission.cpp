@@ -156,12 +156,12 @@ TEST_CASE("the actuator may be off by its tolerance, and by no more", "[unit][ec
 }
 
 TEST_CASE("limits and priorities that make no sense are refused", "[unit][ecu][REQ-ECU-6]") {
-    const int which = GENERATE(0, 1, 2, 3, 4);
+    const int which = GENERATE(range(0, 8));  // the last is good
     lpvg_ecu_config_t with = bench_config;
     with.priority = which == 0 ? 4U : 3U;
-    with.actuator.lag_s = which == 1 ? 0.0F : 0.1F;
-    with.actuator.tolerance = which == 2 ? NAN : 0.1F;
+    with.actuator.lag_s = which == 1 ? 0.0F : which == 4 ? -0.1F : 0.1F;
+    with.actuator.tolerance = which == 2 ? NAN : which == 5 ? 0.0F : which == 6 ? -0.1F : 0.1F;
     with.actuator.confirm = which == 3 ? 0U : 1U;
     lpvg_ecu_t ecu;
-    CHECK(lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &with, 0) == (which < 4 ? lpvg_status_bad_argument : lpvg_status_ok));
+    CHECK(lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &with, 0) == (which < 7 ? lpvg_status_bad_argument : lpvg_status_ok));
 }

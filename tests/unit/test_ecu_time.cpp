@@ -193,6 +193,12 @@ TEST_CASE("wrong times between steps that are taken are never followed", "[unit]
     CHECK(bench.engaged());
     CHECK(bench.ecu.clock.gaps == 0U);
     CHECK(bench.ecu.clock.refused == 10U);
+    bench.clock_off_us = int64_t{1} << 40;
+    const int64_t from_us = bench.now_us - tick_us / 2;
+    for (int64_t i = 1; i <= LPVG_ECU_RESYNC_CALLS; ++i) {  // those before the step that was taken do not count
+        bench.step_at(from_us + i * tick_us);
+        CHECK((bench.status == lpvg_status_ok) == (i == LPVG_ECU_RESYNC_CALLS));
+    }
 }
 
 TEST_CASE("a clock that has jumped either way is followed after three calls, released", "[unit][ecu][REQ-ECU-9]") {
@@ -237,6 +243,19 @@ TEST_CASE("calls that agree with nothing stay refused, and their count does not 
         bench.step_at(begin_us);
         CHECK(bench.status == lpvg_status_out_of_order);
     }
+}
+
+TEST_CASE("frames stamped before the ECU's time begins count as of its beginning", "[unit][ecu][REQ-ECU-5]") {
+    Bench bench;
+    bench.filter = [](std::vector<lpvg_can_frame_t> frames) {
+        for (lpvg_can_frame_t& frame : frames) {
+            frame.t_us -= 1'000;
+        }
+        return frames;
+    };
+    bench.step();
+    CHECK(bench.ecu.supervisor.watch[LPVG_CAN_VDC2_INDEX].has_arrival != 0U);
+    CHECK(bench.ecu.supervisor.watch[LPVG_CAN_VDC2_INDEX].t_arrival_us == 0);
 }
 
 TEST_CASE("refused calls are in step half to one and a half periods after each other", "[unit][ecu][REQ-ECU-9]") {
