@@ -331,8 +331,7 @@ uint16_t causes_of(const lpvg_ecu_t& self, bool live) {
     const auto verdict = static_cast<lpvg_verdict_t>(self.report.verdict);
     const bool judged = verdict == lpvg_verdict_valid || verdict == lpvg_verdict_invalid || verdict == lpvg_verdict_not_judged ||
                         verdict == lpvg_verdict_degraded;
-    uint32_t causes = 0U;
-    causes |= self.kept.engage ? 0U : LPVG_ECU_CAUSE_NOT_ASKED;
+    uint32_t causes = self.kept.engage ? 0U : LPVG_ECU_CAUSE_NOT_ASKED;
     causes |= live ? 0U : LPVG_ECU_CAUSE_MESSAGE;
     causes |= self.refused ? LPVG_ECU_CAUSE_REFUSED : 0U;
     causes |= self.clock.pace == lpvg_ecu_pace_good ? 0U : LPVG_ECU_CAUSE_TIME;

@@ -236,6 +236,10 @@ TEST_CASE("a controller or monitor that refuses its sample releases the demand a
     CHECK(bench.ecu.control.engaged == of_monitor);
     bench.step();
     CHECK(bench.live());  // both start anew at once
+    CHECK((bench.ecu.causes & ~(LPVG_ECU_CAUSE_WAIT | LPVG_ECU_CAUSE_UNJUDGED)) == LPVG_ECU_CAUSE_REFUSED);
+    CHECK_FALSE(bench.engaged());
+    bench.step();
+    CHECK((bench.ecu.causes & LPVG_ECU_CAUSE_REFUSED) == 0U);
 }
 
 TEST_CASE("arguments and times that are wrong change and send nothing", "[unit][ecu][REQ-ECU-6]") {

@@ -157,6 +157,19 @@ TEST_CASE("a falsified model and contradicting sensors lock until they are ackno
     CHECK_FALSE(lpvg_ecu_acknowledge(nullptr));
 }
 
+TEST_CASE("a lock ends by acknowledging whether or not engagement is asked for", "[unit][ecu][REQ-ECU-12]") {
+    Bench bench = engaged_bench();
+    bench.lock();
+    bench.ecu.releases = 2U;
+    lpvg_ecu_engage(&bench.ecu, false);
+    bench.step();
+    CHECK(bench.ecu.causes == (LPVG_ECU_CAUSE_NOT_ASKED | LPVG_ECU_CAUSE_LOCKED));
+    CHECK(lpvg_ecu_acknowledge(&bench.ecu));
+    CHECK(bench.ecu.releases == 0U);
+    bench.step();
+    CHECK(bench.ecu.causes == LPVG_ECU_CAUSE_NOT_ASKED);
+}
+
 TEST_CASE("what is found while nothing is engaged does not lock", "[unit][ecu][REQ-ECU-12]") {
     lpvg_ecu_config_t waiting = bench_config;
     waiting.engage = false;

@@ -133,6 +133,19 @@ TEST_CASE("brakes that do not do what is demanded release and lock, unless it is
     }
 }
 
+TEST_CASE("the actuator is held against the demand through its lag", "[unit][ecu][REQ-ECU-14]") {
+    Bench bench = engaged_bench();
+    double expected = static_cast<double>(bench.ecu.expected), moved = 0.0;
+    for (int i = 0; i < 200; ++i) {
+        const auto demand = static_cast<double>(bench.ecu.control.u[0]);
+        expected += (demand - expected) * 0.01 / (0.14 + 0.01);
+        moved = std::fmax(moved, std::fabs(demand - expected));
+        bench.step();
+        CHECK(static_cast<double>(bench.ecu.expected) == Approx(expected).margin(1e-5));
+    }
+    CHECK(moved > 0.01);
+}
+
 TEST_CASE("the actuator may be off by its tolerance, and by no more", "[unit][ecu][REQ-ECU-14]") {
     const float sign = GENERATE(-1.0F, 1.0F);
     lpvg_ecu_config_t with = bench_config;
