@@ -223,6 +223,28 @@ TEST_CASE("a minute without a release by a fault forgets those before", "[unit][
     CHECK(bench.ecu.kept.locked != in_time);
 }
 
+TEST_CASE("a release by a fault a minute after the one before is the first again, one sooner is one more", "[unit][ecu][REQ-ECU-12]") {
+    const bool in_time = GENERATE(false, true);
+    Bench bench = engaged_bench();
+    bench.ecu.releases = LPVG_ECU_RELEASES_MAX;
+    bench.ecu.released_us = bench.ecu.core_us + tick_us - static_cast<int64_t>(LPVG_ECU_RELEASES_US) + (in_time ? 0 : 1);
+    bench.ecu.report.verdict = lpvg_verdict_fault;
+    bench.step();
+    CHECK_FALSE(bench.engaged());
+    CHECK(bench.ecu.releases == (in_time ? 1U : LPVG_ECU_RELEASES_MAX + 1U));
+    CHECK(bench.ecu.released_us == bench.ecu.core_us);
+    CHECK(bench.ecu.kept.locked != in_time);
+    CHECK(bench.ecu.lock_causes == (in_time ? 0U : LPVG_ECU_CAUSE_UNJUDGED));
+}
+
+TEST_CASE("the wait is over when all of it has passed", "[unit][ecu][REQ-ECU-12]") {
+    const bool over = GENERATE(false, true);
+    Bench bench = engaged_bench();
+    bench.ecu.caused_us = bench.ecu.core_us + tick_us - static_cast<int64_t>(LPVG_ECU_WAIT_US) + (over ? 0 : 1);
+    bench.step();
+    CHECK(bench.ecu.causes == (over ? 0U : LPVG_ECU_CAUSE_WAIT));
+}
+
 TEST_CASE("asking and the speed's range release without being counted", "[unit][ecu][REQ-ECU-12]") {
     Bench bench = engaged_bench();
     for (unsigned i = 0; i < 2U * LPVG_ECU_RELEASES_MAX; ++i) {
