@@ -18,9 +18,10 @@ PROPORTIONAL, INTEGRAL = 0.5, 0.5
 ERROR_POLE, REFERENCE_POLE, LEAK = 10.0, 20.0, 0.02
 
 
-def hand_controller(project: Project) -> dict:
+def hand_controller(project: Project, *, single: bool = True) -> dict:
     """The document of controller.json for a vehicle whose first output is the controlled one. A second input
-    takes its share of the proportional part only."""
+    takes its share of the proportional part only. Not ``single``: without the last state, so that their
+    number is even."""
     model, Ts = NominalModel(project), project.Ts_s
     speeds = np.linspace(*model.speed_range, NODES)
     A_v, B_v = model.matrices(speeds)
@@ -43,6 +44,8 @@ def hand_controller(project: Project) -> dict:
         B[:, i, 2:4, 0] = error
         B[:, i, 4, 0] = -delay
     B /= gain[:, :, None, None]
+    if not single:
+        a, B = a[:4], B[:, :, :4]
     A, c = realisation(a)
     # The stationary Kalman gain for m like white noise, which trusts u more than the model of it.
     L1 = []
@@ -50,7 +53,7 @@ def hand_controller(project: Project) -> dict:
         Q = rows @ rows.T
         P = solve_discrete_are(A.T, c.T, Q + 1e-9 * np.diag(np.diag(Q)), 0.1 * c @ Q @ c.T)
         L1.append(A @ P @ c.T / (c @ P @ c.T + 0.1 * c @ Q @ c.T))
-    L = np.zeros((NODES, model.n_u, 5, model.n_u))
+    L = np.zeros((NODES, model.n_u, len(a), model.n_u))
     for i in range(model.n_u):
         L[:, i, :, i] = L1[i][:, 0]
     return {

@@ -111,7 +111,7 @@ bool rescue(lpvg_ecu_t& self) {
         plain += lpvguard::item_at<uint32_t>(self.kept, i);
         inverted += words[i];
     }
-    if (plain != self.sum && inverted == self.sum) {
+    if (plain != self.sum) {
         std::memcpy(&self.kept, words, sizeof self.kept);
     }
     return plain == self.sum || inverted == self.sum;
@@ -331,8 +331,7 @@ uint16_t causes_of(const lpvg_ecu_t& self, bool live) {
     const auto verdict = static_cast<lpvg_verdict_t>(self.report.verdict);
     const bool judged = verdict == lpvg_verdict_valid || verdict == lpvg_verdict_invalid || verdict == lpvg_verdict_not_judged ||
                         verdict == lpvg_verdict_degraded;
-    uint32_t causes = 0U;
-    causes |= self.kept.engage ? 0U : LPVG_ECU_CAUSE_NOT_ASKED;
+    uint32_t causes = self.kept.engage ? 0U : LPVG_ECU_CAUSE_NOT_ASKED;
     causes |= live ? 0U : LPVG_ECU_CAUSE_MESSAGE;
     causes |= self.refused ? LPVG_ECU_CAUSE_REFUSED : 0U;
     causes |= self.clock.pace == lpvg_ecu_pace_good ? 0U : LPVG_ECU_CAUSE_TIME;
@@ -350,7 +349,7 @@ uint16_t causes_of(const lpvg_ecu_t& self, bool live) {
 // What ends an engagement locks, if it must not come back by itself.
 void note_release(lpvg_ecu_t& self, uint32_t causes) {
     if ((causes & ~LPVG_ECU_CAUSES_ORDINARY) != 0U) {
-        const bool recent = self.releases > 0U && self.core_us - self.released_us < LPVG_ECU_RELEASES_US;
+        const bool recent = self.core_us - self.released_us < LPVG_ECU_RELEASES_US;
         self.releases = static_cast<uint8_t>(recent ? self.releases + 1U : 1U);
         self.released_us = self.core_us;
     }

@@ -37,13 +37,15 @@ CHECKS = "bounds,shift,integer-divide-by-zero,null,signed-integer-overflow,float
 FLAGS = f"-w -O1 -Wno-c++11-narrowing -Wno-invalid-constexpr -fsanitize={CHECKS} -fsanitize-trap={CHECKS}"
 PER_FILE = 8192
 """Numbers of a file, so that a change of one file leaves the others' objects as they are."""
-PROGRAMS = ("unit_tests", "test_can_faults")
+PROGRAMS = ("unit_tests", "test_can_faults", "test_ecu_random")
 PARTS = ("lib", "firmware_sim", "tests", "tools/src", "data")
 GENEROUS = 10
-FIRST_SITES, LONG_SITES = 10_000_000, 20_000_000
-"""Cases that reach fewer than the first are asked first; those that reach more than the second are long."""
+TURNS = (100_000, 1_000_000, 10_000_000)
+LONG_SITES = 20_000_000
+"""Cases that reach no more sites than the first number of TURNS are asked first, then those up to the next, and
+at last the others; those that reach more than LONG_SITES are long."""
 ABOUT: dict[str, tuple[str, ...]] = {
-    "ecu.cpp": (),  # its long cases are minutes of driving
+    "ecu.cpp": ("test_ecu_random",),  # the other long cases are minutes of driving
     "crc32.hpp": ("test_coeff_",),
     "coefficient_checks.hpp": ("test_coeff_", "test_controller_", "test_diagnosis_"),
 }
@@ -315,18 +317,12 @@ def asked(file: str, cases: list[Case]) -> list[Case]:
 
 def turns(file: str, cases: list[Case]) -> list[list[Case]]:
     """Cases in the order in which they run, one program each: the cheap ones of every program first, the
-    file's own programs before the others."""
-    by_program: dict[Path, list[Case]] = {}
-    for case in sorted(cases, key=lambda c: c.reached):
-        by_program.setdefault(case.program, []).append(case)
-    out = []
-    for cheap in (True, False):
-        some = [[c for c in group if (c.reached <= FIRST_SITES) == cheap] for group in by_program.values()]
-        out += sorted(
-            (g for g in some if g),
-            key=lambda g: (not is_own(g[0].program, file), sum(c.reached for c in g)),
-        )
-    return out
+    file's own programs before the others. A program runs its cases in an order of its own."""
+    by_turn: dict[tuple[int, bool, Path], list[Case]] = {}
+    for case in cases:
+        cost = sum(case.reached > most for most in TURNS)
+        by_turn.setdefault((cost, not is_own(case.program, file), case.program), []).append(case)
+    return [by_turn[turn] for turn in sorted(by_turn)]
 
 
 def survives(mutant: Mutant, groups: list[list[Case]], scratch: Path) -> bool:

@@ -6,6 +6,8 @@
     generate.py guarded PROJECT DIR   the same as vehicle with the hand-made controller, called like DIR;
                                       without the bus's glue where the project gives its signals no place on
                                       the bus
+    generate.py three   PROJECT DIR   the same as guarded with a third output, and an even number of states of
+                                      each demand; PROJECT is a file
     generate.py golden  PROJECT DIR   golden_model.hpp: a drive, and the nominal output by exact zero-order
                         hold in double
     generate.py life    PROJECT DIR   golden_life.hpp: tables of two calibration sets, scores, and the wealth
@@ -16,6 +18,7 @@ again.
 """
 
 import sys
+import tomllib
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -32,7 +35,7 @@ from lpvguard.fleet.wealth import Life, LifeTable
 from lpvguard.identify.change import ChangeTest
 from lpvguard.identify.energy import EnergyTest
 from lpvguard.vehicle.nominal import NominalModel
-from lpvguard.vehicle.project import load_project
+from lpvguard.vehicle.project import load_project, parse_project
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from hand_controller import hand_controller
@@ -65,13 +68,23 @@ def separate(project, model, name):
     return vehicle(project.model_copy(update={"name": name, "bounds": bounds}), model)
 
 
-def guarded(project, model, name):
+def guarded(project, model, name, single=True):
     project = project.model_copy(update={"name": name})
-    document = hand_controller(project)
+    document = hand_controller(project, single=single)
     controller = build_controller(document["Ts_s"], *(document[key] for key in ARRAYS))
     files = vehicle(project, model)
     glue = control_files(project, controller) if all(s.can for s in project.signals) else {}
     return {**files, **glue, **replaced_controller(files["lpvguard_vehicle.h"], controller)}
+
+
+def with_third_output(path):
+    """The project of a file with two outputs and two states, and a third output that is a mixture of them."""
+    document = tomllib.loads(path.read_text())
+    last = document["signals"][-1]
+    document["signals"].append({**last, "name": "third_output", "column": "y3"})
+    document["model"]["output_offset"].append(0.02)
+    document["model"]["C"].append([0.6, -0.4])
+    return parse_project(document, path.name)
 
 
 def exact_outputs(model, v, u, y_first):
@@ -142,15 +155,16 @@ def life(project, model):
 
 
 def make(kind, project_name, folder):
-    project = load_project(project_name)
     target = Path(folder)
     makers = {
         "vehicle": vehicle,
         "separate": partial(separate, name=target.name),
         "guarded": partial(guarded, name=target.name),
+        "three": partial(guarded, name=target.name, single=False),
         "golden": golden,
         "life": life,
     }
+    project = with_third_output(Path(project_name)) if kind == "three" else load_project(project_name)
     files = makers[kind](project, NominalModel(project))
     target.mkdir(parents=True, exist_ok=True)
     # Unchanged files keep their time, so that configuring again rebuilds nothing.

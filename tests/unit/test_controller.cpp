@@ -343,8 +343,18 @@ TEST_CASE("a number that is not finite releases the demand and spoils nothing", 
 
 TEST_CASE("a state that grew beyond the numbers is cleared", "[unit][controller][REQ-CTL-6]") {
     const Real huge = std::numeric_limits<Real>::max();
-    lpvg_control_t control = ready();
-    const std::vector<Real> m(nm, huge);
+    const lpvg_control_coeff_t steep = sealed([](lpvg_control_coeff_t& c) {
+        for (auto& node : c.reals.BL) {
+            for (auto& demand : node) {
+                for (auto& row : demand) {
+                    std::for_each(row, row + nm, [](Real& gain) { gain *= Real(100); });
+                }
+            }
+        }
+    });
+    lpvg_control_t control = ready(steep);
+    std::vector<Real> m(nm, -huge);
+    m[0] = huge;
     bool refused = false;
     for (int k = 0; k < 2000; ++k) {
         refused = lpvg_control_step(&control, mid_speed(), m.data(), true) == lpvg_status_bad_sample || refused;
@@ -518,7 +528,9 @@ TEST_CASE("every step in which a limit changed the demand is counted, however li
                 v[i] += control.x[i][j];
             }
         }
-        const std::vector<Real> m(nm, k == 0 ? Real(0) : scale);  // engages at rest: no state is moved
+        const Real reference = k == 0 ? Real(0) : scale;  // engages at rest: no state is moved
+        std::vector<Real> m(nm, -reference);
+        m[0] = reference;
         REQUIRE(lpvg_control_step(&control, mid_speed(), m.data(), true) == lpvg_status_ok);
         expected += std::equal(std::begin(v), std::end(v), std::begin(control.u)) ? 0U : 1U;
     }

@@ -1,6 +1,8 @@
 // The ECU step as a black box on its bus: engagement, every supervision state, reactions, reports, documented failures.
 #include "ecu_bench.hpp"
 
+#include <algorithm>
+
 namespace {
 
 const lpvg_ecu_config_t& config = bench_config;
@@ -234,6 +236,10 @@ TEST_CASE("a controller or monitor that refuses its sample releases the demand a
     CHECK(bench.ecu.control.engaged == of_monitor);
     bench.step();
     CHECK(bench.live());  // both start anew at once
+    CHECK((bench.ecu.causes & ~(LPVG_ECU_CAUSE_WAIT | LPVG_ECU_CAUSE_UNJUDGED)) == LPVG_ECU_CAUSE_REFUSED);
+    CHECK_FALSE(bench.engaged());
+    bench.step();
+    CHECK((bench.ecu.causes & LPVG_ECU_CAUSE_REFUSED) == 0U);
 }
 
 TEST_CASE("arguments and times that are wrong change and send nothing", "[unit][ecu][REQ-ECU-6]") {
@@ -297,4 +303,82 @@ TEST_CASE("init refuses what it documents and leaves the object alone", "[unit][
     control.words.crc32 = lpvg_control_coeff_crc32(&control);
     REQUIRE(lpvg_coeff_check(&model) == lpvg_status_ok);
     CHECK(refused(&model, &control, &config, 0) == lpvg_status_bad_value);
+}
+
+TEST_CASE("init leaves nothing of what was there, and nothing is known of the bus", "[unit][ecu][REQ-ECU-1][REQ-ECU-6]") {
+    lpvg_ecu_t ecu, other;
+    std::memset(&ecu, 0xA5, sizeof ecu);
+    std::memset(&other, 0, sizeof other);
+    const int64_t now_us = 5'000'000;
+    REQUIRE(lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &config, now_us) == lpvg_status_ok);
+    REQUIRE(lpvg_ecu_init(&other, &lpvg_coeff, &lpvg_control_coeff, &config, now_us) == lpvg_status_ok);
+    CHECK(std::memcmp(&ecu, &other, sizeof ecu) == 0);
+    const lpvg_bus_signals_t& s = ecu.signals;
+    CHECK(std::isnan(s.speed));
+    CHECK(std::isnan(s.reference));
+    for (const lpvg_real_t y : s.y) {
+        CHECK(std::isnan(y));
+    }
+    for (const float x : {s.yaw_rate, s.lateral, s.wheel_difference, s.brake_pedal, s.abs_active, s.measured, s.request, s.other_priority}) {
+        CHECK(std::isnan(x));
+    }
+    CHECK(ecu.now_us == now_us);
+    CHECK(ecu.core_us == now_us);
+    CHECK(ecu.explained == LPVG_CAN_FMI_CONDITION);
+    lpvg_real_t largest = lpvg_real_t(0);
+    for (const auto& node : lpvg_control_coeff.reals.u_max) {
+        largest = std::max(largest, node[0]);
+    }
+    CHECK(ecu.kept.u_max == largest);
+    CHECK(ecu.kept.rate_max == lpvg_control_coeff.reals.rate_max[0]);
+    // The first step may come at once: it tells DM1, and waits for nothing.
+    lpvg_can_frame_t out[LPVG_ECU_FRAMES_OUT];
+    size_t n = 0U;
+    REQUIRE(lpvg_ecu_step(&ecu, now_us, nullptr, 0, out, LPVG_ECU_FRAMES_OUT, &n) == lpvg_status_ok);
+    CHECK(n == 2U);
+    CHECK((ecu.causes & LPVG_ECU_CAUSE_WAIT) == 0U);
+    CHECK(lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &config, std::numeric_limits<int64_t>::max() / 2) == lpvg_status_ok);
+}
+
+TEST_CASE("the longest sample period is a quarter of the window, and both periods are one", "[unit][ecu][REQ-ECU-6]") {
+    lpvg_coeff_t model = lpvg_coeff;
+    lpvg_control_coeff_t control = lpvg_control_coeff;
+    model.words.sample_period_us = control.words.sample_period_us = LPVG_ECU_WINDOW_US / 4U;
+    model.words.crc32 = lpvg_coeff_crc32(&model);
+    control.words.crc32 = lpvg_control_coeff_crc32(&control);
+    lpvg_ecu_t ecu;
+    CHECK(lpvg_ecu_init(&ecu, &model, &control, &config, 0) == lpvg_status_ok);
+    CHECK(lpvg_ecu_init(&ecu, &model, &lpvg_control_coeff, &config, 0) == lpvg_status_bad_value);
+    lpvg_ecu_config_t with = config;
+    with.report_only = LPVG_ECU_CAUSES_OPTIONAL;
+    CHECK(lpvg_ecu_init(&ecu, &model, &control, &with, 0) == lpvg_status_ok);
+}
+
+TEST_CASE("of a step's frames the newest are taken, and those before them are counted", "[unit][ecu][REQ-ECU-6]") {
+    const std::size_t n = LPVG_ECU_FRAMES_IN + GENERATE(range(0U, 5U)) - 1U, dropped = n > LPVG_ECU_FRAMES_IN ? n - LPVG_ECU_FRAMES_IN : 0U;
+    Bench bench;
+    bench.run_until_engaged();
+    while (bench.k % 10 != 5) {  // a step with two frames
+        bench.step();
+    }
+    const uint32_t before = bench.ecu.dropped;
+    bench.filter = [&](std::vector<lpvg_can_frame_t> frames) {
+        lpvg_can_frame_t off{}, unknown{};
+        off.id = LPVG_CAN_ERROR | LPVG_CAN_BUS_OFF;
+        unknown.t_us = off.t_us = frames.front().t_us;
+        frames.insert(frames.begin(), n - frames.size(), unknown);
+        std::fill_n(frames.begin(), dropped, off);
+        return frames;
+    };
+    bench.step();
+    CHECK(bench.ecu.dropped == before + dropped);
+    CHECK(bench.engaged());  // those that say bus-off are not taken
+}
+
+TEST_CASE("of messages that stand equally badly the first of the table is told", "[unit][ecu][REQ-ECU-2]") {
+    Bench bench;
+    bench.run_until_engaged();
+    bench.send_vdc2 = bench.send_guard_in = bench.send_ebc1 = bench.send_ebc2 = false;
+    bench.run(300);
+    CHECK(bench.spn == lpvg_bus.needed[0].spn);
 }

@@ -82,6 +82,30 @@ TEST_CASE("at every speed outside the scheduling range the loop is released, wit
     CHECK(bench.engaged());
 }
 
+TEST_CASE("the ends of the range belong to it, and so do the ends of its hysteresis", "[unit][ecu][REQ-ECU-10]") {
+    const bool low = GENERATE(false, true);
+    const bool was_in = GENERATE(false, true);
+    const bool beyond = GENERATE(false, true);
+    const auto speed = [] {
+        Bench bench;
+        bench.run(100);
+        return bench.ecu.signals.speed;
+    }();
+    // A range of which the bench's speed is an end, exactly.
+    lpvg_control_coeff_t control = lpvg_control_coeff;
+    const lpvg_real_t wide = was_in ? static_cast<lpvg_real_t>(hysteresis) : lpvg_real_t(0), outwards = lpvg_real_t(low ? 1000 : -1000);
+    const lpvg_real_t end = low ? speed + wide : speed - wide;
+    (low ? control.reals.speed_min : control.reals.speed_max) = beyond ? std::nextafter(end, outwards) : end;
+    control.words.crc32 = lpvg_control_coeff_crc32(&control);
+    Bench bench(bench_config, lpvg_coeff, control);
+    bench.ecu.in_range = was_in;
+    bench.run(100);
+    REQUIRE(bench.live());
+    REQUIRE(bench.ecu.signals.speed == speed);
+    CHECK(bench.ecu.in_range != beyond);
+    CHECK(has(bench, LPVG_ECU_CAUSE_RANGE) == beyond);
+}
+
 TEST_CASE("an unknown, stale or faulty verdict releases, unless it is only to be reported", "[unit][ecu][REQ-ECU-11]") {
     const bool only_reported = GENERATE(false, true);
     lpvg_ecu_config_t with = bench_config;
@@ -131,6 +155,19 @@ TEST_CASE("a falsified model and contradicting sensors lock until they are ackno
     bench.step();
     CHECK(bench.engaged());
     CHECK_FALSE(lpvg_ecu_acknowledge(nullptr));
+}
+
+TEST_CASE("a lock ends by acknowledging whether or not engagement is asked for", "[unit][ecu][REQ-ECU-12]") {
+    Bench bench = engaged_bench();
+    bench.lock();
+    bench.ecu.releases = 2U;
+    lpvg_ecu_engage(&bench.ecu, false);
+    bench.step();
+    CHECK(bench.ecu.causes == (LPVG_ECU_CAUSE_NOT_ASKED | LPVG_ECU_CAUSE_LOCKED));
+    CHECK(lpvg_ecu_acknowledge(&bench.ecu));
+    CHECK(bench.ecu.releases == 0U);
+    bench.step();
+    CHECK(bench.ecu.causes == LPVG_ECU_CAUSE_NOT_ASKED);
 }
 
 TEST_CASE("what is found while nothing is engaged does not lock", "[unit][ecu][REQ-ECU-12]") {
@@ -184,6 +221,28 @@ TEST_CASE("a minute without a release by a fault forgets those before", "[unit][
     CHECK(bench.ecu.releases == (in_time ? 1U : LPVG_ECU_RELEASES_MAX + 1U));
     CHECK(bench.engaged() == in_time);
     CHECK(bench.ecu.kept.locked != in_time);
+}
+
+TEST_CASE("a release by a fault a minute after the one before is the first again, one sooner is one more", "[unit][ecu][REQ-ECU-12]") {
+    const bool in_time = GENERATE(false, true);
+    Bench bench = engaged_bench();
+    bench.ecu.releases = LPVG_ECU_RELEASES_MAX;
+    bench.ecu.released_us = bench.ecu.core_us + tick_us - static_cast<int64_t>(LPVG_ECU_RELEASES_US) + (in_time ? 0 : 1);
+    bench.ecu.report.verdict = lpvg_verdict_fault;
+    bench.step();
+    CHECK_FALSE(bench.engaged());
+    CHECK(bench.ecu.releases == (in_time ? 1U : LPVG_ECU_RELEASES_MAX + 1U));
+    CHECK(bench.ecu.released_us == bench.ecu.core_us);
+    CHECK(bench.ecu.kept.locked != in_time);
+    CHECK(bench.ecu.lock_causes == (in_time ? 0U : LPVG_ECU_CAUSE_UNJUDGED));
+}
+
+TEST_CASE("the wait is over when all of it has passed", "[unit][ecu][REQ-ECU-12]") {
+    const bool over = GENERATE(false, true);
+    Bench bench = engaged_bench();
+    bench.ecu.caused_us = bench.ecu.core_us + tick_us - static_cast<int64_t>(LPVG_ECU_WAIT_US) + (over ? 0 : 1);
+    bench.step();
+    CHECK(bench.ecu.causes == (over ? 0U : LPVG_ECU_CAUSE_WAIT));
 }
 
 TEST_CASE("asking and the speed's range release without being counted", "[unit][ecu][REQ-ECU-12]") {

@@ -101,7 +101,7 @@ TEST_CASE("an alarm's code has the failure mode of the cause that was found", "[
     const Case cases[] = {
         {lpvg_cause_unknown, 0.0F, 31U}, {lpvg_cause_other, 0.0F, 11U},  {lpvg_cause_gain, 0.7F, 13U},
         {lpvg_cause_sign, -1.0F, 13U},   {lpvg_cause_delay, 0.2F, 9U},   {lpvg_cause_bias, 0.1F, 20U},
-        {lpvg_cause_bias, -0.1F, 21U},   {lpvg_cause_frozen, 0.1F, 10U}, {lpvg_cause_noise, 0.1F, 2U},
+        {lpvg_cause_bias, 0.0F, 21U},    {lpvg_cause_bias, -0.1F, 21U},   {lpvg_cause_frozen, 0.1F, 10U}, {lpvg_cause_noise, 0.1F, 2U},
     };
     Bench bench;
     bench.run_until_engaged();
@@ -172,6 +172,40 @@ TEST_CASE("a lost message reaches the bus as a code with its freeze frame", "[un
     CHECK(entry->spn == 1808U);
     CHECK((entry->freeze.causes & LPVG_ECU_CAUSE_MESSAGE) != 0U);
     CHECK(entry->freeze.t_us == bench.now_us - 6 * tick_us);
+}
+
+TEST_CASE("a message that is not live has the failure mode of the rejection seen most of, the first of equals", "[unit][ecu][REQ-J1939-10]") {
+    Bench bench;
+    bench.run_until_engaged();
+    lpvg_can_watch_t& watch = bench.ecu.supervisor.watch[lpvg_bus.needed[0].index];
+    watch.state = lpvg_can_state_hold;
+    const auto mode = [&] {
+        const lpvg_j1939_findings_t findings = findings_of(bench.ecu);
+        REQUIRE(findings.n_codes == 1U);
+        return findings.code[0].fmi;
+    };
+    for (uint32_t& count : watch.count) {
+        count = 7U;  // those before `early` and behind `gradient` are no rejections
+    }
+    watch.window_bad = 0U;
+    CHECK(mode() == lpvg_can_fmi(lpvg_can_event_missed));
+    watch.window_bad = 1U;
+    for (int event = lpvg_can_event_early; event <= lpvg_can_event_gradient; ++event) {
+        watch.count[event] = 0U;
+    }
+    CHECK(mode() == lpvg_can_fmi(lpvg_can_event_early));
+    for (int event = lpvg_can_event_early; event <= lpvg_can_event_gradient; ++event) {
+        CAPTURE(event);
+        watch.count[event] = 1U;
+        CHECK(mode() == lpvg_can_fmi(static_cast<lpvg_can_event_t>(event)));
+        for (int later = event + 1; later <= lpvg_can_event_gradient; ++later) {
+            watch.count[later] = 1U;
+        }
+        CHECK(mode() == lpvg_can_fmi(static_cast<lpvg_can_event_t>(event)));
+        for (int other = lpvg_can_event_early; other <= lpvg_can_event_gradient; ++other) {
+            watch.count[other] = 0U;
+        }
+    }
 }
 
 TEST_CASE("findings need an ECU that was made ready", "[unit][ecu][REQ-J1939-10]") {

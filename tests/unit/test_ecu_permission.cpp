@@ -133,13 +133,48 @@ TEST_CASE("brakes that do not do what is demanded release and lock, unless it is
     }
 }
 
+TEST_CASE("the actuator is held against the demand through its lag", "[unit][ecu][REQ-ECU-14]") {
+    Bench bench = engaged_bench();
+    double expected = static_cast<double>(bench.ecu.expected), moved = 0.0;
+    for (int i = 0; i < 200; ++i) {
+        const auto demand = static_cast<double>(bench.ecu.control.u[0]);
+        expected += (demand - expected) * 0.01 / (0.14 + 0.01);
+        moved = std::fmax(moved, std::fabs(demand - expected));
+        bench.step();
+        CHECK(static_cast<double>(bench.ecu.expected) == Approx(expected).margin(1e-5));
+    }
+    CHECK(moved > 0.01);
+}
+
+TEST_CASE("the actuator may be off by its tolerance, and by no more", "[unit][ecu][REQ-ECU-14]") {
+    const float sign = GENERATE(-1.0F, 1.0F);
+    lpvg_ecu_config_t with = bench_config;
+    with.engage = false;  // the demand is 0
+    const auto waiting = [&] {
+        Bench bench(with);
+        bench.brakes_work = false;
+        bench.pressure = sign;
+        bench.run(100);
+        REQUIRE(bench.live());
+        return bench;
+    };
+    with.actuator.tolerance = std::fabs(waiting().ecu.signals.measured);  // as the bus has it
+    Bench bench = waiting();
+    REQUIRE(bench.ecu.signals.measured == sign * with.actuator.tolerance);
+    CHECK(bench.ecu.expected == 0.0F);
+    CHECK(bench.ecu.deviations == 0U);
+    bench.pressure *= 1.01F;
+    bench.run(2);
+    CHECK(bench.ecu.deviations == 2U);
+}
+
 TEST_CASE("limits and priorities that make no sense are refused", "[unit][ecu][REQ-ECU-6]") {
-    const int which = GENERATE(0, 1, 2, 3, 4);
+    const int which = GENERATE(range(0, 8));  // the last is good
     lpvg_ecu_config_t with = bench_config;
     with.priority = which == 0 ? 4U : 3U;
-    with.actuator.lag_s = which == 1 ? 0.0F : 0.1F;
-    with.actuator.tolerance = which == 2 ? NAN : 0.1F;
+    with.actuator.lag_s = which == 1 ? 0.0F : which == 4 ? -0.1F : 0.1F;
+    with.actuator.tolerance = which == 2 ? NAN : which == 5 ? 0.0F : which == 6 ? -0.1F : 0.1F;
     with.actuator.confirm = which == 3 ? 0U : 1U;
     lpvg_ecu_t ecu;
-    CHECK(lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &with, 0) == (which < 4 ? lpvg_status_bad_argument : lpvg_status_ok));
+    CHECK(lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &with, 0) == (which < 7 ? lpvg_status_bad_argument : lpvg_status_ok));
 }
