@@ -28,7 +28,7 @@ from .bounds import (
     reduce_uncertainty,
 )
 from .calibration import change_score, energy_score, score
-from .change import ChangeTest, largest_estimates, regressor_products
+from .change import ChangeTest, Met, estimates_met, regressor_products
 from .diagnosis import Windows, windows_of
 from .energy import EnergyTest
 from .visibility import Excitation
@@ -264,10 +264,10 @@ def change_products_pass(reader: DriveReader, experiment: Experiment) -> np.ndar
     return regressor_products(e, yhat, drive.v, reader.estimator)
 
 
-def change_largest_pass(reader: DriveReader, test: ChangeTest, experiment: Experiment) -> np.ndarray:
-    """The largest estimates (n_y, 3) of the change test on a drive [output units]."""
+def change_met_pass(reader: DriveReader, test: ChangeTest, experiment: Experiment) -> Met:
+    """The estimates of the change test along a drive."""
     drive, e, yhat = reader.read(experiment)
-    return largest_estimates(test, e, yhat, drive.v, reader.estimator)
+    return estimates_met(test, e, yhat, drive.v, reader.estimator)
 
 
 def diagnosis_pass(reader: DriveReader, unit: np.ndarray, experiment: Experiment) -> Windows:

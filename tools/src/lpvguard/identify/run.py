@@ -26,9 +26,10 @@ bit of the bounds.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property, partial, reduce
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -64,7 +65,7 @@ from .model_fit import drive_fit, require_better_than_none
 from .passes import (
     DriveReader,
     Judged,
-    change_largest_pass,
+    change_met_pass,
     change_products_pass,
     covering_pass,
     diagnosis_pass,
@@ -320,8 +321,10 @@ class _Run:
         """The change test with the sizes that the bound-setting drives show."""
         sums = self.over("change", partial(change_products_pass, self.reader), drives.setting)
         test = ChangeTest.design(self.reader.project).with_moments(np.sum(list(sums), axis=0))
-        task = partial(change_largest_pass, self.reader, test)
-        return test.with_largest(np.max(list(self.over("change", task, drives.setting)), axis=0))
+        # By name: sums of floats depend on the order.
+        chosen = sorted(drives.setting, key=lambda e: e.name)
+        met = self.over("change", partial(change_met_pass, self.reader, test), chosen)
+        return test.with_sizes(reduce(operator.add, met))
 
     def diagnosis(self, change: ChangeTest | None, drives: Chosen) -> DiagnosisScales | None:
         """Scales of the diagnosis, by the sizes of the change test; None without that."""
