@@ -17,7 +17,7 @@ from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import read_drive
 from lpvguard.identify import run as stage
 from lpvguard.identify.bounds import nominal_error
-from lpvguard.identify.calibration import NO_RECORDINGS, joint_scores
+from lpvguard.identify.calibration import NO_RECORDINGS, joint_score, joint_scores
 from lpvguard.identify.change import (
     BLOCK,
     FLOOR,
@@ -119,9 +119,7 @@ def test_alpha_alone_decides_the_threshold_and_without_it_the_bound_setting_driv
     assert calibrated_change(dict.fromkeys(scores, 0.0), 0.2, NO_RECORDINGS).threshold == FLOOR
 
 
-def test_sizes_are_the_rms_of_the_bound_setting_drives_and_scores_the_cores(
-    identified, synthetic, g80, core
-):
+def test_sizes_are_the_rms_of_the_bound_setting_drives_and_scores_the_cores(identified, synthetic, g80, core):
     stored, model = stage.load(identified), NominalModel(g80)
     test, estimator = stored.change, Estimator.of(g80, model)
     theta = np.concatenate(
@@ -189,5 +187,12 @@ def test_an_output_that_never_moved_has_finite_coefficients(g80):
     assert all(np.isfinite(np.float32(x)).all() for x in test.coefficients()[2].values())
 
 
-def test_joint_scores_are_the_largest_of_those_there_are():
-    assert joint_scores({"a": 1.0, "b": 2.0}, {"a": 3.0}, {"c": 0.5}) == {"a": 3.0, "b": 2.0, "c": 0.5}
+def test_joint_scores_are_the_largest_of_those_that_are_above_their_floors():
+    floors = {"frame": 1.0, "energy": 1.5, "change": 0.1}
+    tests = {
+        "frame": {"a": 1.0, "b": 2.0, "e": 0.9},
+        "energy": {"a": 3.0, "d": 1.5, "e": 1.4},
+        "change": {"c": 0.5, "d": 0.3, "e": 0.1},
+    }
+    assert joint_scores(tests, floors) == {"a": 3.0, "b": 2.0, "c": 0.5, "d": 0.3, "e": 0.0}
+    assert joint_score({"frame": None, "change": 0.7}, floors) == 0.7

@@ -53,6 +53,8 @@ def identify(
         f"{len(result.calibration_drives)} others calibrate: {', '.join(result.calibration_drives) or 'none'}"
     )
     print_evidence(result)
+    for line in result.deciders():
+        console.print(line)
     for u in named:
         console.print(f"unexplained: {u.sentence()}")
     for line in [] if price is None else price.sentences():

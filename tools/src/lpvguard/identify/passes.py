@@ -27,7 +27,7 @@ from .bounds import (
     reduce_remainder,
     reduce_uncertainty,
 )
-from .calibration import change_score, energy_score, score
+from .calibration import Peak, change_score, energy_score, peaks, score
 from .change import ChangeTest, Met, estimates_met, regressor_products
 from .diagnosis import Windows, windows_of
 from .energy import EnergyTest
@@ -165,7 +165,7 @@ def covering_pass(reader: DriveReader, W_delta: np.ndarray, B_w: np.ndarray, exp
 
 class Judged(NamedTuple):
     """What the tests say of a drive: its largest margin, its scores (None: nothing judged), its excitation,
-    and the time in counted frames [s]."""
+    the time in counted frames [s], and where the scores come from, by test (none without a core)."""
 
     worst: float
     score: float | None
@@ -173,6 +173,7 @@ class Judged(NamedTuple):
     change_score: float | None
     met: Excitation
     judged_s: float
+    peaks: dict[str, Peak]
 
 
 def judge(
@@ -206,6 +207,7 @@ def judge(
             None,
             Excitation.of(name, speed_range, bin_of, speed, Z, W_delta, B_w, start),
             _covered_s(start, reader.estimator.length[bin_of], reader.project.Ts_s),
+            {},
         )
     worst = 0.0
     for cut in _first_samples(reader, name, len(drive.t), cuts):
@@ -227,7 +229,8 @@ def judge(
     )
     Ts = reader.project.Ts_s
     judged_s = float(f.judged(len(drive.t), drive.t[0], Ts, reader.estimator.length).sum() * Ts)
-    return Judged(worst, score(whole), energy_score(whole), change_score(whole), met, judged_s)
+    found = peaks(whole, drive.t[0], Ts, reader.estimator.length)
+    return Judged(worst, score(whole), energy_score(whole), change_score(whole), met, judged_s, found)
 
 
 def _covered_s(start: np.ndarray, length: np.ndarray, Ts: float) -> float:

@@ -54,7 +54,7 @@ from ..fit.quality import Quality
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, parse_project
 from .bounds import FRONT_POINTS, Bounds, Part, fold, front_grid
-from .calibration import Calibration, Recordings, calibrate
+from .calibration import Calibration, Peak, Recordings, calibrate
 from .change import ChangeTest
 from .chosen import Chosen
 from .chosen import DriveSet as DriveSet
@@ -93,6 +93,8 @@ from .window_error import window_error
 
 CUTS = 5
 """Random first samples from which every bound-setting drive is replayed to find the final inflation."""
+ONE_FRAME = 1.1
+"""One frame is said to decide a threshold that is larger by this factor than it would be without it."""
 JOINED_AT_ONCE = 32
 """Samples of so many drives wait to be joined: sorting them together costs the process that joins less
 time."""
@@ -108,7 +110,9 @@ def _quiet(_: str) -> None:
 @dataclass(frozen=True)
 class Identification:
     """Everything that identify finds; see the module's docstring for the files. ``model_fit``: of the drives
-    that set the bounds; ``others_fit``: of those that do not."""
+    that set the bounds; ``others_fit``: of those that do not. ``evidence`` (K,): largest of the bound-setting
+    drives by bin; empty without a core. ``peaks``: where the scores come from, by calibration drive and test.
+    """
 
     project: Project
     model: NominalModel
@@ -129,12 +133,58 @@ class Identification:
     sha256: dict[str, str]
     model_fit: list[Quality]
     others_fit: list[Quality]
+    evidence: np.ndarray
+    peaks: dict[str, dict[str, Peak]]
+
+    def deciders(self) -> list[str]:
+        """A sentence for every threshold: the drive, the time and the bin or band that decide it. Where one
+        frame does: what the threshold would be without it."""
+        tests: dict[str, Calibration | None] = {
+            "frame": self.calibration,
+            "energy": None if self.energy is None else self.energy.calibration,
+            "change": None if self.change is None else self.change.calibration,
+        }
+        return [self._decider(test, c) for test, c in tests.items() if c is not None]
+
+    def _decider(self, test: str, c: Calibration) -> str:
+        drive = c.decided_by
+        if drive is None:
+            return f"{test} test: no drive decides the threshold {c.carried:.4g}, its floor"
+        peak = self.peaks[drive].get(test)
+        said = f"{test} test: {drive} decides the threshold {c.carried:.4g}"
+        if peak is None:
+            return said
+        place = ""
+        if test == "frame" and peak.place is not None:
+            place = f", {self.bounds.omega[peak.place] / (2 * np.pi):.3g} Hz"
+        elif self.energy is not None and peak.place is not None:
+            place = f", band {self.energy.bands[peak.place]}"
+        said += f", at {peak.t_s:.4g} s{place}"
+        if peak.without is None:
+            return said
+        alpha = self.project.frame_test.alpha
+        left = calibrate(c.scores | {drive: peak.without}, alpha, recordings=c.recordings).carried
+        return said if left > c.carried / ONE_FRAME else f"{said}; one frame does: without it {left:.4g}"
+
+    def silence(self) -> list[str]:
+        """A sentence for each silent bin, and one for silent bands of the energy test."""
+        said = [
+            f"{self.bounds.omega[k] / (2 * np.pi):.3g} Hz is silent: on the drives that set the bounds a "
+            f"vehicle that does not respond would have had margins up to {self.evidence[k]:.2f} there"
+            for k in self.weights.silent
+        ]
+        if self.energy is not None and self.energy.silent:
+            names = ", ".join(self.energy.bands[b] for b in self.energy.silent)
+            said.append(f"energy test: silent in the bands {names}, since every bin is")
+        return said
 
 
 class _Run:
     """Passes over the drives: mapped by ``workers``, joined as they come.
 
-    ``left_out``: drive -> why it has no counted frame; ``spectra``, ``met``: samples joined so far.
+    ``left_out``: drive -> why it has no counted frame; ``spectra``, ``met``: samples joined so far;
+    ``evidence`` (K,): largest of the bound-setting drives by bin, once these are judged; ``peaks``: where the
+    scores of each calibration drive come from, by test.
     """
 
     def __init__(self, reader: DriveReader, workers: Map, progress: Progress):
@@ -143,6 +193,8 @@ class _Run:
         self._spectra: list[Rows] = []
         self._met: list[Excitation] = []
         self._judged_s: dict[str, float] = {}
+        self.evidence = np.zeros(0)
+        self.peaks: dict[str, dict[str, Peak]] = {}
 
     def over(
         self, what: str, task: Callable[[Experiment], Result], chosen: Iterable[Experiment]
@@ -263,6 +315,7 @@ class _Run:
             project, coefficients_of(project, model, estimator, weights, 1.0, filters, change)
         ) as core:
             inflated = self._inflated(weights, core, drives)
+            inflated = replace(inflated, silent=self._silent(inflated))
             test = self._energy_test(inflated, drives)
             reals = coefficients_of(project, model, estimator, inflated, 1.0, test, change).flat_reals()
             scores, energy_scores, change_scores = self._scores(weights, core, reals, drives)
@@ -279,7 +332,9 @@ class _Run:
         """What the judged drives could have refuted, by bin: visibility.json."""
         of, factor = self.reader.estimator, weights.inflation
         W_delta = weights.at(of.omega)[0] / factor
-        return visibility(of.omega, of.speed_range, self.met, W_delta, calibration.carried, factor)
+        return visibility(
+            of.omega, of.speed_range, self.met, W_delta, calibration.carried, factor, weights.silent
+        )
 
     @property
     def met(self) -> Excitation:
@@ -308,6 +363,12 @@ class _Run:
         judged = self._judged("inflation", weights, core, None, CUTS, drives.setting)
         worst = max([1.0, *(j.worst for j in judged)])
         return replace(weights, inflation=worst if worst == 1.0 else worst * (1 + 1e-4))
+
+    def _silent(self, inflated: Weights) -> tuple[int, ...]:
+        """Bins in which no drive that sets the bounds shows evidence above 1, once `_inflated` judged them:
+        there a vehicle that does not respond would never have been refuted."""
+        self.evidence = self.met.evidence(self.reader.estimator.n_bins) / inflated.inflation
+        return tuple(int(k) for k in np.flatnonzero(self.evidence <= 1.0))
 
     def _energy_test(self, inflated: Weights, drives: Chosen) -> EnergyTest:
         """The energy test with the sigma that the drives with and without input ask for."""
@@ -343,6 +404,7 @@ class _Run:
         judged = self._judged("score", weights, core, reals, 0, drives.others)
         for e, j in zip(drives.others, judged, strict=False):
             self._judged_s[e.name] = j.judged_s
+            self.peaks[e.name] = j.peaks
             if j.score is None:
                 self.left_out[e.name] = self.reader.why_without_frames()
             else:
@@ -425,6 +487,8 @@ def identify(
         sha256=hashes,
         model_fit=model_fit,
         others_fit=others_fit,
+        evidence=run.evidence,
+        peaks=run.peaks,
     )
     return result, drives
 
