@@ -24,6 +24,7 @@ def identify(
     """Find the unfalsified bounds, fit the weights, calibrate the frame test (paper, steps 1-7)."""
     from ..base.parallel import workers
     from ..identify import run as stage
+    from ..identify.deciders import decides_bounds, decides_thresholds, silence
     from ..identify.unexplained import cost, unexplained
 
     project = project_of(vehicle)
@@ -31,6 +32,7 @@ def identify(
         result, drive_set = stage.identify(project, drives, workers=run, progress=tell)
         stage.save(result, drive_set, out)
         named = unexplained(result)
+        decided_by = [*decides_bounds(result), *decides_thresholds(result)]
         price = cost(result, drives, named, workers=run, progress=tell) if named else None
     emit(
         json_out,
@@ -40,6 +42,8 @@ def identify(
             "left_out": result.left_out,
             **result.calibration.to_dict(),
             "inflation": result.weights.inflation,
+            "silent": silence(result),
+            "decided_by": decided_by,
             "energy": result.energy.to_dict() if result.energy else None,
             "change": result.change.to_dict() if result.change else None,
             "model_fit": [q.to_dict() for q in result.model_fit],
@@ -53,7 +57,7 @@ def identify(
         f"{len(result.calibration_drives)} others calibrate: {', '.join(result.calibration_drives) or 'none'}"
     )
     print_evidence(result)
-    for line in result.deciders():
+    for line in (*silence(result), *decided_by):
         console.print(line)
     for u in named:
         console.print(f"unexplained: {u.sentence()}")

@@ -233,7 +233,6 @@ def print_evidence(result: Identification) -> None:
         *sentences(result.project, result.model_fit),
         *gaps([*result.model_fit, *result.others_fit]),
         *evidence(bounds.omega, bounds.frames, estimator.length, estimator.Ts, result.model_fit),
-        *result.silence(),
     ):
         console.print(line)
 

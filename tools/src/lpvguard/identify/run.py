@@ -53,14 +53,14 @@ from ..drives.tables import (
 from ..fit.quality import Quality
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, parse_project
-from .bounds import FRONT_POINTS, Bounds, Part, fold, front_grid
+from .bounds import FRONT_POINTS, Bounds, Deciders, Part, fold, front_grid
 from .calibration import Calibration, Peak, Recordings, calibrate
 from .change import ChangeTest
 from .chosen import Chosen
 from .chosen import DriveSet as DriveSet
 from .diagnosis import DiagnosisScales
 from .energy import EnergyTest
-from .model_error import FOLDS, ErrorGrid, ModelError, Sums, model_error_pass
+from .model_error import FEWEST_FRAMES, FOLDS, ErrorGrid, ModelError, Sums, model_error_pass
 from .model_fit import drive_fit, require_better_than_none
 from .passes import (
     DriveReader,
@@ -93,8 +93,6 @@ from .window_error import window_error
 
 CUTS = 5
 """Random first samples from which every bound-setting drive is replayed to find the final inflation."""
-ONE_FRAME = 1.1
-"""One frame is said to decide a threshold that is larger by this factor than it would be without it."""
 JOINED_AT_ONCE = 32
 """Samples of so many drives wait to be joined: sorting them together costs the process that joins less
 time."""
@@ -112,7 +110,7 @@ class Identification:
     """Everything that identify finds; see the module's docstring for the files. ``model_fit``: of the drives
     that set the bounds; ``others_fit``: of those that do not. ``evidence`` (K,): largest of the bound-setting
     drives by bin; empty without a core. ``peaks``: where the scores come from, by calibration drive and test.
-    """
+    ``decided``: which frames decide nu and B_w."""
 
     project: Project
     model: NominalModel
@@ -135,48 +133,7 @@ class Identification:
     others_fit: list[Quality]
     evidence: np.ndarray
     peaks: dict[str, dict[str, Peak]]
-
-    def deciders(self) -> list[str]:
-        """A sentence for every threshold: the drive, the time and the bin or band that decide it. Where one
-        frame does: what the threshold would be without it."""
-        tests: dict[str, Calibration | None] = {
-            "frame": self.calibration,
-            "energy": None if self.energy is None else self.energy.calibration,
-            "change": None if self.change is None else self.change.calibration,
-        }
-        return [self._decider(test, c) for test, c in tests.items() if c is not None]
-
-    def _decider(self, test: str, c: Calibration) -> str:
-        drive = c.decided_by
-        if drive is None:
-            return f"{test} test: no drive decides the threshold {c.carried:.4g}, its floor"
-        peak = self.peaks[drive].get(test)
-        said = f"{test} test: {drive} decides the threshold {c.carried:.4g}"
-        if peak is None:
-            return said
-        place = ""
-        if test == "frame" and peak.place is not None:
-            place = f", {self.bounds.omega[peak.place] / (2 * np.pi):.3g} Hz"
-        elif self.energy is not None and peak.place is not None:
-            place = f", band {self.energy.bands[peak.place]}"
-        said += f", at {peak.t_s:.4g} s{place}"
-        if peak.without is None:
-            return said
-        alpha = self.project.frame_test.alpha
-        left = calibrate(c.scores | {drive: peak.without}, alpha, recordings=c.recordings).carried
-        return said if left > c.carried / ONE_FRAME else f"{said}; one frame does: without it {left:.4g}"
-
-    def silence(self) -> list[str]:
-        """A sentence for each silent bin, and one for silent bands of the energy test."""
-        said = [
-            f"{self.bounds.omega[k] / (2 * np.pi):.3g} Hz is silent: on the drives that set the bounds a "
-            f"vehicle that does not respond would have had margins up to {self.evidence[k]:.2f} there"
-            for k in self.weights.silent
-        ]
-        if self.energy is not None and self.energy.silent:
-            names = ", ".join(self.energy.bands[b] for b in self.energy.silent)
-            said.append(f"energy test: silent in the bands {names}, since every bin is")
-        return said
+    decided: dict[str, Deciders]
 
 
 class _Run:
@@ -184,7 +141,7 @@ class _Run:
 
     ``left_out``: drive -> why it has no counted frame; ``spectra``, ``met``: samples joined so far;
     ``evidence`` (K,): largest of the bound-setting drives by bin, once these are judged; ``peaks``: where the
-    scores of each calibration drive come from, by test.
+    scores of each calibration drive come from, by test; ``decided``: which frames decide nu and B_w.
     """
 
     def __init__(self, reader: DriveReader, workers: Map, progress: Progress):
@@ -195,6 +152,7 @@ class _Run:
         self._judged_s: dict[str, float] = {}
         self.evidence = np.zeros(0)
         self.peaks: dict[str, dict[str, Peak]] = {}
+        self.decided: dict[str, Deciders] = {}
 
     def over(
         self, what: str, task: Callable[[Experiment], Result], chosen: Iterable[Experiment]
@@ -255,13 +213,21 @@ class _Run:
 
         return ModelError.of(reader.project, grid, folds(drives.setting), folds(drives.others))
 
+    def _deciders(
+        self, key: str, columns: int, setting: list[Experiment], parts: Iterable[Part]
+    ) -> Iterator[Part]:
+        """The parts of the ``setting`` drives, in whose passing it is kept what decides the bound ``key``."""
+        self.decided[key] = Deciders(key, (self.reader.estimator.n_bins, columns))
+        return self.decided[key].watched((e.name for e in setting), parts)
+
     def uncertainty(
         self, first: Part, gamma_w: np.ndarray, error: ModelError, setting: list[Experiment]
     ) -> tuple[Part, list[FittedWeight]]:
         """Step 5, and W_delta above it and above the model error."""
         project, estimator = self.reader.project, self.reader.estimator
         grid = front_grid(first["B1"], first["B2"], estimator, project.bounds.structure)
-        second = fold(self.over("bounds", partial(uncertainty_pass, self.reader, gamma_w, grid), setting))
+        parts = self.over("bounds", partial(uncertainty_pass, self.reader, gamma_w, grid), setting)
+        second = fold(self._deciders("nu", project.n_delta, setting, parts))
         names = [f"W_delta of {s.name}" for s in project.outputs] if project.n_delta > 1 else ["W_delta"]
         # Class S0 has no uncertainty: all error is disturbance.
         needed = error.bound * (project.bounds.structure != "S0")
@@ -283,7 +249,8 @@ class _Run:
         B_w,j|^2 <= 1 on every frame; ``paper``: |w_j| <= B_w,j."""
         project, estimator = self.reader.project, self.reader.estimator
         size = np.column_stack([w.magnitude(estimator.omega) for w in W_delta])
-        B_w = fold(self.over("bounds", partial(remainder_pass, self.reader, size), setting))["B_w"]
+        parts = self.over("bounds", partial(remainder_pass, self.reader, size), setting)
+        B_w = fold(self._deciders("B_w", project.n_y, setting, parts))["B_w"]
         if project.bounds.disturbance_set == "covering" and project.n_y > 1:
             task = partial(covering_pass, self.reader, size, B_w)
             B_w = B_w * np.fmax(1.0, fold(self.over("bounds", task, setting))["scale"])[:, None]
@@ -298,10 +265,10 @@ class _Run:
         )
 
     def calibrated(
-        self, weights: Weights, drives: Chosen
+        self, weights: Weights, frames: np.ndarray, drives: Chosen
     ) -> tuple[Weights, Calibration, EnergyTest | None, ChangeTest | None]:
         """Weights with their final inflation, and the tests with their thresholds; the plain DFT has the
-        frame test only."""
+        frame test only. ``frames`` (K,): counted frames of the bound-setting drives."""
         project, model, estimator = self.reader.project, self.reader.model, self.reader.estimator
         alpha, recordings = project.frame_test.alpha, Recordings.listed(drives.setting, drives.others)
         if estimator.window != "hann":
@@ -315,7 +282,7 @@ class _Run:
             project, coefficients_of(project, model, estimator, weights, 1.0, filters, change)
         ) as core:
             inflated = self._inflated(weights, core, drives)
-            inflated = replace(inflated, silent=self._silent(inflated))
+            inflated = replace(inflated, silent=self._silent(inflated, frames))
             test = self._energy_test(inflated, drives)
             reals = coefficients_of(project, model, estimator, inflated, 1.0, test, change).flat_reals()
             scores, energy_scores, change_scores = self._scores(weights, core, reals, drives)
@@ -364,11 +331,14 @@ class _Run:
         worst = max([1.0, *(j.worst for j in judged)])
         return replace(weights, inflation=worst if worst == 1.0 else worst * (1 + 1e-4))
 
-    def _silent(self, inflated: Weights) -> tuple[int, ...]:
+    def _silent(self, inflated: Weights, frames: np.ndarray) -> tuple[int, ...]:
         """Bins in which no drive that sets the bounds shows evidence above 1, once `_inflated` judged them:
-        there a vehicle that does not respond would never have been refuted."""
-        self.evidence = self.met.evidence(self.reader.estimator.n_bins) / inflated.inflation
-        return tuple(int(k) for k in np.flatnonzero(self.evidence <= 1.0))
+        there a vehicle that does not respond would never have been refuted. And bins of fewer than
+        FEWEST_FRAMES ``frames`` one after another: a further frame is beyond so few too often."""
+        estimator = self.reader.estimator
+        self.evidence = self.met.evidence(estimator.n_bins) / inflated.inflation
+        thin = frames < FEWEST_FRAMES * estimator.length
+        return tuple(int(k) for k in np.flatnonzero((self.evidence <= 1.0) | thin))
 
     def _energy_test(self, inflated: Weights, drives: Chosen) -> EnergyTest:
         """The energy test with the sigma that the drives with and without input ask for."""
@@ -465,7 +435,7 @@ def identify(
     weights = fit_weights(
         project, estimator, bounds, gamma_w, W_delta, noise_peak, first["E"], command["Y"][:, 0]
     )
-    weights, calibration, energy, change = run.calibrated(weights, chosen)
+    weights, calibration, energy, change = run.calibrated(weights, bounds.frames, chosen)
     progress("window error")
     result = Identification(
         project=project,
@@ -489,6 +459,7 @@ def identify(
         others_fit=others_fit,
         evidence=run.evidence,
         peaks=run.peaks,
+        decided=run.decided,
     )
     return result, drives
 
