@@ -296,8 +296,9 @@ def change_score(run: Run) -> float | None:
 
 
 def joint_score(scores: Mapping[str, float | None], floors: Mapping[str, float]) -> float:
-    """Score of a drive in all tests together, from its ``scores`` by test (None: not judged): the largest of
-    those that are above their tests' ``floors``, 0 without one.
+    """Score of a drive in all tests together, from its ``scores`` by test (None: not judged).
+
+    It is the largest of those that are above their tests' ``floors``, 0 without one.
 
     Every score is in units of what the bound-setting drives showed. A margin and a ratio of the energy test
     are the least inflation of the bounds with which the data agree, a ratio of the change test is over the

@@ -229,7 +229,7 @@ def regressor_products(e: np.ndarray, yhat: np.ndarray, v: np.ndarray, estimator
 def estimates_met(
     test: ChangeTest, e: np.ndarray, yhat: np.ndarray, v: np.ndarray, estimator: Estimator
 ) -> Met:
-    """The estimates along a drive; of no block where nothing is settled."""
+    """The estimates along a drive, e and yhat (N, n_y), v (N,); of no block where nothing is settled."""
     found = Met(np.zeros((e.shape[1], 3)), np.zeros((e.shape[1], 3)), 0)
     for blocks in Blocks.of(e, yhat, estimator.settled(v)):
         theta = np.abs(test.estimates(blocks))

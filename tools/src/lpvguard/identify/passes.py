@@ -165,7 +165,8 @@ def covering_pass(reader: DriveReader, W_delta: np.ndarray, B_w: np.ndarray, exp
 
 class Judged(NamedTuple):
     """What the tests say of a drive: its largest margin, its scores (None: nothing judged), its excitation,
-    the time in counted frames [s], and where the scores come from, by test (none without a core)."""
+    and the time in counted frames [s]. ``peaks``: where the scores come from, by test; none without a core.
+    """
 
     worst: float
     score: float | None
