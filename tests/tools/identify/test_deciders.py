@@ -17,6 +17,7 @@ from lpvguard.identify.bounds import Deciders, FrameSet, fold, reduce_remainder
 from lpvguard.identify.calibration import Calibration, Peak, peaks
 from lpvguard.identify.deciders import decides_bounds, decides_thresholds, silence
 from lpvguard.identify.energy import UNBOUNDED
+from lpvguard.identify.over_drives import Origins
 from lpvguard.identify.visibility import Excitation
 from lpvguard.identify.weights import coefficients_of, energy_filters
 from lpvguard.vehicle.nominal import NominalModel
@@ -66,7 +67,8 @@ def said(stored, **given) -> SimpleNamespace:
         "weights": stored.fitted,
         "evidence": np.ones(len(stored.bounds["omega_rad_s"])),
     }
-    return SimpleNamespace(**(usual | given))
+    of_origins = {k: given.pop(k, usual.pop(k)) for k in ("peaks", "decided", "evidence")}
+    return SimpleNamespace(**(usual | given), origins=Origins(**of_origins))
 
 
 def test_a_threshold_names_drive_time_and_bin_and_what_it_is_without_one_frame(identified):
@@ -100,7 +102,7 @@ def test_a_threshold_names_drive_time_and_bin_and_what_it_is_without_one_frame(i
 def test_a_bound_names_drive_and_time_and_what_it_is_without_one_frame(identified):
     stored = stage.load(identified)
     result = said(stored)
-    of = result.decided["B_w"]
+    of = result.origins.decided["B_w"]
     assert decides_bounds(result) == []
     of.largest[RARE], of.rest[RARE], of.drive[RARE], of.first[RARE] = 0.3, 0.1, "slide", 50
     hertz = f"{stored.bounds['omega_rad_s'][RARE] / (2 * np.pi):.3g} Hz"

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from .shared import Jobs, JsonOut, Out, Scheduler, Vehicle, app, console, emit, progress_bar, project_of
-from .tables import print_evidence
+from .tables import print_evidence, print_tests
 
 
 @app.command(epilog="Example: lpvguard identify --vehicle g80 DRIVES -o out/identify")
@@ -56,25 +56,14 @@ def identify(
     console.print(
         f"{len(result.calibration_drives)} others calibrate: {', '.join(result.calibration_drives) or 'none'}"
     )
-    print_evidence(result)
-    for line in (*silence(result), *decided_by):
-        console.print(line)
+    print_evidence(result, [*silence(result), *decided_by])
     for u in named:
         console.print(f"unexplained: {u.sentence()}")
     for line in [] if price is None else price.sentences():
         console.print(f"unexplained: {line}")
     for name, reason in result.left_out.items():
         console.print(f"left out: {name}: {reason}", markup=False)
-    if result.energy is not None:
-        console.print(
-            f"energy test: threshold {result.energy.calibration.carried:.4g} "
-            f"({result.energy.calibration.claim()}), sigma {result.energy.sigma_text(project)}"
-        )
-    if result.change is not None:
-        console.print(
-            f"change test: threshold {result.change.calibration.carried:.4g} "
-            f"({result.change.calibration.claim()}), largest {result.change.sizes_text(project)}"
-        )
+    print_tests(result)
     console.print(
         f"threshold {c.carried:.4g} ({c.claim()}); "
         f"final inflation {result.weights.inflation:.6g}; written to {out}"

@@ -78,6 +78,11 @@ class JudgedDrives:
         )
 
 
+def joint_thresholds(joint: float) -> list[float]:
+    """Of each of TESTS under one ``joint`` threshold: none alarms below its floor."""
+    return [max(joint, FLOORS[test]) for test in TESTS]
+
+
 def _of_group(calibrations: dict[str, Calibration], group: str | None) -> dict[str, Calibration]:
     """With the thresholds for drives of the group."""
     return {what: c.of_group(group) for what, c in calibrations.items()}

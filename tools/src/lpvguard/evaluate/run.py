@@ -46,7 +46,7 @@ from .detection import (
     refutable,
 )
 from .false_alarms import alarmed_pieces, alarming, false_alarms, piece_starts
-from .judged import FLOORS, JudgedDrives, calibrations_of
+from .judged import FLOORS, JudgedDrives, calibrations_of, joint_thresholds
 
 FEWEST_FOR_BASELINES = 2
 """Calibration drives: a baseline has no natural threshold, so one must be left when a drive is left out."""
@@ -71,10 +71,7 @@ def _evaluate_drive(
     project, thresholds = reader.project, {what: c.threshold for what, c in calibrations.items()}
     together, apart = (
         Replayer(project, core, threshold=frame, energy_threshold=energy, change_threshold=change)
-        for frame, energy, change in (
-            [max(thresholds[MONITOR], FLOORS[test]) for test in TESTS],
-            [thresholds[test] for test in TESTS],
-        )
+        for frame, energy, change in (joint_thresholds(thresholds[MONITOR]), [thresholds[t] for t in TESTS])
     )
     detectors = {
         MONITOR: (together, None),

@@ -20,7 +20,7 @@ def decides_bounds(result: Identification) -> list[str]:
     """A sentence for every nu and B_w above 0: the drive, and the time of the frame that decides it. Where
     one frame does: what it would be without that one and those that overlap it."""
     Ts, said = result.project.Ts_s, []
-    for key, of in result.decided.items():
+    for key, of in result.origins.decided.items():
         shared = of.largest.shape[1] == 1 and key == "nu"
         names = [""] if shared else [f" of {s.name}" for s in result.project.outputs]
         for k, j in np.argwhere(of.largest > 0):
@@ -49,7 +49,7 @@ def _decides(result: Identification, test: str, c: Calibration) -> str:
     if drive is None:
         return f"{test} test: no drive decides the threshold {c.carried:.4g}, its floor"
     said = f"{test} test: {drive} decides the threshold {c.carried:.4g}"
-    peak = result.peaks[drive].get(test)
+    peak = result.origins.peaks[drive].get(test)
     if peak is None:  # without a core nothing says where
         return said
     said += f", at {peak.t_s:.4g} s"
@@ -71,9 +71,9 @@ def silence(result: Identification) -> list[str]:
         few = f"fewer than {FEWEST_FRAMES} frames one after another set its bounds"
         weak = (
             "on the drives that set the bounds a vehicle that does not respond would have had margins up to "
-            f"{result.evidence[k]:.2f}"
+            f"{result.origins.evidence[k]:.2f}"
         )
-        said.append(f"{_hertz(result, k)} is silent: {weak if result.evidence[k] <= 1 else few}")
+        said.append(f"{_hertz(result, k)} is silent: {weak if result.origins.evidence[k] <= 1 else few}")
     if result.energy is not None and result.energy.silent:
         names = ", ".join(result.energy.bands[b] for b in result.energy.silent)
         said.append(f"energy test: silent in the bands {names}, since every bin is")
