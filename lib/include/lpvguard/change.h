@@ -5,7 +5,7 @@
 ///     e_j = theta_1 yhat_j - theta_2 dyhat_j/dt + theta_3                                                     (T34)
 ///
 /// over the means of blocks of LPVG_NBLOCK samples, with forgetting, and with a prior that keeps it near 0 where nothing excites it.
-/// The ratio is the largest |theta_i| over the largest of the drives that set the bounds. The other tests must allow whatever
+/// The ratio is the largest |theta_i| over its size on the drives that set the bounds (1: as large as was met). The others must allow what
 /// |Delta| <= 1 could make of the output, and a disturbance that follows it. This one knows only how large an estimate has been. So
 /// it refutes no bound. Above a calibrated threshold it says that the vehicle has changed since, and the estimate says how (THEORY 7.7).
 ///
@@ -36,7 +36,7 @@ typedef struct lpvg_change_t {
     uint32_t sum[LPVG_NY];        ///< of the words of each output, as its newest block left them
     lpvg_real_t mean[2 * LPVG_NY];  ///< of e, then yhat, over the newest block              [output unit]
     lpvg_real_t estimate[3];      ///< newest estimate: gain [-], delay [s], bias [output unit]
-    lpvg_real_t ratio;            ///< its largest part over the largest of the bound-setting drives; 0 at first [-]
+    lpvg_real_t ratio;            ///< its largest part over the size of the bound-setting drives; 0 at first [-]
     uint32_t strongest;           ///< the output it is of times 3, plus the part
     uint32_t pending;             ///< outputs that have not taken the newest block yet
     uint32_t begun;               ///< 1: `before` holds

@@ -81,7 +81,7 @@ typedef struct lpvg_coeff_reals_t {
     lpvg_real_t change_block_s;                               ///< a block of LPVG_NBLOCK samples [s], within (0, inf)
     lpvg_real_t change_unit[LPVG_NY][2];                      ///< 1 / rms of yhat_j, and of its change over a block, on the bound-setting drives [1/output unit], within (0, inf)
     lpvg_real_t change_prior[LPVG_NY][6];                     ///< what is added to the sums of phi phi', the upper triangle row by row, positive definite [-]
-    lpvg_real_t change_scale[LPVG_NY][3];                     ///< 1 / largest |theta_i| on the bound-setting drives, theta by regressors over their sizes [1/output unit], within (0, inf)
+    lpvg_real_t change_scale[LPVG_NY][3];                     ///< 1 / size of theta_i on the bound-setting drives, theta by regressors over their sizes [1/output unit], within (0, inf)
     lpvg_real_t change_forget;                                ///< share of the sums forgotten with a block [-], within (0, 1)
     lpvg_real_t change_threshold;                             ///< calibrated threshold of the change test's ratio [-], within (0, inf)
     lpvg_real_t W_delta[LPVG_NBINS][LPVG_NDELTA];             ///< |W_delta| at the bin [-], within (0, inf)

@@ -33,8 +33,9 @@ from lpvguard.identify.model_error import (
     prediction_error_filter,
     uncertainty_bound,
 )
+from lpvguard.identify.over_drives import OverDrives
 from lpvguard.identify.passes import DriveReader
-from lpvguard.identify.run import _quiet, _Run, identify
+from lpvguard.identify.run import _quiet, identify
 from lpvguard.identify.weights import SMALLEST_NU
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import Project, parse_project
@@ -338,7 +339,7 @@ def test_the_same_bytes_for_any_order_of_the_drives(tmp_path):
 
     def written(order: list[int]) -> str:
         chosen = [list_experiments(tmp_path)[k] for k in order]
-        run = _Run(DriveReader(vehicle.project, vehicle.model), map, _quiet)
+        run = OverDrives(DriveReader(vehicle.project, vehicle.model), map, _quiet)
         found = run.model_error(Chosen.by_split(vehicle.project, chosen, tmp_path))
         return artefacts.to_json(found.to_dict(vehicle.project))
 
@@ -407,7 +408,7 @@ def test_class_S0_is_given_no_uncertainty_and_drives_of_commands_must_be_there(t
     for structure, least in (("S0", 0.0), ("S1", 0.2)):
         bounds = vehicle.project.bounds.model_copy(update={"structure": structure})
         project = vehicle.project.model_copy(update={"bounds": bounds})
-        run = _Run(DriveReader(project, vehicle.model), map, _quiet)
+        run = OverDrives(DriveReader(project, vehicle.model), map, _quiet)
         first = fold(run.first_parts(chosen, keep=False))
         gamma_w = 2 * first["B2"]
         _, (W_delta,) = run.uncertainty(first, gamma_w, error, chosen)

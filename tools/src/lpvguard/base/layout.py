@@ -140,7 +140,7 @@ COEFF = Layout(
             "change_scale",
             ("NY", "3"),
             "1/output unit",
-            "1 / largest |theta_i| on the bound-setting drives, theta by regressors over their sizes",
+            "1 / size of theta_i on the bound-setting drives, theta by regressors over their sizes",
             "(0, inf)",
         ),
         Field("change_forget", (), "-", "share of the sums forgotten with a block", "(0, 1)"),

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from .shared import Jobs, JsonOut, Out, Scheduler, Vehicle, app, console, emit, progress_bar, project_of
-from .tables import print_evidence
+from .tables import print_evidence, print_tests
 
 
 @app.command(epilog="Example: lpvguard identify --vehicle g80 DRIVES -o out/identify")
@@ -24,6 +24,7 @@ def identify(
     """Find the unfalsified bounds, fit the weights, calibrate the frame test (paper, steps 1-7)."""
     from ..base.parallel import workers
     from ..identify import run as stage
+    from ..identify.deciders import decides_bounds, decides_thresholds, silence
     from ..identify.unexplained import cost, unexplained
 
     project = project_of(vehicle)
@@ -31,6 +32,7 @@ def identify(
         result, drive_set = stage.identify(project, drives, workers=run, progress=tell)
         stage.save(result, drive_set, out)
         named = unexplained(result)
+        decided_by = [*decides_bounds(result), *decides_thresholds(result)]
         price = cost(result, drives, named, workers=run, progress=tell) if named else None
     emit(
         json_out,
@@ -40,6 +42,8 @@ def identify(
             "left_out": result.left_out,
             **result.calibration.to_dict(),
             "inflation": result.weights.inflation,
+            "silent": silence(result),
+            "decided_by": decided_by,
             "energy": result.energy.to_dict() if result.energy else None,
             "change": result.change.to_dict() if result.change else None,
             "model_fit": [q.to_dict() for q in result.model_fit],
@@ -52,23 +56,14 @@ def identify(
     console.print(
         f"{len(result.calibration_drives)} others calibrate: {', '.join(result.calibration_drives) or 'none'}"
     )
-    print_evidence(result)
+    print_evidence(result, [*silence(result), *decided_by])
     for u in named:
         console.print(f"unexplained: {u.sentence()}")
     for line in [] if price is None else price.sentences():
         console.print(f"unexplained: {line}")
     for name, reason in result.left_out.items():
         console.print(f"left out: {name}: {reason}", markup=False)
-    if result.energy is not None:
-        console.print(
-            f"energy test: threshold {result.energy.calibration.carried:.4g} "
-            f"({result.energy.calibration.claim()}), sigma {result.energy.sigma_text(project)}"
-        )
-    if result.change is not None:
-        console.print(
-            f"change test: threshold {result.change.calibration.carried:.4g} "
-            f"({result.change.calibration.claim()}), largest {result.change.sizes_text(project)}"
-        )
+    print_tests(result)
     console.print(
         f"threshold {c.carried:.4g} ({c.claim()}); "
         f"final inflation {result.weights.inflation:.6g}; written to {out}"

@@ -222,9 +222,9 @@ def print_fit(result: FittedModel) -> None:
             console.print(f"left out: {name}: {why}", markup=False)
 
 
-def print_evidence(result: Identification) -> None:
-    """What the model explains of the bound-setting drives, where samples are missing, and what counts by
-    bin."""
+def print_evidence(result: Identification, further: list[str]) -> None:
+    """What the model explains of the bound-setting drives, where samples are missing, and what counts by bin;
+    then the ``further`` sentences."""
     from ..fit.quality import gaps
     from ..identify.model_fit import evidence, sentences
 
@@ -233,8 +233,24 @@ def print_evidence(result: Identification) -> None:
         *sentences(result.project, result.model_fit),
         *gaps([*result.model_fit, *result.others_fit]),
         *evidence(bounds.omega, bounds.frames, estimator.length, estimator.Ts, result.model_fit),
+        *further,
     ):
         console.print(line)
+
+
+def print_tests(result: Identification) -> None:
+    """Thresholds of energy and change test, what they promise, and sizes."""
+    energy, change = result.energy, result.change
+    if energy is not None:
+        console.print(
+            f"energy test: threshold {energy.calibration.carried:.4g} ({energy.calibration.claim()}), "
+            f"sigma {energy.sigma_text(result.project)}"
+        )
+    if change is not None:
+        console.print(
+            f"change test: threshold {change.calibration.carried:.4g} ({change.calibration.claim()}), "
+            f"largest {change.sizes_text(result.project)}"
+        )
 
 
 def print_certificates(rows: list[dict[str, Any]]) -> None:

@@ -19,11 +19,13 @@ from ..base.errors import InputError
 from ..core.compiled import TESTS
 from ..drives.tables import Experiment, list_experiments, table_hashes
 from ..identify.calibration import Calibration, Recordings, calibrate, joint_scores
-from ..identify.change import calibrated_change
+from ..identify.change import FLOOR, calibrated_change
 from ..identify.energy import ROUNDING
 from ..identify.run import DriveSet, StoredIdentification
 from .comparison import HELD_OUT, LEFT_ONE_OUT, MONITOR
 
+FLOORS = {"frame": 1.0, "energy": 1.0 + ROUNDING, "change": FLOOR}
+"""Of the threshold of each test, whatever calibrates it."""
 SAW = {"bounds": "set the bounds", "calibration": "calibrated", "noise": "set the noise"}
 """What the identification did with a group of its drives."""
 
@@ -76,6 +78,11 @@ class JudgedDrives:
         )
 
 
+def joint_thresholds(joint: float) -> list[float]:
+    """Of each of TESTS under one ``joint`` threshold: none alarms below its floor."""
+    return [max(joint, FLOORS[test]) for test in TESTS]
+
+
 def _of_group(calibrations: dict[str, Calibration], group: str | None) -> dict[str, Calibration]:
     """With the thresholds for drives of the group."""
     return {what: c.of_group(group) for what, c in calibrations.items()}
@@ -84,12 +91,11 @@ def _of_group(calibrations: dict[str, Calibration], group: str | None) -> dict[s
 def _calibrations(stored: StoredIdentification, without: str | None) -> dict[str, Calibration]:
     """Of MONITOR and each test by all calibration drives but the recording of ``without``; None: by all."""
     scores = {test: c.scores for test, c in calibrations_of(stored).items()}
-    scores[MONITOR] = joint_scores(*scores.values())
-    energy = partial(calibrate, floor=1.0 + ROUNDING)
+    scores[MONITOR] = joint_scores(scores, FLOORS)
     rules: dict[str, Callable[..., Calibration]] = {
-        MONITOR: energy,
+        MONITOR: calibrated_change,
         "frame": calibrate,
-        "energy": energy,
+        "energy": partial(calibrate, floor=FLOORS["energy"]),
         "change": calibrated_change,
     }
     alpha, recordings = stored.project.frame_test.alpha, stored.calibration.recordings

@@ -28,7 +28,7 @@ from ..base.errors import InputError
 from ..base.parallel import Map
 from ..core.compiled import TESTS, Core
 from ..drives.tables import Drive, Experiment
-from ..identify.calibration import Calibration, Recordings, change_score, energy_score, score
+from ..identify.calibration import Calibration, Recordings, change_score, energy_score, joint_score, score
 from ..identify.passes import DriveReader
 from ..identify.run import DriveSet, StoredIdentification
 from ..replay.run import Replay, Replayer
@@ -46,7 +46,7 @@ from .detection import (
     refutable,
 )
 from .false_alarms import alarmed_pieces, alarming, false_alarms, piece_starts
-from .judged import JudgedDrives, calibrations_of
+from .judged import FLOORS, JudgedDrives, calibrations_of, joint_thresholds
 
 FEWEST_FOR_BASELINES = 2
 """Calibration drives: a baseline has no natural threshold, so one must be left when a drive is left out."""
@@ -71,7 +71,7 @@ def _evaluate_drive(
     project, thresholds = reader.project, {what: c.threshold for what, c in calibrations.items()}
     together, apart = (
         Replayer(project, core, threshold=frame, energy_threshold=energy, change_threshold=change)
-        for frame, energy, change in ([thresholds[MONITOR]] * 3, [thresholds[test] for test in TESTS])
+        for frame, energy, change in (joint_thresholds(thresholds[MONITOR]), [thresholds[t] for t in TESTS])
     )
     detectors = {
         MONITOR: (together, None),
@@ -152,7 +152,7 @@ def _drive_scores(replay: Replay) -> dict[str, float | None]:
         "energy": energy_score(replay.run),
         "change": change_score(replay.run),
     }
-    return {MONITOR: max((s for s in tests.values() if s is not None), default=None)} | tests
+    return {MONITOR: joint_score(tests, FLOORS)} | tests
 
 
 def _stated(c: Calibration) -> dict:

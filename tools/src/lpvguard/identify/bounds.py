@@ -130,6 +130,57 @@ def fold(parts: Iterable[Part]) -> Part:
     return total
 
 
+class Deciders:
+    """Which frames decide a bound ``key`` (K, m): the drive, the frame's first sample and the bound without
+    that frame and those that overlap it. In memory that does not grow with the drives."""
+
+    def __init__(self, key: str, shape: tuple[int, int]):
+        self.key = key
+        self.largest, self.rest, self.others = (np.full(shape, np.nan) for _ in range(3))
+        self.first, self.drive = np.zeros(shape, int), np.full(shape, "", dtype=object)
+
+    def watched(self, names: Iterable[str], parts: Iterable[Part]) -> Iterator[Part]:
+        """The parts, one of each drive, without what only this asks for."""
+        for name, part in zip(names, parts, strict=False):
+            value, first, rest = (part.pop(f"{self.key}{suffix}") for suffix in ("", FIRST, REST))
+            beaten = ~(value <= self.largest) & ~np.isnan(value)
+            self.others = np.fmax(self.others, np.where(beaten, self.largest, value))
+            for of, new in ((self.largest, value), (self.first, first), (self.rest, rest)):
+                of[beaten] = new[beaten]
+            self.drive[beaten] = name
+            yield part | {self.key: value}
+
+    @property
+    def without(self) -> np.ndarray:
+        """The bound without the frame (K, m): of the rest of its drive, and of the other drives; 0: of
+        none."""
+        return np.nan_to_num(np.fmax(self.rest, self.others))
+
+
+FIRST, REST = "_first", "_rest"
+"""What a part has of a bound beside its value, for Deciders."""
+
+
+def _decided(key: str, values: np.ndarray, s: FrameSet, estimator: Estimator, out: Part) -> None:
+    """Writes the largest of ``values`` (F, m) of the frames ``s`` into the part, and what Deciders ask
+    for."""
+    if not len(values):
+        return
+    columns = np.arange(values.shape[1])
+    k = values.argmax(axis=0)
+    apart = np.abs(s.starts[:, None] - s.starts[k]) >= estimator.length[s.bin]
+    out[key][s.bin], out[key + FIRST][s.bin] = values[k, columns], s.starts[k]
+    out[key + REST][s.bin] = np.where(apart, values, 0.0).max(axis=0)
+
+
+def _undecided(key: str, shape: tuple[int, int]) -> Part:
+    return {
+        key: np.full(shape, np.nan),
+        key + FIRST: np.zeros(shape, int),
+        key + REST: np.full(shape, np.nan),
+    }
+
+
 def _maximum(values: np.ndarray) -> np.ndarray | float:
     return values.max(axis=0) if len(values) else np.nan
 
@@ -250,13 +301,11 @@ def reduce_uncertainty(
     structure: str,
 ) -> Part:
     """Step 5 given ``gamma_w`` (K,): nu (K, n_delta), and the front over ``grid`` (K, FRONT_POINTS)."""
-    out = {
-        "nu": np.full((estimator.n_bins, n_y if structure == "S1_diagonal" else 1), np.nan),
-        "front": np.full(grid.shape, np.nan),
-    }
+    out = _undecided("nu", (estimator.n_bins, n_y if structure == "S1_diagonal" else 1))
+    out["front"] = np.full(grid.shape, np.nan)
     for s in sets:
         nu, _ = explain(s, estimator, gamma_w, structure)
-        out["nu"][s.bin] = _maximum(nu.reshape(len(nu), out["nu"].shape[1]))
+        _decided("nu", nu.reshape(len(nu), out["nu"].shape[1]), s, estimator, out)
         out["front"][s.bin] = front(s.E, s.Z, grid[s.bin])
     return out
 
@@ -282,10 +331,10 @@ def reduce_remainder(
     sets: Iterable[FrameSet], estimator: Estimator, W_delta: np.ndarray, n_y: int, structure: str
 ) -> Part:
     """Step 6: largest |w_j| (K, n_y) that no |delta| <= W_delta (K, n_delta) explains."""
-    B_w = np.full((estimator.n_bins, n_y), np.nan)
+    out = _undecided("B_w", (estimator.n_bins, n_y))
     for s in sets:
-        B_w[s.bin] = _maximum(np.abs(remainder(s, estimator, W_delta, structure)))
-    return {"B_w": B_w}
+        _decided("B_w", np.abs(remainder(s, estimator, W_delta, structure)), s, estimator, out)
+    return out
 
 
 def reduce_covering(

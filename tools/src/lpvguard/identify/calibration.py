@@ -172,6 +172,11 @@ class Calibration:
             group=group,
         )
 
+    @property
+    def decided_by(self) -> str | None:
+        """The drive whose score is the threshold that the core carries; None where its floor is."""
+        return next((d for d, s in self.scores.items() if s == self.carried), None)
+
     def to_dict(self) -> dict:
         """JSON-able, for `from_dict`; ``recordings`` and ``groups`` where experiments.csv names any."""
         named = self.recordings
@@ -246,6 +251,34 @@ class Calibration:
         return f"; {rate:.3g} and {bound:.3g} an hour judged, of {hours:.3g} h"
 
 
+@dataclass(frozen=True)
+class Peak:
+    """Where a score of a drive comes from: ``t_s`` after its first sample, in which ``place``: the bin, or
+    the energy test's band; None: not said. ``without``: the drive's score but for that frame and those of its
+    bin that overlap it; None: of no frame."""
+
+    t_s: float
+    place: int | None = None
+    without: float | None = None
+
+
+def peaks(run: Run, t0: float, Ts: float, length: np.ndarray) -> dict[str, Peak]:
+    """Of every test that judged the drive; ``t0``: time of its first sample [s], ``length`` (K,): samples of
+    a frame."""
+    found, f = {}, run.frames
+    statistic = np.where(f.counted, f.statistic, -np.inf)
+    if f.counted.any():
+        k = int(np.argmax(statistic))
+        other = (f.bin != f.bin[k]) | (np.abs(f.t_end_s - f.t_end_s[k]) > (length[f.bin[k]] - 0.5) * Ts)
+        others = statistic[other & f.counted]
+        found["frame"] = Peak(float(f.t_end_s[k] - t0), int(f.bin[k]), float(others.max(initial=0.0)))
+    for test, ratio in (("energy", run.energy), ("change", run.change)):
+        if (ratio > 0).any():
+            k = int(np.argmax(ratio))
+            found[test] = Peak(k * Ts, int(run.energy_band[k]) if test == "energy" else None)
+    return found
+
+
 def score(run: Run) -> float | None:
     """Score of a drive; None when no frame counted."""
     counted = run.frames.counted
@@ -262,16 +295,25 @@ def change_score(run: Run) -> float | None:
     return float(run.change.max()) if (run.change > 0).any() else None
 
 
-def joint_scores(*tests: Mapping[str, float]) -> dict[str, float]:
-    """Scores of all ``tests`` together, per drive the largest.
+def joint_score(scores: Mapping[str, float | None], floors: Mapping[str, float]) -> float:
+    """Score of a drive in all tests together, from its ``scores`` by test (None: not judged).
+
+    It is the largest of those that are above their tests' ``floors``, 0 without one.
 
     Every score is in units of what the bound-setting drives showed. A margin and a ratio of the energy test
     are the least inflation of the bounds with which the data agree, a ratio of the change test is over the
-    largest met. One threshold therefore serves for the largest. A monitor of all tests with it alarms on a
-    further drive, by any, with probability at most alpha. With each test at its own threshold that
-    probability is at most alpha times the number of tests.
+    largest met. One threshold T therefore serves for the largest. A test alarms above the larger of T and its
+    floor, whatever T is, so a score that is not above the floor is none. A monitor of all tests with T
+    alarms on a further drive, by any, with probability at most alpha. With each test at its own threshold
+    that probability is at most alpha times the number of tests.
     """
-    return {n: max(s[n] for s in tests if n in s) for n in sorted({n for s in tests for n in s})}
+    return max((s for test, s in scores.items() if s is not None and s > floors[test]), default=0.0)
+
+
+def joint_scores(tests: Mapping[str, Mapping[str, float]], floors: Mapping[str, float]) -> dict[str, float]:
+    """`joint_score` of every drive that any of the ``tests`` judged; their scores by drive."""
+    drives = sorted({n for scores in tests.values() for n in scores})
+    return {n: joint_score({test: s[n] for test, s in tests.items() if n in s}, floors) for n in drives}
 
 
 def calibrate(

@@ -7,7 +7,8 @@ by least squares over the means of blocks of NBLOCK samples, with forgetting. Th
 their rms on the bound-setting drives. The prior adds PRIOR memories of the products met there, which keeps an
 estimate near 0 where nothing excites it.
 
-The ratio of a part is |theta_i| over the largest on any bound-setting drive: 1 is as large as was met. It is
+The ratio of a part is |theta_i| over its size: its rms on the bound-setting drives, times one number for all
+parts and outputs with which the largest ratio there is 1. So 1 is as large as was met. It is
 no bound on what Delta or the disturbance may be, so an exceedance refutes none. The threshold is conformal,
 as that of the other tests, and may be below 1: a further drive like those that calibrate exceeds it with
 probability at most alpha. Above it the vehicle is another than the one identified, and theta estimates how.
@@ -33,11 +34,11 @@ FIRST_BLOCK_END = 2
 PRIOR = 0.2
 """Weight of the prior, in memories of such driving as set the bounds."""
 SMALLEST = 1e-2
-"""Floor of the largest part over the rms of yhat_j: an error of 1 % is none."""
-FLOOR, UNSTATED_FLOOR = 0.05, 1.05
+"""Floor of a part's size over the rms of yhat_j: an error of 1 % is none."""
+FLOOR, UNSTATED_FLOOR = 0.05, 1.1
 """Of the threshold, and of one that no alpha is stated for: that stays above the largest on the drives that
 set the bounds. The core drops a block beside which it has no time (change.h), the definition here none: on
-the largest estimates of three vehicles' drives that made 2 %."""
+the largest ratios of three vehicles' drives that made 6 % at most."""
 UPPER = ((0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2))
 """Rows and columns of the upper triangle of a symmetric matrix of three."""
 
@@ -65,16 +66,32 @@ class Blocks:
 
 
 @dataclass(frozen=True)
+class Met:
+    """Estimates along drives: the ``largest`` |theta_i| (n_y, 3) [output units] and the sum of their squares
+    (n_y, 3), over ``count`` blocks."""
+
+    largest: np.ndarray
+    squares: np.ndarray
+    count: int
+
+    def __add__(self, other: Met) -> Met:
+        return Met(
+            np.maximum(self.largest, other.largest), self.squares + other.squares, self.count + other.count
+        )
+
+
+@dataclass(frozen=True)
 class ChangeTest:
     """Memory, sizes and calibration. ``unit`` (n_y, 2): rms of yhat_j and of its change over a block [output
-    units]. ``moments`` (n_y, 3, 3): mean products of the regressors over their sizes. ``largest`` (n_y, 3):
-    of |theta_i| [output units]."""
+    units]. ``moments`` (n_y, 3, 3): mean products of the regressors over their rms. ``largest`` (n_y, 3): of
+    |theta_i| on the bound-setting drives; ``size`` (n_y, 3): what a ratio of 1 is [output units]."""
 
     Ts: float
     memory_s: float
     unit: np.ndarray
     moments: np.ndarray
     largest: np.ndarray
+    size: np.ndarray
     calibration: Calibration = field(default_factory=lambda: Calibration(UNSTATED_FLOOR, {}, None, None))
 
     @classmethod
@@ -95,6 +112,7 @@ class ChangeTest:
             max(memory, shortest),
             np.ones((n_y, 2)),
             np.tile(np.eye(3), (n_y, 1, 1)),
+            np.ones((n_y, 3)),
             np.ones((n_y, 3)),
         )
 
@@ -133,9 +151,14 @@ class ChangeTest:
         rms = np.sqrt(np.maximum(np.diagonal(mean, axis1=1, axis2=2), np.finfo(np.float32).tiny ** 0.5))
         return replace(self, unit=rms[:, :2], moments=mean / (rms[:, :, None] * rms[:, None, :]))
 
-    def with_largest(self, largest: np.ndarray) -> ChangeTest:
-        """With the ``largest`` (n_y, 3) estimates of all bound-setting drives."""
-        return replace(self, largest=np.maximum(largest, SMALLEST * self.unit[:, :1]))
+    def with_sizes(self, met: Met) -> ChangeTest:
+        """With the sizes that the estimates ``met`` on all bound-setting drives have.
+
+        A part's rms is over all blocks, its largest is one block. Unlike sizes by the largest, those by the
+        rms leave no part half blind for one block's sake (tools/DESIGN_LOG.md)."""
+        rms = np.sqrt(met.squares / max(1, met.count))
+        ratio = np.divide(met.largest, rms, out=np.ones_like(rms), where=rms > 0).max()
+        return replace(self, largest=met.largest, size=np.maximum(ratio * rms, SMALLEST * self.unit[:, :1]))
 
     def calibrated(self, scores: dict[str, float], alpha: float, recordings: Recordings) -> ChangeTest:
         """With the threshold from the scores of calibration drives."""
@@ -147,7 +170,7 @@ class ChangeTest:
             "change_block_s": BLOCK * self.Ts,
             "change_unit": 1 / self.unit,
             "change_prior": self.prior[:, UPPER[0], UPPER[1]],
-            "change_scale": 1 / self.largest,
+            "change_scale": 1 / self.size,
             "change_forget": 1 - self.keep,
             "change_threshold": self.calibration.carried,
         }
@@ -170,6 +193,7 @@ class ChangeTest:
             "unit": self.unit,
             "moments": self.moments,
             "largest": self.largest,
+            "size": self.size,
             "calibration": self.calibration.to_dict(),
         }
 
@@ -184,6 +208,7 @@ class ChangeTest:
             unit=np.array(data["unit"], float),
             moments=np.array(data["moments"], float),
             largest=np.array(data["largest"], float),
+            size=np.array(data.get("size", data["largest"]), float),  # before 2026-11-24 it was the largest
             calibration=Calibration.from_dict(data["calibration"]),
         )
 
@@ -201,11 +226,12 @@ def regressor_products(e: np.ndarray, yhat: np.ndarray, v: np.ndarray, estimator
     return total
 
 
-def largest_estimates(
+def estimates_met(
     test: ChangeTest, e: np.ndarray, yhat: np.ndarray, v: np.ndarray, estimator: Estimator
-) -> np.ndarray:
-    """Largest estimates (n_y, 3) [output units] of a drive; 0 where nothing is settled."""
-    found = np.zeros((e.shape[1], 3))
+) -> Met:
+    """The estimates along a drive, e and yhat (N, n_y), v (N,); of no block where nothing is settled."""
+    found = Met(np.zeros((e.shape[1], 3)), np.zeros((e.shape[1], 3)), 0)
     for blocks in Blocks.of(e, yhat, estimator.settled(v)):
-        found = np.maximum(found, np.abs(test.estimates(blocks)).max(axis=0, initial=0.0))
+        theta = np.abs(test.estimates(blocks))
+        found += Met(theta.max(axis=0, initial=0.0), np.sum(theta**2, axis=0), len(theta))
     return found

@@ -49,6 +49,9 @@ FEWEST_SETTLED = 5.0
 SMALLEST_SIGMA = 1e-2
 """Floor of sigma_j over the largest ||F e_j|| and ||F W_delta yhat_j||: in units of sigma, sums stay where
 float adds finely enough."""
+UNBOUNDED = 1e6
+"""What the core's B_w and sigma are raised by where nothing is claimed: far beyond what a vehicle does, and
+within the range of float (lib/src/margin.hpp)."""
 ROUNDING = 1e-3
 """What float may add to a ratio: a threshold never lies nearer to 1 (test_energy.py measures it)."""
 
@@ -145,7 +148,8 @@ class EnergyTest:
     ``F`` (B, S, 6): sections in z per band. ``W`` (n_delta, S, 6): sections in z per Delta; ``above``
     (n_delta,): the constant in its place above the corners. ``gain`` (n_delta,): what W_delta was raised by
     to stay above its bound when warped, with a certificate each. ``joint`` (B,): the common factor >= 1 in
-    sigma that the fan, or a cut drive, asked for. ``directions`` (D, n_y) in units of sigma.
+    in sigma that the fan, or a cut drive, asked for. ``directions`` (D, n_y) in units of sigma. ``silent``:
+    bands that set no threshold and raise no alarm, since no frame of the drives shows evidence.
     """
 
     Ts: float
@@ -163,6 +167,7 @@ class EnergyTest:
     start: np.ndarray
     joint: np.ndarray
     calibration: Calibration = field(default_factory=lambda: Calibration(1.0 + ROUNDING, {}, None, None))
+    silent: tuple[int, ...] = ()
 
     @classmethod
     def design(
@@ -340,11 +345,13 @@ class EnergyTest:
         """Sizes, words and numbers of coeff.h."""
         words = {"energy_settle": self.settle, "energy_rearm": self.rearm}
         tangent = np.tan(np.pi * np.array(self.band_hz) * self.Ts)
+        sigma = self.sigma.copy()
+        sigma[list(self.silent)] *= UNBOUNDED
         reals = {
             "energy_corner": tangent / (1 + tangent),
             "energy_W": in_delta(self.W),
             "energy_above": self.above,
-            "energy_scale": 1 / self.sigma,
+            "energy_scale": 1 / sigma,
             "energy_forget": -np.expm1(-2 * self.Ts / self.memories_s),
             "energy_start": self.start,
             "energy_direction": self.directions,

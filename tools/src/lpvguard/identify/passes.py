@@ -27,8 +27,8 @@ from .bounds import (
     reduce_remainder,
     reduce_uncertainty,
 )
-from .calibration import change_score, energy_score, score
-from .change import ChangeTest, largest_estimates, regressor_products
+from .calibration import Peak, change_score, energy_score, peaks, score
+from .change import ChangeTest, Met, estimates_met, regressor_products
 from .diagnosis import Windows, windows_of
 from .energy import EnergyTest
 from .visibility import Excitation
@@ -165,7 +165,8 @@ def covering_pass(reader: DriveReader, W_delta: np.ndarray, B_w: np.ndarray, exp
 
 class Judged(NamedTuple):
     """What the tests say of a drive: its largest margin, its scores (None: nothing judged), its excitation,
-    and the time in counted frames [s]."""
+    and the time in counted frames [s]. ``peaks``: where the scores come from, by test; none without a core.
+    """
 
     worst: float
     score: float | None
@@ -173,6 +174,7 @@ class Judged(NamedTuple):
     change_score: float | None
     met: Excitation
     judged_s: float
+    peaks: dict[str, Peak]
 
 
 def judge(
@@ -206,6 +208,7 @@ def judge(
             None,
             Excitation.of(name, speed_range, bin_of, speed, Z, W_delta, B_w, start),
             _covered_s(start, reader.estimator.length[bin_of], reader.project.Ts_s),
+            {},
         )
     worst = 0.0
     for cut in _first_samples(reader, name, len(drive.t), cuts):
@@ -227,7 +230,8 @@ def judge(
     )
     Ts = reader.project.Ts_s
     judged_s = float(f.judged(len(drive.t), drive.t[0], Ts, reader.estimator.length).sum() * Ts)
-    return Judged(worst, score(whole), energy_score(whole), change_score(whole), met, judged_s)
+    found = peaks(whole, drive.t[0], Ts, reader.estimator.length)
+    return Judged(worst, score(whole), energy_score(whole), change_score(whole), met, judged_s, found)
 
 
 def _covered_s(start: np.ndarray, length: np.ndarray, Ts: float) -> float:
@@ -264,10 +268,10 @@ def change_products_pass(reader: DriveReader, experiment: Experiment) -> np.ndar
     return regressor_products(e, yhat, drive.v, reader.estimator)
 
 
-def change_largest_pass(reader: DriveReader, test: ChangeTest, experiment: Experiment) -> np.ndarray:
-    """The largest estimates (n_y, 3) of the change test on a drive [output units]."""
+def change_met_pass(reader: DriveReader, test: ChangeTest, experiment: Experiment) -> Met:
+    """The estimates of the change test along a drive."""
     drive, e, yhat = reader.read(experiment)
-    return largest_estimates(test, e, yhat, drive.v, reader.estimator)
+    return estimates_met(test, e, yhat, drive.v, reader.estimator)
 
 
 def diagnosis_pass(reader: DriveReader, unit: np.ndarray, experiment: Experiment) -> Windows:

@@ -26,7 +26,7 @@ bit of the bounds.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -38,9 +38,8 @@ from ..base import artefacts
 from ..base.errors import InputError
 from ..base.parallel import Map
 from ..base.progress import Progress
-from ..base.sampling import Rows, stacked
+from ..base.sampling import Rows
 from ..core.coefficients import Coefficients
-from ..core.compiled import Core
 from ..drives.frames import Estimator, not_for_the_core
 from ..drives.tables import (
     EXPERIMENTS,
@@ -52,51 +51,27 @@ from ..drives.tables import (
 from ..fit.quality import Quality
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, parse_project
-from .bounds import FRONT_POINTS, Bounds, Part, fold, front_grid
-from .calibration import Calibration, Recordings, calibrate
+from .bounds import FRONT_POINTS, Bounds, Part, fold
+from .calibration import Calibration
 from .change import ChangeTest
 from .chosen import Chosen
 from .chosen import DriveSet as DriveSet
 from .diagnosis import DiagnosisScales
 from .energy import EnergyTest
-from .model_error import FOLDS, ErrorGrid, ModelError, Sums, model_error_pass
+from .model_error import ModelError
 from .model_fit import drive_fit, require_better_than_none
-from .passes import (
-    DriveReader,
-    Judged,
-    change_largest_pass,
-    change_products_pass,
-    covering_pass,
-    diagnosis_pass,
-    energy_pass,
-    first_pass,
-    judge,
-    remainder_pass,
-    spectra_file,
-    thinned,
-    uncertainty_pass,
-)
-from .scratch import scratch_core
-from .visibility import Excitation, visibility
+from .over_drives import Origins, OverDrives
+from .passes import spectra_file
 from .weights import (
-    FittedWeight,
     Weights,
     coefficients_of,
     energy_filters,
     fit_bound,
-    fit_uncertainty,
     fit_weights,
     smallest_disturbance,
 )
 from .window_error import window_error
 
-CUTS = 5
-"""Random first samples from which every bound-setting drive is replayed to find the final inflation."""
-JOINED_AT_ONCE = 32
-"""Samples of so many drives wait to be joined: sorting them together costs the process that joins less
-time."""
-
-"""Takes what a run does next, in words."""
 Result = TypeVar("Result")
 
 
@@ -128,227 +103,7 @@ class Identification:
     sha256: dict[str, str]
     model_fit: list[Quality]
     others_fit: list[Quality]
-
-
-class _Run:
-    """Passes over the drives: mapped by ``workers``, joined as they come.
-
-    ``left_out``: drive -> why it has no counted frame; ``spectra``, ``met``: samples joined so far.
-    """
-
-    def __init__(self, reader: DriveReader, workers: Map, progress: Progress):
-        self.reader, self.workers, self.progress = reader, workers, progress
-        self.left_out: dict[str, str] = {}
-        self._spectra: list[Rows] = []
-        self._met: list[Excitation] = []
-        self._judged_s: dict[str, float] = {}
-
-    def over(
-        self, what: str, task: Callable[[Experiment], Result], chosen: Iterable[Experiment]
-    ) -> Iterator[Result]:
-        """``task`` of every chosen drive, in order."""
-        chosen = list(chosen)
-        for e, result in zip(chosen, self.workers(task, chosen), strict=False):
-            self.progress(f"{what} of {e.name}")
-            yield result
-
-    def first_parts(self, chosen: list[Experiment], *, keep: bool) -> Iterator[Part]:
-        """Bounds before smoothing and peaks of every drive; with ``keep`` its spectra are sampled too."""
-        ceiling = self.reader.project.bounds.nu_ceiling.at(self.reader.estimator.omega / (2 * np.pi))
-        task = partial(first_pass, self.reader, ceiling)
-        for e, (part, rows) in zip(chosen, self.over("frames", task, chosen), strict=False):
-            if not part["frames"].any():
-                self.left_out[e.name] = self.reader.why_without_frames()
-            if keep:
-                self._spectra.append(rows)
-                if len(self._spectra) == JOINED_AT_ONCE:
-                    self._spectra = [self.spectra]
-            yield part
-
-    @property
-    def spectra(self) -> Rows:
-        """Sample of the frames of all drives so far."""
-        return thinned(stacked(self._spectra))
-
-    def setting_with_frames(self, setting: list[Experiment], folder: Path) -> list[Experiment]:
-        """The bound-setting drives that were not left out; InputError when none remains."""
-        left = [e for e in setting if e.name not in self.left_out]
-        if not left:
-            name, reason = next(iter(self.left_out.items()))
-            raise InputError(
-                folder,
-                "split " + ", ".join(self.reader.project.data.bound_split),
-                "no frame counts: no judged stretch at all",
-                f"at least one drive unlike {name} ({reason})",
-            )
-        return left
-
-    def model_error(self, drives: Chosen) -> ModelError:
-        """The model error model of the bound-setting drives, and that of the drives that judge it."""
-        reader = self.reader
-        grid = ErrorGrid.of(reader.project, reader.estimator)
-        task = partial(model_error_pass, reader, grid)
-
-        def folds(chosen: list[Experiment]) -> list[Sums]:
-            # By name: sums of floats depend on the order.
-            chosen = sorted(chosen, key=lambda e: e.name)
-            found: list[Sums] = []
-            for k, sums in enumerate(self.over("model error", task, chosen)):
-                if k < FOLDS:
-                    found.append(sums)
-                else:
-                    found[k % FOLDS] = found[k % FOLDS].plus(sums)
-            return found
-
-        return ModelError.of(reader.project, grid, folds(drives.setting), folds(drives.others))
-
-    def uncertainty(
-        self, first: Part, gamma_w: np.ndarray, error: ModelError, setting: list[Experiment]
-    ) -> tuple[Part, list[FittedWeight]]:
-        """Step 5, and W_delta above it and above the model error."""
-        project, estimator = self.reader.project, self.reader.estimator
-        grid = front_grid(first["B1"], first["B2"], estimator, project.bounds.structure)
-        second = fold(self.over("bounds", partial(uncertainty_pass, self.reader, gamma_w, grid), setting))
-        names = [f"W_delta of {s.name}" for s in project.outputs] if project.n_delta > 1 else ["W_delta"]
-        # Class S0 has no uncertainty: all error is disturbance.
-        needed = error.bound * (project.bounds.structure != "S0")
-        W_delta = [
-            fit_uncertainty(project, estimator, nu, error.grid.omega, asked, name)
-            for nu, asked, name in zip(second["nu"].T, needed.T, names, strict=True)
-        ]
-        return second | {"grid": grid}, W_delta
-
-    def bounds(
-        self,
-        first: Part,
-        gamma_w: np.ndarray,
-        second: Part,
-        W_delta: list[FittedWeight],
-        setting: list[Experiment],
-    ) -> Bounds:
-        """Step 6: B_w is what no |delta| <= W_delta explains. ``covering``: B_w is scaled until sum_j |w_j /
-        B_w,j|^2 <= 1 on every frame; ``paper``: |w_j| <= B_w,j."""
-        project, estimator = self.reader.project, self.reader.estimator
-        size = np.column_stack([w.magnitude(estimator.omega) for w in W_delta])
-        B_w = fold(self.over("bounds", partial(remainder_pass, self.reader, size), setting))["B_w"]
-        if project.bounds.disturbance_set == "covering" and project.n_y > 1:
-            task = partial(covering_pass, self.reader, size, B_w)
-            B_w = B_w * np.fmax(1.0, fold(self.over("bounds", task, setting))["scale"])[:, None]
-        return Bounds(
-            omega=estimator.omega,
-            **{k: first[k] for k in ("frames", "excitation", "B1", "B2", "gamma_rule")},
-            gamma_w=gamma_w,
-            nu=second["nu"],
-            B_w=B_w,
-            front_gamma_w=second["grid"],
-            front_nu=second["front"],
-        )
-
-    def calibrated(
-        self, weights: Weights, drives: Chosen
-    ) -> tuple[Weights, Calibration, EnergyTest | None, ChangeTest | None]:
-        """Weights with their final inflation, and the tests with their thresholds; the plain DFT has the
-        frame test only."""
-        project, model, estimator = self.reader.project, self.reader.model, self.reader.estimator
-        alpha, recordings = project.frame_test.alpha, Recordings.listed(drives.setting, drives.others)
-        if estimator.window != "hann":
-            inflated = self._inflated(weights, None, drives)
-            scores, _, _ = self._scores(weights, None, None, drives)
-            scores = {n: s / inflated.inflation for n, s in scores.items()}
-            by_frames = calibrate(scores, alpha, recordings=recordings).over(self._judged_s)
-            return inflated, by_frames, None, None
-        filters, change = energy_filters(project, estimator, weights), self._change_test(drives)
-        with scratch_core(
-            project, coefficients_of(project, model, estimator, weights, 1.0, filters, change)
-        ) as core:
-            inflated = self._inflated(weights, core, drives)
-            test = self._energy_test(inflated, drives)
-            reals = coefficients_of(project, model, estimator, inflated, 1.0, test, change).flat_reals()
-            scores, energy_scores, change_scores = self._scores(weights, core, reals, drives)
-            test = test.calibrated(energy_scores, alpha, recordings)
-            change = change.calibrated(change_scores, alpha, recordings)
-            return (
-                inflated,
-                calibrate(scores, alpha, recordings=recordings).over(self._judged_s),
-                replace(test, calibration=test.calibration.over(self._judged_s)),
-                replace(change, calibration=change.calibration.over(self._judged_s)),
-            )
-
-    def visibility(self, weights: Weights, calibration: Calibration) -> dict:
-        """What the judged drives could have refuted, by bin: visibility.json."""
-        of, factor = self.reader.estimator, weights.inflation
-        W_delta = weights.at(of.omega)[0] / factor
-        return visibility(of.omega, of.speed_range, self.met, W_delta, calibration.carried, factor)
-
-    @property
-    def met(self) -> Excitation:
-        """Excitation of all judged drives so far."""
-        return Excitation.joined(self._met)
-
-    def _judged(
-        self,
-        what: str,
-        weights: Weights,
-        core: Core | None,
-        reals: np.ndarray | None,
-        cuts: int,
-        chosen: list[Experiment],
-    ) -> Iterator[Judged]:
-        task = partial(judge, self.reader, *weights.at(self.reader.estimator.omega), core, reals, cuts)
-        for j in self.over(what, task, chosen):
-            self._met.append(j.met)
-            if len(self._met) == JOINED_AT_ONCE:
-                self._met = [self.met]
-            yield j
-
-    def _inflated(self, weights: Weights, core: Core | None, drives: Chosen) -> Weights:
-        """The final inflation: the least factor >= 1 on the weights with which no margin is above 1 on a
-        bound-setting drive, whole or with its first samples cut; rounded up by 1e-4 when it is above 1."""
-        judged = self._judged("inflation", weights, core, None, CUTS, drives.setting)
-        worst = max([1.0, *(j.worst for j in judged)])
-        return replace(weights, inflation=worst if worst == 1.0 else worst * (1 + 1e-4))
-
-    def _energy_test(self, inflated: Weights, drives: Chosen) -> EnergyTest:
-        """The energy test with the sigma that the drives with and without input ask for."""
-        test = energy_filters(self.reader.project, self.reader.estimator, inflated)
-        chosen = drives.setting + drives.noise
-        test = test.with_sigma(fold(self.over("sigma", partial(energy_pass, self.reader, test, 0), chosen)))
-        task = partial(energy_pass, self.reader, test, CUTS)
-        return test.with_joint(fold(self.over("joint sigma", task, chosen)))
-
-    def _change_test(self, drives: Chosen) -> ChangeTest:
-        """The change test with the sizes that the bound-setting drives show."""
-        sums = self.over("change", partial(change_products_pass, self.reader), drives.setting)
-        test = ChangeTest.design(self.reader.project).with_moments(np.sum(list(sums), axis=0))
-        task = partial(change_largest_pass, self.reader, test)
-        return test.with_largest(np.max(list(self.over("change", task, drives.setting)), axis=0))
-
-    def diagnosis(self, change: ChangeTest | None, drives: Chosen) -> DiagnosisScales | None:
-        """Scales of the diagnosis, by the sizes of the change test; None without that."""
-        if change is None:
-            return None
-        task = partial(diagnosis_pass, self.reader, 1 / change.unit)
-        windows = list(self.over("diagnosis", task, drives.setting))
-        return DiagnosisScales.of(self.reader.project, change.unit, windows)
-
-    def _scores(
-        self, weights: Weights, core: Core | None, reals: np.ndarray | None, drives: Chosen
-    ) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
-        """Scores of the calibration drives in frame, energy and change test; adds to ``left_out`` and to the
-        times judged."""
-        scores, energy_scores, change_scores = {}, {}, {}
-        judged = self._judged("score", weights, core, reals, 0, drives.others)
-        for e, j in zip(drives.others, judged, strict=False):
-            self._judged_s[e.name] = j.judged_s
-            if j.score is None:
-                self.left_out[e.name] = self.reader.why_without_frames()
-            else:
-                scores[e.name] = j.score
-            if j.energy_score is not None:
-                energy_scores[e.name] = j.energy_score
-            if j.change_score is not None:
-                change_scores[e.name] = j.change_score
-        return scores, energy_scores, change_scores
+    origins: Origins
 
 
 def _of_commands(project: Project, setting: list[Experiment], parts: list[Part], folder: Path) -> Part:
@@ -379,7 +134,7 @@ def identify(
     """
     experiments = [e for e in list_experiments(Path(folder)) if e.name not in without]
     drives = DriveSet(project, NominalModel(project), experiments)
-    estimator, run = drives.reader.estimator, _Run(drives.reader, workers, progress)
+    estimator, run = drives.reader.estimator, OverDrives(drives.reader, workers, progress)
     hashes = table_hashes(experiments, workers)
     chosen = Chosen.by_split(project, experiments, Path(folder))
     fit_of = partial(drive_fit, drives.reader)
@@ -400,7 +155,7 @@ def identify(
     weights = fit_weights(
         project, estimator, bounds, gamma_w, W_delta, noise_peak, first["E"], command["Y"][:, 0]
     )
-    weights, calibration, energy, change = run.calibrated(weights, chosen)
+    weights, calibration, energy, change = run.calibrated(weights, bounds.frames, chosen)
     progress("window error")
     result = Identification(
         project=project,
@@ -422,6 +177,7 @@ def identify(
         sha256=hashes,
         model_fit=model_fit,
         others_fit=others_fit,
+        origins=run.origins,
     )
     return result, drives
 

@@ -20,7 +20,7 @@ weighing their units.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,6 +92,12 @@ class Excitation:
             *cls._selected(stacked(p.strongest for p in parts), stacked(p.sample for p in parts)),
         )
 
+    def evidence(self, bins: int) -> np.ndarray:
+        """Largest evidence t*(-Z, Z) (K,) by bin, 0 without a frame; ``bins``: K."""
+        found = np.zeros(bins)
+        np.maximum.at(found, self.strongest["group"] % bins, self.strongest["dead"])
+        return found
+
     @staticmethod
     def _selected(strongest: Rows, sample: Rows) -> tuple[Rows, Rows]:
         first = first_of_each(strongest | {"weakness": -strongest["dead"]}, 1, "weakness")
@@ -109,20 +115,21 @@ def visibility(
     W_delta: np.ndarray,
     threshold: float,
     inflation: float = 1.0,
+    silent: Collection[int] = (),
 ) -> dict:
     """Smallest visible errors per speed cell and bin; JSON-able, None where no frame counts.
 
     omega (K,) [rad/s], 0 at DC; W_delta (K, n_delta) as ``met`` was made with, ``inflation`` the factor on
-    it and on B_w since. ``at_percentile`` and ``at_strongest`` list the cells; the lists of a cell run over
-    the bins: ``frames``, ``excitation`` |Z| [output units], ``gain_error`` [-], ``delay_s`` (None at DC and
-    where no delay is large enough).
+    it and on B_w since; ``silent``: bins that raise no alarm, so nothing is visible there. ``at_percentile``
+    and ``at_strongest`` list the cells; the lists of a cell run over the bins: ``frames``, ``excitation`` |Z|
+    [output units], ``gain_error`` [-], ``delay_s`` (None at DC and where no delay is large enough).
     """
     edges = _edges(speed_range)
 
     def cells(rows: Rows, percentile: float) -> list[dict]:
         return [
             {"speed_mps": [float(edges[c]), float(edges[c + 1])]}
-            | _cell(omega, met.count[c], rows, c, percentile, threshold * inflation)
+            | _cell(omega, met.count[c], rows, c, percentile, threshold * inflation, silent)
             for c in range(SPEED_CELLS)
         ]
 
@@ -137,14 +144,25 @@ def visibility(
     }
 
 
-def _cell(omega: np.ndarray, count: np.ndarray, rows: Rows, c: int, percentile: float, level: float) -> dict:
+def _cell(
+    omega: np.ndarray,
+    count: np.ndarray,
+    rows: Rows,
+    c: int,
+    percentile: float,
+    level: float,
+    silent: Collection[int],
+) -> dict:
     """Cell ``c``; ``level`` is the margin that a fault must exceed, in units of the weights that ``rows``
     were made with."""
     K = len(omega)
     chosen = [
         _at_percentile(rows["dead"], np.flatnonzero(rows["group"] == c * K + k), percentile) for k in range(K)
     ]
-    gain = [None if i is None or rows["dead"][i] == 0 else float(level / rows["dead"][i]) for i in chosen]
+    gain = [
+        None if i is None or k in silent or rows["dead"][i] == 0 else float(level / rows["dead"][i])
+        for k, i in enumerate(chosen)
+    ]
     delay = [_delay(g, w) for g, w in zip(gain, omega, strict=False)]
     return {
         "frames": count.tolist(),

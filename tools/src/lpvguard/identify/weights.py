@@ -3,7 +3,7 @@ for them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
 from .bounds import Bounds
 from .change import ChangeTest
-from .energy import EnergyTest
+from .energy import UNBOUNDED, EnergyTest
 
 DC_STAND_IN = 0.1
 """DC has no place on a logarithmic axis: its bound stands at this fraction of the lowest bin's frequency."""
@@ -72,7 +72,8 @@ class Weights:
     W_w, W_n and W_w_S0 hold one weight per output, W_delta one per Delta (n_delta). Without zero-input drives
     W_n is empty, and so are W_w_S0 and W_C, which only synthesis needs. W_w_S0: disturbance of class S0,
     where nothing is left to uncertainty (K_inf). ``floored``: step 7, frequencies [rad/s] per weight where
-    nothing was left of B_w after the sensor's share.
+    nothing was left of B_w after the sensor's share. ``silent``: bins in which no drive that sets the bounds
+    shows evidence above 1. They set no threshold and raise no alarm (THEORY 7.1).
     """
 
     W_w: list[FittedWeight]
@@ -84,6 +85,7 @@ class Weights:
     floored: dict[str, list[float]]
     disturbance_set: str
     inflation: float = 1.0
+    silent: tuple[int, ...] = ()
 
     def at(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """W_delta (K, n_delta) and B_w (K, n_y) as the monitor uses them: inflation included, the sensor's
@@ -95,6 +97,12 @@ class Weights:
         W_delta = np.column_stack([w.magnitude(omega) for w in self.W_delta])
         return self.inflation * W_delta, self.inflation * B_w
 
+    def of_core(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """`at` the bins omega (K,) as the core has it: without a bound on the disturbance in silent bins."""
+        W_delta, B_w = self.at(omega)
+        B_w[list(self.silent)] *= UNBOUNDED
+        return W_delta, B_w
+
     def to_dict(self) -> dict:
         """JSON-able, for `from_dict`."""
         lists = {key: [w.to_dict() for w in getattr(self, key)] for key in LISTED}
@@ -103,6 +111,7 @@ class Weights:
             "floored_rad_s": self.floored,
             "disturbance_set": self.disturbance_set,
             "inflation": self.inflation,
+            "silent_bins": list(self.silent),
         }
 
     @classmethod
@@ -146,6 +155,7 @@ class Weights:
             floored=data["floored_rad_s"],
             disturbance_set=data["disturbance_set"],
             inflation=data["inflation"],
+            silent=tuple(data.get("silent_bins", ())),
         )
 
 
@@ -299,7 +309,7 @@ def coefficients_of(
 ) -> Coefficients:
     """The core's coefficients for these weights."""
     return build_coefficients(
-        project, model, estimator, *weights.at(estimator.omega), threshold, energy, change
+        project, model, estimator, *weights.of_core(estimator.omega), threshold, energy, change
     )
 
 
@@ -307,7 +317,7 @@ def energy_filters(project: Project, estimator: Estimator, weights: Weights) -> 
     """The energy test's filters for these weights; sigma is yet to be found. InputError for weights of
     another structure than the project's."""
     fitted = weights.W_delta
-    return EnergyTest.design(
+    test = EnergyTest.design(
         project,
         estimator,
         [w.fit.weight for w in fitted],
@@ -315,3 +325,5 @@ def energy_filters(project: Project, estimator: Estimator, weights: Weights) -> 
         np.column_stack([w.bound for w in fitted]),
         weights.inflation,
     )
+    none = len(weights.silent) == estimator.n_bins
+    return replace(test, silent=tuple(range(len(test.F) - 1)) if none else ())

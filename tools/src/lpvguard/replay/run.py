@@ -223,7 +223,7 @@ class Replayer:
         self.W_delta, self.B_w = fields["W_delta"], fields["B_w"]
         self.sigma, self.directions = 1.0 / fields["energy_scale"], fields["energy_direction"]
         self.bands = band_names(len(self.sigma))
-        self.change_unit, self.change_largest = 1.0 / fields["change_unit"], 1.0 / fields["change_scale"]
+        self.change_unit, self.change_size = 1.0 / fields["change_unit"], 1.0 / fields["change_scale"]
 
     def replay(self, drive: Drive) -> Replay:
         """Run one drive."""

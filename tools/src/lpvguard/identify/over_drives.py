@@ -1,0 +1,321 @@
+"""The passes of an identification over its drives: mapped by workers, joined as they come (run.py)."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial, reduce
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from ..base.errors import InputError
+from ..base.parallel import Map
+from ..base.progress import Progress
+from ..base.sampling import Rows, stacked
+from ..core.compiled import Core
+from ..drives.tables import (
+    Experiment,
+)
+from .bounds import Bounds, Deciders, Part, fold, front_grid
+from .calibration import Calibration, Peak, Recordings, calibrate
+from .change import ChangeTest
+from .chosen import Chosen
+from .chosen import DriveSet as DriveSet
+from .diagnosis import DiagnosisScales
+from .energy import EnergyTest
+from .model_error import FEWEST_FRAMES, FOLDS, ErrorGrid, ModelError, Sums, model_error_pass
+from .passes import (
+    DriveReader,
+    Judged,
+    change_met_pass,
+    change_products_pass,
+    covering_pass,
+    diagnosis_pass,
+    energy_pass,
+    first_pass,
+    judge,
+    remainder_pass,
+    thinned,
+    uncertainty_pass,
+)
+from .scratch import scratch_core
+from .visibility import Excitation, visibility
+from .weights import (
+    FittedWeight,
+    Weights,
+    coefficients_of,
+    energy_filters,
+    fit_uncertainty,
+)
+
+CUTS = 5
+"""Random first samples from which every bound-setting drive is replayed to find the final inflation."""
+JOINED_AT_ONCE = 32
+"""Samples of so many drives wait to be joined: sorting them together costs the process that joins less
+time."""
+Result = TypeVar("Result")
+
+
+@dataclass
+class Origins:
+    """Where bounds and thresholds come from.
+
+    evidence (K,): largest of the bound-setting drives by bin; empty without a core. peaks: where the scores
+    come from, by calibration drive and test. decided: which frames decide nu and B_w.
+    """
+
+    evidence: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    peaks: dict[str, dict[str, Peak]] = field(default_factory=dict)
+    decided: dict[str, Deciders] = field(default_factory=dict)
+
+
+class OverDrives:
+    """Passes over the drives: mapped by ``workers``, joined as they come.
+
+    ``left_out``: drive -> why it has no counted frame; ``spectra``, ``met``: samples joined so far;
+    ``origins``: where bounds and thresholds come from, as far as they are found.
+    """
+
+    def __init__(self, reader: DriveReader, workers: Map, progress: Progress):
+        self.reader, self.workers, self.progress = reader, workers, progress
+        self.left_out: dict[str, str] = {}
+        self._spectra: list[Rows] = []
+        self._met: list[Excitation] = []
+        self._judged_s: dict[str, float] = {}
+        self.origins = Origins()
+
+    def over(
+        self, what: str, task: Callable[[Experiment], Result], chosen: Iterable[Experiment]
+    ) -> Iterator[Result]:
+        """``task`` of every chosen drive, in order."""
+        chosen = list(chosen)
+        for e, result in zip(chosen, self.workers(task, chosen), strict=False):
+            self.progress(f"{what} of {e.name}")
+            yield result
+
+    def first_parts(self, chosen: list[Experiment], *, keep: bool) -> Iterator[Part]:
+        """Bounds before smoothing and peaks of every drive; with ``keep`` its spectra are sampled too."""
+        ceiling = self.reader.project.bounds.nu_ceiling.at(self.reader.estimator.omega / (2 * np.pi))
+        task = partial(first_pass, self.reader, ceiling)
+        for e, (part, rows) in zip(chosen, self.over("frames", task, chosen), strict=False):
+            if not part["frames"].any():
+                self.left_out[e.name] = self.reader.why_without_frames()
+            if keep:
+                self._spectra.append(rows)
+                if len(self._spectra) == JOINED_AT_ONCE:
+                    self._spectra = [self.spectra]
+            yield part
+
+    @property
+    def spectra(self) -> Rows:
+        """Sample of the frames of all drives so far."""
+        return thinned(stacked(self._spectra))
+
+    def setting_with_frames(self, setting: list[Experiment], folder: Path) -> list[Experiment]:
+        """The bound-setting drives that were not left out; InputError when none remains."""
+        left = [e for e in setting if e.name not in self.left_out]
+        if not left:
+            name, reason = next(iter(self.left_out.items()))
+            raise InputError(
+                folder,
+                "split " + ", ".join(self.reader.project.data.bound_split),
+                "no frame counts: no judged stretch at all",
+                f"at least one drive unlike {name} ({reason})",
+            )
+        return left
+
+    def model_error(self, drives: Chosen) -> ModelError:
+        """The model error model of the bound-setting drives, and that of the drives that judge it."""
+        reader = self.reader
+        grid = ErrorGrid.of(reader.project, reader.estimator)
+        task = partial(model_error_pass, reader, grid)
+
+        def folds(chosen: list[Experiment]) -> list[Sums]:
+            # By name: sums of floats depend on the order.
+            chosen = sorted(chosen, key=lambda e: e.name)
+            found: list[Sums] = []
+            for k, sums in enumerate(self.over("model error", task, chosen)):
+                if k < FOLDS:
+                    found.append(sums)
+                else:
+                    found[k % FOLDS] = found[k % FOLDS].plus(sums)
+            return found
+
+        return ModelError.of(reader.project, grid, folds(drives.setting), folds(drives.others))
+
+    def _deciders(
+        self, key: str, columns: int, setting: list[Experiment], parts: Iterable[Part]
+    ) -> Iterator[Part]:
+        """The parts of the ``setting`` drives, in whose passing it is kept what decides the bound ``key``."""
+        self.origins.decided[key] = Deciders(key, (self.reader.estimator.n_bins, columns))
+        return self.origins.decided[key].watched((e.name for e in setting), parts)
+
+    def uncertainty(
+        self, first: Part, gamma_w: np.ndarray, error: ModelError, setting: list[Experiment]
+    ) -> tuple[Part, list[FittedWeight]]:
+        """Step 5 under ``gamma_w`` (K,), and W_delta above it and above the model error."""
+        project, estimator = self.reader.project, self.reader.estimator
+        grid = front_grid(first["B1"], first["B2"], estimator, project.bounds.structure)
+        parts = self.over("bounds", partial(uncertainty_pass, self.reader, gamma_w, grid), setting)
+        second = fold(self._deciders("nu", project.n_delta, setting, parts))
+        names = [f"W_delta of {s.name}" for s in project.outputs] if project.n_delta > 1 else ["W_delta"]
+        # Class S0 has no uncertainty: all error is disturbance.
+        needed = error.bound * (project.bounds.structure != "S0")
+        W_delta = [
+            fit_uncertainty(project, estimator, nu, error.grid.omega, asked, name)
+            for nu, asked, name in zip(second["nu"].T, needed.T, names, strict=True)
+        ]
+        return second | {"grid": grid}, W_delta
+
+    def bounds(
+        self,
+        first: Part,
+        gamma_w: np.ndarray,
+        second: Part,
+        W_delta: list[FittedWeight],
+        setting: list[Experiment],
+    ) -> Bounds:
+        """Step 6 with ``gamma_w`` (K,): B_w is what no |delta| <= W_delta explains.
+
+        ``covering``: B_w is scaled until sum_j |w_j / B_w,j|^2 <= 1 on every frame; ``paper``: |w_j| <=
+        B_w,j."""
+        project, estimator = self.reader.project, self.reader.estimator
+        size = np.column_stack([w.magnitude(estimator.omega) for w in W_delta])
+        parts = self.over("bounds", partial(remainder_pass, self.reader, size), setting)
+        B_w = fold(self._deciders("B_w", project.n_y, setting, parts))["B_w"]
+        if project.bounds.disturbance_set == "covering" and project.n_y > 1:
+            task = partial(covering_pass, self.reader, size, B_w)
+            B_w = B_w * np.fmax(1.0, fold(self.over("bounds", task, setting))["scale"])[:, None]
+        return Bounds(
+            omega=estimator.omega,
+            **{k: first[k] for k in ("frames", "excitation", "B1", "B2", "gamma_rule")},
+            gamma_w=gamma_w,
+            nu=second["nu"],
+            B_w=B_w,
+            front_gamma_w=second["grid"],
+            front_nu=second["front"],
+        )
+
+    def calibrated(
+        self, weights: Weights, frames: np.ndarray, drives: Chosen
+    ) -> tuple[Weights, Calibration, EnergyTest | None, ChangeTest | None]:
+        """Weights with their final inflation, and the tests with their thresholds; the plain DFT has the
+        frame test only. ``frames`` (K,): counted frames of the bound-setting drives."""
+        project, model, estimator = self.reader.project, self.reader.model, self.reader.estimator
+        alpha, recordings = project.frame_test.alpha, Recordings.listed(drives.setting, drives.others)
+        if estimator.window != "hann":
+            inflated = self._inflated(weights, None, drives)
+            scores, _, _ = self._scores(weights, None, None, drives)
+            scores = {n: s / inflated.inflation for n, s in scores.items()}
+            by_frames = calibrate(scores, alpha, recordings=recordings).over(self._judged_s)
+            return inflated, by_frames, None, None
+        filters, change = energy_filters(project, estimator, weights), self._change_test(drives)
+        with scratch_core(
+            project, coefficients_of(project, model, estimator, weights, 1.0, filters, change)
+        ) as core:
+            inflated = self._inflated(weights, core, drives)
+            inflated = replace(inflated, silent=self._silent(inflated, frames))
+            test = self._energy_test(inflated, drives)
+            reals = coefficients_of(project, model, estimator, inflated, 1.0, test, change).flat_reals()
+            scores, energy_scores, change_scores = self._scores(weights, core, reals, drives)
+            test = test.calibrated(energy_scores, alpha, recordings)
+            change = change.calibrated(change_scores, alpha, recordings)
+            return (
+                inflated,
+                calibrate(scores, alpha, recordings=recordings).over(self._judged_s),
+                replace(test, calibration=test.calibration.over(self._judged_s)),
+                replace(change, calibration=change.calibration.over(self._judged_s)),
+            )
+
+    def visibility(self, weights: Weights, calibration: Calibration) -> dict:
+        """What the judged drives could have refuted, by bin: visibility.json."""
+        of, factor = self.reader.estimator, weights.inflation
+        W_delta = weights.at(of.omega)[0] / factor
+        return visibility(
+            of.omega, of.speed_range, self.met, W_delta, calibration.carried, factor, weights.silent
+        )
+
+    @property
+    def met(self) -> Excitation:
+        """Excitation of all judged drives so far."""
+        return Excitation.joined(self._met)
+
+    def _judged(
+        self,
+        what: str,
+        weights: Weights,
+        core: Core | None,
+        reals: np.ndarray | None,
+        cuts: int,
+        chosen: list[Experiment],
+    ) -> Iterator[Judged]:
+        task = partial(judge, self.reader, *weights.at(self.reader.estimator.omega), core, reals, cuts)
+        for j in self.over(what, task, chosen):
+            self._met.append(j.met)
+            if len(self._met) == JOINED_AT_ONCE:
+                self._met = [self.met]
+            yield j
+
+    def _inflated(self, weights: Weights, core: Core | None, drives: Chosen) -> Weights:
+        """The final inflation: the least factor >= 1 on the weights with which no margin is above 1 on a
+        bound-setting drive, whole or with its first samples cut; rounded up by 1e-4 when it is above 1."""
+        judged = self._judged("inflation", weights, core, None, CUTS, drives.setting)
+        worst = max([1.0, *(j.worst for j in judged)])
+        return replace(weights, inflation=worst if worst == 1.0 else worst * (1 + 1e-4))
+
+    def _silent(self, inflated: Weights, frames: np.ndarray) -> tuple[int, ...]:
+        """Bins in which no drive that sets the bounds shows evidence above 1, once `_inflated` judged them:
+        there a vehicle that does not respond would never have been refuted. And bins of fewer than
+        FEWEST_FRAMES ``frames`` one after another: a further frame is beyond so few too often."""
+        estimator = self.reader.estimator
+        self.origins.evidence = self.met.evidence(estimator.n_bins) / inflated.inflation
+        thin = frames < FEWEST_FRAMES * estimator.length
+        return tuple(int(k) for k in np.flatnonzero((self.origins.evidence <= 1.0) | thin))
+
+    def _energy_test(self, inflated: Weights, drives: Chosen) -> EnergyTest:
+        """The energy test with the sigma that the drives with and without input ask for."""
+        test = energy_filters(self.reader.project, self.reader.estimator, inflated)
+        chosen = drives.setting + drives.noise
+        test = test.with_sigma(fold(self.over("sigma", partial(energy_pass, self.reader, test, 0), chosen)))
+        task = partial(energy_pass, self.reader, test, CUTS)
+        return test.with_joint(fold(self.over("joint sigma", task, chosen)))
+
+    def _change_test(self, drives: Chosen) -> ChangeTest:
+        """The change test with the sizes that the bound-setting drives show."""
+        sums = self.over("change", partial(change_products_pass, self.reader), drives.setting)
+        test = ChangeTest.design(self.reader.project).with_moments(np.sum(list(sums), axis=0))
+        # By name: sums of floats depend on the order.
+        chosen = sorted(drives.setting, key=lambda e: e.name)
+        met = self.over("change", partial(change_met_pass, self.reader, test), chosen)
+        return test.with_sizes(reduce(operator.add, met))
+
+    def diagnosis(self, change: ChangeTest | None, drives: Chosen) -> DiagnosisScales | None:
+        """Scales of the diagnosis, by the sizes of the change test; None without that."""
+        if change is None:
+            return None
+        task = partial(diagnosis_pass, self.reader, 1 / change.unit)
+        windows = list(self.over("diagnosis", task, drives.setting))
+        return DiagnosisScales.of(self.reader.project, change.unit, windows)
+
+    def _scores(
+        self, weights: Weights, core: Core | None, reals: np.ndarray | None, drives: Chosen
+    ) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+        """Scores of the calibration drives in frame, energy and change test; adds to ``left_out`` and to the
+        times judged."""
+        scores, energy_scores, change_scores = {}, {}, {}
+        judged = self._judged("score", weights, core, reals, 0, drives.others)
+        for e, j in zip(drives.others, judged, strict=False):
+            self._judged_s[e.name] = j.judged_s
+            self.origins.peaks[e.name] = j.peaks
+            if j.score is None:
+                self.left_out[e.name] = self.reader.why_without_frames()
+            else:
+                scores[e.name] = j.score
+            if j.energy_score is not None:
+                energy_scores[e.name] = j.energy_score
+            if j.change_score is not None:
+                change_scores[e.name] = j.change_score
+        return scores, energy_scores, change_scores
