@@ -29,6 +29,7 @@ from .tables import (
     print_largest_A_t,
     print_moving_speed,
     print_premise,
+    print_robustness,
     print_summary,
     print_tradeoff,
 )
@@ -162,6 +163,7 @@ def _design_vehicle(
     if largest_A_t:
         print_largest_A_t(largest)
     print_moving_speed(result)
+    print_robustness(result)
     print_summary(stored.project.name, result, out)
     return 0 if result.worst < 1 else 1
 

@@ -290,6 +290,22 @@ def print_moving_speed(result: Design) -> None:
     )
 
 
+def print_robustness(result: Design) -> None:
+    """The worst of what the nodes have beside mu; nothing where it was not asked for."""
+    if result.robustness is None:
+        return
+    nodes = result.robustness.nodes
+    gains = [node.worst_gain for node in nodes]
+    gain = "not bounded" if None in gains else f"at most {max(g for g in gains if g is not None):.4f}"
+    nearest = min((n.nu_margin / n.nu_gap_next for n in nodes if n.nu_gap_next), default=None)
+    console.print(
+        f"at the nodes, between frequencies too: mu at most {max(n.mu_interval for n in nodes):.4f}, worst-case "
+        f"gain {gain}; least disk margins S {min(n.disk_S for n in nodes):.3g}, "
+        f"T {min(n.disk_T for n in nodes):.3g}, balanced {min(n.disk_balanced for n in nodes):.3g}"
+        + ("" if nearest is None else f"; nu-margin at least {nearest:.3g} times the nu-gap to the next node")
+    )
+
+
 def print_summary(name: str, result: Design, out: Path) -> None:
     """What a design came to, in a line."""
     low, high = result.schedule.speeds[0], result.schedule.speeds[-1]

@@ -49,6 +49,7 @@ from ..vehicle.nominal import NominalModel
 from ..vehicle.project import DesignSettings
 from .input_limit import input_limit
 from .plants import design_settings, fig1_weights, frozen_plant, plant_at, vehicle_at
+from .robustness import Robustness, require_robustness, robustness
 from .schedule import FrozenLoop, fit
 
 FEWEST_PAIRS, MOST_PAIRS = 2, 19
@@ -62,8 +63,9 @@ LOWER_RTOL, PEAK_RTOL = 1e-3, 1e-3
 """The same for the lower bound, which a search finds, and for the gain at the stated peak, which is flat."""
 OFF_GRID = 24
 """Seeded speeds between the nodes at which the design is looked at besides nodes and midpoints."""
-DESIGN_SHARES, FROZEN_SHARES, VERIFY_SHARES = (9, 1), (1, 15, 1), (4, 1)
-"""Rough shares of the work: frozen and moving speed; up to the poles, poles, proofs; frozen and moving."""
+DESIGN_SHARES, FROZEN_SHARES, VERIFY_SHARES = (9, 1, 1), (1, 15, 1), (4, 1, 4)
+"""Rough shares of the work: frozen and moving speed, margins; up to the poles, poles, proofs; frozen and moving,
+margins."""
 A_T_RTOL, STEPS = 0.01, 8
 LARGER_STEP = 0.8
 """Of the way to the limit, while no A_t has failed: the answer lies near it."""
@@ -85,7 +87,8 @@ def _with_delay(K: StateSpace) -> StateSpace:
 @dataclass(frozen=True)
 class Design:
     """A scheduled controller and its certificates: ``certificates`` per frozen speed, nodes and midpoints in
-    order; ``lpv`` for a moving speed (None: not asked for, or no storage function was found)."""
+    order; ``lpv`` for a moving speed (None: not asked for, or no storage function was found);
+    ``robustness``: what the nodes have beside mu (None: not asked for)."""
 
     schedule: Scheduled
     scaling: Scaling
@@ -93,6 +96,7 @@ class Design:
     full_order: int
     off_grid: tuple[float, RobustPerformance]
     lpv: LpvCertificate | None = None
+    robustness: Robustness | None = None
 
     @property
     def worst(self) -> float:
@@ -111,10 +115,14 @@ def design(stored: StoredIdentification, progress: Progress = lambda _: None) ->
     no order certifies."""
     settings = design_settings(stored)
     require_premise(stored)
-    frozen, moving = parts(progress, *DESIGN_SHARES)
+    frozen, moving, margins = parts(progress, *DESIGN_SHARES)
     result = _designed(stored, settings, None, frozen)
     _require_reach(stored, result.schedule)
-    return replace(result, lpv=find(_family(stored, settings, result.schedule, result.scaling), moving))
+    return replace(
+        result,
+        lpv=find(_family(stored, settings, result.schedule, result.scaling), moving),
+        robustness=robustness(stored, result.schedule, result.scaling, margins),
+    )
 
 
 def crossover(schedule: Scheduled, model: NominalModel) -> float:
@@ -402,7 +410,7 @@ def verify(path: Path, stored: StoredIdentification, progress: Progress = lambda
         for row in rows
     }
     scaling = stated_scaling(document)
-    frozen, moving = parts(progress, *VERIFY_SHARES)
+    frozen, moving, margins = parts(progress, *VERIFY_SHARES)
     proved_rows = dict(_certificates(schedule, loops, scaling, frozen))
     for row in rows:
         _compare(path, row, proved_rows[row["v_mps"]], loops[row["v_mps"]], schedule)
@@ -424,6 +432,7 @@ def verify(path: Path, stored: StoredIdentification, progress: Progress = lambda
                 f"|dv/dt| up to {lpv['rate_mps2']:.4g} m/s2",
                 "the coefficients, weights and P that were certified",
             )
+    require_robustness(path, stated.get("robustness"), stored, schedule, scaling, margins)
 
 
 def _require_settings(
@@ -581,6 +590,7 @@ def save(
             "scaling_log_parameters": result.scaling.log_parameters,
             "scaling_columns": result.scaling.log_parameters.shape[1],
             "moving_speed": _moving(result.lpv),
+            "robustness": None if result.robustness is None else result.robustness.to_dict(),
             "dc_floor": dc_floor(fig1_weights(stored, settings)),
             "largest_A_t": None if largest is None else asdict(largest),
             "off_grid": {"speeds": OFF_GRID, "seed": stored.project.seed, **_row(*result.off_grid)},
