@@ -111,8 +111,8 @@ def first_columns(theta: np.ndarray, Ts: float) -> np.ndarray:
 
 
 def _slopes_of_columns(theta: np.ndarray, Ts: float) -> np.ndarray:
-    """Derivatives (pairs, 2, 2) of each pair's a by its ln p and by its ln q, by central differences: smooth at
-    double poles, too."""
+    """Derivatives (pairs, 2, 2) of each pair's a by its ln p and by its ln q, by central differences:
+    smooth at double poles, too."""
     out = np.empty((len(theta) // 2, 2, 2))
     for k in (0, 1):
         step = np.zeros(len(theta))
@@ -187,8 +187,7 @@ class _RowFit:
         W = np.zeros((len(a), m, pairs, 2))
         for k in range(pairs):
             W[2 * k : 2 * k + 2, :, k] = np.moveaxis(weights[k].real / scales[k][:, None], 0, 2)
-        W = W.reshape(len(R), -1)
-        return Q @ (Q.T @ V - sl.solve_triangular(R, W, trans="T")) - V
+        return Q @ (Q.T @ V - sl.solve_triangular(R, W.reshape(len(R), -1), trans="T")) - V
 
     def rows(self, a: np.ndarray, z: np.ndarray) -> np.ndarray:
         """The best B (n, m)."""
