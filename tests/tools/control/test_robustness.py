@@ -1,5 +1,5 @@
-"""What a design's nodes have beside mu: consistent with what else is known of the same loops, and refused when
-altered."""
+"""What a design's nodes have beside mu, and how fast Delta may vary: consistent with what else is known of
+the same loops, and refused when altered."""
 
 from __future__ import annotations
 
@@ -13,7 +13,19 @@ import pytest
 from lpvguard import schemas
 from lpvguard.base.errors import InputError
 from lpvguard.control.plants import vehicle_at
-from lpvguard.control.robustness import LOOSE, NodeRobustness, Robustness, compare, robustness
+from lpvguard.control.robustness import (
+    LOOSE,
+    NodeRobustness,
+    Robustness,
+    compare,
+    robustness,
+)
+from lpvguard.control.slow_delta import (
+    NodeSlowness,
+    Slowness,
+    require_slowness,
+    slowness,
+)
 from lpvguard.core.scheduled import Scheduled
 from lpvguard.engine.synthesis.dk import Scaling
 from lpvguard.engine.synthesis.margins import margins, of_system
@@ -31,10 +43,8 @@ def stored(few_truck_identified):
 
 @pytest.fixture(scope="module")
 def schedule():
-    """Three nodes of the shipped truck's controller, which any identification of the truck can be asked about."""
-    document = schemas.example("controller")
-    whole = Scheduled.read(document)
-    return whole
+    """The shipped truck's controller, which any identification of the truck can be asked about."""
+    return Scheduled.read(schemas.example("controller"))
 
 
 def scaling() -> Scaling:
@@ -93,10 +103,54 @@ def test_the_page_shows_every_number_of_a_node_and_a_dash_for_none(tmp_path):
     certificates["robustness"] = Robustness((node,), 2.0, (1.0, 1.0)).to_dict()
     (tmp_path / "controller.json").write_text(json.dumps({"certificates": certificates}))
     text = design_section(tmp_path)
-    for shown in ("0.9931", "0.9842", "0.544", "1.11", "0.747", "0.2383", "0.0712", "0.456 to 2.19, 40.9°"):
+    for shown in (
+        "0.9931",
+        "0.9842",
+        "0.544",
+        "1.11",
+        "0.747",
+        "0.2383",
+        "0.0712",
+        "0.456 to 2.19, 40.9°",
+    ):
         assert f"<td>{shown}</td>" in text, shown
     row = next(line for line in text.split("<tr>") if "0.9931" in line)
     assert row.count("<td>–</td>") == 2
     certificates["robustness"] = None
     (tmp_path / "controller.json").write_text(json.dumps({"certificates": certificates}))
     assert "Beside μ" not in design_section(tmp_path)
+
+
+def test_rates_are_proved_anew_and_larger_ones_are_refused(stored, schedule):
+    found, path = slowness(stored, schedule, scaling()), Path("controller.json")
+    stated = json.loads(json.dumps(found.to_dict()))
+    require_slowness(path, stated, stored, schedule, scaling())
+    assert found.performance_rate > 0 and found.hidden_slow < found.hidden_fast
+    for part, key in (
+        ("performance", "performance_rate"),
+        ("performance", "performance_level"),
+    ):
+        altered = json.loads(json.dumps(stated))
+        altered["nodes"][-1][key] *= 1.3
+        with pytest.raises(InputError, match=rf"slow_delta at 22 m/s, {part}"):
+            require_slowness(path, altered, stored, schedule, scaling())
+    with pytest.raises(InputError, match="hidden_slow_per_s"):
+        altered = stated | {"hidden_slow_per_s": 0.5 * stated["hidden_slow_per_s"]}
+        require_slowness(path, altered, stored, schedule, scaling())
+    with pytest.raises(InputError, match="one row a node"):
+        require_slowness(path, stated | {"nodes": stated["nodes"][1:]}, stored, schedule, scaling())
+
+
+def test_the_page_says_which_hidden_rates_are_covered(tmp_path):
+    certificates = schemas.example("controller")["certificates"]
+    nodes = (
+        NodeSlowness(8.0, 0.0436, (0.0, 0.0), 0.999, None, (0.0, 0.0), 0.6066),
+        NodeSlowness(9.0, 0.0512, (0.0, 0.0), 0.999, 3.25, (0.0, 0.0), 0.9871),
+    )
+    certificates["slow_delta"] = Slowness(nodes, 0.0333, 1.05).to_dict()
+    (tmp_path / "controller.json").write_text(json.dumps({"certificates": certificates}))
+    text = design_section(tmp_path)
+    assert (
+        '<span class="yes">above 0.0333/s</span>' in text and '<span class="no">below 1.05/s</span>' in text
+    )
+    assert "stable up to 3.25/s" in text and "<td>any</td><td>0.6066</td>" in text

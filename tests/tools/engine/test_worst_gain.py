@@ -1,4 +1,5 @@
-"""The worst-case gain between frequencies: above every Δ that is tried, attained by one, and sound at slow poles."""
+"""The worst-case gain between frequencies: above every Δ that is tried, attained by one, and sound at slow
+poles."""
 
 import numpy as np
 import pytest

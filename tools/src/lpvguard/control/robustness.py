@@ -1,8 +1,8 @@
-"""What a design's loop has at every node of its speeds beside mu: bounds between frequencies, worst-case gain,
-disk margins at the vehicle's input, and the nu-gap to the neighbouring vehicles (THEORY 6.5).
+"""What a design's loop has at every node of its speeds beside mu: bounds between frequencies, worst-case
+gain, disk margins at the vehicle's input, and the nu-gap to the neighbouring vehicles (THEORY 6.5).
 
-All of it is about frozen speeds, the coefficients as the core runs them and the nominal vehicle. Worst-case gain
-and mu are bounds over every Delta of size 1.
+All of it is about frozen speeds, the coefficients as the core runs them and the nominal vehicle.
+Worst-case gain and mu are bounds over every Delta of size 1.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ SCALING_NODES, SCALING_STEPS = 3, 60
 class NodeRobustness:
     """One node, ``v_mps``.
 
-    mu_interval: bound of mu proved at every frequency. worst_gain: bound of the gain from [w; n; r_c] to z over
-    every Delta of size 1 (None: none was proved); worst_gain_found: what one such Delta reaches (None: none was
-    found). disk_S, disk_T, disk_balanced: disk margins at the vehicle's input (T27). nu_margin: b(P, K).
-    nu_gap_next, nu_gap_midpoint: nu-gap to the vehicle at the next node and midway to it (None at the last
-    node).
+    mu_interval: bound of mu proved at every frequency. worst_gain: bound of the gain from [w; n; r_c] to z
+    over every Delta of size 1 (None: none was proved); worst_gain_found: what one such Delta reaches
+    (None: none was found). disk_S, disk_T, disk_balanced: disk margins at the vehicle's input (T27).
+    nu_margin: b(P, K). nu_gap_next, nu_gap_midpoint: nu-gap to the vehicle at the next node and midway to
+    it (None at the last node).
     """
 
     v_mps: float
@@ -71,8 +71,8 @@ class Robustness:
         """As controller.json holds it."""
         return {
             "claim": "frozen speeds, LTI Delta of size 1: mu_interval and worst_gain hold at every frequency "
-            "between 0 and half the sampling frequency; disk margins are those of the nominal loop; a vehicle "
-            "nearer than nu_margin in the nu-gap is stabilised",
+            "between 0 and half the sampling frequency; disk margins are those of the nominal loop; "
+            "a vehicle nearer than nu_margin in the nu-gap is stabilised",
             "unit_u": self.unit_u,
             "units_y": list(self.units_y),
             "nodes": [asdict(node) for node in self.nodes],
@@ -95,8 +95,8 @@ def require_robustness(
     scaling: Scaling,
     progress: Progress = lambda _: None,
 ) -> None:
-    """InputError unless ``stated`` (certificates.robustness of ``path``) is what is computed anew, in its units;
-    None claims nothing."""
+    """InputError unless ``stated`` (certificates.robustness of ``path``) is what is computed anew, in its
+    units; None claims nothing."""
     if stated is not None:
         units = stated["unit_u"], tuple(stated["units_y"])
         compare(path, stated, _with_units(stored, schedule, scaling, *units, progress))

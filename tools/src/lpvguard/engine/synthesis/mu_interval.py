@@ -5,8 +5,8 @@ At one frequency the bound β holds with scalings D, G where
     Φ(ω) = β² D_R − M(jω)ᴴ D_L M(jω) − j (G M(jω) − M(jω)ᴴ G) ≻ 0.
 
 With D and G kept, Φ stays positive definite up to the nearest frequency at which it is singular. Those
-frequencies are imaginary eigenvalues of one Hamiltonian matrix. Rounding moves such eigenvalues off the axis, so
-all near it are taken, and Φ itself is tested between them. Cells found so, each with the scalings of
+frequencies are imaginary eigenvalues of one Hamiltonian matrix. Rounding moves such eigenvalues off the
+axis, so all near it are taken, and Φ itself is tested between them. Cells found so, each with the scalings of
 its own centre, are laid side by side until they cover the interval. No value between grid points is assumed.
 """
 
@@ -25,8 +25,8 @@ from lpvguard.engine.synthesis.statespace import EPS, StateSpace, balanced, to_c
 from lpvguard.engine.synthesis.structure import Structure
 
 NEAR = 1e-3
-"""An eigenvalue whose real part is below this share of its size may be imaginary: far more than rounding moves
-it."""
+"""An eigenvalue whose real part is below this share of its size may be imaginary: far more than rounding
+moves it."""
 SHORT = 0.999
 """Of the way to a frequency where Φ is singular, that a cell goes."""
 MOST_CELLS = 3000
@@ -92,7 +92,9 @@ def cover(
     bound at that frequency. ``name``: who asks, in errors; else as in ``mu_interval``."""
     shape = (structure.n_rows, structure.n_cols)
     if loop.D.shape != shape:
-        raise SynthesisError(name, "loop", f"{loop.D.shape} system", f"{shape}, the sums of the blocks' sides")
+        raise SynthesisError(
+            name, "loop", f"{loop.D.shape} system", f"{shape}, the sums of the blocks' sides"
+        )
     if not loop.stability_margin() > 0:
         raise SynthesisError(name, "loop", "not stable", "a stable loop")
     last = np.pi / loop.dt if loop.dt else np.inf
@@ -169,7 +171,8 @@ def _cell(
 
 def _singular(G: StateSpace, point: PointBound, level: float) -> np.ndarray:
     """Frequencies (K,), rising, at which Φ may be singular: eigenvalues of its Hamiltonian on or near the
-    imaginary axis. They are those of x' = A x + B u with the adjoint state p' = -Aᴴ p - Cᴴ q, where Φ u = 0."""
+    imaginary axis. They are those of x' = A x + B u with the adjoint state p' = -Aᴴ p - Cᴴ q, where Φ u =
+    0."""
     A, B, C, D, n = G.A, G.B, G.C, G.D, G.order
     if n == 0:
         return np.zeros(0)

@@ -28,7 +28,8 @@ def nu_gap(first: StateSpace, second: StateSpace) -> NormBracket:
     """Bracket of the ν-gap of two plants with the same inputs, outputs and dt, at its frequency [rad/s]; (1,
     1) where the winding number is not the right one.
 
-    SynthesisError where shapes or dt differ, or a plant has a mode that is not stabilisable or not detectable.
+    SynthesisError where shapes or dt differ, or a plant has a mode that is not stabilisable or not
+    detectable.
     """
     same_time(first, second)
     if first.D.shape != second.D.shape:
