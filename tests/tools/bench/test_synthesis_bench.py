@@ -14,7 +14,11 @@ CASE = ROOT / "tests" / "data" / "paper_case.toml"
 
 def test_the_table_measures_three_syntheses_at_the_papers_order():
     rows = bench.run(CASE, repeats=1)
-    assert [(r.job, r.states) for r in rows] == [("H_inf", 23), ("K_i", 15), ("K_is", 18)]
+    assert [(r.job, r.states) for r in rows] == [
+        ("H_inf", 23),
+        ("K_i", 15),
+        ("K_is", 18),
+    ]
     assert all(r.level < 1 and r.seconds > 0 and r.peer_seconds is None for r in rows)
     assert len(bench.table(rows).splitlines()) == 4
     assert bench.as_dicts(rows)[0]["ok"] == (rows[0].seconds <= bench.TARGET_S["H_inf"])
@@ -45,5 +49,5 @@ def test_the_table_measures_three_syntheses_at_the_papers_order():
 def test_a_peer_is_judged_by_the_loop_it_closes(script, note):
     case = read_case(CASE)
     plant = case_plant(case, case["objective"][0], "K_inf")
-    answer = ask(sys.executable, script, bench._question(plant), 60.0)
-    assert bench._judged(answer, plant)["note"] == note
+    answer = ask(sys.executable, script, bench.question(plant), 60.0)
+    assert bench.judged(answer, plant)["note"] == note

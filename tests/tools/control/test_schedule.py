@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
-from lpvguard.control.schedule import RECOVERY_EFFORT, FrozenLoop, first_columns, fit, observed
+from lpvguard.control.schedule import (
+    RECOVERY_EFFORT,
+    FrozenLoop,
+    _RowFit,
+    _slopes_of_columns,
+    first_columns,
+    fit,
+    observed,
+)
 from lpvguard.core.control_coefficients import build_controller
 from lpvguard.core.scheduled import Scheduled, engagement, realisation
 from lpvguard.engine.synthesis.dk import Scaling
@@ -180,3 +188,20 @@ def test_under_limits_the_law_is_that_of_model_recovery():
         exact = K.A @ exact + K.B @ np.append(1.0, C @ xi)
         xi = (A - B @ F) @ xi + B @ wanted[-1]
     assert np.abs(np.array(found) - wanted).max() <= 0.02 * np.abs(wanted).max()
+
+
+def test_the_slope_of_the_fit_is_that_of_its_miss_at_a_double_pole_too():
+    random = np.random.default_rng(0)
+    z = np.exp(1j * TS * np.r_[0.0, np.geomspace(1e-2, 300.0, 40)])
+    k, m = len(z), 3
+    right = random.standard_normal((k, m, m)) + 1j * random.standard_normal((k, m, m))
+    response = random.standard_normal((k, m)) + 1j * random.standard_normal((k, m))
+    one = _RowFit(response, random.uniform(0.5, 2.0, k), right)
+    slope = one.slope(first_columns(THETA, TS), _slopes_of_columns(THETA, TS), z)
+    step = 1e-5
+    moved = [
+        (one.miss(first_columns(THETA + e, TS), z) - one.miss(first_columns(THETA - e, TS), z)) / (2 * step)
+        for e in step * np.eye(len(THETA))
+    ]
+    largest = np.abs(moved).max(axis=1)
+    assert (np.abs(slope - np.transpose(moved)).max(axis=0) < 1e-3 * largest).all()

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..base.parallel import Map, workers
-from ..control import design
+from ..control import designed
 from ..control.plants import design_settings, frozen_plant
 from ..control.robust_run import QUANTISATION, CompiledController, RobustRun, run
 from ..control.true_loop import CertifiedLoop, MeasuredResponse, TrueLoop
@@ -51,7 +51,7 @@ def main(argv: list[str]) -> None:
     )
     given = options.parse_args(argv)
     stored = identify.load(given.identification)
-    document = design.require_designed_for(stored, given.design / "controller.json")
+    document = designed.require_designed_for(stored, given.design / "controller.json")
     schedule = Scheduled.read(document)
     asked = amplitudes(given.amplitudes, design_settings(stored).amplitudes)
     runs = certified_runs(stored, document, CompiledController(given.vehicle), given.draws)
@@ -92,7 +92,7 @@ def certified_runs(
     rows = []
     for k, v in enumerate(map(float, speeds)):
         plant = frozen_plant(stored, v)
-        scaling = design.stated_scaling(document) if plant.blocks else None
+        scaling = designed.stated_scaling(document) if plant.blocks else None
         proved = certify(plant, schedule.at(v), scaling)
         share, seed = -(-draws // len(speeds)), stored.project.seed + k
         rows.append(run(compiled, plant, schedule.at(v), v, proved, share, seed))

@@ -36,13 +36,13 @@ TARGET_S = {"H_inf": 0.06, "K_i": 0.5, "K_is": 1.0}
 
 PEER_LIMIT_S = 300.0
 
-_PEER_SCRIPT = """
+PEER_SCRIPT = """
 import json, sys, time, warnings
 warnings.filterwarnings("ignore")
 import numpy as np, control
 job = json.load(open(sys.argv[1]))
 P = control.ss(*(np.array(job[k]) for k in "ABCD"))
-start = time.perf_counter()
+start, busy = time.perf_counter(), time.process_time()
 if job["blocks"]:
     import dkpy
     omega = np.concatenate([[1e-6], np.logspace(-4, 3, 60)])
@@ -51,11 +51,12 @@ if job["blocks"]:
     K, _, level, _, _ = run.synthesize(P, job["n_y"], job["n_u"], omega, np.array(job["blocks"]))
 else:
     K, _, level, _ = control.hinfsyn(P, job["n_y"], job["n_u"])
-seconds = time.perf_counter() - start
+seconds, processor = time.perf_counter() - start, time.process_time() - busy
 if K is None:
     raise SystemExit("no controller")
 matrices = {k: np.asarray(getattr(K, k)).tolist() for k in "ABCD"}
-json.dump({"seconds": seconds, "claimed": float(level), **matrices}, open(sys.argv[2], "w"))
+json.dump({"seconds": seconds, "processor": processor, "claimed": float(level), **matrices},
+open(sys.argv[2], "w"))
 """
 
 
@@ -121,7 +122,7 @@ def run(case_path, repeats: int = 5, peers: Path | None = None) -> list[Synthesi
     for name, plant, job in jobs:
         seconds, result = min((_timed(job) for _ in range(repeats)), key=lambda pair: pair[0])
         level = result.gamma_achieved if name == "H_inf" else result.performance.upper
-        peer = _judged(environment.ask(_PEER_SCRIPT, _question(plant), PEER_LIMIT_S), plant)
+        peer = judged(environment.ask(PEER_SCRIPT, question(plant), PEER_LIMIT_S), plant)
         rows.append(
             SynthesisRow(
                 name,
@@ -148,7 +149,7 @@ def _timed(job):
     return time.perf_counter() - start, result
 
 
-def _judged(answer: dict, plant: GeneralisedPlant) -> dict:
+def judged(answer: dict, plant: GeneralisedPlant) -> dict:
     """A peer's answer with the certified ``level`` of the loop that its controller closes, its ``order`` and
     a ``note``."""
     if "A" not in answer:
@@ -177,7 +178,7 @@ def _system(answer: dict) -> StateSpace:
     return StateSpace(A, B, C, D)
 
 
-def _question(plant: GeneralisedPlant) -> dict:
+def question(plant: GeneralisedPlant) -> dict:
     """What the peers' script is given."""
     P = plant.system
     blocks = [[b.rows, b.cols] for b in (*plant.blocks, plant.performance_block)] if plant.blocks else []

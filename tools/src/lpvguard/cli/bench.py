@@ -18,7 +18,7 @@ def bench(
     name: Annotated[
         str,
         typer.Argument(
-            help="can, core, fleet, lives, robust, soak, synthesis, validation or weights; "
+            help="can, chain, core, fleet, lives, robust, soak, synthesis, validation or weights; "
             "NAME -- --help for options."
         ),
     ],

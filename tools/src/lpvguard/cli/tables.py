@@ -306,6 +306,35 @@ def print_moving_speed(result: Design) -> None:
     )
 
 
+def print_robustness(result: Design) -> None:
+    """The worst of what the nodes have beside mu; nothing where it was not asked for."""
+    if result.robustness is None:
+        return
+    nodes = result.robustness.nodes
+    gains = [node.worst_gain for node in nodes]
+    gain = "not bounded" if None in gains else f"at most {max(g for g in gains if g is not None):.4f}"
+    nearest = min((n.nu_margin / n.nu_gap_next for n in nodes if n.nu_gap_next), default=None)
+    console.print(
+        f"at the nodes, between frequencies too: mu at most {max(n.mu_interval for n in nodes):.4f}, "
+        f"worst-case gain {gain}; least disk margins S {min(n.disk_S for n in nodes):.3g}, "
+        f"T {min(n.disk_T for n in nodes):.3g}, balanced {min(n.disk_balanced for n in nodes):.3g}"
+        + ("" if nearest is None else f"; nu-margin at least {nearest:.3g} times the nu-gap to the next node")
+    )
+
+
+def print_slow_delta(result: Design) -> None:
+    """How fast Delta may vary, beside what frames can hide; nothing for a design without Delta."""
+    found = result.slow_delta
+    if found is None:
+        return
+    stable = "at any rate" if found.stability_rate is None else f"up to {found.stability_rate:.3g} a second"
+    console.print(
+        f"a Delta that varies: gain below 1 proved up to {found.performance_rate:.3g} a second, "
+        f"stable {stable}; frames hide {found.hidden_slow:.3g} (the longest) to {found.hidden_fast:.3g} "
+        "a second (the shortest)"
+    )
+
+
 def print_summary(name: str, result: Design, out: Path) -> None:
     """What a design came to, in a line."""
     low, high = result.schedule.speeds[0], result.schedule.speeds[-1]

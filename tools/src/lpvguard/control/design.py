@@ -26,7 +26,6 @@ from scipy.optimize import minimize_scalar
 from ..base import artefacts
 from ..base.errors import InputError
 from ..base.progress import Counted, Progress, parts
-from ..core.control_coefficients import read_controller
 from ..core.scheduled import Scheduled
 from ..engine.synthesis import interconnection as fig1
 from ..engine.synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis
@@ -47,9 +46,12 @@ from ..identify.premise import premise, require_premise
 from ..identify.run import StoredIdentification
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import DesignSettings
+from .designed import stated_scaling
 from .input_limit import input_limit
-from .plants import design_settings, fig1_weights, frozen_plant, plant_at, vehicle_at
+from .plants import design_settings, fig1_weights, plant_at, vehicle_at
+from .robustness import Robustness, require_robustness, robustness
 from .schedule import FrozenLoop, fit
+from .slow_delta import Slowness, require_slowness, slowness
 
 FEWEST_PAIRS, MOST_PAIRS = 2, 19
 """Of poles, for each demand: fewer than the vehicle and the reference model have between them cannot do the
@@ -62,8 +64,9 @@ LOWER_RTOL, PEAK_RTOL = 1e-3, 1e-3
 """The same for the lower bound, which a search finds, and for the gain at the stated peak, which is flat."""
 OFF_GRID = 24
 """Seeded speeds between the nodes at which the design is looked at besides nodes and midpoints."""
-DESIGN_SHARES, FROZEN_SHARES, VERIFY_SHARES = (9, 1), (1, 15, 1), (4, 1)
-"""Rough shares of the work: frozen and moving speed; up to the poles, poles, proofs; frozen and moving."""
+DESIGN_SHARES, FROZEN_SHARES, VERIFY_SHARES = (9, 1, 1), (1, 15, 1), (4, 1, 4)
+"""Rough shares of the work: frozen and moving speed, margins; up to the poles, poles, proofs; frozen and
+moving, margins."""
 A_T_RTOL, STEPS = 0.01, 8
 LARGER_STEP = 0.8
 """Of the way to the limit, while no A_t has failed: the answer lies near it."""
@@ -85,7 +88,10 @@ def _with_delay(K: StateSpace) -> StateSpace:
 @dataclass(frozen=True)
 class Design:
     """A scheduled controller and its certificates: ``certificates`` per frozen speed, nodes and midpoints in
-    order; ``lpv`` for a moving speed (None: not asked for, or no storage function was found)."""
+    order; ``lpv`` for a moving speed (None: not asked for, or no storage function was found);
+    ``robustness``: what the nodes have beside mu, ``slow_delta``: how fast Delta may vary (None: not asked
+    for).
+    """
 
     schedule: Scheduled
     scaling: Scaling
@@ -93,6 +99,8 @@ class Design:
     full_order: int
     off_grid: tuple[float, RobustPerformance]
     lpv: LpvCertificate | None = None
+    robustness: Robustness | None = None
+    slow_delta: Slowness | None = None
 
     @property
     def worst(self) -> float:
@@ -100,21 +108,29 @@ class Design:
         return max(p.upper for _, p in [*self.certificates, self.off_grid])
 
 
-def stated_scaling(document: dict) -> Scaling:
-    """The common scaling of a controller.json."""
-    stated = document["certificates"]
-    return Scaling(np.array(stated["scaling_log_parameters"], float).reshape(-1, stated["scaling_columns"]))
-
-
-def design(stored: StoredIdentification, progress: Progress = lambda _: None) -> Design:
-    """Synthesise, schedule over common poles and certify. InputError when the project file has no [design] or
-    no order certifies."""
+def design(
+    stored: StoredIdentification, progress: Progress = lambda _: None, moving_speed: bool = True
+) -> Design:
+    """Synthesise, schedule over common poles and certify, without ``moving_speed`` for frozen speeds only.
+    InputError when the project file has no [design] or no order certifies."""
     settings = design_settings(stored)
     require_premise(stored)
-    frozen, moving = parts(progress, *DESIGN_SHARES)
+    frozen, moving, margins = parts(progress, *DESIGN_SHARES)
     result = _designed(stored, settings, None, frozen)
     _require_reach(stored, result.schedule)
-    return replace(result, lpv=find(_family(stored, settings, result.schedule, result.scaling), moving))
+    return replace(
+        result,
+        lpv=moving_certificate(stored, result, moving) if moving_speed else None,
+        robustness=robustness(stored, result.schedule, result.scaling, margins),
+        slow_delta=slowness(stored, result.schedule, result.scaling, margins),
+    )
+
+
+def moving_certificate(
+    stored: StoredIdentification, result: Design, progress: Progress = lambda _: None
+) -> LpvCertificate | None:
+    """The certificate of ``result`` for a moving speed; None where none is found."""
+    return find(_family(stored, design_settings(stored), result.schedule, result.scaling), progress)
 
 
 def crossover(schedule: Scheduled, model: NominalModel) -> float:
@@ -402,7 +418,7 @@ def verify(path: Path, stored: StoredIdentification, progress: Progress = lambda
         for row in rows
     }
     scaling = stated_scaling(document)
-    frozen, moving = parts(progress, *VERIFY_SHARES)
+    frozen, moving, margins = parts(progress, *VERIFY_SHARES)
     proved_rows = dict(_certificates(schedule, loops, scaling, frozen))
     for row in rows:
         _compare(path, row, proved_rows[row["v_mps"]], loops[row["v_mps"]], schedule)
@@ -424,6 +440,8 @@ def verify(path: Path, stored: StoredIdentification, progress: Progress = lambda
                 f"|dv/dt| up to {lpv['rate_mps2']:.4g} m/s2",
                 "the coefficients, weights and P that were certified",
             )
+    require_robustness(path, stated.get("robustness"), stored, schedule, scaling, margins)
+    require_slowness(path, stated.get("slow_delta"), stored, schedule, scaling, margins)
 
 
 def _require_settings(
@@ -519,33 +537,6 @@ def _row(v: float, proved: RobustPerformance) -> dict[str, float]:
     }
 
 
-def require_designed_for(stored: StoredIdentification, controller: Path) -> dict:
-    """The document of controller.json; InputError where it cannot be read or was designed for another
-    identification."""
-    document = read_controller(controller)
-    if artefacts.read_manifest(controller.parent, "design")["identification"] != stored.manifest:
-        raise InputError(
-            controller.parent, "identification", "is another one", f"a design of {stored.folder}"
-        )
-    return document
-
-
-def faulted_performance(
-    path: Path, stored: StoredIdentification, v: float, applied: StateSpace, measured: StateSpace
-) -> float:
-    """Upper bound of mu at frozen speed v [m/s] of the loop closed by controller.json with two systems put
-    into it.
-
-    ``applied`` (n_u inputs and outputs) acts between controller and vehicle. ``measured`` acts on [reference,
-    outputs] before the controller. The bound is inf where the loop is unstable.
-    """
-    document = artefacts.read_json(path)
-    plant, K = frozen_plant(stored, v), Scheduled.read(document).at(v)
-    return certify(
-        plant, series(applied, series(K, measured)), stated_scaling(document) if plant.blocks else None
-    ).upper
-
-
 def save(
     result: Design,
     stored: StoredIdentification,
@@ -581,6 +572,8 @@ def save(
             "scaling_log_parameters": result.scaling.log_parameters,
             "scaling_columns": result.scaling.log_parameters.shape[1],
             "moving_speed": _moving(result.lpv),
+            "robustness": None if result.robustness is None else result.robustness.to_dict(),
+            "slow_delta": None if result.slow_delta is None else result.slow_delta.to_dict(),
             "dc_floor": dc_floor(fig1_weights(stored, settings)),
             "largest_A_t": None if largest is None else asdict(largest),
             "off_grid": {"speeds": OFF_GRID, "seed": stored.project.seed, **_row(*result.off_grid)},

@@ -33,6 +33,8 @@ FIT_POINTS = 100
 """Frequencies of the fits, besides zero: five decades up to the Nyquist frequency."""
 FIT_STEPS = 40
 """Steps of the search for poles."""
+SLOPE_STEP = 1e-5
+"""Of the logarithms of a pair's coefficients, for the derivatives of its a."""
 RIDGE = 1e-6
 """Of a measurement's largest column, added to each fit: keeps states that contribute little from cancelling
 each other."""
@@ -72,9 +74,15 @@ def fit(
         np.log(0.5 * omega[-1]),
     )
     low, high = np.log(omega[1]), np.log(omega[-1])
+
+    def slopes(theta: np.ndarray) -> np.ndarray:
+        a, slope = first_columns(theta, Ts), _slopes_of_columns(theta, Ts)
+        return np.concatenate([f.slope(a, slope, z) for f in fits])
+
     found = least_squares(
         lambda theta: np.concatenate([f.miss(first_columns(theta, Ts), z) for f in fits]),
         np.column_stack([start + np.log(1.4), 2 * start]).ravel(),
+        jac=slopes,
         max_nfev=FIT_STEPS,
         bounds=(np.tile([low, 2 * low], pairs), np.tile([high + np.log(2.0), 2 * high], pairs)),
     )
@@ -100,6 +108,18 @@ def first_columns(theta: np.ndarray, Ts: float) -> np.ndarray:
     root = Ts * np.sqrt((p * p / 4 - q).astype(complex))
     first, second = (np.expm1(-p * Ts / 2 + sign * root) for sign in (1, -1))
     return np.append(np.column_stack([(first + second).real, -(first * second).real]).ravel(), -1.0)
+
+
+def _slopes_of_columns(theta: np.ndarray, Ts: float) -> np.ndarray:
+    """Derivatives (pairs, 2, 2) of each pair's a by its ln p and by its ln q, by central differences:
+    smooth at double poles, too."""
+    out = np.empty((len(theta) // 2, 2, 2))
+    for k in (0, 1):
+        step = np.zeros(len(theta))
+        step[k::2] = SLOPE_STEP
+        change = first_columns(theta + step, Ts) - first_columns(theta - step, Ts)
+        out[:, k] = change[:-1].reshape(-1, 2) / (2 * SLOPE_STEP)
+    return out
 
 
 def observed(a: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -140,6 +160,34 @@ class _RowFit:
         K, wanted, _ = self.problem(a, z)
         Q = np.linalg.qr(K)[0]
         return wanted - Q @ (Q.T @ wanted)
+
+    def slope(self, a: np.ndarray, by_theta: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Derivatives of ``miss`` by theta, (rows, 2 pairs), variable projection's (Golub and Pereyra 1973).
+
+        by_theta (pairs, 2, 2): of ``_slopes_of_columns``. That the ridge moves with the poles, by a millionth
+        part of a column, is left out.
+        """
+        K, wanted, size = self.problem(a, z)
+        Q, R = np.linalg.qr(K)
+        inside = Q.T @ wanted
+        left_over = (wanted - Q @ inside)[: 2 * self.response.size].reshape(2, *self.response.shape)
+        pairs, m = len(by_theta), self.response.shape[1]
+        B = sl.solve_triangular(R, inside).reshape(len(a), m)[: 2 * pairs].reshape(pairs, 2, m)
+        scales = size[: 2 * pairs].reshape(pairs, 2)
+        d = z - 1
+        numerator = np.stack([d, np.ones_like(d)])  # of a pair's two states
+        # pair = 1 / (d^2 - a d - a'), so its derivative is pair^2 (da d + da').
+        pair = observed(a, z)[:, 1 : 2 * pairs : 2].T
+        moved = pair[:, None] ** 2 * (by_theta @ numerator)  # (pairs, 2 of theta, k)
+        seen = np.einsum("pj,pjm,jk,kmc,k->pkc", 1 / scales, B, numerator, self.right, self.left)
+        V = (moved[..., None] * seen[:, None]).reshape(2 * pairs, -1)
+        V = np.hstack([V.real, V.imag, np.zeros((2 * pairs, len(K) - 2 * V.shape[1]))]).T
+        back = np.einsum("k,kmc,kc->km", self.left, self.right.conj(), left_over[0] + 1j * left_over[1])
+        weights = np.einsum("ptk,jk->ptjk", moved, numerator).conj() @ back
+        W = np.zeros((len(a), m, pairs, 2))
+        for k in range(pairs):
+            W[2 * k : 2 * k + 2, :, k] = np.moveaxis(weights[k].real / scales[k][:, None], 0, 2)
+        return Q @ (Q.T @ V - sl.solve_triangular(R, W.reshape(len(R), -1), trans="T")) - V
 
     def rows(self, a: np.ndarray, z: np.ndarray) -> np.ndarray:
         """The best B (n, m)."""

@@ -6,8 +6,8 @@ block. With scalar D_i(s) per Δ block, stable with stable inverse, ‖D F_l(P, 
 frequency, DC and infinity included (Doyle 1985; Packard & Doyle 1993). K and D are improved in turn. H∞
 synthesis for the scaled plant gives K. A fit of Π (s/z + 1)/(s/p + 1) that lowers the scaled singular values
 over the whole band gives D. The number reported is the certified norm of the final scaled loop: no fit of
-frequency-wise scalings stands between the bound and the proof. D(s) covers LTI and slowly varying Δ; a
-constant D (degree 0) covers Δ varying arbitrarily fast.
+frequency-wise scalings stands between the bound and the proof. D(s) covers an LTI Δ, and how slow a
+varying one must be says slow_delta; a constant D (degree 0) covers Δ varying arbitrarily fast.
 """
 
 from __future__ import annotations

@@ -5,13 +5,15 @@ At one frequency the bound β holds with scalings D, G where
     Φ(ω) = β² D_R − M(jω)ᴴ D_L M(jω) − j (G M(jω) − M(jω)ᴴ G) ≻ 0.
 
 With D and G kept, Φ stays positive definite up to the nearest frequency at which it is singular. Those
-frequencies are the imaginary eigenvalues of one Hamiltonian matrix. Cells found so, each with the scalings of
+frequencies are imaginary eigenvalues of one Hamiltonian matrix. Rounding moves such eigenvalues off the
+axis, so all near it are taken, and Φ itself is tested between them. Cells found so, each with the scalings of
 its own centre, are laid side by side until they cover the interval. No value between grid points is assumed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,17 +24,20 @@ from lpvguard.engine.synthesis.mu_upper import upper_bound
 from lpvguard.engine.synthesis.statespace import EPS, StateSpace, balanced, to_continuous
 from lpvguard.engine.synthesis.structure import Structure
 
-NEAR = 1e-6
-"""An eigenvalue whose real part is below this share of its size counts as imaginary."""
+NEAR = 1e-3
+"""An eigenvalue whose real part is below this share of its size may be imaginary: far more than rounding
+moves it."""
+SHORT = 0.999
+"""Of the way to a frequency where Φ is singular, that a cell goes."""
 MOST_CELLS = 3000
 POINT_RTOL = 1e-4
 """Of the bound at one frequency."""
 
 
 @dataclass(frozen=True)
-class MuInterval:
-    """``upper`` >= μ at every frequency of the interval. ``largest``: the largest upper bound that was
-    computed at one frequency, at ``omega`` [rad/s]; cells: how many cover the interval."""
+class IntervalBound:
+    """``upper``: a bound that holds at every frequency of the interval. ``largest``: the largest bound that
+    was computed at one frequency, at ``omega`` [rad/s]; cells: how many cover the interval."""
 
     upper: float
     largest: float
@@ -40,9 +45,24 @@ class MuInterval:
     cells: int
 
 
+@dataclass(frozen=True)
+class PointBound:
+    """A bound at one frequency and its scalings: Φ = fixed + β² scaled − Mᴴ left M − j (skew M − Mᴴ skew) is
+    positive definite for every β above ``value``.
+
+    left (Σcols, Σcols), fixed and scaled (Σrows, Σrows), skew (Σrows, Σcols).
+    """
+
+    value: float
+    left: np.ndarray
+    fixed: np.ndarray
+    scaled: np.ndarray
+    skew: np.ndarray
+
+
 def mu_interval(
     loop: StateSpace, blocks: Sequence[Block], low: float, high: float, rtol: float = 2e-3
-) -> MuInterval:
+) -> IntervalBound:
     """The bound for ``loop`` (Σcols outputs, Σrows inputs) from ``low`` to ``high`` [rad/s], of which the
     last may be infinite, or in discrete time pi / dt.
 
@@ -50,18 +70,36 @@ def mu_interval(
     another shape than the blocks, or whose cells do not cover the interval.
     """
     structure = Structure(tuple(blocks))
+
+    def at(M: np.ndarray, _: float) -> PointBound:
+        value, _, left, right, skew = upper_bound(M, structure, POINT_RTOL)
+        right = right @ right.conj().T
+        return PointBound(value, left @ left.conj().T, np.zeros_like(right), right, skew)
+
+    return cover("mu_interval", loop, structure, low, high, rtol, at)
+
+
+def cover(
+    name: str,
+    loop: StateSpace,
+    structure: Structure,
+    low: float,
+    high: float,
+    rtol: float,
+    at: Callable[[np.ndarray, float], PointBound],
+) -> IntervalBound:
+    """The interval covered by cells. ``at``: M (Σcols, Σrows) complex and the largest bound so far to the
+    bound at that frequency. ``name``: who asks, in errors; else as in ``mu_interval``."""
     shape = (structure.n_rows, structure.n_cols)
     if loop.D.shape != shape:
         raise SynthesisError(
-            "mu_interval", "loop", f"{loop.D.shape} system", f"{shape}, the sums of the blocks' sides"
+            name, "loop", f"{loop.D.shape} system", f"{shape}, the sums of the blocks' sides"
         )
     if not loop.stability_margin() > 0:
-        raise SynthesisError("mu_interval", "loop", "not stable", "a stable loop")
+        raise SynthesisError(name, "loop", "not stable", "a stable loop")
     last = np.pi / loop.dt if loop.dt else np.inf
     if not 0 <= low < high <= last * (1 + 4 * EPS):
-        raise SynthesisError(
-            "mu_interval", "low, high", f"{low:g}, {high:g}", f"0 <= low < high <= {last:g} rad/s"
-        )
+        raise SynthesisError(name, "low, high", f"{low:g}, {high:g}", f"0 <= low < high <= {last:g} rad/s")
     G = balanced(to_continuous(balanced(loop)))
 
     def warped(omega: float) -> float:
@@ -74,26 +112,27 @@ def mu_interval(
 
     todo = [(warped(low), warped(high))]
     size = float(np.abs(G.poles()).max()) if G.order else 1.0
-    level, largest, at, cells = 0.0, -1.0, 0.0, 0
+    level, largest, where, cells = 0.0, -1.0, 0.0, 0
     while todo:
         a, b = todo.pop()
         if cells == MOST_CELLS:
             raise SynthesisError(
-                "mu_interval", f"{unwarped(a):g} rad/s", f"{cells} cells do not cover it", "a smoother loop"
+                name, f"{unwarped(a):g} rad/s", f"{cells} cells do not cover it", "a smoother loop"
             )
         centre = _centre(a, b, size)
-        value, _, left, right, skew = upper_bound(G.response([centre])[0], structure, POINT_RTOL)
-        if value > largest:
-            largest, at = value, centre
-        level = max(level, value * (1 + rtol), 1e-12)
-        singular = _singular(G, left @ left.conj().T, right @ right.conj().T, skew, level)
+        point = at(G.response([centre])[0], max(largest, 0.0))
+        if point.value > largest:
+            largest, where = point.value, centre
+        if np.isinf(largest):
+            return IntervalBound(np.inf, np.inf, unwarped(where), cells)
+        level = max(level, point.value * (1 + rtol), 1e-12)
+        left, right = _cell(G, point, level, centre, a, b)
         cells += 1
-        below, above = singular[singular <= centre], singular[singular > centre]
-        if len(below) and below[-1] > a:
-            todo.append((a, float(below[-1])))
-        if len(above) and above[0] < b:
-            todo.append((float(above[0]), b))
-    return MuInterval(float(level), float(largest), unwarped(at), cells)
+        if left > a:
+            todo.append((a, left))
+        if right < b:
+            todo.append((right, b))
+    return IntervalBound(float(level), float(largest), unwarped(where), cells)
 
 
 def _centre(a: float, b: float, size: float) -> float:
@@ -102,17 +141,44 @@ def _centre(a: float, b: float, size: float) -> float:
     return float(np.sqrt(a * b)) if a > 0.1 * b else 0.5 * (a + b)
 
 
-def _singular(
-    G: StateSpace, D_left: np.ndarray, D_right: np.ndarray, skew: np.ndarray, level: float
-) -> np.ndarray:
-    """Frequencies (K,), rising, at which Φ may be singular: eigenvalues of its Hamiltonian near the imaginary
-    axis. They are those of x' = A x + B u with the adjoint state p' = -Aᴴ p - Cᴴ q, where Φ u = 0."""
+def _cell(
+    G: StateSpace, point: PointBound, level: float, centre: float, a: float, b: float
+) -> tuple[float, float]:
+    """The part of [a, b] about ``centre`` on which Φ is positive definite. Between two neighbours of
+    ``_singular`` Φ keeps its signs, so one test decides each gap."""
+    singular = _singular(G, point, level)
+    factor = np.linalg.inv(np.linalg.cholesky(point.fixed + level**2 * point.scaled))
+
+    def positive(omega: float) -> bool:
+        M = G.response([omega])[0] @ factor.conj().T
+        skew = 1j * factor @ point.skew @ M
+        phi = np.eye(len(factor)) - M.conj().T @ point.left @ M - skew - skew.conj().T
+        return bool(np.linalg.eigvalsh(phi)[0] > 0)
+
+    def reach(edges: np.ndarray, end: float) -> float:
+        inside = centre
+        for edge, after in itertools.pairwise([*edges, end]):
+            beyond = 2 * edge if np.isinf(after) else 0.5 * (edge + after)
+            if not positive(beyond):
+                short = inside + SHORT * (edge - inside)
+                return float(short if positive(short) else inside)
+            inside = beyond
+        return end
+
+    below, above = (singular[side] for side in ((singular < centre) & (singular > a), singular > centre))
+    return reach(below[::-1], a), reach(above[above < b], b)
+
+
+def _singular(G: StateSpace, point: PointBound, level: float) -> np.ndarray:
+    """Frequencies (K,), rising, at which Φ may be singular: eigenvalues of its Hamiltonian on or near the
+    imaginary axis. They are those of x' = A x + B u with the adjoint state p' = -Aᴴ p - Cᴴ q, where Φ u =
+    0."""
     A, B, C, D, n = G.A, G.B, G.C, G.D, G.order
     if n == 0:
         return np.zeros(0)
-    jG = 1j * skew
+    D_left, jG = point.left, 1j * point.skew
     q_u = D_left @ D + jG.conj().T
-    infinity = level**2 * D_right - D.T @ D_left @ D - D.T @ jG.conj().T - jG @ D
+    infinity = point.fixed + level**2 * point.scaled - D.T @ D_left @ D - D.T @ jG.conj().T - jG @ D
     u = np.linalg.solve(infinity, np.hstack([(D.T @ D_left + jG) @ C, B.T]))
     free = np.block([[A, np.zeros((n, n))], [-C.T @ D_left @ C, -A.T]])
     hamiltonian = free + np.vstack([B, -C.T @ q_u]) @ u

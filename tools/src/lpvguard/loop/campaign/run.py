@@ -18,7 +18,7 @@ from ...base import artefacts
 from ...base.errors import InputError
 from ...base.parallel import Map
 from ...base.progress import Counted, Progress
-from ...control.design import require_designed_for
+from ...control.designed import require_designed_for
 from ...core.compiled import Core
 from ...evaluate.baseline_study import BaselineStudy
 from ...evaluate.baselines import KINDS as BASELINE_KINDS

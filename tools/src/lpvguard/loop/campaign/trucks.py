@@ -22,7 +22,7 @@ import numpy as np
 from ...base.errors import InputError
 from ...base.parallel import Map
 from ...base.progress import Progress
-from ...control.design import faulted_performance
+from ...control.designed import faulted_performance
 from ...control.true_loop import (
     certified_weight,
     deviations,

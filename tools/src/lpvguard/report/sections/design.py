@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ...base import artefacts
 from ...base.errors import InputError
-from ...engine.synthesis.margins import SHOWN, shown
+from ...engine.synthesis.margins import SHOWN, SKEWS, disk_gain_and_phase, shown
 from ..design_pictures import draw
 from ..markup import captioned, html_table, number, premise_words, yes_or_no
 from ..pictures.drawing import Picture
@@ -46,6 +46,7 @@ def design_section(folder: Path) -> str:
 <p>{escape(controller["structure"])} scheduled over speed, {controller["order"]} states: \
 {escape(controller["claim"])}. Largest μ proved: {highest:.4f}.</p>
 <p>{premise_words(controller["premise"])}</p>{speeds}"""
+    text += _robustness(controller.get("robustness")) + _slow_delta(controller.get("slow_delta"))
     beside = folder.absolute().parent / ROBUST
     if beside.is_file():
         text += _true_loop(beside, controller["coefficients_sha256"])
@@ -57,6 +58,81 @@ def design_section(folder: Path) -> str:
     if "fig6" in figures:
         text += _worst_case(figures["fig6"], pictures["fig6"])
     return text
+
+
+def _robustness(found: dict | None) -> str:
+    """What the loop has at every node beside mu; "" where nothing is claimed."""
+    if found is None:
+        return ""
+
+    def cell(value: float | None) -> str:
+        return "–" if value is None else f"{value:.4f}"
+
+    rows = []
+    for node in found["nodes"]:
+        low, high, phase = disk_gain_and_phase(node["disk_balanced"], SKEWS["balanced"])
+        rows.append(
+            [
+                number(node["v_mps"], 4),
+                cell(node["mu_interval"]),
+                cell(node["worst_gain"]),
+                cell(node["worst_gain_found"]),
+                *(number(node[name]) for name in ("disk_S", "disk_T", "disk_balanced")),
+                f"{number(low)} to {number(high)}, {number(shown('phase', phase))}°",
+                *(cell(node[name]) for name in ("nu_margin", "nu_gap_next", "nu_gap_midpoint")),
+            ]
+        )
+    titles = [
+        "speed, m/s",
+        "μ, every frequency",
+        "worst-case gain, at most",
+        "found",
+        "disk S",
+        "disk T",
+        "balanced disk",
+        "its gain and phase",
+        "ν-margin",
+        "ν-gap to next node",
+        "to midpoint",
+    ]
+    return f"""<h3>Beside μ, at every node</h3>
+<p>μ and worst-case gain are bounds proved between frequencies, over every LTI Δ of size 1 (THEORY 6.5). \
+Disk margins are those of the nominal loop, broken at the vehicle's input. The ν-margin is how far a vehicle \
+may be in the ν-gap and still be stabilised.</p>{html_table(titles, rows, "tight")}"""
+
+
+def _slow_delta(found: dict | None) -> str:
+    """How fast Δ may vary; "" where nothing is claimed."""
+    if found is None:
+        return ""
+
+    def rate(value: float | None) -> str:
+        return "any" if value is None else number(value)
+
+    rows = [
+        [
+            number(node["v_mps"], 4),
+            number(node["performance_rate"]),
+            rate(node["stability_rate"]),
+            f"{node['stability_level']:.4f}",
+        ]
+        for node in found["nodes"]
+    ]
+    table = html_table(
+        ["speed, m/s", "gain below 1 up to, 1/s", "stable up to, 1/s", "its level"], rows, "tight"
+    )
+    hidden = [found[f"hidden_{end}_per_s"] for end in ("slow", "fast")]
+    proved = found["performance_rate_per_s"]
+    words = [
+        yes_or_no(proved >= value, f"above {number(value)}/s", f"below {number(value)}/s") for value in hidden
+    ]
+    least = found["stability_rate_per_s"]
+    stable = "at any rate" if least is None else f"up to {number(least)}/s"
+    return f"""<h3>A Δ that varies</h3>
+<p>Proved for every causal linear Δ of gain 1 that changes in gain by at most the rate (THEORY 6.6). Frames \
+see the mean of a Δ that turns its sign within them: {number(hidden[0])}/s in the longest, \
+{number(hidden[1])}/s in the shortest. The rate with a gain below 1, {number(proved)}/s, is {words[0]}, and \
+{words[1]}. The loop is stable {stable}.</p>{table}"""
 
 
 def _true_loop(path: Path, controller: str) -> str:

@@ -1,0 +1,110 @@
+"""The proof for a Δ that varies: the commutator's identity, its limits, and loops with such a Δ that were
+run."""
+
+import numpy as np
+import pytest
+
+from lpvguard.engine.blocks import Block
+from lpvguard.engine.synthesis.dk import Scaling
+from lpvguard.engine.synthesis.interconnection import GeneralisedPlant
+from lpvguard.engine.synthesis.norms import hinf_norm
+from lpvguard.engine.synthesis.scheduling import closed_scaled
+from lpvguard.engine.synthesis.slow_delta import SlowLoop, _next_state, _read, _scalar
+from lpvguard.engine.synthesis.statespace import StateSpace, gain, to_discrete
+
+DT = 0.1
+ONE = Block("full", 1, 1)
+SCALING = Scaling(np.array([[0.3, 1.5, -0.7], [-0.2, -1.0, 1.2]]))
+NO_CONTROLLER = gain(np.zeros((1, 1)), DT)
+
+
+def plant(seed: int, level: float) -> GeneralisedPlant:
+    """Two blocks of Δ, one error and one disturbance, scaled norm ``level``; its control does nothing."""
+    random = np.random.default_rng(seed)
+    A = random.standard_normal((4, 4))
+    A -= (np.linalg.eigvals(A).real.max() + 0.4) * np.eye(4)
+    B, C = np.zeros((4, 4)), np.zeros((4, 4))
+    B[:, :3], C[:3] = random.standard_normal((4, 3)), random.standard_normal((3, 4))
+    whole = GeneralisedPlant(to_discrete(StateSpace(A, B, C, np.zeros((4, 4))), DT), (ONE, ONE), 2, 2, 1, 1)
+    size = np.sqrt(level / hinf_norm(closed_scaled(whole, NO_CONTROLLER, SCALING)).upper)
+    G = whole.system
+    smaller = StateSpace(G.A, G.B * size, G.C * size, G.D * size**2, DT)
+    return GeneralisedPlant(smaller, (ONE, ONE), 2, 2, 1, 1)
+
+
+def matrix_of(G: StateSpace, n: int) -> np.ndarray:
+    """What G makes of n samples from rest, (n p, n m)."""
+    pulse, state, p, m = [G.D], G.B, *G.D.shape
+    for _ in range(n - 1):
+        pulse.append(G.C @ state)
+        state = G.A @ state
+    out = np.zeros((n, p, n, m))
+    for t in range(n):
+        for s in range(t + 1):
+            out[t, :, s] = pulse[t - s]
+    return out.reshape(n * p, n * m)
+
+
+def test_the_commutator_is_the_change_from_sample_to_sample_between_two_filters():
+    n, random = 30, np.random.default_rng(1)
+    delta = np.tril(random.standard_normal((n + 1, n + 1)))
+    change = (delta[1:, 1:] - delta[:-1, :-1])[:n, :n]
+    delta = delta[:n, :n]
+    left, _ = SCALING.systems(plant(1, 0.9))
+    for d in (to_discrete(one, DT) for one in _scalar(left, plant(1, 0.9), SCALING)):
+        inverse = StateSpace(d.A - d.B @ d.C / d.D, d.B / d.D, -d.C / d.D, 1 / d.D, DT)
+        d_, inverse_, next_, read = (matrix_of(G, n) for G in (d, inverse, _next_state(d), _read(d)))
+        np.testing.assert_allclose(d_ @ inverse_, np.eye(n), atol=1e-12)
+        np.testing.assert_allclose(d_ @ delta @ inverse_, delta - read @ change @ next_, atol=1e-10)
+
+
+@pytest.mark.parametrize("performance", [True, False])
+def test_a_delta_that_hardly_varies_leaves_the_scaled_norm(performance):
+    loop = SlowLoop(plant(2, 0.95), NO_CONTROLLER, SCALING, performance)
+    level = loop.proved(1e-9, loop.even(1e-9))
+    assert level == pytest.approx(0.95, rel=1e-3) if performance else level <= 0.951
+    rates = [loop.at(rate).level for rate in (1e-3, 1e-1, 10.0)]
+    assert rates == sorted(rates) and rates[-1] > rates[0] * 1.05
+
+
+def test_a_larger_rate_than_the_proved_one_is_not_proved_by_its_constants():
+    loop = SlowLoop(plant(3, 0.9), NO_CONTROLLER, SCALING, True)
+    found = loop.search()
+    assert found.level < 1 and loop.proved(found.rate, found.log_constants) == found.level
+    assert loop.proved(1.2 * found.rate, found.log_constants) > 1
+    assert SlowLoop(plant(3, 1.01), NO_CONTROLLER, SCALING, True).search() is None
+
+
+def gain_of_a_run(one: GeneralisedPlant, rate: float, omega: float, random: np.random.Generator) -> float:
+    """Energy of z over that of w for multiplications that move at ``rate`` [1/s] up to size 1, under a
+    disturbance at ``omega`` [rad/s] that ends midway."""
+    G, steps = one.system, 1500
+    moves = random.choice([-1.0, 1.0], (steps // 20, 2)).repeat(20, axis=0) * rate * DT
+    delta, x, energy = random.uniform(-1, 1, 2), np.zeros(G.order), np.zeros(2)
+    for t in range(steps):
+        delta = np.clip(delta + moves[t], -1, 1)
+        w = np.cos(omega * t * DT) if t < steps // 2 else 0.0
+        eta = G.C[:2] @ x + G.D[:2, 2] * w
+        xi = np.linalg.solve(np.eye(2) - delta[:, None] * G.D[:2, :2], delta * eta)
+        z = G.C[2] @ x + G.D[2, :2] @ xi + G.D[2, 2] * w
+        x = G.A @ x + G.B[:, :2] @ xi + G.B[:, 2] * w
+        energy += z * z, w * w
+    return energy[0] / energy[1]
+
+
+def test_no_run_with_a_delta_at_the_proved_rate_has_a_gain_above_1():
+    largest = []
+    for seed in range(4):
+        one, random = plant(seed, 0.9), np.random.default_rng(seed)
+        peak = hinf_norm(closed_scaled(one, NO_CONTROLLER, SCALING)).peak_frequency
+        rate = SlowLoop(one, NO_CONTROLLER, SCALING, True).search().rate
+        runs = [gain_of_a_run(one, rate, peak * random.uniform(0.7, 1.3), random) for _ in range(12)]
+        largest.append(max(runs))
+    assert max(largest) < 1 and max(largest) > 0.02
+
+
+def test_without_states_of_D_the_proof_is_for_any_rate():
+    constant = Scaling(SCALING.log_parameters[:, :1])
+    loop = SlowLoop(plant(5, 0.8), NO_CONTROLLER, constant, False)
+    slow, fast = loop.at(0.0), loop.at(1e6)
+    assert slow.level == pytest.approx(fast.level) and len(slow.log_constants) == 2

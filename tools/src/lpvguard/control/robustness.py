@@ -1,0 +1,217 @@
+"""What a design's loop has at every node of its speeds beside mu: bounds between frequencies, worst-case
+gain, disk margins at the vehicle's input, and the nu-gap to the neighbouring vehicles (THEORY 6.5).
+
+All of it is about frozen speeds, the coefficients as the core runs them and the nominal vehicle.
+Worst-case gain and mu are bounds over every Delta of size 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import minimize
+
+from ..base.errors import InputError
+from ..base.progress import Counted, Progress
+from ..core.scheduled import Scheduled
+from ..engine.synthesis.dk import Scaling
+from ..engine.synthesis.margins import SKEWS
+from ..engine.synthesis.mu_interval import mu_interval
+from ..engine.synthesis.norms import hinf_norm
+from ..engine.synthesis.nu_gap import nu_gap, nu_margin
+from ..engine.synthesis.statespace import StateSpace, lft
+from ..engine.synthesis.worst_case import worst_case
+from ..engine.synthesis.worst_gain import worst_gain
+from ..identify.run import StoredIdentification
+from ..vehicle.nominal import NominalModel
+from .plants import design_settings, fig1_weights, plant_at, vehicle_at
+
+FOUND_RTOL, EXACT_RTOL = 2e-3, 1e-4
+"""Largest relative difference between a stated number and the one computed anew: of a bound that cells or a
+search find, and of a norm."""
+LOOSE = {"mu_interval", "worst_gain", "worst_gain_found"}
+SCALING_NODES, SCALING_STEPS = 3, 60
+"""Pairs of neighbours for which the units of the nu-gap are searched, and steps of that search."""
+
+
+@dataclass(frozen=True)
+class NodeRobustness:
+    """One node, ``v_mps``.
+
+    mu_interval: bound of mu proved at every frequency. worst_gain: bound of the gain from [w; n; r_c] to z
+    over every Delta of size 1 (None: none was proved); worst_gain_found: what one such Delta reaches
+    (None: none was found). disk_S, disk_T, disk_balanced: disk margins at the vehicle's input (T27).
+    nu_margin: b(P, K). nu_gap_next, nu_gap_midpoint: nu-gap to the vehicle at the next node and midway to
+    it (None at the last node).
+    """
+
+    v_mps: float
+    mu_interval: float
+    worst_gain: float | None
+    worst_gain_found: float | None
+    disk_S: float
+    disk_T: float
+    disk_balanced: float
+    nu_margin: float
+    nu_gap_next: float | None
+    nu_gap_midpoint: float | None
+
+
+@dataclass(frozen=True)
+class Robustness:
+    """``nodes``; ``unit_u``, ``units_y`` (n_y,): what the nu-gap counts as 1 of input and outputs."""
+
+    nodes: tuple[NodeRobustness, ...]
+    unit_u: float
+    units_y: tuple[float, ...]
+
+    def to_dict(self) -> dict:
+        """As controller.json holds it."""
+        return {
+            "claim": "frozen speeds, LTI Delta of size 1: mu_interval and worst_gain hold at every frequency "
+            "between 0 and half the sampling frequency; disk margins are those of the nominal loop; "
+            "a vehicle nearer than nu_margin in the nu-gap is stabilised",
+            "unit_u": self.unit_u,
+            "units_y": list(self.units_y),
+            "nodes": [asdict(node) for node in self.nodes],
+        }
+
+
+def robustness(
+    stored: StoredIdentification, schedule: Scheduled, scaling: Scaling, progress: Progress = lambda _: None
+) -> Robustness:
+    """The numbers of every node; ``scaling`` helps the search for the worst Delta."""
+    unit_u, units_y = _units(NominalModel(stored.project), schedule)
+    return _with_units(stored, schedule, scaling, unit_u, units_y, progress)
+
+
+def require_robustness(
+    path: Path,
+    stated: dict | None,
+    stored: StoredIdentification,
+    schedule: Scheduled,
+    scaling: Scaling,
+    progress: Progress = lambda _: None,
+) -> None:
+    """InputError unless ``stated`` (certificates.robustness of ``path``) is what is computed anew, in its
+    units; None claims nothing."""
+    if stated is not None:
+        units = stated["unit_u"], tuple(stated["units_y"])
+        compare(path, stated, _with_units(stored, schedule, scaling, *units, progress))
+
+
+def compare(path: Path, stated: dict, found: Robustness) -> None:
+    """InputError naming the node and the number of ``stated`` that is not that of ``found``."""
+    if len(stated["nodes"]) != len(found.nodes):
+        raise InputError(
+            path, "certificates.robustness.nodes", f"{len(stated['nodes'])} rows", f"{len(found.nodes)} nodes"
+        )
+    for row, node in zip(stated["nodes"], found.nodes, strict=True):
+        for name, want in asdict(node).items():
+            value, rtol = row[name], FOUND_RTOL if name in LOOSE else EXACT_RTOL
+            same = value is want if None in (value, want) else abs(value - want) <= rtol * abs(want)
+            if not same:
+                raise InputError(
+                    path,
+                    f"certificates.robustness at {node.v_mps:g} m/s, {name}",
+                    f"{want} when computed anew, not {value}",
+                    "the coefficients and weights that were certified",
+                )
+
+
+def _with_units(
+    stored: StoredIdentification,
+    schedule: Scheduled,
+    scaling: Scaling,
+    unit_u: float,
+    units_y: tuple[float, ...],
+    progress: Progress,
+) -> Robustness:
+    settings, model = design_settings(stored), NominalModel(stored.project)
+    weights, speeds = fig1_weights(stored, settings), [float(v) for v in schedule.speeds]
+    nodes = []
+    for k, v in enumerate(speeds):
+        progress(Counted(f"margins at {v:.3g} m/s", k, len(speeds)))
+        plant, K = plant_at(stored, model, weights, v, False, settings.structure), schedule.at(v)
+        loop, last = lft(plant.system, K), np.pi / schedule.Ts
+        performance = plant.performance_block
+        gain = worst_gain(loop, plant.blocks, performance, 0.0, last).upper
+        try:
+            found = worst_case(plant, K, scaling if plant.blocks else None).gain
+        except ArithmeticError:
+            found = None
+        P, back = vehicle_at(model, v), _feedback(K)
+        disks = {f"disk_{name}": _disk(P, back, skew) for name, skew in SKEWS.items()}
+        here, beyond = _in_units(P, unit_u, units_y), speeds[k + 1 : k + 2]
+        gaps = [
+            nu_gap(here, _in_units(vehicle_at(model, other), unit_u, units_y)).upper
+            for after in beyond
+            for other in (after, 0.5 * (v + after))
+        ]
+        nodes.append(
+            NodeRobustness(
+                v,
+                mu_interval(loop, [*plant.blocks, performance], 0.0, last).upper,
+                gain if np.isfinite(gain) else None,
+                found,
+                **disks,
+                nu_margin=nu_margin(here, _controller_in_units(back, unit_u, units_y)),
+                nu_gap_next=gaps[0] if gaps else None,
+                nu_gap_midpoint=gaps[1] if gaps else None,
+            )
+        )
+    return Robustness(tuple(nodes), unit_u, units_y)
+
+
+def _feedback(K: StateSpace) -> StateSpace:
+    """The controller from the outputs alone; its first input is the reference."""
+    return K.select(slice(None), slice(1, None))
+
+
+def _disk(P: StateSpace, K: StateSpace, skew: float) -> float:
+    """The disk margin (T27) at the input of P, u = K y: the reciprocal of ‖S + ½(skew − 1)‖∞."""
+    # From [w, u] to [w + u, y]: closed, S from w to w + u.
+    both = StateSpace(
+        P.A,
+        np.hstack([P.B, P.B]),
+        np.vstack([np.zeros((1, P.order)), P.C]),
+        np.vstack([np.ones((1, 2)), np.hstack([P.D, P.D])]),
+        P.dt,
+    )
+    S = lft(both, K)
+    shifted = StateSpace(S.A, S.B, S.C, S.D + 0.5 * (skew - 1), S.dt)
+    return float(1 / hinf_norm(shifted).upper)
+
+
+def _in_units(P: StateSpace, unit_u: float, units_y: tuple[float, ...]) -> StateSpace:
+    y = np.array(units_y)[:, None]
+    return StateSpace(P.A, P.B * unit_u, P.C / y, P.D * unit_u / y, P.dt)
+
+
+def _controller_in_units(K: StateSpace, unit_u: float, units_y: tuple[float, ...]) -> StateSpace:
+    return StateSpace(K.A, K.B * np.array(units_y), K.C / unit_u, K.D * np.array(units_y) / unit_u, K.dt)
+
+
+def _units(model: NominalModel, schedule: Scheduled) -> tuple[float, tuple[float, ...]]:
+    """The units in which nu-gaps between neighbours are smallest beside b(P, K), by a search from those of
+    a stationary vehicle at its limit in the middle of the range."""
+    speeds = [float(v) for v in schedule.speeds]
+    middle = speeds[len(speeds) // 2]
+    P = vehicle_at(model, middle)
+    unit_u = float(schedule.limit(middle)[0])
+    first = np.log(np.abs(P.response([0.0])[0, :, 0]) * unit_u + 1e-12)
+    some = np.unique(np.linspace(0, len(speeds) - 2, SCALING_NODES).round().astype(int))
+
+    def largest(log_units: np.ndarray) -> float:
+        units = tuple(np.exp(log_units))
+        ratios = []
+        for k in some:
+            here, after = (_in_units(vehicle_at(model, v), unit_u, units) for v in speeds[k : k + 2])
+            K = _controller_in_units(_feedback(schedule.at(speeds[k])), unit_u, units)
+            ratios.append(np.log(nu_gap(here, after).upper / nu_margin(here, K)))
+        return float(max(ratios))
+
+    found = minimize(largest, first, method="Nelder-Mead", options={"maxfev": SCALING_STEPS, "xatol": 1e-2})
+    return unit_u, tuple(float(x) for x in np.exp(found.x))

@@ -1,0 +1,180 @@
+"""How fast Delta may vary at every node for the certificate to hold, beside how fast the frames that set
+its bounds let it vary unseen (THEORY 6.6).
+
+A rate r [1/s] says that Delta changes in gain by at most r Ts from one sample to the next, Delta being any
+causal linear operator of gain 1. The speed is frozen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..base.errors import InputError
+from ..base.progress import Counted, Progress
+from ..core.scheduled import Scheduled
+from ..engine.synthesis.dk import Scaling
+from ..engine.synthesis.slow_delta import SlowLoop
+from ..identify.run import StoredIdentification
+from ..vehicle.nominal import NominalModel
+from .plants import design_settings, fig1_weights, plant_at
+
+LEVEL_RTOL = 1e-4
+"""Largest relative difference between a stated level and the one proved anew."""
+FULL_SWING = 2.0
+"""Change in gain of a Delta of size 1 that turns its sign."""
+
+
+@dataclass(frozen=True)
+class NodeSlowness:
+    """One node, ``v_mps``.
+
+    performance_rate [1/s]: up to it the gain stays below 1, by ``performance_constants`` and
+    ``performance_level``. stability_rate [1/s]: up to it the loop stays stable, by ``stability_constants``
+    and ``stability_level`` (rate None and level below 1: for a Delta of any rate, without D(s)). A rate of
+    0: nothing is proved.
+    """
+
+    v_mps: float
+    performance_rate: float
+    performance_constants: tuple[float, ...]
+    performance_level: float | None
+    stability_rate: float | None
+    stability_constants: tuple[float, ...]
+    stability_level: float
+
+
+@dataclass(frozen=True)
+class Slowness:
+    """``nodes``; ``hidden_slow``, ``hidden_fast`` [1/s]: a Delta that turns its sign within the longest
+    and within the shortest frame."""
+
+    nodes: tuple[NodeSlowness, ...]
+    hidden_slow: float
+    hidden_fast: float
+
+    @property
+    def performance_rate(self) -> float:
+        """The rate [1/s] proved at every node."""
+        return min(node.performance_rate for node in self.nodes)
+
+    @property
+    def stability_rate(self) -> float | None:
+        """The rate [1/s] proved at every node; None: any."""
+        return min((n.stability_rate for n in self.nodes if n.stability_rate is not None), default=None)
+
+    def to_dict(self) -> dict:
+        """As controller.json holds it."""
+        return {
+            "claim": "frozen speeds, every causal linear Delta of gain 1 within W_delta that changes in gain "
+            "by at most rate x Ts from sample to sample: gain below 1 up to performance_rate, stable up to "
+            "stability_rate (null: at any rate)",
+            "performance_rate_per_s": self.performance_rate,
+            "stability_rate_per_s": self.stability_rate,
+            "hidden_slow_per_s": self.hidden_slow,
+            "hidden_fast_per_s": self.hidden_fast,
+            "nodes": [asdict(node) for node in self.nodes],
+        }
+
+
+def slowness(
+    stored: StoredIdentification, schedule: Scheduled, scaling: Scaling, progress: Progress = lambda _: None
+) -> Slowness | None:
+    """The rates of every node, by the stored scaling D(s); None for a design without Delta."""
+    if not len(scaling.log_parameters):
+        return None
+    nodes = []
+    for k, (v, moving, still) in enumerate(_loops(stored, schedule, scaling)):
+        progress(Counted(f"slow Delta at {v:.3g} m/s", k, len(schedule.speeds)))
+        found = moving[0].search()
+        fast = still.at(0.0)
+        rate: float | None = None
+        if not fast.level < 1:
+            slow = moving[1].search()
+            rate, fast = (0.0, fast) if slow is None else (slow.rate, slow)
+        nodes.append(
+            NodeSlowness(
+                v,
+                0.0 if found is None else found.rate,
+                () if found is None else tuple(map(float, found.log_constants)),
+                None if found is None else found.level,
+                rate,
+                tuple(map(float, fast.log_constants)),
+                fast.level,
+            )
+        )
+    return Slowness(tuple(nodes), *hidden_rates(stored))
+
+
+def hidden_rates(stored: StoredIdentification) -> tuple[float, float]:
+    """The rates [1/s] at which a Delta of size 1 turns its sign within the longest and the shortest frame.
+    Of such a Delta a frame shows the mean alone."""
+    lengths = np.asarray(stored.bounds["length_samples"], float) * stored.project.Ts_s
+    return float(FULL_SWING / lengths.max()), float(FULL_SWING / lengths.min())
+
+
+def require_slowness(
+    path: Path,
+    stated: dict | None,
+    stored: StoredIdentification,
+    schedule: Scheduled,
+    scaling: Scaling,
+    progress: Progress = lambda _: None,
+) -> None:
+    """InputError unless the constants of ``stated`` (certificates.slow_delta of ``path``) prove its rates
+    anew; None claims nothing."""
+    if stated is None:
+        return
+    nodes = stated["nodes"]
+    if [row["v_mps"] for row in nodes] != [float(v) for v in schedule.speeds]:
+        raise InputError(path, "certificates.slow_delta.nodes", "not the speeds", "one row a node")
+    rates = [row["performance_rate"] for row in nodes], [row["stability_rate"] for row in nodes]
+    least = min(rates[0]), min((r for r in rates[1] if r is not None), default=None)
+    of_frames = hidden_rates(stored)
+    for name, want in (
+        ("performance_rate_per_s", least[0]),
+        ("stability_rate_per_s", least[1]),
+        ("hidden_slow_per_s", of_frames[0]),
+        ("hidden_fast_per_s", of_frames[1]),
+    ):
+        value = stated[name]
+        same = value is want if value is None or want is None else np.isclose(value, want, rtol=1e-9, atol=0)
+        if not same:
+            raise InputError(
+                path, f"certificates.slow_delta.{name}", f"{value}", f"{want}, of nodes and frames"
+            )
+    for k, (row, (v, moving, still)) in enumerate(zip(nodes, _loops(stored, schedule, scaling), strict=True)):
+        progress(Counted(f"slow Delta at {v:.3g} m/s", k, len(nodes)))
+        any_rate = row["stability_rate"] is None
+        for part, loop, rate in (
+            ("performance", moving[0], row["performance_rate"]),
+            ("stability", still if any_rate else moving[1], 0.0 if any_rate else row["stability_rate"]),
+        ):
+            if rate == 0 and not (part == "stability" and any_rate):
+                continue
+            level = loop.proved(rate, np.array(row[f"{part}_constants"]))
+            stated_level = row[f"{part}_level"]
+            if not level < 1 or not abs(level - stated_level) <= LEVEL_RTOL * stated_level:
+                raise InputError(
+                    path,
+                    f"certificates.slow_delta at {v:g} m/s, {part}",
+                    f"the level is {level:.7g}, stated as {stated_level:.7g}",
+                    "the rate, constants, coefficients and weights that were certified, and a level below 1",
+                )
+
+
+def _loops(stored: StoredIdentification, schedule: Scheduled, scaling: Scaling):
+    """Of each node: its speed, the loops with D(s) for performance and for stability, and the one without
+    D(s) for stability."""
+    settings, model = design_settings(stored), NominalModel(stored.project)
+    weights = fig1_weights(stored, settings)
+    constant = Scaling(scaling.log_parameters[:, :1])
+    for v in map(float, schedule.speeds):
+        plant, K = plant_at(stored, model, weights, v, False, settings.structure), schedule.at(v)
+        yield (
+            v,
+            tuple(SlowLoop(plant, K, scaling, performance) for performance in (True, False)),
+            SlowLoop(plant, K, constant, False),
+        )

@@ -1,0 +1,120 @@
+"""The ν-gap between two plants and the robust-stability margin that belongs to it (Vinnicombe 1993).
+
+With normalised coprime factors G₁ = [N₁; M₁] and G̃₂ = [−M̃₂, Ñ₂] the chordal distance of two plants at a
+frequency is σ̄(G̃₂G₁). Where det(I + P₂ᴴP₁) has the right winding number the ν-gap is ‖G̃₂G₁‖∞, and 1 otherwise.
+A controller with b(P₁, K) > ν(P₁, P₂) stabilises P₂ too. Both norms are bracketed over all frequencies.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg as sl
+
+from lpvguard.engine.synthesis.errors import SynthesisError
+from lpvguard.engine.synthesis.norms import NormBracket, hinf_norm
+from lpvguard.engine.synthesis.statespace import (
+    StateSpace,
+    balanced,
+    lft,
+    same_time,
+    series,
+    to_continuous,
+)
+
+NORM_RTOL = 1e-6
+
+
+def nu_gap(first: StateSpace, second: StateSpace) -> NormBracket:
+    """Bracket of the ν-gap of two plants with the same inputs, outputs and dt, at its frequency [rad/s]; (1,
+    1) where the winding number is not the right one.
+
+    SynthesisError where shapes or dt differ, or a plant has a mode that is not stabilisable or not
+    detectable.
+    """
+    same_time(first, second)
+    if first.D.shape != second.D.shape:
+        raise SynthesisError(
+            "nu_gap", "second", f"{second.D.shape} system", f"{first.D.shape}, the first's shape"
+        )
+    dt = first.dt
+    P1, P2 = (balanced(to_continuous(balanced(P))) for P in (first, second))
+    chordal = series(_left_factor(P2), _right_factor(P1))
+    if _unstable_zeros(P1, P2) != P2.order:
+        return NormBracket(1.0, 1.0, np.nan)
+    found = hinf_norm(chordal, NORM_RTOL)
+    where = found.peak_frequency
+    return NormBracket(
+        found.lower,
+        min(found.upper, 1.0),
+        float(2 / dt * np.arctan(where * dt / 2)) if dt else where,
+    )
+
+
+def nu_margin(plant: StateSpace, controller: StateSpace) -> float:
+    """b(P, K), the reciprocal of ‖[I; K](I − P K)⁻¹[I, P]‖∞, from the upper end of its bracket; u = K y, 0
+    where the loop is unstable."""
+    same_time(plant, controller)
+    n, p, m = plant.order, plant.n_outputs, plant.n_inputs
+    # From [w_y, w_u, u] to [y, u, y]: y = P (u + w_u) + w_y.
+    B = np.hstack([np.zeros((n, p)), plant.B, plant.B])
+    C = np.vstack([plant.C, np.zeros((m, n)), plant.C])
+    measured = np.hstack([np.eye(p), plant.D, plant.D])
+    D = np.vstack([measured, np.hstack([np.zeros((m, p + m)), np.eye(m)]), measured])
+    return float(1 / hinf_norm(lft(StateSpace(plant.A, B, C, D, plant.dt), controller), NORM_RTOL).upper)
+
+
+def _unstable_zeros(P1: StateSpace, P2: StateSpace) -> int:
+    """Zeros of det(I + P₂(−s)ᵀ P₁(s)) with a positive real part; the winding number is right where there are
+    as many as P₂ has states.
+
+    A zero on the axis is a distance of 1, which the norm shows; so is one at infinity, told as -1.
+    """
+    adjoint = StateSpace(-P2.A.T, -P2.C.T, P2.B.T, P2.D.T)
+    H = series(adjoint, P1)
+    try:
+        inverse = np.linalg.inv(np.eye(len(H.D)) + H.D)
+    except np.linalg.LinAlgError:
+        return -1
+    zeros = np.linalg.eigvals(H.A - H.B @ inverse @ H.C) if H.order else np.zeros(0)
+    return int((zeros.real > 0).sum())
+
+
+def _right_factor(P: StateSpace) -> StateSpace:
+    """[N; M], normalised."""
+    R = np.eye(P.n_inputs) + P.D.T @ P.D
+    F = _gain(P)
+    root = np.linalg.inv(np.linalg.cholesky(R)).T
+    return StateSpace(
+        P.A + P.B @ F,
+        P.B @ root,
+        np.vstack([P.C + P.D @ F, F]),
+        np.vstack([P.D, np.eye(P.n_inputs)]) @ root,
+    )
+
+
+def _left_factor(P: StateSpace) -> StateSpace:
+    """[−M̃, Ñ], normalised."""
+    dual = StateSpace(P.A.T, P.C.T, P.B.T, P.D.T)
+    S = np.eye(P.n_outputs) + P.D @ P.D.T
+    H = _gain(dual).T
+    root = np.linalg.inv(np.linalg.cholesky(S))
+    return StateSpace(
+        P.A + H @ P.C,
+        np.hstack([-H, P.B + H @ P.D]),
+        root @ P.C,
+        root @ np.hstack([-np.eye(P.n_outputs), P.D]),
+    )
+
+
+def _gain(P: StateSpace) -> np.ndarray:
+    """F (m, n) of the normalised right factors."""
+    R = np.eye(P.n_inputs) + P.D.T @ P.D
+    if not P.order:
+        return np.zeros((P.n_inputs, 0))
+    try:
+        X = sl.solve_continuous_are(P.A, P.B, P.C.T @ P.C, R, s=P.C.T @ P.D)
+    except np.linalg.LinAlgError as error:
+        raise SynthesisError(
+            "nu_gap", "plant", "its Riccati equation has no solution", "no hidden unstable mode"
+        ) from error
+    return -np.linalg.solve(R, P.D.T @ P.C + P.B.T @ X)

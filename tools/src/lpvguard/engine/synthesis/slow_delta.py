@@ -1,0 +1,198 @@
+"""A Δ that varies slowly: the commutator of Δ and a dynamic scaling D, as one more uncertainty (THEORY 6.6).
+
+A block's scaling is d = D∞ + C (q − A)⁻¹ B in discrete time, stable with stable inverse, q the shift by
+one sample. For any causal linear Δ and its change over one sample, E = q Δ q⁻¹ − Δ,
+
+    d Δ d⁻¹ = Δ − C (q − A)⁻¹ E q X,     X = (q − A)⁻¹ B d⁻¹,
+
+with E acting on each of d's states alike. Where no Δ changes by more than r Ts in gain from sample to
+sample, the loop with DΔD⁻¹ is the scaled loop with the blocks Δ, of gain 1, and E, of gain r Ts. Constants
+commute with operators of any speed. So a norm below 1 under constant scalings of the blocks is a proof.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import minimize
+
+from lpvguard.engine.synthesis.dk import Scaling
+from lpvguard.engine.synthesis.interconnection import GeneralisedPlant
+from lpvguard.engine.synthesis.norms import hinf_norm
+from lpvguard.engine.synthesis.scheduling import closed_scaled
+from lpvguard.engine.synthesis.statespace import StateSpace, append, gain, series, to_discrete
+
+GRID = 160
+"""Frequencies on which constants are searched."""
+SLOWEST = 1e-4
+"""rad/s"""
+SHARES = (0.98, 0.9, 0.7, 0.4)
+"""Of the rate found on the grid, tried in the proof."""
+RATES = 1e-6, 1e4
+"""Least and largest rate that is looked for [1/s]."""
+RATE_RTOL = 0.03
+NORM_RTOL = 1e-5
+SEARCH_STEPS = 60
+
+
+@dataclass(frozen=True)
+class SlowProof:
+    """``rate`` [1/s]: Δ may change by rate · Ts in gain from sample to sample. ``log_constants``:
+    logarithms of the constants: of the blocks of Δ where only stability counts, then of each E. ``level``:
+    the norm that was proved."""
+
+    rate: float
+    log_constants: np.ndarray
+    level: float
+
+
+class SlowLoop:
+    """The scaled closed loop of ``plant`` and ``controller`` with the blocks Δ, then E, then performance.
+
+    ``performance``: whether the gain from [w; n; r_c] to z counts too; without, only stability. The loop
+    must be stable and discrete.
+    """
+
+    def __init__(self, plant: GeneralisedPlant, controller: StateSpace, scaling: Scaling, performance: bool):
+        self.dt = plant.system.dt
+        loop = closed_scaled(plant, controller, scaling)
+        if not performance:
+            loop = loop.select(slice(0, plant.n_delta_in), slice(0, plant.n_delta_out))
+        n_z, n_w = loop.n_outputs - plant.n_delta_in, loop.n_inputs - plant.n_delta_out
+        left, _ = scaling.systems(plant)
+        # Of each block: H from its scaled input to q X, F from E's output to its scaled output.
+        H, F, sizes = [], [], []
+        d = [to_discrete(system, self.dt) for system in _scalar(left, plant, scaling)]
+        for system, block in zip(d, plant.blocks, strict=True):
+            H.append(append(*[_next_state(system)] * block.cols))
+            F.append(append(*[_read(system)] * block.rows))
+            sizes.append((system.order * block.cols, system.order * block.rows))
+        self.blocks = len(plant.blocks)
+        self.rows = [*(b.cols for b in plant.blocks), *(s for s, _ in sizes)]
+        self.cols = [*(b.rows for b in plant.blocks), *(s for _, s in sizes)]
+        seen, acted = append(*H), append(*F)
+        into = _beside(gain(np.eye(plant.n_delta_in), self.dt), seen, n_z, self.dt)
+        out = _sum(plant.n_delta_out, acted, n_w, self.dt)
+        self.system = series(into, series(loop, out))
+        self.rest = n_z, n_w
+        # Performance fixes the unit of Δ's scalings, and without states of D there is no E.
+        self.fixed = self.blocks if performance else 0
+        self.constants = (
+            (self.blocks if scaling.log_parameters.shape[1] > 1 else 0) + self.blocks - self.fixed
+        )
+
+    def scaled(self, rate: float, log_constants: np.ndarray) -> StateSpace:
+        """The loop whose norm below 1 proves ``rate``."""
+        left, right = self._constants(rate, log_constants)
+        G = self.system
+        return StateSpace(G.A, G.B * right, G.C * left[:, None], G.D * left[:, None] * right, G.dt)
+
+    def proved(self, rate: float, log_constants: np.ndarray) -> float:
+        """The upper end of the norm's bracket over all frequencies."""
+        return hinf_norm(self.scaled(rate, log_constants), NORM_RTOL).upper
+
+    def search(self) -> SlowProof | None:
+        """The largest rate found with a proof; None: none from RATES on."""
+        low, high = np.log(RATES)
+        best: tuple[float, np.ndarray] | None = None
+        while high - low > RATE_RTOL:
+            middle = 0.5 * (low + high)
+            value, x = self._constants_for(float(np.exp(middle)))
+            if value < 1:
+                low, best = middle, (float(np.exp(middle)), x)
+            else:
+                high = middle
+        if best is None:
+            return None
+        for share in SHARES:
+            level = self.proved(share * best[0], best[1])
+            if level < 1:
+                return SlowProof(share * best[0], best[1], level)
+        return None
+
+    def at(self, rate: float) -> SlowProof:
+        """The level proved for a given ``rate``, which may be 1 or more."""
+        _, x = self._constants_for(rate)
+        return SlowProof(rate, x, self.proved(rate, x))
+
+    def even(self, rate: float) -> np.ndarray:
+        """Constants that give a rate above 0 in equal parts to rows and columns of E."""
+        start = np.zeros(self.constants)
+        if rate > 0:
+            start[self.blocks - self.fixed :] = -0.5 * np.log(rate * self.dt)
+        return start
+
+    def _constants_for(self, rate: float) -> tuple[float, np.ndarray]:
+        """The least largest singular value on the grid, and the constants that give it."""
+        start = self.even(rate)
+        found = minimize(
+            lambda x: self._largest(self._grid, rate, x),
+            start,
+            method="Nelder-Mead",
+            options={"maxfev": SEARCH_STEPS * len(start), "xatol": 1e-3, "fatol": 1e-6},
+        )
+        return float(found.fun), found.x
+
+    @cached_property
+    def _grid(self) -> np.ndarray:
+        """The loop's response, (frequencies, rows, columns)."""
+        omega = np.concatenate([[0.0], np.geomspace(SLOWEST, np.pi / self.dt * (1 - 1e-9), GRID)])
+        return self.system.response(omega)
+
+    def _constants(self, rate: float, log_constants: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        log = np.zeros(len(self.rows))
+        log[self.fixed : self.fixed + self.constants] = log_constants
+        left, right = np.repeat(np.exp(log), self.rows), np.repeat(np.exp(-log), self.cols)
+        left[sum(self.rows[: self.blocks]) :] *= rate * self.dt
+        return np.append(left, np.ones(self.rest[0])), np.append(right, np.ones(self.rest[1]))
+
+    def _largest(self, M: np.ndarray, rate: float, log_constants: np.ndarray) -> float:
+        left, right = self._constants(rate, log_constants)
+        N = left[:, None] * M * right
+        return float(np.sqrt(np.linalg.eigvalsh(N @ np.conj(np.swapaxes(N, 1, 2)))[:, -1].max()))
+
+
+def _scalar(left: StateSpace, plant: GeneralisedPlant, scaling: Scaling) -> list[StateSpace]:
+    """The scaling of each block once, continuous."""
+    firsts = np.cumsum([0, *(block.cols for block in plant.blocks)])[:-1]
+    order = (scaling.log_parameters.shape[1] - 1) // 2
+    out = []
+    for k in firsts:
+        states = slice(order * k, order * (k + 1))
+        out.append(
+            StateSpace(
+                left.A[states, states], left.B[states, k : k + 1], left.C[k : k + 1, states], left.D[k, k]
+            )
+        )
+    return out
+
+
+def _next_state(d: StateSpace) -> StateSpace:
+    """q X: from the scaled signal d y to the next state of d, driven by y."""
+    B = d.B / d.D
+    A = d.A - B @ d.C
+    return StateSpace(A, B, A, B, d.dt)
+
+
+def _read(d: StateSpace) -> StateSpace:
+    """C (q − A)⁻¹, from an input on every state."""
+    n = d.order
+    return StateSpace(d.A, np.eye(n), d.C, np.zeros((1, n)), d.dt)
+
+
+def _beside(first: StateSpace, second: StateSpace, rest: int, dt: float) -> StateSpace:
+    """From [ẑ; z] to [ẑ; second ẑ; z]."""
+    both = append(first, second)
+    twice = np.vstack([np.eye(first.n_inputs)] * 2)
+    joined = series(both, gain(twice, dt))
+    return append(joined, gain(np.eye(rest), dt)) if rest else joined
+
+
+def _sum(width: int, acted: StateSpace, rest: int, dt: float) -> StateSpace:
+    """From [ŵ; e; w] to [ŵ − acted e; w]."""
+    added = series(
+        gain(np.hstack([np.eye(width), -np.eye(width)]), dt), append(gain(np.eye(width), dt), acted)
+    )
+    return append(added, gain(np.eye(rest), dt)) if rest else added

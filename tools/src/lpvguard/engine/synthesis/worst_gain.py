@@ -1,0 +1,91 @@
+"""The worst-case gain: the largest gain from disturbances to errors over every Δ of size 1 (THEORY 6.2).
+
+At one frequency γ bounds it where scalings D, G of the blocks of Δ give (skewed μ; Packard & Doyle 1993)
+
+    diag(D_R, γ² I) − Mᴴ diag(D_L, I) M − j (G M − Mᴴ G) ≻ 0.
+
+With D and G given the least γ is a largest eigenvalue of a Schur complement. The scalings of μ with the
+performance rows divided by γ lower γ, until neither moves. Between frequencies the bound is proved by the
+cells of mu_interval.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from lpvguard.engine.blocks import Block
+from lpvguard.engine.synthesis.mu_interval import POINT_RTOL, IntervalBound, PointBound, cover
+from lpvguard.engine.synthesis.mu_upper import upper_bound
+from lpvguard.engine.synthesis.statespace import StateSpace
+from lpvguard.engine.synthesis.structure import Structure
+
+STEPS = 12
+"""At one frequency."""
+LARGEST = 1e6
+"""Times the nominal gain; above it the gain counts as unbounded."""
+
+
+def worst_gain(
+    loop: StateSpace, blocks: Sequence[Block], performance: Block, low: float, high: float, rtol: float = 2e-3
+) -> IntervalBound:
+    """The bound for ``loop`` from ``low`` to ``high`` [rad/s], frequencies as in ``mu_interval``. Its first
+    outputs and inputs are those of Δ, the last those of the full ``performance`` block (z, then [w; n; r_c]).
+
+    ``upper`` is inf where scalings do not show the loop stable for every Δ of size 1. SynthesisError as
+    ``mu_interval``.
+    """
+    structure = Structure((*blocks, performance))
+    rows, cols = structure.n_rows - performance.cols, structure.n_cols - performance.rows
+
+    def at(M: np.ndarray, reached: float) -> PointBound:
+        nominal = float(np.linalg.norm(M[rows:, cols:], 2))
+        start = max(reached, nominal, 1e-12)
+        gamma, best = start, None
+        for _ in range(STEPS):
+            point = _bound(M, structure, rows, cols, gamma)
+            if point is None:
+                # No scaling of a level this low leaves Δ room; a larger one weighs the gain less.
+                if best is not None:
+                    break
+                gamma *= 4
+                if gamma > LARGEST * start:
+                    break
+                continue
+            settled = best is not None and point.value > best.value * (1 - POINT_RTOL)
+            best = point if best is None or point.value < best.value else best
+            if settled or best.value <= reached:
+                break
+            gamma = best.value
+        if best is None:
+            zero = np.zeros((structure.n_cols,) * 2)
+            return PointBound(np.inf, np.zeros((structure.n_rows,) * 2), zero, zero, zero)
+        return best
+
+    return cover("worst_gain", loop, structure, low, high, rtol, at)
+
+
+def _bound(M: np.ndarray, structure: Structure, rows: int, cols: int, gamma: float) -> PointBound | None:
+    """The least γ for the scalings of μ at level ``gamma``, None where they bound no gain."""
+    scaled = M.copy()
+    scaled[rows:] /= gamma
+    _, _, left, right, skew = upper_bound(scaled, structure, POINT_RTOL)
+    left, right = left @ left.conj().T, right @ right.conj().T
+    # The performance block's D becomes 1, and its rows get back the gamma that divided them.
+    to_one = gamma**2 / float(right[-1, -1].real)
+    left, right, skew = left * to_one, right * to_one, skew * to_one
+    left[rows:, rows:] = np.eye(len(left) - rows)
+    N = M.conj().T @ left @ M + 1j * (skew @ M - M.conj().T @ skew.conj().T)
+    N = 0.5 * (N + N.conj().T)
+    slack = right[:cols, :cols] - N[:cols, :cols]
+    try:
+        factor = np.linalg.cholesky(slack)
+    except np.linalg.LinAlgError:
+        return None
+    half = np.linalg.solve(factor, N[:cols, cols:])
+    value = float(np.linalg.eigvalsh(N[cols:, cols:] + half.conj().T @ half)[-1])
+    fixed, per_level = np.zeros_like(right), np.zeros_like(right)
+    fixed[:cols, :cols] = right[:cols, :cols]
+    per_level[cols:, cols:] = np.eye(len(right) - cols)
+    return PointBound(float(np.sqrt(max(value, 0.0))), left, fixed, per_level, skew)
