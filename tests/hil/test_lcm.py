@@ -153,8 +153,6 @@ def test_the_causes_of_an_alarm_are_in_the_result_on_the_bus_and_over_lcm(lcm_si
 # $1: folder, the rest: the loop. A logger hears nothing from before it was up. The Python package has
 # wrappers of the same names in front of LCM's programs, which keep signals to themselves.
 RECORD_AND_REPLAY = """
-# What the logger has not read yet must wait, not be lost, while the loop has the guest's one processor. A kernel of the guest's own.
-if grep -q "User Mode Linux" /proc/cpuinfo; then echo 67108864 >/proc/sys/net/core/rmem_default; fi
 PATH=$(pkg-config --variable=prefix lcm)/bin:$PATH
 url=udpm://239.255.76.67:7667?ttl=0
 lcm-logger --quiet --force --lcm-url=$url "$1/recorded.lcm" & logger=$!

@@ -125,12 +125,11 @@ def core_objects(
     double: bool = False,
     source_root: Path | None = None,
 ) -> list[Path]:
-    """Objects of the core and of a generated folder, for a shared library or a program, and of ``more``
-    sources, whose own ``flags`` come on top.
+    """Objects of the core and of a generated folder, for a shared library or a program.
 
     An object depends on its source and on the headers, of the vehicle on its sizes: vehicles that differ in
-    numbers alone share all but the tables of those numbers. ``source_root``: a lib/ other than the
-    package's. NativeError as of ``compile_object``.
+    numbers alone share all but the tables of those numbers. ``more``: further sources, with ``flags`` of
+    their own on top. ``source_root``: a lib/ other than the package's. NativeError as of ``compile_object``.
     """
     root, folder = source_root or library_root(), Path(folder)
     common = (*CORE_FLAGS, "-isystem", eigen_include(), *(["-DLPVG_DOUBLE"] if double else []))

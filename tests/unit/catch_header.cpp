@@ -1,0 +1,1 @@
+// Empty: the target that compiles tests/catch.hpp ahead needs a source.
