@@ -12,6 +12,7 @@ import pytest
 
 from lpvguard import schemas
 from lpvguard.base.errors import InputError
+from lpvguard.control.limits import LimitRow, Limits, limits, require_limits
 from lpvguard.control.plants import vehicle_at
 from lpvguard.control.robustness import (
     LOOSE,
@@ -154,3 +155,35 @@ def test_the_page_says_which_hidden_rates_are_covered(tmp_path):
         '<span class="yes">above 0.0333/s</span>' in text and '<span class="no">below 1.05/s</span>' in text
     )
     assert "stable up to 3.25/s" in text and "<td>any</td><td>0.6066</td>" in text
+
+
+def test_what_is_proved_at_the_limits_is_proved_anew_and_more_is_refused(stored, schedule):
+    found, path = limits(stored, schedule, scaling()), Path("controller.json")
+    stated = json.loads(json.dumps(found.to_dict()))
+    require_limits(path, stated, stored, schedule, scaling())
+    proved = [k for k, row in enumerate(stated["rows"]) if None not in (row["energy"], row["gain"])]
+    assert found.largest_kappa >= 1 and found.energy() > 0 and proved
+    for key, factor in (("gain", 0.8), ("energy", 1.01), ("stability_level", 0.99), ("kappa", 1.5)):
+        altered = json.loads(json.dumps(stated))
+        altered["rows"][proved[0]][key] *= factor
+        with pytest.raises(InputError, match="limits at 8 m/s, kappa"):
+            require_limits(path, altered, stored, schedule, scaling())
+
+
+def test_the_page_and_the_summary_tell_how_far_the_limits_go(tmp_path):
+    rows = (
+        LimitRow(8.0, 1.0, 0.6, (0.0,), 1.0123, (0.0,), 2.34, (0.0,)),
+        LimitRow(8.0, 2.0, 0.8, (0.0,), 19.4, (0.0,), 1.25, (0.0,)),
+        LimitRow(8.0, None, 1.3, (0.0,), None, (), None, ()),
+        LimitRow(22.0, 1.0, 0.7, (0.0,), None, (), 1.5, (0.0,)),
+        LimitRow(22.0, 2.0, 0.9, (0.0,), None, (), 1.75, (0.0,)),
+        LimitRow(22.0, None, 0.97, (0.0,), None, (), None, ()),
+    )
+    found = Limits(rows)
+    assert found.largest_kappa == 2 and found.energy() == 1.75
+    certificates = schemas.example("controller")["certificates"]
+    certificates["limits"] = found.to_dict()
+    (tmp_path / "controller.json").write_text(json.dumps({"certificates": certificates}))
+    text = design_section(tmp_path)
+    for shown in ("<td>19.4</td><td>1.25</td>", '<td>any</td><td><span class="no">not proved</span></td>'):
+        assert shown in text.replace("\n", "")
