@@ -1,5 +1,5 @@
 """What is proved of the loop where its demand meets its limits, with the anti-windup as built, at frozen
-speeds (THEORY 6.7).
+speeds (THEORY 7.12).
 
 A row says: for every LTI Delta within W_delta, and as long as the demand that the controller wants stays
 within kappa times its limit, the loop is stable, the gain from [w; n; r_c] to z is bounded, and every [w;

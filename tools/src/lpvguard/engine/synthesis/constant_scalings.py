@@ -49,11 +49,13 @@ class ConstantScalings:
         return StateSpace(G.A, G.B * right, G.C * left[:, None], G.D * left[:, None] * right, G.dt)
 
     def proved(self, sizes: np.ndarray, rest: float, log_constants: np.ndarray) -> float:
-        """The norm from above, over all frequencies; arguments of ``scaled``."""
+        """The norm from above, over all frequencies; ``sizes`` (blocks,), ``rest`` and ``log_constants``
+        (free,) as of ``scaled``."""
         return hinf_norm(self.scaled(sizes, rest, log_constants), NORM_RTOL).upper
 
     def least(self, sizes: np.ndarray, rest: float, start: np.ndarray) -> tuple[float, np.ndarray]:
-        """The least norm on the grid, and the logarithms of its constants."""
+        """The least norm on the grid, and the logarithms (free,) of its constants; ``sizes`` (blocks,) and
+        ``rest`` as of ``scaled``, ``start`` (free,): where the search begins."""
         for power in POWERS if self.free else ():
             start = minimize(
                 lambda x, power=power: self._mean(sizes, rest, x, power),

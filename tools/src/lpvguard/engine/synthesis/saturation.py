@@ -1,5 +1,5 @@
 """A loop whose demand is limited, with the controller's anti-windup as built: sector bounds of the dead
-zone (THEORY 6.7).
+zone (THEORY 7.12).
 
 The controller wants u = C x and gets v = u − q, where q is the dead zone of u: nothing within u_max, and
 beyond it what is cut off. It runs x⁺ = A x + B m − L q. While |u| ≤ κ u_max the dead zone lies in the
@@ -143,8 +143,8 @@ class LimitedLoop:
         return ConstantScalings(self.system, self.rows, self.cols)
 
     def gain(self) -> tuple[float, np.ndarray] | None:
-        """A gain from w to z that holds for every Δ and demand within κ u_max, and its constants; None: none
-        up to LARGEST_GAIN."""
+        """A gain from w to z that holds for every Δ and demand within κ u_max, and the logarithms
+        (blocks,) of its constants; None: none up to LARGEST_GAIN."""
         if not self.stable:
             return None
         scalings = self.performance()
@@ -167,8 +167,10 @@ class LimitedLoop:
         return (gamma, best) if scalings.proved(self.ones, 1 / gamma, best) < 1 else None
 
     def largest_energy(self, starts: Sequence[np.ndarray], u_max: float, step_max: float) -> Reachable | None:
-        """The constants of OFFSETS beside one of ``starts`` that keep the demand within κ u_max and its steps
-        within ``step_max`` for the largest energy; None: none does."""
+        """The largest energy that constants of OFFSETS beside one of ``starts`` prove; None: none does.
+
+        starts: logarithms (blocks,) each. ``u_max``, ``step_max``: as of ``energy``.
+        """
         found = []
         for start, offset in itertools.product(starts, OFFSETS):
             constants = start + offset
@@ -178,8 +180,8 @@ class LimitedLoop:
         return max(found, key=lambda one: one.energy, default=None)
 
     def energy(self, log_constants: np.ndarray, u_max: float, step_max: float) -> float | None:
-        """The largest ‖w‖ with which |u| ≤ κ u_max and |u(k) − u(k − 1)| ≤ ``step_max`` are proved; None
-        where Q is not found or does not pass its test."""
+        """The largest ‖w‖ with which |u| ≤ κ u_max and |u(k) − u(k − 1)| ≤ ``step_max`` are proved by
+        ``log_constants`` (blocks,); None where Q is not found or does not pass its test."""
         whole = self.performance().scaled(self.ones, 1.0, log_constants)
         G = whole.select(slice(0, sum(self.rows)), slice(None))
         t = balancing(G)

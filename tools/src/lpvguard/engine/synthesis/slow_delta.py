@@ -1,4 +1,4 @@
-"""A Δ that varies slowly: the commutator of Δ and a dynamic scaling D, as one more uncertainty (THEORY 6.6).
+"""A Δ that varies slowly: the commutator of Δ and a dynamic scaling D, as one more uncertainty (THEORY 7.11).
 
 A block's scaling is d = D∞ + C (q − A)⁻¹ B in discrete time, stable with stable inverse, q the shift by
 one sample. For any causal linear Δ and its change over one sample, E = q Δ q⁻¹ − Δ,
@@ -77,7 +77,8 @@ class SlowLoop:
         )
 
     def proved(self, rate: float, log_constants: np.ndarray) -> float:
-        """The norm from above over all frequencies; below 1 it proves ``rate``."""
+        """The norm from above over all frequencies with ``log_constants`` (free,); below 1 it proves
+        ``rate``."""
         return self.scalings.proved(self._sizes(rate), 1.0, log_constants)
 
     def search(self) -> SlowProof | None:
@@ -106,7 +107,8 @@ class SlowLoop:
         return SlowProof(rate, x, self.proved(rate, x))
 
     def even(self, rate: float) -> np.ndarray:
-        """Constants that give a rate above 0 in equal parts to rows and columns of E."""
+        """Logarithms (free,) of constants that give a rate above 0 in equal parts to rows and columns of
+        E."""
         start = np.zeros(self.scalings.free)
         if rate > 0:
             start[self.blocks - self.scalings.fixed :] = -0.5 * np.log(rate * self.dt)

@@ -97,7 +97,7 @@ def _robustness(found: dict | None) -> str:
         "to midpoint",
     ]
     return f"""<h3>Beside μ, at every node</h3>
-<p>μ and worst-case gain are bounds proved between frequencies, over every LTI Δ of size 1 (THEORY 6.5). \
+<p>μ and worst-case gain are bounds proved between frequencies, over every LTI Δ of size 1 (THEORY 7.10). \
 Disk margins are those of the nominal loop, broken at the vehicle's input. The ν-margin is how far a vehicle \
 may be in the ν-gap and still be stabilised.</p>{html_table(titles, rows, "tight")}"""
 
@@ -130,7 +130,7 @@ def _slow_delta(found: dict | None) -> str:
     least = found["stability_rate_per_s"]
     stable = "at any rate" if least is None else f"up to {number(least)}/s"
     return f"""<h3>A Δ that varies</h3>
-<p>Proved for every causal linear Δ of gain 1 that changes in gain by at most the rate (THEORY 6.6). Frames \
+<p>Proved for every causal linear Δ of gain 1 that changes in gain by at most the rate (THEORY 7.11). Frames \
 see the mean of a Δ that turns its sign within them: {number(hidden[0])}/s in the longest, \
 {number(hidden[1])}/s in the shortest. The rate with a gain below 1, {number(proved)}/s, is {words[0]}, and \
 {words[1]}. The loop is stable {stable}.</p>{table}"""
@@ -163,7 +163,7 @@ def _limits(found: dict | None) -> str:
         "tight",
     )
     return f"""<h3>Limits of the demand</h3>
-<p>Proved for every LTI Δ within W<sub>Δ</sub>, with the anti-windup as the core runs it (THEORY 6.7). \
+<p>Proved for every LTI Δ within W<sub>Δ</sub>, with the anti-windup as the core runs it (THEORY 7.12). \
 While the wanted demand stays within the stated multiple of its limit the loop is stable, and the gain is \
 bounded. Every [w; n; r<sub>c</sub>] up to the stated norm keeps the demand there and the rate limit \
 untouched.</p>{table}"""
