@@ -35,18 +35,24 @@ ENERGY_RTOL, LEVEL_RTOL = 1e-3, 1e-4
 class LimitRow:
     """At ``v_mps``, for a demand within ``kappa`` (None: any) times its limit.
 
-    stability_level: below 1 the loop is stable, by its constants. gain: bound from [w; n; r_c] to z (None:
-    none found). energy: largest norm of [w; n; r_c] that keeps the demand there (None: none found).
+    stability_level: below 1 the loop is stable, by its constants (None: unstable in the middle of the
+    sector). gain: bound from [w; n; r_c] to z (None: none found). energy: largest norm of [w; n; r_c] that
+    keeps the demand there (None: none found).
     """
 
     v_mps: float
     kappa: float | None
-    stability_level: float
+    stability_level: float | None
     stability_constants: tuple[float, ...]
     gain: float | None
     gain_constants: tuple[float, ...]
     energy: float | None
     energy_constants: tuple[float, ...]
+
+    @property
+    def stable(self) -> bool:
+        """Whether stability is proved."""
+        return self.stability_level is not None and self.stability_level < 1
 
 
 @dataclass(frozen=True)
@@ -58,7 +64,7 @@ class Limits:
     @property
     def largest_kappa(self) -> float:
         """The largest kappa for which every speed is proved stable; 0: none."""
-        stable = {k: all(r.stability_level < 1 for r in self.rows if r.kappa == k) for k in self._kappas()}
+        stable = {k: all(r.stable for r in self.rows if r.kappa == k) for k in self._kappas()}
         return max((np.inf if k is None else k for k, held in stable.items() if held), default=0.0)
 
     def energy(self) -> float:
@@ -104,7 +110,7 @@ def limits(
             LimitRow(
                 v,
                 kappa if np.isfinite(kappa) else None,
-                level,
+                level if np.isfinite(level) else None,
                 tuple(map(float, constants)),
                 None if gain is None else gain[0],
                 () if gain is None else tuple(map(float, gain[1])),
@@ -144,7 +150,8 @@ def require_limits(
 
         constants = np.array(row["stability_constants"], float)
         level = loop.stability().proved(loop.ones, 1.0, constants) if loop.stable else np.inf
-        if not abs(level - row["stability_level"]) <= LEVEL_RTOL * level:
+        stated_level = np.inf if row["stability_level"] is None else row["stability_level"]
+        if stated_level != level and not abs(level - stated_level) <= LEVEL_RTOL * level:
             refuse("stability_level", level)
         if row["gain"] is not None:
             constants = np.array(row["gain_constants"], float)

@@ -142,7 +142,7 @@ def _limits(found: dict | None) -> str:
         return ""
     rows = []
     for row in found["rows"]:
-        stable = row["stability_level"] < 1
+        stable = row["stability_level"] is not None and row["stability_level"] < 1
         rows.append(
             [
                 number(row["v_mps"], 4),
