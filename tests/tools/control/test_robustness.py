@@ -4,30 +4,27 @@ the same loops, and refused when altered."""
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from lpvguard import schemas
 from lpvguard.base.errors import InputError
+from lpvguard.control import design as stage
+from lpvguard.control.limits import LimitRow, Limits, require_limits
 from lpvguard.control.plants import vehicle_at
 from lpvguard.control.robustness import (
     LOOSE,
     NodeRobustness,
     Robustness,
     compare,
-    robustness,
 )
 from lpvguard.control.slow_delta import (
     NodeSlowness,
     Slowness,
     require_slowness,
-    slowness,
 )
-from lpvguard.core.scheduled import Scheduled
-from lpvguard.engine.synthesis.dk import Scaling
 from lpvguard.engine.synthesis.margins import margins, of_system
 from lpvguard.engine.synthesis.statespace import gain, series
 from lpvguard.identify import run as identification
@@ -37,24 +34,25 @@ from lpvguard.vehicle.nominal import NominalModel
 
 @pytest.fixture(scope="module")
 def stored(few_truck_identified):
-    """The truck identified on few drives."""
-    return identification.load(few_truck_identified)
+    """The truck identified on few drives, with few nodes and an objective that leaves room below 1."""
+    one = identification.load(few_truck_identified)
+    settings = one.project.design.model_copy(update={"nodes": 3, "A_t": 40.0})
+    return replace(one, project=one.project.model_copy(update={"design": settings}))
 
 
 @pytest.fixture(scope="module")
-def schedule():
-    """The shipped truck's controller, which any identification of the truck can be asked about."""
-    return Scheduled.read(schemas.example("controller"))
-
-
-def scaling() -> Scaling:
-    stated = schemas.example("controller")["certificates"]
-    return Scaling(np.array(stated["scaling_log_parameters"], float).reshape(-1, stated["scaling_columns"]))
+def result(stored):
+    return stage.design(stored, moving_speed=False)
 
 
 @pytest.fixture(scope="module")
-def found(stored, schedule):
-    return robustness(stored, schedule, scaling())
+def schedule(result):
+    return result.schedule
+
+
+@pytest.fixture(scope="module")
+def found(result):
+    return result.beside.robustness
 
 
 def test_disk_margins_are_those_of_the_loop_broken_at_the_vehicles_input(stored, schedule, found):
@@ -80,6 +78,11 @@ def test_neighbours_lie_within_the_nu_margin_and_midpoints_nearer(found):
     assert last.nu_gap_next is None is last.nu_gap_midpoint
     for node in inner:
         assert 0 < node.nu_gap_midpoint < node.nu_gap_next < node.nu_margin <= 1
+
+
+def test_a_saved_design_is_proved_anew(stored, result, tmp_path):
+    stage.save(result, stored, tmp_path / "design")
+    stage.verify(tmp_path / "design" / "controller.json", stored)
 
 
 def test_an_altered_number_is_refused_by_name(found):
@@ -121,10 +124,10 @@ def test_the_page_shows_every_number_of_a_node_and_a_dash_for_none(tmp_path):
     assert "Beside μ" not in design_section(tmp_path)
 
 
-def test_rates_are_proved_anew_and_larger_ones_are_refused(stored, schedule):
-    found, path = slowness(stored, schedule, scaling()), Path("controller.json")
+def test_rates_are_proved_anew_and_larger_ones_are_refused(stored, result, schedule):
+    found, path = result.beside.slow_delta, Path("controller.json")
     stated = json.loads(json.dumps(found.to_dict()))
-    require_slowness(path, stated, stored, schedule, scaling())
+    require_slowness(path, stated, stored, schedule, result.scaling)
     assert found.performance_rate > 0 and found.hidden_slow < found.hidden_fast
     for part, key in (
         ("performance", "performance_rate"),
@@ -133,12 +136,12 @@ def test_rates_are_proved_anew_and_larger_ones_are_refused(stored, schedule):
         altered = json.loads(json.dumps(stated))
         altered["nodes"][-1][key] *= 1.3
         with pytest.raises(InputError, match=rf"slow_delta at 22 m/s, {part}"):
-            require_slowness(path, altered, stored, schedule, scaling())
+            require_slowness(path, altered, stored, schedule, result.scaling)
     with pytest.raises(InputError, match="hidden_slow_per_s"):
         altered = stated | {"hidden_slow_per_s": 0.5 * stated["hidden_slow_per_s"]}
-        require_slowness(path, altered, stored, schedule, scaling())
+        require_slowness(path, altered, stored, schedule, result.scaling)
     with pytest.raises(InputError, match="one row a node"):
-        require_slowness(path, stated | {"nodes": stated["nodes"][1:]}, stored, schedule, scaling())
+        require_slowness(path, stated | {"nodes": stated["nodes"][1:]}, stored, schedule, result.scaling)
 
 
 def test_the_page_says_which_hidden_rates_are_covered(tmp_path):
@@ -154,3 +157,35 @@ def test_the_page_says_which_hidden_rates_are_covered(tmp_path):
         '<span class="yes">above 0.0333/s</span>' in text and '<span class="no">below 1.05/s</span>' in text
     )
     assert "stable up to 3.25/s" in text and "<td>any</td><td>0.6066</td>" in text
+
+
+def test_what_is_proved_at_the_limits_is_proved_anew_and_more_is_refused(stored, result, schedule):
+    found, path = result.beside.limits, Path("controller.json")
+    stated = json.loads(json.dumps(found.to_dict()))
+    require_limits(path, stated, stored, schedule, result.scaling)
+    proved = [k for k, row in enumerate(stated["rows"]) if None not in (row["energy"], row["gain"])]
+    assert found.largest_kappa >= 1 and found.energy() > 0 and proved
+    for key, factor in (("gain", 0.8), ("energy", 1.01), ("stability_level", 0.99), ("kappa", 1.5)):
+        altered = json.loads(json.dumps(stated))
+        altered["rows"][proved[0]][key] *= factor
+        with pytest.raises(InputError, match="limits at 8 m/s, kappa"):
+            require_limits(path, altered, stored, schedule, result.scaling)
+
+
+def test_the_page_and_the_summary_tell_how_far_the_limits_go(tmp_path):
+    rows = (
+        LimitRow(8.0, 1.0, 0.6, (0.0,), 1.0123, (0.0,), 2.34, (0.0,)),
+        LimitRow(8.0, 2.0, 0.8, (0.0,), 19.4, (0.0,), 1.25, (0.0,)),
+        LimitRow(8.0, None, 1.3, (0.0,), None, (), None, ()),
+        LimitRow(22.0, 1.0, 0.7, (0.0,), None, (), 1.5, (0.0,)),
+        LimitRow(22.0, 2.0, 0.9, (0.0,), None, (), 1.75, (0.0,)),
+        LimitRow(22.0, None, 0.97, (0.0,), None, (), None, ()),
+    )
+    found = Limits(rows)
+    assert found.largest_kappa == 2 and found.energy() == 1.75
+    certificates = schemas.example("controller")["certificates"]
+    certificates["limits"] = found.to_dict()
+    (tmp_path / "controller.json").write_text(json.dumps({"certificates": certificates}))
+    text = design_section(tmp_path)
+    for shown in ("<td>19.4</td><td>1.25</td>", '<td>any</td><td><span class="no">not proved</span></td>'):
+        assert shown in text.replace("\n", "")

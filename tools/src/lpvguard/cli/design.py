@@ -27,6 +27,7 @@ from .tables import (
     print_certificates,
     print_design,
     print_largest_A_t,
+    print_limits,
     print_moving_speed,
     print_premise,
     print_robustness,
@@ -166,6 +167,7 @@ def _design_vehicle(
     print_moving_speed(result)
     print_robustness(result)
     print_slow_delta(result)
+    print_limits(result)
     print_summary(stored.project.name, result, out)
     return 0 if result.worst < 1 else 1
 

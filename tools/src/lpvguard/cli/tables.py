@@ -308,9 +308,9 @@ def print_moving_speed(result: Design) -> None:
 
 def print_robustness(result: Design) -> None:
     """The worst of what the nodes have beside mu; nothing where it was not asked for."""
-    if result.robustness is None:
+    if result.beside is None:
         return
-    nodes = result.robustness.nodes
+    nodes = result.beside.robustness.nodes
     gains = [node.worst_gain for node in nodes]
     gain = "not bounded" if None in gains else f"at most {max(g for g in gains if g is not None):.4f}"
     nearest = min((n.nu_margin / n.nu_gap_next for n in nodes if n.nu_gap_next), default=None)
@@ -324,7 +324,7 @@ def print_robustness(result: Design) -> None:
 
 def print_slow_delta(result: Design) -> None:
     """How fast Delta may vary, beside what frames can hide; nothing for a design without Delta."""
-    found = result.slow_delta
+    found = None if result.beside is None else result.beside.slow_delta
     if found is None:
         return
     stable = "at any rate" if found.stability_rate is None else f"up to {found.stability_rate:.3g} a second"
@@ -332,6 +332,23 @@ def print_slow_delta(result: Design) -> None:
         f"a Delta that varies: gain below 1 proved up to {found.performance_rate:.3g} a second, "
         f"stable {stable}; frames hide {found.hidden_slow:.3g} (the longest) to {found.hidden_fast:.3g} "
         "a second (the shortest)"
+    )
+
+
+def print_limits(result: Design) -> None:
+    """What is proved where the demand meets its limits; nothing where it was not asked for."""
+    if result.beside is None:
+        return
+    found = result.beside.limits
+    kappa, energy = found.largest_kappa, found.energy()
+    console.print(
+        "limits: "
+        + (
+            f"stable while the wanted demand is within {kappa:.3g} times its limit"
+            if kappa
+            else "nothing proved beyond the limit"
+        )
+        + (f"; kept there by every [w; n; r_c] of norm up to {energy:.3g}" if energy else "")
     )
 
 

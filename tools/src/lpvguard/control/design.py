@@ -46,12 +46,11 @@ from ..identify.premise import premise, require_premise
 from ..identify.run import StoredIdentification
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import DesignSettings
+from .beside import NOTHING, Beside, beside, require_beside
 from .designed import stated_scaling
 from .input_limit import input_limit
 from .plants import design_settings, fig1_weights, plant_at, vehicle_at
-from .robustness import Robustness, require_robustness, robustness
 from .schedule import FrozenLoop, fit
-from .slow_delta import Slowness, require_slowness, slowness
 
 FEWEST_PAIRS, MOST_PAIRS = 2, 19
 """Of poles, for each demand: fewer than the vehicle and the reference model have between them cannot do the
@@ -89,8 +88,7 @@ def _with_delay(K: StateSpace) -> StateSpace:
 class Design:
     """A scheduled controller and its certificates: ``certificates`` per frozen speed, nodes and midpoints in
     order; ``lpv`` for a moving speed (None: not asked for, or no storage function was found);
-    ``robustness``: what the nodes have beside mu, ``slow_delta``: how fast Delta may vary (None: not asked
-    for).
+    ``beside``: margins, a varying Delta and limits (None: not asked for).
     """
 
     schedule: Scheduled
@@ -99,8 +97,7 @@ class Design:
     full_order: int
     off_grid: tuple[float, RobustPerformance]
     lpv: LpvCertificate | None = None
-    robustness: Robustness | None = None
-    slow_delta: Slowness | None = None
+    beside: Beside | None = None
 
     @property
     def worst(self) -> float:
@@ -121,8 +118,7 @@ def design(
     return replace(
         result,
         lpv=moving_certificate(stored, result, moving) if moving_speed else None,
-        robustness=robustness(stored, result.schedule, result.scaling, margins),
-        slow_delta=slowness(stored, result.schedule, result.scaling, margins),
+        beside=beside(stored, result.schedule, result.scaling, margins),
     )
 
 
@@ -440,8 +436,7 @@ def verify(path: Path, stored: StoredIdentification, progress: Progress = lambda
                 f"|dv/dt| up to {lpv['rate_mps2']:.4g} m/s2",
                 "the coefficients, weights and P that were certified",
             )
-    require_robustness(path, stated.get("robustness"), stored, schedule, scaling, margins)
-    require_slowness(path, stated.get("slow_delta"), stored, schedule, scaling, margins)
+    require_beside(path, stated, stored, schedule, scaling, margins)
 
 
 def _require_settings(
@@ -572,8 +567,7 @@ def save(
             "scaling_log_parameters": result.scaling.log_parameters,
             "scaling_columns": result.scaling.log_parameters.shape[1],
             "moving_speed": _moving(result.lpv),
-            "robustness": None if result.robustness is None else result.robustness.to_dict(),
-            "slow_delta": None if result.slow_delta is None else result.slow_delta.to_dict(),
+            **(NOTHING if result.beside is None else result.beside.to_dict()),
             "dc_floor": dc_floor(fig1_weights(stored, settings)),
             "largest_A_t": None if largest is None else asdict(largest),
             "off_grid": {"speeds": OFF_GRID, "seed": stored.project.seed, **_row(*result.off_grid)},

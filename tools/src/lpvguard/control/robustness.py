@@ -1,8 +1,8 @@
-"""What a design's loop has at every node of its speeds beside mu: bounds between frequencies, worst-case
-gain, disk margins at the vehicle's input, and the nu-gap to the neighbouring vehicles (THEORY 6.5).
+"""What a design's loop has at every node of its speeds beside mu (THEORY 7.10).
 
-All of it is about frozen speeds, the coefficients as the core runs them and the nominal vehicle.
-Worst-case gain and mu are bounds over every Delta of size 1.
+Bounds that hold between frequencies, the worst-case gain, disk margins at the vehicle's input, and the
+nu-gap to the neighbouring vehicles. All of it is about frozen speeds, the coefficients as the core runs
+them and the nominal vehicle. Worst-case gain and mu are bounds over every Delta of size 1.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""How fast Delta may vary at every node for the certificate to hold, beside how fast the frames that set
-its bounds let it vary unseen (THEORY 6.6).
+"""How fast Delta may vary at every node, beside how fast the frames that set its bounds let it vary unseen
+(THEORY 7.11).
 
 A rate r [1/s] says that Delta changes in gain by at most r Ts from one sample to the next, Delta being any
 causal linear operator of gain 1. The speed is frozen.

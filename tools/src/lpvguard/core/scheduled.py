@@ -60,10 +60,14 @@ class Scheduled:
         B = self._rows(self.B, v)
         return StateSpace(A, B, C, np.zeros((len(C), B.shape[1])), self.Ts)
 
+    def injection(self, v: float) -> np.ndarray:
+        """L (order, n_u) at speed v."""
+        return self._rows(self.L, v)
+
     def injection_radius(self, v: float) -> float:
         """Spectral radius of A - L C at speed v."""
         A, C = self._constant()
-        return float(np.abs(np.linalg.eigvals(A - self._rows(self.L, v) @ C)).max())
+        return float(np.abs(np.linalg.eigvals(A - self.injection(v) @ C)).max())
 
     def limit(self, v: float) -> np.ndarray:
         """(n_u,): largest |demand| at speed v."""

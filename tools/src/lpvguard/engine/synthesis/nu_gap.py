@@ -1,4 +1,4 @@
-"""The ν-gap between two plants and the robust-stability margin that belongs to it (Vinnicombe 1993).
+"""The ν-gap between two plants and the robust-stability margin that belongs to it (THEORY 7.10).
 
 With normalised coprime factors G₁ = [N₁; M₁] and G̃₂ = [−M̃₂, Ñ₂] the chordal distance of two plants at a
 frequency is σ̄(G̃₂G₁). Where det(I + P₂ᴴP₁) has the right winding number the ν-gap is ‖G̃₂G₁‖∞, and 1 otherwise.

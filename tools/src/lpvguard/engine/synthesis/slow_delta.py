@@ -1,4 +1,4 @@
-"""A Δ that varies slowly: the commutator of Δ and a dynamic scaling D, as one more uncertainty (THEORY 6.6).
+"""A Δ that varies slowly: the commutator of Δ and a dynamic scaling D, as one more uncertainty (THEORY 7.11).
 
 A block's scaling is d = D∞ + C (q − A)⁻¹ B in discrete time, stable with stable inverse, q the shift by
 one sample. For any causal linear Δ and its change over one sample, E = q Δ q⁻¹ − Δ,
@@ -13,28 +13,20 @@ commute with operators of any speed. So a norm below 1 under constant scalings o
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from scipy.optimize import minimize
 
+from lpvguard.engine.synthesis.constant_scalings import ConstantScalings
 from lpvguard.engine.synthesis.dk import Scaling
 from lpvguard.engine.synthesis.interconnection import GeneralisedPlant
-from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.scheduling import closed_scaled
 from lpvguard.engine.synthesis.statespace import StateSpace, append, gain, series, to_discrete
 
-GRID = 160
-"""Frequencies on which constants are searched."""
-SLOWEST = 1e-4
-"""rad/s"""
 SHARES = (0.98, 0.9, 0.7, 0.4)
 """Of the rate found on the grid, tried in the proof."""
 RATES = 1e-6, 1e4
 """Least and largest rate that is looked for [1/s]."""
 RATE_RTOL = 0.03
-NORM_RTOL = 1e-5
-SEARCH_STEPS = 60
 
 
 @dataclass(frozen=True)
@@ -75,23 +67,19 @@ class SlowLoop:
         seen, acted = append(*H), append(*F)
         into = _beside(gain(np.eye(plant.n_delta_in), self.dt), seen, n_z, self.dt)
         out = _sum(plant.n_delta_out, acted, n_w, self.dt)
-        self.system = series(into, series(loop, out))
-        self.rest = n_z, n_w
-        # Performance fixes the unit of Δ's scalings, and without states of D there is no E.
-        self.fixed = self.blocks if performance else 0
-        self.constants = (
-            (self.blocks if scaling.log_parameters.shape[1] > 1 else 0) + self.blocks - self.fixed
+        fixed = self.blocks if performance else 0
+        moving = self.blocks if scaling.log_parameters.shape[1] > 1 else 0
+        self.scalings = ConstantScalings(
+            series(into, series(loop, out)),
+            [*(b.cols for b in plant.blocks), *(s for s, _ in sizes[:moving])],
+            [*(b.rows for b in plant.blocks), *(s for _, s in sizes[:moving])],
+            fixed,
         )
 
-    def scaled(self, rate: float, log_constants: np.ndarray) -> StateSpace:
-        """The loop whose norm below 1 proves ``rate``."""
-        left, right = self._constants(rate, log_constants)
-        G = self.system
-        return StateSpace(G.A, G.B * right, G.C * left[:, None], G.D * left[:, None] * right, G.dt)
-
     def proved(self, rate: float, log_constants: np.ndarray) -> float:
-        """The upper end of the norm's bracket over all frequencies."""
-        return hinf_norm(self.scaled(rate, log_constants), NORM_RTOL).upper
+        """The norm from above over all frequencies with ``log_constants`` (free,); below 1 it proves
+        ``rate``."""
+        return self.scalings.proved(self._sizes(rate), 1.0, log_constants)
 
     def search(self) -> SlowProof | None:
         """The largest rate found with a proof; None: none from RATES on."""
@@ -99,9 +87,10 @@ class SlowLoop:
         best: tuple[float, np.ndarray] | None = None
         while high - low > RATE_RTOL:
             middle = 0.5 * (low + high)
-            value, x = self._constants_for(float(np.exp(middle)))
+            rate = float(np.exp(middle))
+            value, x = self.scalings.least(self._sizes(rate), 1.0, self.even(rate))
             if value < 1:
-                low, best = middle, (float(np.exp(middle)), x)
+                low, best = middle, (rate, x)
             else:
                 high = middle
         if best is None:
@@ -114,44 +103,20 @@ class SlowLoop:
 
     def at(self, rate: float) -> SlowProof:
         """The level proved for a given ``rate``, which may be 1 or more."""
-        _, x = self._constants_for(rate)
+        _, x = self.scalings.least(self._sizes(rate), 1.0, self.even(rate))
         return SlowProof(rate, x, self.proved(rate, x))
 
     def even(self, rate: float) -> np.ndarray:
-        """Constants that give a rate above 0 in equal parts to rows and columns of E."""
-        start = np.zeros(self.constants)
+        """Logarithms (free,) of constants that give a rate above 0 in equal parts to rows and columns of
+        E."""
+        start = np.zeros(self.scalings.free)
         if rate > 0:
-            start[self.blocks - self.fixed :] = -0.5 * np.log(rate * self.dt)
+            start[self.blocks - self.scalings.fixed :] = -0.5 * np.log(rate * self.dt)
         return start
 
-    def _constants_for(self, rate: float) -> tuple[float, np.ndarray]:
-        """The least largest singular value on the grid, and the constants that give it."""
-        start = self.even(rate)
-        found = minimize(
-            lambda x: self._largest(self._grid, rate, x),
-            start,
-            method="Nelder-Mead",
-            options={"maxfev": SEARCH_STEPS * len(start), "xatol": 1e-3, "fatol": 1e-6},
-        )
-        return float(found.fun), found.x
-
-    @cached_property
-    def _grid(self) -> np.ndarray:
-        """The loop's response, (frequencies, rows, columns)."""
-        omega = np.concatenate([[0.0], np.geomspace(SLOWEST, np.pi / self.dt * (1 - 1e-9), GRID)])
-        return self.system.response(omega)
-
-    def _constants(self, rate: float, log_constants: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        log = np.zeros(len(self.rows))
-        log[self.fixed : self.fixed + self.constants] = log_constants
-        left, right = np.repeat(np.exp(log), self.rows), np.repeat(np.exp(-log), self.cols)
-        left[sum(self.rows[: self.blocks]) :] *= rate * self.dt
-        return np.append(left, np.ones(self.rest[0])), np.append(right, np.ones(self.rest[1]))
-
-    def _largest(self, M: np.ndarray, rate: float, log_constants: np.ndarray) -> float:
-        left, right = self._constants(rate, log_constants)
-        N = left[:, None] * M * right
-        return float(np.sqrt(np.linalg.eigvalsh(N @ np.conj(np.swapaxes(N, 1, 2)))[:, -1].max()))
+    def _sizes(self, rate: float) -> np.ndarray:
+        """1 for each block of Δ, and the rate a sample for each E."""
+        return np.where(np.arange(len(self.scalings.rows)) < self.blocks, 1.0, rate * self.dt)
 
 
 def _scalar(left: StateSpace, plant: GeneralisedPlant, scaling: Scaling) -> list[StateSpace]:

@@ -1,4 +1,4 @@
-"""The worst-case gain: the largest gain from disturbances to errors over every Δ of size 1 (THEORY 6.2).
+"""The worst-case gain: the largest gain from disturbances to errors over every Δ of size 1 (THEORY 7.10).
 
 At one frequency γ bounds it where scalings D, G of the blocks of Δ give (skewed μ; Packard & Doyle 1993)
 

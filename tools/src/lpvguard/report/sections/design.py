@@ -47,6 +47,7 @@ def design_section(folder: Path) -> str:
 {escape(controller["claim"])}. Largest μ proved: {highest:.4f}.</p>
 <p>{premise_words(controller["premise"])}</p>{speeds}"""
     text += _robustness(controller.get("robustness")) + _slow_delta(controller.get("slow_delta"))
+    text += _limits(controller.get("limits"))
     beside = folder.absolute().parent / ROBUST
     if beside.is_file():
         text += _true_loop(beside, controller["coefficients_sha256"])
@@ -96,7 +97,7 @@ def _robustness(found: dict | None) -> str:
         "to midpoint",
     ]
     return f"""<h3>Beside μ, at every node</h3>
-<p>μ and worst-case gain are bounds proved between frequencies, over every LTI Δ of size 1 (THEORY 6.5). \
+<p>μ and worst-case gain are bounds proved between frequencies, over every LTI Δ of size 1 (THEORY 7.10). \
 Disk margins are those of the nominal loop, broken at the vehicle's input. The ν-margin is how far a vehicle \
 may be in the ν-gap and still be stabilised.</p>{html_table(titles, rows, "tight")}"""
 
@@ -129,10 +130,43 @@ def _slow_delta(found: dict | None) -> str:
     least = found["stability_rate_per_s"]
     stable = "at any rate" if least is None else f"up to {number(least)}/s"
     return f"""<h3>A Δ that varies</h3>
-<p>Proved for every causal linear Δ of gain 1 that changes in gain by at most the rate (THEORY 6.6). Frames \
+<p>Proved for every causal linear Δ of gain 1 that changes in gain by at most the rate (THEORY 7.11). Frames \
 see the mean of a Δ that turns its sign within them: {number(hidden[0])}/s in the longest, \
 {number(hidden[1])}/s in the shortest. The rate with a gain below 1, {number(proved)}/s, is {words[0]}, and \
 {words[1]}. The loop is stable {stable}.</p>{table}"""
+
+
+def _limits(found: dict | None) -> str:
+    """What is proved where the demand meets its limits; "" where nothing is claimed."""
+    if found is None:
+        return ""
+    rows = []
+    for row in found["rows"]:
+        stable = row["stability_level"] is not None and row["stability_level"] < 1
+        rows.append(
+            [
+                number(row["v_mps"], 4),
+                "any" if row["kappa"] is None else number(row["kappa"]),
+                yes_or_no(stable, "proved", "not proved"),
+                *("–" if row[name] is None else number(row[name]) for name in ("gain", "energy")),
+            ]
+        )
+    table = html_table(
+        [
+            "speed, m/s",
+            "wanted demand over limit, up to",
+            "stable",
+            "gain at most",
+            "norm of [w; n; r_c] up to",
+        ],
+        rows,
+        "tight",
+    )
+    return f"""<h3>Limits of the demand</h3>
+<p>Proved for every LTI Δ within W<sub>Δ</sub>, with the anti-windup as the core runs it (THEORY 7.12). \
+While the wanted demand stays within the stated multiple of its limit the loop is stable, and the gain is \
+bounded. Every [w; n; r<sub>c</sub>] up to the stated norm keeps the demand there and the rate limit \
+untouched.</p>{table}"""
 
 
 def _true_loop(path: Path, controller: str) -> str:

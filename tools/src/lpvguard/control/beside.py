@@ -1,0 +1,65 @@
+"""What a design states beside mu and the moving speed: margins, a Delta that varies, and limits of the
+demand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..base.progress import Progress, parts
+from ..core.scheduled import Scheduled
+from ..engine.synthesis.dk import Scaling
+from ..identify.run import StoredIdentification
+from .limits import Limits, limits, require_limits
+from .robustness import Robustness, require_robustness, robustness
+from .slow_delta import Slowness, require_slowness, slowness
+
+SHARES = (3, 1, 1)
+"""Rough shares of the work."""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """``slow_delta`` is None for a design without Delta."""
+
+    robustness: Robustness
+    slow_delta: Slowness | None
+    limits: Limits
+
+    def to_dict(self) -> dict:
+        """Fields of a controller.json's certificates."""
+        return {
+            "robustness": self.robustness.to_dict(),
+            "slow_delta": None if self.slow_delta is None else self.slow_delta.to_dict(),
+            "limits": self.limits.to_dict(),
+        }
+
+
+NOTHING = {"robustness": None, "slow_delta": None, "limits": None}
+"""The same fields where nothing was asked for."""
+
+
+def beside(
+    stored: StoredIdentification, schedule: Scheduled, scaling: Scaling, progress: Progress = lambda _: None
+) -> Beside:
+    """All of it for one controller."""
+    tells = parts(progress, *SHARES)
+    given = stored, schedule, scaling
+    return Beside(robustness(*given, tells[0]), slowness(*given, tells[1]), limits(*given, tells[2]))
+
+
+def require_beside(
+    path: Path,
+    stated: dict,
+    stored: StoredIdentification,
+    schedule: Scheduled,
+    scaling: Scaling,
+    progress: Progress = lambda _: None,
+) -> None:
+    """InputError unless ``stated``, the certificates of ``path``, are proved or computed anew; a field
+    that is missing or None claims nothing."""
+    tells = parts(progress, *SHARES)
+    given = stored, schedule, scaling
+    require_robustness(path, stated.get("robustness"), *given, tells[0])
+    require_slowness(path, stated.get("slow_delta"), *given, tells[1])
+    require_limits(path, stated.get("limits"), *given, tells[2])

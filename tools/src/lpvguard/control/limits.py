@@ -1,0 +1,184 @@
+"""What is proved of the loop where its demand meets its limits, with the anti-windup as built, at frozen
+speeds (THEORY 7.12).
+
+A row says: for every LTI Delta within W_delta, and as long as the demand that the controller wants stays
+within kappa times its limit, the loop is stable, the gain from [w; n; r_c] to z is bounded, and every [w;
+n; r_c] of at most an energy keeps the demand there and the rate limit untouched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..base.errors import InputError
+from ..base.progress import Counted, Progress
+from ..core.scheduled import Scheduled
+from ..engine.synthesis.dk import Scaling
+from ..engine.synthesis.saturation import LimitedLoop
+from ..identify.run import StoredIdentification
+from ..vehicle.nominal import NominalModel
+from .plants import design_settings, fig1_weights, plant_at
+
+KAPPAS = (1.0, 1.5, 2.0, np.inf)
+"""The wanted demand over its limit; 1: the limit is never reached, inf: any demand."""
+SPEEDS = 4
+"""Nodes, ends included."""
+ENERGY_RTOL, LEVEL_RTOL = 1e-3, 1e-4
+"""Largest relative differences between stated numbers and those proved anew."""
+
+
+@dataclass(frozen=True)
+class LimitRow:
+    """At ``v_mps``, for a demand within ``kappa`` (None: any) times its limit.
+
+    stability_level: below 1 the loop is stable, by its constants (None: unstable in the middle of the
+    sector). gain: bound from [w; n; r_c] to z (None: none found). energy: largest norm of [w; n; r_c] that
+    keeps the demand there (None: none found).
+    """
+
+    v_mps: float
+    kappa: float | None
+    stability_level: float | None
+    stability_constants: tuple[float, ...]
+    gain: float | None
+    gain_constants: tuple[float, ...]
+    energy: float | None
+    energy_constants: tuple[float, ...]
+
+    @property
+    def stable(self) -> bool:
+        """Whether stability is proved."""
+        return self.stability_level is not None and self.stability_level < 1
+
+
+@dataclass(frozen=True)
+class Limits:
+    """``rows``: speeds in order, and of each its kappas."""
+
+    rows: tuple[LimitRow, ...]
+
+    @property
+    def largest_kappa(self) -> float:
+        """The largest kappa for which every speed is proved stable; 0: none."""
+        stable = {k: all(r.stable for r in self.rows if r.kappa == k) for k in self._kappas()}
+        return max((np.inf if k is None else k for k, held in stable.items() if held), default=0.0)
+
+    def energy(self) -> float:
+        """The energy that keeps some kappa's demand at every speed; 0: none."""
+        by_speed: dict[float, float] = {}
+        for row in self.rows:
+            by_speed[row.v_mps] = max(by_speed.get(row.v_mps, 0.0), row.energy or 0.0)
+        return min(by_speed.values())
+
+    def _kappas(self) -> list[float | None]:
+        return list(dict.fromkeys(row.kappa for row in self.rows))
+
+    def to_dict(self) -> dict:
+        """As controller.json holds it."""
+        return {
+            "claim": "frozen speeds, every LTI Delta within W_delta, anti-windup as the core runs it: while "
+            "the wanted demand is within kappa times u_max the loop is stable where stability_level is below "
+            "1, and the gain from [w; n; r_c] to z is at most gain; every [w; n; r_c] with a norm of at most "
+            "energy keeps the wanted demand there and its steps within the rate limit",
+            "rows": [asdict(row) for row in self.rows],
+        }
+
+
+def limits(
+    stored: StoredIdentification, schedule: Scheduled, scaling: Scaling, progress: Progress = lambda _: None
+) -> Limits:
+    """The rows of SPEEDS nodes and every kappa."""
+    rows = []
+    some = np.unique(np.linspace(0, len(schedule.speeds) - 1, SPEEDS).round().astype(int))
+    asked = [(float(schedule.speeds[k]), kappa) for k in some for kappa in KAPPAS]
+    step_max = _step_max(stored, schedule)
+    for k, (loop, (v, kappa)) in enumerate(zip(_loops(stored, schedule, scaling, asked), asked, strict=True)):
+        progress(Counted(f"limits at {v:.3g} m/s", k, len(asked)))
+        stability = loop.stability()
+        level, constants = stability.least(loop.ones, 1.0, np.zeros(stability.free))
+        level = stability.proved(loop.ones, 1.0, constants) if loop.stable else np.inf
+        held = level < 1
+        gain = loop.gain() if held else None
+        u_max = float(schedule.limit(v)[0])
+        starts = [constants, *([] if gain is None else [gain[1]])]
+        kept = loop.largest_energy(starts, u_max, step_max) if held and np.isfinite(kappa) else None
+        rows.append(
+            LimitRow(
+                v,
+                kappa if np.isfinite(kappa) else None,
+                level if np.isfinite(level) else None,
+                tuple(map(float, constants)),
+                None if gain is None else gain[0],
+                () if gain is None else tuple(map(float, gain[1])),
+                None if kept is None else kept.energy,
+                () if kept is None else tuple(map(float, kept.log_constants)),
+            )
+        )
+    return Limits(tuple(rows))
+
+
+def require_limits(
+    path: Path,
+    stated: dict | None,
+    stored: StoredIdentification,
+    schedule: Scheduled,
+    scaling: Scaling,
+    progress: Progress = lambda _: None,
+) -> None:
+    """InputError unless the constants of ``stated`` (certificates.limits of ``path``) prove its numbers anew;
+    None claims nothing."""
+    if stated is None:
+        return
+    rows = stated["rows"]
+    asked = [(row["v_mps"], np.inf if row["kappa"] is None else row["kappa"]) for row in rows]
+    step_max = _step_max(stored, schedule)
+    for k, (row, loop) in enumerate(zip(rows, _loops(stored, schedule, scaling, asked), strict=True)):
+        v = row["v_mps"]
+        progress(Counted(f"limits at {v:.3g} m/s", k, len(rows)))
+
+        def refuse(name: str, value: float | None, row: dict = row) -> None:
+            raise InputError(
+                path,
+                f"certificates.limits at {row['v_mps']:g} m/s, kappa {row['kappa']}, {name}",
+                f"{value} when proved anew, not {row[name]}",
+                "the constants, coefficients and weights that were certified",
+            )
+
+        constants = np.array(row["stability_constants"], float)
+        level = loop.stability().proved(loop.ones, 1.0, constants) if loop.stable else np.inf
+        stated_level = np.inf if row["stability_level"] is None else row["stability_level"]
+        if stated_level != level and not abs(level - stated_level) <= LEVEL_RTOL * level:
+            refuse("stability_level", level)
+        if row["gain"] is not None:
+            constants = np.array(row["gain_constants"], float)
+            level = loop.performance().proved(loop.ones, 1 / row["gain"], constants)
+            if not level < 1:
+                refuse("gain", row["gain"] * level)
+        if row["energy"] is not None:
+            constants = np.array(row["energy_constants"], float)
+            energy = loop.energy(constants, float(schedule.limit(v)[0]), step_max)
+            if energy is None or not abs(energy - row["energy"]) <= ENERGY_RTOL * energy:
+                refuse("energy", energy)
+
+
+def _step_max(stored: StoredIdentification, schedule: Scheduled) -> float:
+    """Largest step of the demand from sample to sample that the rate limit lets pass [input unit]."""
+    return float(design_settings(stored).input_rate_max_per_s[0]) * schedule.Ts
+
+
+def _loops(
+    stored: StoredIdentification,
+    schedule: Scheduled,
+    scaling: Scaling,
+    asked: list[tuple[float, float]],
+) -> Iterator[LimitedLoop]:
+    """The loop of every speed and kappa in ``asked``."""
+    settings, model = design_settings(stored), NominalModel(stored.project)
+    weights = fig1_weights(stored, settings)
+    for v, kappa in asked:
+        plant = plant_at(stored, model, weights, v, False, settings.structure)
+        yield LimitedLoop(plant, schedule.at(v), schedule.injection(v), kappa, scaling)

@@ -1,0 +1,246 @@
+"""A loop whose demand is limited, with the controller's anti-windup as built: sector bounds of the dead
+zone (THEORY 7.12).
+
+The controller wants u = C x and gets v = u − q, where q is the dead zone of u: nothing within u_max, and
+beyond it what is cut off. It runs x⁺ = A x + B m − L q. While |u| ≤ κ u_max the dead zone lies in the
+sector from 0 to s = 1 − 1/κ, so q = ½ s (u + p) with |p| ≤ |u| sample by sample. p is one more block of
+uncertainty, memoryless: constants commute with it, as D(s) commutes with an LTI Δ. With the loop's outputs
+and inputs so scaled a matrix Q ≻ 0 with
+
+    diag(Q, I) − [A B; C D] diag(Q, I) [A B; C D]ᵀ ≻ 0
+
+proves a gain from w of at most 1, and xᵀQ⁻¹x ≤ ‖w‖² at every time. Then |c x| ≤ ‖w‖ √(c Q cᵀ), which keeps
+u within κ u_max and its steps within a rate limit for every disturbance of bounded energy.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg as sl
+
+from lpvguard.engine.synthesis.constant_scalings import ConstantScalings
+from lpvguard.engine.synthesis.dk import Scaling
+from lpvguard.engine.synthesis.errors import SynthesisError
+from lpvguard.engine.synthesis.interconnection import GeneralisedPlant
+from lpvguard.engine.synthesis.statespace import EPS, StateSpace, append, balancing, gain, series, to_discrete
+
+GAIN_RTOL = 0.02
+"""To which gains are searched."""
+LARGEST_GAIN = 1e3
+BACKOFF = 1.05
+"""Over the least gain found on the grid, at which it is proved."""
+OFFSETS = (-4.0, -2.0, 0.0, 2.0, 4.0)
+"""Of the logarithms of all constants together, tried for the energy: they weigh the blocks against w."""
+SLACK = 1e-7
+"""Extra input on every state with which Q's equation is made strict, relative to B Bᵀ."""
+DOUBLINGS = 40
+"""Steps of a Riccati equation's solution; n steps stand for 2^n samples."""
+RESERVE = 64
+"""Units of rounding that an eigenvalue must exceed 0 by, for each row."""
+
+
+@dataclass(frozen=True)
+class Reachable:
+    """``energy``: the largest ‖w‖ for which the limits are kept, proved with ``log_constants``."""
+
+    energy: float
+    log_constants: np.ndarray
+
+
+def sector(kappa: float) -> float:
+    """The largest slope of the dead zone while |u| ≤ kappa u_max."""
+    return 1.0 if np.isinf(kappa) else 1 - 1 / kappa
+
+
+def limited_loop(
+    plant: GeneralisedPlant, controller: StateSpace, L: np.ndarray, kappa: float, scaling: Scaling
+) -> StateSpace:
+    """The loop from [Δ outputs, p, w] to [Δ inputs, u, z], those of Δ scaled by D; states [.., x, x_K, u
+    of the sample before, ..].
+
+    ``controller`` strictly proper from the measurements; L (n, 1): its anti-windup. SynthesisError unless one
+    control enters the plant with a delay.
+    """
+    P, K, s = plant.system, controller, sector(kappa)
+    n_w, n_z = P.n_inputs - plant.n_control, P.n_outputs - plant.n_measurement
+    B1, B2, C1, C2 = P.B[:, :n_w], P.B[:, n_w:], P.C[:n_z], P.C[n_z:]
+    D11, D12, D21 = P.D[:n_z, :n_w], P.D[:n_z, n_w:], P.D[n_z:, :n_w]
+    if plant.n_control != 1 or P.D[n_z:, n_w:].any() or K.D.any():
+        raise SynthesisError(
+            "limited loop", "plant", "more inputs or no delay", "one input, late by a sample"
+        )
+    n, m = P.order, K.order
+    # x, x_K and the demand before; the dead zone's output enters as q.
+    A = np.block(
+        [
+            [P.A, B2 @ K.C, np.zeros((n, 1))],
+            [K.B @ C2, K.A, np.zeros((m, 1))],
+            [np.zeros((1, n)), K.C, np.zeros((1, 1))],
+        ]
+    )
+    by_w = np.vstack([B1, K.B @ D21, np.zeros((1, n_w))])
+    by_q = np.vstack([-B2, -L, np.zeros((1, 1))])
+    to_u = np.hstack([np.zeros((1, n)), K.C, np.zeros((1, 1))])
+    to_z = np.hstack([C1, D12 @ K.C, np.zeros((n_z, 1))])
+    A, to_z = A + 0.5 * s * by_q @ to_u, to_z - 0.5 * s * D12 @ to_u
+    xi, eta = plant.n_delta_out, plant.n_delta_in
+    B = np.hstack([by_w[:, :xi], 0.5 * s * by_q, by_w[:, xi:]])
+    C = np.vstack([to_z[:eta], to_u, to_z[eta:]])
+    from_p = -0.5 * s * D12
+    D = np.vstack(
+        [
+            np.hstack([D11[:eta, :xi], from_p[:eta], D11[:eta, xi:]]),
+            np.zeros((1, n_w + 1)),
+            np.hstack([D11[eta:, :xi], from_p[eta:], D11[eta:, xi:]]),
+        ]
+    )
+    loop = StateSpace(A, B, C, D, P.dt)
+    if not plant.blocks:
+        return loop
+    left, right = (to_discrete(G, P.dt) for G in scaling.systems(plant))
+    performance = plant.performance_block
+    return series(
+        append(left.select(slice(0, eta), slice(0, eta)), gain(np.eye(1 + performance.cols), P.dt)),
+        series(
+            loop,
+            append(right.select(slice(0, xi), slice(0, xi)), gain(np.eye(1 + performance.rows), P.dt)),
+        ),
+    )
+
+
+class LimitedLoop:
+    """A loop of ``limited_loop`` with its blocks: Δ, the limit, then performance."""
+
+    def __init__(
+        self, plant: GeneralisedPlant, controller: StateSpace, L: np.ndarray, kappa: float, scaling: Scaling
+    ):
+        self.kappa, self.system = kappa, limited_loop(plant, controller, L, kappa, scaling)
+        self.rows = [*(b.cols for b in plant.blocks), 1]
+        self.cols = [*(b.rows for b in plant.blocks), 1]
+        self.ones = np.ones(len(self.rows))
+        # The states before x: those of the scalings on the inputs.
+        before = sum(b.rows for b in plant.blocks) * ((scaling.log_parameters.shape[1] - 1) // 2)
+        self.x_K = slice(before + plant.system.order, before + plant.system.order + controller.order)
+        self.controller = controller
+
+    @property
+    def stable(self) -> bool:
+        """Whether the loop is stable with the sector's middle closed."""
+        return self.system.stability_margin() > 0
+
+    def stability(self) -> ConstantScalings:
+        """The blocks alone: a norm below 1 proves the loop stable for every Δ and demand within κ u_max."""
+        return ConstantScalings(
+            self.system.select(slice(0, sum(self.rows)), slice(0, sum(self.cols))), self.rows, self.cols
+        )
+
+    def performance(self) -> ConstantScalings:
+        """The blocks and performance."""
+        return ConstantScalings(self.system, self.rows, self.cols)
+
+    def gain(self) -> tuple[float, np.ndarray] | None:
+        """A gain from w to z that holds for every Δ and demand within κ u_max, and the logarithms
+        (blocks,) of its constants; None: none up to LARGEST_GAIN."""
+        if not self.stable:
+            return None
+        scalings = self.performance()
+        low, high = np.log(0.5), np.log(LARGEST_GAIN)
+        starts = [np.full(scalings.free, -offset) for offset in (0.0, 4.0)]
+        best: np.ndarray | None = None
+        while high - low > GAIN_RTOL:
+            middle = 0.5 * (low + high) if best is not None else high
+            tried = [scalings.least(self.ones, float(np.exp(-middle)), x) for x in starts]
+            value, x = min(tried, key=lambda one: one[0])
+            if value < 1:
+                high, best, starts = middle, x, [x]
+            elif best is None:
+                return None
+            else:
+                low = middle
+        if best is None:
+            return None
+        gamma = float(np.exp(high)) * BACKOFF
+        return (gamma, best) if scalings.proved(self.ones, 1 / gamma, best) < 1 else None
+
+    def largest_energy(self, starts: Sequence[np.ndarray], u_max: float, step_max: float) -> Reachable | None:
+        """The largest energy that constants of OFFSETS beside one of ``starts`` prove; None: none does.
+
+        starts: logarithms (blocks,) each. ``u_max``, ``step_max``: as of ``energy``.
+        """
+        found = []
+        for start, offset in itertools.product(starts, OFFSETS):
+            constants = start + offset
+            energy = self.energy(constants, u_max, step_max)
+            if energy is not None:
+                found.append(Reachable(energy, constants))
+        return max(found, key=lambda one: one.energy, default=None)
+
+    def energy(self, log_constants: np.ndarray, u_max: float, step_max: float) -> float | None:
+        """The largest ‖w‖ with which |u| ≤ κ u_max and |u(k) − u(k − 1)| ≤ ``step_max`` are proved by
+        ``log_constants`` (blocks,); None where Q is not found or does not pass its test."""
+        whole = self.performance().scaled(self.ones, 1.0, log_constants)
+        G = whole.select(slice(0, sum(self.rows)), slice(None))
+        t = balancing(G)
+        A, B, C, D = G.A * t / t[:, None], G.B / t[:, None], G.C * t, G.D
+        if not G.stability_margin() > 0:
+            return None
+        slack = SLACK * np.diag(np.diag(sl.solve_discrete_lyapunov(A, B @ B.T)) + EPS)
+        Q = _reached(A, B, C, D, slack)
+        if Q is None or not _proof(A, B, C, D, Q) > 1:
+            return None
+        wanted = np.zeros(len(A))
+        wanted[self.x_K] = self.controller.C[0]
+        step = wanted.copy()
+        step[self.x_K.stop] -= 1.0
+        rows = np.stack([wanted, step]) * t
+        largest, moved = np.sqrt(np.einsum("ki,ij,kj->k", rows, Q, rows))
+        return float(min(self.kappa * u_max / largest, step_max / moved))
+
+
+def _reached(
+    A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, slack: np.ndarray
+) -> np.ndarray | None:
+    """The least Q with Q = A Q Aᵀ + B Bᵀ + slack + V (I − D Dᵀ − C Q Cᵀ)⁻¹ Vᵀ, V = A Q Cᵀ + B Dᵀ, by doubling
+    (Chu, Fan, Lin and Wang 2004); None where the steps do not settle, as where the gain is not below 1."""
+    inverse = np.linalg.inv(np.eye(len(D)) - D @ D.T)
+    H = B @ B.T + slack + B @ D.T @ inverse @ D @ B.T
+    A, G = (A + B @ D.T @ inverse @ C).T, -C.T @ inverse @ C
+    for _ in range(DOUBLINGS):
+        try:
+            W = np.linalg.inv(np.eye(len(A)) + G @ H)
+        except np.linalg.LinAlgError:
+            return None
+        more = A.T @ H @ W @ A
+        A, G, H = A @ W @ A, G + A @ W @ G @ A.T, H + 0.5 * (more + more.T)
+        if not np.isfinite(H).all():
+            return None
+        if np.abs(more).max() <= EPS * np.abs(H).max():
+            return H
+    return None
+
+
+def _proof(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, Q: np.ndarray) -> float:
+    """Least eigenvalue of diag(Q, I) − M diag(Q, I) Mᵀ over its reserve for rounding, M = [A B; C D]; -inf
+    where Q is not positive definite. Rows are scaled to a unit diagonal of Q first."""
+    d = np.sqrt(np.diag(Q)) if (np.diag(Q) > 0).all() else np.zeros(len(Q))
+    if not (d > 0).all() or not np.isfinite(Q).all():
+        return -np.inf
+    A, B, C = A * d / d[:, None], B / d[:, None], C * d
+    Q = 0.5 * (Q + Q.T) / d / d[:, None]
+    n = len(Q)
+    M = np.block([[A, B], [C, D]])
+    inner, outer = np.eye(n + B.shape[1]), np.eye(n + len(C))
+    inner[:n, :n] = outer[:n, :n] = Q
+    F = outer - M @ inner @ M.T
+    if np.linalg.eigvalsh(Q)[0] <= RESERVE * EPS * n:
+        return -np.inf
+    reserve = (
+        RESERVE
+        * EPS
+        * (np.linalg.norm(outer, 2) + np.linalg.norm(np.abs(M) @ np.abs(inner) @ np.abs(M.T), 2))
+    )
+    return float(np.linalg.eigvalsh(0.5 * (F + F.T))[0] / reserve)
