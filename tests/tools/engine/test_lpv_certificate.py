@@ -96,7 +96,9 @@ def test_a_cell_bounds_what_the_loop_loses_between_its_ends(proved, adjoint):
     for v in random.uniform(low, high, 200):
         end = lpv._End.of(one, storage, v)
         after = storage.at(v + random.uniform(-1, 1) * rate * TS)
-        Q = np.block([[after, np.zeros((n, len(end.S) - n))], [np.zeros((len(end.S) - n, n)), np.eye(len(end.S) - n)]])
+        Q = np.block(
+            [[after, np.zeros((n, len(end.S) - n))], [np.zeros((len(end.S) - n, n)), np.eye(len(end.S) - n)]]
+        )
         assert np.linalg.eigvalsh(lpv._dissipation(end, Q, E))[0] >= promised * (1 - 1e-9)
 
 

@@ -10,8 +10,8 @@ One scaling D and one level serve all speeds, so that neighbouring controllers d
 speed replaces it. The controllers are brought to as few common poles as will do, with numerators interpolated
 over speed (schedule.py). What is certified is the controller the core runs: float32 coefficients,
 interpolated, closed with the nominal model and the weights. mu certifies frozen speeds: the nodes and midway
-between them. Storage functions certify robust stability and robust performance, each for every speed history up to a
-stated rate of change (engine/synthesis/lpv_certificate.py).
+between them. Storage functions certify robust stability and robust performance, each for every speed history
+up to a stated rate of change (engine/synthesis/lpv_certificate.py).
 """
 
 from __future__ import annotations
@@ -74,8 +74,8 @@ REACH = 3
 """Crossovers that the model error model must reach."""
 CROSSOVER_FROM, CROSSOVER_POINTS = 1e-3, 2000
 PERFORMANCE_FROM = 0.95
-"""Largest frozen mu from which robust performance at a moving speed is searched for: nearer 1 the search takes
-as long and a rate worth stating is not to be had."""
+"""Largest frozen mu with which robust performance at a moving speed is searched for: nearer 1 the search
+takes as long, and a rate worth stating is not to be had."""
 CLAIMS = ("stability", "performance")
 """What is proved of a moving speed, the first for Delta's channels alone."""
 SCALING_SPEEDS = 4
@@ -524,8 +524,8 @@ def _symmetric(upper: list[float]) -> np.ndarray:
 
 MOVING_CLAIMS = {
     "stability": "the loop stays stable for every LTI Delta within W_delta",
-    "performance": "the gain of the whole scaled loop is below 1, from rest: robust performance for every LTI "
-    "Delta within W_delta",
+    "performance": "the gain of the whole scaled loop is below 1, from rest: robust performance for every "
+    "LTI Delta within W_delta",
 }
 """What each claim says of every speed of the range and every |dv/dt| up to the stated rate."""
 
@@ -533,7 +533,10 @@ MOVING_CLAIMS = {
 def _moving(claim: str, lpv: LpvCertificate | None) -> dict:
     """A claim about a moving speed as controller.json holds it."""
     if lpv is None:
-        return {"claim": f"no proof was found: of {claim} at a moving speed nothing is claimed", "rate_mps2": None}
+        return {
+            "claim": f"no proof was found: of {claim} at a moving speed nothing is claimed",
+            "rate_mps2": None,
+        }
     upper = np.triu_indices(len(lpv.storage.basis))
     return {
         "claim": f"at every speed of the range and |dv/dt| up to rate_mps2 {MOVING_CLAIMS[claim]}; nominal "

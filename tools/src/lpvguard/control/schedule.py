@@ -108,7 +108,8 @@ def _factor(values: np.ndarray) -> np.ndarray:
     """L (n, n) with L L' = Re(values values^H), values (n, k)."""
     n = len(values)
     wide = np.hstack([values.real, values.imag, np.zeros((n, n))])
-    return np.linalg.qr(wide.T, mode="r").T
+    R = np.asarray(np.linalg.qr(wide.T, mode="r"))
+    return R.T
 
 
 def first_columns(poles: np.ndarray) -> np.ndarray:

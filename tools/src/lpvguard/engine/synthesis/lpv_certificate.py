@@ -48,14 +48,14 @@ SMALLEST_CELL = 1e-3
 """Width in m/s below which a cell that fails is a failure."""
 FIRST_CELLS = 2
 """Cells that the interval between two knots is cut into at first."""
-MOST_CELLS = 4000
+MOST_CELLS = 1000
 """Cells after which a proof is given up: it would take too long to be repeated at every export."""
 FIRST_RATE, LARGEST_RATE, SMALLEST_RATE = 0.25, 8.0, 0.015
 """Rates |dv/dt| tried [m/s^2]: from the first by factors of four, no further than these; a truck brakes with
 less than the largest."""
 WANTED = 0.02
 """Slack, relative to that of the frozen solutions' mean, with which the search at one rate is content."""
-SHARES = (0.95, 0.7, 0.5)
+SHARES = (0.95, 0.6)
 """Of the rate for which a storage function was found on the grid, tried in the proof between its speeds; the
 last for Riccati solutions, which are taken as they come and waver between the knots."""
 GRID = 1
@@ -107,7 +107,7 @@ def relevant(family: Family, rows: slice, columns: slice) -> Family:
     n_z = loops[0].n_outputs - family.n_probes
 
     def any_of(parts: list[np.ndarray]) -> np.ndarray:
-        return np.any([part != 0 for part in parts], axis=0)
+        return np.asarray(np.any([part != 0 for part in parts], axis=0))
 
     # What is affine between nodes and zero at two speeds is zero. The vehicle's rows are taken as full.
     moves = any_of([G.A for G in loops])
@@ -430,9 +430,7 @@ def _polynomial(family: Family, progress: Callable[[str], None]) -> LpvCertifica
         for share in SHARES:
             proof = prove(family, storage, share * on_grid)
             if proof is not None:
-                return LpvCertificate(
-                    share * on_grid, storage, coefficients, proof, failed
-                )
+                return LpvCertificate(share * on_grid, storage, coefficients, proof, failed)
     return None
 
 
@@ -443,7 +441,7 @@ def _riccati(family: Family) -> LpvCertificate | None:
         return None
     rate = SHARES[-1] * _rate_at_knots(family, storage)
     proof = prove(family, storage, rate)
-    return proof and LpvCertificate(rate, storage, None, proof, None)
+    return None if proof is None else LpvCertificate(rate, storage, None, proof, None)
 
 
 def _rate_at_knots(family: Family, storage: Storage) -> float:
@@ -499,7 +497,8 @@ def _reached(A: np.ndarray, B: np.ndarray) -> np.ndarray:
 
 def _rows(X: np.ndarray) -> np.ndarray:
     """L (n, n) with L L' = X X'."""
-    return np.linalg.qr(np.hstack([X, np.zeros((len(X), len(X)))]).T, mode="r").T
+    R = np.asarray(np.linalg.qr(np.hstack([X, np.zeros((len(X), len(X)))]).T, mode="r"))
+    return R.T
 
 
 def _frozen(parts: list[tuple[np.ndarray, np.ndarray]], Ts: float) -> np.ndarray | None:
