@@ -55,7 +55,7 @@ FIRST_RATE, LARGEST_RATE, SMALLEST_RATE = 0.25, 8.0, 0.015
 less than the largest."""
 WANTED = 0.02
 """Slack, relative to that of the frozen solutions' mean, with which the search at one rate is content."""
-SHARES = (0.95, 0.6)
+SHARES = (0.95, 0.7, 0.5)
 """Of the rate for which a storage function was found on the grid, tried in the proof between its speeds; the
 last for Riccati solutions, which are taken as they come and waver between the knots."""
 GRID = 1
