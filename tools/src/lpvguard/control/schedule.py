@@ -113,8 +113,8 @@ def _factor(values: np.ndarray) -> np.ndarray:
 
 
 def first_columns(poles: np.ndarray) -> np.ndarray:
-    """a of pairs of poles in the z plane, slowest first; complex ones with their conjugates, an even number
-    of real ones."""
+    """a (n,) of pairs of ``poles`` (n,) in the z plane, slowest first; complex ones with their conjugates, an
+    even number of real ones."""
     real = np.sort(poles[np.abs(poles.imag) < 1e-9].real)[::-1]
     upper = poles[poles.imag >= 1e-9]
     pairs = np.vstack([np.column_stack([upper, upper.conj()]), real.reshape(-1, 2)]) - 1
