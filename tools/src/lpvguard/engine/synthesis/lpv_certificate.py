@@ -107,14 +107,14 @@ def relevant(family: Family, rows: slice, columns: slice) -> Family:
     n_z = loops[0].n_outputs - family.n_probes
 
     def any_of(parts: list[np.ndarray]) -> np.ndarray:
-        return np.asarray(np.any([part != 0 for part in parts], axis=0))
+        return np.max([np.abs(part) for part in parts], axis=0) > 0
 
     # What is affine between nodes and zero at two speeds is zero. The vehicle's rows are taken as full.
-    moves = any_of([G.A for G in loops])
+    moves: np.ndarray = any_of([G.A for G in loops])
     moves[family.vehicle] |= any_of([G.C[n_z:] for G in loops]).any(axis=0)
-    entered = any_of([G.B[:, columns] for G in loops]).any(axis=1)
+    entered: np.ndarray = np.asarray(any_of([G.B[:, columns] for G in loops]).any(axis=1))
     entered[family.vehicle] |= any_of([G.D[n_z:, columns] for G in loops]).any()
-    read = any_of([G.C[rows] for G in loops]).any(axis=0)
+    read: np.ndarray = np.asarray(any_of([G.C[rows] for G in loops]).any(axis=0))
     for _ in range(len(moves)):
         entered, read = entered | (moves @ entered), read | (moves.T @ read)
     kept = np.flatnonzero(entered & read)
