@@ -44,7 +44,7 @@ def test_the_stages_are_those_of_the_commands(monkeypatch):
 
     monkeypatch.setattr(bench.design, "design", design)
     monkeypatch.setattr(bench.design, "save", lambda *given: asked.append(given[2].name))
-    monkeypatch.setattr(bench.design, "moving_certificate", lambda *given: asked.append("moving"))
+    monkeypatch.setattr(bench.design, "moving_certificates", lambda *given: asked.append("moving"))
     monkeypatch.setattr(bench, "export_chosen", lambda stored, out, folder: asked.append(folder.name))
     stages, worst = bench.chain("truck", "drives", True)
     assert asked == [("project truck", "drives"), ("stored identify", False), "design", "design", "moving"]

@@ -119,17 +119,48 @@ def test_a_stated_number_that_is_not_what_is_proved_is_refused(
         stage.verify(tmp_path / "controller.json", stored)
 
 
-def test_what_is_claimed_of_a_moving_speed_is_what_was_proved(stored, designed, tmp_path):
-    """A larger rate than the proved one is refused, and so is a rate where nothing was proved."""
+def test_robust_stability_is_proved_at_a_moving_speed_and_proved_anew(stored, designed):
+    """The truck brakes with 2 m/s2; what is not searched for is not claimed."""
     result, path = designed
-    document = json.loads(path.read_text())
-    stated = document["certificates"]["moving_speed"]
-    assert stated["rate_mps2"] == (result.lpv.rate if result.lpv else None)
-    stated["rate_mps2"] = 30 * stated["rate_mps2"] if result.lpv else 1.0
-    stated.setdefault("P", None)
-    (tmp_path / "controller.json").write_text(artefacts.to_json(artefacts.sealed(document)))
-    with pytest.raises(InputError, match="moving_speed"):
-        stage.verify(tmp_path / "controller.json", stored)
+    stated = json.loads(path.read_text())["certificates"]["moving_speed"]
+    assert result.moving["stability"].rate >= 2 and result.moving["performance"] is None
+    assert stated["stability"]["rate_mps2"] == result.moving["stability"].rate
+    assert stated["performance"]["rate_mps2"] is None
+    families = stage._families(stored, stored.project.design, result.schedule, result.scaling)
+    whole = families["performance"].at(15.0).order
+    assert stated["stability"]["states"] == families["stability"].at(15.0).order < whole
+
+
+@pytest.mark.parametrize("what", ["faster", "wider", "coefficient", "performance", "other basis"])
+def test_a_claim_of_a_moving_speed_that_is_not_proved_is_refused(stored, designed, what):
+    result, _ = designed
+    settings = stored.project.design
+    schedule, one = result.schedule, result.moving["stability"]
+    said = json.loads(artefacts.to_json(stage._moving("stability", one)))
+    claim = "stability"
+    if what == "faster":
+        said["rate_mps2"] *= 30
+    elif what == "wider":  # the same nodes over a range that begins 2 m/s lower
+        schedule = replace(schedule, speeds=np.linspace(6.0, schedule.speeds[-1], len(schedule.speeds)))
+    elif what == "coefficient":
+        schedule = replace(schedule, B=schedule.B * np.array([1.0, 1.5, 1.0]))
+    elif what == "performance":
+        claim = "performance"
+    else:
+        said["basis"] = said["basis"][:-1]
+    family = stage._families(stored, settings, schedule, result.scaling)[claim]
+    assert not stage._holds(family, said)
+
+
+def test_a_faster_rate_in_controller_json_is_refused(stored, designed, tmp_path):
+    document = json.loads(designed[1].read_text())
+    for claim in stage.CLAIMS:
+        altered = json.loads(json.dumps(document))
+        said = altered["certificates"]["moving_speed"]
+        said[claim] = {**said["stability"], "rate_mps2": 30 * said["stability"]["rate_mps2"]}
+        (tmp_path / "controller.json").write_text(artefacts.to_json(artefacts.sealed(altered)))
+        with pytest.raises(InputError, match=rf"moving_speed\.{claim}"):
+            stage.verify(tmp_path / "controller.json", stored)
 
 
 def test_the_largest_A_t_is_bracketed_below_the_dc_floors_limit(stored, monkeypatch):

@@ -74,7 +74,7 @@ def chain(vehicle: str, drives: Path, moving: bool) -> tuple[list[Stage], float]
         design.save(result, stored, designed)
         timed("C, proved anew", lambda: export_chosen(stored, Path(folder) / "vehicle", designed))
         if moving:
-            timed("moving speed", lambda: design.moving_certificate(stored, result), False)
+            timed("moving speed", lambda: design.moving_certificates(stored, result), False)
     return stages, result.worst
 
 

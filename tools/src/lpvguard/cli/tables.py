@@ -298,12 +298,13 @@ def print_largest_A_t(largest: LargestA_t | None) -> None:
 
 def print_moving_speed(result: Design) -> None:
     """What is proved of a controller while the speed moves."""
-    console.print(
-        "moving speed: no storage function was found, nothing is claimed"
-        if result.lpv is None
-        else f"moving speed: gain below 1 proved for |dv/dt| up to {result.lpv.rate:.3g} m/s2, "
-        f"{result.lpv.proof.cells} cells"
-    )
+    for claim, lpv in result.moving.items():
+        console.print(
+            f"moving speed: no proof of robust {claim} was found, nothing is claimed"
+            if lpv is None
+            else f"moving speed: robust {claim} proved for |dv/dt| up to {lpv.rate:.3g} m/s2, "
+            f"{lpv.proof.cells} cells"
+        )
 
 
 def print_robustness(result: Design) -> None:
@@ -356,7 +357,8 @@ def print_summary(name: str, result: Design, out: Path) -> None:
     """What a design came to, in a line."""
     low, high = result.schedule.speeds[0], result.schedule.speeds[-1]
     held = "certified" if result.worst < 1 else "NOT certified"
-    moving = "nothing" if result.lpv is None else f"|dv/dt| up to {result.lpv.rate:.3g} m/s2"
+    proved = {claim: lpv.rate for claim, lpv in result.moving.items() if lpv is not None}
+    moving = ", ".join(f"{claim} up to {rate:.3g} m/s2" for claim, rate in proved.items()) or "nothing"
     console.print(
         f"{name}: robust performance {held}, worst mu {result.worst:.4f} from {low:.4g} to {high:.4g} m/s; "
         f"of a moving speed {moving}; written to {out}"

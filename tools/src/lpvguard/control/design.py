@@ -10,14 +10,14 @@ One scaling D and one level serve all speeds, so that neighbouring controllers d
 speed replaces it. The controllers are brought to as few common poles as will do, with numerators interpolated
 over speed (schedule.py). What is certified is the controller the core runs: float32 coefficients,
 interpolated, closed with the nominal model and the weights. mu certifies frozen speeds: the nodes and midway
-between them. A storage function certifies every speed history up to a stated rate of change
-(engine/synthesis/lpv_certificate.py).
+between them. Storage functions certify robust stability and robust performance, each for every speed history
+up to a stated rate of change (engine/synthesis/lpv_certificate.py).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +36,7 @@ from ..engine.synthesis.lpv_certificate import (
     find,
     polynomial_storage,
     prove,
+    relevant,
     riccati_storage,
 )
 from ..engine.synthesis.norms import hinf_norm
@@ -74,6 +75,11 @@ FAMILY_RTOL = 0.01
 REACH = 3
 """Crossovers that the model error model must reach."""
 CROSSOVER_FROM, CROSSOVER_POINTS = 1e-3, 2000
+PERFORMANCE_FROM = 0.95
+"""Largest frozen mu with which robust performance at a moving speed is searched for: nearer 1 the search
+takes as long, and a rate worth stating is not to be had."""
+CLAIMS = ("stability", "performance")
+"""What is proved of a moving speed, the first for Delta's channels alone."""
 SCALING_SPEEDS = 4
 """Nodes, ends included, for which the common scaling is searched: the optimum moves slowly with speed."""
 
@@ -87,7 +93,7 @@ def _with_delay(K: StateSpace) -> StateSpace:
 @dataclass(frozen=True)
 class Design:
     """A scheduled controller and its certificates: ``certificates`` per frozen speed, nodes and midpoints in
-    order; ``lpv`` for a moving speed (None: not asked for, or no storage function was found);
+    order; ``moving`` for a moving speed by claim (None: no storage function was found; empty: not asked for);
     ``beside``: margins, a varying Delta and limits (None: not asked for).
     """
 
@@ -96,7 +102,7 @@ class Design:
     certificates: list[tuple[float, RobustPerformance]]
     full_order: int
     off_grid: tuple[float, RobustPerformance]
-    lpv: LpvCertificate | None = None
+    moving: dict[str, LpvCertificate | None] = field(default_factory=dict)
     beside: Beside | None = None
 
     @property
@@ -117,16 +123,22 @@ def design(
     _require_reach(stored, result.schedule)
     return replace(
         result,
-        lpv=moving_certificate(stored, result, moving) if moving_speed else None,
+        moving=moving_certificates(stored, result, moving) if moving_speed else {},
         beside=beside(stored, result.schedule, result.scaling, margins),
     )
 
 
-def moving_certificate(
+def moving_certificates(
     stored: StoredIdentification, result: Design, progress: Progress = lambda _: None
-) -> LpvCertificate | None:
-    """The certificate of ``result`` for a moving speed; None where none is found."""
-    return find(_family(stored, design_settings(stored), result.schedule, result.scaling), progress)
+) -> dict[str, LpvCertificate | None]:
+    """The certificates of ``result`` for a moving speed by claim; None where none is found."""
+    families = _families(stored, design_settings(stored), result.schedule, result.scaling)
+    wanted = [claim for claim in families if claim != "performance" or result.worst <= PERFORMANCE_FROM]
+
+    def proved(claim: str) -> LpvCertificate | None:
+        return find(families[claim], lambda text: progress(f"{claim}: {text}"))
+
+    return {claim: proved(claim) if claim in wanted else None for claim in CLAIMS}
 
 
 def crossover(schedule: Scheduled, model: NominalModel) -> float:
@@ -162,6 +174,21 @@ def _require_reach(stored: StoredIdentification, schedule: Scheduled) -> None:
             f"ends {len(omega) - 1 - last} frequencies past the last that tells, {omega[last]:.3g} rad/s",
             "two",
         )
+
+
+def _families(
+    stored: StoredIdentification, settings: DesignSettings, schedule: Scheduled, scaling: Scaling
+) -> dict[str, Family]:
+    """By claim the scaled loop over speed; stability without Delta is performance's."""
+    family = _family(stored, settings, schedule, scaling)
+    model, weights = NominalModel(stored.project), fig1_weights(stored, settings)
+    plant = plant_at(stored, model, weights, float(schedule.speeds[0]), False, settings.structure)
+    n_z = plant.system.n_outputs - plant.n_measurement
+    found = {"performance": relevant(family, slice(0, n_z), slice(None))}
+    if plant.blocks:
+        rows, columns = slice(0, plant.n_delta_in), slice(0, plant.n_delta_out)
+        found["stability"] = relevant(family, rows, columns)
+    return {claim: found[claim] for claim in CLAIMS if claim in found}
 
 
 def _family(
@@ -418,25 +445,35 @@ def verify(path: Path, stored: StoredIdentification, progress: Progress = lambda
     proved_rows = dict(_certificates(schedule, loops, scaling, frozen))
     for row in rows:
         _compare(path, row, proved_rows[row["v_mps"]], loops[row["v_mps"]], schedule)
-    lpv = stated["moving_speed"]
-    if lpv["rate_mps2"] is not None:
-        moving("proof between the speeds")
-        family = _family(stored, settings, schedule, scaling)
-        if lpv["P"] is None:
-            storage = riccati_storage(family)
-        else:
-            storage = polynomial_storage(
-                family, _square(lpv["basis"]), np.array([_symmetric(P) for P in lpv["P"]])
-            )
-        if storage is None or prove(family, storage, lpv["rate_mps2"]) is None:
+    families = _families(stored, settings, schedule, scaling)
+    for claim in CLAIMS:
+        said = stated["moving_speed"].get(claim, {"rate_mps2": np.nan})
+        if said["rate_mps2"] is None:
+            continue
+        moving(f"{claim}: proof between the speeds")
+        if claim not in families or not _holds(families[claim], said):
             raise InputError(
                 path,
-                "certificates.moving_speed",
-                "the storage function does not prove a gain below 1 for "
-                f"|dv/dt| up to {lpv['rate_mps2']:.4g} m/s2",
-                "the coefficients, weights and P that were certified",
+                f"certificates.moving_speed.{claim}",
+                f"its storage function does not prove it for |dv/dt| up to {said['rate_mps2']:.4g} m/s2",
+                "the coefficients, weights, speeds and P that were certified",
             )
     require_beside(path, stated, stored, schedule, scaling, margins)
+
+
+def _holds(family: Family, said: dict) -> bool:
+    """Whether what controller.json says of a moving speed is proved anew."""
+    if not np.isfinite(said["rate_mps2"]) or said["rate_mps2"] <= 0:
+        return False
+    family = replace(family, adjoint=said["adjoint"])
+    if said["P"] is None:
+        storage = riccati_storage(family)
+        return storage is not None and prove(family, storage, said["rate_mps2"]) is not None
+    basis, P = _square(said["basis"]), np.array([_symmetric(P) for P in said["P"]])
+    n = family.at(float(family.nodes[0])).order
+    if basis.shape != (n, n) or P.shape != (3, n, n):
+        return False
+    return prove(family, polynomial_storage(family, basis, P), said["rate_mps2"]) is not None
 
 
 def _require_settings(
@@ -498,23 +535,31 @@ def _symmetric(upper: list[float]) -> np.ndarray:
     return P + np.triu(P, 1).T
 
 
-def _moving(lpv: LpvCertificate | None) -> dict:
-    """The certificate at a moving speed as controller.json holds it."""
+MOVING_CLAIMS = {
+    "stability": "the loop stays stable for every LTI Delta within W_delta",
+    "performance": "the gain of the whole scaled loop is below 1, from rest: robust performance for every "
+    "LTI Delta within W_delta",
+}
+"""What each claim says of every speed of the range and every |dv/dt| up to the stated rate."""
+
+
+def _moving(claim: str, lpv: LpvCertificate | None) -> dict:
+    """A claim about a moving speed as controller.json holds it."""
     if lpv is None:
         return {
-            "claim": "no storage function was found: nothing is claimed about a moving speed",
+            "claim": f"no proof was found: of {claim} at a moving speed nothing is claimed",
             "rate_mps2": None,
         }
     upper = np.triu_indices(len(lpv.storage.basis))
     return {
-        "claim": "gain of the whole scaled loop (nominal model, weights, fixed D(s), controller; nothing "
-        "reduced for it) below 1 at every speed of the range and |dv/dt| up to rate_mps2, from rest: robust "
-        "performance for every LTI Delta within W_delta",
+        "claim": f"at every speed of the range and |dv/dt| up to rate_mps2 {MOVING_CLAIMS[claim]}; nominal "
+        "model, weights, fixed D(s), controller, without the states that the claim does not concern",
         "test": "discrete bounded-real inequality, x = basis x~, P(v) = P0 + v P1 + P2 / v (P null: strict "
         "Riccati solutions), linear between knots, by eigenvalues at the ends of cells that cover the range, "
         "a bound of what it loses between them subtracted",
         "rate_mps2": lpv.rate,
         "not_found_mps2": lpv.not_found,
+        "adjoint": lpv.storage.adjoint,
         "states": len(lpv.storage.basis),
         "cells": lpv.proof.cells,
         "margin": lpv.proof.margin,
@@ -566,7 +611,7 @@ def save(
             "coefficients_sha256": schedule.digest(),
             "scaling_log_parameters": result.scaling.log_parameters,
             "scaling_columns": result.scaling.log_parameters.shape[1],
-            "moving_speed": _moving(result.lpv),
+            "moving_speed": {claim: _moving(claim, result.moving.get(claim)) for claim in CLAIMS},
             **(NOTHING if result.beside is None else result.beside.to_dict()),
             "dc_floor": dc_floor(fig1_weights(stored, settings)),
             "largest_A_t": None if largest is None else asdict(largest),

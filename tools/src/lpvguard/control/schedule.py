@@ -2,11 +2,15 @@
 (core/scheduled.py).
 
 A controller of the order of an H-infinity design differs from speed to speed mostly in its zeros: a set of
-poles common to all speeds serves them all with few more states. The poles are found by variable projection
-(Golub and Pereyra 1973): given them, every B is a linear least-squares fit, weighed by what a deviation of K
-does to the scaled closed loop,
+poles common to all speeds serves them all with few more states. The poles are those of one system: all nodes'
+demands side by side, each with inputs of its own, summed into one output, truncated in balanced coordinates
+with weights (Enns 1984). Given them, every B is a linear least-squares fit. Both are weighed by what a
+deviation of K does to the scaled closed loop,
 
     D P12 (1 - K P22)^-1  dK  (1 - P22 K)^-1 P21 D^-1.
+
+States that nearly cancel would make B, and with it the storage of a moving loop, vary without need; balanced
+truncation has none.
 
 Limits are compensated by model recovery (Weston and Postlethwaite 2000). xi is the state of the loop without
 limits minus the vehicle's state, and follows xi+ = (A_p - B_p F) xi - B_p (u - v). The controller reads y +
@@ -22,7 +26,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg as sl
-from scipy.optimize import least_squares
 
 from ..core.scheduled import Scheduled
 from ..engine.synthesis.dk import Scaling
@@ -31,10 +34,10 @@ from ..engine.synthesis.statespace import StateSpace
 
 FIT_POINTS = 100
 """Frequencies of the fits, besides zero: five decades up to the Nyquist frequency."""
-FIT_STEPS = 40
-"""Steps of the search for poles."""
-SLOPE_STEP = 1e-5
-"""Of the logarithms of a pair's coefficients, for the derivatives of its a."""
+UNUSED = 1e-6
+"""Share of what the loop must hear of all measurements, below which one is left out at every node."""
+LARGEST_POLE = 1 - 1e-6
+"""Modulus to which a common pole on or outside the unit circle is brought: weights can make one."""
 RIDGE = 1e-6
 """Of a measurement's largest column, added to each fit: keeps states that contribute little from cancelling
 each other."""
@@ -67,59 +70,67 @@ def fit(
     omega = np.concatenate([[0.0], np.logspace(-5, 0, FIT_POINTS) * np.pi / Ts * (1 - 1e-9)])
     z = np.exp(1j * omega * Ts)
     fits = [fit for loop in loops for fit in _fits(loop, scaling, omega)]
-    rates = np.concatenate([np.abs(_rates(loop.controller)) for loop in loops])
-    start = np.clip(
-        np.quantile(np.log(rates), np.linspace(0.05, 0.95, pairs)),
-        np.log(2 * omega[1]),
-        np.log(0.5 * omega[-1]),
-    )
-    low, high = np.log(omega[1]), np.log(omega[-1])
-
-    def slopes(theta: np.ndarray) -> np.ndarray:
-        a, slope = first_columns(theta, Ts), _slopes_of_columns(theta, Ts)
-        return np.concatenate([f.slope(a, slope, z) for f in fits])
-
-    found = least_squares(
-        lambda theta: np.concatenate([f.miss(first_columns(theta, Ts), z) for f in fits]),
-        np.column_stack([start + np.log(1.4), 2 * start]).ravel(),
-        jac=slopes,
-        max_nfev=FIT_STEPS,
-        bounds=(np.tile([low, 2 * low], pairs), np.tile([high + np.log(2.0), 2 * high], pairs)),
-    )
-    a = first_columns(found.x, Ts)
+    a = np.append(first_columns(_common_poles(loops, fits, z, 2 * pairs)), -1.0)
     n_u = loops[0].controller.n_outputs
-    B = np.array([f.rows(a, z) for f in fits]).reshape(len(loops), n_u, len(a), -1)
+    B = _used(np.array([f.rows(a, z) for f in fits]), fits, a, z).reshape(len(loops), n_u, len(a), -1)
     L = np.array(
         [_recovery(loop.vehicle, a, rows, top, z) for loop, rows, top in zip(loops, B, u_max, strict=True)]
     )
     return Scheduled(Ts, np.asarray(speeds, float), a, B, L, np.asarray(u_max, float))
 
 
-def _rates(K: StateSpace) -> np.ndarray:
-    """Poles of a discrete system in rad/s, those at zero left out."""
-    poles = K.poles()
-    return np.log(poles[np.abs(poles) > 1e-9].astype(complex)) / K.dt
+def _common_poles(
+    loops: Sequence[FrozenLoop], fits: Sequence[_RowFit], z: np.ndarray, count: int
+) -> np.ndarray:
+    """``count`` poles (even) in the z plane that serve all demands of all loops."""
+    density = np.sqrt(np.gradient(np.log(np.maximum(np.angle(z), 0.5 * np.angle(z[1])))))
+    heard = density * np.sqrt(np.mean([f.left**2 for f in fits], axis=0))
+    reached, seen, A, C = [], [], [], []
+    for k, f in enumerate(fits):
+        K = loops[k // loops[0].controller.n_outputs].controller
+        row = K.C[k % K.n_outputs]
+        pencil = z[:, None, None] * np.eye(K.order) - K.A
+        X = np.linalg.solve(pencil, K.B @ f.right) * density[:, None, None]
+        Y = np.linalg.solve(np.swapaxes(pencil, 1, 2), np.broadcast_to(row[:, None], (len(z), K.order, 1)))
+        reached.append(_factor(np.moveaxis(X, 1, 0).reshape(K.order, -1)))
+        seen.append((Y[:, :, 0] * heard[:, None]).T)
+        A.append(K.A)
+        C.append(row)
+    R, S = sl.block_diag(*reached), _factor(np.vstack(seen))
+    U, sigma, Vt = np.linalg.svd(S.T @ R)
+    kept = 1 / np.sqrt(sigma[:count])
+    poles = np.linalg.eigvals((S @ U[:, :count] * kept).T @ sl.block_diag(*A) @ (R @ Vt[:count].T * kept))
+    size = np.abs(poles)
+    return np.where(size < LARGEST_POLE, poles, poles * LARGEST_POLE / np.maximum(size, LARGEST_POLE))
 
 
-def first_columns(theta: np.ndarray, Ts: float) -> np.ndarray:
-    """a of pairs with s^2 + p s + q = 0, theta = (ln p, ln q, ...), and of a state at z = 0: the delay."""
-    p, q = np.exp(theta[0::2]), np.exp(theta[1::2])
-    # Sum of the two e^(s Ts) less 2, and minus the product of the two e^(s Ts) - 1, without cancellation.
-    root = Ts * np.sqrt((p * p / 4 - q).astype(complex))
-    first, second = (np.expm1(-p * Ts / 2 + sign * root) for sign in (1, -1))
-    return np.append(np.column_stack([(first + second).real, -(first * second).real]).ravel(), -1.0)
+def _factor(values: np.ndarray) -> np.ndarray:
+    """L (n, n) with L L' = Re(values values^H), values (n, k)."""
+    n = len(values)
+    wide = np.hstack([values.real, values.imag, np.zeros((n, n))])
+    R = np.asarray(np.linalg.qr(wide.T, mode="r"))
+    return R.T
 
 
-def _slopes_of_columns(theta: np.ndarray, Ts: float) -> np.ndarray:
-    """Derivatives (pairs, 2, 2) of each pair's a by its ln p and by its ln q, by central differences:
-    smooth at double poles, too."""
-    out = np.empty((len(theta) // 2, 2, 2))
-    for k in (0, 1):
-        step = np.zeros(len(theta))
-        step[k::2] = SLOPE_STEP
-        change = first_columns(theta + step, Ts) - first_columns(theta - step, Ts)
-        out[:, k] = change[:-1].reshape(-1, 2) / (2 * SLOPE_STEP)
-    return out
+def first_columns(poles: np.ndarray) -> np.ndarray:
+    """a (n,) of pairs of ``poles`` (n,) in the z plane, slowest first; complex ones with their conjugates, an
+    even number of real ones."""
+    real = np.sort(poles[np.abs(poles.imag) < 1e-9].real)[::-1]
+    upper = poles[poles.imag >= 1e-9]
+    pairs = np.vstack([np.column_stack([upper, upper.conj()]), real.reshape(-1, 2)]) - 1
+    pairs = pairs[np.argsort(np.abs(pairs[:, 0]), kind="stable")]
+    return np.column_stack([pairs.sum(axis=1), -pairs.prod(axis=1)]).real.ravel()
+
+
+def _used(B: np.ndarray, fits: Sequence[_RowFit], a: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """B (k, n, m) of every fit without the measurements that no fit needs: a state that nothing moves is one
+    less to prove."""
+    share = np.zeros(B.shape[2])
+    for rows, f in zip(B, fits, strict=True):
+        K = f.left[:, None] * (observed(a, z) @ rows)
+        parts = np.linalg.norm(K[:, :, None] * f.right, axis=(0, 2))
+        share = np.maximum(share, parts / np.linalg.norm(parts))
+    return np.where(share > UNUSED, B, 0.0)
 
 
 def observed(a: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -154,40 +165,6 @@ class _RowFit:
         largest = np.linalg.norm(K, axis=0).reshape(len(a), -1).max(axis=0)
         ridge = RIDGE * np.diag(np.tile(largest, len(a)))
         return np.vstack([_stacked(K), ridge]), np.append(_stacked(wanted), np.zeros(len(ridge))), size
-
-    def miss(self, a: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """What the best B leaves."""
-        K, wanted, _ = self.problem(a, z)
-        Q = np.linalg.qr(K)[0]
-        return wanted - Q @ (Q.T @ wanted)
-
-    def slope(self, a: np.ndarray, by_theta: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Derivatives of ``miss`` by theta, (rows, 2 pairs), variable projection's (Golub and Pereyra 1973).
-
-        by_theta (pairs, 2, 2): of ``_slopes_of_columns``. That the ridge moves with the poles, by a millionth
-        part of a column, is left out.
-        """
-        K, wanted, size = self.problem(a, z)
-        Q, R = np.linalg.qr(K)
-        inside = Q.T @ wanted
-        left_over = (wanted - Q @ inside)[: 2 * self.response.size].reshape(2, *self.response.shape)
-        pairs, m = len(by_theta), self.response.shape[1]
-        B = sl.solve_triangular(R, inside).reshape(len(a), m)[: 2 * pairs].reshape(pairs, 2, m)
-        scales = size[: 2 * pairs].reshape(pairs, 2)
-        d = z - 1
-        numerator = np.stack([d, np.ones_like(d)])  # of a pair's two states
-        # pair = 1 / (d^2 - a d - a'), so its derivative is pair^2 (da d + da').
-        pair = observed(a, z)[:, 1 : 2 * pairs : 2].T
-        moved = pair[:, None] ** 2 * (by_theta @ numerator)  # (pairs, 2 of theta, k)
-        seen = np.einsum("pj,pjm,jk,kmc,k->pkc", 1 / scales, B, numerator, self.right, self.left)
-        V = (moved[..., None] * seen[:, None]).reshape(2 * pairs, -1)
-        V = np.hstack([V.real, V.imag, np.zeros((2 * pairs, len(K) - 2 * V.shape[1]))]).T
-        back = np.einsum("k,kmc,kc->km", self.left, self.right.conj(), left_over[0] + 1j * left_over[1])
-        weights = np.einsum("ptk,jk->ptjk", moved, numerator).conj() @ back
-        W = np.zeros((len(a), m, pairs, 2))
-        for k in range(pairs):
-            W[2 * k : 2 * k + 2, :, k] = np.moveaxis(weights[k].real / scales[k][:, None], 0, 2)
-        return Q @ (Q.T @ V - sl.solve_triangular(R, W.reshape(len(R), -1), trans="T")) - V
 
     def rows(self, a: np.ndarray, z: np.ndarray) -> np.ndarray:
         """The best B (n, m)."""

@@ -7,8 +7,12 @@ The loop is x+ = A(v) x + B(v) w, z = C(v) x + D(v) w with v+ - v in [-a Ts, a T
                                                                          <= a Ts
 
 x' P(v) x is a storage function: the gain from w to z is below 1 for every speed history with |dv/dt| <= a,
-from rest. ``find`` looks for P twice and keeps what proves the larger a. A barrier method on a grid of speeds
-finds P0 + v P1 + P2 / v, in which F is linear. The strict bounded-real Riccati equations give the other P.
+from rest. The adjoint loop, x+ = A' x + C' z, w = B' x + D' z with time reversed, has the same gain over the
+same histories: a storage function of either serves. A controller whose B follows the speed moves its states
+with the speed. In the adjoint these are read through B instead, and the states stay.
+
+``find`` asks the adjoint first, then the loop itself. A barrier method on a grid of speeds finds P0 + v P1 +
+P2 / v, in which F is linear. Where there is none, strict bounded-real Riccati equations give another P.
 Either is taken piecewise linear between ``KNOTS`` knots in every interval of the controller's nodes.
 ``prove`` decides on all speeds. Cells cover the range, and F is tested at a cell's ends. A matrix bounds what
 F may lose between them:
@@ -17,9 +21,9 @@ F may lose between them:
   in; each slope is tested.
 - F is concave along the chord between the ends but for the product of dP and dM (M = [A B]). A bound of that
   product is subtracted.
-- M leaves its chord in the vehicle's rows only: all else is affine between two nodes of the controller. How
-  far it does follows from bounds on the derivatives of the vehicle's zero-order hold over the cell
-  (``NominalModel.hold_bounds``).
+- [M; N] (N = [C D]) leaves its chord in the vehicle's rows only (of the adjoint: columns): all else is
+  affine between two nodes of the controller. How far it does follows from bounds on the derivatives of the
+  vehicle's zero-order hold over the cell (``NominalModel.hold_bounds``).
 
 A cell that fails is cut in two, down to ``SMALLEST_CELL``. Every test is by eigenvalues with a reserve for
 rounding.
@@ -30,36 +34,39 @@ from __future__ import annotations
 import ctypes
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import scipy.linalg as sl
 
 from lpvguard.base import native
-from lpvguard.engine.synthesis.dk import gramian_factor
 from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.statespace import EPS, StateSpace
 
 SMALLEST_CELL = 1e-3
 """Width in m/s below which a cell that fails is a failure."""
-FIRST_CELLS = 8
+FIRST_CELLS = 2
 """Cells that the interval between two knots is cut into at first."""
-MOST_CELLS = 4000
+MOST_CELLS = 1000
 """Cells after which a proof is given up: it would take too long to be repeated at every export."""
 FIRST_RATE, LARGEST_RATE, SMALLEST_RATE = 0.25, 8.0, 0.015
 """Rates |dv/dt| tried [m/s^2]: from the first by factors of four, no further than these; a truck brakes with
 less than the largest."""
 WANTED = 0.02
 """Slack, relative to that of the frozen solutions' mean, with which the search at one rate is content."""
-SHARES = (0.95, 0.5)
+SHARES = (0.95, 0.7, 0.5)
 """Of the rate for which a storage function was found on the grid, tried in the proof between its speeds; the
 last for Riccati solutions, which are taken as they come and waver between the knots."""
+GRID = 1
+"""Parts of every interval between nodes on the grid of the search."""
 KNOTS = 16
 """Knots of a storage function in every interval between nodes: what it loses between knots is of second
 order."""
-NEWTON_STEPS = 25
+NEWTON_STEPS = 40
 """Steps for one rate before it counts as not found."""
+DOUBLINGS = 20
+"""Of the steps that a Gramian sums: a million, three hours at 0.01 s."""
 HIDDEN = 1e-12
 """Of the largest Gramian entry, added to the Gramians that make the coordinates."""
 SLACKS = (3e-4, 1e-4, 3e-5, 1e-5, 1e-6)
@@ -74,7 +81,8 @@ class Family:
     at(v): StateSpace at speed v [m/s]. Its last ``n_probes`` outputs are the probes: the vehicle's state and
     inputs. vehicle: the rows of [A B] that are Xi(v) times the probes. hold_bounds(low, high): entrywise
     bounds of |Xi'| and |Xi''| over speeds low..high, columns in the order of the probes. nodes: speeds
-    between which everything else in ``at`` is affine. Ts: sampling time in seconds.
+    between which everything else in ``at`` is affine. Ts: sampling time in seconds. adjoint: storage
+    functions are sought of the adjoint loop.
     """
 
     at: Callable[[float], StateSpace]
@@ -83,16 +91,64 @@ class Family:
     n_probes: int
     hold_bounds: Callable[[float, float], tuple[np.ndarray, np.ndarray]]
     Ts: float
+    adjoint: bool = False
+
+    def loop(self, v: float) -> StateSpace:
+        """The loop, or its adjoint, without probes at speed v [m/s]."""
+        G = self.at(v)
+        G = G.select(slice(0, G.n_outputs - self.n_probes), slice(None))
+        return StateSpace(G.A.T, G.C.T, G.B.T, G.D.T, G.dt) if self.adjoint else G
+
+
+def relevant(family: Family, rows: slice, columns: slice) -> Family:
+    """The family from the inputs ``columns`` to the outputs ``rows``, without the states that these neither
+    reach nor are moved by at any speed. ``rows`` ends before the probes."""
+    loops = [family.at(float(v)) for v in _refined(family.nodes, 2)]
+    n_z = loops[0].n_outputs - family.n_probes
+
+    def any_of(parts: list[np.ndarray]) -> np.ndarray:
+        return np.max([np.abs(part) for part in parts], axis=0) > 0
+
+    # What is affine between nodes and zero at two speeds is zero. The vehicle's rows are taken as full.
+    moves: np.ndarray = any_of([G.A for G in loops])
+    moves[family.vehicle] |= any_of([G.C[n_z:] for G in loops]).any(axis=0)
+    entered: np.ndarray = np.asarray(any_of([G.B[:, columns] for G in loops]).any(axis=1))
+    entered[family.vehicle] |= any_of([G.D[n_z:, columns] for G in loops]).any()
+    read: np.ndarray = np.asarray(any_of([G.C[rows] for G in loops]).any(axis=0))
+    for _ in range(len(moves)):
+        entered, read = entered | (moves @ entered), read | (moves.T @ read)
+    kept = np.flatnonzero(entered & read)
+    vehicle = np.flatnonzero((kept >= family.vehicle.start) & (kept < family.vehicle.stop))
+
+    def at(v: float) -> StateSpace:
+        G = family.at(v)
+        outputs = np.append(np.arange(n_z)[rows], np.arange(n_z, G.n_outputs))
+        return StateSpace(
+            G.A[np.ix_(kept, kept)],
+            G.B[kept][:, columns],
+            G.C[np.ix_(outputs, kept)],
+            G.D[outputs][:, columns],
+            G.dt,
+        )
+
+    def hold_bounds(low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
+        first, second = family.hold_bounds(low, high)
+        held = kept[vehicle] - family.vehicle.start
+        return first[held], second[held]
+
+    span = slice(vehicle[0], vehicle[-1] + 1) if len(vehicle) else slice(0, 0)
+    return replace(family, at=at, vehicle=span, hold_bounds=hold_bounds)
 
 
 @dataclass(frozen=True)
 class Storage:
     """P(v) linear between ``knots`` (K,) [m/s], P (K, n, n) there, in the coordinates x = basis x~; basis (n,
-    n)."""
+    n). adjoint: of the adjoint loop."""
 
     basis: np.ndarray
     knots: np.ndarray
     P: np.ndarray
+    adjoint: bool = False
 
     def at(self, v: float) -> np.ndarray:
         """P(v)."""
@@ -148,6 +204,7 @@ def slopes(v) -> np.ndarray:
 def prove(family: Family, storage: Storage, rate: float) -> Proof | None:
     """The proof for all speeds between the first and the last node and |dv/dt| <= rate; None where it
     fails."""
+    family = replace(family, adjoint=storage.adjoint)
     ends: dict[float, _End] = {}
 
     def end(v: float) -> _End:
@@ -164,6 +221,8 @@ def prove(family: Family, storage: Storage, rate: float) -> Proof | None:
     while todo:
         low, high = todo.pop()
         slack = _cell_slack(family, storage, end(low), end(high), rate)
+        if slack == -np.inf:
+            return None
         if slack is None:
             if high - low < SMALLEST_CELL or cells + len(todo) > MOST_CELLS:
                 return None
@@ -176,59 +235,75 @@ def prove(family: Family, storage: Storage, rate: float) -> Proof | None:
 
 @dataclass(frozen=True)
 class _End:
-    """The loop at a cell's end: M (n, n + m), the outputs' share N'N, the probes R (k, n + m), and P."""
+    """The loop at a cell's end: S = [A B; C D] (n + p, n + m), of which ``left`` Xi(v) ``right`` is the
+    vehicle's share, and P."""
 
     v: float
-    M: np.ndarray
-    NN: np.ndarray
-    R: np.ndarray
+    S: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
     P: np.ndarray
 
     @classmethod
     def of(cls, family: Family, storage: Storage, v: float) -> _End:
-        M, N, R = _loop(family, storage.basis, v)
-        return cls(v, M, N.T @ N, R, storage.at(v))
+        S = np.vstack(_parts(family.loop(v), storage.basis))
+        return cls(v, S, *_share(family, storage.basis, v, S.shape), storage.at(v))
 
 
-def _loop(family: Family, basis: np.ndarray, v: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """[A B], [C D] and the probes' rows, in the coordinates of ``basis``."""
-    G, n_z = family.at(v), -family.n_probes
-    B = np.linalg.solve(basis, np.hstack([G.A @ basis, G.B]))
-    rows = np.hstack([G.C @ basis, G.D])
-    return B, rows[:n_z], rows[n_z:]
+def _share(
+    family: Family, basis: np.ndarray, v: float, shape: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """What stands left and right of Xi(v), of the adjoint of its transpose, in S of this shape, in the
+    coordinates of ``basis``."""
+    G, n = family.at(v), len(basis)
+    rows, probes = np.eye(n)[:, family.vehicle], np.hstack([G.C, G.D])[G.n_outputs - family.n_probes :]
+    if family.adjoint:
+        rows, probes = probes.T, rows.T
+    left, right = np.zeros((shape[0], rows.shape[1])), np.zeros((len(probes), shape[1]))
+    left[: len(rows)], right[:, : probes.shape[1]] = rows, probes
+    left[:n], right[:, :n] = np.linalg.solve(basis, left[:n]), right[:, :n] @ basis
+    return left, right
+
+
+def _parts(G: StateSpace, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """[A B] and [C D] in the coordinates of ``basis``."""
+    return np.linalg.solve(basis, np.hstack([G.A @ basis, G.B])), np.hstack([G.C @ basis, G.D])
 
 
 def _cell_slack(family: Family, storage: Storage, one: _End, two: _End, rate: float) -> float | None:
-    """Least eigenvalue of F less remainder at a cell's ends; None when one is not positive."""
+    """Least eigenvalue of F less remainder at a cell's ends; None when one is not positive, -inf when F is
+    not, which no smaller cell mends."""
     n, step, width = len(storage.basis), rate * family.Ts, two.v - one.v
     first, second = family.hold_bounds(one.v, two.v)
-    M = (one.M, two.M)
-    E = np.eye(n, one.M.shape[1])
-    dM, dR, dP = two.M - one.M, two.R - one.R, _absolute(two.P - one.P)
-    U = np.linalg.solve(storage.basis, np.eye(n)[:, family.vehicle])
-    # The vehicle's rows leave their chord by (rho1 R + rho2 dR) with |rho1| <= width^2/8 |Xi''|, |rho2| <=
-    # width/4 |Xi'|.
+    S = (one.S, two.S)
+    E = np.eye(n, one.S.shape[1])
+    dM, dP = two.S[:n] - one.S[:n], _absolute(two.P - one.P)
+    # Xi leaves its chord, times what varies beside it, R, by (rho1 R + rho2 dR) with |rho1| <= width^2/8
+    # |Xi''|, |rho2| <= width/4 |Xi'|.
     bound = np.hstack([width**2 / 8 * second] * 2 + [width / 4 * first])
-    probes = np.vstack([one.R, two.R, dR])
-    driven = (probes.T * bound.sum(axis=0)) @ probes
-    product = dM.T @ dP @ dM, sum(m.T @ dP @ m for m in M)
+    left, right = one.left, one.right
+    if family.adjoint:
+        bound, left = bound.T, np.hstack([left, two.left, two.left - left])
+    else:
+        right = np.vstack([right, two.right, two.right - right])
+    product = dM.T @ dP @ dM, sum(s[:n].T @ dP @ s[:n] for s in S)
     slacks = []
     for change in (
         sign * step * slope for slope in storage.slopes_near(one.v, two.v, step) for sign in (1.0, -1.0)
     ):
-        Q = [end.P + change for end in (one, two)]
+        Q = [sl.block_diag(end.P + change, np.eye(len(end.S) - n)) for end in (one, two)]
         F = [_dissipation(end, q, E) for end, q in zip((one, two), Q, strict=False)]
-        try:
-            inverse = np.linalg.inv(sum(F))
-        except np.linalg.LinAlgError:
-            return None
+        if not all(_positive(f) for f in F):
+            return -np.inf
+        inverse = np.linalg.inv(sum(F))
         remainder = 0.25 * _weighed(*product, inverse)
-        reached = [m.T @ q @ U for m in M for q in Q]
-        remainder += _weighed(sum((x * bound.sum(axis=1)) @ x.T for x in reached), driven, inverse)
-        remainder += sum(np.trace(U.T @ q @ U) for q in Q) * np.sum(bound**2) * probes.T @ probes
+        reached = [s.T @ q @ left for s in S for q in Q]
+        remainder += _crossed(reached, bound, right, inverse)
+        pressed = bound.T @ sum(np.abs(left.T @ q @ left) for q in Q) @ bound
+        remainder += (right.T * pressed.sum(axis=1)) @ right
         for end, f, q in zip((one, two), F, Q, strict=False):
             size = (
-                np.abs(end.P).sum(axis=1).max() + np.linalg.norm(end.M, 2) ** 2 * np.abs(q).sum(axis=1).max()
+                np.abs(end.P).sum(axis=1).max() + np.linalg.norm(end.S, 2) ** 2 * np.abs(q).sum(axis=1).max()
             )
             value = np.linalg.eigvalsh(f - remainder)[0] - 4 * len(f) * EPS * size
             if not value > 0:
@@ -238,10 +313,19 @@ def _cell_slack(family: Family, storage: Storage, one: _End, two: _End, rate: fl
 
 
 def _dissipation(end: _End, Q: np.ndarray, E: np.ndarray) -> np.ndarray:
-    F = E.T @ end.P @ E - end.M.T @ Q @ end.M - end.NN
+    F = E.T @ end.P @ E - end.S.T @ Q @ end.S
     k = len(end.P)
     F[k:, k:] += np.eye(len(F) - k)
     return 0.5 * (F + F.T)
+
+
+def _positive(X: np.ndarray) -> bool:
+    """Whether a Cholesky factor of X exists."""
+    try:
+        np.linalg.cholesky(X)
+    except np.linalg.LinAlgError:
+        return False
+    return True
 
 
 def _absolute(X: np.ndarray) -> np.ndarray:
@@ -259,11 +343,22 @@ def _weighed(X: np.ndarray, Y: np.ndarray, inverse: np.ndarray) -> np.ndarray:
     return eta * X + Y / eta
 
 
+def _crossed(left: list[np.ndarray], bound: np.ndarray, right: np.ndarray, inverse: np.ndarray) -> np.ndarray:
+    """More than x rho r + (x rho r)' for every mean x of ``left`` (N, a) and |rho| <= bound (a, b), r =
+    ``right`` (b, N): every product with the eta that costs least against the inverse of F."""
+    x_size = np.sqrt(sum(np.sum(x * (inverse @ x), axis=0) for x in left))
+    r_size = np.sqrt(np.sum(right.T * (inverse @ right.T), axis=0))
+    x_safe, r_safe = (np.where(size > 0, size, 1.0) for size in (x_size, r_size))
+    moved = np.any([np.any(x != 0, axis=0) for x in left], axis=0)
+    on_x, on_r = bound @ r_safe / x_safe, (x_safe * moved) @ bound / r_safe
+    return sum((x * on_x) @ x.T for x in left) + (right.T * on_r) @ right
+
+
 def polynomial_storage(family: Family, basis: np.ndarray, P: np.ndarray) -> Storage:
     """P0 + v P1 + P2 / v at the knots that refine the family's nodes; P (3, n, n) in the coordinates
     ``basis`` (n, n)."""
     knots = _refined(family.nodes, KNOTS)
-    return Storage(basis, knots, np.tensordot(terms(knots), P, 1))
+    return Storage(basis, knots, np.tensordot(terms(knots), P, 1), family.adjoint)
 
 
 def riccati_storage(family: Family) -> Storage | None:
@@ -271,7 +366,7 @@ def riccati_storage(family: Family) -> Storage | None:
     below 1."""
     knots = _refined(family.nodes, KNOTS)
     frozen = _frozen_at(family, knots)
-    return frozen and Storage(frozen[0], knots, frozen[2])
+    return frozen and Storage(frozen[0], knots, frozen[2], family.adjoint)
 
 
 def _refined(nodes: np.ndarray, parts: int) -> np.ndarray:
@@ -281,18 +376,29 @@ def _refined(nodes: np.ndarray, parts: int) -> np.ndarray:
 def _frozen_at(family: Family, speeds: np.ndarray):
     """basis, parts (M, N) and Riccati solutions at ``speeds``, in coordinates that suit all of them; None
     without solutions."""
-    loops = [family.at(v) for v in speeds]
+    loops = [family.loop(v) for v in speeds]
     if not all(G.stability_margin() > 0 for G in loops):
         return None
-    basis = _coordinates([G.select(slice(0, G.n_outputs - family.n_probes), slice(None)) for G in loops])
-    parts = [_loop(family, basis, v)[:2] for v in speeds]
+    basis = _coordinates(loops)
+    parts = [_parts(G, basis) for G in loops]
     frozen = _frozen(parts, family.Ts)
     return None if frozen is None else _even(basis, parts, frozen)
 
 
 def find(family: Family, progress: Callable[[str], None] = lambda _: None) -> LpvCertificate | None:
-    """The storage function with the largest rate that was found and proved; None when there is none."""
-    grid = _refined(family.nodes, 2)
+    """The storage function with the largest rate that was found and proved, of the adjoint or else of the
+    loop itself; None when there is none."""
+    for adjoint in (True, False):
+        one = replace(family, adjoint=adjoint)
+        found = _polynomial(one, progress) or _riccati(one)
+        if found is not None:
+            return found
+    return None
+
+
+def _polynomial(family: Family, progress: Callable[[str], None]) -> LpvCertificate | None:
+    """P0 + v P1 + P2 / v with the largest rate that was found and proved."""
+    grid = _refined(family.nodes, GRID)
     start = _frozen_at(family, grid)
     if start is None:
         return None
@@ -311,7 +417,7 @@ def find(family: Family, progress: Callable[[str], None] = lambda _: None) -> Lp
     stored: list[tuple[float, np.ndarray]] = []
     failed: float | None = None
     while (rate := _next_rate(stored[-1][0] if stored else None, failed)) is not None:
-        progress(f"storage function for |dv/dt| up to {rate:.3g} m/s2")
+        progress(f"storage function for |dv/dt| up to {rate:.3g} m/s2, {len(basis)} states")
         found = _feasible(_Barrier(twice, now, now + rate * change), P, unit)
         if found is not None:
             P = found
@@ -319,23 +425,28 @@ def find(family: Family, progress: Callable[[str], None] = lambda _: None) -> Lp
         else:
             failed = rate
     progress("proof between the speeds")
-    tried: list[tuple[float, Storage, np.ndarray | None]] = [
-        (rate, polynomial_storage(family, basis, P), P) for rate, P in stored
-    ]
-    riccati = riccati_storage(family)
-    if riccati is not None:
-        tried.append((_rate_at_knots(family, riccati), riccati, None))
-    for on_grid, storage, coefficients in sorted(tried, key=lambda one: -one[0]):
-        for share in SHARES if coefficients is not None else SHARES[-1:]:
+    for on_grid, coefficients in reversed(stored):
+        storage = polynomial_storage(family, basis, coefficients)
+        for share in SHARES:
             proof = prove(family, storage, share * on_grid)
             if proof is not None:
                 return LpvCertificate(share * on_grid, storage, coefficients, proof, failed)
     return None
 
 
+def _riccati(family: Family) -> LpvCertificate | None:
+    """The Riccati solutions at the knots, as they come."""
+    storage = riccati_storage(family)
+    if storage is None:
+        return None
+    rate = SHARES[-1] * _rate_at_knots(family, storage)
+    proof = prove(family, storage, rate)
+    return None if proof is None else LpvCertificate(rate, storage, None, proof, None)
+
+
 def _rate_at_knots(family: Family, storage: Storage) -> float:
     """The largest rate for which F > 0 at the knots."""
-    parts = [_loop(family, storage.basis, v)[:2] for v in storage.knots]
+    parts = [_parts(family.loop(v), storage.basis) for v in storage.knots]
     barrier = _Barrier(parts, np.eye(len(parts)), np.eye(len(parts)))
     largest = np.inf
     for k, F in enumerate(barrier.F(storage.P)):
@@ -360,18 +471,34 @@ def _coordinates(loops: list[StateSpace]) -> np.ndarray:
     """Basis in which the sums over the loops of both Gramians are nearly equal and diagonal.
 
     States are scaled to like Gramians first, and each Gramian has HIDDEN of its largest entry added: what is
-    hardly reached or seen must not make the basis singular.
+    hardly reached or seen must not make the basis singular. Factors are never multiplied out: scales of
+    states may differ by more than rounding leaves.
     """
-    reach = sum(sl.solve_discrete_lyapunov(G.A, G.B @ G.B.T) for G in loops) / len(loops)
-    seen = sum(sl.solve_discrete_lyapunov(G.A.T, G.C.T @ G.C) for G in loops) / len(loops)
+    reach = _rows(np.hstack([_reached(G.A, G.B) for G in loops]))
+    seen = _rows(np.hstack([_reached(G.A.T, G.C.T) for G in loops]))
     with np.errstate(divide="ignore", invalid="ignore"):
-        t = (np.diag(reach) / np.diag(seen)) ** 0.25
+        t = np.sqrt(np.linalg.norm(reach, axis=1) / np.linalg.norm(seen, axis=1))
     t = np.where(np.isfinite(t) & (t > 0), t, 1.0)
-    reach, seen = reach / np.outer(t, t), seen * np.outer(t, t)
-    added = HIDDEN * np.eye(len(t))
-    R, S = (gramian_factor(X + np.diag(X).max() * added) for X in (reach, seen))
+    R, S = (
+        _rows(np.hstack([X, np.sqrt(HIDDEN) * np.linalg.norm(X, axis=1).max() * np.eye(len(t))]))
+        for X in (reach / t[:, None], seen * t[:, None])
+    )
     _, sigma, Vt = np.linalg.svd(S.T @ R)
     return t[:, None] * (R @ Vt.T / np.sqrt(sigma))
+
+
+def _reached(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """L (n, n) with L L' = A L L' A' + B B', by doubling; A (n, n) stable."""
+    L = _rows(B)
+    for _ in range(DOUBLINGS):
+        L, A = _rows(np.hstack([L, A @ L])), A @ A
+    return L
+
+
+def _rows(X: np.ndarray) -> np.ndarray:
+    """L (n, n) with L L' = X X'."""
+    R = np.asarray(np.linalg.qr(np.hstack([X, np.zeros((len(X), len(X)))]).T, mode="r"))
+    return R.T
 
 
 def _frozen(parts: list[tuple[np.ndarray, np.ndarray]], Ts: float) -> np.ndarray | None:

@@ -323,14 +323,15 @@ def _promise(stored: StoredIdentification, design: Path | None) -> str:
     said_of = artefacts.read_json(design / "controller.json")["certificates"]
     mu = max(r["mu_upper"] for r in [*said_of["speeds"], said_of["off_grid"]])
     speeds = [r["v_mps"] for r in said_of["speeds"]]
-    moving = said_of["moving_speed"]["rate_mps2"]
+    rates = {claim: said["rate_mps2"] for claim, said in said_of["moving_speed"].items()}
+    moving = ", ".join(
+        f"robust {claim} for |dv/dt| up to {number(rate)} m/s²" for claim, rate in rates.items() if rate
+    )
     return f"""<div class="card" id="promise" data-mu="{mu:.6g}"><h3>Controller</h3>
 <p>{yes_or_no(mu < 1, "Robust performance proved", "Robust performance not proved")}: μ ≤ {mu:.4f} at \
 {len(speeds)} frozen speeds from {min(speeds):.3g} to {max(speeds):.3g} m/s and one between, for every \
 vehicle within |δ| ≤ W<sub>Δ</sub>. {
-        "Nothing is claimed of a moving speed."
-        if moving is None
-        else f"The speed may move by {number(moving)} m/s²."
+        f"At a moving speed: {moving}." if moving else "Nothing is claimed of a moving speed."
     }</p><p>{held}</p></div>"""
 
 
