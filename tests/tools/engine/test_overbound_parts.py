@@ -183,6 +183,16 @@ def test_the_certificate_of_a_first_order_lag_is_known_by_hand():
     assert not verify_overbound(proper, [0.5, 1.5], [0.6, 0.6]).ok
 
 
+def test_a_zero_on_the_axis_leaves_no_ratio():
+    """|W| = 0 at 1 rad/s, a sample; beside a bound that is met everywhere else."""
+    W = Weight(np.array([1.0, 0.0, 1.0]), np.array([1.0, 2.0, 1.0]))
+    found = verify_overbound(W, [0.5, 1.0, 2.0], [0.1, 0.1, 0.1])
+    assert found.min_ratio == 0.0 and found.min_ratio_at == 1.0
+    assert not found.ok and not found.minimum_phase and found.stable
+    upside = verify_overbound(Weight(W.den, W.num), [0.5, 1.0, 2.0], [0.1, 0.1, 0.1])
+    assert upside.max_ratio == math.inf and not upside.stable and upside.minimum_phase
+
+
 def test_the_least_ratio_between_two_samples_is_where_calculus_puts_it():
     """|W|^2 = 1 + w^2 over a bound of w^(1/2) from 0.25 to 9 rad/s."""
     W = Weight(np.array([1.0, 1.0]), np.array([1e-9, 1.0]))

@@ -191,3 +191,13 @@ def test_joint_scores_are_the_largest_of_the_tests_that_judged_the_drive():
         "c": 0.5,
     }
     assert joint_scores() == {}
+
+
+def test_the_rank_is_exact_however_the_product_rounds():
+    """10 * (1 - 0.7) in floating point is a little more than 3."""
+    for n in (9, 19, 24, 39, 99):
+        scores = {f"d{k}": float(k + 2) for k in range(n)}
+        for percent in range(1, 100):
+            rank = -(-(n + 1) * (100 - percent) // 100)
+            found = calibrate(scores, percent / 100)
+            assert found.threshold == (rank + 1 if rank <= n else n + 1), (n, percent)
