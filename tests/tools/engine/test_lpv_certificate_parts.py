@@ -361,11 +361,13 @@ def test_the_barriers_matrices_are_those_of_their_vector_and_its_gradient_that_o
         wanted = wanted - N.T @ N + np.diag([0.0, 0.0, 0.0, 1.0])
         np.testing.assert_allclose(barrier.F(P)[i], wanted, atol=1e-12)
     S = np.array([spd(random, 4) for _ in range(2)])
-    gradient = barrier.adjoint(S)
+    gradient, hessian = barrier.adjoint(S), barrier.hessian(S)
+    changes = [barrier.F(barrier.matrices(step), constant=False) for step in np.eye(len(p))]
     for k in range(len(p)):
-        step = np.zeros(len(p))
-        step[k] = 1.0
-        change = barrier.F(barrier.matrices(step), constant=False)
+        for j in range(k + 1):
+            wanted = sum(np.trace(s @ a @ s @ b) for s, a, b in zip(S, changes[k], changes[j], strict=True))
+            assert hessian[k, j] == pytest.approx(wanted, rel=1e-9, abs=1e-9)
+    for k, change in enumerate(changes):
         assert gradient[k] == pytest.approx(np.sum(S * change), rel=1e-10, abs=1e-10)
 
 
