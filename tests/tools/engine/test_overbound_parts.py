@@ -44,7 +44,7 @@ def test_a_floor_lifts_what_is_below_it_and_a_value_at_the_floor_stays():
     ("omega", "bound", "floor", "words"),
     [
         ([1.0, 2.0], [1.0, 2e60], None, "a range of at most 1e\\+60"),
-        ([1.0, 2.0], [1.0, 0.0], None, "bound at 2 rad/s: is 0"),
+        ([1.0, 2.0], [1.0, 0.0], None, "bound at 2 rad/s: is 0, and no weight"),
         ([0.0, 2.0], [1.0, 1.0], None, "omega\\[0\\]"),
         ([1.0, 1.0], [1.0, 1.0], None, "omega\\[1\\].*strictly increasing"),
         ([1.0, 2.0, 1.5], [1.0, 1.0, 1.0], None, "omega\\[2\\].*strictly increasing"),
@@ -303,3 +303,8 @@ def test_sections_go_from_slow_to_fast_and_the_single_pole_comes_last():
     assert [len(f) for f in factors] == [3, 2] and factors[1] == [1.0, 4.0]
     three = weight_module._quadratics(np.array([-1 + 9j, -1 - 9j, -0.5 + 0.1j, -0.5 - 0.1j]))
     assert [round(float(f[-1]), 6) for f in three] == [0.26, 82.0]
+
+
+def test_a_magnitude_of_zero_is_one():
+    values, lost = subtract_noise([0.0, 1.0], [0.0, 0.0], [1.0, 2.0], disturbance_set="paper", floor=0.1)
+    assert values.tolist() == [0.1, 1.0] and lost == [1.0]
