@@ -1004,6 +1004,15 @@ PLANTS: dict[str, list[Plant]] = {
             full=True,
         ),
     ],
+    "python_mutation": [
+        Plant(
+            "tests/tools/drives/test_dft.py",
+            "np.testing.assert_allclose(Z[k], driven + (0.0 if cycles else OUTPUT_OFFSET), atol=1e-12)",
+            "assert Z[k].shape == driven.shape",
+            r"survived: drives/dft\.py:\d+: spectra: Z\[0\] \+= model\.output_offset  ->  \(left out\)",
+            "drives/dft.py",
+        ),
+    ],
     "misra_cpp": [
         Plant(
             "lib/src/can.cpp",

@@ -13,6 +13,7 @@ import os
 import random
 import subprocess
 import sys
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,15 @@ TARGETS = (
     "identify/calibration.py",
     "identify/energy.py",
 )
+MEASURED = {
+    "drives/dft.py",
+    "drives/frames.py",
+    "engine/overbound/bound.py",
+    "engine/overbound/noise.py",
+    "identify/calibration.py",
+}
+"""Files whose mutants have all run and are sorted. The gate leaves out the others unless one is asked for by
+its name, and says so: samples of them stand in tests/README.md."""
 ASKED = {
     "drives": ("drives/test_dft.py", "drives/test_frames.py"),
     "engine": ("engine",),
@@ -153,11 +163,17 @@ def judged(
 
 
 def python_mutation_findings(
-    tree: Path, scratch: Path, full: bool, only: str, sample: int = SAMPLE
+    tree: Path,
+    scratch: Path,
+    full: bool,
+    only: str,
+    sample: int = SAMPLE,
+    measured: Collection[str] = MEASURED,
 ) -> list[str]:
-    """Findings on the mutants of the Python numerics: of all of them where ``full``, of ``only`` one file, or
-    of ``sample`` drawn ones."""
-    names = target_files(tree)
+    """Findings on the mutants of the Python numerics: of all measured files where ``full``, of ``only`` one
+    file, or of ``sample`` drawn ones."""
+    every = target_files(tree)
+    names = [name for name in every if name in measured]
     files = [only] if only else names if full else drawn(tree, names)
     equivalent, known = noted(tree, EQUIVALENT), noted(tree, OPEN)
     all_of = set(files) if full or only else set()
@@ -177,5 +193,7 @@ def python_mutation_findings(
     for what in no_longer(mutants, survived, known, all_of):
         print(f"{OPEN}: {what}")
     print("\n".join(table(mutants, survived, equivalent, known)))
+    if left_out := sorted(set(every) - set(measured) - {only}):
+        print(f"not measured: {', '.join(left_out)}")
     findings = judged(mutants, survived, equivalent, known, all_of)
     return findings + (too_many(mutants, survived, equivalent) if full and not only else [])

@@ -11,6 +11,7 @@ from python_mutation import Mutants
 from python_mutation_run import (
     ASKED,
     EQUIVALENT,
+    MEASURED,
     OPEN,
     PACKAGE,
     drawn,
@@ -23,6 +24,7 @@ from python_mutation_run import (
 )
 
 ROOT = Path(__file__).resolve().parents[2]
+SMALL = "engine/validation/small.py"
 SOURCE = """from functools import cache
 
 LIMIT = 30
@@ -168,7 +170,7 @@ def test_findings_name_every_survivor_once_and_what_is_noted_in_vain(ran):
 
 
 def test_the_gate_draws_where_it_is_not_asked_for_all(tree, tmp_path, capsys):
-    findings = python_mutation_findings(tree, tmp_path, full=False, only="", sample=5)
+    findings = python_mutation_findings(tree, tmp_path, full=False, only="", sample=5, measured={SMALL})
     said = capsys.readouterr().out
     assert "5 drawn" in said and said.splitlines()[-1].split()[:2] == ["all", "5"]
     assert all(f.startswith("survived: engine/validation/small.py:") for f in findings)
@@ -178,7 +180,7 @@ def test_a_test_that_fails_without_a_mutant_is_told(tree, tmp_path):
     tests = tree / "tests" / "tools" / "engine" / "test_wrong.py"
     tests.write_text("def test_wrong():\n    assert 1 == 2\n")
     try:
-        [finding] = python_mutation_findings(tree, tmp_path, full=True, only="")
+        [finding] = python_mutation_findings(tree, tmp_path, full=True, only="", measured={SMALL})
     finally:
         tests.unlink()
     assert "fail before anything is changed: " in finding and "test_wrong" in finding
@@ -222,7 +224,7 @@ def test_texts_annotations_decorators_and_what_is_raised_stay():
 
 def test_every_target_is_a_file_whose_room_has_tests_and_a_drawn_one_is_among_them():
     names = target_files(ROOT)
-    assert len(names) > 30 and set(drawn(ROOT, names)) <= set(names)
+    assert len(names) > 30 and set(drawn(ROOT, names)) <= set(names) and set(names) >= MEASURED
     assert {name.split("/")[0] for name in names} == ASKED.keys()
     for asked in ASKED.values():
         assert all((ROOT / "tests" / "tools" / name).exists() for name in asked)

@@ -296,10 +296,19 @@ def test_no_starts_have_no_transform_and_a_hann_frame_moves_by_half(estimator):
 def test_a_frame_longer_than_the_drive_reads_and_counts_nothing(estimator):
     for missing in (1, 2, 3, 40):
         assert estimator.counted(np.full(int(estimator.length[0]) - missing, 10.0), 0).shape == (0,)
-    assert estimator.transform(np.zeros((3, 2)), 0, np.array([], int)).shape == (0, 2)
+    for n in (0, 3):
+        assert estimator.transform(np.zeros((n, 2)), 0, np.array([], int)).shape == (0, 2)
 
 
 def test_the_identifier_is_the_one_in_the_shipped_vehicles_code(g80, estimator):
     """Code that was exported before must agree with the estimator of today."""
     code = (ROOT / "lib" / "vehicles" / "g80" / "lpvguard_coeff.c").read_text()
     assert int(re.search(r"\.estimator_id = (\d+)U", code)[1]) == estimator.identifier()
+
+
+def test_a_line_at_the_upper_limit_counts_though_its_frequency_rounds_above_it(g80):
+    """30 samples of 0.06 s are a little less than 1.8 s in floating point: line 9 is a little above 5 Hz."""
+    assert 9 / (30 * 0.06) > 5.0
+    project = plain(g80, length_s=1.8, f_min_hz=1.0, f_max_hz=5.0).model_copy(update={"Ts_s": 0.06})
+    found = Estimator.of(project, SimpleNamespace(n=1, speed_range=(1.0, 2.0)))
+    assert found.cycles.tolist() == [0, *range(2, 10)]

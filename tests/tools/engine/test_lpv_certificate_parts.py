@@ -329,3 +329,53 @@ def test_the_remainder_of_a_cell_falls_faster_than_its_width():
         losses.append(least - slack)
     ratios = np.array(losses[:-1]) / losses[1:]
     np.testing.assert_allclose(ratios, 2**1.5, rtol=0.05)
+
+
+def test_a_point_with_every_matrix_positive_is_found_from_any_start_or_none_is():
+    """F = P - a^2 P - c^2 > 0 for a scalar P, width one: P > c^2 / (1 - a^2); and both 1 - P > 0 or not."""
+
+    def barrier(largest):
+        M, N = np.array([[0.5, 1.0]]), np.array([[0.3, 0.0]])
+        return lpv._Barrier([(np.sqrt(1 / largest) * M, N)], np.ones((1, 1)), np.ones((1, 1)))
+
+    easy = barrier(1.0)
+    for start in (-3.0, 0.0, 0.4, 50.0):
+        P = lpv._feasible(easy, np.array([[[start]]]), np.eye(2))
+        assert P is not None and np.linalg.eigvalsh(easy.F(P)[0])[0] > 0
+    # F[1, 1] = 1 - P / largest and F[0, 0] = P (1 - 1 / (4 largest)) - 0.09: no P for a small ``largest``.
+    assert lpv._feasible(barrier(0.2), np.array([[[0.1]]]), np.eye(2)) is None
+
+
+def test_the_barriers_matrices_are_those_of_their_vector_and_its_gradient_that_of_the_trace():
+    random = np.random.default_rng(9)
+    parts = [(random.standard_normal((3, 4)), random.standard_normal((2, 4))) for _ in range(2)]
+    phi, after = random.standard_normal((2, 3)), random.standard_normal((2, 3))
+    barrier = lpv._Barrier(parts, phi, after)
+    P = np.array([spd(random, 3) for _ in range(3)])
+    p = P[:, barrier.upper[0], barrier.upper[1]].ravel()
+    np.testing.assert_array_equal(barrier.matrices(p), P)
+    for i, (M, N) in enumerate(parts):
+        E = np.eye(3, 4)
+        wanted = E.T @ np.tensordot(phi[i], P, 1) @ E - M.T @ np.tensordot(after[i], P, 1) @ M
+        np.testing.assert_allclose(barrier.F(P, constant=False)[i], wanted, atol=1e-12)
+        wanted = wanted - N.T @ N + np.diag([0.0, 0.0, 0.0, 1.0])
+        np.testing.assert_allclose(barrier.F(P)[i], wanted, atol=1e-12)
+    S = np.array([spd(random, 4) for _ in range(2)])
+    gradient, hessian = barrier.adjoint(S), barrier.hessian(S)
+    changes = [barrier.F(barrier.matrices(step), constant=False) for step in np.eye(len(p))]
+    for k in range(len(p)):
+        for j in range(k + 1):
+            wanted = sum(np.trace(s @ a @ s @ b) for s, a, b in zip(S, changes[k], changes[j], strict=True))
+            assert hessian[k, j] == pytest.approx(wanted, rel=1e-9, abs=1e-9)
+    for k, change in enumerate(changes):
+        assert gradient[k] == pytest.approx(np.sum(S * change), rel=1e-10, abs=1e-10)
+
+
+def test_a_singular_matrix_is_factored_with_the_least_addition_and_an_indefinite_one_is_not():
+    ones = np.ones((3, 3))
+    factor, lower = lpv._factored(ones.copy())
+    assert lower and np.tril(factor) @ np.tril(factor).T == pytest.approx(ones, abs=1e-12)
+    slightly = np.array([[1.0, 1 + 5e-10], [1 + 5e-10, 1.0]])
+    assert lpv._factored(slightly.copy())[0][1, 1] < 1e-4
+    with pytest.raises(np.linalg.LinAlgError):
+        lpv._factored(np.array([[1.0, 1.1], [1.1, 1.0]]))

@@ -7,9 +7,11 @@ import math
 
 import numpy as np
 import pytest
+import scipy.linalg as sl
 
 from lpvguard.base.errors import InputError
 from lpvguard.engine.overbound import certificate as proof
+from lpvguard.engine.overbound import weight as weight_module
 from lpvguard.engine.overbound.bound import SampledBound
 from lpvguard.engine.overbound.certificate import is_hurwitz, squared, verify_overbound
 from lpvguard.engine.overbound.noise import subtract_noise
@@ -42,7 +44,7 @@ def test_a_floor_lifts_what_is_below_it_and_a_value_at_the_floor_stays():
     ("omega", "bound", "floor", "words"),
     [
         ([1.0, 2.0], [1.0, 2e60], None, "a range of at most 1e\\+60"),
-        ([1.0, 2.0], [1.0, 0.0], None, "bound at 2 rad/s: is 0"),
+        ([1.0, 2.0], [1.0, 0.0], None, "bound at 2 rad/s: is 0, and no weight"),
         ([0.0, 2.0], [1.0, 1.0], None, "omega\\[0\\]"),
         ([1.0, 1.0], [1.0, 1.0], None, "omega\\[1\\].*strictly increasing"),
         ([1.0, 2.0, 1.5], [1.0, 1.0, 1.0], None, "omega\\[2\\].*strictly increasing"),
@@ -183,6 +185,16 @@ def test_the_certificate_of_a_first_order_lag_is_known_by_hand():
     assert not verify_overbound(proper, [0.5, 1.5], [0.6, 0.6]).ok
 
 
+def test_a_zero_on_the_axis_leaves_no_ratio():
+    """|W| = 0 at 1 rad/s, a sample; beside a bound that is met everywhere else."""
+    W = Weight(np.array([1.0, 0.0, 1.0]), np.array([1.0, 2.0, 1.0]))
+    found = verify_overbound(W, [0.5, 1.0, 2.0], [0.1, 0.1, 0.1])
+    assert found.min_ratio == 0.0 and found.min_ratio_at == 1.0
+    assert not found.ok and not found.minimum_phase and found.stable
+    upside = verify_overbound(Weight(W.den, W.num), [0.5, 1.0, 2.0], [0.1, 0.1, 0.1])
+    assert upside.max_ratio == math.inf and not upside.stable and upside.minimum_phase
+
+
 def test_the_least_ratio_between_two_samples_is_where_calculus_puts_it():
     """|W|^2 = 1 + w^2 over a bound of w^(1/2) from 0.25 to 9 rad/s."""
     W = Weight(np.array([1.0, 1.0]), np.array([1e-9, 1.0]))
@@ -255,3 +267,44 @@ def test_noise_is_taken_off_point_by_point():
     values, lost = subtract_noise(B, n, omega, disturbance_set="paper", floor=0.5)
     np.testing.assert_allclose(values, [2.0, 0.5, 0.5, np.nan])
     assert lost == [2.0, 3.0]
+
+
+def test_what_noise_leaves_below_one_is_not_lost_and_every_floor_is_looked_at():
+    values, lost = subtract_noise([1.0], [0.5], [1.0], disturbance_set="paper", floor=0.1)
+    assert values.tolist() == [0.5] and lost == []
+    for floor in ([0.1, 0.0], [np.inf, 0.1], [0.1, np.nan], [-1.0, 0.1]):
+        with pytest.raises(InputError, match="floor"):
+            subtract_noise([1.0, 1.0], [0.5, 0.5], [1.0, 2.0], disturbance_set="paper", floor=floor)
+    small = subtract_noise([0.5, 0.2], [0.3, 0.2], [1.0, 2.0], disturbance_set="covering", floor=0.1)
+    np.testing.assert_allclose(small[0], [0.4, 0.1])
+    for wrong in ([-1e-9, 0.2], [0.2, np.inf]):
+        with pytest.raises(InputError, match="finite magnitude"):
+            subtract_noise(wrong, [0.1, 0.1], [1.0, 2.0], disturbance_set="paper", floor=0.1)
+
+
+@pytest.mark.parametrize("gain", [1e-6, 1.0, 1e7])
+def test_the_states_of_a_realisation_are_reached_as_well_as_they_are_seen(gain):
+    """The diagonals of both Gramians agree within a factor four."""
+    W = Weight(gain * np.poly([-3.0, -200.0, -0.5]), np.poly([-1.0, -1e3, -0.01]))
+    A, B, C, _ = W.to_state_space()
+    reach = np.diag(sl.solve_continuous_lyapunov(A, -B @ B.T))
+    seen = np.diag(sl.solve_continuous_lyapunov(A.T, -C.T @ C))
+    assert (reach < 4 * seen).all() and (seen < 4 * reach).all()
+
+
+def test_sections_go_from_slow_to_fast_and_the_single_pole_comes_last():
+    """Pairs of real poles, complex pairs by their frequency."""
+    W = Weight([1.0], np.real(np.poly([-1 + 9j, -1 - 9j, -0.1, -0.3, -2 + 2j, -2 - 2j, -50.0])))
+    A = W.to_state_space()[0]
+    sizes = [np.sqrt(np.linalg.det(A[k : k + 2, k : k + 2])) for k in (0, 2, 4)]
+    np.testing.assert_allclose(sizes, [np.sqrt(0.03), np.sqrt(8.0), np.sqrt(82.0)], rtol=1e-6)
+    assert A[6, 6] == pytest.approx(-50.0, rel=1e-6)
+    factors = [f.tolist() for f in weight_module._quadratics(np.array([-4.0, -0.01 + 0.01j, -0.01 - 0.01j]))]
+    assert [len(f) for f in factors] == [3, 2] and factors[1] == [1.0, 4.0]
+    three = weight_module._quadratics(np.array([-1 + 9j, -1 - 9j, -0.5 + 0.1j, -0.5 - 0.1j]))
+    assert [round(float(f[-1]), 6) for f in three] == [0.26, 82.0]
+
+
+def test_a_magnitude_of_zero_is_one():
+    values, lost = subtract_noise([0.0, 1.0], [0.0, 0.0], [1.0, 2.0], disturbance_set="paper", floor=0.1)
+    assert values.tolist() == [0.1, 1.0] and lost == [1.0]

@@ -52,10 +52,10 @@ def test_a_level_is_crossed_where_a_singular_value_equals_it(m, p, seed):
 
 
 def test_frequencies_near_the_axis_come_with_zero_the_middles_and_twice_the_last():
-    values = np.array([1j, -1j, 4j, -4j, 2.0 + 1j, 2.0 - 1j, -3.0])
+    values = np.array([2j, -2j, 8j, -8j, 2.0 + 1j, 2.0 - 1j, -3.0])
     blocks = [[[v.real, v.imag], [-v.imag, v.real]] for v in values[[0, 2, 4]]]
     found = norms.axis_frequencies(sl.block_diag(*blocks, -3.0), 1.0)
-    np.testing.assert_allclose(np.sort(found), np.sort([0.0, 1.0, 4.0, 0.5, 2.5, 2.0, 8.0]), atol=1e-12)
+    np.testing.assert_allclose(np.sort(found), np.sort([0.0, 2.0, 8.0, 1.0, 5.0, 4.0, 16.0]), atol=1e-12)
     assert norms.axis_frequencies(np.diag([1.0, -1.0]), 1.0).size == 0
     nearly = [[-0.9e-3, 1.0], [-1.0, -0.9e-3]]
     assert norms.axis_frequencies(np.array(nearly), 0.0).size > 0
@@ -91,6 +91,15 @@ def test_the_rounding_of_a_gain_bounds_what_entries_of_A_do_to_it(omega):
     lifted = norms._lifted(G, np.array([omega, np.inf]))
     assert lifted == np.linalg.norm(G.response([omega])[0], 2) + norms._rounding(G, omega)
     assert norms._lifted(G, np.array([np.inf])) == 0.0
+
+
+def test_the_bracket_is_the_level_and_the_rounding_and_exact_without_input_or_output():
+    lag = norms.hinf_norm(StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), rtol=1e-3)
+    assert lag.lower == 1.0 and lag.peak_frequency == 0.0
+    assert 1.001 < lag.upper <= 1.001 + 20 * norms.EPS
+    for B, C in (([[0.0]], [[1.0]]), ([[1.0]], [[0.0]]), ([[0.0]], [[0.0]])):
+        still = norms.hinf_norm(StateSpace([[-1.0]], B, C, [[-2.0]]))
+        assert (still.lower, still.upper) == (2.0, 2.0)
 
 
 def test_the_norm_does_not_settle_for_a_level_below_the_peak(monkeypatch):

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from fractions import Fraction
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import binom
 
+from lpvguard.drives.tables import Experiment
 from lpvguard.identify.calibration import (
     NO_RECORDINGS,
     Calibration,
@@ -191,3 +193,33 @@ def test_joint_scores_are_the_largest_of_the_tests_that_judged_the_drive():
         "c": 0.5,
     }
     assert joint_scores() == {}
+
+
+def test_the_rank_is_exact_however_the_product_rounds():
+    """10 * (1 - 0.7) in floating point is a little more than 3."""
+    for n in (9, 19, 24, 39, 99):
+        scores = {f"d{k}": float(k + 2) for k in range(n)}
+        for percent in range(1, 100):
+            rank = -(-(n + 1) * (100 - percent) // 100)
+            found = calibrate(scores, percent / 100)
+            assert found.threshold == (rank + 1 if rank <= n else n + 1), (n, percent)
+
+
+def drive(name: str, recording: str, group: str | None = None) -> Experiment:
+    return Experiment(name, Path("drives") / f"{name}.csv", "valid", "human", recording, group)
+
+
+def test_recordings_are_read_from_the_list_of_experiments_once():
+    setting = [drive("s1", "s1"), drive("s2", "day"), drive("s3", "night")]
+    others = [drive("o1", "day"), drive("o2", "o2"), drive("o3", "dusk"), drive("o4", "night")]
+    found = Recordings.listed(iter(setting), iter(others))
+    assert found.of == {"s2": "day", "s3": "night", "o1": "day", "o3": "dusk", "o4": "night"}
+    assert found.setting == ("day", "night") and found.groups == {}
+    grouped = Recordings.listed(setting[:1], [drive("o1", "day", "wet"), drive("o2", "o2", "dry")])
+    assert grouped.groups == {"o1": "wet", "o2": "dry"} and grouped.setting == ()
+
+
+def test_an_hour_is_3600_s():
+    scores = scores_of(19)
+    found = calibrate(scores, 0.1).over(dict.fromkeys(scores, 1805.3 / 19))
+    assert found.hourly.endswith("an hour judged, of 0.501 h")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from dataclasses import replace
@@ -215,6 +216,14 @@ def test_directions_are_of_unit_sum_each_once_and_hold_every_output_alone(n_y):
     for unit in np.eye(n_y):
         assert any(np.array_equal(d, unit) for d in directions)
     assert all(d[np.flatnonzero(d)[0]] > 0 for d in directions) or n_y == 2
+
+
+def test_three_outputs_are_seen_in_every_choice_of_signs():
+    seen = {tuple(np.sign(d).astype(int)) for d in fan(3)}
+    assert seen == {s for s in itertools.product((-1, 0, 1), repeat=3) if any(s) and s > (0, 0, 0)}
+    for d in fan(3):
+        sizes = np.abs(d[d != 0])
+        np.testing.assert_allclose(sizes, 1 / len(sizes))
 
 
 def test_two_outputs_are_seen_from_sixteen_even_angles_in_bit_reversed_order():
