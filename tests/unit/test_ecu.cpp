@@ -349,9 +349,18 @@ TEST_CASE("the longest sample period is a quarter of the window, and both period
     lpvg_ecu_t ecu;
     CHECK(lpvg_ecu_init(&ecu, &model, &control, &config, 0) == lpvg_status_ok);
     CHECK(lpvg_ecu_init(&ecu, &model, &lpvg_control_coeff, &config, 0) == lpvg_status_bad_value);
+}
+
+TEST_CASE("only the optional causes may be reported only", "[unit][ecu][REQ-ECU-6]") {
+    lpvg_ecu_t ecu;
     lpvg_ecu_config_t with = config;
+    for (unsigned bit = 0U; bit < 16U; ++bit) {
+        with.report_only = static_cast<uint16_t>(1U << bit);
+        const bool optional = (with.report_only & LPVG_ECU_CAUSES_OPTIONAL) != 0U;
+        CHECK((lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &with, 0) == lpvg_status_ok) == optional);
+    }
     with.report_only = LPVG_ECU_CAUSES_OPTIONAL;
-    CHECK(lpvg_ecu_init(&ecu, &model, &control, &with, 0) == lpvg_status_ok);
+    CHECK(lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &with, 0) == lpvg_status_ok);
 }
 
 TEST_CASE("of a step's frames the newest are taken, and those before them are counted", "[unit][ecu][REQ-ECU-6]") {

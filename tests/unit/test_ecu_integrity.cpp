@@ -102,7 +102,10 @@ TEST_CASE("a demand beyond the kept limits does not leave the ECU", "[unit][ecu]
     bench.ecu.control.x[0][0] = static_cast<lpvg_real_t>(sign * 121);
     const auto before = static_cast<double>(bench.ecu.kept.demand);
     bench.step();
-    CHECK(std::fabs(static_cast<double>(bench.ecu.kept.demand)) <= std::fabs(before));
+    const double left = std::fmax(std::fabs(before) - static_cast<double>(lpvg_control_coeff.reals.rate_max[0]) * 0.01, 0.0);
+    CHECK(std::fabs(static_cast<double>(bench.ecu.kept.demand)) == Approx(left).margin(1e-6));
+    CHECK(bench.ecu.control.u[0] == bench.ecu.kept.demand);
+    CHECK_FALSE(bench.engaged());
     CHECK(bench.ecu.kept.corrupt);
     check_dead(bench);
 }
