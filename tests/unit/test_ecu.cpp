@@ -331,11 +331,17 @@ TEST_CASE("init leaves nothing of what was there, and nothing is known of the bu
     }
     CHECK(ecu.kept.u_max == largest);
     CHECK(ecu.kept.rate_max == lpvg_control_coeff.reals.rate_max[0]);
+    lpvg_control_coeff_t control = lpvg_control_coeff;
+    control.reals.u_max[1][0] = lpvg_real_t(2) * largest;  // neither the first node's nor the last one's
+    control.words.crc32 = lpvg_control_coeff_crc32(&control);
+    REQUIRE(lpvg_ecu_init(&other, &lpvg_coeff, &control, &config, now_us) == lpvg_status_ok);
+    CHECK(other.kept.u_max == lpvg_real_t(2) * largest);
     // The first step may come at once: it tells DM1, and waits for nothing.
     lpvg_can_frame_t out[LPVG_ECU_FRAMES_OUT];
     size_t n = 0U;
     REQUIRE(lpvg_ecu_step(&ecu, now_us, nullptr, 0, out, LPVG_ECU_FRAMES_OUT, &n) == lpvg_status_ok);
     CHECK(n == 2U);
+    CHECK_FALSE(ecu.kept.corrupt);
     CHECK((ecu.causes & LPVG_ECU_CAUSE_WAIT) == 0U);
     CHECK(lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &config, std::numeric_limits<int64_t>::max() / 2) == lpvg_status_ok);
 }

@@ -396,3 +396,26 @@ TEST_CASE("after damage the demand runs to zero by the kept rate, a late step co
     CHECK(before == 0.0);
     CHECK_FALSE(bench.engaged());
 }
+
+TEST_CASE("a word of zeros in a copy is damage, not an ECU without init", "[unit][ecu][REQ-ECU-15]") {
+    const int which = GENERATE(0, 1);
+    Bench bench = engaged_bench();
+    bench.ecu.inverted[which] = 0U;
+    if (which == 1) {
+        bench.ecu.kept.period_us = 0U;
+    }
+    bench.step();
+    CHECK(bench.ecu.kept.corrupt);
+    check_dead(bench);
+}
+
+TEST_CASE("two copies that agree are used whatever their sum says", "[unit][ecu][REQ-ECU-15]") {
+    Bench bench = engaged_bench();
+    const double before = std::fabs(static_cast<double>(bench.ecu.kept.demand));
+    bench.ecu.sum ^= 1U;
+    bench.ecu.occurrence = 127U;
+    bench.step();
+    const double left = std::fmax(before - static_cast<double>(lpvg_control_coeff.reals.rate_max[0]) * 0.01, 0.0);
+    CHECK(std::fabs(static_cast<double>(bench.ecu.kept.demand)) == Approx(left).margin(1e-6));
+    CHECK(bench.ecu.kept.corrupt);
+}
