@@ -82,6 +82,28 @@ TEST_CASE("a dead yaw sensor shows within 5 periods and its demand is released",
     bench.run(100);
     CHECK(bench.spn == 0U);
     CHECK(bench.lamps == 0U);
+    CHECK(bench.ecu.occurrence == 1U);  // the end of a fault is none
+}
+
+TEST_CASE("DM1 comes when all of its second has passed", "[unit][ecu][REQ-ECU-2]") {
+    const bool due = GENERATE(false, true);
+    Bench bench;
+    bench.run_until_engaged();
+    const int told = bench.dm1s;
+    bench.ecu.dm1_us = bench.ecu.core_us + tick_us - 1'000'000 + (due ? 0 : 1);
+    bench.step();
+    CHECK(bench.dm1s == told + (due ? 1 : 0));
+}
+
+TEST_CASE("occurrences are counted up to 126", "[unit][ecu][REQ-ECU-2]") {
+    const unsigned before = GENERATE(range(123U, 127U));
+    Bench bench;
+    bench.run_until_engaged();
+    bench.ecu.occurrence = static_cast<uint8_t>(before);
+    bench.send_vdc2 = false;
+    bench.run(20);
+    CHECK(bench.ecu.fault == lpvg_ecu_fault_message);
+    CHECK(bench.ecu.occurrence == std::min(before + 1U, 126U));
 }
 
 TEST_CASE("every needed message is missed when it is lost or damaged", "[unit][ecu][REQ-ECU-2]") {

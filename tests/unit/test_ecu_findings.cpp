@@ -139,6 +139,9 @@ TEST_CASE("the freeze frame of an alarm is its record's", "[unit][ecu][REQ-J1939
     CHECK(findings_of(ecu).freeze.bin == 5U);
     CHECK(findings_of(ecu).freeze.test == lpvg_test_energy);
     CHECK(findings_of(ecu).freeze.statistic == 1.75F);
+    ecu.monitor.n_records = LPVG_NRECORDS;  // as many as there are places
+    ecu.monitor.record[LPVG_NRECORDS - 1U].bin = 3U;
+    CHECK(findings_of(ecu).freeze.bin == 3U);
     for (const uint32_t n : {0U, static_cast<uint32_t>(LPVG_NRECORDS) + 1U}) {  // read out; damaged
         ecu.monitor.n_records = n;
         CHECK(findings_of(ecu).freeze.bin == 2U);
