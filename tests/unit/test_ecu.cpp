@@ -341,7 +341,8 @@ TEST_CASE("init leaves nothing of what was there, and nothing is known of the bu
     for (const lpvg_real_t y : s.y) {
         CHECK(std::isnan(y));
     }
-    for (const float x : {s.yaw_rate, s.lateral, s.wheel_difference, s.brake_pedal, s.abs_active, s.measured, s.request, s.other_priority}) {
+    for (const float x :
+         {s.yaw_rate, s.lateral, s.wheel_difference, s.brake_pedal, s.abs_active, s.measured, s.request, s.other_priority}) {
         CHECK(std::isnan(x));
     }
     CHECK(ecu.now_us == now_us);

@@ -99,9 +99,9 @@ TEST_CASE("an alarm's code has the failure mode of the cause that was found", "[
         uint8_t fmi;
     };
     const Case cases[] = {
-        {lpvg_cause_unknown, 0.0F, 31U}, {lpvg_cause_other, 0.0F, 11U},  {lpvg_cause_gain, 0.7F, 13U},
-        {lpvg_cause_sign, -1.0F, 13U},   {lpvg_cause_delay, 0.2F, 9U},   {lpvg_cause_bias, 0.1F, 20U},
-        {lpvg_cause_bias, 0.0F, 21U},    {lpvg_cause_bias, -0.1F, 21U},   {lpvg_cause_frozen, 0.1F, 10U}, {lpvg_cause_noise, 0.1F, 2U},
+        {lpvg_cause_unknown, 0.0F, 31U}, {lpvg_cause_other, 0.0F, 11U}, {lpvg_cause_gain, 0.7F, 13U}, {lpvg_cause_sign, -1.0F, 13U},
+        {lpvg_cause_delay, 0.2F, 9U},    {lpvg_cause_bias, 0.1F, 20U},  {lpvg_cause_bias, 0.0F, 21U}, {lpvg_cause_bias, -0.1F, 21U},
+        {lpvg_cause_frozen, 0.1F, 10U},  {lpvg_cause_noise, 0.1F, 2U},
     };
     Bench bench;
     bench.run_until_engaged();
@@ -177,7 +177,8 @@ TEST_CASE("a lost message reaches the bus as a code with its freeze frame", "[un
     CHECK(entry->freeze.t_us == bench.now_us - 6 * tick_us);
 }
 
-TEST_CASE("a message that is not live has the failure mode of the rejection seen most of, the first of equals", "[unit][ecu][REQ-J1939-10]") {
+TEST_CASE("a message that is not live has the failure mode of the rejection seen most of, the first of equals",
+          "[unit][ecu][REQ-J1939-10]") {
     Bench bench;
     bench.run_until_engaged();
     lpvg_can_watch_t& watch = bench.ecu.supervisor.watch[lpvg_bus.needed[0].index];

@@ -218,8 +218,8 @@ TEST_CASE("a step checks as few coefficients as make a round shorter than its lo
     // Periods beside those at which one more item is due.
     constexpr uint64_t longest_us = LPVG_ECU_WINDOW_US / 4U, round_us = LPVG_ECU_ROUND_US;
     std::vector<uint32_t> periods = {10'000U, static_cast<uint32_t>(longest_us)};
-    for (const auto& other : {std::pair<uint64_t, uint64_t>{n_all + 1U, round_us}, {n_all - 1U, round_us}, {n_all, round_us + 1U},
-                              {n_all, round_us - 1U}}) {
+    for (const auto& other :
+         {std::pair<uint64_t, uint64_t>{n_all + 1U, round_us}, {n_all - 1U, round_us}, {n_all, round_us + 1U}, {n_all, round_us - 1U}}) {
         uint64_t us = 1'000U;
         while (us < longest_us && n_all * us / round_us == other.first * us / other.second) {
             ++us;
