@@ -384,7 +384,7 @@ TEST_CASE("after damage the demand runs to zero by the kept rate, a late step co
     double before = std::fabs(began);
     REQUIRE(before > 0.04 * rate);
     int64_t t_us = bench.now_us;
-    for (const int64_t late_us : {0, 2'000, 5'000, 100'000, 0, 0, 0, 0, 0, 0, 0, 0}) {
+    for (const int64_t late_us : {0, 100'000, 2'000, 5'000, 0, 0, 0, 0, 0, 0, 0, 0}) {
         t_us += tick_us + late_us;
         bench.step_at(t_us);
         const double most = rate * 1e-6 * static_cast<double>(std::min<int64_t>(tick_us + late_us, 15'000));
