@@ -383,12 +383,12 @@ Real largest_change(const lpvg_ecu_t& self, uint32_t step) {
     return self.kept.rate_max * (static_cast<Real>(step < longest_us ? step : longest_us) * Real(1e-6));
 }
 
-// The demand goes to zero without controller; at once where not even the kept values can be used.
-void run_down(lpvg_ecu_t& self, bool usable, uint32_t step) {
+// The demand goes to zero without controller. Where not even the kept values can be used it is zero already: restore cleared them.
+void run_down(lpvg_ecu_t& self, uint32_t step) {
     const Real before = self.kept.demand;
-    const Real change = usable ? largest_change(self, step) : Real(0);
+    const Real change = largest_change(self, step);
     const Real left = before < Real(0) ? before + change : before - change;
-    const bool arrived = !usable || !(left * before > Real(0));
+    const bool arrived = !(left * before > Real(0));
     self.kept.demand = self.control.u[0] = arrived ? Real(0) : left;
     self.control.engaged = false;
     self.permitted = false;
@@ -410,7 +410,7 @@ void run_controller(lpvg_ecu_t& self, bool live, uint32_t step) {
         self.kept.demand = self.control.u[0];
     } else {
         self.kept.corrupt = true;
-        run_down(self, true, step);
+        run_down(self, step);
     }
     // Before the first good frame there is nothing to measure, which is not a fault.
     self.refused = live && status != lpvg_status_ok;
@@ -564,7 +564,7 @@ extern "C" lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const l
     take_request(*self);
     if (self->kept.corrupt) {
         self->causes = causes_of(*self, live);
-        run_down(*self, usable, step);
+        run_down(*self, step);
         self->refused = false;
     } else {
         run_controller(*self, live, step);

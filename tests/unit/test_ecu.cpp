@@ -82,6 +82,28 @@ TEST_CASE("a dead yaw sensor shows within 5 periods and its demand is released",
     bench.run(100);
     CHECK(bench.spn == 0U);
     CHECK(bench.lamps == 0U);
+    CHECK(bench.ecu.occurrence == 1U);  // the end of a fault is none
+}
+
+TEST_CASE("DM1 comes when all of its second has passed", "[unit][ecu][REQ-ECU-2]") {
+    const bool due = GENERATE(false, true);
+    Bench bench;
+    bench.run_until_engaged();
+    const int told = bench.dm1s;
+    bench.ecu.dm1_us = bench.ecu.core_us + tick_us - 1'000'000 + (due ? 0 : 1);
+    bench.step();
+    CHECK(bench.dm1s == told + (due ? 1 : 0));
+}
+
+TEST_CASE("occurrences are counted up to 126", "[unit][ecu][REQ-ECU-2]") {
+    const unsigned before = GENERATE(range(123U, 127U));
+    Bench bench;
+    bench.run_until_engaged();
+    bench.ecu.occurrence = static_cast<uint8_t>(before);
+    bench.send_vdc2 = false;
+    bench.run(20);
+    CHECK(bench.ecu.fault == lpvg_ecu_fault_message);
+    CHECK(bench.ecu.occurrence == std::min(before + 1U, 126U));
 }
 
 TEST_CASE("every needed message is missed when it is lost or damaged", "[unit][ecu][REQ-ECU-2]") {
@@ -319,7 +341,8 @@ TEST_CASE("init leaves nothing of what was there, and nothing is known of the bu
     for (const lpvg_real_t y : s.y) {
         CHECK(std::isnan(y));
     }
-    for (const float x : {s.yaw_rate, s.lateral, s.wheel_difference, s.brake_pedal, s.abs_active, s.measured, s.request, s.other_priority}) {
+    for (const float x :
+         {s.yaw_rate, s.lateral, s.wheel_difference, s.brake_pedal, s.abs_active, s.measured, s.request, s.other_priority}) {
         CHECK(std::isnan(x));
     }
     CHECK(ecu.now_us == now_us);
@@ -331,11 +354,17 @@ TEST_CASE("init leaves nothing of what was there, and nothing is known of the bu
     }
     CHECK(ecu.kept.u_max == largest);
     CHECK(ecu.kept.rate_max == lpvg_control_coeff.reals.rate_max[0]);
+    lpvg_control_coeff_t control = lpvg_control_coeff;
+    control.reals.u_max[1][0] = lpvg_real_t(2) * largest;  // neither the first node's nor the last one's
+    control.words.crc32 = lpvg_control_coeff_crc32(&control);
+    REQUIRE(lpvg_ecu_init(&other, &lpvg_coeff, &control, &config, now_us) == lpvg_status_ok);
+    CHECK(other.kept.u_max == lpvg_real_t(2) * largest);
     // The first step may come at once: it tells DM1, and waits for nothing.
     lpvg_can_frame_t out[LPVG_ECU_FRAMES_OUT];
     size_t n = 0U;
     REQUIRE(lpvg_ecu_step(&ecu, now_us, nullptr, 0, out, LPVG_ECU_FRAMES_OUT, &n) == lpvg_status_ok);
     CHECK(n == 2U);
+    CHECK_FALSE(ecu.kept.corrupt);
     CHECK((ecu.causes & LPVG_ECU_CAUSE_WAIT) == 0U);
     CHECK(lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &config, std::numeric_limits<int64_t>::max() / 2) == lpvg_status_ok);
 }
@@ -349,9 +378,18 @@ TEST_CASE("the longest sample period is a quarter of the window, and both period
     lpvg_ecu_t ecu;
     CHECK(lpvg_ecu_init(&ecu, &model, &control, &config, 0) == lpvg_status_ok);
     CHECK(lpvg_ecu_init(&ecu, &model, &lpvg_control_coeff, &config, 0) == lpvg_status_bad_value);
+}
+
+TEST_CASE("only the optional causes may be reported only", "[unit][ecu][REQ-ECU-6]") {
+    lpvg_ecu_t ecu;
     lpvg_ecu_config_t with = config;
+    for (unsigned bit = 0U; bit < 16U; ++bit) {
+        with.report_only = static_cast<uint16_t>(1U << bit);
+        const bool optional = (with.report_only & LPVG_ECU_CAUSES_OPTIONAL) != 0U;
+        CHECK((lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &with, 0) == lpvg_status_ok) == optional);
+    }
     with.report_only = LPVG_ECU_CAUSES_OPTIONAL;
-    CHECK(lpvg_ecu_init(&ecu, &model, &control, &with, 0) == lpvg_status_ok);
+    CHECK(lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &with, 0) == lpvg_status_ok);
 }
 
 TEST_CASE("of a step's frames the newest are taken, and those before them are counted", "[unit][ecu][REQ-ECU-6]") {

@@ -99,9 +99,9 @@ TEST_CASE("an alarm's code has the failure mode of the cause that was found", "[
         uint8_t fmi;
     };
     const Case cases[] = {
-        {lpvg_cause_unknown, 0.0F, 31U}, {lpvg_cause_other, 0.0F, 11U},  {lpvg_cause_gain, 0.7F, 13U},
-        {lpvg_cause_sign, -1.0F, 13U},   {lpvg_cause_delay, 0.2F, 9U},   {lpvg_cause_bias, 0.1F, 20U},
-        {lpvg_cause_bias, 0.0F, 21U},    {lpvg_cause_bias, -0.1F, 21U},   {lpvg_cause_frozen, 0.1F, 10U}, {lpvg_cause_noise, 0.1F, 2U},
+        {lpvg_cause_unknown, 0.0F, 31U}, {lpvg_cause_other, 0.0F, 11U}, {lpvg_cause_gain, 0.7F, 13U}, {lpvg_cause_sign, -1.0F, 13U},
+        {lpvg_cause_delay, 0.2F, 9U},    {lpvg_cause_bias, 0.1F, 20U},  {lpvg_cause_bias, 0.0F, 21U}, {lpvg_cause_bias, -0.1F, 21U},
+        {lpvg_cause_frozen, 0.1F, 10U},  {lpvg_cause_noise, 0.1F, 2U},
     };
     Bench bench;
     bench.run_until_engaged();
@@ -139,6 +139,9 @@ TEST_CASE("the freeze frame of an alarm is its record's", "[unit][ecu][REQ-J1939
     CHECK(findings_of(ecu).freeze.bin == 5U);
     CHECK(findings_of(ecu).freeze.test == lpvg_test_energy);
     CHECK(findings_of(ecu).freeze.statistic == 1.75F);
+    ecu.monitor.n_records = LPVG_NRECORDS;  // as many as there are places
+    ecu.monitor.record[LPVG_NRECORDS - 1U].bin = 3U;
+    CHECK(findings_of(ecu).freeze.bin == 3U);
     for (const uint32_t n : {0U, static_cast<uint32_t>(LPVG_NRECORDS) + 1U}) {  // read out; damaged
         ecu.monitor.n_records = n;
         CHECK(findings_of(ecu).freeze.bin == 2U);
@@ -174,7 +177,8 @@ TEST_CASE("a lost message reaches the bus as a code with its freeze frame", "[un
     CHECK(entry->freeze.t_us == bench.now_us - 6 * tick_us);
 }
 
-TEST_CASE("a message that is not live has the failure mode of the rejection seen most of, the first of equals", "[unit][ecu][REQ-J1939-10]") {
+TEST_CASE("a message that is not live has the failure mode of the rejection seen most of, the first of equals",
+          "[unit][ecu][REQ-J1939-10]") {
     Bench bench;
     bench.run_until_engaged();
     lpvg_can_watch_t& watch = bench.ecu.supervisor.watch[lpvg_bus.needed[0].index];

@@ -24,6 +24,7 @@ void check_dead(Bench& bench) {
     bench.run(120);
     CHECK(bench.dm1s - told <= 2);  // once a second, as ever
     CHECK_FALSE(bench.engaged());
+    CHECK_FALSE(bench.ecu.permitted);
     CHECK(bench.report.demand == Approx(0.0F).margin(0.0003));
     CHECK(bench.report.verdict == static_cast<float>(lpvg_verdict_fault));
     CHECK(bench.spn == LPVG_ECU_SPN_CORRUPT);
@@ -101,7 +102,10 @@ TEST_CASE("a demand beyond the kept limits does not leave the ECU", "[unit][ecu]
     bench.ecu.control.x[0][0] = static_cast<lpvg_real_t>(sign * 121);
     const auto before = static_cast<double>(bench.ecu.kept.demand);
     bench.step();
-    CHECK(std::fabs(static_cast<double>(bench.ecu.kept.demand)) <= std::fabs(before));
+    const double left = std::fmax(std::fabs(before) - static_cast<double>(lpvg_control_coeff.reals.rate_max[0]) * 0.01, 0.0);
+    CHECK(std::fabs(static_cast<double>(bench.ecu.kept.demand)) == Approx(left).margin(1e-6));
+    CHECK(bench.ecu.control.u[0] == bench.ecu.kept.demand);
+    CHECK_FALSE(bench.engaged());
     CHECK(bench.ecu.kept.corrupt);
     check_dead(bench);
 }
@@ -214,8 +218,8 @@ TEST_CASE("a step checks as few coefficients as make a round shorter than its lo
     // Periods beside those at which one more item is due.
     constexpr uint64_t longest_us = LPVG_ECU_WINDOW_US / 4U, round_us = LPVG_ECU_ROUND_US;
     std::vector<uint32_t> periods = {10'000U, static_cast<uint32_t>(longest_us)};
-    for (const auto& other : {std::pair<uint64_t, uint64_t>{n_all + 1U, round_us}, {n_all - 1U, round_us}, {n_all, round_us + 1U},
-                              {n_all, round_us - 1U}}) {
+    for (const auto& other :
+         {std::pair<uint64_t, uint64_t>{n_all + 1U, round_us}, {n_all - 1U, round_us}, {n_all, round_us + 1U}, {n_all, round_us - 1U}}) {
         uint64_t us = 1'000U;
         while (us < longest_us && n_all * us / round_us == other.first * us / other.second) {
             ++us;
@@ -362,4 +366,56 @@ TEST_CASE("after damage neither controller nor monitor runs, and nothing is refu
     CHECK(bench.ecu.monitor.t_us == monitor.t_us);
     CHECK(std::memcmp(bench.ecu.control.x, control.x, sizeof control.x) == 0);
     CHECK((bench.ecu.causes & (LPVG_ECU_CAUSE_CORRUPT | LPVG_ECU_CAUSE_NOT_ASKED)) == LPVG_ECU_CAUSE_CORRUPT);
+}
+
+TEST_CASE("after damage the demand runs to zero by the kept rate, a late step counting as one and a half", "[unit][ecu][REQ-ECU-15]") {
+    const float sign = GENERATE(-1.0F, 1.0F);
+    lpvg_ecu_config_t with = bench_config;
+    with.report_only = LPVG_ECU_CAUSES_OPTIONAL;
+    Bench bench(with);
+    bench.command = 0.2F * sign;
+    bench.run_until_engaged();
+    const double rate = static_cast<double>(lpvg_control_coeff.reals.rate_max[0]);
+    for (int i = 0; i < 300 && std::fabs(static_cast<double>(bench.ecu.kept.demand)) < 0.06 * rate; ++i) {
+        bench.step();
+    }
+    bench.ecu.occurrence = 127U;
+    const double began = static_cast<double>(bench.ecu.kept.demand);
+    double before = std::fabs(began);
+    REQUIRE(before > 0.04 * rate);
+    int64_t t_us = bench.now_us;
+    for (const int64_t late_us : {0, 100'000, 2'000, 5'000, 0, 0, 0, 0, 0, 0, 0, 0}) {
+        t_us += tick_us + late_us;
+        bench.step_at(t_us);
+        const double most = rate * 1e-6 * static_cast<double>(std::min<int64_t>(tick_us + late_us, 15'000));
+        const auto now = static_cast<double>(bench.ecu.kept.demand);
+        CHECK(std::fabs(now) == Approx(std::fmax(before - most, 0.0)).margin(1e-5));
+        CHECK(now * began >= 0.0);
+        before = std::fabs(now);
+    }
+    CHECK(before == 0.0);
+    CHECK_FALSE(bench.engaged());
+}
+
+TEST_CASE("a word of zeros in a copy is damage, not an ECU without init", "[unit][ecu][REQ-ECU-15]") {
+    const int which = GENERATE(0, 1);
+    Bench bench = engaged_bench();
+    bench.ecu.inverted[which] = 0U;
+    if (which == 1) {
+        bench.ecu.kept.period_us = 0U;
+    }
+    bench.step();
+    CHECK(bench.ecu.kept.corrupt);
+    check_dead(bench);
+}
+
+TEST_CASE("two copies that agree are used whatever their sum says", "[unit][ecu][REQ-ECU-15]") {
+    Bench bench = engaged_bench();
+    const double before = std::fabs(static_cast<double>(bench.ecu.kept.demand));
+    bench.ecu.sum ^= 1U;
+    bench.ecu.occurrence = 127U;
+    bench.step();
+    const double left = std::fmax(before - static_cast<double>(lpvg_control_coeff.reals.rate_max[0]) * 0.01, 0.0);
+    CHECK(std::fabs(static_cast<double>(bench.ecu.kept.demand)) == Approx(left).margin(1e-6));
+    CHECK(bench.ecu.kept.corrupt);
 }

@@ -117,6 +117,11 @@ TEST_CASE("a verdict that speaks for the vehicle is said of speeds in the range,
         bench.step();
     }
     CHECK(says() == lpvg_verdict_not_judged);
+    bench.ecu.monitor.has_falsified = true;  // what speaks against the vehicle is said at any speed
+    bench.ecu.monitor.t_falsified_us = bench.ecu.core_us;
+    CHECK(says() == lpvg_verdict_invalid);
+    bench.ecu.clock.pace = lpvg_ecu_pace_unknown;
+    CHECK(says() == lpvg_verdict_invalid);
     bench.ecu.clock.pace = lpvg_ecu_pace_bad;
     CHECK(says() == lpvg_verdict_fault);
 }

@@ -243,7 +243,7 @@ Problem hard_problem(Random& random, std::size_t n_y) {
             case 0: E = random.complex(random.log_uniform(1e-3, 1.0)), Z = random.complex(random.log_uniform(1e-3, 10.0)); break;
             case 1: E = random.complex(random.log_uniform(1e-9, 1e9)), Z = random.complex(random.log_uniform(1e-9, 1.0)); break;
             case 4: E = Z * common + random.complex(B * random.log_uniform(1e-6, 1.0)); break;
-            case 5: E = Z * common * std::polar(random.uniform() < 0.5 ? -0.5 : 2.0, spread * random.uniform()); break;
+            case 5: E = Z * common * (random.uniform() < 0.5 ? -0.5 : 2.0) * std::polar(1.0, spread * random.uniform()); break;
             case 6: Z *= B / p.W * (1.0 + spread * random.uniform()) / std::abs(Z); break;
             case 7:
                 E *= random.uniform() < 0.3 ? random.log_uniform(1e-12, 1.0) : (random.uniform() < 0.1 ? 0.0 : 1.0);
