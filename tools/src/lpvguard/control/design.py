@@ -469,10 +469,10 @@ def _holds(family: Family, said: dict) -> bool:
     if said["P"] is None:
         storage = riccati_storage(family)
         return storage is not None and prove(family, storage, said["rate_mps2"]) is not None
-    basis, P = _square(said["basis"]), np.array([_symmetric(P) for P in said["P"]])
     n = family.at(float(family.nodes[0])).order
-    if basis.shape != (n, n) or P.shape != (3, n, n):
+    if [np.size(said["basis"]), *map(np.size, said["P"])] != [n * n, *[n * (n + 1) // 2] * 3]:
         return False
+    basis, P = _square(said["basis"]), np.array([_symmetric(P) for P in said["P"]])
     return prove(family, polynomial_storage(family, basis, P), said["rate_mps2"]) is not None
 
 
