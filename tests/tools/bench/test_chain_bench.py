@@ -36,7 +36,7 @@ def test_the_stages_are_those_of_the_commands(monkeypatch):
     monkeypatch.setattr(bench.identify, "load", lambda folder: f"stored {folder.name}")
 
     class Result:
-        worst = 0.97
+        schedule, scaling, worst = "schedule", "scaling", 0.97
 
     def design(stored, moving_speed):
         asked.append((stored, moving_speed))
@@ -44,8 +44,9 @@ def test_the_stages_are_those_of_the_commands(monkeypatch):
 
     monkeypatch.setattr(bench.design, "design", design)
     monkeypatch.setattr(bench.design, "save", lambda *given: asked.append(given[2].name))
-    monkeypatch.setattr(bench.design, "moving_certificates", lambda *given: asked.append("moving"))
+    monkeypatch.setattr(bench, "moving_certificates", lambda *given: asked.append(given[1:]))
     monkeypatch.setattr(bench, "export_chosen", lambda stored, out, folder: asked.append(folder.name))
     stages, worst = bench.chain("truck", "drives", True)
-    assert asked == [("project truck", "drives"), ("stored identify", False), "design", "design", "moving"]
+    moving = ("schedule", "scaling", 0.97)
+    assert asked == [("project truck", "drives"), ("stored identify", False), "design", "design", moving]
     assert [stage.summed for stage in stages] == [True, True, True, False] and worst == 0.97

@@ -11,6 +11,7 @@ import pytest
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
 from lpvguard.control import design as stage
+from lpvguard.control import moving_speed
 from lpvguard.control.plants import fig1_weights, frozen_plant
 from lpvguard.control.robust_run import CompiledController, run
 from lpvguard.control.schedule import FrozenLoop, fit
@@ -126,7 +127,7 @@ def test_robust_stability_is_proved_at_a_moving_speed_and_proved_anew(stored, de
     assert result.moving["stability"].rate >= 2 and result.moving["performance"] is None
     assert stated["stability"]["rate_mps2"] == result.moving["stability"].rate
     assert stated["performance"]["rate_mps2"] is None
-    families = stage._families(stored, stored.project.design, result.schedule, result.scaling)
+    families = moving_speed._families(stored, result.schedule, result.scaling)
     whole = families["performance"].at(15.0).order
     assert stated["stability"]["states"] == families["stability"].at(15.0).order < whole
 
@@ -134,9 +135,8 @@ def test_robust_stability_is_proved_at_a_moving_speed_and_proved_anew(stored, de
 @pytest.mark.parametrize("what", ["faster", "wider", "coefficient", "performance", "other basis"])
 def test_a_claim_of_a_moving_speed_that_is_not_proved_is_refused(stored, designed, what):
     result, _ = designed
-    settings = stored.project.design
     schedule, one = result.schedule, result.moving["stability"]
-    said = json.loads(artefacts.to_json(stage._moving("stability", one)))
+    said = json.loads(artefacts.to_json(moving_speed._moving("stability", one)))
     claim = "stability"
     if what == "faster":
         said["rate_mps2"] *= 30
@@ -148,13 +148,13 @@ def test_a_claim_of_a_moving_speed_that_is_not_proved_is_refused(stored, designe
         claim = "performance"
     else:
         said["basis"] = said["basis"][:-1]
-    family = stage._families(stored, settings, schedule, result.scaling)[claim]
-    assert not stage._holds(family, said)
+    family = moving_speed._families(stored, schedule, result.scaling)[claim]
+    assert not moving_speed._holds(family, said)
 
 
 def test_a_faster_rate_in_controller_json_is_refused(stored, designed, tmp_path):
     document = json.loads(designed[1].read_text())
-    for claim in stage.CLAIMS:
+    for claim in moving_speed.CLAIMS:
         altered = json.loads(json.dumps(document))
         said = altered["certificates"]["moving_speed"]
         said[claim] = {**said["stability"], "rate_mps2": 30 * said["stability"]["rate_mps2"]}

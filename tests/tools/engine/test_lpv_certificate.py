@@ -8,6 +8,7 @@ import pytest
 from scipy.linalg import expm
 
 from lpvguard.base import native
+from lpvguard.engine.synthesis import barrier as barrier_method
 from lpvguard.engine.synthesis import lpv_certificate as lpv
 from lpvguard.engine.synthesis.statespace import StateSpace
 
@@ -153,7 +154,7 @@ def test_a_peak_between_the_knots_is_seen():
 def test_the_compiled_hessian_is_the_numpy_one_and_the_derivative_of_the_gradient(monkeypatch):
     random = np.random.default_rng(4)
     parts = [(0.3 * random.standard_normal((4, 6)), 0.3 * random.standard_normal((2, 6))) for _ in range(3)]
-    barrier = lpv._Barrier(parts, random.uniform(1, 2, (3, 3)), random.uniform(1, 2, (3, 3)))
+    barrier = barrier_method.Barrier(parts, random.uniform(1, 2, (3, 3)), random.uniform(1, 2, (3, 3)))
     noise = random.standard_normal((3, 4, 4))
     P = np.array([2 * np.eye(4)] * 3) + 0.05 * (noise + np.swapaxes(noise, 1, 2))
     p = P[:, barrier.upper[0], barrier.upper[1]].ravel()

@@ -18,6 +18,7 @@ from typing import Any
 
 from ..control import design
 from ..control.exported import export_chosen
+from ..control.moving_speed import moving_certificates
 from ..engine.synthesis.cases import case_plant, read_case
 from ..identify import run as identify
 from ..vehicle.project import load_project
@@ -74,7 +75,8 @@ def chain(vehicle: str, drives: Path, moving: bool) -> tuple[list[Stage], float]
         design.save(result, stored, designed)
         timed("C, proved anew", lambda: export_chosen(stored, Path(folder) / "vehicle", designed))
         if moving:
-            timed("moving speed", lambda: design.moving_certificates(stored, result), False)
+            found = result.schedule, result.scaling, result.worst
+            timed("moving speed", lambda: moving_certificates(stored, *found), False)
     return stages, result.worst
 
 

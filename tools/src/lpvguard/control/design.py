@@ -30,15 +30,7 @@ from ..core.scheduled import Scheduled
 from ..engine.synthesis import interconnection as fig1
 from ..engine.synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis
 from ..engine.synthesis.errors import SynthesisError
-from ..engine.synthesis.lpv_certificate import (
-    Family,
-    LpvCertificate,
-    find,
-    polynomial_storage,
-    prove,
-    relevant,
-    riccati_storage,
-)
+from ..engine.synthesis.lpv_certificate import LpvCertificate
 from ..engine.synthesis.norms import hinf_norm
 from ..engine.synthesis.scheduling import closed_scaled, common_family, common_scaling
 from ..engine.synthesis.statespace import StateSpace, series
@@ -50,6 +42,7 @@ from ..vehicle.project import DesignSettings
 from .beside import NOTHING, Beside, beside, require_beside
 from .designed import stated_scaling
 from .input_limit import input_limit
+from .moving_speed import moving_certificates, moving_to_dict, require_moving
 from .plants import design_settings, fig1_weights, plant_at, vehicle_at
 from .schedule import FrozenLoop, fit
 
@@ -75,11 +68,6 @@ FAMILY_RTOL = 0.01
 REACH = 3
 """Crossovers that the model error model must reach."""
 CROSSOVER_FROM, CROSSOVER_POINTS = 1e-3, 2000
-PERFORMANCE_FROM = 0.95
-"""Largest frozen mu with which robust performance at a moving speed is searched for: nearer 1 the search
-takes as long, and a rate worth stating is not to be had."""
-CLAIMS = ("stability", "performance")
-"""What is proved of a moving speed, the first for Delta's channels alone."""
 SCALING_SPEEDS = 4
 """Nodes, ends included, for which the common scaling is searched: the optimum moves slowly with speed."""
 
@@ -123,22 +111,11 @@ def design(
     _require_reach(stored, result.schedule)
     return replace(
         result,
-        moving=moving_certificates(stored, result, moving) if moving_speed else {},
+        moving=moving_certificates(stored, result.schedule, result.scaling, result.worst, moving)
+        if moving_speed
+        else {},
         beside=beside(stored, result.schedule, result.scaling, margins),
     )
-
-
-def moving_certificates(
-    stored: StoredIdentification, result: Design, progress: Progress = lambda _: None
-) -> dict[str, LpvCertificate | None]:
-    """The certificates of ``result`` for a moving speed by claim; None where none is found."""
-    families = _families(stored, design_settings(stored), result.schedule, result.scaling)
-    wanted = [claim for claim in families if claim != "performance" or result.worst <= PERFORMANCE_FROM]
-
-    def proved(claim: str) -> LpvCertificate | None:
-        return find(families[claim], lambda text: progress(f"{claim}: {text}"))
-
-    return {claim: proved(claim) if claim in wanted else None for claim in CLAIMS}
 
 
 def crossover(schedule: Scheduled, model: NominalModel) -> float:
@@ -174,54 +151,6 @@ def _require_reach(stored: StoredIdentification, schedule: Scheduled) -> None:
             f"ends {len(omega) - 1 - last} frequencies past the last that tells, {omega[last]:.3g} rad/s",
             "two",
         )
-
-
-def _families(
-    stored: StoredIdentification, settings: DesignSettings, schedule: Scheduled, scaling: Scaling
-) -> dict[str, Family]:
-    """By claim the scaled loop over speed; stability without Delta is performance's."""
-    family = _family(stored, settings, schedule, scaling)
-    model, weights = NominalModel(stored.project), fig1_weights(stored, settings)
-    plant = plant_at(stored, model, weights, float(schedule.speeds[0]), False, settings.structure)
-    n_z = plant.system.n_outputs - plant.n_measurement
-    found = {"performance": relevant(family, slice(0, n_z), slice(None))}
-    if plant.blocks:
-        rows, columns = slice(0, plant.n_delta_in), slice(0, plant.n_delta_out)
-        found["stability"] = relevant(family, rows, columns)
-    return {claim: found[claim] for claim in CLAIMS if claim in found}
-
-
-def _family(
-    stored: StoredIdentification, settings: DesignSettings, schedule: Scheduled, scaling: Scaling
-) -> Family:
-    """The scaled closed loop over speed, for the certificate at a moving speed."""
-    model, weights = NominalModel(stored.project), fig1_weights(stored, settings)
-
-    def at(v: float) -> StateSpace:
-        return closed_scaled(
-            plant_at(stored, model, weights, v, False, settings.structure, probes=True),
-            schedule.at(v),
-            scaling,
-        )
-
-    # The probes: state, input, and with state uncertainty an input on every state; see
-    # interconnection.generalised_plant.
-    held = model.n + model.n_u + (model.n if settings.structure == "K_is" else 0)
-    plant = plant_at(stored, model, weights, float(schedule.speeds[0]), False, settings.structure)
-    first = scaling.systems(plant)[1].order
-
-    def hold_bounds(low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
-        first_derivative, second = model.hold_bounds(low, high)
-        return first_derivative[:, :held], second[:, :held]
-
-    return Family(
-        at,
-        schedule.speeds,
-        slice(first, first + model.n),
-        held,
-        hold_bounds,
-        schedule.Ts,
-    )
 
 
 def _designed(
@@ -445,35 +374,8 @@ def verify(path: Path, stored: StoredIdentification, progress: Progress = lambda
     proved_rows = dict(_certificates(schedule, loops, scaling, frozen))
     for row in rows:
         _compare(path, row, proved_rows[row["v_mps"]], loops[row["v_mps"]], schedule)
-    families = _families(stored, settings, schedule, scaling)
-    for claim in CLAIMS:
-        said = stated["moving_speed"].get(claim, {"rate_mps2": np.nan})
-        if said["rate_mps2"] is None:
-            continue
-        moving(f"{claim}: proof between the speeds")
-        if claim not in families or not _holds(families[claim], said):
-            raise InputError(
-                path,
-                f"certificates.moving_speed.{claim}",
-                f"its storage function does not prove it for |dv/dt| up to {said['rate_mps2']:.4g} m/s2",
-                "the coefficients, weights, speeds and P that were certified",
-            )
+    require_moving(path, stated, stored, schedule, scaling, moving)
     require_beside(path, stated, stored, schedule, scaling, margins)
-
-
-def _holds(family: Family, said: dict) -> bool:
-    """Whether what controller.json says of a moving speed is proved anew."""
-    if not np.isfinite(said["rate_mps2"]) or said["rate_mps2"] <= 0:
-        return False
-    family = replace(family, adjoint=said["adjoint"])
-    if said["P"] is None:
-        storage = riccati_storage(family)
-        return storage is not None and prove(family, storage, said["rate_mps2"]) is not None
-    n = family.at(float(family.nodes[0])).order
-    if [np.size(said["basis"]), *map(np.size, said["P"])] != [n * n, *[n * (n + 1) // 2] * 3]:
-        return False
-    basis, P = _square(said["basis"]), np.array([_symmetric(P) for P in said["P"]])
-    return prove(family, polynomial_storage(family, basis, P), said["rate_mps2"]) is not None
 
 
 def _require_settings(
@@ -522,52 +424,6 @@ def _compare(
         )
 
 
-def _square(values: list[float]) -> np.ndarray:
-    n = int(np.sqrt(len(values)))
-    return np.array(values, float).reshape(n, n)
-
-
-def _symmetric(upper: list[float]) -> np.ndarray:
-    """A symmetric matrix from its upper triangle row by row."""
-    n = int(np.sqrt(2 * len(upper)))
-    P = np.zeros((n, n))
-    P[np.triu_indices(n)] = upper
-    return P + np.triu(P, 1).T
-
-
-MOVING_CLAIMS = {
-    "stability": "the loop stays stable for every LTI Delta within W_delta",
-    "performance": "the gain of the whole scaled loop is below 1, from rest: robust performance for every "
-    "LTI Delta within W_delta",
-}
-"""What each claim says of every speed of the range and every |dv/dt| up to the stated rate."""
-
-
-def _moving(claim: str, lpv: LpvCertificate | None) -> dict:
-    """A claim about a moving speed as controller.json holds it."""
-    if lpv is None:
-        return {
-            "claim": f"no proof was found: of {claim} at a moving speed nothing is claimed",
-            "rate_mps2": None,
-        }
-    upper = np.triu_indices(len(lpv.storage.basis))
-    return {
-        "claim": f"at every speed of the range and |dv/dt| up to rate_mps2 {MOVING_CLAIMS[claim]}; nominal "
-        "model, weights, fixed D(s), controller, without the states that the claim does not concern",
-        "test": "discrete bounded-real inequality, x = basis x~, P(v) = P0 + v P1 + P2 / v (P null: strict "
-        "Riccati solutions), linear between knots, by eigenvalues at the ends of cells that cover the range, "
-        "a bound of what it loses between them subtracted",
-        "rate_mps2": lpv.rate,
-        "not_found_mps2": lpv.not_found,
-        "adjoint": lpv.storage.adjoint,
-        "states": len(lpv.storage.basis),
-        "cells": lpv.proof.cells,
-        "margin": lpv.proof.margin,
-        "basis": None if lpv.P is None else lpv.storage.basis.ravel(),
-        "P": None if lpv.P is None else [P[upper] for P in lpv.P],
-    }
-
-
 def _row(v: float, proved: RobustPerformance) -> dict[str, float]:
     return {
         "v_mps": v,
@@ -611,7 +467,7 @@ def save(
             "coefficients_sha256": schedule.digest(),
             "scaling_log_parameters": result.scaling.log_parameters,
             "scaling_columns": result.scaling.log_parameters.shape[1],
-            "moving_speed": {claim: _moving(claim, result.moving.get(claim)) for claim in CLAIMS},
+            "moving_speed": moving_to_dict(result.moving),
             **(NOTHING if result.beside is None else result.beside.to_dict()),
             "dc_floor": dc_floor(fig1_weights(stored, settings)),
             "largest_A_t": None if largest is None else asdict(largest),

@@ -43,7 +43,8 @@ MARGIN = 2.0
 ROUGHER, STILLER, STILLEST = 4.0, 0.05, 0.01
 """Noise is four times the largest healthy mean square within blocks; a frozen output moves by less than a
 twentieth of the least, and less than a hundredth of what the model says."""
-STEPS = 200
+STEPS, FEWER_STEPS = 200, 20
+"""Of expectation and maximisation, from nothing, and from what nearly the same windows gave."""
 
 
 @dataclass(frozen=True)
@@ -146,14 +147,16 @@ def _correlated(left: np.ndarray) -> np.ndarray:
     return found
 
 
-def _spread(theta: np.ndarray, errors: np.ndarray) -> np.ndarray:
+def _spread(theta: np.ndarray, errors: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
     """Second moments (n_y, 4, 4) of a random theta about 0, of estimates (W, n_y, 4) with ``errors`` (W, n_y,
-    4, 4), by expectation and maximisation."""
+    4, 4), by expectation and maximisation; ``start`` (n_y, 4, 4): those of nearly the same windows."""
     moments = np.einsum("wji,wjk->jik", theta, theta) / len(theta)
     scale = np.sqrt(np.einsum("jii->ji", moments)) + 1e-12
     found = np.stack([np.diag(s**2) for s in scale])
     least = 1e-6 * found
-    for _ in range(STEPS):
+    if start is not None:
+        found = start
+    for _ in range(STEPS if start is None else FEWER_STEPS):
         gain = found @ np.linalg.inv(found + errors)
         mean = np.einsum("wjik,wjk->wji", gain, theta)
         left = found - gain @ found
@@ -202,7 +205,7 @@ class DiagnosisScales:
         correlated = every.correlated.mean(axis=0)
         theta, errors = every.theta, every.errors(correlated)
         spread = _spread(theta, errors)
-        enlarged, interval = _needed(drives, correlated)
+        enlarged, interval = _needed(drives, correlated, spread)
         y_square = every.gram[..., 0, 0] / every.n[:, None] * unit[:, 0] ** 2
         share = np.maximum((every.residue * y_square).sum(0) / (y_square**2).sum(0), 1e-6)
         constant = (every.residue - share * y_square).max(axis=0)
@@ -280,7 +283,9 @@ class DiagnosisTable(Sealed):
     LAYOUT = DIAGNOSIS
 
 
-def _needed(drives: Sequence[Windows], correlated: np.ndarray) -> tuple[np.ndarray, float]:
+def _needed(
+    drives: Sequence[Windows], correlated: np.ndarray, spread: np.ndarray
+) -> tuple[np.ndarray, float]:
     """Factor (n_y,) on the covariances, 1 or more, with which COVERED of the windows lie within the region
     that the other drives make; with one drive its own. Half width of an interval, in standard deviations.
 
@@ -290,7 +295,7 @@ def _needed(drives: Sequence[Windows], correlated: np.ndarray) -> tuple[np.ndarr
     squares, estimates = [], []
     for k, w in enumerate(drives):
         rest = Windows.joined([d for i, d in enumerate(drives) if i != k or len(drives) == 1])
-        covariance = _spread(rest.theta, rest.errors(correlated)) + w.errors(correlated)
+        covariance = _spread(rest.theta, rest.errors(correlated), spread) + w.errors(correlated)
         squares.append(_squares(w.theta, covariance))
         information = np.linalg.inv(covariance)
         alone = np.einsum("wjik,wjk->wji", information, w.theta)

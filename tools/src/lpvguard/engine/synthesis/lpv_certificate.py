@@ -31,7 +31,6 @@ rounding.
 
 from __future__ import annotations
 
-import ctypes
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -40,7 +39,7 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg as sl
 
-from lpvguard.base import native
+from lpvguard.engine.synthesis.barrier import Barrier, feasible
 from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.statespace import EPS, StateSpace
 
@@ -53,8 +52,6 @@ MOST_CELLS = 1000
 FIRST_RATE, LARGEST_RATE, SMALLEST_RATE = 0.25, 8.0, 0.015
 """Rates |dv/dt| tried [m/s^2]: from the first by factors of four, no further than these; a truck brakes with
 less than the largest."""
-WANTED = 0.02
-"""Slack, relative to that of the frozen solutions' mean, with which the search at one rate is content."""
 SHARES = (0.95, 0.7, 0.5)
 """Of the rate for which a storage function was found on the grid, tried in the proof between its speeds; the
 last for Riccati solutions, which are taken as they come and waver between the knots."""
@@ -63,8 +60,6 @@ GRID = 1
 KNOTS = 16
 """Knots of a storage function in every interval between nodes: what it loses between knots is of second
 order."""
-NEWTON_STEPS = 40
-"""Steps for one rate before it counts as not found."""
 DOUBLINGS = 20
 """Of the steps that a Gramian sums: a million, three hours at 0.01 s."""
 HIDDEN = 1e-12
@@ -349,8 +344,9 @@ def _crossed(left: list[np.ndarray], bound: np.ndarray, right: np.ndarray, inver
     x_size = np.sqrt(sum(np.sum(x * (inverse @ x), axis=0) for x in left))
     r_size = np.sqrt(np.sum(right.T * (inverse @ right.T), axis=0))
     x_safe, r_safe = (np.where(size > 0, size, 1.0) for size in (x_size, r_size))
-    moved = np.any([np.any(x != 0, axis=0) for x in left], axis=0)
-    on_x, on_r = bound @ r_safe / x_safe, (x_safe * moved) @ bound / r_safe
+    # A product with a part that is 0 is 0 and asks for nothing.
+    moved, heard = np.any([np.any(x != 0, axis=0) for x in left], axis=0), np.any(right != 0, axis=1)
+    on_x, on_r = bound @ (r_safe * heard) / x_safe, (x_safe * moved) @ bound / r_safe
     return sum((x * on_x) @ x.T for x in left) + (right.T * on_r) @ right
 
 
@@ -407,7 +403,7 @@ def _polynomial(family: Family, progress: Callable[[str], None]) -> LpvCertifica
     units = np.array([[1.0, 0, 0], [-mean / spread, 1 / spread, 0], [-1, 0, mean]])  # terms of like size
     functions, rates = terms(grid) @ units.T, slopes(grid) @ units.T
     P = np.linalg.lstsq(functions, frozen.reshape(len(grid), -1), rcond=None)[0].reshape(3, *frozen.shape[1:])
-    unit = _Barrier(parts, np.eye(len(grid)), np.eye(len(grid))).F(frozen).mean(axis=0)
+    unit = Barrier(parts, np.eye(len(grid)), np.eye(len(grid))).F(frozen).mean(axis=0)
 
     twice = [part for part in parts for _ in (0, 1)]
     now, change = (
@@ -418,7 +414,7 @@ def _polynomial(family: Family, progress: Callable[[str], None]) -> LpvCertifica
     failed: float | None = None
     while (rate := _next_rate(stored[-1][0] if stored else None, failed)) is not None:
         progress(f"storage function for |dv/dt| up to {rate:.3g} m/s2, {len(basis)} states")
-        found = _feasible(_Barrier(twice, now, now + rate * change), P, unit)
+        found = feasible(Barrier(twice, now, now + rate * change), P, unit)
         if found is not None:
             P = found
             stored.append((rate, np.tensordot(units.T, found, 1)))
@@ -447,7 +443,7 @@ def _riccati(family: Family) -> LpvCertificate | None:
 def _rate_at_knots(family: Family, storage: Storage) -> float:
     """The largest rate for which F > 0 at the knots."""
     parts = [_parts(family.loop(v), storage.basis) for v in storage.knots]
-    barrier = _Barrier(parts, np.eye(len(parts)), np.eye(len(parts)))
+    barrier = Barrier(parts, np.eye(len(parts)), np.eye(len(parts)))
     largest = np.inf
     for k, F in enumerate(barrier.F(storage.P)):
         L = np.linalg.inv(np.linalg.cholesky(F)) @ barrier.M[k].T
@@ -533,7 +529,7 @@ def _even(basis, parts, frozen):
     a step is even: slow states lose little of their storage in a step, and elsewhere the barrier's curvature
     would drown in theirs."""
     n = len(basis)
-    lost = _Barrier(parts, np.eye(len(parts)), np.eye(len(parts))).F(frozen).mean(axis=0)[:n, :n]
+    lost = Barrier(parts, np.eye(len(parts)), np.eye(len(parts))).F(frozen).mean(axis=0)[:n, :n]
     T = sl.eigh(frozen.mean(axis=0), lost)[1]
     wide = [sl.block_diag(T, np.eye(M.shape[1] - n)) for M, _ in parts]
     return (
@@ -541,136 +537,3 @@ def _even(basis, parts, frozen):
         [(np.linalg.solve(T, M @ W), N @ W) for (M, N), W in zip(parts, wide, strict=False)],
         T.T @ frozen @ T,
     )
-
-
-class _Barrier:
-    """F_i(P) = E' (sum_k phi_ik P_k) E - M_i' (sum_k next_ik P_k) M_i - N_i' N_i + diag(0, I) and the
-    derivatives of its log det.
-
-    parts: (M, N) per i; phi, next (count, terms); P (terms, n, n) symmetric, as a vector its upper triangles
-    row by row.
-    """
-
-    def __init__(self, parts: list[tuple[np.ndarray, np.ndarray]], phi: np.ndarray, next_: np.ndarray):
-        self.M, N = (np.array([part[k] for part in parts]) for k in (0, 1))
-        self.n, width = self.M.shape[1:]
-        self.phi, self.next = np.ascontiguousarray(phi), np.ascontiguousarray(next_)
-        self.constant = -np.swapaxes(N, 1, 2) @ N
-        self.constant[:, self.n :, self.n :] += np.eye(width - self.n)
-        self.upper = np.triu_indices(self.n)
-        self.twice = np.where(self.upper[0] == self.upper[1], 1.0, 2.0)
-
-    def F(self, P: np.ndarray, constant: bool = True) -> np.ndarray:
-        out = -np.swapaxes(self.M, 1, 2) @ np.tensordot(self.next, P, 1) @ self.M
-        out[:, : self.n, : self.n] += np.tensordot(self.phi, P, 1)
-        return out + self.constant if constant else out
-
-    def matrices(self, p: np.ndarray) -> np.ndarray:
-        """P from its vector."""
-        p = p.reshape(self.phi.shape[1], -1)
-        P = np.zeros((len(p), self.n, self.n))
-        P[:, self.upper[0], self.upper[1]] = p
-        P[:, self.upper[1], self.upper[0]] = p
-        return P
-
-    def adjoint(self, S: np.ndarray) -> np.ndarray:
-        """Gradient of sum_i tr(S_i F_i(P))."""
-        n = self.n
-        G = np.einsum("ik,iab->kab", self.phi, S[:, :n, :n]) - np.einsum(
-            "ik,iab->kab", self.next, self.M @ S @ np.swapaxes(self.M, 1, 2)
-        )
-        return (G[:, self.upper[0], self.upper[1]] * self.twice).ravel()
-
-    def hessian(self, S: np.ndarray) -> np.ndarray:
-        """Hessian of -sum_i log det F_i at S_i = F_i^-1, its lower triangle."""
-        n = self.n
-        parts = S[:, :n, :n], self.M @ S @ np.swapaxes(self.M, 1, 2), self.M @ S[:, :, :n]
-        a, b, c = (np.ascontiguousarray(x) for x in parts)
-        size = self.phi.shape[1] * len(self.twice)
-        H = np.zeros((size, size))
-        if lib := native.kernels("lyapunov_barrier"):
-            lib.lpvg_lyapunov_hessian(
-                *(ctypes.c_ssize_t(x) for x in (n, len(S), self.phi.shape[1])),
-                *(x.ctypes.data_as(ctypes.c_void_p) for x in (a, b, c, self.phi, self.next, H)),
-            )
-            return H
-        i, j = self.upper
-        weight = 0.5 * np.outer(self.twice, self.twice)
-
-        def product(x: np.ndarray) -> np.ndarray:
-            return weight * (x[np.ix_(i, i)] * x[np.ix_(j, j)] + x[np.ix_(i, j)] * x[np.ix_(j, i)])
-
-        for ak, bk, ck, phi, nxt in zip(a, b, c, self.phi, self.next, strict=False):
-            H += np.kron(np.outer(phi, phi), product(ak)) + np.kron(np.outer(nxt, nxt), product(bk))
-            H -= np.kron(np.outer(phi, nxt), product(ck.T)) + np.kron(np.outer(nxt, phi), product(ck))
-        return H
-
-
-def _feasible(barrier: _Barrier, P: np.ndarray, unit: np.ndarray) -> np.ndarray | None:
-    """P with every F_i > 0, from any P: Newton's method on tau t - sum_i log det(F_i + t unit), until t <
-    -``WANTED``; what was reached with t < 0, or None, when ``NEWTON_STEPS`` do not get there. ``unit`` (N, N)
-    > 0: what F is measured in."""
-    count, width = len(barrier.M), len(unit)
-    p = P[:, barrier.upper[0], barrier.upper[1]].ravel()
-    L = np.linalg.inv(np.linalg.cholesky(unit))
-    t = 1.05 * max(-np.linalg.eigvalsh(L @ barrier.F(P) @ L.T).min(), 1e-3)
-    tau, found = 2.0 * count * width, None
-    for _ in range(NEWTON_STEPS):
-        try:
-            L = np.linalg.inv(np.linalg.cholesky(barrier.F(barrier.matrices(p)) + t * unit))
-            S = np.swapaxes(L, 1, 2) @ L
-            g, g_t = -barrier.adjoint(S), tau - np.sum(S * unit)
-            H = barrier.hessian(S)
-            cross = S @ unit @ S
-            h, h_t = barrier.adjoint(cross), np.sum(cross * unit)
-            scale = 1 / np.sqrt(np.diagonal(H))
-            H *= scale
-            H *= scale[:, None]
-            factor = _factored(H)
-        except np.linalg.LinAlgError:
-            return found
-        solved = (
-            sl.cho_solve(factor, np.stack([g, h], axis=1) * scale[:, None], check_finite=False)
-            * scale[:, None]
-        )
-        d_t = -(g_t - h @ solved[:, 0]) / (h_t - h @ solved[:, 1])
-        d_p = -solved[:, 0] - solved[:, 1] * d_t
-        curve = np.linalg.eigvalsh(
-            L @ (barrier.F(barrier.matrices(d_p), constant=False) + d_t * unit) @ np.swapaxes(L, 1, 2)
-        )
-        length = _line_search(curve.ravel(), tau * d_t)
-        p, t = p + length * d_p, t + length * d_t
-        if t < 0:
-            found = barrier.matrices(p)
-        decrement = -(g @ d_p + g_t * d_t)
-        if t < -WANTED or (decrement < 1.0 and abs(t) > 2 * count * width / tau):
-            return found  # enough, or at the centre: the least t is not much below this one
-        if decrement < 25.0:
-            tau *= 10.0
-    return found
-
-
-def _factored(H: np.ndarray):
-    """Cholesky factor of H, unit diagonal, lower triangle given; with the least addition to the diagonal that
-    rounding asks for."""
-    for extra in (1e-13, 1e-11, 1e-9):
-        np.fill_diagonal(H, 1 + extra)
-        try:
-            return sl.cho_factor(H, lower=True, check_finite=False)
-        except np.linalg.LinAlgError:
-            pass
-    raise np.linalg.LinAlgError("not positive definite")
-
-
-def _line_search(curve: np.ndarray, slope: float) -> float:
-    """Minimiser over s >= 0 of slope s - sum log(1 + s curve): Newton steps kept inside the domain."""
-    end = -1 / curve.min() if curve.min() < 0 else np.inf
-    s = min(1.0, 0.9 * end)
-    for _ in range(30):
-        ratio = curve / (1 + s * curve)
-        wanted = s - (slope - ratio.sum()) / np.sum(ratio**2)
-        new = float(np.clip(wanted, 0.1 * s, s + 0.9 * (end - s) if np.isfinite(end) else 10 * s))
-        if abs(new - s) <= 1e-3 * s:
-            break
-        s = new
-    return s

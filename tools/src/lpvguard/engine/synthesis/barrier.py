@@ -1,0 +1,150 @@
+"""A barrier method for linear matrix inequalities of a storage function over speed (lpv_certificate.py)."""
+
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+import scipy.linalg as sl
+
+from lpvguard.base import native
+
+WANTED = 0.02
+"""Slack, relative to that of the frozen solutions' mean, with which the search at one rate is content."""
+NEWTON_STEPS = 40
+"""Steps for one rate before it counts as not found."""
+
+
+class Barrier:
+    """F_i(P) = E' (sum_k phi_ik P_k) E - M_i' (sum_k next_ik P_k) M_i - N_i' N_i + diag(0, I) and the
+    derivatives of its log det.
+
+    parts: (M, N) per i; phi, next (count, terms); P (terms, n, n) symmetric, as a vector its upper triangles
+    row by row.
+    """
+
+    def __init__(self, parts: list[tuple[np.ndarray, np.ndarray]], phi: np.ndarray, next_: np.ndarray):
+        self.M, N = (np.array([part[k] for part in parts]) for k in (0, 1))
+        self.n, width = self.M.shape[1:]
+        self.phi, self.next = np.ascontiguousarray(phi), np.ascontiguousarray(next_)
+        self.constant = -np.swapaxes(N, 1, 2) @ N
+        self.constant[:, self.n :, self.n :] += np.eye(width - self.n)
+        self.upper = np.triu_indices(self.n)
+        self.twice = np.where(self.upper[0] == self.upper[1], 1.0, 2.0)
+
+    def F(self, P: np.ndarray, constant: bool = True) -> np.ndarray:
+        """Every F_i(P), (count, N, N); P (terms, n, n). Without ``constant`` its part that is linear in P."""
+        out = -np.swapaxes(self.M, 1, 2) @ np.tensordot(self.next, P, 1) @ self.M
+        out[:, : self.n, : self.n] += np.tensordot(self.phi, P, 1)
+        return out + self.constant if constant else out
+
+    def matrices(self, p: np.ndarray) -> np.ndarray:
+        """P (terms, n, n) from its vector (terms n (n + 1) / 2,)."""
+        p = p.reshape(self.phi.shape[1], -1)
+        P = np.zeros((len(p), self.n, self.n))
+        P[:, self.upper[0], self.upper[1]] = p
+        P[:, self.upper[1], self.upper[0]] = p
+        return P
+
+    def adjoint(self, S: np.ndarray) -> np.ndarray:
+        """Gradient (size,) of sum_i tr(S_i F_i(P)) by P's vector; S (count, N, N) symmetric."""
+        n = self.n
+        G = np.einsum("ik,iab->kab", self.phi, S[:, :n, :n]) - np.einsum(
+            "ik,iab->kab", self.next, self.M @ S @ np.swapaxes(self.M, 1, 2)
+        )
+        return (G[:, self.upper[0], self.upper[1]] * self.twice).ravel()
+
+    def hessian(self, S: np.ndarray) -> np.ndarray:
+        """Hessian (size, size) of -sum_i log det F_i at S_i = F_i^-1, (count, N, N): its lower triangle."""
+        n = self.n
+        parts = S[:, :n, :n], self.M @ S @ np.swapaxes(self.M, 1, 2), self.M @ S[:, :, :n]
+        a, b, c = (np.ascontiguousarray(x) for x in parts)
+        size = self.phi.shape[1] * len(self.twice)
+        H = np.zeros((size, size))
+        if lib := native.kernels("lyapunov_barrier"):
+            lib.lpvg_lyapunov_hessian(
+                *(ctypes.c_ssize_t(x) for x in (n, len(S), self.phi.shape[1])),
+                *(x.ctypes.data_as(ctypes.c_void_p) for x in (a, b, c, self.phi, self.next, H)),
+            )
+            return H
+        i, j = self.upper
+        weight = 0.5 * np.outer(self.twice, self.twice)
+
+        def product(x: np.ndarray) -> np.ndarray:
+            return weight * (x[np.ix_(i, i)] * x[np.ix_(j, j)] + x[np.ix_(i, j)] * x[np.ix_(j, i)])
+
+        for ak, bk, ck, phi, nxt in zip(a, b, c, self.phi, self.next, strict=False):
+            H += np.kron(np.outer(phi, phi), product(ak)) + np.kron(np.outer(nxt, nxt), product(bk))
+            H -= np.kron(np.outer(phi, nxt), product(ck.T)) + np.kron(np.outer(nxt, phi), product(ck))
+        return H
+
+
+def feasible(barrier: Barrier, P: np.ndarray, unit: np.ndarray) -> np.ndarray | None:
+    """P with every F_i > 0, from any P: Newton's method on tau t - sum_i log det(F_i + t unit), until t <
+    -``WANTED``; what was reached with t < 0, or None, when ``NEWTON_STEPS`` do not get there. ``unit`` (N, N)
+    > 0: what F is measured in."""
+    count, width = len(barrier.M), len(unit)
+    p = P[:, barrier.upper[0], barrier.upper[1]].ravel()
+    L = np.linalg.inv(np.linalg.cholesky(unit))
+    t = 1.05 * max(-np.linalg.eigvalsh(L @ barrier.F(P) @ L.T).min(), 1e-3)
+    tau, found = 2.0 * count * width, None
+    for _ in range(NEWTON_STEPS):
+        try:
+            L = np.linalg.inv(np.linalg.cholesky(barrier.F(barrier.matrices(p)) + t * unit))
+            S = np.swapaxes(L, 1, 2) @ L
+            g, g_t = -barrier.adjoint(S), tau - np.sum(S * unit)
+            H = barrier.hessian(S)
+            cross = S @ unit @ S
+            h, h_t = barrier.adjoint(cross), np.sum(cross * unit)
+            scale = 1 / np.sqrt(np.diagonal(H))
+            H *= scale
+            H *= scale[:, None]
+            factor = factored(H)
+        except np.linalg.LinAlgError:
+            return found
+        solved = (
+            sl.cho_solve(factor, np.stack([g, h], axis=1) * scale[:, None], check_finite=False)
+            * scale[:, None]
+        )
+        d_t = -(g_t - h @ solved[:, 0]) / (h_t - h @ solved[:, 1])
+        d_p = -solved[:, 0] - solved[:, 1] * d_t
+        curve = np.linalg.eigvalsh(
+            L @ (barrier.F(barrier.matrices(d_p), constant=False) + d_t * unit) @ np.swapaxes(L, 1, 2)
+        )
+        length = line_search(curve.ravel(), tau * d_t)
+        p, t = p + length * d_p, t + length * d_t
+        if t < 0:
+            found = barrier.matrices(p)
+        decrement = -(g @ d_p + g_t * d_t)
+        if t < -WANTED or (decrement < 1.0 and abs(t) > 2 * count * width / tau):
+            return found  # enough, or at the centre: the least t is not much below this one
+        if decrement < 25.0:
+            tau *= 10.0
+    return found
+
+
+def factored(H: np.ndarray):
+    """Cholesky factor, as SciPy's, of H (n, n), unit diagonal, lower triangle given; with the least addition to
+    the diagonal that rounding asks for. LinAlgError where none is enough."""
+    for extra in (1e-13, 1e-11, 1e-9):
+        np.fill_diagonal(H, 1 + extra)
+        try:
+            return sl.cho_factor(H, lower=True, check_finite=False)
+        except np.linalg.LinAlgError:
+            pass
+    raise np.linalg.LinAlgError("not positive definite")
+
+
+def line_search(curve: np.ndarray, slope: float) -> float:
+    """Minimiser over s >= 0 of slope s - sum log(1 + s curve), curve (n,): Newton steps kept inside the
+    domain."""
+    end = -1 / curve.min() if curve.min() < 0 else np.inf
+    s = min(1.0, 0.9 * end)
+    for _ in range(30):
+        ratio = curve / (1 + s * curve)
+        wanted = s - (slope - ratio.sum()) / np.sum(ratio**2)
+        new = float(np.clip(wanted, 0.1 * s, s + 0.9 * (end - s) if np.isfinite(end) else 10 * s))
+        if abs(new - s) <= 1e-3 * s:
+            break
+        s = new
+    return s
