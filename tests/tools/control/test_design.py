@@ -235,9 +235,8 @@ def test_a_controller_for_no_uncertainty_is_refused_because_the_vehicle_errs(com
 def test_the_other_structures_go_from_design_to_the_closed_loop(common, tmp_path, monkeypatch, structure):
     """K_inf below the gate, which refuses it."""
     stored = with_exact_frames(common)
-    monkeypatch.setattr(
-        stage, "find", lambda *_: None
-    )  # the certificate at a moving speed has tests of its own
+    # The certificate at a moving speed has tests of its own.
+    monkeypatch.setattr(moving_speed, "find", lambda *_: None)
     monkeypatch.setattr(stage, "OFF_GRID", 4)
     if structure == "K_inf":
         monkeypatch.setattr(stage, "require_premise", stage.premise)

@@ -349,7 +349,7 @@ def print_limits(result: Design) -> None:
             if kappa
             else "nothing proved beyond the limit"
         )
-        + (f"; kept there by every [w; n; r_c] of norm up to {energy:.3g}" if energy else "")
+        + (f"; kept there by every \\[w; n; r_c] of norm up to {energy:.3g}" if energy else "")
     )
 
 
