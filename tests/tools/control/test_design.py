@@ -38,11 +38,31 @@ def common(few_truck_common_identified):
     return identification.load(few_truck_common_identified)
 
 
-@pytest.fixture(scope="module")
-def designed(stored, tmp_path_factory):
-    result, folder = stage.design(stored), tmp_path_factory.mktemp("design") / "design"
+def saved(result, stored, tmp_path_factory):
+    """A design and its controller.json."""
+    folder = tmp_path_factory.mktemp("design") / "design"
     stage.save(result, stored, folder)
     return result, folder / "controller.json"
+
+
+@pytest.fixture(scope="module")
+def designed(stored, tmp_path_factory):
+    """For frozen speeds."""
+    return saved(stage.design(stored, moving_speed=False), stored, tmp_path_factory)
+
+
+@pytest.fixture(scope="module")
+def finer(few_truck_identified):
+    """The same drives with the nodes of the shipped truck: between fewer the proof at a moving speed fails."""
+    return identification.load(few_truck_identified)
+
+
+@pytest.fixture(scope="module")
+def moving(finer, tmp_path_factory):
+    """For a moving speed, too; the search for performance takes minutes and has nothing to find here."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(moving_speed, "PERFORMANCE_FROM", 0.0)
+        return saved(stage.design(finer), finer, tmp_path_factory)
 
 
 def with_settings(stored, **changes):
@@ -120,21 +140,21 @@ def test_a_stated_number_that_is_not_what_is_proved_is_refused(
         stage.verify(tmp_path / "controller.json", stored)
 
 
-def test_robust_stability_is_proved_at_a_moving_speed_and_proved_anew(stored, designed):
+def test_robust_stability_is_proved_at_a_moving_speed_and_proved_anew(finer, moving):
     """The truck brakes with 2 m/s2; what is not searched for is not claimed."""
-    result, path = designed
+    result, path = moving
     stated = json.loads(path.read_text())["certificates"]["moving_speed"]
     assert result.moving["stability"].rate >= 2 and result.moving["performance"] is None
     assert stated["stability"]["rate_mps2"] == result.moving["stability"].rate
     assert stated["performance"]["rate_mps2"] is None
-    families = moving_speed._families(stored, result.schedule, result.scaling)
+    families = moving_speed._families(finer, result.schedule, result.scaling)
     whole = families["performance"].at(15.0).order
     assert stated["stability"]["states"] == families["stability"].at(15.0).order < whole
 
 
 @pytest.mark.parametrize("what", ["faster", "wider", "coefficient", "performance", "other basis"])
-def test_a_claim_of_a_moving_speed_that_is_not_proved_is_refused(stored, designed, what):
-    result, _ = designed
+def test_a_claim_of_a_moving_speed_that_is_not_proved_is_refused(finer, moving, what):
+    result, _ = moving
     schedule, one = result.schedule, result.moving["stability"]
     said = json.loads(artefacts.to_json(moving_speed._moving("stability", one)))
     claim = "stability"
@@ -148,19 +168,19 @@ def test_a_claim_of_a_moving_speed_that_is_not_proved_is_refused(stored, designe
         claim = "performance"
     else:
         said["basis"] = said["basis"][:-1]
-    family = moving_speed._families(stored, schedule, result.scaling)[claim]
+    family = moving_speed._families(finer, schedule, result.scaling)[claim]
     assert not moving_speed._holds(family, said)
 
 
-def test_a_faster_rate_in_controller_json_is_refused(stored, designed, tmp_path):
-    document = json.loads(designed[1].read_text())
+def test_a_faster_rate_in_controller_json_is_refused(finer, moving, tmp_path):
+    document = json.loads(moving[1].read_text())
     for claim in moving_speed.CLAIMS:
         altered = json.loads(json.dumps(document))
         said = altered["certificates"]["moving_speed"]
         said[claim] = {**said["stability"], "rate_mps2": 30 * said["stability"]["rate_mps2"]}
         (tmp_path / "controller.json").write_text(artefacts.to_json(artefacts.sealed(altered)))
         with pytest.raises(InputError, match=rf"moving_speed\.{claim}"):
-            stage.verify(tmp_path / "controller.json", stored)
+            stage.verify(tmp_path / "controller.json", finer)
 
 
 def test_the_largest_A_t_is_bracketed_below_the_dc_floors_limit(stored, monkeypatch):

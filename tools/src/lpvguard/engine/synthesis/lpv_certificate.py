@@ -55,8 +55,9 @@ less than the largest."""
 SHARES = (0.95, 0.7, 0.5)
 """Of the rate for which a storage function was found on the grid, tried in the proof between its speeds; the
 last for Riccati solutions, which are taken as they come and waver between the knots."""
-GRID = 1
-"""Parts of every interval between nodes on the grid of the search."""
+GRIDS = (1, 2, 4)
+"""Speeds of the search in every interval between nodes: more of them where what was found is not proved
+between them."""
 KNOTS = 16
 """Knots of a storage function in every interval between nodes: what it loses between knots is of second
 order."""
@@ -394,10 +395,21 @@ def find(family: Family, progress: Callable[[str], None] = lambda _: None) -> Lp
 
 def _polynomial(family: Family, progress: Callable[[str], None]) -> LpvCertificate | None:
     """P0 + v P1 + P2 / v with the largest rate that was found and proved."""
-    grid = _refined(family.nodes, GRID)
+    for parts in GRIDS:
+        found, proved = _on_grid(family, _refined(family.nodes, parts), progress)
+        if proved is not None or not found:
+            return proved
+    return None
+
+
+def _on_grid(
+    family: Family, grid: np.ndarray, progress: Callable[[str], None]
+) -> tuple[bool, LpvCertificate | None]:
+    """Whether there is a storage function at the speeds ``grid`` for any rate, and what of it is proved
+    between them."""
     start = _frozen_at(family, grid)
     if start is None:
-        return None
+        return False, None
     basis, parts, frozen = start
     mean, spread = float(grid.mean()), float(np.ptp(grid))
     units = np.array([[1.0, 0, 0], [-mean / spread, 1 / spread, 0], [-1, 0, mean]])  # terms of like size
@@ -426,8 +438,8 @@ def _polynomial(family: Family, progress: Callable[[str], None]) -> LpvCertifica
         for share in SHARES:
             proof = prove(family, storage, share * on_grid)
             if proof is not None:
-                return LpvCertificate(share * on_grid, storage, coefficients, proof, failed)
-    return None
+                return True, LpvCertificate(share * on_grid, storage, coefficients, proof, failed)
+    return bool(stored), None
 
 
 def _riccati(family: Family) -> LpvCertificate | None:
