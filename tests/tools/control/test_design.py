@@ -53,7 +53,7 @@ def designed(stored, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def finer(few_truck_identified):
-    """The same drives with the nodes of the shipped truck: between fewer the proof at a moving speed fails."""
+    """The same drives with the shipped truck's nodes: between fewer the proof at a moving speed fails."""
     return identification.load(few_truck_identified)
 
 

@@ -124,8 +124,8 @@ def feasible(barrier: Barrier, P: np.ndarray, unit: np.ndarray) -> np.ndarray | 
 
 
 def factored(H: np.ndarray):
-    """Cholesky factor, as SciPy's, of H (n, n), unit diagonal, lower triangle given; with the least addition to
-    the diagonal that rounding asks for. LinAlgError where none is enough."""
+    """Cholesky factor, as SciPy's, of H (n, n), unit diagonal, lower triangle given; with the least addition
+    to the diagonal that rounding asks for. LinAlgError where none is enough."""
     for extra in (1e-13, 1e-11, 1e-9):
         np.fill_diagonal(H, 1 + extra)
         try:
