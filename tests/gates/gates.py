@@ -849,7 +849,7 @@ PLANTS: dict[str, list[Plant]] = {
         ),
     ],
     "requirements": [
-        Plant("tests/unit/test_ecu.cpp", "[REQ-ECU-5]", "", r"REQ-ECU-5 is named by no test"),
+        Plant("tests/unit/test_model.cpp", "[REQ-MOD-2]", "", r"REQ-MOD-2 is named by no test"),
         Plant(
             "lib/REQUIREMENTS.md",
             "| REQ-CORE-1 |",

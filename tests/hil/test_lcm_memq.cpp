@@ -286,7 +286,7 @@ TEST_CASE("every channel carries what the run writes to its files", "[hil][lcm]"
         REQUIRE(cycles == Approx(std::round(cycles)).margin(1e-9));
         REQUIRE(m.threshold > 0.0);
         REQUIRE(m.energy_threshold >= 1.0);
-        REQUIRE(m.change_threshold >= 1.0);
+        REQUIRE(m.change_threshold > 0.0);  // may be below 1 (THEORY 7.7)
         counted += m.reason <= 1 ? 1U : 0U;
     }
     CHECK(counted > 5);

@@ -194,9 +194,12 @@ TEST_CASE("a vehicle that does not answer is found out, and released if so confi
         bench.step();
     }
     REQUIRE(bench.report.verdict == static_cast<float>(lpvg_verdict_invalid));
-    lpvg_frame_t found{};  // by whichever of the two tests was first
+    lpvg_frame_t found{};  // by whichever of the tests was first
     REQUIRE(lpvg_monitor_take_record(&bench.ecu.monitor, &found));
-    CHECK(found.statistic > (found.test == lpvg_test_frame ? lpvg_coeff.reals.threshold : lpvg_coeff.reals.energy_threshold));
+    const lpvg_coeff_reals_t& reals = lpvg_coeff.reals;
+    CHECK(found.statistic > (found.test == lpvg_test_frame    ? reals.threshold
+                             : found.test == lpvg_test_energy ? reals.energy_threshold
+                                                              : reals.change_threshold));
     bench.run(120);
     CHECK(bench.live());
     CHECK(bench.spn == LPVG_ECU_SPN_INVALID);
