@@ -268,12 +268,15 @@ class OverDrives:
 
     def _silent(self, inflated: Weights, frames: np.ndarray) -> tuple[int, ...]:
         """Bins in which no drive that sets the bounds shows evidence above 1, once `_inflated` judged them:
-        there a vehicle that does not respond would never have been refuted. And bins of fewer than
+        there a vehicle that does not respond would never have been refuted. nu is 0 at zero frequency, which
+        speaks of the disturbance and is silent only where all others are. And bins of fewer than
         FEWEST_FRAMES ``frames`` one after another: a further frame is beyond so few too often."""
         estimator = self.reader.estimator
         self.origins.evidence = self.met.evidence(estimator.n_bins) / inflated.inflation
         thin = frames < FEWEST_FRAMES * estimator.length
-        return tuple(int(k) for k in np.flatnonzero((self.origins.evidence <= 1.0) | thin))
+        weak, steady = self.origins.evidence <= 1.0, estimator.omega == 0
+        weak &= ~steady | weak[~steady].all()
+        return tuple(int(k) for k in np.flatnonzero(weak | thin))
 
     def _energy_test(self, inflated: Weights, drives: Chosen) -> EnergyTest:
         """The energy test with the sigma that the drives with and without input ask for."""

@@ -111,7 +111,7 @@ def _run_all(
 
 def _require_same(stored: StoredIdentification, replayer: Replayer) -> None:
     """InputError where the folder's bounds are not those of the identification."""
-    W_delta, B_w = stored.fitted.at(replayer.estimator.omega)
+    W_delta, B_w = stored.fitted.of_core(replayer.estimator.omega)
     if not (np.allclose(W_delta, replayer.W_delta, rtol=1e-4) and np.allclose(B_w, replayer.B_w, rtol=1e-4)):
         raise InputError(
             replayer.core.folder,
