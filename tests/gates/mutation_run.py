@@ -92,11 +92,12 @@ class Case:
     reached: int
 
 
-def command(*words: object, cwd: Path | None = None) -> str:
+def command(*words: object, cwd: Path | None = None, env: dict[str, str] | None = None) -> str:
     """Output of a command; RuntimeError with it where the command fails."""
     done = subprocess.run(
         [str(w) for w in words],
         cwd=cwd,
+        env=env,
         text=True,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

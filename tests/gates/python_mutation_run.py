@@ -11,7 +11,6 @@ import hashlib
 import json
 import os
 import random
-import subprocess
 import sys
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from mutation import Change
-from mutation_run import Mutant, Noted, changed_files, no_longer, noted, stands_in, table, too_many
+from mutation_run import Mutant, Noted, changed_files, command, no_longer, noted, stands_in, table, too_many
 
 PACKAGE = Path("tools", "src", "lpvguard")
 TARGETS = (
@@ -103,17 +102,13 @@ def asked_worker(tree: Path, scratch: Path, task: dict[str, Any]) -> list[list[A
     }
     (scratch / "task.json").write_text(json.dumps(words | task))
     worker = Path(__file__).with_name("python_mutation_worker.py")
-    done = subprocess.run(
-        [sys.executable, str(worker), str(scratch / "task.json")],
+    command(
+        sys.executable,
+        worker,
+        scratch / "task.json",
         cwd=tree / "tools",
         env={**os.environ, "PYTHONPATH": str(tree / "tools" / "src")},
-        text=True,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        check=False,
     )
-    if done.returncode:
-        raise RuntimeError(f"{worker.name}: {done.stdout[-4000:]}")
     return [json.loads(line) for line in out.read_text().splitlines()] if out.exists() else []
 
 

@@ -48,6 +48,7 @@ def test_the_pool_is_of_core_run_drives_whose_scores_grow_with_wear():
     pool = make_pool(6, 0.0, 1)
     assert pool.scores.shape == (6, len(GAINS))
     assert (np.diff(pool.scores[:, 2:], axis=1) > 0).all() and pool.scores[:, -1].mean() > 1
+    assert (pool.scores[:, -1] > pool.scores[:, 0]).all()
     assert not pool.alarmed[:, 0].any() and pool.alarmed[:, -1].any()
     np.testing.assert_array_equal(pool.scores[:3], make_pool(3, 0.0, 1).scores)
 

@@ -12,6 +12,7 @@ from ..base.errors import InputError
 from ..base.progress import Progress
 from ..core.scheduled import Scheduled
 from ..engine.synthesis.dk import Scaling
+from ..engine.synthesis.interconnection import GeneralisedPlant
 from ..engine.synthesis.lpv_certificate import (
     Family,
     LpvCertificate,
@@ -22,10 +23,8 @@ from ..engine.synthesis.lpv_certificate import (
     riccati_storage,
 )
 from ..engine.synthesis.scheduling import closed_scaled
-from ..engine.synthesis.statespace import StateSpace
 from ..identify.run import StoredIdentification
 from ..vehicle.nominal import NominalModel
-from ..vehicle.project import DesignSettings
 from .plants import design_settings, fig1_weights, plant_at
 
 PERFORMANCE_FROM = 0.95
@@ -61,49 +60,36 @@ def moving_certificates(
 
 def _families(stored: StoredIdentification, schedule: Scheduled, scaling: Scaling) -> dict[str, Family]:
     """By claim the scaled loop over speed; stability without Delta is performance's."""
-    settings = design_settings(stored)
-    family = _family(stored, settings, schedule, scaling)
-    model, weights = NominalModel(stored.project), fig1_weights(stored, settings)
-    plant = plant_at(stored, model, weights, float(schedule.speeds[0]), False, settings.structure)
-    n_z = plant.system.n_outputs - plant.n_measurement
-    found = {"performance": relevant(family, slice(0, n_z), slice(None))}
-    if plant.blocks:
-        rows, columns = slice(0, plant.n_delta_in), slice(0, plant.n_delta_out)
-        found["stability"] = relevant(family, rows, columns)
-    return {claim: found[claim] for claim in CLAIMS if claim in found}
+    settings, model = design_settings(stored), NominalModel(stored.project)
+    weights = fig1_weights(stored, settings)
 
+    def plant_of(v: float, probes: bool = False) -> GeneralisedPlant:
+        return plant_at(stored, model, weights, v, False, settings.structure, probes=probes)
 
-def _family(
-    stored: StoredIdentification, settings: DesignSettings, schedule: Scheduled, scaling: Scaling
-) -> Family:
-    """The scaled closed loop over speed, for the certificate at a moving speed."""
-    model, weights = NominalModel(stored.project), fig1_weights(stored, settings)
-
-    def at(v: float) -> StateSpace:
-        return closed_scaled(
-            plant_at(stored, model, weights, v, False, settings.structure, probes=True),
-            schedule.at(v),
-            scaling,
-        )
-
+    plant = plant_of(float(schedule.speeds[0]))
     # The probes: state, input, and with state uncertainty an input on every state; see
     # interconnection.generalised_plant.
     held = model.n + model.n_u + (model.n if settings.structure == "K_is" else 0)
-    plant = plant_at(stored, model, weights, float(schedule.speeds[0]), False, settings.structure)
     first = scaling.systems(plant)[1].order
 
     def hold_bounds(low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
         first_derivative, second = model.hold_bounds(low, high)
         return first_derivative[:, :held], second[:, :held]
 
-    return Family(
-        at,
+    family = Family(
+        lambda v: closed_scaled(plant_of(v, probes=True), schedule.at(v), scaling),
         schedule.speeds,
         slice(first, first + model.n),
         held,
         hold_bounds,
         schedule.Ts,
     )
+    n_z = plant.system.n_outputs - plant.n_measurement
+    found = {"performance": relevant(family, slice(0, n_z), slice(None))}
+    if plant.blocks:
+        rows, columns = slice(0, plant.n_delta_in), slice(0, plant.n_delta_out)
+        found["stability"] = relevant(family, rows, columns)
+    return {claim: found[claim] for claim in CLAIMS if claim in found}
 
 
 def require_moving(

@@ -62,8 +62,6 @@ class SlowLoop:
             F.append(append(*[_read(system)] * block.rows))
             sizes.append((system.order * block.cols, system.order * block.rows))
         self.blocks = len(plant.blocks)
-        self.rows = [*(b.cols for b in plant.blocks), *(s for s, _ in sizes)]
-        self.cols = [*(b.rows for b in plant.blocks), *(s for _, s in sizes)]
         seen, acted = append(*H), append(*F)
         into = _beside(gain(np.eye(plant.n_delta_in), self.dt), seen, n_z, self.dt)
         out = _sum(plant.n_delta_out, acted, n_w, self.dt)
