@@ -130,6 +130,24 @@ def test_identify_refuses_drives_without_any_counted_frame(lpvguard, tmp_path):
     )
 
 
+@pytest.mark.parametrize("split", ["train", "valid"])
+def test_identify_refuses_drives_of_which_nothing_calibrates(split, lpvguard, synthetic, tmp_path):
+    """Every drive sets the bounds; or the only one that calibrates is never judged."""
+    drives = tmp_path / "drives"
+    drives.mkdir()
+    shutil.copy(synthetic / "synthetic_01.csv", drives)
+    table(drives, "slow.csv", v=np.full_like(t, 2.0))
+    (drives / "experiments.csv").write_text(f"experiment,split\nsynthetic_01,train\nslow,{split}\n")
+    done = lpvguard("identify", "--vehicle", "g80", drives, "-o", tmp_path / "id")
+    assert done.returncode == 2 and not (tmp_path / "id").exists()
+    said = " ".join(done.stderr.split())
+    if split == "train":
+        assert "experiments.csv: column split: nothing calibrates: every drive sets the bounds" in said
+    else:
+        assert "drives that calibrate (1): nothing calibrates: no test judges any of them (slow: no" in said
+    assert [p.name for p in tmp_path.iterdir()] == ["drives"]
+
+
 def test_a_foreign_folder_is_never_overwritten(lpvguard, synthetic, tmp_path):
     precious = tmp_path / "precious"
     precious.mkdir()

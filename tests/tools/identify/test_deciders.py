@@ -15,7 +15,7 @@ from lpvguard.drives.tables import read_drive
 from lpvguard.identify import run as stage
 from lpvguard.identify.bounds import Deciders, FrameSet, fold, reduce_remainder
 from lpvguard.identify.calibration import Calibration, Peak, peaks
-from lpvguard.identify.deciders import decides_bounds, decides_thresholds, silence
+from lpvguard.identify.deciders import Decision, decides_bounds, decides_thresholds, outlying, silence
 from lpvguard.identify.energy import UNBOUNDED
 from lpvguard.identify.over_drives import Origins
 from lpvguard.identify.visibility import Excitation
@@ -87,16 +87,50 @@ def test_a_threshold_names_drive_time_and_bin_and_what_it_is_without_one_frame(i
     hertz = f"{stored.bounds['omega_rad_s'][RARE] / (2 * np.pi):.3g} Hz"
     begin = "test: drive_8 decides the threshold 2.89"
     assert decides_thresholds(result) == [
-        f"frame {begin}, at 41.2 s, {hertz}; one frame does: without it 1.5",
-        f"energy {begin}, at 7 s, band between",
-        f"change {begin}, at 9 s",
+        Decision(f"frame {begin}, at 41.2 s, {hertz}; one frame does: without it 1.5", alone=True),
+        Decision(f"energy {begin}, at 7 s, band between", alone=False),
+        Decision(f"change {begin}, at 9 s", alone=False),
     ]
     at["drive_8"]["frame"] = Peak(41.2, RARE, 2.8)
-    assert decides_thresholds(result)[0] == f"frame {begin}, at 41.2 s, {hertz}", "others are as large"
+    others_are_as_large = Decision(f"frame {begin}, at 41.2 s, {hertz}", alone=False)
+    assert decides_thresholds(result)[0] == others_are_as_large
     floor = said(
         stored, calibration=Calibration(1.0, dict.fromkeys(names, 0.2), 0.1, 0.3), energy=None, change=None
     )
-    assert decides_thresholds(floor)[0] == "frame test: no drive decides the threshold 1, its floor"
+    assert decides_thresholds(floor) == [
+        Decision("frame test: no drive decides the threshold 1, its floor", alone=False)
+    ]
+
+
+def test_a_drive_whose_score_lies_outside_the_others_is_named_and_still_calibrates(identified):
+    stored = stage.load(identified)
+    scores = {f"drive_{k}": s for k, s in enumerate(np.geomspace(0.4, 0.8, 9))} | {"slide": 6.0}
+    at = {n: {"frame": Peak(41.2, RARE, 1.1), "energy": Peak(7.0, 1), "change": Peak(9.0)} for n in scores}
+
+    def told(scores: dict[str, float], silent: tuple[int, ...] = ()) -> list[str]:
+        c = Calibration(6.0, scores, 0.1, 0.3)
+        return outlying(
+            said(
+                stored,
+                calibration=c,
+                energy=replace(stored.energy, calibration=c),
+                change=None,
+                peaks=at,
+                weights=replace(stored.fitted, silent=silent),
+            )
+        )
+
+    hertz = f"{stored.bounds['omega_rad_s'][RARE] / (2 * np.pi):.3g} Hz"
+    begin = "test: slide lies outside the other drives that calibrate: 6 beside a median of 0.591"
+    end = "; it calibrates as they do, unless experiments.csv sets it aside"
+    frame, energy = f"frame {begin}, at 41.2 s, {hertz}{end}", f"energy {begin}, at 7 s, band between{end}"
+    assert told(scores) == [frame, energy]
+    # The logarithm of a normal drive of these ten is within 3.5 deviations.
+    assert told(scores | {"slide": 1.5}) == []
+    assert told(dict(list(scores.items())[-4:])) == [], "four scores are too few to compare"
+    assert told(dict.fromkeys(scores, 0.7) | {"slide": 0.75}) == [], "equal scores do not make one outlying"
+    assert told(dict.fromkeys(scores, 0.7) | {"slide": 0.8})[0].startswith("frame test: slide lies outside")
+    assert told(scores, tuple(range(len(stored.bounds["omega_rad_s"])))) == [energy], "silent bins say none"
 
 
 def test_a_bound_names_drive_and_time_and_what_it_is_without_one_frame(identified):
@@ -107,9 +141,9 @@ def test_a_bound_names_drive_and_time_and_what_it_is_without_one_frame(identifie
     of.largest[RARE], of.rest[RARE], of.drive[RARE], of.first[RARE] = 0.3, 0.1, "slide", 50
     hertz = f"{stored.bounds['omega_rad_s'][RARE] / (2 * np.pi):.3g} Hz"
     begin = f"{hertz}: slide decides B_w of yaw_rate, 0.3, from 1 s on"
-    assert decides_bounds(result) == [f"{begin}; one frame does: without it 0.1"]
+    assert decides_bounds(result) == [Decision(f"{begin}; one frame does: without it 0.1", alone=True)]
     of.others[RARE] = 0.29
-    assert decides_bounds(result) == [begin]
+    assert decides_bounds(result) == [Decision(begin, alone=False)]
 
 
 def test_peaks_are_where_the_scores_come_from():

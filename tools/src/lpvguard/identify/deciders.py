@@ -6,62 +6,117 @@ made it. Nothing is dropped in silence: experiments.csv sets a drive aside, with
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from ..drives.tables import EXPERIMENTS
 from .calibration import Calibration, calibrate
 from .model_error import FEWEST_FRAMES
 from .run import Identification
 
 ONE_FRAME = 1.1
 """One frame is said to decide a number that is larger by this factor than it would be without it."""
+OUTLYING, FEWEST_TO_COMPARE = 3.5, 5
+"""A score lies outside the others whose logarithm is so many standard deviations above their median, the
+deviation by the median one (Iglewicz and Hoaglin's modified z-score); among so many scores at least."""
 
 
-def decides_bounds(result: Identification) -> list[str]:
-    """A sentence for every nu and B_w above 0: the drive, and the time of the frame that decides it. Where
-    one frame does: what it would be without that one and those that overlap it."""
+class Decision(NamedTuple):
+    """``text``: what decides a number, in words. ``alone``: one frame does, which is worth a warning."""
+
+    text: str
+    alone: bool
+
+
+def decides_bounds(result: Identification) -> list[Decision]:
+    """Of every nu and B_w above 0: the drive, and the time of the frame that decides it. Where one frame
+    does: what it would be without that one and those that overlap it."""
     Ts, said = result.project.Ts_s, []
     for key, of in result.origins.decided.items():
         shared = of.largest.shape[1] == 1 and key == "nu"
         names = [""] if shared else [f" of {s.name}" for s in result.project.outputs]
         for k, j in np.argwhere(of.largest > 0):
             value, without = float(of.largest[k, j]), float(of.without[k, j])
+            alone = value > ONE_FRAME * without
             said.append(
-                f"{_hertz(result, k)}: {of.drive[k, j]} decides {key}{names[j]}, {value:.3g}, from "
-                f"{of.first[k, j] * Ts:.4g} s on"
-                + (f"; one frame does: without it {without:.3g}" if value > ONE_FRAME * without else "")
+                Decision(
+                    f"{_hertz(result, k)}: {of.drive[k, j]} decides {key}{names[j]}, {value:.3g}, from "
+                    f"{of.first[k, j] * Ts:.4g} s on"
+                    + (f"; one frame does: without it {without:.3g}" if alone else ""),
+                    alone,
+                )
             )
     return said
 
 
-def decides_thresholds(result: Identification) -> list[str]:
-    """A sentence for every threshold: the drive, the time and the bin or band that decide it. Where one frame
-    does: what the threshold would be without it."""
-    tests: dict[str, Calibration | None] = {
+def decides_thresholds(result: Identification) -> list[Decision]:
+    """Of every threshold: the drive, the time and the bin or band that decide it. Where one frame does: what
+    the threshold would be without it."""
+    return [_decides(result, test, c) for test, c in _tests(result).items()]
+
+
+def _tests(result: Identification) -> dict[str, Calibration]:
+    found = {
         "frame": result.calibration,
         "energy": None if result.energy is None else result.energy.calibration,
         "change": None if result.change is None else result.change.calibration,
     }
-    return [_decides(result, test, c) for test, c in tests.items() if c is not None]
+    return {test: c for test, c in found.items() if c is not None}
 
 
-def _decides(result: Identification, test: str, c: Calibration) -> str:
+def _decides(result: Identification, test: str, c: Calibration) -> Decision:
     drive = c.decided_by
     if drive is None:
-        return f"{test} test: no drive decides the threshold {c.carried:.4g}, its floor"
-    said = f"{test} test: {drive} decides the threshold {c.carried:.4g}"
+        return Decision(f"{test} test: no drive decides the threshold {c.carried:.4g}, its floor", False)
+    said = f"{test} test: {drive} decides the threshold {c.carried:.4g}{_where(result, test, drive)}"
     peak = result.origins.peaks[drive].get(test)
-    if peak is None:  # without a core nothing says where
-        return said
-    said += f", at {peak.t_s:.4g} s"
-    if peak.place is not None and test == "frame":
-        said += f", {_hertz(result, peak.place)}"
-    elif peak.place is not None and result.energy is not None:
-        said += f", band {result.energy.bands[peak.place]}"
-    if peak.without is None:
-        return said
+    if peak is None or peak.without is None:  # without a core nothing says where
+        return Decision(said, False)
     alpha = result.project.frame_test.alpha
     left = calibrate(c.scores | {drive: peak.without}, alpha, recordings=c.recordings).carried
-    return said if c.carried <= ONE_FRAME * left else f"{said}; one frame does: without it {left:.4g}"
+    if c.carried <= ONE_FRAME * left:
+        return Decision(said, False)
+    return Decision(f"{said}; one frame does: without it {left:.4g}", True)
+
+
+def _where(result: Identification, test: str, drive: str) -> str:
+    """Where the score of a ``drive`` comes from, in words that go on; nothing without a core."""
+    peak = result.origins.peaks[drive].get(test)
+    if peak is None:
+        return ""
+    said = f", at {peak.t_s:.4g} s"
+    if peak.place is not None and test == "frame":
+        return f"{said}, {_hertz(result, peak.place)}"
+    if peak.place is not None and result.energy is not None:
+        return f"{said}, band {result.energy.bands[peak.place]}"
+    return said
+
+
+def outlying(result: Identification) -> list[str]:
+    """A sentence for each drive that calibrates whose score in a test lies outside those of the others, as a
+    crash or a slide makes it. The drive calibrates all the same."""
+    said = []
+    for test, c in _tests(result).items():
+        scores = {drive: s for drive, s in c.scores.items() if s > 0}
+        if len(scores) < FEWEST_TO_COMPARE or (test == "frame" and _all_silent(result)):
+            continue
+        size = np.log(list(scores.values()))
+        middle = float(np.median(size))
+        deviation = 1.4826 * float(np.median(np.abs(size - middle)))
+        least = middle + max(OUTLYING * deviation, np.log(ONE_FRAME))
+        said += [
+            f"{test} test: {drive} lies outside the other drives that calibrate: {s:.4g} beside a median of "
+            f"{np.exp(middle):.3g}{_where(result, test, drive)}; it calibrates as they do, unless "
+            f"{EXPERIMENTS} sets it aside"
+            for drive, s in scores.items()
+            if np.log(s) > least
+        ]
+    return said
+
+
+def _all_silent(result: Identification) -> bool:
+    return len(result.weights.silent) == len(result.bounds.omega)
 
 
 def silence(result: Identification) -> list[str]:

@@ -20,7 +20,7 @@ from ..drives.tables import (
     Experiment,
 )
 from .bounds import Bounds, Deciders, Part, fold, front_grid
-from .calibration import Calibration, Peak, Recordings, calibrate
+from .calibration import Calibration, Peak, Recordings, calibrate, require_calibration
 from .change import ChangeTest
 from .chosen import Chosen
 from .chosen import DriveSet as DriveSet
@@ -200,15 +200,17 @@ class OverDrives:
         )
 
     def calibrated(
-        self, weights: Weights, frames: np.ndarray, drives: Chosen
+        self, weights: Weights, frames: np.ndarray, drives: Chosen, folder: Path
     ) -> tuple[Weights, Calibration, EnergyTest | None, ChangeTest | None]:
         """Weights with their final inflation, and the tests with their thresholds; the plain DFT has the
-        frame test only. ``frames`` (K,): counted frames of the bound-setting drives."""
+        frame test only. ``frames`` (K,): counted frames of the bound-setting drives. InputError where nothing
+        calibrates; ``folder``: the drives', for its message."""
         project, model, estimator = self.reader.project, self.reader.model, self.reader.estimator
         alpha, recordings = project.frame_test.alpha, Recordings.listed(drives.setting, drives.others)
         if estimator.window != "hann":
             inflated = self._inflated(weights, None, drives)
             scores, _, _ = self._scores(weights, None, None, drives)
+            self._require_scores(drives, folder, bool(scores))
             scores = {n: s / inflated.inflation for n, s in scores.items()}
             by_frames = calibrate(scores, alpha, recordings=recordings).over(self._judged_s)
             return inflated, by_frames, None, None
@@ -221,6 +223,8 @@ class OverDrives:
             test = self._energy_test(inflated, drives)
             reals = coefficients_of(project, model, estimator, inflated, 1.0, test, change).flat_reals()
             scores, energy_scores, change_scores = self._scores(weights, core, reals, drives)
+            speaks = bool(scores) and len(inflated.silent) < estimator.n_bins
+            self._require_scores(drives, folder, speaks or bool(energy_scores or change_scores))
             test = test.calibrated(energy_scores, alpha, recordings)
             change = change.calibrated(change_scores, alpha, recordings)
             return (
@@ -229,6 +233,9 @@ class OverDrives:
                 replace(test, calibration=test.calibration.over(self._judged_s)),
                 replace(change, calibration=change.calibration.over(self._judged_s)),
             )
+
+    def _require_scores(self, drives: Chosen, folder: Path, judged: bool) -> None:
+        require_calibration(folder, (e.name for e in drives.others), self.left_out, judged)
 
     def visibility(self, weights: Weights, calibration: Calibration) -> dict:
         """What the judged drives could have refuted, by bin: visibility.json."""

@@ -52,7 +52,7 @@ from ..fit.quality import Quality
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, parse_project
 from .bounds import FRONT_POINTS, Bounds, Part, fold
-from .calibration import Calibration
+from .calibration import Calibration, require_calibration
 from .change import ChangeTest
 from .chosen import Chosen
 from .chosen import DriveSet as DriveSet
@@ -130,7 +130,8 @@ def identify(
 ) -> tuple[Identification, DriveSet]:
     """Run steps 1-7 on a drive folder but for the drives ``without``; ``workers``: base/parallel.py.
 
-    Raises InputError for bad input and when no frame of a bound-setting drive counts.
+    Raises InputError for bad input, when no frame of a bound-setting drive counts, and when nothing
+    calibrates.
     """
     experiments = [e for e in list_experiments(Path(folder)) if e.name not in without]
     drives = DriveSet(project, NominalModel(project), experiments)
@@ -144,6 +145,7 @@ def identify(
     first = fold(parts)
     command = _of_commands(project, chosen.setting, parts, Path(folder))
     chosen = replace(chosen, setting=run.setting_with_frames(chosen.setting, folder))
+    require_calibration(Path(folder), (e.name for e in chosen.others), {}, judged=True)
     progress("weights")
     noise_peak = np.full(first["E"].shape, np.nan)
     if chosen.noise:
@@ -155,7 +157,7 @@ def identify(
     weights = fit_weights(
         project, estimator, bounds, gamma_w, W_delta, noise_peak, first["E"], command["Y"][:, 0]
     )
-    weights, calibration, energy, change = run.calibrated(weights, bounds.frames, chosen)
+    weights, calibration, energy, change = run.calibrated(weights, bounds.frames, chosen, Path(folder))
     progress("window error")
     result = Identification(
         project=project,
