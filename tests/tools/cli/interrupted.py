@@ -162,7 +162,7 @@ def replace_computing(variant: str) -> None:
     replace_in_cli("_picture", lambda _: "")
     replace_in_cli("print_fit", lambda _: None)
     replace_in_cli("print_evidence", lambda *_: None)
-    for name in ("decides_bounds", "decides_thresholds", "outlying", "silence"):
+    for name in ("decides_bounds", "decides_thresholds", "outlying", "silence", "unresolved"):
         setattr(lpvguard.identify.deciders, name, lambda _: [])
     lpvguard.identify.run.identify = lambda *_, **__: (
         SimpleNamespace(

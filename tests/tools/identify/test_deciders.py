@@ -58,7 +58,10 @@ def said(stored, **given) -> SimpleNamespace:
     of = Deciders("B_w", (len(stored.bounds["omega_rad_s"]), 1))
     usual = {
         "project": stored.project,
-        "bounds": SimpleNamespace(omega=stored.bounds["omega_rad_s"]),
+        "bounds": SimpleNamespace(
+            omega=stored.bounds["omega_rad_s"],
+            B_w_floor=np.full((len(stored.bounds["omega_rad_s"]), 1), 0.02),
+        ),
         "calibration": stored.calibration,
         "energy": stored.energy,
         "change": stored.change,
@@ -144,6 +147,8 @@ def test_a_bound_names_drive_and_time_and_what_it_is_without_one_frame(identifie
     assert decides_bounds(result) == [Decision(f"{begin}; one frame does: without it 0.1", alone=True)]
     of.others[RARE] = 0.29
     assert decides_bounds(result) == [Decision(begin, alone=False)]
+    of.largest[RARE] = 0.01
+    assert decides_bounds(result) == [], "below its floor no frame decides"
 
 
 def test_peaks_are_where_the_scores_come_from():

@@ -24,7 +24,7 @@ def identify(
     """Find the unfalsified bounds, fit the weights, calibrate the frame test (paper, steps 1-7)."""
     from ..base.parallel import workers
     from ..identify import run as stage
-    from ..identify.deciders import decides_bounds, decides_thresholds, outlying, silence
+    from ..identify.deciders import decides_bounds, decides_thresholds, outlying, silence, unresolved
     from ..identify.unexplained import cost, unexplained
 
     project = project_of(vehicle)
@@ -33,7 +33,7 @@ def identify(
         stage.save(result, drive_set, out)
         named = unexplained(result)
         decided_by = [*decides_bounds(result), *decides_thresholds(result)]
-        warnings = [*(d.text for d in decided_by if d.alone), *outlying(result)]
+        floors, warnings = unresolved(result), [*(d.text for d in decided_by if d.alone), *outlying(result)]
         price = cost(result, drives, named, workers=run, progress=tell) if named else None
     emit(
         json_out,
@@ -44,6 +44,7 @@ def identify(
             **result.calibration.to_dict(),
             "inflation": result.weights.inflation,
             "silent": silence(result),
+            "unresolved": floors,
             "decided_by": [d.text for d in decided_by],
             "warnings": warnings,
             "energy": result.energy.to_dict() if result.energy else None,
@@ -56,9 +57,9 @@ def identify(
     c = result.calibration
     console.print(f"{len(result.bound_drives)} drives set the bounds: {', '.join(result.bound_drives)}")
     console.print(
-        f"{len(result.calibration_drives)} others calibrate: {', '.join(result.calibration_drives) or 'none'}"
+        f"{len(result.calibration_drives)} others calibrate: {', '.join(result.calibration_drives)}"
     )
-    print_evidence(result, [*silence(result), *(d.text for d in decided_by if not d.alone)])
+    print_evidence(result, [*silence(result), *floors, *(d.text for d in decided_by if not d.alone)])
     for line in warnings:
         console.print(f"warning: {line}", style="yellow")
     for u in named:

@@ -29,6 +29,7 @@ from ..drives.frames import Estimator
 from ..drives.tables import Drive
 from ..engine.validation import s1
 from ..vehicle.nominal import NominalModel
+from .resolution import Resolution
 
 FRONT_POINTS = 25
 """Values of gamma_w per bin on the Pareto front, from B1 to B2, denser towards B1: B1 + (B2 - B1) t^2, t
@@ -93,8 +94,9 @@ def counted_frames(
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bounds per bin (K,), nu (K, n_delta), B_w (K, n_y); ``frames`` counts counted frames,
-    ``excitation`` is max |Z|. B_w is what no |delta| <= W_delta explains (``remainder``).
+    """Bounds per bin (K,), nu (K, n_delta), B_w and B_w_floor (K, n_y); ``frames`` counts counted frames,
+    ``excitation`` is max |Z|. B_w is what no |delta| <= W_delta explains (``remainder``), and not below
+    B_w_floor, what the sensors cannot tell by their ``resolution``.
 
     front_gamma_w, front_nu (K, FRONT_POINTS): the least nu that explains every frame, over gamma_w; NaN at DC
     and without frames.
@@ -109,6 +111,8 @@ class Bounds:
     gamma_w: np.ndarray
     nu: np.ndarray
     B_w: np.ndarray
+    B_w_floor: np.ndarray
+    resolution: Resolution
     front_gamma_w: np.ndarray
     front_nu: np.ndarray
 

@@ -30,13 +30,14 @@ class Decision(NamedTuple):
 
 
 def decides_bounds(result: Identification) -> list[Decision]:
-    """Of every nu and B_w above 0: the drive, and the time of the frame that decides it. Where one frame
-    does: what it would be without that one and those that overlap it."""
+    """Of every nu and B_w above 0, and of B_w above its floor: the drive, and the time of the frame that
+    decides it. Where one frame does: what it would be without that one and those that overlap it."""
     Ts, said = result.project.Ts_s, []
     for key, of in result.origins.decided.items():
         shared = of.largest.shape[1] == 1 and key == "nu"
         names = [""] if shared else [f" of {s.name}" for s in result.project.outputs]
-        for k, j in np.argwhere(of.largest > 0):
+        floor = result.bounds.B_w_floor if key == "B_w" else np.zeros(of.largest.shape)
+        for k, j in np.argwhere(of.largest > floor):
             value, without = float(of.largest[k, j]), float(of.without[k, j])
             alone = value > ONE_FRAME * without
             said.append(
@@ -94,8 +95,8 @@ def _where(result: Identification, test: str, drive: str) -> str:
 
 
 def outlying(result: Identification) -> list[str]:
-    """A sentence for each drive that calibrates whose score in a test lies outside those of the others, as a
-    crash or a slide makes it. The drive calibrates all the same."""
+    """A sentence for each calibration drive whose score in a test lies outside the others', as a crash makes
+    it. The drive calibrates all the same."""
     said = []
     for test, c in _tests(result).items():
         scores = {drive: s for drive, s in c.scores.items() if s > 0}
@@ -117,6 +118,21 @@ def outlying(result: Identification) -> list[str]:
 
 def _all_silent(result: Identification) -> bool:
     return len(result.weights.silent) == len(result.bounds.omega)
+
+
+def unresolved(result: Identification) -> list[str]:
+    """A sentence for each output of which the sensor, and no drive, sets a disturbance bound."""
+    said, bounds = [], result.bounds
+    for j, signal in enumerate(result.project.outputs):
+        bins = np.flatnonzero(bounds.B_w[:, j] <= bounds.B_w_floor[:, j])
+        if len(bins):
+            step, noise = bounds.resolution.step[j], bounds.resolution.noise[j]
+            said.append(
+                f"B_w of {signal.name} is what its sensor cannot tell, and the drives ask for no more, at "
+                f"{', '.join(_hertz(result, k) for k in bins.tolist())}: steps of {step:.3g} {signal.unit}, "
+                f"noise of {noise:.3g} {signal.unit}"
+            )
+    return said
 
 
 def silence(result: Identification) -> list[str]:

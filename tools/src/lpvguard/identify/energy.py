@@ -314,10 +314,11 @@ class EnergyTest:
                 out[key][band] = np.fmax(out[key][band], value)
         return out
 
-    def with_sigma(self, needs: dict[str, np.ndarray]) -> EnergyTest:
-        """sigma per band and output from ``needs`` over all identification drives; and what Delta may
-        remember at the start: the largest energy met, for each output; n_y times where one Delta is common,
-        because products of different outputs start at zero."""
+    def with_sigma(self, needs: dict[str, np.ndarray], floor: np.ndarray | float = 0.0) -> EnergyTest:
+        """sigma per band and output from ``needs`` over all identification drives, at least ``floor`` (B,
+        n_y), what the sensors cannot tell; and what Delta may remember at the start: the largest energy met,
+        for each output; n_y times where one Delta is common, because products of different outputs start at
+        zero."""
         size = np.maximum(needs["error"], needs["bound"])
         if not (size > 0).all():
             raise InputError(
@@ -327,7 +328,7 @@ class EnergyTest:
                 f"{self.settle * self.Ts:.3g} s "
                 f"and more within {self.speed_range[0]:g}..{self.speed_range[1]:g} m/s",
             )
-        sigma = np.maximum(needs["sigma"], SMALLEST_SIGMA * size)
+        sigma = np.maximum(np.maximum(needs["sigma"], SMALLEST_SIGMA * size), floor)
         return replace(self, sigma=sigma, start=sigma.shape[1] / len(self.W) * needs["bound"] ** 2)
 
     def with_joint(self, needs: dict[str, np.ndarray]) -> EnergyTest:

@@ -38,9 +38,11 @@ from .passes import (
     first_pass,
     judge,
     remainder_pass,
+    resolution_pass,
     thinned,
     uncertainty_pass,
 )
+from .resolution import Resolution
 from .scratch import scratch_core
 from .visibility import Excitation, visibility
 from .weights import (
@@ -114,9 +116,10 @@ class OverDrives:
         """Sample of the frames of all drives so far."""
         return thinned(stacked(self._spectra))
 
-    def setting_with_frames(self, setting: list[Experiment], folder: Path) -> list[Experiment]:
-        """The bound-setting drives that were not left out; InputError when none remains."""
-        left = [e for e in setting if e.name not in self.left_out]
+    def with_frames(self, drives: Chosen, folder: Path) -> Chosen:
+        """The drives, of those that set the bounds only what was not left out; InputError when none remains,
+        or none calibrates."""
+        left = [e for e in drives.setting if e.name not in self.left_out]
         if not left:
             name, reason = next(iter(self.left_out.items()))
             raise InputError(
@@ -125,7 +128,8 @@ class OverDrives:
                 "no frame counts: no judged stretch at all",
                 f"at least one drive unlike {name} ({reason})",
             )
-        return left
+        self._require_scores(drives, folder, judged=True)
+        return replace(drives, setting=left)
 
     def model_error(self, drives: Chosen) -> ModelError:
         """The model error model of the bound-setting drives, and that of the drives that judge it."""
@@ -170,6 +174,10 @@ class OverDrives:
         ]
         return second | {"grid": grid}, W_delta
 
+    def _resolution(self, setting: list[Experiment]) -> Resolution:
+        found = self.over("resolution", partial(resolution_pass, self.reader), setting)
+        return Resolution.of(self.reader.project, list(found))
+
     def bounds(
         self,
         first: Part,
@@ -178,7 +186,7 @@ class OverDrives:
         W_delta: list[FittedWeight],
         setting: list[Experiment],
     ) -> Bounds:
-        """Step 6 with ``gamma_w`` (K,): B_w is what no |delta| <= W_delta explains.
+        """Step 6 with ``gamma_w`` (K,): B_w is what no |delta| <= W_delta explains, or its floor.
 
         ``covering``: B_w is scaled until sum_j |w_j / B_w,j|^2 <= 1 on every frame; ``paper``: |w_j| <=
         B_w,j."""
@@ -189,28 +197,31 @@ class OverDrives:
         if project.bounds.disturbance_set == "covering" and project.n_y > 1:
             task = partial(covering_pass, self.reader, size, B_w)
             B_w = B_w * np.fmax(1.0, fold(self.over("bounds", task, setting))["scale"])[:, None]
+        resolution = self._resolution(setting)
+        floor = resolution.floor(estimator)
         return Bounds(
             omega=estimator.omega,
             **{k: first[k] for k in ("frames", "excitation", "B1", "B2", "gamma_rule")},
             gamma_w=gamma_w,
             nu=second["nu"],
-            B_w=B_w,
+            B_w=np.maximum(B_w, floor),
+            B_w_floor=floor,
+            resolution=resolution,
             front_gamma_w=second["grid"],
             front_nu=second["front"],
         )
 
     def calibrated(
-        self, weights: Weights, frames: np.ndarray, drives: Chosen, folder: Path
+        self, weights: Weights, bounds: Bounds, drives: Chosen, folder: Path
     ) -> tuple[Weights, Calibration, EnergyTest | None, ChangeTest | None]:
         """Weights with their final inflation, and the tests with their thresholds; the plain DFT has the
-        frame test only. ``frames`` (K,): counted frames of the bound-setting drives. InputError where nothing
-        calibrates; ``folder``: the drives', for its message."""
+        frame test only. InputError where nothing calibrates; ``folder``: the drives', for its message."""
         project, model, estimator = self.reader.project, self.reader.model, self.reader.estimator
         alpha, recordings = project.frame_test.alpha, Recordings.listed(drives.setting, drives.others)
         if estimator.window != "hann":
             inflated = self._inflated(weights, None, drives)
             scores, _, _ = self._scores(weights, None, None, drives)
-            self._require_scores(drives, folder, bool(scores))
+            self._require_scores(drives, folder, judged=bool(scores))
             scores = {n: s / inflated.inflation for n, s in scores.items()}
             by_frames = calibrate(scores, alpha, recordings=recordings).over(self._judged_s)
             return inflated, by_frames, None, None
@@ -219,12 +230,12 @@ class OverDrives:
             project, coefficients_of(project, model, estimator, weights, 1.0, filters, change)
         ) as core:
             inflated = self._inflated(weights, core, drives)
-            inflated = replace(inflated, silent=self._silent(inflated, frames))
-            test = self._energy_test(inflated, drives)
+            inflated = replace(inflated, silent=self._silent(inflated, bounds.frames))
+            test = self._energy_test(inflated, bounds.resolution, drives)
             reals = coefficients_of(project, model, estimator, inflated, 1.0, test, change).flat_reals()
             scores, energy_scores, change_scores = self._scores(weights, core, reals, drives)
             speaks = bool(scores) and len(inflated.silent) < estimator.n_bins
-            self._require_scores(drives, folder, speaks or bool(energy_scores or change_scores))
+            self._require_scores(drives, folder, judged=speaks or bool(energy_scores or change_scores))
             test = test.calibrated(energy_scores, alpha, recordings)
             change = change.calibrated(change_scores, alpha, recordings)
             return (
@@ -234,7 +245,7 @@ class OverDrives:
                 replace(change, calibration=change.calibration.over(self._judged_s)),
             )
 
-    def _require_scores(self, drives: Chosen, folder: Path, judged: bool) -> None:
+    def _require_scores(self, drives: Chosen, folder: Path, *, judged: bool) -> None:
         require_calibration(folder, (e.name for e in drives.others), self.left_out, judged)
 
     def visibility(self, weights: Weights, calibration: Calibration) -> dict:
@@ -285,11 +296,12 @@ class OverDrives:
         weak &= ~steady | weak[~steady].all()
         return tuple(int(k) for k in np.flatnonzero(weak | thin))
 
-    def _energy_test(self, inflated: Weights, drives: Chosen) -> EnergyTest:
-        """The energy test with the sigma that the drives with and without input ask for."""
+    def _energy_test(self, inflated: Weights, resolution: Resolution, drives: Chosen) -> EnergyTest:
+        """The energy test with the sigma that the drives with and without input ask for, or its floor."""
         test = energy_filters(self.reader.project, self.reader.estimator, inflated)
         chosen = drives.setting + drives.noise
-        test = test.with_sigma(fold(self.over("sigma", partial(energy_pass, self.reader, test, 0), chosen)))
+        needs = fold(self.over("sigma", partial(energy_pass, self.reader, test, 0), chosen))
+        test = test.with_sigma(needs, resolution.energy_floor(test.F, test.Ts, test.memories_s))
         task = partial(energy_pass, self.reader, test, CUTS)
         return test.with_joint(fold(self.over("joint sigma", task, chosen)))
 

@@ -31,6 +31,7 @@ from .calibration import Peak, change_score, energy_score, peaks, score
 from .change import ChangeTest, Met, estimates_met, regressor_products
 from .diagnosis import Windows, windows_of
 from .energy import EnergyTest
+from .resolution import resolution_of
 from .visibility import Excitation
 
 LARGEST_SPECTRA, DRAWN_SPECTRA = 250, 750
@@ -129,6 +130,11 @@ def first_pass(reader: DriveReader, nu_ceiling: np.ndarray, experiment: Experime
 
     part = reduce_disturbance(watched(), reader.estimator, nu_ceiling, reader.project.n_y)
     return part, thinned(stacked(rows))
+
+
+def resolution_pass(reader: DriveReader, experiment: Experiment) -> np.ndarray:
+    """Step and noise (2, n_y) of the outputs' sensors that the drive shows."""
+    return resolution_of(read_drive(experiment.path, reader.project), reader.estimator)
 
 
 def uncertainty_pass(

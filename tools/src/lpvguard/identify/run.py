@@ -52,7 +52,7 @@ from ..fit.quality import Quality
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, parse_project
 from .bounds import FRONT_POINTS, Bounds, Part, fold
-from .calibration import Calibration, require_calibration
+from .calibration import Calibration
 from .change import ChangeTest
 from .chosen import Chosen
 from .chosen import DriveSet as DriveSet
@@ -130,8 +130,7 @@ def identify(
 ) -> tuple[Identification, DriveSet]:
     """Run steps 1-7 on a drive folder but for the drives ``without``; ``workers``: base/parallel.py.
 
-    Raises InputError for bad input, when no frame of a bound-setting drive counts, and when nothing
-    calibrates.
+    Raises InputError for bad input, where no bound-setting drive has a frame, or where nothing calibrates.
     """
     experiments = [e for e in list_experiments(Path(folder)) if e.name not in without]
     drives = DriveSet(project, NominalModel(project), experiments)
@@ -144,8 +143,7 @@ def identify(
     parts = list(run.first_parts(chosen.setting, keep=True))
     first = fold(parts)
     command = _of_commands(project, chosen.setting, parts, Path(folder))
-    chosen = replace(chosen, setting=run.setting_with_frames(chosen.setting, folder))
-    require_calibration(Path(folder), (e.name for e in chosen.others), {}, judged=True)
+    chosen = run.with_frames(chosen, Path(folder))
     progress("weights")
     noise_peak = np.full(first["E"].shape, np.nan)
     if chosen.noise:
@@ -157,7 +155,7 @@ def identify(
     weights = fit_weights(
         project, estimator, bounds, gamma_w, W_delta, noise_peak, first["E"], command["Y"][:, 0]
     )
-    weights, calibration, energy, change = run.calibrated(weights, bounds.frames, chosen, Path(folder))
+    weights, calibration, energy, change = run.calibrated(weights, bounds, chosen, Path(folder))
     progress("window error")
     result = Identification(
         project=project,
@@ -184,11 +182,11 @@ def identify(
     return result, drives
 
 
-def save(result: Identification, drives: DriveSet, target: Path) -> None:
-    """Write the identification folder, whole or not at all."""
-    bounds, estimator, weights = result.bounds, result.estimator, result.weights
+def _bounds_table(result: Identification) -> dict[str, np.ndarray]:
+    """bounds.json."""
+    bounds, estimator = result.bounds, result.estimator
     error = window_error(result.model, estimator, result.project.seed)
-    table = {
+    return {
         "omega_rad_s": bounds.omega,
         "length_samples": estimator.length,
         "frames": bounds.frames,
@@ -200,9 +198,18 @@ def save(result: Identification, drives: DriveSet, target: Path) -> None:
         "gamma_w": bounds.gamma_w,
         "nu": bounds.nu,
         "B_w": bounds.B_w,
+        "B_w_floor": bounds.B_w_floor,
+        "resolution": bounds.resolution.step,
+        "sensor_noise": bounds.resolution.noise,
         "window_error_median": error["median"],
         "window_error_percentile": error["percentile"],
     }
+
+
+def save(result: Identification, drives: DriveSet, target: Path) -> None:
+    """Write the identification folder, whole or not at all."""
+    bounds, weights = result.bounds, result.weights
+    table = _bounds_table(result)
     front = {
         "omega_rad_s": bounds.omega,
         "points": FRONT_POINTS,
@@ -232,7 +239,7 @@ def save(result: Identification, drives: DriveSet, target: Path) -> None:
                 artefacts.MANIFEST: artefacts.manifest(
                     "identify",
                     vehicle=result.project.name,
-                    estimator_id=estimator.identifier(),
+                    estimator_id=result.estimator.identifier(),
                     drives={
                         "bounds": result.bound_drives,
                         "calibration": result.calibration_drives,

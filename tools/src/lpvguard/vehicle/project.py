@@ -90,7 +90,8 @@ class Signal(StrictModel):
     """One measured signal; ``min`` and ``max`` bound what is physically possible, in ``unit``.
 
     Those of a gate (a gear, a lateral acceleration) bound what the model is meant for. A sample outside is
-    missing."""
+    missing. ``resolution``, ``noise``: the step of an output's sensor and its white noise's standard
+    deviation, in ``unit``; None: as the bound-setting drives show them (THEORY 5.4)."""
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
     role: Literal["scheduling", "input", "output", "gate"]
@@ -100,12 +101,21 @@ class Signal(StrictModel):
     min: float
     max: float
     can: CanPlace | None = None
+    resolution: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    noise: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
 
     @model_validator(mode="after")
     def _ordered(self) -> Signal:
         if not self.min < self.max:
             raise ValueError(f"signal {self.name}: min {self.min} must be below max {self.max}")
+        if self.role != "output" and (self.resolution, self.noise) != (None, None):
+            raise ValueError(f"signal {self.name}: resolution and noise are of outputs")
         return self
+
+    @model_serializer(mode="wrap")
+    def _brief(self, plain: SerializerFunctionWrapHandler) -> dict[str, object]:
+        """Without what is not stated of the sensor, as settings were stored before it could be."""
+        return {k: v for k, v in plain(self).items() if k not in ("resolution", "noise") or v is not None}
 
 
 class ModelSettings(StrictModel):

@@ -1,0 +1,127 @@
+"""What a sensor cannot tell: the least disturbance bound, from its resolution and noise (THEORY 5.4).
+
+Of every output the bound-setting drives show the step of the grid on which it is recorded, and its noise
+above the band of any frame. The project file may state either. Rounding moves a sample by half a step at
+most, whatever the signal is, so its share of a frame or of an energy has a bound that no data are needed for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import sosfreqz
+from scipy.stats import norm
+
+from ..drives.frames import Estimator
+from ..drives.tables import Drive
+from ..vehicle.project import Project
+
+GRID_FIT = 0.1
+"""Values stand on a grid when each is within so much of a step of it."""
+SAME = 1e-6
+"""Values that differ by less than this share of their span are one, written with few digits."""
+RARE = 1e-3
+"""Share of frames of noise alone that may be above its floor."""
+MEDIAN_OF_SQUARE = float(norm.ppf(0.75) ** 2)
+"""Median of the square of a normal variable of variance 1."""
+BLOCK = 4
+"""Samples of a second difference (y_0 - y_1 - y_2 + y_3)/2, which has the variance of white noise."""
+
+
+def grid_step(y: np.ndarray) -> float:
+    """Step of the grid on which the samples y (N,) stand; 0: of none; NaN: where they do not move."""
+    values = np.unique(y)
+    gaps = np.diff(values)
+    if not len(gaps):
+        return np.nan
+    gaps = np.where(gaps > SAME * (values[-1] - values[0]), gaps, 0.0)
+    least = gaps[gaps > 0].min()
+    # The smallest gaps are one step each; all values together tell the step to more digits.
+    step = gaps[(gaps > 0) & (gaps < 1.5 * least)].mean()
+    at = np.r_[0.0, np.cumsum(np.rint(gaps / step))]
+    middle = at - at.mean()
+    step = float(middle @ values / (middle @ middle))
+    off = values - values.mean() - step * middle
+    return step if np.abs(off).max() <= GRID_FIT * step else 0.0
+
+
+def noise_deviation(y: np.ndarray, settled: np.ndarray) -> float:
+    """Standard deviation of white noise in the samples y (N,), from blocks of which all are ``settled`` (N,);
+    NaN without such blocks.
+
+    Mean and slope of a block do not count, and the median hears no rare jump.
+    """
+    blocks = len(y) // BLOCK
+    whole = settled[: BLOCK * blocks].reshape(blocks, BLOCK).all(axis=1)
+    y = y[: BLOCK * blocks].reshape(blocks, BLOCK)[whole]
+    if not len(y):
+        return np.nan
+    return float(np.sqrt(np.median((0.5 * (y @ np.array([1.0, -1.0, -1.0, 1.0]))) ** 2) / MEDIAN_OF_SQUARE))
+
+
+def largest_of_rounding(kernel: np.ndarray) -> float:
+    """max |sum_n kernel_n r_n| over all |r_n| <= 1/2, for kernel (N,): what rounding to steps of 1 can add to
+    a frame.
+
+    The sums fill a zonotope whose edges are kernel_n; its vertices come from the edges in the order of their
+    angles.
+    """
+    edges = np.where((kernel.imag < 0) | ((kernel.imag == 0) & (kernel.real < 0)), -kernel, kernel)
+    edges = edges[np.argsort(np.angle(edges), kind="stable")]
+    vertices = np.cumsum(edges) - edges.sum() / 2
+    return float(np.abs(vertices).max())
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """Of every output: ``step`` (n_y,) of its grid, and ``noise`` (n_y,), its white noise's standard
+    deviation beyond that of rounding; in the output's unit, 0: none is seen."""
+
+    step: np.ndarray
+    noise: np.ndarray
+
+    @classmethod
+    def of(cls, project: Project, drives: Sequence[np.ndarray]) -> Resolution:
+        """From what `resolution_of` found of the drives that set the bounds: the least of all; or as the
+        project file states it."""
+        seen = np.array(drives)
+        seen = np.where(np.isnan(seen), np.inf, seen).min(axis=0)
+        step, noise = np.where(np.isfinite(seen), seen, 0.0)
+        for j, s in enumerate(project.outputs):
+            step[j] = step[j] if s.resolution is None else s.resolution
+            noise[j] = noise[j] if s.noise is None else s.noise
+        return cls(step, np.sqrt(np.maximum(noise**2 - step**2 / 12, 0.0)))
+
+    def floor(self, estimator: Estimator) -> np.ndarray:
+        """Least disturbance bound (K, n_y): what rounding can add, and what noise exceeds in RARE of the
+        frames."""
+        kernels = [estimator.kernel(k) for k in range(estimator.n_bins)]
+        rounding = np.array([largest_of_rounding(kernel) for kernel in kernels])
+        # A frame of noise is a complex normal number, at zero frequency a real one.
+        beyond = np.where(estimator.cycles > 0, np.sqrt(-np.log(RARE)), norm.ppf(1 - RARE / 2))
+        size = beyond * np.array([np.linalg.norm(kernel) for kernel in kernels])
+        return rounding[:, None] * self.step + size[:, None] * self.noise
+
+    def energy_floor(self, F: np.ndarray, Ts: float, memories_s: np.ndarray) -> np.ndarray:
+        """Least sigma (B, n_y) of the energy test: what rounding can add to the norm of each band.
+
+        ``F`` (B, S, 6): the bands' sections in z; forgetting over ``memories_s`` (B,)."""
+        rho = np.exp(-Ts / memories_s)
+        share = [_gain_inside(f, r) / np.sqrt(1 - r**2) / 2 for f, r in zip(F, rho, strict=True)]
+        return np.array(share)[:, None] * self.step
+
+
+def _gain_inside(sections: np.ndarray, rho: float) -> float:
+    """Largest magnitude on |z| = rho of a filter of sections (S, 6) in z."""
+    powers = rho ** np.array([0.0, -1.0, -2.0])
+    inside = sections * np.r_[powers, powers]
+    omega = np.r_[0.0, np.geomspace(1e-6, np.pi, 4096)]
+    return float(np.abs(sosfreqz(inside, omega)[1]).max())
+
+
+def resolution_of(drive: Drive, estimator: Estimator) -> np.ndarray:
+    """Step and noise (2, n_y) that a drive shows."""
+    settled = estimator.settled(drive.v)
+    return np.array([[grid_step(y), noise_deviation(y, settled)] for y in drive.y.T]).T
