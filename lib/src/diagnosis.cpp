@@ -243,6 +243,9 @@ private:
                 found.deviation = step_s / std::sqrt(curved);
             }
         }
+        // The misfit takes a healthy vehicle's own delay for the fault's, and knows their sum better than the fault.
+        const Real own = std::sqrt(Real(1) / C.solved(basis(1U))[1]) * r_.unit[j_][1] * r_.block_s;
+        found.deviation = larger(found.deviation, own);
         // As long as any that was tried, or longer, is no estimate.
         const Real end = Real(0.999) * step_s * static_cast<Real>(longest);
         found.outside = std::abs(found.value) > r_.interval * found.deviation && std::abs(found.value) < end;
@@ -333,6 +336,13 @@ bool diagnosing(const lpvg_diagnosis_t& self) { return self.alarms > 0U && self.
 // How many blocks delays, and leads, reach from the one that is added.
 uint32_t reach(const lpvg_diagnosis_t& self) { return static_cast<uint32_t>(delays) * self.table->words.stride; }
 
+// What is `back` blocks before the one that work takes, and the one before it, are settled. Delays and leads ask no more of theirs
+// than a yhat: at the edge of settled driving it is the model's.
+bool settled_at(const lpvg_diagnosis_t& self, uint32_t back) {
+    static_assert(LPVG_DIAGNOSIS_HISTORY / 2 + 1 < 32, "a bit for each block back to the one before that is added");
+    return ((self.settled_blocks >> back) & 3U) == 3U;
+}
+
 // Where the newest block goes in the history.
 uint32_t next(const lpvg_diagnosis_t& self) { return (self.newest + 1U) % LPVG_DIAGNOSIS_HISTORY; }
 
@@ -357,7 +367,7 @@ void add(lpvg_diagnosis_t& self, std::size_t j) {
     }
     Eigen::Map<Row>(of.along) += phi * e;
     of.error_square += e * e;
-    of.rough += self.rough[j] * self.rough[j];
+    of.rough += self.settled ? self.rough[j] * self.rough[j] : Real(0);
     of.changed += change * change;
     const Real whole = change + e - back(far + 1U)[0];
     of.still += whole * whole;
@@ -464,23 +474,24 @@ void begin(lpvg_diagnosis_t& self) {
 
 // The means of a block, and what is neither its mean nor its slope.
 void take_block(lpvg_diagnosis_t& self, const lpvg_monitor_t& monitor) {
-    bool settled = monitor.n_block == n_block;
+    bool settled = true;
     for (const lpvg_taken_t& taken : monitor.block) {
         settled = settled && taken.span.reason == lpvg_reason_none;
     }
     static_assert(LPVG_NBLOCK == 4, "two halves of two samples");
     const auto& s = monitor.signal;
-    bool finite = true;
+    bool whole = monitor.n_block == n_block;
     for (std::size_t i = 0; i < 2U * ny; ++i) {
         self.mean[i] = Real(0.25) * (s[0][i] + s[1][i] + s[2][i] + s[3][i]);
-        finite = finite && std::isfinite(self.mean[i]);
+        whole = whole && std::isfinite(self.mean[i]);
     }
     for (std::size_t j = 0; j < ny; ++j) {
         const std::size_t k = ny + j;
         self.rough[j] = Real(0.5) * (s[0][j] + s[0][k] - s[1][j] - s[1][k] - s[2][j] - s[2][k] + s[3][j] + s[3][k]);
     }
-    self.settled = settled && finite;
-    self.known = self.settled ? (self.known < LPVG_DIAGNOSIS_HISTORY ? self.known + 1U : self.known) : 0U;
+    self.settled = settled && whole;
+    self.settled_blocks = (self.settled_blocks << 1U) | (self.settled ? 1U : 0U);
+    self.known = whole ? (self.known < LPVG_DIAGNOSIS_HISTORY ? self.known + 1U : self.known) : 0U;
     self.pending = ny;
 }
 
@@ -590,7 +601,7 @@ extern "C" bool lpvg_diagnosis_work(lpvg_diagnosis_t* self) {
         }
         return self->pending > 0U;
     }
-    const bool added = diagnosing(*self) && self->known > 2U * reach(*self);
+    const bool added = diagnosing(*self) && self->known > 2U * reach(*self) && settled_at(*self, reach(*self));
     keep(*self, j);
     if (added) {
         add(*self, j);

@@ -20,7 +20,7 @@ Matrix inverse(const Matrix& A) { return A.ldlt().solve(Matrix::Identity()); }
 
 struct Block {
     double e[ny], yhat[ny], rough[ny];
-    bool settled;
+    bool settled, whole;
 };
 
 // Comparisons that decide, and how close the closest was: rounding may turn what is closer than the core's digits.
@@ -167,6 +167,7 @@ private:
                 deviation = step_s / std::sqrt(curved);
             }
         }
+        deviation = std::max(deviation, static_cast<double>(r_.unit[j_][1]) * static_cast<double>(r_.block_s) / std::sqrt(weight(1, 1)));
         const double value = step_s * best;
         const bool outside = decisions_.less(static_cast<double>(r_.interval) * deviation, std::abs(value));
         const bool inside = decisions_.less(std::abs(best), 0.999 * delays);
@@ -204,7 +205,10 @@ private:
         all[0].value = 1.0 + unit * all[0].value;
         all[0].deviation *= unit;
         all[0].scale = std::max(1.0, g * g);
-        const double rough = square([&](std::size_t k) { return drive_[k + static_cast<std::size_t>(delays) * words_.stride].rough[j_]; });
+        const double rough = square([&](std::size_t k) {
+            const Block& newest = drive_[k + static_cast<std::size_t>(delays) * words_.stride];
+            return newest.settled ? newest.rough[j_] : 0.0;
+        });
         if (decisions_.less(static_cast<double>(r_.rough[j_]) * all[0].scale, rough)) {
             if (!decisions_.less(r_.fits, theta_.dot(inverse(healthy) * theta_))) {
                 expected.cause = lpvg_cause_noise;
@@ -338,7 +342,7 @@ private:
     // Of the second reckoning. Numbers of blocks, in the order in which they were taken.
     std::vector<Block> drive_;
     std::vector<std::size_t> counted_;  // since the alarm
-    int run_from_ = 0;                  // the settled blocks without a gap that the newest ends
+    int run_from_ = 0;                  // the whole blocks without a gap that the newest ends
     int fill_from_ = 0;                 // the first in a cell
     int break_ = 0;                     // a cell that begins before it does not count
     int alarm_at_ = 0;                  // the first that came with the alarm
@@ -361,7 +365,8 @@ private:
     void block(uint32_t way) {
         const uint32_t place = one_of(random_, n_block), output = one_of(random_, 2U * ny);
         Block b{};
-        b.settled = way != 1U && way != 2U && way != 6U;
+        b.whole = way != 2U && way != 6U;
+        b.settled = b.whole && way != 1U;
         monitor_.t_us += way == 3U ? 60000 : way == 4U ? 30000 : 0;
         for (uint32_t i = 0; i < n_block; ++i) {
             monitor_.t_us += 20000;
@@ -411,7 +416,7 @@ private:
         alarming_ = alarms_;
         if (!waiting_) {
             drive_.push_back(b);
-            run_from_ = b.settled ? run_from_ : blocks();
+            run_from_ = b.whole ? run_from_ : blocks();
             waiting_ = true;
         }
     }
@@ -420,7 +425,9 @@ private:
         const int reach = delays * static_cast<int>(table_.words.stride);
         const int newest = blocks() - 1;
         bool judges = false;
-        if (diagnosing_ && newest + 1 - std::max(run_from_, alarm_at_ - reach) > 2 * reach) {
+        const auto settled = [&](int k) { return drive_[static_cast<std::size_t>(k)].settled; };
+        if (diagnosing_ && newest + 1 - std::max(run_from_, alarm_at_ - reach) > 2 * reach && settled(newest - reach) &&
+            settled(newest - reach - 1)) {
             counted_.push_back(static_cast<std::size_t>(newest - reach));
             for (std::size_t j = 0; j < ny && counted_.size() >= table_.words.blocks; ++j) {
                 judges = judges || Reckoning(drive_, counted_, j, table_).excited >= static_cast<double>(table_.reals.excited);

@@ -6,10 +6,11 @@
 ///
 /// A healthy vehicle's theta varies from drive to drive, by the `spread` of the drives that set the bounds. A cause changes one part
 /// of theta and leaves the others within that spread: gain and sign the first, bias the third. A delay is tried in steps of `stride`
-/// blocks, to both sides, each with what it makes of all four. One that explains theta and the residue, whose interval leaves out "no
-/// change", and that explains better than any other by `margin`, is the cause. A frozen output does not move while yhat does, and noise
-/// shows within blocks. All else is "other": two causes at once, a dead zone, a tyre that saturates. The interval holds 95 % of what gain,
-/// delay or bias may be, the spread of healthy vehicles included. An alarm by chance is "other" too (THEORY 7.9).
+/// blocks, to both sides, each with what it makes of all four. It asks for yhat before and after a settled block, be those settled or
+/// not. One that explains theta and the residue, whose interval leaves out "no change", and that explains better than any other by
+/// `margin`, is the cause. A frozen output does not move while yhat does, and noise shows within blocks. All else is "other": two causes
+/// at once, a dead zone, a tyre that saturates. The interval holds 95 % of what gain, delay or bias may be, the spread of healthy
+/// vehicles included. An alarm by chance is "other" too (THEORY 7.9).
 ///
 /// The onset is the end of that ring cell before the alarm from which on theta explains best what was kept.
 ///
@@ -130,7 +131,8 @@ typedef struct lpvg_diagnosis_t {
     uint32_t blocks;  ///< taken since the newest; LPVG_DIAGNOSIS_DONE: the causes are found
     bool alarming;  ///< the verdict at the newest block
     bool excited;  ///< some output has met enough since the alarm
-    uint32_t known;  ///< blocks of the history that hold, as many as there are at most
+    uint32_t known;  ///< blocks of the history that hold one after another, as many as there are at most
+    uint32_t settled_blocks;  ///< a bit for each of the newest blocks, the newest the lowest: it is settled
     uint32_t newest;  ///< of the history
     uint32_t cells, cell_newest;  ///< cells that were filled, LPVG_DIAGNOSIS_CELLS at most; the newest
     uint32_t cell_blocks;  ///< blocks of the cell that is being filled

@@ -171,6 +171,7 @@ def replace_computing(variant: str) -> None:
             left_out={},
             energy=None,
             change=None,
+            diagnosis=None,
             model_fit=[],
             others_fit=[],
             weights=SimpleNamespace(inflation=1.0),

@@ -8,9 +8,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lpvguard.drives.faults import Fault, inject, no_single_cause, share_of
+from lpvguard.drives.faults import Fault, inject, injected_delay_s, no_single_cause, share_of
 from lpvguard.drives.tables import Drive
-from lpvguard.evaluate.causes import CauseOutcome, cause_rows, cause_sentences, cause_table, true_cause
+from lpvguard.evaluate.causes import (
+    CauseOutcome,
+    can_be_named,
+    cause_rows,
+    cause_sentences,
+    cause_table,
+    true_cause,
+)
 from lpvguard.evaluate.detection import Case, JudgedClock
 from lpvguard.replay.causes import Diagnosis
 
@@ -62,6 +69,40 @@ def test_a_known_fault_has_one_cause_and_a_size(g80, fault, cause, truth):
     assert outcome(g80, fault).judgement == "not yet"
     before = diagnosis(g80, cause, truth, truth - 0.02, truth + 0.02, alarm_s=START_S - 1)
     assert outcome(g80, fault, before).judgement == "not yet", "the alarm stood when the fault came"
+
+
+def test_the_size_of_a_delay_is_that_which_was_injected(g80):
+    """Delays are whole samples: at 25 Hz 0.3 s are 0.32 s."""
+    slow = g80.model_copy(update={"Ts_s": 0.04})
+    assert injected_delay_s(0.3, 0.04) == pytest.approx(0.32) and injected_delay_s(
+        0.15, 0.04
+    ) == pytest.approx(0.16)
+    drive = made_drive(slow)
+    late = inject(drive, Fault("output_delay", 0.3), START_S, 0.04).y
+    first = round(START_S / 0.04)
+    np.testing.assert_array_equal(late[first:], drive.y[first - 8 : -8])
+    for kind, sign in (("output_delay", 1.0), ("input_delay", -1.0)):
+        found = outcome(
+            slow, Fault(kind, 0.3), diagnosis(slow, "delay", sign * 0.3, *sorted((sign * 0.31, sign * 0.33)))
+        )
+        assert found.outputs[0].truth == pytest.approx(sign * 0.32) and found.outputs[0].held
+
+
+def test_a_fault_can_be_named_where_healthy_vehicles_differ_by_less(g80):
+    scales = SimpleNamespace(least=np.array([[0.33, 0.11, 0.94]]))
+    named = {
+        Fault("gain", 0.7): True,  # 0.3 is above 0.33 of 0.7
+        Fault("gain", 0.76): False,
+        Fault("gain", 1.3): False,
+        Fault("gain", 1.5): True,
+        Fault("gain", -1.0): True,
+        Fault("output_delay", 0.1): False,
+        Fault("input_delay", 0.12): True,
+        Fault("bias", 0.5, (1.5,)): False,
+        Fault("bias", 0.95): True,
+        Fault("freeze"): True,
+    }
+    assert {f: can_be_named(f, g80, scales) for f in named} == named
 
 
 def test_a_frozen_output_has_a_value_and_no_interval(g80):
@@ -118,7 +159,11 @@ def test_the_table_counts_what_was_found(g80):
         ],
         Case("step", dead, 0.0): [outcome(g80, dead, diagnosis(g80, "other"))],
     }
-    table = cause_table(found)
+    scales = SimpleNamespace(least=np.array([[0.1, 0.1, 0.1]]))
+    table = cause_table(found, g80, scales)
+    assert table["can_be_named"] == table["known"]
+    small = cause_table(found, g80, SimpleNamespace(least=np.array([[0.7, 0.1, 0.1]])))
+    assert small["known"] == table["known"] and small["can_be_named"]["found"] == 0
     counts = {"found": 5, "right": 2, "other": 1, "wrong": 1, "not_yet": 1, "intervals": 2, "held": 1}
     assert table["known"] == counts
     assert table["no_single_cause"]["right"] == table["no_single_cause"]["said_other"] == 1
@@ -127,3 +172,9 @@ def test_the_table_counts_what_was_found(g80):
     assert first[:7] == ["step: output × 0.6", "gain", "5", "2", "1", "1", "1"]
     assert known[2] == "5" and single[2] == "1"
     assert cause_sentences(table)[0].startswith("right cause: 2 of 5, 5.27 to 85.34 %")
+    large = (
+        "of those larger than what healthy vehicles differ by: right 2 of 5, 5.27 to 85.34 %, wrong 1 of 5"
+    )
+    assert cause_sentences(table)[2].startswith(large)
+    unknown = cause_table(found, g80, None)
+    assert unknown["can_be_named"] is None and "is not known" in cause_sentences(unknown)[2]

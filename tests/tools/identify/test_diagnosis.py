@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -70,6 +71,25 @@ def test_the_spread_is_that_of_healthy_drives(g80):
     assert 1.0 <= scales.enlarged[0] < 2.5
     with pytest.raises(InputError, match="window"):
         DiagnosisScales.of(g80, 1 / UNIT, [])
+
+
+def test_what_no_record_names_is_what_healthy_vehicles_differ_by(g80):
+    scales = scaled(g80, np.array([0.05, 0.0, 0.02, 0.02]), 10)
+    deviation = np.array([0.02, 0.003, 0.01, 0.004])
+    independent = replace(scales, spread=np.diag(deviation**2)[None], interval=2.5)
+    gain, delay, bias = 2.5 * deviation[:3] * np.array([UNIT[0, 0], 4 * g80.Ts_s * UNIT[0, 1], 1.0])
+    assert independent.least[0] == pytest.approx([gain, delay, bias])
+    name = g80.outputs[0].name
+    assert independent.least_text(g80) == (
+        f"{name} gain from {1 / 1.2:.2f} to {1 / 0.8:.2f}, delay below {delay:.2g} s, bias below 0.025 rad/s"
+    )
+    # What the other parts of theta tell of one is known; the rest is what an interval cannot tell.
+    tied = np.diag(deviation**2)
+    tied[0, 3] = tied[3, 0] = -0.97 * deviation[0] * deviation[3]
+    known = replace(independent, spread=tied[None])
+    assert known.least[0, 0] == pytest.approx(gain * np.sqrt(1 - 0.97**2))
+    wide = replace(independent, spread=100 * independent.spread)
+    assert "gain from 0.33 to any above 1, delay" in wide.least_text(g80)
 
 
 def test_the_file_is_as_its_schema_says_and_comes_back(g80):

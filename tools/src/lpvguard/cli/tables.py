@@ -239,7 +239,7 @@ def print_evidence(result: Identification, further: list[str]) -> None:
 
 
 def print_tests(result: Identification) -> None:
-    """Thresholds of energy and change test, what they promise, and sizes."""
+    """Thresholds of energy and change test, what they promise, and sizes; what the diagnosis cannot name."""
     energy, change = result.energy, result.change
     if energy is not None:
         console.print(
@@ -250,6 +250,11 @@ def print_tests(result: Identification) -> None:
         console.print(
             f"change test: threshold {change.calibration.carried:.4g} ({change.calibration.claim()}), "
             f"largest {change.sizes_text(result.project)}"
+        )
+    if result.diagnosis is not None:
+        console.print(
+            "causes: what no record names, since healthy vehicles differ as much: "
+            f"{result.diagnosis.least_text(result.project)}"
         )
 
 

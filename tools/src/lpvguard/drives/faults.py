@@ -59,6 +59,11 @@ class Fault:
         return own if self.also is None else f"{own}, {self.also.label}"
 
 
+def injected_delay_s(value: float, Ts: float) -> float:
+    """The delay [s] that `inject` makes of one of ``value`` [s]: whole samples."""
+    return round(value / Ts) * Ts
+
+
 def stated(settings: EvaluationSettings, spread: np.ndarray) -> tuple[Fault, ...]:
     """The faults of a project file's settings, the coarse ones first; ``spread`` (n_y,): of the outputs."""
     gains, delays = settings.gains, settings.delays_s
@@ -104,7 +109,7 @@ def inject(drive: Drive, fault: Fault, start_s: float, Ts: float, ramp_s: float 
 
     def delayed(x: np.ndarray) -> np.ndarray:
         index = np.arange(len(x))
-        at = np.maximum(index - share * round(fault.value / Ts), 0.0)
+        at = np.maximum(index - share * injected_delay_s(fault.value, Ts) / Ts, 0.0)
         return np.stack([np.interp(at, index, column) for column in x.T], axis=1)
 
     s, size = share[first:, None], fault.value * np.array(fault.spread or 1.0)

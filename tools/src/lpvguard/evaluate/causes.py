@@ -25,8 +25,9 @@ from itertools import pairwise
 import numpy as np
 
 from ..base.rates import rate, share_words
-from ..drives.faults import Fault, share_of
+from ..drives.faults import Fault, injected_delay_s, share_of
 from ..drives.tables import Drive
+from ..identify.diagnosis import DiagnosisScales
 from ..replay.causes import WITH_INTERVAL, Diagnosis
 from ..replay.run import Replay
 from ..vehicle.project import Project
@@ -117,17 +118,17 @@ def _output(
     else:
         judgement = RIGHT if d.cause == cause else OTHER if d.cause == "other" else WRONG
         share = float(share_of(np.arange(span.start, span.stop) - first, project.Ts_s, case.ramp_s).mean())
-        truth = _size(fault, j, share) if d.cause in WITH_INTERVAL else None
+        truth = _size(fault, j, share, project.Ts_s) if d.cause in WITH_INTERVAL else None
     return OutputCause(d.output, d.cause, d.value, d.low, d.high, truth, judgement)
 
 
-def _size(fault: Fault, j: int, share: float) -> float:
-    """Of output j, where ``share`` of the fault is there."""
+def _size(fault: Fault, j: int, share: float, Ts: float) -> float:
+    """Of output j, where ``share`` of the fault is there, as it was injected."""
     if fault.kind == "gain":
         return 1.0 + share * (fault.value - 1.0)
     if fault.kind == "bias":
         return share * fault.value * (fault.spread[j] if fault.spread else 1.0)
-    return share * fault.value * (-1.0 if fault.kind == "input_delay" else 1.0)
+    return share * injected_delay_s(fault.value, Ts) * (-1.0 if fault.kind == "input_delay" else 1.0)
 
 
 def _uneven(y: np.ndarray) -> bool:
@@ -137,20 +138,42 @@ def _uneven(y: np.ndarray) -> bool:
     return bool((sizes.max(axis=0) >= UNEVEN * sizes.min(axis=0)).any())
 
 
+def can_be_named(fault: Fault, project: Project, scales: DiagnosisScales) -> bool:
+    """Whether a fault with one cause is larger, in some output, than what healthy vehicles differ by.
+
+    What is smaller no record names, however long (DiagnosisScales.least)."""
+    if fault.kind == "freeze":
+        return True
+    least = scales.least
+    sizes = [_size(fault, j, 1.0, project.Ts_s) for j in range(project.n_y)]
+    if fault.kind == "gain":
+        return any(abs(g - 1.0) > of[0] * abs(g) for g, of in zip(sizes, least, strict=True))
+    part = 2 if fault.kind == "bias" else 1
+    return any(abs(size) > of[part] for size, of in zip(sizes, least, strict=True))
+
+
 CauseOutcomes = dict[Case, list[CauseOutcome]]
 """Per case, what was named where it was found."""
 
 
-def cause_table(found: CauseOutcomes) -> dict:
-    """JSON-able: per case a row, and the sums over known faults, and over those without a single cause."""
+def cause_table(found: CauseOutcomes, project: Project, scales: DiagnosisScales | None) -> dict:
+    """JSON-able: per case a row, and the sums over known faults, over those of them that can be named by
+    ``scales`` (None: not known), and over those without a single cause."""
     rows = [_row(case, members) for case, members in found.items()]
     known = [m for case, of in found.items() if true_cause(case.fault) is not None for m in of]
+    named = [
+        m
+        for case, of in found.items()
+        if true_cause(case.fault) is not None and scales and can_be_named(case.fault, project, scales)
+        for m in of
+    ]
     single = [m for case, of in found.items() if true_cause(case.fault) is None for m in of]
     uneven = [m for m in single if m.uneven]
     return {
         "diagnosed_s": DIAGNOSED_S,
         "rows": rows,
         "known": _counts(known),
+        "can_be_named": None if scales is None else _counts(named),
         "no_single_cause": _counts(single)
         | {
             "said_other": sum(_said_other(m) for m in single),
@@ -238,9 +261,17 @@ def _held(of: dict) -> str:
 def cause_sentences(table: dict) -> list[str]:
     """What the table comes to, in words, with exact 95 % intervals of the shares."""
     known, single = table["known"], table["no_single_cause"]
+    large = table["can_be_named"]
+    of_large = (
+        "of those larger than what healthy vehicles differ by: right "
+        f"{_share(large[RIGHT], large['found'])}, wrong {_share(large[WRONG], large['found'])}"
+        if large
+        else "how much healthy vehicles differ is not known: no diagnosis in the identification"
+    )
     return [
         f"right cause: {_share(known[RIGHT], known['found'])} of the faults found",
         f"wrong cause: {_share(known[WRONG], known['found'])} of the faults found",
+        of_large,
         "95 % intervals of right causes that hold the fault's size: "
         f"{_share(known['held'], known['intervals'])}",
         'without a single cause, "other" or the equivalent gain: '

@@ -266,13 +266,23 @@ class DiagnosisScales:
         }
         return cls(project.Ts_s, **scalars, **arrays)
 
-    def sizes_text(self, project: Project) -> str:
-        """What gain, delay and bias of a healthy vehicle do between windows, per output."""
-        deviation = np.sqrt(np.einsum("jii->ji", self.spread))
-        block_s = BLOCK * self.Ts
+    @property
+    def least(self) -> np.ndarray:
+        """Least change of gain, delay [s] and bias (n_y, 3) that an interval can tell from none, however long
+        the record: healthy vehicles differ by as much. Of a gain g it is of (g - 1)/g, as g scales the
+        spread."""
+        alone = self.interval / np.sqrt(np.einsum("jii->ji", np.linalg.inv(self.spread)))
+        return alone[:, : PARTS - 1] / np.column_stack(
+            [self.unit / [1.0, BLOCK * self.Ts], np.ones(len(self.unit))]
+        )
+
+    def least_text(self, project: Project) -> str:
+        """`least` per output, in words."""
         return "; ".join(
-            f"{s.name} {d[0] / u[0]:.2g}, {d[1] / u[1] * block_s:.2g} s, {d[2]:.2g} {s.unit}"
-            for s, d, u in zip(project.outputs, deviation, self.unit, strict=True)
+            f"{s.name} gain from {1 / (1 + gain):.2f} to "
+            f"{f'{1 / (1 - gain):.2f}' if gain < 1 else 'any above 1'}, "
+            f"delay below {delay:.2g} s, bias below {bias:.2g} {s.unit}"
+            for s, (gain, delay, bias) in zip(project.outputs, self.least, strict=True)
         )
 
 
