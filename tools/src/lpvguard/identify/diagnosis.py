@@ -268,9 +268,10 @@ class DiagnosisScales:
 
     @property
     def least(self) -> np.ndarray:
-        """Least change of gain, delay [s] and bias (n_y, 3) that an interval can tell from none, however long
-        the record: healthy vehicles differ by as much. Of a gain g it is of (g - 1)/g, as g scales the
-        spread."""
+        """Least change of gain, delay [s] and bias (n_y, 3) that an interval can tell from none.
+
+        However long the record is: healthy vehicles differ by as much. Of a gain g it is of (g - 1)/g, as g
+        scales the spread."""
         alone = self.interval / np.sqrt(np.einsum("jii->ji", np.linalg.inv(self.spread)))
         return alone[:, : PARTS - 1] / np.column_stack(
             [self.unit / [1.0, BLOCK * self.Ts], np.ones(len(self.unit))]
