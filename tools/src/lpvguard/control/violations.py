@@ -71,9 +71,11 @@ class Found:
 
 @dataclass(frozen=True)
 class SpeedGrid:
-    """Speeds of a history: low + unit i, i = 0..places − 1 [m/s]; it moves by at most ``moves`` a sample."""
+    """Speeds of a history: low + unit i, i = 0..places − 1, up to high [m/s]; it moves by at most ``moves`` a
+    sample."""
 
     low: float
+    high: float
     unit: float
     places: int
     moves: int
@@ -83,12 +85,13 @@ class SpeedGrid:
         """From low to high [m/s] for |dv/dt| <= rate [m/s^2]."""
         moves = max(1, int(np.ceil(rate * Ts / UNIT)))
         unit = rate * Ts / moves
-        return cls(low, unit, int((high - low) / unit * (1 + 1e-12)) + 1, moves)
+        return cls(low, high, unit, int((high - low) / unit * (1 + 1e-12)) + 1, moves)
 
     def speeds(self, places: np.ndarray) -> np.ndarray:
         """Speeds (T,) [m/s] of whole or other places (T,). Rounding up from halves on is monotone and keeps
         whole differences: it moves no sample by more than ``moves`` where the places do not."""
-        return self.low + self.unit * np.clip(np.floor(places + 0.5), 0, self.places - 1)
+        whole = np.clip(np.floor(places + 0.5), 0, self.places - 1)
+        return np.minimum(self.low + self.unit * whole, self.high)
 
 
 def triangle(grid: SpeedGrid, samples: int, low: float, high: float, start: float = 0.0) -> np.ndarray:
