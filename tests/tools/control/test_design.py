@@ -147,7 +147,7 @@ def test_robust_stability_is_proved_at_a_moving_speed_and_proved_anew(finer, mov
     assert result.moving["stability"].rate >= 2 and result.moving["performance"] is None
     assert stated["stability"]["rate_mps2"] == result.moving["stability"].rate
     assert stated["performance"]["rate_mps2"] is None
-    families = moving_speed._families(finer, result.schedule, result.scaling)
+    families = moving_speed.scaled_families(finer, result.schedule, result.scaling)
     whole = families["performance"].at(15.0).order
     assert stated["stability"]["states"] == families["stability"].at(15.0).order < whole
 
@@ -168,7 +168,7 @@ def test_a_claim_of_a_moving_speed_that_is_not_proved_is_refused(finer, moving, 
         claim = "performance"
     else:
         said["basis"] = said["basis"][:-1]
-    family = moving_speed._families(finer, schedule, result.scaling)[claim]
+    family = moving_speed.scaled_families(finer, schedule, result.scaling)[claim]
     assert not moving_speed._holds(family, said)
 
 

@@ -138,6 +138,18 @@ def test_textbook_loops_have_their_closed_form_margins():
     assert found["Ms"].value == pytest.approx(2.0) and found["Mt"].value == pytest.approx(1.0)
 
 
+def test_the_published_example_of_disk_margins_has_its_published_numbers():
+    """25/(s^3 + 10 s^2 + 10 s + 10) of reference [13] of THEORY: 0.46 at 1.94 rad/s, gains from 0.63 to
+    1.59."""
+    loop = rational([25.0], [1.0, 10.0, 10.0, 10.0])
+    found = margins(*of_system(loop)).found["disk_balanced"]
+    assert (found.value, found.omega) == (pytest.approx(0.46, abs=5e-3), pytest.approx(1.94, abs=0.02))
+    low, high, _ = disk_gain_and_phase(found.value, SKEWS["balanced"])
+    assert (low, high) == (pytest.approx(0.63, abs=5e-3), pytest.approx(1.59, abs=1e-2))
+    theirs = control.disk_margins(peer(loop), np.array([found.omega]), returnall=True)[0]
+    assert theirs[0] == pytest.approx(found.value, rel=1e-9)
+
+
 def test_a_conditionally_stable_loop_has_a_gain_margin_downward():
     # Bode's example: low and high gain are both unstable, counted with a lag far below the crossings.
     loop = rational(np.poly([-1.0, -1.0]) * 20.0, np.poly([-0.05, -0.05, -0.05, -20.0, -40.0]) / 40.0)

@@ -49,7 +49,7 @@ def moving_certificates(
 ) -> dict[str, LpvCertificate | None]:
     """The certificates for a moving speed by claim; None where none is found. ``worst``: the largest mu that
     is proved at a frozen speed."""
-    families = _families(stored, schedule, scaling)
+    families = scaled_families(stored, schedule, scaling)
     wanted = [claim for claim in families if claim != "performance" or worst <= PERFORMANCE_FROM]
 
     def proved(claim: str) -> LpvCertificate | None:
@@ -58,8 +58,8 @@ def moving_certificates(
     return {claim: proved(claim) if claim in wanted else None for claim in CLAIMS}
 
 
-def _families(stored: StoredIdentification, schedule: Scheduled, scaling: Scaling) -> dict[str, Family]:
-    """By claim the scaled loop over speed; stability without Delta is performance's."""
+def scaled_families(stored: StoredIdentification, schedule: Scheduled, scaling: Scaling) -> dict[str, Family]:
+    """By claim the loop over speed under ``scaling``; a design without Delta has performance alone."""
     settings, model = design_settings(stored), NominalModel(stored.project)
     weights = fig1_weights(stored, settings)
 
@@ -102,7 +102,7 @@ def require_moving(
 ) -> None:
     """InputError unless every rate that the certificates ``stated`` in controller.json name is proved
     anew."""
-    families = _families(stored, schedule, scaling)
+    families = scaled_families(stored, schedule, scaling)
     for claim in CLAIMS:
         said = stated["moving_speed"].get(claim, {"rate_mps2": np.nan})
         if said["rate_mps2"] is None:

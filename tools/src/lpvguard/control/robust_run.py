@@ -101,7 +101,7 @@ def run(
     sampled, rounding = 0.0, 0.0
     for k in range(draws):
         delta = (
-            append(*(_sampled_block(random, b.rows, b.cols, size, dt) for b in plant.blocks))
+            append(*(sampled_block(random, b.rows, b.cols, size, dt) for b in plant.blocks))
             if plant.blocks
             else None
         )
@@ -150,7 +150,7 @@ def _response(G: StateSpace, w: np.ndarray) -> np.ndarray:
     return z
 
 
-def _sampled_block(random, rows: int, cols: int, size: float, dt: float) -> StateSpace:
+def sampled_block(random, rows: int, cols: int, size: float, dt: float) -> StateSpace:
     """A stable system of norm at most ``size``, first to fourth order, poles log-uniform, real or complex."""
     n = int(random.integers(1, 5))
     poles = np.exp(random.uniform(*np.log(POLES_RAD_S), n))

@@ -1,0 +1,76 @@
+"""Inputs that drive a limited loop furthest: by finite differences, and exact where nothing is cut off."""
+
+import numpy as np
+import pytest
+
+from lpvguard.engine.synthesis.limited_history import AIMS, LimitedHistory
+from lpvguard.engine.synthesis.statespace import StateSpace
+
+T, U_MAX = 25, 1.0
+
+
+def loop() -> StateSpace:
+    """From [p; w1; w2] to [u; z1; z2]; the demand has no direct term."""
+    random = np.random.default_rng(2)
+    A = random.standard_normal((4, 4))
+    A *= 0.8 / np.abs(np.linalg.eigvals(A)).max()
+    B, C, D = random.standard_normal((4, 3)), random.standard_normal((3, 4)), random.standard_normal((3, 3))
+    B[:, 0] *= 0.1
+    D[0] = 0.0
+    return StateSpace(A, B, C, D, 0.1)
+
+
+def limit_itself(w: np.ndarray, u_max: float) -> tuple[np.ndarray, np.ndarray]:
+    """The same run by q, the part of the demand that is cut off: p = 2 q - u."""
+    G, x, u, z = loop(), np.zeros(4), [], []
+    for now in w:
+        wanted = float(G.C[0] @ x)
+        q = wanted - np.clip(wanted, -u_max, u_max)
+        given = np.r_[2 * q - wanted, now]
+        u.append(wanted)
+        z.append((G.C @ x + G.D @ given)[1:])
+        x = G.A @ x + G.B @ given
+    return np.array(u), np.array(z)
+
+
+@pytest.mark.parametrize("u_max", [0.5, 100.0])
+def test_a_run_is_that_of_the_limit_and_its_gradient_that_of_finite_differences(u_max):
+    one, random = LimitedHistory(loop(), u_max), np.random.default_rng(3)
+    w, by_u, by_z = (random.standard_normal(shape) for shape in ((T, 2), (T,), (T, 2)))
+    u, z = one.run(w)
+    assert (u_max < 1) == bool((np.abs(u) > u_max).any())
+    for found, wanted in zip((u, z), limit_itself(w, u_max), strict=True):
+        assert found == pytest.approx(wanted)
+    slope, step = one.gradient(u, by_u, by_z), 1e-6
+
+    def value(w: np.ndarray) -> float:
+        u, z = one.run(w)
+        return float(by_u @ u + np.sum(by_z * z))
+
+    for k, j in ((0, 0), (7, 1), (T - 2, 0), (T - 1, 1)):
+        moved = np.zeros((T, 2))
+        moved[k, j] = step
+        assert slope[k, j] == pytest.approx((value(w + moved) - value(w - moved)) / (2 * step), abs=1e-5)
+
+
+@pytest.mark.parametrize("aim", AIMS)
+def test_where_nothing_is_cut_off_the_furthest_is_that_of_the_linear_loop(aim):
+    one = LimitedHistory(loop(), 1e6)
+    inputs = np.eye(T * 2).reshape(T * 2, T, 2)
+    runs = [one.run(w) for w in inputs]
+    exact = {
+        "demand": np.linalg.norm([u[-1] for u, _ in runs]),
+        "step": np.linalg.norm([u[-1] - u[-2] for u, _ in runs]),
+        "gain": np.linalg.norm(np.array([z.ravel() for _, z in runs]), 2) / 3,
+    }
+    reached, w = one.furthest(aim, 3.0, np.random.default_rng(4).standard_normal((T, 2)))
+    assert np.linalg.norm(w) == pytest.approx(3)
+    assert reached == pytest.approx(3 * exact[aim], rel=2e-2 if aim == "gain" else 1e-9)
+
+
+def test_beyond_the_limit_what_is_reached_was_run_and_is_no_less_than_at_the_start():
+    one, start = LimitedHistory(loop(), 0.5), np.random.default_rng(5).standard_normal((T, 2))
+    reached, w = one.furthest("demand", 4.0, start)
+    assert abs(one.run(w)[0][-1]) == pytest.approx(reached)
+    first = 4.0 * start / np.linalg.norm(start)
+    assert reached > abs(one.run(first)[0][-1])

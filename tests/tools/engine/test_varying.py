@@ -1,0 +1,153 @@
+"""Loops that vary from sample to sample, against their whole matrix, finite differences and enumeration."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from lpvguard.engine.synthesis.errors import SynthesisError
+from lpvguard.engine.synthesis.lpv_certificate import Family
+from lpvguard.engine.synthesis.statespace import StateSpace, append, lft
+from lpvguard.engine.synthesis.varying import History, OverSpeed, all_pass, close, steered
+
+N, P, M, T = 3, 2, 2, 12
+TS = 0.05
+
+
+def stack(count: int = 4) -> np.ndarray:
+    random = np.random.default_rng(3)
+    S = random.standard_normal((count, N + P, N + M))
+    S[:, :N, :N] *= 0.4
+    return S
+
+
+def history() -> History:
+    return History(stack(), np.random.default_rng(4).integers(0, 4, T), N)
+
+
+def whole(one: History) -> np.ndarray:
+    """The map from all inputs to all outputs, (T p, T m)."""
+    inputs = np.eye(T * M).reshape(T * M, T, M)
+    return np.array([one.states(w)[1].ravel() for w in inputs]).T
+
+
+def test_the_gain_is_the_largest_singular_value_of_the_whole_map_and_its_input_reaches_it():
+    one = history()
+    start = np.random.default_rng(5).standard_normal((T, M))
+    gain, w = one.gain(start, 20)
+    assert gain == pytest.approx(np.linalg.norm(whole(one), 2), rel=1e-9)
+    assert np.linalg.norm(one.states(w)[1]) == pytest.approx(gain) and np.linalg.norm(w) == pytest.approx(1)
+    assert one.gain(start, 1)[0] < 0.99 * gain  # a search that ends early reaches less, never more
+
+
+def test_a_loop_that_no_input_moves_has_gain_0():
+    S = stack()
+    S[:, N:] = 0
+    assert History(S, np.zeros(T, int), N).gain(np.ones((T, M)))[0] == 0
+
+
+def test_costates_are_the_adjoint():
+    one, random = history(), np.random.default_rng(6)
+    z = random.standard_normal((T, P))
+    assert one.costates(z)[1].ravel() == pytest.approx(whole(one).T @ z.ravel())
+
+
+def test_growth_is_the_largest_eigenvalue_of_a_period():
+    one = history()
+    X = np.eye(N)
+    for k in one.index:
+        X = one.S[k][:N, :N] @ X
+    assert one.growth() == pytest.approx(np.abs(np.linalg.eigvals(X)).max())
+    large = History(3 * np.eye(N + P, N + M)[None], np.zeros(400, int), N)
+    assert np.log(large.growth()) == pytest.approx(400 * np.log(3))
+
+
+def test_slopes_are_derivatives_by_the_parameter_of_every_sample():
+    S, random = np.array([stack()[0]] * T), np.random.default_rng(7)
+    dS, w, step = random.standard_normal(S.shape), random.standard_normal((T, M)), 1e-6
+    slopes = History(S, np.arange(T), N).slopes(dS, w)
+    for k in range(T):
+        energy = []
+        for sign in (1, -1):
+            moved = S.copy()
+            moved[k] += sign * step * dS[k]
+            energy.append(0.5 * np.sum(History(moved, np.arange(T), N).states(w)[1] ** 2))
+        assert slopes[k] == pytest.approx((energy[0] - energy[1]) / (2 * step), rel=1e-5, abs=1e-5)
+
+
+def test_delta_is_closed_as_by_an_lft_and_a_direct_term_is_refused():
+    S = stack(1)
+    S[:, N : N + 1, N : N + 1] = 0
+    delta = StateSpace([[0.3, 0.1], [0.0, -0.5]], [[1.0], [0.4]], [[0.2, 0.7]], [[0.9]], TS)
+    closed = close(S, N, delta)[0]
+    G = StateSpace(S[0, :N, :N], S[0, :N, N:], S[0, N:, :N], S[0, N:, N:], TS)
+    turned = lft(G.select([1, 0], [1, 0]), delta)
+    order = N + delta.order
+    found = StateSpace(closed[:order, :order], closed[:order, order:], closed[order:, :order],
+                       closed[order:, order:], TS)  # fmt: skip
+    omega = [0.0, 1.0, 20.0]
+    assert found.response(omega) == pytest.approx(turned.response(omega))
+    S[:, N, N] = 1e-3
+    with pytest.raises(SynthesisError, match="direct term"):
+        close(S, N, delta)
+
+
+def over() -> tuple[Family, OverSpeed]:
+    """A vehicle of two states whose stiffness follows the speed, and a third state that is affine between
+    nodes."""
+
+    def at(v: float) -> StateSpace:
+        hold = expm(np.array([[0.0, 1.0, 0.0], [-1.0 - v, -0.6, 1.0], [0, 0, 0]]) * TS)
+        A = np.zeros((3, 3))
+        A[:2, :2], A[2] = hold[:2, :2], [0.1, 0.0, 0.5 + 0.1 * abs(v - 2)]
+        B = np.vstack([hold[:2, 2:], [[v]]])
+        C = np.vstack([[1.0, 0.0, 0.3], np.eye(2, 3), np.zeros(3)])
+        return StateSpace(A, B, C, np.array([[0.0], [0.0], [0.0], [1.0]]), TS)
+
+    family = Family(
+        at, np.array([1.0, 2.0, 4.0]), slice(0, 2), 3, lambda low, high: (np.eye(2), np.eye(2)), TS
+    )
+    return family, OverSpeed(family)
+
+
+def test_matrices_over_speed_are_those_of_the_family_and_so_is_their_derivative():
+    family, found = over()
+    speeds = np.array([1.0, 1.03, 1.97, 2.0, 3.3, 4.0])
+    for v, S in zip(speeds, found.at(speeds), strict=True):
+        G = family.loop(v)
+        assert pytest.approx(np.block([[G.A, G.B], [G.C, G.D]]), abs=1e-9) == S
+    inner, step = np.array([1.4, 2.7, 3.9]), 1e-6
+    by_difference = (found.at(inner + step) - found.at(inner - step)) / (2 * step)
+    assert found.derivative(inner) == pytest.approx(by_difference, abs=1e-7)
+    for v in (0.99, 4.01):
+        with pytest.raises(SynthesisError, match="1 to 4 m/s"):
+            found.at(np.array([2.0, v]))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("corner", [np.inf, 0.3, 8.0])
+def test_an_all_pass_has_gain_1_everywhere_and_its_sign_at_zero(sign, corner):
+    one = all_pass(sign, corner, TS)
+    values = one.response(np.linspace(0, np.pi / TS, 50))[:, 0, 0]
+    assert np.abs(values) == pytest.approx(np.ones(50)) and values[0] == pytest.approx(sign)
+    if np.isfinite(corner):
+        assert one.stability_margin() > 0
+        warped = 2 / TS * np.arctan(corner * TS / 2)
+        assert one.response([warped])[0, 0, 0] == pytest.approx(-1j * sign)
+    assert append(one, one).n_inputs == 2
+
+
+@pytest.mark.parametrize("moves", [1, 2])
+def test_the_favoured_places_are_the_best_of_all_that_move_so_little(moves):
+    random, places, length = np.random.default_rng(8), 4, 6
+    for _ in range(20):
+        slope = random.standard_normal(length)
+        found = steered(slope, moves, places)
+        assert np.abs(np.diff(found)).max() <= moves and found.min() >= 0 and found.max() < places
+        best = max(
+            float(np.dot(slope, way))
+            for way in itertools.product(range(places), repeat=length)
+            if np.abs(np.diff(way)).max() <= moves
+        )
+        assert float(slope @ found) == pytest.approx(best, abs=1e-5)

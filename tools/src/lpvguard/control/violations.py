@@ -1,0 +1,280 @@
+"""The search for what a certificate at a moving speed rules out: a gain above 1, or growth.
+
+It moves an LTI Delta within W_delta and a speed history with a stated largest |dv/dt|.
+
+Delta: an all-pass of at most first order in each scalar block, so of gain 1 at every frequency. The speed
+history is a sequence over the samples. From triangles over the range it climbs: the gain's derivative by the
+speed of every sample comes from one simulation of the loop and one of its adjoint, and dynamic programming
+finds the admissible history that the derivative favours most (Frank and Wolfe 1956). What is found is
+admissible and simulated, so it refutes. What is not found proves nothing.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..engine.synthesis.lpv_certificate import Family
+from ..engine.synthesis.statespace import StateSpace, append, gain
+from ..engine.synthesis.varying import History, OverSpeed, all_pass, close, steered
+
+CORNERS = (np.inf, 0.5, 2.0, 8.0)
+"""Corner frequencies [rad/s] tried of each block's all-pass; inf: a constant."""
+UNIT = 0.02
+"""Largest distance of neighbouring speeds on the grid of a history [m/s]."""
+SHARES = (1.0, 0.4)
+"""Of the way to the history that the derivative favours, tried in turn."""
+QUICK, WHOLE = 3, 8
+"""Steps of the bidiagonal iteration while searching, and at the end."""
+ROUNDS = 3
+"""Of Delta and speeds in turn, and of steps of the speeds."""
+DRAWN = 12
+"""Delta drawn for the triangles."""
+LADDER, PRECISION = 4.0, 1.3
+"""Factors between rates tried: at first, and at the end."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """What is searched: ``over`` speed with the channels of Delta first, one Delta each of ``blocks``
+    scalars."""
+
+    over: OverSpeed
+    blocks: int
+    Ts: float
+
+    def history(self, speeds: np.ndarray, delta: StateSpace) -> History:
+        """The loop with Delta closed along ``speeds`` (T,) [m/s]."""
+        visited, index = np.unique(speeds, return_inverse=True)
+        S = close(self.over.at(visited), self.over.n, delta)
+        return History(S, index, self.over.n + delta.order)
+
+    def delta(self, corners: Sequence[tuple[float, float]]) -> StateSpace:
+        """All-passes side by side, (sign, corner [rad/s]) each."""
+        if not corners:
+            return gain(np.zeros((0, 0)), self.Ts)
+        return append(*(all_pass(sign, corner, self.Ts) for sign, corner in corners))
+
+
+@dataclass(frozen=True)
+class Found:
+    """``gain``: reached with Delta of ``corners`` along ``speeds`` (T,) by the input ``w`` (T, m)."""
+
+    gain: float
+    corners: tuple[tuple[float, float], ...]
+    speeds: np.ndarray
+    w: np.ndarray
+
+
+@dataclass(frozen=True)
+class SpeedGrid:
+    """Speeds of a history: low + unit i, i = 0..places − 1, up to high [m/s]; it moves by at most ``moves`` a
+    sample."""
+
+    low: float
+    high: float
+    unit: float
+    places: int
+    moves: int
+
+    @classmethod
+    def of(cls, low: float, high: float, rate: float, Ts: float) -> SpeedGrid:
+        """From low to high [m/s] for |dv/dt| <= rate [m/s^2]."""
+        moves = max(1, int(np.ceil(rate * Ts / UNIT)))
+        unit = rate * Ts / moves
+        return cls(low, high, unit, int((high - low) / unit * (1 + 1e-12)) + 1, moves)
+
+    def speeds(self, places: np.ndarray) -> np.ndarray:
+        """Speeds (T,) [m/s] of whole or other places (T,). Rounding up from halves on is monotone and keeps
+        whole differences: it moves no sample by more than ``moves`` where the places do not."""
+        whole = np.clip(np.floor(places + 0.5), 0, self.places - 1)
+        return np.minimum(self.low + self.unit * whole, self.high)
+
+
+def triangle(grid: SpeedGrid, samples: int, low: float, high: float, start: float = 0.0) -> np.ndarray:
+    """(samples,): from ``low`` to ``high`` [m/s] and back at the largest rate, ``start`` of the way there and
+    back."""
+    first, last = (np.rint((v - grid.low) / grid.unit) for v in (low, high))
+    span = max(last - first, 1.0)
+    way = (2 * span * start + grid.moves * np.arange(samples)) % (2 * span)
+    return grid.speeds(first + np.minimum(way, 2 * span - way))
+
+
+def sinusoid(grid: SpeedGrid, samples: int, low: float, high: float, start: float = 0.0) -> np.ndarray:
+    """(samples,): a sine between ``low`` and ``high`` [m/s] whose largest slope is the largest rate, from
+    ``start`` of its period on."""
+    middle, swing = 0.5 * (low + high), 0.5 * (high - low)
+    angle = 2 * np.pi * start + grid.moves * grid.unit / max(swing, grid.unit) * np.arange(samples)
+    return grid.speeds((middle + swing * np.sin(angle) - grid.low) / grid.unit)
+
+
+def ramps(grid: SpeedGrid, samples: int, levels: np.ndarray, hold: int) -> np.ndarray:
+    """(samples,): from one of ``levels`` (k,) [m/s] to the next at the largest rate, each held for ``hold``
+    samples, and back again."""
+    places = np.rint((levels - grid.low) / grid.unit).astype(int)
+    parts = [np.full(hold + 1, places[0])]
+    for here, there in itertools.pairwise(places):
+        way = np.arange(0, abs(there - here), grid.moves)[1:]
+        parts += [here + np.sign(there - here) * way, np.full(hold + 1, there)]
+    whole = np.concatenate(parts)
+    return grid.speeds(np.resize(np.concatenate([whole, whole[::-1]]), samples))
+
+
+def injected(family: Family) -> Family:
+    """The family of Delta's channels alone with a second pair: from what is added to Delta's outputs to its
+    inputs. Closed with Delta its gain is without bound where the loop grows."""
+    G = family.at(float(family.nodes[0]))
+    p, m = G.n_outputs - family.n_probes, G.n_inputs
+    rows, columns = np.r_[:p, : G.n_outputs], np.r_[:m, :m]
+    return replace(family, at=lambda v: family.at(v).select(rows, columns))
+
+
+class Search:
+    """The search over one loop; ``samples``: of a history, ``seed`` of its first input."""
+
+    def __init__(self, loop: Loop, samples: int, seed: int):
+        self.loop, self.samples = loop, samples
+        m = loop.over.at_nodes.shape[2] - loop.over.n - loop.blocks
+        self.first = np.random.default_rng(seed).standard_normal((samples, m))
+
+    def at(self, rate: float, enough: float = np.inf) -> Found:
+        """The largest gain found for |dv/dt| <= ``rate`` [m/s^2]; the search ends where it exceeds
+        ``enough``."""
+        low, high = self.loop.over.nodes[[0, -1]]
+        grid = SpeedGrid.of(low, high, rate, self.loop.Ts)
+        corners = ((1.0, np.inf),) * self.loop.blocks
+        starts = [triangle(grid, self.samples, low, high, share) for share in (0.0, 0.5, 0.25, 0.75)]
+        tried = [self._measured(speeds, corners, self.first, QUICK) for speeds in starts]
+        found = max(tried, key=lambda one: one.gain)
+        for _ in range(ROUNDS):
+            last = found.gain
+            found = self._other_delta(found, enough)
+            found = self._other_speeds(found, grid, enough)
+            if found.gain > enough or found.gain < last * (1 + 1e-3):
+                break
+        return self._measured(found.speeds, found.corners, found.w, WHOLE)
+
+    def _measured(self, speeds, corners, w, steps: int) -> Found:
+        reached, w = self.loop.history(speeds, self.loop.delta(corners)).gain(w, steps)
+        return Found(reached, corners, speeds, w)
+
+    def _other_delta(self, found: Found, enough: float) -> Found:
+        """Block by block the best of all signs and CORNERS."""
+        for block in range(self.loop.blocks):
+            for choice in ((sign, corner) for corner in CORNERS for sign in (1.0, -1.0)):
+                if found.gain > enough:
+                    return found
+                corners = (*found.corners[:block], choice, *found.corners[block + 1 :])
+                if corners != found.corners:
+                    one = self._measured(found.speeds, corners, found.w, QUICK)
+                    found = one if one.gain > found.gain else found
+        return found
+
+    def _other_speeds(self, found: Found, grid: SpeedGrid, enough: float) -> Found:
+        """Steps towards the history that the derivative favours, while they help."""
+        for _ in range(ROUNDS):
+            if found.gain > enough:
+                return found
+            delta = self.loop.delta(found.corners)
+            visited = np.unique(found.speeds)
+            dS = self._closed_derivative(visited, delta)
+            slope = self.loop.history(found.speeds, delta).slopes(dS, found.w)
+            now = (found.speeds - grid.low) / grid.unit
+            favoured = steered(slope, grid.moves, grid.places)
+            for share in SHARES:
+                speeds = grid.speeds(now + share * (favoured - now))
+                one = self._measured(speeds, found.corners, found.w, QUICK)
+                if one.gain > found.gain * (1 + 1e-4):
+                    found = one
+                    break
+            else:
+                return found
+        return found
+
+    def _closed_derivative(self, speeds: np.ndarray, delta: StateSpace) -> np.ndarray:
+        """dS/dv of the loop with Delta closed: affine in S where S has no direct term in Delta's channels."""
+        step = 1e-5
+        ends = [np.clip(speeds + sign * step, *self.loop.over.nodes[[0, -1]]) for sign in (-1.0, 1.0)]
+        S = [close(self.loop.over.at(end), self.loop.over.n, delta) for end in ends]
+        return (S[1] - S[0]) / (ends[1] - ends[0])[:, None, None]
+
+
+def closed_period(grid: SpeedGrid, speeds: np.ndarray) -> np.ndarray:
+    """``speeds`` (T,) [m/s] and the way back to the first at the largest rate: one period."""
+    way = np.arange(0.0, abs(speeds[-1] - speeds[0]), grid.moves * grid.unit)[1:]
+    back = speeds[-1] + np.sign(speeds[0] - speeds[-1]) * way
+    return np.concatenate([speeds, grid.speeds((back - grid.low) / grid.unit)])
+
+
+def fastest_growth(
+    loop: Loop, rate: float, samples: int, seed: int, shares: Sequence[float] = (1.0, 0.5, 0.2, 0.07)
+) -> tuple[float, np.ndarray]:
+    """The largest factor a period found for |dv/dt| <= ``rate`` [m/s^2], above 1 where the loop grows, and
+    its period (T,) [m/s]. ``loop``: of injected(..).
+
+    Tried: the history with the largest gain of what is added to Delta's outputs, closed to a period; and
+    triangles over ``shares`` of the range with drawn Delta.
+    """
+    low, high = loop.over.nodes[[0, -1]]
+    grid, random = SpeedGrid.of(low, high, rate, loop.Ts), np.random.default_rng(seed)
+    found = Search(loop, samples, seed).at(rate)
+    tried = [(found.corners, closed_period(grid, found.speeds))]
+    drawn = [found.corners, *(drawn_corners(random, loop.blocks) for _ in range(DRAWN))]
+    for share in shares:
+        for place in (0.0, 0.5, 1.0):
+            first = low + place * (1 - share) * (high - low)
+            last = first + share * (high - low)
+            period = max(2, 2 * int(np.rint((last - first) / grid.unit)) // grid.moves)
+            speeds = triangle(grid, period, first, last)
+            tried += [(corners, closed_period(grid, speeds)) for corners in drawn]
+    grown = [loop.history(speeds, loop.delta(corners)).growth() for corners, speeds in tried]
+    k = int(np.argmax(grown))
+    return grown[k], tried[k][1]
+
+
+def drawn_corners(random: np.random.Generator, blocks: int) -> tuple[tuple[float, float], ...]:
+    """(sign, corner [rad/s]) of ``blocks`` all-passes: every third a constant, the others of any corner
+    between the outermost of CORNERS."""
+    finite = [c for c in CORNERS if np.isfinite(c)]
+    return tuple(
+        (
+            float(random.choice([-1.0, 1.0])),
+            np.inf
+            if random.random() < 1 / 3
+            else float(np.exp(random.uniform(*np.log([0.1, 2 * max(finite)])))),
+        )
+        for _ in range(blocks)
+    )
+
+
+@dataclass(frozen=True)
+class LeastRate:
+    """``rate``: the least |dv/dt| [m/s^2] with a violation found (None: none up to the largest tried).
+    ``without``: the largest rate tried below it without one (0: none was tried)."""
+
+    rate: float | None
+    without: float
+
+
+def least_violating(violates: Callable[[float], bool], largest: float, smallest: float) -> LeastRate:
+    """The least rate [m/s^2] that ``violates``. Rates fall from ``largest`` by LADDER while they do.
+    Then the ratio is halved until it is at most PRECISION."""
+    if not violates(largest):
+        return LeastRate(None, largest)
+    rate, without = largest, 0.0
+    while rate / LADDER >= smallest:
+        if violates(rate / LADDER):
+            rate /= LADDER
+        else:
+            without = rate / LADDER
+            break
+    while without and rate / without > PRECISION:
+        middle = float(np.sqrt(rate * without))
+        if violates(middle):
+            rate = middle
+        else:
+            without = middle
+    return LeastRate(rate, without)

@@ -1,0 +1,87 @@
+"""The loop of saturation.py with the limit itself in it, and the inputs that drive it furthest.
+
+Their size is given. Furthest is said of the wanted demand, of its step, or of the output.
+
+For a given input each sample is either within the limit or beyond it. So the run's derivative by the input is
+a linear loop that varies, and its adjoint costs one run. Repeating w = size · gradient / ‖gradient‖ climbs.
+What is returned was run, so it is reached.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpvguard.engine.synthesis.statespace import StateSpace
+
+CLIMBS = 12
+"""Repetitions at most."""
+AIMS = ("demand", "step", "gain")
+"""The last wanted demand, the last step of it, and the output's norm over all samples."""
+
+
+@dataclass(frozen=True)
+class LimitedHistory:
+    """``loop``: from [p; w] to [u; z], the sector's middle closed (limited_loop with kappa inf, Δ closed).
+    p = 2 q − u with q what the limit ``u_max`` cuts off of u."""
+
+    loop: StateSpace
+    u_max: float
+
+    def run(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Wanted demand u (T,) and z (T, p) of w (T, m), from rest."""
+        G = self.loop
+        x, u, z = np.zeros(G.order), np.empty(len(w)), np.empty((len(w), G.n_outputs - 1))
+        for k, now in enumerate(w):
+            wanted = float(G.C[0] @ x)
+            given = np.concatenate([[self._cut(wanted)], now])
+            u[k], z[k] = wanted, G.C[1:] @ x + G.D[1:] @ given
+            x = G.A @ x + G.B @ given
+        return u, z
+
+    def gradient(self, u: np.ndarray, by_u: np.ndarray, by_z: np.ndarray) -> np.ndarray:
+        """Derivative (T, m) by the input along the run with the demand u (T,). ``by_u`` (T,), ``by_z`` (T,
+        p): derivatives by demand and output."""
+        G = self.loop
+        costate, out = np.zeros(G.order), np.empty((len(u), G.n_inputs - 1))
+        for k in range(len(u) - 1, -1, -1):
+            back = G.B.T @ costate + G.D[1:].T @ by_z[k]
+            of_p = 1.0 if abs(u[k]) > self.u_max else -1.0
+            costate = G.A.T @ costate + G.C[1:].T @ by_z[k] + G.C[0] * (by_u[k] + of_p * back[0])
+            out[k] = back[1:]
+        return out
+
+    def furthest(self, aim: str, size: float, start: np.ndarray) -> tuple[float, np.ndarray]:
+        """The largest |demand|, |step| or ‖z‖/‖w‖ reached by an input of norm ``size``, and that input (T,
+        m). ``aim``: of AIMS. ``start`` (T, m): where the climb begins."""
+        best, found = -np.inf, start
+        w = size * start / np.linalg.norm(start)
+        for _ in range(CLIMBS):
+            u, z = self.run(w)
+            value = _aimed(aim, u, z, size)
+            if value <= best * (1 + 1e-5):
+                break
+            best, found = value, w
+            by_u, by_z = np.zeros(len(u)), np.zeros_like(z)
+            if aim == "gain":
+                by_z = z
+            else:
+                sign = 1.0 if _last(aim, u) >= 0 else -1.0
+                by_u[-1] = sign
+                if aim == "step":
+                    by_u[-2] = -sign
+            slope = self.gradient(u, by_u, by_z)
+            w = size * slope / np.linalg.norm(slope)
+        return float(best), found
+
+    def _cut(self, u: float) -> float:
+        return 2 * (u - min(max(u, -self.u_max), self.u_max)) - u
+
+
+def _last(aim: str, u: np.ndarray) -> float:
+    return float(u[-1] if aim == "demand" else u[-1] - u[-2])
+
+
+def _aimed(aim: str, u: np.ndarray, z: np.ndarray, size: float) -> float:
+    return float(np.linalg.norm(z)) / size if aim == "gain" else abs(_last(aim, u))
