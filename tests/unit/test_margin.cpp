@@ -12,11 +12,7 @@
 #include <random>
 #include <vector>
 
-#if defined(__linux__)
-#include <sys/mman.h>
-#include <unistd.h>
-#endif
-
+#include "at_the_end.hpp"
 #include "margin.hpp"
 
 namespace {
@@ -474,28 +470,6 @@ TEST_CASE("a margin that rounding swallows is zero, never below", "[unit][margin
 
 #if defined(__linux__)
 namespace {
-
-// The numbers of a frame, with nothing behind them that may be read.
-template <class T>
-class AtTheEnd {
-public:
-    explicit AtTheEnd(const std::vector<T>& items) : page_(static_cast<std::size_t>(sysconf(_SC_PAGESIZE))) {
-        begin_ = mmap(nullptr, 2U * page_, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
-        REQUIRE(begin_ != MAP_FAILED);
-        REQUIRE(mprotect(static_cast<char*>(begin_) + page_, page_, PROT_NONE) == 0);
-        std::copy(items.begin(), items.end(), reinterpret_cast<T*>(static_cast<char*>(begin_) + page_) - items.size());
-        items_ = reinterpret_cast<T*>(static_cast<char*>(begin_) + page_) - items.size();
-    }
-    ~AtTheEnd() { munmap(begin_, 2U * page_); }
-    AtTheEnd(const AtTheEnd&) = delete;
-    AtTheEnd& operator=(const AtTheEnd&) = delete;
-    const T* get() const { return items_; }
-
-private:
-    std::size_t page_;
-    void* begin_ = nullptr;
-    T* items_ = nullptr;
-};
 
 template <std::size_t NY, std::size_t ND>
 void check_reads() {
