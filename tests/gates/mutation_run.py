@@ -55,8 +55,6 @@ SAMPLE_FILES, SAMPLE, TOUCHED = 2, 100, 600
 """Without LPVGUARD_FULL, of those that neither list names: that many mutants of that many files where no
 change is known; of the files that a change touches at most so many in all."""
 MOST_EQUIVALENT = 0.05
-UNMEASURED = {"diagnosis.cpp", "margin.hpp"}
-"""Files whose mutants have never all run: left out unless one is asked for by its name, and printed."""
 SHORT_FORM = {k: v for k, v in os.environ.items() if k != "LPVGUARD_FULL"}
 
 
@@ -375,20 +373,17 @@ def stands_in(mutant: Mutant, notes: Noted) -> bool:
 
 
 def table(mutants: list[Mutant], survived: list[Mutant], equivalent: Noted, known: Noted) -> list[str]:
-    """Lines of the table by file, and its sum; ``open``: survived, and ``known`` to do so."""
-    rows: list[tuple[str, ...]] = [("file", "mutants", "killed", "equivalent", "open", "survived")]
+    """Lines of the table by file, and its sum, as tests/README.md has it; ``open``: survived, and ``known`` to
+    do so. ``survived``: what neither list names."""
+    rows = ["| file | mutants | killed | equivalent | open | survived |", "| --- | --: | --: | --: | --: | --: |"]
     for name in [*dict.fromkeys(m.file for m in mutants), ""]:
         mine = [m for m in mutants if not name or m.file == name]
         alive = [m for m in survived if not name or m.file == name]
         equal = sum(stands_in(m, equivalent) for m in alive)
         still = sum(stands_in(m, known) for m in alive)
         counts = (len(mine), len(mine) - len(alive), equal, still, len(alive) - equal - still)
-        rows.append((name or "all", *map(str, counts)))
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return [
-        "  ".join(c.rjust(w) if i else c.ljust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True)))
-        for row in rows
-    ]
+        rows.append(f"| {name or '**all**'} | {' | '.join(map(str, counts))} |")
+    return rows
 
 
 def no_longer(mutants: list[Mutant], survived: list[Mutant], notes: Noted, all_of: set[str]) -> list[str]:
@@ -429,8 +424,7 @@ def mutation_findings(tree: Path, scratch: Path, names: list[str], full: bool, o
     """Findings on the mutants of the files ``names`` of lib/src: of all of them where ``full``, of ``only``
     one, or of those that a change touches."""
     work, build = scratch / "mutated", scratch / "build"
-    left_out = sorted(set(names) & UNMEASURED - {only})
-    files, sample = chosen(tree, [name for name in names if name not in left_out], full, only)
+    files, sample = chosen(tree, names, full, only)
     main = with_switch(tree)
     try:
         mirror(tree, work, main)
@@ -462,7 +456,5 @@ def mutation_findings(tree: Path, scratch: Path, names: list[str], full: bool, o
         print(f"{OPEN}: {what}")
     print("\n".join(table(mutants, survived, equivalent, known)))
     print(f"{sum(stands_in(m, known) for m in survived)} open survivors, which no test notices yet")
-    if left_out:
-        print(f"not measured: {', '.join(left_out)}")
     findings = judged(mutants, survived, equivalent, known, all_of)
     return findings + (too_many(mutants, survived, equivalent) if full and not only else [])

@@ -93,9 +93,9 @@ def test_the_table_and_the_findings_count_every_survivor_once(ran):
     equivalent = {"small.cpp": {"lpvg_limited": {"if (y > 30) {  ->  if (y >= 30) {": "30 becomes 30"}}}
     known = {"small.cpp": {"lpvg_unused": {m.key: "" for m in survived if m.site.function == "lpvg_unused"}}}
     n_known = len(known["small.cpp"]["lpvg_unused"])
-    sums = table(mutants, survived, equivalent, known)[-1].split()
+    sums = table(mutants, survived, equivalent, known)[-1].strip("| ").split(" | ")
     n, n_alive = len(mutants), len(survived)
-    assert sums == ["all", str(n), str(n - n_alive), "1", str(n_known), str(n_alive - 1 - n_known)]
+    assert sums == ["**all**", str(n), str(n - n_alive), "1", str(n_known), str(n_alive - 1 - n_known)]
     findings = judged(mutants, survived, equivalent, known, {"small.cpp"})
     assert sorted(f.split(": ")[0] for f in findings) == ["survived", "survived"]
 

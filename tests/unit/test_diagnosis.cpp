@@ -40,15 +40,15 @@ public:
     lpvg_reason_t reason = lpvg_reason_none;
     double noise = 0.005;
     double t = 0.0;
+    Plant yhat = nominal;
 
     void sample(const Plant& y) {
         monitor.t_us += 20000;
         monitor.newest = (monitor.newest + 1U) % n_block;
         monitor.n_block = std::min(monitor.n_block + 1U, n_block);
         for (std::size_t j = 0; j < ny; ++j) {
-            const double yhat = nominal(t, j);
-            monitor.signal[monitor.newest][j] = static_cast<Real>(y(t, j) - yhat + noise * normal_(random_));
-            monitor.signal[monitor.newest][ny + j] = static_cast<Real>(yhat);
+            monitor.signal[monitor.newest][j] = static_cast<Real>(y(t, j) - yhat(t, j) + noise * normal_(random_));
+            monitor.signal[monitor.newest][ny + j] = static_cast<Real>(yhat(t, j));
         }
         monitor.block[monitor.newest].span.reason = reason;
         monitor.has_changed = alarms;
@@ -295,8 +295,11 @@ TEST_CASE("between short settled pieces nothing is lost but their first block", 
 }
 
 TEST_CASE("a gap in time is not bridged", "[unit][REQ-DIAG-4]") {
+    const int64_t until_us = GENERATE(int64_t{1}, int64_t{-5}, int64_t{20000000});
     Followed f(table_with());
+    f.monitor.t_us = until_us - 20000000;
     f.run(20.0, healthy);
+    CHECK(f.diagnosis.t_us == until_us);
     CHECK(f.diagnosis.good_cells != 0U);
     f.monitor.t_us += 1000000;
     f.run(block_s, healthy);
@@ -304,11 +307,34 @@ TEST_CASE("a gap in time is not bridged", "[unit][REQ-DIAG-4]") {
     CHECK(f.diagnosis.known == 1U);
     f.alarms = true;
     f.run(5.0, healthy);
-    const uint32_t known = f.diagnosis.known;
+    const uint32_t known = f.diagnosis.known, newest = f.diagnosis.newest, blocks = f.diagnosis.blocks;
     REQUIRE(known > 20U);
     f.monitor.refused = true;  // verdict fault: no block is taken
     f.run(1.0, healthy);
     CHECK(f.diagnosis.known == known);
+    CHECK(f.diagnosis.newest == newest);
+    CHECK(f.diagnosis.blocks == blocks);
+}
+
+TEST_CASE("half a block more than a block is no gap, a microsecond more is", "[unit][REQ-DIAG-4]") {
+    const bool beyond = GENERATE(false, true);
+    Followed f(table_with());
+    f.run(20.0, healthy);
+    f.monitor.t_us += 40000 + (beyond ? 1 : 0);
+    f.run(block_s, healthy);
+    CHECK((f.diagnosis.known == 1U) == beyond);
+    CHECK((f.diagnosis.good_cells == 0U) == beyond);
+}
+
+TEST_CASE("more pending outputs than there are spoil nothing", "[unit][REQ-DIAG-5]") {
+    Followed f(table_with());
+    f.run(20.0, healthy);
+    f.diagnosis.pending = ny + 1U;
+    f.diagnosis.mean[0] = Real(3);
+    CHECK(lpvg_diagnosis_work(&f.diagnosis));
+    CHECK(f.diagnosis.output[0].history[(f.diagnosis.newest + 1U) % LPVG_DIAGNOSIS_HISTORY][0] == Real(3));  // the first takes it
+    CHECK(f.diagnosis.pending == ny);
+    CHECK(f.diagnosis.known == LPVG_DIAGNOSIS_HISTORY);
 }
 
 TEST_CASE("cells that are not settled end the search for the onset", "[unit][REQ-DIAG-3][REQ-DIAG-4]") {
@@ -362,6 +388,97 @@ TEST_CASE("without excitation there is no cause yet", "[unit][REQ-DIAG-4]") {
     CHECK(f.diagnosis.found[0].cause == lpvg_cause_unknown);
 }
 
+TEST_CASE("excitation is the mean square over the blocks since the alarm, of the output that has most", "[unit][REQ-DIAG-4]") {
+    // yhat is 1/4 all the time, so its mean square is 1/16 from the first block on: as much as is asked for, or just less.
+    const Real asked = GENERATE(Real(0.0625), std::nextafter(Real(0.0625), Real(1)));
+    const std::size_t excited = GENERATE(std::size_t{0}, ny - 1U);
+    const lpvg_diagnosis_table_t table = table_with([=](lpvg_diagnosis_table_t& t) {
+        t.words.blocks = 8U;
+        t.reals.excited = asked;
+    });
+    const Plant still = [excited](double, std::size_t j) { return j == excited ? 0.25 : 0.0; };
+    Followed f(table);
+    f.yhat = still;
+    f.noise = 0.0;
+    f.run(5.0, still);
+    f.alarms = true;
+    f.run(block_s * (8.0 + LPVG_DIAGNOSIS_DELAYS - 1.0), still);  // those before the first whose leads are from after the alarm
+    CHECK(f.diagnosis.blocks == 7U);
+    f.run(block_s, still);
+    CHECK(f.done() == (asked <= Real(0.0625)));
+}
+
+TEST_CASE("a shift by no stride moves nothing", "[unit][REQ-DIAG-4]") {
+    Followed f(table_with());
+    f.run(20.0, healthy);
+    f.alarms = true;
+    f.run(4.0, healthy);
+    REQUIRE(f.diagnosis.blocks > 20U);
+    for (const lpvg_diagnosis_output_t& of : f.diagnosis.output) {
+        CHECK(of.moved_square[0] > Real(0));
+        CHECK(of.moved_cross[0] == Real(0));  // of the first delay, and of the first lead
+        CHECK(of.moved_cross[LPVG_DIAGNOSIS_DELAYS] == Real(0));
+    }
+}
+
+TEST_CASE("the first cell after a diagnosis is that of its own blocks", "[unit][REQ-DIAG-3][REQ-DIAG-4]") {
+    const Plant yhat = [](double, std::size_t) { return 0.5; };
+    const Plant before = [](double, std::size_t) { return 0.75; };
+    const Plant after = [](double, std::size_t) { return 1.25; };
+    Followed f(table_with([](lpvg_diagnosis_table_t& t) { t.words.blocks = 8U; }));
+    f.yhat = yhat;
+    f.noise = 0.0;
+    f.run(block_s * 83.0, before);  // ten cells, and three blocks of the next
+    REQUIRE(f.diagnosis.cells == 10U);
+    f.alarms = true;
+    f.run(block_s * (8.0 + LPVG_DIAGNOSIS_DELAYS), before);
+    REQUIRE(f.done());
+    CHECK(f.diagnosis.partial == 3U);
+    f.run(block_s * 7.0, after);
+    CHECK(f.diagnosis.cells == 0U);
+    f.run(block_s, after);
+    REQUIRE(f.diagnosis.cells == 1U);
+    for (const lpvg_diagnosis_output_t& of : f.diagnosis.output) {
+        CHECK(of.cell[f.diagnosis.cell_newest][0] == Real(0.75));
+        CHECK(of.cell[f.diagnosis.cell_newest][1] == Real(0.5));
+    }
+}
+
+TEST_CASE("a block is taken as its means and its roughness, output by output", "[unit][REQ-DIAG-1]") {
+    Followed f(table_with());
+    f.run(20.0, healthy);
+    CHECK(f.diagnosis.known == LPVG_DIAGNOSIS_HISTORY);  // as many as the history holds
+    const double yhat[4] = {1.0, 2.0, 4.0, 8.0}, e[4] = {0.0, 0.0, 0.0, 1.0};
+    for (uint32_t i = 0; i < n_block; ++i) {
+        for (std::size_t j = 0; j < ny; ++j) {
+            const auto size = static_cast<double>(j + 1U);
+            f.monitor.signal[i][j] = static_cast<Real>(e[i] * size);
+            f.monitor.signal[i][ny + j] = static_cast<Real>(yhat[i] * size);
+        }
+    }
+    f.monitor.t_us += 80000;
+    REQUIRE(lpvg_diagnosis_take(&f.diagnosis, &f.monitor) == lpvg_status_ok);
+    for (std::size_t j = 0; j < ny; ++j) {
+        const auto size = static_cast<Real>(j + 1U);
+        CHECK(f.diagnosis.mean[j] == Real(0.25) * size);
+        CHECK(f.diagnosis.mean[ny + j] == Real(3.75) * size);
+        CHECK(f.diagnosis.rough[j] == Real(2) * size);  // (1 - 2 - 4 + 9) / 2
+    }
+}
+
+TEST_CASE("init forgets what was there", "[unit][REQ-DIAG-6]") {
+    Followed f(table_with());
+    f.run(20.0, healthy);
+    f.alarms = true;
+    f.run(1.0, healthy);
+    REQUIRE(f.diagnosis.alarms == 1U);
+    REQUIRE(lpvg_diagnosis_init(&f.diagnosis, f.diagnosis.table) == lpvg_status_ok);
+    CHECK(f.diagnosis.alarms == 0U);
+    CHECK(f.diagnosis.known == 0U);
+    CHECK(f.diagnosis.cells == 0U);
+    CHECK(f.diagnosis.output[0].gram[0] == Real(0));
+}
+
 TEST_CASE("an alarm while it is diagnosed is no further one; one after it is", "[unit][REQ-DIAG-4]") {
     const Plant y = [](double t, std::size_t j) { return 0.7 * nominal(t, j); };
     Followed f(table_with());
@@ -395,6 +512,10 @@ TEST_CASE("state that cannot be ends the diagnosis", "[unit][REQ-DIAG-5]") {
             f.run(block_s, healthy);
             CHECK(f.diagnosis.found[0].cause == lpvg_cause_unknown);
             CHECK(f.diagnosis.known == 0U);
+            CHECK_FALSE(lpvg_diagnosis_work(&f.diagnosis));  // the block it was found with is lost
+            f.run(block_s, healthy);
+            CHECK(f.diagnosis.known == 1U);
+            CHECK(f.diagnosis.cell_blocks == 1U);
             continue;
         }
         f.alarms = true;
@@ -414,7 +535,13 @@ TEST_CASE("state that cannot be ends the diagnosis", "[unit][REQ-DIAG-5]") {
         }
         f.run(10.0, y);
         REQUIRE(f.done());
-        CHECK(f.diagnosis.found[way == 0 ? ny - 1U : 0U].cause == lpvg_cause_other);
+        const lpvg_found_t& found = f.diagnosis.found[way == 0 ? ny - 1U : 0U];
+        CHECK(found.cause == lpvg_cause_other);
+        CHECK((found.value == Real(0) && found.low == Real(0) && found.high == Real(0)));
+        if (way < 2) {  // nothing is known of what was kept
+            CHECK(found.onset_blocks == 0U);
+            CHECK_FALSE(found.before);
+        }
     }
 }
 
@@ -481,6 +608,9 @@ TEST_CASE("a table that cannot be is refused by what is wrong", "[unit][REQ-DIAG
               }) == lpvg_status_not_finite);
     }
     CHECK(status([](Table& t) { t.reals.spread[ny - 1U][1] = Real(1); }) == lpvg_status_bad_value);
+    for (const std::size_t i : diagonal) {  // a part that does not vary at all
+        CHECK(status([i](Table& t) { t.reals.spread[ny - 1U][i] = Real(0); }) == lpvg_status_bad_value);
+    }
     CHECK(diagnosis.table == nullptr);
     const Table good = table_with();
     for (std::size_t bit = 8U * offsetof(Table, words.sample_period_us); bit < 8U * sizeof good; bit += 7U) {
@@ -501,6 +631,9 @@ TEST_CASE("NULL and missing init have defined answers", "[unit][REQ-DIAG-6]") {
     CHECK(lpvg_diagnosis_take(nullptr, &monitor) == lpvg_status_bad_argument);
     CHECK(lpvg_diagnosis_take(&diagnosis, nullptr) == lpvg_status_bad_argument);
     CHECK(lpvg_diagnosis_take(&diagnosis, &monitor) == lpvg_status_not_ready);
+    monitor.coeff = &lpvg_coeff;
+    CHECK(lpvg_diagnosis_take(&diagnosis, &monitor) == lpvg_status_not_ready);  // a diagnosis without init
+    monitor.coeff = nullptr;
     CHECK_FALSE(lpvg_diagnosis_work(nullptr));
     diagnosis.pending = 1U;
     CHECK_FALSE(lpvg_diagnosis_work(&diagnosis));

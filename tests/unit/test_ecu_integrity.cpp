@@ -3,6 +3,9 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <iterator>
 #include <limits>
 #include <utility>
 
@@ -315,6 +318,75 @@ TEST_CASE("a demand within a thousandth of the kept limits is rounding, more is 
     if (!of_rate && !beyond) {
         CHECK(std::fabs(bench.ecu.kept.demand) > bench.ecu.kept.u_max);
     }
+}
+
+namespace {
+
+// The allowance of the kept limits, to the last digit: what the ECU may just demand.
+lpvg_real_t with_rounding(lpvg_real_t limit) { return lpvg_real_t(1.001) * limit; }
+
+// Writes kept values as the ECU itself does, with their copy and their sum.
+void write_kept(lpvg_ecu_t& ecu) {
+    std::uint32_t words[sizeof ecu.kept / sizeof(std::uint32_t)];
+    std::memcpy(words, &ecu.kept, sizeof words);
+    std::transform(std::begin(words), std::end(words), std::begin(ecu.inverted), [](std::uint32_t word) { return ~word; });
+    ecu.sum = lpvguard::sum_of_words(ecu.kept);
+}
+
+}  // namespace
+
+TEST_CASE("a demand that is exactly a thousandth beyond the kept largest one is rounding, the next number is damage",
+          "[unit][ecu][REQ-ECU-15]") {
+    const int sign = GENERATE(-1, 1);
+    const bool beyond = GENERATE(false, true);
+    lpvg_control_coeff_t control = lpvg_control_coeff;
+    Bench bench = engaged_bench(lpvg_coeff, control);
+    const lpvg_real_t most = with_rounding(bench.ecu.kept.u_max);
+    const lpvg_real_t limit = beyond ? std::nextafter(most, lpvg_real_t(2) * most) : most;
+    for (auto& node : control.reals.u_max) {
+        node[0] = limit;
+    }
+    for (int steps = 0; steps < 40; ++steps) {
+        bench.ecu.control.x[0][0] = static_cast<lpvg_real_t>(sign * 121);
+        bench.step();
+        if (bench.ecu.kept.corrupt || bench.ecu.kept.demand == lpvg_real_t(sign) * limit) {
+            break;
+        }
+    }
+    CHECK(bench.ecu.kept.corrupt == beyond);
+    CHECK((bench.ecu.kept.demand == lpvg_real_t(sign) * most) != beyond);
+}
+
+TEST_CASE("a change of the demand that is exactly a thousandth beyond the kept rate is rounding, the next number is damage",
+          "[unit][ecu][REQ-ECU-15]") {
+    const int sign = GENERATE(-1, 1);
+    const bool beyond = GENERATE(false, true);
+    lpvg_control_coeff_t control = lpvg_control_coeff;
+    Bench bench = engaged_bench(lpvg_coeff, control);
+    lpvg_ecu_t& ecu = bench.ecu;
+    // From a demand of 0 the demand is the change itself, without rounding. The kept rate is lowered by its last digits until a rate of
+    // the controller's leads exactly to what is allowed.
+    const lpvg_real_t elapsed = static_cast<lpvg_real_t>(ecu.kept.period_us) * lpvg_real_t(1e-6);
+    const auto least_that_reaches = [&](lpvg_real_t change) {
+        lpvg_real_t rate = lpvg_real_t(0.9999) * change / elapsed;
+        while (rate * elapsed < change) {
+            rate = std::nextafter(rate, lpvg_real_t(2) * rate);
+        }
+        return rate;
+    };
+    lpvg_real_t& rate = control.reals.rate_max[0];
+    lpvg_real_t most = with_rounding(ecu.kept.rate_max * elapsed);
+    for (rate = least_that_reaches(most); rate * elapsed > most; rate = least_that_reaches(most)) {
+        ecu.kept.rate_max = std::nextafter(ecu.kept.rate_max, lpvg_real_t(0));
+        most = with_rounding(ecu.kept.rate_max * elapsed);
+    }
+    rate = beyond ? least_that_reaches(std::nextafter(most, lpvg_real_t(2) * most)) : rate;
+    ecu.kept.demand = ecu.control.u[0] = lpvg_real_t(0);
+    write_kept(ecu);
+    ecu.control.x[0][0] = static_cast<lpvg_real_t>(sign * 121);
+    bench.step();
+    CHECK(ecu.kept.corrupt == beyond);
+    CHECK(ecu.kept.demand == (beyond ? lpvg_real_t(0) : lpvg_real_t(sign) * most));
 }
 
 TEST_CASE("without any copy of the kept values calls are judged by 10 ms", "[unit][ecu][REQ-ECU-15]") {
