@@ -157,8 +157,8 @@ CauseOutcomes = dict[Case, list[CauseOutcome]]
 
 
 def cause_table(found: CauseOutcomes, project: Project, scales: DiagnosisScales | None) -> dict:
-    """JSON-able: per case a row, and three sums: over known faults, over those of them that can be named, and
-    over those without a single cause. ``scales``: say which can be named; None: not known."""
+    """JSON-able: per case a row. Sums are over known faults, over those of them that can be named, and over
+    those without a single cause. ``scales``: say which can be named; None: not known."""
     rows = [_row(case, members) for case, members in found.items()]
     known = [m for case, of in found.items() if true_cause(case.fault) is not None for m in of]
     named = [

@@ -259,8 +259,8 @@ def evaluate(
     known = cases[MONITOR]
     baselines = _baselines(stored, drives, core, judged, rows, known, injection, workers, progress)
     table = _table(stored, judged, rows, cases, baselines, injection)
-    named = cause_table(causes, stored.project, stored.diagnosis) if core.diagnoses else None
-    return table | {"causes": named, "left_out": left_out}
+    of_causes = cause_table(causes, stored.project, stored.diagnosis) if core.diagnoses else None
+    return table | {"causes": of_causes, "left_out": left_out}
 
 
 def _baselines(

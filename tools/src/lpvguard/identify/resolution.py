@@ -1,4 +1,4 @@
-"""What a sensor cannot tell: the least disturbance bound, from its resolution and noise (THEORY 5.4).
+"""What a sensor cannot tell: the least disturbance bound, from its resolution and noise (THEORY 7.13).
 
 Of every output the bound-setting drives show the step of the grid on which it is recorded, and its noise
 above the band of any frame. The project file may state either. Rounding moves a sample by half a step at

@@ -91,7 +91,7 @@ class Signal(StrictModel):
 
     Those of a gate (a gear, a lateral acceleration) bound what the model is meant for. A sample outside is
     missing. ``resolution``, ``noise``: the step of an output's sensor and its white noise's standard
-    deviation, in ``unit``; None: as the bound-setting drives show them (THEORY 5.4)."""
+    deviation, in ``unit``; None: as the bound-setting drives show them (THEORY 7.13)."""
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
     role: Literal["scheduling", "input", "output", "gate"]
