@@ -222,3 +222,18 @@ def test_design_refuses_options_that_it_would_ignore(words, lpvguard, tmp_path):
     done = lpvguard("design", *words, "-o", tmp_path / "out")
     assert done.returncode == 2 and "expected" in done.stderr and words[-1] in done.stderr
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("{}", "does not hold what it should"),
+        ('{"duels": [{"way": "ramp"}]}', "duels[].precluded: missing"),
+    ],
+)
+def test_a_page_refuses_an_evaluation_of_another_shape(text, says, lpvguard, identified, synthetic, tmp_path):
+    (tmp_path / "evaluation.json").write_text(text)
+    given = ("--vehicle", "g80", "--evaluation", tmp_path / "evaluation.json", "-o", tmp_path / "page.html")
+    done = lpvguard("report", identified, synthetic, *given)
+    assert done.returncode == 2 and "evaluation.json" in done.stderr and says in done.stderr, done.stderr
+    assert not (tmp_path / "page.html").exists()

@@ -12,7 +12,7 @@ from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import list_experiments
 from lpvguard.evaluate.baseline_study import BaselineStudy, Merit, alarmed
 from lpvguard.evaluate.baselines import GRID, KINDS, Bank, Baseline, Scales, Sizes, regressors
-from lpvguard.evaluate.comparison import duels
+from lpvguard.evaluate.comparison import DUEL_HEAD, duel_rows, duels
 from lpvguard.evaluate.detection import Injection, median_time, ranking
 from lpvguard.identify import run as identify
 from lpvguard.vehicle.nominal import NominalModel
@@ -278,18 +278,32 @@ def test_without_scores_a_baseline_never_alarms(study):
 
 
 def test_a_duel_counts_rows_and_names_where_the_monitor_is_behind():
-    def rows(*of: tuple[int, float | None]) -> list[dict]:
+    def rows(*of: tuple[int, float | None], alarms: int = 0) -> list[dict]:
+        """Of each row's 7 starts as many found; the untouched drive alarms at the last ``alarms`` of them."""
         return [
-            {"way": "ramp", "fault": f, "found": n, "counted": 7, "median_s": s}
+            {
+                "way": "ramp",
+                "fault": f,
+                "found": n,
+                "counted": 7,
+                "median_s": s,
+                "cases": [
+                    {"s": s if k < n else None, "untouched_s": 9.0 if k >= 7 - alarms else None}
+                    for k in range(7)
+                ],
+            }
             for f, (n, s) in zip("abcde", of, strict=True)
         ]
 
-    ours = rows((7, 2.0), (7, 3.0), (6, 1.0), (0, None), (5, 2.0))
-    other = rows((6, 1.0), (7, 3.0), (7, 2.0), (0, None), (5, 1.0))
+    ours = rows((7, 2.0), (7, 3.0), (6, 1.0), (0, None), (5, 2.0), alarms=1)
+    other = rows((6, 1.0), (7, 3.0), (7, 2.0), (0, None), (5, 1.0), alarms=3)
     (duel,) = duels(ours, [{"kind": "rms", "faults": other}])
     assert [r["leads"] for r in duel["rows"]] == ["monitor", "tie", "rms", "nobody", "rms"]
     assert duel["behind"] == ["c", "e"] and duel["found"] == [25, 25] and duel["counted"] == 35
     assert (duel["as_often"], duel["sooner"], duel["later"]) == (4, 1, 2)
+    assert duel["precluded"] == [0 + 0 + 1 + 1 + 1, 1 + 0 + 0 + 3 + 2]
+    words = dict(zip(DUEL_HEAD, duel_rows({"duels": [duel]})[0], strict=True))
+    assert words["missed for an alarm of its own, both"] == "3 and 6" and words["behind on"] == "c; e"
 
 
 def test_ranking_is_by_share_then_time_and_names_all_that_tie():

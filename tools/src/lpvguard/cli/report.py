@@ -8,7 +8,21 @@ from typing import Annotated
 import typer
 
 from ..base import artefacts
+from ..base.errors import InputError
 from .shared import Coefficients, Out, Vehicle, app, console, progress_bar, replayer_of, stored_with_drives
+
+
+def _evaluation(path: Path) -> dict:
+    """What evaluate wrote. InputError for anything else, and where its duels do not count a detector's own
+    alarms yet."""
+    document: dict = artefacts.read_json(path)
+    with artefacts.reading(path):
+        old = any("precluded" not in duel for duel in document["duels"])
+    if old:
+        raise InputError(
+            path, "duels[].precluded", "missing", "an evaluation by this version: evaluate again"
+        )
+    return document
 
 
 @app.command(epilog="Example: lpvguard report out/identify DRIVES --vehicle g80 -o out/report.html")
@@ -38,6 +52,7 @@ def report(
     ):
         if folder is not None:
             artefacts.read_manifest(folder, kind)
+    judged = _evaluation(evaluation) if evaluation else None
     stored, drive_set = stored_with_drives(identification, drives, vehicle)
     replayer = replayer_of(vehicle, coefficients) if stored.project.frames.estimator == "hann" else None
     with progress_bar("report") as tell:
@@ -46,7 +61,7 @@ def report(
             drive_set,
             replayer,
             out,
-            artefacts.read_json(evaluation) if evaluation else None,
+            judged,
             tell,
             loops,
             design,

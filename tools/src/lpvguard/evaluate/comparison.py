@@ -167,6 +167,8 @@ def duels(monitor: list[dict], baselines: list[dict]) -> list[dict]:
     ``monitor``: rows of fault_rows; ``baselines``: objects of the JSON. ``leads``: "monitor", the kind,
     "tie", or "nobody", where neither found one. ``as_often``: rows on which the monitor found as many or
     more. ``sooner``, ``later``: rows on which its median is less, more; no median counts as later than any.
+    ``precluded``: starts at which monitor and baseline missed a fault since the untouched drive makes them
+    alarm in the time allowed. Such a miss says where a false alarm fell, not what a detector can see.
     ``behind``: faults on which it found fewer, or found as many and later.
     """
     return [
@@ -200,6 +202,7 @@ def _duel(way: str, kind: str, pairs: list[tuple[dict, dict]]) -> dict:
         "way": way,
         "kind": kind,
         "found": [sum(r["found"][i] for r in rows) for i in (0, 1)],
+        "precluded": [sum(map(_precluded, side)) for side in zip(*pairs, strict=True)],
         "counted": sum(r["counted"] for r in rows),
         "as_often": sum(m["found"] >= o["found"] for m, o in pairs),
         "sooner": sum(median(m) < median(o) for m, o in pairs),
@@ -209,11 +212,17 @@ def _duel(way: str, kind: str, pairs: list[tuple[dict, dict]]) -> dict:
     }
 
 
+def _precluded(row: dict) -> int:
+    """Starts of a row of fault_rows that were missed and whose untouched drive alarms in the time allowed."""
+    return sum(c["s"] is None and c["untouched_s"] is not None for c in row["cases"])
+
+
 DUEL_HEAD = (
     "way",
     "against",
     "found",
     "it found",
+    "missed for an alarm of its own, both",
     "as many or more",
     "sooner",
     "later",
@@ -225,7 +234,8 @@ DUEL_HEAD = (
 
 def duel_rows(evaluation: dict) -> list[list[str]]:
     """The monitor beside each baseline alone, a row a way. Counted are rows of faults: where it found as many
-    or more, where its median is less or more, where it leads, where it ties. Named is where it is behind."""
+    or more, where its median is less or more, where it leads, where it ties. Named is where it is behind.
+    Starts missed since the untouched drive alarms are counted for both (`duels`)."""
     rows = []
     for duel in evaluation["duels"]:
         of, leads = len(duel["rows"]), [r["leads"] for r in duel["rows"]]
@@ -235,6 +245,7 @@ def duel_rows(evaluation: dict) -> list[list[str]]:
                 WAY_WORDS[duel["way"]],
                 duel["kind"],
                 *(f"{n} of {duel['counted']}" for n in duel["found"]),
+                " and ".join(map(str, duel["precluded"])),
                 *(f"{duel[key]} of {of}" for key in ("as_often", "sooner", "later")),
                 f"{leads.count(MONITOR)} of {of}" + (f", {ties} tied" if ties else ""),
                 "; ".join(duel["behind"]) or "none",
