@@ -120,8 +120,9 @@ def test_both_ladders_are_climbed_and_stand_beside_what_is_proved(monkeypatch):
         def __init__(self, loop, samples, seed):
             assert (loop, samples, seed) == ("performance", 10, 1)
 
-        def at(self, rate, enough):
-            assert enough == 1.0
+        def at(self, rate, enough, before):
+            """Begins with the Delta of the last violation."""
+            assert enough == 1.0 and (before is None or before.gain > 1) and bool(before) == (rate < 50)
             return violations.Found(1.01 if rate > 0.3 else 0.99, (), np.zeros(0), np.zeros(0))
 
     monkeypatch.setattr(proofs, "Search", Searched)

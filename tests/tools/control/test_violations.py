@@ -44,6 +44,14 @@ def steps_of(speeds: np.ndarray) -> float:
     return float(np.abs(np.diff(speeds)).max()) / TS
 
 
+def test_the_window_of_a_history_is_cut_at_the_range_and_is_no_wider_than_it_may_run():
+    grid = SpeedGrid.of(0.0, 100.0, 0.1, TS)
+    assert grid.near(np.array([500.0, 502.5, 504.0])) == (499, 505)
+    assert grid.near(np.full(9, 2.0)) == (0, 6)
+    last = grid.places - 1
+    assert grid.near(np.full(9, float(last))) == (last - 4, last)
+
+
 @pytest.mark.parametrize("rate", [0.004, 0.15, 3.0])
 def test_profiles_stay_in_the_range_and_move_at_the_largest_rate_and_no_faster(rate):
     grid, random = SpeedGrid.of(8.0, 9.0, rate, TS), np.random.default_rng(1)

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from ..base.errors import InputError
 from ..control import designed
-from ..control.violations import Search, fastest_growth, least_violating
+from ..control.violations import Found, Search, fastest_growth, least_violating
 from ..identify import run as identify
 from . import parser, show
 from ._trials import NEAR, Trial, Trials
@@ -111,9 +111,13 @@ def rate_rows(trials: Trials) -> list[RateRow]:
         return fastest_growth(trials.stability, rate, trials.samples, trials.seed)[0] > 1
 
     search = Search(trials.performance, trials.samples, trials.seed)
+    last: Found | None = None
 
     def exceeds(rate: float) -> bool:
-        return search.at(rate, 1.0).gain > 1
+        nonlocal last
+        found = search.at(rate, 1.0, last)
+        last = found if found.gain > 1 else last
+        return found.gain > 1
 
     rows = []
     for claim, violates in (("stability", grows), ("performance", exceeds)):

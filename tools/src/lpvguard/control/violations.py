@@ -87,6 +87,12 @@ class SpeedGrid:
         unit = rate * Ts / moves
         return cls(low, high, unit, int((high - low) / unit * (1 + 1e-12)) + 1, moves)
 
+    def near(self, places: np.ndarray) -> tuple[int, int]:
+        """First and last place of a window around those of a history (T,), as wide again as it may run."""
+        reach = self.moves * len(places) // 2
+        first, last = int(np.floor(places.min())) - reach, int(np.ceil(places.max())) + reach
+        return max(first, 0), min(last, self.places - 1)
+
     def speeds(self, places: np.ndarray) -> np.ndarray:
         """Speeds (T,) [m/s] of whole or other places (T,). Rounding up from halves on is monotone and keeps
         whole differences: it moves no sample by more than ``moves`` where the places do not."""
@@ -140,12 +146,12 @@ class Search:
         m = loop.over.at_nodes.shape[2] - loop.over.n - loop.blocks
         self.first = np.random.default_rng(seed).standard_normal((samples, m))
 
-    def at(self, rate: float, enough: float = np.inf) -> Found:
+    def at(self, rate: float, enough: float = np.inf, before: Found | None = None) -> Found:
         """The largest gain found for |dv/dt| <= ``rate`` [m/s^2]; the search ends where it exceeds
-        ``enough``."""
+        ``enough``. ``before``: what was found at another rate, whose Delta it begins with."""
         low, high = self.loop.over.nodes[[0, -1]]
         grid = SpeedGrid.of(low, high, rate, self.loop.Ts)
-        corners = ((1.0, np.inf),) * self.loop.blocks
+        corners = before.corners if before else ((1.0, np.inf),) * self.loop.blocks
         starts = [triangle(grid, self.samples, low, high, share) for share in (0.0, 0.5, 0.25, 0.75)]
         tried = [self._measured(speeds, corners, self.first, QUICK) for speeds in starts]
         found = max(tried, key=lambda one: one.gain)
@@ -183,7 +189,8 @@ class Search:
             dS = self._closed_derivative(visited, delta)
             slope = self.loop.history(found.speeds, delta).slopes(dS, found.w)
             now = (found.speeds - grid.low) / grid.unit
-            favoured = steered(slope, grid.moves, grid.places)
+            low, high = grid.near(now)
+            favoured = low + steered(slope, grid.moves, high - low + 1)
             for share in SHARES:
                 speeds = grid.speeds(now + share * (favoured - now))
                 one = self._measured(speeds, found.corners, found.w, QUICK)
