@@ -373,9 +373,12 @@ def stands_in(mutant: Mutant, notes: Noted) -> bool:
 
 
 def table(mutants: list[Mutant], survived: list[Mutant], equivalent: Noted, known: Noted) -> list[str]:
-    """Lines of the table by file, and its sum, as tests/README.md has it; ``open``: survived, and ``known`` to
-    do so. ``survived``: what neither list names."""
-    rows = ["| file | mutants | killed | equivalent | open | survived |", "| --- | --: | --: | --: | --: | --: |"]
+    """Lines of the table by file, and its sum, as tests/README.md has it; ``open``: survived, and ``known``
+    to do so. ``survived``: what neither list names."""
+    rows = [
+        "| file | mutants | killed | equivalent | open | survived |",
+        "| --- | --: | --: | --: | --: | --: |",
+    ]
     for name in [*dict.fromkeys(m.file for m in mutants), ""]:
         mine = [m for m in mutants if not name or m.file == name]
         alive = [m for m in survived if not name or m.file == name]
