@@ -423,6 +423,21 @@ def too_many(mutants: list[Mutant], survived: list[Mutant], equivalent: Noted) -
     )
 
 
+def listed_table(tree: Path, scratch: Path, names: list[str]) -> list[str]:
+    """The table of all mutants of the files ``names`` of lib/src as the two lists have it, without a run.
+
+    What is not listed counts as killed, which LPVGUARD_FULL=1 holds against the tests.
+    """
+    work, build = scratch / "mutated", scratch / "build"
+    mirror(tree, work, with_switch(tree))
+    configure(work, build)
+    sites = find_sites(tree, work, build, names)
+    equivalent, known = noted(tree, EQUIVALENT), noted(tree, OPEN)
+    mutants = [m for name in names for m in mutants_of(name, sites[name], 0)]
+    listed = [m for m in mutants if stands_in(m, equivalent) or stands_in(m, known)]
+    return table(mutants, listed, equivalent, known)
+
+
 def mutation_findings(tree: Path, scratch: Path, names: list[str], full: bool, only: str) -> list[str]:
     """Findings on the mutants of the files ``names`` of lib/src: of all of them where ``full``, of ``only``
     one, or of those that a change touches."""
