@@ -86,7 +86,7 @@ def random_system(rng: np.random.Generator, n: int, n_outputs: int, n_inputs: in
 
 
 def largest_at(G: StateSpace, omega) -> np.ndarray:
-    """Largest singular values (K,) of C (j omega - A)^-1 B + D at ``omega`` (K,); of D where it is infinite."""
+    """Largest singular values (K,) of C (j omega - A)^-1 B + D at ``omega`` (K,), of D at infinity."""
     omega = np.atleast_1d(omega)
     finite = np.where(np.isfinite(omega), omega, 0.0)[:, None, None]
     states = np.linalg.solve(
@@ -115,8 +115,9 @@ def test_the_bracket_holds_the_largest_singular_value_of_random_systems(shape):
 
 @pytest.mark.parametrize("shape", [(1, 1), (2, 3), (3, 2), (3, 3)])
 def test_a_level_is_crossed_where_a_singular_value_is_that_level(shape):
-    """Below the norm every point at which the largest singular value meets the level is among those found; above
-    it there is none."""
+    """Below the norm every point where the largest singular value meets the level is among those found; above
+    it there is none.
+    """
     rng = np.random.default_rng(3 + shape[0])
     for n in (2, 4, 6):
         G = random_system(rng, n, *shape)
