@@ -13,6 +13,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import binom
 
+from lpvguard.base.errors import InputError
 from lpvguard.drives.tables import Experiment
 from lpvguard.identify.calibration import (
     NO_RECORDINGS,
@@ -26,6 +27,7 @@ from lpvguard.identify.calibration import (
     joint_score,
     joint_scores,
     peaks,
+    require_calibration,
     score,
 )
 
@@ -269,3 +271,17 @@ def test_the_drive_that_decides_is_the_one_whose_score_the_core_carries():
     found = calibrate(scores_of(20), 0.1)
     assert found.scores[found.decided_by] == found.threshold != next(iter(found.scores.values()))
     assert calibrate(scores_of(20), 0.1, floor=100.0).decided_by is None
+
+
+def test_without_a_drive_that_calibrates_there_is_no_threshold(tmp_path):
+    require_calibration(tmp_path, iter(["a", "b"]), {"a": "too short"}, True)
+    with pytest.raises(
+        InputError, match=r"experiments.csv: column split: nothing calibrates: every drive.*from 9 rec"
+    ):
+        require_calibration(tmp_path, [], {"a": "too short"}, True)
+    with pytest.raises(InputError, match=r"calibrate \(3\): .*no test judges any of them \(b: too short\)"):
+        require_calibration(
+            tmp_path, ["a", "b", "c"], {"x": "silent", "b": "too short", "c": "no speed"}, False
+        )
+    with pytest.raises(InputError, match=r"calibrate \(1\): .*\(every bin is silent\)"):
+        require_calibration(tmp_path, iter(["a"]), {"b": "too short"}, False)

@@ -154,6 +154,9 @@ def test_sigma_is_what_is_needed_and_no_less_than_its_floor(test):
     ]
     np.testing.assert_allclose(found.sigma, wanted)
     assert (found.sigma >= SMALLEST_SIGMA * np.array(size)).all()
+    floor = np.array([[1.5, 0.0], [0.001, 0.6], [2.0, 0.01]])  # what the sensors cannot tell
+    np.testing.assert_allclose(test.with_sigma(needs, floor).sigma, np.maximum(wanted, floor))
+    np.testing.assert_allclose(test.with_sigma(needs, 0.4).sigma, np.maximum(wanted, 0.4))
     # Two outputs share one Delta: products of different ones start at zero, so each energy counts twice.
     np.testing.assert_allclose(found.start, 2 * needs["bound"] ** 2)
     apart = replace(test, W=np.concatenate([test.W, test.W])).with_sigma(needs)
