@@ -58,7 +58,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from misra_cpp import misra_cpp_findings
-from mutation_run import mutation_findings
+from mutation_run import listed_table, mutation_findings
 from python_mutation_run import python_mutation_findings
 from references import references
 
@@ -1129,8 +1129,14 @@ def main() -> int:
     parser.add_argument("--source", type=Path, required=True)
     parser.add_argument("--scratch", type=Path, required=True)
     parser.add_argument("--self-test", action="store_true")
+    parser.add_argument(
+        "--table", action="store_true", help="mutation: print the table of the lists, run nothing"
+    )
     a = parser.parse_args()
     source, scratch = a.source.resolve(), a.scratch.resolve()
+    if a.table:
+        print("\n".join(listed_table(source, scratch, sorted(with_code(source)))))
+        return 0
     if a.self_test:
         findings = self_test(a.gate, source, scratch)
     elif a.gate in BUILDS:

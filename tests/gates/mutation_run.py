@@ -373,9 +373,12 @@ def stands_in(mutant: Mutant, notes: Noted) -> bool:
 
 
 def table(mutants: list[Mutant], survived: list[Mutant], equivalent: Noted, known: Noted) -> list[str]:
-    """Lines of the table by file, and its sum, as tests/README.md has it; ``open``: survived, and ``known`` to
-    do so. ``survived``: what neither list names."""
-    rows = ["| file | mutants | killed | equivalent | open | survived |", "| --- | --: | --: | --: | --: | --: |"]
+    """Lines of the table by file, and its sum, as tests/README.md has it; ``open``: survived, and ``known``
+    to do so. ``survived``: what neither list names."""
+    rows = [
+        "| file | mutants | killed | equivalent | open | survived |",
+        "| --- | --: | --: | --: | --: | --: |",
+    ]
     for name in [*dict.fromkeys(m.file for m in mutants), ""]:
         mine = [m for m in mutants if not name or m.file == name]
         alive = [m for m in survived if not name or m.file == name]
@@ -418,6 +421,21 @@ def too_many(mutants: list[Mutant], survived: list[Mutant], equivalent: Noted) -
     return [f"{equal} of {len(mutants)} mutants are argued equivalent: more than 5 %"] * (
         equal > MOST_EQUIVALENT * len(mutants)
     )
+
+
+def listed_table(tree: Path, scratch: Path, names: list[str]) -> list[str]:
+    """The table of all mutants of the files ``names`` of lib/src as the two lists have it, without a run.
+
+    What is not listed counts as killed, which LPVGUARD_FULL=1 holds against the tests.
+    """
+    work, build = scratch / "mutated", scratch / "build"
+    mirror(tree, work, with_switch(tree))
+    configure(work, build)
+    sites = find_sites(tree, work, build, names)
+    equivalent, known = noted(tree, EQUIVALENT), noted(tree, OPEN)
+    mutants = [m for name in names for m in mutants_of(name, sites[name], 0)]
+    listed = [m for m in mutants if stands_in(m, equivalent) or stands_in(m, known)]
+    return table(mutants, listed, equivalent, known)
 
 
 def mutation_findings(tree: Path, scratch: Path, names: list[str], full: bool, only: str) -> list[str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 import shutil
 from pathlib import Path
 
@@ -10,6 +12,8 @@ import pytest
 from mutation import Sites, merged, read, switched
 from mutation_run import (
     CLANG,
+    EQUIVALENT,
+    OPEN,
     Mutant,
     command,
     dumped,
@@ -21,6 +25,7 @@ from mutation_run import (
     table,
     too_many,
 )
+from python_mutation_run import MEASURED
 
 TESTS = Path(__file__).resolve().parents[1]
 SOURCE = """int lpvg_limited(int x) {
@@ -120,3 +125,23 @@ def test_more_than_a_twentieth_cannot_be_argued_away(ran):
     found = too_many(mutants, survived, {"small.cpp": notes})
     assert found == [f"{len(survived)} of {len(mutants)} mutants are argued equivalent: more than 5 %"]
     assert too_many(mutants, survived, {}) == []
+
+
+@pytest.mark.parametrize("python", [False, True])
+def test_the_readme_has_the_table_of_the_lists(python):
+    """``gates.py mutation --table`` counts mutants from clang's tree; what is listed is counted here."""
+    here = Path(__file__).parent
+    of_core, of_python = (here.parent / "README.md").read_text().split("## Python mutants")
+    prefix = "python_" if python else ""
+    equivalent, known = (json.loads((here / f"{prefix}{name}").read_text()) for name in (EQUIVALENT, OPEN))
+    row = r"^\| (\S+\.[a-z]+|\*\*all\*\*) \| (\d+) \| (\d+) \| (\d+) \| (\d+) \| (\d+) \|$"
+    rows = re.findall(row, of_python if python else of_core, re.MULTILINE)
+    counts = {name: [int(n) for n in numbers] for name, *numbers in rows}
+    sums = counts.pop("**all**")
+    assert sums == [sum(column) for column in zip(*counts.values(), strict=True)]
+    core = {p.name for p in (here.parents[1] / "lib" / "src").iterdir()} - {"begin.hpp", "eigen.hpp"}
+    assert set(counts) == (MEASURED if python else core)
+    for name, (n, killed, equal, still, survived) in counts.items():
+        assert equal == sum(map(len, equivalent.get(name, {}).values())), name
+        assert still == sum(map(len, known.get(name, {}).values())), name
+        assert (n, survived) == (killed + equal + still, 0), name

@@ -32,13 +32,14 @@ lpvg_diagnosis_table_t table_of(const std::function<void(lpvg_diagnosis_table_t&
     });
 }
 
-// A table without rounding: a healthy theta varies by 1/2 in each part, and the residue's own noise is lost in the digits.
+// A table without rounding: a healthy theta varies by 1/2 in each part but the delay's, and the residue's own noise is lost in the digits.
 lpvg_diagnosis_table_t exact_table(const std::function<void(lpvg_diagnosis_table_t&)>& change = [](lpvg_diagnosis_table_t&) {}) {
     return table_of([&](lpvg_diagnosis_table_t& t) {
         for (std::size_t j = 0; j < ny; ++j) {
             for (const std::size_t i : diagonal) {
                 t.reals.spread[j][i] = Real(0.25);
             }
+            t.reals.spread[j][diagonal[1]] = Real(0.00000095367431640625);  // 2^-20: the delay's own is known to a millisecond
             t.reals.correlated[j] = Real(1);
             t.reals.residue[j][0] = Real(1e-28);
         }
@@ -201,6 +202,19 @@ TEST_CASE("a delay that yhat shows little of has an interval as wide", "[unit][d
     CHECK(static_cast<double>(found.value) == Approx(5.0 * step_s).epsilon(1e-3));
     CHECK(static_cast<double>(found.high - found.value) == Approx(1.96 * 2.0 * step_s).epsilon(1e-3));
     CHECK(static_cast<double>(found.value - found.low) == Approx(1.96 * 2.0 * step_s).epsilon(1e-3));
+}
+
+TEST_CASE("a delay is known no better than a healthy vehicle's own", "[unit][diagnosis][REQ-DIAG-1]") {
+    // theta_2 varies by 1/4 over the size 1/10 of a change over a block: by 2.5 blocks, 0.2 s, where the record alone says 0.08 s.
+    const lpvg_diagnosis_table_t table = exact_table([](lpvg_diagnosis_table_t& t) {
+        t.reals.spread[ny - 1U][diagonal[1]] = Real(0.0625);
+        t.reals.interval = Real(1);
+    });
+    const lpvg_found_t found = judged(table, late_by(5.0, 0.015625, 0.5));
+    CHECK(found.cause == lpvg_cause_delay);
+    CHECK(static_cast<double>(found.high - found.value) == Approx(0.25 * 10.0 * block_s).epsilon(1e-3));
+    CHECK(cause(table, late_by(1.2, 0.015625, 0.5)) == lpvg_cause_other);  // 0.19 s
+    CHECK(cause(table, late_by(1.3, 0.015625, 0.5)) == lpvg_cause_delay);
 }
 
 TEST_CASE("a delay or a lead between two strides is found between them, the longest that is tried is none",

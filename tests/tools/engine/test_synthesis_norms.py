@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from lpvguard.engine.synthesis.interconnection import rational, zeros_poles
-from lpvguard.engine.synthesis.norms import hinf_norm
-from lpvguard.engine.synthesis.statespace import StateSpace, append, gain, series, to_discrete
+from lpvguard.engine.synthesis.norms import _crossings, _lifted, _rounding, axis_frequencies, hinf_norm
+from lpvguard.engine.synthesis.statespace import EPS, StateSpace, append, gain, series, to_discrete
 
 
 @pytest.mark.parametrize("zeta", [0.5, 1e-2, 1e-4, 1e-7])
@@ -75,3 +75,122 @@ def test_a_slow_pole_that_large_entries_hide_widens_the_bracket():
     calm, dense = hinf_norm(G), hinf_norm(G.transformed(U @ np.diag(np.geomspace(1, 1e3, 4)) @ V))
     assert calm.upper <= calm.lower * (1 + 2e-6)
     assert dense.upper >= calm.lower and dense.upper > dense.lower * (1 + 1e-3)
+
+
+def random_system(rng: np.random.Generator, n: int, n_outputs: int, n_inputs: int) -> StateSpace:
+    """Stable, with resonances of a damping down to 2 %, and a direct term of the size of the rest."""
+    A = rng.standard_normal((n, n))
+    A -= (np.linalg.eigvals(A).real.max() + rng.uniform(0.02, 0.5)) * np.eye(n)
+    B, C = rng.standard_normal((n, n_inputs)), rng.standard_normal((n_outputs, n))
+    return StateSpace(A, B, C, rng.uniform(0.0, 2.0) * rng.standard_normal((n_outputs, n_inputs)))
+
+
+def largest_at(G: StateSpace, omega) -> np.ndarray:
+    """Largest singular values (K,) of C (j omega - A)^-1 B + D at ``omega`` (K,), of D at infinity."""
+    omega = np.atleast_1d(omega)
+    finite = np.where(np.isfinite(omega), omega, 0.0)[:, None, None]
+    states = np.linalg.solve(
+        1j * finite * np.eye(len(G.A)) - G.A, np.tile(G.B.astype(complex), (len(omega), 1, 1))
+    )
+    return np.linalg.norm(
+        np.where(np.isfinite(omega)[:, None, None], G.C @ states, 0.0) + G.D, 2, axis=(1, 2)
+    )
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (3, 2), (1, 4), (4, 1), (3, 3)])
+def test_the_bracket_holds_the_largest_singular_value_of_random_systems(shape):
+    rng = np.random.default_rng(sum(shape) + 7 * shape[0])
+    for n in (1, 2, 3, 5, 8):
+        G = random_system(rng, n, *shape)
+        bracket = hinf_norm(G)
+        most = largest_at(G, np.concatenate([[0.0, np.inf], np.geomspace(1e-3, 1e3, 1500)])).max()
+        assert most <= bracket.upper <= bracket.lower * (1 + 1e-6) * (1 + 1e-9)
+        assert bracket.lower == pytest.approx(largest_at(G, bracket.peak_frequency)[0], rel=1e-9)
+        transposed = hinf_norm(StateSpace(G.A.T, G.C.T, G.B.T, G.D.T))
+        assert transposed.lower == pytest.approx(bracket.lower, rel=2e-6)
+        discrete = hinf_norm(to_discrete(G, 0.4))
+        assert discrete.lower == pytest.approx(bracket.lower, rel=2e-6)
+        assert np.isinf(bracket.peak_frequency) or discrete.peak_frequency < np.pi / 0.4
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (3, 2), (3, 3)])
+def test_a_level_is_crossed_where_a_singular_value_is_that_level(shape):
+    """Below the norm every point where the largest singular value meets the level is among those found; above
+    it there is none.
+    """
+    rng = np.random.default_rng(3 + shape[0])
+    for n in (2, 4, 6):
+        G = random_system(rng, n, *shape)
+        bracket = hinf_norm(G)
+        grid = np.geomspace(1e-3, 1e3, 4000)
+        values, ends = largest_at(G, grid), largest_at(G, [0.0, np.inf]).max()
+        for share in (0.3, 0.7, 0.95):
+            level = ends + share * (bracket.lower - ends)
+            crossed = np.flatnonzero(np.diff(values > level))
+            found = _crossings(G, level)
+            for k in crossed:
+                near = (found >= grid[k] * (1 - 1e-6)) & (found <= grid[k + 1] * (1 + 1e-6))
+                assert near.any(), (n, share, grid[k])
+        assert _crossings(G, 1.01 * bracket.upper).size == 0
+    assert _crossings(gain(np.ones(shape)), 2.0).size == 0
+
+
+def with_eigenvalues(*pairs: complex) -> np.ndarray:
+    """A real matrix with these eigenvalues and their conjugates."""
+    out = np.zeros((2 * len(pairs), 2 * len(pairs)))
+    for k, value in enumerate(pairs):
+        out[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[value.real, value.imag], [-value.imag, value.real]]
+    return out
+
+
+def test_frequencies_on_the_axis_stand_with_dc_those_between_and_one_above():
+    three = with_eigenvalues(1j, 4j, 9j, 1 + 2j, -1 + 2j)
+    found = axis_frequencies(three, 1.0)
+    between, geometric = [0.5, 2.5, 6.5], [2.0, 6.0]
+    np.testing.assert_allclose(found, [0.0, 1.0, 4.0, 9.0, *between, *geometric, 18.0], rtol=1e-12)
+    np.testing.assert_allclose(axis_frequencies(with_eigenvalues(3j), 1.0), [0.0, 3.0, 1.5, 6.0], rtol=1e-12)
+    two = [0.0, 2.0, 8.0, 1.0, 5.0, 4.0, 16.0]
+    np.testing.assert_allclose(axis_frequencies(with_eigenvalues(2j, 8j), 1.0), two, rtol=1e-12)
+    assert axis_frequencies(with_eigenvalues(1 + 2j, -1 + 2j), 1.0).size == 0
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_near_the_axis_is_a_thousandth_of_an_eigenvalue_and_what_rounding_of_a_moves(sign):
+    for size in (0.05, 1.0, 40.0):
+        inside, outside = (with_eigenvalues(size * (sign * share + 1j)) for share in (0.99e-3, 1.01e-3))
+        assert axis_frequencies(inside, 1.0)[1] == pytest.approx(size)
+        assert axis_frequencies(outside, 1.0).size == 0
+    # An eigenvalue on the real axis, where a thousandth of it says nothing: by the size of A alone.
+    for scale in (1.0, 1e6):
+        limit = 100 * EPS * scale / (1 - 1e-3)
+        assert axis_frequencies(np.array([[sign * 0.999 * limit]]), scale).tolist() == [0.0, 0.0]
+        assert axis_frequencies(np.array([[sign * 1.001 * limit]]), scale).size == 0
+
+
+def test_rounding_of_a_moves_the_response_entry_by_entry():
+    rng = np.random.default_rng(8)
+    G, omega = random_system(rng, 3, 2, 2), 0.7
+    inverse = np.linalg.inv(1j * omega * np.eye(3) - G.A)
+    left, right = np.abs(G.C @ inverse), np.abs(inverse @ G.B)
+    moved = np.zeros((2, 2))
+    for i in range(3):
+        for k in range(3):
+            moved += np.outer(left[:, i], right[k]) * abs(G.A[i, k])
+    want = 8 * 2.0**-52 * np.sqrt((moved**2).sum())
+    assert _rounding(G, omega) == pytest.approx(want, rel=1e-9)
+    assert _rounding(G, np.inf) == 0.0 == _rounding(gain([[3.0]]), 1.0)
+    one = StateSpace([[-2.0]], [[3.0]], [[5.0]], [[0.0]])
+    assert _rounding(one, 1.0) == pytest.approx(8 * 2.0**-52 * 5 * 3 * 2 / 5, rel=1e-9)
+
+
+def test_the_lifted_response_is_the_largest_at_finite_frequencies_with_its_rounding():
+    slow = 1e-12  # DC is 1, and a rounding of A by 8 units moves it by 8 EPS of itself
+    G = append(
+        StateSpace([[-slow]], [[slow]], [[1.0]], [[0.0]]), StateSpace([[-1.0]], [[1.0]], [[0.5]], [[0.0]])
+    )
+    dense = G.transformed(np.array([[1.0, 0.6], [0.4, 1.0]]))
+    omegas = np.array([np.inf, 2.0, 0.0, 0.0])
+    want = max(largest_at(dense, w)[0] + _rounding(dense, w) for w in (0.0, 2.0))
+    assert _lifted(dense, omegas) == pytest.approx(want, rel=1e-6)
+    assert _lifted(dense, omegas) > 1 + 1e-4
+    assert _lifted(dense, np.array([np.inf])) == 0.0

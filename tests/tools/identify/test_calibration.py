@@ -13,16 +13,21 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import binom
 
+from lpvguard.base.errors import InputError
 from lpvguard.drives.tables import Experiment
 from lpvguard.identify.calibration import (
     NO_RECORDINGS,
     Calibration,
     GroupThreshold,
+    Peak,
     Recordings,
     calibrate,
     change_score,
     energy_score,
+    joint_score,
     joint_scores,
+    peaks,
+    require_calibration,
     score,
 )
 
@@ -220,3 +225,63 @@ def test_an_hour_is_3600_s():
     scores = scores_of(19)
     found = calibrate(scores, 0.1).over(dict.fromkeys(scores, 1805.3 / 19))
     assert found.hourly.endswith("an hour judged, of 0.501 h")
+
+
+def run_of(frames, energy=(0.0, 0.0), change=(0.0, 0.0), energy_band=(0, 0)) -> SimpleNamespace:
+    """What the core says of a drive; a frame: bin, end [s], statistic, whether it counted."""
+    columns = [np.array(column) for column in zip(*frames, strict=True)]
+    return SimpleNamespace(
+        frames=SimpleNamespace(**dict(zip(("bin", "t_end_s", "statistic", "counted"), columns, strict=True))),
+        energy=np.array(energy),
+        change=np.array(change),
+        energy_band=np.array(energy_band),
+    )
+
+
+def test_a_peak_is_the_largest_that_counted_and_what_is_left_without_the_frames_that_overlap_it():
+    length = np.array([4, 2])  # at 0.5 s: frames of bin 0 overlap up to 1.5 s, and do not from 2 s on
+    first = (0, 16.0, 4.0, True)
+    overlapping = [(0, 17.5, 3.0, True), (0, 14.25, 3.5, True)]
+    others = [(0, 14.0, 1.5, True), (1, 16.0, 1.2, True)]
+    silent = (1, 16.0, 9.0, False)
+    found = peaks(run_of([*overlapping, silent, first, *others]), 10.0, 0.5, length)
+    assert found == {"frame": Peak(6.0, 0, 1.5)}
+    assert peaks(run_of([first, others[1], silent]), 10.0, 0.5, length) == {"frame": Peak(6.0, 0, 1.2)}
+    small = (1, 18.0, 0.4, True)
+    assert peaks(run_of([small, first]), 10.0, 0.5, length)["frame"].without == 0.4
+    assert peaks(run_of([first, *overlapping]), 10.0, 0.5, length)["frame"].without == 0.0
+    assert peaks(run_of([silent]), 10.0, 0.5, length) == {}
+
+
+def test_a_peak_of_the_energy_test_names_its_band_and_one_of_the_change_test_none():
+    silent = [(1, 16.0, 9.0, False)]
+    run = run_of(silent, (0.0, 0.2, 0.5, 0.3), (0.3, 0.6, 0.4, 0.1), (0, 1, 2, 1))
+    assert peaks(run, 10.0, 0.5, np.array([4, 2])) == {"energy": Peak(1.0, 2), "change": Peak(0.5)}
+
+
+def test_a_joint_score_is_the_largest_above_its_own_floor():
+    floors = {"frame": 1.0, "energy": 2.0}
+    assert joint_score({"frame": 1.5, "energy": 1.9}, floors) == 1.5
+    assert joint_score({"frame": None, "energy": 2.5}, floors) == 2.5
+    assert joint_score({"frame": 1.0, "energy": 2.0}, floors) == 0.0
+    assert joint_score({"frame": None, "energy": None}, floors) == 0.0
+
+
+def test_the_drive_that_decides_is_the_one_whose_score_the_core_carries():
+    found = calibrate(scores_of(20), 0.1)
+    assert found.scores[found.decided_by] == found.threshold != next(iter(found.scores.values()))
+    assert calibrate(scores_of(20), 0.1, floor=100.0).decided_by is None
+
+
+def test_without_a_drive_that_calibrates_there_is_no_threshold(tmp_path):
+    require_calibration(tmp_path, iter(["a", "b"]), {"a": "too short"}, True)
+    with pytest.raises(
+        InputError, match=r"experiments.csv: column split: nothing calibrates: every drive.*from 9 rec"
+    ):
+        require_calibration(tmp_path, [], {"a": "too short"}, True)
+    with pytest.raises(InputError, match=r"calibrate \(3\): .*no test judges any of them \(b: too short\)"):
+        require_calibration(
+            tmp_path, ["a", "b", "c"], {"x": "silent", "b": "too short", "c": "no speed"}, False
+        )
+    with pytest.raises(InputError, match=r"calibrate \(1\): .*\(every bin is silent\)"):
+        require_calibration(tmp_path, iter(["a"]), {"b": "too short"}, False)

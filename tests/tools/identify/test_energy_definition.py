@@ -154,6 +154,9 @@ def test_sigma_is_what_is_needed_and_no_less_than_its_floor(test):
     ]
     np.testing.assert_allclose(found.sigma, wanted)
     assert (found.sigma >= SMALLEST_SIGMA * np.array(size)).all()
+    floor = np.array([[1.5, 0.0], [0.001, 0.6], [2.0, 0.01]])  # what the sensors cannot tell
+    np.testing.assert_allclose(test.with_sigma(needs, floor).sigma, np.maximum(wanted, floor))
+    np.testing.assert_allclose(test.with_sigma(needs, 0.4).sigma, np.maximum(wanted, 0.4))
     # Two outputs share one Delta: products of different ones start at zero, so each energy counts twice.
     np.testing.assert_allclose(found.start, 2 * needs["bound"] ** 2)
     apart = replace(test, W=np.concatenate([test.W, test.W])).with_sigma(needs)
@@ -278,6 +281,51 @@ def test_a_memory_must_outlast_the_slowest_filter(g80, g80_model):
         else:
             with pytest.raises(InputError, match="must forget faster than the sums"):
                 EnergyTest.design(project, estimator, [Weight([1.0], [1.0])], [1.0], [[0.2]], 1.0)
+
+
+def test_a_silent_band_has_a_million_times_its_sigma_in_the_core_alone(test):
+    silent = replace(test, silent=(1,))
+    scale = silent.coefficients()[2]["energy_scale"]
+    np.testing.assert_allclose(1 / scale[[0, 2]], test.sigma[[0, 2]], rtol=1e-14)
+    np.testing.assert_allclose(1 / scale[1], 1e6 * test.sigma[1], rtol=1e-8)
+    assert silent.sigma.tolist() == test.sigma.tolist()
+
+
+def test_a_memory_that_just_equals_the_slowest_filters_is_refused(g80, g80_model):
+    estimator = Estimator.of(g80, g80_model)
+    # The corner of which one over its warped frequency, times that, is 1 in all digits.
+    found = 0
+    for low_hz in np.linspace(0.2, 0.3, 20):
+        low_rad = 2 / g80.Ts_s * np.tan(np.pi * low_hz * g80.Ts_s)
+        memory = 1.0 / low_rad
+        if memory * low_rad != 1.0:
+            continue
+        found += 1
+        settings = g80.energy_test.model_copy(update={"band_hz": (low_hz, 3.0), "memory_s": memory})
+        project = g80.model_copy(update={"energy_test": settings})
+        with pytest.raises(InputError, match="must forget faster than the sums"):
+            EnergyTest.design(project, estimator, [Weight([1.0], [1.0])], [1.0], [[0.2]], 1.0)
+    assert found > 5
+
+
+def test_a_weight_below_its_bound_is_raised_to_what_the_certificate_proves(g80, g80_model):
+    estimator = Estimator.of(g80, g80_model)
+    for level in np.geomspace(0.11, 0.97, 12):
+        W = Weight([level, 2.0 * level], [1.0, 3.0])
+        test = EnergyTest.design(g80, estimator, [W], [1.0, 2.0], [[0.9], [0.9]], 1.0)
+        least = level * 2.0 / 3.0  # of |W|, at rest
+        assert test.gain[0] == pytest.approx(max(1.0, 0.9 / least), rel=3e-9)
+        assert test.certificate[0]["ok"] and test.certificate[0]["min_ratio"] >= 1.0
+
+
+def test_a_factor_common_to_numerator_and_denominator_changes_no_filter(g80, g80_model):
+    estimator = Estimator.of(g80, g80_model)
+    one, two = (
+        EnergyTest.design(g80, estimator, [W], [1.0, 2.0], [[0.2], [0.2]], 1.0)
+        for W in (Weight([1.0, 2.0], [1.0, 8.0]), Weight([4.0, 8.0], [4.0, 32.0]))
+    )
+    np.testing.assert_allclose(two.W, one.W, rtol=1e-12)
+    assert two.above == pytest.approx(one.above, rel=1e-12)
 
 
 def test_weights_and_bounds_are_as_many_as_the_structure_has(g80, g80_model):
