@@ -45,13 +45,13 @@ class JudgedDrives:
 
     @classmethod
     def left_one_out(cls, stored: StoredIdentification, drives: DriveSet) -> JudgedDrives:
-        """Every drive that calibrates, by all drives of other recordings. InputError where every judged drive
-        set the bounds."""
+        """Every drive that calibrates, by all drives of other recordings. InputError where none of them has a
+        frame."""
         if not stored.calibration.scores:
             raise InputError(
                 stored.folder,
                 "drives",
-                "every judged drive set the bounds: none is left to evaluate",
+                "no frame counts in a drive that calibrates: none is left to evaluate",
                 "at least one drive whose "
                 f"split is not {' or '.join(stored.project.data.bound_split)} and in which a frame counts",
             )
