@@ -104,15 +104,16 @@ def test_noise_alone_is_rarely_above_its_floor(g80):
 
 def test_what_the_project_file_states_holds_and_the_least_of_the_drives_else(g80):
     drives = [np.array([[2e-3], [3e-3]]), np.array([[1e-3], [np.nan]]), np.array([[np.nan], [4e-3]])]
-    seen = Resolution.of(g80, drives)
+    least = np.fmin.reduce(drives)
+    seen = Resolution.of(g80, least)
     assert seen.step == pytest.approx([1e-3])
     assert seen.noise == pytest.approx([np.sqrt(9e-6 - 1e-6 / 12)]), "rounding is not counted twice"
-    assert Resolution.of(g80, [np.full((2, 1), np.nan)]).noise.tolist() == [0.0]
+    assert Resolution.of(g80, np.full((2, 1), np.nan)).noise.tolist() == [0.0]
     document = g80.model_dump(by_alias=True)
     output = next(s for s in document["signals"] if s["role"] == "output")
     assert "resolution" not in output and "noise" not in output, "stored as before where nothing is stated"
     output |= {"resolution": 5e-3, "noise": 0.0}
-    stated = Resolution.of(parse_project(document, "g80"), drives)
+    stated = Resolution.of(parse_project(document, "g80"), least)
     assert (stated.step.tolist(), stated.noise.tolist()) == ([5e-3], [0.0])
     again = parse_project(parse_project(document, "g80").model_dump(by_alias=True), "g80").outputs[0]
     assert (again.resolution, again.noise) == (5e-3, 0.0)
@@ -222,8 +223,26 @@ def test_frames_of_rounding_are_within_the_floor_whatever_the_drive(coarse):
         for s in counted_frames(drive, e, yhat, model, estimator):
             worst.append(s1.margin(s.E, s.Z, np.zeros((1, 1)), floor[[s.bin]]).max(initial=0.0))
     assert 0.4 < max(worst) <= 1.0
-    first = list_experiments(coarse)[0]
-    step, noise = resolution_of(read_drive(first.path, project), estimator)
+    drive = read_drive(list_experiments(coarse)[0].path, project)
+    e, _ = nominal_error(drive, model)
+    step, noise = resolution_of(drive, e, estimator)
     assert step == pytest.approx([STEP]) and noise == pytest.approx([0.0], abs=1e-12)
-    e, _ = nominal_error(read_drive(first.path, project), model)
     assert np.abs(e).max() < 0.6 * STEP
+
+
+def test_what_a_quick_input_does_to_the_vehicle_or_a_coarse_one_to_the_model_is_no_noise(g80):
+    model, random = NominalModel(g80), np.random.default_rng(8)
+    estimator = Estimator.of(g80, model)
+    n = 6000
+    t, v, noise = np.arange(n) * g80.Ts_s, np.full(n, 10.0), 1e-3 * random.standard_normal((n, 1))
+    slow = 0.02 * np.sin(0.8 * t)[:, None]
+    for given, true in (
+        (quick := slow + 0.05 * random.standard_normal((n, 1)), quick),
+        (rounded(slow, 0.01), slow),
+    ):
+        y = model.simulate(v, true, np.zeros(1)) + noise
+        drive = Drive("made", t, v, given, y)
+        e, _ = nominal_error(drive, model)
+        found = resolution_of(drive, e, estimator)[1, 0]
+        both = [noise_deviation(x[:, 0], estimator.settled(v)) for x in (y, e)]
+        assert found == pytest.approx(1e-3, rel=0.15) and min(both) == found

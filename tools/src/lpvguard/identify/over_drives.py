@@ -38,7 +38,6 @@ from .passes import (
     first_pass,
     judge,
     remainder_pass,
-    resolution_pass,
     thinned,
     uncertainty_pass,
 )
@@ -85,6 +84,7 @@ class OverDrives:
         self.reader, self.workers, self.progress = reader, workers, progress
         self.left_out: dict[str, str] = {}
         self._spectra: list[Rows] = []
+        self._seen = np.full((2, reader.project.n_y), np.nan)
         self._met: list[Excitation] = []
         self._judged_s: dict[str, float] = {}
         self.origins = Origins()
@@ -99,13 +99,15 @@ class OverDrives:
             yield result
 
     def first_parts(self, chosen: list[Experiment], *, keep: bool) -> Iterator[Part]:
-        """Bounds before smoothing and peaks of every drive; with ``keep`` its spectra are sampled too."""
+        """Bounds before smoothing and peaks of every drive; with ``keep`` its spectra are sampled, and what
+        its sensors show is kept, too."""
         ceiling = self.reader.project.bounds.nu_ceiling.at(self.reader.estimator.omega / (2 * np.pi))
         task = partial(first_pass, self.reader, ceiling)
-        for e, (part, rows) in zip(chosen, self.over("frames", task, chosen), strict=False):
+        for e, (part, rows, seen) in zip(chosen, self.over("frames", task, chosen), strict=False):
             if not part["frames"].any():
                 self.left_out[e.name] = self.reader.why_without_frames()
             if keep:
+                self._seen = np.fmin(self._seen, seen)
                 self._spectra.append(rows)
                 if len(self._spectra) == JOINED_AT_ONCE:
                     self._spectra = [self.spectra]
@@ -174,10 +176,6 @@ class OverDrives:
         ]
         return second | {"grid": grid}, W_delta
 
-    def _resolution(self, setting: list[Experiment]) -> Resolution:
-        found = self.over("resolution", partial(resolution_pass, self.reader), setting)
-        return Resolution.of(self.reader.project, list(found))
-
     def bounds(
         self,
         first: Part,
@@ -197,7 +195,7 @@ class OverDrives:
         if project.bounds.disturbance_set == "covering" and project.n_y > 1:
             task = partial(covering_pass, self.reader, size, B_w)
             B_w = B_w * np.fmax(1.0, fold(self.over("bounds", task, setting))["scale"])[:, None]
-        resolution = self._resolution(setting)
+        resolution = Resolution.of(project, self._seen)
         floor = resolution.floor(estimator)
         return Bounds(
             omega=estimator.omega,

@@ -115,8 +115,11 @@ def spectra_file(rows: Rows, bound_drives: list[str]) -> bytes:
     return stream.getvalue()
 
 
-def first_pass(reader: DriveReader, nu_ceiling: np.ndarray, experiment: Experiment) -> tuple[Part, Rows]:
-    """Bounds before smoothing, peaks, and a sample of the spectra of one drive.
+def first_pass(
+    reader: DriveReader, nu_ceiling: np.ndarray, experiment: Experiment
+) -> tuple[Part, Rows, np.ndarray]:
+    """Bounds before smoothing, peaks, a sample of the spectra of one drive, and step and noise (2, n_y) of
+    its outputs.
 
     ``nu_ceiling`` (K,): the ceiling on the uncertainty bound in every bin, 0 at DC.
     """
@@ -129,12 +132,7 @@ def first_pass(reader: DriveReader, nu_ceiling: np.ndarray, experiment: Experime
             yield s
 
     part = reduce_disturbance(watched(), reader.estimator, nu_ceiling, reader.project.n_y)
-    return part, thinned(stacked(rows))
-
-
-def resolution_pass(reader: DriveReader, experiment: Experiment) -> np.ndarray:
-    """Step and noise (2, n_y) of the outputs' sensors that the drive shows."""
-    return resolution_of(read_drive(experiment.path, reader.project), reader.estimator)
+    return part, thinned(stacked(rows)), resolution_of(drive, e, reader.estimator)
 
 
 def uncertainty_pass(

@@ -7,7 +7,6 @@ most, whatever the signal is, so its share of a frame or of an energy has a boun
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,12 +82,10 @@ class Resolution:
     noise: np.ndarray
 
     @classmethod
-    def of(cls, project: Project, drives: Sequence[np.ndarray]) -> Resolution:
-        """From what `resolution_of` found of the drives that set the bounds: the least of all; or as the
-        project file states it."""
-        seen = np.array(drives)
-        seen = np.where(np.isnan(seen), np.inf, seen).min(axis=0)
-        step, noise = np.where(np.isfinite(seen), seen, 0.0)
+    def of(cls, project: Project, seen: np.ndarray) -> Resolution:
+        """From the least (2, n_y) of what `resolution_of` finds of the drives that set the bounds, NaN: of
+        none; or as the project file states it."""
+        step, noise = np.nan_to_num(seen)
         for j, s in enumerate(project.outputs):
             step[j] = step[j] if s.resolution is None else s.resolution
             noise[j] = noise[j] if s.noise is None else s.noise
@@ -121,7 +118,12 @@ def _gain_inside(sections: np.ndarray, rho: float) -> float:
     return float(np.abs(sosfreqz(inside, omega)[1]).max())
 
 
-def resolution_of(drive: Drive, estimator: Estimator) -> np.ndarray:
-    """Step and noise (2, n_y) that a drive shows."""
+def resolution_of(drive: Drive, e: np.ndarray, estimator: Estimator) -> np.ndarray:
+    """Step and noise (2, n_y) that a drive with the nominal error ``e`` (N, n_y) shows.
+
+    Noise is the lesser of the output's and of e's. One has what a quick input does to the vehicle, the other
+    what a coarse input does to the model.
+    """
     settled = estimator.settled(drive.v)
-    return np.array([[grid_step(y), noise_deviation(y, settled)] for y in drive.y.T]).T
+    noise = [min(noise_deviation(x, settled) for x in pair) for pair in zip(drive.y.T, e.T, strict=True)]
+    return np.array([[grid_step(y) for y in drive.y.T], noise])
