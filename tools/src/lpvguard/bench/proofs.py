@@ -112,8 +112,10 @@ def rate_rows(trials: Trials) -> list[RateRow]:
 
     search = Search(trials.performance, trials.samples, trials.seed)
 
+    level = stated["performance"].get("level", 1.0)
+
     def exceeds(rate: float) -> bool:
-        return search.at(rate, 1.0).gain > 1
+        return search.at(rate, 1.0).gain > level
 
     rows = []
     for claim, violates in (("stability", grows), ("performance", exceeds)):
