@@ -47,6 +47,6 @@ def test_the_stages_are_those_of_the_commands(monkeypatch):
     monkeypatch.setattr(bench, "moving_certificates", lambda *given: asked.append(given[1:]))
     monkeypatch.setattr(bench, "export_chosen", lambda stored, out, folder: asked.append(folder.name))
     stages, worst = bench.chain("truck", "drives", True)
-    moving = ("schedule", "scaling", 0.97)
+    moving = ("schedule", "scaling")
     assert asked == [("project truck", "drives"), ("stored identify", False), "design", "design", moving]
     assert [stage.summed for stage in stages] == [True, True, True, False] and worst == 0.97

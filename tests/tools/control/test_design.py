@@ -59,9 +59,9 @@ def finer(few_truck_identified):
 
 @pytest.fixture(scope="module")
 def moving(finer, tmp_path_factory):
-    """For a moving speed, too; the search for performance takes minutes and has nothing to find here."""
+    """For a moving speed, too; the search for performance takes minutes and has tests of its own."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(moving_speed, "PERFORMANCE_FROM", 0.0)
+        patch.setattr(moving_speed, "find_level", lambda *_: None)
         return saved(stage.design(finer), finer, tmp_path_factory)
 
 
@@ -141,18 +141,23 @@ def test_a_stated_number_that_is_not_what_is_proved_is_refused(
 
 
 def test_robust_stability_is_proved_at_a_moving_speed_and_proved_anew(finer, moving):
-    """The truck brakes with 2 m/s2; what is not searched for is not claimed."""
+    """The truck brakes with 2 m/s2; what is not searched for is not claimed. Stability is at level 1 and of
+    the design's D."""
     result, path = moving
     stated = json.loads(path.read_text())["certificates"]["moving_speed"]
-    assert result.moving["stability"].rate >= 2 and result.moving["performance"] is None
-    assert stated["stability"]["rate_mps2"] == result.moving["stability"].rate
+    assert result.moving["stability"].lpv.rate >= 2 and result.moving["performance"] is None
+    assert stated["stability"]["rate_mps2"] == result.moving["stability"].lpv.rate
     assert stated["performance"]["rate_mps2"] is None
+    assert stated["stability"]["level"] == stated["stability"]["gain"] == 1
+    np.testing.assert_array_equal(stated["stability"]["scaling"], result.scaling.log_parameters)
     families = moving_speed.scaled_families(finer, result.schedule, result.scaling)
     whole = families["performance"].at(15.0).order
     assert stated["stability"]["states"] == families["stability"].at(15.0).order < whole
 
 
-@pytest.mark.parametrize("what", ["faster", "wider", "coefficient", "performance", "other basis"])
+@pytest.mark.parametrize(
+    "what", ["faster", "wider", "coefficient", "performance", "other basis", "no level", "no gain"]
+)
 def test_a_claim_of_a_moving_speed_that_is_not_proved_is_refused(finer, moving, what):
     result, _ = moving
     schedule, one = result.schedule, result.moving["stability"]
@@ -166,10 +171,13 @@ def test_a_claim_of_a_moving_speed_that_is_not_proved_is_refused(finer, moving, 
         schedule = replace(schedule, B=schedule.B * np.array([1.0, 1.5, 1.0]))
     elif what == "performance":
         claim = "performance"
+    elif what == "no level":
+        del said["level"]
+    elif what == "no gain":
+        said["gain"] = 0.0
     else:
         said["basis"] = said["basis"][:-1]
-    family = moving_speed.scaled_families(finer, schedule, result.scaling)[claim]
-    assert not moving_speed._holds(family, said)
+    assert not moving_speed._holds(finer, schedule, claim, said)
 
 
 def test_a_faster_rate_in_controller_json_is_refused(finer, moving, tmp_path):
@@ -256,7 +264,8 @@ def test_the_other_structures_go_from_design_to_the_closed_loop(common, tmp_path
     """K_inf below the gate, which refuses it."""
     stored = with_exact_frames(common)
     # The certificate at a moving speed has tests of its own.
-    monkeypatch.setattr(moving_speed, "find", lambda *_: None)
+    for search in ("find", "find_level"):
+        monkeypatch.setattr(moving_speed, search, lambda *_: None)
     monkeypatch.setattr(stage, "OFF_GRID", 4)
     if structure == "K_inf":
         monkeypatch.setattr(stage, "require_premise", stage.premise)

@@ -90,7 +90,7 @@ def test_a_polynomial_storage_has_its_values_at_knots_that_refine_the_nodes():
     np.testing.assert_allclose(np.diff(storage.knots), 1 / lpv.KNOTS)
     for v, value in zip(storage.knots, storage.P, strict=True):
         np.testing.assert_allclose(value, P[0] + v * P[1] + P[2] / v)
-    uneven = lpv._refined(np.array([0.0, 1.0, 5.0]), 4)
+    uneven = lpv.refined(np.array([0.0, 1.0, 5.0]), 4)
     assert uneven.tolist() == [0.0, 0.25, 0.5, 0.75, 1.0, 2.0, 3.0, 4.0, 5.0]
 
 
@@ -189,7 +189,7 @@ def test_a_state_that_is_neither_reached_nor_seen_leaves_a_basis():
 def frozen():
     one = family()
     speeds = np.array([1.0, 2.0, 2.6, 3.0])
-    basis, parts, P = lpv._frozen_at(one, speeds)
+    basis, parts, P = lpv.frozen_at(one, speeds)
     return one, speeds, basis, parts, P
 
 
@@ -221,8 +221,8 @@ def test_frozen_solutions_are_there_while_the_gain_of_every_speed_is_below_one(g
         return np.zeros((1, 2)), np.zeros((1, 2))
 
     one = lpv.Family(at, np.array([1.0, 2.0]), slice(0, 1), 2, none, TS)
-    assert (lpv._frozen_at(one, np.array([1.0, 1.4, 2.0])) is not None) == there
-    assert lpv._frozen_at(one, np.array([1.0, 1.4])) is not None
+    assert (lpv.frozen_at(one, np.array([1.0, 1.4, 2.0])) is not None) == there
+    assert lpv.frozen_at(one, np.array([1.0, 1.4])) is not None
     unstable = lpv.Family(
         lambda v: StateSpace(np.array([[1.1]]), *(getattr(at(v), k) for k in "BCD"), TS),
         one.nodes,
@@ -231,7 +231,7 @@ def test_frozen_solutions_are_there_while_the_gain_of_every_speed_is_below_one(g
         none,
         TS,
     )
-    assert lpv._frozen_at(unstable, np.array([1.0, 2.0])) is None
+    assert lpv.frozen_at(unstable, np.array([1.0, 2.0])) is None
 
 
 def test_the_rate_at_the_knots_is_the_one_at_which_the_dissipation_ends():

@@ -120,10 +120,11 @@ class Trials:
         return Trial(gain, grows, name)
 
     def moving_performance(self) -> Trial:
-        """A history at the proved rate with a drawn Delta."""
-        speeds, name = self._profile(self.stated["moving_speed"]["performance"]["rate_mps2"])
+        """A history at the proved rate with a drawn Delta: its gain over the proved level."""
+        said = self.stated["moving_speed"]["performance"]
+        speeds, name = self._profile(said["rate_mps2"])
         history = self.performance.history(speeds, self.drawn())
-        return Trial(history.gain(self._input(1))[0], False, name)
+        return Trial(history.gain(self._input(1))[0] / said["level"], False, name)
 
     def frozen(self) -> Trial:
         """At a speed whose mu is proved."""

@@ -75,7 +75,7 @@ def chain(vehicle: str, drives: Path, moving: bool) -> tuple[list[Stage], float]
         design.save(result, stored, designed)
         timed("C, proved anew", lambda: export_chosen(stored, Path(folder) / "vehicle", designed))
         if moving:
-            found = result.schedule, result.scaling, result.worst
+            found = result.schedule, result.scaling
             timed("moving speed", lambda: moving_certificates(stored, *found), False)
     return stages, result.worst
 

@@ -111,13 +111,14 @@ def rate_rows(trials: Trials) -> list[RateRow]:
         return fastest_growth(trials.stability, rate, trials.samples, trials.seed)[0] > 1
 
     search = Search(trials.performance, trials.samples, trials.seed)
+    level = stated["performance"].get("level", 1.0)
     last: Found | None = None
 
     def exceeds(rate: float) -> bool:
         nonlocal last
-        found = search.at(rate, 1.0, last)
-        last = found if found.gain > 1 else last
-        return found.gain > 1
+        found = search.at(rate, level, last)
+        last = found if found.gain > level else last
+        return found.gain > level
 
     rows = []
     for claim, violates in (("stability", grows), ("performance", exceeds)):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
+from ..base.claims import claim_words
 from ..base.rates import hourly_words, share_words
 from ..replay.told import alarm_sentence
 from .shared import console
@@ -303,12 +304,12 @@ def print_largest_A_t(largest: LargestA_t | None) -> None:
 
 def print_moving_speed(result: Design) -> None:
     """What is proved of a controller while the speed moves."""
-    for claim, lpv in result.moving.items():
+    for claim, found in result.moving.items():
         console.print(
             f"moving speed: no proof of robust {claim} was found, nothing is claimed"
-            if lpv is None
-            else f"moving speed: robust {claim} proved for |dv/dt| up to {lpv.rate:.3g} m/s2, "
-            f"{lpv.proof.cells} cells"
+            if found is None
+            else f"moving speed: {claim_words(claim, found.lpv.level, found.lpv.rate)}, "
+            f"{found.lpv.proof.cells} cells"
         )
 
 
@@ -362,11 +363,14 @@ def print_summary(name: str, result: Design, out: Path) -> None:
     """What a design came to, in a line."""
     low, high = result.schedule.speeds[0], result.schedule.speeds[-1]
     held = "certified" if result.worst < 1 else "NOT certified"
-    proved = {claim: lpv.rate for claim, lpv in result.moving.items() if lpv is not None}
-    moving = ", ".join(f"{claim} up to {rate:.3g} m/s2" for claim, rate in proved.items()) or "nothing"
+    moving = [
+        claim_words(claim, found.lpv.level, found.lpv.rate)
+        for claim, found in result.moving.items()
+        if found is not None
+    ]
     console.print(
         f"{name}: robust performance {held}, worst mu {result.worst:.4f} from {low:.4g} to {high:.4g} m/s; "
-        f"of a moving speed {moving}; written to {out}"
+        f"of a moving speed {', '.join(moving) or 'nothing'}; written to {out}"
     )
 
 

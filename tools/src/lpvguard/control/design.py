@@ -30,7 +30,6 @@ from ..core.scheduled import Scheduled
 from ..engine.synthesis import interconnection as fig1
 from ..engine.synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis
 from ..engine.synthesis.errors import SynthesisError
-from ..engine.synthesis.lpv_certificate import LpvCertificate
 from ..engine.synthesis.norms import hinf_norm
 from ..engine.synthesis.scheduling import closed_scaled, common_family, common_scaling
 from ..engine.synthesis.statespace import StateSpace, series
@@ -42,7 +41,7 @@ from ..vehicle.project import DesignSettings
 from .beside import NOTHING, Beside, beside, require_beside
 from .designed import stated_scaling
 from .input_limit import input_limit
-from .moving_speed import moving_certificates, moving_to_dict, require_moving
+from .moving_speed import Moving, moving_certificates, moving_to_dict, require_moving
 from .plants import design_settings, fig1_weights, plant_at, vehicle_at
 from .schedule import FrozenLoop, fit
 
@@ -90,7 +89,7 @@ class Design:
     certificates: list[tuple[float, RobustPerformance]]
     full_order: int
     off_grid: tuple[float, RobustPerformance]
-    moving: dict[str, LpvCertificate | None] = field(default_factory=dict)
+    moving: dict[str, Moving | None] = field(default_factory=dict)
     beside: Beside | None = None
 
     @property
@@ -111,9 +110,7 @@ def design(
     _require_reach(stored, result.schedule)
     return replace(
         result,
-        moving=moving_certificates(stored, result.schedule, result.scaling, result.worst, moving)
-        if moving_speed
-        else {},
+        moving=moving_certificates(stored, result.schedule, result.scaling, moving) if moving_speed else {},
         beside=beside(stored, result.schedule, result.scaling, margins),
     )
 
@@ -374,7 +371,7 @@ def verify(path: Path, stored: StoredIdentification, progress: Progress = lambda
     proved_rows = dict(_certificates(schedule, loops, scaling, frozen))
     for row in rows:
         _compare(path, row, proved_rows[row["v_mps"]], loops[row["v_mps"]], schedule)
-    require_moving(path, stated, stored, schedule, scaling, moving)
+    require_moving(path, stated, stored, schedule, moving)
     require_beside(path, stated, stored, schedule, scaling, margins)
 
 

@@ -1,9 +1,12 @@
-"""What is proved of a scheduled loop while the speed moves: robust stability and robust performance, each
-with its largest rate |dv/dt| (engine/synthesis/lpv_certificate.py); found, written and proved anew."""
+"""What is proved of a scheduled loop while the speed moves; found, written and proved anew.
+
+Robust stability has the largest rate |dv/dt| that was found (engine/synthesis/lpv_certificate.py). Robust
+performance has one rate, and the level at which it holds there (engine/synthesis/least_level.py).
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +16,7 @@ from ..base.progress import Progress
 from ..core.scheduled import Scheduled
 from ..engine.synthesis.dk import Scaling
 from ..engine.synthesis.interconnection import GeneralisedPlant
+from ..engine.synthesis.least_level import find_level, tuned, weighed
 from ..engine.synthesis.lpv_certificate import (
     Family,
     LpvCertificate,
@@ -23,39 +27,65 @@ from ..engine.synthesis.lpv_certificate import (
     riccati_storage,
 )
 from ..engine.synthesis.scheduling import closed_scaled
+from ..engine.synthesis.statespace import lft
 from ..identify.run import StoredIdentification
 from ..vehicle.nominal import NominalModel
-from .plants import design_settings, fig1_weights, plant_at
+from .plants import design_settings, fig1_weights, frozen_plant, plant_at
 
-PERFORMANCE_FROM = 0.95
-"""Largest frozen mu with which robust performance at a moving speed is searched for: nearer 1 the search
-takes as long, and a rate worth stating is not to be had."""
+PERFORMANCE_RATE = 1.0
+"""Rate |dv/dt| in m/s^2 for which robust performance is searched: a truck brakes in service with about as
+much."""
+TUNING_SPEEDS = 4
+"""Nodes, ends included, for which D's shape is searched."""
+POSITIVE = ("rate_mps2", "level", "gain")
+"""Numbers of a claim without which it claims nothing."""
 CLAIMS = ("stability", "performance")
 """What is proved of a moving speed, the first for Delta's channels alone."""
 MOVING_CLAIMS = {
     "stability": "the loop stays stable for every LTI Delta within W_delta",
-    "performance": "the gain of the whole scaled loop is below 1, from rest: robust performance for every "
-    "LTI Delta within W_delta",
+    "performance": "every LTI Delta within W_delta leaves a gain from w to z below level, from rest: robust "
+    "performance with A_t and A_u over level",
 }
 """What each claim says of every speed of the range and every |dv/dt| up to the stated rate."""
+
+
+@dataclass(frozen=True)
+class Moving:
+    """A claim's certificate and the D that it is about, up to the certificate's gain."""
+
+    lpv: LpvCertificate
+    scaling: Scaling
 
 
 def moving_certificates(
     stored: StoredIdentification,
     schedule: Scheduled,
     scaling: Scaling,
-    worst: float,
     progress: Progress = lambda _: None,
-) -> dict[str, LpvCertificate | None]:
-    """The certificates for a moving speed by claim; None where none is found. ``worst``: the largest mu that
-    is proved at a frozen speed."""
+) -> dict[str, Moving | None]:
+    """The certificates for a moving speed by claim; None where none is found."""
     families = scaled_families(stored, schedule, scaling)
-    wanted = [claim for claim in families if claim != "performance" or worst <= PERFORMANCE_FROM]
+    found: dict[str, Moving | None] = dict.fromkeys(CLAIMS)
+    if "stability" in families:
+        stable = find(families["stability"], lambda text: progress(f"stability: {text}"))
+        found["stability"] = None if stable is None else Moving(stable, scaling)
+    progress("performance: scaling")
+    nodes = schedule.speeds[
+        np.unique(np.linspace(0, len(schedule.speeds) - 1, TUNING_SPEEDS).round().astype(int))
+    ]
+    plants = {float(v): frozen_plant(stored, float(v)) for v in nodes}
+    loops = [lft(plant.system, schedule.at(v)) for v, plant in plants.items()]
+    delta = _delta(plants[float(nodes[0])])
+    own = tuned(loops, delta, scaling)
+    performance = scaled_families(stored, schedule, own)["performance"]
+    level = find_level(performance, delta, PERFORMANCE_RATE, lambda text: progress(f"performance: {text}"))
+    found["performance"] = None if level is None else Moving(level, own)
+    return found
 
-    def proved(claim: str) -> LpvCertificate | None:
-        return find(families[claim], lambda text: progress(f"{claim}: {text}"))
 
-    return {claim: proved(claim) if claim in wanted else None for claim in CLAIMS}
+def _delta(plant: GeneralisedPlant) -> tuple[int, int]:
+    """How many rows and columns of a closed loop are Delta's."""
+    return plant.n_delta_in, plant.n_delta_out
 
 
 def scaled_families(stored: StoredIdentification, schedule: Scheduled, scaling: Scaling) -> dict[str, Family]:
@@ -89,7 +119,7 @@ def scaled_families(stored: StoredIdentification, schedule: Scheduled, scaling: 
     if plant.blocks:
         rows, columns = slice(0, plant.n_delta_in), slice(0, plant.n_delta_out)
         found["stability"] = relevant(family, rows, columns)
-    return {claim: found[claim] for claim in CLAIMS if claim in found}
+    return found
 
 
 def require_moving(
@@ -97,18 +127,16 @@ def require_moving(
     stated: dict,
     stored: StoredIdentification,
     schedule: Scheduled,
-    scaling: Scaling,
     progress: Progress = lambda _: None,
 ) -> None:
     """InputError unless every rate that the certificates ``stated`` in controller.json name is proved
     anew."""
-    families = scaled_families(stored, schedule, scaling)
     for claim in CLAIMS:
         said = stated["moving_speed"].get(claim, {"rate_mps2": np.nan})
         if said["rate_mps2"] is None:
             continue
         progress(f"{claim}: proof between the speeds")
-        if claim not in families or not _holds(families[claim], said):
+        if not _holds(stored, schedule, claim, said):
             raise InputError(
                 path,
                 f"certificates.moving_speed.{claim}",
@@ -117,11 +145,16 @@ def require_moving(
             )
 
 
-def _holds(family: Family, said: dict) -> bool:
+def _holds(stored: StoredIdentification, schedule: Scheduled, claim: str, said: dict) -> bool:
     """Whether what controller.json says of a moving speed is proved anew."""
-    if not np.isfinite(said["rate_mps2"]) or said["rate_mps2"] <= 0:
+    if not all(np.isfinite(said.get(name, np.nan)) and said[name] > 0 for name in POSITIVE):
         return False
-    family = replace(family, adjoint=said["adjoint"])
+    # A level is performance's: stability is claimed at 1 alone, with the design's own D.
+    families = scaled_families(stored, schedule, _scaling(said["scaling"]))
+    if claim not in families:
+        return False
+    family, delta = families[claim], _delta(frozen_plant(stored, float(schedule.speeds[0])))
+    family = replace(weighed(family, delta, said["level"], said["gain"]), adjoint=said["adjoint"])
     if said["P"] is None:
         storage = riccati_storage(family)
         return storage is not None and prove(family, storage, said["rate_mps2"]) is not None
@@ -132,18 +165,19 @@ def _holds(family: Family, said: dict) -> bool:
     return prove(family, polynomial_storage(family, basis, P), said["rate_mps2"]) is not None
 
 
-def moving_to_dict(found: dict[str, LpvCertificate | None]) -> dict:
+def moving_to_dict(found: dict[str, Moving | None]) -> dict:
     """``found`` by claim as controller.json holds it; a claim that is not there claims nothing."""
     return {claim: _moving(claim, found.get(claim)) for claim in CLAIMS}
 
 
-def _moving(claim: str, lpv: LpvCertificate | None) -> dict:
+def _moving(claim: str, found: Moving | None) -> dict:
     """A claim about a moving speed as controller.json holds it."""
-    if lpv is None:
+    if found is None:
         return {
             "claim": f"no proof was found: of {claim} at a moving speed nothing is claimed",
             "rate_mps2": None,
         }
+    lpv = found.lpv
     upper = np.triu_indices(len(lpv.storage.basis))
     return {
         "claim": f"at every speed of the range and |dv/dt| up to rate_mps2 {MOVING_CLAIMS[claim]}; nominal "
@@ -152,6 +186,9 @@ def _moving(claim: str, lpv: LpvCertificate | None) -> dict:
         "Riccati solutions), linear between knots, by eigenvalues at the ends of cells that cover the range, "
         "a bound of what it loses between them subtracted",
         "rate_mps2": lpv.rate,
+        "level": lpv.level,
+        "gain": lpv.gain,
+        "scaling": found.scaling.log_parameters.tolist(),
         "not_found_mps2": lpv.not_found,
         "adjoint": lpv.storage.adjoint,
         "states": len(lpv.storage.basis),
@@ -160,6 +197,11 @@ def _moving(claim: str, lpv: LpvCertificate | None) -> dict:
         "basis": None if lpv.P is None else lpv.storage.basis.ravel(),
         "P": None if lpv.P is None else [P[upper] for P in lpv.P],
     }
+
+
+def _scaling(rows: list[list[float]]) -> Scaling:
+    """D by its parameters, one row a block of Delta."""
+    return Scaling(np.array(rows, float).reshape(len(rows), -1) if rows else np.zeros((0, 1)))
 
 
 def _square(values: list[float]) -> np.ndarray:

@@ -13,6 +13,8 @@ WANTED = 0.02
 """Slack, relative to that of the frozen solutions' mean, with which the search at one rate is content."""
 NEWTON_STEPS = 40
 """Steps for one rate before it counts as not found."""
+NEAR = 25.0
+"""Decrement from which on a step is near enough to the central path to move along it."""
 
 
 class Barrier:
@@ -83,44 +85,51 @@ def feasible(barrier: Barrier, P: np.ndarray, unit: np.ndarray) -> np.ndarray | 
     """P with every F_i > 0, from any P: Newton's method on tau t - sum_i log det(F_i + t unit), until t <
     -``WANTED``; what was reached with t < 0, or None, when ``NEWTON_STEPS`` do not get there. ``unit`` (N, N)
     > 0: what F is measured in."""
-    count, width = len(barrier.M), len(unit)
-    p = P[:, barrier.upper[0], barrier.upper[1]].ravel()
+    size = len(barrier.M) * len(unit)
     L = np.linalg.inv(np.linalg.cholesky(unit))
-    t = 1.05 * max(-np.linalg.eigvalsh(L @ barrier.F(P) @ L.T).min(), 1e-3)
-    tau, found = 2.0 * count * width, None
+    t = np.array([1.05 * max(-np.linalg.eigvalsh(L @ barrier.F(P) @ L.T).min(), 1e-3)])
+    tau, found = 2.0 * size, None
     for _ in range(NEWTON_STEPS):
         try:
-            L = np.linalg.inv(np.linalg.cholesky(barrier.F(barrier.matrices(p)) + t * unit))
-            S = np.swapaxes(L, 1, 2) @ L
-            g, g_t = -barrier.adjoint(S), tau - np.sum(S * unit)
-            H = barrier.hessian(S)
-            cross = S @ unit @ S
-            h, h_t = barrier.adjoint(cross), np.sum(cross * unit)
-            scale = 1 / np.sqrt(np.diagonal(H))
-            H *= scale
-            H *= scale[:, None]
-            factor = factored(H)
+            P, t, decrement = newton_step(barrier, P, t, unit[None, None], np.array([tau]))
         except np.linalg.LinAlgError:
             return found
-        solved = (
-            sl.cho_solve(factor, np.stack([g, h], axis=1) * scale[:, None], check_finite=False)
-            * scale[:, None]
-        )
-        d_t = -(g_t - h @ solved[:, 0]) / (h_t - h @ solved[:, 1])
-        d_p = -solved[:, 0] - solved[:, 1] * d_t
-        curve = np.linalg.eigvalsh(
-            L @ (barrier.F(barrier.matrices(d_p), constant=False) + d_t * unit) @ np.swapaxes(L, 1, 2)
-        )
-        length = line_search(curve.ravel(), tau * d_t)
-        p, t = p + length * d_p, t + length * d_t
-        if t < 0:
-            found = barrier.matrices(p)
-        decrement = -(g @ d_p + g_t * d_t)
-        if t < -WANTED or (decrement < 1.0 and abs(t) > 2 * count * width / tau):
+        if t[0] < 0:
+            found = P
+        if t[0] < -WANTED or (decrement < 1.0 and abs(t[0]) > 2 * size / tau):
             return found  # enough, or at the centre: the least t is not much below this one
-        if decrement < 25.0:
+        if decrement < NEAR:
             tau *= 10.0
     return found
+
+
+def newton_step(
+    barrier: Barrier, P: np.ndarray, y: np.ndarray, directions: np.ndarray, slope: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """P, y after a step of Newton's method on ``slope`` (k,) y - sum_i log det(F_i(P) + sum_j y_j
+    directions_ji), and the decrement; ``directions`` (k, count or 1, N, N). LinAlgError where rounding is
+    larger than what is left."""
+    F = barrier.F(P) + np.tensordot(y, directions, 1)
+    L = np.linalg.inv(np.linalg.cholesky(F))
+    S = np.swapaxes(L, 1, 2) @ L
+    crossed = [S @ direction @ S for direction in directions]
+    g = -barrier.adjoint(S)
+    g_y = slope - np.array([np.sum(S * direction) for direction in directions])
+    h = np.stack([barrier.adjoint(cross) for cross in crossed], axis=1)
+    h_y = np.array([[np.sum(cross * direction) for direction in directions] for cross in crossed])
+    H = barrier.hessian(S)
+    scale = 1 / np.sqrt(np.diagonal(H))
+    H *= scale
+    H *= scale[:, None]
+    right = np.column_stack([g, h]) * scale[:, None]
+    solved = sl.cho_solve(factored(H), right, check_finite=False) * scale[:, None]
+    d_y = -np.linalg.solve(h_y - h.T @ solved[:, 1:], g_y - h.T @ solved[:, 0])
+    d_p = -solved[:, 0] - solved[:, 1:] @ d_y
+    d_P = barrier.matrices(d_p)
+    d_F = barrier.F(d_P, constant=False) + np.tensordot(d_y, directions, 1)
+    curve = np.linalg.eigvalsh(L @ d_F @ np.swapaxes(L, 1, 2))
+    length = line_search(curve.ravel(), float(slope @ d_y))
+    return P + length * d_P, y + length * d_y, float(-(g @ d_p + g_y @ d_y))
 
 
 def factored(H: np.ndarray):

@@ -99,7 +99,7 @@ class Family:
 def relevant(family: Family, rows: slice, columns: slice) -> Family:
     """The family from the inputs ``columns`` to the outputs ``rows``, without the states that these neither
     reach nor are moved by at any speed. ``rows`` ends before the probes."""
-    loops = [family.at(float(v)) for v in _refined(family.nodes, 2)]
+    loops = [family.at(float(v)) for v in refined(family.nodes, 2)]
     n_z = loops[0].n_outputs - family.n_probes
 
     def any_of(parts: list[np.ndarray]) -> np.ndarray:
@@ -175,14 +175,16 @@ class Proof:
 class LpvCertificate:
     """``P`` (3, n, n): P0, P1, P2 in the coordinates ``storage.basis``; None: Riccati solutions, which
     ``riccati_storage`` makes anew. Gain below 1 for |dv/dt| <= rate [m/s^2]. not_found: the least rate tried
-    for which no storage function was found (None: the largest tried was proved); it may exist all the
-    same."""
+    for which no storage function was found (None: the largest tried was proved); it may exist all the same.
+    level, gain: those that the loop is weighed with (least_level.py)."""
 
     rate: float
     storage: Storage
     P: np.ndarray | None
     proof: Proof
     not_found: float | None
+    level: float = 1.0
+    gain: float = 1.0
 
 
 def terms(v) -> np.ndarray:
@@ -212,7 +214,7 @@ def prove(family: Family, storage: Storage, rate: float) -> Proof | None:
         return None
     cells, margin = 0, np.inf
     edges = np.union1d(family.nodes, storage.knots)
-    todo = list(itertools.pairwise(map(float, _refined(edges, FIRST_CELLS))))
+    todo = list(itertools.pairwise(map(float, refined(edges, FIRST_CELLS))))
     scale = np.trace(storage.P.mean(axis=0)) / len(storage.basis)
     while todo:
         low, high = todo.pop()
@@ -242,7 +244,7 @@ class _End:
 
     @classmethod
     def of(cls, family: Family, storage: Storage, v: float) -> _End:
-        S = np.vstack(_parts(family.loop(v), storage.basis))
+        S = np.vstack(parts_in(family.loop(v), storage.basis))
         return cls(v, S, *_share(family, storage.basis, v, S.shape), storage.at(v))
 
 
@@ -261,8 +263,8 @@ def _share(
     return left, right
 
 
-def _parts(G: StateSpace, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """[A B] and [C D] in the coordinates of ``basis``."""
+def parts_in(G: StateSpace, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """[A B], (n, n + m), and [C D], (p, n + m), in the coordinates of ``basis`` (n, n)."""
     return np.linalg.solve(basis, np.hstack([G.A @ basis, G.B])), np.hstack([G.C @ basis, G.D])
 
 
@@ -354,30 +356,31 @@ def _crossed(left: list[np.ndarray], bound: np.ndarray, right: np.ndarray, inver
 def polynomial_storage(family: Family, basis: np.ndarray, P: np.ndarray) -> Storage:
     """P0 + v P1 + P2 / v at the knots that refine the family's nodes; P (3, n, n) in the coordinates
     ``basis`` (n, n)."""
-    knots = _refined(family.nodes, KNOTS)
+    knots = refined(family.nodes, KNOTS)
     return Storage(basis, knots, np.tensordot(terms(knots), P, 1), family.adjoint)
 
 
 def riccati_storage(family: Family) -> Storage | None:
     """Strict solutions of the bounded-real Riccati equation at the knots; None where a frozen gain is not
     below 1."""
-    knots = _refined(family.nodes, KNOTS)
-    frozen = _frozen_at(family, knots)
+    knots = refined(family.nodes, KNOTS)
+    frozen = frozen_at(family, knots)
     return frozen and Storage(frozen[0], knots, frozen[2], family.adjoint)
 
 
-def _refined(nodes: np.ndarray, parts: int) -> np.ndarray:
+def refined(nodes: np.ndarray, parts: int) -> np.ndarray:
+    """``nodes`` (K,), each interval cut into ``parts``: ((K - 1) parts + 1,)."""
     return np.interp(np.arange((len(nodes) - 1) * parts + 1) / parts, np.arange(len(nodes)), nodes)
 
 
-def _frozen_at(family: Family, speeds: np.ndarray):
-    """basis, parts (M, N) and Riccati solutions at ``speeds``, in coordinates that suit all of them; None
-    without solutions."""
+def frozen_at(family: Family, speeds: np.ndarray):
+    """Basis (n, n), pairs ([A B], [C D]) and Riccati solutions (k, n, n) at ``speeds`` (k,), in coordinates
+    that suit all of them; None without solutions."""
     loops = [family.loop(v) for v in speeds]
     if not all(G.stability_margin() > 0 for G in loops):
         return None
     basis = _coordinates(loops)
-    parts = [_parts(G, basis) for G in loops]
+    parts = [parts_in(G, basis) for G in loops]
     frozen = _frozen(parts, family.Ts)
     return None if frozen is None else _even(basis, parts, frozen)
 
@@ -396,7 +399,7 @@ def find(family: Family, progress: Callable[[str], None] = lambda _: None) -> Lp
 def _polynomial(family: Family, progress: Callable[[str], None]) -> LpvCertificate | None:
     """P0 + v P1 + P2 / v with the largest rate that was found and proved."""
     for parts in GRIDS:
-        found, proved = _on_grid(family, _refined(family.nodes, parts), progress)
+        found, proved = _on_grid(family, refined(family.nodes, parts), progress)
         if proved is not None or not found:
             return proved
     return None
@@ -407,7 +410,7 @@ def _on_grid(
 ) -> tuple[bool, LpvCertificate | None]:
     """Whether there is a storage function at the speeds ``grid`` for any rate, and what of it is proved
     between them."""
-    start = _frozen_at(family, grid)
+    start = frozen_at(family, grid)
     if start is None:
         return False, None
     basis, parts, frozen = start
@@ -454,7 +457,7 @@ def _riccati(family: Family) -> LpvCertificate | None:
 
 def _rate_at_knots(family: Family, storage: Storage) -> float:
     """The largest rate for which F > 0 at the knots."""
-    parts = [_parts(family.loop(v), storage.basis) for v in storage.knots]
+    parts = [parts_in(family.loop(v), storage.basis) for v in storage.knots]
     barrier = Barrier(parts, np.eye(len(parts)), np.eye(len(parts)))
     largest = np.inf
     for k, F in enumerate(barrier.F(storage.P)):

@@ -8,6 +8,7 @@ from html import escape
 from pathlib import Path
 
 from ...base import artefacts
+from ...base.claims import claim_words
 from ...base.errors import InputError
 from ...drives.tables import EXPERIMENTS
 from ...evaluate.comparison import HELD_OUT
@@ -323,9 +324,10 @@ def _promise(stored: StoredIdentification, design: Path | None) -> str:
     said_of = artefacts.read_json(design / "controller.json")["certificates"]
     mu = max(r["mu_upper"] for r in [*said_of["speeds"], said_of["off_grid"]])
     speeds = [r["v_mps"] for r in said_of["speeds"]]
-    rates = {claim: said["rate_mps2"] for claim, said in said_of["moving_speed"].items()}
     moving = ", ".join(
-        f"robust {claim} for |dv/dt| up to {number(rate)} m/s²" for claim, rate in rates.items() if rate
+        claim_words(claim, said["level"], said["rate_mps2"])
+        for claim, said in said_of["moving_speed"].items()
+        if said["rate_mps2"]
     )
     return f"""<div class="card" id="promise" data-mu="{mu:.6g}"><h3>Controller</h3>
 <p>{yes_or_no(mu < 1, "Robust performance proved", "Robust performance not proved")}: μ ≤ {mu:.4f} at \

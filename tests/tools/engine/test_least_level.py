@@ -1,0 +1,162 @@
+"""A level of robust performance at a moving speed: above what any gain of D allows, proved anew, refused when
+anything changes, and kept along random histories with any Delta."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.optimize import minimize_scalar
+
+from lpvguard.engine.synthesis import least_level
+from lpvguard.engine.synthesis import lpv_certificate as lpv
+from lpvguard.engine.synthesis.dk import Scaling
+from lpvguard.engine.synthesis.norms import hinf_norm
+from lpvguard.engine.synthesis.statespace import StateSpace
+
+TS = 0.05
+DELTA = (1, 1)
+RATE = 0.2
+
+
+def family(turn: float, performance: float = 1.2) -> lpv.Family:
+    """An oscillator whose stiffness follows the speed, v in 1..3 m/s. xi and w are forces; eta is 0.35 of the
+    position, z ``performance`` times the velocity."""
+
+    def continuous(v):
+        return np.array([[0.0, 1.0, 0.0], [-1.0 - turn * (v - 1), -0.6, 1.0], [0, 0, 0]])
+
+    def at(v):
+        hold = expm(continuous(v) * TS)
+        C = np.vstack([[0.35, 0.0], [0.0, performance], np.eye(2), [0.0, 0.0]])
+        D = np.vstack([np.zeros((4, 2)), np.ones((1, 2))])
+        return StateSpace(hold[:2, :2], np.repeat(hold[:2, 2:], 2, axis=1), C, D, TS)
+
+    def bounds(low, high):
+        slope = np.zeros((3, 3))
+        slope[1, 0] = turn
+        size, zero = np.abs(continuous(high)), np.zeros((3, 3))
+        series = expm(np.block([[size, slope, zero], [zero, size, slope], [zero, zero, size]]) * TS)
+        return series[:2, 3:6], 2 * series[:2, 6:]
+
+    return lpv.Family(at, np.array([1.0, 1.5, 2.0, 2.5, 3.0]), slice(0, 2), 3, bounds, TS)
+
+
+def frozen_level(one: lpv.Family, v: float) -> float:
+    """The least level of any gain at a frozen speed, by bisection on the least scaled norm."""
+
+    def least(level: float) -> float:
+        def norm(log: float) -> float:
+            return hinf_norm(least_level.weighed(one, DELTA, level, np.exp(log)).loop(v), rtol=1e-6).upper
+
+        return minimize_scalar(norm, bounds=(-4, 4), method="bounded", options={"xatol": 1e-6}).fun
+
+    low, high = 0.1, 100.0
+    while high > 1.0001 * low:
+        middle = np.sqrt(low * high)
+        low, high = (low, middle) if least(middle) < 1 else (middle, high)
+    return high
+
+
+@pytest.fixture(scope="module")
+def moving():
+    one = family(turn=0.2)
+    return one, least_level.find_level(one, DELTA, RATE)
+
+
+def test_the_weights_stand_where_they_belong():
+    one = family(turn=0.2)
+    G, H = one.at(2.0), least_level.weighed(one, DELTA, level=4.0, gain=2.0).at(2.0)
+    np.testing.assert_allclose(H.B, G.B * [0.5, 1.0])
+    np.testing.assert_allclose(H.C, G.C * np.array([2.0, 0.25, 1.0, 1.0, 1.0])[:, None])
+    np.testing.assert_allclose(H.D[2:], G.D[2:] * [0.5, 1.0])
+    np.testing.assert_array_equal(H.A, G.A)
+
+
+def test_no_gain_proves_a_level_below_the_frozen_one(moving):
+    one, found = moving
+    least = max(frozen_level(one, v) for v in (1.0, 2.0, 3.0))
+    for gain in (0.5, 1.0, 2.0):
+        below = least_level.weighed(one, DELTA, 0.99 * least, gain * found.gain)
+        assert lpv.prove(below, found.storage, RATE) is None
+
+
+def test_a_level_at_a_moving_speed_is_above_the_frozen_one_and_proved_anew(moving):
+    one, found = moving
+    assert found.level > max(frozen_level(one, v) for v in (1.0, 2.0, 3.0))
+    assert found.rate == RATE and found.proof.margin > 0
+    again = least_level.weighed(one, DELTA, found.level, found.gain)
+    storage = lpv.polynomial_storage(again, found.storage.basis, found.P)
+    assert lpv.prove(again, storage, RATE) is not None
+    assert lpv.prove(replace(again, Ts=20 * TS), storage, RATE) is None
+    assert lpv.prove(least_level.weighed(one, DELTA, 0.5 * found.level, found.gain), storage, RATE) is None
+
+
+def test_every_delta_keeps_the_level_along_random_speed_histories(moving):
+    """Delta: constants, and all-passes that turn by a quarter at the resonance, where they take damping."""
+    one, found = moving
+    random, largest = np.random.default_rng(4), 0.0
+    turn = np.tan(0.5 * 1.06 * TS)
+    lag = (turn - 1) / (turn + 1)
+    for size, a in ((-1.0, 1.0), (0.5, 1.0), (1.0, 1.0), (1.0, lag), (-1.0, lag)):
+        for period in (10, 60, 200):
+            x, v, energy_in, energy_out = np.zeros(2), 2.0, 0.0, 0.0
+            phase, eta_before, xi = random.uniform(0, 2 * np.pi), 0.0, 0.0
+            for k in range(3000):
+                G = one.at(v)
+                w, eta, z = np.sin(1.06 * TS * k + phase), G.C[0] @ x, G.C[1] @ x
+                # (a + 1 / z) / (1 + a / z); a = 1 is a constant
+                xi, eta_before = (eta if a == 1 else a * eta + eta_before - a * xi), eta
+                energy_in, energy_out = energy_in + w * w, energy_out + z * z
+                x = G.A @ x + G.B @ np.array([size * xi, w])
+                v = np.clip(v + RATE * TS * np.sign(np.sin(2 * np.pi * k / period)), 1.0, 3.0)
+            largest = max(largest, np.sqrt(energy_out / energy_in))
+    assert 0.25 * found.level < largest < found.level
+
+
+def test_there_is_no_level_for_a_loop_that_delta_makes_unstable():
+    unstable = family(turn=0.2)
+
+    def at(v):
+        G = unstable.at(v)
+        return replace(G, C=G.C * np.array([5.0, 1, 1, 1, 1])[:, None])
+
+    assert least_level.find_level(replace(unstable, at=at), DELTA, RATE) is None
+
+
+@pytest.mark.parametrize(("performance", "level"), [(1.2, 2.5), (2.0, 5.0), (4.0, 10.0), (40.0, None)])
+def test_without_delta_the_level_is_the_first_that_leaves_room_above_the_norm(performance, level):
+    """The norm is 1.67 ``performance``: 2.5 leaves room for 2, not for 3.3."""
+    alone = lpv.relevant(family(turn=0.0, performance=performance), slice(1, 2), slice(1, 2))
+    found = least_level.find_level(alone, (0, 0), RATE)
+    assert (found and (found.level, found.gain)) == (level and (level, 1.0))
+    norm = hinf_norm(alone.loop(2.0), rtol=1e-6).upper
+    assert level is None or norm <= least_level.ROOMY * level
+
+
+def test_the_shape_of_d_is_tuned_and_stays_where_blocks_are_not_scalar():
+    """eta = lag w and z = 5 xi / 12: at level 2.5 the best d leaves the geometric mean of 1 and 1 / 6 at zero
+    frequency."""
+    pole = np.exp(-0.3 * TS)
+    lag = StateSpace(np.array([[pole]]), np.array([[1 - pole]]), np.array([[1.0]]), np.zeros((1, 1)), TS)
+    # [eta; z] = [0, lag; 5 / 12, 0] [xi; w]
+    G = StateSpace(
+        lag.A,
+        np.hstack([0 * lag.B, lag.B]),
+        np.vstack([lag.C, 0 * lag.C]),
+        np.array([[0, 0], [5 / 12, 0]]),
+        TS,
+    )
+    omega = np.geomspace(1e-3, 60, 200)
+
+    def norm(scaling):
+        d, M = np.exp(scaling.log_magnitude(omega))[0], G.response(omega)
+        M[:, 1] /= least_level.FIRST_LEVEL
+        M[:, 0] *= d[:, None]
+        M[:, :, 0] /= d[:, None]
+        return np.linalg.norm(M, 2, axis=(1, 2)).max()
+
+    start = Scaling(np.zeros((1, 3)))
+    found = least_level.tuned([G], DELTA, start)
+    assert norm(start) == pytest.approx(1.0, rel=1e-3) and norm(found) < 1.1 * np.sqrt(1 / 6)
+    assert least_level.tuned([G], (2, 1), start) is start

@@ -1,0 +1,229 @@
+"""A level of robust performance that a storage function proves while the speed moves.
+
+A scheduled loop has the rows eta of Delta's inputs and z of performance, and the columns xi of Delta's
+outputs and w. It keeps the level beta at a rate when a gain g and P(v) > 0 exist with
+
+    x' P(v) x - x+' P(v+) x+ + g^2 (|xi|^2 - |eta|^2) + |w|^2 - |z|^2 / beta^2 > 0
+
+for all v in the range and |v+ - v| <= rate Ts. Then every LTI Delta within the bound leaves a gain from w to
+z below beta, from rest: beta = 1 is robust performance, and beta is robust performance with z weighed by 1 /
+beta. g is the gain of the scaling D, whose shape is given (``tuned``: the best at frozen speeds).
+
+``find_level`` looks for P0 + v P1 + P2 / v on a grid of speeds, by the barrier method. From the frozen
+solutions a moving speed is out of reach: their P follows the speed wherever little is lost. So the search
+begins at rate 0, and the rate doubles step by step, each from the P before. Speeds between the grid's at
+which the inequality fails join it. What is claimed is proved by ``prove`` for all speeds.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from lpvguard.engine.synthesis.barrier import Barrier, feasible
+from lpvguard.engine.synthesis.dk import Scaling
+from lpvguard.engine.synthesis.lpv_certificate import (
+    KNOTS,
+    Family,
+    LpvCertificate,
+    frozen_at,
+    parts_in,
+    polynomial_storage,
+    prove,
+    refined,
+    slopes,
+    terms,
+)
+from lpvguard.engine.synthesis.norms import hinf_norm
+from lpvguard.engine.synthesis.statespace import StateSpace
+
+FIRST_LEVEL, WIDEST_LEVEL = 2.5, 10.0
+"""Levels tried: the first, doubled while the frozen gain is above ``ROOMY``."""
+ROOMY = 0.9
+"""Largest frozen gain from which a moving speed is searched for."""
+RATE_STEPS = 6
+"""Rates up to the wanted one, each twice the one before, after rate 0."""
+GRID_SHARE = 0.8
+"""Of the rate that P bears on the grid, to be proved between its speeds."""
+ROUNDS = 6
+"""Proofs tried; after each one that fails speeds join the grid."""
+TUNING_STEPS = (0.3, 0.04)
+"""First and last step of the search for D's shape, in the logarithms of its parameters."""
+SLOWEST, TUNING_POINTS = 1e-4, 220
+"""Lowest frequency in rad/s and number of frequencies of that search, besides zero."""
+FARTHEST_GAIN = 2.0
+"""Largest |logarithm| of D's gain, over the synthesis's own, that the search begins with."""
+
+
+def weighed(family: Family, delta: tuple[int, int], level: float, gain: float) -> Family:
+    """The family with its rows eta times ``gain``, its columns xi over ``gain`` and its rows z over
+    ``level``. delta: number of rows eta and of columns xi; both stand first."""
+    n_eta, n_xi = delta
+
+    def at(v: float) -> StateSpace:
+        G = family.at(v)
+        rows, columns = np.ones(G.n_outputs), np.ones(G.n_inputs)
+        rows[:n_eta], rows[n_eta : G.n_outputs - family.n_probes] = gain, 1 / level
+        columns[:n_xi] = 1 / gain
+        return StateSpace(
+            G.A, G.B * columns, G.C * rows[:, None], G.D * rows[:, None] * columns, G.dt, G.inputs, G.outputs
+        )
+
+    return replace(family, at=at)
+
+
+def tuned(loops: list[StateSpace], delta: tuple[int, int], start: Scaling) -> Scaling:
+    """D with the least frozen gain at ``FIRST_LEVEL`` over ``loops``, discrete and unscaled, by a pattern
+    search from ``start``; every block of Delta is one row eta and one column xi, else D stays."""
+    if delta != (len(start.log_parameters),) * 2:
+        return start
+    n = delta[0]
+    fastest = np.pi / loops[0].dt * (1 - 1e-9)
+    omega = np.concatenate([[0.0], np.geomspace(SLOWEST, fastest, TUNING_POINTS)])
+    M = np.array([G.response(omega) for G in loops])
+    M[:, :, n:] /= FIRST_LEVEL
+
+    def worst(log_parameters: np.ndarray) -> float:
+        d = np.exp(Scaling(log_parameters).log_magnitude(omega)).T
+        rows, columns = np.ones((len(omega), M.shape[2])), np.ones((len(omega), M.shape[3]))
+        rows[:, :n], columns[:, :n] = d, 1 / d
+        return float(np.linalg.norm(rows[:, :, None] * M * columns[:, None, :], 2, axis=(2, 3)).max())
+
+    best, (step, last) = start.log_parameters.copy(), TUNING_STEPS
+    least = worst(best)
+    while step >= last:
+        improved = False
+        for index, sign in itertools.product(np.ndindex(best.shape), (1.0, -1.0)):
+            other = best.copy()
+            other[index] += sign * step
+            value = worst(other)
+            if value < least * (1 - 1e-5):
+                best, least, improved = other, value, True
+        step *= 1.0 if improved else 0.5
+    return Scaling(best)
+
+
+def find_level(
+    family: Family, delta: tuple[int, int], rate: float, progress: Callable[[str], None] = lambda _: None
+) -> LpvCertificate | None:
+    """A storage function proved for |dv/dt| <= ``rate`` [m/s^2], at the least level tried at which the frozen
+    gain leaves room; None where none is found. ``delta`` as of ``weighed``."""
+    start = _start(family, delta)
+    if start is None:
+        return None
+    level, gain = start
+    wide = weighed(family, delta, level, gain)
+    grid = family.nodes
+    first = frozen_at(wide, grid)
+    if first is None:
+        return None
+    basis, parts, frozen = first
+    unit = Barrier(parts, np.eye(len(grid)), np.eye(len(grid))).F(frozen).mean(axis=0)
+    search = _Search(wide, grid, basis, parts)
+    P = search.fitted(frozen)
+    on_grid = rate / GRID_SHARE
+    for part in (0.0, *np.exp2(np.arange(RATE_STEPS) - RATE_STEPS + 1.0)):
+        progress(f"storage function for |dv/dt| up to {part * on_grid:.3g} m/s2, {len(basis)} states")
+        found = feasible(search.barrier(part * on_grid), P, unit)
+        if found is None:
+            return None
+        P = found
+    for _ in range(ROUNDS):
+        progress("proof between the speeds")
+        coefficients = search.coefficients(P)
+        storage = polynomial_storage(wide, basis, coefficients)
+        proof = prove(wide, storage, rate)
+        if proof is not None:
+            return LpvCertificate(rate, storage, coefficients, proof, None, level, gain)
+        joined = search.violated(P, on_grid)
+        if not len(joined):
+            return None
+        search = search.joined_by(joined)
+        progress(f"storage function at {len(search.grid)} speeds")
+        found = feasible(search.barrier(on_grid), P, unit)
+        if found is None:
+            return None
+        P = found
+    return None
+
+
+def _start(family: Family, delta: tuple[int, int]) -> tuple[float, float] | None:
+    """Level and gain of D with which the frozen gain is at most ``ROOMY`` at some of the nodes; None where
+    there is no such level."""
+    some = family.nodes[np.unique(np.linspace(0, len(family.nodes) - 1, 4).round().astype(int))]
+
+    def worst(level: float, gain: float) -> float:
+        one = weighed(family, delta, level, gain)
+        return max(hinf_norm(one.loop(float(v)), rtol=1e-3).upper for v in some)
+
+    level = FIRST_LEVEL
+    while level <= WIDEST_LEVEL:
+        gain = 1.0
+        if delta[0]:
+            found = minimize_scalar(
+                lambda log, level=level: worst(level, np.exp(log)),
+                bounds=(-FARTHEST_GAIN, FARTHEST_GAIN),
+                method="bounded",
+                options={"xatol": 0.02},
+            )
+            gain = float(np.exp(found.x))
+        if worst(level, gain) <= ROOMY:
+            return level, gain
+        level *= 2
+    return None
+
+
+@dataclass(frozen=True)
+class _Search:
+    """P0 + v P1 + P2 / v at the speeds ``grid``, of the family ``wide`` in the coordinates ``basis``; parts:
+    [A B] and [C D] at every speed. Terms of P are of like size: 1, v and 1 / v shifted and scaled."""
+
+    wide: Family
+    grid: np.ndarray
+    basis: np.ndarray
+    parts: list[tuple[np.ndarray, np.ndarray]]
+
+    @property
+    def units(self) -> np.ndarray:
+        mean, spread = float(self.wide.nodes.mean()), float(np.ptp(self.wide.nodes))
+        return np.array([[1.0, 0, 0], [-mean / spread, 1 / spread, 0], [-1, 0, mean]])
+
+    def fitted(self, values: np.ndarray) -> np.ndarray:
+        """The terms (3, n, n) nearest to ``values`` (speeds, n, n)."""
+        functions = terms(self.grid) @ self.units.T
+        flat = np.linalg.lstsq(functions, values.reshape(len(values), -1), rcond=None)[0]
+        return flat.reshape(3, *values.shape[1:])
+
+    def coefficients(self, P: np.ndarray) -> np.ndarray:
+        """Of 1, v and 1 / v, (3, n, n), from the terms ``P``."""
+        return np.tensordot(self.units.T, P, 1)
+
+    def barrier(self, rate: float) -> Barrier:
+        """F at every speed for rising and for falling speed."""
+        now = np.repeat(terms(self.grid) @ self.units.T, 2, axis=0)
+        change = slopes(self.grid) @ self.units.T * (rate * self.wide.Ts)
+        after = now + np.stack([change, -change], axis=1).reshape(-1, 3)
+        return Barrier([part for part in self.parts for _ in (0, 1)], now, after)
+
+    def violated(self, P: np.ndarray, rate: float) -> np.ndarray:
+        """The worst speed in every interval of the grid in which F is not positive at the knots."""
+        knots = refined(self.wide.nodes, KNOTS)
+        F = replace(self, grid=knots, parts=self._parts_at(knots)).barrier(rate).F(P)
+        least = np.linalg.eigvalsh(F)[:, 0].reshape(-1, 2).min(axis=1)
+        inside = np.searchsorted(self.grid, knots, side="right")
+        worst = [
+            min(np.flatnonzero(inside == k), key=least.__getitem__) for k in np.unique(inside[least <= 0])
+        ]
+        return np.setdiff1d(knots[worst], self.grid) if worst else np.zeros(0)
+
+    def joined_by(self, speeds: np.ndarray) -> _Search:
+        """The search with ``speeds`` in its grid."""
+        grid = np.union1d(self.grid, speeds)
+        return replace(self, grid=grid, parts=self._parts_at(grid))
+
+    def _parts_at(self, speeds: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        return [parts_in(self.wide.loop(float(v)), self.basis) for v in speeds]
