@@ -294,6 +294,33 @@ TEST_CASE("between short settled pieces nothing is lost but their first block", 
     }
 }
 
+TEST_CASE("a block that is not settled leads, but its roughness does not count", "[unit][REQ-DIAG-4]") {
+    Followed f(table_with());
+    f.run(20.0, healthy);
+    f.alarms = true;
+    f.run(3.0, healthy);
+    const uint32_t blocks = f.diagnosis.blocks;
+    const Real rough = f.diagnosis.output[ny - 1U].rough;
+    CHECK(rough > Real(0));
+    f.reason = lpvg_reason_out_of_range;
+    f.noise = 1.0;
+    f.run(3.0 * block_s, healthy);
+    CHECK(f.diagnosis.blocks == blocks + 3U);
+    CHECK(f.diagnosis.output[ny - 1U].rough == rough);
+}
+
+TEST_CASE("one sample that is not settled makes its block one", "[unit][REQ-DIAG-4]") {
+    const uint32_t place = GENERATE(range(0U, n_block));
+    Followed f(table_with());
+    f.run(20.0, healthy);
+    CHECK(f.diagnosis.settled);
+    for (uint32_t i = 0; i < n_block; ++i) {
+        f.reason = i == place ? lpvg_reason_out_of_range : lpvg_reason_none;
+        f.sample(healthy);
+    }
+    CHECK_FALSE(f.diagnosis.settled);
+}
+
 TEST_CASE("a gap in time is not bridged", "[unit][REQ-DIAG-4]") {
     const int64_t until_us = GENERATE(int64_t{1}, int64_t{-5}, int64_t{20000000});
     Followed f(table_with());

@@ -400,7 +400,8 @@ TEST_CASE("a delay is named below 0.999 of the longest that is tried, to the las
     Real most = Real(0);
     bool named = false, other = false;
     for (int i = -500; i <= 500; ++i) {
-        const double f = static_cast<double>(end) - (delays - 1) + 1e-8 * i;  // of the way from the shorter to the longest
+        const double f = static_cast<double>(end) - (delays - 1) +
+                         0.1 * static_cast<double>(std::numeric_limits<Real>::epsilon()) * i;  // of the way from the shorter to the longest
         of.moved_square[shorter] = static_cast<Real>(f * f);
         of.moved_square[longest] = static_cast<Real>((1.0 - f) * (1.0 - f));
         of.moved_cross[longest] = static_cast<Real>(-f * (1.0 - f));

@@ -368,7 +368,7 @@ TEST_CASE("a change of the demand that is exactly a thousandth beyond the kept r
     // the controller's leads exactly to what is allowed.
     const lpvg_real_t elapsed = static_cast<lpvg_real_t>(ecu.kept.period_us) * lpvg_real_t(1e-6);
     const auto least_that_reaches = [&](lpvg_real_t change) {
-        lpvg_real_t rate = lpvg_real_t(0.9999) * change / elapsed;
+        lpvg_real_t rate = (lpvg_real_t(1) - lpvg_real_t(4) * std::numeric_limits<lpvg_real_t>::epsilon()) * change / elapsed;
         while (rate * elapsed < change) {
             rate = std::nextafter(rate, lpvg_real_t(2) * rate);
         }
