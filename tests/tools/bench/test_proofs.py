@@ -64,11 +64,13 @@ def test_no_drawn_loop_is_above_what_is_proved_and_a_bolder_claim_is_refuted(des
 @pytest.mark.slow("uses the same design")
 def test_performance_at_a_moving_speed_is_drawn_where_it_is_claimed(designed):
     stored, document = stated_by(designed)
-    document["certificates"]["moving_speed"]["performance"]["rate_mps2"] = 0.5
+    document["certificates"]["moving_speed"]["performance"] |= {"rate_mps2": 0.5, "level": 1.0}
     names = [name for name, _, _ in Trials(stored, document, SAMPLES, 2).claims()]
     assert names[1] == "performance, moving speed"
     trial = Trials(stored, document, SAMPLES, 2).moving_performance()
     assert 0.2 < trial.share < 1.5 and not trial.grows and "m/s" in trial.where
+    document["certificates"]["moving_speed"]["performance"]["level"] = 2.0
+    assert Trials(stored, document, SAMPLES, 2).moving_performance().share == trial.share / 2
 
 
 def test_a_grown_loop_refutes_whatever_its_gain():
