@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from inspect import signature
 
 import numpy as np
 import pytest
 
 from lpvguard.bench import _memory as memory
+from lpvguard.bench import names
 from lpvguard.bench import validation as bench
+from lpvguard.cli.bench import bench as command
 from lpvguard.engine.validation import s1
 from made import ROOT
 
@@ -49,3 +52,8 @@ def test_the_table_of_memory_stands_in_the_guide_as_the_command_prints_it(capsys
     bench.main(["--memory"])
     printed = capsys.readouterr().out.strip()
     assert printed in (ROOT / "tools" / "README.md").read_text()
+
+
+def test_the_help_names_every_bench():
+    said = signature(command, eval_str=True).parameters["name"].annotation.__metadata__[0].help
+    assert said.split(";")[0] == ", ".join(names()[:-1]) + f" or {names()[-1]}"
