@@ -47,8 +47,8 @@ Factor::Factor(const Triangle& A) {
                 x -= unit_[i][m] * unit_[k][m] * pivot_[m];
             }
             if (k == i) {
-                pivot_[i] = x;
                 well_ = well_ && x > Real(0);
+                pivot_[i] = well_ ? x : Real(1);  // what is not well is not read, and divides by no zero
             }
             unit_[k][i] = x / pivot_[i];
         }
