@@ -139,8 +139,8 @@ def test_textbook_loops_have_their_closed_form_margins():
 
 
 def test_the_published_example_of_disk_margins_has_its_published_numbers():
-    """25/(s^3 + 10 s^2 + 10 s + 10) has 0.46 at 1.94 rad/s and gains from 0.63 to 1.59, by its authors ([13] in
-    lib/THEORY.md)."""
+    """25/(s^3 + 10 s^2 + 10 s + 10) has 0.46 at 1.94 rad/s and gains from 0.63 to 1.59, by its authors ([13]
+    in lib/THEORY.md)."""
     loop = rational([25.0], [1.0, 10.0, 10.0, 10.0])
     found = margins(*of_system(loop)).found["disk_balanced"]
     assert (found.value, found.omega) == (pytest.approx(0.46, abs=5e-3), pytest.approx(1.94, abs=0.02))
