@@ -276,8 +276,8 @@ def test_memory_does_not_grow_with_the_number_of_drives(tmp_path):
 @pytest.mark.slow("12 s: the fleet bench")
 def test_bench_names_what_there_is(lpvguard):
     done = lpvguard("bench", "nothing")
-    names = "can or chain or core or fleet or lives or robust or soak or steer or synthesis or validation"
-    assert done.returncode == 2 and f"{names} or weights" in done.stderr
+    names = "can or chain or core or fleet or lives or proofs or robust or soak or steer or synthesis"
+    assert done.returncode == 2 and f"{names} or validation or weights" in done.stderr
     done = lpvguard("bench", "fleet", "--drives", 3, "--memory", "--json", "-")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["same_bytes"] is True
