@@ -45,3 +45,9 @@ def stacked(parts: Iterable[Rows]) -> Rows:
     """All rows of the parts, which have the same columns."""
     parts = list(parts)
     return {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
+
+
+def evenly(n: int, count: int) -> np.ndarray:
+    """Of the indices 0..n - 1 an array of shape (count,), evenly apart, ends included, ascending; all (n,)
+    where there are fewer."""
+    return np.unique(np.linspace(0, n - 1, count).round().astype(int))

@@ -15,9 +15,11 @@ from functools import cached_property, partial
 
 import numpy as np
 
+from ..base.sampling import evenly
 from ..control import designed
+from ..control.limits import largest_step
 from ..control.moving_speed import scaled_families
-from ..control.plants import design_settings, frozen_plant
+from ..control.plants import frozen_plant
 from ..control.robust_run import sampled_block
 from ..control.violations import (
     Loop,
@@ -190,7 +192,7 @@ class Trials:
         u_max = float(self.schedule.limit(v)[0])
         start = self.random.standard_normal((self.samples // 2, plant.performance_block.rows))
         reached, _ = LimitedHistory(closed, u_max).furthest(aim, row["energy"], start)
-        step_max = float(design_settings(self.stored).input_rate_max_per_s[0]) * self.Ts
+        step_max = largest_step(self.stored, self.schedule)
         bound = {"demand": kappa * u_max, "step": step_max, "gain": row["gain"]}[aim]
         return Trial(reached / bound, False, f"{v:.4g} m/s, kappa {kappa:g}")
 
@@ -208,8 +210,7 @@ class Trials:
     @cached_property
     def _constructed(self) -> list[StateSpace]:
         """What mu's lower bound constructs at some nodes, each of size 1."""
-        some = np.unique(np.linspace(0, len(self.schedule.speeds) - 1, CONSTRUCTED).round().astype(int))
-        speeds = self.schedule.speeds[some]
+        speeds = self.schedule.speeds[evenly(len(self.schedule.speeds), CONSTRUCTED)]
         found = [worst_case(frozen_plant(self.stored, v), self.schedule.at(v), self.scaling) for v in speeds]
         return [
             StateSpace(one.delta.A, one.delta.B, one.delta.C / one.size, one.delta.D / one.size, self.Ts)
@@ -244,8 +245,7 @@ class Trials:
     def _input(self, performance: int) -> np.ndarray:
         """A first input (samples, m): of the whole loop or of Delta's channels."""
         loop = self.performance if performance else self.stability
-        m = loop.over.at_nodes.shape[2] - loop.over.n - loop.blocks
-        return self.random.standard_normal((self.samples, m))
+        return self.random.standard_normal((self.samples, loop.inputs))
 
     def _one_of(self, rows: list[dict]) -> dict:
         return rows[int(self.random.integers(len(rows)))]

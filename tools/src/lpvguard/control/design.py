@@ -26,6 +26,7 @@ from scipy.optimize import minimize_scalar
 from ..base import artefacts
 from ..base.errors import InputError
 from ..base.progress import Counted, Progress, parts
+from ..base.sampling import evenly
 from ..core.scheduled import Scheduled
 from ..engine.synthesis import interconnection as fig1
 from ..engine.synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis
@@ -163,7 +164,7 @@ def _designed(
         start = int(np.argmin(np.abs(speeds - settings.design_speed_mps)))
         scaling = dk_synthesis(plants[start]).performance.scaling
     before(Counted("one scaling for all speeds", 1, 4))
-    some = np.unique(np.linspace(0, len(plants) - 1, SCALING_SPEEDS).round().astype(int))
+    some = evenly(len(plants), SCALING_SPEEDS)
     scaling, level = common_scaling([plants[k] for k in some], scaling)
     before(Counted("controllers over speed", 2, 4))
     # Never more than half of what is left below 1.

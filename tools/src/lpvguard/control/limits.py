@@ -16,6 +16,7 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..base.progress import Counted, Progress
+from ..base.sampling import evenly
 from ..core.scheduled import Scheduled
 from ..engine.synthesis.dk import Scaling
 from ..engine.synthesis.saturation import LimitedLoop
@@ -93,9 +94,9 @@ def limits(
 ) -> Limits:
     """The rows of SPEEDS nodes and every kappa."""
     rows = []
-    some = np.unique(np.linspace(0, len(schedule.speeds) - 1, SPEEDS).round().astype(int))
+    some = evenly(len(schedule.speeds), SPEEDS)
     asked = [(float(schedule.speeds[k]), kappa) for k in some for kappa in KAPPAS]
-    step_max = _step_max(stored, schedule)
+    step_max = largest_step(stored, schedule)
     for k, (loop, (v, kappa)) in enumerate(zip(_loops(stored, schedule, scaling, asked), asked, strict=True)):
         progress(Counted(f"limits at {v:.3g} m/s", k, len(asked)))
         stability = loop.stability()
@@ -135,7 +136,7 @@ def require_limits(
         return
     rows = stated["rows"]
     asked = [(row["v_mps"], np.inf if row["kappa"] is None else row["kappa"]) for row in rows]
-    step_max = _step_max(stored, schedule)
+    step_max = largest_step(stored, schedule)
     for k, (row, loop) in enumerate(zip(rows, _loops(stored, schedule, scaling, asked), strict=True)):
         v = row["v_mps"]
         progress(Counted(f"limits at {v:.3g} m/s", k, len(rows)))
@@ -165,7 +166,7 @@ def require_limits(
                 refuse("energy", energy)
 
 
-def _step_max(stored: StoredIdentification, schedule: Scheduled) -> float:
+def largest_step(stored: StoredIdentification, schedule: Scheduled) -> float:
     """Largest step of the demand from sample to sample that the rate limit lets pass [input unit]."""
     return float(design_settings(stored).input_rate_max_per_s[0]) * schedule.Ts
 

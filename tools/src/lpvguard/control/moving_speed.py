@@ -13,6 +13,7 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..base.progress import Progress
+from ..base.sampling import evenly
 from ..core.scheduled import Scheduled
 from ..engine.synthesis.dk import Scaling
 from ..engine.synthesis.interconnection import GeneralisedPlant
@@ -70,9 +71,7 @@ def moving_certificates(
         stable = find(families["stability"], lambda text: progress(f"stability: {text}"))
         found["stability"] = None if stable is None else Moving(stable, scaling)
     progress("performance: scaling")
-    nodes = schedule.speeds[
-        np.unique(np.linspace(0, len(schedule.speeds) - 1, TUNING_SPEEDS).round().astype(int))
-    ]
+    nodes = schedule.speeds[evenly(len(schedule.speeds), TUNING_SPEEDS)]
     plants = {float(v): frozen_plant(stored, float(v)) for v in nodes}
     loops = [lft(plant.system, schedule.at(v)) for v, plant in plants.items()]
     delta = _delta(plants[float(nodes[0])])

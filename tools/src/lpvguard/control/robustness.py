@@ -15,6 +15,7 @@ from scipy.optimize import minimize
 
 from ..base.errors import InputError
 from ..base.progress import Counted, Progress
+from ..base.sampling import evenly
 from ..core.scheduled import Scheduled
 from ..engine.synthesis.dk import Scaling
 from ..engine.synthesis.margins import SKEWS
@@ -202,7 +203,7 @@ def _units(model: NominalModel, schedule: Scheduled) -> tuple[float, tuple[float
     P = vehicle_at(model, middle)
     unit_u = float(schedule.limit(middle)[0])
     first = np.log(np.abs(P.response([0.0])[0, :, 0]) * unit_u + 1e-12)
-    some = np.unique(np.linspace(0, len(speeds) - 2, SCALING_NODES).round().astype(int))
+    some = evenly(len(speeds) - 1, SCALING_NODES)
 
     def largest(log_units: np.ndarray) -> float:
         units = tuple(np.exp(log_units))

@@ -46,6 +46,11 @@ class Loop:
     blocks: int
     Ts: float
 
+    @property
+    def inputs(self) -> int:
+        """Inputs that are left when Delta is closed."""
+        return self.over.at_nodes.shape[2] - self.over.n - self.blocks
+
     def history(self, speeds: np.ndarray, delta: StateSpace) -> History:
         """The loop with Delta closed along ``speeds`` (T,) [m/s]."""
         visited, index = np.unique(speeds, return_inverse=True)
@@ -143,8 +148,7 @@ class Search:
 
     def __init__(self, loop: Loop, samples: int, seed: int):
         self.loop, self.samples = loop, samples
-        m = loop.over.at_nodes.shape[2] - loop.over.n - loop.blocks
-        self.first = np.random.default_rng(seed).standard_normal((samples, m))
+        self.first = np.random.default_rng(seed).standard_normal((samples, loop.inputs))
 
     def at(self, rate: float, enough: float = np.inf, before: Found | None = None) -> Found:
         """The largest gain found for |dv/dt| <= ``rate`` [m/s^2]; the search ends where it exceeds
@@ -202,11 +206,10 @@ class Search:
         return found
 
     def _closed_derivative(self, speeds: np.ndarray, delta: StateSpace) -> np.ndarray:
-        """dS/dv of the loop with Delta closed: affine in S where S has no direct term in Delta's channels."""
-        step = 1e-5
-        ends = [np.clip(speeds + sign * step, *self.loop.over.nodes[[0, -1]]) for sign in (-1.0, 1.0)]
-        S = [close(self.loop.over.at(end), self.loop.over.n, delta) for end in ends]
-        return (S[1] - S[0]) / (ends[1] - ends[0])[:, None, None]
+        """dS/dv of the loop with Delta closed, which is quadratic in S: a central difference is exact."""
+        S, dS = self.loop.over.at(speeds), self.loop.over.derivative(speeds)
+        less, more = (close(S + sign * dS, self.loop.over.n, delta) for sign in (-1.0, 1.0))
+        return 0.5 * (more - less)
 
 
 def closed_period(grid: SpeedGrid, speeds: np.ndarray) -> np.ndarray:

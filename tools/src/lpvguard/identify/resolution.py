@@ -16,6 +16,7 @@ from scipy.stats import norm
 from ..drives.frames import Estimator
 from ..drives.tables import Drive
 from ..vehicle.project import Project
+from .change import BLOCK
 
 GRID_FIT = 0.1
 """Values stand on a grid when each is within so much of a step of it."""
@@ -25,8 +26,6 @@ RARE = 1e-3
 """Share of frames of noise alone that may be above its floor."""
 MEDIAN_OF_SQUARE = float(norm.ppf(0.75) ** 2)
 """Median of the square of a normal variable of variance 1."""
-BLOCK = 4
-"""Samples of a second difference (y_0 - y_1 - y_2 + y_3)/2, which has the variance of white noise."""
 
 
 def grid_step(y: np.ndarray) -> float:
@@ -50,7 +49,8 @@ def noise_deviation(y: np.ndarray, settled: np.ndarray) -> float:
     """Standard deviation of white noise in the samples y (N,), from blocks of which all are ``settled`` (N,);
     NaN without such blocks.
 
-    Mean and slope of a block do not count, and the median hears no rare jump.
+    (y_0 - y_1 - y_2 + y_3)/2 of a block has the noise's variance: its mean and slope do not count. The median
+    hears no rare jump.
     """
     blocks = len(y) // BLOCK
     whole = settled[: BLOCK * blocks].reshape(blocks, BLOCK).all(axis=1)
