@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 from scipy.optimize import minimize_scalar
 
 from lpvguard.engine.synthesis import least_level
@@ -13,6 +12,7 @@ from lpvguard.engine.synthesis import lpv_certificate as lpv
 from lpvguard.engine.synthesis.dk import Scaling
 from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.statespace import StateSpace
+from oscillator import Oscillator
 
 TS = 0.05
 DELTA = (1, 1)
@@ -23,23 +23,15 @@ def family(turn: float, performance: float = 1.2) -> lpv.Family:
     """An oscillator whose stiffness follows the speed, v in 1..3 m/s. xi and w are forces; eta is 0.35 of the
     position, z ``performance`` times the velocity."""
 
-    def continuous(v):
-        return np.array([[0.0, 1.0, 0.0], [-1.0 - turn * (v - 1), -0.6, 1.0], [0, 0, 0]])
+    vehicle = Oscillator(turn, TS)
 
     def at(v):
-        hold = expm(continuous(v) * TS)
+        hold = vehicle.hold(v)
         C = np.vstack([[0.35, 0.0], [0.0, performance], np.eye(2), [0.0, 0.0]])
         D = np.vstack([np.zeros((4, 2)), np.ones((1, 2))])
         return StateSpace(hold[:2, :2], np.repeat(hold[:2, 2:], 2, axis=1), C, D, TS)
 
-    def bounds(low, high):
-        slope = np.zeros((3, 3))
-        slope[1, 0] = turn
-        size, zero = np.abs(continuous(high)), np.zeros((3, 3))
-        series = expm(np.block([[size, slope, zero], [zero, size, slope], [zero, zero, size]]) * TS)
-        return series[:2, 3:6], 2 * series[:2, 6:]
-
-    return lpv.Family(at, np.array([1.0, 1.5, 2.0, 2.5, 3.0]), slice(0, 2), 3, bounds, TS)
+    return lpv.Family(at, np.array([1.0, 1.5, 2.0, 2.5, 3.0]), slice(0, 2), 3, vehicle.bounds, TS)
 
 
 def frozen_level(one: lpv.Family, v: float) -> float:

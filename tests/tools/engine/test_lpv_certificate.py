@@ -5,39 +5,28 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 from lpvguard.base import native
 from lpvguard.engine.synthesis import barrier as barrier_method
 from lpvguard.engine.synthesis import lpv_certificate as lpv
 from lpvguard.engine.synthesis.statespace import StateSpace
+from oscillator import Oscillator
 
 TS = 0.05
 
 
 def family(gain: float, turn: float = 0.2) -> lpv.Family:
     """A damped oscillator whose stiffness follows the speed, from force to ``gain`` times the position; v in
-    1..3 m/s.
+    1..3 m/s. Its vehicle is the oscillator itself."""
 
-    Its vehicle is the oscillator itself: A(v) = [[0, 1], [-(1 + turn (v - 1)), -0.6]], B = [0, 1].
-    """
-
-    def continuous(v):
-        return np.array([[0.0, 1.0, 0.0], [-1.0 - turn * (v - 1), -0.6, 1.0], [0, 0, 0]])
+    vehicle = Oscillator(turn, TS)
 
     def at(v):
-        hold = expm(continuous(v) * TS)
+        hold = vehicle.hold(v)
         C = np.vstack([[gain, 0.0], np.eye(2), [0.0, 0.0]])
         return StateSpace(hold[:2, :2], hold[:2, 2:], C, np.array([[0.0], [0.0], [0.0], [1.0]]), TS)
 
-    def bounds(low, high):
-        slope = np.zeros((3, 3))
-        slope[1, 0] = turn
-        size, zero = np.abs(continuous(high)), np.zeros((3, 3))
-        series = expm(np.block([[size, slope, zero], [zero, size, slope], [zero, zero, size]]) * TS)
-        return series[:2, 3:6], 2 * series[:2, 6:]
-
-    return lpv.Family(at, np.array([1.0, 2.0, 3.0]), slice(0, 2), 3, bounds, TS)
+    return lpv.Family(at, np.array([1.0, 2.0, 3.0]), slice(0, 2), 3, vehicle.bounds, TS)
 
 
 @pytest.fixture(scope="module")

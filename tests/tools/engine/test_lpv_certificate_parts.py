@@ -10,6 +10,7 @@ from scipy.optimize import minimize_scalar
 
 from lpvguard.engine.synthesis import barrier as barrier_method
 from lpvguard.engine.synthesis import lpv_certificate as lpv
+from lpvguard.engine.synthesis import storage_grid
 from lpvguard.engine.synthesis.statespace import StateSpace
 
 TS = 0.1
@@ -54,9 +55,16 @@ def dissipated(one: lpv.Family, storage: lpv.Storage, v: float, after: float) ->
 
 def test_terms_and_their_slopes():
     v, h = np.array([[2.0, 4.0], [0.5, 10.0]]), 1e-6
-    assert lpv.terms(v)[0, 1].tolist() == [1.0, 4.0, 0.25] and lpv.terms(v).shape == (2, 2, 3)
+    assert storage_grid.terms(v)[0, 1].tolist() == [1.0, 4.0, 0.25] and storage_grid.terms(v).shape == (
+        2,
+        2,
+        3,
+    )
     np.testing.assert_allclose(
-        lpv.slopes(v), (lpv.terms(v + h) - lpv.terms(v - h)) / (2 * h), rtol=1e-7, atol=1e-9
+        storage_grid.slopes(v),
+        (storage_grid.terms(v + h) - storage_grid.terms(v - h)) / (2 * h),
+        rtol=1e-7,
+        atol=1e-9,
     )
 
 
@@ -90,7 +98,7 @@ def test_a_polynomial_storage_has_its_values_at_knots_that_refine_the_nodes():
     np.testing.assert_allclose(np.diff(storage.knots), 1 / lpv.KNOTS)
     for v, value in zip(storage.knots, storage.P, strict=True):
         np.testing.assert_allclose(value, P[0] + v * P[1] + P[2] / v)
-    uneven = lpv.refined(np.array([0.0, 1.0, 5.0]), 4)
+    uneven = storage_grid.refined(np.array([0.0, 1.0, 5.0]), 4)
     assert uneven.tolist() == [0.0, 0.25, 0.5, 0.75, 1.0, 2.0, 3.0, 4.0, 5.0]
 
 

@@ -19,32 +19,32 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from lpvguard.engine.synthesis.barrier import Barrier, feasible
+from lpvguard.base.sampling import evenly
+from lpvguard.engine.synthesis.barrier import feasible
 from lpvguard.engine.synthesis.dk import Scaling
 from lpvguard.engine.synthesis.lpv_certificate import (
     KNOTS,
     Family,
     LpvCertificate,
     frozen_at,
-    parts_in,
     polynomial_storage,
     prove,
-    refined,
-    slopes,
-    terms,
 )
 from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.statespace import StateSpace
+from lpvguard.engine.synthesis.storage_grid import StorageGrid, refined, unmoved
 
 FIRST_LEVEL, WIDEST_LEVEL = 2.5, 10.0
 """Levels tried: the first, doubled while the frozen gain is above ``ROOMY``."""
 ROOMY = 0.9
 """Largest frozen gain from which a moving speed is searched for."""
+GAIN_SPEEDS = 4
+"""Nodes, ends included, at which D's gain is chosen."""
 RATE_STEPS = 6
 """Rates up to the wanted one, each twice the one before, after rate 0."""
 GRID_SHARE = 0.8
@@ -117,14 +117,12 @@ def find_level(
         return None
     level, gain = start
     wide = weighed(family, delta, level, gain)
-    grid = family.nodes
-    first = frozen_at(wide, grid)
+    first = frozen_at(wide, family.nodes)
     if first is None:
         return None
     basis, parts, frozen = first
-    unit = Barrier(parts, np.eye(len(grid)), np.eye(len(grid))).F(frozen).mean(axis=0)
-    search = _Search(wide, grid, basis, parts)
-    P = search.fitted(frozen)
+    search = StorageGrid.of(wide.loop, wide.Ts, family.nodes, basis, parts)
+    P, unit = search.fitted(frozen), unmoved(parts).F(frozen).mean(axis=0)
     on_grid = rate / GRID_SHARE
     for part in (0.0, *np.exp2(np.arange(RATE_STEPS) - RATE_STEPS + 1.0)):
         progress(f"storage function for |dv/dt| up to {part * on_grid:.3g} m/s2, {len(basis)} states")
@@ -139,7 +137,7 @@ def find_level(
         proof = prove(wide, storage, rate)
         if proof is not None:
             return LpvCertificate(rate, storage, coefficients, proof, None, level, gain)
-        joined = search.violated(P, on_grid)
+        joined = search.violated(P, on_grid, refined(family.nodes, KNOTS))
         if not len(joined):
             return None
         search = search.joined_by(joined)
@@ -154,7 +152,7 @@ def find_level(
 def _start(family: Family, delta: tuple[int, int]) -> tuple[float, float] | None:
     """Level and gain of D with which the frozen gain is at most ``ROOMY`` at some of the nodes; None where
     there is no such level."""
-    some = family.nodes[np.unique(np.linspace(0, len(family.nodes) - 1, 4).round().astype(int))]
+    some = family.nodes[evenly(len(family.nodes), GAIN_SPEEDS)]
 
     def worst(level: float, gain: float) -> float:
         one = weighed(family, delta, level, gain)
@@ -162,7 +160,6 @@ def _start(family: Family, delta: tuple[int, int]) -> tuple[float, float] | None
 
     level = FIRST_LEVEL
     while level <= WIDEST_LEVEL:
-        gain = 1.0
         if delta[0]:
             found = minimize_scalar(
                 lambda log, level=level: worst(level, np.exp(log)),
@@ -170,60 +167,10 @@ def _start(family: Family, delta: tuple[int, int]) -> tuple[float, float] | None
                 method="bounded",
                 options={"xatol": 0.02},
             )
-            gain = float(np.exp(found.x))
-        if worst(level, gain) <= ROOMY:
+            gain, frozen = float(np.exp(found.x)), float(found.fun)
+        else:
+            gain, frozen = 1.0, worst(level, 1.0)
+        if frozen <= ROOMY:
             return level, gain
         level *= 2
     return None
-
-
-@dataclass(frozen=True)
-class _Search:
-    """P0 + v P1 + P2 / v at the speeds ``grid``, of the family ``wide`` in the coordinates ``basis``; parts:
-    [A B] and [C D] at every speed. Terms of P are of like size: 1, v and 1 / v shifted and scaled."""
-
-    wide: Family
-    grid: np.ndarray
-    basis: np.ndarray
-    parts: list[tuple[np.ndarray, np.ndarray]]
-
-    @property
-    def units(self) -> np.ndarray:
-        mean, spread = float(self.wide.nodes.mean()), float(np.ptp(self.wide.nodes))
-        return np.array([[1.0, 0, 0], [-mean / spread, 1 / spread, 0], [-1, 0, mean]])
-
-    def fitted(self, values: np.ndarray) -> np.ndarray:
-        """The terms (3, n, n) nearest to ``values`` (speeds, n, n)."""
-        functions = terms(self.grid) @ self.units.T
-        flat = np.linalg.lstsq(functions, values.reshape(len(values), -1), rcond=None)[0]
-        return flat.reshape(3, *values.shape[1:])
-
-    def coefficients(self, P: np.ndarray) -> np.ndarray:
-        """Of 1, v and 1 / v, (3, n, n), from the terms ``P``."""
-        return np.tensordot(self.units.T, P, 1)
-
-    def barrier(self, rate: float) -> Barrier:
-        """F at every speed for rising and for falling speed."""
-        now = np.repeat(terms(self.grid) @ self.units.T, 2, axis=0)
-        change = slopes(self.grid) @ self.units.T * (rate * self.wide.Ts)
-        after = now + np.stack([change, -change], axis=1).reshape(-1, 3)
-        return Barrier([part for part in self.parts for _ in (0, 1)], now, after)
-
-    def violated(self, P: np.ndarray, rate: float) -> np.ndarray:
-        """The worst speed in every interval of the grid in which F is not positive at the knots."""
-        knots = refined(self.wide.nodes, KNOTS)
-        F = replace(self, grid=knots, parts=self._parts_at(knots)).barrier(rate).F(P)
-        least = np.linalg.eigvalsh(F)[:, 0].reshape(-1, 2).min(axis=1)
-        inside = np.searchsorted(self.grid, knots, side="right")
-        worst = [
-            min(np.flatnonzero(inside == k), key=least.__getitem__) for k in np.unique(inside[least <= 0])
-        ]
-        return np.setdiff1d(knots[worst], self.grid) if worst else np.zeros(0)
-
-    def joined_by(self, speeds: np.ndarray) -> _Search:
-        """The search with ``speeds`` in its grid."""
-        grid = np.union1d(self.grid, speeds)
-        return replace(self, grid=grid, parts=self._parts_at(grid))
-
-    def _parts_at(self, speeds: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        return [parts_in(self.wide.loop(float(v)), self.basis) for v in speeds]

@@ -39,9 +39,10 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg as sl
 
-from lpvguard.engine.synthesis.barrier import Barrier, feasible
+from lpvguard.engine.synthesis.barrier import feasible
 from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.statespace import EPS, StateSpace
+from lpvguard.engine.synthesis.storage_grid import StorageGrid, parts_in, refined, terms, unmoved
 
 SMALLEST_CELL = 1e-3
 """Width in m/s below which a cell that fails is a failure."""
@@ -187,18 +188,6 @@ class LpvCertificate:
     gain: float = 1.0
 
 
-def terms(v) -> np.ndarray:
-    """(1, v, 1/v) in the last axis."""
-    v = np.asarray(v, float)
-    return np.stack([np.ones_like(v), v, 1 / v], axis=-1)
-
-
-def slopes(v) -> np.ndarray:
-    """(0, 1, -1/v²), d/dv of ``terms``, in the last axis; speeds v [m/s]."""
-    v = np.asarray(v, float)
-    return np.stack([np.zeros_like(v), np.ones_like(v), -1 / v**2], axis=-1)
-
-
 def prove(family: Family, storage: Storage, rate: float) -> Proof | None:
     """The proof for all speeds between the first and the last node and |dv/dt| <= rate; None where it
     fails."""
@@ -261,11 +250,6 @@ def _share(
     left[: len(rows)], right[:, : probes.shape[1]] = rows, probes
     left[:n], right[:, :n] = np.linalg.solve(basis, left[:n]), right[:, :n] @ basis
     return left, right
-
-
-def parts_in(G: StateSpace, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """[A B], (n, n + m), and [C D], (p, n + m), in the coordinates of ``basis`` (n, n)."""
-    return np.linalg.solve(basis, np.hstack([G.A @ basis, G.B])), np.hstack([G.C @ basis, G.D])
 
 
 def _cell_slack(family: Family, storage: Storage, one: _End, two: _End, rate: float) -> float | None:
@@ -368,11 +352,6 @@ def riccati_storage(family: Family) -> Storage | None:
     return frozen and Storage(frozen[0], knots, frozen[2], family.adjoint)
 
 
-def refined(nodes: np.ndarray, parts: int) -> np.ndarray:
-    """``nodes`` (K,), each interval cut into ``parts``: ((K - 1) parts + 1,)."""
-    return np.interp(np.arange((len(nodes) - 1) * parts + 1) / parts, np.arange(len(nodes)), nodes)
-
-
 def frozen_at(family: Family, speeds: np.ndarray):
     """Basis (n, n), pairs ([A B], [C D]) and Riccati solutions (k, n, n) at ``speeds`` (k,), in coordinates
     that suit all of them; None without solutions."""
@@ -414,25 +393,16 @@ def _on_grid(
     if start is None:
         return False, None
     basis, parts, frozen = start
-    mean, spread = float(grid.mean()), float(np.ptp(grid))
-    units = np.array([[1.0, 0, 0], [-mean / spread, 1 / spread, 0], [-1, 0, mean]])  # terms of like size
-    functions, rates = terms(grid) @ units.T, slopes(grid) @ units.T
-    P = np.linalg.lstsq(functions, frozen.reshape(len(grid), -1), rcond=None)[0].reshape(3, *frozen.shape[1:])
-    unit = Barrier(parts, np.eye(len(grid)), np.eye(len(grid))).F(frozen).mean(axis=0)
-
-    twice = [part for part in parts for _ in (0, 1)]
-    now, change = (
-        np.repeat(functions, 2, axis=0),
-        np.stack([rates, -rates], axis=1).reshape(-1, 3) * family.Ts,
-    )
+    search = StorageGrid.of(family.loop, family.Ts, grid, basis, parts)
+    P, unit = search.fitted(frozen), unmoved(parts).F(frozen).mean(axis=0)
     stored: list[tuple[float, np.ndarray]] = []
     failed: float | None = None
     while (rate := _next_rate(stored[-1][0] if stored else None, failed)) is not None:
         progress(f"storage function for |dv/dt| up to {rate:.3g} m/s2, {len(basis)} states")
-        found = feasible(Barrier(twice, now, now + rate * change), P, unit)
+        found = feasible(search.barrier(rate), P, unit)
         if found is not None:
             P = found
-            stored.append((rate, np.tensordot(units.T, found, 1)))
+            stored.append((rate, search.coefficients(found)))
         else:
             failed = rate
     progress("proof between the speeds")
@@ -458,7 +428,7 @@ def _riccati(family: Family) -> LpvCertificate | None:
 def _rate_at_knots(family: Family, storage: Storage) -> float:
     """The largest rate for which F > 0 at the knots."""
     parts = [parts_in(family.loop(v), storage.basis) for v in storage.knots]
-    barrier = Barrier(parts, np.eye(len(parts)), np.eye(len(parts)))
+    barrier = unmoved(parts)
     largest = np.inf
     for k, F in enumerate(barrier.F(storage.P)):
         L = np.linalg.inv(np.linalg.cholesky(F)) @ barrier.M[k].T
@@ -544,7 +514,7 @@ def _even(basis, parts, frozen):
     a step is even: slow states lose little of their storage in a step, and elsewhere the barrier's curvature
     would drown in theirs."""
     n = len(basis)
-    lost = Barrier(parts, np.eye(len(parts)), np.eye(len(parts))).F(frozen).mean(axis=0)[:n, :n]
+    lost = unmoved(parts).F(frozen).mean(axis=0)[:n, :n]
     T = sl.eigh(frozen.mean(axis=0), lost)[1]
     wide = [sl.block_diag(T, np.eye(M.shape[1] - n)) for M, _ in parts]
     return (

@@ -18,6 +18,7 @@ from scipy.ndimage import maximum_filter1d
 from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.lpv_certificate import Family
 from lpvguard.engine.synthesis.statespace import StateSpace, gain, to_discrete
+from lpvguard.engine.synthesis.storage_grid import refined
 
 PARTS = 16
 """Points of the vehicle's splines in every interval between nodes."""
@@ -123,9 +124,7 @@ class OverSpeed:
 
     def __init__(self, family: Family):
         self.nodes = np.asarray(family.nodes, float)
-        grid = np.interp(
-            np.arange((len(self.nodes) - 1) * PARTS + 1) / PARTS, np.arange(len(self.nodes)), self.nodes
-        )
+        grid = refined(self.nodes, PARTS)
         loops = [_whole(family, float(v)) for v in grid]
         self.n = family.at(float(self.nodes[0])).order
         self.rows = family.vehicle

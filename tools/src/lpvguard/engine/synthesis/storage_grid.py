@@ -1,0 +1,103 @@
+"""Storage functions P0 + v P1 + P2 / v at the speeds of a grid, for the search (lpv_certificate.py and
+least_level.py)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lpvguard.engine.synthesis.barrier import Barrier
+from lpvguard.engine.synthesis.statespace import StateSpace
+
+
+def terms(v) -> np.ndarray:
+    """(1, v, 1/v) in the last axis."""
+    v = np.asarray(v, float)
+    return np.stack([np.ones_like(v), v, 1 / v], axis=-1)
+
+
+def slopes(v) -> np.ndarray:
+    """(0, 1, -1/v²), d/dv of ``terms``, in the last axis; speeds v [m/s]."""
+    v = np.asarray(v, float)
+    return np.stack([np.zeros_like(v), np.ones_like(v), -1 / v**2], axis=-1)
+
+
+def refined(nodes: np.ndarray, parts: int) -> np.ndarray:
+    """``nodes`` (K,), each interval cut into ``parts``: ((K - 1) parts + 1,)."""
+    return np.interp(np.arange((len(nodes) - 1) * parts + 1) / parts, np.arange(len(nodes)), nodes)
+
+
+def parts_in(G: StateSpace, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """[A B], (n, n + m), and [C D], (p, n + m), in the coordinates of ``basis`` (n, n)."""
+    return np.linalg.solve(basis, np.hstack([G.A @ basis, G.B])), np.hstack([G.C @ basis, G.D])
+
+
+def unmoved(parts: list[tuple[np.ndarray, np.ndarray]]) -> Barrier:
+    """F of one P (n, n) for each of k speeds that do not move; ``parts``: [A B] (n, n + m) and [C D] (p, n +
+    m) at each."""
+    return Barrier(parts, np.eye(len(parts)), np.eye(len(parts)))
+
+
+@dataclass(frozen=True)
+class StorageGrid:
+    """Speeds ``grid`` (k,) [m/s] of the loops ``loop_at`` a speed, sampled at Ts [s]; parts: [A B] and [C D]
+    at every one in the coordinates ``basis`` (n, n). units (3, 3): the terms of P by which it is searched,
+    of like size, from 1, v and 1 / v."""
+
+    loop_at: Callable[[float], StateSpace]
+    Ts: float
+    grid: np.ndarray
+    basis: np.ndarray
+    parts: list[tuple[np.ndarray, np.ndarray]]
+    units: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        loop_at: Callable[[float], StateSpace],
+        Ts: float,
+        grid: np.ndarray,
+        basis: np.ndarray,
+        parts: list[tuple[np.ndarray, np.ndarray]],
+    ) -> StorageGrid:
+        """With the units that suit ``grid``."""
+        mean, spread = float(grid.mean()), float(np.ptp(grid))
+        units = np.array([[1.0, 0, 0], [-mean / spread, 1 / spread, 0], [-1, 0, mean]])
+        return cls(loop_at, Ts, grid, basis, parts, units)
+
+    def fitted(self, values: np.ndarray) -> np.ndarray:
+        """The terms (3, n, n) nearest to ``values`` (k, n, n)."""
+        functions = terms(self.grid) @ self.units.T
+        flat = np.linalg.lstsq(functions, values.reshape(len(values), -1), rcond=None)[0]
+        return flat.reshape(3, *values.shape[1:])
+
+    def coefficients(self, P: np.ndarray) -> np.ndarray:
+        """Of 1, v and 1 / v, (3, n, n), from the terms ``P``."""
+        return np.tensordot(self.units.T, P, 1)
+
+    def barrier(self, rate: float) -> Barrier:
+        """F at every speed for speeds that rise and that fall by ``rate`` [m/s^2]."""
+        now = np.repeat(terms(self.grid) @ self.units.T, 2, axis=0)
+        change = slopes(self.grid) @ self.units.T * (rate * self.Ts)
+        after = now + np.stack([change, -change], axis=1).reshape(-1, 3)
+        return Barrier([part for part in self.parts for _ in (0, 1)], now, after)
+
+    def violated(self, P: np.ndarray, rate: float, speeds: np.ndarray) -> np.ndarray:
+        """Of ``speeds`` (m,) the worst in every interval of the grid in which F is not positive."""
+        F = self._at(speeds).barrier(rate).F(P)
+        least = np.linalg.eigvalsh(F)[:, 0].reshape(-1, 2).min(axis=1)
+        inside = np.searchsorted(self.grid, speeds, side="right")
+        worst = [
+            min(np.flatnonzero(inside == k), key=least.__getitem__) for k in np.unique(inside[least <= 0])
+        ]
+        return np.setdiff1d(speeds[worst], self.grid) if worst else np.zeros(0)
+
+    def joined_by(self, speeds: np.ndarray) -> StorageGrid:
+        """With ``speeds`` (m,) in the grid and the same units."""
+        return self._at(np.union1d(self.grid, speeds))
+
+    def _at(self, speeds: np.ndarray) -> StorageGrid:
+        parts = [parts_in(self.loop_at(float(v)), self.basis) for v in speeds]
+        return replace(self, grid=speeds, parts=parts)
