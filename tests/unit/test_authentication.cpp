@@ -105,6 +105,29 @@ TEST_CASE("a message passes with its authenticator, once, as it came", "[unit][a
     CHECK(std::memcmp(&pair.out, &other, sizeof other) == 0);
 }
 
+TEST_CASE("an identifier is the message's where it agrees under the mask, and only there", "[unit][auth][REQ-AUTH-1]") {
+    for (unsigned bit = 0U; bit < 32U; ++bit) {
+        Pair pair;
+        auto frame = message(1U, 0);
+        frame.id ^= uint32_t{1} << bit;
+        const bool masked = (config().id_mask >> bit & 1U) == 0U;
+        CAPTURE(bit);
+        CHECK(pair.take(frame) == (masked ? lpvg_can_auth_waiting : lpvg_can_auth_other));
+        auto with = config();
+        with.auth_id = with.id ^ (uint32_t{1} << bit);
+        CHECK(lpvg_can_auth_init(&pair.sender, &with, 0U) == (masked ? lpvg_status_bad_argument : lpvg_status_ok));
+    }
+}
+
+TEST_CASE("the freshness that is sent in part goes on beyond its second overflow", "[unit][auth][REQ-AUTH-1]") {
+    Pair pair(0x2FFFEU);
+    for (const uint64_t next : {0x2FFFFU, 0x30000U, 0x30001U}) {
+        CHECK(pair.take(message(1U, 0)) == lpvg_can_auth_waiting);
+        CHECK(pair.take(pair.authenticator(message(1U, 0))) == lpvg_can_auth_passed);
+        CHECK(pair.receiver.freshness == next);
+    }
+}
+
 TEST_CASE("every bit of message and authenticator counts, and so do key and data id", "[unit][auth][REQ-AUTH-2]") {
     Pair pair;
     const auto frame = message(0x5AU, 0);

@@ -197,6 +197,23 @@ TEST_CASE("init refuses rules that make no sense and leaves the struct alone", "
     }
 }
 
+TEST_CASE("a protected message has room for its checksum and counter, whatever is supervised in it", "[unit][can][REQ-CAN-8]") {
+    const lpvg_can_signal_rule_t signals[] = {{0U, 4U, 0U, 15U, 0U, 0U, 0U}, {4U, 4U, 0U, 15U, 0U, 0U, 0U}};
+    for (const uint8_t dlc : {uint8_t{0}, uint8_t{1}, uint8_t{2}, uint8_t{8}}) {
+        for (const uint8_t n_signals : {uint8_t{0}, uint8_t{1}, uint8_t{2}}) {
+            if (dlc == 0U && n_signals > 0U) {
+                continue;  // a signal does not fit
+            }
+            for (const uint8_t e2e : {uint8_t{0}, uint8_t{1}}) {
+                lpvg_can_supervisor_t self;
+                const lpvg_can_rule_t rule = {1U, 0xFFFFFFFFU, 10'000U, 0U, 0U, e2e, dlc, n_signals, signals};
+                CAPTURE(static_cast<int>(dlc), static_cast<int>(n_signals), static_cast<int>(e2e));
+                CHECK((lpvg_can_init(&self, &rule, 1U, 0) == lpvg_status_ok) == (e2e == 0U || dlc >= 2U));
+            }
+        }
+    }
+}
+
 TEST_CASE("cleared memory and NULL read as off and do nothing", "[unit][can][REQ-CAN-8]") {
     lpvg_can_supervisor_t self{};
     lpvg_can_frame_t frame{};
@@ -274,6 +291,15 @@ TEST_CASE("silence while recovering begins the count anew", "[unit][can][REQ-CAN
         CHECK(bus.send(bus.vdc2(k)) == lpvg_can_event_recovering);
     }
     CHECK(bus.send(bus.vdc2(14)) == lpvg_can_event_accepted);
+}
+
+TEST_CASE("more than an hour of silence counts every period", "[unit][can][REQ-CAN-3]") {
+    CanBus bus;
+    bus.run(1, 5);
+    const int64_t last_us = bus.vdc2(5).t_us, period = LPVG_CAN_VDC2_PERIOD_US;
+    const int64_t periods = 2 * int64_t{UINT32_MAX} / period;
+    lpvg_can_advance(&bus.supervisor, last_us + periods * period);
+    CHECK(bus.count(LPVG_CAN_VDC2_INDEX, lpvg_can_event_missed) == periods - 1);
 }
 
 TEST_CASE("a good frame ends a pause: the next one is counted from it", "[unit][can][REQ-CAN-3]") {
@@ -464,6 +490,15 @@ TEST_CASE("a frame exactly one smallest gap after the one before is not babbling
     CHECK(bus.send(frame) == lpvg_can_event_recovering);
     frame.t_us += lpvg_can_rules[LPVG_CAN_VDC2_INDEX].gap_min_us;
     CHECK(bus.send(frame) == lpvg_can_event_recovering);
+    frame.t_us += lpvg_can_rules[LPVG_CAN_VDC2_INDEX].gap_min_us - 1;
+    CHECK(bus.send(frame) == lpvg_can_event_early);
+}
+
+TEST_CASE("a frame too soon behind one that was refused is early, too", "[unit][can]") {
+    CanBus bus;
+    auto frame = bus.vdc2(1);
+    frame.dlc = 7U;
+    CHECK(bus.send(frame) == lpvg_can_event_length);
     frame.t_us += lpvg_can_rules[LPVG_CAN_VDC2_INDEX].gap_min_us - 1;
     CHECK(bus.send(frame) == lpvg_can_event_early);
 }
@@ -745,6 +780,10 @@ TEST_CASE("cross-checks: agreement, each disagreement alone, confirmation and re
         step(r, ay, v, dv - 0.06F * kLimits.track_m);
     }
     CHECK(self.flags == LPVG_CAN_IMPLAUSIBLE_WHEELS);
+    for (int i = 0; i < 100; ++i) {
+        step(5.0F * r, 5.0F * ay, v, 5.0F * dv);
+    }
+    CHECK(self.flags == 0U);
 }
 
 TEST_CASE("cross-checks: a deviation of exactly the limit is none; long violation delays the release no further", "[unit][can]") {

@@ -328,6 +328,11 @@ TEST_CASE("a block that comes before every output has judged the last one starts
     CHECK(fed.change.begun == 1U);
     lpvg_change_take(&fed.change, quiet[0]);  // none has judged
     CHECK(fed.change.begun == 0U);
+    for (uint32_t j = 0U; j < LPVG_NY; ++j) {
+        CHECK(fed.change.begun == 0U);
+        (void)lpvg_change_judge(&fed.change, &fed.coeff);
+    }
+    CHECK(fed.change.begun == 1U);
 }
 
 TEST_CASE("a changed gain is an alarm with its estimate, and again only after a pause", "[unit][change][REQ-MON-16]") {
