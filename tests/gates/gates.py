@@ -1134,6 +1134,8 @@ def main() -> int:
     )
     a = parser.parse_args()
     source, scratch = a.source.resolve(), a.scratch.resolve()
+    if a.table and a.gate != "mutation":
+        parser.error(f"--table is the mutation gate's, not that of {a.gate}")
     if a.table:
         print("\n".join(listed_table(source, scratch, sorted(with_code(source)))))
         return 0

@@ -7,7 +7,8 @@ the types that it has. Every place where a source can be changed is a `Site`; it
 Operators: arithmetic (another operator, one operand alone), bits and shifts, relations (border, opposite),
 conditions (true, false), `&&` and `||` (the other one, one side alone), constants (one up, one down, zero),
 named constants and sizes (one up, one down), signs and negations, counting the other way, compound
-assignments (the opposite, a plain one), returned values, statements left out.
+assignments (the opposite, a plain one), returned values, statements left out; in the place of a variable or a
+member that is read its neighbour of the same type, in the place of an argument the next one.
 
 Not changed: what the compiler must know (sizes of arrays, cases, template arguments, assertions at compile
 time; a constant is changed where it is used), what stands inside a macro with arguments, and operands of fold
@@ -73,7 +74,7 @@ THROUGH = {"ImplicitCastExpr", "ExprWithCleanups", "MaterializeTemporaryExpr", "
 FUNCTIONS = {"FunctionDecl", "CXXMethodDecl", "CXXConstructorDecl", "CXXConversionDecl"}
 NAMED = {"VarDecl", "VarTemplateSpecializationDecl"}
 NO_CONSTANT = {"NAN", "INFINITY", "NULL", "true", "false", "nullptr"}
-STATEMENT, RETURN, CONDITION, EXPRESSION = range(4)
+STATEMENT, RETURN, CONDITION, ARGUMENT, EXPRESSION = range(5)
 """Of sites with the same text the one of lower rank lies around the others."""
 
 
@@ -146,6 +147,11 @@ def is_number(node: Node) -> bool:
     return plain_type(node) in FLOATS | INTEGERS
 
 
+def value_type(node: Node) -> str:
+    """Plain type of what a name stands for: a reference's is that of its object."""
+    return plain_type(node).rstrip("& ")
+
+
 def is_dependent(node: Node) -> bool:
     return "dependent" in plain_type(node)
 
@@ -166,6 +172,8 @@ class Finder:
         self.constants: set[str] = set()  # names at file scope
         self.constant_ids: set[str] = set()
         self.folds: list[tuple[str, int, int]] = []
+        self.fields: dict[str, list[tuple[str, str]]] = {}  # name and type, by record
+        self.scopes: list[list[tuple[str, str]]] = []  # name and type of what has a value, innermost last
         self.function = ""
         self.outside = False  # of every function
         self.visitors: dict[str, Callable[[Node], None]] = {
@@ -189,6 +197,8 @@ class Finder:
             "SwitchStmt": lambda node: self.visit(node["inner"][-1]),
             "ReturnStmt": self.return_,
             "VarDecl": self.variable,
+            "ImplicitCastExpr": self.read_value,
+            "CallExpr": self.call,
         }
 
     # --- places in the text ---
@@ -284,6 +294,10 @@ class Finder:
                 self.constant_ids.add(node.get("id", ""))
                 if outside:
                     self.constants.add(node.get("name", ""))
+            if kind in ("RecordDecl", "CXXRecordDecl") and node.get("name"):
+                parts = [n for n in node.get("inner", []) if n.get("kind") == "FieldDecl" and n.get("name")]
+                if parts:
+                    self.fields[node["name"]] = [(n["name"], plain_type(n)) for n in parts]
             for inner in node.get("inner", []):
                 look(inner, outside and kind not in FUNCTIONS)
 
@@ -324,12 +338,14 @@ class Finder:
 
     def function_(self, node: Node) -> None:
         file, start, end, _ = self.place(node.get("loc", {}))
-        outer = self.function
+        outer, scopes = self.function, self.scopes
         if not outer:  # a lambda counts to what it stands in
             self.function = self.texts[file][start:end] if file else ""
         if self.function:
+            parameters = [n for n in node.get("inner", []) if n.get("kind") == "ParmVarDecl" and n.get("name")]
+            self.scopes = [[(n["name"], value_type(n)) for n in parameters]]
             self.children(node)
-        self.function = outer
+        self.function, self.scopes = outer, scopes
 
     def body(self, node: Node) -> None:
         """A statement whose value nobody takes."""
@@ -361,8 +377,10 @@ class Finder:
         return bool(re.match(r";(\s*\})+\s*(\n\S|$)", rest))
 
     def compound_statement(self, node: Node) -> None:
+        self.scopes.append([])
         for inner in node.get("inner", []):
             self.body(inner)
+        self.scopes.pop()
 
     # --- statements ---
 
@@ -398,10 +416,12 @@ class Finder:
 
     def for_(self, node: Node) -> None:
         init, _, test, step, body = node["inner"]
+        self.scopes.append([])
         self.visit(init)
         self.visit(test)
         self.visit(step)
         self.body(body)
+        self.scopes.pop()
 
     def conditional(self, node: Node) -> None:
         self.condition(node["inner"][0])
@@ -456,8 +476,56 @@ class Finder:
         self.outside = outside
         self.children(node)
         self.function, self.outside = name, False
+        if self.scopes and node.get("init") and not node.get("constexpr"):
+            self.scopes[-1].append((node.get("name", ""), value_type(node)))
 
     # --- expressions ---
+
+    def read_value(self, node: Node) -> None:
+        """A variable or a member that is read: its neighbour of the same type."""
+        inside = node["inner"][0]
+        if node.get("castKind") == "LValueToRValue" and is_number(inside):
+            other = ""
+            if inside["kind"] == "DeclRefExpr":
+                other = self.neighbour(inside)
+            elif inside["kind"] == "MemberExpr":
+                other = self.other_member(inside)
+            if other:
+                self.replaced(inside, EXPRESSION, other)
+        self.children(node)
+
+    def replaced(self, node: Node, rank: int, other: str) -> None:
+        place = self.span(node)
+        if place:
+            before = f"LPVG_ONE1({{n}}, {A}, (__typeof__({A}))({other}), ("
+            self.add(node, rank, before, "))", [(place[1], place[2], other)])
+
+    def neighbour(self, node: Node) -> str:
+        """The variable of a local variable's type that was declared last before the place, or ""."""
+        known = [variable for scope in self.scopes for variable in scope]
+        own = (node.get("referencedDecl", {}).get("name", ""), plain_type(node))
+        if own not in known or self.text(node) != own[0]:
+            return ""
+        return next((name for name, sort in reversed(known) if sort == own[1] and name != own[0]), "")
+
+    def other_member(self, node: Node) -> str:
+        """The same text with the record's next member of the same type, or ""."""
+        record = re.sub(r"^(struct|class) ", "", value_type(node["inner"][0]).rstrip("* ")).split("::")[-1]
+        text, name, sort = self.text(node), node.get("name", ""), plain_type(node)
+        same = [n for n, s in self.fields.get(record, []) if s == sort]
+        if name not in same or len(same) < 2 or not text.endswith(name) or "(" in text:
+            return ""
+        return text[: -len(name)] + same[(same.index(name) + 1) % len(same)]
+
+    def call(self, node: Node) -> None:
+        """Each argument that is a number: the next of its type, where it has no effects."""
+        arguments = node["inner"][1:]
+        for one, two in zip(arguments, arguments[1:], strict=False):
+            text = self.text(core(two))
+            same = is_number(one) and plain_type(one) == plain_type(two) and text != self.text(core(one))
+            if same and one.get("valueCategory") == "prvalue" and re.fullmatch(r"[\w.>\[\]-]+", text):
+                self.replaced(core(one), ARGUMENT, text)
+        self.children(node)
 
     def binary(self, node: Node) -> None:
         left, right = node["inner"]
