@@ -14,118 +14,44 @@ import shutil
 import subprocess
 from pathlib import Path
 
-import cantools
 import numpy as np
 import pytest
 
+from compiled_codec import (
+    CATALOGUE,
+    GENERATED,
+    Frame,
+    check_codes,
+    check_every_raw_value,
+    check_frames,
+    check_refusals,
+    check_rounding,
+    compiled,
+    decode,
+    encode,
+    physical_values,
+    written,
+)
+from compiled_codec import database as our_database
 from lpvguard.base.errors import InputError
-from lpvguard.can.catalogue import Catalogue, load_catalogue
-from lpvguard.can.codegen import HEADER, SOURCE, codec_files
+from lpvguard.can.catalogue import load_catalogue
+from lpvguard.can.codegen import SOURCE, codec_files
 from lpvguard.can.dbc import dbc_text
 from made import ROOT
 from parts import require
 
-CATALOGUE = load_catalogue()
-GENERATED = [m for m in CATALOGUE.messages if m.codec == "generated"]
 SIGNALS = [pytest.param(m, s, id=f"{m.name}.{s.name}") for m in GENERATED for s in m.signals]
-STRICT = ["-std=c99", "-pedantic", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror"]
 FRAMES = 1_000_000
 
 
 @pytest.fixture(scope="session")
 def database():
-    return cantools.database.load_string(dbc_text(), "dbc")
-
-
-def _loops(catalogue: Catalogue) -> str:
-    """C loops around every function of the codec, so that Python calls once per array."""
-    parts = [f'#include "{HEADER}"\n#include <string.h>\n']
-    for m in (m for m in catalogue.messages if m.codec == "generated"):
-        name = f"lpvg_can_{m.name.lower()}"
-        parts.append(
-            f"void loop_{m.name}_unpack(const uint8_t* data, long n, uint16_t* raw) {{\n"
-            f"  for (long i = 0; i < n; ++i) {{ lpvg_can_frame_t f; {name}_t s; "
-            f"f.dlc = 8u; f.id = 0u; f.t_us = 0;\n"
-            f"    memcpy(f.data, data + 8 * i, 8u); "
-            f"if ({name}_unpack(&s, &f) != lpvg_status_ok) {{ return; }}\n"
-        )
-        parts += [f"    raw[{len(m.signals)} * i + {k}] = s.{s.name};\n" for k, s in enumerate(m.signals)]
-        parts.append(
-            f"  }}\n}}\nvoid loop_{m.name}_pack(const uint16_t* raw, long n, uint8_t* data) {{\n"
-            f"  for (long i = 0; i < n; ++i) {{ lpvg_can_frame_t f; {name}_t s;\n"
-        )
-        for k, s in enumerate(m.signals):
-            kind = "uint8_t" if s.length <= 8 else "uint16_t"
-            parts.append(f"    s.{s.name} = ({kind})raw[{len(m.signals)} * i + {k}];\n")
-        parts.append(
-            f"    if ({name}_pack(&s, &f) != lpvg_status_ok) {{ return; }} "
-            f"memcpy(data + 8 * i, f.data, 8u);\n  }}\n}}\n"
-        )
-        for s in m.signals:
-            kind = "uint8_t" if s.length <= 8 else "uint16_t"
-            parts.append(
-                f"void loop_{m.name}_{s.name}_encode(const float* x, long n, uint16_t* raw) {{\n"
-                f"  for (long i = 0; i < n; ++i) {{ raw[i] = {name}_{s.name}_encode(x[i]); }}\n}}\n"
-                f"void loop_{m.name}_{s.name}_decode(const uint16_t* raw, long n, float* x, int* q) {{\n"
-                f"  for (long i = 0; i < n; ++i) {{ "
-                f"q[i] = (int){name}_{s.name}_decode(({kind})raw[i], x + i); }}\n}}\n"
-            )
-    return "".join(parts)
+    return our_database()
 
 
 @pytest.fixture(scope="session")
 def codec(tmp_path_factory):
-    """The generated codec and the core's can.cpp as one shared library, compiled as strictly as the project
-    is."""
-    folder = tmp_path_factory.mktemp("codec")
-    for name, text in codec_files().items():
-        (folder / name).write_text(text)
-    (folder / "loops.c").write_text(_loops(CATALOGUE))
-    include = ["-I", str(ROOT / "lib/include"), "-I", str(folder)]
-    # Contraction off, as everywhere where bits are compared.
-    subprocess.run(
-        ["cc", *STRICT, "-ffp-contract=off", "-fPIC", *include, "-c", SOURCE, "loops.c"],
-        cwd=folder,
-        check=True,
-    )
-    subprocess.run(
-        [
-            "c++",
-            "-std=c++17",
-            "-O2",
-            "-fPIC",
-            "-shared",
-            *include,
-            str(ROOT / "lib/src/can.cpp"),
-            "lpvg_can_codec.o",
-            "loops.o",
-            "-o",
-            "codec.so",
-        ],
-        cwd=folder,
-        check=True,
-    )
-    return ctypes.CDLL(str(folder / "codec.so"))
-
-
-def _pointer(array: np.ndarray) -> ctypes.c_void_p:
-    return ctypes.c_void_p(array.ctypes.data)
-
-
-def _decode(codec, m, s, raw):
-    raw = np.ascontiguousarray(raw, np.uint16)
-    x, q = np.empty(len(raw), np.float32), np.empty(len(raw), np.int32)
-    getattr(codec, f"loop_{m.name}_{s.name}_decode")(
-        _pointer(raw), ctypes.c_long(len(raw)), _pointer(x), _pointer(q)
-    )
-    return x, q
-
-
-def _encode(codec, m, s, x):
-    x = np.ascontiguousarray(x, np.float32)
-    raw = np.empty(len(x), np.uint16)
-    getattr(codec, f"loop_{m.name}_{s.name}_encode")(_pointer(x), ctypes.c_long(len(x)), _pointer(raw))
-    return raw
+    return compiled(tmp_path_factory.mktemp("codec"))
 
 
 # -------------------------------------------------------------------------------------------- every raw value
@@ -133,89 +59,37 @@ def _encode(codec, m, s, x):
 
 @pytest.mark.parametrize("m, s", SIGNALS)
 def test_every_raw_value_decodes_as_cantools_says_and_comes_back(m, s, codec, database):
-    raw = np.arange(1 << s.length)
-    x, q = _decode(codec, m, s, raw)
-    good = raw <= s.raw_max
+    check_every_raw_value(codec, m, s)
     reference = database.get_message_by_name(m.name).get_signal_by_name(s.name)
-    want = np.array([reference.conversion.raw_to_scaled(int(r), decode_choices=False) for r in raw])
-    # float32: half a unit in the last place of each of the three rounded quantities, at the largest magnitude
-    # involved
-    tolerance = 2.0**-23 * max(abs(s.offset), abs(s.physical_max)) * 2
-    assert np.abs(x[good] - want[good]).max() <= tolerance
-    assert np.isnan(x[~good]).all()
-    assert (q[good] == 1).all()
-    assert np.array_equal(_encode(codec, m, s, x[good]), raw[good])
-    back = np.array([reference.conversion.scaled_to_raw(float(v)) for v in want])
-    assert np.array_equal(back, raw), "cantools itself comes back"
-    assert np.array_equal(_encode(codec, m, s, want[good]), raw[good])
+    back = [reference.conversion.scaled_to_raw(float(v)) for v in physical_values(m.name, s.name)]
+    assert back == list(range(1 << s.length)), "cantools itself comes back"
 
 
 @pytest.mark.parametrize("m, s", SIGNALS)
 def test_codes_above_the_data_decode_as_absent_error_or_reserved(m, s, codec):
-    raw = np.arange(1 << s.length)
-    _, q = _decode(codec, m, s, raw)
-    top = {2: (1, 2, 3), 4: (0xD, 0xE, 0xF), 8: (0xFA, 0xFE, 0xFF), 16: (0xFAFF, 0xFE00, 0xFF00)}[s.length]
-    want = np.select([raw <= top[0], raw >= top[2], raw >= top[1]], [1, 0, 2], 3)
-    assert np.array_equal(q, want)
+    check_codes(codec, m, s)
 
 
 @pytest.mark.parametrize("m, s", SIGNALS)
 def test_encode_saturates_and_rounds(m, s, codec):
-    far = np.array([-np.inf, -1e30, s.physical_min - s.scale, np.inf, 1e30, s.physical_max + s.scale, np.nan])
-    assert _encode(codec, m, s, far).tolist() == [0, 0, 0, *[s.raw_max] * 3, (1 << s.length) - 1]
-    steps = np.random.default_rng(1).uniform(0, s.raw_max, 100_000)
-    x = np.float32(s.offset + s.scale * steps)
-    exact = (x.astype(float) - s.offset) / s.scale
-    decided = (
-        np.abs(exact % 1 - 0.5) > 0.02
-    )  # nearer to a tie than float32 resolves, either neighbour is right
-    assert decided.mean() > 0.9
-    assert np.array_equal(_encode(codec, m, s, x)[decided], np.rint(exact[decided]).astype(np.uint16))
+    check_rounding(codec, m, s)
 
 
-# ---------------------------------------------------------------------------------------------- random frames
+# --------------------------------------------------------------------------------------------------- frames
 
 
 @pytest.mark.slow("5 s: a million frames")
-def test_a_million_random_frames_unpack_and_pack(codec, database):
-    rng = np.random.default_rng(20261121)
-    share = -(-FRAMES // len(GENERATED))
-    total = 0
+def test_a_million_random_frames_unpack_and_pack(codec):
     for m in GENERATED:
-        data = rng.integers(0, 256, (share, 8), np.uint8)
-        raw = np.empty((share, len(m.signals)), np.uint16)
-        getattr(codec, f"loop_{m.name}_unpack")(_pointer(data), ctypes.c_long(share), _pointer(raw))
-        reference = database.get_message_by_name(m.name)
-        order = [s.name for s in m.signals]
-        whole = data.tobytes()
-        for i, ours in enumerate(raw.tolist()):
-            theirs = reference.decode(whole[8 * i : 8 * i + 8], decode_choices=False, scaling=False)
-            assert [theirs[name] for name in order] == ours
-        back = np.zeros_like(data)
-        getattr(codec, f"loop_{m.name}_pack")(_pointer(raw), ctypes.c_long(share), _pointer(back))
-        used = np.zeros(64, bool)
-        for s in m.signals:
-            used[s.start : s.start + s.length] = True
-        used = np.packbits(used, bitorder="little")
-        assert np.array_equal(back & used, data & used)
-        unused = ~used if m.e2e is None else ~used & np.array([0, 0xF0, *[255] * 6], np.uint8)
-        assert ((back & unused) == unused).all(), "unused bits are sent as 1"
-        if m.e2e:
-            assert (back[:, 0] == 0).all() and (back[:, 1] & 0x0F == 0).all(), "the E2E header is still empty"
-        total += share
-    assert total >= FRAMES
+        check_frames(codec, m, -(-FRAMES // len(GENERATED)))
+
+
+@pytest.mark.parametrize("m", GENERATED, ids=lambda m: m.name)
+def test_what_is_missing_or_too_short_is_refused_and_a_packed_frame_is_whole(m, codec):
+    check_refusals(codec, m)
 
 
 # -------------------------------------------------------------------------------------------------------- E2E
-
-
-class Frame(ctypes.Structure):
-    _fields_ = [
-        ("id", ctypes.c_uint32),
-        ("dlc", ctypes.c_uint8),
-        ("data", ctypes.c_uint8 * 8),
-        ("t_us", ctypes.c_int64),
-    ]
 
 
 def _protect(codec, data: bytes, data_id: int, counter: int) -> bytes:
@@ -323,8 +197,8 @@ def test_the_catalogues_messages_have_the_numbers_of_j1939(fact):
 def test_zero_yaw_rate_is_not_on_the_grid(codec):
     m = CATALOGUE.message("VDC2")
     s = next(s for s in m.signals if s.name == "yaw_rate")
-    raw = _encode(codec, m, s, np.zeros(1))
-    assert raw[0] == 32113 and math.isclose(_decode(codec, m, s, raw)[0][0], 4.4e-5, rel_tol=0.02)
+    raw = encode(codec, m, s, np.zeros(1))
+    assert raw[0] == 32113 and math.isclose(decode(codec, m, s, raw)[0][0], 4.4e-5, rel_tol=0.02)
 
 
 def test_dm1_of_the_core_reads_as_the_dbc_says(codec, database):
@@ -399,9 +273,7 @@ def test_a_spoilt_catalogue_is_refused_by_name(old, new, what, tmp_path):
 def test_codec_on_a_big_endian_processor(codec, tmp_path):
     require("powerpc")
     compiler, emulator = shutil.which("powerpc-linux-gnu-gcc"), shutil.which("qemu-ppc")
-    for name, text in codec_files().items():
-        (tmp_path / name).write_text(text)
-    (tmp_path / "loops.c").write_text(_loops(CATALOGUE))
+    written(tmp_path)
     blocks = []
     for m in GENERATED:
         columns = "".join(
