@@ -2,12 +2,10 @@
 #include "lpvg_can_codec.h"
 
 #include <math.h>
-#include <string.h>
 
 /* Nearest raw value of steps, 0 .. raw_max; steps not a number: absent. */
 static uint32_t round_and_saturate(float steps, uint32_t raw_max, uint32_t absent)
 {
-    uint32_t raw;
     if (isnan(steps) != 0) {
         return absent;
     }
@@ -17,11 +15,8 @@ static uint32_t round_and_saturate(float steps, uint32_t raw_max, uint32_t absen
     if (steps >= (float)raw_max) {
         return raw_max;
     }
-    raw = (uint32_t)steps;
-    if ((steps - (float)raw) >= 0.5f) {
-        raw += 1u;
-    }
-    return raw;
+    const uint32_t below = (uint32_t)steps;
+    return ((steps - (float)below) >= 0.5f) ? (below + 1u) : below;
 }
 
 static lpvg_can_quality_t quality(uint32_t raw, uint32_t raw_max, uint32_t error_min, uint32_t absent_min)
@@ -91,9 +86,9 @@ lpvg_status_t lpvg_can_vdc2_pack(const lpvg_can_vdc2_t* message, lpvg_can_frame_
     }
     frame->id = LPVG_CAN_VDC2_ID;
     frame->dlc = 8u;
-    (void)memset(frame->data, 0xFF, sizeof frame->data);
     frame->data[0] = (uint8_t)((uint32_t)message->steering_wheel_angle & 0xFFu);
     frame->data[1] = (uint8_t)(((uint32_t)message->steering_wheel_angle >> 8) & 0xFFu);
+    frame->data[2] = 0xFFu;
     frame->data[3] = (uint8_t)((uint32_t)message->yaw_rate & 0xFFu);
     frame->data[4] = (uint8_t)(((uint32_t)message->yaw_rate >> 8) & 0xFFu);
     frame->data[5] = (uint8_t)((uint32_t)message->lateral_acceleration & 0xFFu);
@@ -186,7 +181,6 @@ lpvg_status_t lpvg_can_ebc2_pack(const lpvg_can_ebc2_t* message, lpvg_can_frame_
     }
     frame->id = LPVG_CAN_EBC2_ID;
     frame->dlc = 8u;
-    (void)memset(frame->data, 0xFF, sizeof frame->data);
     frame->data[0] = (uint8_t)((uint32_t)message->front_axle_speed & 0xFFu);
     frame->data[1] = (uint8_t)(((uint32_t)message->front_axle_speed >> 8) & 0xFFu);
     frame->data[2] = (uint8_t)((uint32_t)message->relative_speed_front_left & 0xFFu);
@@ -218,7 +212,7 @@ lpvg_status_t lpvg_can_ebc2_unpack(lpvg_can_ebc2_t* message, const lpvg_can_fram
 
 uint16_t lpvg_can_ebc2_front_axle_speed_encode(float physical)
 {
-    return (uint16_t)round_and_saturate((physical + -0.0f) * 256.0f, 64255u, 65535u);
+    return (uint16_t)round_and_saturate(physical * 256.0f, 64255u, 65535u);
 }
 
 lpvg_can_quality_t lpvg_can_ebc2_front_axle_speed_decode(uint16_t raw, float* physical)
@@ -226,7 +220,7 @@ lpvg_can_quality_t lpvg_can_ebc2_front_axle_speed_decode(uint16_t raw, float* ph
     const lpvg_can_quality_t q = quality(raw, 64255u, 65024u, 65280u);
     *physical = NAN;
     if (q == lpvg_can_quality_good) {
-        *physical = (0.00390625f * (float)raw) + 0.0f;
+        *physical = 0.00390625f * (float)raw;
     }
     return q;
 }
@@ -330,9 +324,14 @@ lpvg_status_t lpvg_can_ccvs1_pack(const lpvg_can_ccvs1_t* message, lpvg_can_fram
     }
     frame->id = LPVG_CAN_CCVS1_ID;
     frame->dlc = 8u;
-    (void)memset(frame->data, 0xFF, sizeof frame->data);
+    frame->data[0] = 0xFFu;
     frame->data[1] = (uint8_t)((uint32_t)message->wheel_based_speed & 0xFFu);
     frame->data[2] = (uint8_t)(((uint32_t)message->wheel_based_speed >> 8) & 0xFFu);
+    frame->data[3] = 0xFFu;
+    frame->data[4] = 0xFFu;
+    frame->data[5] = 0xFFu;
+    frame->data[6] = 0xFFu;
+    frame->data[7] = 0xFFu;
     return lpvg_status_ok;
 }
 
@@ -350,7 +349,7 @@ lpvg_status_t lpvg_can_ccvs1_unpack(lpvg_can_ccvs1_t* message, const lpvg_can_fr
 
 uint16_t lpvg_can_ccvs1_wheel_based_speed_encode(float physical)
 {
-    return (uint16_t)round_and_saturate((physical + -0.0f) * 256.0f, 64255u, 65535u);
+    return (uint16_t)round_and_saturate(physical * 256.0f, 64255u, 65535u);
 }
 
 lpvg_can_quality_t lpvg_can_ccvs1_wheel_based_speed_decode(uint16_t raw, float* physical)
@@ -358,7 +357,7 @@ lpvg_can_quality_t lpvg_can_ccvs1_wheel_based_speed_decode(uint16_t raw, float* 
     const lpvg_can_quality_t q = quality(raw, 64255u, 65024u, 65280u);
     *physical = NAN;
     if (q == lpvg_can_quality_good) {
-        *physical = (0.00390625f * (float)raw) + 0.0f;
+        *physical = 0.00390625f * (float)raw;
     }
     return q;
 }
@@ -372,7 +371,6 @@ lpvg_status_t lpvg_can_ebc3_pack(const lpvg_can_ebc3_t* message, lpvg_can_frame_
     }
     frame->id = LPVG_CAN_EBC3_ID;
     frame->dlc = 8u;
-    (void)memset(frame->data, 0xFF, sizeof frame->data);
     frame->data[0] = (uint8_t)((uint32_t)message->pressure_front_left & 0xFFu);
     frame->data[1] = (uint8_t)((uint32_t)message->pressure_front_right & 0xFFu);
     frame->data[2] = (uint8_t)((uint32_t)message->pressure_rear1_left & 0xFFu);
@@ -405,7 +403,7 @@ lpvg_status_t lpvg_can_ebc3_unpack(lpvg_can_ebc3_t* message, const lpvg_can_fram
 
 uint8_t lpvg_can_ebc3_pressure_front_left_encode(float physical)
 {
-    return (uint8_t)round_and_saturate((physical + -0.0f) * 0.2f, 250u, 255u);
+    return (uint8_t)round_and_saturate(physical * 0.2f, 250u, 255u);
 }
 
 lpvg_can_quality_t lpvg_can_ebc3_pressure_front_left_decode(uint8_t raw, float* physical)
@@ -413,14 +411,14 @@ lpvg_can_quality_t lpvg_can_ebc3_pressure_front_left_decode(uint8_t raw, float* 
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
     *physical = NAN;
     if (q == lpvg_can_quality_good) {
-        *physical = (5.0f * (float)raw) + 0.0f;
+        *physical = 5.0f * (float)raw;
     }
     return q;
 }
 
 uint8_t lpvg_can_ebc3_pressure_front_right_encode(float physical)
 {
-    return (uint8_t)round_and_saturate((physical + -0.0f) * 0.2f, 250u, 255u);
+    return (uint8_t)round_and_saturate(physical * 0.2f, 250u, 255u);
 }
 
 lpvg_can_quality_t lpvg_can_ebc3_pressure_front_right_decode(uint8_t raw, float* physical)
@@ -428,14 +426,14 @@ lpvg_can_quality_t lpvg_can_ebc3_pressure_front_right_decode(uint8_t raw, float*
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
     *physical = NAN;
     if (q == lpvg_can_quality_good) {
-        *physical = (5.0f * (float)raw) + 0.0f;
+        *physical = 5.0f * (float)raw;
     }
     return q;
 }
 
 uint8_t lpvg_can_ebc3_pressure_rear1_left_encode(float physical)
 {
-    return (uint8_t)round_and_saturate((physical + -0.0f) * 0.2f, 250u, 255u);
+    return (uint8_t)round_and_saturate(physical * 0.2f, 250u, 255u);
 }
 
 lpvg_can_quality_t lpvg_can_ebc3_pressure_rear1_left_decode(uint8_t raw, float* physical)
@@ -443,14 +441,14 @@ lpvg_can_quality_t lpvg_can_ebc3_pressure_rear1_left_decode(uint8_t raw, float* 
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
     *physical = NAN;
     if (q == lpvg_can_quality_good) {
-        *physical = (5.0f * (float)raw) + 0.0f;
+        *physical = 5.0f * (float)raw;
     }
     return q;
 }
 
 uint8_t lpvg_can_ebc3_pressure_rear1_right_encode(float physical)
 {
-    return (uint8_t)round_and_saturate((physical + -0.0f) * 0.2f, 250u, 255u);
+    return (uint8_t)round_and_saturate(physical * 0.2f, 250u, 255u);
 }
 
 lpvg_can_quality_t lpvg_can_ebc3_pressure_rear1_right_decode(uint8_t raw, float* physical)
@@ -458,14 +456,14 @@ lpvg_can_quality_t lpvg_can_ebc3_pressure_rear1_right_decode(uint8_t raw, float*
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
     *physical = NAN;
     if (q == lpvg_can_quality_good) {
-        *physical = (5.0f * (float)raw) + 0.0f;
+        *physical = 5.0f * (float)raw;
     }
     return q;
 }
 
 uint8_t lpvg_can_ebc3_pressure_rear2_left_encode(float physical)
 {
-    return (uint8_t)round_and_saturate((physical + -0.0f) * 0.2f, 250u, 255u);
+    return (uint8_t)round_and_saturate(physical * 0.2f, 250u, 255u);
 }
 
 lpvg_can_quality_t lpvg_can_ebc3_pressure_rear2_left_decode(uint8_t raw, float* physical)
@@ -473,14 +471,14 @@ lpvg_can_quality_t lpvg_can_ebc3_pressure_rear2_left_decode(uint8_t raw, float* 
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
     *physical = NAN;
     if (q == lpvg_can_quality_good) {
-        *physical = (5.0f * (float)raw) + 0.0f;
+        *physical = 5.0f * (float)raw;
     }
     return q;
 }
 
 uint8_t lpvg_can_ebc3_pressure_rear2_right_encode(float physical)
 {
-    return (uint8_t)round_and_saturate((physical + -0.0f) * 0.2f, 250u, 255u);
+    return (uint8_t)round_and_saturate(physical * 0.2f, 250u, 255u);
 }
 
 lpvg_can_quality_t lpvg_can_ebc3_pressure_rear2_right_decode(uint8_t raw, float* physical)
@@ -488,14 +486,14 @@ lpvg_can_quality_t lpvg_can_ebc3_pressure_rear2_right_decode(uint8_t raw, float*
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
     *physical = NAN;
     if (q == lpvg_can_quality_good) {
-        *physical = (5.0f * (float)raw) + 0.0f;
+        *physical = 5.0f * (float)raw;
     }
     return q;
 }
 
 uint8_t lpvg_can_ebc3_pressure_rear3_left_encode(float physical)
 {
-    return (uint8_t)round_and_saturate((physical + -0.0f) * 0.2f, 250u, 255u);
+    return (uint8_t)round_and_saturate(physical * 0.2f, 250u, 255u);
 }
 
 lpvg_can_quality_t lpvg_can_ebc3_pressure_rear3_left_decode(uint8_t raw, float* physical)
@@ -503,14 +501,14 @@ lpvg_can_quality_t lpvg_can_ebc3_pressure_rear3_left_decode(uint8_t raw, float* 
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
     *physical = NAN;
     if (q == lpvg_can_quality_good) {
-        *physical = (5.0f * (float)raw) + 0.0f;
+        *physical = 5.0f * (float)raw;
     }
     return q;
 }
 
 uint8_t lpvg_can_ebc3_pressure_rear3_right_encode(float physical)
 {
-    return (uint8_t)round_and_saturate((physical + -0.0f) * 0.2f, 250u, 255u);
+    return (uint8_t)round_and_saturate(physical * 0.2f, 250u, 255u);
 }
 
 lpvg_can_quality_t lpvg_can_ebc3_pressure_rear3_right_decode(uint8_t raw, float* physical)
@@ -518,7 +516,7 @@ lpvg_can_quality_t lpvg_can_ebc3_pressure_rear3_right_decode(uint8_t raw, float*
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
     *physical = NAN;
     if (q == lpvg_can_quality_good) {
-        *physical = (5.0f * (float)raw) + 0.0f;
+        *physical = 5.0f * (float)raw;
     }
     return q;
 }
@@ -532,9 +530,14 @@ lpvg_status_t lpvg_can_ebc1_pack(const lpvg_can_ebc1_t* message, lpvg_can_frame_
     }
     frame->id = LPVG_CAN_EBC1_ID;
     frame->dlc = 8u;
-    (void)memset(frame->data, 0xFF, sizeof frame->data);
-    frame->data[0] = (uint8_t)((frame->data[0] & 0xCFu) | (((uint32_t)message->abs_active << 4) & 0x30u));
+    frame->data[0] = (uint8_t)((((uint32_t)message->abs_active << 4) & 0x30u) | 0xCFu);
     frame->data[1] = (uint8_t)((uint32_t)message->brake_pedal_position & 0xFFu);
+    frame->data[2] = 0xFFu;
+    frame->data[3] = 0xFFu;
+    frame->data[4] = 0xFFu;
+    frame->data[5] = 0xFFu;
+    frame->data[6] = 0xFFu;
+    frame->data[7] = 0xFFu;
     return lpvg_status_ok;
 }
 
@@ -553,7 +556,7 @@ lpvg_status_t lpvg_can_ebc1_unpack(lpvg_can_ebc1_t* message, const lpvg_can_fram
 
 uint8_t lpvg_can_ebc1_abs_active_encode(float physical)
 {
-    return (uint8_t)round_and_saturate((physical + -0.0f) * 1.0f, 1u, 3u);
+    return (uint8_t)round_and_saturate(physical, 1u, 3u);
 }
 
 lpvg_can_quality_t lpvg_can_ebc1_abs_active_decode(uint8_t raw, float* physical)
@@ -561,14 +564,14 @@ lpvg_can_quality_t lpvg_can_ebc1_abs_active_decode(uint8_t raw, float* physical)
     const lpvg_can_quality_t q = quality(raw, 1u, 2u, 3u);
     *physical = NAN;
     if (q == lpvg_can_quality_good) {
-        *physical = (1.0f * (float)raw) + 0.0f;
+        *physical = (float)raw;
     }
     return q;
 }
 
 uint8_t lpvg_can_ebc1_brake_pedal_position_encode(float physical)
 {
-    return (uint8_t)round_and_saturate((physical + -0.0f) * 2.5f, 250u, 255u);
+    return (uint8_t)round_and_saturate(physical * 2.5f, 250u, 255u);
 }
 
 lpvg_can_quality_t lpvg_can_ebc1_brake_pedal_position_decode(uint8_t raw, float* physical)
@@ -576,7 +579,7 @@ lpvg_can_quality_t lpvg_can_ebc1_brake_pedal_position_decode(uint8_t raw, float*
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
     *physical = NAN;
     if (q == lpvg_can_quality_good) {
-        *physical = (0.4f * (float)raw) + 0.0f;
+        *physical = 0.4f * (float)raw;
     }
     return q;
 }
@@ -590,15 +593,14 @@ lpvg_status_t lpvg_can_guard_in_pack(const lpvg_can_guard_in_t* message, lpvg_ca
     }
     frame->id = LPVG_CAN_GUARD_IN_ID;
     frame->dlc = 8u;
-    (void)memset(frame->data, 0xFF, sizeof frame->data);
-    frame->data[0] = 0u;
+    frame->data[0] = 0x00u;
     frame->data[1] = 0xF0u;
     frame->data[2] = (uint8_t)((uint32_t)message->dp_measured & 0xFFu);
     frame->data[3] = (uint8_t)(((uint32_t)message->dp_measured >> 8) & 0xFFu);
     frame->data[4] = (uint8_t)((uint32_t)message->yaw_rate_command & 0xFFu);
     frame->data[5] = (uint8_t)(((uint32_t)message->yaw_rate_command >> 8) & 0xFFu);
-    frame->data[6] = (uint8_t)((frame->data[6] & 0xF0u) | ((uint32_t)message->control_request & 0x0Fu));
-    frame->data[6] = (uint8_t)((frame->data[6] & 0x0Fu) | (((uint32_t)message->other_priority << 4) & 0xF0u));
+    frame->data[6] = (uint8_t)(((uint32_t)message->control_request & 0x0Fu) | (((uint32_t)message->other_priority << 4) & 0xF0u));
+    frame->data[7] = 0xFFu;
     return lpvg_status_ok;
 }
 
@@ -649,7 +651,7 @@ lpvg_can_quality_t lpvg_can_guard_in_yaw_rate_command_decode(uint16_t raw, float
 
 uint8_t lpvg_can_guard_in_control_request_encode(float physical)
 {
-    return (uint8_t)round_and_saturate((physical + -0.0f) * 1.0f, 13u, 15u);
+    return (uint8_t)round_and_saturate(physical, 13u, 15u);
 }
 
 lpvg_can_quality_t lpvg_can_guard_in_control_request_decode(uint8_t raw, float* physical)
@@ -657,14 +659,14 @@ lpvg_can_quality_t lpvg_can_guard_in_control_request_decode(uint8_t raw, float* 
     const lpvg_can_quality_t q = quality(raw, 13u, 14u, 15u);
     *physical = NAN;
     if (q == lpvg_can_quality_good) {
-        *physical = (1.0f * (float)raw) + 0.0f;
+        *physical = (float)raw;
     }
     return q;
 }
 
 uint8_t lpvg_can_guard_in_other_priority_encode(float physical)
 {
-    return (uint8_t)round_and_saturate((physical + -0.0f) * 1.0f, 13u, 15u);
+    return (uint8_t)round_and_saturate(physical, 13u, 15u);
 }
 
 lpvg_can_quality_t lpvg_can_guard_in_other_priority_decode(uint8_t raw, float* physical)
@@ -672,7 +674,7 @@ lpvg_can_quality_t lpvg_can_guard_in_other_priority_decode(uint8_t raw, float* p
     const lpvg_can_quality_t q = quality(raw, 13u, 14u, 15u);
     *physical = NAN;
     if (q == lpvg_can_quality_good) {
-        *physical = (1.0f * (float)raw) + 0.0f;
+        *physical = (float)raw;
     }
     return q;
 }
@@ -686,16 +688,14 @@ lpvg_status_t lpvg_can_guard_out_pack(const lpvg_can_guard_out_t* message, lpvg_
     }
     frame->id = LPVG_CAN_GUARD_OUT_ID;
     frame->dlc = 8u;
-    (void)memset(frame->data, 0xFF, sizeof frame->data);
-    frame->data[0] = 0u;
+    frame->data[0] = 0x00u;
     frame->data[1] = 0xF0u;
     frame->data[2] = (uint8_t)((uint32_t)message->dp_demand & 0xFFu);
     frame->data[3] = (uint8_t)(((uint32_t)message->dp_demand >> 8) & 0xFFu);
     frame->data[4] = (uint8_t)((uint32_t)message->monitor_margin & 0xFFu);
     frame->data[5] = (uint8_t)(((uint32_t)message->monitor_margin >> 8) & 0xFFu);
     frame->data[6] = (uint8_t)((uint32_t)message->monitor_verdict & 0xFFu);
-    frame->data[7] = (uint8_t)((frame->data[7] & 0xF0u) | ((uint32_t)message->supervision_state & 0x0Fu));
-    frame->data[7] = (uint8_t)((frame->data[7] & 0x0Fu) | (((uint32_t)message->engagement << 4) & 0xF0u));
+    frame->data[7] = (uint8_t)(((uint32_t)message->supervision_state & 0x0Fu) | (((uint32_t)message->engagement << 4) & 0xF0u));
     return lpvg_status_ok;
 }
 
@@ -732,7 +732,7 @@ lpvg_can_quality_t lpvg_can_guard_out_dp_demand_decode(uint16_t raw, float* phys
 
 uint16_t lpvg_can_guard_out_monitor_margin_encode(float physical)
 {
-    return (uint16_t)round_and_saturate((physical + -0.0f) * 1024.0f, 64255u, 65535u);
+    return (uint16_t)round_and_saturate(physical * 1024.0f, 64255u, 65535u);
 }
 
 lpvg_can_quality_t lpvg_can_guard_out_monitor_margin_decode(uint16_t raw, float* physical)
@@ -740,14 +740,14 @@ lpvg_can_quality_t lpvg_can_guard_out_monitor_margin_decode(uint16_t raw, float*
     const lpvg_can_quality_t q = quality(raw, 64255u, 65024u, 65280u);
     *physical = NAN;
     if (q == lpvg_can_quality_good) {
-        *physical = (0.0009765625f * (float)raw) + 0.0f;
+        *physical = 0.0009765625f * (float)raw;
     }
     return q;
 }
 
 uint8_t lpvg_can_guard_out_monitor_verdict_encode(float physical)
 {
-    return (uint8_t)round_and_saturate((physical + -0.0f) * 1.0f, 250u, 255u);
+    return (uint8_t)round_and_saturate(physical, 250u, 255u);
 }
 
 lpvg_can_quality_t lpvg_can_guard_out_monitor_verdict_decode(uint8_t raw, float* physical)
@@ -755,14 +755,14 @@ lpvg_can_quality_t lpvg_can_guard_out_monitor_verdict_decode(uint8_t raw, float*
     const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
     *physical = NAN;
     if (q == lpvg_can_quality_good) {
-        *physical = (1.0f * (float)raw) + 0.0f;
+        *physical = (float)raw;
     }
     return q;
 }
 
 uint8_t lpvg_can_guard_out_supervision_state_encode(float physical)
 {
-    return (uint8_t)round_and_saturate((physical + -0.0f) * 1.0f, 13u, 15u);
+    return (uint8_t)round_and_saturate(physical, 13u, 15u);
 }
 
 lpvg_can_quality_t lpvg_can_guard_out_supervision_state_decode(uint8_t raw, float* physical)
@@ -770,14 +770,14 @@ lpvg_can_quality_t lpvg_can_guard_out_supervision_state_decode(uint8_t raw, floa
     const lpvg_can_quality_t q = quality(raw, 13u, 14u, 15u);
     *physical = NAN;
     if (q == lpvg_can_quality_good) {
-        *physical = (1.0f * (float)raw) + 0.0f;
+        *physical = (float)raw;
     }
     return q;
 }
 
 uint8_t lpvg_can_guard_out_engagement_encode(float physical)
 {
-    return (uint8_t)round_and_saturate((physical + -0.0f) * 1.0f, 13u, 15u);
+    return (uint8_t)round_and_saturate(physical, 13u, 15u);
 }
 
 lpvg_can_quality_t lpvg_can_guard_out_engagement_decode(uint8_t raw, float* physical)
@@ -785,7 +785,7 @@ lpvg_can_quality_t lpvg_can_guard_out_engagement_decode(uint8_t raw, float* phys
     const lpvg_can_quality_t q = quality(raw, 13u, 14u, 15u);
     *physical = NAN;
     if (q == lpvg_can_quality_good) {
-        *physical = (1.0f * (float)raw) + 0.0f;
+        *physical = (float)raw;
     }
     return q;
 }

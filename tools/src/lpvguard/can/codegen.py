@@ -166,12 +166,10 @@ def _source(messages: list[Message]) -> str:
 #include "{HEADER}"
 
 #include <math.h>
-#include <string.h>
 
 /* Nearest raw value of steps, 0 .. raw_max; steps not a number: absent. */
 static uint32_t round_and_saturate(float steps, uint32_t raw_max, uint32_t absent)
 {{
-    uint32_t raw;
     if (isnan(steps) != 0) {{
         return absent;
     }}
@@ -181,11 +179,8 @@ static uint32_t round_and_saturate(float steps, uint32_t raw_max, uint32_t absen
     if (steps >= (float)raw_max) {{
         return raw_max;
     }}
-    raw = (uint32_t)steps;
-    if ((steps - (float)raw) >= 0.5f) {{
-        raw += 1u;
-    }}
-    return raw;
+    const uint32_t below = (uint32_t)steps;
+    return ((steps - (float)below) >= 0.5f) ? (below + 1u) : below;
 }}
 
 static lpvg_can_quality_t quality(uint32_t raw, uint32_t raw_max, uint32_t error_min, uint32_t absent_min)
@@ -248,13 +243,9 @@ lpvg_status_t {name}_pack(const {name}_t* message, lpvg_can_frame_t* frame)
     }}
     frame->id = {_macro(message)}_ID;
     frame->dlc = 8u;
-    (void)memset(frame->data, 0xFF, sizeof frame->data);
 """
     ]
-    if message.e2e:
-        lines.append("    frame->data[0] = 0u;\n    frame->data[1] = 0xF0u;\n")
-    for s in message.signals:
-        lines += [f"    {statement}\n" for statement in _store(s)]
+    lines += [f"    frame->data[{byte}] = {_stored(message, byte)};\n" for byte in range(8)]
     lines.append(f"""    return lpvg_status_ok;
 }}
 
@@ -270,9 +261,12 @@ lpvg_status_t {name}_unpack({name}_t* message, const lpvg_can_frame_t* frame)
     lines += [f"    message->{s.name} = ({_raw_type(s)})({_load(s)});\n" for s in message.signals]
     lines.append("    return lpvg_status_ok;\n}\n")
     for s in message.signals:
-        forward = f"(physical + {_float(-s.offset)}) * {_float(1.0 / s.scale)}"
+        forward = f"(physical + {_float(-s.offset)})" if s.offset else "physical"
+        forward += f" * {_float(1.0 / s.scale)}" if s.scale != 1.0 else ""
         quality = f"{s.raw_max}u, {_code(s.raw_error_min)}u, {_code(s.raw_absent_min)}u"
-        inverse = f"({_float(s.scale)} * (float)raw) {'-' if s.offset < 0 else '+'} {_float(abs(s.offset))}"
+        inverse = f"{_float(s.scale)} * (float)raw" if s.scale != 1.0 else "(float)raw"
+        if s.offset:
+            inverse = f"({inverse}) {'-' if s.offset < 0 else '+'} {_float(abs(s.offset))}"
         lines.append(f"""
 {_raw_type(s)} {name}_{s.name}_encode(float physical)
 {{
@@ -321,15 +315,20 @@ def _load(signal: BusSignal) -> str:
     return " | ".join(terms)
 
 
-def _store(signal: BusSignal) -> list[str]:
-    statements = []
-    for byte, low, bits, position in _pieces(signal):
-        mask = ((1 << bits) - 1) << low
-        value = (
-            _shifted(_shifted(f"(uint32_t)message->{signal.name}", ">>", position), "<<", low)
-            + f" & 0x{mask:02X}u"
-        )
-        if bits < 8:
-            value = f"(frame->data[{byte}] & 0x{0xFF ^ mask:02X}u) | ({value})"
-        statements.append(f"frame->data[{byte}] = (uint8_t)({value});")
-    return statements
+def _stored(message: Message, byte: int) -> str:
+    """A byte of a frame: its signals' bits, the others 1, those of an E2E header 0."""
+    terms, ones = [], 0xFF
+    if message.e2e:
+        ones &= (0x00, 0xF0, *[0xFF] * 6)[byte]
+    for signal in message.signals:
+        for at, low, bits, position in _pieces(signal):
+            if at == byte:
+                mask = ((1 << bits) - 1) << low
+                ones &= ~mask
+                value = _shifted(_shifted(f"(uint32_t)message->{signal.name}", ">>", position), "<<", low)
+                terms.append(f"{value} & 0x{mask:02X}u")
+    if not terms:
+        return f"0x{ones:02X}u"
+    if ones or len(terms) > 1:
+        terms = [f"({term})" for term in terms] + ([f"0x{ones:02X}u"] if ones else [])
+    return f"(uint8_t)({' | '.join(terms)})"
