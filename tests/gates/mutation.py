@@ -22,6 +22,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -342,7 +343,9 @@ class Finder:
         if not outer:  # a lambda counts to what it stands in
             self.function = self.texts[file][start:end] if file else ""
         if self.function:
-            parameters = [n for n in node.get("inner", []) if n.get("kind") == "ParmVarDecl" and n.get("name")]
+            parameters = [
+                n for n in node.get("inner", []) if n.get("kind") == "ParmVarDecl" and n.get("name")
+            ]
             self.scopes = [[(n["name"], value_type(n)) for n in parameters]]
             self.children(node)
         self.function, self.scopes = outer, scopes
@@ -520,7 +523,7 @@ class Finder:
     def call(self, node: Node) -> None:
         """Each argument that is a number: the next of its type, where it has no effects."""
         arguments = node["inner"][1:]
-        for one, two in zip(arguments, arguments[1:], strict=False):
+        for one, two in pairwise(arguments):
             text = self.text(core(two))
             same = is_number(one) and plain_type(one) == plain_type(two) and text != self.text(core(one))
             if same and one.get("valueCategory") == "prvalue" and re.fullmatch(r"[\w.>\[\]-]+", text):
