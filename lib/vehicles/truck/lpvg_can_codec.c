@@ -15,8 +15,11 @@ static uint32_t round_and_saturate(float steps, uint32_t raw_max, uint32_t absen
     if (steps >= (float)raw_max) {
         return raw_max;
     }
-    const uint32_t below = (uint32_t)steps;
-    return ((steps - (float)below) >= 0.5f) ? (below + 1u) : below;
+    uint32_t raw = (uint32_t)steps;
+    if ((steps - (float)raw) >= 0.5f) {
+        raw += 1u;
+    }
+    return raw;
 }
 
 static lpvg_can_quality_t quality(uint32_t raw, uint32_t raw_max, uint32_t error_min, uint32_t absent_min)
