@@ -51,7 +51,7 @@ class Box:
     @property
     def most(self) -> float:
         """Largest modulus in the box."""
-        return max(abs(self.low), abs(self.high), abs(complex(self.low.real, self.high.imag)))
+        return max(abs(corner) for corner in self.corners)
 
     @property
     def corners(self) -> list[complex]:
