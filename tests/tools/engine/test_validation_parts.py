@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from lft_problems import gauss
+from lft_problems import gauss, row, scalars_of
 from lpvguard.base.errors import InputError
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.validation import delta as dl
-from lpvguard.engine.validation import lft, lmi
+from lpvguard.engine.validation import lft
+from lpvguard.engine.validation.branch import Interval
+from lpvguard.engine.validation.posed import Posed, ball, block_form, pose
 from lpvguard.engine.validation.problem import Lft, parametrise
 from lpvguard.engine.validation.quadratic import Form, Quadratic, cancels
-from lpvguard.engine.validation.relaxation import Box, BranchNode, Relaxation
 from lpvguard.engine.validation.well_posed import block_caps, well_posed
 
 
@@ -372,10 +373,7 @@ def test_what_cancels_to_a_trillionth_of_its_terms_is_zero():
     a = np.array([[3.0, -1.0]])
     assert cancels(a, np.array([1.0, 3.0 + 5.9e-12])) and cancels(-1j * a, np.array([1.0, 3.0 - 5.9e-12]))
     assert not cancels(a, np.array([1.0, 3.0 + 6.1e-12])) and cancels(0 * a, np.ones(2))
-
-
-def row(*entries: complex) -> np.ndarray:
-    return np.array([entries], dtype=complex)
+    assert cancels(-a, np.array([1.0, 3.0])) and cancels(np.abs(a), np.array([1.0, -3.0 + 5.9e-12]))
 
 
 def test_sizes_are_the_least_that_every_form_allows():
@@ -390,20 +388,18 @@ def test_sizes_are_the_least_that_every_form_allows():
     for x in (0.3, 1.0, -0.8, 2j, 4.9):
         p0 = max(4 * abs(x) ** 2 / (3 * abs(1 + x) ** 2) - 1, 4 * abs(x - 1) ** 2, 0)
         assert problem.cost(np.array([x, 1.0])) == pytest.approx(p0 + abs(x) ** 2, rel=1e-12)
-    assert problem.cost(np.array([-1.0, 1.0])) == np.inf, "no size lets 0 be as large as 2"
-    only = Quadratic(forms[:1], 1, 2)
-    assert only.cost(np.array([0.0, 1.0])) == 0.0, "a size is not negative"
-    assert only.cost(np.array([0j, 0.0])) == 0.0, "nothing asks for nothing"
+    only, none = Quadratic(forms[:1], 1, 2), Quadratic([Form(row(1, 0), row(0, 1))], 1, 2)
+    with np.errstate(all="raise"):
+        assert problem.cost(np.array([-1.0, 1.0])) == np.inf, "no size lets 0 be as large as 2"
+        assert only.cost(np.array([0.0, 1.0])) == 0.0, "a size is not negative"
+        assert only.cost(np.array([0j, 0.0])) == 0.0, "nothing asks for nothing"
+    assert none.cost(np.array([0.0, 1.0])) == 0.0 and none.cost(np.array([1e-9, 1.0])) == np.inf
     border = 5 * np.sqrt(1 + 1e-9)
     assert np.isfinite(problem.cost(np.array([border * (1 - 1e-12), 1.0])))
     assert problem.cost(np.array([border * (1 + 1e-12), 1.0])) == np.inf
     free = Quadratic([Form(row(1, 0), row(0, 1), constant=np.inf)], 1, 2)
     assert free.cost(np.array([1e9, 1.0])) == 0.0, "a block without a cap is not bounded"
     np.testing.assert_array_equal(Quadratic(forms, 2, 4).origin(), [0, 0, 0, 1])
-
-
-def scalars_of(kind: str, a: np.ndarray, b: np.ndarray, **rest) -> Form:
-    return Form(a, b, repeated=kind, **rest)
 
 
 def test_a_repeated_scalar_is_the_one_that_fits_best():
@@ -455,6 +451,61 @@ def test_held_scalars_leave_the_points_that_they_fit_and_the_nearest_of_them(see
     assert narrow.repair(np.ones(3)) is None
 
 
+@pytest.mark.parametrize("share, sign", [(1.9, 1), (2.1, 1), (1.9, -1), (2.1, -1)])
+def test_a_held_scalar_may_miss_its_equation_by_a_billionth_of_the_terms(share, sign):
+    """sign delta = delta_0 without a free number that could help: |a| + |delta b| = 2 at most."""
+    problem = Quadratic([scalars_of("repeated_complex", row(0, sign), row(0, 1), param=0)], 1, 2)
+    mirrored = Quadratic([scalars_of("repeated_complex", row(0, 1), row(0, -1), param=0)], 1, 2)
+    z = np.array([0.0, 1.0])
+    found = (
+        problem.on_subspace(z, {0: sign * (1 + share * 1e-9)}),
+        mirrored.on_subspace(z, {0: -1 - share * 1e-9}),
+    )
+    assert [f is not None for f in found] == [share < 2, share < 2]
+    # In a column that cancels there are terms as well: 2 for x of size 1, and 2 for the last one.
+    for x in (1.0, -1.0):
+        beside = Quadratic(
+            [scalars_of("repeated_complex", row(1, 1 + 2 * share * 1e-9), row(1, 1), param=0)], 1, 2
+        )
+        assert (beside.on_subspace(np.array([x, 1.0]), {0: 1.0}) is not None) == (share < 2)
+    nothing = Quadratic([scalars_of("repeated_complex", row(0, 0, 0), row(0, 0, 0), param=0)], 1, 3)
+    at, null = nothing.on_subspace(np.array([2.0, 3.0, 1.0]), {0: 0.5})
+    np.testing.assert_array_equal(at, [2.0, 3.0, 1.0])
+    assert null.shape == (2, 2) and np.linalg.matrix_rank(null) == 2
+
+
+@pytest.mark.parametrize(
+    "a, delta, b",
+    [
+        (1.0, 1e-12, 1.0),
+        (1.0, 5e11, 1e-12),
+        (1e-12, 0.5, 1.0),
+        (1e-12, 5e11, 1e-12),
+        (1.0, 1e-13 - 1, 0.5**0.5),
+    ],
+)
+def test_each_held_block_has_a_unit_of_its_own(a, delta, b):
+    """a x_1 = delta b (x_1 + 1), beside a block that fixes x_2 at 2."""
+    forms = [
+        scalars_of("repeated_complex", row(a, 0, 0), row(b, 0, b), param=0),
+        scalars_of("repeated_complex", row(0, 1, 0), row(0, 0, 1), param=1),
+    ]
+    z, null = Quadratic(forms, 2, 3).on_subspace(np.array([0.0, 0.0, 1.0]), {0: delta, 1: 2.0})
+    np.testing.assert_allclose(z, [delta * b / (a - delta * b), 2.0, 1.0], rtol=1e-6, atol=1e-18)
+    assert null.shape == (2, 0)
+
+
+@pytest.mark.parametrize("turn, free", [(1e-10, 1), (3e-10, 0)])
+def test_held_rows_are_apart_from_a_ten_billionth_on(turn, free):
+    """x_1 = 99 and x_1 + turn x_2 = 99 + 2e-8: in their units the rows are a hundredth of what they hold."""
+    forms = [
+        scalars_of("repeated_complex", row(1, 0, 0), row(0, 0, 99), param=0),
+        scalars_of("repeated_complex", row(1, turn, -2e-8), row(0, 0, 99), param=1),
+    ]
+    z, null = Quadratic(forms, 2, 3).on_subspace(np.array([0.0, 0.0, 1.0]), {0: 1.0, 1: 1.0})
+    assert null.shape == (2, free) and (abs(z[1]) < 1) == (free == 1)
+
+
 def test_a_point_is_repaired_towards_the_centre_of_the_ball_and_only_to_its_edge():
     rng = np.random.default_rng(3)
     a, z = gauss(rng, 2, 4), np.append(5 * gauss(rng, 3), 1.0)
@@ -471,6 +522,17 @@ def test_a_point_is_repaired_towards_the_centre_of_the_ball_and_only_to_its_edge
     np.testing.assert_array_equal(problem.repair(centre), centre)
     edge = centre + np.sqrt(1 + 0.9e-12) * (moved - centre) * np.append(np.ones(3), 0)
     np.testing.assert_array_equal(problem.repair(edge), edge)
+    beyond = centre + 1.03 * (moved - centre) * np.append(np.ones(3), 0)
+    assert np.linalg.norm(a @ problem.repair(beyond)) ** 2 == pytest.approx(limit, rel=1e-9)
+    # A ball that is touched to a billionth, and one that is missed by more.
+    two = np.array([[1, 0], [0, 1]], complex)
+    for miss, there in ((0.0, True), (1e-9, True), (1e-7, False)):
+        touched = Quadratic([Form(two, row(0, 1), constant=1.0 - miss)], 1, 2).repair(np.array([3.0, 1.0]))
+        assert (touched is not None) == there and (not there or abs(touched[0]) < 1e-6)
+    # A scalar's own bound is not a ball: its cost says that it is broken.
+    capped = Quadratic([scalars_of("repeated_complex", row(1, 0), row(0, 1), constant=1.0)], 1, 2)
+    np.testing.assert_allclose(capped.repair(np.array([5.0, 1.0])), [5.0, 1.0])
+    assert capped.cost(np.array([5.0, 1.0])) == np.inf
     # Where no z comes inside, there is no such point.
     outside = Quadratic([Form(row(0, 1), row(0, 1), constant=0.99)], 1, 2)
     assert outside.repair(np.array([3.0, 1.0])) is None
@@ -510,6 +572,16 @@ def test_the_point_that_violates_the_constants_least():
     )
     found, z = two.inside({})
     assert z[0] == pytest.approx(3 / (1 + 0.25)) and found == pytest.approx(max(0.6, 1.2))
+    slopes = [
+        Form(row(1, 0, -3), row(0, 0, 1), constant=0.25, slope=4.0),
+        Form(row(1, 0, 0), row(0, 0, 1), constant=16.0, slope=0.25),
+        Form(row(0, 1, -5), row(0, 0, 1), constant=1.0),
+        Form(row(1, 1, 7), row(0, 0, 1), param=0),
+        scalars_of("repeated_complex", row(1, 0, 0), row(0, 0, 1), constant=1e-6),
+    ]
+    found, z = Quadratic(slopes, 1, 3).inside({})
+    np.testing.assert_allclose(z, [2.4, 5.0, 1.0])
+    assert found == pytest.approx(1.2), "sizes that are asked for and scalars' bounds do not count"
     assert (
         Quadratic([scalars_of("repeated_real", row(1, 0), row(0, 1), param=0)], 1, 2).inside({0: 2.0})[0]
         == 0.0
@@ -541,279 +613,180 @@ def test_a_point_without_any_size_is_found_where_there_is_one():
     assert stacked.zero() is None, "six rows for five free numbers, whichever unit the first four have"
     assert Quadratic([scalars_of("repeated_real", xi, xi, constant=1.0), wanted], 1, 6).zero() is None
     assert Quadratic([scalars_of("repeated_real", xi, xi, param=0)], 1, 6).zero() is not None
-    none = Quadratic([Form(w, one, constant=1.0)], 1, 6).zero()
-    assert np.linalg.norm(w @ none) < 1e-12, "nothing to pay for"
+    every = gauss(rng, 5, 6)
+    none = Quadratic([Form(every, one, constant=1.0)], 1, 6).zero()
+    assert np.linalg.norm(every @ none) < 1e-12, "nothing to pay for"
+    for maps in ((xi, 1e14 * w), (1e14 * xi, w), (xi, 0 * w)):
+        both = Quadratic([Form(m, one, param=0) for m in maps] + [Form(0 * xi, one)], 1, 6).zero()
+        assert np.linalg.norm(xi @ both) < 1e-10 and all(cancels(m, both) for m in maps)
+    # x_1 = 1 twice, the second time with a trillionth of x_2: x_2 is free to come within 1 of 3.
+    almost = [Form(row(1, 0, -1), row(0, 0, 1), param=0), Form(row(1, 5e-13, -1), row(0, 0, 1), param=0)]
+    z = Quadratic([*almost, Form(row(0, 1, -3), row(0, 0, 1), constant=1.0)], 1, 3).zero()
+    np.testing.assert_allclose(z, [1.0, 3.0, 1.0], atol=1e-9)
+    still = [Form(row(0, 0, 0), row(0, 0, 1), param=0), Form(row(0, 1, -3), row(0, 0, 1), constant=1.0)]
+    np.testing.assert_allclose(Quadratic(still, 1, 3).zero(), [0.0, 3.0, 1.0], atol=1e-12)
 
 
-# --- certificates ---
+# --- a point in well-scaled coordinates ---
 
 
-def hermitian(rng: np.random.Generator, *shape: int) -> np.ndarray:
-    a = gauss(rng, *shape, shape[-1])
-    return a + a.conj().swapaxes(-1, -2)
+def posed_parts(seed: int, n_y: int = 4, n_w: int = 4) -> dict[str, np.ndarray]:
+    parts = parts_of(n_y, n_w, np.random.default_rng(seed))
+    return parts | {"p11": 0.1 * parts["p11"]}
 
 
-def test_the_hermitian_basis_spans_the_hermitian_matrices_and_no_more():
-    for r in (1, 2, 3, 4):
-        basis = lmi.hermitian_basis(r)
-        np.testing.assert_array_equal(basis, basis.conj().swapaxes(1, 2))
-        assert np.linalg.matrix_rank(np.hstack([basis.real, basis.imag]).reshape(r * r, -1)) == r * r
-        np.testing.assert_array_equal(np.trace(basis, axis1=1, axis2=2), [1.0] * r + [0.0] * (r * r - r))
-        assert all(basis[i, i, i] == 1 for i in range(r))
-
-
-def test_a_gram_matrix_is_the_product_with_each_basis_matrix_between():
-    rng = np.random.default_rng(1)
-    left, right, basis = gauss(rng, 2, 4), gauss(rng, 2, 4), lmi.hermitian_basis(2)
-    found = lmi.gram(left, right, basis)
-    assert found.shape == (4, 4, 4)
-    for k in range(4):
-        np.testing.assert_allclose(found[k], left.conj().T @ basis[k] @ right, rtol=1e-13)
-    np.testing.assert_allclose(lmi.gram(left, right, None), [left.conj().T @ right])
-
-
-def test_a_cone_locates_its_groups_and_normalises_the_traces_of_those_with_a_sign():
-    c = lmi.cone([("psd", 1), ("free", 2), ("psd", 3), ("free", 1)])
-    assert (c.start, c.size, c.order) == ((0, 1, 5, 14), (1, 4, 9, 1), (1, 0, 3, 0))
-    np.testing.assert_array_equal(c.normal, [1] + 4 * [0] + 3 * [1] + 6 * [0] + [0])
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_the_best_level_of_two_forms_is_that_of_a_scan(seed):
-    q = hermitian(np.random.default_rng(seed), 2, 4)
-    share = np.linspace(0, 1, 2001)[:, None, None]
-    levels = np.linalg.eigvalsh(share * q[0] + (1 - share) * q[1])[:, 0]
-    c = lmi.maximise_level(q, lmi.cone([("psd", 1), ("psd", 1)]), relative=1e-7, absolute=1e-9)
-    # A proof that no level is positive ends the search.
-    best = levels.max()
-    assert c.x <= best + 1e-4 and c.x_above >= best - 1e-9
-    if best > 0:
-        assert c.x == pytest.approx(best, rel=1e-4, abs=1e-6) and c.x_above <= c.x * (1 + 1e-6)
-    else:
-        assert c.x_above < 0
-    assert c.y.sum() == pytest.approx(1) and (c.y > 0).all()
-    assert np.linalg.eigvalsh(np.tensordot(c.y, q, axes=1))[0] >= c.x - 1e-12
-
-
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("groups", [[("psd", 2), ("psd", 1)], [("psd", 2), ("free", 2)], [("psd", 3)]])
-def test_the_best_level_with_matrix_multipliers_is_a_semidefinite_solvers(seed, groups):
-    cp = pytest.importorskip("cvxpy")
-    rng = np.random.default_rng(10 + seed)
-    c = lmi.cone(groups)
-    q = hermitian(rng, len(c.normal), 4)
-    q[0] += 6 * np.eye(4)  # some multiplier proves a level above 0
-    members, level = [], cp.Variable()
-    for (kind, r), start in zip(groups, c.start, strict=True):
-        y = cp.Variable(r * r)
-        members.append((y, kind, r, start))
-    matrix = sum(y[k] * q[start + k] for y, _, r, start in members for k in range(r * r))
-    rules = [matrix - level * np.eye(4) >> 0]
-    rules += [
-        sum(y[k] * lmi.hermitian_basis(r)[k] for k in range(r * r)) >> 0
-        for y, kind, r, _ in members
-        if kind == "psd"
-    ]
-    trace = sum(y[k] for y, kind, r, _ in members if kind == "psd" for k in range(r))
-    best = cp.Problem(cp.Maximize(level), [*rules, trace == 1]).solve(solver=cp.CLARABEL)
-    assert best > 0.1
-    found = lmi.maximise_level(q, c, relative=1e-6)
-    assert found.x <= best * (1 + 1e-6) and found.x_above >= best * (1 - 1e-6)
-    assert found.x == pytest.approx(best, rel=1e-5)
-    assert c.normal @ found.y == pytest.approx(1)
-    rough = lmi.maximise_level(q, c, relative=0.3)
-    assert rough.x_above - rough.x <= 0.3 * rough.x and rough.x <= best * (1 + 1e-9) <= rough.x_above * (
-        1 + 2e-9
+def residual_of(problem: Lft, xi: np.ndarray, eta: np.ndarray, w: np.ndarray) -> float:
+    """What the signals miss of both equations."""
+    output = problem.e - problem.p21 @ xi - problem.p22 @ w
+    return float(
+        np.linalg.norm(output) + np.linalg.norm(eta - problem.p11 @ xi - problem.p12 @ w - problem.eta0)
     )
 
 
-def test_the_primal_matrix_is_the_slacks_inverse():
-    q = hermitian(np.random.default_rng(2), 3, 5) + np.eye(5)
-    c = lmi.maximise_level(q, lmi.cone(3 * [("psd", 1)]), relative=1e-3)
-    slack = np.tensordot(c.y, q, axes=1) - c.x * np.eye(5)
-    np.testing.assert_allclose(c.inverse @ slack, np.eye(5), atol=1e-6)
+@pytest.mark.parametrize("unit", [1.0, 1e6])
+@pytest.mark.parametrize("without", [(), (1,), (0, 2)])
+@pytest.mark.parametrize("n_w", [4, 6])
+def test_every_point_of_the_coordinates_is_a_solution_and_its_size_is_that_of_the_signals(unit, without, n_w):
+    parts = posed_parts(21, 4, n_w)
+    parts["p21"][:, :2] *= unit
+    parts["p11"][:, :2] *= unit
+    problem, w_scale = Lft(BLOCKS, **parts), np.linspace(0.5, 2.0, n_w)
+    posed = Posed(problem, w_scale, without=without)
+    held = sum(BLOCKS[i].rows for i in without)
+    assert posed.dead == list(without) and not posed.ball_is_point and posed.n == 5 + n_w - 4 - held + 1
+    rng, sizes = np.random.default_rng(1), []
+    for _ in range(4):
+        z = np.append(gauss(rng, posed.n - 1), 1.0)
+        xi, eta, w = posed.signals(3j * z)
+        assert residual_of(problem, xi, eta, w) < 1e-9
+        np.testing.assert_allclose(np.concatenate([m @ z for m in posed.eta]) / (posed.t @ z), eta, atol=1e-9)
+        np.testing.assert_allclose(posed.w @ z / (posed.t @ z), w, atol=1e-12)
+        pieces = dl.split(BLOCKS, xi, "rows")
+        assert all(not pieces[i].any() for i in without)
+        gains = [np.linalg.norm(m.T) for m in dl.split(BLOCKS, problem.p21.T, "rows")]
+        share = [
+            np.linalg.norm(x) * g / np.linalg.norm(problem.e) for x, g in zip(pieces, gains, strict=True)
+        ]
+        size = np.linalg.norm(share) ** 2 + np.linalg.norm(w / w_scale) ** 2
+        # Columns are orthogonal of size 1, the last one too, all over the factor t.
+        assert size == pytest.approx((np.linalg.norm(z[:-1]) ** 2 + 1) / abs((posed.t @ z)[0]) ** 2, rel=1e-7)
+        sizes.append(size)
+    known = lft.optimum(problem, 10.0, [1.0, 1.0, 1.0]) if not without and unit == 1.0 else None
+    assert Posed(problem, w_scale).points(None) == []
+    if known is not None:
+        [z] = posed.points(known)
+        for found, was in zip(posed.signals(z), (known.xi, known.eta, known.w), strict=True):
+            np.testing.assert_allclose(found, was, atol=1e-9)
 
 
-def test_the_barriers_derivatives_are_those_of_its_differences():
-    rng = np.random.default_rng(5)
-    c = lmi.cone([("psd", 1), ("psd", 2), ("free", 1)])
-    q, eps = hermitian(rng, 6, 3), 0.37
-    forms = np.concatenate([q, -np.eye(3)[None]])
-    v = np.array([0.7, 0.6, 0.5, 0.1, -0.2, 0.3, -9.0])  # y, then x, far below every eigenvalue
-
-    def value(v: np.ndarray) -> float:
-        slack = np.tensordot(v, forms, axes=1)
-        member = np.tensordot(v[1:5], lmi.hermitian_basis(2), axes=1)
-        logs = np.linalg.slogdet(slack)[1] + np.linalg.slogdet(member)[1] + np.log(v[0])
-        return v[6] + eps * logs
-
-    def gradient(v: np.ndarray) -> np.ndarray:
-        return lmi._barrier(np.linalg.inv(np.tensordot(v, forms, axes=1)), forms, c, v[:6], eps)[0]
-
-    step = 1e-5 * np.eye(7)
-    np.testing.assert_allclose(gradient(v), [(value(v + h) - value(v - h)) / 2e-5 for h in step], rtol=1e-6)
-    hessian = lmi._barrier(np.linalg.inv(np.tensordot(v, forms, axes=1)), forms, c, v[:6], eps)[1]
-    np.testing.assert_allclose(
-        hessian, [-(gradient(v + h) - gradient(v - h)) / 2e-5 for h in step], rtol=1e-5, atol=1e-7
-    )
-
-
-def test_a_step_is_halved_until_it_stays_inside():
-    c, q = lmi.cone([("psd", 1), ("psd", 1)]), np.stack([np.diag([1.0, 2.0]), np.diag([2.0, 1.0])])
-    y, x = np.array([0.5, 0.5]), 0.0
-    # y_1 reaches 0 at 0.5 of the step, the slack's least eigenvalue at x = 1.5.
-    for step, length in (([-1.0, 1.0, 0.0], 0.25), ([0.0, 0.0, 2.0], 0.5), ([0.1, -0.1, 0.2], 1.0)):
-        new, level, slack, taken = lmi._feasible_step(q, c, y, x, np.array(step), 1.0)
-        assert taken == length and level == length * step[2]
-        np.testing.assert_allclose(new, y + length * np.array(step[:2]))
-        np.testing.assert_allclose(slack, np.tensordot(new, q, axes=1) - level * np.eye(2))
-    assert lmi._feasible_step(q, c, y, x, np.array([0.0, 0.0, 1e12]), 1.0) is None
-    matrix = lmi.cone([("psd", 2)])
-    inside = np.array([0.6, 0.4, 0.48, 0.0])  # determinant 0.24 - 0.2304
-    assert lmi._interior(matrix, inside) and not lmi._interior(matrix, inside + [0, 0, 0.02, 0])
-    assert not lmi._interior(c, np.array([0.0, 1.0])) and not lmi._interior(c, np.array([1.0, 0.0]))
-    assert lmi._interior(lmi.cone([("psd", 1), ("free", 2)]), np.array([1.0, -1, 0, 0, 5]))
+def test_a_least_disturbance_that_is_all_that_is_allowed_is_one_point():
+    parts = posed_parts(22, 6, 4)
+    parts["e"] = parts["p21"] @ np.ones(5) + parts["p22"] @ np.ones(4)
+    parts["p21"][:, 2:] = parts["p21"][:, 2:4] @ np.ones((2, 3))
+    parts["e"] = parts["p21"] @ np.ones(5) + parts["p22"] @ np.ones(4)
+    problem = Lft(BLOCKS, **parts)
+    b1 = parametrise(problem).b1
+    assert b1 > 0.1 and parametrise(problem).n_phi > 0
+    for share, point in ((1 + 0.9e-9, True), (1 - 0.9e-9, True), (1 + 1.1e-9, False), (2.0, False)):
+        posed = pose(problem, share * b1)
+        assert posed.ball_is_point == point and posed.b1 == b1
+        assert len(ball(posed, share * b1)) == (0 if point else 1)
+        z = np.append(np.ones(posed.n - 1), 1.0)
+        xi, eta, w = posed.signals(z)
+        assert residual_of(problem, xi, eta, w) < 1e-9
+        assert (np.linalg.norm(w) == pytest.approx(b1, rel=1e-9)) == point
+    with pytest.raises(InputError, match="below the smallest disturbance B1"):
+        pose(problem, (1 - 1.1e-9) * b1)
+    for bad in (-1e-12, np.inf, np.nan):
+        with pytest.raises(InputError, match="a finite number that is not negative"):
+            pose(problem, bad)
 
 
-def test_the_rounding_of_a_sum_is_that_of_its_terms():
-    forms = np.array([np.diag([3.0, 4.0]), 1j * np.array([[0, 2.0], [-2.0, 0]])])
-    want = 4 * 2 * 2.0**-52 * (1.5 * 5 + 0.5 * np.sqrt(8))
-    assert lmi.rounding(np.array([1.5, -0.5]), forms) == pytest.approx(want, rel=1e-12, abs=0)
+def test_no_disturbance_counts_to_the_rounding_of_e():
+    parts = posed_parts(23, 3, 3)
+    problem = Lft(BLOCKS, **(parts | {"e": parts["e"] / np.linalg.norm(parts["e"]) * 50}))
+    assert parametrise(problem).b1 < 1e-14, "the blocks reach all outputs"
+    assert pose(problem, 0.0).ball_is_point and pose(problem, 4e-13).ball_is_point
+    assert not pose(problem, 6e-13).ball_is_point
+    form = ball(pose(problem, 0.3), 0.3)[0]
+    posed = pose(problem, 0.3)
+    assert form.constant == pytest.approx(0.09) and form.param == -1 and form.slope == 1.0
+    np.testing.assert_array_equal(form.a, posed.w)
+    np.testing.assert_array_equal(form.b, posed.t)
 
 
-def test_a_certificate_reaches_to_where_it_stops_being_positive():
-    rng = np.random.default_rng(6)
-    a, slopes = gauss(rng, 4, 4), gauss(rng, 2, 4, 4)
-    zero, slopes = a @ a.conj().T + np.eye(4), slopes @ slopes.conj().swapaxes(1, 2)
-    slopes = np.concatenate([slopes, np.zeros((1, 4, 4))])
-    error = 0.2
-    found = lmi.reach(zero, slopes, error)
-    for length, slope in zip(found[:2], slopes, strict=False):
-        at = np.linalg.eigvalsh(zero - error * np.eye(4) - length * slope)[0]
-        assert abs(at) < 1e-9 and np.linalg.eigvalsh(zero - length * slope)[0] == pytest.approx(
-            error, abs=1e-9
+def test_a_block_without_input_is_held_at_zero_or_named():
+    parts = posed_parts(24)
+    for name in ("p11", "p12", "eta0"):
+        parts[name][3:5] = 0.0
+    problem = Lft(BLOCKS, **parts)
+    posed = Posed(problem, np.ones(4))
+    assert posed.dead == [1] and not posed.xi[1].any()
+    xi, eta, w = posed.signals(np.append(np.ones(posed.n - 1), 1.0))
+    assert residual_of(problem, xi, eta, w) < 1e-9 and not xi[2:4].any()
+    found = lft.optimum(problem, 2.0 * np.linalg.norm(problem.e), [1.0, 1.0, 1.0])
+    assert found.nu[1] == 0.0 and not found.xi[2:4].any()
+    # Where e needs that block alone it is named.
+    parts["p21"][:, [0, 1, 4]] = 0.0
+    parts["p22"][0] = 0.0
+    parts["p21"][1:] = 0.0
+    with pytest.raises(InputError, match=r"block 2.*its input eta is zero"):
+        Posed(Lft(BLOCKS, **parts), np.ones(4))
+
+
+def test_the_input_of_a_block_is_constant_where_no_signal_reaches_it():
+    parts = posed_parts(25)
+    parts["p11"][:3], parts["p12"][:3] = 0.0, 0.0
+    posed = Posed(Lft(BLOCKS, **parts), np.ones(4))
+    assert [posed.constant_eta(i) for i in range(3)] == [True, False, False]
+
+
+def test_the_form_of_a_block_is_its_signals_and_a_scalar_of_one_row_is_full_unless_it_is_real():
+    parts = posed_parts(26)
+    posed = Posed(Lft(BLOCKS, **parts), np.ones(4))
+    kinds = [None, "repeated_complex", "repeated_real"]
+    for i, kind in enumerate(kinds):
+        form = block_form(posed, i, constant=0.5, param=2, slope=3.0)
+        assert (form.constant, form.param, form.slope, form.repeated) == (0.5, 2, 3.0, kind)
+        np.testing.assert_array_equal(form.a, posed.xi[i])
+        np.testing.assert_array_equal(form.b, posed.eta[i])
+        assert (block_form(posed, i).constant, block_form(posed, i).param, block_form(posed, i).slope) == (
+            0,
+            -1,
+            1,
         )
-    assert found[2] == np.inf
-    least = np.linalg.eigvalsh(zero)[0]
-    np.testing.assert_array_equal(lmi.reach(zero, slopes, 1.001 * least), np.zeros(3))
-    assert lmi.reach(zero, slopes)[0] > found[0]
-    # Never past the end, whatever rounding does: a trillionth is left.
-    assert lmi.reach(np.eye(1), np.ones((1, 1, 1)))[0] == 1 - 1e-12
+    others = (Block("full", 2, 3), Block("repeated_real", 2, 2), Block("repeated_complex", 1, 1))
+    posed = Posed(Lft(others, **parts), np.ones(4))
+    assert [block_form(posed, i).repeated for i in range(3)] == [None, "repeated_real", None]
 
 
-def test_many_certificates_reach_as_each_alone():
-    rng = np.random.default_rng(7)
-    a = gauss(rng, 2, 3, 4, 4)
-    zeros = a @ a.conj().swapaxes(-1, -2)
-    slopes = hermitian(rng, 2, 4)
-    slopes = np.concatenate([slopes @ slopes, np.zeros((1, 4, 4))])
-    errors = np.full((2, 3), 1e-4)
-    errors[1, 2] = 1.01 * np.linalg.eigvalsh(zeros[1, 2])[0]
-    errors[0, 1] = 0.6 * np.linalg.eigvalsh(zeros[0, 1])[0]  # less than half is left: not called positive
-    found = lmi.reaches(zeros, slopes, errors)
-    for i in range(2):
-        for j in range(3):
-            if (i, j) in ((1, 2), (0, 1)):
-                assert (found[i, j] == -np.inf).all()
-            else:
-                np.testing.assert_allclose(
-                    found[i, j], lmi.reach(zeros[i, j], slopes, errors[i, j]), rtol=1e-12
-                )
+def test_an_explanation_is_finished_with_its_sizes_or_refused():
+    problem = Lft(BLOCKS[:1], **one_block(0.2))
+    posed = pose(problem, 1.0)
+    with pytest.raises(InputError, match="no Delta of this structure explains e within the bounds"):
+        posed.finish(Interval(0.0, np.inf, None, 7), "gamma_w")
+    z = posed.points(lft.optimum(problem, 1.0, [1.0]))[0]
+    found = posed.finish(Interval(0.25, 0.5, z, 7), "gamma_w")
+    assert (found.lower, found.upper, found.nodes, found.b1) == (0.25, 0.5, 7, posed.b1)
+    eta = problem.p11 @ found.xi + problem.p12 @ found.w + problem.eta0
+    assert found.nu[0] == pytest.approx(np.linalg.norm(found.xi) / np.linalg.norm(eta), rel=1e-12)
+    np.testing.assert_allclose(found.eta, eta, rtol=1e-12)
+    # With a loop gain of 1 / nu the same size makes the loop singular.
+    hard = Lft(BLOCKS[:1], **one_block(1.001 / found.nu[0]))
+    posed = pose(hard, 1.0)
+    with pytest.raises(InputError, match="well-posedness cap"):
+        posed.finish(Interval(0.0, 1.0, z, 7), "gamma_w")
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_a_rays_length_is_where_the_best_level_falls_to_zero(seed, monkeypatch):
-    """Two forms: at each length the best level is that of a scan, and it is zero at the end of the ray."""
-    rng = np.random.default_rng(20 + seed)
-    q0 = hermitian(rng, 2, 4)
-    q0[0] += 6 * np.eye(4)
-    level = gauss(rng, 2, 4, 4)
-    level = level @ level.conj().swapaxes(1, 2)
-    share = np.linspace(0, 1, 4001)[:, None, None]
-
-    def best(length: float) -> float:
-        q = q0 - length * level
-        return np.linalg.eigvalsh(share * q[0] + (1 - share) * q[1])[:, 0].max()
-
-    low, high = 0.0, 100.0
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if best(middle) > 0 else (low, middle)
-    c = lmi.cone([("psd", 1), ("psd", 1)])
-    for plain in (False, True):
-        monkeypatch.setenv("LPVGUARD_NO_NATIVE", "1" if plain else "")
-        length, y, inverse = lmi.ray_length(q0, level, c)
-        assert length <= low * (1 + 1e-6) and length == pytest.approx(low, rel=2e-4)
-        at = np.tensordot(y, q0 - length * level, axes=1)
-        assert np.linalg.eigvalsh(at)[0] > -1e-9 and (y > 0).all() and inverse.shape == (4, 4)
-        part, _, _ = lmi.ray_length(q0, level, c, cutoff=0.3 * low)
-        assert 0.3 * low <= part <= low * (1 + 1e-6)
-    nothing = lmi._ray_length_numpy(q0 - 40 * np.eye(4), level, c, np.inf)
-    assert nothing[0] == 0.0 and nothing[1] is None
-
-
-# --- boxes and bounds over nodes ---
-
-
-def test_the_moduli_and_halves_of_a_box():
-    box = Box(1 - 1j, 4 + 5j)
-    assert box.centre == 2.5 + 2j and box.radius == pytest.approx(np.hypot(3, 6) / 2)
-    assert box.least == 1.0 and box.most == pytest.approx(np.hypot(4, 5))
-    assert set(box.corners) == {1 - 1j, 4 - 1j, 1 + 5j, 4 + 5j} and len(box.corners) == 4
-    assert box.halves() == (Box(1 - 1j, 4 + 2j), Box(1 + 2j, 4 + 5j))
-    wide = Box(-7 + 2j, -1 + 3j)
-    assert wide.least == pytest.approx(np.hypot(1, 2)) and wide.most == pytest.approx(np.hypot(7, 3))
-    assert wide.halves() == (Box(-7 + 2j, -4 + 3j), Box(-4 + 2j, -1 + 3j))
-    assert Box(-2 - 5j, 3 - 1j).most == pytest.approx(np.hypot(3, 5))
-    assert Box(-4 - 5j, 3 - 1j).least == 1.0 and Box(-4 - 5j, 3 - 1j).most == pytest.approx(np.hypot(4, 5))
-    line = Box(-2.0, 3.0)
-    assert (line.centre, line.radius, line.least, line.most) == (0.5, 2.5, 0.0, 3.0)
-    assert line.corners == [-2.0, 3.0] and line.halves() == (Box(-2.0, 0.5), Box(0.5, 3.0))
-    assert Box(0j, 1 + 1j).halves() == (Box(0j, 0.5 + 1j), Box(0.5 + 0j, 1 + 1j))
-
-
-def test_boxes_force_sizes():
-    """|delta| >= 2 in units of slope 4, less a constant of 0.25, is a size of 0.75."""
-    one = row(1, 0)
-    forms = [
-        scalars_of("repeated_real", one, row(0, 1), constant=0.25, param=0, slope=4.0),
-        scalars_of("repeated_complex", one, row(0, 1), param=0, slope=9.0),
-        scalars_of("repeated_real", one, row(0, 1), constant=0.5, param=1),
-        scalars_of("repeated_real", one, row(0, 1), constant=1.0),
-    ]
-    relaxation = Relaxation(Quadratic(forms, 2, 2))
-
-    def bound(boxes: dict[int, Box], params: set[int]) -> float:
-        return relaxation.box_bound(BranchNode(0.0, 0, np.eye(2), boxes), params)
-
-    assert bound({0: Box(2.0, 3.0)}, {0, 1}) == 0.75
-    assert bound({0: Box(2.0, 3.0), 1: Box(3 + 0j, 4 + 1j)}, {0, 1}) == 1.0
-    assert bound({0: Box(2.0, 3.0), 2: Box(-2.0, -1.5)}, {0, 1}) == 0.75 + 1.75
-    assert bound({0: Box(2.0, 3.0), 2: Box(-2.0, -1.5)}, {1}) == 1.75
-    assert bound({0: Box(-1.0, 0.1), 3: Box(5.0, 6.0)}, {0, 1}) == 0.0
-    assert bound({}, {0, 1}) == 0.0
-
-
-@pytest.mark.parametrize("corner", [3 + 5j, -3 + 5j, -3 - 5j, 3 - 5j])
-def test_a_bound_over_a_box_holds_at_its_farthest_corner(corner):
-    """x = delta, |x|^2 <= p and |x - corner| <= 0.01: the corner itself needs p = 34, whatever its quadrant."""
-    forms = [
-        Form(row(1, -corner), row(0, 1), constant=1e-4),
-        scalars_of("repeated_complex", row(1, 0), row(0, 1), param=0),
-    ]
-    problem = Quadratic(forms, 1, 2)
-    near = 0.4 * corner
-    low = complex(min(corner.real, near.real), min(corner.imag, near.imag))
-    high = complex(max(corner.real, near.real), max(corner.imag, near.imag))
-    node = BranchNode(0.0, 0, np.zeros((1, 1)), {1: Box(low, high)})
-    relaxation = Relaxation(problem)
-    bound, _, _ = relaxation.lower(node, np.inf)
-    least = (abs(corner) - 0.01) ** 2
-    assert problem.cost(np.array([corner, 1.0])) == pytest.approx(34) and abs(corner) ** 2 == pytest.approx(
-        34
-    )
-    assert bound <= 34
-    side = 1e-3 * (1 + 1j)
-    tight = BranchNode(0.0, 0, np.zeros((1, 1)), {1: Box(corner - side, corner + side)})
-    assert relaxation.lower(tight, np.inf)[0] <= 34
-    assert relaxation.box_bound(tight, {0}) == pytest.approx(least, rel=2e-2)
+def one_block(gain: float) -> dict[str, np.ndarray]:
+    """A block of 2 x 3 whose own loop has this gain, in a direction that the input eta0 does not take."""
+    p11 = np.zeros((3, 2), complex)
+    p11[2, 1] = gain
+    return {
+        "p11": p11,
+        "p12": np.zeros((3, 2), complex),
+        "p21": np.eye(2, dtype=complex),
+        "p22": np.eye(2, dtype=complex),
+        "eta0": np.array([1.0, 0.5j, 0.0]),
+        "e": np.array([2.0, 0.0], complex),
+    }

@@ -122,7 +122,11 @@ class Posed:
             )
         change = np.zeros((left.shape[1] + 1, left.shape[1] - rank + 1), dtype=complex)
         change[:-1, :-1], change[:-1, -1], change[-1, -1] = vh[rank:].conj().T, point, 1.0
-        return par.xi_map @ change, par.w_map @ change, par.eta_map @ change
+        xi_map = par.xi_map @ change
+        for i, part in enumerate(split(self.problem.blocks, xi_map, "rows")):
+            if i in dead:
+                part[:] = 0.0  # not its rounding, which an eta of zero would make endless
+        return xi_map, par.w_map @ change, par.eta_map @ change
 
     @cached_property
     def xi(self) -> list[np.ndarray]:
