@@ -1,4 +1,4 @@
-"""Runs the mutants of the Python numerics (python_mutation.py) against the tests of their rooms, and judges.
+"""Runs the mutants of the Python numerics (python_mutation.py) against the tests about them, and judges.
 
 A kept library was considered. mutmut 3 writes the package again into a folder of its own and knows functions
 only, not lines; cosmic-ray starts pytest anew for every mutant, which here is seconds of imports. Both change
@@ -44,7 +44,9 @@ gate leaves out the other files unless one is asked for by its name, and says so
 tests/README.md."""
 ASKED = {
     "drives": ("drives/test_dft.py", "drives/test_frames.py"),
-    "engine": ("engine",),
+    "engine/overbound": ("engine/test_overbound_parts.py", "engine/test_weights.py"),
+    "engine/synthesis": ("engine/test_*.py",),
+    "engine/validation": ("engine/test_validation_*.py",),
     "identify": (
         "identify/test_calibration.py",
         "identify/test_energy.py",
@@ -52,11 +54,11 @@ ASKED = {
         "identify/test_groups.py",
     ),
 }
-"""Room of a file -> the tests below tests/tools that are asked: all of the engine, elsewhere those about
-them, because to note what a whole room of costly tests reaches takes minutes."""
+"""Folder of a file -> the tests below tests/tools that are asked: those about it, because to note what a
+whole room of costly tests reaches takes minutes; of synthesis all of the engine."""
 SAMPLE_FILES, SAMPLE = 2, 20
 """Without LPVGUARD_FULL, of those that neither list names: so many mutants, of the files that a change
-touches, or else of so many files of one room."""
+touches, or else of so many files of one folder."""
 EQUIVALENT, OPEN = "python_equivalent_mutants.json", "python_open_mutants.json"
 
 
@@ -76,19 +78,19 @@ def target_files(tree: Path) -> list[str]:
     return sorted(name for name in found if not name.endswith("__init__.py"))
 
 
-def room_of(name: str) -> str:
-    return name.split("/")[0]
+def folder_of(name: str) -> str:
+    return name.rpartition("/")[0]
 
 
 def drawn(tree: Path, names: list[str]) -> list[str]:
-    """The files that a change touches, or some of one room, by the hash of all."""
+    """The files that a change touches, or some of one folder, by the hash of all."""
     begin = f"{PACKAGE.as_posix()}/"
     if touched := sorted(set(names) & {p.removeprefix(begin) for p in changed_files(tree)}):
         return touched
     seed = hashlib.sha256(b"".join((tree / PACKAGE / name).read_bytes() for name in names)).hexdigest()
     random_of = random.Random(seed)
-    room = random_of.choice(sorted({room_of(name) for name in names}))
-    there = [name for name in names if room_of(name) == room]
+    folder = random_of.choice(sorted({folder_of(name) for name in names}))
+    there = [name for name in names if folder_of(name) == folder]
     return sorted(random_of.sample(there, min(SAMPLE_FILES, len(there))))
 
 
@@ -139,12 +141,13 @@ def surviving(
     tree: Path, scratch: Path, mutants: list[Mutant], places: dict[Mutant, tuple[int, int]]
 ) -> list[Mutant]:
     alive: set[tuple[str, int, int]] = set()
-    for room in sorted({room_of(m.file) for m in mutants}):
+    for folder in sorted({folder_of(m.file) for m in mutants}):
         files: dict[str, list[tuple[int, int]]] = {}
         for mutant in mutants:
-            if room_of(mutant.file) == room:
+            if folder_of(mutant.file) == folder:
                 files.setdefault(mutant.file, []).append(places[mutant])
-        tests = [str(tree / "tests" / "tools" / asked) for asked in ASKED[room]]
+        there = tree / "tests" / "tools"
+        tests = sorted(str(path) for asked in ASKED[folder] for path in there.glob(asked))
         fates = asked_worker(tree, scratch, {"files": files, "tests": tests, "traced": target_files(tree)})
         alive |= {(name, site, index) for name, site, index, survives, _ in fates if survives}
     return [m for m in mutants if (m.file, *places[m]) in alive]

@@ -16,6 +16,7 @@ from python_mutation_run import (
     PACKAGE,
     changed_since,
     drawn,
+    folder_of,
     judged,
     mutants_of,
     noted,
@@ -112,7 +113,7 @@ def tree(tmp_path_factory) -> Path:
     for folder in (module.parent, module.parent.parent, tree / PACKAGE):
         (folder / "__init__.py").touch()
     module.write_text(SOURCE)
-    tests = tree / "tests" / "tools" / "engine" / "test_small.py"
+    tests = tree / "tests" / "tools" / "engine" / "test_validation_small.py"
     tests.parent.mkdir(parents=True)
     tests.write_text(TESTS.replace("lpvguard_small", "lpvguard"))
     (tests.parent / "pytest.ini").write_text("[pytest]\nmarkers =\n    slow: slow\n    serial: serial\n")
@@ -194,7 +195,7 @@ def test_a_file_with_another_number_of_mutants_than_when_all_ran_is_told(tree, t
 
 
 def test_a_test_that_fails_without_a_mutant_is_told(tree, tmp_path):
-    tests = tree / "tests" / "tools" / "engine" / "test_wrong.py"
+    tests = tree / "tests" / "tools" / "engine" / "test_validation_wrong.py"
     tests.write_text("def test_wrong():\n    assert 1 == 2\n")
     try:
         [finding] = python_mutation_findings(tree, tmp_path, full=True, only="", measured={SMALL: N_SMALL})
@@ -239,12 +240,12 @@ def test_texts_annotations_decorators_and_what_is_raised_stay():
     assert changes(source) == ["raise E(1 + 2, f'{a - 1}')  ->  (left out)"]
 
 
-def test_every_target_is_a_file_whose_room_has_tests_and_a_drawn_one_is_among_them():
+def test_every_target_is_a_file_whose_folder_has_tests_and_a_drawn_one_is_among_them():
     names = target_files(ROOT)
     assert len(names) > 30 and set(drawn(ROOT, names)) <= set(names) and set(names) >= MEASURED.keys()
-    assert {name.split("/")[0] for name in names} == ASKED.keys()
+    assert {folder_of(name) for name in names} == ASKED.keys()
     for asked in ASKED.values():
-        assert all((ROOT / "tests" / "tools" / name).exists() for name in asked)
+        assert all(list((ROOT / "tests" / "tools").glob(name)) for name in asked)
 
 
 def test_measured_files_have_the_mutants_that_ran_and_the_lists_name_mutants(tmp_path):

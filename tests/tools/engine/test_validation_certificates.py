@@ -9,7 +9,7 @@ import pytest
 from lft_problems import gauss, row, scalars_of
 from lpvguard.engine.validation import lmi
 from lpvguard.engine.validation.quadratic import Form, Quadratic
-from lpvguard.engine.validation.relaxation import Box, BranchNode, Relaxation
+from lpvguard.engine.validation.relaxation import Box, BranchNode, Relaxation, _HeldScalars
 
 
 def hermitian(rng: np.random.Generator, *shape: int) -> np.ndarray:
@@ -281,3 +281,101 @@ def test_a_bound_over_a_box_holds_at_its_farthest_corner(corner):
     tight = BranchNode(0.0, 0, np.zeros((1, 1)), {1: Box(corner - side, corner + side)})
     assert relaxation.lower(tight, np.inf)[0] <= 34
     assert relaxation.box_bound(tight, {0}) == pytest.approx(least, rel=2e-2)
+
+
+def least_over(problem: Quadratic, deltas: dict[int, complex]) -> float:
+    """Least cost with these scalars over grids of the one number that they leave free, each finer."""
+    z, null = problem.on_subspace(problem.inside(deltas)[1], deltas)
+    assert null.shape[1] == 1
+    axis, at, least = np.linspace(-1, 1, 41), 0.0, np.inf
+    grid = (axis[:, None] + 1j * axis).ravel()
+    for reach in 4.0 * 0.3 ** np.arange(12):
+        points = np.hstack([z[:-1] + (at + reach * grid)[:, None] * null[:, 0], np.ones((len(grid), 1))])
+        sizes = np.zeros((len(grid), problem.params))
+        for f in problem.forms:
+            top, bottom = (np.sum(np.abs(points @ m.T) ** 2, axis=1) for m in (f.a, f.b))
+            if f.param < 0:
+                sizes[top > f.constant * f.slope * bottom] = np.inf
+            else:
+                sizes[:, f.param] = np.maximum(sizes[:, f.param], top / (f.slope * bottom) - f.constant)
+        costs = sizes.sum(axis=1)
+        if costs.min() < least:
+            least, at = costs.min(), at + reach * grid[np.argmin(costs)]
+    return float(least)
+
+
+@pytest.mark.parametrize("kind", ["repeated_complex", "repeated_real"])
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("shared", [False, True])
+def test_both_bounds_over_a_node_lie_below_each_cost_in_it_and_close_to_the_least_of_a_small_one(
+    kind, seed, shared
+):
+    """A ball, a full block and a repeated one of two rows: with the scalar held, three forms, which the
+    S-procedure settles without a gap."""
+    rng = np.random.default_rng(seed)
+    turn = 0.0 if kind == "repeated_real" else 1.0
+    centre = complex(0.5, -0.4 * turn)
+    maps = gauss(rng, 4, 2, 4)
+    block = scalars_of(kind, maps[2], maps[3], param=0 if shared else 1, slope=1.3)
+    full = Form(maps[1], row(0, 0, 0, 1.5), param=0, slope=0.7)
+    side = 0.3 * (1 + 1j * turn)
+    of_box = [0.0, 0.7 * side, -side, np.conj(side), -0.5 * np.conj(side)]
+    # A ball that every scalar of the larger box leaves room in, but not much.
+    plain = Quadratic([Form(maps[0], row(0, 0, 0, 1), constant=1.0), full, block], 1 if shared else 2, 4)
+    room = max(plain.inside({2: centre + d})[0] for d in of_box) ** 2
+    forms = [Form(maps[0], row(0, 0, 0, 1), constant=1.3 * room), full, block]
+    problem = Quadratic(forms, plain.params, 4)
+    assert problem.boxed == (set() if shared else {1})
+    relaxation = Relaxation(problem)
+    rays = np.array([[1.0] if shared else [1.0, 0.0]])
+    for share in (1.0, 1e-5):
+        node = BranchNode(0.0, 0, rays, {2: Box(centre - share * side, centre + share * side)})
+        lower, central, _ = relaxation.lower(node, np.inf)
+        tangent = relaxation.tangent(node, np.inf)
+        costs = [least_over(problem, {2: centre + share * d}) for d in of_box]
+        assert lower <= min(costs) * (1 + 1e-9) and tangent.lower <= min(costs) * (1 + 1e-9)
+        assert lower <= central * (1 + 1e-6) and tangent.box <= tangent.centre * (1 + 1e-6)
+        assert tangent.lower <= min(tangent.box, tangent.cone) * (1 + 1e-9)
+    assert tangent.centre <= costs[0] * (1 + 1e-9)
+    if not shared:
+        assert tangent.lower >= costs[0] * (1 - 2e-3)
+
+
+def test_a_cone_of_sizes_is_bounded_at_its_edges():
+    """|x - 1|^2 <= p0 and |x + 1|^2 <= p1: the least sum on a ray, and over a cone of rays."""
+    forms = [Form(row(1, -1), row(0, 1), param=0), Form(row(1, 1), row(0, 1), param=1)]
+    relaxation = Relaxation(Quadratic(forms, 2, 2))
+    for rays, centre in (
+        (np.eye(2), 0.5),
+        (np.array([[0.6, 0.4], [0.4, 0.6]]), 0.5),
+        (np.array([[0.9, 0.1]]), 0.9),
+    ):
+        lower, central, _ = relaxation.lower(BranchNode(0.0, 0, rays, {}), np.inf)
+        exact = 4 / (np.sqrt(centre) + np.sqrt(1 - centre)) ** 2
+        assert central == pytest.approx(exact, rel=1e-4) and lower <= central * (1 + 1e-9)
+        # No point of the cone costs less: |x - 1| + |x + 1| is at least 2.
+        for share in np.linspace(rays[:, 0].min(), rays[:, 0].max(), 11):
+            assert lower <= 4 / (np.sqrt(share) + np.sqrt(1 - share)) ** 2 * (1 + 1e-9)
+        if len(rays) == 1:
+            assert lower == pytest.approx(central, rel=1e-6)
+    assert relaxation.tangent(BranchNode(0.0, 0, np.eye(2), {}), np.inf) is None
+    assert 1.5 <= relaxation.lower(BranchNode(0.0, 0, np.array([[0.5, 0.5]]), {}), 1.5)[0] <= 2 * (1 + 1e-9)
+
+
+def test_a_constant_beside_a_size_is_taken_off_what_a_scalar_forces():
+    """x = delta and |x|^2 <= 1 + p: at delta = 2 the size is 3."""
+    forms = [
+        Form(row(1, 0), row(0, 1), constant=100.0),
+        scalars_of("repeated_real", row(1, 0), row(0, 1), constant=1.0, param=0),
+    ]
+    problem = Quadratic(forms, 1, 2)
+    node = BranchNode(0.0, 0, np.zeros((1, 1)), {1: Box(2.0 - 1e-6, 2.0 + 1e-6)})
+    relaxation = Relaxation(problem)
+    assert problem.cost(np.array([2.0, 1.0])) == 3.0
+    assert relaxation.lower(node, 10.0)[0] <= 13.0 and relaxation.box_bound(node, {0}) == pytest.approx(
+        3.0, rel=1e-5
+    )
+    held = _HeldScalars(problem, node.boxes)
+    assert held.base(np.array([2.0])) == pytest.approx(3.0, rel=1e-5)
+    # The tangent of |d|^2 at the centre lies below it.
+    assert held.base(np.array([3.0])) == pytest.approx(2 * 2 * 3 - 4 - 1, rel=1e-5)

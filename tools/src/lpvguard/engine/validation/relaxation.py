@@ -132,6 +132,7 @@ class _HeldScalars:
         centre = self.centre
         return sum(
             (2.0 * (centre[i].conjugate() * scalars[i]).real - abs(centre[i]) ** 2) / self._forms[i].slope
+            - self._forms[i].constant
             for i in self._known
         )
 
