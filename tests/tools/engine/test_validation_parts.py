@@ -12,7 +12,7 @@ from lpvguard.engine.blocks import Block
 from lpvguard.engine.validation import delta as dl
 from lpvguard.engine.validation import lft
 from lpvguard.engine.validation.branch import Interval
-from lpvguard.engine.validation.posed import Posed, ball, block_form, pose
+from lpvguard.engine.validation.posed import Posed, Solution, ball, block_form, pose
 from lpvguard.engine.validation.problem import Lft, parametrise
 from lpvguard.engine.validation.quadratic import Form, Quadratic, cancels
 from lpvguard.engine.validation.well_posed import block_caps, well_posed
@@ -679,6 +679,51 @@ def test_every_point_of_the_coordinates_is_a_solution_and_its_size_is_that_of_th
             np.testing.assert_allclose(found, was, atol=1e-9)
 
 
+def size_of(posed: Posed, w_scale: np.ndarray, z: np.ndarray, size_e: float) -> float:
+    """|.|^2 of all signals at ``z``, each block's by what it does to e, over the factor t."""
+    xi, _, w = posed.signals(z)
+    p21 = posed.problem.p21
+    gains = [np.linalg.norm(m.T) for m in dl.split(posed.problem.blocks, p21.T, "rows")]
+    pieces = dl.split(posed.problem.blocks, xi, "rows")
+    share = [np.linalg.norm(x) * (g / size_e if g else 1.0) for x, g in zip(pieces, gains, strict=True)]
+    return (np.linalg.norm(share) ** 2 + np.linalg.norm(w / w_scale) ** 2) * abs((posed.t @ z)[0]) ** 2
+
+
+def test_a_block_that_reaches_no_output_is_sized_by_itself_and_an_e_of_zero_by_one():
+    parts = posed_parts(27)
+    parts["p21"][:, 2:4] = 0.0
+    parts["p21"] *= 1e-3
+    parts["e"] = parts["p21"] @ np.ones(5)
+    for e in (parts["e"], 0 * parts["e"]):
+        problem = Lft(BLOCKS, **(parts | {"e": e}))
+        size_e = np.linalg.norm(e) or 1.0
+        for gamma in (0.5, 0.0):
+            posed = pose(problem, gamma)
+            assert posed.ball_is_point == (gamma == 0.0)
+            z = np.append(gauss(np.random.default_rng(2), posed.n - 1), 1.0)
+            want = np.linalg.norm(z[:-1]) ** 2 + bool(e.any())
+            scale = np.full(4, gamma or size_e)
+            assert size_of(posed, scale, z, size_e) == pytest.approx(want, rel=1e-9)
+            assert posed.t[0, -1] == 1.0 or e.any()
+            assert posed.xi[1][:, :-1].any(), "the block is free"
+
+
+def test_the_point_of_an_explanation_is_found_again_beside_dead_blocks_and_in_any_unit():
+    for unit in (1.0, 1e12, 1e-12):
+        parts = posed_parts(28)
+        for name in ("p11", "p12", "eta0"):
+            parts[name][3:5] = 0.0
+        parts["p21"][:, :2] *= unit
+        parts["p11"][:, :2] *= unit
+        problem = Lft(BLOCKS, **parts)
+        posed = pose(problem, 3.0)
+        z = np.append(gauss(np.random.default_rng(5), posed.n - 1), 1.0)
+        xi, eta, w = posed.signals(z)
+        known = Solution(0.0, 1.0, np.ones(3), xi, eta, w, posed.b1, None, 1)
+        [found] = posed.points(known)
+        np.testing.assert_allclose(found, z, rtol=1e-6)
+
+
 def test_a_least_disturbance_that_is_all_that_is_allowed_is_one_point():
     parts = posed_parts(22, 6, 4)
     parts["e"] = parts["p21"] @ np.ones(5) + parts["p22"] @ np.ones(4)
@@ -739,6 +784,8 @@ def test_the_input_of_a_block_is_constant_where_no_signal_reaches_it():
     parts["p11"][:3], parts["p12"][:3] = 0.0, 0.0
     posed = Posed(Lft(BLOCKS, **parts), np.ones(4))
     assert [posed.constant_eta(i) for i in range(3)] == [True, False, False]
+    parts["p11"][2], parts["p12"][2] = 1.0, 1.0
+    assert not Posed(Lft(BLOCKS, **parts), np.ones(4)).constant_eta(0), "one of its inputs moves"
 
 
 def test_the_form_of_a_block_is_its_signals_and_a_scalar_of_one_row_is_full_unless_it_is_real():

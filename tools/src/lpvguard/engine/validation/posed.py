@@ -111,9 +111,9 @@ class Posed:
         rows = np.vstack([pieces[i] for i in dead])
         left, right = rows[:, :-1], -rows[:, -1]
         u, s, vh = np.linalg.svd(left)
-        rank = int(np.sum(s > RANK_TOLERANCE * max(s[0], 1e-300))) if s.size else 0
+        rank = int(np.sum(s > RANK_TOLERANCE * s.max(initial=0.0)))
         point = vh[:rank].conj().T @ ((u[:, :rank].conj().T @ right) / s[:rank])
-        if np.linalg.norm(left @ point - right) > IMAGE_TOLERANCE * max(float(np.linalg.norm(right)), 1e-300):
+        if np.linalg.norm(left @ point - right) > IMAGE_TOLERANCE * np.linalg.norm(right):
             raise InputError(
                 self.problem.source,
                 f"block {dead[0] + 1}",
