@@ -317,6 +317,15 @@ def test_a_block_or_the_disturbance_in_another_unit_is_the_same_block(of, unit):
     assert np.linalg.matrix_rank(now.xi_map[2:, :-1]) == 3
 
 
+@pytest.mark.parametrize("columns", [slice(0, 2), slice(2, 4), slice(4, 5)])
+def test_units_of_one_block_leave_the_number_of_directions(columns):
+    parts = parts_of(5, 4, np.random.default_rng(13))
+    moved = {name: m.copy() for name, m in parts.items()}
+    moved["p21"][:, columns] *= 1e-13
+    was, now = parametrise(Lft(BLOCKS, **parts)), parametrise(Lft(BLOCKS, **moved))
+    assert (was.n_phi, was.xi_map.shape) == (now.n_phi, now.xi_map.shape) == (4, (5, 5))
+
+
 @pytest.mark.parametrize("d, reaches", [(0.8e-10, False), (1.25e-10, True)])
 def test_a_direction_of_m_counts_from_a_ten_billionth_of_the_largest(d, reaches):
     one = np.ones((1, 1), complex)
@@ -625,6 +634,21 @@ def test_a_point_without_any_size_is_found_where_there_is_one():
     np.testing.assert_allclose(z, [1.0, 3.0, 1.0], atol=1e-9)
     still = [Form(row(0, 0, 0), row(0, 0, 1), param=0), Form(row(0, 1, -3), row(0, 0, 1), constant=1.0)]
     np.testing.assert_allclose(Quadratic(still, 1, 3).zero(), [0.0, 3.0, 1.0], atol=1e-12)
+
+
+def test_rows_that_differ_by_a_trillionth_are_one():
+    """Taken apart they would ask for x_2 = -10, where x_1 alone is what they ask for."""
+    nearly = np.array([[1, 0, 0], [1, 1e-12, 1e-11]], complex)
+    ball_form, start = Form(nearly, row(0, 0, 1), constant=1.0), np.array([5.0, 0.0, 1.0])
+    moved = Quadratic([ball_form], 1, 3).repair(start)
+    np.testing.assert_allclose(moved, [0.5**0.5, 0.0, 1.0], atol=1e-6)
+    np.testing.assert_allclose(Quadratic([ball_form], 1, 3).inside({})[1], [0.0, 0.0, 1.0], atol=1e-6)
+    np.testing.assert_allclose(Quadratic([ball_form], 1, 3).zero(), [0.0, 0.0, 1.0], atol=1e-6)
+    wanted = [
+        Form(row(1, 0, -1), row(0, 0, 1), param=0),
+        Form(row(1, 5e-13, -1 - 1e-12), row(0, 0, 1), param=0),
+    ]
+    np.testing.assert_allclose(Quadratic(wanted, 1, 3).zero(), [1.0, 0.0, 1.0], atol=1e-6)
 
 
 # --- a point in well-scaled coordinates ---
