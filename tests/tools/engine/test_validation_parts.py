@@ -632,7 +632,7 @@ def test_a_point_without_any_size_is_found_where_there_is_one():
     almost = [Form(row(1, 0, -1), row(0, 0, 1), param=0), Form(row(1, 5e-13, -1), row(0, 0, 1), param=0)]
     z = Quadratic([*almost, Form(row(0, 1, -3), row(0, 0, 1), constant=1.0)], 1, 3).zero()
     np.testing.assert_allclose(z, [1.0, 3.0, 1.0], atol=1e-9)
-    still = [Form(row(0, 0, 0), row(0, 0, 1), param=0), Form(row(0, 1, -3), row(0, 0, 1), constant=1.0)]
+    still = [Form(np.zeros((2, 3)), row(0, 0, 1), param=0), Form(row(0, 1, -3), row(0, 0, 1), constant=1.0)]
     np.testing.assert_allclose(Quadratic(still, 1, 3).zero(), [0.0, 3.0, 1.0], atol=1e-12)
 
 
