@@ -266,7 +266,7 @@ def test_a_bound_over_a_box_holds_at_its_farthest_corner(corner):
         scalars_of("repeated_complex", row(1, 0), row(0, 1), param=0),
     ]
     problem = Quadratic(forms, 1, 2)
-    near = 0.4 * corner
+    near = 0.1 * corner
     low = complex(min(corner.real, near.real), min(corner.imag, near.imag))
     high = complex(max(corner.real, near.real), max(corner.imag, near.imag))
     node = BranchNode(0.0, 0, np.zeros((1, 1)), {1: Box(low, high)})
@@ -337,8 +337,33 @@ def test_both_bounds_over_a_node_lie_below_each_cost_in_it_and_close_to_the_leas
         assert lower <= central * (1 + 1e-6) and tangent.box <= tangent.centre * (1 + 1e-6)
         assert tangent.lower <= min(tangent.box, tangent.cone) * (1 + 1e-9)
     assert tangent.centre <= costs[0] * (1 + 1e-9)
+    assert lower >= costs[0] * (1 - 2e-3)
     if not shared:
         assert tangent.lower >= costs[0] * (1 - 2e-3)
+
+
+def test_a_real_scalar_does_not_reach_an_imaginary_target():
+    """x = delta and |x - 1j|^2 <= p1: a real delta leaves 1, a complex one nothing."""
+    for kind, least in (("repeated_real", 1.0), ("repeated_complex", 0.0)):
+        forms = [
+            scalars_of(kind, row(1, 0), row(0, 1), param=0),
+            Form(row(1, -1j), row(0, 1), param=1),
+        ]
+        side = 5.0 if kind == "repeated_real" else 5 + 5j
+        node = BranchNode(0.0, 0, np.array([[0.0, 1.0]]), {0: Box(-side, side)})
+        found, _, _ = Relaxation(Quadratic(forms, 2, 2)).lower(node, np.inf)
+        assert least * (1 - 1e-4) <= found <= least + 1e-6
+
+
+def test_a_scalar_without_a_bound_bounds_nothing():
+    forms = [
+        scalars_of("repeated_complex", row(1, 0), row(0, 1), constant=np.inf),
+        Form(row(1, -1), row(0, 1), param=0),
+        Form(row(1, 1), row(0, 1), param=1),
+    ]
+    node = BranchNode(0.0, 0, np.array([[0.5, 0.5]]), {})
+    found, _, _ = Relaxation(Quadratic(forms, 2, 2)).lower(node, np.inf)
+    assert found == pytest.approx(2.0, rel=1e-4)
 
 
 def test_a_cone_of_sizes_is_bounded_at_its_edges():

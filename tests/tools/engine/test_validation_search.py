@@ -1,4 +1,4 @@
-"""The branch and bound of the validation: what it returns when it stops, and that nodes cover their parent."""
+"""The branch and bound of the validation: what it returns when it stops; nodes that cover their parent."""
 
 from __future__ import annotations
 
