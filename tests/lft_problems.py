@@ -7,10 +7,19 @@ import numpy as np
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.validation import delta as dl
 from lpvguard.engine.validation.problem import Lft
+from lpvguard.engine.validation.quadratic import Form
 
 
 def gauss(rng, *shape):
     return (rng.normal(size=shape) + 1j * rng.normal(size=shape)) / np.sqrt(2)
+
+
+def row(*entries: complex) -> np.ndarray:
+    return np.array([entries], dtype=complex)
+
+
+def scalars_of(kind: str, a: np.ndarray, b: np.ndarray, **rest) -> Form:
+    return Form(a, b, repeated=kind, **rest)
 
 
 def made_from_truth(rng, n_y, blocks, *, p12=False, n_w=None, size=0.3, noise=0.1, gain=0.3):

@@ -55,11 +55,12 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from misra_cpp import misra_cpp_findings
 from mutation_run import listed_table, mutation_findings
-from python_mutation_run import python_mutation_findings
+from python_mutation_run import python_listed_table, python_mutation_findings
 from references import references
 
 COMPILERS = {"gcc": ("gcc", "g++"), "clang": ("clang", "clang++")}
@@ -1130,14 +1131,18 @@ def main() -> int:
     parser.add_argument("--scratch", type=Path, required=True)
     parser.add_argument("--self-test", action="store_true")
     parser.add_argument(
-        "--table", action="store_true", help="mutation: print the table of the lists, run nothing"
+        "--table",
+        action="store_true",
+        help="mutation, python_mutation: print the table of the lists, run nothing",
     )
     a = parser.parse_args()
     source, scratch = a.source.resolve(), a.scratch.resolve()
     if a.table and a.gate != "mutation":
         parser.error(f"--table is the mutation gate's, not that of {a.gate}")
     if a.table:
-        print("\n".join(listed_table(source, scratch, sorted(with_code(source)))))
+        python = a.gate == "python_mutation"
+        rows = python_listed_table if python else partial(listed_table, names=sorted(with_code(source)))
+        print("\n".join(rows(source, scratch)))
         return 0
     if a.self_test:
         findings = self_test(a.gate, source, scratch)

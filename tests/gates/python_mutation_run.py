@@ -1,4 +1,4 @@
-"""Runs the mutants of the Python numerics (python_mutation.py) against the tests of their rooms, and judges.
+"""Runs the mutants of the Python numerics (python_mutation.py) against the tests about them, and judges.
 
 A kept library was considered. mutmut 3 writes the package again into a folder of its own and knows functions
 only, not lines; cosmic-ray starts pytest anew for every mutant, which here is seconds of imports. Both change
@@ -12,7 +12,8 @@ import json
 import os
 import random
 import sys
-from collections.abc import Collection
+from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,17 +32,27 @@ TARGETS = (
     "identify/energy.py",
 )
 MEASURED = {
-    "drives/dft.py",
-    "drives/frames.py",
-    "engine/overbound/bound.py",
-    "engine/overbound/noise.py",
-    "identify/calibration.py",
+    "drives/dft.py": 64,
+    "drives/frames.py": 287,
+    "engine/overbound/bound.py": 118,
+    "engine/overbound/noise.py": 56,
+    "engine/synthesis/norms.py": 223,
+    "engine/validation/delta.py": 116,
+    "engine/validation/posed.py": 318,
+    "engine/validation/problem.py": 115,
+    "engine/validation/quadratic.py": 419,
+    "engine/validation/well_posed.py": 97,
+    "identify/calibration.py": 279,
+    "identify/energy.py": 437,
 }
-"""Files whose mutants have all run and are sorted. The gate leaves out the others unless one is asked for by
-its name, and says so: samples of them stand in tests/README.md."""
+"""Files whose mutants have all run and are sorted, and how many those were: another number is a finding. The
+gate leaves out the other files unless one is asked for by its name, and says so: samples of them stand in
+tests/README.md."""
 ASKED = {
     "drives": ("drives/test_dft.py", "drives/test_frames.py"),
-    "engine": ("engine",),
+    "engine/overbound": ("engine/test_overbound_parts.py", "engine/test_weights.py"),
+    "engine/synthesis": ("engine/test_*.py",),
+    "engine/validation": ("engine/test_validation_*.py",),
     "identify": (
         "identify/test_calibration.py",
         "identify/test_energy.py",
@@ -49,11 +60,11 @@ ASKED = {
         "identify/test_groups.py",
     ),
 }
-"""Room of a file -> the tests below tests/tools that are asked: all of the engine, elsewhere those about
-them, because to note what a whole room of costly tests reaches takes minutes."""
+"""Folder of a file -> the tests below tests/tools that are asked: those about it, because to note what a
+whole room of costly tests reaches takes minutes; of synthesis all of the engine."""
 SAMPLE_FILES, SAMPLE = 2, 20
 """Without LPVGUARD_FULL, of those that neither list names: so many mutants, of the files that a change
-touches, or else of so many files of one room."""
+touches, or else of so many files of one folder."""
 EQUIVALENT, OPEN = "python_equivalent_mutants.json", "python_open_mutants.json"
 
 
@@ -73,19 +84,19 @@ def target_files(tree: Path) -> list[str]:
     return sorted(name for name in found if not name.endswith("__init__.py"))
 
 
-def room_of(name: str) -> str:
-    return name.split("/")[0]
+def folder_of(name: str) -> str:
+    return name.rpartition("/")[0]
 
 
 def drawn(tree: Path, names: list[str]) -> list[str]:
-    """The files that a change touches, or some of one room, by the hash of all."""
+    """The files that a change touches, or some of one folder, by the hash of all."""
     begin = f"{PACKAGE.as_posix()}/"
     if touched := sorted(set(names) & {p.removeprefix(begin) for p in changed_files(tree)}):
         return touched
     seed = hashlib.sha256(b"".join((tree / PACKAGE / name).read_bytes() for name in names)).hexdigest()
     random_of = random.Random(seed)
-    room = random_of.choice(sorted({room_of(name) for name in names}))
-    there = [name for name in names if room_of(name) == room]
+    folder = random_of.choice(sorted({folder_of(name) for name in names}))
+    there = [name for name in names if folder_of(name) == folder]
     return sorted(random_of.sample(there, min(SAMPLE_FILES, len(there))))
 
 
@@ -136,12 +147,13 @@ def surviving(
     tree: Path, scratch: Path, mutants: list[Mutant], places: dict[Mutant, tuple[int, int]]
 ) -> list[Mutant]:
     alive: set[tuple[str, int, int]] = set()
-    for room in sorted({room_of(m.file) for m in mutants}):
+    for folder in sorted({folder_of(m.file) for m in mutants}):
         files: dict[str, list[tuple[int, int]]] = {}
         for mutant in mutants:
-            if room_of(mutant.file) == room:
+            if folder_of(mutant.file) == folder:
                 files.setdefault(mutant.file, []).append(places[mutant])
-        tests = [str(tree / "tests" / "tools" / asked) for asked in ASKED[room]]
+        there = tree / "tests" / "tools"
+        tests = sorted(str(path) for asked in ASKED[folder] for path in there.glob(asked))
         fates = asked_worker(tree, scratch, {"files": files, "tests": tests, "traced": target_files(tree)})
         alive |= {(name, site, index) for name, site, index, survives, _ in fates if survives}
     return [m for m in mutants if (m.file, *places[m]) in alive]
@@ -157,16 +169,37 @@ def judged(
     return findings + [f"{EQUIVALENT}: {what}" for what in no_longer(mutants, survived, equivalent, all_of)]
 
 
+def changed_since(mutants: list[Mutant], measured: Mapping[str, int]) -> list[str]:
+    """Findings: measured files that have another number of mutants; ``mutants``: all of one file or more."""
+    now = Counter(m.file for m in mutants)
+    return [
+        f"{name}: {now[name]} mutants, and {measured[name]} when all had run: run all again"
+        for name in sorted(now.keys() & measured.keys())
+        if now[name] != measured[name]
+    ]
+
+
+def python_listed_table(tree: Path, scratch: Path) -> list[str]:
+    """The table of all mutants of the measured files as the two lists have it, without a run.
+
+    What is not listed counts as killed, which LPVGUARD_FULL=1 holds against the tests.
+    """
+    equivalent, known = noted(tree, EQUIVALENT), noted(tree, OPEN)
+    mutants, _ = mutants_of(tree, scratch, sorted(MEASURED))
+    listed = [m for m in mutants if stands_in(m, equivalent) or stands_in(m, known)]
+    return table(mutants, listed, equivalent, known)
+
+
 def python_mutation_findings(
     tree: Path,
     scratch: Path,
     full: bool,
     only: str,
     sample: int = SAMPLE,
-    measured: Collection[str] = MEASURED,
+    measured: Mapping[str, int] = MEASURED,
 ) -> list[str]:
     """Findings on the mutants of the Python numerics: of all measured files where ``full``, of ``only`` one
-    file, or of ``sample`` drawn ones."""
+    file, or of ``sample`` drawn ones. ``measured``: files and their numbers, as `MEASURED`."""
     every = target_files(tree)
     names = [name for name in every if name in measured]
     files = [only] if only else names if full else drawn(tree, names)
@@ -174,6 +207,7 @@ def python_mutation_findings(
     all_of = set(files) if full or only else set()
     try:
         mutants, places = mutants_of(tree, scratch, files)
+        changed = changed_since(mutants, measured)
         if not all_of:
             listed = [m for m in mutants if stands_in(m, equivalent) or stands_in(m, known)]
             print(f"{', '.join(files)}: {len(mutants)} mutants, {len(listed)} of them listed, {sample} drawn")
@@ -190,5 +224,5 @@ def python_mutation_findings(
     print("\n".join(table(mutants, survived, equivalent, known)))
     if left_out := sorted(set(every) - set(measured) - {only}):
         print(f"not measured: {', '.join(left_out)}")
-    findings = judged(mutants, survived, equivalent, known, all_of)
+    findings = changed + judged(mutants, survived, equivalent, known, all_of)
     return findings + (too_many(mutants, survived, equivalent) if full and not only else [])

@@ -4,8 +4,9 @@
 
 It collects the tests once and runs none itself. A child per test finds what the test costs and which lines it
 reaches; that is kept in the scratch folder. Then a child per mutant puts the mutated code into the functions
-that are loaded, and runs the tests that reach the place, the cheapest first, up to the first that fails. As
-many children run at once as there are processors.
+that are loaded, and runs the tests that reach the place, the cheapest first, up to the first that fails.
+Where all of them cost too much, the most direct ones are asked. As many children run at once as there are
+processors.
 
 Not asked are tests that take longer than `LONGEST_S`, tests marked slow or serial, and tests that read the
 folders that all tests share (tests/made.py): those were made before the mutant was there. What a test module
@@ -43,7 +44,7 @@ from python_mutation import Mutants, Site
 LONGEST_S = 2.0
 """Processor time of a test that is asked, with its fixtures, while its lines are noted."""
 MOST_S = 5.0
-"""Processor time of the tests that one mutant meets; those left are the dearest."""
+"""Processor time of the tests that one mutant meets; those left reach much that lies elsewhere."""
 GENEROUS = 10
 MEMORY = 2 << 30
 """Address space beyond what the process has when a mutant is put in [byte]."""
@@ -244,6 +245,10 @@ class Case:
     reached: dict[str, set[int]]
 
 
+def by_cost(case: Case) -> tuple[float, str]:
+    return case.seconds, case.item.nodeid
+
+
 class Notes:
     """What is known of the tests of one file: seconds, reached lines by file, and the hash of each such file.
     A note holds while neither the tests nor a file that they reach changes."""
@@ -300,7 +305,7 @@ def cases(items: list[pytest.Item], task: Task, living: Living) -> list[Case]:
     if failing:
         raise pytest.UsageError(f"fail before anything is changed: {', '.join(sorted(failing))}")
     found = [notes[item.path].case(item) for item in items]
-    return sorted((case for case in found if case), key=lambda c: (c.seconds, c.item.nodeid))
+    return sorted((case for case in found if case), key=by_cost)
 
 
 # --- mutants ---
@@ -355,15 +360,21 @@ def fate(mutants: Mutants, site: int, index: int, asked: list[Case], living: Liv
 
 
 def asked_about(lines: range, name: str, known: list[Case]) -> list[Case]:
-    """The tests that reach one of the lines, at most `MOST_S` of them."""
+    """The tests that reach one of the lines, the cheapest first: of them the most direct ones, in `MOST_S`.
+
+    Of what a direct test reaches much lies in the file ``name``: what is asked there it notices most likely.
+    """
+
+    def directness(case: Case) -> float:
+        return len(case.reached[name]) / sum(map(len, case.reached.values()))
+
     out, left = [], MOST_S
-    for case in known:
-        if case.reached.get(name, set()).intersection(lines):
+    reaching = [case for case in known if case.reached.get(name, set()).intersection(lines)]
+    for case in sorted(reaching, key=directness, reverse=True):
+        if case.seconds <= left:
             left -= case.seconds
-            if left < 0:
-                break
             out.append(case)
-    return out
+    return sorted(out, key=by_cost)
 
 
 class Loop:

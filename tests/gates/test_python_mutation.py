@@ -14,10 +14,13 @@ from python_mutation_run import (
     MEASURED,
     OPEN,
     PACKAGE,
+    changed_since,
     drawn,
+    folder_of,
     judged,
     mutants_of,
     noted,
+    python_listed_table,
     python_mutation_findings,
     surviving,
     target_files,
@@ -92,6 +95,7 @@ def made():
 def test_that_reads_what_was_made_before(made):
     assert limited(10) == 30 and limited(-11) == -33
 """
+N_SMALL = 46
 AT_THE_BORDER = {
     "if y > LIMIT:  ->  if y >= LIMIT:",
     "if y > LIMIT:  ->  if y > LIMIT + 1:",
@@ -109,7 +113,7 @@ def tree(tmp_path_factory) -> Path:
     for folder in (module.parent, module.parent.parent, tree / PACKAGE):
         (folder / "__init__.py").touch()
     module.write_text(SOURCE)
-    tests = tree / "tests" / "tools" / "engine" / "test_small.py"
+    tests = tree / "tests" / "tools" / "engine" / "test_validation_small.py"
     tests.parent.mkdir(parents=True)
     tests.write_text(TESTS.replace("lpvguard_small", "lpvguard"))
     (tests.parent / "pytest.ini").write_text("[pytest]\nmarkers =\n    slow: slow\n    serial: serial\n")
@@ -170,17 +174,31 @@ def test_findings_name_every_survivor_once_and_what_is_noted_in_vain(ran):
 
 
 def test_the_gate_draws_where_it_is_not_asked_for_all(tree, tmp_path, capsys):
-    findings = python_mutation_findings(tree, tmp_path, full=False, only="", sample=5, measured={SMALL})
+    findings = python_mutation_findings(
+        tree, tmp_path, full=False, only="", sample=5, measured={SMALL: N_SMALL}
+    )
     said = capsys.readouterr().out
     assert "5 drawn" in said and said.splitlines()[-1].startswith("| **all** | 5 |")
     assert all(f.startswith("survived: engine/validation/small.py:") for f in findings)
 
 
+def test_a_file_with_another_number_of_mutants_than_when_all_ran_is_told(tree, tmp_path, capsys):
+    module = tree / PACKAGE / SMALL
+    module.write_text(SOURCE + "\n\ndef added(x):\n    return -x\n")
+    try:
+        findings = python_mutation_findings(
+            tree, tmp_path, full=False, only="", sample=0, measured={SMALL: N_SMALL}
+        )
+    finally:
+        module.write_text(SOURCE)
+    assert findings == [f"{SMALL}: {N_SMALL + 1} mutants, and {N_SMALL} when all had run: run all again"]
+
+
 def test_a_test_that_fails_without_a_mutant_is_told(tree, tmp_path):
-    tests = tree / "tests" / "tools" / "engine" / "test_wrong.py"
+    tests = tree / "tests" / "tools" / "engine" / "test_validation_wrong.py"
     tests.write_text("def test_wrong():\n    assert 1 == 2\n")
     try:
-        [finding] = python_mutation_findings(tree, tmp_path, full=True, only="", measured={SMALL})
+        [finding] = python_mutation_findings(tree, tmp_path, full=True, only="", measured={SMALL: N_SMALL})
     finally:
         tests.unlink()
     assert "fail before anything is changed: " in finding and "test_wrong" in finding
@@ -222,21 +240,27 @@ def test_texts_annotations_decorators_and_what_is_raised_stay():
     assert changes(source) == ["raise E(1 + 2, f'{a - 1}')  ->  (left out)"]
 
 
-def test_every_target_is_a_file_whose_room_has_tests_and_a_drawn_one_is_among_them():
+def test_every_target_is_a_file_whose_folder_has_tests_and_a_drawn_one_is_among_them():
     names = target_files(ROOT)
-    assert len(names) > 30 and set(drawn(ROOT, names)) <= set(names) and set(names) >= MEASURED
-    assert {name.split("/")[0] for name in names} == ASKED.keys()
+    assert len(names) > 30 and set(drawn(ROOT, names)) <= set(names) and set(names) >= MEASURED.keys()
+    assert {folder_of(name) for name in names} == ASKED.keys()
     for asked in ASKED.values():
-        assert all((ROOT / "tests" / "tools" / name).exists() for name in asked)
+        assert all(list((ROOT / "tests" / "tools").glob(name)) for name in asked)
 
 
-def test_what_the_lists_name_are_mutants(tmp_path):
+def test_measured_files_have_the_mutants_that_ran_and_the_lists_name_mutants(tmp_path):
     """A changed line makes its entries void: LPVGUARD_FULL=1 would tell it late."""
     lists = [noted(ROOT, name) for name in (EQUIVALENT, OPEN)]
-    files = sorted({file for notes in lists for file in notes})
-    there = {(m.file, m.site.function, m.key) for m in mutants_of(ROOT, tmp_path, files)[0]}
+    files = sorted({file for notes in lists for file in notes} | MEASURED.keys())
+    mutants, _ = mutants_of(ROOT, tmp_path, files)
+    assert changed_since(mutants, MEASURED) == []
+    there = {(m.file, m.site.function, m.key) for m in mutants}
     for notes in lists:
         for file, functions in notes.items():
             for function, reasons in functions.items():
                 assert {(file, function, key) for key in reasons} <= there
                 assert all(reasons.values())
+
+
+def test_the_readme_has_the_table_of_the_lists(tmp_path):
+    assert "\n".join(python_listed_table(ROOT, tmp_path)) in (ROOT / "tests" / "README.md").read_text()

@@ -13,6 +13,9 @@ import numpy as np
 
 from lpvguard.engine.synthesis.statespace import EPS, StateSpace, balanced, to_continuous
 
+SMALLEST = 1e-100
+"""Level that stands for zero: B / level still has a square."""
+
 
 @dataclass(frozen=True)
 class NormBracket:
@@ -47,10 +50,9 @@ def hinf_norm(G: StateSpace, rtol: float = 1e-6) -> NormBracket:
     lower, peak = _largest(H, start)
     if not (np.any(H.B) and np.any(H.C)):
         return NormBracket(lower, lower, warp(peak))
-    tiny = 1e-300 + EPS * np.linalg.norm(H.D, 2)
     lifted = _lifted(H, start)
     for _ in range(60):
-        level = max(lower * (1 + rtol), tiny)
+        level = max(lower * (1 + rtol), SMALLEST)
         candidates = _crossings(H, level)
         if candidates.size == 0:
             return NormBracket(lower, max(level + _rounding(H, peak), lifted), warp(peak))
@@ -84,7 +86,7 @@ def _rounding(H: StateSpace, omega: float) -> float:
 
     Far below any rtol unless the loop is nearly unstable or its signals are many decades apart.
     """
-    if H.order == 0 or np.isinf(omega):
+    if np.isinf(omega):
         return 0.0
     inverse = np.linalg.inv(1j * omega * np.eye(H.order) - H.A)
     return float(8 * EPS * np.linalg.norm(np.abs(H.C @ inverse) @ np.abs(H.A) @ np.abs(inverse @ H.B)))
@@ -95,8 +97,6 @@ def _crossings(H: StateSpace, level: float) -> np.ndarray:
     none.
     """
     n = H.order
-    if n == 0:
-        return np.zeros(0)
     B, D, C = H.B / level, H.D / level, H.C
     if (
         H.n_inputs > H.n_outputs
@@ -124,5 +124,5 @@ def axis_frequencies(hamiltonian: np.ndarray, scale: float) -> np.ndarray:
         return cross
     cross = np.concatenate([[0.0], cross[cross > 0]])
     between = 0.5 * (cross[1:] + cross[:-1])
-    geometric = np.sqrt(cross[2:] * cross[1:-1]) if cross.size > 2 else np.zeros(0)
+    geometric = np.sqrt(cross[2:] * cross[1:-1])
     return np.concatenate([cross, between, geometric, [2 * cross[-1]]])

@@ -126,8 +126,8 @@ def maximise_level(q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: f
         kkt[diag, diag] *= 1.0 + 1e-13
         try:
             step = np.linalg.solve(kkt, np.append(gradient, 0.0))[: m + 1]
-        except np.linalg.LinAlgError:
-            break
+        except np.linalg.LinAlgError:  # free forms that depend on each other, or are zero: the least step
+            step = np.linalg.lstsq(kkt, np.append(gradient, 0.0))[0][: m + 1]
         decrement = np.sqrt(max(float(gradient @ step) / eps, 0.0))
         if not np.isfinite(decrement):
             break

@@ -111,9 +111,9 @@ class Posed:
         rows = np.vstack([pieces[i] for i in dead])
         left, right = rows[:, :-1], -rows[:, -1]
         u, s, vh = np.linalg.svd(left)
-        rank = int(np.sum(s > RANK_TOLERANCE * max(s[0], 1e-300))) if s.size else 0
+        rank = int(np.sum(s > RANK_TOLERANCE * s.max(initial=0.0)))
         point = vh[:rank].conj().T @ ((u[:, :rank].conj().T @ right) / s[:rank])
-        if np.linalg.norm(left @ point - right) > IMAGE_TOLERANCE * max(float(np.linalg.norm(right)), 1e-300):
+        if np.linalg.norm(left @ point - right) > IMAGE_TOLERANCE * np.linalg.norm(right):
             raise InputError(
                 self.problem.source,
                 f"block {dead[0] + 1}",
@@ -122,7 +122,11 @@ class Posed:
             )
         change = np.zeros((left.shape[1] + 1, left.shape[1] - rank + 1), dtype=complex)
         change[:-1, :-1], change[:-1, -1], change[-1, -1] = vh[rank:].conj().T, point, 1.0
-        return par.xi_map @ change, par.w_map @ change, par.eta_map @ change
+        xi_map = par.xi_map @ change
+        for i, part in enumerate(split(self.problem.blocks, xi_map, "rows")):
+            if i in dead:
+                part[:] = 0.0  # not its rounding, which an eta of zero would make endless
+        return xi_map, par.w_map @ change, par.eta_map @ change
 
     @cached_property
     def xi(self) -> list[np.ndarray]:

@@ -96,7 +96,7 @@ def parametrise(problem: Lft) -> Parametrisation:
         size = np.linalg.norm(m[:, columns])
         scale[columns] = 1.0 / size if size > 0.0 else 1.0
     u, s, vh = np.linalg.svd(m * scale)
-    rank = int(np.sum(s > RANK_TOLERANCE * s[0])) if s.size else 0
+    rank = int(np.sum(s > RANK_TOLERANCE * s[0]))
     outside = np.linalg.norm(u[:, rank:].conj().T @ problem.e)
     if outside > IMAGE_TOLERANCE * norm_e:
         raise InputError(
@@ -109,7 +109,9 @@ def parametrise(problem: Lft) -> Parametrisation:
     null = scale[:, None] * vh[rank:].conj().T
     w_p, n_w = particular[p:], null[p:]
     u_w, s_w, vh_w = np.linalg.svd(n_w)
-    n_phi = int(np.sum(s_w > RANK_TOLERANCE * s_w[0])) if s_w.size else 0
+    # In scaled columns the null space is orthonormal: a part in w below the tolerance is rounding, even where
+    # no larger one stands beside it.
+    n_phi = int(np.sum(s_w > RANK_TOLERANCE * scale[-1]))
     u1, v1, v2 = u_w[:, :n_phi], vh_w[:n_phi].conj().T, vh_w[n_phi:].conj().T
     w_min = w_p - u1 @ (u1.conj().T @ w_p)
     per_phi = null[:p] @ (v1 / s_w[:n_phi])

@@ -77,7 +77,7 @@ class Quadratic:
                     return np.inf
             elif a > 0.0:
                 p[f.param] = max(p[f.param], a / b - f.constant if b > 0.0 else np.inf)
-        return float(np.sum(np.maximum(p, 0.0)))
+        return float(np.sum(p))
 
     def on_subspace(
         self, z: np.ndarray, deltas: dict[int, complex]
@@ -168,7 +168,7 @@ class Quadratic:
         theta, *_ = np.linalg.lstsq(left, -rows[:, -1], rcond=RANK_TOLERANCE)
         z = np.append(theta, 1.0)
         _, s, vh = np.linalg.svd(left)
-        null = vh[int(np.sum(s > RANK_TOLERANCE * max(s[0], 1e-300))) if s.size else 0 :].conj().T
+        null = vh[int(np.sum(s > RANK_TOLERANCE * s.max(initial=0.0))) :].conj().T
         fixed = [f for f in self.forms if f.param < 0]
         for f in fixed:
             step, *_ = np.linalg.lstsq(f.a[:, :-1] @ null, -(f.a @ z), rcond=RANK_TOLERANCE)

@@ -51,7 +51,7 @@ class Box:
     @property
     def most(self) -> float:
         """Largest modulus in the box."""
-        return max(abs(self.low), abs(self.high), abs(complex(self.low.real, self.high.imag)))
+        return max(abs(corner) for corner in self.corners)
 
     @property
     def corners(self) -> list[complex]:
@@ -132,6 +132,7 @@ class _HeldScalars:
         centre = self.centre
         return sum(
             (2.0 * (centre[i].conjugate() * scalars[i]).real - abs(centre[i]) ** 2) / self._forms[i].slope
+            - self._forms[i].constant
             for i in self._known
         )
 

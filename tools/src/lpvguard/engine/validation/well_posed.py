@@ -30,7 +30,6 @@ def well_posed(problem: Lft, nu: np.ndarray) -> bool:
     xi)_i| with the multipliers of each block's structure: a matrix for a repeated scalar, and one more for a
     real one (the D-G scalings of mu).
     """
-    nu = np.asarray(nu, dtype=float)
     etas = split(problem.blocks, problem.p11, "cols")
     norms = np.array(
         [[np.linalg.norm(part.T, 2) for part in split(problem.blocks, eta.T, "rows")] for eta in etas]
