@@ -62,6 +62,21 @@ def test_of_several_that_start_together_one_compiles(tmp_path, cache, monkeypatc
     assert (tmp_path / "runs").read_text() == "run\n"
 
 
+def test_an_object_is_made_once_by_the_compiler_that_is_named(tmp_path, cache):
+    cpp = source(tmp_path, "int f() { return 3; }\n", "f.cpp")
+    other = source(
+        tmp_path,
+        f'#!/bin/sh\n[ "$1" = --version ] ||'
+        f' echo "$@" >>"{tmp_path}/runs"\nexec "{shutil.which("c++")}" "$@"\n',
+        "other",
+    )
+    other.chmod(0o755)
+    own, made = native.compile_object(cpp), native.compile_object(cpp, compiler=str(other))
+    assert native.compile_object(cpp, compiler=str(other)) == made != own
+    (said,) = (tmp_path / "runs").read_text().splitlines()
+    assert str(cpp) in said
+
+
 def test_missing_sources_bad_code_and_unsafe_flags_are_refused_with_the_reason(tmp_path, cache, monkeypatch):
     with pytest.raises(native.NativeError, match="not found"):
         native.compile_shared([tmp_path / "missing.c"])

@@ -135,11 +135,12 @@ def compile_object(
     *,
     flags: Sequence[str] = REPRODUCIBLE_FLAGS,
     include_dirs: Iterable[Path | str] = (),
+    compiler: str | None = None,
 ) -> Path:
     """Path of the object file of one source, for ``compile_executable``; C sources are compiled as C++.
     Otherwise as ``compile_shared``. Objects of a program that is built in variants are then compiled once,
-    and several at a time."""
-    return _compile([source], (*flags, "-x", "c++", "-c"), include_dirs, Path(source).stem, ".o")
+    and several at a time. ``compiler``: another one than this machine's own."""
+    return _compile([source], (*flags, "-x", "c++", "-c"), include_dirs, Path(source).stem, ".o", compiler)
 
 
 def _compile(
@@ -148,6 +149,7 @@ def _compile(
     include_dirs: Iterable[Path | str],
     name: str,
     suffix: str,
+    compiler: str | None = None,
 ) -> Path:
     paths = [Path(s).resolve() for s in sources]
     includes = [Path(p).resolve() for p in include_dirs]
@@ -158,7 +160,7 @@ def _compile(
         raise NativeError(
             "flags that reorder floating-point arithmetic are refused: results must be reproducible"
         )
-    compiler = find_compiler(cxx=any(p.suffix in _CXX_SUFFIXES for p in paths))
+    compiler = compiler or find_compiler(cxx=any(p.suffix in _CXX_SUFFIXES for p in paths))
     target = cache_dir() / f"{name}-{_digest(paths, flags, includes, compiler)}{suffix}"
     if target.is_file():
         return target

@@ -452,21 +452,35 @@ def _build_key(
 def _compile(
     vehicle: Path, program: Program, sources: dict[str, Path], flags: tuple[str, ...], folder: Path
 ) -> list[Path]:
-    """Objects of all sources, in ``folder``; the program's generated headers are written there first."""
+    """Objects of all sources, in ``folder``; the program's generated headers are written there first. The
+    core's are the same in every program and come from the cache."""
     write_files(folder, program.headers)
     ports, core = firmware_root() / "ports", library_root()
+    eigen = ("-isystem", eigen_include())
     includes = [f"-I{p}" for p in (core / "include", core / "src", vehicle, ports, folder, *program.folders)]
 
     def compile_one(item: tuple[str, Path]) -> Path:
         name, source = item
+        if name.startswith("core_"):
+            found = _core_object(vehicle, source, (*flags, *CXX, *map(str, eigen)))
+            return Path(shutil.copyfile(found, folder / f"{name}.o"))
         is_cxx = source.suffix == ".cpp"
-        dialect = (*CXX, "-isystem", eigen_include()) if is_cxx else ("-std=gnu99",)
+        dialect = (*CXX, *eigen) if is_cxx else ("-std=gnu99",)
         tool = "arm-none-eabi-g++" if is_cxx else "arm-none-eabi-gcc"
         _tool([tool, *flags, *dialect, *includes, "-c", source, "-o", folder / f"{name}.o"], source)
         return folder / f"{name}.o"
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return list(pool.map(compile_one, sources.items()))
+
+
+def _core_object(vehicle: Path, source: Path, flags: tuple[str, ...]) -> Path:
+    """One of the core's objects for a vehicle, in the cache."""
+    includes = (library_root() / "include", library_root() / "src", vehicle)
+    try:
+        return native.compile_object(source, flags=flags, include_dirs=includes, compiler="arm-none-eabi-g++")
+    except native.NativeError as error:
+        raise InputError(source, "building for the target", str(error), "sources that build") from None
 
 
 def _link(target: Target, objects: list[Path], elf: Path, vehicle: Path) -> None:
