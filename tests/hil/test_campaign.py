@@ -359,7 +359,9 @@ def few_to_choose_by(stored):
     its workers are, does not ask which baselines it has."""
     found, drives = stored
     used = found.manifest["drives"]
-    return replace(found, manifest=found.manifest | {"drives": used | {"bounds": used["bounds"][::8]}}), drives
+    return replace(
+        found, manifest=found.manifest | {"drives": used | {"bounds": used["bounds"][::8]}}
+    ), drives
 
 
 class Stopped(Exception):
@@ -387,7 +389,9 @@ def test_a_cluster_gives_the_same_bytes(small, few_to_choose_by, truck_folder, t
         assert (tmp_path / "cluster" / file).read_bytes() == (tmp_path / "here" / file).read_bytes(), file
 
 
-def test_a_campaign_that_was_stopped_goes_on_and_ends_the_same(small, few_to_choose_by, truck_folder, tmp_path):
+def test_a_campaign_that_was_stopped_goes_on_and_ends_the_same(
+    small, few_to_choose_by, truck_folder, tmp_path
+):
     found, drives = few_to_choose_by
     size = Size(0.25, 2)
     runs = 5 + 4 * 2
