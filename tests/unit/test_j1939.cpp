@@ -438,6 +438,7 @@ TEST_CASE("requests: claim, refusal, and what is not looked at", "[unit][j1939][
     REQUIRE(node.messages.size() == 1U);
     CHECK(node.messages[0].pgn == 59392U);
     CHECK(node.messages[0].to == 255U);
+    CHECK(node.messages[0].source == 0xFCU);
     CHECK(node.messages[0].data == Bytes{1U, 0xFFU, 0xFFU, 0xFFU, tool, 0xEEU, 0xFEU, 0x00U});
     node.messages.clear();
     node.step({request_of(65262U, 255U), request_of(65262U, 0x10U), request_of(65262U, 0xFCU, 254U)});
@@ -490,6 +491,19 @@ TEST_CASE("a refused request forgets nothing", "[unit][j1939][REQ-J1939-3]") {
     node.step();
     node.step({request_of(65262U, 0xFCU)});
     CHECK(lpvg_j1939_entry(&node.self, 0U) != nullptr);
+}
+
+TEST_CASE("each refusal says what it refuses, in the order of the requests, beside a message that waits", "[unit][j1939][REQ-J1939-3]") {
+    Node node;
+    node.run(500'000);
+    node.find({dtc_a, dtc_b});
+    node.step();  // the broadcast of DM1 begins
+    node.messages.clear();
+    node.step({request_of(65227U, 0xFCU), request_of(65262U, 0xFCU), request_of(65263U, 0xFCU)});
+    const auto refused = node.of(59392U);
+    REQUIRE(refused.size() == 2U);
+    CHECK(refused[0].data == Bytes{1U, 0xFFU, 0xFFU, 0xFFU, tool, 0xEEU, 0xFEU, 0x00U});
+    CHECK(refused[1].data == Bytes{1U, 0xFFU, 0xFFU, 0xFFU, tool, 0xEFU, 0xFEU, 0x00U});
 }
 
 TEST_CASE("refusals beyond the places of a step are counted", "[unit][j1939][REQ-J1939-3]") {
@@ -626,6 +640,9 @@ TEST_CASE("DM1: several codes are broadcast, the gravest first", "[unit][j1939][
     const auto sent = node.step();
     REQUIRE(sent.size() == 1U);
     CHECK(sent[0].id == (LPVG_CAN_EXTENDED | 0x1CECFFFCU));
+    const auto packet = node.step({}, 50'000);
+    REQUIRE(packet.size() == 1U);
+    CHECK(packet[0].id == (LPVG_CAN_EXTENDED | 0x1CEBFFFCU));
     node.run(200'000);
     REQUIRE(node.of(65226U).size() == 1U);
     CHECK(node.of(65226U)[0].data ==

@@ -89,6 +89,24 @@ TEST_CASE("state, newest freeze frame and NAME are read by identifier", "[unit][
     CHECK(node.ask({0x22U, 0x4CU, 1U}) == Bytes{0x62U, 0x4CU, 1U} + code_b + Bytes{1U} + held);
 }
 
+TEST_CASE("the third time of a code, in another run and beside another code, is read as such", "[unit][uds][REQ-J1939-12]") {
+    Node node;
+    node.step({{520201U, 31U, 0U}});
+    for (int i = 0; i < 2; ++i) {
+        node.step({{520201U, 31U, 0U}, {904U, 9U, 0U}});
+        node.step({{520201U, 31U, 0U}});
+    }
+    node.step({{520201U, 31U, 0U}, {904U, 9U, 0U}});
+    for (lpvg_j1939_entry_t& entry : node.memory.entry) {
+        entry.run = 7U;
+    }
+    Bytes in_run_7 = held;
+    in_run_7.back() = 7U;
+    CHECK(node.ask({0x22U, 0x4CU, 0U}) == Bytes{0x62U, 0x4CU, 0U, lpvg_j1939_state_claimed, 0xFCU, 2U, 2U});
+    CHECK(node.ask({0x22U, 0x4CU, 1U}) == Bytes{0x62U, 0x4CU, 1U} + code_b + Bytes{3U} + in_run_7);
+    CHECK(node.ask(Bytes{0x19U, 6U} + code_b + Bytes{0xFFU}) == Bytes{0x59U, 6U} + code_b + Bytes{9U, 1U, 3U});
+}
+
 TEST_CASE("numbers of a freeze frame are rounded, up to the last that is none of the special ones", "[unit][uds][REQ-J1939-12]") {
     Node node;
     node.step({{904U, 9U, 0U}});
