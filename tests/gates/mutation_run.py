@@ -41,7 +41,7 @@ PROGRAMS = ("unit_tests", "test_can_faults", "test_ecu_random")
 PARTS = ("lib", "firmware_sim", "tests", "tools/src", "data")
 GENEROUS = 10
 TURNS = (100_000, 1_000_000, 10_000_000)
-LONG_SITES = 20_000_000
+LONG_SITES = 400_000_000
 """Cases that reach no more sites than the first number of TURNS are asked first, then those up to the next,
 and at last the others; those that reach more than LONG_SITES are long."""
 ABOUT: dict[str, tuple[str, ...]] = {

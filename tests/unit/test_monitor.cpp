@@ -241,10 +241,11 @@ TEST_CASE("a quiet vehicle is not judged, for want of excitation", "[unit][monit
     Drive drive;
     drive.amplitude = 0.0;
     drive.settle();
-    drive.run(longest(), [](const lpvg_frame_t& frame) {
+    drive.run(longest(), [&drive](const lpvg_frame_t& frame) {
         CHECK(frame.reason == lpvg_reason_not_excited);
         CHECK_FALSE(frame.falsified);
         CHECK(frame.evidence <= lpvg_coeff.reals.threshold);
+        CHECK(drive.verdict() == lpvg_verdict_not_judged);  // whichever bin the newest frame is of
     });
     CHECK(drive.verdict() == lpvg_verdict_not_judged);
     CHECK(lpvg_monitor_reason(&drive.monitor) == lpvg_reason_not_excited);
@@ -351,11 +352,12 @@ TEST_CASE("a speed exactly on the tolerance counts", "[unit][monitor][REQ-MON-7]
     lpvg_coeff_t coeff = frames_only([](lpvg_coeff_t& c) { c.reals.speed_tolerance = Real(0.25); });
     REQUIRE((coeff.reals.speed_min <= Real(6) && coeff.reals.speed_max >= Real(10)));
     const Real shift = GENERATE(Real(0), Real(1), Real(-1));  // of one extreme, by an eighth: then it is beyond
+    const uint32_t place = 2U * GENERATE(range(0U, 4U));      // of that extreme among eight samples
     Drive drive(coeff);
     std::size_t counted = 0, moved = 0;
     for (uint32_t k = 0; k < words().settle_samples + 3U * longest(); ++k) {
         drive.speed = Real(8) + (k % 2U == 0U ? Real(2) : Real(-2));
-        drive.speed += k % 8U == (shift > Real(0) ? 0U : 1U) ? shift / Real(8) : Real(0);
+        drive.speed += (k + place) % 8U == (shift > Real(0) ? 0U : 1U) ? shift / Real(8) : Real(0);
         drive.run(1U, [&](const lpvg_frame_t& frame) {
             if (k > words().settle_samples + 2U * longest()) {
                 counted += frame.reason <= lpvg_reason_not_excited ? 1U : 0U;
@@ -635,7 +637,7 @@ TEST_CASE("the statistic is the k-th largest of the last m margins of the bin", 
         c.words.of_last = want.m;
     }));
     std::array<std::vector<Real>, LPVG_NBINS> margins;
-    std::size_t counted = 0, wrong = 0;
+    std::size_t counted = 0, wrong = 0, falsified = 0, recorded = 0;
     for (uint32_t k = 0; k < 12U * longest(); ++k) {
         drive.gain = 1.0 + 0.5 * std::sin(0.37 * k);  // so that margins differ from frame to frame
         drive.run(1U, [&](const lpvg_frame_t& frame) {
@@ -643,6 +645,7 @@ TEST_CASE("the statistic is the k-th largest of the last m margins of the bin", 
                 return;
             }
             ++counted;
+            falsified += frame.falsified ? 1U : 0U;
             std::vector<Real>& of_bin = margins[frame.bin];
             of_bin.push_back(frame.margin);
             std::vector<Real> last(of_bin.end() - static_cast<std::ptrdiff_t>(std::min<std::size_t>(want.m, of_bin.size())), of_bin.end());
@@ -650,8 +653,17 @@ TEST_CASE("the statistic is the k-th largest of the last m margins of the bin", 
             const Real statistic = last.size() < want.k ? Real(0) : last[want.k - 1U];
             wrong += frame.statistic != statistic || frame.falsified != (statistic > lpvg_coeff.reals.threshold) ? 1U : 0U;
         });
+        const lpvg_frame_t& newest = *lpvg_monitor_frame(&drive.monitor);
+        lpvg_frame_t record{};
+        while (lpvg_monitor_take_record(&drive.monitor, &record)) {
+            if (record.test == newest.test && record.sequence == newest.sequence) {
+                ++recorded;
+                wrong += record.margin != newest.margin || record.statistic != newest.statistic ? 1U : 0U;
+            }
+        }
     }
     CHECK(counted > 50U);
+    CHECK((recorded > 0U) == (falsified > 0U));
     CHECK(wrong == 0U);
 }
 
